@@ -1,0 +1,99 @@
+#include "detector/detector.hpp"
+
+#include <pybind11/pybind11.h>
+
+#include <algorithm>
+
+#include "bindings/arrays.hpp"
+
+namespace py = pybind11;
+using namespace cgemit;
+using namespace cgemit::bindings;
+
+namespace {
+
+std::vector<Slab> make_slabs(const py::dict& columns, const Array<double>& log_terms) {
+  const auto r_in = take<double>(columns, "r_in"), r_out = take<double>(columns, "r_out"),
+             radius = take<double>(columns, "radius"), spread = take<double>(columns, "spread"),
+             half_length = take<double>(columns, "half_length"), x0 = take<double>(columns, "x0"),
+             xi = take<double>(columns, "xi");
+  const auto gap = take<std::int32_t>(columns, "gap");
+  const auto ends = take<std::uint8_t>(columns, "ends");
+  const auto n = static_cast<std::size_t>(r_in.size());
+  const auto terms = matrix(log_terms, "log_terms", r_in.size(), loss_points);
+  std::vector<Slab> slabs(n);
+  for (std::size_t i = 0; i < n; ++i) {
+    slabs[i] = {r_in.at(i), r_out.at(i), radius.at(i), spread.at(i),    half_length.at(i),
+                x0.at(i),   xi.at(i),    gap.at(i),    ends.at(i) != 0, {}};
+    std::copy_n(terms.begin() + static_cast<std::ptrdiff_t>(i * loss_points), loss_points,
+                slabs[i].log_term.begin());
+  }
+  return slabs;
+}
+
+std::vector<CgemLayer> make_cgem(const py::dict& columns) {
+  const auto r_readout = take<double>(columns, "r_readout"), r_gap_in = take<double>(columns, "r_gap_in"),
+             r_gap_out = take<double>(columns, "r_gap_out"),
+             half_length = take<double>(columns, "half_length"), pitch_x = take<double>(columns, "pitch_x"),
+             pitch_v = take<double>(columns, "pitch_v"), stereo = take<double>(columns, "stereo"),
+             phi_first = take<double>(columns, "phi_first");
+  const auto sheets = take<std::int32_t>(columns, "sheets"),
+             strips_x = take<std::int32_t>(columns, "strips_x"),
+             strips_v = take<std::int32_t>(columns, "strips_v"),
+             gid_first = take<std::int32_t>(columns, "gid_first");
+  const auto n = static_cast<std::size_t>(r_readout.size());
+  const auto edges = matrix(phi_first, "phi_first", r_readout.size(), 2);
+  std::vector<CgemLayer> layers(n);
+  for (std::size_t i = 0; i < n; ++i) {
+    if (sheets.at(i) < 1 || sheets.at(i) > 2) throw std::invalid_argument("cgem sheets: expected 1 or 2");
+    layers[i] = {r_readout.at(i),
+                 r_gap_in.at(i),
+                 r_gap_out.at(i),
+                 half_length.at(i),
+                 pitch_x.at(i),
+                 pitch_v.at(i),
+                 stereo.at(i),
+                 sheets.at(i),
+                 strips_x.at(i),
+                 strips_v.at(i),
+                 {edges[2 * i], edges[2 * i + 1]},
+                 gid_first.at(i)};
+  }
+  return layers;
+}
+
+std::vector<WireLayer> make_wires(const py::dict& columns) {
+  const auto number = take<std::int32_t>(columns, "number"), cells = take<std::int32_t>(columns, "cells"),
+             gid_first = take<std::int32_t>(columns, "gid_first");
+  const auto r_end = take<double>(columns, "r_end"), half_length = take<double>(columns, "half_length"),
+             twist = take<double>(columns, "twist"), phi_east = take<double>(columns, "phi_east"),
+             sigma = take<double>(columns, "sigma"), sigma_slope = take<double>(columns, "sigma_slope"),
+             efficiency = take<double>(columns, "efficiency");
+  const auto n = static_cast<std::size_t>(number.size());
+  std::vector<WireLayer> layers(n);
+  for (std::size_t i = 0; i < n; ++i) {
+    layers[i] = {number.at(i),   cells.at(i), r_end.at(i),       half_length.at(i), twist.at(i),
+                 phi_east.at(i), sigma.at(i), sigma_slope.at(i), efficiency.at(i),  gid_first.at(i)};
+  }
+  return layers;
+}
+
+}  // namespace
+
+void bind_detector(py::module_& module) {
+  module.attr("LOSS_GRID_FIRST") = loss_grid_first;
+  module.attr("LOSS_GRID_STEP") = loss_grid_step;
+  module.attr("LOSS_POINTS") = loss_points;
+  py::class_<Detector>(module, "Detector",
+                       "The detector as plain numbers, ordered from the beam line outward.")
+      .def(py::init([](double bz, const py::dict& slabs, const Array<double>& log_terms, const py::dict& cgem,
+                       const py::dict& wires) {
+             return Detector{bz, make_slabs(slabs, log_terms), make_cgem(cgem), make_wires(wires)};
+           }),
+           py::kw_only(), py::arg("bz"), py::arg("slabs"), py::arg("log_terms"), py::arg("cgem"),
+           py::arg("wires"))
+      .def_readonly("bz", &Detector::bz)
+      .def_property_readonly("n_slabs", [](const Detector& d) { return d.slabs.size(); })
+      .def_property_readonly("n_cgem_layers", [](const Detector& d) { return d.cgem.size(); })
+      .def_property_readonly("n_wire_layers", [](const Detector& d) { return d.wires.size(); });
+}

@@ -1,0 +1,13 @@
+// Table of contents of the compiled module.
+#include <pybind11/pybind11.h>
+
+void bind_status(pybind11::module_& module);
+void bind_rng(pybind11::module_& module);
+void bind_detector(pybind11::module_& module);
+
+PYBIND11_MODULE(_core, module, pybind11::mod_gil_not_used()) {
+  module.doc() = "Compiled core of cgemit: kernels on columns of numbers.";
+  bind_status(module);
+  bind_rng(module);
+  bind_detector(module);
+}

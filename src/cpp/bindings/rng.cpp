@@ -1,0 +1,70 @@
+#include "common/rng.hpp"
+
+#include <pybind11/native_enum.h>
+#include <pybind11/pybind11.h>
+#include <pybind11/stl.h>
+
+#include <vector>
+
+#include "bindings/arrays.hpp"
+
+namespace py = pybind11;
+using namespace cgemit;
+using namespace cgemit::bindings;
+
+namespace {
+
+py::array_t<double> draw(std::uint64_t seed, const Array<std::int64_t>& events,
+                         const Array<std::int32_t>& particle, Purpose purpose, std::uint32_t place,
+                         std::uint32_t block, bool normal) {
+  const auto event = column(events, "events");
+  const auto number = column(particle, "particle", events.shape(0));
+  std::vector<double> values(4 * event.size());
+  {
+    py::gil_scoped_release release;
+    for (std::size_t i = 0; i < event.size(); ++i) {
+      const Stream stream(seed, static_cast<std::uint64_t>(event[i]), static_cast<std::uint32_t>(number[i]));
+      if (normal) {
+        const auto four = stream.normals(purpose, place, block);
+        for (std::size_t k = 0; k < 4; ++k) values[4 * i + k] = four[k];
+      } else {
+        const Block words = stream.block(purpose, place, block);
+        for (std::size_t k = 0; k < 4; ++k) values[4 * i + k] = open_unit(words[k]);
+      }
+    }
+  }
+  return to_numpy(std::move(values), {events.shape(0), 4});
+}
+
+}  // namespace
+
+void bind_rng(py::module_& module) {
+  py::native_enum<Purpose>(module, "Purpose", "enum.IntEnum",
+                           "What a random draw is for; part of every stream.")
+      .value("gun", Purpose::gun)
+      .value("scattering", Purpose::scattering)
+      .value("energy_loss", Purpose::energy_loss)
+      .value("digitization", Purpose::digitization)
+      .value("drift_distance", Purpose::drift_distance)
+      .value("fit_seed", Purpose::fit_seed)
+      .value("test", Purpose::test)
+      .finalize();
+  module.def(
+      "philox4x32",
+      [](Block counter, std::array<std::uint32_t, 2> key) { return philox4x32(counter, key[0], key[1]); },
+      py::kw_only(), py::arg("counter"), py::arg("key"), "Four words of Philox4x32-10.");
+  module.def(
+      "uniforms",
+      [](std::uint64_t seed, const Array<std::int64_t>& events, const Array<std::int32_t>& particle,
+         Purpose purpose, std::uint32_t place,
+         std::uint32_t block) { return draw(seed, events, particle, purpose, place, block, false); },
+      py::arg("seed"), py::arg("events"), py::arg("particle"), py::arg("purpose"), py::arg("place"),
+      py::arg("block") = 0, "Four uniform numbers in (0, 1) for each (event, particle); shape (n, 4).");
+  module.def(
+      "normals",
+      [](std::uint64_t seed, const Array<std::int64_t>& events, const Array<std::int32_t>& particle,
+         Purpose purpose, std::uint32_t place,
+         std::uint32_t block) { return draw(seed, events, particle, purpose, place, block, true); },
+      py::arg("seed"), py::arg("events"), py::arg("particle"), py::arg("purpose"), py::arg("place"),
+      py::arg("block") = 0, "Four standard normal numbers for each (event, particle); shape (n, 4).");
+}

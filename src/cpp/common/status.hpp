@@ -1,0 +1,28 @@
+// Why a row ended as it did. The Python enums are built from these, so that both sides have one list.
+#pragma once
+
+#include <cstdint>
+
+namespace cgemit {
+
+// How the simulation of a particle ended.
+enum class TransportStatus : std::int8_t {
+  outside = 0,  // left through the outermost cylinder
+  end = 1,      // left through an end
+  curled = 2,   // turned back towards the axis
+  stopped = 3,  // lost all its energy in material
+  neutral = 4,  // carries no charge; not transported
+};
+
+// How the fit of a track ended.
+enum class FitStatus : std::int8_t {
+  ok = 0,
+  too_few_hits = 1,          // fewer measurements than the five parameters need
+  seed_failed = 2,           // no helix through the hits to start from
+  does_not_reach = 3,        // the reference helix curls back or leaves before a hit
+  stopped = 4,               // the reference momentum is used up in material before a hit
+  not_converged = 5,         // still moving after the last allowed iteration
+  not_positive_definite = 6  // the covariance is not that of five real parameters
+};
+
+}  // namespace cgemit

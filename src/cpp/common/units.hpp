@@ -1,0 +1,25 @@
+// Native units of the core: mm, ns, GeV, GeV/c, T, rad, elementary charge; strip charge in fC.
+// Energy deposits in tables are keV. Numbers of another unit enter as `5 * um`.
+#pragma once
+
+namespace cgemit {
+
+inline constexpr double mm = 1.0;
+inline constexpr double um = 1e-3;
+inline constexpr double cm = 10.0;
+inline constexpr double GeV = 1.0;
+inline constexpr double MeV = 1e-3;
+inline constexpr double keV = 1e-6;
+inline constexpr double eV = 1e-9;
+
+inline constexpr double pi = 3.14159265358979323846;
+
+// R[mm] = radius_per_kappa / (B[T] kappa[(GeV/c)^-1]); speed of light in mm/ns times 10 (exact by definition
+// of c).
+inline constexpr double radius_per_kappa = 3335.6409519815204;
+
+// PDG 2024, Physical constants.
+inline constexpr double electron_mass = 0.51099895000 * MeV;
+inline constexpr double elementary_charge_fC = 1.602176634e-4;
+
+}  // namespace cgemit

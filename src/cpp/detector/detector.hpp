@@ -1,0 +1,71 @@
+// The detector as the core sees it: plain numbers, ordered from the beam line outward, made by
+// `cgemit.detector` from the description that users write. Lengths in mm, angles in rad, field in T.
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <vector>
+
+namespace cgemit {
+
+// Mean excitation energy and density effect of a slab against ln(beta gamma), on one grid for all slabs.
+inline constexpr int loss_points = 161;
+inline constexpr double loss_grid_first = -3.0;  // ln(beta gamma)
+inline constexpr double loss_grid_step = 0.1;
+
+// A cylindrical shell of matter, or several neighbouring ones merged to one scatterer. It acts at `radius`.
+struct Slab {
+  double r_in;         // mm
+  double r_out;        // mm
+  double radius;       // mm, centroid of the scattering power
+  double spread;       // mm, standard deviation of the scattering power about `radius`, along the radius
+  double half_length;  // mm; no matter beyond
+  double x0;           // thickness in radiation lengths at normal incidence
+  double xi;  // GeV, (K/2) sum of Z/A times mass thickness at normal incidence; Landau's xi is xi/beta^2
+  int gap;    // index of the CGEM layer whose drift gap this is, or -1
+  bool ends;  // a track that crosses beyond half_length leaves the detector (end plate)
+  std::array<double, loss_points> log_term;  // -2 ln(I/GeV) - delta, weighted by xi
+};
+
+// One cylindrical GEM layer with its two-view read-out.
+struct CgemLayer {
+  double r_readout;    // mm, radius of X = r_readout (phi - phi_first)
+  double r_gap_in;     // mm, cathode side of the drift gap
+  double r_gap_out;    // mm, first foil
+  double half_length;  // mm, active
+  double pitch_x;      // mm
+  double pitch_v;      // mm
+  double stereo;       // rad, signed
+  int sheets;
+  int strips_x;                     // per sheet
+  int strips_v;                     // per sheet
+  std::array<double, 2> phi_first;  // rad, edge of each sheet (X = 0)
+  int gid_first;                    // running number of the layer's first strip: sheet by sheet, X then V
+
+  double r_mid() const { return 0.5 * (r_gap_in + r_gap_out); }
+  double sheet_width() const { return strips_x * pitch_x; }  // mm, in X
+  double z_ref() const { return stereo > 0 ? half_length : -half_length; }
+};
+
+// One layer of drift cells around straight, possibly stereo, wires.
+struct WireLayer {
+  int number;  // layer number of the experiment
+  int cells;
+  double r_end;        // mm, wire radius at the end plates
+  double half_length;  // mm
+  double twist;        // rad, azimuth at the +z end minus azimuth at the -z end
+  double phi_east;     // rad, azimuth of wire 0 at the +z end
+  double sigma;        // mm, error of the drift distance at the wire
+  double sigma_slope;  // change of that error per mm of drift distance
+  double efficiency;
+  int gid_first;  // running number of the layer's wire 0
+};
+
+struct Detector {
+  double bz;  // T, signed
+  std::vector<Slab> slabs;
+  std::vector<CgemLayer> cgem;
+  std::vector<WireLayer> wires;
+};
+
+}  // namespace cgemit

@@ -1,0 +1,1 @@
+#include "matter/energy_loss.hpp"
