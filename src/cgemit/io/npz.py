@@ -1,0 +1,63 @@
+"""Named arrays and one JSON text in one numpy `.npz` file."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+from zipfile import BadZipFile
+
+import numpy as np
+
+from cgemit.io.files import new_file
+
+_META = "__meta__"  # the array that holds the JSON text
+
+
+def write_arrays(
+    path: str | os.PathLike[str],
+    arrays: Mapping[str, np.ndarray[Any, Any]],
+    meta: Mapping[str, Any],
+    *,
+    overwrite: bool = False,
+) -> None:
+    """Write arrays and what is said about them to one file, completely or not at all.
+
+    Raises
+    ------
+    FileExistsError
+        If `path` exists and `overwrite` is false.
+    TypeError
+        If `meta` cannot be written as JSON.
+    """
+    text = json.dumps(dict(meta), allow_nan=False)
+    with new_file(path, overwrite=overwrite) as temporary, temporary.open("wb") as stream:
+        np.savez(stream, **{_META: np.array(text)}, **arrays)  # type: ignore[arg-type]
+
+
+def read_arrays(path: str | os.PathLike[str]) -> tuple[dict[str, np.ndarray[Any, Any]], dict[str, Any]]:
+    """Read what `write_arrays` wrote.
+
+    Returns
+    -------
+    arrays : dict of str to ndarray
+    meta : dict
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    ValueError
+        If the file is damaged or was not written by `write_arrays`.
+    """
+    if not Path(path).exists():
+        raise FileNotFoundError(f"there is no file {path}")
+    try:
+        with np.load(path, allow_pickle=False) as stored:
+            arrays = {name: stored[name] for name in stored.files}
+        meta = json.loads(str(arrays.pop(_META)))
+    except (BadZipFile, AttributeError, KeyError, EOFError, ValueError) as error:
+        raise ValueError(f"{path} is not a complete table file of cgemit ({error})") from error
+    return arrays, meta

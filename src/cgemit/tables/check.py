@@ -1,0 +1,103 @@
+"""Turn given columns into those of a schema, or list everything that is wrong with them."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from cgemit.tables.schemas import SCHEMAS, Column
+
+Array = np.ndarray[Any, Any]
+
+
+def did_you_mean(word: str, known: list[str]) -> str:
+    """Return ``"; did you mean 'x'?"`` for a misspelt word, or an empty text."""
+    close = difflib.get_close_matches(word, known, n=1)
+    return f"; did you mean {close[0]!r}?" if close else ""
+
+
+def schema_of(kind: str) -> tuple[Column, ...]:
+    """Return the columns of a kind of table.
+
+    Raises
+    ------
+    ValueError
+        If there is no such kind.
+    """
+    if kind not in SCHEMAS:
+        known = list(SCHEMAS)
+        raise ValueError(f"kind: there is no table {kind!r}, only {', '.join(known)}{did_you_mean(kind, known)}")
+    return SCHEMAS[kind]
+
+
+def check_columns(kind: str, columns: Mapping[str, npt.ArrayLike], n_events: int, first_event: int) -> dict[str, Array]:
+    """Return read-only contiguous columns in schema order with the schema's dtypes, extra columns last.
+
+    Arrays that fit already are not copied.
+
+    Raises
+    ------
+    ValueError
+        Listing every missing column, wrong shape, wrong dtype, and events that are unordered or out of range.
+    """
+    schema = schema_of(kind)
+    problems = [f"{column.name}: missing ({column.doc})" for column in schema if column.name not in columns]
+    rows = len(np.atleast_1d(np.asarray(columns["event"]))) if "event" in columns else None
+    if "offsets" in columns:
+        problems.append("offsets: is the name of the per-event offsets, not of a column")
+    known = {column.name: column for column in schema}
+    order = [name for name in known if name in columns] + [name for name in columns if name not in known]
+    checked = {}
+    for name in order:
+        array = np.asarray(columns[name])
+        problem = _problem(array, rows, known.get(name))
+        if problem:
+            problems.append(f"{name}: {problem}")
+        else:
+            checked[name] = read_only(array, known[name].dtype if name in known else array.dtype)
+    if "event" in checked:
+        problems += _event_problems(checked["event"], n_events, first_event)
+    if problems:
+        raise ValueError(f"the columns do not make a {kind} table:\n  " + "\n  ".join(problems))
+    return checked
+
+
+def read_only(array: Array, dtype: np.dtype[Any]) -> Array:
+    """Return the array as contiguous, of the dtype, and read-only, without changing the caller's own."""
+    view = np.ascontiguousarray(array, dtype=dtype).view()
+    view.flags.writeable = False
+    return view
+
+
+def _problem(array: Array, rows: int | None, column: Column | None) -> str:
+    """Say what is wrong with one column, or nothing."""
+    shape = column.shape if column else array.shape[1:]
+    if array.ndim == 0 or array.shape[1:] != shape or (rows is not None and len(array) != rows):
+        expected = ", ".join(str(n) for n in ("n" if rows is None else rows, *shape))
+        return f"has shape {array.shape}, expected ({expected})"
+    if array.dtype.hasobject:
+        return f"has dtype {array.dtype}, expected numbers"
+    if column and array.size and not np.can_cast(array.dtype, column.dtype, "same_kind"):
+        return f"has dtype {array.dtype}, expected {column.dtype}"
+    if column and column.dtype.kind in "iu" and not np.can_cast(array.dtype, column.dtype) and array.size:
+        limits = np.iinfo(column.dtype.str)
+        if array.min() < limits.min or array.max() > limits.max:
+            return f"has values that do not fit into {column.dtype}"
+    return ""
+
+
+def _event_problems(event: Array, n_events: int, first_event: int) -> list[str]:
+    problems = []
+    if n_events < 0:
+        problems.append(f"n_events: is {n_events}, expected 0 or more")
+    if np.any(event[1:] < event[:-1]):
+        problems.append("event: decreases somewhere, expected rows sorted by event")
+    elif len(event) and (event[0] < first_event or event[-1] >= first_event + n_events):
+        problems.append(
+            f"event: runs from {event[0]} to {event[-1]}, expected {first_event} to {first_event + n_events - 1}"
+        )
+    return problems

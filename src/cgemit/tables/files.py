@@ -1,0 +1,106 @@
+"""Tables in files: one `.npz` per table, with one JSON text beside a set of them."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cgemit.io import new_file, read_arrays, write_arrays
+from cgemit.tables.check import Array, schema_of
+
+if TYPE_CHECKING:
+    from cgemit.tables.table import Table
+
+FORMAT = "cgemit-table-1"
+INDEX = "tables.json"
+
+
+def _version() -> str:
+    from importlib.metadata import PackageNotFoundError, version
+
+    try:
+        return version("cgemit")
+    except PackageNotFoundError:  # run from a source tree
+        return "unknown"
+
+
+def describe(table: Table) -> dict[str, Any]:
+    """Return what a file says about a table besides its columns."""
+    return {
+        "format": FORMAT,
+        "version": _version(),
+        "kind": table.kind,
+        "rows": len(table),
+        "n_events": table.n_events,
+        "first_event": table.first_event,
+        "units": {column.name: column.unit for column in schema_of(table.kind)},
+        "meta": dict(table.meta),
+    }
+
+
+def save(table: Table, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
+    """Write one table; see `Table.save`."""
+    write_arrays(path, {**table.columns, "offsets": table.offsets}, describe(table), overwrite=overwrite)
+
+
+def load(path: str | os.PathLike[str]) -> tuple[str, dict[str, Array], int, int, dict[str, Any]]:
+    """Read the arguments of `Table` from a file; see `Table.load`."""
+    arrays, about = read_arrays(path)
+    if about.get("format") != FORMAT:
+        raise ValueError(f"{path} has format {about.get('format')!r}, expected {FORMAT!r}")
+    arrays.pop("offsets", None)  # they follow from the event column
+    return about["kind"], arrays, about["n_events"], about["first_event"], about["meta"]
+
+
+def save_tables(
+    tables: Mapping[str, Table], directory: str | os.PathLike[str], *, overwrite: bool = False
+) -> list[Path]:
+    """Write each table to ``<name>.npz`` in a directory, and last of all what they hold to ``tables.json``.
+
+    A directory without ``tables.json`` is therefore not complete.
+
+    Returns
+    -------
+    list of Path
+        The files written.
+
+    Raises
+    ------
+    FileExistsError
+        If one of the files exists and `overwrite` is false; nothing is written then.
+    """
+    folder = Path(directory)
+    paths = {name: folder / f"{name}.npz" for name in tables}
+    index = folder / INDEX
+    existing = [str(path) for path in (*paths.values(), index) if path.exists()]
+    if existing and not overwrite:
+        raise FileExistsError(f"{', '.join(existing)} would be replaced; pass overwrite=True to do so")
+    index.unlink(missing_ok=True)
+    for name, table in tables.items():
+        save(table, paths[name], overwrite=overwrite)
+    with new_file(index) as temporary:
+        about = {name: describe(table) for name, table in tables.items()}
+        temporary.write_text(json.dumps(about, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    return [*paths.values(), index]
+
+
+def load_tables(directory: str | os.PathLike[str]) -> dict[str, Table]:
+    """Read what `save_tables` wrote.
+
+    Raises
+    ------
+    FileNotFoundError
+        If the directory holds no complete set of tables.
+    ValueError
+        If a file is damaged.
+    """
+    from cgemit.tables.table import Table
+
+    folder = Path(directory)
+    if not (folder / INDEX).exists():
+        raise FileNotFoundError(f"{folder} holds no complete set of tables ({INDEX} is missing)")
+    names = json.loads((folder / INDEX).read_text(encoding="utf-8"))
+    return {name: Table.load(folder / f"{name}.npz") for name in names}

@@ -1,0 +1,238 @@
+"""The columns of every table, with dtype, unit and meaning; `docs/data_model.md` is written from here."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Column:
+    """One column of a table.
+
+    Parameters
+    ----------
+    name : str
+    dtype : numpy.dtype
+    unit : str
+        Empty for counts, numbers of things and other pure numbers.
+    doc : str
+    links : str, tuple of str or None
+        The table whose rows the column counts (-1: none). A tuple picks the table by the row's `view`.
+    shape : tuple of int
+        Shape of one entry; ``()`` is a plain number.
+    """
+
+    name: str
+    dtype: np.dtype[np.generic]
+    unit: str
+    doc: str
+    links: str | tuple[str, ...] | None = None
+    shape: tuple[int, ...] = ()
+
+
+#: The fitted quantities, each with its native unit.
+PARAMETERS: Mapping[str, str] = MappingProxyType(
+    {"dr": "mm", "phi0": "rad", "kappa": "1/(GeV/c)", "dz": "mm", "tanl": "", "p": "GeV/c"}
+)
+
+
+def _column(code: str, name: str, unit: str, doc: str, links: str | tuple[str, ...] | None = None) -> Column:
+    return Column(name, np.dtype(code), unit, doc, links)
+
+
+def _f8(name: str, unit: str, doc: str) -> Column:
+    return _column("f8", name, unit, doc)
+
+
+def _i4(name: str, doc: str) -> Column:
+    return _column("i4", name, "", doc)
+
+
+def _link(name: str, doc: str, links: str | tuple[str, ...]) -> Column:
+    return _column("i8", name, "", doc, links)
+
+
+def _point(prefix: str, doc: str) -> tuple[Column, ...]:
+    return tuple(_f8(prefix + axis, "mm", f"{doc}, {axis}") for axis in "xyz")
+
+
+def _momentum(doc: str) -> tuple[Column, ...]:
+    return tuple(_f8("p" + axis, "GeV/c", f"{doc}, {axis}") for axis in "xyz")
+
+
+_EVENT = _column("i8", "event", "", "event number")
+_PARTICLE = _i4("particle", "number of the particle within its event")
+_SHEET = _i4("sheet", "sheet of the layer's read-out")
+
+_PARTICLES = (
+    _EVENT,
+    _PARTICLE,
+    _i4("pdg", "particle number of the Particle Data Group"),
+    _column("i1", "charge", "e", "electric charge"),
+    _f8("mass", "GeV/c2", "mass"),
+    *_point("", "vertex"),
+    *_momentum("momentum at the vertex"),
+    _column("i1", "status", "", "how its transport ended (TransportStatus; 0 before simulation)"),
+)
+
+_TRUTHS = (
+    _EVENT,
+    _PARTICLE,
+    _i4("layer", "CGEM layer, 0 innermost"),
+    *_point("entry_", "entry into the drift gap"),
+    *_point("exit_", "exit from the drift gap"),
+    _f8("r", "mm", "radius of the middle of the gap"),
+    _f8("phi", "rad", "azimuth at mid-gap"),
+    _f8("z", "mm", "z at mid-gap"),
+    *_momentum("momentum at mid-gap"),
+    _f8("path", "mm", "path length in the gap"),
+    _f8("time", "ns", "time of flight from the vertex"),
+    _f8("energy", "keV", "energy deposited in the gap"),
+    _column("u1", "secondaries", "", "1 if secondary particles contributed"),
+)
+
+_WIRE_TRUTHS = (
+    _EVENT,
+    _PARTICLE,
+    _i4("layer", "drift-chamber layer as the experiment numbers it (0..42)"),
+    _i4("wire", "cell of the layer"),
+    _f8("doca", "mm", "signed distance of closest approach to the wire"),
+    _column("i1", "side", "", "sign of doca, +1 or -1"),
+    *_point("", "point of the track closest to the wire"),
+    _f8("time", "ns", "time of flight from the vertex"),
+)
+
+_DIGIS = (
+    _EVENT,
+    _i4("layer", "CGEM layer, 0 innermost"),
+    _SHEET,
+    _column("i1", "view", "", "0 X, 1 V"),
+    _i4("strip", "strip of the view and sheet"),
+    _i4("gid", "strip number in the whole CGEM"),
+    _f8("charge", "fC", "collected charge"),
+    _f8("time", "ns", "arrival time"),
+    _link("truth", "crossing with the largest contribution", "truths"),
+    _i4("n_truths", "number of crossings that contributed"),
+)
+
+_WIRE_HITS = (
+    _EVENT,
+    _i4("layer", "drift-chamber layer as the experiment numbers it (0..42)"),
+    _i4("wire", "cell of the layer"),
+    _i4("gid", "wire number in the whole drift chamber"),
+    _f8("drift", "mm", "measured drift distance"),
+    _f8("sigma", "mm", "its standard deviation"),
+    _f8("drift_time", "ns", "drift time"),
+    _column("i1", "side", "", "side of the wire, +1 or -1; 0 hidden"),
+    _link("wire_truth", "the cell passage it comes from", "wire_truths"),
+)
+
+_NOT_MEASURED = "NaN where the cluster's view does not measure it"
+_CLUSTERS = (
+    _EVENT,
+    _i4("layer", "CGEM layer, 0 innermost"),
+    _SHEET,
+    _column("i1", "view", "", "0 X, 1 V, 2 XV"),
+    _i4("first", "first strip; -1 where there is none"),
+    _i4("last", "last strip; -1 where there is none"),
+    _i4("size", "number of strips"),
+    _f8("charge", "fC", "sum of the strips' charges"),
+    _f8("time", "ns", "arrival time"),
+    _f8("x", "mm", f"X on the unrolled anode; {_NOT_MEASURED}"),
+    _f8("v", "mm", f"V on the unrolled anode; {_NOT_MEASURED}"),
+    _f8("phi", "rad", f"azimuth at mid-gap; {_NOT_MEASURED}"),
+    _f8("z", "mm", f"z at mid-gap; {_NOT_MEASURED}"),
+    _f8("r", "mm", "radius of the middle of the gap"),
+    _f8("err_x", "mm", f"standard deviation of x; {_NOT_MEASURED}"),
+    _f8("err_v", "mm", f"standard deviation of v; {_NOT_MEASURED}"),
+    _f8("err_phi", "rad", f"standard deviation of phi; {_NOT_MEASURED}"),
+    _f8("err_z", "mm", f"standard deviation of z; {_NOT_MEASURED}"),
+    _link("x_cluster", "the X cluster of an XV cluster", "clusters"),
+    _link("v_cluster", "the V cluster of an XV cluster", "clusters"),
+    _link("truth", "crossing with the largest contribution", "truths"),
+    _i4("n_truths", "number of crossings that contributed"),
+    _column("i1", "method", "", "0 centre of the strips (binary), 1 smeared truth (gaussian)"),
+)
+
+
+def _comparison() -> tuple[Column, ...]:
+    """Truth, residual, error and pull of each fitted quantity."""
+    kinds = (("truth", "true {}"), ("res", "fitted minus true {}"), ("err", "standard deviation of {}"))
+    return tuple(
+        column
+        for name, unit in PARAMETERS.items()
+        for column in (
+            *(_f8(f"{kind}_{name}", unit, doc.format(name)) for kind, doc in kinds),
+            _f8(f"pull_{name}", "", f"res_{name} / err_{name}"),
+        )
+    )
+
+
+_TRACKS = (
+    _EVENT,
+    _PARTICLE,
+    _f8("dr", "mm", "signed distance of closest approach to the z axis (d_rho)"),
+    _f8("phi0", "rad", "azimuth of the point of closest approach; the flight azimuth is phi0 + pi/2"),
+    _f8("kappa", "1/(GeV/c)", "charge / pT"),
+    _f8("dz", "mm", "z at the point of closest approach"),
+    _f8("tanl", "", "pz / pT"),
+    Column(
+        "cov",
+        np.dtype("f8"),
+        "mixed",
+        "covariance of (dr, phi0, kappa, dz, tanl), products of their units",
+        shape=(5, 5),
+    ),
+    _f8("p", "GeV/c", "momentum"),
+    _f8("chi2", "", "chi-square of the fit"),
+    _i4("ndf", "number of degrees of freedom"),
+    _i4("n_clusters", "number of clusters used"),
+    _i4("n_wires", "number of wire hits used"),
+    _i4("iterations", "number of iterations"),
+    _column("i1", "status", "", "how the fit ended (FitStatus; 0 is good)"),
+    *_comparison(),
+)
+
+_RESIDUALS = (
+    _EVENT,
+    _link("track", "the track", "tracks"),
+    _column("i1", "view", "", "0 X, 1 V, 2 wire"),
+    _i4("layer", "layer of the cluster or wire"),
+    _link("hit", "the cluster (views 0 and 1) or wire hit (view 2)", ("clusters", "clusters", "wire_hits")),
+    _f8("residual", "mm", "measured minus smoothed"),
+    _f8("err", "mm", "standard deviation of the residual"),
+    _f8("pull", "", "residual / err"),
+    _column("i1", "side", "", "side of the wire the fit chose, +1 or -1; 0 for clusters"),
+)
+
+#: All tables by name.
+SCHEMAS: Mapping[str, tuple[Column, ...]] = MappingProxyType(
+    {
+        "particles": _PARTICLES,
+        "truths": _TRUTHS,
+        "wire_truths": _WIRE_TRUTHS,
+        "digis": _DIGIS,
+        "wire_hits": _WIRE_HITS,
+        "clusters": _CLUSTERS,
+        "tracks": _TRACKS,
+        "residuals": _RESIDUALS,
+    }
+)
+
+#: What a row of each table is.
+ROWS: Mapping[str, str] = MappingProxyType(
+    {
+        "particles": "one generated particle",
+        "truths": "one crossing of a CGEM drift gap",
+        "wire_truths": "one passage through a drift-chamber cell",
+        "digis": "one fired strip",
+        "wire_hits": "one fired cell",
+        "clusters": "one X, V or XV cluster",
+        "tracks": "one particle and its fitted track",
+        "residuals": "one hit of a fitted track",
+    }
+)

@@ -1,0 +1,197 @@
+"""One table: columns, per-event offsets, and what is known about where they come from."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import KeysView, Mapping
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from cgemit.tables import convert, files, show
+from cgemit.tables.check import Array, check_columns, did_you_mean, schema_of
+
+
+class Table:
+    """Rows of one kind as numpy columns, sorted by event.
+
+    Parameters
+    ----------
+    kind : str
+        A name of `SCHEMAS`.
+    columns : mapping of str to array_like
+        The columns of the schema, each (n,) or (n, ...), in the schema's dtype or one that fits into it without
+        loss; more columns may follow. Arrays are not copied where they fit already.
+    n_events : int
+        Number of events the table covers, with and without rows.
+    first_event : int
+        Number of the first event; rows belong to ``first_event ... first_event + n_events - 1``.
+    meta : mapping or None
+        What can be written as JSON and belongs into every file, such as the configuration hash and the seed.
+
+    Attributes
+    ----------
+    columns : mapping of str to ndarray
+        Read-only, C-contiguous.
+    offsets : ndarray, (n_events + 1,) int64
+        Rows ``offsets[i]`` to ``offsets[i + 1]`` belong to event ``first_event + i``.
+
+    Raises
+    ------
+    ValueError
+        Listing everything that is wrong with the columns.
+    """
+
+    __slots__ = ("columns", "first_event", "kind", "meta", "n_events", "offsets")
+
+    kind: str
+    columns: Mapping[str, Array]
+    n_events: int
+    first_event: int
+    offsets: np.ndarray[tuple[int], np.dtype[np.int64]]
+    meta: Mapping[str, Any]
+
+    def __init__(
+        self,
+        kind: str,
+        columns: Mapping[str, npt.ArrayLike],
+        n_events: int,
+        first_event: int = 0,
+        meta: Mapping[str, Any] | None = None,
+    ) -> None:
+        checked = check_columns(kind, columns, n_events, first_event)
+        edges = np.arange(first_event, first_event + n_events + 1, dtype=np.int64)
+        offsets = np.searchsorted(checked["event"], edges).astype(np.int64, copy=False)
+        offsets.flags.writeable = False
+        values = (kind, MappingProxyType(checked), int(n_events), int(first_event), offsets, dict(meta or {}))
+        names = ("kind", "columns", "n_events", "first_event", "offsets", "meta")
+        for name, value in zip(names, values, strict=True):
+            object.__setattr__(self, name, value)
+
+    @classmethod
+    def empty(cls, kind: str, n_events: int = 0, first_event: int = 0) -> Table:
+        """Return a table without rows."""
+        columns = {column.name: np.empty((0, *column.shape), column.dtype) for column in schema_of(kind)}
+        return cls(kind, columns, n_events, first_event)
+
+    def __setattr__(self, name: str, value: object) -> None:
+        raise AttributeError(f"a table does not change; with_columns() makes a new one (tried to set {name!r})")
+
+    def __len__(self) -> int:
+        return len(self.columns["event"])
+
+    def __contains__(self, name: object) -> bool:
+        return name in self.columns
+
+    def __iter__(self) -> Any:
+        return iter(self.columns)
+
+    def keys(self) -> KeysView[str]:
+        """Return the names of the columns."""
+        return self.columns.keys()
+
+    def __getitem__(self, key: str | slice | npt.ArrayLike) -> Any:
+        """Return a column by name, or the table of the rows picked by a mask, a slice or row numbers.
+
+        Links of other tables count rows of the unpicked table, and links between its own rows are not changed.
+
+        Raises
+        ------
+        KeyError
+            If there is no such column.
+        IndexError
+            If a mask or a row number does not fit.
+        ValueError
+            If the picked rows are no longer sorted by event.
+        """
+        if isinstance(key, str):
+            if key not in self.columns:
+                raise KeyError(f"{self.kind} has no column {key!r}{did_you_mean(key, list(self.columns))}")
+            return self.columns[key]
+        rows = key if isinstance(key, slice) else np.asarray(key)
+        if not isinstance(rows, slice) and rows.ndim != 1:
+            raise IndexError(f"rows are picked by a slice, a mask or an array of row numbers, not by {key!r}")
+        if not isinstance(rows, slice) and rows.size == 0 and rows.dtype.kind == "f":
+            rows = rows.astype(np.int64)  # numpy makes an empty list one of floats
+        picked = {name: column[rows] for name, column in self.columns.items()}
+        return Table(self.kind, picked, self.n_events, self.first_event, self.meta)
+
+    def select_events(self, first: int, stop: int) -> Table:
+        """Return the rows of the events ``first ... stop - 1`` as a table that covers just these events.
+
+        Raises
+        ------
+        IndexError
+            If the table does not cover them.
+        """
+        last = self.first_event + self.n_events
+        if not self.first_event <= first <= stop <= last:
+            raise IndexError(f"events {first} to {stop} are not within {self.first_event} to {last}")
+        rows = slice(*self.offsets[[first - self.first_event, stop - self.first_event]])
+        picked = {name: column[rows] for name, column in self.columns.items()}
+        return Table(self.kind, picked, stop - first, first, self.meta)
+
+    def with_columns(self, **arrays: npt.ArrayLike) -> Table:
+        """Return the same rows with columns added or replaced."""
+        return Table(self.kind, {**self.columns, **arrays}, self.n_events, self.first_event, self.meta)
+
+    def with_meta(self, **meta: Any) -> Table:
+        """Return the same rows with `meta` added to."""
+        return Table(self.kind, self.columns, self.n_events, self.first_event, {**self.meta, **meta})
+
+    def __eq__(self, other: object) -> bool:
+        """Compare events and columns, NaN equal to NaN; where they come from (`meta`) does not count."""
+        if not isinstance(other, Table):
+            return NotImplemented
+        mine = (self.kind, self.n_events, self.first_event, list(self.columns))
+        return mine == (other.kind, other.n_events, other.first_event, list(other.columns)) and all(
+            column.dtype == other.columns[name].dtype
+            and np.array_equal(column, other.columns[name], equal_nan=column.dtype.kind == "f")
+            for name, column in self.columns.items()
+        )
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Table, (self.kind, dict(self.columns), self.n_events, self.first_event, self.meta)
+
+    def __repr__(self) -> str:
+        return show.text(self)
+
+    def _repr_html_(self) -> str:
+        return show.html(self)
+
+    def to_pandas(self) -> Any:
+        """Return a pandas data frame, one row per row; a matrix column becomes ``name_0_0, name_0_1, ...``."""
+        return convert.to_pandas(self)
+
+    def to_awkward(self) -> Any:
+        """Return an awkward array with one list of records per event."""
+        return convert.to_awkward(self)
+
+    def save(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
+        """Write the table to an `.npz` file: the columns, the offsets and a JSON text (`Table.load` reads it).
+
+        The file is complete or absent. The text holds version, units, event range and `meta`.
+
+        Raises
+        ------
+        FileExistsError
+            If `path` exists and `overwrite` is false.
+        """
+        files.save(self, path, overwrite=overwrite)
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Table:
+        """Read what `save` wrote.
+
+        Raises
+        ------
+        FileNotFoundError
+            If there is no such file.
+        ValueError
+            If it is damaged or holds something else.
+        """
+        return cls(*files.load(path))
