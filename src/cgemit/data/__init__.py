@@ -1,0 +1,1 @@
+"""Detector presets and constants of matter; every number with its source."""

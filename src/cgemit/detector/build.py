@@ -1,0 +1,172 @@
+"""From the tables of a detector file to a `Detector`: reads everything, collects all problems, then checks."""
+
+from collections.abc import Mapping
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from . import check
+from .derive import complete_layer
+from .files import library_materials, open_source, resolve
+from .keys import Key, keys_of
+from .material import Material
+from .materials import read_materials
+from .merge import FOR_ALL_LAYERS, merged, set_path
+from .model import CgemLayer, Cylinder, Detector, DriftChamber, Field, WireLayer
+from .problems import DetectorError, Problem, did_you_mean
+from .read import Reader, shown
+from .write import to_dict
+
+TOP_LEVEL = {
+    "base": "the preset or file that this one changes",
+    "name": "name of the detector, used in results",
+    "description": "one line about it",
+    "remove": "parts of the base to leave out",
+    "field": "magnetic field",
+    "beam_pipe": "cylinders of the beam pipe by label",
+    "cgem": "CGEM layers by label",
+    "walls": "further cylinders by label",
+    "drift_chamber": "drift chamber",
+    "materials": "materials by name",
+}
+
+
+def load(source: str | Path | Mapping[str, Any] | Detector) -> Detector:
+    """Return the detector that a preset, a detector file or a mapping of the same form describes.
+
+    Parameters
+    ----------
+    source : str, Path, mapping or Detector
+        Name of a preset (see `detectors`), path to a TOML file, or tables as `tomllib` returns them; a `Detector`
+        is returned as it is.
+
+    Raises
+    ------
+    DetectorError
+        With all problems of the description.
+
+    """
+    if isinstance(source, Detector):
+        return source
+    opened = open_source(source)
+    problems: list[Problem] = []
+    tables = resolve(opened, problems)
+    if "name" not in opened.tables:
+        tables["name"] = Path(opened.name).stem
+    if "description" not in opened.tables:
+        base = opened.tables.get("base")
+        tables["description"] = f"variant of {base}" if base else ""
+    return build(opened.name, tables, problems)
+
+
+def override(detector: Detector, overrides: Mapping[str, object]) -> Detector:
+    """Return the detector with some values changed; see `Detector.with_overrides`."""
+    problems: list[Problem] = []
+    variant: dict[str, Any] = {}
+    for path, value in overrides.items():
+        if not set_path(variant, path, value):
+            problems.append(Problem(path, shown(value), "a value whose table is not itself overridden by a value"))
+    tables = merged(to_dict(detector), variant, problems)
+    if "name" not in variant and overrides:
+        tables["name"] = detector.name.removesuffix("-modified") + "-modified"
+    return build(detector.name, tables, problems)
+
+
+def build(source: str, tables: Mapping[str, Any], problems: list[Problem]) -> Detector:
+    """Return the detector that complete tables describe.
+
+    Raises
+    ------
+    DetectorError
+        With `problems` and those found here.
+
+    """
+    reader = Reader(problems=problems)
+    for name in tables.keys() - TOP_LEVEL.keys():
+        reader.note(name, "an unknown key", "one of " + ", ".join(TOP_LEVEL), did_you_mean(name, TOP_LEVEL))
+    texts = {name: _text(reader, name, tables.get(name, "")) for name in ("name", "description")}
+    own = reader.mapping("materials", tables.get("materials", {}))
+    reader.materials = read_materials(reader, library(), own)
+    field = _field(reader, tables.get("field"))
+    pipe = _cylinders(reader, "beam_pipe", tables.get("beam_pipe", {}))
+    cgem = _cgem(reader, tables.get("cgem", {}))
+    walls = _cylinders(reader, "walls", tables.get("walls", {}))
+    chamber = _chamber(reader, tables["drift_chamber"]) if "drift_chamber" in tables else None
+    if not cgem and not chamber and not problems:
+        reader.note("", "no detector", "at least one [cgem.<label>] or a [drift_chamber]")
+    if problems:
+        raise DetectorError(source, problems + check.geometry_problems(pipe, cgem, walls, chamber))
+    air = reader.materials["Air"]
+    assert field is not None and air is not None  # noqa: S101 - their problems would have been raised above
+    try:
+        return Detector(**texts, field=field, beam_pipe=pipe, cgem=cgem, walls=walls, drift_chamber=chamber, air=air)
+    except DetectorError as error:
+        raise DetectorError(source, error.problems) from None
+
+
+@cache
+def library() -> dict[str, Material]:
+    """Return the materials that come with the program."""
+    reader = Reader()
+    found = read_materials(reader, {}, library_materials())
+    if reader.problems:
+        raise DetectorError("_materials.toml", reader.problems)
+    return {name: material for name, material in found.items() if material}
+
+
+def _text(reader: Reader, name: str, raw: object) -> str:
+    if not isinstance(raw, str):
+        reader.note(name, shown(raw), "text")
+    return str(raw)
+
+
+def _field(reader: Reader, raw: object) -> Field | None:
+    if raw is None:
+        reader.note("field", "nothing", 'a table [field] with kind = "uniform" and bz')
+        return None
+    values = reader.table("field", raw, Field)
+    return Field(**values) if values else None
+
+
+def _cylinders(reader: Reader, group: str, raw: object) -> tuple[Cylinder, ...]:
+    found = []
+    tables = reader.mapping(group, raw)
+    for label, table in tables.items():
+        values = reader.table(f"{group}.{label}", table, Cylinder, siblings=tables)
+        if values:
+            found.append(Cylinder(label=label, **values))
+    return tuple(sorted(found, key=lambda part: part.r_in))
+
+
+def _cgem(reader: Reader, raw: object) -> tuple[CgemLayer, ...]:
+    found = []
+    sign = {"stereo_sign": Key("sign", "sign of the stereo angle where the angle itself is left out", derived=True)}
+    tables = reader.mapping("cgem", raw)
+    for label, table in tables.items():
+        values = reader.table(f"cgem.{label}", table, CgemLayer, sign, siblings=tables)
+        if values:
+            complete_layer(values)
+            found.append(CgemLayer(label=label, **values))
+    return tuple(sorted(found, key=lambda layer: layer.anode_radius))
+
+
+def _chamber(reader: Reader, raw: object) -> DriftChamber | None:
+    tables = {"wire_material": "Al", **reader.mapping("drift_chamber", raw)}
+    rows = reader.mapping("drift_chamber.layers", tables.pop("layers", {}))
+    # Values for all layers are read once, so that a mistake in one is reported once.
+    keys = {name: keys_of(WireLayer)[name] for name in FOR_ALL_LAYERS}
+    common = {
+        name: reader.value(f"drift_chamber.{name}", tables.pop(name), keys[name]) for name in keys if name in tables
+    }
+    known = {**keys, "layers": Key("table", "wire layers by number")}
+    values = reader.table("drift_chamber", tables, DriftChamber, known)
+    layers = []
+    for number, row in rows.items():
+        path = f"drift_chamber.layers.{number}"
+        if not str(number).isdecimal():
+            reader.note(path, f'"{number}"', "the number of a layer, such as 8")
+        elif found := reader.table(path, row, WireLayer, defaults=common, siblings=rows):
+            layers.append(WireLayer(number=int(number), **found))
+    if values is None:
+        return None
+    return DriftChamber(**values, layers=tuple(sorted(layers, key=lambda layer: layer.number)))

@@ -1,0 +1,141 @@
+"""Checks of a detector's values and geometry; each returns all problems it finds."""
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+from ..units import NATIVE, format_quantity
+from .keys import Key, keys_of
+from .problems import Problem
+
+if TYPE_CHECKING:
+    from .model import CgemLayer, Cylinder, Detector, DriftChamber
+
+_TOUCH = 1e-6  # mm; parts closer than this touch
+_THICK = 100.0  # mm; no single piece of solid matter in a tracker is thicker
+
+
+def in_range(value: float, key: Key) -> bool:
+    """Return whether a number is finite and in the sensible range of its key."""
+    return math.isfinite(value) and key.low <= value <= key.high
+
+
+def value_problems(detector: "Detector") -> list[Problem]:
+    """Return the values that lie outside the range of their key, for detectors made in Python."""
+    parts: list[tuple[str, Any]] = [("field", detector.field)]
+    parts += [(f"beam_pipe.{part.label}", part) for part in detector.beam_pipe]
+    parts += [(f"walls.{part.label}", part) for part in detector.walls]
+    for layer in detector.cgem:
+        parts.append((f"cgem.{layer.label}", layer))
+        for name in ("cathode", "foil", "anode"):
+            parts += [(f"cgem.{layer.label}.{name}[{i}]", part) for i, part in enumerate(getattr(layer, name))]
+    if detector.drift_chamber:
+        parts.append(("drift_chamber", detector.drift_chamber))
+        parts += [(f"drift_chamber.layers.{part.number}", part) for part in detector.drift_chamber.layers]
+    problems = [problem for path, part in parts for problem in _part_problems(path, part)]
+    if abs(detector.field.bz) < 1e-3:
+        problems.append(Problem("field.bz", f"{detector.field.bz:g} T", "a field of at least 1 mT, either sign"))
+    return problems
+
+
+def _part_problems(path: str, part: Any) -> list[Problem]:
+    problems = []
+    for name, key in keys_of(type(part)).items():
+        value = getattr(part, name)
+        if isinstance(value, int | float) and not isinstance(value, bool) and not in_range(value, key):
+            shown = format_quantity(value, key.kind) if key.kind in NATIVE else str(value)
+            problems.append(Problem(f"{path}.{name}", shown, key.expected()))
+        elif key.choices and value not in key.choices:
+            problems.append(Problem(f"{path}.{name}", repr(value), key.expected()))
+    return problems
+
+
+def geometry_problems(
+    beam_pipe: "Sequence[Cylinder]",
+    cgem: "Sequence[CgemLayer]",
+    walls: "Sequence[Cylinder]",
+    chamber: "DriftChamber | None",
+) -> list[Problem]:
+    """Return overlaps, turned-over cylinders, absurd thicknesses and strips that do not fit."""
+    problems: list[Problem] = []
+    places: list[tuple[float, float, str]] = []
+    for group, cylinders in (("beam_pipe", beam_pipe), ("walls", walls)):
+        for part in cylinders:
+            wrong = _cylinder_problem(f"{group}.{part.label}", part)
+            problems += wrong
+            places += [] if wrong else [(part.r_in, part.r_out, f"{group}.{part.label}")]
+    for layer in cgem:
+        problems += _strip_problems(layer)
+        if layer.r_in <= 0:
+            given = f"an inner face at {layer.r_in:g} mm"
+            problems.append(Problem(f"cgem.{layer.label}", given, "gaps and electrodes that fit inside anode_radius"))
+        places.append((layer.r_in, layer.r_out, f"cgem.{layer.label}"))
+    if chamber:
+        problems += _chamber_problems(chamber)
+        places += [(min(w.r_mid, w.r_end), w.r_end, f"drift_chamber.layers.{w.number}") for w in chamber.layers]
+    return problems + _overlaps(places)
+
+
+def _cylinder_problem(path: str, part: "Cylinder") -> list[Problem]:
+    if part.thickness <= 0:
+        return [Problem(f"{path}.r_out", f"{part.r_out:g} mm", f"more than r_in = {part.r_in:g} mm")]
+    if part.thickness > _THICK:
+        return [Problem(f"{path}.r_out", f"a thickness of {part.thickness:g} mm", f"at most {_THICK:g} mm")]
+    return []
+
+
+def _strip_problems(layer: "CgemLayer") -> list[Problem]:
+    """Return X strips wider than the sheet and V strips beyond its far corner."""
+    path = f"cgem.{layer.label}"
+    width = 2 * math.pi * layer.r_readout / layer.sheets
+    problems = []
+    if layer.strips_x * layer.pitch_x > width + _TOUCH:
+        most = math.floor(width / layer.pitch_x + 1e-9)
+        given = f"{layer.strips_x} strips of {layer.pitch_x:g} mm"
+        problems.append(Problem(f"{path}.strips_x", given, f"at most {most} on a sheet {width:.3f} mm wide"))
+    width = min(width, layer.strips_x * layer.pitch_x)
+    extent = width * math.cos(layer.stereo) + layer.length * math.sin(abs(layer.stereo))
+    if layer.strips_v * layer.pitch_v > extent + _TOUCH:
+        most = math.floor(extent / layer.pitch_v + 1e-9)
+        given = f"{layer.strips_v} strips of {layer.pitch_v:g} mm"
+        problems.append(
+            Problem(f"{path}.strips_v", given, f"at most {most}: the sheet measures {extent:.3f} mm along V")
+        )
+    if abs(layer.stereo) < math.radians(1):
+        given = f"{math.degrees(layer.stereo):g} deg"
+        problems.append(Problem(f"{path}.stereo", given, "at least 1 deg, either sign: otherwise z is not measured"))
+    return problems
+
+
+def _chamber_problems(chamber: "DriftChamber") -> list[Problem]:
+    if not chamber.layers:
+        return [Problem("drift_chamber.layers", "no wire layer", "at least one [drift_chamber.layers.<number>]")]
+    problems = []
+    for wire in chamber.layers:
+        path = f"drift_chamber.layers.{wire.number}"
+        if abs(wire.twist) > math.pi / 2:
+            given = f"{wire.twist_cells:g} cells of {wire.cells}"
+            problems.append(Problem(f"{path}.twist_cells", given, "at most a quarter turn"))
+        farthest = math.pi * wire.r_end / wire.cells
+        if wire.sigma + wire.sigma_slope * farthest <= 0:
+            given = f"an error of {wire.sigma + wire.sigma_slope * farthest:g} mm at {farthest:.3g} mm"
+            problems.append(Problem(f"{path}.sigma_slope", given, "a positive error over the whole cell"))
+    for inner, outer in zip(chamber.layers, chamber.layers[1:], strict=False):
+        if outer.r_end <= inner.r_end:
+            given = f"{outer.r_end:g} mm"
+            expected = f"more than the {inner.r_end:g} mm of layer {inner.number}"
+            problems.append(Problem(f"drift_chamber.layers.{outer.number}.r_end", given, expected))
+    return problems
+
+
+def _overlaps(places: list[tuple[float, float, str]]) -> list[Problem]:
+    """Return the parts that begin inside the one before; `places` holds (inner radius, outer radius, path)."""
+    problems = []
+    end, before = 0.0, ""
+    for r_in, r_out, path in sorted(places):
+        if before and r_in < end - _TOUCH:
+            given = f"r = {r_in:.4f} to {r_out:.4f} mm"
+            problems.append(Problem(path, given, f"no overlap with {before}, which reaches to {end:.4f} mm"))
+        if r_out > end:
+            end, before = r_out, path
+    return problems

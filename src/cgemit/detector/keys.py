@@ -1,0 +1,61 @@
+"""What each key of a detector file may hold: stated once on the dataclass field, used to read, check and document it."""
+
+import dataclasses
+from dataclasses import dataclass
+from typing import Any
+
+from ..units import NATIVE, describe, format_quantity
+
+
+@dataclass(frozen=True)
+class Key:
+    """One key: `kind` is a dimension of `units.NATIVE`, or integer, text, material, stack, formula, numbers.
+
+    `low` and `high` are the sensible range in native units, ends included; `derived` keys may be left out and are
+    then worked out from the others.
+    """
+
+    kind: str
+    doc: str
+    low: float = -float("inf")
+    high: float = float("inf")
+    choices: tuple[str, ...] = ()
+    derived: bool = False
+
+    def expected(self) -> str:
+        """Return the allowed values in words."""
+        if self.choices:
+            return "one of " + ", ".join(f'"{choice}"' for choice in self.choices)
+        words = {
+            "integer": "a whole number",
+            "boolean": "true or false",
+            "sign": "1 or -1",
+            "text": "text",
+            "material": "the name of a material",
+            "stack": "a list of { label, material, thickness }",
+            "composition": 'a formula such as "CO2" or a table of mass fractions such as { Ar = 0.7, C = 0.3 }',
+            "numbers": "a table of numbers c, x0, x1, a, k",
+        }
+        text = words.get(self.kind) or describe(self.kind)
+        if self.low == -float("inf"):
+            return text
+        if self.kind in NATIVE:
+            return f"{text} from {format_quantity(self.low, self.kind)} to {format_quantity(self.high, self.kind)}"
+        return f"{text} from {self.low:g} to {self.high:g}"
+
+
+def key(kind: str, doc: str, low: float = -float("inf"), high: float = float("inf"), **more: Any) -> dict[str, Key]:
+    """Return the metadata of a dataclass field that is a key of the detector file."""
+    return {"key": Key(kind, doc, low, high, **more)}
+
+
+def keys_of(kind: type) -> dict[str, Key]:
+    """Return the keys of a dataclass by name, in the order of its fields."""
+    return {f.name: f.metadata["key"] for f in dataclasses.fields(kind) if "key" in f.metadata}
+
+
+def required_of(kind: type) -> set[str]:
+    """Return the names of the keys that have neither a default nor a rule to derive them."""
+    missing = dataclasses.MISSING
+    fields = [f for f in dataclasses.fields(kind) if "key" in f.metadata]
+    return {f.name for f in fields if f.default is missing and not f.metadata["key"].derived}

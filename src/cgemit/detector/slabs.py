@@ -1,0 +1,221 @@
+"""The detector as the core sees it: slabs of matter from the beam line outward, read-out layers, wire layers."""
+
+import dataclasses
+import math
+from collections.abc import Iterable, Sequence
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .. import _core
+from .material import Material
+from .model import Cylinder, Detector, DriftChamber, Shell
+
+_TOUCH = 1e-6  # mm; parts closer than this touch
+_ENDLESS = 1e9  # mm, half length of air
+Columns = dict[str, NDArray[np.generic]]
+
+
+class Slab(NamedTuple):
+    """Neighbouring shells that act as one scatterer; `gap` is the CGEM layer whose drift gap this is, or -1."""
+
+    shells: tuple[Shell, ...]
+    gap: int = -1
+    ends: bool = False  # leaving it through an end means leaving the detector
+
+    @property
+    def r_in(self) -> float:
+        """Inner radius, mm."""
+        return self.shells[0].r_in
+
+    @property
+    def r_out(self) -> float:
+        """Outer radius, mm."""
+        return max(shell.r_out for shell in self.shells)
+
+    @property
+    def x0(self) -> float:
+        """Thickness in radiation lengths at normal incidence."""
+        return sum(shell.x0 for shell in self.shells)
+
+    @property
+    def xi(self) -> float:
+        """(K/2) sum of Z/A times mass thickness at normal incidence, GeV."""
+        return sum(shell.xi for shell in self.shells)
+
+    @property
+    def radius(self) -> float:
+        """Centroid of the scattering power, mm."""
+        return sum(shell.x0 * _middle(shell) for shell in self.shells) / self.x0
+
+    @property
+    def spread(self) -> float:
+        """Standard deviation of the scattering power about `radius`, mm; each shell counts with its own width."""
+        radius = self.radius
+        widths = ((_middle(s) - radius) ** 2 + (s.r_out - s.r_in) ** 2 / 12 for s in self.shells)
+        return math.sqrt(sum(s.x0 * width for s, width in zip(self.shells, widths, strict=True)) / self.x0)
+
+    def log_term(self, ln_betagamma: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return -2 ln(I/GeV) - delta, (n,) float64, averaged over the shells with their xi."""
+        terms = [shell.xi * shell.material.log_term(ln_betagamma) for shell in self.shells]
+        return np.asarray(np.sum(terms, axis=0) / self.xi, dtype=np.float64)
+
+
+def _middle(shell: Shell) -> float:
+    return 0.5 * (shell.r_in + shell.r_out)
+
+
+def slabs(detector: Detector, merge: bool = True) -> list[Slab]:
+    """Return the matter of a detector, ordered from the beam line outward.
+
+    Parameters
+    ----------
+    detector : Detector
+        The description.
+    merge : bool
+        Join touching cylinders of beam pipe and walls, and in each CGEM layer cathode, foils (with the gas
+        between them) and anode, to one slab each. The sums of X/X0 and xi do not change.
+
+    """
+    solid = _cylinders("pipe", detector.beam_pipe, merge) + _cylinders("wall", detector.walls, merge)
+    for number, layer in enumerate(detector.cgem):
+        for group in ("cathode", "drift", "foils", "anode"):
+            shells = [shell for shell in layer.shells() if shell.group == group]
+            solid += [Slab(tuple(part), number if group == "drift" else -1) for part in _parts(shells, merge)]
+    solid.sort(key=lambda slab: slab.r_in)
+    return sorted(solid + _fillers(detector, solid), key=lambda slab: slab.r_in)
+
+
+def _parts(shells: Sequence[Shell], merge: bool) -> list[list[Shell]]:
+    return [list(shells)] if merge else [[shell] for shell in shells]
+
+
+def _cylinders(group: str, cylinders: Iterable[Cylinder], merge: bool) -> list[Slab]:
+    """Return cylinders as slabs; touching ones are joined and reach as far along the beam as the longest of them."""
+    runs: list[list[Shell]] = []
+    for part in cylinders:
+        shell = Shell(group, part.label, part.r_in, part.r_out, part.half_length, part.material)
+        if merge and runs and part.r_in - runs[-1][-1].r_out < _TOUCH:
+            runs[-1].append(shell)
+        else:
+            runs.append([shell])
+    return [Slab(tuple(run)) for run in runs]
+
+
+def _fillers(detector: Detector, solid: Sequence[Slab]) -> list[Slab]:
+    """Return air between the parts, and the gas of the drift chamber around and between its wire layers."""
+    chamber = detector.drift_chamber
+    first_wire = chamber.layers[0].r_mid if chamber else math.inf
+    inside = [slab for slab in solid if slab.r_in < first_wire]
+    found = []
+    for inner, outer in zip(inside, inside[1:], strict=False):
+        if outer.r_in - inner.r_out > _TOUCH:
+            found.append(Slab((Shell("air", "air", inner.r_out, outer.r_in, _ENDLESS, detector.air),)))
+    return found + (_chamber_gas(chamber, solid, inside) if chamber else [])
+
+
+def _chamber_gas(chamber: DriftChamber, solid: Sequence[Slab], inside: Sequence[Slab]) -> list[Slab]:
+    """Return one lump of gas before each wire layer; the innermost begins at the last part inside the chamber.
+
+    Without a part inside, the chamber begins at its first wire layer.
+    """
+    found = []
+    start = inside[-1].r_out if inside else chamber.layers[0].r_mid
+    inner = chamber.layers[0]
+    for layer in chamber.layers:
+        walls = [(s.r_in, s.r_out) for s in solid if start - _TOUCH < s.r_in < layer.r_mid]
+        for r_in, r_out in _between(start, layer.r_mid, walls):
+            gas = Shell("gas", f"gas before layer {layer.number}", r_in, r_out, inner.half_length, chamber.gas)
+            share = (r_out - r_in) / (layer.r_mid - start)
+            found.append(Slab((gas, *_wires(chamber, gas, layer.wire_x0 * share)), ends=True))
+        start, inner = layer.r_mid, layer
+    return found
+
+
+def _between(start: float, end: float, walls: Iterable[tuple[float, float]]) -> list[tuple[float, float]]:
+    """Return what is left of an interval without the walls in it."""
+    edges = [start, *(edge for wall in sorted(walls) for edge in wall), end]
+    return [(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a > _TOUCH]
+
+
+def _wires(chamber: DriftChamber, gas: Shell, x0: float) -> list[Shell]:
+    """Return the wires as matter spread evenly over a lump of gas: nothing, or one shell of low density."""
+    if chamber.wires == "none" or x0 == 0:
+        return []
+    metal = chamber.wire_material
+    return [gas._replace(label="wires", material=_spread(metal, x0 * metal.x0 / gas.thickness))]
+
+
+def _spread(metal: Material, filling: float) -> Material:
+    return dataclasses.replace(
+        metal, name=f"{metal.name} wires", density=metal.density * filling, x0=metal.x0 / filling
+    )
+
+
+def slab_table(detector: Detector, merge: bool = True) -> tuple[Columns, NDArray[np.float64]]:
+    """Return the slabs as columns.
+
+    Returns
+    -------
+    columns : dict of ndarray
+        r_in, r_out, radius, spread, half_length (n,) float64 mm; x0 (n,) float64; xi (n,) float64 GeV;
+        gap (n,) int32; ends (n,) uint8.
+    log_terms : (n, LOSS_POINTS) float64
+        -2 ln(I/GeV) - delta against ln(beta gamma) on the core's grid.
+
+    """
+    found = slabs(detector, merge)
+    columns: Columns = {"half_length": np.array([max(shell.half_length for shell in s.shells) for s in found])}
+    for name in ("r_in", "r_out", "radius", "spread", "x0", "xi"):
+        columns[name] = np.array([getattr(slab, name) for slab in found], dtype=np.float64)
+    columns["gap"] = np.array([slab.gap for slab in found], dtype=np.int32)
+    columns["ends"] = np.array([slab.ends for slab in found], dtype=np.uint8)
+    grid = _core.LOSS_GRID_FIRST + _core.LOSS_GRID_STEP * np.arange(_core.LOSS_POINTS)
+    terms = np.array([slab.log_term(grid) for slab in found]).reshape(-1, _core.LOSS_POINTS)
+    return columns, terms
+
+
+def cgem_table(detector: Detector) -> Columns:
+    """Return the read-out of the CGEM layers as columns: mm, rad; phi_first is (n, 2), the rest (n,)."""
+    layers = detector.cgem
+    names = ("r_readout", "r_gap_in", "r_gap_out", "half_length", "pitch_x", "pitch_v", "stereo")
+    columns: Columns = {name: np.array([getattr(layer, name) for layer in layers], dtype=np.float64) for name in names}
+    for name in ("sheets", "strips_x", "strips_v"):
+        columns[name] = np.array([getattr(layer, name) for layer in layers], dtype=np.int32)
+    # A layer of one sheet fills the second place with the first: the core reads `sheets` of them.
+    edges = [(*layer.sheet_phi, *layer.sheet_phi)[:2] for layer in layers]
+    columns["phi_first"] = np.array(edges, dtype=np.float64).reshape(-1, 2)
+    strips = [layer.sheets * (layer.strips_x + layer.strips_v) for layer in layers]
+    columns["gid_first"] = np.cumsum([0, *strips])[:-1].astype(np.int32)
+    return columns
+
+
+def wire_table(detector: Detector) -> Columns:
+    """Return the wire layers as columns (n,): mm, rad."""
+    chamber = detector.drift_chamber
+    layers = chamber.layers if chamber else ()
+    names = ("r_end", "half_length", "twist", "phi_east", "sigma", "sigma_slope", "efficiency")
+    columns: Columns = {name: np.array([getattr(layer, name) for layer in layers], dtype=np.float64) for name in names}
+    for name in ("number", "cells"):
+        columns[name] = np.array([getattr(layer, name) for layer in layers], dtype=np.int32)
+    columns["gid_first"] = np.array(chamber.gid_first if chamber else (), dtype=np.int32)
+    return columns
+
+
+@lru_cache(maxsize=64)
+def compiled(detector: Detector, merge: bool = True) -> _core.Detector:
+    """Return the detector of the compiled core; equal descriptions share one.
+
+    Parameters
+    ----------
+    detector : Detector
+        The description.
+    merge : bool
+        See `slabs`.
+
+    """
+    columns, log_terms = slab_table(detector, merge)
+    cgem, wires = cgem_table(detector), wire_table(detector)
+    return _core.Detector(bz=detector.field.bz, slabs=columns, log_terms=log_terms, cgem=cgem, wires=wires)

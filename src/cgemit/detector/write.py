@@ -1,0 +1,105 @@
+"""A detector as tables and as TOML text; reading them back gives an equal detector."""
+
+import json
+from collections.abc import Mapping
+from typing import Any
+
+from ..units import NATIVE, format_quantity
+from .keys import keys_of
+from .material import DensityEffect, Material
+from .model import Detector, SubLayer
+
+
+def to_dict(detector: Detector) -> dict[str, Any]:
+    """Return the tables of a complete detector file: quantities as text in native units, all digits kept."""
+    tables: dict[str, Any] = {"name": detector.name, "description": detector.description}
+    tables["field"] = _table(detector.field)
+    tables["beam_pipe"] = {part.label: _table(part) for part in detector.beam_pipe}
+    tables["cgem"] = {layer.label: _table(layer) for layer in detector.cgem}
+    tables["walls"] = {part.label: _table(part) for part in detector.walls}
+    if detector.drift_chamber:
+        tables["drift_chamber"] = _table(detector.drift_chamber)
+        layers = {str(layer.number): _table(layer) for layer in detector.drift_chamber.layers}
+        tables["drift_chamber"]["layers"] = layers
+    tables["materials"] = {m.name: _table(m) for m in own_materials(detector)}
+    return {name: value for name, value in tables.items() if value != {}}
+
+
+def own_materials(detector: Detector) -> list[Material]:
+    """Return the materials of a detector that differ from those that come with the program."""
+    from .build import library
+
+    used = {m.name: m for m in materials_of(detector)}
+    return [material for name, material in used.items() if library().get(name) != material]
+
+
+def materials_of(detector: Detector) -> list[Material]:
+    """Return every material of a detector."""
+    found = [detector.air, *(part.material for part in (*detector.beam_pipe, *detector.walls))]
+    for layer in detector.cgem:
+        found += [layer.gas, *(part.material for part in (*layer.cathode, *layer.foil, *layer.anode))]
+    if detector.drift_chamber:
+        found += [detector.drift_chamber.gas, detector.drift_chamber.wire_material]
+    return found
+
+
+def to_toml(detector: Detector) -> str:
+    """Return a complete detector file as text."""
+    lines: list[str] = []
+    _write_table(lines, "", to_dict(detector))
+    return "\n".join(lines).strip() + "\n"
+
+
+def _table(part: Any) -> dict[str, Any]:
+    found = {name: _value(getattr(part, name), key.kind) for name, key in keys_of(type(part)).items()}
+    return {name: value for name, value in found.items() if value != {}}
+
+
+def _value(value: Any, kind: str) -> Any:
+    if isinstance(value, Material):
+        return value.name
+    if isinstance(value, DensityEffect):
+        return value._asdict()
+    if kind == "composition":
+        return dict(value)
+    if kind == "stack":
+        return [_sub_layer(part) for part in value]
+    if kind in NATIVE and kind != "dimensionless":
+        return format_quantity(value, kind)
+    return value
+
+
+def _sub_layer(part: SubLayer) -> dict[str, Any]:
+    return {"label": part.label, "material": part.material.name, **_table(part)}
+
+
+def _write_table(lines: list[str], path: str, table: Mapping[str, Any]) -> None:
+    """Append a table: first its values, then its tables; small tables of numbers are written in place."""
+    inner = {name: v for name, v in table.items() if isinstance(v, Mapping) and not _in_place(name)}
+    values = {name: v for name, v in table.items() if name not in inner}
+    if path and (values or not inner):
+        lines += ["", f"[{path}]"]
+    lines += [f"{_name(name)} = {_text(value)}" for name, value in values.items()]
+    for name, sub in inner.items():
+        _write_table(lines, f"{path}.{_name(name)}" if path else _name(name), sub)
+
+
+def _in_place(name: str) -> bool:
+    return name in ("composition", "density_effect")
+
+
+def _name(name: str) -> str:
+    bare = name.replace("_", "").replace("-", "")
+    return name if bare.isascii() and bare.isalnum() else json.dumps(name, ensure_ascii=False)
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, list):
+        rows = "".join(f"\n    {_text(row)}," for row in value)
+        return f"[{rows}\n]"
+    if isinstance(value, Mapping):
+        return "{ " + ", ".join(f"{_name(name)} = {_text(v)}" for name, v in value.items()) + " }"
+    if isinstance(value, bool):
+        return str(value).lower()
+    # JSON strings are TOML strings except for DEL, which TOML wants escaped.
+    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f") if isinstance(value, str) else repr(value)

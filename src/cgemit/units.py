@@ -1,0 +1,132 @@
+"""Quantities as strings with units, such as ``"87.5 mm"``; inside the program every quantity has one native unit."""
+
+import difflib
+import math
+import re
+from decimal import Decimal
+
+#: Native unit of each dimension: the unit of every number inside the program.
+NATIVE = {
+    "length": "mm",
+    "angle": "rad",
+    "field": "T",
+    "density": "g/cm3",
+    "energy": "GeV",
+    "momentum": "GeV/c",
+    "time": "ns",
+    "charge": "fC",
+    "slope": "mm/mm",
+    "dimensionless": "",
+}
+
+_DEGREE = Decimal(math.pi) / 180
+# Value of one unit in the native unit of its dimension; decimal so that "650 um" is 0.65 mm to the last bit.
+_UNITS: dict[str, dict[str, Decimal]] = {
+    "length": {"mm": Decimal(1), "um": Decimal("1e-3"), "µm": Decimal("1e-3"), "μm": Decimal("1e-3"),
+               "nm": Decimal("1e-6"), "cm": Decimal(10), "m": Decimal(1000)},
+    "angle": {"rad": Decimal(1), "mrad": Decimal("1e-3"), "deg": _DEGREE, "°": _DEGREE},
+    "field": {"T": Decimal(1), "mT": Decimal("1e-3"), "kG": Decimal("0.1"), "G": Decimal("1e-4")},
+    "density": {"g/cm3": Decimal(1), "mg/cm3": Decimal("1e-3"), "kg/m3": Decimal("1e-3"), "g/l": Decimal("1e-3")},
+    "energy": {"GeV": Decimal(1), "MeV": Decimal("1e-3"), "keV": Decimal("1e-6"), "eV": Decimal("1e-9")},
+    "momentum": {"GeV/c": Decimal(1), "MeV/c": Decimal("1e-3")},
+    "time": {"ns": Decimal(1), "ps": Decimal("1e-3"), "us": Decimal(1000)},
+    "charge": {"fC": Decimal(1), "pC": Decimal(1000), "e": Decimal("1.602176634e-4")},
+    "slope": {"mm/mm": Decimal(1), "um/mm": Decimal("1e-3")},
+    "dimensionless": {"": Decimal(1), "%": Decimal("1e-2")},
+}  # fmt: skip
+
+_QUANTITY = re.compile(r"\s*([+-]?(?:(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|inf|nan))\s*(.*?)\s*", re.IGNORECASE)
+
+
+class QuantityError(ValueError):
+    """A quantity that cannot be read; says what was given, what was expected and, where possible, a hint."""
+
+    def __init__(self, given: str, expected: str, hint: str = "") -> None:
+        self.given, self.expected, self.hint = given, expected, hint
+        super().__init__(f"{given}: expected {expected}" + (f" ({hint})" if hint else ""))
+
+
+def parse_quantity(text: object, dimension: str) -> float:
+    """Return the number in native units that a string such as ``"87.5 mm"`` stands for.
+
+    Parameters
+    ----------
+    text : str
+        Number and unit. A bare number is accepted for dimension "dimensionless" only.
+    dimension : str
+        One of the keys of `NATIVE`.
+
+    Returns
+    -------
+    float
+        The value in the dimension's native unit.
+
+    Raises
+    ------
+    QuantityError
+        If the unit is missing or belongs to another dimension, or the number is not a finite number.
+
+    """
+    expected = describe(dimension)
+    if dimension == "dimensionless" and isinstance(text, int | float) and not isinstance(text, bool):
+        return _finite(float(text), repr(text), expected)
+    if isinstance(text, int | float) and not isinstance(text, bool):
+        hint = f"write the unit, as in {_example(text, dimension)}"
+        raise QuantityError(f"{text!r} (no unit)", expected, hint)
+    match = _QUANTITY.fullmatch(text) if isinstance(text, str) else None
+    if not match:
+        raise QuantityError(repr(text), expected)
+    number, unit = match.groups()
+    unit = unit.replace("³", "3").replace("^", "").replace("**", "")
+    if unit not in _UNITS[dimension]:
+        raise QuantityError(*_unit_problem(str(text), number, unit, dimension))
+    value = _finite(float(number), repr(text), expected)
+    return value if unit == NATIVE[dimension] else float(Decimal(number) * _UNITS[dimension][unit])
+
+
+def format_quantity(value: float, dimension: str, unit: str | None = None) -> str:
+    """Return `value` (native units) as text with its unit.
+
+    In the native unit (the default) all digits are kept, so that `parse_quantity` returns exactly `value`;
+    in another unit six significant digits are written, for people.
+    """
+    if unit is None:
+        return f"{value!r} {NATIVE[dimension]}".strip()
+    return f"{float(Decimal(value) / _UNITS[dimension][unit]):.6g} {unit}".strip()
+
+
+def describe(dimension: str) -> str:
+    """Return what a value of this dimension looks like, for messages: ``a length such as "1 mm"``."""
+    if dimension == "dimensionless":
+        return "a finite number"
+    article = "an" if dimension[0] in "aeiou" else "a"
+    return f"{article} {dimension} with its unit ({', '.join(u for u in _UNITS[dimension] if u.isascii())})"
+
+
+def units_of(dimension: str) -> tuple[str, ...]:
+    """Return the unit names that `parse_quantity` accepts for a dimension."""
+    return tuple(_UNITS[dimension])
+
+
+def _finite(value: float, given: str, expected: str) -> float:
+    if not math.isfinite(value):
+        raise QuantityError(f"{given} (not finite)", expected)
+    return value
+
+
+def _example(number: float, dimension: str) -> str:
+    return f'"{number:g} {NATIVE[dimension]}"'
+
+
+def _unit_problem(text: str, number: str, unit: str, dimension: str) -> tuple[str, str, str]:
+    """Return (given, expected, hint) for a unit that does not belong to `dimension`."""
+    expected = describe(dimension)
+    if not unit:
+        return f"{text!r} (no unit)", expected, f"write the unit, as in {_example(float(number), dimension)}"
+    for other, units in _UNITS.items():
+        if unit in units:
+            article = "an" if other[0] in "aeiou" else "a"
+            return f"{text!r} ({article} {other})", expected, ""
+    known = [name for units in _UNITS.values() for name in units if name]
+    close = difflib.get_close_matches(unit, known, n=1)
+    return f"{text!r} (unknown unit {unit!r})", expected, f"did you mean {close[0]!r}?" if close else ""
