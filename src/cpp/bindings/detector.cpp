@@ -72,8 +72,9 @@ std::vector<WireLayer> make_wires(const py::dict& columns) {
   const auto n = static_cast<std::size_t>(number.size());
   std::vector<WireLayer> layers(n);
   for (std::size_t i = 0; i < n; ++i) {
-    layers[i] = {number.at(i),   cells.at(i), r_end.at(i),       half_length.at(i), twist.at(i),
-                 phi_east.at(i), sigma.at(i), sigma_slope.at(i), efficiency.at(i),  gid_first.at(i)};
+    layers[i] = {number.at(i),     cells.at(i),     r_end.at(i), half_length.at(i),
+                 twist.at(i),      phi_east.at(i),  sigma.at(i), sigma_slope.at(i),
+                 efficiency.at(i), gid_first.at(i), {}};
   }
   return layers;
 }
@@ -88,7 +89,7 @@ void bind_detector(py::module_& module) {
                        "The detector as plain numbers, ordered from the beam line outward.")
       .def(py::init([](double bz, const py::dict& slabs, const Array<double>& log_terms, const py::dict& cgem,
                        const py::dict& wires) {
-             return Detector{bz, make_slabs(slabs, log_terms), make_cgem(cgem), make_wires(wires)};
+             return make_detector(bz, make_slabs(slabs, log_terms), make_cgem(cgem), make_wires(wires));
            }),
            py::kw_only(), py::arg("bz"), py::arg("slabs"), py::arg("log_terms"), py::arg("cgem"),
            py::arg("wires"))

@@ -4,10 +4,14 @@
 void bind_status(pybind11::module_& module);
 void bind_rng(pybind11::module_& module);
 void bind_detector(pybind11::module_& module);
+void bind_simulate(pybind11::module_& module);
+void bind_fit(pybind11::module_& module);
 
 PYBIND11_MODULE(_core, module, pybind11::mod_gil_not_used()) {
   module.doc() = "Compiled core of cgemit: kernels on columns of numbers.";
   bind_status(module);
   bind_rng(module);
   bind_detector(module);
+  bind_simulate(module);
+  bind_fit(module);
 }

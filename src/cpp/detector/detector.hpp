@@ -3,6 +3,7 @@
 #pragma once
 
 #include <array>
+#include <cmath>
 #include <cstdint>
 #include <vector>
 
@@ -25,6 +26,10 @@ struct Slab {
   int gap;    // index of the CGEM layer whose drift gap this is, or -1
   bool ends;  // a track that crosses beyond half_length leaves the detector (end plate)
   std::array<double, loss_points> log_term;  // -2 ln(I/GeV) - delta, weighted by xi
+
+  // Whether the fit follows the sideways shift inside this slab; below 1 um at 1 GeV/c it is lost in any hit
+  // error.
+  bool shifts() const { return spread * 13.6e-3 * std::sqrt(x0) > 1e-3; }
 };
 
 // One cylindrical GEM layer with its two-view read-out.
@@ -47,6 +52,12 @@ struct CgemLayer {
   double z_ref() const { return stereo > 0 ? half_length : -half_length; }
 };
 
+// A sense wire: its point at z = 0 and its unit direction (towards +z).
+struct Wire {
+  double x, y;
+  double ex, ey, ez;
+};
+
 // One layer of drift cells around straight, possibly stereo, wires.
 struct WireLayer {
   int number;  // layer number of the experiment
@@ -58,7 +69,15 @@ struct WireLayer {
   double sigma;        // mm, error of the drift distance at the wire
   double sigma_slope;  // change of that error per mm of drift distance
   double efficiency;
-  int gid_first;  // running number of the layer's wire 0
+  int gid_first;             // running number of the layer's wire 0
+  std::vector<Wire> placed;  // one per cell, from the above
+};
+
+// What a track meets on its way out, by radius.
+struct Place {
+  double radius;  // mm
+  bool is_slab;   // else a wire layer
+  int index;      // into slabs or wires
 };
 
 struct Detector {
@@ -66,6 +85,11 @@ struct Detector {
   std::vector<Slab> slabs;
   std::vector<CgemLayer> cgem;
   std::vector<WireLayer> wires;
+  std::vector<Place> places;  // by radius
 };
+
+// Fills in what follows from the rest of the description.
+Detector make_detector(double bz, std::vector<Slab> slabs, std::vector<CgemLayer> cgem,
+                       std::vector<WireLayer> wires);
 
 }  // namespace cgemit

@@ -1,0 +1,87 @@
+"""Helix parameters of BES3 software: dr, phi0, kappa, dz, tanl with the pivot at the origin (docs/conventions.md)."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from cgemit.tables import Table
+
+Floats = npt.NDArray[np.float64]
+
+#: mm T / (GeV/c): radius of curvature is RADIUS_PER_KAPPA / (B_z kappa). From the speed of light, exact.
+RADIUS_PER_KAPPA = 3335.6409519815204
+
+
+def at_origin(particles: Table, bz: float) -> Floats:
+    """Helix of each particle at its closest approach to the beam line, in vacuum.
+
+    Circle of centre vertex + R (sin psi, -cos psi), R = RADIUS_PER_KAPPA / (bz kappa); the arc to the closest point
+    is the one shorter than half a turn.
+
+    Parameters
+    ----------
+    particles : Table of kind "particles"
+        Charged; rows without charge or transverse momentum come out as NaN.
+    bz : float
+        T, signed.
+
+    Returns
+    -------
+    ndarray, (n, 5) float64
+        dr mm, phi0 rad in (-pi, pi], kappa (GeV/c)^-1, dz mm, tanl.
+    """
+    px, py = particles["px"], particles["py"]
+    pt = np.hypot(px, py)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        kappa = np.where((particles["charge"] != 0) & (pt > 0), particles["charge"] / pt, np.nan)
+        ux, uy, tanl = px / pt, py / pt, particles["pz"] / pt
+    x, y = particles["x"], particles["y"]
+    w = -bz * kappa / RADIUS_PER_KAPPA
+    sideways, outward = x * uy - y * ux, x * ux + y * uy
+    # Back to the closest point the flight turns by theta: P cos(theta) + (1/w - S) sin(theta) = 0, without 1/w.
+    theta = -np.arctan2(w * outward, 1 - w * sideways)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        arc = np.where(w == 0, -outward, theta / w)
+    # S^2 at the perigee is r^2 there: d = S + (change of S) follows from the circle, written without cancellation.
+    reach = np.hypot(1 - w * sideways, w * outward)
+    dr = (2 * sideways - w * (x * x + y * y)) / (1 + reach)
+    phi0 = np.arctan2(uy, ux) + theta - 0.5 * np.pi
+    phi0 = -(np.remainder(-phi0 + np.pi, 2 * np.pi) - np.pi)
+    return np.stack([dr, phi0, kappa, particles["z"] + arc * tanl, tanl], axis=1)
+
+
+def momentum(parameters: Floats) -> Floats:
+    """Momentum of helices.
+
+    Parameters
+    ----------
+    parameters : ndarray, (n, 5) float64
+
+    Returns
+    -------
+    ndarray, (n,) float64, GeV/c
+        sqrt(1 + tanl^2) / |kappa|.
+    """
+    with np.errstate(divide="ignore"):
+        return np.asarray(np.sqrt(1 + parameters[:, 4] ** 2) / np.abs(parameters[:, 2]))
+
+
+def momentum_error(parameters: Floats, cov: Floats) -> Floats:
+    """Standard deviation of the momentum.
+
+    Parameters
+    ----------
+    parameters : ndarray, (n, 5) float64
+    cov : ndarray, (n, 5, 5) float64
+
+    Returns
+    -------
+    ndarray, (n,) float64, GeV/c
+        First order in kappa and tanl, with their covariance.
+    """
+    p, kappa, tanl = momentum(parameters), parameters[:, 2], parameters[:, 4]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        by_kappa, by_tanl = -p / kappa, p * tanl / (1 + tanl * tanl)
+    variance = by_kappa**2 * cov[:, 2, 2] + 2 * by_kappa * by_tanl * cov[:, 2, 4] + by_tanl**2 * cov[:, 4, 4]
+    return np.asarray(np.sqrt(variance))

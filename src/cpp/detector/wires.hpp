@@ -1,0 +1,33 @@
+// Sense wires: straight lines between the end plates, and the cells around them.
+#pragma once
+
+#include <cmath>
+
+#include "common/units.hpp"
+#include "detector/detector.hpp"
+
+namespace cgemit {
+
+inline Wire place_wire(const WireLayer& layer, int number) {
+  const double east = layer.phi_east + number * (2 * pi / layer.cells), west = east - layer.twist;
+  const double ex = layer.r_end * (std::cos(east) - std::cos(west)),
+               ey = layer.r_end * (std::sin(east) - std::sin(west)), ez = 2 * layer.half_length;
+  const double length = std::sqrt(ex * ex + ey * ey + ez * ez);
+  return {0.5 * layer.r_end * (std::cos(east) + std::cos(west)),
+          0.5 * layer.r_end * (std::sin(east) + std::sin(west)), ex / length, ey / length, ez / length};
+}
+
+// Distance of the layer's wires from the beam line at z; smallest in the middle of a stereo layer.
+inline double wire_radius(const WireLayer& layer, double z) {
+  const double t = z / layer.half_length, c = std::cos(0.5 * layer.twist), s = std::sin(0.5 * layer.twist);
+  return layer.r_end * std::sqrt(c * c + t * t * s * s);
+}
+
+// Azimuth of a point in units of cells, 0 at wire 0: the nearest whole number is the cell the point lies in.
+inline double cell_coordinate(const WireLayer& layer, double phi, double z) {
+  const double wire_0 =
+      layer.phi_east - 0.5 * layer.twist + std::atan(z / layer.half_length * std::tan(0.5 * layer.twist));
+  return (phi - wire_0) * layer.cells / (2 * pi);
+}
+
+}  // namespace cgemit

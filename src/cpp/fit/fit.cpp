@@ -1,0 +1,197 @@
+#include "fit/fit.hpp"
+
+#include <Eigen/Cholesky>
+#include <algorithm>
+#include <cmath>
+#include <numeric>
+
+#include "common/angles.hpp"
+#include "fit/seed.hpp"
+
+namespace cgemit {
+
+namespace {
+
+constexpr int parameters = 5;
+
+class TrackFit {
+ public:
+  TrackFit(const Detector& detector, std::span<const Hit> hits, std::span<const std::int8_t> sides,
+           double mass, const FitSettings& settings, FitSpace& space)
+      : detector_(detector), hits_(hits), sides_(sides), mass_(mass), settings_(settings), space_(space) {
+    space_.value.assign(hits.size(), 0.0);
+    space_.variance.assign(hits.size(), 0.0);
+    space_.weight.assign(hits.size(), 0.0);
+    space_.residuals.assign(hits.size(), {0, 0, 0});
+    for (std::size_t i = 0; i < hits.size(); ++i) {
+      if (hits[i].view != View::wire) continue;
+      space_.weight[i] = sides[i];
+      sides_open_ = sides_open_ || sides[i] == 0;
+    }
+  }
+
+  FitResult run(const Perigee* start) {
+    FitResult result{FitStatus::ok, {}, Matrix5::Identity(), 0, 0, 0, 0, 0};
+    if (hits_.size() < parameters) return failed(result, FitStatus::too_few_hits);
+    if (start != nullptr) {
+      helix_ = *start;
+    } else {
+      const auto seed = seed_from_wires(detector_, hits_, sides_);
+      if (!seed) return failed(result, FitStatus::seed_failed);
+      helix_ = *seed;
+      wires_only_ = sides_open_;  // a poor seed would mislead the clusters' weight on the sides
+    }
+    result.helix = helix_;
+    const Vector5 prior = Eigen::Map<const Vector5>(settings_.prior_sigma.data());
+    bool converged = false;
+    for (int iteration = 0; iteration < settings_.max_iterations && !converged; ++iteration) {
+      trace(detector_, helix_, mass_, hits_, space_.reference);
+      if (const FitStatus status = usable(); status != FitStatus::ok) return failed(result, status);
+      fill_rows();
+      const Estimate estimate = filter(space_.reference.elements, prior, space_.memory);
+      result.iterations = iteration + 1;
+      if (!store(estimate, result)) return failed(result, FitStatus::not_positive_definite);
+      const double moved = (estimate.x.cwiseAbs2().array() / estimate.c.diagonal().array()).sqrt().maxCoeff();
+      move(estimate.x);
+      result.helix = helix_;
+      smooth(space_.reference.elements, space_.memory);
+      const bool sides_settled = !sides_open_ || renew_sides(iteration);
+      converged = moved < settings_.tolerance && sides_settled && !wires_only_;
+      wires_only_ = false;
+    }
+    collect_residuals();
+    result.status = converged ? FitStatus::ok : FitStatus::not_converged;
+    return result;
+  }
+
+ private:
+  static FitResult failed(FitResult result, FitStatus status) {
+    result.status = status;
+    return result;
+  }
+
+  FitStatus usable() const {
+    const Reference& reference = space_.reference;
+    if (reference.stopped) return FitStatus::stopped;
+    if (reference.reached < hits_.size() && reference.reached < parameters) return FitStatus::does_not_reach;
+    return FitStatus::ok;
+  }
+
+  // Residual and variance of every row, on the present reference.
+  void fill_rows() {
+    for (Element& element : space_.reference.elements) {
+      if (!element.is_row) continue;
+      const auto i = static_cast<std::size_t>(element.hit);
+      const Hit& hit = hits_[i];
+      if (hit.view == View::wire) {
+        measure_wire(i);
+      } else {
+        space_.value[i] = hit.value;
+        space_.variance[i] = wires_only_ ? 0.0 : cluster_variance(hit, space_.reference.crossings[i].extent);
+      }
+      element.residual = space_.value[i] - space_.reference.crossings[i].predicted;
+      element.variance = space_.variance[i];
+    }
+  }
+
+  // A drift distance is a mixture of two sides: its mean and variance for the present weight of each.
+  void measure_wire(std::size_t i) {
+    const double weight = space_.weight[i], drift = hits_[i].value;
+    space_.value[i] = weight * drift;
+    space_.variance[i] = hits_[i].sigma * hits_[i].sigma + (1 - weight * weight) * drift * drift;
+  }
+
+  // A path of projected length w touches n strips of pitch p while its centre moves over p - w (n = 1) or
+  // min(n p - w, w - (n-2) p): uniform within. Sizes that w does not allow (noise, deltas) get the
+  // single-strip error.
+  double cluster_variance(const Hit& hit, double extent) const {
+    if (hit.size == 0 || !settings_.errors_from_track) return hit.sigma * hit.sigma;
+    const CgemLayer& layer = detector_.cgem[static_cast<std::size_t>(hit.layer)];
+    const double pitch = hit.view == View::x ? layer.pitch_x : layer.pitch_v;
+    const double free =
+        hit.size == 1 ? pitch - extent : std::min(hit.size * pitch - extent, extent - (hit.size - 2) * pitch);
+    const double least = settings_.least_width * pitch;
+    const double width = free < -least ? pitch : std::max(free, least);
+    return width * width / 12;
+  }
+
+  bool store(const Estimate& estimate, FitResult& result) const {
+    result.covariance = estimate.c;
+    result.chi2 = estimate.chi2;
+    result.clusters = result.wires = 0;
+    for (std::size_t i = 0; i < space_.reference.reached; ++i) {
+      if (!(space_.variance[i] > 0)) continue;
+      ++(hits_[i].view == View::wire ? result.wires : result.clusters);
+    }
+    result.measurements = result.clusters + result.wires;
+    const Vector5 scale = estimate.c.diagonal();
+    if (!estimate.x.allFinite() || !(scale.minCoeff() > 0)) return false;
+    const Vector5 inverse = scale.cwiseSqrt().cwiseInverse();
+    const Matrix5 correlation = inverse.asDiagonal() * estimate.c * inverse.asDiagonal();
+    return Eigen::LLT<Matrix5>(correlation).info() == Eigen::Success;
+  }
+
+  // The new reference; a curvature that would more than double or change sign by itself is approached in
+  // halves.
+  void move(const Vector5& x) {
+    const double limit = std::max(0.5 * std::abs(helix_.kappa), 0.2);
+    const double fraction = std::min(1.0, limit / std::max(std::abs(x[2]), 1e-12));
+    helix_.d += fraction * x[0];
+    helix_.psi = wrap_angle(helix_.psi + fraction * x[1]);
+    helix_.kappa += fraction * x[2];
+    helix_.z0 += fraction * x[3];
+    helix_.tanl += fraction * x[4];
+    if (helix_.kappa == 0) helix_.kappa = 1e-9;
+  }
+
+  // Probability of each side from the track fitted without the hit. True when no weight moved any more.
+  bool renew_sides(int iteration) {
+    const double caution = iteration < 2 ? 4.0 : 1.0;  // early predictions are worse than they say
+    double largest = 0;
+    for (std::size_t k = 0; k < space_.reference.elements.size(); ++k) {
+      const Element& element = space_.reference.elements[k];
+      if (!element.is_row || !(element.variance > 0)) continue;
+      const auto i = static_cast<std::size_t>(element.hit);
+      const Hit& hit = hits_[i];
+      if (hit.view != View::wire || sides_[i] != 0) continue;
+      const Filtered& m = space_.memory[k];
+      const double predicted = space_.value[i] - m.unbiased;
+      const double spread = std::max(m.unbiased_variance - element.variance, 0.0);
+      const double variance = hit.sigma * hit.sigma + caution * spread;
+      const double weight = std::tanh(hit.value * predicted / variance);
+      largest = std::max(largest, std::abs(weight - space_.weight[i]));
+      space_.weight[i] = weight;
+    }
+    return largest < 0.02;
+  }
+
+  void collect_residuals() {
+    for (std::size_t k = 0; k < space_.reference.elements.size(); ++k) {
+      const Element& element = space_.reference.elements[k];
+      if (!element.is_row || !(element.variance > 0)) continue;
+      const auto i = static_cast<std::size_t>(element.hit);
+      const Filtered& m = space_.memory[k];
+      const double weight = space_.weight[i];
+      space_.residuals[i] = {m.unbiased, std::sqrt(m.unbiased_variance),
+                             static_cast<std::int8_t>(weight > 0 ? 1 : (weight < 0 ? -1 : 0))};
+    }
+  }
+
+  const Detector& detector_;
+  std::span<const Hit> hits_;
+  std::span<const std::int8_t> sides_;
+  double mass_;
+  const FitSettings& settings_;
+  FitSpace& space_;
+  Perigee helix_{};
+  bool sides_open_ = false, wires_only_ = false;
+};
+
+}  // namespace
+
+FitResult fit_track(const Detector& detector, std::span<const Hit> hits, std::span<const std::int8_t> sides,
+                    double mass, const Perigee* start, const FitSettings& settings, FitSpace& space) {
+  return TrackFit(detector, hits, sides, mass, settings, space).run(start);
+}
+
+}  // namespace cgemit

@@ -1,1 +1,0 @@
-#include "matter/energy_loss.hpp"

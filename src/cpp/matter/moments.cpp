@@ -1,0 +1,34 @@
+#include "matter/moments.hpp"
+
+namespace cgemit {
+
+TrackMatter total_matter(const Detector& detector, double tanl) {
+  TrackMatter total{0, 0};
+  for (const Slab& slab : detector.slabs) {
+    if (std::abs(tanl) * slab.radius <= slab.half_length) {
+      total.x0 += slab.x0;
+      total.xi += slab.xi;
+    } else if (slab.ends) {
+      break;
+    }
+  }
+  const double path = std::sqrt(1 + tanl * tanl);
+  return {std::max(total.x0, 1e-9) * path, std::max(total.xi, 1e-12) * path};
+}
+
+LossMoments core_loss(const Slab& slab, double path, const Kinematics& k, const TrackMatter& track) {
+  const double xi = slab.xi * path / k.beta2, xi_track = track.xi / k.beta2;
+  const double w_max = k.w_max(), cut = std::min(core_cut * xi_track, w_max);
+  const double bg = k.p / k.mass;
+  const LogTerm term = log_term(slab, k.log_bg);
+  const double bracket =
+      std::log(2 * electron_mass * bg * bg * cut) - k.beta2 * (1 + cut / w_max) + term.value;
+  if (!(bracket > 0)) return {0, 0, 0};
+  const double widest = xi * w_max * (1 - 0.5 * k.beta2);  // Vavilov's variance, reached by slow particles
+  // Per ln(p): 1/beta^2 and with it the cut fall by 2/gamma^2, (beta gamma)^2 grows by 2, beta^2 by 2
+  // beta^2/gamma^2.
+  const double per_log_p = -2 / (k.gamma * k.gamma) * (bracket + 1 + k.beta2) + 2 + term.slope;
+  return {xi * bracket, std::min(core_width * core_width * xi * xi_track, widest), xi * per_log_p / k.p};
+}
+
+}  // namespace cgemit

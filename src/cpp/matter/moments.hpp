@@ -1,0 +1,97 @@
+// What a slab does to a charged particle: the moments that the fit uses and that the simulation samples.
+//
+// Highland's and Landau's widths are not additive: cut a slab in two and the sum differs. Both are therefore
+// taken once for the whole track (`TrackMatter`) and shared out in proportion, so that nothing depends on how
+// matter is cut.
+#pragma once
+
+#include <algorithm>
+#include <cmath>
+
+#include "common/units.hpp"
+#include "detector/detector.hpp"
+
+namespace cgemit {
+
+// Kinematics of a particle at one momentum. Momenta in GeV/c, energies in GeV.
+struct Kinematics {
+  double p, energy, mass;
+  double beta2, gamma;
+  double log_bg;  // ln(beta gamma)
+
+  Kinematics(double momentum, double mass_) : p(momentum), energy(std::hypot(momentum, mass_)), mass(mass_) {
+    beta2 = p * p / (energy * energy);
+    gamma = energy / mass;
+    log_bg = std::log(p / mass);
+  }
+  // Largest energy that one collision can give to an electron at rest; PDG 2024 eq. 34.4.
+  double w_max() const {
+    const double ratio = electron_mass / mass;
+    return 2 * electron_mass * (p / mass) * (p / mass) / (1 + 2 * gamma * ratio + ratio * ratio);
+  }
+};
+
+// What a track crosses in all.
+struct TrackMatter {
+  double x0;  // path in radiation lengths
+  double xi;  // GeV, Landau's xi times beta^2
+};
+
+// Factor by which a track at this slope and obliquity sees a slab thicker: 1/(cos(lambda) cos(a)), cos(a) =
+// P/r. A grazing track sees at most the chord of the shell.
+inline double path_factor(const Slab& slab, double tanl, double outward) {
+  const double grazing = std::sqrt(0.5 * (slab.r_out - slab.r_in) / slab.radius);
+  return std::sqrt(1 + tanl * tanl) / std::max(outward / slab.radius, grazing);
+}
+
+// Thickness of the detector along a straight line from the origin with this slope.
+TrackMatter total_matter(const Detector& detector, double tanl);
+
+// Plane multiple-scattering angle: Highland in the form of Lynch and Dahl, PDG 2024 eq. 34.16, with the
+// logarithm of the whole track. 11 % over all elements for 1e-3 < x0 < 100.
+inline double scattering_variance(const Kinematics& k, double x0, const TrackMatter& track) {
+  const double log_factor = 1 + 0.038 * std::log(track.x0 / k.beta2);
+  const double theta = 13.6 * MeV * k.energy / (k.p * k.p) * std::max(log_factor, 0.0);
+  return theta * theta * x0;
+}
+
+// -2 ln(I) - delta of a slab, and its slope in ln(beta gamma).
+struct LogTerm {
+  double value, slope;
+};
+inline LogTerm log_term(const Slab& slab, double log_bg) {
+  const double position = (log_bg - loss_grid_first) / loss_grid_step;
+  const int bin = std::clamp(static_cast<int>(position), 0, loss_points - 2);
+  const auto i = static_cast<std::size_t>(bin);
+  const double slope = slab.log_term[i + 1] - slab.log_term[i];
+  return {slab.log_term[i] + slope * (position - bin), slope / loss_grid_step};
+}
+
+// Mean energy loss by collisions with a transfer below `cut`; PDG 2024 eqs. 34.5 and 34.11 (all transfers for
+// cut >= w_max), heavy particles; no shell correction, so beta gamma > 0.3.
+inline double restricted_loss(const Slab& slab, double path, const Kinematics& k, double cut) {
+  const double w_max = k.w_max();
+  const double limit = std::min(cut, w_max);
+  const double bg = k.p / k.mass;
+  const double bracket = std::log(2 * electron_mass * bg * bg * limit) - k.beta2 * (1 + limit / w_max) +
+                         log_term(slab, k.log_bg).value;
+  return std::max(slab.xi * path / k.beta2 * bracket, 0.0);
+}
+
+// The energy loss that the fit subtracts, and its variance.
+struct LossMoments {
+  double loss;      // GeV
+  double variance;  // GeV^2
+  double slope;     // d(loss)/d(p), GeV per GeV/c
+};
+
+// Landau's distribution has no variance and a mean that rare collisions dominate; what most tracks do is
+// described by its core. Location: mean loss with transfers limited to `core_cut` times the track's xi.
+// Width: that of a Gaussian with Landau's full width at half maximum, 4.02 xi (PDG 2024 sec. 34.2.9), taken
+// once for the track and shared out.
+inline constexpr double core_cut = 5.9;
+inline constexpr double core_width = 4.018 / 2.3548200450309493;
+
+LossMoments core_loss(const Slab& slab, double path, const Kinematics& k, const TrackMatter& track);
+
+}  // namespace cgemit

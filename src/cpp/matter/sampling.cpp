@@ -1,0 +1,76 @@
+#include "matter/sampling.hpp"
+
+#include <algorithm>
+
+namespace cgemit {
+
+namespace {
+
+constexpr double hard_collisions = 4;  // expected per slab
+
+// The uniform numbers of one purpose at one place, one after the other.
+class Draws {
+ public:
+  Draws(const Stream& stream, Purpose purpose, std::uint32_t place)
+      : stream_(stream), purpose_(purpose), place_(place) {}
+  double next() {
+    if (used_ == 4) {
+      words_ = stream_.block(purpose_, place_, block_++);
+      used_ = 0;
+    }
+    return open_unit(words_[used_++]);
+  }
+
+ private:
+  const Stream& stream_;
+  Purpose purpose_;
+  std::uint32_t place_, block_ = 0;
+  std::size_t used_ = 4;
+  Block words_{};
+};
+
+}  // namespace
+
+double sample_loss(const Slab& slab, double path, const Kinematics& k, const Stream& stream,
+                   std::uint32_t place) {
+  const double xi = slab.xi * path / k.beta2;
+  if (!(xi > 0)) return 0;
+  const double w_max = k.w_max();
+  // The number of collisions above the cut, xi (1/cut - 1/w_max) before the spin factor, is hard_collisions.
+  const double cut = xi / (hard_collisions + xi / w_max);
+  const double soft_mean = restricted_loss(slab, path, k, cut);
+  const double soft_variance = xi * cut * (1 - 0.5 * k.beta2 * cut / w_max);
+  Draws draws(stream, Purpose::energy_loss, place);
+  const double u = draws.next();
+  const double gauss = normal_pair(static_cast<std::uint32_t>(u * 0x1p32),
+                                   static_cast<std::uint32_t>(draws.next() * 0x1p32))[0];
+  double loss = soft_mean + std::sqrt(soft_variance) * gauss;
+  // Poisson by arrivals: product of uniforms against exp(-mean).
+  static const double limit = std::exp(-hard_collisions);
+  for (double product = draws.next(); product > limit; product *= draws.next()) {
+    const double transfer = 1 / (1 / cut - draws.next() * (1 / cut - 1 / w_max));
+    if (draws.next() > k.beta2 * transfer / w_max) loss += transfer;  // spin 0: Rossi, PDG 2024 eq. 34.8
+  }
+  return std::max(loss, 0.0);
+}
+
+void apply_kick(HelixPoint& point, const Kick& kick) {
+  const double cos_dip = 1 / std::sqrt(1 + point.tanl * point.tanl), sin_dip = point.tanl * cos_dip;
+  const double ux = point.ux, uy = point.uy;
+  // Axis 1 = (-uy, ux, 0), axis 2 = (-ux sin, -uy sin, cos).
+  point.x += -uy * kick.shift_1 - ux * sin_dip * kick.shift_2;
+  point.y += ux * kick.shift_1 - uy * sin_dip * kick.shift_2;
+  point.z += cos_dip * kick.shift_2;
+  const double angle = std::hypot(kick.angle_1, kick.angle_2);
+  const double along = std::cos(angle), across = angle > 0 ? std::sin(angle) / angle : 1.0;
+  const double in_plane = along * cos_dip - across * kick.angle_2 * sin_dip;
+  const double side = across * kick.angle_1;
+  const double up = along * sin_dip + across * kick.angle_2 * cos_dip;
+  const double dx = ux * in_plane - uy * side, dy = uy * in_plane + ux * side;
+  const double transverse = std::hypot(dx, dy);
+  point.ux = dx / transverse;
+  point.uy = dy / transverse;
+  point.tanl = up / transverse;
+}
+
+}  // namespace cgemit

@@ -1,0 +1,102 @@
+// Motion in a uniform field along z: exact helix steps, without angles, accurate from tight curls to straight
+// lines.
+//
+// A point carries the transverse unit direction u and the curvature w = d(psi)/ds, psi the flight azimuth and
+// s the transverse arc. With r the distance from the beam line and a the angle between u and the radius,
+//   S = r sin a = x u_y - y u_x,   P = r cos a = x u_x + y u_y,   dS/ds = w P,   d(r^2)/ds = 2 P,
+// so that S grows by w (r1^2 - r0^2) / 2 from one cylinder to the next whatever the step: no cancellation,
+// nothing special at w = 0.
+#pragma once
+
+#include <cmath>
+
+#include "common/units.hpp"
+
+namespace cgemit {
+
+struct HelixPoint {
+  double x, y, z;  // mm
+  double ux, uy;   // transverse direction of flight, unit vector
+  double tanl;     // dz/ds
+  double w;        // 1/mm, turning per transverse arc
+
+  double radius() const { return std::hypot(x, y); }
+  double outward() const { return x * ux + y * uy; }   // P
+  double sideways() const { return x * uy - y * ux; }  // S
+};
+
+// w of a track with kappa = charge/pT; positive charge in positive field turns clockwise.
+inline double curvature(double bz, double kappa) { return -bz * kappa / radius_per_kappa; }
+
+// Moves along the chord of a turn by 2 atan(t): h = tan(half the turn)/w is half of what the step would be if
+// straight.
+inline void turn(HelixPoint& point, double h, double t) {
+  const double scale = 1.0 / (1.0 + t * t);
+  const double chord = 2.0 * h * scale;
+  point.x += chord * (point.ux - t * point.uy);
+  point.y += chord * (point.uy + t * point.ux);
+  const double cosine = (1.0 - t * t) * scale, sine = 2.0 * t * scale;
+  const double ux = cosine * point.ux - sine * point.uy;
+  point.uy = cosine * point.uy + sine * point.ux;
+  point.ux = ux;
+}
+
+// atan(t)/t, exact also where t vanishes.
+inline double atan_over(double t) {
+  const double q = t * t;
+  if (q < 1e-3) return 1.0 + q * (-1.0 / 3 + q * (1.0 / 5 + q * (-1.0 / 7 + q * (1.0 / 9 - q / 11))));
+  return std::atan(t) / t;
+}
+
+// Moves to the cylinder of radius r: on its far side if `outward`, else on the side first met when moving
+// inward. Returns false, leaving the point alone, when the helix does not reach it. `arc` receives the
+// transverse path.
+[[nodiscard]] inline bool step_to_cylinder(HelixPoint& point, double r, double& arc, bool outward = true) {
+  const double r0_squared = point.x * point.x + point.y * point.y;
+  const double difference = r * r - r0_squared;
+  const double s1 = point.sideways() + 0.5 * point.w * difference;
+  const double p1_squared = r * r - s1 * s1;
+  if (!(p1_squared >= 0)) return false;
+  const double p1 = outward ? std::sqrt(p1_squared) : -std::sqrt(p1_squared);
+  const double sum = point.outward() + p1;
+  if (sum == 0) {  // already there, or opposite on the circle; only the first is meant
+    arc = 0;
+    return difference == 0;
+  }
+  const double h = 0.5 * difference / sum;
+  const double t = point.w * h;
+  // A negative h is a turn by more than pi: the way round the far side.
+  arc = h >= 0 ? 2.0 * h * atan_over(t) : (2.0 * std::atan(t) + std::copysign(2.0 * pi, point.w)) / point.w;
+  turn(point, h, t);
+  point.z += arc * point.tanl;
+  return true;
+}
+
+// Moves by a transverse arc, forward or back.
+inline void advance(HelixPoint& point, double arc) {
+  const double half = 0.5 * point.w * arc;
+  const double sine = std::sin(half), cosine = std::cos(half);
+  const double sinc = std::abs(half) < 1e-4 ? 1.0 - half * half / 6.0 : sine / half;
+  const double chord = arc * sinc;
+  point.x += chord * (cosine * point.ux - sine * point.uy);
+  point.y += chord * (cosine * point.uy + sine * point.ux);
+  const double cosine2 = 1.0 - 2.0 * sine * sine, sine2 = 2.0 * sine * cosine;
+  const double ux = cosine2 * point.ux - sine2 * point.uy;
+  point.uy = cosine2 * point.uy + sine2 * point.ux;
+  point.ux = ux;
+  point.z += arc * point.tanl;
+}
+
+// Transverse arc ahead to the point farthest from the beam line, where P falls through 0; infinite if
+// straight.
+inline double arc_to_apex(const HelixPoint& point) {
+  if (point.w == 0) return HUGE_VAL;
+  const double bend = std::abs(point.w);
+  // P after a turn theta is P cos(theta) + (1/|w| -+ S) sin(theta).
+  const double side = 1.0 / bend - std::copysign(point.sideways(), point.w * point.sideways());
+  double theta = std::atan2(side, point.outward()) + 0.5 * pi;
+  if (theta < 0) theta += 2.0 * pi;
+  return theta / bend;
+}
+
+}  // namespace cgemit

@@ -1,0 +1,53 @@
+// Closest approach of a helix to a straight wire.
+#pragma once
+
+#include <cmath>
+
+#include "detector/wires.hpp"
+#include "motion/helix.hpp"
+
+namespace cgemit {
+
+struct Approach {
+  double doca;        // mm, along n = (flight x wire)/|...|: positive or negative side of the wire
+  double nx, ny, nz;  // n at the closest point
+  double arc;         // transverse arc from the start to the closest point
+  double z_wire;      // z on the wire
+};
+
+// Moves `point` to its closest approach: one straight step, then Newton's method on
+// f(s) = (point - wire) . (tangent across the wire). Returns false if that does not settle.
+[[nodiscard]] inline bool approach_wire(HelixPoint& point, const Wire& wire, Approach& result) {
+  double arc = 0;
+  for (int iteration = 0; iteration < 12; ++iteration) {
+    const double dx = point.x - wire.x, dy = point.y - wire.y, dz = point.z;
+    const double along = dx * wire.ex + dy * wire.ey + dz * wire.ez;
+    const double px = dx - along * wire.ex, py = dy - along * wire.ey, pz = dz - along * wire.ez;
+    const double te = point.ux * wire.ex + point.uy * wire.ey + point.tanl * wire.ez;
+    const double f = px * point.ux + py * point.uy + pz * point.tanl;
+    const double bend = iteration == 0 ? 0.0 : point.w * (py * point.ux - px * point.uy);
+    const double slope = 1.0 + point.tanl * point.tanl - te * te + bend;
+    if (!(slope > 0)) return false;
+    const double step = -f / slope;
+    advance(point, step);
+    arc += step;
+    // Convergence is quadratic: the error after this step is about w step^2.
+    if (step * step * (std::abs(point.w) + 1e-6) < 1e-9) {
+      const double cx = point.uy * wire.ez - point.tanl * wire.ey,
+                   cy = point.tanl * wire.ex - point.ux * wire.ez,
+                   cz = point.ux * wire.ey - point.uy * wire.ex;
+      const double scale = 1.0 / std::sqrt(cx * cx + cy * cy + cz * cz);
+      result.nx = cx * scale;
+      result.ny = cy * scale;
+      result.nz = cz * scale;
+      const double ddx = point.x - wire.x, ddy = point.y - wire.y;
+      result.doca = ddx * result.nx + ddy * result.ny + point.z * result.nz;
+      result.arc = arc;
+      result.z_wire = (ddx * wire.ex + ddy * wire.ey + point.z * wire.ez) * wire.ez;
+      return true;
+    }
+  }
+  return false;
+}
+
+}  // namespace cgemit

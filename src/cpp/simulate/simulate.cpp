@@ -1,0 +1,256 @@
+#include "simulate/simulate.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+#include "common/angles.hpp"
+#include "matter/moments.hpp"
+#include "matter/sampling.hpp"
+#include "motion/helix.hpp"
+#include "motion/wire.hpp"
+
+namespace cgemit {
+
+namespace {
+
+constexpr double speed_of_light = 299.792458;  // mm/ns, exact
+constexpr double least_kinetic = 0.1 * MeV;    // below this a particle counts as stopped
+constexpr int most_cells = 64;                 // a particle that runs along a layer fires no more
+
+// One particle on its way.
+class Flight {
+ public:
+  Flight(const Detector& detector, const ParticleColumns& in, std::size_t row,
+         const SimulateSettings& settings, std::uint64_t seed, Simulated& out)
+      : detector_(detector),
+        settings_(settings),
+        stream_(seed, static_cast<std::uint64_t>(in.event[row]),
+                static_cast<std::uint32_t>(in.particle[row])),
+        event_(in.event[row]),
+        particle_(in.particle[row]),
+        charge_(in.charge[row]),
+        mass_(in.mass[row]),
+        out_(out) {
+    const double pt = std::hypot(in.px[row], in.py[row]);
+    p_ = std::hypot(pt, in.pz[row]);
+    point_ = {in.x[row],
+              in.y[row],
+              in.z[row],
+              in.px[row] / pt,
+              in.py[row] / pt,
+              in.pz[row] / pt,
+              curvature(detector.bz, charge_ / pt)};
+    track_ = total_matter(detector, point_.tanl);
+  }
+
+  TransportStatus run() {
+    const auto& places = detector_.places;
+    auto next = std::ranges::upper_bound(places, point_.radius(), {}, &Place::radius);
+    // Inward leg, if any: matter only.
+    while (next != places.begin() && point_.outward() < 0) {
+      const Place& inner = *std::prev(next);
+      if (!step_to_cylinder(point_, inner.radius, arc_, false)) break;
+      --next;
+      count_time();
+      if (inner.is_slab && !cross(inner.index)) return status_;
+    }
+    for (; next != places.end(); ++next) {
+      if (next->is_slab) {
+        const Slab& slab = detector_.slabs[static_cast<std::size_t>(next->index)];
+        if (slab.gap >= 0 ? !cross_gap(slab, next->index) : !reach(next->radius) || !cross(next->index))
+          return status_;
+      } else {
+        pass_cells(static_cast<std::size_t>(next->index));
+      }
+    }
+    return TransportStatus::outside;
+  }
+
+ private:
+  bool reach(double radius) {
+    if (!step_to_cylinder(point_, radius, arc_)) {
+      status_ = TransportStatus::curled;
+      return false;
+    }
+    count_time();
+    return true;
+  }
+
+  void count_time() {
+    time_ += arc_ * std::sqrt(1 + point_.tanl * point_.tanl) * std::hypot(1.0, mass_ / p_) / speed_of_light;
+  }
+
+  // Scatters and slows down at the slab's centroid, where the point is. False if the flight ends here.
+  bool cross(int index) {
+    const Slab& slab = detector_.slabs[static_cast<std::size_t>(index)];
+    deposit_ = 0;  // stays 0 beyond the ends
+    if (std::abs(point_.z) > slab.half_length) {
+      status_ = TransportStatus::end;
+      return !slab.ends;
+    }
+    const double path = path_factor(slab, point_.tanl, std::abs(point_.outward()));
+    const auto place = static_cast<std::uint32_t>(index);
+    const Kinematics before(p_, mass_);
+    const double energy = before.energy - lose(slab, path, before, place);
+    if (energy - mass_ < least_kinetic) {
+      status_ = TransportStatus::stopped;
+      return false;
+    }
+    const double after = std::sqrt((energy - mass_) * (energy + mass_));
+    if (settings_.fluctuations != Fluctuations::off)
+      scatter(slab, path, Kinematics(0.5 * (p_ + after), mass_), place);
+    p_ = after;
+    point_.w = curvature(detector_.bz, charge_ * std::sqrt(1 + point_.tanl * point_.tanl) / p_);
+    return true;
+  }
+
+  // The energy lost. The fit's noise may be negative in thin matter; what is left in a gap stays its expected
+  // value.
+  double lose(const Slab& slab, double path, const Kinematics& k, std::uint32_t place) {
+    if (settings_.fluctuations == Fluctuations::full)
+      return deposit_ = sample_loss(slab, path, k, stream_, place);
+    const LossMoments core = core_loss(slab, path, k, track_);
+    deposit_ = core.loss;
+    if (settings_.fluctuations == Fluctuations::off) return core.loss;
+    return core.loss + std::sqrt(core.variance) * stream_.normals(Purpose::energy_loss, place)[0];
+  }
+
+  void scatter(const Slab& slab, double path, const Kinematics& k, std::uint32_t place) {
+    const double sigma = std::sqrt(scattering_variance(k, slab.x0 * path, track_));
+    const auto g = stream_.normals(Purpose::scattering, place);
+    const double shift = sigma * slab.spread * path;
+    const bool shifts = settings_.fluctuations == Fluctuations::full || slab.shifts();
+    apply_kick(point_,
+               {sigma * g[0], sigma * g[1], shifts ? shift * g[2] : 0.0, shifts ? shift * g[3] : 0.0});
+  }
+
+  // A drift gap: entry, middle and exit of one helix, then the gas acts in the middle.
+  bool cross_gap(const Slab& slab, int index) {
+    const CgemLayer& layer = detector_.cgem[static_cast<std::size_t>(slab.gap)];
+    HelixPoint entry = point_;
+    double arc = 0;
+    const bool enters = step_to_cylinder(entry, layer.r_gap_in, arc);
+    if (!reach(slab.radius)) return false;
+    HelixPoint exit = point_;
+    double rest = 0;
+    const bool leaves = step_to_cylinder(exit, layer.r_gap_out, rest);
+    const HelixPoint middle = point_;
+    const double momentum = p_, time = time_;
+    const double half_path = arc_ - arc;
+    const bool goes_on = cross(index);
+    if (enters && leaves && deposit_ > 0) {
+      record_gap(slab.gap, entry, middle, exit, momentum,
+                 (half_path + rest) * std::sqrt(1 + middle.tanl * middle.tanl), time);
+    }
+    return goes_on;
+  }
+
+  void record_gap(int layer, const HelixPoint& entry, const HelixPoint& middle, const HelixPoint& exit,
+                  double momentum, double path, double time) {
+    Truths& t = out_.truths;
+    t.event.push_back(event_);
+    t.particle.push_back(particle_);
+    t.layer.push_back(layer);
+    t.entry_x.push_back(entry.x);
+    t.entry_y.push_back(entry.y);
+    t.entry_z.push_back(entry.z);
+    t.exit_x.push_back(exit.x);
+    t.exit_y.push_back(exit.y);
+    t.exit_z.push_back(exit.z);
+    t.r.push_back(middle.radius());
+    t.phi.push_back(std::atan2(middle.y, middle.x));
+    t.z.push_back(middle.z);
+    const double pt = momentum / std::sqrt(1 + middle.tanl * middle.tanl);
+    t.px.push_back(pt * middle.ux);
+    t.py.push_back(pt * middle.uy);
+    t.pz.push_back(pt * middle.tanl);
+    t.path.push_back(path);
+    t.time.push_back(time);
+    t.energy.push_back(deposit_ / keV);
+    t.secondaries.push_back(0);
+  }
+
+  // Every cell between the radial borders, which lie midway to the neighbouring layers at the track's z.
+  void pass_cells(std::size_t index) {
+    const WireLayer& layer = detector_.wires[index];
+    HelixPoint at_wires = point_;
+    double arc = 0;
+    if (!step_to_cylinder(at_wires, wire_radius(layer, point_.z), arc))
+      advance(at_wires, arc_to_apex(at_wires));
+    const auto [inner, outer] = cell_borders(index, at_wires.z);
+    HelixPoint from = point_, to = at_wires;
+    if (!step_to_cylinder(from, inner, arc)) return;  // turns back below the cells
+    if (!step_to_cylinder(to, outer, arc)) {
+      const double ahead = arc_to_apex(to);
+      if (ahead * std::abs(to.w) < pi) advance(to, ahead);
+    }
+    const double first = cell_coordinate(layer, std::atan2(from.y, from.x), from.z);
+    double last = cell_coordinate(layer, std::atan2(to.y, to.x), to.z);
+    last = first + std::remainder(last - first, layer.cells);
+    const int low = static_cast<int>(std::lround(std::min(first, last)));
+    const int high = std::min(static_cast<int>(std::lround(std::max(first, last))), low + most_cells);
+    for (int cell = low; cell <= high; ++cell)
+      record_cell(layer, ((cell % layer.cells) + layer.cells) % layer.cells);
+  }
+
+  std::pair<double, double> cell_borders(std::size_t index, double z) const {
+    const auto& wires = detector_.wires;
+    const double here = wire_radius(wires[index], z);
+    const double below = index > 0 ? wire_radius(wires[index - 1], z) : -HUGE_VAL;
+    const double above = index + 1 < wires.size() ? wire_radius(wires[index + 1], z) : HUGE_VAL;
+    double half_in = 0.5 * (here - below), half_out = 0.5 * (above - here);
+    if (index == 0) half_in = std::min(half_out, pi * here / wires[index].cells);
+    if (index + 1 == wires.size()) half_out = std::min(half_in, pi * here / wires[index].cells);
+    return {here - half_in, here + half_out};
+  }
+
+  void record_cell(const WireLayer& layer, int cell) {
+    HelixPoint closest = point_;
+    Approach approach{};
+    if (!approach_wire(closest, layer.placed[static_cast<std::size_t>(cell)], approach)) return;
+    if (std::abs(approach.z_wire) > layer.half_length) return;
+    WireTruths& t = out_.wire_truths;
+    t.event.push_back(event_);
+    t.particle.push_back(particle_);
+    t.layer.push_back(layer.number);
+    t.wire.push_back(cell);
+    t.doca.push_back(approach.doca);
+    t.side.push_back(approach.doca > 0 ? 1 : -1);
+    t.x.push_back(closest.x);
+    t.y.push_back(closest.y);
+    t.z.push_back(closest.z);
+    t.time.push_back(time_ + approach.arc * std::sqrt(1 + point_.tanl * point_.tanl) *
+                                 std::hypot(1.0, mass_ / p_) / speed_of_light);
+  }
+
+  const Detector& detector_;
+  const SimulateSettings& settings_;
+  Stream stream_;
+  std::int64_t event_;
+  std::int32_t particle_;
+  double charge_, mass_, p_ = 0, time_ = 0, arc_ = 0, deposit_ = 0;
+  HelixPoint point_{};
+  TrackMatter track_{};
+  TransportStatus status_ = TransportStatus::outside;
+  Simulated& out_;
+};
+
+}  // namespace
+
+Simulated simulate(const Detector& detector, const ParticleColumns& particles,
+                   const SimulateSettings& settings, std::uint64_t seed) {
+  Simulated out;
+  out.status.reserve(particles.event.size());
+  for (std::size_t row = 0; row < particles.event.size(); ++row) {
+    if (particles.charge[row] == 0) {
+      out.status.push_back(TransportStatus::neutral);
+    } else if (particles.px[row] == 0 && particles.py[row] == 0) {
+      out.status.push_back(TransportStatus::end);
+    } else {
+      out.status.push_back(Flight(detector, particles, row, settings, seed, out).run());
+    }
+  }
+  return out;
+}
+
+}  // namespace cgemit
