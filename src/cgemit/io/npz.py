@@ -52,12 +52,13 @@ def read_arrays(path: str | os.PathLike[str]) -> tuple[dict[str, np.ndarray[Any,
     ValueError
         If the file is damaged or was not written by `write_arrays`.
     """
-    if not Path(path).exists():
-        raise FileNotFoundError(f"there is no file {path}")
     try:
-        with np.load(path, allow_pickle=False) as stored:
+        with Path(path).open("rb") as stream:
+            stored = np.load(stream, allow_pickle=False)
+            if not isinstance(stored, np.lib.npyio.NpzFile):
+                raise ValueError("not an .npz file")
             arrays = {name: stored[name] for name in stored.files}
         meta = json.loads(str(arrays.pop(_META)))
-    except (BadZipFile, AttributeError, KeyError, EOFError, ValueError) as error:
+    except (BadZipFile, KeyError, EOFError, ValueError) as error:
         raise ValueError(f"{path} is not a complete table file of cgemit ({error})") from error
     return arrays, meta

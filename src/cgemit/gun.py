@@ -1,0 +1,246 @@
+"""The particle gun: which particles every event starts with."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+from typing import Any, cast
+
+import numpy as np
+import numpy.typing as npt
+
+from cgemit import _core
+from cgemit.particles import ParticleError, species
+from cgemit.tables import Table
+from cgemit.tables.check import Array
+from cgemit.values import InTurn, Limit, Value, ValueLike, parse_three, parse_value
+
+
+@dataclass(frozen=True, repr=False)
+class Gun:
+    """A source of equal particles; ``gun + other`` shoots both in every event.
+
+    For every quantity a number is fixed, a tuple ``(low, high)`` a uniform range, and a list or array the values
+    to use in turn: event number `i` gets the value at place ``i modulo length``. Strings such as ``"200 MeV/c"``
+    or ``"90 deg"`` are accepted in place of numbers.
+
+    Parameters
+    ----------
+    particle : str or int
+        Name (``"mu-"``, ``"proton"``, ``"K+"``) or number of the Particle Data Group.
+    p, pt : GeV/c
+        Momentum or transverse momentum: exactly one of them.
+    theta, cos_theta : rad, or a pure number
+        Polar angle or its cosine: exactly one of them. A range is uniform in the one given.
+    phi : rad
+        Azimuth of the momentum at the vertex.
+    vertex : tuple of three, mm
+        x, y, z of the vertex.
+    vertex_sigma : tuple of three, mm
+        Standard deviations of the Gaussian spread added to it.
+    multiplicity : int
+        Particles per event, each drawn on its own.
+
+    Raises
+    ------
+    ParticleError
+        Listing everything that is wrong.
+    """
+
+    particle: str | int
+    p: ValueLike | None = None
+    pt: ValueLike | None = None
+    theta: ValueLike | None = None
+    cos_theta: ValueLike | None = None
+    phi: ValueLike = (-math.pi, math.pi)
+    vertex: tuple[ValueLike, ValueLike, ValueLike] = (0.0, 0.0, 0.0)
+    vertex_sigma: tuple[ValueLike, ValueLike, ValueLike] = (0.0, 0.0, 0.0)
+    multiplicity: int = 1
+
+    def __post_init__(self) -> None:
+        problems: list[str] = []
+        clean = _clean(self, problems)
+        if problems:
+            raise ParticleError("gun", problems)
+        for name, value in clean.items():
+            object.__setattr__(self, name, value)
+
+    def __add__(self, other: Gun | Guns) -> Guns:
+        """Return the guns that shoot together in every event."""
+        return Guns((self,)) + other
+
+    def __repr__(self) -> str:
+        given = [f"{f.name}={getattr(self, f.name)!r}" for f in fields(self)[1:] if getattr(self, f.name) != f.default]
+        return f"Gun({', '.join([repr(self.particle), *given])})"
+
+
+@dataclass(frozen=True, repr=False)
+class Guns:
+    """Several guns that shoot in every event, numbered in the order in which they were added."""
+
+    guns: tuple[Gun, ...]
+
+    def __add__(self, other: Gun | Guns) -> Guns:
+        """Return these guns and another one, or others, together."""
+        if not isinstance(other, Gun | Guns):
+            return NotImplemented
+        return Guns((*self.guns, *((other,) if isinstance(other, Gun) else other.guns)))
+
+    def __repr__(self) -> str:
+        return " + ".join(map(repr, self.guns))
+
+
+def generate(gun: Gun | Guns, n_events: int, seed: int, first_event: int = 0) -> Table:
+    """Draw the particles of some events.
+
+    A particle depends on the gun, the seed, its event and its number in the event only, so that events can be
+    generated in chunks or one by one.
+
+    Parameters
+    ----------
+    gun : Gun or Guns
+    n_events : int
+    seed : int
+        0 to 2^64 - 1.
+    first_event : int
+        Number of the first event.
+
+    Returns
+    -------
+    Table
+        Of kind "particles"; status is 0.
+
+    Raises
+    ------
+    ParticleError
+        If an argument is out of range.
+    """
+    guns = gun.guns if isinstance(gun, Guns) else (gun,)
+    _check_arguments(guns, n_events, seed, first_event)
+    events = np.arange(first_event, first_event + n_events, dtype=np.int64)
+    parts, number = [], 0
+    for one in guns:
+        event = np.repeat(events, one.multiplicity)
+        particle = np.tile(np.arange(number, number + one.multiplicity, dtype=np.int32), n_events)
+        parts.append(_shoot(one, _Draws(seed, event, particle)))
+        number += one.multiplicity
+    joined = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    order = np.lexsort((joined["particle"], joined["event"]))
+    columns = {name: column[order] for name, column in joined.items()}
+    return Table("particles", columns, n_events, first_event, {"gun": repr(gun), "seed": int(seed)})
+
+
+@dataclass(frozen=True)
+class _Draws:
+    """The random numbers of some particles; `place` tells a gun's variables apart."""
+
+    seed: int
+    event: npt.NDArray[np.int64]
+    particle: npt.NDArray[np.int32]
+
+    def uniform(self, place: int, value: ValueLike | None) -> Array:
+        """Return one number per particle: the fixed one, one from the range, or the next in turn."""
+        value = cast(Value, value)
+        if isinstance(value, InTurn):
+            return np.array(value.values)[self.event % len(value.values)]
+        if isinstance(value, tuple):
+            low, high = value
+            u = _core.uniforms(self.seed, self.event, self.particle, _core.Purpose.gun, place)[:, 0]
+            return np.asarray(low + (high - low) * u)
+        return np.full(len(self.event), value)
+
+    def normals(self, place: int) -> Array:
+        """Return four standard normal numbers per particle, (n, 4)."""
+        return np.asarray(_core.normals(self.seed, self.event, self.particle, _core.Purpose.gun, place))
+
+
+# Places of the random streams; part of every stream, so new ones go to the end.
+_MOMENTUM, _POLAR, _AZIMUTH, _SPREAD, _VERTEX, _SIGMA = 0, 1, 2, 3, 4, 7
+
+
+def _shoot(gun: Gun, draws: _Draws) -> dict[str, Array]:
+    """Return the columns of one gun's particles."""
+    kind = species(gun.particle)
+    if gun.cos_theta is not None:
+        cos = draws.uniform(_POLAR, gun.cos_theta)
+        sin = np.sqrt((1 - cos) * (1 + cos))
+    else:
+        theta = draws.uniform(_POLAR, gun.theta)
+        cos, sin = np.cos(theta), np.sin(theta)
+    size = draws.uniform(_MOMENTUM, gun.p if gun.pt is None else gun.pt)
+    p = size if gun.pt is None else size / sin
+    phi = draws.uniform(_AZIMUTH, gun.phi)
+    pt = p * sin
+    rows = len(phi)
+    vertex = [draws.uniform(_VERTEX + i, gun.vertex[i]) for i in range(3)]
+    if any(sigma != 0.0 for sigma in gun.vertex_sigma):
+        normals = draws.normals(_SPREAD)
+        vertex = [v + draws.uniform(_SIGMA + i, gun.vertex_sigma[i]) * normals[:, i] for i, v in enumerate(vertex)]
+    return {
+        "event": draws.event,
+        "particle": draws.particle,
+        "pdg": np.full(rows, kind.pdg, np.int32),
+        "charge": np.full(rows, kind.charge, np.int8),
+        "mass": np.full(rows, kind.mass),
+        **dict(zip("xyz", vertex, strict=True)),
+        "px": pt * np.cos(phi),
+        "py": pt * np.sin(phi),
+        "pz": p * cos,
+        "status": np.zeros(rows, np.int8),
+    }
+
+
+def _check_arguments(guns: tuple[Gun, ...], n_events: int, seed: int, first_event: int) -> None:
+    problems = [
+        f"{name}: got {value!r}; expected a whole number from 0 to {most}"
+        for name, value, most in (
+            ("n_events", n_events, 2**31 - 1),
+            ("seed", seed, 2**64 - 1),
+            ("first_event", first_event, 2**62),
+        )
+        if not isinstance(value, int | np.integer) or isinstance(value, bool) or not 0 <= value <= most
+    ]
+    problems += [f"gun: got {type(one).__name__}; expected a Gun" for one in guns if not isinstance(one, Gun)]
+    if problems:
+        raise ParticleError("generate", problems)
+
+
+def _clean(gun: Gun, problems: list[str]) -> dict[str, Any]:
+    """Return the gun's fields in their final form; add what is wrong to `problems`."""
+    clean: dict[str, Any] = {}
+    try:
+        clean["particle"] = species(gun.particle).name
+    except ValueError as error:
+        problems.append(f"particle: {error}")
+    for one, other in (("p", "pt"), ("theta", "cos_theta")):
+        if (getattr(gun, one) is None) == (getattr(gun, other) is None):
+            count = "none" if getattr(gun, one) is None else "both"
+            problems.append(f"{one}, {other}: got {count}; expected exactly one of them")
+    for name, limit in _limits(along_z=gun.pt is None).items():
+        given = getattr(gun, name)
+        if given is not None or name == "phi":
+            clean[name] = parse_value(name, given, limit, problems)
+    clean["vertex"] = parse_three("vertex", gun.vertex, _LENGTH, problems)
+    clean["vertex_sigma"] = parse_three("vertex_sigma", gun.vertex_sigma, _SPREAD_LENGTH, problems)
+    many = gun.multiplicity
+    if not isinstance(many, int) or isinstance(many, bool) or not 1 <= many <= 100_000:
+        problems.append(f"multiplicity: got {many!r}; expected a whole number from 1 to 100000")
+    return clean
+
+
+_LENGTH = Limit("length", lambda _: True, "a length in mm")
+_SPREAD_LENGTH = Limit("length", lambda value: value >= 0, "a length in mm, 0 or more")
+
+
+def _limits(*, along_z: bool) -> dict[str, Limit]:
+    """Return what each quantity may be; with a given pT the momentum cannot point along z."""
+    momentum = Limit("momentum", lambda value: value > 0, "a momentum in GeV/c above 0")
+    theta, cos = "an angle in rad from 0 to pi", "a number from -1 to 1"
+    if along_z:
+        polar = Limit("angle", lambda value: 0 <= value <= math.pi, theta)
+        cosine = Limit("dimensionless", lambda value: abs(value) <= 1, cos)
+    else:
+        polar = Limit("angle", lambda value: 0 < value < math.pi, theta + ", ends excluded with pt")
+        cosine = Limit("dimensionless", lambda value: abs(value) < 1, cos + ", ends excluded with pt")
+    azimuth = Limit("angle", lambda _: True, "an angle in rad")
+    return {"p": momentum, "pt": momentum, "theta": polar, "cos_theta": cosine, "phi": azimuth}

@@ -1,0 +1,252 @@
+"""The particles cgemit knows, by their many spellings, and tables of particles from anywhere."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from cgemit.tables import SCHEMAS, Table
+from cgemit.tables.check import Array, did_you_mean
+
+
+class ParticleError(ValueError):
+    """Bad input about particles; `problems` lists everything that is wrong with it.
+
+    Attributes
+    ----------
+    source : str
+        What the problems are about.
+    problems : tuple of str
+        Each with the path to the value, what was given and what was expected.
+    """
+
+    def __init__(self, source: str, problems: Sequence[str]) -> None:
+        self.source, self.problems = source, tuple(problems)
+        count = f"{len(problems)} problem" + ("s" if len(problems) != 1 else "")
+        super().__init__("\n  ".join([f"{source}: {count}", *self.problems]))
+
+    def __reduce__(self) -> tuple[type[ParticleError], tuple[str, tuple[str, ...]]]:
+        return ParticleError, (self.source, self.problems)
+
+
+@dataclass(frozen=True)
+class Species:
+    """A kind of particle: name, number of the Particle Data Group, charge in e, mass in GeV/c2."""
+
+    name: str
+    pdg: int
+    charge: int
+    mass: float
+
+
+# Masses: S. Navas et al. (Particle Data Group), Phys. Rev. D 110, 030001 (2024), summary tables.
+_ELECTRON, _MUON, _PION, _KAON, _PROTON = 0.51099895e-3, 0.1056583755, 0.13957039, 0.493677, 0.93827208816
+_SPECIES = (
+    Species("e-", 11, -1, _ELECTRON),
+    Species("e+", -11, 1, _ELECTRON),
+    Species("mu-", 13, -1, _MUON),
+    Species("mu+", -13, 1, _MUON),
+    Species("pi+", 211, 1, _PION),
+    Species("pi-", -211, -1, _PION),
+    Species("K+", 321, 1, _KAON),
+    Species("K-", -321, -1, _KAON),
+    Species("p", 2212, 1, _PROTON),
+    Species("anti-p", -2212, -1, _PROTON),
+    Species("gamma", 22, 0, 0.0),
+    Species("n", 2112, 0, 0.9395654205),
+    Species("anti-n", -2112, 0, 0.9395654205),
+    Species("K0_L", 130, 0, 0.497611),
+)
+_BY_PDG = {species.pdg: species for species in _SPECIES}
+
+# Spellings after _plain(): lower case, no blanks, underscores or inner hyphens.
+_SPELLINGS = {
+    11: "e- e electron elec eminus",
+    -11: "e+ positron antielectron antie ebar eplus antie-",
+    13: "mu- mu muon muminus μ- μ µ- µ",
+    -13: "mu+ antimuon antimu mubar muplus antimu- μ+ µ+",
+    211: "pi+ pion+ piplus pionplus π+",
+    -211: "pi- pion- piminus pionminus antipi+ π-",
+    321: "k+ kaon+ kplus kaonplus",
+    -321: "k- kaon- kminus kaonminus antik+",
+    2212: "p p+ proton pplus prot",
+    -2212: "antip p- pbar p~ pminus antiproton antip+ antip- protonbar",
+    22: "gamma photon γ",
+    2112: "n n0 neutron",
+    -2112: "antin nbar n~ antineutron antin0",
+    130: "k0l kl klong kl0",
+}
+_BY_SPELLING = {word: pdg for pdg, words in _SPELLINGS.items() for word in words.split()}
+_BOTH_CHARGES = {"pi": "pi+ or pi-", "pion": "pi+ or pi-", "π": "pi+ or pi-", "k": "K+ or K-", "kaon": "K+ or K-"}
+
+
+def _plain(name: str) -> str:
+    word = name.strip().lower().replace("_", "").replace(" ", "")
+    return word[:-1].replace("-", "") + word[-1:]
+
+
+def species(particle: str | int) -> Species:
+    """Return the particle of a name or a PDG number: ``"mu-"``, ``"proton"``, ``"anti_proton"``, ``-211``, ``"13"``.
+
+    Raises
+    ------
+    ValueError
+        If there is no such particle; says which name is close.
+    """
+    given = particle
+    if isinstance(particle, str):
+        word = _plain(particle)
+        if word in _BOTH_CHARGES:
+            raise ValueError(f"got {given!r}; expected a charge too: {_BOTH_CHARGES[word]}")
+        number = particle.strip()
+        particle = int(number) if number.removeprefix("-").isdecimal() else _BY_SPELLING.get(word, 0)
+    known = isinstance(particle, int | np.integer) and not isinstance(particle, bool) and int(particle) in _BY_PDG
+    if known:
+        return _BY_PDG[int(particle)]
+    names = ", ".join(f"{one.name} ({one.pdg})" for one in _SPECIES)
+    hint = did_you_mean(_plain(given), list(_BY_SPELLING)) if isinstance(given, str) else ""
+    raise ValueError(f"got {given!r}; expected one of {names}{hint}")
+
+
+def particles_from(source: Any, *, n_events: int | None = None, first_event: int | None = None) -> Table:
+    """Make a table of particles from a mapping of arrays, a pandas data frame, a structured array or a table.
+
+    Parameters
+    ----------
+    source : Table, mapping, pandas.DataFrame or structured ndarray
+        Columns, each (n,): `event` int, `pdg` int, `px`, `py`, `pz` GeV/c are needed. `x`, `y`, `z` mm are 0
+        where not given, `particle` (number within the event) counts the rows of the event, `charge` e and `mass`
+        GeV/c2 follow from `pdg`. Rows may come in any order; those of an event keep theirs. Further columns of
+        numbers are kept.
+    n_events, first_event : int or None
+        Events that the table covers. If not given, those that `source` covers if it is a table, else those from
+        the smallest to the largest event number.
+
+    Returns
+    -------
+    Table
+        Of kind "particles".
+
+    Raises
+    ------
+    ParticleError
+        Listing everything that is wrong with the columns.
+    """
+    columns = _columns(source)
+    problems = _missing(columns) or _problems(columns)
+    if problems:
+        raise ParticleError("table of particles", problems)
+    if isinstance(source, Table):
+        n_events = source.n_events if n_events is None else n_events
+        first_event = source.first_event if first_event is None else first_event
+    order = np.argsort(columns["event"], kind="stable")
+    columns = {name: column[order] for name, column in columns.items()}
+    event = columns["event"] = columns["event"].astype(np.int64)
+    if "particle" not in columns:
+        columns["particle"] = np.arange(len(event)) - np.searchsorted(event, event)
+    first = first_event if first_event is not None else int(event[0]) if len(event) else 0
+    number = n_events if n_events is not None else int(event[-1]) + 1 - first if len(event) else 0
+    try:
+        return Table("particles", _filled(columns), number, first)
+    except ValueError as error:
+        raise ParticleError("table of particles", [str(error)]) from error
+
+
+def _filled(columns: Mapping[str, Array]) -> dict[str, Array]:
+    """Return the columns with those that may be left out, whole numbers as integers."""
+    charge, mass = _charge_and_mass(columns["pdg"])
+    zeros = {name: np.zeros(len(mass)) for name in ("x", "y", "z", "status")}
+    filled: dict[str, Array] = {"charge": charge, "mass": mass, **zeros, **columns}
+    for name in (*_FLOATS, *_WHOLE):
+        filled[name] = filled[name].astype(np.float64 if name in _FLOATS else np.int64)
+    return filled
+
+
+_NEEDED = ("event", "pdg", "px", "py", "pz")
+_FLOATS = tuple(column.name for column in SCHEMAS["particles"] if column.dtype.kind == "f")
+_WHOLE = tuple(column.name for column in SCHEMAS["particles"] if column.dtype.kind == "i")
+_MOST_EVENTS = 100_000_000  # a larger span of event numbers is a mistake, such as a run number in front
+
+
+def _columns(source: Any) -> dict[str, Array]:
+    """Return the columns of whatever was given."""
+    if isinstance(source, np.ndarray) and source.dtype.names:
+        return {name: source[name] for name in source.dtype.names}
+    if isinstance(source, Mapping | Table) or hasattr(source, "columns"):
+        return {str(name): np.asarray(source[name]) for name in source.keys()}  # noqa: SIM118  (tables, data frames)
+    raise ParticleError(
+        "table of particles",
+        [f"got {type(source).__name__}; expected a table, a mapping of arrays, a data frame or a structured array"],
+    )
+
+
+def _missing(columns: Mapping[str, Array]) -> list[str]:
+    """Say which columns are missing or cannot be columns of one table of numbers."""
+    rows = len(columns["event"]) if "event" in columns and columns["event"].ndim else None
+    problems = [
+        f"{name}: missing; expected a column for each of {', '.join(_NEEDED)}{did_you_mean(name, list(columns))}"
+        for name in _NEEDED
+        if name not in columns
+    ]
+    for name, column in columns.items():
+        if column.ndim != 1 or (rows is not None and len(column) != rows):
+            problems.append(f"{name}: got shape {column.shape}; expected ({'n' if rows is None else rows},)")
+        elif column.dtype.kind not in "iufb":
+            problems.append(f"{name}: got dtype {column.dtype}; expected numbers")
+    return problems
+
+
+def _problems(columns: Mapping[str, Array]) -> list[str]:
+    """Say what is wrong with the values."""
+    bad: dict[str, tuple[str, npt.NDArray[np.bool_]]] = {}
+    for name, column in columns.items():
+        if name in _FLOATS:
+            bad[f"{name}: is not finite"] = name, ~np.isfinite(column)
+        elif name in _WHOLE:
+            bad[f"{name}: is not a whole number"] = name, ~(np.isfinite(column) & (column == np.rint(column)))
+    event, pdg = columns["event"], columns["pdg"]
+    bad["event: is negative"] = "event", event < 0
+    bad["px, py, pz: are all zero"] = "px", (columns["px"] == 0) & (columns["py"] == 0) & (columns["pz"] == 0)
+    known = np.isin(pdg, list(_BY_PDG))
+    if not {"charge", "mass"} <= set(columns):
+        bad["pdg: is unknown and the columns charge and mass are not both there"] = "pdg", ~known
+    if "mass" in columns:
+        bad["mass: is negative"] = "mass", columns["mass"] < 0
+    if "charge" in columns:
+        charge = _charge_and_mass(pdg)[0]
+        bad["charge: is not that of the pdg number"] = "charge", known & (charge != columns["charge"])
+    if "particle" in columns:
+        bad["particle: is there before in the same event"] = "particle", _repeated(event, columns["particle"])
+    problems = [_problem(text, columns[name], rows) for text, (name, rows) in bad.items() if rows.any()]
+    if len(event) and not problems and np.ptp(event) >= _MOST_EVENTS:
+        problems.append(f"event: got {event.min()} to {event.max()}; expected numbers within {_MOST_EVENTS} events")
+    return problems
+
+
+def _problem(text: str, column: Array, rows: npt.NDArray[np.bool_]) -> str:
+    first, number = int(np.argmax(rows)), int(np.count_nonzero(rows))
+    more = f" and {number - 1} more row" + ("s" if number > 2 else "") if number > 1 else ""
+    return f"{text} ({column[first]}) in row {first}{more}"
+
+
+def _repeated(event: Array, particle: Array) -> npt.NDArray[np.bool_]:
+    """Mark rows whose event and particle number an earlier row has."""
+    order = np.lexsort((particle, event))
+    repeated = np.zeros(len(event), np.bool_)
+    repeated[order[1:]] = (np.diff(event[order]) == 0) & (np.diff(particle[order]) == 0)
+    return repeated
+
+
+def _charge_and_mass(pdg: Array) -> tuple[Array, Array]:
+    """Return charge (int8, e) and mass (float64, GeV/c2) of each PDG number; 0 where it is unknown."""
+    numbers, place = np.unique(pdg, return_inverse=True)
+    known = [
+        _BY_PDG.get(int(number), Species("", 0, 0, 0.0)) if np.isfinite(number) else _SPECIES[0] for number in numbers
+    ]
+    charge = np.array([one.charge for one in known], np.int8)
+    mass = np.array([one.mass for one in known], np.float64)
+    return charge[place], mass[place]

@@ -1,0 +1,99 @@
+"""A gun's quantities: a number is fixed, a tuple a uniform range, a list or array holds values to use in turn."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from cgemit.units import QuantityError, parse_quantity
+
+
+@dataclass(frozen=True)
+class InTurn:
+    """Values used one after the other: event number `i` gets the value at place ``i modulo their number``."""
+
+    values: tuple[float, ...]
+
+    def __repr__(self) -> str:
+        return repr(list(self.values))
+
+
+#: A quantity in native units, as it is kept.
+Value = float | tuple[float, float] | InTurn
+#: What is accepted for it; strings carry a unit.
+ValueLike = Value | str | tuple[str, str] | Sequence[float | str] | npt.NDArray[np.floating[Any]]
+
+
+@dataclass(frozen=True)
+class Limit:
+    """What a quantity may be: its dimension, whether a number fits, and how to say so."""
+
+    dimension: str
+    fits: Callable[[float], bool]
+    expected: str
+
+
+def parse_value(path: str, given: Any, limit: Limit, problems: list[str]) -> Value:
+    """Return a quantity in the form it is kept in; add what is wrong with it to `problems`.
+
+    Parameters
+    ----------
+    path : str
+        Name of the quantity in messages.
+    given : ValueLike
+    limit : Limit
+    problems : list of str
+        Added to.
+    """
+    if isinstance(given, InTurn):
+        given = list(given.values)
+    if isinstance(given, tuple):
+        return _range(path, given, limit, problems)
+    if isinstance(given, list) or (isinstance(given, np.ndarray) and given.ndim):
+        if np.ndim(given) != 1 or len(given) == 0:
+            problems.append(f"{path}: got shape {np.shape(given)}; expected a list of at least one number")
+            return 0.0
+        return InTurn(tuple(_number(f"{path}[{i}]", one, limit, problems) for i, one in enumerate(given)))
+    return _number(path, given, limit, problems)
+
+
+def _range(path: str, given: tuple[Any, ...], limit: Limit, problems: list[str]) -> Value:
+    if len(given) != 2:
+        problems.append(f"{path}: got {given!r}; expected (low, high), or a list for values to use in turn")
+        return 0.0
+    before = len(problems)
+    low, high = (_number(f"{path}[{i}]", one, limit, problems) for i, one in enumerate(given))
+    if low > high and len(problems) == before:
+        problems.append(f"{path}: got ({low}, {high}); expected a range from low to high")
+    return low, high
+
+
+def _number(path: str, given: Any, limit: Limit, problems: list[str]) -> float:
+    """Return one number in native units; 0 with a problem added if it is none."""
+    value = math.nan
+    if isinstance(given, str):
+        try:
+            value = parse_quantity(given, limit.dimension)
+        except QuantityError as error:
+            problems.append(f"{path}: got {error}")
+            return 0.0
+    elif isinstance(given, int | float | np.integer | np.floating) and not isinstance(given, bool):
+        value = float(given)
+    if math.isfinite(value) and limit.fits(value):
+        return value
+    problems.append(f"{path}: got {given!r}; expected {limit.expected}")
+    return 0.0
+
+
+def parse_three(path: str, given: Any, limit: Limit, problems: list[str]) -> tuple[Value, Value, Value]:
+    """Return quantities along x, y and z; add what is wrong with them to `problems`."""
+    if not isinstance(given, tuple | list | np.ndarray) or len(given) != 3:
+        problems.append(f"{path}: got {given!r}; expected three, along x, y and z")
+        return 0.0, 0.0, 0.0
+    x, y, z = (parse_value(f"{path}.{axis}", one, limit, problems) for axis, one in zip("xyz", given, strict=True))
+    return x, y, z

@@ -1,0 +1,227 @@
+"""The gun draws what it is told to, whatever the chunks, and lists every mistake."""
+
+import math
+import pickle
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from cgemit.gun import Gun, Guns, generate
+from cgemit.particles import ParticleError, particles_from, species
+from stats import assert_within
+
+PLAIN = Gun("mu-", p=1.0, cos_theta=(-0.93, 0.93))
+MIXED = PLAIN + Gun(
+    "K+", pt=[0.2, 0.5], theta="60 deg", vertex=(0, (1, 2), [1, 2, 3]), vertex_sigma=(0.1, 0, 0), multiplicity=2
+)
+
+
+def momentum(particles):
+    """Return p, pT, cos(theta) and phi of each particle."""
+    pt = np.hypot(particles["px"], particles["py"])
+    p = np.hypot(pt, particles["pz"])
+    return p, pt, particles["pz"] / p, np.arctan2(particles["py"], particles["px"])
+
+
+@pytest.mark.parametrize(
+    ("spelling", "name", "pdg", "charge"),
+    [
+        ("e-", "e-", 11, -1), ("positron", "e+", -11, 1), ("mu", "mu-", 13, -1), ("muon", "mu-", 13, -1),
+        ("anti_muon", "mu+", -13, 1), ("pi+", "pi+", 211, 1), ("PI-", "pi-", -211, -1), ("K_minus", "K-", -321, -1),
+        ("k+", "K+", 321, 1), ("p", "p", 2212, 1), ("p+", "p", 2212, 1), ("proton", "p", 2212, 1),
+        ("pbar", "anti-p", -2212, -1), ("p-", "anti-p", -2212, -1), ("anti_proton", "anti-p", -2212, -1),
+        ("p~", "anti-p", -2212, -1), ("13", "mu-", 13, -1), ("-211", "pi-", -211, -1), (-11, "e+", -11, 1),
+        (np.int32(321), "K+", 321, 1),
+    ],
+)  # fmt: skip
+def test_spellings(spelling, name, pdg, charge):
+    """Names in their common spellings and numbers, also as text, mean the same particle."""
+    found = species(spelling)
+    assert (found.name, found.pdg, found.charge) == (name, pdg, charge)
+
+
+@pytest.mark.parametrize(
+    ("pdg", "mass_mev"), [(11, 0.51099895), (13, 105.6583755), (211, 139.57039), (321, 493.677), (2212, 938.27208816)]
+)
+def test_masses(pdg, mass_mev):
+    """Masses are those of the PDG's 2024 summary tables, the same for the antiparticle."""
+    assert species(pdg).mass == pytest.approx(mass_mev / 1000, rel=1e-12)
+    assert species(-pdg).mass == species(pdg).mass
+    assert species(-pdg).charge == -species(pdg).charge
+
+
+@pytest.mark.parametrize(("given", "hint"), [("pi", "pi+ or pi-"), ("mun-", "'mu-'"), ("protn", "'proton'")])
+def test_unknown_particle_is_told_what_is_close(given, hint):
+    """A misspelt or ambiguous name says what could have been meant."""
+    with pytest.raises(ValueError, match=repr(given)) as error:
+        species(given)
+    assert hint in str(error.value)
+
+
+def test_ranges_are_uniform():
+    """Mean and variance of p, cos(theta) and phi are those of uniform distributions, uncorrelated."""
+    n = 20_000
+    gun = Gun("pi+", p=(0.5, 1.5), cos_theta=(-0.8, 0.4), phi=(0, 1))
+    p, _, cos, phi = momentum(generate(gun, n, seed=3))
+    unit = np.column_stack([p - 0.5, (cos + 0.8) / 1.2, phi])
+    assert unit.min() > 0
+    assert unit.max() < 1
+    assert_within(unit.mean(axis=0), 0.5, math.sqrt(1 / 12 / n), what="mean")
+    assert_within(unit.var(axis=0), 1 / 12, math.sqrt(1 / 180 / n), what="variance")
+    correlation = np.corrcoef(unit.T)[np.triu_indices(3, 1)]
+    assert_within(correlation, 0.0, 1 / math.sqrt(n), what="correlation")
+
+
+def test_theta_range_is_uniform_in_theta():
+    """A range of theta is uniform in theta, which is not uniform in cos(theta): the gate sees the difference."""
+    n = 20_000
+    _, _, cos, _ = momentum(generate(Gun("e-", p=1, theta=(0.5, 1.5)), n, seed=4))
+    expected, error = (math.sin(1.5) - math.sin(0.5)) / 1.0, cos.std() / math.sqrt(n)
+    assert_within(cos.mean(), expected, error)
+    with pytest.raises(AssertionError, match="standard errors"):
+        assert_within(cos.mean(), (math.cos(1.5) + math.cos(0.5)) / 2, error)
+
+
+def test_fixed_values_and_pt():
+    """Fixed numbers are met exactly; with pt the transverse momentum is the given one."""
+    p, pt, cos, phi = momentum(generate(Gun("e+", pt=0.3, cos_theta=0.6, phi="90 deg"), 5, seed=1))
+    np.testing.assert_allclose(pt, 0.3, rtol=1e-14)
+    np.testing.assert_allclose(p, 0.3 / 0.8, rtol=1e-14)
+    np.testing.assert_allclose(cos, 0.6, rtol=1e-14)
+    np.testing.assert_allclose(phi, math.pi / 2, rtol=1e-14)
+
+
+def test_vertex_spread():
+    """The vertex is Gaussian about its position with the given width, along the given axes only."""
+    n = 20_000
+    table = generate(Gun("p", p=1, theta=1, vertex=(1, 2, 3), vertex_sigma=(0.5, 0, 10)), n, seed=5)
+    assert np.all(table["y"] == 2)
+    for axis, mean, sigma in (("x", 1, 0.5), ("z", 3, 10)):
+        assert_within(table[axis].mean(), mean, sigma / math.sqrt(n), what=axis)
+        assert_within(table[axis].std(), sigma, sigma / math.sqrt(2 * n), what=axis)
+
+
+def test_values_in_turn_follow_the_event_number():
+    """A list is used event by event, counted by event number and not by row."""
+    table = generate(MIXED, 7, seed=1, first_event=10)
+    kaons = table[table["pdg"] == 321]
+    _, pt, _, _ = momentum(kaons)
+    np.testing.assert_allclose(pt, np.array([0.2, 0.5])[kaons["event"] % 2])
+    np.testing.assert_array_equal(kaons["z"], np.array([1.0, 2.0, 3.0])[kaons["event"] % 3])
+
+
+def test_particles_do_not_depend_on_chunks_or_company():
+    """Any chunk of events, and a gun alone, give the very same particles."""
+    whole = generate(MIXED, 100, seed=7)
+    assert np.array_equal(whole["particle"][:3], [0, 1, 2])
+    for first, stop in ((0, 1), (37, 80), (99, 100)):
+        assert generate(MIXED, stop - first, seed=7, first_event=first) == whole.select_events(first, stop)
+    assert generate(PLAIN, 100, seed=7) == whole[whole["particle"] == 0]
+    assert generate(PLAIN, 100, seed=8) != generate(PLAIN, 100, seed=7)
+
+
+def test_particles_of_one_event_differ():
+    """Equal particles of one event are drawn independently."""
+    table = generate(Gun("mu-", p=1, theta=1, multiplicity=2), 2000, seed=2)
+    phi = np.arctan2(table["py"], table["px"]).reshape(-1, 2)
+    assert_within(np.corrcoef(phi.T)[0, 1], 0.0, 1 / math.sqrt(2000))
+
+
+def test_guns_compare_pickle_and_repeat_from_their_repr():
+    """Equal guns are equal and hash alike; what they print makes them again; a range is not two values in turn."""
+    assert Gun("mu-", p="1000 MeV/c", cos_theta=(-0.93, 0.93)) == PLAIN
+    assert hash(Gun("muon", p=1, cos_theta=(-0.93, 0.93))) == hash(PLAIN)
+    assert Gun("mu-", p=(1, 2), theta=1) != Gun("mu-", p=[1, 2], theta=1)
+    assert repr(PLAIN) == "Gun('mu-', p=1.0, cos_theta=(-0.93, 0.93))"
+    assert pickle.loads(pickle.dumps(MIXED)) == MIXED
+    assert eval(repr(MIXED)) == MIXED
+    assert isinstance(MIXED + PLAIN, Guns)
+    assert len((MIXED + PLAIN).guns) == 3
+    assert len((PLAIN + MIXED).guns) == 3
+
+
+def test_all_mistakes_of_a_gun_at_once():
+    """Every mistake is listed with its place, what was given and what was expected."""
+    with pytest.raises(ParticleError) as error:
+        Gun("mun-", p=-1, pt=(2, 1), cos_theta="1.2", phi="3 mm", vertex=(1, 2), vertex_sigma=(-1, 0, []),
+            multiplicity=0)  # fmt: skip
+    places = [problem.split(":")[0] for problem in error.value.problems]
+    assert places == ["particle", "p, pt", "p", "pt", "cos_theta", "phi", "vertex", "vertex_sigma.x",
+                      "vertex_sigma.z", "multiplicity"]  # fmt: skip
+    assert all("got" in problem and "expected" in problem for problem in error.value.problems)
+    assert pickle.loads(pickle.dumps(error.value)).problems == error.value.problems
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        {"p": 0.0, "theta": 1}, {"p": math.nan, "theta": 1}, {"p": math.inf, "theta": 1}, {"p": True, "theta": 1},
+        {"p": 1}, {"theta": 1}, {"p": 1, "theta": 1, "cos_theta": 0}, {"p": 1, "theta": 4}, {"pt": 1, "cos_theta": 1},
+        {"p": (1, 2, 3), "theta": 1}, {"p": [[1, 2]], "theta": 1}, {"p": 1, "theta": 1, "phi": None},
+    ],
+)  # fmt: skip
+def test_each_mistake_is_one(arguments):
+    """No wrong value passes, and none is reported twice."""
+    with pytest.raises(ParticleError) as error:
+        Gun("mu-", **arguments)
+    assert len(error.value.problems) == 1
+
+
+@pytest.mark.parametrize("arguments", [(-1, 1), (1.5, 1), (1, -1), (1, 2**64), (1, 1, -1)])
+def test_generate_checks_its_arguments(arguments):
+    """Counts and seeds out of range are refused."""
+    with pytest.raises(ParticleError, match="expected a whole number"):
+        generate(PLAIN, *arguments)
+
+
+@pytest.mark.parametrize(
+    "form",
+    [
+        lambda table: table,
+        lambda table: dict(table.columns),
+        lambda table: table.to_pandas().sample(frac=1, random_state=1).sort_values("particle"),
+        lambda table: table.to_pandas().to_records(index=False),
+        lambda table: {name: table[name] for name in ("event", "pdg", "px", "py", "pz", "x", "y", "z")},
+        lambda table: table.to_pandas().astype(float),
+    ],
+)
+def test_particles_from_anywhere(form):
+    """Mappings, data frames in any order, structured arrays and float columns make the same table."""
+    table = generate(MIXED, 20, seed=1)
+    assert particles_from(form(table)) == table
+
+
+def test_particles_from_needs_little():
+    """Vertex, numbers, charge and mass are filled in; events without particles may surround the given ones."""
+    table = particles_from({"event": [7, 5, 7], "pdg": [13, -2212, 22], "px": [1, 2, 3], "py": [0, 0, 0],
+                            "pz": [0, 1, 0]})  # fmt: skip
+    assert (table.first_event, table.n_events) == (5, 3)
+    assert table["particle"].tolist() == [0, 0, 1]
+    assert table["px"].tolist() == [2, 1, 3]
+    assert table["charge"].tolist() == [-1, -1, 0]
+    assert table["mass"][1] == species("mu-").mass
+    assert particles_from(table, first_event=0, n_events=10).n_events == 10
+    other = {"event": [0], "pdg": [1000010020], "px": [1], "py": [0], "pz": [0], "charge": [1], "mass": [1.8756]}
+    assert particles_from(other)["mass"][0] == 1.8756
+
+
+def test_all_mistakes_of_a_table_at_once():
+    """Missing columns are listed, then every column with a wrong value, with the row."""
+    with pytest.raises(ParticleError) as error:
+        particles_from(pd.DataFrame({"event": [0], "pgd": [13], "px": [1], "name": ["mu"]}))
+    text = str(error.value)
+    assert all(f"\n  {name}: " in text for name in ("pdg", "py", "pz", "name"))
+    assert "did you mean 'pgd'" in text
+    wrong = {"event": [1, 0.5, -1, 1], "particle": [0, 0, 0, 0], "pdg": [13, 13, 999, 13], "px": [0, 1, np.nan, 1],
+             "py": [0, 0, 0, 0], "pz": [0, 0, 1, 1], "charge": [-1, 1, 0, -1]}  # fmt: skip
+    with pytest.raises(ParticleError) as error:
+        particles_from(wrong)
+    for text in ("event: is not a whole number (0.5) in row 1", "event: is negative (-1.0) in row 2",
+                 "px: is not finite (nan) in row 2", "px, py, pz: are all zero (0) in row 0",
+                 "pdg: is unknown and the columns charge and mass are not both there (999) in row 2",
+                 "charge: is not that of the pdg number (1) in row 1",
+                 "particle: is there before in the same event (0) in row 3"):  # fmt: skip
+        assert any(problem.startswith(text.split(" (")[0]) and text.split(") ")[1] in problem
+                   for problem in error.value.problems), text  # fmt: skip
+    assert len(error.value.problems) == 7
