@@ -1,0 +1,110 @@
+#include <pybind11/pybind11.h>
+
+#include "bindings/arrays.hpp"
+#include "bindings/cluster_columns.hpp"
+#include "bindings/inputs.hpp"
+#include "common/units.hpp"
+#include "digitize/binary.hpp"
+#include "digitize/gaussian.hpp"
+#include "digitize/wires.hpp"
+
+namespace py = pybind11;
+using namespace cgemit;
+using namespace cgemit::bindings;
+
+namespace {
+
+TruthColumns truth_columns(Inputs& in) {
+  TruthColumns truths;
+  truths.event = in.get<std::int64_t>("event");
+  truths.particle = in.get<std::int32_t>("particle");
+  truths.layer = in.get<std::int32_t>("layer");
+  truths.entry = {in.get<double>("entry_x"), in.get<double>("entry_y"), in.get<double>("entry_z")};
+  truths.exit = {in.get<double>("exit_x"), in.get<double>("exit_y"), in.get<double>("exit_z")};
+  truths.phi = in.get<double>("phi");
+  truths.z = in.get<double>("z");
+  truths.time = in.get<double>("time");
+  truths.energy = in.get<double>("energy");
+  return truths;
+}
+
+py::dict strips(const Detector& detector, const py::dict& table, double gain, double w_value,
+                double threshold) {
+  Inputs in(table, "event");
+  const TruthColumns truths = truth_columns(in);
+  DigiColumns digis;
+  {
+    py::gil_scoped_release release;
+    digis = read_out_strips(detector, truths, {gain, w_value, threshold});
+  }
+  py::dict out;
+  out["event"] = to_numpy(std::move(digis.event));
+  out["layer"] = to_numpy(std::move(digis.layer));
+  out["sheet"] = to_numpy(std::move(digis.sheet));
+  out["view"] = to_numpy(std::move(digis.view));
+  out["strip"] = to_numpy(std::move(digis.strip));
+  out["gid"] = to_numpy(std::move(digis.gid));
+  out["charge"] = to_numpy(std::move(digis.charge));
+  out["time"] = to_numpy(std::move(digis.time));
+  out["truth"] = to_numpy(std::move(digis.truth));
+  out["n_truths"] = to_numpy(std::move(digis.n_truths));
+  return out;
+}
+
+py::dict smeared(const Detector& detector, const py::dict& table, double gain, double w_value, double sigma_x,
+                 double sigma_v, std::uint64_t seed) {
+  Inputs in(table, "event");
+  const TruthColumns truths = truth_columns(in);
+  ClusterColumns clusters;
+  {
+    py::gil_scoped_release release;
+    clusters =
+        smear_positions(detector, truths, {sigma_x, sigma_v, gain / w_value * elementary_charge_fC, seed});
+  }
+  return to_dict(std::move(clusters));
+}
+
+py::dict wires(const Detector& detector, const py::dict& table, const Array<double>& xt_distance,
+               const Array<double>& xt_time, bool reveal_sides, std::uint64_t seed) {
+  Inputs in(table, "event");
+  WireTruthColumns truths;
+  truths.event = in.get<std::int64_t>("event");
+  truths.particle = in.get<std::int32_t>("particle");
+  truths.layer = in.get<std::int32_t>("layer");
+  truths.wire = in.get<std::int32_t>("wire");
+  truths.doca = in.get<double>("doca");
+  truths.side = in.get<std::int8_t>("side");
+  const auto distance = column(xt_distance, "xt_distance");
+  if (distance.size() < 2) throw std::invalid_argument("xt_distance: expected at least two points");
+  const auto time = column(xt_time, "xt_time", xt_distance.size());
+  WireHitColumns hits;
+  {
+    py::gil_scoped_release release;
+    hits = read_out_wires(detector, truths, {distance, time, reveal_sides, seed});
+  }
+  py::dict out;
+  out["event"] = to_numpy(std::move(hits.event));
+  out["layer"] = to_numpy(std::move(hits.layer));
+  out["wire"] = to_numpy(std::move(hits.wire));
+  out["gid"] = to_numpy(std::move(hits.gid));
+  out["drift"] = to_numpy(std::move(hits.drift));
+  out["sigma"] = to_numpy(std::move(hits.sigma));
+  out["drift_time"] = to_numpy(std::move(hits.drift_time));
+  out["side"] = to_numpy(std::move(hits.side));
+  out["wire_truth"] = to_numpy(std::move(hits.wire_truth));
+  return out;
+}
+
+}  // namespace
+
+void bind_digitize(py::module_& module) {
+  module.def("read_out_strips", &strips, py::arg("detector"), py::arg("truths"), py::kw_only(),
+             py::arg("gain"), py::arg("w_value"), py::arg("threshold"),
+             "Columns of digis from columns of truths: binary read-out.");
+  module.def("smear_positions", &smeared, py::arg("detector"), py::arg("truths"), py::kw_only(),
+             py::arg("gain"), py::arg("w_value"), py::arg("sigma_x"), py::arg("sigma_v"), py::arg("seed"),
+             "Columns of clusters from columns of truths: read-out without strips.");
+  module.def("read_out_wires", &wires, py::arg("detector"), py::arg("wire_truths"), py::kw_only(),
+             py::arg("xt_distance"), py::arg("xt_time"), py::arg("reveal_sides"), py::arg("seed"),
+             "Columns of wire_hits from columns of wire_truths.");
+}

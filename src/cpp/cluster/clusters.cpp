@@ -1,0 +1,157 @@
+#include "cluster/clusters.hpp"
+
+#include <algorithm>
+#include <numeric>
+#include <stdexcept>
+#include <string>
+#include <tuple>
+#include <utility>
+
+namespace cgemit {
+namespace {
+
+using Rows = std::span<const std::size_t>;
+
+void check(const DigiView& digis, const Detector& detector) {
+  const auto layers = static_cast<std::int32_t>(detector.cgem.size());
+  for (std::size_t i = 0; i < digis.size(); ++i) {
+    const auto expect = [&](const char* what, std::int32_t value, std::int32_t count) {
+      if (value >= 0 && value < count) return;
+      throw std::invalid_argument("digis row " + std::to_string(i) + ": " + what + " " +
+                                  std::to_string(value) + ", expected 0 to " + std::to_string(count - 1));
+    };
+    expect("layer", digis.layer[i], layers);
+    const CgemLayer& layer = detector.cgem[digis.layer[i]];
+    expect("sheet", digis.sheet[i], layer.sheets);
+    expect("view", digis.view[i], 2);
+    expect("strip", digis.strip[i], digis.view[i] == 0 ? layer.strips_x : layer.strips_v);
+  }
+}
+
+auto place(const DigiView& digis, std::size_t i) {
+  return std::tuple(digis.layer[i], digis.sheet[i], digis.view[i], digis.strip[i]);
+}
+
+// The truth with most of the cluster's charge, as far as the digis know: each names its largest only.
+std::int64_t largest_truth(const DigiView& digis, Rows rows) {
+  std::int64_t largest = digis.truth[rows.front()];
+  double most = -1;
+  for (std::size_t i = 0; i < rows.size(); ++i) {
+    double charge = 0;
+    for (const std::size_t row : rows)
+      charge += digis.truth[row] == digis.truth[rows[i]] ? digis.charge[row] : 0;
+    if (charge > most) {
+      most = charge;
+      largest = digis.truth[rows[i]];
+    }
+  }
+  return largest;
+}
+
+// At least this many truths: the digis' own counts, and the distinct truths they name.
+std::int32_t count_truths(const DigiView& digis, Rows rows) {
+  std::int32_t most = 0, distinct = 0;
+  for (std::size_t i = 0; i < rows.size(); ++i) {
+    const auto same = [&](std::size_t row) { return digis.truth[row] == digis.truth[rows[i]]; };
+    most = std::max(most, digis.n_truths[rows[i]]);
+    distinct += std::none_of(rows.begin(), rows.begin() + static_cast<std::ptrdiff_t>(i), same);
+  }
+  return std::max(most, distinct);
+}
+
+// Position across the strips: mean of the strip centres weighted by charge, the geometric centre if the
+// strips share the charge equally (or have none).
+double centre(const DigiView& digis, Rows rows, double pitch) {
+  double sum = 0, weighted = 0;
+  for (const std::size_t row : rows) {
+    sum += digis.charge[row];
+    weighted += digis.charge[row] * (digis.strip[row] - digis.strip[rows.front()]);
+  }
+  const double mean = sum > 0 ? weighted / sum : 0.5 * (digis.strip[rows.back()] - digis.strip[rows.front()]);
+  return (digis.strip[rows.front()] + mean + 0.5) * pitch;
+}
+
+// The cluster of one view made of the digis `rows`, ordered by strip.
+ClusterRow make_cluster(const CgemLayer& layer, const DigiView& digis, Rows rows, const ErrorTable& errors) {
+  const std::size_t front = rows.front();
+  ClusterRow cluster{digis.event[front], digis.layer[front], digis.sheet[front], View{digis.view[front]}};
+  cluster.first = digis.strip[front];
+  cluster.last = digis.strip[rows.back()];
+  cluster.size = cluster.last - cluster.first + 1;
+  cluster.time = digis.time[front];
+  for (const std::size_t row : rows) {
+    cluster.charge += digis.charge[row];
+    cluster.time = std::min(cluster.time, digis.time[row]);
+  }
+  cluster.r = layer.r_mid();
+  cluster.truth = largest_truth(digis, rows);
+  cluster.n_truths = count_truths(digis, rows);
+  if (cluster.view == View::x) {
+    cluster.x = centre(digis, rows, layer.pitch_x);
+    cluster.err_x = errors.of(errors.x, cluster.layer, cluster.size);
+    set_azimuth(layer, cluster);
+  } else {
+    cluster.v = centre(digis, rows, layer.pitch_v);
+    cluster.err_v = errors.of(errors.v, cluster.layer, cluster.size);
+  }
+  return cluster;
+}
+
+// Writes the clusters of one sheet: `views` holds its X clusters, then its V clusters.
+void write_sheet(const CgemLayer& layer, const StripPlane& plane, std::span<const ClusterRow> views,
+                 ClusterColumns& clusters) {
+  const std::int64_t first = clusters.rows();
+  for (const ClusterRow& cluster : views) clusters.push_back(cluster);
+  for (std::size_t i = 0; i < views.size() && views[i].view == View::x; ++i) {
+    for (std::size_t k = i + 1; k < views.size(); ++k) {
+      if (views[k].view != View::v || std::abs(plane.z(views[i].x, views[k].v)) > layer.half_length) continue;
+      clusters.push_back(join_views(plane, views[i], views[k], first + static_cast<std::int64_t>(i),
+                                    first + static_cast<std::int64_t>(k)));
+    }
+  }
+}
+
+// Neighbouring strips (or the same one twice) of one view and sheet belong together.
+bool adjacent(const DigiView& digis, std::size_t a, std::size_t b) {
+  return digis.layer[a] == digis.layer[b] && digis.sheet[a] == digis.sheet[b] &&
+         digis.view[a] == digis.view[b] && digis.strip[b] <= digis.strip[a] + 1;
+}
+
+}  // namespace
+
+ClusterColumns find_clusters(const Detector& detector, const DigiView& digis, const ErrorTable& errors) {
+  check(digis, detector);
+  const std::vector<StripPlane> planes(detector.cgem.begin(), detector.cgem.end());
+  std::vector<std::size_t> order(digis.size());
+  std::iota(order.begin(), order.end(), std::size_t{0});
+  const auto before = [&](std::size_t a, std::size_t b) {
+    return std::pair(digis.event[a], place(digis, a)) < std::pair(digis.event[b], place(digis, b));
+  };
+  if (!std::is_sorted(order.begin(), order.end(), before)) {
+    std::stable_sort(order.begin(), order.end(), before);
+  }
+  ClusterColumns clusters;
+  clusters.reserve(digis.size());
+  std::vector<ClusterRow> sheet;
+  const auto flush = [&] {
+    if (sheet.empty()) return;
+    const auto layer = static_cast<std::size_t>(sheet.front().layer);
+    write_sheet(detector.cgem[layer], planes[layer], sheet, clusters);
+    sheet.clear();
+  };
+  for (std::size_t begin = 0, end; begin < order.size(); begin = end) {
+    for (end = begin + 1; end < order.size() && digis.event[order[end]] == digis.event[order[begin]] &&
+                          adjacent(digis, order[end - 1], order[end]);) {
+      ++end;
+    }
+    const CgemLayer& layer = detector.cgem[static_cast<std::size_t>(digis.layer[order[begin]])];
+    ClusterRow cluster = make_cluster(layer, digis, Rows(order).subspan(begin, end - begin), errors);
+    const auto on = [](const ClusterRow& c) { return std::tuple(c.event, c.layer, c.sheet); };
+    if (!sheet.empty() && on(sheet.front()) != on(cluster)) flush();
+    sheet.push_back(cluster);
+  }
+  flush();
+  return clusters;
+}
+
+}  // namespace cgemit

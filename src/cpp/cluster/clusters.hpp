@@ -1,0 +1,39 @@
+// Fired strips become clusters: contiguous strips of one view, and pairs of views that intersect.
+#pragma once
+
+#include <cstdint>
+#include <span>
+
+#include "detector/cluster_rows.hpp"
+
+namespace cgemit {
+
+struct DigiView {
+  std::span<const std::int64_t> event;
+  std::span<const std::int32_t> layer, sheet;
+  std::span<const std::int8_t> view;
+  std::span<const std::int32_t> strip;
+  std::span<const double> charge, time;  // fC, ns
+  std::span<const std::int64_t> truth;
+  std::span<const std::int32_t> n_truths;
+
+  std::size_t size() const { return event.size(); }
+};
+
+// Position errors by layer and cluster size: row = layer, column = size - 1; the last column holds for all
+// larger sizes.
+struct ErrorTable {
+  std::span<const double> x, v;  // mm
+  std::size_t sizes;
+
+  double of(std::span<const double> values, std::int32_t layer, std::int32_t size) const {
+    const std::size_t at = std::min(static_cast<std::size_t>(size), sizes) - 1;
+    return values[static_cast<std::size_t>(layer) * sizes + at];
+  }
+};
+
+// Rows ordered by event, layer, sheet, then X, V and XV clusters. Within an event the digis may come in any
+// order.
+ClusterColumns find_clusters(const Detector& detector, const DigiView& digis, const ErrorTable& errors);
+
+}  // namespace cgemit

@@ -1,0 +1,80 @@
+// Rows of the clusters table and the formulas that fill them, shared by the read-outs with strips and
+// without.
+#pragma once
+
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+#include <limits>
+#include <vector>
+
+#include "detector/strip_plane.hpp"
+
+namespace cgemit {
+
+enum class View : std::int8_t { x = 0, v = 1, xv = 2 };
+enum class ClusterMethod : std::int8_t { strips = 0, gaussian = 1 };
+
+inline constexpr double not_measured = std::numeric_limits<double>::quiet_NaN();
+
+struct ClusterRow {
+  std::int64_t event;
+  std::int32_t layer, sheet;
+  View view;
+  std::int32_t first = -1, last = -1, size = 0;  // strips; -1 where there are none
+  double charge = 0;                             // fC
+  double time = 0;                               // ns
+  double x = not_measured, v = not_measured;     // mm, local
+  double phi = not_measured, z = not_measured;   // rad, mm
+  double r = 0;                                  // mm, middle of the drift gap
+  double err_x = not_measured, err_v = not_measured, err_phi = not_measured, err_z = not_measured;
+  std::int64_t x_cluster = -1, v_cluster = -1;  // rows of the two views that an XV row joins
+  std::int64_t truth = -1;
+  std::int32_t n_truths = 0;
+  ClusterMethod method = ClusterMethod::strips;
+};
+
+// Sets the azimuth of a row whose x and err_x are known. The azimuth holds at mid-gap, too: charge is
+// projected to the read-out at unchanged phi and z.
+inline void set_azimuth(const CgemLayer& layer, ClusterRow& row) {
+  row.phi = azimuth(layer, row.sheet, row.x);
+  row.err_phi = row.err_x / layer.r_readout;
+}
+
+// The XV row of an X and a V row of one sheet; z from V = X cos + (z_ref - z) sin, errors uncorrelated.
+inline ClusterRow join_views(const StripPlane& plane, const ClusterRow& x, const ClusterRow& v,
+                             std::int64_t x_row, std::int64_t v_row) {
+  ClusterRow joined = x;
+  joined.view = View::xv;
+  joined.first = joined.last = -1;
+  joined.size = x.size + v.size;
+  joined.charge = x.charge + v.charge;
+  joined.time = std::min(x.time, v.time);
+  joined.v = v.v;
+  joined.err_v = v.err_v;
+  joined.z = plane.z(x.x, v.v);
+  joined.err_z = std::hypot(v.err_v, plane.cos_stereo * x.err_x) / std::abs(plane.sin_stereo);
+  joined.x_cluster = x_row;
+  joined.v_cluster = v_row;
+  joined.truth = x.truth == v.truth ? x.truth : -1;
+  joined.n_truths = std::max(x.n_truths, v.n_truths);
+  return joined;
+}
+
+// The clusters table, one vector a column.
+struct ClusterColumns {
+  std::vector<std::int64_t> event;
+  std::vector<std::int32_t> layer, sheet;
+  std::vector<std::int8_t> view;
+  std::vector<std::int32_t> first, last, size;
+  std::vector<double> charge, time, x, v, phi, z, r, err_x, err_v, err_phi, err_z;
+  std::vector<std::int64_t> x_cluster, v_cluster, truth;
+  std::vector<std::int32_t> n_truths;
+  std::vector<std::int8_t> method;
+
+  std::int64_t rows() const { return static_cast<std::int64_t>(event.size()); }
+  void reserve(std::size_t n);
+  void push_back(const ClusterRow& row);
+};
+
+}  // namespace cgemit

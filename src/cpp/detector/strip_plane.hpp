@@ -1,0 +1,37 @@
+// Local coordinates on the unrolled read-out of a CGEM layer, in mm:
+//   X = r_readout (phi - phi_first[sheet])            along the circumference, from 0 to sheet_width()
+//   V = X cos(stereo) + (z_ref - z) sin(stereo)       across the stereo strips, from 0 upwards
+// as the experiment's software counts them for both signs of the stereo angle (docs/conventions.md).
+#pragma once
+
+#include <cmath>
+
+#include "common/angles.hpp"
+#include "detector/detector.hpp"
+
+namespace cgemit {
+
+// X of an azimuth, counted from the edge of a sheet: in [0, 2 pi r_readout), beyond sheet_width() off the
+// sheet.
+inline double local_x(const CgemLayer& layer, int sheet, double phi) {
+  return layer.r_readout * positive_angle(phi - layer.phi_first[sheet]);
+}
+
+// Azimuth in (-pi, pi] of an X on a sheet.
+inline double azimuth(const CgemLayer& layer, int sheet, double x) {
+  return wrap_angle(layer.phi_first[sheet] + x / layer.r_readout);
+}
+
+// The (X, z) <-> V relation of one layer.
+struct StripPlane {
+  explicit StripPlane(const CgemLayer& layer)
+      : cos_stereo(std::cos(layer.stereo)), sin_stereo(std::sin(layer.stereo)), z_ref(layer.z_ref()) {}
+
+  double v(double x, double z) const { return x * cos_stereo + (z_ref - z) * sin_stereo; }
+  double z(double x, double v) const { return z_ref - (v - x * cos_stereo) / sin_stereo; }
+
+  double cos_stereo, sin_stereo;
+  double z_ref;  // mm
+};
+
+}  // namespace cgemit

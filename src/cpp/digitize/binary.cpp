@@ -1,0 +1,117 @@
+#include "digitize/binary.hpp"
+
+#include <tuple>
+
+#include "common/units.hpp"
+
+namespace cgemit {
+namespace {
+
+// What one truth leaves on one strip.
+struct Contribution {
+  std::int32_t gid, layer, sheet;
+  std::int8_t view;
+  std::int32_t strip;
+  double charge, time;
+  std::int64_t truth;
+
+  auto order() const { return std::tuple(gid, truth); }
+};
+
+// Strips that one truth fires on one sheet.
+struct Fired {
+  int sheet;
+  StripRange x, v;
+};
+
+void append(const CgemLayer& layer, Contribution strip, StripRange range, std::vector<Contribution>& out) {
+  const int sheet_first = layer.gid_first + strip.sheet * (layer.strips_x + layer.strips_v);
+  const int view_first = sheet_first + (strip.view == 0 ? 0 : layer.strips_x);
+  for (strip.strip = range.first; strip.strip <= range.last; ++strip.strip) {
+    strip.gid = view_first + strip.strip;
+    out.push_back(strip);
+  }
+}
+
+void read_out(const CgemLayer& layer, const StripPlane& plane, const TruthColumns& truths, std::size_t row,
+              double charge, std::vector<Contribution>& out) {
+  const Pieces pieces = unroll(layer, truths.entry_point(row), truths.exit_point(row));
+  std::array<Fired, 4> fired;
+  int n_x = 0, n_v = 0;
+  for (int k = 0; k < pieces.n; ++k) {
+    const Piece& piece = pieces.list[k];
+    fired[k] = {piece.sheet, x_strips(layer, piece), v_strips(layer, plane, piece)};
+    n_x += fired[k].x.count();
+    n_v += fired[k].v.count();
+  }
+  Contribution strip{};
+  strip.layer = truths.layer[row];
+  strip.time = truths.time[row];
+  strip.truth = static_cast<std::int64_t>(row);
+  for (int k = 0; k < pieces.n; ++k) {
+    strip.sheet = fired[k].sheet;
+    strip.view = 0;
+    strip.charge = 0.5 * charge / n_x;
+    append(layer, strip, fired[k].x, out);
+    strip.view = 1;
+    strip.charge = 0.5 * charge / n_v;
+    append(layer, strip, fired[k].v, out);
+  }
+}
+
+// Adds up the contributions [begin, end) to one strip, which are ordered by truth, and writes its digi.
+void write(std::int64_t event, const Contribution* begin, const Contribution* end, DigiColumns& digis) {
+  double charge = 0, time = begin->time, of_truth = 0, largest = -1;
+  std::int64_t truth = -1;
+  std::int32_t n_truths = 0;
+  for (const Contribution* part = begin; part != end; ++part) {
+    const bool new_truth = part == begin || part->truth != (part - 1)->truth;
+    n_truths += new_truth;
+    of_truth = part->charge + (new_truth ? 0 : of_truth);
+    if (of_truth > largest) {
+      largest = of_truth;
+      truth = part->truth;
+    }
+    charge += part->charge;
+    time = std::min(time, part->time);
+  }
+  digis.event.push_back(event);
+  digis.layer.push_back(begin->layer);
+  digis.sheet.push_back(begin->sheet);
+  digis.view.push_back(begin->view);
+  digis.strip.push_back(begin->strip);
+  digis.gid.push_back(begin->gid);
+  digis.charge.push_back(charge);
+  digis.time.push_back(time);
+  digis.truth.push_back(truth);
+  digis.n_truths.push_back(n_truths);
+}
+
+}  // namespace
+
+DigiColumns read_out_strips(const Detector& detector, const TruthColumns& truths,
+                            const BinaryReadout& readout) {
+  check(truths, detector);
+  const std::vector<StripPlane> planes(detector.cgem.begin(), detector.cgem.end());
+  const double charge_per_energy = readout.gain / readout.w_value * elementary_charge_fC;  // fC/keV
+  DigiColumns digis;
+  std::vector<Contribution> parts;
+  for (std::size_t begin = 0, end; begin < truths.size(); begin = end) {
+    end = event_end(truths.event, begin);
+    parts.clear();
+    for (std::size_t row = begin; row < end; ++row) {
+      const double charge = truths.energy[row] * charge_per_energy;
+      const auto layer = static_cast<std::size_t>(truths.layer[row]);
+      if (charge >= readout.threshold)
+        read_out(detector.cgem[layer], planes[layer], truths, row, charge, parts);
+    }
+    std::sort(parts.begin(), parts.end(), [](const auto& a, const auto& b) { return a.order() < b.order(); });
+    for (std::size_t first = 0, last; first < parts.size(); first = last) {
+      for (last = first + 1; last < parts.size() && parts[last].gid == parts[first].gid;) ++last;
+      write(truths.event[begin], &parts[first], parts.data() + last, digis);
+    }
+  }
+  return digis;
+}
+
+}  // namespace cgemit

@@ -1,0 +1,93 @@
+#include "digitize/gaussian.hpp"
+
+#include <optional>
+
+#include "common/rng.hpp"
+
+namespace cgemit {
+namespace {
+
+// The X and V rows of one truth.
+struct Pair {
+  ClusterRow x, v;
+};
+
+// How many earlier rows of the event hold the same particle in the same layer (a track that comes back):
+// together with particle and layer it names a truth whatever the chunk.
+std::uint32_t occurrence(const TruthColumns& truths, std::size_t event_begin, std::size_t row) {
+  std::uint32_t n = 0;
+  for (std::size_t i = event_begin; i < row; ++i) {
+    n += truths.particle[i] == truths.particle[row] && truths.layer[i] == truths.layer[row];
+  }
+  return n;
+}
+
+std::optional<Pair> smear(const Detector& detector, const StripPlane& plane, const TruthColumns& truths,
+                          std::size_t event_begin, std::size_t row, const GaussianReadout& readout) {
+  const CgemLayer& layer = detector.cgem[static_cast<std::size_t>(truths.layer[row])];
+  if (std::abs(truths.z[row]) > layer.half_length) return std::nullopt;
+  for (int sheet = 0; sheet < layer.sheets; ++sheet) {
+    const double x = local_x(layer, sheet, truths.phi[row]);
+    if (x >= layer.sheet_width()) continue;
+    const Stream stream(readout.seed, static_cast<std::uint64_t>(truths.event[row]),
+                        static_cast<std::uint32_t>(truths.particle[row]));
+    const Block words = stream.block(Purpose::digitization, static_cast<std::uint32_t>(truths.layer[row]),
+                                     occurrence(truths, event_begin, row));
+    const auto noise = normal_pair(words[0], words[1]);
+    ClusterRow common{truths.event[row], truths.layer[row], sheet, View::x};
+    common.charge = 0.5 * truths.energy[row] * readout.charge_per_energy;
+    common.time = truths.time[row];
+    common.r = layer.r_mid();
+    common.truth = static_cast<std::int64_t>(row);
+    common.n_truths = 1;
+    common.method = ClusterMethod::gaussian;
+    Pair pair{common, common};
+    pair.x.x = x + readout.sigma_x * noise[0];
+    pair.x.err_x = readout.sigma_x;
+    set_azimuth(layer, pair.x);
+    pair.v.view = View::v;
+    pair.v.v = plane.v(x, truths.z[row]) + readout.sigma_v * noise[1];
+    pair.v.err_v = readout.sigma_v;
+    return pair;
+  }
+  return std::nullopt;
+}
+
+}  // namespace
+
+ClusterColumns smear_positions(const Detector& detector, const TruthColumns& truths,
+                               const GaussianReadout& readout) {
+  check(truths, detector);
+  const std::vector<StripPlane> planes(detector.cgem.begin(), detector.cgem.end());
+  ClusterColumns clusters;
+  clusters.reserve(3 * truths.size());
+  std::vector<Pair> pairs;
+  for (std::size_t begin = 0, end; begin < truths.size(); begin = end) {
+    end = event_end(truths.event, begin);
+    pairs.clear();
+    for (std::size_t row = begin; row < end; ++row) {
+      const auto layer = static_cast<std::size_t>(truths.layer[row]);
+      if (const auto pair = smear(detector, planes[layer], truths, begin, row, readout))
+        pairs.push_back(*pair);
+    }
+    const auto place = [](const Pair& p) { return std::pair(p.x.layer, p.x.sheet); };
+    std::stable_sort(pairs.begin(), pairs.end(),
+                     [&](const Pair& a, const Pair& b) { return place(a) < place(b); });
+    for (auto first = pairs.begin(); first != pairs.end();) {
+      const auto last =
+          std::find_if(first, pairs.end(), [&](const Pair& p) { return place(p) != place(*first); });
+      const std::int64_t x_row = clusters.rows(), v_row = x_row + (last - first);
+      const auto layer = static_cast<std::size_t>(first->x.layer);
+      for (auto pair = first; pair != last; ++pair) clusters.push_back(pair->x);
+      for (auto pair = first; pair != last; ++pair) clusters.push_back(pair->v);
+      for (auto pair = first; pair != last; ++pair) {
+        const std::int64_t k = pair - first;
+        clusters.push_back(join_views(planes[layer], pair->x, pair->v, x_row + k, v_row + k));
+      }
+      first = last;
+    }
+  }
+  return clusters;
+}
+
+}  // namespace cgemit

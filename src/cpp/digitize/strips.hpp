@@ -1,0 +1,96 @@
+// Which strips a straight segment on the unrolled read-out touches: exact geometry, no sampling.
+#pragma once
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+
+#include "detector/strip_plane.hpp"
+
+namespace cgemit {
+
+struct Point {
+  double x, y, z;  // mm
+};
+
+// The part of a segment that lies on one sheet, in local coordinates.
+struct Piece {
+  int sheet;
+  double x1, z1, x2, z2;  // mm, 0 <= x <= sheet_width(), |z| <= half_length
+};
+
+// At most two pieces a sheet: a segment spans at most half a turn, and a sheet at most a full one.
+struct Pieces {
+  int n = 0;
+  std::array<Piece, 4> list;
+};
+
+// Strips first to last, both included; none if last < first.
+struct StripRange {
+  int first, last;
+  int count() const { return std::max(0, last - first + 1); }
+};
+
+// Narrows [t0, t1] to where low <= a + t d <= high.
+inline void narrow(double a, double d, double low, double high, double& t0, double& t1) {
+  if (d == 0) {
+    if (a < low || a > high) t1 = t0;
+    return;
+  }
+  const double at_low = (low - a) / d, at_high = (high - a) / d;
+  t0 = std::max(t0, std::min(at_low, at_high));
+  t1 = std::min(t1, std::max(at_low, at_high));
+}
+
+// Clips the segment from (x, z) over (dx, dz) to the sheet and appends what is left of it.
+inline void clip(const CgemLayer& layer, int sheet, double x, double z, double dx, double dz,
+                 Pieces& pieces) {
+  const double width = layer.sheet_width(), half = layer.half_length;
+  if (dx == 0 && x >= width) return;  // along the border: belongs to the neighbour
+  double t0 = 0, t1 = 1;
+  narrow(x, dx, 0, width, t0, t1);
+  narrow(z, dz, -half, half, t0, t1);
+  if (!(t0 < t1)) return;  // off the sheet, or it only touches the edge
+  const auto inside_x = [&](double t) { return std::clamp(x + t * dx, 0.0, width); };
+  const auto inside_z = [&](double t) { return std::clamp(z + t * dz, -half, half); };
+  pieces.list[static_cast<std::size_t>(pieces.n++)] = {sheet, inside_x(t0), inside_z(t0), inside_x(t1),
+                                                       inside_z(t1)};
+}
+
+// Projects entry and exit point to the read-out at unchanged phi and z and unrolls the straight line between
+// them, taking the short way in phi; pieces on every sheet it lies on (two at a seam or a sheet's edge).
+inline Pieces unroll(const CgemLayer& layer, const Point& entry, const Point& exit) {
+  const double phi = std::atan2(entry.y, entry.x);
+  const double dx = layer.r_readout * wrap_angle(std::atan2(exit.y, exit.x) - phi);
+  const double dz = exit.z - entry.z;
+  const double turn = 2 * pi * layer.r_readout;
+  Pieces pieces;
+  for (int sheet = 0; sheet < layer.sheets; ++sheet) {
+    const double x = local_x(layer, sheet, phi);
+    clip(layer, sheet, x, entry.z, dx, dz, pieces);
+    if (x + dx >= turn) clip(layer, sheet, x - turn, entry.z, dx, dz, pieces);
+    if (x + dx < 0) clip(layer, sheet, x + turn, entry.z, dx, dz, pieces);
+  }
+  return pieces;
+}
+
+inline StripRange strips_between(double a, double b, double pitch, int strips) {
+  const auto strip = [&](double value) { return static_cast<int>(std::floor(value / pitch)); };
+  return {strip(std::min(a, b)), std::min(strip(std::max(a, b)), strips - 1)};
+}
+
+// X strips of a piece. A piece lies on the sheet: its far edge belongs to the last strip.
+inline StripRange x_strips(const CgemLayer& layer, const Piece& piece) {
+  StripRange range = strips_between(piece.x1, piece.x2, layer.pitch_x, layer.strips_x);
+  range.first = std::min(range.first, range.last);
+  return range;
+}
+
+// V strips of a piece; none in the corner of the sheet beyond the last V strip.
+inline StripRange v_strips(const CgemLayer& layer, const StripPlane& plane, const Piece& piece) {
+  const double v1 = std::max(0.0, plane.v(piece.x1, piece.z1));  // rounding at the corner where V = 0
+  const double v2 = std::max(0.0, plane.v(piece.x2, piece.z2));
+  return strips_between(v1, v2, layer.pitch_v, layer.strips_v);
+}
+
+}  // namespace cgemit

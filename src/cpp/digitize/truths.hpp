@@ -1,0 +1,51 @@
+// What the digitizers read of the truths table.
+#pragma once
+
+#include <cmath>
+#include <cstdint>
+#include <span>
+#include <stdexcept>
+#include <string>
+
+#include "detector/detector.hpp"
+#include "digitize/strips.hpp"
+
+namespace cgemit {
+
+struct TruthColumns {
+  std::span<const std::int64_t> event;
+  std::span<const std::int32_t> particle, layer;
+  std::array<std::span<const double>, 3> entry, exit;  // x, y, z in mm
+  std::span<const double> phi, z;                      // rad, mm; at mid-gap
+  std::span<const double> time, energy;                // ns, keV
+
+  std::size_t size() const { return event.size(); }
+  Point entry_point(std::size_t i) const { return {entry[0][i], entry[1][i], entry[2][i]}; }
+  Point exit_point(std::size_t i) const { return {exit[0][i], exit[1][i], exit[2][i]}; }
+};
+
+// End of the rows that belong to the same event as row `begin`.
+inline std::size_t event_end(std::span<const std::int64_t> event, std::size_t begin) {
+  std::size_t end = begin + 1;
+  while (end < event.size() && event[end] == event[begin]) ++end;
+  return end;
+}
+
+// Throws std::invalid_argument, naming the first row that the kernels could not handle.
+inline void check(const TruthColumns& truths, const Detector& detector) {
+  const auto layers = static_cast<std::int32_t>(detector.cgem.size());
+  for (std::size_t i = 0; i < truths.size(); ++i) {
+    if (truths.layer[i] < 0 || truths.layer[i] >= layers) {
+      throw std::invalid_argument("truths row " + std::to_string(i) + ": layer " +
+                                  std::to_string(truths.layer[i]) + ", expected 0 to " +
+                                  std::to_string(layers - 1));
+    }
+    double sum = truths.phi[i] + truths.z[i] + truths.time[i] + truths.energy[i];
+    for (std::size_t k = 0; k < 3; ++k) sum += truths.entry[k][i] + truths.exit[k][i];
+    if (!std::isfinite(sum)) {
+      throw std::invalid_argument("truths row " + std::to_string(i) + ": a value is not finite");
+    }
+  }
+}
+
+}  // namespace cgemit

@@ -1,0 +1,45 @@
+// Wire chamber: track passages become measured drift distances.
+#pragma once
+
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include "detector/detector.hpp"
+
+namespace cgemit {
+
+struct WireTruthColumns {
+  std::span<const std::int64_t> event;
+  std::span<const std::int32_t> particle;
+  std::span<const std::int32_t> layer, wire;  // layer: the experiment's number
+  std::span<const double> doca;               // mm, signed
+  std::span<const std::int8_t> side;          // +1 or -1
+
+  std::size_t size() const { return event.size(); }
+};
+
+struct WireReadout {
+  std::span<const double> xt_distance;  // mm, ascending, at least two points
+  std::span<const double> xt_time;      // ns
+  bool reveal_sides;
+  std::uint64_t seed;
+};
+
+// One row per fired cell, ordered by event, layer, wire.
+struct WireHitColumns {
+  std::vector<std::int64_t> event;
+  std::vector<std::int32_t> layer, wire, gid;
+  std::vector<double> drift, sigma;      // mm
+  std::vector<double> drift_time;        // ns
+  std::vector<std::int8_t> side;         // 0 hidden
+  std::vector<std::int64_t> wire_truth;  // row of the passage that gave the hit
+};
+
+// The drift distance is |doca| plus a Gaussian error sigma(|doca|), not cut at zero: near the wire it may
+// come out slightly negative, and side times drift is then exactly Gaussian about doca. A cell that several
+// particles fire gives one hit, that of the smallest drift time.
+WireHitColumns read_out_wires(const Detector& detector, const WireTruthColumns& truths,
+                              const WireReadout& readout);
+
+}  // namespace cgemit

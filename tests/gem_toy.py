@@ -1,0 +1,105 @@
+"""The design CGEM and wire layers as hand-written numbers, and helix tracks through them in plain numpy."""
+
+import numpy as np
+
+from cgemit import _core
+
+RADIUS = 3335.6409519815204  # mm T/(GeV/c)
+DEGREE = np.pi / 180
+
+
+def design_layers(drift_gap=5.0):
+    """Columns of the three design layers (anode radii 87.5, 132.5, 175 mm, pitch 0.65 mm)."""
+    r_readout = np.array([87.5, 132.5, 175.0])
+    half_length = np.array([266.0, 345.0, 423.5])
+    sheets = np.array([1, 2, 2], "i4")
+    sign = np.array([1, -1, 1])
+    strips_x = np.floor(2 * np.pi * r_readout / (sheets * 0.65)).astype("i4")
+    stereo = np.arctan((strips_x - 1) * 0.65 / (2 * half_length))
+    strips_v = np.floor(4 * half_length * np.sin(stereo) / 0.65).astype("i4")
+    per_layer = sheets * (strips_x + strips_v)
+    return {
+        "r_readout": r_readout,
+        "r_gap_in": r_readout - 6.162 - drift_gap,
+        "r_gap_out": r_readout - 6.162,
+        "half_length": half_length,
+        "pitch_x": np.full(3, 0.65),
+        "pitch_v": np.full(3, 0.65),
+        "stereo": sign * stereo,
+        "phi_first": np.array([[np.pi, 0.0]] * 3),
+        "sheets": sheets,
+        "strips_x": strips_x,
+        "strips_v": strips_v,
+        "gid_first": (np.cumsum(per_layer) - per_layer).astype("i4"),
+    }
+
+
+def wire_layers(sigma=0.13, sigma_slope=0.0, efficiency=1.0):
+    """Columns of two small wire layers, numbered 8 and 11."""
+    return {
+        "number": np.array([8, 11], "i4"),
+        "cells": np.array([100, 120], "i4"),
+        "gid_first": np.array([484, 584], "i4"),
+        "r_end": np.array([200.0, 250.0]),
+        "half_length": np.array([1000.0, 1000.0]),
+        "twist": np.zeros(2),
+        "phi_east": np.zeros(2),
+        "sigma": np.full(2, sigma),
+        "sigma_slope": np.full(2, sigma_slope),
+        "efficiency": np.full(2, efficiency),
+    }
+
+
+def core_detector(cgem=None, wires=None, bz=-1.0):
+    """Compiled detector without matter."""
+    reals = ("r_in", "r_out", "radius", "spread", "half_length", "x0", "xi")
+    slabs = {name: np.empty(0) for name in reals} | {"gap": np.empty(0, "i4"), "ends": np.empty(0, "u1")}
+    return _core.Detector(
+        bz=bz,
+        slabs=slabs,
+        log_terms=np.empty((0, _core.LOSS_POINTS)),
+        cgem=design_layers() if cgem is None else cgem,
+        wires=wire_layers() if wires is None else wires,
+    )
+
+
+def truth_columns(event, layer, entry, exit_, middle=None, particle=None, energy=3.0, time=1.0):
+    """Columns of truths from points (n, 3); mid-gap phi and z are those of `middle` (default: half-way)."""
+    entry, exit_ = np.atleast_2d(entry).astype(float), np.atleast_2d(exit_).astype(float)
+    n = len(entry)
+    middle = 0.5 * (entry + exit_) if middle is None else middle
+
+    def full(value, dtype):
+        return np.ascontiguousarray(np.broadcast_to(value, n), dtype)
+
+    columns = {"event": full(event, "i8"), "layer": full(layer, "i4")}
+    columns["particle"] = full(0 if particle is None else particle, "i4")
+    for name, points in (("entry", entry), ("exit", exit_)):
+        columns |= {f"{name}_{axis}": points[:, k].copy() for k, axis in enumerate("xyz")}
+    columns["phi"] = np.arctan2(middle[:, 1], middle[:, 0])
+    columns["z"] = middle[:, 2].copy()
+    return columns | {"time": full(time, "f8"), "energy": full(energy, "f8")}
+
+
+def helix_points(p, cos_theta, phi, charge, bz, radius):
+    """Where helices from the origin cross a cylinder the first time: circle about (R cos, R sin) of the centre."""
+    p_t = p * np.sqrt(1 - cos_theta**2)
+    bend = RADIUS * p_t / (charge * bz)  # signed radius; bz < 0 turns positive charges to larger azimuth
+    half_turn = np.arcsin(radius / (2 * np.abs(bend)))
+    azimuth = phi - np.sign(bend) * half_turn
+    z = 2 * np.abs(bend) * half_turn * cos_theta / np.sqrt(1 - cos_theta**2)
+    return np.column_stack([radius * np.cos(azimuth), radius * np.sin(azimuth), z])
+
+
+def muons_through(cgem, n, seed, p=1.0, limit=0.93, charge=-1, bz=-1.0):
+    """Truth columns of n tracks from the origin, one an event, cos(theta) uniform, through every layer."""
+    rng = np.random.default_rng(seed)
+    cos_theta, phi = rng.uniform(-limit, limit, n), rng.uniform(-np.pi, np.pi, n)
+    layers = len(cgem["r_readout"])
+    inner, outer = cgem["r_gap_in"], cgem["r_gap_out"]
+    points = [
+        [helix_points(p, cos_theta, phi, charge, bz, r) for r in (inner[i], outer[i], 0.5 * (inner[i] + outer[i]))]
+        for i in range(layers)
+    ]
+    entry, exit_, middle = (np.stack([layer[k] for layer in points], axis=1).reshape(-1, 3) for k in range(3))
+    return truth_columns(np.repeat(np.arange(n), layers), np.tile(np.arange(layers), n), entry, exit_, middle)
