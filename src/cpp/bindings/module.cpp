@@ -5,6 +5,8 @@ void bind_status(pybind11::module_& module);
 void bind_rng(pybind11::module_& module);
 void bind_detector(pybind11::module_& module);
 void bind_simulate(pybind11::module_& module);
+void bind_digitize(pybind11::module_& module);
+void bind_cluster(pybind11::module_& module);
 void bind_fit(pybind11::module_& module);
 
 PYBIND11_MODULE(_core, module, pybind11::mod_gil_not_used()) {
@@ -13,5 +15,7 @@ PYBIND11_MODULE(_core, module, pybind11::mod_gil_not_used()) {
   bind_rng(module);
   bind_detector(module);
   bind_simulate(module);
+  bind_digitize(module);
+  bind_cluster(module);
   bind_fit(module);
 }
