@@ -45,6 +45,9 @@ class QuantityError(ValueError):
         self.given, self.expected, self.hint = given, expected, hint
         super().__init__(f"{given}: expected {expected}" + (f" ({hint})" if hint else ""))
 
+    def __reduce__(self) -> tuple[type["QuantityError"], tuple[str, str, str]]:
+        return QuantityError, (self.given, self.expected, self.hint)
+
 
 def parse_quantity(text: object, dimension: str) -> float:
     """Return the number in native units that a string such as ``"87.5 mm"`` stands for.
@@ -71,16 +74,15 @@ def parse_quantity(text: object, dimension: str) -> float:
     if dimension == "dimensionless" and isinstance(text, int | float) and not isinstance(text, bool):
         return _finite(float(text), repr(text), expected)
     if isinstance(text, int | float) and not isinstance(text, bool):
-        hint = f"write the unit, as in {_example(text, dimension)}"
-        raise QuantityError(f"{text!r} (no unit)", expected, hint)
+        raise QuantityError(f"{text!r} (no unit)", expected, _unit_hint(text, dimension))
     match = _QUANTITY.fullmatch(text) if isinstance(text, str) else None
     if not match:
-        raise QuantityError(repr(text), expected)
+        raise QuantityError(_quoted(text), expected)
     number, unit = match.groups()
     unit = unit.replace("³", "3").replace("^", "").replace("**", "")
     if unit not in _UNITS[dimension]:
         raise QuantityError(*_unit_problem(str(text), number, unit, dimension))
-    value = _finite(float(number), repr(text), expected)
+    value = _finite(float(number), _quoted(text), expected)
     return value if unit == NATIVE[dimension] else float(Decimal(number) * _UNITS[dimension][unit])
 
 
@@ -108,25 +110,30 @@ def units_of(dimension: str) -> tuple[str, ...]:
     return tuple(_UNITS[dimension])
 
 
+def _quoted(text: object) -> str:
+    return f'"{text}"' if isinstance(text, str) else repr(text)
+
+
 def _finite(value: float, given: str, expected: str) -> float:
     if not math.isfinite(value):
         raise QuantityError(f"{given} (not finite)", expected)
     return value
 
 
-def _example(number: float, dimension: str) -> str:
-    return f'"{number:g} {NATIVE[dimension]}"'
+def _unit_hint(number: float, dimension: str) -> str:
+    examples = [f'"{number:g} {unit}"' for unit in _UNITS[dimension] if unit.isascii()][:2]
+    return "write the unit, as in " + " or ".join(examples)
 
 
 def _unit_problem(text: str, number: str, unit: str, dimension: str) -> tuple[str, str, str]:
     """Return (given, expected, hint) for a unit that does not belong to `dimension`."""
     expected = describe(dimension)
     if not unit:
-        return f"{text!r} (no unit)", expected, f"write the unit, as in {_example(float(number), dimension)}"
+        return f"{_quoted(text)} (no unit)", expected, _unit_hint(float(number), dimension)
     for other, units in _UNITS.items():
         if unit in units:
             article = "an" if other[0] in "aeiou" else "a"
-            return f"{text!r} ({article} {other})", expected, ""
+            return f"{_quoted(text)} ({article} {other})", expected, ""
     known = [name for units in _UNITS.values() for name in units if name]
     close = difflib.get_close_matches(unit, known, n=1)
-    return f"{text!r} (unknown unit {unit!r})", expected, f"did you mean {close[0]!r}?" if close else ""
+    return f'{_quoted(text)} (unknown unit "{unit}")', expected, f'did you mean "{close[0]}"?' if close else ""

@@ -5,7 +5,8 @@ from .files import detectors
 from .material import Material
 from .model import CgemLayer, Cylinder, Detector, DriftChamber, Field, Shell, SubLayer, WireLayer
 from .problems import DetectorError, Problem
-from .slabs import compiled, slab_table
+from .schema import schema
+from .slabs import Slab, compiled, slab_table, slabs
 
 __all__ = [
     "CgemLayer",
@@ -17,10 +18,13 @@ __all__ = [
     "Material",
     "Problem",
     "Shell",
+    "Slab",
     "SubLayer",
     "WireLayer",
     "compiled",
     "detectors",
     "load",
+    "schema",
     "slab_table",
+    "slabs",
 ]

@@ -8,27 +8,14 @@ from typing import Any
 from . import check
 from .derive import complete_layer
 from .files import library_materials, open_source, resolve
-from .keys import Key, keys_of
+from .keys import keys_of
 from .material import Material
 from .materials import read_materials
 from .merge import FOR_ALL_LAYERS, merged, set_path
 from .model import CgemLayer, Cylinder, Detector, DriftChamber, Field, WireLayer
 from .problems import DetectorError, Problem, did_you_mean
-from .read import Reader, shown
+from .read import TOP_LEVEL, UNUSABLE, Reader, shown
 from .write import to_dict
-
-TOP_LEVEL = {
-    "base": "the preset or file that this one changes",
-    "name": "name of the detector, used in results",
-    "description": "one line about it",
-    "remove": "parts of the base to leave out",
-    "field": "magnetic field",
-    "beam_pipe": "cylinders of the beam pipe by label",
-    "cgem": "CGEM layers by label",
-    "walls": "further cylinders by label",
-    "drift_chamber": "drift chamber",
-    "materials": "materials by name",
-}
 
 
 def load(source: str | Path | Mapping[str, Any] | Detector) -> Detector:
@@ -81,7 +68,7 @@ def build(source: str, tables: Mapping[str, Any], problems: list[Problem]) -> De
         With `problems` and those found here.
 
     """
-    reader = Reader(problems=problems)
+    reader = Reader(problems=problems, baseless=any(problem.path == "base" for problem in problems))
     for name in tables.keys() - TOP_LEVEL.keys():
         reader.note(name, "an unknown key", "one of " + ", ".join(TOP_LEVEL), did_you_mean(name, TOP_LEVEL))
     texts = {name: _text(reader, name, tables.get(name, "")) for name in ("name", "description")}
@@ -92,12 +79,13 @@ def build(source: str, tables: Mapping[str, Any], problems: list[Problem]) -> De
     cgem = _cgem(reader, tables.get("cgem", {}))
     walls = _cylinders(reader, "walls", tables.get("walls", {}))
     chamber = _chamber(reader, tables["drift_chamber"]) if "drift_chamber" in tables else None
-    if not cgem and not chamber and not problems:
+    if not cgem and not chamber and not reader.baseless:
         reader.note("", "no detector", "at least one [cgem.<label>] or a [drift_chamber]")
     if problems:
-        raise DetectorError(source, problems + check.geometry_problems(pipe, cgem, walls, chamber))
+        more = check.field_problems(field) + check.geometry_problems(pipe, cgem, walls, chamber)
+        raise DetectorError(source, problems + more)
     air = reader.materials["Air"]
-    assert field is not None and air is not None  # noqa: S101 - their problems would have been raised above
+    assert air is not None  # otherwise there was a problem
     try:
         return Detector(**texts, field=field, beam_pipe=pipe, cgem=cgem, walls=walls, drift_chamber=chamber, air=air)
     except DetectorError as error:
@@ -120,53 +108,48 @@ def _text(reader: Reader, name: str, raw: object) -> str:
     return str(raw)
 
 
-def _field(reader: Reader, raw: object) -> Field | None:
-    if raw is None:
+def _field(reader: Reader, raw: object) -> Field:
+    if raw is None and not reader.baseless:
         reader.note("field", "nothing", 'a table [field] with kind = "uniform" and bz')
-        return None
-    values = reader.table("field", raw, Field)
-    return Field(**values) if values else None
+    return Field(**reader.table("field", raw, Field)) if raw is not None else Field(kind="uniform", bz=UNUSABLE)
 
 
 def _cylinders(reader: Reader, group: str, raw: object) -> tuple[Cylinder, ...]:
-    found = []
     tables = reader.mapping(group, raw)
-    for label, table in tables.items():
-        values = reader.table(f"{group}.{label}", table, Cylinder, siblings=tables)
-        if values:
-            found.append(Cylinder(label=label, **values))
+    found = [
+        Cylinder(label=label, **reader.table(f"{group}.{label}", table, Cylinder, siblings=tables))
+        for label, table in tables.items()
+    ]
     return tuple(sorted(found, key=lambda part: part.r_in))
 
 
 def _cgem(reader: Reader, raw: object) -> tuple[CgemLayer, ...]:
     found = []
-    sign = {"stereo_sign": Key("sign", "sign of the stereo angle where the angle itself is left out", derived=True)}
     tables = reader.mapping("cgem", raw)
     for label, table in tables.items():
-        values = reader.table(f"cgem.{label}", table, CgemLayer, sign, siblings=tables)
-        if values:
-            complete_layer(values)
-            found.append(CgemLayer(label=label, **values))
+        values = reader.table(f"cgem.{label}", table, CgemLayer, siblings=tables)
+        complete_layer(values)
+        found.append(CgemLayer(label=label, **values))
     return tuple(sorted(found, key=lambda layer: layer.anode_radius))
 
 
-def _chamber(reader: Reader, raw: object) -> DriftChamber | None:
+def _chamber(reader: Reader, raw: object) -> DriftChamber:
     tables = {"wire_material": "Al", **reader.mapping("drift_chamber", raw)}
     rows = reader.mapping("drift_chamber.layers", tables.pop("layers", {}))
     # Values for all layers are read once, so that a mistake in one is reported once.
     keys = {name: keys_of(WireLayer)[name] for name in FOR_ALL_LAYERS}
     common = {
-        name: reader.value(f"drift_chamber.{name}", tables.pop(name), keys[name]) for name in keys if name in tables
+        name: reader.value(f"drift_chamber.{name}", tables.pop(name), key)
+        for name, key in keys.items()
+        if name in tables
     }
-    known = {**keys, "layers": Key("table", "wire layers by number")}
-    values = reader.table("drift_chamber", tables, DriftChamber, known)
+    values = reader.table("drift_chamber", tables, DriftChamber, elsewhere=(*keys, "layers"))
     layers = []
     for number, row in rows.items():
         path = f"drift_chamber.layers.{number}"
-        if not str(number).isdecimal():
-            reader.note(path, f'"{number}"', "the number of a layer, such as 8")
-        elif found := reader.table(path, row, WireLayer, defaults=common, siblings=rows):
+        if str(number).isdecimal():
+            found = reader.table(path, row, WireLayer, defaults=common, siblings=rows)
             layers.append(WireLayer(number=int(number), **found))
-    if values is None:
-        return None
+        else:
+            reader.note(path, f'"{number}"', "the number of a layer, such as 8")
     return DriftChamber(**values, layers=tuple(sorted(layers, key=lambda layer: layer.number)))

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 from ..units import NATIVE, format_quantity
@@ -9,7 +10,7 @@ from .keys import Key, keys_of
 from .problems import Problem
 
 if TYPE_CHECKING:
-    from .model import CgemLayer, Cylinder, Detector, DriftChamber
+    from .model import CgemLayer, Cylinder, Detector, DriftChamber, Field
 
 _TOUCH = 1e-6  # mm; parts closer than this touch
 _THICK = 100.0  # mm; no single piece of solid matter in a tracker is thicker
@@ -33,9 +34,14 @@ def value_problems(detector: "Detector") -> list[Problem]:
         parts.append(("drift_chamber", detector.drift_chamber))
         parts += [(f"drift_chamber.layers.{part.number}", part) for part in detector.drift_chamber.layers]
     problems = [problem for path, part in parts for problem in _part_problems(path, part)]
-    if abs(detector.field.bz) < 1e-3:
-        problems.append(Problem("field.bz", f"{detector.field.bz:g} T", "a field of at least 1 mT, either sign"))
-    return problems
+    return problems + field_problems(detector.field)
+
+
+def field_problems(field: "Field") -> list[Problem]:
+    """Return whether the field is too weak to measure momenta."""
+    if abs(field.bz) < 1e-3:
+        return [Problem("field.bz", f"{field.bz:g} T", "a field of at least 1 mT, either sign")]
+    return []
 
 
 def _part_problems(path: str, part: Any) -> list[Problem]:
@@ -120,7 +126,7 @@ def _chamber_problems(chamber: "DriftChamber") -> list[Problem]:
         if wire.sigma + wire.sigma_slope * farthest <= 0:
             given = f"an error of {wire.sigma + wire.sigma_slope * farthest:g} mm at {farthest:.3g} mm"
             problems.append(Problem(f"{path}.sigma_slope", given, "a positive error over the whole cell"))
-    for inner, outer in zip(chamber.layers, chamber.layers[1:], strict=False):
+    for inner, outer in pairwise(chamber.layers):
         if outer.r_end <= inner.r_end:
             given = f"{outer.r_end:g} mm"
             expected = f"more than the {inner.r_end:g} mm of layer {inner.number}"
@@ -132,8 +138,9 @@ def _overlaps(places: list[tuple[float, float, str]]) -> list[Problem]:
     """Return the parts that begin inside the one before; `places` holds (inner radius, outer radius, path)."""
     problems = []
     end, before = 0.0, ""
-    for r_in, r_out, path in sorted(places):
-        if before and r_in < end - _TOUCH:
+    known = [place for place in places if not math.isnan(place[0] + place[1])]  # others could not be read
+    for r_in, r_out, path in sorted(known):
+        if r_in < end - _TOUCH:
             given = f"r = {r_in:.4f} to {r_out:.4f} mm"
             problems.append(Problem(path, given, f"no overlap with {before}, which reaches to {end:.4f} mm"))
         if r_out > end:

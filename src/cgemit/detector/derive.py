@@ -23,7 +23,7 @@ def complete_layer(values: dict[str, Any]) -> None:
 
 def strips_x(radius: float, sheets: int, pitch: float) -> int:
     """Return how many whole X strips fit on a sheet."""
-    return math.floor(2 * math.pi * radius / (sheets * pitch))
+    return _floor(2 * math.pi * radius / (sheets * pitch))
 
 
 def strips_v(width: float, length: float, stereo: float, pitch: float) -> int:
@@ -32,4 +32,9 @@ def strips_v(width: float, length: float, stereo: float, pitch: float) -> int:
     `width` runs from the first X strip to the last. With the stereo angle of the diagonal this is the experiment's
     2 length sin(stereo)/pitch.
     """
-    return math.floor((width * math.cos(stereo) + length * math.sin(abs(stereo))) / pitch)
+    return _floor((width * math.cos(stereo) + length * math.sin(abs(stereo))) / pitch)
+
+
+def _floor(value: float) -> int:
+    # A value that could not be read stays unusable; its problem has been noted.
+    return value if math.isnan(value) else math.floor(value)  # type: ignore[return-value]

@@ -1,5 +1,6 @@
 """Detector files: where they are, what they say, and the chain of bases below them."""
 
+import re
 import tomllib
 from collections.abc import Mapping
 from functools import cache
@@ -10,7 +11,7 @@ from typing import Any, NamedTuple
 from .merge import merged
 from .problems import DetectorError, Problem, did_you_mean
 
-_DATA = resources.files("cgemit.data")
+_DATA = resources.files("cgemit.data") / "detectors"
 
 
 class Source(NamedTuple):
@@ -55,7 +56,7 @@ def open_source(source: str | Path | Mapping[str, Any], folder: Path | None = No
     if isinstance(source, Mapping):
         return Source(str(source.get("name", "detector")), folder, dict(source))
     text = str(source)
-    if isinstance(source, str) and (text in preset_names() or (folder is None and text.startswith("_besiii"))):
+    if re.fullmatch(r"[\w-]+", text) and (_DATA / f"{text}.toml").is_file():
         return Source(text, None, _preset_tables(text))
     path = Path(text) if folder is None else folder / text
     if not path.is_file():
@@ -84,17 +85,11 @@ def resolve(source: Source, problems: list[Problem]) -> dict[str, Any]:
 
 
 def _base_of(chain: list[Source], base: object, problems: list[Problem]) -> Source | None:
-    known = preset_names()
     if not isinstance(base, str):
         problems.append(Problem("base", repr(base), "the name of a preset or of a detector file"))
         return None
     try:
-        # A preset's own base is a part of presets; a user's file may name presets and files beside it.
-        is_part = base.startswith("_") and chain[-1].name in (
-            *known,
-            *(s.name for s in chain if s.name.startswith("_")),
-        )
-        found = Source(base, None, _preset_tables(base)) if is_part else open_source(base, chain[-1].folder)
+        found = open_source(base, chain[-1].folder)
     except DetectorError as error:
         problems += [problem._replace(path="base") for problem in error.problems]
         return None

@@ -1,10 +1,10 @@
-"""What each key of a detector file may hold: stated once on the dataclass field, used to read, check and document it."""
+"""What each key of a detector file may hold: stated once, on the dataclass field; reader, checks and schema use it."""
 
 import dataclasses
 from dataclasses import dataclass
 from typing import Any
 
-from ..units import NATIVE, describe, format_quantity
+from ..units import NATIVE, describe
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class Key:
         if self.low == -float("inf"):
             return text
         if self.kind in NATIVE:
-            return f"{text} from {format_quantity(self.low, self.kind)} to {format_quantity(self.high, self.kind)}"
+            return f"{text} from {self.low:g} to {self.high:g} {NATIVE[self.kind]}".rstrip()
         return f"{text} from {self.low:g} to {self.high:g}"
 
 

@@ -83,7 +83,7 @@ class Material:
 @cache
 def elements() -> dict[str, Element]:
     """Return the known elements by symbol."""
-    text = (resources.files("cgemit.data") / "elements.csv").read_text(encoding="utf-8")
+    text = (resources.files("cgemit.data") / "detectors" / "elements.csv").read_text(encoding="utf-8")
     rows = csv.DictReader(line for line in text.splitlines() if not line.startswith("#"))
     return {row["symbol"]: Element(int(row["Z"]), float(row["A"]), float(row["I"])) for row in rows}
 

@@ -4,7 +4,6 @@ import dataclasses
 from collections.abc import Mapping
 from typing import Any
 
-from .keys import Key
 from .material import (
     Material,
     excitation_of_fractions,
@@ -15,7 +14,6 @@ from .material import (
 from .problems import did_you_mean
 from .read import Reader
 
-_BASE = {"base": Key("text", "the material that this one is, at another density")}
 _BULK = ("x0", "z_over_a", "excitation_energy")
 
 
@@ -30,9 +28,7 @@ def read_materials(reader: Reader, known: Mapping[str, Material], raw: Mapping[s
             for name in [n for n, table in waiting.items() if _base(table) not in raw] or list(waiting):
                 base = _base(waiting.pop(name)) or ""
                 hint = did_you_mean(base, found)
-                reader.note(
-                    f"materials.{name}.base", f'"{base}"', "a material that does not lead back to this one", hint
-                )
+                reader.note(f"materials.{name}.base", f'"{base}"', "the name of another material", hint)
                 found[name] = None
         for name in ready:
             found[name] = _material(reader, name, waiting.pop(name), found)
@@ -47,8 +43,9 @@ def _base(table: object) -> str | None:
 def _material(reader: Reader, name: str, raw: object, found: Mapping[str, Material | None]) -> Material | None:
     path = f"materials.{name}"
     base = found.get(_base(raw) or "")
-    values = reader.table(path, raw, Material, _BASE, defaults={"density": base.density} if base else None)
-    if values is None or (_base(raw) and base is None):
+    before = len(reader.problems)
+    values = reader.table(path, raw, Material, defaults={"density": base.density} if base else None)
+    if len(reader.problems) > before or (_base(raw) and base is None):
         return None
     values.pop("base", None)
     if base:

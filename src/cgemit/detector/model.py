@@ -43,7 +43,7 @@ class SubLayer:
     """One material of an electrode of a CGEM layer."""
 
     label: str
-    material: Material
+    material: Material = field(metadata=key("material", "name of the material"))
     thickness: float = field(metadata=key("length", "thickness", 1e-5, 50.0))  # mm
 
 

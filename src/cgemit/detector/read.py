@@ -1,33 +1,59 @@
 """Reading one table of a detector file: every value is checked against its key, every problem is noted."""
 
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from ..units import NATIVE, QuantityError, format_quantity, parse_quantity
+from ..units import NATIVE, QuantityError, parse_quantity
 from .check import in_range
 from .keys import Key, keys_of, required_of
 from .material import DensityEffect, Material, elements, fractions_of_formula
-from .model import SubLayer
+from .model import CgemLayer, SubLayer
 from .problems import Problem, did_you_mean
 
+TOP_LEVEL = {
+    "base": "the preset or file that this one changes",
+    "name": "name of the detector, used in results",
+    "description": "one line about it",
+    "remove": 'parts of the base to leave out, such as ["cgem.L2", "drift_chamber"]',
+    "field": "magnetic field",
+    "beam_pipe": "cylinders of the beam pipe by label",
+    "cgem": "CGEM layers by label",
+    "walls": "further cylinders by label",
+    "drift_chamber": "drift chamber; sigma, sigma_slope, efficiency, wire_x0 hold for layers without their own",
+    "materials": "materials by name",
+}
 
-class _Unusable:
-    """Marks a value whose problem has been noted."""
+#: Keys that a file may hold beside those of the dataclass.
+EXTRA: dict[type, dict[str, Key]] = {
+    CgemLayer: {"stereo_sign": Key("sign", "sign of the stereo angle where the angle itself is left out")},
+    Material: {"base": Key("text", "the material that this one is, at another density")},
+    SubLayer: {
+        "label": Key("text", "label of the sub-layer; the material's name if left out"),
+    },
+}
 
 
-UNUSABLE = _Unusable()
+#: Stands for a value whose problem has been noted: arithmetic with it stays unusable and no check of it fails, so that
+#: the rest of the part can still be checked.
+UNUSABLE: Any = math.nan
 
 
 @dataclass
 class Reader:
-    """Reads tables; notes problems; knows the materials (None for a material with problems of its own)."""
+    """Reads tables and notes problems.
+
+    `materials` holds None for a material with problems of its own. If the base could not be read (`baseless`), missing
+    values are not problems of the file.
+    """
 
     materials: Mapping[str, Material | None] = field(default_factory=dict)
     problems: list[Problem] = field(default_factory=list)
+    baseless: bool = False
 
-    def note(self, path: str, given: str, expected: str, hint: str = "") -> _Unusable:
-        """Note a problem."""
+    def note(self, path: str, given: str, expected: str, hint: str = "") -> Any:
+        """Note a problem; return UNUSABLE."""
         self.problems.append(Problem(path, given, expected, hint))
         return UNUSABLE
 
@@ -43,11 +69,12 @@ class Reader:
         path: str,
         raw: object,
         kind: type,
-        extra: Mapping[str, Key] | None = None,
+        *,
+        elsewhere: Iterable[str] = (),
         defaults: Mapping[str, Any] | None = None,
         siblings: Iterable[str] = (),
-    ) -> dict[str, Any] | None:
-        """Return the values of a table in native units, or None if anything in it is wrong.
+    ) -> dict[str, Any]:
+        """Return the values of a table in native units; UNUSABLE in the place of what is wrong or missing.
 
         Parameters
         ----------
@@ -57,33 +84,28 @@ class Reader:
             What the file says.
         kind : type
             The dataclass whose keys are read.
-        extra : mapping of str to Key
-            Further keys that are allowed.
+        elsewhere : iterable of str
+            Further keys that this table may hold, which the caller has read; for the message about unknown keys.
         defaults : mapping
-            Values, already read, of keys that may be missing; UNUSABLE makes the table unusable without a new problem.
+            Values, already read, of keys that may be missing.
         siblings : iterable of str
             Labels of the tables beside this one, to recognise a misspelt label.
 
         """
-        before = len(self.problems)
-        if not isinstance(raw, Mapping):
-            self.mapping(path, raw)
-            return None
-        keys = {**keys_of(kind), **(extra or {})}
+        keys = {**keys_of(kind), **EXTRA.get(kind, {})}
         values = dict(defaults or {})
-        for name, value in raw.items():
+        tables = self.mapping(path, raw)
+        for name, value in tables.items():
             if name in keys:
                 values[name] = self.value(f"{path}.{name}", value, keys[name])
             else:
-                self.note(f"{path}.{name}", "an unknown key", "one of " + ", ".join(keys), did_you_mean(name, keys))
-        missing = [name for name in keys if name in required_of(kind) - raw.keys() - values.keys()]
-        if missing:
+                known = [*keys, *elsewhere]
+                self.note(f"{path}.{name}", "an unknown key", "one of " + ", ".join(known), did_you_mean(name, known))
+        missing = [name for name in keys if name in required_of(kind) - values.keys()]
+        if missing and not self.baseless and isinstance(raw, Mapping):
             given = "only " + ", ".join(raw) if raw else "an empty table"
-            label = path.rpartition(".")[2]
-            hint = did_you_mean(label, set(siblings) - {label}) or "a part that the base does not have must be complete"
-            self.note(path, given, "also " + ", ".join(missing), hint)
-        usable = not any(value is UNUSABLE for value in values.values())
-        return values if usable and len(self.problems) == before else None
+            self.note(path, given, "also " + ", ".join(missing), _label_hint(path, siblings))
+        return {**values, **{name: _unusable(keys[name]) for name in missing}}
 
     def value(self, path: str, raw: object, key: Key) -> Any:
         """Return one value in native units, or UNUSABLE after noting what is wrong."""
@@ -99,8 +121,9 @@ class Reader:
         except QuantityError as error:
             return self.note(path, error.given, error.expected, error.hint)
         if not in_range(number, key):
-            native = format_quantity(number, key.kind)
-            return self.note(path, shown(raw) if native == raw else f"{shown(raw)} = {native}", key.expected())
+            converted = isinstance(raw, str) and NATIVE[key.kind] not in raw
+            native = f" = {number:.6g} {NATIVE[key.kind]}" if converted else ""
+            return self.note(path, shown(raw) + native, key.expected())
         return number
 
     def _plain(self, path: str, raw: object, key: Key) -> Any:
@@ -128,17 +151,14 @@ class Reader:
 
     def _stack(self, path: str, raw: object, key: Key) -> Any:
         if not isinstance(raw, list) or not raw:
-            return self.note(path, shown(raw), key.expected())
+            self.note(path, shown(raw), key.expected())
+            return _unusable(key)
         parts = []
-        label = Key("text", "label of the sub-layer; the material's name if left out")
-        material = Key("material", "name of the material")
         for i, row in enumerate(raw):
-            values = self.table(f"{path}[{i}]", row, SubLayer, {"label": label, "material": material})
-            if values is not None and "material" not in values:
-                self.note(f"{path}[{i}]", "no material", key.expected())
-            elif values is not None:
-                parts.append(SubLayer(**{"label": values["material"].name, **values}))
-        return tuple(parts) if len(parts) == len(raw) else UNUSABLE
+            values = self.table(f"{path}[{i}]", row, SubLayer)
+            values.setdefault("label", getattr(values["material"], "name", ""))
+            parts.append(SubLayer(**values))
+        return tuple(parts)
 
     def _composition(self, path: str, raw: object, key: Key) -> Any:
         if isinstance(raw, str):
@@ -168,7 +188,21 @@ class Reader:
             return self.note(path, shown(raw), key.expected())
         number = Key("dimensionless", "", -100.0, 100.0)
         values = [self._quantity(f"{path}.{name}", raw[name], number) for name in names]
-        return UNUSABLE if any(value is UNUSABLE for value in values) else DensityEffect(*values)
+        return DensityEffect(*values)
+
+
+def _unusable(key: Key) -> Any:
+    if key.kind == "stack":
+        return (SubLayer(label="", material=UNUSABLE, thickness=UNUSABLE),)
+    return UNUSABLE
+
+
+def _label_hint(path: str, siblings: Iterable[str]) -> str:
+    """Return what may be wrong with a table that is not complete: a misspelt label, or a new part."""
+    others = list(siblings)
+    label = path.rpartition(".")[2]
+    hint = did_you_mean(label, [other for other in others if other != label])
+    return hint or ("a part that the base does not have must be complete" if others else "")
 
 
 def shown(raw: object) -> str:

@@ -4,6 +4,7 @@ import dataclasses
 import math
 from collections.abc import Iterable, Sequence
 from functools import lru_cache
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -110,7 +111,7 @@ def _fillers(detector: Detector, solid: Sequence[Slab]) -> list[Slab]:
     first_wire = chamber.layers[0].r_mid if chamber else math.inf
     inside = [slab for slab in solid if slab.r_in < first_wire]
     found = []
-    for inner, outer in zip(inside, inside[1:], strict=False):
+    for inner, outer in pairwise(inside):
         if outer.r_in - inner.r_out > _TOUCH:
             found.append(Slab((Shell("air", "air", inner.r_out, outer.r_in, _ENDLESS, detector.air),)))
     return found + (_chamber_gas(chamber, solid, inside) if chamber else [])

@@ -70,7 +70,7 @@ def _value(value: Any, kind: str) -> Any:
 
 
 def _sub_layer(part: SubLayer) -> dict[str, Any]:
-    return {"label": part.label, "material": part.material.name, **_table(part)}
+    return {"label": part.label, **_table(part)}
 
 
 def _write_table(lines: list[str], path: str, table: Mapping[str, Any]) -> None:

@@ -1,0 +1,120 @@
+"""JSON Schema of detector files, for editors: made from the same keys that the reader uses."""
+
+import re
+from collections.abc import Mapping
+from typing import Any
+
+from ..units import NATIVE, format_quantity, units_of
+from .keys import Key, keys_of, required_of
+from .material import DensityEffect, Material
+from .merge import FOR_ALL_LAYERS
+from .model import CgemLayer, Cylinder, DriftChamber, Field, SubLayer, WireLayer
+from .read import EXTRA, TOP_LEVEL
+
+_NUMBER = r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?"
+_WIRE_NUMBER = r"^[0-9]+$"
+
+
+def schema() -> dict[str, Any]:
+    """Return the JSON Schema (draft 2020-12) of a detector file.
+
+    A file with a base may state any part of a table; without a base, tables must be complete.
+    """
+    parts = {
+        "partial": _top(complete=False),
+        "complete": _top(complete=True),
+        "sub_layer": _table(SubLayer, complete=True),
+    }
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "title": "cgemit detector",
+        "description": "A tracker of cylindrical GEM layers and drift chambers. Quantities are strings with units.",
+        "type": "object",
+        "if": {"required": ["base"]},
+        "then": {"$ref": "#/$defs/partial"},
+        "else": {"$ref": "#/$defs/complete"},
+        "$defs": parts,
+    }
+
+
+def _top(complete: bool) -> dict[str, Any]:
+    kinds: dict[str, dict[str, Any]] = {
+        "field": _table(Field, complete),
+        "beam_pipe": _labelled(_table(Cylinder, complete)),
+        "cgem": _labelled(_table(CgemLayer, complete)),
+        "walls": _labelled(_table(Cylinder, complete)),
+        "drift_chamber": _chamber(complete),
+        "materials": _labelled(_material()),
+        "remove": {"type": "array", "items": {"type": "string"}},
+    }
+    properties = {
+        name: {"type": "string", **kinds.get(name, {}), "description": doc} for name, doc in TOP_LEVEL.items()
+    }
+    found = {"type": "object", "properties": properties, "additionalProperties": False}
+    if complete:
+        found |= {"required": ["field"], "anyOf": [{"required": ["cgem"]}, {"required": ["drift_chamber"]}]}
+    return found
+
+
+def _labelled(table: dict[str, Any]) -> dict[str, Any]:
+    return {"type": "object", "additionalProperties": table}
+
+
+def _table(kind: type, complete: bool, more: Mapping[str, Any] | None = None) -> dict[str, Any]:
+    keys = {**keys_of(kind), **EXTRA.get(kind, {})}
+    properties = {name: _value(key) for name, key in keys.items()} | dict(more or {})
+    found = {"type": "object", "properties": properties, "additionalProperties": False}
+    return {**found, "required": sorted(required_of(kind))} if complete else found
+
+
+def _chamber(complete: bool) -> dict[str, Any]:
+    """Return the drift chamber: what it says for all layers need not be said by each."""
+    layer = _table(WireLayer, complete)
+    common = {name: layer["properties"][name] for name in FOR_ALL_LAYERS}
+    if complete:
+        layer["required"] = [name for name in layer["required"] if name not in common]
+    layers = {"type": "object", "patternProperties": {_WIRE_NUMBER: layer}, "additionalProperties": False}
+    found = _table(DriftChamber, complete, {**common, "layers": layers})
+    return {**found, "required": [*found["required"], "layers"]} if complete else found
+
+
+def _material() -> dict[str, Any]:
+    bulk = ["density", "x0", "z_over_a", "excitation_energy"]
+    ways = [["base"], ["density", "composition"], bulk]
+    return {**_table(Material, complete=False), "anyOf": [{"required": names} for names in ways]}
+
+
+def _value(key: Key) -> dict[str, Any]:
+    limits = {} if key.low == -float("inf") else {"minimum": key.low, "maximum": key.high}
+    if key.kind in NATIVE:
+        return _quantity(key, limits)
+    kinds: dict[str, dict[str, Any]] = {
+        "integer": {"type": "integer", **limits},
+        "sign": {"enum": [-1, 1]},
+        "boolean": {"type": "boolean"},
+        "text": {"enum": list(key.choices)} if key.choices else {"type": "string"},
+        "material": {"type": "string"},
+        "stack": {"type": "array", "minItems": 1, "items": {"$ref": "#/$defs/sub_layer"}},
+        "composition": {
+            "anyOf": [
+                {"type": "string", "pattern": r"^([A-Z][a-z]?\d*)+$"},
+                {"type": "object", "additionalProperties": {"type": "number", "exclusiveMinimum": 0, "maximum": 1}},
+            ]
+        },
+        "numbers": {
+            "type": "object",
+            "properties": {name: {"type": "number"} for name in DensityEffect._fields},
+            "required": list(DensityEffect._fields),
+            "additionalProperties": False,
+        },
+    }
+    return {"description": key.doc, **kinds[key.kind]}
+
+
+def _quantity(key: Key, limits: dict[str, float]) -> dict[str, Any]:
+    units = "|".join(re.escape(unit) for unit in units_of(key.kind) if unit)
+    text = {"type": "string", "pattern": rf"^\s*{_NUMBER}\s*({units})\s*$"}
+    if key.kind == "dimensionless":
+        return {"description": key.doc, "anyOf": [{"type": "number", **limits}, text]}
+    span = f" ({format_quantity(key.low, key.kind)} to {format_quantity(key.high, key.kind)})" if limits else ""
+    return {"description": key.doc + span, **text}
