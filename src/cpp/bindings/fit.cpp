@@ -6,6 +6,7 @@
 #include <algorithm>
 
 #include "bindings/arrays.hpp"
+#include "bindings/hits.hpp"
 #include "common/angles.hpp"
 
 namespace py = pybind11;
@@ -20,43 +21,6 @@ struct Output {
   std::vector<std::int32_t> clusters, wires, ndf, iterations;
   std::vector<std::int8_t> status, side;
 };
-
-// Rows of hits as the core wants them: wire layers by index, not by the experiment's number.
-std::vector<Hit> make_hits(const Detector& detector, const py::dict& columns, py::ssize_t n) {
-  const auto kind_array = take<std::uint8_t>(columns, "kind");
-  const auto layer_array = take<std::int32_t>(columns, "layer"),
-             element_array = take<std::int32_t>(columns, "element"),
-             size_array = take<std::int32_t>(columns, "size");
-  const auto value_array = take<double>(columns, "value"), sigma_array = take<double>(columns, "sigma");
-  const auto kind = column(kind_array, "kind", n);
-  const auto layer = column(layer_array, "layer", n), element = column(element_array, "element", n),
-             size = column(size_array, "size", n);
-  const auto value = column(value_array, "value", n), sigma = column(sigma_array, "sigma", n);
-  std::vector<Hit> hits(static_cast<std::size_t>(n));
-  for (std::size_t i = 0; i < hits.size(); ++i) {
-    int index = layer[i];
-    int limit = 0;
-    if (kind[i] == static_cast<std::uint8_t>(View::wire)) {
-      const auto found = std::ranges::find(detector.wires, index, &WireLayer::number);
-      if (found == detector.wires.end())
-        throw std::invalid_argument("layer: no wire layer of that number in the detector");
-      index = static_cast<int>(found - detector.wires.begin());
-      limit = found->cells;
-    } else if (kind[i] > 2 || index < 0 || static_cast<std::size_t>(index) >= detector.cgem.size()) {
-      throw std::invalid_argument("kind, layer: no such CGEM layer in the detector");
-    } else {
-      limit = detector.cgem[static_cast<std::size_t>(index)].sheets;
-    }
-    if (element[i] < 0 || element[i] >= limit)
-      throw std::invalid_argument("element: no such wire or sheet in the layer");
-    hits[i] = {static_cast<View>(kind[i]), index, element[i], size[i], value[i], sigma[i]};
-  }
-  return hits;
-}
-
-Perigee from_bes3(const double* row) {
-  return {row[0], wrap_angle(row[1] + 0.5 * pi), row[2], row[3], row[4]};
-}
 
 void store(const FitResult& result, const FitSpace& space, bool residuals, Output& out) {
   const Perigee& h = result.helix;

@@ -4,6 +4,9 @@
 void bind_status(pybind11::module_& module);
 void bind_rng(pybind11::module_& module);
 void bind_detector(pybind11::module_& module);
+void bind_motion(pybind11::module_& module);
+void bind_matter(pybind11::module_& module);
+void bind_kalman(pybind11::module_& module);
 void bind_simulate(pybind11::module_& module);
 void bind_digitize(pybind11::module_& module);
 void bind_cluster(pybind11::module_& module);
@@ -14,6 +17,9 @@ PYBIND11_MODULE(_core, module, pybind11::mod_gil_not_used()) {
   bind_status(module);
   bind_rng(module);
   bind_detector(module);
+  bind_motion(module);
+  bind_matter(module);
+  bind_kalman(module);
   bind_simulate(module);
   bind_digitize(module);
   bind_cluster(module);

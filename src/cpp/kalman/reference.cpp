@@ -27,6 +27,7 @@ StepIntegral step_integral(double f) {
 }
 
 constexpr double least_kinetic = 0.1 * MeV;
+constexpr double seam_margin = 50;  // mm, more than a first helix is ever off at a CGEM layer
 
 // Derivatives follow from one picture: a change of curvature dw on a piece ds'' of the path turns all that
 // follows about that piece. With Z the quarter turn, the displacement at r(s) is
@@ -144,11 +145,9 @@ class Tracer {
     const double phi = std::atan2(point_.y, point_.x);
     double from_edge = phi - layer.phi_first[static_cast<std::size_t>(hit.element)];
     from_edge -= 2 * pi * std::floor(from_edge / (2 * pi));
-    // The hit may lie just across the sheet's first edge.
-    const double x_hit = hit.view == View::x ? hit.value : 0.5 * layer.sheet_width();
-    double x = layer.r_readout * from_edge;
     const double around = 2 * pi * layer.r_readout;
-    x += around * std::round((x_hit - x) / around);
+    double x = layer.r_readout * from_edge;
+    if (hit.view == View::x) x += around * std::round((hit.value - x) / around);
     const double x_extent = scale * gap * tan_a, z_extent = gap * per_cos * tanl_;
     const Vector5 row_x = (scale * per_cos) * r.across;
     if (hit.view == View::x) {
@@ -157,8 +156,12 @@ class Tracer {
       return;
     }
     const double cosine = std::cos(layer.stereo), sine = std::sin(layer.stereo);
-    out_.crossings.push_back(
-        {x * cosine + (layer.z_ref() - point_.z) * sine, std::abs(x_extent * cosine - z_extent * sine)});
+    double v = x * cosine + (layer.z_ref() - point_.z) * sine;
+    // Near the sheet's first edge track and hit may lie on either side of it.
+    const double other = x < 0.5 * around ? v + around * cosine : v - around * cosine;
+    const bool near_edge = std::min(x, around - x) < seam_margin;
+    if (near_edge && std::abs(other - hit.value) < std::abs(v - hit.value)) v = other;
+    out_.crossings.push_back({v, std::abs(x_extent * cosine - z_extent * sine)});
     add_row(cosine * row_x - sine * (r.along_z + (tanl_ * tan_a) * r.across));
   }
 

@@ -24,11 +24,10 @@ LossMoments core_loss(const Slab& slab, double path, const Kinematics& k, const 
   const double bracket =
       std::log(2 * electron_mass * bg * bg * cut) - k.beta2 * (1 + cut / w_max) + term.value;
   if (!(bracket > 0)) return {0, 0, 0};
-  const double widest = xi * w_max * (1 - 0.5 * k.beta2);  // Vavilov's variance, reached by slow particles
   // Per ln(p): 1/beta^2 and with it the cut fall by 2/gamma^2, (beta gamma)^2 grows by 2, beta^2 by 2
   // beta^2/gamma^2.
   const double per_log_p = -2 / (k.gamma * k.gamma) * (bracket + 1 + k.beta2) + 2 + term.slope;
-  return {xi * bracket, std::min(core_width * core_width * xi * xi_track, widest), xi * per_log_p / k.p};
+  return {xi * bracket, xi * cut * (1 - 0.5 * k.beta2 * cut / w_max), xi * per_log_p / k.p};
 }
 
 }  // namespace cgemit

@@ -85,12 +85,11 @@ struct LossMoments {
   double slope;     // d(loss)/d(p), GeV per GeV/c
 };
 
-// Landau's distribution has no variance and a mean that rare collisions dominate; what most tracks do is
-// described by its core. Location: mean loss with transfers limited to `core_cut` times the track's xi.
-// Width: that of a Gaussian with Landau's full width at half maximum, 4.02 xi (PDG 2024 sec. 34.2.9), taken
-// once for the track and shared out.
-inline constexpr double core_cut = 5.9;
-inline constexpr double core_width = 4.018 / 2.3548200450309493;
+// Landau's distribution has no variance, and rare collisions dominate its mean. The fit describes the core:
+// mean and variance of all collisions with a transfer below `core_cut` times the track's xi. Harder ones,
+// xi/cut of them per track, happen to one track in ten and are left to the tail. The cut is the track's, so
+// the moments of slabs add up. Slow particles (cut above w_max) get Bethe's mean and Vavilov's variance.
+inline constexpr double core_cut = 10;
 
 LossMoments core_loss(const Slab& slab, double path, const Kinematics& k, const TrackMatter& track);
 

@@ -1,0 +1,182 @@
+"""Track fit: Kalman filter from the outermost hit inward to the origin (docs/methods/fit.md)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from cgemit import _core, helix
+from cgemit.detector import Detector, compiled
+from cgemit.find import Candidates, FitHits, fit_hits
+from cgemit.tables import Table
+
+FitStatus = _core.FitStatus
+Floats = npt.NDArray[np.float64]
+
+SEEDS = ("hits", "truth")
+ERRORS = ("track", "cluster")
+PARAMETERS = ("dr", "phi0", "kappa", "dz", "tanl")
+
+
+@dataclass(frozen=True, kw_only=True)
+class FitSettings:
+    """How tracks are fitted.
+
+    Attributes
+    ----------
+    seed : str
+        Where the first helix comes from: ``"hits"``, a circle and a line through the drift-chamber hits, or
+        ``"truth"``, the true helix smeared by `seed_smearing`.
+    cluster_errors : str
+        ``"track"``: from the number of strips and the incidence of the track. ``"cluster"``: as in the clusters
+        table, from the number of strips and the layer alone.
+    residuals : bool
+        Whether the residuals table is made: every hit against the track fitted without it.
+    max_iterations : int
+    tolerance : float
+        The fit has converged when no parameter moves by more than this many of its standard deviations.
+    least_width : float
+        Least spread, in strip pitches, of the position that a cluster's size allows; it stands for the error of the
+        track's incidence, so that a narrow allowed interval is not taken for a perfect measurement.
+    prior_sigma : tuple of float
+        Standard deviations of (dr mm, phi0 rad, kappa (GeV/c)^-1, dz mm, tanl) that the filter begins with.
+    seed_smearing : tuple of float
+        Standard deviations by which a true helix is smeared: (dr mm, phi0 rad, kappa relative, dz mm, tanl).
+
+    Raises
+    ------
+    ValueError
+        Listing every value that makes no sense.
+    """
+
+    seed: str = "hits"
+    cluster_errors: str = "track"
+    residuals: bool = False
+    max_iterations: int = 15
+    tolerance: float = 0.02
+    least_width: float = 0.1
+    prior_sigma: tuple[float, float, float, float, float] = (200.0, 2.0, 5.0, 1000.0, 5.0)
+    seed_smearing: tuple[float, float, float, float, float] = (1.0, 0.005, 0.02, 5.0, 0.005)
+
+    def __post_init__(self) -> None:
+        problems = []
+        for name, choices in (("seed", SEEDS), ("cluster_errors", ERRORS)):
+            if getattr(self, name) not in choices:
+                expected = ", ".join(map(repr, choices))
+                problems.append(f"{name}: {getattr(self, name)!r}, expected one of {expected}")
+        if self.max_iterations < 1:
+            problems.append(f"max_iterations: {self.max_iterations}, expected at least 1")
+        for name in ("tolerance", "least_width"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value > 0):
+                problems.append(f"{name}: {value}, expected a positive number")
+        for name, least in (("prior_sigma", 1e-12), ("seed_smearing", 0.0)):
+            values = getattr(self, name)
+            if len(values) != 5 or not all(math.isfinite(value) and value >= least for value in values):
+                problems.append(f"{name}: {values}, expected five numbers, none below {least:g}")
+        if problems:
+            raise ValueError("FitSettings:\n  " + "\n  ".join(problems))
+
+
+def fit(
+    detector: Detector,
+    particles: Table,
+    clusters: Table,
+    wire_hits: Table,
+    candidates: Candidates,
+    settings: FitSettings | None = None,
+    seed: int = 0,
+) -> dict[str, Table]:
+    """Fit one helix to the hits of every candidate.
+
+    Parameters
+    ----------
+    detector : Detector
+        Field and material that the fit assumes.
+    particles : Table of kind "particles"
+        The candidates' particles: mass hypothesis, and truth to compare with.
+    clusters, wire_hits : Table
+    candidates : Candidates
+        One per row of `particles`.
+    settings : FitSettings or None
+    seed : int
+        Key of the random streams; used by ``FitSettings(seed="truth")`` only.
+
+    Returns
+    -------
+    dict of str to Table
+        ``tracks``, one row per particle, and with ``settings.residuals`` also ``residuals``. Rows whose `status` is
+        not ok hold the last helix tried and NaN where the covariance has no meaning.
+    """
+    settings = settings or FitSettings()
+    hits = fit_hits(candidates, clusters, wire_hits)
+    truth = helix.at_origin(particles, detector.field.bz)
+    start = _smeared(truth, particles, settings, seed) if settings.seed == "truth" else np.empty((0, 5))
+    out = _core.fit(
+        compiled(detector),
+        hit_offsets=hits.hit_offsets,
+        hits={name: getattr(hits, name) for name in ("kind", "layer", "element", "size", "value", "sigma", "side")},
+        mass=particles["mass"],
+        start=start,
+        settings=_core.FitSettings(
+            max_iterations=settings.max_iterations,
+            tolerance=settings.tolerance,
+            errors_from_track=settings.cluster_errors == "track",
+            least_width=settings.least_width,
+            prior_sigma=settings.prior_sigma,
+        ),
+        residuals=settings.residuals,
+    )
+    span = {"n_events": particles.n_events, "first_event": particles.first_event}
+    tables = {"tracks": Table("tracks", _track_columns(out, truth, particles), **span)}
+    if settings.residuals:
+        tables["residuals"] = Table("residuals", _residual_columns(out, hits, particles), **span)
+    return tables
+
+
+def _smeared(truth: Floats, particles: Table, settings: FitSettings, seed: int) -> Floats:
+    purpose = _core.Purpose.fit_seed
+    draws = [_core.normals(seed, particles["event"], particles["particle"], purpose, place) for place in (0, 1)]
+    sigma = np.array(settings.seed_smearing) * np.where(np.arange(5) == 2, np.abs(truth[:, 2:3]), 1.0)
+    return truth + sigma * np.concatenate(draws, axis=1)[:, :5]
+
+
+def _track_columns(out: dict[str, npt.NDArray[np.generic]], truth: Floats, particles: Table) -> dict[str, npt.ArrayLike]:
+    """Columns of the tracks table: the fit, and its comparison with truth."""
+    fitted = np.asarray(out["helix"], np.float64)
+    has_cov = np.isin(out["status"], (FitStatus.ok, FitStatus.not_converged))
+    cov = np.where(has_cov[:, None, None], out["cov"], np.nan)
+    columns: dict[str, npt.ArrayLike] = {"event": particles["event"], "particle": particles["particle"]}
+    columns |= {name: fitted[:, i] for i, name in enumerate(PARAMETERS)}
+    columns |= {"cov": cov, "p": helix.momentum(fitted)}
+    columns |= {name: out[name] for name in ("chi2", "ndf", "n_clusters", "n_wires", "iterations", "status")}
+    error = np.sqrt(np.diagonal(cov, axis1=1, axis2=2))
+    quantities = [(name, truth[:, i], fitted[:, i], error[:, i]) for i, name in enumerate(PARAMETERS)]
+    quantities.append(("p", helix.momentum(truth), helix.momentum(fitted), helix.momentum_error(fitted, cov)))
+    for name, true, found, sigma in quantities:
+        residual = found - true
+        if name == "phi0":
+            residual = np.remainder(residual + np.pi, 2 * np.pi) - np.pi
+        columns |= {f"truth_{name}": true, f"res_{name}": residual, f"err_{name}": sigma, f"pull_{name}": residual / sigma}
+    return columns
+
+
+def _residual_columns(out: dict[str, npt.NDArray[np.generic]], hits: FitHits, particles: Table) -> dict[str, npt.ArrayLike]:
+    offsets = hits.hit_offsets
+    track = np.repeat(np.arange(len(particles)), np.diff(offsets))
+    used = np.asarray(out["err"], np.float64) > 0
+    residual, err = np.asarray(out["residual"])[used], np.asarray(out["err"])[used]
+    return {
+        "event": particles["event"][track][used],
+        "track": track[used],
+        "view": hits.kind[used],
+        "layer": hits.layer[used],
+        "hit": hits.row[used],
+        "residual": residual,
+        "err": err,
+        "pull": residual / err,
+        "side": np.asarray(out["side"])[used],
+    }
