@@ -1,0 +1,20 @@
+"""What to learn from the chain's tables: resolutions, pulls and how flat the chi-square probability is."""
+
+from cgemit.study.estimate import GaussianFit, Resolution, gaussian_fit, measure
+from cgemit.study.goodness import Flatness, chi2_flatness, chi2_probability
+from cgemit.study.resolutions import Curve, Pulls, pulls, resolution, resolution_against
+
+__all__ = [
+    "Curve",
+    "Flatness",
+    "GaussianFit",
+    "Pulls",
+    "Resolution",
+    "chi2_flatness",
+    "chi2_probability",
+    "gaussian_fit",
+    "measure",
+    "pulls",
+    "resolution",
+    "resolution_against",
+]

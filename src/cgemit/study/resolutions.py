@@ -1,0 +1,228 @@
+"""Resolutions and pulls of fitted tracks, with the rows that each status removed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from cgemit.study.estimate import HEAD, Floats, Resolution, measure
+from cgemit.study.present import Comparable, html_table, text_table, with_error
+from cgemit.study.removed import removed_rows
+from cgemit.tables import PARAMETERS, Table
+from cgemit.tables.check import did_you_mean
+
+#: Unit in which the resolution of each parameter is quoted, and how many of them make the native unit.
+QUOTED = {
+    "dr": ("um", 1000.0),
+    "phi0": ("mrad", 1000.0),
+    "kappa": ("1/(GeV/c)", 1.0),
+    "dz": ("mm", 1.0),
+    "tanl": ("1e-3", 1000.0),
+    "p": ("MeV/c", 1000.0),
+}
+#: What tracks can be binned in: a function of the table, and the unit.
+BY: dict[str, tuple[Callable[[Table], Floats], str]] = {
+    "p": (lambda tracks: tracks["truth_p"], "GeV/c"),
+    "pt": (lambda tracks: 1 / np.abs(tracks["truth_kappa"]), "GeV/c"),
+    "cos_theta": (lambda tracks: tracks["truth_tanl"] / np.sqrt(1 + tracks["truth_tanl"] ** 2), ""),
+    "charge": (lambda tracks: np.sign(tracks["truth_kappa"]), "e"),
+}
+
+
+def resolution(tracks: Table, parameter: str, *, window: tuple[float, float] | None = None) -> Resolution:
+    """Return the widths of the residual (fitted minus true) of one parameter.
+
+    Parameters
+    ----------
+    tracks : Table
+        Of kind "tracks". Rows whose fit ended well are used; the others are counted by status.
+    parameter : str
+        One of dr, phi0, kappa, dz, tanl, p.
+    window : (low, high) or None
+        Where the RMS looks, in the quoted unit; None looks everywhere.
+
+    Returns
+    -------
+    Resolution
+        In um (dr), mrad (phi0), 1/(GeV/c) (kappa), mm (dz), 1e-3 (tanl), MeV/c (p).
+
+    Raises
+    ------
+    ValueError
+        If the parameter is unknown or the window is empty.
+    """
+    unit, scale = QUOTED[_known(parameter, "parameter", list(QUOTED))]
+    return _measure(tracks, f"res_{parameter}", parameter, unit, scale, window)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Pulls(Comparable):
+    """The pulls (residual / error) of all parameters; `rms` and `mean` are the plain width and mean."""
+
+    pulls: tuple[Resolution, ...]
+
+    def __getitem__(self, parameter: str) -> Resolution:
+        names = [pull.parameter for pull in self.pulls]
+        return self.pulls[names.index(_known(parameter, "parameter", names))]
+
+    def __iter__(self) -> Iterator[Resolution]:
+        return iter(self.pulls)
+
+    def __len__(self) -> int:
+        return len(self.pulls)
+
+    def _rows(self) -> list[list[str]]:
+        return [[pull.parameter, *pull.cells(), with_error(pull.mean, pull.mean_error)] for pull in self.pulls]
+
+    def __repr__(self) -> str:
+        return text_table("pulls", ("parameter", *HEAD, "mean"), self._rows())
+
+    def _repr_html_(self) -> str:
+        return html_table("pulls", ("parameter", *HEAD, "mean"), self._rows())
+
+
+def pulls(tracks: Table) -> Pulls:
+    """Return mean and width of the pulls of dr, phi0, kappa, dz, tanl and p, core and plain, with errors.
+
+    Parameters
+    ----------
+    tracks : Table
+        Of kind "tracks".
+    """
+    return Pulls(tuple(_measure(tracks, f"pull_{name}", name, "", 1.0, None) for name in PARAMETERS))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Curve(Comparable):
+    """The widths of one parameter in bins of something.
+
+    Attributes
+    ----------
+    parameter, unit, by, by_unit : str
+    edges : tuple of float
+        Limits of the bins, one more than bins.
+    x : tuple of float
+        Mean of `by` in each bin; NaN where it is empty.
+    values : tuple of Resolution
+        One per bin.
+    outside : int
+        Rows in no bin.
+    """
+
+    parameter: str
+    unit: str
+    by: str
+    by_unit: str
+    edges: tuple[float, ...]
+    x: tuple[float, ...]
+    values: tuple[Resolution, ...]
+    outside: int
+
+    def column(self, name: str) -> Floats:
+        """Return one number of each bin, such as ``"core"`` or ``"core_error"``, (bins,) float64."""
+        return np.array([getattr(value, name) for value in self.values], np.float64)
+
+    def _head(self) -> tuple[str, ...]:
+        return (f"{self.by} [{self.by_unit}]" if self.by_unit else self.by, *HEAD)
+
+    def _rows(self) -> list[list[str]]:
+        spans = [f"{low:g} to {high:g}" for low, high in zip(self.edges[:-1], self.edges[1:], strict=True)]
+        return [[span, *value.cells()] for span, value in zip(spans, self.values, strict=True)]
+
+    def _title(self) -> str:
+        label = f"{self.parameter} [{self.unit}]" if self.unit else self.parameter
+        return f"{label} against {self.by}, {self.outside} rows in no bin"
+
+    def __repr__(self) -> str:
+        return text_table(self._title(), self._head(), self._rows())
+
+    def _repr_html_(self) -> str:
+        return html_table(self._title(), self._head(), self._rows())
+
+
+def resolution_against(
+    tracks: Table,
+    parameter: str,
+    by: str = "cos_theta",
+    bins: int | npt.ArrayLike = 10,
+    *,
+    kind: Literal["residual", "pull"] = "residual",
+    window: tuple[float, float] | None = None,
+) -> Curve:
+    """Return the widths of a parameter's residual or pull in bins of a true quantity.
+
+    Parameters
+    ----------
+    tracks : Table
+        Of kind "tracks".
+    parameter : str
+        One of dr, phi0, kappa, dz, tanl, p.
+    by : str
+        p, pt (GeV/c), cos_theta or charge (e), all true values.
+    bins : int or (m + 1,) array_like
+        Number of equal bins, or their increasing limits. A bin holds its lower limit, the last one both.
+    kind : str
+        "residual" (quoted units) or "pull".
+    window : (low, high) or None
+        Where the RMS looks.
+
+    Raises
+    ------
+    ValueError
+        If a name is unknown or the limits do not increase.
+    """
+    unit, scale = QUOTED[_known(parameter, "parameter", list(QUOTED))]
+    quantity, by_unit = BY[_known(by, "by", list(BY))]
+    _known(kind, "kind", ["residual", "pull"])
+    column = f"res_{parameter}" if kind == "residual" else f"pull_{parameter}"
+    unit, scale = (unit, scale) if kind == "residual" else ("", 1.0)
+    x = np.asarray(quantity(tracks), np.float64)
+    edges = _edges(x, bins)
+    bin_of = np.searchsorted(edges, x, side="right") - 1
+    bin_of[x == edges[-1]] = len(edges) - 2
+    bin_of[~np.isfinite(x) | (x > edges[-1])] = -1
+    chosen = [bin_of == i for i in range(len(edges) - 1)]
+    values = tuple(_measure(tracks, column, parameter, unit, scale, window, rows) for rows in chosen)
+    means = tuple(float(x[rows].mean()) if rows.any() else math.nan for rows in chosen)
+    outside = len(x) - sum(int(np.count_nonzero(rows)) for rows in chosen)
+    return Curve(parameter, unit, by, by_unit, tuple(map(float, edges)), means, values, outside)
+
+
+def _known(name: str, what: str, known: list[str]) -> str:
+    if name not in known:
+        raise ValueError(f"{what}: got {name!r}; expected one of {', '.join(known)}{did_you_mean(name, known)}")
+    return name
+
+
+def _measure(
+    tracks: Table,
+    column: str,
+    parameter: str,
+    unit: str,
+    scale: float,
+    window: tuple[float, float] | None,
+    rows: npt.NDArray[np.bool_] | slice = slice(None),
+) -> Resolution:
+    """Measure a column of the tracks that are good, of the given rows."""
+    status, values = tracks["status"][rows], tracks[column][rows]
+    good = status == 0
+    usable = good & np.isfinite(values)
+    removed = removed_rows(status, int(np.count_nonzero(good & ~usable)))
+    return measure(scale * values[usable], parameter=parameter, unit=unit, window=window, removed=removed)
+
+
+def _edges(x: Floats, bins: int | npt.ArrayLike) -> Floats:
+    if isinstance(bins, int | np.integer):
+        finite = x[np.isfinite(x)]
+        if bins < 1 or not len(finite):
+            raise ValueError(f"bins: got {bins} for {len(finite)} rows; expected at least one bin and one row")
+        return np.histogram_bin_edges(finite, int(bins)).astype(np.float64)
+    edges = np.asarray(bins, np.float64)
+    if edges.ndim != 1 or len(edges) < 2 or not np.all(np.diff(edges) > 0):
+        raise ValueError(f"bins: got {bins!r}; expected a number of bins or at least two increasing limits")
+    return edges
