@@ -41,7 +41,8 @@ def unrolled(columns, entry, exit_, margin):
     width = columns["strips_x"][0] * columns["pitch_x"][0]
     sheet, x = np.full(SAMPLES, -1), np.zeros(SAMPLES)
     for s in range(columns["sheets"][0]):
-        from_edge = np.mod(r * (phi - columns["phi_first"][0, s]) + 1, 2 * np.pi * r) - 1  # from -1 mm upwards
+        before = max(0.0, -margin)  # X counts from here
+        from_edge = np.mod(r * (phi - columns["phi_first"][0, s]) + before, 2 * np.pi * r) - before
         on = (from_edge > margin) & (from_edge < width - margin) & (np.abs(z) < half - margin)
         sheet[on], x[on] = s, from_edge[on]
     stereo = columns["stereo"][0]
