@@ -77,8 +77,19 @@ def truth_columns(event, layer, entry, exit_, middle=None, particle=None, energy
     for name, points in (("entry", entry), ("exit", exit_)):
         columns |= {f"{name}_{axis}": points[:, k].copy() for k, axis in enumerate("xyz")}
     columns["phi"] = np.arctan2(middle[:, 1], middle[:, 0])
+    columns["r"] = np.hypot(middle[:, 1], middle[:, 0])
     columns["z"] = middle[:, 2].copy()
-    return columns | {"time": full(time, "f8"), "energy": full(energy, "f8")}
+    columns |= {name: full(0.0, "f8") for name in ("px", "py", "pz", "path")}
+    return columns | {"time": full(time, "f8"), "energy": full(energy, "f8"), "secondaries": full(0, "u1")}
+
+
+def wire_truth_columns(event, layer, wire, doca, particle=0):
+    """Columns of wire_truths; event, layer, wire, doca and particle are numbers or (n,)."""
+    event, layer, wire, doca, particle = np.broadcast_arrays(event, layer, wire, np.atleast_1d(doca), particle)
+    numbers = {"event": event, "particle": particle, "layer": layer, "wire": wire}
+    columns = {name: values.astype("i8" if name == "event" else "i4") for name, values in numbers.items()}
+    columns |= {name: np.zeros(len(doca)) for name in ("x", "y", "z", "time")}
+    return columns | {"doca": doca.astype(float), "side": np.where(doca < 0, -1, 1).astype("i1")}
 
 
 def helix_points(p, cos_theta, phi, charge, bz, radius):

@@ -1,0 +1,144 @@
+"""Hits assigned to particles by truth: who gets what, and in which order."""
+
+import numpy as np
+import pytest
+
+import gem_toy
+from cgemit.cluster import cluster
+from cgemit.detector import load
+from cgemit.digitize import DigitizeSettings, digitize
+from cgemit.find import HIT_V, HIT_WIRE, HIT_X, by_truth, fit_hits
+from cgemit.tables import Table
+
+EVENTS = 30
+
+
+def particle_table(event, particle, n_events=EVENTS):
+    """Particles of which only event and number matter."""
+    n = len(event)
+    columns = {name: np.zeros(n) for name in ("mass", "x", "y", "z", "px", "py", "pz")}
+    columns |= {"event": np.array(event), "particle": np.array(particle, "i4"), "pdg": np.full(n, 13, "i4")}
+    columns |= {"charge": np.full(n, -1, "i1"), "status": np.zeros(n, "i1")}
+    return Table("particles", columns, n_events)
+
+
+@pytest.fixture(scope="module", params=["binary", "gaussian"])
+def chain(request):
+    """Two particles in each of 30 events, hits from outside to inside in the truths, wires before their layer order."""
+    detector = load("besiii-cgem-design")
+    rng = np.random.default_rng(3)
+    singles = gem_toy.muons_through(gem_toy.design_layers(), 2 * EVENTS, seed=3, limit=0.7)
+    truths = {name: values[::-1].copy() for name, values in singles.items()}
+    truths["event"], truths["particle"] = np.repeat(np.arange(EVENTS), 6), np.tile([1, 1, 1, 0, 0, 0], EVENTS)
+    n = 2 * EVENTS * 10
+    wires = gem_toy.wire_truth_columns(
+        np.repeat(np.arange(EVENTS), 20),
+        np.tile(np.arange(17, 7, -1), 2 * EVENTS),
+        rng.integers(0, 76, n),
+        rng.uniform(-8, 8, n),
+        np.tile(np.repeat([0, 1], 10), EVENTS),
+    )
+    truths = Table("truths", truths, EVENTS)
+    wire_truths = Table("wire_truths", wires, EVENTS)
+    hits = digitize(detector, truths, wire_truths, DigitizeSettings(readout=request.param), seed=2)
+    clusters = hits["clusters"] if "clusters" in hits else cluster(detector, hits["digis"])
+    return {"truths": truths, "wire_truths": wire_truths, "wire_hits": hits["wire_hits"], "clusters": clusters}
+
+
+def candidates_of(chain, particles):
+    """Candidates of a particles table."""
+    return by_truth(particles, chain["clusters"], chain["wire_hits"], chain["truths"], chain["wire_truths"])
+
+
+def hits_of(candidates, i):
+    """Set of (kind, row) of one candidate."""
+    part = slice(*candidates.hit_offsets[i : i + 2])
+    return set(zip(candidates.kind[part].tolist(), candidates.row[part].tolist(), strict=True))
+
+
+def expected_hits(chain, event, particle):
+    """The same by loops over the rows."""
+    hits = set()
+    for row in range(len(chain["clusters"])):
+        view, truth = chain["clusters"]["view"][row], chain["clusters"]["truth"][row]
+        owner = chain["truths"]["event"][truth], chain["truths"]["particle"][truth]
+        if view < 2 and truth >= 0 and owner == (event, particle):
+            hits.add((int(view), row))
+    for row, truth in enumerate(chain["wire_hits"]["wire_truth"]):
+        if (chain["wire_truths"]["event"][truth], chain["wire_truths"]["particle"][truth]) == (event, particle):
+            hits.add((HIT_WIRE, row))
+    return hits
+
+
+@pytest.mark.parametrize("order", [[0, 1], [1, 0]])
+def test_each_particle_gets_its_own_hits(chain, order):
+    """Against a loop over all rows, whatever the order of the particles within their event."""
+    particles = particle_table(np.repeat(np.arange(EVENTS), 2), np.tile(order, EVENTS))
+    candidates = candidates_of(chain, particles)
+    for i in (0, 1, 7, 2 * EVENTS - 1):
+        assert hits_of(candidates, i) == expected_hits(chain, particles["event"][i], particles["particle"][i])
+    used = np.count_nonzero(chain["clusters"]["view"] < 2) + len(chain["wire_hits"])
+    assert candidates.hit_offsets[-1] == used
+
+
+def test_particles_that_are_not_in_the_table_keep_their_hits(chain):
+    """A table without particle 0 leaves that one's hits over; one without hits gets an empty candidate."""
+    particles = particle_table([2, 5, 5], [1, 1, 7])
+    candidates = candidates_of(chain, particles)
+    assert np.diff(candidates.hit_offsets)[2] == 0
+    assert hits_of(candidates, 0) == expected_hits(chain, 2, 1)
+    assert hits_of(candidates, 1) == expected_hits(chain, 5, 1)
+    assert len(candidates.row) == candidates.hit_offsets[-1] == len(candidates.kind)
+
+
+def test_no_particles_no_candidates(chain):
+    """Empty tables on either side."""
+    assert candidates_of(chain, particle_table([], [])).hit_offsets.tolist() == [0]
+    empty = {kind: Table.empty(kind, EVENTS) for kind in ("clusters", "wire_hits", "truths", "wire_truths")}
+    assert candidates_of(empty, particle_table([0, 1], [0, 0])).hit_offsets.tolist() == [0, 0, 0]
+
+
+def test_hits_come_from_the_beam_line_outward(chain):
+    """CGEM layers, then wire layers, each inside out; in a layer X before V."""
+    particles = particle_table(np.repeat(np.arange(EVENTS), 2), np.tile([0, 1], EVENTS))
+    candidates = candidates_of(chain, particles)
+    hits = fit_hits(candidates, chain["clusters"], chain["wire_hits"])
+    candidate = np.repeat(np.arange(2 * EVENTS), np.diff(hits.hit_offsets))
+    place = np.column_stack([candidate, hits.kind == HIT_WIRE, hits.layer, hits.element, hits.kind]).tolist()
+    assert place == sorted(place)
+
+
+def test_measurements_are_those_of_the_rows(chain):
+    """Value, error, element, size and side of every hit, from the table it belongs to."""
+    particles = particle_table(np.repeat(np.arange(EVENTS), 2), np.tile([0, 1], EVENTS))
+    hits = fit_hits(candidates_of(chain, particles), chain["clusters"], chain["wire_hits"])
+    columns = {
+        HIT_X: ("clusters", {"value": "x", "sigma": "err_x", "element": "sheet", "layer": "layer", "size": "size"}),
+        HIT_V: ("clusters", {"value": "v", "sigma": "err_v", "element": "sheet", "layer": "layer", "size": "size"}),
+        HIT_WIRE: (
+            "wire_hits",
+            {"value": "drift", "sigma": "sigma", "element": "wire", "layer": "layer", "side": "side"},
+        ),
+    }
+    for kind, (table, names) in columns.items():
+        chosen = hits.kind == kind
+        assert chosen.any()
+        for name, column in names.items():
+            np.testing.assert_array_equal(getattr(hits, name)[chosen], chain[table][column][hits.row[chosen]])
+    assert not np.isnan(hits.value).any()
+    assert set(hits.size[hits.kind == HIT_WIRE]) == {0}
+    assert set(hits.side[hits.kind != HIT_WIRE]) == {0}
+    expected = {"kind": "u1", "layer": "i4", "element": "i4", "value": "f8", "sigma": "f8", "size": "i4", "side": "i1"}
+    assert all(getattr(hits, name).dtype == dtype for name, dtype in (expected | {"row": "i8"}).items())
+
+
+def test_later_events_count_from_the_first(chain):
+    """Tables that start at event 10 work the same."""
+    cut = {
+        "clusters": chain["clusters"].select_events(10, 20),
+        "wire_hits": chain["wire_hits"].select_events(10, 20),
+    }
+    particles = particle_table(np.repeat(np.arange(EVENTS), 2), np.tile([0, 1], EVENTS)).select_events(10, 20)
+    part = by_truth(particles, cut["clusters"], cut["wire_hits"], chain["truths"], chain["wire_truths"])
+    whole = candidates_of(chain, particle_table(np.repeat(np.arange(EVENTS), 2), np.tile([0, 1], EVENTS)))
+    np.testing.assert_array_equal(np.diff(part.hit_offsets), np.diff(whole.hit_offsets)[20:40])
