@@ -77,8 +77,11 @@ def geometry_problems(
             problems.append(Problem(f"cgem.{layer.label}", given, "gaps and electrodes that fit inside anode_radius"))
         places.append((layer.r_in, layer.r_out, f"cgem.{layer.label}"))
     if chamber:
-        problems += _chamber_problems(chamber)
-        places += [(min(w.r_mid, w.r_end), w.r_end, f"drift_chamber.layers.{w.number}") for w in chamber.layers]
+        wrong = _chamber_problems(chamber)
+        problems += wrong
+        # A layer with a problem of its own would only repeat it as an overlap.
+        sound = [w for w in chamber.layers if not any(str(w.number) in problem.path.split(".") for problem in wrong)]
+        places += [(w.r_mid, w.r_end, f"drift_chamber.layers.{w.number}") for w in sound]
     return problems + _overlaps(places)
 
 
@@ -99,8 +102,8 @@ def _strip_problems(layer: "CgemLayer") -> list[Problem]:
         most = math.floor(width / layer.pitch_x + 1e-9)
         given = f"{layer.strips_x} strips of {layer.pitch_x:g} mm"
         problems.append(Problem(f"{path}.strips_x", given, f"at most {most} on a sheet {width:.3f} mm wide"))
-    width = min(width, layer.strips_x * layer.pitch_x)
-    extent = width * math.cos(layer.stereo) + layer.length * math.sin(abs(layer.stereo))
+        return problems  # V strips cross the X strips: nothing to say about them yet
+    extent = layer.strips_x * layer.pitch_x * math.cos(layer.stereo) + layer.length * math.sin(abs(layer.stereo))
     if layer.strips_v * layer.pitch_v > extent + _TOUCH:
         most = math.floor(extent / layer.pitch_v + 1e-9)
         given = f"{layer.strips_v} strips of {layer.pitch_v:g} mm"
@@ -135,14 +138,20 @@ def _chamber_problems(chamber: "DriftChamber") -> list[Problem]:
 
 
 def _overlaps(places: list[tuple[float, float, str]]) -> list[Problem]:
-    """Return the parts that begin inside the one before; `places` holds (inner radius, outer radius, path)."""
-    problems = []
-    end, before = 0.0, ""
+    """Return the parts that begin inside another one; `places` holds (inner radius, outer radius, path)."""
+    covered: dict[tuple[float, float, str], list[tuple[float, float, str]]] = {}
     known = [place for place in places if not math.isnan(place[0] + place[1])]  # others could not be read
-    for r_in, r_out, path in sorted(known):
-        if r_in < end - _TOUCH:
-            given = f"r = {r_in:.4f} to {r_out:.4f} mm"
-            problems.append(Problem(path, given, f"no overlap with {before}, which reaches to {end:.4f} mm"))
-        if r_out > end:
-            end, before = r_out, path
-    return problems
+    before = (0.0, 0.0, "")
+    for place in sorted(known):
+        if place[0] < before[1] - _TOUCH:
+            covered.setdefault(before, []).append(place)
+        before = max(before, place, key=lambda part: part[1])
+    return [_overlap(part, inside) for part, inside in covered.items()]
+
+
+def _overlap(part: tuple[float, float, str], inside: list[tuple[float, float, str]]) -> Problem:
+    """Return one problem for all that begin inside a part; the odd one out is the one to look at."""
+    culprit, others = (inside[0], [part]) if len(inside) == 1 else (part, inside)
+    names = ", ".join(f"{path} ({r_in:.4f} to {r_out:.4f} mm)" for r_in, r_out, path in others[:3])
+    more = f" and {len(others) - 3} more" if len(others) > 3 else ""
+    return Problem(culprit[2], f"r = {culprit[0]:.4f} to {culprit[1]:.4f} mm", f"no overlap with {names}{more}")

@@ -203,6 +203,15 @@ class WireLayer:
         """Radius of the wires at z = 0, mm."""
         return self.r_end * math.cos(0.5 * self.twist)
 
+    def end_points(self, wire: int) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+        """Return the ends of a wire, (x, y, z) in mm: first the one at +z, then the one at -z."""
+        east = self.phi_east + 2 * math.pi * wire / self.cells
+        west = east - self.twist
+        return (
+            (self.r_end * math.cos(east), self.r_end * math.sin(east), self.half_length),
+            (self.r_end * math.cos(west), self.r_end * math.sin(west), -self.half_length),
+        )
+
 
 @dataclass(frozen=True, kw_only=True)
 class DriftChamber:

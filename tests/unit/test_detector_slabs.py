@@ -1,0 +1,173 @@
+"""The compiled form: slabs of matter, read-out and wires as the core sees them."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+from cgemit import _core
+from cgemit.detector import CgemLayer, Detector, compiled, detectors, load, slab_table, slabs
+from cgemit.detector.slabs import cgem_table, wire_table
+
+DESIGN = load("besiii-cgem-design")
+
+
+def group(index: int) -> str:
+    return slabs(DESIGN)[index].shells[0].group
+
+
+def test_order_of_the_design_detector() -> None:
+    cgem = ["cathode", "drift", "foils", "anode", "air"]
+    expected = ["pipe", "air", *cgem, *cgem, *cgem, "wall", *["gas"] * 35]
+    assert [slab.shells[0].group for slab in slabs(DESIGN)] == expected
+    assert [slab.gap for slab in slabs(DESIGN) if slab.gap >= 0] == [0, 1, 2]
+
+
+@pytest.mark.parametrize("name", list(detectors()))
+@pytest.mark.parametrize("merge", [True, False])
+def test_slabs_fill_space_without_gap_or_overlap(name: str, merge: bool) -> None:
+    table, log_terms = slab_table(load(name), merge)
+    assert np.allclose(table["r_in"][1:], table["r_out"][:-1], atol=1e-9)
+    assert np.all((table["r_in"] < table["radius"]) & (table["radius"] < table["r_out"]))
+    assert np.all(table["spread"] > 0)
+    assert np.all(table["x0"] > 0)
+    assert np.all(table["xi"] > 0)
+    assert log_terms.shape == (len(table["x0"]), _core.LOSS_POINTS)
+    assert np.all(np.isfinite(log_terms))
+
+
+@pytest.mark.parametrize("name", list(detectors()))
+def test_merging_keeps_the_matter_and_its_moments(name: str) -> None:
+    (merged, merged_log), (single, single_log) = slab_table(load(name), True), slab_table(load(name), False)
+    for table in (merged, single):
+        table["first"] = table["x0"] * table["radius"]
+        table["second"] = table["x0"] * (table["radius"] ** 2 + table["spread"] ** 2)
+    assert len(single["x0"]) > len(merged["x0"])
+    for column in ("x0", "xi", "first", "second"):
+        assert np.sum(merged[column]) == pytest.approx(np.sum(single[column]), rel=1e-12)
+    assert merged["xi"] @ merged_log == pytest.approx(single["xi"] @ single_log, rel=1e-12)
+    assert merged["gap"].max() == single["gap"].max()
+
+
+def test_cathode_by_hand() -> None:
+    # L1 of the design: the nine sub-layers end at the cathode side of the gap, r = 76.338 mm for 650 um strips.
+    layers = [(0.003, 14.35), (0.05, 284.1), (0.015, 336.0), (1.9, 13000), (0.015, 336.0), (0.025, 284.1),
+              (0.015, 336.0), (0.05, 284.1), (0.003, 14.35)]  # fmt: skip
+    radius = 87.5 - 6.162 - 5 - sum(thickness for thickness, _ in layers)
+    weights, middles, widths = [], [], []
+    for thickness, x0 in layers:
+        weights.append(thickness / x0)
+        middles.append(radius + thickness / 2)
+        widths.append(thickness**2 / 12)
+        radius += thickness
+    centre = np.average(middles, weights=weights)
+    spread = math.sqrt(np.average((np.array(middles) - centre) ** 2 + widths, weights=weights))
+    table, _ = slab_table(DESIGN)
+    assert group(2) == "cathode"
+    assert table["x0"][2] == pytest.approx(sum(weights))
+    assert table["radius"][2] == pytest.approx(centre)
+    assert table["spread"][2] == pytest.approx(spread)
+    assert table["half_length"][2] == 266
+
+
+def test_drift_gap_and_air() -> None:
+    table, _ = slab_table(DESIGN)
+    assert group(3) == "drift"
+    assert table["radius"][3] == pytest.approx(78.838)
+    assert table["spread"][3] == pytest.approx(5 / math.sqrt(12))
+    assert table["x0"][3] == pytest.approx(5 / 121650)
+    assert group(1) == "air"
+    assert table["half_length"][1] == 1e9
+    assert table["x0"][1] == pytest.approx((table["r_in"][2] - 33.7) / 303900)
+
+
+def test_beam_pipe_xi_by_hand() -> None:
+    # 0.1535 MeV cm2/mol (Z/A) rho t: gold, beryllium twice, oil C18H38 (146 electrons, 254.502 g/mol).
+    gold = 79 / 196.97 * 19.32 * 0.001436
+    beryllium = 4 / 9.0122 * 1.848 * 0.14
+    oil = 146 / 254.502 * 0.81 * 0.08
+    table, log_terms = slab_table(DESIGN)
+    assert table["xi"][0] == pytest.approx(0.1535375e-3 * (gold + beryllium + oil), rel=1e-3)
+    # Far below the density effect the logarithm is the mean of -2 ln I.
+    oil_excitation = math.exp((108 * math.log(81) + 38 * math.log(19.2)) / 146)
+    means = [(gold, 790), (beryllium, 63.7), (oil, oil_excitation)]
+    expected = sum(w * -2 * math.log(ev * 1e-9) for w, ev in means) / (gold + beryllium + oil)
+    assert log_terms[0, 0] == pytest.approx(expected, rel=1e-4)
+
+
+def test_chamber_gas_is_cut_at_the_wire_layers() -> None:
+    table, _ = slab_table(DESIGN)
+    gas = table["ends"].astype(bool)
+    wires = [layer.r_mid for layer in DESIGN.drift_chamber.layers]
+    assert gas.sum() == 35
+    assert table["r_out"][gas] == pytest.approx(wires)
+    assert table["r_in"][gas] == pytest.approx([183.2, *wires[:-1]])
+    halves = [layer.half_length for layer in DESIGN.drift_chamber.layers]
+    assert table["half_length"][gas] == pytest.approx([halves[0], *halves[:-1]])
+
+
+def test_smeared_wires_add_their_matter() -> None:
+    smeared = DESIGN.with_overrides({"drift_chamber.wires": "smeared"})
+    without, with_wires = slab_table(DESIGN)[0], slab_table(smeared)[0]
+    added = with_wires["x0"] - without["x0"]
+    gas = without["ends"].astype(bool)
+    assert added[~gas] == pytest.approx(0)
+    assert np.sum(added) == pytest.approx(0.0009, rel=0.001)
+    assert with_wires["radius"] == pytest.approx(without["radius"])
+    # Aluminium: 0.09 % of 88.97 mm.
+    xi = 0.1535375e-3 * 13 / 26.982 * 2.70 * 0.1 * 88.97 * np.sum(added)
+    assert np.sum(with_wires["xi"] - without["xi"]) == pytest.approx(xi, rel=1e-6)
+
+
+def test_readout_and_wire_tables() -> None:
+    cgem, wires = cgem_table(DESIGN), wire_table(load("besiii-idc"))
+    assert cgem["r_readout"].tolist() == [87.5, 132.5, 175.0]
+    assert cgem["half_length"].tolist() == [266, 345, 423.5]
+    assert cgem["phi_first"] == pytest.approx(np.array([[math.pi, math.pi], [math.pi, 0], [math.pi, 0]]))
+    assert cgem["gid_first"].tolist() == [0, 2020, 5488]
+    assert wires["gid_first"][:3].tolist() == [0, 40, 84]
+    assert wires["twist"][0] == pytest.approx(math.radians(31.5))
+    assert wires["twist"][4] == pytest.approx(-4.5 * 2 * math.pi / 64)
+
+
+@pytest.mark.parametrize("name", list(detectors()))
+def test_core_takes_it(name: str) -> None:
+    detector = load(name)
+    core = compiled(detector)
+    assert core.bz == -1
+    assert core.n_slabs == len(slabs(detector))
+    assert core.n_cgem_layers == len(detector.cgem)
+    assert core.n_wire_layers == len(detector.drift_chamber.layers)
+    assert compiled(load(name)) is core
+    assert compiled(detector, merge=False).n_slabs > core.n_slabs
+
+
+def test_parts_may_be_missing() -> None:
+    only_cgem = load({"base": "besiii-cgem", "remove": ["drift_chamber", "beam_pipe", "walls"]})
+    assert [slab.shells[0].group for slab in slabs(only_cgem)][:2] == ["cathode", "drift"]
+    assert compiled(only_cgem).n_wire_layers == 0
+    only_chamber = load({"base": "besiii-idc", "remove": ["beam_pipe", "walls"]})
+    assert len(slabs(only_chamber)) == 42  # between 43 wire layers
+    assert compiled(only_chamber).n_cgem_layers == 0
+
+
+def test_wall_between_wire_layers_cuts_the_gas() -> None:
+    wall = {"r_in": "180 mm", "r_out": "181 mm", "half_length": "500 mm", "material": "CarbonFiber"}
+    detector = load({"base": "besiii-idc", "walls": {"middle": wall}})
+    found = slabs(detector)
+    place = next(i for i, slab in enumerate(found) if slab.shells[0].label == "middle")
+    assert [slab.shells[0].label for slab in found[place - 1 : place + 2]] == [
+        "gas before layer 8", "middle", "gas before layer 8"
+    ]  # fmt: skip
+    assert found[place - 1].r_out == 180
+    assert found[place + 1].r_in == 181
+
+
+def test_gap_moves_the_cathode_only() -> None:
+    layer: CgemLayer = DESIGN.cgem[0]
+    thin: Detector = DESIGN.with_overrides({"cgem.L1.drift_gap": "3 mm"})
+    assert thin.cgem[0].r_gap_out == layer.r_gap_out
+    assert thin.cgem[0].r_out == layer.r_out
+    assert thin.cgem[0].r_in == pytest.approx(layer.r_in + 2)
+    assert dataclasses.replace(thin.cgem[0], drift_gap=5.0) == layer
