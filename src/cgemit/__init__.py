@@ -1,1 +1,62 @@
-"""Simulate, reconstruct and design trackers made of cylindrical GEM layers and drift chambers."""
+"""Simulate, reconstruct and design trackers made of cylindrical GEM layers and drift chambers.
+
+Stages are modules, each with one function and its settings: `cgemit.simulate`, `cgemit.digitize`, `cgemit.cluster`,
+`cgemit.find`, `cgemit.fit`. `run` calls them in order.
+"""
+
+from __future__ import annotations
+
+import importlib
+from importlib.metadata import version
+from typing import TYPE_CHECKING, Any
+
+from cgemit.chain import Result, Settings, run
+from cgemit.cluster import ClusterSettings
+from cgemit.detector import Detector, DetectorError, detectors, load
+from cgemit.digitize import DigitizeSettings
+from cgemit.fit import FitSettings, FitStatus
+from cgemit.gun import Gun
+from cgemit.simulate import SimulateSettings, TransportStatus
+from cgemit.tables import Table
+
+if TYPE_CHECKING:
+    from cgemit import draw, study
+    from cgemit.study.resolutions import resolution
+
+__version__ = version("cgemit")
+
+__all__ = [
+    "ClusterSettings",
+    "Detector",
+    "DetectorError",
+    "DigitizeSettings",
+    "FitSettings",
+    "FitStatus",
+    "Gun",
+    "Result",
+    "Settings",
+    "SimulateSettings",
+    "Table",
+    "TransportStatus",
+    "__version__",
+    "detectors",
+    "draw",
+    "load",
+    "resolution",
+    "run",
+    "study",
+]
+
+# Loaded when first used: they bring scipy and matplotlib, which take longer to import than all the rest.
+_LAZY = {"draw": "cgemit.draw", "study": "cgemit.study", "resolution": "cgemit.study.resolutions"}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _LAZY:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    module = importlib.import_module(_LAZY[name])
+    return getattr(module, name) if name == "resolution" else module
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -1,0 +1,154 @@
+# Types of the compiled module; tests/quality/test_stubs.py compares them with it.
+# Arrays go in C-contiguous and are converted to the dtype named here; they come out as new arrays that own the
+# memory of the core. Dicts hold one array per column of the tables in docs/data_model.md.
+import enum
+from collections.abc import Mapping, Sequence
+from typing import Any, Final, TypeAlias, TypedDict
+
+import numpy as np
+import numpy.typing as npt
+
+_Array: TypeAlias = npt.NDArray[Any]
+_Floats: TypeAlias = npt.NDArray[np.float64]
+_Bytes: TypeAlias = npt.NDArray[np.uint8]
+_Columns: TypeAlias = Mapping[str, npt.ArrayLike]
+
+CORE_CUT: Final[float]  # the fit describes collisions that transfer less than this many times the xi of the track
+LOSS_GRID_FIRST: Final[float]  # ln(beta gamma) of the first column of log_terms
+LOSS_GRID_STEP: Final[float]
+LOSS_POINTS: Final[int]
+
+class TransportStatus(enum.IntEnum):
+    outside = 0
+    end = 1
+    curled = 2
+    stopped = 3
+    neutral = 4
+
+class FitStatus(enum.IntEnum):
+    ok = 0
+    too_few_hits = 1
+    seed_failed = 2
+    does_not_reach = 3
+    stopped = 4
+    not_converged = 5
+    not_positive_definite = 6
+
+class Purpose(enum.IntEnum):
+    gun = 0
+    scattering = 1
+    energy_loss = 2
+    digitization = 3
+    drift_distance = 4
+    fit_seed = 5
+    test = 6
+
+class Fluctuations(enum.IntEnum):
+    full = 0
+    gaussian = 1
+    off = 2
+
+class Detector:
+    def __init__(
+        self, *, bz: float, slabs: _Columns, log_terms: npt.ArrayLike, cgem: _Columns, wires: _Columns
+    ) -> None: ...
+    @property
+    def bz(self) -> float: ...  # T
+    @property
+    def n_slabs(self) -> int: ...
+    @property
+    def n_cgem_layers(self) -> int: ...
+    @property
+    def n_wire_layers(self) -> int: ...
+
+class FitSettings:
+    def __init__(
+        self,
+        *,
+        max_iterations: int,
+        tolerance: float,
+        errors_from_track: bool,
+        least_width: float,
+        prior_sigma: Sequence[float],
+    ) -> None: ...
+
+class _Simulated(TypedDict):
+    status: npt.NDArray[np.int8]
+    truths: dict[str, _Array]
+    wire_truths: dict[str, _Array]
+
+class _Reference(TypedDict):
+    rows: _Floats  # (hits, 5)
+    noise: _Floats  # (noise vectors, 5)
+    predicted: _Floats  # (hits,), mm
+    extent: _Floats  # (hits,), mm
+    reached: bool
+    stopped: bool
+
+# Random numbers: events (n,) int64, particle (n,) int32; out (n, 4).
+def uniforms(
+    seed: int, events: npt.ArrayLike, particle: npt.ArrayLike, purpose: Purpose, place: int, block: int = 0
+) -> _Floats: ...
+def normals(
+    seed: int, events: npt.ArrayLike, particle: npt.ArrayLike, purpose: Purpose, place: int, block: int = 0
+) -> _Floats: ...
+def philox4x32(*, counter: Sequence[int], key: Sequence[int]) -> list[int]: ...
+
+# Motion: points (n, 7) float64, rows of x y z (mm), flight direction ux uy, tanl, signed curvature w (1/mm);
+# arcs (n,) float64, mm, transverse.
+def step_to_cylinder(
+    points: npt.ArrayLike, radius: float, *, outward: bool = True
+) -> tuple[_Floats, _Floats, _Bytes]: ...
+def advance(points: npt.ArrayLike, arcs: npt.ArrayLike) -> tuple[_Floats, _Floats]: ...
+def approach_wire(
+    points: npt.ArrayLike, detector: Detector, layer: int, wire: int
+) -> tuple[_Floats, _Floats, _Floats, _Bytes]: ...
+
+# Matter: GeV, GeV/c; x0 in radiation lengths, path in units of normal incidence.
+def total_matter(detector: Detector, tanl: float) -> tuple[float, float]: ...
+def scattering_angle(*, p: float, mass: float, x0: float, track_x0: float) -> float: ...
+def restricted_loss(detector: Detector, slab: int, *, path: float, p: float, mass: float, cut: float) -> float: ...
+def core_loss(
+    detector: Detector, slab: int, *, path: float, p: float, mass: float, track_xi: float
+) -> tuple[float, float, float]: ...
+def sample_loss(detector: Detector, slab: int, *, path: float, p: float, mass: float, seed: int, n: int) -> _Floats: ...
+
+# Stages: one call for a chunk of events, without the GIL.
+def simulate(detector: Detector, particles: _Columns, *, fluctuations: Fluctuations, seed: int) -> _Simulated: ...
+def read_out_strips(
+    detector: Detector, truths: _Columns, *, gain: float, w_value: float, threshold: float
+) -> dict[str, _Array]: ...
+def smear_positions(
+    detector: Detector,
+    truths: _Columns,
+    *,
+    gain: float,
+    w_value: float,
+    sigma_x: float,
+    sigma_v: float,
+    seed: int,
+) -> dict[str, _Array]: ...
+def read_out_wires(
+    detector: Detector,
+    wire_truths: _Columns,
+    *,
+    xt_distance: npt.ArrayLike,
+    xt_time: npt.ArrayLike,
+    reveal_sides: bool,
+    seed: int,
+) -> dict[str, _Array]: ...
+def cgem_columns(detector: Detector) -> dict[str, _Array]: ...
+def find_clusters(
+    detector: Detector, digis: _Columns, *, err_x: npt.ArrayLike, err_v: npt.ArrayLike
+) -> dict[str, _Array]: ...
+def reference(detector: Detector, helix: npt.ArrayLike, mass: float, hits: _Columns) -> _Reference: ...
+def fit(
+    detector: Detector,
+    *,
+    hit_offsets: npt.ArrayLike,
+    hits: _Columns,
+    mass: npt.ArrayLike,
+    start: npt.ArrayLike,
+    settings: FitSettings,
+    residuals: bool,
+) -> dict[str, _Array]: ...
