@@ -74,7 +74,8 @@ double centre(const DigiView& digis, Rows rows, double pitch) {
 // The cluster of one view made of the digis `rows`, ordered by strip.
 ClusterRow make_cluster(const CgemLayer& layer, const DigiView& digis, Rows rows, const ErrorTable& errors) {
   const std::size_t front = rows.front();
-  ClusterRow cluster{digis.event[front], digis.layer[front], digis.sheet[front], View{digis.view[front]}};
+  ClusterRow cluster{digis.event[front], digis.layer[front], digis.sheet[front],
+                     ClusterView{digis.view[front]}};
   cluster.first = digis.strip[front];
   cluster.last = digis.strip[rows.back()];
   cluster.size = cluster.last - cluster.first + 1;
@@ -86,7 +87,7 @@ ClusterRow make_cluster(const CgemLayer& layer, const DigiView& digis, Rows rows
   cluster.r = layer.r_mid();
   cluster.truth = largest_truth(digis, rows);
   cluster.n_truths = count_truths(digis, rows);
-  if (cluster.view == View::x) {
+  if (cluster.view == ClusterView::x) {
     cluster.x = centre(digis, rows, layer.pitch_x);
     cluster.err_x = errors.of(errors.x, cluster.layer, cluster.size);
     set_azimuth(layer, cluster);
@@ -102,9 +103,10 @@ void write_sheet(const CgemLayer& layer, const StripPlane& plane, std::span<cons
                  ClusterColumns& clusters) {
   const std::int64_t first = clusters.rows();
   for (const ClusterRow& cluster : views) clusters.push_back(cluster);
-  for (std::size_t i = 0; i < views.size() && views[i].view == View::x; ++i) {
+  for (std::size_t i = 0; i < views.size() && views[i].view == ClusterView::x; ++i) {
     for (std::size_t k = i + 1; k < views.size(); ++k) {
-      if (views[k].view != View::v || std::abs(plane.z(views[i].x, views[k].v)) > layer.half_length) continue;
+      if (views[k].view != ClusterView::v || std::abs(plane.z(views[i].x, views[k].v)) > layer.half_length)
+        continue;
       clusters.push_back(join_views(plane, views[i], views[k], first + static_cast<std::int64_t>(i),
                                     first + static_cast<std::int64_t>(k)));
     }

@@ -12,7 +12,7 @@
 
 namespace cgemit {
 
-enum class View : std::int8_t { x = 0, v = 1, xv = 2 };
+enum class ClusterView : std::int8_t { x = 0, v = 1, xv = 2 };
 enum class ClusterMethod : std::int8_t { strips = 0, gaussian = 1 };
 
 inline constexpr double not_measured = std::numeric_limits<double>::quiet_NaN();
@@ -20,7 +20,7 @@ inline constexpr double not_measured = std::numeric_limits<double>::quiet_NaN();
 struct ClusterRow {
   std::int64_t event;
   std::int32_t layer, sheet;
-  View view;
+  ClusterView view;
   std::int32_t first = -1, last = -1, size = 0;  // strips; -1 where there are none
   double charge = 0;                             // fC
   double time = 0;                               // ns
@@ -45,7 +45,7 @@ inline void set_azimuth(const CgemLayer& layer, ClusterRow& row) {
 inline ClusterRow join_views(const StripPlane& plane, const ClusterRow& x, const ClusterRow& v,
                              std::int64_t x_row, std::int64_t v_row) {
   ClusterRow joined = x;
-  joined.view = View::xv;
+  joined.view = ClusterView::xv;
   joined.first = joined.last = -1;
   joined.size = x.size + v.size;
   joined.charge = x.charge + v.charge;

@@ -34,7 +34,7 @@ std::optional<Pair> smear(const Detector& detector, const StripPlane& plane, con
     const Block words = stream.block(Purpose::digitization, static_cast<std::uint32_t>(truths.layer[row]),
                                      occurrence(truths, event_begin, row));
     const auto noise = normal_pair(words[0], words[1]);
-    ClusterRow common{truths.event[row], truths.layer[row], sheet, View::x};
+    ClusterRow common{truths.event[row], truths.layer[row], sheet, ClusterView::x};
     common.charge = 0.5 * truths.energy[row] * readout.charge_per_energy;
     common.time = truths.time[row];
     common.r = layer.r_mid();
@@ -45,7 +45,7 @@ std::optional<Pair> smear(const Detector& detector, const StripPlane& plane, con
     pair.x.x = x + readout.sigma_x * noise[0];
     pair.x.err_x = readout.sigma_x;
     set_azimuth(layer, pair.x);
-    pair.v.view = View::v;
+    pair.v.view = ClusterView::v;
     pair.v.v = plane.v(x, truths.z[row]) + readout.sigma_v * noise[1];
     pair.v.err_v = readout.sigma_v;
     return pair;
