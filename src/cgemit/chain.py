@@ -17,7 +17,8 @@ from cgemit.cluster import ClusterSettings, cluster
 from cgemit.detector import Detector, load
 from cgemit.digitize import DigitizeSettings, digitize
 from cgemit.fit import FitSettings, FitStatus, fit
-from cgemit.gun import Gun, Guns, generate, particles_from
+from cgemit.gun import Gun, Guns, generate
+from cgemit.particles import particles_from
 from cgemit.simulate import SimulateSettings, TransportStatus, simulate
 from cgemit.tables import Table, concatenate, save_tables
 

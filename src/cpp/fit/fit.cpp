@@ -22,7 +22,6 @@ class TrackFit {
     space_.value.assign(hits.size(), 0.0);
     space_.variance.assign(hits.size(), 0.0);
     space_.weight.assign(hits.size(), 0.0);
-    space_.residuals.assign(hits.size(), {0, 0, 0});
     for (std::size_t i = 0; i < hits.size(); ++i) {
       if (hits[i].view != View::wire) continue;
       space_.weight[i] = sides[i];
@@ -30,35 +29,31 @@ class TrackFit {
     }
   }
 
-  FitResult run(const Perigee* start) {
-    FitResult result{FitStatus::ok, {}, Matrix5::Identity(), 0, 0, 0, 0, 0};
-    if (hits_.size() < parameters) return failed(result, FitStatus::too_few_hits);
-    if (start != nullptr) {
-      helix_ = *start;
-    } else {
-      const auto seed = seed_from_wires(detector_, hits_, sides_);
-      if (!seed) return failed(result, FitStatus::seed_failed);
-      helix_ = *seed;
-      wires_only_ = sides_open_;  // a poor seed would mislead the clusters' weight on the sides
-    }
-    result.helix = helix_;
+  FitResult run(const Perigee& start, bool wires_first) {
+    FitResult result{FitStatus::ok, start, Matrix5::Identity(), 0, 0, 0, 0, 0};
+    helix_ = start;
+    wires_only_ = wires_first && sides_open_;
     const Vector5 prior = Eigen::Map<const Vector5>(settings_.prior_sigma.data());
     bool converged = false;
     for (int iteration = 0; iteration < settings_.max_iterations && !converged; ++iteration) {
-      trace(detector_, helix_, mass_, hits_, space_.reference);
+      follow(iteration);
+      result.iterations = iteration + 1;
       if (const FitStatus status = usable(); status != FitStatus::ok) return failed(result, status);
       fill_rows();
       const Estimate estimate = filter(space_.reference.elements, prior, space_.memory);
-      result.iterations = iteration + 1;
       if (!store(estimate, result)) return failed(result, FitStatus::not_positive_definite);
       const double moved = (estimate.x.cwiseAbs2().array() / estimate.c.diagonal().array()).sqrt().maxCoeff();
       move(estimate.x);
       result.helix = helix_;
-      smooth(space_.reference.elements, space_.memory);
-      const bool sides_settled = !sides_open_ || renew_sides(iteration);
-      converged = moved < settings_.tolerance && sides_settled && !wires_only_;
+      bool settled = true;
+      if (sides_open_) {
+        smooth(space_.reference.elements, space_.memory);
+        settled = renew_sides(iteration);
+      }
+      converged = moved < settings_.tolerance && settled && !wires_only_;
       wires_only_ = false;
     }
+    if (!sides_open_) smooth(space_.reference.elements, space_.memory);
     collect_residuals();
     result.status = converged ? FitStatus::ok : FitStatus::not_converged;
     return result;
@@ -70,11 +65,16 @@ class TrackFit {
     return result;
   }
 
+  // Traces the reference. Hits that stay out of its reach are given up after some iterations.
+  void follow(int iteration) {
+    constexpr int patient_iterations = 6;
+    trace(detector_, helix_, mass_, hits_, space_.reference);
+    if (iteration >= patient_iterations) hits_ = hits_.first(space_.reference.reached);
+  }
+
   FitStatus usable() const {
-    const Reference& reference = space_.reference;
-    if (reference.stopped) return FitStatus::stopped;
-    if (reference.reached < hits_.size() && reference.reached < parameters) return FitStatus::does_not_reach;
-    return FitStatus::ok;
+    if (space_.reference.stopped) return FitStatus::stopped;
+    return space_.reference.reached < parameters ? FitStatus::does_not_reach : FitStatus::ok;
   }
 
   // Residual and variance of every row, on the present reference.
@@ -187,11 +187,36 @@ class TrackFit {
   bool sides_open_ = false, wires_only_ = false;
 };
 
+// Wrong sides or a wrong turn show in the chi-square long before it is unlikely by chance.
+bool is_good(const FitResult& result) {
+  return result.status == FitStatus::ok && result.chi2 < 5 * result.measurements + 30;
+}
+
+bool is_better(const FitResult& a, const FitResult& b) {
+  const bool a_fits = a.status == FitStatus::ok, b_fits = b.status == FitStatus::ok;
+  return a_fits != b_fits ? a_fits
+                          : a.chi2 / std::max(a.measurements, 1) < b.chi2 / std::max(b.measurements, 1);
+}
+
 }  // namespace
 
 FitResult fit_track(const Detector& detector, std::span<const Hit> hits, std::span<const std::int8_t> sides,
                     double mass, const Perigee* start, const FitSettings& settings, FitSpace& space) {
-  return TrackFit(detector, hits, sides, mass, settings, space).run(start);
+  FitResult result{FitStatus::too_few_hits, {}, Matrix5::Identity(), 0, 0, 0, 0, 0};
+  space.residuals.assign(hits.size(), {0, 0, 0});
+  if (hits.size() < parameters) return result;
+  if (start != nullptr) return TrackFit(detector, hits, sides, mass, settings, space).run(*start, false);
+  result.status = FitStatus::seed_failed;
+  for (const SeedFrom from : {SeedFrom::wires, SeedFrom::wires_and_clusters}) {
+    const auto seed = seed_helix(detector, hits, sides, from);
+    if (!seed) continue;
+    // A poor seed would let the clusters mislead the sides: the wires settle among themselves first.
+    const FitResult next =
+        TrackFit(detector, hits, sides, mass, settings, space).run(*seed, from == SeedFrom::wires);
+    if (is_good(next)) return next;
+    if (result.status == FitStatus::seed_failed || is_better(next, result)) result = next;
+  }
+  return result;
 }
 
 }  // namespace cgemit

@@ -82,82 +82,144 @@ struct Line {
   double z0, tanl;
 };
 
-// z at the arc of every stereo wire, where the wire meets the circle; straight line, weakly tied to the
-// origin.
-std::optional<Line> fit_line(const Detector& detector, std::span<const Hit> hits,
-                             std::span<const std::int8_t> sides, const Circle& circle, double turn,
-                             const Point& closest) {
-  constexpr double z_scale = 300;  // mm, spread of z0 that the tie to the origin allows
-  double n = 0, s1 = 0, s2 = 0, z1 = 0, sz = 0;
-  const double start = std::atan2(closest.y - circle.y, closest.x - circle.x);
-  for (std::size_t i = 0; i < hits.size(); ++i) {
-    if (hits[i].view != View::wire) continue;
-    const WireLayer& layer = detector.wires[static_cast<std::size_t>(hits[i].layer)];
-    if (layer.twist == 0) continue;
-    const Wire& wire = layer.placed[static_cast<std::size_t>(hits[i].element)];
-    const double side = sides[i] * turn;  // the right-hand side lies outside an anticlockwise circle
-    const double target = circle.radius - side * hits[i].value;
-    // |wire(z) - centre| = target along the wire.
-    const double gx = wire.ex / wire.ez, gy = wire.ey / wire.ez;
-    const double dx = wire.x - circle.x, dy = wire.y - circle.y;
-    const double a = gx * gx + gy * gy, b = dx * gx + dy * gy, c = dx * dx + dy * dy - target * target;
-    const double q = b * b - a * c;
-    if (q < 0) continue;
-    const double root = std::sqrt(q), z_a = (-b + root) / a, z_b = (-b - root) / a;
-    const double z = std::abs(z_a) < std::abs(z_b) ? z_a : z_b;
-    if (std::abs(z) > 1.2 * layer.half_length) continue;
-    double turned = turn * (std::atan2(dy + gy * z, dx + gx * z) - start);
-    turned -= 2 * pi * std::floor(turned / (2 * pi));
-    const double s = turned * circle.radius;
-    n += 1;
-    s1 += s;
-    s2 += s * s;
-    z1 += z;
-    sz += s * z;
+// Weighted straight line z(s).
+class LineFit {
+ public:
+  void add(double s, double z, double sigma) {
+    const double weight = 1 / (sigma * sigma);
+    n_ += weight;
+    s1_ += weight * s;
+    s2_ += weight * s * s;
+    z1_ += weight * z;
+    sz_ += weight * s * z;
+    ++points_;
   }
-  if (n < 2) return std::nullopt;
-  const double drift_in_z = 100;  // mm, error of z by the unknown drift distance over the stereo angle
-  n += drift_in_z * drift_in_z / (z_scale * z_scale);
-  const double determinant = n * s2 - s1 * s1;
-  return Line{(z1 * s2 - sz * s1) / determinant, (n * sz - s1 * z1) / determinant};
+  // A weak tie to the origin keeps two close points from pointing anywhere.
+  std::optional<Line> result() const {
+    constexpr double z_spread = 300;  // mm, of z0
+    if (points_ < 2) return std::nullopt;
+    const double n = n_ + 1 / (z_spread * z_spread);
+    const double determinant = n * s2_ - s1_ * s1_;
+    return Line{(z1_ * s2_ - sz_ * s1_) / determinant, (n * sz_ - s1_ * z1_) / determinant};
+  }
+
+ private:
+  double n_ = 0, s1_ = 0, s2_ = 0, z1_ = 0, sz_ = 0;
+  int points_ = 0;
+};
+
+// Transverse arc from the closest approach to the beam line, along a circle flown through in direction
+// `turn`.
+class Arc {
+ public:
+  Arc(const Circle& circle, double turn, const Point& closest)
+      : circle_(circle), turn_(turn), start_(std::atan2(closest.y - circle.y, closest.x - circle.x)) {}
+  double operator()(double x, double y) const {
+    double turned = turn_ * (std::atan2(y - circle_.y, x - circle_.x) - start_);
+    turned -= 2 * pi * std::floor(turned / (2 * pi));
+    return turned * circle_.radius;
+  }
+
+ private:
+  Circle circle_;
+  double turn_, start_;
+};
+
+// z and arc where a stereo wire meets the circle (moved to the wire's side of the track where that is known).
+void add_wire(const WireLayer& layer, const Hit& hit, double side, const Circle& circle, const Arc& arc,
+              LineFit& line) {
+  const Wire& wire = layer.placed[static_cast<std::size_t>(hit.element)];
+  const double target = circle.radius - side * hit.value;
+  const double gx = wire.ex / wire.ez, gy = wire.ey / wire.ez;
+  const double dx = wire.x - circle.x, dy = wire.y - circle.y;
+  // |wire(z) - centre| = target along the wire.
+  const double a = gx * gx + gy * gy, b = dx * gx + dy * gy, c = dx * dx + dy * dy - target * target;
+  const double q = b * b - a * c;
+  if (q < 0) return;
+  const double root = std::sqrt(q), z_a = (-b + root) / a, z_b = (-b - root) / a;
+  const double z = std::abs(z_a) < std::abs(z_b) ? z_a : z_b;
+  if (std::abs(z) > 1.2 * layer.half_length) return;
+  constexpr double sigma = 100;  // mm, the unknown drift distance over the stereo angle
+  line.add(arc(wire.x + gx * z, wire.y + gy * z), z, sigma);
+}
+
+// Azimuth of an X cluster.
+double cluster_phi(const CgemLayer& layer, const Hit& x) {
+  return layer.phi_first[static_cast<std::size_t>(x.element)] + x.value / layer.r_readout;
+}
+
+// z of an X and a V cluster on one sheet (see `cluster/`).
+double cluster_z(const CgemLayer& layer, const Hit& x, const Hit& v) {
+  return layer.z_ref() - (v.value - x.value * std::cos(layer.stereo)) / std::sin(layer.stereo);
+}
+
+std::vector<Point> axial_points(const Detector& detector, std::span<const Hit> hits,
+                                std::span<const std::int8_t> sides, SeedFrom from, double turn,
+                                const Circle* circle) {
+  std::vector<Point> points;
+  points.reserve(hits.size());
+  for (std::size_t i = 0; i < hits.size(); ++i) {
+    const auto index = static_cast<std::size_t>(hits[i].layer);
+    if (hits[i].view == View::wire && detector.wires[index].twist == 0) {
+      const Wire& wire = detector.wires[index].placed[static_cast<std::size_t>(hits[i].element)];
+      points.push_back(beside(wire, sides[i] * hits[i].value * turn, {wire.x, wire.y}, circle));
+    } else if (hits[i].view == View::x && from == SeedFrom::wires_and_clusters) {
+      const CgemLayer& layer = detector.cgem[index];
+      const double phi = cluster_phi(layer, hits[i]);
+      points.push_back({layer.r_mid() * std::cos(phi), layer.r_mid() * std::sin(phi)});
+    }
+  }
+  return points;
+}
+
+std::optional<Line> fit_line(const Detector& detector, std::span<const Hit> hits,
+                             std::span<const std::int8_t> sides, SeedFrom from, const Circle& circle,
+                             double turn, const Arc& arc) {
+  LineFit line;
+  for (std::size_t i = 0; i < hits.size(); ++i) {
+    const auto index = static_cast<std::size_t>(hits[i].layer);
+    if (hits[i].view == View::wire) {
+      // The right-hand side of the flight lies outside an anticlockwise circle.
+      if (detector.wires[index].twist != 0)
+        add_wire(detector.wires[index], hits[i], sides[i] * turn, circle, arc, line);
+    } else if (from == SeedFrom::wires_and_clusters && hits[i].view == View::v) {
+      // X clusters precede V clusters of their sheet.
+      const bool pair = i > 0 && hits[i - 1].view == View::x && hits[i - 1].layer == hits[i].layer &&
+                        hits[i - 1].element == hits[i].element;
+      if (!pair) continue;
+      const CgemLayer& layer = detector.cgem[index];
+      const double phi = cluster_phi(layer, hits[i - 1]);
+      line.add(arc(layer.r_mid() * std::cos(phi), layer.r_mid() * std::sin(phi)),
+               cluster_z(layer, hits[i - 1], hits[i]), 1.0);
+    }
+  }
+  return line.result();
 }
 
 }  // namespace
 
-std::optional<Perigee> seed_from_wires(const Detector& detector, std::span<const Hit> hits,
-                                       std::span<const std::int8_t> sides) {
-  std::vector<Point> points;
-  points.reserve(hits.size());
+std::optional<Perigee> seed_helix(const Detector& detector, std::span<const Hit> hits,
+                                  std::span<const std::int8_t> sides, SeedFrom from) {
   std::optional<Circle> circle;
   double turn = 1;
   const bool known = std::ranges::any_of(sides, [](std::int8_t side) { return side != 0; });
   for (int pass = 0; pass < (known ? 2 : 1); ++pass) {
-    points.clear();
-    for (std::size_t i = 0; i < hits.size(); ++i) {
-      if (hits[i].view != View::wire) continue;
-      const WireLayer& layer = detector.wires[static_cast<std::size_t>(hits[i].layer)];
-      if (layer.twist != 0) continue;
-      const Wire& wire = layer.placed[static_cast<std::size_t>(hits[i].element)];
-      points.push_back(
-          beside(wire, sides[i] * hits[i].value * turn, {wire.x, wire.y}, circle ? &*circle : nullptr));
-    }
+    const std::vector<Point> points =
+        axial_points(detector, hits, sides, from, turn, circle ? &*circle : nullptr);
     circle = fit_circle(points);
     if (!circle) return std::nullopt;
     turn = turning(*circle, points.front(), points.back());
   }
-  // Perigee: the point of the circle closest to the beam line.
   const double centre = std::hypot(circle->x, circle->y);
   if (centre == 0) return std::nullopt;
   const double to_closest = 1 - circle->radius / centre;
   const Point closest{circle->x * to_closest, circle->y * to_closest};
-  const double w = turn / circle->radius;
-  // Flight at the perigee: the centre lies to the left of an anticlockwise flight.
-  const double ux = turn * circle->y / centre, uy = -turn * circle->x / centre;
-  const double psi = std::atan2(uy, ux);
-  const auto line = fit_line(detector, hits, sides, *circle, turn, closest);
+  const auto line = fit_line(detector, hits, sides, from, *circle, turn, Arc(*circle, turn, closest));
   if (!line) return std::nullopt;
-  const double kappa = w / curvature(detector.bz, 1.0);
-  return Perigee{(closest.x * std::sin(psi) - closest.y * std::cos(psi)), psi, kappa, line->z0, line->tanl};
+  // The centre lies to the left of an anticlockwise flight.
+  const double psi = std::atan2(-turn * circle->x, turn * circle->y);
+  const double kappa = turn / circle->radius / curvature(detector.bz, 1.0);
+  return Perigee{closest.x * std::sin(psi) - closest.y * std::cos(psi), psi, kappa, line->z0, line->tanl};
 }
 
 }  // namespace cgemit

@@ -9,9 +9,16 @@
 
 namespace cgemit {
 
+// What the first helix is drawn through.
+enum class SeedFrom {
+  wires,              // the drift chamber alone
+  wires_and_clusters  // also the CGEM clusters: for tracks that leave too few wires, or whose wires mislead
+};
+
 // `sides` (+1, -1, or 0 unknown), one per hit, move the points from the wire to the track where known.
-// Empty if fewer than three axial or two stereo wires fired, or if no circle goes through them.
-std::optional<Perigee> seed_from_wires(const Detector& detector, std::span<const Hit> hits,
-                                       std::span<const std::int8_t> sides);
+// Empty if there are fewer than three points for the circle or two for the line, or if no circle goes through
+// them.
+std::optional<Perigee> seed_helix(const Detector& detector, std::span<const Hit> hits,
+                                  std::span<const std::int8_t> sides, SeedFrom from);
 
 }  // namespace cgemit

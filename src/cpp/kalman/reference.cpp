@@ -69,16 +69,18 @@ class Tracer {
         }
         continue;
       }
-      if (!go_to(place.radius)) return;
       const Slab& slab = detector_.slabs[index];
+      const bool reached = !curled_ && go_to(place.radius);
       if (slab.gap >= 0) {
+        if (!reached) return;
         while (out_.reached < hits.size() && hits[out_.reached].view != View::wire &&
                hits[out_.reached].layer == slab.gap) {
           meet_gap(hits[out_.reached]);
           ++out_.reached;
         }
       }
-      if (std::abs(point_.z) <= slab.half_length && !cross(slab)) return;
+      // A helix that curls back below a slab may still pass by the wires of the next layer.
+      if (reached && std::abs(point_.z) <= slab.half_length && !cross(slab)) return;
     }
   }
 
@@ -171,6 +173,7 @@ class Tracer {
     Approach approach{};
     if (!approach_wire(point_, layer.placed[static_cast<std::size_t>(hit.element)], approach)) return false;
     count(from, approach.arc);
+    curled_ = point_.outward() < 0;
     const Rows r = rows();
     const double across = approach.ny * point_.ux - approach.nx * point_.uy;
     out_.crossings.push_back({approach.doca, 0});
@@ -246,6 +249,7 @@ class Tracer {
   TrackMatter track_{};
   double u0x_, u0y_, tanl_, stretch_, kappa_, p_, per_kappa_;
   double arc_ = 0;
+  bool curled_ = false;              // past the outermost point: no cylinder lies ahead
   double d_kappa_ = 1, d_tanl_ = 0;  // derivatives of the local kappa by the origin's kappa and tanl
   double sum_kappa_ = 0, position_kappa_x_ = 0, position_kappa_y_ = 0;
   double sum_tanl_ = 0, position_tanl_x_ = 0, position_tanl_y_ = 0;

@@ -65,8 +65,10 @@ inline double atan_over(double t) {
   }
   const double h = 0.5 * difference / sum;
   const double t = point.w * h;
-  // A negative h is a turn by more than pi: the way round the far side.
-  arc = h >= 0 ? 2.0 * h * atan_over(t) : (2.0 * std::atan(t) + std::copysign(2.0 * pi, point.w)) / point.w;
+  // Outward to a smaller radius is a step back (h < 0). Outward to a larger one with h < 0 is a turn by more
+  // than pi.
+  const bool far_side = h < 0 && difference > 0;
+  arc = far_side ? (2.0 * std::atan(t) + std::copysign(2.0 * pi, point.w)) / point.w : 2.0 * h * atan_over(t);
   turn(point, h, t);
   point.z += arc * point.tanl;
   return true;
