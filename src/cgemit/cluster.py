@@ -181,12 +181,12 @@ def size_errors(widths: Floats, pitch: float) -> Floats:
         ``pitch/sqrt(12)``, the largest possible, for sizes that the sample never or hardly (`RARE`) makes, and in the
         last entry.
     """
-    n = np.arange(1, MAX_SIZE + 1)[:, None]
+    errors = np.full(MAX_SIZE, pitch / np.sqrt(12))
+    largest = min(MAX_SIZE - 1, int(np.max(widths, initial=0.0) / pitch) + 2)
+    n = np.arange(1, largest + 1)[:, None]
     length = np.minimum(n * pitch - widths, np.where(n == 1, pitch - widths, widths - (n - 2) * pitch))
     length = np.maximum(length, 0.0)
     often = length.sum(axis=1)
-    made = often > RARE * pitch * len(widths)
-    made[-1] = False
-    square = np.divide((length**3).sum(axis=1), often, out=np.full(MAX_SIZE, pitch**2), where=made)
-    errors: Floats = np.sqrt(square / 12)
+    made = np.flatnonzero(often > RARE * pitch * len(widths))
+    errors[made] = np.sqrt((length[made] ** 3).sum(axis=1) / often[made] / 12)
     return errors
