@@ -126,7 +126,7 @@ def test_against_integration(layer, pt, charge, bz):
     back = integrate(at[:3], -path.y[3:, -1], -charge, bz, 25.0, n=1001)
     points = np.concatenate([back.y[:3, :0:-1].T, around.y[:3].T])  # 25 um apart, the crossing in the middle
     ends = [wire_line(layer, wire) for wire in range(LAYERS[layer].cells)]
-    offsets = [np.linalg.norm(np.cross(points[2000] - middle, along)) for middle, along in ends]
+    offsets = [np.linalg.norm(np.cross(points[1000] - middle, along)) for middle, along in ends]
     for wire in np.argsort(offsets)[:2]:
         middle, along = ends[wire]
         distances = np.linalg.norm(np.cross(points - middle, along), axis=1)

@@ -1,0 +1,92 @@
+"""Single tracks for tests: particles on a given helix, the hits they make, and what the fit needs of them."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from cgemit import _core
+from cgemit.detector import Detector, compiled, slab_table
+from cgemit.detector.slabs import cgem_table, wire_table
+from cgemit.particles import species
+from cgemit.tables import Table
+
+MUON = 0.1056583755
+
+
+def particles(position, momentum, pdg=13):
+    """Return a particles table: one event per row of position (n, 3) mm and momentum (n, 3) GeV/c."""
+    position, momentum = np.broadcast_arrays(np.atleast_2d(position), np.atleast_2d(momentum))
+    n = len(position)
+    kind = [species(int(code)) for code in np.broadcast_to(pdg, n)]
+    columns = {
+        "event": np.arange(n, dtype=np.int64),
+        "particle": np.zeros(n, np.int32),
+        "pdg": np.array([k.pdg for k in kind], np.int32),
+        "charge": np.array([k.charge for k in kind], np.int8),
+        "mass": np.array([k.mass for k in kind]),
+        "status": np.zeros(n, np.int8),
+    }
+    columns |= {name: position[:, i] for i, name in enumerate("xyz")}
+    columns |= {name: momentum[:, i] for i, name in enumerate(("px", "py", "pz"))}
+    return Table("particles", columns, n_events=n)
+
+
+def on_helix(helix, pdg=13):
+    """Return particles that start at the closest points of helices, rows of (dr, phi0, kappa, dz, tanl)."""
+    dr, phi0, kappa, dz, tanl = np.atleast_2d(helix).T
+    position = np.stack([dr * np.cos(phi0), dr * np.sin(phi0), dz], axis=1)
+    momentum = np.stack([-np.sin(phi0), np.cos(phi0), tanl], axis=1) / np.abs(kappa)[:, None]
+    return particles(position, momentum, pdg)
+
+
+def without_matter(detector: Detector):
+    """Return the compiled detector with slabs that neither scatter nor absorb."""
+    columns, log_terms = slab_table(detector)
+    columns = columns | {name: np.zeros_like(columns[name]) for name in ("x0", "xi", "spread")}
+    return _core.Detector(
+        bz=detector.field.bz, slabs=columns, log_terms=log_terms, cgem=cgem_table(detector), wires=wire_table(detector)
+    )
+
+
+def transport(core, table, fluctuations="off", seed=1):
+    """Run the compiled simulation alone."""
+    columns = {name: table[name] for name in ("event", "particle", "charge", "mass", "x", "y", "z", "px", "py", "pz")}
+    return _core.simulate(core, columns, fluctuations=getattr(_core.Fluctuations, fluctuations), seed=seed)
+
+
+def hits_of(detector: Detector, out):
+    """Return one X and one V hit per crossed gap and one hit per wire layer: where simulated, without errors.
+
+    Positions are those of the track in the middle of the gap, by the formulas of docs/conventions.md.
+    """
+    rows = []
+    truths, wires = out["truths"], out["wire_truths"]
+    for i, number in enumerate(truths["layer"]):
+        layer = detector.cgem[number]
+        for sheet, edge in enumerate(layer.sheet_phi):
+            x = layer.r_readout * ((truths["phi"][i] - edge) % (2 * math.pi))
+            if x < layer.strips_x * layer.pitch_x:
+                v = x * math.cos(layer.stereo) + (layer.z_ref - truths["z"][i]) * math.sin(layer.stereo)
+                rows += [(0, number, sheet, x, 0), (1, number, sheet, v, 0)]
+                break
+    for number in np.unique(wires["layer"]):
+        in_layer = np.flatnonzero(wires["layer"] == number)
+        i = in_layer[np.argmin(np.abs(wires["doca"][in_layer]))]
+        rows.append((2, number, wires["wire"][i], abs(wires["doca"][i]), wires["side"][i]))
+    kind, layer, element, value, side = zip(*rows, strict=True)
+    return {
+        "kind": np.array(kind, np.uint8),
+        "layer": np.array(layer, np.int32),
+        "element": np.array(element, np.int32),
+        "size": np.zeros(len(rows), np.int32),
+        "value": np.array(value),
+        "sigma": np.where(np.array(kind) == 2, 0.13, 0.12),
+        "side": np.array(side, np.int8),
+    }
+
+
+def hits_on(detector: Detector, helix, core=None, pdg=13):
+    """Return the hits of a particle that follows one helix without scattering."""
+    return hits_of(detector, transport(core or compiled(detector), on_helix(helix, pdg)))

@@ -1,0 +1,145 @@
+"""Helix parameters mean what docs/conventions.md says, for both charges in both fields."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+from cgemit import helix
+from oracles import integrate
+from tracks import on_helix, particles
+
+CHARGES = {1: -13, -1: 13}  # mu+, mu-
+azimuth = st.floats(-math.pi, math.pi)
+
+
+@pytest.mark.parametrize(
+    ("charge", "bz", "centre_y"),
+    # A positive charge in a field along +z turns clockwise: flying along +x its circle lies below.
+    [(1, 1.0, -1), (1, -1.0, 1), (-1, 1.0, 1), (-1, -1.0, -1)],
+)
+def test_by_hand(charge, bz, centre_y):
+    """A 1 GeV/c particle that passes (0, 50 mm) along +x: circle, parameters and signs worked out by hand."""
+    radius = 1.0 / 0.299792458e-3  # mm, at 1 T
+    found = helix.at_origin(particles([0, 50.0, 7.0], [1.0, 0, 0.5], CHARGES[charge]), bz)[0]
+    # Flight azimuth 0, so phi0 = -90 degrees; the closest point is dr (cos phi0, sin phi0) = (0, 50).
+    np.testing.assert_allclose(found, [-50.0, -math.pi / 2, charge, 7.0, 0.5], rtol=1e-12, atol=1e-12)
+    signed = 3335.640952 / (bz * found[2])
+    centre = (found[0] + signed) * np.array([math.cos(found[1]), math.sin(found[1])])
+    np.testing.assert_allclose(centre, [0, 50 + centre_y * radius], rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("charge", [-1, 1])
+@pytest.mark.parametrize("bz", [-1.0, 1.0, -3.0])
+@pytest.mark.parametrize("pt", [0.05, 0.3, 1.0, 1e3])
+def test_circle_and_momentum_formulas(pt, bz, charge):
+    """The circle's centre and the momentum at the closest point are those of the conventions page."""
+    position, momentum = np.array([25.0, -14.0, 3.0]), pt * np.array([math.cos(2.1), math.sin(2.1), -0.8])
+    dr, phi0, kappa, dz, tanl = helix.at_origin(particles(position, momentum, CHARGES[charge]), bz)[0]
+    centre = (dr + 3335.6409519815204 / (bz * kappa)) * np.array([math.cos(phi0), math.sin(phi0)])
+    # The force q v x B points to the centre: (v_y, -v_x) for q bz > 0.
+    force = charge * bz * np.array([momentum[1], -momentum[0]]) / (abs(bz) * pt)
+    expected = position[:2] + force * pt / (0.299792458e-3 * abs(bz))
+    np.testing.assert_allclose(centre, expected, rtol=1e-10)
+    assert kappa == pytest.approx(charge / pt, rel=1e-12)
+    assert tanl == pytest.approx(-0.8, rel=1e-12)
+    # The arc from the closest point to the vertex, from the closest point's own direction.
+    start = np.array([dr * math.cos(phi0), dr * math.sin(phi0), dz])
+    flight = pt * np.array([-math.sin(phi0), math.cos(phi0), tanl])
+    turned = (math.atan2(momentum[1], momentum[0]) - phi0 - math.pi / 2 + math.pi) % (2 * math.pi) - math.pi
+    arc = -turned * pt / (0.299792458e-3 * charge * bz)
+    length = arc * math.hypot(1, 0.8)
+    path = integrate(start, flight, charge, bz, length)
+    np.testing.assert_allclose(path.y[:3, -1], position, atol=1e-8)
+    np.testing.assert_allclose(path.y[3:, -1], momentum, atol=1e-10 * pt)
+
+
+@settings(max_examples=100)
+@given(
+    st.floats(0, 100), azimuth, azimuth, st.floats(math.log(0.05), math.log(100)),
+    st.floats(-2, 2), st.sampled_from([-1, 1]), st.sampled_from([-1.0, 1.0]),
+)  # fmt: skip
+def test_closest_point(r, at, direction, log_pt, tanl, charge, bz):
+    """The parameters are those of the point where the integrated path comes closest to the beam line."""
+    pt = math.exp(log_pt)
+    position = np.array([r * math.cos(at), r * math.sin(at), 5.0])
+    momentum = pt * np.array([math.cos(direction), math.sin(direction), tanl])
+    dr, phi0, _, dz, found_tanl = helix.at_origin(particles(position, momentum, CHARGES[charge]), bz)[0]
+    # Not a circle around the beam line, where every point is the closest.
+    radius = pt / 0.299792458e-3
+    assume(abs(abs(dr) - radius) > 1 or abs(dr) < radius / 2)
+
+    def radial(_, state):
+        return state[0] * state[3] + state[1] * state[4]
+
+    half_turn = math.pi * radius * math.hypot(1, tanl)
+    candidates = [[*position, *momentum]]
+    for sign in (1, -1):
+        path = integrate(position, sign * momentum, sign * charge, bz, min(half_turn, 300.0), events=radial)
+        candidates += [[*state[:3], *(sign * state[3:])] for state in path.y_events[0]]
+    best = min(candidates, key=lambda state: math.hypot(state[0], state[1]))
+    np.testing.assert_allclose([dr * math.cos(phi0), dr * math.sin(phi0), dz], best[:3], atol=2e-6)
+    np.testing.assert_allclose([-math.sin(phi0), math.cos(phi0)], np.array(best[3:5]) / pt, atol=1e-8)
+    assert found_tanl == pytest.approx(tanl)
+
+
+@settings(max_examples=200)
+@given(
+    st.floats(-100, 100), azimuth, st.floats(-20, 20), st.floats(-300, 300), st.floats(-2, 2),
+    st.sampled_from([-1.0, 1.0]),
+)  # fmt: skip
+def test_round_trip(dr, phi0, kappa, dz, tanl, bz):
+    """A particle started at the closest point of a helix gets that helix's parameters back."""
+    assume(abs(kappa) > 1e-6)
+    radius = 3335.64 / (bz * kappa)
+    assume((dr + radius) * radius > 0.01 * radius**2)  # dr does not reach across the circle's centre
+    given_helix = np.array([dr, phi0, kappa, dz, tanl])
+    found = helix.at_origin(on_helix(given_helix, CHARGES[int(math.copysign(1, kappa))]), bz)[0]
+    found[1] = phi0 + (found[1] - phi0 + math.pi) % (2 * math.pi) - math.pi
+    np.testing.assert_allclose(found, given_helix, rtol=1e-11, atol=1e-9)
+
+
+def test_almost_straight():
+    """At 1e9 GeV/c the parameters are those of the straight line."""
+    position, flight = np.array([20.0, 30.0, 4.0]), np.array([math.cos(0.4), math.sin(0.4), 1.5])
+    found = helix.at_origin(particles(position, 1e9 * flight), 1.0)[0]
+    back = -(position[:2] @ flight[:2])
+    closest = position + back * flight
+    expected = [math.hypot(closest[0], closest[1]), math.atan2(closest[1], closest[0])]
+    sign = 1 if abs(math.remainder(expected[1] + math.pi / 2 - 0.4, 2 * math.pi)) < 1 else -1
+    np.testing.assert_allclose(found[0], sign * expected[0], rtol=1e-9)
+    np.testing.assert_allclose(found[1], 0.4 - math.pi / 2, atol=1e-10)
+    np.testing.assert_allclose(found[3], closest[2], rtol=1e-9)
+
+
+def test_phi0_range():
+    """phi0 lies in (-pi, pi] whatever the direction of flight."""
+    psi = np.linspace(-math.pi, math.pi, 1001)
+    table = particles([0.0, 0, 0], np.stack([np.cos(psi), np.sin(psi), 0 * psi], axis=1))
+    phi0 = helix.at_origin(table, -1.0)[:, 1]
+    assert phi0.min() > -math.pi
+    assert phi0.max() <= math.pi
+    np.testing.assert_allclose(np.cos(phi0 + math.pi / 2), np.cos(psi), atol=1e-12)
+    np.testing.assert_allclose(np.sin(phi0 + math.pi / 2), np.sin(psi), atol=1e-12)
+
+
+def test_rows_without_a_helix_are_nan():
+    """Neutral particles and particles along the beam have no kappa."""
+    found = helix.at_origin(particles([0.0, 0, 0], [[1.0, 0, 0], [0, 0, 1.0]], [22, 13]), -1.0)
+    assert np.all(np.isnan(found[:, 2]))
+
+
+def test_momentum_and_its_error():
+    """Momentum is sqrt(1 + tanl^2)/|kappa|; its error is that of a sample drawn from the covariance."""
+    from stats import assert_within
+
+    rng = np.random.default_rng(5)
+    parameters = np.array([[0.1, 0.3, -1.25, 2.0, 0.75]])
+    factor = rng.normal(size=(5, 5)) * [[0.1], [1e-3], [5e-3], [0.2], [2e-3]]
+    cov = factor @ factor.T
+    sample = rng.multivariate_normal(parameters[0], cov, size=40_000)
+    assert helix.momentum(parameters)[0] == pytest.approx(1.0, rel=1e-14)
+    spread = np.std(helix.momentum(sample))
+    assert_within(helix.momentum_error(parameters, cov[None])[0], spread, spread / np.sqrt(2 * len(sample)))
