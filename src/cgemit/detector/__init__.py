@@ -1,12 +1,13 @@
 """Detector descriptions: presets, files, variants, and the form in which the compiled core sees them."""
 
-from .build import load
-from .files import detectors
-from .material import Material
-from .model import CgemLayer, Cylinder, Detector, DriftChamber, Field, Shell, SubLayer, WireLayer
-from .problems import DetectorError, Problem
-from .schema import schema
-from .slabs import Slab, compiled, slab_table, slabs
+from cgemit.detector.build import load
+from cgemit.detector.describe import describe
+from cgemit.detector.files import detectors
+from cgemit.detector.material import Material
+from cgemit.detector.model import CgemLayer, Cylinder, Detector, DriftChamber, Field, Shell, SubLayer, WireLayer
+from cgemit.detector.problems import DetectorError, Problem
+from cgemit.detector.schema import schema
+from cgemit.detector.slabs import Slab, compiled, slab_table, slabs
 
 __all__ = [
     "CgemLayer",
@@ -22,6 +23,7 @@ __all__ = [
     "SubLayer",
     "WireLayer",
     "compiled",
+    "describe",
     "detectors",
     "load",
     "schema",

@@ -5,17 +5,17 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from . import check
-from .derive import complete_layer
-from .files import library_materials, open_source, resolve
-from .keys import keys_of
-from .material import Material
-from .materials import read_materials
-from .merge import FOR_ALL_LAYERS, merged, set_path
-from .model import CgemLayer, Cylinder, Detector, DriftChamber, Field, WireLayer
-from .problems import DetectorError, Problem, did_you_mean
-from .read import TOP_LEVEL, UNUSABLE, Reader, shown
-from .write import to_dict
+from cgemit.detector import check
+from cgemit.detector.derive import complete_layer
+from cgemit.detector.files import library_materials, open_source, resolve
+from cgemit.detector.keys import keys_of
+from cgemit.detector.material import Material
+from cgemit.detector.materials import read_materials
+from cgemit.detector.merge import FOR_ALL_LAYERS, merged, set_path
+from cgemit.detector.model import CgemLayer, Cylinder, Detector, DriftChamber, Field, WireLayer
+from cgemit.detector.problems import DetectorError, Problem, did_you_mean
+from cgemit.detector.read import TOP_LEVEL, UNUSABLE, Reader, shown
+from cgemit.detector.write import to_dict
 
 
 def load(source: str | Path | Mapping[str, Any] | Detector) -> Detector:

@@ -5,12 +5,12 @@ from collections.abc import Sequence
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
-from ..units import NATIVE, format_quantity
-from .keys import Key, keys_of
-from .problems import Problem
+from cgemit.detector.keys import Key, keys_of
+from cgemit.detector.problems import Problem
+from cgemit.units import NATIVE, format_quantity
 
 if TYPE_CHECKING:
-    from .model import CgemLayer, Cylinder, Detector, DriftChamber, Field
+    from cgemit.detector.model import CgemLayer, Cylinder, Detector, DriftChamber, Field
 
 _TOUCH = 1e-6  # mm; parts closer than this touch
 _THICK = 100.0  # mm; no single piece of solid matter in a tracker is thicker

@@ -8,8 +8,8 @@ from importlib import resources
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from .merge import merged
-from .problems import DetectorError, Problem, did_you_mean
+from cgemit.detector.merge import merged
+from cgemit.detector.problems import DetectorError, Problem, did_you_mean
 
 _DATA = resources.files("cgemit.data") / "detectors"
 

@@ -4,7 +4,7 @@ import dataclasses
 from dataclasses import dataclass
 from typing import Any
 
-from ..units import NATIVE, describe
+from cgemit.units import NATIVE, describe
 
 
 @dataclass(frozen=True)

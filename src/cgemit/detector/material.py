@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .keys import key
+from cgemit.detector.keys import key
 
 FINE_STRUCTURE = 1 / 137.035999084
 K = 0.307075e-3  # GeV cm2/mol, 4 pi N_A r_e^2 m_e c^2 (PDG 2024, "Passage of particles through matter")

@@ -4,15 +4,15 @@ import dataclasses
 from collections.abc import Mapping
 from typing import Any
 
-from .material import (
+from cgemit.detector.material import (
     Material,
     excitation_of_fractions,
     general_density_effect,
     x0_of_fractions,
     z_over_a_of_fractions,
 )
-from .problems import did_you_mean
-from .read import Reader
+from cgemit.detector.problems import did_you_mean
+from cgemit.detector.read import Reader
 
 _BULK = ("x0", "z_over_a", "excitation_energy")
 

@@ -4,7 +4,7 @@ import copy
 from collections.abc import Mapping
 from typing import Any
 
-from .problems import Problem, did_you_mean
+from cgemit.detector.problems import Problem, did_you_mean
 
 #: Values of a CGEM layer that are worked out from others, in order, and what each depends on.
 DERIVED_FROM = {

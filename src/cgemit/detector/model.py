@@ -8,10 +8,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from . import check, text
-from .keys import key
-from .material import Material
-from .problems import DetectorError
+from cgemit.detector import check, text
+from cgemit.detector.keys import key
+from cgemit.detector.material import Material
+from cgemit.detector.problems import DetectorError
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -272,7 +272,7 @@ class Detector:
 
     def to_toml(self) -> str:
         """Return a complete detector file, without a base, that `load` reads back to an equal detector."""
-        from .write import to_toml
+        from cgemit.detector.write import to_toml
 
         return to_toml(self)
 
@@ -288,6 +288,6 @@ class Detector:
             With every problem of the result.
 
         """
-        from .build import override
+        from cgemit.detector.build import override
 
         return override(self, overrides)

@@ -5,12 +5,12 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from ..units import NATIVE, QuantityError, parse_quantity
-from .check import in_range
-from .keys import Key, keys_of, required_of
-from .material import DensityEffect, Material, elements, fractions_of_formula
-from .model import CgemLayer, SubLayer
-from .problems import Problem, did_you_mean
+from cgemit.detector.check import in_range
+from cgemit.detector.keys import Key, keys_of, required_of
+from cgemit.detector.material import DensityEffect, Material, elements, fractions_of_formula
+from cgemit.detector.model import CgemLayer, SubLayer
+from cgemit.detector.problems import Problem, did_you_mean
+from cgemit.units import NATIVE, QuantityError, parse_quantity
 
 TOP_LEVEL = {
     "base": "the preset or file that this one changes",

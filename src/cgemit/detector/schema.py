@@ -4,12 +4,12 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
-from ..units import NATIVE, format_quantity, units_of
-from .keys import Key, keys_of, required_of
-from .material import DensityEffect, Material
-from .merge import FOR_ALL_LAYERS
-from .model import CgemLayer, Cylinder, DriftChamber, Field, SubLayer, WireLayer
-from .read import EXTRA, TOP_LEVEL
+from cgemit.detector.keys import Key, keys_of, required_of
+from cgemit.detector.material import DensityEffect, Material
+from cgemit.detector.merge import FOR_ALL_LAYERS
+from cgemit.detector.model import CgemLayer, Cylinder, DriftChamber, Field, SubLayer, WireLayer
+from cgemit.detector.read import EXTRA, TOP_LEVEL
+from cgemit.units import NATIVE, format_quantity, units_of
 
 _NUMBER = r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?"
 _WIRE_NUMBER = r"^[0-9]+$"

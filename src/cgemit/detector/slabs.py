@@ -10,9 +10,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .. import _core
-from .material import Material
-from .model import Cylinder, Detector, DriftChamber, Shell
+from cgemit import _core
+from cgemit.detector.material import Material
+from cgemit.detector.model import Cylinder, Detector, DriftChamber, Shell
 
 _TOUCH = 1e-6  # mm; parts closer than this touch
 _ENDLESS = 1e9  # mm, half length of air
@@ -173,7 +173,7 @@ def slab_table(detector: Detector, merge: bool = True) -> tuple[Columns, NDArray
         columns[name] = np.array([getattr(slab, name) for slab in found], dtype=np.float64)
     columns["gap"] = np.array([slab.gap for slab in found], dtype=np.int32)
     columns["ends"] = np.array([slab.ends for slab in found], dtype=np.uint8)
-    grid = _core.LOSS_GRID_FIRST + _core.LOSS_GRID_STEP * np.arange(_core.LOSS_POINTS)
+    grid = _core.LOSS_GRID_FIRST + _core.LOSS_GRID_STEP * np.arange(_core.LOSS_POINTS, dtype=np.float64)
     terms = np.array([slab.log_term(grid) for slab in found]).reshape(-1, _core.LOSS_POINTS)
     return columns, terms
 

@@ -5,7 +5,7 @@ import math
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from .model import Detector
+    from cgemit.detector.model import Detector
 
 
 def lines(detector: "Detector") -> list[str]:

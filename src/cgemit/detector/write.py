@@ -4,10 +4,10 @@ import json
 from collections.abc import Mapping
 from typing import Any
 
-from ..units import NATIVE, format_quantity
-from .keys import keys_of
-from .material import DensityEffect, Material
-from .model import Detector, SubLayer
+from cgemit.detector.keys import keys_of
+from cgemit.detector.material import DensityEffect, Material
+from cgemit.detector.model import Detector, SubLayer
+from cgemit.units import NATIVE, format_quantity
 
 
 def to_dict(detector: Detector) -> dict[str, Any]:
@@ -27,7 +27,7 @@ def to_dict(detector: Detector) -> dict[str, Any]:
 
 def own_materials(detector: Detector) -> list[Material]:
     """Return the materials of a detector that differ from those that come with the program."""
-    from .build import library
+    from cgemit.detector.build import library
 
     used = {m.name: m for m in materials_of(detector)}
     return [material for name, material in used.items() if library().get(name) != material]
@@ -90,7 +90,7 @@ def _in_place(name: str) -> bool:
 
 def _name(name: str) -> str:
     bare = name.replace("_", "").replace("-", "")
-    return name if bare.isascii() and bare.isalnum() else json.dumps(name, ensure_ascii=False)
+    return name if bare.isascii() and bare.isalnum() else _quoted(name)
 
 
 def _text(value: Any) -> str:
@@ -101,5 +101,9 @@ def _text(value: Any) -> str:
         return "{ " + ", ".join(f"{_name(name)} = {_text(v)}" for name, v in value.items()) + " }"
     if isinstance(value, bool):
         return str(value).lower()
+    return _quoted(value) if isinstance(value, str) else repr(value)
+
+
+def _quoted(text: str) -> str:
     # JSON strings are TOML strings except for DEL, which TOML wants escaped.
-    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f") if isinstance(value, str) else repr(value)
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")

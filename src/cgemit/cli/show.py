@@ -1,0 +1,144 @@
+"""`cgemit show`: material, read-out and pictures of a detector."""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import json
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cgemit.cli import common
+
+if TYPE_CHECKING:
+    from cgemit.detector import Detector
+
+_DESCRIPTION = """\
+Print what a detector is made of (radii and X/X0 at normal incidence, per scatterer and per sub-layer) and its read-out
+(strips, pitch, stereo angles, wires), and draw it: r-phi.png, r-z.png, layers.png (and .pdf) in the output folder,
+beside detector.toml (the complete description) and summary.json (the printed numbers)."""
+
+_EXAMPLES = """\
+examples:
+  cgemit show besiii-cgem                                            pictures in ./cgemit-show-besiii-cgem
+  cgemit show my-detector.toml -o pictures --overwrite
+  cgemit show besiii-cgem-design --set cgem.L1.drift_gap="3 mm" --set cgem.L2.pitch_x="500 um"
+  cgemit show besiii-idc --set drift_chamber.wires=smeared --json"""
+
+# Column of `describe`, heading, format.
+_MATERIAL = (
+    ("part", "part", "<s"), ("r_in_mm", "from r/mm", ".3f"), ("r_out_mm", "to r/mm", ".3f"),
+    ("x0_percent", "X/X0 %", ".4f"), ("sum", "sum %", ".4f"),
+)  # fmt: skip
+_SUB_LAYERS = (
+    ("part", "part", "<s"), ("label", "sub-layer", "<s"), ("material", "material", "<s"),
+    ("r_in_mm", "from r/mm", ".4f"), ("r_out_mm", "to r/mm", ".4f"), ("thickness_mm", "thickness/mm", ".4f"),
+    ("x0_percent", "X/X0 %", ".4f"),
+)  # fmt: skip
+_CGEM = (
+    ("layer", "layer", "<s"), ("r_mid_gap_mm", "r mid gap/mm", ".3f"), ("r_readout_mm", "r read-out/mm", ".4f"),
+    ("length_mm", "length/mm", "g"), ("drift_gap_mm", "gap/mm", "g"), ("sheets", "sheets", "d"),
+    ("phi_first_deg", "first phi/deg", ".3f"), ("pitch_x_um", "X pitch/um", "g"), ("pitch_v_um", "V pitch/um", "g"),
+    ("strips_x", "X strips", "d"), ("strips_v", "V strips", "d"), ("stereo_deg", "stereo/deg", "+.3f"),
+)  # fmt: skip
+_WIRES = (
+    ("layer", "layer", "d"), ("cells", "cells", "d"), ("gid_first", "first gid", "d"), ("r_end_mm", "r end/mm", ".2f"),
+    ("r_mid_mm", "r mid/mm", ".2f"), ("half_length_mm", "half length/mm", "g"), ("twist_deg", "twist/deg", "+.3f"),
+    ("tilt_mrad", "tilt/mrad", "+.2f"), ("phi_east_deg", "phi east/deg", ".3f"), ("sigma_um", "sigma/um", "g"),
+    ("sigma_slope_um_per_mm", "slope um/mm", "g"), ("efficiency", "efficiency", "g"),
+)  # fmt: skip
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the sub-command."""
+    parser = subparsers.add_parser(
+        "show", help="tables of material and read-out, pictures", description=_DESCRIPTION, epilog=_EXAMPLES,
+        formatter_class=common.HelpFormatter,
+    )  # fmt: skip
+    parser.add_argument(
+        "detector", metavar="DETECTOR", help="a preset (see: cgemit detectors) or a detector file in TOML"
+    )
+    parser.add_argument(
+        "--set", action="append", default=[], metavar="KEY=VALUE", dest="overrides",
+        help='change one value, such as cgem.L2.pitch_x="500 um"; may be repeated',
+    )  # fmt: skip
+    parser.add_argument("--json", action="store_true", help="print the numbers as JSON instead of tables")
+    parser.add_argument(
+        "-o", "--output", metavar="DIR", default=None, help="folder for the pictures (default cgemit-show-NAME)"
+    )
+    parser.add_argument(
+        "--overwrite", action="store_true", help="write into a folder that already holds files, replacing pictures"
+    )
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Print the tables and write the pictures."""
+    from cgemit.detector import describe
+
+    detector = common.load_detector(arguments)
+    numbers = describe(detector)
+    print(json.dumps(numbers, indent=2, ensure_ascii=False) if arguments.json else text(numbers))
+    folder = arguments.output or "cgemit-show-" + re.sub(r"[^\w.-]+", "-", detector.name)
+    _write(detector, numbers, folder, overwrite=arguments.overwrite)
+    if not arguments.json:
+        print(f"\npictures in {folder}")
+    return common.OK
+
+
+def text(numbers: Mapping[str, Any]) -> str:
+    """Return the tables of `describe` as text."""
+    lines = [f"{numbers['name']}: {numbers['description']}", f"field {numbers['field_t']:g} T"]
+    lines += ["", "Material at normal incidence, from the beam line outward", *_rows(_MATERIAL, _with_sums(numbers))]
+    sub_layers = [
+        {**row, "part": part["part"]}
+        for part in numbers["material"]
+        for row in part["sub_layers"]
+        if len(part["sub_layers"]) > 1 and part["part"] != "chamber gas"
+    ]
+    if sub_layers:
+        lines += ["", "Sub-layers", *_rows(_SUB_LAYERS, sub_layers)]
+    if numbers["cgem"]:
+        lines += ["", "CGEM read-out (strips per sheet)", *_rows(_CGEM, numbers["cgem"])]
+    if numbers["wires"]:
+        lines += ["", "Wire layers", *_rows(_WIRES, numbers["wires"])]
+    return "\n".join(lines)
+
+
+def _with_sums(numbers: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
+    """Yield the scatterers, the gas between wire layers as one, with the thickness up to and including each."""
+    total = 0.0
+    for part, found in itertools.groupby(numbers["material"], key=lambda row: row["part"]):
+        rows = list(found)
+        thickness = sum(row["x0_percent"] for row in rows)
+        total += thickness
+        edges = {"r_in_mm": rows[0]["r_in_mm"], "r_out_mm": rows[-1]["r_out_mm"]}
+        yield {"part": part, **edges, "x0_percent": thickness, "sum": total}
+
+
+def _rows(columns: Sequence[tuple[str, str, str]], rows: Iterable[Mapping[str, Any]]) -> list[str]:
+    """Return a table as lines: text to the left, numbers to the right."""
+    cells = [[heading for _, heading, _ in columns]]
+    cells += [[format(row[name], form) for name, _, form in columns] for row in rows]
+    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
+    left = [form.startswith("<") for _, _, form in columns]
+    aligned = [
+        "  ".join(c.ljust(w) if to_left else c.rjust(w) for c, w, to_left in zip(line, widths, left, strict=True))
+        for line in cells
+    ]
+    return [line.rstrip() for line in [aligned[0], "-" * len(aligned[0]), *aligned[1:]]]
+
+
+def _write(detector: Detector, numbers: Mapping[str, Any], folder: str, *, overwrite: bool) -> None:
+    from cgemit.draw.detector import draw_detector, draw_layers, draw_sides
+    from cgemit.io.folders import SUMMARY, new_folder
+
+    with new_folder(folder, overwrite=overwrite) as place:
+        draw_detector(detector).save(place / "r-phi")
+        draw_sides(detector).save(place / "r-z")
+        if detector.cgem:
+            draw_layers(detector).save(place / "layers")
+        Path(place / "detector.toml").write_text(detector.to_toml(), encoding="utf-8")
+        Path(place / SUMMARY).write_text(json.dumps(numbers, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")

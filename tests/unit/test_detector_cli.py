@@ -1,0 +1,105 @@
+"""The sub-commands detectors, show and validate."""
+
+import argparse
+import json
+from pathlib import Path
+
+import jsonschema
+import pytest
+
+from cgemit.cli import common, show, validate
+from cgemit.cli import detectors as detectors_command
+from cgemit.detector import DetectorError, load
+
+MATTER = """\
+part          from r/mm  to r/mm  X/X0 %   sum %
+------------------------------------------------
+beam pipe        31.486   33.700  0.9719  0.9719
+air              33.700   76.915  0.0142  0.9861
+L1 cathode       76.915   78.991  0.1138  1.0999
+L1 drift gap     78.991   84.140  0.0042  1.1041
+"""
+
+
+def call(*words: str) -> int:
+    """Run a sub-command as the command line does, without turning errors into exit codes."""
+    parser = argparse.ArgumentParser()
+    subparsers = parser.add_subparsers()
+    for module in (detectors_command, show, validate):
+        module.add_parser(subparsers)
+    arguments = parser.parse_args(words)
+    return int(arguments.run(arguments))
+
+
+def test_detectors(capsys: pytest.CaptureFixture[str]) -> None:
+    assert call("detectors") == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split()[0] for line in lines] == ["besiii-cgem", "besiii-cgem-design", "besiii-idc", "besiii-idc-boss"]
+    assert call("detectors", "--json") == 0
+    assert list(json.loads(capsys.readouterr().out)) == [line.split()[0] for line in lines]
+
+
+def test_show_prints_tables_and_draws(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    folder = tmp_path / "out"
+    assert call("show", "besiii-cgem", "-o", str(folder)) == 0
+    text = capsys.readouterr().out
+    assert MATTER in text
+    rows = {line.split()[0]: line.split() for line in text.splitlines() if line}
+    assert rows["L2"][-3:] == ["630", "1077", "-31.033"]
+    assert rows["20"][:3] == ["20", "160", "1772"]
+    assert "chamber gas" in text
+    names = {path.name for path in folder.iterdir()}
+    pictures = {f"{name}.{end}" for name in ("r-phi", "r-z", "layers") for end in ("png", "pdf")}
+    assert names == {*pictures, "detector.toml", "summary.json"}
+    assert load(folder / "detector.toml") == load("besiii-cgem")
+
+
+def test_show_never_overwrites_unasked(tmp_path: Path) -> None:
+    folder = tmp_path / "out"
+    call("show", "besiii-idc", "-o", str(folder))
+    with pytest.raises(ValueError, match="already holds files"):
+        call("show", "besiii-idc", "-o", str(folder))
+    assert call("show", "besiii-idc", "-o", str(folder), "--overwrite", "--set", "field.bz=0.9 T") == 0
+    assert json.loads((folder / "summary.json").read_text())["field_t"] == 0.9
+    assert not (folder / "layers.png").exists()
+
+
+def test_show_json_with_changes(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert call("show", "besiii-cgem-design", "--set", "cgem.L2.pitch_x=500 um", "--set", "name=a/b", "--json") == 0
+    numbers = json.loads(capsys.readouterr().out)
+    assert numbers["cgem"][1]["pitch_x_um"] == 500
+    assert numbers["cgem"][1]["strips_x"] == 832
+    total = sum(part["x0_percent"] for part in numbers["material"])
+    inner = sum(row["x0_percent"] for part in numbers["material"] for row in part["sub_layers"])
+    assert total == pytest.approx(inner)
+    assert (tmp_path / "cgemit-show-a-b" / "r-z.pdf").stat().st_size > 10_000
+
+
+def test_show_reports_problems() -> None:
+    with pytest.raises(DetectorError, match="did you mean"):
+        call("show", "besiii-cgem-design", "--set", "cgem.L2.ptich_x=500 um")
+    with pytest.raises(common.InputError, match="KEY=VALUE"):
+        call("show", "besiii-cgem-design", "--set", "cgem.L2.pitch_x")
+
+
+def test_validate(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    good, bad = tmp_path / "good.toml", tmp_path / "bad.toml"
+    good.write_text('base = "besiii-idc"', encoding="utf-8")
+    bad.write_text('base = "besiii-idc"\nnmae = "x"\n[field]\nbz = "1"\n', encoding="utf-8")
+    assert call("validate", str(good), "besiii-cgem") == 0
+    assert call("validate", str(bad), str(good)) == 2
+    streams = capsys.readouterr()
+    assert streams.out.count("good (detector") == 3
+    assert len(streams.err.splitlines()) == 3
+    assert all(word in streams.err for word in ("bad.toml: 2 problems", "nmae", "field.bz"))
+    assert call("validate", str(tmp_path / "none.toml")) == 2
+    with pytest.raises(common.InputError, match="FILE"):
+        call("validate")
+
+
+def test_validate_writes_the_schema(capsys: pytest.CaptureFixture[str]) -> None:
+    assert call("validate", "--schema", "besiii-cgem") == 0
+    jsonschema.Draft202012Validator.check_schema(json.loads(capsys.readouterr().out))
