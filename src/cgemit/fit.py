@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from cgemit import _core, helix
+from cgemit.candidates import Candidates, FitHits, fit_hits
 from cgemit.detector import Detector, compiled
-from cgemit.find import Candidates, FitHits, fit_hits
 from cgemit.tables import Table
 
 FitStatus = _core.FitStatus

@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 
 import gem_toy
+from cgemit.candidates import HIT_V, HIT_WIRE, HIT_X, fit_hits
 from cgemit.cluster import cluster
 from cgemit.detector import load
 from cgemit.digitize import DigitizeSettings, digitize
-from cgemit.find import HIT_V, HIT_WIRE, HIT_X, by_truth, fit_hits
+from cgemit.find import by_truth
 from cgemit.tables import Table
 
 EVENTS = 30
