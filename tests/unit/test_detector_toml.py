@@ -42,6 +42,14 @@ def test_sample_of_the_documentation(tmp_path: Path) -> None:
     assert {wire.sigma for wire in detector.drift_chamber.layers} == {0.11}
 
 
+def test_example_of_the_methods_page() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "methods" / "detector.md").read_text(encoding="utf-8")
+    detector = load(tomllib.loads(page.split("```toml")[1].split("```")[0]))
+    assert [layer.label for layer in detector.cgem] == ["L1", "L3"]
+    assert (detector.field.bz, detector.cgem[0].gas.name) == (0.9, "MyGas")
+    assert (detector.drift_chamber.layers[0].sigma, detector.drift_chamber.layers[0].efficiency) == (0.11, 0.95)
+
+
 @pytest.mark.parametrize("name", list(detectors()))
 def test_presets_read_back_equal(name: str, tmp_path: Path) -> None:
     detector = load(name)

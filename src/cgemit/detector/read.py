@@ -78,14 +78,12 @@ class Reader:
 
         Parameters
         ----------
-        path : str
-            Where the table stands in the file.
-        raw : object
-            What the file says.
+        path, raw : str, object
+            Where the table stands in the file, and what it says.
         kind : type
             The dataclass whose keys are read.
         elsewhere : iterable of str
-            Further keys that this table may hold, which the caller has read; for the message about unknown keys.
+            Further keys of this table, which the caller has read; for the message about unknown keys.
         defaults : mapping
             Values, already read, of keys that may be missing.
         siblings : iterable of str
@@ -103,8 +101,7 @@ class Reader:
                 self.note(f"{path}.{name}", "an unknown key", "one of " + ", ".join(known), did_you_mean(name, known))
         missing = [name for name in keys if name in required_of(kind) - values.keys()]
         if missing and not self.baseless and isinstance(raw, Mapping):
-            given = "only " + ", ".join(raw) if raw else "an empty table"
-            self.note(path, given, "also " + ", ".join(missing), _label_hint(path, siblings))
+            self.note(path, _only(raw), "also " + ", ".join(missing), _label_hint(path, siblings))
         return {**values, **{name: _unusable(keys[name]) for name in missing}}
 
     def value(self, path: str, raw: object, key: Key) -> Any:
@@ -195,6 +192,10 @@ def _unusable(key: Key) -> Any:
     if key.kind == "stack":
         return (SubLayer(label="", material=UNUSABLE, thickness=UNUSABLE),)
     return UNUSABLE
+
+
+def _only(raw: Mapping[str, Any]) -> str:
+    return "only " + ", ".join(raw) if raw else "an empty table"
 
 
 def _label_hint(path: str, siblings: Iterable[str]) -> str:
