@@ -9,8 +9,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-#: The file that lists what a folder holds; it is moved in last, so a folder that has it is complete.
+#: The summary of a run's results.
 SUMMARY = "summary.json"
+# Files that say what a folder holds: they are moved in last, so a folder that has them is complete.
+_INDEXES = (SUMMARY, "tables.json")
 
 
 class OutputExistsError(FileExistsError, ValueError):
@@ -23,7 +25,7 @@ def new_folder(path: str | os.PathLike[str], *, overwrite: bool = False) -> Iter
 
     If the block raises (Ctrl-C too), the temporary folder is removed and `path` is as it was. A folder that did not
     exist appears at once, by renaming. In an existing one, files of the same name are replaced and others are left
-    alone; its `summary.json` is removed first and the new one comes last.
+    alone; `summary.json` and `tables.json` are removed first and the new ones come last.
 
     Raises
     ------
@@ -57,8 +59,9 @@ def _publish(temporary: Path, target: Path) -> None:
     if not target.exists():
         temporary.rename(target)
         return
-    (target / SUMMARY).unlink(missing_ok=True)
-    for source in sorted(temporary.rglob("*"), key=lambda file: file.name == SUMMARY):
+    for name in _INDEXES:
+        (target / name).unlink(missing_ok=True)
+    for source in sorted(temporary.rglob("*"), key=lambda file: file.name in _INDEXES):
         if source.is_file():
             place = target / source.relative_to(temporary)
             place.parent.mkdir(parents=True, exist_ok=True)

@@ -2,19 +2,25 @@
 
 from cgemit.study.estimate import GaussianFit, Resolution, gaussian_fit, measure
 from cgemit.study.goodness import Flatness, chi2_flatness, chi2_probability
+from cgemit.study.paper import Reproduction, reproduce
 from cgemit.study.resolutions import Curve, Pulls, pulls, resolution, resolution_against
+from cgemit.study.scans import Scan, scan
 
 __all__ = [
     "Curve",
     "Flatness",
     "GaussianFit",
     "Pulls",
+    "Reproduction",
     "Resolution",
+    "Scan",
     "chi2_flatness",
     "chi2_probability",
     "gaussian_fit",
     "measure",
     "pulls",
+    "reproduce",
     "resolution",
     "resolution_against",
+    "scan",
 ]

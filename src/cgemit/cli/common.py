@@ -1,0 +1,185 @@
+"""What several sub-commands share: options, reading of values, exit codes."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from importlib import metadata
+from typing import TYPE_CHECKING
+
+from cgemit.units import QuantityError, parse_quantity
+
+if TYPE_CHECKING:
+    from cgemit.detector import Detector
+    from cgemit.gun import Gun
+
+OK, BAD_INPUT, RUN_FAILED, INTERRUPTED = 0, 2, 3, 130
+
+#: The sub-commands, in the order of the help text; each is a module with `add_parser`.
+COMMANDS = ("study", "resolution", "simulate", "detectors", "show", "validate")
+
+#: What a gun takes for a quantity: one number, a uniform range, or values in turn.
+Values = float | tuple[float, float] | list[float]
+
+
+class HelpFormatter(argparse.RawDescriptionHelpFormatter):
+    """Keep the line breaks of descriptions and examples."""
+
+    def __init__(self, prog: str) -> None:
+        super().__init__(prog, max_help_position=30, width=110)
+        # argparse forgets the indent of sub-commands when it works out the width of the first column.
+        self._action_max_length = 14
+
+
+class InputError(ValueError):
+    """Wrong values on the command line; every problem is a line of the message."""
+
+
+def version() -> str:
+    """Return the version of the installed package."""
+    try:
+        return metadata.version("cgemit")
+    except metadata.PackageNotFoundError:  # run from a source tree
+        return "unknown"
+
+
+def add_common(parser: argparse.ArgumentParser) -> None:
+    """Add the options that every sub-command with a run has."""
+    parser.add_argument("--quiet", action="store_true", help="no progress on stderr")
+    parser.add_argument("--debug", action="store_true", help="show where in the program an error arose")
+
+
+def add_detector(parser: argparse.ArgumentParser) -> None:
+    """Add `--detector` and `--set`."""
+    parser.add_argument(
+        "-d", "--detector", required=True, metavar="NAME|FILE",
+        help="a preset (see: cgemit detectors) or a detector file in TOML",
+    )  # fmt: skip
+    parser.add_argument(
+        "--set", action="append", default=[], metavar="KEY=VALUE", dest="overrides",
+        help='change one value of the detector, such as cgem.L2.pitch_x="500 um"; may be repeated',
+    )  # fmt: skip
+
+
+def add_output(parser: argparse.ArgumentParser, *, default: str | None = None) -> None:
+    """Add the output folder and `--overwrite`."""
+    parser.add_argument(
+        "-o", "--output", metavar="DIR", default=default, required=default is None,
+        help="folder for the results" + (f" (default {default})" if default else ""),
+    )  # fmt: skip
+    parser.add_argument(
+        "--overwrite", action="store_true", help="write into a folder that already holds files, replacing results"
+    )
+
+
+def add_run(parser: argparse.ArgumentParser) -> None:
+    """Add seed and threads."""
+    parser.add_argument("--seed", type=_seed, default=1, help="seed of the random numbers (default 1)")
+    parser.add_argument(
+        "--threads", type=positive, default=None, metavar="N",
+        help="number of threads (default: all cores); results do not depend on it",
+    )  # fmt: skip
+
+
+def load_detector(arguments: argparse.Namespace) -> Detector:
+    """Return the detector of `--detector` with the changes of `--set`."""
+    from cgemit.detector import load
+
+    detector = load(arguments.detector)
+    overrides = dict(_override(text) for text in arguments.overrides)
+    return detector.with_overrides(overrides) if overrides else detector
+
+
+def make_gun(values: dict[str, object]) -> Gun:
+    """Return the gun with these arguments, leaving out those that were not given."""
+    from cgemit.gun import Gun
+
+    return Gun(**{name: value for name, value in values.items() if value is not None})  # type: ignore[arg-type]
+
+
+def momenta(text: str) -> Values:
+    """Read momenta in GeV/c or with a unit: a number, ``A:B`` (uniform), ``A:B:N`` (ends included) or ``A,B,C``."""
+    return _values(text, "momentum")
+
+
+def cosines(text: str) -> Values:
+    """Read cosines of the polar angle, as `momenta`."""
+    return _values(text, "dimensionless")
+
+
+def angles(text: str) -> Values:
+    """Read angles in rad or with a unit, as `momenta`."""
+    return _values(text, "angle")
+
+
+def lengths(text: str) -> Values:
+    """Read lengths in mm or with a unit, as `momenta`."""
+    return _values(text, "length")
+
+
+def positive(text: str) -> int:
+    """Read a whole number of at least 1."""
+    return _whole(text, 1)
+
+
+def _seed(text: str) -> int:
+    return _whole(text, 0)
+
+
+def _whole(text: str, least: int) -> int:
+    try:
+        number = int(text)
+    except ValueError:
+        number = least - 1
+    if number < least:
+        raise argparse.ArgumentTypeError(f"got {text!r}; expected a whole number of at least {least}")
+    return number
+
+
+def _override(text: str) -> tuple[str, object]:
+    name, equals, value = text.partition("=")
+    if not equals or not name.strip():
+        raise InputError(f'--set: got {text!r}; expected KEY=VALUE such as cgem.L2.pitch_x="500 um"')
+    return name.strip(), _literal(value.strip())
+
+
+def _literal(text: str) -> object:
+    """Read a value as a detector file would, but let strings go without quotes, which the shell has eaten."""
+    import tomllib
+
+    try:
+        return tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        return text
+
+
+def _values(text: str, dimension: str) -> Values:
+    try:
+        if "," in text:
+            return [_number(part, dimension) for part in text.split(",")]
+        parts = text.split(":")
+        if len(parts) == 3:
+            return _steps(_number(parts[0], dimension), _number(parts[1], dimension), positive(parts[2]))
+        numbers = [_number(part, dimension) for part in parts]
+    except QuantityError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
+    if len(numbers) > 2:
+        raise argparse.ArgumentTypeError(f"got {text!r}; expected a number, A:B, A:B:COUNT or A,B,C")
+    return numbers[0] if len(numbers) == 1 else (numbers[0], numbers[1])
+
+
+def _steps(start: float, stop: float, count: int) -> list[float]:
+    if count == 1:
+        return [start]
+    # Rounded, so that 0.2:2.0:10 is 0.2, 0.4, 0.6 and not 0.6000000000000001.
+    return [round(start + (stop - start) * i / (count - 1), 12) for i in range(count)]
+
+
+def _number(text: str, dimension: str) -> float:
+    try:
+        number = float(text)
+    except ValueError:
+        return parse_quantity(text, dimension)
+    if not math.isfinite(number):
+        raise QuantityError(f"{text!r} (not finite)", "a finite number")
+    return number

@@ -1,0 +1,93 @@
+"""Entry point of `cgemit`: reads the command line, runs one sub-command, turns errors into exit codes."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import re
+import sys
+import traceback
+from collections.abc import Sequence
+
+from cgemit.cli.common import BAD_INPUT, COMMANDS, INTERRUPTED, OK, RUN_FAILED, HelpFormatter, version
+
+_DESCRIPTION = """\
+Which resolution does a tracker of cylindrical GEM layers and drift chambers reach, and why?
+Units: mm, ns, GeV, GeV/c, T, rad; values on the command line and in detector files carry their unit ("500 um")."""
+
+_EXAMPLES = """\
+examples:
+  cgemit study                                       every figure and number of arXiv:1504.02570 in ./cgemit-study
+  cgemit resolution -d besiii-cgem --p 0.2:2.0:10 -o curves
+  cgemit show besiii-cgem                            tables of material and read-out, pictures
+  cgemit simulate -d besiii-cgem --particle pi+ --p 0.5 -n 1000 --fit -o sample
+
+exit codes: 0 ok, 2 bad input (every problem is listed), 3 the run failed, 130 interrupted"""
+
+
+def build_parser() -> argparse.ArgumentParser:
+    """Return the parser with all sub-commands."""
+    parser = argparse.ArgumentParser(
+        prog="cgemit", description=_DESCRIPTION, epilog=_EXAMPLES, formatter_class=HelpFormatter
+    )
+    parser.add_argument("--version", action="version", version=f"cgemit {version()}")
+    subparsers = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
+    for name in COMMANDS:
+        importlib.import_module(f"cgemit.cli.{name}").add_parser(subparsers)
+    return parser
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line and return its exit code.
+
+    Parameters
+    ----------
+    argv : sequence of str, optional
+        Arguments without the program's name; default: those of the process.
+
+    Returns
+    -------
+    int
+        0 ok, 2 bad input, 3 run failed, 130 interrupted by Ctrl-C.
+    """
+    try:
+        arguments = build_parser().parse_args(join_negative_values(sys.argv[1:] if argv is None else argv))
+    except SystemExit as stop:  # --help, --version, or arguments that argparse has complained about
+        return int(stop.code or OK)
+    try:
+        return int(arguments.run(arguments) or OK)
+    except KeyboardInterrupt:
+        print("cgemit: interrupted; nothing was written", file=sys.stderr)
+        return INTERRUPTED
+    except BrokenPipeError:  # the reader of a pipe such as `cgemit show ... | head` has gone
+        sys.stderr.close()
+        return OK
+    except (ValueError, FileNotFoundError) as error:
+        return _report(error, BAD_INPUT, getattr(arguments, "debug", False))
+    except Exception as error:
+        return _report(error, RUN_FAILED, getattr(arguments, "debug", False))
+
+
+def _report(error: Exception, code: int, debug: bool) -> int:
+    if debug:
+        traceback.print_exception(error)
+    kind = "" if code == BAD_INPUT else f"{type(error).__name__}: "
+    print(f"cgemit: {kind}{error}", file=sys.stderr)
+    if code == RUN_FAILED and not debug:
+        print("cgemit: the run failed; --debug shows where", file=sys.stderr)
+    return code
+
+
+def join_negative_values(argv: Sequence[str]) -> list[str]:
+    """Write ``--cos-theta -0.9:0.9`` as ``--cos-theta=-0.9:0.9``, since argparse would take the value for an option."""
+    joined: list[str] = []
+    for word in argv:
+        if joined and re.fullmatch(r"--[a-z-]+", joined[-1]) and re.match(r"-\.?\d", word):
+            joined[-1] += f"={word}"
+        else:
+            joined.append(word)
+    return joined
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,65 @@
+"""`cgemit resolution`: resolutions of a detector against momentum."""
+
+from __future__ import annotations
+
+import argparse
+import json
+
+from cgemit.cli import common
+
+_DESCRIPTION = """\
+Resolutions sigma(d_rho), sigma(d_z) and sigma(p) of one detector against momentum, from simulated and fitted tracks.
+The table goes to stdout; the folder gets resolution.csv, summary.json and the curves as PNG and PDF."""
+
+_EXAMPLES = """\
+Momenta are one number, A,B,C, or START:STOP:COUNT with both ends; in GeV/c unless a unit is given.
+
+examples:
+  cgemit resolution -d besiii-cgem-design --p 0.2:2.0:10 -o curves
+  cgemit resolution -d besiii-cgem-design --set cgem.L2.pitch_x="500 um" --p 0.5,1 --cos-theta 0 -o variant
+  cgemit resolution -d besiii-idc --particle pi+ --p 1 --cos-theta -0.8:0.8 --events 20000 -o pions --json"""
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the sub-command."""
+    parser = subparsers.add_parser(
+        "resolution", help="resolutions of a detector against momentum", description=_DESCRIPTION, epilog=_EXAMPLES,
+        formatter_class=common.HelpFormatter,
+    )  # fmt: skip
+    common.add_detector(parser)
+    parser.add_argument("--particle", default="mu-", help="PDG name or number (default mu-)")
+    parser.add_argument("--p", type=common.momenta, required=True, metavar="VALUES", help="momenta, GeV/c")
+    parser.add_argument(
+        "--cos-theta", type=common.cosines, default=(-0.93, 0.93), metavar="LO:HI|VALUE",
+        help="cosine of the polar angle: a value, or a range drawn uniformly (default -0.93:0.93)",
+    )  # fmt: skip
+    parser.add_argument("--events", type=common.positive, default=5000, metavar="N", help="a momentum (default 5000)")
+    parser.add_argument(
+        "--method", choices=("mc",), default="mc", help="mc: simulated events (the only method of this version)"
+    )
+    parser.add_argument("--json", action="store_true", help="write summary.json to stdout instead of the table")
+    common.add_output(parser)
+    common.add_run(parser)
+    common.add_common(parser)
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the scan."""
+    from cgemit.cli.progress import Progress
+    from cgemit.io.folders import check_free
+    from cgemit.study.scans import scan
+
+    if isinstance(arguments.p, tuple):
+        raise common.InputError("--p: got a range of two numbers; expected momenta, as START:STOP:COUNT or A,B,C")
+    check_free(arguments.output, overwrite=arguments.overwrite)
+    detector = common.load_detector(arguments)
+    momenta = arguments.p if isinstance(arguments.p, list) else [arguments.p]
+    with Progress("resolution", quiet=arguments.quiet) as progress:
+        result = scan(
+            detector, momenta, particle=arguments.particle, cos_theta=arguments.cos_theta, events=arguments.events,
+            seed=arguments.seed, threads=arguments.threads, progress=progress,
+        )  # fmt: skip
+    result.save(arguments.output, overwrite=arguments.overwrite)
+    print(json.dumps(result.summary(), indent=2) if arguments.json else result)
+    return 0

@@ -1,0 +1,92 @@
+"""`cgemit simulate`: run the chain and write its tables."""
+
+from __future__ import annotations
+
+import argparse
+import json
+
+from cgemit.cli import common
+
+_DESCRIPTION = """\
+Shoot particles through a detector and write the tables of the chain: particles, truths, wire_truths, digis,
+wire_hits, clusters, and with --fit tracks. One .npz file a table (numpy.load, or cgemit.Table.load) with a JSON file
+beside it that says what the columns mean."""
+
+_EXAMPLES = """\
+A quantity is a number (fixed), A:B (uniform range), A:B:N (N values from A to B in turn) or A,B,C (values in turn);
+momenta in GeV/c, angles in rad, lengths in mm unless a unit is given, as in "500 MeV/c" or "30 deg".
+
+examples:
+  cgemit simulate -d besiii-cgem-design --particle mu- --p 1 --cos-theta -0.93:0.93 -n 10000 --fit -o muons
+  cgemit simulate -d besiii-cgem --particle pi+ --pt 0.1:0.5 --theta "30 deg:150 deg" -n 1000 -o pions
+  cgemit simulate -d my-detector.toml --particle K- --p 0.3,0.5,1 --cos-theta 0 --vertex 1,0,0 -n 300 -o kaons"""
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the sub-command."""
+    parser = subparsers.add_parser(
+        "simulate", help="shoot particles and write hits, clusters and tracks as tables", description=_DESCRIPTION,
+        epilog=_EXAMPLES, formatter_class=common.HelpFormatter,
+    )  # fmt: skip
+    common.add_detector(parser)
+    add_gun(parser)
+    parser.add_argument("-n", "--events", type=common.positive, required=True, metavar="N", help="number of events")
+    parser.add_argument("--fit", action="store_true", help="write the fitted tracks too")
+    parser.add_argument("--json", action="store_true", help="write the summary to stdout as JSON")
+    common.add_output(parser)
+    common.add_run(parser)
+    common.add_common(parser)
+    parser.set_defaults(run=run)
+
+
+def add_gun(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the gun."""
+    gun = parser.add_argument_group("gun")
+    gun.add_argument("--particle", default="mu-", help="PDG name or number (default mu-)")
+    momentum = gun.add_mutually_exclusive_group(required=True)
+    momentum.add_argument("--p", type=common.momenta, metavar="VALUES", help="momentum, GeV/c")
+    momentum.add_argument("--pt", type=common.momenta, metavar="VALUES", help="transverse momentum, GeV/c")
+    polar = gun.add_mutually_exclusive_group(required=True)
+    polar.add_argument("--theta", type=common.angles, metavar="VALUES", help="polar angle, rad")
+    polar.add_argument("--cos-theta", type=common.cosines, metavar="VALUES", help="its cosine")
+    gun.add_argument("--phi", type=common.angles, metavar="VALUES", help="azimuth, rad (default: uniform)")
+    gun.add_argument("--vertex", type=triple, metavar="X,Y,Z", help="vertex, mm (default 0,0,0)")
+    gun.add_argument("--vertex-sigma", type=triple, metavar="X,Y,Z", help="its Gaussian spread, mm (default 0,0,0)")
+
+
+def triple(text: str) -> tuple[float, float, float]:
+    """Read three lengths, ``X,Y,Z``."""
+    values = common.lengths(text)
+    if not isinstance(values, list) or len(values) != 3:
+        raise argparse.ArgumentTypeError(f"got {text!r}; expected three lengths X,Y,Z")
+    return values[0], values[1], values[2]
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the chain and write its tables."""
+    from cgemit import chain
+    from cgemit.cli.progress import Progress
+    from cgemit.io.folders import SUMMARY, new_folder
+    from cgemit.tables import save_tables
+
+    detector = common.load_detector(arguments)
+    names = ("particle", "p", "pt", "theta", "cos_theta", "phi", "vertex", "vertex_sigma")
+    gun = common.make_gun({name: getattr(arguments, name) for name in names})
+    with new_folder(arguments.output, overwrite=arguments.overwrite) as folder:
+        with Progress("simulate", quiet=arguments.quiet) as progress:
+            result = chain.run(
+                detector, gun, arguments.events, arguments.seed, threads=arguments.threads, progress=progress
+            )
+        tables = {name: table for name, table in result.tables.items() if arguments.fit or name != "tracks"}
+        save_tables(tables, folder)
+        (folder / "detector.toml").write_text(detector.to_toml(), encoding="utf-8")
+        summary = {
+            "version": common.version(), "detector": detector.name, "gun": repr(gun), "events": arguments.events,
+            "seed": arguments.seed, "transport": result.transport(),
+            "rows": {name: len(table) for name, table in tables.items()},
+        }  # fmt: skip
+        if arguments.fit:
+            summary["removed"] = result.removed()
+        (folder / SUMMARY).write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
+    print(json.dumps(summary, indent=2) if arguments.json else result)
+    return 0

@@ -1,0 +1,239 @@
+"""Distributions of residuals and pulls, and resolutions against momentum and angle."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib.axes import Axes
+
+from cgemit.draw.style import COLORS, Picture, grid, mathematical, new_picture, statistics_box, style
+from cgemit.study.records import Line, shown
+from cgemit.study.spectra import Spectrum, track_spectrum
+from cgemit.tables import Table
+
+if TYPE_CHECKING:
+    from cgemit.chain import Result
+
+_MARKERS = ("o", "s", "D", "^", "v")
+_COLOURS = (COLORS["cgem"], COLORS["idc"], COLORS["truth"], "#7A3E9D", "#666666")
+
+
+def residual(result: Result | Table, quantity: str = "p") -> Picture:
+    """Draw fitted minus true values of one track quantity with the fit of its core and the statistics.
+
+    Parameters
+    ----------
+    result : Result or Table of kind "tracks"
+    quantity : str
+        ``"dr"``, ``"phi0"``, ``"kappa"``, ``"dz"``, ``"tanl"`` or ``"p"``.
+
+    Returns
+    -------
+    Picture
+
+    Raises
+    ------
+    ValueError
+        If the quantity is unknown, or too few tracks were fitted.
+    """
+    tracks = result if isinstance(result, Table) else result.tracks
+    with style():
+        picture, (axes,) = new_picture(1, 1, (6.4, 4.6))
+        title = "" if isinstance(result, Table) else f"{result.detector.name}, {result.particles.n_events:,} events"
+        draw_spectrum(axes, track_spectrum(tracks, quantity), title)
+        picture.subplots_adjust(left=0.13, right=0.97, top=0.92, bottom=0.13)
+    return picture
+
+
+def draw_spectrum(axes: Axes, spectrum: Spectrum, title: str = "", colour: str = COLORS["data"]) -> None:
+    """Draw a histogram with Poisson errors, the fitted core and the statistics into axes."""
+    counts = spectrum.counts["all"]
+    centres = 0.5 * (spectrum.edges[1:] + spectrum.edges[:-1])
+    filled = counts > 0
+    n = counts[filled]
+    axes.errorbar(centres[filled], n, np.sqrt(n), fmt="o", ms=2.8, lw=0.9, color=colour, zorder=3)
+    x, y = spectrum.fit_curve()
+    axes.plot(x, y, color=COLORS["fit"], lw=1.8, zorder=4)
+    _label_spectrum(axes, spectrum, title)
+    statistics_box(axes, spectrum.statistics())
+
+
+def draw_parts(axes: Axes, spectrum: Spectrum, parts: Mapping[str, tuple[str, str]], title: str = "") -> None:
+    """Draw a histogram and parts of it, each with a colour and a legend text, and the statistics.
+
+    Parameters
+    ----------
+    parts : mapping of str to (str, str)
+        Name of the counts, its colour and its legend text.
+    """
+    for name, (colour, text) in parts.items():
+        axes.stairs(spectrum.counts[name], spectrum.edges, fill=True, color=colour, alpha=0.75, label=text)
+    axes.stairs(spectrum.counts["all"], spectrum.edges, color=COLORS["data"], lw=1.3, label="all")
+    _label_spectrum(axes, spectrum, title)
+    statistics_box(axes, spectrum.statistics())
+    axes.legend(loc="upper left")
+
+
+def _label_spectrum(axes: Axes, spectrum: Spectrum, title: str) -> None:
+    width = spectrum.edges[1] - spectrum.edges[0]
+    unit = shown(spectrum.unit)
+    axes.set(xlabel=f"{mathematical(spectrum.label)}  ({unit})", ylabel=f"entries / {width:.3g} {unit}")
+    axes.set(xlim=(spectrum.edges[0], spectrum.edges[-1]), ylim=(0, 1.25 * max(1, spectrum.counts["all"].max())))
+    if title:
+        axes.set_title(title, loc="left")
+    grid(axes)
+
+
+def draw_curves(
+    axes: Axes, curves: Sequence[Line], y_label: str, x_label: str, paper: tuple[float, float] | None = None
+) -> None:
+    """Draw curves with errors into axes, one per detector.
+
+    Parameters
+    ----------
+    curves : sequence of Line
+        All in the same units.
+    y_label, x_label : str
+        Without the unit.
+    paper : (float, float), optional
+        A published point.
+    """
+    for curve, marker, colour in zip(curves, _MARKERS, _COLOURS, strict=False):
+        axes.errorbar(
+            curve.x, curve.y, curve.y_error, fmt=f"{marker}-", color=colour, ms=5, lw=1.2, mec="white", mew=0.5,
+            elinewidth=1, label=curve.detector,
+        )  # fmt: skip
+    if paper:
+        star: dict[str, Any] = {"ms": 13, "color": COLORS["single"], "mec": COLORS["data"], "mew": 0.7}
+        axes.plot(*paper, "*", zorder=5, label="paper, CGEM", **star)
+    x_unit, y_unit = (f"  ({shown(unit)})" if unit else "" for unit in (curves[0].x_unit, curves[0].y_unit))
+    axes.set(xlabel=x_label + x_unit, ylabel=mathematical(y_label) + y_unit)
+    axes.set_ylim(0, 1.08 * _top(curves))
+    grid(axes)
+
+
+def _top(curves: Sequence[Line]) -> float:
+    values = np.concatenate([curve.y for curve in curves])
+    return float(np.nanmax(values)) if np.isfinite(values).any() else 1.0
+
+
+def draw_resolutions(
+    panels: Sequence[tuple[str, Sequence[Line]]], x_label: str, papers: Sequence[tuple[float, float] | None] = ()
+) -> Picture:
+    """Draw several quantities against the same variable, side by side.
+
+    Parameters
+    ----------
+    panels : sequence of (str, sequence of Line)
+        Axis label and curves of each panel.
+    x_label : str
+    papers : sequence of (float, float) or None
+        A published point for each panel.
+    """
+    with style():
+        width = 5.6 * len(panels) + 0.6
+        picture, axes = new_picture(1, len(panels), (width, 4.4))
+        points = [*papers, *[None] * (len(panels) - len(papers))]
+        for plot, (label, curves), paper in zip(axes, panels, points, strict=True):
+            draw_curves(plot, curves, label, x_label, paper)
+        axes[0].legend()
+        picture.subplots_adjust(left=0.75 / width, right=1 - 0.15 / width, top=0.96, bottom=0.13, wspace=0.2)
+    return picture
+
+
+def draw_pulls(
+    samples: Mapping[str, Mapping[str, npt.NDArray[np.float64]]], texts: Mapping[str, Mapping[str, str]]
+) -> Picture:
+    """Draw the pulls of the track parameters, one panel each, all detectors in it, with the unit Gaussian.
+
+    Parameters
+    ----------
+    samples : mapping
+        Detector -> symbol of the parameter -> pulls (n,).
+    texts : mapping
+        Detector -> symbol of the parameter -> what the legend says about them.
+    """
+    names = list(next(iter(samples.values())))
+    edges = np.linspace(-5, 5, 51)
+    centres = 0.5 * (edges[1:] + edges[:-1])
+    with style():
+        picture, axes = new_picture(2, 3, (13.0, 7.4))
+        for plot, name in zip(axes, names, strict=True):
+            for (detector, pulls), marker, colour in zip(samples.items(), _MARKERS, _COLOURS, strict=False):
+                counts, _ = np.histogram(pulls[name], edges)
+                density = counts / max(1, len(pulls[name])) / (edges[1] - edges[0])
+                plot.plot(centres, density, marker, ms=3.6, color=colour, label=texts[detector][name])
+            unit_gaussian = np.exp(-0.5 * centres**2) / np.sqrt(2 * np.pi)
+            plot.plot(centres, unit_gaussian, color=COLORS["data"], lw=1, ls="--", zorder=1)
+            plot.set(xlim=(-5, 5), ylim=(0, 0.62), xlabel=f"pull of {mathematical(name)}", ylabel="density")
+            plot.legend(loc="upper center", fontsize=8.2, handletextpad=0.2)
+            grid(plot)
+        _legend_below(picture, list(samples))
+        picture.subplots_adjust(left=0.055, right=0.99, top=0.98, bottom=0.12, wspace=0.2, hspace=0.24)
+    return picture
+
+
+def draw_probabilities(samples: Mapping[str, npt.NDArray[np.float64]]) -> Picture:
+    """Draw the chi-square probabilities of each detector's tracks, flat if the errors are right."""
+    edges = np.linspace(0, 1, 41)
+    with style():
+        picture, (axes,) = new_picture(1, 1, (6.4, 4.4))
+        for (detector, values), colour in zip(samples.items(), _COLOURS, strict=False):
+            counts, _ = np.histogram(values, edges)
+            mean = max(1, len(values)) / (len(edges) - 1)
+            text = f"{detector}: n = {len(values):,}, mean = {np.mean(values):.3f}"
+            axes.stairs(counts / mean, edges, color=colour, lw=1.4, label=text)
+        axes.axhline(1, color=COLORS["data"], lw=1, ls="--", label="right errors")
+        axes.set(xlabel="χ² probability", ylabel="entries / expectation", xlim=(0, 1))
+        axes.set_ylim(0, 1.35 * axes.get_ylim()[1])
+        axes.legend(loc="upper right")
+        grid(axes)
+        picture.subplots_adjust(left=0.11, right=0.97, top=0.96, bottom=0.13)
+    return picture
+
+
+def draw_grid(
+    rows: Sequence[Sequence[tuple[str, Sequence[Line]]]], x_label: str, unity_rows: Sequence[int] = ()
+) -> Picture:
+    """Draw a grid of panels against the same variable.
+
+    Parameters
+    ----------
+    rows : rows of (axis label, curves)
+    x_label : str
+    unity_rows : sequence of int
+        Rows that get a dashed line at 1 and a range around it.
+    """
+    with style():
+        picture, axes = new_picture(len(rows), len(rows[0]), (4.4 * len(rows[0]), 3.4 * len(rows)))
+        for number, plot in enumerate(axes):
+            row, column = divmod(number, len(rows[0]))
+            label, curves = rows[row][column]
+            draw_curves(plot, curves, label, x_label)
+            if row in unity_rows:
+                plot.axhline(1, color=COLORS["data"], lw=1, ls="--", zorder=1)
+                plot.set_ylim(*_around_one(curves))
+        _legend_below(picture, [curve.detector for curve in rows[0][0][1]])
+        picture.subplots_adjust(left=0.06, right=0.99, top=0.975, bottom=0.135, wspace=0.23, hspace=0.23)
+    return picture
+
+
+def _around_one(curves: Sequence[Line]) -> tuple[float, float]:
+    values = np.concatenate([curve.y for curve in curves])
+    values = values[np.isfinite(values)]
+    reach = max(0.25, 1.25 * float(np.abs(values - 1).max())) if len(values) else 0.25
+    return max(0.0, 1 - reach), 1 + reach
+
+
+def _legend_below(picture: Picture, labels: Sequence[str]) -> None:
+    from matplotlib.lines import Line2D
+
+    options: dict[str, Any] = {"ls": "", "ms": 6}
+    handles = [
+        Line2D([], [], marker=marker, color=colour, label=label, **options)
+        for label, marker, colour in zip(labels, _MARKERS, _COLOURS, strict=False)
+    ]
+    picture.legend(handles=handles, loc="lower center", ncols=len(labels), fontsize=9.5)

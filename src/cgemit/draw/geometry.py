@@ -1,0 +1,48 @@
+"""Points of a helix for pictures, and angles near a reference."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from cgemit.helix import RADIUS_PER_KAPPA
+
+Array = npt.NDArray[np.float64]
+
+
+def helix_points(helix: Array, bz: float, r_max: float, z_max: float, n: int = 400) -> tuple[Array, Array, Array]:
+    """Return points of a track from its closest approach to the beam line until it leaves a cylinder or turns back.
+
+    Parameters
+    ----------
+    helix : (5,) float64
+        dr mm, phi0 rad, kappa 1/(GeV/c), dz mm, tanl; pivot at the origin.
+    bz : float
+        Field, T.
+    r_max, z_max : float
+        Radius and half length of the cylinder, mm.
+    n : int
+        Number of points.
+
+    Returns
+    -------
+    x, y, z : (m,) float64, mm
+        m <= n.
+    """
+    dr, phi0, kappa, dz, tanl = helix
+    radius = RADIUS_PER_KAPPA / (bz * kappa)
+    # Half a turn, or the whole way out of the cylinder for an almost straight track.
+    length = np.linspace(0.0, min(np.pi * abs(radius), 1.5 * (r_max + abs(dr))), n)
+    turn = -length / radius
+    x = dr * np.cos(phi0) + radius * (np.cos(phi0) - np.cos(phi0 + turn))
+    y = dr * np.sin(phi0) + radius * (np.sin(phi0) - np.sin(phi0 + turn))
+    z = dz + length * tanl
+    inside = (np.hypot(x, y) <= r_max) & (np.abs(z) <= z_max)
+    last = n if inside.all() else int(np.argmin(inside))
+    return x[:last], y[:last], z[:last]
+
+
+def near(phi: npt.ArrayLike, reference: float) -> Array:
+    """Return angles shifted by whole turns to lie within pi of a reference, rad."""
+    difference = np.asarray(phi, dtype=np.float64) - reference
+    return reference + (difference + np.pi) % (2 * np.pi) - np.pi

@@ -1,0 +1,133 @@
+"""Colours, sizes and the figure class that all pictures share."""
+
+from __future__ import annotations
+
+import io
+import os
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from cgemit.io import new_file
+
+#: Okabe-Ito colours (distinguishable with colour-blind eyes and in grey), by what they stand for.
+COLORS = {
+    "cgem": "#0072B2",
+    "idc": "#D55E00",
+    "truth": "#009E73",
+    "fit": "#CC3311",
+    "data": "#222222",
+    "single": "#E69F00",
+    "multi": "#56B4E9",
+    "x": "#0072B2",
+    "v": "#D55E00",
+    "wire": "#8A8A8A",
+    "matter": "#C8CED6",
+    "text": "#333333",
+    "grid": "#E3E6EA",
+}
+
+_STYLE = {
+    "font.size": 9.5,
+    "axes.titlesize": 10.5,
+    "axes.labelsize": 10,
+    "axes.edgecolor": "#555555",
+    "axes.linewidth": 0.8,
+    "axes.axisbelow": True,
+    "xtick.color": "#555555",
+    "ytick.color": "#555555",
+    "xtick.labelcolor": COLORS["text"],
+    "ytick.labelcolor": COLORS["text"],
+    "xtick.direction": "in",
+    "ytick.direction": "in",
+    "xtick.top": True,
+    "ytick.right": True,
+    "legend.frameon": False,
+    "legend.fontsize": 9,
+    "figure.facecolor": "white",
+    "savefig.facecolor": "white",
+}
+
+_DPI = 130  # of the PNG files and of the pictures in notebooks
+
+
+class Picture(Figure):
+    """A matplotlib figure that shows itself in a notebook and needs no window system or pyplot state."""
+
+    def _repr_png_(self) -> bytes:
+        stream = io.BytesIO()
+        self.savefig(stream, format="png", dpi=_DPI)
+        return stream.getvalue()
+
+    def save(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> list[Path]:
+        """Write the picture as PNG and PDF, or in one format if `path` names one.
+
+        Raises
+        ------
+        FileExistsError
+            If a file exists and `overwrite` is false.
+        """
+        path = Path(path)
+        # Only these count as formats: a name such as "p-1.0" must not lose its end.
+        known = path.suffix in (".png", ".pdf", ".svg")
+        targets = [path] if known else [path.with_name(path.name + end) for end in (".png", ".pdf")]
+        for target in targets:
+            with new_file(target, overwrite=overwrite) as temporary:
+                # No creation date, so that the same run writes the same bytes.
+                metadata = {"CreationDate": None} if target.suffix == ".pdf" else None
+                self.savefig(temporary, dpi=_DPI, metadata=metadata)
+        return targets
+
+
+@contextmanager
+def style() -> Iterator[None]:
+    """Apply the project's style to what is drawn inside the block, and only there."""
+    with mpl.rc_context(_STYLE):  # type: ignore[arg-type]
+        yield
+
+
+def new_picture(
+    rows: int = 1, columns: int = 1, size: tuple[float, float] | None = None, **options: Any
+) -> tuple[Picture, Sequence[Axes]]:
+    """Return a picture and its axes, row by row.
+
+    Parameters
+    ----------
+    size : (float, float), optional
+        Width and height in inches.
+    **options
+        Passed to `Figure.subplots`.
+    """
+    picture = Picture(figsize=size or (5.4 * columns, 4.0 * rows))
+    axes = picture.subplots(rows, columns, squeeze=False, **options)
+    return picture, list(axes.flat)
+
+
+def legend_entries(axes: Sequence[Axes]) -> dict[str, Any]:
+    """Return the handles of all axes by label, each label once."""
+    pairs = (zip(*plot.get_legend_handles_labels(), strict=True) for plot in axes)
+    return {label: handle for pair in pairs for handle, label in pair}
+
+
+def mathematical(label: str) -> str:
+    """Return a label with the subscripts of d_ρ and d_z set as such."""
+    return label.replace("d_ρ", r"$d_\rho$").replace("d_z", "$d_z$")
+
+
+def statistics_box(axes: Axes, lines: Sequence[str], *, right: bool = True, top: float = 0.97) -> None:
+    """Write a few lines of numbers into a corner of the axes."""
+    axes.text(
+        0.97 if right else 0.03, top, "\n".join(lines), transform=axes.transAxes, ha="right" if right else "left",
+        va="top", fontsize=8.4, linespacing=1.4, color=COLORS["text"],
+        bbox={"boxstyle": "round,pad=0.4", "facecolor": "white", "edgecolor": COLORS["grid"], "alpha": 0.92},
+    )  # fmt: skip
+
+
+def grid(axes: Axes) -> None:
+    """Draw a faint grid behind the data."""
+    axes.grid(True, color=COLORS["grid"], linewidth=0.7)

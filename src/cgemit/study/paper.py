@@ -1,0 +1,236 @@
+"""The paper, arXiv:1504.02570, number by number and figure by figure."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from cgemit import chain
+from cgemit.detector import load
+from cgemit.gun import Gun
+from cgemit.io.folders import SUMMARY, check_free, new_folder
+from cgemit.study.paper_rows import make_rows
+from cgemit.study.present import html_table, text_table, with_error
+from cgemit.study.records import Line, Row, package_version
+from cgemit.study.samples import Order, Sample, ShowProgress, run_samples
+from cgemit.study.scans import QUOTED_PARAMETERS, momentum_line, momentum_orders
+
+if TYPE_CHECKING:
+    from cgemit.detector import Detector
+
+#: The detectors that the paper compares.
+DETECTORS = ("besiii-cgem-design", "besiii-idc")
+#: Momenta of the curves, GeV/c.
+MOMENTA = (0.15, 0.2, 0.3, 0.4, 0.5, 0.75, 1.0, 1.25, 1.5, 2.0)
+#: Range of cos(theta), uniform: where a track crosses all CGEM layers.
+COS_THETA = (-0.93, 0.93)
+#: Drift gap of the variant, mm; the paper does not state its own.
+THIN_GAP = 3.0
+
+_EVENTS, _QUICK_EVENTS, _FEWEST_EVENTS = 20_000, 2_000, 400
+_SHARE = 4  # each momentum of the curves gets this part of the events
+_DISPLAY_EVENTS = 200  # among which the event that is drawn is looked for
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """What a reproduction was asked for."""
+
+    events: int
+    events_per_momentum: int
+    seed: int
+    threads: int | None
+    quick: bool
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Reproduction:
+    """The paper's numbers beside ours.
+
+    Attributes
+    ----------
+    results : tuple of Row
+        One for each quantity and detector.
+    curves : tuple of Line
+        sigma_dr, sigma_dz and sigma_p against momentum for both detectors.
+    inputs : Inputs
+    samples : mapping of str to Sample
+        The samples at 1 GeV/c: ``"cgem"``, ``"idc"``, and ``"gap"`` with a thinner drift gap.
+    scans : mapping of str to tuple of Sample
+        The momentum scans: ``"cgem"`` and ``"idc"``.
+    display : Result
+        A few events to draw.
+    timings : mapping of str to float, s
+        Wall time of the parts, and stage times summed over threads.
+    folder : Path or None
+        Where the files are.
+    """
+
+    results: tuple[Row, ...]
+    curves: tuple[Line, ...]
+    inputs: Inputs
+    samples: Mapping[str, Sample]
+    scans: Mapping[str, tuple[Sample, ...]]
+    display: chain.Result
+    timings: Mapping[str, float]
+    folder: Path | None = None
+
+    def __getitem__(self, name: str) -> Row:
+        """Return a result by its id.
+
+        Raises
+        ------
+        KeyError
+            If there is none.
+        """
+        for row in self.results:
+            if row.id == name:
+                return row
+        raise KeyError(f"{name!r}; there are {', '.join(row.id for row in self.results)}")
+
+    def summary(self) -> dict[str, Any]:
+        """Return what `summary.json` holds."""
+        every = [*self.samples.values(), *(s for scan in self.scans.values() for s in scan)]
+        return {
+            "program": "cgemit",
+            "paper": "arXiv:1504.02570",
+            "versions": {"cgemit": package_version(), "python": platform.python_version(), "numpy": np.__version__},
+            "inputs": {
+                "detectors": list(DETECTORS), "particle": "mu-", "p": "1 GeV/c", "cos_theta": list(COS_THETA),
+                "events": self.inputs.events, "momenta": list(MOMENTA),
+                "events_per_momentum": self.inputs.events_per_momentum, "quick": self.inputs.quick,
+                "hits": "assigned to tracks by truth",
+            },
+            "seed": self.inputs.seed,
+            "timings": dict(self.timings),
+            "removed": {s.label: {"fit": dict(s.removed), "transport": dict(s.transport)} for s in every},
+            "results": [row.as_json() for row in self.results],
+            "curves": [line.as_json() for line in self.curves],
+        }  # fmt: skip
+
+    def _rows(self) -> list[list[str]]:
+        return [
+            [row.id, f"{row.paper:g}" if row.paper is not None else "-", with_error(row.value, row.error), row.unit]
+            for row in self.results
+        ]
+
+    def __repr__(self) -> str:
+        title = f"arXiv:1504.02570 with {self.inputs.events:,} events, seed {self.inputs.seed}; hits assigned by truth"
+        return text_table(title, _HEAD, self._rows())
+
+    def _repr_html_(self) -> str:
+        return html_table("arXiv:1504.02570; hits assigned by truth", _HEAD, self._rows())
+
+
+_HEAD = ("quantity", "paper", "cgemit", "unit")
+
+
+def reproduce(
+    output: str | os.PathLike[str] | None = None,
+    *,
+    events: int | None = None,
+    seed: int = 1,
+    threads: int | None = None,
+    quick: bool = False,
+    overwrite: bool = False,
+    progress: ShowProgress | None = None,
+) -> Reproduction:
+    """Reproduce the paper: mu- in its CGEM tracker and in the inner drift chamber.
+
+    Parameters
+    ----------
+    output : path or None
+        Folder for figures, tables, `summary.json` and `report.html`; nothing is written if None.
+    events : int, optional
+        Events at 1 GeV/c for each detector, at least 400; each of the ten momenta gets a quarter of it. Default
+        20 000, or 2000 with `quick`.
+    seed : int
+    threads : int, optional
+        Default: all cores. The numbers do not depend on it.
+    quick : bool
+        Fewer events.
+    overwrite : bool
+        Write into a folder that holds files.
+    progress : callable, optional
+        Called with the share that is done (0 to 1) and what is running.
+
+    Returns
+    -------
+    Reproduction
+
+    Raises
+    ------
+    OutputExistsError
+        If the folder holds files and `overwrite` is false.
+    ValueError
+        If there are too few events.
+    """
+    events = events if events is not None else _QUICK_EVENTS if quick else _EVENTS
+    if events < _FEWEST_EVENTS:
+        raise ValueError(f"events: got {events}; expected at least {_FEWEST_EVENTS} for the curves to mean something")
+    if output is not None:
+        check_free(output, overwrite=overwrite)
+    inputs = Inputs(events, events // _SHARE, seed, threads, quick)
+    study = _measure(inputs, progress)
+    return study if output is None else _write(study, Path(output), overwrite, progress)
+
+
+def _measure(inputs: Inputs, progress: ShowProgress | None) -> Reproduction:
+    start = time.perf_counter()
+    cgem, idc = (load(name) for name in DETECTORS)
+    thin = cgem.with_overrides({f"cgem.{layer.label}.drift_gap": f"{THIN_GAP:g} mm" for layer in cgem.cgem})
+    gun = Gun("mu-", p=1.0, cos_theta=COS_THETA)
+    main = [
+        Order(f"{name}, 1 GeV/c sample", detector, gun, inputs.events, inputs.seed)
+        for name, detector in ((cgem.name, cgem), (idc.name, idc), (f"{cgem.name} with a {THIN_GAP:g} mm gap", thin))
+    ]
+    scans = [_scan_orders(detector, inputs) for detector in (cgem, idc)]
+    samples = run_samples([*main, *scans[0], *scans[1]], threads=inputs.threads, progress=_share(progress, 0.0, 0.85))
+    named = dict(zip(("cgem", "idc", "gap"), samples, strict=False))
+    curve_samples = {"cgem": tuple(samples[3 : 3 + len(MOMENTA)]), "idc": tuple(samples[3 + len(MOMENTA) :])}
+    lines = [momentum_line(scan, name) for name in QUOTED_PARAMETERS for scan in curve_samples.values()]
+    # Events have the same random numbers however many are run: these are the first ones of the sample.
+    display = chain.run(cgem, gun, _DISPLAY_EVENTS, inputs.seed, threads=inputs.threads)
+    timings = {"run_s": time.perf_counter() - start, **_stage_seconds(samples)}
+    rows = make_rows(named)
+    return Reproduction(tuple(rows), tuple(lines), inputs, named, curve_samples, display, timings)
+
+
+def _scan_orders(detector: Detector, inputs: Inputs) -> list[Order]:
+    return momentum_orders(detector, MOMENTA, cos_theta=COS_THETA, events=inputs.events_per_momentum, seed=inputs.seed)
+
+
+def _share(progress: ShowProgress | None, low: float, high: float) -> ShowProgress | None:
+    if progress is None:
+        return None
+    return lambda fraction, label: progress(low + (high - low) * fraction, label)
+
+
+def _stage_seconds(samples: Sequence[Sample]) -> dict[str, float]:
+    stages = samples[0].timings.keys() - {"wall"}
+    return {f"{stage}_thread_s": sum(s.timings[stage] for s in samples) for stage in sorted(stages)}
+
+
+def _write(study: Reproduction, output: Path, overwrite: bool, progress: ShowProgress | None) -> Reproduction:
+    """Write all files, and return the study with its folder and the time that writing took."""
+    # Only where pictures are drawn is matplotlib loaded; it takes as long as a thousand events.
+    from cgemit.study.paper_figures import write_figures
+    from cgemit.study.paper_report import paper_report
+
+    start = time.perf_counter()
+    with new_folder(output, overwrite=overwrite) as folder:
+        figures = write_figures(study, folder, _share(progress, 0.85, 1.0))
+        seconds = time.perf_counter() - start
+        timings = {**study.timings, "figures_s": seconds, "total_s": study.timings["run_s"] + seconds}
+        study = replace(study, timings=timings, folder=output)
+        (folder / "report.html").write_text(paper_report(study, figures, folder), encoding="utf-8")
+        (folder / SUMMARY).write_text(json.dumps(study.summary(), indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    return study

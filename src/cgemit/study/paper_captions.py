@@ -1,0 +1,97 @@
+"""Titles and captions of the figures of the reproduction."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class PaperFigure:
+    """One figure.
+
+    Attributes
+    ----------
+    name : str
+        File name without ending.
+    title, caption : str
+    """
+
+    name: str
+    title: str
+    caption: str
+
+
+FIGURES: Mapping[str, PaperFigure] = {
+    "layer": PaperFigure(
+        "figure1_layer",
+        "Figure 1: one CGEM layer",
+        "Drift gap, foils and anode of the innermost layer, across and along the beam, with a simulated track. Entry "
+        "and exit of the drift gap are projected to the anode at unchanged φ and z; the strips in between fire. No "
+        "Lorentz angle and no diffusion, as for all published numbers. Foils are drawn thicker than they are.",
+    ),
+    "chain": PaperFigure(
+        "figure2_chain",
+        "Figure 2: the chain",
+        "Stages (rounded) and the tables in which they meet (square).",
+    ),
+    "cluster": PaperFigure(
+        "figure3_cluster",
+        "Figure 3: an XV cluster",
+        "The same crossing on the unrolled anode: fired X and V strips, the projected crossing (entry: circle, exit: "
+        "square), the true position at mid-gap and the reconstructed one.",
+    ),
+    "residuals": PaperFigure(
+        "figure4_residuals",
+        "Figure 4: X and V residuals of clusters",
+        "mu- of 1 GeV/c in besiii-cgem-design, all three layers. Left: X, with its parts of one strip (a rectangle) "
+        "and several strips. Right: V with an unbinned likelihood fit of a Gaussian to all entries.",
+    ),
+    "dr_dz": PaperFigure(
+        "figure5_d_rho_d_z",
+        "Figure 5: d_ρ and d_z at 1 GeV/c",
+        "Fitted minus true values at the closest approach to the beam line. The line is the Gaussian core, fitted by "
+        "likelihood within three of its own widths; the RMS is that of the shown range, five core widths to each side.",
+    ),
+    "dr_dz_p": PaperFigure(
+        "figure6_d_rho_d_z_vs_p",
+        "Figure 6: σ(d_ρ) and σ(d_z) against momentum",
+        "Core widths; cos θ is uniform in ±0.93 at each momentum. The star is the paper's number at 1 GeV/c.",
+    ),
+    "p": PaperFigure(
+        "figure7_p",
+        "Figure 7: momentum residual at 1 GeV/c",
+        "Fitted minus true momentum; lines and numbers as in figure 5.",
+    ),
+    "p_p": PaperFigure(
+        "figure8_p_vs_p",
+        "Figure 8: σ(p) against momentum",
+        "Core widths; as in figure 6.",
+    ),
+    "pulls": PaperFigure(
+        "pulls",
+        "Pulls at 1 GeV/c",
+        "Residual divided by the fit's own error for the five helix parameters and p, with width and mean of the core; "
+        "dashed: the unit Gaussian that right errors give.",
+    ),
+    "pulls_p": PaperFigure(
+        "pulls_vs_p",
+        "Pulls against momentum",
+        "Core widths of the pulls; 1 if the errors are right.",
+    ),
+    "cos_theta": PaperFigure(
+        "resolution_vs_cos_theta",
+        "Resolutions and pulls against cos θ at 1 GeV/c",
+        "Core widths of the residuals (top) and of the pulls (bottom).",
+    ),
+    "chi2": PaperFigure(
+        "chi2_probability",
+        "χ² probability at 1 GeV/c",
+        "Flat if the errors are right and the hit errors Gaussian; those of binary strips are not.",
+    ),
+    "event": PaperFigure(
+        "event",
+        "The event of figures 1 and 3",
+        "True crossings, clusters, drift circles and the fitted track.",
+    ),
+}

@@ -1,0 +1,106 @@
+"""The report of the reproduction: `report.html`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from cgemit.study.estimate import HEAD
+from cgemit.study.present import with_error
+from cgemit.study.records import package_version, paper_values, shown
+from cgemit.study.report import Code, Image, Note, Part, Section, TableOf, html_report
+from cgemit.study.resolutions import pulls
+from cgemit.study.spectra import SYMBOLS, WINDOW, windowed_resolution
+
+if TYPE_CHECKING:
+    from cgemit.study.paper import Reproduction
+    from cgemit.study.paper_captions import PaperFigure
+    from cgemit.study.samples import Sample
+
+_TITLE = "Cluster reconstruction and track fit of the BESIII CGEM inner tracker"
+_HITS = (
+    "Hits are assigned to tracks by truth: track finding does not exist yet, so the resolutions contain no wrong or "
+    "missed hits."
+)
+
+
+def paper_report(study: Reproduction, figures: Sequence[PaperFigure], folder: Path) -> str:
+    """Return the page with the comparison, the figures in `folder`, and all resolutions and pulls."""
+    lead = (
+        f"arXiv:1504.02570 (Chin. Phys. C 40 (2016) 016201) reproduced with cgemit {package_version()}: "
+        f"{study.inputs.events:,} mu- of 1 GeV/c for each detector and {study.inputs.events_per_momentum:,} at each of "
+        f"{len(study.scans['cgem'])} momenta, seed {study.inputs.seed}."
+    )
+    images = [Image(folder / f"{f.name}.png", f.title, f.caption) for f in figures]
+    return html_report(
+        f"{_TITLE}: the paper and cgemit",
+        lead,
+        [
+            Section("The paper's numbers", [_comparison(study), Note(_HITS)]),
+            Section("Figures of the paper", images[:8]),
+            Section("Are the errors right?", images[8:12]),
+            Section("Resolutions at 1 GeV/c", [*_resolutions(study)]),
+            Section("Pulls at 1 GeV/c", [_pulls(study)]),
+            Section("Rows removed by status", [_removed(study)]),
+            Section("The event that is drawn", images[12:]),
+            Section("How to repeat this", _repeat(study)),
+        ],
+    )
+
+
+def _comparison(study: Reproduction) -> TableOf:
+    rows = []
+    for row in study.results:
+        published = f"{row.paper:g} {shown(row.unit)}" if row.paper is not None else "-"
+        ours = f"{with_error(row.value, row.error)} {shown(row.unit)}".strip()
+        rows.append([row.title, published, ours, f"{row.note} Paper: {paper_values()[row.id].statistic}."])
+    return TableOf(
+        ("quantity", "paper", "cgemit ± statistical error", "why they differ"), rows, frozenset({1, 2}), frozenset({3})
+    )
+
+
+def _main(study: Reproduction) -> list[Sample]:
+    return [study.samples["cgem"], study.samples["idc"]]
+
+
+def _resolutions(study: Reproduction) -> list[Part]:
+    rows = []
+    for sample in _main(study):
+        for name, symbol in SYMBOLS.items():
+            widths = windowed_resolution(sample.tracks, name)
+            quantity = f"{symbol} ({shown(widths.unit)})"
+            rows.append([sample.detector.name, quantity, *widths.cells(), str(widths.outside)])
+    text = (
+        "core: Gaussian fitted by likelihood within three of its own widths; q68: half the central interval that holds "
+        f"68.3 % of the tracks; rms: of the tracks within {WINDOW:g} core widths, the number outside is in the last "
+        "column; bias: mean of the core; tail: tracks beyond three core widths (0.27 % for a Gaussian)."
+    )
+    return [text, TableOf(("detector", "quantity", *HEAD, "outside"), rows, frozenset({2, 3, 4, 5, 6, 7, 9}))]
+
+
+def _pulls(study: Reproduction) -> TableOf:
+    rows = [[s.detector.name, SYMBOLS[w.parameter], *w.cells()] for s in _main(study) for w in pulls(s.tracks)]
+    return TableOf(("detector", "pull of", *HEAD), rows, frozenset(range(2, 8)))
+
+
+def _removed(study: Reproduction) -> TableOf:
+    rows = []
+    for sample in [*study.samples.values(), *(s for scan in study.scans.values() for s in scan)]:
+        fit = ", ".join(f"{number:,} {name}" for name, number in sample.removed.items()) or "none"
+        transport = ", ".join(f"{number:,} {name}" for name, number in sample.transport.items())
+        unmatched = f"{sample.clusters.without_truth:,}"
+        rows.append([sample.label, f"{sample.n_events:,}", fit, transport, unmatched])
+    heads = ("sample", "tracks", "not fitted", "end of transport", "clusters without truth")
+    return TableOf(heads, rows, frozenset({1, 4}))
+
+
+def _repeat(study: Reproduction) -> list[Part]:
+    command = f"cgemit study --events {study.inputs.events} --seed {study.inputs.seed} -o DIR"
+    seconds = ", ".join(f"{name} {value:.1f}" for name, value in study.timings.items())
+    return [
+        "The numbers depend on version, events and seed, not on threads.",
+        Code(command),
+        f"cgemit {package_version()}. Timings in seconds (stages are summed over threads): {seconds}.",
+        "Tables behind the figures are the CSV files beside this page; summary.json holds all numbers.",
+    ]

@@ -1,0 +1,107 @@
+"""Runs of the chain that a study needs, each reduced to its tracks and cluster residuals."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cgemit import chain
+from cgemit.gun import Gun
+from cgemit.study.cluster_residuals import ClusterResiduals, cluster_residuals
+
+if TYPE_CHECKING:
+    from cgemit.detector import Detector
+    from cgemit.tables import Table
+
+#: Shows progress: share of the work that is done (0 to 1) and what is running.
+ShowProgress = Callable[[float, str], None]
+
+
+@dataclass(frozen=True)
+class Sample:
+    """One run: what was shot at which detector and what came out of it.
+
+    Attributes
+    ----------
+    label : str
+    detector : Detector
+    gun : Gun
+    n_events, seed : int
+    tracks : Table
+    clusters : ClusterResiduals
+    removed : mapping of str to int
+        Tracks that did not fit, by status.
+    transport : mapping of str to int
+        Particles by how their transport ended.
+    timings : mapping of str to float, s
+        As of the result.
+    """
+
+    label: str
+    detector: Detector
+    gun: Gun
+    n_events: int
+    seed: int
+    tracks: Table
+    clusters: ClusterResiduals
+    removed: Mapping[str, int]
+    transport: Mapping[str, int]
+    timings: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Order:
+    """A sample that is to be run."""
+
+    label: str
+    detector: Detector
+    gun: Gun
+    n_events: int
+    seed: int
+
+
+def run_samples(
+    orders: Sequence[Order], *, threads: int | None = None, progress: ShowProgress | None = None
+) -> list[Sample]:
+    """Run the chain for each order; memory is that of the largest single run.
+
+    Parameters
+    ----------
+    orders : sequence of Order
+    threads : int, optional
+        Default: all cores.
+    progress : callable, optional
+        Called with the share of all events that is done and the label of what is running.
+
+    Returns
+    -------
+    list of Sample
+    """
+    total = sum(order.n_events for order in orders)
+    samples, done = [], 0
+    for order in orders:
+        samples.append(_run(order, threads, _part_of(progress, done, order, total)))
+        done += order.n_events
+    return samples
+
+
+def _part_of(progress: ShowProgress | None, before: int, order: Order, total: int) -> Callable[[float], None] | None:
+    if progress is None:
+        return None
+    return lambda fraction: progress((before + order.n_events * fraction) / total, order.label)
+
+
+def _run(order: Order, threads: int | None, progress: Callable[[float], None] | None) -> Sample:
+    result = chain.run(order.detector, order.gun, order.n_events, order.seed, threads=threads, progress=progress)
+    return Sample(
+        order.label, order.detector, order.gun, order.n_events, order.seed, result.tracks, cluster_residuals(result),
+        result.removed(), result.transport(), result.timings,
+    )  # fmt: skip
+
+
+def seed_of(seed: int, number: int) -> int:
+    """Return a seed of its own for run `number` of a study (`numpy.random.SeedSequence`)."""
+    return int(np.random.SeedSequence([seed, number]).generate_state(1, np.uint64)[0])

@@ -1,0 +1,228 @@
+"""Resolutions against momentum and angle, as lines to draw and rows to write."""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from cgemit.gun import Gun
+from cgemit.io.folders import SUMMARY, new_folder
+from cgemit.study.estimate import Resolution
+from cgemit.study.present import html_table, text_table, with_error
+from cgemit.study.records import Line, package_version, write_csv
+from cgemit.study.resolutions import QUOTED, pulls, resolution, resolution_against
+from cgemit.study.samples import Order, Sample, ShowProgress, run_samples, seed_of
+
+if TYPE_CHECKING:
+    from cgemit.detector import Detector
+    from cgemit.tables import Table
+
+#: Parameters whose resolution is quoted.
+QUOTED_PARAMETERS = ("dr", "dz", "p")
+
+
+def momentum_orders(
+    detector: Detector,
+    momenta: Sequence[float],
+    *,
+    particle: str | int = "mu-",
+    cos_theta: float | tuple[float, float] | list[float],
+    events: int,
+    seed: int,
+) -> list[Order]:
+    """Return the samples of a momentum scan; each momentum has a seed of its own, the same for every detector."""
+    orders = []
+    for number, p in enumerate(momenta, start=1):
+        gun = Gun(particle, p=p, cos_theta=cos_theta)
+        orders.append(Order(f"{detector.name}, {p:g} GeV/c", detector, gun, events, seed_of(seed, number)))
+    return orders
+
+
+def momentum_line(samples: Sequence[Sample], parameter: str) -> Line:
+    """Return the core resolution of a parameter against momentum (GeV/c) in the quoted unit."""
+    widths = [resolution(s.tracks, parameter) for s in samples]
+    return _line(samples, f"sigma_{parameter}", widths, QUOTED[parameter][0])
+
+
+def pull_line(samples: Sequence[Sample], parameter: str) -> Line:
+    """Return the core width of a parameter's pull against momentum (GeV/c)."""
+    return _line(samples, f"pull_{parameter}", [pulls(s.tracks)[parameter] for s in samples], "")
+
+
+def _line(samples: Sequence[Sample], name: str, widths: Sequence[Resolution], unit: str) -> Line:
+    return Line(
+        name, samples[0].detector.name, np.array([momentum_of(s) for s in samples]), "GeV/c",
+        np.array([w.core for w in widths]), np.array([w.core_error for w in widths]), unit,
+    )  # fmt: skip
+
+
+def angle_lines(tracks: Table, detector: str, parameter: str, edges: npt.ArrayLike) -> tuple[Line, Line]:
+    """Return the core resolution and the core width of the pull of a parameter against cos(theta)."""
+    lines = []
+    for kind, name in (("residual", "sigma"), ("pull", "pull")):
+        curve = resolution_against(tracks, parameter, "cos_theta", edges, kind=kind)  # type: ignore[arg-type]
+        unit = curve.unit
+        core, error = curve.column("core"), curve.column("core_error")
+        lines.append(Line(f"{name}_{parameter}_cos_theta", detector, np.array(curve.x), "", core, error, unit))
+    return lines[0], lines[1]
+
+
+def momentum_of(sample: Sample) -> float:
+    """Return the momentum of a sample shot with one momentum, GeV/c."""
+    return float(sample.gun.p)  # type: ignore[arg-type]
+
+
+def scan_columns(samples: Sequence[Sample]) -> dict[str, list[Any]]:
+    """Return the widths of all quoted parameters for each momentum: the columns of the CSV table."""
+    columns: dict[str, list[Any]] = {
+        "detector": [s.detector.name for s in samples],
+        "p (GeV/c)": [momentum_of(s) for s in samples],
+        "events": [s.n_events for s in samples],
+    }
+    for name in QUOTED_PARAMETERS:
+        widths = [resolution(s.tracks, name) for s in samples]
+        unit = QUOTED[name][0]
+        for what in ("core", "q68", "rms"):
+            columns[f"{what}_{name} ({unit})"] = [getattr(w, what) for w in widths]
+            columns[f"{what}_{name}_error ({unit})"] = [getattr(w, f"{what}_error") for w in widths]
+        columns[f"tail_{name}"] = [w.tail for w in widths]
+    columns["fitted"] = [_fitted(s) for s in samples]
+    columns["not fitted"] = [_words(s.removed) for s in samples]
+    return columns
+
+
+def _fitted(sample: Sample) -> int:
+    return int(np.count_nonzero(sample.tracks["status"] == 0))
+
+
+def _words(counts: Mapping[str, int]) -> str:
+    return "; ".join(f"{number} {name}" for name, number in counts.items()) or "none"
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Scan:
+    """Resolutions of one detector against momentum.
+
+    Attributes
+    ----------
+    samples : tuple of Sample
+        One per momentum.
+    seed : int
+    seconds : float
+        Wall time.
+    """
+
+    samples: tuple[Sample, ...]
+    seed: int
+    seconds: float
+
+    @property
+    def lines(self) -> list[Line]:
+        """Core resolutions of d_rho, d_z and p against momentum."""
+        return [momentum_line(self.samples, name) for name in QUOTED_PARAMETERS]
+
+    def summary(self) -> dict[str, Any]:
+        """Return what `summary.json` holds."""
+        first = self.samples[0]
+        return {
+            "program": "cgemit",
+            "version": package_version(),
+            "inputs": {
+                "detector": first.detector.name, "particle": first.gun.particle, "cos_theta": first.gun.cos_theta,
+                "momenta": [momentum_of(s) for s in self.samples], "events": first.n_events, "method": "mc",
+                "hits": "assigned by truth",
+            },
+            "seed": self.seed,
+            "timings": {"total_s": self.seconds},
+            "removed": {s.label: dict(s.removed) for s in self.samples},
+            "curves": [line.as_json() for line in self.lines],
+        }  # fmt: skip
+
+    def save(self, folder: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
+        """Write resolution.csv, summary.json, the detector and the curves as PNG and PDF.
+
+        Raises
+        ------
+        OutputExistsError
+            If the folder holds files and `overwrite` is false.
+        """
+        from cgemit.draw.curves import draw_resolutions
+
+        with new_folder(folder, overwrite=overwrite) as place:
+            write_csv(place / "resolution.csv", scan_columns(self.samples))
+            (place / "detector.toml").write_text(self.samples[0].detector.to_toml(), encoding="utf-8")
+            labels = ("sigma(d_rho)", "sigma(d_z)", "sigma(p)")
+            panels = [(label, [line]) for label, line in zip(labels, self.lines, strict=True)]
+            draw_resolutions(panels, "p").save(place / "resolution")
+            (place / SUMMARY).write_text(json.dumps(self.summary(), indent=2) + "\n", encoding="utf-8")
+        return Path(folder)
+
+    def _rows(self) -> list[list[str]]:
+        pairs = [zip(line.y, line.y_error, strict=True) for line in self.lines]
+        cells = [[with_error(*pair) for pair in column] for column in pairs]
+        ends = [[f"{_fitted(s)}/{s.n_events}", _words(s.removed)] for s in self.samples]
+        momenta = [f"{momentum_of(s):g}" for s in self.samples]
+        return [[p, *row, *end] for p, row, end in zip(momenta, zip(*cells, strict=True), ends, strict=True)]
+
+    def _title(self) -> str:
+        first = self.samples[0]
+        shot = f"{first.gun.particle}, cos(theta) {first.gun.cos_theta}"
+        return f"{first.detector.name}, {shot}: core widths; hits assigned by truth"
+
+    def __repr__(self) -> str:
+        return text_table(self._title(), _HEAD, self._rows())
+
+    def _repr_html_(self) -> str:
+        return html_table(self._title(), _HEAD, self._rows())
+
+
+_HEAD = ("p [GeV/c]", "sigma(d_rho) [um]", "sigma(d_z) [mm]", "sigma(p) [MeV/c]", "fitted", "not fitted")
+
+
+def scan(
+    detector: Detector,
+    momenta: Sequence[float],
+    *,
+    particle: str | int = "mu-",
+    cos_theta: float | tuple[float, float] | list[float] = (-0.93, 0.93),
+    events: int = 5000,
+    seed: int = 1,
+    threads: int | None = None,
+    progress: ShowProgress | None = None,
+) -> Scan:
+    """Simulate and fit tracks at several momenta.
+
+    Parameters
+    ----------
+    detector : Detector
+    momenta : sequence of float
+        GeV/c.
+    particle : str or int
+        Name or number of the Particle Data Group.
+    cos_theta : float, or (float, float)
+        Cosine of the polar angle: fixed, or the limits of a uniform range.
+    events : int
+        For each momentum.
+    seed : int
+    threads : int, optional
+        Default: all cores.
+    progress : callable, optional
+        Called with the share that is done and what is running.
+
+    Raises
+    ------
+    ValueError
+        If particle or numbers make no sense.
+    """
+    start = time.perf_counter()
+    orders = momentum_orders(detector, momenta, particle=particle, cos_theta=cos_theta, events=events, seed=seed)
+    samples = run_samples(orders, threads=threads, progress=progress)
+    return Scan(tuple(samples), seed, time.perf_counter() - start)

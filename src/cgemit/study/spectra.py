@@ -1,0 +1,150 @@
+"""Histograms of residuals with their statistics: what a figure shows and its CSV table holds."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from cgemit.study.estimate import GaussianFit, Resolution, gaussian_fit, measure
+from cgemit.study.present import with_error
+from cgemit.study.records import shown
+from cgemit.study.resolutions import QUOTED, resolution
+
+if TYPE_CHECKING:
+    from cgemit.study.cluster_residuals import ClusterResiduals
+    from cgemit.tables import Table
+
+Floats = npt.NDArray[np.float64]
+Ints = npt.NDArray[np.int64]
+
+#: Axis labels of the track quantities.
+SYMBOLS = {"dr": "d_ρ", "phi0": "φ₀", "kappa": "κ", "dz": "d_z", "tanl": "tan λ", "p": "p"}
+
+#: Core widths to each side within which figures and reports take the RMS; what is outside is counted.
+WINDOW = 5.0
+
+_INSIDE_3 = 0.9973002  # of a Gaussian within 3 sigma
+
+
+@dataclass(frozen=True)
+class Spectrum:
+    """A histogram and the statistics of the values in it.
+
+    Attributes
+    ----------
+    label, unit : str
+    edges : (bins + 1,) float64
+        In `unit`.
+    counts : mapping of str to (bins,) int64
+        ``"all"`` and parts of it; values outside `edges` are not in it.
+    resolution : Resolution
+        Of all values, in `unit`.
+    fit : GaussianFit or None
+        Gaussian of all values, shown instead of the core.
+    extra : tuple of str
+        Further lines of statistics.
+    """
+
+    label: str
+    unit: str
+    edges: Floats
+    counts: Mapping[str, Ints]
+    resolution: Resolution
+    fit: GaussianFit | None = None
+    extra: tuple[str, ...] = ()
+
+    def fit_curve(self, points: int = 200) -> tuple[Floats, Floats]:
+        """Return the fitted Gaussian as (x in `unit`, entries a bin), over three widths to each side."""
+        r, width = self.resolution, self.edges[1] - self.edges[0]
+        u = np.linspace(-3, 3, points)
+        density = np.exp(-0.5 * u**2) / np.sqrt(2 * np.pi)
+        if self.fit:
+            return self.fit.mean + self.fit.sigma * u, self.fit.n * width / self.fit.sigma * density
+        inside = r.n * (1 - r.tail) / _INSIDE_3
+        return r.core_mean + r.core * u, inside * width / r.core * density
+
+    def statistics(self) -> list[str]:
+        """Return the lines of statistics that figures show."""
+        r = self.resolution
+        lines = [f"n = {r.n:,}"]
+        if self.fit:
+            lines.append(self._line("Gaussian fit", self.fit.sigma, self.fit.sigma_error))
+        lines += [
+            self._line("core", r.core, r.core_error),
+            self._line("q68", r.q68, r.q68_error),
+            self._line("RMS", r.rms, r.rms_error),
+            self._line("mean", r.core_mean, r.core_mean_error),
+            f"beyond 3 core widths: {100 * r.tail:.2f} %",
+        ]
+        not_fitted = sum(number for _, number in r.removed)
+        counts = ((not_fitted, "not fitted"), (r.outside, f"beyond {WINDOW:g} core widths"))
+        return [*lines, *(f"{name}: {number:,}" for number, name in counts if number), *self.extra]
+
+    def _line(self, name: str, value: float, error: float) -> str:
+        return f"{name}: {with_error(value, error)} {shown(self.unit)}"
+
+    def columns(self) -> dict[str, list[Any]]:
+        """Return the columns of the CSV table."""
+        limits = {f"low ({self.unit})": self.edges[:-1].tolist(), f"high ({self.unit})": self.edges[1:].tolist()}
+        return limits | {name: counts.tolist() for name, counts in self.counts.items()}
+
+
+def windowed_resolution(tracks: Table, parameter: str) -> Resolution:
+    """Return the widths of a track parameter with the RMS within `WINDOW` core widths of the core's mean.
+
+    A handful of tracks far out would otherwise decide the RMS; they are counted in `outside`.
+    """
+    widths = resolution(tracks, parameter)
+    if not widths.core > 0:
+        return widths
+    reach = WINDOW * widths.core
+    return resolution(tracks, parameter, window=(widths.core_mean - reach, widths.core_mean + reach))
+
+
+def track_spectrum(tracks: Table, parameter: str, bins: int = 80) -> Spectrum:
+    """Return the histogram of fitted minus true values of a track parameter, five core widths to each side.
+
+    Raises
+    ------
+    ValueError
+        If the parameter is unknown, or fewer than ten tracks were fitted.
+    """
+    widths = windowed_resolution(tracks, parameter)
+    if not widths.core > 0:
+        raise ValueError(f"tracks: {widths.n} fitted of {len(tracks)}; expected at least 10 for a resolution")
+    unit, scale = QUOTED[parameter]
+    values = scale * tracks[f"res_{parameter}"][tracks["status"] == 0]
+    edges = np.linspace(*widths.window, bins + 1)
+    return Spectrum(f"{SYMBOLS[parameter]}: fitted − true", unit, edges, _histograms({"all": values}, edges), widths)
+
+
+def x_spectrum(residuals: ClusterResiduals) -> Spectrum:
+    """Return the histogram of the X residuals with its parts from one and from several strips, in um."""
+    values = 1e3 * residuals.x
+    single = residuals.x_size == 1
+    share, error = residuals.single_strip_fraction
+    edges = np.linspace(-500, 500, 101)
+    parts = {"all": values, "single strip": values[single], "several strips": values[~single]}
+    extra = (f"one strip: {with_error(100 * share, 100 * error)} %",)
+    return Spectrum(
+        "X residual, R (φ − true φ)", "um", edges, _histograms(parts, edges),
+        measure(values, parameter="X", unit="um"), None, extra,
+    )  # fmt: skip
+
+
+def v_spectrum(residuals: ClusterResiduals) -> Spectrum:
+    """Return the histogram of the V residuals with a Gaussian fitted to all of them, in um."""
+    values = 1e3 * residuals.v
+    edges = np.linspace(-500, 500, 101)
+    return Spectrum(
+        "V residual", "um", edges, _histograms({"all": values}, edges), measure(values, parameter="V", unit="um"),
+        gaussian_fit(values),
+    )  # fmt: skip
+
+
+def _histograms(parts: Mapping[str, Floats], edges: Floats) -> dict[str, Ints]:
+    return {name: np.histogram(values, edges)[0].astype(np.int64) for name, values in parts.items()}
