@@ -34,8 +34,12 @@ def particles(position, momentum, pdg=13):
 
 
 def on_helix(helix, pdg=13):
-    """Return particles that start at the closest points of helices, rows of (dr, phi0, kappa, dz, tanl)."""
+    """Return particles that start at the closest points of helices, rows of (dr, phi0, kappa, dz, tanl).
+
+    The sign of kappa chooses between particle and antiparticle.
+    """
     dr, phi0, kappa, dz, tanl = np.atleast_2d(helix).T
+    pdg = np.where(kappa * species(pdg).charge > 0, pdg, -pdg)
     position = np.stack([dr * np.cos(phi0), dr * np.sin(phi0), dz], axis=1)
     momentum = np.stack([-np.sin(phi0), np.cos(phi0), tanl], axis=1) / np.abs(kappa)[:, None]
     return particles(position, momentum, pdg)
@@ -87,6 +91,6 @@ def hits_of(detector: Detector, out):
     }
 
 
-def hits_on(detector: Detector, helix, core=None, pdg=13):
-    """Return the hits of a particle that follows one helix without scattering."""
-    return hits_of(detector, transport(core or compiled(detector), on_helix(helix, pdg)))
+def hits_on(detector: Detector, helix, pdg=13):
+    """Return the hits of a particle that starts on a helix and slows down, but does not scatter."""
+    return hits_of(detector, transport(compiled(detector), on_helix(helix, pdg)))
