@@ -57,7 +57,9 @@ std::vector<CgemLayer> make_cgem(const py::dict& columns) {
                  strips_x.at(i),
                  strips_v.at(i),
                  {edges[2 * i], edges[2 * i + 1]},
-                 gid_first.at(i)};
+                 gid_first.at(i),
+                 0,
+                 0};
   }
   return layers;
 }
@@ -72,9 +74,20 @@ std::vector<WireLayer> make_wires(const py::dict& columns) {
   const auto n = static_cast<std::size_t>(number.size());
   std::vector<WireLayer> layers(n);
   for (std::size_t i = 0; i < n; ++i) {
-    layers[i] = {number.at(i),     cells.at(i),     r_end.at(i), half_length.at(i),
-                 twist.at(i),      phi_east.at(i),  sigma.at(i), sigma_slope.at(i),
-                 efficiency.at(i), gid_first.at(i), {}};
+    layers[i] = {number.at(i),
+                 cells.at(i),
+                 r_end.at(i),
+                 half_length.at(i),
+                 twist.at(i),
+                 phi_east.at(i),
+                 sigma.at(i),
+                 sigma_slope.at(i),
+                 efficiency.at(i),
+                 gid_first.at(i),
+                 {},
+                 0,
+                 0,
+                 0};
   }
   return layers;
 }

@@ -29,7 +29,7 @@ void bind_matter(py::module_& module) {
   module.def(
       "scattering_angle",
       [](double p, double mass, double x0, double track_x0) {
-        return std::sqrt(scattering_variance(Kinematics(p, mass), x0, {track_x0, 0}));
+        return std::sqrt(scattering_variance(Kinematics(p, mass), x0, TrackMatter(track_x0, 1)));
       },
       py::kw_only(), py::arg("p"), py::arg("mass"), py::arg("x0"), py::arg("track_x0"),
       "Plane multiple-scattering angle, rad, of x0 radiation lengths on a track that crosses track_x0 in "
@@ -46,7 +46,8 @@ void bind_matter(py::module_& module) {
   module.def(
       "core_loss",
       [](const Detector& detector, int slab, double path, double p, double mass, double track_xi) {
-        const LossMoments m = core_loss(slab_of(detector, slab), path, Kinematics(p, mass), {0, track_xi});
+        const LossMoments m =
+            core_loss(slab_of(detector, slab), path, Kinematics(p, mass), TrackMatter(1, track_xi));
         return py::make_tuple(m.loss, m.variance, m.slope);
       },
       py::arg("detector"), py::arg("slab"), py::kw_only(), py::arg("path"), py::arg("p"), py::arg("mass"),

@@ -64,6 +64,12 @@ class Stream {
     return philox4x32(counter, key0_, key1_);
   }
 
+  // Two standard normal numbers: the first (`half` 0) or second half of a block.
+  std::array<double, 2> normal_pair_at(Purpose purpose, std::uint32_t place, std::size_t half) const {
+    const Block words = block(purpose, place);
+    return normal_pair(words[2 * half], words[2 * half + 1]);
+  }
+
   // Four standard normal numbers.
   std::array<double, 4> normals(Purpose purpose, std::uint32_t place, std::uint32_t block_index = 0) const {
     const Block words = block(purpose, place, block_index);

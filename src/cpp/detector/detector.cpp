@@ -12,8 +12,16 @@ Detector make_detector(double bz, std::vector<Slab> slabs, std::vector<CgemLayer
                        std::vector<WireLayer> wires) {
   Detector detector{bz, std::move(slabs), std::move(cgem), std::move(wires), {}};
   for (WireLayer& layer : detector.wires) {
+    const double c = std::cos(0.5 * layer.twist), s = std::sin(0.5 * layer.twist), r = layer.r_end;
+    layer.waist = r * r * c * c;
+    layer.flare = r * r * s * s / (layer.half_length * layer.half_length);
+    layer.tan_half_twist = s / c;
     layer.placed.clear();
     for (int i = 0; i < layer.cells; ++i) layer.placed.push_back(place_wire(layer, i));
+  }
+  for (CgemLayer& layer : detector.cgem) {
+    layer.cos_stereo = std::cos(layer.stereo);
+    layer.sin_stereo = std::sin(layer.stereo);
   }
   for (std::size_t i = 0; i < detector.slabs.size(); ++i) {
     detector.places.push_back({detector.slabs[i].radius, true, static_cast<int>(i)});

@@ -46,6 +46,7 @@ struct CgemLayer {
   int strips_v;                     // per sheet
   std::array<double, 2> phi_first;  // rad, edge of each sheet (X = 0)
   int gid_first;                    // running number of the layer's first strip: sheet by sheet, X then V
+  double cos_stereo, sin_stereo;    // follow from the stereo angle
 
   double r_mid() const { return 0.5 * (r_gap_in + r_gap_out); }
   double sheet_width() const { return strips_x * pitch_x; }  // mm, in X
@@ -69,8 +70,10 @@ struct WireLayer {
   double sigma;        // mm, error of the drift distance at the wire
   double sigma_slope;  // change of that error per mm of drift distance
   double efficiency;
-  int gid_first;             // running number of the layer's wire 0
-  std::vector<Wire> placed;  // one per cell, from the above
+  int gid_first;  // running number of the layer's wire 0
+  // From the above: one wire per cell; distance from the beam line is sqrt(waist + flare z^2).
+  std::vector<Wire> placed;
+  double waist, flare, tan_half_twist;
 };
 
 // What a track meets on its way out, by radius.

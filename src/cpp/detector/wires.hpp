@@ -19,14 +19,13 @@ inline Wire place_wire(const WireLayer& layer, int number) {
 
 // Distance of the layer's wires from the beam line at z; smallest in the middle of a stereo layer.
 inline double wire_radius(const WireLayer& layer, double z) {
-  const double t = z / layer.half_length, c = std::cos(0.5 * layer.twist), s = std::sin(0.5 * layer.twist);
-  return layer.r_end * std::sqrt(c * c + t * t * s * s);
+  return std::sqrt(layer.waist + layer.flare * z * z);
 }
 
 // Azimuth of a point in units of cells, 0 at wire 0: the nearest whole number is the cell the point lies in.
 inline double cell_coordinate(const WireLayer& layer, double phi, double z) {
   const double wire_0 =
-      layer.phi_east - 0.5 * layer.twist + std::atan(z / layer.half_length * std::tan(0.5 * layer.twist));
+      layer.phi_east - 0.5 * layer.twist + std::atan(z / layer.half_length * layer.tan_half_twist);
   return (phi - wire_0) * layer.cells / (2 * pi);
 }
 

@@ -37,7 +37,11 @@ constexpr double seam_margin = 50;  // mm, more than a first helix is ever off a
 class Tracer {
  public:
   Tracer(const Detector& detector, const Perigee& start, double mass, Reference& out)
-      : detector_(detector), mass_(mass), out_(out) {
+      : detector_(detector),
+        mass_(mass),
+        out_(out),
+        now_(std::sqrt(1 + start.tanl * start.tanl) / std::abs(start.kappa), mass),
+        track_(total_matter(detector, start.tanl)) {
     point_ = {start.d * std::sin(start.psi),
               -start.d * std::cos(start.psi),
               start.z0,
@@ -50,9 +54,7 @@ class Tracer {
     tanl_ = start.tanl;
     stretch_ = std::sqrt(1 + tanl_ * tanl_);
     kappa_ = start.kappa;
-    p_ = stretch_ / std::abs(kappa_);
     per_kappa_ = curvature(detector.bz, 1.0);
-    track_ = total_matter(detector, tanl_);
   }
 
   void run(std::span<const Hit> hits) {
@@ -157,7 +159,7 @@ class Tracer {
       add_row(row_x);
       return;
     }
-    const double cosine = std::cos(layer.stereo), sine = std::sin(layer.stereo);
+    const double cosine = layer.cos_stereo, sine = layer.sin_stereo;
     double v = x * cosine + (layer.z_ref() - point_.z) * sine;
     // Near the sheet's first edge track and hit may lie on either side of it.
     const double other = x < 0.5 * around ? v + around * cosine : v - around * cosine;
@@ -203,42 +205,42 @@ class Tracer {
   // Noise of a slab, then its energy loss on the reference. False if the particle stops.
   bool cross(const Slab& slab) {
     const double path = path_factor(slab, tanl_, std::abs(point_.outward()));
-    const Kinematics before(p_, mass_);
-    const LossMoments loss = core_loss(slab, path, before, track_);
-    const double energy = before.energy - loss.loss;
+    const LossMoments loss = core_loss(slab, path, now_, track_);
+    const double energy = now_.energy - loss.loss;
     if (energy - mass_ < least_kinetic) {
       out_.stopped = true;
       return false;
     }
     const double after = std::sqrt((energy - mass_) * (energy + mass_));
     const double theta =
-        std::sqrt(scattering_variance(Kinematics(0.5 * (p_ + after), mass_), slab.x0 * path, track_));
+        std::sqrt(scattering_variance(now_.at(0.5 * (now_.p + after)), slab.x0 * path, track_));
     const Rows r = rows();
     const double square = stretch_ * stretch_;
     add_noise(at_origin(r, 0, 0, theta * stretch_, 0, 0));
     add_noise(at_origin(r, 0, 0, 0, kappa_ * tanl_ * theta, square * theta));
-    add_noise(at_origin(r, 0, 0, 0, kappa_ * std::sqrt(loss.variance) * before.energy / (p_ * p_), 0));
+    add_noise(at_origin(r, 0, 0, 0, kappa_ * std::sqrt(loss.variance) * now_.energy / (now_.p * now_.p), 0));
     if (slab.shifts()) {
       const double shift = theta * slab.spread * path;
       add_noise(at_origin(r, shift, 0, 0, 0, 0));
       add_noise(at_origin(r, 0, shift * stretch_, 0, 0, 0));
     }
-    lose(loss, before, energy, after);
+    lose(loss, energy, after);
     return true;
   }
 
-  void lose(const LossMoments& loss, const Kinematics& before, double energy, double after) {
+  void lose(const LossMoments& loss, double energy, double after) {
     // dp'/dp at fixed tanl, and dp'/dtanl at fixed p, of p' = p(E(p) - loss(p, tanl)).
-    const double by_p = energy / after * (p_ / before.energy - loss.slope);
+    const double by_p = energy / after * (now_.p / now_.energy - loss.slope);
     const double by_tanl = -energy / after * loss.loss * tanl_ / (stretch_ * stretch_);
-    const double kappa = kappa_ * p_ / after;
+    const double ratio = now_.p / after;
+    const double kappa = kappa_ * ratio;
     const double slope = tanl_ / (stretch_ * stretch_);
-    const double gain = by_p * (p_ / after) * (p_ / after);
-    const double mixed = kappa * (slope - (by_p * p_ * slope + by_tanl) / after);
+    const double gain = by_p * ratio * ratio;
+    const double mixed = kappa * (slope - (by_p * now_.p * slope + by_tanl) / after);
     d_kappa_ *= gain;
     d_tanl_ = gain * d_tanl_ + mixed;
     kappa_ = kappa;
-    p_ = after;
+    now_ = now_.at(after);
     point_.w = curvature(detector_.bz, kappa_);
   }
 
@@ -246,8 +248,9 @@ class Tracer {
   double mass_;
   Reference& out_;
   HelixPoint point_{};
-  TrackMatter track_{};
-  double u0x_, u0y_, tanl_, stretch_, kappa_, p_, per_kappa_;
+  Kinematics now_;
+  TrackMatter track_;
+  double u0x_, u0y_, tanl_, stretch_, kappa_, per_kappa_;
   double arc_ = 0;
   bool curled_ = false;              // past the outermost point: no cylinder lies ahead
   double d_kappa_ = 1, d_tanl_ = 0;  // derivatives of the local kappa by the origin's kappa and tanl

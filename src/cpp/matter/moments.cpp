@@ -3,26 +3,28 @@
 namespace cgemit {
 
 TrackMatter total_matter(const Detector& detector, double tanl) {
-  TrackMatter total{0, 0};
+  double x0 = 0, xi = 0;
   for (const Slab& slab : detector.slabs) {
     if (std::abs(tanl) * slab.radius <= slab.half_length) {
-      total.x0 += slab.x0;
-      total.xi += slab.xi;
+      x0 += slab.x0;
+      xi += slab.xi;
     } else if (slab.ends) {
       break;
     }
   }
   const double path = std::sqrt(1 + tanl * tanl);
-  return {std::max(total.x0, 1e-9) * path, std::max(total.xi, 1e-12) * path};
+  return {std::max(x0, 1e-9) * path, std::max(xi, 1e-12) * path};
 }
 
 LossMoments core_loss(const Slab& slab, double path, const Kinematics& k, const TrackMatter& track) {
   const double xi = slab.xi * path / k.beta2, xi_track = track.xi / k.beta2;
-  const double w_max = k.w_max(), cut = std::min(core_cut * xi_track, w_max);
-  const double bg = k.p / k.mass;
+  const double w_max = k.w_max(), wanted = core_cut * xi_track, cut = std::min(wanted, w_max);
+  static const double log_constant = std::log(2 * electron_mass * core_cut);
   const LogTerm term = log_term(slab, k.log_bg);
-  const double bracket =
-      std::log(2 * electron_mass * bg * bg * cut) - k.beta2 * (1 + cut / w_max) + term.value;
+  // ln(2 m_e (beta gamma)^2 cut), where the cut holds 1/beta^2.
+  const double log_cut = wanted < w_max ? log_constant + track.log_xi + 2 * k.log_gamma
+                                        : std::log(2 * electron_mass * w_max) + 2 * k.log_bg;
+  const double bracket = log_cut - k.beta2 * (1 + cut / w_max) + term.value;
   if (!(bracket > 0)) return {0, 0, 0};
   // Per ln(p): 1/beta^2 and with it the cut fall by 2/gamma^2, (beta gamma)^2 grows by 2, beta^2 by 2
   // beta^2/gamma^2.

@@ -17,17 +17,39 @@ namespace cgemit {
 struct Kinematics {
   double p, energy, mass;
   double beta2, gamma;
-  double log_bg;  // ln(beta gamma)
+  double log_bg, log_gamma;  // ln(beta gamma), ln(gamma)
 
-  Kinematics(double momentum, double mass_) : p(momentum), energy(std::hypot(momentum, mass_)), mass(mass_) {
-    beta2 = p * p / (energy * energy);
-    gamma = energy / mass;
+  Kinematics(double momentum, double mass_) : p(momentum), mass(mass_) {
+    follow_from_p();
     log_bg = std::log(p / mass);
+    log_gamma = std::log(gamma);
   }
+  // The same particle at another momentum. Small changes, as in a thin slab, need no logarithm.
+  Kinematics at(double momentum) const {
+    Kinematics k = *this;
+    k.p = momentum;
+    k.follow_from_p();
+    k.log_bg += log_ratio(momentum, p);
+    k.log_gamma += log_ratio(k.gamma, gamma);
+    return k;
+  }
+  double log_beta2() const { return 2 * (log_bg - log_gamma); }
   // Largest energy that one collision can give to an electron at rest; PDG 2024 eq. 34.4.
   double w_max() const {
     const double ratio = electron_mass / mass;
     return 2 * electron_mass * (p / mass) * (p / mass) / (1 + 2 * gamma * ratio + ratio * ratio);
+  }
+
+ private:
+  void follow_from_p() {
+    energy = std::sqrt(p * p + mass * mass);
+    beta2 = p * p / (energy * energy);
+    gamma = energy / mass;
+  }
+  // ln(a/b), by its series where the next term is below 1e-9.
+  static double log_ratio(double a, double b) {
+    const double d = (a - b) / b;
+    return std::abs(d) < 0.02 ? d * (1 - d * (1.0 / 2 - d * (1.0 / 3 - d / 4))) : std::log(a / b);
   }
 };
 
@@ -35,6 +57,9 @@ struct Kinematics {
 struct TrackMatter {
   double x0;  // path in radiation lengths
   double xi;  // GeV, Landau's xi times beta^2
+  double log_x0, log_xi;
+
+  TrackMatter(double x0_, double xi_) : x0(x0_), xi(xi_), log_x0(std::log(x0_)), log_xi(std::log(xi_)) {}
 };
 
 // Factor by which a track at this slope and obliquity sees a slab thicker: 1/(cos(lambda) cos(a)), cos(a) =
@@ -50,7 +75,7 @@ TrackMatter total_matter(const Detector& detector, double tanl);
 // Plane multiple-scattering angle: Highland in the form of Lynch and Dahl, PDG 2024 eq. 34.16, with the
 // logarithm of the whole track. 11 % over all elements for 1e-3 < x0 < 100.
 inline double scattering_variance(const Kinematics& k, double x0, const TrackMatter& track) {
-  const double log_factor = 1 + 0.038 * std::log(track.x0 / k.beta2);
+  const double log_factor = 1 + 0.038 * (track.log_x0 - k.log_beta2());
   const double theta = 13.6 * MeV * k.energy / (k.p * k.p) * std::max(log_factor, 0.0);
   return theta * theta * x0;
 }

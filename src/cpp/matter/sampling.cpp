@@ -6,7 +6,7 @@ namespace cgemit {
 
 namespace {
 
-constexpr double hard_collisions = 4;  // expected per slab
+constexpr double hard_collisions = 2;  // expected per slab
 
 // The uniform numbers of one purpose at one place, one after the other.
 class Draws {
@@ -61,13 +61,17 @@ void apply_kick(HelixPoint& point, const Kick& kick) {
   point.x += -uy * kick.shift_1 - ux * sin_dip * kick.shift_2;
   point.y += ux * kick.shift_1 - uy * sin_dip * kick.shift_2;
   point.z += cos_dip * kick.shift_2;
-  const double angle = std::hypot(kick.angle_1, kick.angle_2);
-  const double along = std::cos(angle), across = angle > 0 ? std::sin(angle) / angle : 1.0;
+  const double angle = std::sqrt(kick.angle_1 * kick.angle_1 + kick.angle_2 * kick.angle_2);
+  // Below 0.02 the next terms are under 1e-12.
+  const double q = angle * angle;
+  const bool small = angle < 0.02;
+  const double along = small ? 1 - q / 2 * (1 - q / 12 * (1 - q / 30)) : std::cos(angle);
+  const double across = small ? 1 - q / 6 * (1 - q / 20 * (1 - q / 42)) : std::sin(angle) / angle;
   const double in_plane = along * cos_dip - across * kick.angle_2 * sin_dip;
   const double side = across * kick.angle_1;
   const double up = along * sin_dip + across * kick.angle_2 * cos_dip;
   const double dx = ux * in_plane - uy * side, dy = uy * in_plane + ux * side;
-  const double transverse = std::hypot(dx, dy);
+  const double transverse = std::sqrt(dx * dx + dy * dy);
   point.ux = dx / transverse;
   point.uy = dy / transverse;
   point.tanl = up / transverse;

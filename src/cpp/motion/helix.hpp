@@ -20,7 +20,7 @@ struct HelixPoint {
   double tanl;     // dz/ds
   double w;        // 1/mm, turning per transverse arc
 
-  double radius() const { return std::hypot(x, y); }
+  double radius() const { return std::sqrt(x * x + y * y); }
   double outward() const { return x * ux + y * uy; }   // P
   double sideways() const { return x * uy - y * ux; }  // S
 };
@@ -74,18 +74,19 @@ inline double atan_over(double t) {
   return true;
 }
 
+// tan(f), exact to rounding; by its continued fraction where that is short.
+inline double tangent(double f) {
+  const double q = f * f;
+  if (q > 0.04) return std::tan(f);
+  return f / (1 - q / (3 - q / (5 - q / (7 - q / (9 - q / 11)))));
+}
+
 // Moves by a transverse arc, forward or back.
 inline void advance(HelixPoint& point, double arc) {
   const double half = 0.5 * point.w * arc;
-  const double sine = std::sin(half), cosine = std::cos(half);
-  const double sinc = std::abs(half) < 1e-4 ? 1.0 - half * half / 6.0 : sine / half;
-  const double chord = arc * sinc;
-  point.x += chord * (cosine * point.ux - sine * point.uy);
-  point.y += chord * (cosine * point.uy + sine * point.ux);
-  const double cosine2 = 1.0 - 2.0 * sine * sine, sine2 = 2.0 * sine * cosine;
-  const double ux = cosine2 * point.ux - sine2 * point.uy;
-  point.uy = cosine2 * point.uy + sine2 * point.ux;
-  point.ux = ux;
+  const double t = tangent(half);
+  const double h = std::abs(half) < 1e-9 ? 0.5 * arc : t / point.w;
+  turn(point, h, t);
   point.z += arc * point.tanl;
 }
 

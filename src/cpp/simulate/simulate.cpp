@@ -30,9 +30,10 @@ class Flight {
         particle_(in.particle[row]),
         charge_(in.charge[row]),
         mass_(in.mass[row]),
+        now_(std::hypot(in.px[row], in.py[row], in.pz[row]), in.mass[row]),
+        track_(total_matter(detector, in.pz[row] / std::hypot(in.px[row], in.py[row]))),
         out_(out) {
     const double pt = std::hypot(in.px[row], in.py[row]);
-    p_ = std::hypot(pt, in.pz[row]);
     point_ = {in.x[row],
               in.y[row],
               in.z[row],
@@ -40,7 +41,6 @@ class Flight {
               in.py[row] / pt,
               in.pz[row] / pt,
               curvature(detector.bz, charge_ / pt)};
-    track_ = total_matter(detector, point_.tanl);
   }
 
   TransportStatus run() {
@@ -76,9 +76,11 @@ class Flight {
     return true;
   }
 
-  void count_time() {
-    time_ += arc_ * std::sqrt(1 + point_.tanl * point_.tanl) * std::hypot(1.0, mass_ / p_) / speed_of_light;
-  }
+  double stretch() const { return std::sqrt(1 + point_.tanl * point_.tanl); }  // path per transverse arc
+
+  double flight_time(double arc) const { return arc * stretch() * now_.energy / (now_.p * speed_of_light); }
+
+  void count_time() { time_ += flight_time(arc_); }
 
   // Scatters and slows down at the slab's centroid, where the point is. False if the flight ends here.
   bool cross(int index) {
@@ -90,26 +92,25 @@ class Flight {
     }
     const double path = path_factor(slab, point_.tanl, std::abs(point_.outward()));
     const auto place = static_cast<std::uint32_t>(index);
-    const Kinematics before(p_, mass_);
-    const double energy = before.energy - lose(slab, path, before, place);
+    const double energy = now_.energy - lose(slab, path, place);
     if (energy - mass_ < least_kinetic) {
       status_ = TransportStatus::stopped;
       return false;
     }
     const double after = std::sqrt((energy - mass_) * (energy + mass_));
     if (settings_.fluctuations != Fluctuations::off)
-      scatter(slab, path, Kinematics(0.5 * (p_ + after), mass_), place);
-    p_ = after;
-    point_.w = curvature(detector_.bz, charge_ * std::sqrt(1 + point_.tanl * point_.tanl) / p_);
+      scatter(slab, path, now_.at(0.5 * (now_.p + after)), place);
+    now_ = now_.at(after);
+    point_.w = curvature(detector_.bz, charge_ * stretch() / now_.p);
     return true;
   }
 
   // The energy lost. The fit's noise may be negative in thin matter; what is left in a gap stays its expected
   // value.
-  double lose(const Slab& slab, double path, const Kinematics& k, std::uint32_t place) {
+  double lose(const Slab& slab, double path, std::uint32_t place) {
     if (settings_.fluctuations == Fluctuations::full)
-      return deposit_ = sample_loss(slab, path, k, stream_, place);
-    const LossMoments core = core_loss(slab, path, k, track_);
+      return deposit_ = sample_loss(slab, path, now_, stream_, place);
+    const LossMoments core = core_loss(slab, path, now_, track_);
     deposit_ = core.loss;
     if (settings_.fluctuations == Fluctuations::off) return core.loss;
     return core.loss + std::sqrt(core.variance) * stream_.normals(Purpose::energy_loss, place)[0];
@@ -135,7 +136,7 @@ class Flight {
     double rest = 0;
     const bool leaves = step_to_cylinder(exit, layer.r_gap_out, rest);
     const HelixPoint middle = point_;
-    const double momentum = p_, time = time_;
+    const double momentum = now_.p, time = time_;
     const double half_path = arc_ - arc;
     const bool goes_on = cross(index);
     if (enters && leaves && deposit_ > 0) {
@@ -219,8 +220,7 @@ class Flight {
     t.x.push_back(closest.x);
     t.y.push_back(closest.y);
     t.z.push_back(closest.z);
-    t.time.push_back(time_ + approach.arc * std::sqrt(1 + point_.tanl * point_.tanl) *
-                                 std::hypot(1.0, mass_ / p_) / speed_of_light);
+    t.time.push_back(time_ + flight_time(approach.arc));
   }
 
   const Detector& detector_;
@@ -228,9 +228,10 @@ class Flight {
   Stream stream_;
   std::int64_t event_;
   std::int32_t particle_;
-  double charge_, mass_, p_ = 0, time_ = 0, arc_ = 0, deposit_ = 0;
+  double charge_, mass_, time_ = 0, arc_ = 0, deposit_ = 0;
   HelixPoint point_{};
-  TrackMatter track_{};
+  Kinematics now_;
+  TrackMatter track_;
   TransportStatus status_ = TransportStatus::outside;
   Simulated& out_;
 };
