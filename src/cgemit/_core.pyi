@@ -2,7 +2,7 @@
 # Arrays go in C-contiguous and are converted to the dtype named here; they come out as new arrays that own the
 # memory of the core. Dicts hold one array per column of the tables in docs/data_model.md.
 import enum
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, Final, TypeAlias, TypedDict
 
 import numpy as np
@@ -11,7 +11,7 @@ import numpy.typing as npt
 _Array: TypeAlias = npt.NDArray[Any]
 _Floats: TypeAlias = npt.NDArray[np.float64]
 _Bytes: TypeAlias = npt.NDArray[np.uint8]
-_Columns: TypeAlias = Mapping[str, npt.ArrayLike]
+_Columns: TypeAlias = dict[str, Any]  # of arrays; no other mapping will do
 
 CORE_CUT: Final[float]  # the fit describes collisions that transfer less than this many times the xi of the track
 LOSS_GRID_FIRST: Final[float]  # ln(beta gamma) of the first column of log_terms

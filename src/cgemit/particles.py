@@ -92,6 +92,10 @@ def _plain(name: str) -> str:
 def species(particle: str | int) -> Species:
     """Return the particle of a name or a PDG number: ``"mu-"``, ``"proton"``, ``"anti_proton"``, ``-211``, ``"13"``.
 
+    Parameters
+    ----------
+    particle : str or int
+
     Raises
     ------
     ValueError

@@ -10,6 +10,10 @@ from cgemit.detector.slabs import Slab, slabs
 def describe(detector: Detector) -> dict[str, Any]:
     """Return everything that `cgemit show` prints, ready for JSON.
 
+    Parameters
+    ----------
+    detector : Detector
+
     Returns
     -------
     dict

@@ -158,6 +158,12 @@ def _spread(metal: Material, filling: float) -> Material:
 def slab_table(detector: Detector, merge: bool = True) -> tuple[Columns, NDArray[np.float64]]:
     """Return the slabs as columns.
 
+    Parameters
+    ----------
+    detector : Detector
+    merge : bool
+        Whether neighbouring sub-layers are joined to one slab.
+
     Returns
     -------
     columns : dict of ndarray

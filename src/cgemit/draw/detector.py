@@ -40,7 +40,16 @@ class _Ring(NamedTuple):
 
 
 def draw_detector(detector: Detector) -> Picture:
-    """Return a picture of the detector across the beam, whole and magnified, and along the beam."""
+    """Return a picture of the detector across the beam, whole and magnified, and along the beam.
+
+    Parameters
+    ----------
+    detector : Detector
+
+    Returns
+    -------
+    Picture
+    """
     with style():
         picture, axes = new_picture(1, 2, (12.6, 6.9))
         draw_xy(detector, axes[0])
@@ -51,7 +60,16 @@ def draw_detector(detector: Detector) -> Picture:
 
 
 def draw_sides(detector: Detector) -> Picture:
-    """Return a picture of the detector along the beam, whole and magnified."""
+    """Return a picture of the detector along the beam, whole and magnified.
+
+    Parameters
+    ----------
+    detector : Detector
+
+    Returns
+    -------
+    Picture
+    """
     with style():
         picture, axes = new_picture(2, 1, (9.6, 9.4), height_ratios=(1.5, 1))
         draw_rz(detector, axes[0])

@@ -25,6 +25,14 @@ def write_arrays(
 ) -> None:
     """Write arrays and what is said about them to one file, completely or not at all.
 
+    Parameters
+    ----------
+    path : path
+    arrays : mapping of str to ndarray
+    meta : mapping
+        What JSON can hold.
+    overwrite : bool
+
     Raises
     ------
     FileExistsError
@@ -39,6 +47,10 @@ def write_arrays(
 
 def read_arrays(path: str | os.PathLike[str]) -> tuple[dict[str, np.ndarray[Any, Any]], dict[str, Any]]:
     """Read what `write_arrays` wrote.
+
+    Parameters
+    ----------
+    path : path
 
     Returns
     -------

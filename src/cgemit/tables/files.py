@@ -62,6 +62,12 @@ def save_tables(
 
     A directory without ``tables.json`` is therefore not complete.
 
+    Parameters
+    ----------
+    tables : mapping of str to Table
+    directory : path
+    overwrite : bool
+
     Returns
     -------
     list of Path
@@ -89,6 +95,10 @@ def save_tables(
 
 def load_tables(directory: str | os.PathLike[str]) -> dict[str, Table]:
     """Read what `save_tables` wrote.
+
+    Parameters
+    ----------
+    directory : path
 
     Raises
     ------

@@ -121,6 +121,10 @@ class Table:
     def select_events(self, first: int, stop: int) -> Table:
         """Return the rows of the events ``first ... stop - 1`` as a table that covers just these events.
 
+        Parameters
+        ----------
+        first, stop : int
+
         Raises
         ------
         IndexError

@@ -1,0 +1,71 @@
+"""A setting has one home, the Python dataclass: the core has fields of the same names and no defaults."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+
+import pytest
+from sources import CORE
+
+from cgemit import _core
+from cgemit.digitize import DigitizeSettings
+from cgemit.fit import FitSettings
+from cgemit.simulate import FLUCTUATIONS, SimulateSettings
+
+# Struct, its header, its dataclass, and the fields of the core that are made from a setting of another name, or from
+# none: seeds and tables come with the call.
+STRUCTS = [
+    ("FitSettings", "fit/fit.hpp", FitSettings, {"errors_from_track": "cluster_errors"}),
+    ("SimulateSettings", "simulate/simulate.hpp", SimulateSettings, {}),
+    ("BinaryReadout", "digitize/binary.hpp", DigitizeSettings, {}),
+    ("GaussianReadout", "digitize/gaussian.hpp", DigitizeSettings, {"charge_per_energy": "gain", "seed": None}),
+    (
+        "WireReadout",
+        "digitize/wires.hpp",
+        DigitizeSettings,
+        {"xt_distance": None, "xt_time": None, "seed": None},
+    ),
+]
+
+
+def fields(source: str, struct: str) -> dict[str, bool]:
+    """Return the fields of a plain C++ struct, and whether each has a default."""
+    body = re.search(rf"struct {struct} \{{(.*?)\n\}};", re.sub(r"//[^\n]*", "", source), re.DOTALL)
+    assert body, f"no struct {struct}"
+    found = {}
+    for statement in body[1].split(";"):
+        declared = re.fullmatch(r"\s*[\w:<>, ]+?\s+(\w+)\s*(=.*|\{.*)?", statement, re.DOTALL)
+        assert declared or not statement.strip(), f"{struct}: cannot read {statement!r}"
+        if declared:
+            found[declared[1]] = declared[2] is not None
+    return found
+
+
+@pytest.mark.parametrize(("struct", "header", "settings", "other"), STRUCTS, ids=[row[0] for row in STRUCTS])
+def test_fields_of_the_core_are_settings(
+    struct: str, header: str, settings: type, other: dict[str, str | None]
+) -> None:
+    names = {field.name for field in dataclasses.fields(settings)}
+    core = fields((CORE / header).read_text(), struct)
+    assert core, struct
+    assert {other.get(name, name) for name in core} - {None} <= names
+    assert not any(core.values()), f"{struct} has defaults of its own"
+
+
+def test_every_struct_of_settings_is_listed() -> None:
+    structs = {
+        name
+        for path in CORE.rglob("*.hpp")
+        for name in re.findall(r"struct (\w*(?:Settings|Readout)) \{", path.read_text())
+    }
+    assert structs == {row[0] for row in STRUCTS}
+
+
+def test_fluctuations_are_those_of_the_core() -> None:
+    assert set(FLUCTUATIONS) == {member.name for member in _core.Fluctuations}
+
+
+def test_a_default_in_the_core_is_seen() -> None:
+    source = "struct S {\n  int a;  // = 3\n  double b = 0.5;\n  std::array<double, 5> c;\n  bool d{true};\n};\n"
+    assert fields(source, "S") == {"a": False, "b": True, "c": False, "d": True}
