@@ -7,6 +7,7 @@ import pytest
 
 from cgemit import _core, helix
 from cgemit.detector import compiled, load, slab_table
+from cgemit.detector.slabs import cgem_table, wire_table
 from oracles import LIGHT, helix_point, integrate
 from tracks import MUON, hits_on, on_helix, particles, transport, without_matter
 
@@ -176,8 +177,6 @@ def test_extent_is_the_path_across_the_gap(shape, charge, bz):
 
 def one_slab(x0, xi, spread, bz):
     """Return the design detector's read-out with a single slab of matter at 60 mm, and its columns."""
-    from cgemit.detector.slabs import cgem_table, wire_table
-
     detector = DETECTORS["besiii-cgem-design", bz]
     columns, log_terms = slab_table(detector)
     columns = {k: v.copy() for k, v in columns.items()}
