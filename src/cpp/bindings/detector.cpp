@@ -24,7 +24,8 @@ std::vector<Slab> make_slabs(const py::dict& columns, const Array<double>& log_t
   std::vector<Slab> slabs(n);
   for (std::size_t i = 0; i < n; ++i) {
     slabs[i] = {r_in.at(i), r_out.at(i), radius.at(i), spread.at(i),    half_length.at(i),
-                x0.at(i),   xi.at(i),    gap.at(i),    ends.at(i) != 0, {}};
+                x0.at(i),   xi.at(i),    gap.at(i),    ends.at(i) != 0, {},
+                0,          false};
     std::copy_n(terms.begin() + static_cast<std::ptrdiff_t>(i * loss_points), loss_points,
                 slabs[i].log_term.begin());
   }

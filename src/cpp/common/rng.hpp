@@ -41,11 +41,40 @@ enum class Purpose : std::uint32_t {
 // Uniform in (0, 1), never 0 and never 1: 32 bits, centred.
 inline double open_unit(std::uint32_t bits) { return (bits + 0.5) * 0x1p-32; }
 
-// Two standard normal numbers from two uniform ones (Box and Muller 1958); reaches 6.7 standard deviations.
-inline std::array<double, 2> normal_pair(std::uint32_t a, std::uint32_t b) {
-  const double radius = std::sqrt(-2.0 * std::log(open_unit(a)));
-  const double azimuth = 2.0 * pi * open_unit(b);
-  return {radius * std::cos(azimuth), radius * std::sin(azimuth)};
+// Standard normal number at a quantile: Acklam's rational approximation of the inverse error function (P. J.
+// Acklam, 2003), relative error below 1.2e-9; no logarithm but in the outer 5 %. Reaches 6.4 standard
+// deviations.
+inline double normal_quantile(double u) {
+  constexpr double tail = 0.02425;
+  if (u < tail || u > 1 - tail) {
+    const double q = std::sqrt(-2 * std::log(u < tail ? u : 1 - u));
+    const double x =
+        (((((-7.784894002430293e-03 * q - 3.223964580411365e-01) * q - 2.400758277161838e+00) * q -
+           2.549732539343734e+00) *
+              q +
+          4.374664141464968e+00) *
+             q +
+         2.938163982698783e+00) /
+        ((((7.784695709041462e-03 * q + 3.224671290700398e-01) * q + 2.445134137142996e+00) * q +
+          3.754408661907416e+00) *
+             q +
+         1);
+    return u < tail ? x : -x;
+  }
+  const double q = u - 0.5, r = q * q;
+  return (((((-3.969683028665376e+01 * r + 2.209460984245205e+02) * r - 2.759285104469687e+02) * r +
+            1.383577518672690e+02) *
+               r -
+           3.066479806614716e+01) *
+              r +
+          2.506628277459239e+00) *
+         q /
+         (((((-5.447609879822406e+01 * r + 1.615858368580409e+02) * r - 1.556989798598866e+02) * r +
+            6.680131188771972e+01) *
+               r -
+           1.328068155288572e+01) *
+              r +
+          1);
 }
 
 // The random numbers of one particle (or one table row) of one event.
@@ -64,18 +93,11 @@ class Stream {
     return philox4x32(counter, key0_, key1_);
   }
 
-  // Two standard normal numbers: the first (`half` 0) or second half of a block.
-  std::array<double, 2> normal_pair_at(Purpose purpose, std::uint32_t place, std::size_t half) const {
-    const Block words = block(purpose, place);
-    return normal_pair(words[2 * half], words[2 * half + 1]);
-  }
-
   // Four standard normal numbers.
   std::array<double, 4> normals(Purpose purpose, std::uint32_t place, std::uint32_t block_index = 0) const {
     const Block words = block(purpose, place, block_index);
-    const auto first = normal_pair(words[0], words[1]);
-    const auto second = normal_pair(words[2], words[3]);
-    return {first[0], first[1], second[0], second[1]};
+    return {normal_quantile(open_unit(words[0])), normal_quantile(open_unit(words[1])),
+            normal_quantile(open_unit(words[2])), normal_quantile(open_unit(words[3]))};
   }
 
  private:

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <utility>
 
+#include "common/units.hpp"
 #include "detector/wires.hpp"
 
 namespace cgemit {
@@ -18,6 +19,10 @@ Detector make_detector(double bz, std::vector<Slab> slabs, std::vector<CgemLayer
     layer.tan_half_twist = s / c;
     layer.placed.clear();
     for (int i = 0; i < layer.cells; ++i) layer.placed.push_back(place_wire(layer, i));
+  }
+  for (Slab& slab : detector.slabs) {
+    slab.least_outward = std::sqrt(0.5 * (slab.r_out - slab.r_in) * slab.radius);
+    slab.shifts = slab.spread * 13.6 * MeV * std::sqrt(slab.x0) > 1 * um;
   }
   for (CgemLayer& layer : detector.cgem) {
     layer.cos_stereo = std::cos(layer.stereo);

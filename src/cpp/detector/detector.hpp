@@ -26,10 +26,9 @@ struct Slab {
   int gap;    // index of the CGEM layer whose drift gap this is, or -1
   bool ends;  // a track that crosses beyond half_length leaves the detector (end plate)
   std::array<double, loss_points> log_term;  // -2 ln(I/GeV) - delta, weighted by xi
-
-  // Whether the fit follows the sideways shift inside this slab; below 1 um at 1 GeV/c it is lost in any hit
-  // error.
-  bool shifts() const { return spread * 13.6e-3 * std::sqrt(x0) > 1e-3; }
+  // What follows from the above:
+  double least_outward;  // mm, P of a track that grazes the shell
+  bool shifts;  // whether sideways shifts inside count: at 1 GeV/c below 1 um they are lost in any hit error
 };
 
 // One cylindrical GEM layer with its two-view read-out.

@@ -33,7 +33,6 @@ std::optional<Pair> smear(const Detector& detector, const StripPlane& plane, con
                         static_cast<std::uint32_t>(truths.particle[row]));
     const Block words = stream.block(Purpose::digitization, static_cast<std::uint32_t>(truths.layer[row]),
                                      occurrence(truths, event_begin, row));
-    const auto noise = normal_pair(words[0], words[1]);
     ClusterRow common{truths.event[row], truths.layer[row], sheet, ClusterView::x};
     common.charge = 0.5 * truths.energy[row] * readout.charge_per_energy;
     common.time = truths.time[row];
@@ -42,11 +41,11 @@ std::optional<Pair> smear(const Detector& detector, const StripPlane& plane, con
     common.n_truths = 1;
     common.method = ClusterMethod::gaussian;
     Pair pair{common, common};
-    pair.x.x = x + readout.sigma_x * noise[0];
+    pair.x.x = x + readout.sigma_x * normal_quantile(open_unit(words[0]));
     pair.x.err_x = readout.sigma_x;
     set_azimuth(layer, pair.x);
     pair.v.view = ClusterView::v;
-    pair.v.v = plane.v(x, truths.z[row]) + readout.sigma_v * noise[1];
+    pair.v.v = plane.v(x, truths.z[row]) + readout.sigma_v * normal_quantile(open_unit(words[1]));
     pair.v.err_v = readout.sigma_v;
     return pair;
   }

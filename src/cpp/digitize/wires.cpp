@@ -62,12 +62,12 @@ void fire(const WireLayer& layer, const WireTruthColumns& truths, std::size_t ro
   const auto place =
       static_cast<std::uint32_t>(layer.number) << 16 | static_cast<std::uint32_t>(truths.wire[row]);
   const Block words = stream.block(Purpose::drift_distance, place);
-  if (open_unit(words[2]) > layer.efficiency) return;
+  if (open_unit(words[1]) > layer.efficiency) return;
   const auto sigma = [&](double distance) {
     return layer.sigma + layer.sigma_slope * std::max(0.0, distance);
   };
   const double distance = std::abs(truths.doca[row]);
-  const double drift = distance + sigma(distance) * normal_pair(words[0], words[1])[0];
+  const double drift = distance + sigma(distance) * normal_quantile(open_unit(words[0]));
   // The hit knows its own drift distance only, so that is what its error is taken at.
   out.push_back({layer.gid_first + truths.wire[row], drift, sigma(drift), row});
 }

@@ -38,7 +38,6 @@ class Tracer {
  public:
   Tracer(const Detector& detector, const Perigee& start, double mass, Reference& out)
       : detector_(detector),
-        mass_(mass),
         out_(out),
         now_(std::sqrt(1 + start.tanl * start.tanl) / std::abs(start.kappa), mass),
         track_(total_matter(detector, start.tanl)) {
@@ -183,46 +182,62 @@ class Tracer {
     return true;
   }
 
-  // The origin's parameters that displace the track here by (across, along_z), turn it by psi, and change
-  // kappa, tanl.
-  Vector5 at_origin(const Rows& r, double across, double along_z, double psi, double kappa,
-                    double tanl) const {
-    const double w = point_.w;
-    const double kappa0 = (kappa - d_tanl_ * tanl) / d_kappa_;
-    const double psi_d = -w * r.forward_d, psi_psi = 1 - w * r.s,
-                 psi_kappa = per_kappa_ * sum_kappa_ - w * r.forward_kappa,
-                 psi_tanl = per_kappa_ * sum_tanl_ - w * r.forward_tanl;
-    const double rest_across = across - r.across[2] * kappa0 - r.across[4] * tanl;
-    const double rest_psi = psi - psi_kappa * kappa0 - psi_tanl * tanl;
-    const double determinant = r.across[0] * psi_psi - r.across[1] * psi_d;
-    const double d0 = (rest_across * psi_psi - r.across[1] * rest_psi) / determinant;
-    const double psi0 = (r.across[0] * rest_psi - psi_d * rest_across) / determinant;
-    const double z0 =
-        along_z - r.along_z[0] * d0 - r.along_z[1] * psi0 - r.along_z[2] * kappa0 - r.along_z[4] * tanl;
-    return (Vector5() << d0, psi0, kappa0, z0, tanl).finished();
-  }
+  // Origin parameters of a track that is displaced or turned here and whose kappa and tanl change.
+  class Backward {
+   public:
+    Backward(const Tracer& t, const Rows& r) : r_(r) {
+      const double w = t.point_.w;
+      psi_d_ = -w * r.forward_d;
+      psi_psi_ = 1 - w * r.s;
+      psi_kappa_ = t.per_kappa_ * t.sum_kappa_ - w * r.forward_kappa;
+      psi_tanl_ = t.per_kappa_ * t.sum_tanl_ - w * r.forward_tanl;
+      per_determinant_ = 1 / (r.across[0] * psi_psi_ - r.across[1] * psi_d_);
+      per_d_kappa_ = 1 / t.d_kappa_;
+      d_tanl_ = t.d_tanl_;
+    }
+    // By (across, along_z) mm and psi rad at fixed kappa and tanl.
+    Vector5 moved(double across, double along_z, double psi) const {
+      const double d = (across * psi_psi_ - r_.across[1] * psi) * per_determinant_;
+      const double turn = (r_.across[0] * psi - psi_d_ * across) * per_determinant_;
+      return Vector5(d, turn, 0, along_z - r_.along_z[0] * d - r_.along_z[1] * turn, 0);
+    }
+    // By kappa and tanl at fixed place and azimuth.
+    Vector5 changed(double kappa, double tanl) const {
+      const double kappa0 = (kappa - d_tanl_ * tanl) * per_d_kappa_;
+      Vector5 v =
+          moved(-r_.across[2] * kappa0 - r_.across[4] * tanl, -r_.along_z[2] * kappa0 - r_.along_z[4] * tanl,
+                -psi_kappa_ * kappa0 - psi_tanl_ * tanl);
+      v[2] = kappa0;
+      v[4] = tanl;
+      return v;
+    }
+
+   private:
+    const Rows& r_;
+    double psi_d_, psi_psi_, psi_kappa_, psi_tanl_, per_determinant_, per_d_kappa_, d_tanl_;
+  };
 
   // Noise of a slab, then its energy loss on the reference. False if the particle stops.
   bool cross(const Slab& slab) {
-    const double path = path_factor(slab, tanl_, std::abs(point_.outward()));
+    const double path = path_factor(slab, stretch_, std::abs(point_.outward()));
     const LossMoments loss = core_loss(slab, path, now_, track_);
     const double energy = now_.energy - loss.loss;
-    if (energy - mass_ < least_kinetic) {
+    if (energy - now_.mass < least_kinetic) {
       out_.stopped = true;
       return false;
     }
-    const double after = std::sqrt((energy - mass_) * (energy + mass_));
+    const double after = std::sqrt((energy - now_.mass) * (energy + now_.mass));
     const double theta =
         std::sqrt(scattering_variance(now_.at(0.5 * (now_.p + after)), slab.x0 * path, track_));
     const Rows r = rows();
-    const double square = stretch_ * stretch_;
-    add_noise(at_origin(r, 0, 0, theta * stretch_, 0, 0));
-    add_noise(at_origin(r, 0, 0, 0, kappa_ * tanl_ * theta, square * theta));
-    add_noise(at_origin(r, 0, 0, 0, kappa_ * std::sqrt(loss.variance) * now_.energy / (now_.p * now_.p), 0));
-    if (slab.shifts()) {
+    const Backward origin(*this, r);
+    add_noise(origin.moved(0, 0, theta * stretch_));
+    add_noise(origin.changed(kappa_ * tanl_ * theta, stretch_ * stretch_ * theta));
+    add_noise(origin.changed(kappa_ * std::sqrt(loss.variance) * now_.energy / (now_.p * now_.p), 0));
+    if (slab.shifts) {
       const double shift = theta * slab.spread * path;
-      add_noise(at_origin(r, shift, 0, 0, 0, 0));
-      add_noise(at_origin(r, 0, shift * stretch_, 0, 0, 0));
+      add_noise(origin.moved(shift, 0, 0));
+      add_noise(origin.moved(0, shift * stretch_, 0));
     }
     lose(loss, energy, after);
     return true;
@@ -245,7 +260,6 @@ class Tracer {
   }
 
   const Detector& detector_;
-  double mass_;
   Reference& out_;
   HelixPoint point_{};
   Kinematics now_;

@@ -62,11 +62,10 @@ struct TrackMatter {
   TrackMatter(double x0_, double xi_) : x0(x0_), xi(xi_), log_x0(std::log(x0_)), log_xi(std::log(xi_)) {}
 };
 
-// Factor by which a track at this slope and obliquity sees a slab thicker: 1/(cos(lambda) cos(a)), cos(a) =
-// P/r. A grazing track sees at most the chord of the shell.
-inline double path_factor(const Slab& slab, double tanl, double outward) {
-  const double grazing = std::sqrt(0.5 * (slab.r_out - slab.r_in) / slab.radius);
-  return std::sqrt(1 + tanl * tanl) / std::max(outward / slab.radius, grazing);
+// Factor by which a track sees a slab thicker than at normal incidence: `stretch` = 1/cos(lambda), times
+// 1/cos(a), cos(a) = P/r. A grazing track sees at most the chord of the shell.
+inline double path_factor(const Slab& slab, double stretch, double outward) {
+  return stretch * slab.radius / std::max(outward, slab.least_outward);
 }
 
 // Thickness of the detector along a straight line from the origin with this slope.

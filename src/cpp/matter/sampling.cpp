@@ -6,7 +6,9 @@ namespace cgemit {
 
 namespace {
 
-constexpr double hard_collisions = 2;  // expected per slab
+// Collisions drawn one by one, expected per slab: more where more is lost, so that a track has some tens in
+// all.
+double hard_collisions(double xi) { return std::clamp(xi / keV, 0.2, 3.0); }
 
 // The uniform numbers of one purpose at one place, one after the other.
 class Draws {
@@ -36,17 +38,15 @@ double sample_loss(const Slab& slab, double path, const Kinematics& k, const Str
   const double xi = slab.xi * path / k.beta2;
   if (!(xi > 0)) return 0;
   const double w_max = k.w_max();
-  // The number of collisions above the cut, xi (1/cut - 1/w_max) before the spin factor, is hard_collisions.
-  const double cut = xi / (hard_collisions + xi / w_max);
+  // The number of collisions above the cut is xi (1/cut - 1/w_max) before the spin factor.
+  const double expected = hard_collisions(xi);
+  const double cut = xi / (expected + xi / w_max);
   const double soft_mean = restricted_loss(slab, path, k, cut);
   const double soft_variance = xi * cut * (1 - 0.5 * k.beta2 * cut / w_max);
   Draws draws(stream, Purpose::energy_loss, place);
-  const double u = draws.next();
-  const double gauss = normal_pair(static_cast<std::uint32_t>(u * 0x1p32),
-                                   static_cast<std::uint32_t>(draws.next() * 0x1p32))[0];
-  double loss = soft_mean + std::sqrt(soft_variance) * gauss;
-  // Poisson by arrivals: product of uniforms against exp(-mean).
-  static const double limit = std::exp(-hard_collisions);
+  double loss = soft_mean + std::sqrt(soft_variance) * normal_quantile(draws.next());
+  // Poisson by arrivals: product of uniforms against exp(-expected).
+  const double limit = std::exp(-expected);
   for (double product = draws.next(); product > limit; product *= draws.next()) {
     const double transfer = 1 / (1 / cut - draws.next() * (1 / cut - 1 / w_max));
     if (draws.next() > k.beta2 * transfer / w_max) loss += transfer;  // spin 0: Rossi, PDG 2024 eq. 34.8

@@ -90,7 +90,7 @@ class Flight {
       status_ = TransportStatus::end;
       return !slab.ends;
     }
-    const double path = path_factor(slab, point_.tanl, std::abs(point_.outward()));
+    const double path = path_factor(slab, stretch(), std::abs(point_.outward()));
     const auto place = static_cast<std::uint32_t>(index);
     const double energy = now_.energy - lose(slab, path, place);
     if (energy - mass_ < least_kinetic) {
@@ -118,11 +118,14 @@ class Flight {
 
   void scatter(const Slab& slab, double path, const Kinematics& k, std::uint32_t place) {
     const double sigma = std::sqrt(scattering_variance(k, slab.x0 * path, track_));
-    const auto g = stream_.normals(Purpose::scattering, place);
-    const double shift = sigma * slab.spread * path;
-    const bool shifts = settings_.fluctuations == Fluctuations::full || slab.shifts();
-    apply_kick(point_,
-               {sigma * g[0], sigma * g[1], shifts ? shift * g[2] : 0.0, shifts ? shift * g[3] : 0.0});
+    const Block words = stream_.block(Purpose::scattering, place);
+    const auto normal = [&words](std::size_t i) { return normal_quantile(open_unit(words[i])); };
+    Kick kick{sigma * normal(0), sigma * normal(1), 0, 0};
+    if (slab.shifts) {
+      kick.shift_1 = sigma * slab.spread * path * normal(2);
+      kick.shift_2 = sigma * slab.spread * path * normal(3);
+    }
+    apply_kick(point_, kick);
   }
 
   // A drift gap: entry, middle and exit of one helix, then the gas acts in the middle.
