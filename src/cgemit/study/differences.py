@@ -61,7 +61,7 @@ def gap_variant(gap: float, value: float, nominal: float) -> str:
     """Explain the numbers of a thinner drift gap."""
     change = value / nominal - 1
     more = "more" if change > 0 else "less"
-    return f"{abs(change):.1%} {more} than with the nominal gap, since the crossing of a {gap:g} mm gap is shorter."
+    return f"{100 * abs(change):.1f} % {more} than with the nominal gap, since the crossing of a {gap:g} mm gap is shorter."
 
 
 def v_width(value: float, error: float, paper: float) -> str:
@@ -82,8 +82,8 @@ def track(parameter: str, widths: Resolution, paper: float) -> str:
         text = f"{deviation(widths.core, widths.core_error, paper).capitalize()}. "
     shape = (
         f"{_OPEN}. Here cos(theta) is uniform in ±0.93, which mixes narrow and wide distributions: the core is "
-        f"quoted, the RMS within {WINDOW:g} core widths is {widths.rms:.3g} {widths.unit}, and {100 * widths.tail:.1f} % "
-        "of the tracks lie beyond three core widths."
+        f"quoted, the RMS within {WINDOW:g} core widths is {widths.rms:.3g} {widths.unit}, and "
+        f"{100 * widths.tail:.1f} % of the tracks lie beyond three core widths."
     )
     reasons = {
         "dr": "d_rho follows matter and the error of X, which delta electrons would widen.",

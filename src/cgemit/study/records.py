@@ -121,7 +121,7 @@ def shown(unit: str) -> str:
 def write_csv(path: Path, columns: Mapping[str, Sequence[Any] | npt.NDArray[Any]]) -> None:
     """Write columns under headers that carry the unit, such as ``sigma_p (MeV/c)``."""
     with path.open("w", newline="", encoding="utf-8") as stream:
-        writer = csv.writer(stream)
+        writer = csv.writer(stream, lineterminator="\n")
         writer.writerow(columns)
         for row in zip(*columns.values(), strict=True):
             writer.writerow(f"{value:.7g}" if isinstance(value, float) else value for value in row)

@@ -1,0 +1,232 @@
+"""The command line: exit codes, values, output folders, interruption."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from cgemit.cli import common
+from cgemit.cli.main import join_negative_values, main
+from cgemit.cli.progress import Progress
+from cgemit.detector import load
+from cgemit.tables import Table
+
+RESOLUTION = ["resolution", "-d", "besiii-cgem-design", "--p", "0.5,1", "--events", "60", "--quiet"]
+SIMULATE = ["simulate", "-d", "besiii-cgem-design", "--p", "1", "--cos-theta", "-0.5:0.5", "-n", "50", "--quiet"]
+
+
+class Terminal:
+    """A stream that says it is a terminal and keeps what is written."""
+
+    def __init__(self, terminal=True):
+        self.text, self.terminal = "", terminal
+
+    def isatty(self):
+        """Return what was said at the start."""
+        return self.terminal
+
+    def write(self, text):
+        """Keep the text."""
+        self.text += text
+
+    def flush(self):
+        """Do nothing."""
+
+
+def test_help_and_version(capsys):
+    assert main(["--help"]) == 0
+    text = capsys.readouterr().out
+    assert all(name in text for name in common.COMMANDS)
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out.startswith("cgemit ")
+    for name in common.COMMANDS:
+        assert main([name, "--help"]) == 0, name
+        assert "examples:" in capsys.readouterr().out, name
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ([], "required"),
+        (["sturdy"], "invalid choice"),
+        (["study", "--events", "none"], "whole number"),
+        (["study", "--events", "10", "-o", "never"], "at least 400"),
+        (["study", "--threads", "0"], "at least 1"),
+        ([*RESOLUTION, "-o", "never", "--method", "analytic"], "analytic"),
+        (["resolution", "-d", "besiii-cgem", "--p", "1:2", "-o", "never"], "START:STOP:COUNT"),
+        (["resolution", "-d", "besiii-cgam", "--p", "1", "-o", "never"], "besiii-cgem"),
+        (["resolution", "-d", "besiii-cgem", "--p", "1 mm", "-o", "never"], "momentum"),
+        (["resolution", "-d", "besiii-cgem", "--p", "-1", "-o", "never"], "p"),
+        ([*SIMULATE, "--set", "cgem.L2.pitch_x", "-o", "never"], "KEY=VALUE"),
+        ([*SIMULATE, "--set", "cgem.L2.pitch_x=500 kg", "-o", "never"], "cgem.L2.pitch_x"),
+        ([*SIMULATE, "--particle", "muon+-", "-o", "never"], "muon+-"),
+        (["simulate", "-d", "besiii-cgem", "--cos-theta", "0", "-n", "1", "-o", "never"], "--p"),
+    ],
+)
+def test_bad_input_is_explained_with_exit_code_2(arguments, message, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(arguments) == 2
+    captured = capsys.readouterr()
+    assert message in captured.err
+    assert "Traceback" not in captured.err
+    assert not captured.out
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_every_mistake_of_a_detector_file_is_listed(tmp_path, capsys):
+    file = tmp_path / "wrong.toml"
+    lines = [
+        'base = "besiii-cgem-design"', "nonsense = 1", "[field]", 'bz = "1 mm"', 'kinds = "uniform"',
+        "[cgem.L1]", 'pitch_x = "-3 mm"', 'pich_v = "1 mm"', "drift_gap = 5", 'gas = "Unobtainium"',
+        "[cgem.L2]", "sheets = 7", 'length = "inf mm"', "[drift_chamber]", 'sigma = "130 smoots"',
+    ]  # fmt: skip
+    file.write_text("\n".join(lines), encoding="utf-8")
+    options = ["--p", "1", "--cos-theta", "0", "-n", "1", "-o", str(tmp_path / "out")]
+    assert main(["simulate", "-d", str(file), *options]) == 2
+    text = capsys.readouterr().err
+    places = (
+        "nonsense", "field.bz", "field.kinds", "L1.pitch_x", "L1.pich_v", "L1.drift_gap", "L1.gas", "L2.sheets",
+        "L2.length", "drift_chamber.sigma",
+    )  # fmt: skip
+    assert [place for place in places if place not in text] == []
+    assert "10 problems" in text
+    assert not (tmp_path / "out").exists()
+
+
+def test_failures_of_the_run_have_exit_code_3(monkeypatch, capsys, tmp_path):
+    def fail(*_, **__):
+        raise RuntimeError("the sky fell")
+
+    monkeypatch.setattr("cgemit.study.paper.reproduce", fail)
+    arguments = ["study", "-o", str(tmp_path / "out")]
+    assert main(arguments) == 3
+    text = capsys.readouterr().err
+    assert "RuntimeError: the sky fell" in text
+    assert "Traceback" not in text
+    assert main([*arguments, "--debug"]) == 3
+    assert "Traceback" in capsys.readouterr().err
+
+
+def test_interruption_has_exit_code_130(monkeypatch, capsys, tmp_path):
+    def interrupt(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("cgemit.study.paper.reproduce", interrupt)
+    assert main(["study", "-o", str(tmp_path / "out")]) == 130
+    assert "interrupted" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("moment", ["besiii-idc", "drawing"])
+def test_ctrl_c_during_a_study_leaves_nothing(moment, tmp_path):
+    # Without a terminal the progress is a line for every tenth of the work.
+    command = [sys.executable, "-u", "-m", "cgemit", "study", "--events", "1200", "-o", str(tmp_path / "out")]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=environment) as process:
+        assert process.stderr is not None
+        seen = next((line for line in process.stderr if moment in line), "")
+        process.send_signal(signal.SIGINT)
+        rest = process.stderr.read()
+        assert process.wait(60) == 130, rest
+    assert seen
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_output_folders_are_not_overwritten_unasked(tmp_path, capsys):
+    folder = tmp_path / "out"
+    folder.mkdir()  # an empty one is free
+    arguments = [*RESOLUTION, "-o", str(folder)]
+    assert main(arguments) == 0
+    mine = folder / "mine.txt"
+    mine.write_text("keep", encoding="utf-8")
+    before = {path.name: path.stat().st_mtime_ns for path in folder.iterdir()}
+    assert main(arguments) == 2
+    assert "--overwrite" in capsys.readouterr().err
+    assert {path.name: path.stat().st_mtime_ns for path in folder.iterdir()} == before
+    time.sleep(0.01)
+    assert main([*arguments, "--overwrite"]) == 0
+    after = {path.name: path.stat().st_mtime_ns for path in folder.iterdir()}
+    assert after.keys() == before.keys()
+    assert after["summary.json"] > before["summary.json"]
+    assert after["mine.txt"] == before["mine.txt"]
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
+
+
+def test_resolution_writes_table_curves_and_json(tmp_path, capsys):
+    assert main([*RESOLUTION, "-o", str(tmp_path / "a"), "--threads", "1"]) == 0
+    table = capsys.readouterr().out
+    assert table.splitlines()[1].split()[:2] == ["p", "[GeV/c]"]
+    assert len(table.splitlines()) == 4
+    assert main([*RESOLUTION, "-o", str(tmp_path / "b"), "--threads", "2", "--json"]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    first, second = (json.loads((tmp_path / name / "summary.json").read_text()) for name in "ab")
+    assert printed["curves"] == second["curves"]
+    assert first["curves"] == second["curves"]  # whatever the number of threads
+    assert [curve["id"] for curve in first["curves"]] == ["sigma_dr", "sigma_dz", "sigma_p"]
+    assert first["curves"][2]["y_unit"] == "MeV/c"
+    header = (tmp_path / "a" / "resolution.csv").read_text().splitlines()[0]
+    assert "core_dr (um)" in header.split(",")
+    assert (tmp_path / "a" / "resolution.png").read_bytes().startswith(b"\x89PNG")
+    assert (tmp_path / "a" / "resolution.pdf").read_bytes().startswith(b"%PDF")
+
+
+def test_variants_from_the_shell(tmp_path):
+    options = ["--set", "cgem.L2.pitch_x=500 um", "--set", "field.bz=1.5 T"]
+    assert main([*SIMULATE, *options, "-o", str(tmp_path / "out")]) == 0
+    detector = load(tmp_path / "out" / "detector.toml")
+    assert (detector.cgem[1].pitch_x, detector.field.bz) == (0.5, 1.5)
+
+
+def test_simulate_writes_tables(tmp_path, capsys):
+    assert main([*SIMULATE, "-o", str(tmp_path / "bare")]) == 0
+    assert main([*SIMULATE, "--fit", "-o", str(tmp_path / "fitted"), "--vertex", "1,2,3 cm", "--json"]) == 0
+    assert {path.stem for path in (tmp_path / "fitted").iterdir()} - {
+        path.stem for path in (tmp_path / "bare").iterdir()
+    } == {"tracks"}
+    particles = Table.load(tmp_path / "fitted" / "particles.npz")
+    assert particles.n_events == 50
+    np.testing.assert_array_equal(particles["z"], 30.0)
+    cosine = particles["pz"] / np.sqrt(particles["px"] ** 2 + particles["py"] ** 2 + particles["pz"] ** 2)
+    assert -0.5 <= cosine.min() < cosine.max() <= 0.5
+    summary = json.loads((tmp_path / "fitted" / "summary.json").read_text())
+    assert summary["rows"]["tracks"] == 50
+    assert '"tracks": 50' in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("text", "values"),
+    [
+        ("1", 1.0),
+        ("200 MeV/c", 0.2),
+        ("0.2:0.8", (0.2, 0.8)),
+        ("0.2:1.0:5", [0.2, 0.4, 0.6, 0.8, 1.0]),
+        ("2:3:1", [2.0]),
+        ("1,500 MeV/c", [1.0, 0.5]),
+    ],
+)
+def test_values(text, values):
+    assert common.momenta(text) == values
+
+
+def test_negative_values_are_not_options():
+    words = ["--cos-theta", "-0.9:0.9", "-n", "-5", "--phi", "-.5", "--quiet", "-o", "x"]
+    assert join_negative_values(words) == ["--cos-theta=-0.9:0.9", "-n", "-5", "--phi=-.5", "--quiet", "-o", "x"]
+
+
+def test_progress_on_a_terminal_and_in_a_file():
+    terminal, file = Terminal(), Terminal(terminal=False)
+    for stream in (terminal, file):
+        with Progress("work", stream=stream) as progress:
+            for step in range(101):
+                progress(step / 100, "part")
+    assert file.text.count("\n") == 10
+    assert "part: 100%" in file.text
+    assert "[############################] 100%" in terminal.text
+    assert terminal.text.endswith("\r")  # the line is free again
+    silent = Terminal()
+    Progress("work", quiet=True, stream=silent)(1.0)
+    assert silent.text == ""

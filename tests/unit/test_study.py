@@ -1,0 +1,261 @@
+"""The reproduction of the paper: its files, and the small calculations it consists of."""
+
+import csv
+import json
+import re
+
+import numpy as np
+import pytest
+from scipy.integrate import trapezoid
+from test_report import outline
+
+import cgemit
+from cgemit import draw
+from cgemit.draw.geometry import helix_points, near
+from cgemit.study import reproduce
+from cgemit.study.cluster_residuals import cluster_residuals
+from cgemit.study.paper import DETECTORS, MOMENTA
+from cgemit.study.paper_figures import good_event
+from cgemit.study.records import Line, write_csv
+from cgemit.study.samples import seed_of
+from cgemit.study.scans import scan
+from cgemit.study.spectra import track_spectrum, v_spectrum, windowed_resolution, x_spectrum
+
+FIGURES = (
+    "figure1_layer", "figure2_chain", "figure3_cluster", "figure4_residuals", "figure5_d_rho_d_z",
+    "figure6_d_rho_d_z_vs_p", "figure7_p", "figure8_p_vs_p", "pulls", "pulls_vs_p", "resolution_vs_cos_theta",
+    "chi2_probability", "event",
+)  # fmt: skip
+RESULTS = (
+    "x_residual_rms", "x_residual_core", "x_single_strip_fraction", "v_residual_sigma", "sigma_dr", "sigma_dz",
+    "sigma_p", "sigma_dr_idc", "sigma_dz_idc", "sigma_p_idc", "x_residual_rms_gap3mm", "x_residual_core_gap3mm",
+    "x_single_strip_fraction_gap3mm",
+)  # fmt: skip
+GUN = cgemit.Gun("mu-", p=1.0, cos_theta=(-0.93, 0.93))
+
+
+@pytest.fixture(scope="module")
+def study(tmp_path_factory):
+    """Return a small reproduction with its files."""
+    shown = []
+    result = reproduce(
+        tmp_path_factory.mktemp("study") / "out", events=400, seed=3, progress=lambda part, label: shown.append(part)
+    )
+    assert shown[0] >= 0
+    assert shown == sorted(shown)
+    assert shown[-1] == 1.0
+    return result
+
+
+@pytest.fixture(scope="module")
+def result():
+    """Return a run of the chain."""
+    return cgemit.run("besiii-cgem-design", GUN, 400, 5)
+
+
+def test_all_figures_are_written_as_png_and_pdf(study):
+    for name in FIGURES:
+        assert (study.folder / f"{name}.png").read_bytes().startswith(b"\x89PNG"), name
+        assert (study.folder / f"{name}.pdf").read_bytes().startswith(b"%PDF"), name
+    assert not [path.name for path in study.folder.iterdir() if path.name.startswith(".")]
+
+
+def test_summary(study):
+    summary = json.loads((study.folder / "summary.json").read_text())
+    assert summary == json.loads(json.dumps(study.summary()))
+    assert tuple(row["id"] for row in summary["results"]) == RESULTS
+    for row in summary["results"]:
+        assert row.keys() == {"id", "detector", "value", "error", "unit", "paper", "note"}
+        assert row["error"] > 0
+    curves = {(curve["id"], curve["detector"]): curve for curve in summary["curves"]}
+    assert set(curves) == {(name, detector) for name in ("sigma_dr", "sigma_dz", "sigma_p") for detector in DETECTORS}
+    for curve in curves.values():
+        assert curve["x"] == list(MOMENTA)
+        assert len(curve["y"]) == len(curve["y_error"]) == len(MOMENTA)
+        assert all(value > 0 for value in curve["y"] + curve["y_error"])
+    assert summary["seed"] == 3
+    assert summary["inputs"]["events"] == 400
+    assert summary["inputs"]["events_per_momentum"] == 100
+    assert summary["timings"]["total_s"] > 0
+    assert len(summary["removed"]) == 3 + 2 * len(MOMENTA)
+
+
+def test_removed_rows_add_up(study):
+    for sample in [*study.samples.values(), *study.scans["cgem"], *study.scans["idc"]]:
+        good = int(np.count_nonzero(sample.tracks["status"] == 0))
+        assert good + sum(sample.removed.values()) == sample.n_events
+        assert sum(sample.transport.values()) == sample.n_events
+
+
+def test_report_is_self_contained_and_complete(study):
+    page = (study.folder / "report.html").read_text(encoding="utf-8")
+    parsed = outline(page)
+    assert parsed.tags.count("figure") == len(FIGURES)
+    for text in ("217.1", "187.6 um", "delta electrons", "assigned to tracks by truth", "--seed 3"):
+        assert text in page, text
+    for row in study.results:
+        assert row.title in page
+
+
+def test_tables_carry_units_and_the_numbers_of_the_figures(study):
+    tables = {path.stem: list(csv.reader(path.read_text().splitlines())) for path in study.folder.glob("*.csv")}
+    assert tables["figure4_x_residual"][0] == ["low (um)", "high (um)", "all", "single strip", "several strips"]
+    counts = np.array(tables["figure4_x_residual"][1:], float)
+    np.testing.assert_array_equal(counts[:, 2], counts[:, 3] + counts[:, 4])
+    assert counts[:, 2].sum() == len(study.samples["cgem"].clusters.x)
+    lines = [line for line in tables["figure8_p_vs_p"][1:] if line[1] == "besiii-idc"]
+    idc = next(line for line in study.curves if (line.id, line.detector) == ("sigma_p", "besiii-idc"))
+    np.testing.assert_allclose([float(line[4]) for line in lines], idc.y, rtol=1e-6)
+    for name, rows in tables.items():
+        assert len(rows) > 2, name
+        assert not any("nan" in cell for row in rows for cell in row), name
+
+
+def test_study_prints_itself(study):
+    assert "x_residual_rms" in repr(study)
+    assert "<table>" in study._repr_html_()
+    assert study["sigma_dr"].unit == "um"
+    with pytest.raises(KeyError, match="sigma_dr"):
+        study["sigma"]
+
+
+def test_study_depends_on_the_seed_and_not_on_threads():
+    one, two, other = (reproduce(events=400, seed=seed, threads=n) for seed, n in ((1, 1), (1, 2), (2, 1)))
+    assert one.results == two.results
+    assert all(a.value != b.value for a, b in zip(one.results, other.results, strict=True) if "fraction" not in a.id)
+
+
+def test_too_few_events_and_taken_folders_are_refused_before_work(tmp_path):
+    with pytest.raises(ValueError, match="400"):
+        reproduce(events=399)
+    (tmp_path / "file").write_text("x")
+    with pytest.raises(FileExistsError, match="already holds files"):
+        reproduce(tmp_path)
+    with pytest.raises(FileExistsError, match="is a file"):
+        reproduce(tmp_path / "file")
+
+
+def test_cluster_residuals_against_each_cluster_by_hand(result):
+    residuals = cluster_residuals(result)
+    clusters, truths = result.clusters, result.truths
+    expected = {0: [], 1: []}
+    for row in np.flatnonzero(clusters["view"] < 2):
+        layer = result.detector.cgem[clusters["layer"][row]]
+        truth, view = clusters["truth"][row], clusters["view"][row]
+        x, y = (0.5 * (truths[f"entry_{c}"][truth] + truths[f"exit_{c}"][truth]) for c in "xy")
+        phi = np.arctan2(y, x)  # the middle of the chord, some um from mid-gap
+        # The truth at the same turn as the cluster: try all of them.
+        turns = layer.r_readout * (phi - layer.sheet_phi[clusters["sheet"][row]] + 2 * np.pi * np.arange(-2, 3))
+        if view == 0:
+            difference = clusters["x"][row] - turns
+        else:
+            z = layer.z_ref - truths["z"][truth]
+            difference = clusters["v"][row] - turns * np.cos(layer.stereo) - z * np.sin(layer.stereo)
+        expected[view].append(difference[np.argmin(np.abs(difference))])
+    np.testing.assert_allclose(residuals.x, expected[0], atol=5e-3)
+    np.testing.assert_allclose(residuals.v, expected[1], atol=5e-3)
+    assert len(residuals.x) == len(residuals.x_size) > 1000
+    share, error = residuals.single_strip_fraction
+    assert share == np.mean(residuals.x_size == 1)
+    assert 0 < error < 0.02
+
+
+def test_detectors_without_cgem_have_no_cluster_residuals():
+    residuals = cluster_residuals(cgemit.run("besiii-idc", GUN, 5, 1))
+    assert len(residuals.x) == len(residuals.v) == 0
+
+
+def test_fitted_curve_holds_as_many_entries_as_the_histogram(result):
+    spectrum = track_spectrum(result.tracks, "dr")
+    x, y = spectrum.fit_curve()
+    width = spectrum.edges[1] - spectrum.edges[0]
+    core = spectrum.resolution
+    inside = core.n * (1 - core.tail)
+    assert trapezoid(y, x) / width == pytest.approx(inside, rel=1e-3)
+    assert spectrum.counts["all"].sum() == core.n - core.outside
+    v = v_spectrum(cluster_residuals(result))
+    x, y = v.fit_curve()
+    assert trapezoid(y, x) / 10.0 == pytest.approx(0.9973 * v.fit.n, rel=1e-3)
+
+
+def test_parts_of_the_x_histogram(result):
+    spectrum = x_spectrum(cluster_residuals(result))
+    parts = spectrum.counts["single strip"] + spectrum.counts["several strips"]
+    np.testing.assert_array_equal(parts, spectrum.counts["all"])
+    assert any("one strip" in line for line in spectrum.statistics())
+
+
+def test_window_leaves_out_far_tracks_and_counts_them(result):
+    far = result.tracks["res_dr"].copy()
+    far[:3] = 1000.0
+    tracks = result.tracks.with_columns(res_dr=far)
+    before, after = (windowed_resolution(table, "dr") for table in (result.tracks, tracks))
+    assert after.outside >= before.outside + 2
+    assert after.rms == pytest.approx(before.rms, rel=0.05)
+
+
+def test_pictures(result, tmp_path):
+    for name in ("dr", "phi0", "kappa", "dz", "tanl", "p"):
+        assert draw.residual(result, name)._repr_png_().startswith(b"\x89PNG")
+    assert draw.residual(result.tracks, "p").axes[0].get_title(loc="left") == ""
+    with pytest.raises(ValueError, match="parameter"):
+        draw.residual(result, "pt")
+    picture = draw.draw_event(result, 7)
+    assert [path.name for path in picture.save(tmp_path / "p-1.0")] == ["p-1.0.png", "p-1.0.pdf"]
+    assert [path.name for path in picture.save(tmp_path / "p.pdf")] == ["p.pdf"]
+    with pytest.raises(FileExistsError):
+        picture.save(tmp_path / "p.pdf")
+    with pytest.raises(ValueError, match="from 0 to 399"):
+        draw.draw_event(result, 400)
+    assert draw.draw_event(cgemit.run("besiii-idc", GUN, 1, 1)).axes
+
+
+def test_drawn_event_shows_a_crossing_of_two_x_and_three_v_strips(result):
+    event = good_event(result)
+    rows = (result.clusters["event"] == event) & (result.clusters["layer"] == 0)
+    sizes = {int(view): result.clusters["size"][rows & (result.clusters["view"] == view)].tolist() for view in (0, 1)}
+    assert sizes == {0: [2], 1: [3]}
+
+
+def test_helix_points_meet_the_true_crossings():
+    settings = cgemit.Settings(simulate=cgemit.SimulateSettings(fluctuations="off"))
+    result = cgemit.run("besiii-cgem-design", cgemit.Gun("mu+", p=0.5, cos_theta=0.3), 20, 1, settings=settings)
+    truths = result.truths
+    for row in range(20):
+        helix = np.array([result.tracks[f"truth_{name}"][row] for name in ("dr", "phi0", "kappa", "dz", "tanl")])
+        x, y, z = helix_points(helix, result.detector.field.bz, 200.0, 1000.0, n=4000)
+        for hit in np.flatnonzero(truths["event"] == row):
+            r = truths["r"][hit]
+            phi = np.interp(r, np.hypot(x, y), near(np.arctan2(y, x), truths["phi"][hit]))
+            # The loss of energy on the way bends the track by some um more.
+            assert abs(r * (phi - truths["phi"][hit])) < 0.05
+            assert np.interp(r, np.hypot(x, y), z) == pytest.approx(truths["z"][hit], abs=0.05)
+
+
+def test_seeds_of_samples_differ():
+    seeds = {seed_of(seed, number) for seed in range(50) for number in range(50)}
+    assert len(seeds) == 2500
+    assert all(0 <= seed < 2**64 for seed in seeds)
+
+
+def test_scan_prints_and_refuses_to_overwrite(tmp_path):
+    detector = cgemit.load("besiii-cgem-design")
+    result = scan(detector, [0.5, 1.0], cos_theta=0.0, events=50)
+    assert len(repr(result).splitlines()) == 4
+    assert "<table>" in result._repr_html_()
+    result.save(tmp_path / "out")
+    with pytest.raises(FileExistsError):
+        result.save(tmp_path / "out")
+    assert result.lines[0].y[0] > result.lines[0].y[1]
+
+
+def test_line_without_value_is_null_in_json():
+    values = np.array([1.0, np.nan])
+    line = Line("sigma_p", "d", values, "GeV/c", values, values, "MeV/c")
+    assert line.as_json()["y"] == [1.0, None]
+
+
+def test_csv(tmp_path):
+    write_csv(tmp_path / "t.csv", {"a (mm)": [1.5, 2.0], "b": [1, 2], "c": ["x, y", "z"]})
+    assert (tmp_path / "t.csv").read_text() == 'a (mm),b,c\n1.5,1,"x, y"\n2,2,z\n'
+    assert not re.search(r"\r", (tmp_path / "t.csv").read_bytes().decode())
