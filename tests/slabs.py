@@ -56,7 +56,7 @@ def highland(x, p, mass):
 def slab_detector(parts, bz=0.0, gap_radius=None, half_length=1e4):
     """Return a compiled detector of slabs: (matter, thickness mm, radius mm), from inside; no wires.
 
-    A slab without matter (None) is empty. With `gap_radius` an almost empty drift gap there records the particles.
+    With `gap_radius` a drift gap there, where nothing scatters and half a keV is lost, records the particles.
     """
     grid = np.exp(_core.LOSS_GRID_FIRST + _core.LOSS_GRID_STEP * np.arange(_core.LOSS_POINTS))
     rows, terms = [], []
@@ -68,8 +68,8 @@ def slab_detector(parts, bz=0.0, gap_radius=None, half_length=1e4):
         terms.append(-2 * np.log(matter.excitation * 1e-9) - delta(matter, grid))
     n_gaps = 0 if gap_radius is None else 1
     if gap_radius is not None:
-        rows.append((gap_radius - 2.5, gap_radius + 2.5, gap_radius, 1.0, half_length, 1e-15, 1e-15, 0))
-        terms.append(np.full(len(grid), 35.0))
+        rows.append((gap_radius - 2.5, gap_radius + 2.5, gap_radius, 1.0, half_length, 1e-15, 3e-8, 0))
+        terms.append(np.full(len(grid), 31.0))
     names = ("r_in", "r_out", "radius", "spread", "half_length", "x0", "xi", "gap")
     columns = dict(zip(names, np.array(rows).T.copy(), strict=True))
     columns |= {"gap": columns["gap"].astype(np.int32), "ends": np.zeros(len(rows), np.uint8)}
