@@ -271,7 +271,9 @@ def _map(
             pool.shutdown()
 
 
-def _meta(detector: Detector, believed: Detector, gun: Gun | Guns | None, settings: Settings, seed: int) -> dict[str, Any]:
+def _meta(
+    detector: Detector, believed: Detector, gun: Gun | Guns | None, settings: Settings, seed: int
+) -> dict[str, Any]:
     configuration = repr((detector.to_toml(), believed.to_toml(), gun, settings))
     return {
         "version": version("cgemit"),

@@ -56,7 +56,7 @@ class FitSettings:
     cluster_errors: str = "track"
     residuals: bool = False
     max_iterations: int = 15
-    tolerance: float = 0.02
+    tolerance: float = 0.1
     least_width: float = 0.1
     prior_sigma: tuple[float, float, float, float, float] = (200.0, 2.0, 5.0, 1000.0, 5.0)
     seed_smearing: tuple[float, float, float, float, float] = (1.0, 0.005, 0.02, 5.0, 0.005)
@@ -144,7 +144,9 @@ def _smeared(truth: Floats, particles: Table, settings: FitSettings, seed: int) 
     return truth + sigma * np.concatenate(draws, axis=1)[:, :5]
 
 
-def _track_columns(out: dict[str, npt.NDArray[np.generic]], truth: Floats, particles: Table) -> dict[str, npt.ArrayLike]:
+def _track_columns(
+    out: dict[str, npt.NDArray[np.generic]], truth: Floats, particles: Table
+) -> dict[str, npt.ArrayLike]:
     """Columns of the tracks table: the fit, and its comparison with truth."""
     fitted = np.asarray(out["helix"], np.float64)
     has_cov = np.isin(out["status"], (FitStatus.ok, FitStatus.not_converged))
@@ -160,11 +162,18 @@ def _track_columns(out: dict[str, npt.NDArray[np.generic]], truth: Floats, parti
         residual = found - true
         if name == "phi0":
             residual = np.remainder(residual + np.pi, 2 * np.pi) - np.pi
-        columns |= {f"truth_{name}": true, f"res_{name}": residual, f"err_{name}": sigma, f"pull_{name}": residual / sigma}
+        columns |= {
+            f"truth_{name}": true,
+            f"res_{name}": residual,
+            f"err_{name}": sigma,
+            f"pull_{name}": residual / sigma,
+        }
     return columns
 
 
-def _residual_columns(out: dict[str, npt.NDArray[np.generic]], hits: FitHits, particles: Table) -> dict[str, npt.ArrayLike]:
+def _residual_columns(
+    out: dict[str, npt.NDArray[np.generic]], hits: FitHits, particles: Table
+) -> dict[str, npt.ArrayLike]:
     offsets = hits.hit_offsets
     track = np.repeat(np.arange(len(particles)), np.diff(offsets))
     used = np.asarray(out["err"], np.float64) > 0

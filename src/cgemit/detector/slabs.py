@@ -120,6 +120,8 @@ def _fillers(detector: Detector, solid: Sequence[Slab]) -> list[Slab]:
 def _chamber_gas(chamber: DriftChamber, solid: Sequence[Slab], inside: Sequence[Slab]) -> list[Slab]:
     """Return one lump of gas before each wire layer; the innermost begins at the last part inside the chamber.
 
+    Where the end plate steps outward from one layer to the next, the lump reaches to the farther plate.
+
     Without a part inside, the chamber begins at its first wire layer.
     """
     found = []
@@ -127,8 +129,9 @@ def _chamber_gas(chamber: DriftChamber, solid: Sequence[Slab], inside: Sequence[
     inner = chamber.layers[0]
     for layer in chamber.layers:
         walls = [(s.r_in, s.r_out) for s in solid if start - _TOUCH < s.r_in < layer.r_mid]
+        length = max(inner.half_length, layer.half_length)
         for r_in, r_out in _between(start, layer.r_mid, walls):
-            gas = Shell("gas", f"gas before layer {layer.number}", r_in, r_out, inner.half_length, chamber.gas)
+            gas = Shell("gas", f"gas before layer {layer.number}", r_in, r_out, length, chamber.gas)
             share = (r_out - r_in) / (layer.r_mid - start)
             found.append(Slab((gas, *_wires(chamber, gas, layer.wire_x0 * share)), ends=True))
         start, inner = layer.r_mid, layer

@@ -1,0 +1,165 @@
+"""The chain: the same numbers however the work is cut, and results that can be kept, compared and shown."""
+
+from __future__ import annotations
+
+import pickle
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cgemit.chain import Result, Settings, run
+from cgemit.detector import load
+from cgemit.digitize import DigitizeSettings
+from cgemit.fit import FitSettings, FitStatus
+from cgemit.gun import Gun
+from cgemit.simulate import SimulateSettings
+from cgemit.tables import Table, load_tables
+
+GUN = Gun("mu-", p=(0.2, 1.5), cos_theta=(-0.9, 0.9), vertex_sigma=(0.3, 0.01, 8.0)) + Gun("pi+", pt=0.3, theta=1.2)
+SETTINGS = Settings(fit=FitSettings(residuals=True))
+LINKS = {"truth", "wire_truth", "x_cluster", "v_cluster", "track", "hit"}
+
+
+@pytest.fixture(scope="module")
+def result() -> Result:
+    """Sixty events of two particles."""
+    return run("besiii-cgem-design", GUN, 60, seed=3, settings=SETTINGS, threads=1)
+
+
+@pytest.mark.parametrize(("threads", "chunk"), [(2, 1000), (1, 7), (2, 1), (2, 59)])
+def test_threads_and_chunks_change_no_byte(result: Result, threads: int, chunk: int) -> None:
+    """Every column of every table is the same to the last bit for any number of threads and any chunk size."""
+    other = run("besiii-cgem-design", GUN, 60, seed=3, settings=SETTINGS, threads=threads, chunk=chunk)
+    for name, table in result.tables.items():
+        for column, values in table.columns.items():
+            assert values.tobytes() == other.tables[name][column].tobytes(), f"{name}.{column}"
+
+
+def test_processes_give_the_same_result(result: Result) -> None:
+    """Any executor will do: a pool of processes gives what threads give."""
+    with ProcessPoolExecutor(2) as pool:
+        assert run("besiii-cgem-design", GUN, 60, seed=3, settings=SETTINGS, executor=pool, chunk=20) == result
+
+
+@pytest.mark.parametrize("event", [0, 17, 59])
+def test_one_event_alone_is_the_same(result: Result, event: int) -> None:
+    """An event replayed by itself has the bytes that it has among others; only links count other rows."""
+    particles = result.particles.select_events(event, event + 1)
+    alone = run("besiii-cgem-design", particles, seed=3, settings=SETTINGS)
+    for name, table in alone.tables.items():
+        expected = result.tables[name].select_events(event, event + 1)
+        for column, values in table.columns.items():
+            if column not in LINKS:
+                assert values.tobytes() == expected[column].tobytes(), f"{name}.{column}"
+
+
+def test_seeds_differ(result: Result) -> None:
+    """Another seed gives other events."""
+    other = run("besiii-cgem-design", GUN, 60, seed=4, settings=SETTINGS)
+    assert not np.array_equal(other.tracks["dr"], result.tracks["dr"])
+
+
+def test_designs_share_their_noise() -> None:
+    """Two designs see the same particles and scatters: the difference of a residual is far below its spread."""
+    settings = Settings(digitize=DigitizeSettings(readout="gaussian"))
+    gun = Gun("mu-", p=1.0, cos_theta=0.0)
+    a = run("besiii-cgem-design", gun, 300, seed=5, settings=settings)
+    b = run(
+        load("besiii-cgem-design").with_overrides({"cgem.L1.drift_gap": "4.9 mm"}), gun, 300, seed=5, settings=settings
+    )
+    assert (a.tracks["res_dr"] - b.tracks["res_dr"]).std() < 0.2 * a.tracks["res_dr"].std()
+
+
+def test_links_point_to_what_they_say(result: Result) -> None:
+    """Digis, hits and residuals link to rows of the same event, layer and cell, also across chunks."""
+    joined = run("besiii-cgem-design", GUN, 60, seed=3, settings=SETTINGS, chunk=13)
+    truths, wires = joined.truths, joined.wire_truths
+    assert np.array_equal(truths["event"][joined.digis["truth"]], joined.digis["event"])
+    assert np.array_equal(truths["layer"][joined.digis["truth"]], joined.digis["layer"])
+    assert np.array_equal(wires["wire"][joined.wire_hits["wire_truth"]], joined.wire_hits["wire"])
+    residuals = joined.residuals
+    assert residuals is not None
+    assert np.array_equal(joined.tracks["event"][residuals["track"]], residuals["event"])
+    on_wire = residuals["view"] == 2
+    assert np.array_equal(joined.wire_hits["layer"][residuals["hit"][on_wire]], residuals["layer"][on_wire])
+    assert np.array_equal(joined.clusters["layer"][residuals["hit"][~on_wire]], residuals["layer"][~on_wire])
+
+
+def test_result_pickles_compares_and_shows_itself(result: Result) -> None:
+    """A result survives pickling, compares by content and says what it is, as text and in a notebook."""
+    copy = pickle.loads(pickle.dumps(result))
+    assert copy == result
+    assert copy != run("besiii-cgem-design", GUN, 60, seed=4, settings=SETTINGS)
+    assert "besiii-cgem-design" in repr(result)
+    assert "assigned by truth" in result._repr_html_()
+
+
+def test_tables_are_saved_with_what_made_them(result: Result, tmp_path: Path) -> None:
+    """Files hold version, configuration and seed, read back equal, and are never overwritten silently."""
+    result.save(tmp_path / "run")
+    loaded = load_tables(tmp_path / "run")
+    assert loaded["tracks"] == result.tracks
+    assert loaded["tracks"].meta["seed"] == 3
+    assert {"version", "configuration", "detector"} <= set(loaded["tracks"].meta)
+    with pytest.raises(FileExistsError):
+        result.save(tmp_path / "run")
+
+
+def test_particles_from_anywhere() -> None:
+    """A dict of columns serves as a gun; particles that cannot be fitted keep their row and say why."""
+    columns = {
+        "event": [0, 0, 1],
+        "pdg": [13, 22, -211],
+        **dict.fromkeys("xyz", [0.0, 0.0, 0.0]),
+        "px": [1.0, 1.0, 0.3],
+        "py": [0.0, 0.1, 0.2],
+        "pz": [0.1, 0.0, 5.0],
+    }
+    result = run("besiii-cgem-design", columns)
+    status = [FitStatus(s).name for s in result.tracks["status"]]
+    assert status == ["ok", "too_few_hits", "too_few_hits"]
+    assert np.isnan(result.tracks["cov"][1]).all()
+    assert result.removed() == {"too_few_hits": 2}
+    assert result.transport()["neutral"] == 1
+
+
+def test_no_events() -> None:
+    """A run of no events has empty tables."""
+    result = run("besiii-cgem-design", GUN, 0)
+    assert len(result.tracks) == 0
+    assert isinstance(result.clusters, Table)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"n": -1}, "n: -1"),
+        ({"n": 5, "chunk": 0}, "chunk: 0"),
+        ({"n": 5, "threads": 0}, "threads: 0"),
+        ({"n": 5, "detector": "besii-cgem"}, "besiii-cgem"),
+    ],
+)
+def test_wrong_arguments(arguments: dict[str, object], message: str) -> None:
+    """Wrong arguments are named with what was given."""
+    arguments = {"detector": "besiii-cgem-design", "gun": GUN, **arguments}
+    with pytest.raises(ValueError, match=message):
+        run(**arguments)  # type: ignore[arg-type]
+
+
+def test_wrong_settings_are_all_listed() -> None:
+    """Settings that make no sense are refused, each problem named."""
+    with pytest.raises(ValueError, match="fluctuations"):
+        SimulateSettings(fluctuations="some")
+    with pytest.raises(ValueError, match=r"(?s)seed.*tolerance.*prior_sigma"):
+        FitSettings(seed="magic", tolerance=-1, prior_sigma=(1.0, 2.0, 3.0, 4.0, 0.0))
+
+
+def test_fit_with_smeared_truth_agrees(result: Result) -> None:
+    """Where the fit starts does not matter: from smeared truth it ends at the same helix."""
+    settings = Settings(fit=FitSettings(seed="truth"))
+    other = run("besiii-cgem-design", GUN, 60, seed=3, settings=settings)
+    moved = np.abs(other.tracks["dr"] - result.tracks["dr"]) / result.tracks["err_dr"]
+    assert np.median(moved) < 1e-2
+    assert (moved < 0.1).mean() > 0.95
