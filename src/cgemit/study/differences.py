@@ -61,7 +61,7 @@ def gap_variant(gap: float, value: float, nominal: float) -> str:
     """Explain the numbers of a thinner drift gap."""
     change = value / nominal - 1
     more = "more" if change > 0 else "less"
-    return f"{100 * abs(change):.1f} % {more} than with the nominal gap, since the crossing of a {gap:g} mm gap is shorter."
+    return f"{100 * abs(change):.1f} % {more} than with the nominal gap: the crossing of a {gap:g} mm gap is shorter."
 
 
 def v_width(value: float, error: float, paper: float) -> str:
@@ -88,7 +88,7 @@ def track(parameter: str, widths: Resolution, paper: float) -> str:
     reasons = {
         "dr": "d_rho follows matter and the error of X, which delta electrons would widen.",
         "dz": "d_z follows the V measurement of the inner layers and the angular range.",
-        "p": "p follows the wires: 130 um, all efficient, no wire material, uniform field.",
+        "p": "p follows the wires: 130 um, all efficient, without material; docs/paper.md says what each would change.",
     }
     return f"{text}{shape} {reasons[parameter]}"
 
