@@ -1,0 +1,180 @@
+"""The settings of the fit do what they say, mistakes are listed at once, and rows that failed say why."""
+
+import dataclasses
+import inspect
+import re
+
+import numpy as np
+import pytest
+
+from cgemit import _core, chain, helix
+from cgemit.cluster import cluster
+from cgemit.detector import load
+from cgemit.digitize import DigitizeSettings, digitize
+from cgemit.find import by_truth
+from cgemit.fit import ERRORS, PARAMETERS, FitSettings, FitStatus, fit
+from cgemit.gun import Gun, generate
+from cgemit.simulate import simulate
+
+DETECTOR = load("besiii-cgem-design")
+
+
+@pytest.fixture(scope="module")
+def event():
+    """Return the tables of 40 simulated muons up to the clusters, and their candidates; sides are known."""
+    table = generate(Gun("mu-", p=(0.4, 1.2), cos_theta=(-0.8, 0.8)), 40, seed=3)
+    tables = simulate(DETECTOR, table, seed=3)
+    settings = DigitizeSettings(reveal_sides=True)
+    tables |= digitize(DETECTOR, tables["truths"], tables["wire_truths"], settings, 3)
+    tables["clusters"] = cluster(DETECTOR, tables["digis"])
+    names = ("particles", "clusters", "wire_hits", "truths", "wire_truths")
+    return tables, by_truth(*(tables[name] for name in names))
+
+
+def fitted(event, key=0, **changes):
+    """Fit the events with some settings changed."""
+    tables, candidates = event
+    hits = tables["particles"], tables["clusters"], tables["wire_hits"]
+    return fit(DETECTOR, *hits, candidates, FitSettings(**changes), key)
+
+
+def test_every_mistake_is_listed():
+    """One error names every wrong value, what it is and what was expected."""
+    with pytest.raises(ValueError, match="FitSettings") as error:
+        FitSettings(
+            seed="hit", cluster_errors="both", max_iterations=0, tolerance=-1, least_width=float("nan"),
+            prior_sigma=(1, 1, 0, 1, 1), seed_smearing=(1, 1, 1),
+        )  # fmt: skip
+    text = str(error.value)
+    for name in (
+        "seed",
+        "cluster_errors",
+        "max_iterations",
+        "tolerance",
+        "least_width",
+        "prior_sigma",
+        "seed_smearing",
+    ):
+        assert re.search(rf"^  {name}: ", text, re.MULTILINE)
+    assert "'hit', expected one of 'hits', 'truth'" in text
+
+
+def test_defaults_are_valid_and_frozen():
+    """The defaults make sense, can not be changed, and differ by `dataclasses.replace`."""
+    settings = FitSettings()
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        settings.seed = "truth"  # type: ignore[misc]
+    assert dataclasses.replace(settings, seed="truth") != settings
+
+
+def test_core_settings_have_the_same_names():
+    """The compiled settings take what the Python settings hold, plus the choice of cluster errors, without defaults."""
+    text = _core.FitSettings.__init__.__doc__
+    names = set(re.findall(r"(\w+): ", text.split("->")[0])) - {"self"}
+    ours = {field.name for field in dataclasses.fields(FitSettings)}
+    assert names - {"errors_from_track"} == ours - {"seed", "cluster_errors", "residuals", "seed_smearing"}
+    assert "=" not in text.split("->")[0]
+    assert "settings" in inspect.signature(fit).parameters
+
+
+def test_seed_does_not_matter(event):
+    """Started from the hits or from the smeared truth, and whatever the smearing, tracks end at the same helix."""
+    from_hits = fitted(event, tolerance=1e-4)["tracks"]
+    assert np.all(from_hits["status"] == FitStatus.ok)
+    for seed in (1, 2):
+        from_truth = fitted(event, seed, seed="truth", tolerance=1e-4)["tracks"]
+        assert np.all(from_truth["status"] == FitStatus.ok)
+        for name in PARAMETERS:
+            moved = from_truth[f"res_{name}"] - from_hits[f"res_{name}"]
+            assert np.abs(moved / from_hits[f"err_{name}"]).max() < 0.05, name
+
+
+def test_smearing_is_drawn_from_the_seed(event):
+    """The smeared start depends on the seed and on nothing else: without iterations left the results show it."""
+    once = [fitted(event, seed, seed="truth", max_iterations=1)["tracks"] for seed in (1, 1, 2)]
+    np.testing.assert_array_equal(once[0]["kappa"], once[1]["kappa"])
+    assert not np.any(once[0]["kappa"] == once[2]["kappa"])
+
+
+def test_too_few_iterations_is_a_status(event):
+    """A fit that was not given time to settle says not_converged, and keeps helix and covariance."""
+    tracks = fitted(event, max_iterations=1)["tracks"]
+    assert np.all(tracks["status"] == FitStatus.not_converged)
+    assert np.all(np.isfinite(tracks["cov"]))
+    assert np.all(tracks["iterations"] == 1)
+
+
+def test_residuals_on_request(event):
+    """The residuals table has one row for every measurement used, links to its hit, and exists only if asked for."""
+    tables, candidates = event
+    assert set(fitted(event)) == {"tracks"}
+    out = fitted(event, residuals=True)
+    tracks, residuals = out["tracks"], out["residuals"]
+    used = tracks["n_clusters"] + tracks["n_wires"]
+    np.testing.assert_array_equal(np.bincount(residuals["track"], minlength=len(tracks)), used)
+    np.testing.assert_array_equal(tracks["ndf"], used - 5)
+    assert len(residuals) == len(candidates.row)
+    np.testing.assert_allclose(residuals["pull"], residuals["residual"] / residuals["err"])
+    on_wire = residuals["view"] == 2
+    np.testing.assert_array_equal(residuals["layer"][on_wire], tables["wire_hits"]["layer"][residuals["hit"][on_wire]])
+    np.testing.assert_array_equal(residuals["layer"][~on_wire], tables["clusters"]["layer"][residuals["hit"][~on_wire]])
+    np.testing.assert_array_equal(residuals["side"][on_wire], tables["wire_hits"]["side"][residuals["hit"][on_wire]])
+    assert not np.any(residuals["side"][~on_wire])
+
+
+@pytest.mark.parametrize("errors", ERRORS)
+def test_columns_agree_with_each_other(event, errors):
+    """Pulls, errors and residuals of every parameter and of p are those of helix, truth and covariance."""
+    tables, _ = event
+    tracks = fitted(event, cluster_errors=errors)["tracks"]
+    truth = helix.at_origin(tables["particles"], DETECTOR.field.bz)
+    for i, name in enumerate(PARAMETERS):
+        np.testing.assert_allclose(tracks[f"err_{name}"], np.sqrt(tracks["cov"][:, i, i]))
+        np.testing.assert_array_equal(tracks[f"truth_{name}"], truth[:, i])
+        difference = tracks[name] - truth[:, i]
+        if name == "phi0":
+            difference = np.remainder(difference + np.pi, 2 * np.pi) - np.pi
+        np.testing.assert_allclose(tracks[f"res_{name}"], difference, atol=1e-15)
+        np.testing.assert_allclose(tracks[f"pull_{name}"], difference / tracks[f"err_{name}"], rtol=1e-9)
+    np.testing.assert_allclose(tracks["p"], np.sqrt(1 + tracks["tanl"] ** 2) / np.abs(tracks["kappa"]))
+    np.testing.assert_array_equal(tracks["cov"], tracks["cov"].transpose(0, 2, 1))
+    assert np.all(np.linalg.eigvalsh(tracks["cov"]) > 0)
+
+
+def test_cluster_errors_matter(event):
+    """Errors that follow the track's incidence give another helix than those of the clusters table, within errors."""
+    track, table = (fitted(event, cluster_errors=errors)["tracks"] for errors in ("track", "cluster"))
+    difference = (track["dr"] - table["dr"]) / table["err_dr"]
+    assert 1e-3 < np.std(difference) < 1
+
+
+def test_least_width_is_a_floor(event):
+    """A wider floor under the allowed interval of a cluster never makes an error smaller."""
+    narrow, wide = (fitted(event, least_width=width)["tracks"]["err_dr"] for width in (0.05, 1.0))
+    assert np.all(wide > 0.999 * narrow)
+    assert np.median(wide / narrow) > 1.02
+
+
+def test_wide_priors_change_nothing(event):
+    """Ten times wider priors leave every parameter where it is: the first helix is not counted as a measurement."""
+    settings = FitSettings()
+    usual = fitted(event, tolerance=1e-5)["tracks"]
+    wide = fitted(event, tolerance=1e-5, prior_sigma=tuple(10 * s for s in settings.prior_sigma))["tracks"]
+    for name in PARAMETERS:
+        moved = wide[f"res_{name}"] - usual[f"res_{name}"]
+        assert np.abs(moved / usual[f"err_{name}"]).max() < 1e-3, name
+
+
+def test_rows_without_hits_keep_their_place():
+    """Particles that leave nothing to fit keep a row that says so, with NaN where the covariance has no meaning."""
+    guns = Gun("mu-", p=1.0, cos_theta=0.2) + Gun("gamma", p=1.0, cos_theta=0.2) + Gun("pi+", pt=0.02, cos_theta=0.0)
+    tracks = chain.run(DETECTOR, guns, 3, seed=1).tracks
+    assert len(tracks) == 9
+    assert tracks["particle"].tolist() == [0, 1, 2] * 3
+    status = tracks["status"].reshape(3, 3)
+    assert np.all(status[:, 0] == FitStatus.ok)
+    assert np.all(status[:, 1:] != FitStatus.ok)
+    lost = tracks["status"] != FitStatus.ok
+    assert np.all(np.isnan(tracks["cov"][lost]))
+    assert np.all(np.isnan(tracks["pull_dr"][lost]))
+    assert np.all(np.isfinite(tracks["cov"][~lost]))
