@@ -215,7 +215,21 @@ def run(
     timings = {stage: sum(part[1][stage] for part in parts) for stage in parts[0][1]}
     tables = {name: t.with_meta(**meta) for name, t in tables.items()}
     timings["wall"] = time.perf_counter() - start
-    return Result(detector, shooter, seed, settings, *(tables.get(name) for name in TABLES), timings)  # type: ignore[arg-type]
+    return Result(
+        detector=detector,
+        gun=shooter,
+        seed=seed,
+        settings=settings,
+        particles=tables["particles"],
+        truths=tables["truths"],
+        wire_truths=tables["wire_truths"],
+        digis=tables["digis"],
+        wire_hits=tables["wire_hits"],
+        clusters=tables["clusters"],
+        tracks=tables["tracks"],
+        residuals=tables.get("residuals"),
+        timings=timings,
+    )
 
 
 def _source(gun: Any, n: int | None) -> tuple[Gun | Guns | None, int, Table | None]:

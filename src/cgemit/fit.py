@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -15,6 +16,8 @@ from cgemit.tables import Table
 
 FitStatus = _core.FitStatus
 Floats = npt.NDArray[np.float64]
+Columns = dict[str, npt.ArrayLike]
+Output = dict[str, npt.NDArray[Any]]
 
 SEEDS = ("hits", "truth")
 ERRORS = ("track", "cluster")
@@ -130,10 +133,10 @@ def fit(
         ),
         residuals=settings.residuals,
     )
-    span = {"n_events": particles.n_events, "first_event": particles.first_event}
-    tables = {"tracks": Table("tracks", _track_columns(out, truth, particles), **span)}
+    span = (particles.n_events, particles.first_event)
+    tables = {"tracks": Table("tracks", _track_columns(out, truth, particles), *span)}
     if settings.residuals:
-        tables["residuals"] = Table("residuals", _residual_columns(out, hits, particles), **span)
+        tables["residuals"] = Table("residuals", _residual_columns(out, hits, particles), *span)
     return tables
 
 
@@ -151,7 +154,7 @@ def _track_columns(
     fitted = np.asarray(out["helix"], np.float64)
     has_cov = np.isin(out["status"], (FitStatus.ok, FitStatus.not_converged))
     cov = np.where(has_cov[:, None, None], out["cov"], np.nan)
-    columns: dict[str, npt.ArrayLike] = {"event": particles["event"], "particle": particles["particle"]}
+    columns: Columns = {"event": particles["event"], "particle": particles["particle"]}
     columns |= {name: fitted[:, i] for i, name in enumerate(PARAMETERS)}
     columns |= {"cov": cov, "p": helix.momentum(fitted)}
     columns |= {name: out[name] for name in ("chi2", "ndf", "n_clusters", "n_wires", "iterations", "status")}

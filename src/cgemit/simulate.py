@@ -70,11 +70,11 @@ def simulate(
         fluctuations=getattr(_core.Fluctuations, settings.fluctuations),
         seed=seed,
     )
-    span = {"n_events": particles.n_events, "first_event": particles.first_event}
+    span = (particles.n_events, particles.first_event)
     return {
         "particles": particles.with_columns(status=out["status"]),
-        "truths": Table("truths", out["truths"], **span),
-        "wire_truths": Table("wire_truths", out["wire_truths"], **span),
+        "truths": Table("truths", out["truths"], *span),
+        "wire_truths": Table("wire_truths", out["wire_truths"], *span),
     }
 
 

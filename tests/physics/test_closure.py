@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
-from functools import lru_cache
+from functools import cache
 
 import numpy as np
 import pytest
 from scipy.stats import chi2, kstest
-from stats import assert_within
 
 from cgemit.chain import Result, Settings, run
 from cgemit.detector import Detector, load
@@ -17,6 +16,7 @@ from cgemit.fit import PARAMETERS
 from cgemit.gun import Gun
 from cgemit.simulate import SimulateSettings
 from cgemit.study import pulls, resolution
+from stats import assert_within
 
 N = 10_000
 EXACT = Settings(
@@ -31,7 +31,7 @@ def with_field(name: str, bz: float) -> Detector:
     return dataclasses.replace(detector, field=dataclasses.replace(detector.field, bz=bz))
 
 
-@lru_cache(maxsize=None)
+@cache
 def exact_sample(particle: str, p: float, bz: float) -> Result:
     """Tracks at 90 degrees in the mode in which everything is Gaussian and known."""
     return run(with_field("besiii-cgem-design", bz), Gun(particle, p=p, cos_theta=0.0), N, seed=11, settings=EXACT)

@@ -112,7 +112,7 @@ def test_particles_from_anywhere() -> None:
     columns = {
         "event": [0, 0, 1],
         "pdg": [13, 22, -211],
-        **dict.fromkeys("xyz", [0.0, 0.0, 0.0]),
+        **{axis: [0.0, 0.0, 0.0] for axis in "xyz"},
         "px": [1.0, 1.0, 0.3],
         "py": [0.0, 0.1, 0.2],
         "pz": [0.1, 0.0, 5.0],

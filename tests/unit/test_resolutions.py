@@ -6,10 +6,10 @@ import time
 
 import numpy as np
 import pytest
-from cgemit._core import FitStatus
 from scipy import integrate, optimize
 from scipy import stats as scipy_stats
 
+from cgemit._core import FitStatus
 from cgemit.study import (
     chi2_flatness,
     chi2_probability,
