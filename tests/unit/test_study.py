@@ -2,6 +2,7 @@
 
 import csv
 import json
+import pickle
 import re
 
 import numpy as np
@@ -121,8 +122,16 @@ def test_study_prints_itself(study):
 
 def test_study_depends_on_the_seed_and_not_on_threads():
     one, two, other = (reproduce(events=400, seed=seed, threads=n) for seed, n in ((1, 1), (1, 2), (2, 1)))
+    assert one == two
+    assert one != other
     assert one.results == two.results
     assert all(a.value != b.value for a, b in zip(one.results, other.results, strict=True) if "fraction" not in a.id)
+
+
+def test_study_pickles(study):
+    copy = pickle.loads(pickle.dumps(study))
+    assert copy == study
+    assert copy.display == study.display
 
 
 def test_too_few_events_and_taken_folders_are_refused_before_work(tmp_path):

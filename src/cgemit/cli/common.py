@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 OK, BAD_INPUT, RUN_FAILED, INTERRUPTED = 0, 2, 3, 130
 
 #: The sub-commands, in the order of the help text; each is a module with `add_parser`.
-COMMANDS = ("study", "resolution", "simulate", "detectors", "show", "validate")
+COMMANDS = ("study", "resolution", "simulate", "detectors", "show", "validate", "bench")
 
 #: What a gun takes for a quantity: one number, a uniform range, or values in turn.
 Values = float | tuple[float, float] | list[float]

@@ -57,7 +57,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         return int(arguments.run(arguments) or OK)
     except KeyboardInterrupt:
-        print("cgemit: interrupted; nothing was written", file=sys.stderr)
+        print("cgemit: interrupted", file=sys.stderr)
         return INTERRUPTED
     except BrokenPipeError:  # the reader of a pipe such as `cgemit show ... | head` has gone
         sys.stderr.close()

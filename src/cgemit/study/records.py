@@ -77,7 +77,7 @@ class Row:
         }  # fmt: skip
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Line:
     """A quantity against another for one detector.
 
@@ -96,6 +96,13 @@ class Line:
     y: npt.NDArray[np.float64]
     y_error: npt.NDArray[np.float64]
     y_unit: str
+
+    def __eq__(self, other: object) -> bool:
+        """Compare all values; NaN equals NaN."""
+        return isinstance(other, Line) and self.as_json() == other.as_json()
+
+    def __hash__(self) -> int:
+        return hash((self.id, self.detector))
 
     def as_json(self) -> dict[str, Any]:
         """Return the line as `summary.json` has it."""
