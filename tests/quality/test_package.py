@@ -1,0 +1,122 @@
+"""What a newcomer and a package index see: versions, README, portable builds."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import subprocess
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+
+import matplotlib as mpl
+import pytest
+from sources import CORE, PACKAGE, ROOT
+
+import cgemit
+
+PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
+README = (ROOT / "README.md").read_text()
+TEXT = {".py", ".pyi", ".hpp", ".cpp", ".txt", ".toml", ".md", ".cff", ".csv", ".yaml", ".json", ""}
+# Written in two parts, so that this file does not hold them itself.
+FORBIDDEN = ("-ffast" + "-math", "/ho" + "me/", "/wo" + "rk/", "/Us" + "ers/", "/t" + "mp/")
+X86 = re.compile(r"-m(?:arch|tune|avx|sse|fma)|immintrin|__AVX|__SSE|_mm256|_mm512")
+
+
+def blocks(language: str) -> list[str]:
+    """Return the code blocks of README.md in a language."""
+    return re.findall(rf"^```{language}\n(.*?)^```", README, re.MULTILINE | re.DOTALL)
+
+
+def repository_files() -> Iterator[Path]:
+    """Yield our own text files."""
+    folders = ("src", "tests", "docs", "benchmarks", "notebooks", ".ci")
+    for path in [*ROOT.iterdir(), *(p for folder in folders for p in (ROOT / folder).rglob("*"))]:
+        hidden = "__pycache__" in path.parts or path.name == ".git"
+        if path.is_file() and path.suffix in TEXT and not hidden:
+            yield path
+
+
+def test_versions_agree() -> None:
+    (cited,) = re.findall(r"^version: (.*)$", (ROOT / "CITATION.cff").read_text(), re.MULTILINE)
+    assert PYPROJECT["project"]["version"] == cited == cgemit.__version__
+
+
+def test_licences_agree() -> None:
+    (cited,) = re.findall(r"^license: (.*)$", (ROOT / "CITATION.cff").read_text(), re.MULTILINE)
+    assert PYPROJECT["project"]["license"] == cited == "BSD-3-Clause"
+    assert "Redistribution and use in source and binary forms" in (ROOT / "LICENSE").read_text()
+
+
+def test_package_is_typed() -> None:
+    assert (PACKAGE / "py.typed").exists()
+
+
+def test_nothing_in_the_repository_is_bound_to_a_machine() -> None:
+    found = [
+        f"{path.relative_to(ROOT)}: {text}"
+        for path in repository_files()
+        for text in FORBIDDEN
+        if text in path.read_text(encoding="utf-8")
+    ]
+    assert not found
+
+
+def test_default_build_knows_no_instruction_set() -> None:
+    sources = [ROOT / "CMakeLists.txt", ROOT / "pyproject.toml", *CORE.rglob("*.?pp")]
+    assert not [str(path) for path in sources if X86.search(path.read_text())]
+    assert X86.search("target_compile_options(core PRIVATE -march=native)")
+
+
+def test_readme_has_two_commands_that_install_and_run() -> None:
+    commands = blocks("sh")
+    assert len(commands) == 2, ".ci/run takes them from README.md"
+    for command, install, program in zip(commands, (".", ".[test]"), ("cgemit study", "pytest"), strict=True):
+        first, second = command.strip().split(" && ")
+        assert shlex.split(first) == ["pip", "install", install]
+        assert second == program
+
+
+def test_readme_fits_on_a_screen() -> None:
+    assert len(README.splitlines()) <= 60
+    (example,) = blocks("python")
+    assert len(example.splitlines()) <= 12
+
+
+def test_links_of_the_documentation_lead_somewhere() -> None:
+    pages = [path for path in repository_files() if path.suffix == ".md"]
+    broken = [
+        f"{page.relative_to(ROOT)}: {link}"
+        for page in pages
+        for link in re.findall(r"\]\(([^)#\s]+)[^)]*\)", page.read_text())
+        if not link.startswith("http") and not (page.parent / link).exists()
+    ]
+    assert pages
+    assert not broken
+
+
+def test_every_page_is_in_the_index_of_the_documentation() -> None:
+    index = (ROOT / "docs" / "README.md").read_text()
+    pages = [path.relative_to(ROOT / "docs").as_posix() for path in (ROOT / "docs").rglob("*.md")]
+    assert not [page for page in pages if page != "README.md" and f"({page})" not in index]
+
+
+def test_readme_example_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The example as printed, but for fewer events: 20_000 becomes 500, and the study is its quick one."""
+    (example,) = blocks("python")
+    for printed, quick in (("n=20_000", "n=500"), ('output="out"', 'output="out", events=400')):
+        assert example.count(printed) == 1, printed
+        example = example.replace(printed, quick)
+    monkeypatch.chdir(tmp_path)
+    mpl.use("agg")
+    exec(compile(example, "README.md", "exec"), {})
+    assert (tmp_path / "momentum.png").stat().st_size > 10_000
+    assert (tmp_path / "out" / "report.html").exists()
+
+
+def test_check_script_is_bash_and_parses() -> None:
+    script = ROOT / ".ci" / "run"
+    if not script.exists():
+        pytest.skip("the source distribution has no .ci")
+    assert script.read_text().startswith("#!/usr/bin/env bash\n")
+    assert subprocess.run(["bash", "-n", script], check=False).returncode == 0
