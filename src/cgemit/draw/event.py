@@ -26,6 +26,8 @@ _FALLBACK_SIZE = 200.0  # mm, of a detector without cylinders
 def draw_event(result: Result, event: int = 0) -> Picture:
     """Draw one event of a result: detector, true crossings, clusters, drift circles and fitted tracks.
 
+    A track is drawn as the helix it has at the beam line; slow ones lose energy and bend more further out.
+
     Parameters
     ----------
     result : Result
@@ -48,10 +50,10 @@ def draw_event(result: Result, event: int = 0) -> Picture:
         picture, axes = new_picture(1, 3, (13.2, 4.9))
         reach = _reach(detector)
         for plot in axes[:2]:
-            _transverse_detector(plot, detector, wires=plot is axes[0])
+            _transverse_detector(plot, detector)
             _transverse_hits(plot, view, magnified=plot is axes[1])
+            _drift_circles(plot, detector, view)
             _frame(plot, "x  (mm)", "y  (mm)")
-        _drift_circles(axes[0], detector, view)
         _limit(axes[0], *_window(view, reach.r))
         _limit(axes[1], (0.0, 0.0), 1.1 * max((layer.r_out for layer in detector.cgem), default=0.3 * reach.r))
         _longitudinal_detector(axes[2], detector)
@@ -136,15 +138,15 @@ def _wire_positions(layer: WireLayer, wires: npt.NDArray[np.integer[Any]], z: Ar
     return x, y
 
 
-def _transverse_detector(axes: Axes, detector: Detector, *, wires: bool) -> None:
+def _transverse_detector(axes: Axes, detector: Detector) -> None:
     for part in (*detector.beam_pipe, *detector.walls):
         axes.add_patch(Wedge((0, 0), part.r_out, 0, 360, width=max(part.thickness, 0.4), color=COLORS["matter"], lw=0))
     for layer in detector.cgem:
         axes.add_patch(Wedge((0, 0), layer.r_out, 0, 360, width=layer.r_out - layer.r_in, color="#E6ECF3", lw=0))
         gap = layer.r_gap_out - layer.r_gap_in
         axes.add_patch(Wedge((0, 0), layer.r_gap_out, 0, 360, width=gap, color="#B7D5EF", lw=0))
-    if wires and _wire_layers(detector):
-        layers = _wire_layers(detector)
+    layers = _wire_layers(detector)
+    if layers:
         points = [_wire_positions(layer, np.arange(layer.cells), np.zeros(layer.cells)) for layer in layers]
         x, y = (np.concatenate(coordinate) for coordinate in zip(*points, strict=True))
         axes.plot(x, y, ".", ms=1.7, color="#8A95A1", mew=0, zorder=0.5)
@@ -163,6 +165,8 @@ def _longitudinal_detector(axes: Axes, detector: Detector) -> None:
 
 def _transverse_hits(axes: Axes, view: _View, *, magnified: bool) -> None:
     truths, clusters = view.truths, view.clusters
+    if not len(truths) and not len(clusters):
+        return
     axes.plot(
         truths["r"] * np.cos(truths["phi"]), truths["r"] * np.sin(truths["phi"]), "o", ms=9 if magnified else 5,
         mfc="none", mec=COLORS["truth"], mew=1.3, label="true crossing", zorder=4,
@@ -187,9 +191,11 @@ def _best_view(clusters: Table) -> npt.NDArray[np.bool_]:
 
 def _drift_circles(axes: Axes, detector: Detector, view: _View) -> None:
     hits = view.wire_hits
+    if not len(hits):
+        return
     layers = {layer.number: layer for layer in _wire_layers(detector)}
     truth = hits["wire_truth"] - view.wire_truth_first
-    z = view.wire_truths["z"][truth] if len(hits) else np.empty(0)
+    z = view.wire_truths["z"][truth]
     centres = np.empty((len(hits), 2))
     for number in np.unique(hits["layer"]):
         rows = hits["layer"] == number
@@ -220,7 +226,7 @@ def _tracks(axes: Sequence[Axes], detector: Detector, view: _View, reach: _Reach
         x, y, z = helix_points(helix, detector.field.bz, reach.r, reach.z)
         p = view.tracks["p"][row]
         line: dict[str, Any] = {"color": _TRACK_COLORS[number % len(_TRACK_COLORS)], "lw": 1.4, "zorder": 3}
-        axes[0].plot(x, y, label=f"fitted track, p = {p:.3f} GeV/c", **line)
+        axes[0].plot(x, y, label=f"fitted helix, p = {p:.3f} GeV/c", **line)
         axes[1].plot(x, y, **line)
         axes[2].plot(z, np.hypot(x, y), **line)
 
