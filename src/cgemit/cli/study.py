@@ -34,7 +34,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "--events", type=positive, metavar="N",
         help="events at 1 GeV/c for each detector (default 20000); each of the ten momenta gets a quarter of it",
     )  # fmt: skip
-    parser.add_argument("--quick", action="store_true", help="2000 events, unless --events says otherwise")
+    parser.add_argument("--quick", action="store_true", help="1500 events, unless --events says otherwise")
     parser.add_argument("--json", action="store_true", help="write summary.json to stdout too")
     add_run(parser)
     add_common(parser)

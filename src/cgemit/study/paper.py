@@ -35,7 +35,7 @@ COS_THETA = (-0.93, 0.93)
 #: Drift gap of the variant, mm; the paper does not state its own.
 THIN_GAP = 3.0
 
-_EVENTS, _QUICK_EVENTS, _FEWEST_EVENTS = 20_000, 2_000, 400
+_EVENTS, _QUICK_EVENTS, _FEWEST_EVENTS = 20_000, 1_500, 400
 _SHARE = 4  # each momentum of the curves gets this part of the events
 _DISPLAY_EVENTS = 200  # among which the event that is drawn is looked for
 
@@ -161,7 +161,7 @@ def reproduce(
         Folder for figures, tables, `summary.json` and `report.html`; nothing is written if None.
     events : int, optional
         Events at 1 GeV/c for each detector, at least 400; each of the ten momenta gets a quarter of it. Default
-        20 000, or 2000 with `quick`.
+        20 000, or 1500 with `quick`.
     seed : int
     threads : int, optional
         Default: all cores. The numbers do not depend on it.
