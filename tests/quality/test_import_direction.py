@@ -120,3 +120,9 @@ def test_a_wrong_import_is_seen(module: str, line: str) -> None:
 def test_each_part_can_be_imported_first(module: str) -> None:
     run = subprocess.run([sys.executable, "-c", f"import cgemit.{module}"], capture_output=True, text=True, check=False)
     assert run.returncode == 0, run.stderr
+
+
+def test_pictures_and_statistics_are_loaded_when_needed() -> None:
+    program = "import sys, cgemit; print(*{'matplotlib', 'scipy', 'pandas', 'awkward'} & set(sys.modules))"
+    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert not run.stdout.split()
