@@ -14,6 +14,7 @@ from oracles import LIGHT, integrate
 from tracks import MUON, hits_on, on_helix, particles, transport, without_matter
 
 DESIGN, IDC = load("besiii-cgem-design"), load("besiii-idc")
+IDC_WITHOUT_MATTER = without_matter(IDC)
 OFF = SimulateSettings(fluctuations="off")
 BY_NAME = {"besiii-cgem-design": DESIGN, "besiii-idc": IDC}
 
@@ -130,13 +131,14 @@ def test_unsmeared_hits_fit_perfectly(name, bz, helix):
     assert out["chi2"][0] < 1e-6
 
 
-@pytest.mark.parametrize("helix", [(0.2, 0.3, -1.0, 5, 0.4), (5.0, 2.5, 6.0, -9, -0.3), (-30.0, -1.0, 0.3, 0, 1.0)])
-def test_every_cell_on_the_way(helix):
+@pytest.mark.parametrize("number", range(40))
+def test_every_cell_on_the_way(number):
     """The cells recorded are those in which points of the path lie: nearest wire, between the layers' borders."""
-    core = without_matter(IDC)
-    helix = np.array(helix)
+    rng = np.random.default_rng(number)
+    kappa = (-1) ** number * rng.uniform(0.2, 6.0)
+    helix = np.array([rng.uniform(-30, 30), rng.uniform(-math.pi, math.pi), kappa, 0.0, rng.uniform(-0.9, 0.9)])
     start = on_helix(helix)
-    found = transport(core, start)["wire_truths"]
+    found = transport(IDC_WITHOUT_MATTER, start)["wire_truths"]
     recorded = set(zip(found["layer"].tolist(), found["wire"].tolist(), strict=True))
     assert len(recorded) == len(found["layer"]) >= 43
     pt, spacing = abs(1 / helix[2]), 0.05
