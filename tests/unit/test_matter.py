@@ -103,9 +103,6 @@ def test_core_moments(matter, thickness, p, mass, times):
     assert variance == pytest.approx(np.trapezoid(xi * (1 - beta2 * energy / w_max), energy), rel=1e-9)
 
 
-@pytest.mark.xfail(
-    reason="the slope leaves out that the cut's share of the spectrum changes with momentum", strict=False
-)
 @each_passage
 @pytest.mark.parametrize("times", [1, 30])
 def test_core_slope(matter, thickness, p, mass, times):
