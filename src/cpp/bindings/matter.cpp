@@ -29,7 +29,8 @@ void bind_matter(py::module_& module) {
   module.def(
       "scattering_angle",
       [](double p, double mass, double x0, double track_x0) {
-        return std::sqrt(scattering_variance(Kinematics(p, mass), x0, TrackMatter(track_x0, 1)));
+        return std::sqrt(
+            scattering_variance(Kinematics(p, mass), Kinematics(p, mass), x0, TrackMatter(track_x0, 1)));
       },
       py::kw_only(), py::arg("p"), py::arg("mass"), py::arg("x0"), py::arg("track_x0"),
       "Plane multiple-scattering angle, rad, of x0 radiation lengths on a track that crosses track_x0 in "

@@ -207,7 +207,7 @@ FitResult fit_track(const Detector& detector, std::span<const Hit> hits, std::sp
   if (hits.size() < parameters) return result;
   if (start != nullptr) return TrackFit(detector, hits, sides, mass, settings, space).run(*start, false);
   result.status = FitStatus::seed_failed;
-  for (const SeedFrom from : {SeedFrom::wires, SeedFrom::wires_and_clusters}) {
+  for (const SeedFrom from : {SeedFrom::wires, SeedFrom::wires_and_clusters, SeedFrom::azimuths}) {
     const auto seed = seed_helix(detector, hits, sides, from);
     if (!seed) continue;
     // A poor seed would let the clusters mislead the sides: the wires settle among themselves first.

@@ -1,5 +1,6 @@
 #include "fit/seed.hpp"
 
+#include <Eigen/Cholesky>
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -196,10 +197,41 @@ std::optional<Line> fit_line(const Detector& detector, std::span<const Hit> hits
   return line.result();
 }
 
+// Track from the beam line, azimuth psi0 + w r/2 and z = z0 + tanl r, through wires whose azimuth at z is
+// phi + slope z: linear in (psi0, w/2, z0, tanl). For chambers with few axial layers.
+std::optional<Perigee> seed_from_azimuths(const Detector& detector, std::span<const Hit> hits) {
+  Eigen::Matrix4d normal = Eigen::Matrix4d::Zero();
+  // Weak ties, in units of the wires' error: curvature 1/300 mm, z0 300 mm, tanl 3.
+  constexpr double error = 0.02;  // rad, half a cell
+  normal.diagonal() << 0, 1 / std::pow(1.0 / 300, 2), 1 / std::pow(300.0, 2), 1 / 9.0;
+  normal *= error * error;
+  Eigen::Vector4d right = Eigen::Vector4d::Zero();
+  double first = 0;
+  int points = 0;
+  for (const Hit& hit : hits) {
+    if (hit.view != View::wire) continue;
+    const WireLayer& layer = detector.wires[static_cast<std::size_t>(hit.layer)];
+    const Wire& wire = layer.placed[static_cast<std::size_t>(hit.element)];
+    const double phi = std::atan2(wire.y, wire.x), r = std::sqrt(layer.waist);
+    if (points == 0) first = phi;
+    const double slope = layer.tan_half_twist / layer.half_length;
+    const Eigen::Vector4d row(1, r, -slope, -slope * r);
+    normal += row * row.transpose();
+    right += row * wrap_angle(phi - first);
+    ++points;
+  }
+  if (points < 5) return std::nullopt;
+  const Eigen::Vector4d found = normal.ldlt().solve(right);
+  if (!found.allFinite()) return std::nullopt;
+  const double kappa = 2 * found[1] / curvature(detector.bz, 1.0);
+  return Perigee{0, wrap_angle(first + found[0]), kappa, found[2], found[3]};
+}
+
 }  // namespace
 
 std::optional<Perigee> seed_helix(const Detector& detector, std::span<const Hit> hits,
                                   std::span<const std::int8_t> sides, SeedFrom from) {
+  if (from == SeedFrom::azimuths) return seed_from_azimuths(detector, hits);
   std::optional<Circle> circle;
   double turn = 1;
   const bool known = std::ranges::any_of(sides, [](std::int8_t side) { return side != 0; });

@@ -11,8 +11,9 @@ namespace cgemit {
 
 // What the first helix is drawn through.
 enum class SeedFrom {
-  wires,              // the drift chamber alone
-  wires_and_clusters  // also the CGEM clusters: for tracks that leave too few wires, or whose wires mislead
+  wires,               // the drift chamber alone
+  wires_and_clusters,  // also the CGEM clusters: for tracks that leave too few wires, or whose wires mislead
+  azimuths             // all wires at once, axial or not, for a track from the beam line
 };
 
 // `sides` (+1, -1, or 0 unknown), one per hit, move the points from the wire to the track where known.

@@ -226,9 +226,8 @@ class Tracer {
       out_.stopped = true;
       return false;
     }
-    const double after = std::sqrt((energy - now_.mass) * (energy + now_.mass));
-    const double theta =
-        std::sqrt(scattering_variance(now_.at(0.5 * (now_.p + after)), slab.x0 * path, track_));
+    const Kinematics after = now_.at(std::sqrt((energy - now_.mass) * (energy + now_.mass)));
+    const double theta = std::sqrt(scattering_variance(now_, after, slab.x0 * path, track_));
     const Rows r = rows();
     const Backward origin(*this, r);
     add_noise(origin.moved(0, 0, theta * stretch_));
@@ -239,24 +238,23 @@ class Tracer {
       add_noise(origin.moved(shift, 0, 0));
       add_noise(origin.moved(0, shift * stretch_, 0));
     }
-    lose(loss, energy, after);
+    lose(loss, after);
     return true;
   }
 
-  void lose(const LossMoments& loss, double energy, double after) {
+  void lose(const LossMoments& loss, const Kinematics& after) {
     // dp'/dp at fixed tanl, and dp'/dtanl at fixed p, of p' = p(E(p) - loss(p, tanl)).
-    const double by_p = energy / after * (now_.p / now_.energy - loss.slope);
-    const double by_tanl = -energy / after * loss.loss * tanl_ / (stretch_ * stretch_);
-    const double ratio = now_.p / after;
-    const double kappa = kappa_ * ratio;
+    const double energy_per_p = after.energy / after.p, ratio = now_.p / after.p;
+    const double by_p = energy_per_p * (now_.p / now_.energy - loss.slope);
     const double slope = tanl_ / (stretch_ * stretch_);
+    const double by_tanl = -energy_per_p * loss.loss * slope;
     const double gain = by_p * ratio * ratio;
-    const double mixed = kappa * (slope - (by_p * now_.p * slope + by_tanl) / after);
+    const double mixed = kappa_ * ratio * (slope - by_p * ratio * slope - by_tanl / after.p);
     d_kappa_ *= gain;
     d_tanl_ = gain * d_tanl_ + mixed;
-    kappa_ = kappa;
-    now_ = now_.at(after);
-    point_.w = curvature(detector_.bz, kappa_);
+    kappa_ *= ratio;
+    now_ = after;
+    point_.w = per_kappa_ * kappa_;
   }
 
   const Detector& detector_;

@@ -17,19 +17,24 @@ TrackMatter total_matter(const Detector& detector, double tanl) {
 }
 
 LossMoments core_loss(const Slab& slab, double path, const Kinematics& k, const TrackMatter& track) {
-  const double xi = slab.xi * path / k.beta2, xi_track = track.xi / k.beta2;
-  const double w_max = k.w_max(), wanted = core_cut * xi_track, cut = std::min(wanted, w_max);
+  const double xi = slab.xi * path * k.per_beta2, wanted = core_cut * track.xi * k.per_beta2;
+  const double w_max = k.w_max(), cut = std::min(wanted, w_max);
   static const double log_constant = std::log(2 * electron_mass * core_cut);
   const LogTerm term = log_term(slab, k.log_bg);
   // ln(2 m_e (beta gamma)^2 cut), where the cut holds 1/beta^2.
   const double log_cut = wanted < w_max ? log_constant + track.log_xi + 2 * k.log_gamma
                                         : std::log(2 * electron_mass * w_max) + 2 * k.log_bg;
-  const double bracket = log_cut - k.beta2 * (1 + cut / w_max) + term.value;
+  const double spin = k.beta2 * cut / w_max;
+  const double bracket = log_cut - k.beta2 - spin + term.value;
   if (!(bracket > 0)) return {0, 0, 0};
-  // Per ln(p): 1/beta^2 and with it the cut fall by 2/gamma^2, (beta gamma)^2 grows by 2, beta^2 by 2
-  // beta^2/gamma^2.
-  const double per_log_p = -2 / (k.gamma * k.gamma) * (bracket + 1 + k.beta2) + 2 + term.slope;
-  return {xi * bracket, xi * cut * (1 - 0.5 * k.beta2 * cut / w_max), xi * per_log_p / k.p};
+  // Per ln(p), with 1/gamma^2 = 1 - beta^2: 1/beta^2 falls by 2/gamma^2, (beta gamma)^2 grows by 2, beta^2 by
+  // 2 beta^2/gamma^2, the cut follows 1/beta^2 or w_max.
+  const double per_gamma2 = 1 - k.beta2, ratio = electron_mass * k.per_mass;
+  const double grow_w_max = 2 - 2 * ratio * k.gamma * k.beta2 / (1 + 2 * k.gamma * ratio + ratio * ratio);
+  const double grow_bracket = wanted < w_max ? 2 - 2 * per_gamma2 * (1 + k.beta2) + spin * grow_w_max
+                                             : 2 + grow_w_max - 4 * k.beta2 * per_gamma2;
+  const double per_log_p = -2 * per_gamma2 * bracket + grow_bracket + term.slope;
+  return {xi * bracket, xi * cut * (1 - 0.5 * spin), xi * per_log_p / k.p};
 }
 
 }  // namespace cgemit

@@ -35,7 +35,7 @@ class Draws {
 
 double sample_loss(const Slab& slab, double path, const Kinematics& k, const Stream& stream,
                    std::uint32_t place) {
-  const double xi = slab.xi * path / k.beta2;
+  const double xi = slab.xi * path * k.per_beta2;
   if (!(xi > 0)) return 0;
   const double w_max = k.w_max();
   // The number of collisions above the cut is xi (1/cut - 1/w_max) before the spin factor.

@@ -74,11 +74,11 @@ inline double atan_over(double t) {
   return true;
 }
 
-// tan(f), exact to rounding; by its continued fraction where that is short.
+// tan(f), exact to rounding; by its series where that is short.
 inline double tangent(double f) {
   const double q = f * f;
-  if (q > 0.04) return std::tan(f);
-  return f / (1 - q / (3 - q / (5 - q / (7 - q / (9 - q / 11)))));
+  if (q > 1e-3) return std::tan(f);
+  return f * (1 + q * (1.0 / 3 + q * (2.0 / 15 + q * (17.0 / 315 + q * (62.0 / 2835)))));
 }
 
 // Moves by a transverse arc, forward or back.

@@ -97,10 +97,9 @@ class Flight {
       status_ = TransportStatus::stopped;
       return false;
     }
-    const double after = std::sqrt((energy - mass_) * (energy + mass_));
-    if (settings_.fluctuations != Fluctuations::off)
-      scatter(slab, path, now_.at(0.5 * (now_.p + after)), place);
-    now_ = now_.at(after);
+    const Kinematics after = now_.at(std::sqrt((energy - mass_) * (energy + mass_)));
+    if (settings_.fluctuations != Fluctuations::off) scatter(slab, path, after, place);
+    now_ = after;
     point_.w = curvature(detector_.bz, charge_ * stretch() / now_.p);
     return true;
   }
@@ -116,8 +115,8 @@ class Flight {
     return core.loss + std::sqrt(core.variance) * stream_.normals(Purpose::energy_loss, place)[0];
   }
 
-  void scatter(const Slab& slab, double path, const Kinematics& k, std::uint32_t place) {
-    const double sigma = std::sqrt(scattering_variance(k, slab.x0 * path, track_));
+  void scatter(const Slab& slab, double path, const Kinematics& after, std::uint32_t place) {
+    const double sigma = std::sqrt(scattering_variance(now_, after, slab.x0 * path, track_));
     const Block words = stream_.block(Purpose::scattering, place);
     const auto normal = [&words](std::size_t i) { return normal_quantile(open_unit(words[i])); };
     Kick kick{sigma * normal(0), sigma * normal(1), 0, 0};
@@ -189,12 +188,18 @@ class Flight {
       if (ahead * std::abs(to.w) < pi) advance(to, ahead);
     }
     const double first = cell_coordinate(layer, std::atan2(from.y, from.x), from.z);
-    double last = cell_coordinate(layer, std::atan2(to.y, to.x), to.z);
-    last = first + std::remainder(last - first, layer.cells);
+    const double last = first + cells_between(layer, from, to);
     const int low = static_cast<int>(std::lround(std::min(first, last)));
     const int high = std::min(static_cast<int>(std::lround(std::max(first, last))), low + most_cells);
     for (int cell = low; cell <= high; ++cell)
       record_cell(layer, ((cell % layer.cells) + layer.cells) % layer.cells);
+  }
+
+  // Cells that the azimuth relative to the wires passes from one point to another.
+  static double cells_between(const WireLayer& layer, const HelixPoint& a, const HelixPoint& b) {
+    const double turn = std::atan2(a.x * b.y - a.y * b.x, a.x * b.x + a.y * b.y);
+    const double twist = wire_azimuth(layer, b.z) - wire_azimuth(layer, a.z);
+    return (turn - twist) * layer.cells / (2 * pi);
   }
 
   std::pair<double, double> cell_borders(std::size_t index, double z) const {
