@@ -236,7 +236,8 @@ class Tracer {
     if (slab.shifts) {
       const double shift = theta * slab.spread * path;
       add_noise(origin.moved(shift, 0, 0));
-      add_noise(origin.moved(0, shift * stretch_, 0));
+      // A shift in dip moves along the flight too, where the azimuth is another.
+      add_noise(origin.moved(0, shift * stretch_, point_.w * shift * tanl_ / stretch_));
     }
     lose(loss, after);
     return true;

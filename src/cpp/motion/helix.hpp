@@ -48,9 +48,9 @@ inline double atan_over(double t) {
   return std::atan(t) / t;
 }
 
-// Moves to the cylinder of radius r: on its far side if `outward`, else on the side first met when moving
-// inward. Returns false, leaving the point alone, when the helix does not reach it. `arc` receives the
-// transverse path.
+// Moves to the cylinder of radius r. `outward`: to where the helix leaves it, which lies ahead if r is larger
+// and behind (a negative arc) if it is smaller; else to where it first enters it, moving inward. Returns
+// false, leaving the point alone, when the helix does not reach it. `arc` receives the transverse path.
 [[nodiscard]] inline bool step_to_cylinder(HelixPoint& point, double r, double& arc, bool outward = true) {
   const double r0_squared = point.x * point.x + point.y * point.y;
   const double difference = r * r - r0_squared;

@@ -132,7 +132,7 @@ class Flight {
     const CgemLayer& layer = detector_.cgem[static_cast<std::size_t>(slab.gap)];
     HelixPoint entry = point_;
     double arc = 0;
-    const bool enters = step_to_cylinder(entry, layer.r_gap_in, arc);
+    const bool enters = step_to_cylinder(entry, layer.r_gap_in, arc) && arc >= 0;
     if (!reach(slab.radius)) return false;
     HelixPoint exit = point_;
     double rest = 0;
@@ -217,7 +217,9 @@ class Flight {
     HelixPoint closest = point_;
     Approach approach{};
     if (!approach_wire(closest, layer.placed[static_cast<std::size_t>(cell)], approach)) return;
-    if (std::abs(approach.z_wire) > layer.half_length) return;
+    const double time = time_ + flight_time(approach.arc);
+    const bool behind_vertex = time < 0;
+    if (behind_vertex || std::abs(approach.z_wire) > layer.half_length) return;
     WireTruths& t = out_.wire_truths;
     t.event.push_back(event_);
     t.particle.push_back(particle_);
@@ -228,7 +230,7 @@ class Flight {
     t.x.push_back(closest.x);
     t.y.push_back(closest.y);
     t.z.push_back(closest.z);
-    t.time.push_back(time_ + flight_time(approach.arc));
+    t.time.push_back(time);
   }
 
   const Detector& detector_;
