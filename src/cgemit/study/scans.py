@@ -149,6 +149,11 @@ class Scan:
     def save(self, folder: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
         """Write resolution.csv, summary.json, the detector and the curves as PNG and PDF.
 
+        Parameters
+        ----------
+        folder : path
+        overwrite : bool
+
         Raises
         ------
         OutputExistsError
