@@ -197,7 +197,8 @@ class Flight {
 
   // Cells that the azimuth relative to the wires passes from one point to another.
   static double cells_between(const WireLayer& layer, const HelixPoint& a, const HelixPoint& b) {
-    const double turn = std::atan2(a.x * b.y - a.y * b.x, a.x * b.x + a.y * b.y);
+    const double cross = a.x * b.y - a.y * b.x, dot = a.x * b.x + a.y * b.y;
+    const double turn = dot > 0 ? cross / dot * atan_over(cross / dot) : std::atan2(cross, dot);
     const double twist = wire_azimuth(layer, b.z) - wire_azimuth(layer, a.z);
     return (turn - twist) * layer.cells / (2 * pi);
   }
@@ -246,12 +247,34 @@ class Flight {
   Simulated& out_;
 };
 
+void reserve(Truths& t, std::size_t n) {
+  for (auto* column : {&t.entry_x, &t.entry_y, &t.entry_z, &t.exit_x, &t.exit_y, &t.exit_z, &t.r, &t.phi,
+                       &t.z, &t.px, &t.py, &t.pz, &t.path, &t.time, &t.energy}) {
+    column->reserve(n);
+  }
+  t.event.reserve(n);
+  t.particle.reserve(n);
+  t.layer.reserve(n);
+  t.secondaries.reserve(n);
+}
+
+void reserve(WireTruths& t, std::size_t n) {
+  for (auto* column : {&t.doca, &t.x, &t.y, &t.z, &t.time}) column->reserve(n);
+  for (auto* column : {&t.particle, &t.layer, &t.wire}) column->reserve(n);
+  t.event.reserve(n);
+  t.side.reserve(n);
+}
+
 }  // namespace
 
 Simulated simulate(const Detector& detector, const ParticleColumns& particles,
                    const SimulateSettings& settings, std::uint64_t seed) {
   Simulated out;
-  out.status.reserve(particles.event.size());
+  const std::size_t n = particles.event.size();
+  out.status.reserve(n);
+  reserve(out.truths, n * detector.cgem.size());
+  // Tracks pass a little more than one cell of a layer.
+  reserve(out.wire_truths, n * (detector.wires.size() + detector.wires.size() / 8));
   for (std::size_t row = 0; row < particles.event.size(); ++row) {
     if (particles.charge[row] == 0) {
       out.status.push_back(TransportStatus::neutral);
