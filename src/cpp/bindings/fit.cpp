@@ -3,8 +3,6 @@
 #include <pybind11/pybind11.h>
 #include <pybind11/stl.h>
 
-#include <algorithm>
-
 #include "bindings/arrays.hpp"
 #include "bindings/hits.hpp"
 #include "common/angles.hpp"

@@ -99,15 +99,15 @@ ClusterRow make_cluster(const CgemLayer& layer, const DigiView& digis, Rows rows
 }
 
 // Writes the clusters of one sheet: `views` holds its X clusters, then its V clusters.
-void write_sheet(const CgemLayer& layer, const StripPlane& plane, std::span<const ClusterRow> views,
-                 ClusterColumns& clusters) {
+void write_sheet(const CgemLayer& layer, std::span<const ClusterRow> views, ClusterColumns& clusters) {
   const std::int64_t first = clusters.rows();
   for (const ClusterRow& cluster : views) clusters.push_back(cluster);
   for (std::size_t i = 0; i < views.size() && views[i].view == ClusterView::x; ++i) {
     for (std::size_t k = i + 1; k < views.size(); ++k) {
-      if (views[k].view != ClusterView::v || std::abs(plane.z(views[i].x, views[k].v)) > layer.half_length)
+      if (views[k].view != ClusterView::v ||
+          std::abs(crossing_z(layer, views[i].x, views[k].v)) > layer.half_length)
         continue;
-      clusters.push_back(join_views(plane, views[i], views[k], first + static_cast<std::int64_t>(i),
+      clusters.push_back(join_views(layer, views[i], views[k], first + static_cast<std::int64_t>(i),
                                     first + static_cast<std::int64_t>(k)));
     }
   }
@@ -123,7 +123,6 @@ bool adjacent(const DigiView& digis, std::size_t a, std::size_t b) {
 
 ClusterColumns find_clusters(const Detector& detector, const DigiView& digis, const ErrorTable& errors) {
   check(digis, detector);
-  const std::vector<StripPlane> planes(detector.cgem.begin(), detector.cgem.end());
   std::vector<std::size_t> order(digis.size());
   std::iota(order.begin(), order.end(), std::size_t{0});
   const auto before = [&](std::size_t a, std::size_t b) {
@@ -137,8 +136,7 @@ ClusterColumns find_clusters(const Detector& detector, const DigiView& digis, co
   std::vector<ClusterRow> sheet;
   const auto flush = [&] {
     if (sheet.empty()) return;
-    const auto layer = static_cast<std::size_t>(sheet.front().layer);
-    write_sheet(detector.cgem[layer], planes[layer], sheet, clusters);
+    write_sheet(detector.cgem[static_cast<std::size_t>(sheet.front().layer)], sheet, clusters);
     sheet.clear();
   };
   for (std::size_t begin = 0, end; begin < order.size(); begin = end) {

@@ -6,16 +6,14 @@ namespace cgemit {
 
 inline constexpr double mm = 1.0;
 inline constexpr double um = 1e-3;
-inline constexpr double cm = 10.0;
 inline constexpr double GeV = 1.0;
 inline constexpr double MeV = 1e-3;
 inline constexpr double keV = 1e-6;
-inline constexpr double eV = 1e-9;
 
 inline constexpr double pi = 3.14159265358979323846;
 
-// R[mm] = radius_per_kappa / (B[T] kappa[(GeV/c)^-1]); speed of light in mm/ns times 10 (exact by definition
-// of c).
+// R[mm] = radius_per_kappa / (B[T] kappa[(GeV/c)^-1]): 10^12 over the speed of light in m/s, exact by
+// definition of that.
 inline constexpr double radius_per_kappa = 3335.6409519815204;
 
 // PDG 2024, Physical constants.

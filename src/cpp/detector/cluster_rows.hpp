@@ -42,7 +42,7 @@ inline void set_azimuth(const CgemLayer& layer, ClusterRow& row) {
 }
 
 // The XV row of an X and a V row of one sheet; z from V = X cos + (z_ref - z) sin, errors uncorrelated.
-inline ClusterRow join_views(const StripPlane& plane, const ClusterRow& x, const ClusterRow& v,
+inline ClusterRow join_views(const CgemLayer& layer, const ClusterRow& x, const ClusterRow& v,
                              std::int64_t x_row, std::int64_t v_row) {
   ClusterRow joined = x;
   joined.view = ClusterView::xv;
@@ -52,8 +52,8 @@ inline ClusterRow join_views(const StripPlane& plane, const ClusterRow& x, const
   joined.time = std::min(x.time, v.time);
   joined.v = v.v;
   joined.err_v = v.err_v;
-  joined.z = plane.z(x.x, v.v);
-  joined.err_z = std::hypot(v.err_v, plane.cos_stereo * x.err_x) / std::abs(plane.sin_stereo);
+  joined.z = crossing_z(layer, x.x, v.v);
+  joined.err_z = std::hypot(v.err_v, layer.cos_stereo * x.err_x) / std::abs(layer.sin_stereo);
   joined.x_cluster = x_row;
   joined.v_cluster = v_row;
   joined.truth = x.truth == v.truth ? x.truth : -1;

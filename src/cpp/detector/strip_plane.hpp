@@ -4,8 +4,6 @@
 // as the experiment's software counts them for both signs of the stereo angle (docs/conventions.md).
 #pragma once
 
-#include <cmath>
-
 #include "common/angles.hpp"
 #include "detector/detector.hpp"
 
@@ -22,16 +20,13 @@ inline double azimuth(const CgemLayer& layer, int sheet, double x) {
   return wrap_angle(layer.phi_first[sheet] + x / layer.r_readout);
 }
 
-// The (X, z) <-> V relation of one layer.
-struct StripPlane {
-  explicit StripPlane(const CgemLayer& layer)
-      : cos_stereo(std::cos(layer.stereo)), sin_stereo(std::sin(layer.stereo)), z_ref(layer.z_ref()) {}
+inline double local_v(const CgemLayer& layer, double x, double z) {
+  return x * layer.cos_stereo + (layer.z_ref() - z) * layer.sin_stereo;
+}
 
-  double v(double x, double z) const { return x * cos_stereo + (z_ref - z) * sin_stereo; }
-  double z(double x, double v) const { return z_ref - (v - x * cos_stereo) / sin_stereo; }
-
-  double cos_stereo, sin_stereo;
-  double z_ref;  // mm
-};
+// z at which the line of constant V meets that of constant X.
+inline double crossing_z(const CgemLayer& layer, double x, double v) {
+  return layer.z_ref() - (v - x * layer.cos_stereo) / layer.sin_stereo;
+}
 
 }  // namespace cgemit

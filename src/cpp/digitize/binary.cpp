@@ -33,14 +33,14 @@ void append(const CgemLayer& layer, Contribution strip, StripRange range, std::v
   }
 }
 
-void read_out(const CgemLayer& layer, const StripPlane& plane, const TruthColumns& truths, std::size_t row,
-              double charge, std::vector<Contribution>& out) {
+void read_out(const CgemLayer& layer, const TruthColumns& truths, std::size_t row, double charge,
+              std::vector<Contribution>& out) {
   const Pieces pieces = unroll(layer, truths.entry_point(row), truths.exit_point(row));
   std::array<Fired, 4> fired;
   int n_x = 0, n_v = 0;
   for (int k = 0; k < pieces.n; ++k) {
     const Piece& piece = pieces.list[k];
-    fired[k] = {piece.sheet, x_strips(layer, piece), v_strips(layer, plane, piece)};
+    fired[k] = {piece.sheet, x_strips(layer, piece), v_strips(layer, piece)};
     n_x += fired[k].x.count();
     n_v += fired[k].v.count();
   }
@@ -92,7 +92,6 @@ void write(std::int64_t event, const Contribution* begin, const Contribution* en
 DigiColumns read_out_strips(const Detector& detector, const TruthColumns& truths,
                             const BinaryReadout& readout) {
   check(truths, detector);
-  const std::vector<StripPlane> planes(detector.cgem.begin(), detector.cgem.end());
   const double charge_per_energy = readout.gain / readout.w_value * elementary_charge_fC;  // fC/keV
   DigiColumns digis;
   std::vector<Contribution> parts;
@@ -102,8 +101,7 @@ DigiColumns read_out_strips(const Detector& detector, const TruthColumns& truths
     for (std::size_t row = begin; row < end; ++row) {
       const double charge = truths.energy[row] * charge_per_energy;
       const auto layer = static_cast<std::size_t>(truths.layer[row]);
-      if (charge >= readout.threshold)
-        read_out(detector.cgem[layer], planes[layer], truths, row, charge, parts);
+      if (charge >= readout.threshold) read_out(detector.cgem[layer], truths, row, charge, parts);
     }
     std::sort(parts.begin(), parts.end(), [](const auto& a, const auto& b) { return a.order() < b.order(); });
     for (std::size_t first = 0, last; first < parts.size(); first = last) {

@@ -22,8 +22,8 @@ std::uint32_t occurrence(const TruthColumns& truths, std::size_t event_begin, st
   return n;
 }
 
-std::optional<Pair> smear(const Detector& detector, const StripPlane& plane, const TruthColumns& truths,
-                          std::size_t event_begin, std::size_t row, const GaussianReadout& readout) {
+std::optional<Pair> smear(const Detector& detector, const TruthColumns& truths, std::size_t event_begin,
+                          std::size_t row, const GaussianReadout& readout) {
   const CgemLayer& layer = detector.cgem[static_cast<std::size_t>(truths.layer[row])];
   if (std::abs(truths.z[row]) > layer.half_length) return std::nullopt;
   for (int sheet = 0; sheet < layer.sheets; ++sheet) {
@@ -45,7 +45,7 @@ std::optional<Pair> smear(const Detector& detector, const StripPlane& plane, con
     pair.x.err_x = readout.sigma_x;
     set_azimuth(layer, pair.x);
     pair.v.view = ClusterView::v;
-    pair.v.v = plane.v(x, truths.z[row]) + readout.sigma_v * normal_quantile(open_unit(words[1]));
+    pair.v.v = local_v(layer, x, truths.z[row]) + readout.sigma_v * normal_quantile(open_unit(words[1]));
     pair.v.err_v = readout.sigma_v;
     return pair;
   }
@@ -57,7 +57,6 @@ std::optional<Pair> smear(const Detector& detector, const StripPlane& plane, con
 ClusterColumns smear_positions(const Detector& detector, const TruthColumns& truths,
                                const GaussianReadout& readout) {
   check(truths, detector);
-  const std::vector<StripPlane> planes(detector.cgem.begin(), detector.cgem.end());
   ClusterColumns clusters;
   clusters.reserve(3 * truths.size());
   std::vector<Pair> pairs;
@@ -65,9 +64,7 @@ ClusterColumns smear_positions(const Detector& detector, const TruthColumns& tru
     end = event_end(truths.event, begin);
     pairs.clear();
     for (std::size_t row = begin; row < end; ++row) {
-      const auto layer = static_cast<std::size_t>(truths.layer[row]);
-      if (const auto pair = smear(detector, planes[layer], truths, begin, row, readout))
-        pairs.push_back(*pair);
+      if (const auto pair = smear(detector, truths, begin, row, readout)) pairs.push_back(*pair);
     }
     const auto place = [](const Pair& p) { return std::pair(p.x.layer, p.x.sheet); };
     std::stable_sort(pairs.begin(), pairs.end(),
@@ -76,12 +73,12 @@ ClusterColumns smear_positions(const Detector& detector, const TruthColumns& tru
       const auto last =
           std::find_if(first, pairs.end(), [&](const Pair& p) { return place(p) != place(*first); });
       const std::int64_t x_row = clusters.rows(), v_row = x_row + (last - first);
-      const auto layer = static_cast<std::size_t>(first->x.layer);
+      const CgemLayer& layer = detector.cgem[static_cast<std::size_t>(first->x.layer)];
       for (auto pair = first; pair != last; ++pair) clusters.push_back(pair->x);
       for (auto pair = first; pair != last; ++pair) clusters.push_back(pair->v);
       for (auto pair = first; pair != last; ++pair) {
         const std::int64_t k = pair - first;
-        clusters.push_back(join_views(planes[layer], pair->x, pair->v, x_row + k, v_row + k));
+        clusters.push_back(join_views(layer, pair->x, pair->v, x_row + k, v_row + k));
       }
       first = last;
     }

@@ -87,9 +87,9 @@ inline StripRange x_strips(const CgemLayer& layer, const Piece& piece) {
 }
 
 // V strips of a piece; none in the corner of the sheet beyond the last V strip.
-inline StripRange v_strips(const CgemLayer& layer, const StripPlane& plane, const Piece& piece) {
-  const double v1 = std::max(0.0, plane.v(piece.x1, piece.z1));  // rounding at the corner where V = 0
-  const double v2 = std::max(0.0, plane.v(piece.x2, piece.z2));
+inline StripRange v_strips(const CgemLayer& layer, const Piece& piece) {
+  const double v1 = std::max(0.0, local_v(layer, piece.x1, piece.z1));  // rounding at the corner where V = 0
+  const double v2 = std::max(0.0, local_v(layer, piece.x2, piece.z2));
   return strips_between(v1, v2, layer.pitch_v, layer.strips_v);
 }
 

@@ -3,7 +3,6 @@
 #include <Eigen/Cholesky>
 #include <algorithm>
 #include <cmath>
-#include <numeric>
 
 #include "common/angles.hpp"
 #include "fit/seed.hpp"
@@ -101,15 +100,14 @@ class TrackFit {
     space_.variance[i] = hits_[i].sigma * hits_[i].sigma + (1 - weight * weight) * drift * drift;
   }
 
-  // A path of projected length w touches n strips of pitch p while its centre moves over p - w (n = 1) or
-  // min(n p - w, w - (n-2) p): uniform within. Sizes that w does not allow (noise, deltas) get the
-  // single-strip error.
+  // A path of projected length w touches n strips of pitch p while its centre moves over
+  // min(n p - w, w - (n-2) p): uniform within. Sizes that w does not allow (noise, deltas) get the error of a
+  // whole strip.
   double cluster_variance(const Hit& hit, double extent) const {
     if (hit.size == 0 || !settings_.errors_from_track) return hit.sigma * hit.sigma;
     const CgemLayer& layer = detector_.cgem[static_cast<std::size_t>(hit.layer)];
     const double pitch = hit.view == View::x ? layer.pitch_x : layer.pitch_v;
-    const double free =
-        hit.size == 1 ? pitch - extent : std::min(hit.size * pitch - extent, extent - (hit.size - 2) * pitch);
+    const double free = std::min(hit.size * pitch - extent, extent - (hit.size - 2) * pitch);
     const double least = settings_.least_width * pitch;
     const double width = free < -least ? pitch : std::max(free, least);
     return width * width / 12;

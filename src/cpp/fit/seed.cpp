@@ -7,7 +7,7 @@
 #include <vector>
 
 #include "common/angles.hpp"
-#include "detector/wires.hpp"
+#include "detector/strip_plane.hpp"
 #include "motion/helix.hpp"
 
 namespace cgemit {
@@ -144,14 +144,10 @@ void add_wire(const WireLayer& layer, const Hit& hit, double side, const Circle&
   line.add(arc(wire.x + gx * z, wire.y + gy * z), z, sigma);
 }
 
-// Azimuth of an X cluster.
-double cluster_phi(const CgemLayer& layer, const Hit& x) {
-  return layer.phi_first[static_cast<std::size_t>(x.element)] + x.value / layer.r_readout;
-}
-
-// z of an X and a V cluster on one sheet (see `cluster/`).
-double cluster_z(const CgemLayer& layer, const Hit& x, const Hit& v) {
-  return layer.z_ref() - (v.value - x.value * std::cos(layer.stereo)) / std::sin(layer.stereo);
+// Where an X cluster lies in the middle of the drift gap.
+Point cluster_point(const CgemLayer& layer, const Hit& x) {
+  const double phi = azimuth(layer, x.element, x.value);
+  return {layer.r_mid() * std::cos(phi), layer.r_mid() * std::sin(phi)};
 }
 
 std::vector<Point> axial_points(const Detector& detector, std::span<const Hit> hits,
@@ -165,9 +161,7 @@ std::vector<Point> axial_points(const Detector& detector, std::span<const Hit> h
       const Wire& wire = detector.wires[index].placed[static_cast<std::size_t>(hits[i].element)];
       points.push_back(beside(wire, sides[i] * hits[i].value * turn, {wire.x, wire.y}, circle));
     } else if (hits[i].view == View::x && from == SeedFrom::wires_and_clusters) {
-      const CgemLayer& layer = detector.cgem[index];
-      const double phi = cluster_phi(layer, hits[i]);
-      points.push_back({layer.r_mid() * std::cos(phi), layer.r_mid() * std::sin(phi)});
+      points.push_back(cluster_point(detector.cgem[index], hits[i]));
     }
   }
   return points;
@@ -189,9 +183,8 @@ std::optional<Line> fit_line(const Detector& detector, std::span<const Hit> hits
                         hits[i - 1].element == hits[i].element;
       if (!pair) continue;
       const CgemLayer& layer = detector.cgem[index];
-      const double phi = cluster_phi(layer, hits[i - 1]);
-      line.add(arc(layer.r_mid() * std::cos(phi), layer.r_mid() * std::sin(phi)),
-               cluster_z(layer, hits[i - 1], hits[i]), 1.0);
+      const Point place = cluster_point(layer, hits[i - 1]);
+      line.add(arc(place.x, place.y), crossing_z(layer, hits[i - 1].value, hits[i].value), 1.0);
     }
   }
   return line.result();

@@ -1,5 +1,5 @@
-// A first helix from the drift-chamber hits alone: circle through the axial wires, line through the stereo
-// wires.
+// A first helix from the hits: circle through the axial wires, line through the stereo wires, with or without
+// the CGEM clusters; or a track from the beam line through the azimuths of all wires.
 #pragma once
 
 #include <optional>
@@ -17,8 +17,8 @@ enum class SeedFrom {
 };
 
 // `sides` (+1, -1, or 0 unknown), one per hit, move the points from the wire to the track where known.
-// Empty if there are fewer than three points for the circle or two for the line, or if no circle goes through
-// them.
+// Empty if there are fewer than three points for the circle or two for the line (azimuths: five wires), or if
+// no helix goes through them.
 std::optional<Perigee> seed_helix(const Detector& detector, std::span<const Hit> hits,
                                   std::span<const std::int8_t> sides, SeedFrom from);
 

@@ -3,7 +3,7 @@
 #include <algorithm>
 #include <cmath>
 
-#include "common/angles.hpp"
+#include "detector/strip_plane.hpp"
 #include "matter/moments.hpp"
 #include "motion/helix.hpp"
 #include "motion/wire.hpp"
@@ -145,11 +145,8 @@ class Tracer {
     const double tan_a = r.s / outward, per_cos = radius / outward;
     const double scale = layer.r_readout / radius;
     const double gap = layer.r_gap_out - layer.r_gap_in;
-    const double phi = std::atan2(point_.y, point_.x);
-    double from_edge = phi - layer.phi_first[static_cast<std::size_t>(hit.element)];
-    from_edge -= 2 * pi * std::floor(from_edge / (2 * pi));
     const double around = 2 * pi * layer.r_readout;
-    double x = layer.r_readout * from_edge;
+    double x = local_x(layer, hit.element, std::atan2(point_.y, point_.x));
     if (hit.view == View::x) x += around * std::round((hit.value - x) / around);
     const double x_extent = scale * gap * tan_a, z_extent = gap * per_cos * tanl_;
     const Vector5 row_x = (scale * per_cos) * r.across;
@@ -159,7 +156,7 @@ class Tracer {
       return;
     }
     const double cosine = layer.cos_stereo, sine = layer.sin_stereo;
-    double v = x * cosine + (layer.z_ref() - point_.z) * sine;
+    double v = local_v(layer, x, point_.z);
     // Near the sheet's first edge track and hit may lie on either side of it.
     const double other = x < 0.5 * around ? v + around * cosine : v - around * cosine;
     const bool near_edge = std::min(x, around - x) < seam_margin;

@@ -48,9 +48,10 @@ inline double atan_over(double t) {
   return std::atan(t) / t;
 }
 
-// Moves to the cylinder of radius r. `outward`: to where the helix leaves it, which lies ahead if r is larger
-// and behind (a negative arc) if it is smaller; else to where it first enters it, moving inward. Returns
-// false, leaving the point alone, when the helix does not reach it. `arc` receives the transverse path.
+// Moves to the cylinder of radius r. `outward`: to where the helix leaves it. That lies ahead from inside the
+// cylinder; from outside, on the way out, it lies behind (a negative arc). Else to where the helix enters it,
+// for a point outside on its way in. Returns false, leaving the point alone, when the helix does not reach
+// it. `arc` receives the transverse path.
 [[nodiscard]] inline bool step_to_cylinder(HelixPoint& point, double r, double& arc, bool outward = true) {
   const double r0_squared = point.x * point.x + point.y * point.y;
   const double difference = r * r - r0_squared;
@@ -65,8 +66,7 @@ inline double atan_over(double t) {
   }
   const double h = 0.5 * difference / sum;
   const double t = point.w * h;
-  // Outward to a smaller radius is a step back (h < 0). Outward to a larger one with h < 0 is a turn by more
-  // than pi.
+  // To a smaller radius h < 0 is a step back, to a larger one a turn by more than pi.
   const bool far_side = h < 0 && difference > 0;
   arc = far_side ? (2.0 * std::atan(t) + std::copysign(2.0 * pi, point.w)) / point.w : 2.0 * h * atan_over(t);
   turn(point, h, t);
