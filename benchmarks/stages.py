@@ -15,10 +15,11 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from cgemit.bench import DETECTOR, GUN, SEED, machine
-from cgemit.chain import Settings, run_chunk
+from cgemit.chain import run_chunk
 from cgemit.detector import load
 from cgemit.fit import FitSettings
 from cgemit.gun import generate
+from cgemit.result import Settings
 
 HERE = Path(__file__).resolve().parent
 COUNTS = (100, 300, 1000, 3000, 10_000, 30_000, 100_000)

@@ -1,7 +1,13 @@
 """Settings of all tests. This folder is on the path, so that tests import their helpers by name."""
 
+import pytest
 from hypothesis import settings
 
 # The same examples in every run: a test passes always or never.
 settings.register_profile("fixed", derandomize=True, deadline=None, database=None)
 settings.load_profile("fixed")
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Add the option that rewrites the numbers on file."""
+    parser.addoption("--update-golden", action="store_true", help="write tests/golden/*.json anew")

@@ -10,12 +10,13 @@ import importlib
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
-from cgemit.chain import Result, Settings, run
+from cgemit.chain import run
 from cgemit.cluster import ClusterSettings
 from cgemit.detector import Detector, DetectorError, detectors, load
 from cgemit.digitize import DigitizeSettings
 from cgemit.fit import FitSettings, FitStatus
 from cgemit.gun import Gun
+from cgemit.result import Result, Settings
 from cgemit.simulate import SimulateSettings, TransportStatus
 from cgemit.tables import Table
 

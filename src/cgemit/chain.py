@@ -7,32 +7,19 @@ import os
 import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import Executor, Future, ThreadPoolExecutor, as_completed
-from dataclasses import dataclass, field
 from importlib.metadata import version
-from pathlib import Path
 from typing import Any
 
 from cgemit import find
-from cgemit.cluster import ClusterSettings, cluster
+from cgemit.cluster import cluster
 from cgemit.detector import Detector, load
-from cgemit.digitize import DigitizeSettings, digitize
-from cgemit.fit import FitSettings, FitStatus, fit
+from cgemit.digitize import digitize
+from cgemit.fit import fit
 from cgemit.gun import Gun, Guns, generate
 from cgemit.particles import particles_from
-from cgemit.simulate import SimulateSettings, TransportStatus, simulate
-from cgemit.tables import Table, concatenate, save_tables
-
-TABLES = ("particles", "truths", "wire_truths", "digis", "wire_hits", "clusters", "tracks", "residuals")
-
-
-@dataclass(frozen=True, kw_only=True)
-class Settings:
-    """Settings of all stages."""
-
-    simulate: SimulateSettings = field(default_factory=SimulateSettings)
-    digitize: DigitizeSettings = field(default_factory=DigitizeSettings)
-    cluster: ClusterSettings = field(default_factory=ClusterSettings)
-    fit: FitSettings = field(default_factory=FitSettings)
+from cgemit.result import Result, Settings
+from cgemit.simulate import simulate
+from cgemit.tables import Table, concatenate
 
 
 def run_chunk(
@@ -71,84 +58,6 @@ def run_chunk(
     )
     clock.stop("fit")
     return tables, clock.seconds
-
-
-@dataclass(frozen=True, eq=False)
-class Result:
-    """All tables of a run, and what made them."""
-
-    detector: Detector
-    gun: Gun | Guns | None
-    seed: int
-    settings: Settings
-    particles: Table
-    truths: Table
-    wire_truths: Table
-    digis: Table
-    wire_hits: Table
-    clusters: Table
-    tracks: Table
-    residuals: Table | None
-    timings: Mapping[str, float]
-    """Seconds of each stage, summed over chunks, and `wall`, from start to end."""
-
-    @property
-    def tables(self) -> dict[str, Table]:
-        """The tables by name."""
-        return {name: getattr(self, name) for name in TABLES if getattr(self, name) is not None}
-
-    def __eq__(self, other: object) -> bool:
-        """Compare everything but the timings."""
-        if not isinstance(other, Result):
-            return NotImplemented
-        mine, theirs = ((r.detector, r.gun, r.seed, r.settings, r.tables) for r in (self, other))
-        return mine == theirs
-
-    def removed(self) -> dict[str, int]:
-        """Count the tracks of each status other than ok."""
-        status = self.tracks["status"]
-        return {s.name: n for s in FitStatus if s != FitStatus.ok and (n := int((status == s).sum()))}
-
-    def transport(self) -> dict[str, int]:
-        """Count the particles of each transport status."""
-        status = self.particles["status"]
-        return {s.name: n for s in TransportStatus if (n := int((status == s).sum()))}
-
-    def save(self, folder: str | os.PathLike[str], *, overwrite: bool = False) -> list[Path]:
-        """Write every table to a folder, as .npz with JSON beside it.
-
-        Parameters
-        ----------
-        folder : path
-        overwrite : bool
-            Whether files of these names may be replaced.
-
-        Returns
-        -------
-        list of Path
-        """
-        return save_tables(self.tables, folder, overwrite=overwrite)
-
-    def _summary(self) -> list[tuple[str, str]]:
-        shots = f"{self.gun!r}" if self.gun is not None else "given particles"
-        rows = [("detector", self.detector.name), ("gun", shots), ("seed", str(self.seed))]
-        rows.append(("events", f"{self.particles.n_events:,}"))
-        rows.append(("transport", ", ".join(f"{n:,} {name}" for name, n in self.transport().items())))
-        removed = ", ".join(f"{n:,} {name}" for name, n in self.removed().items()) or "none"
-        rows.append(("tracks", f"{len(self.tracks):,} (not fitted: {removed})"))
-        rows.append(("rows", ", ".join(f"{name} {len(table):,}" for name, table in self.tables.items())))
-        rows.append(("hits", "assigned by truth"))
-        rows.append(("time", f"{self.timings['wall']:.2f} s"))
-        return rows
-
-    def __repr__(self) -> str:
-        return "\n".join(["Result", *(f"  {name:<10}{text}" for name, text in self._summary())])
-
-    def _repr_html_(self) -> str:
-        from html import escape
-
-        rows = "".join(f"<tr><th>{escape(name)}</th><td>{escape(text)}</td></tr>" for name, text in self._summary())
-        return f"<table>{rows}</table>"
 
 
 def run(

@@ -85,3 +85,34 @@ def momentum_error(parameters: Floats, cov: Floats) -> Floats:
         by_kappa, by_tanl = -p / kappa, p * tanl / (1 + tanl * tanl)
     variance = by_kappa**2 * cov[:, 2, 2] + 2 * by_kappa * by_tanl * cov[:, 2, 4] + by_tanl**2 * cov[:, 4, 4]
     return np.asarray(np.sqrt(variance))
+
+
+def to_perigee(parameters: Floats, cov: Floats) -> tuple[Floats, Floats]:
+    """Perigee parameters (d0, z0, phi, theta, q/p) of helices, as other tracking programs have them.
+
+    d0 = -dr, z0 = dz, phi = phi0 + pi/2, theta = pi/2 - atan(tanl), q/p = kappa / sqrt(1 + tanl^2); same pivot.
+
+    Parameters
+    ----------
+    parameters : ndarray, (n, 5) float64
+        dr mm, phi0 rad, kappa (GeV/c)^-1, dz mm, tanl.
+    cov : ndarray, (n, 5, 5) float64
+        Their covariance.
+
+    Returns
+    -------
+    perigee : ndarray, (n, 5) float64
+        d0 mm, z0 mm, phi rad in (-pi, pi], theta rad in (0, pi), q/p (GeV/c)^-1.
+    cov : ndarray, (n, 5, 5) float64
+        Their covariance, to first order.
+    """
+    dr, phi0, kappa, dz, tanl = np.moveaxis(np.asarray(parameters, np.float64), -1, 0)
+    cos2 = 1 / (1 + tanl * tanl)
+    cosine = np.sqrt(cos2)
+    phi = np.pi - np.remainder(0.5 * np.pi - phi0, 2 * np.pi)
+    perigee = np.stack([-dr, dz, phi, np.arctan2(1, tanl), kappa * cosine], axis=1)
+    jacobian = np.zeros((len(perigee), 5, 5))
+    jacobian[:, 0, 0], jacobian[:, 1, 3], jacobian[:, 2, 1] = -1, 1, 1
+    jacobian[:, 3, 4] = -cos2
+    jacobian[:, 4, 2], jacobian[:, 4, 4] = cosine, -kappa * tanl * cos2 * cosine
+    return perigee, jacobian @ cov @ np.swapaxes(jacobian, 1, 2)

@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 from scipy.stats import chi2, kstest
 
-from cgemit.chain import Result, Settings, run
+from cgemit.chain import run
 from cgemit.detector import Detector, load
 from cgemit.digitize import DigitizeSettings
 from cgemit.fit import PARAMETERS
 from cgemit.gun import Gun
+from cgemit.result import Result, Settings
 from cgemit.simulate import SimulateSettings
 from cgemit.study import pulls, resolution
 from stats import assert_within

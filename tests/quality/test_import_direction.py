@@ -27,6 +27,7 @@ PYTHON_LAYERS = [
     {"detector", "helix", "particles", "candidates"},
     {"gun"},
     {"simulate", "digitize", "cluster", "find", "fit"},
+    {"result"},
     {"chain"},
     {"bench", "study.records", "study.spectra"},
     {"draw"},

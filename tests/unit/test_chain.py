@@ -9,11 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cgemit.chain import Result, Settings, run
+from cgemit.chain import run
 from cgemit.detector import load
 from cgemit.digitize import DigitizeSettings
 from cgemit.fit import FitSettings, FitStatus
 from cgemit.gun import Gun
+from cgemit.result import Result, Settings
 from cgemit.simulate import SimulateSettings
 from cgemit.tables import Table, load_tables
 

@@ -143,3 +143,29 @@ def test_momentum_and_its_error():
     assert helix.momentum(parameters)[0] == pytest.approx(1.0, rel=1e-14)
     spread = np.std(helix.momentum(sample))
     assert_within(helix.momentum_error(parameters, cov[None])[0], spread, spread / np.sqrt(2 * len(sample)))
+
+
+def test_perigee_parameters_by_hand() -> None:
+    """Perigee parameters that are plain to see: flight along +x, 1 mm to the right of the origin, 45 degrees up."""
+    parameters = np.array([[1.0, -0.5 * np.pi, -2.0, 7.0, 1.0]])
+    perigee, _ = helix.to_perigee(parameters, np.zeros((1, 5, 5)))
+    assert perigee[0] == pytest.approx([-1.0, 7.0, 0.0, 0.25 * np.pi, -np.sqrt(2.0)])
+
+
+def test_perigee_covariance_against_differences() -> None:
+    """The covariance is that of numerical derivatives, and azimuths stay in (-pi, pi]."""
+    rng = np.random.default_rng(4)
+    parameters = rng.normal(size=(50, 5)) * [10, 1.5, 3, 100, 1]
+    root = rng.normal(size=(50, 5, 5))
+    cov = root @ np.swapaxes(root, 1, 2)
+    perigee, result = helix.to_perigee(parameters, cov)
+    assert np.all(np.abs(perigee[:, 2]) <= np.pi)
+    columns = []
+    for i in range(5):
+        step = np.zeros(5)
+        step[i] = 1e-6
+        change = helix.to_perigee(parameters + step, cov)[0] - helix.to_perigee(parameters - step, cov)[0]
+        change[:, 2] = np.remainder(change[:, 2] + np.pi, 2 * np.pi) - np.pi
+        columns.append(change / 2e-6)
+    jacobian = np.stack(columns, axis=2)
+    assert result == pytest.approx(jacobian @ cov @ np.swapaxes(jacobian, 1, 2), rel=1e-6, abs=1e-6)

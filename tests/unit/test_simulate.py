@@ -9,6 +9,7 @@ from cgemit import _core, chain
 from cgemit.detector import compiled, load
 from cgemit.digitize import DigitizeSettings
 from cgemit.gun import Gun, generate
+from cgemit.result import Settings
 from cgemit.simulate import SimulateSettings, TransportStatus, simulate
 from oracles import LIGHT, integrate
 from tracks import MUON, hits_on, on_helix, particles, transport, without_matter
@@ -245,7 +246,7 @@ def test_events_do_not_depend_on_chunks():
 def test_chain_does_not_depend_on_threads_and_chunks(readout):
     """The same seed gives the same bytes for one and two threads, any chunk size, and for a table of one event."""
     gun = Gun("mu-", p=(0.2, 1.0), cos_theta=(-0.9, 0.9))
-    settings = chain.Settings(digitize=DigitizeSettings(readout=readout))
+    settings = Settings(digitize=DigitizeSettings(readout=readout))
     results = [
         chain.run(DESIGN, gun, 30, seed=6, settings=settings, threads=threads, chunk=chunk)
         for threads, chunk in ((1, 1000), (2, 7), (2, 1))

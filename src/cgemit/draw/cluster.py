@@ -14,8 +14,8 @@ from cgemit.draw.geometry import Array, near
 from cgemit.draw.style import COLORS, Picture, legend_entries, new_picture, statistics_box, style
 
 if TYPE_CHECKING:
-    from cgemit.chain import Result
     from cgemit.detector import CgemLayer
+    from cgemit.result import Result
 
 _COPPER = "#B87333"
 

@@ -15,7 +15,7 @@ from cgemit.study.spectra import Spectrum, track_spectrum
 from cgemit.tables import Table
 
 if TYPE_CHECKING:
-    from cgemit.chain import Result
+    from cgemit.result import Result
 
 _MARKERS = ("o", "s", "D", "^", "v")
 _COLOURS = (COLORS["cgem"], COLORS["idc"], COLORS["truth"], "#7A3E9D", "#666666")

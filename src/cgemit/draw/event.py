@@ -16,8 +16,8 @@ from cgemit.draw.style import COLORS, Picture, legend_entries, new_picture, styl
 from cgemit.tables import Table
 
 if TYPE_CHECKING:
-    from cgemit.chain import Result
     from cgemit.detector import Detector, WireLayer
+    from cgemit.result import Result
 
 _TRACK_COLORS = ("#CC3311", "#7A3E9D", "#117733", "#AA7700", "#0077BB")
 _FALLBACK_SIZE = 200.0  # mm, of a detector without cylinders

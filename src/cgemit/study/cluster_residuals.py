@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 if TYPE_CHECKING:
-    from cgemit.chain import Result
     from cgemit.detector import Detector
+    from cgemit.result import Result
     from cgemit.tables import Table
 
 Floats = npt.NDArray[np.float64]

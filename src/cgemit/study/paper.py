@@ -17,6 +17,7 @@ from cgemit import chain
 from cgemit.detector import load
 from cgemit.gun import Gun
 from cgemit.io.folders import SUMMARY, check_free, new_folder
+from cgemit.result import Result
 from cgemit.study.paper_rows import make_rows
 from cgemit.study.present import html_table, text_table, with_error
 from cgemit.study.records import Line, Row, package_version
@@ -79,7 +80,7 @@ class Reproduction:
     inputs: Inputs
     samples: Mapping[str, Sample]
     scans: Mapping[str, tuple[Sample, ...]]
-    display: chain.Result
+    display: Result
     timings: Mapping[str, float]
     folder: Path | None = None
 

@@ -19,7 +19,7 @@ from cgemit.study.scans import QUOTED_PARAMETERS, angle_lines, momentum_line, pu
 from cgemit.study.spectra import SYMBOLS, track_spectrum, v_spectrum, x_spectrum
 
 if TYPE_CHECKING:
-    from cgemit.chain import Result
+    from cgemit.result import Result
     from cgemit.study.estimate import Resolution
     from cgemit.study.paper import Reproduction
     from cgemit.study.samples import ShowProgress
