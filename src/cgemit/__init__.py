@@ -7,7 +7,6 @@ Stages are modules, each with one function and its settings: `cgemit.simulate`, 
 from __future__ import annotations
 
 import importlib
-from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
 from cgemit.chain import run
@@ -19,12 +18,11 @@ from cgemit.gun import Gun
 from cgemit.result import Result, Settings
 from cgemit.simulate import SimulateSettings, TransportStatus
 from cgemit.tables import Table
+from cgemit.version import VERSION as __version__
 
 if TYPE_CHECKING:
     from cgemit import draw, study
     from cgemit.study.resolutions import resolution
-
-__version__ = version("cgemit")
 
 __all__ = [
     "ClusterSettings",

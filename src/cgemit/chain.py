@@ -7,7 +7,6 @@ import os
 import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import Executor, Future, ThreadPoolExecutor, as_completed
-from importlib.metadata import version
 from typing import Any
 
 from cgemit import find
@@ -20,6 +19,7 @@ from cgemit.particles import particles_from
 from cgemit.result import Result, Settings
 from cgemit.simulate import simulate
 from cgemit.tables import Table, concatenate
+from cgemit.version import VERSION
 
 
 def run_chunk(
@@ -199,7 +199,7 @@ def _meta(
 ) -> dict[str, Any]:
     configuration = repr((detector.to_toml(), believed.to_toml(), gun, settings))
     return {
-        "version": version("cgemit"),
+        "version": VERSION,
         "configuration": hashlib.sha256(configuration.encode()).hexdigest()[:16],
         "detector": detector.name,
         "seed": seed,

@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from cgemit import _core
 from cgemit.detector import Detector, compiled
+from cgemit.helix import RADIUS_PER_KAPPA
 from cgemit.tables import Table
 
 Floats = npt.NDArray[np.float64]
@@ -23,7 +24,6 @@ RARE = 1e-3
 """Sizes that fewer clusters of the reference have count as never made: what else makes them decides their error."""
 
 _POINTS = 2000  # of the reference sample in cos(theta); ten times as many move no error by more than 0.2 %
-_RADIUS_PER_KAPPA = 3335.6409519815204  # mm T/(GeV/c): R = this pT/B
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -147,7 +147,7 @@ def reference_widths(layer: dict[str, Any], bz: float, settings: ClusterSettings
     limit = settings.reference_cos_theta
     cos_theta = (np.arange(_POINTS) + 0.5) / _POINTS * 2 * limit - limit
     sin_theta = np.sqrt(1 - cos_theta**2)
-    curvature = 0.5 * abs(bz) / (_RADIUS_PER_KAPPA * settings.reference_p * sin_theta)  # 1/2R, 1/mm
+    curvature = 0.5 * abs(bz) / (RADIUS_PER_KAPPA * settings.reference_p * sin_theta)  # 1/2R, 1/mm
     radii = np.array([layer["r_gap_in"], 0.5 * (layer["r_gap_in"] + layer["r_gap_out"]), layer["r_gap_out"]])
     reach = radii[:, None] * curvature
     crosses = reach[2] < 1
@@ -164,9 +164,9 @@ def reference_widths(layer: dict[str, Any], bz: float, settings: ClusterSettings
 def size_errors(widths: Floats, pitch: float) -> Floats:
     """Return the RMS of the position error by number of fired strips.
 
-    A segment that extends over w fires n strips if its centre lies in an interval of length p - w (n = 1) or
-    min(n p - w, w - (n - 2) p) (n > 1) about the centre of these strips, p being the pitch. With the position
-    uniform against the strips the error is uniform in that interval: RMS length/sqrt(12).
+    A segment that extends over w fires n strips if its centre lies in an interval of length
+    min(n p - w, w - (n - 2) p) about the centre of these strips, p being the pitch. With the position uniform
+    against the strips the error is uniform in that interval: RMS length/sqrt(12).
 
     Parameters
     ----------
@@ -184,8 +184,7 @@ def size_errors(widths: Floats, pitch: float) -> Floats:
     errors = np.full(MAX_SIZE, pitch / np.sqrt(12))
     largest = min(MAX_SIZE - 1, int(np.max(widths, initial=0.0) / pitch) + 2)
     n = np.arange(1, largest + 1)[:, None]
-    length = np.minimum(n * pitch - widths, np.where(n == 1, pitch - widths, widths - (n - 2) * pitch))
-    length = np.maximum(length, 0.0)
+    length = np.maximum(np.minimum(n * pitch - widths, widths - (n - 2) * pitch), 0.0)
     often = length.sum(axis=1)
     made = np.flatnonzero(often > RARE * pitch * len(widths))
     errors[made] = np.sqrt((length[made] ** 3).sum(axis=1) / often[made] / 12)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -17,7 +16,6 @@ from cgemit.tables import Table
 FitStatus = _core.FitStatus
 Floats = npt.NDArray[np.float64]
 Columns = dict[str, npt.ArrayLike]
-Output = dict[str, npt.NDArray[Any]]
 
 SEEDS = ("hits", "truth")
 ERRORS = ("track", "cluster")

@@ -10,7 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from cgemit.tables import SCHEMAS, Table
-from cgemit.tables.check import Array, did_you_mean
+from cgemit.tables.check import Array
+from cgemit.words import did_you_mean
 
 
 class ParticleError(ValueError):
@@ -112,7 +113,7 @@ def species(particle: str | int) -> Species:
     if known:
         return _BY_PDG[int(particle)]
     names = ", ".join(f"{one.name} ({one.pdg})" for one in _SPECIES)
-    hint = did_you_mean(_plain(given), list(_BY_SPELLING)) if isinstance(given, str) else ""
+    hint = did_you_mean(_plain(given), _BY_SPELLING, "; ") if isinstance(given, str) else ""
     raise ValueError(f"got {given!r}; expected one of {names}{hint}")
 
 
@@ -192,7 +193,7 @@ def _missing(columns: Mapping[str, Array]) -> list[str]:
     """Say which columns are missing or cannot be columns of one table of numbers."""
     rows = len(columns["event"]) if "event" in columns and columns["event"].ndim else None
     problems = [
-        f"{name}: missing; expected a column for each of {', '.join(_NEEDED)}{did_you_mean(name, list(columns))}"
+        f"{name}: missing; expected a column for each of {', '.join(_NEEDED)}{did_you_mean(name, columns, '; ')}"
         for name in _NEEDED
         if name not in columns
     ]

@@ -1,9 +1,10 @@
 """Quantities as strings with units, such as ``"87.5 mm"``; inside the program every quantity has one native unit."""
 
-import difflib
 import math
 import re
 from decimal import Decimal
+
+from cgemit.words import did_you_mean
 
 #: Native unit of each dimension: the unit of every number inside the program.
 NATIVE = {
@@ -135,5 +136,4 @@ def _unit_problem(text: str, number: str, unit: str, dimension: str) -> tuple[st
             article = "an" if other[0] in "aeiou" else "a"
             return f"{_quoted(text)} ({article} {other})", expected, ""
     known = [name for units in _UNITS.values() for name in units if name]
-    close = difflib.get_close_matches(unit, known, n=1)
-    return f'{_quoted(text)} (unknown unit "{unit}")', expected, f'did you mean "{close[0]}"?' if close else ""
+    return f'{_quoted(text)} (unknown unit "{unit}")', expected, did_you_mean(unit, known)

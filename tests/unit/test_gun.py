@@ -51,7 +51,7 @@ def test_masses(pdg, mass_mev):
     assert species(-pdg).charge == -species(pdg).charge
 
 
-@pytest.mark.parametrize(("given", "hint"), [("pi", "pi+ or pi-"), ("mun-", "'mu-'"), ("protn", "'proton'")])
+@pytest.mark.parametrize(("given", "hint"), [("pi", "pi+ or pi-"), ("mun-", '"mu-"'), ("protn", '"proton"')])
 def test_unknown_particle_is_told_what_is_close(given, hint):
     """A misspelt or ambiguous name says what could have been meant."""
     with pytest.raises(ValueError, match=repr(given)) as error:
@@ -212,7 +212,7 @@ def test_all_mistakes_of_a_table_at_once():
         particles_from(pd.DataFrame({"event": [0], "pgd": [13], "px": [1], "name": ["mu"]}))
     text = str(error.value)
     assert all(f"\n  {name}: " in text for name in ("pdg", "py", "pz", "name"))
-    assert "did you mean 'pgd'" in text
+    assert 'did you mean "pgd"' in text
     wrong = {"event": [1, 0.5, -1, 1], "particle": [0, 0, 0, 0], "pdg": [13, 13, 999, 13], "px": [0, 1, np.nan, 1],
              "py": [0, 0, 0, 0], "pz": [0, 0, 1, 1], "charge": [-1, 1, 0, -1]}  # fmt: skip
     with pytest.raises(ParticleError) as error:

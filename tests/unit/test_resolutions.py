@@ -220,9 +220,9 @@ def test_removed_rows_are_counted_by_name():
 def test_misspelt_names_get_a_hint():
     """Unknown parameters, quantities and empty windows are refused."""
     tracks = make_tracks(100)
-    with pytest.raises(ValueError, match="did you mean 'kappa'"):
+    with pytest.raises(ValueError, match='did you mean "kappa"'):
         resolution(tracks, "kapa")
-    with pytest.raises(ValueError, match="did you mean 'cos_theta'"):
+    with pytest.raises(ValueError, match='did you mean "cos_theta"'):
         resolution_against(tracks, "dr", by="costheta")
     with pytest.raises(ValueError, match="kind"):
         resolution_against(tracks, "dr", kind="res")

@@ -68,7 +68,7 @@ def test_picking_rows(key):
 def test_picking_wrongly():
     """Unknown columns get a hint; shuffled rows and single rows are refused."""
     table = make("tracks", [0, 1], 2)
-    with pytest.raises(KeyError, match="did you mean 'kappa'"):
+    with pytest.raises(KeyError, match='did you mean "kappa"'):
         table["kapa"]
     with pytest.raises(ValueError, match="sorted by event"):
         table[[1, 0]]
@@ -98,7 +98,7 @@ def test_all_mistakes_at_once():
         assert problem in text
     with pytest.raises(ValueError, match="event: runs from 0 to 5, expected 0 to 4"):
         make("digis", [0, 5], 5)
-    with pytest.raises(ValueError, match="did you mean 'digis'"):
+    with pytest.raises(ValueError, match='did you mean "digis"'):
         Table("digi", {}, 0)
 
 

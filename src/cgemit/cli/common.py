@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import math
-from importlib import metadata
 from typing import TYPE_CHECKING
 
 from cgemit.units import QuantityError, parse_quantity
@@ -21,6 +20,8 @@ COMMANDS = ("study", "resolution", "simulate", "detectors", "show", "validate", 
 #: What a gun takes for a quantity: one number, a uniform range, or values in turn.
 Values = float | tuple[float, float] | list[float]
 
+_MOST_STEPS = 10_000  # values of A:B:N; more are a mistake
+
 
 class HelpFormatter(argparse.RawDescriptionHelpFormatter):
     """Keep the line breaks of descriptions and examples."""
@@ -33,14 +34,6 @@ class HelpFormatter(argparse.RawDescriptionHelpFormatter):
 
 class InputError(ValueError):
     """Wrong values on the command line; every problem is a line of the message."""
-
-
-def version() -> str:
-    """Return the version of the installed package."""
-    try:
-        return metadata.version("cgemit")
-    except metadata.PackageNotFoundError:  # run from a source tree
-        return "unknown"
 
 
 def add_common(parser: argparse.ArgumentParser) -> None:
@@ -119,20 +112,22 @@ def lengths(text: str) -> Values:
 
 def positive(text: str) -> int:
     """Read a whole number of at least 1."""
-    return _whole(text, 1)
+    return _whole(text, 1, 2**31 - 1)
 
 
 def _seed(text: str) -> int:
-    return _whole(text, 0)
+    return _whole(text, 0, 2**64 - 1)
 
 
-def _whole(text: str, least: int) -> int:
+def _whole(text: str, least: int, most: int) -> int:
     try:
         number = int(text)
     except ValueError:
         number = least - 1
     if number < least:
         raise argparse.ArgumentTypeError(f"got {text!r}; expected a whole number of at least {least}")
+    if number > most:
+        raise argparse.ArgumentTypeError(f"got {text!r}; expected a whole number of at most {most}")
     return number
 
 
@@ -148,9 +143,10 @@ def _literal(text: str) -> object:
     import tomllib
 
     try:
-        return tomllib.loads(f"value = {text}")["value"]
+        tables = tomllib.loads(f"value = {text}")
     except tomllib.TOMLDecodeError:
         return text
+    return tables["value"] if len(tables) == 1 else text  # more than one line: not a value
 
 
 def _values(text: str, dimension: str) -> Values:
@@ -159,7 +155,8 @@ def _values(text: str, dimension: str) -> Values:
             return [_number(part, dimension) for part in text.split(",")]
         parts = text.split(":")
         if len(parts) == 3:
-            return _steps(_number(parts[0], dimension), _number(parts[1], dimension), positive(parts[2]))
+            count = _whole(parts[2], 1, _MOST_STEPS)
+            return _steps(_number(parts[0], dimension), _number(parts[1], dimension), count)
         numbers = [_number(part, dimension) for part in parts]
     except QuantityError as error:
         raise argparse.ArgumentTypeError(str(error)) from None

@@ -9,7 +9,8 @@ import sys
 import traceback
 from collections.abc import Sequence
 
-from cgemit.cli.common import BAD_INPUT, COMMANDS, INTERRUPTED, OK, RUN_FAILED, HelpFormatter, version
+from cgemit.cli.common import BAD_INPUT, COMMANDS, INTERRUPTED, OK, RUN_FAILED, HelpFormatter
+from cgemit.version import VERSION
 
 _DESCRIPTION = """\
 Which resolution does a tracker of cylindrical GEM layers and drift chambers reach, and why?
@@ -30,7 +31,7 @@ def build_parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="cgemit", description=_DESCRIPTION, epilog=_EXAMPLES, formatter_class=HelpFormatter
     )
-    parser.add_argument("--version", action="version", version=f"cgemit {version()}")
+    parser.add_argument("--version", action="version", version=f"cgemit {VERSION}")
     subparsers = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     for name in COMMANDS:
         importlib.import_module(f"cgemit.cli.{name}").add_parser(subparsers)

@@ -6,6 +6,7 @@ import argparse
 import json
 
 from cgemit.cli import common
+from cgemit.version import VERSION
 
 _DESCRIPTION = """\
 Shoot particles through a detector and write the tables of the chain: particles, truths, wire_truths, digis,
@@ -81,7 +82,7 @@ def run(arguments: argparse.Namespace) -> int:
         save_tables(tables, folder)
         (folder / "detector.toml").write_text(detector.to_toml(), encoding="utf-8")
         summary = {
-            "version": common.version(), "detector": detector.name, "gun": repr(gun), "events": arguments.events,
+            "version": VERSION, "detector": detector.name, "gun": repr(gun), "events": arguments.events,
             "seed": arguments.seed, "transport": result.transport(),
             "rows": {name: len(table) for name, table in tables.items()},
         }  # fmt: skip

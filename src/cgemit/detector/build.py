@@ -13,9 +13,10 @@ from cgemit.detector.material import Material
 from cgemit.detector.materials import read_materials
 from cgemit.detector.merge import FOR_ALL_LAYERS, merged, set_path
 from cgemit.detector.model import CgemLayer, Cylinder, Detector, DriftChamber, Field, WireLayer
-from cgemit.detector.problems import DetectorError, Problem, did_you_mean
+from cgemit.detector.problems import DetectorError, Problem
 from cgemit.detector.read import TOP_LEVEL, UNUSABLE, Reader, shown
 from cgemit.detector.write import to_dict
+from cgemit.words import did_you_mean
 
 
 def load(source: str | Path | Mapping[str, Any] | Detector) -> Detector:
@@ -51,7 +52,9 @@ def override(detector: Detector, overrides: Mapping[str, object]) -> Detector:
     problems: list[Problem] = []
     variant: dict[str, Any] = {}
     for path, value in overrides.items():
-        if not set_path(variant, path, value):
+        if path == "base":
+            problems.append(Problem(path, shown(value), "a value of the detector; load another base instead"))
+        elif not set_path(variant, path, value):
             problems.append(Problem(path, shown(value), "a value whose table is not itself overridden by a value"))
     tables = merged(to_dict(detector), variant, problems)
     if "name" not in variant and overrides:
@@ -133,8 +136,11 @@ def _cgem(reader: Reader, raw: object) -> tuple[CgemLayer, ...]:
     return tuple(sorted(found, key=lambda layer: layer.anode_radius))
 
 
-def _chamber(reader: Reader, raw: object) -> DriftChamber:
-    tables = {"wire_material": "Al", **reader.mapping("drift_chamber", raw)}
+def _chamber(reader: Reader, raw: object) -> DriftChamber | None:
+    if not isinstance(raw, Mapping):
+        reader.mapping("drift_chamber", raw)
+        return None
+    tables = {"wire_material": "Al", **raw}
     rows = reader.mapping("drift_chamber.layers", tables.pop("layers", {}))
     # Values for all layers are read once, so that a mistake in one is reported once.
     keys = {name: keys_of(WireLayer)[name] for name in FOR_ALL_LAYERS}

@@ -12,7 +12,7 @@ from cgemit.units import NATIVE, format_quantity
 if TYPE_CHECKING:
     from cgemit.detector.model import CgemLayer, Cylinder, Detector, DriftChamber, Field
 
-_TOUCH = 1e-6  # mm; parts closer than this touch
+TOUCH = 1e-6  # mm; parts closer than this touch
 _THICK = 100.0  # mm; no single piece of solid matter in a tracker is thicker
 
 
@@ -98,13 +98,13 @@ def _strip_problems(layer: "CgemLayer") -> list[Problem]:
     path = f"cgem.{layer.label}"
     width = 2 * math.pi * layer.r_readout / layer.sheets
     problems = []
-    if layer.strips_x * layer.pitch_x > width + _TOUCH:
+    if layer.strips_x * layer.pitch_x > width + TOUCH:
         most = math.floor(width / layer.pitch_x + 1e-9)
         given = f"{layer.strips_x} strips of {layer.pitch_x:g} mm"
         problems.append(Problem(f"{path}.strips_x", given, f"at most {most} on a sheet {width:.3f} mm wide"))
         return problems  # V strips cross the X strips: nothing to say about them yet
     extent = layer.strips_x * layer.pitch_x * math.cos(layer.stereo) + layer.length * math.sin(abs(layer.stereo))
-    if layer.strips_v * layer.pitch_v > extent + _TOUCH:
+    if layer.strips_v * layer.pitch_v > extent + TOUCH:
         most = math.floor(extent / layer.pitch_v + 1e-9)
         given = f"{layer.strips_v} strips of {layer.pitch_v:g} mm"
         problems.append(
@@ -143,7 +143,7 @@ def _overlaps(places: list[tuple[float, float, str]]) -> list[Problem]:
     known = [place for place in places if not math.isnan(place[0] + place[1])]  # others could not be read
     before = (0.0, 0.0, "")
     for place in sorted(known):
-        if place[0] < before[1] - _TOUCH:
+        if place[0] < before[1] - TOUCH:
             covered.setdefault(before, []).append(place)
         before = max(before, place, key=lambda part: part[1])
     return [_overlap(part, inside) for part, inside in covered.items()]

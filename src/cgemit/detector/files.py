@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from cgemit.detector.merge import merged
-from cgemit.detector.problems import DetectorError, Problem, did_you_mean
+from cgemit.detector.problems import DetectorError, Problem
+from cgemit.words import did_you_mean
 
 _DATA = resources.files("cgemit.data") / "detectors"
 

@@ -11,8 +11,8 @@ from cgemit.detector.material import (
     x0_of_fractions,
     z_over_a_of_fractions,
 )
-from cgemit.detector.problems import did_you_mean
 from cgemit.detector.read import Reader
+from cgemit.words import did_you_mean
 
 _BULK = ("x0", "z_over_a", "excitation_energy")
 

@@ -1,7 +1,6 @@
 """What is wrong with a detector description: all problems at once, each with its place."""
 
-import difflib
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 
@@ -37,10 +36,3 @@ class DetectorError(ValueError):
 
     def __reduce__(self) -> tuple[type["DetectorError"], tuple[str, tuple[Problem, ...]]]:
         return DetectorError, (self.source, self.problems)
-
-
-def did_you_mean(word: str, known: Iterable[str]) -> str:
-    """Return ``did you mean "pitch_x"?`` for the nearest known word, or an empty string."""
-    by_lower = {name.lower(): name for name in known}
-    close = difflib.get_close_matches(word.lower(), by_lower, n=1)
-    return f'did you mean "{by_lower[close[0]]}"?' if close else ""

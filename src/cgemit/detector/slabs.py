@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgemit import _core
+from cgemit.detector.check import TOUCH
 from cgemit.detector.material import Material
 from cgemit.detector.model import Cylinder, Detector, DriftChamber, Shell
 
-_TOUCH = 1e-6  # mm; parts closer than this touch
 _ENDLESS = 1e9  # mm, half length of air
 Columns = dict[str, NDArray[np.generic]]
 
@@ -98,7 +98,7 @@ def _cylinders(group: str, cylinders: Iterable[Cylinder], merge: bool) -> list[S
     runs: list[list[Shell]] = []
     for part in cylinders:
         shell = Shell(group, part.label, part.r_in, part.r_out, part.half_length, part.material)
-        if merge and runs and part.r_in - runs[-1][-1].r_out < _TOUCH:
+        if merge and runs and part.r_in - runs[-1][-1].r_out < TOUCH:
             runs[-1].append(shell)
         else:
             runs.append([shell])
@@ -112,7 +112,7 @@ def _fillers(detector: Detector, solid: Sequence[Slab]) -> list[Slab]:
     inside = [slab for slab in solid if slab.r_in < first_wire]
     found = []
     for inner, outer in pairwise(inside):
-        if outer.r_in - inner.r_out > _TOUCH:
+        if outer.r_in - inner.r_out > TOUCH:
             found.append(Slab((Shell("air", "air", inner.r_out, outer.r_in, _ENDLESS, detector.air),)))
     return found + (_chamber_gas(chamber, solid, inside) if chamber else [])
 
@@ -128,7 +128,7 @@ def _chamber_gas(chamber: DriftChamber, solid: Sequence[Slab], inside: Sequence[
     start = inside[-1].r_out if inside else chamber.layers[0].r_mid
     inner = chamber.layers[0]
     for layer in chamber.layers:
-        walls = [(s.r_in, s.r_out) for s in solid if start - _TOUCH < s.r_in < layer.r_mid]
+        walls = [(s.r_in, s.r_out) for s in solid if start - TOUCH < s.r_in < layer.r_mid]
         length = max(inner.half_length, layer.half_length)
         for r_in, r_out in _between(start, layer.r_mid, walls):
             gas = Shell("gas", f"gas before layer {layer.number}", r_in, r_out, length, chamber.gas)
@@ -141,7 +141,7 @@ def _chamber_gas(chamber: DriftChamber, solid: Sequence[Slab], inside: Sequence[
 def _between(start: float, end: float, walls: Iterable[tuple[float, float]]) -> list[tuple[float, float]]:
     """Return what is left of an interval without the walls in it."""
     edges = [start, *(edge for wall in sorted(walls) for edge in wall), end]
-    return [(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a > _TOUCH]
+    return [(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a > TOUCH]
 
 
 def _wires(chamber: DriftChamber, gas: Shell, x0: float) -> list[Shell]:

@@ -20,9 +20,10 @@ from cgemit.io.folders import SUMMARY, check_free, new_folder
 from cgemit.result import Result
 from cgemit.study.paper_rows import make_rows
 from cgemit.study.present import html_table, text_table, with_error
-from cgemit.study.records import Line, Row, package_version
+from cgemit.study.records import Line, Row
 from cgemit.study.samples import Order, Sample, ShowProgress, run_samples
 from cgemit.study.scans import QUOTED_PARAMETERS, momentum_line, momentum_orders
+from cgemit.version import VERSION
 
 if TYPE_CHECKING:
     from cgemit.detector import Detector
@@ -113,7 +114,7 @@ class Reproduction:
         return {
             "program": "cgemit",
             "paper": "arXiv:1504.02570",
-            "versions": {"cgemit": package_version(), "python": platform.python_version(), "numpy": np.__version__},
+            "versions": {"cgemit": VERSION, "python": platform.python_version(), "numpy": np.__version__},
             "inputs": {
                 "detectors": list(DETECTORS), "particle": "mu-", "p": "1 GeV/c", "cos_theta": list(COS_THETA),
                 "events": self.inputs.events, "momenta": list(MOMENTA),

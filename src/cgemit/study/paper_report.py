@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING
 
 from cgemit.study.estimate import HEAD
 from cgemit.study.present import with_error
-from cgemit.study.records import package_version, paper_values, shown
+from cgemit.study.records import paper_values, shown
 from cgemit.study.report import Code, Image, Note, Part, Section, TableOf, html_report
 from cgemit.study.resolutions import pulls
 from cgemit.study.spectra import SYMBOLS, WINDOW, windowed_resolution
+from cgemit.version import VERSION
 
 if TYPE_CHECKING:
     from cgemit.study.paper import Reproduction
@@ -28,7 +29,7 @@ _HITS = (
 def paper_report(study: Reproduction, figures: Sequence[PaperFigure], folder: Path) -> str:
     """Return the page with the comparison, the figures in `folder`, and all resolutions and pulls."""
     lead = (
-        f"arXiv:1504.02570 (Chin. Phys. C 40 (2016) 016201) reproduced with cgemit {package_version()}: "
+        f"arXiv:1504.02570 (Chin. Phys. C 40 (2016) 016201) reproduced with cgemit {VERSION}: "
         f"{study.inputs.events:,} mu- of 1 GeV/c for each detector and {study.inputs.events_per_momentum:,} at each of "
         f"{len(study.scans['cgem'])} momenta, seed {study.inputs.seed}."
     )
@@ -101,6 +102,6 @@ def _repeat(study: Reproduction) -> list[Part]:
     return [
         "The numbers depend on version, events and seed, not on threads.",
         Code(command),
-        f"cgemit {package_version()}. Timings in seconds (stages are summed over threads): {seconds}.",
+        f"cgemit {VERSION}. Timings in seconds (stages are summed over threads): {seconds}.",
         "Tables behind the figures are the CSV files beside this page; summary.json holds all numbers.",
     ]

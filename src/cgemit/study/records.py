@@ -7,7 +7,7 @@ import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
-from importlib import metadata, resources
+from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -110,14 +110,6 @@ class Line:
             "id": self.id, "detector": self.detector, "x": _numbers(self.x), "x_unit": self.x_unit,
             "y": _numbers(self.y), "y_error": _numbers(self.y_error), "y_unit": self.y_unit,
         }  # fmt: skip
-
-
-def package_version() -> str:
-    """Return the version of the installed package."""
-    try:
-        return metadata.version("cgemit")
-    except metadata.PackageNotFoundError:  # run from a source tree
-        return "unknown"
 
 
 def shown(unit: str) -> str:

@@ -14,7 +14,7 @@ from cgemit.study.estimate import HEAD, Floats, Resolution, measure
 from cgemit.study.present import Comparable, html_table, text_table, with_error
 from cgemit.study.removed import removed_rows
 from cgemit.tables import PARAMETERS, Table
-from cgemit.tables.check import did_you_mean
+from cgemit.words import did_you_mean
 
 #: Unit in which the resolution of each parameter is quoted, and how many of them make the native unit.
 QUOTED = {
@@ -195,7 +195,8 @@ def resolution_against(
 
 def _known(name: str, what: str, known: list[str]) -> str:
     if name not in known:
-        raise ValueError(f"{what}: got {name!r}; expected one of {', '.join(known)}{did_you_mean(name, known)}")
+        hint = did_you_mean(name, known, "; ")
+        raise ValueError(f"{what}: got {name!r}; expected one of {', '.join(known)}{hint}")
     return name
 
 

@@ -17,9 +17,11 @@ from cgemit.gun import Gun
 from cgemit.io.folders import SUMMARY, new_folder
 from cgemit.study.estimate import Resolution
 from cgemit.study.present import html_table, text_table, with_error
-from cgemit.study.records import Line, package_version, write_csv
+from cgemit.study.records import Line, write_csv
 from cgemit.study.resolutions import QUOTED, pulls, resolution, resolution_against
 from cgemit.study.samples import Order, Sample, ShowProgress, run_samples, seed_of
+from cgemit.values import InTurn
+from cgemit.version import VERSION
 
 if TYPE_CHECKING:
     from cgemit.detector import Detector
@@ -132,11 +134,14 @@ class Scan:
     def summary(self) -> dict[str, Any]:
         """Return what `summary.json` holds."""
         first = self.samples[0]
+        cos_theta = first.gun.cos_theta
+        if isinstance(cos_theta, InTurn):
+            cos_theta = list(cos_theta.values)
         return {
             "program": "cgemit",
-            "version": package_version(),
+            "version": VERSION,
             "inputs": {
-                "detector": first.detector.name, "particle": first.gun.particle, "cos_theta": first.gun.cos_theta,
+                "detector": first.detector.name, "particle": first.gun.particle, "cos_theta": cos_theta,
                 "momenta": [momentum_of(s) for s in self.samples], "events": first.n_events, "method": "mc",
                 "hits": "assigned by truth",
             },

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Mapping
 from typing import Any
 
@@ -10,14 +9,9 @@ import numpy as np
 import numpy.typing as npt
 
 from cgemit.tables.schemas import SCHEMAS, Column
+from cgemit.words import did_you_mean
 
 Array = np.ndarray[Any, Any]
-
-
-def did_you_mean(word: str, known: list[str]) -> str:
-    """Return ``"; did you mean 'x'?"`` for a misspelt word, or an empty text."""
-    close = difflib.get_close_matches(word, known, n=1)
-    return f"; did you mean {close[0]!r}?" if close else ""
 
 
 def schema_of(kind: str) -> tuple[Column, ...]:
@@ -29,8 +23,8 @@ def schema_of(kind: str) -> tuple[Column, ...]:
         If there is no such kind.
     """
     if kind not in SCHEMAS:
-        known = list(SCHEMAS)
-        raise ValueError(f"kind: there is no table {kind!r}, only {', '.join(known)}{did_you_mean(kind, known)}")
+        hint = did_you_mean(kind, SCHEMAS, "; ")
+        raise ValueError(f"kind: there is no table {kind!r}, only {', '.join(SCHEMAS)}{hint}")
     return SCHEMAS[kind]
 
 

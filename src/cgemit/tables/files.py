@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from cgemit.io import new_file, read_arrays, write_arrays
 from cgemit.tables.check import Array, schema_of
+from cgemit.version import VERSION
 
 if TYPE_CHECKING:
     from cgemit.tables.table import Table
@@ -18,20 +19,11 @@ FORMAT = "cgemit-table-1"
 INDEX = "tables.json"
 
 
-def _version() -> str:
-    from importlib.metadata import PackageNotFoundError, version
-
-    try:
-        return version("cgemit")
-    except PackageNotFoundError:  # run from a source tree
-        return "unknown"
-
-
 def describe(table: Table) -> dict[str, Any]:
     """Return what a file says about a table besides its columns."""
     return {
         "format": FORMAT,
-        "version": _version(),
+        "version": VERSION,
         "kind": table.kind,
         "rows": len(table),
         "n_events": table.n_events,

@@ -203,7 +203,7 @@ _RESIDUALS = (
     _column("i1", "view", "", "0 X, 1 V, 2 wire"),
     _i4("layer", "layer of the cluster or wire"),
     _link("hit", "the cluster (views 0 and 1) or wire hit (view 2)", ("clusters", "clusters", "wire_hits")),
-    _f8("residual", "mm", "measured minus smoothed"),
+    _f8("residual", "mm", "measured minus predicted by the track fitted without this hit"),
     _f8("err", "mm", "standard deviation of the residual"),
     _f8("pull", "", "residual / err"),
     _column("i1", "side", "", "side of the wire the fit chose, +1 or -1; 0 for clusters"),

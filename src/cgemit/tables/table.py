@@ -11,7 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from cgemit.tables import convert, files, show
-from cgemit.tables.check import Array, check_columns, did_you_mean, schema_of
+from cgemit.tables.check import Array, check_columns, schema_of
+from cgemit.words import did_you_mean
 
 
 class Table:
@@ -108,7 +109,7 @@ class Table:
         """
         if isinstance(key, str):
             if key not in self.columns:
-                raise KeyError(f"{self.kind} has no column {key!r}{did_you_mean(key, list(self.columns))}")
+                raise KeyError(f"{self.kind} has no column {key!r}{did_you_mean(key, self.columns, '; ')}")
             return self.columns[key]
         rows = key if isinstance(key, slice) else np.asarray(key)
         if not isinstance(rows, slice) and rows.ndim != 1:
