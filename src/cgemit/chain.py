@@ -9,6 +9,8 @@ from collections.abc import Callable, Mapping
 from concurrent.futures import Executor, Future, ThreadPoolExecutor, as_completed
 from typing import Any
 
+import numpy as np
+
 from cgemit import find
 from cgemit.cluster import cluster
 from cgemit.detector import Detector, load
@@ -84,6 +86,7 @@ def run(
     n : int or None
         Number of events; 1000 for a gun if not given. Must be left out when `gun` is a table.
     seed : int
+        0 to 2**64 - 1.
     settings : Settings or None
     fit_detector : Detector or None
         What the fit assumes, if it shall differ from what is simulated.
@@ -108,10 +111,8 @@ def run(
     start = time.perf_counter()
     detector, settings = load(detector), settings or Settings()
     believed = detector if fit_detector is None else load(fit_detector)
+    _check_numbers(n, seed, chunk, threads)
     shooter, n_events, table = _source(gun, n)
-    for name, value in (("chunk", chunk), ("threads", threads)):
-        if value is not None and value < 1:
-            raise ValueError(f"{name}: {value}, expected at least 1")
 
     def task(first: int) -> tuple[Any, ...]:
         count = min(chunk, n_events - first)
@@ -141,12 +142,20 @@ def run(
     )
 
 
+def _check_numbers(n: int | None, seed: int, chunk: int, threads: int | None) -> None:
+    numbers = (("n", n, 0, 2**31 - 1), ("seed", seed, 0, 2**64 - 1), ("chunk", chunk, 1, 2**31 - 1))
+    problems = [
+        f"{name}: {value!r}, expected a whole number from {least} to {most}"
+        for name, value, least, most in (*numbers, ("threads", threads, 1, 2**15))
+        if value is not None and not (isinstance(value, int | np.integer) and least <= value <= most)
+    ]
+    if problems:
+        raise ValueError("run:\n  " + "\n  ".join(problems))
+
+
 def _source(gun: Any, n: int | None) -> tuple[Gun | Guns | None, int, Table | None]:
     if isinstance(gun, Gun | Guns):
-        count = 1000 if n is None else n
-        if count < 0:
-            raise ValueError(f"n: {n}, expected a number of events, 0 or more")
-        return gun, count, None
+        return gun, 1000 if n is None else n, None
     table = particles_from(gun)
     if n is not None and n != table.n_events:
         raise ValueError(f"n: {n}, but the table of particles holds {table.n_events} events; leave n out")

@@ -110,7 +110,7 @@ def fit(
     -------
     dict of str to Table
         ``tracks``, one row per particle, and with ``settings.residuals`` also ``residuals``. Rows whose `status` is
-        not ok hold the last helix tried and NaN where the covariance has no meaning.
+        not ok hold the last helix tried, and NaN where there is no helix, covariance or chi-square.
     """
     settings = settings or FitSettings()
     hits = fit_hits(candidates, clusters, wire_hits)
@@ -149,13 +149,15 @@ def _track_columns(
     out: dict[str, npt.NDArray[np.generic]], truth: Floats, particles: Table
 ) -> dict[str, npt.ArrayLike]:
     """Columns of the tracks table: the fit, and its comparison with truth."""
-    fitted = np.asarray(out["helix"], np.float64)
+    no_helix = np.isin(out["status"], (FitStatus.too_few_hits, FitStatus.seed_failed))
+    fitted = np.where(no_helix[:, None], np.nan, out["helix"])
     has_cov = np.isin(out["status"], (FitStatus.ok, FitStatus.not_converged))
     cov = np.where(has_cov[:, None, None], out["cov"], np.nan)
     columns: Columns = {"event": particles["event"], "particle": particles["particle"]}
     columns |= {name: fitted[:, i] for i, name in enumerate(PARAMETERS)}
     columns |= {"cov": cov, "p": helix.momentum(fitted)}
-    columns |= {name: out[name] for name in ("chi2", "ndf", "n_clusters", "n_wires", "iterations", "status")}
+    columns |= {name: out[name] for name in ("ndf", "n_clusters", "n_wires", "iterations", "status")}
+    columns["chi2"] = np.where(has_cov, out["chi2"], np.nan)
     error = np.sqrt(np.diagonal(cov, axis1=1, axis2=2))
     quantities = [(name, truth[:, i], fitted[:, i], error[:, i]) for i, name in enumerate(PARAMETERS)]
     quantities.append(("p", helix.momentum(truth), helix.momentum(fitted), helix.momentum_error(fitted, cov)))

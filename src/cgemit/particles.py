@@ -34,6 +34,10 @@ class ParticleError(ValueError):
         return ParticleError, (self.source, self.problems)
 
 
+#: Largest coordinate (mm) and momentum (GeV/c) of a particle: far beyond any use, far from losing digits.
+FARTHEST, FASTEST = 1e6, 1e6
+
+
 @dataclass(frozen=True)
 class Species:
     """A kind of particle: name, number of the Particle Data Group, charge in e, mass in GeV/c2."""
@@ -174,6 +178,7 @@ def _filled(columns: Mapping[str, Array]) -> dict[str, Array]:
 _NEEDED = ("event", "pdg", "px", "py", "pz")
 _FLOATS = tuple(column.name for column in SCHEMAS["particles"] if column.dtype.kind == "f")
 _WHOLE = tuple(column.name for column in SCHEMAS["particles"] if column.dtype.kind == "i")
+_LAST_EVENT = 2**62
 _MOST_EVENTS = 100_000_000  # a larger span of event numbers is a mistake, such as a run number in front
 
 
@@ -215,6 +220,10 @@ def _problems(columns: Mapping[str, Array]) -> list[str]:
             bad[f"{name}: is not a whole number"] = name, ~(np.isfinite(column) & (column == np.rint(column)))
     event, pdg = columns["event"], columns["pdg"]
     bad["event: is negative"] = "event", event < 0
+    bad[f"event: is above {_LAST_EVENT}"] = "event", event > _LAST_EVENT
+    for names, limit, unit in (("xyz", FARTHEST, "mm"), (("px", "py", "pz"), FASTEST, "GeV/c")):
+        for name in set(names) & set(columns):
+            bad[f"{name}: is beyond +-{limit:g} {unit}"] = name, np.abs(columns[name]) > limit
     bad["px, py, pz: are all zero"] = "px", (columns["px"] == 0) & (columns["py"] == 0) & (columns["pz"] == 0)
     known = np.isin(pdg, list(_BY_PDG))
     if not {"charge", "mass"} <= set(columns):
@@ -224,7 +233,14 @@ def _problems(columns: Mapping[str, Array]) -> list[str]:
     if "charge" in columns:
         charge = _charge_and_mass(pdg)[0]
         bad["charge: is not that of the pdg number"] = "charge", known & (charge != columns["charge"])
+        # Scattering, energy loss and the momentum of a helix are those of unit charge.
+        bad["charge: is none of -1, 0 and 1"] = "charge", np.abs(columns["charge"]) > 1
+        if "mass" in columns:
+            bad["mass: is 0 for a charged particle"] = "mass", (columns["mass"] == 0) & (columns["charge"] != 0)
+    if {"charge", "mass"} <= set(columns):
+        bad["mass: is 0 for a charged particle"] = "mass", (columns["mass"] == 0) & (columns["charge"] != 0)
     if "particle" in columns:
+        bad["particle: is negative"] = "particle", columns["particle"] < 0
         bad["particle: is there before in the same event"] = "particle", _repeated(event, columns["particle"])
     problems = [_problem(text, columns[name], rows) for text, (name, rows) in bad.items() if rows.any()]
     if len(event) and not problems and np.ptp(event) >= _MOST_EVENTS:

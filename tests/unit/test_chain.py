@@ -121,7 +121,8 @@ def test_particles_from_anywhere() -> None:
     result = run("besiii-cgem-design", columns)
     status = [FitStatus(s).name for s in result.tracks["status"]]
     assert status == ["ok", "too_few_hits", "too_few_hits"]
-    assert np.isnan(result.tracks["cov"][1]).all()
+    for name in ("cov", "chi2", "dr", "p", "res_dr", "pull_p"):
+        assert np.isnan(result.tracks[name][1]).all(), name
     assert result.removed() == {"too_few_hits": 2}
     assert result.transport()["neutral"] == 1
 
@@ -139,6 +140,7 @@ def test_no_events() -> None:
         ({"n": -1}, "n: -1"),
         ({"n": 5, "chunk": 0}, "chunk: 0"),
         ({"n": 5, "threads": 0}, "threads: 0"),
+        ({"n": 2.5, "seed": -1, "chunk": 0.5}, r"(?s)n: 2\.5.*seed: -1.*chunk: 0\.5"),
         ({"n": 5, "detector": "besii-cgem"}, "besiii-cgem"),
     ],
 )

@@ -225,3 +225,14 @@ def test_all_mistakes_of_a_table_at_once():
         assert any(problem.startswith(text.split(" (")[0]) and text.split(") ")[1] in problem
                    for problem in error.value.problems), text  # fmt: skip
     assert len(error.value.problems) == 7
+
+
+def test_charged_particles_have_unit_charge_and_a_mass():
+    """The physics is that of unit charge, and a charged particle without mass has no Lorentz factor."""
+    rows = {"event": [0, 1, 2], "pdg": [1000020040, 999, 998], "px": [1, 1, 1], "py": [0, 0, 0], "pz": [0, 0, 0]}
+    with pytest.raises(ParticleError) as error:
+        particles_from(rows | {"charge": [2, 1, 0], "mass": [3.727, 0, 0]})
+    assert error.value.problems == (
+        "charge: is none of -1, 0 and 1 (2) in row 0",
+        "mass: is 0 for a charged particle (0.0) in row 1",
+    )
