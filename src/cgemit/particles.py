@@ -221,24 +221,20 @@ def _problems(columns: Mapping[str, Array]) -> list[str]:
     event, pdg = columns["event"], columns["pdg"]
     bad["event: is negative"] = "event", event < 0
     bad[f"event: is above {_LAST_EVENT}"] = "event", event > _LAST_EVENT
-    for names, limit, unit in (("xyz", FARTHEST, "mm"), (("px", "py", "pz"), FASTEST, "GeV/c")):
-        for name in set(names) & set(columns):
-            bad[f"{name}: is beyond +-{limit:g} {unit}"] = name, np.abs(columns[name]) > limit
+    bad |= _too_large(columns)
     bad["px, py, pz: are all zero"] = "px", (columns["px"] == 0) & (columns["py"] == 0) & (columns["pz"] == 0)
     known = np.isin(pdg, list(_BY_PDG))
     if not {"charge", "mass"} <= set(columns):
         bad["pdg: is unknown and the columns charge and mass are not both there"] = "pdg", ~known
+    usual = _charge_and_mass(pdg)[0]
+    charge = columns.get("charge", usual)
+    if "charge" in columns:
+        bad["charge: is not that of the pdg number"] = "charge", known & (charge != usual)
+        # Scattering, energy loss and the momentum of a helix are those of unit charge.
+        bad["charge: is none of -1, 0 and 1"] = "charge", np.abs(charge) > 1
     if "mass" in columns:
         bad["mass: is negative"] = "mass", columns["mass"] < 0
-    if "charge" in columns:
-        charge = _charge_and_mass(pdg)[0]
-        bad["charge: is not that of the pdg number"] = "charge", known & (charge != columns["charge"])
-        # Scattering, energy loss and the momentum of a helix are those of unit charge.
-        bad["charge: is none of -1, 0 and 1"] = "charge", np.abs(columns["charge"]) > 1
-        if "mass" in columns:
-            bad["mass: is 0 for a charged particle"] = "mass", (columns["mass"] == 0) & (columns["charge"] != 0)
-    if {"charge", "mass"} <= set(columns):
-        bad["mass: is 0 for a charged particle"] = "mass", (columns["mass"] == 0) & (columns["charge"] != 0)
+        bad["mass: is 0 for a charged particle"] = "mass", (columns["mass"] == 0) & (charge != 0)
     if "particle" in columns:
         bad["particle: is negative"] = "particle", columns["particle"] < 0
         bad["particle: is there before in the same event"] = "particle", _repeated(event, columns["particle"])
@@ -246,6 +242,16 @@ def _problems(columns: Mapping[str, Array]) -> list[str]:
     if len(event) and not problems and np.ptp(event) >= _MOST_EVENTS:
         problems.append(f"event: got {event.min()} to {event.max()}; expected numbers within {_MOST_EVENTS} events")
     return problems
+
+
+def _too_large(columns: Mapping[str, Array]) -> dict[str, tuple[str, npt.NDArray[np.bool_]]]:
+    """Mark finite coordinates and momenta beyond what makes sense."""
+    limits = dict.fromkeys("xyz", (FARTHEST, "mm")) | dict.fromkeys(("px", "py", "pz"), (FASTEST, "GeV/c"))
+    return {
+        f"{name}: is beyond +-{most:g} {unit}": (name, np.isfinite(columns[name]) & (np.abs(columns[name]) > most))
+        for name, (most, unit) in limits.items()
+        if name in columns
+    }
 
 
 def _problem(text: str, column: Array, rows: npt.NDArray[np.bool_]) -> str:
