@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.collections import PatchCollection, PolyCollection
 from matplotlib.patches import Rectangle
 
+from cgemit.detector.strip_plane import crossing_z, local_v
 from cgemit.draw.geometry import Array, near
 from cgemit.draw.style import COLORS, Picture, legend_entries, new_picture, statistics_box, style
 
@@ -46,7 +47,7 @@ class Crossing:
 
     def v(self, x: Array | float, z: Array | float) -> Array:
         """Return V of a point of the unrolled sheet, mm."""
-        return np.asarray(x * np.cos(self.layer.stereo) + (self.layer.z_ref - z) * np.sin(self.layer.stereo))
+        return local_v(self.layer, x, z)
 
 
 def crossing(result: Result, event: int, layer: int) -> Crossing:
@@ -165,10 +166,9 @@ def _strip_x(start: float, pitch: float, low: float, high: float, fired: bool) -
 
 def _strip_v(hit: Crossing, strip: int, edges: Array) -> Array:
     """Return the corners (4, 2) in (X, z) of a V strip between two X; mm."""
-    cos, sin = np.cos(hit.layer.stereo), np.sin(hit.layer.stereo)
     v = hit.layer.pitch_v * np.array([strip, strip, strip + 1, strip + 1])
     x = edges[[0, 1, 1, 0]]
-    return np.column_stack([x, hit.layer.z_ref - (v - x * cos) / sin])
+    return np.column_stack([x, crossing_z(hit.layer, x, v)])
 
 
 def draw_projection(result: Result, event: int, layer: int = 0) -> Picture:
@@ -198,7 +198,7 @@ def draw_projection(result: Result, event: int, layer: int = 0) -> Picture:
         edges_x = start + hit.layer.pitch_x * hit.strips_x
         step = hit.layer.pitch_v / np.sin(hit.layer.stereo)
         # Where the V strips meet the line of constant X through the middle of the crossing.
-        offset = (hit.layer.z_ref + hit.x(hit.phi[1]) * np.cos(hit.layer.stereo) / np.sin(hit.layer.stereo)) - hit.z[1]
+        offset = float(crossing_z(hit.layer, hit.x(hit.phi[1]), 0.0) - hit.z[1])
         _draw_section(axes[0], hit, x, edges_x, hit.layer.pitch_x, start, COLORS["x"])
         _draw_section(axes[1], hit, hit.z - hit.z[1], offset - step * hit.strips_v, -step, offset, COLORS["v"])
         axes[0].set(xlabel="R (φ − φ at mid-gap)  (mm)", ylabel="r  (mm)")

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
+from cgemit.detector.strip_plane import local_v
+
 if TYPE_CHECKING:
     from cgemit.detector import Detector
     from cgemit.result import Result
@@ -86,9 +88,8 @@ def _v_residuals(detector: Detector, clusters: Table, truths: Table, rows: npt.N
         for sheet, start in enumerate(layer.sheet_phi):
             mine = (clusters["layer"][rows] == number) & (clusters["sheet"][rows] == sheet)
             x = layer.r_readout * (truths["phi"][truth[mine]] - start)
-            v = x * np.cos(layer.stereo) + (layer.z_ref - truths["z"][truth[mine]]) * np.sin(layer.stereo)
             # A whole turn changes V by hundreds of mm: the nearest turn is the right one.
             turn = 2 * np.pi * layer.r_readout * np.cos(layer.stereo)
-            difference = clusters["v"][rows[mine]] - v
+            difference = clusters["v"][rows[mine]] - local_v(layer, x, truths["z"][truth[mine]])
             residual[mine] = difference - turn * np.round(difference / turn)
     return residual

@@ -1,0 +1,18 @@
+"""Local coordinates on the unrolled read-out of a CGEM layer (docs/conventions.md), for arrays of points."""
+
+import numpy as np
+import numpy.typing as npt
+
+from cgemit.detector.model import CgemLayer
+
+Floats = npt.NDArray[np.float64]
+
+
+def local_v(layer: CgemLayer, x: Floats | float, z: Floats | float) -> Floats:
+    """Return V, (n,) float64 mm, of points with X and z, (n,) float64 mm."""
+    return np.asarray(x * np.cos(layer.stereo) + (layer.z_ref - z) * np.sin(layer.stereo))
+
+
+def crossing_z(layer: CgemLayer, x: Floats | float, v: Floats | float) -> Floats:
+    """Return z, (n,) float64 mm, at which lines of constant V meet those of constant X, (n,) float64 mm."""
+    return np.asarray(layer.z_ref - (v - x * np.cos(layer.stereo)) / np.sin(layer.stereo))
