@@ -53,7 +53,7 @@ class ClusterSettings:
         if not 0 < self.reference_cos_theta < 1:
             problems.append(f"reference_cos_theta: got {self.reference_cos_theta!r}, expected between 0 and 1")
         if problems:
-            raise ValueError("ClusterSettings\n  " + "\n  ".join(problems))
+            raise ValueError("ClusterSettings:\n  " + "\n  ".join(problems))
 
 
 def cluster(detector: Detector, digis: Table, settings: ClusterSettings | None = None) -> Table:

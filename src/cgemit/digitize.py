@@ -67,7 +67,7 @@ class DigitizeSettings:
         if not (math.isfinite(self.threshold) and self.threshold >= 0):
             problems.append(f"threshold: got {self.threshold!r}, expected zero or a positive number")
         if problems:
-            raise ValueError("DigitizeSettings\n  " + "\n  ".join(problems))
+            raise ValueError("DigitizeSettings:\n  " + "\n  ".join(problems))
 
 
 def digitize(
