@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from cgemit import _core
-from cgemit.particles import ParticleError, species
+from cgemit.particles import FARTHEST, FASTEST, ParticleError, species
 from cgemit.tables import Table
 from cgemit.tables.check import Array
 from cgemit.values import InTurn, Limit, Value, ValueLike, parse_three, parse_value
@@ -223,18 +223,20 @@ def _clean(gun: Gun, problems: list[str]) -> dict[str, Any]:
     clean["vertex"] = parse_three("vertex", gun.vertex, _LENGTH, problems)
     clean["vertex_sigma"] = parse_three("vertex_sigma", gun.vertex_sigma, _SPREAD_LENGTH, problems)
     many = gun.multiplicity
-    if not isinstance(many, int) or isinstance(many, bool) or not 1 <= many <= 100_000:
+    if not isinstance(many, int | np.integer) or isinstance(many, bool) or not 1 <= many <= 100_000:
         problems.append(f"multiplicity: got {many!r}; expected a whole number from 1 to 100000")
+    else:
+        clean["multiplicity"] = int(many)
     return clean
 
 
-_LENGTH = Limit("length", lambda _: True, "a length in mm")
-_SPREAD_LENGTH = Limit("length", lambda value: value >= 0, "a length in mm, 0 or more")
+_LENGTH = Limit("length", lambda value: abs(value) <= FARTHEST, f"a length in mm, within +-{FARTHEST:g}")
+_SPREAD_LENGTH = Limit("length", lambda value: 0 <= value <= FARTHEST, f"a length in mm from 0 to {FARTHEST:g}")
 
 
 def _limits(*, along_z: bool) -> dict[str, Limit]:
     """Return what each quantity may be; with a given pT the momentum cannot point along z."""
-    momentum = Limit("momentum", lambda value: value > 0, "a momentum in GeV/c above 0")
+    momentum = Limit("momentum", lambda value: 0 < value <= FASTEST, f"a momentum in GeV/c above 0, up to {FASTEST:g}")
     theta, cos = "an angle in rad from 0 to pi", "a number from -1 to 1"
     if along_z:
         polar = Limit("angle", lambda value: 0 <= value <= math.pi, theta)

@@ -52,11 +52,13 @@ def parse_value(path: str, given: Any, limit: Limit, problems: list[str]) -> Val
     """
     if isinstance(given, InTurn):
         given = list(given.values)
+    if isinstance(given, np.ndarray):
+        given = given.tolist()
     if isinstance(given, tuple):
         return _range(path, given, limit, problems)
-    if isinstance(given, list) or (isinstance(given, np.ndarray) and given.ndim):
-        if np.ndim(given) != 1 or len(given) == 0:
-            problems.append(f"{path}: got shape {np.shape(given)}; expected a list of at least one number")
+    if isinstance(given, list):
+        if not given:
+            problems.append(f"{path}: got an empty list; expected a list of at least one number")
             return 0.0
         return InTurn(tuple(_number(f"{path}[{i}]", one, limit, problems) for i, one in enumerate(given)))
     return _number(path, given, limit, problems)
@@ -83,7 +85,10 @@ def _number(path: str, given: Any, limit: Limit, problems: list[str]) -> float:
             problems.append(f"{path}: got {error}")
             return 0.0
     elif isinstance(given, int | float | np.integer | np.floating) and not isinstance(given, bool):
-        value = float(given)
+        try:
+            value = float(given)
+        except OverflowError:  # a whole number of hundreds of digits
+            value = math.inf
     if math.isfinite(value) and limit.fits(value):
         return value
     problems.append(f"{path}: got {given!r}; expected {limit.expected}")

@@ -10,6 +10,7 @@ import traceback
 from collections.abc import Sequence
 
 from cgemit.cli.common import BAD_INPUT, COMMANDS, INTERRUPTED, OK, RUN_FAILED, HelpFormatter
+from cgemit.cli.interrupts import interrupts_kept
 from cgemit.version import VERSION
 
 _DESCRIPTION = """\
@@ -56,7 +57,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     except SystemExit as stop:  # --help, --version, or arguments that argparse has complained about
         return int(stop.code or OK)
     try:
-        return int(arguments.run(arguments) or OK)
+        with interrupts_kept():
+            return int(arguments.run(arguments) or OK)
     except KeyboardInterrupt:
         print("cgemit: interrupted", file=sys.stderr)
         return INTERRUPTED

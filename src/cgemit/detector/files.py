@@ -62,11 +62,11 @@ def open_source(source: str | Path | Mapping[str, Any], folder: Path | None = No
     path = Path(text) if folder is None else folder / text
     if not path.is_file():
         known = ", ".join(preset_names())
-        given = f'"{text}"'
+        given = f'"{text}"' + (", a folder" if text and path.is_dir() else "")
         problem = Problem("", given, f"one of {known}, or a detector file", did_you_mean(text, preset_names()))
         raise DetectorError(text, [problem])
     try:
-        return Source(str(path), path.parent, tomllib.loads(path.read_text(encoding="utf-8")))
+        return Source(str(path), path.parent, tomllib.loads(path.read_text(encoding="utf-8-sig")))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise DetectorError(str(path), [Problem("", str(error), "a TOML file")]) from error
 

@@ -1,0 +1,34 @@
+"""Ctrl-C always ends the run, wherever it arrives."""
+
+from __future__ import annotations
+
+import _thread
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+_AGAIN = 0.02  # s
+
+
+@contextmanager
+def interrupts_kept() -> Iterator[None]:
+    """Repeat an interrupt that Python has dropped.
+
+    An exception that arises while an object is taken down (a finalizer, a weak reference's callback) is reported and
+    forgotten; matplotlib has many of these, so that Ctrl-C during the drawing would sometimes do nothing.
+    """
+    report = sys.unraisablehook
+
+    def repeat(dropped: sys.UnraisableHookArgs) -> None:
+        if dropped.exc_type is KeyboardInterrupt:
+            # Later and from outside: here it would be dropped again.
+            threading.Timer(_AGAIN, _thread.interrupt_main).start()
+        else:
+            report(dropped)
+
+    sys.unraisablehook = repeat
+    try:
+        yield
+    finally:
+        sys.unraisablehook = report

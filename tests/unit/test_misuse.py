@@ -1,0 +1,162 @@
+"""Odd and wrong input that has to be refused at once, or to work."""
+
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from cgemit.cli.interrupts import interrupts_kept
+from cgemit.cli.main import main
+from cgemit.detector import DetectorError, load
+from cgemit.gun import Gun
+from cgemit.io.folders import OutputExistsError, check_free
+from cgemit.particles import ParticleError, particles_from
+
+SIMULATE = ["simulate", "-d", "besiii-cgem-design", "--p", "1", "--theta", "1", "--quiet"]
+ROW = {"event": [0], "pdg": [13], "px": [1.0], "py": [0.0], "pz": [0.0]}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ([*SIMULATE, "-n", "1", "-o", "file/inside"], "is a file"),
+        ([*SIMULATE, "-n", "1", "-o", "x", "--seed", str(2**64)], "at most 18446744073709551615"),
+        ([*SIMULATE, "-n", "10000000000000", "-o", "x"], "at most 2147483647"),
+        ([*SIMULATE, "-n", "1", "-o", "x", "--set", "base=besiii-idc"], "load another base"),
+        ([*SIMULATE, "-n", "1", "-o", "x", "--set", 'cgem.L2.pitch_x="0.5 mm"\nx=3'], "cgem.L2.pitch_x"),
+        ([*SIMULATE, "-n", "1", "-o", "x", "--vertex", "1e300,0,0"], "vertex.x"),
+        (["resolution", "-d", "besiii-idc", "--p", "1:2:100000000000", "-o", "x"], "at most 10000"),
+        (["study", "--quick", "-o", "file/inside"], "is a file"),
+    ],
+)
+def test_refused_at_once(arguments, message, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "file").write_text("here")
+    assert main(arguments) == 2
+    assert message in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
+
+
+def test_output_folder_that_cannot_be_written(tmp_path, monkeypatch):
+    def refuse(*_, **__):
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr("cgemit.io.folders.tempfile.TemporaryDirectory", refuse)
+    with pytest.raises(ValueError, match=r"nothing can be written in .*Permission denied"):
+        check_free(tmp_path / "a" / "b")
+
+
+def test_output_folder_below_missing_ones_is_free_and_nothing_stays(tmp_path):
+    check_free(tmp_path / "a" / "b")
+    assert not list(tmp_path.iterdir())
+    (tmp_path / "a").touch()
+    with pytest.raises(OutputExistsError, match="is a file"):
+        check_free(tmp_path / "a" / "b" / "c")
+
+
+def test_overwriting_removes_tables_of_the_run_before(tmp_path):
+    folder = tmp_path / "run"
+    (tmp_path / "run").mkdir()
+    (folder / "mine.npz").touch()
+    run = [*SIMULATE, "-n", "5", "-o", str(folder), "--overwrite"]
+    assert main([*run, "--fit"]) == 0
+    assert (folder / "tracks.npz").exists()
+    assert main(run) == 0
+    assert not (folder / "tracks.npz").exists()
+    assert (folder / "clusters.npz").exists()
+    assert (folder / "mine.npz").exists()
+
+
+def test_resolution_with_angles_in_turn(tmp_path, capsys):
+    arguments = ["resolution", "-d", "besiii-idc", "--p", "1", "--cos-theta", "0,0.5", "--events", "60", "--quiet"]
+    assert main([*arguments, "-o", str(tmp_path / "x"), "--json"]) == 0
+    assert '"cos_theta": [\n      0.0,\n      0.5\n    ]' in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("p", [[1, [2]], np.ones((2, 2)), 10**400, [], 2e6])
+def test_gun_lists_odd_momenta_as_problems(p):
+    with pytest.raises(ParticleError, match="p"):
+        Gun("mu-", p=p, theta=1)
+
+
+def test_gun_takes_numbers_of_numpy():
+    gun = Gun("mu-", p=np.array(1.0), theta=np.float32(1), multiplicity=np.int64(2))
+    assert gun == Gun("mu-", p=1, theta=1, multiplicity=2)
+    assert Gun("mu-", p=np.array(["1 GeV/c", "2 GeV/c"]), theta=1) == Gun("mu-", p=[1, 2], theta=1)
+
+
+@pytest.mark.parametrize(
+    ("columns", "message"),
+    [
+        ({"event": np.array([2**63 + 1], np.uint64)}, "event: is above"),
+        ({"event": [1e19]}, "event: is above"),
+        ({"x": [1e308]}, "x: is beyond"),
+        ({"pz": [-1e308]}, "pz: is beyond"),
+        ({"particle": [-1]}, "particle: is negative"),
+        ({"pdg": [9999], "charge": [1], "mass": [0.0]}, "mass: is 0"),
+    ],
+)
+def test_table_of_particles_with_values_out_of_range(columns, message):
+    with pytest.raises(ParticleError, match=message):
+        particles_from({**ROW, **columns})
+    assert len(particles_from(ROW)) == 1
+
+
+def test_detector_file_with_byte_order_mark_and_folder_in_its_place(tmp_path):
+    file = tmp_path / "marked.toml"
+    file.write_text('base = "besiii-idc"\n', encoding="utf-8-sig")
+    assert load(file).drift_chamber == load("besiii-idc").drift_chamber
+    with pytest.raises(DetectorError, match="a folder; expected one of"):
+        load(tmp_path)
+
+
+def test_a_chamber_that_is_no_table_is_one_problem():
+    with pytest.raises(DetectorError) as caught:
+        load({"base": "besiii-cgem", "drift_chamber": "none"})
+    assert [problem.path for problem in caught.value.problems] == ["drift_chamber"]
+
+
+class Stubborn:
+    """Interrupted while it is taken down."""
+
+    def __del__(self):
+        raise KeyboardInterrupt
+
+
+def take_down_and_work():
+    """Drop an object; then work for longer than anybody waits."""
+    Stubborn()
+    for _ in range(500):
+        time.sleep(0.01)
+
+
+def test_interrupt_dropped_by_a_finalizer_comes_again():
+    begin = time.monotonic()
+    with pytest.raises(KeyboardInterrupt), interrupts_kept():
+        take_down_and_work()
+    assert time.monotonic() - begin < 2
+
+
+def test_interrupt_within_a_finalizer_ends_the_program():
+    code = """
+import sys, time
+from cgemit.cli import detectors, main
+class Slow:
+    def __del__(self):
+        print("ready", flush=True)
+        for _ in range(1000):
+            time.sleep(0.01)
+def run(arguments):
+    Slow()
+    for _ in range(1000):
+        time.sleep(0.01)
+detectors.run = run
+sys.exit(main.main(["detectors"]))
+"""
+    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        assert process.stdout.readline() == b"ready\n"
+        process.send_signal(signal.SIGINT)
+        assert process.wait(8) == 130
