@@ -12,6 +12,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Annulus, Patch, Rectangle
 
 from cgemit.detector import CgemLayer, Detector, Shell, WireLayer
+from cgemit.draw.geometry import wire_layers, wire_positions
 from cgemit.draw.style import COLORS, Picture, new_picture, style
 
 _PARTS = {
@@ -134,7 +135,7 @@ def draw_rz(detector: Detector, ax: Axes | None = None, r_max: float | None = No
         ax = ax or new_picture(size=(9.6, 5.4))[1][0]
         edge = r_max or _outer_edge(detector)
         rings = [ring for ring in _rings(detector) if ring.r_in < edge]
-        layers = [layer for layer in _wire_layers(detector) if layer.r_mid < edge]
+        layers = [layer for layer in wire_layers(detector) if layer.r_mid < edge]
         reach = 1.12 * max([ring.half_length for ring in rings] + [layer.half_length for layer in layers])
         for ring in rings:
             color, corner = _PARTS[ring.part], (-ring.half_length, ring.r_in)
@@ -197,17 +198,13 @@ def _rings(detector: Detector) -> Iterator[_Ring]:
         yield _Ring("CGEM drift gap", layer.r_gap_in, layer.r_gap_out, layer.half_length)
 
 
-def _wire_layers(detector: Detector) -> tuple[WireLayer, ...]:
-    return detector.drift_chamber.layers if detector.drift_chamber else ()
-
-
 def _kind(layer: WireLayer) -> str:
     return _AXIAL if layer.twist == 0 else _POSITIVE if layer.twist > 0 else _NEGATIVE
 
 
 def _outer_edge(detector: Detector) -> float:
     """Return the radius of a view of everything, mm."""
-    return 1.05 * max([ring.r_out for ring in _rings(detector)] + [layer.r_end for layer in _wire_layers(detector)])
+    return 1.05 * max([ring.r_out for ring in _rings(detector)] + [layer.r_end for layer in wire_layers(detector)])
 
 
 def _inner_edge(detector: Detector) -> float:
@@ -219,10 +216,9 @@ def _inner_edge(detector: Detector) -> float:
 def _wires_xy(ax: Axes, detector: Detector, edge: float) -> set[str]:
     """Draw the wires at z = 0; return the kinds drawn."""
     points: dict[str, list[np.ndarray]] = {}
-    for layer in _wire_layers(detector):
+    for layer in wire_layers(detector):
         if layer.r_mid < 1.4 * edge:  # up to the corners of the square
-            phi = layer.phi_east - 0.5 * layer.twist + 2 * np.pi * np.arange(layer.cells) / layer.cells
-            points.setdefault(_kind(layer), []).append(layer.r_mid * np.array([np.cos(phi), np.sin(phi)]))
+            points.setdefault(_kind(layer), []).append(np.array(wire_positions(layer, np.arange(layer.cells), 0.0)))
     size = float(np.clip(700 / edge, 1.8, 3.5))
     for kind, found in points.items():
         x, y = np.concatenate(found, axis=1)

@@ -11,12 +11,12 @@ from matplotlib.axes import Axes
 from matplotlib.collections import EllipseCollection, LineCollection
 from matplotlib.patches import Rectangle, Wedge
 
-from cgemit.draw.geometry import Array, helix_points
+from cgemit.draw.geometry import helix_points, wire_layers, wire_positions
 from cgemit.draw.style import COLORS, Picture, legend_entries, new_picture, style
 from cgemit.tables import Table
 
 if TYPE_CHECKING:
-    from cgemit.detector import Detector, WireLayer
+    from cgemit.detector import Detector
     from cgemit.result import Result
 
 _TRACK_COLORS = ("#CC3311", "#7A3E9D", "#117733", "#AA7700", "#0077BB")
@@ -105,37 +105,22 @@ class _Reach(NamedTuple):
 
 
 def _rows_of(result: Result, event: int) -> _View:
-    tables = (result.truths, result.clusters, result.wire_hits, result.wire_truths, result.tracks)
     first, n = result.particles.first_event, result.particles.n_events
     if not first <= event < first + n:
         raise ValueError(f"event: got {event}; expected a number from {first} to {first + n - 1}")
     truths, clusters, wire_hits, wire_truths, tracks = (
-        Table.empty(kind, 1, event) if table is None else table.select_events(event, event + 1)
-        for kind, table in zip(("truths", "clusters", "wire_hits", "wire_truths", "tracks"), tables, strict=True)
+        table.select_events(event, event + 1)
+        for table in (result.truths, result.clusters, result.wire_hits, result.wire_truths, result.tracks)
     )
     return _View(truths, clusters, wire_hits, wire_truths, int(result.wire_truths.offsets[event - first]), tracks)
 
 
 def _reach(detector: Detector) -> _Reach:
-    wires = _wire_layers(detector)
+    wires = wire_layers(detector)
     r = [part.r_out for part in (*detector.beam_pipe, *detector.walls)] + [layer.r_out for layer in detector.cgem]
     z = [layer.half_length for layer in detector.cgem] + [layer.half_length for layer in wires]
     r += [layer.r_end for layer in wires]
     return _Reach(max(r, default=_FALLBACK_SIZE), max(z, default=_FALLBACK_SIZE))
-
-
-def _wire_layers(detector: Detector) -> tuple[WireLayer, ...]:
-    return detector.drift_chamber.layers if detector.drift_chamber else ()
-
-
-def _wire_positions(layer: WireLayer, wires: npt.NDArray[np.integer[Any]], z: Array) -> tuple[Array, Array]:
-    """Return x and y (mm) of straight wires at given z (mm)."""
-    east = layer.phi_east + wires * 2 * np.pi / layer.cells
-    west = east - layer.twist
-    share = 0.5 * (1 + np.clip(z / layer.half_length, -1, 1))
-    x = layer.r_end * (share * np.cos(east) + (1 - share) * np.cos(west))
-    y = layer.r_end * (share * np.sin(east) + (1 - share) * np.sin(west))
-    return x, y
 
 
 def _transverse_detector(axes: Axes, detector: Detector) -> None:
@@ -145,9 +130,9 @@ def _transverse_detector(axes: Axes, detector: Detector) -> None:
         axes.add_patch(Wedge((0, 0), layer.r_out, 0, 360, width=layer.r_out - layer.r_in, color="#E6ECF3", lw=0))
         gap = layer.r_gap_out - layer.r_gap_in
         axes.add_patch(Wedge((0, 0), layer.r_gap_out, 0, 360, width=gap, color="#B7D5EF", lw=0))
-    layers = _wire_layers(detector)
+    layers = wire_layers(detector)
     if layers:
-        points = [_wire_positions(layer, np.arange(layer.cells), np.zeros(layer.cells)) for layer in layers]
+        points = [wire_positions(layer, np.arange(layer.cells), 0.0) for layer in layers]
         x, y = (np.concatenate(coordinate) for coordinate in zip(*points, strict=True))
         axes.plot(x, y, ".", ms=1.7, color="#8A95A1", mew=0, zorder=0.5)
 
@@ -159,7 +144,7 @@ def _longitudinal_detector(axes: Axes, detector: Detector) -> None:
     for part in (*detector.beam_pipe, *detector.walls):
         corner = (-part.half_length, part.r_in)
         axes.add_patch(Rectangle(corner, 2 * part.half_length, max(part.thickness, 0.8), color=COLORS["matter"], lw=0))
-    lines = [[(-layer.half_length, layer.r_mid), (layer.half_length, layer.r_mid)] for layer in _wire_layers(detector)]
+    lines = [[(-layer.half_length, layer.r_mid), (layer.half_length, layer.r_mid)] for layer in wire_layers(detector)]
     axes.add_collection(LineCollection(lines, colors="#E1E5EA", linewidths=0.6))
 
 
@@ -193,13 +178,13 @@ def _drift_circles(axes: Axes, detector: Detector, view: _View) -> None:
     hits = view.wire_hits
     if not len(hits):
         return
-    layers = {layer.number: layer for layer in _wire_layers(detector)}
+    layers = {layer.number: layer for layer in wire_layers(detector)}
     truth = hits["wire_truth"] - view.wire_truth_first
     z = view.wire_truths["z"][truth]
     centres = np.empty((len(hits), 2))
     for number in np.unique(hits["layer"]):
         rows = hits["layer"] == number
-        centres[rows] = np.column_stack(_wire_positions(layers[number], hits["wire"][rows], z[rows]))
+        centres[rows] = np.column_stack(wire_positions(layers[number], hits["wire"][rows], z[rows]))
     size = 2 * np.abs(hits["drift"])
     circles = EllipseCollection(
         size, size, np.zeros(len(hits)), units="xy", offsets=centres, offset_transform=axes.transData,

@@ -1,11 +1,16 @@
-"""Points of a helix for pictures, and angles near a reference."""
+"""Points of a helix and of wires for pictures, and angles near a reference."""
 
 from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
 from cgemit.helix import RADIUS_PER_KAPPA
+
+if TYPE_CHECKING:
+    from cgemit.detector import Detector, WireLayer
 
 Array = npt.NDArray[np.float64]
 
@@ -46,3 +51,18 @@ def near(phi: npt.ArrayLike, reference: float) -> Array:
     """Return angles shifted by whole turns to lie within pi of a reference, rad."""
     difference = np.asarray(phi, dtype=np.float64) - reference
     return reference + (difference + np.pi) % (2 * np.pi) - np.pi
+
+
+def wire_layers(detector: Detector) -> tuple[WireLayer, ...]:
+    """Return the wire layers of a detector; none without a drift chamber."""
+    return detector.drift_chamber.layers if detector.drift_chamber else ()
+
+
+def wire_positions(layer: WireLayer, wires: npt.NDArray[np.integer[Any]], z: Array | float) -> tuple[Array, Array]:
+    """Return x and y, (n,) float64 mm, of wires, (n,) int, at z, (n,) float64 mm."""
+    east = layer.phi_east + wires * 2 * np.pi / layer.cells
+    west = east - layer.twist
+    share = 0.5 * (1 + np.clip(z / layer.half_length, -1, 1))
+    x = layer.r_end * (share * np.cos(east) + (1 - share) * np.cos(west))
+    y = layer.r_end * (share * np.sin(east) + (1 - share) * np.sin(west))
+    return x, y
