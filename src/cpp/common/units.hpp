@@ -12,8 +12,9 @@ inline constexpr double keV = 1e-6;
 
 inline constexpr double pi = 3.14159265358979323846;
 
-// R[mm] = radius_per_kappa / (B[T] kappa[(GeV/c)^-1]): 10^12 over the speed of light in m/s, exact by
-// definition of that.
+inline constexpr double speed_of_light = 299.792458;  // mm/ns, exact
+
+// R[mm] = radius_per_kappa / (B[T] kappa[(GeV/c)^-1]): 10^6 over the speed of light in mm/ns.
 inline constexpr double radius_per_kappa = 3335.6409519815204;
 
 // PDG 2024, Physical constants.

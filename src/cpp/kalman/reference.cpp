@@ -26,7 +26,6 @@ StepIntegral step_integral(double f) {
   return {(1 - std::cos(f)) / q, (f - std::sin(f)) / q};
 }
 
-constexpr double least_kinetic = 0.1 * MeV;
 constexpr double seam_margin = 50;  // mm, more than a first helix is ever off at a CGEM layer
 
 // Derivatives follow from one picture: a change of curvature dw on a piece ds'' of the path turns all that

@@ -13,6 +13,9 @@
 
 namespace cgemit {
 
+// Below this kinetic energy a particle counts as stopped.
+inline constexpr double least_kinetic = 0.1 * MeV;
+
 // Kinematics of a particle at one momentum. Momenta in GeV/c, energies in GeV.
 struct Kinematics {
   double p, energy, mass;

@@ -13,9 +13,7 @@ namespace cgemit {
 
 namespace {
 
-constexpr double speed_of_light = 299.792458;  // mm/ns, exact
-constexpr double least_kinetic = 0.1 * MeV;    // below this a particle counts as stopped
-constexpr int most_cells = 64;                 // a particle that runs along a layer fires no more
+constexpr int most_cells = 64;  // a particle that runs along a layer fires no more
 
 // One particle on its way.
 class Flight {
