@@ -35,7 +35,7 @@ def at_origin(particles: Table, bz: float) -> Floats:
     pt = np.hypot(px, py)
     with np.errstate(divide="ignore", invalid="ignore"):
         kappa = np.where((particles["charge"] != 0) & (pt > 0), particles["charge"] / pt, np.nan)
-        ux, uy, tanl = px / pt, py / pt, particles["pz"] / pt
+        ux, uy, tanl = px / pt, py / pt, np.where(np.isnan(kappa), np.nan, particles["pz"] / pt)
     x, y = particles["x"], particles["y"]
     w = -bz * kappa / RADIUS_PER_KAPPA
     sideways, outward = x * uy - y * ux, x * ux + y * uy
