@@ -104,6 +104,18 @@ def test_too_few_iterations_is_a_status(event):
     assert np.all(tracks["iterations"] == 1)
 
 
+def test_slow_particles_are_fitted_with_the_momentum_they_started_with():
+    """Protons of 0.25 GeV/c lose so much on the way that the momentum they end with would not take them there."""
+    gun = Gun("proton", pt=0.25, cos_theta=0.0)
+    tracks = chain.run("besiii-cgem-design", gun, 200).tracks
+    assert np.count_nonzero(tracks["status"] == FitStatus.ok) > 195
+    assert abs(np.median(tracks["p"]) - 0.25) < 0.002
+    hasty = chain.Settings(fit=FitSettings(max_iterations=1))
+    stopped = chain.run("besiii-cgem-design", gun, 20, settings=hasty).tracks
+    assert np.all(stopped["status"] == FitStatus.stopped)
+    assert np.all(np.isnan(stopped["cov"]))
+
+
 def test_residuals_on_request(event):
     """The residuals table has one row for every measurement used, links to its hit, and exists only if asked for."""
     tables, candidates = event

@@ -12,6 +12,7 @@ namespace cgemit {
 namespace {
 
 constexpr int parameters = 5;
+constexpr int patient_iterations = 6;
 
 class TrackFit {
  public:
@@ -37,6 +38,7 @@ class TrackFit {
     for (int iteration = 0; iteration < settings_.max_iterations && !converged; ++iteration) {
       follow(iteration);
       result.iterations = iteration + 1;
+      if (speeds_up(iteration)) continue;
       if (const FitStatus status = usable(); status != FitStatus::ok) return failed(result, status);
       fill_rows();
       const Estimate estimate = filter(space_.reference.elements, prior, space_.memory);
@@ -52,6 +54,7 @@ class TrackFit {
       converged = moved < settings_.tolerance && settled && !wires_only_;
       wires_only_ = false;
     }
+    if (space_.reference.stopped) return failed(result, FitStatus::stopped);  // no iteration was left
     if (!sides_open_) smooth(space_.reference.elements, space_.memory);
     collect_residuals();
     result.status = converged ? FitStatus::ok : FitStatus::not_converged;
@@ -64,9 +67,16 @@ class TrackFit {
     return result;
   }
 
+  // A first helix from the outer hits has the momentum that the matter has left over. Where the reference
+  // stops on the way to them, it gets more.
+  bool speeds_up(int iteration) {
+    if (!space_.reference.stopped || iteration >= patient_iterations) return false;
+    helix_.kappa *= 0.85;
+    return true;
+  }
+
   // Traces the reference. Hits that stay out of its reach are given up after some iterations.
   void follow(int iteration) {
-    constexpr int patient_iterations = 6;
     trace(detector_, helix_, mass_, hits_, space_.reference);
     if (iteration >= patient_iterations) hits_ = hits_.first(space_.reference.reached);
   }
