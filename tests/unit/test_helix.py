@@ -185,3 +185,22 @@ def test_wrong_shape_is_refused():
     """Points with the wrong number of columns raise an error that says what was expected."""
     with pytest.raises(ValueError, match=r"points: expected shape \(2, 7\)"):
         _core.advance(np.zeros((2, 6)), np.zeros(2))
+
+
+def test_through_a_cylinder_from_a_point_on_it() -> None:
+    """A point on a cylinder that heads in goes through to the other side: never stays, never takes an extra turn."""
+    rng = np.random.default_rng(8)
+    n = 2000
+    azimuth, inward = rng.uniform(0, 2 * np.pi, n), np.pi + rng.uniform(-1.5, 1.5, n)
+    radius, bend = rng.uniform(30, 100, n), rng.uniform(-1e-3, 1e-3, n)
+    for phi, turn, r, w in zip(azimuth, inward, radius, bend, strict=True):
+        flight = phi + turn
+        start = np.array([[r * np.cos(phi), r * np.sin(phi), 0.0, np.cos(flight), np.sin(flight), 0.5, w]])
+        on = float(np.hypot(start[0, 0], start[0, 1]))
+        moved, arc, reached = _core.step_to_cylinder(start, on)
+        assert reached[0]
+        # Half the turn is asin(w/2 times the chord), and the chord of a straight flight is 2 r cos(turn).
+        chord = float(np.hypot(*(moved[0, :2] - start[0, :2])))
+        assert arc[0] == pytest.approx(2 * np.arcsin(0.5 * abs(w) * chord) / abs(w), rel=1e-9)
+        assert np.hypot(moved[0, 0], moved[0, 1]) == pytest.approx(on, rel=1e-12)
+        assert moved[0, 0] * moved[0, 3] + moved[0, 1] * moved[0, 4] > 0

@@ -258,3 +258,11 @@ def test_chain_does_not_depend_on_threads_and_chunks(readout):
         np.testing.assert_array_equal(alone.tracks[name][0], results[0].tracks[name][17])
     other = chain.run(DESIGN, gun, 30, seed=7, settings=settings)
     assert not np.any(other.tracks["dr"] == results[0].tracks["dr"])
+
+
+@pytest.mark.parametrize("radius", [40.0, 60.0, 100.0])
+def test_particles_that_start_inward_come_out_again(radius: float) -> None:
+    """A 1 GeV/c muon from a displaced vertex never curls, whichever cylinders it grazes on its way in and out."""
+    gun = Gun("mu-", p=1.0, theta=1.3, vertex=(radius, 0.0, 0.0), phi=(0.5 * np.pi, 1.5 * np.pi))
+    found = simulate(DESIGN, generate(gun, 1000, seed=2), SimulateSettings(), seed=2)["particles"]
+    assert np.all(found["status"] == TransportStatus.outside)

@@ -17,9 +17,9 @@ enum class TransportStatus : std::int8_t {
 // How the fit of a track ended.
 enum class FitStatus : std::int8_t {
   ok = 0,
-  too_few_hits = 1,          // fewer measurements than the five parameters need
+  too_few_hits = 1,          // no more measurements than parameters: anything would fit
   seed_failed = 2,           // no helix through the hits to start from
-  does_not_reach = 3,        // the reference helix meets fewer than five of the hits
+  does_not_reach = 3,        // the reference helix meets fewer than six of the hits
   stopped = 4,               // the reference momentum is used up in material before a hit
   not_converged = 5,         // still moving after the last allowed iteration
   not_positive_definite = 6  // the covariance is not that of five real parameters

@@ -11,7 +11,7 @@ namespace cgemit {
 
 namespace {
 
-constexpr int parameters = 5;
+constexpr int parameters = 5;  // as many measurements can be met by anything: at least one more is asked for
 constexpr int patient_iterations = 6;
 
 class TrackFit {
@@ -83,7 +83,7 @@ class TrackFit {
 
   FitStatus usable() const {
     if (space_.reference.stopped) return FitStatus::stopped;
-    return space_.reference.reached < parameters ? FitStatus::does_not_reach : FitStatus::ok;
+    return space_.reference.reached <= parameters ? FitStatus::does_not_reach : FitStatus::ok;
   }
 
   // Residual and variance of every row, on the present reference.
@@ -212,7 +212,7 @@ FitResult fit_track(const Detector& detector, std::span<const Hit> hits, std::sp
                     double mass, const Perigee* start, const FitSettings& settings, FitSpace& space) {
   FitResult result{FitStatus::too_few_hits, {}, Matrix5::Identity(), 0, 0, 0, 0, 0};
   space.residuals.assign(hits.size(), {0, 0, 0});
-  if (hits.size() < parameters) return result;
+  if (hits.size() <= parameters) return result;
   if (start != nullptr) return TrackFit(detector, hits, sides, mass, settings, space).run(*start, false);
   result.status = FitStatus::seed_failed;
   for (const SeedFrom from : {SeedFrom::wires, SeedFrom::wires_and_clusters, SeedFrom::azimuths}) {

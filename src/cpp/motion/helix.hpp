@@ -59,15 +59,21 @@ inline double atan_over(double t) {
   const double p1_squared = r * r - s1 * s1;
   if (!(p1_squared >= 0)) return false;
   const double p1 = outward ? std::sqrt(p1_squared) : -std::sqrt(p1_squared);
-  const double sum = point.outward() + p1;
-  if (sum == 0) {  // already there, or opposite on the circle; only the first is meant
-    arc = 0;
-    return difference == 0;
+  const double p0 = point.outward();
+  // Two forms of one number; each is a difference of equals where the other is not. Heading in and leaving on
+  // the other side needs the second, above all when the point lies on the cylinder.
+  const bool through = outward && p0 < 0;
+  double h = 0;
+  if (through) {
+    h = 0.5 * (p1 - p0) / (1.0 - point.w * (point.sideways() + 0.25 * point.w * difference));
+  } else if (p0 + p1 != 0) {
+    h = 0.5 * difference / (p0 + p1);
+  } else if (difference != 0) {
+    return false;
   }
-  const double h = 0.5 * difference / sum;
   const double t = point.w * h;
-  // To a smaller radius h < 0 is a step back, to a larger one a turn by more than pi.
-  const bool far_side = h < 0 && difference > 0;
+  // On the way through, h < 0 is a turn by more than pi; otherwise it is a step back to a smaller radius.
+  const bool far_side = through && h < 0;
   arc = far_side ? (2.0 * std::atan(t) + std::copysign(2.0 * pi, point.w)) / point.w : 2.0 * h * atan_over(t);
   turn(point, h, t);
   point.z += arc * point.tanl;
