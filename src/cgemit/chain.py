@@ -56,7 +56,14 @@ def run_chunk(
     )
     clock.stop("find")
     tables |= fit(
-        fit_detector, tables["particles"], tables["clusters"], tables["wire_hits"], candidates, settings.fit, seed
+        fit_detector,
+        tables["particles"],
+        tables["clusters"],
+        tables["wire_hits"],
+        candidates,
+        settings.fit,
+        seed,
+        simulated=detector,
     )
     clock.stop("fit")
     return tables, clock.seconds
@@ -88,6 +95,7 @@ def run(
     seed : int
         0 to 2**64 - 1.
     settings : Settings or None
+        Of all stages; defaults if None.
     fit_detector : Detector or None
         What the fit assumes, if it shall differ from what is simulated.
     threads : int or None

@@ -90,6 +90,8 @@ def fit(
     candidates: Candidates,
     settings: FitSettings | None = None,
     seed: int = 0,
+    *,
+    simulated: Detector | None = None,
 ) -> dict[str, Table]:
     """Fit one helix to the hits of every candidate.
 
@@ -105,6 +107,8 @@ def fit(
     settings : FitSettings or None
     seed : int
         Key of the random streams; used by ``FitSettings(seed="truth")`` only.
+    simulated : Detector or None
+        What the particles really flew through, if that is not `detector`: its field bends the true helix.
 
     Returns
     -------
@@ -114,7 +118,7 @@ def fit(
     """
     settings = settings or FitSettings()
     hits = fit_hits(candidates, clusters, wire_hits)
-    truth = helix.at_origin(particles, detector.field.bz)
+    truth = helix.at_origin(particles, (simulated or detector).field.bz)
     start = _smeared(truth, particles, settings, seed) if settings.seed == "truth" else np.empty((0, 5))
     out = _core.fit(
         compiled(detector),

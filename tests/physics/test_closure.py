@@ -33,18 +33,22 @@ def with_field(name: str, bz: float) -> Detector:
 
 
 @cache
-def exact_sample(particle: str, p: float, bz: float) -> Result:
-    """Tracks at 90 degrees in the mode in which everything is Gaussian and known."""
-    return run(with_field("besiii-cgem-design", bz), Gun(particle, p=p, cos_theta=0.0), N, seed=11, settings=EXACT)
+def exact_sample(particle: str, p: float, bz: float, cos_theta: float) -> Result:
+    """Tracks in the mode in which everything is Gaussian and known."""
+    return run(
+        with_field("besiii-cgem-design", bz), Gun(particle, p=p, cos_theta=cos_theta), N, seed=11, settings=EXACT
+    )
 
 
-POINTS = [(particle, p, bz) for p in (0.2, 0.5, 1.0, 2.0) for particle in ("mu-", "mu+") for bz in (-1.0, 1.0)]
+POINTS = [(particle, p, bz, 0.0) for p in (0.2, 0.5, 1.0, 2.0) for particle in ("mu-", "mu+") for bz in (-1.0, 1.0)]
+# Away from 90 degrees the terms with tan(lambda) count.
+POINTS += [("mu-", 0.5, -1.0, 0.5), ("mu-", 1.0, -1.0, -0.8), ("pi+", 0.5, -1.0, 0.8)]
 
 
-@pytest.mark.parametrize(("particle", "p", "bz"), POINTS)
-def test_pulls_are_standard_normal(particle: str, p: float, bz: float) -> None:
+@pytest.mark.parametrize(("particle", "p", "bz", "cos_theta"), POINTS)
+def test_pulls_are_standard_normal(particle: str, p: float, bz: float, cos_theta: float) -> None:
     """Pulls of the five parameters have mean 0 and width 1, and every track is fitted."""
-    result = exact_sample(particle, p, bz)
+    result = exact_sample(particle, p, bz, cos_theta)
     assert result.removed() == {}
     for name in PARAMETERS:
         pull = result.tracks[f"pull_{name}"]
@@ -52,10 +56,10 @@ def test_pulls_are_standard_normal(particle: str, p: float, bz: float) -> None:
         assert_within(pull.std(), 1, 1 / np.sqrt(2 * N), what=f"width of the pull of {name}")
 
 
-@pytest.mark.parametrize(("particle", "p", "bz"), POINTS)
-def test_chi_square_probability_is_flat(particle: str, p: float, bz: float) -> None:
+@pytest.mark.parametrize(("particle", "p", "bz", "cos_theta"), POINTS)
+def test_chi_square_probability_is_flat(particle: str, p: float, bz: float, cos_theta: float) -> None:
     """The probability of chi-square is uniform (Kolmogorov-Smirnov, 1 in 16 000)."""
-    tracks = exact_sample(particle, p, bz).tracks
+    tracks = exact_sample(particle, p, bz, cos_theta).tracks
     assert kstest(chi2.sf(tracks["chi2"], tracks["ndf"]), "uniform").pvalue > 1 / 16_000
 
 
