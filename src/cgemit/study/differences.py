@@ -32,9 +32,9 @@ def x_rms(value: float, error: float, paper: float) -> str:
         text += (
             "Strips that fire where the crossing is projected cannot do worse than a rectangle one pitch wide: "
             f"650 um / sqrt(12) = {_LIMIT:.1f} um, so no projection model reaches 217.1 um. "
-            "What is missing are delta electrons, which move the clusters of about 0.5 % of the tracks by millimetres; "
-            "with them the RMS depends on the window of the residuals, which the paper does not state. They are not "
-            "simulated yet."
+            "What is missing are most likely delta electrons, which are not simulated yet: 0.5 % of the clusters moved "
+            "by 2.4 mm would make the difference. With them the RMS depends on the window of the residuals, which the "
+            "paper does not state."
         )
     return text
 
@@ -61,7 +61,10 @@ def gap_variant(gap: float, value: float, nominal: float) -> str:
     """Explain the numbers of a thinner drift gap."""
     change = value / nominal - 1
     more = "more" if change > 0 else "less"
-    return f"{100 * abs(change):.1f} % {more} than with the nominal gap: the crossing of a {gap:g} mm gap is shorter."
+    return (
+        "A variant of ours, since the paper does not state its drift gap. "
+        f"{100 * abs(change):.1f} % {more} than with the nominal gap: the crossing of a {gap:g} mm gap is shorter."
+    )
 
 
 def v_width(value: float, error: float, paper: float) -> str:
@@ -69,8 +72,9 @@ def v_width(value: float, error: float, paper: float) -> str:
     text = f"{deviation(value, error, paper).capitalize()}. "
     return text + (
         f"Centres of the fired strips: 650 um / sqrt(24) = {_PITCH / np.sqrt(24):.1f} um is expected if crossings are "
-        "long. This is an unbinned likelihood fit; the result of a least-squares fit to a histogram moves by several "
-        "per cent with its binning, which the paper does not state."
+        "long; those at the ends of the third layer lose part of their strips and widen it. This is an unbinned "
+        "likelihood fit; the result of a least-squares fit to a histogram moves by several per cent with its binning, "
+        "which the paper does not state."
     )
 
 

@@ -88,7 +88,7 @@ FIGURES: Mapping[str, PaperFigure] = {
         "chi2_probability",
         "χ² probability at 1 GeV/c",
         "Flat if the errors are right. The fit chooses the side of every wire, and choosing the smaller χ² lifts the "
-        "probability a little; with the sides given (`reveal_sides`) it is flat.",
+        "probability a little; with the sides given (DigitizeSettings(reveal_sides=True)) it is flat.",
     ),
     "event": PaperFigure(
         "event",

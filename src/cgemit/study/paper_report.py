@@ -55,7 +55,8 @@ def _comparison(study: Reproduction) -> TableOf:
     for row in study.results:
         published = f"{row.paper:g} {shown(row.unit)}" if row.paper is not None else "-"
         ours = f"{with_error(row.value, row.error)} {shown(row.unit)}".strip()
-        rows.append([row.title, published, ours, f"{row.note} Paper: {paper_values()[row.id].statistic}."])
+        quoted = f" Paper: {paper_values()[row.id].statistic}." if row.paper is not None else ""
+        rows.append([row.title, published, ours, row.note + quoted])
     return TableOf(
         ("quantity", "paper", "cgemit ± statistical error", "why they differ"), rows, frozenset({1, 2}), frozenset({3})
     )

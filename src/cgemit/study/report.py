@@ -27,9 +27,13 @@ figcaption { color: #4a5464; font-size: .92rem; margin-top: .5rem; }
 figcaption b { color: #1d2430; }
 .note { background: #fff7e8; border-left: 4px solid #e69f00; padding: .6rem .9rem; margin: 1rem 0; }
 .wide { overflow-x: auto; }
+table.many { font-size: .8rem; }
+table.many th, table.many td { padding: .35rem .4rem; }
 pre { background: #f4f6f9; padding: .8rem 1rem; overflow-x: auto; border-radius: 4px; }
 @media print { body { margin: 0; max-width: none; } h2, figure { break-inside: avoid; } }
 """
+
+_MANY = 8  # columns from which on a table is set smaller, so that the page holds it
 
 
 @dataclass(frozen=True)
@@ -138,4 +142,5 @@ def _table(table: TableOf) -> str:
     head = "".join(f"<th{attributes(i)}>{escape(text)}</th>" for i, text in enumerate(table.headers))
     cells = ("".join(f"<td{attributes(i)}>{escape(text)}</td>" for i, text in enumerate(row)) for row in table.rows)
     body = "\n".join(f"<tr>{row}</tr>" for row in cells)
-    return f'<div class="wide"><table><thead><tr>{head}</tr></thead><tbody>\n{body}\n</tbody></table></div>'
+    kind = ' class="many"' if len(table.headers) >= _MANY else ""
+    return f'<div class="wide"><table{kind}><thead><tr>{head}</tr></thead><tbody>\n{body}\n</tbody></table></div>'
