@@ -35,8 +35,10 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "bench", help="time each stage per track", description=_DESCRIPTION, epilog=_EXAMPLES,
         formatter_class=HelpFormatter,
     )  # fmt: skip
-    parser.add_argument("--events", type=positive, default=2000, metavar="N", help="a thread and run (default 2000)")
-    parser.add_argument("--threads", type=positive, default=1, metavar="N", help="at the same time (default 1)")
+    parser.add_argument(
+        "--events", type=positive, default=2000, metavar="N", help="tracks of each thread and run (default 2000)"
+    )
+    parser.add_argument("--threads", type=positive, default=1, metavar="N", help="threads at the same time (default 1)")
     parser.add_argument("--repeat", type=positive, default=5, metavar="N", help="runs of each stage (default 5)")
     parser.add_argument("--isa", choices=ISAS, default=ISAS[0], help="instruction set (only scalar in this version)")
     parser.add_argument("--json", action="store_true", help="write the numbers as JSON to stdout")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 
 from cgemit.cli import common
 
@@ -33,7 +34,9 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "--cos-theta", type=common.cosines, default=(-0.93, 0.93), metavar="LO:HI|VALUE",
         help="cosine of the polar angle: a value, or a range drawn uniformly (default -0.93:0.93)",
     )  # fmt: skip
-    parser.add_argument("--events", type=common.positive, default=5000, metavar="N", help="a momentum (default 5000)")
+    parser.add_argument(
+        "--events", type=common.positive, default=5000, metavar="N", help="at each momentum (default 5000)"
+    )
     parser.add_argument(
         "--method", choices=("mc",), default="mc", help="mc: simulated events (the only method of this version)"
     )
@@ -62,4 +65,6 @@ def run(arguments: argparse.Namespace) -> int:
         )  # fmt: skip
     result.save(arguments.output, overwrite=arguments.overwrite)
     print(json.dumps(result.summary(), indent=2) if arguments.json else result)
+    if not arguments.quiet:
+        print(f"curves: {arguments.output}/resolution.png", file=sys.stderr)
     return 0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 
 from cgemit.cli import common
 from cgemit.version import VERSION
@@ -90,4 +91,7 @@ def run(arguments: argparse.Namespace) -> int:
             summary["removed"] = result.removed()
         (folder / SUMMARY).write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
     print(json.dumps(summary, indent=2) if arguments.json else result)
+    if not arguments.quiet:
+        rest = "" if arguments.fit else " (without the fitted tracks: --fit writes them)"
+        print(f"tables: {arguments.output}{rest}", file=sys.stderr)
     return 0

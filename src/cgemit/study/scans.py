@@ -169,7 +169,7 @@ class Scan:
         with new_folder(folder, overwrite=overwrite) as place:
             write_csv(place / "resolution.csv", scan_columns(self.samples))
             (place / "detector.toml").write_text(self.samples[0].detector.to_toml(), encoding="utf-8")
-            labels = ("sigma(d_rho)", "sigma(d_z)", "sigma(p)")
+            labels = ("σ(d_ρ)", "σ(d_z)", "σ(p)")
             panels = [(label, [line]) for label, line in zip(labels, self.lines, strict=True)]
             draw_resolutions(panels, "p").save(place / "resolution")
             (place / SUMMARY).write_text(json.dumps(self.summary(), indent=2) + "\n", encoding="utf-8")
