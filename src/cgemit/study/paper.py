@@ -239,10 +239,10 @@ def _write(study: Reproduction, output: Path, overwrite: bool, progress: ShowPro
 
     start = time.perf_counter()
     with new_folder(output, overwrite=overwrite) as folder:
-        figures = write_figures(study, folder, _share(progress, 0.85, 1.0))
+        write_figures(study, folder, _share(progress, 0.85, 1.0))
         seconds = time.perf_counter() - start
         timings = {**study.timings, "figures_s": seconds, "total_s": study.timings["run_s"] + seconds}
         study = replace(study, timings=timings, folder=output)
-        (folder / "report.html").write_text(paper_report(study, figures, folder), encoding="utf-8")
+        (folder / "report.html").write_text(paper_report(study, folder), encoding="utf-8")
         (folder / SUMMARY).write_text(json.dumps(study.summary(), indent=2, allow_nan=False) + "\n", encoding="utf-8")
     return study

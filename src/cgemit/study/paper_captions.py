@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Literal
+
+Group = Literal["paper", "beyond", "display"]
 
 
 @dataclass(frozen=True)
@@ -14,10 +17,13 @@ class PaperFigure:
     ----------
     name : str
         File name without ending.
+    group : "paper", "beyond" or "display"
+        A figure of the paper, one that tells whether the errors are right, or the event that is drawn.
     title, caption : str
     """
 
     name: str
+    group: Group
     title: str
     caption: str
 
@@ -25,6 +31,7 @@ class PaperFigure:
 FIGURES: Mapping[str, PaperFigure] = {
     "layer": PaperFigure(
         "figure1_layer",
+        "paper",
         "Figure 1: one CGEM layer",
         "Drift gap, foils and anode of the innermost layer, across and along the beam, with a simulated track. Entry "
         "and exit of the drift gap are projected to the anode at unchanged φ and z; the strips in between fire. No "
@@ -32,66 +39,78 @@ FIGURES: Mapping[str, PaperFigure] = {
     ),
     "chain": PaperFigure(
         "figure2_chain",
+        "paper",
         "Figure 2: the chain",
         "Stages (rounded) and the tables in which they meet (square).",
     ),
     "cluster": PaperFigure(
         "figure3_cluster",
+        "paper",
         "Figure 3: an XV cluster",
         "The same crossing on the unrolled anode: fired X and V strips, the projected crossing (entry: circle, exit: "
         "square), the true position at mid-gap and the reconstructed one.",
     ),
     "residuals": PaperFigure(
         "figure4_residuals",
+        "paper",
         "Figure 4: X and V residuals of clusters",
         "mu- of 1 GeV/c in besiii-cgem-design, all three layers. Left: X, with its parts of one strip (a rectangle) "
         "and several strips. Right: V with an unbinned likelihood fit of a Gaussian to all entries.",
     ),
     "dr_dz": PaperFigure(
         "figure5_d_rho_d_z",
+        "paper",
         "Figure 5: d_ρ and d_z at 1 GeV/c",
         "Fitted minus true values at the closest approach to the beam line. The line is the Gaussian core, fitted by "
         "likelihood within three of its own widths; the RMS is that of the shown range, five core widths to each side.",
     ),
     "dr_dz_p": PaperFigure(
         "figure6_d_rho_d_z_vs_p",
+        "paper",
         "Figure 6: σ(d_ρ) and σ(d_z) against momentum",
         "Core widths; cos θ is uniform in ±0.93 at each momentum. The star is the paper's number at 1 GeV/c.",
     ),
     "p": PaperFigure(
         "figure7_p",
+        "paper",
         "Figure 7: momentum residual at 1 GeV/c",
         "Fitted minus true momentum; lines and numbers as in figure 5.",
     ),
     "p_p": PaperFigure(
         "figure8_p_vs_p",
+        "paper",
         "Figure 8: σ(p) against momentum",
         "Core widths; as in figure 6.",
     ),
     "pulls": PaperFigure(
         "pulls",
+        "beyond",
         "Pulls at 1 GeV/c",
         "Residual divided by the fit's own error for the five helix parameters and p, with width and mean of the core; "
         "dashed: the unit Gaussian that right errors give.",
     ),
     "pulls_p": PaperFigure(
         "pulls_vs_p",
+        "beyond",
         "Pulls against momentum",
         "Core widths of the pulls; 1 if the errors are right.",
     ),
     "cos_theta": PaperFigure(
         "resolution_vs_cos_theta",
+        "beyond",
         "Resolutions and pulls against cos θ at 1 GeV/c",
         "Core widths of the residuals (top) and of the pulls (bottom).",
     ),
     "chi2": PaperFigure(
         "chi2_probability",
+        "beyond",
         "χ² probability at 1 GeV/c",
         "Flat if the errors are right. The fit chooses the side of every wire, and choosing the smaller χ² lifts the "
         "probability a little; with the sides given (DigitizeSettings(reveal_sides=True)) it is flat.",
     ),
     "event": PaperFigure(
         "event",
+        "display",
         "The event of figures 1 and 3",
         "True crossings, clusters, drift circles and the fitted track.",
     ),

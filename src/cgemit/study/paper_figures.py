@@ -11,7 +11,7 @@ import numpy as np
 from cgemit.draw import chain_diagram, cluster, curves, event
 from cgemit.draw.style import COLORS, Picture, new_picture, style
 from cgemit.study.goodness import chi2_probability
-from cgemit.study.paper_captions import FIGURES, PaperFigure
+from cgemit.study.paper_captions import FIGURES
 from cgemit.study.present import with_error
 from cgemit.study.records import Line, paper_values, write_csv
 from cgemit.study.resolutions import pulls
@@ -29,43 +29,37 @@ _SIGMAS = {"dr": "σ(d_ρ)", "dz": "σ(d_z)", "p": "σ(p)"}
 _PARTS = {"single strip": (COLORS["single"], "one strip"), "several strips": (COLORS["multi"], "several strips")}
 
 
-def write_figures(study: Reproduction, folder: Path, progress: ShowProgress | None = None) -> list[PaperFigure]:
-    """Write all figures as PNG and PDF and the tables behind them as CSV.
-
-    Returns
-    -------
-    list of PaperFigure
-        In the order of the report.
-    """
-    chosen, makers = [], _makers(study)
-    for number, (figure, make) in enumerate(makers):
+def write_figures(study: Reproduction, folder: Path, progress: ShowProgress | None = None) -> None:
+    """Write all figures as PNG and PDF, and the tables behind them and all momentum scans as CSV."""
+    makers = _makers(study)
+    for number, (key, figure) in enumerate(FIGURES.items()):
         if progress:
-            progress(number / len(makers), f"drawing {figure.name}")
-        make(folder).save(folder / figure.name)
-        chosen.append(figure)
+            progress(number / len(FIGURES), f"drawing {figure.name}")
+        path = folder / figure.name
+        makers[key](path).save(path)
+    write_csv(folder / "momentum_scan.csv", scan_columns([s for scan in study.scans.values() for s in scan]))
     if progress:
         progress(1.0, "writing")
-    return chosen
 
 
-def _makers(study: Reproduction) -> list[tuple[PaperFigure, Callable[[Path], Picture]]]:
-    """Return the figures with the function that draws each and writes its table."""
+def _makers(study: Reproduction) -> dict[str, Callable[[Path], Picture]]:
+    """Return by figure what draws it and writes its tables, given the figure's path without ending."""
     number = good_event(study.display)
-    return [
-        (FIGURES["layer"], lambda folder: cluster.draw_projection(study.display, number)),
-        (FIGURES["chain"], lambda folder: chain_diagram.draw_chain()),
-        (FIGURES["cluster"], lambda folder: cluster.draw_cluster(study.display, number)),
-        (FIGURES["residuals"], lambda folder: _cluster_residuals(study, folder)),
-        (FIGURES["dr_dz"], lambda folder: _track_residuals(study, folder, ("dr", "dz"), "figure5_d_rho_d_z")),
-        (FIGURES["dr_dz_p"], lambda folder: _against_momentum(study, folder, ("dr", "dz"), "figure6_d_rho_d_z_vs_p")),
-        (FIGURES["p"], lambda folder: _track_residuals(study, folder, ("p",), "figure7_p")),
-        (FIGURES["p_p"], lambda folder: _against_momentum(study, folder, ("p",), "figure8_p_vs_p")),
-        (FIGURES["pulls"], lambda folder: _pulls(study, folder)),
-        (FIGURES["pulls_p"], lambda folder: _pulls_against_momentum(study, folder)),
-        (FIGURES["cos_theta"], lambda folder: _against_angle(study, folder)),
-        (FIGURES["chi2"], lambda folder: _probabilities(study, folder)),
-        (FIGURES["event"], lambda folder: event.draw_event(study.display, number)),
-    ]
+    return {
+        "layer": lambda path: cluster.draw_projection(study.display, number),
+        "chain": lambda path: chain_diagram.draw_chain(),
+        "cluster": lambda path: cluster.draw_cluster(study.display, number),
+        "residuals": lambda path: _cluster_residuals(study, path),
+        "dr_dz": lambda path: _track_residuals(study, path, ("dr", "dz")),
+        "dr_dz_p": lambda path: _against_momentum(study, path, ("dr", "dz")),
+        "p": lambda path: _track_residuals(study, path, ("p",)),
+        "p_p": lambda path: _against_momentum(study, path, ("p",)),
+        "pulls": lambda path: _pulls(study, path),
+        "pulls_p": lambda path: _pulls_against_momentum(study, path),
+        "cos_theta": lambda path: _against_angle(study, path),
+        "chi2": lambda path: _probabilities(study, path),
+        "event": lambda path: event.draw_event(study.display, number),
+    }
 
 
 def good_event(result: Result, layer: int = 0) -> int:
@@ -82,11 +76,11 @@ def good_event(result: Result, layer: int = 0) -> int:
     return first + int(np.argmin(distance))
 
 
-def _cluster_residuals(study: Reproduction, folder: Path) -> Picture:
+def _cluster_residuals(study: Reproduction, path: Path) -> Picture:
     residuals = study.samples["cgem"].clusters
     x, v = x_spectrum(residuals), v_spectrum(residuals)
-    write_csv(folder / "figure4_x_residual.csv", x.columns())
-    write_csv(folder / "figure4_v_residual.csv", v.columns())
+    write_csv(path.with_name("figure4_x_residual.csv"), x.columns())
+    write_csv(path.with_name("figure4_v_residual.csv"), v.columns())
     with style():
         picture, axes = new_picture(1, 2, (12.4, 4.8))
         curves.draw_parts(axes[0], x, _PARTS, "X clusters")
@@ -95,7 +89,7 @@ def _cluster_residuals(study: Reproduction, folder: Path) -> Picture:
     return picture
 
 
-def _track_residuals(study: Reproduction, folder: Path, names: Sequence[str], stem: str) -> Picture:
+def _track_residuals(study: Reproduction, path: Path, names: Sequence[str]) -> Picture:
     """Draw residuals at 1 GeV/c: one row for each detector, one column for each parameter."""
     samples = [study.samples["cgem"], study.samples["idc"]]
     with style():
@@ -105,24 +99,22 @@ def _track_residuals(study: Reproduction, folder: Path, names: Sequence[str], st
         cells = [(sample, name) for sample in samples for name in names]
         for plot, (sample, name) in zip(axes, cells, strict=True):
             spectrum = track_spectrum(sample.tracks, name)
-            write_csv(folder / f"{stem}_{name}_{sample.detector.name}.csv", spectrum.columns())
+            write_csv(path.with_name(f"{path.name}_{name}_{sample.detector.name}.csv"), spectrum.columns())
             curves.draw_spectrum(plot, spectrum, sample.detector.name)
         top, bottom = (0.96, 0.07) if rows > 1 else (0.93, 0.12)
         picture.subplots_adjust(left=0.065, right=0.985, top=top, bottom=bottom, wspace=0.2, hspace=0.26)
     return picture
 
 
-def _against_momentum(study: Reproduction, folder: Path, names: Sequence[str], stem: str) -> Picture:
+def _against_momentum(study: Reproduction, path: Path, names: Sequence[str]) -> Picture:
     lines = {name: [momentum_line(scan, name) for scan in study.scans.values()] for name in names}
-    _write_lines(folder / f"{stem}.csv", [line for group in lines.values() for line in group])
-    if stem.startswith("figure6"):
-        write_csv(folder / "momentum_scan.csv", scan_columns([s for scan in study.scans.values() for s in scan]))
+    _write_lines(_table(path), [line for group in lines.values() for line in group])
     published = [paper_values()[f"sigma_{name}"].value for name in names]
     points = [(1.0, value) if value is not None else None for value in published]
     return curves.draw_resolutions([(_SIGMAS[name], group) for name, group in lines.items()], "p", points)
 
 
-def _pulls(study: Reproduction, folder: Path) -> Picture:
+def _pulls(study: Reproduction, path: Path) -> Picture:
     samples = {s.detector.name: s for s in (study.samples["cgem"], study.samples["idc"])}
     widths = {name: pulls(sample.tracks) for name, sample in samples.items()}
     texts = {name: {SYMBOLS[w.parameter]: _width_and_mean(w) for w in each} for name, each in widths.items()}
@@ -134,7 +126,7 @@ def _pulls(study: Reproduction, folder: Path) -> Picture:
             for what in ("core", "core_mean", "rms", "mean"):
                 columns.setdefault(what, []).append(getattr(w, what))
                 columns.setdefault(f"{what}_error", []).append(getattr(w, f"{what}_error"))
-    write_csv(folder / "pulls.csv", columns)
+    write_csv(_table(path), columns)
     values = {
         name: {symbol: sample.tracks[f"pull_{p}"][sample.tracks["status"] == 0] for p, symbol in SYMBOLS.items()}
         for name, sample in samples.items()
@@ -147,30 +139,35 @@ def _width_and_mean(pull: Resolution) -> str:
     return f"width {width}, mean {mean}"
 
 
-def _pulls_against_momentum(study: Reproduction, folder: Path) -> Picture:
+def _pulls_against_momentum(study: Reproduction, path: Path) -> Picture:
     lines = {p: [pull_line(scan, p) for scan in study.scans.values()] for p in SYMBOLS}
-    _write_lines(folder / "pulls_vs_p.csv", [line for group in lines.values() for line in group])
+    _write_lines(_table(path), [line for group in lines.values() for line in group])
     panels = [(f"core width, pull of {SYMBOLS[p]}", group) for p, group in lines.items()]
     return curves.draw_grid([panels[:3], panels[3:]], "p", unity_rows=(0, 1))
 
 
-def _against_angle(study: Reproduction, folder: Path) -> Picture:
+def _against_angle(study: Reproduction, path: Path) -> Picture:
     edges = np.linspace(-0.93, 0.93, _ANGLE_BINS + 1)
     samples = [study.samples["cgem"], study.samples["idc"]]
     pairs = {p: [angle_lines(s.tracks, s.detector.name, p, edges) for s in samples] for p in QUOTED_PARAMETERS}
     widths = [(_SIGMAS[p], [pair[0] for pair in group]) for p, group in pairs.items()]
     ratios = [(f"core width, pull of {SYMBOLS[p]}", [pair[1] for pair in group]) for p, group in pairs.items()]
-    _write_lines(folder / "resolution_vs_cos_theta.csv", [line for _, group in (*widths, *ratios) for line in group])
+    _write_lines(_table(path), [line for _, group in (*widths, *ratios) for line in group])
     return curves.draw_grid([widths, ratios], "cos θ", unity_rows=(1,))
 
 
-def _probabilities(study: Reproduction, folder: Path) -> Picture:
+def _probabilities(study: Reproduction, path: Path) -> Picture:
     values = {s.detector.name: chi2_probability(s.tracks) for s in (study.samples["cgem"], study.samples["idc"])}
     edges = np.linspace(0, 1, 41)
     columns = {"low": edges[:-1].tolist(), "high": edges[1:].tolist()}
     counts = {name: np.histogram(each, edges)[0].tolist() for name, each in values.items()}
-    write_csv(folder / "chi2_probability.csv", columns | counts)
+    write_csv(_table(path), columns | counts)
     return curves.draw_probabilities(values)
+
+
+def _table(path: Path) -> Path:
+    """Return where the table of a figure stands, given the figure's path without ending."""
+    return path.with_name(f"{path.name}.csv")
 
 
 def _write_lines(path: Path, lines: Sequence[Line]) -> None:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cgemit.study.estimate import HEAD
+from cgemit.study.paper_captions import FIGURES, Group
 from cgemit.study.present import with_error
 from cgemit.study.records import paper_values, shown
 from cgemit.study.report import Code, Image, Note, Part, Section, TableOf, html_report
@@ -16,7 +16,6 @@ from cgemit.version import VERSION
 
 if TYPE_CHECKING:
     from cgemit.study.paper import Reproduction
-    from cgemit.study.paper_captions import PaperFigure
     from cgemit.study.samples import Sample
 
 _TITLE = "Cluster reconstruction and track fit of the BESIII CGEM inner tracker"
@@ -26,28 +25,31 @@ _HITS = (
 )
 
 
-def paper_report(study: Reproduction, figures: Sequence[PaperFigure], folder: Path) -> str:
+def paper_report(study: Reproduction, folder: Path) -> str:
     """Return the page with the comparison, the figures in `folder`, and all resolutions and pulls."""
     lead = (
         f"arXiv:1504.02570 (Chin. Phys. C 40 (2016) 016201) reproduced with cgemit {VERSION}: "
         f"{study.inputs.events:,} mu- of 1 GeV/c for each detector and {study.inputs.events_per_momentum:,} at each of "
         f"{len(study.scans['cgem'])} momenta, seed {study.inputs.seed}."
     )
-    images = [Image(folder / f"{f.name}.png", f.title, f.caption) for f in figures]
     return html_report(
         f"{_TITLE}: the paper and cgemit",
         lead,
         [
             Section("The paper's numbers", [_comparison(study), Note(_HITS)]),
-            Section("Figures of the paper", images[:8]),
-            Section("Are the errors right?", images[8:12]),
+            Section("Figures of the paper", _images(folder, "paper")),
+            Section("Are the errors right?", _images(folder, "beyond")),
             Section("Resolutions at 1 GeV/c", [*_resolutions(study)]),
             Section("Pulls at 1 GeV/c", [_pulls(study)]),
             Section("Rows removed by status", [_removed(study)]),
-            Section("The event that is drawn", images[12:]),
+            Section("The event that is drawn", _images(folder, "display")),
             Section("How to repeat this", _repeat(study)),
         ],
     )
+
+
+def _images(folder: Path, group: Group) -> list[Part]:
+    return [Image(folder / f"{f.name}.png", f.title, f.caption) for f in FIGURES.values() if f.group == group]
 
 
 def _comparison(study: Reproduction) -> TableOf:
