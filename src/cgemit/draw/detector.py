@@ -12,7 +12,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Annulus, Patch, Rectangle
 
 from cgemit.detector import CgemLayer, Detector, Shell, WireLayer
-from cgemit.draw.geometry import wire_layers, wire_positions
+from cgemit.draw.geometry import wire_layers, wire_positions, wire_profile
 from cgemit.draw.style import COLORS, Picture, new_picture, style
 
 _PARTS = {
@@ -103,9 +103,7 @@ def draw_xy(detector: Detector, ax: Axes | None = None, r_max: float | None = No
         Outer edge of the view, mm; default: the whole detector.
     """
     with style():
-        ax = ax or new_picture(size=(6.6, 6.4))[1][0]
-        edge = r_max or _outer_edge(detector)
-        rings = [ring for ring in _rings(detector) if ring.r_in < edge]
+        ax, edge, rings = _view(detector, ax, r_max, (6.6, 6.4))
         for ring in rings:
             # Thin cylinders stay visible: the edge line has a width of its own.
             width = ring.r_out - ring.r_in
@@ -132,9 +130,7 @@ def draw_rz(detector: Detector, ax: Axes | None = None, r_max: float | None = No
         Outer edge of the view, mm; default: the whole detector.
     """
     with style():
-        ax = ax or new_picture(size=(9.6, 5.4))[1][0]
-        edge = r_max or _outer_edge(detector)
-        rings = [ring for ring in _rings(detector) if ring.r_in < edge]
+        ax, edge, rings = _view(detector, ax, r_max, (9.6, 5.4))
         layers = [layer for layer in wire_layers(detector) if layer.r_mid < edge]
         reach = 1.12 * max([ring.half_length for ring in rings] + [layer.half_length for layer in layers])
         for ring in rings:
@@ -142,10 +138,7 @@ def draw_rz(detector: Detector, ax: Axes | None = None, r_max: float | None = No
             size = (2 * ring.half_length, ring.r_out - ring.r_in)
             ax.add_patch(Rectangle(corner, *size, facecolor=color, edgecolor=color, linewidth=0.5))
         for layer in layers:
-            z = np.linspace(-layer.half_length, layer.half_length, 41)
-            sag = layer.r_end**2 - layer.r_mid**2
-            r = np.sqrt(layer.r_mid**2 + sag * (z / layer.half_length) ** 2)  # straight stereo wires: a hyperbola
-            ax.plot(z, r, color=_WIRES[_kind(layer)], linewidth=0.6)
+            ax.plot(*wire_profile(layer), color=_WIRES[_kind(layer)], linewidth=0.6)
         for cgem in detector.cgem:
             place = (cgem.half_length + 0.008 * reach, cgem.r_mid)
             ax.annotate(cgem.label, place, va="center", fontsize=8.5, fontweight="bold", color=COLORS["text"])
@@ -186,6 +179,14 @@ def draw_layer(layer: CgemLayer, ax: Axes | None = None) -> Axes:
         handles = [Patch(facecolor=color, edgecolor="#999999", label=name) for name, color in colors.items()]
         ax.legend(handles=handles, loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=8)
     return ax
+
+
+def _view(
+    detector: Detector, ax: Axes | None, r_max: float | None, size: tuple[float, float]
+) -> tuple[Axes, float, list[_Ring]]:
+    """Return given axes or new ones of a size in inches, the outer edge of the view in mm, and the rings in it."""
+    edge = r_max or _outer_edge(detector)
+    return ax or new_picture(size=size)[1][0], edge, [ring for ring in _rings(detector) if ring.r_in < edge]
 
 
 def _rings(detector: Detector) -> Iterator[_Ring]:

@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.collections import EllipseCollection, LineCollection
 from matplotlib.patches import Rectangle, Wedge
 
-from cgemit.draw.geometry import helix_points, wire_layers, wire_positions
+from cgemit.draw.geometry import helix_points, wire_layers, wire_positions, wire_profile
 from cgemit.draw.style import COLORS, Picture, legend_entries, new_picture, style
 from cgemit.tables import Table
 
@@ -144,7 +144,7 @@ def _longitudinal_detector(axes: Axes, detector: Detector) -> None:
     for part in (*detector.beam_pipe, *detector.walls):
         corner = (-part.half_length, part.r_in)
         axes.add_patch(Rectangle(corner, 2 * part.half_length, max(part.thickness, 0.8), color=COLORS["matter"], lw=0))
-    lines = [[(-layer.half_length, layer.r_mid), (layer.half_length, layer.r_mid)] for layer in wire_layers(detector)]
+    lines = [np.column_stack(wire_profile(layer)) for layer in wire_layers(detector)]
     axes.add_collection(LineCollection(lines, colors="#E1E5EA", linewidths=0.6))
 
 

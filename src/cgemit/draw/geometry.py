@@ -66,3 +66,10 @@ def wire_positions(layer: WireLayer, wires: npt.NDArray[np.integer[Any]], z: Arr
     x = layer.r_end * (share * np.cos(east) + (1 - share) * np.cos(west))
     y = layer.r_end * (share * np.sin(east) + (1 - share) * np.sin(west))
     return x, y
+
+
+def wire_profile(layer: WireLayer) -> tuple[Array, Array]:
+    """Return z and r, (41,) float64 mm, along the wires of a layer: a hyperbola for straight stereo wires."""
+    z = np.linspace(-layer.half_length, layer.half_length, 41)
+    sag = layer.r_end**2 - layer.r_mid**2
+    return z, np.sqrt(layer.r_mid**2 + sag * (z / layer.half_length) ** 2)
