@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from cgemit import _core
 from cgemit.detector import Detector, compiled
+from cgemit.detector.slabs import cgem_table
 from cgemit.helix import RADIUS_PER_KAPPA
 from cgemit.tables import Table
 
@@ -95,8 +96,7 @@ def cluster_errors(detector: Detector, settings: ClusterSettings) -> tuple[Float
     err_x, err_v : ndarray, (layers, MAX_SIZE) float64, mm
         Column n - 1 holds for n strips, the last one for all larger clusters, too.
     """
-    core = compiled(detector)
-    return error_table(_core.cgem_columns(core), core.bz, settings)
+    return error_table(cgem_table(detector), detector.field.bz, settings)
 
 
 def error_table(cgem: dict[str, Any], bz: float, settings: ClusterSettings) -> tuple[Floats, Floats]:
@@ -105,7 +105,7 @@ def error_table(cgem: dict[str, Any], bz: float, settings: ClusterSettings) -> t
     Parameters
     ----------
     cgem : dict of str to ndarray
-        Columns of the compiled detector's layers.
+        Columns of `cgem_table`.
     bz : float
         T, of either sign.
     settings : ClusterSettings
@@ -134,7 +134,7 @@ def reference_widths(layer: dict[str, Any], bz: float, settings: ClusterSettings
     Parameters
     ----------
     layer : dict of str to float
-        One row of the compiled detector's layers.
+        One row of `cgem_table`.
     bz : float
         T.
     settings : ClusterSettings

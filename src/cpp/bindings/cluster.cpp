@@ -37,30 +37,9 @@ py::dict clusters(const Detector& detector, const py::dict& table, const Array<d
   return to_dict(std::move(found));
 }
 
-// The CGEM layers as the columns that the detector was made from.
-py::dict cgem_columns(const Detector& detector) {
-  py::dict out;
-  const auto add = [&](const char* name, auto member) {
-    using T = std::remove_cvref_t<decltype(std::declval<CgemLayer>().*member)>;
-    std::vector<T> values;
-    for (const CgemLayer& layer : detector.cgem) values.push_back(layer.*member);
-    out[name] = to_numpy(std::move(values));
-  };
-  add("r_readout", &CgemLayer::r_readout);
-  add("r_gap_in", &CgemLayer::r_gap_in);
-  add("r_gap_out", &CgemLayer::r_gap_out);
-  add("half_length", &CgemLayer::half_length);
-  add("pitch_x", &CgemLayer::pitch_x);
-  add("pitch_v", &CgemLayer::pitch_v);
-  add("stereo", &CgemLayer::stereo);
-  return out;
-}
-
 }  // namespace
 
 void bind_cluster(py::module_& module) {
-  module.def("cgem_columns", &cgem_columns, py::arg("detector"),
-             "What cluster errors need of the CGEM layers: radii, half length, pitches, stereo angle.");
   module.def("find_clusters", &clusters, py::arg("detector"), py::arg("digis"), py::kw_only(),
              py::arg("err_x"), py::arg("err_v"), "Columns of clusters from columns of digis.");
 }
