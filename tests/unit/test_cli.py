@@ -1,5 +1,6 @@
 """The command line: exit codes, values, output folders, interruption."""
 
+import csv
 import json
 import os
 import signal
@@ -179,6 +180,67 @@ def test_variants_from_the_shell(tmp_path):
     assert main([*SIMULATE, *options, "-o", str(tmp_path / "out")]) == 0
     detector = load(tmp_path / "out" / "detector.toml")
     assert (detector.cgem[1].pitch_x, detector.field.bz) == (0.5, 1.5)
+
+
+def test_several_detectors_give_one_table_each_and_one_file_of_all(tmp_path, capsys):
+    thin = tmp_path / "thin.toml"
+    thin.write_text('base = "besiii-cgem-design"\n[cgem.L1]\ndrift_gap = "3 mm"\n', encoding="utf-8")
+    names = ["besiii-cgem-design", "thin", "besiii-idc"]
+    assert main([*RESOLUTION, "-d", str(thin), "-d", "besiii-idc", "-o", str(tmp_path / "all")]) == 0
+    tables = capsys.readouterr().out.split("\n\n")
+    assert [table.split(",")[0] for table in tables] == names
+    with (tmp_path / "all" / "resolution.csv").open(encoding="utf-8") as stream:
+        rows = list(csv.DictReader(stream))
+    assert [(row["detector"], row["p (GeV/c)"]) for row in rows] == [(name, p) for name in names for p in ("0.5", "1")]
+    summary = json.loads((tmp_path / "all" / "summary.json").read_text())
+    assert summary["inputs"]["detectors"] == names
+    curves = [(curve["detector"], curve["id"]) for curve in summary["curves"]]
+    assert curves == [(name, f"sigma_{what}") for name in names for what in ("dr", "dz", "p")]
+    assert len({tuple(curve["y"]) for curve in summary["curves"]}) == 9
+    assert load(tmp_path / "all" / "detector-2-thin.toml") == load(thin)
+    assert main([*RESOLUTION, "-o", str(tmp_path / "one"), "--json"]) == 0  # alone it has the same curves
+    assert json.loads(capsys.readouterr().out)["curves"] == summary["curves"][:3]
+
+
+def test_changes_apply_to_every_detector(tmp_path):
+    arguments = [*RESOLUTION, "-d", "besiii-idc", "--set", "field.bz=1.5 T", "-o", str(tmp_path / "out")]
+    assert main(arguments) == 0
+    files = sorted((tmp_path / "out").glob("detector-*.toml"))
+    assert [(load(file).name, load(file).field.bz) for file in files] == [
+        ("besiii-cgem-design-modified", 1.5),
+        ("besiii-idc-modified", 1.5),
+    ]
+
+
+@pytest.mark.parametrize("command", [RESOLUTION, [*SIMULATE, "--json"]])
+def test_a_variant_has_the_name_it_is_given(command, tmp_path, capsys):
+    assert main([*command, "--set", "field.bz=1.5 T", "--name", "strong field", "-o", str(tmp_path / "out")]) == 0
+    assert "strong field" in capsys.readouterr().out
+    assert "strong field" in (tmp_path / "out" / "summary.json").read_text()
+    detector = load(tmp_path / "out" / "detector.toml")
+    assert (detector.name, detector.field.bz) == ("strong field", 1.5)
+
+
+@pytest.mark.parametrize(
+    ("options", "messages"),
+    [
+        (["-d", "besiii-cgem-design"], ["2 detectors of the name 'besiii-cgem-design'"]),
+        (["-d", "besiii-idc", "--name", "x"], ["--name", "2 detectors"]),
+        (["--name", " "], ["--name: got ' '"]),
+        (["-d", "besiii-adc", "-d", "besiii-cgam"], ["besiii-adc", "besiii-cgam"]),
+        (["-d", "besiii-idc", "--set", "cgem.L1.sheets=1"], ["besiii-idc: 1 problem"]),
+    ],
+)
+def test_mistakes_about_several_detectors(options, messages, tmp_path, capsys):
+    assert main([*RESOLUTION, *options, "-o", str(tmp_path / "never")]) == 2
+    text = capsys.readouterr().err
+    assert [message for message in messages if message not in text] == []
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_simulate_takes_one_detector(tmp_path, capsys):
+    assert main([*SIMULATE, "-d", "besiii-idc", "-o", str(tmp_path / "never")]) == 2
+    assert "got a second one, besiii-idc" in capsys.readouterr().err
 
 
 def test_simulate_writes_tables(tmp_path, capsys):

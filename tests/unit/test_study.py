@@ -12,6 +12,7 @@ from test_report import outline
 
 import cgemit
 from cgemit import draw
+from cgemit.draw.curves import draw_resolutions
 from cgemit.draw.geometry import helix_points, near
 from cgemit.study import reproduce
 from cgemit.study.cluster_residuals import cluster_residuals
@@ -256,6 +257,15 @@ def test_scan_prints_and_refuses_to_overwrite(tmp_path):
     with pytest.raises(FileExistsError):
         result.save(tmp_path / "out")
     assert result.lines[0].y[0] > result.lines[0].y[1]
+
+
+def test_every_curve_of_a_picture_has_a_look_of_its_own():
+    x = np.array([1.0, 2.0])
+    lines = [Line("sigma_p", f"d{i}", x, "GeV/c", x, 0.1 * x, "MeV/c") for i in range(12)]
+    (axes,) = draw_resolutions([("σ(p)", lines)], "p").axes
+    curves = [bars.lines[0] for bars in axes.containers]
+    assert len({(curve.get_marker(), curve.get_color()) for curve in curves}) == 12
+    assert [text.get_text() for text in axes.get_legend().get_texts()] == [f"d{i}" for i in range(12)]
 
 
 def test_line_without_value_is_null_in_json():

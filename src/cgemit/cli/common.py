@@ -36,21 +36,39 @@ class InputError(ValueError):
     """Wrong values on the command line; every problem is a line of the message."""
 
 
+class _Once(argparse.Action):
+    """Store a value, and complain about a second one, of which the first would get lost."""
+
+    def __call__(
+        self, parser: argparse.ArgumentParser, namespace: argparse.Namespace, values: object, option: str | None = None
+    ) -> None:
+        if getattr(namespace, self.dest) is not None:
+            raise argparse.ArgumentError(self, f"got a second one, {values}; expected one")
+        setattr(namespace, self.dest, values)
+
+
 def add_common(parser: argparse.ArgumentParser) -> None:
     """Add the options that every sub-command with a run has."""
     parser.add_argument("--quiet", action="store_true", help="no progress on stderr")
     parser.add_argument("--debug", action="store_true", help="show where in the program an error arose")
 
 
-def add_detector(parser: argparse.ArgumentParser) -> None:
-    """Add `--detector` and `--set`."""
+def add_detector(parser: argparse.ArgumentParser, *, several: bool = False) -> None:
+    """Add `--detector`, which may be repeated if there are `several`, `--set` and `--name`."""
     parser.add_argument(
-        "-d", "--detector", required=True, metavar="NAME|FILE",
-        help="a preset (see: cgemit detectors) or a detector file in TOML",
+        "-d", "--detector", action="append" if several else _Once, required=True, metavar="NAME|FILE",
+        help="a preset (see: cgemit detectors) or a detector file in TOML"
+        + ("; repeat it to compare detectors" if several else ""),
     )  # fmt: skip
     parser.add_argument(
         "--set", action="append", default=[], metavar="KEY=VALUE", dest="overrides",
-        help='change one value of the detector, such as cgem.L2.pitch_x="500 um"; may be repeated',
+        help='change one value of the detector, such as cgem.L2.pitch_x="500 um"; may be repeated'
+        + (", and applies to every detector given" if several else ""),
+    )  # fmt: skip
+    parser.add_argument(
+        "--name", metavar="NAME",
+        help=("with one detector: " if several else "") + "what results call it (default: its own name, "
+        "with -modified after --set)",
     )  # fmt: skip
 
 
@@ -74,12 +92,55 @@ def add_run(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
 
 
-def load_detector(arguments: argparse.Namespace) -> Detector:
-    """Return the detector of `--detector` with the changes of `--set`."""
+def load_detector(arguments: argparse.Namespace, name: str | None = None) -> Detector:
+    """Return the detector of `--detector` with the changes of `--set`, under a name of its own if there is one."""
+    return _load(arguments.detector, _overrides(arguments, name))
+
+
+def load_detectors(arguments: argparse.Namespace) -> list[Detector]:
+    """Return all detectors of `--detector` with the changes of `--set`; their names are distinct.
+
+    Raises
+    ------
+    InputError
+        With all problems of all detectors, or the names that several of them have.
+    """
+    from cgemit.detector import DetectorError
+
+    sources = arguments.detector
+    if arguments.name is not None and len(sources) > 1:
+        raise InputError(f"--name: got a name for {len(sources)} detectors; expected one detector")
+    overrides = _overrides(arguments, arguments.name)
+    detectors, problems = [], []
+    for source in sources:
+        try:
+            detectors.append(_load(source, overrides))
+        except DetectorError as error:
+            problems.append(str(error))
+    by_name: dict[str, list[str]] = {}
+    for source, detector in zip(sources, detectors, strict=not problems):
+        by_name.setdefault(detector.name, []).append(source)
+    problems = problems or [
+        f"-d: got {len(given)} detectors of the name {name!r} ({', '.join(given)}); expected distinct names, "
+        'as `name = "..."` in a detector file'
+        for name, given in by_name.items()
+        if len(given) > 1
+    ]
+    if problems:
+        raise InputError("\n".join(problems))
+    return detectors
+
+
+def _overrides(arguments: argparse.Namespace, name: str | None) -> dict[str, object]:
+    if name is not None and not name.strip():
+        raise InputError(f"--name: got {name!r}; expected a name")
+    return dict(_override(text) for text in arguments.overrides) | ({} if name is None else {"name": name.strip()})
+
+
+def _load(source: str, overrides: dict[str, object]) -> Detector:
     from cgemit.detector import load
 
-    detector = load(arguments.detector)
-    overrides = dict(_override(text) for text in arguments.overrides)
+    detector = load(source)
     return detector.with_overrides(overrides) if overrides else detector
 
 

@@ -9,15 +9,17 @@ import sys
 from cgemit.cli import common
 
 _DESCRIPTION = """\
-Resolutions sigma(d_rho), sigma(d_z) and sigma(p) of one detector against momentum, from simulated and fitted tracks.
-The table goes to stdout; the folder gets resolution.csv, summary.json and the curves as PNG and PDF."""
+Resolutions sigma(d_rho), sigma(d_z) and sigma(p) of one or several detectors against momentum, from simulated and
+fitted tracks. A table for each detector goes to stdout; the folder gets resolution.csv, summary.json, the detectors
+as TOML, and the curves of all detectors in one picture as PNG and PDF."""
 
 _EXAMPLES = """\
 Momenta are one number, A,B,C, or START:STOP:COUNT with both ends; in GeV/c unless a unit is given.
 
 examples:
   cgemit resolution -d besiii-cgem-design --p 0.2:2.0:10 -o curves
-  cgemit resolution -d besiii-cgem-design --set cgem.L2.pitch_x="500 um" --p 0.5,1 --cos-theta 0 -o variant
+  cgemit resolution -d besiii-cgem-design --set cgem.L1.drift_gap="3 mm" --name thin-gap --p 0.2:2.0:10 -o thin
+  cgemit resolution -d besiii-cgem-design -d thin/detector.toml -d besiii-idc --p 0.2:2.0:10 -o compared
   cgemit resolution -d besiii-idc --particle pi+ --p 1 --cos-theta -0.8:0.8 --events 20000 -o pions --json"""
 
 
@@ -27,7 +29,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "resolution", help="resolutions of a detector against momentum", description=_DESCRIPTION, epilog=_EXAMPLES,
         formatter_class=common.HelpFormatter,
     )  # fmt: skip
-    common.add_detector(parser)
+    common.add_detector(parser, several=True)
     parser.add_argument("--particle", default="mu-", help="PDG name or number (default mu-)")
     parser.add_argument("--p", type=common.momenta, required=True, metavar="VALUES", help="momenta, GeV/c")
     parser.add_argument(
@@ -51,20 +53,20 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the scan."""
     from cgemit.cli.progress import Progress
     from cgemit.io.folders import check_free
-    from cgemit.study.scans import scan
+    from cgemit.study.scans import save_scans, scan_detectors, summary_of
 
     if isinstance(arguments.p, tuple):
         raise common.InputError("--p: got a range of two numbers; expected momenta, as START:STOP:COUNT or A,B,C")
     check_free(arguments.output, overwrite=arguments.overwrite)
-    detector = common.load_detector(arguments)
+    detectors = common.load_detectors(arguments)
     momenta = arguments.p if isinstance(arguments.p, list) else [arguments.p]
     with Progress("resolution", quiet=arguments.quiet) as progress:
-        result = scan(
-            detector, momenta, particle=arguments.particle, cos_theta=arguments.cos_theta, events=arguments.events,
+        scans = scan_detectors(
+            detectors, momenta, particle=arguments.particle, cos_theta=arguments.cos_theta, events=arguments.events,
             seed=arguments.seed, threads=arguments.threads, progress=progress,
         )  # fmt: skip
-    result.save(arguments.output, overwrite=arguments.overwrite)
-    print(json.dumps(result.summary(), indent=2) if arguments.json else result)
+    save_scans(scans, arguments.output, overwrite=arguments.overwrite)
+    print(json.dumps(summary_of(scans), indent=2) if arguments.json else "\n\n".join(map(str, scans)))
     if not arguments.quiet:
         print(f"curves: {arguments.output}/resolution.png", file=sys.stderr)
     return 0

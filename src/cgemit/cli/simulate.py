@@ -21,7 +21,8 @@ momenta in GeV/c, angles in rad, lengths in mm unless a unit is given, as in "50
 examples:
   cgemit simulate -d besiii-cgem-design --particle mu- --p 1 --cos-theta -0.93:0.93 -n 10000 --fit -o muons
   cgemit simulate -d besiii-cgem --particle pi+ --pt 0.1:0.5 --theta "30 deg:150 deg" -n 1000 -o pions
-  cgemit simulate -d my-detector.toml --particle K- --p 0.3,0.5,1 --cos-theta 0 --vertex 1,0,0 -n 300 -o kaons"""
+  cgemit simulate -d my-detector.toml --particle K- --p 0.3,0.5,1 --cos-theta 0 --vertex 1,0,0 -n 300 -o kaons
+  cgemit simulate -d besiii-cgem --set cgem.L1.drift_gap="3 mm" --name thin --p 1 --cos-theta 0 -n 1000 -o thin"""
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -71,7 +72,7 @@ def run(arguments: argparse.Namespace) -> int:
     from cgemit.io.folders import SUMMARY, new_folder
     from cgemit.tables import save_tables
 
-    detector = common.load_detector(arguments)
+    detector = common.load_detector(arguments, arguments.name)
     names = ("particle", "p", "pt", "theta", "cos_theta", "phi", "vertex", "vertex_sigma")
     gun = common.make_gun({name: getattr(arguments, name) for name in names})
     with new_folder(arguments.output, overwrite=arguments.overwrite) as folder:

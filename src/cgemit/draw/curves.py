@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import cycle
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,8 +18,14 @@ from cgemit.tables import Table
 if TYPE_CHECKING:
     from cgemit.result import Result
 
-_MARKERS = ("o", "s", "D", "^", "v")
-_COLOURS = (COLORS["cgem"], COLORS["idc"], COLORS["truth"], "#7A3E9D", "#666666")
+# One more marker than colours, so that only the 43rd curve looks like the first.
+_MARKERS = ("o", "s", "D", "^", "v", "P", "X")
+_COLOURS = (COLORS["cgem"], COLORS["idc"], COLORS["truth"], "#7A3E9D", "#666666", COLORS["multi"])
+
+
+def _looks() -> Iterator[tuple[str, str]]:
+    """Yield marker and colour of each curve."""
+    return zip(cycle(_MARKERS), cycle(_COLOURS), strict=False)
 
 
 def residual(result: Result | Table, quantity: str = "p") -> Picture:
@@ -101,7 +108,7 @@ def draw_curves(
     paper : (float, float), optional
         A published point.
     """
-    for curve, marker, colour in zip(curves, _MARKERS, _COLOURS, strict=False):
+    for curve, (marker, colour) in zip(curves, _looks(), strict=False):
         axes.errorbar(
             curve.x, curve.y, curve.y_error, fmt=f"{marker}-", color=colour, ms=5, lw=1.2, mec="white", mew=0.5,
             elinewidth=1, label=curve.detector,
@@ -162,7 +169,7 @@ def draw_pulls(
     with style():
         picture, axes = new_picture(2, 3, (13.0, 7.4))
         for plot, name in zip(axes, names, strict=True):
-            for (detector, pulls), marker, colour in zip(samples.items(), _MARKERS, _COLOURS, strict=False):
+            for (detector, pulls), (marker, colour) in zip(samples.items(), _looks(), strict=False):
                 counts, _ = np.histogram(pulls[name], edges)
                 density = counts / max(1, len(pulls[name])) / (edges[1] - edges[0])
                 plot.plot(centres, density, marker, ms=3.6, color=colour, label=texts[detector][name])
@@ -181,7 +188,7 @@ def draw_probabilities(samples: Mapping[str, npt.NDArray[np.float64]]) -> Pictur
     edges = np.linspace(0, 1, 41)
     with style():
         picture, (axes,) = new_picture(1, 1, (6.4, 4.4))
-        for (detector, values), colour in zip(samples.items(), _COLOURS, strict=False):
+        for (detector, values), (_, colour) in zip(samples.items(), _looks(), strict=False):
             counts, _ = np.histogram(values, edges)
             mean = max(1, len(values)) / (len(edges) - 1)
             text = f"{detector}: n = {len(values):,}, mean = {np.mean(values):.3f}"
@@ -234,6 +241,6 @@ def _legend_below(picture: Picture, labels: Sequence[str]) -> None:
     options: dict[str, Any] = {"ls": "", "ms": 6}
     handles = [
         Line2D([], [], marker=marker, color=colour, label=label, **options)
-        for label, marker, colour in zip(labels, _MARKERS, _COLOURS, strict=False)
+        for label, (marker, colour) in zip(labels, _looks(), strict=False)
     ]
     picture.legend(handles=handles, loc="lower center", ncols=len(labels), fontsize=9.5)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -133,23 +134,7 @@ class Scan:
 
     def summary(self) -> dict[str, Any]:
         """Return what `summary.json` holds."""
-        first = self.samples[0]
-        cos_theta = first.gun.cos_theta
-        if isinstance(cos_theta, InTurn):
-            cos_theta = list(cos_theta.values)
-        return {
-            "program": "cgemit",
-            "version": VERSION,
-            "inputs": {
-                "detector": first.detector.name, "particle": first.gun.particle, "cos_theta": cos_theta,
-                "momenta": [momentum_of(s) for s in self.samples], "events": first.n_events, "method": "mc",
-                "hits": "assigned by truth",
-            },
-            "seed": self.seed,
-            "timings": {"total_s": self.seconds},
-            "removed": {s.label: dict(s.removed) for s in self.samples},
-            "curves": [line.as_json() for line in self.lines],
-        }  # fmt: skip
+        return summary_of([self])
 
     def save(self, folder: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
         """Write resolution.csv, summary.json, the detector and the curves as PNG and PDF.
@@ -164,16 +149,7 @@ class Scan:
         OutputExistsError
             If the folder holds files and `overwrite` is false.
         """
-        from cgemit.draw.curves import draw_resolutions
-
-        with new_folder(folder, overwrite=overwrite) as place:
-            write_csv(place / "resolution.csv", scan_columns(self.samples))
-            (place / "detector.toml").write_text(self.samples[0].detector.to_toml(), encoding="utf-8")
-            labels = ("σ(d_ρ)", "σ(d_z)", "σ(p)")
-            panels = [(label, [line]) for label, line in zip(labels, self.lines, strict=True)]
-            draw_resolutions(panels, "p").save(place / "resolution")
-            (place / SUMMARY).write_text(json.dumps(self.summary(), indent=2) + "\n", encoding="utf-8")
-        return Path(folder)
+        return save_scans([self], folder, overwrite=overwrite)
 
     def _rows(self) -> list[list[str]]:
         pairs = [zip(line.y, line.y_error, strict=True) for line in self.lines]
@@ -192,6 +168,59 @@ class Scan:
 
     def _repr_html_(self) -> str:
         return html_table(self._title(), _HEAD, self._rows())
+
+
+def summary_of(scans: Sequence[Scan]) -> dict[str, Any]:
+    """Return what `summary.json` holds: the curves of all detectors, shot at alike."""
+    first = scans[0].samples[0]
+    cos_theta = first.gun.cos_theta
+    if isinstance(cos_theta, InTurn):
+        cos_theta = list(cos_theta.values)
+    return {
+        "program": "cgemit",
+        "version": VERSION,
+        "inputs": {
+            "detectors": [scan.samples[0].detector.name for scan in scans],
+            "particle": first.gun.particle, "cos_theta": cos_theta,
+            "momenta": [momentum_of(s) for s in scans[0].samples], "events": first.n_events, "method": "mc",
+            "hits": "assigned by truth",
+        },
+        "seed": scans[0].seed,
+        "timings": {"total_s": sum(scan.seconds for scan in scans)},
+        "removed": {s.label: dict(s.removed) for scan in scans for s in scan.samples},
+        "curves": [line.as_json() for scan in scans for line in scan.lines],
+    }  # fmt: skip
+
+
+def save_scans(scans: Sequence[Scan], folder: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
+    """Write what `Scan.save` writes, for several detectors: one table and one picture of all.
+
+    Parameters
+    ----------
+    scans : sequence of Scan
+        Same gun and momenta; detectors of distinct names. Of several, each is written to a file of its own,
+        ``detector-1-NAME.toml``.
+    folder : path
+    overwrite : bool
+
+    Raises
+    ------
+    OutputExistsError
+        If the folder holds files and `overwrite` is false.
+    """
+    from cgemit.draw.curves import draw_resolutions
+
+    with new_folder(folder, overwrite=overwrite) as place:
+        write_csv(place / "resolution.csv", scan_columns([s for scan in scans for s in scan.samples]))
+        for number, scan in enumerate(scans, start=1):
+            detector = scan.samples[0].detector
+            which = f"-{number}-" + re.sub(r"[^\w.-]+", "-", detector.name)[:60] if len(scans) > 1 else ""
+            (place / f"detector{which}.toml").write_text(detector.to_toml(), encoding="utf-8")
+        labels = ("σ(d_ρ)", "σ(d_z)", "σ(p)")
+        panels = list(zip(labels, zip(*(scan.lines for scan in scans), strict=True), strict=True))
+        draw_resolutions(panels, "p").save(place / "resolution")
+        (place / SUMMARY).write_text(json.dumps(summary_of(scans), indent=2) + "\n", encoding="utf-8")
+    return Path(folder)
 
 
 _HEAD = ("p [GeV/c]", "sigma(d_rho) [um]", "sigma(d_z) [mm]", "sigma(p) [MeV/c]", "fitted", "not fitted")
@@ -236,3 +265,14 @@ def scan(
     orders = momentum_orders(detector, momenta, particle=particle, cos_theta=cos_theta, events=events, seed=seed)
     samples = run_samples(orders, threads=threads, progress=progress)
     return Scan(tuple(samples), seed, time.perf_counter() - start)
+
+
+def scan_detectors(
+    detectors: Sequence[Detector], momenta: Sequence[float], *, progress: ShowProgress | None = None, **how: Any
+) -> list[Scan]:
+    """Run `scan` for each detector, with its other arguments; the particles are the same for all."""
+
+    def part(number: int) -> ShowProgress | None:
+        return progress and (lambda done, label: progress((number + done) / len(detectors), label))
+
+    return [scan(detector, momenta, progress=part(number), **how) for number, detector in enumerate(detectors)]
