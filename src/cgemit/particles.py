@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from cgemit.problems import ProblemsError
 from cgemit.tables import SCHEMAS, Table
 from cgemit.tables.check import Array
 from cgemit.words import did_you_mean
 
 
-class ParticleError(ValueError):
+class ParticleError(ProblemsError[str]):
     """Bad input about particles; `problems` lists everything that is wrong with it.
 
     Attributes
@@ -24,14 +25,6 @@ class ParticleError(ValueError):
     problems : tuple of str
         Each with the path to the value, what was given and what was expected.
     """
-
-    def __init__(self, source: str, problems: Sequence[str]) -> None:
-        self.source, self.problems = source, tuple(problems)
-        count = f"{len(problems)} problem" + ("s" if len(problems) != 1 else "")
-        super().__init__("\n  ".join([f"{source}: {count}", *self.problems]))
-
-    def __reduce__(self) -> tuple[type[ParticleError], tuple[str, tuple[str, ...]]]:
-        return ParticleError, (self.source, self.problems)
 
 
 #: Largest coordinate (mm) and momentum (GeV/c) of a particle: far beyond any use, far from losing digits.

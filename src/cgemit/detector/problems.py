@@ -1,7 +1,8 @@
 """What is wrong with a detector description: all problems at once, each with its place."""
 
-from collections.abc import Sequence
 from typing import NamedTuple
+
+from cgemit.problems import ProblemsError
 
 
 class Problem(NamedTuple):
@@ -17,7 +18,7 @@ class Problem(NamedTuple):
         return f"{self.path or 'file'}: got {self.given}; expected {self.expected}{hint}"
 
 
-class DetectorError(ValueError):
+class DetectorError(ProblemsError[Problem]):
     """A detector description with mistakes; `problems` lists them all.
 
     Attributes
@@ -26,13 +27,4 @@ class DetectorError(ValueError):
         The file or preset that was read.
     problems : tuple of Problem
         Each with `path`, `given`, `expected`, `hint`.
-
     """
-
-    def __init__(self, source: str, problems: Sequence[Problem]) -> None:
-        self.source, self.problems = source, tuple(problems)
-        count = f"{len(problems)} problem" + ("s" if len(problems) != 1 else "")
-        super().__init__("\n  ".join([f"{source}: {count}", *map(str, self.problems)]))
-
-    def __reduce__(self) -> tuple[type["DetectorError"], tuple[str, tuple[Problem, ...]]]:
-        return DetectorError, (self.source, self.problems)
