@@ -59,7 +59,7 @@ def draw(rows: list[dict[str, float]]) -> None:
         axes.plot([r["events"] for r in rows], [r[stage] for r in rows], "o-", ms=4, label=stage, **style)
     axes.set(xscale="log", yscale="log", xlabel="events", ylabel="us per track", title="one thread, scalar code")
     axes.grid(alpha=0.3)
-    axes.legend(ncols=2)
+    axes.legend(ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.08), frameon=False)
     figure.tight_layout()
     figure.savefig(HERE / "stages.png", dpi=100)
 
