@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from cgemit import _core
-from cgemit.detector import Detector, compiled, slab_table
+from cgemit.detector import Detector, compiled, slab_table, slabs
 from cgemit.detector.slabs import cgem_table, wire_table
 from cgemit.particles import species
 from cgemit.tables import Table
@@ -47,11 +47,13 @@ def on_helix(helix, pdg=13):
 
 def without_matter(detector: Detector):
     """Return the compiled detector with slabs that neither scatter nor absorb."""
-    columns, log_terms = slab_table(detector)
-    columns = columns | {name: np.zeros_like(columns[name]) for name in ("x0", "xi", "spread")}
+    table = slab_table(slabs(detector))
+    columns = table.slabs | {name: np.zeros_like(table.slabs[name]) for name in ("x0", "xi", "spread")}
+    composition = table.composition | {"moles": np.zeros_like(table.composition["moles"])}
     return _core.Detector(
-        bz=detector.field.bz, slabs=columns, log_terms=log_terms, cgem=cgem_table(detector), wires=wire_table(detector)
-    )
+        bz=detector.field.bz, slabs=columns, log_terms=table.log_terms, composition=composition,
+        cgem=cgem_table(detector.cgem), wires=wire_table(detector.drift_chamber), screening=_core.Screening.wentzel,
+    )  # fmt: skip
 
 
 def transport(core, table, fluctuations="off", seed=1):

@@ -42,6 +42,14 @@ class Purpose(enum.IntEnum):
     drift_distance = 4
     fit_seed = 5
     test = 6
+    ionization = 7
+    deltas = 8
+    radiation = 9
+    foil = 10
+
+class Screening(enum.IntEnum):
+    wentzel = 0
+    moliere = 1
 
 class Fluctuations(enum.IntEnum):
     full = 0
@@ -50,7 +58,15 @@ class Fluctuations(enum.IntEnum):
 
 class Detector:
     def __init__(
-        self, *, bz: float, slabs: _Columns, log_terms: npt.ArrayLike, cgem: _Columns, wires: _Columns
+        self,
+        *,
+        bz: float,
+        slabs: _Columns,
+        log_terms: npt.ArrayLike,
+        composition: _Columns,
+        cgem: _Columns,
+        wires: _Columns,
+        screening: Screening,
     ) -> None: ...
     @property
     def bz(self) -> float: ...  # T
@@ -104,14 +120,23 @@ def approach_wire(
     points: npt.ArrayLike, detector: Detector, layer: int, wire: int
 ) -> tuple[_Floats, _Floats, _Floats, _Bytes]: ...
 
-# Matter: GeV, GeV/c; x0 in radiation lengths, path in units of normal incidence.
-def total_matter(detector: Detector, tanl: float) -> tuple[float, float]: ...
-def scattering_angle(*, p: float, mass: float, x0: float, track_x0: float) -> float: ...
-def restricted_loss(detector: Detector, slab: int, *, path: float, p: float, mass: float, cut: float) -> float: ...
+# Matter: GeV, GeV/c; path in units of normal incidence.
+def total_matter(detector: Detector, tanl: float) -> tuple[float, float, float]: ...
+def scattering_angle(
+    detector: Detector, slab: int, *, path: float, p: float, mass: float, charge: float = 1.0, track_chi_c2: float
+) -> float: ...
+def restricted_loss(
+    detector: Detector, slab: int, *, path: float, p: float, mass: float, charge: float = 1.0, cut: float
+) -> float: ...
 def core_loss(
-    detector: Detector, slab: int, *, path: float, p: float, mass: float, track_xi: float
+    detector: Detector, slab: int, *, path: float, p: float, mass: float, charge: float = 1.0, track_xi: float
 ) -> tuple[float, float, float]: ...
-def sample_loss(detector: Detector, slab: int, *, path: float, p: float, mass: float, seed: int, n: int) -> _Floats: ...
+def sample_loss(
+    detector: Detector, slab: int, *, path: float, p: float, mass: float, charge: float = 1.0, seed: int, n: int
+) -> _Floats: ...
+def through_slabs(
+    detector: Detector, *, p: float, mass: float, charge: float, n: int, seed: int
+) -> dict[str, _Array]: ...
 
 # Stages: one call for a chunk of events, without the GIL.
 def simulate(detector: Detector, particles: _Columns, *, fluctuations: Fluctuations, seed: int) -> _Simulated: ...

@@ -96,7 +96,7 @@ def cluster_errors(detector: Detector, settings: ClusterSettings) -> tuple[Float
     err_x, err_v : ndarray, (layers, MAX_SIZE) float64, mm
         Column n - 1 holds for n strips, the last one for all larger clusters, too.
     """
-    return error_table(cgem_table(detector), detector.field.bz, settings)
+    return error_table(cgem_table(detector.cgem), detector.field.bz, settings)
 
 
 def error_table(cgem: dict[str, Any], bz: float, settings: ClusterSettings) -> tuple[Floats, Floats]:

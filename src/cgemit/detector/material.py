@@ -21,7 +21,7 @@ CARBON_IN_COMPOUNDS = 81.0  # eV, mean excitation energy (ICRU Report 37)
 class Element(NamedTuple):
     """Atomic number, atomic weight (g/mol) and mean excitation energy (eV) of an element."""
 
-    z: int
+    z: float
     a: float
     excitation: float
 
@@ -76,8 +76,25 @@ class Material:
         return 0.5 * K * self.z_over_a * self.density * 0.1 * thickness
 
     def log_term(self, ln_betagamma: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return -2 ln(I/GeV) - delta, (n,) float64: the material's part of the Bethe logarithm."""
-        return -2 * math.log(self.excitation_energy) - self.density_effect.delta(ln_betagamma)
+        """Return -2 ln(I/GeV) - delta - 2 C/Z, (n,) float64: the material's part of the Bethe logarithm."""
+        shells = np.zeros_like(ln_betagamma)
+        total = sum(moles * element.z for element, moles in self.elements())
+        for element, moles in self.elements():
+            shells += moles / total * shell_correction(element.excitation, ln_betagamma)
+        return -2 * math.log(self.excitation_energy) - self.density_effect.delta(ln_betagamma) - 2 * shells
+
+    def elements(self) -> list[tuple[Element, float]]:
+        """Return the elements with their moles per gram; one equivalent element where only bulk properties are known.
+
+        Its Z solves the radiation length of PDG 2024, "Passage of particles through matter" (fit by O.I. Dahl, 2.5 %).
+        """
+        if self.composition:
+            return [(elements()[name], part / elements()[name].a) for name, part in self.composition]
+        z = np.linspace(1.0, 100.0, 9901)
+        fitted = 716.4 * (z / self.z_over_a) / (z * (z + 1) * np.log(287 / np.sqrt(z)))
+        best = float(z[np.argmin(np.abs(fitted - 0.1 * self.x0 * self.density))])
+        equivalent = Element(best, best / self.z_over_a, self.excitation_energy * 1e9)
+        return [(equivalent, 1 / equivalent.a)]
 
 
 @cache
@@ -125,6 +142,18 @@ def radiation_length(element: Element) -> float:
 def x0_of_fractions(fractions: dict[str, float], density: float) -> float:
     """Return the radiation length of a mixture in mm: 1/X0 is the sum of mass fraction/X0."""
     return 10 / density / sum(part / radiation_length(elements()[name]) for name, part in fractions.items())
+
+
+def shell_correction(excitation: float, ln_betagamma: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return C, (n,) float64, of an element (divide by Z) for ln(beta gamma), (n,) float64, and I in eV.
+
+    W.H. Barkas and M.J. Berger, NASA SP-3013 (1964), as in W.R. Leo, Techniques for Nuclear and Particle Physics
+    Experiments (1994), eq. 2.33; valid for beta gamma > 0.13, held constant below.
+    """
+    per_square = np.exp(-2 * np.maximum(ln_betagamma, math.log(0.13)))
+    first = per_square * (0.422377 + per_square * (0.0304043 - per_square * 0.00038106))
+    second = per_square * (3.850190 + per_square * (-0.1667989 + per_square * 0.00157955))
+    return np.asarray(first * 1e-6 * excitation**2 + second * 1e-9 * excitation**3)
 
 
 def z_over_a_of_fractions(fractions: dict[str, float]) -> float:

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from cgemit import _core
 from cgemit.detector.check import TOUCH
-from cgemit.detector.material import Material
-from cgemit.detector.model import Cylinder, Detector, DriftChamber, Shell
+from cgemit.detector.material import Element, Material
+from cgemit.detector.model import CgemLayer, Cylinder, Detector, DriftChamber, Shell
 
 _ENDLESS = 1e9  # mm, half length of air
 Columns = dict[str, NDArray[np.generic]]
@@ -158,25 +158,33 @@ def _spread(metal: Material, filling: float) -> Material:
     )
 
 
-def slab_table(detector: Detector, merge: bool = True) -> tuple[Columns, NDArray[np.float64]]:
-    """Return the slabs as columns.
+class SlabTable(NamedTuple):
+    """Slabs as the core takes them."""
+
+    slabs: Columns
+    log_terms: NDArray[np.float64]
+    composition: Columns
+
+
+def slab_table(found: Sequence[Slab]) -> SlabTable:
+    """Return slabs as columns.
 
     Parameters
     ----------
-    detector : Detector
-    merge : bool
-        Whether neighbouring sub-layers are joined to one slab.
+    found : sequence of Slab
 
     Returns
     -------
-    columns : dict of ndarray
+    slabs : dict of ndarray
         r_in, r_out, radius, spread, half_length (n,) float64 mm; x0 (n,) float64; xi (n,) float64 GeV;
         gap (n,) int32; ends (n,) uint8.
     log_terms : (n, LOSS_POINTS) float64
-        -2 ln(I/GeV) - delta against ln(beta gamma) on the core's grid.
+        -2 ln(I/GeV) - delta - 2 C/Z against ln(beta gamma) on the core's grid.
+    composition : dict of ndarray
+        z, a (g/mol), moles (mol/cm2 at normal incidence) (m,) float64; slab i has the rows first[i] to first[i + 1],
+        first (n + 1,) int32.
 
     """
-    found = slabs(detector, merge)
     columns: Columns = {"half_length": np.array([max(shell.half_length for shell in s.shells) for s in found])}
     for name in ("r_in", "r_out", "radius", "spread", "x0", "xi"):
         columns[name] = np.array([getattr(slab, name) for slab in found], dtype=np.float64)
@@ -184,12 +192,26 @@ def slab_table(detector: Detector, merge: bool = True) -> tuple[Columns, NDArray
     columns["ends"] = np.array([slab.ends for slab in found], dtype=np.uint8)
     grid = _core.LOSS_GRID_FIRST + _core.LOSS_GRID_STEP * np.arange(_core.LOSS_POINTS, dtype=np.float64)
     terms = np.array([slab.log_term(grid) for slab in found]).reshape(-1, _core.LOSS_POINTS)
-    return columns, terms
+    return SlabTable(columns, terms, _composition(found))
 
 
-def cgem_table(detector: Detector) -> Columns:
-    """Return the read-out of the CGEM layers as columns: mm, rad; phi_first is (n, 2), the rest (n,)."""
-    layers = detector.cgem
+def _composition(found: Sequence[Slab]) -> Columns:
+    rows: list[tuple[float, float, float]] = []
+    first = [0]
+    for slab in found:
+        moles: dict[Element, float] = {}
+        for shell in slab.shells:
+            for element, per_gram in shell.material.elements():
+                part = per_gram * shell.material.density * 0.1 * shell.thickness
+                moles[element] = moles.get(element, 0.0) + part
+        rows += [(element.z, element.a, amount) for element, amount in moles.items()]
+        first.append(len(rows))
+    z, a, amounts = np.array(rows, dtype=np.float64).reshape(-1, 3).T
+    return {"first": np.array(first, dtype=np.int32), "z": z.copy(), "a": a.copy(), "moles": amounts.copy()}
+
+
+def cgem_table(layers: Sequence[CgemLayer]) -> Columns:
+    """Return the read-out of CGEM layers as columns: mm, rad; phi_first is (n, 2), the rest (n,)."""
     names = ("r_readout", "r_gap_in", "r_gap_out", "half_length", "pitch_x", "pitch_v", "stereo")
     columns: Columns = {name: np.array([getattr(layer, name) for layer in layers], dtype=np.float64) for name in names}
     for name in ("sheets", "strips_x", "strips_v"):
@@ -202,9 +224,8 @@ def cgem_table(detector: Detector) -> Columns:
     return columns
 
 
-def wire_table(detector: Detector) -> Columns:
-    """Return the wire layers as columns (n,): mm, rad."""
-    chamber = detector.drift_chamber
+def wire_table(chamber: DriftChamber | None) -> Columns:
+    """Return the wire layers of a chamber as columns (n,): mm, rad."""
     layers = chamber.layers if chamber else ()
     names = ("r_end", "half_length", "twist", "phi_east", "sigma", "sigma_slope", "efficiency")
     columns: Columns = {name: np.array([getattr(layer, name) for layer in layers], dtype=np.float64) for name in names}
@@ -215,7 +236,7 @@ def wire_table(detector: Detector) -> Columns:
 
 
 @lru_cache(maxsize=64)
-def compiled(detector: Detector, merge: bool = True) -> _core.Detector:
+def compiled(detector: Detector, merge: bool = True, screening: str = "wentzel") -> _core.Detector:
     """Return the detector of the compiled core; equal descriptions share one.
 
     Parameters
@@ -224,8 +245,38 @@ def compiled(detector: Detector, merge: bool = True) -> _core.Detector:
         The description.
     merge : bool
         See `slabs`.
+    screening : str
+        Screening of nuclei in multiple scattering, ``"wentzel"`` or ``"moliere"`` (docs/methods/matter.md).
 
     """
-    columns, log_terms = slab_table(detector, merge)
-    cgem, wires = cgem_table(detector), wire_table(detector)
-    return _core.Detector(bz=detector.field.bz, slabs=columns, log_terms=log_terms, cgem=cgem, wires=wires)
+    return _core.Detector(
+        bz=detector.field.bz,
+        **slab_table(slabs(detector, merge))._asdict(),
+        cgem=cgem_table(detector.cgem),
+        wires=wire_table(detector.drift_chamber),
+        screening=getattr(_core.Screening, screening),
+    )
+
+
+def compiled_stack(parts: Sequence[tuple[Material, float]], screening: str = "wentzel") -> _core.Detector:
+    """Return plane sheets of matter, one behind the other, as a compiled detector without read-out.
+
+    Parameters
+    ----------
+    parts : sequence of (Material, float)
+        Material and thickness in mm.
+    screening : str
+
+    """
+    position, found = 1.0, []
+    for material, thickness in parts:
+        shell = Shell("stack", material.name, position, position + thickness, _ENDLESS, material)
+        found.append(Slab((shell,)))
+        position += thickness
+    return _core.Detector(
+        bz=0.0,
+        **slab_table(found)._asdict(),
+        cgem=cgem_table(()),
+        wires=wire_table(None),
+        screening=getattr(_core.Screening, screening),
+    )

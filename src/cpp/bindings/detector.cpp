@@ -1,10 +1,12 @@
 #include "detector/detector.hpp"
 
+#include <pybind11/native_enum.h>
 #include <pybind11/pybind11.h>
 
 #include <algorithm>
 
 #include "bindings/arrays.hpp"
+#include "matter/scattering.hpp"
 
 namespace py = pybind11;
 using namespace cgemit;
@@ -12,7 +14,20 @@ using namespace cgemit::bindings;
 
 namespace {
 
-std::vector<Slab> make_slabs(const py::dict& columns, const Array<double>& log_terms) {
+// Components of slab i are rows first[i] to first[i + 1].
+void add_components(const py::dict& columns, std::vector<Slab>& slabs) {
+  const auto first = take<std::int32_t>(columns, "first");
+  const auto z = take<double>(columns, "z"), a = take<double>(columns, "a"),
+             moles = take<double>(columns, "moles");
+  const auto starts = column(first, "first", static_cast<py::ssize_t>(slabs.size()) + 1);
+  for (std::size_t i = 0; i < slabs.size(); ++i) {
+    for (std::int32_t k = starts[i]; k < starts[i + 1]; ++k)
+      slabs[i].components.push_back({z.at(k), a.at(k), moles.at(k)});
+  }
+}
+
+std::vector<Slab> make_slabs(const py::dict& columns, const Array<double>& log_terms,
+                             const py::dict& composition) {
   const auto r_in = take<double>(columns, "r_in"), r_out = take<double>(columns, "r_out"),
              radius = take<double>(columns, "radius"), spread = take<double>(columns, "spread"),
              half_length = take<double>(columns, "half_length"), x0 = take<double>(columns, "x0"),
@@ -23,12 +38,19 @@ std::vector<Slab> make_slabs(const py::dict& columns, const Array<double>& log_t
   const auto terms = matrix(log_terms, "log_terms", r_in.size(), loss_points);
   std::vector<Slab> slabs(n);
   for (std::size_t i = 0; i < n; ++i) {
-    slabs[i] = {r_in.at(i), r_out.at(i), radius.at(i), spread.at(i),    half_length.at(i),
-                x0.at(i),   xi.at(i),    gap.at(i),    ends.at(i) != 0, {},
-                0,          false};
-    std::copy_n(terms.begin() + static_cast<std::ptrdiff_t>(i * loss_points), loss_points,
-                slabs[i].log_term.begin());
+    Slab& slab = slabs[i];
+    slab.r_in = r_in.at(i);
+    slab.r_out = r_out.at(i);
+    slab.radius = radius.at(i);
+    slab.spread = spread.at(i);
+    slab.half_length = half_length.at(i);
+    slab.x0 = x0.at(i);
+    slab.xi = xi.at(i);
+    slab.gap = gap.at(i);
+    slab.ends = ends.at(i) != 0;
+    for (std::size_t k = 0; k < loss_points; ++k) slab.table[k].log_term = terms[i * loss_points + k];
   }
+  add_components(composition, slabs);
   return slabs;
 }
 
@@ -96,17 +118,26 @@ std::vector<WireLayer> make_wires(const py::dict& columns) {
 }  // namespace
 
 void bind_detector(py::module_& module) {
+  py::native_enum<Screening>(module, "Screening", "enum.IntEnum",
+                             "Screening of nuclei by their electrons in multiple scattering.")
+      .value("wentzel", Screening::wentzel)
+      .value("moliere", Screening::moliere)
+      .finalize();
   module.attr("LOSS_GRID_FIRST") = loss_grid_first;
   module.attr("LOSS_GRID_STEP") = loss_grid_step;
   module.attr("LOSS_POINTS") = loss_points;
   py::class_<Detector>(module, "Detector",
                        "The detector as plain numbers, ordered from the beam line outward.")
-      .def(py::init([](double bz, const py::dict& slabs, const Array<double>& log_terms, const py::dict& cgem,
-                       const py::dict& wires) {
-             return make_detector(bz, make_slabs(slabs, log_terms), make_cgem(cgem), make_wires(wires));
+      .def(py::init([](double bz, const py::dict& slabs, const Array<double>& log_terms,
+                       const py::dict& composition, const py::dict& cgem, const py::dict& wires,
+                       Screening screening) {
+             Detector detector = make_detector(bz, make_slabs(slabs, log_terms, composition), make_cgem(cgem),
+                                               make_wires(wires));
+             prepare_scattering(detector, screening);
+             return detector;
            }),
-           py::kw_only(), py::arg("bz"), py::arg("slabs"), py::arg("log_terms"), py::arg("cgem"),
-           py::arg("wires"))
+           py::kw_only(), py::arg("bz"), py::arg("slabs"), py::arg("log_terms"), py::arg("composition"),
+           py::arg("cgem"), py::arg("wires"), py::arg("screening"))
       .def_readonly("bz", &Detector::bz)
       .def_property_readonly("n_slabs", [](const Detector& d) { return d.slabs.size(); })
       .def_property_readonly("n_cgem_layers", [](const Detector& d) { return d.cgem.size(); })

@@ -1,8 +1,10 @@
+#include <pybind11/native_enum.h>
 #include <pybind11/pybind11.h>
 
 #include "bindings/arrays.hpp"
-#include "matter/moments.hpp"
-#include "matter/sampling.hpp"
+#include "matter/loss.hpp"
+#include "matter/scattering.hpp"
+#include "simulate/slabs.hpp"
 
 namespace py = pybind11;
 using namespace cgemit;
@@ -14,6 +16,30 @@ const Slab& slab_of(const Detector& detector, int index) {
   return detector.slabs.at(static_cast<std::size_t>(index));
 }
 
+Kinematics particle(double p, double mass, double charge) {
+  return Kinematics(p, mass, projectile_of(mass, charge));
+}
+
+py::dict pass_slabs(const Detector& detector, double p, double mass, double charge, std::size_t n,
+                    std::uint64_t seed) {
+  Passages out;
+  {
+    py::gil_scoped_release release;
+    out = through_slabs(detector, particle(p, mass, charge), n, seed);
+  }
+  std::vector<std::int8_t> status;
+  status.reserve(n);
+  for (const TransportStatus s : out.status) status.push_back(static_cast<std::int8_t>(s));
+  py::dict columns;
+  columns["angle_1"] = to_numpy(std::move(out.angle_1));
+  columns["angle_2"] = to_numpy(std::move(out.angle_2));
+  columns["shift_1"] = to_numpy(std::move(out.shift_1));
+  columns["shift_2"] = to_numpy(std::move(out.shift_2));
+  columns["loss"] = to_numpy(std::move(out.loss));
+  columns["status"] = to_numpy(std::move(status));
+  return columns;
+}
+
 }  // namespace
 
 void bind_matter(py::module_& module) {
@@ -22,49 +48,65 @@ void bind_matter(py::module_& module) {
       "total_matter",
       [](const Detector& detector, double tanl) {
         const TrackMatter total = total_matter(detector, tanl);
-        return py::make_tuple(total.x0, total.xi);
+        return py::make_tuple(total.x0, total.xi, total.chi_c2);
       },
       py::arg("detector"), py::arg("tanl"),
-      "Radiation lengths and xi beta^2 (GeV) along a straight line from the origin.");
+      "Radiation lengths, xi beta^2 (GeV) and (chi_c p beta)^2 (GeV^2) along a straight line from the "
+      "origin.");
   module.def(
       "scattering_angle",
-      [](double p, double mass, double x0, double track_x0) {
-        return std::sqrt(
-            scattering_variance(Kinematics(p, mass), Kinematics(p, mass), x0, TrackMatter(track_x0, 1)));
-      },
-      py::kw_only(), py::arg("p"), py::arg("mass"), py::arg("x0"), py::arg("track_x0"),
-      "Plane multiple-scattering angle, rad, of x0 radiation lengths on a track that crosses track_x0 in "
-      "all.");
-  module.def(
-      "restricted_loss",
-      [](const Detector& detector, int slab, double path, double p, double mass, double cut) {
-        return restricted_loss(slab_of(detector, slab), path, Kinematics(p, mass), cut);
+      [](const Detector& detector, int slab, double path, double p, double mass, double charge,
+         double track_chi_c2) {
+        const Kinematics k = particle(p, mass, charge);
+        TrackMatter track;
+        track.chi_c2 = track_chi_c2;
+        track.log_chi_c2 = std::log(track_chi_c2);
+        return std::sqrt(scattering_variance(slab_of(detector, slab), path, k, k, track));
       },
       py::arg("detector"), py::arg("slab"), py::kw_only(), py::arg("path"), py::arg("p"), py::arg("mass"),
-      py::arg("cut"),
+      py::arg("charge") = 1.0, py::arg("track_chi_c2"),
+      "Plane multiple-scattering angle, rad, that the fit takes for a slab of a track that crosses "
+      "track_chi_c2 in all.");
+  module.def(
+      "restricted_loss",
+      [](const Detector& detector, int slab, double path, double p, double mass, double charge, double cut) {
+        return restricted_loss(slab_of(detector, slab), path, particle(p, mass, charge), cut);
+      },
+      py::arg("detector"), py::arg("slab"), py::kw_only(), py::arg("path"), py::arg("p"), py::arg("mass"),
+      py::arg("charge") = 1.0, py::arg("cut"),
       "Mean energy loss (GeV) in a slab by collisions below the cut (GeV); path in units of normal "
       "incidence.");
   module.def(
       "core_loss",
-      [](const Detector& detector, int slab, double path, double p, double mass, double track_xi) {
-        const LossMoments m =
-            core_loss(slab_of(detector, slab), path, Kinematics(p, mass), TrackMatter(1, track_xi));
+      [](const Detector& detector, int slab, double path, double p, double mass, double charge,
+         double track_xi) {
+        TrackMatter track;
+        track.xi = track_xi;
+        track.log_xi = std::log(track_xi);
+        const LossMoments m = core_loss(slab_of(detector, slab), path, particle(p, mass, charge), track);
         return py::make_tuple(m.loss, m.variance, m.slope);
       },
       py::arg("detector"), py::arg("slab"), py::kw_only(), py::arg("path"), py::arg("p"), py::arg("mass"),
-      py::arg("track_xi"), "Loss (GeV), its variance, and d(loss)/dp that the fit uses.");
+      py::arg("charge") = 1.0, py::arg("track_xi"),
+      "Loss (GeV), its variance, and d(loss)/dp that the fit uses.");
   module.def(
       "sample_loss",
-      [](const Detector& detector, int slab, double path, double p, double mass, std::uint64_t seed,
-         py::ssize_t n) {
+      [](const Detector& detector, int slab, double path, double p, double mass, double charge,
+         std::uint64_t seed, py::ssize_t n) {
+        const Kinematics k = particle(p, mass, charge);
         std::vector<double> values;
         values.reserve(static_cast<std::size_t>(n));
         for (py::ssize_t i = 0; i < n; ++i) {
-          values.push_back(sample_loss(slab_of(detector, slab), path, Kinematics(p, mass),
+          values.push_back(sample_loss(slab_of(detector, slab), path, k,
                                        Stream(seed, static_cast<std::uint64_t>(i), 0), 0));
         }
         return to_numpy(std::move(values));
       },
       py::arg("detector"), py::arg("slab"), py::kw_only(), py::arg("path"), py::arg("p"), py::arg("mass"),
-      py::arg("seed"), py::arg("n"), "Energy losses (GeV) of n particles in a slab.");
+      py::arg("charge") = 1.0, py::arg("seed"), py::arg("n"),
+      "Energy losses (GeV) by collisions of n particles in a slab.");
+  module.def("through_slabs", &pass_slabs, py::arg("detector"), py::kw_only(), py::arg("p"), py::arg("mass"),
+             py::arg("charge"), py::arg("n"), py::arg("seed"),
+             "Pass n particles through the detector's slabs as plane sheets at normal incidence: columns "
+             "angle_1, angle_2 (rad), shift_1, shift_2 (mm), loss (GeV), status.");
 }

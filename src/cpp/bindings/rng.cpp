@@ -48,6 +48,10 @@ void bind_rng(py::module_& module) {
       .value("drift_distance", Purpose::drift_distance)
       .value("fit_seed", Purpose::fit_seed)
       .value("test", Purpose::test)
+      .value("ionization", Purpose::ionization)
+      .value("deltas", Purpose::deltas)
+      .value("radiation", Purpose::radiation)
+      .value("foil", Purpose::foil)
       .finalize();
   module.def(
       "philox4x32",

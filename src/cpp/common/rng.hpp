@@ -36,6 +36,10 @@ enum class Purpose : std::uint32_t {
   drift_distance = 4,
   fit_seed = 5,
   test = 6,
+  ionization = 7,
+  deltas = 8,
+  radiation = 9,
+  foil = 10,
 };
 
 // Uniform in (0, 1), never 0 and never 1: 32 bits, centred.

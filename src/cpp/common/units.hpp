@@ -19,6 +19,9 @@ inline constexpr double radius_per_kappa = 3335.6409519815204;
 
 // PDG 2024, Physical constants.
 inline constexpr double electron_mass = 0.51099895000 * MeV;
+inline constexpr double fine_structure = 1 / 137.035999084;
+inline constexpr double hbar_c = 0.1973269804;            // GeV fm
+inline constexpr double bethe_constant = 0.307075 * MeV;  // cm^2/mol, 4 pi N_A r_e^2 m_e c^2
 inline constexpr double elementary_charge_fC = 1.602176634e-4;
 
 }  // namespace cgemit

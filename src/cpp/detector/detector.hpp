@@ -9,10 +9,33 @@
 
 namespace cgemit {
 
-// Mean excitation energy and density effect of a slab against ln(beta gamma), on one grid for all slabs.
+// What of a slab depends on velocity is tabulated against ln(beta gamma), on one grid for all slabs.
 inline constexpr int loss_points = 161;
 inline constexpr double loss_grid_first = -3.0;  // ln(beta gamma)
 inline constexpr double loss_grid_step = 0.1;
+
+// One element of a slab.
+struct Component {
+  double z, a;   // atomic number and weight, g/mol
+  double moles;  // mol/cm^2 at normal incidence
+};
+
+// One point of that table.
+struct SlabPoint {
+  double log_term;       // -2 ln(I/GeV) - delta - 2 C/Z, weighted by xi
+  double log_screening;  // ln of the screening angle squared, in momentum transfer (GeV/c)^2, weighted by
+                         // chi_c^2
+  double soft;           // GeV^2: plane variance of soft scatters times (p beta)^2, at normal incidence
+};
+
+// Scattering off one element, for scatters that are sampled one by one.
+struct HardScatterer {
+  double up_to;      // running sum of the rates, 1 for the last element
+  double z;          // atomic number: z scatters on the nucleus for one on an electron
+  double screening;  // (GeV/c)^2, for beta = 1
+  double slow;       // the screening grows with 1/beta^2: screening (1 + slow/beta^2)/(1 + slow)
+  double size;       // (GeV/c)^-2, radius of the nucleus squared over 12
+};
 
 // A cylindrical shell of matter, or several neighbouring ones merged to one scatterer. It acts at `radius`.
 struct Slab {
@@ -25,10 +48,17 @@ struct Slab {
   double xi;  // GeV, (K/2) sum of Z/A times mass thickness at normal incidence; Landau's xi is xi/beta^2
   int gap;    // index of the CGEM layer whose drift gap this is, or -1
   bool ends;  // a track that crosses beyond half_length leaves the detector (end plate)
-  std::array<double, loss_points> log_term;  // -2 ln(I/GeV) - delta, weighted by xi
+  std::vector<Component> components;
+  std::array<SlabPoint, loss_points> table;
   // What follows from the above:
   double least_outward;  // mm, P of a track that grazes the shell
   bool shifts;  // whether sideways shifts inside count: at 1 GeV/c below 1 um they are lost in any hit error
+  // Scattering (`matter/scattering.hpp`), at normal incidence:
+  double chi_c2;            // GeV^2, (chi_c p beta)^2 of nuclei and electrons
+  double chi_c2_electrons;  // GeV^2, the electrons' part of it
+  double hard_from;         // (GeV/c)^2, scatters with a larger transfer are sampled one by one
+  double hard_rate;         // times 1/beta^2: how many of those are expected
+  std::vector<HardScatterer> hard;
 };
 
 // One cylindrical GEM layer with its two-view read-out.

@@ -4,7 +4,8 @@
 #include <cmath>
 
 #include "detector/strip_plane.hpp"
-#include "matter/moments.hpp"
+#include "matter/loss.hpp"
+#include "matter/scattering.hpp"
 #include "motion/helix.hpp"
 #include "motion/wire.hpp"
 
@@ -38,7 +39,8 @@ class Tracer {
   Tracer(const Detector& detector, const Perigee& start, double mass, Reference& out)
       : detector_(detector),
         out_(out),
-        now_(std::sqrt(1 + start.tanl * start.tanl) / std::abs(start.kappa), mass),
+        now_(std::sqrt(1 + start.tanl * start.tanl) / std::abs(start.kappa), mass,
+             projectile_of(mass, start.kappa)),
         track_(total_matter(detector, start.tanl)) {
     point_ = {start.d * std::sin(start.psi),
               -start.d * std::cos(start.psi),
@@ -217,13 +219,12 @@ class Tracer {
   bool cross(const Slab& slab) {
     const double path = path_factor(slab, stretch_, std::abs(point_.outward()));
     const LossMoments loss = core_loss(slab, path, now_, track_);
-    const double energy = now_.energy - loss.loss;
-    if (energy - now_.mass < least_kinetic) {
+    if (now_.kinetic() - loss.loss < least_kinetic) {
       out_.stopped = true;
       return false;
     }
-    const Kinematics after = now_.at(std::sqrt((energy - now_.mass) * (energy + now_.mass)));
-    const double theta = std::sqrt(scattering_variance(now_, after, slab.x0 * path, track_));
+    const Kinematics after = now_.after_loss(loss.loss);
+    const double theta = std::sqrt(scattering_variance(slab, path, now_, after, track_));
     const Rows r = rows();
     const Backward origin(*this, r);
     add_noise(origin.moved(0, 0, theta * stretch_));

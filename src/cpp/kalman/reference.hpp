@@ -41,8 +41,8 @@ struct Reference {
   bool stopped;                     // it ran out of momentum
 };
 
-// Follows the helix through the material as far as the last hit. Scattering and loss as in
-// `matter/moments.hpp`.
+// Follows the helix through the material as far as the last hit. Scattering and loss are the moments of
+// `matter/`.
 void trace(const Detector& detector, const Perigee& start, double mass, std::span<const Hit> hits,
            Reference& out);
 

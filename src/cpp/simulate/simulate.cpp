@@ -4,8 +4,9 @@
 #include <cmath>
 
 #include "common/angles.hpp"
-#include "matter/moments.hpp"
-#include "matter/sampling.hpp"
+#include "matter/loss.hpp"
+#include "matter/radiation.hpp"
+#include "matter/scattering.hpp"
 #include "motion/helix.hpp"
 #include "motion/wire.hpp"
 
@@ -27,8 +28,8 @@ class Flight {
         event_(in.event[row]),
         particle_(in.particle[row]),
         charge_(in.charge[row]),
-        mass_(in.mass[row]),
-        now_(std::hypot(in.px[row], in.py[row], in.pz[row]), in.mass[row]),
+        now_(std::hypot(in.px[row], in.py[row], in.pz[row]), in.mass[row],
+             projectile_of(in.mass[row], in.charge[row])),
         track_(total_matter(detector, in.pz[row] / std::hypot(in.px[row], in.py[row]))),
         out_(out) {
     const double pt = std::hypot(in.px[row], in.py[row]);
@@ -90,13 +91,17 @@ class Flight {
     }
     const double path = path_factor(slab, stretch(), std::abs(point_.outward()));
     const auto place = static_cast<std::uint32_t>(index);
-    const double energy = now_.energy - lose(slab, path, place);
-    if (energy - mass_ < least_kinetic) {
+    const double loss = lose(slab, path, place);
+    if (now_.kinetic() - loss < least_kinetic) {
       status_ = TransportStatus::stopped;
       return false;
     }
-    const Kinematics after = now_.at(std::sqrt((energy - mass_) * (energy + mass_)));
-    if (settings_.fluctuations != Fluctuations::off) scatter(slab, path, after, place);
+    const Kinematics after = now_.after_loss(loss);
+    if (settings_.fluctuations == Fluctuations::full) {
+      apply_kick(point_, sample_scattering(slab, path, now_, after, stream_, place));
+    } else if (settings_.fluctuations == Fluctuations::gaussian) {
+      scatter(slab, path, after, place);
+    }
     now_ = after;
     point_.w = curvature(detector_.bz, charge_ * stretch() / now_.p);
     return true;
@@ -105,16 +110,20 @@ class Flight {
   // The energy lost. The fit's noise may be negative in thin matter; what is left in a gap stays its expected
   // value.
   double lose(const Slab& slab, double path, std::uint32_t place) {
-    if (settings_.fluctuations == Fluctuations::full)
-      return deposit_ = sample_loss(slab, path, now_, stream_, place);
+    if (settings_.fluctuations == Fluctuations::full) {
+      deposit_ = sample_loss(slab, path, now_, stream_, place);
+      if (!now_.is_light()) return deposit_;
+      return deposit_ + sample_radiation(now_.energy, slab.x0 * path, stream_, place);
+    }
     const LossMoments core = core_loss(slab, path, now_, track_);
     deposit_ = core.loss;
     if (settings_.fluctuations == Fluctuations::off) return core.loss;
     return core.loss + std::sqrt(core.variance) * stream_.normals(Purpose::energy_loss, place)[0];
   }
 
+  // As the fit assumes.
   void scatter(const Slab& slab, double path, const Kinematics& after, std::uint32_t place) {
-    const double sigma = std::sqrt(scattering_variance(now_, after, slab.x0 * path, track_));
+    const double sigma = std::sqrt(scattering_variance(slab, path, now_, after, track_));
     const Block words = stream_.block(Purpose::scattering, place);
     const auto normal = [&words](std::size_t i) { return normal_quantile(open_unit(words[i])); };
     Kick kick{sigma * normal(0), sigma * normal(1), 0, 0};
@@ -237,7 +246,7 @@ class Flight {
   Stream stream_;
   std::int64_t event_;
   std::int32_t particle_;
-  double charge_, mass_, time_ = 0, arc_ = 0, deposit_ = 0;
+  double charge_, time_ = 0, arc_ = 0, deposit_ = 0;
   HelixPoint point_{};
   Kinematics now_;
   TrackMatter track_;

@@ -1,0 +1,125 @@
+#include "matter/loss.hpp"
+
+#include <algorithm>
+
+#include "matter/draws.hpp"
+#include "matter/radiation.hpp"
+
+namespace cgemit {
+
+namespace {
+
+// Bracket that xi/beta^2 multiplies, for heavy particles and a limit up to w_max.
+double heavy_bracket(const Slab& slab, const Kinematics& k, double limit, double w_max) {
+  const double bg = k.p * k.per_mass;
+  double bracket = std::log(2 * electron_mass * bg * bg * limit) - k.beta2 * (1 + limit / w_max) +
+                   log_term(slab, k.log_bg).value;
+  if (k.projectile == Projectile::spin_half) bracket += 0.25 * limit * limit / (k.energy * k.energy);
+  return bracket;
+}
+
+// The same for electrons and positrons: F-(tau, D) and F+(tau, D) of Berger and Seltzer, energies in m_e.
+double light_bracket(const Slab& slab, const Kinematics& k, double limit) {
+  const double tau = k.kinetic() / electron_mass, d = std::min(limit / electron_mass, 0.999999 * tau);
+  double f = 0;
+  if (k.projectile == Projectile::electron) {
+    f = -1 - k.beta2 + std::log((tau - d) * d) + tau / (tau - d) +
+        (0.5 * d * d + (2 * tau + 1) * std::log1p(-d / tau)) / (k.gamma * k.gamma);
+  } else {
+    const double y = 1 / (k.gamma + 1), d2 = d * d, d3 = d2 * d;
+    f = std::log(tau * d) - k.beta2 / tau *
+                                (tau + 2 * d - 1.5 * d2 * y - (d - d3 / 3) * y * y -
+                                 (0.5 * d2 - tau * d3 / 3 + 0.25 * d2 * d2) * y * y * y);
+  }
+  return f + std::log(2 * (k.gamma + 1) * electron_mass * electron_mass) + log_term(slab, k.log_bg).value;
+}
+
+// Spectrum of single collisions relative to xi/(beta^2 E^2), times `spectrum_peak`'s inverse at most 1.
+double spectrum(const Kinematics& k, double transfer, double w_max) {
+  if (!k.is_light()) {
+    const double spin =
+        k.projectile == Projectile::spin_half ? 0.5 * transfer * transfer / (k.energy * k.energy) : 0.0;
+    return 1 - k.beta2 * transfer / w_max + spin;
+  }
+  const double e = transfer / k.kinetic();
+  if (k.projectile == Projectile::electron) {  // Moller; ICRU Report 37, eq. 2.5
+    const double other = e / (1 - e), tau = (k.gamma - 1) / k.gamma;
+    return 1 + other * other + tau * tau * e * e - (2 * k.gamma - 1) / (k.gamma * k.gamma) * other;
+  }
+  const double y = 1 / (k.gamma + 1), u = 1 - 2 * y;  // Bhabha; ICRU Report 37, eq. 2.7
+  return 1 - k.beta2 * e * (2 - y * y - e * (u * (3 + y * y) - e * u * u * (1 + u - e * u)));
+}
+double spectrum_peak(const Kinematics& k) { return k.projectile == Projectile::electron ? 2.25 : 1.0; }
+
+// Collisions drawn one by one, expected per slab: more where more is lost, so that a track has some tens in
+// all.
+double hard_collisions(double xi) { return std::clamp(xi / keV, 0.2, 3.0); }
+
+// A number of given mean 0, variance 1, skewness and excess kurtosis; Cornish and Fisher (1938), third order.
+double skewed_normal(double z, double skewness, double kurtosis) {
+  const double z2 = z * z;
+  return z + skewness / 6 * (z2 - 1) + kurtosis / 24 * z * (z2 - 3) -
+         skewness * skewness / 36 * z * (2 * z2 - 5);
+}
+
+}  // namespace
+
+double restricted_loss(const Slab& slab, double path, const Kinematics& k, double cut) {
+  const double w_max = k.w_max(), limit = std::min(cut, w_max);
+  const double bracket = k.is_light() ? light_bracket(slab, k, limit) : heavy_bracket(slab, k, limit, w_max);
+  return std::max(slab.xi * path * k.per_beta2 * bracket, 0.0);
+}
+
+LossMoments core_loss(const Slab& slab, double path, const Kinematics& k, const TrackMatter& track) {
+  const double xi = slab.xi * path * k.per_beta2, wanted = core_cut * track.xi * k.per_beta2;
+  const double w_max = k.w_max(), cut = std::min(wanted, w_max);
+  const LogTerm term = log_term(slab, k.log_bg);
+  if (k.is_light()) {
+    const double bracket = std::max(light_bracket(slab, k, cut), 0.0), x0 = slab.x0 * path;
+    const double radiated = radiated_mean * x0 * k.energy;
+    const double slope = xi * (2 + term.slope) / k.p + radiated_mean * x0 * k.p / k.energy;
+    return {xi * bracket + radiated, xi * cut + radiated_variance * x0 * k.energy * k.energy, slope};
+  }
+  static const double log_constant = std::log(2 * electron_mass * core_cut);
+  // ln(2 m_e (beta gamma)^2 cut), where the cut holds 1/beta^2.
+  const double log_cut = wanted < w_max ? log_constant + track.log_xi + 2 * k.log_gamma
+                                        : std::log(2 * electron_mass * w_max) + 2 * k.log_bg;
+  const double spin = k.beta2 * cut / w_max;
+  const double bracket = log_cut - k.beta2 - spin + term.value;
+  if (!(bracket > 0)) return {0, 0, 0};
+  // Per ln(p), with 1/gamma^2 = 1 - beta^2: 1/beta^2 falls by 2/gamma^2, (beta gamma)^2 grows by 2, beta^2 by
+  // 2 beta^2/gamma^2, the cut follows 1/beta^2 or w_max.
+  const double per_gamma2 = 1 - k.beta2, ratio = electron_mass * k.per_mass;
+  const double grow_w_max = 2 - 2 * ratio * k.gamma * k.beta2 / (1 + 2 * k.gamma * ratio + ratio * ratio);
+  const double grow_bracket = wanted < w_max ? 2 - 2 * per_gamma2 * (1 + k.beta2) + spin * grow_w_max
+                                             : 2 + grow_w_max - 4 * k.beta2 * per_gamma2;
+  const double per_log_p = -2 * per_gamma2 * bracket + grow_bracket + term.slope;
+  return {xi * bracket, xi * cut * (1 - 0.5 * spin), xi * per_log_p / k.p};
+}
+
+double sample_loss(const Slab& slab, double path, const Kinematics& k, const Stream& stream,
+                   std::uint32_t place) {
+  const double xi = slab.xi * path * k.per_beta2;
+  if (!(xi > 0)) return 0;
+  const double w_max = k.w_max();
+  // The number of collisions above the cut is xi (1/cut - 1/w_max) before the spectrum's factor.
+  const double expected = hard_collisions(xi);
+  const double cut = xi / (expected + xi / w_max);
+  const double soft_mean = restricted_loss(slab, path, k, cut);
+  // Moments n of xi/E^2 (1 - s E) up to the cut, s = beta^2/w_max.
+  const double spin = k.is_light() ? 0.0 : k.beta2 * cut / w_max;
+  const double sigma = std::sqrt(xi * cut * (1 - spin / 2));
+  const double per_sigma = cut / sigma, weight = xi / cut;
+  const double skewness = weight * per_sigma * per_sigma * per_sigma * (1.0 / 2 - spin / 3);
+  const double kurtosis = weight * per_sigma * per_sigma * per_sigma * per_sigma * (1.0 / 3 - spin / 4);
+  Draws draws(stream, Purpose::energy_loss, place);
+  double loss = soft_mean + sigma * skewed_normal(normal_quantile(draws.next()), skewness, kurtosis);
+  const double peak = spectrum_peak(k), per_cut = 1 / cut, range = per_cut - 1 / w_max;
+  for (int n = poisson(draws.next(), expected * peak); n > 0; --n) {
+    const double transfer = 1 / (per_cut - draws.next() * range);
+    if (draws.next() * peak < spectrum(k, transfer, w_max)) loss += transfer;
+  }
+  return std::max(loss, 0.0);
+}
+
+}  // namespace cgemit

@@ -1,0 +1,17 @@
+// Bremsstrahlung of electrons and positrons: PDG 2024 eq. 34.29, complete screening,
+//   dN/dy = (t/y) (4/3 - 4/3 y + y^2),  y = photon energy / E,  t = path in radiation lengths.
+// Good to a few per cent above some 10 MeV; below, it is too large, where collisions dominate.
+#pragma once
+
+#include "common/rng.hpp"
+#include "matter/track.hpp"
+
+namespace cgemit {
+
+// Mean and variance of y per radiation length: integrals of y dN and y^2 dN.
+inline constexpr double radiated_mean = 1.0, radiated_variance = 17.0 / 36;
+
+// Energy, GeV, of the photons that an electron of this energy radiates in x0 radiation lengths; they leave.
+double sample_radiation(double energy, double x0, const Stream& stream, std::uint32_t place);
+
+}  // namespace cgemit

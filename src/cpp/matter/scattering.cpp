@@ -1,0 +1,175 @@
+#include "matter/scattering.hpp"
+
+#include <algorithm>
+
+#include "matter/draws.hpp"
+
+namespace cgemit {
+
+namespace {
+
+// Hard scatters expected: this many on the whole way through the detector, shared out in proportion so that
+// nothing depends on how matter is cut, but no fewer and no more than these in a slab.
+constexpr double hard_in_all = 12, least_hard = 0.1, most_hard = 4;
+
+// Moliere's screening angle squared times p^2 for beta = 0 of the correction below; Lynch and Dahl, eq. 4.
+constexpr double screening_scale = 2.007e-5 * MeV * MeV;
+// The correction is 1 + slow/beta^2, slow = 3.34 (Z alpha)^2.
+double slowness(double z) { return 3.34 * z * z * fine_structure * fine_structure; }
+
+double screening_of(double z, double per_beta2, Screening screening) {
+  const double geant = screening == Screening::wentzel ? 1 + std::exp(-z * z / 1000) : 1.0;
+  return screening_scale * std::pow(z, 2.0 / 3.0) * (1 + slowness(z) * per_beta2) * geant;
+}
+
+// Nuclear radius squared over 12, for the form factor (1 + (q R)^2/12)^-2 of an exponential charge
+// distribution, R = 1.27 A^0.27 fm; Butkevich et al., Nucl. Instrum. Methods A 488 (2002) 282.
+double nuclear_size(double a) {
+  const double radius = 1.27 * std::pow(a, 0.27) / hbar_c;
+  return radius * radius / 12;
+}
+
+// Transfer above which `wanted` scatters are expected at beta = 1; 0 if there are not as many.
+double transfer_for(const Slab& slab, double wanted, Screening screening) {
+  const auto expected = [&](double q2) {
+    double n = 0;
+    for (const Component& c : slab.components)
+      n +=
+          bethe_constant * electron_mass * c.z * (c.z + 1) * c.moles / (q2 + screening_of(c.z, 1, screening));
+    return n;
+  };
+  if (!(expected(0) > wanted)) return 0;
+  double low = 0, high = slab.chi_c2 / wanted;
+  for (int i = 0; i < 60; ++i) {
+    const double middle = 0.5 * (low + high);
+    (expected(middle) > wanted ? low : high) = middle;
+  }
+  return 0.5 * (low + high);
+}
+
+void prepare_hard(Slab& slab, Screening screening) {
+  slab.hard.clear();
+  slab.hard_rate = 0;
+  for (const Component& c : slab.components) {
+    const double a2 = screening_of(c.z, 1, screening);
+    slab.hard_rate += bethe_constant * electron_mass * c.z * (c.z + 1) * c.moles / (slab.hard_from + a2);
+    slab.hard.push_back({slab.hard_rate, c.z, a2, slowness(c.z), nuclear_size(c.a)});
+  }
+  for (HardScatterer& h : slab.hard) h.up_to /= slab.hard_rate;
+}
+
+void prepare_table(Slab& slab, Screening screening) {
+  for (int i = 0; i < loss_points; ++i) {
+    const double bg = std::exp(loss_grid_first + i * loss_grid_step), per_beta2 = 1 + 1 / (bg * bg);
+    double logs = 0, soft = 0;
+    for (const Component& c : slab.components) {
+      const double chi_c2 = bethe_constant * electron_mass * c.z * (c.z + 1) * c.moles;
+      const double a2 = screening_of(c.z, per_beta2, screening), ratio = slab.hard_from / a2;
+      logs += chi_c2 * std::log(a2);
+      soft += 0.5 * chi_c2 * (std::log1p(ratio) - ratio / (1 + ratio));
+    }
+    slab.table[static_cast<std::size_t>(i)].log_screening = logs / slab.chi_c2;
+    slab.table[static_cast<std::size_t>(i)].soft = soft;
+  }
+}
+
+// One hard scatter, as a space angle; 0 if the proposed one does not happen.
+double hard_angle(const Slab& slab, const Kinematics& k, Draws& draws) {
+  const double which = draws.next();
+  const auto h = std::ranges::find_if(slab.hard, [&](const HardScatterer& e) { return which <= e.up_to; });
+  if (h == slab.hard.end()) return 0;
+  const double q2 = (slab.hard_from + h->screening) / draws.next() - h->screening;
+  const double screened = h->screening * (1 + h->slow * k.per_beta2) / (1 + h->slow);
+  const double ratio = (q2 + h->screening) / (q2 + screened);
+  const double choice = draws.next() * (h->z + 1), on_electron = choice - h->z;
+  double accepted = ratio * ratio;
+  if (on_electron > 0) {
+    if (q2 > 2 * electron_mass * k.w_max()) return 0;
+  } else {
+    const double form = 1 / (1 + q2 * h->size), form2 = form * form;
+    accepted *= form2 * form2;
+  }
+  const double sine = 0.5 * std::sqrt(q2) / k.p;
+  if (sine > 1 || draws.next() > accepted) return 0;
+  return 2 * std::asin(sine);
+}
+
+}  // namespace
+
+void prepare_scattering(Detector& detector, Screening screening) {
+  double total = 0;
+  for (Slab& slab : detector.slabs) {
+    slab.chi_c2 = slab.chi_c2_electrons = 1e-30;  // a slab of nothing has logarithms, too
+    for (const Component& c : slab.components) {
+      const double electrons = bethe_constant * electron_mass * c.z * c.moles;
+      slab.chi_c2 += electrons * (c.z + 1);
+      slab.chi_c2_electrons += electrons;
+    }
+    total += slab.chi_c2;
+  }
+  for (Slab& slab : detector.slabs) {
+    const double wanted = std::clamp(hard_in_all * slab.chi_c2 / total, least_hard, most_hard);
+    slab.hard_from = transfer_for(slab, wanted, screening);
+    prepare_hard(slab, screening);
+    prepare_table(slab, screening);
+  }
+}
+
+Kick sample_scattering(const Slab& slab, double path, const Kinematics& before, const Kinematics& after,
+                       const Stream& stream, std::uint32_t place) {
+  const GridPlace at(before.log_bg);
+  double soft = at.between(slab.table[at.i].soft, slab.table[at.i + 1].soft);
+  const double recoil = 2 * electron_mass * before.w_max();
+  if (recoil < slab.hard_from) soft -= 0.5 * slab.chi_c2_electrons * std::log(slab.hard_from / recoil);
+  const double per_p_beta2 = before.energy * after.energy / (before.p * before.p * after.p * after.p);
+  const double sigma = std::sqrt(std::max(soft, 0.0) * path * per_p_beta2);
+  Draws draws(stream, Purpose::scattering, place);
+  Kick kick{};
+  kick.angle_1 = sigma * normal_quantile(draws.next());
+  kick.angle_2 = sigma * normal_quantile(draws.next());
+  const int n = poisson(draws.next(), slab.hard_rate * path * before.per_beta2);
+  const double depth = slab.shifts ? slab.spread * path : 0;
+  if (slab.shifts) {
+    kick.shift_1 = sigma * depth * normal_quantile(draws.next());
+    kick.shift_2 = sigma * depth * normal_quantile(draws.next());
+  }
+  for (int i = 0; i < n; ++i) {
+    const double angle = hard_angle(slab, before, draws);
+    if (angle == 0) continue;
+    const double azimuth = 2 * pi * draws.next(), a = angle * std::cos(azimuth),
+                 b = angle * std::sin(azimuth);
+    kick.angle_1 += a;
+    kick.angle_2 += b;
+    if (!slab.shifts) continue;
+    // It happens anywhere in the slab, as evenly as a slab of this spread allows.
+    const double ahead = std::sqrt(12.0) * depth * (draws.next() - 0.5);
+    kick.shift_1 += a * ahead;
+    kick.shift_2 += b * ahead;
+  }
+  return kick;
+}
+
+void apply_kick(HelixPoint& point, const Kick& kick) {
+  const double cos_dip = 1 / std::sqrt(1 + point.tanl * point.tanl), sin_dip = point.tanl * cos_dip;
+  const double ux = point.ux, uy = point.uy;
+  // Axis 1 = (-uy, ux, 0), axis 2 = (-ux sin, -uy sin, cos).
+  point.x += -uy * kick.shift_1 - ux * sin_dip * kick.shift_2;
+  point.y += ux * kick.shift_1 - uy * sin_dip * kick.shift_2;
+  point.z += cos_dip * kick.shift_2;
+  const double angle = std::sqrt(kick.angle_1 * kick.angle_1 + kick.angle_2 * kick.angle_2);
+  // Below 0.02 the next terms are under 1e-12.
+  const double q = angle * angle;
+  const bool small = angle < 0.02;
+  const double along = small ? 1 - q / 2 * (1 - q / 12 * (1 - q / 30)) : std::cos(angle);
+  const double across = small ? 1 - q / 6 * (1 - q / 20 * (1 - q / 42)) : std::sin(angle) / angle;
+  const double in_plane = along * cos_dip - across * kick.angle_2 * sin_dip;
+  const double side = across * kick.angle_1;
+  const double up = along * sin_dip + across * kick.angle_2 * cos_dip;
+  const double dx = ux * in_plane - uy * side, dy = uy * in_plane + ux * side;
+  const double transverse = std::sqrt(dx * dx + dy * dy);
+  point.ux = dx / transverse;
+  point.uy = dy / transverse;
+  point.tanl = up / transverse;
+}
+
+}  // namespace cgemit

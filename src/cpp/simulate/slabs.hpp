@@ -1,0 +1,26 @@
+// Particles straight through a stack of slabs: what the matter alone does to them.
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include "common/status.hpp"
+#include "detector/detector.hpp"
+#include "matter/kinematics.hpp"
+
+namespace cgemit {
+
+// One row per particle, behind the stack. Plane angles and shifts (against the unscattered line) in the two
+// planes across the flight.
+struct Passages {
+  std::vector<double> angle_1, angle_2;  // rad
+  std::vector<double> shift_1, shift_2;  // mm
+  std::vector<double> loss;              // GeV, all of the kinetic energy if stopped
+  std::vector<TransportStatus> status;   // outside or stopped
+};
+
+// The slabs of the detector as plane sheets at distances r_in to r_out, met at normal incidence.
+Passages through_slabs(const Detector& detector, const Kinematics& incoming, std::size_t n,
+                       std::uint64_t seed);
+
+}  // namespace cgemit
