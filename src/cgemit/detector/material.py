@@ -132,8 +132,8 @@ def radiation_length(element: Element) -> float:
     length" and table 34.2; agrees with the PDG tables to 0.2 %.
     """
     light = {1: (5.31, 6.144), 2: (4.79, 5.621), 3: (4.74, 5.805), 4: (4.71, 5.924)}
-    heavy = (math.log(184.15 * element.z ** (-1 / 3)), math.log(1194 * element.z ** (-2 / 3)))
-    l_rad, l_inelastic = light.get(element.z, heavy)
+    heavy = (math.log(184.15) - math.log(element.z) / 3, math.log(1194) - 2 * math.log(element.z) / 3)
+    l_rad, l_inelastic = light.get(round(element.z), heavy)
     a2 = (FINE_STRUCTURE * element.z) ** 2
     coulomb = a2 * (1 / (1 + a2) + 0.20206 - 0.0369 * a2 + 0.0083 * a2**2 - 0.002 * a2**3)
     return 716.408 * element.a / (element.z**2 * (l_rad - coulomb) + element.z * l_inelastic)
