@@ -16,6 +16,7 @@ from cgemit.detector.material import Element, Material
 from cgemit.detector.model import CgemLayer, Cylinder, Detector, DriftChamber, Shell
 
 _ENDLESS = 1e9  # mm, half length of air
+_LUMP = 70.0  # mm of chamber gas that act as one scatterer: about four wire layers
 Columns = dict[str, NDArray[np.generic]]
 
 
@@ -76,8 +77,9 @@ def slabs(detector: Detector, merge: bool = True) -> list[Slab]:
     detector : Detector
         The description.
     merge : bool
-        Join touching cylinders of beam pipe and walls, and in each CGEM layer cathode, foils (with the gas
-        between them) and anode, to one slab each. The sums of X/X0 and xi do not change.
+        Join touching cylinders of beam pipe and walls, in each CGEM layer cathode, foils (with the gas between
+        them) and anode, and the chamber gas of some wire layers, to one slab each. The sums of X/X0 and xi do not
+        change.
 
     """
     solid = _cylinders("pipe", detector.beam_pipe, merge) + _cylinders("wall", detector.walls, merge)
@@ -86,7 +88,7 @@ def slabs(detector: Detector, merge: bool = True) -> list[Slab]:
             shells = [shell for shell in layer.shells() if shell.group == group]
             solid += [Slab(tuple(part), number if group == "drift" else -1) for part in _parts(shells, merge)]
     solid.sort(key=lambda slab: slab.r_in)
-    return sorted(solid + _fillers(detector, solid), key=lambda slab: slab.r_in)
+    return sorted(solid + _fillers(detector, solid, merge), key=lambda slab: slab.r_in)
 
 
 def _parts(shells: Sequence[Shell], merge: bool) -> list[list[Shell]]:
@@ -105,7 +107,7 @@ def _cylinders(group: str, cylinders: Iterable[Cylinder], merge: bool) -> list[S
     return [Slab(tuple(run)) for run in runs]
 
 
-def _fillers(detector: Detector, solid: Sequence[Slab]) -> list[Slab]:
+def _fillers(detector: Detector, solid: Sequence[Slab], merge: bool) -> list[Slab]:
     """Return air between the parts, and the gas of the drift chamber around and between its wire layers."""
     chamber = detector.drift_chamber
     first_wire = chamber.layers[0].r_mid if chamber else math.inf
@@ -114,7 +116,26 @@ def _fillers(detector: Detector, solid: Sequence[Slab]) -> list[Slab]:
     for inner, outer in pairwise(inside):
         if outer.r_in - inner.r_out > TOUCH:
             found.append(Slab((Shell("air", "air", inner.r_out, outer.r_in, _ENDLESS, detector.air),)))
-    return found + (_chamber_gas(chamber, solid, inside) if chamber else [])
+    gas = _chamber_gas(chamber, solid, inside) if chamber else []
+    return found + (_lumps(gas) if merge else gas)
+
+
+def _lumps(gas: Sequence[Slab]) -> list[Slab]:
+    """Join neighbouring lumps of gas that end at about the same z, up to a certain depth."""
+    found: list[Slab] = []
+    for slab in gas:
+        last = found[-1] if found else None
+        touches = last is not None and slab.r_in - last.r_out < TOUCH
+        if last is not None and touches and slab.r_out - last.r_in < _LUMP and _same_end(last, slab):
+            found[-1] = Slab((*last.shells, *slab.shells), ends=True)
+        else:
+            found.append(slab)
+    return found
+
+
+def _same_end(a: Slab, b: Slab) -> bool:
+    ends = [shell.half_length for slab in (a, b) for shell in slab.shells]
+    return max(ends) < 1.01 * min(ends)
 
 
 def _chamber_gas(chamber: DriftChamber, solid: Sequence[Slab], inside: Sequence[Slab]) -> list[Slab]:

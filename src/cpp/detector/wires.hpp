@@ -19,7 +19,7 @@ inline Wire place_wire(const WireLayer& layer, int number) {
 
 // Distance of the layer's wires from the beam line at z; smallest in the middle of a stereo layer.
 inline double wire_radius(const WireLayer& layer, double z) {
-  return std::sqrt(layer.waist + layer.flare * z * z);
+  return layer.flare == 0 ? layer.r_end : std::sqrt(layer.waist + layer.flare * z * z);
 }
 
 // Azimuth of a wire at z, minus that at z = 0.

@@ -20,28 +20,29 @@ inline Projectile projectile_of(double mass, double charge) {
 // Momenta in GeV/c, energies in GeV.
 struct Kinematics {
   double p, energy, mass;
-  double per_mass, per_beta2, beta2, gamma;
+  double per_p, per_mass, per_beta, per_beta2, beta2, gamma;
   double log_bg, log_gamma;  // ln(beta gamma), ln(gamma)
   Projectile projectile;
 
   Kinematics(double momentum, double mass_, Projectile projectile_)
-      : p(momentum), mass(mass_), per_mass(1 / mass_), projectile(projectile_) {
-    follow_from_p();
+      : p(momentum),
+        energy(std::sqrt(momentum * momentum + mass_ * mass_)),
+        mass(mass_),
+        per_mass(1 / mass_),
+        projectile(projectile_) {
+    follow();
     log_bg = std::log(p * per_mass);
     log_gamma = std::log(gamma);
   }
-  // The same particle at another momentum. Small changes, as in a thin slab, need no logarithm.
-  Kinematics at(double momentum) const {
-    Kinematics k = *this;
-    k.p = momentum;
-    k.follow_from_p();
-    k.log_bg += log_ratio(momentum, p);
-    k.log_gamma += log_ratio(k.energy, energy);
-    return k;
-  }
+  // The same particle with less energy. Small changes, as in a thin slab, need no logarithm.
   Kinematics after_loss(double loss) const {
-    const double left = energy - loss;
-    return at(std::sqrt((left - mass) * (left + mass)));
+    Kinematics k = *this;
+    k.energy = energy - loss;
+    k.p = std::sqrt((k.energy - mass) * (k.energy + mass));
+    k.follow();
+    k.log_bg += log_ratio(k.p, p, per_p);
+    k.log_gamma += log_ratio(k.energy, energy, per_p / per_beta);
+    return k;
   }
   bool is_light() const { return projectile >= Projectile::electron; }
   double kinetic() const { return energy - mass; }
@@ -56,16 +57,16 @@ struct Kinematics {
   }
 
  private:
-  void follow_from_p() {
-    energy = std::sqrt(p * p + mass * mass);
-    const double per_beta = energy / p;
+  void follow() {
+    per_p = 1 / p;
+    per_beta = energy * per_p;
     per_beta2 = per_beta * per_beta;
     beta2 = 1 / per_beta2;
     gamma = energy * per_mass;
   }
   // ln(a/b), by its series where the next term is below 1e-9.
-  static double log_ratio(double a, double b) {
-    const double d = (a - b) / b;
+  static double log_ratio(double a, double b, double per_b) {
+    const double d = (a - b) * per_b;
     return std::abs(d) < 0.02 ? d * (1 - d * (1.0 / 2 - d * (1.0 / 3 - d / 4))) : std::log(a / b);
   }
 };

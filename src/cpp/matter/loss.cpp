@@ -53,7 +53,7 @@ double spectrum_peak(const Kinematics& k) { return k.projectile == Projectile::e
 
 // Collisions drawn one by one, expected per slab: more where more is lost, so that a track has some tens in
 // all.
-double hard_collisions(double xi) { return std::clamp(xi / keV, 0.2, 3.0); }
+double hard_collisions(double xi) { return std::clamp(xi / keV, 0.2, 1.0); }
 
 // A number of given mean 0, variance 1, skewness and excess kurtosis; Cornish and Fisher (1938), third order.
 double skewed_normal(double z, double skewness, double kurtosis) {
@@ -103,18 +103,18 @@ double sample_loss(const Slab& slab, double path, const Kinematics& k, const Str
   if (!(xi > 0)) return 0;
   const double w_max = k.w_max();
   // The number of collisions above the cut is xi (1/cut - 1/w_max) before the spectrum's factor.
-  const double expected = hard_collisions(xi);
-  const double cut = xi / (expected + xi / w_max);
+  const double per_max = 1 / w_max, expected = hard_collisions(xi), weight = expected + xi * per_max;
+  const double cut = xi / weight;
   const double soft_mean = restricted_loss(slab, path, k, cut);
   // Moments n of xi/E^2 (1 - s E) up to the cut, s = beta^2/w_max.
-  const double spin = k.is_light() ? 0.0 : k.beta2 * cut / w_max;
+  const double spin = k.is_light() ? 0.0 : k.beta2 * cut * per_max;
   const double sigma = std::sqrt(xi * cut * (1 - spin / 2));
-  const double per_sigma = cut / sigma, weight = xi / cut;
-  const double skewness = weight * per_sigma * per_sigma * per_sigma * (1.0 / 2 - spin / 3);
-  const double kurtosis = weight * per_sigma * per_sigma * per_sigma * per_sigma * (1.0 / 3 - spin / 4);
+  const double per_sigma = cut / sigma;
+  const double cube = weight * per_sigma * per_sigma * per_sigma;
+  const double skewness = cube * (1.0 / 2 - spin / 3), kurtosis = cube * per_sigma * (1.0 / 3 - spin / 4);
   Draws draws(stream, Purpose::energy_loss, place);
   double loss = soft_mean + sigma * skewed_normal(normal_quantile(draws.next()), skewness, kurtosis);
-  const double peak = spectrum_peak(k), per_cut = 1 / cut, range = per_cut - 1 / w_max;
+  const double peak = spectrum_peak(k), per_cut = weight / xi, range = per_cut - per_max;
   for (int n = poisson(draws.next(), expected * peak); n > 0; --n) {
     const double transfer = 1 / (per_cut - draws.next() * range);
     if (draws.next() * peak < spectrum(k, transfer, w_max)) loss += transfer;

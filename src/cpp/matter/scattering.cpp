@@ -10,7 +10,7 @@ namespace {
 
 // Hard scatters expected: this many on the whole way through the detector, shared out in proportion so that
 // nothing depends on how matter is cut, but no fewer and no more than these in a slab.
-constexpr double hard_in_all = 12, least_hard = 0.1, most_hard = 4;
+constexpr double hard_in_all = 6, least_hard = 0.1, most_hard = 4;
 
 // Moliere's screening angle squared times p^2 for beta = 0 of the correction below; Lynch and Dahl, eq. 4.
 constexpr double screening_scale = 2.007e-5 * MeV * MeV;
@@ -91,7 +91,7 @@ double hard_angle(const Slab& slab, const Kinematics& k, Draws& draws) {
   }
   const double sine = 0.5 * std::sqrt(q2) / k.p;
   if (sine > 1 || draws.next() > accepted) return 0;
-  return 2 * std::asin(sine);
+  return sine < 0.01 ? 2 * sine * (1 + sine * sine / 6) : 2 * std::asin(sine);  // next: 3/40 sine^5
 }
 
 }  // namespace
@@ -121,7 +121,7 @@ Kick sample_scattering(const Slab& slab, double path, const Kinematics& before, 
   double soft = at.between(slab.table[at.i].soft, slab.table[at.i + 1].soft);
   const double recoil = 2 * electron_mass * before.w_max();
   if (recoil < slab.hard_from) soft -= 0.5 * slab.chi_c2_electrons * std::log(slab.hard_from / recoil);
-  const double per_p_beta2 = before.energy * after.energy / (before.p * before.p * after.p * after.p);
+  const double per_p_beta2 = before.per_beta * before.per_p * after.per_beta * after.per_p;
   const double sigma = std::sqrt(std::max(soft, 0.0) * path * per_p_beta2);
   Draws draws(stream, Purpose::scattering, place);
   Kick kick{};
@@ -153,23 +153,25 @@ void apply_kick(HelixPoint& point, const Kick& kick) {
   const double cos_dip = 1 / std::sqrt(1 + point.tanl * point.tanl), sin_dip = point.tanl * cos_dip;
   const double ux = point.ux, uy = point.uy;
   // Axis 1 = (-uy, ux, 0), axis 2 = (-ux sin, -uy sin, cos).
-  point.x += -uy * kick.shift_1 - ux * sin_dip * kick.shift_2;
-  point.y += ux * kick.shift_1 - uy * sin_dip * kick.shift_2;
-  point.z += cos_dip * kick.shift_2;
-  const double angle = std::sqrt(kick.angle_1 * kick.angle_1 + kick.angle_2 * kick.angle_2);
-  // Below 0.02 the next terms are under 1e-12.
-  const double q = angle * angle;
-  const bool small = angle < 0.02;
-  const double along = small ? 1 - q / 2 * (1 - q / 12 * (1 - q / 30)) : std::cos(angle);
-  const double across = small ? 1 - q / 6 * (1 - q / 20 * (1 - q / 42)) : std::sin(angle) / angle;
+  if (kick.shift_1 != 0 || kick.shift_2 != 0) {
+    point.x += -uy * kick.shift_1 - ux * sin_dip * kick.shift_2;
+    point.y += ux * kick.shift_1 - uy * sin_dip * kick.shift_2;
+    point.z += cos_dip * kick.shift_2;
+  }
+  const double q = kick.angle_1 * kick.angle_1 + kick.angle_2 * kick.angle_2;
+  // Below an angle of 0.02 the next terms are under 1e-12.
+  const bool small = q < 4e-4;
+  const double along = small ? 1 - q / 2 * (1 - q / 12 * (1 - q / 30)) : std::cos(std::sqrt(q));
+  const double across =
+      small ? 1 - q / 6 * (1 - q / 20 * (1 - q / 42)) : std::sin(std::sqrt(q)) / std::sqrt(q);
   const double in_plane = along * cos_dip - across * kick.angle_2 * sin_dip;
   const double side = across * kick.angle_1;
   const double up = along * sin_dip + across * kick.angle_2 * cos_dip;
   const double dx = ux * in_plane - uy * side, dy = uy * in_plane + ux * side;
-  const double transverse = std::sqrt(dx * dx + dy * dy);
-  point.ux = dx / transverse;
-  point.uy = dy / transverse;
-  point.tanl = up / transverse;
+  const double per_transverse = 1 / std::sqrt(dx * dx + dy * dy);
+  point.ux = dx * per_transverse;
+  point.uy = dy * per_transverse;
+  point.tanl = up * per_transverse;
 }
 
 }  // namespace cgemit

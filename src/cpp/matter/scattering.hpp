@@ -39,7 +39,7 @@ inline double scattering_variance(const Slab& slab, double path, const Kinematic
   // Electrons recoil with 2 m_e W_max at most; where that is less, the core ends earlier for them.
   const double recoil = 2 * electron_mass * before.w_max(), cut = cut_scale * track.chi_c2 * before.per_beta2;
   if (recoil < cut) sum -= slab.chi_c2_electrons * std::log(cut / recoil);
-  const double per_p_beta2 = before.energy * after.energy / (before.p * before.p * after.p * after.p);
+  const double per_p_beta2 = before.per_beta * before.per_p * after.per_beta * after.per_p;
   constexpr double per_width = 1 / (1 + core_fraction * core_fraction);
   return std::max(sum, slab.chi_c2) * path * per_width * per_p_beta2;
 }

@@ -31,11 +31,12 @@ inline double curvature(double bz, double kappa) { return -bz * kappa / radius_p
 // Moves along the chord of a turn by 2 atan(t): h = tan(half the turn)/w is half of what the step would be if
 // straight.
 inline void turn(HelixPoint& point, double h, double t) {
-  const double scale = 1.0 / (1.0 + t * t);
+  const double q = t * t;
+  const double scale = q < 1e-4 ? 1.0 - q * (1.0 - q * (1.0 - q * (1.0 - q))) : 1.0 / (1.0 + q);
   const double chord = 2.0 * h * scale;
   point.x += chord * (point.ux - t * point.uy);
   point.y += chord * (point.uy + t * point.ux);
-  const double cosine = (1.0 - t * t) * scale, sine = 2.0 * t * scale;
+  const double cosine = (1.0 - q) * scale, sine = 2.0 * t * scale;
   const double ux = cosine * point.ux - sine * point.uy;
   point.uy = cosine * point.uy + sine * point.ux;
   point.ux = ux;
@@ -80,19 +81,17 @@ inline double atan_over(double t) {
   return true;
 }
 
-// tan(f), exact to rounding; by its series where that is short.
-inline double tangent(double f) {
+// tan(f)/f, exact to rounding; by its series where that is short.
+inline double tangent_over(double f) {
   const double q = f * f;
-  if (q > 1e-3) return std::tan(f);
-  return f * (1 + q * (1.0 / 3 + q * (2.0 / 15 + q * (17.0 / 315 + q * (62.0 / 2835)))));
+  if (q > 1e-3) return std::tan(f) / f;
+  return 1 + q * (1.0 / 3 + q * (2.0 / 15 + q * (17.0 / 315 + q * (62.0 / 2835))));
 }
 
 // Moves by a transverse arc, forward or back.
 inline void advance(HelixPoint& point, double arc) {
-  const double half = 0.5 * point.w * arc;
-  const double t = tangent(half);
-  const double h = std::abs(half) < 1e-9 ? 0.5 * arc : t / point.w;
-  turn(point, h, t);
+  const double h = 0.5 * arc * tangent_over(0.5 * point.w * arc);
+  turn(point, h, point.w * h);
   point.z += arc * point.tanl;
 }
 

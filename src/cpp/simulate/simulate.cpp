@@ -40,6 +40,7 @@ class Flight {
               in.py[row] / pt,
               in.pz[row] / pt,
               curvature(detector.bz, charge_ / pt)};
+    stretch_ = std::sqrt(1 + point_.tanl * point_.tanl);
   }
 
   TransportStatus run() {
@@ -54,30 +55,30 @@ class Flight {
       if (inner.is_slab && !cross(inner.index)) return status_;
     }
     for (; next != places.end(); ++next) {
-      if (next->is_slab) {
-        const Slab& slab = detector_.slabs[static_cast<std::size_t>(next->index)];
-        if (slab.gap >= 0 ? !cross_gap(slab, next->index) : !reach(next->radius) || !cross(next->index))
-          return status_;
-      } else {
-        pass_cells(static_cast<std::size_t>(next->index));
+      const auto index = static_cast<std::size_t>(next->index);
+      if (!next->is_slab) {
+        // A helix that curls back below a slab may still pass by the next wires.
+        if (!pass_cells(index) && curled_) break;
+      } else if (!curled_) {
+        const bool is_gap = detector_.slabs[index].gap >= 0;
+        const bool goes_on = is_gap ? cross_gap(detector_.slabs[index], next->index)
+                                    : reach(next->radius) && cross(next->index);
+        if (!goes_on && !curled_) return status_;
       }
     }
+    if (curled_) return TransportStatus::curled;
     return TransportStatus::outside;
   }
 
  private:
   bool reach(double radius) {
-    if (!step_to_cylinder(point_, radius, arc_)) {
-      status_ = TransportStatus::curled;
-      return false;
-    }
+    curled_ = !step_to_cylinder(point_, radius, arc_);
+    if (curled_) return false;
     count_time();
     return true;
   }
 
-  double stretch() const { return std::sqrt(1 + point_.tanl * point_.tanl); }  // path per transverse arc
-
-  double flight_time(double arc) const { return arc * stretch() * now_.energy / (now_.p * speed_of_light); }
+  double flight_time(double arc) const { return arc * stretch_ * now_.per_beta * (1 / speed_of_light); }
 
   void count_time() { time_ += flight_time(arc_); }
 
@@ -89,7 +90,7 @@ class Flight {
       status_ = TransportStatus::end;
       return !slab.ends;
     }
-    const double path = path_factor(slab, stretch(), std::abs(point_.outward()));
+    const double path = path_factor(slab, stretch_, std::abs(point_.outward()));
     const auto place = static_cast<std::uint32_t>(index);
     const double loss = lose(slab, path, place);
     if (now_.kinetic() - loss < least_kinetic) {
@@ -103,7 +104,8 @@ class Flight {
       scatter(slab, path, after, place);
     }
     now_ = after;
-    point_.w = curvature(detector_.bz, charge_ * stretch() / now_.p);
+    stretch_ = std::sqrt(1 + point_.tanl * point_.tanl);
+    point_.w = curvature(detector_.bz, charge_ * stretch_ * now_.per_p);
     return true;
   }
 
@@ -181,25 +183,81 @@ class Flight {
   }
 
   // Every cell between the radial borders, which lie midway to the neighbouring layers at the track's z.
-  void pass_cells(std::size_t index) {
+  // False if the track turns back below them.
+  bool pass_cells(std::size_t index) {
     const WireLayer& layer = detector_.wires[index];
     HelixPoint at_wires = point_;
     double arc = 0;
-    if (!step_to_cylinder(at_wires, wire_radius(layer, point_.z), arc))
-      advance(at_wires, arc_to_apex(at_wires));
+    const bool reached = step_to_cylinder(at_wires, wire_radius(layer, point_.z), arc);
+    if (!reached) {
+      arc = arc_to_apex(at_wires);
+      advance(at_wires, arc);
+    }
+    to_wires_ = arc;
     const auto [inner, outer] = cell_borders(index, at_wires.z);
+    CellRange cells{};
+    if (!(reached && cells_at_once(layer, at_wires, inner, outer, cells)) &&
+        !cells_step_by_step(layer, at_wires, inner, outer, cells))
+      return false;
+    for (int cell = cells.first; cell <= cells.last; ++cell)
+      record_cell(layer, ((cell % layer.cells) + layer.cells) % layer.cells, at_wires);
+    return true;
+  }
+
+  // Counted on from the last point that was asked for: between wire layers the turn is small.
+  double azimuth_of(const HelixPoint& at) {
+    const double cross = last_x_ * at.y - last_y_ * at.x, dot = last_x_ * at.x + last_y_ * at.y;
+    const bool ahead = dot > 0 && std::abs(cross) < dot;
+    azimuth_ = ahead ? azimuth_ + cross / dot * atan_over(cross / dot) : std::atan2(at.y, at.x);
+    last_x_ = at.x;
+    last_y_ = at.y;
+    return azimuth_;
+  }
+
+  static constexpr int many_cells = 1 << 20;
+  static int nearest(double c) { return static_cast<int>(c + (many_cells + 0.5)) - many_cells; }
+
+  struct CellRange {
+    int first, last;
+  };
+
+  // Cells between the borders from the slope of the track in the middle; false where its bend could make a
+  // difference.
+  bool cells_at_once(const WireLayer& layer, const HelixPoint& middle, double inner, double outer,
+                     CellRange& cells) {
+    const double p = middle.outward();
+    if (!(p > 0)) return false;
+    const double radius = middle.radius(), tan_a = middle.sideways() / p, per_cos = radius / p;
+    const double per_turn = layer.cells / (2 * pi), twist = layer.tan_half_twist / layer.half_length;
+    const double at = cell_coordinate(layer, azimuth_of(middle), middle.z);
+    const double slope = (tan_a / radius - twist * middle.tanl * per_cos) * per_turn;
+    const double height = std::max(radius - inner, outer - radius);
+    const double bend =
+        (std::abs(middle.w) + 2 * std::abs(tan_a) / radius) * per_cos * per_cos * per_cos / radius +
+        std::abs(twist * middle.tanl) * (std::abs(middle.w * per_cos) + twist) * per_cos;
+    const double unsure = 1e-9 + bend * height * height * per_turn;
+    const double one = at + (inner - radius) * slope, other = at + (outer - radius) * slope;
+    const double low = std::min(one, other), high = std::max(one, other);
+    if (!(std::abs(low) < many_cells && high - low < most_cells)) return false;
+    cells = {nearest(low), nearest(high)};
+    const auto sure = [unsure](double c, int cell) { return 0.5 - std::abs(c - cell) > unsure; };
+    return sure(low, cells.first) && sure(high, cells.last);
+  }
+
+  bool cells_step_by_step(const WireLayer& layer, const HelixPoint& at_wires, double inner, double outer,
+                          CellRange& cells) const {
+    double arc = 0;
     HelixPoint from = point_, to = at_wires;
-    if (!step_to_cylinder(from, inner, arc)) return;  // turns back below the cells
+    if (!step_to_cylinder(from, inner, arc)) return false;
     if (!step_to_cylinder(to, outer, arc)) {
       const double ahead = arc_to_apex(to);
       if (ahead * std::abs(to.w) < pi) advance(to, ahead);
     }
     const double first = cell_coordinate(layer, std::atan2(from.y, from.x), from.z);
     const double last = first + cells_between(layer, from, to);
-    const int low = static_cast<int>(std::lround(std::min(first, last)));
-    const int high = std::min(static_cast<int>(std::lround(std::max(first, last))), low + most_cells);
-    for (int cell = low; cell <= high; ++cell)
-      record_cell(layer, ((cell % layer.cells) + layer.cells) % layer.cells);
+    cells.first = static_cast<int>(std::lround(std::min(first, last)));
+    cells.last = std::min(static_cast<int>(std::lround(std::max(first, last))), cells.first + most_cells);
+    return true;
   }
 
   // Cells that the azimuth relative to the wires passes from one point to another.
@@ -221,11 +279,11 @@ class Flight {
     return {here - half_in, here + half_out};
   }
 
-  void record_cell(const WireLayer& layer, int cell) {
-    HelixPoint closest = point_;
+  void record_cell(const WireLayer& layer, int cell, const HelixPoint& nearby) {
+    HelixPoint closest = nearby;
     Approach approach{};
     if (!approach_wire(closest, layer.placed[static_cast<std::size_t>(cell)], approach)) return;
-    const double time = time_ + flight_time(approach.arc);
+    const double time = time_ + flight_time(approach.arc + to_wires_);
     const bool behind_vertex = time < 0;
     if (behind_vertex || std::abs(approach.z_wire) > layer.half_length) return;
     WireTruths& t = out_.wire_truths;
@@ -246,11 +304,14 @@ class Flight {
   Stream stream_;
   std::int64_t event_;
   std::int32_t particle_;
-  double charge_, time_ = 0, arc_ = 0, deposit_ = 0;
+  double charge_, time_ = 0, arc_ = 0, to_wires_ = 0, deposit_ = 0;
   HelixPoint point_{};
+  double stretch_;  // path per transverse arc
+  double last_x_ = 0, last_y_ = 0, azimuth_ = 0;
   Kinematics now_;
   TrackMatter track_;
   TransportStatus status_ = TransportStatus::outside;
+  bool curled_ = false;  // past the outermost point: no cylinder lies ahead
   Simulated& out_;
 };
 
