@@ -67,6 +67,7 @@ class Detector:
         cgem: _Columns,
         wires: _Columns,
         screening: Screening,
+        lattice: _Columns = {},
     ) -> None: ...
     @property
     def bz(self) -> float: ...  # T
@@ -137,6 +138,11 @@ def sample_loss(
 def through_slabs(
     detector: Detector, *, p: float, mass: float, charge: float, n: int, seed: int
 ) -> dict[str, _Array]: ...
+# Which part (0 to 1) of a straight line through a slab with holes lies beside them: u, v (mm) where it crosses the
+# middle of the foil, slopes du/dw, dv/dw with w outward; (n,) float64.
+def solid_fraction(
+    detector: Detector, slab: int, *, u: npt.ArrayLike, v: npt.ArrayLike, slope_u: npt.ArrayLike, slope_v: npt.ArrayLike
+) -> _Floats: ...
 
 # Stages: one call for a chunk of events, without the GIL.
 def simulate(detector: Detector, particles: _Columns, *, fluctuations: Fluctuations, seed: int) -> _Simulated: ...

@@ -9,6 +9,7 @@ from cgemit.detector import Detector, compiled
 from cgemit.tables import Table
 
 FLUCTUATIONS = ("full", "gaussian", "off")
+FOILS = ("effective", "lattice")
 TransportStatus = _core.TransportStatus
 
 
@@ -24,20 +25,30 @@ class SimulateSettings:
         subtracts.
     sublayers : bool
         Whether every sub-layer scatters by itself, instead of groups of neighbours merged to one scatterer.
+    foil : str
+        ``"effective"``: GEM foils are even matter. ``"lattice"``: they have holes, and a track meets the copper and
+        Kapton that it really crosses (docs/methods/foils.md); with fluctuations ``"full"`` only, since the others make
+        the fit's assumptions true.
 
     Raises
     ------
     ValueError
-        If `fluctuations` is not one of the three.
+        If `fluctuations` or `foil` is not one of these, or if they do not go together.
     """
 
     fluctuations: str = "full"
     sublayers: bool = False
+    foil: str = "effective"
 
     def __post_init__(self) -> None:
         if self.fluctuations not in FLUCTUATIONS:
             choices = ", ".join(map(repr, FLUCTUATIONS))
             raise ValueError(f"SimulateSettings.fluctuations: {self.fluctuations!r}, expected one of {choices}")
+        if self.foil not in FOILS:
+            choices = ", ".join(map(repr, FOILS))
+            raise ValueError(f"SimulateSettings.foil: {self.foil!r}, expected one of {choices}")
+        if self.foil == "lattice" and self.fluctuations != "full":
+            raise ValueError(f"SimulateSettings.foil: 'lattice' with fluctuations {self.fluctuations!r}, expected 'full'")
 
 
 def simulate(
@@ -65,7 +76,7 @@ def simulate(
     """
     settings = settings or SimulateSettings()
     out = _core.simulate(
-        compiled(detector, merge=not settings.sublayers),
+        compiled(detector, merge=not settings.sublayers, foil=settings.foil),
         {name: particles[name] for name in _COLUMNS},
         fluctuations=getattr(_core.Fluctuations, settings.fluctuations),
         seed=seed,

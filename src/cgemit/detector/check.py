@@ -62,7 +62,7 @@ def geometry_problems(
     walls: "Sequence[Cylinder]",
     chamber: "DriftChamber | None",
 ) -> list[Problem]:
-    """Return overlaps, turned-over cylinders, absurd thicknesses and strips that do not fit."""
+    """Return overlaps, turned-over cylinders, absurd thicknesses, strips and holes that do not fit."""
     problems: list[Problem] = []
     places: list[tuple[float, float, str]] = []
     for group, cylinders in (("beam_pipe", beam_pipe), ("walls", walls)):
@@ -71,7 +71,7 @@ def geometry_problems(
             problems += wrong
             places += [] if wrong else [(part.r_in, part.r_out, f"{group}.{part.label}")]
     for layer in cgem:
-        problems += _strip_problems(layer)
+        problems += _strip_problems(layer) + _hole_problems(layer)
         if layer.r_in <= 0:
             given = f"an inner face at {layer.r_in:g} mm"
             problems.append(Problem(f"cgem.{layer.label}", given, "gaps and electrodes that fit inside anode_radius"))
@@ -113,6 +113,19 @@ def _strip_problems(layer: "CgemLayer") -> list[Problem]:
     if abs(layer.stereo) < math.radians(1):
         given = f"{math.degrees(layer.stereo):g} deg"
         problems.append(Problem(f"{path}.stereo", given, "at least 1 deg, either sign: otherwise z is not measured"))
+    return problems
+
+
+def _hole_problems(layer: "CgemLayer") -> list[Problem]:
+    """Return holes of a foil that are wider inside than outside, or that touch."""
+    path = f"cgem.{layer.label}"
+    problems = []
+    if layer.hole_inner > layer.hole_outer:
+        expected = f"at most hole_outer = {layer.hole_outer:g} mm"
+        problems.append(Problem(f"{path}.hole_inner", f"{layer.hole_inner:g} mm", expected))
+    if layer.hole_outer >= layer.hole_pitch:
+        expected = f"less than hole_pitch = {layer.hole_pitch:g} mm"
+        problems.append(Problem(f"{path}.hole_outer", f"{layer.hole_outer:g} mm", expected))
     return problems
 
 

@@ -3,7 +3,7 @@
 import csv
 import math
 import re
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from importlib import resources
 from typing import NamedTuple
@@ -70,6 +70,16 @@ class Material:
     density_effect: DensityEffect = field(
         metadata=key("numbers", "Sternheimer's parameters c, x0, x1, a, k of the density effect", derived=True)
     )
+    filling: float = field(
+        metadata=key("dimensionless", "part of the volume that is solid, the rest being holes", 1e-9, 1.0), default=1.0
+    )
+
+    def solid(self) -> "Material":
+        """Return what stands beside the holes: the same matter undiluted."""
+        if self.filling == 1:
+            return self
+        name, density, x0 = f"solid {self.name}", self.density / self.filling, self.x0 * self.filling
+        return replace(self, name=name, density=density, x0=x0, filling=1.0)
 
     def xi(self, thickness: float) -> float:
         """Return (K/2) (Z/A) density thickness, GeV, for a thickness in mm."""

@@ -68,8 +68,8 @@ def _material(reader: Reader, name: str, raw: object, found: Mapping[str, Materi
 def _diluted(reader: Reader, path: str, name: str, base: Material, values: dict[str, Any]) -> Material | None:
     """Return `base` at another density.
 
-    A solid is diluted by holes, the matter beside them is unchanged: it keeps its density effect. A gas gets a new
-    one for its new pressure.
+    A solid is diluted by holes, the matter beside them is unchanged: it keeps its density effect, and `filling` says
+    how dense it is. A gas gets a new density effect for its new pressure.
     """
     for key in values.keys() - {"density", "x0"}:
         reader.note(f"{path}.{key}", "a value beside base", "only density and x0 beside base")
@@ -79,4 +79,5 @@ def _diluted(reader: Reader, path: str, name: str, base: Material, values: dict[
     if base.gas and density != base.density:
         effect = general_density_effect(base.excitation_energy, base.z_over_a, density, gas=True)
     x0 = values.get("x0", base.x0 * base.density / density)
-    return dataclasses.replace(base, name=name, density=density, x0=x0, density_effect=effect)
+    filling = base.filling if base.gas else min(1.0, base.filling * density / base.density)
+    return dataclasses.replace(base, name=name, density=density, x0=x0, density_effect=effect, filling=filling)

@@ -12,8 +12,10 @@ from numpy.typing import NDArray
 
 from cgemit import _core
 from cgemit.detector.check import TOUCH
+from cgemit.detector.lattice import Holes, hole_table, perforated
 from cgemit.detector.material import Element, Material
-from cgemit.detector.model import CgemLayer, Cylinder, Detector, DriftChamber, Shell
+from cgemit.detector.model import Cylinder, Detector, DriftChamber, Shell
+from cgemit.detector.readout import cgem_table, wire_table
 
 _ENDLESS = 1e9  # mm, half length of air
 _LUMP = 70.0  # mm of chamber gas that act as one scatterer: about four wire layers
@@ -26,6 +28,7 @@ class Slab(NamedTuple):
     shells: tuple[Shell, ...]
     gap: int = -1
     ends: bool = False  # leaving it through an end means leaving the detector
+    holes: Holes | None = None  # of a part of a foil at the density of its solid matter
 
     @property
     def r_in(self) -> float:
@@ -69,7 +72,7 @@ def _middle(shell: Shell) -> float:
     return 0.5 * (shell.r_in + shell.r_out)
 
 
-def slabs(detector: Detector, merge: bool = True) -> list[Slab]:
+def slabs(detector: Detector, merge: bool = True, foil: str = "effective") -> list[Slab]:
     """Return the matter of a detector, ordered from the beam line outward.
 
     Parameters
@@ -80,11 +83,18 @@ def slabs(detector: Detector, merge: bool = True) -> list[Slab]:
         Join touching cylinders of beam pipe and walls, in each CGEM layer cathode, foils (with the gas between
         them) and anode, and the chamber gas of some wire layers, to one slab each. The sums of X/X0 and xi do not
         change.
+    foil : str
+        ``"effective"``: foils at the density that the description gives them. ``"lattice"``: their sub-layers are
+        slabs of solid matter with holes, whatever `merge` (docs/methods/foils.md).
 
     """
     solid = _cylinders("pipe", detector.beam_pipe, merge) + _cylinders("wall", detector.walls, merge)
     for number, layer in enumerate(detector.cgem):
-        for group in ("cathode", "drift", "foils", "anode"):
+        lattice = foil == "lattice"
+        if lattice:
+            first = sum(other.foils for other in detector.cgem[:number])
+            solid += [Slab((shell,), holes=holes) for shell, holes in perforated(layer, first)]
+        for group in ("cathode", "drift", "anode") if lattice else ("cathode", "drift", "foils", "anode"):
             shells = [shell for shell in layer.shells() if shell.group == group]
             solid += [Slab(tuple(part), number if group == "drift" else -1) for part in _parts(shells, merge)]
     solid.sort(key=lambda slab: slab.r_in)
@@ -231,51 +241,31 @@ def _composition(found: Sequence[Slab]) -> Columns:
     return {"first": np.array(first, dtype=np.int32), "z": z.copy(), "a": a.copy(), "moles": amounts.copy()}
 
 
-def cgem_table(layers: Sequence[CgemLayer]) -> Columns:
-    """Return the read-out of CGEM layers as columns: mm, rad; phi_first is (n, 2), the rest (n,)."""
-    names = ("r_readout", "r_gap_in", "r_gap_out", "half_length", "pitch_x", "pitch_v", "stereo")
-    columns: Columns = {name: np.array([getattr(layer, name) for layer in layers], dtype=np.float64) for name in names}
-    for name in ("sheets", "strips_x", "strips_v"):
-        columns[name] = np.array([getattr(layer, name) for layer in layers], dtype=np.int32)
-    # A layer of one sheet fills the second place with the first: the core reads `sheets` of them.
-    edges = [(*layer.sheet_phi, *layer.sheet_phi)[:2] for layer in layers]
-    columns["phi_first"] = np.array(edges, dtype=np.float64).reshape(-1, 2)
-    strips = [layer.sheets * (layer.strips_x + layer.strips_v) for layer in layers]
-    columns["gid_first"] = np.cumsum([0, *strips])[:-1].astype(np.int32)
-    return columns
-
-
-def wire_table(chamber: DriftChamber | None) -> Columns:
-    """Return the wire layers of a chamber as columns (n,): mm, rad."""
-    layers = chamber.layers if chamber else ()
-    names = ("r_end", "half_length", "twist", "phi_east", "sigma", "sigma_slope", "efficiency")
-    columns: Columns = {name: np.array([getattr(layer, name) for layer in layers], dtype=np.float64) for name in names}
-    for name in ("number", "cells"):
-        columns[name] = np.array([getattr(layer, name) for layer in layers], dtype=np.int32)
-    columns["gid_first"] = np.array(chamber.gid_first if chamber else (), dtype=np.int32)
-    return columns
-
-
 @lru_cache(maxsize=64)
-def compiled(detector: Detector, merge: bool = True, screening: str = "wentzel") -> _core.Detector:
+def compiled(
+    detector: Detector, merge: bool = True, screening: str = "wentzel", foil: str = "effective"
+) -> _core.Detector:
     """Return the detector of the compiled core; equal descriptions share one.
 
     Parameters
     ----------
     detector : Detector
         The description.
-    merge : bool
+    merge, foil
         See `slabs`.
     screening : str
         Screening of nuclei in multiple scattering, ``"wentzel"`` or ``"moliere"`` (docs/methods/matter.md).
 
     """
+    found = slabs(detector, merge, foil)
+    groups = [slab.shells[0].group for slab in found]
     return _core.Detector(
         bz=detector.field.bz,
-        **slab_table(slabs(detector, merge))._asdict(),
+        **slab_table(found)._asdict(),
         cgem=cgem_table(detector.cgem),
         wires=wire_table(detector.drift_chamber),
         screening=getattr(_core.Screening, screening),
+        lattice=hole_table([slab.holes for slab in found], groups, merge) if foil == "lattice" else {},
     )
 
 

@@ -54,6 +54,23 @@ std::vector<Slab> make_slabs(const py::dict& columns, const Array<double>& log_t
   return slabs;
 }
 
+// Which slabs are parts of GEM foils, with their holes, and the random numbers of each slab.
+void add_holes(const py::dict& columns, std::vector<Slab>& slabs) {
+  for (std::size_t i = 0; i < slabs.size(); ++i) slabs[i].place = static_cast<std::uint32_t>(i);
+  if (columns.empty()) return;
+  const auto place = take<std::uint32_t>(columns, "place");
+  const auto slab = take<std::int32_t>(columns, "slab"), foil = take<std::int32_t>(columns, "foil");
+  const auto pitch = take<double>(columns, "pitch"), waist = take<double>(columns, "waist"),
+             widening = take<double>(columns, "widening"), begin = take<double>(columns, "begin"),
+             end = take<double>(columns, "end");
+  const auto places = column(place, "place", static_cast<py::ssize_t>(slabs.size()));
+  for (std::size_t i = 0; i < slabs.size(); ++i) slabs[i].place = places[i];
+  for (py::ssize_t k = 0; k < slab.size(); ++k) {
+    slabs.at(static_cast<std::size_t>(slab.at(k))).holes = {foil.at(k),     pitch.at(k), waist.at(k),
+                                                            widening.at(k), begin.at(k), end.at(k)};
+  }
+}
+
 std::vector<CgemLayer> make_cgem(const py::dict& columns) {
   const auto r_readout = take<double>(columns, "r_readout"), r_gap_in = take<double>(columns, "r_gap_in"),
              r_gap_out = take<double>(columns, "r_gap_out"),
@@ -130,14 +147,15 @@ void bind_detector(py::module_& module) {
                        "The detector as plain numbers, ordered from the beam line outward.")
       .def(py::init([](double bz, const py::dict& slabs, const Array<double>& log_terms,
                        const py::dict& composition, const py::dict& cgem, const py::dict& wires,
-                       Screening screening) {
-             Detector detector = make_detector(bz, make_slabs(slabs, log_terms, composition), make_cgem(cgem),
-                                               make_wires(wires));
+                       Screening screening, const py::dict& lattice) {
+             std::vector<Slab> made = make_slabs(slabs, log_terms, composition);
+             add_holes(lattice, made);
+             Detector detector = make_detector(bz, std::move(made), make_cgem(cgem), make_wires(wires));
              prepare_scattering(detector, screening);
              return detector;
            }),
            py::kw_only(), py::arg("bz"), py::arg("slabs"), py::arg("log_terms"), py::arg("composition"),
-           py::arg("cgem"), py::arg("wires"), py::arg("screening"))
+           py::arg("cgem"), py::arg("wires"), py::arg("screening"), py::arg("lattice") = py::dict())
       .def_readonly("bz", &Detector::bz)
       .def_property_readonly("n_slabs", [](const Detector& d) { return d.slabs.size(); })
       .def_property_readonly("n_cgem_layers", [](const Detector& d) { return d.cgem.size(); })

@@ -6,6 +6,7 @@ void bind_rng(pybind11::module_& module);
 void bind_detector(pybind11::module_& module);
 void bind_motion(pybind11::module_& module);
 void bind_matter(pybind11::module_& module);
+void bind_foil(pybind11::module_& module);
 void bind_kalman(pybind11::module_& module);
 void bind_simulate(pybind11::module_& module);
 void bind_digitize(pybind11::module_& module);
@@ -19,6 +20,7 @@ PYBIND11_MODULE(_core, module, pybind11::mod_gil_not_used()) {
   bind_detector(module);
   bind_motion(module);
   bind_matter(module);
+  bind_foil(module);
   bind_kalman(module);
   bind_simulate(module);
   bind_digitize(module);

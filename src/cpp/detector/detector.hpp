@@ -37,6 +37,16 @@ struct HardScatterer {
   double size;       // (GeV/c)^-2, radius of the nucleus squared over 12
 };
 
+// Holes through a slab that is a part of a GEM foil: a hexagonal lattice, circles whose radius is `waist` in
+// the middle of the foil and grows by `widening` per mm from there, so that copper has widening 0.
+struct Holes {
+  int foil;      // running number of the foil; its parts share their holes
+  double pitch;  // mm, 0 for a slab without holes
+  double waist;  // mm
+  double widening;
+  double begin, end;  // mm, where the slab begins and ends, outward from the middle of the foil
+};
+
 // A cylindrical shell of matter, or several neighbouring ones merged to one scatterer. It acts at `radius`.
 struct Slab {
   double r_in;         // mm
@@ -45,9 +55,11 @@ struct Slab {
   double spread;       // mm, standard deviation of the scattering power about `radius`, along the radius
   double half_length;  // mm; no matter beyond
   double x0;           // thickness in radiation lengths at normal incidence
-  double xi;  // GeV, (K/2) sum of Z/A times mass thickness at normal incidence; Landau's xi is xi/beta^2
-  int gap;    // index of the CGEM layer whose drift gap this is, or -1
-  bool ends;  // a track that crosses beyond half_length leaves the detector (end plate)
+  double xi;    // GeV, (K/2) sum of Z/A times mass thickness at normal incidence; Landau's xi is xi/beta^2
+  int gap;      // index of the CGEM layer whose drift gap this is, or -1
+  bool ends;    // a track that crosses beyond half_length leaves the detector (end plate)
+  Holes holes;  // pitch 0: none
+  std::uint32_t place;  // of its random numbers
   std::vector<Component> components;
   std::array<SlabPoint, loss_points> table;
   // What follows from the above:

@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "common/angles.hpp"
+#include "matter/foil.hpp"
 #include "matter/loss.hpp"
 #include "matter/radiation.hpp"
 #include "matter/scattering.hpp"
@@ -90,8 +91,10 @@ class Flight {
       status_ = TransportStatus::end;
       return !slab.ends;
     }
-    const double path = path_factor(slab, stretch_, std::abs(point_.outward()));
-    const auto place = static_cast<std::uint32_t>(index);
+    const double path =
+        path_factor(slab, stretch_, std::abs(point_.outward())) * solid_fraction(slab, point_, stream_);
+    if (path == 0) return true;
+    const std::uint32_t place = slab.place;
     const double loss = lose(slab, path, place);
     if (now_.kinetic() - loss < least_kinetic) {
       status_ = TransportStatus::stopped;
