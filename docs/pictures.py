@@ -13,7 +13,9 @@ import numpy as np
 from matplotlib.axes import Axes
 
 import cgemit as cg
-from cgemit import helix
+from cgemit import _core, helix
+from cgemit.detector import compiled, slabs
+from cgemit.detector.lattice import Holes
 from cgemit.draw.geometry import helix_points
 from cgemit.particles import particles_from
 
@@ -102,6 +104,62 @@ def strips() -> None:
     figure.savefig(IMAGES / "strips.png", dpi=90)
 
 
+def foils() -> None:
+    """A cut through a GEM foil with tracks, and the matter of nine foils that tracks meet."""
+    detector = cg.load("besiii-cgem")
+    figure, (cut, matter) = plt.subplots(1, 2, figsize=(10.2, 3.6), width_ratios=(1.25, 1))
+    draw_foil(cut, [slab.holes for slab in slabs(detector, foil="lattice") if slab.holes][:3])
+    rng = np.random.default_rng(1)
+    preset = 100 * sum(
+        layer.foils * part.thickness / part.material.x0 for layer in detector.cgem for part in layer.foil
+    )
+    bins = np.linspace(0.1, 0.72, 125)
+    for slope, color in ((0.0, TRACK), (1.0, LENGTH)):
+        x0 = 100 * foil_matter(detector, slope, 20_000, rng) / np.hypot(1, slope)
+        angle = np.degrees(np.arctan(slope))
+        matter.hist(x0, bins=bins, histtype="step", color=color, label=f"lattice, {angle:.0f} deg")
+    matter.axvline(preset, color=MARK, ls="--", lw=1.4, label="effective, as in the preset")
+    matter.set(xlabel="X/X0 of nine foils times cos(angle), %", ylabel="tracks")
+    matter.legend(fontsize=8.5, frameon=False)
+    figure.tight_layout()
+    figure.savefig(IMAGES / "foils.png", dpi=90)
+
+
+def foil_matter(detector: cg.Detector, slope: float, n: int, rng: np.random.Generator) -> np.ndarray:
+    """Return X/X0 of all foils along n straight lines that cross them at random places."""
+    core, total, foil = compiled(detector, foil="lattice"), np.zeros(n), -1
+    for number, slab in enumerate(slabs(detector, foil="lattice")):
+        if slab.holes and slab.holes.foil != foil:
+            foil, (i, j) = slab.holes.foil, rng.random((2, n)) * slab.holes.pitch
+            line = {"u": i + j / 2, "v": j * np.sqrt(0.75), "slope_u": np.full(n, slope), "slope_v": np.zeros(n)}
+        if slab.holes:
+            total += slab.x0 * np.hypot(1, slope) * _core.solid_fraction(core, number, **line)
+    return total
+
+
+def draw_foil(plot: Axes, parts: Sequence[Holes]) -> None:
+    """Draw a foil cut along a row of holes, in um, with three tracks; thick where they meet matter."""
+    for holes in parts:
+        w = np.unique([holes.begin, np.clip(0.0, holes.begin, holes.end), holes.end])
+        radius = holes.waist + holes.widening * np.abs(w)
+        color = "#D98A4E" if holes.widening == 0 else "#F2D45C"  # copper, Kapton
+        for i in range(-1, 5):
+            left, right = i * holes.pitch + radius, (i + 1) * holes.pitch - radius
+            plot.fill(1e3 * np.concatenate([left, right[::-1]]), 1e3 * np.concatenate([w, w[::-1]]), color=color, lw=0)
+    w = np.linspace(-0.03, 0.03, 4001)
+    for start, slope in ((0.030, 0.0), (0.1, 0.5), (0.35, 2.0)):
+        u = start + slope * w
+        solid = np.zeros(len(w), bool)
+        for holes in parts:
+            inside = (w >= holes.begin) & (w <= holes.end)
+            off = np.abs(u - holes.pitch * np.round(u / holes.pitch))
+            solid |= inside & (off > holes.waist + holes.widening * np.abs(w))
+        far = np.array([-0.06, 0.06])
+        plot.plot(1e3 * (start + slope * far), 1e3 * far, color="black", lw=0.9)
+        plot.plot(1e3 * np.where(solid, u, np.nan), 1e3 * w, color=MARK, lw=2.6)
+    plot.set(xlim=(-60, 520), ylim=(-60, 60), aspect="equal", xlabel="u along r phi (um)", ylabel="w outward (um)")
+
+
 def readme() -> None:
     """Run the example of README.md as printed, and keep the picture it draws."""
     (example,) = re.findall(r"^```python\n(.*?)^```", (HERE.parent / "README.md").read_text(), re.MULTILINE | re.DOTALL)
@@ -119,4 +177,5 @@ if __name__ == "__main__":
     IMAGES.mkdir(exist_ok=True)
     helices()
     strips()
+    foils()
     readme()

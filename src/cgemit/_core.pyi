@@ -138,6 +138,7 @@ def sample_loss(
 def through_slabs(
     detector: Detector, *, p: float, mass: float, charge: float, n: int, seed: int
 ) -> dict[str, _Array]: ...
+
 # Which part (0 to 1) of a straight line through a slab with holes lies beside them: u, v (mm) where it crosses the
 # middle of the foil, slopes du/dw, dv/dw with w outward; (n,) float64.
 def solid_fraction(

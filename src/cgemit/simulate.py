@@ -48,7 +48,7 @@ class SimulateSettings:
             choices = ", ".join(map(repr, FOILS))
             raise ValueError(f"SimulateSettings.foil: {self.foil!r}, expected one of {choices}")
         if self.foil == "lattice" and self.fluctuations != "full":
-            raise ValueError(f"SimulateSettings.foil: 'lattice' with fluctuations {self.fluctuations!r}, expected 'full'")
+            raise ValueError("SimulateSettings.foil: 'lattice', expected 'effective' unless fluctuations are 'full'")
 
 
 def simulate(

@@ -1,6 +1,5 @@
 """GEM foils as solid matter with holes, instead of even matter of less density."""
 
-import dataclasses
 from collections.abc import Iterator, Sequence
 from itertools import groupby
 from typing import NamedTuple
@@ -81,8 +80,8 @@ def hole_table(holes: Sequence[Holes | None], groups: Sequence[str], merge: bool
     Returns
     -------
     dict of ndarray
-        place (slabs,) uint32; of slabs with holes, (m,): slab, foil int32; pitch, waist, begin, end float64 mm; widening
-        float64.
+        place (slabs,) uint32; of slabs with holes, (m,): slab, foil int32; pitch, waist, begin, end float64 mm;
+        widening float64.
 
     """
     rows = [(number, *found) for number, found in enumerate(holes) if found]
