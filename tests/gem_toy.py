@@ -83,6 +83,28 @@ def truth_columns(event, layer, entry, exit_, middle=None, particle=None, energy
     return columns | {"time": full(time, "f8"), "energy": full(energy, "f8"), "secondaries": full(0, "u1")}
 
 
+def step_columns(truths, truth, middle, vector, energy=1.0, parent=1, delta=1):
+    """Columns of steps of the truths with row numbers `truth`, from middles and vectors (n, 3)."""
+    middle, vector = np.atleast_2d(middle).astype(float), np.atleast_2d(vector).astype(float)
+    truth = np.broadcast_to(truth, len(middle)).astype("i8")
+
+    def full(value, dtype):
+        return np.ascontiguousarray(np.broadcast_to(value, len(middle)), dtype)
+
+    columns = {name: truths[name][truth] for name in ("event", "particle", "layer")} | {"truth": truth}
+    for prefix, points in (("", middle), ("d", vector)):
+        columns |= {prefix + axis: points[:, k].copy() for k, axis in enumerate("xyz")}
+    columns |= {"energy": full(energy, "f8"), "n_electrons": full(0, "i4")}
+    return columns | {"parent": full(parent, "i1"), "delta": full(delta, "i4")}
+
+
+def no_steps():
+    """Columns of steps without rows."""
+    names = {"event": "i8", "particle": "i4", "layer": "i4"}
+    truths = {name: np.empty(0, dtype) for name, dtype in names.items()}
+    return step_columns(truths, np.empty(0), np.empty((0, 3)), np.empty((0, 3)))
+
+
 def wire_truth_columns(event, layer, wire, doca, particle=0):
     """Columns of wire_truths; event, layer, wire, doca and particle are numbers or (n,)."""
     event, layer, wire, doca, particle = np.broadcast_arrays(event, layer, wire, np.atleast_1d(doca), particle)

@@ -148,7 +148,7 @@ def solid_fraction(
 # Stages: one call for a chunk of events, without the GIL.
 def simulate(detector: Detector, particles: _Columns, *, fluctuations: Fluctuations, seed: int) -> _Simulated: ...
 def read_out_strips(
-    detector: Detector, truths: _Columns, *, gain: float, w_value: float, threshold: float
+    detector: Detector, truths: _Columns, steps: _Columns, *, gain: float, w_value: float, threshold: float
 ) -> dict[str, _Array]: ...
 def smear_positions(
     detector: Detector,
@@ -170,7 +170,7 @@ def read_out_wires(
     seed: int,
 ) -> dict[str, _Array]: ...
 def find_clusters(
-    detector: Detector, digis: _Columns, *, err_x: npt.ArrayLike, err_v: npt.ArrayLike
+    detector: Detector, digis: _Columns, *, err_x: npt.ArrayLike, err_v: npt.ArrayLike, by_charge: bool
 ) -> dict[str, _Array]: ...
 def reference(detector: Detector, helix: npt.ArrayLike, mass: float, hits: _Columns) -> _Reference: ...
 def fit(

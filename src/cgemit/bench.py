@@ -111,20 +111,20 @@ def stage_calls(detector: Detector, gun: Gun, events: int, first_event: int = 0)
     """
     particles = generate(gun, events, SEED, first_event)
     simulated = simulate(detector, particles, seed=SEED)
-    truths, wire_truths = simulated["truths"], simulated["wire_truths"]
+    truths, steps, wire_truths = (simulated[name] for name in ("truths", "steps", "wire_truths"))
     shown, hidden = DigitizeSettings(reveal_sides=True), DigitizeSettings()
-    digis = digitize(detector, truths, wire_truths, hidden, SEED)["digis"]
+    digis = digitize(detector, truths, wire_truths, hidden, SEED, steps=steps)["digis"]
     clusters = cluster(detector, digis)
 
     def fit_call(settings: DigitizeSettings) -> Callable[[], object]:
-        wire_hits = digitize(detector, truths, wire_truths, settings, SEED)["wire_hits"]
-        candidates = find.by_truth(simulated["particles"], clusters, wire_hits, truths, wire_truths)
+        wire_hits = digitize(detector, truths, wire_truths, settings, SEED, steps=steps)["wire_hits"]
+        candidates = find.by_truth(detector, simulated["particles"], clusters, wire_hits, truths, wire_truths)
         smooth = FitSettings(residuals=True)
         return lambda: fit(detector, simulated["particles"], clusters, wire_hits, candidates, smooth, SEED)
 
     return {
         "simulate": lambda: simulate(detector, particles, seed=SEED),
-        "digitize": lambda: digitize(detector, truths, wire_truths, hidden, SEED),
+        "digitize": lambda: digitize(detector, truths, wire_truths, hidden, SEED, steps=steps),
         "cluster": lambda: cluster(detector, digis),
         "fit": fit_call(shown),
         "fit_lr": fit_call(hidden),

@@ -46,14 +46,15 @@ def run_chunk(
     clock = _Clock()
     tables = simulate(detector, particles, settings.simulate, seed)
     clock.stop("simulate")
-    tables |= digitize(detector, tables["truths"], tables["wire_truths"], settings.digitize, seed)
+    tables |= digitize(
+        detector, tables["truths"], tables["wire_truths"], settings.digitize, seed, steps=tables["steps"]
+    )
     clock.stop("digitize")
     if "clusters" not in tables:  # the gaussian read-out has no strips to cluster
         tables["clusters"] = cluster(detector, tables["digis"], settings.cluster)
     clock.stop("cluster")
-    candidates = find.by_truth(
-        *(tables[name] for name in ("particles", "clusters", "wire_hits", "truths", "wire_truths"))
-    )
+    names = ("particles", "clusters", "wire_hits", "truths", "wire_truths")
+    candidates = find.by_truth(detector, *(tables[name] for name in names))
     clock.stop("find")
     tables |= fit(
         fit_detector,
@@ -140,6 +141,7 @@ def run(
         settings=settings,
         particles=tables["particles"],
         truths=tables["truths"],
+        steps=tables["steps"],
         wire_truths=tables["wire_truths"],
         digis=tables["digis"],
         wire_hits=tables["wire_hits"],

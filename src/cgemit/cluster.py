@@ -19,24 +19,29 @@ from cgemit.tables import Table
 Floats = npt.NDArray[np.float64]
 
 MAX_SIZE = 64
-"""Cluster sizes in the table of errors; larger clusters have the error of a size that the reference never makes."""
+"""Cluster sizes in the table of errors; larger clusters have the error of this size."""
 
 RARE = 1e-3
 """Sizes that fewer clusters of the reference have count as never made: what else makes them decides their error."""
+
+POSITIONS = ("centre", "charge")
 
 _POINTS = 2000  # of the reference sample in cos(theta); ten times as many move no error by more than 0.2 %
 
 
 @dataclass(frozen=True, kw_only=True)
 class ClusterSettings:
-    """Reference sample from which cluster errors follow: tracks from the origin, uniform in cos(theta).
+    """How clusters are located, and the sample from which their errors follow: tracks from the origin.
 
     Attributes
     ----------
+    position : str
+        ``"centre"``: geometric centre of the fired strips, all that a binary read-out tells. ``"charge"``: centres of
+        the strips weighted by charge, for a read-out whose charges tell where a track passed.
     reference_p : float
         GeV/c.
     reference_cos_theta : float
-        The sample covers cos(theta) from minus to plus this.
+        The sample covers cos(theta) from minus to plus this, uniformly.
 
     Raises
     ------
@@ -44,11 +49,14 @@ class ClusterSettings:
         Listing every value that makes no sense.
     """
 
+    position: str = "centre"
     reference_p: float = 1.0
     reference_cos_theta: float = 0.93
 
     def __post_init__(self) -> None:
         problems = []
+        if self.position not in POSITIONS:
+            problems.append(f"position: got {self.position!r}, expected one of {', '.join(POSITIONS)}")
         if not (math.isfinite(self.reference_p) and self.reference_p > 0):
             problems.append(f"reference_p: got {self.reference_p!r}, expected a positive number")
         if not 0 < self.reference_cos_theta < 1:
@@ -77,8 +85,10 @@ def cluster(detector: Detector, digis: Table, settings: ClusterSettings | None =
     ValueError
         If a strip is not in the detector.
     """
-    err_x, err_v = cluster_errors(detector, settings or ClusterSettings())
-    found = _core.find_clusters(compiled(detector), dict(digis.columns), err_x=err_x, err_v=err_v)
+    settings = settings or ClusterSettings()
+    err_x, err_v = cluster_errors(detector, settings)
+    by_charge = settings.position == "charge"
+    found = _core.find_clusters(compiled(detector), dict(digis.columns), err_x=err_x, err_v=err_v, by_charge=by_charge)
     return Table("clusters", found, digis.n_events, digis.first_event)
 
 
@@ -166,26 +176,31 @@ def size_errors(widths: Floats, pitch: float) -> Floats:
 
     A segment that extends over w fires n strips if its centre lies in an interval of length
     min(n p - w, w - (n - 2) p) about the centre of these strips, p being the pitch. With the position uniform
-    against the strips the error is uniform in that interval: RMS length/sqrt(12).
+    against the strips the error is uniform in that interval: RMS length/sqrt(12). In a cluster of a size that segments
+    alone do not make, something else fired strips, too: the segment lies anywhere in it, its centre in an interval of
+    length n p - w (|n p - w| where it was cut off).
 
     Parameters
     ----------
     widths : ndarray, (k,) float64, mm
-        Extents of a sample of segments, equally weighted.
+        Extents of a sample of segments, equally weighted; without any, w = 0.
     pitch : float
         mm.
 
     Returns
     -------
     ndarray, (MAX_SIZE,) float64, mm
-        ``pitch/sqrt(12)``, the largest possible, for sizes that the sample never or hardly (`RARE`) makes, and in the
-        last entry.
+        Where the sample never or hardly (`RARE`) makes a size, and in the last entry, that of the longer interval, but
+        not below that of one pitch.
     """
-    errors = np.full(MAX_SIZE, pitch / np.sqrt(12))
-    largest = min(MAX_SIZE - 1, int(np.max(widths, initial=0.0) / pitch) + 2)
-    n = np.arange(1, largest + 1)[:, None]
-    length = np.maximum(np.minimum(n * pitch - widths, widths - (n - 2) * pitch), 0.0)
+    if not len(widths):
+        widths = np.zeros(1)
+    n = np.arange(1, MAX_SIZE + 1)
+    errors = np.sqrt(np.mean(np.maximum(np.abs(n[:, None] * pitch - widths), pitch) ** 2, axis=1) / 12)
+    largest = min(MAX_SIZE - 1, int(np.max(widths) / pitch) + 2)
+    length = np.minimum(n[:largest, None] * pitch - widths, widths - (n[:largest, None] - 2) * pitch)
+    length = np.maximum(length, 0.0)
     often = length.sum(axis=1)
     made = np.flatnonzero(often > RARE * pitch * len(widths))
     errors[made] = np.sqrt((length[made] ** 3).sum(axis=1) / often[made] / 12)
-    return errors
+    return np.asarray(errors)

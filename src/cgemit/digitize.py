@@ -76,6 +76,8 @@ def digitize(
     wire_truths: Table,
     settings: DigitizeSettings | None = None,
     seed: int = 0,
+    *,
+    steps: Table | None = None,
 ) -> dict[str, Table]:
     """Read out the CGEM layers and the wires.
 
@@ -89,6 +91,9 @@ def digitize(
     settings : DigitizeSettings or None
     seed : int
         Key of the random numbers. They depend on seed, event, particle, layer and wire, on nothing else.
+    steps : Table or None
+        Of kind ``steps``, linked to `truths` and in their order: delta electrons deposit where they went (binary).
+        Without it, all energy of a truth lies between entry and exit.
 
     Returns
     -------
@@ -98,7 +103,7 @@ def digitize(
     Raises
     ------
     ValueError
-        If a layer or wire is not in the detector, or a value is not finite.
+        If a layer or wire is not in the detector, a value is not finite, or a step does not belong to its truth.
     """
     settings = settings or DigitizeSettings()
     core = compiled(detector)
@@ -115,7 +120,12 @@ def digitize(
     tables = {"wire_hits": Table("wire_hits", hits, *events)}
     if settings.readout == "binary":
         digis = _core.read_out_strips(
-            core, columns, gain=settings.gain, w_value=settings.w_value, threshold=settings.threshold
+            core,
+            columns,
+            dict((Table.empty("steps", *events) if steps is None else steps).columns),
+            gain=settings.gain,
+            w_value=settings.w_value,
+            threshold=settings.threshold,
         )
         return {"digis": Table("digis", digis, *events), **tables}
     smeared = _core.smear_positions(

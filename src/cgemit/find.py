@@ -1,7 +1,7 @@
-"""Assignment of hits to tracks by truth: a stand-in for track finding (docs/methods/fit.md).
+"""Assignment of hits to tracks by truth: a stand-in for track finding (docs/methods/find.md).
 
-Every hit of a particle is given to it, and none of another; where two particles share a cluster or a cell, the one
-that left more (or was closer) has it.
+Every particle gets its wire hits and one cluster a view of each of its crossings, and none of another particle; where
+two share a cluster or a cell, the one that left more (or was closer) has it.
 """
 
 from __future__ import annotations
@@ -9,18 +9,28 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from cgemit.candidates import HIT_V, HIT_WIRE, Candidates
+from cgemit.candidates import HIT_V, HIT_WIRE, HIT_X, Candidates
+from cgemit.detector import Detector
+from cgemit.detector.strip_plane import local_v
 from cgemit.tables import Table
 
+Floats = npt.NDArray[np.float64]
+Rows = npt.NDArray[np.intp]
 
-def by_truth(particles: Table, clusters: Table, wire_hits: Table, truths: Table, wire_truths: Table) -> Candidates:
+
+def by_truth(
+    detector: Detector, particles: Table, clusters: Table, wire_hits: Table, truths: Table, wire_truths: Table
+) -> Candidates:
     """Give each particle the X clusters, V clusters and wire hits that its truths link to.
 
-    XV clusters are left out: they repeat what their X and V clusters say. Hits without a truth, or of a particle
-    that the table does not hold, belong to nobody.
+    Of several clusters of one crossing in one view, `own_clusters` says which one. XV clusters are left out: they
+    repeat what their X and V clusters say. Hits without a truth, or of a particle that the table does not hold, belong
+    to nobody.
 
     Parameters
     ----------
+    detector : Detector
+        In which the clusters were made.
     particles, clusters, wire_hits, truths, wire_truths : Table
         Of the same events; links of `clusters` and `wire_hits` count rows of `truths` and `wire_truths`.
 
@@ -28,7 +38,7 @@ def by_truth(particles: Table, clusters: Table, wire_hits: Table, truths: Table,
     -------
     Candidates
     """
-    in_view = np.flatnonzero((clusters["view"] <= HIT_V) & (clusters["truth"] >= 0))
+    in_view = own_clusters(detector, clusters, truths)
     linked = np.flatnonzero(wire_hits["wire_truth"] >= 0)
     owner_of_truth = _particle_rows(particles, truths)
     owner_of_passage = _particle_rows(particles, wire_truths)
@@ -45,6 +55,75 @@ def by_truth(particles: Table, clusters: Table, wire_hits: Table, truths: Table,
     order = order[np.searchsorted(outward[order], 0) :]  # drops the hits of nobody, whose owner is -1
     offsets = np.searchsorted(owner[order], np.arange(len(particles) + 1)).astype(np.int64)
     return Candidates(offsets, kind[order], row[order])
+
+
+def own_clusters(detector: Detector, clusters: Table, truths: Table) -> Rows:
+    """Return the one cluster of each crossing and view that the particle itself made.
+
+    Delta electrons may fire strips away from the particle's own, and at a seam of the read-out a crossing fires strips
+    of two sheets. The cluster that holds the strip at the crossing's mid-gap point counts, else the nearest one.
+
+    Parameters
+    ----------
+    detector : Detector
+    clusters, truths : Table
+        Links of `clusters` count rows of `truths`.
+
+    Returns
+    -------
+    ndarray, (n,) intp
+        Increasing row numbers of X and V clusters; clusters without a truth are left out.
+    """
+    rows = np.flatnonzero((clusters["view"] <= HIT_V) & (clusters["truth"] >= 0))
+    place = clusters["truth"][rows] * 2 + clusters["view"][rows]
+    order = np.lexsort((_distances(detector, clusters, truths, rows), place))
+    first = np.diff(place[order], prepend=-1) != 0
+    return np.sort(rows[order[first]])
+
+
+def residuals(detector: Detector, clusters: Table, truths: Table, rows: Rows) -> Floats:
+    """Return how far clusters are from the crossings they link to, at mid-gap.
+
+    Parameters
+    ----------
+    detector : Detector
+    clusters, truths : Table
+    rows : ndarray, (n,) int
+        X and V clusters that link to a truth.
+
+    Returns
+    -------
+    ndarray, (n,) float64, mm
+        X or V of the cluster minus that of the crossing's phi and z, at the nearest of all turns about the beam line.
+    """
+    layer, sheet, view = (clusters[name][rows] for name in ("layer", "sheet", "view"))
+    truth = clusters["truth"][rows]
+    residual = np.empty(len(rows))
+    for number, cgem in enumerate(detector.cgem):
+        for half_shell, start in enumerate(cgem.sheet_phi):
+            for axis in (HIT_X, HIT_V):
+                mine = (layer == number) & (sheet == half_shell) & (view == axis)
+                phi, z = truths["phi"][truth[mine]], truths["z"][truth[mine]]
+                x, turn = cgem.r_readout * (phi - start), 2 * np.pi * cgem.r_readout
+                if axis == HIT_X:
+                    difference = clusters["x"][rows[mine]] - x
+                else:  # a whole turn changes V by hundreds of mm: the nearest turn is the right one
+                    difference = clusters["v"][rows[mine]] - local_v(cgem, x, z)
+                    turn *= np.cos(cgem.stereo)
+                residual[mine] = difference - turn * np.round(difference / turn)
+    return residual
+
+
+def _distances(detector: Detector, clusters: Table, truths: Table, rows: Rows) -> Floats:
+    """How far crossings lie from the edge of their cluster (mm), 0 if inside."""
+    first, size, layer, view = (clusters[name][rows] for name in ("first", "size", "layer", "view"))
+    pitches = np.array([(cgem.pitch_x, cgem.pitch_v) for cgem in detector.cgem]).reshape(-1, 2)
+    pitch = pitches[layer, view]
+    position = np.where(view == HIT_X, clusters["x"][rows], clusters["v"][rows])
+    # A position weighted by charge is not the middle of the strips.
+    middle = np.where(size > 0, (first + 0.5 * size) * pitch, position)
+    beside = np.abs(residuals(detector, clusters, truths, rows) - (position - middle))
+    return np.asarray(np.maximum(beside - 0.5 * size * pitch, 0.0))
 
 
 def _particle_rows(particles: Table, truths: Table) -> npt.NDArray[np.int64]:

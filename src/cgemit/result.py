@@ -16,7 +16,7 @@ from cgemit.gun import Gun, Guns
 from cgemit.simulate import SimulateSettings, TransportStatus
 from cgemit.tables import Table, save_tables
 
-TABLES = ("particles", "truths", "wire_truths", "digis", "wire_hits", "clusters", "tracks", "residuals")
+TABLES = ("particles", "truths", "steps", "wire_truths", "digis", "wire_hits", "clusters", "tracks", "residuals")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,6 +39,7 @@ class Result:
     settings: Settings
     particles: Table
     truths: Table
+    steps: Table
     wire_truths: Table
     digis: Table
     wire_hits: Table

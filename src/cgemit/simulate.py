@@ -29,6 +29,8 @@ class SimulateSettings:
         ``"effective"``: GEM foils are even matter. ``"lattice"``: they have holes, and a track meets the copper and
         Kapton that it really crosses (docs/methods/foils.md); with fluctuations ``"full"`` only, since the others make
         the fit's assumptions true.
+    deltas : bool
+        Whether delta electrons leave deposits of their own in the drift gaps.
 
     Raises
     ------
@@ -39,6 +41,7 @@ class SimulateSettings:
     fluctuations: str = "full"
     sublayers: bool = False
     foil: str = "effective"
+    deltas: bool = True
 
     def __post_init__(self) -> None:
         if self.fluctuations not in FLUCTUATIONS:
@@ -72,7 +75,7 @@ def simulate(
     Returns
     -------
     dict of str to Table
-        ``particles`` with `status` filled in (TransportStatus), ``truths`` and ``wire_truths``.
+        ``particles`` with `status` filled in (TransportStatus), ``truths``, ``steps`` and ``wire_truths``.
     """
     settings = settings or SimulateSettings()
     out = _core.simulate(
@@ -85,6 +88,7 @@ def simulate(
     return {
         "particles": particles.with_columns(status=out["status"]),
         "truths": Table("truths", out["truths"], *span),
+        "steps": Table.empty("steps", *span),
         "wire_truths": Table("wire_truths", out["wire_truths"], *span),
     }
 

@@ -66,11 +66,12 @@ def test_borders_of_view_sheet_layer_and_event_part(design):
     assert np.diff(clusters.offsets).tolist() == [5, 1]
 
 
-def test_position_is_the_mean_of_the_strips_weighted_by_charge(design):
-    """Equal charges: the geometric centre. Unequal ones: sum(X_i Q_i)/sum(Q_i). None at all: the centre again."""
+@pytest.mark.parametrize(("position", "unequal"), [("centre", 11.0), ("charge", 11.25)])
+def test_position_is_the_centre_of_the_strips_or_weighted_by_charge(design, position, unequal):
+    """Equal charges, or none at all: the geometric centre. Unequal ones: the same, or sum(X_i Q_i)/sum(Q_i)."""
     rows = x_strips(4, 5, 6) + x_strips(10, charge=1.0) + x_strips(11, charge=3.0) + x_strips(20, 21, charge=0.0)
-    clusters = cluster(design, digi_table(rows))
-    np.testing.assert_allclose(clusters["x"], np.array([5.5, 11.25, 21.0]) * PITCH)
+    clusters = cluster(design, digi_table(rows), ClusterSettings(position=position))
+    np.testing.assert_allclose(clusters["x"], np.array([5.5, unequal, 21.0]) * PITCH)
     np.testing.assert_allclose(clusters["charge"], [3.0, 4.0, 0.0])
     assert clusters["time"].tolist() == [0.0, 3.0, 5.0]
     assert clusters["size"].tolist() == [3, 2, 2]
@@ -179,16 +180,28 @@ def test_no_digis_no_clusters():
 def test_errors_of_one_width_worked_by_hand():
     """W = 0.2 mm at p = 0.65: one strip if the centre is in 0.45 mm, two in 0.2 mm; error length/sqrt(12)."""
     errors = size_errors(np.array([0.2]), 0.65)
-    np.testing.assert_allclose(errors[:3] * np.sqrt(12), [0.45, 0.20, 0.65])
+    # Never three: then the line lies anywhere in them, its centre in 3 * 0.65 - 0.2 = 1.75 mm.
+    np.testing.assert_allclose(errors[:3] * np.sqrt(12), [0.45, 0.20, 1.75])
     # w = 0.8 mm: two strips in 2 * 0.65 - 0.8 = 0.5 mm, three in 0.8 - 0.65 = 0.15 mm, one never.
     errors = size_errors(np.array([0.8]), 0.65)
-    np.testing.assert_allclose(errors[:4] * np.sqrt(12), [0.65, 0.5, 0.15, 0.65])
+    np.testing.assert_allclose(errors[:4] * np.sqrt(12), [0.65, 0.5, 0.15, 1.8])
 
 
 def test_hardly_made_sizes_count_as_never_made():
     """One segment in 2000 that is just wide enough for three strips does not set their error."""
     errors = size_errors(np.append(np.full(1999, 0.2), 0.66), 0.65)
-    np.testing.assert_allclose(errors[2], 0.65 / np.sqrt(12))
+    np.testing.assert_allclose(errors[2], 1.75 / np.sqrt(12), rtol=1e-3)
+
+
+def test_error_of_strips_that_something_else_fired():
+    """A line of 0.2 mm thrown anywhere into five strips: RMS of its distance from their middle."""
+    n, width, strips = 400_000, 0.2, 5
+    begin = np.random.default_rng(7).uniform(0, strips * PITCH - width, n)
+    residual = 0.5 * strips * PITCH - (begin + 0.5 * width)
+    error = size_errors(np.array([width]), PITCH)[strips - 1]
+    assert_within(residual.std(), error, rms_error(residual))
+    with pytest.raises(AssertionError):
+        assert_within(residual.std(), PITCH / np.sqrt(12), rms_error(residual))
 
 
 def test_errors_of_a_mixture_are_weighted_by_how_often_a_size_occurs():
@@ -210,25 +223,29 @@ def rms_error(sample):
 
 
 def test_error_table_of_a_detector(design):
-    """One row per CGEM layer; the largest sizes have the largest error; the sign of the field does not matter."""
+    """One row per CGEM layer; clusters too long for a line err by their length; the field's sign does not matter."""
     err_x, err_v = cluster_errors(design, ClusterSettings())
     assert err_x.shape == err_v.shape == (3, MAX_SIZE)
-    np.testing.assert_allclose(err_x[:, 2:], PITCH / np.sqrt(12))  # the reference never makes three X strips
+    # The reference never makes three X strips: it extends over a tenth to a quarter of the pitch.
+    extent = np.arange(3, MAX_SIZE + 1) - np.sqrt(12) * err_x[:, 2:] / PITCH
+    assert np.all((extent > 0.1) & (extent < 0.27))
     mirrored = error_table(LAYERS, +1.0, ClusterSettings())
     np.testing.assert_allclose(mirrored, (err_x, err_v))
     assert cluster_errors(design, ClusterSettings())[0] is err_x
 
 
 def test_straight_and_curling_references():
-    """Without field the X extent vanishes; tracks too soft to reach a layer leave the largest error."""
+    """Without field the X extent vanishes; where no track reaches a layer, clusters err by their whole length."""
+    whole = np.broadcast_to(np.arange(1, MAX_SIZE + 1) * PITCH / np.sqrt(12), (3, MAX_SIZE))
     err_x, _ = error_table(LAYERS, 0.0, ClusterSettings())
-    np.testing.assert_allclose(err_x[:, 0], PITCH / np.sqrt(12))
+    np.testing.assert_allclose(err_x, whole)
     err_x, err_v = error_table(LAYERS, 1.0, ClusterSettings(reference_p=0.01))
-    np.testing.assert_allclose(err_x, PITCH / np.sqrt(12))
-    np.testing.assert_allclose(err_v, PITCH / np.sqrt(12))
+    np.testing.assert_allclose(err_x, whole)
+    np.testing.assert_allclose(err_v, whole)
 
 
 def test_settings_list_every_problem():
-    """Both wrong values in one message."""
-    with pytest.raises(ValueError, match=r"reference_p: got -1(?s:.*)reference_cos_theta: got 1.2"):
-        ClusterSettings(reference_p=-1, reference_cos_theta=1.2)
+    """All wrong values in one message."""
+    wrong = r"position: got 'middle'(?s:.*)reference_p: got -1(?s:.*)reference_cos_theta: got 1.2"
+    with pytest.raises(ValueError, match=wrong):
+        ClusterSettings(position="middle", reference_p=-1, reference_cos_theta=1.2)

@@ -274,7 +274,8 @@ def test_kernels_check_their_columns(design):
     """Read-only columns are taken as they are; one of another length is refused."""
     table = Table("truths", straight_up(1.0, 10.0, 14.0), 1)
     kwargs = {"gain": 12_000.0, "w_value": 0.0259, "threshold": 1.7}
-    digis = _core.read_out_strips(compiled(design), dict(table.columns), **kwargs)
+    steps = gem_toy.no_steps()
+    digis = _core.read_out_strips(compiled(design), dict(table.columns), steps, **kwargs)
     assert len(digis["gid"]) == 5
     with pytest.raises(ValueError, match="one-dimensional array of length 1"):
-        _core.read_out_strips(compiled(design), dict(table.columns) | {"energy": np.zeros(2)}, **kwargs)
+        _core.read_out_strips(compiled(design), dict(table.columns) | {"energy": np.zeros(2)}, steps, **kwargs)

@@ -8,10 +8,11 @@ from cgemit.candidates import HIT_V, HIT_WIRE, HIT_X, fit_hits
 from cgemit.cluster import cluster
 from cgemit.detector import load
 from cgemit.digitize import DigitizeSettings, digitize
-from cgemit.find import by_truth
-from cgemit.tables import Table
+from cgemit.find import by_truth, own_clusters
+from cgemit.tables import SCHEMAS, Table
 
 EVENTS = 30
+DETECTOR = load("besiii-cgem-design")
 
 
 def particle_table(event, particle, n_events=EVENTS):
@@ -26,7 +27,6 @@ def particle_table(event, particle, n_events=EVENTS):
 @pytest.fixture(scope="module", params=["binary", "gaussian"])
 def chain(request):
     """Two particles in each of 30 events, hits from outside to inside in the truths, wires before their layer order."""
-    detector = load("besiii-cgem-design")
     rng = np.random.default_rng(3)
     singles = gem_toy.muons_through(gem_toy.design_layers(), 2 * EVENTS, seed=3, limit=0.7)
     truths = {name: values[::-1].copy() for name, values in singles.items()}
@@ -41,14 +41,14 @@ def chain(request):
     )
     truths = Table("truths", truths, EVENTS)
     wire_truths = Table("wire_truths", wires, EVENTS)
-    hits = digitize(detector, truths, wire_truths, DigitizeSettings(readout=request.param), seed=2)
-    clusters = hits["clusters"] if "clusters" in hits else cluster(detector, hits["digis"])
+    hits = digitize(DETECTOR, truths, wire_truths, DigitizeSettings(readout=request.param), seed=2)
+    clusters = hits["clusters"] if "clusters" in hits else cluster(DETECTOR, hits["digis"])
     return {"truths": truths, "wire_truths": wire_truths, "wire_hits": hits["wire_hits"], "clusters": clusters}
 
 
 def candidates_of(chain, particles):
     """Candidates of a particles table."""
-    return by_truth(particles, chain["clusters"], chain["wire_hits"], chain["truths"], chain["wire_truths"])
+    return by_truth(DETECTOR, particles, chain["clusters"], chain["wire_hits"], chain["truths"], chain["wire_truths"])
 
 
 def hits_of(candidates, i):
@@ -140,6 +140,87 @@ def test_later_events_count_from_the_first(chain):
         "wire_hits": chain["wire_hits"].select_events(10, 20),
     }
     particles = particle_table(np.repeat(np.arange(EVENTS), 2), np.tile([0, 1], EVENTS)).select_events(10, 20)
-    part = by_truth(particles, cut["clusters"], cut["wire_hits"], chain["truths"], chain["wire_truths"])
+    part = by_truth(DETECTOR, particles, cut["clusters"], cut["wire_hits"], chain["truths"], chain["wire_truths"])
     whole = candidates_of(chain, particle_table(np.repeat(np.arange(EVENTS), 2), np.tile([0, 1], EVENTS)))
     np.testing.assert_array_equal(np.diff(part.hit_offsets), np.diff(whole.hit_offsets)[20:40])
+
+
+# ----- several clusters of one crossing
+
+
+def cluster_table(rows):
+    """Clusters of layer 1 from rows (sheet, view, first, last, truth), at the centre of their strips."""
+    sheet, view, first, last, truth = (np.array(values, "i4") for values in zip(*rows, strict=True))
+    n = len(rows)
+    columns = {c.name: np.zeros((n, *c.shape), c.dtype) for c in SCHEMAS["clusters"]}
+    centre = 0.5 * (first + last + 1) * 0.65
+    columns |= {"layer": np.full(n, 1, "i4"), "sheet": sheet, "view": view.astype("i1"), "first": first, "last": last}
+    columns |= {"size": last - first + 1, "truth": truth.astype("i8"), "n_truths": np.ones(n, "i4")}
+    columns |= {"x": np.where(view == 0, centre, np.nan), "v": np.where(view == 1, centre, np.nan)}
+    return Table("clusters", columns, 1)
+
+
+def crossing(x, z, sheet=0, layer=1):
+    """Truth above local X (mm) and z of a sheet of the design's layer 1."""
+    phi, r = np.array([np.pi, 0.0])[sheet] + x / 132.5, 123.8
+    point = np.array([[r * np.cos(phi), r * np.sin(phi), z]])
+    return Table("truths", gem_toy.truth_columns(0, layer, point, point), 1)
+
+
+def v_of(x, z):
+    """Number of the V strip under a point of layer 1."""
+    stereo = gem_toy.design_layers()["stereo"][1]
+    return int((x * np.cos(stereo) + (-345.0 - z) * np.sin(stereo)) / 0.65)
+
+
+def test_the_cluster_under_the_track_counts():
+    """X strip 100 lies under it, the larger and nearer-centred cluster of strips 101 to 103 does not; V likewise."""
+    x, z = 100.9 * 0.65, 20.0
+    truths, v = crossing(x, z), v_of(x, z)
+    rows = [(0, 0, 96, 100, 0), (0, 0, 102, 102, 0), (0, 1, v - 9, v - 5, 0), (0, 1, v - 3, v + 8, 0)]
+    assert own_clusters(DETECTOR, cluster_table(rows), truths).tolist() == [0, 3]
+    assert own_clusters(DETECTOR, cluster_table(rows[1:3]), truths).tolist() == [0, 1]
+
+
+def test_without_a_cluster_under_the_track_the_nearest_counts():
+    """Distance is that to the nearest strip, not to the centre, and goes over the seam between sheets."""
+    truths = crossing(100.5 * 0.65, 20.0)
+    rows = [(0, 0, 94, 94, 0), (0, 0, 103, 120, 0)]
+    assert own_clusters(DETECTOR, cluster_table(rows), truths).tolist() == [1]
+    last = gem_toy.design_layers()["strips_x"][1] - 1
+    truths = crossing(0.1, 20.0, sheet=1)
+    rows = [(0, 0, last, last, 0), (1, 0, 5, 5, 0)]
+    assert own_clusters(DETECTOR, cluster_table(rows), truths).tolist() == [0]
+    rows = [(0, 0, last, last, 0), (1, 0, 0, 1, 0)]
+    assert own_clusters(DETECTOR, cluster_table(rows), truths).tolist() == [1]
+
+
+def test_positions_weighted_by_charge_do_not_hide_the_strips():
+    """A cluster whose charge sits at its far end still holds the strip under the track."""
+    truths = crossing(100.5 * 0.65, 20.0)
+    clusters = cluster_table([(0, 0, 90, 100, 0), (0, 0, 102, 102, 0)])
+    weighted = clusters.with_columns(x=np.array([91.0, 102.5]) * 0.65)
+    assert own_clusters(DETECTOR, weighted, truths).tolist() == [0]
+
+
+def test_deltas_do_not_change_what_a_particle_gets():
+    """Deposits away from the track make clusters of their own, of which the fit gets none."""
+    n = 50
+    truths = gem_toy.muons_through(gem_toy.design_layers(), n, seed=4, limit=0.7)
+    link = np.arange(0, 3 * n, 5)
+    phi = truths["phi"][link] + 5.0 / truths["r"][link]
+    middle = np.column_stack([truths["r"][link] * np.cos(phi), truths["r"][link] * np.sin(phi), truths["z"][link]])
+    truths["energy"][:] = 4.0
+    steps = Table("steps", gem_toy.step_columns(truths, link, middle, 0 * middle), n)
+    truths = Table("truths", truths, n)
+    wires = Table.empty("wire_truths", n)
+    found = []
+    for rows in (None, steps):
+        hits = digitize(DETECTOR, truths, wires, steps=rows)
+        clusters = cluster(DETECTOR, hits["digis"])
+        particles = particle_table(np.arange(n), np.zeros(n), n)
+        candidates = by_truth(DETECTOR, particles, clusters, hits["wire_hits"], truths, wires)
+        fitted = fit_hits(candidates, clusters, hits["wire_hits"])
+        found.append((len(clusters), fitted.value.tolist(), fitted.hit_offsets.tolist()))
+    assert found[0][0] < found[1][0]
+    assert found[0][1:] == found[1][1:]

@@ -27,7 +27,7 @@ def fired(columns, entry, exit_):
     points = [[r * np.cos(phi), r * np.sin(phi), z] for r, (phi, z) in zip(radius, (entry, exit_), strict=True)]
     truths = gem_toy.truth_columns(0, 0, points[0], points[1])
     detector = gem_toy.core_detector(cgem=columns)
-    digis = _core.read_out_strips(detector, truths, gain=12_000.0, w_value=0.0259, threshold=0.0)
+    digis = _core.read_out_strips(detector, truths, gem_toy.no_steps(), gain=12_000.0, w_value=0.0259, threshold=0.0)
     return set(zip(digis["sheet"].tolist(), digis["view"].tolist(), digis["strip"].tolist(), strict=True))
 
 

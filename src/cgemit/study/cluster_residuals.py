@@ -8,12 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from cgemit.detector.strip_plane import local_v
+from cgemit import find
 
 if TYPE_CHECKING:
-    from cgemit.detector import Detector
     from cgemit.result import Result
-    from cgemit.tables import Table
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int32]
@@ -21,7 +19,7 @@ Ints = npt.NDArray[np.int32]
 
 @dataclass(frozen=True)
 class ClusterResiduals:
-    """Measured minus true position of every cluster of one view and the number of its strips.
+    """Measured minus true position of the cluster of each crossing and view, and the number of its strips.
 
     Attributes
     ----------
@@ -33,6 +31,9 @@ class ClusterResiduals:
     v_size : (m,) int32
     without_truth : int
         Clusters left out since no true crossing belongs to them.
+    beside : int
+        Clusters left out since the crossing has one that is nearer to it: those of delta electrons away from the
+        track, and those on the other side of a seam.
     """
 
     x: Floats
@@ -40,6 +41,7 @@ class ClusterResiduals:
     v: Floats
     v_size: Ints
     without_truth: int
+    beside: int
 
     @property
     def single_strip_fraction(self) -> tuple[float, float]:
@@ -50,7 +52,7 @@ class ClusterResiduals:
 
 
 def cluster_residuals(result: Result) -> ClusterResiduals:
-    """Return the residuals of the X and V clusters of a result.
+    """Return the residuals of the clusters that the fit gets (`cgemit.find.own_clusters`).
 
     Parameters
     ----------
@@ -62,34 +64,15 @@ def cluster_residuals(result: Result) -> ClusterResiduals:
         Empty arrays for a detector without CGEM layers.
     """
     clusters, truths, detector = result.clusters, result.truths, result.detector
-    known = clusters["truth"] >= 0
-    x_rows = np.flatnonzero((clusters["view"] == 0) & known)
-    v_rows = np.flatnonzero((clusters["view"] == 1) & known)
+    own = find.own_clusters(detector, clusters, truths)
+    residual, size, view = find.residuals(detector, clusters, truths, own), clusters["size"][own], clusters["view"][own]
+    in_view = clusters["view"] < 2
+    without_truth = int(np.count_nonzero(in_view & (clusters["truth"] < 0)))
     return ClusterResiduals(
-        _x_residuals(detector, clusters, truths, x_rows),
-        clusters["size"][x_rows],
-        _v_residuals(detector, clusters, truths, v_rows),
-        clusters["size"][v_rows],
-        int(np.count_nonzero((clusters["view"] < 2) & ~known)),
+        residual[view == 0],
+        size[view == 0],
+        residual[view == 1],
+        size[view == 1],
+        without_truth,
+        int(np.count_nonzero(in_view)) - without_truth - len(own),
     )
-
-
-def _x_residuals(detector: Detector, clusters: Table, truths: Table, rows: npt.NDArray[np.intp]) -> Floats:
-    radius = np.array([layer.r_readout for layer in detector.cgem])
-    dphi = clusters["phi"][rows] - truths["phi"][clusters["truth"][rows]]
-    dphi = (dphi + np.pi) % (2 * np.pi) - np.pi
-    return np.asarray(radius[clusters["layer"][rows]] * dphi) if len(rows) else np.empty(0)
-
-
-def _v_residuals(detector: Detector, clusters: Table, truths: Table, rows: npt.NDArray[np.intp]) -> Floats:
-    residual = np.empty(len(rows))
-    truth = clusters["truth"][rows]
-    for number, layer in enumerate(detector.cgem):
-        for sheet, start in enumerate(layer.sheet_phi):
-            mine = (clusters["layer"][rows] == number) & (clusters["sheet"][rows] == sheet)
-            x = layer.r_readout * (truths["phi"][truth[mine]] - start)
-            # A whole turn changes V by hundreds of mm: the nearest turn is the right one.
-            turn = 2 * np.pi * layer.r_readout * np.cos(layer.stereo)
-            difference = clusters["v"][rows[mine]] - local_v(layer, x, truths["z"][truth[mine]])
-            residual[mine] = difference - turn * np.round(difference / turn)
-    return residual

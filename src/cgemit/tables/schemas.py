@@ -91,8 +91,21 @@ _TRUTHS = (
     *_momentum("momentum at mid-gap"),
     _f8("path", "mm", "path length in the gap"),
     _f8("time", "ns", "time of flight from the vertex"),
-    _f8("energy", "keV", "energy deposited in the gap"),
-    _column("u1", "secondaries", "", "1 if secondary particles contributed"),
+    _f8("energy", "keV", "energy deposited in the gap, by the particle and its delta electrons"),
+    _column("u1", "secondaries", "", "delta electrons of this crossing that left deposits in the gap"),
+)
+
+_STEPS = (
+    _EVENT,
+    _PARTICLE,
+    _i4("layer", "CGEM layer, 0 innermost"),
+    *_point("", "middle of the step"),
+    *(_f8(f"d{axis}", "mm", f"end minus begin of the step, {axis}; 0 for an ionization cluster") for axis in "xyz"),
+    _f8("energy", "keV", "deposited energy"),
+    _i4("n_electrons", "electrons of ionization"),
+    _column("i1", "parent", "", "what deposited it: 0 the particle itself, 1 a delta electron"),
+    _i4("delta", "number of the delta electron within the crossing, from 1; 0 for the particle itself"),
+    _link("truth", "the crossing", "truths"),
 )
 
 _WIRE_TRUTHS = (
@@ -214,6 +227,7 @@ SCHEMAS: Mapping[str, tuple[Column, ...]] = MappingProxyType(
     {
         "particles": _PARTICLES,
         "truths": _TRUTHS,
+        "steps": _STEPS,
         "wire_truths": _WIRE_TRUTHS,
         "digis": _DIGIS,
         "wire_hits": _WIRE_HITS,
@@ -228,6 +242,7 @@ ROWS: Mapping[str, str] = MappingProxyType(
     {
         "particles": "one generated particle",
         "truths": "one crossing of a CGEM drift gap",
+        "steps": "one deposit in a CGEM drift gap: a piece of a delta electron's way, or an ionization cluster",
         "wire_truths": "one passage through a drift-chamber cell",
         "digis": "one fired strip",
         "wire_hits": "one fired cell",

@@ -12,7 +12,7 @@ using namespace cgemit::bindings;
 namespace {
 
 py::dict clusters(const Detector& detector, const py::dict& table, const Array<double>& err_x,
-                  const Array<double>& err_v) {
+                  const Array<double>& err_v, bool by_charge) {
   Inputs in(table, "event");
   DigiView digis;
   digis.event = in.get<std::int64_t>("event");
@@ -32,7 +32,7 @@ py::dict clusters(const Detector& detector, const py::dict& table, const Array<d
   ClusterColumns found;
   {
     py::gil_scoped_release release;
-    found = find_clusters(detector, digis, errors);
+    found = find_clusters(detector, digis, errors, by_charge ? Position::charge : Position::centre);
   }
   return to_dict(std::move(found));
 }
@@ -41,5 +41,6 @@ py::dict clusters(const Detector& detector, const py::dict& table, const Array<d
 
 void bind_cluster(py::module_& module) {
   module.def("find_clusters", &clusters, py::arg("detector"), py::arg("digis"), py::kw_only(),
-             py::arg("err_x"), py::arg("err_v"), "Columns of clusters from columns of digis.");
+             py::arg("err_x"), py::arg("err_v"), py::arg("by_charge"),
+             "Columns of clusters from columns of digis.");
 }

@@ -28,14 +28,27 @@ TruthColumns truth_columns(Inputs& in) {
   return truths;
 }
 
-py::dict strips(const Detector& detector, const py::dict& table, double gain, double w_value,
-                double threshold) {
-  Inputs in(table, "event");
+StepColumns step_columns(Inputs& in) {
+  StepColumns steps;
+  steps.event = in.get<std::int64_t>("event");
+  steps.truth = in.get<std::int64_t>("truth");
+  steps.layer = in.get<std::int32_t>("layer");
+  steps.parent = in.get<std::int8_t>("parent");
+  steps.middle = {in.get<double>("x"), in.get<double>("y"), in.get<double>("z")};
+  steps.d = {in.get<double>("dx"), in.get<double>("dy"), in.get<double>("dz")};
+  steps.energy = in.get<double>("energy");
+  return steps;
+}
+
+py::dict strips(const Detector& detector, const py::dict& table, const py::dict& step_table, double gain,
+                double w_value, double threshold) {
+  Inputs in(table, "event"), step_in(step_table, "event");
   const TruthColumns truths = truth_columns(in);
+  const StepColumns steps = step_columns(step_in);
   DigiColumns digis;
   {
     py::gil_scoped_release release;
-    digis = read_out_strips(detector, truths, {gain, w_value, threshold});
+    digis = read_out_strips(detector, truths, steps, {gain, w_value, threshold});
   }
   py::dict out;
   out["event"] = to_numpy(std::move(digis.event));
@@ -98,9 +111,9 @@ py::dict wires(const Detector& detector, const py::dict& table, const Array<doub
 }  // namespace
 
 void bind_digitize(py::module_& module) {
-  module.def("read_out_strips", &strips, py::arg("detector"), py::arg("truths"), py::kw_only(),
-             py::arg("gain"), py::arg("w_value"), py::arg("threshold"),
-             "Columns of digis from columns of truths: binary read-out.");
+  module.def("read_out_strips", &strips, py::arg("detector"), py::arg("truths"), py::arg("steps"),
+             py::kw_only(), py::arg("gain"), py::arg("w_value"), py::arg("threshold"),
+             "Columns of digis from columns of truths and steps: binary read-out.");
   module.def("smear_positions", &smeared, py::arg("detector"), py::arg("truths"), py::kw_only(),
              py::arg("gain"), py::arg("w_value"), py::arg("sigma_x"), py::arg("sigma_v"), py::arg("seed"),
              "Columns of clusters from columns of truths: read-out without strips.");

@@ -59,20 +59,24 @@ std::int32_t count_truths(const DigiView& digis, Rows rows) {
   return std::max(most, distinct);
 }
 
-// Position across the strips: mean of the strip centres weighted by charge, the geometric centre if the
-// strips share the charge equally (or have none).
-double centre(const DigiView& digis, Rows rows, double pitch) {
-  double sum = 0, weighted = 0;
-  for (const std::size_t row : rows) {
-    sum += digis.charge[row];
-    weighted += digis.charge[row] * (digis.strip[row] - digis.strip[rows.front()]);
+// Position across the strips. Weighted by charge it is the geometric centre if the strips have none.
+double across(const DigiView& digis, Rows rows, double pitch, Position position) {
+  const std::int32_t first = digis.strip[rows.front()];
+  double mean = 0.5 * (digis.strip[rows.back()] - first);
+  if (position == Position::charge) {
+    double sum = 0, weighted = 0;
+    for (const std::size_t row : rows) {
+      sum += digis.charge[row];
+      weighted += digis.charge[row] * (digis.strip[row] - first);
+    }
+    if (sum > 0) mean = weighted / sum;
   }
-  const double mean = sum > 0 ? weighted / sum : 0.5 * (digis.strip[rows.back()] - digis.strip[rows.front()]);
-  return (digis.strip[rows.front()] + mean + 0.5) * pitch;
+  return (first + mean + 0.5) * pitch;
 }
 
 // The cluster of one view made of the digis `rows`, ordered by strip.
-ClusterRow make_cluster(const CgemLayer& layer, const DigiView& digis, Rows rows, const ErrorTable& errors) {
+ClusterRow make_cluster(const CgemLayer& layer, const DigiView& digis, Rows rows, const ErrorTable& errors,
+                        Position position) {
   const std::size_t front = rows.front();
   ClusterRow cluster{digis.event[front], digis.layer[front], digis.sheet[front],
                      ClusterView{digis.view[front]}};
@@ -88,11 +92,11 @@ ClusterRow make_cluster(const CgemLayer& layer, const DigiView& digis, Rows rows
   cluster.truth = largest_truth(digis, rows);
   cluster.n_truths = count_truths(digis, rows);
   if (cluster.view == ClusterView::x) {
-    cluster.x = centre(digis, rows, layer.pitch_x);
+    cluster.x = across(digis, rows, layer.pitch_x, position);
     cluster.err_x = errors.of(errors.x, cluster.layer, cluster.size);
     set_azimuth(layer, cluster);
   } else {
-    cluster.v = centre(digis, rows, layer.pitch_v);
+    cluster.v = across(digis, rows, layer.pitch_v, position);
     cluster.err_v = errors.of(errors.v, cluster.layer, cluster.size);
   }
   return cluster;
@@ -121,7 +125,8 @@ bool adjacent(const DigiView& digis, std::size_t a, std::size_t b) {
 
 }  // namespace
 
-ClusterColumns find_clusters(const Detector& detector, const DigiView& digis, const ErrorTable& errors) {
+ClusterColumns find_clusters(const Detector& detector, const DigiView& digis, const ErrorTable& errors,
+                             Position position) {
   check(digis, detector);
   std::vector<std::size_t> order(digis.size());
   std::iota(order.begin(), order.end(), std::size_t{0});
@@ -145,7 +150,8 @@ ClusterColumns find_clusters(const Detector& detector, const DigiView& digis, co
       ++end;
     }
     const CgemLayer& layer = detector.cgem[static_cast<std::size_t>(digis.layer[order[begin]])];
-    ClusterRow cluster = make_cluster(layer, digis, Rows(order).subspan(begin, end - begin), errors);
+    ClusterRow cluster =
+        make_cluster(layer, digis, Rows(order).subspan(begin, end - begin), errors, position);
     const auto on = [](const ClusterRow& c) { return std::tuple(c.event, c.layer, c.sheet); };
     if (!sheet.empty() && on(sheet.front()) != on(cluster)) flush();
     sheet.push_back(cluster);

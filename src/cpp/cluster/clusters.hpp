@@ -32,8 +32,12 @@ struct ErrorTable {
   }
 };
 
+// Position of a cluster: geometric centre of its strips, or their centres weighted by charge.
+enum class Position { centre, charge };
+
 // Rows ordered by event, layer, sheet, then X, V and XV clusters. Within an event the digis may come in any
 // order.
-ClusterColumns find_clusters(const Detector& detector, const DigiView& digis, const ErrorTable& errors);
+ClusterColumns find_clusters(const Detector& detector, const DigiView& digis, const ErrorTable& errors,
+                             Position position);
 
 }  // namespace cgemit

@@ -1,11 +1,15 @@
 #include "digitize/binary.hpp"
 
+#include <stdexcept>
+#include <string>
 #include <tuple>
 
 #include "common/units.hpp"
 
 namespace cgemit {
 namespace {
+
+constexpr double rounding = 1e-9;  // of an energy that was added up in another order
 
 // What one truth leaves on one strip.
 struct Contribution {
@@ -33,9 +37,10 @@ void append(const CgemLayer& layer, Contribution strip, StripRange range, std::v
   }
 }
 
-void read_out(const CgemLayer& layer, const TruthColumns& truths, std::size_t row, double charge,
-              std::vector<Contribution>& out) {
-  const Pieces pieces = unroll(layer, truths.entry_point(row), truths.exit_point(row));
+// Shares `charge` among the strips that the projected segment touches; what lies off the active area is lost.
+void share(const CgemLayer& layer, const Point& from, const Point& to, double charge, Contribution strip,
+           std::vector<Contribution>& out) {
+  const Pieces pieces = unroll(layer, from, to);
   std::array<Fired, 4> fired;
   int n_x = 0, n_v = 0;
   for (int k = 0; k < pieces.n; ++k) {
@@ -44,10 +49,6 @@ void read_out(const CgemLayer& layer, const TruthColumns& truths, std::size_t ro
     n_x += fired[k].x.count();
     n_v += fired[k].v.count();
   }
-  Contribution strip{};
-  strip.layer = truths.layer[row];
-  strip.time = truths.time[row];
-  strip.truth = static_cast<std::int64_t>(row);
   for (int k = 0; k < pieces.n; ++k) {
     strip.sheet = fired[k].sheet;
     strip.view = 0;
@@ -57,6 +58,27 @@ void read_out(const CgemLayer& layer, const TruthColumns& truths, std::size_t ro
     strip.charge = 0.5 * charge / n_v;
     append(layer, strip, fired[k].v, out);
   }
+}
+
+// One truth with its steps [begin, end).
+void read_out(const CgemLayer& layer, const TruthColumns& truths, std::size_t row, const StepColumns& steps,
+              std::size_t begin, std::size_t end, double charge_per_energy, std::vector<Contribution>& out) {
+  Contribution strip{};
+  strip.layer = truths.layer[row];
+  strip.time = truths.time[row];
+  strip.truth = static_cast<std::int64_t>(row);
+  double of_particle = truths.energy[row];
+  for (std::size_t i = begin; i < end; ++i) {
+    if (!steps.is_delta(i)) continue;
+    of_particle -= steps.energy[i];
+    share(layer, steps.end(i, -0.5), steps.end(i, 0.5), steps.energy[i] * charge_per_energy, strip, out);
+  }
+  if (of_particle < -rounding * truths.energy[row]) {
+    throw std::invalid_argument("truths row " + std::to_string(row) + ": its delta electrons deposit " +
+                                std::to_string(-of_particle) + " keV more than its energy");
+  }
+  share(layer, truths.entry_point(row), truths.exit_point(row),
+        std::max(0.0, of_particle) * charge_per_energy, strip, out);
 }
 
 // Adds up the contributions [begin, end) to one strip, which are ordered by truth, and writes its digi.
@@ -89,19 +111,23 @@ void write(std::int64_t event, const Contribution* begin, const Contribution* en
 
 }  // namespace
 
-DigiColumns read_out_strips(const Detector& detector, const TruthColumns& truths,
+DigiColumns read_out_strips(const Detector& detector, const TruthColumns& truths, const StepColumns& steps,
                             const BinaryReadout& readout) {
   check(truths, detector);
+  check(steps, truths);
   const double charge_per_energy = readout.gain / readout.w_value * elementary_charge_fC;  // fC/keV
   DigiColumns digis;
   std::vector<Contribution> parts;
+  std::size_t step = 0;  // truths and steps have one order
   for (std::size_t begin = 0, end; begin < truths.size(); begin = end) {
     end = event_end(truths.event, begin);
     parts.clear();
     for (std::size_t row = begin; row < end; ++row) {
-      const double charge = truths.energy[row] * charge_per_energy;
+      const std::size_t first = step;
+      while (step < steps.size() && steps.truth[step] == static_cast<std::int64_t>(row)) ++step;
+      if (truths.energy[row] * charge_per_energy < readout.threshold) continue;
       const auto layer = static_cast<std::size_t>(truths.layer[row]);
-      if (charge >= readout.threshold) read_out(detector.cgem[layer], truths, row, charge, parts);
+      read_out(detector.cgem[layer], truths, row, steps, first, step, charge_per_energy, parts);
     }
     std::sort(parts.begin(), parts.end(), [](const auto& a, const auto& b) { return a.order() < b.order(); });
     for (std::size_t first = 0, last; first < parts.size(); first = last) {

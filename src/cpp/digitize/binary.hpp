@@ -27,9 +27,11 @@ struct DigiColumns {
   std::vector<std::int32_t> n_truths;
 };
 
-// No Lorentz angle, no diffusion, no drift time. X and V view collect half of the charge each, shared equally
-// by the strips of that view that the projected segment touches.
-DigiColumns read_out_strips(const Detector& detector, const TruthColumns& truths,
+// No Lorentz angle, no diffusion, no drift time. X and V view collect half of the charge each. Every step of
+// a delta electron shares its charge equally among the strips of a view that its own projection touches; what
+// is left of the truth's energy is the particle's and shared by the strips between entry and exit. Steps of
+// the particle itself change nothing.
+DigiColumns read_out_strips(const Detector& detector, const TruthColumns& truths, const StepColumns& steps,
                             const BinaryReadout& readout);
 
 }  // namespace cgemit

@@ -24,6 +24,22 @@ struct TruthColumns {
   Point exit_point(std::size_t i) const { return {exit[0][i], exit[1][i], exit[2][i]}; }
 };
 
+// What the digitizers read of the steps table. A step is the straight piece from middle - d/2 to middle +
+// d/2.
+struct StepColumns {
+  std::span<const std::int64_t> event, truth;  // truth: row of the truths
+  std::span<const std::int32_t> layer;
+  std::span<const std::int8_t> parent;               // 0 the particle itself, 1 a delta electron
+  std::array<std::span<const double>, 3> middle, d;  // x, y, z in mm
+  std::span<const double> energy;                    // keV
+
+  std::size_t size() const { return event.size(); }
+  bool is_delta(std::size_t i) const { return parent[i] != 0; }
+  Point end(std::size_t i, double side) const {
+    return {middle[0][i] + side * d[0][i], middle[1][i] + side * d[1][i], middle[2][i] + side * d[2][i]};
+  }
+};
+
 // End of the rows that belong to the same event as row `begin`.
 inline std::size_t event_end(std::span<const std::int64_t> event, std::size_t begin) {
   std::size_t end = begin + 1;
@@ -45,6 +61,30 @@ inline void check(const TruthColumns& truths, const Detector& detector) {
     if (!std::isfinite(sum)) {
       throw std::invalid_argument("truths row " + std::to_string(i) + ": a value is not finite");
     }
+  }
+}
+
+// Throws std::invalid_argument, naming the first row that does not belong to its truth. Steps come in the
+// order of the truths.
+inline void check(const StepColumns& steps, const TruthColumns& truths) {
+  std::int64_t before = 0;
+  for (std::size_t i = 0; i < steps.size(); ++i) {
+    const auto fail = [i](const std::string& problem) {
+      throw std::invalid_argument("steps row " + std::to_string(i) + ": " + problem);
+    };
+    const std::int64_t truth = steps.truth[i];
+    if (truth < before || truth >= static_cast<std::int64_t>(truths.size())) {
+      fail("truth " + std::to_string(truth) + ", expected " + std::to_string(before) + " to " +
+           std::to_string(static_cast<std::int64_t>(truths.size()) - 1));
+    }
+    const auto row = static_cast<std::size_t>(truth);
+    if (steps.event[i] != truths.event[row] || steps.layer[i] != truths.layer[row]) {
+      fail("event and layer are not those of its truth, row " + std::to_string(truth));
+    }
+    double sum = steps.energy[i];
+    for (std::size_t k = 0; k < 3; ++k) sum += steps.middle[k][i] + steps.d[k][i];
+    if (!std::isfinite(sum) || steps.energy[i] < 0) fail("a value is not finite, or the energy negative");
+    before = truth;
   }
 }
 

@@ -111,15 +111,17 @@ class TrackFit {
   }
 
   // A path of projected length w touches n strips of pitch p while its centre moves over
-  // min(n p - w, w - (n-2) p): uniform within. Sizes that w does not allow (noise, deltas) get the error of a
-  // whole strip.
+  // min(n p - w, w - (n-2) p): uniform within. In a cluster that is longer than w allows, a delta electron or
+  // another particle fired strips, too: the path lies anywhere in it, its centre within n p - w. One that is
+  // shorter was cut off: the centre is off by up to half of what is missing.
   double cluster_variance(const Hit& hit, double extent) const {
     if (hit.size == 0 || !settings_.errors_from_track) return hit.sigma * hit.sigma;
     const CgemLayer& layer = detector_.cgem[static_cast<std::size_t>(hit.layer)];
     const double pitch = hit.view == View::x ? layer.pitch_x : layer.pitch_v;
     const double free = std::min(hit.size * pitch - extent, extent - (hit.size - 2) * pitch);
     const double least = settings_.least_width * pitch;
-    const double width = free < -least ? pitch : std::max(free, least);
+    const double anywhere = std::max(std::abs(hit.size * pitch - extent), pitch);
+    const double width = free < -least ? anywhere : std::max(free, least);
     return width * width / 12;
   }
 
