@@ -11,6 +11,7 @@ from cgemit.units import QuantityError, parse_quantity
 if TYPE_CHECKING:
     from cgemit.detector import Detector
     from cgemit.gun import Gun
+    from cgemit.result import Settings
 
 OK, BAD_INPUT, RUN_FAILED, INTERRUPTED = 0, 2, 3, 130
 
@@ -90,6 +91,20 @@ def add_run(parser: argparse.ArgumentParser) -> None:
         "--threads", type=positive, default=None, metavar="N",
         help="number of threads (default: all cores); results do not depend on it",
     )  # fmt: skip
+
+
+def add_physics(parser: argparse.ArgumentParser) -> None:
+    """Add what is simulated of the passage through matter."""
+    group = parser.add_argument_group("physics")
+    group.add_argument("--no-deltas", action="store_true", help="no delta electrons in the drift gaps")
+
+
+def settings_of(arguments: argparse.Namespace) -> Settings:
+    """Return the settings of all stages with what `add_physics` read."""
+    from cgemit.result import Settings
+    from cgemit.simulate import SimulateSettings
+
+    return Settings(simulate=SimulateSettings(deltas=not arguments.no_deltas))
 
 
 def load_detector(arguments: argparse.Namespace, name: str | None = None) -> Detector:

@@ -44,6 +44,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     )
     parser.add_argument("--json", action="store_true", help="write summary.json to stdout instead of the table")
     common.add_output(parser)
+    common.add_physics(parser)
     common.add_run(parser)
     common.add_common(parser)
     parser.set_defaults(run=run)
@@ -63,7 +64,7 @@ def run(arguments: argparse.Namespace) -> int:
     with Progress("resolution", quiet=arguments.quiet) as progress:
         scans = scan_detectors(
             detectors, momenta, particle=arguments.particle, cos_theta=arguments.cos_theta, events=arguments.events,
-            seed=arguments.seed, threads=arguments.threads, progress=progress,
+            seed=arguments.seed, settings=common.settings_of(arguments), threads=arguments.threads, progress=progress,
         )  # fmt: skip
     save_scans(scans, arguments.output, overwrite=arguments.overwrite)
     print(json.dumps(summary_of(scans), indent=2) if arguments.json else "\n\n".join(map(str, scans)))

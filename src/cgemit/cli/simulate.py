@@ -5,12 +5,13 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from dataclasses import asdict
 
 from cgemit.cli import common
 from cgemit.version import VERSION
 
 _DESCRIPTION = """\
-Shoot particles through a detector and write the tables of the chain: particles, truths, wire_truths, digis,
+Shoot particles through a detector and write the tables of the chain: particles, truths, steps, wire_truths, digis,
 wire_hits, clusters, and with --fit tracks. One .npz file a table (numpy.load, or cgemit.Table.load) with a JSON file
 beside it that says what the columns mean."""
 
@@ -37,6 +38,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--fit", action="store_true", help="write the fitted tracks too")
     parser.add_argument("--json", action="store_true", help="write the summary to stdout as JSON")
     common.add_output(parser)
+    common.add_physics(parser)
     common.add_run(parser)
     common.add_common(parser)
     parser.set_defaults(run=run)
@@ -78,14 +80,15 @@ def run(arguments: argparse.Namespace) -> int:
     with new_folder(arguments.output, overwrite=arguments.overwrite) as folder:
         with Progress("simulate", quiet=arguments.quiet) as progress:
             result = chain.run(
-                detector, gun, arguments.events, arguments.seed, threads=arguments.threads, progress=progress
-            )
+                detector, gun, arguments.events, arguments.seed, settings=common.settings_of(arguments),
+                threads=arguments.threads, progress=progress,
+            )  # fmt: skip
         tables = {name: table for name, table in result.tables.items() if arguments.fit or name != "tracks"}
         save_tables(tables, folder)
         (folder / "detector.toml").write_text(detector.to_toml(), encoding="utf-8")
         summary = {
             "version": VERSION, "detector": detector.name, "gun": repr(gun), "events": arguments.events,
-            "seed": arguments.seed, "transport": result.transport(),
+            "seed": arguments.seed, "simulate": asdict(result.settings.simulate), "transport": result.transport(),
             "rows": {name: len(table) for name, table in tables.items()},
         }  # fmt: skip
         if arguments.fit:

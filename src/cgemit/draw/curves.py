@@ -84,6 +84,35 @@ def draw_parts(axes: Axes, spectrum: Spectrum, parts: Mapping[str, tuple[str, st
     axes.legend(loc="upper left")
 
 
+def draw_tails(
+    axes: Axes,
+    spectrum: Spectrum,
+    parts: Mapping[str, tuple[str, str]],
+    windows: Sequence[tuple[float, str]],
+    title: str = "",
+) -> None:
+    """Draw a histogram and parts of it on a logarithmic scale, with the windows in which its RMS was taken.
+
+    Parameters
+    ----------
+    parts : mapping of str to (str, str)
+        Name of the counts, its colour and its legend text.
+    windows : sequence of (float, str)
+        Half-width in the spectrum's unit, and what is written beside it.
+    """
+    for name, (colour, text) in parts.items():
+        axes.stairs(spectrum.counts[name], spectrum.edges, color=colour, lw=1.2, label=text)
+    axes.stairs(spectrum.counts["all"], spectrum.edges, color=COLORS["data"], lw=1.3, label="all", zorder=1)
+    _label_spectrum(axes, spectrum, title)
+    top = 3 * max(1, spectrum.counts["all"].max())
+    axes.set(yscale="log", ylim=(0.5, top))
+    for reach, text in windows:
+        for side in (-reach, reach):
+            axes.axvline(side, color=COLORS["wire"], lw=0.9, ls="--", zorder=0)
+        axes.text(reach, 0.6 * top, f" {text}", rotation=90, va="top", ha="left", fontsize=8, color=COLORS["text"])
+    axes.legend(loc="upper left")
+
+
 def _label_spectrum(axes: Axes, spectrum: Spectrum, title: str) -> None:
     width = spectrum.edges[1] - spectrum.edges[0]
     unit = shown(spectrum.unit)

@@ -1,5 +1,6 @@
 """What to learn from the chain's tables: resolutions, pulls and how flat the chi-square probability is."""
 
+from cgemit.study.deltas import DeltaFractions, delta_displacements, delta_fractions
 from cgemit.study.estimate import GaussianFit, Resolution, gaussian_fit, measure
 from cgemit.study.goodness import Flatness, chi2_flatness, chi2_probability
 from cgemit.study.paper import Reproduction, reproduce
@@ -8,6 +9,7 @@ from cgemit.study.scans import Scan, scan
 
 __all__ = [
     "Curve",
+    "DeltaFractions",
     "Flatness",
     "GaussianFit",
     "Pulls",
@@ -16,6 +18,8 @@ __all__ = [
     "Scan",
     "chi2_flatness",
     "chi2_probability",
+    "delta_displacements",
+    "delta_fractions",
     "gaussian_fit",
     "measure",
     "pulls",

@@ -9,10 +9,10 @@ import numpy as np
 if TYPE_CHECKING:
     from cgemit.study.estimate import Resolution
 
-from cgemit.study.spectra import WINDOW
+from cgemit.study.spectra import PITCH, WINDOW
+from cgemit.study.windows import X_WINDOW, geant4_runs
 
-_PITCH = 650.0  # um, of the paper's strips
-_LIMIT = _PITCH / np.sqrt(12)  # um, RMS of a rectangle as wide as the pitch
+_LIMIT = PITCH / np.sqrt(12)  # um, RMS of a rectangle as wide as the pitch
 
 _OPEN = "The paper states neither the range of its Gaussian fit nor the resolution of its wires"
 
@@ -25,18 +25,37 @@ def deviation(value: float, error: float, paper: float) -> str:
     return f"{100 * abs(share):.1f} % {where} the paper" + (f" ({errors:.1f} standard errors)" if errors < 10 else "")
 
 
-def x_rms(value: float, error: float, paper: float) -> str:
-    """Explain the RMS of the X residual."""
-    text = f"{deviation(value, error, paper).capitalize()}. "
-    if value < _LIMIT < paper:
-        text += (
-            "Strips that fire where the crossing is projected cannot do worse than a rectangle one pitch wide: "
-            f"650 um / sqrt(12) = {_LIMIT:.1f} um, so no projection model reaches 217.1 um. "
-            "What is missing are most likely delta electrons, which are not simulated yet: 0.5 % of the clusters moved "
-            "by 2.4 mm would make the difference. With them the RMS depends on the window of the residuals, which the "
-            "paper does not state."
-        )
-    return text
+def x_rms(value: float, error: float, paper: float, beyond: float) -> str:
+    """Explain the RMS of the X residual; `beyond` is the fraction of the residuals outside its window."""
+    text = f"{deviation(value, error, paper).capitalize()}. Residuals within ±{X_WINDOW:g} mm. "
+    limit = (
+        "Strips that fire where the crossing is projected cannot do worse than a rectangle one pitch wide: "
+        f"650 um / sqrt(12) = {_LIMIT:.1f} um. "
+    )
+    if beyond == 0:
+        return text + limit + (
+            "So no projection reaches 217.1 um: the rest is most likely that of delta electrons, of which there are "
+            "none here."
+        )  # fmt: skip
+    return text + limit + (
+        "What is beyond comes from delta electrons, whose strips join those of the track, and depends on the window: "
+        f"{100 * beyond:.2f} % lie outside this one. The paper does not state its own; docs/paper.md says why this one "
+        "was taken."
+    )  # fmt: skip
+
+
+def x_window(window: float, outside: int, n: int, number: int) -> str:
+    """Explain the RMS of the X residual in one window, the `number`-th of `X_WINDOWS`."""
+    where = f"{outside:,} of {n:,} residuals are outside" if np.isfinite(window) else "A few clusters decide it"
+    geant4 = ", ".join(f"{run.rms[number]} um ({run.title})" for run in geant4_runs())
+    return f"{where}. Geant4: {geant4}."
+
+
+def deltas(crossings: int, *, simulated: bool) -> str:
+    """Explain the fraction of crossings with a delta electron away from the track."""
+    if not simulated:
+        return "Delta electrons were left out."
+    return f"Of {crossings:,} crossings; farthest deposit in the drift gap, from the track at the same radius."
 
 
 def x_core(core: float, rms: float) -> str:
@@ -45,7 +64,8 @@ def x_core(core: float, rms: float) -> str:
         f"The core of the same residuals. It is close to the RMS ({rms:.1f} um), since without delta electrons the "
         "distribution has no tails."
         if abs(core / rms - 1) < 0.05
-        else f"The core of the same residuals, whose RMS is {rms:.1f} um."
+        else f"The core of the same residuals, whose RMS is {rms:.1f} um: clusters that a delta electron made longer "
+        "are tails. The core is what the track fit needs."
     )
 
 
@@ -71,10 +91,10 @@ def v_width(value: float, error: float, paper: float) -> str:
     """Explain the width of the V residual."""
     text = f"{deviation(value, error, paper).capitalize()}. "
     return text + (
-        f"Centres of the fired strips: 650 um / sqrt(24) = {_PITCH / np.sqrt(24):.1f} um is expected if crossings are "
-        "long; those at the ends of the third layer lose part of their strips and widen it. This is an unbinned "
-        "likelihood fit; the result of a least-squares fit to a histogram moves by several per cent with its binning, "
-        "which the paper does not state."
+        f"Centres of the fired strips: 650 um / sqrt(24) = {PITCH / np.sqrt(24):.1f} um is expected if crossings are "
+        "long. This is an unbinned likelihood fit to the entries within one pitch, twice as far as a whole crossing "
+        "reaches; delta electrons and crossings cut off at the ends of the layers lie beyond. The result of a "
+        "least-squares fit to a histogram moves by several per cent with its binning, which the paper does not state."
     )
 
 
@@ -90,7 +110,7 @@ def track(parameter: str, widths: Resolution, paper: float) -> str:
         f"{100 * widths.tail:.1f} % of the tracks lie beyond three core widths."
     )
     reasons = {
-        "dr": "d_rho follows matter and the error of X, which delta electrons would widen.",
+        "dr": "d_rho follows matter and the core of the X residual; delta electrons add to its tails.",
         "dz": "d_z follows the V measurement of the inner layers and the angular range.",
         "p": "p follows the wires: 130 um, all efficient, without material; docs/paper.md says what each would change.",
     }

@@ -206,14 +206,19 @@ def _core_errors(u: Floats) -> tuple[float, float]:
 
 
 def _tail(x: Floats, core: float, mean: float) -> tuple[float, float]:
-    """Return the fraction beyond 3 core sigmas and its binomial error (Wilson's, which is never 0)."""
+    """Return the fraction beyond 3 core sigmas and its binomial error."""
     n = len(x)
     if not math.isfinite(core):
         return math.nan, math.nan
     i = np.searchsorted(x, mean - _N_SIGMA * core, side="left")
     j = np.searchsorted(x, mean + _N_SIGMA * core, side="right")
     tail = 1 - int(j - i) / n
-    return tail, math.sqrt(tail * (1 - tail) / n + 0.25 / n**2) / (1 + 1 / n)
+    return tail, share_error(tail, n)
+
+
+def share_error(share: float, n: int) -> float:
+    """Return the binomial error of a fraction of `n` rows: half of Wilson's 68 % interval, which is never 0."""
+    return math.sqrt(share * (1 - share) / n + 0.25 / n**2) / (1 + 1 / n) if n else math.nan
 
 
 def _half_width(x: Floats) -> float:

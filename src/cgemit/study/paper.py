@@ -7,7 +7,7 @@ import os
 import platform
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,7 +17,7 @@ from cgemit import chain
 from cgemit.detector import load
 from cgemit.gun import Gun
 from cgemit.io.folders import SUMMARY, check_free, new_folder
-from cgemit.result import Result
+from cgemit.result import Result, Settings
 from cgemit.study.paper_rows import make_rows
 from cgemit.study.present import html_table, text_table, with_error
 from cgemit.study.records import Line, Row
@@ -51,6 +51,7 @@ class Inputs:
     seed: int
     threads: int | None
     quick: bool
+    settings: Settings
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -119,7 +120,7 @@ class Reproduction:
                 "detectors": list(DETECTORS), "particle": "mu-", "p": "1 GeV/c", "cos_theta": list(COS_THETA),
                 "events": self.inputs.events, "momenta": list(MOMENTA),
                 "events_per_momentum": self.inputs.events_per_momentum, "quick": self.inputs.quick,
-                "hits": "assigned to tracks by truth",
+                "simulate": asdict(self.inputs.settings.simulate), "hits": "assigned to tracks by truth",
             },
             "seed": self.inputs.seed,
             "timings": dict(self.timings),
@@ -152,6 +153,7 @@ def reproduce(
     seed: int = 1,
     threads: int | None = None,
     quick: bool = False,
+    settings: Settings | None = None,
     overwrite: bool = False,
     progress: ShowProgress | None = None,
 ) -> Reproduction:
@@ -169,6 +171,8 @@ def reproduce(
         Default: all cores. The numbers do not depend on it.
     quick : bool
         Fewer events.
+    settings : Settings, optional
+        Of all stages: what another model of matter or another read-out does to the numbers.
     overwrite : bool
         Write into a folder that holds files.
     progress : callable, optional
@@ -190,7 +194,7 @@ def reproduce(
         raise ValueError(f"events: got {events}; expected at least {_FEWEST_EVENTS} for the curves to mean something")
     if output is not None:
         check_free(output, overwrite=overwrite)
-    inputs = Inputs(events, events // _SHARE, seed, threads, quick)
+    inputs = Inputs(events, events // _SHARE, seed, threads, quick, settings or Settings())
     study = _measure(inputs, progress)
     return study if output is None else _write(study, Path(output), overwrite, progress)
 
@@ -201,7 +205,7 @@ def _measure(inputs: Inputs, progress: ShowProgress | None) -> Reproduction:
     thin = cgem.with_overrides({f"cgem.{layer.label}.drift_gap": f"{THIN_GAP:g} mm" for layer in cgem.cgem})
     gun = Gun("mu-", p=1.0, cos_theta=COS_THETA)
     main = [
-        Order(f"{name}, 1 GeV/c sample", detector, gun, inputs.events, inputs.seed)
+        Order(f"{name}, 1 GeV/c sample", detector, gun, inputs.events, inputs.seed, inputs.settings)
         for name, detector in ((cgem.name, cgem), (idc.name, idc), (f"{cgem.name} with a {THIN_GAP:g} mm gap", thin))
     ]
     scans = [_scan_orders(detector, inputs) for detector in (cgem, idc)]
@@ -210,14 +214,19 @@ def _measure(inputs: Inputs, progress: ShowProgress | None) -> Reproduction:
     curve_samples = {"cgem": tuple(samples[3 : 3 + len(MOMENTA)]), "idc": tuple(samples[3 + len(MOMENTA) :])}
     lines = [momentum_line(scan, name) for name in QUOTED_PARAMETERS for scan in curve_samples.values()]
     # Events have the same random numbers however many are run: these are the first ones of the sample.
-    display = chain.run(cgem, gun, _DISPLAY_EVENTS, inputs.seed, threads=inputs.threads)
+    display = chain.run(
+        cgem, gun, _DISPLAY_EVENTS, inputs.seed, settings=inputs.settings, threads=inputs.threads
+    )  # fmt: skip
     timings = {"run_s": time.perf_counter() - start, **_stage_seconds(samples)}
     rows = make_rows(named)
     return Reproduction(tuple(rows), tuple(lines), inputs, named, curve_samples, display, timings)
 
 
 def _scan_orders(detector: Detector, inputs: Inputs) -> list[Order]:
-    return momentum_orders(detector, MOMENTA, cos_theta=COS_THETA, events=inputs.events_per_momentum, seed=inputs.seed)
+    return momentum_orders(
+        detector, MOMENTA, cos_theta=COS_THETA, events=inputs.events_per_momentum, seed=inputs.seed,
+        settings=inputs.settings,
+    )  # fmt: skip
 
 
 def _share(progress: ShowProgress | None, low: float, high: float) -> ShowProgress | None:

@@ -55,7 +55,9 @@ FIGURES: Mapping[str, PaperFigure] = {
         "paper",
         "Figure 4: X and V residuals of clusters",
         "mu- of 1 GeV/c in besiii-cgem-design, all three layers. Left: X, with its parts of one strip (a rectangle) "
-        "and several strips. Right: V with an unbinned likelihood fit of a Gaussian to all entries.",
+        "and several strips. Middle: the same on a logarithmic scale with the tails that delta electrons make, and the "
+        "windows in which the RMS was taken. Right: V with an unbinned likelihood fit of a Gaussian to the entries "
+        "within one pitch.",
     ),
     "dr_dz": PaperFigure(
         "figure5_d_rho_d_z",

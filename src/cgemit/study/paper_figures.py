@@ -17,14 +17,17 @@ from cgemit.study.records import Line, paper_values, write_csv
 from cgemit.study.resolutions import pulls
 from cgemit.study.scans import QUOTED_PARAMETERS, angle_lines, momentum_line, pull_line, scan_columns
 from cgemit.study.spectra import SYMBOLS, track_spectrum, v_spectrum, x_spectrum
+from cgemit.study.windows import X_WINDOWS, x_widths
 
 if TYPE_CHECKING:
     from cgemit.result import Result
+    from cgemit.study.cluster_residuals import ClusterResiduals
     from cgemit.study.estimate import Resolution
     from cgemit.study.paper import Reproduction
     from cgemit.study.samples import ShowProgress
 
 _ANGLE_BINS = 10
+_TAIL_REACH = 8000.0  # um
 _SIGMAS = {"dr": "σ(d_ρ)", "dz": "σ(d_z)", "p": "σ(p)"}
 _PARTS = {"single strip": (COLORS["single"], "one strip"), "several strips": (COLORS["multi"], "several strips")}
 
@@ -79,14 +82,23 @@ def good_event(result: Result, layer: int = 0) -> int:
 def _cluster_residuals(study: Reproduction, path: Path) -> Picture:
     residuals = study.samples["cgem"].clusters
     x, v = x_spectrum(residuals), v_spectrum(residuals)
+    tails = x_spectrum(residuals, _TAIL_REACH, 160)
     write_csv(path.with_name("figure4_x_residual.csv"), x.columns())
+    write_csv(path.with_name("figure4_x_tails.csv"), tails.columns())
     write_csv(path.with_name("figure4_v_residual.csv"), v.columns())
     with style():
-        picture, axes = new_picture(1, 2, (12.4, 4.8))
+        picture, axes = new_picture(1, 3, (17.4, 4.8))
         curves.draw_parts(axes[0], x, _PARTS, "X clusters")
-        curves.draw_spectrum(axes[1], v, "V clusters")
-        picture.subplots_adjust(left=0.065, right=0.985, top=0.93, bottom=0.12, wspace=0.2)
+        curves.draw_tails(axes[1], tails, _PARTS, _windows(residuals), "X clusters, tails")
+        curves.draw_spectrum(axes[2], v, "V clusters")
+        picture.subplots_adjust(left=0.045, right=0.99, top=0.93, bottom=0.12, wspace=0.2)
     return picture
+
+
+def _windows(residuals: ClusterResiduals) -> list[tuple[float, str]]:
+    """Half-widths in um, and the RMS within each."""
+    found = [(1e3 * window, x_widths(residuals, window)) for window in X_WINDOWS.values() if np.isfinite(window)]
+    return [(reach, f"RMS {with_error(widths.rms, widths.rms_error)} µm") for reach, widths in found]
 
 
 def _track_residuals(study: Reproduction, path: Path, names: Sequence[str]) -> Picture:

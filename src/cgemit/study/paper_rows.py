@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from cgemit.study import differences
-from cgemit.study.estimate import gaussian_fit, measure
+from cgemit.study.deltas import DISTANCES
 from cgemit.study.records import Row, paper_values
 from cgemit.study.samples import Sample
-from cgemit.study.spectra import windowed_resolution
+from cgemit.study.spectra import v_fit, windowed_resolution
+from cgemit.study.windows import X_WINDOWS, x_beyond, x_widths
 
 
 def make_rows(samples: Mapping[str, Sample]) -> list[Row]:
@@ -25,7 +26,7 @@ def make_rows(samples: Mapping[str, Sample]) -> list[Row]:
     rows += tracks.values()
     rows += [_idc_row(samples["idc"], name, row.value) for name, row in tracks.items()]
     nominal = {row.id: row.value for row in rows}
-    return [*rows, *_gap_rows(gap, nominal)]
+    return [*rows, *_gap_rows(gap, nominal), *_window_rows(cgem), *_delta_rows(cgem)]
 
 
 def _row(name: str, sample: Sample, value: float, error: float, note: str) -> Row:
@@ -34,7 +35,7 @@ def _row(name: str, sample: Sample, value: float, error: float, note: str) -> Ro
 
 
 def _x_numbers(sample: Sample) -> dict[str, tuple[float, float]]:
-    widths = measure(1e3 * sample.clusters.x, parameter="X", unit="um")
+    widths = x_widths(sample.clusters)
     return {
         "x_residual_rms": (widths.rms, widths.rms_error),
         "x_residual_core": (widths.core, widths.core_error),
@@ -46,7 +47,7 @@ def _x_rows(sample: Sample) -> list[Row]:
     numbers = _x_numbers(sample)
     (rms, error), (core, _) = numbers["x_residual_rms"], numbers["x_residual_core"]
     notes = {
-        "x_residual_rms": differences.x_rms(rms, error, _published("x_residual_rms")),
+        "x_residual_rms": differences.x_rms(rms, error, _published("x_residual_rms"), x_beyond(sample.clusters)[0]),
         "x_residual_core": differences.x_core(core, rms),
         "x_single_strip_fraction": differences.single_strips(sample.detector.cgem[0].drift_gap),
     }
@@ -61,8 +62,27 @@ def _gap_rows(sample: Sample, nominal: Mapping[str, float]) -> list[Row]:
     ]
 
 
+def _window_rows(sample: Sample) -> list[Row]:
+    rows = []
+    for number, (name, window) in enumerate(X_WINDOWS.items()):
+        widths = x_widths(sample.clusters, window)
+        note = differences.x_window(window, widths.outside, widths.n, number)
+        rows.append(_row(f"x_residual_rms_{name}", sample, widths.rms, widths.rms_error, note))
+    return rows
+
+
+def _delta_rows(sample: Sample) -> list[Row]:
+    found, rows = sample.deltas, []
+    for way, values, errors in (("rphi", found.rphi, found.rphi_error), ("z", found.z, found.z_error)):
+        for distance, value, error in zip(DISTANCES, values, errors, strict=True):
+            name = f"{distance:g}mm" if distance >= 1 else f"{1e3 * distance:.0f}um"
+            note = differences.deltas(found.crossings, simulated=sample.settings.simulate.deltas)
+            rows.append(_row(f"delta_fraction_{way}_{name}", sample, value, error, note))
+    return rows
+
+
 def _v_row(sample: Sample) -> Row:
-    fit = gaussian_fit(1e3 * sample.clusters.v)
+    fit = v_fit(sample.clusters)
     note = differences.v_width(fit.sigma, fit.sigma_error, _published("v_residual_sigma"))
     return _row("v_residual_sigma", sample, fit.sigma, fit.sigma_error, note)
 

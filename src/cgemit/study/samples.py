@@ -10,7 +10,9 @@ import numpy as np
 
 from cgemit import chain
 from cgemit.gun import Gun
+from cgemit.result import Settings
 from cgemit.study.cluster_residuals import ClusterResiduals, cluster_residuals
+from cgemit.study.deltas import DeltaFractions, delta_fractions
 
 if TYPE_CHECKING:
     from cgemit.detector import Detector
@@ -30,8 +32,10 @@ class Sample:
     detector : Detector
     gun : Gun
     n_events, seed : int
+    settings : Settings
     tracks : Table
     clusters : ClusterResiduals
+    deltas : DeltaFractions
     removed : mapping of str to int
         Tracks that did not fit, by status.
     transport : mapping of str to int
@@ -45,8 +49,10 @@ class Sample:
     gun: Gun
     n_events: int
     seed: int
+    settings: Settings
     tracks: Table
     clusters: ClusterResiduals
+    deltas: DeltaFractions
     removed: Mapping[str, int]
     transport: Mapping[str, int]
     timings: Mapping[str, float]
@@ -61,6 +67,7 @@ class Order:
     gun: Gun
     n_events: int
     seed: int
+    settings: Settings
 
 
 def run_samples(
@@ -95,10 +102,13 @@ def _part_of(progress: ShowProgress | None, before: int, order: Order, total: in
 
 
 def _run(order: Order, threads: int | None, progress: Callable[[float], None] | None) -> Sample:
-    result = chain.run(order.detector, order.gun, order.n_events, order.seed, threads=threads, progress=progress)
+    result = chain.run(
+        order.detector, order.gun, order.n_events, order.seed, settings=order.settings, threads=threads,
+        progress=progress,
+    )  # fmt: skip
     return Sample(
-        order.label, order.detector, order.gun, order.n_events, order.seed, result.tracks, cluster_residuals(result),
-        result.removed(), result.transport(), result.timings,
+        order.label, order.detector, order.gun, order.n_events, order.seed, order.settings, result.tracks,
+        cluster_residuals(result), delta_fractions(result), result.removed(), result.transport(), result.timings,
     )  # fmt: skip
 
 

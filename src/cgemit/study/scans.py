@@ -7,7 +7,7 @@ import os
 import re
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from cgemit.gun import Gun
 from cgemit.io.folders import SUMMARY, new_folder
+from cgemit.result import Settings
 from cgemit.study.estimate import Resolution
 from cgemit.study.present import html_table, text_table, with_error
 from cgemit.study.records import Line, write_csv
@@ -40,12 +41,14 @@ def momentum_orders(
     cos_theta: float | tuple[float, float] | list[float],
     events: int,
     seed: int,
+    settings: Settings | None = None,
 ) -> list[Order]:
     """Return the samples of a momentum scan; each momentum has a seed of its own, the same for every detector."""
     orders = []
     for number, p in enumerate(momenta, start=1):
         gun = Gun(particle, p=p, cos_theta=cos_theta)
-        orders.append(Order(f"{detector.name}, {p:g} GeV/c", detector, gun, events, seed_of(seed, number)))
+        label = f"{detector.name}, {p:g} GeV/c"
+        orders.append(Order(label, detector, gun, events, seed_of(seed, number), settings or Settings()))
     return orders
 
 
@@ -183,7 +186,7 @@ def summary_of(scans: Sequence[Scan]) -> dict[str, Any]:
             "detectors": [scan.samples[0].detector.name for scan in scans],
             "particle": first.gun.particle, "cos_theta": cos_theta,
             "momenta": [momentum_of(s) for s in scans[0].samples], "events": first.n_events, "method": "mc",
-            "hits": "assigned by truth",
+            "simulate": asdict(first.settings.simulate), "hits": "assigned by truth",
         },
         "seed": scans[0].seed,
         "timings": {"total_s": sum(scan.seconds for scan in scans)},
@@ -234,6 +237,7 @@ def scan(
     cos_theta: float | tuple[float, float] | list[float] = (-0.93, 0.93),
     events: int = 5000,
     seed: int = 1,
+    settings: Settings | None = None,
     threads: int | None = None,
     progress: ShowProgress | None = None,
 ) -> Scan:
@@ -251,6 +255,8 @@ def scan(
     events : int
         For each momentum.
     seed : int
+    settings : Settings, optional
+        Of all stages.
     threads : int, optional
         Default: all cores.
     progress : callable, optional
@@ -262,7 +268,8 @@ def scan(
         If particle or numbers make no sense.
     """
     start = time.perf_counter()
-    orders = momentum_orders(detector, momenta, particle=particle, cos_theta=cos_theta, events=events, seed=seed)
+    gun: dict[str, Any] = {"particle": particle, "cos_theta": cos_theta}
+    orders = momentum_orders(detector, momenta, **gun, events=events, seed=seed, settings=settings)
     samples = run_samples(orders, threads=threads, progress=progress)
     return Scan(tuple(samples), seed, time.perf_counter() - start)
 

@@ -13,6 +13,7 @@ from cgemit.study.estimate import GaussianFit, Resolution, gaussian_fit, measure
 from cgemit.study.present import with_error
 from cgemit.study.records import shown
 from cgemit.study.resolutions import QUOTED, resolution
+from cgemit.study.windows import X_WINDOW, x_widths
 
 if TYPE_CHECKING:
     from cgemit.study.cluster_residuals import ClusterResiduals
@@ -26,6 +27,9 @@ SYMBOLS = {"dr": "d_ρ", "phi0": "φ₀", "kappa": "κ", "dz": "d_z", "tanl": "t
 
 #: Core widths to each side within which figures and reports take the RMS; what is outside is counted.
 WINDOW = 5.0
+
+#: Strips of the paper, um. A whole crossing moves the centre of its V strips by less than half of it.
+PITCH = 650.0
 
 _INSIDE_3 = 0.9973002  # of a Gaussian within 3 sigma
 
@@ -45,6 +49,8 @@ class Spectrum:
         Of all values, in `unit`.
     fit : GaussianFit or None
         Gaussian of all values, shown instead of the core.
+    reach : str
+        What the window of `resolution` is called.
     extra : tuple of str
         Further lines of statistics.
     """
@@ -55,6 +61,7 @@ class Spectrum:
     counts: Mapping[str, Ints]
     resolution: Resolution
     fit: GaussianFit | None = None
+    reach: str = f"{WINDOW:g} core widths"
     extra: tuple[str, ...] = ()
 
     def fit_curve(self, points: int = 200) -> tuple[Floats, Floats]:
@@ -76,12 +83,12 @@ class Spectrum:
         lines += [
             self._line("core", r.core, r.core_error),
             self._line("q68", r.q68, r.q68_error),
-            self._line("RMS", r.rms, r.rms_error),
+            self._line(f"RMS ({self.reach})" if r.outside else "RMS", r.rms, r.rms_error),
             self._line("mean", r.core_mean, r.core_mean_error),
             f"beyond 3 core widths: {100 * r.tail:.2f} %",
         ]
         not_fitted = sum(number for _, number in r.removed)
-        counts = ((not_fitted, "not fitted"), (r.outside, f"beyond {WINDOW:g} core widths"))
+        counts = ((not_fitted, "not fitted"), (r.outside, f"beyond {self.reach}"))
         return [*lines, *(f"{name}: {number:,}" for number, name in counts if number), *self.extra]
 
     def _line(self, name: str, value: float, error: float) -> str:
@@ -122,28 +129,42 @@ def track_spectrum(tracks: Table, parameter: str, bins: int = 80) -> Spectrum:
     return Spectrum(f"{SYMBOLS[parameter]}: fitted − true", unit, edges, _histograms({"all": values}, edges), widths)
 
 
-def x_spectrum(residuals: ClusterResiduals) -> Spectrum:
-    """Return the histogram of the X residuals with its parts from one and from several strips, in um."""
+def x_spectrum(residuals: ClusterResiduals, reach: float = 500.0, bins: int = 100) -> Spectrum:
+    """Return the histogram of the X residuals with its parts from one and from several strips, in um.
+
+    Parameters
+    ----------
+    residuals : ClusterResiduals
+    reach : float
+        Range to each side, um.
+    bins : int
+    """
     values = 1e3 * residuals.x
     single = residuals.x_size == 1
     share, error = residuals.single_strip_fraction
-    edges = np.linspace(-500, 500, 101)
+    edges = np.linspace(-reach, reach, bins + 1)
     parts = {"all": values, "single strip": values[single], "several strips": values[~single]}
     extra = (f"one strip: {with_error(100 * share, 100 * error)} %",)
     return Spectrum(
-        "X residual, R (φ − true φ)", "um", edges, _histograms(parts, edges),
-        measure(values, parameter="X", unit="um"), None, extra,
+        "X residual, R (φ − true φ)", "um", edges, _histograms(parts, edges), x_widths(residuals), None,
+        f"{X_WINDOW:g} mm", extra,
     )  # fmt: skip
+
+
+def v_fit(residuals: ClusterResiduals) -> GaussianFit:
+    """Fit a Gaussian to the V residuals within one pitch, in um."""
+    values = 1e3 * residuals.v
+    return gaussian_fit(values[np.abs(values) < PITCH])
 
 
 def v_spectrum(residuals: ClusterResiduals) -> Spectrum:
-    """Return the histogram of the V residuals with a Gaussian fitted to all of them, in um."""
+    """Return the histogram of the V residuals with a Gaussian fitted to those within one pitch, in um."""
     values = 1e3 * residuals.v
     edges = np.linspace(-500, 500, 101)
+    widths = measure(values, parameter="V", unit="um", window=(-PITCH, PITCH))
     return Spectrum(
-        "V residual", "um", edges, _histograms({"all": values}, edges), measure(values, parameter="V", unit="um"),
-        gaussian_fit(values),
-    )  # fmt: skip
+        "V residual", "um", edges, _histograms({"all": values}, edges), widths, v_fit(residuals), f"{PITCH:g} um"
+    )
 
 
 def _histograms(parts: Mapping[str, Floats], edges: Floats) -> dict[str, Ints]:
