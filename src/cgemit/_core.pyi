@@ -86,6 +86,7 @@ class FitSettings:
         tolerance: float,
         errors_from_track: bool,
         least_width: float,
+        delta_strips: float,
         prior_sigma: Sequence[float],
     ) -> None: ...
 

@@ -42,6 +42,9 @@ class FitSettings:
     least_width : float
         Least spread, in strip pitches, of the position that a cluster's size allows; it stands for the error of the
         track's incidence, so that a narrow allowed interval is not taken for a perfect measurement.
+    delta_strips : float
+        Probability that a delta electron adds one strip to a cluster; k strips are k times less probable. It says how
+        much a cluster is worth that is longer than the track makes likely. 0: there are no delta electrons.
     prior_sigma : tuple of float
         Standard deviations of (dr mm, phi0 rad, kappa (GeV/c)^-1, dz mm, tanl) that the filter begins with.
     seed_smearing : tuple of float
@@ -59,6 +62,7 @@ class FitSettings:
     max_iterations: int = 15
     tolerance: float = 0.1
     least_width: float = 0.1
+    delta_strips: float = 0.008
     prior_sigma: tuple[float, float, float, float, float] = (200.0, 2.0, 5.0, 1000.0, 5.0)
     seed_smearing: tuple[float, float, float, float, float] = (1.0, 0.005, 0.02, 5.0, 0.005)
 
@@ -74,6 +78,8 @@ class FitSettings:
             value = getattr(self, name)
             if not (math.isfinite(value) and value > 0):
                 problems.append(f"{name}: {value}, expected a positive number")
+        if not 0 <= self.delta_strips < 1:
+            problems.append(f"delta_strips: {self.delta_strips}, expected 0 or a probability below 1")
         for name, least in (("prior_sigma", 1e-12), ("seed_smearing", 0.0)):
             values = getattr(self, name)
             if len(values) != 5 or not all(math.isfinite(value) and value >= least for value in values):
@@ -131,6 +137,7 @@ def fit(
             tolerance=settings.tolerance,
             errors_from_track=settings.cluster_errors == "track",
             least_width=settings.least_width,
+            delta_strips=settings.delta_strips,
             prior_sigma=settings.prior_sigma,
         ),
         residuals=settings.residuals,

@@ -43,7 +43,7 @@ def test_every_mistake_is_listed():
     with pytest.raises(ValueError, match="FitSettings") as error:
         FitSettings(
             seed="hit", cluster_errors="both", max_iterations=0, tolerance=-1, least_width=float("nan"),
-            prior_sigma=(1, 1, 0, 1, 1), seed_smearing=(1, 1, 1),
+            delta_strips=1.0, prior_sigma=(1, 1, 0, 1, 1), seed_smearing=(1, 1, 1),
         )  # fmt: skip
     text = str(error.value)
     for name in (
@@ -52,6 +52,7 @@ def test_every_mistake_is_listed():
         "max_iterations",
         "tolerance",
         "least_width",
+        "delta_strips",
         "prior_sigma",
         "seed_smearing",
     ):
@@ -202,18 +203,45 @@ def true_extents(truths, layer):
     return np.abs(dx), np.abs(dx * np.cos(stereo) - (ends[0][2] - ends[1][2]) * np.sin(stereo))
 
 
-@pytest.mark.parametrize("view", [0, 1])
-def test_a_cluster_longer_than_the_track_may_hold_it_anywhere(event, view):
-    """Thirty strips, as if a delta electron had added some: the error is that of an interval without the path's own."""
+def residual_errors(event, view, layer, strips, **changes):
+    """Errors of the residuals to the track without them, of clusters of a view and layer that have so many strips."""
     tables, candidates = event
-    clusters, layer, strips = tables["clusters"], 1, 30
+    clusters = tables["clusters"]
     mine = (clusters["view"] == view) & (clusters["layer"] == layer)
-    long = clusters.with_columns(size=np.where(mine, strips, clusters["size"]).astype("i4"))
-    hits = tables["particles"], long, tables["wire_hits"]
-    out = fit(DETECTOR, *hits, candidates, FitSettings(residuals=True))
+    other = clusters.with_columns(size=np.where(mine, strips, clusters["size"]).astype("i4"))
+    hits = tables["particles"], other, tables["wire_hits"]
+    out = fit(DETECTOR, *hits, candidates, FitSettings(residuals=True, **changes))
+    assert np.all(out["tracks"]["status"] == FitStatus.ok)
     rows = out["residuals"]
-    error = rows["err"][(rows["view"] == view) & (rows["layer"] == layer)]
-    width = strips * 0.65 - true_extents(tables["truths"], layer)[view]
+    return rows["err"][(rows["view"] == view) & (rows["layer"] == layer)]
+
+
+@pytest.mark.parametrize("view", [0, 1])
+def test_without_delta_electrons_a_long_cluster_may_hold_the_track_anywhere(event, view):
+    """Thirty strips: the error is that of an interval of their length without the path's own."""
+    error = residual_errors(event, view, 1, 30, delta_strips=0)
+    width = 30 * 0.65 - true_extents(event[0]["truths"], 1)[view]
     # The track without this cluster is known to 0.3 mm, in quadrature to 5 mm.
     np.testing.assert_allclose(error, width / np.sqrt(12), rtol=0.004)
-    assert np.all(out["tracks"]["status"] == FitStatus.ok)
+
+
+def thrown_error(extent, strips, rng):
+    """RMS distance of a path from the middle of the strips, if a delta electron added k with weight 1/k beside it."""
+    begin = rng.uniform(0, 1, 40_000)
+    end = begin + extent / 0.65
+    touched = np.floor(end).astype(int) + 1
+    added = strips - touched
+    side = np.where(rng.random(len(begin)) < 0.5, 0, added)  # those at smaller numbers
+    middle = -side + 0.5 * strips
+    weight = 1 / np.maximum(added, 1)
+    return 0.65 * np.sqrt(np.average((0.5 * (begin + end) - middle) ** 2, weights=weight))
+
+
+@pytest.mark.parametrize(("view", "strips"), [(0, 8), (0, 30), (1, 30)])
+def test_delta_electrons_leave_the_track_at_an_end_of_a_long_cluster(event, view, strips):
+    """Against paths thrown onto strips, to one side of which others are added."""
+    error = residual_errors(event, view, 1, strips)
+    rng = np.random.default_rng(5)
+    thrown = [thrown_error(extent, strips, rng) for extent in true_extents(event[0]["truths"], 1)[view]]
+    # Known to 0.3 mm without this cluster: 1 % of 2.3 mm in quadrature.
+    np.testing.assert_allclose(error, np.hypot(thrown, 0.25), rtol=0.01)

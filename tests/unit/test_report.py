@@ -74,9 +74,13 @@ def test_deviation_says_how_far_and_in_which_direction():
 
 
 def test_x_rms_is_explained_by_missing_deltas_only_where_that_holds():
-    assert "187.6 um" in differences.x_rms(138.7, 0.3, 217.1)
-    assert "delta electrons" in differences.x_rms(138.7, 0.3, 217.1)
-    assert "delta electrons" not in differences.x_rms(215.0, 3.0, 217.1)
+    projected, with_deltas = differences.x_rms(138.7, 0.3, 217.1, 0.0), differences.x_rms(215.0, 3.0, 217.1, 0.0035)
+    for text in (projected, with_deltas):
+        assert "187.6 um" in text
+        assert "within ±3 mm" in text
+    assert "none here" in projected
+    assert "none here" not in with_deltas
+    assert "0.35 % lie outside" in with_deltas
 
 
 def test_track_widths_agree_only_within_errors():

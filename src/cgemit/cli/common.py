@@ -96,15 +96,22 @@ def add_run(parser: argparse.ArgumentParser) -> None:
 def add_physics(parser: argparse.ArgumentParser) -> None:
     """Add what is simulated of the passage through matter."""
     group = parser.add_argument_group("physics")
-    group.add_argument("--no-deltas", action="store_true", help="no delta electrons in the drift gaps")
+    group.add_argument(
+        "--no-deltas",
+        action="store_true",
+        help="no delta electrons in the drift gaps; the fit does not reckon with any",
+    )
 
 
 def settings_of(arguments: argparse.Namespace) -> Settings:
     """Return the settings of all stages with what `add_physics` read."""
+    from cgemit.fit import FitSettings
     from cgemit.result import Settings
     from cgemit.simulate import SimulateSettings
 
-    return Settings(simulate=SimulateSettings(deltas=not arguments.no_deltas))
+    if arguments.no_deltas:
+        return Settings(simulate=SimulateSettings(deltas=False), fit=FitSettings(delta_strips=0))
+    return Settings()
 
 
 def load_detector(arguments: argparse.Namespace, name: str | None = None) -> Detector:

@@ -98,11 +98,12 @@ void bind_fit(py::module_& module) {
   py::class_<FitSettings>(module, "FitSettings",
                           "Settings of the fit; the values live in cgemit.fit.FitSettings.")
       .def(py::init([](int max_iterations, double tolerance, bool errors_from_track, double least_width,
-                       const std::array<double, 5>& prior_sigma) {
-             return FitSettings{max_iterations, tolerance, errors_from_track, least_width, prior_sigma};
+                       double delta_strips, const std::array<double, 5>& prior_sigma) {
+             return FitSettings{max_iterations, tolerance,    errors_from_track,
+                                least_width,    delta_strips, prior_sigma};
            }),
            py::kw_only(), py::arg("max_iterations"), py::arg("tolerance"), py::arg("errors_from_track"),
-           py::arg("least_width"), py::arg("prior_sigma"));
+           py::arg("least_width"), py::arg("delta_strips"), py::arg("prior_sigma"));
   module.def("fit", &run, py::arg("detector"), py::kw_only(), py::arg("hit_offsets"), py::arg("hits"),
              py::arg("mass"), py::arg("start"), py::arg("settings"), py::arg("residuals"),
              "Fit one track per row of hit_offsets; columns of the tracks, and of the hits' residuals if "

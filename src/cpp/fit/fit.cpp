@@ -110,19 +110,36 @@ class TrackFit {
     space_.variance[i] = hits_[i].sigma * hits_[i].sigma + (1 - weight * weight) * drift * drift;
   }
 
-  // A path of projected length w touches n strips of pitch p while its centre moves over
-  // min(n p - w, w - (n-2) p): uniform within. In a cluster that is longer than w allows, a delta electron or
-  // another particle fired strips, too: the path lies anywhere in it, its centre within n p - w. One that is
-  // shorter was cut off: the centre is off by up to half of what is missing.
+  // A path of projected length w = (m + f) p, p the pitch and 0 <= f < 1, touches m + 1 strips with
+  // probability 1 - f or m + 2 with probability f; its centre is uniform in (1 - f) p or f p about theirs. A
+  // delta electron (or another particle) adds k strips on one side with probability delta_strips / k, and the
+  // centre of all strips is k p / 2 off: the variance is that of the mixture of all that makes as many strips
+  // as were seen. Where nothing does, the path lies anywhere in the cluster, or was cut off and lies up to
+  // half of what is missing beside.
   double cluster_variance(const Hit& hit, double extent) const {
     if (hit.size == 0 || !settings_.errors_from_track) return hit.sigma * hit.sigma;
     const CgemLayer& layer = detector_.cgem[static_cast<std::size_t>(hit.layer)];
     const double pitch = hit.view == View::x ? layer.pitch_x : layer.pitch_v;
-    const double free = std::min(hit.size * pitch - extent, extent - (hit.size - 2) * pitch);
-    const double least = settings_.least_width * pitch;
-    const double anywhere = std::max(std::abs(hit.size * pitch - extent), pitch);
-    const double width = free < -least ? anywhere : std::max(free, least);
-    return width * width / 12;
+    const double whole = std::floor(extent / pitch), part = extent / pitch - whole;
+    const double added = hit.size - 1 - whole;
+    const double fewer = (1 - part) * delta_adds(added), more = part * delta_adds(added - 1);
+    if (!(fewer + more > 0)) {
+      const double anywhere = std::max(std::abs(hit.size * pitch - extent), pitch);
+      return anywhere * anywhere / 12;
+    }
+    const double sum = fewer * spread(added, 1 - part) + more * spread(added - 1, part);
+    return pitch * pitch * sum / (fewer + more);
+  }
+
+  double delta_adds(double strips) const {
+    return strips > 0 ? settings_.delta_strips / strips : (strips == 0 ? 1 : 0);
+  }
+
+  // Variance in squared pitches of a position that is uniform in an interval and off by half a strip for each
+  // one added.
+  double spread(double added, double interval) const {
+    const double width = std::max(interval, settings_.least_width);
+    return added * added / 4 + width * width / 12;
   }
 
   bool store(const Estimate& estimate, FitResult& result) const {

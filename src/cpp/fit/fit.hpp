@@ -20,6 +20,7 @@ struct FitSettings {
   bool errors_from_track;  // cluster errors from size and the track's incidence, else from the cluster's own
                            // table
   double least_width;      // smallest spread of a cluster's position, in pitches
+  double delta_strips;     // probability that a delta electron adds one strip to a cluster; 0: none does
   std::array<double, 5> prior_sigma;  // of d, psi, kappa, z0, tanl: weak, for the filter to begin with
 };
 
