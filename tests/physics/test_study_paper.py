@@ -8,6 +8,7 @@ import pytest
 import cgemit
 from cgemit.study import gaussian_fit, measure, resolution
 from cgemit.study.cluster_residuals import cluster_residuals
+from cgemit.study.windows import X_WINDOWS, geant4_runs, x_beyond, x_widths
 from stats import assert_within, fraction_error
 
 DESIGN, IDC = "besiii-cgem-design", "besiii-idc"
@@ -27,6 +28,7 @@ GAUSSIAN = cgemit.Settings(
     simulate=cgemit.SimulateSettings(fluctuations="gaussian"),
     digitize=cgemit.DigitizeSettings(readout="gaussian", sigma_x=0.1387, sigma_v=0.1327, reveal_sides=True),
 )
+NO_DELTAS = cgemit.Settings(simulate=cgemit.SimulateSettings(deltas=False), fit=cgemit.FitSettings(delta_strips=0))
 
 
 def thin_gap():
@@ -45,8 +47,14 @@ def idc():
 
 
 @pytest.fixture(scope="module")
-def thin():
-    return cgemit.run(thin_gap(), SAMPLE, 12_000, 1)
+def projected():
+    """Return the same particles without delta electrons, which the fit does not reckon with either."""
+    return cgemit.run(DESIGN, SAMPLE, 12_000, 1, settings=NO_DELTAS)
+
+
+@pytest.fixture(scope="module")
+def projected_thin():
+    return cgemit.run(thin_gap(), SAMPLE, 12_000, 1, settings=NO_DELTAS)
 
 
 def ratios(detector, p, events=6000):
@@ -75,8 +83,8 @@ def test_linear_covariance_gate_fails_for_other_wires():
     assert measured != pytest.approx([1.0, 1.0, 1.0], abs=0.08)
 
 
-@pytest.mark.parametrize(("gap", "rms", "single"), [("cgem", 138.7, 0.805), ("thin", 156.7, 0.884)])
-def test_x_residual(gap, rms, single, request):
+@pytest.mark.parametrize(("gap", "rms", "single"), [("projected", 138.7, 0.805), ("projected_thin", 156.7, 0.884)])
+def test_x_residual_of_the_projection(gap, rms, single, request):
     residuals = cluster_residuals(request.getfixturevalue(gap))
     widths = measure(1e3 * residuals.x)
     assert widths.rms_error < 0.5
@@ -85,6 +93,42 @@ def test_x_residual(gap, rms, single, request):
     assert fraction_error(share, widths.n) < 0.0025
     assert share == pytest.approx(single, abs=0.01)
     assert widths.rms < 650 / 12**0.5  # no projection model can exceed a rectangle one pitch wide
+
+
+def has_deltas(result):
+    if not len(result.steps):
+        pytest.skip("the simulation makes no delta electrons")
+    return result
+
+
+@pytest.mark.parametrize("window", ["1mm", "2mm", "3mm", "5mm"])
+def test_x_residual_with_delta_electrons_in_windows(cgem, window):
+    """Between Geant4's RMS with range cuts of 0.7 mm and 1 um, or 5 % and 3 standard errors beside them."""
+    widths = x_widths(cluster_residuals(has_deltas(cgem)), X_WINDOWS[window])
+    column = list(X_WINDOWS).index(window)
+    rms = [float(run.rms[column]) for run in geant4_runs()[:3]]
+    margin = 3 * widths.rms_error
+    assert 0.95 * min(rms) - margin < widths.rms < 1.05 * max(rms) + margin
+    without = float(geant4_runs()[3].rms[column])
+    assert not 0.95 * min(rms) < without  # the gate sees that there are none
+
+
+def test_clusters_with_delta_electrons(cgem):
+    """Fraction beyond 3 mm and single strips, against the same rows of Geant4."""
+    residuals = cluster_residuals(has_deltas(cgem))
+    beyond, error = x_beyond(residuals, 3.0)
+    assert 0.0033 - 3 * error < beyond < 0.0038 + 3 * error
+    share, error = residuals.single_strip_fraction
+    assert 0.774 - 0.01 < share < 0.785 + 0.01
+
+
+def test_delta_electrons_hardly_move_the_core(cgem):
+    """By less than 3 %: the same particles, with and without, in the same fit."""
+    settings = cgemit.Settings(simulate=cgemit.SimulateSettings(deltas=False))
+    without = cgemit.run(DESIGN, SAMPLE, 12_000, 1, settings=settings)
+    for name in ("dr", "dz", "p"):
+        ratio = resolution(has_deltas(cgem).tracks, name).core / resolution(without.tracks, name).core
+        assert abs(ratio - 1) < 0.03, name
 
 
 def test_v_residual(cgem):

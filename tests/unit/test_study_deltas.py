@@ -1,12 +1,14 @@
 """What studies say of delta electrons: fractions of crossings, windows of the X residual, pictures of the tails."""
 
 import dataclasses
+import json
 
 import numpy as np
 import pytest
 
 import cgemit
 import gem_toy
+from cgemit.cli.main import main
 from cgemit.study import delta_displacements, delta_fractions, paper_report, reproduce
 from cgemit.study.cluster_residuals import ClusterResiduals
 from cgemit.study.spectra import v_fit, v_spectrum, x_spectrum
@@ -107,7 +109,7 @@ def test_pictures_of_the_tails_mark_the_windows():
     outside = np.count_nonzero(np.abs(residuals.x) > X_WINDOW)
     assert f"beyond 3 mm: {outside}" in lines
     assert any(line.startswith("RMS (3 mm): ") for line in lines)
-    assert any("beyond 650 um" in line for line in v_spectrum(residuals).statistics())
+    assert any("beyond 650 µm" in line for line in v_spectrum(residuals).statistics())
     assert x_spectrum(residuals, 8000, 160).counts["all"].sum() == 20_000
 
 
@@ -119,6 +121,21 @@ def test_geant4_rows_match_the_windows():
         assert len(rms) == len(X_WINDOWS)
         assert rms == sorted(rms)
     assert len(set(runs[-1].rms)) == 1
+
+
+@pytest.mark.parametrize(("options", "deltas"), [([], True), (["--no-deltas"], False)])
+def test_switch_of_the_shell(options, deltas, tmp_path, monkeypatch):
+    """All commands that simulate know it; the fit does not reckon with what is not simulated."""
+    design = ["-d", "besiii-cgem-design", "--p", "1", "--quiet"]
+    for command in (["simulate", *design, "--cos-theta", "0", "-n", "3"], ["resolution", *design, "--events", "20"]):
+        assert main([*command, "-o", str(tmp_path / command[0]), *options]) == 0
+        summary = json.loads((tmp_path / command[0] / "summary.json").read_text())
+        assert summary.get("inputs", summary)["simulate"]["deltas"] is deltas
+    given = []
+    monkeypatch.setattr("cgemit.study.paper.reproduce", lambda *_, settings, **__: given.append(settings))
+    main(["study", "-o", str(tmp_path / "out"), "--quiet", *options])
+    assert given[0].simulate.deltas is deltas
+    assert (given[0].fit.delta_strips > 0) is deltas
 
 
 def test_study_without_delta_electrons_says_so(tmp_path, monkeypatch):

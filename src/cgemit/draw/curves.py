@@ -110,7 +110,7 @@ def draw_tails(
         for side in (-reach, reach):
             axes.axvline(side, color=COLORS["wire"], lw=0.9, ls="--", zorder=0)
         axes.text(reach, 0.6 * top, f" {text}", rotation=90, va="top", ha="left", fontsize=8, color=COLORS["text"])
-    axes.legend(loc="upper left")
+    axes.legend(loc="upper left", frameon=True, facecolor="white", edgecolor="none", framealpha=0.9)
 
 
 def _label_spectrum(axes: Axes, spectrum: Spectrum, title: str) -> None:

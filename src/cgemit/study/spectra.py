@@ -163,7 +163,7 @@ def v_spectrum(residuals: ClusterResiduals) -> Spectrum:
     edges = np.linspace(-500, 500, 101)
     widths = measure(values, parameter="V", unit="um", window=(-PITCH, PITCH))
     return Spectrum(
-        "V residual", "um", edges, _histograms({"all": values}, edges), widths, v_fit(residuals), f"{PITCH:g} um"
+        "V residual", "um", edges, _histograms({"all": values}, edges), widths, v_fit(residuals), f"{PITCH:g} µm"
     )
 
 
