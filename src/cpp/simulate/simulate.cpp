@@ -10,12 +10,11 @@
 #include "matter/scattering.hpp"
 #include "motion/helix.hpp"
 #include "motion/wire.hpp"
+#include "simulate/cells.hpp"
 
 namespace cgemit {
 
 namespace {
-
-constexpr int most_cells = 64;  // a particle that runs along a layer fires no more
 
 // One particle on its way.
 class Flight {
@@ -32,6 +31,7 @@ class Flight {
         now_(std::hypot(in.px[row], in.py[row], in.pz[row]), in.mass[row],
              projectile_of(in.mass[row], in.charge[row])),
         track_(total_matter(detector, in.pz[row] / std::hypot(in.px[row], in.py[row]))),
+        cells_(detector),
         out_(out) {
     const double pt = std::hypot(in.px[row], in.py[row]);
     point_ = {in.x[row],
@@ -185,108 +185,21 @@ class Flight {
     t.secondaries.push_back(0);
   }
 
-  // Every cell between the radial borders, which lie midway to the neighbouring layers at the track's z.
-  // False if the track turns back below them.
+  // False if the track turns back below the layer's cells.
   bool pass_cells(std::size_t index) {
     const WireLayer& layer = detector_.wires[index];
-    HelixPoint at_wires = point_;
-    double arc = 0;
-    const bool reached = step_to_cylinder(at_wires, wire_radius(layer, point_.z), arc);
-    if (!reached) {
-      arc = arc_to_apex(at_wires);
-      advance(at_wires, arc);
-    }
-    to_wires_ = arc;
-    const auto [inner, outer] = cell_borders(index, at_wires.z);
     CellRange cells{};
-    if (!(reached && cells_at_once(layer, at_wires, inner, outer, cells)) &&
-        !cells_step_by_step(layer, at_wires, inner, outer, cells))
-      return false;
+    if (!cells_.find(index, point_, cells)) return false;
     for (int cell = cells.first; cell <= cells.last; ++cell)
-      record_cell(layer, ((cell % layer.cells) + layer.cells) % layer.cells, at_wires);
+      record_cell(layer, ((cell % layer.cells) + layer.cells) % layer.cells, cells);
     return true;
   }
 
-  // Counted on from the last point that was asked for: between wire layers the turn is small.
-  double azimuth_of(const HelixPoint& at) {
-    const double cross = last_x_ * at.y - last_y_ * at.x, dot = last_x_ * at.x + last_y_ * at.y;
-    const bool ahead = dot > 0 && std::abs(cross) < dot;
-    azimuth_ = ahead ? azimuth_ + cross / dot * atan_over(cross / dot) : std::atan2(at.y, at.x);
-    last_x_ = at.x;
-    last_y_ = at.y;
-    return azimuth_;
-  }
-
-  static constexpr int many_cells = 1 << 20;
-  static int nearest(double c) { return static_cast<int>(c + (many_cells + 0.5)) - many_cells; }
-
-  struct CellRange {
-    int first, last;
-  };
-
-  // Cells between the borders from the slope of the track in the middle; false where its bend could make a
-  // difference.
-  bool cells_at_once(const WireLayer& layer, const HelixPoint& middle, double inner, double outer,
-                     CellRange& cells) {
-    const double p = middle.outward();
-    if (!(p > 0)) return false;
-    const double radius = middle.radius(), tan_a = middle.sideways() / p, per_cos = radius / p;
-    const double per_turn = layer.cells / (2 * pi), twist = layer.tan_half_twist / layer.half_length;
-    const double at = cell_coordinate(layer, azimuth_of(middle), middle.z);
-    const double slope = (tan_a / radius - twist * middle.tanl * per_cos) * per_turn;
-    const double height = std::max(radius - inner, outer - radius);
-    const double bend =
-        (std::abs(middle.w) + 2 * std::abs(tan_a) / radius) * per_cos * per_cos * per_cos / radius +
-        std::abs(twist * middle.tanl) * (std::abs(middle.w * per_cos) + twist) * per_cos;
-    const double unsure = 1e-9 + bend * height * height * per_turn;
-    const double one = at + (inner - radius) * slope, other = at + (outer - radius) * slope;
-    const double low = std::min(one, other), high = std::max(one, other);
-    if (!(std::abs(low) < many_cells && high - low < most_cells)) return false;
-    cells = {nearest(low), nearest(high)};
-    const auto sure = [unsure](double c, int cell) { return 0.5 - std::abs(c - cell) > unsure; };
-    return sure(low, cells.first) && sure(high, cells.last);
-  }
-
-  bool cells_step_by_step(const WireLayer& layer, const HelixPoint& at_wires, double inner, double outer,
-                          CellRange& cells) const {
-    double arc = 0;
-    HelixPoint from = point_, to = at_wires;
-    if (!step_to_cylinder(from, inner, arc)) return false;
-    if (!step_to_cylinder(to, outer, arc)) {
-      const double ahead = arc_to_apex(to);
-      if (ahead * std::abs(to.w) < pi) advance(to, ahead);
-    }
-    const double first = cell_coordinate(layer, std::atan2(from.y, from.x), from.z);
-    const double last = first + cells_between(layer, from, to);
-    cells.first = static_cast<int>(std::lround(std::min(first, last)));
-    cells.last = std::min(static_cast<int>(std::lround(std::max(first, last))), cells.first + most_cells);
-    return true;
-  }
-
-  // Cells that the azimuth relative to the wires passes from one point to another.
-  static double cells_between(const WireLayer& layer, const HelixPoint& a, const HelixPoint& b) {
-    const double cross = a.x * b.y - a.y * b.x, dot = a.x * b.x + a.y * b.y;
-    const double turn = dot > 0 ? cross / dot * atan_over(cross / dot) : std::atan2(cross, dot);
-    const double twist = wire_azimuth(layer, b.z) - wire_azimuth(layer, a.z);
-    return (turn - twist) * layer.cells / (2 * pi);
-  }
-
-  std::pair<double, double> cell_borders(std::size_t index, double z) const {
-    const auto& wires = detector_.wires;
-    const double here = wire_radius(wires[index], z);
-    const double below = index > 0 ? wire_radius(wires[index - 1], z) : -HUGE_VAL;
-    const double above = index + 1 < wires.size() ? wire_radius(wires[index + 1], z) : HUGE_VAL;
-    double half_in = 0.5 * (here - below), half_out = 0.5 * (above - here);
-    if (index == 0) half_in = std::min(half_out, pi * here / wires[index].cells);
-    if (index + 1 == wires.size()) half_out = std::min(half_in, pi * here / wires[index].cells);
-    return {here - half_in, here + half_out};
-  }
-
-  void record_cell(const WireLayer& layer, int cell, const HelixPoint& nearby) {
-    HelixPoint closest = nearby;
+  void record_cell(const WireLayer& layer, int cell, const CellRange& range) {
+    HelixPoint closest = range.at_wires;
     Approach approach{};
     if (!approach_wire(closest, layer.placed[static_cast<std::size_t>(cell)], approach)) return;
-    const double time = time_ + flight_time(approach.arc + to_wires_);
+    const double time = time_ + flight_time(approach.arc + range.arc);
     const bool behind_vertex = time < 0;
     if (behind_vertex || std::abs(approach.z_wire) > layer.half_length) return;
     WireTruths& t = out_.wire_truths;
@@ -307,10 +220,10 @@ class Flight {
   Stream stream_;
   std::int64_t event_;
   std::int32_t particle_;
-  double charge_, time_ = 0, arc_ = 0, to_wires_ = 0, deposit_ = 0;
+  double charge_, time_ = 0, arc_ = 0, deposit_ = 0;
   HelixPoint point_{};
   double stretch_;  // path per transverse arc
-  double last_x_ = 0, last_y_ = 0, azimuth_ = 0;
+  CellFinder cells_;
   Kinematics now_;
   TrackMatter track_;
   TransportStatus status_ = TransportStatus::outside;
