@@ -7,6 +7,7 @@ import os
 import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import Executor, Future, ThreadPoolExecutor, as_completed
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -62,7 +63,7 @@ def run_chunk(
         tables["clusters"],
         tables["wire_hits"],
         candidates,
-        settings.fit,
+        settings.fit if settings.fit.screening else replace(settings.fit, screening=settings.simulate.screening),
         seed,
         simulated=detector,
     )

@@ -19,6 +19,7 @@ Columns = dict[str, npt.ArrayLike]
 
 SEEDS = ("hits", "truth")
 ERRORS = ("track", "cluster")
+SCREENINGS = ("wentzel", "moliere")
 PARAMETERS = ("dr", "phi0", "kappa", "dz", "tanl")
 
 
@@ -34,6 +35,9 @@ class FitSettings:
     cluster_errors : str
         ``"track"``: from the number of strips and the incidence of the track. ``"cluster"``: as in the clusters
         table, from the number of strips and the layer alone.
+    screening : str or None
+        Screening of nuclei in multiple scattering (``SimulateSettings.screening``). None: what was simulated, or
+        ``"wentzel"`` where the fit does not know.
     residuals : bool
         Whether the residuals table is made: every hit against the track fitted without it.
     max_iterations : int
@@ -58,6 +62,7 @@ class FitSettings:
 
     seed: str = "hits"
     cluster_errors: str = "track"
+    screening: str | None = None
     residuals: bool = False
     max_iterations: int = 15
     tolerance: float = 0.1
@@ -68,7 +73,7 @@ class FitSettings:
 
     def __post_init__(self) -> None:
         problems = []
-        for name, choices in (("seed", SEEDS), ("cluster_errors", ERRORS)):
+        for name, choices in (("seed", SEEDS), ("cluster_errors", ERRORS), ("screening", (None, *SCREENINGS))):
             if getattr(self, name) not in choices:
                 expected = ", ".join(map(repr, choices))
                 problems.append(f"{name}: {getattr(self, name)!r}, expected one of {expected}")
@@ -127,7 +132,7 @@ def fit(
     truth = helix.at_origin(particles, (simulated or detector).field.bz)
     start = _smeared(truth, particles, settings, seed) if settings.seed == "truth" else np.empty((0, 5))
     out = _core.fit(
-        compiled(detector),
+        compiled(detector, screening=settings.screening or SCREENINGS[0]),
         hit_offsets=hits.hit_offsets,
         hits={name: getattr(hits, name) for name in ("kind", "layer", "element", "size", "value", "sigma", "side")},
         mass=particles["mass"],

@@ -10,6 +10,7 @@ from cgemit.tables import Table
 
 FLUCTUATIONS = ("full", "gaussian", "off")
 FOILS = ("effective", "lattice")
+SCREENINGS = ("wentzel", "moliere")
 TransportStatus = _core.TransportStatus
 
 
@@ -20,7 +21,7 @@ class SimulateSettings:
     Attributes
     ----------
     fluctuations : str
-        ``"full"``: scattering and Landau-like straggling with collisions up to the largest transfer.
+        ``"full"``: hard scatters and collisions one by one up to the largest transfer, ionization clusters.
         ``"gaussian"``: exactly the noise that the fit assumes. ``"off"``: no scattering, and the loss that the fit
         subtracts.
     sublayers : bool
@@ -29,29 +30,39 @@ class SimulateSettings:
         ``"effective"``: GEM foils are even matter. ``"lattice"``: they have holes, and a track meets the copper and
         Kapton that it really crosses (docs/methods/foils.md); with fluctuations ``"full"`` only, since the others make
         the fit's assumptions true.
+    screening : str
+        Screening of nuclei in multiple scattering: ``"wentzel"``, as in Geant4's Wentzel-VI model, or ``"moliere"``.
+        The fit follows it.
     deltas : bool
-        Whether delta electrons leave deposits of their own in the drift gaps.
+        Whether delta electrons leave deposits of their own in the drift gaps; with fluctuations ``"full"``.
+    steps : bool
+        Whether the steps table holds the ionization clusters of the particles, too, not only delta electrons.
 
     Raises
     ------
     ValueError
-        If `fluctuations` or `foil` is not one of these, or if they do not go together.
+        Listing every value that is not one of these, and values that do not go together.
     """
 
     fluctuations: str = "full"
     sublayers: bool = False
     foil: str = "effective"
+    screening: str = "wentzel"
     deltas: bool = True
+    steps: bool = False
 
     def __post_init__(self) -> None:
-        if self.fluctuations not in FLUCTUATIONS:
-            choices = ", ".join(map(repr, FLUCTUATIONS))
-            raise ValueError(f"SimulateSettings.fluctuations: {self.fluctuations!r}, expected one of {choices}")
-        if self.foil not in FOILS:
-            choices = ", ".join(map(repr, FOILS))
-            raise ValueError(f"SimulateSettings.foil: {self.foil!r}, expected one of {choices}")
+        problems = []
+        for name, choices in (("fluctuations", FLUCTUATIONS), ("foil", FOILS), ("screening", SCREENINGS)):
+            if getattr(self, name) not in choices:
+                expected = ", ".join(map(repr, choices))
+                problems.append(f"{name}: {getattr(self, name)!r}, expected one of {expected}")
         if self.foil == "lattice" and self.fluctuations != "full":
-            raise ValueError("SimulateSettings.foil: 'lattice', expected 'effective' unless fluctuations are 'full'")
+            problems.append("foil: 'lattice', expected 'effective' unless fluctuations are 'full'")
+        if self.steps and self.fluctuations != "full":
+            problems.append("steps: True, expected False unless fluctuations are 'full'")
+        if problems:
+            raise ValueError("SimulateSettings:\n  " + "\n  ".join(problems))
 
 
 def simulate(
@@ -59,8 +70,10 @@ def simulate(
 ) -> dict[str, Table]:
     """Transport particles outward until they leave, curl back or stop.
 
-    Uniform field: exact helices between scatterers. Scattering by Highland's plane angles (PDG 2024 eq. 34.16) in both
-    projections with lateral displacement, energy loss by Bethe (eq. 34.5) with straggling; valid for beta gamma > 0.3.
+    Uniform field: exact helices between scatterers. Scattering from the elements of the matter, soft as a Gaussian with
+    lateral displacement, hard ones one by one; energy loss with Bethe's mean and collisions up to the largest transfer
+    (docs/methods/matter.md), valid for beta gamma > 0.13; ionization clusters and delta electrons in the drift gaps
+    (docs/methods/deltas.md).
     Random numbers are those of (seed, event, particle, place), so results do not depend on how events are cut into
     chunks. Hits are recorded on the way out; a particle that first moves inward only meets the matter there.
 
@@ -79,7 +92,7 @@ def simulate(
     """
     settings = settings or SimulateSettings()
     out = _core.simulate(
-        compiled(detector, merge=not settings.sublayers, foil=settings.foil),
+        compiled(detector, not settings.sublayers, settings.screening, settings.foil),
         {name: particles[name] for name in _COLUMNS},
         fluctuations=getattr(_core.Fluctuations, settings.fluctuations),
         seed=seed,

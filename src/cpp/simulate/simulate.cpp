@@ -223,9 +223,9 @@ class Flight {
   double charge_, time_ = 0, arc_ = 0, deposit_ = 0;
   HelixPoint point_{};
   double stretch_;  // path per transverse arc
-  CellFinder cells_;
   Kinematics now_;
   TrackMatter track_;
+  CellFinder cells_;
   TransportStatus status_ = TransportStatus::outside;
   bool curled_ = false;  // past the outermost point: no cylinder lies ahead
   Simulated& out_;
