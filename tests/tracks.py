@@ -8,7 +8,7 @@ import numpy as np
 
 from cgemit import _core
 from cgemit.detector import Detector, compiled, slab_table, slabs
-from cgemit.detector.slabs import cgem_table, wire_table
+from cgemit.detector.readout import cgem_table, wire_table
 from cgemit.particles import species
 from cgemit.tables import Table
 

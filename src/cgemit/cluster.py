@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from cgemit import _core
 from cgemit.detector import Detector, compiled
-from cgemit.detector.slabs import cgem_table
+from cgemit.detector.readout import cgem_table
 from cgemit.helix import RADIUS_PER_KAPPA
 from cgemit.tables import Table
 

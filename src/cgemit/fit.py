@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from cgemit import _core, helix
 from cgemit.candidates import Candidates, FitHits, fit_hits
-from cgemit.detector import Detector, compiled
+from cgemit.detector import SCREENINGS, Detector, compiled
 from cgemit.tables import Table
 
 FitStatus = _core.FitStatus
@@ -19,7 +19,7 @@ Columns = dict[str, npt.ArrayLike]
 
 SEEDS = ("hits", "truth")
 ERRORS = ("track", "cluster")
-SCREENINGS = ("wentzel", "moliere")
+
 PARAMETERS = ("dr", "phi0", "kappa", "dz", "tanl")
 
 

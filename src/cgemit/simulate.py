@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from cgemit import _core
-from cgemit.detector import Detector, compiled
+from cgemit.detector import SCREENINGS, Detector, compiled
 from cgemit.tables import Table
 
 FLUCTUATIONS = ("full", "gaussian", "off")
 FOILS = ("effective", "lattice")
-SCREENINGS = ("wentzel", "moliere")
+
 TransportStatus = _core.TransportStatus
 
 

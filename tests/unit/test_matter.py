@@ -7,7 +7,7 @@ import pytest
 
 from cgemit import _core
 from cgemit.detector import compiled, load, slab_table
-from cgemit.detector.slabs import cgem_table, wire_table
+from cgemit.detector.readout import cgem_table, wire_table
 from slabs import BERYLLIUM, COPPER, ELECTRON, KAPTON, MUON, PION, PROTON, bethe, highland, slab_detector
 from tracks import hits_on
 

@@ -7,9 +7,10 @@ from cgemit.detector.material import Material
 from cgemit.detector.model import CgemLayer, Cylinder, Detector, DriftChamber, Field, Shell, SubLayer, WireLayer
 from cgemit.detector.problems import DetectorError, Problem
 from cgemit.detector.schema import schema
-from cgemit.detector.slabs import Slab, compiled, slab_table, slabs
+from cgemit.detector.slabs import SCREENINGS, Slab, compiled, slab_table, slabs
 
 __all__ = [
+    "SCREENINGS",
     "CgemLayer",
     "Cylinder",
     "Detector",
