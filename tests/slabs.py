@@ -20,11 +20,35 @@ class Matter(NamedTuple):
     x0: float  # g/cm2
     density_effect: tuple[float, float, float, float, float]  # Cbar, x0, x1, a, k
     minimum: float  # MeV cm2/g, minimum ionisation
+    elements: tuple[tuple[float, float, float], ...]  # Z, A (g/mol), mass fraction
+
+    def moles(self, thickness):
+        """Return Z, A and mol/cm2 of each element of a thickness in mm."""
+        return [(z, a, part / a * self.density * 0.1 * thickness) for z, a, part in self.elements]
+
+    def xi(self, thickness):
+        """Return Landau's xi times beta^2, GeV, of a thickness in mm."""
+        return 0.5 * 0.307075e-3 * self.z_over_a * self.density * 0.1 * thickness
 
 
-BERYLLIUM = Matter(4 / 9.0121831, 1.848, 63.7, 65.19, (2.7847, 0.0592, 1.6922, 0.80392, 2.4339), 1.595)
-COPPER = Matter(29 / 63.546, 8.960, 322.0, 12.86, (4.4190, -0.0254, 3.2792, 0.14339, 2.9044), 1.403)
-KAPTON = Matter(0.51264, 1.420, 79.6, 40.58, (3.3497, 0.1509, 2.5631, 0.15971, 3.1921), 1.820)
+BERYLLIUM = Matter(
+    4 / 9.0121831, 1.848, 63.7, 65.19, (2.7847, 0.0592, 1.6922, 0.80392, 2.4339), 1.595, ((4, 9.0122, 1),)
+)
+CARBON = Matter(6 / 12.011, 2.0, 78.0, 42.70, (2.9925, -0.0351, 2.4860, 0.20240, 3.0036), 1.742, ((6, 12.011, 1),))
+COPPER = Matter(29 / 63.546, 8.960, 322.0, 12.86, (4.4190, -0.0254, 3.2792, 0.14339, 2.9044), 1.403, ((29, 63.546, 1),))
+ARGON = Matter(18 / 39.95, 1.662e-3, 188.0, 19.55, (11.948, 1.7635, 4.4855, 0.19714, 2.9618), 1.519, ((18, 39.95, 1),))
+KAPTON = Matter(
+    0.51264, 1.420, 79.6, 40.58, (3.3497, 0.1509, 2.5631, 0.15971, 3.1921), 1.820,
+    ((1, 1.008, 0.026362), (6, 12.011, 0.691133), (7, 14.007, 0.073270), (8, 15.999, 0.209235)),
+)  # fmt: skip
+WATER = Matter(
+    0.55509, 1.0, 75.0, 36.08, (3.5017, 0.2400, 2.8004, 0.09116, 3.4773), 1.992, ((1, 1.008, 0.1119), (8, 15.999, 0.8881))
+)
+# Helium and propane, 60 to 40 by volume; of its density effect nothing is asked.
+HELIUM_PROPANE = Matter(
+    0.564, 8.5144e-4, 50.0, 47.3, (10.2, 2.0, 4.0, 0.13, 3.5), 2.1,
+    ((2, 4.0026, 0.1173), (6, 12.011, 0.7210), (1, 1.008, 0.1617)),
+)  # fmt: skip
 
 
 def delta(matter, betagamma):
@@ -36,15 +60,19 @@ def delta(matter, betagamma):
 
 
 def bethe(matter, thickness, p, mass, cut=np.inf):
-    """Return the mean loss in a thickness (mm) by collisions below a cut, xi and W_max, GeV (eqs. 34.5, 34.11)."""
+    """Return the mean loss in a thickness (mm) by collisions below a cut, xi and W_max, GeV (eqs. 34.5, 34.11).
+
+    Muons and protons have the term of spin 1/2 (Rossi, High Energy Particles, 1952, section 2.3). No shell correction.
+    """
     energy = np.hypot(p, mass)
     beta2, gamma = (p / energy) ** 2, energy / mass
     ratio = ELECTRON / mass
     w_max = 2 * ELECTRON * beta2 * gamma**2 / (1 + 2 * gamma * ratio + ratio**2)
-    xi = 0.5 * 0.307075e-3 * matter.z_over_a * matter.density * 0.1 * thickness / beta2
+    xi = matter.xi(thickness) / beta2
     upper = np.minimum(cut, w_max)
+    spin = 0.0 if mass == PION else 0.25 * (upper / energy) ** 2
     logarithm = np.log(2 * ELECTRON * beta2 * gamma**2 * upper / (matter.excitation * 1e-9) ** 2)
-    return xi * (logarithm - beta2 * (1 + upper / w_max) - delta(matter, p / mass)), xi, w_max
+    return xi * (logarithm - beta2 * (1 + upper / w_max) + spin - delta(matter, p / mass)), xi, w_max
 
 
 def highland(x, p, mass):
@@ -53,23 +81,31 @@ def highland(x, p, mass):
     return 13.6e-3 / (beta * p) * np.sqrt(x) * (1 + 0.038 * np.log(x / beta**2))
 
 
-def slab_detector(parts, bz=0.0, gap_radius=None, half_length=1e4):
+def composition(per_slab):
+    """Return the composition columns of slabs from lists of (Z, A, mol/cm2)."""
+    first = np.cumsum([0, *map(len, per_slab)]).astype(np.int32)
+    z, a, moles = np.array([row for rows in per_slab for row in rows], np.float64).reshape(-1, 3).T
+    return {"first": first, "z": z.copy(), "a": a.copy(), "moles": moles.copy()}
+
+
+def slab_detector(parts, bz=0.0, gap_radius=None, half_length=1e4, screening="wentzel"):
     """Return a compiled detector of slabs: (matter, thickness mm, radius mm), from inside; no wires.
 
     With `gap_radius` a drift gap there, where nothing scatters and half a keV is lost, records the particles.
     """
     grid = np.exp(_core.LOSS_GRID_FIRST + _core.LOSS_GRID_STEP * np.arange(_core.LOSS_POINTS))
-    rows, terms = [], []
+    rows, terms, elements = [], [], []
     for matter, thickness, radius in parts:
         x0 = thickness * 0.1 * matter.density / matter.x0
-        xi = 0.5 * 0.307075e-3 * matter.z_over_a * matter.density * 0.1 * thickness
         ends = radius - thickness / 2, radius + thickness / 2
-        rows.append((*ends, radius, thickness / np.sqrt(12), half_length, x0, xi, -1))
+        rows.append((*ends, radius, thickness / np.sqrt(12), half_length, x0, matter.xi(thickness), -1))
         terms.append(-2 * np.log(matter.excitation * 1e-9) - delta(matter, grid))
+        elements.append(matter.moles(thickness))
     n_gaps = 0 if gap_radius is None else 1
     if gap_radius is not None:
         rows.append((gap_radius - 2.5, gap_radius + 2.5, gap_radius, 1.0, half_length, 1e-15, 3e-8, 0))
         terms.append(np.full(len(grid), 31.0))
+        elements.append([])
     names = ("r_in", "r_out", "radius", "spread", "half_length", "x0", "xi", "gap")
     columns = dict(zip(names, np.array(rows).T.copy(), strict=True))
     columns |= {"gap": columns["gap"].astype(np.int32), "ends": np.zeros(len(rows), np.uint8)}
@@ -80,4 +116,7 @@ def slab_detector(parts, bz=0.0, gap_radius=None, half_length=1e4):
     cgem |= {"gid_first": np.zeros(n_gaps, np.int32), "phi_first": np.zeros((n_gaps, 2))}
     real = ("r_end", "half_length", "twist", "phi_east", "sigma", "sigma_slope", "efficiency")
     wires = {k: np.zeros(0) for k in real} | {k: np.zeros(0, np.int32) for k in ("number", "cells", "gid_first")}
-    return _core.Detector(bz=bz, slabs=columns, log_terms=np.array(terms), cgem=cgem, wires=wires)
+    return _core.Detector(
+        bz=bz, slabs=columns, log_terms=np.array(terms), composition=composition(elements), cgem=cgem, wires=wires,
+        screening=getattr(_core.Screening, screening),
+    )  # fmt: skip

@@ -1,4 +1,4 @@
-"""Scattered tracks have Highland's angle in both planes, and the displacement of a thick scatterer."""
+"""Tracks scatter by the angles of single scattering or, with Gaussian fluctuations, by the core that the fit takes."""
 
 import math
 
@@ -7,7 +7,8 @@ import pytest
 from scipy import stats as distributions
 
 from cgemit import _core
-from slabs import BERYLLIUM, KAPTON, MUON, highland, slab_detector
+from coulomb import core_angle, exact_quantiles
+from slabs import BERYLLIUM, KAPTON, MUON, PROTON, slab_detector
 from stats import assert_within
 from tracks import particles, transport
 
@@ -35,19 +36,18 @@ def shoot(parts, p, tanl, fluctuations, seed=1, n=N, pdg=13):
     return momentum @ axes.T / along[:, None], position @ axes.T
 
 
-def thickness_x0(parts, tanl=0.0):
-    """Return radiation lengths along the flight."""
-    return sum(0.1 * t * m.density / m.x0 for m, t, _ in parts) * math.hypot(1, tanl)
+def along(parts, tanl):
+    """Return matter and thickness along the flight."""
+    return [(matter, thickness * math.hypot(1, tanl)) for matter, thickness, _ in parts]
 
 
-@pytest.mark.parametrize("fluctuations", ["full", "gaussian"])
 @pytest.mark.parametrize("tanl", [0.0, 1.3, -2.0])
 @pytest.mark.parametrize("p", [0.5, 2.0])
-def test_width_in_both_planes(p, tanl, fluctuations):
-    """Both plane angles are Gaussian with Highland's width for the oblique path, independent of each other."""
+def test_gaussian_width_in_both_planes(p, tanl):
+    """Both plane angles are Gaussian with the core's width for the oblique path, independent of each other."""
     parts = [(BERYLLIUM, 1.0, SLAB)]
-    angles, _ = shoot(parts, p, tanl, fluctuations)
-    expected = highland(thickness_x0(parts, tanl), p, MUON)
+    angles, _ = shoot(parts, p, tanl, "gaussian")
+    expected = core_angle(along(parts, tanl), p, MUON)
     # The momentum half-way through the loss: up to 0.3 MeV lower.
     allowed = 1e-3 * expected if p > 1 else 2e-3 * expected
     error = math.hypot(expected / math.sqrt(2 * N), allowed / 4)
@@ -56,10 +56,32 @@ def test_width_in_both_planes(p, tanl, fluctuations):
     assert_within(np.mean(angles[:, 0] * angles[:, 1]) / expected**2, 0.0, 1 / math.sqrt(N), what="correlation")
     for plane in (angles / angles.std(axis=0)).T:
         assert distributions.kstest(plane, "norm").pvalue > 6e-5
-    # The gate sees Highland's angle times sqrt(2), and a path without the obliquity.
+    # The gate sees an angle times sqrt(2), and a path without the obliquity.
     for wrong in (math.sqrt(2), 1 / math.hypot(1, 1.3) ** 0.5):
         with pytest.raises(AssertionError, match="standard errors"):
             assert_within(angles.std(axis=0), wrong * expected, error)
+
+
+@pytest.mark.parametrize("tanl", [0.0, 1.3, -2.0])
+@pytest.mark.parametrize("p", [0.5, 2.0])
+def test_full_widths_in_both_planes(p, tanl):
+    """In either plane the angles are those of single scattering on the oblique path, independent in the core."""
+    parts = [(BERYLLIUM, 1.0, SLAB)]
+    angles, _ = shoot(parts, p, tanl, "full")
+    elements = BERYLLIUM.moles(1.0 * math.hypot(1, tanl))
+    expected = exact_quantiles(elements, p, MUON, "wentzel", [0.6827, 0.98])
+    for plane in range(2):
+        found = np.quantile(np.abs(angles[:, plane]), [0.6827, 0.98])
+        # 1 % for the loss on the way, the model and the error of a quantile: 0.5 % and 0.9 %.
+        assert found == pytest.approx(expected, rel=0.03)
+        assert found[0] == pytest.approx(expected[0], rel=0.02)
+    inside = angles[np.all(np.abs(angles) < 3 * expected[0], axis=1)]
+    assert_within(np.corrcoef(inside.T)[0, 1], 0.0, 1 / math.sqrt(len(inside)), what="correlation")
+    # The gate sees the widths of the other screening, and planes that share a twentieth of their variance.
+    assert found[0] != pytest.approx(exact_quantiles(elements, p, MUON, "moliere", [0.6827])[0], rel=0.02)
+    shared = inside @ np.linalg.cholesky([[1, 0.05], [0.05, 1]]).T
+    with pytest.raises(AssertionError, match="standard errors"):
+        assert_within(np.corrcoef(shared.T)[0, 1], 0.0, 1 / math.sqrt(len(shared)))
 
 
 @pytest.mark.parametrize("fluctuations", ["full", "gaussian"])
@@ -72,13 +94,23 @@ def test_displacement_of_a_thick_scatterer(tanl, fluctuations):
     # Offset where the track leaves the matter: the layer's minus the lever arm from there.
     lever = (GAP - SLAB - 5.0) * stretch
     at_exit = offsets - lever * angles
-    width = angles.std(axis=0)
     path = 10.0 * stretch
-    n_sigma_error = path * width / math.sqrt(3) / math.sqrt(2 * N)
-    assert_within(at_exit.std(axis=0), path * width / math.sqrt(3), n_sigma_error, what="displacement")
+    # A few hard scatters would rule second moments: the core of the angles alone.
+    inside = np.all(np.abs(angles) < 3.5 * np.quantile(np.abs(angles), 0.6827), axis=1)
     for plane in range(2):
-        found = np.corrcoef(angles[:, plane], at_exit[:, plane])[0, 1]
-        assert_within(found, math.sqrt(3) / 2, (1 - 0.75) / math.sqrt(N), what="correlation")
+        angle, offset = angles[inside, plane], at_exit[inside, plane]
+        n, width = len(angle), angle.std()
+        # Scatters happen half-way on average, whatever the angle; about that the offset spreads by path/sqrt(12).
+        slope = angle @ offset / (angle @ angle)
+        assert_within(slope, path / 2, path / math.sqrt(12) / math.sqrt(n), what="slope")
+        rest = offset - slope * angle
+        rest = rest[np.abs(rest) < 3.5 * path * width / math.sqrt(12)]
+        # A cut on angles keeps tracks whose hard scatters happen to cancel, and not those that add up: 3 %.
+        error = math.hypot(1 / math.sqrt(2 * n), 0.03 / 4 if fluctuations == "full" else 0)
+        assert_within(rest.std() / (path * width / math.sqrt(12)), 1.0, error, what="spread about it")
+        assert_within(np.corrcoef(angle, offset)[0, 1], math.sqrt(3) / 2, 0.5 * error, what="correlation")
+        with pytest.raises(AssertionError, match="standard errors"):  # all at the entrance
+            assert_within(slope, path, path / math.sqrt(12) / math.sqrt(n))
 
 
 @pytest.mark.parametrize("pieces", [2, 10, 100])
@@ -90,8 +122,8 @@ def test_cutting_changes_nothing(pieces):
     once, many = shoot(whole, 2.0, 0.4, "gaussian", 1, n), shoot(cut, 2.0, 0.4, "gaussian", 2, n)
     for a, b, what in zip(once, many, ("angle", "offset"), strict=True):
         assert_within(b.std(axis=0) / a.std(axis=0), 1.0, 1 / math.sqrt(n), what=what)
-    # Highland's formula for each piece alone would be seen.
-    alone = math.sqrt(pieces) * highland(thickness_x0(whole, 0.4) / pieces, 2.0, MUON)
+    # The formula for each piece alone would be seen.
+    alone = math.sqrt(pieces) * core_angle(along(cut[:1], 0.4), 2.0, MUON)
     if pieces > 2:
         with pytest.raises(AssertionError, match="standard errors"):
             assert_within(many[0].std(axis=0) / alone, 1.0, 1 / math.sqrt(2 * n))
@@ -105,14 +137,13 @@ def test_no_fluctuations_no_scattering():
 
 
 def test_heavy_and_slow_scatter_more():
-    """Widths go as 1/(p beta): a 0.6 GeV/c proton scatters as Highland's beta says, not as 1/p."""
+    """Widths go as 1/(p beta): a 0.6 GeV/c proton scatters as its beta says, not as 1/p."""
     parts = [(BERYLLIUM, 0.3, SLAB)]
     angles, _ = shoot(parts, 0.6, 0.0, "gaussian", pdg=2212)
-    proton = 0.93827208816
     # The loss in 0.3 mm, 0.2 MeV, lowers p by 0.2/beta MeV; half of that counts.
-    expected = highland(thickness_x0(parts), 0.6 - 0.0002, proton)
+    expected = core_angle(along(parts, 0), 0.6 - 0.0002, PROTON)
     assert_within(angles.std(axis=0), expected, expected / math.sqrt(2 * N))
-    assert expected > 1.5 * highland(thickness_x0(parts), 0.6, MUON)
+    assert expected > 1.5 * core_angle(along(parts, 0), 0.6, MUON)
 
 
 def test_angle_of_a_particle_depends_on_its_own_stream_only():

@@ -27,7 +27,7 @@ def test_order_of_the_design_detector() -> None:
 @pytest.mark.parametrize("name", list(detectors()))
 @pytest.mark.parametrize("merge", [True, False])
 def test_slabs_fill_space_without_gap_or_overlap(name: str, merge: bool) -> None:
-    table, log_terms = slab_table(load(name), merge)
+    table, log_terms, composition = slab_table(slabs(load(name), merge))
     assert np.allclose(table["r_in"][1:], table["r_out"][:-1], atol=1e-9)
     assert np.all((table["r_in"] < table["radius"]) & (table["radius"] < table["r_out"]))
     assert np.all(table["spread"] > 0)
@@ -35,11 +35,15 @@ def test_slabs_fill_space_without_gap_or_overlap(name: str, merge: bool) -> None
     assert np.all(table["xi"] > 0)
     assert log_terms.shape == (len(table["x0"]), _core.LOSS_POINTS)
     assert np.all(np.isfinite(log_terms))
+    assert composition["first"].shape == (len(table["x0"]) + 1,)
+    assert np.all(np.diff(composition["first"]) > 0)
+    assert np.all(composition["moles"] > 0)
 
 
 @pytest.mark.parametrize("name", list(detectors()))
 def test_merging_keeps_the_matter_and_its_moments(name: str) -> None:
-    (merged, merged_log), (single, single_log) = slab_table(load(name), True), slab_table(load(name), False)
+    merged, merged_log, merged_elements = slab_table(slabs(load(name), True))
+    single, single_log, single_elements = slab_table(slabs(load(name), False))
     for table in (merged, single):
         table["first"] = table["x0"] * table["radius"]
         table["second"] = table["x0"] * (table["radius"] ** 2 + table["spread"] ** 2)
@@ -48,6 +52,9 @@ def test_merging_keeps_the_matter_and_its_moments(name: str) -> None:
         assert np.sum(merged[column]) == pytest.approx(np.sum(single[column]), rel=1e-12)
     assert merged["xi"] @ merged_log == pytest.approx(single["xi"] @ single_log, rel=1e-12)
     assert merged["gap"].max() == single["gap"].max()
+    for element in np.unique(single_elements["z"]):
+        amounts = [np.sum(e["moles"][e["z"] == element]) for e in (merged_elements, single_elements)]
+        assert amounts[0] == pytest.approx(amounts[1], rel=1e-12)
 
 
 def test_cathode_by_hand() -> None:
@@ -63,7 +70,7 @@ def test_cathode_by_hand() -> None:
         radius += thickness
     centre = np.average(middles, weights=weights)
     spread = math.sqrt(np.average((np.array(middles) - centre) ** 2 + widths, weights=weights))
-    table, _ = slab_table(DESIGN)
+    table = slab_table(slabs(DESIGN)).slabs
     assert group(2) == "cathode"
     assert table["x0"][2] == pytest.approx(sum(weights))
     assert table["radius"][2] == pytest.approx(centre)
@@ -72,7 +79,7 @@ def test_cathode_by_hand() -> None:
 
 
 def test_drift_gap_and_air() -> None:
-    table, _ = slab_table(DESIGN)
+    table = slab_table(slabs(DESIGN)).slabs
     assert group(3) == "drift"
     assert table["radius"][3] == pytest.approx(78.838)
     assert table["spread"][3] == pytest.approx(5 / math.sqrt(12))
@@ -87,17 +94,27 @@ def test_beam_pipe_xi_by_hand() -> None:
     gold = 79 / 196.97 * 19.32 * 0.001436
     beryllium = 4 / 9.0122 * 1.848 * 0.14
     oil = 146 / 254.502 * 0.81 * 0.08
-    table, log_terms = slab_table(DESIGN)
+    table, log_terms, composition = slab_table(slabs(DESIGN))
     assert table["xi"][0] == pytest.approx(0.1535375e-3 * (gold + beryllium + oil), rel=1e-3)
-    # Far below the density effect the logarithm is the mean of -2 ln I.
+    # At beta gamma = 1, below the density effect, the logarithm is the mean of -2 ln I - 2 C/Z.
+    one = round(-_core.LOSS_GRID_FIRST / _core.LOSS_GRID_STEP)
     oil_excitation = math.exp((108 * math.log(81) + 38 * math.log(19.2)) / 146)
-    means = [(gold, 790), (beryllium, 63.7), (oil, oil_excitation)]
-    expected = sum(w * -2 * math.log(ev * 1e-9) for w, ev in means) / (gold + beryllium + oil)
-    assert log_terms[0, 0] == pytest.approx(expected, rel=1e-4)
+
+    def shells(ev: float) -> float:
+        return 0.45240e-6 * ev**2 + 3.69280e-9 * ev**3  # Barkas and Berger at beta gamma = 1
+
+    oil_shells = (18 * shells(78.0) + 38 * shells(19.2)) / 146
+    means = [(gold, 790, shells(790) / 79), (beryllium, 63.7, shells(63.7) / 4), (oil, oil_excitation, oil_shells)]
+    expected = sum(w * (-2 * math.log(ev * 1e-9) - 2 * shell) for w, ev, shell in means) / (gold + beryllium + oil)
+    assert log_terms[0, one] == pytest.approx(expected, rel=1e-5)
+    # Elements: gold, beryllium, carbon, hydrogen.
+    amounts = [19.32 * 0.001436 / 196.97, 1.848 * 0.14 / 9.0122, 18 * 0.81 * 0.08 / 254.502, 38 * 0.81 * 0.08 / 254.502]
+    assert composition["z"][:4].tolist() == [79, 4, 6, 1]
+    assert composition["moles"][:4] == pytest.approx(amounts, rel=1e-3)
 
 
 def test_chamber_gas_is_cut_at_the_wire_layers() -> None:
-    table, _ = slab_table(DESIGN)
+    table = slab_table(slabs(DESIGN)).slabs
     gas = table["ends"].astype(bool)
     wires = [layer.r_mid for layer in DESIGN.drift_chamber.layers]
     assert gas.sum() == 35
@@ -110,7 +127,7 @@ def test_chamber_gas_is_cut_at_the_wire_layers() -> None:
 
 def test_smeared_wires_add_their_matter() -> None:
     smeared = DESIGN.with_overrides({"drift_chamber.wires": "smeared"})
-    without, with_wires = slab_table(DESIGN)[0], slab_table(smeared)[0]
+    without, with_wires = slab_table(slabs(DESIGN)).slabs, slab_table(slabs(smeared)).slabs
     added = with_wires["x0"] - without["x0"]
     gas = without["ends"].astype(bool)
     assert added[~gas] == pytest.approx(0)
@@ -122,7 +139,7 @@ def test_smeared_wires_add_their_matter() -> None:
 
 
 def test_readout_and_wire_tables() -> None:
-    cgem, wires = cgem_table(DESIGN), wire_table(load("besiii-idc"))
+    cgem, wires = cgem_table(DESIGN.cgem), wire_table(load("besiii-idc").drift_chamber)
     assert cgem["r_readout"].tolist() == [87.5, 132.5, 175.0]
     assert cgem["half_length"].tolist() == [266, 345, 423.5]
     assert cgem["phi_first"] == pytest.approx(np.array([[math.pi, math.pi], [math.pi, 0], [math.pi, 0]]))

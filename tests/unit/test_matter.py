@@ -1,14 +1,16 @@
-"""Scattering angles and energy losses are the PDG's, and do not depend on how matter is cut."""
+"""Core of the scattering angle and mean loss are those of the formulas, and do not depend on how matter is cut."""
 
+import itertools
 import math
 
 import numpy as np
 import pytest
 
 from cgemit import _core
-from cgemit.detector import compiled, load, slab_table
+from cgemit.detector import compiled, load, slab_table, slabs
 from cgemit.detector.readout import cgem_table, wire_table
-from slabs import BERYLLIUM, COPPER, ELECTRON, KAPTON, MUON, PION, PROTON, bethe, highland, slab_detector
+from coulomb import core_angle, screening_squared, strength
+from slabs import BERYLLIUM, COPPER, ELECTRON, KAPTON, MUON, PION, PROTON, bethe, composition, slab_detector
 from tracks import hits_on
 
 PASSAGES = [
@@ -23,31 +25,76 @@ PASSAGES = [
 each_passage = pytest.mark.parametrize(("matter", "thickness", "p", "mass"), PASSAGES)
 
 
-def test_highland_by_hand():
-    """1.4 mm of beryllium are 0.003969 radiation lengths and turn a 1 GeV/c muon by 0.681 mrad in a plane."""
-    x = 1.4 / 352.8
-    # beta^2 = 1/(1 + 0.10566^2) = 0.98896; 13.6 MeV/(0.99446 GeV) sqrt(x) (1 + 0.038 ln(x/beta^2))
-    by_hand = 13.6e-3 / 0.994465 * 0.0629941 * (1 + 0.038 * -5.51835)
-    found = _core.scattering_angle(p=1.0, mass=MUON, x0=x, track_x0=x)
-    assert found == pytest.approx(by_hand, rel=1e-5)
-    assert found == pytest.approx(6.809e-4, rel=1e-3)
+def chi_c2(parts):
+    """Return (chi_c p beta)^2 of parts (matter, thickness mm), GeV^2."""
+    return sum(sum(strength(z)) * moles for matter, thickness in parts for z, _, moles in matter.moles(thickness))
+
+
+def test_core_angle_by_hand():
+    """1.4 mm of beryllium, 0.0287 mol/cm2, turn the core of 1 GeV/c muons by 0.648 mrad in a plane, as Lynch and Dahl."""
+    # chi_c^2 = 0.157 MeV^2 Z(Z + 1) x 0.0287 mol/cm2 /(beta p)^2 = (0.3018 mrad)^2; chi_a^2, Moliere: 2.007e-5 4^(2/3)
+    # (1 + 3.34 (4/137)^2) MeV^2/p^2 = (7.12 urad)^2, twice that for "wentzel"; v = 25 chi_c^2/chi_a^2.
+    chi_c = 0.157e-6 * 20 * 0.028708 / 0.98896
+    chi_a = 2.007e-11 * 4 ** (2 / 3) * (1 + 3.34 * (4 / 137) ** 2)
+    for screening, times, angle in (("moliere", 1.0, 6.72e-4), ("wentzel", 1 + math.exp(-0.016), 6.48e-4)):
+        v = 25 * chi_c / (times * chi_a)
+        by_hand = math.sqrt(chi_c / (1 + 0.98**2) * ((1 + v) / v * math.log(1 + v) - 1))
+        core = slab_detector([(BERYLLIUM, 1.4, 50.0)], screening=screening)
+        total = _core.total_matter(core, 0.0)[2]
+        assert total == pytest.approx(chi_c * 0.98896, rel=2e-3)
+        found = _core.scattering_angle(core, 0, path=1.0, p=1.0, mass=MUON, track_chi_c2=total)
+        assert found == pytest.approx(by_hand, rel=1e-3)
+        assert found == pytest.approx(angle, rel=2e-3)
 
 
 @each_passage
-def test_scattering_angle(matter, thickness, p, mass):
-    """For a single piece the angle is Highland's in the form of Lynch and Dahl."""
-    x = 0.1 * thickness * matter.density / matter.x0
-    assert _core.scattering_angle(p=p, mass=mass, x0=x, track_x0=x) == pytest.approx(highland(x, p, mass), rel=1e-12)
+@pytest.mark.parametrize("screening", ["wentzel", "moliere"])
+def test_core_angle(matter, thickness, p, mass, screening):
+    """The angle is that of Lynch and Dahl with the elements' chi_c and chi_a, alone or as a share of a whole track."""
+    core = slab_detector([(matter, thickness, 50.0)], screening=screening)
+    for times in (1, 40):
+        found = _core.scattering_angle(
+            core, 0, path=1.0, p=p, mass=mass, track_chi_c2=times * chi_c2([(matter, thickness)])
+        )
+        expected = core_angle([(matter, thickness)], p, mass, screening, total=[(matter, times * thickness)])
+        assert found == pytest.approx(expected, rel=5e-4)
+    other = core_angle([(matter, thickness)], p, mass, "wentzel" if screening == "moliere" else "moliere")
+    assert abs(other / expected - 1) > 5e-3  # the gate sees the other screening
+
+
+def test_core_angle_of_a_mixture_is_that_of_its_elements():
+    """Sheets of several matters, one after the other, add up to the core of the whole."""
+    parts = [(BERYLLIUM, 1.4, 30.0), (KAPTON, 0.3, 60.0), (COPPER, 0.03, 90.0)]
+    core = slab_detector(parts)
+    whole = [part[:2] for part in parts]
+    total = _core.total_matter(core, 0.0)[2]
+    assert total == pytest.approx(chi_c2(whole), rel=1e-9)
+    found = [_core.scattering_angle(core, i, path=1.0, p=0.3, mass=PION, track_chi_c2=total) for i in range(3)]
+    assert math.hypot(*found) == pytest.approx(core_angle(whole, 0.3, PION), rel=5e-4)
+
+
+def test_electrons_turn_slow_protons_less():
+    """Where the recoil of electrons ends inside the core, they count up to there: a fifth of beryllium's matter."""
+    core, p = slab_detector([(BERYLLIUM, 1.4, 50.0)]), 0.1
+    total = _core.total_matter(core, 0.0)[2]
+    found = _core.scattering_angle(core, 0, path=1.0, p=p, mass=PROTON, track_chi_c2=total)
+    assert found == pytest.approx(core_angle([(BERYLLIUM, 1.4)], p, PROTON), rel=1e-3)
+    per_beta2 = 1 + (PROTON / p) ** 2
+    v = 25 * total * per_beta2 / screening_squared(4, 1 / per_beta2, "wentzel")
+    assert found < 0.97 * math.sqrt(total * per_beta2 / (1 + 0.98**2) * (math.log(v) - 1)) / p
 
 
 @pytest.mark.parametrize("pieces", [2, 10, 100])
 def test_scattering_is_additive(pieces):
     """The variance of a whole is the sum over its pieces; with a logarithm for each piece it would not be."""
-    whole = _core.scattering_angle(p=0.5, mass=MUON, x0=0.02, track_x0=0.02)
-    piece = _core.scattering_angle(p=0.5, mass=MUON, x0=0.02 / pieces, track_x0=0.02)
-    assert pieces * piece**2 == pytest.approx(whole**2, rel=1e-12)
-    alone = _core.scattering_angle(p=0.5, mass=MUON, x0=0.02 / pieces, track_x0=0.02 / pieces)
-    assert pieces * alone**2 < 0.95 * whole**2
+    whole, piece = slab_detector([(KAPTON, 5.0, 50.0)]), slab_detector([(KAPTON, 5.0 / pieces, 50.0)])
+    total, part = _core.total_matter(whole, 0.0)[2], _core.total_matter(piece, 0.0)[2]
+
+    def angle(core, track):
+        return _core.scattering_angle(core, 0, path=1.0, p=0.5, mass=MUON, track_chi_c2=track)
+
+    assert pieces * angle(piece, total) ** 2 == pytest.approx(angle(whole, total) ** 2, rel=1e-12)
+    assert pieces * angle(piece, part) ** 2 < 0.95 * angle(whole, total) ** 2
 
 
 @each_passage
@@ -63,6 +110,8 @@ def test_bethe(matter, thickness, p, mass):
     assert restricted == pytest.approx(bethe(matter, thickness, p, mass, cut)[0], rel=1e-3)
     beta2 = p * p / (p * p + mass * mass)
     harder = xi * (math.log(w_max / cut) - beta2 * (1 - cut / w_max))  # integral of E times the spectrum
+    if mass != PION:
+        harder += xi * 0.25 * (w_max**2 - cut**2) / (p * p + mass * mass)
     whole = _core.restricted_loss(core, 0, path=1.0, p=p, mass=mass, cut=w_max)
     assert whole - restricted == pytest.approx(harder, rel=1e-9)
 
@@ -92,7 +141,7 @@ def test_bethe_by_hand():
 def test_core_moments(matter, thickness, p, mass, times):
     """Core loss and its variance are the first two moments of the collisions below CORE_CUT xi of the whole track."""
     core = slab_detector([(matter, thickness, 50.0)])
-    track_xi = times * 0.5 * 0.307075e-3 * matter.z_over_a * matter.density * 0.1 * thickness
+    track_xi = times * matter.xi(thickness)
     beta2 = p * p / (p * p + mass * mass)
     expected, xi, w_max = bethe(matter, thickness, p, mass, _core.CORE_CUT * track_xi / beta2)
     loss, variance, _ = _core.core_loss(core, 0, path=1.0, p=p, mass=mass, track_xi=track_xi)
@@ -108,7 +157,7 @@ def test_core_moments(matter, thickness, p, mass, times):
 def test_core_slope(matter, thickness, p, mass, times):
     """The slope of the core loss is its derivative by momentum, to 1e-3 of loss over momentum."""
     core = slab_detector([(matter, thickness, 50.0)])
-    track_xi = times * 0.5 * 0.307075e-3 * matter.z_over_a * matter.density * 0.1 * thickness
+    track_xi = times * matter.xi(thickness)
 
     def loss(momentum):
         return _core.core_loss(core, 0, path=1.0, p=momentum, mass=mass, track_xi=track_xi)
@@ -138,7 +187,7 @@ def test_noise_of_a_track_does_not_depend_on_cuts(pieces, pt):
     """The fit's noise seen from the origin is the same if the beam pipe is cut into neighbouring slabs."""
     design = load("besiii-cgem-design")
     hits = hits_on(design, [0.1, 0.5, -1 / pt, 2.0, 0.3])
-    columns, log_terms = slab_table(design)
+    columns, log_terms, elements = slab_table(slabs(design))
 
     def noise(n):
         repeat = np.where(np.arange(len(columns["x0"])) == 0, n, 1)
@@ -146,8 +195,14 @@ def test_noise_of_a_track_does_not_depend_on_cuts(pieces, pt):
         for name in ("x0", "xi"):
             cut[name][:n] /= n
         cut["spread"][:] = 0  # a thin piece may stay below the limit where shifts are followed
-        core = _core.Detector(bz=-1.0, slabs=cut, log_terms=np.repeat(log_terms, repeat, axis=0),
-                              cgem=cgem_table(design), wires=wire_table(design))  # fmt: skip
+        rows = list(zip(elements["z"], elements["a"], elements["moles"], strict=True))
+        parts = [rows[a:b] for a, b in itertools.pairwise(elements["first"])]
+        pipe = [(z, a, moles / n) for z, a, moles in parts[0]]
+        core = _core.Detector(
+            bz=-1.0, slabs=cut, log_terms=np.repeat(log_terms, repeat, axis=0),
+            composition=composition([pipe] * n + parts[1:]), cgem=cgem_table(design.cgem),
+            wires=wire_table(design.drift_chamber), screening=_core.Screening.wentzel,
+        )  # fmt: skip
         vectors = _core.reference(core, np.array([0.1, 0.5, -1 / pt, 2.0, 0.3]), MUON, hits)["noise"]
         return vectors.T @ vectors
 
@@ -162,16 +217,17 @@ def test_total_matter():
     parts = [(BERYLLIUM, 1.0, 30.0), (KAPTON, 0.5, 80.0), (COPPER, 0.1, 120.0)]
     core = slab_detector(parts, half_length=100.0)
     x0 = [0.1 * t * m.density / m.x0 for m, t, _ in parts]
-    xi = [0.5 * 0.307075e-3 * m.z_over_a * m.density * 0.1 * t for m, t, _ in parts]
+    xi = [m.xi(t) for m, t, _ in parts]
+    chi = [chi_c2([part[:2]]) for part in parts]
     for tanl, met in ((0.0, 3), (-0.8, 3), (1.0, 2), (-2.0, 1)):
-        expected = [sum(x0[:met]) * math.hypot(1, tanl), sum(xi[:met]) * math.hypot(1, tanl)]
+        expected = [sum(column[:met]) * math.hypot(1, tanl) for column in (x0, xi, chi)]
         np.testing.assert_allclose(_core.total_matter(core, tanl), expected, rtol=1e-12)
 
 
 def test_total_matter_ends_with_the_chamber():
     """A line that leaves the drift chamber through its end meets nothing behind, as for the simulation."""
     design = compiled(load("besiii-cgem-design"))
-    columns, _ = slab_table(load("besiii-cgem-design"))
+    columns = slab_table(slabs(load("besiii-cgem-design"))).slabs
     for tanl in (0.3, 1.4, 2.5):
         inside = np.abs(tanl) * columns["radius"] <= columns["half_length"]
         leaves = np.flatnonzero(~inside & (columns["ends"] == 1))

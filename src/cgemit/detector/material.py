@@ -157,12 +157,12 @@ def x0_of_fractions(fractions: dict[str, float], density: float) -> float:
 def shell_correction(excitation: float, ln_betagamma: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return C, (n,) float64, of an element (divide by Z) for ln(beta gamma), (n,) float64, and I in eV.
 
-    W.H. Barkas and M.J. Berger, NASA SP-3013 (1964), as in W.R. Leo, Techniques for Nuclear and Particle Physics
-    Experiments (1994), eq. 2.33; valid for beta gamma > 0.13, held constant below.
+    W.H. Barkas and M.J. Berger, NASA SP-3013 (1964); valid for beta gamma > 0.13, held constant below. W.R. Leo,
+    Techniques for Nuclear and Particle Physics Experiments (1994), eq. 2.33, prints 3.850190 for 3.858019.
     """
     per_square = np.exp(-2 * np.maximum(ln_betagamma, math.log(0.13)))
     first = per_square * (0.422377 + per_square * (0.0304043 - per_square * 0.00038106))
-    second = per_square * (3.850190 + per_square * (-0.1667989 + per_square * 0.00157955))
+    second = per_square * (3.858019 + per_square * (-0.1667989 + per_square * 0.00157955))
     return np.asarray(first * 1e-6 * excitation**2 + second * 1e-9 * excitation**3)
 
 

@@ -65,7 +65,7 @@ class Slab(NamedTuple):
         return math.sqrt(sum(s.x0 * width for s, width in zip(self.shells, widths, strict=True)) / self.x0)
 
     def log_term(self, ln_betagamma: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return -2 ln(I/GeV) - delta, (n,) float64, averaged over the shells with their xi."""
+        """Return -2 ln(I/GeV) - delta - 2 C/Z, (n,) float64, averaged over the shells with their xi."""
         terms = [shell.xi * shell.material.log_term(ln_betagamma) for shell in self.shells]
         return np.asarray(np.sum(terms, axis=0) / self.xi, dtype=np.float64)
 

@@ -32,6 +32,7 @@ class Draws {
 inline int poisson(double u, double mean) {
   if (u >= mean) return 0;  // 1 - exp(-mean) < mean
   double term = std::exp(-mean), sum = term;
+  if (term == 0) return static_cast<int>(mean);  // beyond 745: a grazing, slow particle
   int n = 0;
   while (1 - u > sum && term > 0) {
     term *= mean / ++n;

@@ -3,7 +3,7 @@
 namespace cgemit {
 
 TrackMatter total_matter(const Detector& detector, double tanl) {
-  TrackMatter total{1e-9, 1e-12, 1e-12};  // logarithms of an empty detector exist, too
+  TrackMatter total;
   for (const Slab& slab : detector.slabs) {
     if (std::abs(tanl) * slab.radius <= slab.half_length) {
       total.x0 += slab.x0;
@@ -17,8 +17,9 @@ TrackMatter total_matter(const Detector& detector, double tanl) {
   total.x0 *= path;
   total.xi *= path;
   total.chi_c2 *= path;
-  total.log_xi = std::log(total.xi);
-  total.log_chi_c2 = std::log(total.chi_c2);
+  // Logarithms of an empty detector exist, too.
+  total.log_xi = std::log(std::max(total.xi, 1e-15));
+  total.log_chi_c2 = std::log(std::max(total.chi_c2, 1e-15));
   return total;
 }
 
