@@ -8,7 +8,7 @@ import numpy as np
 
 from cgemit import _core
 
-ELECTRON, MUON, PION, PROTON = 0.51099895e-3, 0.1056583755, 0.13957039, 0.93827208816  # GeV
+ELECTRON, MUON, PION, KAON, PROTON = 0.51099895e-3, 0.1056583755, 0.13957039, 0.493677, 0.93827208816  # GeV
 
 
 class Matter(NamedTuple):
@@ -70,15 +70,9 @@ def bethe(matter, thickness, p, mass, cut=np.inf):
     w_max = 2 * ELECTRON * beta2 * gamma**2 / (1 + 2 * gamma * ratio + ratio**2)
     xi = matter.xi(thickness) / beta2
     upper = np.minimum(cut, w_max)
-    spin = 0.0 if mass == PION else 0.25 * (upper / energy) ** 2
+    spin = 0.0 if mass in (PION, KAON) else 0.25 * (upper / energy) ** 2
     logarithm = np.log(2 * ELECTRON * beta2 * gamma**2 * upper / (matter.excitation * 1e-9) ** 2)
     return xi * (logarithm - beta2 * (1 + upper / w_max) + spin - delta(matter, p / mass)), xi, w_max
-
-
-def highland(x, p, mass):
-    """Return the plane angle behind x radiation lengths, PDG 2024, eq. 34.16."""
-    beta = p / np.hypot(p, mass)
-    return 13.6e-3 / (beta * p) * np.sqrt(x) * (1 + 0.038 * np.log(x / beta**2))
 
 
 def composition(per_slab):

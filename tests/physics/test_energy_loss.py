@@ -7,8 +7,8 @@ import pytest
 from scipy import stats as distributions
 
 from cgemit import _core
-from cgemit.detector import compiled, load, slab_table
-from slabs import BERYLLIUM, COPPER, ELECTRON, KAPTON, MUON, PION, PROTON, bethe, slab_detector
+from cgemit.detector import compiled, load, slab_table, slabs
+from slabs import BERYLLIUM, COPPER, ELECTRON, KAON, KAPTON, MUON, PION, PROTON, bethe, slab_detector
 from stats import assert_within
 
 N = 200_000
@@ -18,6 +18,8 @@ PASSAGES = [
     pytest.param(BERYLLIUM, 1.4, 0.2, MUON, id="0.2 GeV/c muon, 1.4 mm Be"),
     pytest.param(KAPTON, 0.3, 0.2, PION, id="0.2 GeV/c pion, 0.3 mm Kapton"),
     pytest.param(BERYLLIUM, 1.4, 0.5, PROTON, id="0.5 GeV/c proton, 1.4 mm Be"),
+    pytest.param(BERYLLIUM, 0.2, 0.15, KAON, id="0.15 GeV/c kaon, 0.2 mm Be"),
+    pytest.param(COPPER, 0.014, 0.3, PROTON, id="0.3 GeV/c proton, 14 um Cu"),
 ]
 each_passage = pytest.mark.parametrize(("matter", "thickness", "p", "mass"), PASSAGES)
 
@@ -109,7 +111,7 @@ def test_scale_of_scipys_landau():
 def test_shape_is_landau():
     """For 1 GeV/c muons in the beam pipe the quantiles are Landau's within 2 %, the median within 1 %."""
     detector = load("besiii-cgem-design")
-    core, (columns, _) = compiled(detector), slab_table(detector)
+    core, columns = compiled(detector), slab_table(slabs(detector)).slabs
     b2, gamma = beta2(1.0, MUON), math.hypot(1, MUON) / MUON
     w_max = 2 * ELECTRON / MUON**2 / (1 + 2 * gamma * ELECTRON / MUON + (ELECTRON / MUON) ** 2)
     xi = columns["xi"][0] / b2
@@ -150,7 +152,7 @@ def test_oblique_path_is_thicker_matter():
 def test_losses_are_never_negative():
     """Thin gas, where soft collisions fluctuate as much as their mean, never gives energy back."""
     detector = load("besiii-cgem-design")
-    core, (columns, _) = compiled(detector), slab_table(detector)
+    core, columns = compiled(detector), slab_table(slabs(detector)).slabs
     gap = int(np.flatnonzero(columns["gap"] == 0)[0])
     losses = _core.sample_loss(core, gap, path=1.0, p=1.0, mass=MUON, seed=2, n=N)
     assert losses.min() >= 0

@@ -14,6 +14,7 @@ from cgemit.detector.material import (
     fractions_of_formula,
     general_density_effect,
     radiation_length,
+    shell_correction,
 )
 
 MUON, ELECTRON = 0.1056583755, 0.51099895e-3  # GeV
@@ -61,6 +62,52 @@ def test_at_high_energy_only_the_plasma_energy_matters(name: str, plasma_ev: flo
 )  # fmt: skip
 def test_radiation_lengths_of_elements(symbol: str, pdg: float) -> None:
     assert radiation_length(elements()[symbol]) == pytest.approx(pdg, rel=0.002)
+
+
+def proton_loss(material: object, kinetic: float) -> float:
+    """Return the collision loss of a proton, MeV cm2/g, by the material's own logarithm; kinetic energy in GeV."""
+    mass = 0.93827208816
+    gamma = 1 + kinetic / mass
+    betagamma = math.sqrt(gamma**2 - 1)
+    beta2, ratio = (betagamma / gamma) ** 2, ELECTRON / mass
+    w_max = 2 * ELECTRON * betagamma**2 / (1 + 2 * gamma * ratio + ratio**2)
+    log_term = material.log_term(np.array([math.log(betagamma)]))[0]
+    bracket = math.log(2 * ELECTRON * betagamma**2 * w_max) + log_term - 2 * beta2
+    return 0.5 * K * 1e3 * material.z_over_a / beta2 * bracket
+
+
+@pytest.mark.parametrize(("kinetic", "pstar"), [(0.01, 45.67), (0.05, 12.45), (0.1, 7.289)])
+def test_slow_protons_in_water(kinetic: float, pstar: float) -> None:
+    # PSTAR (NIST), electronic stopping power of liquid water with I = 75 eV, MeV cm2/g.
+    water = own(density="1 g/cm3", composition="H2O", excitation_energy="75 eV")
+    assert proton_loss(water, kinetic) == pytest.approx(pstar, rel=0.005)
+
+
+def test_shell_correction_by_hand() -> None:
+    # Copper, I = 322 eV, beta gamma = 0.3, 1/0.09 = 11.111, 123.46, 1371.7:
+    # (0.422377 x 11.111 + 0.0304043 x 123.46 - 0.00038106 x 1371.7) 1e-6 x 103684 = 0.8216
+    # (3.858019 x 11.111 - 0.1667989 x 123.46 + 0.00157955 x 1371.7) 1e-9 x 33386248 = 0.8159
+    copper, at = library()["Cu"], np.log([0.3, 0.13, 0.05, 30.0])
+    c = shell_correction(322.0, at)
+    assert c[0] == pytest.approx(1.6375, rel=1e-3)
+    assert c[1] == c[2]  # held constant where the formula ends
+    assert c[3] < 1e-3
+    without = -2 * math.log(322e-9) - copper.density_effect.delta(at)
+    assert copper.log_term(at) == pytest.approx(without - 2 * c / 29, rel=1e-12)
+    # Electrons of a compound count one by one, with the excitation energies of the elements.
+    water = own(density="1 g/cm3", composition="H2O", excitation_energy="75 eV")
+    shells = (2 * shell_correction(19.2, at) + shell_correction(95.0, at)) / 10
+    found = -2 * math.log(75e-9) - water.density_effect.delta(at) - water.log_term(at)
+    assert found == pytest.approx(2 * shells, rel=1e-9, abs=1e-12)
+
+
+def test_matter_known_in_bulk_gets_one_equivalent_element() -> None:
+    # Aluminium by its radiation length and Z/A alone is nearly element 13.
+    bulk = own(density="2.70 g/cm3", x0="88.97 mm", z_over_a=13 / 26.982, excitation_energy="166 eV")
+    ((element, moles),) = bulk.elements()
+    assert element.z == pytest.approx(13, rel=0.03)
+    assert element.z * moles == pytest.approx(13 / 26.982)
+    assert element.excitation == pytest.approx(166)
 
 
 def test_kapton_by_hand() -> None:

@@ -1,0 +1,144 @@
+"""Electrons and positrons: collision loss of Berger and Seltzer, spectra of Moller and Bhabha, bremsstrahlung."""
+
+import numpy as np
+import pytest
+
+from cgemit import _core
+from slabs import BERYLLIUM, COPPER, ELECTRON, WATER, slab_detector
+from stats import assert_within, mean_error
+
+MEV = 1e-3
+# Matter that radiates and does nothing else.
+RADIATOR = COPPER._replace(z_over_a=1e-9, elements=((29, 63.546, 1e-9),))
+
+
+def momentum(kinetic):
+    """Return p of an electron."""
+    return np.sqrt(kinetic * (kinetic + 2 * ELECTRON))
+
+
+@pytest.mark.parametrize(
+    ("kinetic", "estar"), [(1, 1.849), (2, 1.824), (5, 1.892), (10, 1.968), (20, 2.046), (100, 2.202), (1000, 2.400)]
+)
+def test_collision_loss_in_water(kinetic, estar):
+    """The mean collision loss is ESTAR's (NIST; ICRU Report 37), MeV cm2/g, to half a per cent."""
+    core = slab_detector([(WATER, 10.0, 50.0)])  # 1 g/cm2
+    found = _core.restricted_loss(core, 0, path=1.0, p=momentum(kinetic * MEV), mass=ELECTRON, charge=-1, cut=1e3)
+    assert found / MEV == pytest.approx(estar, rel=5e-3)
+
+
+def test_positrons_lose_less_when_fast():
+    """ICRU Report 37: the collision loss of positrons is below that of electrons, by 2 to 4 % from 1 to 100 MeV."""
+    core = slab_detector([(WATER, 10.0, 50.0)])
+
+    def loss(kinetic, charge):
+        return _core.restricted_loss(core, 0, path=1.0, p=momentum(kinetic), mass=ELECTRON, charge=charge, cut=1e3)
+
+    for kinetic in (1 * MEV, 10 * MEV, 100 * MEV):
+        assert 0.015 < 1 - loss(kinetic, +1) / loss(kinetic, -1) < 0.045
+
+
+def moller(w, kinetic):
+    """Return the number of transfers w per xi/beta^2 and energy, 1/GeV: C. Moller (1932), as in ICRU Report 37."""
+    gamma = 1 + kinetic / ELECTRON
+    other = kinetic - w
+    exchange = (2 * gamma - 1) / gamma**2 / (w * other)
+    return 1 / w**2 + 1 / other**2 + ((gamma - 1) / gamma / kinetic) ** 2 - exchange
+
+
+def bhabha(w, kinetic):
+    """Return the same for positrons: H.J. Bhabha (1936), as in the Geant4 Physics Reference Manual, "Ionisation"."""
+    gamma, e = 1 + kinetic / ELECTRON, w / kinetic
+    beta2, y = 1 - 1 / gamma**2, 1 / (gamma + 1)
+    b1, b2 = 2 - y**2, (1 - 2 * y) * (3 + y**2)
+    b4 = (1 - 2 * y) ** 3
+    b3 = b4 + (1 - 2 * y) ** 2
+    return (1 / e**2 - beta2 * (b1 / e - b2 + b3 * e - b4 * e**2)) / kinetic**2
+
+
+@pytest.mark.parametrize("kinetic", [0.5 * MEV, 5 * MEV, 100 * MEV])
+@pytest.mark.parametrize(("charge", "spectrum", "largest"), [(-1, moller, 0.5), (1, bhabha, 1.0)])
+def test_restricted_loss_is_the_integral_of_the_spectrum(kinetic, charge, spectrum, largest):
+    """Between two cuts the restricted loss grows by what the collisions between them lose."""
+    core, p = slab_detector([(WATER, 1.0, 50.0)]), momentum(kinetic)
+    xi = WATER.xi(1.0) * (1 + (ELECTRON / p) ** 2)
+
+    def loss(cut):
+        return _core.restricted_loss(core, 0, path=1.0, p=p, mass=ELECTRON, charge=charge, cut=cut)
+
+    edges = largest * kinetic * np.array([1e-3, 0.03, 0.3, 0.6, 0.999])
+    for low, high in zip(edges[:-1], edges[1:], strict=True):
+        w = np.geomspace(low, high, 20_001)
+        expected = xi * np.trapezoid(w * spectrum(w, kinetic), w)
+        assert loss(high) - loss(low) == pytest.approx(expected, rel=1e-5)
+        other = moller if spectrum is bhabha else bhabha
+        assert loss(high) - loss(low) != pytest.approx(xi * np.trapezoid(w * other(w, kinetic), w), rel=1e-5)
+
+
+@pytest.mark.parametrize("kinetic", [5 * MEV, 100 * MEV])
+@pytest.mark.parametrize(("charge", "spectrum", "largest"), [(-1, moller, 0.5), (1, bhabha, 1.0)])
+def test_single_collisions(kinetic, charge, spectrum, largest):
+    """In thin matter, losses above a few per cent are as many as the spectrum has, and the mean is the formula's."""
+    core, p, n = slab_detector([(BERYLLIUM, 0.02, 50.0)]), momentum(kinetic), 1_000_000
+    xi = BERYLLIUM.xi(0.02) * (1 + (ELECTRON / p) ** 2)
+    sample = _core.sample_loss(core, 0, path=1.0, p=p, mass=ELECTRON, charge=charge, seed=2, n=n)
+    mean = _core.restricted_loss(core, 0, path=1.0, p=p, mass=ELECTRON, charge=charge, cut=1e3)
+    assert_within(sample.mean(), mean, mean_error(sample), what="mean")
+    assert sample.max() < largest * kinetic + 40 * xi
+    edges = largest * kinetic * np.array([0.02, 0.1, 0.4, 1.0])
+    soft = mean * 0.8  # what the other collisions of the same passage lose
+    for low, high in zip(edges[:-1], edges[1:], strict=True):
+        w = np.geomspace(low, high * (1 - 1e-9), 4001)
+        expected = n * xi * np.trapezoid(spectrum(w, kinetic), w)
+        found = np.count_nonzero((sample > low + soft) & (sample < high + soft + 40 * xi * (high == edges[-1])))
+        assert_within(found, expected, np.hypot(np.sqrt(expected), 3 * xi / low * expected), what=f"above {low}")
+
+
+@pytest.mark.parametrize("charge", [-1, 1])
+def test_radiation(charge):
+    """The photons' mean and variance are those of the PDG's spectrum, and so are their numbers above a fraction y."""
+    # Each photon y leaves 1 - y: the mean of the product is exp(-t), that of its square exp(-t (2 - 17/36)).
+    t, n, energy = 0.05, 400_000, 1.0
+    core = slab_detector([(RADIATOR, t * 14.35, 50.0)])
+    out = _core.through_slabs(core, p=energy, mass=ELECTRON, charge=charge, n=n, seed=4)["loss"] / energy
+    thickness = _core.total_matter(core, 0.0)[0]
+    assert_within(out.mean(), 1 - np.exp(-thickness), np.hypot(mean_error(out), 1e-6), what="mean")
+    variance = np.exp(-thickness * (2 - 17 / 36)) - np.exp(-2 * thickness)
+    assert_within(out.var(), variance, np.std((out - out.mean()) ** 2) / np.sqrt(n), what="variance")
+    with pytest.raises(AssertionError, match="standard errors"):
+        assert_within(out.mean(), 1.03 * (1 - np.exp(-thickness)), mean_error(out))
+    thin = slab_detector([(RADIATOR, 0.002 * 14.35, 50.0)])
+    out = _core.through_slabs(thin, p=energy, mass=ELECTRON, charge=charge, n=n, seed=5)["loss"] / energy
+    thickness = _core.total_matter(thin, 0.0)[0]
+    for y in (0.01, 0.1, 0.5, 0.9):
+        expected = n * thickness * (-4 / 3 * np.log(y) - 4 / 3 * (1 - y) + 0.5 * (1 - y**2))
+        error = np.hypot(np.sqrt(expected), 4 * thickness * expected)  # a second photon may help
+        assert_within(np.count_nonzero(out > y), expected, error, what=f"above {y}")
+
+
+def test_muons_do_not_radiate():
+    """The same matter takes nothing from a muon."""
+    core = slab_detector([(RADIATOR, 1.0, 50.0)])
+    assert _core.through_slabs(core, p=1.0, mass=0.1056583755, charge=-1, n=100, seed=4)["loss"].max() < 1e-10
+
+
+@pytest.mark.parametrize("charge", [-1, 1])
+@pytest.mark.parametrize("p", [0.05, 0.5])
+def test_what_the_fit_takes(p, charge):
+    """Collisions below CORE_CUT xi and all radiation; the slope is the loss's derivative."""
+    core = slab_detector([(COPPER, 0.3, 50.0)])
+    _, xi, _ = _core.total_matter(core, 0.0)
+    t = 0.03 / COPPER.x0 * COPPER.density
+    energy, beta2 = np.hypot(p, ELECTRON), 1 / (1 + (ELECTRON / p) ** 2)
+
+    def moments(at):
+        return _core.core_loss(core, 0, path=1.0, p=at, mass=ELECTRON, charge=charge, track_xi=xi)
+
+    cut = _core.CORE_CUT * xi / beta2
+    collisions = _core.restricted_loss(core, 0, path=1.0, p=p, mass=ELECTRON, charge=charge, cut=cut)
+    loss, variance, slope = moments(p)
+    assert loss == pytest.approx(collisions + t * energy, rel=1e-9)
+    assert variance == pytest.approx(xi / beta2 * cut + 17 / 36 * t * energy**2, rel=1e-9)
+    step = 1e-3 * p
+    difference = (moments(p + step)[0] - moments(p - step)[0]) / (2 * step)
+    assert slope == pytest.approx(difference, rel=0.01)
