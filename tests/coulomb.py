@@ -103,9 +103,13 @@ def exact_quantiles(elements, p, mass, screening, fractions):
     phi, step = np.exp(log_phi), k[0]
 
     def inside(t):
-        return 2 / np.pi * step * (0.5 * t + np.sum(phi * np.sin(k * t) / k) - 0.5 * phi[-1] * np.sin(k[-1] * t) / k[-1])
+        return (
+            2 / np.pi * step * (0.5 * t + np.sum(phi * np.sin(k * t) / k) - 0.5 * phi[-1] * np.sin(k[-1] * t) / k[-1])
+        )
 
-    return np.array([brentq(lambda t, f=f: inside(t) - f, 1e-3 * width, 20 * width, xtol=1e-6 * width) for f in fractions])
+    return np.array(
+        [brentq(lambda t, f=f: inside(t) - f, 1e-3 * width, 20 * width, xtol=1e-6 * width) for f in fractions]
+    )
 
 
 def core_angle(parts, p, mass, screening="wentzel", total=None):

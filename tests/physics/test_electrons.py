@@ -1,5 +1,7 @@
 """Electrons and positrons: collision loss of Berger and Seltzer, spectra of Moller and Bhabha, bremsstrahlung."""
 
+import itertools
+
 import numpy as np
 import pytest
 
@@ -67,7 +69,7 @@ def test_restricted_loss_is_the_integral_of_the_spectrum(kinetic, charge, spectr
         return _core.restricted_loss(core, 0, path=1.0, p=p, mass=ELECTRON, charge=charge, cut=cut)
 
     edges = largest * kinetic * np.array([1e-3, 0.03, 0.3, 0.6, 0.999])
-    for low, high in zip(edges[:-1], edges[1:], strict=True):
+    for low, high in itertools.pairwise(edges):
         w = np.geomspace(low, high, 20_001)
         expected = xi * np.trapezoid(w * spectrum(w, kinetic), w)
         assert loss(high) - loss(low) == pytest.approx(expected, rel=1e-5)
@@ -87,7 +89,7 @@ def test_single_collisions(kinetic, charge, spectrum, largest):
     assert sample.max() < largest * kinetic + 40 * xi
     edges = largest * kinetic * np.array([0.02, 0.1, 0.4, 1.0])
     soft = mean * 0.8  # what the other collisions of the same passage lose
-    for low, high in zip(edges[:-1], edges[1:], strict=True):
+    for low, high in itertools.pairwise(edges):
         w = np.geomspace(low, high * (1 - 1e-9), 4001)
         expected = n * xi * np.trapezoid(spectrum(w, kinetic), w)
         found = np.count_nonzero((sample > low + soft) & (sample < high + soft + 40 * xi * (high == edges[-1])))

@@ -76,7 +76,7 @@ def test_angles_of_the_characteristic_function(name, screening, p):
 
 
 def test_the_gate_sees_wrong_physics():
-    """Moliere's screening for Geant4's, Z^2 for Z(Z + 1), or no tail fail: the half widths change by more than 1.5 %."""
+    """Moliere's screening for Geant4's, Z^2 for Z(Z + 1), or no tail fail: the widths change by more than 1.5 %."""
     parts, p = SLABS["C 0.1 % X0"], 1.0
     right = exact_quantiles(elements(parts), p, MUON, "wentzel", FRACTIONS)
     other = exact_quantiles(elements(parts), p, MUON, "moliere", FRACTIONS)

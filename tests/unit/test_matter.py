@@ -31,7 +31,7 @@ def chi_c2(parts):
 
 
 def test_core_angle_by_hand():
-    """1.4 mm of beryllium, 0.0287 mol/cm2, turn the core of 1 GeV/c muons by 0.648 mrad in a plane, as Lynch and Dahl."""
+    """1.4 mm of beryllium, 0.0287 mol/cm2, turn the core of 1 GeV/c muons by 0.648 mrad, as Lynch and Dahl."""
     # chi_c^2 = 0.157 MeV^2 Z(Z + 1) x 0.0287 mol/cm2 /(beta p)^2 = (0.3018 mrad)^2; chi_a^2, Moliere: 2.007e-5 4^(2/3)
     # (1 + 3.34 (4/137)^2) MeV^2/p^2 = (7.12 urad)^2, twice that for "wentzel"; v = 25 chi_c^2/chi_a^2.
     chi_c = 0.157e-6 * 20 * 0.028708 / 0.98896

@@ -1,7 +1,7 @@
 // Bremsstrahlung of electrons and positrons: PDG 2024 eq. 34.29, complete screening,
 //   dN/dy = (t/y) (4/3 - 4/3 y + y^2),  y = photon energy / E,  t = path in radiation lengths.
-// Screening is not complete at lower energies: against ESTAR (NIST) the mean in water is 3 % too large at 1 GeV,
-// 14 % at 100 MeV, 22 % at 50 MeV, 60 % at 10 MeV, where collisions take seven times as much.
+// Screening is not complete at lower energies: against ESTAR (NIST) the mean in water is 3 % too large at 1
+// GeV, 14 % at 100 MeV, 22 % at 50 MeV, 60 % at 10 MeV, where collisions take seven times as much.
 #pragma once
 
 #include "common/rng.hpp"
