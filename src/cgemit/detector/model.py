@@ -96,15 +96,10 @@ class CgemLayer:
     transfer_gap: float = field(metadata=key("length", "gap between two foils", 0.1, 50.0))  # mm
     induction_gap: float = field(metadata=key("length", "gap between last foil and anode", 0.1, 50.0))  # mm
     foils: int = field(metadata=key("integer", "number of GEM foils", 1, 5), default=3)
-    hole_outer: float = field(
-        metadata=key("length", "diameter of a foil's holes in its electrodes", 1e-3, 5.0), default=0.07
-    )  # mm; standard GEM foils: F. Sauli, Nucl. Instrum. Methods A 805 (2016) 2
-    hole_inner: float = field(
-        metadata=key("length", "diameter of a foil's holes in its middle", 1e-3, 5.0), default=0.05
-    )  # mm
-    hole_pitch: float = field(
-        metadata=key("length", "distance of neighbouring holes, hexagonal", 1e-3, 10.0), default=0.14
-    )  # mm
+    # Standard GEM foils: F. Sauli, Nucl. Instrum. Methods A 805 (2016) 2.
+    hole_outer: float = field(metadata=key("length", "diameter of holes, in electrodes", 1e-3, 5.0), default=0.07)  # mm
+    hole_inner: float = field(metadata=key("length", "their diameter inside the foil", 1e-3, 5.0), default=0.05)  # mm
+    hole_pitch: float = field(metadata=key("length", "pitch of holes, hexagonal", 1e-3, 10.0), default=0.14)  # mm
     gas: Material = field(metadata=key("material", "gas of all gaps"))
     cathode: tuple[SubLayer, ...] = field(metadata=key("stack", "materials of the cathode, from inside"))
     foil: tuple[SubLayer, ...] = field(metadata=key("stack", "materials of one GEM foil, from inside"))

@@ -15,13 +15,12 @@ from cgemit.detector.check import TOUCH
 from cgemit.detector.lattice import Holes, hole_table, perforated
 from cgemit.detector.material import Element, Material
 from cgemit.detector.model import Cylinder, Detector, DriftChamber, Shell
-from cgemit.detector.readout import cgem_table, wire_table
+from cgemit.detector.readout import Columns, cgem_table, wire_table
 
 #: Screening of nuclei by their electrons in multiple scattering (docs/methods/matter.md); the first is the default.
 SCREENINGS = ("wentzel", "moliere")
 _ENDLESS = 1e9  # mm, half length of air
 _LUMP = 70.0  # mm of chamber gas that act as one scatterer: about four wire layers
-Columns = dict[str, NDArray[np.generic]]
 
 
 class Slab(NamedTuple):

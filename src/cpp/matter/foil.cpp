@@ -83,8 +83,7 @@ double solid_fraction(const Holes& holes, const FoilLine& line) {
   return std::clamp(1 - open / (holes.end - holes.begin), 0.0, 1.0);
 }
 
-double solid_fraction(const Slab& slab, const HelixPoint& point, const Stream& stream) {
-  if (slab.holes.pitch == 0) return 1;
+double fraction_beside_holes(const Slab& slab, const HelixPoint& point, const Stream& stream) {
   const Block words = stream.block(Purpose::foil, static_cast<std::uint32_t>(slab.holes.foil));
   const double i = open_unit(words[0]), j = open_unit(words[1]), pitch = slab.holes.pitch;
   // A track that grazes the slab sees no more than its chord, as in `path_factor`.

@@ -92,7 +92,7 @@ class Flight {
       return !slab.ends;
     }
     const double path =
-        path_factor(slab, stretch_, std::abs(point_.outward())) * solid_fraction(slab, point_, stream_);
+        path_factor(slab, stretch_, std::abs(point_.outward())) * foil_fraction(slab, point_, stream_);
     if (path == 0) return true;
     const std::uint32_t place = slab.place;
     const double loss = lose(slab, path, place);
