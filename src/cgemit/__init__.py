@@ -15,6 +15,7 @@ from cgemit.detector import Detector, DetectorError, detectors, load
 from cgemit.digitize import DigitizeSettings
 from cgemit.fit import FitSettings, FitStatus
 from cgemit.gun import Gun
+from cgemit.matter import slab
 from cgemit.result import Result, Settings
 from cgemit.simulate import SimulateSettings, TransportStatus
 from cgemit.tables import Table
@@ -43,6 +44,7 @@ __all__ = [
     "load",
     "resolution",
     "run",
+    "slab",
     "study",
 ]
 

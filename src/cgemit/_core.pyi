@@ -137,7 +137,7 @@ def sample_loss(
     detector: Detector, slab: int, *, path: float, p: float, mass: float, charge: float = 1.0, seed: int, n: int
 ) -> _Floats: ...
 def through_slabs(
-    detector: Detector, *, p: float, mass: float, charge: float, n: int, seed: int
+    detector: Detector, *, p: float, mass: float, charge: float, n: int, seed: int, first: int = 0
 ) -> dict[str, _Array]: ...
 
 # Which part (0 to 1) of a straight line through a slab with holes lies beside them: u, v (mm) where it crosses the

@@ -23,6 +23,7 @@ MODULES = (
     "fit",
     "gun",
     "helix",
+    "matter",
     "particles",
     "simulate",
 )

@@ -30,7 +30,7 @@ PYTHON_LAYERS = [
     {"simulate", "digitize", "cluster", "find", "fit"},
     {"result"},
     {"chain"},
-    {"bench", "study.records", "study.spectra"},
+    {"bench", "matter", "study.records", "study.spectra"},
     {"draw"},
     {"study"},
     {"cli"},

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 OK, BAD_INPUT, RUN_FAILED, INTERRUPTED = 0, 2, 3, 130
 
 #: The sub-commands, in the order of the help text; each is a module with `add_parser`.
-COMMANDS = ("study", "resolution", "simulate", "detectors", "show", "validate", "bench")
+COMMANDS = ("study", "resolution", "simulate", "slab", "detectors", "show", "validate", "bench")
 
 #: What a gun takes for a quantity: one number, a uniform range, or values in turn.
 Values = float | tuple[float, float] | list[float]
@@ -86,7 +86,7 @@ def add_output(parser: argparse.ArgumentParser, *, default: str | None = None) -
 
 def add_run(parser: argparse.ArgumentParser) -> None:
     """Add seed and threads."""
-    parser.add_argument("--seed", type=_seed, default=1, help="seed of the random numbers (default 1)")
+    add_seed(parser)
     parser.add_argument(
         "--threads", type=positive, default=None, metavar="N",
         help="number of threads (default: all cores); results do not depend on it",
@@ -112,6 +112,11 @@ def settings_of(arguments: argparse.Namespace) -> Settings:
     if arguments.no_deltas:
         return Settings(simulate=SimulateSettings(deltas=False), fit=FitSettings(delta_strips=0))
     return Settings()
+
+
+def add_seed(parser: argparse.ArgumentParser) -> None:
+    """Add the seed."""
+    parser.add_argument("--seed", type=_seed, default=1, help="seed of the random numbers (default 1)")
 
 
 def load_detector(arguments: argparse.Namespace, name: str | None = None) -> Detector:

@@ -110,9 +110,14 @@ class Material:
 @cache
 def elements() -> dict[str, Element]:
     """Return the known elements by symbol."""
+    return {row["symbol"]: Element(int(row["Z"]), float(row["A"]), float(row["I"])) for row in element_rows()}
+
+
+@cache
+def element_rows() -> tuple[dict[str, str], ...]:
+    """Return the rows of elements.csv as text."""
     text = (resources.files("cgemit.data") / "detectors" / "elements.csv").read_text(encoding="utf-8")
-    rows = csv.DictReader(line for line in text.splitlines() if not line.startswith("#"))
-    return {row["symbol"]: Element(int(row["Z"]), float(row["A"]), float(row["I"])) for row in rows}
+    return tuple(csv.DictReader(line for line in text.splitlines() if not line.startswith("#")))
 
 
 def fractions_of_formula(formula: str) -> dict[str, float]:

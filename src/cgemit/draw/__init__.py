@@ -5,6 +5,7 @@ from cgemit.draw.cluster import draw_cluster, draw_projection
 from cgemit.draw.curves import residual
 from cgemit.draw.detector import draw_detector, draw_sides
 from cgemit.draw.event import draw_event
+from cgemit.draw.matter import draw_slab
 from cgemit.draw.style import Picture
 
 __all__ = [
@@ -15,5 +16,6 @@ __all__ = [
     "draw_event",
     "draw_projection",
     "draw_sides",
+    "draw_slab",
     "residual",
 ]

@@ -21,11 +21,11 @@ Kinematics particle(double p, double mass, double charge) {
 }
 
 py::dict pass_slabs(const Detector& detector, double p, double mass, double charge, std::size_t n,
-                    std::uint64_t seed) {
+                    std::uint64_t seed, std::uint64_t first) {
   Passages out;
   {
     py::gil_scoped_release release;
-    out = through_slabs(detector, particle(p, mass, charge), n, seed);
+    out = through_slabs(detector, particle(p, mass, charge), first, n, seed);
   }
   std::vector<std::int8_t> status;
   status.reserve(n);
@@ -105,8 +105,10 @@ void bind_matter(py::module_& module) {
       py::arg("detector"), py::arg("slab"), py::kw_only(), py::arg("path"), py::arg("p"), py::arg("mass"),
       py::arg("charge") = 1.0, py::arg("seed"), py::arg("n"),
       "Energy losses (GeV) by collisions of n particles in a slab.");
-  module.def("through_slabs", &pass_slabs, py::arg("detector"), py::kw_only(), py::arg("p"), py::arg("mass"),
-             py::arg("charge"), py::arg("n"), py::arg("seed"),
-             "Pass n particles through the detector's slabs as plane sheets at normal incidence: columns "
-             "angle_1, angle_2 (rad), shift_1, shift_2 (mm), loss (GeV), status.");
+  module.def(
+      "through_slabs", &pass_slabs, py::arg("detector"), py::kw_only(), py::arg("p"), py::arg("mass"),
+      py::arg("charge"), py::arg("n"), py::arg("seed"), py::arg("first") = 0,
+      "Pass n particles through the detector's slabs as plane sheets at normal incidence, counting from "
+      "number `first`: columns "
+      "angle_1, angle_2 (rad), shift_1, shift_2 (mm), loss (GeV), status.");
 }

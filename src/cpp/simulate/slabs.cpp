@@ -47,15 +47,15 @@ TransportStatus pass(const Detector& detector, Kinematics now, const Stream& str
 
 }  // namespace
 
-Passages through_slabs(const Detector& detector, const Kinematics& incoming, std::size_t n,
-                       std::uint64_t seed) {
+Passages through_slabs(const Detector& detector, const Kinematics& incoming, std::uint64_t first,
+                       std::size_t n, std::uint64_t seed) {
   Passages out;
   if (detector.slabs.empty()) return out;
   for (auto* column : {&out.angle_1, &out.angle_2, &out.shift_1, &out.shift_2, &out.loss}) column->reserve(n);
   for (std::size_t row = 0; row < n; ++row) {
     HelixPoint point{detector.slabs.front().r_in, 0, 0, 1, 0, 0, 0};
     double left = incoming.kinetic();
-    out.status.push_back(pass(detector, incoming, Stream(seed, row, 0), point, left));
+    out.status.push_back(pass(detector, incoming, Stream(seed, first + row, 0), point, left));
     out.angle_1.push_back(std::atan2(point.uy, point.ux));
     out.angle_2.push_back(std::atan2(point.tanl, point.ux));
     out.shift_1.push_back(point.y);

@@ -19,8 +19,9 @@ struct Passages {
   std::vector<TransportStatus> status;   // outside or stopped
 };
 
-// The slabs of the detector as plane sheets at distances r_in to r_out, met at normal incidence.
-Passages through_slabs(const Detector& detector, const Kinematics& incoming, std::size_t n,
-                       std::uint64_t seed);
+// Particles number `first` to `first` + n through the slabs of the detector as plane sheets at distances r_in
+// to r_out, met at normal incidence.
+Passages through_slabs(const Detector& detector, const Kinematics& incoming, std::uint64_t first,
+                       std::size_t n, std::uint64_t seed);
 
 }  // namespace cgemit

@@ -1,0 +1,102 @@
+"""`cgemit slab`: scattering and energy loss in sheets of matter."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from typing import TYPE_CHECKING
+
+from cgemit.cli import common
+
+if TYPE_CHECKING:
+    from cgemit.matter import Passage
+
+_DESCRIPTION = """\
+Send particles through plane sheets of matter and print X/X0, scattering angles and energy losses: simulated ones with
+their statistical errors, and those of Highland's formula, of the track fit and of Bethe's formula.
+
+MATTER is a list of sheets with "+" between them, each a material and a thickness:
+  "Kapton 300 um + Cu 33 um"   materials of detector files (such as CarbonFiber, Epoxy, CgemGas), element symbols
+  "He/C3H8 60/40 16 mm"        gases at 20 C and 1 atm, with fractions by volume in %; without them He/C3H8 is 60/40 and
+                               Ar/iC4H10 90/10, as in detector files, and other mixtures have equal parts
+  "C 2.0 g/cm3 213.5 um"       a density, where it is not the usual one; a compound such as "CH2 0.94 g/cm3 1 mm" needs
+                               one unless it is a gas
+
+Plane angles, of both planes together: half width of the central 68.27 % (q68), of 98 % over 2.326 (q98) and of 99.9 %
+over 3.291 (q999); for a Gaussian all three are its width."""
+
+_EXAMPLES = """\
+examples:
+  cgemit slab "Kapton 300 um + Cu 33 um" --particle pi- --p 0.5 -n 200000
+  cgemit slab "He/C3H8 16 mm" --p "200 MeV/c" --screening moliere --json
+  cgemit slab "Be 1.4 mm" --particle K+ --p 0.3 -o beryllium      pictures of both distributions in ./beryllium"""
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the sub-command."""
+    parser = subparsers.add_parser(
+        "slab", help="scattering and energy loss in sheets of matter", description=_DESCRIPTION, epilog=_EXAMPLES,
+        formatter_class=common.HelpFormatter,
+    )  # fmt: skip
+    parser.add_argument("matter", metavar="MATTER", help='sheets, such as "Kapton 300 um + Cu 33 um"')
+    parser.add_argument("--particle", default="mu-", help="PDG name or number (default mu-)")
+    parser.add_argument(
+        "--p", type=_momentum, default=1.0, metavar="P", help="momentum, GeV/c unless a unit is given (default 1)"
+    )
+    parser.add_argument(
+        "-n", "--n", type=common.positive, default=200_000, metavar="N", help="number of particles (default 200000)"
+    )
+    parser.add_argument(
+        "--screening", default="wentzel", metavar="NAME",
+        help="screening of nuclei in multiple scattering: wentzel (default) or moliere",
+    )  # fmt: skip
+    parser.add_argument("--json", action="store_true", help="print the numbers as JSON instead of tables")
+    parser.add_argument(
+        "-o", "--output", metavar="DIR", default=None, help="folder for slab.png and slab.pdf, and summary.json"
+    )
+    parser.add_argument(
+        "--overwrite", action="store_true", help="write into a folder that already holds files, replacing results"
+    )
+    common.add_seed(parser)
+    common.add_common(parser)
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Send the particles, print and draw."""
+    from cgemit.cli.progress import Progress
+    from cgemit.io.folders import check_free
+    from cgemit.matter import slab
+
+    if arguments.output:
+        check_free(arguments.output, overwrite=arguments.overwrite)
+    with Progress("slab", quiet=arguments.quiet) as progress:
+        passage = slab(
+            arguments.matter, arguments.particle, arguments.p, arguments.n, arguments.seed, arguments.screening,
+            progress=progress,
+        )  # fmt: skip
+    numbers = json.dumps(passage.to_dict(), indent=2, ensure_ascii=False, allow_nan=False)
+    if arguments.output:
+        _write(passage, numbers, arguments.output, overwrite=arguments.overwrite)
+    print(numbers if arguments.json else passage)
+    if arguments.output and not arguments.quiet:
+        print(f"picture: {arguments.output}/slab.png", file=sys.stderr)
+    return common.OK
+
+
+def _write(passage: Passage, numbers: str, folder: str, *, overwrite: bool) -> None:
+    from cgemit.draw import draw_slab
+    from cgemit.io.folders import SUMMARY, new_folder
+
+    with new_folder(folder, overwrite=overwrite) as place:
+        draw_slab(passage).save(place / "slab")
+        (place / SUMMARY).write_text(numbers + "\n", encoding="utf-8")
+
+
+def _momentum(text: str) -> float | str:
+    """Read GeV/c from a bare number; a text with a unit is read, and checked, together with everything else."""
+    try:
+        return float(text)
+    except ValueError:
+        return text

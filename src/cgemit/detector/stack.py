@@ -1,0 +1,92 @@
+"""Sheets of matter as text, such as ``"Kapton 300 um + Cu 33 um"``."""
+
+import re
+from typing import NamedTuple
+
+from cgemit.detector.material import Material
+from cgemit.detector.mixtures import MaterialNameError, material_named
+from cgemit.detector.problems import Problem
+from cgemit.units import NATIVE, QuantityError, parse_quantity
+
+_EXAMPLE = '"Kapton 300 um", "He/C3H8 60/40 16 mm" or "C 2.0 g/cm3 213.5 um"'
+_QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?\s*(?:[^\s\d.+-]\S*)?)")
+_FRACTIONS = re.compile(r"\s*((?:\d+\.?\d*|\.\d+)(?:/(?:\d+\.?\d*|\.\d+))+)%?(?=\s|$)")
+_THICKEST = 1e6  # mm
+_DENSITIES = (1e-6, 25.0)  # g/cm3, as in detector files
+
+
+class Sheet(NamedTuple):
+    """A plane sheet: material, thickness in mm, and what was chosen where the text leaves something open."""
+
+    material: Material
+    thickness: float
+    note: str = ""
+
+
+def parse_stack(text: str, problems: list[Problem]) -> tuple[Sheet, ...]:
+    """Return the sheets that a text describes; add what is wrong with it to `problems`.
+
+    Parameters
+    ----------
+    text : str
+        Sheets with "+" between them: name of the material (`material_named`), for gases fractions by volume such as
+        ``60/40``, a density if it is not the usual one, and the thickness.
+    problems : list of Problem
+        Added to; their path says which sheet, and at which character it begins.
+
+    """
+    found = []
+    # An exponent such as 1e+3 is not the end of a sheet.
+    ends = [m.start() for m in re.finditer(r"(?<![\d.][eE])\+", text)]
+    starts = [0, *(end + 1 for end in ends)]
+    for number, (start, end) in enumerate(zip(starts, [*ends, len(text)], strict=True), 1):
+        part = text[start:end]
+        column = start + len(part) - len(part.lstrip()) + 1
+        sheet = _sheet(part, f"layer {number}, character {column}", problems)
+        if sheet:
+            found.append(sheet)
+    return tuple(found)
+
+
+def _sheet(part: str, place: str, problems: list[Problem]) -> Sheet | None:
+    name, _, rest = part.strip().partition(" ")
+    if not name:
+        problems.append(Problem(place, "nothing", f"material and thickness, as {_EXAMPLE}"))
+        return None
+    before = len(problems)
+    volumes = None
+    fractions = _FRACTIONS.match(rest)
+    if fractions:
+        volumes = tuple(map(float, fractions[1].split("/")))
+        rest = rest[fractions.end() :]
+    density, thickness = _numbers(rest, place, problems)
+    try:
+        material, note = material_named(name, volumes, density)
+    except MaterialNameError as error:
+        problems.append(Problem(place, error.given, error.expected, error.hint))
+    return Sheet(material, thickness, note) if len(problems) == before else None
+
+
+def _numbers(text: str, place: str, problems: list[Problem]) -> tuple[float | None, float]:
+    """Return density (None if not given) and thickness; 1 for what is wrong, since the name is still to be read."""
+    words = [match[1] for match in _QUANTITY.finditer(text)]
+    if re.sub(r"\s", "", "".join(words)) != re.sub(r"\s", "", text) or not 1 <= len(words) <= 2:
+        given = f'"{text.strip()}" after the material' if text.strip() else "no thickness"
+        problems.append(Problem(place, given, f"a thickness, before it a density if need be, as {_EXAMPLE}"))
+        return 1.0, 1.0
+    limits = {"density": _DENSITIES, "length": (0.0, _THICKEST)}
+    values = []
+    for word, dimension in zip(words, ("density", "length")[-len(words) :], strict=True):
+        least, most = limits[dimension]
+        values.append(1.0)
+        try:
+            value = parse_quantity(word, dimension)
+        except QuantityError as error:
+            problems.append(Problem(place, error.given, error.expected, error.hint))
+            continue
+        if value > 0 and least <= value <= most:
+            values[-1] = value
+        else:
+            expected = f"a {dimension} above {least:g}, up to {most:g} {NATIVE[dimension]}"
+            problems.append(Problem(place, f'"{word.strip()}"', expected))
+    return (values[0] if len(values) == 2 else None), values[-1]

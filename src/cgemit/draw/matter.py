@@ -1,0 +1,107 @@
+"""Distributions of scattering angle and energy loss behind sheets of matter."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib.axes import Axes
+
+from cgemit.draw.style import COLORS, Picture, grid, new_picture, statistics_box, style
+
+if TYPE_CHECKING:
+    from cgemit.matter import Passage
+
+Floats = npt.NDArray[np.float64]
+
+
+def draw_slab(passage: Passage) -> Picture:
+    """Draw the plane angle with Highland's Gaussian and the fit's core, and the energy loss with its quantiles.
+
+    Parameters
+    ----------
+    passage : Passage
+        As `cgemit.slab` returns it.
+
+    Returns
+    -------
+    Picture
+    """
+    with style():
+        picture, (angles, losses) = new_picture(1, 2, (11.4, 4.8))
+        draw_angles(angles, passage)
+        draw_losses(losses, passage)
+        picture.suptitle(passage.title(), fontsize=10, x=0.06, ha="left")
+        picture.subplots_adjust(left=0.065, right=0.99, top=0.86, bottom=0.12, wspace=0.18)
+    return picture
+
+
+def draw_angles(axes: Axes, passage: Passage) -> None:
+    """Draw the density of the plane angles of both planes, logarithmically, beside Gaussians of both formulas."""
+    both = 1e3 * np.concatenate([passage.angle_1[passage.through], passage.angle_2[passage.through]])
+    scale = passage.q68_mrad or passage.highland_mrad
+    reach = min(8 * scale, 1e3 * math.pi / 2)
+    edges = np.linspace(-reach, reach, 161)
+    _density(axes, both, edges, "simulated")
+    x = np.linspace(-reach, reach, 801)
+    lines = [(passage.highland_mrad, COLORS["single"], "--", "Highland")]
+    if passage.core_mrad is not None:
+        lines.append((passage.core_mrad, COLORS["fit"], "-", "core, as the fit takes it"))
+    for sigma, colour, dashes, label in lines:
+        y = np.exp(-0.5 * (x / sigma) ** 2) / (math.sqrt(2 * math.pi) * sigma)
+        axes.plot(x, y, dashes, color=colour, lw=1.5, label=f"{label}: {sigma:.4g} mrad")
+    top = 1 / (math.sqrt(2 * math.pi) * scale)
+    axes.set(xlabel="plane angle  (mrad)", ylabel="density  (1/mrad)", yscale="log", xlim=(-reach, reach))
+    axes.set_ylim(max(0.3 / max(both.size, 1) / (edges[1] - edges[0]), 1e-6 * top), 30 * top)
+    axes.legend(loc="upper left")
+    numbers = [_number(passage, name, "mrad", name.removesuffix("_mrad")) for name in _ANGLES]
+    statistics_box(axes, [f"{both.size:,} angles", *numbers])
+    grid(axes)
+
+
+def draw_losses(axes: Axes, passage: Passage) -> None:
+    """Draw the density of the energy loss and its quantiles."""
+    loss = passage.loss
+    low, high = passage.loss_kev_q01, passage.loss_kev_q84
+    reach = high + 2 * (high - low)
+    edges = np.linspace(max(0.0, low - 0.3 * (high - low)), reach, 161)
+    _density(axes, loss, edges, f"simulated ({np.mean(loss > reach):.2%} beyond)")
+    for name, colour in (("q16", COLORS["multi"]), ("q50", COLORS["fit"]), ("q84", COLORS["multi"])):
+        value = getattr(passage, f"loss_kev_{name}")
+        axes.axvline(value, color=colour, lw=1.2, ls="--", label=f"{_LOSSES[f'loss_kev_{name}']}: {value:.4g} keV")
+    axes.set(xlabel="energy loss  (keV)", ylabel="density  (1/keV)", xlim=(edges[0], reach))
+    axes.set_ylim(0, 1.1 * axes.get_ylim()[1])
+    axes.legend(loc="center right")
+    numbers = [_number(passage, name, "keV", label) for name, label in _LOSSES.items()]
+    statistics_box(axes, [f"{len(loss):,} particles", *numbers])
+    grid(axes)
+
+
+_ANGLES = ("q68_mrad", "q98_mrad", "q999_mrad")
+_LOSSES = {
+    "loss_kev_mean": "mean",
+    "loss_kev_mode": "most probable",
+    "loss_kev_q01": "1 %",
+    "loss_kev_q16": "16 %",
+    "loss_kev_q50": "median",
+    "loss_kev_q84": "84 %",
+    "loss_kev_q99": "99 %",
+}
+
+
+def _density(axes: Axes, sample: Floats, edges: Floats, label: str) -> None:
+    counts = np.histogram(sample, edges)[0]
+    scale = 1 / (max(sample.size, 1) * (edges[1] - edges[0]))
+    centres = 0.5 * (edges[1:] + edges[:-1])
+    seen = counts > 0
+    axes.errorbar(
+        centres[seen], scale * counts[seen], scale * np.sqrt(counts[seen]), fmt="o", ms=2.4, lw=0.8,
+        color=COLORS["data"], label=label, zorder=3,
+    )  # fmt: skip
+
+
+def _number(passage: Passage, name: str, unit: str, label: str) -> str:
+    value, error = passage.number(name)
+    return f"{label}: {value} ± {error} {unit}"

@@ -1,0 +1,265 @@
+"""Send particles through plane sheets of matter."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from cgemit import _core
+from cgemit.detector.material import Material
+from cgemit.detector.problems import Problem
+from cgemit.detector.slabs import compiled_stack
+from cgemit.detector.stack import Sheet, parse_stack
+from cgemit.matter.passage import LayerNumbers, Passage
+from cgemit.matter.widths import ANGLES, LOSSES, angle_estimates, loss_estimates
+from cgemit.particles import FASTEST, Species, species
+from cgemit.problems import ProblemsError
+from cgemit.units import QuantityError, parse_quantity
+from cgemit.words import did_you_mean
+
+SCREENINGS = ("wentzel", "moliere")
+
+_FEWEST, _MOST = 1000, 20_000_000  # particles: fewer have no 1 % quantile, the columns of more take over 1 GB
+_CHUNK = 20_000
+_PIECE = 0.02  # a sheet is cut where the particle would lose more of its kinetic energy, or cross more X0, at once
+_MOST_PIECES = 100  # of a sheet
+_STOPPED = 1e-3  # a particle has stopped on average where it has this fraction of its kinetic energy left
+_KEV = 1e6  # per GeV
+
+
+class SlabError(ProblemsError[Problem]):
+    """Bad input about sheets of matter; `problems` lists everything that is wrong with it.
+
+    Attributes
+    ----------
+    source : str
+        What was asked for.
+    problems : tuple of Problem
+        Each with `path`, `given`, `expected`, `hint`.
+    """
+
+
+class _Order(NamedTuple):
+    """What was asked for, checked."""
+
+    sheets: tuple[Sheet, ...]
+    kind: Species
+    p: float
+
+
+class _Piece(NamedTuple):
+    """A part of a sheet that is crossed at one momentum; core angle squared (rad^2) and mean loss (GeV) in it."""
+
+    sheet: int
+    share: float
+    variance: float
+    loss: float
+
+
+def slab(
+    matter: str | Sequence[tuple[Material, float]],
+    particle: str | int = "mu-",
+    p: float | str = 1.0,
+    n: int = 200_000,
+    seed: int = 1,
+    screening: str = "wentzel",
+    *,
+    progress: Callable[[float], None] | None = None,
+) -> Passage:
+    """Send particles through plane sheets of matter at normal incidence and measure their angles and losses.
+
+    Thick sheets are cut into pieces that a particle crosses with less than 2 % of its kinetic energy and of X0; what
+    is behind the place where it stops on average stays in one piece.
+
+    Parameters
+    ----------
+    matter : str, or sequence of (Material, float)
+        ``"Kapton 300 um + Cu 33 um"``: materials of detector files, elements, chemical formulas, gases
+        (``"He/C3H8 60/40 16 mm"``), with a density where it is not the usual one (``"C 2.0 g/cm3 213.5 um"``); or
+        materials and thicknesses in mm.
+    particle : str or int
+        Name or PDG number of a charged particle.
+    p : float or str
+        Momentum in GeV/c, or with its unit.
+    n : int
+        Number of particles, 1000 to 20 000 000.
+    seed : int
+        0 to 2**64 - 1.
+    screening : str
+        Of nuclei in multiple scattering, ``"wentzel"`` or ``"moliere"`` (docs/methods/matter.md).
+    progress : callable or None
+        Called with the fraction done.
+
+    Returns
+    -------
+    Passage
+
+    Raises
+    ------
+    SlabError
+        Listing everything that is wrong.
+    """
+    order = _check(matter, particle, p, n, seed, screening)
+    parts = [(sheet.material, sheet.thickness) for sheet in order.sheets]
+    pieces = _pieces(parts, order, screening)
+    cut = [(parts[piece.sheet][0], parts[piece.sheet][1] * piece.share) for piece in pieces]
+    columns = _send(compiled_stack(cut, screening), order, n, seed, progress)
+    columns["loss"] *= _KEV
+    status = columns["status"]
+    through = status == _core.TransportStatus.outside
+    stopped = status == _core.TransportStatus.stopped
+    angles = angle_estimates(1e3 * columns["angle_1"][through], 1e3 * columns["angle_2"][through])
+    simulated = {f"{name}_mrad": angles[name] for name in ANGLES}
+    # The loss of a particle that turned away is not complete.
+    losses = loss_estimates(columns["loss"][through | stopped])
+    simulated |= {f"loss_kev_{name}": losses[name] for name in LOSSES}
+    numbers = {**_by_formula(order, pieces), **{name: value for name, (value, _) in simulated.items()}, **columns}
+    return Passage(
+        matter=_text(matter), particle=order.kind.name, screening=screening, p=order.p, n=n, seed=seed,
+        stopped=int(np.sum(stopped)), turned=int(np.sum(~through & ~stopped)), **numbers,
+        errors={name: error for name, (_, error) in simulated.items()},
+    )  # fmt: skip
+
+
+def _text(matter: str | Sequence[tuple[Material, float]]) -> str:
+    return matter if isinstance(matter, str) else " + ".join(f"{m.name} {length:g} mm" for m, length in matter)
+
+
+def _check(
+    matter: str | Sequence[tuple[Material, float]],
+    particle: str | int,
+    p: float | str,
+    n: int,
+    seed: int,
+    screening: str,
+) -> _Order:
+    problems: list[Problem] = []
+    if isinstance(matter, str):
+        sheets = parse_stack(matter, problems)
+    else:
+        sheets = tuple(Sheet(material, float(thickness)) for material, thickness in matter)
+    if not problems and (not sheets or min(sheet.thickness for sheet in sheets) <= 0):
+        problems.append(Problem("matter", "no sheet, or one without thickness", "sheets thicker than 0"))
+    kind, momentum = _kind(particle, problems), _momentum(p, problems)
+    for name, value, least, most in (("n", n, _FEWEST, _MOST), ("seed", seed, 0, 2**64 - 1)):
+        if not isinstance(value, int | np.integer) or isinstance(value, bool) or not least <= value <= most:
+            problems.append(Problem(name, repr(value), f"a whole number from {least} to {most}"))
+    if screening not in SCREENINGS:
+        expected = "one of " + ", ".join(SCREENINGS)
+        problems.append(Problem("screening", repr(screening), expected, did_you_mean(str(screening), SCREENINGS)))
+    if problems:
+        raise SlabError("slab", problems)
+    return _Order(sheets, kind, momentum)
+
+
+def _kind(particle: str | int, problems: list[Problem]) -> Species:
+    try:
+        kind = species(particle)
+    except ValueError as error:
+        given, _, expected = str(error).removeprefix("got ").partition("; expected ")
+        problems.append(Problem("particle", given, expected))
+        return species("mu-")
+    if kind.charge == 0:
+        problems.append(Problem("particle", repr(particle), "a charged particle"))
+    return kind
+
+
+def _momentum(p: float | str, problems: list[Problem]) -> float:
+    try:
+        value = parse_quantity(p, "momentum") if isinstance(p, str) else float(p)
+    except QuantityError as error:
+        problems.append(Problem("p", error.given, error.expected, error.hint))
+        return 1.0
+    if not 0 < value <= FASTEST:
+        problems.append(Problem("p", repr(p), f"a momentum above 0, up to {FASTEST:g} GeV/c"))
+    return value
+
+
+def _pieces(parts: Sequence[tuple[Material, float]], order: _Order, screening: str) -> list[_Piece]:
+    """Cut the sheets for a particle that loses what it loses on average."""
+    whole = compiled_stack(parts, screening)
+    mass, charge = order.kind.mass, float(order.kind.charge)
+    chi_c2 = _core.total_matter(whole, 0.0)[2]
+    start = kinetic = math.hypot(order.p, mass) - mass
+    found = []
+    for number, (material, thickness) in enumerate(parts):
+        x0, left = thickness / material.x0, 1.0
+        while left > 0:
+            if kinetic < _STOPPED * start:
+                found.append(_Piece(number, left, math.nan, math.nan))
+                break
+            rate = _mean_loss(whole, number, _momentum_of(kinetic, mass), order.kind, x0)
+            most = min(_PIECE * kinetic / max(rate, 1e-300), _PIECE / x0)
+            share = min(left, max(most, 1 / _MOST_PIECES))
+            share = left if left - share < 1e-9 else share
+            loss = min(rate * share, 0.999 * kinetic)
+            variance = _core.scattering_angle(
+                whole, number, path=share, p=_momentum_of(kinetic - loss / 2, mass), mass=mass, charge=charge,
+                track_chi_c2=chi_c2,
+            ) ** 2  # fmt: skip
+            found.append(_Piece(number, share, variance, loss))
+            kinetic -= loss
+            left = left - share if share < left else 0.0
+    return found
+
+
+def _momentum_of(kinetic: float, mass: float) -> float:
+    return math.sqrt(kinetic * (kinetic + 2 * mass))
+
+
+def _mean_loss(whole: _core.Detector, number: int, p: float, kind: Species, x0: float) -> float:
+    """Return the mean loss in a sheet, GeV, at a momentum; of electrons with radiation, E x/X0."""
+    charge = float(kind.charge)
+    collisions = _core.restricted_loss(whole, number, path=1.0, p=p, mass=kind.mass, charge=charge, cut=1e9)
+    light = abs(kind.pdg) == 11
+    return collisions + (math.hypot(p, kind.mass) * x0 if light else 0.0)
+
+
+def _by_formula(order: _Order, pieces: Sequence[_Piece]) -> dict[str, Any]:
+    sheets = []
+    for number, (material, thickness, note) in enumerate(order.sheets):
+        variance = sum(piece.variance for piece in pieces if piece.sheet == number)
+        loss = sum(piece.loss for piece in pieces if piece.sheet == number)
+        sheets.append(
+            LayerNumbers(
+                material=material.name, note=note, thickness_mm=thickness, density_gcm3=material.density,
+                mass_gcm2=0.1 * material.density * thickness, x_over_x0=thickness / material.x0,
+                core_mrad=_known(1e3 * math.sqrt(variance)), mean_loss_kev=_known(_KEV * loss),
+            )
+        )  # fmt: skip
+    x_over_x0 = sum(sheet.x_over_x0 for sheet in sheets)
+    energy = math.hypot(order.p, order.kind.mass)
+    beta = order.p / energy
+    highland = 13.6 / (beta * order.p) * math.sqrt(x_over_x0) * (1 + 0.038 * math.log(x_over_x0 / beta**2))
+    return {
+        "layers": tuple(sheets),
+        "mass_gcm2": sum(sheet.mass_gcm2 for sheet in sheets),
+        "x_over_x0": x_over_x0,
+        "highland_mrad": highland,
+        "core_mrad": _known(1e3 * math.sqrt(sum(piece.variance for piece in pieces))),
+        "mean_loss_kev": _known(_KEV * sum(piece.loss for piece in pieces)),
+    }
+
+
+def _known(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def _send(
+    stack: _core.Detector, order: _Order, n: int, seed: int, progress: Callable[[float], None] | None
+) -> dict[str, Any]:
+    """Return the columns of the core; chunks let Ctrl-C through and do not change the result."""
+    charge, parts = float(order.kind.charge), []
+    for first in range(0, n, _CHUNK):
+        count = min(_CHUNK, n - first)
+        parts.append(
+            _core.through_slabs(
+                stack, p=order.p, mass=order.kind.mass, charge=charge, n=count, seed=seed, first=first
+            )
+        )  # fmt: skip
+        if progress:
+            progress((first + count) / n)
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
