@@ -73,7 +73,7 @@ def draw_losses(axes: Axes, passage: Passage) -> None:
         axes.axvline(value, color=colour, lw=1.2, ls="--", label=f"{_LOSSES[f'loss_kev_{name}']}: {value:.4g} keV")
     axes.set(xlabel="energy loss  (keV)", ylabel="density  (1/keV)", xlim=(edges[0], reach))
     axes.set_ylim(0, 1.1 * axes.get_ylim()[1])
-    axes.legend(loc="center right")
+    axes.legend(loc="upper right", bbox_to_anchor=(1, 0.56))
     numbers = [_number(passage, name, "keV", label) for name, label in _LOSSES.items()]
     statistics_box(axes, [f"{len(loss):,} particles", *numbers])
     grid(axes)

@@ -104,8 +104,10 @@ def _shape(loss: Floats, q16: float, q84: float) -> tuple[float, float] | None:
     above = np.flatnonzero(density >= 0.5 * density.max())
     if above[0] == 0 or above[-1] == len(x) - 1:
         return None
-    # The top is flat: its place is that of a parabola through the upper fifth.
-    top = density > 0.8 * density.max()
-    curve = np.polynomial.Polynomial.fit(x[top], density[top], 2).convert().coef if top.sum() > 3 else (0.0, 0.0, 0.0)
-    mode = -curve[1] / (2 * curve[2]) if curve[2] < 0 else float(x[np.argmax(density)])
-    return float(mode), float(x[above[-1]] - x[above[0]])
+    # The top is flat: its place is that of a curve of fourth order through the logarithm of the upper third.
+    top = np.flatnonzero(density > 0.67 * density.max())
+    if len(top) < 10:
+        return None
+    curve = np.polynomial.Polynomial.fit(x[top], np.log(density[top]), 4)
+    fine = np.linspace(x[top[0]], x[top[-1]], 1001)
+    return float(fine[np.argmax(curve(fine))]), float(x[above[-1]] - x[above[0]])
