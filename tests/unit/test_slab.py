@@ -205,3 +205,13 @@ def test_command_explains_bad_input_with_exit_code_2(capsys):
     captured = capsys.readouterr()
     assert "4 problems" in captured.err
     assert not captured.out
+
+
+@pytest.mark.parametrize(
+    ("text", "particle", "p"), [("H 1 nm", "p", 10), ("Pb 20 cm", "p", 0.3), ("Ne 1 m", "e+", 0.01)]
+)
+def test_extremes_are_drawn_and_written(text, particle, p, tmp_path, capsys):
+    arguments = ["slab", text, "--particle", particle, "--p", str(p), "-n", "2000", "--quiet"]
+    assert main([*arguments, "-o", str(tmp_path / "out")]) == 0
+    assert "nan" not in capsys.readouterr().out
+    assert (tmp_path / "out" / "slab.png").exists()

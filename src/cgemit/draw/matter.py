@@ -41,15 +41,16 @@ def draw_slab(passage: Passage) -> Picture:
 def draw_angles(axes: Axes, passage: Passage) -> None:
     """Draw the density of the plane angles of both planes, logarithmically, beside Gaussians of both formulas."""
     both = 1e3 * np.concatenate([passage.angle_1[passage.through], passage.angle_2[passage.through]])
-    scale = passage.q68_mrad or passage.highland_mrad
+    scale = passage.q68_mrad or 1.0
     reach = min(8 * scale, 1e3 * math.pi / 2)
     edges = np.linspace(-reach, reach, 161)
     _density(axes, both, edges, "simulated")
     x = np.linspace(-reach, reach, 801)
-    lines = [(passage.highland_mrad, COLORS["single"], "--", "Highland")]
-    if passage.core_mrad is not None:
-        lines.append((passage.core_mrad, COLORS["fit"], "-", "core, as the fit takes it"))
-    for sigma, colour, dashes, label in lines:
+    highland = (passage.highland_mrad, COLORS["single"], "--", "Highland")
+    core = (passage.core_mrad, COLORS["fit"], "-", "core, as the fit takes it")
+    for sigma, colour, dashes, label in (highland, core):
+        if not sigma:
+            continue
         y = np.exp(-0.5 * (x / sigma) ** 2) / (math.sqrt(2 * math.pi) * sigma)
         axes.plot(x, y, dashes, color=colour, lw=1.5, label=f"{label}: {sigma:.4g} mrad")
     top = 1 / (math.sqrt(2 * math.pi) * scale)
@@ -65,7 +66,7 @@ def draw_losses(axes: Axes, passage: Passage) -> None:
     """Draw the density of the energy loss and its quantiles."""
     loss = passage.loss
     low, high = passage.loss_kev_q01, passage.loss_kev_q84
-    reach = high + 2 * (high - low)
+    reach = high + 2 * max(high - low, 0.01 * high, 1e-9)
     edges = np.linspace(max(0.0, low - 0.3 * (high - low)), reach, 161)
     _density(axes, loss, edges, f"simulated ({np.mean(loss > reach):.2%} beyond)")
     for name, colour in (("q16", COLORS["multi"]), ("q50", COLORS["fit"]), ("q84", COLORS["multi"])):

@@ -62,9 +62,9 @@ class Passage:
         Particles that lost all their energy, and that were turned out of the forward direction.
     layers : tuple of LayerNumbers
     mass_gcm2, x_over_x0 : float
-    highland_mrad : float
+    highland_mrad : float or None
         13.6 MeV/(beta p) sqrt(x/X0) [1 + 0.038 ln(x/(X0 beta^2))], PDG 2024, "Passage of particles through matter",
-        eq. 34.16.
+        eq. 34.16; None for so little matter that its logarithm is negative.
     core_mrad : float or None
         Core of the distribution as the fit takes it (docs/methods/matter.md).
     mean_loss_kev : float or None
@@ -95,7 +95,7 @@ class Passage:
     layers: tuple[LayerNumbers, ...]
     mass_gcm2: float
     x_over_x0: float
-    highland_mrad: float
+    highland_mrad: float | None
     core_mrad: float | None
     mean_loss_kev: float | None
     q68_mrad: float | None

@@ -173,6 +173,8 @@ def _momentum(p: float | str, problems: list[Problem]) -> float:
     except QuantityError as error:
         problems.append(Problem("p", error.given, error.expected, error.hint))
         return 1.0
+    except (TypeError, ValueError):
+        value = math.nan
     if not 0 < value <= FASTEST:
         problems.append(Problem("p", repr(p), f"a momentum above 0, up to {FASTEST:g} GeV/c"))
     return value
@@ -233,12 +235,13 @@ def _by_formula(order: _Order, pieces: Sequence[_Piece]) -> dict[str, Any]:
     x_over_x0 = sum(sheet.x_over_x0 for sheet in sheets)
     energy = math.hypot(order.p, order.kind.mass)
     beta = order.p / energy
-    highland = 13.6 / (beta * order.p) * math.sqrt(x_over_x0) * (1 + 0.038 * math.log(x_over_x0 / beta**2))
+    logarithm = 1 + 0.038 * math.log(x_over_x0 / beta**2)
+    highland = 13.6 / (beta * order.p) * math.sqrt(x_over_x0) * logarithm
     return {
         "layers": tuple(sheets),
         "mass_gcm2": sum(sheet.mass_gcm2 for sheet in sheets),
         "x_over_x0": x_over_x0,
-        "highland_mrad": highland,
+        "highland_mrad": highland if logarithm > 0 else None,
         "core_mrad": _known(1e3 * math.sqrt(sum(piece.variance for piece in pieces))),
         "mean_loss_kev": _known(_KEV * sum(piece.loss for piece in pieces)),
     }
