@@ -11,7 +11,7 @@ import numpy as np
 from cgemit import _core
 from cgemit.detector.material import Material
 from cgemit.detector.problems import Problem
-from cgemit.detector.slabs import compiled_stack
+from cgemit.detector.slabs import SCREENINGS, compiled_stack
 from cgemit.detector.stack import Sheet, parse_stack
 from cgemit.matter.passage import LayerNumbers, Passage
 from cgemit.matter.widths import ANGLES, LOSSES, angle_estimates, loss_estimates
@@ -19,8 +19,6 @@ from cgemit.particles import FASTEST, Species, species
 from cgemit.problems import ProblemsError
 from cgemit.units import QuantityError, parse_quantity
 from cgemit.words import did_you_mean
-
-SCREENINGS = ("wentzel", "moliere")
 
 _FEWEST, _MOST = 1000, 20_000_000  # particles: fewer have no 1 % quantile, the columns of more take over 1 GB
 _CHUNK = 20_000
