@@ -21,7 +21,7 @@ SLABS = {
     "Cu_14um": "Cu 14 um",
     "Be_1.4mm": "Be 1.4 mm",
     "Ar_10mm": "Ar 10 mm",
-    "CGEM_brief": _CGEM.format(300, 33, 120, 150),
+    "CGEM_0.114": _CGEM.format(300, 33, 120, 150),
     "CGEM_0.13": _CGEM.format(*(round(1.1387 * length, 3) for length in (300, 33, 120, 150))),
 }
 #: What people call them.
@@ -30,14 +30,14 @@ TITLES = {
     "Cu_14um": "Cu 14 um",
     "Be_1.4mm": "Be 1.4 mm",
     "Ar_10mm": "Ar 10 mm",
-    "CGEM_brief": "CGEM layer, 0.114 g/cm2",
+    "CGEM_0.114": "CGEM layer, 0.114 g/cm2",
     "CGEM_0.13": "CGEM layer, 0.130 g/cm2",
 }
 ANGLES = ("q68_mrad", "q98_mrad", "q999_mrad")
 LOSSES = tuple(f"loss_kev_{name}" for name in ("mean", "mode", "fwhm", "q01", "q16", "q50", "q84", "q99"))
 
 _SS_ERRORS = dict(zip(ANGLES, (0.004, 0.008, 0.06), strict=True))  # relative, validation/data/README.md
-_GATED_LOSSES = ("C_0.1X0", "Be_1.4mm", "CGEM_brief", "CGEM_0.13")
+_GATED_LOSSES = ("C_0.1X0", "Be_1.4mm", "CGEM_0.114", "CGEM_0.13")
 _TOLERANCES = {"q68_mrad": 0.05, "q98_mrad": 0.05, "q999_mrad": 0.10, "loss_kev_q50": 0.03, "loss_kev_q99": 0.08}
 _SIGMAS = 3.0  # the tail of the angle may be off by so many standard errors, if that is more
 
