@@ -13,6 +13,9 @@ _Floats: TypeAlias = npt.NDArray[np.float64]
 _Bytes: TypeAlias = npt.NDArray[np.uint8]
 _Columns: TypeAlias = dict[str, Any]  # of arrays; no other mapping will do
 
+ELECTRON_GRID_FIRST: Final[float]  # keV
+ELECTRON_POINTS: Final[int]
+ELECTRON_STEPS: Final[int]  # equal steps of the electron energies from each power of two to the next
 CORE_CUT: Final[float]  # the fit describes collisions that transfer less than this many times the xi of the track
 LOSS_GRID_FIRST: Final[float]  # ln(beta gamma) of the first column of log_terms
 LOSS_GRID_STEP: Final[float]
@@ -68,6 +71,7 @@ class Detector:
         wires: _Columns,
         screening: Screening,
         lattice: _Columns = {},
+        gaps: list[dict[str, Any]] = [],
     ) -> None: ...
     @property
     def bz(self) -> float: ...  # T
@@ -145,6 +149,28 @@ def through_slabs(
 def solid_fraction(
     detector: Detector, slab: int, *, u: npt.ArrayLike, v: npt.ArrayLike, slope_u: npt.ArrayLike, slope_v: npt.ArrayLike
 ) -> _Floats: ...
+
+# Drift gaps: keV, mm. Columns of `ionize` are energy, electrons, deltas per track, and deposit_crossing (the track),
+# deposit_x y z dx dy dz energy electrons delta origin per deposit; origin 0 gas, 1 cathode, 2 behind the gap.
+def ionize(
+    detector: Detector,
+    layer: int,
+    *,
+    p: float,
+    mass: float,
+    charge: float = 1.0,
+    n: int,
+    seed: int,
+    deltas: bool,
+    keep_clusters: bool,
+    tanl: float = 0.0,
+    slope: float = 0.0,
+) -> dict[str, _Array]: ...
+
+# Columns u w z, energy left, length of the way and energy deposited in the gap of electrons that start at (0, w, 0).
+def follow_electrons(
+    detector: Detector, layer: int, *, w: float, energy: float, outward: float, n: int, seed: int
+) -> dict[str, _Array]: ...
 
 # Stages: one call for a chunk of events, without the GIL.
 def simulate(detector: Detector, particles: _Columns, *, fluctuations: Fluctuations, seed: int) -> _Simulated: ...

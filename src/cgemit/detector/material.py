@@ -15,6 +15,7 @@ from cgemit.detector.keys import key
 
 FINE_STRUCTURE = 1 / 137.035999084
 K = 0.307075e-3  # GeV cm2/mol, 4 pi N_A r_e^2 m_e c^2 (PDG 2024, "Passage of particles through matter")
+GAS_TABLES = ("ar-ic4h10-90-10", "ar-co2-70-30")  # of data/gases
 CARBON_IN_COMPOUNDS = 81.0  # eV, mean excitation energy (ICRU Report 37)
 
 
@@ -72,6 +73,10 @@ class Material:
     )
     filling: float = field(
         metadata=key("dimensionless", "part of the volume that is solid, the rest being holes", 1e-9, 1.0), default=1.0
+    )
+    ionization: str = field(
+        default="",
+        metadata=key("text", "table of primary ionization of a gas", choices=GAS_TABLES, derived=True),
     )
 
     def solid(self) -> "Material":

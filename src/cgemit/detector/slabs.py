@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from cgemit import _core
 from cgemit.detector.check import TOUCH
+from cgemit.detector.gaps import gap_table
 from cgemit.detector.lattice import Holes, hole_table, perforated
 from cgemit.detector.material import Element, Material
 from cgemit.detector.model import Cylinder, Detector, DriftChamber, Shell
@@ -267,6 +268,7 @@ def compiled(
         wires=wire_table(detector.drift_chamber),
         screening=getattr(_core.Screening, screening),
         lattice=hole_table([slab.holes for slab in found], groups, merge) if foil == "lattice" else {},
+        gaps=gap_table(detector),
     )
 
 

@@ -52,7 +52,7 @@ def to_toml(detector: Detector) -> str:
 
 def _table(part: Any) -> dict[str, Any]:
     found = {name: _value(getattr(part, name), key.kind) for name, key in keys_of(type(part)).items()}
-    return {name: value for name, value in found.items() if value != {}}
+    return {name: value for name, value in found.items() if value not in ({}, "")}
 
 
 def _value(value: Any, kind: str) -> Any:

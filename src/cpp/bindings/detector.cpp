@@ -6,6 +6,7 @@
 #include <algorithm>
 
 #include "bindings/arrays.hpp"
+#include "bindings/gap.hpp"
 #include "matter/scattering.hpp"
 
 namespace py = pybind11;
@@ -147,15 +148,17 @@ void bind_detector(py::module_& module) {
                        "The detector as plain numbers, ordered from the beam line outward.")
       .def(py::init([](double bz, const py::dict& slabs, const Array<double>& log_terms,
                        const py::dict& composition, const py::dict& cgem, const py::dict& wires,
-                       Screening screening, const py::dict& lattice) {
+                       Screening screening, const py::dict& lattice, const py::list& gaps) {
              std::vector<Slab> made = make_slabs(slabs, log_terms, composition);
              add_holes(lattice, made);
-             Detector detector = make_detector(bz, std::move(made), make_cgem(cgem), make_wires(wires));
+             Detector detector =
+                 make_detector(bz, std::move(made), make_cgem(cgem), make_wires(wires), make_gaps(gaps));
              prepare_scattering(detector, screening);
              return detector;
            }),
            py::kw_only(), py::arg("bz"), py::arg("slabs"), py::arg("log_terms"), py::arg("composition"),
-           py::arg("cgem"), py::arg("wires"), py::arg("screening"), py::arg("lattice") = py::dict())
+           py::arg("cgem"), py::arg("wires"), py::arg("screening"), py::arg("lattice") = py::dict(),
+           py::arg("gaps") = py::list())
       .def_readonly("bz", &Detector::bz)
       .def_property_readonly("n_slabs", [](const Detector& d) { return d.slabs.size(); })
       .def_property_readonly("n_cgem_layers", [](const Detector& d) { return d.cgem.size(); })

@@ -7,6 +7,7 @@ void bind_detector(pybind11::module_& module);
 void bind_motion(pybind11::module_& module);
 void bind_matter(pybind11::module_& module);
 void bind_foil(pybind11::module_& module);
+void bind_gap(pybind11::module_& module);
 void bind_kalman(pybind11::module_& module);
 void bind_simulate(pybind11::module_& module);
 void bind_digitize(pybind11::module_& module);
@@ -21,6 +22,7 @@ PYBIND11_MODULE(_core, module, pybind11::mod_gil_not_used()) {
   bind_motion(module);
   bind_matter(module);
   bind_foil(module);
+  bind_gap(module);
   bind_kalman(module);
   bind_simulate(module);
   bind_digitize(module);

@@ -7,6 +7,8 @@
 #include <cstdint>
 #include <vector>
 
+#include "detector/gap.hpp"
+
 namespace cgemit {
 
 // What of a slab depends on velocity is tabulated against ln(beta gamma), on one grid for all slabs.
@@ -129,11 +131,12 @@ struct Detector {
   std::vector<Slab> slabs;
   std::vector<CgemLayer> cgem;
   std::vector<WireLayer> wires;
-  std::vector<Place> places;  // by radius
+  std::vector<GapMatter> gaps;  // one per CGEM layer, or none: then there are no electrons
+  std::vector<Place> places;    // by radius
 };
 
 // Fills in what follows from the rest of the description.
 Detector make_detector(double bz, std::vector<Slab> slabs, std::vector<CgemLayer> cgem,
-                       std::vector<WireLayer> wires);
+                       std::vector<WireLayer> wires, std::vector<GapMatter> gaps);
 
 }  // namespace cgemit

@@ -34,8 +34,20 @@ double light_bracket(const Slab& slab, const Kinematics& k, double limit) {
   return f + std::log(2 * (k.gamma + 1) * electron_mass * electron_mass) + log_term(slab, k.log_bg).value;
 }
 
-// Spectrum of single collisions relative to xi/(beta^2 E^2), times `spectrum_peak`'s inverse at most 1.
-double spectrum(const Kinematics& k, double transfer, double w_max) {
+// Collisions drawn one by one, expected per slab: more where more is lost, so that a track has some tens in
+// all.
+double hard_collisions(double xi) { return std::clamp(xi / keV, 0.2, 1.0); }
+
+// A number of given mean 0, variance 1, skewness and excess kurtosis; Cornish and Fisher (1938), third order.
+double skewed_normal(double z, double skewness, double kurtosis) {
+  const double z2 = z * z;
+  return z + skewness / 6 * (z2 - 1) + kurtosis / 24 * z * (z2 - 3) -
+         skewness * skewness / 36 * z * (2 * z2 - 5);
+}
+
+}  // namespace
+
+double spectrum_share(const Kinematics& k, double transfer, double w_max) {
   if (!k.is_light()) {
     const double spin =
         k.projectile == Projectile::spin_half ? 0.5 * transfer * transfer / (k.energy * k.energy) : 0.0;
@@ -49,20 +61,6 @@ double spectrum(const Kinematics& k, double transfer, double w_max) {
   const double y = 1 / (k.gamma + 1), u = 1 - 2 * y;  // Bhabha; ICRU Report 37, eq. 2.7
   return 1 - k.beta2 * e * (2 - y * y - e * (u * (3 + y * y) - e * u * u * (1 + u - e * u)));
 }
-double spectrum_peak(const Kinematics& k) { return k.projectile == Projectile::electron ? 2.25 : 1.0; }
-
-// Collisions drawn one by one, expected per slab: more where more is lost, so that a track has some tens in
-// all.
-double hard_collisions(double xi) { return std::clamp(xi / keV, 0.2, 1.0); }
-
-// A number of given mean 0, variance 1, skewness and excess kurtosis; Cornish and Fisher (1938), third order.
-double skewed_normal(double z, double skewness, double kurtosis) {
-  const double z2 = z * z;
-  return z + skewness / 6 * (z2 - 1) + kurtosis / 24 * z * (z2 - 3) -
-         skewness * skewness / 36 * z * (2 * z2 - 5);
-}
-
-}  // namespace
 
 double restricted_loss(const Slab& slab, double path, const Kinematics& k, double cut) {
   const double w_max = k.w_max(), limit = std::min(cut, w_max);
@@ -117,7 +115,7 @@ double sample_loss(const Slab& slab, double path, const Kinematics& k, const Str
   const double peak = spectrum_peak(k), per_cut = weight / xi, range = per_cut - per_max;
   for (int n = poisson(draws.next(), expected * peak); n > 0; --n) {
     const double transfer = 1 / (per_cut - draws.next() * range);
-    if (draws.next() * peak < spectrum(k, transfer, w_max)) loss += transfer;
+    if (draws.next() * peak < spectrum_share(k, transfer, w_max)) loss += transfer;
   }
   return std::max(loss, 0.0);
 }

@@ -40,6 +40,10 @@ inline constexpr double core_cut = 10;
 
 LossMoments core_loss(const Slab& slab, double path, const Kinematics& k, const TrackMatter& track);
 
+// How often a collision transfers an energy, relative to xi/(beta^2 E^2), and the most that this can be.
+double spectrum_share(const Kinematics& k, double transfer, double w_max);
+inline double spectrum_peak(const Kinematics& k) { return k.projectile == Projectile::electron ? 2.25 : 1.0; }
+
 // Energy lost in collisions in a slab, GeV: those above a cut one by one, with the spectrum of the
 // particle's spin (Rossi; Moller; Bhabha) up to w_max; softer ones by mean, variance, skewness and kurtosis.
 // The mean is that of `restricted_loss` exactly, and two halves of a slab sum to the whole.

@@ -1,0 +1,252 @@
+"""What ionizations and electrons of some keV meet at a drift gap: its gas, the cathode before it, foils behind it.
+
+Everything that does not depend on the particle is worked out here, once per detector, for `docs/methods/deltas.md`.
+Positions w are mm outward from the inner edge of the gap; energies keV.
+"""
+
+import csv
+import math
+from collections.abc import Sequence
+from functools import cache
+from importlib import resources
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cgemit import _core
+from cgemit.detector.material import Material
+from cgemit.detector.model import CgemLayer, Detector, Shell
+
+Floats = NDArray[np.float64]
+
+REST_ENERGY = 510.99895  # keV, of the electron (PDG 2024)
+AVOGADRO = 6.02214076e23  # 1/mol
+K_KEV = 307.075  # keV cm2/mol, 4 pi N_A r_e^2 m_e c^2 (PDG 2024)
+LEAST_ENERGY = 1.0  # keV, of electrons that leave a solid
+SLICE_RATIO = 1.15  # least energies of neighbouring slices
+JOY_LUO_LIMIT = 10.0  # keV
+
+
+class Ionization(NamedTuple):
+    """Primary ionization of a gas, as in ``data/gases``."""
+
+    electron_density: float  # mol/cm3, density times Z/A
+    w_value: float  # keV per electron
+    betagamma: Floats  # (n,)
+    clusters: Floats  # (n,), ionizations per mm at `betagamma`
+    sizes: Floats  # (m,), share of the ionizations with up to 1, 2, ... electrons, then up to each of `tail[1:]`
+    tail: Floats  # (k,), borders of the ranges over which the number of electrons n falls as 1/n^2
+
+
+@cache
+def ionization(name: str) -> Ionization:
+    """Return a table of ``data/gases`` by name."""
+    text = (resources.files("cgemit.data") / "gases" / f"{name}.csv").read_text(encoding="utf-8")
+    rows = list(csv.DictReader(line for line in text.splitlines() if not line.startswith("#")))
+    single = {row["quantity"]: float(row["value"]) for row in rows if not row["at"]}
+    columns = {}
+    for quantity in ("clusters", "size", "more_than"):
+        found = [(float(row["at"]), float(row["value"])) for row in rows if row["quantity"] == quantity]
+        columns[quantity] = np.array(found).T
+    sizes, tail = _sizes(columns["size"], columns["more_than"])
+    return Ionization(
+        electron_density=single["density"] * single["z_over_a"],
+        w_value=single["w_value"] * 1e-3,
+        betagamma=columns["clusters"][0],
+        clusters=0.1 * columns["clusters"][1],
+        sizes=sizes,
+        tail=tail,
+    )
+
+
+#: Where the size table ends, electrons: beyond, electrons are free ones struck by the particle.
+LARGEST_SIZE = 2000
+
+
+def _sizes(listed: Floats, beyond: Floats) -> tuple[Floats, Floats]:
+    """Return cumulative shares of sizes and ranges, and the borders of the ranges.
+
+    Between listed sizes the logarithm of the share is linear. Beyond the last range border the shares go on as 1/n^2
+    without end; what lies above `LARGEST_SIZE` is left out.
+    """
+    every = np.arange(1, round(listed[0, -1]) + 1)
+    shares = np.exp(np.interp(every, listed[0], np.log(listed[1])))
+    borders = np.append(beyond[0], LARGEST_SIZE) + 0.5
+    last = beyond[1, -1] * (1 - borders[-2] / borders[-1])
+    ranges = np.append(-np.diff(beyond[1]), last)
+    shares *= (100 - beyond[1, 0]) / shares.sum()
+    cumulative = np.cumsum(np.concatenate([shares, ranges]))
+    return cumulative / cumulative[-1], borders
+
+
+def clusters_per_mm(gas: Material, ln_betagamma: Floats) -> Floats:
+    """Return the ionizations per mm, (n,), of a gas for ln(beta gamma), (n,).
+
+    Linear in ln(beta gamma) between the tabulated points, constant above (the plateau of the density effect),
+    1/beta^2 below. In proportion to the density of electrons if that is not the one of the table.
+    """
+    table = ionization(gas.ionization or DEFAULT_IONIZATION)
+    inside = np.interp(ln_betagamma, np.log(table.betagamma), table.clusters)
+    lowest = table.betagamma[0]
+    per_beta2 = (1 + np.exp(-2 * ln_betagamma)) / (1 + lowest**-2)
+    return inside * np.where(ln_betagamma < math.log(lowest), per_beta2, 1.0) * _ratio(gas, table)
+
+
+DEFAULT_IONIZATION = "ar-ic4h10-90-10"
+
+
+def _ratio(gas: Material, table: Ionization) -> float:
+    return gas.density * gas.z_over_a / table.electron_density
+
+
+def practical_range(energy: Floats) -> Floats:
+    """Return the practical range, g/cm2, of electrons of some keV; Kobetich and Katz, Phys. Rev. 170 (1968) 391."""
+    return 5.37e-4 * energy * (1 - 0.9815 / (1 + 3.123e-3 * energy))
+
+
+def stopping_power(material: Material, energy: Floats) -> Floats:
+    """Return the collision stopping power of electrons, keV/mm, (n,), for kinetic energies in keV, (n,).
+
+    Above 10 keV M.J. Berger and S.M. Seltzer, NBSIR 82-2550 (ICRU Report 37, eq. 2.11 and 2.12), with the material's
+    density effect; below D.C. Joy and S. Luo, Scanning 11 (1989) 176, whose mean excitation energy falls with the
+    energy.
+    """
+    excitation = material.excitation_energy * 1e6
+    tau = energy / REST_ENERGY
+    beta2 = tau * (tau + 2) / (tau + 1) ** 2
+    delta = material.density_effect.delta(0.5 * np.log(tau * (tau + 2)))
+    high = np.log(tau**2 * (tau + 2) / 2 * (REST_ENERGY / excitation) ** 2) + 1 - beta2 - delta
+    high += (tau**2 / 8 - (2 * tau + 1) * math.log(2)) / (tau + 1) ** 2
+    low = 2 * np.log(1.166 * (energy / excitation + 0.85))
+    per_gram = 0.5 * K_KEV * material.z_over_a * np.where(energy < JOY_LUO_LIMIT, low, high) / beta2
+    return np.asarray(0.1 * material.density * per_gram)
+
+
+def elastic(material: Material, energy: Floats) -> tuple[Floats, Floats]:
+    """Return K (1/mm) and a of the rate of elastic scatters K/(mu + a)^2 d(mu), mu = (1 - cos(angle))/2; (n,) each.
+
+    Screened Rutherford cross-section as in D.C. Joy, Monte Carlo Modeling for Electron Microscopy and Microanalysis
+    (1995), ch. 3: 5.21e-21 cm2 Z^2/E^2 ((E + 511)/(E + 1024))^2 4 pi/(a(1 + a)), a = 3.4e-3 Z^0.67/E, E in keV. In a
+    the energy stands for the squared momentum, p^2/2m. Elements of a mixture share one a: ln(a) is the mean with K.
+    """
+    reduced = energy * (1 + energy / (2 * REST_ENERGY))
+    strength, logarithm = 0.0, 0.0
+    for element, moles in material.elements():
+        weight = AVOGADRO * material.density * moles * element.z**2
+        strength += weight
+        logarithm += weight * math.log(3.4e-3 * element.z**0.67)
+    per_cm = 4 * math.pi * 5.21e-21 * strength * ((energy + 511) / (energy + 1024) / energy) ** 2
+    return 0.1 * per_cm, math.exp(logarithm / strength) / reduced
+
+
+def electron_energies() -> Floats:
+    """Return the core's grid of electron energies, (ELECTRON_POINTS,), keV."""
+    octave, part = np.divmod(np.arange(_core.ELECTRON_POINTS), _core.ELECTRON_STEPS)
+    return np.asarray(_core.ELECTRON_GRID_FIRST * 2.0**octave * (1 + part / _core.ELECTRON_STEPS))
+
+
+def step_share(energy: Floats) -> Floats:
+    """Return the way between hard scatters as a share of transport mean free path or remaining way, (n,); keV, (n,).
+
+    Finer for faster electrons, which go farther: with half of it the displacements stay the same within 2 %.
+    """
+    return np.clip(0.05 * np.sqrt(200 / energy), 0.05, 0.5)
+
+
+def electron_table(material: Material) -> Floats:
+    """Return what a material does to electrons of the core's energies, (ELECTRON_POINTS, 6) float64.
+
+    Columns: stopping (keV/mm), mean free path of hard scatters (mm), the mu above which a scatter is hard, screening,
+    mean of mu per mm by soft scatters, 1/momentum ((GeV/c)^-1). The mean free path of hard scatters is
+    `step_share` times the smaller of transport mean free path and energy/stopping; where that of all scatters is
+    longer, all are hard (F. Salvat et al., PENELOPE, class-II simulation).
+    """
+    energy = electron_energies()
+    stopping = stopping_power(material, energy)
+    strength, a = elastic(material, energy)
+    transport = 2 * strength * (np.log1p(1 / a) - 1 / (1 + a))
+    longest = step_share(energy) * np.minimum(1 / transport, energy / stopping)
+    path = np.maximum(a * (1 + a) / strength, longest)
+    cut = np.maximum(1 / (1 / (path * strength) + 1 / (1 + a)) - a, 0.0)
+    cut[cut < 1e-9 * a] = 0.0
+    soft = strength * (np.log1p(cut / a) - cut / (cut + a))
+    momentum = 1e-6 * np.sqrt(energy * (energy + 2 * REST_ENERGY))  # GeV/c
+    return np.column_stack([stopping, path, cut, a, soft, 1 / momentum])
+
+
+def _depths(shells: Sequence[Shell], gap: int) -> list[float]:
+    """Return the mass thickness, g/cm2, between each shell's near face and the gap."""
+    mass = [0.1 * shell.material.density * shell.thickness for shell in shells]
+    return [sum(mass[i + 1 : gap]) if i < gap else sum(mass[gap + 1 : i]) for i in range(len(shells))]
+
+
+def slices(layer: CgemLayer) -> NDArray[np.float64]:
+    """Return the matter around a gap cut into slices, one row each from the gap inward, then outward.
+
+    Parameters
+    ----------
+    layer : CgemLayer
+
+    Returns
+    -------
+    (n, 4) float64
+        w of both faces, mm; least energy, keV, of an electron whose practical range brings it from the near face to
+        the gap, at least `LEAST_ENERGY`; (K/2) (Z/A) times mass thickness, keV. Neighbouring slices of a sub-layer
+        differ by a factor `SLICE_RATIO` in the least energy.
+
+    """
+    shells = list(layer.shells())
+    gap = [shell.group for shell in shells].index("drift")
+    energy = np.asarray(LEAST_ENERGY * SLICE_RATIO ** np.arange(120.0), np.float64)
+    borders = practical_range(energy)
+    rows = []
+    for i, depth in enumerate(_depths(shells, gap)):
+        if i == gap:
+            continue
+        shell, density = shells[i], 0.1 * shells[i].material.density
+        deepest = depth + density * shell.thickness
+        cuts = [depth, *borders[(borders > depth) & (borders < deepest)], deepest]
+        for near, far in pairwise(cuts):
+            away = (near - depth) / density, (far - depth) / density
+            face = shell.r_out if i < gap else shell.r_in
+            w = sorted(face + (-1 if i < gap else 1) * distance - layer.r_gap_in for distance in away)
+            least = max(LEAST_ENERGY, float(np.interp(near, borders, energy)))
+            rows.append((*w, least, 1e6 * shell.material.xi(away[1] - away[0])))
+    return np.array(rows)
+
+
+def gap_columns(layer: CgemLayer) -> dict[str, Any]:
+    """Return a gap as the core takes it: dicts of columns (float64) and numbers, see ``detector.hpp``."""
+    shells = list(layer.shells())
+    gap = [shell.group for shell in shells].index("drift")
+    table = ionization(layer.gas.ionization or DEFAULT_IONIZATION)
+    cut = slices(layer)
+    grid = _core.LOSS_GRID_FIRST + _core.LOSS_GRID_STEP * np.arange(_core.LOSS_POINTS, dtype=np.float64)
+    return {
+        "layers": {
+            "w_in": np.array([shell.r_in - layer.r_gap_in for shell in shells]),
+            "w_out": np.array([shell.r_out - layer.r_gap_in for shell in shells]),
+            "density": np.array([0.1 * shell.material.density for shell in shells]),
+            "depth": np.array(_depths(shells, gap)),
+            "electrons": np.array([electron_table(shell.material).ravel() for shell in shells]),
+        },
+        "gap": gap,
+        "slices": {
+            "w_in": cut[:, 0].copy(),
+            "w_out": cut[:, 1].copy(),
+            "least_energy": cut[:, 2].copy(),
+            "rate": np.cumsum(cut[:, 3] / cut[:, 2]),
+        },
+        "xi": 1e6 * layer.gas.xi(1.0),
+        "w_value": table.w_value,
+        "clusters": clusters_per_mm(layer.gas, grid),
+        "sizes": table.sizes,
+        "tail": table.tail,
+    }
+
+
+def gap_table(detector: Detector) -> list[dict[str, Any]]:
+    """Return the gaps of a detector, one per CGEM layer, as the core takes them."""
+    return [gap_columns(layer) for layer in detector.cgem]

@@ -1,0 +1,13 @@
+// Columns of the drift gaps to the core's numbers.
+#pragma once
+
+#include <vector>
+
+#include "bindings/arrays.hpp"
+#include "detector/detector.hpp"
+
+namespace cgemit::bindings {
+
+std::vector<GapMatter> make_gaps(const py::list& gaps);
+
+}  // namespace cgemit::bindings

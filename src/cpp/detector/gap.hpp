@@ -1,0 +1,58 @@
+// What lies about a drift gap, for ionizations and for electrons of some keV. Made by `cgemit.detector.gaps`.
+#pragma once
+
+#include <array>
+#include <cstddef>
+#include <cstdint>
+#include <vector>
+
+namespace cgemit {
+
+// Grid of electron energies: sixteen equal steps from each power of two keV to the next.
+inline constexpr int electron_steps = 16;
+inline constexpr double electron_grid_first = 0.25;              // keV
+inline constexpr int electron_points = 19 * electron_steps + 1;  // to 131 MeV
+
+// What a material does to electrons of one energy. Scatters with mu = (1 - cos(angle))/2 above `cut` are
+// drawn one by one, with the spectrum 1/(mu + screening)^2, softer ones together.
+struct ElectronPoint {
+  double stopping;  // keV/mm
+  double path;      // mm, mean free path of the hard scatters
+  double cut;
+  double screening;
+  double soft;          // 1/mm, mean of mu by soft scatters
+  double per_momentum;  // 1/(GeV/c)
+};
+
+// A sub-layer at a drift gap. Positions w here and below: mm outward from the inner edge of the gap.
+struct ElectronLayer {
+  double w_in, w_out;  // mm
+  double density;      // g/cm2 per mm
+  double depth;        // g/cm2 between its near face and the gap
+  std::array<ElectronPoint, electron_points> at;
+};
+
+// Matter at one depth in front of the gap or behind it, from which electrons may reach the gap.
+struct DeltaSlice {
+  double w_in, w_out;   // mm
+  double least_energy;  // keV; electrons of less do not reach the gap
+  double rate;          // xi/least_energy at normal incidence, summed over the slices up to this one
+};
+
+// A drift gap, the cathode in front of it, foils and anode behind it.
+struct GapMatter {
+  std::vector<ElectronLayer> layers;  // from inside
+  std::size_t gap;                    // which of them is the gap
+  std::vector<DeltaSlice> slices;
+  double xi;                     // keV/mm of the gas; Landau's xi is xi/beta^2
+  double w_value;                // keV per electron
+  std::vector<double> clusters;  // ionizations per mm, on the grid of ln(beta gamma)
+  // Of 2^32 ionizations, how many have up to 1, 2, 3 ... electrons, then how many up to each border but the
+  // first of the ranges over which the number of electrons n falls as 1/n^2.
+  std::vector<std::uint32_t> sizes;
+  std::vector<double> tail;  // borders of these ranges, electrons
+
+  double width() const { return layers[gap].w_out; }  // mm
+};
+
+}  // namespace cgemit
