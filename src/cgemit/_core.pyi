@@ -97,6 +97,7 @@ class FitSettings:
 class _Simulated(TypedDict):
     status: npt.NDArray[np.int8]
     truths: dict[str, _Array]
+    steps: dict[str, _Array]
     wire_truths: dict[str, _Array]
 
 class _Reference(TypedDict):
@@ -173,7 +174,15 @@ def follow_electrons(
 ) -> dict[str, _Array]: ...
 
 # Stages: one call for a chunk of events, without the GIL.
-def simulate(detector: Detector, particles: _Columns, *, fluctuations: Fluctuations, seed: int) -> _Simulated: ...
+def simulate(
+    detector: Detector,
+    particles: _Columns,
+    *,
+    fluctuations: Fluctuations,
+    deltas: bool = True,
+    steps: bool = False,
+    seed: int,
+) -> _Simulated: ...
 def read_out_strips(
     detector: Detector, truths: _Columns, steps: _Columns, *, gain: float, w_value: float, threshold: float
 ) -> dict[str, _Array]: ...

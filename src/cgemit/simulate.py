@@ -95,13 +95,15 @@ def simulate(
         compiled(detector, not settings.sublayers, settings.screening, settings.foil),
         {name: particles[name] for name in _COLUMNS},
         fluctuations=getattr(_core.Fluctuations, settings.fluctuations),
+        deltas=settings.deltas,
+        steps=settings.steps,
         seed=seed,
     )
     span = (particles.n_events, particles.first_event)
     return {
         "particles": particles.with_columns(status=out["status"]),
         "truths": Table("truths", out["truths"], *span),
-        "steps": Table.empty("steps", *span),
+        "steps": Table("steps", out["steps"], *span),
         "wire_truths": Table("wire_truths", out["wire_truths"], *span),
     }
 

@@ -35,6 +35,25 @@ py::dict to_columns(Truths&& t) {
   return d;
 }
 
+py::dict to_columns(Steps&& s) {
+  py::dict d;
+  d["event"] = to_numpy(std::move(s.event));
+  d["particle"] = to_numpy(std::move(s.particle));
+  d["layer"] = to_numpy(std::move(s.layer));
+  d["x"] = to_numpy(std::move(s.x));
+  d["y"] = to_numpy(std::move(s.y));
+  d["z"] = to_numpy(std::move(s.z));
+  d["dx"] = to_numpy(std::move(s.dx));
+  d["dy"] = to_numpy(std::move(s.dy));
+  d["dz"] = to_numpy(std::move(s.dz));
+  d["energy"] = to_numpy(std::move(s.energy));
+  d["n_electrons"] = to_numpy(std::move(s.electrons));
+  d["parent"] = to_numpy(std::move(s.parent));
+  d["delta"] = to_numpy(std::move(s.delta));
+  d["truth"] = to_numpy(std::move(s.truth));
+  return d;
+}
+
 py::dict to_columns(WireTruths&& t) {
   py::dict d;
   d["event"] = to_numpy(std::move(t.event));
@@ -50,8 +69,8 @@ py::dict to_columns(WireTruths&& t) {
   return d;
 }
 
-py::dict run(const Detector& detector, const py::dict& particles, Fluctuations fluctuations,
-             std::uint64_t seed) {
+py::dict run(const Detector& detector, const py::dict& particles, Fluctuations fluctuations, bool deltas,
+             bool steps, std::uint64_t seed) {
   const auto event = take<std::int64_t>(particles, "event");
   const auto particle = take<std::int32_t>(particles, "particle");
   const auto charge = take<std::int8_t>(particles, "charge");
@@ -68,7 +87,7 @@ py::dict run(const Detector& detector, const py::dict& particles, Fluctuations f
   Simulated out;
   {
     py::gil_scoped_release release;
-    out = simulate(detector, in, {fluctuations}, seed);
+    out = simulate(detector, in, {fluctuations, deltas, steps}, seed);
   }
   std::vector<std::int8_t> status;
   status.reserve(out.status.size());
@@ -76,6 +95,7 @@ py::dict run(const Detector& detector, const py::dict& particles, Fluctuations f
   py::dict result;
   result["status"] = to_numpy(std::move(status));
   result["truths"] = to_columns(std::move(out.truths));
+  result["steps"] = to_columns(std::move(out.steps));
   result["wire_truths"] = to_columns(std::move(out.wire_truths));
   return result;
 }
@@ -89,8 +109,8 @@ void bind_simulate(py::module_& module) {
       .value("gaussian", Fluctuations::gaussian)
       .value("off", Fluctuations::off)
       .finalize();
-  module.def(
-      "simulate", &run, py::arg("detector"), py::arg("particles"), py::kw_only(), py::arg("fluctuations"),
-      py::arg("seed"),
-      "Transport particles through the detector; columns of `truths` and `wire_truths`, and `status`.");
+  module.def("simulate", &run, py::arg("detector"), py::arg("particles"), py::kw_only(),
+             py::arg("fluctuations"), py::arg("deltas") = true, py::arg("steps") = false, py::arg("seed"),
+             "Transport particles through the detector; columns of `truths`, `steps` and `wire_truths`, and "
+             "`status`.");
 }

@@ -5,6 +5,7 @@
 
 #include "common/angles.hpp"
 #include "matter/foil.hpp"
+#include "matter/ionization.hpp"
 #include "matter/loss.hpp"
 #include "matter/radiation.hpp"
 #include "matter/scattering.hpp"
@@ -150,18 +151,49 @@ class Flight {
     double rest = 0;
     const bool leaves = step_to_cylinder(exit, layer.r_gap_out, rest);
     const HelixPoint middle = point_;
-    const double momentum = now_.p, time = time_;
-    const double half_path = arc_ - arc;
+    const Kinematics inside = now_;
+    const double path = (arc_ - arc + rest) * stretch_, time = time_;
     const bool goes_on = cross(index);
     if (enters && leaves && deposit_ > 0) {
-      record_gap(slab.gap, entry, middle, exit, momentum,
-                 (half_path + rest) * std::sqrt(1 + middle.tanl * middle.tanl), time);
+      const GapResult left = fill_gap(slab.gap, entry, exit, path, inside, slab.place);
+      record_gap(slab.gap, entry, middle, exit, inside.p, path, time, left);
     }
     return goes_on;
   }
 
+  // What the particle leaves in a gap: ionization, or the mean without fluctuations.
+  GapResult fill_gap(int layer, const HelixPoint& entry, const HelixPoint& exit, double path,
+                     const Kinematics& k, std::uint32_t place) {
+    if (settings_.fluctuations != Fluctuations::full || detector_.gaps.empty()) return {deposit_ / keV, 0, 0};
+    deposits_.clear();
+    const GapResult left =
+        ionize(detector_.gaps[static_cast<std::size_t>(layer)], {entry, exit, detector_.bz, path}, k, stream_,
+               place, settings_.deltas, settings_.steps, deposits_);
+    const auto truth = static_cast<std::int64_t>(out_.truths.event.size());
+    for (const Deposit& deposit : deposits_) record_step(layer, deposit, truth);
+    return left;
+  }
+
+  void record_step(int layer, const Deposit& deposit, std::int64_t truth) {
+    Steps& s = out_.steps;
+    s.event.push_back(event_);
+    s.particle.push_back(particle_);
+    s.layer.push_back(layer);
+    s.x.push_back(deposit.x);
+    s.y.push_back(deposit.y);
+    s.z.push_back(deposit.z);
+    s.dx.push_back(deposit.dx);
+    s.dy.push_back(deposit.dy);
+    s.dz.push_back(deposit.dz);
+    s.energy.push_back(deposit.energy);
+    s.electrons.push_back(deposit.electrons);
+    s.parent.push_back(deposit.delta > 0 ? 1 : 0);
+    s.delta.push_back(deposit.delta);
+    s.truth.push_back(truth);
+  }
+
   void record_gap(int layer, const HelixPoint& entry, const HelixPoint& middle, const HelixPoint& exit,
-                  double momentum, double path, double time) {
+                  double momentum, double path, double time, const GapResult& left) {
     Truths& t = out_.truths;
     t.event.push_back(event_);
     t.particle.push_back(particle_);
@@ -181,8 +213,8 @@ class Flight {
     t.pz.push_back(pt * middle.tanl);
     t.path.push_back(path);
     t.time.push_back(time);
-    t.energy.push_back(deposit_ / keV);
-    t.secondaries.push_back(0);
+    t.energy.push_back(left.energy);
+    t.secondaries.push_back(static_cast<std::uint8_t>(std::min(left.deltas, 255)));
   }
 
   // False if the track turns back below the layer's cells.
@@ -228,6 +260,7 @@ class Flight {
   CellFinder cells_;
   TransportStatus status_ = TransportStatus::outside;
   bool curled_ = false;  // past the outermost point: no cylinder lies ahead
+  std::vector<Deposit> deposits_;
   Simulated& out_;
 };
 

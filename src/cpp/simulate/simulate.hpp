@@ -15,6 +15,8 @@ enum class Fluctuations { full, gaussian, off };
 
 struct SimulateSettings {
   Fluctuations fluctuations;
+  bool deltas;  // electrons that leave the track's way
+  bool steps;   // also the particle's own ionization clusters
 };
 
 // One row per generated particle; all columns of one length.
@@ -36,6 +38,18 @@ struct Truths {
   std::vector<std::uint8_t> secondaries;
 };
 
+// One row per deposit in a drift gap: a piece of a delta electron's way, or an ionization cluster.
+struct Steps {
+  std::vector<std::int64_t> event;
+  std::vector<std::int32_t> particle, layer;
+  std::vector<double> x, y, z, dx, dy, dz;  // mm, middle, and end minus begin
+  std::vector<double> energy;               // keV
+  std::vector<std::int32_t> electrons;
+  std::vector<std::int8_t> parent;  // 0 the particle, 1 a delta electron
+  std::vector<std::int32_t> delta;  // number of the delta electron in the crossing, from 1
+  std::vector<std::int64_t> truth;  // row of the crossing
+};
+
 // One row per drift cell that a particle passes.
 struct WireTruths {
   std::vector<std::int64_t> event;
@@ -47,6 +61,7 @@ struct WireTruths {
 
 struct Simulated {
   Truths truths;
+  Steps steps;
   WireTruths wire_truths;
   std::vector<TransportStatus> status;  // one per particle
 };
