@@ -26,7 +26,13 @@ every_track = pytest.mark.parametrize(
 
 def settings(**changes):
     """Return settings that iterate until nothing moves."""
-    values = {"max_iterations": 50, "tolerance": 1e-7, "errors_from_track": False, "least_width": 0.1}
+    values = {
+        "max_iterations": 50,
+        "tolerance": 1e-7,
+        "errors_from_track": False,
+        "least_width": 0.1,
+        "delta_strips": 0.0,
+    }
     return _core.FitSettings(**(values | {"prior_sigma": tuple(PRIOR)} | changes))
 
 
