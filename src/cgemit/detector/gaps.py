@@ -27,6 +27,8 @@ K_KEV = 307.075  # keV cm2/mol, 4 pi N_A r_e^2 m_e c^2 (PDG 2024)
 LEAST_ENERGY = 1.0  # keV, of electrons that leave a solid
 SLICE_RATIO = 1.15  # least energies of neighbouring slices
 JOY_LUO_LIMIT = 10.0  # keV
+EVEN_DEPTH = 2e-3  # g/cm2, what 30 keV electrons cross: farther from the gap, neighbouring solids count as one
+EVEN_DENSITY = 0.5  # g/cm3: neither gas nor foam
 
 
 class Ionization(NamedTuple):
@@ -155,8 +157,8 @@ def step_share(energy: Floats) -> Floats:
     return np.clip(0.05 * np.sqrt(200 / energy), 0.05, 0.5)
 
 
-def electron_table(material: Material) -> Floats:
-    """Return what a material does to electrons of the core's energies, (ELECTRON_POINTS, 6) float64.
+def electron_table(shells: Sequence[Shell]) -> Floats:
+    """Return what sub-layers, as one even matter, do to electrons of the core's energies, (ELECTRON_POINTS, 6) float64.
 
     Columns: stopping (keV/mm), mean free path of hard scatters (mm), the mu above which a scatter is hard, screening,
     mean of mu per mm by soft scatters, 1/momentum ((GeV/c)^-1). The mean free path of hard scatters is
@@ -164,8 +166,11 @@ def electron_table(material: Material) -> Floats:
     longer, all are hard (F. Salvat et al., PENELOPE, class-II simulation).
     """
     energy = electron_energies()
-    stopping = stopping_power(material, energy)
-    strength, a = elastic(material, energy)
+    share = np.array([shell.thickness for shell in shells]) / sum(shell.thickness for shell in shells)
+    stopping = share @ np.array([stopping_power(shell.material, energy) for shell in shells])
+    strengths, screenings = np.swapaxes([elastic(shell.material, energy) for shell in shells], 0, 1)
+    strength = share @ strengths
+    a = np.exp(share @ (strengths * np.log(screenings)) / strength)
     transport = 2 * strength * (np.log1p(1 / a) - 1 / (1 + a))
     longest = step_share(energy) * np.minimum(1 / transport, energy / stopping)
     path = np.maximum(a * (1 + a) / strength, longest)
@@ -176,10 +181,23 @@ def electron_table(material: Material) -> Floats:
     return np.column_stack([stopping, path, cut, a, soft, 1 / momentum])
 
 
-def _depths(shells: Sequence[Shell], gap: int) -> list[float]:
-    """Return the mass thickness, g/cm2, between each shell's near face and the gap."""
-    mass = [0.1 * shell.material.density * shell.thickness for shell in shells]
-    return [sum(mass[i + 1 : gap]) if i < gap else sum(mass[gap + 1 : i]) for i in range(len(shells))]
+def _groups(shells: Sequence[Shell], gap: int) -> list[list[Shell]]:
+    """Return the sub-layers in groups that electrons may take as even matter: neighbouring solids far from the gap."""
+    found: list[list[Shell]] = []
+    dense = [depth > EVEN_DEPTH and shell.material.density > EVEN_DENSITY for shell, depth in
+             zip(shells, _depths([[shell] for shell in shells], gap), strict=True)]  # fmt: skip
+    for i, shell in enumerate(shells):
+        if i > 0 and dense[i - 1] and dense[i]:
+            found[-1].append(shell)
+        else:
+            found.append([shell])
+    return found
+
+
+def _depths(groups: Sequence[Sequence[Shell]], gap: int) -> list[float]:
+    """Return the mass thickness, g/cm2, between each group's near face and the gap."""
+    mass = [sum(0.1 * shell.material.density * shell.thickness for shell in group) for group in groups]
+    return [sum(mass[i + 1 : gap]) if i < gap else sum(mass[gap + 1 : i]) for i in range(len(groups))]
 
 
 def slices(layer: CgemLayer) -> NDArray[np.float64]:
@@ -202,7 +220,7 @@ def slices(layer: CgemLayer) -> NDArray[np.float64]:
     energy = np.asarray(LEAST_ENERGY * SLICE_RATIO ** np.arange(120.0), np.float64)
     borders = practical_range(energy)
     rows = []
-    for i, depth in enumerate(_depths(shells, gap)):
+    for i, depth in enumerate(_depths([[shell] for shell in shells], gap)):
         if i == gap:
             continue
         shell, density = shells[i], 0.1 * shells[i].material.density
@@ -220,19 +238,22 @@ def slices(layer: CgemLayer) -> NDArray[np.float64]:
 def gap_columns(layer: CgemLayer) -> dict[str, Any]:
     """Return a gap as the core takes it: dicts of columns (float64) and numbers, see ``detector.hpp``."""
     shells = list(layer.shells())
-    gap = [shell.group for shell in shells].index("drift")
+    groups = _groups(shells, [shell.group for shell in shells].index("drift"))
+    gap = [group[0].group for group in groups].index("drift")
+    density = [sum(s.material.density * s.thickness for s in g) / sum(s.thickness for s in g) for g in groups]
     table = ionization(layer.gas.ionization or DEFAULT_IONIZATION)
     cut = slices(layer)
     grid = _core.LOSS_GRID_FIRST + _core.LOSS_GRID_STEP * np.arange(_core.LOSS_POINTS, dtype=np.float64)
     return {
         "layers": {
-            "w_in": np.array([shell.r_in - layer.r_gap_in for shell in shells]),
-            "w_out": np.array([shell.r_out - layer.r_gap_in for shell in shells]),
-            "density": np.array([0.1 * shell.material.density for shell in shells]),
-            "depth": np.array(_depths(shells, gap)),
-            "electrons": np.array([electron_table(shell.material).ravel() for shell in shells]),
+            "w_in": np.array([group[0].r_in - layer.r_gap_in for group in groups]),
+            "w_out": np.array([group[-1].r_out - layer.r_gap_in for group in groups]),
+            "density": 0.1 * np.array(density),
+            "depth": np.array(_depths(groups, gap)),
+            "electrons": np.array([electron_table(group).ravel() for group in groups]),
         },
         "gap": gap,
+        "half_length": layer.half_length,
         "slices": {
             "w_in": cut[:, 0].copy(),
             "w_out": cut[:, 1].copy(),

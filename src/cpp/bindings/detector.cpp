@@ -128,6 +128,8 @@ std::vector<WireLayer> make_wires(const py::dict& columns) {
                  {},
                  0,
                  0,
+                 0,
+                 0,
                  0};
   }
   return layers;

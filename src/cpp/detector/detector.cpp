@@ -17,6 +17,8 @@ Detector make_detector(double bz, std::vector<Slab> slabs, std::vector<CgemLayer
     layer.waist = r * r * c * c;
     layer.flare = r * r * s * s / (layer.half_length * layer.half_length);
     layer.tan_half_twist = s / c;
+    layer.per_radian = layer.cells / (2 * pi);
+    layer.twist_per_z = layer.tan_half_twist / layer.half_length;
     layer.placed.clear();
     for (int i = 0; i < layer.cells; ++i) layer.placed.push_back(place_wire(layer, i));
   }

@@ -117,6 +117,8 @@ struct WireLayer {
   // From the above: one wire per cell; distance from the beam line is sqrt(waist + flare z^2).
   std::vector<Wire> placed;
   double waist, flare, tan_half_twist;
+  double per_radian;   // cells per radian
+  double twist_per_z;  // 1/mm, tan_half_twist/half_length
 };
 
 // What a track meets on its way out, by radius.

@@ -43,6 +43,7 @@ struct DeltaSlice {
 struct GapMatter {
   std::vector<ElectronLayer> layers;  // from inside
   std::size_t gap;                    // which of them is the gap
+  double half_length;                 // mm; electrons are not followed beyond
   std::vector<DeltaSlice> slices;
   double xi;                     // keV/mm of the gas; Landau's xi is xi/beta^2
   double w_value;                // keV per electron

@@ -3,6 +3,7 @@
 
 #include <cmath>
 
+#include "common/angles.hpp"
 #include "common/units.hpp"
 #include "detector/detector.hpp"
 
@@ -24,13 +25,14 @@ inline double wire_radius(const WireLayer& layer, double z) {
 
 // Azimuth of a wire at z, minus that at z = 0.
 inline double wire_azimuth(const WireLayer& layer, double z) {
-  return layer.twist == 0 ? 0.0 : std::atan(z / layer.half_length * layer.tan_half_twist);
+  const double t = z * layer.twist_per_z;
+  return t * atan_over(t);
 }
 
 // Azimuth of a point in units of cells, 0 at wire 0: the nearest whole number is the cell the point lies in.
 inline double cell_coordinate(const WireLayer& layer, double phi, double z) {
   const double wire_0 = layer.phi_east - 0.5 * layer.twist + wire_azimuth(layer, z);
-  return (phi - wire_0) * layer.cells / (2 * pi);
+  return (phi - wire_0) * layer.per_radian;
 }
 
 }  // namespace cgemit

@@ -10,7 +10,7 @@ namespace cgemit {
 
 namespace {
 
-constexpr double longest_step = 0.3;        // mm in the gap, to be drawn as a straight piece
+constexpr double longest_step = 1.5;        // mm in the gap, to be drawn as a straight piece
 constexpr double largest_turn = 0.3;        // rad in the field in one step
 constexpr double shortest_piece = 0.05;     // mm; shorter ones are joined
 constexpr double farthest = 50;             // mm in u; beyond, layers are no planes and others lie on the way
@@ -109,7 +109,7 @@ class Transport {
     if (leaves) length = border;
     move(middle, length);
     turn(e_, bend * length);
-    if (!slow_down(here, length)) return false;
+    if (!slow_down(here, length) || std::abs(e_.z) > matter_.half_length) return false;
     if (here.soft > 0) scatter(soft_scatter(here, length, open_unit(words[3])), around(words[2] >> 16));
     if (leaves) return cross_border(middle.dw > 0, bend);
     if (length == free_path) scatter(hard_scatter(here, open_unit(words[1])), around(words[2] & 0xFFFF));

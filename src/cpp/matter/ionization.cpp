@@ -97,17 +97,20 @@ class Passage {
  private:
   // A point of the track and how it flies there, in the plane that touches the layer: u along r phi.
   struct Start {
-    double phi, z, w;
+    double cosine, sine;  // of its azimuth
+    double z, w;
     double du, dw, dz;
   };
 
   Start start(const HelixPoint& flight, double x, double y, double z, double w) const {
     const double cos_dip = 1 / std::sqrt(1 + flight.tanl * flight.tanl), r = std::sqrt(x * x + y * y);
-    return {std::atan2(y, x),
+    const double cosine = x / r, sine = y / r;
+    return {cosine,
+            sine,
             z,
             w,
-            cos_dip * (flight.uy * x - flight.ux * y) / r,
-            cos_dip * (flight.ux * x + flight.uy * y) / r,
+            cos_dip * (flight.uy * cosine - flight.ux * sine),
+            cos_dip * (flight.ux * cosine + flight.uy * sine),
             cos_dip * flight.tanl};
   }
   Start gas_point(double part) const {
@@ -170,18 +173,21 @@ class Passage {
     for (const Piece& piece : pieces_) {
       sum += piece.energy;
       const int electrons = static_cast<int>(std::lround(sum / matter_.w_value));
-      record(from.phi, piece, electrons - before, origin);
+      record(from, piece, electrons - before, origin);
       before = electrons;
     }
     energy_ += sum;
     delta_electrons_ += before;
   }
 
-  void record(double phi, const Piece& piece, int electrons, DeltaOrigin origin) {
-    const double r = crossing_.entry.radius();
-    const auto place = [phi, r](const std::array<double, 3>& p) {
-      const double angle = phi + p[0] / (r + p[1]);
-      return std::array{(r + p[1]) * std::cos(angle), (r + p[1]) * std::sin(angle), p[2]};
+  void record(const Start& from, const Piece& piece, int electrons, DeltaOrigin origin) {
+    const double inner = crossing_.entry.radius();
+    const auto place = [&from, inner](const std::array<double, 3>& p) {
+      const double r = inner + p[1], half = 0.5 * p[0] / r, t = half * tangent_over(half),
+                   scale = r / (1 + t * t);
+      const double along = scale * (1 - t * t), across = scale * 2 * t;
+      return std::array{along * from.cosine - across * from.sine, along * from.sine + across * from.cosine,
+                        p[2]};
     };
     const auto a = place(piece.from), b = place(piece.to);
     out_.push_back({0.5 * (a[0] + b[0]), 0.5 * (a[1] + b[1]), 0.5 * (a[2] + b[2]), b[0] - a[0], b[1] - a[1],

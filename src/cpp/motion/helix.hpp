@@ -10,6 +10,7 @@
 
 #include <cmath>
 
+#include "common/angles.hpp"
 #include "common/units.hpp"
 
 namespace cgemit {
@@ -40,13 +41,6 @@ inline void turn(HelixPoint& point, double h, double t) {
   const double ux = cosine * point.ux - sine * point.uy;
   point.uy = cosine * point.uy + sine * point.ux;
   point.ux = ux;
-}
-
-// atan(t)/t, exact also where t vanishes.
-inline double atan_over(double t) {
-  const double q = t * t;
-  if (q < 1e-3) return 1.0 + q * (-1.0 / 3 + q * (1.0 / 5 + q * (-1.0 / 7 + q * (1.0 / 9 - q / 11))));
-  return std::atan(t) / t;
 }
 
 // Moves to the cylinder of radius r. `outward`: to where the helix leaves it. That lies ahead from inside the

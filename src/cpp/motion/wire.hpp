@@ -15,8 +15,9 @@ struct Approach {
   double z_wire;      // z on the wire
 };
 
-// Moves `point` to its closest approach by Newton's method on f(s) = (point - wire) . (tangent across the
-// wire); from far away the first step is straight. Returns false if that does not settle.
+// Moves `point` to its closest approach: where f(s) = (point - wire) . (tangent across the wire) vanishes, by
+// Newton's method with the second derivative; from far away the first step is straight. Returns false if that
+// does not settle.
 [[nodiscard]] inline bool approach_wire(HelixPoint& point, const Wire& wire, Approach& result) {
   double arc = 0;
   for (int iteration = 0; iteration < 12; ++iteration) {
@@ -24,19 +25,22 @@ struct Approach {
     const double along = dx * wire.ex + dy * wire.ey + dz * wire.ez;
     const double px = dx - along * wire.ex, py = dy - along * wire.ey, pz = dz - along * wire.ez;
     const double te = point.ux * wire.ex + point.uy * wire.ey + point.tanl * wire.ez;
-    const double f = px * point.ux + py * point.uy + pz * point.tanl;
+    const double forward = px * point.ux + py * point.uy, f = forward + pz * point.tanl;
     const double bend = point.w * (py * point.ux - px * point.uy);
     const bool far = iteration == 0 && std::abs(bend) > 0.1;
     const double slope = 1.0 + point.tanl * point.tanl - te * te + (far ? 0.0 : bend);
     if (!(slope > 0)) return false;
-    const double step = -f / slope;
+    const double ne = point.ux * wire.ey - point.uy * wire.ex;
+    const double second = -point.w * (3 * te * ne + point.w * forward);
+    const double per_slope = 1 / slope, first = -f * per_slope, curve = 0.5 * second * first * per_slope;
+    const bool near = !far && std::abs(curve) < 0.1;
+    const double step = near ? first * (1 - curve) : first;
     advance(point, step);
     arc += step;
-    // What Newton's step leaves along the track is f'' step^2/2 f'; f'' = -3 w (u.e)(n.e) - w^2 f, n across
-    // u. The distance changes with the square of that.
-    const double ne = point.ux * wire.ey - point.uy * wire.ex;
-    const double second = std::abs(point.w) * (3 * std::abs(te * ne) + std::abs(point.w * f));
-    if (!far && step * step * second < 1e-6 * slope) {
+    // What is left along the track is of third order; the distance changes with the square of that.
+    const double left =
+        std::abs(step) * (2 * curve * curve + 4 * point.w * point.w * step * step * per_slope);
+    if (near && left < 1e-6) {
       const double cx = point.uy * wire.ez - point.tanl * wire.ey,
                    cy = point.tanl * wire.ex - point.ux * wire.ez,
                    cz = point.ux * wire.ey - point.uy * wire.ex;

@@ -46,15 +46,14 @@ class CellFinder {
     const HelixPoint& middle = range.at_wires;
     const double p = middle.outward();
     if (!(p > 0)) return false;
-    const double radius = middle.radius(), tan_a = middle.sideways() / p, per_cos = radius / p;
-    const double per_turn = layer.cells / (2 * pi), twist = layer.tan_half_twist / layer.half_length;
+    const double radius = middle.radius(), per_p = 1 / p, per_radius = 1 / radius;
+    const double tan_a = middle.sideways() * per_p, per_cos = radius * per_p, twist = layer.twist_per_z;
     const double at = cell_coordinate(layer, azimuth_of(middle), middle.z);
-    const double slope = (tan_a / radius - twist * middle.tanl * per_cos) * per_turn;
-    const double height = std::max(radius - inner, outer - radius);
-    const double bend =
-        (std::abs(middle.w) + 2 * std::abs(tan_a) / radius) * per_cos * per_cos * per_cos / radius +
-        std::abs(twist * middle.tanl) * (std::abs(middle.w * per_cos) + twist) * per_cos;
-    const double unsure = 1e-9 + bend * height * height * per_turn;
+    const double slope = (tan_a * per_radius - twist * middle.tanl * per_cos) * layer.per_radian;
+    const double height = std::max(radius - inner, outer - radius), w = std::abs(middle.w);
+    const double bend = (w + 2 * std::abs(tan_a) * per_radius) * per_cos * per_cos * per_cos * per_radius +
+                        std::abs(twist * middle.tanl) * (w * per_cos + std::abs(twist)) * per_cos;
+    const double unsure = 1e-9 + bend * height * height * layer.per_radian;
     const double one = at + (inner - radius) * slope, other = at + (outer - radius) * slope;
     const double low = std::min(one, other), high = std::max(one, other);
     if (!(std::abs(low) < many_cells && high - low < most_cells)) return false;
@@ -95,7 +94,7 @@ class CellFinder {
     const double cross = a.x * b.y - a.y * b.x, dot = a.x * b.x + a.y * b.y;
     const double turn = dot > 0 ? cross / dot * atan_over(cross / dot) : std::atan2(cross, dot);
     const double twist = wire_azimuth(layer, b.z) - wire_azimuth(layer, a.z);
-    return (turn - twist) * layer.cells / (2 * pi);
+    return (turn - twist) * layer.per_radian;
   }
 
   std::pair<double, double> borders(std::size_t index, double z) const {
