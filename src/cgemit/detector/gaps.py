@@ -154,7 +154,7 @@ def step_share(energy: Floats) -> Floats:
 
     Finer for faster electrons, which go farther: with half of it the displacements stay the same within 2 %.
     """
-    return np.clip(0.05 * np.sqrt(200 / energy), 0.05, 0.5)
+    return np.clip(0.1 * np.sqrt(200 / energy), 0.1, 0.5)
 
 
 def electron_table(shells: Sequence[Shell]) -> Floats:
