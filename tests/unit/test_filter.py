@@ -59,7 +59,7 @@ def smeared_track(name, which, seed=3):
 def order_of_matter(detector, hits, n_noise):
     """Return for each hit how many noise vectors lie inside it, from the radii of slabs and layers."""
     columns = slab_table(slabs(detector)).slabs
-    shifts = columns["spread"] * 13.6e-3 * np.sqrt(columns["x0"]) > 1e-3
+    shifts = columns["spread"] * 13.6e-3 * np.sqrt(columns["x0"]) > 5e-3
     vectors = np.where(shifts, 5, 3)  # two angles and the loss, two shifts where the matter is thick
     layers = {layer.number: layer.r_mid for layer in detector.drift_chamber.layers}
     inside = []

@@ -61,7 +61,7 @@ def rotated(momentum, angle_1, angle_2):
 @pytest.mark.parametrize("shape", ["central 1 GeV/c", "displaced 0.5 GeV/c", "inclined 5 GeV/c", "slow"])
 def test_noise_vectors_are_kicks_seen_from_the_origin(shape, charge, bz):
     """Each noise vector is the change of the helix when the track beyond the slab is kicked and followed back."""
-    detector, core, slab, columns = one_slab(0.02, 1e-4, 2.0, bz)
+    detector, core, slab, columns = one_slab(0.02, 1e-4, 4.0, bz)
     parameters = helix_of(shape, charge)
     hits = hits_on(detector, parameters)
     noise = _core.reference(core, parameters, MUON, hits)["noise"]
@@ -82,7 +82,7 @@ def test_noise_vectors_are_kicks_seen_from_the_origin(shape, charge, bz):
     theta = _core.scattering_angle(
         core, slab, path=path, p=0.5 * (p + after), mass=MUON, track_chi_c2=track_chi_c2
     )  # fmt: skip
-    shift = theta * 2.0 * path
+    shift = theta * 4.0 * path
 
     def seen(kick, epsilon):
         """Return the helix of the kicked track, followed back to the beam line in vacuum."""
@@ -131,7 +131,7 @@ def test_noise_behind_all_matter(shape, charge):
         step = np.where(np.arange(5) == i, STEP, 0)
         matrix[:, i] = (arrival(parameters + step) - arrival(parameters - step)) / (2 * STEP[i])
     columns = slab_table(slabs(detector)).slabs
-    shifts = columns["spread"] * 13.6e-3 * np.sqrt(columns["x0"]) > 1e-3
+    shifts = columns["spread"] * 13.6e-3 * np.sqrt(columns["x0"]) > 5e-3
     gap = int(np.flatnonzero(columns["gap"] == 2)[0])
     first = np.where(shifts, 5, 3)[:gap].sum()
     noise = _core.reference(core, parameters, MUON, hits_on(detector, parameters))["noise"][first : first + 3]

@@ -261,7 +261,7 @@ def test_seeds_of_samples_differ():
 
 def test_scan_prints_and_refuses_to_overwrite(tmp_path):
     detector = cgemit.load("besiii-cgem-design")
-    result = scan(detector, [0.5, 1.0], cos_theta=0.0, events=50)
+    result = scan(detector, [0.2, 1.0], cos_theta=0.0, events=50)
     assert len(repr(result).splitlines()) == 4
     assert "<table>" in result._repr_html_()
     result.save(tmp_path / "out")

@@ -24,7 +24,7 @@ Detector make_detector(double bz, std::vector<Slab> slabs, std::vector<CgemLayer
   }
   for (Slab& slab : detector.slabs) {
     slab.least_outward = std::sqrt(0.5 * (slab.r_out - slab.r_in) * slab.radius);
-    slab.shifts = slab.spread * 13.6 * MeV * std::sqrt(slab.x0) > 1 * um;
+    slab.shifts = slab.spread * 13.6 * MeV * std::sqrt(slab.x0) > 5 * um;
   }
   for (CgemLayer& layer : detector.cgem) {
     layer.cos_stereo = std::cos(layer.stereo);

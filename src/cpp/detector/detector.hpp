@@ -66,7 +66,7 @@ struct Slab {
   std::array<SlabPoint, loss_points> table;
   // What follows from the above:
   double least_outward;  // mm, P of a track that grazes the shell
-  bool shifts;  // whether sideways shifts inside count: at 1 GeV/c below 1 um they are lost in any hit error
+  bool shifts;  // whether sideways shifts inside count: at 1 GeV/c below 5 um they are lost in any hit error
   // Scattering (`matter/scattering.hpp`), at normal incidence:
   double chi_c2;            // GeV^2, (chi_c p beta)^2 of nuclei and electrons
   double chi_c2_electrons;  // GeV^2, the electrons' part of it

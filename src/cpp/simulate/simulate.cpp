@@ -275,6 +275,13 @@ void reserve(Truths& t, std::size_t n) {
   t.secondaries.reserve(n);
 }
 
+void reserve(Steps& s, std::size_t n) {
+  for (auto* column : {&s.x, &s.y, &s.z, &s.dx, &s.dy, &s.dz, &s.energy}) column->reserve(n);
+  for (auto* column : {&s.particle, &s.layer, &s.electrons, &s.delta}) column->reserve(n);
+  for (auto* column : {&s.event, &s.truth}) column->reserve(n);
+  s.parent.reserve(n);
+}
+
 void reserve(WireTruths& t, std::size_t n) {
   for (auto* column : {&t.doca, &t.x, &t.y, &t.z, &t.time}) column->reserve(n);
   for (auto* column : {&t.particle, &t.layer, &t.wire}) column->reserve(n);
@@ -290,6 +297,7 @@ Simulated simulate(const Detector& detector, const ParticleColumns& particles,
   const std::size_t n = particles.event.size();
   out.status.reserve(n);
   reserve(out.truths, n * detector.cgem.size());
+  if (settings.deltas && settings.fluctuations == Fluctuations::full) reserve(out.steps, 10 * n);
   // Tracks pass a little more than one cell of a layer.
   reserve(out.wire_truths, n * (detector.wires.size() + detector.wires.size() / 8));
   for (std::size_t row = 0; row < particles.event.size(); ++row) {
