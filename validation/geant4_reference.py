@@ -82,6 +82,8 @@ class Comparison:
     @property
     def allowed(self) -> float:
         """How far the ratio may be from 1: the tolerance, for q999 at least three combined standard errors."""
+        if not self.gated:
+            return math.inf
         tolerance = _TOLERANCES[self.quantity]
         return max(tolerance, _SIGMAS * self.ratio_error) if self.quantity == "q999_mrad" else tolerance
 
