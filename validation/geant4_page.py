@@ -92,8 +92,8 @@ Landau's distribution nor the universal model describes it; the photo-absorption
 **Delta electrons near the track.** cgemit has {near} times Geant4's at 0.2 mm. HEED's clusters above 1 keV are {struck}
 times what the muon strikes of free electrons, since the argon K shell adds to them: {surplus} more per muon. Geant4's
 universal model has free electrons; its photo-absorption model has {more} more per muon, and an electron beyond
-0.2 mm for 0.2 per cent of the muons more. That its universal model and cgemit agree in the number above 1 keV is chance:
-Geant4's includes electrons that electrons strike, while those of cgemit slow down continuously.
+0.2 mm for 0.2 per cent of the muons more. That its universal model and cgemit agree in the number above 1 keV is
+chance: Geant4's includes electrons that electrons strike, while those of cgemit slow down continuously.
 
 **Delta electrons far away.** Beyond 5 mm nearly as many come from behind as from the cathode, so that what stands
 behind the gap decides: {far} of Geant4 in its own arrangement, {far_solid} with foils of full density ({behind} and
