@@ -23,7 +23,10 @@ def momentum(kinetic):
     ("kinetic", "estar"), [(1, 1.849), (2, 1.824), (5, 1.892), (10, 1.968), (20, 2.046), (100, 2.202), (1000, 2.400)]
 )
 def test_collision_loss_in_water(kinetic, estar):
-    """The mean collision loss is ESTAR's (NIST; ICRU Report 37), MeV cm2/g, to half a per cent."""
+    """The mean collision loss is ESTAR's (NIST; ICRU Report 37), MeV cm2/g, to half a per cent.
+
+    Numbers compared with copies of the table in public repositories.
+    """
     core = slab_detector([(WATER, 10.0, 50.0)])  # 1 g/cm2
     found = _core.restricted_loss(core, 0, path=1.0, p=momentum(kinetic * MEV), mass=ELECTRON, charge=-1, cut=1e3)
     assert found / MEV == pytest.approx(estar, rel=5e-3)

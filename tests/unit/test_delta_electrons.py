@@ -18,7 +18,8 @@ from cgemit.detector.gaps import (
 )
 from stats import assert_within, fraction_error, mean_error
 
-# NIST ESTAR (ICRU Report 37): collision stopping power, MeV cm2/g.
+# NIST ESTAR (ICRU Report 37): collision stopping power, MeV cm2/g. Water (and its ranges) compared with copies of the
+# table in public repositories; aluminium could not be.
 STOPPING = {
     "Water": {10: 22.56, 100: 4.115, 1000: 1.849},
     "Al": {10: 16.49, 100: 3.177, 1000: 1.465},
@@ -79,9 +80,13 @@ def test_way_is_the_csda_range(energy: float, csda: float) -> None:
     np.testing.assert_allclose(0.1 * ends["way"].mean(), csda, rtol=0.015)
 
 
-@pytest.mark.parametrize(("name", "low", "high"), [("Al", 0.125, 0.155), ("Cu", 0.28, 0.31), ("Graphite", 0.03, 0.07)])
-def test_back_scattering_is_as_measured(name: str, low: float, high: float) -> None:
-    """At 30 keV and normal incidence; L. Reimer, Scanning Electron Microscopy (1998), ch. 4: C .06, Al .14, Cu .29."""
+@pytest.mark.parametrize(("name", "low", "high"), [("Al", 0.12, 0.16), ("Cu", 0.285, 0.315), ("Graphite", 0.03, 0.08)])
+def test_back_scattering_is_near_what_is_measured(name: str, low: float, high: float) -> None:
+    """At 30 keV and normal incidence; carbon scatters back half of what is measured, and not less.
+
+    Fits to measurements: G. Love, V.D. Scott (1978) C .076, Al .159, Cu .303; J.-L. Pouchou,
+    F. Pichoir (1991) .063, .150, .309; worked out from the formulas in NIST's EPQ library, BackscatterCoefficient.java.
+    """
     found = back_scattered(name, 30.0)
     error = fraction_error(found, 6000)
     assert low - 3 * error < found < high + 3 * error

@@ -78,7 +78,8 @@ def proton_loss(material: object, kinetic: float) -> float:
 
 @pytest.mark.parametrize(("kinetic", "pstar"), [(0.01, 45.67), (0.05, 12.45), (0.1, 7.289)])
 def test_slow_protons_in_water(kinetic: float, pstar: float) -> None:
-    # PSTAR (NIST), electronic stopping power of liquid water with I = 75 eV, MeV cm2/g.
+    # PSTAR (NIST), stopping power of liquid water with I = 75 eV, MeV cm2/g; compared with copies of the table in
+    # public repositories.
     water = own(density="1 g/cm3", composition="H2O", excitation_energy="75 eV")
     assert proton_loss(water, kinetic) == pytest.approx(pstar, rel=0.005)
 

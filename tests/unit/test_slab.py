@@ -215,3 +215,10 @@ def test_extremes_are_drawn_and_written(text, particle, p, tmp_path, capsys):
     assert main([*arguments, "-o", str(tmp_path / "out")]) == 0
     assert "nan" not in capsys.readouterr().out
     assert (tmp_path / "out" / "slab.png").exists()
+
+
+def test_rounding_is_no_error() -> None:
+    """Protons that all stop lose the same: the error is 0, and the loss is printed to four digits."""
+    found = cg.slab("Pb 10 cm", "p", 0.1, 1000)
+    assert found.stopped == found.n
+    assert found.number("loss_kev_mean") == ("5314", "0")

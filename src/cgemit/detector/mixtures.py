@@ -90,9 +90,8 @@ def _pure(name: str, density: float | None) -> tuple[Material, str]:
     if density is None and name in GASES:
         return _gas(name, [(name, 1.0)], None), ""
     if density is None:
-        raise MaterialNameError(
-            f'"{name}" without density', f'the density of a compound that is no gas, such as "{name} 1.2 g/cm3 100 um"'
-        )
+        expected = 'the density of a compound that is no gas before its thickness, as "CH2 0.94 g/cm3 1 mm"'
+        raise MaterialNameError(f'"{name}" without density', expected)
     return _made(name, fractions, density, gas=name in GASES), ""
 
 
@@ -156,8 +155,9 @@ def _fractions(formula: str) -> dict[str, float]:
     try:
         return fractions_of_formula(_plain(formula))
     except (KeyError, ValueError, ZeroDivisionError):
-        expected = "a material of detector files, an element, a chemical formula, or gases as Ar/CO2"
+        expected = "a material of detector files, an element's symbol, a chemical formula, or gases as Ar/CO2"
         hint = did_you_mean(formula, [*library(), *_gas_names(), *elements()])
+        hint = hint or f"materials of detector files: {', '.join(library())}"
         raise MaterialNameError(f'"{formula}"', expected, hint) from None
 
 
