@@ -152,7 +152,7 @@ class Passage:
     def number(self, name: str) -> tuple[str, str]:
         """Return the simulated number of a name to two digits of its error, and the error, as text."""
         value, error = getattr(self, name), self.errors[name]
-        if error is None or error < 1e-9 * value:  # rounding, where all particles lose the same
+        if error is None or error <= 1e-9 * value:  # rounding, where all particles lose the same
             return _text(value), "-" if error is None else "0"
         digits = max(0, 1 - math.floor(math.log10(error)))
         return f"{value:.{digits}f}", f"{error:.{digits}f}"
