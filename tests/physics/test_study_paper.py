@@ -6,8 +6,9 @@ from pathlib import Path
 import pytest
 
 import cgemit
-from cgemit.study import gaussian_fit, measure, resolution
+from cgemit.study import measure, resolution
 from cgemit.study.cluster_residuals import cluster_residuals
+from cgemit.study.spectra import v_fit
 from cgemit.study.windows import X_WINDOWS, geant4_runs, x_beyond, x_widths
 from stats import assert_within, fraction_error
 
@@ -28,7 +29,7 @@ GAUSSIAN = cgemit.Settings(
     simulate=cgemit.SimulateSettings(fluctuations="gaussian"),
     digitize=cgemit.DigitizeSettings(readout="gaussian", sigma_x=0.1387, sigma_v=0.1327, reveal_sides=True),
 )
-NO_DELTAS = cgemit.Settings(simulate=cgemit.SimulateSettings(deltas=False), fit=cgemit.FitSettings(delta_strips=0))
+NO_DELTAS = cgemit.Settings(simulate=cgemit.SimulateSettings(deltas=False))
 
 
 def thin_gap():
@@ -48,7 +49,7 @@ def idc():
 
 @pytest.fixture(scope="module")
 def projected():
-    """Return the same particles without delta electrons, which the fit does not reckon with either."""
+    """Return the same particles without delta electrons."""
     return cgemit.run(DESIGN, SAMPLE, 12_000, 1, settings=NO_DELTAS)
 
 
@@ -95,16 +96,10 @@ def test_x_residual_of_the_projection(gap, rms, single, request):
     assert widths.rms < 650 / 12**0.5  # no projection model can exceed a rectangle one pitch wide
 
 
-def has_deltas(result):
-    if not len(result.steps):
-        pytest.skip("the simulation makes no delta electrons")
-    return result
-
-
 @pytest.mark.parametrize("window", ["1mm", "2mm", "3mm", "5mm"])
 def test_x_residual_with_delta_electrons_in_windows(cgem, window):
     """Between Geant4's RMS with range cuts of 0.7 mm and 1 um, or 5 % and 3 standard errors beside them."""
-    widths = x_widths(cluster_residuals(has_deltas(cgem)), X_WINDOWS[window])
+    widths = x_widths(cluster_residuals(cgem), X_WINDOWS[window])
     column = list(X_WINDOWS).index(window)
     rms = [float(run.rms[column]) for run in geant4_runs()[:3]]
     margin = 3 * widths.rms_error
@@ -115,27 +110,30 @@ def test_x_residual_with_delta_electrons_in_windows(cgem, window):
 
 def test_clusters_with_delta_electrons(cgem):
     """Fraction beyond 3 mm and single strips, against the same rows of Geant4."""
-    residuals = cluster_residuals(has_deltas(cgem))
+    residuals = cluster_residuals(cgem)
     beyond, error = x_beyond(residuals, 3.0)
     assert 0.0033 - 3 * error < beyond < 0.0038 + 3 * error
     share, error = residuals.single_strip_fraction
     assert 0.774 - 0.01 < share < 0.785 + 0.01
 
 
-def test_delta_electrons_hardly_move_the_core(cgem):
+def test_delta_electrons_hardly_move_the_core(cgem, projected):
     """By less than 3 %: the same particles, with and without, in the same fit."""
-    settings = cgemit.Settings(simulate=cgemit.SimulateSettings(deltas=False))
-    without = cgemit.run(DESIGN, SAMPLE, 12_000, 1, settings=settings)
     for name in ("dr", "dz", "p"):
-        ratio = resolution(has_deltas(cgem).tracks, name).core / resolution(without.tracks, name).core
+        ratio = resolution(cgem.tracks, name).core / resolution(projected.tracks, name).core
         assert abs(ratio - 1) < 0.03, name
 
 
 def test_v_residual(cgem):
-    fit = gaussian_fit(1e3 * cluster_residuals(cgem).v)
+    fit = v_fit(cluster_residuals(cgem))
     assert fit.sigma_error < 1.5
-    assert 128 < fit.sigma < 138
+    assert 650 / 24**0.5 < fit.sigma < 140  # two edges of independent phase, and what delta electrons add
     assert_within(fit.mean, 0.0, fit.mean_error)
+
+
+def test_v_residual_of_the_projection(projected):
+    fit = v_fit(cluster_residuals(projected))
+    assert fit.sigma == pytest.approx(650 / 24**0.5, abs=3 * fit.sigma_error + 0.5)
 
 
 @pytest.mark.parametrize(("name", "low", "high"), [("dr", 180, 220), ("dz", 0.29, 0.37), ("p", 4.4, 5.8)])

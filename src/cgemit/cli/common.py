@@ -99,19 +99,16 @@ def add_physics(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--no-deltas",
         action="store_true",
-        help="no delta electrons in the drift gaps; the fit does not reckon with any",
+        help="no delta electrons in the drift gaps; nothing else changes, the fit reckons with them all the same",
     )
 
 
 def settings_of(arguments: argparse.Namespace) -> Settings:
     """Return the settings of all stages with what `add_physics` read."""
-    from cgemit.fit import FitSettings
     from cgemit.result import Settings
     from cgemit.simulate import SimulateSettings
 
-    if arguments.no_deltas:
-        return Settings(simulate=SimulateSettings(deltas=False), fit=FitSettings(delta_strips=0))
-    return Settings()
+    return Settings(simulate=SimulateSettings(deltas=not arguments.no_deltas))
 
 
 def add_seed(parser: argparse.ArgumentParser) -> None:

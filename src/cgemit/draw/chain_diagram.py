@@ -26,8 +26,14 @@ _TABLE, _STAGE = "#F4F6F9", "#DCEBF8"
 _BOXES = (
     _Box(0.0, 2.6, "Gun", ("particle, p, angles, vertex", "or a table of particles"), True),
     _Box(2.75, 2.6, "particles", ("vertex, momentum",), False),
-    _Box(5.5, 2.6, "simulate", ("helix, scattering, energy loss", "in every sub-layer"), True),
-    _Box(8.25, 2.6, "truths, wire_truths", ("crossings of drift gaps", "and drift cells"), False),
+    _Box(5.5, 2.6, "simulate", ("helix, scattering, energy loss,", "ionization, delta electrons"), True),
+    _Box(
+        8.25,
+        2.6,
+        "truths, steps, wire_truths",
+        ("crossings of gaps, deposits of", "delta electrons, drift cells"),
+        False,
+    ),
     _Box(11.0, 2.6, "digitize", ("projection to the anode,", "strips, drift distances"), True),
     _Box(11.0, 0.2, "digis, wire_hits", ("fired strips and cells", "with charge and time"), False),
     _Box(8.25, 0.2, "cluster", ("contiguous strips,", "X, V and XV positions"), True),
@@ -72,7 +78,8 @@ def _draw_box(axes: Axes, box: _Box) -> None:
     )
     x = box.x + _WIDTH / 2
     weight = "bold" if box.stage else "normal"
-    axes.text(x, box.y + 0.79, box.title, ha="center", va="center", fontsize=10.5, weight=weight)
+    size = 10.5 if len(box.title) < 22 else 9.5
+    axes.text(x, box.y + 0.79, box.title, ha="center", va="center", fontsize=size, weight=weight)
     for number, line in enumerate(box.lines):
         axes.text(x, box.y + 0.48 - 0.25 * number, line, ha="center", va="center", fontsize=8.2, color="#555555")
 

@@ -64,7 +64,7 @@ def draw_spectrum(axes: Axes, spectrum: Spectrum, title: str = "", colour: str =
     axes.errorbar(centres[filled], n, np.sqrt(n), fmt="o", ms=2.8, lw=0.9, color=colour, zorder=3)
     x, y = spectrum.fit_curve()
     axes.plot(x, y, color=COLORS["fit"], lw=1.8, zorder=4)
-    _label_spectrum(axes, spectrum, title)
+    _label_spectrum(axes, spectrum, title, headroom=1.65)  # the statistics reach to the middle of the axes
     statistics_box(axes, spectrum.statistics())
 
 
@@ -109,15 +109,16 @@ def draw_tails(
     for reach, text in windows:
         for side in (-reach, reach):
             axes.axvline(side, color=COLORS["wire"], lw=0.9, ls="--", zorder=0)
-        axes.text(reach, 0.6 * top, f" {text}", rotation=90, va="top", ha="left", fontsize=8, color=COLORS["text"])
+        beside: dict[str, Any] = {"xytext": (2, 0), "textcoords": "offset points", "rotation": 90, "fontsize": 8}
+        axes.annotate(text, (reach, 0.7 * top), va="top", ha="left", color=COLORS["text"], **beside)
     axes.legend(loc="upper left", frameon=True, facecolor="white", edgecolor="none", framealpha=0.9)
 
 
-def _label_spectrum(axes: Axes, spectrum: Spectrum, title: str) -> None:
+def _label_spectrum(axes: Axes, spectrum: Spectrum, title: str, headroom: float = 1.25) -> None:
     width = spectrum.edges[1] - spectrum.edges[0]
     unit = shown(spectrum.unit)
     axes.set(xlabel=f"{mathematical(spectrum.label)}  ({unit})", ylabel=f"entries / {width:.3g} {unit}")
-    axes.set(xlim=(spectrum.edges[0], spectrum.edges[-1]), ylim=(0, 1.25 * max(1, spectrum.counts["all"].max())))
+    axes.set(xlim=(spectrum.edges[0], spectrum.edges[-1]), ylim=(0, headroom * max(1, spectrum.counts["all"].max())))
     if title:
         axes.set_title(title, loc="left")
     grid(axes)

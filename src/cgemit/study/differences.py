@@ -83,7 +83,8 @@ def gap_variant(gap: float, value: float, nominal: float) -> str:
     more = "more" if change > 0 else "less"
     return (
         "A variant of ours, since the paper does not state its drift gap. "
-        f"{100 * abs(change):.1f} % {more} than with the nominal gap: the crossing of a {gap:g} mm gap is shorter."
+        f"{100 * abs(change):.1f} % {more} than with the nominal gap: in a {gap:g} mm gap crossings are shorter and "
+        "fire one strip more often."
     )
 
 
@@ -93,8 +94,9 @@ def v_width(value: float, error: float, paper: float) -> str:
     return text + (
         f"Centres of the fired strips: 650 um / sqrt(24) = {PITCH / np.sqrt(24):.1f} um is expected if crossings are "
         "long. This is an unbinned likelihood fit to the entries within one pitch, twice as far as a whole crossing "
-        "reaches; delta electrons and crossings cut off at the ends of the layers lie beyond. The result of a "
-        "least-squares fit to a histogram moves by several per cent with its binning, which the paper does not state."
+        "reaches: delta electrons that add a strip or two widen it, those that add more lie beyond, and so do "
+        "crossings cut off at the ends of the layers. The result of a least-squares fit to a histogram moves by "
+        "several per cent with its binning, which the paper does not state."
     )
 
 

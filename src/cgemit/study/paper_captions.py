@@ -55,9 +55,9 @@ FIGURES: Mapping[str, PaperFigure] = {
         "paper",
         "Figure 4: X and V residuals of clusters",
         "mu- of 1 GeV/c in besiii-cgem-design, all three layers. Left: X, with its parts of one strip (a rectangle) "
-        "and several strips. Middle: the same on a logarithmic scale with the tails that delta electrons make, and the "
-        "windows in which the RMS was taken. Right: V with an unbinned likelihood fit of a Gaussian to the entries "
-        "within one pitch.",
+        "and several strips. Middle: the same on a logarithmic scale with the tails that delta electrons make, which "
+        "the field turns to one side, and the windows in which the RMS was taken. Right: V with an unbinned likelihood "
+        "fit of a Gaussian to the entries within one pitch.",
     ),
     "dr_dz": PaperFigure(
         "figure5_d_rho_d_z",
@@ -114,6 +114,7 @@ FIGURES: Mapping[str, PaperFigure] = {
         "event",
         "display",
         "The event of figures 1 and 3",
-        "True crossings, clusters, drift circles and the fitted track.",
+        "True crossings, clusters, drift circles and the fitted track. Clusters beside the track are those of delta "
+        "electrons, or X and V clusters wrongly paired.",
     ),
 }

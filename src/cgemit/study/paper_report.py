@@ -89,18 +89,17 @@ def _windows(study: Reproduction) -> list[Part]:
 
 
 def _deltas(study: Reproduction) -> list[Part]:
-    rows = [
-        [row.title, f"{with_error(100 * row.value, 100 * row.error)} %"]
-        for row in study.results
-        if row.id.startswith("delta_fraction_")
-    ]
-    text = (
-        "Crossings of a drift gap in which a delta electron left a deposit that far from the track, all layers and "
-        "angles of the sample."
-    )
     if not study.inputs.settings.simulate.deltas:
-        text = "Delta electrons were left out of this run."
-    return [text, TableOf(("fraction", "cgemit ± statistical error"), rows, frozenset({1}))]
+        return ["Delta electrons were left out of this run."]
+    found = study.samples["cgem"].deltas
+    pairs = zip(found.rphi, found.rphi_error, found.z, found.z_error, strict=True)
+    cells = [[with_error(100 * v, 100 * e), with_error(100 * w, 100 * f)] for v, e, w, f in pairs]
+    rows = [[f"{distance:g} mm", *pair] for distance, pair in zip(found.beyond, cells, strict=True)]
+    text = (
+        f"Per cent of the {found.crossings:,} crossings of a drift gap, all layers and angles of the sample, in which "
+        "a delta electron left a deposit farther from the track than stated, ± statistical error."
+    )
+    return [text, TableOf(("farther than", "in r-φ", "in z"), rows, frozenset({1, 2}))]
 
 
 def _main(study: Reproduction) -> list[Sample]:
