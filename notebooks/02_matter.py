@@ -79,7 +79,7 @@ for screening in ("wentzel", "moliere"):
 # %%
 fig, axes = plt.subplots(figsize=(6, 3.4))
 for particle, p in (("mu-", 1.0), ("mu-", 0.2), ("K-", 0.5), ("p+", 0.8)):
-    loss = cg.slab(layer, particle=particle, p=p, n=50_000).loss_kev
+    loss = cg.slab(layer, particle=particle, p=p, n=50_000).loss
     label = f"{particle} {p:g} GeV/c: median {np.median(loss):.0f}, mean {loss.mean():.0f} keV"
     axes.hist(loss, np.linspace(0, 900, 181), histtype="step", density=True, label=label)
 axes.set(xlabel="energy loss [keV]", ylabel="density [1/keV]", yscale="log")
@@ -108,8 +108,8 @@ axes.set(xlabel="electrons in a cluster", ylabel="clusters [%]", yscale="log", t
 axes.grid(alpha=0.3)
 
 # %% [markdown]
-# One in fifty muons sends a delta electron more than 0.2 mm away from its track, out of the cathode, the gas or the
-# foils behind. The field winds it up in the bending plane, so that it goes farther along the beam.
+# In one of twenty crossings a delta electron goes more than 0.2 mm away from the track, out of the cathode, the gas or
+# the foils behind. The field winds it up in the bending plane, so that it goes farther along the beam.
 
 # %%
 fractions = cg.study.delta_fractions(result)
