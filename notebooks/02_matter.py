@@ -98,7 +98,9 @@ gun = cg.Gun("mu-", p=1.0, cos_theta=(-0.93, 0.93))
 result = cg.run(detector, gun, n=5000, seed=1, settings=settings)
 steps = result.steps
 own = steps["parent"] == 0
-print(f"{own.sum() / len(result.truths):.1f} clusters and {(~own).sum() / len(result.truths):.2f} steps of delta electrons")
+print(
+    f"{own.sum() / len(result.truths):.1f} clusters and {(~own).sum() / len(result.truths):.2f} steps of delta electrons"
+)
 
 # %%
 sizes = np.bincount(np.minimum(steps["n_electrons"][own], 40))[1:] / own.sum()

@@ -80,16 +80,20 @@ def test_way_is_the_csda_range(energy: float, csda: float) -> None:
     np.testing.assert_allclose(0.1 * ends["way"].mean(), csda, rtol=0.015)
 
 
-@pytest.mark.parametrize(("name", "low", "high"), [("Al", 0.12, 0.16), ("Cu", 0.285, 0.315), ("Graphite", 0.03, 0.08)])
-def test_back_scattering_is_near_what_is_measured(name: str, low: float, high: float) -> None:
-    """At 30 keV and normal incidence; carbon scatters back half of what is measured, and not less.
+@pytest.mark.parametrize(("name", "measured"), [("Al", 0.155), ("Cu", 0.306)])
+def test_back_scattering_is_near_what_is_measured(name: str, measured: float) -> None:
+    """At 30 keV and normal incidence.
 
     Fits to measurements: G. Love, V.D. Scott (1978) C .076, Al .159, Cu .303; J.-L. Pouchou,
     F. Pichoir (1991) .063, .150, .309; worked out from the formulas in NIST's EPQ library, BackscatterCoefficient.java.
     """
     found = back_scattered(name, 30.0)
-    error = fraction_error(found, 6000)
-    assert low - 3 * error < found < high + 3 * error
+    assert abs(found / measured - 1) < 0.2 + 3 * fraction_error(found, 6000) / measured
+
+
+def test_carbon_scatters_back_half_of_what_is_measured() -> None:
+    """A known shortcoming (docs/methods/deltas.md): electrons of the atoms do not deflect, which counts at low Z."""
+    assert 0.4 < back_scattered("Graphite", 30.0) / 0.07 < 0.7
 
 
 def test_a_wrong_element_is_seen_in_back_scattering() -> None:
