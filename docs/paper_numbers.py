@@ -49,6 +49,7 @@ def choices() -> list[Choice]:
 
     gap = {f"cgem.{layer.label}.drift_gap": f"{THIN_GAP:g} mm" for layer in cg.load(DETECTORS[0]).cgem}
     no_deltas = cg.SimulateSettings(deltas=False)
+    gaussian = cg.SimulateSettings(fluctuations="gaussian")
     blind = cg.FitSettings(delta_strips=0)
     return [
         Choice("as in the study"),
@@ -69,7 +70,8 @@ def choices() -> list[Choice]:
         Choice('`foil="lattice"`', settings=changed(simulate=cg.SimulateSettings(foil="lattice"))),
         Choice("no delta electrons (`--no-deltas`)", settings=changed(simulate=no_deltas)),
         Choice("`FitSettings(delta_strips=0)`", settings=changed(fit=blind)),
-        Choice("both", settings=changed(simulate=no_deltas, fit=blind)),
+        Choice("both of them", settings=changed(simulate=no_deltas, fit=blind)),
+        Choice('no delta electrons, no tails: `fluctuations="gaussian"`', settings=changed(simulate=gaussian)),
         Choice("`besiii-idc`", detector="besiii-idc"),
         Choice("`besiii-idc-boss`", detector="besiii-idc-boss"),
     ]
@@ -83,8 +85,9 @@ def main() -> None:
     given = parser.parse_args()
     text = with_study(PAGE.read_text(encoding="utf-8"), cg.study.reproduce(threads=given.threads))
     table = effects(choices(), given.batches, given.threads)
-    pattern = re.compile(r"(<!-- begin effects -->\n).*(\n<!-- end effects -->)", re.DOTALL)
-    PAGE.write_text(pattern.sub(lambda m: m[1] + table + m[2], text), encoding="utf-8")
+    begin, end = "<!-- begin effects -->\n", "<!-- end effects -->"
+    (before, _), (_, after) = text.split(begin), text.split(end)
+    PAGE.write_text(f"{before}{begin}{table}\n{end}{after}", encoding="utf-8")
 
 
 def with_study(text: str, study: Reproduction) -> str:

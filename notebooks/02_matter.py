@@ -23,6 +23,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import cgemit as cg
+from cgemit.study.cluster_residuals import cluster_residuals
+from cgemit.study.windows import x_widths
 
 detector = cg.load("besiii-cgem-design")
 
@@ -136,6 +138,5 @@ axes.grid(alpha=0.3)
 # %%
 quiet = cg.run(detector, gun, n=5000, seed=1, settings=cg.Settings(simulate=cg.SimulateSettings(deltas=False)))
 for label, run in (("with delta electrons", result), ("without", quiet)):
-    x = cg.study.cluster_residuals(run).x
-    widths = [f"{1e3 * x[np.abs(x) < window].std():.0f}" for window in (1, 2, 3, 5)]
+    widths = [f"{x_widths(cluster_residuals(run), window).rms:.0f}" for window in (1, 2, 3, 5)]
     print(f"{label:22} X residual RMS within 1, 2, 3, 5 mm: {', '.join(widths)} um")

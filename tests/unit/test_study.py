@@ -18,6 +18,7 @@ from cgemit.study import reproduce
 from cgemit.study.cluster_residuals import cluster_residuals
 from cgemit.study.paper import DETECTORS, MOMENTA
 from cgemit.study.paper_figures import good_event
+from cgemit.study.present import with_error
 from cgemit.study.records import Line, write_csv
 from cgemit.study.samples import seed_of
 from cgemit.study.scans import scan
@@ -98,7 +99,8 @@ def test_report_is_self_contained_and_complete(study):
     for text in ("217.1", "187.6 um", "delta electrons", "assigned to tracks by truth", "--seed 3"):
         assert text in page, text
     for row in study.results:
-        assert row.title in page
+        in_per_cent = row.id.startswith("delta_fraction_")  # a line for each distance
+        assert (with_error(100 * row.value, 100 * row.error) if in_per_cent else row.title) in page
 
 
 def test_tables_carry_units_and_the_numbers_of_the_figures(study):
