@@ -14,8 +14,8 @@
 # # What a muon meets on its way
 #
 # Matter limits the resolution of a light tracker below 1 GeV/c and makes the tails everywhere. This notebook follows a
-# muon through the beam pipe, the three CGEM layers and the drift chamber, layer by layer: how much matter, how large the
-# angles and losses, and where delta electrons go. Formulas and sources are in `docs/methods/matter.md` and
+# muon through the beam pipe, the three CGEM layers and the drift chamber, layer by layer: how much matter, how large
+# the angles and losses, and where delta electrons go. Formulas and sources are in `docs/methods/matter.md` and
 # `docs/methods/deltas.md`, the comparison with Geant4 in `docs/validation.md`.
 
 # %%
@@ -100,9 +100,8 @@ gun = cg.Gun("mu-", p=1.0, cos_theta=(-0.93, 0.93))
 result = cg.run(detector, gun, n=5000, seed=1, settings=settings)
 steps = result.steps
 own = steps["parent"] == 0
-print(
-    f"{own.sum() / len(result.truths):.1f} clusters and {(~own).sum() / len(result.truths):.2f} steps of delta electrons"
-)
+clusters, others = (np.count_nonzero(rows) / len(result.truths) for rows in (own, ~own))
+print(f"{clusters:.1f} clusters and {others:.2f} steps of delta electrons in a crossing")
 
 # %%
 sizes = np.bincount(np.minimum(steps["n_electrons"][own], 40))[1:] / own.sum()
@@ -132,8 +131,8 @@ axes.grid(alpha=0.3)
 # %% [markdown]
 # ## What it does to a cluster
 #
-# The strips that a delta electron fires lengthen the cluster, or stand apart from it. The core of the X residual does
-# not change, its RMS does: it depends on the window in which it is taken.
+# The strips that a delta electron fires lengthen the cluster, or stand apart from it. The core of the X residual
+# hardly changes, its RMS does: it depends on the window in which it is taken.
 
 # %%
 quiet = cg.run(detector, gun, n=5000, seed=1, settings=cg.Settings(simulate=cg.SimulateSettings(deltas=False)))
