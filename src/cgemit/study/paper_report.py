@@ -71,9 +71,10 @@ def _comparison(study: Reproduction) -> TableOf:
 def _windows(study: Reproduction) -> list[Part]:
     residuals, runs = study.samples["cgem"].clusters, geant4_runs()
     rows = []
-    for number, name in enumerate(X_WINDOWS):
-        row = study[f"x_residual_rms_{name}"]
-        rows.append([row.title, with_error(row.value, row.error), *(run.rms[number] for run in runs)])
+    for number, window in enumerate(X_WINDOWS):
+        row = study[f"x_residual_rms_{window}"]
+        name = row.title.removeprefix("X residual, ")
+        rows.append([name, with_error(row.value, row.error), *(run.rms[number] for run in runs)])
     beyond, beyond_error = x_beyond(residuals, 3.0)
     share, error = residuals.single_strip_fraction
     percent = f"{with_error(100 * beyond, 100 * beyond_error)} %"

@@ -18,7 +18,8 @@ p.lead { color: #4a5464; margin-top: 0; }
 table { border-collapse: collapse; width: 100%; font-size: .93rem; }
 th { text-align: left; background: #eef3f8; font-weight: 600; }
 th, td { padding: .42rem .6rem; border-bottom: 1px solid #dde3ea; vertical-align: top; }
-td.number, th.number { text-align: right; white-space: nowrap; font-variant-numeric: tabular-nums; }
+td.number, th.number { text-align: right; font-variant-numeric: tabular-nums; }
+td.number { white-space: nowrap; }
 td.why { color: #4a5464; font-size: .88rem; line-height: 1.45; min-width: 22rem; }
 tr:hover td { background: #f8fafc; }
 figure { margin: 1.6rem 0 2.2rem; }
