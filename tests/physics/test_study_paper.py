@@ -127,7 +127,7 @@ def test_delta_electrons_hardly_move_the_core(cgem, projected):
 def test_v_residual(cgem):
     fit = v_fit(cluster_residuals(cgem))
     assert fit.sigma_error < 1.5
-    assert 650 / 24**0.5 < fit.sigma < 140  # two edges of independent phase, and what delta electrons add
+    assert 650 / 24**0.5 < fit.sigma < 138  # two edges of independent phase, and what delta electrons add
     assert_within(fit.mean, 0.0, fit.mean_error)
 
 
