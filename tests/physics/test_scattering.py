@@ -8,7 +8,7 @@ from scipy import stats as distributions
 
 from cgemit import _core
 from coulomb import core_angle, exact_quantiles
-from slabs import BERYLLIUM, KAPTON, MUON, PROTON, slab_detector
+from slabs import BERYLLIUM, COPPER, KAPTON, MUON, PROTON, slab_detector
 from stats import assert_within
 from tracks import particles, transport
 
@@ -157,3 +157,20 @@ def test_angle_of_a_particle_depends_on_its_own_stream_only():
     other = transport(core, table, "full", seed=2)["truths"]
     assert not np.any(other["phi"] == everyone["phi"])
     assert _core.Purpose.scattering != _core.Purpose.energy_loss
+
+
+def test_a_slab_crossed_twice_scatters_anew():
+    """In and out again through the same matter: the angles add in quadrature, they are not the same one twice."""
+    core = slab_detector([(COPPER, 0.5, SLAB)], gap_radius=GAP)
+    width = {}
+    for start in (0.0, -100.0):
+        table = particles(np.tile([start, 0.0, 0.0], (N, 1)), np.array([1.0, 0, 0]))
+        out = transport(core, table, "full")["truths"]
+        angle = np.arctan2(out["py"], out["px"])
+        width[start] = np.quantile(np.abs(angle), 0.6827)
+    # Highland's logarithm (PDG 2024 eq. 34.16) of twice the matter, 0.5 mm being 3.48 % of a radiation length.
+    expected = math.sqrt(2) * (1 + 0.038 * math.log(2 * 0.0348)) / (1 + 0.038 * math.log(0.0348))
+    error = math.sqrt(2) * expected / math.sqrt(2 * N)
+    assert_within(width[-100.0] / width[0.0], expected, error, what="ratio")
+    with pytest.raises(AssertionError, match="standard errors"):
+        assert_within(2.0, expected, error)

@@ -38,7 +38,6 @@ inline int poisson(double u, double mean) {
     return std::max(static_cast<int>(mean + std::sqrt(mean) * z + (z * z - 1) / 6 + 0.5), 0);
   }
   double term = std::exp(-mean), sum = term;
-  if (term == 0) return static_cast<int>(mean);  // beyond 745: a grazing, slow particle
   int n = 0;
   while (1 - u > sum && term > 0) {
     term *= mean / ++n;

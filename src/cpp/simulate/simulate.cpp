@@ -17,6 +17,8 @@ namespace cgemit {
 
 namespace {
 
+constexpr std::uint32_t inward_leg = 1U << 19;  // above any number of a particle
+
 // One particle on its way.
 class Flight {
  public:
@@ -24,10 +26,12 @@ class Flight {
          const SimulateSettings& settings, std::uint64_t seed, Simulated& out)
       : detector_(detector),
         settings_(settings),
+        outward_(seed, static_cast<std::uint64_t>(in.event[row]),
+                 static_cast<std::uint32_t>(in.particle[row])),
+        // A slab that is crossed on the way in and again on the way out acts anew.
         stream_(seed, static_cast<std::uint64_t>(in.event[row]),
-                static_cast<std::uint32_t>(in.particle[row])),
-        event_(in.event[row]),
-        particle_(in.particle[row]),
+                static_cast<std::uint32_t>(in.particle[row]) | inward_leg),
+        who_{in.event[row], in.particle[row]},
         charge_(in.charge[row]),
         now_(std::hypot(in.px[row], in.py[row], in.pz[row]), in.mass[row],
              projectile_of(in.mass[row], in.charge[row])),
@@ -56,6 +60,7 @@ class Flight {
       count_time();
       if (inner.is_slab && !cross(inner.index)) return status_;
     }
+    stream_ = outward_;
     for (; next != places.end(); ++next) {
       const auto index = static_cast<std::size_t>(next->index);
       if (!next->is_slab) {
@@ -156,7 +161,7 @@ class Flight {
     const bool goes_on = cross(index);
     if (enters && leaves && deposit_ > 0) {
       const GapResult left = fill_gap(slab.gap, entry, exit, path, inside, slab.place);
-      record_gap(slab.gap, entry, middle, exit, inside.p, path, time, left);
+      out_.truths.append(who_, {slab.gap, entry, middle, exit, inside.p, path, time, left});
     }
     return goes_on;
   }
@@ -170,51 +175,8 @@ class Flight {
         ionize(detector_.gaps[static_cast<std::size_t>(layer)], {entry, exit, detector_.bz, path}, k, stream_,
                place, settings_.deltas, settings_.steps, deposits_);
     const auto truth = static_cast<std::int64_t>(out_.truths.event.size());
-    for (const Deposit& deposit : deposits_) record_step(layer, deposit, truth);
+    for (const Deposit& deposit : deposits_) out_.steps.append(who_, layer, deposit, truth);
     return left;
-  }
-
-  void record_step(int layer, const Deposit& deposit, std::int64_t truth) {
-    Steps& s = out_.steps;
-    s.event.push_back(event_);
-    s.particle.push_back(particle_);
-    s.layer.push_back(layer);
-    s.x.push_back(deposit.x);
-    s.y.push_back(deposit.y);
-    s.z.push_back(deposit.z);
-    s.dx.push_back(deposit.dx);
-    s.dy.push_back(deposit.dy);
-    s.dz.push_back(deposit.dz);
-    s.energy.push_back(deposit.energy);
-    s.electrons.push_back(deposit.electrons);
-    s.parent.push_back(deposit.delta > 0 ? 1 : 0);
-    s.delta.push_back(deposit.delta);
-    s.truth.push_back(truth);
-  }
-
-  void record_gap(int layer, const HelixPoint& entry, const HelixPoint& middle, const HelixPoint& exit,
-                  double momentum, double path, double time, const GapResult& left) {
-    Truths& t = out_.truths;
-    t.event.push_back(event_);
-    t.particle.push_back(particle_);
-    t.layer.push_back(layer);
-    t.entry_x.push_back(entry.x);
-    t.entry_y.push_back(entry.y);
-    t.entry_z.push_back(entry.z);
-    t.exit_x.push_back(exit.x);
-    t.exit_y.push_back(exit.y);
-    t.exit_z.push_back(exit.z);
-    t.r.push_back(middle.radius());
-    t.phi.push_back(std::atan2(middle.y, middle.x));
-    t.z.push_back(middle.z);
-    const double pt = momentum / std::sqrt(1 + middle.tanl * middle.tanl);
-    t.px.push_back(pt * middle.ux);
-    t.py.push_back(pt * middle.uy);
-    t.pz.push_back(pt * middle.tanl);
-    t.path.push_back(path);
-    t.time.push_back(time);
-    t.energy.push_back(left.energy);
-    t.secondaries.push_back(static_cast<std::uint8_t>(std::min(left.deltas, 255)));
   }
 
   // False if the track turns back below the layer's cells.
@@ -235,8 +197,8 @@ class Flight {
     const bool behind_vertex = time < 0;
     if (behind_vertex || std::abs(approach.z_wire) > layer.half_length) return;
     WireTruths& t = out_.wire_truths;
-    t.event.push_back(event_);
-    t.particle.push_back(particle_);
+    t.event.push_back(who_.event);
+    t.particle.push_back(who_.particle);
     t.layer.push_back(layer.number);
     t.wire.push_back(cell);
     t.doca.push_back(approach.doca);
@@ -249,9 +211,8 @@ class Flight {
 
   const Detector& detector_;
   const SimulateSettings& settings_;
-  Stream stream_;
-  std::int64_t event_;
-  std::int32_t particle_;
+  Stream outward_, stream_;
+  ParticleNumber who_;
   double charge_, time_ = 0, arc_ = 0, deposit_ = 0;
   HelixPoint point_{};
   double stretch_;  // path per transverse arc
@@ -264,31 +225,6 @@ class Flight {
   Simulated& out_;
 };
 
-void reserve(Truths& t, std::size_t n) {
-  for (auto* column : {&t.entry_x, &t.entry_y, &t.entry_z, &t.exit_x, &t.exit_y, &t.exit_z, &t.r, &t.phi,
-                       &t.z, &t.px, &t.py, &t.pz, &t.path, &t.time, &t.energy}) {
-    column->reserve(n);
-  }
-  t.event.reserve(n);
-  t.particle.reserve(n);
-  t.layer.reserve(n);
-  t.secondaries.reserve(n);
-}
-
-void reserve(Steps& s, std::size_t n) {
-  for (auto* column : {&s.x, &s.y, &s.z, &s.dx, &s.dy, &s.dz, &s.energy}) column->reserve(n);
-  for (auto* column : {&s.particle, &s.layer, &s.electrons, &s.delta}) column->reserve(n);
-  for (auto* column : {&s.event, &s.truth}) column->reserve(n);
-  s.parent.reserve(n);
-}
-
-void reserve(WireTruths& t, std::size_t n) {
-  for (auto* column : {&t.doca, &t.x, &t.y, &t.z, &t.time}) column->reserve(n);
-  for (auto* column : {&t.particle, &t.layer, &t.wire}) column->reserve(n);
-  t.event.reserve(n);
-  t.side.reserve(n);
-}
-
 }  // namespace
 
 Simulated simulate(const Detector& detector, const ParticleColumns& particles,
@@ -296,10 +232,10 @@ Simulated simulate(const Detector& detector, const ParticleColumns& particles,
   Simulated out;
   const std::size_t n = particles.event.size();
   out.status.reserve(n);
-  reserve(out.truths, n * detector.cgem.size());
-  if (settings.deltas && settings.fluctuations == Fluctuations::full) reserve(out.steps, 10 * n);
+  out.truths.reserve(n * detector.cgem.size());
+  if (settings.deltas && settings.fluctuations == Fluctuations::full) out.steps.reserve(10 * n);
   // Tracks pass a little more than one cell of a layer.
-  reserve(out.wire_truths, n * (detector.wires.size() + detector.wires.size() / 8));
+  out.wire_truths.reserve(n * (detector.wires.size() + detector.wires.size() / 8));
   for (std::size_t row = 0; row < particles.event.size(); ++row) {
     if (particles.charge[row] == 0) {
       out.status.push_back(TransportStatus::neutral);

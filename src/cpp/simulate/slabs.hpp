@@ -16,7 +16,7 @@ struct Passages {
   std::vector<double> angle_1, angle_2;  // rad
   std::vector<double> shift_1, shift_2;  // mm
   std::vector<double> loss;              // GeV, all of the kinetic energy if stopped
-  std::vector<TransportStatus> status;   // outside or stopped
+  std::vector<TransportStatus> status;   // outside, stopped, or curled: turned back
 };
 
 // Particles number `first` to `first` + n through the slabs of the detector as plane sheets at distances r_in

@@ -1,0 +1,74 @@
+#include "simulate/rows.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+namespace cgemit {
+
+void Truths::reserve(std::size_t n) {
+  for (auto* column : {&entry_x, &entry_y, &entry_z, &exit_x, &exit_y, &exit_z, &r, &phi, &z, &px, &py, &pz,
+                       &path, &time, &energy}) {
+    column->reserve(n);
+  }
+  event.reserve(n);
+  particle.reserve(n);
+  layer.reserve(n);
+  secondaries.reserve(n);
+}
+
+void Truths::append(const ParticleNumber& who, const GapRow& row) {
+  event.push_back(who.event);
+  particle.push_back(who.particle);
+  layer.push_back(row.layer);
+  entry_x.push_back(row.entry.x);
+  entry_y.push_back(row.entry.y);
+  entry_z.push_back(row.entry.z);
+  exit_x.push_back(row.exit.x);
+  exit_y.push_back(row.exit.y);
+  exit_z.push_back(row.exit.z);
+  r.push_back(row.middle.radius());
+  phi.push_back(std::atan2(row.middle.y, row.middle.x));
+  z.push_back(row.middle.z);
+  const double pt = row.momentum / std::sqrt(1 + row.middle.tanl * row.middle.tanl);
+  px.push_back(pt * row.middle.ux);
+  py.push_back(pt * row.middle.uy);
+  pz.push_back(pt * row.middle.tanl);
+  path.push_back(row.path);
+  time.push_back(row.time);
+  energy.push_back(row.left.energy);
+  secondaries.push_back(static_cast<std::uint8_t>(std::min(row.left.deltas, 255)));
+}
+
+void Steps::reserve(std::size_t n) {
+  for (auto* column : {&x, &y, &z, &dx, &dy, &dz, &energy}) column->reserve(n);
+  for (auto* column : {&particle, &layer, &electrons, &delta}) column->reserve(n);
+  for (auto* column : {&event, &truth}) column->reserve(n);
+  parent.reserve(n);
+}
+
+void Steps::append(const ParticleNumber& who, std::int32_t in_layer, const Deposit& deposit,
+                   std::int64_t in_truth) {
+  event.push_back(who.event);
+  particle.push_back(who.particle);
+  layer.push_back(in_layer);
+  x.push_back(deposit.x);
+  y.push_back(deposit.y);
+  z.push_back(deposit.z);
+  dx.push_back(deposit.dx);
+  dy.push_back(deposit.dy);
+  dz.push_back(deposit.dz);
+  energy.push_back(deposit.energy);
+  electrons.push_back(deposit.electrons);
+  parent.push_back(deposit.delta > 0 ? 1 : 0);
+  delta.push_back(deposit.delta);
+  truth.push_back(in_truth);
+}
+
+void WireTruths::reserve(std::size_t n) {
+  for (auto* column : {&doca, &x, &y, &z, &time}) column->reserve(n);
+  for (auto* column : {&particle, &layer, &wire}) column->reserve(n);
+  event.reserve(n);
+  side.reserve(n);
+}
+
+}  // namespace cgemit
