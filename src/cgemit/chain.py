@@ -7,7 +7,7 @@ import os
 import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import Executor, Future, ThreadPoolExecutor, as_completed
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
@@ -117,8 +117,12 @@ def run(
     ------
     ValueError
         Listing what is wrong with detector, gun or numbers.
+    TypeError
+        If `settings` are something else, such as those of one stage.
     """
     start = time.perf_counter()
+    if not isinstance(settings, Settings | None):
+        raise TypeError(f"settings: got {type(settings).__name__}, expected {_expected(settings)}")
     detector, settings = load(detector), settings or Settings()
     believed = detector if fit_detector is None else load(fit_detector)
     _check_numbers(n, seed, chunk, threads)
@@ -151,6 +155,12 @@ def run(
         residuals=tables.get("residuals"),
         timings=timings,
     )
+
+
+def _expected(given: object) -> str:
+    """Return what settings should look like; those of one stage go into those of all."""
+    stage = next((f.name for f in fields(Settings) if type(given) is f.default_factory), "")
+    return f"Settings({stage}=...)" if stage else "Settings(simulate=..., digitize=..., cluster=..., fit=...)"
 
 
 def _check_numbers(n: int | None, seed: int, chunk: int, threads: int | None) -> None:

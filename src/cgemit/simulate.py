@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from cgemit import _core
 from cgemit.detector import SCREENINGS, Detector, compiled
 from cgemit.tables import Table
@@ -57,9 +59,14 @@ class SimulateSettings:
             if getattr(self, name) not in choices:
                 expected = ", ".join(map(repr, choices))
                 problems.append(f"{name}: {getattr(self, name)!r}, expected one of {expected}")
+        for name in ("sublayers", "deltas", "steps"):
+            if isinstance(getattr(self, name), np.bool_):  # JSON takes those of Python only
+                object.__setattr__(self, name, bool(getattr(self, name)))
+            elif not isinstance(getattr(self, name), bool):
+                problems.append(f"{name}: {getattr(self, name)!r}, expected True or False")
         if self.foil == "lattice" and self.fluctuations != "full":
             problems.append("foil: 'lattice', expected 'effective' unless fluctuations are 'full'")
-        if self.steps and self.fluctuations != "full":
+        if self.steps is True and self.fluctuations != "full":
             problems.append("steps: True, expected False unless fluctuations are 'full'")
         if problems:
             raise ValueError("SimulateSettings:\n  " + "\n  ".join(problems))

@@ -151,10 +151,27 @@ def test_wrong_arguments(arguments: dict[str, object], message: str) -> None:
         run(**arguments)  # type: ignore[arg-type]
 
 
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        (SimulateSettings(), r"settings: got SimulateSettings, expected Settings\(simulate=\.\.\.\)"),
+        (FitSettings(), r"settings: got FitSettings, expected Settings\(fit=\.\.\.\)"),
+        ({}, r"settings: got dict, expected Settings\(simulate="),
+    ],
+)
+def test_settings_of_one_stage_are_not_those_of_all(settings: object, message: str) -> None:
+    """What goes in their place is refused in words."""
+    with pytest.raises(TypeError, match=message):
+        run("besiii-cgem-design", GUN, 1, settings=settings)  # type: ignore[arg-type]
+
+
 def test_wrong_settings_are_all_listed() -> None:
     """Settings that make no sense are refused, each problem named."""
     with pytest.raises(ValueError, match="fluctuations"):
         SimulateSettings(fluctuations="some")
+    with pytest.raises(ValueError, match=r"(?s)foil: 'holes'.*sublayers: 1,.*deltas: 'no',.*steps: None,"):
+        SimulateSettings(foil="holes", sublayers=1, deltas="no", steps=None)  # type: ignore[arg-type]
+    assert SimulateSettings(deltas=np.False_).deltas is False
     with pytest.raises(ValueError, match=r"(?s)seed.*tolerance.*prior_sigma"):
         FitSettings(seed="magic", tolerance=-1, prior_sigma=(1.0, 2.0, 3.0, 4.0, 0.0))
 
