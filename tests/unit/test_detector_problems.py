@@ -106,6 +106,8 @@ def test_ten_mistakes_give_ten_messages(tmp_path: Path) -> None:
         ({"drift_chamber": {"layers": {"9": {"sigma_slope": -0.05}}}}, "drift_chamber.layers.9.sigma_slope", "-0.05"),
         ({"drift_chamber": {"layers": {"9": {"sigma_slope": "-50 um/mm"}}}}, "drift_chamber.layers.9.sigma_slope",
          "an error of"),
+        ({"cgem": {"L1": {"gas": "Kapton"}}}, "cgem.L1.gas", '"Kapton", which is no gas'),
+        ({"drift_chamber": {"gas": "Al"}}, "drift_chamber.gas", '"Al", which is no gas'),
         ({"field": {"bz": "0 T"}}, "field.bz", "0 T"),
         ({"field": {"kind": "solenoid"}}, "field.kind", "solenoid"),
         ({"name": 3}, "name", "3"),
@@ -169,6 +171,9 @@ def test_detectors_made_in_python_are_checked_too() -> None:
     assert [problem.path for problem in caught.value.problems] == ["cgem.L1.pitch_x", "cgem.L1.strips_v"]
     with pytest.raises(DetectorError, match=r"field\.bz"):
         dataclasses.replace(detector, field=dataclasses.replace(detector.field, bz=math.nan))
+    solid = dataclasses.replace(detector.cgem[0], gas=detector.cgem[0].foil[0].material)
+    with pytest.raises(DetectorError, match=r"cgem\.L1\.gas: .*which is no gas"):
+        dataclasses.replace(detector, cgem=(solid, *detector.cgem[1:]))
     with pytest.raises(DetectorError, match="overlap"):
         dataclasses.replace(detector, cgem=(detector.cgem[0], *detector.cgem))
 

@@ -51,6 +51,8 @@ def _part_problems(path: str, part: Any) -> list[Problem]:
         if isinstance(value, int | float) and not isinstance(value, bool) and not in_range(value, key):
             shown = format_quantity(value, key.kind) if key.kind in NATIVE else str(value)
             problems.append(Problem(f"{path}.{name}", shown, key.expected()))
+        elif key.kind == "gas" and not value.gas:
+            problems.append(Problem(f"{path}.{name}", f'"{value.name}", which is no gas', key.expected()))
         elif key.choices and value not in key.choices:
             problems.append(Problem(f"{path}.{name}", repr(value), key.expected()))
     return problems

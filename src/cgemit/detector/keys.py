@@ -9,7 +9,7 @@ from cgemit.units import NATIVE, describe
 
 @dataclass(frozen=True)
 class Key:
-    """One key: `kind` is a dimension of `units.NATIVE`, or integer, text, material, stack, formula, numbers.
+    """One key: `kind` is a dimension of `units.NATIVE`, or integer, text, material, gas, stack, formula, numbers.
 
     `low` and `high` are the sensible range in native units, ends included; `derived` keys may be left out and are
     then worked out from the others.
@@ -32,6 +32,7 @@ class Key:
             "sign": "1 or -1",
             "text": "text",
             "material": "the name of a material",
+            "gas": "the name of a material with gas = true",
             "stack": "a list of { label, material, thickness }",
             "composition": 'a formula such as "CO2" or a table of mass fractions such as { Ar = 0.7, C = 0.3 }',
             "numbers": "a table of numbers c, x0, x1, a, k",

@@ -100,7 +100,7 @@ class CgemLayer:
     hole_outer: float = field(metadata=key("length", "diameter of holes, in electrodes", 1e-3, 5.0), default=0.07)  # mm
     hole_inner: float = field(metadata=key("length", "their diameter inside the foil", 1e-3, 5.0), default=0.05)  # mm
     hole_pitch: float = field(metadata=key("length", "pitch of holes, hexagonal", 1e-3, 10.0), default=0.14)  # mm
-    gas: Material = field(metadata=key("material", "gas of all gaps"))
+    gas: Material = field(metadata=key("gas", "gas of all gaps"))
     cathode: tuple[SubLayer, ...] = field(metadata=key("stack", "materials of the cathode, from inside"))
     foil: tuple[SubLayer, ...] = field(metadata=key("stack", "materials of one GEM foil, from inside"))
     anode: tuple[SubLayer, ...] = field(metadata=key("stack", "materials of the anode, from inside"))
@@ -221,7 +221,7 @@ class WireLayer:
 class DriftChamber:
     """A drift chamber: wire layers in one gas."""
 
-    gas: Material = field(metadata=key("material", "gas of the chamber"))
+    gas: Material = field(metadata=key("gas", "gas of the chamber"))
     wires: str = field(
         metadata=key("text", "matter of the wires: ignored, or spread over the gas", choices=("none", "smeared")),
         default="none",

@@ -147,6 +147,13 @@ class Reader:
             )
         return self.materials[raw] or UNUSABLE
 
+    def _gas(self, path: str, raw: object, key: Key) -> Any:
+        material = self._material(path, raw, key)
+        if isinstance(material, Material) and not material.gas:
+            gases = ", ".join(name for name, one in self.materials.items() if one and one.gas)
+            return self.note(path, f'"{raw}", which is no gas', f"{key.expected()}, such as {gases}")
+        return material
+
     def _stack(self, path: str, raw: object, key: Key) -> Any:
         if not isinstance(raw, list) or not raw:
             self.note(path, shown(raw), key.expected())
