@@ -103,7 +103,8 @@ def digitize(
     Raises
     ------
     ValueError
-        If a layer or wire is not in the detector, a value is not finite, or a step does not belong to its truth.
+        If a layer or wire is not in the detector, a value is not finite, or a step does not belong to its truth or has
+        values that no step has.
     """
     settings = settings or DigitizeSettings()
     core = compiled(detector)

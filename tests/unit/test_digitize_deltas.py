@@ -124,10 +124,16 @@ def test_steps_that_do_not_belong_are_refused():
     good = gem_toy.step_columns(two, [0, 1], on_cylinder(1, [1.0, 2.0], 12.0), np.zeros((2, 3)))
     assert len(read_out(two, good, 2))
     wrong = [
-        ({"truth": np.array([1, 0])}, r"steps row 0: event and layer are not those of its truth, row 1"),
+        ({"truth": np.array([1, 0])}, r"steps row 0: event, particle and layer are not those of its truth, row 1"),
         ({"truth": np.array([0, 2])}, r"steps row 1: truth 2, expected 0 to 1"),
-        ({"event": np.array([0, 0])}, r"steps row 1: event and layer"),
-        ({"layer": np.array([0, 1], "i4")}, r"steps row 0: event and layer"),
+        ({"event": np.array([0, 0])}, r"steps row 1: event, particle and layer"),
+        ({"layer": np.array([0, 1], "i4")}, r"steps row 0: event, particle and layer"),
+        ({"particle": np.array([0, 1], "i4")}, r"steps row 1: event, particle and layer"),
+        ({"parent": np.array([1, 2], "i1")}, r"steps row 1: parent 2, expected 0 or 1"),
+        ({"parent": np.array([-1, 1], "i1")}, r"steps row 0: parent -1, expected 0 or 1"),
+        ({"n_electrons": np.array([0, -3], "i4")}, r"steps row 1: n_electrons -3, expected 0 or more"),
+        ({"x": np.array([500.0, 500.0])}, r"steps row 0: radius 5\d\d\.\d+ mm, expected 121\.\d+ to 126\.\d+ mm"),
+        ({name: (1 - 5.01 / 123.838) * good[name] for name in "xy"}, r"steps row 0: radius 118\."),
         ({"dz": np.array([0.0, np.nan])}, r"steps row 1: a value is not finite"),
         ({"energy": np.array([-1.0, 1.0])}, r"steps row 0: .*negative"),
         ({"energy": np.array([1.0, 3.5])}, r"truths row 1: its delta electrons deposit 0\.5\d* keV more"),
@@ -135,6 +141,12 @@ def test_steps_that_do_not_belong_are_refused():
     for columns, message in wrong:
         with pytest.raises(ValueError, match=message):
             read_out(two, good | columns, 2)
+    # The chord of 2 mm between points of the inner face dips 4 um below it.
+    dip = LAYERS["r_gap_in"][1] * np.cos(1 / LAYERS["r_gap_in"][1])
+    chord = gem_toy.step_columns(radial(0.0), 0, [dip, 0.0, 12.0], [0.0, 2.0, 0.0])
+    assert len(read_out(radial(0.0), chord))
+    with pytest.raises(ValueError, match="radius"):
+        read_out(radial(0.0), chord | {"dy": np.zeros(1)})
     one = gem_toy.step_columns(radial(1.0), [0, 0], on_cylinder(1, [1.0, 1.1], 12.0), np.zeros((2, 3)))
     both = {name: np.concatenate([radial(1.0)[name]] * 2) for name in radial(1.0)}
     with pytest.raises(ValueError, match=r"steps row 1: truth 0, expected 1 to 1"):

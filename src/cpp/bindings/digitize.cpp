@@ -32,7 +32,9 @@ StepColumns step_columns(Inputs& in) {
   StepColumns steps;
   steps.event = in.get<std::int64_t>("event");
   steps.truth = in.get<std::int64_t>("truth");
+  steps.particle = in.get<std::int32_t>("particle");
   steps.layer = in.get<std::int32_t>("layer");
+  steps.n_electrons = in.get<std::int32_t>("n_electrons");
   steps.parent = in.get<std::int8_t>("parent");
   steps.middle = {in.get<double>("x"), in.get<double>("y"), in.get<double>("z")};
   steps.d = {in.get<double>("dx"), in.get<double>("dy"), in.get<double>("dz")};

@@ -114,7 +114,7 @@ void write(std::int64_t event, const Contribution* begin, const Contribution* en
 DigiColumns read_out_strips(const Detector& detector, const TruthColumns& truths, const StepColumns& steps,
                             const BinaryReadout& readout) {
   check(truths, detector);
-  check(steps, truths);
+  check(steps, truths, detector);
   const double charge_per_energy = readout.gain / readout.w_value * elementary_charge_fC;  // fC/keV
   DigiColumns digis;
   std::vector<Contribution> parts;

@@ -28,7 +28,7 @@ struct TruthColumns {
 // d/2.
 struct StepColumns {
   std::span<const std::int64_t> event, truth;  // truth: row of the truths
-  std::span<const std::int32_t> layer;
+  std::span<const std::int32_t> particle, layer, n_electrons;
   std::span<const std::int8_t> parent;               // 0 the particle itself, 1 a delta electron
   std::array<std::span<const double>, 3> middle, d;  // x, y, z in mm
   std::span<const double> energy;                    // keV
@@ -64,9 +64,20 @@ inline void check(const TruthColumns& truths, const Detector& detector) {
   }
 }
 
-// Throws std::invalid_argument, naming the first row that does not belong to its truth. Steps come in the
-// order of the truths.
-inline void check(const StepColumns& steps, const TruthColumns& truths) {
+// Whether the middle of a step of a delta electron lies in the drift gap. A chord between two points of the
+// inner face dips below it by its sagitta: the mean square radius of the ends counts there. Clusters of the
+// particle itself are on the chord from entry to exit, and move nothing.
+inline bool in_gap(const StepColumns& steps, std::size_t i, const CgemLayer& layer) {
+  constexpr double rounding = 1e-3;  // mm
+  const double x = steps.middle[0][i], y = steps.middle[1][i], dx = steps.d[0][i], dy = steps.d[1][i];
+  const double low = layer.r_gap_in - rounding, high = layer.r_gap_out + rounding;
+  const double square = x * x + y * y;
+  return square <= high * high && square + 0.25 * (dx * dx + dy * dy) >= low * low;
+}
+
+// Throws std::invalid_argument, naming the first row that does not belong to its truth, or has values that no
+// step has. Steps come in the order of the truths, which have been checked.
+inline void check(const StepColumns& steps, const TruthColumns& truths, const Detector& detector) {
   std::int64_t before = 0;
   for (std::size_t i = 0; i < steps.size(); ++i) {
     const auto fail = [i](const std::string& problem) {
@@ -78,12 +89,25 @@ inline void check(const StepColumns& steps, const TruthColumns& truths) {
            std::to_string(static_cast<std::int64_t>(truths.size()) - 1));
     }
     const auto row = static_cast<std::size_t>(truth);
-    if (steps.event[i] != truths.event[row] || steps.layer[i] != truths.layer[row]) {
-      fail("event and layer are not those of its truth, row " + std::to_string(truth));
+    if (steps.event[i] != truths.event[row] || steps.layer[i] != truths.layer[row] ||
+        steps.particle[i] != truths.particle[row]) {
+      fail("event, particle and layer are not those of its truth, row " + std::to_string(truth));
+    }
+    if (steps.parent[i] != 0 && steps.parent[i] != 1) {
+      fail("parent " + std::to_string(steps.parent[i]) + ", expected 0 or 1");
+    }
+    if (steps.n_electrons[i] < 0) {
+      fail("n_electrons " + std::to_string(steps.n_electrons[i]) + ", expected 0 or more");
     }
     double sum = steps.energy[i];
     for (std::size_t k = 0; k < 3; ++k) sum += steps.middle[k][i] + steps.d[k][i];
     if (!std::isfinite(sum) || steps.energy[i] < 0) fail("a value is not finite, or the energy negative");
+    const CgemLayer& layer = detector.cgem[static_cast<std::size_t>(steps.layer[i])];
+    if (steps.is_delta(i) && !in_gap(steps, i, layer)) {
+      fail("radius " + std::to_string(std::hypot(steps.middle[0][i], steps.middle[1][i])) + " mm, expected " +
+           std::to_string(layer.r_gap_in) + " to " + std::to_string(layer.r_gap_out) +
+           " mm, the drift gap of its layer");
+    }
     before = truth;
   }
 }
