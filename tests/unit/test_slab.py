@@ -85,12 +85,53 @@ def test_every_problem_is_listed_with_its_place():
 
 
 @pytest.mark.parametrize(
-    "text", ["", "Kapton", "Kapton 3 um 4 um", "Kapton 3 um Cu 2 um", "Kapton 60/40 3 um", "Kapton 0 um", "C1e 3 um"]
+    "text",
+    [
+        "",
+        "Kapton",
+        "Kapton 3 um 4 um",
+        "Kapton 3 um Cu 2 um",
+        "Kapton 60/40 3 um",
+        "Kapton 0 um",
+        "C1e 3 um",
+        "CH0 1 g/cm3 1 mm",
+    ],
 )
 def test_unclear_texts_are_refused(text):
     problems = []
     parse_stack(text, problems)
     assert len(problems) == 1
+
+
+@pytest.mark.parametrize(
+    ("matter", "path", "given"),
+    [
+        (None, "matter", "None"),
+        (5, "matter", "5"),
+        (["Kapton 300 um", "Cu 5 um"], "matter[0]", "'Kapton 300 um'"),
+        ([(library()["Kapton"], "300 um")], "matter[0]", "300 um"),
+        ([], "matter", "no sheet"),
+    ],
+)
+def test_what_is_no_matter_is_refused_in_words(matter, path, given):
+    with pytest.raises(SlabError) as caught:
+        cg.slab(matter)
+    assert caught.value.problems[0].path == path
+    assert given in caught.value.problems[0].given
+
+
+@pytest.mark.parametrize("solid", ["W", "Kapton"])
+def test_solids_do_not_mix_with_gases(solid):
+    problems = []
+    parse_stack(f"{solid}/CO2 1 mm", problems)
+    assert [(p.given, p.expected) for p in problems] == [(f'"{solid}" in "{solid}/CO2"', "a gas")]
+
+
+def test_formulas_of_small_angles_end_at_1_rad():
+    found = cg.slab("Pb 1 cm", "e-", 0.01, 1000)
+    assert found.highland_mrad is None
+    assert found.core_mrad is None
+    assert cg.slab("Pb 1 mm", "mu-", 0.1, 1000).highland_mrad < 1000
 
 
 def test_neutral_particles_are_refused():
@@ -205,6 +246,11 @@ def test_command_explains_bad_input_with_exit_code_2(capsys):
     captured = capsys.readouterr()
     assert "4 problems" in captured.err
     assert not captured.out
+    for number, limit in (("0", "at least 1000"), ("999", "at least 1000"), ("20000001", "at most 20000000")):
+        assert main(["slab", "Cu 1 mm", "-n", number]) == 2
+        assert limit in capsys.readouterr().err
+    with pytest.raises(SlabError, match="from 1000 to 20000000"):
+        cg.slab("Cu 1 mm", n=999)
 
 
 @pytest.mark.parametrize(
@@ -215,6 +261,16 @@ def test_extremes_are_drawn_and_written(text, particle, p, tmp_path, capsys):
     assert main([*arguments, "-o", str(tmp_path / "out")]) == 0
     assert "nan" not in capsys.readouterr().out
     assert (tmp_path / "out" / "slab.png").exists()
+
+
+def test_empty_panel_says_why_and_losses_are_counted():
+    """Electrons of 3 MeV in lead: some stop and some turn away, none comes through."""
+    found = cg.slab("Pb 1 cm", "e-", 0.003, n=1000)
+    assert 0 < found.turned < found.n
+    shown = [text.get_text() for axes in cg.draw.draw_slab(found).axes for text in axes.texts]
+    assert "no particle came through" in shown
+    assert found.turned == found.n - np.count_nonzero(found.measured)
+    assert any(text.startswith(f"{found.stopped:,} losses") for text in shown)
 
 
 def test_rounding_is_no_error() -> None:

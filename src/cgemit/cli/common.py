@@ -197,14 +197,15 @@ def lengths(text: str) -> Values:
 
 def positive(text: str) -> int:
     """Read a whole number of at least 1."""
-    return _whole(text, 1, 2**31 - 1)
+    return whole(text, 1, 2**31 - 1)
 
 
 def _seed(text: str) -> int:
-    return _whole(text, 0, 2**64 - 1)
+    return whole(text, 0, 2**64 - 1)
 
 
-def _whole(text: str, least: int, most: int) -> int:
+def whole(text: str, least: int, most: int) -> int:
+    """Read a whole number from `least` to `most`."""
     try:
         number = int(text)
     except ValueError:
@@ -240,7 +241,7 @@ def _values(text: str, dimension: str) -> Values:
             return [_number(part, dimension) for part in text.split(",")]
         parts = text.split(":")
         if len(parts) == 3:
-            count = _whole(parts[2], 1, _MOST_STEPS)
+            count = whole(parts[2], 1, _MOST_STEPS)
             return _steps(_number(parts[0], dimension), _number(parts[1], dimension), count)
         numbers = [_number(part, dimension) for part in parts]
     except QuantityError as error:

@@ -26,7 +26,8 @@ examples:
   cgemit show besiii-cgem                            tables of material and read-out, pictures
   cgemit simulate -d besiii-cgem --particle pi+ --p 0.5 -n 1000 --fit -o sample
 
-exit codes: 0 ok, 2 bad input (every problem is listed), 3 the run failed, 130 interrupted"""
+exit codes: 0 ok, 2 bad input, 3 the run failed, 130 interrupted
+Problems of a detector, a gun or sheets of matter are all listed at once; a malformed option ends at the first."""
 
 
 def build_parser() -> argparse.ArgumentParser:

@@ -8,6 +8,7 @@ import sys
 from typing import TYPE_CHECKING
 
 from cgemit.cli import common
+from cgemit.matter.send import FEWEST, MOST
 
 if TYPE_CHECKING:
     from cgemit.matter import Passage
@@ -24,7 +25,8 @@ MATTER is a list of sheets with "+" between them, each a material and a thicknes
                                one unless it is a gas
 
 Plane angles, of both planes together: half width of the central 68.27 % (q68), of 98 % over 2.326 (q98) and of 99.9 %
-over 3.291 (q999); for a Gaussian all three are its width."""
+over 3.291 (q999); for a Gaussian all three are its width. A particle with less than 0.1 MeV of kinetic energy
+counts as stopped. Formulas give no angle above 1 rad ("-")."""
 
 _EXAMPLES = """\
 examples:
@@ -45,8 +47,9 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "--p", type=_momentum, default=1.0, metavar="P", help="momentum, GeV/c unless a unit is given (default 1)"
     )
     parser.add_argument(
-        "-n", "--n", type=common.positive, default=200_000, metavar="N", help="number of particles (default 200000)"
-    )
+        "-n", "--n", type=_particles, default=200_000, metavar="N",
+        help=f"number of particles, {FEWEST} to {MOST} (default 200000)",
+    )  # fmt: skip
     parser.add_argument(
         "--screening", default="wentzel", metavar="NAME",
         help="screening of nuclei in multiple scattering: wentzel (default) or moliere",
@@ -92,6 +95,10 @@ def _write(passage: Passage, numbers: str, folder: str, *, overwrite: bool) -> N
     with new_folder(folder, overwrite=overwrite) as place:
         draw_slab(passage).save(place / "slab")
         (place / SUMMARY).write_text(numbers + "\n", encoding="utf-8")
+
+
+def _particles(text: str) -> int:
+    return common.whole(text, FEWEST, MOST)
 
 
 def _momentum(text: str) -> float | str:

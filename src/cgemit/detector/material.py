@@ -136,7 +136,7 @@ def fractions_of_formula(formula: str) -> dict[str, float]:
         If the text is not a formula.
 
     """
-    if not re.fullmatch(r"(?:[A-Z][a-z]?\d*)+", formula):
+    if not re.fullmatch(r"(?:[A-Z][a-z]?(?:[1-9]\d*)?)+", formula):
         raise ValueError(formula)
     mass: dict[str, float] = {}
     for symbol, count in re.findall(r"([A-Z][a-z]?)(\d*)", formula):

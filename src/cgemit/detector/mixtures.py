@@ -105,7 +105,7 @@ def _mixture(name: str, volumes: tuple[float, ...] | None, density: float | None
     gases = []
     for one, volume in zip(names, volumes, strict=True):
         row = _rows().get(one)
-        if row and not row["gas"]:
+        if not (row["gas"] if row else library()[one].gas if one in library() else True):
             raise MaterialNameError(f'"{one}" in "{name}"', "a gas", did_you_mean(one, _gas_names()))
         gases.append((row["gas"] if row else one, volume))
     full = f"{name} {'/'.join(f'{volume:g}' for volume in volumes)}"

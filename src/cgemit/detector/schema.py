@@ -94,10 +94,11 @@ def _value(key: Key) -> dict[str, Any]:
         "boolean": {"type": "boolean"},
         "text": {"enum": list(key.choices)} if key.choices else {"type": "string"},
         "material": {"type": "string"},
+        "gas": {"type": "string"},
         "stack": {"type": "array", "minItems": 1, "items": {"$ref": "#/$defs/sub_layer"}},
         "composition": {
             "anyOf": [
-                {"type": "string", "pattern": r"^([A-Z][a-z]?\d*)+$"},
+                {"type": "string", "pattern": r"^([A-Z][a-z]?([1-9]\d*)?)+$"},
                 {"type": "object", "additionalProperties": {"type": "number", "exclusiveMinimum": 0, "maximum": 1}},
             ]
         },

@@ -41,6 +41,10 @@ def draw_slab(passage: Passage) -> Picture:
 def draw_angles(axes: Axes, passage: Passage) -> None:
     """Draw the density of the plane angles of both planes, logarithmically, beside Gaussians of both formulas."""
     both = 1e3 * np.concatenate([passage.angle_1[passage.through], passage.angle_2[passage.through]])
+    if not both.size:
+        axes.set(xticks=[], yticks=[], xlabel="plane angle  (mrad)")
+        axes.text(0.5, 0.5, "no particle came through", transform=axes.transAxes, ha="center", color=COLORS["text"])
+        return
     scale = passage.q68_mrad or 1.0
     reach = min(8 * scale, 1e3 * math.pi / 2)
     edges = np.linspace(-reach, reach, 161)
@@ -55,7 +59,7 @@ def draw_angles(axes: Axes, passage: Passage) -> None:
         axes.plot(x, y, dashes, color=colour, lw=1.5, label=f"{label}: {sigma:.4g} mrad")
     top = 1 / (math.sqrt(2 * math.pi) * scale)
     axes.set(xlabel="plane angle  (mrad)", ylabel="density  (1/mrad)", yscale="log", xlim=(-reach, reach))
-    axes.set_ylim(max(0.3 / max(both.size, 1) / (edges[1] - edges[0]), 1e-6 * top), 30 * top)
+    axes.set_ylim(max(0.3 / both.size / (edges[1] - edges[0]), 1e-6 * top), 30 * top)
     axes.legend(loc="upper left")
     numbers = [_number(passage, name, "mrad", name.removesuffix("_mrad")) for name in _ANGLES]
     statistics_box(axes, [f"{both.size:,} angles", *numbers])
@@ -64,7 +68,7 @@ def draw_angles(axes: Axes, passage: Passage) -> None:
 
 def draw_losses(axes: Axes, passage: Passage) -> None:
     """Draw the density of the energy loss and its quantiles."""
-    loss = passage.loss
+    loss = passage.loss[passage.measured]
     low, high = passage.loss_kev_q01, passage.loss_kev_q84
     reach = high + 2 * max(high - low, 0.01 * high, 1e-9)
     edges = np.linspace(max(0.0, low - 0.3 * (high - low)), reach, 161)
@@ -76,7 +80,7 @@ def draw_losses(axes: Axes, passage: Passage) -> None:
     axes.set_ylim(0, 1.1 * axes.get_ylim()[1])
     axes.legend(loc="upper right", bbox_to_anchor=(1, 0.56))
     numbers = [_number(passage, name, "keV", label) for name, label in _LOSSES.items()]
-    statistics_box(axes, [f"{len(loss):,} particles", *numbers])
+    statistics_box(axes, [f"{len(loss):,} losses", *numbers])
     grid(axes)
 
 

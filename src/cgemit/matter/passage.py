@@ -30,7 +30,7 @@ class LayerNumbers:
         Name, and what was chosen where the text leaves something open.
     thickness_mm, density_gcm3, mass_gcm2, x_over_x0 : float
     core_mrad : float or None
-        Share of the fit's core angle; None behind the place where the particle stops on average.
+        Share of the fit's core angle; None behind the place where the particle stops on average, and above 1 rad.
     mean_loss_kev : float or None
         Mean energy loss by collisions; None where the particle stops on average.
     """
@@ -64,9 +64,9 @@ class Passage:
     mass_gcm2, x_over_x0 : float
     highland_mrad : float or None
         13.6 MeV/(beta p) sqrt(x/X0) [1 + 0.038 ln(x/(X0 beta^2))], PDG 2024, "Passage of particles through matter",
-        eq. 34.16; None for so little matter that its logarithm is negative.
+        eq. 34.16; None for so little matter that its logarithm is negative, and above 1 rad.
     core_mrad : float or None
-        Core of the distribution as the fit takes it (docs/methods/matter.md).
+        Core of the distribution as the fit takes it (docs/methods/matter.md); None above 1 rad.
     mean_loss_kev : float or None
         Mean loss by collisions by formula, with that by radiation for electrons.
     q68_mrad, q98_mrad, q999_mrad : float or None
@@ -121,6 +121,12 @@ class Passage:
     def through(self) -> npt.NDArray[np.bool_]:
         """Which particles came through, (n,) bool."""
         return np.asarray(self.status == _core.TransportStatus.outside)
+
+    @property
+    def measured(self) -> npt.NDArray[np.bool_]:
+        """Whose loss is known, (n,) bool: it is not complete for particles that turned away."""
+        stopped = self.status == _core.TransportStatus.stopped
+        return np.asarray(self.through | stopped)
 
     def to_dict(self) -> dict[str, Any]:
         """Return all numbers but the columns, ready for JSON."""

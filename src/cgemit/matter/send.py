@@ -20,11 +20,13 @@ from cgemit.problems import ProblemsError
 from cgemit.units import QuantityError, parse_quantity
 from cgemit.words import did_you_mean
 
-_FEWEST, _MOST = 1000, 20_000_000  # particles: fewer have no 1 % quantile, the columns of more take over 1 GB
+#: Number of particles: fewer have no 1 % quantile, the columns of more take over 1 GB.
+FEWEST, MOST = 1000, 20_000_000
 _CHUNK = 20_000
 _PIECE = 0.02  # a sheet is cut where the particle would lose more of its kinetic energy, or cross more X0, at once
 _MOST_PIECES = 100  # of a sheet
 _STOPPED = 1e-3  # a particle has stopped on average where it has this fraction of its kinetic energy left
+_WIDEST = 1e3  # mrad; formulas of small angles say nothing above
 _KEV = 1e6  # per GeV
 
 
@@ -135,14 +137,11 @@ def _check(
     screening: str,
 ) -> _Order:
     problems: list[Problem] = []
-    if isinstance(matter, str):
-        sheets = parse_stack(matter, problems)
-    else:
-        sheets = tuple(Sheet(material, float(thickness)) for material, thickness in matter)
+    sheets = parse_stack(matter, problems) if isinstance(matter, str) else _sheets(matter, problems)
     if not problems and (not sheets or min(sheet.thickness for sheet in sheets) <= 0):
         problems.append(Problem("matter", "no sheet, or one without thickness", "sheets thicker than 0"))
     kind, momentum = _kind(particle, problems), _momentum(p, problems)
-    for name, value, least, most in (("n", n, _FEWEST, _MOST), ("seed", seed, 0, 2**64 - 1)):
+    for name, value, least, most in (("n", n, FEWEST, MOST), ("seed", seed, 0, 2**64 - 1)):
         if not isinstance(value, int | np.integer) or isinstance(value, bool) or not least <= value <= most:
             problems.append(Problem(name, repr(value), f"a whole number from {least} to {most}"))
     if screening not in SCREENINGS:
@@ -151,6 +150,22 @@ def _check(
     if problems:
         raise SlabError("slab", problems)
     return _Order(sheets, kind, momentum)
+
+
+def _sheets(matter: object, problems: list[Problem]) -> tuple[Sheet, ...]:
+    """Return the sheets of pairs; what is none of them is a problem."""
+    expected = 'a text such as "Kapton 300 um", or a sequence of (Material, thickness in mm)'
+    if not isinstance(matter, Sequence):
+        problems.append(Problem("matter", repr(matter), expected))
+        return ()
+    found = []
+    for number, pair in enumerate(matter):
+        match pair:
+            case (Material() as material, int() | float() | np.number() as thickness) if math.isfinite(thickness):
+                found.append(Sheet(material, float(thickness)))
+            case _:
+                problems.append(Problem(f"matter[{number}]", repr(pair), "(Material, thickness in mm)"))
+    return tuple(found)
 
 
 def _kind(particle: str | int, problems: list[Problem]) -> Species:
@@ -227,7 +242,7 @@ def _by_formula(order: _Order, pieces: Sequence[_Piece]) -> dict[str, Any]:
             LayerNumbers(
                 material=material.name, note=note, thickness_mm=thickness, density_gcm3=material.density,
                 mass_gcm2=0.1 * material.density * thickness, x_over_x0=thickness / material.x0,
-                core_mrad=_known(1e3 * math.sqrt(variance)), mean_loss_kev=_known(_KEV * loss),
+                core_mrad=_angle(1e3 * math.sqrt(variance)), mean_loss_kev=_known(_KEV * loss),
             )
         )  # fmt: skip
     x_over_x0 = sum(sheet.x_over_x0 for sheet in sheets)
@@ -239,14 +254,18 @@ def _by_formula(order: _Order, pieces: Sequence[_Piece]) -> dict[str, Any]:
         "layers": tuple(sheets),
         "mass_gcm2": sum(sheet.mass_gcm2 for sheet in sheets),
         "x_over_x0": x_over_x0,
-        "highland_mrad": highland if logarithm > 0 else None,
-        "core_mrad": _known(1e3 * math.sqrt(sum(piece.variance for piece in pieces))),
+        "highland_mrad": _angle(highland) if logarithm > 0 else None,
+        "core_mrad": _angle(1e3 * math.sqrt(sum(piece.variance for piece in pieces))),
         "mean_loss_kev": _known(_KEV * sum(piece.loss for piece in pieces)),
     }
 
 
 def _known(value: float) -> float | None:
     return value if math.isfinite(value) else None
+
+
+def _angle(value: float) -> float | None:
+    return value if value <= _WIDEST else None  # NaN, where the particle stops on average, is None, too
 
 
 def _send(
