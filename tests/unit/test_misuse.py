@@ -29,6 +29,7 @@ ROW = {"event": [0], "pdg": [13], "px": [1.0], "py": [0.0], "pz": [0.0]}
         ([*SIMULATE, "-n", "1", "-o", "x", "--set", 'cgem.L2.pitch_x="0.5 mm"\nx=3'], "cgem.L2.pitch_x"),
         ([*SIMULATE, "-n", "1", "-o", "x", "--vertex", "1e300,0,0"], "vertex.x"),
         (["resolution", "-d", "besiii-idc", "--p", "1:2:100000000000", "-o", "x"], "at most 10000"),
+        (["resolution", "-d", "besiii-idc", "--particle", "gamma", "--p", "1", "-o", "x"], "a charged particle"),
         (["study", "--quick", "-o", "file/inside"], "is a file"),
     ],
 )

@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from cgemit.gun import Gun
 from cgemit.io.folders import SUMMARY, new_folder
+from cgemit.particles import species
 from cgemit.result import Settings
 from cgemit.study.estimate import Resolution
 from cgemit.study.present import html_table, text_table, with_error
@@ -47,6 +48,8 @@ def momentum_orders(
     orders = []
     for number, p in enumerate(momenta, start=1):
         gun = Gun(particle, p=p, cos_theta=cos_theta)
+        if species(gun.particle).charge == 0:
+            raise ValueError(f"particle: got {particle!r}; expected a charged particle")
         label = f"{detector.name}, {p:g} GeV/c"
         orders.append(Order(label, detector, gun, events, seed_of(seed, number), settings or Settings()))
     return orders
@@ -265,7 +268,7 @@ def scan(
     Raises
     ------
     ValueError
-        If particle or numbers make no sense.
+        If particle or numbers make no sense, or the particle is neutral.
     """
     start = time.perf_counter()
     gun: dict[str, Any] = {"particle": particle, "cos_theta": cos_theta}
