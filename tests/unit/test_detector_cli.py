@@ -46,6 +46,7 @@ def test_show_prints_tables_and_draws(capsys: pytest.CaptureFixture[str], tmp_pa
     assert MATTER in text
     rows = {line.split()[0]: line.split() for line in text.splitlines() if line}
     assert rows["L2"][-3:] == ["630", "1077", "-31.033"]
+    assert rows["L2"][5:8] == ["70", "50", "140"]
     assert rows["20"][:3] == ["20", "160", "1772"]
     assert "chamber gas" in text
     names = {path.name for path in folder.iterdir()}

@@ -39,7 +39,8 @@ _SUB_LAYERS = (
 )  # fmt: skip
 _CGEM = (
     ("layer", "layer", "<s"), ("r_mid_gap_mm", "r mid gap/mm", ".3f"), ("r_readout_mm", "r read-out/mm", ".4f"),
-    ("length_mm", "length/mm", "g"), ("drift_gap_mm", "gap/mm", "g"), ("sheets", "sheets", "d"),
+    ("length_mm", "length/mm", "g"), ("drift_gap_mm", "gap/mm", "g"), ("hole_outer_um", "hole/um", "g"),
+    ("hole_inner_um", "waist/um", "g"), ("hole_pitch_um", "hole pitch/um", "g"), ("sheets", "sheets", "d"),
     ("phi_first_deg", "first phi/deg", ".3f"), ("pitch_x_um", "X pitch/um", "g"), ("pitch_v_um", "V pitch/um", "g"),
     ("strips_x", "X strips", "d"), ("strips_v", "V strips", "d"), ("stereo_deg", "stereo/deg", "+.3f"),
 )  # fmt: skip
