@@ -26,7 +26,8 @@ from cgemit.simulate import SimulateSettings
 from cgemit.study.cluster_residuals import cluster_residuals
 from cgemit.study.paper import COS_THETA
 from cgemit.study.samples import seed_of
-from cgemit.study.spectra import windowed_resolution
+from cgemit.study.spectra import v_fit, windowed_resolution
+from cgemit.study.windows import x_widths
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "methods" / "foils.md"
 PRESET = "besiii-cgem-design"
@@ -76,9 +77,9 @@ def observables(
     if p == 1.0:
         clusters = cluster_residuals(result)
         found = {
-            "X residual, RMS (um)": 1e3 * cg.study.measure(clusters.x).rms,
+            "X residual, RMS within 3 mm (um)": x_widths(clusters, 3.0).rms,
             "X clusters of one strip": clusters.single_strip_fraction[0],
-            "V residual, Gaussian (um)": 1e3 * cg.study.gaussian_fit(clusters.v).sigma,
+            "V residual, Gaussian (um)": v_fit(clusters).sigma,
         }
     for name, unit in UNITS.items():
         found[f"sigma({name}) ({unit})"] = windowed_resolution(result.tracks, name).core
