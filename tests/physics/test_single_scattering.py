@@ -117,3 +117,19 @@ def test_planes_share_single_scatters():
     assert values[0] > 0.02
     # The soft part, Gaussian here, is in truth a sum of scatters that share, too.
     assert_within(values[1], values[0], np.hypot(np.sqrt(2 / 150_000), 0.01 / 4), what="correlation of sizes")
+
+
+def test_nuclei_of_finite_size_scatter_less():
+    """Beyond 60 mrad behind 1 mm of copper there is what the form factor leaves, half of a point's."""
+    parts, p, n, least = [(COPPER, 1.0)], 1.0, 500_000, 0.06
+    q2 = np.geomspace((2 * p * np.sin(least / 2)) ** 2, 4 * p * p, 5000)
+    expected = point = 0.0
+    for c, a2, size, limit in species(elements(parts), p, MUON, "wentzel"):
+        density = n * c / (q2 + a2) ** 2 * (q2 < limit)
+        expected += np.trapezoid(density / (1 + size * q2) ** 4, q2)
+        point += np.trapezoid(density, q2)
+    out = through(parts, p, "wentzel", n)
+    found = np.count_nonzero(np.hypot(out["angle_1"], out["angle_2"]) > least)
+    # 5 %: soft scatters (4.5 mrad) before and behind the hard one.
+    assert_within(found, expected, np.hypot(np.sqrt(expected), 0.05 * expected), what="large angles")
+    assert point - found > 4 * np.hypot(np.sqrt(point), 0.05 * point)

@@ -139,6 +139,27 @@ def test_electrons_come_back_from_outside() -> None:
     assert np.mean(ends["1 mT"]["deposited"]) < 0.1 * np.mean(ends["1 T"]["deposited"])
 
 
+@pytest.mark.parametrize("sign", [-1, 1])
+def test_the_way_outside_is_the_rest_of_the_circle(sign: int) -> None:
+    """From the gap out through nothing and back until gold stops it: way and shift are those of a circle.
+
+    Clockwise as seen with u to the right and w up in positive field, so that one sign has the shorter arc outside, the
+    other the longer one.
+    """
+    radius, w, du, bz = 20.0, 2.5, 0.5, 0.3  # mm, mm, 1, T
+    momentum = 0.299792458 * bz * radius * 1e3  # keV/c
+    energy = float(np.hypot(momentum, REST_ENERGY) - REST_ENERGY)
+    core = compiled(detector("Au", 10.0, bz=f"{sign * bz} T"))
+    ends = _core.follow_electrons(core, 0, w=w, energy=energy, outward=float(np.sqrt(1 - du**2)), n=100, seed=1)
+    # w = sign r (cos(a) - cos(a0)) + w0, a the angle of the direction to the u axis; it meets w = 0 going down.
+    begin, end = np.arccos(du), -np.arccos(du - sign * w / radius)
+    arc = begin - end if sign > 0 else 2 * np.pi + end - begin
+    shift = sign * radius * (np.sin(begin) - np.sin(end))
+    # In gold it goes some tenths of a millimetre.
+    assert np.median(ends["way"]) == pytest.approx(radius * arc, abs=1.0)
+    assert np.median(ends["u"]) == pytest.approx(shift, abs=1.0)
+
+
 def test_energy_is_accounted_for() -> None:
     """What an electron of 5 keV has lost in the middle of the gas is what it left there."""
     core = compiled(load("besiii-cgem"))

@@ -149,3 +149,42 @@ def test_every_particle_passes(p: float, mass: float) -> None:
     density = clusters_per_mm(DETECTOR.cgem[0].gas, np.log([beta_gamma]))[0]
     clusters = np.count_nonzero(~delta) / 2000
     assert clusters == pytest.approx(0.9954 * 5 * density, rel=0.03)
+
+
+@pytest.mark.parametrize("p", [0.1, 0.08])
+def test_no_cluster_is_above_w_max(p: float) -> None:
+    """At 0.1 GeV/c in a range of the size table, at 0.08 GeV/c below the last of its ranges."""
+    w_max = 2e6 * ELECTRON * (p / PROTON) ** 2 / (1 + 2 * math.hypot(1, p / PROTON) * ELECTRON / PROTON)
+    energy = ionize(n=1000, p=p, mass=PROTON)["deposit_energy"]
+    half_an_electron = 0.013
+    assert 0.99 * w_max < energy.max() < w_max + half_an_electron
+
+
+def test_fast_electrons_have_the_spectrum_of_free_ones() -> None:
+    """Above 52 keV, from the middle of a gap of water, where they stop: xi/beta^2 (1 - beta^2 E/W_max)/E^2."""
+    water = {"density": "1 g/cm3", "composition": "H2O", "excitation_energy": "75 eV", "gas": True}
+    detector = DETECTOR.with_overrides({"materials.Water": water, "cgem.L1.gas": "Water"})
+    n, beta_gamma, least, part = 4000, 0.7, 52.0, (0.5, 3.0)
+    found = ionize(n=n, detector=detector, p=0.7 * MUON, mass=MUON, deltas=True, keep_clusters=False)
+    gas = found["deposit_origin"] == 0
+    each = found["deposit_crossing"][gas] * 10_000 + found["deposit_delta"][gas]
+    _, first, electron = np.unique(each, return_index=True, return_inverse=True)
+    begin = [(found[f"deposit_{a}"] - 0.5 * found[f"deposit_d{a}"])[gas][first] for a in "xy"]
+    w = np.hypot(*begin) - detector.cgem[0].r_gap_in
+    fast = np.bincount(electron, found["deposit_energy"][gas]) > least
+    number = np.count_nonzero(fast & (w > part[0]) & (w < part[1]))
+    beta2 = beta_gamma**2 / (1 + beta_gamma**2)
+    w_max = 2e6 * ELECTRON * beta_gamma**2 / (1 + 2 * math.hypot(1, beta_gamma) * ELECTRON / MUON)
+    xi = n * 1e6 * detector.cgem[0].gas.xi(part[1] - part[0]) / beta2
+    rutherford = xi * (1 / least - 1 / w_max)
+    expected = rutherford - xi * beta2 / w_max * math.log(w_max / least)
+    assert_within(number, expected, math.sqrt(expected), what="fast electrons")
+    with pytest.raises(AssertionError, match="standard errors"):
+        assert_within(number, rutherford, math.sqrt(rutherford))
+
+
+def test_a_size_table_that_ends_elsewhere_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    table = ionization("ar-ic4h10-90-10")
+    monkeypatch.setattr("cgemit.detector.gaps.ionization", lambda _: table._replace(sizes=table.sizes[1:]))
+    with pytest.raises(ValueError, match="sizes"):
+        compiled(DETECTOR.with_overrides({"cgem.L1.drift_gap": "4.9 mm"}))

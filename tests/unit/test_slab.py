@@ -134,6 +134,12 @@ def test_formulas_of_small_angles_end_at_1_rad():
     assert cg.slab("Pb 1 mm", "mu-", 0.1, 1000).highland_mrad < 1000
 
 
+@pytest.mark.parametrize("thickness", [math.nan, math.inf, 0.0, -1.0])
+def test_sheets_have_a_thickness(thickness):
+    with pytest.raises(SlabError, match="thickness"):
+        cg.slab([(library()["Cu"], 1.0), (library()["Cu"], thickness)])
+
+
 def test_neutral_particles_are_refused():
     with pytest.raises(SlabError, match="charged"):
         cg.slab("Cu 1 mm", "gamma")

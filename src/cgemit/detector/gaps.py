@@ -236,7 +236,7 @@ def slices(layer: CgemLayer) -> NDArray[np.float64]:
 
 
 def gap_columns(layer: CgemLayer) -> dict[str, Any]:
-    """Return a gap as the core takes it: dicts of columns (float64) and numbers, see ``detector.hpp``."""
+    """Return a gap as the core takes it: dicts of columns (float64) and numbers, see ``detector/gap.hpp``."""
     shells = list(layer.shells())
     groups = _groups(shells, [shell.group for shell in shells].index("drift"))
     gap = [group[0].group for group in groups].index("drift")

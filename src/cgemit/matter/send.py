@@ -138,8 +138,8 @@ def _check(
 ) -> _Order:
     problems: list[Problem] = []
     sheets = parse_stack(matter, problems) if isinstance(matter, str) else _sheets(matter, problems)
-    if not problems and (not sheets or min(sheet.thickness for sheet in sheets) <= 0):
-        problems.append(Problem("matter", "no sheet, or one without thickness", "sheets thicker than 0"))
+    if not problems and (not sheets or not all(0 < sheet.thickness < math.inf for sheet in sheets)):
+        problems.append(Problem("matter", "no sheet, or one without thickness", "sheets thicker than 0, and finite"))
     kind, momentum = _kind(particle, problems), _momentum(p, problems)
     for name, value, least, most in (("n", n, FEWEST, MOST), ("seed", seed, 0, 2**64 - 1)):
         if not isinstance(value, int | np.integer) or isinstance(value, bool) or not least <= value <= most:

@@ -52,6 +52,9 @@ GapMatter make_gap(const py::dict& gap) {
   for (const double share : column(sizes, "sizes"))
     matter.sizes.push_back(static_cast<std::uint32_t>(std::min(share * 0x1p32, 0x1p32 - 1)));
   std::ranges::copy(column(tail, "tail"), std::back_inserter(matter.tail));
+  if (matter.sizes.size() + 1 != largest_cluster + matter.tail.size())
+    throw std::invalid_argument("sizes: expected one for each number of electrons up to " +
+                                std::to_string(largest_cluster) + " and one for each range of tail");
   return matter;
 }
 

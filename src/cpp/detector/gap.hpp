@@ -13,6 +13,9 @@ inline constexpr int electron_steps = 16;
 inline constexpr double electron_grid_first = 0.25;              // keV
 inline constexpr int electron_points = 19 * electron_steps + 1;  // to 131 MeV
 
+// Ionizations of more electrons are delta electrons.
+inline constexpr std::size_t largest_cluster = 40;
+
 // What a material does to electrons of one energy. Scatters with mu = (1 - cos(angle))/2 above `cut` are
 // drawn one by one, with the spectrum 1/(mu + screening)^2, softer ones together.
 struct ElectronPoint {

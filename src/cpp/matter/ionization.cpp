@@ -12,7 +12,6 @@ namespace cgemit {
 
 namespace {
 
-constexpr std::size_t largest_cluster = 40;  // electrons; larger ones are delta electrons
 // Blocks of random numbers. Of the gas: 0 for counts, then sizes (four a block), then one for each cluster
 // and one for each fast electron. Of the solids: 0 for the count, then two for each electron.
 constexpr std::uint32_t cluster_blocks = 512, fast_blocks = 3072, spin_blocks = 2048;
@@ -128,9 +127,8 @@ class Passage {
 
   void large_cluster(std::uint32_t number, std::size_t range, bool deltas, bool keep) {
     const Block words = stream_.block(Purpose::ionization, place_, cluster_blocks + number);
-    const double low = matter_.tail[range];
-    const double high =
-        std::max(std::min(matter_.tail[range + 1], collisions_.largest / matter_.w_value), low);
+    const double most = collisions_.largest / matter_.w_value;
+    const double low = std::min(matter_.tail[range], most), high = std::min(matter_.tail[range + 1], most);
     const int size =
         static_cast<int>(std::lround(1 / (1 / low - open_unit(words[0]) * (1 / low - 1 / high))));
     if (!deltas) return leave(number, size, keep);
