@@ -35,7 +35,7 @@ def detector(cathode: str, thickness: float, bz: str = "1 mT", gas: str = "Thin"
     changes = {
         "field.bz": bz,
         "materials.Thin": THIN,
-        "materials.Water": WATER,
+        "materials.Water": WATER | {"gas": gas == "Water"},
         "materials.Graphite": CARBON,
         "cgem.L1.cathode": [{"material": cathode, "thickness": f"{thickness!r} mm"}],
         "cgem.L1.gas": gas,
