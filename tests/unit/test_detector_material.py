@@ -147,8 +147,12 @@ def test_foils_are_the_same_matter_at_lower_density() -> None:
 
 
 def own(**material: object) -> object:
-    tables = {"base": "besiii-cgem", "materials": {"Own": material}, "cgem": {"L1": {"gas": "Own"}}}
-    return load(tables).cgem[0].gas
+    tables = {
+        "base": "besiii-cgem",
+        "materials": {"Own": material},
+        "cgem": {"L1": {"cathode": [{"material": "Own", "thickness": "1 mm"}]}},
+    }
+    return load(tables).cgem[0].cathode[0].material
 
 
 def test_own_materials() -> None:
