@@ -20,15 +20,4 @@ inline double positive_angle(double phi) {
   return positive < 2 * pi ? positive : 0.0;  // a tiny negative angle rounds up to 2 pi
 }
 
-// atan(t)/t, exact also where t vanishes.
-inline double atan_over(double t) {
-  const double q = t * t;
-  if (q < 1e-3) return 1.0 + q * (-1.0 / 3 + q * (1.0 / 5 + q * (-1.0 / 7 + q * (1.0 / 9 - q / 11))));
-  if (q < 0.02) {
-    const double tail = -1.0 / 11 + q * (1.0 / 13 + q * (-1.0 / 15 + q * (1.0 / 17 - q / 19)));
-    return 1.0 + q * (-1.0 / 3 + q * (1.0 / 5 + q * (-1.0 / 7 + q * (1.0 / 9 + q * tail))));
-  }
-  return std::atan(t) / t;
-}
-
 }  // namespace cgemit

@@ -97,10 +97,12 @@ struct CgemLayer {
 };
 
 // A sense wire: its point at z = 0 and its unit direction (towards +z).
-struct Wire {
-  double x, y;
-  double ex, ey, ez;
+template <class T>
+struct WireOf {
+  T x, y;
+  T ex, ey, ez;
 };
+using Wire = WireOf<double>;
 
 // One layer of drift cells around straight, possibly stereo, wires.
 struct WireLayer {

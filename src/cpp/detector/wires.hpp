@@ -6,6 +6,7 @@
 #include "common/angles.hpp"
 #include "common/units.hpp"
 #include "detector/detector.hpp"
+#include "lanes/math.hpp"
 
 namespace cgemit {
 

@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "common/units.hpp"
+#include "lanes/math.hpp"
 
 namespace cgemit {
 
@@ -18,57 +19,61 @@ inline Projectile projectile_of(double mass, double charge) {
 }
 
 // Momenta in GeV/c, energies in GeV.
-struct Kinematics {
-  double p, energy, mass;
-  double per_p, per_mass, per_beta, per_beta2, beta2, gamma;
-  double log_bg, log_gamma;  // ln(beta gamma), ln(gamma)
+template <class T>
+struct KinematicsOf {
+  T p, energy, mass;
+  T per_p, per_mass, per_beta, per_beta2, beta2, gamma;
+  T log_bg, log_gamma;  // ln(beta gamma), ln(gamma)
   Projectile projectile;
 
-  Kinematics(double momentum, double mass_, Projectile projectile_)
+  KinematicsOf(T momentum, T mass_, Projectile projectile_)
       : p(momentum),
-        energy(std::sqrt(momentum * momentum + mass_ * mass_)),
+        energy(sqrt(momentum * momentum + mass_ * mass_)),
         mass(mass_),
-        per_mass(1 / mass_),
+        per_mass(1.0 / mass_),
         projectile(projectile_) {
     follow();
-    log_bg = std::log(p * per_mass);
-    log_gamma = std::log(gamma);
+    log_bg = log(p * per_mass);
+    log_gamma = log(gamma);
   }
   // The same particle with less energy. Small changes, as in a thin slab, need no logarithm.
-  Kinematics after_loss(double loss) const {
-    Kinematics k = *this;
+  KinematicsOf after_loss(T loss) const {
+    KinematicsOf k = *this;
     k.energy = energy - loss;
-    k.p = std::sqrt((k.energy - mass) * (k.energy + mass));
+    k.p = sqrt((k.energy - mass) * (k.energy + mass));
     k.follow();
     k.log_bg += log_ratio(k.p, p, per_p);
     k.log_gamma += log_ratio(k.energy, energy, per_p / per_beta);
     return k;
   }
   bool is_light() const { return projectile >= Projectile::electron; }
-  double kinetic() const { return energy - mass; }
-  double log_beta2() const { return 2 * (log_bg - log_gamma); }
+  T kinetic() const { return energy - mass; }
+  T log_beta2() const { return 2.0 * (log_bg - log_gamma); }
   // Largest energy that one collision can give to an electron at rest; PDG 2024 eq. 34.4. Of two electrons
   // the slower one counts as struck, a positron can lose everything.
-  double w_max() const {
+  T w_max() const {
     if (projectile == Projectile::electron) return 0.5 * kinetic();
     if (projectile == Projectile::positron) return kinetic();
-    const double ratio = electron_mass * per_mass, bg = p * per_mass;
-    return 2 * electron_mass * bg * bg / (1 + 2 * gamma * ratio + ratio * ratio);
+    const T ratio = electron_mass * per_mass, bg = p * per_mass;
+    return 2 * electron_mass * bg * bg / (1.0 + 2.0 * gamma * ratio + ratio * ratio);
   }
 
  private:
   void follow() {
-    per_p = 1 / p;
+    per_p = 1.0 / p;
     per_beta = energy * per_p;
     per_beta2 = per_beta * per_beta;
-    beta2 = 1 / per_beta2;
+    beta2 = 1.0 / per_beta2;
     gamma = energy * per_mass;
   }
   // ln(a/b), by its series where the next term is below 1e-9.
-  static double log_ratio(double a, double b, double per_b) {
-    const double d = (a - b) * per_b;
-    return std::abs(d) < 0.02 ? d * (1 - d * (1.0 / 2 - d * (1.0 / 3 - d / 4))) : std::log(a / b);
+  static T log_ratio(T a, T b, T per_b) {
+    const T d = (a - b) * per_b;
+    return choose(
+        abs(d) < 0.02, [&d] { return d * (1.0 - d * (1.0 / 2 - d * (1.0 / 3 - d / 4.0))); },
+        [&] { return log(a / b); });
   }
 };
+using Kinematics = KinematicsOf<double>;
 
 }  // namespace cgemit

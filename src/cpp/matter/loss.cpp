@@ -9,6 +9,9 @@ namespace cgemit {
 
 namespace {
 
+// -2 ln(I) - delta - 2 C/Z of a slab, and its slope in ln(beta gamma).
+Read<double> log_term(const Slab& slab, double log_bg) { return read<&SlabPoint::log_term>(slab, log_bg); }
+
 // Bracket that xi/beta^2 multiplies, for heavy particles and a limit up to w_max.
 double heavy_bracket(const Slab& slab, const Kinematics& k, double limit, double w_max) {
   const double bg = k.p * k.per_mass;
@@ -68,31 +71,13 @@ double restricted_loss(const Slab& slab, double path, const Kinematics& k, doubl
   return std::max(slab.xi * path * k.per_beta2 * bracket, 0.0);
 }
 
-LossMoments core_loss(const Slab& slab, double path, const Kinematics& k, const TrackMatter& track) {
-  const double xi = slab.xi * path * k.per_beta2, wanted = core_cut * track.xi * k.per_beta2;
-  const double w_max = k.w_max(), cut = std::min(wanted, w_max);
-  const LogTerm term = log_term(slab, k.log_bg);
-  if (k.is_light()) {
-    const double bracket = std::max(light_bracket(slab, k, cut), 0.0), x0 = slab.x0 * path;
-    const double radiated = radiated_mean * x0 * k.energy;
-    const double slope = xi * (2 + term.slope) / k.p + radiated_mean * x0 * k.p / k.energy;
-    return {xi * bracket + radiated, xi * cut + radiated_variance * x0 * k.energy * k.energy, slope};
-  }
-  static const double log_constant = std::log(2 * electron_mass * core_cut);
-  // ln(2 m_e (beta gamma)^2 cut), where the cut holds 1/beta^2.
-  const double log_cut = wanted < w_max ? log_constant + track.log_xi + 2 * k.log_gamma
-                                        : std::log(2 * electron_mass * w_max) + 2 * k.log_bg;
-  const double spin = k.beta2 * cut / w_max;
-  const double bracket = log_cut - k.beta2 - spin + term.value;
-  if (!(bracket > 0)) return {0, 0, 0};
-  // Per ln(p), with 1/gamma^2 = 1 - beta^2: 1/beta^2 falls by 2/gamma^2, (beta gamma)^2 grows by 2, beta^2 by
-  // 2 beta^2/gamma^2, the cut follows 1/beta^2 or w_max.
-  const double per_gamma2 = 1 - k.beta2, ratio = electron_mass * k.per_mass;
-  const double grow_w_max = 2 - 2 * ratio * k.gamma * k.beta2 / (1 + 2 * k.gamma * ratio + ratio * ratio);
-  const double grow_bracket = wanted < w_max ? 2 - 2 * per_gamma2 * (1 + k.beta2) + spin * grow_w_max
-                                             : 2 + grow_w_max - 4 * k.beta2 * per_gamma2;
-  const double per_log_p = -2 * per_gamma2 * bracket + grow_bracket + term.slope;
-  return {xi * bracket, xi * cut * (1 - 0.5 * spin), xi * per_log_p / k.p};
+LossMoments light_core_loss(const Slab& slab, double path, const Kinematics& k, const TrackMatter& track) {
+  const double xi = slab.xi * path * k.per_beta2,
+               cut = std::min(core_cut * track.xi * k.per_beta2, k.w_max());
+  const double bracket = std::max(light_bracket(slab, k, cut), 0.0), x0 = slab.x0 * path;
+  const double radiated = radiated_mean * x0 * k.energy;
+  const double slope = xi * (2 + log_term(slab, k.log_bg).slope) / k.p + radiated_mean * x0 * k.p / k.energy;
+  return {xi * bracket + radiated, xi * cut + radiated_variance * x0 * k.energy * k.energy, slope};
 }
 
 double sample_loss(const Slab& slab, double path, const Kinematics& k, const Stream& stream,

@@ -8,16 +8,6 @@
 
 namespace cgemit {
 
-// -2 ln(I) - delta - 2 C/Z of a slab, and its slope in ln(beta gamma).
-struct LogTerm {
-  double value, slope;
-};
-inline LogTerm log_term(const Slab& slab, double log_bg) {
-  const GridPlace place(log_bg);
-  const double here = slab.table[place.i].log_term, next = slab.table[place.i + 1].log_term;
-  return {place.between(here, next), (next - here) / loss_grid_step};
-}
-
 // Mean energy loss by collisions with a transfer below `cut` (all of them for cut >= w_max).
 // Heavy particles: PDG 2024 eqs. 34.5 and 34.11, with the term of spin 1/2 (Rossi, High Energy Particles,
 // 1952, section 2.3); shell correction of Barkas and Berger, so beta gamma > 0.13.
@@ -25,11 +15,13 @@ inline LogTerm log_term(const Slab& slab, double log_bg) {
 double restricted_loss(const Slab& slab, double path, const Kinematics& k, double cut);
 
 // The energy loss that the fit subtracts, and its variance.
-struct LossMoments {
-  double loss;      // GeV
-  double variance;  // GeV^2
-  double slope;     // d(loss)/d(p), GeV per GeV/c
+template <class T>
+struct LossMomentsOf {
+  T loss;      // GeV
+  T variance;  // GeV^2
+  T slope;     // d(loss)/d(p), GeV per GeV/c
 };
+using LossMoments = LossMomentsOf<double>;
 
 // Landau's distribution has no variance, and rare collisions dominate its mean. The fit describes the core:
 // mean and variance of all collisions with a transfer below `core_cut` times the track's xi. Harder ones,
@@ -38,7 +30,50 @@ struct LossMoments {
 // Electrons and positrons: mean and variance of their radiation on top.
 inline constexpr double core_cut = 10;
 
-LossMoments core_loss(const Slab& slab, double path, const Kinematics& k, const TrackMatter& track);
+LossMoments light_core_loss(const Slab& slab, double path, const Kinematics& k, const TrackMatter& track);
+
+template <class T>
+LossMomentsOf<T> heavy_core_loss(const Slab& slab, T path, const KinematicsOf<T>& k,
+                                 const TrackMatterOf<T>& track) {
+  const T xi = slab.xi * path * k.per_beta2, wanted = core_cut * track.xi * k.per_beta2;
+  const T w_max = k.w_max();
+  const mask_of<T> cuts = wanted < w_max;
+  const T cut = select(cuts, wanted, w_max);
+  const Read<T> term = read<&SlabPoint::log_term>(slab, k.log_bg);
+  static const double log_constant = std::log(2 * electron_mass * core_cut);
+  // ln(2 m_e (beta gamma)^2 cut), where the cut holds 1/beta^2.
+  const T log_cut = choose(
+      cuts, [&] { return log_constant + track.log_xi + 2.0 * k.log_gamma; },
+      [&] { return log(2 * electron_mass * w_max) + 2.0 * k.log_bg; });
+  const T spin = k.beta2 * cut / w_max;
+  const T bracket = log_cut - k.beta2 - spin + term.value;
+  // Per ln(p), with 1/gamma^2 = 1 - beta^2: 1/beta^2 falls by 2/gamma^2, (beta gamma)^2 grows by 2, beta^2 by
+  // 2 beta^2/gamma^2, the cut follows 1/beta^2 or w_max.
+  const T per_gamma2 = 1.0 - k.beta2, ratio = electron_mass * k.per_mass;
+  const T grow_w_max = 2.0 - 2.0 * ratio * k.gamma * k.beta2 / (1.0 + 2.0 * k.gamma * ratio + ratio * ratio);
+  const T grow_bracket = select(cuts, 2.0 - 2.0 * per_gamma2 * (1.0 + k.beta2) + spin * grow_w_max,
+                                2.0 + grow_w_max - 4.0 * k.beta2 * per_gamma2);
+  const T per_log_p = -2.0 * per_gamma2 * bracket + grow_bracket + term.slope;
+  const T amount = select(bracket > 0.0, xi, T(0.0));
+  return {amount * bracket, amount * cut * (1.0 - 0.5 * spin), amount * per_log_p * k.per_p};
+}
+
+template <class T>
+LossMomentsOf<T> core_loss(const Slab& slab, T path, const KinematicsOf<T>& k,
+                           const TrackMatterOf<T>& track) {
+  if (!k.is_light()) return heavy_core_loss(slab, path, k, track);
+  LossMomentsOf<T> out;
+  for (int i = 0; i < lanes_of<T>; ++i) {
+    const Kinematics one(lane(k.p, i), lane(k.mass, i), k.projectile);
+    const TrackMatter matter{lane(track.x0, i), lane(track.xi, i), lane(track.chi_c2, i),
+                             lane(track.log_xi, i), lane(track.log_chi_c2, i)};
+    const LossMoments moments = light_core_loss(slab, lane(path, i), one, matter);
+    set_lane(out.loss, i, moments.loss);
+    set_lane(out.variance, i, moments.variance);
+    set_lane(out.slope, i, moments.slope);
+  }
+  return out;
+}
 
 // How often a collision transfers an energy, relative to xi/(beta^2 E^2), and the most that this can be.
 double spectrum_share(const Kinematics& k, double transfer, double w_max);

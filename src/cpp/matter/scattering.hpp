@@ -27,21 +27,21 @@ void prepare_scattering(Detector& detector, Screening screening);
 inline constexpr double core_fraction = 0.98;
 
 // Plane angle squared. 1/(p beta) is the mean (geometric) of that before and after the slab.
-inline double scattering_variance(const Slab& slab, double path, const Kinematics& before,
-                                  const Kinematics& after, const TrackMatter& track) {
-  const GridPlace place(before.log_bg);
-  const double screening =
-      place.between(slab.table[place.i].log_screening, slab.table[place.i + 1].log_screening);
+template <class T>
+T scattering_variance(const Slab& slab, T path, const KinematicsOf<T>& before, const KinematicsOf<T>& after,
+                      const TrackMatterOf<T>& track) {
+  const T screening = read<&SlabPoint::log_screening>(slab, before.log_bg).value;
   constexpr double cut_scale = 0.5 / (1 - core_fraction);  // q_F^2 = cut_scale chi_c^2 p^2
   static const double log_cut_scale = std::log(cut_scale);
-  const double log_cut = log_cut_scale + track.log_chi_c2 - before.log_beta2();
-  double sum = slab.chi_c2 * (log_cut - screening - 1);
+  const T log_cut = log_cut_scale + track.log_chi_c2 - before.log_beta2();
+  T sum = slab.chi_c2 * (log_cut - screening - 1.0);
   // Electrons recoil with 2 m_e W_max at most; where that is less, the core ends earlier for them.
-  const double recoil = 2 * electron_mass * before.w_max(), cut = cut_scale * track.chi_c2 * before.per_beta2;
-  if (recoil < cut) sum -= slab.chi_c2_electrons * std::log(cut / recoil);
-  const double per_p_beta2 = before.per_beta * before.per_p * after.per_beta * after.per_p;
+  const T recoil = 2 * electron_mass * before.w_max(), cut = cut_scale * track.chi_c2 * before.per_beta2;
+  const auto less = recoil < cut;
+  if (any(less)) sum -= select(less, slab.chi_c2_electrons * log(cut / recoil), T(0.0));
+  const T per_p_beta2 = before.per_beta * before.per_p * after.per_beta * after.per_p;
   constexpr double per_width = 1 / (1 + core_fraction * core_fraction);
-  return std::max(sum, slab.chi_c2) * path * per_width * per_p_beta2;
+  return larger(sum, slab.chi_c2) * path * per_width * per_p_beta2;
 }
 
 // Turns the flight direction by plane angles about the two axes across it, and shifts the point along them.

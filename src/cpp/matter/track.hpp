@@ -17,20 +17,42 @@ namespace cgemit {
 inline constexpr double least_kinetic = 0.1 * MeV;
 
 // Sums over all slabs, along the track.
-struct TrackMatter {
-  double x0 = 0;      // radiation lengths
-  double xi = 0;      // GeV, Landau's xi times beta^2
-  double chi_c2 = 0;  // GeV^2, chi_c^2 times (p beta)^2
-  double log_xi = 0, log_chi_c2 = 0;
+template <class T>
+struct TrackMatterOf {
+  T x0{0.0};      // radiation lengths
+  T xi{0.0};      // GeV, Landau's xi times beta^2
+  T chi_c2{0.0};  // GeV^2, chi_c^2 times (p beta)^2
+  T log_xi{0.0}, log_chi_c2{0.0};
 };
+using TrackMatter = TrackMatterOf<double>;
 
 // Matter of the detector along a straight line from the origin with this slope.
-TrackMatter total_matter(const Detector& detector, double tanl);
+template <class T>
+TrackMatterOf<T> total_matter(const Detector& detector, T tanl) {
+  TrackMatterOf<T> total;
+  mask_of<T> inside(true);
+  for (const Slab& slab : detector.slabs) {
+    const mask_of<T> met = inside & (abs(tanl) * slab.radius <= slab.half_length);
+    total.x0 += select(met, T(slab.x0), 0.0);
+    total.xi += select(met, T(slab.xi), 0.0);
+    total.chi_c2 += select(met, T(slab.chi_c2), 0.0);
+    if (slab.ends) inside = met;
+  }
+  const T path = sqrt(1.0 + tanl * tanl);
+  total.x0 *= path;
+  total.xi *= path;
+  total.chi_c2 *= path;
+  // Logarithms of an empty detector exist, too.
+  total.log_xi = log(larger(total.xi, 1e-15));
+  total.log_chi_c2 = log(larger(total.chi_c2, 1e-15));
+  return total;
+}
 
 // Factor by which a track sees a slab thicker than at normal incidence: `stretch` = 1/cos(lambda), times
 // 1/cos(a), cos(a) = P/r. A grazing track sees at most the chord of the shell.
-inline double path_factor(const Slab& slab, double stretch, double outward) {
-  return stretch * slab.radius / std::max(outward, slab.least_outward);
+template <class T>
+T path_factor(const Slab& slab, T stretch, T outward) {
+  return stretch * slab.radius / larger(outward, slab.least_outward);
 }
 
 // Where a slab's table is read.
@@ -46,5 +68,22 @@ struct GridPlace {
   }
   double between(double a, double b) const { return a + fraction * (b - a); }
 };
+
+// A column of that table, and its slope, per track.
+template <class T>
+struct Read {
+  T value, slope;
+};
+template <double SlabPoint::* column, class T>
+Read<T> read(const Slab& slab, const T& log_bg) {
+  Read<T> out;
+  for (int k = 0; k < lanes_of<T>; ++k) {
+    const GridPlace place(lane(log_bg, k));
+    const double here = slab.table[place.i].*column, next = slab.table[place.i + 1].*column;
+    set_lane(out.value, k, place.between(here, next));
+    set_lane(out.slope, k, (next - here) / loss_grid_step);
+  }
+  return out;
+}
 
 }  // namespace cgemit

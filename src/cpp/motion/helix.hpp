@@ -9,36 +9,46 @@
 #pragma once
 
 #include <cmath>
+#include <type_traits>
 
 #include "common/angles.hpp"
 #include "common/units.hpp"
+#include "lanes/math.hpp"
 
 namespace cgemit {
 
-struct HelixPoint {
-  double x, y, z;  // mm
-  double ux, uy;   // transverse direction of flight, unit vector
-  double tanl;     // dz/ds
-  double w;        // 1/mm, turning per transverse arc
+template <class T>
+struct HelixPointOf {
+  T x, y, z;  // mm
+  T ux, uy;   // transverse direction of flight, unit vector
+  T tanl;     // dz/ds
+  T w;        // 1/mm, turning per transverse arc
 
-  double radius() const { return std::sqrt(x * x + y * y); }
-  double outward() const { return x * ux + y * uy; }   // P
-  double sideways() const { return x * uy - y * ux; }  // S
+  T radius() const { return sqrt(x * x + y * y); }
+  T outward() const { return x * ux + y * uy; }   // P
+  T sideways() const { return x * uy - y * ux; }  // S
 };
+using HelixPoint = HelixPointOf<double>;
 
 // w of a track with kappa = charge/pT; positive charge in positive field turns clockwise.
-inline double curvature(double bz, double kappa) { return -bz * kappa / radius_per_kappa; }
+template <class T>
+T curvature(double bz, T kappa) {
+  return kappa * (-bz / radius_per_kappa);
+}
 
 // Moves along the chord of a turn by 2 atan(t): h = tan(half the turn)/w is half of what the step would be if
 // straight.
-inline void turn(HelixPoint& point, double h, double t) {
-  const double q = t * t;
-  const double scale = q < 1e-4 ? 1.0 - q * (1.0 - q * (1.0 - q * (1.0 - q))) : 1.0 / (1.0 + q);
-  const double chord = 2.0 * h * scale;
+template <class T>
+void turn(HelixPointOf<T>& point, T h, T t) {
+  const T q = t * t;
+  const T scale = choose(
+      q < 1e-4, [&q] { return 1.0 - q * (1.0 - q * (1.0 - q * (1.0 - q))); },
+      [&q] { return 1.0 / (1.0 + q); });
+  const T chord = 2.0 * h * scale;
   point.x += chord * (point.ux - t * point.uy);
   point.y += chord * (point.uy + t * point.ux);
-  const double cosine = (1.0 - q) * scale, sine = 2.0 * t * scale;
-  const double ux = cosine * point.ux - sine * point.uy;
+  const T cosine = (1.0 - q) * scale, sine = 2.0 * t * scale;
+  const T ux = cosine * point.ux - sine * point.uy;
   point.uy = cosine * point.uy + sine * point.ux;
   point.ux = ux;
 }
@@ -47,44 +57,44 @@ inline void turn(HelixPoint& point, double h, double t) {
 // cylinder; from outside, on the way out, it lies behind (a negative arc). Else to where the helix enters it,
 // for a point outside on its way in. Returns false, leaving the point alone, when the helix does not reach
 // it. `arc` receives the transverse path.
-[[nodiscard]] inline bool step_to_cylinder(HelixPoint& point, double r, double& arc, bool outward = true) {
-  const double r0_squared = point.x * point.x + point.y * point.y;
-  const double difference = r * r - r0_squared;
-  const double s1 = point.sideways() + 0.5 * point.w * difference;
-  const double p1_squared = r * r - s1 * s1;
-  if (!(p1_squared >= 0)) return false;
-  const double p1 = outward ? std::sqrt(p1_squared) : -std::sqrt(p1_squared);
-  const double p0 = point.outward();
+template <class T>
+[[nodiscard]] mask_of<T> step_to_cylinder(HelixPointOf<T>& point, std::type_identity_t<T> r, T& arc,
+                                          bool outward = true) {
+  const T r0_squared = point.x * point.x + point.y * point.y;
+  const T difference = r * r - r0_squared;
+  const T s1 = point.sideways() + 0.5 * point.w * difference;
+  const T p1_squared = r * r - s1 * s1;
+  mask_of<T> reached = p1_squared >= 0.0;
+  arc = 0.0;
+  if (!any(reached)) return reached;
+  const T root = sqrt(larger(p1_squared, 0.0)), p1 = outward ? root : -root;
+  const T p0 = point.outward();
   // Two forms of one number; each is a difference of equals where the other is not. Heading in and leaving on
   // the other side needs the second, above all when the point lies on the cylinder.
-  const bool through = outward && p0 < 0;
-  double h = 0;
-  if (through) {
-    h = 0.5 * (p1 - p0) / (1.0 - point.w * (point.sideways() + 0.25 * point.w * difference));
-  } else if (p0 + p1 != 0) {
-    h = 0.5 * difference / (p0 + p1);
-  } else if (difference != 0) {
-    return false;
-  }
-  const double t = point.w * h;
+  const mask_of<T> through = outward & (p0 < 0.0);
+  const T sum = p0 + p1;
+  const auto no_step = sum == 0.0;  // a graze: only a point that is there already has reached it
+  T h = choose(
+      through,
+      [&] { return 0.5 * (p1 - p0) / (1.0 - point.w * (point.sideways() + 0.25 * point.w * difference)); },
+      [&] { return select(no_step, T(0.0), 0.5 * difference / select(no_step, T(1.0), sum)); });
+  reached = reached & (through | !no_step | (difference == 0.0));
+  h = select(reached, h, T(0.0));
+  const T t = point.w * h;
   // On the way through, h < 0 is a turn by more than pi; otherwise it is a step back to a smaller radius.
-  const bool far_side = through && h < 0;
-  arc = far_side ? (2.0 * std::atan(t) + std::copysign(2.0 * pi, point.w)) / point.w : 2.0 * h * atan_over(t);
+  const mask_of<T> far_side = through & (h < 0.0);
+  const T near_arc = 2.0 * h * atan_over(t);
+  arc = any(far_side) ? select(far_side, (2.0 * atan(t) + copysign(T(2.0 * pi), point.w)) / point.w, near_arc)
+                      : near_arc;
   turn(point, h, t);
   point.z += arc * point.tanl;
-  return true;
-}
-
-// tan(f)/f, exact to rounding; by its series where that is short.
-inline double tangent_over(double f) {
-  const double q = f * f;
-  if (q > 1e-3) return std::tan(f) / f;
-  return 1 + q * (1.0 / 3 + q * (2.0 / 15 + q * (17.0 / 315 + q * (62.0 / 2835))));
+  return reached;
 }
 
 // Moves by a transverse arc, forward or back.
-inline void advance(HelixPoint& point, double arc) {
-  const double h = 0.5 * arc * tangent_over(0.5 * point.w * arc);
+template <class T>
+void advance(HelixPointOf<T>& point, std::type_identity_t<T> arc) {
+  const T h = 0.5 * arc * tangent_over(0.5 * point.w * arc);
   turn(point, h, point.w * h);
   point.z += arc * point.tanl;
 }

@@ -8,54 +8,55 @@
 
 namespace cgemit {
 
-struct Approach {
-  double doca;        // mm, along n = (flight x wire)/|...|: positive or negative side of the wire
-  double nx, ny, nz;  // n at the closest point
-  double arc;         // transverse arc from the start to the closest point
-  double z_wire;      // z on the wire
+template <class T>
+struct ApproachOf {
+  T doca;        // mm, along n = (flight x wire)/|...|: positive or negative side of the wire
+  T nx, ny, nz;  // n at the closest point
+  T arc;         // transverse arc from the start to the closest point
+  T z_wire;      // z on the wire
 };
+using Approach = ApproachOf<double>;
 
 // Moves `point` to its closest approach: where f(s) = (point - wire) . (tangent across the wire) vanishes, by
-// Newton's method with the second derivative; from far away the first step is straight. Returns false if that
-// does not settle.
-[[nodiscard]] inline bool approach_wire(HelixPoint& point, const Wire& wire, Approach& result) {
-  double arc = 0;
-  for (int iteration = 0; iteration < 12; ++iteration) {
-    const double dx = point.x - wire.x, dy = point.y - wire.y, dz = point.z;
-    const double along = dx * wire.ex + dy * wire.ey + dz * wire.ez;
-    const double px = dx - along * wire.ex, py = dy - along * wire.ey, pz = dz - along * wire.ez;
-    const double te = point.ux * wire.ex + point.uy * wire.ey + point.tanl * wire.ez;
-    const double forward = px * point.ux + py * point.uy, f = forward + pz * point.tanl;
-    const double bend = point.w * (py * point.ux - px * point.uy);
-    const bool far = iteration == 0 && std::abs(bend) > 0.1;
-    const double slope = 1.0 + point.tanl * point.tanl - te * te + (far ? 0.0 : bend);
-    if (!(slope > 0)) return false;
-    const double ne = point.ux * wire.ey - point.uy * wire.ex;
-    const double second = -point.w * (3 * te * ne + point.w * forward);
-    const double per_slope = 1 / slope, first = -f * per_slope, curve = 0.5 * second * first * per_slope;
-    const bool near = !far && std::abs(curve) < 0.1;
-    const double step = near ? first * (1 - curve) : first;
+// Newton's method with the second derivative; from far away the first step is straight. False if that does
+// not settle; the point is then anywhere.
+template <class T>
+[[nodiscard]] mask_of<T> approach_wire(HelixPointOf<T>& point, const WireOf<T>& wire, ApproachOf<T>& result) {
+  T arc(0.0);
+  mask_of<T> moving(true), lost(false);
+  for (int iteration = 0; iteration < 12 && any(moving); ++iteration) {
+    const T dx = point.x - wire.x, dy = point.y - wire.y, dz = point.z;
+    const T along = dx * wire.ex + dy * wire.ey + dz * wire.ez;
+    const T px = dx - along * wire.ex, py = dy - along * wire.ey, pz = dz - along * wire.ez;
+    const T te = point.ux * wire.ex + point.uy * wire.ey + point.tanl * wire.ez;
+    const T forward = px * point.ux + py * point.uy, f = forward + pz * point.tanl;
+    const T bend = point.w * (py * point.ux - px * point.uy);
+    const mask_of<T> far = (iteration == 0) & (abs(bend) > 0.1);
+    const T slope = 1.0 + point.tanl * point.tanl - te * te + select(far, T(0.0), bend);
+    lost = lost | (moving & !(slope > 0.0));
+    moving = moving & !lost;
+    const T ne = point.ux * wire.ey - point.uy * wire.ex;
+    const T second = -point.w * (3.0 * te * ne + point.w * forward);
+    const T per_slope = 1.0 / slope, first = -f * per_slope, curve = 0.5 * second * first * per_slope;
+    const mask_of<T> near = !far & (abs(curve) < 0.1);
+    const T step = select(moving, select(near, first * (1.0 - curve), first), T(0.0));
     advance(point, step);
     arc += step;
     // What is left along the track is of third order; the distance changes with the square of that.
-    const double left =
-        std::abs(step) * (2 * curve * curve + 4 * point.w * point.w * step * step * per_slope);
-    if (near && left < 1e-6) {
-      const double cx = point.uy * wire.ez - point.tanl * wire.ey,
-                   cy = point.tanl * wire.ex - point.ux * wire.ez,
-                   cz = point.ux * wire.ey - point.uy * wire.ex;
-      const double scale = 1.0 / std::sqrt(cx * cx + cy * cy + cz * cz);
-      result.nx = cx * scale;
-      result.ny = cy * scale;
-      result.nz = cz * scale;
-      const double ddx = point.x - wire.x, ddy = point.y - wire.y;
-      result.doca = ddx * result.nx + ddy * result.ny + point.z * result.nz;
-      result.arc = arc;
-      result.z_wire = (ddx * wire.ex + ddy * wire.ey + point.z * wire.ez) * wire.ez;
-      return true;
-    }
+    const T left = abs(step) * (2.0 * curve * curve + 4.0 * point.w * point.w * step * step * per_slope);
+    moving = moving & !(near & (left < 1e-6));
   }
-  return false;
+  const T cx = point.uy * wire.ez - point.tanl * wire.ey, cy = point.tanl * wire.ex - point.ux * wire.ez,
+          cz = point.ux * wire.ey - point.uy * wire.ex;
+  const T scale = 1.0 / sqrt(cx * cx + cy * cy + cz * cz);
+  result.nx = cx * scale;
+  result.ny = cy * scale;
+  result.nz = cz * scale;
+  const T dx = point.x - wire.x, dy = point.y - wire.y;
+  result.doca = dx * result.nx + dy * result.ny + point.z * result.nz;
+  result.arc = arc;
+  result.z_wire = (dx * wire.ex + dy * wire.ey + point.z * wire.ez) * wire.ez;
+  return !(lost | moving);
 }
 
 }  // namespace cgemit
