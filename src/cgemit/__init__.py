@@ -9,6 +9,7 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from cgemit import isa
 from cgemit.chain import run
 from cgemit.cluster import ClusterSettings
 from cgemit.detector import Detector, DetectorError, detectors, load
@@ -41,12 +42,15 @@ __all__ = [
     "__version__",
     "detectors",
     "draw",
+    "isa",
     "load",
     "resolution",
     "run",
     "slab",
     "study",
 ]
+
+isa.use_best()
 
 # Loaded when first used: they bring scipy and matplotlib, which take longer to import than all the rest.
 _LAZY = {"draw": "cgemit.draw", "study": "cgemit.study", "resolution": "cgemit.study.resolutions"}

@@ -39,7 +39,7 @@ class FitSettings:
         Screening of nuclei in multiple scattering (``SimulateSettings.screening``). None: what was simulated, or
         ``"wentzel"`` where the fit does not know.
     residuals : bool
-        Whether the residuals table is made: every hit against the track fitted without it.
+        Whether the residuals table is made: every hit against the track fitted without it, outliers too.
     max_iterations : int
     tolerance : float
         The fit has converged when no parameter moves by more than this many of its standard deviations.
@@ -49,6 +49,9 @@ class FitSettings:
     delta_strips : float
         Probability that a delta electron adds one strip to a cluster; k strips are k times less probable. It says how
         much a cluster is worth that is longer than the track makes likely. 0: there are no delta electrons.
+    outlier_pull : float
+        A hit is left out where it lies this many standard deviations from the track fitted without it, the farthest
+        first, and taken back where it does not any more. 0: every hit is used.
     prior_sigma : tuple of float
         Standard deviations of (dr mm, phi0 rad, kappa (GeV/c)^-1, dz mm, tanl) that the filter begins with.
     seed_smearing : tuple of float
@@ -68,6 +71,7 @@ class FitSettings:
     tolerance: float = 0.1
     least_width: float = 0.1
     delta_strips: float = 0.008
+    outlier_pull: float = 5.0
     prior_sigma: tuple[float, float, float, float, float] = (200.0, 2.0, 5.0, 1000.0, 5.0)
     seed_smearing: tuple[float, float, float, float, float] = (1.0, 0.005, 0.02, 5.0, 0.005)
 
@@ -85,6 +89,8 @@ class FitSettings:
                 problems.append(f"{name}: {value}, expected a positive number")
         if not 0 <= self.delta_strips < 1:
             problems.append(f"delta_strips: {self.delta_strips}, expected 0 or a probability below 1")
+        if not (self.outlier_pull == 0 or 2 <= self.outlier_pull < math.inf):
+            problems.append(f"outlier_pull: {self.outlier_pull}, expected 0 or at least 2 standard deviations")
         for name, least in (("prior_sigma", 1e-12), ("seed_smearing", 0.0)):
             values = getattr(self, name)
             if len(values) != 5 or not all(math.isfinite(value) and value >= least for value in values):
@@ -143,6 +149,7 @@ def fit(
             errors_from_track=settings.cluster_errors == "track",
             least_width=settings.least_width,
             delta_strips=settings.delta_strips,
+            outlier_pull=settings.outlier_pull,
             prior_sigma=settings.prior_sigma,
         ),
         residuals=settings.residuals,
@@ -172,7 +179,7 @@ def _track_columns(
     columns: Columns = {"event": particles["event"], "particle": particles["particle"]}
     columns |= {name: fitted[:, i] for i, name in enumerate(PARAMETERS)}
     columns |= {"cov": cov, "p": helix.momentum(fitted)}
-    columns |= {name: out[name] for name in ("ndf", "n_clusters", "n_wires", "iterations", "status")}
+    columns |= {name: out[name] for name in ("ndf", "n_clusters", "n_wires", "n_outliers", "iterations", "status")}
     columns["chi2"] = np.where(has_cov, out["chi2"], np.nan)
     error = np.sqrt(np.diagonal(cov, axis1=1, axis2=2))
     quantities = [(name, truth[:, i], fitted[:, i], error[:, i]) for i, name in enumerate(PARAMETERS)]
@@ -195,16 +202,17 @@ def _residual_columns(
 ) -> dict[str, npt.ArrayLike]:
     offsets = hits.hit_offsets
     track = np.repeat(np.arange(len(particles)), np.diff(offsets))
-    used = np.asarray(out["err"], np.float64) > 0
-    residual, err = np.asarray(out["residual"])[used], np.asarray(out["err"])[used]
+    met = np.asarray(out["err"], np.float64) > 0
+    residual, err = np.asarray(out["residual"])[met], np.asarray(out["err"])[met]
     return {
-        "event": particles["event"][track][used],
-        "track": track[used],
-        "view": hits.kind[used],
-        "layer": hits.layer[used],
-        "hit": hits.row[used],
+        "event": particles["event"][track][met],
+        "track": track[met],
+        "view": hits.kind[met],
+        "layer": hits.layer[met],
+        "hit": hits.row[met],
         "residual": residual,
         "err": err,
         "pull": residual / err,
-        "side": np.asarray(out["side"])[used],
+        "side": np.asarray(out["side"])[met],
+        "used": np.asarray(out["used"])[met],
     }

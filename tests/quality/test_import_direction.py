@@ -12,11 +12,13 @@ from sources import CORE, PACKAGE, imports, included, package_of, python_files, 
 # A folder may include itself and those before it; stages stand side by side and never include each other.
 CPP_LAYERS = [
     {"common"},
+    {"lanes"},
     {"detector"},
     {"motion"},
     {"matter"},
     {"kalman"},
     {"simulate", "digitize", "cluster", "find", "fit", "covariance"},
+    {"kernels"},
     {"bindings"},
 ]
 # A module or sub-package may import those before it; a dotted name gives one module of a package a place of its own:
@@ -24,6 +26,7 @@ CPP_LAYERS = [
 PYTHON_LAYERS = [
     {"problems", "words", "version"},
     {"_core", "data", "io", "units"},
+    {"isa"},
     {"tables", "values"},
     {"detector", "helix", "particles", "candidates"},
     {"gun"},

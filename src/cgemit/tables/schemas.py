@@ -205,6 +205,7 @@ _TRACKS = (
     _i4("ndf", "number of degrees of freedom"),
     _i4("n_clusters", "number of clusters used"),
     _i4("n_wires", "number of wire hits used"),
+    _i4("n_outliers", "number of hits left out as outliers"),
     _i4("iterations", "number of iterations"),
     _column("i1", "status", "", "how the fit ended (FitStatus; 0 is good)"),
     *_comparison(),
@@ -220,6 +221,7 @@ _RESIDUALS = (
     _f8("err", "mm", "standard deviation of the residual"),
     _f8("pull", "", "residual / err"),
     _column("i1", "side", "", "side of the wire the fit chose, +1 or -1; 0 for clusters"),
+    _column("u1", "used", "", "1 used, 0 left out as an outlier"),
 )
 
 #: All tables by name.

@@ -5,7 +5,7 @@
 
 #include "bindings/arrays.hpp"
 #include "bindings/hits.hpp"
-#include "common/angles.hpp"
+#include "kernels/kernels.hpp"
 
 namespace py = pybind11;
 using namespace cgemit;
@@ -13,33 +13,40 @@ using namespace cgemit::bindings;
 
 namespace {
 
-// Columns of the result, filled track by track.
-struct Output {
-  std::vector<double> helix, covariance, chi2, residual, error;
-  std::vector<std::int32_t> clusters, wires, ndf, iterations;
-  std::vector<std::int8_t> status, side;
-};
+template <class Row, class Value>
+std::vector<Value> take_column(const std::vector<Row>& rows, Value Row::* field) {
+  std::vector<Value> out;
+  out.reserve(rows.size());
+  for (const Row& row : rows) out.push_back(row.*field);
+  return out;
+}
 
-void store(const FitResult& result, const FitSpace& space, bool residuals, Output& out) {
-  const Perigee& h = result.helix;
-  for (const double value : {h.d, wrap_angle(h.psi - 0.5 * pi), h.kappa, h.z0, h.tanl})
-    out.helix.push_back(value);
-  for (Eigen::Index i = 0; i < 5; ++i) {
-    for (Eigen::Index j = 0; j < 5; ++j)
-      out.covariance.push_back(0.5 * (result.covariance(i, j) + result.covariance(j, i)));
+py::dict columns(const std::vector<FitRow>& rows) {
+  const auto n = static_cast<py::ssize_t>(rows.size());
+  std::vector<double> helix, covariance;
+  std::vector<std::int32_t> ndf;
+  std::vector<std::int8_t> status;
+  helix.reserve(5 * rows.size());
+  covariance.reserve(25 * rows.size());
+  ndf.reserve(rows.size());
+  status.reserve(rows.size());
+  for (const FitRow& row : rows) {
+    helix.insert(helix.end(), row.helix.begin(), row.helix.end());
+    covariance.insert(covariance.end(), row.covariance.begin(), row.covariance.end());
+    ndf.push_back(row.clusters + row.wires - 5);
+    status.push_back(static_cast<std::int8_t>(row.status));
   }
-  out.chi2.push_back(result.chi2);
-  out.clusters.push_back(result.clusters);
-  out.wires.push_back(result.wires);
-  out.ndf.push_back(result.measurements - 5);
-  out.iterations.push_back(result.iterations);
-  out.status.push_back(static_cast<std::int8_t>(result.status));
-  if (!residuals) return;
-  for (const Residual& r : space.residuals) {
-    out.residual.push_back(r.residual);
-    out.error.push_back(r.error);
-    out.side.push_back(r.side);
-  }
+  py::dict out;
+  out["helix"] = to_numpy(std::move(helix), {n, 5});
+  out["cov"] = to_numpy(std::move(covariance), {n, 5, 5});
+  out["chi2"] = to_numpy(take_column(rows, &FitRow::chi2));
+  out["ndf"] = to_numpy(std::move(ndf));
+  out["n_clusters"] = to_numpy(take_column(rows, &FitRow::clusters));
+  out["n_wires"] = to_numpy(take_column(rows, &FitRow::wires));
+  out["n_outliers"] = to_numpy(take_column(rows, &FitRow::outliers));
+  out["iterations"] = to_numpy(take_column(rows, &FitRow::iterations));
+  out["status"] = to_numpy(std::move(status));
+  return out;
 }
 
 py::dict run(const Detector& detector, const Array<std::int64_t>& hit_offsets, const py::dict& hit_columns,
@@ -59,35 +66,21 @@ py::dict run(const Detector& detector, const Array<std::int64_t>& hit_offsets, c
     if (offsets[i] > offsets[i + 1] || offsets[i] < 0)
       throw std::invalid_argument("hit_offsets: expected to increase");
   }
-  Output out;
+  std::vector<Perigee> start;
+  for (std::size_t i = 0; seeded && i < n; ++i) start.push_back(from_bes3(start_array.data() + 5 * i));
+  std::vector<FitRow> rows(n);
+  std::vector<HitRow> hit_rows(residuals ? hits.size() : 0);
   {
     py::gil_scoped_release release;
-    FitSpace space;
-    for (std::size_t i = 0; i < n; ++i) {
-      const auto first = static_cast<std::size_t>(offsets[i]),
-                 count = static_cast<std::size_t>(offsets[i + 1]) - first;
-      Perigee start{};
-      if (seeded) start = from_bes3(start_array.data() + 5 * i);
-      const FitResult result =
-          fit_track(detector, std::span(hits).subspan(first, count), side.subspan(first, count), mass[i],
-                    seeded ? &start : nullptr, settings, space);
-      store(result, space, residuals, out);
-    }
+    kernels().fit(detector, {offsets, hits, side, mass, start}, settings,
+                  {rows.data(), residuals ? hit_rows.data() : nullptr});
   }
-  const auto rows = static_cast<py::ssize_t>(n);
-  py::dict result;
-  result["helix"] = to_numpy(std::move(out.helix), {rows, 5});
-  result["cov"] = to_numpy(std::move(out.covariance), {rows, 5, 5});
-  result["chi2"] = to_numpy(std::move(out.chi2));
-  result["ndf"] = to_numpy(std::move(out.ndf));
-  result["n_clusters"] = to_numpy(std::move(out.clusters));
-  result["n_wires"] = to_numpy(std::move(out.wires));
-  result["iterations"] = to_numpy(std::move(out.iterations));
-  result["status"] = to_numpy(std::move(out.status));
+  py::dict result = columns(rows);
   if (residuals) {
-    result["residual"] = to_numpy(std::move(out.residual));
-    result["err"] = to_numpy(std::move(out.error));
-    result["side"] = to_numpy(std::move(out.side));
+    result["residual"] = to_numpy(take_column(hit_rows, &HitRow::residual));
+    result["err"] = to_numpy(take_column(hit_rows, &HitRow::error));
+    result["side"] = to_numpy(take_column(hit_rows, &HitRow::side));
+    result["used"] = to_numpy(take_column(hit_rows, &HitRow::used));
   }
   return result;
 }
@@ -98,12 +91,12 @@ void bind_fit(py::module_& module) {
   py::class_<FitSettings>(module, "FitSettings",
                           "Settings of the fit; the values live in cgemit.fit.FitSettings.")
       .def(py::init([](int max_iterations, double tolerance, bool errors_from_track, double least_width,
-                       double delta_strips, const std::array<double, 5>& prior_sigma) {
-             return FitSettings{max_iterations, tolerance,    errors_from_track,
-                                least_width,    delta_strips, prior_sigma};
+                       double delta_strips, double outlier_pull, const std::array<double, 5>& prior_sigma) {
+             return FitSettings{max_iterations, tolerance,    errors_from_track, least_width,
+                                delta_strips,   outlier_pull, prior_sigma};
            }),
            py::kw_only(), py::arg("max_iterations"), py::arg("tolerance"), py::arg("errors_from_track"),
-           py::arg("least_width"), py::arg("delta_strips"), py::arg("prior_sigma"));
+           py::arg("least_width"), py::arg("delta_strips"), py::arg("outlier_pull"), py::arg("prior_sigma"));
   module.def("fit", &run, py::arg("detector"), py::kw_only(), py::arg("hit_offsets"), py::arg("hits"),
              py::arg("mass"), py::arg("start"), py::arg("settings"), py::arg("residuals"),
              "Fit one track per row of hit_offsets; columns of the tracks, and of the hits' residuals if "

@@ -5,7 +5,7 @@
 
 #include <vector>
 
-#include "kalman/reference.hpp"
+#include "kalman/group.hpp"
 
 namespace cgemit::bindings {
 

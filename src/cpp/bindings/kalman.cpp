@@ -5,6 +5,7 @@
 #include "bindings/arrays.hpp"
 #include "bindings/hits.hpp"
 #include "common/angles.hpp"
+#include "kalman/reference.hpp"
 
 namespace py = pybind11;
 
@@ -53,13 +54,10 @@ py::dict reference(const Detector& detector, const Array<double>& helix, double 
   const auto row = column(helix, "helix", 5);
   const auto n = static_cast<py::ssize_t>(py::len(hit_columns["kind"]));
   const std::vector<Hit> hits = make_hits(detector, hit_columns, n);
-  Reference out;
-  trace(detector, from_bes3(row.data()), mass, hits, out);
+  const Reference out = trace(detector, from_bes3(row.data()), mass, hits);
   std::vector<double> rows, noise, predicted, extent;
-  for (const Element& element : out.elements) {
-    std::vector<double>& to = element.is_row ? rows : noise;
-    to.insert(to.end(), element.h.begin(), element.h.end());
-  }
+  for (const Vector5& h : out.rows) rows.insert(rows.end(), h.begin(), h.end());
+  for (const Vector5& g : out.noise) noise.insert(noise.end(), g.begin(), g.end());
   for (const Crossing& crossing : out.crossings) {
     predicted.push_back(crossing.predicted);
     extent.push_back(crossing.extent);

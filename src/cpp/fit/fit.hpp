@@ -5,53 +5,64 @@
 #include <array>
 #include <cstdint>
 #include <span>
-#include <vector>
 
 #include "common/status.hpp"
-#include "kalman/reference.hpp"
+#include "kalman/group.hpp"
 
 namespace cgemit {
 
 // Values live in `cgemit.fit.FitSettings`.
 struct FitSettings {
   int max_iterations;
-  double
-      tolerance;  // the reference has stopped when every parameter moves by less, in its standard deviation
+  // The reference has stopped when every parameter moves by less, in its standard deviation.
+  double tolerance;
   bool errors_from_track;  // cluster errors from size and the track's incidence, else from the cluster's own
                            // table
   double least_width;      // smallest spread of a cluster's position, in pitches
   double delta_strips;     // probability that a delta electron adds one strip to a cluster; 0: none does
+  double outlier_pull;  // a hit this many standard deviations from the rest of the track is left out; 0: none
   std::array<double, 5> prior_sigma;  // of d, psi, kappa, z0, tanl: weak, for the filter to begin with
 };
 
-struct FitResult {
-  FitStatus status;
-  Perigee helix;
-  Matrix5 covariance;  // of (dr, phi0, kappa, dz, tanl)
+// Tracks to fit, one after the other. Hits of a track are ordered outward; `side` per hit: +1 or -1 known, 0
+// to be found out. With `start` empty the hits provide it.
+struct FitInput {
+  std::span<const std::int64_t> offsets;  // of n tracks: n + 1 places in the hits
+  std::span<const Hit> hits;
+  std::span<const std::int8_t> side;
+  std::span<const double> mass;    // GeV
+  std::span<const Perigee> start;  // one per track, or empty
+
+  std::size_t tracks() const { return offsets.size() - 1; }
+  std::size_t first(std::size_t track) const { return static_cast<std::size_t>(offsets[track]); }
+  std::size_t count(std::size_t track) const { return first(track + 1) - first(track); }
+};
+
+// One row per track; (dr, phi0, kappa, dz, tanl) as in the BES3 files.
+struct FitRow {
+  std::array<double, 5> helix;
+  std::array<double, 25> covariance;
   double chi2;
-  int measurements;
-  int clusters, wires;
-  int iterations;
+  std::int32_t clusters, wires, iterations, outliers;
+  FitStatus status;
 };
 
-// One measurement against the track fitted without it.
-struct Residual {
-  double residual;   // mm, measured - predicted
-  double error;      // mm, of that difference
-  std::int8_t side;  // wires: the side of the larger weight; clusters: 0
+// One row per hit, against the track fitted without it.
+struct HitRow {
+  double residual;    // mm, measured - predicted
+  double error;       // mm, of that difference; 0: the track does not meet it
+  std::int8_t side;   // wires: the side of the larger weight; clusters: 0
+  std::uint8_t used;  // 0: an outlier, left out
 };
 
-// Work space of a thread.
-struct FitSpace {
-  Reference reference;
-  std::vector<Filtered> memory;
-  std::vector<double> value, variance,
-      weight;                       // per hit: signed measurement, variance, right minus left probability
-  std::vector<Residual> residuals;  // of the last track, one per hit; error 0: not used
+// Fits all tracks, in groups of lanes. `hit_rows` may be null.
+struct FitOutput {
+  FitRow* rows;
+  HitRow* hit_rows;
 };
 
-// Fits one track. `sides` per hit: +1 or -1 known, 0 to be found out. With `start` empty the hits provide it.
-FitResult fit_track(const Detector& detector, std::span<const Hit> hits, std::span<const std::int8_t> sides,
-                    double mass, const Perigee* start, const FitSettings& settings, FitSpace& space);
+// The plain scalar path.
+void fit_tracks(const Detector& detector, const FitInput& input, const FitSettings& settings,
+                const FitOutput& output);
 
 }  // namespace cgemit

@@ -5,7 +5,7 @@
 #include <optional>
 #include <span>
 
-#include "kalman/reference.hpp"
+#include "kalman/group.hpp"
 
 namespace cgemit {
 

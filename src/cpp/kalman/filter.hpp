@@ -6,82 +6,88 @@
 // NIM A 262 (1987) 444; smoother in the form of Bierman, Automatica 9 (1973) 503, modified Bryson-Frazier.)
 #pragma once
 
-#include <Eigen/Core>
-#include <cstdint>
-#include <vector>
+#include "kalman/group.hpp"
 
 namespace cgemit {
 
-using Vector5 = Eigen::Matrix<double, 5, 1>;
-using Matrix5 = Eigen::Matrix<double, 5, 5>;
-
-// Something on the way: a measurement, or one direction of a scatterer's noise. Ordered from the origin
-// outward.
-struct Element {
-  Vector5 h;  // measurement row, or noise vector g (covariance g g^T)
-  bool is_row;
-  std::int32_t hit;  // which measurement
-  double residual;   // measured - predicted on the reference
-  double variance;   // of the measurement; not positive: not used
-};
-
-// What the filter leaves behind for the smoother, and what the smoother adds; one per measurement.
-struct Filtered {
-  Vector5 ch;                // C h before the update
-  double innovation;         // residual before the update
-  double total;              // its variance
-  double unbiased;           // residual to all other measurements
-  double unbiased_variance;  // and its variance, the measurement's own included
-};
-
+template <class T>
 struct Estimate {
-  Vector5 x;
-  Matrix5 c;
-  double chi2;
+  Five<T> x;
+  Symmetric<T> c;
+  T chi2;
 };
 
-// From the outermost element inward to the origin. `memory` is indexed like `elements`.
-inline Estimate filter(const std::vector<Element>& elements, const Vector5& prior_sigma,
-                       std::vector<Filtered>& memory) {
-  Estimate state{Vector5::Zero(), prior_sigma.cwiseAbs2().asDiagonal(), 0.0};
-  memory.resize(elements.size());
-  for (std::size_t i = elements.size(); i-- > 0;) {
-    const Element& element = elements[i];
-    if (!element.is_row) {
-      state.c.noalias() += element.h * element.h.transpose();
-      continue;
+template <class T>
+void add_noise(Symmetric<T>& c, const SlabNoise<T>& noise, bool shifts) {
+  c.add([&](auto i, auto j) { return noise.dip[i] * noise.dip[j]; });
+  c.add([&](auto i, auto j) {
+    if constexpr (j < 4)
+      return noise.straggling[i] * noise.straggling[j];
+    else
+      return T(0.0);
+  });
+  const auto sparse = [&c](const std::array<T, 3>& g) {
+    c(0, 0) += g[0] * g[0];
+    c(0, 1) += g[0] * g[1];
+    c(0, 3) += g[0] * g[2];
+    c(1, 1) += g[1] * g[1];
+    c(1, 3) += g[1] * g[2];
+    c(3, 3) += g[2] * g[2];
+  };
+  sparse(noise.turn);
+  if (!shifts) return;
+  sparse(noise.shift_across);
+  sparse(noise.shift_along);
+}
+
+// One measurement. What is not used changes nothing but is compared with the track all the same.
+template <class T>
+void update(Estimate<T>& state, Slot<T>& slot) {
+  slot.ch = state.c * slot.row;
+  slot.total = dot(slot.row, slot.ch) + slot.variance;
+  slot.innovation = slot.residual - dot(slot.row, state.x);
+  const T weight = select(slot.used, 1.0 / slot.total, T(0.0));
+  const Five<T> gain = weight * slot.ch;
+  state.x = state.x + slot.innovation * gain;
+  state.c.add([&](auto i, auto j) { return -(gain[i] * slot.ch[j]); });
+  state.chi2 += slot.innovation * slot.innovation * weight;
+}
+
+// From the outermost measurement inward to the origin.
+template <class T>
+Estimate<T> filter(const Detector& detector, Group<T>& group, const Symmetric<T>& prior) {
+  Estimate<T> state{Five<T>::zero(), prior, T(0.0)};
+  for (std::size_t i = group.steps.size(); i-- > 0;) {
+    const GroupStep& step = group.steps[i];
+    if (step.is_slab) {
+      const bool shifts = detector.slabs[static_cast<std::size_t>(step.slab)].shifts;
+      if (any(group.ahead[static_cast<std::size_t>(step.noise)]))
+        add_noise(state.c, group.noise[static_cast<std::size_t>(step.noise)], shifts);
     }
-    if (!(element.variance > 0)) continue;
-    Filtered& m = memory[i];
-    m.ch.noalias() = state.c * element.h;
-    m.total = element.h.dot(m.ch) + element.variance;
-    m.innovation = element.residual - element.h.dot(state.x);
-    const double weight = 1.0 / m.total;
-    state.x += m.ch * (m.innovation * weight);
-    state.c.noalias() -= (m.ch * weight) * m.ch.transpose();
-    state.chi2 += m.innovation * m.innovation * weight;
+    for (std::int32_t s = step.last; s-- > step.first;)
+      update(state, group.slots[static_cast<std::size_t>(s)]);
   }
   return state;
 }
 
 // From the origin outward: the residual of every measurement to the track fitted without it.
-inline void smooth(const std::vector<Element>& elements, std::vector<Filtered>& memory) {
-  Vector5 lambda = Vector5::Zero();
-  Matrix5 big_lambda = Matrix5::Zero();
-  for (std::size_t i = 0; i < elements.size(); ++i) {
-    const Element& element = elements[i];
-    if (!element.is_row || !(element.variance > 0)) continue;
-    Filtered& m = memory[i];
-    const double weight = 1.0 / m.total;
-    const Vector5 gain = m.ch * weight;
-    const Vector5 lk = big_lambda * gain;
-    const double u = m.innovation * weight + gain.dot(lambda);
-    const double information = weight + gain.dot(lk);
-    m.unbiased = u / information;
-    m.unbiased_variance = 1.0 / information;
-    lambda -= element.h * u;
-    big_lambda.noalias() +=
-        element.h * (information * element.h - lk).transpose() - lk * element.h.transpose();
+template <class T>
+void smooth(Group<T>& group) {
+  Five<T> lambda = Five<T>::zero();
+  Symmetric<T> big_lambda = Symmetric<T>::diagonal(Five<T>::zero());
+  for (Slot<T>& slot : group.slots) {
+    const T weight = select(slot.used, 1.0 / slot.total, T(0.0));
+    const Five<T> lk = big_lambda * slot.ch;
+    const T known = dot(slot.ch, lk);  // how much the inner measurements know of this one
+    const T away = slot.innovation + dot(slot.ch, lambda), share = 1.0 / (1.0 + weight * known);
+    slot.unbiased = away * share;
+    slot.unbiased_variance = select(slot.used, slot.total * share, slot.total - known);
+    const T information = weight * (1.0 + weight * known);
+    const T u = weight * away;
+    lambda = lambda - u * slot.row;
+    big_lambda.add([&](auto i, auto j) {
+      return information * slot.row[i] * slot.row[j] - weight * (slot.row[i] * lk[j] + lk[i] * slot.row[j]);
+    });
   }
 }
 

@@ -23,35 +23,19 @@ inline SineCosine<double> sine_cosine(double x) { return {std::sin(x), std::cos(
 
 #if defined(__GNUC__) || defined(__clang__)
 
-namespace pack_math {
-
-template <int W>
-using Bits = typename Registers<W>::Words;
-
-// To the nearest whole number, |x| < 2^51.
-template <int W>
-Pack<W> nearest(Pack<W> x) {
-  const Pack<W> magic(0x1.8p52);
-  Pack<W> shifted = x + magic;
-  asm("" : "+g"(shifted.v));  // a compiler might cancel the two
-  return shifted - magic;
-}
-
-}  // namespace pack_math
-
 // x > 0.
 template <int W>
 Pack<W> log(Pack<W> x) {
-  using pack_math::Bits;
+  using Bits = typename Registers<W>::Bits;
   using Vector = typename Pack<W>::Vector;
   // x = m 2^e with sqrt(1/2) <= m < sqrt(2).
-  const auto word = reinterpret_cast<Bits<W>>(x.v);
-  constexpr std::int64_t root_half = 0x3FE6A09E667F3BCD;
-  const Bits<W> offset = word - root_half;
+  const auto word = reinterpret_cast<Bits>(x.v);
+  constexpr std::uint64_t root_half = 0x3FE6A09E667F3BCD, bias = 1023;
+  const Bits offset = word - root_half;
   // The exponent as a number: small whole numbers are the low bits of 2^52 + 2^51 + n.
-  const Bits<W> exponent = (offset >> 52) + 0x4338000000000000;
+  const Bits exponent = ((offset + (bias << 52)) >> 52) + (0x4338000000000000 - bias);
   const Pack<W> e = Pack<W>(reinterpret_cast<Vector>(exponent)) - 0x1.8p52;
-  const Pack<W> m(reinterpret_cast<Vector>(word - (offset & static_cast<std::int64_t>(0xFFF0000000000000))));
+  const Pack<W> m(reinterpret_cast<Vector>(word - (offset & 0xFFF0000000000000)));
   const Pack<W> f = m - 1.0, z = f * f;
   const Pack<W> p =
       ((((1.01875663804580931796e-4 * f + 4.97494994976747001425e-1) * f + 4.70579119878881725854e0) * f +
@@ -72,9 +56,9 @@ Pack<W> log(Pack<W> x) {
 // |x| < 700.
 template <int W>
 Pack<W> exp(Pack<W> x) {
-  using pack_math::Bits;
+  using Bits = typename Registers<W>::Bits;
   using Vector = typename Pack<W>::Vector;
-  const Pack<W> n = pack_math::nearest(x * 1.4426950408889634073599);
+  const Pack<W> n = nearest(x * 1.4426950408889634073599);
   const Pack<W> r = (x - n * 6.93145751953125e-1) - n * 1.42860682030941723212e-6;
   const Pack<W> z = r * r;
   const Pack<W> p =
@@ -83,17 +67,17 @@ Pack<W> exp(Pack<W> x) {
       ((3.00198505138664455042e-6 * z + 2.52448340349684104192e-3) * z + 2.27265548208155028766e-1) * z +
       2.00000000000000000009e0;
   const Pack<W> value = 1.0 + 2.0 * p / (q - p);
-  const Bits<W> whole = reinterpret_cast<Bits<W>>((n + 0x1.8p52).v);
-  return Pack<W>(reinterpret_cast<Vector>(reinterpret_cast<Bits<W>>(value.v) + (whole << 52)));
+  const Bits whole = reinterpret_cast<Bits>((n + 0x1.8p52).v);
+  return Pack<W>(reinterpret_cast<Vector>(reinterpret_cast<Bits>(value.v) + (whole << 52)));
 }
 
 // |x| < 1e5.
 template <int W>
 SineCosine<Pack<W>> sine_cosine(Pack<W> x) {
-  using pack_math::Bits;
+  using Bits = typename Registers<W>::Bits;
   using Vector = typename Pack<W>::Vector;
   // Quarter turns off, pi/2 in three pieces.
-  const Pack<W> n = pack_math::nearest(x * 0.63661977236758134308);
+  const Pack<W> n = nearest(x * 0.63661977236758134308);
   const Pack<W> r =
       ((x - n * 1.57079625129699707031) - n * 7.54978941586159635335e-8) - n * 5.39030285815811905290e-15;
   const Pack<W> z = r * r;
@@ -117,12 +101,12 @@ SineCosine<Pack<W>> sine_cosine(Pack<W> x) {
             1.38888888888730564116e-3) *
                z +
            4.16666666666665929218e-2);
-  const Bits<W> quarter = reinterpret_cast<Bits<W>>((n + 0x1.8p52).v);
-  const Bits<W> odd = (quarter & 1) != 0;
-  const Bits<W> sine_sign = (quarter & 2) << 62, cosine_sign = ((quarter + 1) & 2) << 62;
+  const Bits quarter = reinterpret_cast<Bits>((n + 0x1.8p52).v);
+  const typename Registers<W>::Words odd = (quarter & 1) != 0;
+  const Bits sine_sign = (quarter & 2) << 62, cosine_sign = ((quarter + 1) & 2) << 62;
   const Vector sine = odd ? c.v : s.v, cosine = odd ? s.v : c.v;
-  return {Pack<W>(reinterpret_cast<Vector>(reinterpret_cast<Bits<W>>(sine) ^ sine_sign)),
-          Pack<W>(reinterpret_cast<Vector>(reinterpret_cast<Bits<W>>(cosine) ^ cosine_sign))};
+  return {Pack<W>(reinterpret_cast<Vector>(reinterpret_cast<Bits>(sine) ^ sine_sign)),
+          Pack<W>(reinterpret_cast<Vector>(reinterpret_cast<Bits>(cosine) ^ cosine_sign))};
 }
 
 template <int W>
@@ -167,12 +151,14 @@ using std::atan2;
 template <class T>
 T atan_over(T t) {
   const T q = t * t;
-  if (all(q < 1e-3)) return 1.0 + q * (-1.0 / 3 + q * (1.0 / 5 + q * (-1.0 / 7 + q * (1.0 / 9 - q / 11.0))));
+  const auto brief = [&q] {
+    return 1.0 + q * (-1.0 / 3 + q * (1.0 / 5 + q * (-1.0 / 7 + q * (1.0 / 9 - q / 11.0))));
+  };
   const auto series = [&q] {
     const T tail = -1.0 / 11 + q * (1.0 / 13 + q * (-1.0 / 15 + q * (1.0 / 17 - q / 19.0)));
     return 1.0 + q * (-1.0 / 3 + q * (1.0 / 5 + q * (-1.0 / 7 + q * (1.0 / 9 + q * tail))));
   };
-  return choose(q < 0.02, series, [&t] { return atan(t) / t; });
+  return choose(q < 1e-3, brief, [&] { return choose(q < 0.02, series, [&t] { return atan(t) / t; }); });
 }
 
 // tan(f)/f, exact to rounding; by its series where that is short.

@@ -3,7 +3,9 @@
 //   select(mask, a, b)     lane by lane a or b
 //   choose(mask, f, g)     the same of two functions, of which only what is needed is called
 //   any(mask), all(mask)
-// and square root, absolute value, smaller, larger, lane by lane access. Functions are in `lanes/math.hpp`.
+// A lane's result must not depend on its companions, to the last bit: `choose` is for that, `if (all(...))`
+// around one of two formulas is not. And square root, absolute value, smaller, larger, lane by lane access.
+// Functions are in `lanes/math.hpp`.
 #pragma once
 
 #include <cmath>
@@ -25,6 +27,7 @@ struct Registers;
   struct Registers<W> {                                               \
     typedef double Numbers __attribute__((vector_size(8 * (W))));     \
     typedef std::int64_t Words __attribute__((vector_size(8 * (W)))); \
+    typedef std::uint64_t Bits __attribute__((vector_size(8 * (W)))); \
   };
 CGEMIT_REGISTERS(2)
 CGEMIT_REGISTERS(4)
@@ -184,6 +187,12 @@ Pack<W> choose(Mask<W> m, F&& f, G&& g) {
   return select(m, f(), g());
 }
 
+// To a nearest whole number, |x| < 2^51.
+template <int W>
+Pack<W> nearest(Pack<W> x) {
+  return (x + 0x1.8p52) - 0x1.8p52;
+}
+
 // A function of one number, lane by lane.
 template <int W, class F>
 Pack<W> each(Pack<W> x, F&& f) {
@@ -221,6 +230,7 @@ template <class F, class G>
 double choose(bool m, F&& f, G&& g) {
   return m ? f() : g();
 }
+inline double nearest(double x) { return std::nearbyint(x); }
 template <class F>
 double each(double x, F&& f) {
   return f(x);

@@ -46,6 +46,14 @@ struct KinematicsOf {
     k.log_gamma += log_ratio(k.energy, energy, per_p / per_beta);
     return k;
   }
+  // Lanes `m` of a, the others of b.
+  friend KinematicsOf select(mask_of<T> m, KinematicsOf a, const KinematicsOf& b) {
+    for (T KinematicsOf::* x : {&KinematicsOf::p, &KinematicsOf::energy, &KinematicsOf::per_p,
+                                &KinematicsOf::per_beta, &KinematicsOf::per_beta2, &KinematicsOf::beta2,
+                                &KinematicsOf::gamma, &KinematicsOf::log_bg, &KinematicsOf::log_gamma})
+      a.*x = select(m, a.*x, b.*x);
+    return a;
+  }
   bool is_light() const { return projectile >= Projectile::electron; }
   T kinetic() const { return energy - mass; }
   T log_beta2() const { return 2.0 * (log_bg - log_gamma); }

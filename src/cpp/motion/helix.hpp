@@ -56,15 +56,15 @@ void turn(HelixPointOf<T>& point, T h, T t) {
 // Moves to the cylinder of radius r. `outward`: to where the helix leaves it. That lies ahead from inside the
 // cylinder; from outside, on the way out, it lies behind (a negative arc). Else to where the helix enters it,
 // for a point outside on its way in. Returns false, leaving the point alone, when the helix does not reach
-// it. `arc` receives the transverse path.
+// it. `arc` receives the transverse path, 0 where there is none. Lanes other than `who` stay where they are.
 template <class T>
 [[nodiscard]] mask_of<T> step_to_cylinder(HelixPointOf<T>& point, std::type_identity_t<T> r, T& arc,
-                                          bool outward = true) {
+                                          bool outward = true, mask_of<T> who = mask_of<T>(true)) {
   const T r0_squared = point.x * point.x + point.y * point.y;
   const T difference = r * r - r0_squared;
   const T s1 = point.sideways() + 0.5 * point.w * difference;
   const T p1_squared = r * r - s1 * s1;
-  mask_of<T> reached = p1_squared >= 0.0;
+  mask_of<T> reached = who & (p1_squared >= 0.0);
   arc = 0.0;
   if (!any(reached)) return reached;
   const T root = sqrt(larger(p1_squared, 0.0)), p1 = outward ? root : -root;

@@ -19,11 +19,12 @@ using Approach = ApproachOf<double>;
 
 // Moves `point` to its closest approach: where f(s) = (point - wire) . (tangent across the wire) vanishes, by
 // Newton's method with the second derivative; from far away the first step is straight. False if that does
-// not settle; the point is then anywhere.
+// not settle; the point is then anywhere. Lanes other than `who` stay where they are.
 template <class T>
-[[nodiscard]] mask_of<T> approach_wire(HelixPointOf<T>& point, const WireOf<T>& wire, ApproachOf<T>& result) {
+[[nodiscard]] mask_of<T> approach_wire(HelixPointOf<T>& point, const WireOf<T>& wire, ApproachOf<T>& result,
+                                       mask_of<T> who = mask_of<T>(true)) {
   T arc(0.0);
-  mask_of<T> moving(true), lost(false);
+  mask_of<T> moving = who, lost(false);
   for (int iteration = 0; iteration < 12 && any(moving); ++iteration) {
     const T dx = point.x - wire.x, dy = point.y - wire.y, dz = point.z;
     const T along = dx * wire.ex + dy * wire.ey + dz * wire.ez;
@@ -38,7 +39,7 @@ template <class T>
     const T ne = point.ux * wire.ey - point.uy * wire.ex;
     const T second = -point.w * (3.0 * te * ne + point.w * forward);
     const T per_slope = 1.0 / slope, first = -f * per_slope, curve = 0.5 * second * first * per_slope;
-    const mask_of<T> near = !far & (abs(curve) < 0.1);
+    const mask_of<T> near = (abs(curve) < 0.1) & !far;
     const T step = select(moving, select(near, first * (1.0 - curve), first), T(0.0));
     advance(point, step);
     arc += step;
@@ -56,7 +57,7 @@ template <class T>
   result.doca = dx * result.nx + dy * result.ny + point.z * result.nz;
   result.arc = arc;
   result.z_wire = (dx * wire.ex + dy * wire.ey + point.z * wire.ez) * wire.ez;
-  return !(lost | moving);
+  return who & !(lost | moving);
 }
 
 }  // namespace cgemit

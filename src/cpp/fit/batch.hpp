@@ -1,0 +1,162 @@
+// Many tracks: seeds, groups of tracks that cross about the same, fits.
+#pragma once
+
+#include <algorithm>
+#include <optional>
+#include <vector>
+
+#include "fit/group_fit.hpp"
+#include "fit/seed.hpp"
+
+namespace cgemit {
+
+template <class T>
+class BatchFit {
+ public:
+  BatchFit(const Detector& detector, const FitInput& input, const FitSettings& settings,
+           const FitOutput& output)
+      : detector_(detector),
+        input_(input),
+        settings_(settings),
+        out_(output),
+        fit_(detector, settings, group_) {}
+
+  void run() {
+    std::vector<Start> starts;
+    for (std::size_t track = 0; track < input_.tracks(); ++track) {
+      out_.rows[track] = {};
+      out_.rows[track].status = FitStatus::too_few_hits;
+      if (out_.hit_rows != nullptr)
+        std::fill_n(out_.hit_rows + input_.first(track), input_.count(track), HitRow{0, 0, 0, 0});
+      if (input_.count(track) <= parameters) continue;
+      out_.rows[track].status = FitStatus::seed_failed;
+      if (!input_.start.empty()) starts.push_back({track, key(track), input_.start[track]});
+    }
+    if (!input_.start.empty()) return fit_all(starts, false);
+    for (const SeedFrom from : {SeedFrom::wires, SeedFrom::wires_and_clusters, SeedFrom::azimuths}) {
+      starts.clear();
+      for (std::size_t track = 0; track < input_.tracks(); ++track) {
+        if (out_.rows[track].status == FitStatus::too_few_hits || is_good(out_.rows[track])) continue;
+        const auto seed = seed_helix(detector_, hits(track), sides(track), from);
+        if (seed) starts.push_back({track, key(track), *seed});
+      }
+      // A poor seed would let the clusters mislead the sides: the wires settle among themselves first.
+      fit_all(starts, from == SeedFrom::wires);
+    }
+  }
+
+ private:
+  static constexpr std::size_t width = lanes_of<T>;
+
+  struct Start {
+    std::size_t track;
+    std::uint64_t key;
+    Perigee helix;
+  };
+
+  std::span<const Hit> hits(std::size_t track) const {
+    return input_.hits.subspan(input_.first(track), input_.count(track));
+  }
+  std::span<const std::int8_t> sides(std::size_t track) const {
+    return input_.side.subspan(input_.first(track), input_.count(track));
+  }
+  Projectile projectile(std::size_t track) const {
+    const double kappa = input_.start.empty() ? 1 : input_.start[track].kappa;
+    return projectile_of(input_.mass[track], kappa);
+  }
+
+  // Wrong sides or a wrong turn show in the chi-square long before it is unlikely by chance.
+  static bool is_good(const FitRow& row) {
+    return row.status == FitStatus::ok && row.chi2 < 5 * (row.clusters + row.wires) + 30;
+  }
+  static double chi2_per_hit(const FitRow& row) { return row.chi2 / std::max(row.clusters + row.wires, 1); }
+  static bool is_better(const FitRow& a, const FitRow& b) {
+    const bool a_fits = a.status == FitStatus::ok, b_fits = b.status == FitStatus::ok;
+    return a_fits != b_fits ? a_fits : chi2_per_hit(a) < chi2_per_hit(b);
+  }
+
+  // Alike for tracks that cross alike: tracks sorted by it leave few lanes idle. Clusters and where the last
+  // hit is, then how many hits there are in each eighth of the chamber.
+  std::uint64_t key(std::size_t track) const {
+    if (width == 1) return 0;
+    std::uint64_t clusters = 0, wires = 0;
+    for (const Hit& hit : hits(track)) {
+      if (hit.view != View::wire) {
+        ++clusters;
+      } else {
+        const auto eighth = 8 * static_cast<std::size_t>(hit.layer) / detector_.wires.size();
+        wires += std::uint64_t{1} << (6 * (7 - eighth));
+      }
+    }
+    return (std::min<std::uint64_t>(clusters, 255) << 48) ^ wires;
+  }
+
+  void fit_all(std::vector<Start>& starts, bool wires_first) {
+    if (width > 1) {
+      std::ranges::stable_sort(starts, [this](const Start& a, const Start& b) {
+        const double mass_a = input_.mass[a.track], mass_b = input_.mass[b.track];
+        return mass_a != mass_b ? mass_a < mass_b : a.key < b.key;
+      });
+    }
+    for (std::size_t first = 0; first < starts.size();) {
+      const Projectile kind = kind_of(starts[first]);
+      std::size_t n = 1;
+      while (n < width && first + n < starts.size() && kind_of(starts[first + n]) == kind) ++n;
+      fit_group(std::span(starts).subspan(first, n), kind, wires_first);
+      first += n;
+    }
+  }
+
+  Projectile kind_of(const Start& start) const {
+    return projectile_of(input_.mass[start.track], start.helix.kappa);
+  }
+
+  void fit_group(std::span<const Start> starts, Projectile kind, bool wires_first) {
+    std::array<std::span<const Hit>, width> hits_of;
+    std::array<std::span<const std::int8_t>, width> sides_of;
+    std::array<FitLane, width> lanes;
+    PerigeeOf<T> helix;
+    T mass;
+    for (std::size_t k = 0; k < width; ++k) {
+      const Start& start = starts[std::min(k, starts.size() - 1)];  // idle lanes hold something sensible
+      const int i = static_cast<int>(k);
+      set_lane(helix.d, i, start.helix.d);
+      set_lane(helix.psi, i, start.helix.psi);
+      set_lane(helix.kappa, i, usable_kappa(start.helix.kappa));
+      set_lane(helix.z0, i, start.helix.z0);
+      set_lane(helix.tanl, i, start.helix.tanl);
+      set_lane(mass, i, input_.mass[start.track]);
+      if (k >= starts.size()) continue;
+      hits_of[k] = hits(start.track);
+      sides_of[k] = sides(start.track);
+      rows_[k] = {};
+      scratch_[k].assign(out_.hit_rows != nullptr ? hits_of[k].size() : 0, HitRow{0, 0, 0, 0});
+      lanes[k] = {&rows_[k], out_.hit_rows != nullptr ? scratch_[k].data() : nullptr};
+    }
+    GroupBuilder<T>(detector_, group_)
+        .build(std::span(hits_of).first(starts.size()), std::span(sides_of).first(starts.size()));
+    fit_.run(helix, mass, kind, std::span(lanes).first(starts.size()), wires_first);
+    for (std::size_t k = 0; k < starts.size(); ++k) keep_better(starts[k].track, k);
+  }
+
+  // Straight or undefined: as good as straight.
+  static double usable_kappa(double kappa) { return std::isfinite(kappa) && kappa != 0 ? kappa : 1e-9; }
+
+  void keep_better(std::size_t track, std::size_t k) {
+    FitRow& row = out_.rows[track];
+    if (row.status != FitStatus::seed_failed && !is_better(rows_[k], row)) return;
+    row = rows_[k];
+    std::ranges::copy(scratch_[k], out_.hit_rows + (out_.hit_rows != nullptr ? input_.first(track) : 0));
+  }
+
+  const Detector& detector_;
+  const FitInput& input_;
+  const FitSettings& settings_;
+  const FitOutput& out_;
+  Group<T> group_;
+  GroupFit<T> fit_;
+  std::array<FitRow, width> rows_;
+  std::array<std::vector<HitRow>, width> scratch_;
+};
+
+}  // namespace cgemit

@@ -1,0 +1,285 @@
+// The fit of a group of tracks, one per lane.
+#pragma once
+
+#include <algorithm>
+#include <cmath>
+
+#include "fit/cluster_errors.hpp"
+#include "kalman/filter.hpp"
+#include "kalman/tracer.hpp"
+
+namespace cgemit {
+
+// A track in a lane: where its rows go.
+struct FitLane {
+  FitRow* row;
+  HitRow* hits;  // or null
+};
+
+template <class T>
+class GroupFit {
+ public:
+  GroupFit(const Detector& detector, const FitSettings& settings, Group<T>& group)
+      : detector_(detector), settings_(settings), group_(group) {}
+
+  // From `start`. `wires_first`: sides that are open settle among the wires before the clusters join.
+  void run(const PerigeeOf<T>& start, T mass, Projectile projectile, std::span<const FitLane> lanes,
+           bool wires_first) {
+    helix_ = start;
+    lanes_ = lanes;
+    open_ = has_open_sides();
+    wires_only_ = wires_first & open_;
+    active_ = mask_of<T>(false);
+    for (std::size_t k = 0; k < lanes.size(); ++k) set_lane(active_, static_cast<int>(k), true);
+    Five<T> prior;
+    unroll<parameters>([&](auto i) {
+      const double sigma = settings_.prior_sigma[static_cast<std::size_t>(i)];
+      prior[i] = sigma * sigma;
+    });
+    known_ = Symmetric<T>::diagonal(prior);
+    for (iteration_ = 0; iteration_ < settings_.max_iterations && any(active_); ++iteration_)
+      iterate(prior, mass, projectile);
+  }
+
+ private:
+  static constexpr int patient_iterations = 6;
+  static constexpr int impatient_iterations = 4;  // from here on outliers may be why a fit does not settle
+  static constexpr int last_return = 8;           // from this iteration on an outlier stays one
+
+  void iterate(const Five<T>& prior, T mass, Projectile projectile) {
+    const bool last = iteration_ + 1 == settings_.max_iterations;
+    Tracer<T>(detector_, helix_, mass, projectile, group_).run(active_);
+    if (iteration_ >= patient_iterations) give_up_hits();
+    mask_of<T> works = active_;
+    if (any(group_.stopped)) works = works & !speed_up(last);
+    works = works & !finish(works & too_few(), FitStatus::does_not_reach);
+    if (!any(works)) return;
+    fill_slots();
+    Estimate<T> estimate = filter(detector_, group_, beginning(prior));
+    works = works & !finish(works & !(positive_definite(estimate.c) & finite(estimate)),
+                            FitStatus::not_positive_definite);
+    T moved(0.0);
+    unroll<parameters>(
+        [&](auto i) { moved = larger(moved, estimate.x[i] * estimate.x[i] / estimate.c(i, i)); });
+    for (std::size_t i = 0; i < known_.v.size(); ++i)
+      known_.v[i] = select(works, estimate.c.v[i], known_.v[i]);
+    move(estimate.x, works);
+    // Smoothing is for weights, outliers and residuals: for tracks that are about to be ready, or still have
+    // open sides.
+    mask_of<T> ready = works & (moved < settings_.tolerance * settings_.tolerance) & !wires_only_;
+    const mask_of<T> judged = iteration_ >= impatient_iterations ? works : ready;
+    if (last || any(judged) || any(open_ & works)) {
+      smooth(group_);
+      if (any(open_ & works)) ready = ready & renew_sides(works);
+      if (settings_.outlier_pull > 0) ready = ready & renew_outliers(judged);
+    }
+    wires_only_ = wires_only_ & !works;
+    store(ready, estimate, FitStatus::ok);
+    active_ = active_ & !ready;
+    if (last) store(works & !ready, estimate, FitStatus::not_converged);
+  }
+
+  // The covariance that the filter begins with. Rounding grows with its ratio to what comes out: once there
+  // is a covariance from the iteration before, three thousand times that is as good as none and no weaker than
+  // it has to be. Its mean is the present reference, so that it does not pull anywhere once that has settled.
+  Symmetric<T> beginning(const Five<T>& prior) const {
+    constexpr double ratio = 3000;
+    mask_of<T> from_before(iteration_ > 0);
+    unroll<parameters>([&](auto i) { from_before = from_before & (ratio * known_(i, i) < prior[i]); });
+    Symmetric<T> c = Symmetric<T>::diagonal(prior);
+    if (!any(from_before)) return c;
+    for (std::size_t i = 0; i < c.v.size(); ++i) c.v[i] = select(from_before, ratio * known_.v[i], c.v[i]);
+    return c;
+  }
+
+  mask_of<T> has_open_sides() const {
+    mask_of<T> open(false);
+    for (const Slot<T>& slot : group_.slots)
+      if (slot.view == View::wire) open = open | (slot.there & (slot.known_side == 0.0));
+    return open;
+  }
+
+  // A first helix from the outer hits has the momentum that the matter has left over. Where the reference
+  // stops on the way to them, it gets more.
+  mask_of<T> speed_up(bool last) {
+    const mask_of<T> stopped = active_ & group_.stopped;
+    if (iteration_ >= patient_iterations || last) return finish(stopped, FitStatus::stopped);
+    helix_.kappa = select(stopped, 0.85 * helix_.kappa, helix_.kappa);
+    return stopped;
+  }
+
+  // Hits that stay out of the reference's reach are given up after some iterations.
+  void give_up_hits() {
+    for (Slot<T>& slot : group_.slots) slot.there = slot.there & (slot.met | !active_);
+    GroupBuilder<T>::look_ahead(group_);
+  }
+
+  // As many measurements as parameters can be met by anything: at least one more is asked for.
+  mask_of<T> too_few() const {
+    mask_of<T> few(false);
+    for (int k = 0; k < lanes_of<T>; ++k)
+      set_lane(few, k, group_.reached[static_cast<std::size_t>(k)] <= parameters);
+    return few;
+  }
+
+  static mask_of<T> finite(const Estimate<T>& estimate) {
+    T sum(0.0);
+    unroll<parameters>([&](auto i) { sum += 0.0 * estimate.x[i] + 0.0 * estimate.c(i, i); });
+    return sum == 0.0;
+  }
+
+  // Ends the fit of these lanes. Returns them.
+  mask_of<T> finish(mask_of<T> failed, FitStatus status) {
+    if (!any(failed)) return failed;
+    for (std::size_t k = 0; k < lanes_.size(); ++k) {
+      if (!lane(failed, static_cast<int>(k))) continue;
+      store_helix(k);
+      lanes_[k].row->status = status;
+    }
+    active_ = active_ & !failed;
+    return failed;
+  }
+
+  // Measured value and variance of every slot, on the present reference.
+  void fill_slots() {
+    for (Slot<T>& slot : group_.slots) {
+      slot.used = slot.met & !slot.outlier;
+      if (slot.view == View::wire) {
+        // A drift distance is a mixture of two sides: its mean and variance for the present weight of each.
+        slot.value = slot.weight * slot.drift;
+        slot.variance = slot.noise + (1.0 - slot.weight * slot.weight) * slot.drift * slot.drift;
+      } else {
+        slot.value = slot.drift;
+        slot.variance = slot.noise;
+        slot.used = slot.used & !wires_only_;
+        if (settings_.errors_from_track) {
+          const CgemLayer& layer = detector_.cgem[static_cast<std::size_t>(slot.layer)];
+          const double pitch = slot.view == View::x ? layer.pitch_x : layer.pitch_v;
+          const T from_track = cluster_variance(slot.size, slot.extent, pitch, settings_);
+          slot.variance = select(slot.met & (slot.size > 0.0), from_track, slot.variance);
+        }
+      }
+      slot.residual = select(slot.met, slot.value - slot.predicted, T(0.0));
+    }
+  }
+
+  // The new reference; a curvature that would more than double or change sign by itself is approached in
+  // halves.
+  void move(const Five<T>& x, mask_of<T> who) {
+    const T limit = larger(0.5 * abs(helix_.kappa), 0.2);
+    const T fraction = select(who, smaller(T(1.0), limit / larger(abs(x[2]), 1e-12)), T(0.0));
+    const auto step = [&](T& parameter, T by) {
+      parameter = select(who, parameter + fraction * by, parameter);
+    };
+    step(helix_.d, x[0]);
+    step(helix_.psi, x[1]);
+    step(helix_.kappa, x[2]);
+    step(helix_.z0, x[3]);
+    step(helix_.tanl, x[4]);
+    helix_.kappa = select(helix_.kappa == 0.0, T(1e-9), helix_.kappa);
+    const T turns = nearest(helix_.psi * (0.5 / pi));
+    helix_.psi = helix_.psi - turns * (2 * pi);
+  }
+
+  // Probability of each side from the track fitted without the hit. True where no weight moved any more.
+  mask_of<T> renew_sides(mask_of<T> who) {
+    const double caution = iteration_ < 2 ? 4.0 : 1.0;  // early predictions are worse than they say
+    T largest(0.0);
+    for (Slot<T>& slot : group_.slots) {
+      if (slot.view != View::wire) continue;
+      const mask_of<T> open = who & slot.met & (slot.known_side == 0.0);
+      if (!any(open)) continue;
+      const T predicted = slot.value - slot.unbiased;
+      const T spread = larger(slot.unbiased_variance - slot.variance, 0.0);
+      const T weight = hyperbolic_tangent(slot.drift * predicted / (slot.noise + caution * spread));
+      largest = larger(largest, select(open, abs(weight - slot.weight), T(0.0)));
+      slot.weight = select(open, weight, slot.weight);
+    }
+    return largest < 0.02;
+  }
+
+  static T hyperbolic_tangent(T x) {
+    const T a = smaller(abs(x), 20.0);  // 1 to rounding beyond
+    return copysign(1.0 - 2.0 / (1.0 + exp(2.0 * a)), x);
+  }
+
+  // Leaves out what lies far from the rest of the track, the worst first, and takes back what does not any
+  // more. True where nothing changed.
+  mask_of<T> renew_outliers(mask_of<T> who) {
+    T worst(0.0), left(0.0);
+    for (const Slot<T>& slot : group_.slots) {
+      worst = larger(worst, select(slot.used, squared_pull(slot), T(0.0)));
+      left += select(slot.used, T(1.0), T(0.0));
+    }
+    const double cut = settings_.outlier_pull * settings_.outlier_pull;
+    // Far outliers pull the track towards them and away from its hits.
+    const T limit = larger(0.25 * worst, cut);
+    mask_of<T> changed(false);
+    const bool may_return = iteration_ < last_return;
+    for (Slot<T>& slot : group_.slots) {
+      const T pull = squared_pull(slot);
+      const mask_of<T> out = who & slot.used & (pull > limit) & (left > parameters + 1.0);
+      mask_of<T> back = who & slot.met & slot.outlier & (pull < cut);
+      if (!may_return) back = mask_of<T>(false);
+      left -= select(out, T(1.0), T(0.0));
+      slot.outlier = (slot.outlier | out) & !back;
+      changed = changed | out | back;
+    }
+    return !changed;
+  }
+  static T squared_pull(const Slot<T>& slot) {
+    return slot.unbiased * slot.unbiased / slot.unbiased_variance;
+  }
+
+  void store(mask_of<T> who, const Estimate<T>& estimate, FitStatus status) {
+    if (!any(who)) return;
+    for (std::size_t k = 0; k < lanes_.size(); ++k) {
+      if (!lane(who, static_cast<int>(k))) continue;
+      store_helix(k);
+      FitRow& row = *lanes_[k].row;
+      row.status = status;
+      row.chi2 = lane(estimate.chi2, static_cast<int>(k));
+      for (int i = 0; i < parameters; ++i) {
+        for (int j = 0; j < parameters; ++j)
+          row.covariance[static_cast<std::size_t>(parameters * i + j)] =
+              lane(estimate.c(i, j), static_cast<int>(k));
+      }
+      store_hits(k);
+    }
+  }
+
+  void store_helix(std::size_t k) {
+    FitRow& row = *lanes_[k].row;
+    const int i = static_cast<int>(k);
+    row.helix = {lane(helix_.d, i), wrap_angle(lane(helix_.psi, i) - 0.5 * pi), lane(helix_.kappa, i),
+                 lane(helix_.z0, i), lane(helix_.tanl, i)};
+    row.iterations = iteration_ + 1;
+  }
+
+  void store_hits(std::size_t k) {
+    FitRow& row = *lanes_[k].row;
+    const int i = static_cast<int>(k);
+    row.clusters = row.wires = row.outliers = 0;
+    for (const Slot<T>& slot : group_.slots) {
+      if (!lane(slot.met, i)) continue;
+      const bool used = lane(slot.used, i);
+      ++(!used ? row.outliers : slot.view == View::wire ? row.wires : row.clusters);
+      if (lanes_[k].hits == nullptr) continue;
+      const double weight = lane(slot.weight, i);
+      lanes_[k].hits[slot.hit[k]] = {lane(slot.unbiased, i), std::sqrt(lane(slot.unbiased_variance, i)),
+                                     static_cast<std::int8_t>(weight > 0 ? 1 : (weight < 0 ? -1 : 0)),
+                                     static_cast<std::uint8_t>(used)};
+    }
+  }
+
+  const Detector& detector_;
+  const FitSettings& settings_;
+  Group<T>& group_;
+  PerigeeOf<T> helix_;
+  Symmetric<T> known_;  // covariance of the iteration before
+  std::span<const FitLane> lanes_;
+  mask_of<T> active_, open_, wires_only_;
+  int iteration_ = 0;
+};
+
+}  // namespace cgemit

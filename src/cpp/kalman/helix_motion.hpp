@@ -1,0 +1,163 @@
+// The reference trajectory in a uniform field, and how it moves with the parameters at the origin.
+//
+// Derivatives follow from one picture: a change of curvature dw on a piece ds'' of the path turns all that
+// follows about that piece. With Z the quarter turn, the displacement at r(s) is
+//   dr = dr0 + dpsi Z (r - r0) + Z integral dw(s'') (r(s) - r(s'')) ds'',
+// so that two running integrals, of the curvature's derivative and of that times the position, give every row
+// exactly, with energy loss (which makes the curvature depend on where it is, and on tanl) as without.
+#pragma once
+
+#include <cmath>
+
+#include "kalman/group.hpp"
+#include "motion/helix.hpp"
+#include "motion/wire.hpp"
+
+namespace cgemit {
+
+// (1 - cos f)/f^2 and (f - sin f)/f^2: the integral of the position over a helix step.
+template <class T>
+struct StepIntegral {
+  T along, across;
+};
+template <class T>
+StepIntegral<T> step_integral(T f) {
+  const T q = f * f;
+  const auto is_short = q < 0.25;
+  StepIntegral<T> i{
+      0.5 + q * (-1.0 / 24 + q * (1.0 / 720 + q * (-1.0 / 40320 + q * (1.0 / 3628800 - q / 479001600.0)))),
+      f * (1.0 / 6 + q * (-1.0 / 120 + q * (1.0 / 5040 + q * (-1.0 / 362880 + q / 39916800.0))))};
+  if (all(is_short)) return i;
+  const SineCosine<T> s = sine_cosine(f);
+  return {select(is_short, i.along, (1.0 - s.cosine) / q), select(is_short, i.across, (f - s.sine) / q)};
+}
+
+// Displacement across the flight and along z at one point, by the parameters at the origin.
+template <class T>
+struct Rows {
+  Five<T> across, along_z;
+  T forward_d, forward_kappa, forward_tanl;  // displacement along the flight; by psi it is `sideways`
+  T sideways;                                // S of the point
+};
+
+template <class T>
+class HelixMotion {
+ public:
+  HelixMotion(const Detector& detector, const PerigeeOf<T>& start) : tanl_(start.tanl), kappa_(start.kappa) {
+    const SineCosine<T> psi = sine_cosine(start.psi);
+    u0x_ = psi.cosine;
+    u0y_ = psi.sine;
+    per_kappa_ = curvature(detector.bz, 1.0);
+    point_ = {start.d * psi.sine, -start.d * psi.cosine, start.z0, psi.cosine, psi.sine,
+              start.tanl,         per_kappa_ * kappa_};
+  }
+
+  const HelixPointOf<T>& point() const { return point_; }
+  const T& kappa() const { return kappa_; }
+
+  // Steps of those lanes `who`; false where the place is not reached.
+  mask_of<T> go_to(double radius, mask_of<T> who) {
+    const HelixPointOf<T> from = point_;
+    T step(0.0);
+    const mask_of<T> reached = step_to_cylinder(point_, radius, step, true, who);
+    count(from, step);
+    return reached;
+  }
+  mask_of<T> approach(const WireOf<T>& wire, ApproachOf<T>& result, mask_of<T> who) {
+    const HelixPointOf<T> from = point_;
+    const mask_of<T> met = approach_wire(point_, wire, result, who);
+    count(from, result.arc);
+    return met;
+  }
+
+  Rows<T> rows() const {
+    const T x = point_.x, y = point_.y, ux = point_.ux, uy = point_.uy;
+    const T kx = per_kappa_ * (sum_kappa_ * x - position_kappa_x_),
+            ky = per_kappa_ * (sum_kappa_ * y - position_kappa_y_);
+    const T tx = per_kappa_ * (sum_tanl_ * x - position_tanl_x_),
+            ty = per_kappa_ * (sum_tanl_ * y - position_tanl_y_);
+    Rows<T> r;
+    r.sideways = point_.sideways();
+    r.forward_d = ux * u0y_ - uy * u0x_;
+    r.forward_kappa = uy * kx - ux * ky;
+    r.forward_tanl = uy * tx - ux * ty;
+    r.across = {{-(ux * u0x_ + uy * u0y_), point_.outward(), ux * kx + uy * ky, T(0.0), ux * tx + uy * ty}};
+    r.along_z = {{-tanl_ * r.forward_d, -tanl_ * r.sideways, -tanl_ * r.forward_kappa, T(1.0),
+                  arc_ - tanl_ * r.forward_tanl}};
+    return r;
+  }
+
+  // The momentum falls: kappa grows by `ratio`, its derivative by itself is `gain`, by tanl `mixed`.
+  void lose(T ratio, T gain, T mixed) {
+    d_kappa_ *= gain;
+    d_tanl_ = gain * d_tanl_ + mixed;
+    kappa_ *= ratio;
+    point_.w = per_kappa_ * kappa_;
+  }
+
+  // Origin parameters of a track that is displaced or turned here and whose kappa and tanl change.
+  class Backward {
+   public:
+    Backward(const HelixMotion& m, const Rows<T>& r) : r_(r), w_(m.point_.w), d_tanl_(m.d_tanl_) {
+      psi_d_ = -w_ * r.forward_d;
+      psi_psi_ = 1.0 - w_ * r.sideways;
+      psi_kappa_ = m.per_kappa_ * m.sum_kappa_ - w_ * r.forward_kappa;
+      psi_tanl_ = m.per_kappa_ * m.sum_tanl_ - w_ * r.forward_tanl;
+      per_determinant_ = 1.0 / (r.across[0] * psi_psi_ - r.across[1] * psi_d_);
+      per_d_kappa_ = 1.0 / m.d_kappa_;
+    }
+    // (d, psi, z0) by a turn in azimuth, rad, or shifts, mm, at fixed kappa and tanl.
+    std::array<T, 3> turned(T psi) const {
+      const T d = -r_.across[1] * psi * per_determinant_, turn = r_.across[0] * psi * per_determinant_;
+      return {d, turn, -r_.along_z[0] * d - r_.along_z[1] * turn};
+    }
+    std::array<T, 3> moved(T across, T along_z, T psi) const {
+      const T d = (across * psi_psi_ - r_.across[1] * psi) * per_determinant_;
+      const T turn = (r_.across[0] * psi - psi_d_ * across) * per_determinant_;
+      return {d, turn, along_z - r_.along_z[0] * d - r_.along_z[1] * turn};
+    }
+    // All five by kappa and tanl at fixed place and azimuth.
+    Five<T> changed(T kappa, T tanl) const {
+      const T kappa0 = (kappa - d_tanl_ * tanl) * per_d_kappa_;
+      const std::array<T, 3> m =
+          moved(-r_.across[2] * kappa0 - r_.across[4] * tanl, -r_.along_z[2] * kappa0 - r_.along_z[4] * tanl,
+                -psi_kappa_ * kappa0 - psi_tanl_ * tanl);
+      return {{m[0], m[1], kappa0, m[2], tanl}};
+    }
+    // The same for kappa alone: (d, psi, kappa, z0).
+    std::array<T, 4> slowed(T kappa) const {
+      const T kappa0 = kappa * per_d_kappa_;
+      const std::array<T, 3> m = moved(-r_.across[2] * kappa0, -r_.along_z[2] * kappa0, -psi_kappa_ * kappa0);
+      return {m[0], m[1], kappa0, m[2]};
+    }
+
+   private:
+    const Rows<T>& r_;
+    T w_, d_tanl_, psi_d_, psi_psi_, psi_kappa_, psi_tanl_, per_determinant_, per_d_kappa_;
+  };
+
+ private:
+  // Accounts for a step that began at `from`.
+  void count(const HelixPointOf<T>& from, T step) {
+    const StepIntegral<T> i = step_integral(from.w * step);
+    const T square = step * step;
+    const T ix = from.x * step + square * (i.along * from.ux - i.across * from.uy),
+            iy = from.y * step + square * (i.along * from.uy + i.across * from.ux);
+    sum_kappa_ += d_kappa_ * step;
+    position_kappa_x_ += d_kappa_ * ix;
+    position_kappa_y_ += d_kappa_ * iy;
+    sum_tanl_ += d_tanl_ * step;
+    position_tanl_x_ += d_tanl_ * ix;
+    position_tanl_y_ += d_tanl_ * iy;
+    arc_ += step;
+  }
+
+  HelixPointOf<T> point_;
+  double per_kappa_;  // 1/mm, curvature of kappa = 1
+  T u0x_, u0y_, tanl_, kappa_, arc_{0.0};
+  T d_kappa_{1.0}, d_tanl_{0.0};  // derivatives of the local kappa by the origin's kappa and tanl
+  T sum_kappa_{0.0}, position_kappa_x_{0.0}, position_kappa_y_{0.0};
+  T sum_tanl_{0.0}, position_tanl_x_{0.0}, position_tanl_y_{0.0};
+};
+
+}  // namespace cgemit

@@ -1,0 +1,113 @@
+// Five-vectors and symmetric 5x5 matrices of any number type, in the order (d, psi, kappa, z0, tanl).
+#pragma once
+
+#include <array>
+#include <utility>
+
+#include "lanes/pack.hpp"
+
+namespace cgemit {
+
+inline constexpr int parameters = 5;
+
+// f(0), f(1) ... f(n - 1) with the index as a constant, so that small arrays live in registers.
+template <int n, class F>
+void unroll(F&& f) {
+  [&f]<int... i>(std::integer_sequence<int, i...>) {
+    (f(std::integral_constant<int, i>{}), ...);
+  }(std::make_integer_sequence<int, n>{});
+}
+
+template <class T>
+struct Five {
+  std::array<T, parameters> v;
+
+  static Five zero() { return {{T(0.0), T(0.0), T(0.0), T(0.0), T(0.0)}}; }
+  T& operator[](int i) { return v[static_cast<std::size_t>(i)]; }
+  const T& operator[](int i) const { return v[static_cast<std::size_t>(i)]; }
+};
+
+template <class T>
+Five<T> operator*(T a, Five<T> b) {
+  unroll<parameters>([&](auto i) { b[i] = a * b[i]; });
+  return b;
+}
+
+template <class T>
+Five<T> operator+(Five<T> a, const Five<T>& b) {
+  unroll<parameters>([&](auto i) { a[i] += b[i]; });
+  return a;
+}
+
+template <class T>
+Five<T> operator-(Five<T> a, const Five<T>& b) {
+  unroll<parameters>([&](auto i) { a[i] -= b[i]; });
+  return a;
+}
+
+template <class T>
+T dot(const Five<T>& a, const Five<T>& b) {
+  return a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3] + a[4] * b[4];
+}
+
+template <class T>
+Five<T> select(mask_of<T> m, Five<T> a, const Five<T>& b) {
+  unroll<parameters>([&](auto i) { a[i] = select(m, a[i], b[i]); });
+  return a;
+}
+
+// The upper triangle.
+template <class T>
+struct Symmetric {
+  std::array<T, parameters*(parameters + 1) / 2> v;
+
+  static constexpr int place(int i, int j) {
+    return i <= j ? i * parameters - i * (i - 1) / 2 + j - i : place(j, i);
+  }
+  static Symmetric diagonal(const Five<T>& d) {
+    Symmetric s;
+    for (T& x : s.v) x = 0.0;
+    unroll<parameters>([&](auto i) { s(i, i) = d[i]; });
+    return s;
+  }
+  T& operator()(int i, int j) { return v[static_cast<std::size_t>(place(i, j))]; }
+  const T& operator()(int i, int j) const { return v[static_cast<std::size_t>(place(i, j))]; }
+
+  Five<T> operator*(const Five<T>& h) const {
+    Five<T> out;
+    unroll<parameters>([&](auto i) {
+      out[i] = (*this)(i, 0) * h[0] + (*this)(i, 1) * h[1] + (*this)(i, 2) * h[2] + (*this)(i, 3) * h[3] +
+               (*this)(i, 4) * h[4];
+    });
+    return out;
+  }
+  // Adds f(i, j) to every element.
+  template <class F>
+  void add(F&& f) {
+    unroll<parameters>([&](auto i) {
+      unroll<parameters>([&](auto j) {
+        if constexpr (j >= i) (*this)(i, j) += f(i, j);
+      });
+    });
+  }
+};
+
+// Whether a covariance is that of five real parameters: the pivots of its Cholesky decomposition are
+// positive.
+template <class T>
+mask_of<T> positive_definite(Symmetric<T> c) {
+  mask_of<T> good(true);
+  unroll<parameters>([&](auto k) {
+    const T scale = c(k, k);
+    good = good & (scale > 0.0);
+    const T per_pivot = 1.0 / select(scale > 0.0, scale, T(1.0));
+    unroll<parameters>([&](auto i) {
+      unroll<parameters>([&](auto j) {
+        if constexpr (i > k && j >= i) c(i, j) -= c(k, i) * c(k, j) * per_pivot;
+      });
+    });
+  });
+  return good;
+}
+
+}  // namespace cgemit

@@ -1,0 +1,52 @@
+#include "kernels/kernels.hpp"
+
+#include <atomic>
+#include <stdexcept>
+
+#if !defined(_WIN32)
+#include <dlfcn.h>
+#endif
+
+namespace cgemit {
+
+namespace {
+
+constexpr Kernels scalar{"scalar", 1, &fit_tracks};
+std::atomic<const Kernels*> in_use{&scalar};
+
+}  // namespace
+
+const Kernels& kernels() { return *in_use.load(); }
+
+bool processor_runs(const std::string& isa) {
+  if (isa == "scalar" || isa == "baseline") return true;
+#if defined(__x86_64__) && (defined(__GNUC__) || defined(__clang__))
+  __builtin_cpu_init();
+  const bool v3 = __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma") &&
+                  __builtin_cpu_supports("bmi") && __builtin_cpu_supports("bmi2");
+  if (isa == "v3") return v3;
+  if (isa == "v4")
+    return v3 && __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512bw") &&
+           __builtin_cpu_supports("avx512cd") && __builtin_cpu_supports("avx512dq") &&
+           __builtin_cpu_supports("avx512vl");
+#endif
+  return false;
+}
+
+void use_scalar_kernels() { in_use = &scalar; }
+
+#if !defined(_WIN32)
+void use_kernels(const std::string& path) {
+  // Never closed: threads may still be in it.
+  void* library = dlopen(path.c_str(), RTLD_NOW | RTLD_LOCAL);
+  if (library == nullptr) throw std::runtime_error(dlerror());
+  using Entry = const Kernels* (*)();
+  const auto entry = reinterpret_cast<Entry>(dlsym(library, "cgemit_kernels"));
+  if (entry == nullptr) throw std::runtime_error(path + ": no library of kernels");
+  in_use = entry();
+}
+#else
+void use_kernels(const std::string& path) { throw std::runtime_error(path + ": no kernels on this system"); }
+#endif
+
+}  // namespace cgemit

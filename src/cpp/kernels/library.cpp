@@ -1,0 +1,24 @@
+// Compiled once per instruction set, with CGEMIT_ISA its name and CGEMIT_LANES the width of its registers.
+#include "fit/batch.hpp"
+#include "kernels/kernels.hpp"
+
+namespace cgemit {
+
+namespace {
+
+using Number = Pack<CGEMIT_LANES>;
+
+void fit(const Detector& detector, const FitInput& input, const FitSettings& settings,
+         const FitOutput& output) {
+  BatchFit<Number>(detector, input, settings, output).run();
+}
+
+constexpr Kernels these{CGEMIT_ISA, CGEMIT_LANES, &fit};
+
+}  // namespace
+
+}  // namespace cgemit
+
+extern "C" __attribute__((visibility("default"))) const cgemit::Kernels* cgemit_kernels() {
+  return &cgemit::these;
+}
