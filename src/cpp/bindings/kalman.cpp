@@ -1,6 +1,5 @@
 #include <pybind11/pybind11.h>
 
-#include <algorithm>
 
 #include "bindings/arrays.hpp"
 #include "bindings/hits.hpp"
@@ -21,16 +20,22 @@ std::vector<Hit> make_hits(const Detector& detector, const py::dict& columns, py
   const auto layer = column(layer_array, "layer", n), element = column(element_array, "element", n),
              size = column(size_array, "size", n);
   const auto value = column(value_array, "value", n), sigma = column(sigma_array, "sigma", n);
+  std::vector<int> index_of;  // by the experiment's layer number
+  for (std::size_t i = 0; i < detector.wires.size(); ++i) {
+    const auto number = static_cast<std::size_t>(detector.wires[i].number);
+    if (number >= index_of.size()) index_of.resize(number + 1, -1);
+    index_of[number] = static_cast<int>(i);
+  }
   std::vector<Hit> hits(static_cast<std::size_t>(n));
   for (std::size_t i = 0; i < hits.size(); ++i) {
     int index = layer[i];
     int limit = 0;
     if (kind[i] == static_cast<std::uint8_t>(View::wire)) {
-      const auto found = std::ranges::find(detector.wires, index, &WireLayer::number);
-      if (found == detector.wires.end())
-        throw std::invalid_argument("layer: no wire layer of that number in the detector");
-      index = static_cast<int>(found - detector.wires.begin());
-      limit = found->cells;
+      index = index >= 0 && static_cast<std::size_t>(index) < index_of.size()
+                  ? index_of[static_cast<std::size_t>(index)]
+                  : -1;
+      if (index < 0) throw std::invalid_argument("layer: no wire layer of that number in the detector");
+      limit = detector.wires[static_cast<std::size_t>(index)].cells;
     } else if (kind[i] > 2 || index < 0 || static_cast<std::size_t>(index) >= detector.cgem.size()) {
       throw std::invalid_argument("kind, layer: no such CGEM layer in the detector");
     } else {

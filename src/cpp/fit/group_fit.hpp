@@ -80,8 +80,9 @@ class GroupFit {
   }
 
   // The covariance that the filter begins with. Rounding grows with its ratio to what comes out: once there
-  // is a covariance from the iteration before, three thousand times that is as good as none and no weaker than
-  // it has to be. Its mean is the present reference, so that it does not pull anywhere once that has settled.
+  // is a covariance from the iteration before, three thousand times that is as good as none and no weaker
+  // than it has to be. Its mean is the present reference, so that it does not pull anywhere once that has
+  // settled.
   Symmetric<T> beginning(const Five<T>& prior) const {
     constexpr double ratio = 3000;
     mask_of<T> from_before(iteration_ > 0);
@@ -141,7 +142,7 @@ class GroupFit {
   }
 
   // Measured value and variance of every slot, on the present reference.
-  void fill_slots() {
+  [[gnu::flatten]] void fill_slots() {
     for (Slot<T>& slot : group_.slots) {
       slot.used = slot.met & !slot.outlier;
       if (slot.view == View::wire) {
@@ -182,7 +183,7 @@ class GroupFit {
   }
 
   // Probability of each side from the track fitted without the hit. True where no weight moved any more.
-  mask_of<T> renew_sides(mask_of<T> who) {
+  [[gnu::flatten]] mask_of<T> renew_sides(mask_of<T> who) {
     const double caution = iteration_ < 2 ? 4.0 : 1.0;  // early predictions are worse than they say
     T largest(0.0);
     for (Slot<T>& slot : group_.slots) {
@@ -205,7 +206,7 @@ class GroupFit {
 
   // Leaves out what lies far from the rest of the track, the worst first, and takes back what does not any
   // more. True where nothing changed.
-  mask_of<T> renew_outliers(mask_of<T> who) {
+  [[gnu::flatten]] mask_of<T> renew_outliers(mask_of<T> who) {
     T worst(0.0), left(0.0);
     for (const Slot<T>& slot : group_.slots) {
       worst = larger(worst, select(slot.used, squared_pull(slot), T(0.0)));

@@ -55,7 +55,7 @@ void update(Estimate<T>& state, Slot<T>& slot) {
 
 // From the outermost measurement inward to the origin.
 template <class T>
-Estimate<T> filter(const Detector& detector, Group<T>& group, const Symmetric<T>& prior) {
+[[gnu::flatten]] Estimate<T> filter(const Detector& detector, Group<T>& group, const Symmetric<T>& prior) {
   Estimate<T> state{Five<T>::zero(), prior, T(0.0)};
   for (std::size_t i = group.steps.size(); i-- > 0;) {
     const GroupStep& step = group.steps[i];
@@ -72,7 +72,7 @@ Estimate<T> filter(const Detector& detector, Group<T>& group, const Symmetric<T>
 
 // From the origin outward: the residual of every measurement to the track fitted without it.
 template <class T>
-void smooth(Group<T>& group) {
+[[gnu::flatten]] void smooth(Group<T>& group) {
   Five<T> lambda = Five<T>::zero();
   Symmetric<T> big_lambda = Symmetric<T>::diagonal(Five<T>::zero());
   for (Slot<T>& slot : group.slots) {

@@ -85,10 +85,10 @@ struct GroupStep {
 template <class T>
 struct Group {
   std::vector<GroupStep> steps;
-  std::vector<Slot<T>> slots;
-  std::vector<SlabNoise<T>> noise;          // one per slab of `steps`, all zero where it was not crossed
-  std::vector<mask_of<T>> ahead;            // the same: lanes that have measurements beyond
-  std::array<std::int32_t, lanes_of<T>> n;  // hits of each track
+  std::span<Slot<T>> slots;
+  std::vector<Slot<T>> storage;     // of the slots; grows to what the largest group needed
+  std::vector<SlabNoise<T>> noise;  // one per slab of `steps`, all zero where it was not crossed
+  std::vector<mask_of<T>> ahead;    // the same: lanes that have measurements beyond
   // After a trace: hits met; whether the particle ran out of momentum on the way to the next.
   std::array<std::int32_t, lanes_of<T>> reached;
   mask_of<T> stopped;
@@ -106,9 +106,7 @@ class GroupBuilder {
     sides_ = sides;
     at_ = {};
     group_.steps.clear();
-    group_.slots.clear();
-    group_.n = {};
-    for (std::size_t k = 0; k < hits.size(); ++k) group_.n[k] = static_cast<std::int32_t>(hits[k].size());
+    slots_ = 0;
     std::int32_t slabs = 0;
     for (const Place& place : detector_.places) {
       if (!place.is_slab) {
@@ -119,6 +117,7 @@ class GroupBuilder {
         take_clusters(place.index, slabs++);
       }
     }
+    group_.slots = std::span(group_.storage).first(static_cast<std::size_t>(slots_));
     group_.noise.resize(static_cast<std::size_t>(slabs));
     look_ahead(group_);
   }
@@ -142,26 +141,24 @@ class GroupBuilder {
     return true;
   }
 
-  std::int32_t slots() const { return static_cast<std::int32_t>(group_.slots.size()); }
-
   // Layers of wires between the same slabs share their slots.
   void take_wires(std::int32_t layer) {
     const bool joins = !group_.steps.empty() && !group_.steps.back().is_slab;
     if (!joins) {
-      group_.steps.push_back({false, -1, -1, slots(), slots()});
+      group_.steps.push_back({false, -1, -1, slots_, slots_});
       filled_ = {};
     }
     for (std::size_t k = 0; k < hits_.size(); ++k) {
       for (; meets(k, at_[k], layer, true); ++at_[k]) place(group_.steps.back().first, k, at_[k]);
     }
-    group_.steps.back().last = slots();
+    group_.steps.back().last = slots_;
   }
 
   // First the X clusters of all lanes, then the V clusters.
   void take_clusters(std::int32_t slab, std::int32_t noise) {
-    const std::int32_t begin = slots(), gap = detector_.slabs[static_cast<std::size_t>(slab)].gap;
+    const std::int32_t begin = slots_, gap = detector_.slabs[static_cast<std::size_t>(slab)].gap;
     for (const View view : {View::x, View::v}) {
-      const std::int32_t first = slots();
+      const std::int32_t first = slots_;
       filled_ = {};
       for (std::size_t k = 0; k < hits_.size(); ++k) {
         for (std::size_t i = at_[k]; meets(k, i, gap, false); ++i)
@@ -170,7 +167,7 @@ class GroupBuilder {
     }
     for (std::size_t k = 0; k < hits_.size(); ++k)
       while (meets(k, at_[k], gap, false)) ++at_[k];
-    group_.steps.push_back({true, slab, noise, begin, slots()});
+    group_.steps.push_back({true, slab, noise, begin, slots_});
   }
 
   bool meets(std::size_t track, std::size_t i, std::int32_t layer, bool wire) const {
@@ -181,21 +178,24 @@ class GroupBuilder {
 
   void place(std::int32_t first, std::size_t track, std::size_t i) {
     const Hit& hit = hits_[track][i];
-    const auto slot = static_cast<std::size_t>(first + filled_[track]++);
-    if (slot == group_.slots.size()) group_.slots.push_back(empty(hit.view, hit.layer));
-    fill(group_.slots[slot], static_cast<int>(track), hit, i);
+    const std::int32_t number = first + filled_[track]++;
+    if (number == slots_) empty(hit.view, hit.layer);
+    fill(group_.storage[static_cast<std::size_t>(number)], static_cast<int>(track), hit, i);
   }
 
-  Slot<T> empty(View view, std::int32_t layer) const {
-    Slot<T> slot{};
+  // One slot more, without a measurement. What the reference, the filter and the smoother write stays as it
+  // was.
+  void empty(View view, std::int32_t layer) {
+    const auto number = static_cast<std::size_t>(slots_++);
+    if (number == group_.storage.size()) group_.storage.emplace_back();
+    Slot<T>& slot = group_.storage[number];
     slot.view = view;
     slot.layer = layer;
     slot.hit.fill(-1);
-    slot.there = slot.outlier = slot.met = slot.used = mask_of<T>(false);
+    slot.there = slot.outlier = mask_of<T>(false);
     slot.noise = slot.size = 1.0;
     slot.drift = slot.edge = slot.known_side = slot.weight = 0.0;
     slot.wire = {T(0.0), T(0.0), T(0.0), T(0.0), T(1.0)};
-    return slot;
   }
 
   void fill(Slot<T>& slot, int k, const Hit& hit, std::size_t number) {
@@ -226,6 +226,7 @@ class GroupBuilder {
   std::span<const std::span<const std::int8_t>> sides_;
   std::array<std::size_t, lanes_of<T>> at_{};
   std::array<std::int32_t, lanes_of<T>> filled_{};
+  std::int32_t slots_ = 0;
 };
 
 }  // namespace cgemit

@@ -12,6 +12,7 @@
 
 namespace cgemit {
 
+// The hot functions are flattened: what they call is small, and numbers should stay in registers.
 template <class T, class Motion = HelixMotion<T>>
 class Tracer {
  public:
@@ -60,7 +61,7 @@ class Tracer {
     for (int k = 0; k < lanes_of<T>; ++k) group_.reached[static_cast<std::size_t>(k)] += lane(met, k) ? 1 : 0;
   }
 
-  void meet_gap(Slot<T>& slot, mask_of<T> reached) {
+  [[gnu::flatten]] void meet_gap(Slot<T>& slot, mask_of<T> reached) {
     const CgemLayer& layer = detector_.cgem[static_cast<std::size_t>(slot.layer)];
     const HelixPointOf<T>& at = motion_.point();
     const Rows<T> r = motion_.rows();
@@ -90,7 +91,7 @@ class Tracer {
 
   static T positive(T angle) { return select(angle < 0.0, angle + 2 * pi, angle); }
 
-  void meet_wire(Slot<T>& slot) {
+  [[gnu::flatten]] void meet_wire(Slot<T>& slot) {
     const mask_of<T> wanted = alive_ & slot.there;
     if (!any(wanted)) {
       slot.met = mask_of<T>(false);
@@ -109,7 +110,7 @@ class Tracer {
   }
 
   // Noise of a slab, then its energy loss on the reference. A lane dies where the particle stops.
-  void cross(const Slab& slab, SlabNoise<T>& noise, mask_of<T> crosses) {
+  [[gnu::flatten]] void cross(const Slab& slab, SlabNoise<T>& noise, mask_of<T> crosses) {
     if (!any(crosses)) {
       noise = {};
       return;
