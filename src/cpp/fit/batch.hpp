@@ -7,6 +7,7 @@
 
 #include "fit/group_fit.hpp"
 #include "fit/seed.hpp"
+#include "kalman/builder.hpp"
 
 namespace cgemit {
 
@@ -19,6 +20,7 @@ class BatchFit {
         input_(input),
         settings_(settings),
         out_(output),
+        builder_(detector),
         fit_(detector, settings, group_) {}
 
   void run() {
@@ -133,8 +135,7 @@ class BatchFit {
       scratch_[k].assign(out_.hit_rows != nullptr ? hits_of[k].size() : 0, HitRow{0, 0, 0, 0});
       lanes[k] = {&rows_[k], out_.hit_rows != nullptr ? scratch_[k].data() : nullptr};
     }
-    GroupBuilder<T>(detector_, group_)
-        .build(std::span(hits_of).first(starts.size()), std::span(sides_of).first(starts.size()));
+    builder_.build(std::span(hits_of).first(starts.size()), std::span(sides_of).first(starts.size()), group_);
     fit_.run(helix, mass, kind, std::span(lanes).first(starts.size()), wires_first);
     for (std::size_t k = 0; k < starts.size(); ++k) keep_better(starts[k].track, k);
   }
@@ -153,6 +154,7 @@ class BatchFit {
   const FitInput& input_;
   const FitSettings& settings_;
   const FitOutput& out_;
+  GroupBuilder<T> builder_;
   Group<T> group_;
   GroupFit<T> fit_;
   std::array<FitRow, width> rows_;

@@ -112,7 +112,7 @@ class GroupFit {
   // Hits that stay out of the reference's reach are given up after some iterations.
   void give_up_hits() {
     for (Slot<T>& slot : group_.slots) slot.there = slot.there & (slot.met | !active_);
-    GroupBuilder<T>::look_ahead(group_);
+    look_ahead(group_);
   }
 
   // As many measurements as parameters can be met by anything: at least one more is asked for.

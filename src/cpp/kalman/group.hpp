@@ -94,139 +94,17 @@ struct Group {
   mask_of<T> stopped;
 };
 
-// Sorts the hits of up to `lanes_of<T>` tracks into slots. Fewer tracks leave lanes without hits.
+// Fills in `ahead`, at first and after hits were given up.
 template <class T>
-class GroupBuilder {
- public:
-  GroupBuilder(const Detector& detector, Group<T>& group) : detector_(detector), group_(group) {}
-
-  void build(std::span<const std::span<const Hit>> hits,
-             std::span<const std::span<const std::int8_t>> sides) {
-    hits_ = hits;
-    sides_ = sides;
-    at_ = {};
-    group_.steps.clear();
-    slots_ = 0;
-    std::int32_t slabs = 0;
-    for (const Place& place : detector_.places) {
-      if (!place.is_slab) {
-        take_wires(place.index);
-      } else if (finished()) {
-        break;
-      } else {
-        take_clusters(place.index, slabs++);
-      }
-    }
-    group_.slots = std::span(group_.storage).first(static_cast<std::size_t>(slots_));
-    group_.noise.resize(static_cast<std::size_t>(slabs));
-    look_ahead(group_);
+void look_ahead(Group<T>& group) {
+  group.ahead.resize(group.noise.size());
+  mask_of<T> beyond(false);
+  for (std::size_t i = group.steps.size(); i-- > 0;) {
+    const GroupStep& step = group.steps[i];
+    if (step.is_slab) group.ahead[static_cast<std::size_t>(step.noise)] = beyond;
+    for (std::int32_t s = step.first; s < step.last; ++s)
+      beyond = beyond | group.slots[static_cast<std::size_t>(s)].there;
   }
-
-  // After slots were given up, too.
-  static void look_ahead(Group<T>& group) {
-    group.ahead.resize(group.noise.size());
-    mask_of<T> beyond(false);
-    for (std::size_t i = group.steps.size(); i-- > 0;) {
-      const GroupStep& step = group.steps[i];
-      if (step.is_slab) group.ahead[static_cast<std::size_t>(step.noise)] = beyond;
-      for (std::int32_t s = step.first; s < step.last; ++s)
-        beyond = beyond | group.slots[static_cast<std::size_t>(s)].there;
-    }
-  }
-
- private:
-  bool finished() const {
-    for (std::size_t k = 0; k < hits_.size(); ++k)
-      if (at_[k] < hits_[k].size()) return false;
-    return true;
-  }
-
-  // Layers of wires between the same slabs share their slots.
-  void take_wires(std::int32_t layer) {
-    const bool joins = !group_.steps.empty() && !group_.steps.back().is_slab;
-    if (!joins) {
-      group_.steps.push_back({false, -1, -1, slots_, slots_});
-      filled_ = {};
-    }
-    for (std::size_t k = 0; k < hits_.size(); ++k) {
-      for (; meets(k, at_[k], layer, true); ++at_[k]) place(group_.steps.back().first, k, at_[k]);
-    }
-    group_.steps.back().last = slots_;
-  }
-
-  // First the X clusters of all lanes, then the V clusters.
-  void take_clusters(std::int32_t slab, std::int32_t noise) {
-    const std::int32_t begin = slots_, gap = detector_.slabs[static_cast<std::size_t>(slab)].gap;
-    for (const View view : {View::x, View::v}) {
-      const std::int32_t first = slots_;
-      filled_ = {};
-      for (std::size_t k = 0; k < hits_.size(); ++k) {
-        for (std::size_t i = at_[k]; meets(k, i, gap, false); ++i)
-          if (hits_[k][i].view == view) place(first, k, i);
-      }
-    }
-    for (std::size_t k = 0; k < hits_.size(); ++k)
-      while (meets(k, at_[k], gap, false)) ++at_[k];
-    group_.steps.push_back({true, slab, noise, begin, slots_});
-  }
-
-  bool meets(std::size_t track, std::size_t i, std::int32_t layer, bool wire) const {
-    if (i >= hits_[track].size()) return false;
-    const Hit& hit = hits_[track][i];
-    return (hit.view == View::wire) == wire && hit.layer == layer;
-  }
-
-  void place(std::int32_t first, std::size_t track, std::size_t i) {
-    const Hit& hit = hits_[track][i];
-    const std::int32_t number = first + filled_[track]++;
-    if (number == slots_) empty(hit.view, hit.layer);
-    fill(group_.storage[static_cast<std::size_t>(number)], static_cast<int>(track), hit, i);
-  }
-
-  // One slot more, without a measurement. What the reference, the filter and the smoother write stays as it
-  // was.
-  void empty(View view, std::int32_t layer) {
-    const auto number = static_cast<std::size_t>(slots_++);
-    if (number == group_.storage.size()) group_.storage.emplace_back();
-    Slot<T>& slot = group_.storage[number];
-    slot.view = view;
-    slot.layer = layer;
-    slot.hit.fill(-1);
-    slot.there = slot.outlier = mask_of<T>(false);
-    slot.noise = slot.size = 1.0;
-    slot.drift = slot.edge = slot.known_side = slot.weight = 0.0;
-    slot.wire = {T(0.0), T(0.0), T(0.0), T(0.0), T(1.0)};
-  }
-
-  void fill(Slot<T>& slot, int k, const Hit& hit, std::size_t number) {
-    const auto track = static_cast<std::size_t>(k);
-    slot.hit[track] = static_cast<std::int32_t>(number);
-    set_lane(slot.there, k, true);
-    set_lane(slot.drift, k, hit.value);
-    set_lane(slot.noise, k, hit.sigma * hit.sigma);
-    const auto layer = static_cast<std::size_t>(hit.layer), element = static_cast<std::size_t>(hit.element);
-    if (hit.view != View::wire) {
-      set_lane(slot.size, k, hit.size);
-      set_lane(slot.edge, k, wrap_angle(detector_.cgem[layer].phi_first[element]));
-      return;
-    }
-    const Wire& wire = detector_.wires[layer].placed[element];
-    set_lane(slot.wire.x, k, wire.x);
-    set_lane(slot.wire.y, k, wire.y);
-    set_lane(slot.wire.ex, k, wire.ex);
-    set_lane(slot.wire.ey, k, wire.ey);
-    set_lane(slot.wire.ez, k, wire.ez);
-    set_lane(slot.known_side, k, sides_[track][number]);
-    set_lane(slot.weight, k, sides_[track][number]);
-  }
-
-  const Detector& detector_;
-  Group<T>& group_;
-  std::span<const std::span<const Hit>> hits_;
-  std::span<const std::span<const std::int8_t>> sides_;
-  std::array<std::size_t, lanes_of<T>> at_{};
-  std::array<std::int32_t, lanes_of<T>> filled_{};
-  std::int32_t slots_ = 0;
-};
+}
 
 }  // namespace cgemit

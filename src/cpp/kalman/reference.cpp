@@ -2,6 +2,8 @@
 
 #include <cmath>
 
+#include "kalman/builder.hpp"
+
 namespace cgemit {
 
 namespace {
@@ -27,7 +29,7 @@ Reference trace(const Detector& detector, const Perigee& start, double mass, std
   const std::vector<std::int8_t> sides(hits.size(), 0);
   const std::span<const std::int8_t> no_sides(sides);
   Group<double> group;
-  GroupBuilder<double>(detector, group).build(std::span(&hits, 1), std::span(&no_sides, 1));
+  GroupBuilder<double>(detector).build(std::span(&hits, 1), std::span(&no_sides, 1), group);
   Tracer<double>(detector, start, mass, projectile_of(mass, start.kappa), group).run(true);
   for (const GroupStep& step : group.steps) {
     for (std::int32_t s = step.first; s < step.last; ++s) {
