@@ -3,6 +3,8 @@
 #include <pybind11/pybind11.h>
 #include <pybind11/stl.h>
 
+#include <algorithm>
+
 #include "bindings/arrays.hpp"
 #include "bindings/hits.hpp"
 #include "kernels/kernels.hpp"
@@ -13,41 +15,64 @@ using namespace cgemit::bindings;
 
 namespace {
 
-template <class Row, class Value>
-std::vector<Value> take_column(const std::vector<Row>& rows, Value Row::* field) {
-  std::vector<Value> out;
-  out.reserve(rows.size());
-  for (const Row& row : rows) out.push_back(row.*field);
-  return out;
-}
+// Columns of the result, filled block by block.
+struct Output {
+  std::vector<double> helix, covariance, chi2, residual, error;
+  std::vector<std::int32_t> clusters, wires, outliers, ndf, iterations;
+  std::vector<std::int8_t> status, side;
+  std::vector<std::uint8_t> used;
 
-py::dict columns(const std::vector<FitRow>& rows) {
-  const auto n = static_cast<py::ssize_t>(rows.size());
-  std::vector<double> helix, covariance;
-  std::vector<std::int32_t> ndf;
-  std::vector<std::int8_t> status;
-  helix.reserve(5 * rows.size());
-  covariance.reserve(25 * rows.size());
-  ndf.reserve(rows.size());
-  status.reserve(rows.size());
-  for (const FitRow& row : rows) {
+  Output(std::size_t tracks, std::size_t hits) {
+    helix.reserve(5 * tracks);
+    covariance.reserve(25 * tracks);
+    chi2.reserve(tracks);
+    for (auto* column : {&clusters, &wires, &outliers, &ndf, &iterations}) column->reserve(tracks);
+    status.reserve(tracks);
+    residual.reserve(hits);
+    error.reserve(hits);
+    side.reserve(hits);
+    used.reserve(hits);
+  }
+  void append(const FitRow& row) {
     helix.insert(helix.end(), row.helix.begin(), row.helix.end());
     covariance.insert(covariance.end(), row.covariance.begin(), row.covariance.end());
+    chi2.push_back(row.chi2);
+    clusters.push_back(row.clusters);
+    wires.push_back(row.wires);
+    outliers.push_back(row.outliers);
     ndf.push_back(row.clusters + row.wires - 5);
+    iterations.push_back(row.iterations);
     status.push_back(static_cast<std::int8_t>(row.status));
   }
-  py::dict out;
-  out["helix"] = to_numpy(std::move(helix), {n, 5});
-  out["cov"] = to_numpy(std::move(covariance), {n, 5, 5});
-  out["chi2"] = to_numpy(take_column(rows, &FitRow::chi2));
-  out["ndf"] = to_numpy(std::move(ndf));
-  out["n_clusters"] = to_numpy(take_column(rows, &FitRow::clusters));
-  out["n_wires"] = to_numpy(take_column(rows, &FitRow::wires));
-  out["n_outliers"] = to_numpy(take_column(rows, &FitRow::outliers));
-  out["iterations"] = to_numpy(take_column(rows, &FitRow::iterations));
-  out["status"] = to_numpy(std::move(status));
-  return out;
-}
+  void append(const HitRow& row) {
+    residual.push_back(row.residual);
+    error.push_back(row.error);
+    side.push_back(row.side);
+    used.push_back(row.used);
+  }
+  py::dict columns(bool residuals) {
+    const auto n = static_cast<py::ssize_t>(chi2.size());
+    py::dict out;
+    out["helix"] = to_numpy(std::move(helix), {n, 5});
+    out["cov"] = to_numpy(std::move(covariance), {n, 5, 5});
+    out["chi2"] = to_numpy(std::move(chi2));
+    out["ndf"] = to_numpy(std::move(ndf));
+    out["n_clusters"] = to_numpy(std::move(clusters));
+    out["n_wires"] = to_numpy(std::move(wires));
+    out["n_outliers"] = to_numpy(std::move(outliers));
+    out["iterations"] = to_numpy(std::move(iterations));
+    out["status"] = to_numpy(std::move(status));
+    if (!residuals) return out;
+    out["residual"] = to_numpy(std::move(residual));
+    out["err"] = to_numpy(std::move(error));
+    out["side"] = to_numpy(std::move(side));
+    out["used"] = to_numpy(std::move(used));
+    return out;
+  }
+};
+
+// Tracks whose hits stay in the processor's cache while they are fitted.
+constexpr std::size_t block_of_tracks = 256;
 
 py::dict run(const Detector& detector, const Array<std::int64_t>& hit_offsets, const py::dict& hit_columns,
              const Array<double>& mass_array, const Array<double>& start_array, const FitSettings& settings,
@@ -61,28 +86,36 @@ py::dict run(const Detector& detector, const Array<std::int64_t>& hit_offsets, c
   if (seeded) matrix(start_array, "start", static_cast<py::ssize_t>(n), 5);
   const auto side_array = take<std::int8_t>(hit_columns, "side");
   const auto side = column(side_array, "side", n_hits);
-  const std::vector<Hit> hits = make_hits(detector, hit_columns, n_hits);
+  const HitColumns columns(detector, hit_columns, n_hits);
   for (std::size_t i = 0; i < n; ++i) {
     if (offsets[i] > offsets[i + 1] || offsets[i] < 0)
       throw std::invalid_argument("hit_offsets: expected to increase");
   }
   std::vector<Perigee> start;
   for (std::size_t i = 0; seeded && i < n; ++i) start.push_back(from_bes3(start_array.data() + 5 * i));
-  std::vector<FitRow> rows(n);
-  std::vector<HitRow> hit_rows(residuals ? hits.size() : 0);
+  Output out(n, residuals ? static_cast<std::size_t>(n_hits) : 0);
   {
     py::gil_scoped_release release;
-    kernels().fit(detector, {offsets, hits, side, mass, start}, settings,
-                  {rows.data(), residuals ? hit_rows.data() : nullptr});
+    std::vector<Hit> hits;
+    std::vector<FitRow> rows;
+    std::vector<HitRow> hit_rows;
+    for (std::size_t begin = 0; begin < n; begin += block_of_tracks) {
+      const std::size_t tracks = std::min(block_of_tracks, n - begin);
+      const auto first = static_cast<std::size_t>(offsets[begin]),
+                 last = static_cast<std::size_t>(offsets[begin + tracks]);
+      columns.take(first, last - first, hits);
+      rows.resize(tracks);
+      hit_rows.resize(residuals ? last - first : 0);
+      const FitInput input{
+          offsets.subspan(begin, tracks + 1), hits, side.subspan(first, last - first),
+          mass.subspan(begin, tracks),
+          seeded ? std::span<const Perigee>(start).subspan(begin, tracks) : std::span<const Perigee>()};
+      kernels().fit(detector, input, settings, {rows.data(), residuals ? hit_rows.data() : nullptr});
+      for (const FitRow& row : rows) out.append(row);
+      for (const HitRow& row : hit_rows) out.append(row);
+    }
   }
-  py::dict result = columns(rows);
-  if (residuals) {
-    result["residual"] = to_numpy(take_column(hit_rows, &HitRow::residual));
-    result["err"] = to_numpy(take_column(hit_rows, &HitRow::error));
-    result["side"] = to_numpy(take_column(hit_rows, &HitRow::side));
-    result["used"] = to_numpy(take_column(hit_rows, &HitRow::used));
-  }
-  return result;
+  return out.columns(residuals);
 }
 
 }  // namespace

@@ -1,6 +1,5 @@
 #include <pybind11/pybind11.h>
 
-
 #include "bindings/arrays.hpp"
 #include "bindings/hits.hpp"
 #include "common/angles.hpp"
@@ -10,42 +9,45 @@ namespace py = pybind11;
 
 namespace cgemit::bindings {
 
-std::vector<Hit> make_hits(const Detector& detector, const py::dict& columns, py::ssize_t n) {
-  const auto kind_array = take<std::uint8_t>(columns, "kind");
-  const auto layer_array = take<std::int32_t>(columns, "layer"),
-             element_array = take<std::int32_t>(columns, "element"),
-             size_array = take<std::int32_t>(columns, "size");
-  const auto value_array = take<double>(columns, "value"), sigma_array = take<double>(columns, "sigma");
-  const auto kind = column(kind_array, "kind", n);
-  const auto layer = column(layer_array, "layer", n), element = column(element_array, "element", n),
-             size = column(size_array, "size", n);
-  const auto value = column(value_array, "value", n), sigma = column(sigma_array, "sigma", n);
-  std::vector<int> index_of;  // by the experiment's layer number
+HitColumns::HitColumns(const Detector& detector, const py::dict& columns, py::ssize_t n)
+    : detector_(detector) {
+  const auto get = [&]<class T>(std::span<const T>& to, const char* name) {
+    const auto array = bindings::take<T>(columns, name);
+    held_.append(array);
+    to = column(array, name, n);
+  };
+  get(kind_, "kind");
+  get(layer_, "layer");
+  get(element_, "element");
+  get(size_, "size");
+  get(value_, "value");
+  get(sigma_, "sigma");
   for (std::size_t i = 0; i < detector.wires.size(); ++i) {
     const auto number = static_cast<std::size_t>(detector.wires[i].number);
-    if (number >= index_of.size()) index_of.resize(number + 1, -1);
-    index_of[number] = static_cast<int>(i);
+    if (number >= wire_layers_.size()) wire_layers_.resize(number + 1, -1);
+    wire_layers_[number] = static_cast<int>(i);
   }
-  std::vector<Hit> hits(static_cast<std::size_t>(n));
-  for (std::size_t i = 0; i < hits.size(); ++i) {
-    int index = layer[i];
+}
+
+void HitColumns::take(std::size_t first, std::size_t n, std::vector<Hit>& out) const {
+  out.clear();
+  for (std::size_t i = first; i < first + n; ++i) {
+    int index = layer_[i];
     int limit = 0;
-    if (kind[i] == static_cast<std::uint8_t>(View::wire)) {
-      index = index >= 0 && static_cast<std::size_t>(index) < index_of.size()
-                  ? index_of[static_cast<std::size_t>(index)]
-                  : -1;
+    if (kind_[i] == static_cast<std::uint8_t>(View::wire)) {
+      const auto number = static_cast<std::size_t>(index);
+      index = index >= 0 && number < wire_layers_.size() ? wire_layers_[number] : -1;
       if (index < 0) throw std::invalid_argument("layer: no wire layer of that number in the detector");
-      limit = detector.wires[static_cast<std::size_t>(index)].cells;
-    } else if (kind[i] > 2 || index < 0 || static_cast<std::size_t>(index) >= detector.cgem.size()) {
+      limit = detector_.wires[static_cast<std::size_t>(index)].cells;
+    } else if (kind_[i] > 2 || index < 0 || static_cast<std::size_t>(index) >= detector_.cgem.size()) {
       throw std::invalid_argument("kind, layer: no such CGEM layer in the detector");
     } else {
-      limit = detector.cgem[static_cast<std::size_t>(index)].sheets;
+      limit = detector_.cgem[static_cast<std::size_t>(index)].sheets;
     }
-    if (element[i] < 0 || element[i] >= limit)
+    if (element_[i] < 0 || element_[i] >= limit)
       throw std::invalid_argument("element: no such wire or sheet in the layer");
-    hits[i] = {static_cast<View>(kind[i]), index, element[i], size[i], value[i], sigma[i]};
+    out.push_back({static_cast<View>(kind_[i]), index, element_[i], size_[i], value_[i], sigma_[i]});
   }
-  return hits;
 }
 
 Perigee from_bes3(const double* row) {
@@ -58,7 +60,8 @@ py::dict reference(const Detector& detector, const Array<double>& helix, double 
                    const py::dict& hit_columns) {
   const auto row = column(helix, "helix", 5);
   const auto n = static_cast<py::ssize_t>(py::len(hit_columns["kind"]));
-  const std::vector<Hit> hits = make_hits(detector, hit_columns, n);
+  std::vector<Hit> hits;
+  HitColumns(detector, hit_columns, n).take(0, static_cast<std::size_t>(n), hits);
   const Reference out = trace(detector, from_bes3(row.data()), mass, hits);
   std::vector<double> rows, noise, predicted, extent;
   for (const Vector5& h : out.rows) rows.insert(rows.end(), h.begin(), h.end());

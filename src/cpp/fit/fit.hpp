@@ -27,14 +27,15 @@ struct FitSettings {
 // Tracks to fit, one after the other. Hits of a track are ordered outward; `side` per hit: +1 or -1 known, 0
 // to be found out. With `start` empty the hits provide it.
 struct FitInput {
-  std::span<const std::int64_t> offsets;  // of n tracks: n + 1 places in the hits
+  std::span<const std::int64_t>
+      offsets;  // of n tracks: n + 1 places in the hits, counted from the first one's
   std::span<const Hit> hits;
   std::span<const std::int8_t> side;
   std::span<const double> mass;    // GeV
   std::span<const Perigee> start;  // one per track, or empty
 
   std::size_t tracks() const { return offsets.size() - 1; }
-  std::size_t first(std::size_t track) const { return static_cast<std::size_t>(offsets[track]); }
+  std::size_t first(std::size_t track) const { return static_cast<std::size_t>(offsets[track] - offsets[0]); }
   std::size_t count(std::size_t track) const { return first(track + 1) - first(track); }
 };
 
