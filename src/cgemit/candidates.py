@@ -83,27 +83,22 @@ def fit_hits(candidates: Candidates, clusters: Table, wire_hits: Table) -> FitHi
     FitHits
     """
     kind, row = candidates.kind, candidates.row
-    on_wire = kind == HIT_WIRE
-    at_cluster, at_wire = row[~on_wire], row[on_wire]
-    is_x = kind[~on_wire] == HIT_X
+    # Row numbers of the two tables put one behind the other, so that a column is picked in one go; for what X and V
+    # clusters measure, the clusters come twice.
+    joined = np.array([0, 0, len(clusters)])[kind] + row
+    by_view = np.array([0, len(clusters), 2 * len(clusters)])[kind] + row
 
-    def mixed(of_cluster: Column, of_wire: Column | int, dtype: str) -> Column:
-        column: Column = np.empty(len(kind), dtype)
-        column[~on_wire], column[on_wire] = of_cluster, of_wire
-        return column
-
-    def by_view(x: str, v: str) -> Column:
-        column: Column = np.where(is_x, clusters[x][at_cluster], clusters[v][at_cluster])
-        return column
+    def pick(rows: Column, *columns: Column) -> Column:
+        return np.concatenate(columns).take(rows)
 
     return FitHits(
         hit_offsets=candidates.hit_offsets,
         kind=kind,
-        layer=mixed(clusters["layer"][at_cluster], wire_hits["layer"][at_wire], "i4"),
-        element=mixed(clusters["sheet"][at_cluster], wire_hits["wire"][at_wire], "i4"),
-        value=mixed(by_view("x", "v"), wire_hits["drift"][at_wire], "f8"),
-        sigma=mixed(by_view("err_x", "err_v"), wire_hits["sigma"][at_wire], "f8"),
-        size=mixed(clusters["size"][at_cluster], 0, "i4"),
-        side=mixed(np.zeros(len(at_cluster), "i1"), wire_hits["side"][at_wire], "i1"),
+        layer=pick(joined, clusters["layer"], wire_hits["layer"]),
+        element=pick(joined, clusters["sheet"], wire_hits["wire"]),
+        value=pick(by_view, clusters["x"], clusters["v"], wire_hits["drift"]),
+        sigma=pick(by_view, clusters["err_x"], clusters["err_v"], wire_hits["sigma"]),
+        size=pick(joined, clusters["size"], np.zeros(len(wire_hits), "i4")),
+        side=pick(joined, np.zeros(len(clusters), "i1"), wire_hits["side"]),
         row=row,
     )

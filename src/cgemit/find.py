@@ -76,7 +76,10 @@ def own_clusters(detector: Detector, clusters: Table, truths: Table) -> Rows:
     """
     rows = np.flatnonzero((clusters["view"] <= HIT_V) & (clusters["truth"] >= 0))
     place = clusters["truth"][rows] * 2 + clusters["view"][rows]
-    order = np.lexsort((_distances(detector, clusters, truths, rows), place))
+    distance = np.zeros(len(rows))
+    several = np.flatnonzero(np.bincount(place)[place] > 1)
+    distance[several] = _distances(detector, clusters, truths, rows[several])
+    order = np.lexsort((distance, place))
     first = np.diff(place[order], prepend=-1) != 0
     return np.sort(rows[order[first]])
 
@@ -131,10 +134,12 @@ def _particle_rows(particles: Table, truths: Table) -> npt.NDArray[np.int64]:
     span = int(max(particles["particle"].max(initial=0), truths["particle"].max(initial=0))) + 1
     first = min(particles.first_event, truths.first_event)
     known = (particles["event"] - first) * span + particles["particle"]
-    wanted = (truths["event"] - first) * span + truths["particle"]
+    key = (truths["event"] - first) * span + truths["particle"]
+    if not len(known) or not len(key):
+        return np.full(len(key), -1)
+    # The rows of a particle follow each other: one look-up for all of them.
+    begin = np.flatnonzero(np.concatenate([[True], key[1:] != key[:-1]]))
+    wanted = key[begin]
     order = np.argsort(known, kind="stable")
-    at = np.searchsorted(known, wanted, sorter=order)
-    if not len(known):
-        return np.full(len(wanted), -1)
-    row = order[np.minimum(at, len(known) - 1)]
-    return np.where(known[row] == wanted, row, -1)
+    row = order[np.minimum(np.searchsorted(known, wanted, sorter=order), len(known) - 1)]
+    return np.repeat(np.where(known[row] == wanted, row, -1), np.diff(begin, append=len(key)))

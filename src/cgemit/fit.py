@@ -200,13 +200,12 @@ def _track_columns(
 def _residual_columns(
     out: dict[str, npt.NDArray[np.generic]], hits: FitHits, particles: Table
 ) -> dict[str, npt.ArrayLike]:
-    offsets = hits.hit_offsets
-    track = np.repeat(np.arange(len(particles)), np.diff(offsets))
-    met = np.asarray(out["err"], np.float64) > 0
+    met = np.flatnonzero(np.asarray(out["err"], np.float64) > 0)  # picking by row number is several times faster than by mask
+    track = np.repeat(np.arange(len(particles)), np.diff(hits.hit_offsets))[met]
     residual, err = np.asarray(out["residual"])[met], np.asarray(out["err"])[met]
     return {
-        "event": particles["event"][track][met],
-        "track": track[met],
+        "event": particles["event"][track],
+        "track": track,
         "view": hits.kind[met],
         "layer": hits.layer[met],
         "hit": hits.row[met],

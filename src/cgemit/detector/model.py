@@ -268,6 +268,10 @@ class Detector:
         if problems:
             raise DetectorError(self.name, problems)
 
+    def __hash__(self) -> int:
+        # What was made for a detector is looked up at every call, which the hash of all parts would slow down.
+        return hash((self.name, self.description))
+
     def __repr__(self) -> str:
         return text.summary(self)
 
