@@ -2,29 +2,38 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 import platform
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from cgemit import find
+from cgemit import _core, find, helix
+from cgemit.candidates import Candidates, fit_hits
 from cgemit.cluster import cluster
 from cgemit.detector import Detector, load
 from cgemit.digitize import DigitizeSettings, digitize
-from cgemit.fit import FitSettings, fit
+from cgemit.fit import FitSettings, fit, smeared
+from cgemit.fit import core_arguments as fit_arguments
 from cgemit.gun import Gun, generate
-from cgemit.simulate import simulate
+from cgemit.simulate import SimulateSettings, simulate
+from cgemit.simulate import core_arguments as simulate_arguments
 
-ISAS = ("scalar",)
 DETECTOR = "besiii-cgem-design"
 GUN = Gun("mu-", p=1.0, cos_theta=(-0.93, 0.93))
 SEED = 1
 
-_STAGES = ("simulate", "digitize", "cluster", "fit", "fit_lr")
+#: What is timed, in the order of the chain; `_kernel`: the compiled core alone, on arrays that are there.
+STAGES = (
+    "simulate", "digitize", "cluster", "find", "fit", "fit_lr", "simulate_kernel", "fit_kernel", "fit_lr_kernel"
+)  # fmt: skip
+_FIT = FitSettings(residuals=True)
+_TWO_ITERATIONS = FitSettings(residuals=True, max_iterations=2, tolerance=1e-12)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,9 +45,14 @@ class Cost:
     isa : str
         Instruction set of the kernels.
     threads : int
-    simulate_us, digitize_us, cluster_us : float
+    simulate_us, digitize_us, cluster_us, find_us : float
     fit_us, fit_lr_us : float
-        Fit with smoother, sides of the wires known, and to be found out.
+        Fit with smoother, sides of the wires known, and to be found out; the hits provide the first helix.
+    simulate_kernel_us : float
+        The compiled simulation alone.
+    fit_kernel_us, fit_lr_kernel_us : float
+        The compiled fit alone from a given helix, the true one smeared, with residuals: two iterations with the
+        sides known, and as many as it takes to find them out.
     """
 
     isa: str
@@ -48,10 +62,52 @@ class Cost:
     cluster_us: float
     fit_us: float
     fit_lr_us: float
+    find_us: float
+    simulate_kernel_us: float
+    fit_kernel_us: float
+    fit_lr_kernel_us: float
 
     def to_dict(self) -> dict[str, Any]:
         """Return the fields by name, times rounded to 0.01 us."""
         return {name: round(value, 2) if name.endswith("_us") else value for name, value in asdict(self).items()}
+
+
+def instruction_sets() -> tuple[str, ...]:
+    """Return the instruction sets of the kernels that can be used here, the plainest first."""
+    module = _isa()
+    return ("scalar",) if module is None else tuple(module.available())
+
+
+@contextmanager
+def instruction_set(name: str | None) -> Iterator[str]:
+    """Use the kernels of an instruction set for a while; None: those in use.
+
+    Parameters
+    ----------
+    name : str or None
+
+    Yields
+    ------
+    str
+        The name of the set in use.
+
+    Raises
+    ------
+    ValueError
+        If it cannot be used here.
+    """
+    if name is not None and name not in instruction_sets():
+        raise ValueError(f"isa: {name!r}, expected one of {', '.join(instruction_sets())}")
+    module = _isa()
+    if module is None:
+        yield "scalar"
+        return
+    before = module.name()
+    module.use(name or before)
+    try:
+        yield module.name()
+    finally:
+        module.use(before)
 
 
 def measure(
@@ -61,6 +117,7 @@ def measure(
     threads: int = 1,
     repeat: int = 5,
     gun: Gun = GUN,
+    isa: str | None = None,
 ) -> Cost:
     """Time every stage on prepared tables, with one track an event.
 
@@ -74,6 +131,8 @@ def measure(
     repeat : int
         The fastest of so many runs counts, after one that is not counted.
     gun : Gun
+    isa : str or None
+        Instruction set of the kernels, one of `instruction_sets`; None: the one in use.
 
     Returns
     -------
@@ -82,20 +141,22 @@ def measure(
     Raises
     ------
     ValueError
-        If a number is below 1.
+        If a number is below 1, or the instruction set cannot be used here.
     """
     wrong = [f"{n}: {v}, expected at least 1" for n, v in _numbers(events, threads, repeat) if v < 1]
+    if isa is not None and isa not in instruction_sets():
+        wrong.append(f"isa: {isa!r}, expected one of {', '.join(instruction_sets())}")
     if wrong:
         raise ValueError("bench:\n  " + "\n  ".join(wrong))
     loaded = load(detector)
-    with ThreadPoolExecutor(threads) as pool:
+    with instruction_set(isa) as used, ThreadPoolExecutor(threads) as pool:
         chunks = list(pool.map(lambda i: stage_calls(loaded, gun, events, i * events), range(threads)))
-        best = {stage: _fastest([calls[stage] for calls in chunks], pool, repeat) for stage in _STAGES}
+        best = {stage: _fastest([calls[stage] for calls in chunks], pool, repeat) for stage in STAGES}
     per_track = {f"{stage}_us": 1e6 * seconds / (events * threads) for stage, seconds in best.items()}
-    return Cost(isa=ISAS[0], threads=threads, **per_track)
+    return Cost(isa=used, threads=threads, **per_track)
 
 
-def stage_calls(detector: Detector, gun: Gun, events: int, first_event: int = 0) -> dict[str, Callable[[], object]]:
+def stage_calls(detector: Detector, gun: Gun, events: int, first_event: int = 0) -> dict[str, Callable[[], Any]]:
     """Return a function for each stage that runs it on the tables of the stage before.
 
     Parameters
@@ -107,7 +168,7 @@ def stage_calls(detector: Detector, gun: Gun, events: int, first_event: int = 0)
     Returns
     -------
     dict of str to callable
-        ``simulate``, ``digitize``, ``cluster``, ``fit`` (sides known), ``fit_lr`` (sides hidden).
+        One for each of `STAGES`: ``fit`` with the sides known, ``fit_lr`` with the sides hidden.
     """
     particles = generate(gun, events, SEED, first_event)
     simulated = simulate(detector, particles, seed=SEED)
@@ -115,19 +176,36 @@ def stage_calls(detector: Detector, gun: Gun, events: int, first_event: int = 0)
     shown, hidden = DigitizeSettings(reveal_sides=True), DigitizeSettings()
     digis = digitize(detector, truths, wire_truths, hidden, SEED, steps=steps)["digis"]
     clusters = cluster(detector, digis)
+    wire_hits = {
+        sides: digitize(detector, truths, wire_truths, sides, SEED, steps=steps)["wire_hits"]
+        for sides in (shown, hidden)
+    }
 
-    def fit_call(settings: DigitizeSettings) -> Callable[[], object]:
-        wire_hits = digitize(detector, truths, wire_truths, settings, SEED, steps=steps)["wire_hits"]
-        candidates = find.by_truth(detector, simulated["particles"], clusters, wire_hits, truths, wire_truths)
-        smooth = FitSettings(residuals=True)
-        return lambda: fit(detector, simulated["particles"], clusters, wire_hits, candidates, smooth, SEED)
+    def candidates() -> Candidates:
+        return find.by_truth(detector, particles, clusters, wire_hits[hidden], truths, wire_truths)
 
+    found = candidates()
+
+    def whole(sides: DigitizeSettings) -> Callable[[], Any]:
+        return lambda: fit(detector, particles, clusters, wire_hits[sides], found, _FIT, SEED)
+
+    def kernel(sides: DigitizeSettings, settings: FitSettings) -> Callable[[], Any]:
+        start = smeared(helix.at_origin(particles, detector.field.bz), particles, settings, SEED)
+        hits = fit_hits(found, clusters, wire_hits[sides])
+        arguments = fit_arguments(detector, hits, particles["mass"], start, settings)
+        return lambda: _core.fit(**arguments)
+
+    transport = simulate_arguments(detector, particles, SimulateSettings(), SEED)
     return {
         "simulate": lambda: simulate(detector, particles, seed=SEED),
         "digitize": lambda: digitize(detector, truths, wire_truths, hidden, SEED, steps=steps),
         "cluster": lambda: cluster(detector, digis),
-        "fit": fit_call(shown),
-        "fit_lr": fit_call(hidden),
+        "find": candidates,
+        "fit": whole(shown),
+        "fit_lr": whole(hidden),
+        "simulate_kernel": lambda: _core.simulate(**transport),
+        "fit_kernel": kernel(shown, _TWO_ITERATIONS),
+        "fit_lr_kernel": kernel(hidden, _FIT),
     }
 
 
@@ -139,6 +217,14 @@ def machine() -> str:
         models = [line.partition(":")[2].strip() for line in cpuinfo.read_text().splitlines() if "model name" in line]
         name = models[0] if models else name
     return f"{name}, {os.cpu_count()} cores, {platform.system()}, Python {platform.python_version()}"
+
+
+def _isa() -> Any:
+    """Return the module that chooses between instruction sets, or None in a build that has one only."""
+    try:
+        return importlib.import_module("cgemit.isa")
+    except ModuleNotFoundError:
+        return None
 
 
 def _numbers(events: int, threads: int, repeat: int) -> list[tuple[str, int]]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -136,14 +137,41 @@ def fit(
     settings = settings or FitSettings()
     hits = fit_hits(candidates, clusters, wire_hits)
     truth = helix.at_origin(particles, (simulated or detector).field.bz)
-    start = _smeared(truth, particles, settings, seed) if settings.seed == "truth" else np.empty((0, 5))
-    out = _core.fit(
-        compiled(detector, screening=settings.screening or SCREENINGS[0]),
-        hit_offsets=hits.hit_offsets,
-        hits={name: getattr(hits, name) for name in ("kind", "layer", "element", "size", "value", "sigma", "side")},
-        mass=particles["mass"],
-        start=start,
-        settings=_core.FitSettings(
+    start = smeared(truth, particles, settings, seed) if settings.seed == "truth" else np.empty((0, 5))
+    out = _core.fit(**core_arguments(detector, hits, particles["mass"], start, settings))
+    span = (particles.n_events, particles.first_event)
+    tables = {"tracks": Table("tracks", _track_columns(out, truth, particles), *span)}
+    if settings.residuals:
+        tables["residuals"] = Table("residuals", _residual_columns(out, hits, particles), *span)
+    return tables
+
+
+def core_arguments(
+    detector: Detector, hits: FitHits, mass: Floats, start: Floats, settings: FitSettings
+) -> dict[str, Any]:
+    """Return what the compiled fit takes.
+
+    Parameters
+    ----------
+    detector : Detector
+    hits : FitHits
+    mass : ndarray, (n,) float64, GeV/c2
+    start : ndarray, (n, 5) float64
+        Helices to begin with; (0, 5): the hits provide them.
+    settings : FitSettings
+
+    Returns
+    -------
+    dict of str to object
+        Arguments of ``_core.fit`` by name.
+    """
+    return {
+        "detector": compiled(detector, screening=settings.screening or SCREENINGS[0]),
+        "hit_offsets": hits.hit_offsets,
+        "hits": {n: getattr(hits, n) for n in ("kind", "layer", "element", "size", "value", "sigma", "side")},
+        "mass": mass,
+        "start": start,
+        "settings": _core.FitSettings(
             max_iterations=settings.max_iterations,
             tolerance=settings.tolerance,
             errors_from_track=settings.cluster_errors == "track",
@@ -152,16 +180,25 @@ def fit(
             outlier_pull=settings.outlier_pull,
             prior_sigma=settings.prior_sigma,
         ),
-        residuals=settings.residuals,
-    )
-    span = (particles.n_events, particles.first_event)
-    tables = {"tracks": Table("tracks", _track_columns(out, truth, particles), *span)}
-    if settings.residuals:
-        tables["residuals"] = Table("residuals", _residual_columns(out, hits, particles), *span)
-    return tables
+        "residuals": settings.residuals,
+    }
 
 
-def _smeared(truth: Floats, particles: Table, settings: FitSettings, seed: int) -> Floats:
+def smeared(truth: Floats, particles: Table, settings: FitSettings, seed: int) -> Floats:
+    """Return true helices smeared by `settings.seed_smearing`.
+
+    Parameters
+    ----------
+    truth : ndarray, (n, 5) float64
+    particles : Table of kind "particles"
+        Whose random streams are used.
+    settings : FitSettings
+    seed : int
+
+    Returns
+    -------
+    ndarray, (n, 5) float64
+    """
     purpose = _core.Purpose.fit_seed
     draws = [_core.normals(seed, particles["event"], particles["particle"], purpose, place) for place in (0, 1)]
     sigma = np.array(settings.seed_smearing) * np.where(np.arange(5) == 2, np.abs(truth[:, 2:3]), 1.0)
@@ -200,7 +237,8 @@ def _track_columns(
 def _residual_columns(
     out: dict[str, npt.NDArray[np.generic]], hits: FitHits, particles: Table
 ) -> dict[str, npt.ArrayLike]:
-    met = np.flatnonzero(np.asarray(out["err"], np.float64) > 0)  # picking by row number is several times faster than by mask
+    # Picked by row number, which is several times faster than by mask.
+    met = np.flatnonzero(np.asarray(out["err"], np.float64) > 0)
     track = np.repeat(np.arange(len(particles)), np.diff(hits.hit_offsets))[met]
     residual, err = np.asarray(out["residual"])[met], np.asarray(out["err"])[met]
     return {

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -97,21 +98,38 @@ def simulate(
     dict of str to Table
         ``particles`` with `status` filled in (TransportStatus), ``truths``, ``steps`` and ``wire_truths``.
     """
-    settings = settings or SimulateSettings()
-    out = _core.simulate(
-        compiled(detector, not settings.sublayers, settings.screening, settings.foil),
-        {name: particles[name] for name in _COLUMNS},
-        fluctuations=getattr(_core.Fluctuations, settings.fluctuations),
-        deltas=settings.deltas,
-        steps=settings.steps,
-        seed=seed,
-    )
+    out = _core.simulate(**core_arguments(detector, particles, settings or SimulateSettings(), seed))
     span = (particles.n_events, particles.first_event)
     return {
         "particles": particles.with_columns(status=out["status"]),
         "truths": Table("truths", out["truths"], *span),
         "steps": Table("steps", out["steps"], *span),
         "wire_truths": Table("wire_truths", out["wire_truths"], *span),
+    }
+
+
+def core_arguments(detector: Detector, particles: Table, settings: SimulateSettings, seed: int) -> dict[str, Any]:
+    """Return what the compiled simulation takes.
+
+    Parameters
+    ----------
+    detector : Detector
+    particles : Table of kind "particles"
+    settings : SimulateSettings
+    seed : int
+
+    Returns
+    -------
+    dict of str to object
+        Arguments of ``_core.simulate`` by name.
+    """
+    return {
+        "detector": compiled(detector, not settings.sublayers, settings.screening, settings.foil),
+        "particles": {name: particles[name] for name in _COLUMNS},
+        "fluctuations": getattr(_core.Fluctuations, settings.fluctuations),
+        "deltas": settings.deltas,
+        "steps": settings.steps,
+        "seed": seed,
     }
 
 

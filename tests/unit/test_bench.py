@@ -7,11 +7,14 @@ import json
 import numpy as np
 import pytest
 
-from cgemit.bench import DETECTOR, GUN, machine, measure, stage_calls
+from cgemit.bench import DETECTOR, GUN, STAGES, instruction_set, instruction_sets, machine, measure, stage_calls
 from cgemit.cli.main import main
 from cgemit.detector import load
 
-KEYS = ["isa", "threads", "simulate_us", "digitize_us", "cluster_us", "fit_us", "fit_lr_us"]
+KEYS = [
+    "isa", "threads", "simulate_us", "digitize_us", "cluster_us", "fit_us", "fit_lr_us",
+    "find_us", "simulate_kernel_us", "fit_kernel_us", "fit_lr_kernel_us",
+]  # fmt: skip
 
 
 def test_json_has_exactly_these_keys(capsys: pytest.CaptureFixture[str]) -> None:
@@ -19,7 +22,7 @@ def test_json_has_exactly_these_keys(capsys: pytest.CaptureFixture[str]) -> None
     out, err = capsys.readouterr()
     cost = json.loads(out)
     assert list(cost) == KEYS
-    assert (cost["isa"], cost["threads"]) == ("scalar", 2)
+    assert (cost["isa"] in instruction_sets(), cost["threads"]) == (True, 2)
     assert all(cost[name] > 0 for name in KEYS[2:])
     assert "best of 1 runs" in err
     assert machine() in err
@@ -28,8 +31,16 @@ def test_json_has_exactly_these_keys(capsys: pytest.CaptureFixture[str]) -> None
 def test_table_names_every_stage(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["bench", "--events", "20", "--repeat", "1", "--quiet"]) == 0
     out, err = capsys.readouterr()
-    assert len(out.splitlines()) == len(KEYS) - 2
+    assert len(out.splitlines()) == 1 + len(KEYS) - 2
     assert not err
+
+
+def test_json_of_several_runs_is_a_list(capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ["--events", "10", "--repeat", "1", "--isa", "all", "--threads", "1", "2"]
+    assert main(["bench", "--json", *arguments]) == 0
+    costs = json.loads(capsys.readouterr().out)
+    assert [(c["isa"], c["threads"]) for c in costs] == [(isa, n) for isa in instruction_sets() for n in (1, 2)]
+    assert all(list(cost) == KEYS for cost in costs)
 
 
 def test_stages_do_the_work_that_is_timed() -> None:
@@ -40,6 +51,29 @@ def test_stages_do_the_work_that_is_timed() -> None:
         fitted = calls[name]()
         assert np.mean(fitted["tracks"]["status"] == 0) > 0.99
         assert len(fitted["residuals"]) > 200 * 30, "the smoother is part of the fit"
+    assert list(calls) == list(STAGES)
+
+
+def test_kernels_do_the_work_that_is_timed() -> None:
+    calls = stage_calls(load(DETECTOR), GUN, 200)
+    assert len(calls["simulate_kernel"]()["truths"]["event"]) >= 590
+    two, found_out = calls["fit_kernel"](), calls["fit_lr_kernel"]()
+    assert np.mean(two["iterations"] == 2) > 0.99
+    assert np.mean(found_out["status"] == 0) > 0.99
+    for fitted in (two, found_out):
+        assert np.mean(fitted["err"] > 0) > 0.9, "residuals are part of the fit"
+
+
+def test_instruction_set_is_the_one_asked_for_and_only_for_a_while() -> None:
+    with instruction_set(None) as before:
+        pass
+    for name in instruction_sets():
+        with instruction_set(name) as used:
+            assert used == name
+    with instruction_set(None) as after:
+        assert after == before
+    with pytest.raises(ValueError, match="'mmx', expected one of scalar"):
+        measure(isa="mmx")
 
 
 def test_numbers_below_one_are_refused() -> None:
