@@ -14,7 +14,7 @@ int overflow(int n) { return std::numeric_limits<int>::max() + n; }
 
 // From two threads with the same counter.
 void race(int* counter) {
-  for (int i = 0; i < 100000; ++i) ++*const_cast<volatile int*>(counter);
+  for (int i = 0; i < 20000000; ++i) ++*const_cast<volatile int*>(counter);
 }
 
 // The caller forgets what it gets.

@@ -8,7 +8,13 @@ library, name = sys.argv[1:]
 mistake = getattr(ctypes.CDLL(library), name)
 if name == "race":
     counter = ctypes.c_int()
-    threads = [threading.Thread(target=mistake, args=(ctypes.byref(counter),)) for _ in range(2)]
+    both = threading.Barrier(2)
+
+    def run() -> None:
+        both.wait()
+        mistake(ctypes.byref(counter))  # releases the lock of the interpreter
+
+    threads = [threading.Thread(target=run) for _ in range(2)]
     for thread in threads:
         thread.start()
     for thread in threads:
