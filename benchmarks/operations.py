@@ -76,11 +76,8 @@ def parsed(lines: list[str]) -> Counter[Address]:
 
 def kinds(library: str) -> dict[int, tuple[str, int]]:
     """Return kind of operation and number of lanes of each arithmetic instruction of a library."""
-    text = subprocess.run(
-        ["objdump", "-d", "--no-show-raw-insn", library], check=True, capture_output=True, text=True
-    ).stdout
     found = {}
-    for line in text.splitlines():
+    for line in disassembly(library).splitlines():
         place, _, rest = line.partition(":")
         name, _, operands = rest.strip().partition(" ")
         match, fused = ARITHMETIC.match(name), FUSED.match(name)
@@ -90,6 +87,12 @@ def kinds(library: str) -> dict[int, tuple[str, int]]:
         width = max((WIDTHS[w] for w in WIDTHS if w in operands), default=1) if packed else 1
         found[int(place, 16)] = ("fused" if fused else NAMES[match[1]], width)
     return found
+
+
+def disassembly(library: str) -> str:
+    """Return the instructions of a library, a line each: place, name and operands."""
+    command = ["objdump", "-d", "--no-show-raw-insn", library]
+    return subprocess.run(command, check=True, capture_output=True, text=True).stdout
 
 
 def per_track(counts: Counter[Address]) -> dict[str, float]:
