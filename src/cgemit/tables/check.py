@@ -47,12 +47,14 @@ def check_columns(kind: str, columns: Mapping[str, npt.ArrayLike], n_events: int
     order = [name for name in known if name in columns] + [name for name in columns if name not in known]
     checked = {}
     for name in order:
-        array = np.asarray(columns[name])
-        problem = _problem(array, rows, known.get(name))
+        array, column = np.asarray(columns[name]), known.get(name)
+        # What the core makes fits as it is, column by column and chunk by chunk: said at once.
+        fits = column is not None and array.dtype == column.dtype and array.shape == (rows, *column.shape)
+        problem = "" if fits else _problem(array, rows, column)
         if problem:
             problems.append(f"{name}: {problem}")
         else:
-            checked[name] = read_only(array, known[name].dtype if name in known else array.dtype)
+            checked[name] = read_only(array, column.dtype if column else array.dtype)
     if "event" in checked:
         problems += _event_problems(checked["event"], n_events, first_event)
     if problems:
@@ -62,8 +64,13 @@ def check_columns(kind: str, columns: Mapping[str, npt.ArrayLike], n_events: int
 
 def read_only(array: Array, dtype: np.dtype[Any]) -> Array:
     """Return the array as contiguous, of the dtype, and read-only, without changing the caller's own."""
-    view = np.ascontiguousarray(array, dtype=dtype).view()
-    view.flags.writeable = False
+    flags = array.flags
+    if array.dtype != dtype or not flags.c_contiguous:
+        array = np.ascontiguousarray(array, dtype=dtype)
+    elif not flags.writeable:
+        return array
+    view = array.view()
+    view.setflags(write=False)
     return view
 
 
