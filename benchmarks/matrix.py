@@ -12,7 +12,8 @@ import subprocess
 import sys
 from pathlib import Path
 
-from cgemit.bench import instruction_sets, machine, measure
+from cgemit.bench import machine, measure
+from cgemit.isa import available
 
 HERE = Path(__file__).resolve().parent
 THREADS = (1, 2)
@@ -44,7 +45,7 @@ def main() -> None:
     """Measure, write and print."""
     limit = limit_gflops()
     rows = []
-    for isa in instruction_sets():
+    for isa in available():
         for threads in THREADS:
             cost = measure(threads=threads, isa=isa, repeat=RUNS)
             rows.append({**cost.to_dict(), "limit_gflops": round(limit, 2)})

@@ -19,8 +19,9 @@ from collections import Counter, defaultdict
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-from cgemit.bench import DETECTOR, GUN, instruction_sets, stage_calls
+from cgemit.bench import DETECTOR, GUN, stage_calls
 from cgemit.detector import load
+from cgemit.isa import available
 
 HERE = Path(__file__).resolve().parent
 TRACKS = 128  # whole packs of any width
@@ -118,7 +119,7 @@ def main() -> int:
     if missing:
         print(f"operations.py needs {' and '.join(missing)}", file=sys.stderr)
         return 2
-    sets = [isa for isa in instruction_sets() if isa not in UNKNOWN_TO_VALGRIND]
+    sets = [isa for isa in available() if isa not in UNKNOWN_TO_VALGRIND]
     with tempfile.TemporaryDirectory() as name, ThreadPoolExecutor(os.cpu_count()) as pool:
         jobs = [(stage, isa) for isa in sets for stage in ("", *KERNELS)]
         profiles = dict(zip(jobs, pool.map(lambda job: counted(*job, Path(name)), jobs), strict=True))

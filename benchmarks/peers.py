@@ -20,10 +20,11 @@ from typing import Any
 
 import numpy as np
 
-from cgemit.bench import DETECTOR, instruction_set, instruction_sets, machine, stage_calls
+from cgemit.bench import DETECTOR, instruction_set, machine, stage_calls
 from cgemit.detector import Detector, load
 from cgemit.detector.slabs import slabs
 from cgemit.gun import Gun
+from cgemit.isa import available
 from cgemit.study import measure
 
 HERE = Path(__file__).resolve().parent
@@ -228,7 +229,7 @@ def compare(detector: Detector, built: Any, folder: Path, case: str) -> list[dic
     p, cos_theta = CASES[case]
     theirs = [run_acts(built, folder, p, cos_theta, seed) for seed in range(1, RUNS + 1)]
     ours = {}
-    for isa in instruction_sets():
+    for isa in available():
         with instruction_set(isa):
             ours[isa] = [run_cgemit(detector, p, cos_theta) for _ in range(RUNS)]
 

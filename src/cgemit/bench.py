@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import os
 import platform
 import time
@@ -14,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from cgemit import _core, find, helix
+from cgemit import isa as kernels
 from cgemit.candidates import Candidates, fit_hits
 from cgemit.cluster import cluster
 from cgemit.detector import Detector, load
@@ -72,19 +72,14 @@ class Cost:
         return {name: round(value, 2) if name.endswith("_us") else value for name, value in asdict(self).items()}
 
 
-def instruction_sets() -> tuple[str, ...]:
-    """Return the instruction sets of the kernels that can be used here, the plainest first."""
-    module = _isa()
-    return ("scalar",) if module is None else tuple(module.available())
-
-
 @contextmanager
 def instruction_set(name: str | None) -> Iterator[str]:
-    """Use the kernels of an instruction set for a while; None: those in use.
+    """Use the kernels of an instruction set for a while.
 
     Parameters
     ----------
     name : str or None
+        One of `cgemit.isa.available`; None: the set in use.
 
     Yields
     ------
@@ -94,20 +89,14 @@ def instruction_set(name: str | None) -> Iterator[str]:
     Raises
     ------
     ValueError
-        If it cannot be used here.
+        If it is not available here.
     """
-    if name is not None and name not in instruction_sets():
-        raise ValueError(f"isa: {name!r}, expected one of {', '.join(instruction_sets())}")
-    module = _isa()
-    if module is None:
-        yield "scalar"
-        return
-    before = module.name()
-    module.use(name or before)
+    before = kernels.name()
+    kernels.use(name or before)
     try:
-        yield module.name()
+        yield kernels.name()
     finally:
-        module.use(before)
+        kernels.use(before)
 
 
 def measure(
@@ -132,7 +121,7 @@ def measure(
         The fastest of so many runs counts, after one that is not counted.
     gun : Gun
     isa : str or None
-        Instruction set of the kernels, one of `instruction_sets`; None: the one in use.
+        Instruction set of the kernels, one of `cgemit.isa.available`; None: the one in use.
 
     Returns
     -------
@@ -144,8 +133,8 @@ def measure(
         If a number is below 1, or the instruction set cannot be used here.
     """
     wrong = [f"{n}: {v}, expected at least 1" for n, v in _numbers(events, threads, repeat) if v < 1]
-    if isa is not None and isa not in instruction_sets():
-        wrong.append(f"isa: {isa!r}, expected one of {', '.join(instruction_sets())}")
+    if isa is not None and isa not in kernels.available():
+        wrong.append(f"isa: {isa!r}, expected one of {', '.join(kernels.available())}")
     if wrong:
         raise ValueError("bench:\n  " + "\n  ".join(wrong))
     loaded = load(detector)
@@ -217,14 +206,6 @@ def machine() -> str:
         models = [line.partition(":")[2].strip() for line in cpuinfo.read_text().splitlines() if "model name" in line]
         name = models[0] if models else name
     return f"{name}, {os.cpu_count()} cores, {platform.system()}, Python {platform.python_version()}"
-
-
-def _isa() -> Any:
-    """Return the module that chooses between instruction sets, or None in a build that has one only."""
-    try:
-        return importlib.import_module("cgemit.isa")
-    except ModuleNotFoundError:
-        return None
 
 
 def _numbers(events: int, threads: int, repeat: int) -> list[tuple[str, int]]:

@@ -38,7 +38,7 @@ _TEXT = {
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add the sub-command."""
-    from cgemit.bench import instruction_sets
+    from cgemit.isa import available
 
     parser = subparsers.add_parser(
         "bench", help="time each stage per track", description=_DESCRIPTION, epilog=_EXAMPLES,
@@ -52,7 +52,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     )
     parser.add_argument("--repeat", type=positive, default=5, metavar="N", help="runs of each stage (default 5)")
     parser.add_argument(
-        "--isa", choices=(*instruction_sets(), "all"),
+        "--isa", choices=(*available(), "all"),
         help="instruction set of the kernels (default: the one in use; all: one after the other)",
     )  # fmt: skip
     parser.add_argument("--json", action="store_true", help="write the numbers as JSON to stdout")
@@ -62,9 +62,10 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the benchmark."""
-    from cgemit.bench import instruction_sets, machine, measure
+    from cgemit.bench import machine, measure
+    from cgemit.isa import available
 
-    sets = instruction_sets() if arguments.isa == "all" else [arguments.isa]
+    sets = available() if arguments.isa == "all" else [arguments.isa]
     if not arguments.quiet:
         print(
             f"{machine()}\n{arguments.events:,} tracks a thread, best of {arguments.repeat} runs", file=sys.stderr
