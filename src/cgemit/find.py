@@ -43,18 +43,18 @@ def by_truth(
     owner_of_truth = _particle_rows(particles, truths)
     owner_of_passage = _particle_rows(particles, wire_truths)
     owner = np.concatenate(
-        [owner_of_truth[clusters["truth"][in_view]], owner_of_passage[wire_hits["wire_truth"][linked]]]
+        [owner_of_truth[clusters["truth"][in_view]], owner_of_passage.take(wire_hits["wire_truth"].take(linked))]
     )
     kind = np.concatenate([clusters["view"][in_view], np.full(len(linked), HIT_WIRE)]).astype(np.uint8)
-    layer = np.concatenate([clusters["layer"][in_view], wire_hits["layer"][linked]])
+    layer = np.concatenate([clusters["layer"][in_view], wire_hits["layer"].take(linked)])
     row = np.concatenate([in_view, linked])
     layers = int(layer.max(initial=0)) + 1
     outward = (owner * 2 + (kind == HIT_WIRE)) * layers + layer
     # Stable: within a layer the order of the tables stays (sheet, then X before V; wire).
     order = np.argsort(outward, kind="stable")
-    order = order[np.searchsorted(outward[order], 0) :]  # drops the hits of nobody, whose owner is -1
-    offsets = np.searchsorted(owner[order], np.arange(len(particles) + 1)).astype(np.int64)
-    return Candidates(offsets, kind[order], row[order])
+    order = order[np.searchsorted(outward.take(order), 0) :]  # drops the hits of nobody, whose owner is -1
+    offsets = np.searchsorted(owner.take(order), np.arange(len(particles) + 1)).astype(np.int64)
+    return Candidates(offsets, kind.take(order), row.take(order))
 
 
 def own_clusters(detector: Detector, clusters: Table, truths: Table) -> Rows:

@@ -17,6 +17,7 @@ from cgemit.tables import Table
 FitStatus = _core.FitStatus
 Floats = npt.NDArray[np.float64]
 Columns = dict[str, npt.ArrayLike]
+Column = npt.NDArray[Any]
 
 SEEDS = ("hits", "truth")
 ERRORS = ("track", "cluster")
@@ -237,19 +238,22 @@ def _track_columns(
 def _residual_columns(
     out: dict[str, npt.NDArray[np.generic]], hits: FitHits, particles: Table
 ) -> dict[str, npt.ArrayLike]:
-    # Picked by row number, which is several times faster than by mask.
     met = np.flatnonzero(np.asarray(out["err"], np.float64) > 0)
-    track = np.repeat(np.arange(len(particles)), np.diff(hits.hit_offsets))[met]
-    residual, err = np.asarray(out["residual"])[met], np.asarray(out["err"])[met]
+
+    def pick(column: Column) -> Column:  # several times faster than column[met], or a mask
+        return column.take(met)
+
+    track = pick(np.repeat(np.arange(len(particles)), np.diff(hits.hit_offsets)))
+    residual, err = pick(out["residual"]), pick(out["err"])
     return {
-        "event": particles["event"][track],
+        "event": particles["event"].take(track),
         "track": track,
-        "view": hits.kind[met],
-        "layer": hits.layer[met],
-        "hit": hits.row[met],
+        "view": pick(hits.kind),
+        "layer": pick(hits.layer),
+        "hit": pick(hits.row),
         "residual": residual,
         "err": err,
         "pull": residual / err,
-        "side": np.asarray(out["side"])[met],
-        "used": np.asarray(out["used"])[met],
+        "side": pick(out["side"]),
+        "used": pick(out["used"]),
     }
