@@ -3,6 +3,8 @@
 #include <atomic>
 #include <stdexcept>
 
+#include "kernels/function.hpp"
+
 #if !defined(_WIN32)
 #include <dlfcn.h>
 #endif
@@ -11,7 +13,7 @@ namespace cgemit {
 
 namespace {
 
-constexpr Kernels scalar{"scalar", 1, &fit_tracks};
+constexpr Kernels scalar{"scalar", 1, &function_of_lanes<double>, &fit_tracks};
 std::atomic<const Kernels*> in_use{&scalar};
 
 }  // namespace

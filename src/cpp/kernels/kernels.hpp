@@ -14,6 +14,8 @@ namespace cgemit {
 struct Kernels {
   const char* isa;
   int lanes;
+  // A function of `lanes/math.hpp` on n numbers, n a multiple of the lanes: for tests.
+  void (*function)(const std::string& name, const double* in, double* out, std::size_t n);
   void (*fit)(const Detector&, const FitInput&, const FitSettings&, const FitOutput&);
 };
 

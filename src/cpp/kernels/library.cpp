@@ -1,5 +1,6 @@
 // Compiled once per instruction set, with CGEMIT_ISA its name and CGEMIT_LANES the width of its registers.
 #include "fit/batch.hpp"
+#include "kernels/function.hpp"
 #include "kernels/kernels.hpp"
 
 namespace cgemit {
@@ -13,7 +14,7 @@ void fit(const Detector& detector, const FitInput& input, const FitSettings& set
   BatchFit<Number>(detector, input, settings, output).run();
 }
 
-constexpr Kernels these{CGEMIT_ISA, CGEMIT_LANES, &fit};
+constexpr Kernels these{CGEMIT_ISA, CGEMIT_LANES, &function_of_lanes<Number>, &fit};
 
 }  // namespace
 

@@ -1,0 +1,121 @@
+"""Every instruction set gives the results of the plain scalar code, and choosing one works as documented."""
+
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from cgemit import DigitizeSettings, FitSettings, Gun, Result, Settings, _core, isa, run
+
+LANES = [name for name in isa.available() if name != "scalar"]
+GUNS = {
+    "mu- 1 GeV/c": Gun("mu-", p=1.0, cos_theta=(-0.93, 0.93)),
+    "mu+ 0.2-2 GeV/c, vertex spread": Gun("mu+", p=(0.2, 2.0), cos_theta=(-0.8, 0.8), vertex_sigma=(1.0, 1.0, 10.0)),
+    "pi- 0.15-0.4 GeV/c": Gun("pi-", p=(0.15, 0.4), cos_theta=(-0.8, 0.8)),
+    "e- 0.5 GeV/c": Gun("e-", p=0.5, cos_theta=(-0.8, 0.8)),
+}
+
+
+@pytest.fixture(autouse=True)
+def leave_as_found() -> Iterator[None]:
+    before = isa.name()
+    yield
+    isa.use(before)
+
+
+def fitted(name: str, gun: str, *, sides: bool = True, events: int = 300) -> Result:
+    isa.use(name)
+    settings = Settings(digitize=DigitizeSettings(reveal_sides=sides), fit=FitSettings(residuals=True))
+    return run("besiii-cgem-design", GUNS[gun], events, seed=7, settings=settings, threads=1)
+
+
+def test_scalar_is_always_there_and_the_best_is_in_use() -> None:
+    assert isa.available()[0] == "scalar"
+    assert os.environ.get(isa.VARIABLE) or isa.name() == isa.available()[-1]
+
+
+@pytest.mark.parametrize("name", isa.available())
+def test_lanes_of_each(name: str) -> None:
+    isa.use(name)
+    assert isa.name() == name
+    assert isa.lanes() == {"scalar": 1, "baseline": 2, "v3": 4, "v4": 8}[name]
+
+
+@pytest.mark.parametrize("name", ["avx", "", "V3"])
+def test_unknown_instruction_set(name: str) -> None:
+    with pytest.raises(ValueError, match=r"expected one of scalar"):
+        isa.use(name)
+
+
+@pytest.mark.parametrize(("value", "ends"), [("scalar", 0), ("nonsense", 1)])
+def test_environment_chooses(value: str, ends: int) -> None:
+    program = "import cgemit; print(cgemit.isa.name())"
+    environment = os.environ | {isa.VARIABLE: value}
+    done = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == ends
+    assert done.stdout.strip() == ("scalar" if ends == 0 else "")
+    assert ends == 0 or "CGEMIT_ISA: 'nonsense', expected one of" in done.stderr
+
+
+def test_a_file_that_is_no_library_of_kernels() -> None:
+    with pytest.raises(RuntimeError):
+        _core.use_kernels(__file__)
+
+
+FUNCTIONS = {
+    "log": (np.log, np.geomspace(1e-300, 1e300, 40_000)),
+    "exp": (np.exp, np.linspace(-690, 690, 40_000)),
+    "sine": (np.sin, np.linspace(-1e4, 1e4, 40_000)),
+    "cosine": (np.cos, np.linspace(-1e4, 1e4, 40_000)),
+    "atan": (np.arctan, np.concatenate([np.linspace(-4, 4, 20_000), np.geomspace(1e-12, 1e12, 20_000)])),
+    "azimuth": (lambda x: np.arctan2(np.sin(x), np.cos(x)), np.linspace(-3.14159, 3.14159, 40_000)),
+    "nearest": (np.rint, np.linspace(-1e6, 1e6, 40_000)),
+}
+
+
+@pytest.mark.parametrize("name", isa.available())
+@pytest.mark.parametrize("function", FUNCTIONS)
+def test_functions_are_those_of_numpy(name: str, function: str) -> None:
+    """Within some units of the last place; where sine and cosine vanish, of 1."""
+    isa.use(name)
+    expected, values = FUNCTIONS[function]
+    found = _core.function(function, values)
+    absolute = 4e-16 if function in ("sine", "cosine") else 0
+    np.testing.assert_allclose(found, expected(values), rtol=6e-16, atol=absolute)
+
+
+@pytest.mark.parametrize("name", LANES)
+@pytest.mark.parametrize("sides", [True, False])
+@pytest.mark.parametrize("gun", GUNS)
+def test_fit_is_that_of_scalar_code(name: str, sides: bool, gun: str) -> None:
+    """Helix and residuals agree to 1e-9 standard deviations for 99 % of the tracks, and to 1e-6 for all.
+
+    What is left is rounding: tracks of low momentum whose iterations end far from each other magnify it.
+    """
+    one, many = (fitted(which, gun, sides=sides) for which in ("scalar", name))
+    a, b = one.tracks, many.tracks
+    for column in ("status", "iterations", "n_clusters", "n_wires", "n_outliers"):
+        np.testing.assert_array_equal(a[column], b[column])
+    ok = a["status"] == 0
+    for column in ("dr", "phi0", "kappa", "dz", "tanl"):
+        apart = np.abs(a[f"res_{column}"] - b[f"res_{column}"])[ok] / a[f"err_{column}"][ok]
+        assert np.quantile(apart, 0.99) < 1e-9
+        assert apart.max() < 1e-6
+    np.testing.assert_allclose(b["cov"][ok], a["cov"][ok], rtol=1e-6)
+    r, s = one.tables["residuals"], many.tables["residuals"]
+    np.testing.assert_array_equal(r["hit"], s["hit"])
+    np.testing.assert_allclose(s["pull"], r["pull"], atol=1e-5)
+
+
+@pytest.mark.parametrize("name", LANES)
+def test_a_track_does_not_know_its_neighbours(name: str) -> None:
+    """To the last bit the same alone as among others: results do not depend on how events are cut into chunks."""
+    isa.use(name)
+    gun = GUNS["pi- 0.15-0.4 GeV/c"]
+    together = run("besiii-cgem-design", gun, 40, seed=2, threads=1).tracks
+    alone = run("besiii-cgem-design", gun, 40, seed=2, threads=1, chunk=1).tracks
+    for column, values in together.columns.items():
+        assert values.tobytes() == alone[column].tobytes(), column
