@@ -19,6 +19,7 @@ from cgemit.gun import Gun
 from cgemit.matter import slab
 from cgemit.result import Result, Settings
 from cgemit.simulate import SimulateSettings, TransportStatus
+from cgemit.states import StateStatus, Surface, extrapolate
 from cgemit.tables import Table
 from cgemit.version import VERSION as __version__
 
@@ -37,11 +38,14 @@ __all__ = [
     "Result",
     "Settings",
     "SimulateSettings",
+    "StateStatus",
+    "Surface",
     "Table",
     "TransportStatus",
     "__version__",
     "detectors",
     "draw",
+    "extrapolate",
     "isa",
     "load",
     "resolution",

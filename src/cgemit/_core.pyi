@@ -37,6 +37,18 @@ class FitStatus(enum.IntEnum):
     not_converged = 5
     not_positive_definite = 6
 
+class StateStatus(enum.IntEnum):
+    ok = 0
+    not_fitted = 1
+    does_not_reach = 2
+    stopped = 3
+
+class Surface(enum.IntEnum):
+    origin = 0
+    beam_line = 1
+    cylinder = 2
+    hit = 3
+
 class Purpose(enum.IntEnum):
     gun = 0
     scattering = 1
@@ -226,3 +238,32 @@ def function(name: str, values: npt.ArrayLike) -> _Array: ...
 def processor_runs(isa: str) -> bool: ...
 def use_kernels(path: str) -> None: ...
 def use_scalar_kernels() -> None: ...
+
+# States: pivot (n, 3) mm, helix (n, 5) dr phi0 kappa dz tanl with that pivot, cov (n, 25); `targets` has the columns
+# surface, radius (mm) and share, which part of the slab that a cylinder cuts lies inside it. Columns come out as
+# status, track, target, hit, pivot, helix, cov (n, 5, 5), residual, err.
+def states(
+    detector: Detector,
+    *,
+    hit_offsets: npt.ArrayLike,
+    hits: _Columns,
+    reference: npt.ArrayLike,
+    prior: npt.ArrayLike,
+    mass: npt.ArrayLike,
+    fitted: npt.ArrayLike,
+    targets: _Columns,
+) -> dict[str, _Array]: ...
+def extrapolate(
+    detector: Detector,
+    *,
+    pivot: npt.ArrayLike,
+    helix: npt.ArrayLike,
+    cov: npt.ArrayLike,
+    mass: npt.ArrayLike,
+    radius: float,
+    share: npt.ArrayLike,
+    target_share: float,
+) -> dict[str, _Array]: ...
+def change_pivot(
+    helix: npt.ArrayLike, cov: npt.ArrayLike, step: npt.ArrayLike, bz: float
+) -> tuple[_Floats, _Floats]: ...

@@ -153,6 +153,7 @@ def run(
         clusters=tables["clusters"],
         tracks=tables["tracks"],
         residuals=tables.get("residuals"),
+        states=tables.get("states"),
         timings=timings,
     )
 

@@ -12,6 +12,8 @@ import numpy.typing as npt
 from cgemit import _core, helix
 from cgemit.candidates import Candidates, FitHits, fit_hits
 from cgemit.detector import SCREENINGS, Detector, compiled
+from cgemit.particles import HYPOTHESES
+from cgemit.states import place_problems, state_columns
 from cgemit.tables import Table
 
 FitStatus = _core.FitStatus
@@ -42,6 +44,12 @@ class FitSettings:
         ``"wentzel"`` where the fit does not know.
     residuals : bool
         Whether the residuals table is made: every hit against the track fitted without it, outliers too.
+    states : tuple of float or str
+        Where the states table gives the track and its covariance: radii in mm, ``"origin"``, ``"beam_line"`` (closest
+        approach to it), ``"beam_pipe"`` (inner surface), ``"hits"`` (every measurement). Empty: no such table.
+    hypothesis : str, tuple of str or None
+        Particles whose masses the fit assumes, ``"e"``, ``"mu"``, ``"pi"``, ``"K"``, ``"p"``, or ``"all"`` five: every
+        candidate gets a track for each, in this order. None: one track, with the particle's own mass.
     max_iterations : int
     tolerance : float
         The fit has converged when no parameter moves by more than this many of its standard deviations.
@@ -69,6 +77,8 @@ class FitSettings:
     cluster_errors: str = "track"
     screening: str | None = None
     residuals: bool = False
+    states: tuple[float | str, ...] = ()
+    hypothesis: str | tuple[str, ...] | None = None
     max_iterations: int = 15
     tolerance: float = 0.1
     least_width: float = 0.1
@@ -97,8 +107,21 @@ class FitSettings:
             values = getattr(self, name)
             if len(values) != 5 or not all(math.isfinite(value) and value >= least for value in values):
                 problems.append(f"{name}: {values}, expected five numbers, none below {least:g}")
+        problems += place_problems(self.states)
+        expected = ", ".join(map(repr, (*HYPOTHESES, "all")))
+        problems += [
+            f"hypothesis: {name!r}, expected one of {expected}" for name in self.hypotheses() if name not in HYPOTHESES
+        ]
+        if len(set(self.hypotheses())) < len(self.hypotheses()):
+            problems.append(f"hypothesis: {self.hypothesis!r}, expected each name once")
         if problems:
             raise ValueError("FitSettings:\n  " + "\n  ".join(problems))
+
+    def hypotheses(self) -> tuple[str, ...]:
+        """Return the names of the particles whose masses are assumed; none for that of each particle itself."""
+        given = () if self.hypothesis is None else self.hypothesis
+        names = (given,) if isinstance(given, str) else tuple(given)
+        return tuple(HYPOTHESES) if names == ("all",) else names
 
 
 def fit(
@@ -132,10 +155,12 @@ def fit(
     Returns
     -------
     dict of str to Table
-        ``tracks``, one row per particle, and with ``settings.residuals`` also ``residuals``. Rows whose `status` is
-        not ok hold the last helix tried, and NaN where there is no helix, covariance or chi-square.
+        ``tracks``, one row per particle and mass hypothesis, with ``settings.residuals`` also ``residuals``, and with
+        ``settings.states`` also ``states``. Rows whose `status` is not ok hold the last helix tried, and NaN where
+        there is no helix, covariance or chi-square.
     """
     settings = settings or FitSettings()
+    particles, candidates = _with_hypotheses(particles, candidates, settings.hypotheses())
     hits = fit_hits(candidates, clusters, wire_hits)
     truth = helix.at_origin(particles, (simulated or detector).field.bz)
     start = smeared(truth, particles, settings, seed) if settings.seed == "truth" else np.empty((0, 5))
@@ -144,6 +169,12 @@ def fit(
     tables = {"tracks": Table("tracks", _track_columns(out, truth, particles), *span)}
     if settings.residuals:
         tables["residuals"] = Table("residuals", _residual_columns(out, hits, particles), *span)
+    if settings.states:
+        screening = settings.screening or SCREENINGS[0]
+        columns = state_columns(
+            detector, tuple(settings.states), particles, hits, out, _has_cov(out["status"]), screening
+        )
+        tables["states"] = Table("states", columns, *span)
     return tables
 
 
@@ -181,8 +212,29 @@ def core_arguments(
             outlier_pull=settings.outlier_pull,
             prior_sigma=settings.prior_sigma,
         ),
-        "residuals": settings.residuals,
+        "residuals": settings.residuals or bool(settings.states),
     }
+
+
+def _with_hypotheses(particles: Table, candidates: Candidates, names: tuple[str, ...]) -> tuple[Table, Candidates]:
+    """Return particles and candidates once for each mass, with the column `hypothesis`; as they are for none."""
+    n, times = len(particles), max(len(names), 1)
+    if not names:
+        return particles.with_columns(hypothesis=np.abs(particles["pdg"])), candidates
+    rows = np.repeat(np.arange(n), times)
+    counts = np.diff(candidates.hit_offsets)[rows]
+    offsets = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+    # Hit j of a repeated candidate is as far behind its first one as in the original.
+    at = np.arange(offsets[-1]) + np.repeat(candidates.hit_offsets[:-1][rows] - offsets[:-1], counts)
+    kinds = [HYPOTHESES[name] for name in names]
+    repeated = particles[rows].with_columns(
+        mass=np.tile([kind.mass for kind in kinds], n), hypothesis=np.tile([kind.pdg for kind in kinds], n)
+    )
+    return repeated, Candidates(offsets, candidates.kind[at], candidates.row[at])
+
+
+def _has_cov(status: npt.NDArray[np.generic]) -> npt.NDArray[np.bool_]:
+    return np.isin(status, (FitStatus.ok, FitStatus.not_converged))
 
 
 def smeared(truth: Floats, particles: Table, settings: FitSettings, seed: int) -> Floats:
@@ -212,9 +264,9 @@ def _track_columns(
     """Columns of the tracks table: the fit, and its comparison with truth."""
     no_helix = np.isin(out["status"], (FitStatus.too_few_hits, FitStatus.seed_failed))
     fitted = np.where(no_helix[:, None], np.nan, out["helix"])
-    has_cov = np.isin(out["status"], (FitStatus.ok, FitStatus.not_converged))
+    has_cov = _has_cov(out["status"])
     cov = np.where(has_cov[:, None, None], out["cov"], np.nan)
-    columns: Columns = {"event": particles["event"], "particle": particles["particle"]}
+    columns: Columns = {name: particles[name] for name in ("event", "particle", "hypothesis")}
     columns |= {name: fitted[:, i] for i, name in enumerate(PARAMETERS)}
     columns |= {"cov": cov, "p": helix.momentum(fitted)}
     columns |= {name: out[name] for name in ("ndf", "n_clusters", "n_wires", "n_outliers", "iterations", "status")}

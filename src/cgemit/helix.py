@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from cgemit import _core
 from cgemit.tables import Table
 
 Floats = npt.NDArray[np.float64]
@@ -65,6 +66,62 @@ def momentum(parameters: Floats) -> Floats:
     """
     with np.errstate(divide="ignore"):
         return np.asarray(np.sqrt(1 + parameters[:, 4] ** 2) / np.abs(parameters[:, 2]))
+
+
+def momentum_vector(parameters: Floats) -> Floats:
+    """Momentum of helices at the point that is closest to their pivot.
+
+    Parameters
+    ----------
+    parameters : ndarray, (n, 5) float64
+
+    Returns
+    -------
+    ndarray, (n, 3) float64, GeV/c
+        (-sin phi0, cos phi0, tanl) / |kappa|.
+    """
+    phi0, tanl = parameters[:, 1], parameters[:, 4]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.stack([-np.sin(phi0), np.cos(phi0), tanl], axis=1) / np.abs(parameters[:, 2:3])
+
+
+def change_pivot(
+    parameters: npt.ArrayLike, cov: npt.ArrayLike, pivot_from: npt.ArrayLike, pivot_to: npt.ArrayLike, bz: float
+) -> tuple[Floats, Floats]:
+    """Give the same helices with respect to another pivot, as BES3 software has them.
+
+    The circle's centre stays: (dr' + R) e(phi0') + pivot_to = (dr + R) e(phi0) + pivot_from, e(phi) = (cos phi,
+    sin phi), R = RADIUS_PER_KAPPA / (bz kappa) with its sign; dz' = dz - R tanl (phi0' - phi0) and the difference of
+    the pivots in z, |phi0' - phi0| < pi. kappa and tanl stay.
+
+    Parameters
+    ----------
+    parameters : array_like, (n, 5) float64
+        dr mm, phi0 rad, kappa (GeV/c)^-1, dz mm, tanl.
+    cov : array_like, (n, 5, 5) float64
+        Their covariance.
+    pivot_from, pivot_to : array_like, (3,) or (n, 3) float64
+        x, y, z, mm.
+    bz : float
+        T, signed.
+
+    Returns
+    -------
+    parameters : ndarray, (n, 5) float64
+        NaN where the pivot is the centre of the circle, to which no point is closest.
+    cov : ndarray, (n, 5, 5) float64
+        Their covariance, with the exact Jacobian.
+
+    Raises
+    ------
+    ValueError
+        If shapes do not fit.
+    """
+    given = np.ascontiguousarray(parameters, np.float64)
+    step = np.subtract(pivot_to, pivot_from, dtype=np.float64)
+    step = np.ascontiguousarray(np.broadcast_to(step, (len(given), 3)))
+    moved, covariance = _core.change_pivot(given, np.ascontiguousarray(cov, np.float64).reshape(-1, 25), step, bz)
+    return moved, covariance
 
 
 def momentum_error(parameters: Floats, cov: Floats) -> Floats:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -60,6 +61,11 @@ _SPECIES = (
     Species("K0_L", 130, 0, 0.497611),
 )
 _BY_PDG = {species.pdg: species for species in _SPECIES}
+
+#: The particles that BES3 files hold fits for, in their order; charge aside.
+HYPOTHESES: Mapping[str, Species] = MappingProxyType(
+    {name: _BY_PDG[pdg] for name, pdg in (("e", 11), ("mu", 13), ("pi", 211), ("K", 321), ("p", 2212))}
+)
 
 # Spellings after _plain(): lower case, no blanks, underscores or inner hyphens.
 _SPELLINGS = {

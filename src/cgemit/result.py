@@ -16,7 +16,9 @@ from cgemit.gun import Gun, Guns
 from cgemit.simulate import SimulateSettings, TransportStatus
 from cgemit.tables import Table, save_tables
 
-TABLES = ("particles", "truths", "steps", "wire_truths", "digis", "wire_hits", "clusters", "tracks", "residuals")
+TABLES = (
+    *("particles", "truths", "steps", "wire_truths", "digis", "wire_hits", "clusters", "tracks", "residuals", "states"),
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,6 +48,7 @@ class Result:
     clusters: Table
     tracks: Table
     residuals: Table | None
+    states: Table | None
     timings: Mapping[str, float]
     """Seconds of each stage, summed over chunks, and `wall`, from start to end."""
 

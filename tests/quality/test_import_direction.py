@@ -29,7 +29,7 @@ PYTHON_LAYERS = [
     {"isa"},
     {"tables", "values"},
     {"detector", "helix", "particles", "candidates"},
-    {"gun"},
+    {"gun", "states"},
     {"simulate", "digitize", "cluster", "find", "fit"},
     {"result"},
     {"chain"},

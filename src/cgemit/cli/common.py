@@ -103,12 +103,24 @@ def add_physics(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_hypothesis(parser: argparse.ArgumentParser, *, several: bool = False) -> None:
+    """Add the particle whose mass the fit assumes, or the `several`."""
+    parser.add_argument(
+        "--hypothesis", metavar="NAME,..." if several else "NAME", type=names,
+        help="fit with the mass of e, mu, pi, K or p instead of the particle's own"
+        + ("; several, or all: one track for each" if several else ""),
+    )  # fmt: skip
+
+
 def settings_of(arguments: argparse.Namespace) -> Settings:
-    """Return the settings of all stages with what `add_physics` read."""
+    """Return the settings of all stages with what `add_physics`, and more where a sub-command has it, read."""
+    from cgemit.fit import FitSettings
     from cgemit.result import Settings
     from cgemit.simulate import SimulateSettings
 
-    return Settings(simulate=SimulateSettings(deltas=not arguments.no_deltas))
+    chosen = {name: getattr(arguments, name, None) for name in ("hypothesis", "states")}
+    fit = FitSettings(**{name: value for name, value in chosen.items() if value is not None})
+    return Settings(simulate=SimulateSettings(deltas=not arguments.no_deltas), fit=fit)
 
 
 def add_seed(parser: argparse.ArgumentParser) -> None:
@@ -193,6 +205,19 @@ def angles(text: str) -> Values:
 def lengths(text: str) -> Values:
     """Read lengths in mm or with a unit, as `momenta`."""
     return _values(text, "length")
+
+
+def names(text: str) -> tuple[str, ...]:
+    """Read names, ``A,B,C``."""
+    return tuple(part.strip() for part in text.split(","))
+
+
+def places(text: str) -> tuple[float | str, ...]:
+    """Read places of states, ``A,B,C``: lengths are radii, words stay as they are."""
+    try:
+        return tuple(part if part.isidentifier() else _number(part, "length") for part in names(text))
+    except QuantityError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
 
 
 def positive(text: str) -> int:

@@ -44,6 +44,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     )
     parser.add_argument("--json", action="store_true", help="write summary.json to stdout instead of the table")
     common.add_output(parser)
+    common.add_hypothesis(parser)
     common.add_physics(parser)
     common.add_run(parser)
     common.add_common(parser)
@@ -58,6 +59,8 @@ def run(arguments: argparse.Namespace) -> int:
 
     if isinstance(arguments.p, tuple):
         raise common.InputError("--p: got a range of two numbers; expected momenta, as START:STOP:COUNT or A,B,C")
+    if arguments.hypothesis and (len(arguments.hypothesis) > 1 or arguments.hypothesis == ("all",)):
+        raise common.InputError(f"--hypothesis: got {','.join(arguments.hypothesis)}; expected one of e, mu, pi, K, p")
     check_free(arguments.output, overwrite=arguments.overwrite)
     detectors = common.load_detectors(arguments)
     momenta = arguments.p if isinstance(arguments.p, list) else [arguments.p]

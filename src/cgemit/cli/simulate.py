@@ -12,8 +12,8 @@ from cgemit.version import VERSION
 
 _DESCRIPTION = """\
 Shoot particles through a detector and write the tables of the chain: particles, truths, steps, wire_truths, digis,
-wire_hits, clusters, and with --fit tracks. One .npz file a table (numpy.load, or cgemit.Table.load) with a JSON file
-beside it that says what the columns mean."""
+wire_hits, clusters, with --fit tracks, and with --states also states. One .npz file a table (numpy.load, or
+cgemit.Table.load) with a JSON file beside it that says what the columns mean."""
 
 _EXAMPLES = """\
 A quantity is a number (fixed), A:B (uniform range), A:B:N (N values from A to B in turn) or A,B,C (values in turn);
@@ -23,6 +23,7 @@ examples:
   cgemit simulate -d besiii-cgem-design --particle mu- --p 1 --cos-theta -0.93:0.93 -n 10000 --fit -o muons
   cgemit simulate -d besiii-cgem --particle pi+ --pt 0.1:0.5 --theta "30 deg:150 deg" -n 1000 -o pions
   cgemit simulate -d my-detector.toml --particle K- --p 0.3,0.5,1 --cos-theta 0 --vertex 1,0,0 -n 300 -o kaons
+  cgemit simulate -d besiii-cgem --particle pi+ --p 0.5 --cos-theta 0 -n 100 --states beam_pipe,hits,"90 cm" -o states
   cgemit simulate -d besiii-cgem --set cgem.L1.drift_gap="3 mm" --name thin --p 1 --cos-theta 0 -n 1000 -o thin"""
 
 
@@ -36,6 +37,11 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     add_gun(parser)
     parser.add_argument("-n", "--events", type=common.positive, required=True, metavar="N", help="number of events")
     parser.add_argument("--fit", action="store_true", help="write the fitted tracks too")
+    parser.add_argument(
+        "--states", type=common.places, metavar="PLACE,...",
+        help="also write where the fitted tracks are, with covariance: radii (mm), origin, beam_line, beam_pipe, hits",
+    )  # fmt: skip
+    common.add_hypothesis(parser, several=True)
     parser.add_argument("--json", action="store_true", help="write the summary to stdout as JSON")
     common.add_output(parser)
     common.add_physics(parser)
@@ -83,7 +89,8 @@ def run(arguments: argparse.Namespace) -> int:
                 detector, gun, arguments.events, arguments.seed, settings=common.settings_of(arguments),
                 threads=arguments.threads, progress=progress,
             )  # fmt: skip
-        tables = {name: table for name, table in result.tables.items() if arguments.fit or name != "tracks"}
+        fits = arguments.fit or arguments.states is not None or arguments.hypothesis is not None
+        tables = {name: table for name, table in result.tables.items() if fits or name != "tracks"}
         save_tables(tables, folder)
         (folder / "detector.toml").write_text(detector.to_toml(), encoding="utf-8")
         summary = {
@@ -91,11 +98,11 @@ def run(arguments: argparse.Namespace) -> int:
             "seed": arguments.seed, "simulate": asdict(result.settings.simulate), "transport": result.transport(),
             "rows": {name: len(table) for name, table in tables.items()},
         }  # fmt: skip
-        if arguments.fit:
+        if fits:
             summary["removed"] = result.removed()
         (folder / SUMMARY).write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
     print(json.dumps(summary, indent=2) if arguments.json else result)
     if not arguments.quiet:
-        rest = "" if arguments.fit else " (without the fitted tracks: --fit writes them)"
+        rest = "" if fits else " (without the fitted tracks: --fit writes them)"
         print(f"tables: {arguments.output}{rest}", file=sys.stderr)
     return 0

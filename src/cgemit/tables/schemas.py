@@ -185,21 +185,31 @@ def _comparison() -> tuple[Column, ...]:
     )
 
 
+def _helix(pivot: str) -> tuple[Column, ...]:
+    """Parameters with respect to a pivot, and their covariance."""
+    return (
+        _f8("dr", "mm", f"signed distance of closest approach to {pivot} (d_rho)"),
+        _f8("phi0", "rad", "azimuth of the point of closest approach; the flight azimuth is phi0 + pi/2"),
+        _f8("kappa", "1/(GeV/c)", "charge / pT"),
+        _f8("dz", "mm", "z at the point of closest approach, from the pivot"),
+        _f8("tanl", "", "pz / pT"),
+        Column(
+            "cov",
+            np.dtype("f8"),
+            "mixed",
+            "covariance of (dr, phi0, kappa, dz, tanl), products of their units",
+            shape=(5, 5),
+        ),
+    )
+
+
+_HYPOTHESIS = _i4("hypothesis", "particle whose mass the fit assumed, number of the Particle Data Group, unsigned")
+
 _TRACKS = (
     _EVENT,
     _PARTICLE,
-    _f8("dr", "mm", "signed distance of closest approach to the z axis (d_rho)"),
-    _f8("phi0", "rad", "azimuth of the point of closest approach; the flight azimuth is phi0 + pi/2"),
-    _f8("kappa", "1/(GeV/c)", "charge / pT"),
-    _f8("dz", "mm", "z at the point of closest approach"),
-    _f8("tanl", "", "pz / pT"),
-    Column(
-        "cov",
-        np.dtype("f8"),
-        "mixed",
-        "covariance of (dr, phi0, kappa, dz, tanl), products of their units",
-        shape=(5, 5),
-    ),
+    _HYPOTHESIS,
+    *_helix("the z axis"),
     _f8("p", "GeV/c", "momentum"),
     _f8("chi2", "", "chi-square of the fit"),
     _i4("ndf", "number of degrees of freedom"),
@@ -224,6 +234,29 @@ _RESIDUALS = (
     _column("u1", "used", "", "1 used, 0 left out as an outlier"),
 )
 
+_STATES = (
+    _EVENT,
+    _link("track", "the track", "tracks"),
+    _HYPOTHESIS,
+    _column("i1", "surface", "", "where: 0 origin, 1 closest approach to the beam line, 2 cylinder, 3 hit (Surface)"),
+    _column("i1", "view", "", "of a hit: 0 X, 1 V, 2 wire; -1 elsewhere"),
+    _i4("layer", "layer of the cluster or wire; -1 elsewhere"),
+    _link("hit", "the cluster (views 0 and 1) or wire hit (view 2)", ("clusters", "clusters", "wire_hits")),
+    _f8("r", "mm", "distance from the beam line"),
+    *_point("", "point of the track"),
+    *_momentum("momentum there"),
+    *_point("pivot_", "pivot of the helix: the point itself, but for surface 0 the origin"),
+    *_helix("the pivot, in the plane across the beam"),
+    _f8(
+        "residual",
+        "mm",
+        "of a hit: measured minus predicted by the track, fitted with it unless it was left out; NaN elsewhere",
+    ),
+    _f8("err", "mm", "standard deviation of the residual"),
+    _f8("pull", "", "residual / err"),
+    _column("i1", "status", "", "whether there is a state (StateStatus; 0 is good)"),
+)
+
 #: All tables by name.
 SCHEMAS: Mapping[str, tuple[Column, ...]] = MappingProxyType(
     {
@@ -236,6 +269,7 @@ SCHEMAS: Mapping[str, tuple[Column, ...]] = MappingProxyType(
         "clusters": _CLUSTERS,
         "tracks": _TRACKS,
         "residuals": _RESIDUALS,
+        "states": _STATES,
     }
 )
 
@@ -251,5 +285,6 @@ ROWS: Mapping[str, str] = MappingProxyType(
         "clusters": "one X, V or XV cluster",
         "tracks": "one particle and its fitted track",
         "residuals": "one hit of a fitted track",
+        "states": "one track at one place",
     }
 )

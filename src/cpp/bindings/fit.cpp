@@ -17,7 +17,7 @@ namespace {
 
 // Columns of the result, filled block by block.
 struct Output {
-  std::vector<double> helix, covariance, chi2, residual, error;
+  std::vector<double> helix, covariance, chi2, reference, prior, residual, error, value, variance;
   std::vector<std::int32_t> clusters, wires, outliers, ndf, iterations;
   std::vector<std::int8_t> status, side;
   std::vector<std::uint8_t> used;
@@ -44,11 +44,18 @@ struct Output {
     iterations.push_back(row.iterations);
     status.push_back(static_cast<std::int8_t>(row.status));
   }
+  // What the last iteration was made with, for those who go on from there.
+  void append_reference(const FitRow& row) {
+    reference.insert(reference.end(), row.reference.begin(), row.reference.end());
+    prior.insert(prior.end(), row.prior.begin(), row.prior.end());
+  }
   void append(const HitRow& row) {
     residual.push_back(row.residual);
     error.push_back(row.error);
     side.push_back(row.side);
     used.push_back(row.used);
+    value.push_back(row.value);
+    variance.push_back(row.variance);
   }
   py::dict columns(bool residuals) {
     const auto n = static_cast<py::ssize_t>(chi2.size());
@@ -63,10 +70,14 @@ struct Output {
     out["iterations"] = to_numpy(std::move(iterations));
     out["status"] = to_numpy(std::move(status));
     if (!residuals) return out;
+    out["reference"] = to_numpy(std::move(reference), {n, 5});
+    out["prior"] = to_numpy(std::move(prior), {n, 25});
     out["residual"] = to_numpy(std::move(residual));
     out["err"] = to_numpy(std::move(error));
     out["side"] = to_numpy(std::move(side));
     out["used"] = to_numpy(std::move(used));
+    out["used_value"] = to_numpy(std::move(value));
+    out["used_variance"] = to_numpy(std::move(variance));
     return out;
   }
 };
@@ -111,7 +122,10 @@ py::dict run(const Detector& detector, const Array<std::int64_t>& hit_offsets, c
           mass.subspan(begin, tracks),
           seeded ? std::span<const Perigee>(start).subspan(begin, tracks) : std::span<const Perigee>()};
       kernels().fit(detector, input, settings, {rows.data(), residuals ? hit_rows.data() : nullptr});
-      for (const FitRow& row : rows) out.append(row);
+      for (const FitRow& row : rows) {
+        out.append(row);
+        if (residuals) out.append_reference(row);
+      }
       for (const HitRow& row : hit_rows) out.append(row);
     }
   }

@@ -14,6 +14,7 @@ void bind_digitize(pybind11::module_& module);
 void bind_cluster(pybind11::module_& module);
 void bind_fit(pybind11::module_& module);
 void bind_kernels(pybind11::module_& module);
+void bind_states(pybind11::module_& module);
 
 PYBIND11_MODULE(_core, module, pybind11::mod_gil_not_used()) {
   module.doc() = "Compiled core of cgemit: kernels on columns of numbers.";
@@ -30,4 +31,5 @@ PYBIND11_MODULE(_core, module, pybind11::mod_gil_not_used()) {
   bind_cluster(module);
   bind_fit(module);
   bind_kernels(module);
+  bind_states(module);
 }

@@ -24,4 +24,11 @@ void bind_status(py::module_& module) {
       .value("not_converged", FitStatus::not_converged)
       .value("not_positive_definite", FitStatus::not_positive_definite)
       .finalize();
+  py::native_enum<StateStatus>(module, "StateStatus", "enum.IntEnum",
+                               "Whether a fitted track has a state where one is asked for.")
+      .value("ok", StateStatus::ok)
+      .value("not_fitted", StateStatus::not_fitted)
+      .value("does_not_reach", StateStatus::does_not_reach)
+      .value("stopped", StateStatus::stopped)
+      .finalize();
 }

@@ -25,4 +25,13 @@ enum class FitStatus : std::int8_t {
   not_positive_definite = 6  // the covariance is not that of five real parameters
 };
 
+// Whether a fitted track has a state where one is asked for.
+enum class StateStatus : std::int8_t {
+  ok = 0,
+  not_fitted = 1,  // the track has no covariance
+  does_not_reach =
+      2,       // it never gets there: the cylinder lies inside its closest approach or beyond its turn
+  stopped = 3  // its momentum is used up before
+};
+
 }  // namespace cgemit

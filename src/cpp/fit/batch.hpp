@@ -29,7 +29,7 @@ class BatchFit {
       out_.rows[track] = {};
       out_.rows[track].status = FitStatus::too_few_hits;
       if (out_.hit_rows != nullptr)
-        std::fill_n(out_.hit_rows + input_.first(track), input_.count(track), HitRow{0, 0, 0, 0});
+        std::fill_n(out_.hit_rows + input_.first(track), input_.count(track), HitRow{});
       if (input_.count(track) <= parameters) continue;
       out_.rows[track].status = FitStatus::seed_failed;
       if (!input_.start.empty()) starts.push_back({track, key(track), input_.start[track]});
@@ -132,7 +132,7 @@ class BatchFit {
       hits_of[k] = hits(start.track);
       sides_of[k] = sides(start.track);
       rows_[k] = {};
-      scratch_[k].assign(out_.hit_rows != nullptr ? hits_of[k].size() : 0, HitRow{0, 0, 0, 0});
+      scratch_[k].assign(out_.hit_rows != nullptr ? hits_of[k].size() : 0, HitRow{});
       lanes[k] = {&rows_[k], out_.hit_rows != nullptr ? scratch_[k].data() : nullptr};
     }
     builder_.build(std::span(hits_of).first(starts.size()), std::span(sides_of).first(starts.size()), group_);

@@ -43,6 +43,10 @@ struct FitInput {
 struct FitRow {
   std::array<double, 5> helix;
   std::array<double, 25> covariance;
+  // Of the last iteration, in (d, psi, kappa, z0, tanl): about what it was linearised, and with which
+  // covariance its filter began.
+  std::array<double, 5> reference;
+  std::array<double, 25> prior;
   double chi2;
   std::int32_t clusters, wires, iterations, outliers;
   FitStatus status;
@@ -50,10 +54,11 @@ struct FitRow {
 
 // One row per hit, against the track fitted without it.
 struct HitRow {
-  double residual;    // mm, measured - predicted
-  double error;       // mm, of that difference; 0: the track does not meet it
-  std::int8_t side;   // wires: the side of the larger weight; clusters: 0
-  std::uint8_t used;  // 0: an outlier, left out
+  double residual;         // mm, measured - predicted
+  double error;            // mm, of that difference; 0: the track does not meet it
+  std::int8_t side;        // wires: the side of the larger weight; clusters: 0
+  std::uint8_t used;       // 0: an outlier, left out
+  double value, variance;  // mm, mm^2: what the last iteration measured there
 };
 
 // Fits all tracks, in groups of lanes. `hit_rows` may be null.

@@ -55,7 +55,8 @@ class GroupFit {
     works = works & !finish(works & too_few(), FitStatus::does_not_reach);
     if (!any(works)) return;
     fill_slots();
-    Estimate<T> estimate = filter(detector_, group_, beginning(prior));
+    prior_ = beginning(prior);
+    Estimate<T> estimate = filter(detector_, group_, prior_);
     works = works & !finish(works & !(positive_definite(estimate.c) & finite(estimate)),
                             FitStatus::not_positive_definite);
     T moved(0.0);
@@ -63,6 +64,7 @@ class GroupFit {
         [&](auto i) { moved = larger(moved, estimate.x[i] * estimate.x[i] / estimate.c(i, i)); });
     for (std::size_t i = 0; i < known_.v.size(); ++i)
       known_.v[i] = select(works, estimate.c.v[i], known_.v[i]);
+    reference_ = helix_;
     move(estimate.x, works);
     // Smoothing is for weights, outliers and residuals: for tracks that are about to be ready, or still have
     // open sides.
@@ -240,12 +242,19 @@ class GroupFit {
       FitRow& row = *lanes_[k].row;
       row.status = status;
       row.chi2 = lane(estimate.chi2, static_cast<int>(k));
-      for (int i = 0; i < parameters; ++i) {
-        for (int j = 0; j < parameters; ++j)
-          row.covariance[static_cast<std::size_t>(parameters * i + j)] =
-              lane(estimate.c(i, j), static_cast<int>(k));
-      }
+      store_covariance(estimate.c, k, row.covariance);
+      store_covariance(prior_, k, row.prior);
+      const int i = static_cast<int>(k);
+      row.reference = {lane(reference_.d, i), lane(reference_.psi, i), lane(reference_.kappa, i),
+                       lane(reference_.z0, i), lane(reference_.tanl, i)};
       store_hits(k);
+    }
+  }
+
+  static void store_covariance(const Symmetric<T>& c, std::size_t k, std::array<double, 25>& out) {
+    for (int i = 0; i < parameters; ++i) {
+      for (int j = 0; j < parameters; ++j)
+        out[static_cast<std::size_t>(parameters * i + j)] = lane(c(i, j), static_cast<int>(k));
     }
   }
 
@@ -267,9 +276,12 @@ class GroupFit {
       ++(!used ? row.outliers : slot.view == View::wire ? row.wires : row.clusters);
       if (lanes_[k].hits == nullptr) continue;
       const double weight = lane(slot.weight, i);
-      lanes_[k].hits[slot.hit[k]] = {lane(slot.unbiased, i), std::sqrt(lane(slot.unbiased_variance, i)),
+      lanes_[k].hits[slot.hit[k]] = {lane(slot.unbiased, i),
+                                     std::sqrt(lane(slot.unbiased_variance, i)),
                                      static_cast<std::int8_t>(weight > 0 ? 1 : (weight < 0 ? -1 : 0)),
-                                     static_cast<std::uint8_t>(used)};
+                                     static_cast<std::uint8_t>(used),
+                                     lane(slot.value, i),
+                                     lane(slot.variance, i)};
     }
   }
 
@@ -277,7 +289,9 @@ class GroupFit {
   const FitSettings& settings_;
   Group<T>& group_;
   PerigeeOf<T> helix_;
-  Symmetric<T> known_;  // covariance of the iteration before
+  PerigeeOf<T> reference_;  // of this iteration, the helix being that of the next
+  Symmetric<T> prior_;      // what the filter begins with
+  Symmetric<T> known_;      // covariance of the iteration before
   std::span<const FitLane> lanes_;
   mask_of<T> active_, open_, wires_only_;
   int iteration_ = 0;

@@ -87,6 +87,17 @@ class HelixMotion {
     return r;
   }
 
+  // Of (d, psi, kappa, z0, tanl) with the pivot here by those at the origin, row by row.
+  std::array<Five<T>, parameters> derivatives() const {
+    const Rows<T> r = rows();
+    const T zero(0.0), one(1.0);
+    return {{T(-1.0) * r.across,
+             Backward(*this, r).azimuth(),
+             {{zero, zero, d_kappa_, zero, d_tanl_}},
+             r.along_z,
+             {{zero, zero, zero, zero, one}}}};
+  }
+
   // The momentum falls: kappa grows by `ratio`, its derivative by itself is `gain`, by tanl `mixed`.
   void lose(T ratio, T gain, T mixed) {
     d_kappa_ *= gain;
@@ -106,6 +117,8 @@ class HelixMotion {
       per_determinant_ = 1.0 / (r.across[0] * psi_psi_ - r.across[1] * psi_d_);
       per_d_kappa_ = 1.0 / m.d_kappa_;
     }
+    // Derivatives of the azimuth here by the parameters at the origin.
+    Five<T> azimuth() const { return {{psi_d_, psi_psi_, psi_kappa_, T(0.0), psi_tanl_}}; }
     // (d, psi, z0) by a turn in azimuth, rad, or shifts, mm, at fixed kappa and tanl.
     std::array<T, 3> turned(T psi) const {
       const T d = -r_.across[1] * psi * per_determinant_, turn = r_.across[0] * psi * per_determinant_;

@@ -12,18 +12,30 @@
 
 namespace cgemit {
 
+// Told of every place on the way; this one does not listen.
+struct NoWatch {
+  template <class Slot, class Motion>
+  void meets(const Slot&, const Motion&) {}
+  template <class Slab, class Noise, class Motion>
+  void crosses(const Slab&, const Noise&, const Motion&) {}
+  template <class Motion>
+  void ends(const Motion&) {}
+};
+
 // The hot functions are flattened: what they call is small, and numbers should stay in registers.
-template <class T, class Motion = HelixMotion<T>>
+template <class T, class Motion = HelixMotion<T>, class Watch = NoWatch>
 class Tracer {
  public:
-  Tracer(const Detector& detector, const PerigeeOf<T>& start, T mass, Projectile projectile, Group<T>& group)
+  Tracer(const Detector& detector, const PerigeeOf<T>& start, T mass, Projectile projectile, Group<T>& group,
+         Watch watch = {})
       : detector_(detector),
         group_(group),
         motion_(detector, start),
         tanl_(start.tanl),
         stretch_(sqrt(1.0 + tanl_ * tanl_)),
         now_(stretch_ / abs(start.kappa), mass, projectile),
-        track_(total_matter(detector, start.tanl)) {}
+        track_(total_matter(detector, start.tanl)),
+        watch_(watch) {}
 
   // Of those lanes `who`.
   void run(mask_of<T> who) {
@@ -46,6 +58,7 @@ class Tracer {
       for (std::int32_t s = step.first; s < step.last; ++s) meet_gap(slot(s), reached);
       cross(slab, group_.noise[noise], reached & (abs(motion_.point().z) <= slab.half_length));
     }
+    watch_.ends(motion_);
   }
 
  private:
@@ -59,6 +72,7 @@ class Tracer {
     slot.predicted = predicted;
     slot.row = all(met) ? row : select<T>(met, row, Five<T>::zero());
     for (int k = 0; k < lanes_of<T>; ++k) group_.reached[static_cast<std::size_t>(k)] += lane(met, k) ? 1 : 0;
+    if (any(met)) watch_.meets(slot, motion_);
   }
 
   [[gnu::flatten]] void meet_gap(Slot<T>& slot, mask_of<T> reached) {
@@ -131,6 +145,7 @@ class Tracer {
     const T theta = sqrt(scattering_variance(slab, path, now_, after, track_));
     make_noise(slab, path, theta, loss, noise);
     if (!all(crosses)) mask_noise(noise, crosses);
+    if (any(crosses)) watch_.crosses(slab, noise, motion_);
     lose(loss, after, crosses);
   }
 
@@ -185,6 +200,7 @@ class Tracer {
   KinematicsOf<T> now_;
   TrackMatterOf<T> track_;
   mask_of<T> alive_, curled_;  // curled: past the outermost point, no cylinder lies ahead
+  [[no_unique_address]] Watch watch_;
 };
 
 }  // namespace cgemit

@@ -1,0 +1,214 @@
+"""Fitted tracks anywhere on their way: smoothed states, and extrapolation through matter (docs/methods/states.md)."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from cgemit import _core, helix
+from cgemit.candidates import FitHits
+from cgemit.detector import SCREENINGS, Detector, compiled, slabs
+from cgemit.particles import HYPOTHESES
+from cgemit.tables import Table
+
+Surface = _core.Surface
+StateStatus = _core.StateStatus
+Floats = npt.NDArray[np.float64]
+Columns = dict[str, npt.ArrayLike]
+
+#: Places that states can be asked for by name; a number is the radius of a cylinder in mm.
+PLACES = ("origin", "beam_line", "beam_pipe", "hits")
+
+_PARAMETERS = ("dr", "phi0", "kappa", "dz", "tanl")
+_MASSES = {kind.pdg: kind.mass for kind in HYPOTHESES.values()}
+
+
+def place_problems(places: object) -> list[str]:
+    """Return what is wrong with places of states, each of which is one of `PLACES` or a radius in mm."""
+    if not isinstance(places, tuple | list):
+        return [f"states: {places!r}, expected a tuple of radii in mm and of {', '.join(map(repr, PLACES))}"]
+    return [
+        f"states: {place!r}, expected a positive radius in mm or one of {', '.join(map(repr, PLACES))}"
+        for place in places
+        if place not in PLACES and not _is_radius(place)
+    ]
+
+
+def _is_radius(place: object) -> bool:
+    if isinstance(place, bool) or not isinstance(place, int | float | np.number):
+        return False
+    return math.isfinite(place) and bool(place > 0)
+
+
+def state_columns(
+    detector: Detector,
+    places: tuple[float | str, ...],
+    particles: Table,
+    hits: FitHits,
+    fitted: dict[str, npt.NDArray[Any]],
+    has_cov: npt.NDArray[np.bool_],
+    screening: str,
+) -> Columns:
+    """Columns of the states table, for one row of `particles` a track.
+
+    Parameters
+    ----------
+    detector : Detector
+        What the fit assumed.
+    places : tuple of float or str
+        Radii in mm, and names of `PLACES`.
+    particles : Table of kind "particles"
+        With the column `hypothesis` and the masses that the fit assumed.
+    hits : FitHits
+    fitted : dict of ndarray
+        Of the fit: `reference` (n, 5) float64, the helix about which its last iteration was linearised, with the
+        azimuth of flight for phi0; `prior` (n, 25) float64, the covariance that its filter began with; `used` (hits,)
+        uint8, whether it used a hit; `used_value`, `used_variance` (hits,) float64, mm and mm2, what it measured.
+    has_cov : ndarray, (n,) bool
+        Whether the fit came to a covariance.
+    screening : str
+
+    Returns
+    -------
+    dict of array_like
+    """
+    targets = _targets(detector, places)
+    columns = ("kind", "layer", "element", "size", "value", "sigma")
+    used = {name: fitted[name] for name in ("used", "used_value", "used_variance")}
+    out = _core.states(
+        compiled(detector, screening=screening),
+        hit_offsets=hits.hit_offsets,
+        hits={name: getattr(hits, name) for name in columns} | used,
+        reference=fitted["reference"],
+        prior=fitted["prior"],
+        mass=particles["mass"],
+        fitted=has_cov.astype(np.uint8),
+        targets=targets,
+    )
+    track, target, hit = out["track"], out["target"], out["hit"]
+    at_hit = hit >= 0
+    surface = targets["surface"][target]
+    found: Columns = {
+        "event": particles["event"][track],
+        "track": track,
+        "hypothesis": particles["hypothesis"][track],
+        "surface": surface,
+    }
+    # Row 0 stands for those that are at no hit, so that empty tables are no exception.
+    for name, values in (("view", hits.kind), ("layer", hits.layer), ("hit", hits.row)):
+        column = np.full(len(track), -1, np.int64)
+        column[at_hit] = values[hit[at_hit]]
+        found[name] = column.astype({"view": "i1", "layer": "i4", "hit": "i8"}[name])
+    found |= _at(out)
+    found["r"] = np.where(surface == Surface.cylinder, targets["radius"][target], np.hypot(found["x"], found["y"]))
+    residual, err = out["residual"], out["err"]
+    return found | {"residual": residual, "err": err, "pull": residual / err, "status": out["status"]}
+
+
+def extrapolate(
+    detector: Detector, table: Table, radius: float, *, particle: str | None = None, screening: str = SCREENINGS[0]
+) -> Table:
+    """Move fitted tracks to a cylinder, outward or back in, through the matter on the way.
+
+    The energy loss changes the helix, and the noise of the matter joins the covariance: nothing new is measured.
+    Between measurements, and from the innermost one to the origin, ``FitSettings(states=...)`` knows more: there
+    the state is that of all measurements, on either side.
+
+    Parameters
+    ----------
+    detector : Detector
+    table : Table of kind "states" or "tracks"
+        Where to start; tracks start at the origin.
+    radius : float
+        mm. A helix that does not reach it gets a row that says so.
+    particle : str or None
+        Name of the particle (``"e"``, ``"mu"``, ``"pi"``, ``"K"``, ``"p"``); that of the column `hypothesis` if None.
+    screening : str
+        Screening of nuclei in multiple scattering, as in `FitSettings`.
+
+    Returns
+    -------
+    Table of kind "states"
+        One row per row of `table`.
+
+    Raises
+    ------
+    ValueError
+        Listing every argument that makes no sense.
+    """
+    of_state, fits = table.kind == "states", table.kind in ("states", "tracks")
+    mass = _masses(table, particle) if fits else np.empty(0)
+    unknown = np.isnan(mass) & np.isfinite(table["cov"][:, 0, 0]) if fits else mass
+    checks = (
+        (fits, f"table: of kind {table.kind!r}, expected 'states' or 'tracks'"),
+        (_is_radius(radius), f"radius: {radius!r}, expected a positive number, mm"),
+        (
+            particle is None or particle in HYPOTHESES,
+            f"particle: {particle!r}, expected one of {', '.join(map(repr, HYPOTHESES))}",
+        ),
+        (not unknown.any(), "particle: none given, and the table's hypothesis is none of e, mu, pi, K, p"),
+        (screening in SCREENINGS, f"screening: {screening!r}, expected one of {', '.join(map(repr, SCREENINGS))}"),
+    )
+    problems = [text for fine, text in checks if not fine]
+    if problems:
+        raise ValueError("extrapolate:\n  " + "\n  ".join(problems))
+    pivot = np.stack([table[f"pivot_{axis}"] if of_state else np.zeros(len(table)) for axis in "xyz"], axis=1)
+    parameters = np.stack([table[name] for name in _PARAMETERS], axis=1)
+    start = np.hypot(*(pivot[:, i] + table["dr"] * f(table["phi0"]) for i, f in enumerate((np.cos, np.sin))))
+    out = _core.extrapolate(
+        compiled(detector, screening=screening), pivot=pivot, helix=parameters,
+        cov=table["cov"].reshape(-1, 25), mass=mass, radius=float(radius),
+        share=_shares_inside(detector, start), target_share=float(_shares_inside(detector, np.array([radius]))[0]),
+    )  # fmt: skip
+    n = len(table)
+    none, nan = np.full(n, -1), np.full(n, np.nan)
+    columns: Columns = {
+        "event": table["event"], "track": table["track"] if of_state else np.arange(n),
+        "hypothesis": table["hypothesis"], "surface": np.full(n, Surface.cylinder), "r": np.full(n, float(radius)),
+        "view": none, "layer": none, "hit": none, "residual": nan, "err": nan, "pull": nan, "status": out["status"],
+    }  # fmt: skip
+    return Table("states", columns | _at(out), table.n_events, table.first_event, table.meta)
+
+
+def _masses(table: Table, particle: str | None) -> Floats:
+    """Return the mass of each row, GeV/c2; NaN where it is not known."""
+    if particle is not None:
+        return np.full(len(table), HYPOTHESES[particle].mass if particle in HYPOTHESES else 0.0)
+    numbers, place = np.unique(table["hypothesis"], return_inverse=True)
+    return np.array([_MASSES.get(int(number), np.nan) for number in numbers])[place]
+
+
+def _at(out: dict[str, npt.NDArray[Any]]) -> dict[str, Any]:
+    """Columns of point, momentum, pivot, helix and covariance."""
+    pivot, (dr, phi0, kappa, dz, tanl) = out["pivot"], out["helix"].T
+    px, py, pz = helix.momentum_vector(out["helix"]).T
+    return {
+        "x": pivot[:, 0] + dr * np.cos(phi0), "y": pivot[:, 1] + dr * np.sin(phi0), "z": pivot[:, 2] + dz,
+        "px": px, "py": py, "pz": pz, "pivot_x": pivot[:, 0], "pivot_y": pivot[:, 1], "pivot_z": pivot[:, 2],
+        "dr": dr, "phi0": phi0, "kappa": kappa, "dz": dz, "tanl": tanl, "cov": out["cov"],
+    }  # fmt: skip
+
+
+def _targets(detector: Detector, places: tuple[float | str, ...]) -> dict[str, npt.NDArray[Any]]:
+    """Columns surface, radius (mm) and share of the places, in their order."""
+    kinds = {"origin": Surface.origin, "beam_line": Surface.beam_line, "hits": Surface.hit}
+    if "beam_pipe" in places and not detector.beam_pipe:
+        raise ValueError("states: 'beam_pipe', but the detector has none")
+    radii = [detector.beam_pipe[0].r_in if place == "beam_pipe" else place for place in places]
+    surface = [kinds.get(place, Surface.cylinder) if isinstance(place, str) else Surface.cylinder for place in radii]
+    radius = np.array([0.0 if isinstance(place, str) else float(place) for place in radii])
+    return {"surface": np.array(surface, np.int8), "radius": radius, "share": _shares_inside(detector, radius)}
+
+
+def _shares_inside(detector: Detector, radii: Floats) -> Floats:
+    """Return which part of X/X0 of the scatterer that a radius cuts lies inside that radius; 0 if it cuts none."""
+    shares = np.zeros(len(radii))
+    for slab in slabs(detector):
+        cut = (slab.r_in < radii) & (radii < slab.r_out)
+        if cut.any():
+            inside = [s.x0 * np.clip((radii[cut] - s.r_in) / s.thickness, 0, 1) for s in slab.shells]
+            shares[cut] = np.sum(inside, axis=0) / slab.x0
+    return shares

@@ -1,0 +1,205 @@
+#include "fit/states.hpp"
+
+#include <pybind11/native_enum.h>
+#include <pybind11/pybind11.h>
+
+#include <limits>
+
+#include "bindings/arrays.hpp"
+#include "bindings/hits.hpp"
+#include "common/angles.hpp"
+
+namespace py = pybind11;
+using namespace cgemit;
+using namespace cgemit::bindings;
+
+namespace {
+
+constexpr double nan = std::numeric_limits<double>::quiet_NaN();
+
+// Columns of the states; what does not exist is NaN.
+class Output {
+ public:
+  void add(const TrackState& found, std::int64_t track, std::int64_t target, std::int64_t hit) {
+    const bool ok = found.status == StateStatus::ok;
+    const LocalState& s = found.state;
+    const Perigee& h = s.helix;
+    status_.push_back(static_cast<std::int8_t>(found.status));
+    track_.push_back(track);
+    target_.push_back(target);
+    hit_.push_back(hit);
+    for (const double value : {s.x, s.y, s.z}) pivot_.push_back(ok ? value : nan);
+    for (const double value : {h.d, wrap_angle(h.psi - 0.5 * pi), h.kappa, h.z0, h.tanl})
+      helix_.push_back(ok ? value : nan);
+    for (Eigen::Index i = 0; i < 5; ++i) {
+      for (Eigen::Index j = 0; j < 5; ++j) covariance_.push_back(ok ? 0.5 * (s.c(i, j) + s.c(j, i)) : nan);
+    }
+    const bool measured = ok && found.variance > 0;
+    residual_.push_back(measured ? found.residual : nan);
+    error_.push_back(measured ? std::sqrt(found.variance) : nan);
+  }
+
+  py::dict columns() {
+    const auto rows = static_cast<py::ssize_t>(status_.size());
+    py::dict result;
+    result["status"] = to_numpy(std::move(status_));
+    result["track"] = to_numpy(std::move(track_));
+    result["target"] = to_numpy(std::move(target_));
+    result["hit"] = to_numpy(std::move(hit_));
+    result["pivot"] = to_numpy(std::move(pivot_), {rows, 3});
+    result["helix"] = to_numpy(std::move(helix_), {rows, 5});
+    result["cov"] = to_numpy(std::move(covariance_), {rows, 5, 5});
+    result["residual"] = to_numpy(std::move(residual_));
+    result["err"] = to_numpy(std::move(error_));
+    return result;
+  }
+
+ private:
+  std::vector<double> pivot_, helix_, covariance_, residual_, error_;
+  std::vector<std::int64_t> track_, target_, hit_;
+  std::vector<std::int8_t> status_;
+};
+
+std::vector<Target> make_targets(const py::dict& columns) {
+  const auto surface_array = take<std::int8_t>(columns, "surface");
+  const auto radius_array = take<double>(columns, "radius"), share_array = take<double>(columns, "share");
+  const auto surface = column(surface_array, "surface");
+  const auto n = static_cast<py::ssize_t>(surface.size());
+  const auto radius = column(radius_array, "radius", n), share = column(share_array, "share", n);
+  std::vector<Target> targets;
+  for (std::size_t i = 0; i < surface.size(); ++i) {
+    if (surface[i] < 0 || surface[i] > static_cast<std::int8_t>(Surface::hit))
+      throw std::invalid_argument("surface: no such surface");
+    targets.push_back({static_cast<Surface>(surface[i]), radius[i], share[i]});
+  }
+  return targets;
+}
+
+// Rows of one track, in the order of the targets; the same number whatever becomes of the fit.
+void add_track(const std::vector<TrackState>& found, const std::vector<Target>& targets, std::size_t track,
+               std::size_t first_hit, std::size_t hits, Output& out) {
+  std::size_t row = 0;
+  for (std::size_t k = 0; k < targets.size(); ++k) {
+    const bool at_hits = targets[k].surface == Surface::hit;
+    for (std::size_t i = 0; i < (at_hits ? hits : 1); ++i) {
+      const TrackState lost{StateStatus::not_fitted, -1, {}, 0, 0};
+      out.add(found.empty() ? lost : found[row++], static_cast<std::int64_t>(track),
+              static_cast<std::int64_t>(k), at_hits ? static_cast<std::int64_t>(first_hit + i) : -1);
+    }
+  }
+}
+
+// What the fit measured at every hit.
+std::vector<Used> make_used(const py::dict& columns, py::ssize_t n) {
+  const auto used_array = take<std::uint8_t>(columns, "used");
+  const auto value_array = take<double>(columns, "used_value"),
+             variance_array = take<double>(columns, "used_variance");
+  const auto counts = column(used_array, "used", n);
+  const auto value = column(value_array, "used_value", n),
+             variance = column(variance_array, "used_variance", n);
+  std::vector<Used> used;
+  for (std::size_t i = 0; i < value.size(); ++i) used.push_back({counts[i] != 0, value[i], variance[i]});
+  return used;
+}
+
+py::dict run(const Detector& detector, const Array<std::int64_t>& hit_offsets, const py::dict& hit_columns,
+             const Array<double>& reference_array, const Array<double>& prior_array,
+             const Array<double>& mass_array, const Array<std::uint8_t>& fitted_array,
+             const py::dict& target_columns) {
+  const auto offsets = column(hit_offsets, "hit_offsets");
+  if (offsets.empty()) throw std::invalid_argument("hit_offsets: expected at least one entry");
+  const auto n = static_cast<py::ssize_t>(offsets.size()) - 1;
+  const auto n_hits = static_cast<py::ssize_t>(offsets.back());
+  const auto reference = matrix(reference_array, "reference", n, 5);
+  const auto prior = matrix(prior_array, "prior", n, 25);
+  const auto mass = column(mass_array, "mass", n);
+  const auto fitted = column(fitted_array, "fitted", n);
+  const std::vector<Used> used = make_used(hit_columns, n_hits);
+  const std::vector<Hit> hits = make_hits(detector, hit_columns, n_hits);
+  const std::vector<Target> targets = make_targets(target_columns);
+  Output out;
+  {
+    py::gil_scoped_release release;
+    StateSpace space;
+    std::vector<TrackState> found;
+    for (std::size_t i = 0; i < mass.size(); ++i) {
+      const auto first = static_cast<std::size_t>(offsets[i]),
+                 count = static_cast<std::size_t>(offsets[i + 1]) - first;
+      const double* r = reference.data() + 5 * i;
+      const FittedTrack track{std::span(hits).subspan(first, count),
+                              std::span(used).subspan(first, count),
+                              {r[0], r[1], r[2], r[3], r[4]},
+                              Eigen::Map<const Matrix5>(prior.data() + 25 * i),
+                              mass[i]};
+      found.clear();
+      if (fitted[i]) fitted_states(detector, track, targets, space, found);
+      add_track(found, targets, i, first, count, out);
+    }
+  }
+  return out.columns();
+}
+
+LocalState load(const double* pivot, const double* helix, const double* covariance) {
+  return {pivot[0], pivot[1], pivot[2], from_bes3(helix),
+          Eigen::Map<const Eigen::Matrix<double, 5, 5, Eigen::RowMajor>>(covariance)};
+}
+
+py::dict run_extrapolate(const Detector& detector, const Array<double>& pivot_array,
+                         const Array<double>& helix_array, const Array<double>& covariance_array,
+                         const Array<double>& mass_array, double radius, const Array<double>& from_array,
+                         double to) {
+  const auto mass = column(mass_array, "mass");
+  const auto n = static_cast<py::ssize_t>(mass.size());
+  const auto pivot = matrix(pivot_array, "pivot", n, 3), helix = matrix(helix_array, "helix", n, 5),
+             covariance = matrix(covariance_array, "cov", n, 25);
+  const auto from = column(from_array, "share", n);
+  Output out;
+  {
+    py::gil_scoped_release release;
+    for (std::size_t i = 0; i < mass.size(); ++i) {
+      TrackState found{StateStatus::not_fitted, -1, {}, 0, 0};
+      found.state = load(pivot.data() + 3 * i, helix.data() + 5 * i, covariance.data() + 25 * i);
+      if (found.state.c.allFinite() && std::isfinite(mass[i]) && found.state.helix.kappa != 0)
+        found.status = extrapolate(detector, found.state, mass[i], radius, from[i], to);
+      out.add(found, static_cast<std::int64_t>(i), 0, -1);
+    }
+  }
+  return out.columns();
+}
+
+py::tuple run_change_pivot(const Array<double>& helix_array, const Array<double>& covariance_array,
+                           const Array<double>& step_array, double bz) {
+  const py::ssize_t n = helix_array.ndim() == 2 ? helix_array.shape(0) : 0;
+  const auto helix = matrix(helix_array, "helix", n, 5), covariance = matrix(covariance_array, "cov", n, 25),
+             step = matrix(step_array, "step", n, 3);
+  const double origin[3] = {0, 0, 0}, per_kappa = curvature(bz, 1.0);
+  Output out;
+  for (py::ssize_t i = 0; i < n; ++i) {
+    TrackState found{StateStatus::ok, -1, load(origin, helix.data() + 5 * i, covariance.data() + 25 * i), 0,
+                     0};
+    const double* to = step.data() + 3 * i;
+    if (!change_pivot(found.state, to[0], to[1], to[2], per_kappa)) found.status = StateStatus::not_fitted;
+    out.add(found, i, 0, -1);
+  }
+  const py::dict columns = out.columns();
+  return py::make_tuple(columns["helix"], columns["cov"]);
+}
+
+}  // namespace
+
+void bind_states(py::module_& module) {
+  py::native_enum<Surface>(module, "Surface", "enum.IntEnum", "Where a fitted track has a state.")
+      .value("origin", Surface::origin)
+      .value("beam_line", Surface::beam_line)
+      .value("cylinder", Surface::cylinder)
+      .value("hit", Surface::hit)
+      .finalize();
+  module.def("states", &run, py::arg("detector"), py::kw_only(), py::arg("hit_offsets"), py::arg("hits"),
+             py::arg("reference"), py::arg("prior"), py::arg("mass"), py::arg("fitted"), py::arg("targets"),
+             "Smoothed states of fitted tracks at every target.");
+  module.def("extrapolate", &run_extrapolate, py::arg("detector"), py::kw_only(), py::arg("pivot"),
+             py::arg("helix"), py::arg("cov"), py::arg("mass"), py::arg("radius"), py::arg("share"),
+             py::arg("target_share"), "Move states to a cylinder through the matter on the way.");
+  module.def("change_pivot", &run_change_pivot, py::arg("helix"), py::arg("cov"), py::arg("step"),
+             py::arg("bz"), "Helices and covariances (n, 25) at pivots moved by steps (n, 3).");
+}

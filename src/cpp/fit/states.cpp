@@ -1,0 +1,207 @@
+#include "fit/states.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+#include "motion/wire.hpp"
+
+namespace cgemit {
+
+namespace {
+
+class States {
+ public:
+  States(const Detector& detector, const FittedTrack& track, StateSpace& space)
+      : detector_(detector),
+        track_(track),
+        way_(space.way),
+        inward_(space.inward),
+        smoothed_(space.smoothed),
+        per_kappa_(curvature(detector.bz, 1.0)),
+        who_{track.mass, total_matter(detector, track.reference.tanl), per_kappa_} {
+    follow(detector, track.reference, track.mass, track.hits, way_);
+    for (const Station& station : way_.stations) {
+      if (station.hit < 0) continue;
+      const auto i = static_cast<std::size_t>(station.hit);
+      Element& row = way_.elements[station.element];
+      row.used = track.used[i].used;
+      row.variance = track.used[i].variance;
+      row.residual = track.used[i].value - way_.predicted[i];
+    }
+    filter_inward(way_.elements, track.prior, inward_);
+    smooth();
+  }
+
+  void append(const Target& target, std::vector<TrackState>& out) const {
+    switch (target.surface) {
+      case Surface::origin:
+      case Surface::beam_line:
+        out.push_back(closest(target.surface == Surface::beam_line));
+        break;
+      case Surface::cylinder:
+        out.push_back(on_cylinder(target));
+        break;
+      case Surface::hit:
+        for (std::size_t i = 0; i < track_.hits.size(); ++i) out.push_back(at_hit(i));
+    }
+  }
+
+ private:
+  static TrackState empty(StateStatus status) { return {status, -1, {}, 0, 0}; }
+
+  bool is_slab(std::size_t k) const { return way_.stations[k].slab != nullptr; }
+  const Slab& slab(std::size_t k) const { return *way_.stations[k].slab; }
+
+  // The noise vectors of the slab at a station.
+  std::span<const Element> noise(std::size_t k) const {
+    const std::size_t first = way_.stations[k].element, end = way_.stations[k + 1].element;
+    return std::span(way_.elements).subspan(first, end - first);
+  }
+
+  // What all hits say before each station.
+  void smooth() {
+    smoothed_.assign(way_.stations.size(), inward_.front());
+    for (std::size_t k = 0; k + 1 < smoothed_.size(); ++k)
+      smoothed_[k + 1] = is_slab(k) ? beyond(k, 1.0) : smoothed_[k];
+  }
+  Known beyond(std::size_t k, double part) const {
+    return smooth_outward(smoothed_[k], inward_[way_.stations[k + 1].element], noise(k), part);
+  }
+
+  LocalState local(const Station& station, const Known& estimate) const {
+    const Vector5 moved = station.jacobian * estimate.x;
+    const HelixPoint& p = station.point;
+    const Perigee helix{moved[0], std::atan2(p.uy, p.ux) + moved[1], p.w / per_kappa_ + moved[2], moved[3],
+                        p.tanl + moved[4]};
+    return {p.x, p.y, p.z, helix, station.jacobian * estimate.c * station.jacobian.transpose()};
+  }
+
+  TrackState closest(bool moves_pivot) const {
+    const Known& estimate = smoothed_.front();
+    const Perigee& r = track_.reference;
+    const Vector5& x = estimate.x;
+    TrackState found{
+        StateStatus::ok,
+        -1,
+        {0, 0, 0, {r.d + x[0], r.psi + x[1], r.kappa + x[2], r.z0 + x[3], r.tanl + x[4]}, estimate.c},
+        0,
+        0};
+    if (moves_pivot) move_to(found.state, point_of(found.state, per_kappa_), 0, per_kappa_);
+    return found;
+  }
+
+  // Between the slabs, the state of the nearest station that is still on its way out.
+  TrackState on_cylinder(const Target& target) const {
+    std::size_t end = 0;
+    while (end + 1 < smoothed_.size() && !(is_slab(end) && slab(end).r_out > target.radius)) ++end;
+    if (end + 1 == smoothed_.size()) return beyond_the_end(target);
+    TrackState found{StateStatus::ok, -1, {}, 0, 0};
+    const double part = slab(end).r_in < target.radius ? target.share : 0.0;
+    found.state = local(way_.stations[end], beyond(end, part));
+    if (part > 0 && !cross(found.state, slab(end), part, who_, true, false))
+      return empty(StateStatus::stopped);
+    return move_to_cylinder(found.state, target.radius, per_kappa_) ? found
+                                                                    : empty(StateStatus::does_not_reach);
+  }
+
+  // Past the last slab that the fit needed. Of the stations there, those before the turning point know the
+  // way.
+  TrackState beyond_the_end(const Target& target) const {
+    const auto& stations = way_.stations;
+    std::size_t first = stations.size() - 1;
+    while (first > 0 && !is_slab(first - 1)) --first;
+    std::size_t k = stations.size() - 1;
+    while (k > first && !(stations[k].point.outward() > 0)) --k;
+    if (!(stations[k].point.outward() > 0)) return empty(StateStatus::does_not_reach);
+    TrackState found{StateStatus::ok, -1, local(stations[k], smoothed_[k]), 0, 0};
+    for (std::size_t i = first_place_beyond(); i < detector_.places.size(); ++i) {
+      const Place& place = detector_.places[i];
+      if (!place.is_slab) continue;
+      const Slab& next = detector_.slabs[static_cast<std::size_t>(place.index)];
+      if (next.r_in >= target.radius) break;
+      const double part = next.r_out <= target.radius ? 1.0 : target.share;
+      const StateStatus status =
+          traverse(found.state, std::min(next.radius, target.radius), next, part, who_, true);
+      if (status != StateStatus::ok) return empty(status);
+    }
+    return move_to_cylinder(found.state, target.radius, per_kappa_) ? found
+                                                                    : empty(StateStatus::does_not_reach);
+  }
+
+  // Where the last hit was met; what lies inside has acted.
+  std::size_t first_place_beyond() const {
+    const auto last = std::ranges::find_if(way_.stations.rbegin(), way_.stations.rend(),
+                                           [](const Station& station) { return station.hit >= 0; });
+    if (last == way_.stations.rend()) return 0;
+    const Hit& hit = track_.hits[static_cast<std::size_t>(last->hit)];
+    const bool wire = hit.view == View::wire;
+    const auto holds = [&](const Place& place) {
+      const auto index = static_cast<std::size_t>(place.index);
+      return place.is_slab != wire && (wire ? place.index : detector_.slabs[index].gap) == hit.layer;
+    };
+    return static_cast<std::size_t>(std::ranges::find_if(detector_.places, holds) - detector_.places.begin());
+  }
+
+  TrackState at_hit(std::size_t i) const {
+    TrackState found = empty(StateStatus::does_not_reach);
+    found.hit = static_cast<std::int32_t>(i);
+    const auto at = std::ranges::find(way_.stations, found.hit, &Station::hit);
+    if (at == way_.stations.end()) return found;
+    const Known& estimate = smoothed_[static_cast<std::size_t>(at - way_.stations.begin())];
+    found.state = local(*at, estimate);
+    const Hit& hit = track_.hits[i];
+    if (hit.view == View::wire) {
+      const auto layer = static_cast<std::size_t>(hit.layer), wire = static_cast<std::size_t>(hit.element);
+      HelixPoint point = point_of(found.state, per_kappa_);
+      Approach approach{};
+      if (!approach_wire(point, detector_.wires[layer].placed[wire], approach)) return found;
+      move_to(found.state, point, approach.arc, per_kappa_);
+    } else if (!move_to_cylinder(found.state, at->point.radius(), per_kappa_)) {
+      return found;
+    }
+    found.status = StateStatus::ok;
+    const Element& row = way_.elements[at->element];
+    found.residual = row.residual - row.h.dot(estimate.x);
+    // A hit that was used has pulled the track towards itself.
+    const double of_track = row.h.dot(estimate.c * row.h);
+    found.variance = row.used ? row.variance - of_track : row.variance + of_track;
+    return found;
+  }
+
+  const Detector& detector_;
+  const FittedTrack& track_;
+  Way& way_;
+  std::vector<Known>&inward_, &smoothed_;
+  double per_kappa_;
+  Traveller who_;
+};
+
+}  // namespace
+
+void fitted_states(const Detector& detector, const FittedTrack& track, std::span<const Target> targets,
+                   StateSpace& space, std::vector<TrackState>& out) {
+  const States states(detector, track, space);
+  for (const Target& target : targets) states.append(target, out);
+}
+
+StateStatus extrapolate(const Detector& detector, LocalState& state, double mass, double radius, double from,
+                        double to) {
+  const double per_kappa = curvature(detector.bz, 1.0);
+  const Traveller who{mass, total_matter(detector, state.helix.tanl), per_kappa};
+  move_to(state, point_of(state, per_kappa), 0, per_kappa);
+  const double start = std::hypot(state.x, state.y);
+  const bool outward = radius > start;
+  const double low = std::min(start, radius), high = std::max(start, radius);
+  const double at_low = outward ? from : to, at_high = outward ? to : from;
+  const std::size_t n = detector.slabs.size();
+  for (std::size_t i = 0; i < n; ++i) {
+    const Slab& slab = detector.slabs[outward ? i : n - 1 - i];
+    if (slab.r_out <= low || slab.r_in >= high) continue;
+    const double part = (slab.r_out > high ? at_high : 1.0) - (slab.r_in < low ? at_low : 0.0);
+    const StateStatus status = traverse(state, std::clamp(slab.radius, low, high), slab, part, who, outward);
+    if (status != StateStatus::ok) return status;
+  }
+  return move_to_cylinder(state, radius, per_kappa) ? StateStatus::ok : StateStatus::does_not_reach;
+}
+
+}  // namespace cgemit

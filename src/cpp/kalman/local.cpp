@@ -1,0 +1,179 @@
+#include "kalman/local.hpp"
+
+#include <cmath>
+
+#include "common/angles.hpp"
+#include "matter/loss.hpp"
+#include "matter/scattering.hpp"
+
+namespace cgemit {
+
+namespace {
+
+// sin(f)/f, (1 - cos f)/f^2 and (f - sin f)/f^2, by their series where that is short.
+struct TurnTerms {
+  double sine, versine, lag;
+
+  explicit TurnTerms(double f) {
+    const double q = f * f;
+    if (q < 1e-2) {
+      sine = 1 - q * (1.0 / 6 - q * (1.0 / 120 - q * (1.0 / 5040 - q / 362880)));
+      versine = 0.5 - q * (1.0 / 24 - q * (1.0 / 720 - q * (1.0 / 40320 - q / 3628800)));
+      lag = f * (1.0 / 6 - q * (1.0 / 120 - q * (1.0 / 5040 - q / 362880)));
+    } else {
+      sine = std::sin(f) / f;
+      versine = (1 - std::cos(f)) / q;
+      lag = (f - std::sin(f)) / q;
+    }
+  }
+};
+
+// A particle on both sides of a slab, and what it loses there.
+struct Passage {
+  Kinematics before, after;
+  LossMoments loss;
+  double path;
+};
+
+Passage outward_from(const Slab& slab, double path, const Kinematics& here, const TrackMatter& track) {
+  const LossMoments loss = core_loss(slab, path, here, track);
+  const bool stops = here.kinetic() - loss.loss < least_kinetic;
+  return {here, stops ? here : here.after_loss(loss.loss), loss, path};
+}
+
+// Back in, the loss is that of the energy which the particle had before. It changes so little with energy
+// that a few rounds settle it.
+Passage back_from(const Slab& slab, double path, const Kinematics& here, const TrackMatter& track) {
+  Passage result{here, here, core_loss(slab, path, here, track), path};
+  for (int i = 0; i < 20; ++i) {
+    const double loss = result.loss.loss;
+    result.before = here.after_loss(-loss);
+    result.loss = core_loss(slab, path, result.before, track);
+    if (std::abs(result.loss.loss - loss) < 1e-13 * here.energy) break;
+  }
+  return result;
+}
+
+// Noise of scattering and straggling in the coordinates inside the slab, kappa and tanl being those there.
+Matrix5 noise_of(const Slab& slab, const Passage& passage, const TrackMatter& track, double kappa,
+                 double tanl, double w) {
+  const double theta =
+      std::sqrt(scattering_variance(slab, passage.path, passage.before, passage.after, track));
+  const double stretch = std::sqrt(1 + tanl * tanl), p = passage.before.p;
+  const double straggling = kappa * std::sqrt(passage.loss.variance) * passage.before.energy / (p * p);
+  Eigen::Matrix<double, 5, 5> g = Matrix5::Zero();
+  g(1, 0) = theta * stretch;
+  g(2, 1) = kappa * tanl * theta;
+  g(4, 1) = stretch * stretch * theta;
+  g(2, 2) = straggling;
+  if (slab.shifts) {
+    const double shift = theta * slab.spread * passage.path;
+    g(0, 3) = -shift;
+    g(3, 4) = shift * stretch;
+    g(1, 4) = w * shift * tanl / stretch;
+  }
+  return g * g.transpose();
+}
+
+}  // namespace
+
+HelixPoint point_of(const LocalState& state, double per_kappa) {
+  const Perigee& h = state.helix;
+  const double ux = std::cos(h.psi), uy = std::sin(h.psi);
+  return {state.x + h.d * uy, state.y - h.d * ux, state.z + h.z0, ux, uy, h.tanl, per_kappa * h.kappa};
+}
+
+Matrix5 pivot_jacobian(const Perigee& from, double d_to, double arc, double per_kappa) {
+  const double w = per_kappa * from.kappa, theta = w * arc, square = arc * arc;
+  const TurnTerms t(theta);
+  const double sine = theta * t.sine, cosine = 1 - theta * theta * t.versine;
+  const double before = 1 - w * from.d, per_after = 1 / (1 - w * d_to);
+  Matrix5 j = Matrix5::Identity();
+  j(0, 0) = cosine;
+  j(0, 1) = -before * arc * t.sine;
+  j(0, 2) = -per_kappa * square * t.versine;
+  j(1, 0) = w * sine * per_after;
+  j(1, 1) = before * cosine * per_after;
+  j(1, 2) = per_kappa * arc * t.sine * per_after;
+  j(3, 0) = from.tanl * sine * per_after;
+  j(3, 1) = -from.tanl * (arc * theta * t.versine - d_to + from.d * cosine) * per_after;
+  j(3, 2) = -from.tanl * per_kappa * (square * t.lag - d_to * arc) * per_after;
+  j(3, 4) = arc;
+  return j;
+}
+
+bool change_pivot(LocalState& state, double x, double y, double z, double per_kappa) {
+  const HelixPoint point = point_of(state, per_kappa);
+  const double dx = point.x - x, dy = point.y - y;
+  const double sideways = dx * point.uy - dy * point.ux, outward = dx * point.ux + dy * point.uy;
+  const double across = 1 - point.w * sideways, along = point.w * outward;
+  const double reach = std::sqrt(across * across + along * along);  // distance to the centre over |R|
+  if (!(reach > 1e-12)) return false;
+  const double theta = -std::atan2(along, across);
+  const double arc = across > 0 ? -outward / across * atan_over(along / across) : theta / point.w;
+  const double d = (2 * sideways - point.w * (dx * dx + dy * dy)) / (1 + reach);
+  const Matrix5 j = pivot_jacobian(state.helix, d, arc, per_kappa);
+  state.c = (j * state.c * j.transpose()).eval();
+  state.helix.d = d;
+  state.helix.psi = wrap_angle(state.helix.psi + theta);
+  state.helix.z0 = point.z + arc * point.tanl - z;
+  state.x = x;
+  state.y = y;
+  state.z = z;
+  return true;
+}
+
+void move_to(LocalState& state, const HelixPoint& to, double arc, double per_kappa) {
+  const Matrix5 j = pivot_jacobian(state.helix, 0, arc, per_kappa);
+  state.c = (j * state.c * j.transpose()).eval();
+  state.helix.d = state.helix.z0 = 0;
+  state.helix.psi = std::atan2(to.uy, to.ux);
+  state.x = to.x;
+  state.y = to.y;
+  state.z = to.z;
+}
+
+bool move_to_cylinder(LocalState& state, double radius, double per_kappa) {
+  HelixPoint point = point_of(state, per_kappa);
+  double arc = 0;
+  if (!step_to_cylinder(point, radius, arc)) return false;
+  move_to(state, point, arc, per_kappa);
+  return true;
+}
+
+bool cross(LocalState& state, const Slab& slab, double part, const Traveller& who, bool outward, bool noise) {
+  Perigee& h = state.helix;
+  const double tanl = h.tanl, stretch2 = 1 + tanl * tanl, stretch = std::sqrt(stretch2);
+  const HelixPoint point = point_of(state, who.per_kappa);
+  const double path = part * path_factor(slab, stretch, std::abs(point.outward()));
+  const Kinematics here(stretch / std::abs(h.kappa), who.mass, projectile_of(who.mass, h.kappa));
+  const Passage passage = (outward ? outward_from : back_from)(slab, path, here, who.matter);
+  if (outward && here.kinetic() - passage.loss.loss < least_kinetic) return false;
+  const Kinematics &before = passage.before, &after = passage.after;
+  const double ratio = before.p / after.p, kappa = outward ? h.kappa : h.kappa / ratio;
+  // dp'/dp at fixed tanl, and dp'/dtanl at fixed p, of p' = p(E(p) - loss(p, tanl)).
+  const double energy_per_p = after.energy / after.p, slope = tanl / stretch2;
+  const double by_p = energy_per_p * (before.p / before.energy - passage.loss.slope);
+  const double by_tanl = -energy_per_p * passage.loss.loss * slope;
+  Matrix5 j = Matrix5::Identity();
+  j(2, 2) = by_p * ratio * ratio;
+  j(2, 4) = kappa * ratio * (slope - by_p * ratio * slope - by_tanl / after.p);
+  if (!outward) {
+    j(2, 2) = 1 / j(2, 2);
+    j(2, 4) *= -j(2, 2);
+    state.c = (j * state.c * j.transpose()).eval();
+  }
+  if (noise) state.c += noise_of(slab, passage, who.matter, kappa, tanl, who.per_kappa * kappa);
+  if (outward) state.c = (j * state.c * j.transpose()).eval();
+  h.kappa = outward ? h.kappa * ratio : kappa;
+  return true;
+}
+
+StateStatus traverse(LocalState& state, double radius, const Slab& slab, double part, const Traveller& who,
+                     bool outward) {
+  if (!move_to_cylinder(state, radius, who.per_kappa)) return StateStatus::does_not_reach;
+  if (std::abs(state.z) > slab.half_length) return StateStatus::ok;
+  return cross(state, slab, part, who, outward, true) ? StateStatus::ok : StateStatus::stopped;
+}
+
+}  // namespace cgemit

@@ -1,0 +1,68 @@
+// The smoothed state everywhere on the way: what all measurements together say.
+//
+// Between two scatterers the state at the origin (`filter.hpp`) does not change. The filter goes inward and
+// leaves behind, before each element, what all outer ones say; then the smoothed state goes outward from the
+// origin through the noise (Rauch, Tung and Striebel, AIAA J. 3 (1965) 1445). Their gain for noise Q = G G^T
+// is A = C (C + Q)^-1 = 1 - G B^T, B = (C + Q)^-1 G, C being the filter's covariance outside, and their
+// covariance
+//   C_s' = C + A (C_s - C - Q) A^T = A C_s A^T + G (1 - B^T G) G^T,
+// a sum of two that are positive, whatever the rounding. (The form of Bierman that gives residuals is
+// cheaper, but subtracts equals where the filter begins.)
+#pragma once
+
+#include <Eigen/Cholesky>
+#include <cmath>
+#include <span>
+#include <vector>
+
+#include "kalman/way.hpp"
+
+namespace cgemit {
+
+struct Known {
+  Vector5 x;  // deviation from the reference
+  Matrix5 c;
+};
+
+// `inward[i]`: what is known from the elements i and beyond. The last one is the prior.
+inline void filter_inward(const std::vector<Element>& elements, const Matrix5& prior,
+                          std::vector<Known>& inward) {
+  inward.resize(elements.size() + 1);
+  inward.back() = {Vector5::Zero(), prior};
+  for (std::size_t i = elements.size(); i-- > 0;) {
+    const Element& element = elements[i];
+    Known& state = inward[i] = inward[i + 1];
+    if (!element.is_row) {
+      state.c.noalias() += element.h * element.h.transpose();
+    } else if (element.used) {
+      const Vector5 ch = state.c * element.h;
+      const double weight = 1.0 / (element.h.dot(ch) + element.variance);
+      const double innovation = element.residual - element.h.dot(state.x);
+      state.x += ch * (innovation * weight);
+      state.c.noalias() -= (ch * weight) * ch.transpose();
+    }
+  }
+}
+
+// The smoothed state beyond a part of the noise of one scatterer, from that before it. `outside`: what the
+// filter says beyond the whole scatterer.
+inline Known smooth_outward(const Known& before, const Known& outside, std::span<const Element> noise,
+                            double part = 1.0) {
+  if (noise.empty() || !(part > 0)) return before;
+  using Vectors = Eigen::Matrix<double, 5, Eigen::Dynamic, 0, 5, 5>;
+  Vectors g(5, static_cast<Eigen::Index>(noise.size()));
+  for (std::size_t k = 0; k < noise.size(); ++k) g.col(static_cast<Eigen::Index>(k)) = noise[k].h;
+  const Matrix5 c = outside.c + g * g.transpose();
+  g *= std::sqrt(part);
+  // Solved with unit diagonal: the parameters differ by orders of magnitude.
+  const Vector5 scale = c.diagonal().cwiseSqrt().cwiseInverse();
+  const Matrix5 correlation = scale.asDiagonal() * c * scale.asDiagonal();
+  const Vectors b = scale.asDiagonal() * Eigen::LLT<Matrix5>(correlation).solve(scale.asDiagonal() * g);
+  const Matrix5 gain = Matrix5::Identity() - g * b.transpose();
+  using Square = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, 0, 5, 5>;
+  const Square left = Square::Identity(g.cols(), g.cols()) - b.transpose() * g;
+  return {before.x - g * (b.transpose() * (before.x - outside.x)),
+          gain * before.c * gain.transpose() + g * left * g.transpose()};
+}
+
+}  // namespace cgemit

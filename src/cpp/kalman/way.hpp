@@ -1,0 +1,43 @@
+// The way of one track: its reference, kept piece by piece.
+#pragma once
+
+#include <Eigen/Core>
+#include <span>
+#include <vector>
+
+#include "kalman/tracer.hpp"
+
+namespace cgemit {
+
+using Vector5 = Eigen::Matrix<double, 5, 1>;
+using Matrix5 = Eigen::Matrix<double, 5, 5>;
+
+// Something on the way: a measurement, or one direction of a scatterer's noise.
+struct Element {
+  Vector5 h;  // measurement row, or noise vector g (covariance g g^T)
+  bool is_row;
+  bool used;        // by the filter
+  double residual;  // measured - predicted on the reference
+  double variance;  // of the measurement
+};
+
+// A hit or a slab, or where the reference ends.
+struct Station {
+  std::size_t element;  // its first element; as many as there are, at the end
+  std::int32_t hit;     // which hit, or -1
+  const Slab* slab;     // or null
+  HelixPoint point;     // before the slab acts
+  Matrix5 jacobian;     // of (d, psi, kappa, z0, tanl) with the pivot here by those at the origin
+};
+
+// Ordered from the origin outward.
+struct Way {
+  std::vector<Element> elements;
+  std::vector<Station> stations;
+  std::vector<double> predicted;  // mm, one per hit: where the reference meets it
+};
+
+// Follows a helix through the matter as far as the last hit.
+void follow(const Detector& detector, const Perigee& start, double mass, std::span<const Hit> hits, Way& way);
+
+}  // namespace cgemit
