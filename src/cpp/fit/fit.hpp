@@ -44,7 +44,7 @@ struct FitRow {
   std::array<double, 5> helix;
   std::array<double, 25> covariance;
   // Of the last iteration, in (d, psi, kappa, z0, tanl): about what it was linearised, and with which
-  // covariance its filter began.
+  // covariance its filter began. Only where rows of hits are asked for.
   std::array<double, 5> reference;
   std::array<double, 25> prior;
   double chi2;

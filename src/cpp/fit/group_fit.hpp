@@ -243,10 +243,6 @@ class GroupFit {
       row.status = status;
       row.chi2 = lane(estimate.chi2, static_cast<int>(k));
       store_covariance(estimate.c, k, row.covariance);
-      store_covariance(prior_, k, row.prior);
-      const int i = static_cast<int>(k);
-      row.reference = {lane(reference_.d, i), lane(reference_.psi, i), lane(reference_.kappa, i),
-                       lane(reference_.z0, i), lane(reference_.tanl, i)};
       store_hits(k);
     }
   }
@@ -269,6 +265,11 @@ class GroupFit {
   void store_hits(std::size_t k) {
     FitRow& row = *lanes_[k].row;
     const int i = static_cast<int>(k);
+    if (lanes_[k].hits != nullptr) {
+      store_covariance(prior_, k, row.prior);
+      row.reference = {lane(reference_.d, i), lane(reference_.psi, i), lane(reference_.kappa, i),
+                       lane(reference_.z0, i), lane(reference_.tanl, i)};
+    }
     row.clusters = row.wires = row.outliers = 0;
     for (const Slot<T>& slot : group_.slots) {
       if (!lane(slot.met, i)) continue;
