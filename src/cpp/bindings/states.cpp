@@ -115,7 +115,8 @@ py::dict run(const Detector& detector, const Array<std::int64_t>& hit_offsets, c
   const auto mass = column(mass_array, "mass", n);
   const auto fitted = column(fitted_array, "fitted", n);
   const std::vector<Used> used = make_used(hit_columns, n_hits);
-  const std::vector<Hit> hits = make_hits(detector, hit_columns, n_hits);
+  std::vector<Hit> hits;
+  HitColumns(detector, hit_columns, n_hits).take(0, static_cast<std::size_t>(n_hits), hits);
   const std::vector<Target> targets = make_targets(target_columns);
   Output out;
   {
