@@ -1,5 +1,9 @@
 #include "kalman/way.hpp"
 
+#include <cmath>
+
+#include "kalman/builder.hpp"
+
 namespace cgemit {
 
 namespace {
@@ -56,7 +60,7 @@ void follow(const Detector& detector, const Perigee& start, double mass, std::sp
   const std::vector<std::int8_t> no_sides(hits.size(), 0);
   const std::span<const std::int8_t> sides(no_sides);
   Group<double> group;
-  GroupBuilder<double>(detector, group).build(std::span(&hits, 1), std::span(&sides, 1));
+  GroupBuilder<double>(detector).build(std::span(&hits, 1), std::span(&sides, 1), group);
   Tracer<double, HelixMotion<double>, Recorder>(detector, start, mass, projectile_of(mass, start.kappa),
                                                 group, Recorder(way))
       .run(true);
