@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -68,6 +69,37 @@ class FitHits:
     size: npt.NDArray[np.int32]
     side: npt.NDArray[np.int8]
     row: npt.NDArray[np.int64]
+
+
+def with_masses(
+    particles: Table, candidates: Candidates, kinds: Sequence[tuple[int, float]]
+) -> tuple[Table, Candidates]:
+    """Return every particle and candidate once for each mass that the fit shall assume.
+
+    Parameters
+    ----------
+    particles : Table of kind "particles"
+    candidates : Candidates
+    kinds : sequence of (int, float)
+        Number of the Particle Data Group, unsigned, and mass in GeV/c2; none: the particles' own.
+
+    Returns
+    -------
+    particles : Table of kind "particles"
+        With the column `hypothesis`, the number.
+    candidates : Candidates
+    """
+    if not kinds:
+        return particles.with_columns(hypothesis=np.abs(particles["pdg"])), candidates
+    n = len(particles)
+    rows = np.repeat(np.arange(n), len(kinds))
+    pdg, mass = (np.tile(values, n) for values in zip(*kinds, strict=True))
+    counts = np.diff(candidates.hit_offsets)[rows]
+    offsets = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+    # Hit j of a repeated candidate is as far behind its first one as in the original.
+    at = np.arange(offsets[-1]) + np.repeat(candidates.hit_offsets[:-1][rows] - offsets[:-1], counts)
+    repeated = particles[rows].with_columns(mass=mass, hypothesis=pdg)
+    return repeated, Candidates(offsets, candidates.kind[at], candidates.row[at])
 
 
 def fit_hits(candidates: Candidates, clusters: Table, wire_hits: Table) -> FitHits:

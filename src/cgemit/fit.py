@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from cgemit import _core, helix
-from cgemit.candidates import Candidates, FitHits, fit_hits
+from cgemit.candidates import Candidates, FitHits, fit_hits, with_masses
 from cgemit.detector import SCREENINGS, Detector, compiled
 from cgemit.particles import HYPOTHESES
 from cgemit.states import place_problems, state_columns
@@ -160,7 +160,8 @@ def fit(
         there is no helix, covariance or chi-square.
     """
     settings = settings or FitSettings()
-    particles, candidates = _with_hypotheses(particles, candidates, settings.hypotheses())
+    kinds = [HYPOTHESES[name] for name in settings.hypotheses()]
+    particles, candidates = with_masses(particles, candidates, [(kind.pdg, kind.mass) for kind in kinds])
     hits = fit_hits(candidates, clusters, wire_hits)
     truth = helix.at_origin(particles, (simulated or detector).field.bz)
     start = smeared(truth, particles, settings, seed) if settings.seed == "truth" else np.empty((0, 5))
@@ -214,23 +215,6 @@ def core_arguments(
         ),
         "residuals": settings.residuals or bool(settings.states),
     }
-
-
-def _with_hypotheses(particles: Table, candidates: Candidates, names: tuple[str, ...]) -> tuple[Table, Candidates]:
-    """Return particles and candidates once for each mass, with the column `hypothesis`; as they are for none."""
-    n, times = len(particles), max(len(names), 1)
-    if not names:
-        return particles.with_columns(hypothesis=np.abs(particles["pdg"])), candidates
-    rows = np.repeat(np.arange(n), times)
-    counts = np.diff(candidates.hit_offsets)[rows]
-    offsets = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
-    # Hit j of a repeated candidate is as far behind its first one as in the original.
-    at = np.arange(offsets[-1]) + np.repeat(candidates.hit_offsets[:-1][rows] - offsets[:-1], counts)
-    kinds = [HYPOTHESES[name] for name in names]
-    repeated = particles[rows].with_columns(
-        mass=np.tile([kind.mass for kind in kinds], n), hypothesis=np.tile([kind.pdg for kind in kinds], n)
-    )
-    return repeated, Candidates(offsets, candidates.kind[at], candidates.row[at])
 
 
 def _has_cov(status: npt.NDArray[np.generic]) -> npt.NDArray[np.bool_]:

@@ -289,10 +289,8 @@ class GroupFit {
   const Detector& detector_;
   const FitSettings& settings_;
   Group<T>& group_;
-  PerigeeOf<T> helix_;
-  PerigeeOf<T> reference_;  // of this iteration, the helix being that of the next
-  Symmetric<T> prior_;      // what the filter begins with
-  Symmetric<T> known_;      // covariance of the iteration before
+  PerigeeOf<T> helix_, reference_;  // reference: of this iteration, once the helix is that of the next
+  Symmetric<T> prior_, known_;      // what the filter begins with; covariance of the iteration before
   std::span<const FitLane> lanes_;
   mask_of<T> active_, open_, wires_only_;
   int iteration_ = 0;
