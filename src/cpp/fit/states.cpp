@@ -119,6 +119,7 @@ class States {
       if (!place.is_slab) continue;
       const Slab& next = detector_.slabs[static_cast<std::size_t>(place.index)];
       if (next.r_in >= target.radius) break;
+      if (std::ranges::find(stations, &next, &Station::slab) != stations.end()) continue;
       const double part = next.r_out <= target.radius ? 1.0 : target.share;
       const StateStatus status =
           traverse(found.state, std::min(next.radius, target.radius), next, part, who_, true);
@@ -128,7 +129,7 @@ class States {
                                                                     : empty(StateStatus::does_not_reach);
   }
 
-  // Where the last hit was met; what lies inside has acted.
+  // Where the last hit was met; what lies inside has acted, and perhaps the gap itself.
   std::size_t first_place_beyond() const {
     const auto last = std::ranges::find_if(way_.stations.rbegin(), way_.stations.rend(),
                                            [](const Station& station) { return station.hit >= 0; });
