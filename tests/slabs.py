@@ -88,7 +88,7 @@ def composition(per_slab):
     return {"first": first, "z": z.copy(), "a": a.copy(), "moles": moles.copy()}
 
 
-def slab_detector(parts, bz=0.0, gap_radius=None, half_length=1e4, screening="wentzel"):
+def slab_detector(parts, bz=0.0, gap_radius=None, half_length=1e4, screening="wentzel", loss="truncated"):
     """Return a compiled detector of slabs: (matter, thickness mm, radius mm), from inside; no wires.
 
     With `gap_radius` a drift gap there, where nothing scatters and half a keV is lost, records the particles.
@@ -118,5 +118,5 @@ def slab_detector(parts, bz=0.0, gap_radius=None, half_length=1e4, screening="we
     wires = {k: np.zeros(0) for k in real} | {k: np.zeros(0, np.int32) for k in ("number", "cells", "gid_first")}
     return _core.Detector(
         bz=bz, slabs=columns, log_terms=np.array(terms), composition=composition(elements), cgem=cgem, wires=wires,
-        screening=getattr(_core.Screening, screening),
+        screening=getattr(_core.Screening, screening), loss=getattr(_core.CoreLoss, loss),
     )  # fmt: skip

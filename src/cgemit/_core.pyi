@@ -16,7 +16,9 @@ _Columns: TypeAlias = dict[str, Any]  # of arrays; no other mapping will do
 ELECTRON_GRID_FIRST: Final[float]  # keV
 ELECTRON_POINTS: Final[int]
 ELECTRON_STEPS: Final[int]  # equal steps of the electron energies from each power of two to the next
-CORE_CUT: Final[float]  # the fit describes collisions that transfer less than this many times the xi of the track
+# Collisions that transfer less than this many times the xi of the track make the fit's loss, and its variance.
+CORE_MEAN_CUT: Final[float]
+CORE_VARIANCE_CUT: Final[float]
 LOSS_GRID_FIRST: Final[float]  # ln(beta gamma) of the first column of log_terms
 LOSS_GRID_STEP: Final[float]
 LOSS_POINTS: Final[int]
@@ -66,6 +68,11 @@ class Screening(enum.IntEnum):
     wentzel = 0
     moliere = 1
 
+class CoreLoss(enum.IntEnum):
+    truncated = 0
+    mean = 1
+    most_probable = 2
+
 class Fluctuations(enum.IntEnum):
     full = 0
     gaussian = 1
@@ -84,6 +91,7 @@ class Detector:
         screening: Screening,
         lattice: _Columns = {},
         gaps: list[dict[str, Any]] = [],
+        loss: CoreLoss = CoreLoss.truncated,
     ) -> None: ...
     @property
     def bz(self) -> float: ...  # T

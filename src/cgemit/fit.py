@@ -23,6 +23,7 @@ Column = npt.NDArray[Any]
 
 SEEDS = ("hits", "truth")
 ERRORS = ("track", "cluster")
+LOSSES = ("truncated", "mean", "most_probable")
 
 PARAMETERS = ("dr", "phi0", "kappa", "dz", "tanl")
 
@@ -42,6 +43,10 @@ class FitSettings:
     screening : str or None
         Screening of nuclei in multiple scattering (``SimulateSettings.screening``). None: what was simulated, or
         ``"wentzel"`` where the fit does not know.
+    loss : str
+        Energy loss subtracted, with its variance (docs/methods/matter.md). ``"truncated"``: of the collisions that the
+        core of a momentum measurement holds. ``"mean"``: of all. ``"most_probable"``: Landau's most probable loss, and
+        the Gaussian as wide as his distribution at half maximum.
     residuals : bool
         Whether the residuals table is made: every hit against the track fitted without it, outliers too.
     states : tuple of float or str
@@ -76,6 +81,7 @@ class FitSettings:
     seed: str = "hits"
     cluster_errors: str = "track"
     screening: str | None = None
+    loss: str = "truncated"
     residuals: bool = False
     states: tuple[float | str, ...] = ()
     hypothesis: str | tuple[str, ...] | None = None
@@ -89,7 +95,8 @@ class FitSettings:
 
     def __post_init__(self) -> None:
         problems = []
-        for name, choices in (("seed", SEEDS), ("cluster_errors", ERRORS), ("screening", (None, *SCREENINGS))):
+        named = (("seed", SEEDS), ("cluster_errors", ERRORS), ("screening", (None, *SCREENINGS)), ("loss", LOSSES))
+        for name, choices in named:
             if getattr(self, name) not in choices:
                 expected = ", ".join(map(repr, choices))
                 problems.append(f"{name}: {getattr(self, name)!r}, expected one of {expected}")
@@ -199,7 +206,7 @@ def core_arguments(
         Arguments of ``_core.fit`` by name.
     """
     return {
-        "detector": compiled(detector, screening=settings.screening or SCREENINGS[0]),
+        "detector": compiled(detector, screening=settings.screening or SCREENINGS[0], loss=settings.loss),
         "hit_offsets": hits.hit_offsets,
         "hits": {n: getattr(hits, n) for n in ("kind", "layer", "element", "size", "value", "sigma", "side")},
         "mass": mass,

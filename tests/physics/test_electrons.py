@@ -130,7 +130,7 @@ def test_muons_do_not_radiate():
 @pytest.mark.parametrize("charge", [-1, 1])
 @pytest.mark.parametrize("p", [0.05, 0.5])
 def test_what_the_fit_takes(p, charge):
-    """Collisions below CORE_CUT xi and all radiation; the slope is the loss's derivative."""
+    """Collisions below multiples of xi and all radiation; the slope is the loss's derivative."""
     core = slab_detector([(COPPER, 0.3, 50.0)])
     _, xi, _ = _core.total_matter(core, 0.0)
     t = 0.03 / COPPER.x0 * COPPER.density
@@ -139,11 +139,11 @@ def test_what_the_fit_takes(p, charge):
     def moments(at):
         return _core.core_loss(core, 0, path=1.0, p=at, mass=ELECTRON, charge=charge, track_xi=xi)
 
-    cut = _core.CORE_CUT * xi / beta2
+    cut = _core.CORE_MEAN_CUT * xi / beta2
     collisions = _core.restricted_loss(core, 0, path=1.0, p=p, mass=ELECTRON, charge=charge, cut=cut)
     loss, variance, slope = moments(p)
     assert loss == pytest.approx(collisions + t * energy, rel=1e-9)
-    assert variance == pytest.approx(xi / beta2 * cut + 17 / 36 * t * energy**2, rel=1e-9)
+    assert variance == pytest.approx(_core.CORE_VARIANCE_CUT * (xi / beta2) ** 2 + 17 / 36 * t * energy**2, rel=1e-9)
     step = 1e-3 * p
     difference = (moments(p + step)[0] - moments(p - step)[0]) / (2 * step)
     assert slope == pytest.approx(difference, rel=0.01)

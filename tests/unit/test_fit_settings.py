@@ -73,7 +73,7 @@ def test_core_settings_have_the_same_names():
     text = _core.FitSettings.__init__.__doc__
     names = set(re.findall(r"(\w+): ", text.split("->")[0])) - {"self"}
     ours = {field.name for field in dataclasses.fields(FitSettings)}
-    elsewhere = {"seed", "cluster_errors", "residuals", "states", "hypothesis", "screening", "seed_smearing"}
+    elsewhere = {"seed", "cluster_errors", "residuals", "states", "hypothesis", "screening", "loss", "seed_smearing"}
     assert names - {"errors_from_track"} == ours - elsewhere
     assert "=" not in text.split("->")[0]
     assert "settings" in inspect.signature(fit).parameters

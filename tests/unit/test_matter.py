@@ -139,14 +139,14 @@ def test_bethe_by_hand():
 @each_passage
 @pytest.mark.parametrize("times", [1, 30])
 def test_core_moments(matter, thickness, p, mass, times):
-    """Core loss and its variance are the first two moments of the collisions below CORE_CUT xi of the whole track."""
+    """Core loss and its variance are moments of the collisions below multiples of the xi of the whole track."""
     core = slab_detector([(matter, thickness, 50.0)])
     track_xi = times * matter.xi(thickness)
     beta2 = p * p / (p * p + mass * mass)
-    expected, xi, w_max = bethe(matter, thickness, p, mass, _core.CORE_CUT * track_xi / beta2)
+    expected, xi, w_max = bethe(matter, thickness, p, mass, _core.CORE_MEAN_CUT * track_xi / beta2)
     loss, variance, _ = _core.core_loss(core, 0, path=1.0, p=p, mass=mass, track_xi=track_xi)
     assert loss == pytest.approx(expected, rel=1e-3)
-    cut = min(_core.CORE_CUT * track_xi / beta2, w_max)
+    cut = min(_core.CORE_VARIANCE_CUT * track_xi / beta2, w_max)
     # Integral of E^2 xi/E^2 (1 - beta^2 E/W_max).
     energy = np.linspace(0, cut, 2001)
     assert variance == pytest.approx(np.trapezoid(xi * (1 - beta2 * energy / w_max), energy), rel=1e-9)

@@ -245,7 +245,7 @@ def _composition(found: Sequence[Slab]) -> Columns:
 
 @lru_cache(maxsize=64)
 def compiled(
-    detector: Detector, merge: bool = True, screening: str = "wentzel", foil: str = "effective"
+    detector: Detector, merge: bool = True, screening: str = "wentzel", foil: str = "effective", loss: str = "truncated"
 ) -> _core.Detector:
     """Return the detector of the compiled core; equal descriptions share one.
 
@@ -257,6 +257,8 @@ def compiled(
         See `slabs`.
     screening : str
         Screening of nuclei in multiple scattering, ``"wentzel"`` or ``"moliere"`` (docs/methods/matter.md).
+    loss : str
+        Energy loss that the fit subtracts (``FitSettings.loss``).
 
     """
     found = slabs(detector, merge, foil)
@@ -269,6 +271,7 @@ def compiled(
         screening=getattr(_core.Screening, screening),
         lattice=hole_table([slab.holes for slab in found], groups, merge) if foil == "lattice" else {},
         gaps=gap_table(detector),
+        loss=getattr(_core.CoreLoss, loss),
     )
 
 

@@ -7,6 +7,7 @@
 
 #include "bindings/arrays.hpp"
 #include "bindings/gap.hpp"
+#include "matter/loss.hpp"
 #include "matter/scattering.hpp"
 
 namespace py = pybind11;
@@ -143,6 +144,12 @@ void bind_detector(py::module_& module) {
       .value("wentzel", Screening::wentzel)
       .value("moliere", Screening::moliere)
       .finalize();
+  py::native_enum<CoreLoss>(module, "CoreLoss", "enum.IntEnum",
+                            "Energy loss that the fit subtracts, with its variance.")
+      .value("truncated", CoreLoss::truncated)
+      .value("mean", CoreLoss::mean)
+      .value("most_probable", CoreLoss::most_probable)
+      .finalize();
   module.attr("LOSS_GRID_FIRST") = loss_grid_first;
   module.attr("LOSS_GRID_STEP") = loss_grid_step;
   module.attr("LOSS_POINTS") = loss_points;
@@ -150,17 +157,18 @@ void bind_detector(py::module_& module) {
                        "The detector as plain numbers, ordered from the beam line outward.")
       .def(py::init([](double bz, const py::dict& slabs, const Array<double>& log_terms,
                        const py::dict& composition, const py::dict& cgem, const py::dict& wires,
-                       Screening screening, const py::dict& lattice, const py::list& gaps) {
+                       Screening screening, const py::dict& lattice, const py::list& gaps, CoreLoss loss) {
              std::vector<Slab> made = make_slabs(slabs, log_terms, composition);
              add_holes(lattice, made);
              Detector detector =
                  make_detector(bz, std::move(made), make_cgem(cgem), make_wires(wires), make_gaps(gaps));
              prepare_scattering(detector, screening);
+             prepare_loss(detector, loss);
              return detector;
            }),
            py::kw_only(), py::arg("bz"), py::arg("slabs"), py::arg("log_terms"), py::arg("composition"),
            py::arg("cgem"), py::arg("wires"), py::arg("screening"), py::arg("lattice") = py::dict(),
-           py::arg("gaps") = py::list())
+           py::arg("gaps") = py::list(), py::arg("loss") = CoreLoss::truncated)
       .def_readonly("bz", &Detector::bz)
       .def_property_readonly("n_slabs", [](const Detector& d) { return d.slabs.size(); })
       .def_property_readonly("n_cgem_layers", [](const Detector& d) { return d.cgem.size(); })

@@ -43,7 +43,8 @@ py::dict pass_slabs(const Detector& detector, double p, double mass, double char
 }  // namespace
 
 void bind_matter(py::module_& module) {
-  module.attr("CORE_CUT") = core_cut;
+  module.attr("CORE_MEAN_CUT") = core_mean_cut;
+  module.attr("CORE_VARIANCE_CUT") = core_variance_cut;
   module.def(
       "total_matter",
       [](const Detector& detector, double tanl) {
@@ -83,6 +84,7 @@ void bind_matter(py::module_& module) {
         TrackMatter track;
         track.xi = track_xi;
         track.log_xi = std::log(track_xi);
+        track.loss = detector.loss;
         const LossMoments m = core_loss(slab_of(detector, slab), path, particle(p, mass, charge), track);
         return py::make_tuple(m.loss, m.variance, m.slope);
       },

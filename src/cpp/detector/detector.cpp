@@ -11,7 +11,7 @@ namespace cgemit {
 
 Detector make_detector(double bz, std::vector<Slab> slabs, std::vector<CgemLayer> cgem,
                        std::vector<WireLayer> wires, std::vector<GapMatter> gaps) {
-  Detector detector{bz, std::move(slabs), std::move(cgem), std::move(wires), std::move(gaps), {}};
+  Detector detector{bz, std::move(slabs), std::move(cgem), std::move(wires), std::move(gaps), {}, {}};
   for (WireLayer& layer : detector.wires) {
     const double c = std::cos(0.5 * layer.twist), s = std::sin(0.5 * layer.twist), r = layer.r_end;
     layer.waist = r * r * c * c;

@@ -130,6 +130,13 @@ struct Place {
   int index;      // into slabs or wires
 };
 
+// Which collisions the fit's energy loss describes: transfers below these multiples of the track's Landau xi
+// make its mean and its variance (`matter/loss.hpp`).
+struct LossCuts {
+  double mean, variance;
+  double log_mean;
+};
+
 struct Detector {
   double bz;  // T, signed
   std::vector<Slab> slabs;
@@ -137,6 +144,7 @@ struct Detector {
   std::vector<WireLayer> wires;
   std::vector<GapMatter> gaps;  // one per CGEM layer, or none: then there are no electrons
   std::vector<Place> places;    // by radius
+  LossCuts loss;
 };
 
 // Fills in what follows from the rest of the description.

@@ -50,6 +50,23 @@ double skewed_normal(double z, double skewness, double kurtosis) {
 
 }  // namespace
 
+void prepare_loss(Detector& detector, CoreLoss choice) {
+  constexpr double everything = 1e30, most_probable = 0.2, half_maximum = 4.018 / 2.3548;
+  LossCuts& cuts = detector.loss;
+  switch (choice) {
+    case CoreLoss::truncated:
+      cuts = {core_mean_cut, core_variance_cut, 0};
+      break;
+    case CoreLoss::mean:
+      cuts = {everything, everything, 0};
+      break;
+    case CoreLoss::most_probable:
+      cuts = {std::exp(most_probable), half_maximum * half_maximum, 0};
+      break;
+  }
+  cuts.log_mean = std::log(cuts.mean);
+}
+
 double spectrum_share(const Kinematics& k, double transfer, double w_max) {
   if (!k.is_light()) {
     const double spin =
@@ -72,12 +89,13 @@ double restricted_loss(const Slab& slab, double path, const Kinematics& k, doubl
 }
 
 LossMoments light_core_loss(const Slab& slab, double path, const Kinematics& k, const TrackMatter& track) {
-  const double xi = slab.xi * path * k.per_beta2,
-               cut = std::min(core_cut * track.xi * k.per_beta2, k.w_max());
+  const double xi = slab.xi * path * k.per_beta2, track_xi = track.xi * k.per_beta2;
+  const double cut = std::min(track.loss.mean * track_xi, k.w_max());
+  const double hardest = std::min(track.loss.variance * track_xi, k.w_max());
   const double bracket = std::max(light_bracket(slab, k, cut), 0.0), x0 = slab.x0 * path;
   const double radiated = radiated_mean * x0 * k.energy;
   const double slope = xi * (2 + log_term(slab, k.log_bg).slope) / k.p + radiated_mean * x0 * k.p / k.energy;
-  return {xi * bracket + radiated, xi * cut + radiated_variance * x0 * k.energy * k.energy, slope};
+  return {xi * bracket + radiated, xi * hardest + radiated_variance * x0 * k.energy * k.energy, slope};
 }
 
 double sample_loss(const Slab& slab, double path, const Kinematics& k, const Stream& stream,

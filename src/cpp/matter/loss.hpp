@@ -23,28 +23,36 @@ struct LossMomentsOf {
 };
 using LossMoments = LossMomentsOf<double>;
 
-// Landau's distribution has no variance, and rare collisions dominate its mean. The fit describes the core:
-// mean and variance of all collisions with a transfer below `core_cut` times the track's xi. Harder ones,
-// xi/cut of them per track, happen to one track in ten and are left to the tail. The cut is the track's, so
+// Landau's distribution has no variance, and rare collisions dominate its mean. The fit takes mean and
+// variance of all collisions with a transfer below multiples of the track's xi; the cuts are the track's, so
 // the moments of slabs add up. Slow particles (cut above w_max) get Bethe's mean and Vavilov's variance.
 // Electrons and positrons: mean and variance of their radiation on top.
-inline constexpr double core_cut = 10;
+//   truncated      the core of what a momentum measurement sees (docs/methods/matter.md)
+//   mean           all collisions
+//   most_probable  Landau's most probable loss, and the Gaussian as wide as his distribution at half maximum,
+//                  4.018 xi; PDG 2024, eq. 34.12
+enum class CoreLoss { truncated, mean, most_probable };
+inline constexpr double core_mean_cut = 20, core_variance_cut = 10;
+
+// Sets the cuts of a detector.
+void prepare_loss(Detector& detector, CoreLoss choice);
 
 LossMoments light_core_loss(const Slab& slab, double path, const Kinematics& k, const TrackMatter& track);
 
 template <class T>
 LossMomentsOf<T> heavy_core_loss(const Slab& slab, T path, const KinematicsOf<T>& k,
                                  const TrackMatterOf<T>& track) {
-  const T xi = slab.xi * path * k.per_beta2, wanted = core_cut * track.xi * k.per_beta2;
+  const T xi = slab.xi * path * k.per_beta2, track_xi = track.xi * k.per_beta2;
+  const T wanted = track.loss.mean * track_xi;
   const T w_max = k.w_max();
   const mask_of<T> cuts = wanted < w_max;
   const T cut = select(cuts, wanted, w_max);
   const Read<T> term = read<&SlabPoint::log_term>(slab, k.log_bg);
-  static const double log_constant = std::log(2 * electron_mass * core_cut);
+  static const double log_constant = std::log(2 * electron_mass);
   // ln(2 m_e (beta gamma)^2 cut), where the cut holds 1/beta^2.
   const T log_cut = choose(
-      cuts, [&] { return log_constant + track.log_xi + 2.0 * k.log_gamma; },
-      [&] { return log(2 * electron_mass * w_max) + 2.0 * k.log_bg; });
+      cuts, [&] { return log_constant + track.loss.log_mean + track.log_xi + 2.0 * k.log_gamma; },
+      [&] { return log_constant + log(w_max) + 2.0 * k.log_bg; });
   const T spin = k.beta2 * cut / w_max;
   const T bracket = log_cut - k.beta2 - spin + term.value;
   // Per ln(p), with 1/gamma^2 = 1 - beta^2: 1/beta^2 falls by 2/gamma^2, (beta gamma)^2 grows by 2, beta^2 by
@@ -55,7 +63,9 @@ LossMomentsOf<T> heavy_core_loss(const Slab& slab, T path, const KinematicsOf<T>
                                 2.0 + grow_w_max - 4.0 * k.beta2 * per_gamma2);
   const T per_log_p = -2.0 * per_gamma2 * bracket + grow_bracket + term.slope;
   const T amount = select(bracket > 0.0, xi, T(0.0));
-  return {amount * bracket, amount * cut * (1.0 - 0.5 * spin), amount * per_log_p * k.per_p};
+  const T hardest = smaller(track.loss.variance * track_xi, w_max);
+  return {amount * bracket, amount * hardest * (1.0 - 0.5 * k.beta2 * hardest / w_max),
+          amount * per_log_p * k.per_p};
 }
 
 template <class T>
@@ -65,8 +75,8 @@ LossMomentsOf<T> core_loss(const Slab& slab, T path, const KinematicsOf<T>& k,
   LossMomentsOf<T> out;
   for (int i = 0; i < lanes_of<T>; ++i) {
     const Kinematics one(lane(k.p, i), lane(k.mass, i), k.projectile);
-    const TrackMatter matter{lane(track.x0, i), lane(track.xi, i), lane(track.chi_c2, i),
-                             lane(track.log_xi, i), lane(track.log_chi_c2, i)};
+    const TrackMatter matter{lane(track.x0, i),     lane(track.xi, i),         lane(track.chi_c2, i),
+                             lane(track.log_xi, i), lane(track.log_chi_c2, i), track.loss};
     const LossMoments moments = light_core_loss(slab, lane(path, i), one, matter);
     set_lane(out.loss, i, moments.loss);
     set_lane(out.variance, i, moments.variance);

@@ -23,6 +23,7 @@ struct TrackMatterOf {
   T xi{0.0};      // GeV, Landau's xi times beta^2
   T chi_c2{0.0};  // GeV^2, chi_c^2 times (p beta)^2
   T log_xi{0.0}, log_chi_c2{0.0};
+  LossCuts loss{};
 };
 using TrackMatter = TrackMatterOf<double>;
 
@@ -42,6 +43,7 @@ TrackMatterOf<T> total_matter(const Detector& detector, T tanl) {
   total.x0 *= path;
   total.xi *= path;
   total.chi_c2 *= path;
+  total.loss = detector.loss;
   // Logarithms of an empty detector exist, too.
   total.log_xi = log(larger(total.xi, 1e-15));
   total.log_chi_c2 = log(larger(total.chi_c2, 1e-15));

@@ -1,0 +1,128 @@
+"""The loss that the fit subtracts is that of the core of what a momentum measurement sees (docs/methods/matter.md)."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+from cgemit import _core
+from cgemit.chain import run
+from cgemit.detector import compiled, load
+from cgemit.fit import FitSettings
+from cgemit.gun import Gun
+from cgemit.result import Settings
+from cgemit.study import pulls
+from slabs import BERYLLIUM, bethe, slab_detector
+from stats import assert_within
+from straggling import core, folded
+from tracks import MUON, hits_on
+
+MOMENTA = (0.2, 0.3, 0.5, 0.7, 1.0, 2.0)
+
+
+def measured(p: float) -> tuple[float, float, float]:
+    """Return W_max and the error of the energy at the origin without straggling, in the track's xi, and beta^2."""
+    detector = load("besiii-cgem-design")
+    compact, helix = compiled(detector), np.array([0, 0.4, -1 / p, 0, 0])
+    hits = hits_on(detector, helix)
+    settings = dataclasses.asdict(FitSettings())
+    names = ("max_iterations", "tolerance", "least_width", "delta_strips", "prior_sigma")
+    chosen = _core.FitSettings(errors_from_track=False, **{name: settings[name] for name in names})
+    out = _core.fit(
+        compact, hit_offsets=np.array([0, len(hits["kind"])]), hits=hits, mass=np.array([MUON]), start=helix[None],
+        settings=chosen, residuals=False,
+    )  # fmt: skip
+    beta2 = p * p / (p * p + MUON**2)
+    xi = _core.total_matter(compact, 0.0)[1] / beta2
+    error = math.sqrt(out["cov"][0, 2, 2] * beta2) * p * p / xi
+    ratio, gamma = 0.51099895e-3 / MUON, math.hypot(1, p / MUON)
+    w_max = 2 * 0.51099895e-3 * (p / MUON) ** 2 / (1 + 2 * gamma * ratio + ratio**2) / xi
+    cut = min(_core.CORE_VARIANCE_CUT, w_max)
+    return w_max, math.sqrt(error**2 - cut * (1 - beta2 * cut / w_max / 2)), beta2
+
+
+def bias(p: float, cut: float) -> float:
+    """Return how far the loss below a cut is from that of the core, in sigmas of the core."""
+    w_max, error, beta2 = measured(p)
+    mean, sigma = core(*folded(w_max, beta2, error))
+    cut = min(cut, w_max)
+    return ((math.log(cut / w_max) + beta2 * (1 - cut / w_max)) - mean) / sigma
+
+
+@pytest.mark.parametrize("p", MOMENTA)
+def test_loss_is_that_of_the_core(p: float) -> None:
+    """Vavilov's distribution, folded with the error of the measurement, has its core where the fit takes it."""
+    assert abs(bias(p, _core.CORE_MEAN_CUT)) < (0.08 if p < 0.25 else 0.05)
+
+
+def test_the_alternatives_miss_the_core() -> None:
+    """Between 0.2 and 1 GeV/c the most probable loss is off, and with all collisions the error is too large."""
+    assert max(abs(bias(p, math.exp(0.2))) for p in MOMENTA) > 0.25
+    w_max, error, beta2 = measured(0.5)
+    _, sigma = core(*folded(w_max, beta2, error))
+    assert math.sqrt(error**2 + w_max * (1 - beta2 / 2)) > 1.08 * sigma
+
+
+def test_the_core_ends_in_proportion_to_the_error() -> None:
+    """Mean and variance of the core are those of collisions below 2.4 to 2.7 of its sigmas, for any error."""
+    for error in (0.05, 1.0, 3.0, 10.0, 30.0):
+        mean, sigma = core(*folded(2000.0, 1.0, error, 2**20))
+        mean_cut = 0.0
+        for _ in range(20):  # mean = ln(cut/w_max) + 1 - cut/w_max
+            mean_cut = 2000.0 * math.exp(mean - 1 + mean_cut / 2000.0)
+        excess = sigma**2 - error**2
+        variance_cut = 2000.0 * (1 - math.sqrt(1 - 2 * excess / 2000.0))
+        assert 2.4 < mean_cut / sigma < 2.8
+        assert variance_cut == pytest.approx(mean_cut, rel=0.07)
+
+
+def test_choices_are_what_they_say() -> None:
+    """The mean is Bethe's with Vavilov's variance, the most probable loss Landau's with his width."""
+    p, thickness = 0.5, 2.0
+    _, xi, w_max = bethe(BERYLLIUM, thickness, p, MUON, 1e9)
+    beta2 = p * p / (p * p + MUON**2)
+
+    def moments(choice: str) -> tuple[float, float, float]:
+        detector = slab_detector([(BERYLLIUM, thickness, 50.0)], loss=choice)
+        return _core.core_loss(detector, 0, path=1.0, p=p, mass=MUON, track_xi=xi * beta2)
+
+    loss, variance, _ = moments("mean")
+    everything = slab_detector([(BERYLLIUM, thickness, 50.0)])
+    assert loss == pytest.approx(
+        _core.restricted_loss(everything, 0, path=1.0, p=p, mass=MUON, charge=1.0, cut=1e9), rel=1e-3
+    )
+    assert variance == pytest.approx(xi * w_max * (1 - beta2 / 2), rel=1e-6)
+    # PDG 2024, eq. 34.12: xi [ln(2 m_e (beta gamma)^2/I) + ln(xi/I) + 0.200 - beta^2 - delta]; below W_max by a
+    # thousand, the restricted loss of that cut is the same.
+    loss, variance, _ = moments("most_probable")
+    below, _, _ = bethe(BERYLLIUM, thickness, p, MUON, math.exp(0.2) * xi)
+    assert loss == pytest.approx(below, rel=1e-3)
+    assert math.sqrt(variance) == pytest.approx(4.018 * xi / 2.3548, rel=1e-2)
+
+
+@pytest.mark.parametrize("p", [0.1, 0.2, 0.5, 1.0])
+def test_pulls_of_kappa(p: float) -> None:
+    """In the default simulation the core of the pull of kappa has width 1 and mean 0 to the tolerances of the page."""
+    n = 4000
+    tracks = run("besiii-cgem-design", Gun("mu-", p=p, cos_theta=(-0.93, 0.93)), n, seed=41).tracks
+    kappa = pulls(tracks)["kappa"]
+    width, mean = (0.15, 0.2) if p < 0.25 else (0.06, 0.08)
+    assert abs(kappa.core - 1) < width
+    assert abs(kappa.core_mean) < mean
+
+
+def test_pulls_see_another_loss() -> None:
+    """With the most probable loss the mean of the pull of kappa is off, with the mean loss its width."""
+    gun, n = Gun("mu-", p=0.5, cos_theta=(-0.93, 0.93)), 4000
+
+    def kappa(loss: str):
+        settings = Settings(fit=FitSettings(loss=loss))
+        return pulls(run("besiii-cgem-design", gun, n, seed=41, settings=settings).tracks)["kappa"]
+
+    wrong = kappa("most_probable")
+    with pytest.raises(AssertionError, match="standard errors"):
+        assert_within(wrong.core_mean, 0, wrong.core_mean_error)
+    assert kappa("mean").core < 0.94
