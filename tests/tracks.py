@@ -96,3 +96,17 @@ def hits_of(detector: Detector, out):
 def hits_on(detector: Detector, helix, pdg=13):
     """Return the hits of a particle that starts on a helix and slows down, but does not scatter."""
     return hits_of(detector, transport(compiled(detector), on_helix(helix, pdg)))
+
+
+def order_of_matter(detector, hits, n_noise):
+    """Return for each hit how many noise vectors lie inside it, from the radii of slabs and layers."""
+    columns = slab_table(slabs(detector)).slabs
+    shifts = columns["spread"] * 13.6e-3 * np.sqrt(columns["x0"]) > 5e-3
+    vectors = np.where(shifts, 5, 3)  # two angles and the loss, two shifts where the matter is thick
+    layers = {layer.number: layer.r_mid for layer in detector.drift_chamber.layers}
+    inside = []
+    for kind, number in zip(hits["kind"], hits["layer"], strict=True):
+        radius = layers[number] if kind == 2 else columns["radius"][columns["gap"] == number][0]
+        inside.append(vectors[columns["radius"] < radius - 1e-9].sum())
+    assert inside[-1] == n_noise
+    return np.array(inside)

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from cgemit import _core
-from cgemit.detector import compiled, load, slab_table, slabs
+from cgemit.detector import compiled, load
 from cgemit.fit import FitSettings
-from tracks import MUON, hits_of, on_helix, transport
+from tracks import MUON, hits_of, on_helix, order_of_matter, transport
 
 PRIOR = np.array(FitSettings().prior_sigma)
 # dr mm, phi0, kappa (GeV/c)^-1, dz mm, tanl
@@ -63,20 +63,6 @@ def smeared_track(name, which, seed=3):
     noise = hits["sigma"] * rng.normal(size=len(hits["kind"]))
     hits["value"] = hits["value"] + np.where(hits["side"] < 0, -noise, noise)
     return detector, core, helix, hits
-
-
-def order_of_matter(detector, hits, n_noise):
-    """Return for each hit how many noise vectors lie inside it, from the radii of slabs and layers."""
-    columns = slab_table(slabs(detector)).slabs
-    shifts = columns["spread"] * 13.6e-3 * np.sqrt(columns["x0"]) > 5e-3
-    vectors = np.where(shifts, 5, 3)  # two angles and the loss, two shifts where the matter is thick
-    layers = {layer.number: layer.r_mid for layer in detector.drift_chamber.layers}
-    inside = []
-    for kind, number in zip(hits["kind"], hits["layer"], strict=True):
-        radius = layers[number] if kind == 2 else columns["radius"][columns["gap"] == number][0]
-        inside.append(vectors[columns["radius"] < radius - 1e-9].sum())
-    assert inside[-1] == n_noise
-    return np.array(inside)
 
 
 def linear_model(detector, core, helix, hits, prior=PRIOR):

@@ -1,0 +1,177 @@
+"""What the validation of the fit finds, as rows of files, with what each number has to be."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from results import FOLDER, read_rows
+
+#: Momenta (GeV/c), cos(theta) and particles of the grid.
+MOMENTA = (0.1, 0.2, 0.5, 1.0, 2.0)
+ANGLES = (0.0, 0.5, 0.8)
+PARTICLES = ("mu-", "mu+", "pi-", "pi+")
+DETECTORS = ("besiii-cgem-design", "besiii-cgem", "besiii-idc", "besiii-idc-boss")
+
+N_SIGMA = 4.0  # standard errors of a number that it may be off
+FLAT = 1 / 16_000  # least probability of the Kolmogorov-Smirnov distance: that of 4 standard errors
+
+
+@dataclass(frozen=True)
+class Point:
+    """One point of the grid; `mode` is "gaussian", "hidden" (the same with sides to be found) or "default"."""
+
+    mode: str
+    detector: str
+    particle: str
+    p: float  # GeV/c
+    cos_theta: float
+
+    def label(self) -> str:
+        """Return the point in words."""
+        return f"{self.detector}, {self.mode}, {self.particle}, {self.p:g} GeV/c, cos(theta) {self.cos_theta:g}"
+
+
+@dataclass(frozen=True)
+class Pull(Point):
+    """Width and mean of a pull: of all tracks where everything is Gaussian, of the core in the default simulation.
+
+    `parameter` is one of the helix, or a layer of hits ("x0", "v2", "w17"); `tail` is what lies beyond 3 core widths.
+    """
+
+    parameter: str
+    n: float
+    width: float
+    width_error: float
+    mean: float
+    mean_error: float
+    tail: float
+
+    @property
+    def tolerances(self) -> tuple[float, float]:
+        """By how much width and mean may be off."""
+        if self.mode == "default":
+            slow_kappa = self.parameter == "kappa" and self.p <= 0.2
+            return (0.15, 0.2) if slow_kappa else (0.06, 0.08)
+        least = 0.1 if self.p < 0.15 else 0.05 if self.mode == "hidden" else 0.02
+        return max(least, N_SIGMA * self.width_error), max(least, N_SIGMA * self.mean_error)
+
+    @property
+    def agrees(self) -> bool:
+        """Whether width and mean are what they have to be."""
+        width, mean = self.tolerances
+        return abs(self.width - 1) <= width and abs(self.mean) <= mean
+
+
+@dataclass(frozen=True)
+class Chi2(Point):
+    """Chi-square probability: rows, rows lost, mean, and probability of a larger Kolmogorov-Smirnov distance."""
+
+    n: float
+    lost: float
+    mean: float
+    flat: float
+
+    @property
+    def agrees(self) -> bool:
+        """Whether the distribution is flat; strips and tails do not make it so."""
+        return self.mode == "default" or self.flat > FLAT
+
+
+@dataclass(frozen=True)
+class Width(Point):
+    """Core width of dr, dz (mm) or p (GeV/c), and that of the optimal linear estimate."""
+
+    quantity: str
+    core: float
+    core_error: float
+    optimal: float
+
+    @property
+    def ratio(self) -> float:
+        """Found over optimal."""
+        return self.core / self.optimal
+
+    @property
+    def ratio_error(self) -> float:
+        """Standard error of the ratio."""
+        return self.core_error / self.optimal
+
+    @property
+    def agrees(self) -> bool:
+        """Whether they agree within 3 %."""
+        return abs(self.ratio - 1) <= max(0.03, N_SIGMA * self.ratio_error)
+
+
+@dataclass(frozen=True)
+class Choice:
+    """Core of the pull of kappa for one choice of the loss subtracted."""
+
+    p: float  # GeV/c
+    loss: str
+    width: float
+    width_error: float
+    mean: float
+    mean_error: float
+
+
+@dataclass(frozen=True)
+class Side:
+    """Hits of a range of drift distance (mm), and how many of them are on the wrong side."""
+
+    p: float  # GeV/c
+    first: float
+    last: float
+    n: float
+    wrong: float
+
+
+@dataclass(frozen=True)
+class Known:
+    """Core width of p (GeV/c) with sides given and with sides to be found, of the same tracks."""
+
+    p: float  # GeV/c
+    known: float
+    hidden: float
+    ratio: float
+    ratio_error: float
+
+
+@dataclass(frozen=True)
+class FitResults:
+    """The rows of all files, and what was run for each file."""
+
+    pulls: list[Pull]
+    chi2: list[Chi2]
+    residuals: list[Pull]
+    widths: list[Width]
+    losses: list[Choice]
+    sides: list[Side]
+    known: list[Known]
+    about: Mapping[str, Mapping[str, str]]
+
+
+KINDS = {"pulls": Pull, "chi2": Chi2, "residuals": Pull, "widths": Width, "losses": Choice, "sides": Side,
+         "known": Known}  # fmt: skip
+
+
+def read_fit_results(folder: Path = FOLDER) -> FitResults:
+    """Return what the files of a folder hold."""
+    files = {name: read_rows(folder / f"fit_{name}.csv", kind) for name, kind in KINDS.items()}
+    rows = {name: found for name, (found, _) in files.items()}
+    return FitResults(**rows, about={name: about for name, (_, about) in files.items()})  # type: ignore[arg-type]
+
+
+def failures(results: FitResults) -> list[str]:
+    """Return what is not within its tolerance, in words."""
+    wrong = [
+        f"{row.label()}, {row.parameter}: width {row.width:.3f}, mean {row.mean:+.3f}"
+        for row in (*results.pulls, *results.residuals)
+        if not row.agrees
+    ]
+    curved = [row for row in results.chi2 if not row.agrees]
+    wrong += [f"{row.label()}: chi-square probability, flat with {row.flat:.1g}" for row in curved]
+    wide = [row for row in results.widths if not row.agrees]
+    wrong += [f"{row.label()}: sigma of {row.quantity} {row.ratio:.3f} of the optimum" for row in wide]
+    return wrong

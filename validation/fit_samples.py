@@ -1,0 +1,199 @@
+"""Samples of tracks for the validation of the fit, and what is measured on them."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import zlib
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+from scipy.stats import chi2, kstest
+
+import cgemit as cg
+import optimal
+from cgemit import _core, find
+from cgemit.candidates import fit_hits
+from cgemit.digitize import DigitizeSettings
+from cgemit.fit import LOSSES, PARAMETERS, FitSettings
+from cgemit.result import Result
+from cgemit.simulate import SimulateSettings
+from cgemit.study.estimate import measure
+from fit_results import ANGLES, DETECTORS, MOMENTA, PARTICLES, Chi2, Choice, Known, Point, Pull, Side, Width
+
+Floats = npt.NDArray[np.float64]
+
+BLOCK = 5000  # events in memory at a time
+BINS = (-1.0, 0.0, 0.065, 0.13, 0.195, 0.26, 0.325, 0.39, 0.52, 0.65, 0.9, 1.3, 2.0, 3.0, 4.5, 6.5, 9.0)  # mm, drift distance
+MIXED = (-0.93, 0.93)  # cos(theta) of the paper's sample
+VIEWS = ("x", "v", "w")
+
+EXACT = cg.Settings(
+    simulate=SimulateSettings(fluctuations="gaussian"),
+    digitize=DigitizeSettings(readout="gaussian", reveal_sides=True),
+    fit=FitSettings(residuals=True),
+)
+MODES = {
+    "gaussian": EXACT,
+    "hidden": replace(EXACT, digitize=DigitizeSettings(readout="gaussian")),
+    "default": cg.Settings(),
+}
+
+
+def grid() -> Iterator[Point]:
+    """Return all points, the reference detector first; hidden sides are asked for on that one only."""
+    for mode, detector in (("gaussian", DETECTORS[0]), ("hidden", DETECTORS[0]), ("default", DETECTORS[0]),
+                           *((mode, name) for name in DETECTORS[1:] for mode in ("gaussian", "default"))):  # fmt: skip
+        for p, angle, particle in itertools.product(MOMENTA, ANGLES, PARTICLES):
+            yield Point(mode, detector, particle, p, angle)
+
+
+@dataclass
+class _Sums:
+    """Numbers, sums and sums of squares of the pulls of hits, per layer."""
+
+    n: dict[str, int]
+    first: dict[str, float]
+    second: dict[str, float]
+
+    def add(self, result: Result) -> None:
+        """Count the residuals of a block."""
+        residuals = result.residuals
+        if residuals is None:
+            return
+        residuals = residuals[result.tracks["status"][residuals["track"]] == 0]
+        key = residuals["view"].astype(np.int64) * 1000 + residuals["layer"]
+        found, place = np.unique(key, return_inverse=True)
+        pull = residuals["pull"]
+        columns = (np.bincount(place), np.bincount(place, pull), np.bincount(place, pull**2))
+        for which, *sums in zip(found, *columns, strict=True):
+            name = f"{VIEWS[which // 1000]}{which % 1000}"
+            for store, value in zip((self.n, self.first, self.second), sums, strict=True):
+                store[name] = store.get(name, 0) + value
+
+
+def measure_point(point: Point, n: int, threads: int | None) -> tuple[list[Pull], Chi2, list[Pull], list[Width]]:
+    """Simulate and fit the tracks of one point; returns pulls, chi-square, residual pulls and widths."""
+    settings, gun = MODES[point.mode], cg.Gun(point.particle, p=point.p, cos_theta=point.cos_theta)
+    seed = zlib.crc32(repr(point).encode())
+    columns: dict[str, list[npt.NDArray[np.generic]]] = {}
+    names = ["status", "chi2", "ndf", "res_p", *(f"{kind}_{name}" for kind in ("pull", "res") for name in PARAMETERS)]
+    sums, first = _Sums({}, {}, {}), None
+    for block in range(math.ceil(n / BLOCK)):
+        count = min(BLOCK, n - block * BLOCK)
+        result = cg.run(point.detector, gun, count, seed + block, settings=settings, threads=threads)
+        first = first or result
+        for name in names:
+            columns.setdefault(name, []).append(result.tracks[name])
+        if point.mode == "gaussian":
+            sums.add(result)
+    assert first is not None
+    tracks = {name: np.concatenate(parts) for name, parts in columns.items()}
+    good = tracks["status"] == 0
+    tracks = {name: column[good] for name, column in tracks.items()}
+    pulls = [_pull(point, name, np.asarray(tracks[f"pull_{name}"], np.float64)) for name in PARAMETERS]
+    probability = chi2.sf(tracks["chi2"], tracks["ndf"])
+    flat = float(kstest(probability, "uniform").pvalue)
+    kept = len(probability)
+    row = Chi2(**asdict(point), n=kept, lost=n - kept, mean=float(probability.mean()), flat=flat)
+    # Slower tracks turn back inside the chamber, which the independent calculation does not follow.
+    widths = _widths(point, first, tracks) if point.mode == "gaussian" and point.p > 0.15 else []
+    return pulls, row, _layers(point, sums), widths
+
+
+def _pull(point: Point, parameter: str, pull: Floats) -> Pull:
+    found, n = measure(pull), len(pull)
+    if point.mode == "default":
+        numbers = (found.core, found.core_error, found.core_mean, found.core_mean_error)
+    else:
+        numbers = (found.rms, 1 / math.sqrt(2 * n), found.mean, 1 / math.sqrt(n))
+    return Pull(**asdict(point), parameter=parameter, n=n, **_named(numbers), tail=found.tail)
+
+
+def _named(numbers: Sequence[float]) -> dict[str, float]:
+    return dict(zip(("width", "width_error", "mean", "mean_error"), numbers, strict=True))
+
+
+def _layers(point: Point, sums: _Sums) -> list[Pull]:
+    rows = []
+    for name, n in sums.n.items():
+        mean = sums.first[name] / n
+        width = math.sqrt(sums.second[name] / n - mean**2)
+        numbers = (width, 1 / math.sqrt(2 * n), mean, 1 / math.sqrt(n))
+        rows.append(Pull(**asdict(point), parameter=name, n=int(n), **_named(numbers), tail=0.0))
+    return rows
+
+
+def _widths(point: Point, result: Result, tracks: dict[str, npt.NDArray[np.generic]], some: int = 8) -> list[Width]:
+    """Compare core widths with the optimum for the hits of some tracks about their true helices."""
+    detector = result.detector
+    tables = (result.particles, result.clusters, result.wire_hits, result.truths, result.wire_truths)
+    hits = fit_hits(find.by_truth(detector, *tables), result.clusters, result.wire_hits)
+    true = np.stack([result.tracks[f"truth_{name}"] for name in PARAMETERS], axis=1)
+    squares: dict[str, list[float]] = {}
+    columns = ("kind", "layer", "element", "sigma")
+    for track in np.flatnonzero(result.tracks["status"] == 0)[:some]:
+        rows = range(hits.hit_offsets[track], hits.hit_offsets[track + 1])
+        seen = [optimal.Hit(*(getattr(hits, name)[i].item() for name in columns)) for i in rows]
+        cuts = (_core.CORE_MEAN_CUT, _core.CORE_VARIANCE_CUT)
+        cov = optimal.covariance(detector, seen, true[track], result.particles["mass"][track], cuts)
+        for name, sigma in optimal.errors(true[track], cov).items():
+            squares.setdefault(name, []).append(sigma**2)
+    rows_found = []
+    for name, values in squares.items():
+        found = measure(np.asarray(tracks[f"res_{name}"], np.float64))
+        rows_found.append(Width(**asdict(point), quantity=name, core=found.core, core_error=found.core_error,
+                                optimal=math.sqrt(np.mean(values))))  # fmt: skip
+    return rows_found
+
+
+def measure_losses(n: int, threads: int | None, momenta: Sequence[float] = (0.1, 0.2, 0.5, 1.0)) -> list[Choice]:
+    """Fit the same tracks with each choice of the loss."""
+    rows = []
+    for p, loss in itertools.product(momenta, LOSSES):
+        settings = cg.Settings(fit=FitSettings(loss=loss))
+        gun = cg.Gun("mu-", p=p, cos_theta=MIXED)
+        found = cg.study.pulls(cg.run(DETECTORS[0], gun, n, 7, settings=settings, threads=threads).tracks)["kappa"]
+        numbers = (found.core, found.core_error, found.core_mean, found.core_mean_error)
+        rows.append(Choice(p, loss, **_named(numbers)))
+    return rows
+
+
+def measure_sides(n: int, threads: int | None, momenta: Sequence[float] = (0.2, 1.0)) -> tuple[list[Side], list[Known]]:
+    """Compare the sides that the fit finds with the true ones, and momenta with those of known sides."""
+    sides, known = [], []
+    for p in momenta:
+        runs = {}
+        for reveal in (False, True):
+            settings = cg.Settings(digitize=DigitizeSettings(reveal_sides=reveal), fit=FitSettings(residuals=True))
+            gun = cg.Gun("mu-", p=p, cos_theta=MIXED)
+            runs[reveal] = cg.run(DETECTORS[0], gun, n, 8, settings=settings, threads=threads)
+        sides += _wrong_sides(p, runs[False])
+        known.append(_known(p, runs[True], runs[False]))
+    return sides, known
+
+
+def _wrong_sides(p: float, result: Result) -> list[Side]:
+    residuals = result.residuals
+    assert residuals is not None
+    fitted = result.tracks["status"][residuals["track"]] == 0
+    rows = (residuals["view"] == 2) & fitted
+    hit, side = residuals["hit"][rows], residuals["side"][rows]
+    true = result.wire_truths["side"][result.wire_hits["wire_truth"][hit]]
+    drift = result.wire_hits["drift"][hit]
+    found = []
+    for first, last in itertools.pairwise(BINS):
+        inside = (drift >= first) & (drift < last)
+        found.append(Side(p, first, last, int(inside.sum()), int(np.sum(side[inside] != true[inside]))))
+    return found
+
+
+def _known(p: float, known: Result, hidden: Result, samples: int = 20) -> Known:
+    """Compare the core widths of p of the same tracks; the error is that of parts of the sample."""
+    good = (known.tracks["status"] == 0) & (hidden.tracks["status"] == 0)
+    pairs = [run.tracks["res_p"][good] for run in (known, hidden)]
+    whole = [measure(values).core for values in pairs]
+    parts = [measure(pairs[1][i::samples]).core / measure(pairs[0][i::samples]).core for i in range(samples)]
+    return Known(p, *whole, whole[1] / whole[0], float(np.std(parts, ddof=1)) / math.sqrt(samples))
