@@ -25,8 +25,8 @@ class SimulateSettings:
     ----------
     fluctuations : str
         ``"full"``: hard scatters and collisions one by one up to the largest transfer, ionization clusters.
-        ``"gaussian"``: exactly the noise that the fit assumes. ``"off"``: no scattering, and the loss that the fit
-        subtracts.
+        ``"gaussian"``: exactly the noise that the fit assumes by default. ``"off"``: no scattering, and the loss that
+        the fit subtracts by default.
     sublayers : bool
         Whether every sub-layer scatters by itself, instead of groups of neighbours merged to one scatterer.
     foil : str
