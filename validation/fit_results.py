@@ -38,6 +38,9 @@ class Pull(Point):
     """Width and mean of a pull: of all tracks where everything is Gaussian, of the core in the default simulation.
 
     `parameter` is one of the helix, or a layer of hits ("x0", "v2", "w17"); `tail` is what lies beyond 3 core widths.
+    `bias` is the mean residual over the root mean square of the errors: where the error changes with what is found, as
+    that of scattering does with tan(lambda), the mean of the pull is another number. `expected` is the bias that second
+    derivatives of the measurements make (0 where it was not worked out).
     """
 
     parameter: str
@@ -46,6 +49,8 @@ class Pull(Point):
     width_error: float
     mean: float
     mean_error: float
+    bias: float
+    expected: float
     tail: float
 
     @property

@@ -13,7 +13,6 @@ import numpy.typing as npt
 from scipy.stats import chi2, kstest
 
 import cgemit as cg
-import optimal
 from cgemit import _core, find
 from cgemit.candidates import fit_hits
 from cgemit.digitize import DigitizeSettings
@@ -22,11 +21,14 @@ from cgemit.result import Result
 from cgemit.simulate import SimulateSettings
 from cgemit.study.estimate import measure
 from fit_results import ANGLES, DETECTORS, MOMENTA, PARTICLES, Chi2, Choice, Known, Point, Pull, Side, Width
+from optimal import Hit, Optimum, errors, optimum
 
 Floats = npt.NDArray[np.float64]
+Columns = dict[str, npt.NDArray[np.generic]]
 
 BLOCK = 5000  # events in memory at a time
-BINS = (-1.0, 0.0, 0.065, 0.13, 0.195, 0.26, 0.325, 0.39, 0.52, 0.65, 0.9, 1.3, 2.0, 3.0, 4.5, 6.5, 9.0)  # mm, drift distance
+# Drift distances, mm; the error takes them below 0 next to a wire.
+BINS = (-1.0, 0.0, 0.065, 0.13, 0.195, 0.26, 0.325, 0.39, 0.52, 0.65, 0.9, 1.3, 2.0, 3.0, 4.5, 6.5, 9.0)
 MIXED = (-0.93, 0.93)  # cos(theta) of the paper's sample
 VIEWS = ("x", "v", "w")
 
@@ -79,7 +81,8 @@ def measure_point(point: Point, n: int, threads: int | None) -> tuple[list[Pull]
     settings, gun = MODES[point.mode], cg.Gun(point.particle, p=point.p, cos_theta=point.cos_theta)
     seed = zlib.crc32(repr(point).encode())
     columns: dict[str, list[npt.NDArray[np.generic]]] = {}
-    names = ["status", "chi2", "ndf", "res_p", *(f"{kind}_{name}" for kind in ("pull", "res") for name in PARAMETERS)]
+    names = ["status", "chi2", "ndf", "res_p"]
+    names += [f"{kind}_{name}" for kind in ("pull", "res", "err") for name in PARAMETERS]
     sums, first = _Sums({}, {}, {}), None
     for block in range(math.ceil(n / BLOCK)):
         count = min(BLOCK, n - block * BLOCK)
@@ -93,23 +96,28 @@ def measure_point(point: Point, n: int, threads: int | None) -> tuple[list[Pull]
     tracks = {name: np.concatenate(parts) for name, parts in columns.items()}
     good = tracks["status"] == 0
     tracks = {name: column[good] for name, column in tracks.items()}
-    pulls = [_pull(point, name, np.asarray(tracks[f"pull_{name}"], np.float64)) for name in PARAMETERS]
     probability = chi2.sf(tracks["chi2"], tracks["ndf"])
     flat = float(kstest(probability, "uniform").pvalue)
     kept = len(probability)
     row = Chi2(**asdict(point), n=kept, lost=n - kept, mean=float(probability.mean()), flat=flat)
     # Slower tracks turn back inside the chamber, which the independent calculation does not follow.
-    widths = _widths(point, first, tracks) if point.mode == "gaussian" and point.p > 0.15 else []
+    best = _optima(first) if point.mode == "gaussian" and point.p > 0.15 else []
+    pulls = [_pull(point, name, tracks, best) for name in PARAMETERS]
+    widths = _widths(point, tracks, best) if best else []
     return pulls, row, _layers(point, sums), widths
 
 
-def _pull(point: Point, parameter: str, pull: Floats) -> Pull:
+def _pull(point: Point, name: str, tracks: Columns, best: Sequence[tuple[Floats, Optimum]]) -> Pull:
+    pull, residual, error = (np.asarray(tracks[f"{kind}_{name}"], np.float64) for kind in ("pull", "res", "err"))
     found, n = measure(pull), len(pull)
     if point.mode == "default":
         numbers = (found.core, found.core_error, found.core_mean, found.core_mean_error)
     else:
         numbers = (found.rms, 1 / math.sqrt(2 * n), found.mean, 1 / math.sqrt(n))
-    return Pull(**asdict(point), parameter=parameter, n=n, **_named(numbers), tail=found.tail)
+    bias = float(residual.mean() / np.sqrt(np.mean(error**2)))
+    expected = float(np.mean([one.bias[PARAMETERS.index(name)] for _, one in best])) if best else 0.0
+    more = {"bias": bias, "expected": expected, "tail": found.tail}
+    return Pull(**asdict(point), parameter=name, n=n, **_named(numbers), **more)
 
 
 def _named(numbers: Sequence[float]) -> dict[str, float]:
@@ -122,31 +130,38 @@ def _layers(point: Point, sums: _Sums) -> list[Pull]:
         mean = sums.first[name] / n
         width = math.sqrt(sums.second[name] / n - mean**2)
         numbers = (width, 1 / math.sqrt(2 * n), mean, 1 / math.sqrt(n))
-        rows.append(Pull(**asdict(point), parameter=name, n=int(n), **_named(numbers), tail=0.0))
+        rows.append(
+            Pull(**asdict(point), parameter=name, n=int(n), **_named(numbers), bias=mean, expected=0.0, tail=0.0)
+        )
     return rows
 
 
-def _widths(point: Point, result: Result, tracks: dict[str, npt.NDArray[np.generic]], some: int = 8) -> list[Width]:
-    """Compare core widths with the optimum for the hits of some tracks about their true helices."""
-    detector = result.detector
+def _optima(result: Result, some: int = 8) -> list[tuple[Floats, Optimum]]:
+    """Return the true helices of some tracks and the optimum for their hits."""
     tables = (result.particles, result.clusters, result.wire_hits, result.truths, result.wire_truths)
-    hits = fit_hits(find.by_truth(detector, *tables), result.clusters, result.wire_hits)
+    hits = fit_hits(find.by_truth(result.detector, *tables), result.clusters, result.wire_hits)
     true = np.stack([result.tracks[f"truth_{name}"] for name in PARAMETERS], axis=1)
-    squares: dict[str, list[float]] = {}
     columns = ("kind", "layer", "element", "sigma")
+    cuts = (_core.CORE_MEAN_CUT, _core.CORE_VARIANCE_CUT)
+    found = []
     for track in np.flatnonzero(result.tracks["status"] == 0)[:some]:
         rows = range(hits.hit_offsets[track], hits.hit_offsets[track + 1])
-        seen = [optimal.Hit(*(getattr(hits, name)[i].item() for name in columns)) for i in rows]
-        cuts = (_core.CORE_MEAN_CUT, _core.CORE_VARIANCE_CUT)
-        cov = optimal.covariance(detector, seen, true[track], result.particles["mass"][track], cuts)
-        for name, sigma in optimal.errors(true[track], cov).items():
-            squares.setdefault(name, []).append(sigma**2)
-    rows_found = []
-    for name, values in squares.items():
+        seen = [Hit(*(getattr(hits, name)[i].item() for name in columns)) for i in rows]
+        mass = float(result.particles["mass"][track])
+        found.append((true[track], optimum(result.detector, seen, true[track], mass, cuts)))
+    return found
+
+
+def _widths(point: Point, tracks: Columns, best: Sequence[tuple[Floats, Optimum]]) -> list[Width]:
+    """Compare core widths with those of the optimum."""
+    sigmas = [errors(helix, one.cov) for helix, one in best]
+    rows = []
+    for name in sigmas[0]:
         found = measure(np.asarray(tracks[f"res_{name}"], np.float64))
-        rows_found.append(Width(**asdict(point), quantity=name, core=found.core, core_error=found.core_error,
-                                optimal=math.sqrt(np.mean(values))))  # fmt: skip
-    return rows_found
+        expected = math.sqrt(np.mean([sigma[name] ** 2 for sigma in sigmas]))
+        row = Width(**asdict(point), quantity=name, core=found.core, core_error=found.core_error, optimal=expected)
+        rows.append(row)
+    return rows
 
 
 def measure_losses(n: int, threads: int | None, momenta: Sequence[float] = (0.1, 0.2, 0.5, 1.0)) -> list[Choice]:

@@ -26,6 +26,7 @@ FINE_STRUCTURE = 1 / 137.035999084
 BETHE = 0.307075e-3  # GeV cm2/mol
 X, V, WIRE = 0, 1, 2
 _THICK = 5e-3  # mm, sideways shifts at 1 GeV/c below this are neither simulated nor fitted
+_PART = 0.3  # of a standard deviation, the steps of noise
 _STEP = np.array([1e-2, 1e-5, 1e-5, 1e-2, 1e-5])  # of the helix parameters; kappa relative
 
 
@@ -225,10 +226,27 @@ def _stack(detector: cg.Detector, tanl: float, cuts: tuple[float, float]) -> lis
     return [_Slab(slab, xi, chi_c2, cuts) for slab in found]
 
 
-def covariance(
+@dataclass(frozen=True)
+class Optimum:
+    """The optimal linear estimate of a helix from some hits, in the order of `PARAMETERS`.
+
+    Attributes
+    ----------
+    cov : ndarray, (5, 5) float64
+        Its covariance.
+    bias : ndarray, (5,) float64
+        Its mean error, in its standard deviations, because what is measured is not linear: second derivatives by the
+        noise move the measurements, those by the helix the estimate.
+    """
+
+    cov: Floats
+    bias: Floats
+
+
+def optimum(
     detector: cg.Detector, hits: Sequence[Hit], helix: npt.ArrayLike, mass: float, cuts: tuple[float, float]
-) -> Floats:
-    """Return the covariance of the helix at the origin, (5, 5) in the order of `PARAMETERS`.
+) -> Optimum:
+    """Return covariance and bias of the optimal linear estimate.
 
     Parameters
     ----------
@@ -244,21 +262,31 @@ def covariance(
     """
     helix = np.asarray(helix, np.float64)
     stack = _stack(detector, helix[4], cuts)
-    _follow(detector, hits, helix[:, None], mass, {}, stack)  # fills in the noise
+    centre = _follow(detector, hits, helix[:, None], mass, {}, stack)  # fills in the noise
     noise = [(i, k, s.sigma[k]) for i, s in enumerate(stack) for k in range(5) if s.sigma[k] > 0]
     n = 5 + len(noise)
     steps = _STEP * [1, 1, abs(helix[2]), 1, 1]
-    tracks = np.repeat(helix[:, None], 2 * n, axis=1)
     kicks = {i: np.zeros((5, 2 * n)) for i, _, _ in noise}
-    for j in range(5):
-        tracks[j, [2 * j, 2 * j + 1]] += steps[j], -steps[j]
     for j, (slab, which, sigma) in enumerate(noise, start=5):
-        kicks[slab][which, [2 * j, 2 * j + 1]] = 0.01 * sigma, -0.01 * sigma
+        kicks[slab][which, [2 * j, 2 * j + 1]] = _PART * sigma, -_PART * sigma
+    tracks = _pairs(helix, np.concatenate([np.diag(steps), np.zeros((5, len(noise)))], axis=1))
     seen = _follow(detector, hits, tracks, mass, kicks, stack)
     change = (seen[:, 0::2] - seen[:, 1::2]) / 2
-    by_helix, by_noise = change[:, :5] / steps, change[:, 5:] / 0.01
+    by_helix, by_noise = change[:, :5] / steps, change[:, 5:] / _PART
     variance = by_noise @ by_noise.T + np.diag([hit.sigma**2 for hit in hits])
-    return np.asarray(np.linalg.inv(by_helix.T @ np.linalg.solve(variance, by_helix)), np.float64)
+    weighted = np.linalg.solve(variance, by_helix)
+    cov = np.linalg.inv(by_helix.T @ weighted)
+    # Half the second derivatives, summed over the noise and over the principal axes of the estimate's error.
+    spread = _follow(detector, hits, _pairs(helix, _PART * np.linalg.cholesky(cov)), mass, {}, stack)
+    by_kicks, by_estimate = (
+        ((both[:, 0::2] + both[:, 1::2] - 2 * centre) / 2).sum(axis=1) / _PART**2 for both in (seen[:, 10:], spread)
+    )
+    return Optimum(cov, cov @ weighted.T @ (by_kicks - by_estimate) / np.sqrt(np.diag(cov)))
+
+
+def _pairs(helix: Floats, steps: Floats) -> Floats:
+    """Return the helix with each step (columns) added and subtracted in turn, (5, 2 n)."""
+    return np.asarray(helix[:, None] + np.stack([steps, -steps], axis=2).reshape(5, -1), np.float64)
 
 
 def errors(helix: npt.ArrayLike, cov: Floats) -> dict[str, float]:
