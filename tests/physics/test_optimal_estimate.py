@@ -70,7 +70,7 @@ def test_errors_are_optimal(name: str, p: float, cos_theta: float) -> None:
 
 
 def matter_of_that_program(detector) -> dict[float, float]:
-    """Return X/X0 of each slab by its radius; that program had 0.982 % of pipe, and layers as built in the design, too."""
+    """Return X/X0 of each slab by its radius; that program had a pipe of 0.982 % and layers as built."""
     thickness = {slab.radius: slab.x0 for slab in slabs(detector)}
     wanted = {(0, 40): 0.00982}
     if detector.cgem:
@@ -84,7 +84,7 @@ def matter_of_that_program(detector) -> dict[float, float]:
 
 @pytest.mark.parametrize(("name", "p", "cos_theta"), POINTS)
 def test_optimum_is_the_published_one(name: str, p: float, cos_theta: float, monkeypatch: pytest.MonkeyPatch) -> None:
-    """With Highland's formula, that matter and no energy loss the optimum is within 1.5 % of that of another program."""
+    """With that matter, Highland's formula and no loss the optimum is within 1.5 % of another program's."""
     detector, helix, _, hits = track(name, p, cos_theta)
     thickness = matter_of_that_program(detector)
     total = float(np.hypot(1, helix[4])) * sum(thickness.values())
