@@ -136,7 +136,7 @@ def _layers(point: Point, sums: _Sums) -> list[Pull]:
     return rows
 
 
-def _optima(result: Result, some: int = 8) -> list[tuple[Floats, Optimum]]:
+def _optima(result: Result, some: int = 11) -> list[tuple[Floats, Optimum]]:
     """Return the true helices of some tracks and the optimum for their hits."""
     tables = (result.particles, result.clusters, result.wire_hits, result.truths, result.wire_truths)
     hits = fit_hits(find.by_truth(result.detector, *tables), result.clusters, result.wire_hits)
@@ -158,7 +158,7 @@ def _widths(point: Point, tracks: Columns, best: Sequence[tuple[Floats, Optimum]
     rows = []
     for name in sigmas[0]:
         found = measure(np.asarray(tracks[f"res_{name}"], np.float64))
-        expected = math.sqrt(np.mean([sigma[name] ** 2 for sigma in sigmas]))
+        expected = float(np.median([sigma[name] for sigma in sigmas]))  # a track may lack a layer
         row = Width(**asdict(point), quantity=name, core=found.core, core_error=found.core_error, optimal=expected)
         rows.append(row)
     return rows
