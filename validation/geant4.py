@@ -18,10 +18,11 @@ import delta_fractions
 import x_residual
 from cgemit.matter import Passage
 from delta_pictures import draw_deltas
-from geant4_page import page, read_results
+from geant4_page import read_results
 from geant4_pictures import draw_distributions, draw_loss_ratios, draw_scattering_ratios
 from geant4_reference import SLABS, Comparison, cases, compare
 from results import FOLDER, IMAGES, PAGE, versions, write_rows
+from whole_page import whole_page
 
 SEED = 1
 _START = time.perf_counter()
@@ -92,7 +93,7 @@ def main() -> int:
     }
     for name, picture in pictures.items():
         picture.save(images / f"validation-{name}.png", overwrite=True)
-    (given.output / PAGE.name if given.output else PAGE).write_text(page(results), encoding="utf-8")
+    (given.output / PAGE.name if given.output else PAGE).write_text(whole_page(results), encoding="utf-8")
     wrong = [f"{row.slab}, {row.p:g} GeV/c, {row.quantity}: {row.ratio:.3f} of Geant4's" for row in results.slabs
              if row.gated and not row.agrees]  # fmt: skip
     wrong += delta_fractions.failures(results.fractions)

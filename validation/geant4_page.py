@@ -1,4 +1,4 @@
-"""The page docs/validation.md, written from validation/results."""
+"""The first part of docs/validation.md, cgemit beside Geant4, written from validation/results."""
 
 from __future__ import annotations
 
@@ -12,7 +12,12 @@ from geant4_reference import ANGLES, TITLES, Comparison
 from results import FOLDER, read_rows, table
 from x_residual import Number
 
-_HEAD = """# cgemit beside Geant4
+_HEAD = """# Validation
+
+Two parts: [cgemit beside Geant4](#cgemit-beside-geant4), matter and hits; and [the fit beside what it
+promises](#the-fit-beside-what-it-promises).
+
+# cgemit beside Geant4
 
 Muons through slabs, delta electrons in a drift gap, and the X residual of the paper, simulated by cgemit and by
 {reference}. This page and its pictures are written by

@@ -168,7 +168,7 @@ void bind_detector(py::module_& module) {
            }),
            py::kw_only(), py::arg("bz"), py::arg("slabs"), py::arg("log_terms"), py::arg("composition"),
            py::arg("cgem"), py::arg("wires"), py::arg("screening"), py::arg("lattice") = py::dict(),
-           py::arg("gaps") = py::list(), py::arg("loss") = CoreLoss::truncated)
+           py::arg("gaps") = py::list(), py::arg_v("loss", CoreLoss::truncated, "CoreLoss.truncated"))
       .def_readonly("bz", &Detector::bz)
       .def_property_readonly("n_slabs", [](const Detector& d) { return d.slabs.size(); })
       .def_property_readonly("n_cgem_layers", [](const Detector& d) { return d.cgem.size(); })

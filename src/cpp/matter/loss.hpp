@@ -53,7 +53,7 @@ LossMomentsOf<T> heavy_core_loss(const Slab& slab, T path, const KinematicsOf<T>
   const T log_cut = choose(
       cuts, [&] { return log_constant + track.loss.log_mean + track.log_xi + 2.0 * k.log_gamma; },
       [&] { return log_constant + log(w_max) + 2.0 * k.log_bg; });
-  const T spin = k.beta2 * cut / w_max;
+  const T share = k.beta2 / w_max, spin = share * cut;
   const T bracket = log_cut - k.beta2 - spin + term.value;
   // Per ln(p), with 1/gamma^2 = 1 - beta^2: 1/beta^2 falls by 2/gamma^2, (beta gamma)^2 grows by 2, beta^2 by
   // 2 beta^2/gamma^2, the cut follows 1/beta^2 or w_max.
@@ -64,8 +64,7 @@ LossMomentsOf<T> heavy_core_loss(const Slab& slab, T path, const KinematicsOf<T>
   const T per_log_p = -2.0 * per_gamma2 * bracket + grow_bracket + term.slope;
   const T amount = select(bracket > 0.0, xi, T(0.0));
   const T hardest = smaller(track.loss.variance * track_xi, w_max);
-  return {amount * bracket, amount * hardest * (1.0 - 0.5 * k.beta2 * hardest / w_max),
-          amount * per_log_p * k.per_p};
+  return {amount * bracket, amount * hardest * (1.0 - 0.5 * share * hardest), amount * per_log_p * k.per_p};
 }
 
 template <class T>
