@@ -42,13 +42,14 @@ def test_every_mistake_is_listed():
     """One error names every wrong value, what it is and what was expected."""
     with pytest.raises(ValueError, match="FitSettings") as error:
         FitSettings(
-            seed="hit", cluster_errors="both", max_iterations=0, tolerance=-1, least_width=float("nan"),
+            seed="hit", cluster_errors="both", loss="median", max_iterations=0, tolerance=-1, least_width=float("nan"),
             delta_strips=1.0, prior_sigma=(1, 1, 0, 1, 1), seed_smearing=(1, 1, 1),
         )  # fmt: skip
     text = str(error.value)
     for name in (
         "seed",
         "cluster_errors",
+        "loss",
         "max_iterations",
         "tolerance",
         "least_width",
