@@ -16,10 +16,11 @@ from cgemit.fit import PARAMETERS
 from cgemit.gun import Gun
 from cgemit.result import Result, Settings
 from cgemit.simulate import SimulateSettings
-from cgemit.study import pulls
+from cgemit.study import measure, pulls
 from stats import assert_within
 
 N = 10_000
+HIDDEN = DigitizeSettings(readout="gaussian")
 EXACT = Settings(
     simulate=SimulateSettings(fluctuations="gaussian"),
     digitize=DigitizeSettings(readout="gaussian", reveal_sides=True),
@@ -113,3 +114,25 @@ def test_sides_are_found() -> None:
     far = np.abs(truth["doca"]) > 2 * 0.130
     wrong = (wires["side"] != truth["side"])[far].mean()
     assert wrong < 1e-3
+
+
+@cache
+def widths_of_sides(sigma: str = "130 um") -> tuple[float, float, tuple[float, ...]]:
+    """Return core widths of p with sides known and to be found, and widths of the pulls with sides to be found."""
+    detector = load("besiii-cgem-design").with_overrides({"drift_chamber.sigma": sigma})
+    gun, hidden = Gun("mu-", p=1.0, cos_theta=(-0.8, 0.8)), dataclasses.replace(EXACT, digitize=HIDDEN)
+    known, found = (run(detector, gun, 4000, seed=15, settings=settings).tracks for settings in (EXACT, hidden))
+    cores = (measure(tracks["res_p"]).core for tracks in (known, found))
+    return *cores, tuple(found[f"pull_{name}"].std() for name in PARAMETERS)
+
+
+def test_hidden_sides_cost_little() -> None:
+    """Sides to be found cost less than 3 % in sigma(p), and the widths of the pulls stay within 0.05 of 1."""
+    known, hidden, pull_widths = widths_of_sides()
+    assert hidden / known < 1.03
+    assert max(abs(width - 1) for width in pull_widths) < 0.05
+
+
+def test_gate_sees_worse_wires() -> None:
+    """Wires of 145 instead of 130 um cost more than sides may."""
+    assert widths_of_sides("145 um")[1] / widths_of_sides()[0] > 1.03
