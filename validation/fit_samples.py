@@ -194,7 +194,7 @@ def _wrong_sides(p: float, result: Result) -> list[Side]:
     residuals = result.residuals
     assert residuals is not None
     fitted = result.tracks["status"][residuals["track"]] == 0
-    rows = (residuals["view"] == 2) & fitted
+    rows = (residuals["view"] == 2) & (residuals["used"] == 1) & fitted
     hit, side = residuals["hit"][rows], residuals["side"][rows]
     true = result.wire_truths["side"][result.wire_hits["wire_truth"][hit]]
     drift = result.wire_hits["drift"][hit]

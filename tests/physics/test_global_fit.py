@@ -20,7 +20,7 @@ from tracks import order_of_matter
 SETTINGS = cg.Settings(
     simulate=SimulateSettings(fluctuations="gaussian"),
     digitize=DigitizeSettings(readout="gaussian", reveal_sides=True),
-    fit=FitSettings(residuals=True, tolerance=1e-7, max_iterations=50),
+    fit=FitSettings(residuals=True, tolerance=1e-7, max_iterations=50, outlier_pull=0),
 )
 GUN = cg.Gun("pi+", p=[0.2, 0.4, 1.0, 2.5], cos_theta=(-0.8, 0.8), vertex_sigma=(1.0, 1.0, 5.0))
 PRESETS = ("besiii-cgem-design", "besiii-idc")
@@ -55,12 +55,13 @@ def everything_at_once(result, hits, track, forget_matter=False):
     if forget_matter:
         seen[:] = 0
     measured = np.where(fields["kind"] == 2, fields["value"] * fields["side"], fields["value"])
-    # The weak prior is that of the track behind all matter: helix plus the sum of the noise.
-    prior = np.array(SETTINGS.fit.prior_sigma)
+    # The weak prior is that of the track behind all matter, helix plus the sum of the noise: 3000 times the covariance
+    # of the iteration before.
+    prior = np.linalg.inv(np.linalg.cholesky(3000 * result.tracks["cov"][track]))
     jacobian = np.block([
         [reference["rows"] / fields["sigma"][:, None], seen / fields["sigma"][:, None]],
         [np.zeros((len(noise), 5)), np.eye(len(noise))],
-        [np.diag(1 / prior), noise.T / prior[:, None]],
+        [prior, prior @ noise.T],
     ])  # fmt: skip
     white = np.concatenate([(measured - reference["predicted"]) / fields["sigma"], np.zeros(len(noise) + 5)])
     units = 1 / np.linalg.norm(jacobian, axis=0)
