@@ -100,11 +100,15 @@ def measure_point(point: Point, n: int, threads: int | None) -> tuple[list[Pull]
     flat = float(kstest(probability, "uniform").pvalue)
     kept = len(probability)
     row = Chi2(**asdict(point), n=kept, lost=n - kept, mean=float(probability.mean()), flat=flat)
-    # Slower tracks turn back inside the chamber, which the independent calculation does not follow.
-    best = _optima(first) if point.mode == "gaussian" and point.p > 0.15 else []
+    best = _optima(first) if _has_optimum(point) else []
     pulls = [_pull(point, name, tracks, best) for name in PARAMETERS]
     widths = _widths(point, tracks, best) if best else []
     return pulls, row, _layers(point, sums), widths
+
+
+def _has_optimum(point: Point) -> bool:
+    """Whether the independent calculation is made: slower tracks turn back in the chamber, which it does not follow."""
+    return point.mode == "gaussian" and point.p > 0.15 and (point.detector == DETECTORS[0] or point.particle == "mu-")
 
 
 def _pull(point: Point, name: str, tracks: Columns, best: Sequence[tuple[Floats, Optimum]]) -> Pull:
@@ -136,7 +140,7 @@ def _layers(point: Point, sums: _Sums) -> list[Pull]:
     return rows
 
 
-def _optima(result: Result, some: int = 11) -> list[tuple[Floats, Optimum]]:
+def _optima(result: Result, some: int = 7) -> list[tuple[Floats, Optimum]]:
     """Return the true helices of some tracks and the optimum for their hits."""
     tables = (result.particles, result.clusters, result.wire_hits, result.truths, result.wire_truths)
     hits = fit_hits(find.by_truth(result.detector, *tables), result.clusters, result.wire_hits)

@@ -24,7 +24,7 @@ SETTINGS = cg.Settings(
 )
 GUN = cg.Gun("pi+", p=[0.2, 0.4, 1.0, 2.5], cos_theta=(-0.8, 0.8), vertex_sigma=(1.0, 1.0, 5.0))
 PRESETS = ("besiii-cgem-design", "besiii-idc")
-N = 150
+N = 100
 
 
 @cache
