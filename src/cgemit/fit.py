@@ -172,16 +172,14 @@ def fit(
     hits = fit_hits(candidates, clusters, wire_hits)
     truth = helix.at_origin(particles, (simulated or detector).field.bz)
     start = smeared(truth, particles, settings, seed) if settings.seed == "truth" else np.empty((0, 5))
-    out = _core.fit(**core_arguments(detector, hits, particles["mass"], start, settings))
-    span = (particles.n_events, particles.first_event)
+    arguments = core_arguments(detector, hits, particles["mass"], start, settings)
+    out, span = _core.fit(**arguments), (particles.n_events, particles.first_event)
     tables = {"tracks": Table("tracks", _track_columns(out, truth, particles), *span)}
     if settings.residuals:
         tables["residuals"] = Table("residuals", _residual_columns(out, hits, particles), *span)
     if settings.states:
-        screening = settings.screening or SCREENINGS[0]
-        columns = state_columns(
-            detector, tuple(settings.states), particles, hits, out, _has_cov(out["status"]), screening
-        )
+        core, has_cov = arguments["detector"], _has_cov(out["status"])
+        columns = state_columns(detector, core, settings.states, particles, hits, out, has_cov)
         tables["states"] = Table("states", columns, *span)
     return tables
 

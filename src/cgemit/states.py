@@ -45,12 +45,12 @@ def _is_radius(place: object) -> bool:
 
 def state_columns(
     detector: Detector,
+    core: _core.Detector,
     places: tuple[float | str, ...],
     particles: Table,
     hits: FitHits,
     fitted: dict[str, npt.NDArray[Any]],
     has_cov: npt.NDArray[np.bool_],
-    screening: str,
 ) -> Columns:
     """Columns of the states table, for one row of `particles` a track.
 
@@ -58,6 +58,8 @@ def state_columns(
     ----------
     detector : Detector
         What the fit assumed.
+    core : _core.Detector
+        The same, compiled for it.
     places : tuple of float or str
         Radii in mm, and names of `PLACES`.
     particles : Table of kind "particles"
@@ -69,7 +71,6 @@ def state_columns(
         uint8, whether it used a hit; `used_value`, `used_variance` (hits,) float64, mm and mm2, what it measured.
     has_cov : ndarray, (n,) bool
         Whether the fit came to a covariance.
-    screening : str
 
     Returns
     -------
@@ -79,7 +80,7 @@ def state_columns(
     columns = ("kind", "layer", "element", "size", "value", "sigma")
     used = {name: fitted[name] for name in ("used", "used_value", "used_variance")}
     out = _core.states(
-        compiled(detector, screening=screening),
+        core,
         hit_offsets=hits.hit_offsets,
         hits={name: getattr(hits, name) for name in columns} | used,
         reference=fitted["reference"],
@@ -109,7 +110,13 @@ def state_columns(
 
 
 def extrapolate(
-    detector: Detector, table: Table, radius: float, *, particle: str | None = None, screening: str = SCREENINGS[0]
+    detector: Detector,
+    table: Table,
+    radius: float,
+    *,
+    particle: str | None = None,
+    screening: str = SCREENINGS[0],
+    loss: str = "truncated",
 ) -> Table:
     """Move fitted tracks to a cylinder, outward or back in, through the matter on the way.
 
@@ -126,8 +133,8 @@ def extrapolate(
         mm. A helix that does not reach it gets a row that says so.
     particle : str or None
         Name of the particle (``"e"``, ``"mu"``, ``"pi"``, ``"K"``, ``"p"``); that of the column `hypothesis` if None.
-    screening : str
-        Screening of nuclei in multiple scattering, as in `FitSettings`.
+    screening, loss : str
+        Screening of nuclei in multiple scattering, and the energy loss subtracted, as in `FitSettings`.
 
     Returns
     -------
@@ -150,6 +157,10 @@ def extrapolate(
             f"particle: {particle!r}, expected one of {', '.join(map(repr, HYPOTHESES))}",
         ),
         (not unknown.any(), "particle: none given, and the table's hypothesis is none of e, mu, pi, K, p"),
+        (
+            loss in _core.CoreLoss.__members__,
+            f"loss: {loss!r}, expected one of {', '.join(_core.CoreLoss.__members__)}",
+        ),
         (screening in SCREENINGS, f"screening: {screening!r}, expected one of {', '.join(map(repr, SCREENINGS))}"),
     )
     problems = [text for fine, text in checks if not fine]
@@ -159,7 +170,7 @@ def extrapolate(
     parameters = np.stack([table[name] for name in _PARAMETERS], axis=1)
     start = np.hypot(*(pivot[:, i] + table["dr"] * f(table["phi0"]) for i, f in enumerate((np.cos, np.sin))))
     out = _core.extrapolate(
-        compiled(detector, screening=screening), pivot=pivot, helix=parameters,
+        compiled(detector, screening=screening, loss=loss), pivot=pivot, helix=parameters,
         cov=table["cov"].reshape(-1, 25), mass=mass, radius=float(radius),
         share=_shares_inside(detector, start), target_share=float(_shares_inside(detector, np.array([radius]))[0]),
     )  # fmt: skip

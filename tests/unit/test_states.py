@@ -85,6 +85,18 @@ def test_at_the_origin_it_is_the_track(run):
     assert_same(parameters(line), line["cov"], *moved)
 
 
+@pytest.mark.parametrize(("setting", "value"), [("loss", "mean"), ("screening", "moliere"), ("hypothesis", "K")])
+def test_states_assume_what_the_fit_assumed(setting, value):
+    """With another loss, screening or mass the state at the origin is the track all the same, and not another one."""
+    gun = Gun("mu-", p=0.3, cos_theta=0.2)
+    result, states = states_of(("origin", "hits"), gun, n=10, **{setting: value})
+    usual, _ = states_of((), gun, n=10)
+    origin, hits = (rows(states, surface=where) for where in (Surface.origin, Surface.hit))
+    assert_same(parameters(origin), origin["cov"], parameters(result.tracks), result.tracks["cov"], 1e-9)
+    np.testing.assert_allclose(hits["pull"], result.residuals["pull"], rtol=0, atol=1e-5)
+    assert np.abs(usual.tracks["cov"] / result.tracks["cov"] - 1).max() > 1e-4
+
+
 def test_every_row_holds_together(run):
     """Rows come in the order of the places, with positive definite covariances and points on their helices."""
     result, states = run
@@ -239,8 +251,8 @@ def test_every_mistake_is_listed():
         FitSettings(states=10.0)  # type: ignore[arg-type]
     result, _ = states_of((), n=1)
     with pytest.raises(ValueError, match="extrapolate:") as caught:
-        extrapolate(DETECTOR, result.particles, 0.0, particle="tau", screening="none")
-    for name in ("table", "radius", "particle", "screening"):
+        extrapolate(DETECTOR, result.particles, 0.0, particle="tau", screening="none", loss="none")
+    for name in ("table", "radius", "particle", "screening", "loss"):
         assert f"\n  {name}: " in str(caught.value)
     bare = dataclasses.replace(DETECTOR, beam_pipe=())
     with pytest.raises(ValueError, match="'beam_pipe', but the detector has none"):
