@@ -32,14 +32,14 @@ class BatchFit {
         std::fill_n(out_.hit_rows + input_.first(track), input_.count(track), HitRow{});
       if (input_.count(track) <= parameters) continue;
       out_.rows[track].status = FitStatus::seed_failed;
-      if (!input_.start.empty()) starts.push_back({track, key(track), input_.start[track]});
+      if (!input_.start.empty()) starts.push_back({track, key(track), {input_.start[track], HUGE_VAL}});
     }
     if (!input_.start.empty()) return fit_all(starts, false);
-    for (const SeedFrom from : {SeedFrom::wires, SeedFrom::wires_and_clusters, SeedFrom::azimuths}) {
+    for (const SeedFrom from : {SeedFrom::wires_and_clusters, SeedFrom::wires, SeedFrom::azimuths}) {
       starts.clear();
       for (std::size_t track = 0; track < input_.tracks(); ++track) {
         if (out_.rows[track].status == FitStatus::too_few_hits || is_good(out_.rows[track])) continue;
-        const auto seed = seed_helix(detector_, hits(track), sides(track), from);
+        const auto seed = seed_helix(detector_, hits(track), sides(track), from, input_.mass[track]);
         if (seed) starts.push_back({track, key(track), *seed});
       }
       // A poor seed would let the clusters mislead the sides: the wires settle among themselves first.
@@ -53,7 +53,7 @@ class BatchFit {
   struct Start {
     std::size_t track;
     std::uint64_t key;
-    Perigee helix;
+    Seed seed;
   };
 
   std::span<const Hit> hits(std::size_t track) const {
@@ -67,12 +67,18 @@ class BatchFit {
     return projectile_of(input_.mass[track], kappa);
   }
 
-  // Wrong sides or a wrong turn show in the chi-square long before it is unlikely by chance.
+  // Wrong sides or a wrong turn show in the chi-square long before it is unlikely by chance, or in many
+  // outliers.
   static bool is_good(const FitRow& row) {
-    return row.status == FitStatus::ok && row.chi2 < 5 * (row.clusters + row.wires) + 30;
+    const int used = row.clusters + row.wires;
+    return row.status == FitStatus::ok && row.chi2 < 5 * used + 30 && 2 * row.outliers < used;
   }
-  static double chi2_per_hit(const FitRow& row) { return row.chi2 / std::max(row.clusters + row.wires, 1); }
-  static bool is_better(const FitRow& a, const FitRow& b) {
+  // An outlier counts as much as the last hit that is none.
+  double chi2_per_hit(const FitRow& row) const {
+    const double cut = settings_.outlier_pull * settings_.outlier_pull;
+    return (row.chi2 + cut * row.outliers) / std::max(row.clusters + row.wires + row.outliers, 1);
+  }
+  bool is_better(const FitRow& a, const FitRow& b) const {
     const bool a_fits = a.status == FitStatus::ok, b_fits = b.status == FitStatus::ok;
     return a_fits != b_fits ? a_fits : chi2_per_hit(a) < chi2_per_hit(b);
   }
@@ -110,7 +116,7 @@ class BatchFit {
   }
 
   Projectile kind_of(const Start& start) const {
-    return projectile_of(input_.mass[start.track], start.helix.kappa);
+    return projectile_of(input_.mass[start.track], start.seed.helix.kappa);
   }
 
   void fit_group(std::span<const Start> starts, Projectile kind, bool wires_first) {
@@ -118,16 +124,18 @@ class BatchFit {
     std::array<std::span<const std::int8_t>, width> sides_of;
     std::array<FitLane, width> lanes;
     PerigeeOf<T> helix;
-    T mass;
+    T mass, spread;
     for (std::size_t k = 0; k < width; ++k) {
       const Start& start = starts[std::min(k, starts.size() - 1)];  // idle lanes hold something sensible
+      const Perigee& from = start.seed.helix;
       const int i = static_cast<int>(k);
-      set_lane(helix.d, i, start.helix.d);
-      set_lane(helix.psi, i, start.helix.psi);
-      set_lane(helix.kappa, i, usable_kappa(start.helix.kappa));
-      set_lane(helix.z0, i, start.helix.z0);
-      set_lane(helix.tanl, i, start.helix.tanl);
+      set_lane(helix.d, i, from.d);
+      set_lane(helix.psi, i, from.psi);
+      set_lane(helix.kappa, i, usable_kappa(from.kappa));
+      set_lane(helix.z0, i, from.z0);
+      set_lane(helix.tanl, i, from.tanl);
       set_lane(mass, i, input_.mass[start.track]);
+      set_lane(spread, i, start.seed.spread);
       if (k >= starts.size()) continue;
       hits_of[k] = hits(start.track);
       sides_of[k] = sides(start.track);
@@ -136,7 +144,7 @@ class BatchFit {
       lanes[k] = {&rows_[k], out_.hit_rows != nullptr ? scratch_[k].data() : nullptr};
     }
     builder_.build(std::span(hits_of).first(starts.size()), std::span(sides_of).first(starts.size()), group_);
-    fit_.run(helix, mass, kind, std::span(lanes).first(starts.size()), wires_first);
+    fit_.run(helix, spread, mass, kind, std::span(lanes).first(starts.size()), wires_first);
     for (std::size_t k = 0; k < starts.size(); ++k) keep_better(starts[k].track, k);
   }
 

@@ -5,6 +5,7 @@
 #include <cmath>
 
 #include "fit/cluster_errors.hpp"
+#include "fit/first_guess.hpp"
 #include "kalman/filter.hpp"
 #include "kalman/tracer.hpp"
 
@@ -22,10 +23,13 @@ class GroupFit {
   GroupFit(const Detector& detector, const FitSettings& settings, Group<T>& group)
       : detector_(detector), settings_(settings), group_(group) {}
 
-  // From `start`. `wires_first`: sides that are open settle among the wires before the clusters join.
-  void run(const PerigeeOf<T>& start, T mass, Projectile projectile, std::span<const FitLane> lanes,
+  // From `start`, which most hits miss by `spread` (mm). `wires_first`: sides that are open settle among the
+  // wires before the clusters join.
+  void run(const PerigeeOf<T>& start, T spread, T mass, Projectile projectile, std::span<const FitLane> lanes,
            bool wires_first) {
     helix_ = start;
+    spread_ = spread;
+    passed_ = T(0.0);
     lanes_ = lanes;
     open_ = has_open_sides();
     wires_only_ = wires_first & open_;
@@ -52,8 +56,11 @@ class GroupFit {
     if (iteration_ >= patient_iterations) give_up_hits();
     mask_of<T> works = active_;
     if (any(group_.stopped)) works = works & !speed_up(last);
+    passed_ = select(works, helix_.kappa, passed_);
     works = works & !finish(works & too_few(), FitStatus::does_not_reach);
     if (!any(works)) return;
+    if (iteration_ == 0) first_guess(group_, helix_, mass, spread_, works, settings_.outlier_pull > 0);
+    keep_enough(works);
     fill_slots();
     prior_ = beginning(prior);
     Estimate<T> estimate = filter(detector_, group_, prior_);
@@ -102,12 +109,14 @@ class GroupFit {
     return open;
   }
 
-  // A first helix from the outer hits has the momentum that the matter has left over. Where the reference
-  // stops on the way to them, it gets more.
+  // Where the reference stops before the last hits it gets more momentum: half of the way back to the last
+  // one that did not, or just more. Where that does not help, the hits beyond have been given up.
   mask_of<T> speed_up(bool last) {
     const mask_of<T> stopped = active_ & group_.stopped;
-    if (iteration_ >= patient_iterations || last) return finish(stopped, FitStatus::stopped);
-    helix_.kappa = select(stopped, 0.85 * helix_.kappa, helix_.kappa);
+    if (iteration_ > patient_iterations || last) return finish(stopped, FitStatus::stopped);
+    if (iteration_ < patient_iterations)
+      helix_.kappa = select(
+          stopped, select(passed_ != 0.0, 0.5 * (passed_ + helix_.kappa), 0.85 * helix_.kappa), helix_.kappa);
     return stopped;
   }
 
@@ -125,12 +134,6 @@ class GroupFit {
     return few;
   }
 
-  static mask_of<T> finite(const Estimate<T>& estimate) {
-    T sum(0.0);
-    unroll<parameters>([&](auto i) { sum += 0.0 * estimate.x[i] + 0.0 * estimate.c(i, i); });
-    return sum == 0.0;
-  }
-
   // Ends the fit of these lanes. Returns them.
   mask_of<T> finish(mask_of<T> failed, FitStatus status) {
     if (!any(failed)) return failed;
@@ -141,6 +144,16 @@ class GroupFit {
     }
     active_ = active_ & !failed;
     return failed;
+  }
+
+  // Where too few hits are left that the reference meets, outliers count again.
+  void keep_enough(mask_of<T> who) {
+    if (!(settings_.outlier_pull > 0)) return;
+    T used(0.0);
+    for (const Slot<T>& slot : group_.slots) used += select(slot.met & !slot.outlier, T(1.0), T(0.0));
+    const mask_of<T> few = who & (used <= double(parameters));
+    if (!any(few)) return;
+    for (Slot<T>& slot : group_.slots) slot.outlier = slot.outlier & !few;
   }
 
   // Measured value and variance of every slot, on the present reference.
@@ -199,11 +212,6 @@ class GroupFit {
       slot.weight = select(open, weight, slot.weight);
     }
     return largest < 0.02;
-  }
-
-  static T hyperbolic_tangent(T x) {
-    const T a = smaller(abs(x), 20.0);  // 1 to rounding beyond
-    return copysign(1.0 - 2.0 / (1.0 + exp(2.0 * a)), x);
   }
 
   // Leaves out what lies far from the rest of the track, the worst first, and takes back what does not any
@@ -291,6 +299,7 @@ class GroupFit {
   Group<T>& group_;
   PerigeeOf<T> helix_, reference_;  // reference: of this iteration, once the helix is that of the next
   Symmetric<T> prior_, known_;      // what the filter begins with; covariance of the iteration before
+  T spread_, passed_;  // of the start; kappa of the last reference that did not stop, 0 before
   std::span<const FitLane> lanes_;
   mask_of<T> active_, open_, wires_only_;
   int iteration_ = 0;

@@ -1,191 +1,156 @@
 #include "fit/seed.hpp"
 
 #include <Eigen/Cholesky>
-#include <algorithm>
 #include <array>
 #include <cmath>
-#include <vector>
 
 #include "common/angles.hpp"
 #include "detector/strip_plane.hpp"
+#include "fit/annealed.hpp"
+#include "fit/circle.hpp"
+#include "fit/slow.hpp"
 #include "motion/helix.hpp"
 
 namespace cgemit {
 
 namespace {
 
-struct Circle {
-  double x, y, radius;
+constexpr double wire_error = 0.2, strip_error = 0.2;  // mm, with what a circle does not know of the track
+
+// The transverse plane.
+struct CircleShape {
+  using Model = Circle;
+  static constexpr std::size_t least = 3;
+  struct Point {
+    double x, y;
+    Spot spot;
+  };
+  static double left(const Circle& circle, const Point& p) { return circle.left(p.x, p.y); }
+  struct Sums {
+    Moments moments;
+    void add(const Point& p, const Circle* about, const Pull& pull) {
+      Circle::Vector shift{0, 0};
+      if (about != nullptr && pull.offset != 0) shift = about->leftward(p.x, p.y);
+      moments.add(p.x - pull.offset * shift.x, p.y - pull.offset * shift.y, pull.weight);
+    }
+    std::optional<Circle> solve() const { return moments.circle(); }
+  };
 };
-
-struct Point {
-  double x, y;
-};
-
-// Algebraic circle fit of Taubin (IEEE PAMI 13 (1991) 1115), solved by Newton's method as in Chernov,
-// "Circular and Linear Regression" (2010), sec. 5.9. Nearly unbiased also for short arcs.
-std::optional<Circle> fit_circle(std::span<const Point> points) {
-  const auto n = static_cast<double>(points.size());
-  if (points.size() < 3) return std::nullopt;
-  double mx = 0, my = 0;
-  for (const Point& p : points) {
-    mx += p.x / n;
-    my += p.y / n;
-  }
-  double xx = 0, yy = 0, xy = 0, xz = 0, yz = 0, zz = 0;
-  for (const Point& p : points) {
-    const double x = p.x - mx, y = p.y - my, z = x * x + y * y;
-    xx += x * x / n;
-    yy += y * y / n;
-    xy += x * y / n;
-    xz += x * z / n;
-    yz += y * z / n;
-    zz += z * z / n;
-  }
-  const double mean_z = xx + yy, determinant = xx * yy - xy * xy, variance_z = zz - mean_z * mean_z;
-  const double a3 = 4 * mean_z, a2 = -3 * mean_z * mean_z - zz;
-  const double a1 = variance_z * mean_z + 4 * determinant * mean_z - xz * xz - yz * yz;
-  const double a0 = xz * (xz * yy - yz * xy) + yz * (yz * xx - xz * xy) - variance_z * determinant;
-  double root = 0;
-  for (int i = 0; i < 30; ++i) {
-    const double value = a0 + root * (a1 + root * (a2 + root * a3));
-    const double slope = a1 + root * (2 * a2 + root * 3 * a3);
-    const double step = value / slope;
-    if (!std::isfinite(step)) return std::nullopt;
-    root -= step;
-    if (std::abs(step) <= 1e-12 * std::abs(root)) break;
-  }
-  const double scale = 2 * (root * root - root * mean_z + determinant);
-  if (scale == 0) return std::nullopt;
-  const double cx = (xz * (yy - root) - yz * xy) / scale, cy = (yz * (xx - root) - xz * xy) / scale;
-  const double radius = std::sqrt(cx * cx + cy * cy + mean_z);
-  if (!std::isfinite(radius)) return std::nullopt;
-  return Circle{cx + mx, cy + my, radius};
-}
-
-// Where the track is, as far as a wire tells: on the wire, or beside it when the side is known.
-Point beside(const Wire& wire, double signed_drift, const Point& at, const Circle* circle) {
-  if (circle == nullptr || signed_drift == 0) return at;
-  // Positive side: along (flight x wire), the right-hand side of the flight for a wire along +z.
-  const double dx = at.x - circle->x, dy = at.y - circle->y, distance = std::hypot(dx, dy);
-  const double outward = signed_drift / (distance * std::max(wire.ez, 0.5));
-  return {at.x + outward * dx, at.y + outward * dy};
-}
-
-// Turning direction of the flight from the innermost to the outermost point: +1 anticlockwise.
-double turning(const Circle& circle, const Point& first, const Point& last) {
-  const double ax = first.x - circle.x, ay = first.y - circle.y, bx = last.x - circle.x,
-               by = last.y - circle.y;
-  return ax * by - ay * bx > 0 ? 1.0 : -1.0;
-}
 
 struct Line {
   double z0, tanl;
 };
 
-// Weighted straight line z(s).
-class LineFit {
- public:
-  void add(double s, double z, double sigma) {
-    const double weight = 1 / (sigma * sigma);
-    n_ += weight;
-    s1_ += weight * s;
-    s2_ += weight * s * s;
-    z1_ += weight * z;
-    sz_ += weight * s * z;
-    ++points_;
-  }
-  // A weak tie to the origin keeps two close points from pointing anywhere.
-  std::optional<Line> result() const {
-    constexpr double z_spread = 300;  // mm, of z0
-    if (points_ < 2) return std::nullopt;
-    const double n = n_ + 1 / (z_spread * z_spread);
-    const double determinant = n * s2_ - s1_ * s1_;
-    return Line{(z1_ * s2_ - sz_ * s1_) / determinant, (n * sz_ - s1_ * z1_) / determinant};
-  }
-
- private:
-  double n_ = 0, s1_ = 0, s2_ = 0, z1_ = 0, sz_ = 0;
-  int points_ = 0;
-};
-
-// Transverse arc from the closest approach to the beam line, along a circle flown through in direction
-// `turn`.
-class Arc {
- public:
-  Arc(const Circle& circle, double turn, const Point& closest)
-      : circle_(circle), turn_(turn), start_(std::atan2(closest.y - circle.y, closest.x - circle.x)) {}
-  double operator()(double x, double y) const {
-    double turned = turn_ * (std::atan2(y - circle_.y, x - circle_.x) - start_);
-    turned -= 2 * pi * std::floor(turned / (2 * pi));
-    return turned * circle_.radius;
-  }
-
- private:
-  Circle circle_;
-  double turn_, start_;
-};
-
-// z and arc where a stereo wire meets the circle (moved to the wire's side of the track where that is known).
-void add_wire(const WireLayer& layer, const Hit& hit, double side, const Circle& circle, const Arc& arc,
-              LineFit& line) {
-  const Wire& wire = layer.placed[static_cast<std::size_t>(hit.element)];
-  const double target = circle.radius - side * hit.value;
-  const double gx = wire.ex / wire.ez, gy = wire.ey / wire.ez;
-  const double dx = wire.x - circle.x, dy = wire.y - circle.y;
-  // |wire(z) - centre| = target along the wire.
-  const double a = gx * gx + gy * gy, b = dx * gx + dy * gy, c = dx * dx + dy * dy - target * target;
-  const double q = b * b - a * c;
-  if (q < 0) return;
-  const double root = std::sqrt(q), z_a = (-b + root) / a, z_b = (-b - root) / a;
-  const double z = std::abs(z_a) < std::abs(z_b) ? z_a : z_b;
-  if (std::abs(z) > 1.2 * layer.half_length) return;
-  constexpr double sigma = 100;  // mm, the unknown drift distance over the stereo angle
-  line.add(arc(wire.x + gx * z, wire.y + gy * z), z, sigma);
-}
-
-// Where an X cluster lies in the middle of the drift gap.
-Point cluster_point(const CgemLayer& layer, const Hit& x) {
-  const double phi = azimuth(layer, x.element, x.value);
-  return {layer.r_mid() * std::cos(phi), layer.r_mid() * std::sin(phi)};
-}
-
-std::vector<Point> axial_points(const Detector& detector, std::span<const Hit> hits,
-                                std::span<const std::int8_t> sides, SeedFrom from, double turn,
-                                const Circle* circle) {
-  std::vector<Point> points;
-  points.reserve(hits.size());
-  for (std::size_t i = 0; i < hits.size(); ++i) {
-    const auto index = static_cast<std::size_t>(hits[i].layer);
-    if (hits[i].view == View::wire && detector.wires[index].twist == 0) {
-      const Wire& wire = detector.wires[index].placed[static_cast<std::size_t>(hits[i].element)];
-      points.push_back(beside(wire, sides[i] * hits[i].value * turn, {wire.x, wire.y}, circle));
-    } else if (hits[i].view == View::x && from == SeedFrom::wires_and_clusters) {
-      points.push_back(cluster_point(detector.cgem[index], hits[i]));
+// z over arc: a point lies left of the circle by g0 + g1 z + g2 z^2 where the track is at height z.
+struct LineShape {
+  using Model = Line;
+  static constexpr std::size_t least = 2;
+  struct Point {
+    double s, g0, g1, g2;
+    double reach;  // mm, |z| that the hit can have
+    Spot spot;
+    double at(double z) const { return g0 + z * (g1 + z * g2); }
+  };
+  static double left(const Line& line, const Point& p) { return p.at(line.z0 + line.tanl * p.s); }
+  // Normal equations; a weak tie to the origin keeps two close points from pointing anywhere.
+  struct Sums {
+    double n = 1 / (300.0 * 300.0), s1 = 0, s2 = 1e-9, z1 = 0, sz = 0;
+    void add(const Point& p, const Line* about, const Pull& pull) {
+      const double z =
+          about != nullptr ? about->z0 + about->tanl * p.s : std::clamp(-p.g0 / p.g1, -p.reach, p.reach);
+      const double slope = p.g1 + 2 * z * p.g2, value = pull.offset - p.at(z) + slope * z;
+      const double row = pull.weight * slope;
+      n += row * slope;
+      s1 += row * slope * p.s;
+      s2 += row * slope * p.s * p.s;
+      z1 += row * value;
+      sz += row * value * p.s;
     }
-  }
-  return points;
-}
+    std::optional<Line> solve() const {
+      const double determinant = n * s2 - s1 * s1;
+      if (!(determinant > 0)) return std::nullopt;
+      return Line{(z1 * s2 - sz * s1) / determinant, (n * sz - s1 * z1) / determinant};
+    }
+  };
+};
 
-std::optional<Line> fit_line(const Detector& detector, std::span<const Hit> hits,
-                             std::span<const std::int8_t> sides, SeedFrom from, const Circle& circle,
-                             double turn, const Arc& arc) {
-  LineFit line;
+using CircleFit = Annealed<CircleShape>;
+using LineFit = Annealed<LineShape>;
+
+CircleFit::Result find_circle(const Detector& detector, std::span<const Hit> hits,
+                              std::span<const std::int8_t> sides, SeedFrom from) {
+  CircleFit fit;
   for (std::size_t i = 0; i < hits.size(); ++i) {
-    const auto index = static_cast<std::size_t>(hits[i].layer);
-    if (hits[i].view == View::wire) {
-      // The right-hand side of the flight lies outside an anticlockwise circle.
-      if (detector.wires[index].twist != 0)
-        add_wire(detector.wires[index], hits[i], sides[i] * turn, circle, arc, line);
-    } else if (from == SeedFrom::wires_and_clusters && hits[i].view == View::v) {
-      // X clusters precede V clusters of their sheet.
-      const bool pair = i > 0 && hits[i - 1].view == View::x && hits[i - 1].layer == hits[i].layer &&
-                        hits[i - 1].element == hits[i].element;
-      if (!pair) continue;
+    const Hit& hit = hits[i];
+    const auto index = static_cast<std::size_t>(hit.layer);
+    if (hit.view == View::wire && detector.wires[index].twist == 0) {
+      const Wire& wire = detector.wires[index].placed[static_cast<std::size_t>(hit.element)];
+      fit.add({wire.x, wire.y, {hit.value, static_cast<double>(sides[i]), 1 / wire_error, 1, 0}});
+    } else if (hit.view == View::x && from == SeedFrom::wires_and_clusters) {
       const CgemLayer& layer = detector.cgem[index];
-      const Point place = cluster_point(layer, hits[i - 1]);
-      line.add(arc(place.x, place.y), crossing_z(layer, hits[i - 1].value, hits[i].value), 1.0);
+      const double phi = azimuth(layer, hit.element, hit.value), r = layer.r_mid();
+      fit.add({r * std::cos(phi), r * std::sin(phi), {0, 1, 1 / strip_error, 1, 0}});
     }
+  }
+  return fit.result();
+}
+
+// A stereo wire at height z lies left of the circle by a quadratic in z.
+LineShape::Point wire_point(const WireLayer& layer, const Hit& hit, double side, const Circle& circle,
+                            double s, double error) {
+  const Wire& wire = layer.placed[static_cast<std::size_t>(hit.element)];
+  const double gx = wire.ex / wire.ez, gy = wire.ey / wire.ez;
+  const auto [nx, ny] = circle.gradient(wire.x, wire.y);
+  return {s,
+          circle.algebraic(wire.x, wire.y),
+          nx * gx + ny * gy,
+          -0.5 * circle.w * (gx * gx + gy * gy),
+          layer.half_length,
+          {hit.value, side, 1 / error, std::sqrt(gx * gx + gy * gy) / error, 0}};
+}
+
+// V strips, met at the X of their layer that lies closest to the circle, or else where the circle is.
+LineShape::Point strip_point(const CgemLayer& layer, const Hit& hit, std::span<const Hit> before,
+                             const HelixPoint& point, double s, double scale) {
+  const double around = 2 * pi * layer.r_readout;
+  double on_circle = local_x(layer, hit.element, std::atan2(point.y, point.x)), x = on_circle;
+  double closest = 10;  // mm
+  bool measured = false;
+  for (std::size_t i = before.size();
+       i-- > 0 && before[i].layer == hit.layer && before[i].view != View::wire;) {
+    if (before[i].view != View::x || before[i].element != hit.element) continue;
+    const double off = before[i].value - on_circle,
+                 distance = std::abs(off - around * std::round(off / around));
+    if (distance >= closest) continue;
+    closest = distance;
+    x = before[i].value;
+    measured = true;
+  }
+  if (!measured && x - layer.sheet_width() > 0.5 * (around - layer.sheet_width())) x -= around;
+  const double z = crossing_z(layer, x, hit.value);
+  const double error = measured ? strip_error : strip_error * scale;
+  return {s, -z * layer.sin_stereo, layer.sin_stereo,
+          0, layer.half_length,     {0, 1, 1 / error, std::abs(layer.sin_stereo) / error, 0}};
+}
+
+LineFit::Result find_line(const Detector& detector, std::span<const Hit> hits,
+                          std::span<const std::int8_t> sides, SeedFrom from, const Circle& circle,
+                          double scale) {
+  LineFit line;
+  HelixPoint point{circle.x(), circle.y(), 0, circle.ux, circle.uy, 0, circle.w};
+  double s = 0;
+  for (std::size_t i = 0; i < hits.size(); ++i) {
+    const Hit& hit = hits[i];
+    const auto index = static_cast<std::size_t>(hit.layer);
+    const bool stereo = hit.view == View::wire && detector.wires[index].twist != 0;
+    const bool strips = hit.view == View::v && from == SeedFrom::wires_and_clusters;
+    if (!stereo && !strips) continue;
+    const double radius = stereo ? std::sqrt(detector.wires[index].waist) : detector.cgem[index].r_mid();
+    double step = 0;
+    if (radius <= std::abs(circle.d) || !step_to_cylinder(point, radius, step)) continue;
+    s += step;
+    line.add(stereo ? wire_point(detector.wires[index], hit, sides[i], circle, s, wire_error * scale)
+                    : strip_point(detector.cgem[index], hit, hits.first(i), point, s, scale));
   }
   return line.result();
 }
@@ -222,29 +187,26 @@ std::optional<Perigee> seed_from_azimuths(const Detector& detector, std::span<co
 
 }  // namespace
 
-std::optional<Perigee> seed_helix(const Detector& detector, std::span<const Hit> hits,
-                                  std::span<const std::int8_t> sides, SeedFrom from) {
-  if (from == SeedFrom::azimuths) return seed_from_azimuths(detector, hits);
-  std::optional<Circle> circle;
-  double turn = 1;
-  const bool known = std::ranges::any_of(sides, [](std::int8_t side) { return side != 0; });
-  for (int pass = 0; pass < (known ? 2 : 1); ++pass) {
-    const std::vector<Point> points =
-        axial_points(detector, hits, sides, from, turn, circle ? &*circle : nullptr);
-    circle = fit_circle(points);
-    if (!circle) return std::nullopt;
-    turn = turning(*circle, points.front(), points.back());
+std::optional<Seed> seed_helix(const Detector& detector, std::span<const Hit> hits,
+                               std::span<const std::int8_t> sides, SeedFrom from, double mass) {
+  if (hits.empty()) return std::nullopt;
+  const auto radius = [&](const Hit& hit) {
+    const auto index = static_cast<std::size_t>(hit.layer);
+    return hit.view == View::wire ? std::sqrt(detector.wires[index].waist) : detector.cgem[index].r_mid();
+  };
+  const double middle = 0.5 * (radius(hits.front()) + radius(hits.back()));
+  if (from == SeedFrom::azimuths) {
+    const auto helix = seed_from_azimuths(detector, hits);
+    return helix ? std::optional(Seed{before_loss(detector, *helix, middle, mass), HUGE_VAL}) : std::nullopt;
   }
-  const double centre = std::hypot(circle->x, circle->y);
-  if (centre == 0) return std::nullopt;
-  const double to_closest = 1 - circle->radius / centre;
-  const Point closest{circle->x * to_closest, circle->y * to_closest};
-  const auto line = fit_line(detector, hits, sides, from, *circle, turn, Arc(*circle, turn, closest));
+  const auto [circle, scale] = find_circle(detector, hits, sides, from);
+  if (!circle) return std::nullopt;
+  const auto line = find_line(detector, hits, sides, from, *circle, scale).model;
   if (!line) return std::nullopt;
-  // The centre lies to the left of an anticlockwise flight.
-  const double psi = std::atan2(-turn * circle->x, turn * circle->y);
-  const double kappa = turn / circle->radius / curvature(detector.bz, 1.0);
-  return Perigee{closest.x * std::sin(psi) - closest.y * std::cos(psi), psi, kappa, line->z0, line->tanl};
+  const double kappa = circle->w / curvature(detector.bz, 1.0);
+  const Perigee helix{circle->d, std::atan2(circle->uy, circle->ux), kappa == 0 ? 1e-9 : kappa, line->z0,
+                      line->tanl};
+  return Seed{before_loss(detector, helix, middle, mass), wire_error * scale};
 }
 
 }  // namespace cgemit

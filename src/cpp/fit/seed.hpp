@@ -16,10 +16,15 @@ enum class SeedFrom {
   azimuths             // all wires at once, axial or not, for a track from the beam line
 };
 
+struct Seed {
+  Perigee helix;
+  double spread;  // mm, by how much most hits miss it in the transverse plane; infinite if it does not know
+};
+
 // `sides` (+1, -1, or 0 unknown), one per hit, move the points from the wire to the track where known.
 // Empty if there are fewer than three points for the circle or two for the line (azimuths: five wires), or if
 // no helix goes through them.
-std::optional<Perigee> seed_helix(const Detector& detector, std::span<const Hit> hits,
-                                  std::span<const std::int8_t> sides, SeedFrom from);
+std::optional<Seed> seed_helix(const Detector& detector, std::span<const Hit> hits,
+                               std::span<const std::int8_t> sides, SeedFrom from, double mass);
 
 }  // namespace cgemit

@@ -18,6 +18,13 @@ struct Estimate {
 };
 
 template <class T>
+mask_of<T> finite(const Estimate<T>& estimate) {
+  T sum(0.0);
+  unroll<parameters>([&](auto i) { sum += 0.0 * estimate.x[i] + 0.0 * estimate.c(i, i); });
+  return sum == 0.0;
+}
+
+template <class T>
 void add_noise(Symmetric<T>& c, const SlabNoise<T>& noise, bool shifts) {
   c.add([&](auto i, auto j) { return noise.dip[i] * noise.dip[j]; });
   c.add([&](auto i, auto j) {

@@ -51,12 +51,13 @@ class Tracer {
       }
       const Slab& slab = detector_.slabs[static_cast<std::size_t>(step.slab)];
       const auto noise = static_cast<std::size_t>(step.noise);
-      const mask_of<T> wanted = alive_ & group_.ahead[noise] & (inner < slab.radius);
+      const mask_of<T> beyond = group_.ahead[noise];
+      const mask_of<T> wanted = alive_ & (beyond | has_hits(step)) & (inner < slab.radius);
       // A helix that curls back below a slab may still pass by the next wires, but not by a gap.
       const mask_of<T> reached = wanted & !curled_ & motion_.go_to(slab.radius, wanted & !curled_);
       if (slab.gap >= 0) alive_ = alive_ & (reached | !wanted);
       for (std::int32_t s = step.first; s < step.last; ++s) meet_gap(slot(s), reached);
-      cross(slab, group_.noise[noise], reached & (abs(motion_.point().z) <= slab.half_length));
+      cross(slab, group_.noise[noise], reached & beyond & (abs(motion_.point().z) <= slab.half_length));
     }
     watch_.ends(motion_);
   }
@@ -65,6 +66,12 @@ class Tracer {
   static constexpr double seam_margin = 50;  // mm, more than a first helix is ever off at a CGEM layer
 
   Slot<T>& slot(std::int32_t s) { return group_.slots[static_cast<std::size_t>(s)]; }
+
+  mask_of<T> has_hits(const GroupStep& step) {
+    mask_of<T> some(false);
+    for (std::int32_t s = step.first; s < step.last; ++s) some = some | slot(s).there;
+    return some;
+  }
 
   // Where nothing is met, nothing is learnt.
   void found(Slot<T>& slot, mask_of<T> met, T predicted, const Five<T>& row) {

@@ -1,0 +1,162 @@
+// A curve through points of which some are wrong and most lie beside it at a known distance, on either side.
+#pragma once
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <cstddef>
+#include <optional>
+
+namespace cgemit {
+
+// What one point says: the curve passes at `drift` from it, and the point lies to its left (side 1), right
+// (-1) or either (0).
+struct Spot {
+  double drift, side;
+  double per_error;  // 1/mm, one over what is expected at best
+  double votes;      // how much it counts when curves are compared
+  double left;       // mm, how far left of the present curve the point lies
+  double miss() const { return side == 0 ? std::abs(left) - drift : left - side * drift; }
+  // Its votes, as far as it misses the curve by more than some of its errors.
+  double lost(double errors) const {
+    const double far = miss() * per_error / errors, square = far * far;
+    return votes * square / (1 + square);
+  }
+};
+
+// Where the curve should be drawn to, left of it, and how much that counts.
+struct Pull {
+  double offset, weight;
+};
+
+// An unknown side enters with what its two possibilities amount to at the present scale (in errors); what
+// lies far outside hardly counts (Geman and McClure, Bull. Int. Stat. Inst. 52 (1987) 5).
+inline Pull pull_of(const Spot& spot, double scale) {
+  const double per_spread = spot.per_error / scale, per_variance = per_spread * per_spread;
+  const double far = spot.miss() * per_spread, discount = 1 + far * far / 9;
+  if (spot.side != 0) return {spot.side * spot.drift, per_variance / (discount * discount)};
+  const double certain = spot.drift * spot.left * per_variance, square = 1 + certain * certain;
+  const double drift2 = spot.drift * spot.drift * per_variance;
+  return {spot.drift * certain / std::sqrt(square),
+          per_variance * square / ((square + drift2) * discount * discount)};
+}
+
+// `Shape` has a Model (the curve), a Point with its Spot, how far `left` of a model a point lies, how many
+// points make a model (`least`), and Sums, which take points with their pulls and solve for the model.
+template <class Shape>
+class Annealed {
+ public:
+  using Model = typename Shape::Model;
+  using Point = typename Shape::Point;
+
+  struct Result {
+    std::optional<Model> model;
+    double scale;  // in errors, how well most points are met; at least 1
+  };
+
+  // More points would not improve a first helix.
+  void add(const Point& point) {
+    if (n_ < points_.size()) points_[n_++] = point;
+  }
+
+  // Least squares with weights that get sharper as the curve gets better. If that leaves many points lost,
+  // also from a curve through few of them.
+  Result result() {
+    if (n_ < Shape::least) return {std::nullopt, 0};
+    typename Shape::Sums sums;
+    for (std::size_t i = 0; i < n_; ++i) {
+      const Spot& spot = points_[i].spot;
+      const double square = spot.per_error * spot.per_error;
+      sums.add(points_[i], nullptr, {0, square / (square * spot.drift * spot.drift + first * first)});
+    }
+    const Result plain = settled(sums.solve());
+    const double plain_lost = lost();
+    if (!plain.model || plain.scale < 2 || n_ <= Shape::least + 1 || plain_lost < few * votes()) return plain;
+    const Result other = settled(from_few());
+    return other.model && lost() < plain_lost ? other : plain;
+  }
+
+ private:
+  static constexpr double first = 20, near = 5;      // errors
+  static constexpr double few = 0.05, enough = 0.2;  // of the votes
+  static constexpr std::size_t trials = 12;
+  static constexpr int passes = 6;
+
+  Result settled(std::optional<Model> model) {
+    if (!model) return {std::nullopt, 0};
+    double scale = measure(*model, first);
+    for (int pass = 0; pass < passes; ++pass) {
+      const auto next = moved(*model, scale);
+      if (!next) break;
+      model = next;
+      const double now = measure(*model, scale);
+      const bool sharp = scale < 2, stuck = now > 0.7 * scale && pass > 1;
+      scale = now;
+      if (sharp || stuck) break;
+    }
+    return {model, scale};
+  }
+
+  // Where the points lie. Returns how well most are met: what lies far outside the last scale counts as if at
+  // its edge.
+  double measure(const Model& model, double scale) {
+    double sum = 0;
+    for (std::size_t i = 0; i < n_; ++i) {
+      Spot& spot = points_[i].spot;
+      spot.left = Shape::left(model, points_[i]);
+      sum += std::min(std::abs(spot.miss()) * spot.per_error, 1.5 * scale);
+    }
+    return std::max(1.2 * sum / static_cast<double>(n_), 1.0);
+  }
+
+  // Votes of the points that the last measured curve misses.
+  double lost() const {
+    double sum = 0;
+    for (std::size_t i = 0; i < n_; ++i) sum += points_[i].spot.lost(near);
+    return sum;
+  }
+
+  double votes() const {
+    double sum = 0;
+    for (std::size_t i = 0; i < n_; ++i) sum += points_[i].spot.votes;
+    return sum;
+  }
+
+  std::optional<Model> moved(const Model& model, double scale) const {
+    typename Shape::Sums sums;
+    for (std::size_t i = 0; i < n_; ++i) sums.add(points_[i], &model, pull_of(points_[i].spot, scale));
+    return sums.solve();
+  }
+
+  // The curve through a few points, spread over the way, that comes closest to most of the others (Fischler
+  // and Bolles, CACM 24 (1981) 381).
+  std::optional<Model> from_few() {
+    std::optional<Model> best;
+    double least_lost = HUGE_VAL;
+    const std::size_t part = n_ / Shape::least;
+    for (std::size_t trial = 0; trial < trials; ++trial) {
+      typename Shape::Sums sums;
+      for (std::size_t j = 0; j < Shape::least; ++j) {
+        const std::size_t length = j + 1 < Shape::least ? part : n_ - j * part;
+        sums.add(points_[j * part + (j + 1) * trial % length], nullptr, {0, 1});
+      }
+      auto model = sums.solve();
+      if (!model) continue;
+      measure(*model, first);
+      model = moved(*model, first);
+      if (!model) continue;
+      measure(*model, first);
+      const double now = lost();
+      if (now < least_lost) best = model;
+      least_lost = std::min(now, least_lost);
+      if (least_lost < enough * votes()) break;
+    }
+    return best;
+  }
+
+  static constexpr std::size_t most = 128;
+  std::array<Point, most> points_;
+  std::size_t n_ = 0;
+};
+
+}  // namespace cgemit

@@ -1,0 +1,93 @@
+// Circle through points in the transverse plane, from their moments, without iteration.
+#pragma once
+
+#include <algorithm>
+#include <cmath>
+#include <optional>
+
+namespace cgemit {
+
+// A circle, or a straight line, flown through in direction u from its closest approach to the beam line.
+struct Circle {
+  double w, d, ux, uy;  // curvature (1/mm), signed distance (mm) and direction as in `Perigee`
+
+  double x() const { return d * uy; }
+  double y() const { return -d * ux; }
+
+  // Left of the flight positive, a distance near the circle: (R^2 - distance^2 from the centre)/(2 R).
+  double algebraic(double px, double py) const {
+    return (1 - w * d) * (py * ux - px * uy) + d * (1 - 0.5 * w * d) - 0.5 * w * (px * px + py * py);
+  }
+
+  struct Vector {
+    double x, y;
+  };
+  // Gradient of that.
+  Vector gradient(double px, double py) const {
+    const double n = 1 - w * d;
+    return {-n * uy - w * px, n * ux - w * py};
+  }
+  // Unit vector of the gradient near the circle, one step of Newton from 1: it points to the left of the
+  // flight.
+  Vector leftward(double px, double py) const {
+    const Vector g = gradient(px, py);
+    const double scale = 1.5 - 0.5 * (g.x * g.x + g.y * g.y);
+    return {g.x * scale, g.y * scale};
+  }
+  // How far left of the flight a point near the circle lies, mm; the sign is right everywhere.
+  double left(double px, double py) const {
+    const double g = algebraic(px, py);
+    return g / (1 - 0.5 * w * g);
+  }
+};
+
+// Weighted moments of points.
+class Moments {
+ public:
+  void add(double x, double y, double weight) {
+    const double z = x * x + y * y, wx = weight * x, wy = weight * y, wz = weight * z;
+    n_ += weight;
+    x_ += wx;
+    y_ += wy;
+    z_ += wz;
+    xx_ += wx * x;
+    xy_ += wx * y;
+    yy_ += wy * y;
+    xz_ += wx * z;
+    yz_ += wy * z;
+    zz_ += wz * z;
+    ++points_;
+  }
+
+  // Least squares of k r^2 - (y ux - x uy) - e over k, e and the direction (V. Karimaki, NIM A 305 (1991)
+  // 187): the distance to the circle for points that are much closer to it than its radius. The flight goes
+  // away from the beam line.
+  std::optional<Circle> circle() const {
+    if (points_ < 3) return std::nullopt;
+    const double per = 1 / n_, x = x_ * per, y = y_ * per, z = z_ * per;
+    const double xx = xx_ * per - x * x, xy = xy_ * per - x * y, yy = yy_ * per - y * y;
+    const double xz = xz_ * per - x * z, yz = yz_ * per - y * z, zz = zz_ * per - z * z;
+    const double sine = 2 * (zz * xy - xz * yz), cosine = zz * (xx - yy) - xz * xz + yz * yz;
+    const double size = std::sqrt(sine * sine + cosine * cosine);
+    if (!(size > 0) || !(zz > 1e-12 * z * z)) return std::nullopt;
+    // Half of the angle; of the two ways to fly along the line the one away from the beam line.
+    const double larger = std::sqrt(0.5 + 0.5 * std::abs(cosine) / size),
+                 smaller = 0.5 * sine / (size * larger);
+    double ux = cosine > 0 ? larger : smaller, uy = cosine > 0 ? smaller : larger;
+    if (ux * x + uy * y < 0) {
+      ux = -ux;
+      uy = -uy;
+    }
+    const double k = (yz * ux - xz * uy) / zz;
+    const double e = k * z - (y * ux - x * uy);
+    const double root = std::sqrt(1 + 4 * k * e);
+    if (!(root > 0) || !std::isfinite(root)) return std::nullopt;
+    return Circle{2 * k / root, 2 * e / (1 + root), ux, uy};
+  }
+
+ private:
+  double n_ = 0, x_ = 0, y_ = 0, z_ = 0, xx_ = 0, xy_ = 0, yy_ = 0, xz_ = 0, yz_ = 0, zz_ = 0;
+  int points_ = 0;
+};
+
+}  // namespace cgemit

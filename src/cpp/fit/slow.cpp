@@ -1,0 +1,59 @@
+#include "fit/slow.hpp"
+
+#include <cmath>
+#include <ranges>
+
+#include "common/angles.hpp"
+#include "matter/loss.hpp"
+#include "motion/helix.hpp"
+
+namespace cgemit {
+
+namespace {
+
+// Momentum before a slab, from that behind it: the mean of two estimates, one too large, one too small.
+Kinematics before(const Slab& slab, double path, const Kinematics& after, const TrackMatter& track) {
+  const double most = core_loss(slab, path, after, track).loss;
+  const double least = core_loss(slab, path, after.after_loss(-most), track).loss;
+  return after.after_loss(-0.5 * (most + least));
+}
+
+// Closest approach of a helix to the beam line (docs/conventions.md; `cgemit.helix.at_origin`).
+Perigee perigee(const HelixPoint& point, double kappa) {
+  const double s = point.sideways(), p = point.outward(), w = point.w;
+  const double reach = std::hypot(1 - w * s, w * p), theta = -std::atan2(w * p, 1 - w * s);
+  const double d = (2 * s - w * (point.x * point.x + point.y * point.y)) / (1 + reach);
+  return {d, wrap_angle(std::atan2(point.uy, point.ux) + theta), kappa, point.z + theta / w * point.tanl,
+          point.tanl};
+}
+
+}  // namespace
+
+Perigee before_loss(const Detector& detector, const Perigee& helix, double radius, double mass) {
+  const double stretch = std::sqrt(1 + helix.tanl * helix.tanl);
+  Kinematics now(stretch / std::abs(helix.kappa), mass, projectile_of(mass, helix.kappa));
+  if (now.is_light() || now.p > mass) return helix;
+  const TrackMatter track = total_matter(detector, helix.tanl);
+  const double per_kappa = curvature(detector.bz, 1.0);
+  HelixPoint point{helix.d * std::sin(helix.psi),
+                   -helix.d * std::cos(helix.psi),
+                   helix.z0,
+                   std::cos(helix.psi),
+                   std::sin(helix.psi),
+                   helix.tanl,
+                   per_kappa * helix.kappa};
+  double kappa = helix.kappa, arc = 0;
+  if (radius <= std::abs(helix.d) || !step_to_cylinder(point, radius, arc)) return helix;
+  for (const Slab& slab : detector.slabs | std::views::reverse) {
+    if (slab.radius >= radius) continue;
+    if (!step_to_cylinder(point, slab.radius, arc)) break;
+    if (std::abs(point.z) > slab.half_length) continue;
+    const double momentum = now.p;
+    now = before(slab, path_factor(slab, stretch, std::abs(point.outward())), now, track);
+    kappa *= momentum / now.p;
+    point.w = per_kappa * kappa;
+  }
+  return perigee(point, kappa);
+}
+
+}  // namespace cgemit
