@@ -68,7 +68,7 @@ def test_default_build_knows_no_instruction_set() -> None:
         (path.name, line.strip())
         for path in sources
         for line in path.read_text().splitlines()
-        if X86.search(line) and path.name != "pack.hpp"  # asks the compiler what it has
+        if X86.search(line) and path.parent.name != "lanes"  # asks the compiler what it has
     ]
     # Libraries of their own, opened where the processor allows.
     assert [line.split(" -")[0] for _, line in found] == ["cgemit_kernels(v3 4", "cgemit_kernels(v4 8"]

@@ -116,32 +116,29 @@ py::dict run(const Detector& detector, int layer, double p, double mass, double 
   return d;
 }
 
-struct Followed {
-  Electron end;
-  double way, deposited;
-};
-
-py::dict follow(const Detector& detector, int layer, double w, double energy, double outward, py::ssize_t n,
-                std::uint64_t seed) {
+py::dict follow_electrons(const Detector& detector, int layer, double w, double energy, double outward,
+                          py::ssize_t n, std::uint64_t seed) {
   const GapMatter& matter = gap_of(detector, layer);
-  std::vector<Followed> rows;
-  std::vector<Piece> pieces;
+  const Electron start{0, w, 0, std::sqrt(std::max(1 - outward * outward, 0.0)), outward, 0, energy};
+  ElectronBatch batch;
   for (py::ssize_t i = 0; i < n; ++i) {
-    const Stream stream(seed, static_cast<std::uint64_t>(i), 0);
-    Electron e{0, w, 0, std::sqrt(std::max(1 - outward * outward, 0.0)), outward, 0, energy};
-    pieces.clear();
-    const double way = transport(matter, e, detector.bz, stream, 0, pieces);
-    double deposited = 0;
-    for (const Piece& piece : pieces) deposited += piece.energy;
-    rows.push_back({e, way, deposited});
+    batch.electrons.push_back(
+        {&matter, detector.bz, Stream(seed, static_cast<std::uint64_t>(i), 0), 0, start});
   }
+  follow(batch);
+  const auto& rows = batch.electrons;
+  const auto deposited = [&batch](const ElectronTask& f) {
+    double sum = 0;
+    for (std::size_t k = f.first; k != 0; k = batch.pieces[k].next) sum += batch.pieces[k].energy;
+    return sum;
+  };
   py::dict d;
-  d["u"] = pick<double>(rows, [](const Followed& f) { return f.end.u; });
-  d["w"] = pick<double>(rows, [](const Followed& f) { return f.end.w; });
-  d["z"] = pick<double>(rows, [](const Followed& f) { return f.end.z; });
-  d["energy"] = pick<double>(rows, [](const Followed& f) { return f.end.energy; });
-  d["way"] = pick<double>(rows, [](const Followed& f) { return f.way; });
-  d["deposited"] = pick<double>(rows, [](const Followed& f) { return f.deposited; });
+  d["u"] = pick<double>(rows, [](const ElectronTask& f) { return f.electron.u; });
+  d["w"] = pick<double>(rows, [](const ElectronTask& f) { return f.electron.w; });
+  d["z"] = pick<double>(rows, [](const ElectronTask& f) { return f.electron.z; });
+  d["energy"] = pick<double>(rows, [](const ElectronTask& f) { return f.electron.energy; });
+  d["way"] = pick<double>(rows, [](const ElectronTask& f) { return f.way; });
+  d["deposited"] = pick<double>(rows, deposited);
   return d;
 }
 
@@ -162,7 +159,7 @@ void bind_gap(py::module_& module) {
              py::arg("keep_clusters"), py::arg("tanl") = 0.0, py::arg("slope") = 0.0,
              "What n straight tracks through the azimuth 0 leave in a drift gap; slope: r dphi/dr on entry.");
   module.def(
-      "follow_electrons", &follow, py::arg("detector"), py::arg("layer"), py::kw_only(), py::arg("w"),
-      py::arg("energy"), py::arg("outward"), py::arg("n"), py::arg("seed"),
+      "follow_electrons", &follow_electrons, py::arg("detector"), py::arg("layer"), py::kw_only(),
+      py::arg("w"), py::arg("energy"), py::arg("outward"), py::arg("n"), py::arg("seed"),
       "Where n electrons end that start at w (mm from the inner edge of the gap) with an energy (keV).");
 }

@@ -4,6 +4,7 @@
 #include <pybind11/pybind11.h>
 
 #include "bindings/arrays.hpp"
+#include "kernels/kernels.hpp"
 
 namespace py = pybind11;
 using namespace cgemit;
@@ -87,7 +88,7 @@ py::dict run(const Detector& detector, const py::dict& particles, Fluctuations f
   Simulated out;
   {
     py::gil_scoped_release release;
-    out = simulate(detector, in, {fluctuations, deltas, steps}, seed);
+    kernels().simulate(detector, in, {fluctuations, deltas, steps}, seed, out);
   }
   std::vector<std::int8_t> status;
   status.reserve(out.status.size());

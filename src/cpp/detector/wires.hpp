@@ -20,19 +20,22 @@ inline Wire place_wire(const WireLayer& layer, int number) {
 }
 
 // Distance of the layer's wires from the beam line at z; smallest in the middle of a stereo layer.
-inline double wire_radius(const WireLayer& layer, double z) {
-  return layer.flare == 0 ? layer.r_end : std::sqrt(layer.waist + layer.flare * z * z);
+template <class T>
+T wire_radius(const WireLayer& layer, const T& z) {
+  return layer.flare == 0 ? T(layer.r_end) : sqrt(layer.waist + layer.flare * z * z);
 }
 
 // Azimuth of a wire at z, minus that at z = 0.
-inline double wire_azimuth(const WireLayer& layer, double z) {
-  const double t = z * layer.twist_per_z;
+template <class T>
+T wire_azimuth(const WireLayer& layer, const T& z) {
+  const T t = z * layer.twist_per_z;
   return t * atan_over(t);
 }
 
 // Azimuth of a point in units of cells, 0 at wire 0: the nearest whole number is the cell the point lies in.
-inline double cell_coordinate(const WireLayer& layer, double phi, double z) {
-  const double wire_0 = layer.phi_east - 0.5 * layer.twist + wire_azimuth(layer, z);
+template <class T>
+T cell_coordinate(const WireLayer& layer, const T& phi, const T& z) {
+  const T wire_0 = layer.phi_east - 0.5 * layer.twist + wire_azimuth(layer, z);
   return (phi - wire_0) * layer.per_radian;
 }
 

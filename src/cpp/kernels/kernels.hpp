@@ -8,6 +8,7 @@
 #include <string>
 
 #include "fit/fit.hpp"
+#include "simulate/simulate.hpp"
 
 namespace cgemit {
 
@@ -16,6 +17,8 @@ struct Kernels {
   int lanes;
   // A function of `lanes/math.hpp` on n numbers, n a multiple of the lanes: for tests.
   void (*function)(const std::string& name, const double* in, double* out, std::size_t n);
+  void (*simulate)(const Detector&, const ParticleColumns&, const SimulateSettings&, std::uint64_t seed,
+                   Simulated&);
   void (*fit)(const Detector&, const FitInput&, const FitSettings&, const FitOutput&);
 };
 

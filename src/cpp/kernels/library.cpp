@@ -2,6 +2,7 @@
 #include "fit/batch.hpp"
 #include "kernels/function.hpp"
 #include "kernels/kernels.hpp"
+#include "simulate/lane_batch.hpp"
 
 namespace cgemit {
 
@@ -14,7 +15,7 @@ void fit(const Detector& detector, const FitInput& input, const FitSettings& set
   BatchFit<Number>(detector, input, settings, output).run();
 }
 
-constexpr Kernels these{CGEMIT_ISA, CGEMIT_LANES, &function_of_lanes<Number>, &fit};
+constexpr Kernels these{CGEMIT_ISA, CGEMIT_LANES, &function_of_lanes<Number>, &simulate_lanes<Number>, &fit};
 
 }  // namespace
 

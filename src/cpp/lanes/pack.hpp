@@ -8,8 +8,11 @@
 // Functions are in `lanes/math.hpp`.
 #pragma once
 
+#include <bit>
 #include <cmath>
 #include <cstdint>
+#include <type_traits>
+#include <utility>
 
 #if defined(__SSE2__)
 #include <immintrin.h>
@@ -256,6 +259,27 @@ template <class T>
 using mask_of = typename Lanes<T>::Mask;
 template <class T>
 inline constexpr int lanes_of = Lanes<T>::width;
+
+// Calls f with the number of each lane in the mask.
+template <class M, class F>
+void each_lane(const M& mask, F&& f) {
+  if constexpr (std::is_integral_v<M>) {
+    if (mask) f(0);
+  } else {
+    for (unsigned left = bits(mask); left != 0; left &= left - 1) f(std::countr_zero(left));
+  }
+}
+
+// The numbers f(0), f(1), ... of the lanes.
+template <class T, class F>
+T gathered(F&& f) {
+  if constexpr (lanes_of<T> == 1)
+    return f(0);
+  else
+    return [&]<int... lane>(std::integer_sequence<int, lane...>) {
+      return T(typename T::Vector{f(lane)...});
+    }(std::make_integer_sequence<int, lanes_of<T>>());
+}
 
 template <class T>
 T smaller(const T& a, const std::type_identity_t<T>& b) {

@@ -4,16 +4,27 @@
 #include <algorithm>
 #include <cmath>
 
-#include "common/rng.hpp"
+#include "lanes/philox.hpp"
 
 namespace cgemit {
 
-// The uniform numbers of one purpose at one place.
-class Draws {
+// The uniform numbers of one purpose at one place, for a particle or one in each lane.
+template <class T>
+class DrawsOf {
  public:
-  Draws(const Stream& stream, Purpose purpose, std::uint32_t place)
+  DrawsOf(const StreamOf<T>& stream, Purpose purpose, std::uint32_t place)
       : stream_(stream), purpose_(purpose), place_(place) {}
-  double next() {
+  // Goes on where others are, in one of their lanes.
+  template <class Others>
+  DrawsOf(const StreamOf<T>& stream, const Others& others, int i)
+      : stream_(stream),
+        purpose_(others.purpose_),
+        place_(others.place_),
+        block_(others.block_),
+        used_(others.used_) {
+    for (std::size_t k = 0; k < 4; ++k) words_[k] = word(others.words_[k], i);
+  }
+  T next() {
     if (used_ == 4) {
       words_ = stream_.block(purpose_, place_, block_++);
       used_ = 0;
@@ -22,12 +33,15 @@ class Draws {
   }
 
  private:
-  const Stream& stream_;
+  template <class Other>
+  friend class DrawsOf;
+  const StreamOf<T>& stream_;
   Purpose purpose_;
   std::uint32_t place_, block_ = 0;
   std::size_t used_ = 4;
-  Block words_{};
+  BlockOf<T> words_{};
 };
+using Draws = DrawsOf<double>;
 
 // Poisson number at a quantile counted from the top: the usual none costs no exponential. Large numbers by
 // Cornish and Fisher's expansion about the normal quantile, wrong by less than 0.01.
@@ -45,5 +59,24 @@ inline int poisson(double u, double mean) {
   }
   return n;
 }
+
+#if defined(__GNUC__) || defined(__clang__)
+// The same in lanes, as whole numbers.
+template <int W>
+Pack<W> poisson(Pack<W> u, Pack<W> mean) {
+  Pack<W> n(0.0);
+  if (all(u >= mean)) return n;
+  const Mask<W> large = mean > 200.0;
+  each_lane(large, [&](int i) { n.set(i, poisson(u[i], mean[i])); });
+  mean = select(large, 0.0, mean);
+  Pack<W> term = exp(-mean), sum = term;
+  for (Mask<W> more = (1.0 - u > sum) & (u < mean); any(more); more = more & (1.0 - u > sum) & (term > 0.0)) {
+    n = select(more, n + 1.0, n);
+    term *= mean / larger(n, 1.0);
+    sum += term;
+  }
+  return n;
+}
+#endif
 
 }  // namespace cgemit

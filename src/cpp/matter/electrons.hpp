@@ -9,36 +9,83 @@
 
 #include "common/rng.hpp"
 #include "detector/gap.hpp"
+#include "lanes/math.hpp"
 
 namespace cgemit {
 
 // Below this energy an electron ends where it is; in gas of 1 atm it would go 20 um further.
 inline constexpr double least_electron = 0.3;  // keV
 
-struct Electron {
-  double u, w, z;     // mm
-  double du, dw, dz;  // direction, unit vector
-  double energy;      // keV
+template <class T>
+struct ElectronOf {
+  T u, w, z;     // mm
+  T du, dw, dz;  // direction, unit vector
+  T energy;      // keV
 };
+using Electron = ElectronOf<double>;
 
 // A straight piece of the way in the gap and the energy left on it.
 struct Piece {
   std::array<double, 3> from, to;  // u, w, z, mm
   double energy;                   // keV
+  std::size_t next;                // of the same electron, 0: none
+};
+
+// An electron to be followed, and what came of that.
+struct ElectronTask {
+  const GapMatter* matter;
+  double bz;  // T
+  Stream stream;
+  std::uint32_t place;              // one electron's own
+  Electron electron;                // at first where it starts, in the end where it ended
+  double way = 0;                   // mm
+  std::size_t first = 0, last = 0;  // of its pieces, 0: none
+};
+
+// Many of them; number 0 of the pieces is nobody's.
+struct ElectronBatch {
+  std::vector<ElectronTask> electrons;
+  std::vector<Piece> pieces{Piece{}};
+
+  void clear() {
+    electrons.clear();
+    pieces.resize(1);
+  }
+  void append(ElectronTask& electron, const Piece& piece) {
+    (electron.first == 0 ? electron.first : pieces[electron.last].next) = pieces.size();
+    electron.last = pieces.size();
+    pieces.push_back(piece);
+  }
 };
 
 // Practical range, g/cm2, of an electron of so many keV; Kobetich and Katz, Phys. Rev. 170 (1968) 391.
-inline double practical_range(double energy) {
-  return 5.37e-4 * energy * (1 - 0.9815 / (1 + 3.123e-3 * energy));
+template <class T>
+T practical_range(const T& energy) {
+  return 5.37e-4 * energy * (1.0 - 0.9815 / (1.0 + 3.123e-3 * energy));
 }
 
 // Turns the direction by an angle with cosine 1 - 2 mu, at an azimuth about the flight.
-void deflect(Electron& electron, double mu, double cos_azimuth, double sin_azimuth);
+template <class T>
+void deflect(ElectronOf<T>& e, const T& mu, const T& cos_azimuth, const T& sin_azimuth) {
+  const T cosine = 1.0 - 2.0 * mu, sine = 2.0 * sqrt(larger(mu * (1.0 - mu), 0.0));
+  const T side = sine * cos_azimuth, up = sine * sin_azimuth;
+  const T across = sqrt(e.du * e.du + e.dw * e.dw);
+  // Axes across the flight: (-dw, du, 0)/across and (-du dz, -dw dz, across^2)/across.
+  const T first = side / across, second = up / across * e.dz;
+  const T du = cosine * e.du - first * e.dw - second * e.du;
+  const T dw = cosine * e.dw + first * e.du - second * e.dw;
+  const T dz = cosine * e.dz + up * across;
+  // Against rounding over thousands of steps: one step of Newton's towards length 1.
+  const T norm = 1.5 - 0.5 * (du * du + dw * dw + dz * dz);
+  const mask_of<T> along_z = across < 1e-6;
+  e.du = select(along_z, side, du * norm);
+  e.dw = select(along_z, up, dw * norm);
+  e.dz = select(along_z, copysign(cosine, cosine * e.dz), dz * norm);
+}
 
-// Follows an electron until it has less than `least_electron`, leaves the layers, or is too deep in solid
-// matter to come back to the gap; its remaining energy is then what `electron` says. Appends the pieces in
-// the gap. Returns the length of its way, mm. `place` is one electron's own.
-double transport(const GapMatter& matter, Electron& electron, double bz, const Stream& stream,
-                 std::uint32_t place, std::vector<Piece>& pieces);
+// Follows electrons until they have less than `least_electron`, leave the layers, or are too deep in solid
+// matter to come back to the gap; their remaining energy is then what `electron` says. Keeps the pieces in
+// the gap.
+void follow(ElectronBatch& batch);
 
 }  // namespace cgemit

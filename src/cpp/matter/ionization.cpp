@@ -30,7 +30,7 @@ struct Collisions {
       : particle(k),
         largest(k.w_max() / keV),
         kinematic(k.is_light() ? k.kinetic() / keV : largest),
-        peak(spectrum_peak(k)) {}
+        peak(spectrum_peak(k.projectile)) {}
 
   // How often there is one of this energy, relative to xi/(beta^2 E^2).
   double share(double energy) const {
@@ -46,19 +46,24 @@ struct Collisions {
 class Passage {
  public:
   Passage(const GapMatter& matter, const GapCrossing& crossing, const Kinematics& k, const Stream& stream,
-          std::uint32_t place, std::vector<Deposit>& out)
-      : matter_(matter), crossing_(crossing), collisions_(k), stream_(stream), place_(place), out_(out) {}
+          std::uint32_t place, DeltaBatch& electrons, std::vector<Deposit>& out)
+      : matter_(matter),
+        crossing_(crossing),
+        collisions_(k),
+        stream_(stream),
+        place_(place),
+        electrons_(electrons),
+        out_(out) {}
 
   // Clusters of the size table, and the electrons above it.
   void gas(double density, bool deltas, bool keep_clusters) {
     const Block counts = stream_.block(Purpose::ionization, place_);
     const int n = std::min(poisson(open_unit(counts[0]), density * crossing_.length), most_clusters);
-    Block words{};
-    for (int i = 0; i < n; ++i) {
-      const auto number = static_cast<std::uint32_t>(i);
-      if (number % 4 == 0) words = stream_.block(Purpose::ionization, place_, 1 + number / 4);
+    BlocksAhead words(stream_, Purpose::ionization, place_, 1);
+    for (std::uint32_t number = 0; number < static_cast<std::uint32_t>(n); ++number) {
+      const std::uint32_t drawn = words[number];
       std::size_t size = 0;
-      while (size + 1 < matter_.sizes.size() && words[number % 4] >= matter_.sizes[size]) ++size;
+      while (size + 1 < matter_.sizes.size() && drawn >= matter_.sizes[size]) ++size;
       if (size >= largest_cluster) {
         large_cluster(number, size - largest_cluster, deltas, keep_clusters);
       } else {
@@ -89,9 +94,7 @@ class Passage {
     }
   }
 
-  GapResult result() const {
-    return {energy_ + clusters_ * matter_.w_value, clusters_ + delta_electrons_, deltas_};
-  }
+  int clusters() const { return clusters_; }
 
  private:
   // A point of the track and how it flies there, in the plane that touches the layer: u along r phi.
@@ -160,36 +163,10 @@ class Passage {
     Electron electron{0, from.w, from.z, from.du, from.dw, from.dz, energy};
     const double azimuth = 2 * pi * turns;
     deflect(electron, 0.5 * (1 - collisions_.cosine(energy)), std::cos(azimuth), std::sin(azimuth));
-    pieces_.clear();
     // Ten bits of the place tell the electrons of a crossing apart.
     const std::uint32_t own = place_ | ((++followed_ & 1023U) << 16);
-    transport(matter_, electron, crossing_.bz, stream_, own, pieces_);
-    if (pieces_.empty()) return;
-    ++deltas_;
-    double sum = 0;
-    int before = 0;
-    for (const Piece& piece : pieces_) {
-      sum += piece.energy;
-      const int electrons = static_cast<int>(std::lround(sum / matter_.w_value));
-      record(from, piece, electrons - before, origin);
-      before = electrons;
-    }
-    energy_ += sum;
-    delta_electrons_ += before;
-  }
-
-  void record(const Start& from, const Piece& piece, int electrons, DeltaOrigin origin) {
-    const double inner = crossing_.entry.radius();
-    const auto place = [&from, inner](const std::array<double, 3>& p) {
-      const double r = inner + p[1], half = 0.5 * p[0] / r, t = half * tangent_over(half),
-                   scale = r / (1 + t * t);
-      const double along = scale * (1 - t * t), across = scale * 2 * t;
-      return std::array{along * from.cosine - across * from.sine, along * from.sine + across * from.cosine,
-                        p[2]};
-    };
-    const auto a = place(piece.from), b = place(piece.to);
-    out_.push_back({0.5 * (a[0] + b[0]), 0.5 * (a[1] + b[1]), 0.5 * (a[2] + b[2]), b[0] - a[0], b[1] - a[1],
-                    b[2] - a[2], piece.energy, electrons, deltas_, origin});
+    electrons_.electrons.push_back({&matter_, crossing_.bz, stream_, own, electron});
+    electrons_.births.push_back({from.cosine, from.sine, origin});
   }
 
   const GapMatter& matter_;
@@ -197,12 +174,32 @@ class Passage {
   Collisions collisions_;
   const Stream& stream_;
   std::uint32_t place_, followed_ = 0;
+  DeltaBatch& electrons_;
   std::vector<Deposit>& out_;
-  std::vector<Piece> pieces_;
-  double energy_ = 0;                       // keV, of deltas
-  int clusters_ = 0, delta_electrons_ = 0;  // electrons set free
-  int deltas_ = 0;
+  int clusters_ = 0;  // electrons set free
 };
+
+// A point in the plane of an electron, rolled onto the layer.
+std::array<double, 3> rolled(const std::array<double, 3>& at, double inner, const DeltaBatch::Birth& birth) {
+  const double r = inner + at[1], half = 0.5 * at[0] / r, t = half * tangent_over(half),
+               scale = r / (1 + t * t);
+  const double along = scale * (1 - t * t), across = scale * 2 * t;
+  return {along * birth.cosine - across * birth.sine, along * birth.sine + across * birth.cosine, at[2]};
+}
+
+Deposit deposit_of(const Piece& piece, double inner, const DeltaBatch::Birth& birth) {
+  const auto a = rolled(piece.from, inner, birth), b = rolled(piece.to, inner, birth);
+  return {0.5 * (a[0] + b[0]),
+          0.5 * (a[1] + b[1]),
+          0.5 * (a[2] + b[2]),
+          b[0] - a[0],
+          b[1] - a[1],
+          b[2] - a[2],
+          piece.energy,
+          0,
+          0,
+          birth.origin};
+}
 
 // Ionizations per mm.
 double cluster_density(const GapMatter& matter, double log_bg) {
@@ -213,13 +210,48 @@ double cluster_density(const GapMatter& matter, double log_bg) {
 
 }  // namespace
 
+Ionized set_free(const GapMatter& matter, const GapCrossing& crossing, const Kinematics& k,
+                 const Stream& stream, std::uint32_t place, bool deltas, bool keep_clusters,
+                 DeltaBatch& electrons, std::vector<Deposit>& out) {
+  const std::size_t first = electrons.electrons.size();
+  Passage passage(matter, crossing, k, stream, place, electrons, out);
+  passage.gas(cluster_density(matter, k.log_bg), deltas, keep_clusters);
+  if (deltas) passage.solids();
+  return {passage.clusters(), first, electrons.electrons.size()};
+}
+
+GapResult collect(const GapMatter& matter, const GapCrossing& crossing, const Ionized& ionized,
+                  const DeltaBatch& electrons, std::vector<Deposit>& out) {
+  GapResult result{ionized.clusters * matter.w_value, ionized.clusters, 0};
+  const double inner = crossing.entry.radius();
+  for (std::size_t i = ionized.first; i < ionized.last; ++i) {
+    const ElectronTask& electron = electrons.electrons[i];
+    if (electron.first == 0) continue;
+    ++result.deltas;
+    double sum = 0;
+    int before = 0;
+    for (std::size_t n = electron.first; n != 0; n = electrons.pieces[n].next) {
+      Deposit deposit = deposit_of(electrons.pieces[n], inner, electrons.births[i]);
+      sum += deposit.energy;
+      const int so_far = static_cast<int>(std::lround(sum / matter.w_value));
+      deposit.electrons = so_far - before;
+      deposit.delta = result.deltas;
+      before = so_far;
+      out.push_back(deposit);
+    }
+    result.energy += sum;
+    result.electrons += before;
+  }
+  return result;
+}
+
 GapResult ionize(const GapMatter& matter, const GapCrossing& crossing, const Kinematics& k,
                  const Stream& stream, std::uint32_t place, bool deltas, bool keep_clusters,
                  std::vector<Deposit>& out) {
-  Passage passage(matter, crossing, k, stream, place, out);
-  passage.gas(cluster_density(matter, k.log_bg), deltas, keep_clusters);
-  if (deltas) passage.solids();
-  return passage.result();
+  DeltaBatch electrons;
+  const Ionized ionized = set_free(matter, crossing, k, stream, place, deltas, keep_clusters, electrons, out);
+  follow(electrons);
+  return collect(matter, crossing, ionized, electrons, out);
 }
 
 }  // namespace cgemit

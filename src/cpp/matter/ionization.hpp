@@ -7,6 +7,7 @@
 
 #include "common/rng.hpp"
 #include "detector/detector.hpp"
+#include "matter/electrons.hpp"
 #include "matter/kinematics.hpp"
 #include "motion/helix.hpp"
 
@@ -38,12 +39,39 @@ struct GapResult {
   int deltas;     // delta electrons that left something in the gap
 };
 
+// Delta electrons to be followed, and where on which track they were born.
+struct DeltaBatch : ElectronBatch {
+  struct Birth {
+    double cosine, sine;  // of the azimuth at which the plane of the electron touches the layer
+    DeltaOrigin origin;
+  };
+  std::vector<Birth> births;
+
+  void clear() {
+    ElectronBatch::clear();
+    births.clear();
+  }
+};
+
+// A crossing whose electrons are yet to be followed.
+struct Ionized {
+  int clusters;             // electrons set free in clusters
+  std::size_t first, last;  // its delta electrons in the batch, `last` not included
+};
+
 // Random passage through a gap. `deltas`: electrons of more than a keV are born on the track, or in the
 // solids, and followed; else what is born in the gas stays on the track up to 52 keV. Deposits of delta
-// electrons are appended to `out`, with `keep_clusters` also the ionization clusters; nothing else depends on
-// that. `place` is below 2^16.
+// electrons are appended to `out`, with `keep_clusters` also the ionization clusters before them; nothing
+// else depends on that. `place` is below 2^16.
 GapResult ionize(const GapMatter& matter, const GapCrossing& crossing, const Kinematics& k,
                  const Stream& stream, std::uint32_t place, bool deltas, bool keep_clusters,
                  std::vector<Deposit>& out);
+
+// The same in two parts, between which the electrons of many crossings are followed.
+Ionized set_free(const GapMatter& matter, const GapCrossing& crossing, const Kinematics& k,
+                 const Stream& stream, std::uint32_t place, bool deltas, bool keep_clusters,
+                 DeltaBatch& electrons, std::vector<Deposit>& out);
+GapResult collect(const GapMatter& matter, const GapCrossing& crossing, const Ionized& ionized,
+                  const DeltaBatch& electrons, std::vector<Deposit>& out);
 
 }  // namespace cgemit

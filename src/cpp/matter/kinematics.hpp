@@ -24,6 +24,7 @@ struct KinematicsOf {
   T p, energy, mass;
   T per_p, per_mass, per_beta, per_beta2, beta2, gamma;
   T log_bg, log_gamma;  // ln(beta gamma), ln(gamma)
+  T has_spin;           // 1 for spin 1/2, else 0; the spectrum of heavy particles' collisions depends on it
   Projectile projectile;
 
   KinematicsOf(T momentum, T mass_, Projectile projectile_)
@@ -31,6 +32,7 @@ struct KinematicsOf {
         energy(sqrt(momentum * momentum + mass_ * mass_)),
         mass(mass_),
         per_mass(1.0 / mass_),
+        has_spin(projectile_ == Projectile::spin_half ? 1.0 : 0.0),
         projectile(projectile_) {
     follow();
     log_bg = log(p * per_mass);

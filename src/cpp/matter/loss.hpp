@@ -3,7 +3,7 @@
 
 #include <cmath>
 
-#include "common/rng.hpp"
+#include "matter/draws.hpp"
 #include "matter/track.hpp"
 
 namespace cgemit {
@@ -12,7 +12,26 @@ namespace cgemit {
 // Heavy particles: PDG 2024 eqs. 34.5 and 34.11, with the term of spin 1/2 (Rossi, High Energy Particles,
 // 1952, section 2.3); shell correction of Barkas and Berger, so beta gamma > 0.13.
 // Electrons and positrons: Berger and Seltzer, NASA SP-3012 (1964), as in ICRU Report 37, eqs. 2.10-2.13.
-double restricted_loss(const Slab& slab, double path, const Kinematics& k, double cut);
+double light_restricted_loss(const Slab& slab, double path, const Kinematics& k, double cut);
+template <class T>
+T restricted_loss(const Slab& slab, const T& path, const KinematicsOf<T>& k, const T& cut) {
+  if constexpr (lanes_of<T> == 1) {
+    if (k.is_light()) return light_restricted_loss(slab, path, k, cut);
+  }
+  const T w_max = k.w_max(), limit = smaller(cut, w_max), bg = k.p * k.per_mass;
+  const T bracket = log(2 * electron_mass * bg * bg * limit) - k.beta2 * (1.0 + limit / w_max) +
+                    read<&SlabPoint::log_term>(slab, k.log_bg).value +
+                    k.has_spin * (0.25 * limit * limit / (k.energy * k.energy));
+  return larger(slab.xi * path * k.per_beta2 * bracket, 0.0);
+}
+
+// A number of given mean 0, variance 1, skewness and excess kurtosis; Cornish and Fisher (1938), third order.
+template <class T>
+T skewed_normal(const T& z, const T& skewness, const T& kurtosis) {
+  const T z2 = z * z;
+  return z + skewness / 6.0 * (z2 - 1.0) + kurtosis / 24.0 * z * (z2 - 3.0) -
+         skewness * skewness / 36.0 * z * (2.0 * z2 - 5.0);
+}
 
 // The energy loss that the fit subtracts, and its variance.
 template <class T>
@@ -84,14 +103,48 @@ LossMomentsOf<T> core_loss(const Slab& slab, T path, const KinematicsOf<T>& k,
   return out;
 }
 
-// How often a collision transfers an energy, relative to xi/(beta^2 E^2), and the most that this can be.
-double spectrum_share(const Kinematics& k, double transfer, double w_max);
-inline double spectrum_peak(const Kinematics& k) { return k.projectile == Projectile::electron ? 2.25 : 1.0; }
+// How often a collision transfers an energy, relative to xi/(beta^2 E^2).
+double light_spectrum_share(const Kinematics& k, double transfer);
+template <class T>
+T spectrum_share(const KinematicsOf<T>& k, const T& transfer, const T& w_max) {
+  if constexpr (lanes_of<T> == 1) {
+    if (k.is_light()) return light_spectrum_share(k, transfer);
+  }
+  return 1.0 - k.beta2 * transfer / w_max + k.has_spin * (0.5 * transfer * transfer / (k.energy * k.energy));
+}
+// The most that this can be.
+inline double spectrum_peak(Projectile projectile) { return projectile == Projectile::electron ? 2.25 : 1.0; }
 
 // Energy lost in collisions in a slab, GeV: those above a cut one by one, with the spectrum of the
 // particle's spin (Rossi; Moller; Bhabha) up to w_max; softer ones by mean, variance, skewness and kurtosis.
-// The mean is that of `restricted_loss` exactly, and two halves of a slab sum to the whole.
-double sample_loss(const Slab& slab, double path, const Kinematics& k, const Stream& stream,
-                   std::uint32_t place);
+// The mean is that of `restricted_loss` exactly, and two halves of a slab sum to the whole. Lanes are for
+// heavy particles.
+template <class T>
+T sample_loss(const Slab& slab, const T& path, const KinematicsOf<T>& k, const StreamOf<T>& stream,
+              std::uint32_t place) {
+  if (!(slab.xi > 0)) return T(0.0);
+  const T xi = slab.xi * path * k.per_beta2, w_max = k.w_max();
+  // The number of collisions above the cut is xi (1/cut - 1/w_max) before the spectrum's factor: more where
+  // more is lost, so that a track has some tens in all.
+  const T expected = smaller(larger(xi / keV, 0.2), 1.0), per_max = 1.0 / w_max;
+  const T weight = expected + xi * per_max, cut = xi / weight;
+  const T soft_mean = restricted_loss(slab, path, k, cut);
+  // Moments n of xi/E^2 (1 - s E) up to the cut, s = beta^2/w_max.
+  const T spin = k.is_light() ? T(0.0) : k.beta2 * cut * per_max;
+  const T sigma = sqrt(xi * cut * (1.0 - spin / 2.0));
+  const T per_sigma = cut / sigma, cube = weight * per_sigma * per_sigma * per_sigma;
+  const T skewness = cube * (1.0 / 2 - spin / 3.0), kurtosis = cube * per_sigma * (1.0 / 3 - spin / 4.0);
+  DrawsOf<T> draws(stream, Purpose::energy_loss, place);
+  T loss = soft_mean + sigma * skewed_normal(normal_quantile(draws.next()), skewness, kurtosis);
+  const double peak = spectrum_peak(k.projectile);
+  const T per_cut = weight / xi, range = per_cut - per_max;
+  const T n(poisson(draws.next(), expected * peak));
+  for (int i = 0; any(n > i); ++i) {
+    const T transfer = 1.0 / (per_cut - draws.next() * range);
+    const mask_of<T> happens = draws.next() * peak < spectrum_share(k, transfer, w_max);
+    loss += select(happens & (n > i), transfer, T(0.0));
+  }
+  return larger(loss, 0.0);
+}
 
 }  // namespace cgemit

@@ -2,8 +2,6 @@
 
 #include <algorithm>
 
-#include "matter/draws.hpp"
-
 namespace cgemit {
 
 namespace {
@@ -74,22 +72,22 @@ void prepare_table(Slab& slab, Screening screening) {
 }
 
 // One hard scatter, as a space angle; 0 if the proposed one does not happen.
-double hard_angle(const Slab& slab, const Kinematics& k, Draws& draws) {
+double hard_angle(const Slab& slab, double p, double per_beta2, double recoil, Draws& draws) {
   const double which = draws.next();
   const auto h = std::ranges::find_if(slab.hard, [&](const HardScatterer& e) { return which <= e.up_to; });
   if (h == slab.hard.end()) return 0;
   const double q2 = (slab.hard_from + h->screening) / draws.next() - h->screening;
-  const double screened = h->screening * (1 + h->slow * k.per_beta2) / (1 + h->slow);
+  const double screened = h->screening * (1 + h->slow * per_beta2) / (1 + h->slow);
   const double ratio = (q2 + h->screening) / (q2 + screened);
   const double choice = draws.next() * (h->z + 1), on_electron = choice - h->z;
   double accepted = ratio * ratio;
   if (on_electron > 0) {
-    if (q2 > 2 * electron_mass * k.w_max()) return 0;
+    if (q2 > recoil) return 0;
   } else {
     const double form = 1 / (1 + q2 * h->size), form2 = form * form;
     accepted *= form2 * form2;
   }
-  const double sine = 0.5 * std::sqrt(q2) / k.p;
+  const double sine = 0.5 * std::sqrt(q2) / p;
   if (sine > 1 || draws.next() > accepted) return 0;
   return sine < 0.01 ? 2 * sine * (1 + sine * sine / 6) : 2 * std::asin(sine);  // next: 3/40 sine^5
 }
@@ -115,26 +113,10 @@ void prepare_scattering(Detector& detector, Screening screening) {
   }
 }
 
-Kick sample_scattering(const Slab& slab, double path, const Kinematics& before, const Kinematics& after,
-                       const Stream& stream, std::uint32_t place) {
-  const GridPlace at(before.log_bg);
-  double soft = at.between(slab.table[at.i].soft, slab.table[at.i + 1].soft);
-  const double recoil = 2 * electron_mass * before.w_max();
-  if (recoil < slab.hard_from) soft -= 0.5 * slab.chi_c2_electrons * std::log(slab.hard_from / recoil);
-  const double per_p_beta2 = before.per_beta * before.per_p * after.per_beta * after.per_p;
-  const double sigma = std::sqrt(std::max(soft, 0.0) * path * per_p_beta2);
-  Draws draws(stream, Purpose::scattering, place);
-  Kick kick{};
-  kick.angle_1 = sigma * normal_quantile(draws.next());
-  kick.angle_2 = sigma * normal_quantile(draws.next());
-  const int n = poisson(draws.next(), slab.hard_rate * path * before.per_beta2);
-  const double depth = slab.shifts ? slab.spread * path : 0;
-  if (slab.shifts) {
-    kick.shift_1 = sigma * depth * normal_quantile(draws.next());
-    kick.shift_2 = sigma * depth * normal_quantile(draws.next());
-  }
+void add_hard_scatters(const Slab& slab, int n, double p, double per_beta2, double recoil, double depth,
+                       Draws& draws, Kick& kick) {
   for (int i = 0; i < n; ++i) {
-    const double angle = hard_angle(slab, before, draws);
+    const double angle = hard_angle(slab, p, per_beta2, recoil, draws);
     if (angle == 0) continue;
     const double azimuth = 2 * pi * draws.next(), a = angle * std::cos(azimuth),
                  b = angle * std::sin(azimuth);
@@ -146,32 +128,6 @@ Kick sample_scattering(const Slab& slab, double path, const Kinematics& before, 
     kick.shift_1 += a * ahead;
     kick.shift_2 += b * ahead;
   }
-  return kick;
-}
-
-void apply_kick(HelixPoint& point, const Kick& kick) {
-  const double cos_dip = 1 / std::sqrt(1 + point.tanl * point.tanl), sin_dip = point.tanl * cos_dip;
-  const double ux = point.ux, uy = point.uy;
-  // Axis 1 = (-uy, ux, 0), axis 2 = (-ux sin, -uy sin, cos).
-  if (kick.shift_1 != 0 || kick.shift_2 != 0) {
-    point.x += -uy * kick.shift_1 - ux * sin_dip * kick.shift_2;
-    point.y += ux * kick.shift_1 - uy * sin_dip * kick.shift_2;
-    point.z += cos_dip * kick.shift_2;
-  }
-  const double q = kick.angle_1 * kick.angle_1 + kick.angle_2 * kick.angle_2;
-  // Below an angle of 0.02 the next terms are under 1e-12.
-  const bool small = q < 4e-4;
-  const double along = small ? 1 - q / 2 * (1 - q / 12 * (1 - q / 30)) : std::cos(std::sqrt(q));
-  const double across =
-      small ? 1 - q / 6 * (1 - q / 20 * (1 - q / 42)) : std::sin(std::sqrt(q)) / std::sqrt(q);
-  const double in_plane = along * cos_dip - across * kick.angle_2 * sin_dip;
-  const double side = across * kick.angle_1;
-  const double up = along * sin_dip + across * kick.angle_2 * cos_dip;
-  const double dx = ux * in_plane - uy * side, dy = uy * in_plane + ux * side;
-  const double per_transverse = 1 / std::sqrt(dx * dx + dy * dy);
-  point.ux = dx * per_transverse;
-  point.uy = dy * per_transverse;
-  point.tanl = up * per_transverse;
 }
 
 }  // namespace cgemit

@@ -8,7 +8,7 @@
 
 #include <cmath>
 
-#include "common/rng.hpp"
+#include "matter/draws.hpp"
 #include "matter/track.hpp"
 #include "motion/helix.hpp"
 
@@ -37,7 +37,7 @@ T scattering_variance(const Slab& slab, T path, const KinematicsOf<T>& before, c
   T sum = slab.chi_c2 * (log_cut - screening - 1.0);
   // Electrons recoil with 2 m_e W_max at most; where that is less, the core ends earlier for them.
   const T recoil = 2 * electron_mass * before.w_max(), cut = cut_scale * track.chi_c2 * before.per_beta2;
-  const auto less = recoil < cut;
+  const mask_of<T> less = recoil < cut;
   if (any(less)) sum -= select(less, slab.chi_c2_electrons * log(cut / recoil), T(0.0));
   const T per_p_beta2 = before.per_beta * before.per_p * after.per_beta * after.per_p;
   constexpr double per_width = 1 / (1 + core_fraction * core_fraction);
@@ -46,13 +46,80 @@ T scattering_variance(const Slab& slab, T path, const KinematicsOf<T>& before, c
 
 // Turns the flight direction by plane angles about the two axes across it, and shifts the point along them.
 // Axis 1 is horizontal (in the transverse plane), axis 2 completes a right-handed set with the flight.
-struct Kick {
-  double angle_1, angle_2, shift_1, shift_2;  // rad, mm
+template <class T>
+struct KickOf {
+  T angle_1{0.0}, angle_2{0.0}, shift_1{0.0}, shift_2{0.0};  // rad, mm
 };
-void apply_kick(HelixPoint& point, const Kick& kick);
+using Kick = KickOf<double>;
+
+template <class T>
+void apply_kick(HelixPointOf<T>& point, const KickOf<T>& kick) {
+  const T cos_dip = 1.0 / sqrt(1.0 + point.tanl * point.tanl), sin_dip = point.tanl * cos_dip;
+  const T ux = point.ux, uy = point.uy;
+  // Axis 1 = (-uy, ux, 0), axis 2 = (-ux sin, -uy sin, cos).
+  if (any((kick.shift_1 != 0.0) | (kick.shift_2 != 0.0))) {
+    point.x += -uy * kick.shift_1 - ux * sin_dip * kick.shift_2;
+    point.y += ux * kick.shift_1 - uy * sin_dip * kick.shift_2;
+    point.z += cos_dip * kick.shift_2;
+  }
+  const T q = kick.angle_1 * kick.angle_1 + kick.angle_2 * kick.angle_2;
+  // Below an angle of 0.02 the next terms are under 1e-12.
+  T along = 1.0 - q / 2.0 * (1.0 - q / 12.0 * (1.0 - q / 30.0));
+  T across = 1.0 - q / 6.0 * (1.0 - q / 20.0 * (1.0 - q / 42.0));
+  const mask_of<T> large = q >= 4e-4;
+  if (any(large)) {
+    const T angle = sqrt(q);
+    const SineCosine<T> s = sine_cosine(angle);
+    along = select(large, s.cosine, along);
+    across = select(large, s.sine / angle, across);
+  }
+  const T in_plane = along * cos_dip - across * kick.angle_2 * sin_dip;
+  const T side = across * kick.angle_1;
+  const T up = along * sin_dip + across * kick.angle_2 * cos_dip;
+  const T dx = ux * in_plane - uy * side, dy = uy * in_plane + ux * side;
+  const T per_transverse = 1.0 / sqrt(dx * dx + dy * dy);
+  point.ux = dx * per_transverse;
+  point.uy = dy * per_transverse;
+  point.tanl = up * per_transverse;
+}
+
+// Hard scatters, n of them, of a particle of this momentum; added to what the kick is already. `depth`: mm,
+// standard deviation of where in the slab they happen. `recoil`: (GeV/c)^2, the most that electrons take.
+void add_hard_scatters(const Slab& slab, int n, double p, double per_beta2, double recoil, double depth,
+                       Draws& draws, Kick& kick);
 
 // Scatters of a slab: soft ones as a Gaussian, hard ones (transfer above `slab.hard_from`) one by one.
-Kick sample_scattering(const Slab& slab, double path, const Kinematics& before, const Kinematics& after,
-                       const Stream& stream, std::uint32_t place);
+template <class T>
+KickOf<T> sample_scattering(const Slab& slab, const T& path, const KinematicsOf<T>& before,
+                            const KinematicsOf<T>& after, const StreamOf<T>& stream, std::uint32_t place) {
+  T soft = read<&SlabPoint::soft>(slab, before.log_bg).value;
+  const T recoil = 2 * electron_mass * before.w_max();
+  const mask_of<T> less = recoil < slab.hard_from;
+  if (any(less)) soft -= select(less, 0.5 * slab.chi_c2_electrons * log(slab.hard_from / recoil), T(0.0));
+  const T per_p_beta2 = before.per_beta * before.per_p * after.per_beta * after.per_p;
+  const T sigma = sqrt(larger(soft, 0.0) * path * per_p_beta2);
+  DrawsOf<T> draws(stream, Purpose::scattering, place);
+  KickOf<T> kick;
+  kick.angle_1 = sigma * normal_quantile(draws.next());
+  kick.angle_2 = sigma * normal_quantile(draws.next());
+  const T n(poisson(draws.next(), slab.hard_rate * path * before.per_beta2));
+  T depth(0.0);
+  if (slab.shifts) {
+    depth = slab.spread * path;
+    kick.shift_1 = sigma * depth * normal_quantile(draws.next());
+    kick.shift_2 = sigma * depth * normal_quantile(draws.next());
+  }
+  each_lane(n > 0.0, [&](int i) {
+    Draws rest(lane(stream, i), draws, i);
+    Kick one{lane(kick.angle_1, i), lane(kick.angle_2, i), lane(kick.shift_1, i), lane(kick.shift_2, i)};
+    add_hard_scatters(slab, static_cast<int>(lane(n, i)), lane(before.p, i), lane(before.per_beta2, i),
+                      lane(recoil, i), lane(depth, i), rest, one);
+    set_lane(kick.angle_1, i, one.angle_1);
+    set_lane(kick.angle_2, i, one.angle_2);
+    set_lane(kick.shift_1, i, one.shift_1);
+    set_lane(kick.shift_2, i, one.shift_2);
+  });
+  return kick;
+}
 
 }  // namespace cgemit

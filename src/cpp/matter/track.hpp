@@ -6,9 +6,12 @@
 #pragma once
 
 #include <algorithm>
+#include <array>
+#include <bit>
 #include <cmath>
 
 #include "detector/detector.hpp"
+#include "lanes/words.hpp"
 #include "matter/kinematics.hpp"
 
 namespace cgemit {
@@ -71,21 +74,41 @@ struct GridPlace {
   double between(double a, double b) const { return a + fraction * (b - a); }
 };
 
+// The same, per track.
+template <class T>
+struct GridPlaces {
+  std::array<std::size_t, lanes_of<T>> i;
+  T fraction;
+
+  explicit GridPlaces(const T& log_bg) {
+    if constexpr (lanes_of<T> == 1) {
+      const GridPlace place(log_bg);
+      i = {place.i};
+      fraction = place.fraction;
+    } else {
+      const T position = (log_bg - loss_grid_first) / loss_grid_step;
+      const T bin = nearest(smaller(larger(position - 0.5, 0.0), loss_points - 2.0));
+      fraction = position - bin;
+      i = std::bit_cast<decltype(i)>(whole(bin));
+    }
+  }
+};
+
 // A column of that table, and its slope, per track.
 template <class T>
 struct Read {
   T value, slope;
 };
 template <double SlabPoint::* column, class T>
+Read<T> read(const Slab& slab, const GridPlaces<T>& at) {
+  const T here = gathered<T>([&](int k) { return slab.table[at.i[static_cast<std::size_t>(k)]].*column; });
+  const T next =
+      gathered<T>([&](int k) { return slab.table[at.i[static_cast<std::size_t>(k)] + 1].*column; });
+  return {here + at.fraction * (next - here), (next - here) / loss_grid_step};
+}
+template <double SlabPoint::* column, class T>
 Read<T> read(const Slab& slab, const T& log_bg) {
-  Read<T> out;
-  for (int k = 0; k < lanes_of<T>; ++k) {
-    const GridPlace place(lane(log_bg, k));
-    const double here = slab.table[place.i].*column, next = slab.table[place.i + 1].*column;
-    set_lane(out.value, k, place.between(here, next));
-    set_lane(out.slope, k, (next - here) / loss_grid_step);
-  }
-  return out;
+  return read<column>(slab, GridPlaces<T>(log_bg));
 }
 
 }  // namespace cgemit

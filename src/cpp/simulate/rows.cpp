@@ -71,4 +71,11 @@ void WireTruths::reserve(std::size_t n) {
   side.reserve(n);
 }
 
+void WireTruths::resize(std::size_t n) {
+  for (auto* column : {&doca, &x, &y, &z, &time}) column->resize(n);
+  for (auto* column : {&particle, &layer, &wire}) column->resize(n);
+  event.resize(n);
+  side.resize(n);
+}
+
 }  // namespace cgemit

@@ -62,6 +62,7 @@ struct WireTruths {
   std::vector<double> x, y, z, time;  // closest point on the track
 
   void reserve(std::size_t n);
+  void resize(std::size_t n);
 };
 
 }  // namespace cgemit

@@ -227,25 +227,27 @@ class Flight {
 
 }  // namespace
 
-Simulated simulate(const Detector& detector, const ParticleColumns& particles,
-                   const SimulateSettings& settings, std::uint64_t seed) {
-  Simulated out;
-  const std::size_t n = particles.event.size();
+TransportStatus simulate_one(const Detector& detector, const ParticleColumns& particles, std::size_t row,
+                             const SimulateSettings& settings, std::uint64_t seed, Simulated& out) {
+  if (particles.charge[row] == 0) return TransportStatus::neutral;
+  if (particles.px[row] == 0 && particles.py[row] == 0) return TransportStatus::end;
+  return Flight(detector, particles, row, settings, seed, out).run();
+}
+
+void reserve(const Detector& detector, const SimulateSettings& settings, std::size_t n, Simulated& out) {
   out.status.reserve(n);
   out.truths.reserve(n * detector.cgem.size());
   if (settings.deltas && settings.fluctuations == Fluctuations::full) out.steps.reserve(10 * n);
   // Tracks pass a little more than one cell of a layer.
   out.wire_truths.reserve(n * (detector.wires.size() + detector.wires.size() / 8));
+}
+
+void simulate(const Detector& detector, const ParticleColumns& particles, const SimulateSettings& settings,
+              std::uint64_t seed, Simulated& out) {
+  reserve(detector, settings, particles.event.size(), out);
   for (std::size_t row = 0; row < particles.event.size(); ++row) {
-    if (particles.charge[row] == 0) {
-      out.status.push_back(TransportStatus::neutral);
-    } else if (particles.px[row] == 0 && particles.py[row] == 0) {
-      out.status.push_back(TransportStatus::end);
-    } else {
-      out.status.push_back(Flight(detector, particles, row, settings, seed, out).run());
-    }
+    out.status.push_back(simulate_one(detector, particles, row, settings, seed, out));
   }
-  return out;
 }
 
 }  // namespace cgemit

@@ -35,8 +35,16 @@ struct Simulated {
   std::vector<TransportStatus> status;  // one per particle
 };
 
-// Hits are recorded on the way out; a particle that first moves inward only meets the matter there.
-Simulated simulate(const Detector& detector, const ParticleColumns& particles,
-                   const SimulateSettings& settings, std::uint64_t seed);
+// Appends to `out`. Hits are recorded on the way out; a particle that first moves inward only meets the
+// matter there.
+void simulate(const Detector& detector, const ParticleColumns& particles, const SimulateSettings& settings,
+              std::uint64_t seed, Simulated& out);
+
+// One of them; the status is returned.
+TransportStatus simulate_one(const Detector& detector, const ParticleColumns& particles, std::size_t row,
+                             const SimulateSettings& settings, std::uint64_t seed, Simulated& out);
+
+// Room for so many particles.
+void reserve(const Detector& detector, const SimulateSettings& settings, std::size_t n, Simulated& out);
 
 }  // namespace cgemit

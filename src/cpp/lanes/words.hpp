@@ -1,0 +1,55 @@
+// Integers in lanes.
+#pragma once
+
+#include "lanes/pack.hpp"
+
+namespace cgemit {
+
+// As many as the widest registers hold that the compiler may use.
+#if !defined(__GNUC__) && !defined(__clang__)
+using Widest = double;
+#elif defined(__AVX512F__)
+using Widest = Pack<8>;
+#elif defined(__AVX2__)
+using Widest = Pack<4>;
+#else
+using Widest = Pack<2>;
+#endif
+
+#if defined(__GNUC__) || defined(__clang__)
+
+// A whole number of 2^51 at most as an integer.
+template <int W>
+typename Registers<W>::Words whole(Pack<W> x) {
+  return reinterpret_cast<typename Registers<W>::Words>((x + 0x1.8p52).v) - 0x4338000000000000;
+}
+
+// Products of the low 32 bits of each word with one number.
+template <int W>
+typename Registers<W>::Bits products(typename Registers<W>::Bits a, std::uint32_t b) {
+#if defined(__AVX512F__)
+  if constexpr (W == 8) {
+    const auto all = static_cast<long long>(b);
+    return
+        typename Registers<W>::Bits(_mm512_mul_epu32(reinterpret_cast<__m512i>(a), _mm512_set1_epi64(all)));
+  }
+#endif
+#if defined(__AVX2__)
+  if constexpr (W == 4) {
+    const auto all = static_cast<long long>(b);
+    return
+        typename Registers<W>::Bits(_mm256_mul_epu32(reinterpret_cast<__m256i>(a), _mm256_set1_epi64x(all)));
+  }
+#endif
+#if defined(__SSE2__)
+  if constexpr (W == 2) {
+    const auto all = static_cast<long long>(b);
+    return typename Registers<W>::Bits(_mm_mul_epu32(reinterpret_cast<__m128i>(a), _mm_set1_epi64x(all)));
+  }
+#endif
+  return (a & 0xFFFFFFFFU) * b;
+}
+
+#endif
+
+}  // namespace cgemit

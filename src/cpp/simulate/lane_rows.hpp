@@ -1,0 +1,73 @@
+// What W particles side by side leave on their way, kept until it is written particle by particle.
+#pragma once
+
+#include <array>
+#include <bit>
+#include <vector>
+
+#include "matter/kinematics.hpp"
+#include "motion/helix.hpp"
+#include "simulate/simulate.hpp"
+
+namespace cgemit {
+
+template <class T>
+HelixPoint lane(const HelixPointOf<T>& p, int i) {
+  return {lane(p.x, i),  lane(p.y, i),    lane(p.z, i), lane(p.ux, i),
+          lane(p.uy, i), lane(p.tanl, i), lane(p.w, i)};
+}
+template <class T>
+HelixPointOf<T> select(const mask_of<T>& m, const HelixPointOf<T>& a, const HelixPointOf<T>& b) {
+  return {select(m, a.x, b.x),   select(m, a.y, b.y),       select(m, a.z, b.z), select(m, a.ux, b.ux),
+          select(m, a.uy, b.uy), select(m, a.tanl, b.tanl), select(m, a.w, b.w)};
+}
+
+template <class T>
+Kinematics lane(const KinematicsOf<T>& k, int i) {
+  return {lane(k.p, i), lane(k.mass, i),
+          lane(k.has_spin, i) > 0 ? Projectile::spin_half : Projectile::spinless};
+}
+
+// Drift gaps that the particles cross; which of them leave something there.
+template <class T>
+struct GapLanes {
+  const Slab* slab;
+  mask_of<T> filled;
+  HelixPointOf<T> entry, middle, exit;
+  KinematicsOf<T> inside;
+  T path, time, deposit;  // mm, ns, GeV
+};
+
+// A cell of each particle in one layer of wires.
+template <class T>
+struct CellLanes {
+  const WireLayer* layer;
+  mask_of<T> fired;
+  std::array<std::int64_t, lanes_of<T>> wire;
+  T doca, x, y, z, time;
+};
+
+// Appends the cells of one lane.
+template <class T>
+void append_cells(const std::vector<CellLanes<T>>& cells, int i, const ParticleNumber& who, WireTruths& out) {
+  std::size_t row = out.event.size(), end = row;
+  for (const CellLanes<T>& c : cells) end += lane(c.fired, i);
+  out.resize(end);
+  for (const CellLanes<T>& c : cells) {
+    if (!lane(c.fired, i)) continue;
+    const double doca = lane(c.doca, i);
+    out.event[row] = who.event;
+    out.particle[row] = who.particle;
+    out.layer[row] = c.layer->number;
+    out.wire[row] = static_cast<std::int32_t>(c.wire[static_cast<std::size_t>(i)]);
+    out.doca[row] = doca;
+    out.side[row] = doca > 0 ? 1 : -1;
+    out.x[row] = lane(c.x, i);
+    out.y[row] = lane(c.y, i);
+    out.z[row] = lane(c.z, i);
+    out.time[row] = lane(c.time, i);
+    ++row;
+  }
+}
+
+}  // namespace cgemit
