@@ -36,6 +36,7 @@ class Choice:
     title: str
     detector: str = DETECTORS[0]
     overrides: Mapping[str, object] = field(default_factory=dict)
+    magnet: str | None = None
     cos_theta: float = COS_THETA[1]
     settings: cg.Settings = field(default_factory=cg.Settings)
     width: str = "core"
@@ -61,6 +62,9 @@ def choices() -> list[Choice]:
         Choice('`drift_chamber.wires = "smeared"`', overrides={"drift_chamber.wires": "smeared"}),
         Choice("efficiency of cells 0.95", overrides={"drift_chamber.efficiency": 0.95}),
         Choice("field of +1 T", overrides={"field.bz": "1 T"}),
+        Choice("`--field besiii-harmonic`", magnet="besiii-harmonic"),
+        Choice("`--field besiii-harmonic` within ±0.6", magnet="besiii-harmonic", cos_theta=0.6),
+        Choice("`--field finite-solenoid`", magnet="finite-solenoid"),
         Choice("RMS within five core widths", width="rms"),
         Choice(
             '`FitSettings(cluster_errors="cluster")`', settings=changed(fit=cg.FitSettings(cluster_errors="cluster"))
@@ -120,6 +124,8 @@ def effects(others: Sequence[Choice], batches: int, threads: int | None) -> str:
 def numbers(choice: Choice, seed: int, threads: int | None) -> list[float]:
     """Return widths of d_rho, d_z and p, the RMS of the X residual and the fraction of single strips of a batch."""
     detector = cg.load(choice.detector).with_overrides(dict(choice.overrides))
+    if choice.magnet is not None:
+        detector = detector.with_field(choice.magnet)
     gun = cg.Gun("mu-", p=1.0, cos_theta=(-choice.cos_theta, choice.cos_theta))
     result = cg.run(detector, gun, BATCH, seed, settings=choice.settings, threads=threads)
     widths = [getattr(windowed_resolution(result.tracks, name), choice.width) for name in PARAMETERS]

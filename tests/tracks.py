@@ -8,6 +8,7 @@ import numpy as np
 
 from cgemit import _core
 from cgemit.detector import Detector, compiled, slab_table, slabs
+from cgemit.detector.field_core import compiled_field
 from cgemit.detector.readout import cgem_table, wire_table
 from cgemit.particles import species
 from cgemit.tables import Table
@@ -45,14 +46,15 @@ def on_helix(helix, pdg=13):
     return particles(position, momentum, pdg)
 
 
-def without_matter(detector: Detector):
-    """Return the compiled detector with slabs that neither scatter nor absorb."""
+def without_matter(detector: Detector, density=0.0):
+    """Return the compiled detector with slabs that neither scatter nor absorb, or do so little: `density` of usual."""
     table = slab_table(slabs(detector))
-    columns = table.slabs | {name: np.zeros_like(table.slabs[name]) for name in ("x0", "xi", "spread")}
-    composition = table.composition | {"moles": np.zeros_like(table.composition["moles"])}
+    columns = table.slabs | {name: density * table.slabs[name] for name in ("x0", "xi", "spread")}
+    composition = table.composition | {"moles": density * table.composition["moles"]}
     return _core.Detector(
         bz=detector.field.bz, slabs=columns, log_terms=table.log_terms, composition=composition,
         cgem=cgem_table(detector.cgem), wires=wire_table(detector.drift_chamber), screening=_core.Screening.wentzel,
+        field=compiled_field(detector),
     )  # fmt: skip
 
 

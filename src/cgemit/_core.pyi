@@ -29,6 +29,7 @@ class TransportStatus(enum.IntEnum):
     curled = 2
     stopped = 3
     neutral = 4
+    left_field = 5
 
 class FitStatus(enum.IntEnum):
     ok = 0
@@ -38,6 +39,7 @@ class FitStatus(enum.IntEnum):
     stopped = 4
     not_converged = 5
     not_positive_definite = 6
+    left_field = 7
 
 class StateStatus(enum.IntEnum):
     ok = 0
@@ -78,6 +80,32 @@ class Fluctuations(enum.IntEnum):
     gaussian = 1
     off = 2
 
+class Field:
+    # Harmonic (b mm^-2, q mm^-4), or a grid. axes: first (mm), step (mm), points; coefficients of cubic B-splines:
+    # points + 2 of each axis, then the component.
+    def __init__(
+        self,
+        *,
+        bz: float,
+        tolerance: float,
+        b: float = 0.0,
+        q: float = 0.0,
+        axes: Sequence[tuple[float, float, int]] = [],
+        coefficients: npt.ArrayLike = [],
+    ) -> None: ...
+    @property
+    def bz(self) -> float: ...  # T, at the origin
+    @property
+    def is_uniform(self) -> bool: ...
+    # points (n, 3) mm: field (n, 3) T, gradient (n, 3, 3) T/mm, inside the map (n,).
+    def values(self, points: npt.ArrayLike) -> tuple[_Floats, _Floats, _Bytes]: ...
+    # points (n, 7): x y z mm, direction of flight, charge/p; paths (n,) mm; derivatives (7, 5) at every point.
+    def advance(
+        self, points: npt.ArrayLike, paths: npt.ArrayLike, derivatives: npt.ArrayLike
+    ) -> tuple[_Floats, _Floats, _Bytes]: ...
+    # points (n, 7): x y z ux uy tanl, charge/pT; out (n, 6) of the first six, whether inside the map (n,).
+    def to_perigee(self, points: npt.ArrayLike) -> tuple[_Floats, _Bytes]: ...
+
 class Detector:
     def __init__(
         self,
@@ -92,9 +120,12 @@ class Detector:
         lattice: _Columns = {},
         gaps: list[dict[str, Any]] = [],
         loss: CoreLoss = CoreLoss.truncated,
+        field: Field | None = None,
     ) -> None: ...
     @property
-    def bz(self) -> float: ...  # T
+    def bz(self) -> float: ...  # T, at the origin
+    @property
+    def field(self) -> Field: ...
     @property
     def n_slabs(self) -> int: ...
     @property

@@ -16,7 +16,7 @@ from cgemit import _core, find, helix
 from cgemit import isa as kernels
 from cgemit.candidates import Candidates, fit_hits
 from cgemit.cluster import cluster
-from cgemit.detector import Detector, load
+from cgemit.detector import Detector, compiled, load
 from cgemit.digitize import DigitizeSettings, digitize
 from cgemit.fit import FitSettings, fit, smeared
 from cgemit.fit import core_arguments as fit_arguments
@@ -179,7 +179,7 @@ def stage_calls(detector: Detector, gun: Gun, events: int, first_event: int = 0)
         return lambda: fit(detector, particles, clusters, wire_hits[sides], found, _FIT, SEED)
 
     def kernel(sides: DigitizeSettings, settings: FitSettings) -> Callable[[], Any]:
-        start = smeared(helix.at_origin(particles, detector.field.bz), particles, settings, SEED)
+        start = smeared(helix.at_origin_in(particles, compiled(detector).field), particles, settings, SEED)
         hits = fit_hits(found, clusters, wire_hits[sides])
         arguments = fit_arguments(detector, hits, particles["mass"], start, settings)
         return lambda: _core.fit(**arguments)

@@ -170,7 +170,7 @@ def fit(
     kinds = [HYPOTHESES[name] for name in settings.hypotheses()]
     particles, candidates = with_masses(particles, candidates, [(kind.pdg, kind.mass) for kind in kinds])
     hits = fit_hits(candidates, clusters, wire_hits)
-    truth = helix.at_origin(particles, (simulated or detector).field.bz)
+    truth = helix.at_origin_in(particles, compiled(simulated or detector).field)
     start = smeared(truth, particles, settings, seed) if settings.seed == "truth" else np.empty((0, 5))
     arguments = core_arguments(detector, hits, particles["mass"], start, settings)
     out, span = _core.fit(**arguments), (particles.n_events, particles.first_event)

@@ -52,6 +52,40 @@ def at_origin(particles: Table, bz: float) -> Floats:
     return np.stack([dr, phi0, kappa, particles["z"] + arc * tanl, tanl], axis=1)
 
 
+def at_origin_in(particles: Table, field: _core.Field) -> Floats:
+    """Helix of each particle where it was closest to the beam line, tracked back through any field in vacuum.
+
+    Parameters
+    ----------
+    particles : Table of kind "particles"
+        Charged; rows without charge or transverse momentum come out as NaN.
+    field : _core.Field
+        Where the way back leaves its map, the field is taken to be that at the origin.
+
+    Returns
+    -------
+    ndarray, (n, 5) float64
+        dr mm, phi0 rad in (-pi, pi], kappa (GeV/c)^-1, dz mm, tanl of the helix that touches the track there.
+    """
+    nominal = at_origin(particles, field.bz)
+    if field.is_uniform:
+        return nominal
+    px, py, pz = (particles[name] for name in ("px", "py", "pz"))
+    pt = np.hypot(px, py)
+    bent = (particles["charge"] != 0) & (pt > 0)
+    per_pt = 1 / np.where(bent, pt, 1.0)
+    places = [particles[name] for name in "xyz"]
+    flights = [px * per_pt, py * per_pt, pz * per_pt, particles["charge"] * per_pt]
+    points, found = field.to_perigee(np.stack([*places, *flights], axis=1))
+    x, y, z, ux, uy, tanl = points.T
+    stretch = np.hypot(1, pz * per_pt)
+    # p is conserved, pT is not.
+    kappa = particles["charge"] * per_pt / stretch * np.hypot(1, tanl)
+    phi0 = -(np.remainder(-np.arctan2(-ux, uy) + np.pi, 2 * np.pi) - np.pi)
+    parameters = np.stack([x * uy - y * ux, phi0, kappa, z, tanl], axis=1)
+    return np.asarray(np.where((bent & (found == 1))[:, None], parameters, nominal))
+
+
 def momentum(parameters: Floats) -> Floats:
     """Momentum of helices.
 

@@ -17,6 +17,8 @@ NATIVE = {
     "time": "ns",
     "charge": "fC",
     "slope": "mm/mm",
+    "inverse area": "/mm2",
+    "inverse area squared": "/mm4",
     "dimensionless": "",
 }
 
@@ -33,6 +35,8 @@ _UNITS: dict[str, dict[str, Decimal]] = {
     "time": {"ns": Decimal(1), "ps": Decimal("1e-3"), "us": Decimal(1000)},
     "charge": {"fC": Decimal(1), "pC": Decimal(1000), "e": Decimal("1.602176634e-4")},
     "slope": {"mm/mm": Decimal(1), "um/mm": Decimal("1e-3")},
+    "inverse area": {"/mm2": Decimal(1), "/cm2": Decimal("1e-2"), "/m2": Decimal("1e-6")},
+    "inverse area squared": {"/mm4": Decimal(1), "/cm4": Decimal("1e-4"), "/m4": Decimal("1e-12")},
     "dimensionless": {"": Decimal(1), "%": Decimal("1e-2")},
 }  # fmt: skip
 

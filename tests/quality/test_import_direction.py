@@ -13,6 +13,7 @@ from sources import CORE, PACKAGE, imports, included, package_of, python_files, 
 CPP_LAYERS = [
     {"common"},
     {"lanes"},
+    {"field"},
     {"detector"},
     {"motion"},
     {"matter"},

@@ -109,7 +109,7 @@ def test_ten_mistakes_give_ten_messages(tmp_path: Path) -> None:
         ({"cgem": {"L1": {"gas": "Kapton"}}}, "cgem.L1.gas", '"Kapton", which is no gas'),
         ({"drift_chamber": {"gas": "Al"}}, "drift_chamber.gas", '"Al", which is no gas'),
         ({"field": {"bz": "0 T"}}, "field.bz", "0 T"),
-        ({"field": {"kind": "solenoid"}}, "field.kind", "solenoid"),
+        ({"field": {"kind": "dipole"}}, "field.kind", "dipole"),
         ({"name": 3}, "name", "3"),
         ({"remove": ["cgem.L9"]}, "remove", "cgem.L9"),
         ({"remove": "cgem"}, "remove", "cgem"),

@@ -66,10 +66,20 @@ def add_detector(parser: argparse.ArgumentParser, *, several: bool = False) -> N
         help='change one value of the detector, such as cgem.L2.pitch_x="500 um"; may be repeated'
         + (", and applies to every detector given" if several else ""),
     )  # fmt: skip
+    add_field(parser)
     parser.add_argument(
         "--name", metavar="NAME",
         help=("with one detector: " if several else "") + "what results call it (default: its own name, "
-        "with -modified after --set)",
+        "with -modified after --set or --field)",
+    )  # fmt: skip
+
+
+def add_field(parser: argparse.ArgumentParser) -> None:
+    """Add `--field`."""
+    parser.add_argument(
+        "--field", metavar="NAME|FILE",
+        help="another magnetic field: besiii-harmonic, finite-solenoid, uniform, a map (.npz, .csv) or a TOML file "
+        "with a table [field]",
     )  # fmt: skip
 
 
@@ -130,7 +140,7 @@ def add_seed(parser: argparse.ArgumentParser) -> None:
 
 def load_detector(arguments: argparse.Namespace, name: str | None = None) -> Detector:
     """Return the detector of `--detector` with the changes of `--set`, under a name of its own if there is one."""
-    return _load(arguments.detector, _overrides(arguments, name))
+    return _load(arguments.detector, _overrides(arguments, name), arguments.field)
 
 
 def load_detectors(arguments: argparse.Namespace) -> list[Detector]:
@@ -150,7 +160,7 @@ def load_detectors(arguments: argparse.Namespace) -> list[Detector]:
     detectors, problems = [], []
     for source in sources:
         try:
-            detectors.append(_load(source, overrides))
+            detectors.append(_load(source, overrides, arguments.field))
         except DetectorError as error:
             problems.append(str(error))
     by_name: dict[str, list[str]] = {}
@@ -173,10 +183,12 @@ def _overrides(arguments: argparse.Namespace, name: str | None) -> dict[str, obj
     return dict(_override(text) for text in arguments.overrides) | ({} if name is None else {"name": name.strip()})
 
 
-def _load(source: str, overrides: dict[str, object]) -> Detector:
+def _load(source: str, overrides: dict[str, object], field: str | None) -> Detector:
     from cgemit.detector import load
 
     detector = load(source)
+    if field is not None:
+        detector = detector.with_field(field)
     return detector.with_overrides(overrides) if overrides else detector
 
 

@@ -65,6 +65,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "--set", action="append", default=[], metavar="KEY=VALUE", dest="overrides",
         help='change one value, such as cgem.L2.pitch_x="500 um"; may be repeated',
     )  # fmt: skip
+    common.add_field(parser)
     parser.add_argument("--json", action="store_true", help="print the numbers as JSON instead of tables")
     parser.add_argument(
         "-o", "--output", metavar="DIR", default=None, help="folder for the pictures (default cgemit-show-NAME)"
@@ -91,7 +92,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def text(numbers: Mapping[str, Any]) -> str:
     """Return the tables of `describe` as text."""
-    lines = [f"{numbers['name']}: {numbers['description']}", f"field {numbers['field_t']:g} T"]
+    lines = [f"{numbers['name']}: {numbers['description']}", f"field {numbers['field']}"]
     lines += ["", "Material at normal incidence, from the beam line outward", *_rows(_MATERIAL, _with_sums(numbers))]
     sub_layers = [
         {**row, "part": part["part"]}

@@ -24,7 +24,8 @@ examples:
   cgemit simulate -d besiii-cgem --particle pi+ --pt 0.1:0.5 --theta "30 deg:150 deg" -n 1000 -o pions
   cgemit simulate -d my-detector.toml --particle K- --p 0.3,0.5,1 --cos-theta 0 --vertex 1,0,0 -n 300 -o kaons
   cgemit simulate -d besiii-cgem --particle pi+ --p 0.5 --cos-theta 0 -n 100 --states beam_pipe,hits,"90 cm" -o states
-  cgemit simulate -d besiii-cgem --set cgem.L1.drift_gap="3 mm" --name thin --p 1 --cos-theta 0 -n 1000 -o thin"""
+  cgemit simulate -d besiii-cgem --set cgem.L1.drift_gap="3 mm" --name thin --p 1 --cos-theta 0 -n 1000 -o thin
+  cgemit simulate -d besiii-cgem --field my-map.npz --p 1 --cos-theta 0 -n 1000 -o mapped"""
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:

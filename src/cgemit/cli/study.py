@@ -6,7 +6,16 @@ import argparse
 import json
 import sys
 
-from cgemit.cli.common import HelpFormatter, add_common, add_output, add_physics, add_run, positive, settings_of
+from cgemit.cli.common import (
+    HelpFormatter,
+    add_common,
+    add_field,
+    add_output,
+    add_physics,
+    add_run,
+    positive,
+    settings_of,
+)
 
 _DESCRIPTION = """\
 Reproduce arXiv:1504.02570: mu- of 1 GeV/c, cos(theta) uniform in +-0.93, in the CGEM tracker of the paper and in the
@@ -20,6 +29,7 @@ examples:
   cgemit study --events 100000 --seed 7 -o precise
   cgemit study --quick --json -o look     summary.json on stdout too
   cgemit study --no-deltas -o projected   without delta electrons: the pure projection
+  cgemit study --field besiii-harmonic -o uneven    an inhomogeneous field; or a map of your own, --field map.npz
 
 Ctrl-C leaves no results: the folder appears when everything is in it."""
 
@@ -37,6 +47,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     )  # fmt: skip
     parser.add_argument("--quick", action="store_true", help="1500 events, unless --events says otherwise")
     parser.add_argument("--json", action="store_true", help="write summary.json to stdout too")
+    add_field(parser)
     add_physics(parser)
     add_run(parser)
     add_common(parser)
@@ -51,7 +62,8 @@ def run(arguments: argparse.Namespace) -> int:
     with Progress("study", quiet=arguments.quiet) as progress:
         study = reproduce(
             arguments.output, events=arguments.events, seed=arguments.seed, threads=arguments.threads,
-            quick=arguments.quick, settings=settings_of(arguments), overwrite=arguments.overwrite, progress=progress,
+            quick=arguments.quick, settings=settings_of(arguments), field=arguments.field,
+            overwrite=arguments.overwrite, progress=progress,
         )  # fmt: skip
     if arguments.json:
         json.dump(study.summary(), sys.stdout, indent=2)

@@ -2,9 +2,14 @@
 
 from cgemit.detector.build import load
 from cgemit.detector.describe import describe
+from cgemit.detector.field import Field, HarmonicField, MapField, SolenoidField
+from cgemit.detector.field_core import field_at
+from cgemit.detector.field_files import read_field_map, write_field_map
+from cgemit.detector.field_grid import FieldGrid
+from cgemit.detector.field_sources import fields
 from cgemit.detector.files import detectors
 from cgemit.detector.material import Material
-from cgemit.detector.model import CgemLayer, Cylinder, Detector, DriftChamber, Field, Shell, SubLayer, WireLayer
+from cgemit.detector.model import CgemLayer, Cylinder, Detector, DriftChamber, Shell, SubLayer, WireLayer
 from cgemit.detector.problems import DetectorError, Problem
 from cgemit.detector.schema import schema
 from cgemit.detector.slabs import SCREENINGS, Slab, compiled, slab_table, slabs
@@ -17,17 +22,25 @@ __all__ = [
     "DetectorError",
     "DriftChamber",
     "Field",
+    "FieldGrid",
+    "HarmonicField",
+    "MapField",
     "Material",
     "Problem",
     "Shell",
     "Slab",
+    "SolenoidField",
     "SubLayer",
     "WireLayer",
     "compiled",
     "describe",
     "detectors",
+    "field_at",
+    "fields",
     "load",
+    "read_field_map",
     "schema",
     "slab_table",
     "slabs",
+    "write_field_map",
 ]

@@ -7,12 +7,15 @@ from typing import Any
 
 from cgemit.detector import check
 from cgemit.detector.derive import complete_layer
+from cgemit.detector.field import KINDS, Field, MapField, kind_key
+from cgemit.detector.field_files import read_field_map
+from cgemit.detector.field_sources import field_tables, place_map
 from cgemit.detector.files import library_materials, open_source, resolve
 from cgemit.detector.keys import keys_of
 from cgemit.detector.material import Material
 from cgemit.detector.materials import read_materials
 from cgemit.detector.merge import FOR_ALL_LAYERS, merged, set_path
-from cgemit.detector.model import CgemLayer, Cylinder, Detector, DriftChamber, Field, WireLayer
+from cgemit.detector.model import CgemLayer, Cylinder, Detector, DriftChamber, WireLayer
 from cgemit.detector.problems import DetectorError, Problem
 from cgemit.detector.read import TOP_LEVEL, UNUSABLE, Reader, shown
 from cgemit.detector.write import to_dict
@@ -56,10 +59,16 @@ def override(detector: Detector, overrides: Mapping[str, object]) -> Detector:
             problems.append(Problem(path, shown(value), "a value of the detector; load another base instead"))
         elif not set_path(variant, path, value):
             problems.append(Problem(path, shown(value), "a value whose table is not itself overridden by a value"))
-    tables = merged(to_dict(detector), variant, problems)
+    tables = merged(to_dict(detector), place_map(variant, None), problems)
     if "name" not in variant and overrides:
         tables["name"] = detector.name.removesuffix("-modified") + "-modified"
     return build(detector.name, tables, problems)
+
+
+def replace_field(detector: Detector, source: str | Path | Mapping[str, Any]) -> Detector:
+    """Return the detector in another field; see `Detector.with_field`."""
+    tables = to_dict(detector) | {"field": field_tables(source)}
+    return build(detector.name, tables | {"name": detector.name.removesuffix("-modified") + "-modified"}, [])
 
 
 def build(source: str, tables: Mapping[str, Any], problems: list[Problem]) -> Detector:
@@ -112,9 +121,44 @@ def _text(reader: Reader, name: str, raw: object) -> str:
 
 
 def _field(reader: Reader, raw: object) -> Field:
-    if raw is None and not reader.baseless:
-        reader.note("field", "nothing", 'a table [field] with kind = "uniform" and bz')
-    return Field(**reader.table("field", raw, Field)) if raw is not None else Field(kind="uniform", bz=UNUSABLE)
+    if raw is None:
+        if not reader.baseless:
+            reader.note("field", "nothing", 'a table [field] with kind = "uniform" and bz')
+        return Field(kind="uniform", bz=UNUSABLE)
+    given = reader.mapping("field", raw).get("kind")
+    if given is not None and given not in KINDS:
+        reader.value("field.kind", given, kind_key())
+        return Field(kind="uniform", bz=UNUSABLE)
+    kind = KINDS.get(str(given), Field)
+    values = reader.table("field", raw, kind)
+    if kind is MapField:
+        _read_map(reader, values)
+    return kind(**values)
+
+
+def _read_map(reader: Reader, values: dict[str, Any]) -> None:
+    """Read the map that the values of a table [field] name, and fill in what follows from it."""
+    values["grid"] = UNUSABLE
+    checksum, stated = values.get("checksum"), "bz" in values
+    values.setdefault("checksum", UNUSABLE)
+    values.setdefault("bz", UNUSABLE)
+    if not isinstance(values["file"], str):
+        return
+    try:
+        grid = read_field_map(values["file"])
+    except DetectorError as error:
+        for problem in error.problems:
+            place = f" {problem.path}" if problem.path else ""
+            reader.note("field.file", f"{values['file']}{place}: {problem.given}", problem.expected, problem.hint)
+        return
+    if checksum is not None and checksum != grid.checksum:
+        reader.note("field.checksum", str(checksum), f"{grid.checksum}, that of {values['file']}: the map has changed")
+    own = grid.bz_at_origin()
+    if stated and own == 0:
+        reader.note("field.bz", "a value to scale the map to", "none: the map is 0 at the origin")
+    values |= {"grid": grid, "checksum": grid.checksum}
+    if not stated:
+        values["bz"] = own
 
 
 def _cylinders(reader: Reader, group: str, raw: object) -> tuple[Cylinder, ...]:

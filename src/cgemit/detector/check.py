@@ -5,14 +5,17 @@ from collections.abc import Sequence
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
+from cgemit.detector.field_core import extent
 from cgemit.detector.keys import Key, keys_of
 from cgemit.detector.problems import Problem
 from cgemit.units import NATIVE, format_quantity
 
 if TYPE_CHECKING:
-    from cgemit.detector.model import CgemLayer, Cylinder, Detector, DriftChamber, Field
+    from cgemit.detector.field import Field
+    from cgemit.detector.model import CgemLayer, Cylinder, Detector, DriftChamber
 
 TOUCH = 1e-6  # mm; parts closer than this touch
+_COIL = 1.25
 _THICK = 100.0  # mm; no single piece of solid matter in a tracker is thicker
 
 
@@ -34,7 +37,7 @@ def value_problems(detector: "Detector") -> list[Problem]:
         parts.append(("drift_chamber", detector.drift_chamber))
         parts += [(f"drift_chamber.layers.{part.number}", part) for part in detector.drift_chamber.layers]
     problems = [problem for path, part in parts for problem in _part_problems(path, part)]
-    return problems + field_problems(detector.field)
+    return problems + field_problems(detector.field) + _coil_problems(detector)
 
 
 def field_problems(field: "Field") -> list[Problem]:
@@ -42,6 +45,16 @@ def field_problems(field: "Field") -> list[Problem]:
     if abs(field.bz) < 1e-3:
         return [Problem("field.bz", f"{field.bz:g} T", "a field of at least 1 mT, either sign")]
     return []
+
+
+def _coil_problems(detector: "Detector") -> list[Problem]:
+    """Return whether the coil is not well outside the detector: close to it no grid follows its field."""
+    radius, least = getattr(detector.field, "coil_radius", math.inf), _COIL * extent(detector)[0]
+    if radius >= least:
+        return []
+    return [
+        Problem("field.coil_radius", f"{radius:g} mm", f"at least {least:g} mm, {_COIL} times the detector's radius")
+    ]
 
 
 def _part_problems(path: str, part: Any) -> list[Problem]:

@@ -3,6 +3,7 @@
 import math
 from typing import Any
 
+from cgemit.detector.field import field_text
 from cgemit.detector.model import CgemLayer, Detector, WireLayer
 from cgemit.detector.slabs import Slab, slabs
 
@@ -17,8 +18,9 @@ def describe(detector: Detector) -> dict[str, Any]:
     Returns
     -------
     dict
-        name, description, field_t; `material`: one entry per scatterer with its `sub_layers`; `cgem` and `wires`: one
-        entry per layer. Thickness in radiation lengths and energy loss at normal incidence.
+        name, description, field_t (at the origin), field (in words); `material`: one entry per scatterer with its
+        `sub_layers`; `cgem` and `wires`: one entry per layer. Thickness in radiation lengths and energy loss at normal
+        incidence.
 
     """
     material = [_scatterer(detector, slab) for slab in slabs(detector)]
@@ -28,6 +30,7 @@ def describe(detector: Detector) -> dict[str, Any]:
         "name": detector.name,
         "description": detector.description,
         "field_t": detector.field.bz,
+        "field": field_text(detector.field),
         "material": material,
         "cgem": [_cgem(layer) for layer in detector.cgem],
         "wires": [_wires(layer, gid) for layer, gid in wires],

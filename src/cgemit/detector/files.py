@@ -8,6 +8,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from cgemit.detector.field_sources import place_map
 from cgemit.detector.merge import merged
 from cgemit.detector.problems import DetectorError, Problem
 from cgemit.words import did_you_mean
@@ -55,7 +56,7 @@ def open_source(source: str | Path | Mapping[str, Any], folder: Path | None = No
 
     """
     if isinstance(source, Mapping):
-        return Source(str(source.get("name", "detector")), folder, dict(source))
+        return Source(str(source.get("name", "detector")), folder, place_map(dict(source), folder))
     text = str(source)
     if re.fullmatch(r"[\w-]+", text) and (_DATA / f"{text}.toml").is_file():
         return Source(text, None, _preset_tables(text))
@@ -66,9 +67,10 @@ def open_source(source: str | Path | Mapping[str, Any], folder: Path | None = No
         problem = Problem("", given, f"one of {known}, or a detector file", did_you_mean(text, preset_names()))
         raise DetectorError(text, [problem])
     try:
-        return Source(str(path), path.parent, tomllib.loads(path.read_text(encoding="utf-8-sig")))
+        tables = tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise DetectorError(str(path), [Problem("", str(error), "a TOML file")]) from error
+    return Source(str(path), path.parent, place_map(tables, path.parent))
 
 
 def resolve(source: Source, problems: list[Problem]) -> dict[str, Any]:

@@ -31,6 +31,7 @@ def merged(base: Mapping[str, Any], variant: Mapping[str, Any], problems: list[P
     for label, layer in _tables(variant, "cgem").items():
         if isinstance(layer, Mapping):
             _drop_derived(_tables(result, "cgem").get(label, {}), layer)
+    _drop_field(result, _tables(variant, "field"))
     chamber = variant.get("drift_chamber")
     if isinstance(chamber, Mapping):
         for name in FOR_ALL_LAYERS.keys() & chamber.keys():
@@ -66,6 +67,15 @@ def _drop_derived(base: dict[str, Any], variant: Mapping[str, Any]) -> None:
             changed.add(name)
             if name == "stereo" and isinstance(old, str):
                 base["stereo_sign"] = -1 if old.lstrip().startswith("-") else 1
+
+
+def _drop_field(base: dict[str, Any], variant: Mapping[str, Any]) -> None:
+    """Leave nothing of the base's field but its strength where the variant has another kind; a map brings its own."""
+    old, kind = _tables(base, "field"), variant.get("kind")
+    if kind is not None and kind != old.get("kind"):
+        base["field"] = {"bz": old["bz"]} if "bz" in old and kind != "map" else {}
+    elif "file" in variant:
+        base["field"] = {name: value for name, value in old.items() if name not in ("bz", "checksum")}
 
 
 def _lay_over(base: dict[str, Any], variant: Mapping[str, Any], path: str) -> None:

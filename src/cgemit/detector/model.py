@@ -4,22 +4,16 @@ The metadata of each field (`keys.Key`) states what a detector file may hold the
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from pathlib import Path
+from typing import Any, NamedTuple
 
 from cgemit.detector import check, text
+from cgemit.detector.field import Field
 from cgemit.detector.keys import key
 from cgemit.detector.material import Material
 from cgemit.detector.problems import DetectorError
-
-
-@dataclass(frozen=True, kw_only=True)
-class Field:
-    """Magnetic field."""
-
-    kind: str = field(metadata=key("text", "shape of the field", choices=("uniform",)))
-    bz: float = field(metadata=key("field", "component along the beam, signed", -10.0, 10.0))  # T
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -299,3 +293,12 @@ class Detector:
         from cgemit.detector.build import override
 
         return override(self, overrides)
+
+    def with_field(self, source: "str | Path | Mapping[str, Any]") -> "Detector":
+        """Return the same detector in another field: a preset (see `fields`), a map, a TOML file, or a table [field].
+
+        Raises DetectorError with every problem of the field.
+        """
+        from cgemit.detector.build import replace_field
+
+        return replace_field(self, source)

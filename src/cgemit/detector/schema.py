@@ -4,10 +4,11 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
+from cgemit.detector.field import KINDS, kind_key
 from cgemit.detector.keys import Key, keys_of, required_of
 from cgemit.detector.material import DensityEffect, Material
 from cgemit.detector.merge import FOR_ALL_LAYERS
-from cgemit.detector.model import CgemLayer, Cylinder, DriftChamber, Field, SubLayer, WireLayer
+from cgemit.detector.model import CgemLayer, Cylinder, DriftChamber, SubLayer, WireLayer
 from cgemit.detector.read import EXTRA, TOP_LEVEL
 from cgemit.units import NATIVE, format_quantity, units_of
 
@@ -39,7 +40,7 @@ def schema() -> dict[str, Any]:
 
 def _top(complete: bool) -> dict[str, Any]:
     kinds: dict[str, dict[str, Any]] = {
-        "field": _table(Field, complete),
+        "field": _field(complete),
         "beam_pipe": _labelled(_table(Cylinder, complete)),
         "cgem": _labelled(_table(CgemLayer, complete)),
         "walls": _labelled(_table(Cylinder, complete)),
@@ -54,6 +55,22 @@ def _top(complete: bool) -> dict[str, Any]:
     if complete:
         found |= {"required": ["field"], "anyOf": [{"required": ["cgem"]}, {"required": ["drift_chamber"]}]}
     return found
+
+
+def _field(complete: bool) -> dict[str, Any]:
+    """Return the field; with a base, the kind may be the base's, and any key may stand alone."""
+    kinds = {name: _table(kind, complete) for name, kind in KINDS.items()}
+    if not complete:
+        properties = {key: value for kind in kinds.values() for key, value in kind["properties"].items()}
+        return {
+            "type": "object",
+            "properties": properties | {"kind": _value(kind_key())},
+            "additionalProperties": False,
+        }
+    for name, kind in kinds.items():
+        kind["properties"]["kind"] = {"const": name}
+        kind["required"] = sorted({*kind["required"], "kind"})
+    return {"type": "object", "oneOf": list(kinds.values())}
 
 
 def _labelled(table: dict[str, Any]) -> dict[str, Any]:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from cgemit import _core
 from cgemit.detector.check import TOUCH
+from cgemit.detector.field_core import compiled_field
 from cgemit.detector.gaps import gap_table
 from cgemit.detector.lattice import Holes, hole_table, perforated
 from cgemit.detector.material import Element, Material
@@ -259,7 +260,6 @@ def compiled(
         Screening of nuclei in multiple scattering, ``"wentzel"`` or ``"moliere"`` (docs/methods/matter.md).
     loss : str
         Energy loss that the fit subtracts (``FitSettings.loss``).
-
     """
     found = slabs(detector, merge, foil)
     groups = [slab.shells[0].group for slab in found]
@@ -272,6 +272,7 @@ def compiled(
         lattice=hole_table([slab.holes for slab in found], groups, merge) if foil == "lattice" else {},
         gaps=gap_table(detector),
         loss=getattr(_core.CoreLoss, loss),
+        field=compiled_field(detector),
     )
 
 

@@ -4,13 +4,15 @@ import html
 import math
 from typing import TYPE_CHECKING
 
+from cgemit.detector.field import field_text
+
 if TYPE_CHECKING:
     from cgemit.detector.model import Detector
 
 
 def lines(detector: "Detector") -> list[str]:
     """Return one line for the field and for each part that measures."""
-    found = [f"field {detector.field.bz:g} T"]
+    found = [f"field {field_text(detector.field)}"]
     for layer in detector.cgem:
         found.append(
             f"cgem {layer.label}: r = {layer.r_mid:.2f} mm (mid drift gap of {layer.drift_gap:g} mm), "

@@ -52,6 +52,7 @@ class Inputs:
     threads: int | None
     quick: bool
     settings: Settings
+    field: str | None = None  # None: the detectors' own
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -120,7 +121,8 @@ class Reproduction:
                 "detectors": list(DETECTORS), "particle": "mu-", "p": "1 GeV/c", "cos_theta": list(COS_THETA),
                 "events": self.inputs.events, "momenta": list(MOMENTA),
                 "events_per_momentum": self.inputs.events_per_momentum, "quick": self.inputs.quick,
-                "simulate": asdict(self.inputs.settings.simulate), "hits": "assigned to tracks by truth",
+                "simulate": asdict(self.inputs.settings.simulate), "field": self.inputs.field,
+                "hits": "assigned to tracks by truth",
             },
             "seed": self.inputs.seed,
             "timings": dict(self.timings),
@@ -154,6 +156,7 @@ def reproduce(
     threads: int | None = None,
     quick: bool = False,
     settings: Settings | None = None,
+    field: str | os.PathLike[str] | None = None,
     overwrite: bool = False,
     progress: ShowProgress | None = None,
 ) -> Reproduction:
@@ -173,6 +176,8 @@ def reproduce(
         Fewer events.
     settings : Settings, optional
         Of all stages: what another model of matter or another read-out does to the numbers.
+    field : str or path, optional
+        Another magnetic field than the detectors' own (see `Detector.with_field`).
     overwrite : bool
         Write into a folder that holds files.
     progress : callable, optional
@@ -187,21 +192,23 @@ def reproduce(
     OutputExistsError
         If the folder holds files and `overwrite` is false.
     ValueError
-        If there are too few events.
+        If there are too few events, or there is no such field.
     """
     events = events if events is not None else _QUICK_EVENTS if quick else _EVENTS
     if events < _FEWEST_EVENTS:
         raise ValueError(f"events: got {events}; expected at least {_FEWEST_EVENTS} for the curves to mean something")
     if output is not None:
         check_free(output, overwrite=overwrite)
-    inputs = Inputs(events, events // _SHARE, seed, threads, quick, settings or Settings())
+    inputs = Inputs(
+        events, events // _SHARE, seed, threads, quick, settings or Settings(), None if field is None else str(field)
+    )
     study = _measure(inputs, progress)
     return study if output is None else _write(study, Path(output), overwrite, progress)
 
 
 def _measure(inputs: Inputs, progress: ShowProgress | None) -> Reproduction:
     start = time.perf_counter()
-    cgem, idc = (load(name) for name in DETECTORS)
+    cgem, idc = (_load(name, inputs.field) for name in DETECTORS)
     thin = cgem.with_overrides({f"cgem.{layer.label}.drift_gap": f"{THIN_GAP:g} mm" for layer in cgem.cgem})
     gun = Gun("mu-", p=1.0, cos_theta=COS_THETA)
     main = [
@@ -220,6 +227,11 @@ def _measure(inputs: Inputs, progress: ShowProgress | None) -> Reproduction:
     timings = {"run_s": time.perf_counter() - start, **_stage_seconds(samples)}
     rows = make_rows(named)
     return Reproduction(tuple(rows), tuple(lines), inputs, named, curve_samples, display, timings)
+
+
+def _load(name: str, field: str | None) -> Detector:
+    """Return a detector under its own name, whatever its field."""
+    return load(name) if field is None else replace(load(name).with_field(field), name=name)
 
 
 def _scan_orders(detector: Detector, inputs: Inputs) -> list[Order]:

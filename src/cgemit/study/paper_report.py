@@ -31,7 +31,8 @@ def paper_report(study: Reproduction, folder: Path) -> str:
     lead = (
         f"arXiv:1504.02570 (Chin. Phys. C 40 (2016) 016201) reproduced with cgemit {VERSION}: "
         f"{study.inputs.events:,} mu- of 1 GeV/c for each detector and {study.inputs.events_per_momentum:,} at each of "
-        f"{len(study.scans['cgem'])} momenta, seed {study.inputs.seed}."
+        f"{len(study.scans['cgem'])} momenta, seed {study.inputs.seed}"
+        + (f", in the field {study.inputs.field}." if study.inputs.field else ".")
     )
     return html_report(
         f"{_TITLE}: the paper and cgemit",
@@ -140,7 +141,8 @@ def _removed(study: Reproduction) -> TableOf:
 
 def _repeat(study: Reproduction) -> list[Part]:
     without = "" if study.inputs.settings.simulate.deltas else " --no-deltas"
-    command = f"cgemit study --events {study.inputs.events} --seed {study.inputs.seed}{without} -o DIR"
+    field = f" --field {study.inputs.field}" if study.inputs.field else ""
+    command = f"cgemit study --events {study.inputs.events} --seed {study.inputs.seed}{without}{field} -o DIR"
     seconds = ", ".join(f"{name} {value:.1f}" for name, value in study.timings.items())
     return [
         "The numbers depend on version, events and seed, not on threads.",

@@ -2,8 +2,10 @@
 
 #include <pybind11/native_enum.h>
 #include <pybind11/pybind11.h>
+#include <pybind11/stl.h>
 
 #include <algorithm>
+#include <optional>
 
 #include "bindings/arrays.hpp"
 #include "bindings/gap.hpp"
@@ -157,19 +159,22 @@ void bind_detector(py::module_& module) {
                        "The detector as plain numbers, ordered from the beam line outward.")
       .def(py::init([](double bz, const py::dict& slabs, const Array<double>& log_terms,
                        const py::dict& composition, const py::dict& cgem, const py::dict& wires,
-                       Screening screening, const py::dict& lattice, const py::list& gaps, CoreLoss loss) {
+                       Screening screening, const py::dict& lattice, const py::list& gaps, CoreLoss loss,
+                       const std::optional<FieldMap>& field) {
              std::vector<Slab> made = make_slabs(slabs, log_terms, composition);
              add_holes(lattice, made);
-             Detector detector =
-                 make_detector(bz, std::move(made), make_cgem(cgem), make_wires(wires), make_gaps(gaps));
+             Detector detector = make_detector(field ? *field : uniform_field(bz), std::move(made),
+                                               make_cgem(cgem), make_wires(wires), make_gaps(gaps));
              prepare_scattering(detector, screening);
              prepare_loss(detector, loss);
              return detector;
            }),
            py::kw_only(), py::arg("bz"), py::arg("slabs"), py::arg("log_terms"), py::arg("composition"),
            py::arg("cgem"), py::arg("wires"), py::arg("screening"), py::arg("lattice") = py::dict(),
-           py::arg("gaps") = py::list(), py::arg_v("loss", CoreLoss::truncated, "CoreLoss.truncated"))
+           py::arg("gaps") = py::list(), py::arg_v("loss", CoreLoss::truncated, "CoreLoss.truncated"),
+           py::arg("field") = py::none())
       .def_readonly("bz", &Detector::bz)
+      .def_readonly("field", &Detector::field)
       .def_property_readonly("n_slabs", [](const Detector& d) { return d.slabs.size(); })
       .def_property_readonly("n_cgem_layers", [](const Detector& d) { return d.cgem.size(); })
       .def_property_readonly("n_wire_layers", [](const Detector& d) { return d.wires.size(); });

@@ -105,6 +105,8 @@ py::dict run(const Detector& detector, const Array<std::int64_t>& hit_offsets, c
   std::vector<Perigee> start;
   for (std::size_t i = 0; seeded && i < n; ++i) start.push_back(from_bes3(start_array.data() + 5 * i));
   Output out(n, residuals ? static_cast<std::size_t>(n_hits) : 0);
+  // A field map is stepped through one track at a time.
+  const auto fit = detector.field.is_uniform() ? kernels().fit : &fit_tracks;
   {
     py::gil_scoped_release release;
     std::vector<Hit> hits;
@@ -121,7 +123,7 @@ py::dict run(const Detector& detector, const Array<std::int64_t>& hit_offsets, c
           offsets.subspan(begin, tracks + 1), hits, side.subspan(first, last - first),
           mass.subspan(begin, tracks),
           seeded ? std::span<const Perigee>(start).subspan(begin, tracks) : std::span<const Perigee>()};
-      kernels().fit(detector, input, settings, {rows.data(), residuals ? hit_rows.data() : nullptr});
+      fit(detector, input, settings, {rows.data(), residuals ? hit_rows.data() : nullptr});
       for (const FitRow& row : rows) {
         out.append(row);
         if (residuals) out.append_reference(row);

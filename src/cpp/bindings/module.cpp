@@ -3,6 +3,7 @@
 
 void bind_status(pybind11::module_& module);
 void bind_rng(pybind11::module_& module);
+void bind_field(pybind11::module_& module);
 void bind_detector(pybind11::module_& module);
 void bind_motion(pybind11::module_& module);
 void bind_matter(pybind11::module_& module);
@@ -21,6 +22,7 @@ PYBIND11_MODULE(_core, module, pybind11::mod_gil_not_used()) {
   module.doc() = "Compiled core of cgemit: kernels on columns of numbers.";
   bind_status(module);
   bind_rng(module);
+  bind_field(module);
   bind_detector(module);
   bind_motion(module);
   bind_matter(module);

@@ -14,6 +14,7 @@ void bind_status(py::module_& module) {
       .value("curled", TransportStatus::curled)
       .value("stopped", TransportStatus::stopped)
       .value("neutral", TransportStatus::neutral)
+      .value("left_field", TransportStatus::left_field)
       .finalize();
   py::native_enum<FitStatus>(module, "FitStatus", "enum.IntEnum", "How the fit of a track ended.")
       .value("ok", FitStatus::ok)
@@ -23,6 +24,7 @@ void bind_status(py::module_& module) {
       .value("stopped", FitStatus::stopped)
       .value("not_converged", FitStatus::not_converged)
       .value("not_positive_definite", FitStatus::not_positive_definite)
+      .value("left_field", FitStatus::left_field)
       .finalize();
   py::native_enum<StateStatus>(module, "StateStatus", "enum.IntEnum",
                                "Whether a fitted track has a state where one is asked for.")

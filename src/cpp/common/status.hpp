@@ -7,22 +7,24 @@ namespace cgemit {
 
 // How the simulation of a particle ended.
 enum class TransportStatus : std::int8_t {
-  outside = 0,  // left through the outermost cylinder
-  end = 1,      // left through an end
-  curled = 2,   // turned back towards the axis
-  stopped = 3,  // lost all its energy in material
-  neutral = 4,  // carries no charge; not transported
+  outside = 0,     // left through the outermost cylinder
+  end = 1,         // left through an end
+  curled = 2,      // turned back towards the axis
+  stopped = 3,     // lost all its energy in material
+  neutral = 4,     // carries no charge; not transported
+  left_field = 5,  // came to where the field map ends
 };
 
 // How the fit of a track ended.
 enum class FitStatus : std::int8_t {
   ok = 0,
-  too_few_hits = 1,          // no more measurements than parameters: anything would fit
-  seed_failed = 2,           // no helix through the hits to start from
-  does_not_reach = 3,        // the reference helix meets fewer than six of the hits
-  stopped = 4,               // the reference momentum is used up in material before a hit
-  not_converged = 5,         // still moving after the last allowed iteration
-  not_positive_definite = 6  // the covariance is not that of five real parameters
+  too_few_hits = 1,           // no more measurements than parameters: anything would fit
+  seed_failed = 2,            // no helix through the hits to start from
+  does_not_reach = 3,         // the reference helix meets fewer than six of the hits
+  stopped = 4,                // the reference momentum is used up in material before a hit
+  not_converged = 5,          // still moving after the last allowed iteration
+  not_positive_definite = 6,  // the covariance is not that of five real parameters
+  left_field = 7              // the reference leaves the field map before the last hit
 };
 
 // Whether a fitted track has a state where one is asked for.

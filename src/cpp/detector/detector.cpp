@@ -9,9 +9,11 @@
 
 namespace cgemit {
 
-Detector make_detector(double bz, std::vector<Slab> slabs, std::vector<CgemLayer> cgem,
+Detector make_detector(FieldMap field, std::vector<Slab> slabs, std::vector<CgemLayer> cgem,
                        std::vector<WireLayer> wires, std::vector<GapMatter> gaps) {
-  Detector detector{bz, std::move(slabs), std::move(cgem), std::move(wires), std::move(gaps), {}, {}};
+  const double bz = field.bz;
+  Detector detector{
+      bz, std::move(field), std::move(slabs), std::move(cgem), std::move(wires), std::move(gaps), {}, {}};
   for (WireLayer& layer : detector.wires) {
     const double c = std::cos(0.5 * layer.twist), s = std::sin(0.5 * layer.twist), r = layer.r_end;
     layer.waist = r * r * c * c;

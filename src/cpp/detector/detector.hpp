@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "detector/gap.hpp"
+#include "field/field.hpp"
 
 namespace cgemit {
 
@@ -138,7 +139,8 @@ struct LossCuts {
 };
 
 struct Detector {
-  double bz;  // T, signed
+  double bz;       // T, signed, at the origin
+  FieldMap field;  // everywhere
   std::vector<Slab> slabs;
   std::vector<CgemLayer> cgem;
   std::vector<WireLayer> wires;
@@ -148,7 +150,7 @@ struct Detector {
 };
 
 // Fills in what follows from the rest of the description.
-Detector make_detector(double bz, std::vector<Slab> slabs, std::vector<CgemLayer> cgem,
+Detector make_detector(FieldMap field, std::vector<Slab> slabs, std::vector<CgemLayer> cgem,
                        std::vector<WireLayer> wires, std::vector<GapMatter> gaps);
 
 }  // namespace cgemit

@@ -6,6 +6,7 @@
 
 #include "fit/cluster_errors.hpp"
 #include "fit/first_guess.hpp"
+#include "kalman/field_reference.hpp"
 #include "kalman/filter.hpp"
 #include "kalman/tracer.hpp"
 
@@ -52,12 +53,14 @@ class GroupFit {
 
   void iterate(const Five<T>& prior, T mass, Projectile projectile) {
     const bool last = iteration_ + 1 == settings_.max_iterations;
-    Tracer<T>(detector_, helix_, mass, projectile, group_).run(active_);
+    trace(mass, projectile);
     if (iteration_ >= patient_iterations) give_up_hits();
     mask_of<T> works = active_;
     if (any(group_.stopped)) works = works & !speed_up(last);
     passed_ = select(works, helix_.kappa, passed_);
-    works = works & !finish(works & too_few(), FitStatus::does_not_reach);
+    const mask_of<T> few = too_few(), hopeless(last || iteration_ >= patient_iterations);
+    works = works & !finish(works & group_.left & (few | hopeless), FitStatus::left_field);
+    works = works & !finish(works & few, FitStatus::does_not_reach);
     if (!any(works)) return;
     if (iteration_ == 0) first_guess(group_, helix_, mass, spread_, works, settings_.outlier_pull > 0);
     keep_enough(works);
@@ -75,7 +78,8 @@ class GroupFit {
     move(estimate.x, works);
     // Smoothing is for weights, outliers and residuals: for tracks that are about to be ready, or still have
     // open sides.
-    mask_of<T> ready = works & (moved < settings_.tolerance * settings_.tolerance) & !wires_only_;
+    mask_of<T> ready =
+        works & (moved < settings_.tolerance * settings_.tolerance) & !wires_only_ & !group_.left;
     const mask_of<T> judged = iteration_ >= impatient_iterations ? works : ready;
     if (last || any(judged) || any(open_ & works)) {
       smooth(group_);
@@ -86,6 +90,15 @@ class GroupFit {
     store(ready, estimate, FitStatus::ok);
     active_ = active_ & !ready;
     if (last) store(works & !ready, estimate, FitStatus::not_converged);
+  }
+
+  // Through a field map one track at a time: `fit_tracks` asks for no more lanes there.
+  void trace(T mass, Projectile projectile) {
+    if constexpr (lanes_of<T> == 1) {
+      if (!detector_.field.is_uniform())
+        return Tracer<T, FieldReference>(detector_, helix_, mass, projectile, group_).run(active_);
+    }
+    Tracer<T>(detector_, helix_, mass, projectile, group_).run(active_);
   }
 
   // The covariance that the filter begins with. Rounding grows with its ratio to what comes out: once there
@@ -299,7 +312,7 @@ class GroupFit {
   Group<T>& group_;
   PerigeeOf<T> helix_, reference_;  // reference: of this iteration, once the helix is that of the next
   Symmetric<T> prior_, known_;      // what the filter begins with; covariance of the iteration before
-  T spread_, passed_;  // of the start; kappa of the last reference that did not stop, 0 before
+  T spread_, passed_;               // of the start; kappa of the last reference that did not stop, 0 before
   std::span<const FitLane> lanes_;
   mask_of<T> active_, open_, wires_only_;
   int iteration_ = 0;

@@ -46,6 +46,7 @@ class GroupBuilder {
       group.storage.resize(static_cast<std::size_t>(slots));
     group.slots = std::span(group.storage).first(static_cast<std::size_t>(slots));
     group.noise.resize(static_cast<std::size_t>(slabs));
+    group.dense_noise.resize(detector_.field.is_uniform() ? 0 : static_cast<std::size_t>(slabs));
     for (Slot<T>& slot : group.slots) empty(slot);
     for (std::size_t k = 0; k < hits.size(); ++k) fill_track(static_cast<int>(k), hits[k], sides[k], group);
     look_ahead(group);

@@ -47,6 +47,11 @@ void add_noise(Symmetric<T>& c, const SlabNoise<T>& noise, bool shifts) {
   sparse(noise.shift_along);
 }
 
+template <class T>
+void add_noise(Symmetric<T>& c, const std::array<Five<T>, 5>& noise) {
+  for (const Five<T>& g : noise) c.add([&g](auto i, auto j) { return g[i] * g[j]; });
+}
+
 // One measurement. What is not used changes nothing but is compared with the track all the same.
 template <class T>
 void update(Estimate<T>& state, Slot<T>& slot) {
@@ -68,8 +73,14 @@ template <class T>
     const GroupStep& step = group.steps[i];
     if (step.is_slab) {
       const bool shifts = detector.slabs[static_cast<std::size_t>(step.slab)].shifts;
-      if (any(group.ahead[static_cast<std::size_t>(step.noise)]))
-        add_noise(state.c, group.noise[static_cast<std::size_t>(step.noise)], shifts);
+      const auto noise = static_cast<std::size_t>(step.noise);
+      if (any(group.ahead[noise])) {
+        if (group.dense_noise.empty()) {
+          add_noise(state.c, group.noise[noise], shifts);
+        } else {
+          add_noise(state.c, group.dense_noise[noise]);
+        }
+      }
     }
     for (std::int32_t s = step.last; s-- > step.first;)
       update(state, group.slots[static_cast<std::size_t>(s)]);

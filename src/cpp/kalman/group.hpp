@@ -88,10 +88,12 @@ struct Group {
   std::span<Slot<T>> slots;
   std::vector<Slot<T>> storage;     // of the slots; grows to what the largest group needed
   std::vector<SlabNoise<T>> noise;  // one per slab of `steps`, all zero where it was not crossed
-  std::vector<mask_of<T>> ahead;    // the same: lanes that have measurements beyond
+  std::vector<std::array<Five<T>, 5>> dense_noise;  // instead of `noise` in a field map; else empty
+  std::vector<mask_of<T>> ahead;                    // the same: lanes that have measurements beyond
   // After a trace: hits met; whether the particle ran out of momentum on the way to the next.
   std::array<std::int32_t, lanes_of<T>> reached;
   mask_of<T> stopped;
+  mask_of<T> left;  // whether it came to the edge of the field map
 };
 
 // Fills in `ahead`, at first and after hits were given up.

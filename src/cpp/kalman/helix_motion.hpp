@@ -43,6 +43,8 @@ struct Rows {
 template <class T>
 class HelixMotion {
  public:
+  static constexpr bool keeps_dip = true;
+
   HelixMotion(const Detector& detector, const PerigeeOf<T>& start) : tanl_(start.tanl), kappa_(start.kappa) {
     const SineCosine<T> psi = sine_cosine(start.psi);
     u0x_ = psi.cosine;

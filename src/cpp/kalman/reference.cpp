@@ -3,6 +3,7 @@
 #include <cmath>
 
 #include "kalman/builder.hpp"
+#include "kalman/field_reference.hpp"
 
 namespace cgemit {
 
@@ -30,7 +31,12 @@ Reference trace(const Detector& detector, const Perigee& start, double mass, std
   const std::span<const std::int8_t> no_sides(sides);
   Group<double> group;
   GroupBuilder<double>(detector).build(std::span(&hits, 1), std::span(&no_sides, 1), group);
-  Tracer<double>(detector, start, mass, projectile_of(mass, start.kappa), group).run(true);
+  const Projectile projectile = projectile_of(mass, start.kappa);
+  if (detector.field.is_uniform()) {
+    Tracer<double>(detector, start, mass, projectile, group).run(true);
+  } else {
+    Tracer<double, FieldReference>(detector, start, mass, projectile, group).run(true);
+  }
   for (const GroupStep& step : group.steps) {
     for (std::int32_t s = step.first; s < step.last; ++s) {
       const Slot<double>& slot = group.slots[static_cast<std::size_t>(s)];
@@ -40,7 +46,11 @@ Reference trace(const Detector& detector, const Perigee& start, double mass, std
     }
     if (!step.is_slab) continue;
     const auto noise = static_cast<std::size_t>(step.noise);
-    if (group.ahead[noise] && group.noise[noise].dip[4] != 0)
+    if (!group.ahead[noise]) continue;
+    if (!group.dense_noise.empty()) {
+      for (const Five<double>& g : group.dense_noise[noise])
+        if (g[1] != 0) out.noise.push_back(Eigen::Map<const Vector5>(g.v.data()));
+    } else if (group.noise[noise].dip[4] != 0)
       add_noise(group.noise[noise], detector.slabs[static_cast<std::size_t>(step.slab)].shifts, out.noise);
   }
   out.reached = static_cast<std::size_t>(group.reached[0]);

@@ -40,7 +40,7 @@ class Tracer {
   // Of those lanes `who`.
   void run(mask_of<T> who) {
     group_.reached = {};
-    group_.stopped = mask_of<T>(false);
+    group_.stopped = group_.left = mask_of<T>(false);
     alive_ = who;
     curled_ = mask_of<T>(false);
     const T inner = motion_.point().radius();
@@ -55,9 +55,10 @@ class Tracer {
       const mask_of<T> wanted = alive_ & (beyond | has_hits(step)) & (inner < slab.radius);
       // A helix that curls back below a slab may still pass by the next wires, but not by a gap.
       const mask_of<T> reached = wanted & !curled_ & motion_.go_to(slab.radius, wanted & !curled_);
+      follow_dip();
       if (slab.gap >= 0) alive_ = alive_ & (reached | !wanted);
       for (std::int32_t s = step.first; s < step.last; ++s) meet_gap(slot(s), reached);
-      cross(slab, group_.noise[noise], reached & beyond & (abs(motion_.point().z) <= slab.half_length));
+      cross(slab, noise, reached & beyond & (abs(motion_.point().z) <= slab.half_length));
     }
     watch_.ends(motion_);
   }
@@ -121,6 +122,7 @@ class Tracer {
     }
     ApproachOf<T> approach;
     const mask_of<T> met = motion_.approach(slot.wire, approach, wanted);
+    follow_dip();
     alive_ = alive_ & (met | !wanted);
     const HelixPointOf<T>& at = motion_.point();
     curled_ = (wanted & (at.outward() < 0.0)) | (curled_ & !wanted);
@@ -131,7 +133,9 @@ class Tracer {
   }
 
   // Noise of a slab, then its energy loss on the reference. A lane dies where the particle stops.
-  [[gnu::flatten]] void cross(const Slab& slab, SlabNoise<T>& noise, mask_of<T> crosses) {
+  [[gnu::flatten]] void cross(const Slab& slab, std::size_t place, mask_of<T> crosses) {
+    if constexpr (!Motion::keeps_dip) group_.dense_noise[place] = {};
+    SlabNoise<T>& noise = group_.noise[place];
     if (!any(crosses)) {
       noise = {};
       return;
@@ -150,9 +154,13 @@ class Tracer {
     }
     const KinematicsOf<T> after = now_.after_loss(loss.loss);
     const T theta = sqrt(scattering_variance(slab, path, now_, after, track_));
-    make_noise(slab, path, theta, loss, noise);
-    if (!all(crosses)) mask_noise(noise, crosses);
-    if (any(crosses)) watch_.crosses(slab, noise, motion_);
+    if constexpr (Motion::keeps_dip) {
+      make_noise(slab, path, theta, loss, noise);
+      if (!all(crosses)) mask_noise(noise, crosses);
+      if (any(crosses)) watch_.crosses(slab, noise, motion_);
+    } else if (crosses) {
+      make_dense_noise(slab, path, theta, loss, group_.dense_noise[place]);
+    }
     lose(loss, after, crosses);
   }
 
@@ -169,6 +177,29 @@ class Tracer {
     noise.shift_across = origin.moved(shift, T(0.0), T(0.0));
     // A shift in dip moves along the flight too, where the azimuth is another.
     noise.shift_along = origin.moved(T(0.0), shift * stretch_, motion_.point().w * shift * tanl_ / stretch_);
+  }
+
+  // The same in a field map, where what turns or shifts a track also moves kappa and tanl at the origin.
+  void make_dense_noise(const Slab& slab, T path, T theta, const LossMomentsOf<T>& loss,
+                        std::array<Five<T>, 5>& noise) const {
+    const typename Motion::Backward origin(motion_, motion_.rows());
+    const T kappa = motion_.kappa();
+    noise[0] = origin.turned(theta * stretch_);
+    noise[1] = origin.changed(kappa * tanl_ * theta, stretch_ * stretch_ * theta);
+    noise[2] = origin.slowed(kappa * sqrt(loss.variance) * now_.energy * now_.per_p * now_.per_p);
+    if (!slab.shifts) return;
+    const T shift = theta * slab.spread * path;
+    noise[3] = origin.moved(shift, T(0.0), T(0.0));
+    noise[4] = origin.moved(T(0.0), shift * stretch_, motion_.point().w * shift * tanl_ / stretch_);
+  }
+
+  // In a field map the slope changes on the way, and the way may end.
+  void follow_dip() {
+    if constexpr (!Motion::keeps_dip) {
+      tanl_ = motion_.point().tanl;
+      stretch_ = sqrt(1.0 + tanl_ * tanl_);
+      group_.left = motion_.left();
+    }
   }
 
   static void mask_noise(SlabNoise<T>& noise, mask_of<T> crosses) {

@@ -15,33 +15,32 @@ struct CellRange {
   double arc;           // mm, transverse path to there
 };
 
-// For one track, asked layer by layer on its way out.
+// For one track, asked layer by layer on its way out. `Motion`: in the field that it flies through.
+template <class Motion>
 class CellFinder {
  public:
-  explicit CellFinder(const Detector& detector) : wires_(detector.wires) {}
+  CellFinder(const Detector& detector, Motion& motion) : wires_(detector.wires), motion_(motion) {}
 
   // Every cell between the radial borders, which lie midway to the neighbouring layers at the track's z.
   // False if the track turns back below them.
   bool find(std::size_t index, const HelixPoint& from, CellRange& range) {
     const WireLayer& layer = wires_[index];
     range.at_wires = from;
-    const bool reached = step_to_cylinder(range.at_wires, wire_radius(layer, from.z), range.arc);
-    if (!reached) {
-      range.arc = arc_to_apex(from);
-      advance(range.at_wires, range.arc);
-    }
+    const bool reached = motion_.to_cylinder(range.at_wires, wire_radius(layer, from.z), range.arc);
+    if (motion_.left()) return false;
+    if (!reached) motion_.to_apex(range.at_wires, range.arc);
     const CellBorders<double> borders(wires_, index, range.at_wires.z);
     return (reached && at_once_.find(layer, borders, range.at_wires, true, range.first, range.last)) ||
            step_by_step(layer, from, borders.inner, borders.outer, range);
   }
 
  private:
-  static bool step_by_step(const WireLayer& layer, const HelixPoint& start, double inner, double outer,
-                           CellRange& range) {
+  bool step_by_step(const WireLayer& layer, const HelixPoint& start, double inner, double outer,
+                    CellRange& range) const {
     double arc = 0;
     HelixPoint from = start, to = range.at_wires;
-    if (!step_to_cylinder(from, inner, arc)) return false;
-    if (!step_to_cylinder(to, outer, arc)) {
+    if (!motion_.to_cylinder(from, inner, arc)) return false;
+    if (!motion_.to_cylinder(to, outer, arc)) {
       const double ahead = arc_to_apex(to);
       if (ahead * std::abs(to.w) < pi) advance(to, ahead);
     }
@@ -61,6 +60,7 @@ class CellFinder {
   }
 
   const std::vector<WireLayer>& wires_;
+  Motion& motion_;
   CellsAtOnce<double> at_once_;
 };
 

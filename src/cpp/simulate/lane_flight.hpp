@@ -8,7 +8,7 @@
 
 #include "matter/loss.hpp"
 #include "matter/scattering.hpp"
-#include "motion/wire.hpp"
+#include "motion/uniform.hpp"
 #include "simulate/cells.hpp"
 #include "simulate/lane_rows.hpp"
 
@@ -207,7 +207,8 @@ class LaneFlight {
 
   bool find_slowly(std::size_t index, int i, HelixPointOf<T>& middle, T& arc, T& first, T& last) const {
     CellRange range{};
-    if (!CellFinder(detector_).find(index, lane(point_, i), range)) return false;
+    UniformMotion motion(detector_);
+    if (!CellFinder(detector_, motion).find(index, lane(point_, i), range)) return false;
     set_lane(first, i, range.first);
     set_lane(last, i, range.last);
     set_lane(arc, i, range.arc);

@@ -9,8 +9,8 @@
 #include "matter/loss.hpp"
 #include "matter/radiation.hpp"
 #include "matter/scattering.hpp"
-#include "motion/helix.hpp"
-#include "motion/wire.hpp"
+#include "motion/field_motion.hpp"
+#include "motion/uniform.hpp"
 #include "simulate/cells.hpp"
 
 namespace cgemit {
@@ -19,13 +19,15 @@ namespace {
 
 constexpr std::uint32_t inward_leg = 1U << 19;  // above any number of a particle
 
-// One particle on its way.
+// One particle on its way. `Motion`: in the field that it flies through.
+template <class Motion>
 class Flight {
  public:
   Flight(const Detector& detector, const ParticleColumns& in, std::size_t row,
          const SimulateSettings& settings, std::uint64_t seed, Simulated& out)
       : detector_(detector),
         settings_(settings),
+        motion_(detector),
         outward_(seed, static_cast<std::uint64_t>(in.event[row]),
                  static_cast<std::uint32_t>(in.particle[row])),
         // A slab that is crossed on the way in and again on the way out acts anew.
@@ -36,16 +38,11 @@ class Flight {
         now_(std::hypot(in.px[row], in.py[row], in.pz[row]), in.mass[row],
              projectile_of(in.mass[row], in.charge[row])),
         track_(total_matter(detector, in.pz[row] / std::hypot(in.px[row], in.py[row]))),
-        cells_(detector),
+        cells_(detector, motion_),
         out_(out) {
     const double pt = std::hypot(in.px[row], in.py[row]);
-    point_ = {in.x[row],
-              in.y[row],
-              in.z[row],
-              in.px[row] / pt,
-              in.py[row] / pt,
-              in.pz[row] / pt,
-              curvature(detector.bz, charge_ / pt)};
+    point_ = {in.x[row], in.y[row], in.z[row], in.px[row] / pt, in.py[row] / pt, in.pz[row] / pt, 0};
+    motion_.bend(point_, charge_ / pt);
     stretch_ = std::sqrt(1 + point_.tanl * point_.tanl);
   }
 
@@ -55,17 +52,20 @@ class Flight {
     // Inward leg, if any: matter only.
     while (next != places.begin() && point_.outward() < 0) {
       const Place& inner = *std::prev(next);
-      if (!step_to_cylinder(point_, inner.radius, arc_, false)) break;
+      if (!motion_.to_cylinder(point_, inner.radius, arc_, false)) break;
       --next;
-      count_time();
+      arrive();
       if (inner.is_slab && !cross(inner.index)) return status_;
     }
+    if (motion_.left()) return TransportStatus::left_field;
     stream_ = outward_;
     for (; next != places.end(); ++next) {
       const auto index = static_cast<std::size_t>(next->index);
       if (!next->is_slab) {
         // A helix that curls back below a slab may still pass by the next wires.
-        if (!pass_cells(index) && curled_) break;
+        const bool passed = pass_cells(index);
+        if (!passed && motion_.left()) return TransportStatus::left_field;
+        if (!passed && curled_) break;
       } else if (!curled_) {
         const bool is_gap = detector_.slabs[index].gap >= 0;
         const bool goes_on = is_gap ? cross_gap(detector_.slabs[index], next->index)
@@ -79,15 +79,19 @@ class Flight {
 
  private:
   bool reach(double radius) {
-    curled_ = !step_to_cylinder(point_, radius, arc_);
-    if (curled_) return false;
-    count_time();
-    return true;
+    const bool reached = motion_.to_cylinder(point_, radius, arc_);
+    curled_ = !reached && !motion_.left();
+    if (motion_.left()) status_ = TransportStatus::left_field;
+    if (reached) arrive();
+    return reached;
   }
 
   double flight_time(double arc) const { return arc * stretch_ * now_.per_beta * (1 / speed_of_light); }
 
-  void count_time() { time_ += flight_time(arc_); }
+  void arrive() {
+    time_ += flight_time(arc_);
+    if constexpr (!Motion::keeps_dip) stretch_ = std::sqrt(1 + point_.tanl * point_.tanl);
+  }
 
   // Scatters and slows down at the slab's centroid, where the point is. False if the flight ends here.
   bool cross(int index) {
@@ -114,7 +118,7 @@ class Flight {
     }
     now_ = after;
     stretch_ = std::sqrt(1 + point_.tanl * point_.tanl);
-    point_.w = curvature(detector_.bz, charge_ * stretch_ * now_.per_p);
+    motion_.bend(point_, charge_ * stretch_ * now_.per_p);
     return true;
   }
 
@@ -150,11 +154,11 @@ class Flight {
     const CgemLayer& layer = detector_.cgem[static_cast<std::size_t>(slab.gap)];
     HelixPoint entry = point_;
     double arc = 0;
-    const bool enters = step_to_cylinder(entry, layer.r_gap_in, arc) && arc >= 0;
+    const bool enters = motion_.to_cylinder(entry, layer.r_gap_in, arc) && arc >= 0;
     if (!reach(slab.radius)) return false;
     HelixPoint exit = point_;
     double rest = 0;
-    const bool leaves = step_to_cylinder(exit, layer.r_gap_out, rest);
+    const bool leaves = motion_.to_cylinder(exit, layer.r_gap_out, rest);
     const HelixPoint middle = point_;
     const Kinematics inside = now_;
     const double path = (arc_ - arc + rest) * stretch_, time = time_;
@@ -172,8 +176,8 @@ class Flight {
     if (settings_.fluctuations != Fluctuations::full || detector_.gaps.empty()) return {deposit_ / keV, 0, 0};
     deposits_.clear();
     const GapResult left =
-        ionize(detector_.gaps[static_cast<std::size_t>(layer)], {entry, exit, detector_.bz, path}, k, stream_,
-               place, settings_.deltas, settings_.steps, deposits_);
+        ionize(detector_.gaps[static_cast<std::size_t>(layer)], {entry, exit, motion_.bz(entry), path}, k,
+               stream_, place, settings_.deltas, settings_.steps, deposits_);
     const auto truth = static_cast<std::int64_t>(out_.truths.event.size());
     for (const Deposit& deposit : deposits_) out_.steps.append(who_, layer, deposit, truth);
     return left;
@@ -192,7 +196,7 @@ class Flight {
   void record_cell(const WireLayer& layer, int cell, const CellRange& range) {
     HelixPoint closest = range.at_wires;
     Approach approach{};
-    if (!approach_wire(closest, layer.placed[static_cast<std::size_t>(cell)], approach)) return;
+    if (!motion_.approach(closest, layer.placed[static_cast<std::size_t>(cell)], approach)) return;
     const double time = time_ + flight_time(approach.arc + range.arc);
     const bool behind_vertex = time < 0;
     if (behind_vertex || std::abs(approach.z_wire) > layer.half_length) return;
@@ -211,6 +215,7 @@ class Flight {
 
   const Detector& detector_;
   const SimulateSettings& settings_;
+  Motion motion_;
   Stream outward_, stream_;
   ParticleNumber who_;
   double charge_, time_ = 0, arc_ = 0, deposit_ = 0;
@@ -218,7 +223,7 @@ class Flight {
   double stretch_;  // path per transverse arc
   Kinematics now_;
   TrackMatter track_;
-  CellFinder cells_;
+  CellFinder<Motion> cells_;
   TransportStatus status_ = TransportStatus::outside;
   bool curled_ = false;  // past the outermost point: no cylinder lies ahead
   std::vector<Deposit> deposits_;
@@ -231,7 +236,9 @@ TransportStatus simulate_one(const Detector& detector, const ParticleColumns& pa
                              const SimulateSettings& settings, std::uint64_t seed, Simulated& out) {
   if (particles.charge[row] == 0) return TransportStatus::neutral;
   if (particles.px[row] == 0 && particles.py[row] == 0) return TransportStatus::end;
-  return Flight(detector, particles, row, settings, seed, out).run();
+  if (!detector.field.is_uniform())
+    return Flight<FieldMotion>(detector, particles, row, settings, seed, out).run();
+  return Flight<UniformMotion>(detector, particles, row, settings, seed, out).run();
 }
 
 void reserve(const Detector& detector, const SimulateSettings& settings, std::size_t n, Simulated& out) {

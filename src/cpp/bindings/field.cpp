@@ -1,0 +1,108 @@
+#include "field/field.hpp"
+
+#include <pybind11/pybind11.h>
+#include <pybind11/stl.h>
+
+#include "bindings/arrays.hpp"
+#include "motion/field_motion.hpp"
+
+namespace py = pybind11;
+using namespace cgemit;
+using namespace cgemit::bindings;
+
+namespace {
+
+FieldMap make_field(double bz, double tolerance, double b, double q,
+                    const std::vector<std::tuple<double, double, int>>& axes,
+                    const Array<double>& coefficients) {
+  if (axes.empty()) return {FieldKind::harmonic, bz, b, q, {}, {}, tolerance};
+  if (axes.size() != 2 && axes.size() != 3) throw std::invalid_argument("axes: expected two or three");
+  const bool is_box = axes.size() == 3;
+  FieldMap map{is_box ? FieldKind::box : FieldKind::cylinder, bz, 0, 0, {}, {}, tolerance};
+  std::size_t size = axes.size();
+  for (const auto& [first, step, points] : axes) {
+    if (points < 2 || !(step > 0)) throw std::invalid_argument("axes: expected two points at a distance");
+    map.axes.push_back({first, step, points});
+    size *= static_cast<std::size_t>(points) + 2;
+  }
+  const auto values = column(coefficients, "coefficients", static_cast<py::ssize_t>(size));
+  map.coefficients.assign(values.begin(), values.end());
+  return map;
+}
+
+py::tuple values(const FieldMap& map, const Array<double>& points) {
+  const py::ssize_t n = points.ndim() == 2 ? points.shape(0) : 0;
+  const auto rows = matrix(points, "points", n, 3);
+  std::vector<double> field, gradients;
+  std::vector<std::uint8_t> inside;
+  for (std::size_t i = 0; i < rows.size(); i += 3) {
+    FieldGradient gradient;
+    const FieldVector b = map.at(rows[i], rows[i + 1], rows[i + 2], gradient);
+    field.insert(field.end(), b.begin(), b.end());
+    for (const auto& row : gradient) gradients.insert(gradients.end(), row.begin(), row.end());
+    inside.push_back(map.holds(rows[i], rows[i + 1], rows[i + 2]));
+  }
+  return py::make_tuple(to_numpy(std::move(field), {n, 3}), to_numpy(std::move(gradients), {n, 3, 3}),
+                        to_numpy(std::move(inside)));
+}
+
+py::tuple advance_points(const FieldMap& map, const Array<double>& points, const Array<double>& path_column,
+                         const Array<double>& derivative_array) {
+  const py::ssize_t n = points.ndim() == 2 ? points.shape(0) : 0;
+  const auto rows = matrix(points, "points", n, 7);
+  const auto paths = column(path_column, "paths", n);
+  const auto start = matrix(derivative_array, "derivatives", 7, 5);
+  std::vector<double> moved, derivatives;
+  std::vector<std::uint8_t> inside;
+  for (std::size_t i = 0; i < paths.size(); ++i) {
+    const double* row = rows.data() + 7 * i;
+    FieldPoint point{{row[0], row[1], row[2]}, {row[3], row[4], row[5]}, row[6] / radius_per_kappa};
+    FieldDerivatives d = Eigen::Map<const Eigen::Matrix<double, 7, 5, Eigen::RowMajor>>(start.data());
+    d.row(6) /= radius_per_kappa;
+    inside.push_back(RungeKutta(map).advance(point, paths[i], &d));
+    d.row(6) *= radius_per_kappa;
+    moved.insert(moved.end(), point.x.begin(), point.x.end());
+    moved.insert(moved.end(), point.t.begin(), point.t.end());
+    for (Eigen::Index k = 0; k < 7; ++k)
+      for (Eigen::Index m = 0; m < 5; ++m) derivatives.push_back(d(k, m));
+  }
+  return py::make_tuple(to_numpy(std::move(moved), {n, 6}), to_numpy(std::move(derivatives), {n, 7, 5}),
+                        to_numpy(std::move(inside)));
+}
+
+py::tuple to_perigee(const FieldMap& map, const Array<double>& points) {
+  const py::ssize_t n = points.ndim() == 2 ? points.shape(0) : 0;
+  const auto rows = matrix(points, "points", n, 7);
+  std::vector<double> moved;
+  std::vector<std::uint8_t> reached;
+  for (py::ssize_t i = 0; i < n; ++i) {
+    const double* row = rows.data() + 7 * i;
+    HelixPoint point{row[0], row[1], row[2], row[3], row[4], row[5], 0};
+    FieldMotion motion(map);
+    motion.bend(point, row[6]);
+    reached.push_back(motion.to_perigee(point));
+    for (const double value : {point.x, point.y, point.z, point.ux, point.uy, point.tanl})
+      moved.push_back(value);
+  }
+  return py::make_tuple(to_numpy(std::move(moved), {n, 6}), to_numpy(std::move(reached)));
+}
+
+}  // namespace
+
+void bind_field(py::module_& module) {
+  py::class_<FieldMap>(module, "Field", "The magnetic field at a point.")
+      .def(py::init(&make_field), py::kw_only(), py::arg("bz"), py::arg("tolerance"), py::arg("b") = 0.0,
+           py::arg("q") = 0.0, py::arg("axes") = std::vector<std::tuple<double, double, int>>(),
+           py::arg_v("coefficients", Array<double>(0), "[]"))
+      .def_readonly("bz", &FieldMap::bz)
+      .def_property_readonly("is_uniform", &FieldMap::is_uniform)
+      .def("values", &values, py::arg("points"),
+           "Field and gradient at points (n, 3), and whether they lie inside the map.")
+      .def("advance", &advance_points, py::arg("points"), py::arg("paths"), py::arg("derivatives"),
+           "Move points, rows of (x y z, direction, charge/p), along paths, and derivatives (7, 5) with "
+           "them.")
+      .def("to_perigee", &to_perigee, py::arg("points"),
+           "Move points, rows of (x y z ux uy tanl, charge/pT), to their closest approach to the beam line: "
+           "points, "
+           "whether that lies inside the map.");
+}

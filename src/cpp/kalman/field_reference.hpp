@@ -1,0 +1,137 @@
+// The reference trajectory in a field map, for the tracer: as `HelixMotion`, one track at a time.
+//
+// Derivatives of place, direction and charge/p by the five parameters at the origin go along with every
+// Runge-Kutta step. What a track does at one point is said in five coordinates: displacement across the
+// flight and along z, azimuth, kappa and tanl, where it passes the plane across the reference's transverse
+// direction. The matrix of these by the parameters at the origin, inverted, takes noise there.
+#pragma once
+
+#include <Eigen/LU>
+#include <cmath>
+
+#include "kalman/helix_motion.hpp"
+#include "motion/field_motion.hpp"
+
+namespace cgemit {
+
+class FieldReference {
+ public:
+  static constexpr bool keeps_dip = false;
+
+  FieldReference(const Detector& detector, const Perigee& start) : motion_(detector) {
+    const double cosine = std::cos(start.psi), sine = std::sin(start.psi), d = start.d;
+    point_ = {d * sine, -d * cosine, start.z0, cosine, sine, start.tanl, 0};
+    motion_.bend(point_, start.kappa);
+    const double s = stretch(), per_s = 1 / s, per_s3 = per_s * per_s * per_s, tanl = start.tanl;
+    // Columns: d, psi, kappa, z0, tanl.
+    by_origin_ << sine, d * cosine, 0, 0, 0,              //
+        -cosine, d * sine, 0, 0, 0,                       //
+        0, 0, 0, 1, 0,                                    //
+        0, -sine * per_s, 0, 0, -tanl * cosine * per_s3,  //
+        0, cosine * per_s, 0, 0, -tanl * sine * per_s3,   //
+        0, 0, 0, 0, per_s3,                               //
+        0, 0, per_s / radius_per_kappa, 0, -start.kappa * tanl * per_s3 / radius_per_kappa;
+    motion_.carry(&by_origin_);
+  }
+  // The motion points to the derivatives.
+  FieldReference(const FieldReference&) = delete;
+  FieldReference& operator=(const FieldReference&) = delete;
+
+  const HelixPoint& point() const { return point_; }
+  double kappa() const { return motion_.charge_per_p() * stretch(); }
+  // Whether the map ended before the place that was asked for last.
+  bool left() const { return left_; }
+
+  bool go_to(double radius, bool who) {
+    double arc = 0;
+    if (!who) return false;
+    const bool reached = motion_.to_cylinder(point_, radius, arc);
+    left_ = left_ || motion_.left();
+    return reached;
+  }
+  bool approach(const Wire& wire, Approach& result, bool who) {
+    if (!who) return false;
+    const bool met = motion_.approach(point_, wire, result);
+    left_ = left_ || motion_.left();
+    return met;
+  }
+
+  Rows<double> rows() const {
+    Rows<double> r{};
+    r.sideways = point_.sideways();
+    for (int i = 0; i < parameters; ++i) {
+      const auto by = by_origin_.col(i);
+      r.across[i] = point_.ux * by[1] - point_.uy * by[0];
+      r.along_z[i] = by[2] - point_.tanl * forward(by[0], by[1]);
+    }
+    return r;
+  }
+
+  // As of `HelixMotion`.
+  void lose(double ratio, double gain, double mixed) {
+    stay_on_cylinder();
+    const double s = stretch(), share = point_.tanl / s;
+    const Eigen::RowVector<double, 5> by_tanl = tanl_by_origin();
+    const double before = motion_.charge_per_p(), after = before * ratio;
+    const Eigen::RowVector<double, 5> by_kappa =
+        s * radius_per_kappa * by_origin_.row(6) + before * share * by_tanl;
+    by_origin_.row(6) = (gain * by_kappa + (mixed - after * share) * by_tanl) / (s * radius_per_kappa);
+    motion_.bend(point_, after * s);
+  }
+
+  // Origin parameters of a track that is displaced or turned here and whose kappa and tanl change.
+  class Backward {
+   public:
+    Backward(const FieldReference& m, const Rows<double>& r) {
+      Eigen::Matrix<double, 5, 5> here;
+      const double s = m.stretch(), share = m.point_.tanl / s, p = m.motion_.charge_per_p();
+      const Eigen::RowVector<double, 5> tanl = m.tanl_by_origin();
+      // Change of tanl per transverse arc: B has it from its components across the beam.
+      const Eigen::Vector<double, 6> along = s * m.motion_.derivative_along(m.point_);
+      const double bending = s * (along[5] - m.point_.tanl * m.forward(along[3], along[4]));
+      for (int i = 0; i < parameters; ++i) {
+        const auto by = m.by_origin_.col(i);
+        const double forward = m.forward(by[0], by[1]);
+        const double tanl_here = tanl[i] - bending * forward;
+        here.col(i) << r.across[i], r.along_z[i],
+            s * (m.point_.ux * by[4] - m.point_.uy * by[3]) - m.point_.w * forward,
+            s * radius_per_kappa * by[6] + p * share * tanl_here, tanl_here;
+      }
+      back_ = here.inverse();
+    }
+    Five<double> turned(double psi) const { return five(psi * back_.col(2)); }
+    Five<double> moved(double across, double along_z, double psi) const {
+      return five(across * back_.col(0) + along_z * back_.col(1) + psi * back_.col(2));
+    }
+    Five<double> changed(double kappa, double tanl) const {
+      return five(kappa * back_.col(3) + tanl * back_.col(4));
+    }
+    Five<double> slowed(double kappa) const { return changed(kappa, 0); }
+
+   private:
+    static Five<double> five(const Eigen::Vector<double, 5>& v) { return {{v[0], v[1], v[2], v[3], v[4]}}; }
+    Eigen::Matrix<double, 5, 5> back_;
+  };
+
+ private:
+  double stretch() const { return std::sqrt(1 + point_.tanl * point_.tanl); }
+  double forward(double x, double y) const { return point_.ux * x + point_.uy * y; }
+  // Every displaced track loses its momentum on this cylinder, not after the same path.
+  void stay_on_cylinder() {
+    const double outward = point_.outward();
+    const Eigen::Vector<double, 6> along = motion_.derivative_along(point_);  // per path
+    by_origin_.topRows<6>() -=
+        along * (point_.x * by_origin_.row(0) + point_.y * by_origin_.row(1)) * (stretch() / outward);
+  }
+  Eigen::RowVector<double, 5> tanl_by_origin() const {
+    return stretch() * (by_origin_.row(5) -
+                        point_.tanl * (point_.ux * by_origin_.row(3) + point_.uy * by_origin_.row(4)));
+  }
+
+  FieldMotion motion_;
+  HelixPoint point_{};
+  FieldDerivatives by_origin_;  // x, y, z, direction, bend
+  bool left_ = false;
+};
+
+}  // namespace cgemit

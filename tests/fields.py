@@ -1,0 +1,32 @@
+"""Magnetic fields for tests, by formulas of their own."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cgemit import _core
+from cgemit.detector.field_grid import Axis, FieldGrid
+
+
+def harmonic_by_hand(x, y, z, bz=-0.98, b=0.175e-6, q=-0.251e-12):
+    """Return the gradient of the scalar potential whose Bz is quoted, term by term; b, q and lengths in mm."""
+    r2 = x * x + y * y
+    radial = bz * (b * z + q * (1.5 * z * r2 - 2 * z**3))
+    along = bz * (1 - b * (z * z - r2 / 2) + q * (z**4 - 3 * z * z * r2 + 3 * r2 * r2 / 8))
+    return np.stack([x * radial, y * radial, along], axis=-1)
+
+
+def box_grid(values, half=600.0, step=50.0, half_z=1000.0) -> FieldGrid:
+    """Return a grid of a field given as a function."""
+    axes = tuple(
+        Axis(name, -length, step, round(2 * length / step) + 1)
+        for name, length in (("x", half), ("y", half), ("z", half_z))
+    )
+    points = np.meshgrid(*(a.first + a.step * np.arange(a.points) for a in axes), indexing="ij")
+    return FieldGrid(axes, values(*points))
+
+
+def on_core(grid: FieldGrid, tolerance=1e-3) -> _core.Field:
+    axes = [(axis.first, axis.step, axis.points) for axis in grid.axes]
+    coefficients = grid.coefficients().ravel()
+    return _core.Field(bz=grid.bz_at_origin(), axes=axes, coefficients=coefficients, tolerance=tolerance)
