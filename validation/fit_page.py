@@ -68,8 +68,8 @@ _DEFAULT = """
 ## Default simulation
 
 Strips, delta electrons, single scattering, straggling to W_max, sides to be found. **The core of every pull has to have
-a width of 1 ± 0.06 and a mean within 0.08, for kappa up to 0.2 GeV/c 1 ± 0.15 and 0.2.** The tail is what lies beyond
-three core widths, 0.27 % of a Gaussian.
+a width of 1 ± 0.06 and a mean within 0.08, for kappa up to 0.2 GeV/c 1 ± 0.15 and 0.2, or four standard errors.** The
+tail is what lies beyond three core widths, 0.27 % of a Gaussian.
 """
 
 _OPTIMUM = """

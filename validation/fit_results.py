@@ -57,10 +57,10 @@ class Pull(Point):
     def tolerances(self) -> tuple[float, float]:
         """By how much width and mean may be off."""
         if self.mode == "default":
-            slow_kappa = self.parameter == "kappa" and self.p <= 0.2
-            return (0.15, 0.2) if slow_kappa else (0.06, 0.08)
-        least = 0.1 if self.p < 0.15 else 0.05 if self.mode == "hidden" else 0.02
-        return max(least, N_SIGMA * self.width_error), max(least, N_SIGMA * self.mean_error)
+            least = (0.15, 0.2) if self.parameter == "kappa" and self.p <= 0.2 else (0.06, 0.08)
+        else:
+            least = (0.1 if self.p < 0.15 else 0.05 if self.mode == "hidden" else 0.02,) * 2
+        return max(least[0], N_SIGMA * self.width_error), max(least[1], N_SIGMA * self.mean_error)
 
     @property
     def agrees(self) -> bool:

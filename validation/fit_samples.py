@@ -94,7 +94,7 @@ def measure_point(point: Point, n: int, threads: int | None) -> tuple[list[Pull]
             sums.add(result)
     assert first is not None
     tracks = {name: np.concatenate(parts) for name, parts in columns.items()}
-    good = tracks["status"] == 0
+    good = (tracks["status"] == 0) & (tracks["ndf"] > 0)  # without degrees of freedom there is no chi-square
     tracks = {name: column[good] for name, column in tracks.items()}
     probability = chi2.sf(tracks["chi2"], tracks["ndf"])
     flat = float(kstest(probability, "uniform").pvalue)
