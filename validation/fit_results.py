@@ -14,6 +14,7 @@ ANGLES = (0.0, 0.5, 0.8)
 PARTICLES = ("mu-", "mu+", "pi-", "pi+")
 DETECTORS = ("besiii-cgem-design", "besiii-cgem", "besiii-idc", "besiii-idc-boss")
 
+FAR = 8.0  # a pull beyond is another helix, no fluctuation: such tracks are counted, and not in the widths
 N_SIGMA = 4.0  # standard errors of a number that it may be off
 FLAT = 1 / 16_000  # least probability of the Kolmogorov-Smirnov distance: that of 4 standard errors
 
@@ -35,9 +36,9 @@ class Point:
 
 @dataclass(frozen=True)
 class Pull(Point):
-    """Width and mean of a pull: of all tracks where everything is Gaussian, of the core in the default simulation.
+    """Width and mean of a pull: of the core in the default simulation, else of all tracks within `FAR`.
 
-    `parameter` is one of the helix, or a layer of hits ("x0", "v2", "w17"); `tail` is what lies beyond 3 core widths.
+    `parameter` is one of the helix, or a layer of hits ("x0", "v2", "w17"); `tail` is the part beyond 3 core widths, or `FAR`.
     `bias` is the mean residual over the root mean square of the errors: where the error changes with what is found, as
     that of scattering does with tan(lambda), the mean of the pull is another number. `expected` is the bias that second
     derivatives of the measurements make (0 where it was not worked out).

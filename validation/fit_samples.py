@@ -20,7 +20,7 @@ from cgemit.fit import LOSSES, PARAMETERS, FitSettings
 from cgemit.result import Result
 from cgemit.simulate import SimulateSettings
 from cgemit.study.estimate import measure
-from fit_results import ANGLES, DETECTORS, MOMENTA, PARTICLES, Chi2, Choice, Known, Point, Pull, Side, Width
+from fit_results import ANGLES, DETECTORS, FAR, MOMENTA, PARTICLES, Chi2, Choice, Known, Point, Pull, Side, Width
 from optimal import Hit, Optimum, errors, optimum
 
 Floats = npt.NDArray[np.float64]
@@ -68,7 +68,7 @@ class _Sums:
         residuals = residuals[result.tracks["status"][residuals["track"]] == 0]
         key = residuals["view"].astype(np.int64) * 1000 + residuals["layer"]
         found, place = np.unique(key, return_inverse=True)
-        pull = residuals["pull"]
+        pull = np.clip(residuals["pull"], -FAR, FAR)
         columns = (np.bincount(place), np.bincount(place, pull), np.bincount(place, pull**2))
         for which, *sums in zip(found, *columns, strict=True):
             name = f"{VIEWS[which // 1000]}{which % 1000}"
@@ -113,14 +113,16 @@ def _has_optimum(point: Point) -> bool:
 
 def _pull(point: Point, name: str, tracks: Columns, best: Sequence[tuple[Floats, Optimum]]) -> Pull:
     pull, residual, error = (np.asarray(tracks[f"{kind}_{name}"], np.float64) for kind in ("pull", "res", "err"))
-    found, n = measure(pull), len(pull)
+    n, near = len(pull), np.abs(pull) < FAR
     if point.mode == "default":
-        numbers = (found.core, found.core_error, found.core_mean, found.core_mean_error)
+        found = measure(pull)
+        numbers, tail = (found.core, found.core_error, found.core_mean, found.core_mean_error), found.tail
     else:
-        numbers = (found.rms, 1 / math.sqrt(2 * n), found.mean, 1 / math.sqrt(n))
-    bias = float(residual.mean() / np.sqrt(np.mean(error**2)))
+        tail = 1 - float(near.mean())
+        numbers = (float(pull[near].std()), 1 / math.sqrt(2 * n), float(pull[near].mean()), 1 / math.sqrt(n))
+    bias = float(residual[near].mean() / np.sqrt(np.mean(error[near] ** 2)))
     expected = float(np.mean([one.bias[PARAMETERS.index(name)] for _, one in best])) if best else 0.0
-    more = {"bias": bias, "expected": expected, "tail": found.tail}
+    more = {"bias": bias, "expected": expected, "tail": tail}
     return Pull(**asdict(point), parameter=name, n=n, **_named(numbers), **more)
 
 
