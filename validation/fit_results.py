@@ -38,7 +38,7 @@ class Point:
 class Pull(Point):
     """Width and mean of a pull: of the core in the default simulation, else of all tracks within `FAR`.
 
-    `parameter` is one of the helix, or a layer of hits ("x0", "v2", "w17"). `tail` is what lies beyond, of the core 3 widths.
+    `parameter` is one of the helix, or a layer of hits ("x0", "v2", "w17"). `tail` is what lies beyond that.
     `bias` is the mean residual over the root mean square of the errors: where the error changes with what is found, as
     that of scattering does with tan(lambda), the mean of the pull is another number. `expected` is the bias that second
     derivatives of the measurements make (0 where it was not worked out).

