@@ -6,6 +6,7 @@
 
 #include "fit/cluster_errors.hpp"
 #include "fit/first_guess.hpp"
+#include "fit/outliers.hpp"
 #include "kalman/field_reference.hpp"
 #include "kalman/filter.hpp"
 #include "kalman/tracer.hpp"
@@ -63,11 +64,11 @@ class GroupFit {
     works = works & !finish(works & few, FitStatus::does_not_reach);
     if (!any(works)) return;
     if (iteration_ == 0) first_guess(group_, helix_, mass, spread_, works, settings_.outlier_pull > 0);
-    keep_enough(works);
+    if (settings_.outlier_pull > 0) keep_enough(group_, works);
     fill_slots();
     prior_ = beginning(prior);
     Estimate<T> estimate = filter(detector_, group_, prior_);
-    works = works & !finish(works & !(positive_definite(estimate.c) & finite(estimate)),
+    works = works & !finish(works & !(positive_definite(estimate.c) & sound(estimate)),
                             FitStatus::not_positive_definite);
     T moved(0.0);
     unroll<parameters>(
@@ -84,7 +85,8 @@ class GroupFit {
     if (last || any(judged) || any(open_ & works)) {
       smooth(group_);
       if (any(open_ & works)) ready = ready & renew_sides(works);
-      if (settings_.outlier_pull > 0) ready = ready & renew_outliers(judged);
+      if (settings_.outlier_pull > 0)
+        ready = ready & renew_outliers(group_, judged, settings_.outlier_pull, iteration_ < last_return);
     }
     wires_only_ = wires_only_ & !works;
     store(ready, estimate, FitStatus::ok);
@@ -102,11 +104,11 @@ class GroupFit {
   }
 
   // The covariance that the filter begins with. Rounding grows with its ratio to what comes out: once there
-  // is a covariance from the iteration before, three thousand times that is as good as none and no weaker
+  // is a covariance from the iteration before, a thousand times that is as good as none and no weaker
   // than it has to be. Its mean is the present reference, so that it does not pull anywhere once that has
   // settled.
   Symmetric<T> beginning(const Five<T>& prior) const {
-    constexpr double ratio = 3000;
+    constexpr double ratio = 1000;
     mask_of<T> from_before(iteration_ > 0);
     unroll<parameters>([&](auto i) { from_before = from_before & (ratio * known_(i, i) < prior[i]); });
     Symmetric<T> c = Symmetric<T>::diagonal(prior);
@@ -157,16 +159,6 @@ class GroupFit {
     }
     active_ = active_ & !failed;
     return failed;
-  }
-
-  // Where too few hits are left that the reference meets, outliers count again.
-  void keep_enough(mask_of<T> who) {
-    if (!(settings_.outlier_pull > 0)) return;
-    T used(0.0);
-    for (const Slot<T>& slot : group_.slots) used += select(slot.met & !slot.outlier, T(1.0), T(0.0));
-    const mask_of<T> few = who & (used <= double(parameters));
-    if (!any(few)) return;
-    for (Slot<T>& slot : group_.slots) slot.outlier = slot.outlier & !few;
   }
 
   // Measured value and variance of every slot, on the present reference.
@@ -225,34 +217,6 @@ class GroupFit {
       slot.weight = select(open, weight, slot.weight);
     }
     return largest < 0.02;
-  }
-
-  // Leaves out what lies far from the rest of the track, the worst first, and takes back what does not any
-  // more. True where nothing changed.
-  [[gnu::flatten]] mask_of<T> renew_outliers(mask_of<T> who) {
-    T worst(0.0), left(0.0);
-    for (const Slot<T>& slot : group_.slots) {
-      worst = larger(worst, select(slot.used, squared_pull(slot), T(0.0)));
-      left += select(slot.used, T(1.0), T(0.0));
-    }
-    const double cut = settings_.outlier_pull * settings_.outlier_pull;
-    // Far outliers pull the track towards them and away from its hits.
-    const T limit = larger(0.25 * worst, cut);
-    mask_of<T> changed(false);
-    const bool may_return = iteration_ < last_return;
-    for (Slot<T>& slot : group_.slots) {
-      const T pull = squared_pull(slot);
-      const mask_of<T> out = who & slot.used & (pull > limit) & (left > parameters + 1.0);
-      mask_of<T> back = who & slot.met & slot.outlier & (pull < cut);
-      if (!may_return) back = mask_of<T>(false);
-      left -= select(out, T(1.0), T(0.0));
-      slot.outlier = (slot.outlier | out) & !back;
-      changed = changed | out | back;
-    }
-    return !changed;
-  }
-  static T squared_pull(const Slot<T>& slot) {
-    return slot.unbiased * slot.unbiased / slot.unbiased_variance;
   }
 
   void store(mask_of<T> who, const Estimate<T>& estimate, FitStatus status) {

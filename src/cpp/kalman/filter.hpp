@@ -17,11 +17,12 @@ struct Estimate {
   T chi2;
 };
 
+// Whether it holds numbers, and a chi-square that no variance lost to rounding has made negative.
 template <class T>
-mask_of<T> finite(const Estimate<T>& estimate) {
-  T sum(0.0);
+mask_of<T> sound(const Estimate<T>& estimate) {
+  T sum = 0.0 * estimate.chi2;
   unroll<parameters>([&](auto i) { sum += 0.0 * estimate.x[i] + 0.0 * estimate.c(i, i); });
-  return sum == 0.0;
+  return (sum == 0.0) & (estimate.chi2 >= 0.0);
 }
 
 template <class T>

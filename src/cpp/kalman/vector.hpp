@@ -93,13 +93,15 @@ struct Symmetric {
 };
 
 // Whether a covariance is that of five real parameters: the pivots of its Cholesky decomposition are
-// positive.
+// positive, by more than what rounding leaves of a variance.
 template <class T>
 mask_of<T> positive_definite(Symmetric<T> c) {
+  constexpr double rounding = 1e-13;
+  const Five<T> variance = {{c(0, 0), c(1, 1), c(2, 2), c(3, 3), c(4, 4)}};
   mask_of<T> good(true);
   unroll<parameters>([&](auto k) {
     const T scale = c(k, k);
-    good = good & (scale > 0.0);
+    good = good & (scale > 0.0) & (scale > rounding * variance[k]);
     const T per_pivot = 1.0 / select(scale > 0.0, scale, T(1.0));
     unroll<parameters>([&](auto i) {
       unroll<parameters>([&](auto j) {

@@ -1,0 +1,48 @@
+// Hits that do not belong to their track are left out, and taken back when the track comes nearer.
+#pragma once
+
+#include "kalman/group.hpp"
+
+namespace cgemit {
+
+template <class T>
+T squared_pull(const Slot<T>& slot) {
+  return slot.unbiased * slot.unbiased / slot.unbiased_variance;
+}
+
+// Leaves out what lies far from the rest of the track, the worst first, and takes back what does not any
+// more. True where nothing changed.
+template <class T>
+mask_of<T> renew_outliers(Group<T>& group, mask_of<T> who, double most_pull, bool may_return) {
+  T worst(0.0), left(0.0);
+  for (const Slot<T>& slot : group.slots) {
+    worst = larger(worst, select(slot.used, squared_pull(slot), T(0.0)));
+    left += select(slot.used, T(1.0), T(0.0));
+  }
+  const double cut = most_pull * most_pull;
+  // Far outliers pull the track towards them and away from its hits.
+  const T limit = larger(0.25 * worst, cut);
+  mask_of<T> changed(false);
+  for (Slot<T>& slot : group.slots) {
+    const T pull = squared_pull(slot);
+    const mask_of<T> out = who & slot.used & (pull > limit) & (left > parameters + 1.0);
+    mask_of<T> back = who & slot.met & slot.outlier & (pull < cut);
+    if (!may_return) back = mask_of<T>(false);
+    left -= select(out, T(1.0), T(0.0));
+    slot.outlier = (slot.outlier | out) & !back;
+    changed = changed | out | back;
+  }
+  return !changed;
+}
+
+// Where a new reference meets so few hits that no more are left than parameters, outliers count again.
+template <class T>
+void keep_enough(Group<T>& group, mask_of<T> who) {
+  T used(0.0);
+  for (const Slot<T>& slot : group.slots) used += select(slot.met & !slot.outlier, T(1.0), T(0.0));
+  const mask_of<T> few = who & (used <= double(parameters));
+  if (!any(few)) return;
+  for (Slot<T>& slot : group.slots) slot.outlier = slot.outlier & !few;
+}
+
+}  // namespace cgemit
