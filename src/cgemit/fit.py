@@ -90,7 +90,7 @@ class FitSettings:
     least_width: float = 0.1
     delta_strips: float = 0.008
     outlier_pull: float = 5.0
-    prior_sigma: tuple[float, float, float, float, float] = (200.0, 2.0, 5.0, 1000.0, 5.0)
+    prior_sigma: tuple[float, float, float, float, float] = (200.0, 0.5, 5.0, 1000.0, 2.0)
     seed_smearing: tuple[float, float, float, float, float] = (1.0, 0.005, 0.02, 5.0, 0.005)
 
     def __post_init__(self) -> None:
