@@ -158,7 +158,8 @@ def test_foils_without_holes_give_the_same_as_even_ones() -> None:
         shoot(solid, SimulateSettings(sublayers=True, foil=foil), 500) for foil in ("lattice", "effective")
     )
     assert len(lattice) == len(effective)
-    assert np.mean(lattice["phi"] == effective["phi"]) > 0.98
+    # Foils with holes are simulated one by one, even ones in lanes: equal but for rounding.
+    assert np.mean(np.isclose(lattice["phi"], effective["phi"], rtol=0, atol=1e-12)) > 0.98
 
 
 def test_other_slabs_keep_their_random_numbers() -> None:
