@@ -111,7 +111,7 @@ class ElectronFlight {
   }
 
   // Those that are not at the end of their way.
-  Mask step() {
+  [[gnu::flatten]] Mask step() {
     using namespace electron_step;
     const BlockOf<T> words = draws_.next();
     const Local<T> here = local();

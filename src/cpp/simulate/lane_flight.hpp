@@ -14,6 +14,7 @@
 
 namespace cgemit {
 
+// The hot functions are flattened: numbers should stay in registers.
 template <class T>
 class LaneFlight {
  public:
@@ -114,7 +115,7 @@ class LaneFlight {
   T flight_time(const T& arc) const { return arc * stretch_ * now_.per_beta * (1 / speed_of_light); }
 
   // Scatters and slows down at the slab's centroid, where the points are.
-  void cross(const Slab& slab, const Mask& arrived) {
+  [[gnu::flatten]] void cross(const Slab& slab, const Mask& arrived) {
     const Mask within = arrived & (abs(point_.z) <= slab.half_length);
     deposit_ = T(0.0);  // stays 0 beyond the ends
     if (slab.ends) {
@@ -187,7 +188,7 @@ class LaneFlight {
   }
 
   // Those that do not turn back below the layer's cells.
-  Mask pass_cells(std::size_t index, const Mask& asked) {
+  [[gnu::flatten]] Mask pass_cells(std::size_t index, const Mask& asked) {
     const WireLayer& layer = detector_.wires[index];
     HelixPointOf<T> middle = point_;
     T arc(0.0), first(0.0), last(0.0);
