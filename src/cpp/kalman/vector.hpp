@@ -96,7 +96,7 @@ struct Symmetric {
 // positive, by more than what rounding leaves of a variance.
 template <class T>
 mask_of<T> positive_definite(Symmetric<T> c) {
-  constexpr double rounding = 1e-13;
+  constexpr double rounding = 1e-11;
   const Five<T> variance = {{c(0, 0), c(1, 1), c(2, 2), c(3, 3), c(4, 4)}};
   mask_of<T> good(true);
   unroll<parameters>([&](auto k) {
