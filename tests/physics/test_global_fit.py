@@ -55,9 +55,9 @@ def everything_at_once(result, hits, track, forget_matter=False):
     if forget_matter:
         seen[:] = 0
     measured = np.where(fields["kind"] == 2, fields["value"] * fields["side"], fields["value"])
-    # The weak prior is that of the track behind all matter, helix plus the sum of the noise: 3000 times the covariance
+    # The weak prior is that of the track behind all matter, helix plus the sum of the noise: 1000 times the covariance
     # of the iteration before where that is narrower than the widths in the settings.
-    widths, before = np.array(SETTINGS.fit.prior_sigma), 3000 * result.tracks["cov"][track]
+    widths, before = np.array(SETTINGS.fit.prior_sigma), 1000 * result.tracks["cov"][track]
     covariance = before if np.all(np.diag(before) < widths**2) else np.diag(widths**2)
     prior = np.linalg.inv(np.linalg.cholesky(covariance))
     jacobian = np.block([

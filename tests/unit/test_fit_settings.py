@@ -101,7 +101,7 @@ def test_smearing_is_drawn_from_the_seed(event):
 
 def test_too_few_iterations_is_a_status(event):
     """A fit that was not given time to settle says not_converged, and keeps helix and covariance."""
-    tracks = fitted(event, max_iterations=1)["tracks"]
+    tracks = fitted(event, max_iterations=1, tolerance=1e-6)["tracks"]
     assert np.all(tracks["status"] == FitStatus.not_converged)
     assert np.all(np.isfinite(tracks["cov"]))
     assert np.all(tracks["iterations"] == 1)
@@ -113,8 +113,12 @@ def test_slow_particles_are_fitted_with_the_momentum_they_started_with():
     tracks = chain.run("besiii-cgem-design", gun, 200).tracks
     assert np.count_nonzero(tracks["status"] == FitStatus.ok) > 195
     assert abs(np.median(tracks["p"]) - 0.25) < 0.002
-    hasty = chain.Settings(fit=FitSettings(max_iterations=1))
-    stopped = chain.run("besiii-cgem-design", gun, 20, settings=hasty).tracks
+
+
+def test_a_particle_that_cannot_get_there_is_stopped():
+    """A proton of 0.08 GeV/c does not leave the beam pipe, so a pion's hits beyond are not those of a proton."""
+    wrong = chain.Settings(fit=FitSettings(hypothesis="p", max_iterations=3))
+    stopped = chain.run("besiii-cgem-design", Gun("pi+", p=0.08, cos_theta=0.0), 20, settings=wrong).tracks
     assert np.all(stopped["status"] == FitStatus.stopped)
     assert np.all(np.isnan(stopped["cov"]))
 

@@ -13,7 +13,6 @@ void bind_kalman(pybind11::module_& module);
 void bind_simulate(pybind11::module_& module);
 void bind_digitize(pybind11::module_& module);
 void bind_cluster(pybind11::module_& module);
-void bind_seed(pybind11::module_& module);
 void bind_fit(pybind11::module_& module);
 void bind_kernels(pybind11::module_& module);
 void bind_states(pybind11::module_& module);
@@ -32,7 +31,6 @@ PYBIND11_MODULE(_core, module, pybind11::mod_gil_not_used()) {
   bind_simulate(module);
   bind_digitize(module);
   bind_cluster(module);
-  bind_seed(module);
   bind_fit(module);
   bind_kernels(module);
   bind_states(module);
