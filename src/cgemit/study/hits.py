@@ -40,7 +40,7 @@ class Hits:
     @property
     def on_wire(self) -> Mask:
         """Whether each hit is one of a wire."""
-        return self.candidates.kind == HIT_WIRE
+        return np.asarray(self.candidates.kind == HIT_WIRE)
 
     @property
     def layer(self) -> Rows:
@@ -110,8 +110,8 @@ def exchange_clusters(hits: Hits, layer: int, tracks: Mask) -> Hits:
 def add_noise(detector: Detector, hits: Hits, share: float, random: np.random.Generator) -> Hits:
     """Return the candidates with noise: beside each of their hits, with probability `share`, a hit that is none.
 
-    Noise on a wire lies in a cell at most 3 away, anywhere in it; in the hit's own cell the shorter drift is seen. Noise
-    on strips is a cluster like the hit's own, shifted by a whole number of strips, at most 10 mm.
+    Noise on a wire lies in a cell at most 3 away, anywhere in it; in the hit's own cell the shorter drift is seen.
+    Noise on strips is a cluster like the hit's own, shifted by a whole number of strips, at most 10 mm.
 
     Parameters
     ----------

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from cgemit.candidates import HIT_V, HIT_X
+from cgemit.candidates import HIT_V
 from cgemit.detector import Detector
 from cgemit.gun import Gun, Guns, generate
 from cgemit.particles import particles_from, species
@@ -53,14 +54,14 @@ class Scenario:
         )
 
 
-def both_charges(name: str, **what: object) -> Guns:
-    """Return guns that shoot a particle in even events' place and its antiparticle beside it.
+def both_charges(name: str, **what: Any) -> Guns:
+    """Return guns that shoot a particle and its antiparticle together.
 
     Parameters
     ----------
     name : str
         Particle.
-    what : object
+    what : Any
         As of `Gun`.
     """
     return Gun(name, **what) + Gun(-species(name).pdg, **what)

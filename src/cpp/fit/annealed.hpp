@@ -73,7 +73,7 @@ class Annealed {
     const double plain_lost = lost();
     if (!plain.model || plain.scale < 2 || n_ <= Shape::least + 1 || plain_lost < few * votes()) return plain;
     const Result other = settled(from_few());
-    return other.model && lost() < plain_lost ? other : plain;
+    return other.model && lost() < 0.9 * plain_lost ? other : plain;
   }
 
  private:

@@ -63,7 +63,9 @@ class GroupFit {
     works = works & !finish(works & group_.left & (few | hopeless), FitStatus::left_field);
     works = works & !finish(works & few, FitStatus::does_not_reach);
     if (!any(works)) return;
-    if (iteration_ == 0) first_guess(group_, helix_, mass, spread_, works, settings_.outlier_pull > 0);
+    // Radiation leaves electrons where no first helix expects them.
+    if (iteration_ == 0 && projectile < Projectile::electron)
+      first_guess(group_, helix_, mass, spread_, works, settings_.outlier_pull > 0);
     if (settings_.outlier_pull > 0) keep_enough(group_, works);
     fill_slots();
     prior_ = beginning(prior);
