@@ -261,6 +261,7 @@ def find_clusters(
     detector: Detector, digis: _Columns, *, err_x: npt.ArrayLike, err_v: npt.ArrayLike, by_charge: bool
 ) -> dict[str, _Array]: ...
 def reference(detector: Detector, helix: npt.ArrayLike, mass: float, hits: _Columns) -> _Reference: ...
+
 class SeedFrom(enum.Enum):
     wires = 0
     wires_and_clusters = 1

@@ -5,17 +5,22 @@ from cgemit.study.estimate import GaussianFit, Resolution, gaussian_fit, measure
 from cgemit.study.goodness import Flatness, chi2_flatness, chi2_probability
 from cgemit.study.paper import Reproduction, reproduce
 from cgemit.study.resolutions import Curve, Pulls, pulls, resolution, resolution_against
+from cgemit.study.robustness import Outcome, run_scenario
 from cgemit.study.scans import Scan, scan
+from cgemit.study.scenarios import SCENARIOS, Scenario
 
 __all__ = [
+    "SCENARIOS",
     "Curve",
     "DeltaFractions",
     "Flatness",
     "GaussianFit",
+    "Outcome",
     "Pulls",
     "Reproduction",
     "Resolution",
     "Scan",
+    "Scenario",
     "chi2_flatness",
     "chi2_probability",
     "delta_displacements",
@@ -26,5 +31,6 @@ __all__ = [
     "reproduce",
     "resolution",
     "resolution_against",
+    "run_scenario",
     "scan",
 ]

@@ -194,7 +194,7 @@ How the fit gets there: [fit.md](fit.md), "Iteration" and "Outliers". What remai
 - Electrons radiate in jumps that no Gaussian describes: pulls with narrow cores and long tails.
 
 Nor does nonsense do harm: `tests/fuzz.py` gives the fit tracks with hits lost, added, exchanged, repeated and out of
-order, and hits of any place, size and error. Nothing raises, and every number is one or its row's status says why not.
+order, and hits of any place, size and error. Nothing raises, and where a number is none the row's status says why.
 `python tests/fuzz.py 1000000` repeats that for a million tracks and counts the statuses.
 """
 

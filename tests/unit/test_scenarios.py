@@ -1,0 +1,140 @@
+"""Hits that are lost, added or exchanged are those that the scenario says, and the tables stay tables."""
+
+import numpy as np
+import pytest
+
+from cgemit import chain, find
+from cgemit.candidates import HIT_V, HIT_WIRE, HIT_X
+from cgemit.detector import load
+from cgemit.gun import Gun
+from cgemit.study import SCENARIOS, run_scenario
+from cgemit.study.hits import Hits, add_noise, exchange_clusters, keep, lose_layers, repeat
+from cgemit.study.robustness import HEAD, cells, own_hits, page
+from cgemit.study.scenarios import kaon_decays
+
+DETECTOR = load("besiii-cgem-design")
+
+
+@pytest.fixture(scope="module")
+def result():
+    """Return a run of 300 muons."""
+    return chain.run(DETECTOR, Gun("mu-", p=(0.5, 1.0), cos_theta=(-0.8, 0.8)), 300, seed=5)
+
+
+@pytest.fixture(scope="module")
+def hits(result):
+    """Return its hits as the fit got them."""
+    names = ("particles", "clusters", "wire_hits", "truths", "wire_truths")
+    candidates = find.by_truth(DETECTOR, *(result.tables[name] for name in names))
+    return Hits(candidates, result.clusters, result.wire_hits)
+
+
+def generator():
+    """Return random numbers."""
+    return np.random.default_rng(1)
+
+
+def test_all_hits_are_own(hits, result):
+    """By truth every hit belongs to its candidate, and to its event."""
+    assert own_hits(hits, result).all()
+    assert len(hits.track) == len(hits.candidates.row)
+
+
+def test_keep(hits):
+    """What is kept keeps its order and its candidate."""
+    kept = keep(hits, ~hits.on_wire)
+    assert not kept.on_wire.any()
+    np.testing.assert_array_equal(kept.track, hits.track[~hits.on_wire])
+    np.testing.assert_array_equal(kept.candidates.row, hits.candidates.row[~hits.on_wire])
+
+
+def test_layers_are_lost_as_a_whole(hits):
+    """X and V of a crossing go together, in the share asked for."""
+    left = lose_layers(hits, 0.3, generator())
+    share, n = len(left.track) / len(hits.track), len(hits.track)
+    assert abs(share - 0.7) < 4 * np.sqrt(0.21 * 2 / n)
+
+    def crossings(some, view):
+        return (some.track * 10 + some.layer)[some.candidates.kind == view]
+
+    views, full = ([crossings(some, view) for view in (HIT_X, HIT_V)] for some in (left, hits))
+    both = np.intersect1d(*full)
+    np.testing.assert_array_equal(np.intersect1d(views[0], both), np.intersect1d(views[1], both))
+
+
+def test_repeated_hits_stand_together(hits):
+    """Twice the same row, one behind the other."""
+    twice = repeat(hits, np.ones(len(hits.track), bool))
+    np.testing.assert_array_equal(twice.candidates.row[::2], twice.candidates.row[1::2])
+    np.testing.assert_array_equal(np.diff(twice.candidates.hit_offsets), 2 * np.diff(hits.candidates.hit_offsets))
+
+
+def test_exchanged_clusters_are_others(hits, result):
+    """X and V of the layer, and nothing else, come from another event."""
+    tracks = np.arange(300) < 150
+    wrong = exchange_clusters(hits, 1, tracks)
+    strange = ~own_hits(wrong, result)
+    expected = (hits.layer == 1) & (hits.candidates.kind != HIT_WIRE) & tracks[hits.track]
+    assert np.count_nonzero(strange & ~expected) == 0
+    assert np.count_nonzero(strange) > 0.95 * np.count_nonzero(expected)
+
+
+def test_noise_is_beside_the_hits(hits, result):
+    """In the share asked for; close by, of nobody, in the same layer; own hits stay but for those of a fired cell."""
+    noisy = add_noise(DETECTOR, hits, 0.2, generator())
+    own = own_hits(noisy, result)
+    n, added = len(hits.track), np.count_nonzero(~own)
+    assert abs(added / n - 0.2) < 4 * np.sqrt(0.16 / n)
+    lost = n - np.count_nonzero(own)
+    wires = np.count_nonzero(~own & noisy.on_wire)
+    assert abs(lost / wires - 1 / 7) < 4 * np.sqrt(6 / 49 / wires)
+    for kind, column, unit in ((HIT_WIRE, "wire", 3), (HIT_X, "x", 10), (HIT_V, "v", 10)):
+        of_kind = np.flatnonzero(noisy.candidates.kind == kind)
+        table = noisy.wire_hits if kind == HIT_WIRE else noisy.clusters
+        value = table[column][noisy.candidates.row[of_kind]].astype(float)
+        same = np.flatnonzero(np.diff(noisy.track[of_kind]) == 0)
+        same = same[(np.diff(noisy.layer[of_kind])[same] == 0) & (own[of_kind][same] & ~own[of_kind][same + 1])]
+        apart = np.abs(np.diff(value)[same])
+        assert len(same) > 50
+        if kind == HIT_WIRE:  # around the layer, too
+            cells = {layer.number: layer.cells for layer in DETECTOR.drift_chamber.layers}
+            apart = np.minimum(apart, [cells[number] for number in noisy.layer[of_kind][same]] - apart)
+        assert np.max(apart) < unit + 0.7
+        assert np.min(apart) > 0
+
+
+def test_noise_leaves_tables_sorted(hits):
+    """New rows stand in their events, and candidates point at rows of their own event."""
+    noisy = add_noise(DETECTOR, hits, 0.5, generator())
+    for table, mask in ((noisy.clusters, ~noisy.on_wire), (noisy.wire_hits, noisy.on_wire)):
+        assert np.all(np.diff(table["event"]) >= 0)
+        np.testing.assert_array_equal(table["event"][noisy.candidates.row[mask]], noisy.track[mask])
+
+
+def test_kaon_decays():
+    """Two pions of the mass of a K_S, from a vertex on its way, within 100 mm; energy and momentum are conserved."""
+    table = kaon_decays(2000, 1)
+    p = np.stack([table["px"], table["py"], table["pz"]], axis=1).reshape(-1, 2, 3)
+    energy = np.sqrt(np.sum(p**2, axis=2) + table["mass"].reshape(-1, 2) ** 2).sum(axis=1)
+    total = p.sum(axis=1)
+    np.testing.assert_allclose(np.sqrt(energy**2 - np.sum(total**2, axis=1)), 0.497611, rtol=1e-9)
+    vertex = np.stack([table["x"], table["y"], table["z"]], axis=1)[::2]
+    along = np.cross(vertex, total)
+    assert np.abs(along).max() < 1e-6
+    assert np.hypot(vertex[:, 0], vertex[:, 1]).max() < 100
+    assert np.all(table["charge"].reshape(-1, 2).sum(axis=1) == 0)
+
+
+def test_enough_hits(hits):
+    """With one layer nothing is left that could be fitted; with all, every track can."""
+    by_name = {scenario.name: scenario for scenario in SCENARIOS}
+    assert run_scenario(by_name["plain"], 20).enough.all()
+    assert len(by_name) == len(SCENARIOS)
+
+
+def test_page():
+    """One row a scenario, and as many cells as the head has."""
+    outcome = run_scenario(SCENARIOS[0], 30)
+    assert len(cells(outcome)) == len(HEAD)
+    assert page([outcome], 30).count(f"| {SCENARIOS[0].name} |") == 1
+    assert outcome.efficiency <= 1
