@@ -9,7 +9,8 @@ from cgemit.detector import load
 from cgemit.gun import Gun
 from cgemit.study import SCENARIOS, run_scenario
 from cgemit.study.hits import Hits, add_noise, exchange_clusters, keep, lose_layers, repeat
-from cgemit.study.robustness import HEAD, cells, own_hits, page
+from cgemit.study.robustness import own_hits
+from cgemit.study.robustness_page import HEAD, cells, page
 from cgemit.study.scenarios import kaon_decays
 
 DETECTOR = load("besiii-cgem-design")

@@ -74,7 +74,7 @@ _KAON_MASS, _KAON_CTAU = 0.497611, 26.844
 def kaon_decays(n_events: int, seed: int) -> Table:
     """Return the pions of K_S mesons from the origin that decay at radii up to 100 mm.
 
-    Momenta are uniform from 0.2 to 1.2 GeV/c, |cos(theta)| below 0.8, decay lengths exponential; the pions fly apart
+    Momenta are uniform from 0.2 to 1.2 GeV/c, cos(theta) within 0.8, decay lengths exponential; the pions fly apart
     isotropically in the rest frame.
 
     Parameters
@@ -152,17 +152,17 @@ def _x_only(detector: Detector, hits: Hits, random: np.random.Generator) -> Hits
 _PLAIN = both_charges("mu-", p=(0.3, 1.5), cos_theta=(-0.8, 0.8))
 _SLOW = {"cos_theta": (-0.8, 0.8)}
 
-#: What `robustness` tries.
+#: What `docs/methods/robustness.md` shows.
 SCENARIOS = (
-    Scenario("plain", "muons of 0.3 to 1.5 GeV/c, |cos(theta)| below 0.8, all hits", _PLAIN),
+    Scenario("plain", "muons of 0.3 to 1.5 GeV/c, cos(theta) within 0.8, all hits", _PLAIN),
     Scenario(
         "wide",
-        "muons of 0.3 to 1.5 GeV/c, |cos(theta)| up to 0.93",
+        "muons of 0.3 to 1.5 GeV/c, cos(theta) within 0.93",
         both_charges("mu-", p=(0.3, 1.5), cos_theta=(-0.93, 0.93)),
     ),
     Scenario(
         "end plates",
-        "the same, |cos(theta)| 0.83 to 0.93: out through an end plate",
+        "the same, cos(theta) 0.83 to 0.93: out through an end plate",
         both_charges("mu-", p=(0.3, 1.5), cos_theta=(0.83, 0.93)),
     ),
     Scenario("layers missing", "each layer lost with probability 0.3", _PLAIN, _lose(0.3)),
