@@ -19,7 +19,7 @@ _INTRODUCTION = """# Difficult tracks
 
 Tracks that are slow, steep, displaced or curling, with too few hits, wrong hits or noise, in the design CGEM with the
 outer drift chamber. Written by `python -m cgemit.study.robustness_page {n} > docs/methods/robustness.md`, with {n}
-events of two tracks each. Hits are assigned by truth and then spoilt as the table says; the fit is told nothing of that.
+events of two tracks each. Hits are assigned by truth, then spoilt as the table says; the fit is told nothing of that.
 `cgemit.study.SCENARIOS` has the list, `cgemit.study.run_scenario` runs one.
 
 A track counts if it has at least {hits} hits of its own, {along} of them stereo or V and {across} axial or X, over
