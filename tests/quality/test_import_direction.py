@@ -18,7 +18,7 @@ CPP_LAYERS = [
     {"motion"},
     {"matter"},
     {"kalman"},
-    {"simulate", "digitize", "cluster", "find", "fit", "covariance"},
+    {"simulate", "digitize", "cluster", "find", "fit"},
     {"kernels"},
     {"bindings"},
 ]

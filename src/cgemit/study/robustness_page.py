@@ -38,7 +38,7 @@ How the fit gets there: [fit.md](fit.md), "Iteration" and "Outliers". What remai
 - With the CGEM alone the sagitta, 0.3 mm at 1 GeV/c, is what one strip's error of 0.2 mm leaves of it: kappa is
   measured, p hardly.
 - The fit takes all matter between the innermost hit and the origin as crossed. Pions of K_S decays outside the beam
-  pipe have not lost what it takes; `FitSettings.states` gives their helix at any radius.
+  pipe have not lost what it takes; the states table (`FitSettings(states=...)`) has their helix at any radius.
 - Electrons radiate in jumps that no Gaussian describes: pulls with narrow cores and long tails.
 
 Nor does nonsense do harm: `tests/fuzz.py` gives the fit tracks with hits lost, added, exchanged, repeated and out of

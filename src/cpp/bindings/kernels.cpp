@@ -13,10 +13,11 @@ namespace {
 
 py::array_t<double> function(const std::string& name, const Array<double>& values) {
   const auto in = column(values, "values");
-  if (in.size() % static_cast<std::size_t>(kernels().lanes) != 0)
+  const Kernels& used = kernels();
+  if (in.size() % static_cast<std::size_t>(used.lanes) != 0)
     throw std::invalid_argument("values: expected a multiple of the number of lanes");
   std::vector<double> out(in.size());
-  kernels().function(name, in.data(), out.data(), in.size());
+  used.function(name, in.data(), out.data(), in.size());
   return to_numpy(std::move(out));
 }
 

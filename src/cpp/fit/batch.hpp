@@ -78,9 +78,13 @@ class BatchFit {
     const double cut = settings_.outlier_pull * settings_.outlier_pull;
     return (row.chi2 + cut * row.outliers) / std::max(row.clusters + row.wires + row.outliers, 1);
   }
+  // A settled fit, then one that still moves, then none.
+  static int rank(FitStatus status) {
+    return status == FitStatus::ok ? 2 : status == FitStatus::not_converged ? 1 : 0;
+  }
   bool is_better(const FitRow& a, const FitRow& b) const {
-    const bool a_fits = a.status == FitStatus::ok, b_fits = b.status == FitStatus::ok;
-    return a_fits != b_fits ? a_fits : chi2_per_hit(a) < chi2_per_hit(b);
+    if (rank(a.status) != rank(b.status)) return rank(a.status) > rank(b.status);
+    return rank(a.status) > 0 && chi2_per_hit(a) < chi2_per_hit(b);
   }
 
   // Alike for tracks that cross alike: tracks sorted by it leave few lanes idle. Clusters and where the last

@@ -96,7 +96,8 @@ class GroupFit {
     if (last) store(works & !ready, estimate, FitStatus::not_converged);
   }
 
-  // Through a field map one track at a time: `fit_tracks` asks for no more lanes there.
+  // Through a field map one track at a time: the caller takes `fit_tracks` there, whatever the instruction
+  // set.
   void trace(T mass, Projectile projectile) {
     if constexpr (lanes_of<T> == 1) {
       if (!detector_.field.is_uniform())

@@ -24,6 +24,7 @@ bool processor_runs(const std::string& isa) {
   if (isa == "scalar" || isa == "baseline") return true;
 #if defined(__x86_64__) && (defined(__GNUC__) || defined(__clang__))
   __builtin_cpu_init();
+  // What x86-64-v3 has beyond these (LZCNT, MOVBE, F16C) came with the same processors.
   const bool v3 = __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma") &&
                   __builtin_cpu_supports("bmi") && __builtin_cpu_supports("bmi2");
   if (isa == "v3") return v3;

@@ -196,13 +196,6 @@ Pack<W> nearest(Pack<W> x) {
   return (x + 0x1.8p52) - 0x1.8p52;
 }
 
-// A function of one number, lane by lane.
-template <int W, class F>
-Pack<W> each(Pack<W> x, F&& f) {
-  for (int i = 0; i < W; ++i) x.v[i] = f(x.v[i]);
-  return x;
-}
-
 template <int W>
 double lane(const Pack<W>& x, int i) {
   return x.v[i];
@@ -234,10 +227,6 @@ double choose(bool m, F&& f, G&& g) {
   return m ? f() : g();
 }
 inline double nearest(double x) { return std::nearbyint(x); }
-template <class F>
-double each(double x, F&& f) {
-  return f(x);
-}
 inline double lane(const double& x, int) { return x; }
 inline void set_lane(double& x, int, double value) { x = value; }
 inline bool lane(const bool& m, int) { return m; }
