@@ -78,8 +78,8 @@ def simulate(
 ) -> dict[str, Table]:
     """Transport particles outward until they leave, curl back or stop.
 
-    Uniform field: exact helices between scatterers; field maps: Runge-Kutta-Nystrom steps (docs/methods/field.md). Scattering from the elements of the matter, soft as a Gaussian with
-    lateral displacement, hard ones one by one; energy loss with Bethe's mean and collisions up to the largest transfer
+    Uniform field: exact helices between scatterers; field maps: Runge-Kutta-Nystrom steps (docs/methods/field.md).
+    Scattering from the elements of the matter, soft as a Gaussian with lateral displacement, hard ones one by one; energy loss with Bethe's mean and collisions up to the largest transfer
     (docs/methods/matter.md), valid for beta gamma > 0.13; ionization clusters and delta electrons in the drift gaps
     (docs/methods/deltas.md).
     Random numbers are those of (seed, event, particle, place), so results do not depend on how events are cut into
