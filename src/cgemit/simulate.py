@@ -79,9 +79,9 @@ def simulate(
     """Transport particles outward until they leave, curl back or stop.
 
     Uniform field: exact helices between scatterers; field maps: Runge-Kutta-Nystrom steps (docs/methods/field.md).
-    Scattering from the elements of the matter, soft as a Gaussian with lateral displacement, hard ones one by one; energy loss with Bethe's mean and collisions up to the largest transfer
-    (docs/methods/matter.md), valid for beta gamma > 0.13; ionization clusters and delta electrons in the drift gaps
-    (docs/methods/deltas.md).
+    Scattering from the elements of the matter, soft as a Gaussian with lateral displacement, hard ones one by one;
+    energy loss with Bethe's mean and collisions up to the largest transfer (docs/methods/matter.md), valid for
+    beta gamma > 0.13; ionization clusters and delta electrons in the drift gaps (docs/methods/deltas.md).
     Random numbers are those of (seed, event, particle, place), so results do not depend on how events are cut into
     chunks. Hits are recorded on the way out; a particle that first moves inward only meets the matter there.
 
