@@ -218,7 +218,8 @@ def core_arguments(
             outlier_pull=settings.outlier_pull,
             prior_sigma=settings.prior_sigma,
         ),
-        "residuals": settings.residuals or bool(settings.states),
+        "residuals": settings.residuals,
+        "states": bool(settings.states),
     }
 
 

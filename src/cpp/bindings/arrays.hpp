@@ -1,10 +1,13 @@
 // How arrays cross the border. Inputs: C-contiguous, of the stated type, shape checked, never truncated.
-// Outputs: the C++ vector moves into a capsule that numpy keeps alive; no copy is made.
+// Outputs are not copied: a C++ vector moves into a capsule that numpy keeps alive, or, where the number of
+// rows is known, the array is numpy's own, which asks the system for large pages.
 #pragma once
 
 #include <pybind11/numpy.h>
 #include <pybind11/pybind11.h>
 
+#include <algorithm>
+#include <array>
 #include <cstdint>
 #include <memory>
 #include <span>
@@ -48,6 +51,28 @@ py::array_t<T> to_numpy(std::vector<T>&& values, std::vector<py::ssize_t> shape 
   py::capsule capsule(owner.release(), [](void* p) { delete static_cast<std::vector<T>*>(p); });
   return py::array_t<T>(std::move(shape), data, capsule);
 }
+
+// An array that is filled from the first element to the last; that needs no GIL.
+template <class T>
+class Filled {
+ public:
+  // `shape`: of each row; empty for a column of numbers.
+  explicit Filled(std::size_t rows, std::vector<py::ssize_t> shape = {}) {
+    shape.insert(shape.begin(), static_cast<py::ssize_t>(rows));
+    array_ = py::array_t<T>(std::move(shape));
+    next_ = array_.mutable_data();
+  }
+  void append(T value) { *next_++ = value; }
+  template <std::size_t N>
+  void append(const std::array<T, N>& values) {
+    next_ = std::ranges::copy(values, next_).out;
+  }
+  const py::array_t<T>& array() const { return array_; }
+
+ private:
+  py::array_t<T> array_;
+  T* next_;
+};
 
 // A named column of a dict of columns, converted to T.
 template <class T>

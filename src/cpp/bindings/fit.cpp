@@ -15,71 +15,118 @@ using namespace cgemit::bindings;
 
 namespace {
 
-// Columns of the result, filled block by block.
-struct Output {
-  std::vector<double> helix, covariance, chi2, reference, prior, residual, error, value, variance;
-  std::vector<std::int32_t> clusters, wires, outliers, ndf, iterations;
-  std::vector<std::int8_t> status, side;
-  std::vector<std::uint8_t> used;
+// What of the result is asked for besides the tracks.
+struct Wanted {
+  bool residuals, states;
+};
 
-  Output(std::size_t tracks, std::size_t hits) {
-    helix.reserve(5 * tracks);
-    covariance.reserve(25 * tracks);
-    chi2.reserve(tracks);
-    for (auto* column : {&clusters, &wires, &outliers, &ndf, &iterations}) column->reserve(tracks);
-    status.reserve(tracks);
-    residual.reserve(hits);
-    error.reserve(hits);
-    side.reserve(hits);
-    used.reserve(hits);
-  }
+// Columns of the result, filled block by block.
+class Output {
+ public:
+  Output(std::size_t tracks, std::size_t hits, const Wanted& wanted)
+      : wanted_(wanted),
+        helix_(tracks, {5}),
+        covariance_(tracks, {5, 5}),
+        chi2_(tracks),
+        clusters_(tracks),
+        wires_(tracks),
+        outliers_(tracks),
+        ndf_(tracks),
+        iterations_(tracks),
+        status_(tracks),
+        residual_(wanted.residuals ? hits : 0),
+        error_(wanted.residuals ? hits : 0),
+        side_(wanted.residuals ? hits : 0),
+        used_(wanted.residuals ? hits : 0),
+        reference_(wanted.states ? tracks : 0, {5}),
+        prior_(wanted.states ? tracks : 0, {25}),
+        value_(wanted.states ? hits : 0),
+        variance_(wanted.states ? hits : 0) {}
+
   void append(const FitRow& row) {
-    helix.insert(helix.end(), row.helix.begin(), row.helix.end());
-    covariance.insert(covariance.end(), row.covariance.begin(), row.covariance.end());
-    chi2.push_back(row.chi2);
-    clusters.push_back(row.clusters);
-    wires.push_back(row.wires);
-    outliers.push_back(row.outliers);
-    ndf.push_back(row.clusters + row.wires - 5);
-    iterations.push_back(row.iterations);
-    status.push_back(static_cast<std::int8_t>(row.status));
-  }
-  // What the last iteration was made with, for those who go on from there.
-  void append_reference(const FitRow& row) {
-    reference.insert(reference.end(), row.reference.begin(), row.reference.end());
-    prior.insert(prior.end(), row.prior.begin(), row.prior.end());
+    helix_.append(row.helix);
+    covariance_.append(row.covariance);
+    chi2_.append(row.chi2);
+    clusters_.append(row.clusters);
+    wires_.append(row.wires);
+    outliers_.append(row.outliers);
+    ndf_.append(row.clusters + row.wires - 5);
+    iterations_.append(row.iterations);
+    status_.append(static_cast<std::int8_t>(row.status));
   }
   void append(const HitRow& row) {
-    residual.push_back(row.residual);
-    error.push_back(row.error);
-    side.push_back(row.side);
-    used.push_back(row.used);
-    value.push_back(row.value);
-    variance.push_back(row.variance);
+    residual_.append(row.residual);
+    error_.append(row.error);
+    side_.append(row.side);
+    used_.append(row.used);
   }
-  py::dict columns(bool residuals) {
-    const auto n = static_cast<py::ssize_t>(chi2.size());
+  void append(const LastIteration& last) {
+    reference_.append(last.reference);
+    prior_.append(last.prior);
+  }
+  void append(const Measured& measured) {
+    value_.append(measured.value);
+    variance_.append(measured.variance);
+  }
+
+  py::dict columns() const {
     py::dict out;
-    out["helix"] = to_numpy(std::move(helix), {n, 5});
-    out["cov"] = to_numpy(std::move(covariance), {n, 5, 5});
-    out["chi2"] = to_numpy(std::move(chi2));
-    out["ndf"] = to_numpy(std::move(ndf));
-    out["n_clusters"] = to_numpy(std::move(clusters));
-    out["n_wires"] = to_numpy(std::move(wires));
-    out["n_outliers"] = to_numpy(std::move(outliers));
-    out["iterations"] = to_numpy(std::move(iterations));
-    out["status"] = to_numpy(std::move(status));
-    if (!residuals) return out;
-    out["reference"] = to_numpy(std::move(reference), {n, 5});
-    out["prior"] = to_numpy(std::move(prior), {n, 25});
-    out["residual"] = to_numpy(std::move(residual));
-    out["err"] = to_numpy(std::move(error));
-    out["side"] = to_numpy(std::move(side));
-    out["used"] = to_numpy(std::move(used));
-    out["used_value"] = to_numpy(std::move(value));
-    out["used_variance"] = to_numpy(std::move(variance));
+    out["helix"] = helix_.array();
+    out["cov"] = covariance_.array();
+    out["chi2"] = chi2_.array();
+    out["ndf"] = ndf_.array();
+    out["n_clusters"] = clusters_.array();
+    out["n_wires"] = wires_.array();
+    out["n_outliers"] = outliers_.array();
+    out["iterations"] = iterations_.array();
+    out["status"] = status_.array();
+    if (!wanted_.residuals) return out;
+    out["residual"] = residual_.array();
+    out["err"] = error_.array();
+    out["side"] = side_.array();
+    out["used"] = used_.array();
+    if (!wanted_.states) return out;
+    out["reference"] = reference_.array();
+    out["prior"] = prior_.array();
+    out["used_value"] = value_.array();
+    out["used_variance"] = variance_.array();
     return out;
   }
+
+ private:
+  Wanted wanted_;
+  Filled<double> helix_, covariance_, chi2_;
+  Filled<std::int32_t> clusters_, wires_, outliers_, ndf_, iterations_;
+  Filled<std::int8_t> status_;
+  Filled<double> residual_, error_;
+  Filled<std::int8_t> side_;
+  Filled<std::uint8_t> used_;
+  Filled<double> reference_, prior_, value_, variance_;
+};
+
+// Rows of one block of tracks.
+class Rows {
+ public:
+  FitOutput room(std::size_t tracks, std::size_t hits, const Wanted& wanted) {
+    tracks_.resize(tracks);
+    hits_.resize(wanted.residuals ? hits : 0);
+    last_.resize(wanted.states ? tracks : 0);
+    measured_.resize(wanted.states ? hits : 0);
+    return {tracks_.data(), wanted.residuals ? hits_.data() : nullptr, wanted.states ? last_.data() : nullptr,
+            wanted.states ? measured_.data() : nullptr};
+  }
+  void append_to(Output& out) const {
+    for (const FitRow& row : tracks_) out.append(row);
+    for (const HitRow& row : hits_) out.append(row);
+    for (const LastIteration& row : last_) out.append(row);
+    for (const Measured& row : measured_) out.append(row);
+  }
+
+ private:
+  std::vector<FitRow> tracks_;
+  std::vector<HitRow> hits_;
+  std::vector<LastIteration> last_;
+  std::vector<Measured> measured_;
 };
 
 // Tracks whose hits stay in the processor's cache while they are fitted.
@@ -87,7 +134,7 @@ constexpr std::size_t block_of_tracks = 256;
 
 py::dict run(const Detector& detector, const Array<std::int64_t>& hit_offsets, const py::dict& hit_columns,
              const Array<double>& mass_array, const Array<double>& start_array, const FitSettings& settings,
-             bool residuals) {
+             bool residuals, bool states) {
   const auto offsets = column(hit_offsets, "hit_offsets");
   if (offsets.empty()) throw std::invalid_argument("hit_offsets: expected at least one entry");
   const auto n = offsets.size() - 1;
@@ -104,34 +151,28 @@ py::dict run(const Detector& detector, const Array<std::int64_t>& hit_offsets, c
   const HitColumns columns(detector, hit_columns, n_hits);
   std::vector<Perigee> start;
   for (std::size_t i = 0; seeded && i < n; ++i) start.push_back(from_bes3(start_array.data() + 5 * i));
-  Output out(n, residuals ? static_cast<std::size_t>(n_hits) : 0);
+  const Wanted wanted{residuals || states, states};
+  Output out(n, static_cast<std::size_t>(n_hits), wanted);
   // A field map is stepped through one track at a time.
   const auto fit = detector.field.is_uniform() ? kernels().fit : &fit_tracks;
   {
     py::gil_scoped_release release;
     std::vector<Hit> hits;
-    std::vector<FitRow> rows;
-    std::vector<HitRow> hit_rows;
+    Rows rows;
     for (std::size_t begin = 0; begin < n; begin += block_of_tracks) {
       const std::size_t tracks = std::min(block_of_tracks, n - begin);
       const auto first = static_cast<std::size_t>(offsets[begin]),
                  last = static_cast<std::size_t>(offsets[begin + tracks]);
       columns.take(first, last - first, hits);
-      rows.resize(tracks);
-      hit_rows.resize(residuals ? last - first : 0);
       const FitInput input{
           offsets.subspan(begin, tracks + 1), hits, side.subspan(first, last - first),
           mass.subspan(begin, tracks),
           seeded ? std::span<const Perigee>(start).subspan(begin, tracks) : std::span<const Perigee>()};
-      fit(detector, input, settings, {rows.data(), residuals ? hit_rows.data() : nullptr});
-      for (const FitRow& row : rows) {
-        out.append(row);
-        if (residuals) out.append_reference(row);
-      }
-      for (const HitRow& row : hit_rows) out.append(row);
+      fit(detector, input, settings, rows.room(tracks, last - first, wanted));
+      rows.append_to(out);
     }
   }
-  return out.columns(residuals);
+  return out.columns();
 }
 
 }  // namespace
@@ -147,7 +188,7 @@ void bind_fit(py::module_& module) {
            py::kw_only(), py::arg("max_iterations"), py::arg("tolerance"), py::arg("errors_from_track"),
            py::arg("least_width"), py::arg("delta_strips"), py::arg("outlier_pull"), py::arg("prior_sigma"));
   module.def("fit", &run, py::arg("detector"), py::kw_only(), py::arg("hit_offsets"), py::arg("hits"),
-             py::arg("mass"), py::arg("start"), py::arg("settings"), py::arg("residuals"),
-             "Fit one track per row of hit_offsets; columns of the tracks, and of the hits' residuals if "
-             "asked for.");
+             py::arg("mass"), py::arg("start"), py::arg("settings"), py::arg("residuals"), py::arg("states") = false,
+             "Fit one track per row of hit_offsets; columns of the tracks, if asked for those of the hits' "
+             "residuals, and what states along the tracks are made from.");
 }

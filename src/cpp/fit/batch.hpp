@@ -28,8 +28,7 @@ class BatchFit {
     for (std::size_t track = 0; track < input_.tracks(); ++track) {
       out_.rows[track] = {};
       out_.rows[track].status = FitStatus::too_few_hits;
-      if (out_.hit_rows != nullptr)
-        std::fill_n(out_.hit_rows + input_.first(track), input_.count(track), HitRow{});
+      clear(track);
       if (input_.count(track) <= parameters) continue;
       out_.rows[track].status = FitStatus::seed_failed;
       if (!input_.start.empty()) starts.push_back({track, key(track), {input_.start[track], HUGE_VAL}});
@@ -54,6 +53,23 @@ class BatchFit {
     std::size_t track;
     std::uint64_t key;
     Seed seed;
+  };
+
+  // Rows of an attempt.
+  struct Scratch {
+    FitRow row;
+    LastIteration last;
+    std::vector<HitRow> hits;
+    std::vector<Measured> measured;
+
+    FitLane rows(std::size_t n, const FitOutput& wanted) {
+      row = {};
+      hits.assign(n, HitRow{});
+      measured.assign(n, Measured{});
+      const bool last_too = wanted.last != nullptr;
+      return {&row, wanted.hits != nullptr ? hits.data() : nullptr, last_too ? &last : nullptr,
+              last_too ? measured.data() : nullptr};
+    }
   };
 
   std::span<const Hit> hits(std::size_t track) const {
@@ -143,23 +159,43 @@ class BatchFit {
       if (k >= starts.size()) continue;
       hits_of[k] = hits(start.track);
       sides_of[k] = sides(start.track);
-      rows_[k] = {};
-      scratch_[k].assign(out_.hit_rows != nullptr ? hits_of[k].size() : 0, HitRow{});
-      lanes[k] = {&rows_[k], out_.hit_rows != nullptr ? scratch_[k].data() : nullptr};
+      lanes[k] = is_first(start.track) ? rows_of(start.track) : scratch_[k].rows(hits_of[k].size(), out_);
     }
     builder_.build(std::span(hits_of).first(starts.size()), std::span(sides_of).first(starts.size()), group_);
     fit_.run(helix, spread, mass, kind, std::span(lanes).first(starts.size()), wires_first);
-    for (std::size_t k = 0; k < starts.size(); ++k) keep_better(starts[k].track, k);
+    for (std::size_t k = 0; k < starts.size(); ++k) {
+      if (lanes[k].rows != &out_.rows[starts[k].track]) keep_better(starts[k].track, lanes[k]);
+    }
+  }
+
+  // Of the hits; the row of the track says what becomes of it.
+  void clear(std::size_t track) const {
+    if (out_.hits != nullptr) std::fill_n(out_.hits + input_.first(track), input_.count(track), HitRow{});
+    if (out_.last == nullptr) return;
+    out_.last[track] = {};
+    std::fill_n(out_.measured + input_.first(track), input_.count(track), Measured{});
   }
 
   // Straight or undefined: as good as straight.
   static double usable_kappa(double kappa) { return std::isfinite(kappa) && kappa != 0 ? kappa : 1e-9; }
 
-  void keep_better(std::size_t track, std::size_t k) {
-    FitRow& row = out_.rows[track];
-    if (row.status != FitStatus::seed_failed && !is_better(rows_[k], row)) return;
-    row = rows_[k];
-    std::ranges::copy(scratch_[k], out_.hit_rows + (out_.hit_rows != nullptr ? input_.first(track) : 0));
+  // A first attempt goes to where the result is; a later one has to be better than that.
+  bool is_first(std::size_t track) const { return out_.rows[track].status == FitStatus::seed_failed; }
+  FitLane rows_of(std::size_t track) const {
+    const std::size_t first = input_.first(track);
+    return {out_.rows + track, out_.hits == nullptr ? nullptr : out_.hits + first,
+            out_.last == nullptr ? nullptr : out_.last + track,
+            out_.measured == nullptr ? nullptr : out_.measured + first};
+  }
+  void keep_better(std::size_t track, const FitLane& found) const {
+    const FitLane to = rows_of(track);
+    if (!is_better(*found.rows, *to.rows)) return;
+    *to.rows = *found.rows;
+    const std::size_t n = input_.count(track);
+    if (to.hits != nullptr) std::copy_n(found.hits, n, to.hits);
+    if (to.last == nullptr) return;
+    *to.last = *found.last;
+    std::copy_n(found.measured, n, to.measured);
   }
 
   const Detector& detector_;
@@ -169,8 +205,7 @@ class BatchFit {
   GroupBuilder<T> builder_;
   Group<T> group_;
   GroupFit<T> fit_;
-  std::array<FitRow, width> rows_;
-  std::array<std::vector<HitRow>, width> scratch_;
+  std::array<Scratch, width> scratch_;
 };
 
 }  // namespace cgemit

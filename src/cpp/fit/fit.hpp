@@ -43,10 +43,6 @@ struct FitInput {
 struct FitRow {
   std::array<double, 5> helix;
   std::array<double, 25> covariance;
-  // Of the last iteration, in (d, psi, kappa, z0, tanl): about what it was linearised, and with which
-  // covariance its filter began. Only where rows of hits are asked for.
-  std::array<double, 5> reference;
-  std::array<double, 25> prior;
   double chi2;
   std::int32_t clusters, wires, iterations, outliers;
   FitStatus status;
@@ -54,17 +50,27 @@ struct FitRow {
 
 // One row per hit, against the track fitted without it.
 struct HitRow {
-  double residual;         // mm, measured - predicted
-  double error;            // mm, of that difference; 0: the track does not meet it
-  std::int8_t side;        // wires: the side of the larger weight; clusters: 0
-  std::uint8_t used;       // 0: an outlier, left out
-  double value, variance;  // mm, mm^2: what the last iteration measured there
+  double residual;    // mm, measured - predicted
+  double error;       // mm, of that difference; 0: the track does not meet it
+  std::int8_t side;   // wires: the side of the larger weight; clusters: 0
+  std::uint8_t used;  // 0: an outlier, left out
 };
 
-// Fits all tracks, in groups of lanes. `hit_rows` may be null.
+// What the last iteration was made with, for states along the track; (d, psi, kappa, z0, tanl).
+struct LastIteration {
+  std::array<double, 5> reference;  // about which it was linearised
+  std::array<double, 25> prior;     // the covariance with which its filter began
+};
+struct Measured {
+  double value, variance;  // mm, mm^2; variance 0: the track does not meet it
+};
+
+// Where the rows go. `hits` may be null; `last` and `measured` come together, or are null.
 struct FitOutput {
   FitRow* rows;
-  HitRow* hit_rows;
+  HitRow* hits;
+  LastIteration* last;
+  Measured* measured;
 };
 
 // The plain scalar path.

@@ -13,11 +13,8 @@
 
 namespace cgemit {
 
-// A track in a lane: where its rows go.
-struct FitLane {
-  FitRow* row;
-  HitRow* hits;  // or null
-};
+// A track in a lane: where its row and those of its hits go.
+using FitLane = FitOutput;
 
 template <class T>
 class GroupFit {
@@ -158,7 +155,7 @@ class GroupFit {
     for (std::size_t k = 0; k < lanes_.size(); ++k) {
       if (!lane(failed, static_cast<int>(k))) continue;
       store_helix(k);
-      lanes_[k].row->status = status;
+      lanes_[k].rows->status = status;
     }
     active_ = active_ & !failed;
     return failed;
@@ -227,7 +224,7 @@ class GroupFit {
     for (std::size_t k = 0; k < lanes_.size(); ++k) {
       if (!lane(who, static_cast<int>(k))) continue;
       store_helix(k);
-      FitRow& row = *lanes_[k].row;
+      FitRow& row = *lanes_[k].rows;
       row.status = status;
       row.chi2 = lane(estimate.chi2, static_cast<int>(k));
       store_covariance(estimate.c, k, row.covariance);
@@ -243,7 +240,7 @@ class GroupFit {
   }
 
   void store_helix(std::size_t k) {
-    FitRow& row = *lanes_[k].row;
+    FitRow& row = *lanes_[k].rows;
     const int i = static_cast<int>(k);
     row.helix = {lane(helix_.d, i), wrap_angle(lane(helix_.psi, i) - 0.5 * pi), lane(helix_.kappa, i),
                  lane(helix_.z0, i), lane(helix_.tanl, i)};
@@ -251,27 +248,29 @@ class GroupFit {
   }
 
   void store_hits(std::size_t k) {
-    FitRow& row = *lanes_[k].row;
+    const FitLane& to = lanes_[k];
+    FitRow& row = *to.rows;
     const int i = static_cast<int>(k);
-    if (lanes_[k].hits != nullptr) {
-      store_covariance(prior_, k, row.prior);
-      row.reference = {lane(reference_.d, i), lane(reference_.psi, i), lane(reference_.kappa, i),
-                       lane(reference_.z0, i), lane(reference_.tanl, i)};
-    }
+    if (to.last != nullptr) store_last(k, *to.last);
     row.clusters = row.wires = row.outliers = 0;
     for (const Slot<T>& slot : group_.slots) {
       if (!lane(slot.met, i)) continue;
       const bool used = lane(slot.used, i);
       ++(!used ? row.outliers : slot.view == View::wire ? row.wires : row.clusters);
-      if (lanes_[k].hits == nullptr) continue;
+      if (to.hits == nullptr) continue;
       const double weight = lane(slot.weight, i);
-      lanes_[k].hits[slot.hit[k]] = {lane(slot.unbiased, i),
-                                     std::sqrt(lane(slot.unbiased_variance, i)),
-                                     static_cast<std::int8_t>(weight > 0 ? 1 : (weight < 0 ? -1 : 0)),
-                                     static_cast<std::uint8_t>(used),
-                                     lane(slot.value, i),
-                                     lane(slot.variance, i)};
+      to.hits[slot.hit[k]] = {lane(slot.unbiased, i), std::sqrt(lane(slot.unbiased_variance, i)),
+                              static_cast<std::int8_t>(weight > 0 ? 1 : (weight < 0 ? -1 : 0)),
+                              static_cast<std::uint8_t>(used)};
+      if (to.measured != nullptr) to.measured[slot.hit[k]] = {lane(slot.value, i), lane(slot.variance, i)};
     }
+  }
+
+  void store_last(std::size_t k, LastIteration& last) const {
+    const int i = static_cast<int>(k);
+    store_covariance(prior_, k, last.prior);
+    last.reference = {lane(reference_.d, i), lane(reference_.psi, i), lane(reference_.kappa, i),
+                      lane(reference_.z0, i), lane(reference_.tanl, i)};
   }
 
   const Detector& detector_;

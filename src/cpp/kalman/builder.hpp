@@ -58,6 +58,14 @@ class GroupBuilder {
     return static_cast<std::size_t>(hit.view == View::wire ? wire_step_[layer] : gap_step_[layer]);
   }
 
+  const Wire& wire_of(const Hit& hit) const {
+    return detector_.wires[static_cast<std::size_t>(hit.layer)].placed[static_cast<std::size_t>(hit.element)];
+  }
+  static void prefetch(const Wire& wire) {
+    __builtin_prefetch(&wire.x);
+    __builtin_prefetch(&wire.ez);  // may be in the next line of the cache
+  }
+
   // f(hit number, step, whether it comes second there: V clusters do, after the X clusters of all lanes; how
   // many of its kind the track had there before).
   template <class F>
@@ -74,12 +82,14 @@ class GroupBuilder {
     }
   }
 
-  // The largest number of slots that each step needs. Returns how many steps there are to the last hit.
+  // The largest number of slots that each step needs. Returns how many steps there are to the last hit. Wires
+  // are spread over the memory: they are called for here, so that they are at hand when the slots are filled.
   std::size_t count(std::span<const std::span<const Hit>> hits) {
     most_.assign(2 * steps_.size(), 0);
     std::size_t steps = 0;
     for (const auto& track : hits) {
-      walk(track, [&](std::size_t, std::size_t step, std::size_t second, std::int32_t before) {
+      walk(track, [&](std::size_t i, std::size_t step, std::size_t second, std::int32_t before) {
+        if (track[i].view == View::wire) prefetch(wire_of(track[i]));
         std::int32_t& most = most_[2 * step + second];
         most = std::max(most, before + 1);
         steps = std::max(steps, step + 1);
@@ -112,13 +122,13 @@ class GroupBuilder {
     set_lane(slot.there, k, true);
     set_lane(slot.drift, k, hit.value);
     set_lane(slot.noise, k, hit.sigma * hit.sigma);
-    const auto layer = static_cast<std::size_t>(hit.layer), element = static_cast<std::size_t>(hit.element);
     if (hit.view != View::wire) {
+      const CgemLayer& layer = detector_.cgem[static_cast<std::size_t>(hit.layer)];
       set_lane(slot.size, k, hit.size);
-      set_lane(slot.edge, k, wrap_angle(detector_.cgem[layer].phi_first[element]));
+      set_lane(slot.edge, k, wrap_angle(layer.phi_first[static_cast<std::size_t>(hit.element)]));
       return;
     }
-    const Wire& wire = detector_.wires[layer].placed[element];
+    const Wire& wire = wire_of(hit);
     set_lane(slot.wire.x, k, wire.x);
     set_lane(slot.wire.y, k, wire.y);
     set_lane(slot.wire.ex, k, wire.ex);

@@ -58,7 +58,7 @@ class HelixMotion {
   const T& kappa() const { return kappa_; }
 
   // Steps of those lanes `who`; false where the place is not reached.
-  mask_of<T> go_to(double radius, mask_of<T> who) {
+  [[gnu::flatten]] mask_of<T> go_to(double radius, mask_of<T> who) {
     const HelixPointOf<T> from = point_;
     T step(0.0);
     const mask_of<T> reached = step_to_cylinder(point_, radius, step, true, who);

@@ -18,18 +18,19 @@ struct ApproachOf {
 using Approach = ApproachOf<double>;
 
 // Moves `point` to its closest approach: where f(s) = (point - wire) . (tangent across the wire) vanishes, by
-// Newton's method with the second derivative; from far away the first step is straight. False if that does
-// not settle; the point is then anywhere. Lanes other than `who` stay where they are.
+// the reverted Taylor series of f with three derivatives; from far away the first step is straight. False if
+// that does not settle; the point is then anywhere. Lanes other than `who` stay where they are.
 template <class T>
 [[nodiscard]] mask_of<T> approach_wire(HelixPointOf<T>& point, const WireOf<T>& wire, ApproachOf<T>& result,
                                        mask_of<T> who = mask_of<T>(true)) {
+  constexpr double accuracy = 1e-5;  // mm along the track; the distance changes with the square of it
   T arc(0.0);
   mask_of<T> moving = who, lost(false);
   for (int iteration = 0; iteration < 12 && any(moving); ++iteration) {
     const T dx = point.x - wire.x, dy = point.y - wire.y, dz = point.z;
     const T along = dx * wire.ex + dy * wire.ey + dz * wire.ez;
     const T px = dx - along * wire.ex, py = dy - along * wire.ey, pz = dz - along * wire.ez;
-    const T te = point.ux * wire.ex + point.uy * wire.ey + point.tanl * wire.ez;
+    const T ue = point.ux * wire.ex + point.uy * wire.ey, te = ue + point.tanl * wire.ez;
     const T forward = px * point.ux + py * point.uy, f = forward + pz * point.tanl;
     const T bend = point.w * (py * point.ux - px * point.uy);
     const mask_of<T> far = (iteration == 0) & (abs(bend) > 0.1);
@@ -38,14 +39,17 @@ template <class T>
     moving = moving & !lost;
     const T ne = point.ux * wire.ey - point.uy * wire.ex;
     const T second = -point.w * (3.0 * te * ne + point.w * forward);
-    const T per_slope = 1.0 / slope, first = -f * per_slope, curve = 0.5 * second * first * per_slope;
+    const T third = -point.w * point.w * (1.0 + 3.0 * ne * ne - 4.0 * te * ue + bend);
+    const T per_slope = 1.0 / slope, first = -f * per_slope;
+    const T curve = 0.5 * second * first * per_slope, twist = third * first * first * per_slope * (1.0 / 6);
     const mask_of<T> near = (abs(curve) < 0.1) & !far;
-    const T step = select(moving, select(near, first * (1.0 - curve), first), T(0.0));
+    const T step =
+        select(moving, select(near, first * (1.0 - curve + 2.0 * curve * curve - twist), first), T(0.0));
     advance(point, step);
     arc += step;
-    // What is left along the track is of third order; the distance changes with the square of that.
-    const T left = abs(step) * (2.0 * curve * curve + 4.0 * point.w * point.w * step * step * per_slope);
-    moving = moving & !(near & (left < 1e-6));
+    // What is left is of third order in these.
+    const T order = abs(curve) + abs(point.w * step);
+    moving = moving & !(near & (abs(step) * order * order * order < accuracy));
   }
   const T cx = point.uy * wire.ez - point.tanl * wire.ey, cy = point.tanl * wire.ex - point.ux * wire.ez,
           cz = point.ux * wire.ey - point.uy * wire.ex;
