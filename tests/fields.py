@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from cgemit import _core
+from cgemit.detector import write_field_map
 from cgemit.detector.field_grid import Axis, FieldGrid
 
 
@@ -30,3 +31,10 @@ def on_core(grid: FieldGrid, tolerance=1e-3) -> _core.Field:
     axes = [(axis.first, axis.step, axis.points) for axis in grid.axes]
     coefficients = grid.coefficients().ravel()
     return _core.Field(bz=grid.bz_at_origin(), axes=axes, coefficients=coefficients, tolerance=tolerance)
+
+
+def small_map(folder):
+    """Write the harmonic field within r = 500 mm to a file."""
+    r, z = np.linspace(0, 500, 26), np.linspace(-1300, 1300, 66)
+    values = harmonic_by_hand(r[:, None], 0.0, z[None, :])
+    return write_field_map(folder / "small.npz", {"r": r, "z": z, "br": values[..., 0], "bz": values[..., 2]})

@@ -46,6 +46,7 @@ class StateStatus(enum.IntEnum):
     not_fitted = 1
     does_not_reach = 2
     stopped = 3
+    left_field = 4
 
 class Surface(enum.IntEnum):
     origin = 0
@@ -314,5 +315,5 @@ def extrapolate(
     target_share: float,
 ) -> dict[str, _Array]: ...
 def change_pivot(
-    helix: npt.ArrayLike, cov: npt.ArrayLike, step: npt.ArrayLike, bz: float
+    helix: npt.ArrayLike, cov: npt.ArrayLike, step: npt.ArrayLike, bz: npt.ArrayLike
 ) -> tuple[_Floats, _Floats]: ...

@@ -120,7 +120,11 @@ def momentum_vector(parameters: Floats) -> Floats:
 
 
 def change_pivot(
-    parameters: npt.ArrayLike, cov: npt.ArrayLike, pivot_from: npt.ArrayLike, pivot_to: npt.ArrayLike, bz: float
+    parameters: npt.ArrayLike,
+    cov: npt.ArrayLike,
+    pivot_from: npt.ArrayLike,
+    pivot_to: npt.ArrayLike,
+    bz: npt.ArrayLike,
 ) -> tuple[Floats, Floats]:
     """Give the same helices with respect to another pivot, as BES3 software has them.
 
@@ -136,8 +140,8 @@ def change_pivot(
         Their covariance.
     pivot_from, pivot_to : array_like, (3,) or (n, 3) float64
         x, y, z, mm.
-    bz : float
-        T, signed.
+    bz : array_like, () or (n,) float64
+        T, signed. In a field map that at the helix (``cgemit.detector.field_at``), for pivots near each other.
 
     Returns
     -------
@@ -154,7 +158,8 @@ def change_pivot(
     given = np.ascontiguousarray(parameters, np.float64)
     step = np.subtract(pivot_to, pivot_from, dtype=np.float64)
     step = np.ascontiguousarray(np.broadcast_to(step, (len(given), 3)))
-    moved, covariance = _core.change_pivot(given, np.ascontiguousarray(cov, np.float64).reshape(-1, 25), step, bz)
+    field = np.ascontiguousarray(np.broadcast_to(np.asarray(bz, np.float64), len(given)))
+    moved, covariance = _core.change_pivot(given, np.ascontiguousarray(cov, np.float64).reshape(-1, 25), step, field)
     return moved, covariance
 
 

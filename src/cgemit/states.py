@@ -26,9 +26,6 @@ _PARAMETERS = ("dr", "phi0", "kappa", "dz", "tanl")
 _MASSES = {kind.pdg: kind.mass for kind in HYPOTHESES.values()}
 
 
-_UNIFORM = "states away from the origin are worked out in a uniform field only"
-
-
 def place_problems(places: object) -> list[str]:
     """Return what is wrong with places of states, each of which is one of `PLACES` or a radius in mm."""
     if not isinstance(places, tuple | list):
@@ -79,8 +76,6 @@ def state_columns(
     -------
     dict of array_like
     """
-    if detector.field.kind != "uniform":
-        raise ValueError(f"states: {_UNIFORM} in a field of kind {detector.field.kind!r}")
     targets = _targets(detector, places)
     columns = ("kind", "layer", "element", "size", "value", "sigma")
     used = {name: fitted[name] for name in ("used", "used_value", "used_variance")}
@@ -156,7 +151,6 @@ def extrapolate(
     unknown = np.isnan(mass) & np.isfinite(table["cov"][:, 0, 0]) if fits else mass
     checks = (
         (fits, f"table: of kind {table.kind!r}, expected 'states' or 'tracks'"),
-        (detector.field.kind == "uniform", f"detector: {_UNIFORM}, this one is {detector.field.kind!r}"),
         (_is_radius(radius), f"radius: {radius!r}, expected a positive number, mm"),
         (
             particle is None or particle in HYPOTHESES,

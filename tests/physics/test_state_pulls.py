@@ -30,14 +30,21 @@ PIPE = DETECTOR.beam_pipe[0].r_in
 MIDDLES = tuple(layer.r_mid for layer in DETECTOR.cgem)
 LAYERS = {layer.number: layer.r_mid for layer in DETECTOR.drift_chamber.layers} if DETECTOR.drift_chamber else {}
 OUTSIDE = (36, 42)  # layers of the chamber that the fit does not use
-POINTS = [("mu-", 0.3, -1.0), ("mu+", 0.3, 1.0), ("pi-", 1.0, -1.0)]
-every_point = pytest.mark.parametrize(("particle", "p", "bz"), POINTS)
+FIELDS = {
+    "-1 T": DETECTOR,
+    "1 T": DETECTOR.with_overrides({"field.bz": "1 T"}),
+    "harmonic": DETECTOR.with_field("besiii-harmonic"),
+}
+POINTS = [("mu-", 0.3, "-1 T"), ("mu+", 0.3, "1 T"), ("pi-", 1.0, "-1 T"), ("mu-", 0.3, "harmonic")]
+every_point = pytest.mark.parametrize(("particle", "p", "field"), POINTS)
 
 
 @cache
-def sample(particle: str, p: float, bz: float) -> tuple[dict[str, Table], dict[str, Table]]:
+def sample(
+    particle: str, p: float, field: str, believed: Detector | None = None
+) -> tuple[dict[str, Table], dict[str, Table]]:
     """Simulate tracks in the mode in which everything is Gaussian; fit them without the outer wires."""
-    detector = dataclasses.replace(DETECTOR, field=dataclasses.replace(DETECTOR.field, bz=bz))
+    detector = FIELDS[field]
     particles = generate(Gun(particle, p=p, cos_theta=(-0.5, 0.5)), N, seed=21)
     tables = simulate(detector, particles, SimulateSettings(fluctuations="gaussian"), seed=21)
     readout = DigitizeSettings(readout="gaussian", reveal_sides=True)
@@ -50,7 +57,7 @@ def sample(particle: str, p: float, bz: float) -> tuple[dict[str, Table], dict[s
     settings = FitSettings(states=("beam_pipe", *MIDDLES, "hits", *(LAYERS[number] for number in OUTSIDE)))
     candidates = Candidates(offsets, found.kind[inner], found.row[inner])
     hits = (tables["particles"], tables["clusters"], tables["wire_hits"])
-    return tables, fit(detector, *hits, candidates, settings, 21)
+    return tables, fit(believed or detector, *hits, candidates, settings, 21, simulated=detector)
 
 
 def helices(table: Table) -> Floats:
@@ -97,9 +104,9 @@ def middles(truths: Table, rows: npt.NDArray[np.intp]) -> tuple[Floats, Floats]:
 
 
 @every_point
-def test_at_the_beam_pipe(particle: str, p: float, bz: float) -> None:
+def test_at_the_beam_pipe(particle: str, p: float, field: str) -> None:
     """Before any matter, all five parameters are those of the generated helix."""
-    tables, fitted = sample(particle, p, bz)
+    tables, fitted = sample(particle, p, field)
     states = fitted["states"]
     assert np.all(fitted["tracks"]["status"] == FitStatus.ok)
     states = states[(states["surface"] == Surface.cylinder) & np.isclose(states["r"], PIPE)]
@@ -114,9 +121,9 @@ def test_at_the_beam_pipe(particle: str, p: float, bz: float) -> None:
 
 @every_point
 @pytest.mark.parametrize("layer", [0, 1, 2])
-def test_inside_the_inner_tracker(particle: str, p: float, bz: float, layer: int) -> None:
+def test_inside_the_inner_tracker(particle: str, p: float, field: str, layer: int) -> None:
     """In the middle of each gap all five parameters are those of the particle there, by radius and by hit alike."""
-    tables, fitted = sample(particle, p, bz)
+    tables, fitted = sample(particle, p, field)
     states, truths = fitted["states"], tables["truths"]
     in_layer = np.flatnonzero(truths["layer"] == layer)
     at_hit = states[(states["surface"] == Surface.hit) & (states["view"] == 0) & (states["layer"] == layer)]
@@ -132,9 +139,9 @@ def test_inside_the_inner_tracker(particle: str, p: float, bz: float, layer: int
 
 @every_point
 @pytest.mark.parametrize("number", [10, 25, *OUTSIDE])
-def test_at_wires(particle: str, p: float, bz: float, number: int) -> None:
+def test_at_wires(particle: str, p: float, field: str, number: int) -> None:
     """Between wires that were used, and at layers beyond the last one, tracks pass where the particles did."""
-    tables, fitted = sample(particle, p, bz)
+    tables, fitted = sample(particle, p, field)
     states, truths = fitted["states"], tables["wire_truths"]
     # One passage of the layer for each track.
     in_layer = np.flatnonzero(truths["layer"] == number)
@@ -157,7 +164,7 @@ def test_at_wires(particle: str, p: float, bz: float, number: int) -> None:
 
 def test_gate_sees_a_state_that_knows_no_matter() -> None:
     """The helix at the origin, taken through the tracker as in vacuum, fails the gates of the middle of a gap."""
-    tables, fitted = sample("mu-", 0.3, -1.0)
+    tables, fitted = sample("mu-", 0.3, "-1 T")
     truths, tracks = tables["truths"], fitted["tracks"]
     rows = np.flatnonzero(truths["layer"] == 0)
     points, momenta = middles(truths, rows)

@@ -7,9 +7,9 @@ import pytest
 
 import cgemit as cg
 from cgemit import _core
-from cgemit.detector import compiled, load, write_field_map
+from cgemit.detector import compiled, load
 from cgemit.fit import FitStatus
-from fields import harmonic_by_hand
+from fields import small_map
 from tracks import MUON, hits_on, particles, without_matter
 
 UNIFORM = load("besiii-cgem-design")
@@ -111,13 +111,6 @@ def test_noise_is_a_kick_seen_from_the_origin():
     assert moved == pytest.approx(1e-4 * (out["rows"][:, 1] + shift), abs=1e-5)
 
 
-def small_map(folder):
-    """Write the field within r = 500 mm to a file."""
-    r, z = np.linspace(0, 500, 26), np.linspace(-1300, 1300, 66)
-    values = harmonic_by_hand(r[:, None], 0.0, z[None, :])
-    return write_field_map(folder / "small.npz", {"r": r, "z": z, "br": values[..., 0], "bz": values[..., 2]})
-
-
 def test_a_fit_that_leaves_its_map_says_so(tmp_path):
     whole = UNIFORM.with_field("besiii-harmonic")
     small = UNIFORM.with_field(small_map(tmp_path))
@@ -164,9 +157,3 @@ def test_any_particle_ends_with_numbers_or_a_status(tmp_path, name):
     cov = result.tracks["cov"][fitted]
     sigma = np.sqrt(np.diagonal(cov, axis1=1, axis2=2))
     assert np.linalg.eigvalsh(cov / (sigma[:, :, None] * sigma[:, None, :])).min() > 0
-
-
-def test_states_away_from_the_origin_ask_for_a_uniform_field():
-    settings = cg.Settings(fit=cg.FitSettings(states=(100.0,)))
-    with pytest.raises(ValueError, match="uniform field only"):
-        cg.run(UNEVEN, cg.Gun("mu-", p=1.0, cos_theta=0.0), 2, settings=settings)

@@ -169,16 +169,18 @@ py::dict run_extrapolate(const Detector& detector, const Array<double>& pivot_ar
 }
 
 py::tuple run_change_pivot(const Array<double>& helix_array, const Array<double>& covariance_array,
-                           const Array<double>& step_array, double bz) {
+                           const Array<double>& step_array, const Array<double>& bz_array) {
   const py::ssize_t n = helix_array.ndim() == 2 ? helix_array.shape(0) : 0;
   const auto helix = matrix(helix_array, "helix", n, 5), covariance = matrix(covariance_array, "cov", n, 25),
              step = matrix(step_array, "step", n, 3);
-  const double origin[3] = {0, 0, 0}, per_kappa = curvature(bz, 1.0);
+  const auto bz = column(bz_array, "bz", n);
+  const double origin[3] = {0, 0, 0};
   Output out;
   for (py::ssize_t i = 0; i < n; ++i) {
     TrackState found{StateStatus::ok, -1, load(origin, helix.data() + 5 * i, covariance.data() + 25 * i), 0,
                      0};
     const double* to = step.data() + 3 * i;
+    const double per_kappa = curvature(bz[static_cast<std::size_t>(i)], 1.0);
     if (!change_pivot(found.state, to[0], to[1], to[2], per_kappa)) found.status = StateStatus::not_fitted;
     out.add(found, i, 0, -1);
   }
@@ -202,5 +204,5 @@ void bind_states(py::module_& module) {
              py::arg("helix"), py::arg("cov"), py::arg("mass"), py::arg("radius"), py::arg("share"),
              py::arg("target_share"), "Move states to a cylinder through the matter on the way.");
   module.def("change_pivot", &run_change_pivot, py::arg("helix"), py::arg("cov"), py::arg("step"),
-             py::arg("bz"), "Helices and covariances (n, 25) at pivots moved by steps (n, 3).");
+             py::arg("bz"), "Helices and covariances (n, 25) at pivots moved by steps (n, 3), in fields (n,).");
 }

@@ -32,5 +32,6 @@ void bind_status(py::module_& module) {
       .value("not_fitted", StateStatus::not_fitted)
       .value("does_not_reach", StateStatus::does_not_reach)
       .value("stopped", StateStatus::stopped)
+      .value("left_field", StateStatus::left_field)
       .finalize();
 }

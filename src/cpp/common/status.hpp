@@ -31,9 +31,10 @@ enum class FitStatus : std::int8_t {
 enum class StateStatus : std::int8_t {
   ok = 0,
   not_fitted = 1,  // the track has no covariance
-  does_not_reach =
-      2,       // it never gets there: the cylinder lies inside its closest approach or beyond its turn
-  stopped = 3  // its momentum is used up before
+  // it never gets there: the cylinder lies inside its closest approach or beyond its turn
+  does_not_reach = 2,
+  stopped = 3,    // its momentum is used up before
+  left_field = 4  // the field map ends before
 };
 
 }  // namespace cgemit

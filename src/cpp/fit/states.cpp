@@ -3,8 +3,6 @@
 #include <algorithm>
 #include <cmath>
 
-#include "motion/wire.hpp"
-
 namespace cgemit {
 
 namespace {
@@ -17,8 +15,7 @@ class States {
         way_(space.way),
         inward_(space.inward),
         smoothed_(space.smoothed),
-        per_kappa_(curvature(detector.bz, 1.0)),
-        who_{track.mass, total_matter(detector, track.reference.tanl), per_kappa_} {
+        who_{track.mass, total_matter(detector, track.reference.tanl), LocalMotion(detector)} {
     follow(detector, track.reference, track.mass, track.hits, way_);
     for (const Station& station : way_.stations) {
       if (station.hit < 0) continue;
@@ -71,7 +68,7 @@ class States {
   LocalState local(const Station& station, const Known& estimate) const {
     const Vector5 moved = station.jacobian * estimate.x;
     const HelixPoint& p = station.point;
-    const Perigee helix{moved[0], std::atan2(p.uy, p.ux) + moved[1], p.w / per_kappa_ + moved[2], moved[3],
+    const Perigee helix{moved[0], std::atan2(p.uy, p.ux) + moved[1], station.kappa + moved[2], moved[3],
                         p.tanl + moved[4]};
     return {p.x, p.y, p.z, helix, station.jacobian * estimate.c * station.jacobian.transpose()};
   }
@@ -86,7 +83,7 @@ class States {
         {0, 0, 0, {r.d + x[0], r.psi + x[1], r.kappa + x[2], r.z0 + x[3], r.tanl + x[4]}, estimate.c},
         0,
         0};
-    if (moves_pivot) move_to(found.state, point_of(found.state, per_kappa_), 0, per_kappa_);
+    if (moves_pivot) found.status = who_.motion.to_track(found.state);
     return found;
   }
 
@@ -100,8 +97,8 @@ class States {
     found.state = local(way_.stations[end], beyond(end, part));
     if (part > 0 && !cross(found.state, slab(end), part, who_, true, false))
       return empty(StateStatus::stopped);
-    return move_to_cylinder(found.state, target.radius, per_kappa_) ? found
-                                                                    : empty(StateStatus::does_not_reach);
+    found.status = who_.motion.to_cylinder(found.state, target.radius);
+    return found;
   }
 
   // Past the last slab that the fit needed. Of the stations there, those before the turning point know the
@@ -125,8 +122,8 @@ class States {
           traverse(found.state, std::min(next.radius, target.radius), next, part, who_, true);
       if (status != StateStatus::ok) return empty(status);
     }
-    return move_to_cylinder(found.state, target.radius, per_kappa_) ? found
-                                                                    : empty(StateStatus::does_not_reach);
+    found.status = who_.motion.to_cylinder(found.state, target.radius);
+    return found;
   }
 
   // Where the last hit was met; what lies inside has acted, and perhaps the gap itself.
@@ -153,14 +150,11 @@ class States {
     const Hit& hit = track_.hits[i];
     if (hit.view == View::wire) {
       const auto layer = static_cast<std::size_t>(hit.layer), wire = static_cast<std::size_t>(hit.element);
-      HelixPoint point = point_of(found.state, per_kappa_);
-      Approach approach{};
-      if (!approach_wire(point, detector_.wires[layer].placed[wire], approach)) return found;
-      move_to(found.state, point, approach.arc, per_kappa_);
-    } else if (!move_to_cylinder(found.state, at->point.radius(), per_kappa_)) {
-      return found;
+      found.status = who_.motion.to_wire(found.state, detector_.wires[layer].placed[wire]);
+    } else {
+      found.status = who_.motion.to_cylinder(found.state, at->point.radius());
     }
-    found.status = StateStatus::ok;
+    if (found.status != StateStatus::ok) return found;
     const Element& row = way_.elements[at->element];
     found.residual = row.residual - row.h.dot(estimate.x);
     // A hit that was used has pulled the track towards itself.
@@ -173,7 +167,6 @@ class States {
   const FittedTrack& track_;
   Way& way_;
   std::vector<Known>&inward_, &smoothed_;
-  double per_kappa_;
   Traveller who_;
 };
 
@@ -187,9 +180,9 @@ void fitted_states(const Detector& detector, const FittedTrack& track, std::span
 
 StateStatus extrapolate(const Detector& detector, LocalState& state, double mass, double radius, double from,
                         double to) {
-  const double per_kappa = curvature(detector.bz, 1.0);
-  const Traveller who{mass, total_matter(detector, state.helix.tanl), per_kappa};
-  move_to(state, point_of(state, per_kappa), 0, per_kappa);
+  const Traveller who{mass, total_matter(detector, state.helix.tanl), LocalMotion(detector)};
+  const StateStatus begun = who.motion.to_track(state);
+  if (begun != StateStatus::ok) return begun;
   const double start = std::hypot(state.x, state.y);
   const bool outward = radius > start;
   const double low = std::min(start, radius), high = std::max(start, radius);
@@ -202,7 +195,7 @@ StateStatus extrapolate(const Detector& detector, LocalState& state, double mass
     const StateStatus status = traverse(state, std::clamp(slab.radius, low, high), slab, part, who, outward);
     if (status != StateStatus::ok) return status;
   }
-  return move_to_cylinder(state, radius, per_kappa) ? StateStatus::ok : StateStatus::does_not_reach;
+  return who.motion.to_cylinder(state, radius);
 }
 
 }  // namespace cgemit

@@ -1,16 +1,15 @@
 // The reference trajectory in a field map, for the tracer: as `HelixMotion`, one track at a time.
 //
 // Derivatives of place, direction and charge/p by the five parameters at the origin go along with every
-// Runge-Kutta step. What a track does at one point is said in five coordinates: displacement across the
-// flight and along z, azimuth, kappa and tanl, where it passes the plane across the reference's transverse
-// direction. The matrix of these by the parameters at the origin, inverted, takes noise there.
+// Runge-Kutta step. What a track does at one point is said by the parameters of a helix with its pivot there.
+// The matrix of these by the parameters at the origin, inverted, takes noise there.
 #pragma once
 
 #include <Eigen/LU>
 #include <cmath>
 
+#include "kalman/field_local.hpp"
 #include "kalman/helix_motion.hpp"
-#include "motion/field_motion.hpp"
 
 namespace cgemit {
 
@@ -22,15 +21,7 @@ class FieldReference {
     const double cosine = std::cos(start.psi), sine = std::sin(start.psi), d = start.d;
     point_ = {d * sine, -d * cosine, start.z0, cosine, sine, start.tanl, 0};
     motion_.bend(point_, start.kappa);
-    const double s = stretch(), per_s = 1 / s, per_s3 = per_s * per_s * per_s, tanl = start.tanl;
-    // Columns: d, psi, kappa, z0, tanl.
-    by_origin_ << sine, d * cosine, 0, 0, 0,              //
-        -cosine, d * sine, 0, 0, 0,                       //
-        0, 0, 0, 1, 0,                                    //
-        0, -sine * per_s, 0, 0, -tanl * cosine * per_s3,  //
-        0, cosine * per_s, 0, 0, -tanl * sine * per_s3,   //
-        0, 0, 0, 0, per_s3,                               //
-        0, 0, per_s / radius_per_kappa, 0, -start.kappa * tanl * per_s3 / radius_per_kappa;
+    by_origin_ = derivatives_by(start);
     motion_.carry(&by_origin_);
   }
   // The motion points to the derivatives.
@@ -71,7 +62,7 @@ class FieldReference {
   void lose(double ratio, double gain, double mixed) {
     stay_on_cylinder();
     const double s = stretch(), share = point_.tanl / s;
-    const Eigen::RowVector<double, 5> by_tanl = tanl_by_origin();
+    const Eigen::RowVector<double, 5> by_tanl = tanl_derivatives(point_, by_origin_);
     const double before = motion_.charge_per_p(), after = before * ratio;
     const Eigen::RowVector<double, 5> by_kappa =
         s * radius_per_kappa * by_origin_.row(6) + before * share * by_tanl;
@@ -79,32 +70,26 @@ class FieldReference {
     motion_.bend(point_, after * s);
   }
 
+  // Of (d, psi, kappa, z0, tanl) with the pivot here by those at the origin, row by row.
+  std::array<Five<double>, parameters> derivatives() const {
+    const Eigen::Matrix<double, 5, 5> here = local_derivatives(motion_, point_, by_origin_);
+    std::array<Five<double>, parameters> result;
+    for (int i = 0; i < parameters; ++i)
+      for (int k = 0; k < parameters; ++k) result[static_cast<std::size_t>(i)][k] = here(i, k);
+    return result;
+  }
+
   // Origin parameters of a track that is displaced or turned here and whose kappa and tanl change.
   class Backward {
    public:
-    Backward(const FieldReference& m, const Rows<double>& r) {
-      Eigen::Matrix<double, 5, 5> here;
-      const double s = m.stretch(), share = m.point_.tanl / s, p = m.motion_.charge_per_p();
-      const Eigen::RowVector<double, 5> tanl = m.tanl_by_origin();
-      // Change of tanl per transverse arc: B has it from its components across the beam.
-      const Eigen::Vector<double, 6> along = s * m.motion_.derivative_along(m.point_);
-      const double bending = s * (along[5] - m.point_.tanl * m.forward(along[3], along[4]));
-      for (int i = 0; i < parameters; ++i) {
-        const auto by = m.by_origin_.col(i);
-        const double forward = m.forward(by[0], by[1]);
-        const double tanl_here = tanl[i] - bending * forward;
-        here.col(i) << r.across[i], r.along_z[i],
-            s * (m.point_.ux * by[4] - m.point_.uy * by[3]) - m.point_.w * forward,
-            s * radius_per_kappa * by[6] + p * share * tanl_here, tanl_here;
-      }
-      back_ = here.inverse();
-    }
-    Five<double> turned(double psi) const { return five(psi * back_.col(2)); }
+    Backward(const FieldReference& m, const Rows<double>&)
+        : back_(local_derivatives(m.motion_, m.point_, m.by_origin_).inverse()) {}
+    Five<double> turned(double psi) const { return five(psi * back_.col(1)); }
     Five<double> moved(double across, double along_z, double psi) const {
-      return five(across * back_.col(0) + along_z * back_.col(1) + psi * back_.col(2));
+      return five(-across * back_.col(0) + along_z * back_.col(3) + psi * back_.col(1));
     }
     Five<double> changed(double kappa, double tanl) const {
-      return five(kappa * back_.col(3) + tanl * back_.col(4));
+      return five(kappa * back_.col(2) + tanl * back_.col(4));
     }
     Five<double> slowed(double kappa) const { return changed(kappa, 0); }
 
@@ -114,7 +99,7 @@ class FieldReference {
   };
 
  private:
-  double stretch() const { return std::sqrt(1 + point_.tanl * point_.tanl); }
+  double stretch() const { return stretch_of(point_.tanl); }
   double forward(double x, double y) const { return point_.ux * x + point_.uy * y; }
   // Every displaced track loses its momentum on this cylinder, not after the same path.
   void stay_on_cylinder() {
@@ -122,10 +107,6 @@ class FieldReference {
     const Eigen::Vector<double, 6> along = motion_.derivative_along(point_);  // per path
     by_origin_.topRows<6>() -=
         along * (point_.x * by_origin_.row(0) + point_.y * by_origin_.row(1)) * (stretch() / outward);
-  }
-  Eigen::RowVector<double, 5> tanl_by_origin() const {
-    return stretch() * (by_origin_.row(5) -
-                        point_.tanl * (point_.ux * by_origin_.row(3) + point_.uy * by_origin_.row(4)));
   }
 
   FieldMotion motion_;

@@ -3,6 +3,7 @@
 #include <cmath>
 
 #include "common/angles.hpp"
+#include "kalman/field_local.hpp"
 #include "matter/loss.hpp"
 #include "matter/scattering.hpp"
 
@@ -123,6 +124,9 @@ bool change_pivot(LocalState& state, double x, double y, double z, double per_ka
   return true;
 }
 
+namespace {
+
+// To a point of the helix itself, an arc ahead or (negative) behind.
 void move_to(LocalState& state, const HelixPoint& to, double arc, double per_kappa) {
   const Matrix5 j = pivot_jacobian(state.helix, 0, arc, per_kappa);
   state.c = (j * state.c * j.transpose()).eval();
@@ -133,18 +137,67 @@ void move_to(LocalState& state, const HelixPoint& to, double arc, double per_kap
   state.z = to.z;
 }
 
-bool move_to_cylinder(LocalState& state, double radius, double per_kappa) {
-  HelixPoint point = point_of(state, per_kappa);
+}  // namespace
+
+StateStatus LocalMotion::to_track(LocalState& state) const {
+  if (!field_.is_uniform()) return integrate(state, [](FieldMotion&, HelixPoint&) { return true; });
+  move_to(state, point_of(state, per_kappa_), 0, per_kappa_);
+  return StateStatus::ok;
+}
+
+StateStatus LocalMotion::to_cylinder(LocalState& state, double radius) const {
   double arc = 0;
-  if (!step_to_cylinder(point, radius, arc)) return false;
-  move_to(state, point, arc, per_kappa);
-  return true;
+  if (!field_.is_uniform())
+    return integrate(state,
+                     [&](FieldMotion& m, HelixPoint& point) { return m.to_cylinder(point, radius, arc); });
+  HelixPoint point = point_of(state, per_kappa_);
+  if (!step_to_cylinder(point, radius, arc)) return StateStatus::does_not_reach;
+  move_to(state, point, arc, per_kappa_);
+  return StateStatus::ok;
+}
+
+StateStatus LocalMotion::to_wire(LocalState& state, const Wire& wire) const {
+  Approach approach{};
+  if (!field_.is_uniform())
+    return integrate(state,
+                     [&](FieldMotion& m, HelixPoint& point) { return m.approach(point, wire, approach); });
+  HelixPoint point = point_of(state, per_kappa_);
+  if (!approach_wire(point, wire, approach)) return StateStatus::does_not_reach;
+  move_to(state, point, approach.arc, per_kappa_);
+  return StateStatus::ok;
+}
+
+double LocalMotion::turning(const HelixPoint& point, double kappa) const {
+  if (field_.is_uniform()) return per_kappa_ * kappa;
+  HelixPoint bent = point;
+  FieldMotion(field_).bend(bent, kappa);
+  return bent.w;
+}
+
+template <class Move>
+StateStatus LocalMotion::integrate(LocalState& state, const Move& move) const {
+  HelixPoint point = point_of(state, 0);
+  FieldDerivatives by = derivatives_by(state.helix);
+  FieldMotion motion(field_);
+  motion.bend(point, state.helix.kappa);
+  motion.carry(&by);
+  const bool inside = field_.holds(point.x, point.y, point.z), there = inside && move(motion, point);
+  if (!inside || motion.left()) return StateStatus::left_field;
+  if (!there) return StateStatus::does_not_reach;
+  const Matrix5 j = local_derivatives(motion, point, by);
+  const double kappa = motion.charge_per_p() * stretch_of(point.tanl);
+  state = {point.x,
+           point.y,
+           point.z,
+           {0, std::atan2(point.uy, point.ux), kappa, 0, point.tanl},
+           (j * state.c * j.transpose()).eval()};
+  return StateStatus::ok;
 }
 
 bool cross(LocalState& state, const Slab& slab, double part, const Traveller& who, bool outward, bool noise) {
   Perigee& h = state.helix;
   const double tanl = h.tanl, stretch2 = 1 + tanl * tanl, stretch = std::sqrt(stretch2);
-  const HelixPoint point = point_of(state, who.per_kappa);
+  const HelixPoint point = point_of(state, 0);
   const double path = part * path_factor(slab, stretch, std::abs(point.outward()));
   const Kinematics here(stretch / std::abs(h.kappa), who.mass, projectile_of(who.mass, h.kappa));
   const Passage passage = (outward ? outward_from : back_from)(slab, path, here, who.matter);
@@ -163,7 +216,7 @@ bool cross(LocalState& state, const Slab& slab, double part, const Traveller& wh
     j(2, 4) *= -j(2, 2);
     state.c = (j * state.c * j.transpose()).eval();
   }
-  if (noise) state.c += noise_of(slab, passage, who.matter, kappa, tanl, who.per_kappa * kappa);
+  if (noise) state.c += noise_of(slab, passage, who.matter, kappa, tanl, who.motion.turning(point, kappa));
   if (outward) state.c = (j * state.c * j.transpose()).eval();
   h.kappa = outward ? h.kappa * ratio : kappa;
   return true;
@@ -171,7 +224,8 @@ bool cross(LocalState& state, const Slab& slab, double part, const Traveller& wh
 
 StateStatus traverse(LocalState& state, double radius, const Slab& slab, double part, const Traveller& who,
                      bool outward) {
-  if (!move_to_cylinder(state, radius, who.per_kappa)) return StateStatus::does_not_reach;
+  const StateStatus moved = who.motion.to_cylinder(state, radius);
+  if (moved != StateStatus::ok) return moved;
   if (std::abs(state.z) > slab.half_length) return StateStatus::ok;
   return cross(state, slab, part, who, outward, true) ? StateStatus::ok : StateStatus::stopped;
 }

@@ -6,6 +6,7 @@
 #include "kalman/way.hpp"
 #include "matter/track.hpp"
 #include "motion/helix.hpp"
+#include "motion/wire.hpp"
 
 namespace cgemit {
 
@@ -15,7 +16,8 @@ struct LocalState {
   Matrix5 c;  // of (d, psi, kappa, z0, tanl)
 };
 
-// The point of the helix that is closest to its pivot. `per_kappa`: curvature for kappa = 1.
+// The point of the helix that is closest to its pivot. `per_kappa`: curvature for kappa = 1; 0: not asked
+// for.
 HelixPoint point_of(const LocalState& state, double per_kappa);
 
 // Derivatives of (d, psi, kappa, z0, tanl) at one pivot by those at another, the closest points being a
@@ -28,17 +30,35 @@ Matrix5 pivot_jacobian(const Perigee& from, double d_to, double arc, double per_
 // alone, in the middle of the circle, which has no closest point.
 [[nodiscard]] bool change_pivot(LocalState& state, double x, double y, double z, double per_kappa);
 
-// To a point of the helix itself, an arc ahead or (negative) behind.
-void move_to(LocalState& state, const HelixPoint& to, double arc, double per_kappa);
+// Moves the pivot of a state along its track: an exact helix in a uniform field; in any other Runge-Kutta
+// steps, whose derivatives take the covariance along. The state stays as it is unless all is well.
+class LocalMotion {
+ public:
+  explicit LocalMotion(const Detector& detector)
+      : field_(detector.field), per_kappa_(curvature(detector.bz, 1.0)) {}
 
-// To where the helix leaves a cylinder. False, leaving the state alone, if it does not reach it.
-[[nodiscard]] bool move_to_cylinder(LocalState& state, double radius, double per_kappa);
+  // To the point that is closest to the pivot.
+  [[nodiscard]] StateStatus to_track(LocalState& state) const;
+  // To where the track leaves a cylinder.
+  [[nodiscard]] StateStatus to_cylinder(LocalState& state, double radius) const;
+  // To the closest approach to a wire.
+  [[nodiscard]] StateStatus to_wire(LocalState& state, const Wire& wire) const;
+  // 1/mm, turning per transverse arc of a track with this kappa, on its flight through a point.
+  double turning(const HelixPoint& point, double kappa) const;
+
+ private:
+  template <class Move>
+  StateStatus integrate(LocalState& state, const Move& move) const;
+
+  const FieldMap& field_;
+  double per_kappa_;  // curvature for kappa = 1 in a uniform field
+};
 
 // What flies, and through what field and matter.
 struct Traveller {
   double mass;
   TrackMatter matter;
-  double per_kappa;  // curvature for kappa = 1
+  LocalMotion motion;
 };
 
 // Crosses a part of a slab at the pivot, on the way out, or back in: then it regains energy. `noise`: what

@@ -160,6 +160,7 @@ class Tracer {
       if (any(crosses)) watch_.crosses(slab, noise, motion_);
     } else if (crosses) {
       make_dense_noise(slab, path, theta, loss, group_.dense_noise[place]);
+      watch_.crosses(slab, group_.dense_noise[place], motion_);
     }
     lose(loss, after, crosses);
   }

@@ -1,8 +1,10 @@
 #include "kalman/way.hpp"
 
 #include <cmath>
+#include <type_traits>
 
 #include "kalman/builder.hpp"
+#include "kalman/field_reference.hpp"
 
 namespace cgemit {
 
@@ -11,7 +13,7 @@ namespace {
 // Writes down what the tracer tells.
 class Recorder {
  public:
-  explicit Recorder(Way& way) : way_(&way) {}
+  Recorder(const Detector& detector, Way& way) : way_(&way), per_kappa_(curvature(detector.bz, 1.0)) {}
 
   template <class Motion>
   void meets(const Slot<double>& slot, const Motion& motion) {
@@ -29,6 +31,13 @@ class Recorder {
     add(noise.shift_across);
     add(noise.shift_along);
   }
+  // In a field map.
+  template <class Motion>
+  void crosses(const Slab& slab, const std::array<Five<double>, 5>& noise, const Motion& motion) {
+    mark(motion, -1, &slab);
+    const std::size_t vectors = slab.shifts ? 5 : 3;
+    for (std::size_t i = 0; i < vectors; ++i) add(Eigen::Map<const Vector5>(noise[i].v.data()));
+  }
   template <class Motion>
   void ends(const Motion& motion) {
     mark(motion, -1, nullptr);
@@ -41,12 +50,16 @@ class Recorder {
     Eigen::Index i = 0;
     for (const Five<double>& row : motion.derivatives())
       jacobian.row(i++) = Eigen::Map<const Vector5>(row.v.data()).transpose();
-    way_->stations.push_back({way_->elements.size(), hit, slab, motion.point(), jacobian});
+    way_->stations.push_back({way_->elements.size(), hit, slab, motion.point(), kappa_of(motion), jacobian});
   }
+  // In a uniform field the helices at a point are those of its curvature, to the last bit.
+  double kappa_of(const HelixMotion<double>& motion) const { return motion.point().w / per_kappa_; }
+  static double kappa_of(const FieldReference& motion) { return motion.kappa(); }
   void add(const Vector5& g) { way_->elements.push_back({g, false, false, 0, 0}); }
   void add(const std::array<double, 3>& g) { add(Vector5(g[0], g[1], 0, g[2], 0)); }
 
   Way* way_;
+  double per_kappa_;  // curvature for kappa = 1 in a uniform field
 };
 
 }  // namespace
@@ -61,9 +74,16 @@ void follow(const Detector& detector, const Perigee& start, double mass, std::sp
   const std::span<const std::int8_t> sides(no_sides);
   Group<double> group;
   GroupBuilder<double>(detector).build(std::span(&hits, 1), std::span(&sides, 1), group);
-  Tracer<double, HelixMotion<double>, Recorder>(detector, start, mass, projectile_of(mass, start.kappa),
-                                                group, Recorder(way))
-      .run(true);
+  const auto run = [&]<class Motion>(std::type_identity<Motion>) {
+    Tracer<double, Motion, Recorder>(detector, start, mass, projectile_of(mass, start.kappa), group,
+                                     Recorder(detector, way))
+        .run(true);
+  };
+  if (detector.field.is_uniform()) {
+    run(std::type_identity<HelixMotion<double>>());
+  } else {
+    run(std::type_identity<FieldReference>());
+  }
 }
 
 }  // namespace cgemit

@@ -27,7 +27,8 @@ struct Station {
   std::int32_t hit;     // which hit, or -1
   const Slab* slab;     // or null
   HelixPoint point;     // before the slab acts
-  Matrix5 jacobian;     // of (d, psi, kappa, z0, tanl) with the pivot here by those at the origin
+  double kappa;
+  Matrix5 jacobian;  // of (d, psi, kappa, z0, tanl) with the pivot here by those at the origin
 };
 
 // Ordered from the origin outward.

@@ -48,7 +48,9 @@ class FieldMotion {
       HelixPoint guess = walk.here;
       double step = 0;
       const bool reached = step_to_cylinder(guess, r, step, outward);
-      // Where the helix turns back below the cylinder the track need not: go on to there, and see.
+      // A cylinder below the closest approach. Where the helix turns back below one outside the track need
+      // not: go on to there, and see.
+      if (!reached && r < walk.here.radius()) return false;
       if (!reached) step = arc_to_apex(walk.here);
       if (!reached && !(step > close && step * std::abs(walk.here.w) < pi)) return false;
       if (!walk.go(step)) return false;
