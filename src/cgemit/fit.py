@@ -50,8 +50,8 @@ class FitSettings:
     residuals : bool
         Whether the residuals table is made: every hit against the track fitted without it, outliers too.
     states : tuple of float or str
-        Where the states table gives the track and its covariance: radii in mm, ``"origin"``, ``"beam_line"`` (closest
-        approach to it), ``"beam_pipe"`` (inner surface), ``"hits"`` (every measurement). Empty: no such table.
+        Where the states table gives track and covariance, in any field: radii in mm, ``"origin"``, ``"beam_line"``
+        (closest approach), ``"beam_pipe"`` (inner surface), ``"hits"`` (every measurement). Empty: no such table.
     hypothesis : str, tuple of str or None
         Particles whose masses the fit assumes, ``"e"``, ``"mu"``, ``"pi"``, ``"K"``, ``"p"``, or ``"all"`` five: every
         candidate gets a track for each, in this order. None: one track, with the particle's own mass.

@@ -141,7 +141,7 @@ def change_pivot(
     pivot_from, pivot_to : array_like, (3,) or (n, 3) float64
         x, y, z, mm.
     bz : array_like, () or (n,) float64
-        T, signed. In a field map that at the helix (``cgemit.detector.field_at``), for pivots near each other.
+        T, signed. In a field map what bends the track there (docs/methods/states.md), for pivots near each other.
 
     Returns
     -------

@@ -120,9 +120,9 @@ def extrapolate(
 ) -> Table:
     """Move fitted tracks to a cylinder, outward or back in, through the matter on the way.
 
-    The energy loss changes the helix, and the noise of the matter joins the covariance: nothing new is measured.
-    Between measurements, and from the innermost one to the origin, ``FitSettings(states=...)`` knows more: there
-    the state is that of all measurements, on either side.
+    Tracks are helices in a uniform field, Runge-Kutta steps in any other. The energy loss changes them, and the noise
+    of the matter joins the covariance: nothing new is measured. Between measurements, and from the innermost one to the
+    origin, ``FitSettings(states=...)`` knows more: there the state is that of all measurements, on either side.
 
     Parameters
     ----------
@@ -130,7 +130,7 @@ def extrapolate(
     table : Table of kind "states" or "tracks"
         Where to start; tracks start at the origin.
     radius : float
-        mm. A helix that does not reach it gets a row that says so.
+        mm. A track that does not reach it, or leaves the field map before, gets a row that says so.
     particle : str or None
         Name of the particle (``"e"``, ``"mu"``, ``"pi"``, ``"K"``, ``"p"``); that of the column `hypothesis` if None.
     screening, loss : str

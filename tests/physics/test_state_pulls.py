@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from functools import cache
 
 import numpy as np
@@ -12,7 +11,7 @@ import pytest
 from cgemit import find, helix
 from cgemit.candidates import HIT_WIRE, Candidates
 from cgemit.chain import run
-from cgemit.detector import load
+from cgemit.detector import Detector, field_at, load
 from cgemit.digitize import DigitizeSettings, digitize
 from cgemit.fit import PARAMETERS, FitSettings, FitStatus, fit
 from cgemit.gun import Gun, generate
@@ -65,17 +64,22 @@ def helices(table: Table) -> Floats:
     return np.stack([table[name] for name in PARAMETERS], axis=1)
 
 
-def pulls_at(states: Table, points: Floats, bz: float) -> tuple[Floats, Floats]:
-    """Return helices with the pivot at other points, and pulls of d_rho and d_z there, which are 0 in truth."""
+def seen_from(states: Table, points: Floats, field: str) -> tuple[Floats, Floats]:
+    """Return helices and covariances with the pivot at other points, in the field where the states are."""
     pivots = np.stack([states[f"pivot_{axis}"] for axis in "xyz"], axis=1)
-    moved, cov = helix.change_pivot(helices(states), states["cov"], pivots, points, bz)
-    return moved, moved[:, [0, 3]] / np.sqrt(cov[:, [0, 3], [0, 3]])
+    bz = field_at(FIELDS[field], pivots)[:, 2]
+    return helix.change_pivot(helices(states), states["cov"], pivots, points, bz)
 
 
-def all_pulls(states: Table, points: Floats, momenta: Floats, charge: Floats, bz: float) -> Floats:
+def pulls_at(states: Table, points: Floats, field: str) -> Floats:
+    """Return pulls of d_rho and d_z with the pivot at the true points, (n, 2)."""
+    moved, cov = seen_from(states, points, field)
+    return np.asarray(moved[:, [0, 3]] / np.sqrt(cov[:, [0, 3], [0, 3]]))
+
+
+def all_pulls(states: Table, points: Floats, momenta: Floats, charge: Floats, field: str) -> Floats:
     """Return the pulls of the five parameters with the pivot at the true points, (n, 5)."""
-    pivots = np.stack([states[f"pivot_{axis}"] for axis in "xyz"], axis=1)
-    moved, cov = helix.change_pivot(helices(states), states["cov"], pivots, points, bz)
+    moved, cov = seen_from(states, points, field)
     pt = np.hypot(momenta[:, 0], momenta[:, 1])
     true = np.stack(
         [0 * pt, np.arctan2(-momenta[:, 0], momenta[:, 1]), charge / pt, 0 * pt, momenta[:, 2] / pt], axis=1
@@ -114,7 +118,7 @@ def test_at_the_beam_pipe(particle: str, p: float, field: str) -> None:
     particles = tables["particles"]
     rows = np.arange(N)
     start, momenta = columns(particles, ("x", "y", "z"), rows), columns(particles, ("px", "py", "pz"), rows)
-    pull = all_pulls(states, start, momenta, particles["charge"], bz)
+    pull = all_pulls(states, start, momenta, particles["charge"], field)
     for i, name in enumerate(PARAMETERS):
         assert_standard_normal(pull[:, i], f"{name} at the beam pipe")
 
@@ -132,7 +136,7 @@ def test_inside_the_inner_tracker(particle: str, p: float, field: str, layer: in
         events, mine, row = np.intersect1d(table["track"], truths["event"][in_layer], return_indices=True)
         assert len(events) > 0.99 * N  # particles at a seam leave no cluster
         points, momenta = middles(truths, in_layer[row])
-        pull = all_pulls(table[mine], points, momenta, tables["particles"]["charge"][events], bz)
+        pull = all_pulls(table[mine], points, momenta, tables["particles"]["charge"][events], field)
         for i, name in enumerate(PARAMETERS):
             assert_standard_normal(pull[:, i], f"{name} in layer {layer} by {where}")
 
@@ -157,7 +161,7 @@ def test_at_wires(particle: str, p: float, field: str, number: int) -> None:
     assert len(events) > 0.9 * N
     table = table[mine]
     assert np.all(table["status"] == StateStatus.ok)
-    _, pull = pulls_at(table, columns(truths, ("x", "y", "z"), in_layer[first][row]), bz)
+    pull = pulls_at(table, columns(truths, ("x", "y", "z"), in_layer[first][row]), field)
     for i, name in enumerate(("dr", "dz")):
         assert_standard_normal(pull[:, i], f"{name} at layer {number}")
 
@@ -175,6 +179,24 @@ def test_gate_sees_a_state_that_knows_no_matter() -> None:
         assert_standard_normal(pull, "dr")
     lost = 1 - np.abs(moved[:, 2]) * np.hypot(momenta[:, 0], momenta[:, 1])
     assert np.mean(lost) > 1e-3
+
+
+@pytest.mark.parametrize("believed", ["uniform", "of another strength"])
+def test_gate_sees_a_wrong_field(believed: str) -> None:
+    """States of tracks through the harmonic field fail the gates if the fit believes in a uniform one."""
+    detector = FIELDS["harmonic"].with_overrides({"field.kind": "uniform"})
+    if believed != "uniform":
+        detector = detector.with_overrides({"field.bz": "-0.97 T"})
+    tables, fitted = sample("mu-", 0.3, "harmonic", detector)
+    states, truths = fitted["states"], tables["truths"]
+    rows = np.flatnonzero(truths["layer"] == 1)
+    at = states[(states["surface"] == Surface.cylinder) & np.isclose(states["r"], MIDDLES[1])]
+    at = at[at["status"] == StateStatus.ok]
+    events, mine, row = np.intersect1d(at["track"], truths["event"][rows], return_indices=True)
+    points, momenta = middles(truths, rows[row])
+    pull = all_pulls(at[mine], points, momenta, tables["particles"]["charge"][events], "harmonic")
+    with pytest.raises(AssertionError, match="standard errors"):
+        assert_standard_normal(pull[:, 2], "kappa")
 
 
 @cache

@@ -9,6 +9,7 @@ import cgemit as cg
 from cgemit import _core
 from cgemit.detector import compiled, load
 from cgemit.fit import FitStatus
+from cgemit.states import StateStatus
 from fields import small_map
 from tracks import MUON, hits_on, particles, without_matter
 
@@ -142,9 +143,16 @@ def test_any_particle_ends_with_numbers_or_a_status(tmp_path, name):
     flight *= (10 ** rng.uniform(-1.6, 0.7, n) / np.linalg.norm(flight, axis=1))[:, None]
     place = rng.normal(size=(n, 3)) * np.where(rng.random(n) < 0.5, 5, 150)[:, None]
     table = particles(place, flight, rng.choice([13, -13, 211, -211, 2212, 11, -11, 321], n))
-    result = cg.run(UNIFORM.with_field(small_map(tmp_path) if name == "small map" else name), table, seed=3)
+    settings = cg.Settings(fit=cg.FitSettings(states=("beam_line", 50.0, 400.0, 900.0, "hits")))
+    detector = UNIFORM.with_field(small_map(tmp_path) if name == "small map" else name)
+    result = cg.run(detector, table, seed=3, settings=settings)
     fitted = result.tracks["status"] == FitStatus.ok
     assert fitted.sum() > 100
+    states = result.states[result.states["status"] == StateStatus.ok]
+    assert len(states) > 0.8 * len(result.wire_hits)
+    for column in ("x", "px", "kappa", "cov"):
+        assert np.isfinite(states[column]).all()
+    assert np.diagonal(states["cov"][:, 1:3, 1:3], axis1=1, axis2=2).min() > 0
     for name, rows in (
         ("truths", slice(None)),
         ("steps", slice(None)),

@@ -31,7 +31,7 @@ EVERY_RADIUS = (31.5, 100.0, 424.0, 790.0)
 CYLINDER = int(Surface.cylinder)
 
 
-def covariances(n=len(HELICES), seed=1):
+def covariances(n, seed=1):
     """Return covariances whose parameters have errors of the usual sizes, all correlated."""
     root = np.random.default_rng(seed).normal(size=(n, 5, 5)) * SIGMA[:, None] / 2
     return root @ root.transpose(0, 2, 1)
@@ -40,8 +40,9 @@ def covariances(n=len(HELICES), seed=1):
 def go(core, radius, helices=HELICES, cov=None, pivot=ORIGIN):
     """Take helices to a cylinder by the compiled module."""
     n = len(helices)
+    cov = np.reshape(covariances(n) if cov is None else cov, (n, 25))
     return _core.extrapolate(
-        core, pivot=np.broadcast_to(pivot, (n, 3)), helix=helices, cov=np.reshape(covariances(n) if cov is None else cov, (n, 25)),
+        core, pivot=np.broadcast_to(pivot, (n, 3)), helix=helices, cov=cov,
         mass=np.full(n, MUON), radius=radius, share=np.zeros(n), target_share=0.0,
     )  # fmt: skip
 
@@ -78,7 +79,7 @@ def fitted_states(core, detector, places, offset=0.0):
     columns = {name: np.concatenate([one[name] for one in hits]) for name in hits[0]}
     predicted = [_core.reference(core, helix, MUON, one)["predicted"] for helix, one in zip(HELICES, hits, strict=True)]
     beside = np.concatenate([np.cos(np.arange(len(one))) for one in predicted])
-    reference = HELICES + [0, np.pi / 2, 0, 0, 0]
+    reference = HELICES + np.array([0, np.pi / 2, 0, 0, 0])
     return _core.states(
         core, hit_offsets=np.cumsum([0, *map(len, predicted)]),
         hits=columns | {

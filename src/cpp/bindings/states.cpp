@@ -204,5 +204,6 @@ void bind_states(py::module_& module) {
              py::arg("helix"), py::arg("cov"), py::arg("mass"), py::arg("radius"), py::arg("share"),
              py::arg("target_share"), "Move states to a cylinder through the matter on the way.");
   module.def("change_pivot", &run_change_pivot, py::arg("helix"), py::arg("cov"), py::arg("step"),
-             py::arg("bz"), "Helices and covariances (n, 25) at pivots moved by steps (n, 3), in fields (n,).");
+             py::arg("bz"),
+             "Helices and covariances (n, 25) at pivots moved by steps (n, 3), in fields (n,).");
 }

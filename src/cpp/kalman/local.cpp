@@ -76,6 +76,17 @@ Matrix5 noise_of(const Slab& slab, const Passage& passage, const TrackMatter& tr
   return g * g.transpose();
 }
 
+// To a point of the helix itself, an arc ahead or (negative) behind.
+void move_to(LocalState& state, const HelixPoint& to, double arc, double per_kappa) {
+  const Matrix5 j = pivot_jacobian(state.helix, 0, arc, per_kappa);
+  state.c = (j * state.c * j.transpose()).eval();
+  state.helix.d = state.helix.z0 = 0;
+  state.helix.psi = std::atan2(to.uy, to.ux);
+  state.x = to.x;
+  state.y = to.y;
+  state.z = to.z;
+}
+
 }  // namespace
 
 HelixPoint point_of(const LocalState& state, double per_kappa) {
@@ -123,21 +134,6 @@ bool change_pivot(LocalState& state, double x, double y, double z, double per_ka
   state.z = z;
   return true;
 }
-
-namespace {
-
-// To a point of the helix itself, an arc ahead or (negative) behind.
-void move_to(LocalState& state, const HelixPoint& to, double arc, double per_kappa) {
-  const Matrix5 j = pivot_jacobian(state.helix, 0, arc, per_kappa);
-  state.c = (j * state.c * j.transpose()).eval();
-  state.helix.d = state.helix.z0 = 0;
-  state.helix.psi = std::atan2(to.uy, to.ux);
-  state.x = to.x;
-  state.y = to.y;
-  state.z = to.z;
-}
-
-}  // namespace
 
 StateStatus LocalMotion::to_track(LocalState& state) const {
   if (!field_.is_uniform()) return integrate(state, [](FieldMotion&, HelixPoint&) { return true; });
