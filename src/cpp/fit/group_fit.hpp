@@ -227,8 +227,13 @@ class GroupFit {
       FitRow& row = *lanes_[k].rows;
       row.status = status;
       row.chi2 = lane(estimate.chi2, static_cast<int>(k));
+      row.clusters = row.wires = row.outliers = 0;
       store_covariance(estimate.c, k, row.covariance);
-      store_hits(k);
+      if (lanes_[k].last != nullptr) store_last(k, *lanes_[k].last);
+    }
+    for (const Slot<T>& slot : group_.slots) {
+      for (std::size_t k = 0; k < lanes_.size(); ++k)
+        if (lane(who & slot.met, static_cast<int>(k))) store_hit(slot, k);
     }
   }
 
@@ -247,23 +252,17 @@ class GroupFit {
     row.iterations = iteration_ + 1;
   }
 
-  void store_hits(std::size_t k) {
+  void store_hit(const Slot<T>& slot, std::size_t k) {
     const FitLane& to = lanes_[k];
-    FitRow& row = *to.rows;
     const int i = static_cast<int>(k);
-    if (to.last != nullptr) store_last(k, *to.last);
-    row.clusters = row.wires = row.outliers = 0;
-    for (const Slot<T>& slot : group_.slots) {
-      if (!lane(slot.met, i)) continue;
-      const bool used = lane(slot.used, i);
-      ++(!used ? row.outliers : slot.view == View::wire ? row.wires : row.clusters);
-      if (to.hits == nullptr) continue;
-      const double weight = lane(slot.weight, i);
-      to.hits[slot.hit[k]] = {lane(slot.unbiased, i), std::sqrt(lane(slot.unbiased_variance, i)),
-                              static_cast<std::int8_t>(weight > 0 ? 1 : (weight < 0 ? -1 : 0)),
-                              static_cast<std::uint8_t>(used)};
-      if (to.measured != nullptr) to.measured[slot.hit[k]] = {lane(slot.value, i), lane(slot.variance, i)};
-    }
+    const bool used = lane(slot.used, i);
+    ++(!used ? to.rows->outliers : slot.view == View::wire ? to.rows->wires : to.rows->clusters);
+    if (to.hits == nullptr) return;
+    const double weight = lane(slot.weight, i);
+    to.hits[slot.hit[k]] = {lane(slot.unbiased, i), std::sqrt(lane(slot.unbiased_variance, i)),
+                            static_cast<std::int8_t>(weight > 0 ? 1 : (weight < 0 ? -1 : 0)),
+                            static_cast<std::uint8_t>(used)};
+    if (to.measured != nullptr) to.measured[slot.hit[k]] = {lane(slot.value, i), lane(slot.variance, i)};
   }
 
   void store_last(std::size_t k, LastIteration& last) const {

@@ -47,8 +47,17 @@ class GroupBuilder {
     group.slots = std::span(group.storage).first(static_cast<std::size_t>(slots));
     group.noise.resize(static_cast<std::size_t>(slabs));
     group.dense_noise.resize(detector_.field.is_uniform() ? 0 : static_cast<std::size_t>(slabs));
-    for (Slot<T>& slot : group.slots) empty(slot);
-    for (std::size_t k = 0; k < hits.size(); ++k) fill_track(static_cast<int>(k), hits[k], sides[k], group);
+    for (Slot<T>& slot : group.slots) slot.hit.fill(-1);
+    for (std::size_t k = 0; k < hits.size(); ++k) place_track(k, hits[k], group);
+    // Slot by slot: a group of tracks is larger than what the processor has at hand.
+    for (Slot<T>& slot : group.slots) {
+      empty(slot);
+      for (std::size_t k = 0; k < hits.size(); ++k) {
+        if (slot.hit[k] < 0) continue;
+        const auto i = static_cast<std::size_t>(slot.hit[k]);
+        fill(slot, static_cast<int>(k), hits[k][i], sides[k][i]);
+      }
+    }
     look_ahead(group);
   }
 
@@ -100,21 +109,18 @@ class GroupBuilder {
 
   // What the reference, the filter and the smoother write stays as it was.
   static void empty(Slot<T>& slot) {
-    slot.hit.fill(-1);
     slot.there = slot.outlier = mask_of<T>(false);
     slot.noise = slot.size = 1.0;
     slot.drift = slot.edge = slot.known_side = slot.weight = 0.0;
     slot.wire = {T(0.0), T(0.0), T(0.0), T(0.0), T(1.0)};
   }
 
-  void fill_track(int k, std::span<const Hit> hits, std::span<const std::int8_t> sides,
-                  Group<T>& group) const {
+  void place_track(std::size_t k, std::span<const Hit> hits, Group<T>& group) const {
     walk(hits, [&](std::size_t i, std::size_t step, std::size_t second, std::int32_t before) {
       Slot<T>& slot = group.slots[static_cast<std::size_t>(first_[2 * step + second] + before)];
       slot.view = hits[i].view;
       slot.layer = hits[i].layer;
-      slot.hit[static_cast<std::size_t>(k)] = static_cast<std::int32_t>(i);
-      fill(slot, k, hits[i], sides[i]);
+      slot.hit[k] = static_cast<std::int32_t>(i);
     });
   }
 
