@@ -232,8 +232,9 @@ class GroupFit {
       if (lanes_[k].last != nullptr) store_last(k, *lanes_[k].last);
     }
     for (const Slot<T>& slot : group_.slots) {
+      const mask_of<T> met = who & slot.met;
       for (std::size_t k = 0; k < lanes_.size(); ++k)
-        if (lane(who & slot.met, static_cast<int>(k))) store_hit(slot, k);
+        if (lane(met, static_cast<int>(k))) store_hit(slot, k);
     }
   }
 
