@@ -8,7 +8,9 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from cgemit import DigitizeSettings, FitSettings, Gun, Result, Settings, _core, isa, run
+from cgemit import DigitizeSettings, FitSettings, Gun, Result, Settings, _core, find, isa, run
+from cgemit.candidates import fit_hits
+from cgemit.fit import core_arguments
 
 LANES = [name for name in isa.available() if name != "scalar"]
 GUNS = {
@@ -91,10 +93,9 @@ def test_functions_are_those_of_numpy(name: str, function: str) -> None:
 @pytest.mark.parametrize("sides", [True, False])
 @pytest.mark.parametrize("gun", GUNS)
 def test_fit_is_that_of_scalar_code(name: str, sides: bool, gun: str) -> None:
-    """Helix and residuals agree to 1e-9 standard deviations for 90 % of the tracks, and to 1e-6 for 99 %.
+    """Helices agree to 1e-9 standard deviations for 99 % of the tracks, for muons of 1 GeV/c all to 1e-8.
 
-    What is left is rounding that iterations magnify: electrons that have radiated, pions that scattered hard, whose
-    fits settle slowly. Muons of 1 GeV/c have none of that: 99 % within 1e-9, all within 1e-7.
+    What is left is rounding that hidden sides magnify on their way to a decision: the next test.
     """
     one, many = (fitted(which, gun, sides=sides) for which in ("scalar", name))
     a, b = one.tracks, many.tracks
@@ -102,14 +103,14 @@ def test_fit_is_that_of_scalar_code(name: str, sides: bool, gun: str) -> None:
     for column in ("status", "iterations", "n_clusters", "n_wires", "n_outliers"):
         same &= a[column] == b[column]
     easy = gun.startswith("mu- 1")
-    assert np.mean(~same) <= (0 if easy else 0.01)
+    assert np.mean(~same) <= (0 if easy else 0.005)
     ok = same & (a["status"] == 0)
     apart = np.max(
         [np.abs(a[f"res_{c}"] - b[f"res_{c}"])[ok] / a[f"err_{c}"][ok] for c in ("dr", "phi0", "kappa", "dz", "tanl")],
         axis=0,
     )
-    assert np.quantile(apart, 0.99 if easy else 0.9) < 1e-9
-    assert np.quantile(apart, 1 if easy else 0.99) < (1e-7 if easy else 1e-6)
+    assert np.quantile(apart, 0.99) < 1e-9
+    assert not easy or np.max(apart) < 1e-8
     sigma = np.sqrt(np.diagonal(a["cov"], axis1=1, axis2=2))
     close = np.flatnonzero(ok)[apart < 1e-6]
     scale = sigma[close][:, :, None] * sigma[close][:, None, :]
@@ -117,6 +118,26 @@ def test_fit_is_that_of_scalar_code(name: str, sides: bool, gun: str) -> None:
     r, s = (result.tables["residuals"] for result in (one, many))
     pulls = [table["pull"][np.isin(table["track"], close)] for table in (r, s)]
     assert np.mean(np.abs(pulls[0] - pulls[1]) > 1e-5) < (1e-9 if easy else 3e-3)
+
+
+@pytest.mark.parametrize("sides", [True, False])
+@pytest.mark.parametrize("gun", GUNS)
+def test_lanes_differ_no_more_than_the_last_digit_does(sides: bool, gun: str) -> None:
+    """From scalar code, as scalar code differs from itself where every measurement changes in its last binary digit."""
+    result = fitted("scalar", gun, sides=sides)
+    tables = (result.particles, result.clusters, result.wire_hits, result.truths, result.wire_truths)
+    hits = fit_hits(find.by_truth(result.detector, *tables), result.clusters, result.wire_hits)
+    arguments = core_arguments(result.detector, hits, result.particles["mass"], np.empty((0, 5)), FitSettings())
+    plain = _core.fit(**arguments)
+    values = np.nextafter(hits.value, np.where(np.arange(len(hits.value)) % 2, np.inf, -np.inf))
+    nudged = _core.fit(**arguments | {"hits": arguments["hits"] | {"value": values}})
+    isa.use(isa.available()[-1])
+    lanes = _core.fit(**arguments)
+    ok = plain["status"] == 0
+    sigma = np.sqrt(np.diagonal(plain["cov"], axis1=1, axis2=2)[ok])
+    near, far = (np.max(np.abs(other["helix"] - plain["helix"])[ok] / sigma, axis=1) for other in (lanes, nudged))
+    for fraction in (0.5, 0.9, 0.98):
+        assert np.quantile(near, fraction) < 3 * np.quantile(far, fraction)
 
 
 @pytest.mark.parametrize("name", LANES)
