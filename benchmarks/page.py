@@ -74,6 +74,12 @@ def stages() -> str:
     return table(head, rows) + "\n\n" + table(["gain by the second thread", *columns], gains)
 
 
+def design_muon() -> str:
+    """Return the table of one fit."""
+    head = ["us per fit", "sides known, two iterations", "sides unknown", "ratio"]
+    return table(head, ([r["isa"], r["known_us"], r["unknown_us"], r["ratio"]] for r in read("design_muon")))
+
+
 def tracks() -> str:
     """Return the table of costs against the number of muons."""
     rows = read("stages")
@@ -183,7 +189,8 @@ def draw_tracks() -> None:
 
 
 BLOCKS = {
-    "about": ((), about), "stages": (("matrix",), stages), "tracks": (("stages",), tracks),
+    "about": ((), about), "stages": (("matrix",), stages),
+    "design_muon": (("design_muon",), design_muon), "tracks": (("stages",), tracks),
     "memory": (("memory",), memory), "operations": (("operations", "matrix"), operations),
     "peers": (("peers",), peers), "simulation": (("simulation",), simulation),
 }  # fmt: skip
