@@ -62,17 +62,11 @@ def test_fit_holds_the_whole_grid_and_agrees_from_200_mev_on() -> None:
         found = {(row.detector, row.p, row.cos_theta, row.particle) for row in results.pulls if row.mode == mode}
         assert found == grid
     off = [row for row in results.pulls if row.p > 0.15 and not row.agrees]
-    # Of 960 numbers of the default simulation one is beyond its limit by a tenth of its standard error.
-    chance = [row for row in off if row.mode == "default" and abs(row.width - 1) < 0.06 + 0.2 * row.width_error]
-    assert len(chance) <= 1
-    off = [row for row in off if row not in chance]
     assert {(row.mode, row.p, row.cos_theta) for row in off} <= {("gaussian", 0.2, 0.8)}
     assert {row.parameter for row in off} <= {"kappa", "dz", "tanl"}
     assert all(abs(row.bias - row.expected) < N_SIGMA * row.mean_error for row in off)
     layers = [row for row in results.residuals if row.p > 0.15 and not row.agrees]
-    # The outermost wire layers that a slanting track meets, by a few thousandths beyond 0.02.
-    assert {row.parameter for row in layers} <= {"w35", "w36"}
-    assert all(abs(row.mean) < 0.03 and abs(row.width - 1) < 0.02 for row in layers)
+    assert {(row.p, row.cos_theta, row.parameter) for row in layers} <= {(0.2, 0.8, "w35")}  # they turn back there
     assert not [row for rows in (results.chi2, results.widths) for row in rows if row.p > 0.15 and not row.agrees]
 
 
