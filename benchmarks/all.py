@@ -1,4 +1,4 @@
-"""Renew docs/performance.md from scratch: ``python benchmarks/all.py``, five minutes on a quiet machine.
+"""Renew docs/performance.md from scratch: ``python benchmarks/all.py``, eight minutes on a quiet machine.
 
 Runs the programs of this folder one after the other. What needs a tool that is not there (valgrind, ACTS) says so, and
 its numbers stay as they are.
