@@ -11,7 +11,7 @@ import time
 import numpy as np
 import pytest
 
-from cgemit.cli import common
+from cgemit.cli import common, read
 from cgemit.cli.main import join_negative_values, main
 from cgemit.cli.progress import Progress
 from cgemit.detector import load
@@ -271,7 +271,7 @@ def test_simulate_writes_tables(tmp_path, capsys):
     ],
 )
 def test_values(text, values):
-    assert common.momenta(text) == values
+    assert read.momenta(text) == values
 
 
 def test_negative_values_are_not_options():

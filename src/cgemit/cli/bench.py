@@ -8,7 +8,8 @@ import sys
 from collections.abc import Sequence
 from typing import Any
 
-from cgemit.cli.common import HelpFormatter, add_common, positive
+from cgemit.cli.common import HelpFormatter, add_common
+from cgemit.cli.read import positive
 
 _DESCRIPTION = """\
 Microseconds per track of each stage: mu- of 1 GeV/c, cos(theta) uniform in +-0.93, in besiii-cgem-design (CGEM and

@@ -1,27 +1,20 @@
-"""What several sub-commands share: options, reading of values, exit codes."""
+"""What several sub-commands share: options, the detector they stand for, exit codes."""
 
 from __future__ import annotations
 
 import argparse
-import math
 from typing import TYPE_CHECKING
 
-from cgemit.units import QuantityError, parse_quantity
+from cgemit.cli import read
 
 if TYPE_CHECKING:
     from cgemit.detector import Detector
-    from cgemit.gun import Gun
     from cgemit.result import Settings
 
 OK, BAD_INPUT, RUN_FAILED, INTERRUPTED = 0, 2, 3, 130
 
 #: The sub-commands, in the order of the help text; each is a module with `add_parser`.
 COMMANDS = ("study", "resolution", "simulate", "slab", "detectors", "show", "validate", "bench")
-
-#: What a gun takes for a quantity: one number, a uniform range, or values in turn.
-Values = float | tuple[float, float] | list[float]
-
-_MOST_STEPS = 10_000  # values of A:B:N; more are a mistake
 
 
 class HelpFormatter(argparse.RawDescriptionHelpFormatter):
@@ -98,7 +91,7 @@ def add_run(parser: argparse.ArgumentParser) -> None:
     """Add seed and threads."""
     add_seed(parser)
     parser.add_argument(
-        "--threads", type=positive, default=None, metavar="N",
+        "--threads", type=read.positive, default=None, metavar="N",
         help="number of threads (default: all cores); results do not depend on it",
     )  # fmt: skip
 
@@ -116,7 +109,7 @@ def add_physics(parser: argparse.ArgumentParser) -> None:
 def add_hypothesis(parser: argparse.ArgumentParser, *, several: bool = False) -> None:
     """Add the particle whose mass the fit assumes, or the `several`."""
     parser.add_argument(
-        "--hypothesis", metavar="NAME,..." if several else "NAME", type=names,
+        "--hypothesis", metavar="NAME,..." if several else "NAME", type=read.names,
         help="fit with the mass of e, mu, pi, K or p instead of the particle's own"
         + ("; several, or all: one track for each" if several else ""),
     )  # fmt: skip
@@ -135,7 +128,7 @@ def settings_of(arguments: argparse.Namespace) -> Settings:
 
 def add_seed(parser: argparse.ArgumentParser) -> None:
     """Add the seed."""
-    parser.add_argument("--seed", type=_seed, default=1, help="seed of the random numbers (default 1)")
+    parser.add_argument("--seed", type=read.seed, default=1, help="seed of the random numbers (default 1)")
 
 
 def load_detector(arguments: argparse.Namespace, name: str | None = None) -> Detector:
@@ -192,68 +185,6 @@ def _load(source: str, overrides: dict[str, object], field: str | None) -> Detec
     return detector.with_overrides(overrides) if overrides else detector
 
 
-def make_gun(values: dict[str, object]) -> Gun:
-    """Return the gun with these arguments, leaving out those that were not given."""
-    from cgemit.gun import Gun
-
-    return Gun(**{name: value for name, value in values.items() if value is not None})  # type: ignore[arg-type]
-
-
-def momenta(text: str) -> Values:
-    """Read momenta in GeV/c or with a unit: a number, ``A:B`` (uniform), ``A:B:N`` (ends included) or ``A,B,C``."""
-    return _values(text, "momentum")
-
-
-def cosines(text: str) -> Values:
-    """Read cosines of the polar angle, as `momenta`."""
-    return _values(text, "dimensionless")
-
-
-def angles(text: str) -> Values:
-    """Read angles in rad or with a unit, as `momenta`."""
-    return _values(text, "angle")
-
-
-def lengths(text: str) -> Values:
-    """Read lengths in mm or with a unit, as `momenta`."""
-    return _values(text, "length")
-
-
-def names(text: str) -> tuple[str, ...]:
-    """Read names, ``A,B,C``."""
-    return tuple(part.strip() for part in text.split(","))
-
-
-def places(text: str) -> tuple[float | str, ...]:
-    """Read places of states, ``A,B,C``: lengths are radii, words stay as they are."""
-    try:
-        return tuple(part if part.isidentifier() else _number(part, "length") for part in names(text))
-    except QuantityError as error:
-        raise argparse.ArgumentTypeError(str(error)) from None
-
-
-def positive(text: str) -> int:
-    """Read a whole number of at least 1."""
-    return whole(text, 1, 2**31 - 1)
-
-
-def _seed(text: str) -> int:
-    return whole(text, 0, 2**64 - 1)
-
-
-def whole(text: str, least: int, most: int) -> int:
-    """Read a whole number from `least` to `most`."""
-    try:
-        number = int(text)
-    except ValueError:
-        number = least - 1
-    if number < least:
-        raise argparse.ArgumentTypeError(f"got {text!r}; expected a whole number of at least {least}")
-    if number > most:
-        raise argparse.ArgumentTypeError(f"got {text!r}; expected a whole number of at most {most}")
-    return number
-
-
 def _override(text: str) -> tuple[str, object]:
     name, equals, value = text.partition("=")
     if not equals or not name.strip():
@@ -270,36 +201,3 @@ def _literal(text: str) -> object:
     except tomllib.TOMLDecodeError:
         return text
     return tables["value"] if len(tables) == 1 else text  # more than one line: not a value
-
-
-def _values(text: str, dimension: str) -> Values:
-    try:
-        if "," in text:
-            return [_number(part, dimension) for part in text.split(",")]
-        parts = text.split(":")
-        if len(parts) == 3:
-            count = whole(parts[2], 1, _MOST_STEPS)
-            return _steps(_number(parts[0], dimension), _number(parts[1], dimension), count)
-        numbers = [_number(part, dimension) for part in parts]
-    except QuantityError as error:
-        raise argparse.ArgumentTypeError(str(error)) from None
-    if len(numbers) > 2:
-        raise argparse.ArgumentTypeError(f"got {text!r}; expected a number, A:B, A:B:COUNT or A,B,C")
-    return numbers[0] if len(numbers) == 1 else (numbers[0], numbers[1])
-
-
-def _steps(start: float, stop: float, count: int) -> list[float]:
-    if count == 1:
-        return [start]
-    # Rounded, so that 0.2:2.0:10 is 0.2, 0.4, 0.6 and not 0.6000000000000001.
-    return [round(start + (stop - start) * i / (count - 1), 12) for i in range(count)]
-
-
-def _number(text: str, dimension: str) -> float:
-    try:
-        number = float(text)
-    except ValueError:
-        return parse_quantity(text, dimension)
-    if not math.isfinite(number):
-        raise QuantityError(f"{text!r} (not finite)", "a finite number")
-    return number

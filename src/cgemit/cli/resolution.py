@@ -6,7 +6,7 @@ import argparse
 import json
 import sys
 
-from cgemit.cli import common
+from cgemit.cli import common, read
 
 _DESCRIPTION = """\
 Resolutions sigma(d_rho), sigma(d_z) and sigma(p) of one or several detectors against momentum, from simulated and
@@ -31,13 +31,13 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     )  # fmt: skip
     common.add_detector(parser, several=True)
     parser.add_argument("--particle", default="mu-", help="PDG name or number (default mu-)")
-    parser.add_argument("--p", type=common.momenta, required=True, metavar="VALUES", help="momenta, GeV/c")
+    parser.add_argument("--p", type=read.momenta, required=True, metavar="VALUES", help="momenta, GeV/c")
     parser.add_argument(
-        "--cos-theta", type=common.cosines, default=(-0.93, 0.93), metavar="LO:HI|VALUE",
+        "--cos-theta", type=read.cosines, default=(-0.93, 0.93), metavar="LO:HI|VALUE",
         help="cosine of the polar angle: a value, or a range drawn uniformly (default -0.93:0.93)",
     )  # fmt: skip
     parser.add_argument(
-        "--events", type=common.positive, default=5000, metavar="N", help="at each momentum (default 5000)"
+        "--events", type=read.positive, default=5000, metavar="N", help="at each momentum (default 5000)"
     )
     parser.add_argument(
         "--method", choices=("mc",), default="mc", help="mc: simulated events (the only method of this version)"

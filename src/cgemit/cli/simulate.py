@@ -7,7 +7,7 @@ import json
 import sys
 from dataclasses import asdict
 
-from cgemit.cli import common
+from cgemit.cli import common, read
 from cgemit.version import VERSION
 
 _DESCRIPTION = """\
@@ -36,10 +36,10 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     )  # fmt: skip
     common.add_detector(parser)
     add_gun(parser)
-    parser.add_argument("-n", "--events", type=common.positive, required=True, metavar="N", help="number of events")
+    parser.add_argument("-n", "--events", type=read.positive, required=True, metavar="N", help="number of events")
     parser.add_argument("--fit", action="store_true", help="write the fitted tracks too")
     parser.add_argument(
-        "--states", type=common.places, metavar="PLACE,...",
+        "--states", type=read.places, metavar="PLACE,...",
         help="also write where the fitted tracks are, with covariance: radii (mm), origin, beam_line, beam_pipe, hits",
     )  # fmt: skip
     common.add_hypothesis(parser, several=True)
@@ -56,34 +56,30 @@ def add_gun(parser: argparse.ArgumentParser) -> None:
     gun = parser.add_argument_group("gun")
     gun.add_argument("--particle", default="mu-", help="PDG name or number (default mu-)")
     momentum = gun.add_mutually_exclusive_group(required=True)
-    momentum.add_argument("--p", type=common.momenta, metavar="VALUES", help="momentum, GeV/c")
-    momentum.add_argument("--pt", type=common.momenta, metavar="VALUES", help="transverse momentum, GeV/c")
+    momentum.add_argument("--p", type=read.momenta, metavar="VALUES", help="momentum, GeV/c")
+    momentum.add_argument("--pt", type=read.momenta, metavar="VALUES", help="transverse momentum, GeV/c")
     polar = gun.add_mutually_exclusive_group(required=True)
-    polar.add_argument("--theta", type=common.angles, metavar="VALUES", help="polar angle, rad")
-    polar.add_argument("--cos-theta", type=common.cosines, metavar="VALUES", help="its cosine")
-    gun.add_argument("--phi", type=common.angles, metavar="VALUES", help="azimuth, rad (default: uniform)")
-    gun.add_argument("--vertex", type=triple, metavar="X,Y,Z", help="vertex, mm (default 0,0,0)")
-    gun.add_argument("--vertex-sigma", type=triple, metavar="X,Y,Z", help="its Gaussian spread, mm (default 0,0,0)")
-
-
-def triple(text: str) -> tuple[float, float, float]:
-    """Read three lengths, ``X,Y,Z``."""
-    values = common.lengths(text)
-    if not isinstance(values, list) or len(values) != 3:
-        raise argparse.ArgumentTypeError(f"got {text!r}; expected three lengths X,Y,Z")
-    return values[0], values[1], values[2]
+    polar.add_argument("--theta", type=read.angles, metavar="VALUES", help="polar angle, rad")
+    polar.add_argument("--cos-theta", type=read.cosines, metavar="VALUES", help="its cosine")
+    gun.add_argument("--phi", type=read.angles, metavar="VALUES", help="azimuth, rad (default: uniform)")
+    gun.add_argument("--vertex", type=read.triple, metavar="X,Y,Z", help="vertex, mm (default 0,0,0)")
+    gun.add_argument(
+        "--vertex-sigma", type=read.triple, metavar="X,Y,Z", help="its Gaussian spread, mm (default 0,0,0)"
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the chain and write its tables."""
     from cgemit import chain
     from cgemit.cli.progress import Progress
+    from cgemit.gun import Gun
     from cgemit.io.folders import SUMMARY, new_folder
     from cgemit.tables import save_tables
 
     detector = common.load_detector(arguments, arguments.name)
     names = ("particle", "p", "pt", "theta", "cos_theta", "phi", "vertex", "vertex_sigma")
-    gun = common.make_gun({name: getattr(arguments, name) for name in names})
+    given = {name: getattr(arguments, name) for name in names}
+    gun = Gun(**{name: value for name, value in given.items() if value is not None})
     with new_folder(arguments.output, overwrite=arguments.overwrite) as folder:
         with Progress("simulate", quiet=arguments.quiet) as progress:
             result = chain.run(

@@ -7,7 +7,7 @@ import json
 import sys
 from typing import TYPE_CHECKING
 
-from cgemit.cli import common
+from cgemit.cli import common, read
 from cgemit.matter.send import FEWEST, MOST
 
 if TYPE_CHECKING:
@@ -98,7 +98,7 @@ def _write(passage: Passage, numbers: str, folder: str, *, overwrite: bool) -> N
 
 
 def _particles(text: str) -> int:
-    return common.whole(text, FEWEST, MOST)
+    return read.whole(text, FEWEST, MOST)
 
 
 def _momentum(text: str) -> float | str:

@@ -6,16 +6,8 @@ import argparse
 import json
 import sys
 
-from cgemit.cli.common import (
-    HelpFormatter,
-    add_common,
-    add_field,
-    add_output,
-    add_physics,
-    add_run,
-    positive,
-    settings_of,
-)
+from cgemit.cli.common import HelpFormatter, add_common, add_field, add_output, add_physics, add_run, settings_of
+from cgemit.cli.read import positive
 
 _DESCRIPTION = """\
 Reproduce arXiv:1504.02570: mu- of 1 GeV/c, cos(theta) uniform in +-0.93, in the CGEM tracker of the paper and in the
