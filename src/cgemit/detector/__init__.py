@@ -9,7 +9,8 @@ from cgemit.detector.field_grid import FieldGrid
 from cgemit.detector.field_sources import fields
 from cgemit.detector.files import detectors
 from cgemit.detector.material import Material
-from cgemit.detector.model import CgemLayer, Cylinder, Detector, DriftChamber, Shell, SubLayer, WireLayer
+from cgemit.detector.model import Detector
+from cgemit.detector.parts import CgemLayer, Cylinder, DriftChamber, Shell, SubLayer, WireLayer
 from cgemit.detector.problems import DetectorError, Problem
 from cgemit.detector.schema import schema
 from cgemit.detector.slabs import SCREENINGS, Slab, compiled, slab_table, slabs

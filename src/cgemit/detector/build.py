@@ -15,7 +15,8 @@ from cgemit.detector.keys import keys_of
 from cgemit.detector.material import Material
 from cgemit.detector.materials import read_materials
 from cgemit.detector.merge import FOR_ALL_LAYERS, merged, set_path
-from cgemit.detector.model import CgemLayer, Cylinder, Detector, DriftChamber, WireLayer
+from cgemit.detector.model import Detector
+from cgemit.detector.parts import CgemLayer, Cylinder, DriftChamber, WireLayer
 from cgemit.detector.problems import DetectorError, Problem
 from cgemit.detector.read import TOP_LEVEL, UNUSABLE, Reader, shown
 from cgemit.detector.write import to_dict

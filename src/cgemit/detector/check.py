@@ -12,7 +12,8 @@ from cgemit.units import NATIVE, format_quantity
 
 if TYPE_CHECKING:
     from cgemit.detector.field import Field
-    from cgemit.detector.model import CgemLayer, Cylinder, Detector, DriftChamber
+    from cgemit.detector.model import Detector
+    from cgemit.detector.parts import CgemLayer, Cylinder, DriftChamber
 
 TOUCH = 1e-6  # mm; parts closer than this touch
 _COIL = 1.25

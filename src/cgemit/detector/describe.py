@@ -4,7 +4,8 @@ import math
 from typing import Any
 
 from cgemit.detector.field import field_text
-from cgemit.detector.model import CgemLayer, Detector, WireLayer
+from cgemit.detector.model import Detector
+from cgemit.detector.parts import CgemLayer, WireLayer
 from cgemit.detector.slabs import Slab, slabs
 
 

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from cgemit import _core
 from cgemit.detector.material import Material
-from cgemit.detector.model import CgemLayer, Detector, Shell
+from cgemit.detector.model import Detector
+from cgemit.detector.parts import CgemLayer, Shell
 
 Floats = NDArray[np.float64]
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cgemit.detector.model import CgemLayer, Shell
+from cgemit.detector.parts import CgemLayer, Shell
 
 #: Random numbers of what only a lattice has count from here, so that other slabs keep theirs.
 _FIRST_PLACE = 1 << 16

@@ -8,7 +8,7 @@ from typing import Any
 from cgemit.detector.check import in_range
 from cgemit.detector.keys import Key, keys_of, required_of
 from cgemit.detector.material import DensityEffect, Material, elements, fractions_of_formula
-from cgemit.detector.model import CgemLayer, SubLayer
+from cgemit.detector.parts import CgemLayer, SubLayer
 from cgemit.detector.problems import Problem
 from cgemit.units import NATIVE, QuantityError, parse_quantity
 from cgemit.words import did_you_mean

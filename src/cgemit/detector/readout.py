@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from cgemit.detector.model import CgemLayer, DriftChamber
+from cgemit.detector.parts import CgemLayer, DriftChamber
 
 Columns = dict[str, NDArray[np.generic]]
 

@@ -8,7 +8,7 @@ from cgemit.detector.field import KINDS, kind_key
 from cgemit.detector.keys import Key, keys_of, required_of
 from cgemit.detector.material import DensityEffect, Material
 from cgemit.detector.merge import FOR_ALL_LAYERS
-from cgemit.detector.model import CgemLayer, Cylinder, DriftChamber, SubLayer, WireLayer
+from cgemit.detector.parts import CgemLayer, Cylinder, DriftChamber, SubLayer, WireLayer
 from cgemit.detector.read import EXTRA, TOP_LEVEL
 from cgemit.units import NATIVE, format_quantity, units_of
 

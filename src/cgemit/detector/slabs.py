@@ -16,7 +16,8 @@ from cgemit.detector.field_core import compiled_field
 from cgemit.detector.gaps import gap_table
 from cgemit.detector.lattice import Holes, hole_table, perforated
 from cgemit.detector.material import Element, Material
-from cgemit.detector.model import Cylinder, Detector, DriftChamber, Shell
+from cgemit.detector.model import Detector
+from cgemit.detector.parts import Cylinder, DriftChamber, Shell
 from cgemit.detector.readout import Columns, cgem_table, wire_table
 
 #: Screening of nuclei by their electrons in multiple scattering (docs/methods/matter.md); the first is the default.

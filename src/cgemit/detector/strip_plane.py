@@ -3,7 +3,7 @@
 import numpy as np
 import numpy.typing as npt
 
-from cgemit.detector.model import CgemLayer
+from cgemit.detector.parts import CgemLayer
 
 Floats = npt.NDArray[np.float64]
 

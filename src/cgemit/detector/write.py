@@ -6,7 +6,8 @@ from typing import Any
 
 from cgemit.detector.keys import keys_of
 from cgemit.detector.material import DensityEffect, Material
-from cgemit.detector.model import Detector, SubLayer
+from cgemit.detector.model import Detector
+from cgemit.detector.parts import SubLayer
 from cgemit.units import NATIVE, format_quantity
 
 

@@ -1,0 +1,231 @@
+"""Parts of a detector as immutable dataclasses. Lengths in mm, angles in rad; numbers are in native units.
+
+The metadata of each field (`keys.Key`) states what a detector file may hold there.
+"""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from cgemit.detector.keys import key
+from cgemit.detector.material import Material
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cylinder:
+    """A cylindrical shell of one material: a layer of the beam pipe or of a wall."""
+
+    label: str
+    r_in: float = field(metadata=key("length", "inner radius", 0.1, 3000.0))  # mm
+    r_out: float = field(metadata=key("length", "outer radius", 0.1, 3000.0))  # mm
+    half_length: float = field(metadata=key("length", "half length along the beam", 1.0, 5000.0))  # mm
+    material: Material = field(metadata=key("material", "name of the material"))
+
+    @property
+    def thickness(self) -> float:
+        """Thickness in mm."""
+        return self.r_out - self.r_in
+
+
+@dataclass(frozen=True, kw_only=True)
+class SubLayer:
+    """One material of an electrode of a CGEM layer."""
+
+    label: str
+    material: Material = field(metadata=key("material", "name of the material"))
+    thickness: float = field(metadata=key("length", "thickness", 1e-5, 50.0))  # mm
+
+
+class Shell(NamedTuple):
+    """A placed sub-layer; `group` is pipe, wall, air, cathode, drift, foils, anode or gas."""
+
+    group: str
+    label: str
+    r_in: float  # mm
+    r_out: float  # mm
+    half_length: float  # mm
+    material: Material
+
+    @property
+    def thickness(self) -> float:
+        """Thickness in mm."""
+        return self.r_out - self.r_in
+
+    @property
+    def x0(self) -> float:
+        """Thickness in radiation lengths at normal incidence."""
+        return self.thickness / self.material.x0
+
+    @property
+    def xi(self) -> float:
+        """(K/2) (Z/A) times the mass thickness at normal incidence, GeV."""
+        return self.material.xi(self.thickness)
+
+
+@dataclass(frozen=True, kw_only=True)
+class CgemLayer:
+    """One cylindrical GEM layer with X and V strips; everything is placed from the V-strip plane inward and outward.
+
+    From inside: cathode, drift gap, first foil, transfer gap, ..., last foil, induction gap, anode.
+    """
+
+    label: str
+    anode_radius: float = field(
+        metadata=key("length", "radius of the V-strip plane, inner face of the anode", 10.0, 2000.0)
+    )
+    readout_offset: float = field(
+        metadata=key("length", "radius at which X is measured, minus anode_radius", -5.0, 5.0), default=0.0
+    )
+    length: float = field(metadata=key("length", "active length along the beam", 10.0, 5000.0))  # mm
+    sheets: int = field(metadata=key("integer", "number of read-out sheets around the layer", 1, 2))
+    phi_first: float = field(metadata=key("angle", "azimuth of X = 0 of the first sheet", -2 * math.pi, 2 * math.pi))
+    pitch_x: float = field(metadata=key("length", "pitch of the X strips", 0.01, 20.0))  # mm
+    pitch_v: float = field(metadata=key("length", "pitch of the V strips", 0.01, 20.0))  # mm
+    drift_gap: float = field(metadata=key("length", "gap between cathode and first foil", 0.1, 50.0))  # mm
+    transfer_gap: float = field(metadata=key("length", "gap between two foils", 0.1, 50.0))  # mm
+    induction_gap: float = field(metadata=key("length", "gap between last foil and anode", 0.1, 50.0))  # mm
+    foils: int = field(metadata=key("integer", "number of GEM foils", 1, 5), default=3)
+    # Standard GEM foils: F. Sauli, Nucl. Instrum. Methods A 805 (2016) 2.
+    hole_outer: float = field(metadata=key("length", "diameter of holes, in electrodes", 1e-3, 5.0), default=0.07)  # mm
+    hole_inner: float = field(metadata=key("length", "their diameter inside the foil", 1e-3, 5.0), default=0.05)  # mm
+    hole_pitch: float = field(metadata=key("length", "pitch of holes, hexagonal", 1e-3, 10.0), default=0.14)  # mm
+    gas: Material = field(metadata=key("gas", "gas of all gaps"))
+    cathode: tuple[SubLayer, ...] = field(metadata=key("stack", "materials of the cathode, from inside"))
+    foil: tuple[SubLayer, ...] = field(metadata=key("stack", "materials of one GEM foil, from inside"))
+    anode: tuple[SubLayer, ...] = field(metadata=key("stack", "materials of the anode, from inside"))
+    strips_x: int = field(metadata=key("integer", "X strips of a sheet", 1, 100_000, derived=True))
+    stereo: float = field(metadata=key("angle", "stereo angle of the V strips, signed", -1.55, 1.55, derived=True))
+    strips_v: int = field(metadata=key("integer", "V strips of a sheet", 1, 100_000, derived=True))
+
+    @property
+    def half_length(self) -> float:
+        """Half of the active length, mm."""
+        return 0.5 * self.length
+
+    @property
+    def r_readout(self) -> float:
+        """Radius R of X = R (phi - phi_first), mm."""
+        return self.anode_radius + self.readout_offset
+
+    @property
+    def z_ref(self) -> float:
+        """The end from which V is counted, mm."""
+        return math.copysign(self.half_length, self.stereo)
+
+    @property
+    def sheet_phi(self) -> tuple[float, ...]:
+        """Azimuth of X = 0 of each sheet, rad in (-pi, pi]."""
+        turns = (self.phi_first + 2 * math.pi * i / self.sheets for i in range(self.sheets))
+        return tuple(math.pi - (math.pi - phi) % (2 * math.pi) for phi in turns)
+
+    @property
+    def r_gap_out(self) -> float:
+        """Outer radius of the drift gap, the inner face of the first foil, mm."""
+        foils = self.foils * sum(part.thickness for part in self.foil)
+        return self.anode_radius - self.induction_gap - (self.foils - 1) * self.transfer_gap - foils
+
+    @property
+    def r_gap_in(self) -> float:
+        """Inner radius of the drift gap, the outer face of the cathode, mm."""
+        return self.r_gap_out - self.drift_gap
+
+    @property
+    def r_mid(self) -> float:
+        """Radius of the middle of the drift gap, mm."""
+        return 0.5 * (self.r_gap_in + self.r_gap_out)
+
+    @property
+    def r_in(self) -> float:
+        """Inner face of the cathode, mm."""
+        return self.r_gap_in - sum(part.thickness for part in self.cathode)
+
+    @property
+    def r_out(self) -> float:
+        """Outer face of the anode, mm."""
+        return self.anode_radius + sum(part.thickness for part in self.anode)
+
+    def shells(self) -> Iterator[Shell]:
+        """Yield every sub-layer, gaps included, from inside."""
+        gaps = [("transfer gap", self.transfer_gap)] * (self.foils - 1) + [("induction gap", self.induction_gap)]
+        stack = [("cathode", part.label, part.thickness, part.material) for part in self.cathode]
+        stack.append(("drift", "drift gap", self.drift_gap, self.gas))
+        for number, (gap, width) in enumerate(gaps, start=1):
+            stack += [("foils", f"foil {number} {part.label}", part.thickness, part.material) for part in self.foil]
+            stack.append(("foils", gap, width, self.gas))
+        stack += [("anode", part.label, part.thickness, part.material) for part in self.anode]
+        radius = self.r_in
+        for group, label, thickness, material in stack:
+            yield Shell(group, label, radius, radius + thickness, self.half_length, material)
+            radius += thickness
+
+
+@dataclass(frozen=True, kw_only=True)
+class WireLayer:
+    """One layer of drift cells.
+
+    Wire i starts at z = +half_length at azimuth phi_east + 2 pi i/cells and ends at z = -half_length at that azimuth
+    minus the twist, both at radius r_end; it is straight.
+    """
+
+    number: int
+    cells: int = field(metadata=key("integer", "number of drift cells", 3, 10_000))
+    r_end: float = field(metadata=key("length", "radius of the wires at the end plates", 1.0, 3000.0))  # mm
+    half_length: float = field(metadata=key("length", "half length of the wires along the beam", 1.0, 5000.0))  # mm
+    twist_cells: float = field(
+        metadata=key("dimensionless", "azimuth at +z minus azimuth at -z, in cells", -500.0, 500.0)
+    )
+    phi_east: float = field(metadata=key("angle", "azimuth of wire 0 at +z", -2 * math.pi, 2 * math.pi))  # rad
+    sigma: float = field(metadata=key("length", "error of the drift distance at the wire", 1e-3, 10.0))  # mm
+    sigma_slope: float = field(
+        metadata=key("slope", "change of that error with drift distance", -0.1, 0.1), default=0.0
+    )
+    efficiency: float = field(
+        metadata=key("dimensionless", "probability that a cell which is passed fires", 0.0, 1.0), default=1.0
+    )
+    wire_x0: float = field(
+        metadata=key("dimensionless", "mean X/X0 of the layer's wires, used if smeared", 0.0, 0.01), default=0.0
+    )
+
+    @property
+    def twist(self) -> float:
+        """Azimuth at the +z end minus azimuth at the -z end, rad."""
+        return self.twist_cells * 2 * math.pi / self.cells
+
+    @property
+    def r_mid(self) -> float:
+        """Radius of the wires at z = 0, mm."""
+        return self.r_end * math.cos(0.5 * self.twist)
+
+    def end_points(self, wire: int) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+        """Return the ends of a wire, (x, y, z) in mm: first the one at +z, then the one at -z."""
+        east = self.phi_east + 2 * math.pi * wire / self.cells
+        west = east - self.twist
+        return (
+            (self.r_end * math.cos(east), self.r_end * math.sin(east), self.half_length),
+            (self.r_end * math.cos(west), self.r_end * math.sin(west), -self.half_length),
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class DriftChamber:
+    """A drift chamber: wire layers in one gas."""
+
+    gas: Material = field(metadata=key("gas", "gas of the chamber"))
+    wires: str = field(
+        metadata=key("text", "matter of the wires: ignored, or spread over the gas", choices=("none", "smeared")),
+        default="none",
+    )
+    wire_material: Material = field(metadata=key("material", "material of smeared wires (default Al)", derived=True))
+    first_gid: int = field(
+        metadata=key("integer", "running number of the innermost layer's wire 0", 0, 1_000_000), default=0
+    )
+    layers: tuple[WireLayer, ...] = ()
+
+    @property
+    def gid_first(self) -> tuple[int, ...]:
+        """Running number of wire 0 of each layer."""
+        starts = [self.first_gid]
+        for layer in self.layers[:-1]:
+            starts.append(starts[-1] + layer.cells)
+        return tuple(starts)
