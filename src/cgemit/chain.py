@@ -134,28 +134,11 @@ def run(
 
     tasks = [task(first) for first in range(0, n_events, chunk)] or [task(0)]
     parts = _map(tasks, threads, executor, progress)
-    tables = concatenate([part[0] for part in parts])
     meta = _meta(detector, believed, shooter, settings, seed)
+    tables = {name: table.with_meta(**meta) for name, table in concatenate([part[0] for part in parts]).items()}
     timings = {stage: sum(part[1][stage] for part in parts) for stage in parts[0][1]}
-    tables = {name: t.with_meta(**meta) for name, t in tables.items()}
     timings["wall"] = time.perf_counter() - start
-    return Result(
-        detector=detector,
-        gun=shooter,
-        seed=seed,
-        settings=settings,
-        particles=tables["particles"],
-        truths=tables["truths"],
-        steps=tables["steps"],
-        wire_truths=tables["wire_truths"],
-        digis=tables["digis"],
-        wire_hits=tables["wire_hits"],
-        clusters=tables["clusters"],
-        tracks=tables["tracks"],
-        residuals=tables.get("residuals"),
-        states=tables.get("states"),
-        timings=timings,
-    )
+    return Result(detector=detector, gun=shooter, seed=seed, settings=settings, timings=timings, **tables)
 
 
 def _expected(given: object) -> str:

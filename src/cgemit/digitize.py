@@ -111,31 +111,18 @@ def digitize(
     columns = dict(truths.columns)
     events = (truths.n_events, truths.first_event)
     hits = _core.read_out_wires(
-        core,
-        dict(wire_truths.columns),
-        xt_distance=XT_DISTANCE,
-        xt_time=XT_TIME,
-        reveal_sides=settings.reveal_sides,
-        seed=seed,
-    )
+        core, dict(wire_truths.columns), xt_distance=XT_DISTANCE, xt_time=XT_TIME,
+        reveal_sides=settings.reveal_sides, seed=seed,
+    )  # fmt: skip
     tables = {"wire_hits": Table("wire_hits", hits, *events)}
     if settings.readout == "binary":
         digis = _core.read_out_strips(
-            core,
-            columns,
-            dict((Table.empty("steps", *events) if steps is None else steps).columns),
-            gain=settings.gain,
-            w_value=settings.w_value,
-            threshold=settings.threshold,
-        )
+            core, columns, dict((Table.empty("steps", *events) if steps is None else steps).columns),
+            gain=settings.gain, w_value=settings.w_value, threshold=settings.threshold,
+        )  # fmt: skip
         return {"digis": Table("digis", digis, *events), **tables}
     smeared = _core.smear_positions(
-        core,
-        columns,
-        gain=settings.gain,
-        w_value=settings.w_value,
-        sigma_x=settings.sigma_x,
-        sigma_v=settings.sigma_v,
-        seed=seed,
-    )
+        core, columns, gain=settings.gain, w_value=settings.w_value,
+        sigma_x=settings.sigma_x, sigma_v=settings.sigma_v, seed=seed,
+    )  # fmt: skip
     return {"digis": Table.empty("digis", *events), **tables, "clusters": Table("clusters", smeared, *events)}

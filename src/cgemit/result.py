@@ -31,7 +31,7 @@ class Settings:
     fit: FitSettings = field(default_factory=FitSettings)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Result:
     """All tables of a run, and what made them."""
 
@@ -47,8 +47,8 @@ class Result:
     wire_hits: Table
     clusters: Table
     tracks: Table
-    residuals: Table | None
-    states: Table | None
+    residuals: Table | None = None
+    states: Table | None = None
     timings: Mapping[str, float]
     """Seconds of each stage, summed over chunks, and `wall`, from start to end."""
 
