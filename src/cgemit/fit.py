@@ -15,17 +15,16 @@ from cgemit.detector import SCREENINGS, Detector, compiled
 from cgemit.particles import HYPOTHESES
 from cgemit.states import place_problems, state_columns
 from cgemit.tables import Table
+from cgemit.tracks import has_cov, residual_columns, track_columns
 
 FitStatus = _core.FitStatus
 Floats = npt.NDArray[np.float64]
-Columns = dict[str, npt.ArrayLike]
-Column = npt.NDArray[Any]
 
 SEEDS = ("hits", "truth")
 ERRORS = ("track", "cluster")
 LOSSES = ("truncated", "mean", "most_probable")
 
-PARAMETERS = ("dr", "phi0", "kappa", "dz", "tanl")
+PARAMETERS = helix.PARAMETERS
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -174,12 +173,12 @@ def fit(
     start = smeared(truth, particles, settings, seed) if settings.seed == "truth" else np.empty((0, 5))
     arguments = core_arguments(detector, hits, particles["mass"], start, settings)
     out, span = _core.fit(**arguments), (particles.n_events, particles.first_event)
-    tables = {"tracks": Table("tracks", _track_columns(out, truth, particles), *span)}
+    tables = {"tracks": Table("tracks", track_columns(out, truth, particles), *span)}
     if settings.residuals:
-        tables["residuals"] = Table("residuals", _residual_columns(out, hits, particles), *span)
+        tables["residuals"] = Table("residuals", residual_columns(out, hits, particles), *span)
     if settings.states:
-        core, has_cov = arguments["detector"], _has_cov(out["status"])
-        columns = state_columns(detector, core, settings.states, particles, hits, out, has_cov)
+        core, known = arguments["detector"], has_cov(out["status"])
+        columns = state_columns(detector, core, settings.states, particles, hits, out, known)
         tables["states"] = Table("states", columns, *span)
     return tables
 
@@ -223,10 +222,6 @@ def core_arguments(
     }
 
 
-def _has_cov(status: npt.NDArray[np.generic]) -> npt.NDArray[np.bool_]:
-    return np.isin(status, (FitStatus.ok, FitStatus.not_converged))
-
-
 def smeared(truth: Floats, particles: Table, settings: FitSettings, seed: int) -> Floats:
     """Return true helices smeared by `settings.seed_smearing`.
 
@@ -246,56 +241,3 @@ def smeared(truth: Floats, particles: Table, settings: FitSettings, seed: int) -
     draws = [_core.normals(seed, particles["event"], particles["particle"], purpose, place) for place in (0, 1)]
     sigma = np.array(settings.seed_smearing) * np.where(np.arange(5) == 2, np.abs(truth[:, 2:3]), 1.0)
     return truth + sigma * np.concatenate(draws, axis=1)[:, :5]
-
-
-def _track_columns(
-    out: dict[str, npt.NDArray[np.generic]], truth: Floats, particles: Table
-) -> dict[str, npt.ArrayLike]:
-    """Columns of the tracks table: the fit, and its comparison with truth."""
-    no_helix = np.isin(out["status"], (FitStatus.too_few_hits, FitStatus.seed_failed))
-    fitted = np.where(no_helix[:, None], np.nan, out["helix"])
-    has_cov = _has_cov(out["status"])
-    cov = np.where(has_cov[:, None, None], out["cov"], np.nan)
-    columns: Columns = {name: particles[name] for name in ("event", "particle", "hypothesis")}
-    columns |= {name: fitted[:, i] for i, name in enumerate(PARAMETERS)}
-    columns |= {"cov": cov, "p": helix.momentum(fitted)}
-    columns |= {name: out[name] for name in ("ndf", "n_clusters", "n_wires", "n_outliers", "iterations", "status")}
-    columns["chi2"] = np.where(has_cov, out["chi2"], np.nan)
-    error = np.sqrt(np.diagonal(cov, axis1=1, axis2=2))
-    quantities = [(name, truth[:, i], fitted[:, i], error[:, i]) for i, name in enumerate(PARAMETERS)]
-    quantities.append(("p", helix.momentum(truth), helix.momentum(fitted), helix.momentum_error(fitted, cov)))
-    for name, true, found, sigma in quantities:
-        residual = found - true
-        if name == "phi0":
-            residual = np.remainder(residual + np.pi, 2 * np.pi) - np.pi
-        columns |= {
-            f"truth_{name}": true,
-            f"res_{name}": residual,
-            f"err_{name}": sigma,
-            f"pull_{name}": residual / sigma,
-        }
-    return columns
-
-
-def _residual_columns(
-    out: dict[str, npt.NDArray[np.generic]], hits: FitHits, particles: Table
-) -> dict[str, npt.ArrayLike]:
-    met = np.flatnonzero(np.asarray(out["err"], np.float64) > 0)
-
-    def pick(column: Column) -> Column:  # several times faster than column[met], or a mask
-        return column.take(met)
-
-    track = pick(np.repeat(np.arange(len(particles)), np.diff(hits.hit_offsets)))
-    residual, err = pick(out["residual"]), pick(out["err"])
-    return {
-        "event": particles["event"].take(track),
-        "track": track,
-        "view": pick(hits.kind),
-        "layer": pick(hits.layer),
-        "hit": pick(hits.row),
-        "residual": residual,
-        "err": err,
-        "pull": residual / err,
-        "side": pick(out["side"]),
-        "used": pick(out["used"]),
-    }

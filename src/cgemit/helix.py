@@ -10,6 +10,9 @@ from cgemit.tables import Table
 
 Floats = npt.NDArray[np.float64]
 
+#: Names of the parameters in the order of arrays.
+PARAMETERS = ("dr", "phi0", "kappa", "dz", "tanl")
+
 #: mm T / (GeV/c): radius of curvature is RADIUS_PER_KAPPA / (B_z kappa). From the speed of light, exact.
 RADIUS_PER_KAPPA = 3335.6409519815204
 
@@ -47,8 +50,7 @@ def at_origin(particles: Table, bz: float) -> Floats:
     # S^2 at the perigee is r^2 there: d = S + (change of S) follows from the circle, written without cancellation.
     reach = np.hypot(1 - w * sideways, w * outward)
     dr = (2 * sideways - w * (x * x + y * y)) / (1 + reach)
-    phi0 = np.arctan2(uy, ux) + theta - 0.5 * np.pi
-    phi0 = -(np.remainder(-phi0 + np.pi, 2 * np.pi) - np.pi)
+    phi0 = _within_a_turn(np.arctan2(uy, ux) + theta - 0.5 * np.pi)
     return np.stack([dr, phi0, kappa, particles["z"] + arc * tanl, tanl], axis=1)
 
 
@@ -81,9 +83,14 @@ def at_origin_in(particles: Table, field: _core.Field) -> Floats:
     stretch = np.hypot(1, pz * per_pt)
     # p is conserved, pT is not.
     kappa = particles["charge"] * per_pt / stretch * np.hypot(1, tanl)
-    phi0 = -(np.remainder(-np.arctan2(-ux, uy) + np.pi, 2 * np.pi) - np.pi)
+    phi0 = _within_a_turn(np.arctan2(-ux, uy))
     parameters = np.stack([x * uy - y * ux, phi0, kappa, z, tanl], axis=1)
     return np.asarray(np.where((bent & (found == 1))[:, None], parameters, nominal))
+
+
+def _within_a_turn(angle: Floats) -> Floats:
+    """Return the same angles in (-pi, pi]."""
+    return -(np.remainder(-angle + np.pi, 2 * np.pi) - np.pi)
 
 
 def momentum(parameters: Floats) -> Floats:

@@ -22,7 +22,6 @@ Columns = dict[str, npt.ArrayLike]
 #: Places that states can be asked for by name; a number is the radius of a cylinder in mm.
 PLACES = ("origin", "beam_line", "beam_pipe", "hits")
 
-_PARAMETERS = ("dr", "phi0", "kappa", "dz", "tanl")
 _MASSES = {kind.pdg: kind.mass for kind in HYPOTHESES.values()}
 
 
@@ -89,8 +88,7 @@ def state_columns(
         fitted=has_cov.astype(np.uint8),
         targets=targets,
     )
-    track, target, hit = out["track"], out["target"], out["hit"]
-    at_hit = hit >= 0
+    track, target = out["track"], out["target"]
     surface = targets["surface"][target]
     found: Columns = {
         "event": particles["event"][track],
@@ -98,12 +96,7 @@ def state_columns(
         "hypothesis": particles["hypothesis"][track],
         "surface": surface,
     }
-    # Row 0 stands for those that are at no hit, so that empty tables are no exception.
-    for name, values in (("view", hits.kind), ("layer", hits.layer), ("hit", hits.row)):
-        column = np.full(len(track), -1, np.int64)
-        column[at_hit] = values[hit[at_hit]]
-        found[name] = column.astype({"view": "i1", "layer": "i4", "hit": "i8"}[name])
-    found |= _at(out)
+    found |= _hit_columns(hits, out["hit"]) | _at(out)
     found["r"] = np.where(surface == Surface.cylinder, targets["radius"][target], np.hypot(found["x"], found["y"]))
     residual, err = out["residual"], out["err"]
     return found | {"residual": residual, "err": err, "pull": residual / err, "status": out["status"]}
@@ -146,32 +139,16 @@ def extrapolate(
     ValueError
         Listing every argument that makes no sense.
     """
-    of_state, fits = table.kind == "states", table.kind in ("states", "tracks")
-    mass = _masses(table, particle) if fits else np.empty(0)
-    unknown = np.isnan(mass) & np.isfinite(table["cov"][:, 0, 0]) if fits else mass
-    checks = (
-        (fits, f"table: of kind {table.kind!r}, expected 'states' or 'tracks'"),
-        (_is_radius(radius), f"radius: {radius!r}, expected a positive number, mm"),
-        (
-            particle is None or particle in HYPOTHESES,
-            f"particle: {particle!r}, expected one of {', '.join(map(repr, HYPOTHESES))}",
-        ),
-        (not unknown.any(), "particle: none given, and the table's hypothesis is none of e, mu, pi, K, p"),
-        (
-            loss in _core.CoreLoss.__members__,
-            f"loss: {loss!r}, expected one of {', '.join(_core.CoreLoss.__members__)}",
-        ),
-        (screening in SCREENINGS, f"screening: {screening!r}, expected one of {', '.join(map(repr, SCREENINGS))}"),
-    )
-    problems = [text for fine, text in checks if not fine]
+    problems = _start_problems(table, radius, particle, screening, loss)
     if problems:
         raise ValueError("extrapolate:\n  " + "\n  ".join(problems))
+    of_state = table.kind == "states"
     pivot = np.stack([table[f"pivot_{axis}"] if of_state else np.zeros(len(table)) for axis in "xyz"], axis=1)
-    parameters = np.stack([table[name] for name in _PARAMETERS], axis=1)
+    parameters = np.stack([table[name] for name in helix.PARAMETERS], axis=1)
     start = np.hypot(*(pivot[:, i] + table["dr"] * f(table["phi0"]) for i, f in enumerate((np.cos, np.sin))))
     out = _core.extrapolate(
         compiled(detector, screening=screening, loss=loss), pivot=pivot, helix=parameters,
-        cov=table["cov"].reshape(-1, 25), mass=mass, radius=float(radius),
+        cov=table["cov"].reshape(-1, 25), mass=_masses(table, particle), radius=float(radius),
         share=_shares_inside(detector, start), target_share=float(_shares_inside(detector, np.array([radius]))[0]),
     )  # fmt: skip
     n = len(table)
@@ -184,10 +161,29 @@ def extrapolate(
     return Table("states", columns | _at(out), table.n_events, table.first_event, table.meta)
 
 
+def _start_problems(table: Table, radius: object, particle: str | None, screening: str, loss: str) -> list[str]:
+    """Return what is wrong with the arguments of `extrapolate`."""
+    problems = []
+    fits = table.kind in ("states", "tracks")
+    if not fits:
+        problems.append(f"table: of kind {table.kind!r}, expected 'states' or 'tracks'")
+    if not _is_radius(radius):
+        problems.append(f"radius: {radius!r}, expected a positive number, mm")
+    if particle is not None and particle not in HYPOTHESES:
+        problems.append(f"particle: {particle!r}, expected one of {', '.join(map(repr, HYPOTHESES))}")
+    if particle is None and fits and np.isnan(_masses(table, None)[np.isfinite(table["cov"][:, 0, 0])]).any():
+        problems.append("particle: none given, and the table's hypothesis is none of e, mu, pi, K, p")
+    if loss not in _core.CoreLoss.__members__:
+        problems.append(f"loss: {loss!r}, expected one of {', '.join(_core.CoreLoss.__members__)}")
+    if screening not in SCREENINGS:
+        problems.append(f"screening: {screening!r}, expected one of {', '.join(map(repr, SCREENINGS))}")
+    return problems
+
+
 def _masses(table: Table, particle: str | None) -> Floats:
     """Return the mass of each row, GeV/c2; NaN where it is not known."""
     if particle is not None:
-        return np.full(len(table), HYPOTHESES[particle].mass if particle in HYPOTHESES else 0.0)
+        return np.full(len(table), HYPOTHESES[particle].mass)
     numbers, place = np.unique(table["hypothesis"], return_inverse=True)
     return np.array([_MASSES.get(int(number), np.nan) for number in numbers])[place]
 
@@ -201,6 +197,17 @@ def _at(out: dict[str, npt.NDArray[Any]]) -> dict[str, Any]:
         "px": px, "py": py, "pz": pz, "pivot_x": pivot[:, 0], "pivot_y": pivot[:, 1], "pivot_z": pivot[:, 2],
         "dr": dr, "phi0": phi0, "kappa": kappa, "dz": dz, "tanl": tanl, "cov": out["cov"],
     }  # fmt: skip
+
+
+def _hit_columns(hits: FitHits, hit: npt.NDArray[Any]) -> Columns:
+    """Columns view, layer and hit of states at hits, by their place in `hits`; -1 for those that are at none."""
+    at_hit = hit >= 0
+    found: Columns = {}
+    for name, kind, values in (("view", "i1", hits.kind), ("layer", "i4", hits.layer), ("hit", "i8", hits.row)):
+        column = np.full(len(hit), -1, kind)
+        column[at_hit] = values[hit[at_hit]]
+        found[name] = column
+    return found
 
 
 def _targets(detector: Detector, places: tuple[float | str, ...]) -> dict[str, npt.NDArray[Any]]:

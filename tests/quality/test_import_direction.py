@@ -30,7 +30,7 @@ PYTHON_LAYERS = [
     {"isa"},
     {"tables", "values"},
     {"detector", "helix", "particles", "candidates"},
-    {"gun", "states"},
+    {"gun", "states", "tracks"},
     {"simulate", "digitize", "cluster", "find", "fit"},
     {"result"},
     {"chain"},
