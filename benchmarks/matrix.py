@@ -6,16 +6,14 @@ core: the arithmetic that the machine is capable of. Writes `matrix.csv`.
 
 from __future__ import annotations
 
-import csv
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 from cgemit.bench import machine, measure
 from cgemit.isa import available
+from rows import write_rows
 
-HERE = Path(__file__).resolve().parent
 THREADS = (1, 2)
 RUNS = 9
 PRODUCT = """
@@ -49,10 +47,7 @@ def main() -> None:
         for threads in THREADS:
             cost = measure(threads=threads, isa=isa, repeat=RUNS)
             rows.append({**cost.to_dict(), "limit_gflops": round(limit, 2)})
-    with (HERE / "matrix.csv").open("w", newline="") as file:
-        writer = csv.DictWriter(file, rows[0].keys())
-        writer.writeheader()
-        writer.writerows(rows)
+    write_rows("matrix.csv", rows)
     print(f"{machine()}; one core multiplies matrices with {limit:.1f} operations per ns")
     for row in rows:
         print("  ".join(f"{name} {value}" for name, value in row.items()))

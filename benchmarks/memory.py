@@ -6,18 +6,16 @@ tables that it returns. Chunks are joined at the end, so that the tables exist t
 
 from __future__ import annotations
 
-import csv
 import resource
 import subprocess
 import sys
-from pathlib import Path
 
 from cgemit.bench import DETECTOR, GUN, SEED
 from cgemit.chain import run
 from cgemit.fit import FitSettings
 from cgemit.result import Settings
+from rows import write_rows
 
-HERE = Path(__file__).resolve().parent
 COUNTS = (10_000, 40_000)
 CASES = {"tables of all stages": False, "and residuals of all hits": True}
 
@@ -47,10 +45,7 @@ def main() -> int:
         rows.append(
             {"case": case, "tables_bytes": round((larger - tables) / more), "peak_bytes": round((higher - peak) / more)}
         )
-    with (HERE / "memory.csv").open("w", newline="") as file:
-        writer = csv.DictWriter(file, rows[0].keys())
-        writer.writeheader()
-        writer.writerows(rows)
+    write_rows("memory.csv", rows)
     for row in rows:
         print("{case}: {tables_bytes:,} bytes of tables per muon, {peak_bytes:,} at the peak".format(**row))
     return 0

@@ -8,7 +8,6 @@ two calls when the other is subtracted. Valgrind does not know AVX-512: there th
 
 from __future__ import annotations
 
-import csv
 import os
 import re
 import shutil
@@ -22,8 +21,8 @@ from pathlib import Path
 from cgemit.bench import DETECTOR, GUN, stage_calls
 from cgemit.detector import load
 from cgemit.isa import available
+from rows import write_rows
 
-HERE = Path(__file__).resolve().parent
 TRACKS = 128  # whole packs of any width
 KERNELS = ("simulate_kernel", "fit_kernel", "fit_lr_kernel")
 UNKNOWN_TO_VALGRIND = ("v4",)
@@ -129,10 +128,7 @@ def main() -> int:
                 counts = profiles[stage, isa].copy()
                 counts.subtract(profiles["", isa])
                 rows.append({"kernel": stage, "isa": isa, **{k: round(v) for k, v in per_track(counts).items()}})
-    with (HERE / "operations.csv").open("w", newline="") as file:
-        writer = csv.DictWriter(file, rows[0].keys())
-        writer.writeheader()
-        writer.writerows(rows)
+    write_rows("operations.csv", rows)
     print(f"| {' | '.join(rows[0])} |\n|{'---|' * len(rows[0])}")
     for row in rows:
         print(f"| {' | '.join(f'{v:,}' if isinstance(v, int) else v for v in row.values())} |")

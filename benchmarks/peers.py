@@ -26,8 +26,8 @@ from cgemit.detector.slabs import slabs
 from cgemit.gun import Gun
 from cgemit.isa import available
 from cgemit.study import measure
+from rows import write_rows
 
-HERE = Path(__file__).resolve().parent
 EVENTS, MUONS, RUNS = 20, 100, 3  # of ACTS: muons an event, and how often
 CASES = {"1 GeV/c, cos(theta) within 0.8": (1.0, 0.8), "0.3 GeV/c, cos(theta) within 0.8": (0.3, 0.8)}
 SIGMA_RPHI, SIGMA_Z = 0.139, 0.240  # mm, of the CGEM layers; the wires' error is that of the detector
@@ -268,10 +268,7 @@ def main() -> int:
         folder = Path(name)
         built = geometry(cylinders(detector), folder)
         rows = [row for case in CASES for row in compare(detector, built, folder, case)]
-    with (HERE / "peers.csv").open("w", newline="") as file:
-        writer = csv.DictWriter(file, rows[0].keys())
-        writer.writeheader()
-        writer.writerows(rows)
+    write_rows("peers.csv", rows)
     print(f"{machine()}; ACTS {'.'.join(map(str, acts.__version__))}\n")
     print("| muons | what | ACTS us | cgemit | us | ratio |\n|---|---|---|---|---|---|")
     for row in rows:

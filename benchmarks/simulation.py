@@ -7,10 +7,8 @@ prints the table of docs/performance.md.
 
 from __future__ import annotations
 
-import csv
 import sys
 import time
-from pathlib import Path
 
 import numpy as np
 
@@ -18,8 +16,8 @@ from cgemit.bench import DETECTOR, GUN, SEED, machine
 from cgemit.detector import load
 from cgemit.gun import generate
 from cgemit.simulate import SimulateSettings, simulate
+from rows import write_rows
 
-HERE = Path(__file__).resolve().parent
 EVENTS = 4000
 RUNS = 15
 CASES = {
@@ -60,10 +58,7 @@ def main() -> int:
     unit = product_us()
     rows = [{"case": name, "us": round(cost := cost_us(settings), 2), "products": round(cost / unit, 2)}
             for name, settings in CASES.items()]  # fmt: skip
-    with (HERE / "simulation.csv").open("w", newline="") as file:
-        writer = csv.DictWriter(file, rows[0].keys())
-        writer.writeheader()
-        writer.writerows(rows)
+    write_rows("simulation.csv", rows)
     print(f"{machine()}; one product {unit:.1f} us\n")
     print("| simulated | us per muon | in products of matrices |\n|---|---|---|")
     for row in rows:
