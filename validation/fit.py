@@ -7,9 +7,7 @@ renews docs/validation.md. With -o everything goes to another folder.
 
 from __future__ import annotations
 
-import argparse
 import sys
-import time
 from pathlib import Path
 
 import matplotlib as mpl
@@ -17,14 +15,9 @@ import matplotlib as mpl
 from fit_pictures import draw_choices, draw_pulls, draw_residuals
 from fit_results import DETECTORS, Chi2, Pull, Width, failures, read_fit_results
 from fit_samples import grid, measure_losses, measure_point, measure_sides
-from results import FOLDER, IMAGES, PAGE, versions, write_rows
+from program import options, places, save_pictures, say, verdict
+from results import versions, write_rows
 from whole_page import whole_page
-
-_START = time.perf_counter()
-
-
-def _say(text: str) -> None:
-    print(f"{time.perf_counter() - _START:5.0f} s  {text}", file=sys.stderr)
 
 
 def _measure_grid(folder: Path, tracks: int, others: int, threads: int | None, about: dict[str, str]) -> None:
@@ -42,7 +35,7 @@ def _measure_grid(folder: Path, tracks: int, others: int, threads: int | None, a
         residuals += found[2] if point.detector == DETECTORS[0] else []
         widths += found[3]
         off = sum(not row.agrees for row in (*found[0], found[1], *found[2], *found[3]))
-        _say(f"{point.label()}: {n} tracks" + (f", {off} numbers off" if off else ""))
+        say(f"{point.label()}: {n} tracks" + (f", {off} numbers off" if off else ""))
     write_rows(folder / "fit_pulls.csv", pulls, about, ("agrees",))
     write_rows(folder / "fit_chi2.csv", chi2, about, ("agrees",))
     write_rows(folder / "fit_residuals.csv", residuals, about, ("agrees",))
@@ -53,17 +46,16 @@ def _measure_choices(folder: Path, n: int, threads: int | None) -> None:
     """Compare choices of the loss, and sides that are found with those that are known."""
     about = {"versions": versions(), "events": f"{n:,} mu- a momentum, cos(theta) uniform in ±0.93"}
     write_rows(folder / "fit_losses.csv", measure_losses(n, threads), about)
-    _say("losses")
+    say("losses")
     sides, known = measure_sides(n, threads)
     write_rows(folder / "fit_sides.csv", sides, about)
     write_rows(folder / "fit_known.csv", known, about)
-    _say("sides")
+    say("sides")
 
 
 def main() -> int:
     """Simulate, fit, write, draw; 1 if a number that has to agree does not."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("-o", "--output", type=Path, help="folder for everything (default: each its place)")
+    parser = options(__doc__)
     parser.add_argument("--tracks", type=int, default=50_000, help="tracks a point, all Gaussian (default 50000)")
     parser.add_argument("--others", type=int, default=10_000, help="tracks of every other point (default 10000)")
     parser.add_argument("--choices", type=int, default=20_000, help="tracks for losses and sides (default 20000)")
@@ -71,8 +63,7 @@ def main() -> int:
     parser.add_argument("--quick", action="store_true", help="2000 tracks of everything")
     parser.add_argument("--page", action="store_true", help="write page and pictures from the results there are")
     given = parser.parse_args()
-    folder, images = given.output or FOLDER, given.output or IMAGES
-    images.mkdir(parents=True, exist_ok=True)
+    folder, images, page = places(given.output)
     tracks, others, choices = (2000,) * 3 if given.quick else (given.tracks, given.others, given.choices)
     if not given.page:
         _measure_choices(folder, choices, given.threads)
@@ -80,14 +71,13 @@ def main() -> int:
         _measure_grid(folder, tracks, others, given.threads, {"versions": versions(), "events": events})
     results = read_fit_results(folder)
     mpl.use("agg")
-    pictures = {"pulls": draw_pulls(results), "residuals": draw_residuals(results), "choices": draw_choices(results)}
-    for name, picture in pictures.items():
-        picture.save(images / f"validation-fit-{name}.png", overwrite=True)
-    page = given.output / PAGE.name if given.output else PAGE
+    pictures = {
+        "fit-pulls": draw_pulls(results), "fit-residuals": draw_residuals(results),
+        "fit-choices": draw_choices(results),
+    }  # fmt: skip
+    save_pictures(images, pictures)
     page.write_text(whole_page(fit=results), encoding="utf-8")
-    wrong = failures(results)
-    print("\n".join(wrong), end="\n" if wrong else "", file=sys.stderr)
-    return 1 if wrong else 0
+    return verdict(failures(results))
 
 
 if __name__ == "__main__":
