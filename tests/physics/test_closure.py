@@ -7,7 +7,6 @@ from functools import cache
 
 import numpy as np
 import pytest
-from scipy.stats import chi2, kstest
 
 from cgemit.chain import run
 from cgemit.detector import Detector, load
@@ -15,16 +14,12 @@ from cgemit.digitize import DigitizeSettings
 from cgemit.fit import PARAMETERS
 from cgemit.gun import Gun
 from cgemit.result import Result, Settings
-from cgemit.simulate import SimulateSettings
 from cgemit.study import measure, pulls
+from exact import EXACT, assert_no_bias, assert_probability_is_flat, assert_pulls_are_standard_normal
 from stats import assert_within
 
 N = 10_000
 HIDDEN = DigitizeSettings(readout="gaussian")
-EXACT = Settings(
-    simulate=SimulateSettings(fluctuations="gaussian"),
-    digitize=DigitizeSettings(readout="gaussian", reveal_sides=True),
-)
 
 
 def with_field(name: str, bz: float) -> Detector:
@@ -49,19 +44,13 @@ POINTS += [("mu-", 0.5, -1.0, 0.5), ("mu-", 1.0, -1.0, -0.8), ("pi+", 0.5, -1.0,
 @pytest.mark.parametrize(("particle", "p", "bz", "cos_theta"), POINTS)
 def test_pulls_are_standard_normal(particle: str, p: float, bz: float, cos_theta: float) -> None:
     """Pulls of the five parameters have mean 0 and width 1, and every track is fitted."""
-    result = exact_sample(particle, p, bz, cos_theta)
-    assert result.removed() == {}
-    for name in PARAMETERS:
-        pull = result.tracks[f"pull_{name}"]
-        assert_within(pull.mean(), 0, 1 / np.sqrt(N), what=f"mean pull of {name}")
-        assert_within(pull.std(), 1, 1 / np.sqrt(2 * N), what=f"width of the pull of {name}")
+    assert_pulls_are_standard_normal(exact_sample(particle, p, bz, cos_theta).tracks)
 
 
 @pytest.mark.parametrize(("particle", "p", "bz", "cos_theta"), POINTS)
 def test_chi_square_probability_is_flat(particle: str, p: float, bz: float, cos_theta: float) -> None:
     """The probability of chi-square is uniform (Kolmogorov-Smirnov, 1 in 16 000)."""
-    tracks = exact_sample(particle, p, bz, cos_theta).tracks
-    assert kstest(chi2.sf(tracks["chi2"], tracks["ndf"]), "uniform").pvalue > 1 / 16_000
+    assert_probability_is_flat(exact_sample(particle, p, bz, cos_theta).tracks)
 
 
 def test_pull_gate_sees_a_wrong_field() -> None:
@@ -75,7 +64,7 @@ def test_pull_gate_sees_a_wrong_field() -> None:
         fit_detector=with_field("besiii-cgem-design", -1.001),
     )
     with pytest.raises(AssertionError, match="standard errors"):
-        assert_within(result.tracks["pull_kappa"].mean(), 0, 1 / np.sqrt(N), what="mean pull of kappa")
+        assert_no_bias(result.tracks["pull_kappa"], "kappa")
 
 
 def test_pull_gate_sees_missing_material() -> None:

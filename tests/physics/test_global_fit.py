@@ -12,15 +12,12 @@ import cgemit as cg
 from cgemit import _core, find
 from cgemit.candidates import fit_hits
 from cgemit.detector import compiled
-from cgemit.digitize import DigitizeSettings
 from cgemit.fit import PARAMETERS, FitSettings
-from cgemit.simulate import SimulateSettings
+from exact import EXACT
 from tracks import order_of_matter
 
-SETTINGS = cg.Settings(
-    simulate=SimulateSettings(fluctuations="gaussian"),
-    digitize=DigitizeSettings(readout="gaussian", reveal_sides=True),
-    fit=FitSettings(residuals=True, tolerance=1e-7, max_iterations=50, outlier_pull=0),
+SETTINGS = dataclasses.replace(
+    EXACT, fit=FitSettings(residuals=True, tolerance=1e-7, max_iterations=50, outlier_pull=0)
 )
 GUN = cg.Gun("pi+", p=[0.2, 0.4, 1.0, 2.5], cos_theta=(-0.8, 0.8), vertex_sigma=(1.0, 1.0, 5.0))
 PRESETS = ("besiii-cgem-design", "besiii-idc")

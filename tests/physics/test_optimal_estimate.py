@@ -9,11 +9,9 @@ import optimal
 from cgemit import _core
 from cgemit.chain import run
 from cgemit.detector import compiled, load, slabs
-from cgemit.digitize import DigitizeSettings
 from cgemit.fit import FitSettings
 from cgemit.gun import Gun
-from cgemit.result import Settings
-from cgemit.simulate import SimulateSettings
+from exact import EXACT
 from fit_results import Point
 from fit_samples import measure_point
 from optimal import Hit, errors, optimum
@@ -115,11 +113,7 @@ def test_found_widths_are_optimal(p: float, cos_theta: float) -> None:
 def test_gate_sees_wires_that_are_worse_than_believed() -> None:
     """The optimum for wires of 160 um is far from the widths found with 130 um."""
     detector = load("besiii-cgem-design")
-    settings = Settings(
-        simulate=SimulateSettings(fluctuations="gaussian"),
-        digitize=DigitizeSettings(readout="gaussian", reveal_sides=True),
-    )
-    tracks = run(detector, Gun("mu-", p=1.0, cos_theta=0.0), 2000, seed=3, settings=settings).tracks
+    tracks = run(detector, Gun("mu-", p=1.0, cos_theta=0.0), 2000, seed=3, settings=EXACT).tracks
     _, helix, _, hits = track("besiii-cgem-design", 1.0, 0.0)
     wrong = [Hit(hit.kind, hit.layer, hit.element, 0.16 if hit.kind == optimal.WIRE else hit.sigma) for hit in hits]
     expected = errors(helix, optimum(detector, wrong, helix, MUON, CUTS).cov)["p"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from functools import cache
 
 import numpy as np
@@ -12,14 +13,13 @@ from cgemit import find, helix
 from cgemit.candidates import HIT_WIRE, Candidates
 from cgemit.chain import run
 from cgemit.detector import Detector, field_at, load
-from cgemit.digitize import DigitizeSettings, digitize
+from cgemit.digitize import digitize
 from cgemit.fit import PARAMETERS, FitSettings, FitStatus, fit
 from cgemit.gun import Gun, generate
-from cgemit.result import Settings
-from cgemit.simulate import SimulateSettings, simulate
+from cgemit.simulate import simulate
 from cgemit.states import StateStatus, Surface
 from cgemit.tables import Table
-from stats import assert_within
+from exact import EXACT, assert_standard_normal
 
 Floats = npt.NDArray[np.float64]
 N = 4000
@@ -45,9 +45,8 @@ def sample(
     """Simulate tracks in the mode in which everything is Gaussian; fit them without the outer wires."""
     detector = FIELDS[field]
     particles = generate(Gun(particle, p=p, cos_theta=(-0.5, 0.5)), N, seed=21)
-    tables = simulate(detector, particles, SimulateSettings(fluctuations="gaussian"), seed=21)
-    readout = DigitizeSettings(readout="gaussian", reveal_sides=True)
-    tables |= digitize(detector, tables["truths"], tables["wire_truths"], readout, 21, steps=tables["steps"])
+    tables = simulate(detector, particles, EXACT.simulate, seed=21)
+    tables |= digitize(detector, tables["truths"], tables["wire_truths"], EXACT.digitize, 21, steps=tables["steps"])
     names = ("particles", "clusters", "wire_hits", "truths", "wire_truths")
     found = find.by_truth(detector, *(tables[name] for name in names))
     layer = tables["wire_hits"]["layer"][np.where(found.kind == HIT_WIRE, found.row, 0)]
@@ -87,12 +86,6 @@ def all_pulls(states: Table, points: Floats, momenta: Floats, charge: Floats, fi
     difference = moved - true
     difference[:, 1] = np.remainder(difference[:, 1] + np.pi, 2 * np.pi) - np.pi
     return np.asarray(difference / np.sqrt(np.diagonal(cov, axis1=1, axis2=2)))
-
-
-def assert_standard_normal(pull: Floats, what: str) -> None:
-    """Fail unless mean and width are those of a standard normal sample."""
-    assert_within(pull.mean(), 0, 1 / np.sqrt(len(pull)), what=f"mean pull of {what}")
-    assert_within(pull.std(), 1, 1 / np.sqrt(2 * len(pull)), what=f"width of the pull of {what}")
 
 
 def columns(table: Table, names: tuple[str, ...], rows: npt.NDArray[np.intp]) -> Floats:
@@ -202,11 +195,7 @@ def test_gate_sees_a_wrong_field(believed: str) -> None:
 @cache
 def hypotheses() -> Table:
     """Fit kaons of 0.3 GeV/c with three masses."""
-    settings = Settings(
-        simulate=SimulateSettings(fluctuations="gaussian"),
-        digitize=DigitizeSettings(readout="gaussian", reveal_sides=True),
-        fit=FitSettings(hypothesis=("pi", "K", "p")),
-    )
+    settings = dataclasses.replace(EXACT, fit=FitSettings(hypothesis=("pi", "K", "p")))
     return run(DETECTOR, Gun("K+", p=0.3, cos_theta=(-0.5, 0.5)), N, seed=22, settings=settings).tracks
 
 

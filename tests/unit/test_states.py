@@ -9,13 +9,12 @@ import pytest
 from cgemit import chain, helix
 from cgemit.cli.main import main
 from cgemit.detector import compiled, load, slabs
-from cgemit.digitize import DigitizeSettings
 from cgemit.fit import PARAMETERS, FitSettings, FitStatus
 from cgemit.gun import Gun
 from cgemit.result import Settings
-from cgemit.simulate import SimulateSettings
 from cgemit.states import StateStatus, Surface, extrapolate
 from cgemit.tables import Table
+from exact import EXACT
 from tracks import on_helix, transport
 
 DETECTOR = load("besiii-cgem-design")
@@ -26,11 +25,7 @@ PLACES = ("origin", "beam_line", 10.0, "beam_pipe", 50.0, 250.0, 500.0, "hits", 
 
 def states_of(places, gun=None, n=40, **changes):
     """Return the result of a run in which everything is Gaussian, and its states."""
-    settings = Settings(
-        simulate=SimulateSettings(fluctuations="gaussian"),
-        digitize=DigitizeSettings(readout="gaussian", reveal_sides=True),
-        fit=FitSettings(states=places, residuals=True, **changes),
-    )
+    settings = dataclasses.replace(EXACT, fit=FitSettings(states=places, residuals=True, **changes))
     gun = gun or Gun("mu-", p=(0.3, 1.0), cos_theta=(-0.6, 0.6), vertex_sigma=(1.0, 1.0, 5.0))
     result = chain.run(DETECTOR, gun, n, seed=5, settings=settings)
     return result, result.states
