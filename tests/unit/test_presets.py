@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 
 from cgemit.detector import detectors, load
-from cgemit.detector.slabs import cgem_table, slabs
+from cgemit.detector.readout import cgem_table
+from cgemit.detector.slabs import slabs
 
 DATA = Path(__file__).parent.parent / "data"
 NAMES = ("besiii-cgem", "besiii-cgem-design", "besiii-idc", "besiii-idc-boss")

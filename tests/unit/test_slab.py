@@ -12,8 +12,8 @@ import cgemit as cg
 from cgemit.cli.main import main
 from cgemit.detector.build import library
 from cgemit.detector.mixtures import material_named
-from cgemit.detector.stack import parse_stack
 from cgemit.matter import SlabError
+from cgemit.matter.sheets import parse_stack
 from cgemit.matter.widths import angle_estimates, loss_estimates
 from stats import assert_within
 

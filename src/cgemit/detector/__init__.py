@@ -1,6 +1,7 @@
 """Detector descriptions: presets, files, variants, and the form in which the compiled core sees them."""
 
 from cgemit.detector.build import load
+from cgemit.detector.compile import SCREENINGS, compiled, slab_table
 from cgemit.detector.describe import describe
 from cgemit.detector.field import Field, HarmonicField, MapField, SolenoidField
 from cgemit.detector.field_core import field_at
@@ -13,7 +14,7 @@ from cgemit.detector.model import Detector
 from cgemit.detector.parts import CgemLayer, Cylinder, DriftChamber, Shell, SubLayer, WireLayer
 from cgemit.detector.problems import DetectorError, Problem
 from cgemit.detector.schema import schema
-from cgemit.detector.slabs import SCREENINGS, Slab, compiled, slab_table, slabs
+from cgemit.detector.slabs import Slab, slabs
 
 __all__ = [
     "SCREENINGS",

@@ -1,28 +1,21 @@
-"""The detector as the core sees it: slabs of matter from the beam line outward, read-out layers, wire layers."""
+"""The matter of a detector as slabs that scatter, from the beam line outward."""
 
 import dataclasses
 import math
 from collections.abc import Iterable, Sequence
-from functools import lru_cache
 from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cgemit import _core
 from cgemit.detector.check import TOUCH
-from cgemit.detector.field_core import compiled_field
-from cgemit.detector.gaps import gap_table
-from cgemit.detector.lattice import Holes, hole_table, perforated
-from cgemit.detector.material import Element, Material
+from cgemit.detector.lattice import Holes, perforated
+from cgemit.detector.material import Material
 from cgemit.detector.model import Detector
 from cgemit.detector.parts import Cylinder, DriftChamber, Shell
-from cgemit.detector.readout import Columns, cgem_table, wire_table
 
-#: Screening of nuclei by their electrons in multiple scattering (docs/methods/matter.md); the first is the default.
-SCREENINGS = ("wentzel", "moliere")
-_ENDLESS = 1e9  # mm, half length of air
+ENDLESS = 1e9  # mm, half length of air
 _LUMP = 70.0  # mm of chamber gas that act as one scatterer: about four wire layers
 
 
@@ -129,7 +122,7 @@ def _fillers(detector: Detector, solid: Sequence[Slab], merge: bool) -> list[Sla
     found = []
     for inner, outer in pairwise(inside):
         if outer.r_in - inner.r_out > TOUCH:
-            found.append(Slab((Shell("air", "air", inner.r_out, outer.r_in, _ENDLESS, detector.air),)))
+            found.append(Slab((Shell("air", "air", inner.r_out, outer.r_in, ENDLESS, detector.air),)))
     gas = _chamber_gas(chamber, solid, inside) if chamber else []
     return found + (_lumps(gas) if merge else gas)
 
@@ -190,112 +183,4 @@ def _wires(chamber: DriftChamber, gas: Shell, x0: float) -> list[Shell]:
 def _spread(metal: Material, filling: float) -> Material:
     return dataclasses.replace(
         metal, name=f"{metal.name} wires", density=metal.density * filling, x0=metal.x0 / filling
-    )
-
-
-class SlabTable(NamedTuple):
-    """Slabs as the core takes them."""
-
-    slabs: Columns
-    log_terms: NDArray[np.float64]
-    composition: Columns
-
-
-def slab_table(found: Sequence[Slab]) -> SlabTable:
-    """Return slabs as columns.
-
-    Parameters
-    ----------
-    found : sequence of Slab
-
-    Returns
-    -------
-    slabs : dict of ndarray
-        r_in, r_out, radius, spread, half_length (n,) float64 mm; x0 (n,) float64; xi (n,) float64 GeV;
-        gap (n,) int32; ends (n,) uint8.
-    log_terms : (n, LOSS_POINTS) float64
-        -2 ln(I/GeV) - delta - 2 C/Z against ln(beta gamma) on the core's grid.
-    composition : dict of ndarray
-        z, a (g/mol), moles (mol/cm2 at normal incidence) (m,) float64; slab i has the rows first[i] to first[i + 1],
-        first (n + 1,) int32.
-
-    """
-    columns: Columns = {"half_length": np.array([max(shell.half_length for shell in s.shells) for s in found])}
-    for name in ("r_in", "r_out", "radius", "spread", "x0", "xi"):
-        columns[name] = np.array([getattr(slab, name) for slab in found], dtype=np.float64)
-    columns["gap"] = np.array([slab.gap for slab in found], dtype=np.int32)
-    columns["ends"] = np.array([slab.ends for slab in found], dtype=np.uint8)
-    grid = _core.LOSS_GRID_FIRST + _core.LOSS_GRID_STEP * np.arange(_core.LOSS_POINTS, dtype=np.float64)
-    terms = np.array([slab.log_term(grid) for slab in found]).reshape(-1, _core.LOSS_POINTS)
-    return SlabTable(columns, terms, _composition(found))
-
-
-def _composition(found: Sequence[Slab]) -> Columns:
-    rows: list[tuple[float, float, float]] = []
-    first = [0]
-    for slab in found:
-        moles: dict[Element, float] = {}
-        for shell in slab.shells:
-            for element, per_gram in shell.material.elements():
-                part = per_gram * shell.material.density * 0.1 * shell.thickness
-                moles[element] = moles.get(element, 0.0) + part
-        rows += [(element.z, element.a, amount) for element, amount in moles.items()]
-        first.append(len(rows))
-    z, a, amounts = np.array(rows, dtype=np.float64).reshape(-1, 3).T
-    return {"first": np.array(first, dtype=np.int32), "z": z.copy(), "a": a.copy(), "moles": amounts.copy()}
-
-
-@lru_cache(maxsize=64)
-def compiled(
-    detector: Detector, merge: bool = True, screening: str = "wentzel", foil: str = "effective", loss: str = "truncated"
-) -> _core.Detector:
-    """Return the detector of the compiled core; equal descriptions share one.
-
-    Parameters
-    ----------
-    detector : Detector
-        The description.
-    merge, foil
-        See `slabs`.
-    screening : str
-        Screening of nuclei in multiple scattering, ``"wentzel"`` or ``"moliere"`` (docs/methods/matter.md).
-    loss : str
-        Energy loss that the fit subtracts (``FitSettings.loss``).
-    """
-    found = slabs(detector, merge, foil)
-    groups = [slab.shells[0].group for slab in found]
-    return _core.Detector(
-        bz=detector.field.bz,
-        **slab_table(found)._asdict(),
-        cgem=cgem_table(detector.cgem),
-        wires=wire_table(detector.drift_chamber),
-        screening=getattr(_core.Screening, screening),
-        lattice=hole_table([slab.holes for slab in found], groups, merge) if foil == "lattice" else {},
-        gaps=gap_table(detector),
-        loss=getattr(_core.CoreLoss, loss),
-        field=compiled_field(detector),
-    )
-
-
-def compiled_stack(parts: Sequence[tuple[Material, float]], screening: str = "wentzel") -> _core.Detector:
-    """Return plane sheets of matter, one behind the other, as a compiled detector without read-out.
-
-    Parameters
-    ----------
-    parts : sequence of (Material, float)
-        Material and thickness in mm.
-    screening : str
-
-    """
-    position, found = 1.0, []
-    for material, thickness in parts:
-        shell = Shell("stack", material.name, position, position + thickness, _ENDLESS, material)
-        found.append(Slab((shell,)))
-        position += thickness
-    return _core.Detector(
-        bz=0.0,
-        **slab_table(found)._asdict(),
-        cgem=cgem_table(()),
-        wires=wire_table(None),
-        screening=getattr(_core.Screening, screening),
     )

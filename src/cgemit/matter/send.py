@@ -9,11 +9,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from cgemit import _core
+from cgemit.detector.compile import SCREENINGS, compiled_stack
 from cgemit.detector.material import Material
 from cgemit.detector.problems import Problem
-from cgemit.detector.slabs import SCREENINGS, compiled_stack
-from cgemit.detector.stack import Sheet, parse_stack
 from cgemit.matter.passage import LayerNumbers, Passage
+from cgemit.matter.sheets import Sheet, parse_stack
 from cgemit.matter.widths import ANGLES, LOSSES, angle_estimates, loss_estimates
 from cgemit.particles import FASTEST, Species, species
 from cgemit.problems import ProblemsError
