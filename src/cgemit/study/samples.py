@@ -23,7 +23,19 @@ ShowProgress = Callable[[float, str], None]
 
 
 @dataclass(frozen=True)
-class Sample:
+class Order:
+    """A sample that is to be run."""
+
+    label: str
+    detector: Detector
+    gun: Gun
+    n_events: int
+    seed: int
+    settings: Settings
+
+
+@dataclass(frozen=True)
+class Sample(Order):
     """One run: what was shot at which detector and what came out of it.
 
     Attributes
@@ -44,30 +56,12 @@ class Sample:
         As of the result.
     """
 
-    label: str
-    detector: Detector
-    gun: Gun
-    n_events: int
-    seed: int
-    settings: Settings
     tracks: Table
     clusters: ClusterResiduals
     deltas: DeltaFractions
     removed: Mapping[str, int]
     transport: Mapping[str, int]
     timings: Mapping[str, float]
-
-
-@dataclass(frozen=True)
-class Order:
-    """A sample that is to be run."""
-
-    label: str
-    detector: Detector
-    gun: Gun
-    n_events: int
-    seed: int
-    settings: Settings
 
 
 def run_samples(
@@ -107,8 +101,8 @@ def _run(order: Order, threads: int | None, progress: Callable[[float], None] | 
         progress=progress,
     )  # fmt: skip
     return Sample(
-        order.label, order.detector, order.gun, order.n_events, order.seed, order.settings, result.tracks,
-        cluster_residuals(result), delta_fractions(result), result.removed(), result.transport(), result.timings,
+        **vars(order), tracks=result.tracks, clusters=cluster_residuals(result), deltas=delta_fractions(result),
+        removed=result.removed(), transport=result.transport(), timings=result.timings,
     )  # fmt: skip
 
 
