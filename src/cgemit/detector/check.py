@@ -6,7 +6,7 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 from cgemit.detector.field_core import extent
-from cgemit.detector.keys import Key, keys_of
+from cgemit.detector.keys import keys_of
 from cgemit.detector.problems import Problem
 from cgemit.units import NATIVE, format_quantity
 
@@ -18,11 +18,6 @@ if TYPE_CHECKING:
 TOUCH = 1e-6  # mm; parts closer than this touch
 _COIL = 1.25
 _THICK = 100.0  # mm; no single piece of solid matter in a tracker is thicker
-
-
-def in_range(value: float, key: Key) -> bool:
-    """Return whether a number is finite and in the sensible range of its key."""
-    return math.isfinite(value) and key.low <= value <= key.high
 
 
 def value_problems(detector: "Detector") -> list[Problem]:
@@ -62,7 +57,7 @@ def _part_problems(path: str, part: Any) -> list[Problem]:
     problems = []
     for name, key in keys_of(type(part)).items():
         value = getattr(part, name)
-        if isinstance(value, int | float) and not isinstance(value, bool) and not in_range(value, key):
+        if isinstance(value, int | float) and not isinstance(value, bool) and not key.admits(value):
             shown = format_quantity(value, key.kind) if key.kind in NATIVE else str(value)
             problems.append(Problem(f"{path}.{name}", shown, key.expected()))
         elif key.kind == "gas" and not value.gas:

@@ -1,6 +1,7 @@
 """What each key of a detector file may hold: stated once, on the dataclass field; reader, checks and schema use it."""
 
 import dataclasses
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,6 +22,10 @@ class Key:
     high: float = float("inf")
     choices: tuple[str, ...] = ()
     derived: bool = False
+
+    def admits(self, value: float) -> bool:
+        """Return whether a number is finite and in the sensible range."""
+        return math.isfinite(value) and self.low <= value <= self.high
 
     def expected(self) -> str:
         """Return the allowed values in words."""

@@ -5,7 +5,6 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from cgemit.detector.check import in_range
 from cgemit.detector.keys import Key, keys_of, required_of
 from cgemit.detector.material import DensityEffect, Material, elements, fractions_of_formula
 from cgemit.detector.parts import CgemLayer, SubLayer
@@ -118,7 +117,7 @@ class Reader:
             number = parse_quantity(raw, key.kind)
         except QuantityError as error:
             return self.note(path, error.given, error.expected, error.hint)
-        if not in_range(number, key):
+        if not key.admits(number):
             converted = isinstance(raw, str) and NATIVE[key.kind] not in raw
             native = f" = {number:.6g} {NATIVE[key.kind]}" if converted else ""
             return self.note(path, shown(raw) + native, key.expected())
@@ -128,7 +127,7 @@ class Reader:
         kinds: dict[str, type] = {"text": str, "boolean": bool, "integer": int, "sign": int}
         good = isinstance(raw, kinds[key.kind]) and (key.kind == "boolean") == isinstance(raw, bool)
         if good and isinstance(raw, int) and key.kind != "boolean":
-            good = raw in (-1, 1) if key.kind == "sign" else in_range(raw, key)
+            good = raw in (-1, 1) if key.kind == "sign" else key.admits(raw)
         if not good or (key.choices and raw not in key.choices):
             hint = did_you_mean(raw, key.choices) if isinstance(raw, str) and key.choices else ""
             return self.note(path, shown(raw), key.expected(), hint)
