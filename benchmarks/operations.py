@@ -1,4 +1,4 @@
-"""Instructions and floating-point operations per muon: ``python benchmarks/operations.py``, three minutes, with valgrind.
+"""Instructions and floating-point operations per muon: ``python benchmarks/operations.py``, three minutes (valgrind).
 
 Callgrind counts how often each instruction of the compiled core runs, the disassembly says what it is. Unlike times,
 the counts do not depend on what else the machine does. A run that calls a kernel twice more than another leaves the
