@@ -8,11 +8,9 @@ Smallest of several runs in processor time. Writes `design_muon.csv`.
 
 from __future__ import annotations
 
-import csv
 import sys
 import time
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -24,8 +22,8 @@ from cgemit.detector import compiled
 from cgemit.digitize import DigitizeSettings
 from cgemit.fit import core_arguments, smeared
 from cgemit.result import Result
+from rows import write_rows
 
-HERE = Path(__file__).resolve().parent
 GUN = Gun("mu-", p=1.0, cos_theta=(-0.7, 0.7))
 EVENTS = 2000
 RUNS = 60
@@ -79,10 +77,7 @@ def main() -> int:
         rows.append({"isa": code, "hits": round(hits, 2), "known_us": round(known, 2), "unknown_us": round(unknown, 2),
                      "ratio": round(unknown / known, 2)})  # fmt: skip
         print(rows[-1])
-    with (HERE / "design_muon.csv").open("w", newline="") as file:
-        writer = csv.DictWriter(file, rows[0].keys())
-        writer.writeheader()
-        writer.writerows(rows)
+    write_rows("design_muon.csv", rows)
     return 0
 
 
