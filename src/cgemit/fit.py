@@ -15,7 +15,7 @@ from cgemit.detector import SCREENINGS, Detector, compiled
 from cgemit.particles import HYPOTHESES
 from cgemit.states import place_problems, state_columns
 from cgemit.tables import Table
-from cgemit.tracks import has_cov, residual_columns, track_columns
+from cgemit.tracks import residual_columns, track_columns
 
 FitStatus = _core.FitStatus
 Floats = npt.NDArray[np.float64]
@@ -177,8 +177,8 @@ def fit(
     if settings.residuals:
         tables["residuals"] = Table("residuals", residual_columns(out, hits, particles), *span)
     if settings.states:
-        core, known = arguments["detector"], has_cov(out["status"])
-        columns = state_columns(detector, core, settings.states, particles, hits, out, known)
+        core, settled = arguments["detector"], out["status"] == FitStatus.ok
+        columns = state_columns(detector, core, settings.states, particles, hits, out, settled)
         tables["states"] = Table("states", columns, *span)
     return tables
 

@@ -49,7 +49,7 @@ def state_columns(
     particles: Table,
     hits: FitHits,
     fitted: dict[str, npt.NDArray[Any]],
-    has_cov: npt.NDArray[np.bool_],
+    settled: npt.NDArray[np.bool_],
 ) -> Columns:
     """Columns of the states table, for one row of `particles` a track.
 
@@ -68,8 +68,8 @@ def state_columns(
         Of the fit: `reference` (n, 5) float64, the helix about which its last iteration was linearised, with the
         azimuth of flight for phi0; `prior` (n, 25) float64, the covariance that its filter began with; `used` (hits,)
         uint8, whether it used a hit; `used_value`, `used_variance` (hits,) float64, mm and mm2, what it measured.
-    has_cov : ndarray, (n,) bool
-        Whether the fit came to a covariance.
+    settled : ndarray, (n,) bool
+        Whether the fit has settled: the last iteration of one that has not may have begun far from where it ended.
 
     Returns
     -------
@@ -85,7 +85,7 @@ def state_columns(
         reference=fitted["reference"],
         prior=fitted["prior"],
         mass=particles["mass"],
-        fitted=has_cov.astype(np.uint8),
+        fitted=settled.astype(np.uint8),
         targets=targets,
     )
     track, target = out["track"], out["target"]

@@ -198,6 +198,15 @@ def test_outside_the_last_hit_states_are_extrapolated(run):
     assert np.all(error(outside)[:, [0, 3]] > error(last)[:, [0, 3]])
 
 
+def test_tracks_that_have_not_settled_have_no_states():
+    """The last iteration of such a fit may have begun far from where it ended."""
+    settings = Settings(fit=FitSettings(states=("origin", "hits"), max_iterations=1))
+    result = chain.run("besiii-cgem-design", Gun("mu-", p=0.3, cos_theta=0.2), 5, seed=3, settings=settings)
+    assert np.all(result.tracks["status"] == FitStatus.not_converged)
+    assert np.all(result.states["status"] == StateStatus.not_fitted)
+    assert np.isnan(result.states["dr"]).all()
+
+
 def test_rows_without_a_state_say_why():
     """Tracks that were not fitted, turn before the radius, or start beyond it, keep their rows."""
     guns = Gun("mu-", p=1.0, cos_theta=0.0) + Gun("mu-", pt=0.09, cos_theta=0.0) + Gun("gamma", p=1.0, cos_theta=0.0)

@@ -30,7 +30,7 @@ enum class FitStatus : std::int8_t {
 // Whether a fitted track has a state where one is asked for.
 enum class StateStatus : std::int8_t {
   ok = 0,
-  not_fitted = 1,  // the track has no covariance
+  not_fitted = 1,  // the fit of the track has not settled
   // it never gets there: the cylinder lies inside its closest approach or beyond its turn
   does_not_reach = 2,
   stopped = 3,    // its momentum is used up before
