@@ -40,14 +40,14 @@ Largest deviations over parameters, angles, particles and charges:
 _OFF = """
 Beyond the tolerance{where}, with the mean residual over the root mean square of the errors (bias){expected}:
 """
-_EXPECTED = """, and the
-bias that second derivatives of the measurements by angles, losses and helix make (`validation/optimal.py`)"""
+_EXPECTED = """, and both
+as the optimal linear estimate must have them (`validation/optimal.py`, which knows nothing of the fit)"""
 
 _OFF_WHY = """
 Here the error of a track depends on what was found: a slow, inclined track meets the more matter the steeper it is, and
 the more curved it is the more it scatters. Tracks that are found too steep get larger errors, and the mean of the pull
-moves by a 30th although the mean residual does not. The bias itself is of second order in the angles, which the fit
-takes as linear.
+moves although that of the residual does not. Least squares with errors worked out at the estimate cannot have another
+mean. The bias is of second order in the angles, which the estimate takes as linear.
 """
 
 _SLOW = """
@@ -157,14 +157,15 @@ def _off_table(results: FitResults, slow: bool) -> str:
     for row in off:
         point = [row.detector, row.particle, f"{row.p:g}", f"{row.cos_theta:g}", row.parameter]
         numbers = [f"{row.width:.3f}", f"{row.mean:+.4f} ± {row.mean_error:.4f}", f"{row.bias:+.4f}"]
-        lines.append([*point, *numbers] if slow else [*point, *numbers, f"{row.expected:+.4f}"])
+        expected = [f"{row.expected_mean:+.4f}", f"{row.expected_bias:+.4f}"]
+        lines.append([*point, *numbers] if slow else [*point, *numbers, *expected])
     if not lines:
         return ""
     head = ["detector", "particle", "p, GeV/c", "cos(theta)", "parameter", "width", "mean", "bias"]
     if slow:
         return _OFF.format(where=" at 0.1 GeV/c", expected="") + table(head, lines) + _SLOW
     text = _OFF.format(where=" from 0.2 GeV/c on", expected=_EXPECTED)
-    return text + table([*head, "expected"], lines) + _OFF_WHY
+    return text + table([*head, "mean, optimal", "bias, optimal"], lines) + _OFF_WHY
 
 
 def _residual_text(results: FitResults) -> str:

@@ -40,8 +40,8 @@ class Pull(Point):
 
     `parameter` is one of the helix, or a layer of hits ("x0", "v2", "w17"). `tail` is what lies beyond that.
     `bias` is the mean residual over the root mean square of the errors: where the error changes with what is found, as
-    that of scattering does with tan(lambda), the mean of the pull is another number. `expected` is the bias that second
-    derivatives of the measurements make (0 where it was not worked out).
+    that of scattering does with tan(lambda), the mean of the pull is another number. Both are expected to be those of
+    the optimal linear estimate (0 where they were not worked out).
     """
 
     parameter: str
@@ -51,7 +51,8 @@ class Pull(Point):
     mean: float
     mean_error: float
     bias: float
-    expected: float
+    expected_bias: float
+    expected_mean: float
     tail: float
 
     @property

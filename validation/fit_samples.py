@@ -121,8 +121,9 @@ def _pull(point: Point, name: str, tracks: Columns, best: Sequence[tuple[Floats,
         tail = 1 - float(near.mean())
         numbers = (float(pull[near].std()), 1 / math.sqrt(2 * n), float(pull[near].mean()), 1 / math.sqrt(n))
     bias = float(residual[near].mean() / np.sqrt(np.mean(error[near] ** 2)))
-    expected = float(np.mean([one.bias[PARAMETERS.index(name)] for _, one in best])) if best else 0.0
-    more = {"bias": bias, "expected": expected, "tail": tail}
+    i = PARAMETERS.index(name)
+    expected = np.mean([(one.bias[i], one.pull[i]) for _, one in best], axis=0) if best else np.zeros(2)
+    more = {"bias": bias, "expected_bias": float(expected[0]), "expected_mean": float(expected[1]), "tail": tail}
     return Pull(**asdict(point), parameter=name, n=n, **_named(numbers), **more)
 
 
@@ -136,13 +137,12 @@ def _layers(point: Point, sums: _Sums) -> list[Pull]:
         mean = sums.first[name] / n
         width = math.sqrt(sums.second[name] / n - mean**2)
         numbers = (width, 1 / math.sqrt(2 * n), mean, 1 / math.sqrt(n))
-        rows.append(
-            Pull(**asdict(point), parameter=name, n=int(n), **_named(numbers), bias=mean, expected=0.0, tail=0.0)
-        )
+        more = {"bias": mean, "expected_bias": 0.0, "expected_mean": 0.0, "tail": 0.0}
+        rows.append(Pull(**asdict(point), parameter=name, n=int(n), **_named(numbers), **more))
     return rows
 
 
-def _optima(result: Result, some: int = 7) -> list[tuple[Floats, Optimum]]:
+def _optima(result: Result, some: int = 3) -> list[tuple[Floats, Optimum]]:
     """Return the true helices of some tracks and the optimum for their hits."""
     tables = (result.particles, result.clusters, result.wire_hits, result.truths, result.wire_truths)
     hits = fit_hits(find.by_truth(result.detector, *tables), result.clusters, result.wire_hits)
@@ -154,7 +154,7 @@ def _optima(result: Result, some: int = 7) -> list[tuple[Floats, Optimum]]:
         rows = range(hits.hit_offsets[track], hits.hit_offsets[track + 1])
         seen = [Hit(*(getattr(hits, name)[i].item() for name in columns)) for i in rows]
         mass = float(result.particles["mass"][track])
-        found.append((true[track], optimum(result.detector, seen, true[track], mass, cuts)))
+        found.append((true[track], optimum(result.detector, seen, true[track], mass, cuts, pulls=True)))
     return found
 
 

@@ -237,16 +237,36 @@ class Optimum:
     bias : ndarray, (5,) float64
         Its mean error, in its standard deviations, because what is measured is not linear: second derivatives by the
         noise move the measurements, those by the helix the estimate.
+    pull : ndarray, (5,) float64
+        Mean of its pulls where the error is worked out at the estimate, as it has to be: the bias, less the covariance
+        of the estimate and the logarithm of its error. NaN where it was not asked for.
     """
 
     cov: Floats
     bias: Floats
+    pull: Floats
+
+
+@dataclass(frozen=True)
+class _Linear:
+    """Covariance and gain of the estimate about a helix, half the second derivatives by the noise, and what is seen."""
+
+    cov: Floats
+    gain: Floats
+    by_kicks: Floats
+    centre: Floats
 
 
 def optimum(
-    detector: cg.Detector, hits: Sequence[Hit], helix: npt.ArrayLike, mass: float, cuts: tuple[float, float]
+    detector: cg.Detector,
+    hits: Sequence[Hit],
+    helix: npt.ArrayLike,
+    mass: float,
+    cuts: tuple[float, float],
+    *,
+    pulls: bool = False,
 ) -> Optimum:
-    """Return covariance and bias of the optimal linear estimate.
+    """Return covariance, bias and mean pulls of the optimal linear estimate.
 
     Parameters
     ----------
@@ -259,8 +279,29 @@ def optimum(
         GeV.
     cuts : (float, float)
         Collisions that count for mean and variance of the loss transfer less than these multiples of the track's xi.
+    pulls : bool
+        Whether the mean of the pulls is worked out, which takes ten times as long.
     """
     helix = np.asarray(helix, np.float64)
+    found = _linear(detector, hits, helix, mass, cuts)
+    sigma, axes = np.sqrt(np.diag(found.cov)), np.linalg.cholesky(found.cov)
+    # Second derivatives by the helix, summed over the principal axes of the estimate's error.
+    stack = _stack(detector, helix[4], cuts)
+    moved = _follow(detector, hits, _pairs(helix, _PART * axes), mass, {}, stack)
+    by_estimate = ((moved[:, 0::2] + moved[:, 1::2] - 2 * found.centre) / 2).sum(axis=1) / _PART**2
+    bias = found.gain @ (found.by_kicks - by_estimate) / sigma
+    if not pulls:
+        return Optimum(found.cov, bias, np.full(5, np.nan))
+    logs = [
+        np.log(np.diag(_linear(detector, hits, near, mass, cuts).cov)) / 2 for near in _pairs(helix, _PART * axes).T
+    ]
+    slope = (np.array(logs[0::2]) - logs[1::2]).T / (2 * _PART)  # of the logarithm of each error along each axis
+    return Optimum(found.cov, bias, bias - (slope * axes).sum(axis=1) / sigma)
+
+
+def _linear(
+    detector: cg.Detector, hits: Sequence[Hit], helix: Floats, mass: float, cuts: tuple[float, float]
+) -> _Linear:
     stack = _stack(detector, helix[4], cuts)
     centre = _follow(detector, hits, helix[:, None], mass, {}, stack)  # fills in the noise
     noise = [(i, k, s.sigma[k]) for i, s in enumerate(stack) for k in range(5) if s.sigma[k] > 0]
@@ -276,12 +317,8 @@ def optimum(
     variance = by_noise @ by_noise.T + np.diag([hit.sigma**2 for hit in hits])
     weighted = np.linalg.solve(variance, by_helix)
     cov = np.linalg.inv(by_helix.T @ weighted)
-    # Half the second derivatives, summed over the noise and over the principal axes of the estimate's error.
-    spread = _follow(detector, hits, _pairs(helix, _PART * np.linalg.cholesky(cov)), mass, {}, stack)
-    by_kicks, by_estimate = (
-        ((both[:, 0::2] + both[:, 1::2] - 2 * centre) / 2).sum(axis=1) / _PART**2 for both in (seen[:, 10:], spread)
-    )
-    return Optimum(cov, cov @ weighted.T @ (by_kicks - by_estimate) / np.sqrt(np.diag(cov)))
+    by_kicks = ((seen[:, 10::2] + seen[:, 11::2] - 2 * centre) / 2).sum(axis=1) / _PART**2
+    return _Linear(cov, cov @ weighted.T, by_kicks, centre)
 
 
 def _pairs(helix: Floats, steps: Floats) -> Floats:

@@ -12,7 +12,7 @@ from cgemit.detector import compiled, load, slabs
 from cgemit.fit import FitSettings
 from cgemit.gun import Gun
 from exact import EXACT
-from fit_results import Point
+from fit_results import N_SIGMA, Point
 from fit_samples import measure_point
 from optimal import Hit, errors, optimum
 from tracks import MUON, hits_on
@@ -118,3 +118,14 @@ def test_gate_sees_wires_that_are_worse_than_believed() -> None:
     wrong = [Hit(hit.kind, hit.layer, hit.element, 0.16 if hit.kind == optimal.WIRE else hit.sigma) for hit in hits]
     expected = errors(helix, optimum(detector, wrong, helix, MUON, CUTS).cov)["p"]
     assert tracks["res_p"].std() < 0.9 * expected
+
+
+def test_mean_pulls_where_the_error_depends_on_the_estimate() -> None:
+    """Slow, slanting pions: the pulls of dz and tanl have the means that the optimal estimate must have, and not 0."""
+    point = Point("gaussian", "besiii-cgem-design", "pi-", 0.2, 0.8)
+    pulls = {row.parameter: row for row in measure_point(point, 40_000, None)[0]}
+    for name in ("dz", "tanl"):
+        row = pulls[name]
+        assert abs(row.mean) > N_SIGMA * row.mean_error
+        assert abs(row.mean - row.expected_mean) < N_SIGMA * row.mean_error
+        assert abs(row.bias - row.expected_bias) < N_SIGMA * row.mean_error

@@ -54,7 +54,7 @@ def test_a_number_that_is_off_is_marked() -> None:
 
 
 def test_fit_holds_the_whole_grid_and_agrees_from_200_mev_on() -> None:
-    """What is off is the mean of pulls whose error changes with the estimate; the bias is what can be worked out."""
+    """What is off is the mean of pulls whose error changes with the estimate, by as much as has been worked out."""
     results = read_fit_results()
     grid = {(name, p, angle, particle) for name in DETECTORS for p in MOMENTA for angle in FIT_ANGLES
             for particle in PARTICLES}  # fmt: skip
@@ -64,7 +64,8 @@ def test_fit_holds_the_whole_grid_and_agrees_from_200_mev_on() -> None:
     off = [row for row in results.pulls if row.p > 0.15 and not row.agrees]
     assert {(row.mode, row.p, row.cos_theta) for row in off} <= {("gaussian", 0.2, 0.8)}
     assert {row.parameter for row in off} <= {"kappa", "dz", "tanl"}
-    assert all(abs(row.bias - row.expected) < N_SIGMA * row.mean_error for row in off)
+    assert all(abs(row.bias - row.expected_bias) < N_SIGMA * row.mean_error for row in off if row.expected_bias)
+    assert all(abs(row.mean - row.expected_mean) < N_SIGMA * row.mean_error for row in off if row.expected_mean)
     layers = [row for row in results.residuals if row.p > 0.15 and not row.agrees]
     assert {(row.p, row.cos_theta, row.parameter) for row in layers} <= {(0.2, 0.8, "w35")}  # they turn back there
     assert not [row for rows in (results.chi2, results.widths) for row in rows if row.p > 0.15 and not row.agrees]
