@@ -108,7 +108,9 @@ def measure_point(point: Point, n: int, threads: int | None) -> tuple[list[Pull]
 
 def _has_optimum(point: Point) -> bool:
     """Whether the independent calculation is made: slower tracks turn back in the chamber, which it does not follow."""
-    return point.mode == "gaussian" and point.p > 0.15 and (point.detector == DETECTORS[0] or point.particle == "mu-")
+    if point.mode != "gaussian" or point.p < 0.15:
+        return False
+    return point.detector == DETECTORS[0] or point.particle == "mu-" or point.p < 0.25
 
 
 def _pull(point: Point, name: str, tracks: Columns, best: Sequence[tuple[Floats, Optimum]]) -> Pull:
@@ -122,8 +124,8 @@ def _pull(point: Point, name: str, tracks: Columns, best: Sequence[tuple[Floats,
         numbers = (float(pull[near].std()), 1 / math.sqrt(2 * n), float(pull[near].mean()), 1 / math.sqrt(n))
     bias = float(residual[near].mean() / np.sqrt(np.mean(error[near] ** 2)))
     i = PARAMETERS.index(name)
-    expected = np.mean([(one.bias[i], one.pull[i]) for _, one in best], axis=0) if best else np.zeros(2)
-    more = {"bias": bias, "expected_bias": float(expected[0]), "expected_mean": float(expected[1]), "tail": tail}
+    expected = (float(np.mean([one.bias[i] for _, one in best])), float(best[0][1].pull[i])) if best else (0.0, 0.0)
+    more = {"bias": bias, "expected_bias": expected[0], "expected_mean": expected[1], "tail": tail}
     return Pull(**asdict(point), parameter=name, n=n, **_named(numbers), **more)
 
 
@@ -142,8 +144,8 @@ def _layers(point: Point, sums: _Sums) -> list[Pull]:
     return rows
 
 
-def _optima(result: Result, some: int = 3) -> list[tuple[Floats, Optimum]]:
-    """Return the true helices of some tracks and the optimum for their hits."""
+def _optima(result: Result, some: int = 7) -> list[tuple[Floats, Optimum]]:
+    """Return the true helices of some tracks and the optimum for their hits, with mean pulls for the first."""
     tables = (result.particles, result.clusters, result.wire_hits, result.truths, result.wire_truths)
     hits = fit_hits(find.by_truth(result.detector, *tables), result.clusters, result.wire_hits)
     true = np.stack([result.tracks[f"truth_{name}"] for name in PARAMETERS], axis=1)
@@ -154,7 +156,7 @@ def _optima(result: Result, some: int = 3) -> list[tuple[Floats, Optimum]]:
         rows = range(hits.hit_offsets[track], hits.hit_offsets[track + 1])
         seen = [Hit(*(getattr(hits, name)[i].item() for name in columns)) for i in rows]
         mass = float(result.particles["mass"][track])
-        found.append((true[track], optimum(result.detector, seen, true[track], mass, cuts, pulls=True)))
+        found.append((true[track], optimum(result.detector, seen, true[track], mass, cuts, pulls=not found)))
     return found
 
 
