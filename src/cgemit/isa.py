@@ -1,8 +1,8 @@
 """Which instruction set the kernels use.
 
-The fastest that the processor has is chosen at import; the environment variable ``CGEMIT_ISA`` names another:
-``scalar`` (one track at a time, the reference), ``baseline`` (what every processor of its kind has), ``v3`` (x86-64-v3:
-AVX2 and FMA, 4 tracks side by side) or ``v4`` (x86-64-v4: AVX-512, 8 tracks).
+The fastest that the processor has is chosen when it is first needed; the environment variable ``CGEMIT_ISA`` names
+another: ``scalar`` (one track at a time, the reference), ``baseline`` (what every processor of its kind has), ``v3``
+(x86-64-v3: AVX2 and FMA, 4 tracks side by side) or ``v4`` (x86-64-v4: AVX-512, 8 tracks).
 """
 
 import os
@@ -12,6 +12,8 @@ from cgemit import _core
 
 NAMES = ("scalar", "baseline", "v3", "v4")
 VARIABLE = "CGEMIT_ISA"
+
+_chosen = False  # until then the core has its scalar kernels, whatever was asked for
 
 
 def available() -> tuple[str, ...]:
@@ -26,12 +28,14 @@ def available() -> tuple[str, ...]:
 
 
 def name() -> str:
-    """Return the instruction set in use."""
+    """Return the instruction set in use, chosen now if it was not before (`choose`)."""
+    choose()
     return _core.isa()
 
 
 def lanes() -> int:
-    """Return how many tracks the kernels in use handle side by side."""
+    """Return how many tracks the kernels in use handle side by side; see `name`."""
+    choose()
     return _core.lanes()
 
 
@@ -54,16 +58,22 @@ def use(isa: str) -> None:
         _core.use_scalar_kernels()
     else:
         _core.use_kernels(str(_library(isa)))
+    global _chosen
+    _chosen = True
 
 
-def use_best() -> None:
-    """Use what ``CGEMIT_ISA`` names, or else the last of `available`.
+def choose() -> None:
+    """Use what ``CGEMIT_ISA`` names, or else the last of `available`, unless a set has been chosen before.
+
+    Nothing is computed before: every compiled detector, which all kernels take, comes after this.
 
     Raises
     ------
     ValueError
         If ``CGEMIT_ISA`` names what is not available here.
     """
+    if _chosen:
+        return
     wanted = os.environ.get(VARIABLE, "")
     if wanted and wanted not in available():
         raise ValueError(f"{VARIABLE}: {wanted!r}, expected one of {', '.join(available())}")

@@ -62,6 +62,43 @@ def test_environment_chooses(value: str, ends: int) -> None:
     assert ends == 0 or "CGEMIT_ISA: 'nonsense', expected one of" in done.stderr
 
 
+@pytest.mark.parametrize(
+    "call",
+    [
+        "cgemit.isa.lanes()",
+        "cgemit.run('besiii-idc', cgemit.Gun('mu-', p=1, theta=1), 1)",
+        "cgemit.detector.compiled(cgemit.load('besiii-idc'))",  # which all kernels take
+        "cgemit.slab('Al 1 mm', 'mu-', p=1, n=1000)",
+    ],
+)
+def test_nothing_is_computed_with_another_set_than_asked_for(call: str) -> None:
+    program = f"""
+import cgemit
+for _ in range(2):
+    try:
+        {call}
+    except ValueError as error:
+        assert "CGEMIT_ISA: 'V4', expected one of" in str(error), error
+    else:
+        raise AssertionError("computed")
+cgemit.isa.use("scalar")
+{call}
+"""
+    environment = os.environ | {isa.VARIABLE: "V4"}
+    done = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize("value", ["nonsense", "V4"])
+def test_the_command_line_says_what_is_wrong_with_the_environment(value: str) -> None:
+    command = [sys.executable, "-m", "cgemit", "detectors"]
+    environment = os.environ | {isa.VARIABLE: value}
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.startswith(f"cgemit: CGEMIT_ISA: '{value}', expected one of scalar")
+    assert len(done.stderr.splitlines()) == 1
+
+
 def test_a_file_that_is_no_library_of_kernels() -> None:
     with pytest.raises(RuntimeError):
         _core.use_kernels(__file__)

@@ -141,6 +141,41 @@ def test_interrupt_dropped_by_a_finalizer_comes_again():
     assert time.monotonic() - begin < 2
 
 
+@pytest.mark.parametrize(("module", "says"), [("cgemit.cli.main", ""), ("numpy", "cgemit: interrupted\n")])
+def test_interrupt_during_the_import_ends_without_a_traceback(module, says):
+    code = f"""
+import runpy, sys
+class Interrupt:
+    def find_spec(name, *_):
+        if name == "{module}":
+            raise KeyboardInterrupt
+sys.meta_path.insert(0, Interrupt)
+sys.argv = ["cgemit", "detectors"]
+runpy.run_module("cgemit", run_name="__main__", alter_sys=True)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr, done.stdout) == (130, says, "")
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no SIGTERM to handle")
+def test_sigterm_leaves_nothing(tmp_path):
+    command = [sys.executable, "-u", "-m", "cgemit", *SIMULATE[:-1], "-n", "200000", "-o", str(tmp_path / "out")]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
+        assert next(line for line in process.stderr if "%" in line)
+        assert list(tmp_path.iterdir())  # in the middle of it
+        process.send_signal(signal.SIGTERM)
+        rest = process.stderr.read()
+        assert process.wait(60) == 130, rest
+    assert rest.endswith("cgemit: interrupted\n")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_sigterm_is_that_of_the_caller_afterwards(capsys):
+    before = signal.getsignal(signal.SIGTERM)
+    assert main(["detectors"]) == 0
+    assert signal.getsignal(signal.SIGTERM) == before
+
+
 def test_interrupt_within_a_finalizer_ends_the_program():
     code = """
 import sys, time

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import io
 import re
 import sys
 import traceback
@@ -53,15 +54,18 @@ def main(argv: Sequence[str] | None = None) -> int:
     Returns
     -------
     int
-        0 ok, 2 bad input, 3 run failed, 130 interrupted by Ctrl-C.
+        0 ok, 2 bad input, 3 run failed, 130 interrupted by Ctrl-C or SIGTERM.
     """
-    try:
-        arguments = build_parser().parse_args(join_negative_values(sys.argv[1:] if argv is None else argv))
-    except SystemExit as stop:  # --help, --version, or arguments that argparse has complained about
-        return int(stop.code or OK)
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="replace")  # "?" where the encoding has no "±", rather than no result
+    arguments = argparse.Namespace()
     try:
         with interrupts_kept():
+            build_parser().parse_args(join_negative_values(sys.argv[1:] if argv is None else argv), arguments)
+            importlib.import_module("cgemit.isa").choose()  # a wrong CGEMIT_ISA is a mistake, whatever is run
             return int(arguments.run(arguments) or OK)
+    except SystemExit as stop:  # --help, --version, or arguments that argparse has complained about
+        return int(stop.code or OK)
     except KeyboardInterrupt:
         print("cgemit: interrupted", file=sys.stderr)
         return INTERRUPTED

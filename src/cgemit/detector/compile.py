@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cgemit import _core
+from cgemit import _core, isa
 from cgemit.detector.field_core import compiled_field
 from cgemit.detector.gaps import gap_table
 from cgemit.detector.lattice import hole_table
@@ -89,7 +89,13 @@ def compiled(
         Screening of nuclei in multiple scattering, ``"wentzel"`` or ``"moliere"`` (docs/methods/matter.md).
     loss : str
         Energy loss that the fit subtracts (``FitSettings.loss``).
+
+    Raises
+    ------
+    ValueError
+        If ``CGEMIT_ISA`` names an instruction set that is not available.
     """
+    isa.choose()
     found = slabs(detector, merge, foil)
     groups = [slab.shells[0].group for slab in found]
     return _core.Detector(
@@ -114,7 +120,13 @@ def compiled_stack(parts: Sequence[tuple[Material, float]], screening: str = "we
         Material and thickness in mm.
     screening : str
 
+    Raises
+    ------
+    ValueError
+        If ``CGEMIT_ISA`` names an instruction set that is not available.
+
     """
+    isa.choose()
     position, found = 1.0, []
     for material, thickness in parts:
         shell = Shell("stack", material.name, position, position + thickness, ENDLESS, material)
