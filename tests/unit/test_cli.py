@@ -137,6 +137,17 @@ def test_ctrl_c_during_a_study_leaves_nothing(moment, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize("command", [["validate", "--schema"], [*RESOLUTION, "-o", "out"]])
+def test_an_encoding_without_all_signs(command, tmp_path):
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path), "PYTHONIOENCODING": "ascii"}
+    done = subprocess.run(
+        [sys.executable, "-m", "cgemit", *command], capture_output=True, env=environment, cwd=tmp_path, check=False
+    )
+    assert (done.returncode, done.stderr) == (0, b"")
+    assert b"?" in done.stdout
+    assert done.stdout.isascii()
+
+
 def test_output_folders_are_not_overwritten_unasked(tmp_path, capsys):
     folder = tmp_path / "out"
     folder.mkdir()  # an empty one is free
