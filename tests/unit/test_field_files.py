@@ -2,7 +2,9 @@
 
 import json
 import pickle
+import re
 import tomllib
+from pathlib import Path
 
 import jsonschema
 import numpy as np
@@ -94,7 +96,7 @@ def test_a_map_stands_beside_its_detector_file(tmp_path, monkeypatch):
 def test_a_map_that_changed_is_noticed(tmp_path, design):
     path = write_field_map(tmp_path / "map.npz", rz_columns())
     tables = tomllib.loads(design.with_field(path).to_toml())
-    write_field_map(path, rz_columns(bz=-0.8))
+    write_field_map(path, rz_columns(bz=-0.8), overwrite=True)
     with pytest.raises(DetectorError, match=r"field\.checksum"):
         cg.load(tables)
 
@@ -105,6 +107,8 @@ def test_a_map_that_changed_is_noticed(tmp_path, design):
         ({"bz": None}, ["bz: got nothing"]),
         ({"z": Z**3 / 1e6}, ["z: got steps"]),
         ({"r": R + 10}, ["r: got 10 mm first; expected r = 0"]),
+        ({"r": R + 10, "br": np.ones((19, 27))}, ["r: got 10 mm first; expected r = 0"]),
+        ({"z": np.where(Z < 0, Z, np.inf)}, ["z: got 14 values that are not finite"]),
         ({"z": Z + 2000}, ["z: got 700 to 3300 mm; expected a range with 0"]),
         ({"bz": np.full((19, 27), np.nan)}, ["bz: got 513 values that are not finite"]),
         ({"br": np.zeros((27, 19))}, ["br: got shape (27, 19)"]),
@@ -112,6 +116,18 @@ def test_a_map_that_changed_is_noticed(tmp_path, design):
         ({"length_unit": "inch", "field_unit": None}, ['length_unit: got unit "inch"', "field_unit: got nothing"]),
         ({"r": R[:3], "br": np.full((19, 27), np.inf)}, ["r: got shape (3,)", "br: got 513 values"]),
         ({"r": np.array(["a"] * 19)}, ["r: got an array of <U1; expected numbers"]),
+        (
+            {"br": None, "field_unit": "x", "bz": np.full((19, 27), np.nan), "z": Z + 2000},
+            ["br: got nothing", 'field_unit: got unit "x"', "bz: got 513 values", "z: got 700 to 3300 mm"],
+        ),
+        (
+            {"length_unit": "x", "z": Z + 2000, "br": np.ones((19, 27)), "bz": np.full((19, 27), np.inf)},
+            ['length_unit: got unit "x"', "z: got 700 to 3300; expected", "bz: got 513 values", "br: got up to 1 T"],
+        ),
+        (
+            {"z": Z**3 / 1e6, "br": np.zeros((27, 19)), "bz": np.full((27, 19), np.nan)},
+            ["z: got steps", "br: got shape", "bz: got shape", "bz: got 513 values"],
+        ),
     ],
 )
 def test_every_mistake_of_an_npz_map(tmp_path, design, changes, expected):
@@ -127,12 +143,19 @@ def test_every_mistake_of_an_npz_map(tmp_path, design, changes, expected):
         design.with_field(path)
 
 
+TOO_FEW = ["r: got shape (1,)", "z: got shape (1,)"]
+
+
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
         ("", ["header: got columns none"]),
-        ("r[mm],z[mm],br[T]\n0,0,0\n", ["no column bz"]),
-        ("r[mm],z[inch],br[T],bz[Vs]\n0,0,0,0\n", ["header bz", "header z"]),
+        ("r[mm],z[mm],br[T]\n0,0,0\n", ["no column bz", *TOO_FEW]),
+        ("r[mm],z[mm],bz[T]\n0,0,0,1\n0,1,0,1\n", ["no column br"]),
+        ("r[mm],z[mm],bz[T]\n0,0,0,1\n0,x,0,1\n", ["no column br", "row 2 below the header; expected numbers"]),
+        ("r[mm],z[inch],br[T],bz[Vs]\n0,0,0,0\n", ["header bz", "header z", *TOO_FEW]),
+        ("r[mm],z[mm],br[T],bz[T]\n", ["r: got shape (0,)", "z: got shape (0,)"]),
+        ("r[mm],z[mm],br[T],bz[x]\n0,0,0,nan\n0,0,0,1\n", ["header bz", "rows: got 2 rows", "bz: got 1 values"]),
         ("r[mm],z[mm],br[T],bz[T]\n0,0,0\n0,x,0,1\n", ["row 1, 2 below the header"]),
         (
             "r[mm],z[mm],br[T],bz[T]\n0,0,0,1\n0,1,0,1\n1,0,0,1\n",
@@ -150,14 +173,36 @@ def test_every_mistake_of_a_csv_map(tmp_path, text, expected):
     assert len(error.value.problems) == len(expected)
 
 
-@pytest.mark.parametrize("name", ["missing.npz", "map.txt", "text.npz"])
-def test_files_that_are_no_maps(tmp_path, name):
+@pytest.mark.parametrize("name", ["missing.npz", "map.txt", "text.npz", "empty.npz", "array.npz"])
+def test_files_that_are_no_maps(tmp_path, name, capsys):
     (tmp_path / "text.npz").write_text("no archive")
+    (tmp_path / "empty.npz").touch()
+    np.save(tmp_path / "array.npy", np.zeros(3))
+    (tmp_path / "array.npy").rename(tmp_path / "array.npz")
     (tmp_path / "map.txt").write_text("r z br bz")
     with pytest.raises(DetectorError):
         read_field_map(tmp_path / name)
+    assert main(["show", "besiii-idc", "--field", str(tmp_path / name)]) == 2
+    assert re.search(rf"{name}(.|\n)*; expected .*(\.npz|detector)", capsys.readouterr().err)
+
+
+def test_files_are_written_completely_or_not_at_all(tmp_path, monkeypatch):
     with pytest.raises(DetectorError):
         write_field_map(tmp_path / "map.npz", {"r": R, "z": Z, "br": np.zeros((2, 2))})
+    path = write_field_map(tmp_path / "map.npz", rz_columns())
+    before = path.read_bytes()
+    with pytest.raises(FileExistsError, match="overwrite=True"):
+        write_field_map(path, rz_columns(bz=-0.8))
+
+    def interrupted(file, **_):
+        Path(file).write_bytes(b"half")
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(np, "savez_compressed", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        write_field_map(path, rz_columns(bz=-0.8), overwrite=True)
+    assert path.read_bytes() == before
+    assert list(tmp_path.iterdir()) == [path]
 
 
 def test_kinds_replace_each_other(design):

@@ -3,6 +3,7 @@
 import csv
 import re
 import zipfile
+import zlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -10,15 +11,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cgemit.detector.field_grid import BOX, CYLINDER, Axis, FieldGrid
+from cgemit.detector.field_check import Column, Columns, checked_grid, names_in
+from cgemit.detector.field_grid import FieldGrid
 from cgemit.detector.problems import DetectorError, Problem
-from cgemit.units import QuantityError, parse_quantity, units_of
+from cgemit.io.files import new_file
+from cgemit.units import NATIVE, QuantityError, parse_quantity, units_of
 
 Floats = NDArray[np.float64]
 
-_FEWEST = 4  # points along an axis; a cubic needs as many
-_UNEVEN = 1e-6  # of a step
-_ON_AXIS = 1e-3  # of the largest field: Br on the beam line may be no more than that
 _HEADER = re.compile(r"\s*(\w+)\s*\[(.*)\]\s*")
 _LENGTH, _FIELD = "length_unit", "field_unit"
 
@@ -40,13 +40,13 @@ def read_field_map(path: str | Path) -> FieldGrid:
     path = Path(path)
     problems: list[Problem] = []
     columns = {".npz": _read_npz, ".csv": _read_csv}.get(path.suffix, _no_map)(path, problems)
-    grid = _grid(columns, problems) if not problems else None
+    grid = checked_grid(columns, problems) if columns is not None else None
     if grid is None or problems:
         raise DetectorError(str(path), problems)
     return grid
 
 
-def write_field_map(path: str | Path, columns: Mapping[str, Any]) -> Path:
+def write_field_map(path: str | Path, columns: Mapping[str, Any], *, overwrite: bool = False) -> Path:
     """Write a map file that detector files may name.
 
     Parameters
@@ -56,6 +56,8 @@ def write_field_map(path: str | Path, columns: Mapping[str, Any]) -> Path:
     columns : mapping of str to array_like
         Axes r, z or x, y, z (one-dimensional, equidistant, mm), and components br, bz or bx, by, bz on the grid, the
         axes in that order (T).
+    overwrite : bool
+        Whether a file of this name may be replaced.
 
     Returns
     -------
@@ -65,6 +67,8 @@ def write_field_map(path: str | Path, columns: Mapping[str, Any]) -> Path:
     ------
     DetectorError
         With every problem of the columns; nothing is written then.
+    FileExistsError
+        If `path` exists and `overwrite` is false.
 
     """
     path = Path(path)
@@ -72,104 +76,119 @@ def write_field_map(path: str | Path, columns: Mapping[str, Any]) -> Path:
     if path.suffix not in (".npz", ".csv"):
         _no_map(path, problems)
     arrays = {name: np.asarray(values, dtype=np.float64) for name, values in columns.items()}
-    grid = _grid(arrays, problems)
-    if problems or grid is None:
+    axes, _ = names_in(arrays)
+    checked_grid({name: Column(array, "mm" if name in axes else "T") for name, array in arrays.items()}, problems)
+    if problems:
         raise DetectorError(str(path), problems)
-    if path.suffix == ".npz":
-        np.savez_compressed(path, **arrays, **{_LENGTH: np.array("mm"), _FIELD: np.array("T")})  # type: ignore[arg-type]
-        return path
-    axes, components = _names(arrays)
+    with new_file(path, overwrite=overwrite) as temporary:
+        if path.suffix == ".npz":
+            units = {_LENGTH: np.array("mm"), _FIELD: np.array("T")}
+            np.savez_compressed(temporary, **arrays, **units)  # type: ignore[arg-type]
+        else:
+            _write_csv(temporary, arrays)
+    return path
+
+
+def _write_csv(path: Path, arrays: Mapping[str, Floats]) -> None:
+    axes, components = names_in(arrays)
     points = np.meshgrid(*(arrays[name] for name in axes), indexing="ij")
     rows = np.stack([*points, *(arrays[name] for name in components)], axis=-1).reshape(-1, len(axes) + len(components))
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow([f"{name}[mm]" for name in axes] + [f"{name}[T]" for name in components])
         writer.writerows([[repr(float(number)) for number in row] for row in rows])
-    return path
 
 
-def _no_map(path: Path, problems: list[Problem]) -> dict[str, Floats]:
+def _no_map(path: Path, problems: list[Problem]) -> Columns | None:
     problems.append(Problem("", f'"{path.name}"', "a map file, .npz or .csv"))
-    return {}
+    return None
 
 
-def _names(columns: Mapping[str, Any]) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    return BOX if columns.keys() & {"x", "y", "bx", "by"} else CYLINDER
-
-
-def _scale(text: object, dimension: str, path: str, problems: list[Problem]) -> float:
+def _scaled(values: Floats, unit: object, dimension: str) -> Column:
+    """Return values in mm or T; as they are if the unit is unknown, which `_check_unit` notes."""
     try:
-        return parse_quantity(f"1 {text}", dimension)
+        return Column(values * parse_quantity(f"1 {unit}", dimension), NATIVE[dimension])
+    except QuantityError:
+        return Column(values * 1.0, "")
+
+
+def _check_unit(unit: object, dimension: str, path: str, problems: list[Problem]) -> None:
+    try:
+        parse_quantity(f"1 {unit}", dimension)
     except QuantityError:
         expected = "one of " + ", ".join(unit for unit in units_of(dimension) if unit.isascii())
-        problems.append(Problem(path, f'unit "{text}"', expected))
-        return 1.0
+        problems.append(Problem(path, f'unit "{unit}"', expected))
 
 
-def _read_npz(path: Path, problems: list[Problem]) -> dict[str, Floats]:
+def _read_npz(path: Path, problems: list[Problem]) -> Columns | None:
     """Return the arrays of a file in mm and T."""
     try:
-        with np.load(path) as file:
+        file = np.load(path)
+        if not isinstance(file, np.lib.npyio.NpzFile):
+            raise ValueError("one array, as of a .npy file")
+        with file:
             found = {name: file[name] for name in file.files}
-    except (OSError, ValueError, zipfile.BadZipFile) as error:
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile, zlib.error) as error:
         problems.append(Problem("", str(error), "a .npz file of arrays"))
-        return {}
-    axes, components = _names(found)
-    columns = {}
+        return None
+    axes, components = names_in(found)
+    columns: Columns = {}
     for unit, dimension, names in ((_LENGTH, "length", axes), (_FIELD, "field", components)):
-        if unit not in found:
+        if unit in found:
+            _check_unit(found[unit], dimension, unit, problems)
+        else:
             problems.append(Problem(unit, "nothing", f"the unit of {', '.join(names)}, as text"))
-        scale = _scale(found[unit], dimension, unit, problems) if unit in found else 1.0
-        for name in names:
-            if name not in found:
-                problems.append(Problem(name, "nothing", f"an array {name}; a map has {_wanted(axes, components)}"))
-            elif not np.issubdtype(found[name].dtype, np.number) or np.iscomplexobj(found[name]):
-                problems.append(Problem(name, f"an array of {found[name].dtype}", "numbers"))
+        for name in filter(found.__contains__, names):
+            if np.issubdtype(found[name].dtype, np.number) and not np.iscomplexobj(found[name]):
+                columns[name] = _scaled(found[name], found.get(unit, ""), dimension)
             else:
-                columns[name] = found[name] * scale
+                columns[name] = None
+                problems.append(Problem(name, f"an array of {found[name].dtype}", "numbers"))
     return columns
 
 
-def _wanted(axes: tuple[str, ...], components: tuple[str, ...]) -> str:
-    return ", ".join((*axes, *components))
-
-
-def _read_csv(path: Path, problems: list[Problem]) -> dict[str, Floats]:
+def _read_csv(path: Path, problems: list[Problem]) -> Columns | None:
     """Return the columns of a file as axes and arrays on the grid, in mm and T."""
     try:
         lines = [line for line in path.read_text(encoding="utf-8-sig").splitlines() if line and line[0] != "#"]
     except (OSError, UnicodeDecodeError) as error:
         problems.append(Problem("", str(error), "a text file"))
-        return {}
+        return None
     header, *rows = list(csv.reader(lines)) or [[]]
     matches = [_HEADER.fullmatch(name) for name in header]
     given = {match[1]: match[2] for match in matches if match}
-    axes, components = _names(given)
+    axes, components = names_in(given)
     dimensions = dict.fromkeys(axes, "length") | dict.fromkeys(components, "field")
     missing = [name for name in dimensions if name not in given]
     if missing:
         text = f"columns {', '.join(header) or 'none'}"
-        wanted = ", ".join(f"{name}[{'mm' if kind == 'length' else 'T'}]" for name, kind in dimensions.items())
+        wanted = ", ".join(f"{name}[{NATIVE[kind]}]" for name, kind in dimensions.items())
         problems.append(Problem("header", text, f"{wanted}; no column {', '.join(missing)}"))
-    scales = {
-        name: _scale(given[name], dimensions[name], f"header {name}", problems) for name in given if name in dimensions
-    }
-    table = _numbers(rows, len(header), problems)
-    if problems:
-        return {}
-    places = [match[1] if match else "" for match in matches]
-    columns = {name: table[:, places.index(name)] * scales[name] for name in dimensions}
+    usable = [name for name in dimensions if name in given]
+    for name in usable:
+        _check_unit(given[name], dimensions[name], f"header {name}", problems)
+    columns: Columns = dict.fromkeys(dimensions)
+    table = _numbers(rows, len(header), problems, any_width=bool(missing))
+    if table is None:
+        return columns
+    places = {match[1]: place for place, match in enumerate(matches) if match}
+    for name in usable:
+        columns[name] = _scaled(table[:, places[name]], given[name], dimensions[name])
     return _on_grid(columns, axes, components, problems)
 
 
-def _numbers(rows: list[list[str]], width: int, problems: list[Problem]) -> Floats:
+def _numbers(rows: list[list[str]], width: int, problems: list[Problem], *, any_width: bool) -> Floats | None:
+    """Return the rows below the header; None if they cannot be read, which may be the header's fault (`any_width`)."""
     try:
         return np.array(rows, dtype=np.float64).reshape(len(rows), width)
     except ValueError:
-        bad = [i for i, row in enumerate(rows, start=1) if len(row) != width or not all(map(_is_number, row))]
+        wrong = [not all(map(_is_number, row)) or (len(row) != width and not any_width) for row in rows]
+        bad = [i for i, one in enumerate(wrong, start=1) if one]
         shown = ", ".join(map(str, bad[:5])) + (f" and {len(bad) - 5} more" if len(bad) > 5 else "")
-        problems.append(Problem("rows", f"row {shown} below the header", f"{width} numbers in every row"))
-        return np.empty((0, width))
+        if bad:
+            expected = "numbers" if any_width else f"{width} numbers in every row"
+            problems.append(Problem("rows", f"row {shown} below the header", expected))
+        return None
 
 
 def _is_number(text: str) -> bool:
@@ -180,66 +199,24 @@ def _is_number(text: str) -> bool:
     return True
 
 
-def _on_grid(
-    columns: dict[str, Floats], axes: tuple[str, ...], components: tuple[str, ...], problems: list[Problem]
-) -> dict[str, Floats]:
+def _on_grid(columns: Columns, axes: tuple[str, ...], components: tuple[str, ...], problems: list[Problem]) -> Columns:
     """Sort the rows of a table onto the grid that its axes span."""
-    spans = [np.unique(columns[name]) for name in axes]
+    found = {name: columns[name] for name in axes}
+    flat: Columns = {name: columns[name] for name in components}
+    given = {name: column for name, column in found.items() if column}
+    if len(given) < len(axes):
+        return dict.fromkeys(axes) | flat
+    spans = [np.unique(column.values) for column in given.values()]
     shape = tuple(map(len, spans))
-    places = np.ravel_multi_index(
-        tuple(np.searchsorted(span, columns[name]) for span, name in zip(spans, axes, strict=True)), shape
-    )
+    indices = (np.searchsorted(span, c.values) for span, c in zip(spans, given.values(), strict=True))
+    places = np.ravel_multi_index(tuple(indices), shape) if min(shape) else np.empty(0, dtype=np.intp)
     if len(places) != np.prod(shape) or len(np.unique(places)) != len(places):
         size = " x ".join(map(str, shape))
-        problems.append(
-            Problem("rows", f"{len(places)} rows", f"each point of the {size} grid of {', '.join(axes)} once")
-        )
-        return {}
+        expected = f"each point of the {size} grid of {', '.join(axes)} once"
+        problems.append(Problem("rows", f"{len(places)} rows", expected))
+        return dict.fromkeys(axes) | flat
     order = np.argsort(places)
-    found = dict(zip(axes, spans, strict=True))
-    return found | {name: columns[name][order].reshape(shape) for name in components}
-
-
-def _grid(columns: Mapping[str, Floats], problems: list[Problem]) -> FieldGrid | None:
-    """Return the grid of columns in mm and T after checking it."""
-    axes, components = _names(columns)
-    missing = [name for name in (*axes, *components) if name not in columns]
-    if missing:
-        problems.append(Problem("", f"no {', '.join(missing)}", _wanted(axes, components)))
-        return None
-    found = [_axis(name, columns[name], problems) for name in axes]
-    shape = tuple(axis.points for axis in found if axis)
-    for name in components:
-        if len(shape) == len(axes) and columns[name].shape != shape:
-            expected = f"shape {shape}: one value for each of {', '.join(axes)}"
-            problems.append(Problem(name, f"shape {columns[name].shape}", expected))
-        bad = int(np.count_nonzero(~np.isfinite(columns[name])))
-        if bad:
-            problems.append(Problem(name, f"{bad} values that are not finite", "a number at every point"))
-    if problems:
-        return None
-    grid = FieldGrid(tuple(axis for axis in found if axis), np.stack([columns[name] for name in components], axis=-1))
-    if axes == CYLINDER[0] and np.abs(grid.values[0, :, 0]).max() > _ON_AXIS * np.abs(grid.values).max():
-        largest = np.abs(grid.values[0, :, 0]).max()
-        problems.append(Problem("br", f"up to {largest:g} T at r = 0", "0 on the beam line"))
-    return None if problems else grid
-
-
-def _axis(name: str, values: Floats, problems: list[Problem]) -> Axis | None:
-    """Return an axis; it must be equidistant and hold the origin, and r must begin there."""
-    if values.ndim != 1 or len(values) < _FEWEST:
-        problems.append(Problem(name, f"shape {values.shape}", f"one dimension of at least {_FEWEST} points"))
-        return None
-    step = (values[-1] - values[0]) / (len(values) - 1)
-    even = values[0] + step * np.arange(len(values))
-    if not (np.all(np.isfinite(values)) and step > 0 and np.abs(values - even).max() < _UNEVEN * step):
-        steps = np.diff(values)
-        problems.append(Problem(name, f"steps from {steps.min():g} to {steps.max():g} mm", "equal steps upward"))
-        return None
-    if name == "r" and abs(values[0]) > _UNEVEN * step:
-        problems.append(Problem(name, f"{values[0]:g} mm first", "r = 0 first"))
-    elif not values[0] - _UNEVEN * step <= 0 <= values[-1]:
-        problems.append(
-            Problem(name, f"{values[0]:g} to {values[-1]:g} mm", "a range with 0 in it, where tracks begin")
-        )
-    return Axis(name, 0.0 if name == "r" else float(values[0]), float(step), len(values))
+    sorted_axes = {name: Column(span, given[name].unit) for name, span in zip(axes, spans, strict=True)}
+    return sorted_axes | {
+        name: column and Column(column.values[order].reshape(shape), column.unit) for name, column in flat.items()
+    }
