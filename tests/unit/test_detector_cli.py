@@ -69,7 +69,7 @@ def test_show_json_with_changes(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert call("show", "besiii-cgem-design", "--set", "cgem.L2.pitch_x=500 um", "--set", "name=a/b", "--json") == 0
+    assert call("show", "besiii-cgem-design", "--set", "cgem.L2.pitch_x=500 um", "--set", "name=a:b", "--json") == 0
     numbers = json.loads(capsys.readouterr().out)
     assert numbers["cgem"][1]["pitch_x_um"] == 500
     assert numbers["cgem"][1]["strips_x"] == 832

@@ -64,6 +64,11 @@ def test_without_a_base_parts_must_be_complete() -> None:
     assert not VALIDATOR.is_valid({"name": "empty"})
 
 
+@pytest.mark.parametrize(("name", "good"), [("thin L1 (µ)", True), ("", False), ("a\nb", False), ("../evil", False)])
+def test_names(name: str, good: bool) -> None:
+    assert VALIDATOR.is_valid({"base": "besiii-idc", "name": name}) == good
+
+
 def test_every_key_is_documented() -> None:
     def walk(node: Any) -> None:
         if isinstance(node, dict):

@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cgemit.detector import Detector, DetectorError, detectors, load
+from cgemit.detector.read import NAME
 
 SAMPLE = """
 base = "besiii-cgem-design"          # everything not said here comes from the base
@@ -82,7 +83,7 @@ layers = st.fixed_dictionaries(
 variants = st.fixed_dictionaries(
     {
         "base": st.sampled_from(["besiii-cgem", "besiii-cgem-design"]),
-        "name": st.text(),
+        "name": st.from_regex(NAME, fullmatch=True),
         "description": st.text(),
         "materials": st.fixed_dictionaries(
             {

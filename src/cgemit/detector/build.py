@@ -1,5 +1,7 @@
 """From the tables of a detector file to a `Detector`: reads everything, collects all problems, then checks."""
 
+import json
+import re
 from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
@@ -18,7 +20,7 @@ from cgemit.detector.merge import FOR_ALL_LAYERS, merged, set_path
 from cgemit.detector.model import Detector
 from cgemit.detector.parts import CgemLayer, Cylinder, DriftChamber, WireLayer
 from cgemit.detector.problems import DetectorError, Problem
-from cgemit.detector.read import TOP_LEVEL, UNUSABLE, Reader, shown
+from cgemit.detector.read import NAME, TOP_LEVEL, UNUSABLE, Reader, shown
 from cgemit.detector.write import to_dict
 from cgemit.words import did_you_mean
 
@@ -85,6 +87,9 @@ def build(source: str, tables: Mapping[str, Any], problems: list[Problem]) -> De
     for name in tables.keys() - TOP_LEVEL.keys():
         reader.note(name, "an unknown key", "one of " + ", ".join(TOP_LEVEL), did_you_mean(name, TOP_LEVEL))
     texts = {name: _text(reader, name, tables.get(name, "")) for name in ("name", "description")}
+    if not re.fullmatch(NAME, texts["name"]):
+        given = json.dumps(texts["name"], ensure_ascii=False)  # which shows the end of a line as \n
+        reader.note("name", given, "one line of text without / and \\, since files are called by it")
     own = reader.mapping("materials", tables.get("materials", {}))
     reader.materials = read_materials(reader, library(), own)
     field = _field(reader, tables.get("field"))

@@ -25,6 +25,9 @@ TOP_LEVEL = {
     "materials": "materials by name",
 }
 
+#: What a name must match: one line, not blank, without separators of paths.
+NAME = r"[^/\\\r\n]*[^/\\\s][^/\\\r\n]*"
+
 #: Keys that a file may hold beside those of the dataclass.
 EXTRA: dict[type, dict[str, Key]] = {
     CgemLayer: {"stereo_sign": Key("sign", "sign of the stereo angle where the angle itself is left out")},

@@ -9,7 +9,7 @@ from cgemit.detector.keys import Key, keys_of, required_of
 from cgemit.detector.material import DensityEffect, Material
 from cgemit.detector.merge import FOR_ALL_LAYERS
 from cgemit.detector.parts import CgemLayer, Cylinder, DriftChamber, SubLayer, WireLayer
-from cgemit.detector.read import EXTRA, TOP_LEVEL
+from cgemit.detector.read import EXTRA, NAME, TOP_LEVEL
 from cgemit.units import NATIVE, format_quantity, units_of
 
 _NUMBER = r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?"
@@ -46,6 +46,7 @@ def _top(complete: bool) -> dict[str, Any]:
         "walls": _labelled(_table(Cylinder, complete)),
         "drift_chamber": _chamber(complete),
         "materials": _labelled(_material()),
+        "name": {"pattern": f"^{NAME}$"},
         "remove": {"type": "array", "items": {"type": "string"}},
     }
     properties = {
