@@ -125,7 +125,8 @@ def run(
         raise TypeError(f"settings: got {type(settings).__name__}, expected {_expected(settings)}")
     detector, settings = load(detector), settings or Settings()
     believed = detector if fit_detector is None else load(fit_detector)
-    _check_numbers(n, seed, chunk, threads)
+    most = 2**31 - 1
+    check_numbers("run", seed, threads, n=(n, 0, most), chunk=(chunk, 1, most))
     shooter, n_events, table = _source(gun, n)
 
     def task(first: int) -> tuple[Any, ...]:
@@ -147,15 +148,31 @@ def _expected(given: object) -> str:
     return f"Settings({stage}=...)" if stage else "Settings(simulate=..., digitize=..., cluster=..., fit=...)"
 
 
-def _check_numbers(n: int | None, seed: int, chunk: int, threads: int | None) -> None:
-    numbers = (("n", n, 0, 2**31 - 1), ("seed", seed, 0, 2**64 - 1), ("chunk", chunk, 1, 2**31 - 1))
+def check_numbers(where: str, seed: int, threads: int | None, **others: tuple[int | None, int, int]) -> None:
+    """Check whole numbers; None is good.
+
+    Parameters
+    ----------
+    where : str
+        The first word of the message.
+    seed : int
+    threads : int or None
+    **others : (int or None, int, int)
+        More numbers by name, each with its least and most.
+
+    Raises
+    ------
+    ValueError
+        Listing what is wrong.
+    """
+    numbers = {**others, "seed": (seed, 0, 2**64 - 1), "threads": (threads, 1, 2**15)}
     problems = [
         f"{name}: {value!r}, expected a whole number from {least} to {most}"
-        for name, value, least, most in (*numbers, ("threads", threads, 1, 2**15))
+        for name, (value, least, most) in numbers.items()
         if value is not None and not (isinstance(value, int | np.integer) and least <= value <= most)
     ]
     if problems:
-        raise ValueError("run:\n  " + "\n  ".join(problems))
+        raise ValueError(f"{where}:\n  " + "\n  ".join(problems))
 
 
 def _source(gun: Any, n: int | None) -> tuple[Gun | Guns | None, int, Table | None]:

@@ -140,7 +140,7 @@ def test_no_events() -> None:
         ({"n": -1}, "n: -1"),
         ({"n": 5, "chunk": 0}, "chunk: 0"),
         ({"n": 5, "threads": 0}, "threads: 0"),
-        ({"n": 2.5, "seed": -1, "chunk": 0.5}, r"(?s)n: 2\.5.*seed: -1.*chunk: 0\.5"),
+        ({"n": 2.5, "seed": -1, "chunk": 0.5}, r"(?s)n: 2\.5.*chunk: 0\.5.*seed: -1"),
         ({"n": 5, "detector": "besii-cgem"}, "besiii-cgem"),
     ],
 )

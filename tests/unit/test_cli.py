@@ -56,7 +56,7 @@ def test_help_and_version(capsys):
         ([], "required"),
         (["sturdy"], "invalid choice"),
         (["study", "--events", "none"], "whole number"),
-        (["study", "--events", "10", "-o", "never"], "at least 400"),
+        (["study", "--events", "10", "-o", "never"], "from 400"),
         (["study", "--threads", "0"], "at least 1"),
         ([*RESOLUTION, "-o", "never", "--method", "analytic"], "analytic"),
         (["resolution", "-d", "besiii-cgem", "--p", "1:2", "-o", "never"], "START:STOP:COUNT"),

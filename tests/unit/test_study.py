@@ -4,6 +4,7 @@ import csv
 import json
 import pickle
 import re
+from functools import partial
 
 import numpy as np
 import pytest
@@ -292,3 +293,16 @@ def test_csv(tmp_path):
     write_csv(tmp_path / "t.csv", {"a (mm)": [1.5, 2.0], "b": [1, 2], "c": ["x, y", "z"]})
     assert (tmp_path / "t.csv").read_text() == 'a (mm),b,c\n1.5,1,"x, y"\n2,2,z\n'
     assert not re.search(r"\r", (tmp_path / "t.csv").read_bytes().decode())
+
+
+@pytest.mark.parametrize("numbers", [{"seed": -1}, {"seed": 1.5}, {"seed": "a"}, {"events": "x"}, {"threads": 0}])
+@pytest.mark.parametrize("study", [reproduce, partial(scan, cgemit.load("besiii-idc"), [1.0])])
+def test_numbers_that_are_none(study, numbers):
+    (name,) = numbers
+    with pytest.raises(ValueError, match=rf"{name}: .*, expected a whole number from [014]+ to \d+$"):
+        study(**numbers)
+
+
+def test_all_wrong_numbers_of_a_study_at_once():
+    with pytest.raises(ValueError, match=r"study:\n  events: 399, .* 400 to .*\n  seed: -1, .*\n  threads: 0, "):
+        reproduce(quick=True, events=399, seed=-1, threads=0)

@@ -192,11 +192,10 @@ def reproduce(
     OutputExistsError
         If the folder holds files and `overwrite` is false.
     ValueError
-        If there are too few events, or there is no such field.
+        If events, seed or threads are no such numbers, there is no such field, or too few tracks are fitted at 1 GeV/c.
     """
     events = events if events is not None else _QUICK_EVENTS if quick else _EVENTS
-    if events < _FEWEST_EVENTS:
-        raise ValueError(f"events: got {events}; expected at least {_FEWEST_EVENTS} for the curves to mean something")
+    chain.check_numbers("study", seed, threads, events=(events, _FEWEST_EVENTS, 2**31 - 1))
     if output is not None:
         check_free(output, overwrite=overwrite)
     inputs = Inputs(

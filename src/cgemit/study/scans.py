@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from cgemit import chain
 from cgemit.gun import Gun
 from cgemit.io.folders import SUMMARY, new_folder
 from cgemit.particles import species
@@ -271,6 +272,7 @@ def scan(
         If particle or numbers make no sense, or the particle is neutral.
     """
     start = time.perf_counter()
+    chain.check_numbers("scan", seed, threads, events=(events, 1, 2**31 - 1))
     gun: dict[str, Any] = {"particle": particle, "cos_theta": cos_theta}
     orders = momentum_orders(detector, momenta, **gun, events=events, seed=seed, settings=settings)
     samples = run_samples(orders, threads=threads, progress=progress)
