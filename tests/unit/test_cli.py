@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ import pytest
 from cgemit.cli import common, read
 from cgemit.cli.main import join_negative_values, main
 from cgemit.cli.progress import Progress
-from cgemit.detector import load
+from cgemit.detector import load, write_field_map
 from cgemit.tables import Table
 
 RESOLUTION = ["resolution", "-d", "besiii-cgem-design", "--p", "0.5,1", "--events", "60", "--quiet"]
@@ -211,6 +212,44 @@ def test_several_detectors_give_one_table_each_and_one_file_of_all(tmp_path, cap
     assert load(tmp_path / "all" / "detector-2-thin.toml") == load(thin)
     assert main([*RESOLUTION, "-o", str(tmp_path / "one"), "--json"]) == 0  # alone it has the same curves
     assert json.loads(capsys.readouterr().out)["curves"] == summary["curves"][:3]
+
+
+@pytest.fixture
+def narrow_map(tmp_path):
+    """Return a map of the field that ends within the detector."""
+    r, z = np.linspace(0, 150, 7), np.linspace(-1300, 1300, 27)
+    shape = (len(r), len(z))
+    columns = {"r": r, "z": z, "br": np.zeros(shape), "bz": np.full(shape, -1.0)}
+    return str(write_field_map(tmp_path / "narrow.npz", columns))
+
+
+ENDS = "the map is of r = 0 to 150 mm, z = -1300 to 1300 mm; the detector goes to r = 763"
+
+
+def test_a_study_in_a_map_that_is_too_small_says_so(narrow_map, tmp_path, capsys):
+    assert main(["study", "--events", "400", "--field", narrow_map, "-o", str(tmp_path / "out"), "--quiet"]) == 2
+    first, *others = capsys.readouterr().err.splitlines()
+    assert first.startswith("cgemit: besiii-cgem-design, 1 GeV/c sample: 0 of 400 tracks fitted, expected at least 10")
+    assert "transport: left_field 400 of 400; fit: " in first
+    assert ENDS in first
+    assert [line.partition(",")[0] for line in others] == ["besiii-cgem-design with a 3 mm gap"]
+    assert list(tmp_path.iterdir()) == [Path(narrow_map)]
+
+
+def test_resolutions_in_a_map_that_is_too_small_say_so(narrow_map, tmp_path, capsys):
+    assert main([*RESOLUTION, "--field", narrow_map, "-o", str(tmp_path / "out")]) == 0
+    note = capsys.readouterr().out.splitlines()[-1]
+    assert note.startswith("at 0.5, 1 GeV/c: 0 of 120 tracks fitted")
+    assert "transport: left_field 120 of 120; fit: " in note
+    assert ENDS in note
+
+
+def test_slow_tracks_that_curl_are_no_matter_of_the_map(narrow_map, tmp_path, capsys):
+    slow = ["resolution", "-d", "besiii-idc", "--p", "0.02,1", "--events", "60", "--quiet", "-o", str(tmp_path / "out")]
+    assert main(slow) == 0
+    note = capsys.readouterr().out.splitlines()[-1]
+    assert note.startswith("at 0.02 GeV/c: 0 of 60 tracks fitted")
+    assert "map" not in note
 
 
 def test_changes_apply_to_every_detector(tmp_path):

@@ -12,8 +12,9 @@ from cgemit.study.present import Comparable, html_table, with_error
 
 Floats = npt.NDArray[np.float64]
 
+FEWEST = 10  # a width of fewer rows is not quoted
+
 _N_SIGMA = 3.0  # half-width of the core's window, in core sigmas
-_FEWEST = 10  # a width of fewer rows is not quoted
 
 # <u^2> of a standard normal variable cut at +-3, by partial integration: 0.9733.
 _INSIDE = math.erf(_N_SIGMA / math.sqrt(2))
@@ -148,7 +149,7 @@ def _moments(x: Floats) -> tuple[float, float, float, float]:
     (Kendall and Stuart, The Advanced Theory of Statistics, vol. 1, 10.15), for any shape.
     """
     n = len(x)
-    if n < _FEWEST:
+    if n < FEWEST:
         return math.nan, math.nan, math.nan, math.nan
     mean, variance = float(x.mean()), float(x.var(ddof=1))
     fourth = float(np.mean((x - mean) ** 4))
@@ -165,7 +166,7 @@ def _core(x: Floats) -> tuple[float, float, float, float]:
     inside, sigma^2 = variance inside / <u^2>, with <u^2> of a normal variable cut at +-3. Repeating this changes the
     rows inside less and less until they stay the same.
     """
-    if len(x) < _FEWEST:
+    if len(x) < FEWEST:
         return math.nan, math.nan, math.nan, math.nan
     centre = float(np.median(x))  # sums about it keep their digits
     shifted = x - centre
@@ -233,7 +234,7 @@ def _q68(x: Floats) -> tuple[float, float]:
     Statistics, 10.2). The density comes from the quantiles a little to each side.
     """
     n = len(x)
-    if n < _FEWEST:
+    if n < FEWEST:
         return math.nan, math.nan
     a, b = (1 - _CENTRAL) / 2, (1 + _CENTRAL) / 2
     step = min(0.05, n ** (-1 / 3))

@@ -23,6 +23,7 @@ from cgemit.study.present import html_table, text_table, with_error
 from cgemit.study.records import Line, Row
 from cgemit.study.samples import Order, Sample, ShowProgress, run_samples
 from cgemit.study.scans import QUOTED_PARAMETERS, momentum_line, momentum_orders
+from cgemit.study.unfitted import hardly_fitted, why_unfitted
 from cgemit.version import VERSION
 
 if TYPE_CHECKING:
@@ -215,8 +216,13 @@ def _measure(inputs: Inputs, progress: ShowProgress | None) -> Reproduction:
         for name, detector in ((cgem.name, cgem), (idc.name, idc), (f"{cgem.name} with a {THIN_GAP:g} mm gap", thin))
     ]
     scans = [_scan_orders(detector, inputs) for detector in (cgem, idc)]
-    samples = run_samples([*main, *scans[0], *scans[1]], threads=inputs.threads, progress=_share(progress, 0.0, 0.85))
-    named = dict(zip(("cgem", "idc", "gap"), samples, strict=False))
+    # Of all events that many are in the samples at 1 GeV/c, which come first: without them there is nothing to show.
+    part = 0.85 * len(main) * inputs.events / sum(order.n_events for order in [*main, *scans[0], *scans[1]])
+    samples = run_samples(main, threads=inputs.threads, progress=_share(progress, 0.0, part))
+    if few := hardly_fitted(samples):
+        raise ValueError("\n".join(f"{sample.label}: {why_unfitted([sample])}" for sample in few))
+    named = dict(zip(("cgem", "idc", "gap"), samples, strict=True))
+    samples += run_samples([*scans[0], *scans[1]], threads=inputs.threads, progress=_share(progress, part, 0.85))
     curve_samples = {"cgem": tuple(samples[3 : 3 + len(MOMENTA)]), "idc": tuple(samples[3 + len(MOMENTA) :])}
     lines = [momentum_line(scan, name) for name in QUOTED_PARAMETERS for scan in curve_samples.values()]
     # Events have the same random numbers however many are run: these are the first ones of the sample.

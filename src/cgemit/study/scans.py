@@ -8,6 +8,7 @@ import re
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -24,6 +25,7 @@ from cgemit.study.present import html_table, text_table, with_error
 from cgemit.study.records import Line, write_csv
 from cgemit.study.resolutions import QUOTED, pulls, resolution, resolution_against
 from cgemit.study.samples import Order, Sample, ShowProgress, run_samples, seed_of
+from cgemit.study.unfitted import fitted, hardly_fitted, why_unfitted
 from cgemit.values import InTurn
 from cgemit.version import VERSION
 
@@ -104,13 +106,9 @@ def scan_columns(samples: Sequence[Sample]) -> dict[str, list[Any]]:
             columns[f"{what}_{name} ({unit})"] = [getattr(w, what) for w in widths]
             columns[f"{what}_{name}_error ({unit})"] = [getattr(w, f"{what}_error") for w in widths]
         columns[f"tail_{name}"] = [w.tail for w in widths]
-    columns["fitted"] = [_fitted(s) for s in samples]
+    columns["fitted"] = [fitted(s) for s in samples]
     columns["not fitted"] = [_words(s.removed) for s in samples]
     return columns
-
-
-def _fitted(sample: Sample) -> int:
-    return int(np.count_nonzero(sample.tracks["status"] == 0))
 
 
 def _words(counts: Mapping[str, int]) -> str:
@@ -161,7 +159,7 @@ class Scan:
     def _rows(self) -> list[list[str]]:
         pairs = [zip(line.y, line.y_error, strict=True) for line in self.lines]
         cells = [[with_error(*pair) for pair in column] for column in pairs]
-        ends = [[f"{_fitted(s)}/{s.n_events}", _words(s.removed)] for s in self.samples]
+        ends = [[f"{fitted(s)}/{s.n_events}", _words(s.removed)] for s in self.samples]
         momenta = [f"{momentum_of(s):g}" for s in self.samples]
         return [[p, *row, *end] for p, row, end in zip(momenta, zip(*cells, strict=True), ends, strict=True)]
 
@@ -170,11 +168,19 @@ class Scan:
         shot = f"{first.gun.particle}, cos(theta) {first.gun.cos_theta}"
         return f"{first.detector.name}, {shot}: core widths; hits assigned by truth"
 
+    def note(self) -> str:
+        """Return what became of the tracks where hardly any was fitted; empty if there are enough everywhere."""
+        few = hardly_fitted(self.samples)
+        momenta = ", ".join(f"{momentum_of(s):g}" for s in few)
+        return f"at {momenta} GeV/c: {why_unfitted(few)}" if few else ""
+
     def __repr__(self) -> str:
-        return text_table(self._title(), _HEAD, self._rows())
+        return "\n".join([text_table(self._title(), _HEAD, self._rows()), *filter(None, [self.note()])])
 
     def _repr_html_(self) -> str:
-        return html_table(self._title(), _HEAD, self._rows())
+        return html_table(self._title(), _HEAD, self._rows()) + (
+            f"<p>{escape(note)}</p>" if (note := self.note()) else ""
+        )
 
 
 def summary_of(scans: Sequence[Scan]) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from cgemit.study.estimate import GaussianFit, Resolution, gaussian_fit, measure
+from cgemit.study.estimate import FEWEST, GaussianFit, Resolution, gaussian_fit, measure
 from cgemit.study.present import with_error
 from cgemit.study.records import shown
 from cgemit.study.resolutions import QUOTED, resolution
@@ -122,7 +122,7 @@ def track_spectrum(tracks: Table, parameter: str, bins: int = 80) -> Spectrum:
     """
     widths = windowed_resolution(tracks, parameter)
     if not widths.core > 0:
-        raise ValueError(f"tracks: {widths.n} fitted of {len(tracks)}; expected at least 10 for a resolution")
+        raise ValueError(f"tracks: {widths.n} fitted of {len(tracks)}; expected at least {FEWEST} for a resolution")
     unit, scale = QUOTED[parameter]
     values = scale * tracks[f"res_{parameter}"][tracks["status"] == 0]
     edges = np.linspace(*widths.window, bins + 1)
