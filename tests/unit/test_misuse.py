@@ -141,20 +141,19 @@ def test_interrupt_dropped_by_a_finalizer_comes_again():
     assert time.monotonic() - begin < 2
 
 
-@pytest.mark.parametrize(("module", "says"), [("cgemit.cli.main", ""), ("numpy", "cgemit: interrupted\n")])
-def test_interrupt_during_the_import_ends_without_a_traceback(module, says):
-    code = f"""
+def test_interrupt_during_the_import_ends_without_a_traceback():
+    code = """
 import runpy, sys
 class Interrupt:
     def find_spec(name, *_):
-        if name == "{module}":
+        if name == "cgemit.cli.main":
             raise KeyboardInterrupt
 sys.meta_path.insert(0, Interrupt)
 sys.argv = ["cgemit", "detectors"]
 runpy.run_module("cgemit", run_name="__main__", alter_sys=True)
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stderr, done.stdout) == (130, says, "")
+    assert (done.returncode, done.stderr, done.stdout) == (130, "", "")
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no SIGTERM to handle")
