@@ -144,7 +144,7 @@ def _layers(point: Point, sums: _Sums) -> list[Pull]:
     return rows
 
 
-def _optima(result: Result, some: int = 7) -> list[tuple[Floats, Optimum]]:
+def _optima(result: Result, some: int = 25) -> list[tuple[Floats, Optimum]]:
     """Return the true helices of some tracks and the optimum for their hits, with mean pulls for the first."""
     tables = (result.particles, result.clusters, result.wire_hits, result.truths, result.wire_truths)
     hits = fit_hits(find.by_truth(result.detector, *tables), result.clusters, result.wire_hits)
