@@ -8,7 +8,8 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from cgemit.draw.style import COLORS, Picture, grid, legend_entries, new_picture, style
-from cgemit.fit import LOSSES, PARAMETERS
+from cgemit.fit import PARAMETERS
+from cgemit.fit_settings import LOSSES
 from fit_results import ANGLES, DETECTORS, MOMENTA, FitResults, Pull
 
 _ANGLE_COLOURS = dict(zip(ANGLES, (COLORS["x"], COLORS["single"], COLORS["fit"]), strict=True))

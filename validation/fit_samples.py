@@ -16,7 +16,8 @@ import cgemit as cg
 from cgemit import _core, find
 from cgemit.candidates import fit_hits
 from cgemit.digitize import DigitizeSettings
-from cgemit.fit import LOSSES, PARAMETERS, FitSettings
+from cgemit.fit import PARAMETERS, FitSettings
+from cgemit.fit_settings import LOSSES
 from cgemit.result import Result
 from cgemit.simulate import SimulateSettings
 from cgemit.study.estimate import measure

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,6 +14,7 @@ from cgemit.detector import Detector, compiled
 from cgemit.detector.readout import cgem_table
 from cgemit.helix import RADIUS_PER_KAPPA
 from cgemit.tables import Table
+from cgemit.values import POSITIVE, Fit, setting_problems
 
 Floats = npt.NDArray[np.float64]
 
@@ -54,13 +54,11 @@ class ClusterSettings:
     reference_cos_theta: float = 0.93
 
     def __post_init__(self) -> None:
-        problems = []
-        if self.position not in POSITIONS:
-            problems.append(f"position: got {self.position!r}, expected one of {', '.join(POSITIONS)}")
-        if not (math.isfinite(self.reference_p) and self.reference_p > 0):
-            problems.append(f"reference_p: got {self.reference_p!r}, expected a positive number")
-        if not 0 < self.reference_cos_theta < 1:
-            problems.append(f"reference_cos_theta: got {self.reference_cos_theta!r}, expected between 0 and 1")
+        numbers: dict[str, Fit] = {
+            "reference_p": POSITIVE,
+            "reference_cos_theta": (lambda value: 0 < value < 1, "a number between 0 and 1"),
+        }
+        problems = setting_problems(self, {"position": POSITIONS}, (), numbers)
         if problems:
             raise ValueError("ClusterSettings:\n  " + "\n  ".join(problems))
 

@@ -10,6 +10,7 @@ import numpy as np
 from cgemit import _core
 from cgemit.detector import Detector, compiled
 from cgemit.tables import Table
+from cgemit.values import POSITIVE, setting_problems
 
 READOUTS = ("binary", "gaussian")
 
@@ -57,15 +58,9 @@ class DigitizeSettings:
     reveal_sides: bool = False
 
     def __post_init__(self) -> None:
-        problems = []
-        if self.readout not in READOUTS:
-            problems.append(f"readout: got {self.readout!r}, expected one of {', '.join(READOUTS)}")
-        for name in ("gain", "w_value", "sigma_x", "sigma_v"):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value > 0):
-                problems.append(f"{name}: got {value!r}, expected a positive number")
-        if not (math.isfinite(self.threshold) and self.threshold >= 0):
-            problems.append(f"threshold: got {self.threshold!r}, expected zero or a positive number")
+        numbers = dict.fromkeys(("gain", "w_value", "sigma_x", "sigma_v"), POSITIVE)
+        numbers["threshold"] = (lambda value: 0 <= value < math.inf, "zero or a positive number")
+        problems = setting_problems(self, {"readout": READOUTS}, ("reveal_sides",), numbers)
         if problems:
             raise ValueError("DigitizeSettings:\n  " + "\n  ".join(problems))
 

@@ -13,7 +13,7 @@ from cgemit import _core
 from cgemit.particles import FARTHEST, FASTEST, ParticleError, species
 from cgemit.tables import Table
 from cgemit.tables.check import Array
-from cgemit.values import InTurn, Limit, Value, ValueLike, parse_three, parse_value
+from cgemit.values import InTurn, Limit, Value, ValueLike, is_whole, parse_three, parse_value
 
 
 @dataclass(frozen=True, repr=False)
@@ -198,7 +198,7 @@ def _check_arguments(guns: tuple[Gun, ...], n_events: int, seed: int, first_even
             ("seed", seed, 2**64 - 1),
             ("first_event", first_event, 2**62),
         )
-        if not isinstance(value, int | np.integer) or isinstance(value, bool) or not 0 <= value <= most
+        if not is_whole(value, 0, most)
     ]
     problems += [f"gun: got {type(one).__name__}; expected a Gun" for one in guns if not isinstance(one, Gun)]
     if problems:
@@ -222,11 +222,10 @@ def _clean(gun: Gun, problems: list[str]) -> dict[str, Any]:
             clean[name] = parse_value(name, given, limit, problems)
     clean["vertex"] = parse_three("vertex", gun.vertex, _LENGTH, problems)
     clean["vertex_sigma"] = parse_three("vertex_sigma", gun.vertex_sigma, _SPREAD_LENGTH, problems)
-    many = gun.multiplicity
-    if not isinstance(many, int | np.integer) or isinstance(many, bool) or not 1 <= many <= 100_000:
-        problems.append(f"multiplicity: got {many!r}; expected a whole number from 1 to 100000")
+    if is_whole(gun.multiplicity, 1, 100_000):
+        clean["multiplicity"] = int(gun.multiplicity)
     else:
-        clean["multiplicity"] = int(many)
+        problems.append(f"multiplicity: got {gun.multiplicity!r}; expected a whole number from 1 to 100000")
     return clean
 
 

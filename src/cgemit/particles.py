@@ -13,6 +13,7 @@ import numpy.typing as npt
 from cgemit.problems import ProblemsError
 from cgemit.tables import SCHEMAS, Table
 from cgemit.tables.check import Array
+from cgemit.tables.table import kind_problems
 from cgemit.words import did_you_mean
 
 
@@ -162,6 +163,23 @@ def particles_from(source: Any, *, n_events: int | None = None, first_event: int
         return Table("particles", _filled(columns), number, first)
     except ValueError as error:
         raise ParticleError("table of particles", [str(error)]) from error
+
+
+def check_particles(particles: Table) -> None:
+    """Refuse a table of particles with values that make no sense.
+
+    Parameters
+    ----------
+    particles : Table of kind "particles"
+
+    Raises
+    ------
+    ParticleError
+        Listing everything that is wrong with the columns.
+    """
+    problems = kind_problems(particles=particles) or _problems(particles.columns)
+    if problems:
+        raise ParticleError("table of particles", problems)
 
 
 def _filled(columns: Mapping[str, Array]) -> dict[str, Array]:

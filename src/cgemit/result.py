@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from html import escape
 from pathlib import Path
 
@@ -15,6 +15,7 @@ from cgemit.fit import FitSettings, FitStatus
 from cgemit.gun import Gun, Guns
 from cgemit.simulate import SimulateSettings, TransportStatus
 from cgemit.tables import Table, save_tables
+from cgemit.tables.table import what
 
 TABLES = (
     *("particles", "truths", "steps", "wire_truths", "digis", "wire_hits", "clusters", "tracks", "residuals", "states"),
@@ -23,12 +24,28 @@ TABLES = (
 
 @dataclass(frozen=True, kw_only=True)
 class Settings:
-    """Settings of all stages."""
+    """Settings of all stages.
+
+    Raises
+    ------
+    TypeError
+        Listing every stage that is given something else than its settings.
+    """
 
     simulate: SimulateSettings = field(default_factory=SimulateSettings)
     digitize: DigitizeSettings = field(default_factory=DigitizeSettings)
     cluster: ClusterSettings = field(default_factory=ClusterSettings)
     fit: FitSettings = field(default_factory=FitSettings)
+
+    def __post_init__(self) -> None:
+        kinds = (SimulateSettings, DigitizeSettings, ClusterSettings, FitSettings)
+        problems = [
+            f"{f.name}: got {type(getattr(self, f.name)).__name__}, expected {kind.__name__}(...)"
+            for f, kind in zip(fields(self), kinds, strict=True)
+            if not isinstance(getattr(self, f.name), kind)
+        ]
+        if problems:
+            raise TypeError("Settings:\n  " + "\n  ".join(problems))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -107,3 +124,25 @@ class Result:
     def _repr_html_(self) -> str:
         rows = "".join(f"<tr><th>{escape(name)}</th><td>{escape(text)}</td></tr>" for name, text in self._summary())
         return f"<table>{rows}</table>"
+
+
+def tracks_of(given: Result | Table) -> Table:
+    """Return the tracks of a result, or the table of tracks itself.
+
+    Parameters
+    ----------
+    given : Result or Table of kind "tracks"
+
+    Raises
+    ------
+    TypeError
+        If it is neither a result nor a table.
+    ValueError
+        If it is a table of another kind.
+    """
+    if isinstance(given, Result):
+        return given.tracks
+    if not isinstance(given, Table) or given.kind != "tracks":
+        kind = ValueError if isinstance(given, Table) else TypeError
+        raise kind(f"tracks: got {what(given)}, expected a table of kind 'tracks', or a Result")
+    return given

@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
 from cgemit import _core
 from cgemit.detector import SCREENINGS, Detector, compiled
+from cgemit.particles import check_particles
 from cgemit.tables import Table
+from cgemit.values import setting_problems
 
 FLUCTUATIONS = ("full", "gaussian", "off")
 FOILS = ("effective", "lattice")
@@ -55,20 +55,13 @@ class SimulateSettings:
     steps: bool = False
 
     def __post_init__(self) -> None:
-        problems = []
-        for name, choices in (("fluctuations", FLUCTUATIONS), ("foil", FOILS), ("screening", SCREENINGS)):
-            if getattr(self, name) not in choices:
-                expected = ", ".join(map(repr, choices))
-                problems.append(f"{name}: {getattr(self, name)!r}, expected one of {expected}")
-        for name in ("sublayers", "deltas", "steps"):
-            if isinstance(getattr(self, name), np.bool_):  # JSON takes those of Python only
-                object.__setattr__(self, name, bool(getattr(self, name)))
-            elif not isinstance(getattr(self, name), bool):
-                problems.append(f"{name}: {getattr(self, name)!r}, expected True or False")
-        if self.foil == "lattice" and self.fluctuations != "full":
-            problems.append("foil: 'lattice', expected 'effective' unless fluctuations are 'full'")
-        if self.steps is True and self.fluctuations != "full":
-            problems.append("steps: True, expected False unless fluctuations are 'full'")
+        choices = {"fluctuations": FLUCTUATIONS, "foil": FOILS, "screening": SCREENINGS}
+        problems = setting_problems(self, choices, ("sublayers", "deltas", "steps"), {})
+        full = str(self.fluctuations) == "full"
+        if str(self.foil) == "lattice" and not full:
+            problems.append("foil: got 'lattice', expected 'effective' unless fluctuations are 'full'")
+        if self.steps is True and not full:
+            problems.append("steps: got True, expected False unless fluctuations are 'full'")
         if problems:
             raise ValueError("SimulateSettings:\n  " + "\n  ".join(problems))
 
@@ -97,7 +90,13 @@ def simulate(
     -------
     dict of str to Table
         ``particles`` with `status` filled in (TransportStatus), ``truths``, ``steps`` and ``wire_truths``.
+
+    Raises
+    ------
+    ParticleError
+        Listing everything that is wrong with the particles.
     """
+    check_particles(particles)
     out = _core.simulate(**core_arguments(detector, particles, settings or SimulateSettings(), seed))
     span = (particles.n_events, particles.first_event)
     return {

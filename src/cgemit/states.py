@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -10,9 +11,11 @@ import numpy.typing as npt
 
 from cgemit import _core, helix
 from cgemit.candidates import FitHits
-from cgemit.detector import SCREENINGS, Detector, compiled, slabs
+from cgemit.detector import SCREENINGS, Detector, compiled, load, slabs
 from cgemit.particles import HYPOTHESES
 from cgemit.tables import Table
+from cgemit.tables.table import what
+from cgemit.values import number
 
 Surface = _core.Surface
 StateStatus = _core.StateStatus
@@ -28,18 +31,16 @@ _MASSES = {kind.pdg: kind.mass for kind in HYPOTHESES.values()}
 def place_problems(places: object) -> list[str]:
     """Return what is wrong with places of states, each of which is one of `PLACES` or a radius in mm."""
     if not isinstance(places, tuple | list):
-        return [f"states: {places!r}, expected a tuple of radii in mm and of {', '.join(map(repr, PLACES))}"]
+        return [f"states: got {places!r}, expected a tuple of radii in mm and of {', '.join(map(repr, PLACES))}"]
     return [
-        f"states: {place!r}, expected a positive radius in mm or one of {', '.join(map(repr, PLACES))}"
+        f"states: got {place!r}, expected a positive radius in mm or one of {', '.join(map(repr, PLACES))}"
         for place in places
-        if place not in PLACES and not _is_radius(place)
+        if not (isinstance(place, str) and place in PLACES) and not _is_radius(place)
     ]
 
 
 def _is_radius(place: object) -> bool:
-    if isinstance(place, bool) or not isinstance(place, int | float | np.number):
-        return False
-    return math.isfinite(place) and bool(place > 0)
+    return 0 < number(place) < math.inf
 
 
 def state_columns(
@@ -103,7 +104,7 @@ def state_columns(
 
 
 def extrapolate(
-    detector: Detector,
+    detector: Detector | str | Mapping[str, Any],
     table: Table,
     radius: float,
     *,
@@ -119,7 +120,7 @@ def extrapolate(
 
     Parameters
     ----------
-    detector : Detector
+    detector : Detector, or what `load` accepts
     table : Table of kind "states" or "tracks"
         Where to start; tracks start at the origin.
     radius : float
@@ -137,12 +138,12 @@ def extrapolate(
     Raises
     ------
     ValueError
-        Listing every argument that makes no sense.
+        Listing every argument that makes no sense, or what is wrong with the detector.
     """
     problems = _start_problems(table, radius, particle, screening, loss)
     if problems:
         raise ValueError("extrapolate:\n  " + "\n  ".join(problems))
-    of_state = table.kind == "states"
+    detector, of_state = load(detector), table.kind == "states"
     pivot = np.stack([table[f"pivot_{axis}"] if of_state else np.zeros(len(table)) for axis in "xyz"], axis=1)
     parameters = np.stack([table[name] for name in helix.PARAMETERS], axis=1)
     start = np.hypot(*(pivot[:, i] + table["dr"] * f(table["phi0"]) for i, f in enumerate((np.cos, np.sin))))
@@ -161,22 +162,22 @@ def extrapolate(
     return Table("states", columns | _at(out), table.n_events, table.first_event, table.meta)
 
 
-def _start_problems(table: Table, radius: object, particle: str | None, screening: str, loss: str) -> list[str]:
+def _start_problems(table: object, radius: object, particle: object, screening: object, loss: object) -> list[str]:
     """Return what is wrong with the arguments of `extrapolate`."""
     problems = []
-    fits = table.kind in ("states", "tracks")
+    fits = isinstance(table, Table) and table.kind in ("states", "tracks")
     if not fits:
-        problems.append(f"table: of kind {table.kind!r}, expected 'states' or 'tracks'")
+        problems.append(f"table: got {what(table)}, expected a table of kind 'states' or 'tracks'")
     if not _is_radius(radius):
-        problems.append(f"radius: {radius!r}, expected a positive number, mm")
-    if particle is not None and particle not in HYPOTHESES:
-        problems.append(f"particle: {particle!r}, expected one of {', '.join(map(repr, HYPOTHESES))}")
+        problems.append(f"radius: got {radius!r}, expected a positive number, mm")
+    if particle not in (None, *HYPOTHESES):
+        problems.append(f"particle: got {particle!r}, expected one of {', '.join(map(repr, HYPOTHESES))}")
     if particle is None and fits and np.isnan(_masses(table, None)[np.isfinite(table["cov"][:, 0, 0])]).any():
         problems.append("particle: none given, and the table's hypothesis is none of e, mu, pi, K, p")
-    if loss not in _core.CoreLoss.__members__:
-        problems.append(f"loss: {loss!r}, expected one of {', '.join(_core.CoreLoss.__members__)}")
+    if loss not in tuple(_core.CoreLoss.__members__):
+        problems.append(f"loss: got {loss!r}, expected one of {', '.join(_core.CoreLoss.__members__)}")
     if screening not in SCREENINGS:
-        problems.append(f"screening: {screening!r}, expected one of {', '.join(map(repr, SCREENINGS))}")
+        problems.append(f"screening: got {screening!r}, expected one of {', '.join(map(repr, SCREENINGS))}")
     return problems
 
 

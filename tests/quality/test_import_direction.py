@@ -31,6 +31,7 @@ PYTHON_LAYERS = [
     {"tables", "values"},
     {"detector", "helix", "particles", "candidates"},
     {"gun", "states", "tracks"},
+    {"fit_settings"},
     {"simulate", "digitize", "cluster", "find", "fit"},
     {"result"},
     {"chain"},

@@ -120,6 +120,16 @@ def test_settings_list_every_problem():
         assert name in message
 
 
+def test_settings_of_wrong_type_are_named():
+    """What is no number, and no truth value, is a problem like any other."""
+    with pytest.raises(ValueError, match="DigitizeSettings") as caught:
+        DigitizeSettings(readout=1, gain="x", w_value=None, threshold=[1.7], sigma_v=True, reveal_sides="x")
+    lines = str(caught.value).splitlines()[1:]
+    names = {line.split(":")[0].strip() for line in lines}
+    assert names == {"readout", "gain", "w_value", "threshold", "sigma_v", "reveal_sides"}
+    assert all("got " in line and ", expected " in line for line in lines)
+
+
 # ----- gaussian read-out
 
 

@@ -2,6 +2,7 @@
 
 import dataclasses
 import inspect
+import math
 import re
 
 import numpy as np
@@ -12,7 +13,8 @@ from cgemit.cluster import cluster
 from cgemit.detector import load
 from cgemit.digitize import DigitizeSettings, digitize
 from cgemit.find import by_truth
-from cgemit.fit import ERRORS, PARAMETERS, FitSettings, FitStatus, fit
+from cgemit.fit import PARAMETERS, FitSettings, FitStatus, fit
+from cgemit.fit_settings import ERRORS
 from cgemit.gun import Gun, generate
 from cgemit.simulate import simulate
 
@@ -59,6 +61,35 @@ def test_every_mistake_is_listed():
     ):
         assert re.search(rf"^  {name}: ", text, re.MULTILINE)
     assert "'hit', expected one of 'hits', 'truth'" in text
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("seed", ["hits"]), ("cluster_errors", np.array(["track", "cluster"])), ("screening", 1), ("loss", [1]),
+        ("residuals", "no"), ("states", (["origin"],)), ("hypothesis", 13), ("hypothesis", [["mu"]]),
+        ("hypothesis", ("pi", "all")), ("max_iterations", "3"), ("max_iterations", 2.5), ("max_iterations", math.nan),
+        ("max_iterations", 10**12), ("max_iterations", True), ("tolerance", "x"), ("tolerance", None),
+        ("tolerance", 10**400), ("least_width", True), ("delta_strips", "a"), ("outlier_pull", None),
+        ("prior_sigma", 1), ("prior_sigma", (1, 1, "1", 1, 1)), ("seed_smearing", "abcde"),
+    ],
+)  # fmt: skip
+def test_values_of_any_type_are_named(name, value):
+    """What is of a wrong type is listed with the other mistakes, not refused by whatever meets it first."""
+    with pytest.raises(ValueError, match="FitSettings") as error:
+        FitSettings(**{"least_width": -1.0, "seed": "hit", name: value})
+    lines = str(error.value).splitlines()[1:]
+    assert sorted({line.split(":")[0].strip() for line in lines}) == sorted({"least_width", "seed", name})
+    assert all(re.search(r": got .*, expected ", line) for line in lines)
+
+
+def test_numbers_of_numpy_are_numbers():
+    """Settings made with numpy are the same."""
+    given = {"max_iterations": np.int64(9), "tolerance": np.float32(0.5), "residuals": np.True_}
+    assert FitSettings(**given, prior_sigma=np.ones(5)) == FitSettings(
+        max_iterations=9, tolerance=0.5, residuals=True, prior_sigma=(1, 1, 1, 1, 1)
+    )
+    assert FitSettings(**given).residuals is True
 
 
 def test_defaults_are_valid_and_frozen():

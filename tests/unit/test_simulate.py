@@ -226,6 +226,20 @@ def test_fluctuations_of_sublayers():
     np.testing.assert_allclose(single["px"], merged["px"], rtol=2e-5)
 
 
+@pytest.mark.parametrize(("name", "value"), [("x", math.nan), ("z", 1e300), ("px", math.inf), ("mass", math.nan)])
+def test_particles_that_are_nowhere_are_refused(name, value):
+    """The same as `chain.run` says, before anything is simulated."""
+    table = generate(Gun("mu-", p=1.0, cos_theta=0.2), 3, seed=1)
+    column = table[name].copy()
+    column[1] = value
+    messages = []
+    for stage in (simulate, chain.run):
+        with pytest.raises(ValueError, match=rf"{name}: is .* in row 1$") as error:
+            stage(DESIGN, table.with_columns(**{name: column}))
+        messages.append(str(error.value))
+    assert messages[0] == messages[1]
+
+
 def test_unknown_fluctuations():
     """A misspelt kind of fluctuations lists the choices."""
     with pytest.raises(ValueError, match="'full', 'gaussian', 'off'"):

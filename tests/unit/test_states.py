@@ -186,6 +186,10 @@ def test_extrapolation_follows_the_simulation():
         assert np.all(error(back)[:, [1, 4]] > error(there)[:, [1, 4]])
 
 
+def test_extrapolation_loads_a_detector_by_its_name(run):
+    assert extrapolate("besiii-cgem-design", run[1], 100.0) == extrapolate(DETECTOR, run[1], 100.0)
+
+
 def test_outside_the_last_hit_states_are_extrapolated(run):
     """Beyond the last measurement the state is the last one moved on."""
     _, states = run
@@ -249,7 +253,7 @@ def test_every_mistake_is_listed():
     """Places and arguments that make no sense are named together."""
     with pytest.raises(ValueError, match="FitSettings") as caught:
         FitSettings(states=("vertex", -1.0, float("nan"), True), hypothesis=("pi", "tau", "pi"))
-    for text in ("'vertex'", "-1.0", "nan", "True", "hypothesis: 'tau'", r"'pi'\)"):
+    for text in ("'vertex'", "-1.0", "nan", "True", "hypothesis: got 'tau'", r"'pi'\)"):
         assert re.search(f"{text}, expected", str(caught.value))
     with pytest.raises(ValueError, match="expected a tuple"):
         FitSettings(states=10.0)  # type: ignore[arg-type]
@@ -258,6 +262,14 @@ def test_every_mistake_is_listed():
         extrapolate(DETECTOR, result.particles, 0.0, particle="tau", screening="none", loss="none")
     for name in ("table", "radius", "particle", "screening", "loss"):
         assert f"\n  {name}: " in str(caught.value)
+    for table in (result, None):
+        expected = (
+            rf"(?s)table: got {type(table).__name__}, expected .*particle: got \['e'\], .*loss: got \[1\], expected"
+        )
+        with pytest.raises(ValueError, match=expected):
+            extrapolate(DETECTOR, table, 10.0, particle=["e"], loss=[1])
+    with pytest.raises(ValueError, match='did you mean "besiii-cgem"'):
+        extrapolate("besii-cgem", result.tracks, 10.0)
     bare = dataclasses.replace(DETECTOR, beam_pipe=())
     with pytest.raises(ValueError, match="'beam_pipe', but the detector has none"):
         chain.run(bare, Gun("mu-", p=1.0, cos_theta=0.0), 1, settings=Settings(fit=FitSettings(states=("beam_pipe",))))

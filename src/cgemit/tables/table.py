@@ -200,3 +200,17 @@ class Table:
             If it is damaged or holds something else.
         """
         return cls(*files.load(path))
+
+
+def what(given: object) -> str:
+    """Return what was given in the place of a table, for messages."""
+    return f"a table of kind {given.kind!r}" if isinstance(given, Table) else type(given).__name__
+
+
+def kind_problems(**tables: object) -> list[str]:
+    """Say which of some tables are not of the kind that they are named after."""
+    return [
+        f"{name}: got {what(table)}, expected a table of kind {name!r}"
+        for name, table in tables.items()
+        if not isinstance(table, Table) or table.kind != name
+    ]
