@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from cgemit.tables import Table
+from cgemit.tables.table import kind_problems
 
 Column = npt.NDArray[Any]
 
@@ -88,7 +89,15 @@ def with_masses(
     particles : Table of kind "particles"
         With the column `hypothesis`, the number.
     candidates : Candidates
+
+    Raises
+    ------
+    ValueError
+        If the candidates are not those of the particles.
     """
+    if len(candidates.hit_offsets) != len(particles) + 1:
+        given = f"{len(candidates.hit_offsets) - 1} for {len(particles)} particles"
+        raise ValueError(f"candidates: got {given}, expected one per row of the particles table")
     if not kinds:
         return particles.with_columns(hypothesis=np.abs(particles["pdg"])), candidates
     n = len(particles)
@@ -113,8 +122,16 @@ def fit_hits(candidates: Candidates, clusters: Table, wire_hits: Table) -> FitHi
     Returns
     -------
     FitHits
+
+    Raises
+    ------
+    ValueError
+        If the candidates point to rows that the tables do not have.
     """
     kind, row = candidates.kind, candidates.row
+    problems = kind_problems(clusters=clusters, wire_hits=wire_hits) or _row_problems(candidates, clusters, wire_hits)
+    if problems:
+        raise ValueError("fit_hits:\n  " + "\n  ".join(problems))
     # Row numbers of the two tables put one behind the other, so that a column is picked in one go; for what X and V
     # clusters measure, the clusters come twice.
     joined = np.array([0, 0, len(clusters)])[kind] + row
@@ -134,3 +151,16 @@ def fit_hits(candidates: Candidates, clusters: Table, wire_hits: Table) -> FitHi
         side=pick(joined, np.zeros(len(clusters), "i1"), wire_hits["side"]),
         row=row,
     )
+
+
+def _row_problems(candidates: Candidates, clusters: Table, wire_hits: Table) -> list[str]:
+    """Say which hits of the candidates are not in the tables."""
+    kind, row = candidates.kind, candidates.row
+    if kind.max(initial=0) > HIT_WIRE:
+        return [f"candidates: got kind {kind.max()}, expected {HIT_X}, {HIT_V} or {HIT_WIRE}"]
+    problems = []
+    for table, rows in ((clusters, row[kind != HIT_WIRE]), (wire_hits, row[kind == HIT_WIRE])):
+        if rows.min(initial=0) < 0 or rows.max(initial=-1) >= len(table):
+            given = f"rows {rows.min()} to {rows.max()} of {table.kind}, which has {len(table)} rows"
+            problems.append(f"candidates: got {given}; expected the table that they were found in")
+    return problems

@@ -13,6 +13,7 @@ from cgemit.candidates import HIT_V, HIT_WIRE, HIT_X, Candidates
 from cgemit.detector import Detector
 from cgemit.detector.strip_plane import local_v
 from cgemit.tables import Table
+from cgemit.tables.table import kind_problems
 
 Floats = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.intp]
@@ -37,7 +38,15 @@ def by_truth(
     Returns
     -------
     Candidates
+
+    Raises
+    ------
+    ValueError
+        If the tables do not belong to each other or to the detector.
     """
+    problems = _problems(detector, particles, clusters, wire_hits, truths, wire_truths)
+    if problems:
+        raise ValueError("by_truth:\n  " + "\n  ".join(problems))
     in_view = own_clusters(detector, clusters, truths)
     linked = np.flatnonzero(wire_hits["wire_truth"] >= 0)
     owner_of_truth = _particle_rows(particles, truths)
@@ -55,6 +64,49 @@ def by_truth(
     order = order[np.searchsorted(outward.take(order), 0) :]  # drops the hits of nobody, whose owner is -1
     offsets = np.searchsorted(owner.take(order), np.arange(len(particles) + 1)).astype(np.int64)
     return Candidates(offsets, kind.take(order), row.take(order))
+
+
+def _problems(
+    detector: Detector, particles: Table, clusters: Table, wire_hits: Table, truths: Table, wire_truths: Table
+) -> list[str]:
+    """Say which tables are something else, link to rows that are not there, or are those of another detector."""
+    problems = kind_problems(
+        particles=particles, clusters=clusters, wire_hits=wire_hits, truths=truths, wire_truths=wire_truths
+    )
+    if problems:
+        return problems
+    return (
+        _link_problems(clusters, "truth", truths)
+        + _link_problems(wire_hits, "wire_truth", wire_truths)
+        + _layer_problems(detector, clusters, wire_hits)
+    )
+
+
+def _link_problems(table: Table, link: str, target: Table) -> list[str]:
+    rows = table[link]
+    if rows.max(initial=-1) >= len(target):
+        return [f"{target.kind}: got {len(target)} rows; expected more, {table.kind} link to row {rows.max()}"]
+    linked = np.flatnonzero(rows >= 0)
+    event, expected = target["event"].take(rows.take(linked)), table["event"].take(linked)
+    if np.array_equal(event, expected):
+        return []
+    first = np.argmax(event != expected)
+    given = f"{table.kind} row {linked[first]}, of event {expected[first]}, links to one of event {event[first]}"
+    return [f"{target.kind}: {given}; expected the rows that {table.kind} were made from"]
+
+
+def _layer_problems(detector: Detector, clusters: Table, wire_hits: Table) -> list[str]:
+    chamber = detector.drift_chamber
+    wires = [layer.number for layer in chamber.layers] if chamber else []
+    problems = []
+    for table, known in ((clusters, range(len(detector.cgem))), (wire_hits, wires)):
+        strange = table["layer"][~np.isin(table["layer"], list(known))]
+        if len(strange):
+            problems.append(f"{table.kind}: got layer {strange[0]}, which {detector.name} does not have")
+    sheets = np.array([cgem.sheets for cgem in detector.cgem])
+    if not problems and np.any(clusters["sheet"] >= sheets.take(clusters["layer"])):
+        problems.append(f"clusters: got sheet {clusters['sheet'].max()}, which {detector.name} does not have")
+    return problems
 
 
 def own_clusters(detector: Detector, clusters: Table, truths: Table) -> Rows:

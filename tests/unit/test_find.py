@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 
 import gem_toy
-from cgemit.candidates import HIT_V, HIT_WIRE, HIT_X, fit_hits
+from cgemit.candidates import HIT_V, HIT_WIRE, HIT_X, Candidates, fit_hits
 from cgemit.cluster import cluster
 from cgemit.detector import load
 from cgemit.digitize import DigitizeSettings, digitize
 from cgemit.find import by_truth, own_clusters
+from cgemit.fit import FitSettings, fit
 from cgemit.tables import SCHEMAS, Table
 
 EVENTS = 30
@@ -143,6 +144,59 @@ def test_later_events_count_from_the_first(chain):
     part = by_truth(DETECTOR, particles, cut["clusters"], cut["wire_hits"], chain["truths"], chain["wire_truths"])
     whole = candidates_of(chain, particle_table(np.repeat(np.arange(EVENTS), 2), np.tile([0, 1], EVENTS)))
     np.testing.assert_array_equal(np.diff(part.hit_offsets), np.diff(whole.hit_offsets)[20:40])
+
+
+def by_truth_of(chain, detector=DETECTOR, **other):
+    """Candidates with some tables in the place of others."""
+    tables = {"particles": particle_table([0], [0]), **chain, **other}
+    names = ("particles", "clusters", "wire_hits", "truths", "wire_truths")
+    return by_truth(detector, *(tables[name] for name in names))
+
+
+def test_tables_that_do_not_belong_together_are_refused(chain):
+    """Rows that are not there, of other events or of another detector; all tables that do not fit are named."""
+    truths, wires = chain["truths"], chain["wire_truths"]
+    with pytest.raises(
+        ValueError, match=r"(?s)\n  truths: got 10 rows.*\n  wire_truths: got 7 rows; expected more, wire_"
+    ):
+        by_truth_of(chain, truths=truths[:10], wire_truths=wires[:7])
+    with pytest.raises(
+        ValueError, match=r"truths: clusters row \d+, of event \d+, links to one of event \d+; expected"
+    ):
+        by_truth_of(chain, truths=truths.with_columns(event=np.append(truths["event"][6:], [EVENTS - 1] * 6)))
+    with pytest.raises(ValueError, match=r"(?s)clusters: got layer 0, which besiii-idc does not have$"):
+        by_truth_of(chain, load("besiii-idc"))
+    layer = np.full(len(chain["wire_hits"]), 3, "i4")
+    with pytest.raises(ValueError, match="wire_hits: got layer 3, which besiii-cgem-design does not have"):
+        by_truth_of(chain, wire_hits=chain["wire_hits"].with_columns(layer=layer))
+    sheet = np.full(len(chain["clusters"]), 1, "i4")
+    with pytest.raises(ValueError, match="clusters: got sheet 1, which besiii-cgem-design does not have"):
+        by_truth_of(chain, clusters=chain["clusters"].with_columns(sheet=sheet))
+    with pytest.raises(
+        ValueError, match=r"(?s)clusters: got a table of kind 'wire_hits', .*\n  wire_hits: got NoneType,"
+    ):
+        by_truth_of(chain, clusters=chain["wire_hits"], wire_hits=None)
+
+
+def test_candidates_of_other_tables_are_refused(chain):
+    """Hits in rows that the tables do not have, tables changed for one another, particles that are not the same."""
+    particles = particle_table(np.repeat(np.arange(EVENTS), 2), np.tile([0, 1], EVENTS))
+    candidates = candidates_of(chain, particles)
+    clusters, wires = chain["clusters"], chain["wire_hits"]
+    with pytest.raises(ValueError, match=r"(?s) of clusters, which has 10 rows; .* of wire_hits, which has 9 rows; "):
+        fit(DETECTOR, particles, clusters[:10], wires[:9], candidates)
+    with pytest.raises(
+        ValueError, match=r"(?s)clusters: got a table of kind 'wire_hits', .*wire_hits: got a table of k"
+    ):
+        fit(DETECTOR, particles, wires, clusters, candidates)
+    for rows in (candidates.row - 1, candidates.row + len(clusters)):
+        with pytest.raises(ValueError, match=r"candidates: got rows .* of clusters, which has"):
+            fit_hits(Candidates(candidates.hit_offsets, candidates.kind, rows), clusters, wires)
+    with pytest.raises(ValueError, match="candidates: got kind 3, expected 0, 1 or 2"):
+        fit_hits(Candidates(candidates.hit_offsets, candidates.kind + np.uint8(1), candidates.row), clusters, wires)
+    for hypothesis in (None, "all"):
+        with pytest.raises(ValueError, match="candidates: got 60 for 10 particles, expected one per row"):
+            fit(DETECTOR, particles[:10], clusters, wires, candidates, FitSettings(hypothesis=hypothesis))
 
 
 # ----- several clusters of one crossing
