@@ -7,7 +7,9 @@ import time
 import numpy as np
 import pytest
 
+from cgemit import chain
 from cgemit._core import FitStatus
+from cgemit.gun import Gun
 from cgemit.study import chi2_flatness, gaussian_fit, measure, pulls, resolution, resolution_against
 from cgemit.tables import PARAMETERS
 from fitted import N, make_tracks, rng
@@ -48,6 +50,8 @@ def test_misspelt_names_get_a_hint():
         resolution(tracks, "kapa")
     with pytest.raises(ValueError, match='did you mean "cos_theta"'):
         resolution_against(tracks, "dr", by="costheta")
+    with pytest.raises(ValueError, match="parameter: got None; expected one of dr, "):
+        resolution(tracks, None)
     with pytest.raises(ValueError, match="kind"):
         resolution_against(tracks, "dr", kind="res")
     with pytest.raises(ValueError, match="window"):
@@ -55,6 +59,19 @@ def test_misspelt_names_get_a_hint():
     for bins in (0, [1], [0, 0], [[0, 1]]):
         with pytest.raises(ValueError, match="bins"):
             resolution_against(tracks, "dr", bins=bins)
+
+
+def test_tracks_are_those_of_a_result_or_of_a_table():
+    """A result stands for its tracks; other tables and other things are refused in words."""
+    result = chain.run("besiii-cgem-design", Gun("mu-", p=1.0, cos_theta=(-0.8, 0.8)), 120)
+    for study in (pulls, chi2_flatness, lambda tracks: resolution(tracks, "p"), lambda t: resolution_against(t, "p")):
+        assert study(result) == study(result.tracks)
+        with pytest.raises(
+            ValueError, match="tracks: got a table of kind 'clusters', expected a table of kind 'tracks'"
+        ):
+            study(result.clusters)
+        with pytest.raises(TypeError, match="tracks: got NoneType, expected a table of kind 'tracks', or a Result"):
+            study(None)
 
 
 def test_pulls_of_right_and_wrong_errors():

@@ -4,19 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import cycle
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
 
 from cgemit.draw.style import COLORS, Picture, grid, mathematical, new_picture, statistics_box, style
+from cgemit.result import Result, tracks_of
 from cgemit.study.records import Line, shown
 from cgemit.study.spectra import Spectrum, track_spectrum
 from cgemit.tables import Table
-
-if TYPE_CHECKING:
-    from cgemit.result import Result
 
 # One more marker than colours, so that only the 43rd curve looks like the first.
 _MARKERS = ("o", "s", "D", "^", "v", "P", "X")
@@ -46,7 +44,7 @@ def residual(result: Result | Table, quantity: str = "p") -> Picture:
     ValueError
         If the quantity is unknown, or too few tracks were fitted.
     """
-    tracks = result if isinstance(result, Table) else result.tracks
+    tracks = tracks_of(result)
     with style():
         picture, (axes,) = new_picture(1, 1, (6.4, 4.6))
         title = "" if isinstance(result, Table) else f"{result.detector.name}, {result.particles.n_events:,} events"

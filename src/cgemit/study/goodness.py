@@ -8,13 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import special
 
+from cgemit.result import Result, tracks_of
 from cgemit.study.estimate import Floats
 from cgemit.study.present import Comparable, with_error
 from cgemit.study.removed import removed_rows
 from cgemit.tables import Table
 
 
-def chi2_probability(tracks: Table) -> Floats:
+def chi2_probability(tracks: Table | Result) -> Floats:
     """Return the probability of a larger chi-square, (n,) float64, for the tracks whose fit ended well.
 
     It is uniform between 0 and 1 if the errors are right: Q(ndf/2, chi2/2), the regularised incomplete gamma
@@ -22,9 +23,10 @@ def chi2_probability(tracks: Table) -> Floats:
 
     Parameters
     ----------
-    tracks : Table
-        Of kind "tracks".
+    tracks : Table or Result
+        Of kind "tracks", or with such a table.
     """
+    tracks = tracks_of(tracks)
     rows = (tracks["status"] == 0) & (tracks["ndf"] > 0) & np.isfinite(tracks["chi2"])
     return np.asarray(special.gammaincc(tracks["ndf"][rows] / 2, tracks["chi2"][rows] / 2), np.float64)
 
@@ -65,7 +67,7 @@ class Flatness(Comparable):
         )
 
 
-def chi2_flatness(tracks: Table, bins: int = 20) -> Flatness:
+def chi2_flatness(tracks: Table | Result, bins: int = 20) -> Flatness:
     """Test whether the chi-square probability of the tracks is uniform.
 
     Kolmogorov's limiting distribution is taken at D (sqrt(n) + 0.12 + 0.11/sqrt(n)) (Stephens, J. R. Stat. Soc. B 32
@@ -73,8 +75,8 @@ def chi2_flatness(tracks: Table, bins: int = 20) -> Flatness:
 
     Parameters
     ----------
-    tracks : Table
-        Of kind "tracks".
+    tracks : Table or Result
+        Of kind "tracks", or with such a table.
     bins : int
         Number of equal bins of the chi-square test.
 
@@ -83,6 +85,7 @@ def chi2_flatness(tracks: Table, bins: int = 20) -> Flatness:
     ValueError
         If fewer than 5 tracks a bin are left.
     """
+    tracks = tracks_of(tracks)
     probability = np.sort(chi2_probability(tracks))
     n = len(probability)
     if bins < 2 or n < 5 * bins:

@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from cgemit.result import Result, tracks_of
 from cgemit.study.estimate import HEAD, Floats, Resolution, measure
 from cgemit.study.present import Comparable, html_table, text_table, with_error
 from cgemit.study.removed import removed_rows
@@ -34,13 +35,13 @@ BY: dict[str, tuple[Callable[[Table], Floats], str]] = {
 }
 
 
-def resolution(tracks: Table, parameter: str, *, window: tuple[float, float] | None = None) -> Resolution:
+def resolution(tracks: Table | Result, parameter: str, *, window: tuple[float, float] | None = None) -> Resolution:
     """Return the widths of the residual (fitted minus true) of one parameter.
 
     Parameters
     ----------
-    tracks : Table
-        Of kind "tracks". Rows whose fit ended well are used; the others are counted by status.
+    tracks : Table or Result
+        Of kind "tracks", or with such a table. Rows whose fit ended well are used; the others are counted by status.
     parameter : str
         One of dr, phi0, kappa, dz, tanl, p.
     window : (low, high) or None
@@ -53,11 +54,11 @@ def resolution(tracks: Table, parameter: str, *, window: tuple[float, float] | N
 
     Raises
     ------
-    ValueError
-        If the parameter is unknown or the window is empty.
+    TypeError, ValueError
+        If `tracks` are none, the parameter is unknown or the window is empty.
     """
     unit, scale = QUOTED[_known(parameter, "parameter", list(QUOTED))]
-    return _measure(tracks, f"res_{parameter}", parameter, unit, scale, window)
+    return _measure(tracks_of(tracks), f"res_{parameter}", parameter, unit, scale, window)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -86,14 +87,15 @@ class Pulls(Comparable):
         return html_table("pulls", ("parameter", *HEAD, "mean"), self._rows())
 
 
-def pulls(tracks: Table) -> Pulls:
+def pulls(tracks: Table | Result) -> Pulls:
     """Return mean and width of the pulls of dr, phi0, kappa, dz, tanl and p, core and plain, with errors.
 
     Parameters
     ----------
-    tracks : Table
-        Of kind "tracks".
+    tracks : Table or Result
+        Of kind "tracks", or with such a table.
     """
+    tracks = tracks_of(tracks)
     return Pulls(tuple(_measure(tracks, f"pull_{name}", name, "", 1.0, None) for name in PARAMETERS))
 
 
@@ -146,7 +148,7 @@ class Curve(Comparable):
 
 
 def resolution_against(
-    tracks: Table,
+    tracks: Table | Result,
     parameter: str,
     by: str = "cos_theta",
     bins: int | npt.ArrayLike = 10,
@@ -158,8 +160,8 @@ def resolution_against(
 
     Parameters
     ----------
-    tracks : Table
-        Of kind "tracks".
+    tracks : Table or Result
+        Of kind "tracks", or with such a table.
     parameter : str
         One of dr, phi0, kappa, dz, tanl, p.
     by : str
@@ -173,14 +175,15 @@ def resolution_against(
 
     Raises
     ------
-    ValueError
-        If a name is unknown or the limits do not increase.
+    TypeError, ValueError
+        If `tracks` are none, a name is unknown or the limits do not increase.
     """
     unit, scale = QUOTED[_known(parameter, "parameter", list(QUOTED))]
     quantity, by_unit = BY[_known(by, "by", list(BY))]
     _known(kind, "kind", ["residual", "pull"])
     column = f"res_{parameter}" if kind == "residual" else f"pull_{parameter}"
     unit, scale = (unit, scale) if kind == "residual" else ("", 1.0)
+    tracks = tracks_of(tracks)
     x = np.asarray(quantity(tracks), np.float64)
     edges = _edges(x, bins)
     bin_of = np.searchsorted(edges, x, side="right") - 1
