@@ -162,7 +162,7 @@ def extrapolate(
     return Table("states", columns | _at(out), table.n_events, table.first_event, table.meta)
 
 
-def _start_problems(table: object, radius: object, particle: object, screening: object, loss: object) -> list[str]:
+def _start_problems(table: Table, radius: object, particle: object, screening: object, loss: object) -> list[str]:
     """Return what is wrong with the arguments of `extrapolate`."""
     problems = []
     fits = isinstance(table, Table) and table.kind in ("states", "tracks")

@@ -156,6 +156,22 @@ def test_unknown_names() -> None:
     assert "besiii-cgem" in problems("no/such/file.toml")[""].expected
 
 
+@pytest.mark.parametrize(
+    ("change", "path"),
+    [
+        ({1: 2}, "1"),
+        ({"cgem": {"L1": {1: 2}}}, "cgem.L1.1"),
+        ({"cgem": {1: {}}}, "cgem.1"),
+        ({"field": {None: 2}}, "field.None"),
+        ({"cgem": {"new": {1: 2}}}, "cgem.new.1"),
+    ],
+)
+def test_keys_that_are_no_text(change: dict[Any, Any], path: str) -> None:
+    """Mappings made in Python may have any key; what is none of a detector file is unknown."""
+    found = problems({"base": "besiii-cgem", **change})
+    assert "unknown key" in found[path].given or "table" in found[path].given
+
+
 def test_wrong_override_paths() -> None:
     detector = load("besiii-cgem-design")
     for overrides, path in (

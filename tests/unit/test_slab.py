@@ -93,6 +93,8 @@ def test_every_problem_is_listed_with_its_place():
         "Kapton 3 um Cu 2 um",
         "Kapton 60/40 3 um",
         "Kapton 0 um",
+        "Kapton 1e-30 mm",
+        "Kapton 1e-7 nm",
         "C1e 3 um",
         "CH0 1 g/cm3 1 mm",
     ],
@@ -134,7 +136,7 @@ def test_formulas_of_small_angles_end_at_1_rad():
     assert cg.slab("Pb 1 mm", "mu-", 0.1, 1000).highland_mrad < 1000
 
 
-@pytest.mark.parametrize("thickness", [math.nan, math.inf, 0.0, -1.0])
+@pytest.mark.parametrize("thickness", [math.nan, math.inf, 0.0, -1.0, 1e-30])
 def test_sheets_have_a_thickness(thickness):
     with pytest.raises(SlabError, match="thickness"):
         cg.slab([(library()["Cu"], 1.0), (library()["Cu"], thickness)])
@@ -260,7 +262,8 @@ def test_command_explains_bad_input_with_exit_code_2(capsys):
 
 
 @pytest.mark.parametrize(
-    ("text", "particle", "p"), [("H 1 nm", "p", 10), ("Pb 20 cm", "p", 0.3), ("Ne 1 m", "e+", 0.01)]
+    ("text", "particle", "p"),
+    [("H 1 nm", "p", 10), ("Cu 1e-9 mm", "mu-", 1), ("Pb 20 cm", "p", 0.3), ("Ne 1 m", "e+", 0.01)],
 )
 def test_extremes_are_drawn_and_written(text, particle, p, tmp_path, capsys):
     arguments = ["slab", text, "--particle", particle, "--p", str(p), "-n", "2000", "--quiet"]

@@ -189,6 +189,15 @@ def test_damaged_and_foreign_files(tmp_path):
     np.save(tmp_path / "plain.npy", np.zeros(2))
     with pytest.raises(ValueError, match="not a complete table file"):
         Table.load(tmp_path / "plain.npy")
+    right = {"format": "cgemit-table-1", "kind": "digis", "n_events": 1, "first_event": 0, "meta": {}}
+    for about in ([], 5, None, "digis"):
+        np.savez(path, __meta__=np.array(json.dumps(about)), event=np.zeros(1, int))
+        with pytest.raises(ValueError, match=r"x\.npz is not a complete table file .*__meta__ holds"):
+            Table.load(path)
+    for name, value in (("kind", None), ("n_events", "1"), ("first_event", None), ("meta", [])):
+        np.savez(path, __meta__=np.array(json.dumps(right | {name: value})), event=np.zeros(1, int))
+        with pytest.raises(ValueError, match=rf"x\.npz is not a complete table file .*missing or wrong: {name}\)"):
+            Table.load(path)
     with pytest.raises(FileNotFoundError, match="nothing"):
         Table.load(tmp_path / "nothing.npz")
 
@@ -202,6 +211,10 @@ def test_sets_of_tables(tmp_path):
     with pytest.raises(FileExistsError, match=r"truths\.npz"):
         save_tables({"truths": tables["truths"], "clusters": make("clusters", [0], 1)}, tmp_path / "set")
     assert not (tmp_path / "set" / "clusters.npz").exists()
+    for text in ("5", "{"):
+        (tmp_path / "set" / "tables.json").write_text(text, encoding="utf-8")
+        with pytest.raises(ValueError, match=r"tables\.json is damaged"):
+            load_tables(tmp_path / "set")
     (tmp_path / "set" / "tables.json").unlink()
     with pytest.raises(FileNotFoundError, match="no complete set"):
         load_tables(tmp_path / "set")

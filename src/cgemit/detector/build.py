@@ -85,7 +85,7 @@ def build(source: str, tables: Mapping[str, Any], problems: list[Problem]) -> De
     """
     reader = Reader(problems=problems, baseless=any(problem.path == "base" for problem in problems))
     for name in tables.keys() - TOP_LEVEL.keys():
-        reader.note(name, "an unknown key", "one of " + ", ".join(TOP_LEVEL), did_you_mean(name, TOP_LEVEL))
+        reader.note(str(name), "an unknown key", "one of " + ", ".join(TOP_LEVEL), did_you_mean(name, TOP_LEVEL))
     texts = {name: _text(reader, name, tables.get(name, "")) for name in ("name", "description")}
     if not re.fullmatch(NAME, texts["name"]):
         given = json.dumps(texts["name"], ensure_ascii=False)  # which shows the end of a line as \n

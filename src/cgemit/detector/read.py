@@ -205,7 +205,7 @@ def _unusable(key: Key) -> Any:
 
 
 def _only(raw: Mapping[str, Any]) -> str:
-    return "only " + ", ".join(raw) if raw else "an empty table"
+    return "only " + ", ".join(map(str, raw)) if raw else "an empty table"
 
 
 def _label_hint(path: str, siblings: Iterable[str]) -> str:

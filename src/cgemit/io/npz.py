@@ -71,6 +71,8 @@ def read_arrays(path: str | os.PathLike[str]) -> tuple[dict[str, np.ndarray[Any,
                 raise ValueError("not an .npz file")
             arrays = {name: stored[name] for name in stored.files}
         meta = json.loads(str(arrays.pop(_META)))
+        if not isinstance(meta, dict):
+            raise ValueError(f"{_META} holds {meta!r:.50}, not an object")
     except (BadZipFile, KeyError, EOFError, ValueError) as error:
         raise ValueError(f"{path} is not a complete table file of cgemit ({error})") from error
     return arrays, meta

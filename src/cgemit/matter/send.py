@@ -13,7 +13,7 @@ from cgemit.detector.compile import SCREENINGS, compiled_stack
 from cgemit.detector.material import Material
 from cgemit.detector.problems import Problem
 from cgemit.matter.passage import LayerNumbers, Passage
-from cgemit.matter.sheets import Sheet, parse_stack
+from cgemit.matter.sheets import THINNEST, Sheet, parse_stack
 from cgemit.matter.widths import ANGLES, LOSSES, angle_estimates, loss_estimates
 from cgemit.particles import FASTEST, Species, species
 from cgemit.problems import ProblemsError
@@ -138,8 +138,9 @@ def _check(
 ) -> _Order:
     problems: list[Problem] = []
     sheets = parse_stack(matter, problems) if isinstance(matter, str) else _sheets(matter, problems)
-    if not problems and (not sheets or not all(0 < sheet.thickness < math.inf for sheet in sheets)):
-        problems.append(Problem("matter", "no sheet, or one without thickness", "sheets thicker than 0, and finite"))
+    if not problems and (not sheets or not all(THINNEST <= sheet.thickness < math.inf for sheet in sheets)):
+        expected = f"sheets of {THINNEST:g} mm or more, and finite"
+        problems.append(Problem("matter", "no sheet, or one without thickness", expected))
     kind, momentum = _kind(particle, problems), _momentum(p, problems)
     for name, value, least, most in (("n", n, FEWEST, MOST), ("seed", seed, 0, 2**64 - 1)):
         if not isinstance(value, int | np.integer) or isinstance(value, bool) or not least <= value <= most:

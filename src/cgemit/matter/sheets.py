@@ -11,7 +11,8 @@ from cgemit.units import NATIVE, QuantityError, parse_quantity
 _EXAMPLE = '"Kapton 300 um", "He/C3H8 60/40 16 mm" or "C 2.0 g/cm3 213.5 um"'
 _QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?\s*(?:[^\s\d.+-]\S*)?)")
 _FRACTIONS = re.compile(r"\s*((?:\d+\.?\d*|\.\d+)(?:/(?:\d+\.?\d*|\.\d+))+)%?(?=\s|$)")
-_THICKEST = 1e6  # mm
+#: mm. Thinner than an atom is no sheet; far below, X/X0 vanishes in the arithmetic.
+THINNEST, THICKEST = 1e-9, 1e6
 _DENSITIES = (1e-6, 25.0)  # g/cm3, as in detector files
 
 
@@ -74,7 +75,7 @@ def _numbers(text: str, place: str, problems: list[Problem]) -> tuple[float | No
         given = f'"{text.strip()}" after the material' if text.strip() else "no thickness"
         problems.append(Problem(place, given, f"a thickness, before it a density if need be, as {_EXAMPLE}"))
         return 1.0, 1.0
-    limits = {"density": _DENSITIES, "length": (0.0, _THICKEST)}
+    limits = {"density": _DENSITIES, "length": (THINNEST, THICKEST)}
     values = []
     for word, dimension in zip(words, ("density", "length")[-len(words) :], strict=True):
         least, most = limits[dimension]
@@ -84,9 +85,9 @@ def _numbers(text: str, place: str, problems: list[Problem]) -> tuple[float | No
         except QuantityError as error:
             problems.append(Problem(place, error.given, error.expected, error.hint))
             continue
-        if value > 0 and least <= value <= most:
+        if least <= value <= most:
             values[-1] = value
         else:
-            expected = f"a {dimension} above {least:g}, up to {most:g} {NATIVE[dimension]}"
+            expected = f"a {dimension} from {least:g} to {most:g} {NATIVE[dimension]}"
             problems.append(Problem(place, f'"{word.strip()}"', expected))
     return (values[0] if len(values) == 2 else None), values[-1]

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
 FORMAT = "cgemit-table-1"
 INDEX = "tables.json"
+_ABOUT = {"kind": str, "n_events": int, "first_event": int, "meta": dict}  # what `load` takes from `describe`
 
 
 def describe(table: Table) -> dict[str, Any]:
@@ -43,6 +44,9 @@ def load(path: str | os.PathLike[str]) -> tuple[str, dict[str, Array], int, int,
     arrays, about = read_arrays(path)
     if about.get("format") != FORMAT:
         raise ValueError(f"{path} has format {about.get('format')!r}, expected {FORMAT!r}")
+    wrong = [name for name, kind in _ABOUT.items() if not isinstance(about.get(name), kind)]
+    if wrong:
+        raise ValueError(f"{path} is not a complete table file of cgemit (missing or wrong: {', '.join(wrong)})")
     arrays.pop("offsets", None)  # they follow from the event column
     return about["kind"], arrays, about["n_events"], about["first_event"], about["meta"]
 
@@ -104,5 +108,10 @@ def load_tables(directory: str | os.PathLike[str]) -> dict[str, Table]:
     folder = Path(directory)
     if not (folder / INDEX).exists():
         raise FileNotFoundError(f"{folder} holds no complete set of tables ({INDEX} is missing)")
-    names = json.loads((folder / INDEX).read_text(encoding="utf-8"))
+    try:
+        names = json.loads((folder / INDEX).read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise ValueError(f"{folder / INDEX} is damaged ({error})") from error
+    if not isinstance(names, dict):
+        raise ValueError(f"{folder / INDEX} is damaged (expected an object with a key for each table)")
     return {name: Table.load(folder / f"{name}.npz") for name in names}
