@@ -2,6 +2,7 @@
 
 import csv
 import json
+import math
 import pickle
 import re
 from functools import partial
@@ -13,7 +14,7 @@ from test_report import outline
 
 import cgemit
 from cgemit import draw
-from cgemit.draw.curves import draw_resolutions
+from cgemit.draw.curves import draw_grid, draw_resolutions
 from cgemit.draw.geometry import helix_points, near
 from cgemit.study import reproduce
 from cgemit.study.cluster_residuals import cluster_residuals
@@ -281,6 +282,43 @@ def test_every_curve_of_a_picture_has_a_look_of_its_own():
     curves = [bars.lines[0] for bars in axes.containers]
     assert len({(curve.get_marker(), curve.get_color()) for curve in curves}) == 12
     assert [text.get_text() for text in axes.get_legend().get_texts()] == [f"d{i}" for i in range(12)]
+
+
+def line_at(x, y, y_error):
+    """Return a curve of σ(p)."""
+    return Line("sigma_p", "one", np.array(x), "GeV/c", np.array(y), np.array(y_error), "MeV/c")
+
+
+def test_curves_show_whole_error_bars_and_every_momentum():
+    """Points with their errors, a published point and momenta without a fitted track lie within the axes."""
+    line = line_at([0.2, 0.5, 1.0], [math.nan, 4.0, 5.0], [math.nan, 0.1, 2.0])
+    (axes,) = draw_resolutions([("σ(p)", [line])], "p").axes
+    assert 7.0 < axes.get_ylim()[1] < 8.0
+    assert axes.get_xlim()[0] < 0.2
+    assert axes.get_xlim()[1] > 1.0
+    assert not axes.texts
+    (axes,) = draw_resolutions([("σ(p)", [line])], "p", [(1.0, 9.0)]).axes
+    assert axes.get_ylim()[1] > 9.0
+    (_, axes) = draw_grid([[("σ(p)", [line]), ("pull", [line])]], "p", unity_rows=[0]).axes
+    assert axes.get_ylim()[1] > 7.0
+
+
+def test_curves_without_a_track_say_so():
+    """The range is that of the momenta asked for."""
+    (axes,) = draw_resolutions([("σ(p)", [line_at([0.5, 1.0], [math.nan] * 2, [math.nan] * 2)])], "p").axes
+    assert [text.get_text() for text in axes.texts] == ["no fitted track, or fewer than ten"]
+    assert 0.4 < axes.get_xlim()[0] < 0.5 < 1.0 < axes.get_xlim()[1] < 1.1
+
+
+@pytest.mark.parametrize("n", [30, 400])
+def test_statistics_do_not_hide_the_highest_error_bar(result, n):
+    """It ends below the box, which is opaque."""
+    picture = draw.residual(result.tracks[:n], "dz")
+    (axes,) = picture.axes
+    picture.draw_without_rendering()
+    box = axes.texts[0].get_bbox_patch().get_window_extent().transformed(axes.transData.inverted())
+    n = track_spectrum(result.tracks[:n], "dz").counts["all"].max()
+    assert n + np.sqrt(n) < box.y0
 
 
 def test_line_without_value_is_null_in_json():

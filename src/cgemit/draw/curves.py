@@ -116,7 +116,8 @@ def _label_spectrum(axes: Axes, spectrum: Spectrum, title: str, headroom: float 
     width = spectrum.edges[1] - spectrum.edges[0]
     unit = shown(spectrum.unit)
     axes.set(xlabel=f"{mathematical(spectrum.label)}  ({unit})", ylabel=f"entries / {width:.3g} {unit}")
-    axes.set(xlim=(spectrum.edges[0], spectrum.edges[-1]), ylim=(0, headroom * max(1, spectrum.counts["all"].max())))
+    most = max(1, spectrum.counts["all"].max())
+    axes.set(xlim=(spectrum.edges[0], spectrum.edges[-1]), ylim=(0, headroom * (most + np.sqrt(most))))
     if title:
         axes.set_title(title, loc="left")
     grid(axes)
@@ -146,13 +147,23 @@ def draw_curves(
         axes.plot(*paper, "*", zorder=5, label="paper, CGEM", **star)
     x_unit, y_unit = (f"  ({shown(unit)})" if unit else "" for unit in (curves[0].x_unit, curves[0].y_unit))
     axes.set(xlabel=x_label + x_unit, ylabel=mathematical(y_label) + y_unit)
-    axes.set_ylim(0, 1.08 * _top(curves))
+    _limit_curves(axes, curves, paper)
     grid(axes)
 
 
-def _top(curves: Sequence[Line]) -> float:
-    values = np.concatenate([curve.y for curve in curves])
-    return float(np.nanmax(values)) if np.isfinite(values).any() else 1.0
+def _limit_curves(axes: Axes, curves: Sequence[Line], paper: tuple[float, float] | None) -> None:
+    """Show all of every point, and every place in x where there could have been one."""
+    x, y, error = (np.concatenate([getattr(curve, name) for curve in curves]) for name in ("x", "y", "y_error"))
+    asked = x[np.isfinite(x)]
+    axes.update_datalim(np.stack([asked, np.zeros(len(asked))], axis=1), updatey=False)
+    axes.autoscale_view(scaley=False)
+    drawn = np.isfinite(y)
+    tops = [*(y + np.nan_to_num(error))[drawn], *([paper[1]] if paper else [])]
+    axes.set_ylim(0, 1.08 * max(tops, default=1.0))
+    if not drawn.any():
+        axes.set_yticks([])
+        note = "no fitted track, or fewer than ten"
+        axes.text(0.5, 0.5, note, transform=axes.transAxes, ha="center", color=COLORS["text"])
 
 
 def draw_resolutions(
@@ -257,9 +268,8 @@ def draw_grid(
 
 
 def _around_one(curves: Sequence[Line]) -> tuple[float, float]:
-    values = np.concatenate([curve.y for curve in curves])
-    values = values[np.isfinite(values)]
-    reach = max(0.25, 1.25 * float(np.abs(values - 1).max())) if len(values) else 0.25
+    away = np.concatenate([np.abs(curve.y - 1) + np.nan_to_num(curve.y_error) for curve in curves])
+    reach = max(0.25, 1.1 * float(np.max(away, initial=0.0, where=np.isfinite(away))))
     return max(0.0, 1 - reach), 1 + reach
 
 
