@@ -18,7 +18,7 @@ Pulls, chi-square, residuals and widths of fitted tracks over momentum, angle, c
 python validation/fit.py
 ```
 
-(ten minutes; `--quick` takes five, with 2000 tracks a point). {versions}.
+(eleven minutes; `--quick` takes seven, with 2000 tracks a point). {versions}.
 {events}.
 
 Momenta {momenta} GeV/c, cos(theta) {angles}, mu and pi of both charges, a random seed for each point. Numbers beyond
