@@ -1,4 +1,4 @@
-"""Validate the fit: ``python validation/fit.py`` (eleven minutes; ``--quick``: seven).
+"""Validate the fit: ``python validation/fit.py`` (ten minutes; ``--quick``: five).
 
 Simulates and fits tracks over the grid of momentum, angle, charge, particle and detector; compares their pulls,
 chi-square, residuals and widths with what they have to be; writes fit_*.csv in validation/results and the pictures, and

@@ -18,7 +18,7 @@ Pulls, chi-square, residuals and widths of fitted tracks over momentum, angle, c
 python validation/fit.py
 ```
 
-(eleven minutes; `--quick` takes seven, with 2000 tracks a point). {versions}.
+(ten minutes; `--quick` takes five, with 2000 tracks a point). {versions}.
 {events}.
 
 Momenta {momenta} GeV/c, cos(theta) {angles}, mu and pi of both charges, a random seed for each point. Numbers beyond
@@ -86,7 +86,9 @@ _OPTIMUM = """
 
 Core widths where all is Gaussian over those of generalised least squares with the same noise model, worked out by other
 means: a track followed in plain numpy, differentiated by its parameters and by every scattering angle and loss
-(`validation/optimal.py`). **sigma(d_rho), sigma(d_z), sigma(p) have to be within 3 %.**
+(`validation/optimal.py`), about the helices of ten fitted tracks. Errors differ with the layers that are hit, so the
+optimum of a sample is the median error of its tracks times the median ratio of the optimum to the fit's own error of a
+track. **sigma(d_rho), sigma(d_z), sigma(p) have to be within 3 %.**
 """
 
 _LOSSES = """

@@ -82,7 +82,7 @@ def measure_point(point: Point, n: int, threads: int | None) -> tuple[list[Pull]
     settings, gun = MODES[point.mode], cg.Gun(point.particle, p=point.p, cos_theta=point.cos_theta)
     seed = zlib.crc32(repr(point).encode())
     columns: dict[str, list[npt.NDArray[np.generic]]] = {}
-    names = ["status", "chi2", "ndf", "res_p"]
+    names = ["status", "chi2", "ndf", "res_p", "err_p"]
     names += [f"{kind}_{name}" for kind in ("pull", "res", "err") for name in PARAMETERS]
     sums, first = _Sums({}, {}, {}), None
     for block in range(math.ceil(n / BLOCK)):
@@ -145,11 +145,11 @@ def _layers(point: Point, sums: _Sums) -> list[Pull]:
     return rows
 
 
-def _optima(result: Result, some: int = 25) -> list[tuple[Floats, Optimum]]:
-    """Return the true helices of some tracks and the optimum for their hits, with mean pulls for the first."""
+def _optima(result: Result, some: int = 10) -> list[tuple[Floats, Optimum]]:
+    """Return the fitted helices of some tracks and the optimum for their hits, with mean pulls for the first."""
     tables = (result.particles, result.clusters, result.wire_hits, result.truths, result.wire_truths)
     hits = fit_hits(find.by_truth(result.detector, *tables), result.clusters, result.wire_hits)
-    true = np.stack([result.tracks[f"truth_{name}"] for name in PARAMETERS], axis=1)
+    fitted = np.stack([result.tracks[name] for name in PARAMETERS], axis=1)
     columns = ("kind", "layer", "element", "sigma")
     cuts = (_core.CORE_MEAN_CUT, _core.CORE_VARIANCE_CUT)
     found = []
@@ -157,17 +157,23 @@ def _optima(result: Result, some: int = 25) -> list[tuple[Floats, Optimum]]:
         rows = range(hits.hit_offsets[track], hits.hit_offsets[track + 1])
         seen = [Hit(*(getattr(hits, name)[i].item() for name in columns)) for i in rows]
         mass = float(result.particles["mass"][track])
-        found.append((true[track], optimum(result.detector, seen, true[track], mass, cuts, pulls=not found)))
+        found.append((fitted[track], optimum(result.detector, seen, fitted[track], mass, cuts, pulls=not found)))
     return found
 
 
 def _widths(point: Point, tracks: Columns, best: Sequence[tuple[Floats, Optimum]]) -> list[Width]:
-    """Compare core widths with those of the optimum."""
+    """Compare core widths with the optimum: the errors of the fit, times what the optimum is of them track by track.
+
+    Errors differ by a few per cent from track to track, with the layers that are hit: of a few tracks only the ratio
+    tells.
+    """
     sigmas = [errors(helix, one.cov) for helix, one in best]
     rows = []
     for name in sigmas[0]:
         found = measure(np.asarray(tracks[f"res_{name}"], np.float64))
-        expected = float(np.median([sigma[name] for sigma in sigmas]))  # a track may lack a layer
+        error = np.asarray(tracks[f"err_{name}"], np.float64)
+        ratio = np.median([sigma[name] / own for sigma, own in zip(sigmas, error, strict=False)])
+        expected = float(np.median(error) * ratio)
         row = Width(**asdict(point), quantity=name, core=found.core, core_error=found.core_error, optimal=expected)
         rows.append(row)
     return rows
