@@ -188,7 +188,8 @@ void bind_fit(py::module_& module) {
            py::kw_only(), py::arg("max_iterations"), py::arg("tolerance"), py::arg("errors_from_track"),
            py::arg("least_width"), py::arg("delta_strips"), py::arg("outlier_pull"), py::arg("prior_sigma"));
   module.def("fit", &run, py::arg("detector"), py::kw_only(), py::arg("hit_offsets"), py::arg("hits"),
-             py::arg("mass"), py::arg("start"), py::arg("settings"), py::arg("residuals"), py::arg("states") = false,
+             py::arg("mass"), py::arg("start"), py::arg("settings"), py::arg("residuals"),
+             py::arg("states") = false,
              "Fit one track per row of hit_offsets; columns of the tracks, if asked for those of the hits' "
              "residuals, and what states along the tracks are made from.");
 }
