@@ -74,8 +74,10 @@ def draw_residuals(results: FitResults) -> Picture:
             plot.set(ylabel=f"{quantity} of the residual's pull", xlim=(-0.7, len(names) - 0.3))
             plot.set_xticks(range(len(names)), names, rotation=90, fontsize=7)
             grid(plot)
+        axes[0].set_title(f"{DETECTORS[0]}, mu-, cos θ = 0, all Gaussian: each hit against the track without it")
+        axes[1].set_xlabel("layer: X and V of the CGEM, wires")
         axes[0].legend(ncols=4, loc="upper right")
-        picture.subplots_adjust(left=0.06, right=0.99, top=0.97, bottom=0.08, hspace=0.25)
+        picture.subplots_adjust(left=0.06, right=0.99, top=0.95, bottom=0.11, hspace=0.25)
     return picture
 
 

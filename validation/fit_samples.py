@@ -22,7 +22,8 @@ from cgemit.result import Result
 from cgemit.simulate import SimulateSettings
 from cgemit.study.estimate import measure
 from fit_results import ANGLES, DETECTORS, FAR, MOMENTA, PARTICLES, Chi2, Choice, Known, Point, Pull, Side, Width
-from optimal import Hit, Optimum, errors, optimum
+from optimal import Optimum, errors, optimum
+from plain_tracks import Hit
 
 Floats = npt.NDArray[np.float64]
 Columns = dict[str, npt.NDArray[np.generic]]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-import optimal
+import plain_tracks
 from cgemit import _core
 from cgemit.chain import run
 from cgemit.detector import compiled, load, slabs
@@ -14,7 +14,8 @@ from cgemit.gun import Gun
 from exact import EXACT
 from fit_results import N_SIGMA, Point
 from fit_samples import measure_point
-from optimal import Hit, errors, optimum
+from optimal import errors, optimum
+from plain_tracks import Hit
 from tracks import MUON, hits_on
 
 CUTS = (_core.CORE_MEAN_CUT, _core.CORE_VARIANCE_CUT)
@@ -93,8 +94,8 @@ def test_optimum_is_the_published_one(name: str, p: float, cos_theta: float, mon
         logarithm = 1 + 0.038 * np.log(total / beta2)
         return 13.6e-3 / (p_before * np.sqrt(beta2)) * np.sqrt(thickness[slab.radius] * path) * logarithm
 
-    monkeypatch.setattr(optimal, "_angle", highland)
-    monkeypatch.setattr(optimal, "_core_loss", lambda slab, p, mass, path: (0 * p, 0 * p))
+    monkeypatch.setattr(plain_tracks, "_angle", highland)
+    monkeypatch.setattr(plain_tracks, "_core_loss", lambda slab, p, mass, path: (0 * p, 0 * p))
     found = errors(helix, optimum(detector, hits, helix, MUON, CUTS).cov)
     ours = np.array([1000 * found["dr"], found["dz"], 1000 * found["p"]])
     np.testing.assert_allclose(ours, PUBLISHED[name][p, cos_theta], rtol=0.015)
@@ -115,7 +116,9 @@ def test_gate_sees_wires_that_are_worse_than_believed() -> None:
     detector = load("besiii-cgem-design")
     tracks = run(detector, Gun("mu-", p=1.0, cos_theta=0.0), 2000, seed=3, settings=EXACT).tracks
     _, helix, _, hits = track("besiii-cgem-design", 1.0, 0.0)
-    wrong = [Hit(hit.kind, hit.layer, hit.element, 0.16 if hit.kind == optimal.WIRE else hit.sigma) for hit in hits]
+    wrong = [
+        Hit(hit.kind, hit.layer, hit.element, 0.16 if hit.kind == plain_tracks.WIRE else hit.sigma) for hit in hits
+    ]
     expected = errors(helix, optimum(detector, wrong, helix, MUON, CUTS).cov)["p"]
     assert tracks["res_p"].std() < 0.9 * expected
 

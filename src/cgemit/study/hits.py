@@ -62,9 +62,7 @@ def keep(hits: Hits, kept: Mask) -> Hits:
     hits : Hits
     kept : ndarray, (hits,) bool
     """
-    old = hits.candidates
-    offsets = np.concatenate(([0], np.cumsum(kept)))[old.hit_offsets]
-    return replace(hits, candidates=Candidates(offsets.astype(np.int64), old.kind[kept], old.row[kept]))
+    return _times(hits, kept.astype(np.int64))
 
 
 def lose_layers(hits: Hits, share: float, random: np.random.Generator) -> Hits:
@@ -82,8 +80,12 @@ def repeat(hits: Hits, again: Mask) -> Hits:
     hits : Hits
     again : ndarray, (hits,) bool
     """
+    return _times(hits, 1 + again.astype(np.int64))
+
+
+def _times(hits: Hits, times: Rows) -> Hits:
+    """Return the candidates with each hit so many times."""
     old = hits.candidates
-    times = 1 + again
     offsets = np.concatenate(([0], np.cumsum(times)))[old.hit_offsets].astype(np.int64)
     return replace(hits, candidates=Candidates(offsets, np.repeat(old.kind, times), np.repeat(old.row, times)))
 
