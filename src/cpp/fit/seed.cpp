@@ -126,8 +126,12 @@ LineShape::Point strip_point(const CgemLayer& layer, const Hit& hit, std::span<c
     x = before[i].value;
     measured = true;
   }
-  if (!measured && x - layer.sheet_width() > 0.5 * (around - layer.sheet_width())) x -= around;
-  const double z = crossing_z(layer, x, hit.value);
+  // Beside the sheet's first edge X may be a turn more or less: then z lies far outside the layer.
+  double z = crossing_z(layer, x, hit.value);
+  for (const double turns : {-1.0, 1.0}) {
+    const double other = crossing_z(layer, x + turns * around, hit.value);
+    if (!measured && std::abs(other) < std::abs(z)) z = other;
+  }
   const double error = measured ? strip_error : strip_error * scale;
   return {s, -z * layer.sin_stereo, layer.sin_stereo,
           0, layer.half_length,     {0, 1, 1 / error, std::abs(layer.sin_stereo) / error, 0}};
