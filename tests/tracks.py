@@ -110,5 +110,6 @@ def order_of_matter(detector, hits, n_noise):
     for kind, number in zip(hits["kind"], hits["layer"], strict=True):
         radius = layers[number] if kind == 2 else columns["radius"][columns["gap"] == number][0]
         inside.append(vectors[columns["radius"] < radius - 1e-9].sum())
-    assert inside[-1] == n_noise
-    return np.array(inside)
+    crossed = np.maximum.accumulate(inside)  # also where a curling track comes back
+    assert crossed[-1] >= n_noise
+    return np.minimum(crossed, n_noise)  # a track may turn back between a slab and a wire behind it

@@ -59,15 +59,19 @@ class Flight:
         )
         self.p = np.stack([pt * (ux * cos - uy * sin), pt * (uy * cos + ux * sin), self.p[2]])
 
-    def go_to(self, radius: float) -> None:
-        """Move to where the two circles meet on the way outward; a wire may have been behind that place."""
+    def go_to(self, radius: float) -> bool:
+        """Move to where the two circles meet on the way outward; a wire may have been behind that place.
+
+        Tracks that turn back before go to their outermost point; returns whether the first is none of them.
+        """
         pt, w = np.hypot(self.p[0], self.p[1]), self.turning()
         cx, cy = self.at[0] - self.p[1] / pt / w, self.at[1] + self.p[0] / pt / w
         ax, ay = self.at[0] - cx, self.at[1] - cy
         along, across = cx * ax + cy * ay, cy * ax - cx * ay
         reach = (radius**2 - cx**2 - cy**2 - 1 / w**2) / 2 / np.hypot(along, across)
-        turn = np.arctan2(across, along) - np.sign(w) * np.arccos(reach)
+        turn = np.arctan2(across, along) - np.sign(w) * np.arccos(np.clip(reach, -1, 1))
         self.advance((np.remainder(turn + np.pi, 2 * np.pi) - np.pi) / w)
+        return bool(abs(reach[0]) <= 1)
 
     def axes(self) -> tuple[Floats, Floats]:
         """Unit vectors across the flight: horizontal, and the one that completes a right-handed set."""
@@ -102,7 +106,8 @@ def follow(
             seen.append(_distance(flight, layer, hits[len(seen)].element))
         if len(seen) == len(hits):
             break
-        flight.go_to(slab.radius)
+        if not flight.go_to(slab.radius):
+            break
         while len(seen) < len(hits) and hits[len(seen)].kind != WIRE and hits[len(seen)].layer == slab.gap:
             seen.append(_strip(flight, detector.cgem[slab.gap], hits[len(seen)]))
         if abs(flight.at[2, 0]) <= slab.half_length:

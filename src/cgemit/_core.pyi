@@ -143,6 +143,7 @@ class FitSettings:
         errors_from_track: bool,
         least_width: float,
         delta_strips: float,
+        kinks: bool,
         outlier_pull: float,
         prior_sigma: Sequence[float],
     ) -> None: ...
@@ -156,6 +157,7 @@ class _Simulated(TypedDict):
 class _Reference(TypedDict):
     rows: _Floats  # (hits, 5)
     noise: _Floats  # (noise vectors, 5)
+    pulls: _Floats  # (noise vectors,), how many of each the kinks are
     predicted: _Floats  # (hits,), mm
     extent: _Floats  # (hits,), mm
     reached: bool
@@ -261,7 +263,9 @@ def read_out_wires(
 def find_clusters(
     detector: Detector, digis: _Columns, *, err_x: npt.ArrayLike, err_v: npt.ArrayLike, by_charge: bool
 ) -> dict[str, _Array]: ...
-def reference(detector: Detector, helix: npt.ArrayLike, mass: float, hits: _Columns) -> _Reference: ...
+def reference(
+    detector: Detector, helix: npt.ArrayLike, mass: float, hits: _Columns, kinks: npt.ArrayLike | None = None
+) -> _Reference: ...
 
 class SeedFrom(enum.Enum):
     wires = 0
@@ -298,6 +302,7 @@ def states(
     hit_offsets: npt.ArrayLike,
     hits: _Columns,
     reference: npt.ArrayLike,
+    kinks: npt.ArrayLike,
     prior: npt.ArrayLike,
     mass: npt.ArrayLike,
     fitted: npt.ArrayLike,

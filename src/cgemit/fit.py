@@ -106,6 +106,7 @@ def core_arguments(
             errors_from_track=settings.cluster_errors == "track",
             least_width=settings.least_width,
             delta_strips=settings.delta_strips,
+            kinks=settings.kinks,
             outlier_pull=settings.outlier_pull,
             prior_sigma=settings.prior_sigma,
         ),

@@ -61,6 +61,9 @@ class FitSettings:
     delta_strips : float
         Probability that a delta electron adds one strip to a cluster; k strips are k times less probable. It says how
         much a cluster is worth that is longer than the track makes likely. 0: there are no delta electrons.
+    kinks : bool
+        Whether the reference about which a slow track is fitted is scattered at every layer as its hits show, instead
+        of a helix that only loses energy. What is linear in the angles is then so about the track as it flew.
     outlier_pull : float
         A hit is left out where it lies this many standard deviations from the track fitted without it, the farthest
         first, and taken back where it does not any more. 0: every hit is used.
@@ -86,13 +89,14 @@ class FitSettings:
     tolerance: float = 0.1
     least_width: float = 0.1
     delta_strips: float = 0.008
+    kinks: bool = True
     outlier_pull: float = 5.0
     prior_sigma: tuple[float, float, float, float, float] = (200.0, 0.5, 5.0, 1000.0, 2.0)
     seed_smearing: tuple[float, float, float, float, float] = (1.0, 0.005, 0.02, 5.0, 0.005)
 
     def __post_init__(self) -> None:
         choices = {"seed": SEEDS, "cluster_errors": ERRORS, "screening": (None, *SCREENINGS), "loss": LOSSES}
-        problems = setting_problems(self, choices, ("residuals",), _NUMBERS)
+        problems = setting_problems(self, choices, ("residuals", "kinks"), _NUMBERS)
         if not is_whole(self.max_iterations, 1, _MOST):
             problems.append(f"max_iterations: got {self.max_iterations!r}, expected a whole number from 1 to {_MOST}")
         for name, least in (("prior_sigma", 1e-12), ("seed_smearing", 0.0)):

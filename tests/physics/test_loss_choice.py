@@ -29,7 +29,7 @@ def measured(p: float) -> tuple[float, float, float]:
     compact, helix = compiled(detector), np.array([0, 0.4, -1 / p, 0, 0])
     hits = hits_on(detector, helix)
     settings = dataclasses.asdict(FitSettings())
-    names = ("max_iterations", "tolerance", "least_width", "delta_strips", "outlier_pull", "prior_sigma")
+    names = ("max_iterations", "tolerance", "least_width", "delta_strips", "kinks", "outlier_pull", "prior_sigma")
     chosen = _core.FitSettings(errors_from_track=False, **{name: settings[name] for name in names})
     out = _core.fit(
         compact, hit_offsets=np.array([0, len(hits["kind"])]), hits=hits, mass=np.array([MUON]), start=helix[None],

@@ -16,7 +16,7 @@ from tracks import MUON, hits_on
 def covariance(core, hits, helix):
     """Return the fit's covariance on a given helix."""
     settings = _core.FitSettings(
-        max_iterations=1, tolerance=1e9, errors_from_track=False, least_width=0.1, delta_strips=0.0, outlier_pull=0.0,
+        max_iterations=1, tolerance=1e9, errors_from_track=False, least_width=0.1, delta_strips=0.0, kinks=False, outlier_pull=0.0,
         prior_sigma=tuple(FitSettings().prior_sigma),
     )  # fmt: skip
     out = _core.fit(

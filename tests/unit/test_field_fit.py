@@ -7,7 +7,7 @@ import pytest
 
 import cgemit as cg
 from cgemit import _core
-from cgemit.detector import compiled, load
+from cgemit.detector import compiled, load, slabs
 from cgemit.fit import FitStatus
 from cgemit.states import StateStatus
 from fields import small_map
@@ -86,6 +86,36 @@ def test_differences_with_matter(shape):
         ahead, behind = (reference(core, parameters + sign * step, hits)["predicted"] for sign in (1, -1))
         limit = part * np.abs(rows[:, i]).max()
         np.testing.assert_allclose(rows[:, i], (ahead - behind) / (2 * step[i]), rtol=0, atol=limit, err_msg=f"{i}")
+
+
+@every_shape
+def test_kinks_in_a_constant_map_are_those_of_a_uniform_field(shape):
+    """Scattered references of two formulations agree in what they meet and, to the size of the angles, in their rows."""
+    parameters = np.array(SHAPES[shape])
+    hits = hits_on(UNIFORM, parameters)
+    kinks = np.random.default_rng(3).normal(scale=0.01, size=(len(slabs(UNIFORM)), 2))
+    cores = [compiled(detector) for detector in (UNIFORM, EVEN)]
+    one, other = (_core.reference(core, parameters, MUON, hits, kinks) for core in cores)
+    assert other["predicted"] == pytest.approx(one["predicted"], abs=1e-6)
+    assert other["pulls"] == pytest.approx(one["pulls"], rel=1e-6)
+    assert np.abs(one["predicted"] - _core.reference(cores[0], parameters, MUON, hits)["predicted"]).max() > 4
+    for name, limit in (("rows", 0.04), ("noise", 0.04)):
+        scale = np.abs(one[name]).max(axis=0)
+        assert (np.abs(other[name] - one[name]).max(axis=0) / scale).max() < limit
+
+
+@every_shape
+def test_differences_with_kinks(shape):
+    """Displaced tracks are scattered on the same cylinder: rows through a map are exact up to how the loss depends."""
+    core, parameters = compiled(UNEVEN), np.array(SHAPES[shape])
+    hits = hits_on(UNEVEN, parameters)
+    kinks = np.random.default_rng(3).normal(scale=0.01, size=(len(slabs(UNEVEN)), 2))
+    rows = _core.reference(core, parameters, MUON, hits, kinks)["rows"]
+    for i, part in enumerate([1e-2, 1e-3, 3e-3, 1e-4, 6e-3]):
+        step = np.where(np.arange(5) == i, 0.05 * STEP, 0.0)
+        ends = [_core.reference(core, parameters + sign * step, MUON, hits, kinks)["predicted"] for sign in (1, -1)]
+        limit = part * np.abs(rows[:, i]).max()
+        np.testing.assert_allclose(rows[:, i], (ends[0] - ends[1]) / (2 * step[i]), rtol=0, atol=limit, err_msg=f"{i}")
 
 
 @every_shape

@@ -32,6 +32,7 @@ def settings(**changes):
         "errors_from_track": False,
         "least_width": 0.1,
         "delta_strips": 0.0,
+        "kinks": False,
         "outlier_pull": 0.0,
     }
     return _core.FitSettings(**(values | {"prior_sigma": tuple(PRIOR)} | changes))

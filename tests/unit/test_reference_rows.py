@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cgemit import _core
-from cgemit.detector import compiled, load
+from cgemit.detector import compiled, load, slabs
 from oracles import LIGHT, helix_point, integrate
 from tracks import MUON, hits_on, on_helix, transport, without_matter
 
@@ -139,6 +139,50 @@ def test_differences_with_matter(name, bz, charge, shape):
         once, half = (central_difference(core, parameters, hits, i, STEP[i] * f) for f in (0.05, 0.025))
         limit = tolerance[i] * np.max(np.abs(rows[:, i]))
         np.testing.assert_allclose(rows[:, i], (4 * half - once) / 3, rtol=0, atol=limit, err_msg=f"column {i}")
+
+
+def kinked(detector, seed=1, size=0.01):
+    """Return two angles for every slab, rad."""
+    return np.random.default_rng(seed).normal(scale=size, size=(len(slabs(detector)), 2))
+
+
+@pytest.mark.parametrize("bz", [-1, 1])
+@pytest.mark.parametrize("charge", [-1, 1])
+@pytest.mark.parametrize("shape", ["central 1 GeV/c", "inclined 5 GeV/c", "slow"])
+def test_differences_with_kinks(shape, charge, bz):
+    """Rows about a scattered reference are as good as those about a smooth one.
+
+    With 10 mrad a slab, what is left is that displaced tracks are scattered on the same cylinder, not after the same
+    path: of the size of the angles for dr and tanl.
+    """
+    detector, parameters = DETECTORS["besiii-cgem-design", bz], helix_of(shape, charge)
+    core, kinks, hits = compiled(detector), kinked(detector), hits_on(detector, helix_of(shape, charge))
+    rows = _core.reference(core, parameters, MUON, hits, kinks)["rows"]
+    for i, part in enumerate([4e-2, 5e-3, 1e-2, 1e-7, 4e-2]):
+        step = np.where(np.arange(5) == i, 0.05 * STEP, 0.0)
+        ends = [_core.reference(core, parameters + sign * step, MUON, hits, kinks)["predicted"] for sign in (1, -1)]
+        assert len(ends[0]) == len(ends[1]) == len(rows) > 30
+        limit = part * np.max(np.abs(rows[:, i]))
+        np.testing.assert_allclose(rows[:, i], (ends[0] - ends[1]) / (2 * step[i]), rtol=0, atol=limit, err_msg=f"{i}")
+
+
+@pytest.mark.parametrize("angle", [0, 1])
+@pytest.mark.parametrize("shape", ["central 1 GeV/c", "inclined 5 GeV/c"])
+def test_a_kink_is_its_noise_vector(shape, angle):
+    """A small kink moves the hits beyond by row times noise vector, times how many standard deviations it is."""
+    detector, parameters = DETECTORS["besiii-cgem-design", -1], helix_of(shape, 1)
+    core, hits = compiled(detector), hits_on(detector, parameters)
+    start, place = _core.reference(core, parameters, MUON, hits), 7
+    kinks = np.zeros((len(slabs(detector)), 2))
+    kinks[place, angle] = 1e-5
+    found = _core.reference(core, parameters, MUON, hits, kinks)
+    pulled = np.flatnonzero(found["pulls"])
+    assert len(pulled) == 1
+    moved = found["predicted"] - start["predicted"]
+    expected = start["rows"] @ start["noise"][pulled[0]] * found["pulls"][pulled[0]]
+    beyond = np.abs(moved) > 1e-9
+    assert 5 < np.count_nonzero(beyond) < len(moved)
+    np.testing.assert_allclose(moved[beyond], expected[beyond], rtol=0, atol=3e-3 * np.abs(expected).max())
 
 
 def test_gate_sees_a_wrong_row():

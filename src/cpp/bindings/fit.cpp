@@ -23,7 +23,7 @@ struct Wanted {
 // Columns of the result, filled block by block.
 class Output {
  public:
-  Output(std::size_t tracks, std::size_t hits, const Wanted& wanted)
+  Output(std::size_t tracks, std::size_t hits, std::size_t slabs, const Wanted& wanted)
       : wanted_(wanted),
         helix_(tracks, {5}),
         covariance_(tracks, {5, 5}),
@@ -40,6 +40,7 @@ class Output {
         used_(wanted.residuals ? hits : 0),
         reference_(wanted.states ? tracks : 0, {5}),
         prior_(wanted.states ? tracks : 0, {25}),
+        kinks_(wanted.states ? tracks * slabs : 0, {2}),
         value_(wanted.states ? hits : 0),
         variance_(wanted.states ? hits : 0) {}
 
@@ -64,6 +65,7 @@ class Output {
     reference_.append(last.reference);
     prior_.append(last.prior);
   }
+  void append(const KinkRow& kink) { kinks_.append(kink); }
   void append(const Measured& measured) {
     value_.append(measured.value);
     variance_.append(measured.variance);
@@ -88,6 +90,7 @@ class Output {
     if (!wanted_.states) return out;
     out["reference"] = reference_.array();
     out["prior"] = prior_.array();
+    out["kinks"] = kinks_.array();
     out["used_value"] = value_.array();
     out["used_variance"] = variance_.array();
     return out;
@@ -101,25 +104,27 @@ class Output {
   Filled<double> residual_, error_;
   Filled<std::int8_t> side_;
   Filled<std::uint8_t> used_;
-  Filled<double> reference_, prior_, value_, variance_;
+  Filled<double> reference_, prior_, kinks_, value_, variance_;
 };
 
 // Rows of one block of tracks.
 class Rows {
  public:
-  FitOutput room(std::size_t tracks, std::size_t hits, const Wanted& wanted) {
+  FitOutput room(std::size_t tracks, std::size_t hits, std::size_t slabs, const Wanted& wanted) {
     tracks_.resize(tracks);
     hits_.resize(wanted.residuals ? hits : 0);
     last_.resize(wanted.states ? tracks : 0);
     measured_.resize(wanted.states ? hits : 0);
+    kinks_.resize(wanted.states ? tracks * slabs : 0);
     return {tracks_.data(), wanted.residuals ? hits_.data() : nullptr, wanted.states ? last_.data() : nullptr,
-            wanted.states ? measured_.data() : nullptr};
+            wanted.states ? measured_.data() : nullptr, wanted.states ? kinks_.data() : nullptr};
   }
   void append_to(Output& out) const {
     for (const FitRow& row : tracks_) out.append(row);
     for (const HitRow& row : hits_) out.append(row);
     for (const LastIteration& row : last_) out.append(row);
     for (const Measured& row : measured_) out.append(row);
+    for (const KinkRow& row : kinks_) out.append(row);
   }
 
  private:
@@ -127,6 +132,7 @@ class Rows {
   std::vector<HitRow> hits_;
   std::vector<LastIteration> last_;
   std::vector<Measured> measured_;
+  std::vector<KinkRow> kinks_;
 };
 
 // Tracks whose hits stay in the processor's cache while they are fitted.
@@ -152,7 +158,8 @@ py::dict run(const Detector& detector, const Array<std::int64_t>& hit_offsets, c
   std::vector<Perigee> start;
   for (std::size_t i = 0; seeded && i < n; ++i) start.push_back(from_bes3(start_array.data() + 5 * i));
   const Wanted wanted{residuals || states, states};
-  Output out(n, static_cast<std::size_t>(n_hits), wanted);
+  const std::size_t slabs = detector.slabs.size();
+  Output out(n, static_cast<std::size_t>(n_hits), slabs, wanted);
   // A field map is stepped through one track at a time.
   const auto fit = detector.field.is_uniform() ? kernels().fit : &fit_tracks;
   {
@@ -168,7 +175,7 @@ py::dict run(const Detector& detector, const Array<std::int64_t>& hit_offsets, c
           offsets.subspan(begin, tracks + 1), hits, side.subspan(first, last - first),
           mass.subspan(begin, tracks),
           seeded ? std::span<const Perigee>(start).subspan(begin, tracks) : std::span<const Perigee>()};
-      fit(detector, input, settings, rows.room(tracks, last - first, wanted));
+      fit(detector, input, settings, rows.room(tracks, last - first, slabs, wanted));
       rows.append_to(out);
     }
   }
@@ -181,12 +188,14 @@ void bind_fit(py::module_& module) {
   py::class_<FitSettings>(module, "FitSettings",
                           "Settings of the fit; the values live in cgemit.fit.FitSettings.")
       .def(py::init([](int max_iterations, double tolerance, bool errors_from_track, double least_width,
-                       double delta_strips, double outlier_pull, const std::array<double, 5>& prior_sigma) {
-             return FitSettings{max_iterations, tolerance,    errors_from_track, least_width,
-                                delta_strips,   outlier_pull, prior_sigma};
+                       double delta_strips, bool kinks, double outlier_pull,
+                       const std::array<double, 5>& prior_sigma) {
+             return FitSettings{max_iterations, tolerance, errors_from_track, least_width,
+                                delta_strips,   kinks,     outlier_pull,      prior_sigma};
            }),
            py::kw_only(), py::arg("max_iterations"), py::arg("tolerance"), py::arg("errors_from_track"),
-           py::arg("least_width"), py::arg("delta_strips"), py::arg("outlier_pull"), py::arg("prior_sigma"));
+           py::arg("least_width"), py::arg("delta_strips"), py::arg("kinks"), py::arg("outlier_pull"),
+           py::arg("prior_sigma"));
   module.def("fit", &run, py::arg("detector"), py::kw_only(), py::arg("hit_offsets"), py::arg("hits"),
              py::arg("mass"), py::arg("start"), py::arg("settings"), py::arg("residuals"),
              py::arg("states") = false,

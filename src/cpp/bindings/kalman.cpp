@@ -1,4 +1,7 @@
 #include <pybind11/pybind11.h>
+#include <pybind11/stl.h>
+
+#include <optional>
 
 #include "bindings/arrays.hpp"
 #include "bindings/hits.hpp"
@@ -57,13 +60,15 @@ Perigee from_bes3(const double* row) {
 namespace {
 
 py::dict reference(const Detector& detector, const Array<double>& helix, double mass,
-                   const py::dict& hit_columns) {
+                   const py::dict& hit_columns, const std::optional<Array<double>>& kink_array) {
+  std::span<const double> kinks;
+  if (kink_array) kinks = matrix(*kink_array, "kinks", static_cast<py::ssize_t>(detector.slabs.size()), 2);
   const auto row = column(helix, "helix", 5);
   const auto n = static_cast<py::ssize_t>(py::len(hit_columns["kind"]));
   std::vector<Hit> hits;
   HitColumns(detector, hit_columns, n).take(0, static_cast<std::size_t>(n), hits);
-  const Reference out = trace(detector, from_bes3(row.data()), mass, hits);
-  std::vector<double> rows, noise, predicted, extent;
+  const Reference out = trace(detector, from_bes3(row.data()), mass, hits, kinks);
+  std::vector<double> rows, noise, pulls = out.pulls, predicted, extent;
   for (const Vector5& h : out.rows) rows.insert(rows.end(), h.begin(), h.end());
   for (const Vector5& g : out.noise) noise.insert(noise.end(), g.begin(), g.end());
   for (const Crossing& crossing : out.crossings) {
@@ -75,6 +80,7 @@ py::dict reference(const Detector& detector, const Array<double>& helix, double 
   py::dict result;
   result["rows"] = to_numpy(std::move(rows), {n_rows, 5});
   result["noise"] = to_numpy(std::move(noise), {n_noise, 5});
+  result["pulls"] = to_numpy(std::move(pulls));
   result["predicted"] = to_numpy(std::move(predicted));
   result["extent"] = to_numpy(std::move(extent));
   result["reached"] = out.reached;
@@ -87,9 +93,10 @@ py::dict reference(const Detector& detector, const Array<double>& helix, double 
 }  // namespace cgemit::bindings
 
 void bind_kalman(py::module_& module) {
-  module.def("reference", &cgemit::bindings::reference, py::arg("detector"), py::arg("helix"),
-             py::arg("mass"), py::arg("hits"),
-             "Follow one helix through its hits: predicted values, their rows by (dr, phi0, kappa, dz, "
-             "tanl), and the "
-             "noise vectors of the matter.");
+  module.def(
+      "reference", &cgemit::bindings::reference, py::arg("detector"), py::arg("helix"), py::arg("mass"),
+      py::arg("hits"), py::arg("kinks") = py::none(),
+      "Follow one helix, scattered by `kinks` (rad, two for every slab), through its hits: predicted values, "
+      "their rows by (dr, phi0, kappa, dz, tanl), and the noise vectors of the matter, with how many of them "
+      "the kinks are.");
 }

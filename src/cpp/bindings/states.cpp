@@ -103,14 +103,16 @@ std::vector<Used> make_used(const py::dict& columns, py::ssize_t n) {
 }
 
 py::dict run(const Detector& detector, const Array<std::int64_t>& hit_offsets, const py::dict& hit_columns,
-             const Array<double>& reference_array, const Array<double>& prior_array,
-             const Array<double>& mass_array, const Array<std::uint8_t>& fitted_array,
-             const py::dict& target_columns) {
+             const Array<double>& reference_array, const Array<double>& kinks_array,
+             const Array<double>& prior_array, const Array<double>& mass_array,
+             const Array<std::uint8_t>& fitted_array, const py::dict& target_columns) {
   const auto offsets = column(hit_offsets, "hit_offsets");
   if (offsets.empty()) throw std::invalid_argument("hit_offsets: expected at least one entry");
   const auto n = static_cast<py::ssize_t>(offsets.size()) - 1;
   const auto n_hits = static_cast<py::ssize_t>(offsets.back());
   const auto reference = matrix(reference_array, "reference", n, 5);
+  const std::size_t angles = 2 * detector.slabs.size();
+  const auto kinks = matrix(kinks_array, "kinks", n, static_cast<py::ssize_t>(angles));
   const auto prior = matrix(prior_array, "prior", n, 25);
   const auto mass = column(mass_array, "mass", n);
   const auto fitted = column(fitted_array, "fitted", n);
@@ -130,6 +132,7 @@ py::dict run(const Detector& detector, const Array<std::int64_t>& hit_offsets, c
       const FittedTrack track{std::span(hits).subspan(first, count),
                               std::span(used).subspan(first, count),
                               {r[0], r[1], r[2], r[3], r[4]},
+                              std::span(kinks).subspan(angles * i, angles),
                               Eigen::Map<const Matrix5>(prior.data() + 25 * i),
                               mass[i]};
       found.clear();
@@ -198,8 +201,8 @@ void bind_states(py::module_& module) {
       .value("hit", Surface::hit)
       .finalize();
   module.def("states", &run, py::arg("detector"), py::kw_only(), py::arg("hit_offsets"), py::arg("hits"),
-             py::arg("reference"), py::arg("prior"), py::arg("mass"), py::arg("fitted"), py::arg("targets"),
-             "Smoothed states of fitted tracks at every target.");
+             py::arg("reference"), py::arg("kinks"), py::arg("prior"), py::arg("mass"), py::arg("fitted"),
+             py::arg("targets"), "Smoothed states of fitted tracks at every target.");
   module.def("extrapolate", &run_extrapolate, py::arg("detector"), py::kw_only(), py::arg("pivot"),
              py::arg("helix"), py::arg("cov"), py::arg("mass"), py::arg("radius"), py::arg("share"),
              py::arg("target_share"), "Move states to a cylinder through the matter on the way.");

@@ -61,17 +61,23 @@ class BatchFit {
     LastIteration last;
     std::vector<HitRow> hits;
     std::vector<Measured> measured;
+    std::vector<KinkRow> kinks;
 
-    FitLane rows(std::size_t n, const FitOutput& wanted) {
+    FitLane rows(std::size_t n, std::size_t slabs, const FitOutput& wanted) {
       row = {};
       hits.assign(n, HitRow{});
+      FitLane to{&row, wanted.hits != nullptr ? hits.data() : nullptr, nullptr, nullptr, nullptr};
+      if (wanted.last == nullptr) return to;
       measured.assign(n, Measured{});
-      const bool last_too = wanted.last != nullptr;
-      return {&row, wanted.hits != nullptr ? hits.data() : nullptr, last_too ? &last : nullptr,
-              last_too ? measured.data() : nullptr};
+      kinks.assign(slabs, KinkRow{});
+      to.last = &last;
+      to.measured = measured.data();
+      to.kinks = kinks.data();
+      return to;
     }
   };
 
+  std::size_t slabs() const { return detector_.slabs.size(); }
   std::span<const Hit> hits(std::size_t track) const {
     return input_.hits.subspan(input_.first(track), input_.count(track));
   }
@@ -159,7 +165,8 @@ class BatchFit {
       if (k >= starts.size()) continue;
       hits_of[k] = hits(start.track);
       sides_of[k] = sides(start.track);
-      lanes[k] = is_first(start.track) ? rows_of(start.track) : scratch_[k].rows(hits_of[k].size(), out_);
+      lanes[k] =
+          is_first(start.track) ? rows_of(start.track) : scratch_[k].rows(hits_of[k].size(), slabs(), out_);
     }
     builder_.build(std::span(hits_of).first(starts.size()), std::span(sides_of).first(starts.size()), group_);
     fit_.run(helix, spread, mass, kind, std::span(lanes).first(starts.size()), wires_first);
@@ -174,6 +181,7 @@ class BatchFit {
     if (out_.last == nullptr) return;
     out_.last[track] = {};
     std::fill_n(out_.measured + input_.first(track), input_.count(track), Measured{});
+    std::fill_n(out_.kinks + track * slabs(), slabs(), KinkRow{});
   }
 
   // Straight or undefined: as good as straight.
@@ -185,7 +193,8 @@ class BatchFit {
     const std::size_t first = input_.first(track);
     return {out_.rows + track, out_.hits == nullptr ? nullptr : out_.hits + first,
             out_.last == nullptr ? nullptr : out_.last + track,
-            out_.measured == nullptr ? nullptr : out_.measured + first};
+            out_.measured == nullptr ? nullptr : out_.measured + first,
+            out_.kinks == nullptr ? nullptr : out_.kinks + track * slabs()};
   }
   void keep_better(std::size_t track, const FitLane& found) const {
     const FitLane to = rows_of(track);
@@ -196,6 +205,7 @@ class BatchFit {
     if (to.last == nullptr) return;
     *to.last = *found.last;
     std::copy_n(found.measured, n, to.measured);
+    std::copy_n(found.kinks, slabs(), to.kinks);
   }
 
   const Detector& detector_;

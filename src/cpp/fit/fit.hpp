@@ -20,6 +20,7 @@ struct FitSettings {
                            // table
   double least_width;      // smallest spread of a cluster's position, in pitches
   double delta_strips;     // probability that a delta electron adds one strip to a cluster; 0: none does
+  bool kinks;              // whether the reference of a slow track is scattered as its hits show
   double outlier_pull;  // a hit this many standard deviations from the rest of the track is left out; 0: none
   std::array<double, 5> prior_sigma;  // of d, psi, kappa, z0, tanl: weak, for the filter to begin with
 };
@@ -61,16 +62,19 @@ struct LastIteration {
   std::array<double, 5> reference;  // about which it was linearised
   std::array<double, 25> prior;     // the covariance with which its filter began
 };
+using KinkRow = std::array<double, 2>;  // rad, of one slab; see Kink
 struct Measured {
   double value, variance;  // mm, mm^2; variance 0: the track does not meet it
 };
 
-// Where the rows go. `hits` may be null; `last` and `measured` come together, or are null.
+// Where the rows go. `hits` may be null; `last`, `measured` and `kinks`, one per slab of the detector for
+// each track, come together, or are null.
 struct FitOutput {
   FitRow* rows;
   HitRow* hits;
   LastIteration* last;
   Measured* measured;
+  KinkRow* kinks;
 };
 
 // The plain scalar path.

@@ -48,6 +48,8 @@ class GroupFit {
   static constexpr int patient_iterations = 6;
   static constexpr int impatient_iterations = 4;  // from here on outliers may be why a fit does not settle
   static constexpr int last_return = 8;           // from this iteration on an outlier stays one
+  static constexpr int kink_iterations = 4;       // that have to be left for kinks to settle
+  static constexpr double straight = 5e-5;        // rad^2, scattering that is taken as linear throughout
 
   void iterate(const Five<T>& prior, T mass, Projectile projectile) {
     const bool last = iteration_ + 1 == settings_.max_iterations;
@@ -75,22 +77,43 @@ class GroupFit {
     for (std::size_t i = 0; i < known_.v.size(); ++i)
       known_.v[i] = select(works, estimate.c.v[i], known_.v[i]);
     reference_ = helix_;
+    if (any(group_.kinked)) reference_kinks_ = group_.kinks;
     move(estimate.x, works);
-    // Smoothing is for weights, outliers and residuals: for tracks that are about to be ready, or still have
-    // open sides.
+    // Smoothing is for weights, outliers, kinks and residuals: for tracks that are about to be ready, or
+    // still have open sides or kinks.
     mask_of<T> ready =
         works & (moved < settings_.tolerance * settings_.tolerance) & !wires_only_ & !group_.left;
     const mask_of<T> judged = iteration_ >= impatient_iterations ? works : ready;
-    if (last || any(judged) || any(open_ & works)) {
+    if (last || any(judged) || any((open_ | group_.kinked) & works)) {
       smooth(group_);
       if (any(open_ & works)) ready = ready & renew_sides(works);
       if (settings_.outlier_pull > 0)
         ready = ready & renew_outliers(group_, judged, settings_.outlier_pull, iteration_ < last_return);
     }
+    if (settings_.kinks) ready = ready & !bend(ready);
     wires_only_ = wires_only_ & !works;
     store(ready, estimate, FitStatus::ok);
     active_ = active_ & !ready;
     if (last) store(works & !ready, estimate, FitStatus::not_converged);
+  }
+
+  // Where a linear fit has settled, slow tracks get kinks: angles, shifts and curvature multiply where a
+  // track is scattered by more than a few mrad. Returns which did now.
+  mask_of<T> bend(mask_of<T> who) {
+    who = who & !group_.kinked;
+    if (iteration_ + kink_iterations >= settings_.max_iterations || !any(who)) return mask_of<T>(false);
+    who = who & (scattering() > straight);
+    if (!any(who)) return who;
+    group_.kinked = group_.kinked | who;
+    smooth(group_);
+    return who;
+  }
+
+  // Variance of the angle behind all matter, rad^2.
+  T scattering() const {
+    T sum(0.0);
+    for (const Kink<T>& kink : group_.kinks) sum += kink.sigma * kink.sigma;
+    return sum;
   }
 
   // Through a field map one track at a time: the caller takes `fit_tracks` there, whatever the instruction
@@ -104,17 +127,15 @@ class GroupFit {
   }
 
   // The covariance that the filter begins with. Rounding grows with its ratio to what comes out: once there
-  // is a covariance from the iteration before, a thousand times that is as good as none and no weaker
-  // than it has to be. Its mean is the present reference, so that it does not pull anywhere once that has
-  // settled.
+  // are variances from the iteration before, a few thousand times those is as good as none and no weaker than it
+  // has to be. Not their correlations: what inner hits know together would be taken for what outer ones do.
+  // Its mean is the present reference, so that it does not pull anywhere once that has settled.
   Symmetric<T> beginning(const Five<T>& prior) const {
-    constexpr double ratio = 1000;
-    mask_of<T> from_before(iteration_ > 0);
-    unroll<parameters>([&](auto i) { from_before = from_before & (ratio * known_(i, i) < prior[i]); });
-    Symmetric<T> c = Symmetric<T>::diagonal(prior);
-    if (!any(from_before)) return c;
-    for (std::size_t i = 0; i < c.v.size(); ++i) c.v[i] = select(from_before, ratio * known_.v[i], c.v[i]);
-    return c;
+    constexpr double ratio = 4000;
+    Five<T> variance = prior;
+    if (iteration_ > 0)
+      unroll<parameters>([&](auto i) { variance[i] = smaller(ratio * known_(i, i), prior[i]); });
+    return Symmetric<T>::diagonal(variance);
   }
 
   mask_of<T> has_open_sides() const {
@@ -269,6 +290,13 @@ class GroupFit {
   void store_last(std::size_t k, LastIteration& last) const {
     const int i = static_cast<int>(k);
     store_covariance(prior_, k, last.prior);
+    KinkRow* kinks = lanes_[k].kinks;
+    std::fill_n(kinks, detector_.slabs.size(), KinkRow{0, 0});
+    for (const GroupStep& step : group_.steps) {
+      if (!step.is_slab || !lane(group_.kinked, i)) continue;
+      const Kink<T>& kink = reference_kinks_[static_cast<std::size_t>(step.noise)];
+      kinks[step.slab] = {lane(kink.aside, i), lane(kink.up, i)};
+    }
     last.reference = {lane(reference_.d, i), lane(reference_.psi, i), lane(reference_.kappa, i),
                       lane(reference_.z0, i), lane(reference_.tanl, i)};
   }
@@ -278,7 +306,8 @@ class GroupFit {
   Group<T>& group_;
   PerigeeOf<T> helix_, reference_;  // reference: of this iteration, once the helix is that of the next
   Symmetric<T> prior_, known_;      // what the filter begins with; covariance of the iteration before
-  T spread_, passed_;               // of the start; kappa of the last reference that did not stop, 0 before
+  std::vector<Kink<T>> reference_kinks_;
+  T spread_, passed_;  // of the start; kappa of the last reference that did not stop, 0 before
   std::span<const FitLane> lanes_;
   mask_of<T> active_, open_, wires_only_;
   int iteration_ = 0;

@@ -16,14 +16,14 @@ class States {
         inward_(space.inward),
         smoothed_(space.smoothed),
         who_{track.mass, total_matter(detector, track.reference.tanl), LocalMotion(detector)} {
-    follow(detector, track.reference, track.mass, track.hits, way_);
+    follow(detector, track.reference, track.mass, track.hits, track.kinks, way_);
     for (const Station& station : way_.stations) {
       if (station.hit < 0) continue;
       const auto i = static_cast<std::size_t>(station.hit);
       Element& row = way_.elements[station.element];
       row.used = track.used[i].used;
       row.variance = track.used[i].variance;
-      row.residual = track.used[i].value - way_.predicted[i];
+      row.value = track.used[i].value - way_.predicted[i];
     }
     filter_inward(way_.elements, track.prior, inward_);
     smooth();
@@ -94,7 +94,9 @@ class States {
     if (end + 1 == smoothed_.size()) return beyond_the_end(target);
     TrackState found{StateStatus::ok, -1, {}, 0, 0};
     const double part = slab(end).r_in < target.radius ? target.share : 0.0;
-    found.state = local(way_.stations[end], beyond(end, part));
+    Known estimate = beyond(end, part);
+    if (part > 0) estimate.x += known_noise(noise(end));  // from the reference before it
+    found.state = local(way_.stations[end], estimate);
     if (part > 0 && !cross(found.state, slab(end), part, who_, true, false))
       return empty(StateStatus::stopped);
     found.status = who_.motion.to_cylinder(found.state, target.radius);
@@ -156,7 +158,7 @@ class States {
     }
     if (found.status != StateStatus::ok) return found;
     const Element& row = way_.elements[at->element];
-    found.residual = row.residual - row.h.dot(estimate.x);
+    found.residual = row.value - row.h.dot(estimate.x);
     // A hit that was used has pulled the track towards itself.
     const double of_track = row.h.dot(estimate.c * row.h);
     found.variance = row.used ? row.variance - of_track : row.variance + of_track;

@@ -39,7 +39,8 @@ struct FittedTrack {
   std::span<const Hit> hits;
   std::span<const Used> used;
   Perigee reference;
-  Matrix5 prior;  // what its filter began with
+  std::span<const double> kinks;  // of it, two angles for every slab
+  Matrix5 prior;                  // what its filter began with
   double mass;
 };
 

@@ -46,6 +46,8 @@ class GroupBuilder {
       group.storage.resize(static_cast<std::size_t>(slots));
     group.slots = std::span(group.storage).first(static_cast<std::size_t>(slots));
     group.noise.resize(static_cast<std::size_t>(slabs));
+    group.kinks.resize(static_cast<std::size_t>(slabs));
+    group.kinked = mask_of<T>(false);
     group.dense_noise.resize(detector_.field.is_uniform() ? 0 : static_cast<std::size_t>(slabs));
     for (Slot<T>& slot : group.slots) slot.hit.fill(-1);
     for (std::size_t k = 0; k < hits.size(); ++k) place_track(k, hits[k], group);

@@ -70,6 +70,24 @@ class FieldReference {
     motion_.bend(point_, after * s);
   }
 
+  void scatter(double aside, double up) {
+    stay_on_cylinder();
+    const double ux = point_.ux, uy = point_.uy, s = stretch(), c = 1 / s, sine = point_.tanl * c;
+    const double norm = std::sqrt(1 + aside * aside + up * up);
+    const Eigen::Vector3d u(ux, uy, 0), left(-uy, ux, 0), t = c * u + Eigen::Vector3d(0, 0, sine),
+                                                          e = Eigen::Vector3d(0, 0, c) - sine * u;
+    const Eigen::RowVector<double, 5> turn = s * (ux * by_origin_.row(4) - uy * by_origin_.row(3)),
+                                      dip = s * by_origin_.row(5);
+    by_origin_.middleRows<3>(3) -= (aside * u + up * sine * left) * turn + up * t * dip;
+    by_origin_.middleRows<3>(3) /= norm;
+    const Eigen::Vector3d after = (t + aside * left + up * e) / norm;
+    const double transverse = std::hypot(after[0], after[1]);
+    point_.ux = after[0] / transverse;
+    point_.uy = after[1] / transverse;
+    point_.tanl = after[2] / transverse;
+    motion_.bend(point_, motion_.charge_per_p() * stretch());
+  }
+
   // Of (d, psi, kappa, z0, tanl) with the pivot here by those at the origin, row by row.
   std::array<Five<double>, parameters> derivatives() const {
     const Eigen::Matrix<double, 5, 5> here = local_derivatives(motion_, point_, by_origin_);

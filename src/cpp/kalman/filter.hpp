@@ -53,6 +53,23 @@ void add_noise(Symmetric<T>& c, const std::array<Five<T>, 5>& noise) {
   for (const Five<T>& g : noise) c.add([&g](auto i, auto j) { return g[i] * g[j]; });
 }
 
+// The noise is that about the kink which the reference has already.
+template <class T>
+void take_kink(Five<T>& x, const SlabNoise<T>& noise, const Kink<T>& kink) {
+  const T per_sigma = select(kink.sigma > 0.0, 1.0 / kink.sigma, T(0.0));
+  const T aside = kink.aside * per_sigma;
+  x = x + kink.up * per_sigma * noise.dip;
+  x[0] += aside * noise.turn[0];
+  x[1] += aside * noise.turn[1];
+  x[3] += aside * noise.turn[2];
+}
+
+template <class T>
+void take_kink(Five<T>& x, const std::array<Five<T>, 5>& noise, const Kink<T>& kink) {
+  const T per_sigma = select(kink.sigma > 0.0, 1.0 / kink.sigma, T(0.0));
+  x = x + kink.aside * per_sigma * noise[0] + kink.up * per_sigma * noise[1];
+}
+
 // One measurement. What is not used changes nothing but is compared with the track all the same.
 template <class T>
 void update(Estimate<T>& state, Slot<T>& slot) {
@@ -76,10 +93,14 @@ template <class T>
       const bool shifts = detector.slabs[static_cast<std::size_t>(step.slab)].shifts;
       const auto noise = static_cast<std::size_t>(step.noise);
       if (any(group.ahead[noise])) {
+        const auto take = [&](const auto& noise_here, auto... shifted) {
+          add_noise(state.c, noise_here, shifted...);
+          if (any(group.kinked)) take_kink(state.x, noise_here, group.kinks[noise]);
+        };
         if (group.dense_noise.empty()) {
-          add_noise(state.c, group.noise[noise], shifts);
+          take(group.noise[noise], shifts);
         } else {
-          add_noise(state.c, group.dense_noise[noise]);
+          take(group.dense_noise[noise]);
         }
       }
     }
@@ -89,24 +110,47 @@ template <class T>
   return state;
 }
 
-// From the origin outward: the residual of every measurement to the track fitted without it.
+// The two angles in their standard deviations.
+template <class T>
+std::array<T, 2> seen(const SlabNoise<T>& noise, const Five<T>& lambda) {
+  return {noise.turn[0] * lambda[0] + noise.turn[1] * lambda[1] + noise.turn[2] * lambda[3],
+          dot(noise.dip, lambda)};
+}
+template <class T>
+std::array<T, 2> seen(const std::array<Five<T>, 5>& noise, const Five<T>& lambda) {
+  return {dot(noise[0], lambda), dot(noise[1], lambda)};
+}
+
+// From the origin outward: the residual of every measurement to the track fitted without it, and the kinks
+// that all of them see.
 template <class T>
 [[gnu::flatten]] void smooth(Group<T>& group) {
   Five<T> lambda = Five<T>::zero();
   Symmetric<T> big_lambda = Symmetric<T>::diagonal(Five<T>::zero());
-  for (Slot<T>& slot : group.slots) {
-    const T weight = select(slot.used, 1.0 / slot.total, T(0.0));
-    const Five<T> lk = big_lambda * slot.ch;
-    const T known = dot(slot.ch, lk);  // how much the inner measurements know of this one
-    const T away = slot.innovation + dot(slot.ch, lambda), share = 1.0 / (1.0 + weight * known);
-    slot.unbiased = away * share;
-    slot.unbiased_variance = select(slot.used, slot.total * share, slot.total - known);
-    const T information = weight * (1.0 + weight * known);
-    const T u = weight * away;
-    lambda = lambda - u * slot.row;
-    big_lambda.add([&](auto i, auto j) {
-      return information * slot.row[i] * slot.row[j] - weight * (slot.row[i] * lk[j] + lk[i] * slot.row[j]);
-    });
+  for (const GroupStep& step : group.steps) {
+    for (std::int32_t s = step.first; s < step.last; ++s) {
+      Slot<T>& slot = group.slots[static_cast<std::size_t>(s)];
+      const T weight = select(slot.used, 1.0 / slot.total, T(0.0));
+      const Five<T> lk = big_lambda * slot.ch;
+      const T known = dot(slot.ch, lk);  // how much the inner measurements know of this one
+      const T away = slot.innovation + dot(slot.ch, lambda), share = 1.0 / (1.0 + weight * known);
+      slot.unbiased = away * share;
+      slot.unbiased_variance = select(slot.used, slot.total * share, slot.total - known);
+      const T information = weight * (1.0 + weight * known);
+      const T u = weight * away;
+      lambda = lambda - u * slot.row;
+      big_lambda.add([&](auto i, auto j) {
+        return information * slot.row[i] * slot.row[j] - weight * (slot.row[i] * lk[j] + lk[i] * slot.row[j]);
+      });
+    }
+    if (!step.is_slab || !any(group.kinked)) continue;
+    const auto noise = static_cast<std::size_t>(step.noise);
+    Kink<T>& kink = group.kinks[noise];
+    const bool dense = !group.dense_noise.empty();
+    const std::array<T, 2> pulls =
+        dense ? seen(group.dense_noise[noise], lambda) : seen(group.noise[noise], lambda);
+    kink.aside = select(group.kinked, kink.sigma * pulls[0], T(0.0));
+    kink.up = select(group.kinked, kink.sigma * pulls[1], T(0.0));
   }
 }
 

@@ -4,6 +4,7 @@
 // number n of a stretch holds the n-th measurement that each lane has there, or none.
 #pragma once
 
+#include <algorithm>
 #include <array>
 #include <cstdint>
 #include <span>
@@ -75,6 +76,14 @@ struct SlabNoise {
   std::array<T, 3> turn, shift_across, shift_along;
 };
 
+// How the reference is scattered in a slab, as the iteration before found it: rad, two angles across the
+// flight, horizontal and the other; and the standard deviation of each. (Such kinks are among the unknowns of
+// the fits of V. Blobel, NIM A 566 (2006) 14.)
+template <class T>
+struct Kink {
+  T aside, up, sigma;
+};
+
 // A slab with the clusters in its gap, which the track makes before it is scattered there, or wires.
 struct GroupStep {
   bool is_slab;
@@ -90,11 +99,24 @@ struct Group {
   std::vector<SlabNoise<T>> noise;  // one per slab of `steps`, all zero where it was not crossed
   std::vector<std::array<Five<T>, 5>> dense_noise;  // instead of `noise` in a field map; else empty
   std::vector<mask_of<T>> ahead;                    // the same: lanes that have measurements beyond
+  mask_of<T> kinked;                                // lanes whose reference has kinks
+  std::vector<Kink<T>> kinks;                       // one per slab of `steps`; of no use in other lanes
   // After a trace: hits met; whether the particle ran out of momentum on the way to the next.
   std::array<std::int32_t, lanes_of<T>> reached;
   mask_of<T> stopped;
   mask_of<T> left;  // whether it came to the edge of the field map
 };
+
+// Kinks for a single track: two angles for every slab of the detector, or none at all.
+inline void set_kinks(Group<double>& group, std::span<const double> kinks) {
+  group.kinked = std::ranges::any_of(kinks, [](double angle) { return angle != 0; });
+  if (!group.kinked) return;
+  for (const GroupStep& step : group.steps) {
+    if (!step.is_slab) continue;
+    const double* angles = &kinks[2 * static_cast<std::size_t>(step.slab)];
+    group.kinks[static_cast<std::size_t>(step.noise)] = {angles[0], angles[1], 0};
+  }
+}
 
 // Fills in `ahead`, at first and after hits were given up.
 template <class T>

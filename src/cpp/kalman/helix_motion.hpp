@@ -4,7 +4,8 @@
 // follows about that piece. With Z the quarter turn, the displacement at r(s) is
 //   dr = dr0 + dpsi Z (r - r0) + Z integral dw(s'') (r(s) - r(s'')) ds'',
 // so that two running integrals, of the curvature's derivative and of that times the position, give every row
-// exactly, with energy loss (which makes the curvature depend on where it is, and on tanl) as without.
+// exactly, with energy loss (which makes the curvature depend on where it is, and on tanl) as without, and
+// where the path has kinks.
 #pragma once
 
 #include <cmath>
@@ -45,7 +46,7 @@ class HelixMotion {
  public:
   static constexpr bool keeps_dip = true;
 
-  HelixMotion(const Detector& detector, const PerigeeOf<T>& start) : tanl_(start.tanl), kappa_(start.kappa) {
+  HelixMotion(const Detector& detector, const PerigeeOf<T>& start) : kappa_(start.kappa) {
     const SineCosine<T> psi = sine_cosine(start.psi);
     u0x_ = psi.cosine;
     u0y_ = psi.sine;
@@ -74,36 +75,59 @@ class HelixMotion {
 
   Rows<T> rows() const {
     const T x = point_.x, y = point_.y, ux = point_.ux, uy = point_.uy;
-    const T kx = per_kappa_ * (sum_kappa_ * x - position_kappa_x_),
-            ky = per_kappa_ * (sum_kappa_ * y - position_kappa_y_);
-    const T tx = per_kappa_ * (sum_tanl_ * x - position_tanl_x_),
-            ty = per_kappa_ * (sum_tanl_ * y - position_tanl_y_);
+    const T tanl = point_.tanl;
+    const T kx = turn_kappa_ * x - turn_kappa_x_, ky = turn_kappa_ * y - turn_kappa_y_;
+    const T tx = turn_tanl_ * x - turn_tanl_x_, ty = turn_tanl_ * y - turn_tanl_y_;
     Rows<T> r;
     r.sideways = point_.sideways();
     r.forward_d = ux * u0y_ - uy * u0x_;
     r.forward_kappa = uy * kx - ux * ky;
     r.forward_tanl = uy * tx - ux * ty;
     r.across = {{-(ux * u0x_ + uy * u0y_), point_.outward(), ux * kx + uy * ky, T(0.0), ux * tx + uy * ty}};
-    r.along_z = {{-tanl_ * r.forward_d, -tanl_ * r.sideways, -tanl_ * r.forward_kappa, T(1.0),
-                  arc_ - tanl_ * r.forward_tanl}};
+    r.along_z = {{-tanl * r.forward_d, -tanl * r.sideways, -tanl * r.forward_kappa, T(1.0),
+                  rise_ - tanl * r.forward_tanl}};
     return r;
   }
 
   // Of (d, psi, kappa, z0, tanl) with the pivot here by those at the origin, row by row.
   std::array<Five<T>, parameters> derivatives() const {
     const Rows<T> r = rows();
-    const T zero(0.0), one(1.0);
+    const T zero(0.0);
     return {{T(-1.0) * r.across,
              Backward(*this, r).azimuth(),
              {{zero, zero, d_kappa_, zero, d_tanl_}},
              r.along_z,
-             {{zero, zero, zero, zero, one}}}};
+             {{zero, zero, zero, zero, d_dip_}}}};
   }
 
   // The momentum falls: kappa grows by `ratio`, its derivative by itself is `gain`, by tanl `mixed`.
   void lose(T ratio, T gain, T mixed) {
     d_kappa_ *= gain;
-    d_tanl_ = gain * d_tanl_ + mixed;
+    d_tanl_ = gain * d_tanl_ + mixed * d_dip_;
+    kappa_ *= ratio;
+    point_.w = per_kappa_ * kappa_;
+  }
+
+  // The flight turns by angles across itself, `aside` in the horizontal and `up`, at fixed momentum. With
+  // unit vectors t along the flight and e across it the new one is (t + aside e1 + up e2)/|...|.
+  void scatter(T aside, T up) {
+    const T t = point_.tanl, stretch = sqrt(1.0 + t * t);
+    const T ahead = 1.0 - up * t, side = aside * stretch, rise = t + up;
+    const T per_square = 1.0 / (ahead * ahead + side * side), per_root = sqrt(per_square);
+    const T ux = (ahead * point_.ux - side * point_.uy) * per_root;
+    point_.uy = (ahead * point_.uy + side * point_.ux) * per_root;
+    point_.ux = ux;
+    point_.tanl = rise * per_root;
+    const T ratio = sqrt(1.0 + aside * aside + up * up) * per_root;
+    // By the slope before: logarithm of transverse momentum, and azimuth.
+    const T shrinks = (aside * aside * t - ahead * up) * per_square;
+    const T turn = aside * rise * per_square / stretch * d_dip_;
+    turn_tanl_ += turn;
+    turn_tanl_x_ += turn * point_.x;
+    turn_tanl_y_ += turn * point_.y;
+    d_tanl_ = ratio * (d_tanl_ - kappa_ * shrinks * d_dip_);
+    d_kappa_ *= ratio;
+    d_dip_ *= per_root - point_.tanl * shrinks;
     kappa_ *= ratio;
     point_.w = per_kappa_ * kappa_;
   }
@@ -114,10 +138,12 @@ class HelixMotion {
     Backward(const HelixMotion& m, const Rows<T>& r) : r_(r), w_(m.point_.w), d_tanl_(m.d_tanl_) {
       psi_d_ = -w_ * r.forward_d;
       psi_psi_ = 1.0 - w_ * r.sideways;
-      psi_kappa_ = m.per_kappa_ * m.sum_kappa_ - w_ * r.forward_kappa;
-      psi_tanl_ = m.per_kappa_ * m.sum_tanl_ - w_ * r.forward_tanl;
+      psi_kappa_ = m.turn_kappa_ - w_ * r.forward_kappa;
+      psi_tanl_ = m.turn_tanl_ - w_ * r.forward_tanl;
       per_determinant_ = 1.0 / (r.across[0] * psi_psi_ - r.across[1] * psi_d_);
-      per_d_kappa_ = 1.0 / m.d_kappa_;
+      const T per_both = 1.0 / (m.d_kappa_ * m.d_dip_);
+      per_d_kappa_ = per_both * m.d_dip_;
+      per_d_dip_ = per_both * m.d_kappa_;
     }
     // Derivatives of the azimuth here by the parameters at the origin.
     Five<T> azimuth() const { return {{psi_d_, psi_psi_, psi_kappa_, T(0.0), psi_tanl_}}; }
@@ -133,11 +159,11 @@ class HelixMotion {
     }
     // All five by kappa and tanl at fixed place and azimuth.
     Five<T> changed(T kappa, T tanl) const {
-      const T kappa0 = (kappa - d_tanl_ * tanl) * per_d_kappa_;
+      const T tanl0 = tanl * per_d_dip_, kappa0 = (kappa - d_tanl_ * tanl0) * per_d_kappa_;
       const std::array<T, 3> m =
-          moved(-r_.across[2] * kappa0 - r_.across[4] * tanl, -r_.along_z[2] * kappa0 - r_.along_z[4] * tanl,
-                -psi_kappa_ * kappa0 - psi_tanl_ * tanl);
-      return {{m[0], m[1], kappa0, m[2], tanl}};
+          moved(-r_.across[2] * kappa0 - r_.across[4] * tanl0,
+                -r_.along_z[2] * kappa0 - r_.along_z[4] * tanl0, -psi_kappa_ * kappa0 - psi_tanl_ * tanl0);
+      return {{m[0], m[1], kappa0, m[2], tanl0}};
     }
     // The same for kappa alone: (d, psi, kappa, z0).
     std::array<T, 4> slowed(T kappa) const {
@@ -148,7 +174,7 @@ class HelixMotion {
 
    private:
     const Rows<T>& r_;
-    T w_, d_tanl_, psi_d_, psi_psi_, psi_kappa_, psi_tanl_, per_determinant_, per_d_kappa_;
+    T w_, d_tanl_, psi_d_, psi_psi_, psi_kappa_, psi_tanl_, per_determinant_, per_d_kappa_, per_d_dip_;
   };
 
  private:
@@ -158,21 +184,25 @@ class HelixMotion {
     const T square = step * step;
     const T ix = from.x * step + square * (i.along * from.ux - i.across * from.uy),
             iy = from.y * step + square * (i.along * from.uy + i.across * from.ux);
-    sum_kappa_ += d_kappa_ * step;
-    position_kappa_x_ += d_kappa_ * ix;
-    position_kappa_y_ += d_kappa_ * iy;
-    sum_tanl_ += d_tanl_ * step;
-    position_tanl_x_ += d_tanl_ * ix;
-    position_tanl_y_ += d_tanl_ * iy;
-    arc_ += step;
+    const T by_kappa = per_kappa_ * d_kappa_, by_tanl = per_kappa_ * d_tanl_;
+    turn_kappa_ += by_kappa * step;
+    turn_kappa_x_ += by_kappa * ix;
+    turn_kappa_y_ += by_kappa * iy;
+    turn_tanl_ += by_tanl * step;
+    turn_tanl_x_ += by_tanl * ix;
+    turn_tanl_y_ += by_tanl * iy;
+    rise_ += d_dip_ * step;
   }
 
   HelixPointOf<T> point_;
   double per_kappa_;  // 1/mm, curvature of kappa = 1
-  T u0x_, u0y_, tanl_, kappa_, arc_{0.0};
-  T d_kappa_{1.0}, d_tanl_{0.0};  // derivatives of the local kappa by the origin's kappa and tanl
-  T sum_kappa_{0.0}, position_kappa_x_{0.0}, position_kappa_y_{0.0};
-  T sum_tanl_{0.0}, position_tanl_x_{0.0}, position_tanl_y_{0.0};
+  T u0x_, u0y_, kappa_;
+  // Derivatives of the local kappa by the origin's kappa and tanl, and of the local tanl by the origin's.
+  T d_kappa_{1.0}, d_tanl_{0.0}, d_dip_{1.0};
+  // Of the azimuth so far, summed up, and times the place where it turned; of z at fixed arc, by tanl.
+  T turn_kappa_{0.0}, turn_kappa_x_{0.0}, turn_kappa_y_{0.0};
+  T turn_tanl_{0.0}, turn_tanl_x_{0.0}, turn_tanl_y_{0.0};
+  T rise_{0.0};
 };
 
 }  // namespace cgemit

@@ -9,34 +9,54 @@ namespace cgemit {
 
 namespace {
 
-void add_noise(const SlabNoise<double>& noise, bool shifts, std::vector<Vector5>& out) {
-  const auto sparse = [&out](const std::array<double, 3>& g) {
-    out.push_back(Vector5(g[0], g[1], 0, g[2], 0));
-  };
-  sparse(noise.turn);
-  out.push_back(Eigen::Map<const Vector5>(noise.dip.v.data()));
-  const auto& s = noise.straggling;
-  out.push_back(Vector5(s[0], s[1], s[2], s[3], 0));
-  if (!shifts) return;
-  sparse(noise.shift_across);
-  sparse(noise.shift_along);
-}
+// Noise vectors, and how many of them the kinks are.
+class Vectors {
+ public:
+  explicit Vectors(Reference& out) : out_(out) {}
+
+  void add(const SlabNoise<double>& noise, const Kink<double>& kink, bool shifts) {
+    if (noise.dip[4] == 0) return;
+    add(noise.turn, kink.aside / kink.sigma);
+    add(Eigen::Map<const Vector5>(noise.dip.v.data()), kink.up / kink.sigma);
+    const auto& s = noise.straggling;
+    add(Vector5(s[0], s[1], s[2], s[3], 0), 0);
+    if (!shifts) return;
+    add(noise.shift_across, 0);
+    add(noise.shift_along, 0);
+  }
+  void add(const std::array<Five<double>, 5>& noise, const Kink<double>& kink) {
+    const std::array<double, 5> pulls = {kink.aside / kink.sigma, kink.up / kink.sigma, 0, 0, 0};
+    for (std::size_t i = 0; i < 5; ++i)
+      if (noise[i][1] != 0) add(Eigen::Map<const Vector5>(noise[i].v.data()), pulls[i]);
+  }
+
+ private:
+  void add(const std::array<double, 3>& g, double pull) { add(Vector5(g[0], g[1], 0, g[2], 0), pull); }
+  void add(const Vector5& g, double pull) {
+    out_.noise.push_back(g);
+    out_.pulls.push_back(pull);
+  }
+  Reference& out_;
+};
 
 }  // namespace
 
-Reference trace(const Detector& detector, const Perigee& start, double mass, std::span<const Hit> hits) {
-  Reference out{{}, {}, {}, 0, false};
+Reference trace(const Detector& detector, const Perigee& start, double mass, std::span<const Hit> hits,
+                std::span<const double> kinks) {
+  Reference out{{}, {}, {}, {}, 0, false};
   if (!std::isfinite(start.kappa) || start.kappa == 0) return out;
   const std::vector<std::int8_t> sides(hits.size(), 0);
   const std::span<const std::int8_t> no_sides(sides);
   Group<double> group;
   GroupBuilder<double>(detector).build(std::span(&hits, 1), std::span(&no_sides, 1), group);
+  set_kinks(group, kinks);
   const Projectile projectile = projectile_of(mass, start.kappa);
   if (detector.field.is_uniform()) {
     Tracer<double>(detector, start, mass, projectile, group).run(true);
   } else {
     Tracer<double, FieldReference>(detector, start, mass, projectile, group).run(true);
   }
+  Vectors vectors(out);
   for (const GroupStep& step : group.steps) {
     for (std::int32_t s = step.first; s < step.last; ++s) {
       const Slot<double>& slot = group.slots[static_cast<std::size_t>(s)];
@@ -47,11 +67,12 @@ Reference trace(const Detector& detector, const Perigee& start, double mass, std
     if (!step.is_slab) continue;
     const auto noise = static_cast<std::size_t>(step.noise);
     if (!group.ahead[noise]) continue;
+    const Kink<double>& kink = group.kinks[noise];
     if (!group.dense_noise.empty()) {
-      for (const Five<double>& g : group.dense_noise[noise])
-        if (g[1] != 0) out.noise.push_back(Eigen::Map<const Vector5>(g.v.data()));
-    } else if (group.noise[noise].dip[4] != 0)
-      add_noise(group.noise[noise], detector.slabs[static_cast<std::size_t>(step.slab)].shifts, out.noise);
+      vectors.add(group.dense_noise[noise], kink);
+    } else {
+      vectors.add(group.noise[noise], kink, detector.slabs[static_cast<std::size_t>(step.slab)].shifts);
+    }
   }
   out.reached = static_cast<std::size_t>(group.reached[0]);
   out.stopped = group.stopped;

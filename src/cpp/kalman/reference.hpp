@@ -20,12 +20,14 @@ struct Crossing {
 // Ordered from the origin outward.
 struct Reference {
   std::vector<Vector5> rows, noise;
+  std::vector<double> pulls;        // one per noise vector: how many of it the kinks are
   std::vector<Crossing> crossings;  // one per row
   std::size_t reached;              // hits that the reference meets; the rest lies beyond its turning point
   bool stopped;                     // it ran out of momentum
 };
 
-// Follows the helix through the material as far as the last hit.
-Reference trace(const Detector& detector, const Perigee& start, double mass, std::span<const Hit> hits);
+// Follows the helix through the material as far as the last hit. `kinks`: angles for every slab, or none.
+Reference trace(const Detector& detector, const Perigee& start, double mass, std::span<const Hit> hits,
+                std::span<const double> kinks);
 
 }  // namespace cgemit

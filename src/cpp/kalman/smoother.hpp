@@ -34,18 +34,26 @@ inline void filter_inward(const std::vector<Element>& elements, const Matrix5& p
     Known& state = inward[i] = inward[i + 1];
     if (!element.is_row) {
       state.c.noalias() += element.h * element.h.transpose();
+      state.x += element.value * element.h;
     } else if (element.used) {
       const Vector5 ch = state.c * element.h;
       const double weight = 1.0 / (element.h.dot(ch) + element.variance);
-      const double innovation = element.residual - element.h.dot(state.x);
+      const double innovation = element.value - element.h.dot(state.x);
       state.x += ch * (innovation * weight);
       state.c.noalias() -= (ch * weight) * ch.transpose();
     }
   }
 }
 
-// The smoothed state beyond a part of the noise of one scatterer, from that before it. `outside`: what the
-// filter says beyond the whole scatterer.
+// What the noise of a scatterer is on the reference already.
+inline Vector5 known_noise(std::span<const Element> noise) {
+  Vector5 sum = Vector5::Zero();
+  for (const Element& element : noise) sum += element.value * element.h;
+  return sum;
+}
+
+// The smoothed state beyond a part of the noise of one scatterer, from that before it; a deviation from the
+// reference beyond the whole scatterer. `outside`: what the filter says there.
 inline Known smooth_outward(const Known& before, const Known& outside, std::span<const Element> noise,
                             double part = 1.0) {
   if (noise.empty() || !(part > 0)) return before;
@@ -61,7 +69,8 @@ inline Known smooth_outward(const Known& before, const Known& outside, std::span
   const Matrix5 gain = Matrix5::Identity() - g * b.transpose();
   using Square = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, 0, 5, 5>;
   const Square left = Square::Identity(g.cols(), g.cols()) - b.transpose() * g;
-  return {before.x - g * (b.transpose() * (before.x - outside.x)),
+  const Vector5 x = before.x - known_noise(noise);
+  return {x - g * (b.transpose() * (x - outside.x)),
           gain * before.c * gain.transpose() + g * left * g.transpose()};
 }
 

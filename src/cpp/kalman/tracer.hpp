@@ -16,8 +16,8 @@ namespace cgemit {
 struct NoWatch {
   template <class Slot, class Motion>
   void meets(const Slot&, const Motion&) {}
-  template <class Slab, class Noise, class Motion>
-  void crosses(const Slab&, const Noise&, const Motion&) {}
+  template <class Slab, class Noise, class Kink, class Motion>
+  void crosses(const Slab&, const Noise&, const Kink&, const Motion&) {}
   template <class Motion>
   void ends(const Motion&) {}
 };
@@ -136,8 +136,10 @@ class Tracer {
   [[gnu::flatten]] void cross(const Slab& slab, std::size_t place, mask_of<T> crosses) {
     if constexpr (!Motion::keeps_dip) group_.dense_noise[place] = {};
     SlabNoise<T>& noise = group_.noise[place];
+    Kink<T>& kink = group_.kinks[place];
     if (!any(crosses)) {
       noise = {};
+      kink.sigma = 0.0;
       return;
     }
     const HelixPointOf<T>& at = motion_.point();
@@ -154,15 +156,30 @@ class Tracer {
     }
     const KinematicsOf<T> after = now_.after_loss(loss.loss);
     const T theta = sqrt(scattering_variance(slab, path, now_, after, track_));
+    const bool kinked = any(group_.kinked);
+    kink.sigma = select(crosses, theta, T(0.0));
+    if (kinked) keep(kink, crosses & group_.kinked);
     if constexpr (Motion::keeps_dip) {
       make_noise(slab, path, theta, loss, noise);
       if (!all(crosses)) mask_noise(noise, crosses);
-      if (any(crosses)) watch_.crosses(slab, noise, motion_);
+      if (any(crosses)) watch_.crosses(slab, noise, kink, motion_);
     } else if (crosses) {
       make_dense_noise(slab, path, theta, loss, group_.dense_noise[place]);
-      watch_.crosses(slab, group_.dense_noise[place], motion_);
+      watch_.crosses(slab, group_.dense_noise[place], kink, motion_);
     }
+    if (kinked) motion_.scatter(kink.aside, kink.up);
     lose(loss, after, crosses);
+    if (kinked) set_dip();
+  }
+
+  static void keep(Kink<T>& kink, mask_of<T> who) {
+    kink.aside = select(who, kink.aside, T(0.0));
+    kink.up = select(who, kink.up, T(0.0));
+  }
+
+  void set_dip() {
+    tanl_ = motion_.point().tanl;
+    stretch_ = sqrt(1.0 + tanl_ * tanl_);
   }
 
   void make_noise(const Slab& slab, T path, T theta, const LossMomentsOf<T>& loss,
@@ -197,8 +214,7 @@ class Tracer {
   // In a field map the slope changes on the way, and the way may end.
   void follow_dip() {
     if constexpr (!Motion::keeps_dip) {
-      tanl_ = motion_.point().tanl;
-      stretch_ = sqrt(1.0 + tanl_ * tanl_);
+      set_dip();
       group_.left = motion_.left();
     }
   }

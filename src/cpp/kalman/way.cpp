@@ -22,10 +22,11 @@ class Recorder {
     way_->elements.push_back({Eigen::Map<const Vector5>(slot.row.v.data()), true, false, 0, 0});
   }
   template <class Motion>
-  void crosses(const Slab& slab, const SlabNoise<double>& noise, const Motion& motion) {
+  void crosses(const Slab& slab, const SlabNoise<double>& noise, const Kink<double>& kink,
+               const Motion& motion) {
     mark(motion, -1, &slab);
-    add(noise.turn);
-    add(Eigen::Map<const Vector5>(noise.dip.v.data()));
+    add(noise.turn, kink.aside / kink.sigma);
+    add(Eigen::Map<const Vector5>(noise.dip.v.data()), kink.up / kink.sigma);
     add(Vector5(noise.straggling[0], noise.straggling[1], noise.straggling[2], noise.straggling[3], 0));
     if (!slab.shifts) return;
     add(noise.shift_across);
@@ -33,10 +34,12 @@ class Recorder {
   }
   // In a field map.
   template <class Motion>
-  void crosses(const Slab& slab, const std::array<Five<double>, 5>& noise, const Motion& motion) {
+  void crosses(const Slab& slab, const std::array<Five<double>, 5>& noise, const Kink<double>& kink,
+               const Motion& motion) {
     mark(motion, -1, &slab);
+    const std::array<double, 5> has = {kink.aside / kink.sigma, kink.up / kink.sigma, 0, 0, 0};
     const std::size_t vectors = slab.shifts ? 5 : 3;
-    for (std::size_t i = 0; i < vectors; ++i) add(Eigen::Map<const Vector5>(noise[i].v.data()));
+    for (std::size_t i = 0; i < vectors; ++i) add(Eigen::Map<const Vector5>(noise[i].v.data()), has[i]);
   }
   template <class Motion>
   void ends(const Motion& motion) {
@@ -55,8 +58,8 @@ class Recorder {
   // In a uniform field the helices at a point are those of its curvature, to the last bit.
   double kappa_of(const HelixMotion<double>& motion) const { return motion.point().w / per_kappa_; }
   static double kappa_of(const FieldReference& motion) { return motion.kappa(); }
-  void add(const Vector5& g) { way_->elements.push_back({g, false, false, 0, 0}); }
-  void add(const std::array<double, 3>& g) { add(Vector5(g[0], g[1], 0, g[2], 0)); }
+  void add(const Vector5& g, double has = 0) { way_->elements.push_back({g, false, false, has, 0}); }
+  void add(const std::array<double, 3>& g, double has = 0) { add(Vector5(g[0], g[1], 0, g[2], 0), has); }
 
   Way* way_;
   double per_kappa_;  // curvature for kappa = 1 in a uniform field
@@ -65,7 +68,7 @@ class Recorder {
 }  // namespace
 
 void follow(const Detector& detector, const Perigee& start, double mass, std::span<const Hit> hits,
-            Way& way) {
+            std::span<const double> kinks, Way& way) {
   way.elements.clear();
   way.stations.clear();
   way.predicted.assign(hits.size(), 0);
@@ -74,6 +77,7 @@ void follow(const Detector& detector, const Perigee& start, double mass, std::sp
   const std::span<const std::int8_t> sides(no_sides);
   Group<double> group;
   GroupBuilder<double>(detector).build(std::span(&hits, 1), std::span(&sides, 1), group);
+  set_kinks(group, kinks);
   const auto run = [&]<class Motion>(std::type_identity<Motion>) {
     Tracer<double, Motion, Recorder>(detector, start, mass, projectile_of(mass, start.kappa), group,
                                      Recorder(detector, way))

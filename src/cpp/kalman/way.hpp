@@ -17,7 +17,7 @@ struct Element {
   Vector5 h;  // measurement row, or noise vector g (covariance g g^T)
   bool is_row;
   bool used;        // by the filter
-  double residual;  // measured - predicted on the reference
+  double value;     // measured - predicted on the reference; noise: how many g the reference has
   double variance;  // of the measurement
 };
 
@@ -38,7 +38,8 @@ struct Way {
   std::vector<double> predicted;  // mm, one per hit: where the reference meets it
 };
 
-// Follows a helix through the matter as far as the last hit.
-void follow(const Detector& detector, const Perigee& start, double mass, std::span<const Hit> hits, Way& way);
+// Follows a helix through the matter as far as the last hit. `kinks`: angles for every slab, or none.
+void follow(const Detector& detector, const Perigee& start, double mass, std::span<const Hit> hits,
+            std::span<const double> kinks, Way& way);
 
 }  // namespace cgemit

@@ -1,0 +1,139 @@
+"""Slow tracks: the fit finds what least squares finds where nothing is taken as linear."""
+
+from __future__ import annotations
+
+import dataclasses
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+from scipy.stats import chi2, kstest
+
+import cgemit as cg
+from cgemit import _core, find
+from cgemit.candidates import fit_hits
+from cgemit.fit import PARAMETERS, FitSettings
+from exact import EXACT
+from optimal import optimum
+from plain_tracks import Hit, follow, stack_of
+
+CUTS = (_core.CORE_MEAN_CUT, _core.CORE_VARIANCE_CUT)
+GUN = cg.Gun("mu+", p=0.1, cos_theta=(-0.3, 0.3))
+
+
+@cache
+def sample(kinks: bool, gun: cg.Gun = GUN, n: int = 12) -> cg.Result:
+    """Fit with or without kinks; the same tracks."""
+    fit = FitSettings(tolerance=1e-4, max_iterations=30, outlier_pull=0, kinks=kinks)
+    return cg.run("besiii-cgem-design", gun, n, seed=5, settings=dataclasses.replace(EXACT, fit=fit))
+
+
+def helices(result: cg.Result) -> np.ndarray:
+    """Return the fitted helices, (n, 5)."""
+    return np.stack([result.tracks[name] for name in PARAMETERS], axis=1)
+
+
+def best(result: cg.Result, track: int) -> tuple[np.ndarray, float]:
+    """Return helix and chi-square of the best track: helix, angles, losses and shifts free, in plain numpy.
+
+    `plain_tracks` follows every track anew; the spreads of angles and losses are those on the fitted helix.
+    """
+    tables = (result.particles, result.clusters, result.wire_hits, result.truths, result.wire_truths)
+    found = fit_hits(find.by_truth(result.detector, *tables), result.clusters, result.wire_hits)
+    rows = range(found.hit_offsets[track], found.hit_offsets[track + 1])
+    hits = [Hit(*(getattr(found, name)[i].item() for name in ("kind", "layer", "element", "sigma"))) for i in rows]
+    sign = np.array([found.side[i] if found.kind[i] == 2 else 1 for i in rows])
+    measured = sign * np.array([found.value[i] for i in rows])
+    errors = np.array([hit.sigma for hit in hits])
+    mass, helix = float(result.particles["mass"][track]), helices(result)[track]
+    stack = stack_of(result.detector, helix[4], CUTS)
+    follow(result.detector, hits, helix[:, None], mass, {}, stack)  # fills in the spreads
+    noise = [(i, k, s.sigma[k]) for i, s in enumerate(stack) for k in range(5) if s.sigma[k] > 0]
+    unit = np.sqrt(np.diag(result.tracks["cov"][track]))
+
+    def residuals(x: np.ndarray) -> np.ndarray:
+        """One column for each of the tracks x, (5 + noise, n), in standard deviations."""
+        kicks = {i: np.zeros((5, x.shape[1])) for i, _, _ in noise}
+        for (slab, which, sigma), pulls in zip(noise, x[5:], strict=True):
+            kicks[slab][which] = sigma * pulls
+        seen = follow(result.detector, hits, helix[:, None] + unit[:, None] * x[:5], mass, kicks, stack)
+        return np.concatenate([(seen - measured[:, None]) / errors[:, None], x[5:]])
+
+    def jacobian(x: np.ndarray) -> np.ndarray:
+        steps = 1e-3 * np.eye(len(x))
+        return (residuals(x[:, None] + steps) - residuals(x[:, None] - steps)) / 2e-3
+
+    start = np.zeros(5 + len(noise))
+    done = least_squares(lambda x: residuals(x[:, None])[:, 0], start, jac=jacobian, xtol=1e-6, ftol=1e-10)
+    return helix + unit * done.x[:5], 2 * done.cost
+
+
+def test_fit_is_the_best_track() -> None:
+    """With kinks kappa is within 0.03 sigma of it (root mean square) and chi-square within 0.1; without, three times
+    as far."""
+    with_kinks, without = sample(True), sample(False)
+    assert (with_kinks.tracks["status"] == 0).all()
+    away: dict[bool, list[np.ndarray]] = {True: [], False: []}
+    for track in range(12):
+        helix, chi_square = best(with_kinks, track)
+        sigma = np.sqrt(np.diag(with_kinks.tracks["cov"][track]))
+        for kinks, result in ((True, with_kinks), (False, without)):
+            more = result.tracks["chi2"][track] - chi_square
+            away[kinks].append(np.append((helices(result)[track] - helix) / sigma, more))
+    near, far = (np.sqrt(np.mean(np.square(away[kinks]), axis=0)) for kinks in (True, False))
+    assert np.all(near[[0, 1, 3, 4]] < 0.005)
+    assert near[2] < 0.03
+    assert near[5] < 0.1
+    assert far[2] > 3 * near[2]
+    assert far[5] > 3 * near[5]
+
+
+def test_chi_square_is_flat_where_tracks_turn_back() -> None:
+    """Pions of 0.1 GeV/c and pT 0.06 GeV/c; taken as linear their tracks do not fit."""
+    gun = cg.Gun("pi-", p=0.1, cos_theta=0.8)
+    flat = {}
+    for kinks in (True, False):
+        tracks = sample(kinks, gun, 4000).tracks
+        good = tracks["status"] == 0
+        assert good.mean() > 0.99
+        flat[kinks] = kstest(chi2.sf(tracks["chi2"][good], tracks["ndf"][good]), "uniform").pvalue
+    assert flat[True] > 1e-4
+    assert flat[False] < 1e-12
+
+
+def test_kappa_is_less_biased() -> None:
+    """Scattered tracks come less far than straight ones: taken as linear they look bent more, by 0.1 sigma."""
+    bias = {}
+    for kinks in (True, False):
+        tracks = sample(kinks, cg.Gun("pi+", p=0.1, cos_theta=0.0), 4000).tracks
+        good = tracks["status"] == 0
+        bias[kinks] = np.mean(tracks["res_kappa"][good]) / np.sqrt(np.mean(tracks["err_kappa"][good] ** 2))
+    assert abs(bias[True]) < 0.1 < bias[False]
+
+
+def test_fast_tracks_have_no_kinks() -> None:
+    """From 0.5 GeV/c on nothing changes, to the last bit."""
+    gun = cg.Gun("mu-", p=(0.5, 2.0), cos_theta=(-0.9, 0.9))
+    np.testing.assert_array_equal(helices(sample(True, gun, 200)), helices(sample(False, gun, 200)))
+
+
+@pytest.mark.parametrize("field", ["uniform", "besiii-harmonic"])
+def test_states_are_those_of_the_fit(field: str) -> None:
+    """The smoothed state at the origin is the helix, and every residual that of the hit against the smoothed track."""
+    detector = cg.load("besiii-cgem-design")
+    detector = detector if field == "uniform" else detector.with_field(field)
+    fit = FitSettings(tolerance=1e-6, max_iterations=40, residuals=True, states=("origin", "hits"))
+    settings = dataclasses.replace(EXACT, fit=fit)
+    result = cg.run(detector, cg.Gun("mu+", p=0.12, cos_theta=(-0.5, 0.5)), 30, seed=5, settings=settings)
+    assert result.states is not None
+    states, tracks = result.states, result.tracks
+    origin = states["surface"] == 0
+    sigma = np.sqrt(np.diagonal(tracks["cov"], axis1=1, axis2=2))
+    for i, name in enumerate(PARAMETERS):
+        away = states[name][origin] - tracks[name]
+        np.testing.assert_allclose(np.remainder(away + np.pi, 2 * np.pi) - np.pi if name == "phi0" else away,
+                                   0, atol=1e-4 * sigma[:, i].min())  # fmt: skip
+    pull = states["pull"][~origin]
+    assert np.isfinite(pull).mean() > 0.99
+    assert np.nanstd(pull) == pytest.approx(1, abs=0.05)
