@@ -1,4 +1,4 @@
-"""The best that any linear estimate can do: least squares with the noise of matter, worked out without the fit.
+"""The best that any estimate can do: least squares with the noise of matter, worked out without the fit.
 
 A track is followed through detector and matter with plain numpy; what it measures is differentiated by the helix
 parameters, and by one scattering angle or loss after the other, through differences. With A and B these derivatives
@@ -26,15 +26,17 @@ _STEP = np.array([1e-2, 1e-5, 1e-5, 1e-2, 1e-5])  # of the helix parameters; kap
 
 @dataclass(frozen=True)
 class Optimum:
-    """The optimal linear estimate of a helix from some hits, in the order of `PARAMETERS`.
+    """The optimal estimate of a helix from some hits, in the order of `PARAMETERS`.
 
     Attributes
     ----------
     cov : ndarray, (5, 5) float64
-        Its covariance.
+        Its covariance, where all is linear.
     bias : ndarray, (5,) float64
-        Its mean error, in its standard deviations, because what is measured is not linear: second derivatives by the
-        noise move the measurements, those by the helix the estimate.
+        Its mean error, in its standard deviations, because what is measured is not linear in helix, angles and losses
+        (M. J. Box, J. R. Stat. Soc. B 33 (1971) 171, eq. 2.16).
+    linear_bias : ndarray, (5,) float64
+        The same of an estimate that takes what is measured as linear in angles and losses.
     pull : ndarray, (5,) float64
         Mean of its pulls where the error is worked out at the estimate, as it has to be: the bias, less the covariance
         of the estimate and the logarithm of its error. NaN where it was not asked for.
@@ -42,15 +44,23 @@ class Optimum:
 
     cov: Floats
     bias: Floats
+    linear_bias: Floats
     pull: Floats
 
 
 @dataclass(frozen=True)
 class _Linear:
-    """Covariance and gain of the estimate about a helix, half the second derivatives by the noise, and what is seen."""
+    """What is seen about a helix: how it changes with helix and noise, the noise, and its second derivatives by that.
+
+    `gain` is that of the linear estimate; `noise` are slab, which of its five kicks, and the standard deviation;
+    `by_kicks` is half the sum of second derivatives.
+    """
 
     cov: Floats
     gain: Floats
+    by_helix: Floats
+    by_noise: Floats
+    noise: list[tuple[int, int, float]]
     by_kicks: Floats
     centre: Floats
 
@@ -64,7 +74,7 @@ def optimum(
     *,
     pulls: bool = False,
 ) -> Optimum:
-    """Return covariance, bias and mean pulls of the optimal linear estimate.
+    """Return covariance, bias and mean pulls of the optimal estimate.
 
     Parameters
     ----------
@@ -83,18 +93,35 @@ def optimum(
     helix = np.asarray(helix, np.float64)
     found = _linear(detector, hits, helix, mass, cuts)
     sigma, axes = np.sqrt(np.diag(found.cov)), np.linalg.cholesky(found.cov)
-    # Second derivatives by the helix, summed over the principal axes of the estimate's error.
     stack = stack_of(detector, helix[4], cuts)
-    moved = follow(detector, hits, _pairs(helix, _PART * axes), mass, {}, stack)
-    by_estimate = ((moved[:, 0::2] + moved[:, 1::2] - 2 * found.centre) / 2).sum(axis=1) / _PART**2
-    bias = found.gain @ (found.by_kicks - by_estimate) / sigma
+
+    def curved(by_helix: Floats, by_noise: Floats) -> Floats:
+        """Half the second derivatives of what is seen, summed over steps of helix and noise (columns)."""
+        n = by_helix.shape[1]
+        kicks = {i: np.zeros((5, 2 * n)) for i, _, _ in found.noise}
+        for (slab, which, spread), row in zip(found.noise, by_noise, strict=True):
+            kicks[slab][which] = _PART * spread * np.stack([row, -row], axis=1).ravel()
+        moved = follow(detector, hits, _pairs(helix, _PART * by_helix), mass, kicks, stack)
+        return np.asarray(((moved[:, 0::2] + moved[:, 1::2] - 2 * found.centre) / 2).sum(axis=1) / _PART**2)
+
+    by_estimate = curved(axes, np.zeros((len(found.noise), 5)))
+    linear_bias = found.gain @ (found.by_kicks - by_estimate) / sigma
+    # The same for helix and noise together, along the principal axes of the error of all of them.
+    errors_of_hits = np.array([[hit.sigma] for hit in hits])
+    rows = np.concatenate([found.by_helix * sigma, found.by_noise], axis=1) / errors_of_hits
+    known = rows.T @ rows
+    known[5:, 5:] += np.eye(len(found.noise))
+    together = np.linalg.inv(known)
+    steps = np.linalg.cholesky(together)
+    by_all = curved(sigma[:, None] * steps[:5], steps[5:])
+    bias = -(together @ rows.T @ (by_all / errors_of_hits[:, 0]))[:5]
     if not pulls:
-        return Optimum(found.cov, bias, np.full(5, np.nan))
+        return Optimum(found.cov, bias, linear_bias, np.full(5, np.nan))
     logs = [
         np.log(np.diag(_linear(detector, hits, near, mass, cuts).cov)) / 2 for near in _pairs(helix, _PART * axes).T
     ]
     slope = (np.array(logs[0::2]) - logs[1::2]).T / (2 * _PART)  # of the logarithm of each error along each axis
-    return Optimum(found.cov, bias, bias - (slope * axes).sum(axis=1) / sigma)
+    return Optimum(found.cov, bias, linear_bias, bias - (slope * axes).sum(axis=1) / sigma)
 
 
 def _linear(
@@ -116,7 +143,7 @@ def _linear(
     weighted = np.linalg.solve(variance, by_helix)
     cov = np.linalg.inv(by_helix.T @ weighted)
     by_kicks = ((seen[:, 10::2] + seen[:, 11::2] - 2 * centre) / 2).sum(axis=1) / _PART**2
-    return _Linear(cov, cov @ weighted.T, by_kicks, centre)
+    return _Linear(cov, cov @ weighted.T, by_helix, by_noise, noise, by_kicks, centre)
 
 
 def _pairs(helix: Floats, steps: Floats) -> Floats:

@@ -32,6 +32,7 @@ class GroupFit {
     lanes_ = lanes;
     open_ = has_open_sides();
     wires_only_ = wires_first & open_;
+    stored_ = mask_of<T>(false);
     active_ = mask_of<T>(false);
     for (std::size_t k = 0; k < lanes.size(); ++k) set_lane(active_, static_cast<int>(k), true);
     Five<T> prior;
@@ -46,10 +47,10 @@ class GroupFit {
 
  private:
   static constexpr int patient_iterations = 6;
-  static constexpr int impatient_iterations = 4;  // from here on outliers may be why a fit does not settle
-  static constexpr int last_return = 8;           // from this iteration on an outlier stays one
-  static constexpr int kink_iterations = 4;       // that have to be left for kinks to settle
-  static constexpr double straight = 5e-5;        // rad^2, scattering that is taken as linear throughout
+  static constexpr int impatient_iterations = 4;    // from here on outliers may be why a fit does not settle
+  static constexpr int last_return = 8;             // from this iteration on an outlier stays one
+  static constexpr int kink_iterations = 4;         // that have to be left for kinks to settle
+  static constexpr double least_scattering = 5e-5;  // rad^2; what is less is linear
 
   void iterate(const Five<T>& prior, T mass, Projectile projectile) {
     const bool last = iteration_ + 1 == settings_.max_iterations;
@@ -90,19 +91,24 @@ class GroupFit {
       if (settings_.outlier_pull > 0)
         ready = ready & renew_outliers(group_, judged, settings_.outlier_pull, iteration_ < last_return);
     }
-    if (settings_.kinks) ready = ready & !bend(ready);
-    wires_only_ = wires_only_ & !works;
     store(ready, estimate, FitStatus::ok);
+    if (settings_.kinks) {
+      const mask_of<T> bent = bend(judged & !wires_only_);
+      stored_ = stored_ | (ready & bent);
+      ready = ready & !bent;
+    }
+    wires_only_ = wires_only_ & !works;
     active_ = active_ & !ready;
-    if (last) store(works & !ready, estimate, FitStatus::not_converged);
+    if (last) store(works & !(ready | stored_), estimate, FitStatus::not_converged);
   }
 
-  // Where a linear fit has settled, slow tracks get kinks: angles, shifts and curvature multiply where a
-  // track is scattered by more than a few mrad. Returns which did now.
+  // Where a linear fit has settled, or does not, slow tracks get kinks: angles, shifts and curvature multiply
+  // where a track is scattered by more than a few mrad. Returns which did now. What had settled is the result
+  // where this leads nowhere.
   mask_of<T> bend(mask_of<T> who) {
     who = who & !group_.kinked;
     if (iteration_ + kink_iterations >= settings_.max_iterations || !any(who)) return mask_of<T>(false);
-    who = who & (scattering() > straight);
+    who = who & (scattering() > least_scattering);
     if (!any(who)) return who;
     group_.kinked = group_.kinked | who;
     smooth(group_);
@@ -127,9 +133,9 @@ class GroupFit {
   }
 
   // The covariance that the filter begins with. Rounding grows with its ratio to what comes out: once there
-  // are variances from the iteration before, a few thousand times those is as good as none and no weaker than it
-  // has to be. Not their correlations: what inner hits know together would be taken for what outer ones do.
-  // Its mean is the present reference, so that it does not pull anywhere once that has settled.
+  // are variances from the iteration before, a few thousand times those is as good as none and no weaker than
+  // it has to be. Not their correlations: what inner hits know together would be taken for what outer ones
+  // do. Its mean is the present reference, so that it does not pull anywhere once that has settled.
   Symmetric<T> beginning(const Five<T>& prior) const {
     constexpr double ratio = 4000;
     Five<T> variance = prior;
@@ -173,8 +179,9 @@ class GroupFit {
   // Ends the fit of these lanes. Returns them.
   mask_of<T> finish(mask_of<T> failed, FitStatus status) {
     if (!any(failed)) return failed;
+    const mask_of<T> without_result = failed & !stored_;
     for (std::size_t k = 0; k < lanes_.size(); ++k) {
-      if (!lane(failed, static_cast<int>(k))) continue;
+      if (!lane(without_result, static_cast<int>(k))) continue;
       store_helix(k);
       lanes_[k].rows->status = status;
     }
@@ -309,7 +316,7 @@ class GroupFit {
   std::vector<Kink<T>> reference_kinks_;
   T spread_, passed_;  // of the start; kappa of the last reference that did not stop, 0 before
   std::span<const FitLane> lanes_;
-  mask_of<T> active_, open_, wires_only_;
+  mask_of<T> active_, open_, wires_only_, stored_;
   int iteration_ = 0;
 };
 
