@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import math
 import zlib
@@ -23,7 +24,7 @@ from cgemit.simulate import SimulateSettings
 from cgemit.study.estimate import measure
 from fit_results import ANGLES, DETECTORS, FAR, MOMENTA, PARTICLES, Chi2, Choice, Known, Point, Pull, Side, Width
 from optimal import Optimum, errors, optimum
-from plain_tracks import Hit
+from plain_tracks import Hit, TurnsBackError
 
 Floats = npt.NDArray[np.float64]
 Columns = dict[str, npt.NDArray[np.generic]]
@@ -109,8 +110,8 @@ def measure_point(point: Point, n: int, threads: int | None) -> tuple[list[Pull]
 
 
 def _has_optimum(point: Point) -> bool:
-    """Whether the independent calculation is made: slower tracks turn back in the chamber, which it does not follow."""
-    if point.mode != "gaussian" or point.p < 0.15:
+    """Whether the independent calculation is made; second derivatives are not enough where tracks turn back early."""
+    if point.mode != "gaussian" or point.p * math.sqrt(1 - point.cos_theta**2) < 0.08:
         return False
     return point.detector == DETECTORS[0] or point.particle == "mu-" or point.p < 0.25
 
@@ -158,7 +159,8 @@ def _optima(result: Result, some: int = 10) -> list[tuple[Floats, Optimum]]:
         rows = range(hits.hit_offsets[track], hits.hit_offsets[track + 1])
         seen = [Hit(*(getattr(hits, name)[i].item() for name in columns)) for i in rows]
         mass = float(result.particles["mass"][track])
-        found.append((fitted[track], optimum(result.detector, seen, fitted[track], mass, cuts, pulls=not found)))
+        with contextlib.suppress(TurnsBackError):  # where its neighbours reach other matter
+            found.append((fitted[track], optimum(result.detector, seen, fitted[track], mass, cuts, pulls=not found)))
     return found
 
 

@@ -95,26 +95,39 @@ def optimum(
     sigma, axes = np.sqrt(np.diag(found.cov)), np.linalg.cholesky(found.cov)
     stack = stack_of(detector, helix[4], cuts)
 
-    def curved(by_helix: Floats, by_noise: Floats) -> Floats:
-        """Half the second derivatives of what is seen, summed over steps of helix and noise (columns)."""
-        n = by_helix.shape[1]
-        kicks = {i: np.zeros((5, 2 * n)) for i, _, _ in found.noise}
+    def seen(by_helix: Floats, by_noise: Floats) -> Floats:
+        """What is seen after steps of helix and noise (columns), added and subtracted in turn."""
+        kicks = {i: np.zeros((5, 2 * by_helix.shape[1])) for i, _, _ in found.noise}
         for (slab, which, spread), row in zip(found.noise, by_noise, strict=True):
-            kicks[slab][which] = _PART * spread * np.stack([row, -row], axis=1).ravel()
-        moved = follow(detector, hits, _pairs(helix, _PART * by_helix), mass, kicks, stack)
-        return np.asarray(((moved[:, 0::2] + moved[:, 1::2] - 2 * found.centre) / 2).sum(axis=1) / _PART**2)
+            kicks[slab][which] = spread * np.stack([row, -row], axis=1).ravel()
+        return follow(detector, hits, _pairs(helix, by_helix), mass, kicks, stack)
 
-    by_estimate = curved(axes, np.zeros((len(found.noise), 5)))
+    def curved(by_helix: Floats, by_noise: Floats) -> Floats:
+        """Half the second derivatives of what is seen, summed over steps."""
+        moved = seen(_PART * by_helix, _PART * by_noise)
+        return np.asarray(((moved[:, 0::2] + moved[:, 1::2]) / 2 - found.centre).sum(axis=1) / _PART**2)
+
+    straight = np.zeros((len(found.noise), 5))
+    by_estimate = curved(axes, straight)
     linear_bias = found.gain @ (found.by_kicks - by_estimate) / sigma
-    # The same for helix and noise together, along the principal axes of the error of all of them.
-    errors_of_hits = np.array([[hit.sigma] for hit in hits])
-    rows = np.concatenate([found.by_helix * sigma, found.by_noise], axis=1) / errors_of_hits
-    known = rows.T @ rows
-    known[5:, 5:] += np.eye(len(found.noise))
-    together = np.linalg.inv(known)
-    steps = np.linalg.cholesky(together)
-    by_all = curved(sigma[:, None] * steps[:5], steps[5:])
-    bias = -(together @ rows.T @ (by_all / errors_of_hits[:, 0]))[:5]
+    # About the kinks that the hits show there are two more terms. Angles and losses that are found do not count, what
+    # is left of them does; and derivatives change with what is found, which goes with the residuals.
+    variance = found.by_noise @ found.by_noise.T + np.diag([hit.sigma**2 for hit in hits])
+    weighted = np.linalg.solve(variance, found.by_noise)
+    residual = variance - found.by_helix @ found.cov @ found.by_helix.T
+    left = np.eye(len(found.noise)) - weighted.T @ residual @ weighted
+    by_left = curved(np.zeros((5, len(left))), np.linalg.cholesky(left))
+    with_residual = np.linalg.solve(variance, residual @ weighted).T  # (noise, hits)
+    size = np.linalg.norm(with_residual, axis=0)
+    n = len(hits)
+    to_helix, to_noise = found.cov / sigma, -(found.gain @ found.by_noise).T / sigma  # columns: errors of the helix
+    changes = np.zeros(5)
+    for sign in (1, -1):
+        noise_steps = np.repeat(to_noise, n, axis=1) + sign * np.tile(with_residual / size, 5)
+        moved = seen(_PART * np.repeat(to_helix, n, axis=1), _PART * noise_steps)
+        sums = (moved[:, 0::2] + moved[:, 1::2]).reshape(n, 5, n)[np.arange(n), :, np.arange(n)]
+        changes += sign * (sums * size[:, None]).sum(axis=0) / (4 * _PART**2)
+    bias = found.gain @ (by_left - by_estimate) / sigma + changes
     if not pulls:
         return Optimum(found.cov, bias, linear_bias, np.full(5, np.nan))
     logs = [

@@ -34,6 +34,10 @@ class Hit:
     sigma: float
 
 
+class TurnsBackError(Exception):
+    """Some tracks reach matter where others have turned back: their differences say nothing."""
+
+
 @dataclass
 class Flight:
     """Tracks side by side: position (3, n) mm and momentum (3, n) GeV/c, of one charge and mass in a field along z."""
@@ -59,10 +63,10 @@ class Flight:
         )
         self.p = np.stack([pt * (ux * cos - uy * sin), pt * (uy * cos + ux * sin), self.p[2]])
 
-    def go_to(self, radius: float) -> bool:
+    def go_to(self, radius: float) -> npt.NDArray[np.bool_]:
         """Move to where the two circles meet on the way outward; a wire may have been behind that place.
 
-        Tracks that turn back before go to their outermost point; returns whether the first is none of them.
+        Tracks that turn back before go to their outermost point; returns which do not.
         """
         pt, w = np.hypot(self.p[0], self.p[1]), self.turning()
         cx, cy = self.at[0] - self.p[1] / pt / w, self.at[1] + self.p[0] / pt / w
@@ -71,7 +75,7 @@ class Flight:
         reach = (radius**2 - cx**2 - cy**2 - 1 / w**2) / 2 / np.hypot(along, across)
         turn = np.arctan2(across, along) - np.sign(w) * np.arccos(np.clip(reach, -1, 1))
         self.advance((np.remainder(turn + np.pi, 2 * np.pi) - np.pi) / w)
-        return bool(abs(reach[0]) <= 1)
+        return np.asarray(np.abs(reach) <= 1)
 
     def axes(self) -> tuple[Floats, Floats]:
         """Unit vectors across the flight: horizontal, and the one that completes a right-handed set."""
@@ -88,7 +92,10 @@ def follow(
     kicks: dict[int, Floats],
     stop: list[TracedSlab],
 ) -> Floats:
-    """Return what the tracks measure, (hits, n) mm; `kicks` per slab: two angles, energy (GeV), two shifts, (5, n)."""
+    """Return what the tracks measure, (hits, n) mm; `kicks` per slab: two angles, energy (GeV), two shifts, (5, n).
+
+    Raises TurnsBackError where only some of them reach the next slab.
+    """
     dr, phi0, kappa, dz, tanl = helix
     pt = 1 / np.abs(kappa)
     flight = Flight(
@@ -106,7 +113,10 @@ def follow(
             seen.append(_distance(flight, layer, hits[len(seen)].element))
         if len(seen) == len(hits):
             break
-        if not flight.go_to(slab.radius):
+        reached = flight.go_to(slab.radius)
+        if not reached.all():
+            if reached.any():
+                raise TurnsBackError
             break
         while len(seen) < len(hits) and hits[len(seen)].kind != WIRE and hits[len(seen)].layer == slab.gap:
             seen.append(_strip(flight, detector.cgem[slab.gap], hits[len(seen)]))

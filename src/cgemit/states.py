@@ -67,8 +67,9 @@ def state_columns(
     hits : FitHits
     fitted : dict of ndarray
         Of the fit: `reference` (n, 5) float64, the helix about which its last iteration was linearised, with the
-        azimuth of flight for phi0; `kinks` (n slabs, 2) float64, rad, how it was scattered in every slab; `prior` (n, 25) float64, the covariance that its filter began with; `used` (hits,)
-        uint8, whether it used a hit; `used_value`, `used_variance` (hits,) float64, mm and mm2, what it measured.
+        azimuth of flight for phi0; `kinks` (n slabs, 2) float64, rad, how that was scattered in every slab; `prior`
+        (n, 25) float64, the covariance that its filter began with; `used` (hits,) uint8, whether it used a hit;
+        `used_value`, `used_variance` (hits,) float64, mm and mm2, what it measured.
     settled : ndarray, (n,) bool
         Whether the fit has settled: the last iteration of one that has not may have begun far from where it ended.
 

@@ -90,7 +90,7 @@ def test_differences_with_matter(shape):
 
 @every_shape
 def test_kinks_in_a_constant_map_are_those_of_a_uniform_field(shape):
-    """Scattered references of two formulations agree in what they meet and, to the size of the angles, in their rows."""
+    """Two formulations of a scattered reference agree in what it meets and, to the size of the angles, in its rows."""
     parameters = np.array(SHAPES[shape])
     hits = hits_on(UNIFORM, parameters)
     kinks = np.random.default_rng(3).normal(scale=0.01, size=(len(slabs(UNIFORM)), 2))

@@ -87,7 +87,8 @@ def fitted_states(core, detector, places, offset=0.0):
             "used_value": np.concatenate(predicted) + offset * columns["sigma"] * beside,
         },
         reference=reference, prior=np.tile(np.diag([200.0, 0.5, 5.0, 1000.0, 2.0]).ravel() ** 2, (len(HELICES), 1)),
-        kinks=np.zeros((len(HELICES), 2 * len(slabs(detector)))), mass=np.full(len(HELICES), MUON), fitted=np.ones(len(HELICES), np.uint8),
+        kinks=np.zeros((len(HELICES), 2 * len(slabs(detector)))),
+        mass=np.full(len(HELICES), MUON), fitted=np.ones(len(HELICES), np.uint8),
         targets={
             "surface": np.array([surface for surface, _ in places], np.int8),
             "radius": np.array([radius for _, radius in places]), "share": np.zeros(len(places)),

@@ -111,6 +111,10 @@ class GroupFit {
     who = who & (scattering() > least_scattering);
     if (!any(who)) return who;
     group_.kinked = group_.kinked | who;
+    for (Kink<T>& kink : group_.kinks) {  // they have been straight so far
+      kink.cosine = select(who, T(1.0), kink.cosine);
+      kink.sine = select(who, T(0.0), kink.sine);
+    }
     smooth(group_);
     return who;
   }

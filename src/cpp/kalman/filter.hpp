@@ -56,18 +56,17 @@ void add_noise(Symmetric<T>& c, const std::array<Five<T>, 5>& noise) {
 // The noise is that about the kink which the reference has already.
 template <class T>
 void take_kink(Five<T>& x, const SlabNoise<T>& noise, const Kink<T>& kink) {
-  const T per_sigma = select(kink.sigma > 0.0, 1.0 / kink.sigma, T(0.0));
-  const T aside = kink.aside * per_sigma;
-  x = x + kink.up * per_sigma * noise.dip;
-  x[0] += aside * noise.turn[0];
-  x[1] += aside * noise.turn[1];
-  x[3] += aside * noise.turn[2];
+  const auto [turn, dip] = pulls(kink);
+  x = x + dip * noise.dip;
+  x[0] += turn * noise.turn[0];
+  x[1] += turn * noise.turn[1];
+  x[3] += turn * noise.turn[2];
 }
 
 template <class T>
 void take_kink(Five<T>& x, const std::array<Five<T>, 5>& noise, const Kink<T>& kink) {
-  const T per_sigma = select(kink.sigma > 0.0, 1.0 / kink.sigma, T(0.0));
-  x = x + kink.aside * per_sigma * noise[0] + kink.up * per_sigma * noise[1];
+  const auto [turn, dip] = pulls(kink);
+  x = x + turn * noise[0] + dip * noise[1];
 }
 
 // One measurement. What is not used changes nothing but is compared with the track all the same.
@@ -110,7 +109,7 @@ template <class T>
   return state;
 }
 
-// The two angles in their standard deviations.
+// Turn and change of dip, in their standard deviations.
 template <class T>
 std::array<T, 2> seen(const SlabNoise<T>& noise, const Five<T>& lambda) {
   return {noise.turn[0] * lambda[0] + noise.turn[1] * lambda[1] + noise.turn[2] * lambda[3],
@@ -147,10 +146,10 @@ template <class T>
     const auto noise = static_cast<std::size_t>(step.noise);
     Kink<T>& kink = group.kinks[noise];
     const bool dense = !group.dense_noise.empty();
-    const std::array<T, 2> pulls =
+    const auto [turn, dip] =
         dense ? seen(group.dense_noise[noise], lambda) : seen(group.noise[noise], lambda);
-    kink.aside = select(group.kinked, kink.sigma * pulls[0], T(0.0));
-    kink.up = select(group.kinked, kink.sigma * pulls[1], T(0.0));
+    kink.aside = select(group.kinked, kink.sigma * (kink.cosine * turn - kink.sine * dip), T(0.0));
+    kink.up = select(group.kinked, kink.sigma * (kink.cosine * dip + kink.sine * turn), T(0.0));
   }
 }
 

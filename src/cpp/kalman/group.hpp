@@ -77,12 +77,23 @@ struct SlabNoise {
 };
 
 // How the reference is scattered in a slab, as the iteration before found it: rad, two angles across the
-// flight, horizontal and the other; and the standard deviation of each. (Such kinks are among the unknowns of
-// the fits of V. Blobel, NIM A 566 (2006) 14.)
+// flight before, horizontal and the other. (Such kinks are among the unknowns of the fits of V. Blobel, NIM A
+// 566 (2006) 14.) The noise is that about the flight behind, whose horizontal is turned by an angle of this
+// cosine and sine.
 template <class T>
 struct Kink {
-  T aside, up, sigma;
+  T aside, up;
+  T sigma;  // rad, standard deviation of each
+  T cosine, sine;
 };
+
+// How many times the noise, a turn and a change of dip, a kink is.
+template <class T>
+std::array<T, 2> pulls(const Kink<T>& kink) {
+  const T per_sigma = select(kink.sigma > 0.0, 1.0 / kink.sigma, T(0.0));
+  return {per_sigma * (kink.cosine * kink.aside + kink.sine * kink.up),
+          per_sigma * (kink.cosine * kink.up - kink.sine * kink.aside)};
+}
 
 // A slab with the clusters in its gap, which the track makes before it is scattered there, or wires.
 struct GroupStep {
@@ -114,7 +125,7 @@ inline void set_kinks(Group<double>& group, std::span<const double> kinks) {
   for (const GroupStep& step : group.steps) {
     if (!step.is_slab) continue;
     const double* angles = &kinks[2 * static_cast<std::size_t>(step.slab)];
-    group.kinks[static_cast<std::size_t>(step.noise)] = {angles[0], angles[1], 0};
+    group.kinks[static_cast<std::size_t>(step.noise)] = {angles[0], angles[1], 0, 1, 0};
   }
 }
 

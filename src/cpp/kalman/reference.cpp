@@ -16,8 +16,9 @@ class Vectors {
 
   void add(const SlabNoise<double>& noise, const Kink<double>& kink, bool shifts) {
     if (noise.dip[4] == 0) return;
-    add(noise.turn, kink.aside / kink.sigma);
-    add(Eigen::Map<const Vector5>(noise.dip.v.data()), kink.up / kink.sigma);
+    const auto [turn, dip] = pulls(kink);
+    add(noise.turn, turn);
+    add(Eigen::Map<const Vector5>(noise.dip.v.data()), dip);
     const auto& s = noise.straggling;
     add(Vector5(s[0], s[1], s[2], s[3], 0), 0);
     if (!shifts) return;
@@ -25,9 +26,10 @@ class Vectors {
     add(noise.shift_along, 0);
   }
   void add(const std::array<Five<double>, 5>& noise, const Kink<double>& kink) {
-    const std::array<double, 5> pulls = {kink.aside / kink.sigma, kink.up / kink.sigma, 0, 0, 0};
+    const auto [turn, dip] = pulls(kink);
+    const std::array<double, 5> pull = {turn, dip, 0, 0, 0};
     for (std::size_t i = 0; i < 5; ++i)
-      if (noise[i][1] != 0) add(Eigen::Map<const Vector5>(noise[i].v.data()), pulls[i]);
+      if (noise[i][1] != 0) add(Eigen::Map<const Vector5>(noise[i].v.data()), pull[i]);
   }
 
  private:

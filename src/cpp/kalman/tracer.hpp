@@ -16,8 +16,10 @@ namespace cgemit {
 struct NoWatch {
   template <class Slot, class Motion>
   void meets(const Slot&, const Motion&) {}
-  template <class Slab, class Noise, class Kink, class Motion>
-  void crosses(const Slab&, const Noise&, const Kink&, const Motion&) {}
+  template <class Slab, class Motion>
+  void arrives(const Slab&, const Motion&) {}
+  template <class Slab, class Noise, class Kink>
+  void crosses(const Slab&, const Noise&, const Kink&) {}
   template <class Motion>
   void ends(const Motion&) {}
 };
@@ -156,25 +158,30 @@ class Tracer {
     }
     const KinematicsOf<T> after = now_.after_loss(loss.loss);
     const T theta = sqrt(scattering_variance(slab, path, now_, after, track_));
-    const bool kinked = any(group_.kinked);
     kink.sigma = select(crosses, theta, T(0.0));
-    if (kinked) keep(kink, crosses & group_.kinked);
+    if (any(crosses)) watch_.arrives(slab, motion_);
+    if (any(group_.kinked)) scatter(kink, crosses & group_.kinked);
     if constexpr (Motion::keeps_dip) {
       make_noise(slab, path, theta, loss, noise);
       if (!all(crosses)) mask_noise(noise, crosses);
-      if (any(crosses)) watch_.crosses(slab, noise, kink, motion_);
+      if (any(crosses)) watch_.crosses(slab, noise, kink);
     } else if (crosses) {
       make_dense_noise(slab, path, theta, loss, group_.dense_noise[place]);
-      watch_.crosses(slab, group_.dense_noise[place], kink, motion_);
+      watch_.crosses(slab, group_.dense_noise[place], kink);
     }
-    if (kinked) motion_.scatter(kink.aside, kink.up);
     lose(loss, after, crosses);
-    if (kinked) set_dip();
   }
 
-  static void keep(Kink<T>& kink, mask_of<T> who) {
+  // The reference turns by the kinks of those lanes `who`, and the horizontal across it with it.
+  [[gnu::noinline]] void scatter(Kink<T>& kink, mask_of<T> who) {
     kink.aside = select(who, kink.aside, T(0.0));
     kink.up = select(who, kink.up, T(0.0));
+    const T ahead = 1.0 - kink.up * tanl_, turned = kink.aside * tanl_;
+    const T scale = 1.0 / sqrt(ahead * ahead + turned * turned);
+    kink.cosine = ahead * scale;
+    kink.sine = turned * scale;
+    motion_.scatter(kink.aside, kink.up);
+    set_dip();
   }
 
   void set_dip() {

@@ -22,22 +22,22 @@ class Recorder {
     way_->elements.push_back({Eigen::Map<const Vector5>(slot.row.v.data()), true, false, 0, 0});
   }
   template <class Motion>
-  void crosses(const Slab& slab, const SlabNoise<double>& noise, const Kink<double>& kink,
-               const Motion& motion) {
+  void arrives(const Slab& slab, const Motion& motion) {
     mark(motion, -1, &slab);
-    add(noise.turn, kink.aside / kink.sigma);
-    add(Eigen::Map<const Vector5>(noise.dip.v.data()), kink.up / kink.sigma);
+  }
+  void crosses(const Slab& slab, const SlabNoise<double>& noise, const Kink<double>& kink) {
+    const auto [turn, dip] = pulls(kink);
+    add(noise.turn, turn);
+    add(Eigen::Map<const Vector5>(noise.dip.v.data()), dip);
     add(Vector5(noise.straggling[0], noise.straggling[1], noise.straggling[2], noise.straggling[3], 0));
     if (!slab.shifts) return;
     add(noise.shift_across);
     add(noise.shift_along);
   }
   // In a field map.
-  template <class Motion>
-  void crosses(const Slab& slab, const std::array<Five<double>, 5>& noise, const Kink<double>& kink,
-               const Motion& motion) {
-    mark(motion, -1, &slab);
-    const std::array<double, 5> has = {kink.aside / kink.sigma, kink.up / kink.sigma, 0, 0, 0};
+  void crosses(const Slab& slab, const std::array<Five<double>, 5>& noise, const Kink<double>& kink) {
+    const auto [turn, dip] = pulls(kink);
+    const std::array<double, 5> has = {turn, dip, 0, 0, 0};
     const std::size_t vectors = slab.shifts ? 5 : 3;
     for (std::size_t i = 0; i < vectors; ++i) add(Eigen::Map<const Vector5>(noise[i].v.data()), has[i]);
   }
