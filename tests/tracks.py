@@ -100,7 +100,7 @@ def hits_on(detector: Detector, helix, pdg=13):
     return hits_of(detector, transport(compiled(detector), on_helix(helix, pdg)))
 
 
-def order_of_matter(detector, hits, n_noise):
+def order_of_matter(detector, hits, n_noise, turns_back=False):
     """Return for each hit how many noise vectors lie inside it, from the radii of slabs and layers."""
     columns = slab_table(slabs(detector)).slabs
     shifts = columns["spread"] * 13.6e-3 * np.sqrt(columns["x0"]) > 5e-3
@@ -111,5 +111,7 @@ def order_of_matter(detector, hits, n_noise):
         radius = layers[number] if kind == 2 else columns["radius"][columns["gap"] == number][0]
         inside.append(vectors[columns["radius"] < radius - 1e-9].sum())
     crossed = np.maximum.accumulate(inside)  # also where a curling track comes back
-    assert crossed[-1] >= n_noise
-    return np.minimum(crossed, n_noise)  # a track may turn back between a slab and a wire behind it
+    if turns_back:  # perhaps between a slab and a wire behind it
+        return np.minimum(crossed, n_noise)
+    assert crossed[-1] == n_noise
+    return crossed

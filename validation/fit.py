@@ -1,4 +1,4 @@
-"""Validate the fit: ``python validation/fit.py`` (ten minutes; ``--quick``: five).
+"""Validate the fit: ``python validation/fit.py`` (fifteen minutes; ``--quick``: five).
 
 Simulates and fits tracks over the grid of momentum, angle, charge, particle and detector; compares their pulls,
 chi-square, residuals and widths with what they have to be; writes fit_*.csv in validation/results and the pictures, and
@@ -57,7 +57,7 @@ def main() -> int:
     """Simulate, fit, write, draw; 1 if a number that has to agree does not."""
     parser = options(__doc__)
     parser.add_argument("--tracks", type=int, default=50_000, help="tracks a point, all Gaussian (default 50000)")
-    parser.add_argument("--others", type=int, default=10_000, help="tracks of every other point (default 10000)")
+    parser.add_argument("--others", type=int, default=25_000, help="tracks of every other point (default 25000)")
     parser.add_argument("--choices", type=int, default=20_000, help="tracks for losses and sides (default 20000)")
     parser.add_argument("--threads", type=int, help="threads (default: all cores)")
     parser.add_argument("--quick", action="store_true", help="2000 tracks of everything")

@@ -18,7 +18,7 @@ Pulls, chi-square, residuals and widths of fitted tracks over momentum, angle, c
 python validation/fit.py
 ```
 
-(ten minutes; `--quick` takes five, with 2000 tracks a point). {versions}.
+(fifteen minutes; `--quick` takes five, with 2000 tracks a point). {versions}.
 {events}.
 
 Momenta {momenta} GeV/c, cos(theta) {angles}, mu and pi of both charges, a random seed for each point. Numbers beyond
@@ -41,33 +41,27 @@ _OFF = """
 Beyond the tolerance{where}, with the mean residual over the root mean square of the errors (bias){expected}:
 """
 _EXPECTED = """, and both
-as the optimal linear estimate must have them (`validation/optimal.py`, which knows nothing of the fit)"""
+as the optimal estimate must have them (`validation/optimal.py`, which knows nothing of the fit)"""
 
 _OFF_WHY = """
 Here the error of a track depends on what was found: a slow, inclined track meets the more matter the steeper it is, and
 the more curved it is the more it scatters. Tracks that are found too steep get larger errors, and the mean of the pull
 moves although that of the residual does not. Least squares with errors worked out at the estimate cannot have another
-mean. The bias is of second order in the angles, which the estimate takes as linear.
+mean: it is the bias, less the covariance of the estimate and the logarithm of its error. No estimate that is unbiased
+gets nearer to 0. What bias there is, is of second order in what the hits do not show of the angles.
 """
 
 _SLOW = """
-At 0.1 GeV/c tracks turn back inside the chamber, and what they measure is far from linear in angles and losses: the
-chi-square and tracks beyond 8 show it. Slanting tracks have means of pulls again, and no bias. What is biased is kappa
-at 90 degrees, by up to 1e-3 of the momentum and less than a fifth of its error: scattered tracks come less far than
-straight ones on the same path, by the sum of the variances of their angles (8e-4 from pipe and CGEM, for a muon), and
-look as if they were bent more. The fit, linear in the angles, knows nothing of that.
+The same, and for the same reason: where kappa of a track came out too large, so did its error, and the means are those
+of the pulls, not of the residuals. (The optimum is not worked out where tracks turn back after 0.4 m: there second
+derivatives are not enough.)
 """
 
 _RESIDUALS = """
 ![Pulls of residuals](images/validation-fit-residuals.png)
 
-Residuals of all layers in {detector}: {rows} pulls, {off} beyond the tolerance, {slow} of them at 0.1 GeV/c{fast}.
+Residuals of all layers in {detector}: {rows} pulls, {off} beyond the tolerance{named}.
 """
-_TURNS = """.
-The others are
-{named}.
-Tracks of that slope turn back near this layer, cross three cells of it at grazing angles, and their distance to the
-wires is no linear function of the helix any more"""
 
 _HIDDEN = """
 With sides to be found, in {detector}, widths have to be within 0.05:
@@ -172,14 +166,14 @@ def _off_table(results: FitResults, slow: bool) -> str:
 
 def _residual_text(results: FitResults) -> str:
     off = [row for row in results.residuals if not row.agrees]
-    fast = [row for row in off if row.p > 0.15]
-    named = ",\n".join(
-        f"{row.parameter} of {row.particle} at {row.p:g} GeV/c, cos(theta) {row.cos_theta:g} (mean {row.mean:+.4f} ± "
-        f"{row.mean_error:.4f})"
-        for row in fast
+    named = ", ".join(
+        f"\n{row.parameter} of {row.particle} at {row.p:g} GeV/c, cos(theta) {row.cos_theta:g} ({row.n:,.0f} hits, "
+        f"width {row.width:.3f}, mean {row.mean:+.4f} ± {row.mean_error:.4f})"
+        for row in off
     )
-    numbers = {"rows": len(results.residuals), "off": len(off), "slow": len(off) - len(fast)}
-    return _RESIDUALS.format(detector=DETECTORS[0], **numbers, fast=_TURNS.format(named=named) if fast else "")
+    return _RESIDUALS.format(
+        detector=DETECTORS[0], rows=len(results.residuals), off=len(off), named=":" + named if off else ""
+    )
 
 
 def _where(row: Pull) -> str:

@@ -82,10 +82,8 @@ class Chi2(Point):
 
     @property
     def agrees(self) -> bool:
-        """Whether the distribution is flat where all is Gaussian; at 0.1 GeV/c its mean has to be within 0.1 of 0.5."""
-        if self.mode != "gaussian":  # strips and tails do not make it so, nor hits that are left two-sided
-            return True
-        return abs(self.mean - 0.5) < 0.1 if self.p < 0.15 else self.flat > FLAT
+        """Whether the distribution is flat where all is Gaussian."""
+        return self.mode != "gaussian" or self.flat > FLAT  # strips, tails and hits left two-sided do not make it so
 
 
 @dataclass(frozen=True)

@@ -51,7 +51,8 @@ def everything_at_once(name, track, forget_matter=False):
     n, noise = len(fields["kind"]), reference["noise"]
     assert reference["reached"] == n
     seen = reference["rows"] @ noise.T
-    seen[np.arange(len(noise)) >= order_of_matter(detector, fields, len(noise))[:, None]] = 0
+    turns_back = abs(helix[2]) > 1 / 0.13  # inside 0.8 m
+    seen[np.arange(len(noise)) >= order_of_matter(detector, fields, len(noise), turns_back)[:, None]] = 0
     if forget_matter:
         seen[:] = 0
     measured = np.where(fields["kind"] == 2, fields["value"] * fields["side"], fields["value"])

@@ -178,11 +178,18 @@ def test_lanes_differ_no_more_than_the_last_digit_does(sides: bool, gun: str) ->
 
 
 @pytest.mark.parametrize("name", LANES)
-def test_a_track_does_not_know_its_neighbours(name: str) -> None:
-    """To the last bit the same alone as among others: results do not depend on how events are cut into chunks."""
+@pytest.mark.parametrize(
+    ("particle", "p", "events"),
+    [("pi-", (0.15, 0.4), 40), ("pi-", (0.05, 0.1), 800), ("p", (0.2, 0.35), 300), ("mu-", (0.05, 1.0), 300)],
+)
+def test_a_track_does_not_know_its_neighbours(particle: str, p: tuple[float, float], events: int, name: str) -> None:
+    """To the last bit the same alone as among others: results do not depend on how events are cut into chunks.
+
+    Tracks with kinks and without, some that stop or turn back, some that have to give up hits.
+    """
     isa.use(name)
-    gun = GUNS["pi- 0.15-0.4 GeV/c"]
-    together = run("besiii-cgem-design", gun, 40, seed=2, threads=1).tracks
-    alone = run("besiii-cgem-design", gun, 40, seed=2, threads=1, chunk=1).tracks
+    gun = Gun(particle, p=p, cos_theta=(-0.9, 0.9))
+    together = run("besiii-cgem-design", gun, events, seed=2, threads=1).tracks
+    alone = run("besiii-cgem-design", gun, events, seed=2, threads=1, chunk=1).tracks
     for column, values in together.columns.items():
         assert values.tobytes() == alone[column].tobytes(), column

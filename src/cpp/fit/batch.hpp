@@ -33,17 +33,21 @@ class BatchFit {
       out_.rows[track].status = FitStatus::seed_failed;
       if (!input_.start.empty()) starts.push_back({track, key(track), {input_.start[track], HUGE_VAL}});
     }
-    if (!input_.start.empty()) return fit_all(starts, false);
-    for (const SeedFrom from : {SeedFrom::wires_and_clusters, SeedFrom::wires, SeedFrom::azimuths}) {
-      starts.clear();
-      for (std::size_t track = 0; track < input_.tracks(); ++track) {
-        if (out_.rows[track].status == FitStatus::too_few_hits || is_good(out_.rows[track])) continue;
-        const auto seed = seed_helix(detector_, hits(track), sides(track), from, input_.mass[track]);
-        if (seed) starts.push_back({track, key(track), *seed});
-      }
+    const bool kinks = GroupFit<T>::gives_kinks(settings_);
+    const auto good = [this](std::size_t track) { return is_good(out_.rows[track]); };
+    const auto settled = [this](std::size_t track) { return out_.rows[track].status == FitStatus::ok; };
+    if (!input_.start.empty()) {
+      fit_all(starts, false, kinks);
+      std::erase_if(starts, [&](const Start& start) { return settled(start.track); });
+    } else {
+      fit_all(seeds(SeedFrom::wires_and_clusters, good), false, kinks);
       // A poor seed would let the clusters mislead the sides: the wires settle among themselves first.
-      fit_all(starts, from == SeedFrom::wires);
+      fit_all(seeds(SeedFrom::wires, good), true, kinks);
+      fit_all(seeds(SeedFrom::azimuths, good), false, kinks);
+      starts = seeds(SeedFrom::wires_and_clusters, settled);
     }
+    // What does not settle with kinks may without.
+    if (kinks) fit_all(starts, false, false);
   }
 
  private:
@@ -125,7 +129,19 @@ class BatchFit {
     return (std::min<std::uint64_t>(clusters, 255) << 48) ^ wires;
   }
 
-  void fit_all(std::vector<Start>& starts, bool wires_first) {
+  // Of all tracks that are not `done`.
+  template <class Done>
+  std::vector<Start> seeds(SeedFrom from, const Done& done) const {
+    std::vector<Start> starts;
+    for (std::size_t track = 0; track < input_.tracks(); ++track) {
+      if (out_.rows[track].status == FitStatus::too_few_hits || done(track)) continue;
+      const auto seed = seed_helix(detector_, hits(track), sides(track), from, input_.mass[track]);
+      if (seed) starts.push_back({track, key(track), *seed});
+    }
+    return starts;
+  }
+
+  void fit_all(std::vector<Start> starts, bool wires_first, bool kinks) {
     if (width > 1) {
       std::ranges::stable_sort(starts, [this](const Start& a, const Start& b) {
         const double mass_a = input_.mass[a.track], mass_b = input_.mass[b.track];
@@ -136,7 +152,7 @@ class BatchFit {
       const Projectile kind = kind_of(starts[first]);
       std::size_t n = 1;
       while (n < width && first + n < starts.size() && kind_of(starts[first + n]) == kind) ++n;
-      fit_group(std::span(starts).subspan(first, n), kind, wires_first);
+      fit_group(std::span(starts).subspan(first, n), kind, wires_first, kinks);
       first += n;
     }
   }
@@ -145,7 +161,7 @@ class BatchFit {
     return projectile_of(input_.mass[start.track], start.seed.helix.kappa);
   }
 
-  void fit_group(std::span<const Start> starts, Projectile kind, bool wires_first) {
+  void fit_group(std::span<const Start> starts, Projectile kind, bool wires_first, bool kinks) {
     std::array<std::span<const Hit>, width> hits_of;
     std::array<std::span<const std::int8_t>, width> sides_of;
     std::array<FitLane, width> lanes;
@@ -169,7 +185,7 @@ class BatchFit {
           is_first(start.track) ? rows_of(start.track) : scratch_[k].rows(hits_of[k].size(), slabs(), out_);
     }
     builder_.build(std::span(hits_of).first(starts.size()), std::span(sides_of).first(starts.size()), group_);
-    fit_.run(helix, spread, mass, kind, std::span(lanes).first(starts.size()), wires_first);
+    fit_.run(helix, spread, mass, kind, std::span(lanes).first(starts.size()), wires_first, kinks);
     for (std::size_t k = 0; k < starts.size(); ++k) {
       if (lanes[k].rows != &out_.rows[starts[k].track]) keep_better(starts[k].track, lanes[k]);
     }

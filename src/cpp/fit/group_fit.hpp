@@ -23,16 +23,17 @@ class GroupFit {
       : detector_(detector), settings_(settings), group_(group) {}
 
   // From `start`, which most hits miss by `spread` (mm). `wires_first`: sides that are open settle among the
-  // wires before the clusters join.
+  // wires before the clusters join. `kinks`: slow tracks get them.
   void run(const PerigeeOf<T>& start, T spread, T mass, Projectile projectile, std::span<const FitLane> lanes,
-           bool wires_first) {
+           bool wires_first, bool kinks) {
     helix_ = start;
     spread_ = spread;
     passed_ = T(0.0);
     lanes_ = lanes;
     open_ = has_open_sides();
     wires_only_ = wires_first & open_;
-    stored_ = mask_of<T>(false);
+    kinks_ = kinks;
+    chi2_ = T(0.0);
     active_ = mask_of<T>(false);
     for (std::size_t k = 0; k < lanes.size(); ++k) set_lane(active_, static_cast<int>(k), true);
     Five<T> prior;
@@ -40,9 +41,14 @@ class GroupFit {
       const double sigma = settings_.prior_sigma[static_cast<std::size_t>(i)];
       prior[i] = sigma * sigma;
     });
-    known_ = Symmetric<T>::diagonal(prior);
+    known_ = prior;
     for (iteration_ = 0; iteration_ < settings_.max_iterations && any(active_); ++iteration_)
       iterate(prior, mass, projectile);
+  }
+
+  // Whether slow tracks may get kinks at all.
+  static bool gives_kinks(const FitSettings& settings) {
+    return settings.kinks && settings.max_iterations > kink_iterations;
   }
 
  private:
@@ -54,8 +60,8 @@ class GroupFit {
 
   void iterate(const Five<T>& prior, T mass, Projectile projectile) {
     const bool last = iteration_ + 1 == settings_.max_iterations;
+    if (iteration_ > patient_iterations) give_up_hits();
     trace(mass, projectile);
-    if (iteration_ >= patient_iterations) give_up_hits();
     mask_of<T> works = active_;
     if (any(group_.stopped)) works = works & !speed_up(last);
     passed_ = select(works, helix_.kappa, passed_);
@@ -73,10 +79,10 @@ class GroupFit {
     works = works & !finish(works & !(positive_definite(estimate.c) & sound(estimate)),
                             FitStatus::not_positive_definite);
     T moved(0.0);
-    unroll<parameters>(
-        [&](auto i) { moved = larger(moved, estimate.x[i] * estimate.x[i] / estimate.c(i, i)); });
-    for (std::size_t i = 0; i < known_.v.size(); ++i)
-      known_.v[i] = select(works, estimate.c.v[i], known_.v[i]);
+    unroll<parameters>([&](auto i) {
+      moved = larger(moved, estimate.x[i] * estimate.x[i] / estimate.c(i, i));
+      known_[i] = select(works, estimate.c(i, i), known_[i]);
+    });
     reference_ = helix_;
     if (any(group_.kinked)) reference_kinks_ = group_.kinks;
     move(estimate.x, works);
@@ -86,36 +92,37 @@ class GroupFit {
         works & (moved < settings_.tolerance * settings_.tolerance) & !wires_only_ & !group_.left;
     const mask_of<T> judged = iteration_ >= impatient_iterations ? works : ready;
     if (last || any(judged) || any((open_ | group_.kinked) & works)) {
-      smooth(group_);
+      smooth(group_, works);
       if (any(open_ & works)) ready = ready & renew_sides(works);
       if (settings_.outlier_pull > 0)
         ready = ready & renew_outliers(group_, judged, settings_.outlier_pull, iteration_ < last_return);
     }
-    store(ready, estimate, FitStatus::ok);
-    if (settings_.kinks) {
-      const mask_of<T> bent = bend(judged & !wires_only_);
-      stored_ = stored_ | (ready & bent);
-      ready = ready & !bent;
+    if (kinks_) {
+      ready = ready & ((abs(estimate.chi2 - chi2_) < settings_.tolerance) | !group_.kinked);
+      ready = ready & !bend(judged & !wires_only_);
+      chi2_ = select(works, estimate.chi2, chi2_);
     }
     wires_only_ = wires_only_ & !works;
+    store(ready, estimate, FitStatus::ok);
     active_ = active_ & !ready;
-    if (last) store(works & !(ready | stored_), estimate, FitStatus::not_converged);
+    if (last) store(works & !ready, estimate, FitStatus::not_converged);
   }
 
   // Where a linear fit has settled, or does not, slow tracks get kinks: angles, shifts and curvature multiply
-  // where a track is scattered by more than a few mrad. Returns which did now. What had settled is the result
-  // where this leads nowhere.
+  // where a track is scattered by more than a few mrad. Returns which did now.
   mask_of<T> bend(mask_of<T> who) {
     who = who & !group_.kinked;
-    if (iteration_ + kink_iterations >= settings_.max_iterations || !any(who)) return mask_of<T>(false);
+    if (!any(who) || iteration_ + kink_iterations >= settings_.max_iterations) return mask_of<T>(false);
     who = who & (scattering() > least_scattering);
     if (!any(who)) return who;
-    group_.kinked = group_.kinked | who;
-    for (Kink<T>& kink : group_.kinks) {  // they have been straight so far
-      kink.cosine = select(who, T(1.0), kink.cosine);
-      kink.sine = select(who, T(0.0), kink.sine);
+    for (Kink<T>& kink : group_.kinks) {
+      kink.aside = select(group_.kinked, kink.aside, T(0.0));
+      kink.up = select(group_.kinked, kink.up, T(0.0));
+      kink.cosine = select(group_.kinked, kink.cosine, T(1.0));
+      kink.sine = select(group_.kinked, kink.sine, T(0.0));
     }
-    smooth(group_);
+    group_.kinked = group_.kinked | who;
+    smooth(group_, who);
     return who;
   }
 
@@ -144,7 +151,7 @@ class GroupFit {
     constexpr double ratio = 4000;
     Five<T> variance = prior;
     if (iteration_ > 0)
-      unroll<parameters>([&](auto i) { variance[i] = smaller(ratio * known_(i, i), prior[i]); });
+      unroll<parameters>([&](auto i) { variance[i] = smaller(ratio * known_[i], prior[i]); });
     return Symmetric<T>::diagonal(variance);
   }
 
@@ -183,9 +190,8 @@ class GroupFit {
   // Ends the fit of these lanes. Returns them.
   mask_of<T> finish(mask_of<T> failed, FitStatus status) {
     if (!any(failed)) return failed;
-    const mask_of<T> without_result = failed & !stored_;
     for (std::size_t k = 0; k < lanes_.size(); ++k) {
-      if (!lane(without_result, static_cast<int>(k))) continue;
+      if (!lane(failed, static_cast<int>(k))) continue;
       store_helix(k);
       lanes_[k].rows->status = status;
     }
@@ -316,11 +322,14 @@ class GroupFit {
   const FitSettings& settings_;
   Group<T>& group_;
   PerigeeOf<T> helix_, reference_;  // reference: of this iteration, once the helix is that of the next
-  Symmetric<T> prior_, known_;      // what the filter begins with; covariance of the iteration before
   std::vector<Kink<T>> reference_kinks_;
-  T spread_, passed_;  // of the start; kappa of the last reference that did not stop, 0 before
+  Symmetric<T> prior_;  // what the filter begins with
+  Five<T> known_;       // variances of the iteration before
+  T spread_, passed_;   // of the start; kappa of the last reference that did not stop, 0 before
   std::span<const FitLane> lanes_;
-  mask_of<T> active_, open_, wires_only_, stored_;
+  mask_of<T> active_, open_, wires_only_;
+  T chi2_;  // of the iteration before
+  bool kinks_ = true;
   int iteration_ = 0;
 };
 

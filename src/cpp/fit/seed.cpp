@@ -126,11 +126,12 @@ LineShape::Point strip_point(const CgemLayer& layer, const Hit& hit, std::span<c
     x = before[i].value;
     measured = true;
   }
-  // Beside the sheet's first edge X may be a turn more or less: then z lies far outside the layer.
+  // Beside the sheet's first edge X may be a turn more or less: then z lies outside the layer.
   double z = crossing_z(layer, x, hit.value);
-  for (const double turns : {-1.0, 1.0}) {
-    const double other = crossing_z(layer, x + turns * around, hit.value);
-    if (!measured && std::abs(other) < std::abs(z)) z = other;
+  if (!measured && std::abs(z) > layer.half_length) {
+    const double less = crossing_z(layer, x - around, hit.value),
+                 more = crossing_z(layer, x + around, hit.value);
+    z = std::min({z, less, more}, [](double a, double b) { return std::abs(a) < std::abs(b); });
   }
   const double error = measured ? strip_error : strip_error * scale;
   return {s, -z * layer.sin_stereo, layer.sin_stereo,

@@ -120,10 +120,11 @@ std::array<T, 2> seen(const std::array<Five<T>, 5>& noise, const Five<T>& lambda
   return {dot(noise[0], lambda), dot(noise[1], lambda)};
 }
 
-// From the origin outward: the residual of every measurement to the track fitted without it, and the kinks
-// that all of them see.
+// From the origin outward: the residual of every measurement to the track fitted without it, and, of those
+// lanes `who` that have them, the kinks that all measurements see.
 template <class T>
-[[gnu::flatten]] void smooth(Group<T>& group) {
+[[gnu::flatten]] void smooth(Group<T>& group, mask_of<T> who) {
+  who = who & group.kinked;
   Five<T> lambda = Five<T>::zero();
   Symmetric<T> big_lambda = Symmetric<T>::diagonal(Five<T>::zero());
   for (const GroupStep& step : group.steps) {
@@ -142,14 +143,14 @@ template <class T>
         return information * slot.row[i] * slot.row[j] - weight * (slot.row[i] * lk[j] + lk[i] * slot.row[j]);
       });
     }
-    if (!step.is_slab || !any(group.kinked)) continue;
+    if (!step.is_slab || !any(who)) continue;
     const auto noise = static_cast<std::size_t>(step.noise);
     Kink<T>& kink = group.kinks[noise];
     const bool dense = !group.dense_noise.empty();
     const auto [turn, dip] =
         dense ? seen(group.dense_noise[noise], lambda) : seen(group.noise[noise], lambda);
-    kink.aside = select(group.kinked, kink.sigma * (kink.cosine * turn - kink.sine * dip), T(0.0));
-    kink.up = select(group.kinked, kink.sigma * (kink.cosine * dip + kink.sine * turn), T(0.0));
+    kink.aside = select(who, kink.sigma * (kink.cosine * turn - kink.sine * dip), kink.aside);
+    kink.up = select(who, kink.sigma * (kink.cosine * dip + kink.sine * turn), kink.up);
   }
 }
 

@@ -141,7 +141,7 @@ class Tracer {
     Kink<T>& kink = group_.kinks[place];
     if (!any(crosses)) {
       noise = {};
-      kink.sigma = 0.0;
+      kink.aside = kink.up = kink.sigma = 0.0;
       return;
     }
     const HelixPointOf<T>& at = motion_.point();
