@@ -5,8 +5,8 @@
 //   dr = dr0 + dpsi Z (r - r0) + Z integral dw(s'') (r(s) - r(s'')) ds'',
 // so that two running integrals, of the curvature's derivative and of that times the position, give every row
 // exactly, with energy loss (which makes the curvature depend on where it is, and on tanl) as without. Kinks
-// act on displaced tracks after the same path, not on the same cylinder: rows are off by the size of the kinks
-// times the tangent of the incidence.
+// act on displaced tracks after the same path, not on the same cylinder: rows are off by the size of the
+// kinks times the tangent of the incidence.
 #pragma once
 
 #include <cmath>
