@@ -166,7 +166,7 @@ def _off_table(results: FitResults, slow: bool) -> str:
 
 def _residual_text(results: FitResults) -> str:
     off = [row for row in results.residuals if not row.agrees]
-    named = ", ".join(
+    named = ",".join(
         f"\n{row.parameter} of {row.particle} at {row.p:g} GeV/c, cos(theta) {row.cos_theta:g} ({row.n:,.0f} hits, "
         f"width {row.width:.3f}, mean {row.mean:+.4f} ± {row.mean_error:.4f})"
         for row in off
