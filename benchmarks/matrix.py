@@ -15,7 +15,7 @@ from cgemit.isa import available
 from rows import write_rows
 
 THREADS = (1, 2)
-RUNS = 9
+RUNS = 30
 PRODUCT = """
 import time
 import numpy as np
