@@ -9,14 +9,14 @@ parameters, and by one scattering angle or loss after the other, through differe
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
 import cgemit as cg
 from cgemit.fit import PARAMETERS
-from plain_tracks import Hit, follow, stack_of
+from plain_tracks import Hit, TracedSlab, follow, stack_of
 
 Floats = npt.NDArray[np.float64]
 
@@ -46,6 +46,21 @@ class Optimum:
     bias: Floats
     linear_bias: Floats
     pull: Floats
+
+
+@dataclass(frozen=True)
+class _Track:
+    """Hits, and the helix about which they are looked at."""
+
+    detector: cg.Detector
+    hits: Sequence[Hit]
+    helix: Floats
+    mass: float
+    cuts: tuple[float, float]
+
+    def stack(self) -> list[TracedSlab]:
+        """Return the matter that it meets."""
+        return stack_of(self.detector, self.helix[4], self.cuts)
 
 
 @dataclass(frozen=True)
@@ -90,57 +105,68 @@ def optimum(
     pulls : bool
         Whether the mean of the pulls is worked out, which takes ten times as long.
     """
-    helix = np.asarray(helix, np.float64)
-    found = _linear(detector, hits, helix, mass, cuts)
+    track = _Track(detector, hits, np.asarray(helix, np.float64), mass, cuts)
+    found = _linear(track)
     sigma, axes = np.sqrt(np.diag(found.cov)), np.linalg.cholesky(found.cov)
-    stack = stack_of(detector, helix[4], cuts)
-
-    def seen(by_helix: Floats, by_noise: Floats) -> Floats:
-        """What is seen after steps of helix and noise (columns), added and subtracted in turn."""
-        kicks = {i: np.zeros((5, 2 * by_helix.shape[1])) for i, _, _ in found.noise}
-        for (slab, which, spread), row in zip(found.noise, by_noise, strict=True):
-            kicks[slab][which] = spread * np.stack([row, -row], axis=1).ravel()
-        return follow(detector, hits, _pairs(helix, by_helix), mass, kicks, stack)
-
-    def curved(by_helix: Floats, by_noise: Floats) -> Floats:
-        """Half the second derivatives of what is seen, summed over steps."""
-        moved = seen(_PART * by_helix, _PART * by_noise)
-        return np.asarray(((moved[:, 0::2] + moved[:, 1::2]) / 2 - found.centre).sum(axis=1) / _PART**2)
-
-    straight = np.zeros((len(found.noise), 5))
-    by_estimate = curved(axes, straight)
+    by_estimate = _curved(track, found, axes, np.zeros((len(found.noise), 5)))
     linear_bias = found.gain @ (found.by_kicks - by_estimate) / sigma
-    # About the kinks that the hits show there are two more terms. Angles and losses that are found do not count, what
-    # is left of them does; and derivatives change with what is found, which goes with the residuals.
-    variance = found.by_noise @ found.by_noise.T + np.diag([hit.sigma**2 for hit in hits])
+    bias = _bias_with_kinks(track, found, by_estimate)
+    pull = bias - _pull_of_errors(track, found) if pulls else np.full(5, np.nan)
+    return Optimum(found.cov, bias, linear_bias, pull)
+
+
+def _bias_with_kinks(track: _Track, found: _Linear, by_estimate: Floats) -> Floats:
+    """Return the bias of the estimate about the angles and losses that the hits show, in standard deviations.
+
+    Second derivatives by angles and losses count as far as these stay unknown; and first derivatives change with what
+    is found of them, which goes with the residuals of the hits.
+    """
+    sigma, n = np.sqrt(np.diag(found.cov)), len(track.hits)
+    variance = found.by_noise @ found.by_noise.T + np.diag([hit.sigma**2 for hit in track.hits])
     weighted = np.linalg.solve(variance, found.by_noise)
-    residual = variance - found.by_helix @ found.cov @ found.by_helix.T
-    left = np.eye(len(found.noise)) - weighted.T @ residual @ weighted
-    by_left = curved(np.zeros((5, len(left))), np.linalg.cholesky(left))
+    residual = variance - found.by_helix @ found.cov @ found.by_helix.T  # covariance of hits about the linear estimate
+    unknown = np.eye(len(found.noise)) - weighted.T @ residual @ weighted
+    by_unknown = _curved(track, found, np.zeros((5, len(unknown))), np.linalg.cholesky(unknown))
+    # Mixed derivatives of every hit: by each parameter's error, and by what is found of the noise when that hit lies
+    # beside the track by its weighted residual.
     with_residual = np.linalg.solve(variance, residual @ weighted).T  # (noise, hits)
     size = np.linalg.norm(with_residual, axis=0)
-    n = len(hits)
-    to_helix, to_noise = found.cov / sigma, -(found.gain @ found.by_noise).T / sigma  # columns: errors of the helix
+    helix_steps = np.repeat(found.cov / sigma, n, axis=1)
+    noise_errors = np.repeat(-(found.gain @ found.by_noise).T / sigma, n, axis=1)
     changes = np.zeros(5)
     for sign in (1, -1):
-        noise_steps = np.repeat(to_noise, n, axis=1) + sign * np.tile(with_residual / size, 5)
-        moved = seen(_PART * np.repeat(to_helix, n, axis=1), _PART * noise_steps)
+        noise_steps = noise_errors + sign * np.tile(with_residual / size, 5)
+        moved = _seen(track, found, _PART * helix_steps, _PART * noise_steps)
         sums = (moved[:, 0::2] + moved[:, 1::2]).reshape(n, 5, n)[np.arange(n), :, np.arange(n)]
         changes += sign * (sums * size[:, None]).sum(axis=0) / (4 * _PART**2)
-    bias = found.gain @ (by_left - by_estimate) / sigma + changes
-    if not pulls:
-        return Optimum(found.cov, bias, linear_bias, np.full(5, np.nan))
-    logs = [
-        np.log(np.diag(_linear(detector, hits, near, mass, cuts).cov)) / 2 for near in _pairs(helix, _PART * axes).T
-    ]
-    slope = (np.array(logs[0::2]) - logs[1::2]).T / (2 * _PART)  # of the logarithm of each error along each axis
-    return Optimum(found.cov, bias, linear_bias, bias - (slope * axes).sum(axis=1) / sigma)
+    return np.asarray(found.gain @ (by_unknown - by_estimate) / sigma + changes)
 
 
-def _linear(
-    detector: cg.Detector, hits: Sequence[Hit], helix: Floats, mass: float, cuts: tuple[float, float]
-) -> _Linear:
-    stack = stack_of(detector, helix[4], cuts)
+def _pull_of_errors(track: _Track, found: _Linear) -> Floats:
+    """Return covariance of the estimate and the logarithm of its error, in standard deviations of the estimate."""
+    axes = np.linalg.cholesky(found.cov)
+    near = [_linear(replace(track, helix=helix)) for helix in _pairs(track.helix, _PART * axes).T]
+    logs = [np.log(np.diag(one.cov)) / 2 for one in near]
+    slope = (np.array(logs[0::2]) - logs[1::2]).T / (2 * _PART)  # along each principal axis
+    return np.asarray((slope * axes).sum(axis=1) / np.sqrt(np.diag(found.cov)))
+
+
+def _seen(track: _Track, found: _Linear, by_helix: Floats, by_noise: Floats) -> Floats:
+    """Return what is seen after steps of helix and noise (columns), added and subtracted in turn."""
+    kicks = {i: np.zeros((5, 2 * by_helix.shape[1])) for i, _, _ in found.noise}
+    for (slab, which, spread), row in zip(found.noise, by_noise, strict=True):
+        kicks[slab][which] = spread * np.stack([row, -row], axis=1).ravel()
+    return follow(track.detector, track.hits, _pairs(track.helix, by_helix), track.mass, kicks, track.stack())
+
+
+def _curved(track: _Track, found: _Linear, by_helix: Floats, by_noise: Floats) -> Floats:
+    """Return half the second derivatives of what is seen, summed over steps."""
+    moved = _seen(track, found, _PART * by_helix, _PART * by_noise)
+    return np.asarray(((moved[:, 0::2] + moved[:, 1::2]) / 2 - found.centre).sum(axis=1) / _PART**2)
+
+
+def _linear(track: _Track) -> _Linear:
+    detector, hits, helix, mass, stack = track.detector, track.hits, track.helix, track.mass, track.stack()
     centre = follow(detector, hits, helix[:, None], mass, {}, stack)  # fills in the noise
     noise = [(i, k, s.sigma[k]) for i, s in enumerate(stack) for k in range(5) if s.sigma[k] > 0]
     n = 5 + len(noise)
