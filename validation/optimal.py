@@ -33,8 +33,8 @@ class Optimum:
     cov : ndarray, (5, 5) float64
         Its covariance, where all is linear.
     bias : ndarray, (5,) float64
-        Its mean error, in its standard deviations, because what is measured is not linear in helix, angles and losses
-        (M. J. Box, J. R. Stat. Soc. B 33 (1971) 171, eq. 2.16).
+        Its mean error, in its standard deviations, because what is measured is not linear in helix, angles and losses:
+        to second order, as M. J. Box, J. R. Stat. Soc. B 33 (1971) 171, but with angles and losses that are random.
     linear_bias : ndarray, (5,) float64
         The same of an estimate that takes what is measured as linear in angles and losses.
     pull : ndarray, (5,) float64
