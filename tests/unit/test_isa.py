@@ -180,7 +180,7 @@ def test_lanes_differ_no_more_than_the_last_digit_does(sides: bool, gun: str) ->
 @pytest.mark.parametrize("name", LANES)
 @pytest.mark.parametrize(
     ("particle", "p", "events"),
-    [("pi-", (0.15, 0.4), 40), ("pi-", (0.05, 0.1), 800), ("p", (0.2, 0.35), 300), ("mu-", (0.05, 1.0), 300)],
+    [("pi-", (0.15, 0.4), 40), ("pi-", (0.05, 0.1), 250), ("p", (0.2, 0.35), 300), ("mu-", (0.05, 1.0), 300)],
 )
 def test_a_track_does_not_know_its_neighbours(particle: str, p: tuple[float, float], events: int, name: str) -> None:
     """To the last bit the same alone as among others: results do not depend on how events are cut into chunks.
