@@ -4,8 +4,8 @@
 #include <algorithm>
 #include <cmath>
 
-#include "fit/cluster_errors.hpp"
 #include "fit/first_guess.hpp"
+#include "fit/measured.hpp"
 #include "fit/outliers.hpp"
 #include "kalman/field_reference.hpp"
 #include "kalman/filter.hpp"
@@ -73,7 +73,7 @@ class GroupFit {
     if (iteration_ == 0 && projectile < Projectile::electron)
       first_guess(group_, helix_, mass, spread_, works, settings_.outlier_pull > 0);
     if (settings_.outlier_pull > 0) keep_enough(group_, works);
-    fill_slots();
+    fill_slots(group_, detector_, settings_, wires_only_);
     prior_ = beginning(prior);
     Estimate<T> estimate = filter(detector_, group_, prior_);
     works = works & !finish(works & !(positive_definite(estimate.c) & sound(estimate)),
@@ -93,7 +93,7 @@ class GroupFit {
     const mask_of<T> judged = iteration_ >= impatient_iterations ? works : ready;
     if (last || any(judged) || any((open_ | group_.kinked) & works)) {
       smooth(group_, works);
-      if (any(open_ & works)) ready = ready & renew_sides(works);
+      if (any(open_ & works)) ready = ready & renew_sides(group_, works, iteration_ < 2);
       if (settings_.outlier_pull > 0)
         ready = ready & renew_outliers(group_, judged, settings_.outlier_pull, iteration_ < last_return);
     }
@@ -199,29 +199,6 @@ class GroupFit {
     return failed;
   }
 
-  // Measured value and variance of every slot, on the present reference.
-  [[gnu::flatten]] void fill_slots() {
-    for (Slot<T>& slot : group_.slots) {
-      slot.used = slot.met & !slot.outlier;
-      if (slot.view == View::wire) {
-        // A drift distance is a mixture of two sides: its mean and variance for the present weight of each.
-        slot.value = slot.weight * slot.drift;
-        slot.variance = slot.noise + (1.0 - slot.weight * slot.weight) * slot.drift * slot.drift;
-      } else {
-        slot.value = slot.drift;
-        slot.variance = slot.noise;
-        slot.used = slot.used & !wires_only_;
-        if (settings_.errors_from_track) {
-          const CgemLayer& layer = detector_.cgem[static_cast<std::size_t>(slot.layer)];
-          const double pitch = slot.view == View::x ? layer.pitch_x : layer.pitch_v;
-          const T from_track = cluster_variance(slot.size, slot.extent, pitch, settings_);
-          slot.variance = select(slot.met & (slot.size > 0.0), from_track, slot.variance);
-        }
-      }
-      slot.residual = select(slot.met, slot.value - slot.predicted, T(0.0));
-    }
-  }
-
   // The new reference; a curvature that would more than double or change sign by itself is approached in
   // halves.
   void move(const Five<T>& x, mask_of<T> who) {
@@ -238,23 +215,6 @@ class GroupFit {
     helix_.kappa = select(helix_.kappa == 0.0, T(1e-9), helix_.kappa);
     const T turns = nearest(helix_.psi * (0.5 / pi));
     helix_.psi = helix_.psi - turns * (2 * pi);
-  }
-
-  // Probability of each side from the track fitted without the hit. True where no weight moved any more.
-  [[gnu::flatten]] mask_of<T> renew_sides(mask_of<T> who) {
-    const double caution = iteration_ < 2 ? 4.0 : 1.0;  // early predictions are worse than they say
-    T largest(0.0);
-    for (Slot<T>& slot : group_.slots) {
-      if (slot.view != View::wire) continue;
-      const mask_of<T> open = who & slot.met & (slot.known_side == 0.0);
-      if (!any(open)) continue;
-      const T predicted = slot.value - slot.unbiased;
-      const T spread = larger(slot.unbiased_variance - slot.variance, 0.0);
-      const T weight = hyperbolic_tangent(slot.drift * predicted / (slot.noise + caution * spread));
-      largest = larger(largest, select(open, abs(weight - slot.weight), T(0.0)));
-      slot.weight = select(open, weight, slot.weight);
-    }
-    return largest < 0.02;
   }
 
   void store(mask_of<T> who, const Estimate<T>& estimate, FitStatus status) {
