@@ -39,6 +39,11 @@ def test_scalar_is_always_there_and_the_best_is_in_use() -> None:
     assert os.environ.get(isa.VARIABLE) or isa.name() == isa.available()[-1]
 
 
+def test_kernels_are_found_in_every_kind_of_installation() -> None:
+    """An editable installation keeps compiled files apart from the Python files; without kernels tests would skip."""
+    assert sys.platform == "win32" or "baseline" in isa.available()
+
+
 @pytest.mark.parametrize("name", isa.available())
 def test_lanes_of_each(name: str) -> None:
     isa.use(name)
