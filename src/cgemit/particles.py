@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import csv
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from importlib import resources
 from types import MappingProxyType
 from typing import Any
 
@@ -35,33 +38,42 @@ FARTHEST, FASTEST = 1e6, 1e6
 
 @dataclass(frozen=True)
 class Species:
-    """A kind of particle: name, number of the Particle Data Group, charge in e, mass in GeV/c2."""
+    """A kind of particle.
+
+    Attributes
+    ----------
+    name : str
+    pdg : int
+        Number of the Particle Data Group.
+    charge : int, e
+    mass : float, GeV/c2
+    spin : float, hbar
+    lifetime : float, ns
+        Mean proper lifetime; infinite for stable particles.
+    """
 
     name: str
     pdg: int
     charge: int
     mass: float
+    spin: float
+    lifetime: float
 
 
-# Masses: S. Navas et al. (Particle Data Group), Phys. Rev. D 110, 030001 (2024), summary tables.
-_ELECTRON, _MUON, _PION, _KAON, _PROTON = 0.51099895e-3, 0.1056583755, 0.13957039, 0.493677, 0.93827208816
-_SPECIES = (
-    Species("e-", 11, -1, _ELECTRON),
-    Species("e+", -11, 1, _ELECTRON),
-    Species("mu-", 13, -1, _MUON),
-    Species("mu+", -13, 1, _MUON),
-    Species("pi+", 211, 1, _PION),
-    Species("pi-", -211, -1, _PION),
-    Species("K+", 321, 1, _KAON),
-    Species("K-", -321, -1, _KAON),
-    Species("p", 2212, 1, _PROTON),
-    Species("anti-p", -2212, -1, _PROTON),
-    Species("gamma", 22, 0, 0.0),
-    Species("n", 2112, 0, 0.9395654205),
-    Species("anti-n", -2112, 0, 0.9395654205),
-    Species("K0_L", 130, 0, 0.497611),
-)
-_BY_PDG = {species.pdg: species for species in _SPECIES}
+def _species() -> dict[int, Species]:
+    """Read ``data/particles.csv``, which ``tools/make_particles.py`` writes."""
+    text = (resources.files("cgemit.data") / "particles.csv").read_text(encoding="utf-8")
+    rows = csv.DictReader(line for line in text.splitlines() if not line.startswith("#"))
+    return {
+        int(row["pdg"]): Species(
+            row["name"], int(row["pdg"]), int(row["charge"]),
+            float(row["mass_gev"]), float(row["spin"]), float(row["lifetime_ns"]),
+        )
+        for row in rows
+    }  # fmt: skip
+
+
+_BY_PDG = _species()
 
 #: The particles that BES3 files hold fits for, in their order; charge aside.
 HYPOTHESES: Mapping[str, Species] = MappingProxyType(
@@ -85,13 +97,16 @@ _SPELLINGS = {
     -2112: "antin nbar n~ antineutron antin0",
     130: "k0l kl klong kl0",
 }
-_BY_SPELLING = {word: pdg for pdg, words in _SPELLINGS.items() for word in words.split()}
 _BOTH_CHARGES = {"pi": "pi+ or pi-", "pion": "pi+ or pi-", "π": "pi+ or pi-", "k": "K+ or K-", "kaon": "K+ or K-"}
 
 
 def _plain(name: str) -> str:
     word = name.strip().lower().replace("_", "").replace(" ", "")
     return word[:-1].replace("-", "") + word[-1:]
+
+
+_BY_SPELLING = {_plain(one.name): one.pdg for one in _BY_PDG.values()}
+_BY_SPELLING |= {word: pdg for pdg, words in _SPELLINGS.items() for word in words.split()}
 
 
 def species(particle: str | int) -> Species:
@@ -116,7 +131,8 @@ def species(particle: str | int) -> Species:
     known = isinstance(particle, int | np.integer) and not isinstance(particle, bool) and int(particle) in _BY_PDG
     if known:
         return _BY_PDG[int(particle)]
-    names = ", ".join(f"{one.name} ({one.pdg})" for one in _SPECIES)
+    names = ", ".join(f"{_BY_PDG[pdg].name} ({pdg})" for pdg in _SPELLINGS)
+    names += f", or another of the {len(_BY_PDG)} in cgemit/data/particles.csv"
     hint = did_you_mean(_plain(given), _BY_SPELLING, "; ") if isinstance(given, str) else ""
     raise ValueError(f"got {given!r}; expected one of {names}{hint}")
 
@@ -192,6 +208,7 @@ def _filled(columns: Mapping[str, Array]) -> dict[str, Array]:
     return filled
 
 
+_UNKNOWN = Species("", 0, 0, 0.0, 0.0, math.inf)
 _NEEDED = ("event", "pdg", "px", "py", "pz")
 _FLOATS = tuple(column.name for column in SCHEMAS["particles"] if column.dtype.kind == "f")
 _WHOLE = tuple(column.name for column in SCHEMAS["particles"] if column.dtype.kind == "i")
@@ -241,8 +258,10 @@ def _problems(columns: Mapping[str, Array]) -> list[str]:
     bad |= _too_large(columns)
     bad["px, py, pz: are all zero"] = "px", (columns["px"] == 0) & (columns["py"] == 0) & (columns["pz"] == 0)
     known = np.isin(pdg, list(_BY_PDG))
+    # Neutral particles leave no hits, so that the mass of unknown ones does not matter.
+    unknown = ~known & (columns.get("charge", np.ones(len(pdg))) != 0)
     if not {"charge", "mass"} <= set(columns):
-        bad["pdg: is unknown and the columns charge and mass are not both there"] = "pdg", ~known
+        bad["pdg: is unknown and the columns charge and mass are not both there"] = "pdg", unknown
     usual = _charge_and_mass(pdg)[0]
     charge = columns.get("charge", usual)
     if "charge" in columns:
@@ -289,7 +308,7 @@ def _charge_and_mass(pdg: Array) -> tuple[Array, Array]:
     """Return charge (int8, e) and mass (float64, GeV/c2) of each PDG number; 0 where it is unknown."""
     numbers, place = np.unique(pdg, return_inverse=True)
     known = [
-        _BY_PDG.get(int(number), Species("", 0, 0, 0.0)) if np.isfinite(number) else _SPECIES[0] for number in numbers
+        _BY_PDG.get(int(number), _UNKNOWN) if np.isfinite(number) else _UNKNOWN for number in numbers
     ]
     charge = np.array([one.charge for one in known], np.int8)
     mass = np.array([one.mass for one in known], np.float64)
