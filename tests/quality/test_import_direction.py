@@ -25,7 +25,7 @@ CPP_LAYERS = [
 # A module or sub-package may import those before it; a dotted name gives one module of a package a place of its own:
 # pictures show what studies measure, and studies draw. `__init__` lists names for users, so it sees all of them.
 PYTHON_LAYERS = [
-    {"problems", "words", "version"},
+    {"problems", "version"},
     {"_core", "data", "io", "units"},
     {"isa"},
     {"tables", "values"},

@@ -12,9 +12,9 @@ from cgemit.detector.files import detectors
 from cgemit.detector.material import Material
 from cgemit.detector.model import Detector
 from cgemit.detector.parts import CgemLayer, Cylinder, DriftChamber, Shell, SubLayer, WireLayer
-from cgemit.detector.problems import DetectorError, Problem
 from cgemit.detector.schema import schema
 from cgemit.detector.slabs import Slab, slabs
+from cgemit.problems import DetectorError, Problem
 
 __all__ = [
     "SCREENINGS",

@@ -19,10 +19,9 @@ from cgemit.detector.materials import read_materials
 from cgemit.detector.merge import FOR_ALL_LAYERS, merged, set_path
 from cgemit.detector.model import Detector
 from cgemit.detector.parts import CgemLayer, Cylinder, DriftChamber, WireLayer
-from cgemit.detector.problems import DetectorError, Problem
 from cgemit.detector.read import NAME, TOP_LEVEL, UNUSABLE, Reader, shown
 from cgemit.detector.write import to_dict
-from cgemit.words import did_you_mean
+from cgemit.problems import DetectorError, Problem, did_you_mean
 
 
 def load(source: str | Path | Mapping[str, Any] | Detector) -> Detector:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from cgemit.detector.field_core import extent
 from cgemit.detector.keys import keys_of
-from cgemit.detector.problems import Problem
+from cgemit.problems import Problem
 from cgemit.units import NATIVE, format_quantity
 
 if TYPE_CHECKING:

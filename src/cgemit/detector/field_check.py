@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgemit.detector.field_grid import BOX, CYLINDER, Axis, FieldGrid
-from cgemit.detector.problems import Problem
+from cgemit.problems import Problem
 
 Floats = NDArray[np.float64]
 

@@ -8,8 +8,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from cgemit.detector.problems import DetectorError, Problem
-from cgemit.words import did_you_mean
+from cgemit.problems import DetectorError, Problem, did_you_mean
 
 _DATA = resources.files("cgemit.data") / "fields"
 

@@ -10,8 +10,7 @@ from typing import Any, NamedTuple
 
 from cgemit.detector.field_sources import place_map
 from cgemit.detector.merge import merged
-from cgemit.detector.problems import DetectorError, Problem
-from cgemit.words import did_you_mean
+from cgemit.problems import DetectorError, Problem, did_you_mean
 
 _DATA = resources.files("cgemit.data") / "detectors"
 

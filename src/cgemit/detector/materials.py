@@ -12,7 +12,7 @@ from cgemit.detector.material import (
     z_over_a_of_fractions,
 )
 from cgemit.detector.read import Reader
-from cgemit.words import did_you_mean
+from cgemit.problems import did_you_mean
 
 _BULK = ("x0", "z_over_a", "excitation_energy")
 

@@ -4,8 +4,7 @@ import copy
 from collections.abc import Mapping
 from typing import Any
 
-from cgemit.detector.problems import Problem
-from cgemit.words import did_you_mean
+from cgemit.problems import Problem, did_you_mean
 
 #: Values of a CGEM layer that are worked out from others, in order, and what each depends on.
 DERIVED_FROM = {

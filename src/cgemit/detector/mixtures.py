@@ -15,7 +15,7 @@ from cgemit.detector.material import (
     x0_of_fractions,
     z_over_a_of_fractions,
 )
-from cgemit.words import did_you_mean
+from cgemit.problems import did_you_mean
 
 #: Volume of a mole of ideal gas at 20 C and 1 atm, cm3: R T/p with CODATA 2018 R = 8.314462618 J/(mol K).
 MOLAR_VOLUME = 8.314462618 * 293.15 / 101325 * 1e6

@@ -9,7 +9,7 @@ from cgemit.detector import check, text
 from cgemit.detector.field import Field
 from cgemit.detector.material import Material
 from cgemit.detector.parts import CgemLayer, Cylinder, DriftChamber
-from cgemit.detector.problems import DetectorError
+from cgemit.problems import DetectorError
 
 
 @dataclass(frozen=True, kw_only=True)

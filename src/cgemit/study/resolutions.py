@@ -10,12 +10,12 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from cgemit.problems import did_you_mean
 from cgemit.result import Result, tracks_of
 from cgemit.study.estimate import HEAD, Floats, Resolution, measure
 from cgemit.study.present import Comparable, html_table, text_table, with_error
 from cgemit.study.removed import removed_rows
 from cgemit.tables import PARAMETERS, Table
-from cgemit.words import did_you_mean
 
 #: Unit in which the resolution of each parameter is quoted, and how many of them make the native unit.
 QUOTED = {

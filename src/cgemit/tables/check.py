@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from cgemit.problems import did_you_mean
 from cgemit.tables.schemas import SCHEMAS, Column
-from cgemit.words import did_you_mean
 
 Array = np.ndarray[Any, Any]
 

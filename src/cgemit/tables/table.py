@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from cgemit.problems import did_you_mean
 from cgemit.tables import convert, files, show
 from cgemit.tables.check import Array, check_columns, schema_of
-from cgemit.words import did_you_mean
 
 
 class Table:
