@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from cgemit.detector.check import TOUCH
 from cgemit.detector.lattice import Holes, perforated
 from cgemit.detector.material import Material
-from cgemit.detector.model import Detector
-from cgemit.detector.parts import Cylinder, DriftChamber, Shell
+from cgemit.detector.parts import Contents, Cylinder, DriftChamber, Shell
 
 ENDLESS = 1e9  # mm, half length of air
 _LUMP = 70.0  # mm of chamber gas that act as one scatterer: about four wire layers
@@ -69,7 +68,7 @@ def _middle(shell: Shell) -> float:
     return 0.5 * (shell.r_in + shell.r_out)
 
 
-def slabs(detector: Detector, merge: bool = True, foil: str = "effective") -> list[Slab]:
+def slabs(detector: Contents, merge: bool = True, foil: str = "effective") -> list[Slab]:
     """Return the matter of a detector, ordered from the beam line outward.
 
     Parameters
@@ -114,7 +113,7 @@ def _cylinders(group: str, cylinders: Iterable[Cylinder], merge: bool) -> list[S
     return [Slab(tuple(run)) for run in runs]
 
 
-def _fillers(detector: Detector, solid: Sequence[Slab], merge: bool) -> list[Slab]:
+def _fillers(detector: Contents, solid: Sequence[Slab], merge: bool) -> list[Slab]:
     """Return air between the parts, and the gas of the drift chamber around and between its wire layers."""
     chamber = detector.drift_chamber
     first_wire = chamber.layers[0].r_mid if chamber else math.inf

@@ -4,7 +4,7 @@ import re
 from typing import NamedTuple
 
 from cgemit.detector.material import Material
-from cgemit.detector.mixtures import MaterialNameError, material_named
+from cgemit.detector.materials import MaterialNameError, material_named
 from cgemit.problems import Problem
 from cgemit.units import NATIVE, QuantityError, parse_quantity
 

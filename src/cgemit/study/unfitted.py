@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cgemit.detector import MapField
-from cgemit.detector.field_core import extent
+from cgemit.detector.field.core import extent
 from cgemit.fit import FitStatus
 from cgemit.simulate import TransportStatus
 from cgemit.study.estimate import FEWEST
