@@ -7,9 +7,9 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from cgemit.study import differences
-from cgemit.study.estimate import measure
-from cgemit.study.records import paper_values
+from cgemit.statistics.estimate import measure
+from cgemit.study.paper import differences
+from cgemit.study.paper.published import paper_values
 from cgemit.study.report import Code, Image, Note, Section, TableOf, html_report
 
 PNG = b"\x89PNG\r\n\x1a\n not really"

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from cgemit.study import differences
+from cgemit.statistics.curves import windowed_resolution
+from cgemit.study.cluster_residuals import X_WINDOWS, v_fit, x_beyond, x_widths
 from cgemit.study.deltas import DISTANCES
-from cgemit.study.records import Row, paper_values
+from cgemit.study.paper import differences
+from cgemit.study.paper.published import paper_values
+from cgemit.study.paper.reproduction import Row
 from cgemit.study.samples import Sample
-from cgemit.study.spectra import v_fit, windowed_resolution
-from cgemit.study.windows import X_WINDOWS, x_beyond, x_widths
 
 
 def make_rows(samples: Mapping[str, Sample]) -> list[Row]:

@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
-if TYPE_CHECKING:
-    from cgemit.study.estimate import Resolution
-
-from cgemit.study.spectra import PITCH, WINDOW
-from cgemit.study.windows import X_WINDOW, geant4_runs
+from cgemit.statistics.curves import WINDOW
+from cgemit.statistics.estimate import Resolution
+from cgemit.study.cluster_residuals import PITCH, X_WINDOW, geant4_runs
 
 _LIMIT = PITCH / np.sqrt(12)  # um, RMS of a rectangle as wide as the pitch
 
