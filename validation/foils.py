@@ -20,7 +20,7 @@ import numpy as np
 
 import cgemit as cg
 from cgemit.detector import CgemLayer, Detector, SubLayer, slabs
-from cgemit.detector.lattice import Holes
+from cgemit.detector.slabs import Holes
 from cgemit.result import Settings
 from cgemit.simulate import SimulateSettings
 from cgemit.statistics.curves import windowed_resolution
