@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from cgemit.candidates import HIT_V, HIT_WIRE, HIT_X, Candidates
 from cgemit.detector import Detector
-from cgemit.detector.strip_plane import local_v
+from cgemit.detector.parts import local_v
 from cgemit.tables import Table
 from cgemit.tables.table import kind_problems
 

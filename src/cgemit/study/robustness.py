@@ -12,7 +12,7 @@ from cgemit.candidates import HIT_V
 from cgemit.detector import Detector, load
 from cgemit.fit import FitStatus, fit
 from cgemit.result import Result, Settings
-from cgemit.study.estimate import Resolution, measure
+from cgemit.statistics.estimate import Resolution, measure
 from cgemit.study.hits import Hits, Mask
 from cgemit.study.scenarios import Scenario
 from cgemit.tables import Table

@@ -3,15 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
+from cgemit.problems import did_you_mean
 from cgemit.tables.schemas import SCHEMAS, Column
-from cgemit.words import did_you_mean
 
 Array = np.ndarray[Any, Any]
+
+
+class Rows(Protocol):
+    """What a `Table` is to those that write, convert or show it."""
+
+    kind: str
+    columns: Mapping[str, Array]
+    n_events: int
+    first_event: int
+    offsets: np.ndarray[tuple[int], np.dtype[np.int64]]
+    meta: Mapping[str, Any]
+
+    def __len__(self) -> int: ...
 
 
 def schema_of(kind: str) -> tuple[Column, ...]:
