@@ -10,7 +10,7 @@ from cgemit import _core
 from cgemit.detector import Detector, compiled, slab_table, slabs
 from cgemit.detector.compile import cgem_table, wire_table
 from cgemit.detector.field.core import compiled_field
-from cgemit.particles import species
+from cgemit.species import species
 from cgemit.tables import Table
 
 MUON = 0.1056583755

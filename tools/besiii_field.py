@@ -1,4 +1,4 @@
-"""Make the map of BESIII's field that the preset `besiii` reads (docs/methods/field.md, "The field of BESIII").
+"""Make the map of the field of BESIII that the preset `besiii` reads (docs/methods/field.md).
 
 A coil between iron plates, and one anti-solenoid in each of the two packages of final quadrupoles; the three parameters
 were fitted to tracks of public Monte Carlo files of the experiment. Lengths in mm, fields in T.
@@ -14,7 +14,7 @@ import numpy.typing as npt
 from scipy.special import i0, i1, k0, k1
 
 from cgemit.detector import write_field_map
-from cgemit.detector.solenoid import solenoid_field
+from cgemit.detector.field.core import solenoid_field
 
 Floats = npt.NDArray[np.float64]
 

@@ -11,7 +11,7 @@ from cgemit import _core, helix
 from cgemit.candidates import Candidates, FitHits, fit_hits, with_masses
 from cgemit.detector import SCREENINGS, Detector, compiled
 from cgemit.fit_settings import FitSettings as FitSettings
-from cgemit.particles import HYPOTHESES
+from cgemit.species import HYPOTHESES
 from cgemit.states import state_columns
 from cgemit.tables import Table
 from cgemit.tracks import residual_columns, track_columns

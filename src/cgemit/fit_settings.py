@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cgemit.detector import SCREENINGS
-from cgemit.particles import HYPOTHESES
+from cgemit.species import HYPOTHESES
 from cgemit.states import place_problems
 from cgemit.values import POSITIVE, Fit, is_whole, number, setting_problems
 

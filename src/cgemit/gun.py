@@ -10,7 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from cgemit import _core
-from cgemit.particles import FARTHEST, FASTEST, ParticleError, species
+from cgemit.particles import FARTHEST, FASTEST, ParticleError
+from cgemit.species import species
 from cgemit.tables import Table
 from cgemit.tables.check import Array
 from cgemit.values import InTurn, Limit, Value, ValueLike, is_whole, parse_three, parse_value

@@ -1,19 +1,15 @@
-"""The particles cgemit knows, by their many spellings, and tables of particles from anywhere."""
+"""Tables of particles from anywhere, checked."""
 
 from __future__ import annotations
 
-import csv
-import math
 from collections.abc import Mapping
-from dataclasses import dataclass
-from importlib import resources
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from cgemit.problems import ProblemsError, did_you_mean
+from cgemit.species import KNOWN, UNKNOWN
 from cgemit.tables import SCHEMAS, Table
 from cgemit.tables.check import Array
 from cgemit.tables.table import kind_problems
@@ -33,107 +29,6 @@ class ParticleError(ProblemsError[str]):
 
 #: Largest coordinate (mm) and momentum (GeV/c) of a particle: far beyond any use, far from losing digits.
 FARTHEST, FASTEST = 1e6, 1e6
-
-
-@dataclass(frozen=True)
-class Species:
-    """A kind of particle.
-
-    Attributes
-    ----------
-    name : str
-    pdg : int
-        Number of the Particle Data Group.
-    charge : int, e
-    mass : float, GeV/c2
-    spin : float, hbar
-    lifetime : float, ns
-        Mean proper lifetime; infinite for stable particles.
-    """
-
-    name: str
-    pdg: int
-    charge: int
-    mass: float
-    spin: float
-    lifetime: float
-
-
-def _species() -> dict[int, Species]:
-    """Read ``data/particles.csv``, which ``tools/make_particles.py`` writes."""
-    text = (resources.files("cgemit.data") / "particles.csv").read_text(encoding="utf-8")
-    rows = csv.DictReader(line for line in text.splitlines() if not line.startswith("#"))
-    return {
-        int(row["pdg"]): Species(
-            row["name"], int(row["pdg"]), int(row["charge"]),
-            float(row["mass_gev"]), float(row["spin"]), float(row["lifetime_ns"]),
-        )
-        for row in rows
-    }  # fmt: skip
-
-
-_BY_PDG = _species()
-
-#: The particles that BES3 files hold fits for, in their order; charge aside.
-HYPOTHESES: Mapping[str, Species] = MappingProxyType(
-    {name: _BY_PDG[pdg] for name, pdg in (("e", 11), ("mu", 13), ("pi", 211), ("K", 321), ("p", 2212))}
-)
-
-# Spellings after _plain(): lower case, no blanks, underscores or inner hyphens.
-_SPELLINGS = {
-    11: "e- e electron elec eminus",
-    -11: "e+ positron antielectron antie ebar eplus antie-",
-    13: "mu- mu muon muminus μ- μ µ- µ",
-    -13: "mu+ antimuon antimu mubar muplus antimu- μ+ µ+",
-    211: "pi+ pion+ piplus pionplus π+",
-    -211: "pi- pion- piminus pionminus antipi+ π-",
-    321: "k+ kaon+ kplus kaonplus",
-    -321: "k- kaon- kminus kaonminus antik+",
-    2212: "p p+ proton pplus prot",
-    -2212: "antip p- pbar p~ pminus antiproton antip+ antip- protonbar",
-    22: "gamma photon γ",
-    2112: "n n0 neutron",
-    -2112: "antin nbar n~ antineutron antin0",
-    130: "k0l kl klong kl0",
-}
-_BOTH_CHARGES = {"pi": "pi+ or pi-", "pion": "pi+ or pi-", "π": "pi+ or pi-", "k": "K+ or K-", "kaon": "K+ or K-"}
-
-
-def _plain(name: str) -> str:
-    word = name.strip().lower().replace("_", "").replace(" ", "")
-    return word[:-1].replace("-", "") + word[-1:]
-
-
-_BY_SPELLING = {_plain(one.name): one.pdg for one in _BY_PDG.values()}
-_BY_SPELLING |= {word: pdg for pdg, words in _SPELLINGS.items() for word in words.split()}
-
-
-def species(particle: str | int) -> Species:
-    """Return the particle of a name or a PDG number: ``"mu-"``, ``"proton"``, ``"anti_proton"``, ``-211``, ``"13"``.
-
-    Parameters
-    ----------
-    particle : str or int
-
-    Raises
-    ------
-    ValueError
-        If there is no such particle; says which name is close.
-    """
-    given = particle
-    if isinstance(particle, str):
-        word = _plain(particle)
-        if word in _BOTH_CHARGES:
-            raise ValueError(f"got {given!r}; expected a charge too: {_BOTH_CHARGES[word]}")
-        number = particle.strip()
-        particle = int(number) if number.removeprefix("-").isdecimal() else _BY_SPELLING.get(word, 0)
-    known = isinstance(particle, int | np.integer) and not isinstance(particle, bool) and int(particle) in _BY_PDG
-    if known:
-        return _BY_PDG[int(particle)]
-    names = ", ".join(f"{_BY_PDG[pdg].name} ({pdg})" for pdg in _SPELLINGS)
-    names += f", or another of the {len(_BY_PDG)} in cgemit/data/particles.csv"
-    hint = did_you_mean(_plain(given), _BY_SPELLING, "; ") if isinstance(given, str) else ""
-    raise ValueError(f"got {given!r}; expected one of {names}{hint}")
 
 
 def particles_from(source: Any, *, n_events: int | None = None, first_event: int | None = None) -> Table:
@@ -207,7 +102,6 @@ def _filled(columns: Mapping[str, Array]) -> dict[str, Array]:
     return filled
 
 
-_UNKNOWN = Species("", 0, 0, 0.0, 0.0, math.inf)
 _NEEDED = ("event", "pdg", "px", "py", "pz")
 _FLOATS = tuple(column.name for column in SCHEMAS["particles"] if column.dtype.kind == "f")
 _WHOLE = tuple(column.name for column in SCHEMAS["particles"] if column.dtype.kind == "i")
@@ -256,7 +150,7 @@ def _problems(columns: Mapping[str, Array]) -> list[str]:
     bad[f"event: is above {_LAST_EVENT}"] = "event", event > _LAST_EVENT
     bad |= _too_large(columns)
     bad["px, py, pz: are all zero"] = "px", (columns["px"] == 0) & (columns["py"] == 0) & (columns["pz"] == 0)
-    known = np.isin(pdg, list(_BY_PDG))
+    known = np.isin(pdg, list(KNOWN))
     # Neutral particles leave no hits, so that the mass of unknown ones does not matter.
     unknown = ~known & (columns.get("charge", np.ones(len(pdg))) != 0)
     if not {"charge", "mass"} <= set(columns):
@@ -306,9 +200,7 @@ def _repeated(event: Array, particle: Array) -> npt.NDArray[np.bool_]:
 def _charge_and_mass(pdg: Array) -> tuple[Array, Array]:
     """Return charge (int8, e) and mass (float64, GeV/c2) of each PDG number; 0 where it is unknown."""
     numbers, place = np.unique(pdg, return_inverse=True)
-    known = [
-        _BY_PDG.get(int(number), _UNKNOWN) if np.isfinite(number) else _UNKNOWN for number in numbers
-    ]
+    known = [KNOWN.get(int(number), UNKNOWN) if np.isfinite(number) else UNKNOWN for number in numbers]
     charge = np.array([one.charge for one in known], np.int8)
     mass = np.array([one.mass for one in known], np.float64)
     return charge[place], mass[place]

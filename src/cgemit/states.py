@@ -12,7 +12,7 @@ import numpy.typing as npt
 from cgemit import _core, helix
 from cgemit.candidates import FitHits
 from cgemit.detector import SCREENINGS, Detector, compiled, load, slabs
-from cgemit.particles import HYPOTHESES
+from cgemit.species import HYPOTHESES
 from cgemit.tables import Table
 from cgemit.tables.table import what
 from cgemit.values import number

@@ -30,7 +30,7 @@ PYTHON_LAYERS = [
     {"problems", "version"},
     {"_core", "data", "io", "units"},
     {"isa"},
-    {"tables", "values"},
+    {"tables", "values", "species"},
     {"detector", "helix", "particles", "candidates"},
     {"gun", "states", "tracks"},
     {"fit_settings"},

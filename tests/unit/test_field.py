@@ -107,7 +107,7 @@ def test_outside_of_a_map_there_is_no_field(design):
 
 
 def test_presets():
-    assert fields() == ("besiii-harmonic", "finite-solenoid", "uniform")
+    assert fields() == ("besiii", "besiii-harmonic", "finite-solenoid", "uniform")
     for name in fields():
         detector = cg.load("besiii-idc").with_field(name)
         assert cg.load(detector) is detector

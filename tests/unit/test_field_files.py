@@ -250,4 +250,4 @@ def test_command_line_takes_fields(tmp_path, capsys):
     assert json.loads((tmp_path / "out" / "summary.json").read_text())["transport"] == {"outside": 20}
     capsys.readouterr()
     assert main(["simulate", *arguments, "--field", "nothing", "-o", str(tmp_path / "other")]) == 2
-    assert "one of besiii-harmonic" in capsys.readouterr().err
+    assert "one of besiii, besiii-harmonic" in capsys.readouterr().err

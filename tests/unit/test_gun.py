@@ -9,7 +9,8 @@ import pytest
 
 from cgemit import run
 from cgemit.gun import Gun, Guns, generate
-from cgemit.particles import ParticleError, particles_from, species
+from cgemit.particles import ParticleError, particles_from
+from cgemit.species import species
 from stats import assert_within
 
 PLAIN = Gun("mu-", p=1.0, cos_theta=(-0.93, 0.93))

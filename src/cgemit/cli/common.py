@@ -71,7 +71,7 @@ def add_field(parser: argparse.ArgumentParser) -> None:
     """Add `--field`."""
     parser.add_argument(
         "--field", metavar="NAME|FILE",
-        help="another magnetic field: besiii-harmonic, finite-solenoid, uniform, a map (.npz, .csv) or a TOML file "
+        help="another magnetic field: besiii, besiii-harmonic, finite-solenoid, uniform, a map (.npz, .csv) or a TOML file "
         "with a table [field]",
     )  # fmt: skip
 

@@ -9,7 +9,7 @@ from typing import Any
 from cgemit.detector import check
 from cgemit.detector.field import KINDS, Field, MapField, kind_key
 from cgemit.detector.field.files import read_field_map
-from cgemit.detector.files import FOR_ALL_LAYERS
+from cgemit.detector.files import FOR_ALL_LAYERS, map_path
 from cgemit.detector.keys import keys_of
 from cgemit.detector.materials import library, read_materials
 from cgemit.detector.parts import CgemLayer, Contents, Cylinder, DriftChamber, WireLayer
@@ -81,7 +81,7 @@ def _read_map(reader: Reader, values: dict[str, Any]) -> None:
     if not isinstance(values["file"], str):
         return
     try:
-        grid = read_field_map(values["file"])
+        grid = read_field_map(map_path(values["file"]))
     except DetectorError as error:
         for problem in error.problems:
             place = f" {problem.path}" if problem.path else ""

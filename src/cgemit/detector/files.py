@@ -14,6 +14,9 @@ from cgemit.problems import DetectorError, Problem, did_you_mean
 _DETECTORS = resources.files("cgemit.data") / "detectors"
 _FIELDS = resources.files("cgemit.data") / "fields"
 
+#: Begins the name of a field map that comes with the program, such as ``cgemit:besiii.npz``.
+OWN_MAP = "cgemit:"
+
 #: Values of a CGEM layer that are worked out from others, in order, and what each depends on.
 DERIVED_FROM = {
     "strips_x": {"anode_radius", "readout_offset", "sheets", "pitch_x"},
@@ -232,11 +235,19 @@ def field_tables(source: str | Path | Mapping[str, Any]) -> dict[str, Any]:
 
 
 def place_map(tables: dict[str, Any], folder: Path | None) -> dict[str, Any]:
-    """Return the tables of a file with the path of its field map made absolute; relative ones begin at `folder`."""
+    """Return the tables of a file with the path of its field map made absolute; relative ones begin at `folder`.
+
+    Maps of the program (`OWN_MAP`) keep their names, so that a detector file means the same on every machine.
+    """
     field = tables.get("field")
-    if not isinstance(field, Mapping) or not isinstance(field.get("file"), str):
+    if not isinstance(field, Mapping) or not isinstance(field.get("file"), str) or field["file"].startswith(OWN_MAP):
         return tables
     return {**tables, "field": {**field, "file": str(((folder or Path()) / field["file"]).absolute())}}
+
+
+def map_path(file: str) -> Path:
+    """Return where the map is that `file` of a table [field] names."""
+    return Path(str(_FIELDS / file.removeprefix(OWN_MAP))) if file.startswith(OWN_MAP) else Path(file)
 
 
 def _field_of(name: str, tables: dict[str, Any], folder: Path | None) -> dict[str, Any]:

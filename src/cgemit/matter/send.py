@@ -14,8 +14,9 @@ from cgemit.detector.material import Material
 from cgemit.matter.passage import LayerNumbers, Passage
 from cgemit.matter.sheets import THINNEST, Sheet, parse_stack
 from cgemit.matter.widths import ANGLES, LOSSES, angle_estimates, loss_estimates
-from cgemit.particles import FASTEST, Species, species
+from cgemit.particles import FASTEST
 from cgemit.problems import Problem, ProblemsError, did_you_mean
+from cgemit.species import Species, species
 from cgemit.units import QuantityError, parse_quantity
 
 #: Number of particles: fewer have no 1 % quantile, the columns of more take over 1 GB.

@@ -19,8 +19,8 @@ from cgemit import chain
 from cgemit.detector import Detector
 from cgemit.gun import Gun
 from cgemit.io.folders import SUMMARY, new_folder
-from cgemit.particles import species
 from cgemit.result import Settings
+from cgemit.species import species
 from cgemit.statistics.curves import Line
 from cgemit.statistics.estimate import Resolution
 from cgemit.statistics.formatting import html_table, text_table, with_error, write_csv

@@ -11,7 +11,8 @@ import numpy as np
 from cgemit.candidates import HIT_V
 from cgemit.detector import Detector
 from cgemit.gun import Gun, Guns, generate
-from cgemit.particles import particles_from, species
+from cgemit.particles import particles_from
+from cgemit.species import species
 from cgemit.study.hits import Hits, add_noise, exchange_clusters, keep, lose_layers, repeat
 from cgemit.tables import Table
 

@@ -45,7 +45,7 @@ class MapField(Field):
     bz: float = field(
         metadata=key("field", "component along the beam at the origin (default: the map's)", -10.0, 10.0, derived=True)
     )  # T
-    file: str = field(metadata=key("text", "the map, .npz or .csv"))
+    file: str = field(metadata=key("text", "the map, .npz or .csv, or cgemit:besiii.npz"))
     checksum: str = field(metadata=key("text", "what the map's numbers must have (default: anything)", derived=True))
     tolerance: float = field(metadata=_TOLERANCE, default=1e-3)  # mm
     grid: FieldGrid  # as in the file, not scaled
