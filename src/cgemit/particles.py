@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -64,8 +64,9 @@ _SPECIES = (
 _BY_PDG = {species.pdg: species for species in _SPECIES}
 
 #: The particles that BES3 files hold fits for, in their order; charge aside.
+Hypothesis = Literal["e", "mu", "pi", "K", "p"]
 HYPOTHESES: Mapping[str, Species] = MappingProxyType(
-    {name: _BY_PDG[pdg] for name, pdg in (("e", 11), ("mu", 13), ("pi", 211), ("K", 321), ("p", 2212))}
+    {name: _BY_PDG[pdg] for name, pdg in zip(get_args(Hypothesis), (11, 13, 211, 321, 2212), strict=True)}
 )
 
 # Spellings after _plain(): lower case, no blanks, underscores or inner hyphens.

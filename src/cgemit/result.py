@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from html import escape
 from pathlib import Path
 
@@ -13,6 +13,7 @@ from cgemit.detector import Detector
 from cgemit.digitize import DigitizeSettings
 from cgemit.fit import FitSettings, FitStatus
 from cgemit.gun import Gun, Guns
+from cgemit.settings import SettingsData
 from cgemit.simulate import SimulateSettings, TransportStatus
 from cgemit.tables import Table, save_tables
 from cgemit.tables.table import what
@@ -23,29 +24,19 @@ TABLES = (
 
 
 @dataclass(frozen=True, kw_only=True)
-class Settings:
+class Settings(SettingsData):
     """Settings of all stages.
 
     Raises
     ------
-    TypeError
-        Listing every stage that is given something else than its settings.
+    SettingsError
+        A ValueError that lists every stage that is given something else than its settings.
     """
 
     simulate: SimulateSettings = field(default_factory=SimulateSettings)
     digitize: DigitizeSettings = field(default_factory=DigitizeSettings)
     cluster: ClusterSettings = field(default_factory=ClusterSettings)
     fit: FitSettings = field(default_factory=FitSettings)
-
-    def __post_init__(self) -> None:
-        kinds = (SimulateSettings, DigitizeSettings, ClusterSettings, FitSettings)
-        problems = [
-            f"{f.name}: got {type(getattr(self, f.name)).__name__}, expected {kind.__name__}(...)"
-            for f, kind in zip(fields(self), kinds, strict=True)
-            if not isinstance(getattr(self, f.name), kind)
-        ]
-        if problems:
-            raise TypeError("Settings:\n  " + "\n  ".join(problems))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

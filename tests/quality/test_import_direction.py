@@ -29,6 +29,8 @@ PYTHON_LAYERS = [
     {"_core", "data", "io", "units"},
     {"isa"},
     {"tables", "values"},
+    {"kinds"},
+    {"settings"},
     {"detector", "helix", "particles", "candidates"},
     {"gun", "states", "tracks"},
     {"fit_settings"},
