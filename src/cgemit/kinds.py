@@ -150,21 +150,19 @@ def _matched_plain(kind: Any, given: object) -> Any:
     return given if isinstance(given, kind) else NO
 
 
-def problem(kind: Any, given: object) -> str:
-    """Say what is wrong with a value that is not of a kind; of a list, the first entry that is not."""
-    kind, given = _entry(kind, given)
-    shown = f"{type(given).__name__}(...)" if is_dataclass(given) else repr(given)
-    return f"got {shown}, expected {expected(kind)}{did_you_mean(given, words_of(kind), '; ')}"
-
-
-def _entry(kind: Any, given: object) -> tuple[Any, Any]:
-    """Return the entry of a list that is wrong, and its kind; what is given itself if that is not a list of a kind."""
+def problems_of(kind: Any, given: object) -> list[str]:
+    """Say what is wrong with a value that is not of a kind; of a list of any length, with each entry that is not."""
     if isinstance(given, tuple | list):
         for one in _members(kind):
             if get_origin(one) is tuple and get_args(one)[-1] is Ellipsis:
                 entry = get_args(one)[0]
-                return next(((entry, value) for value in given if matched(entry, value) is NO), (kind, given))
-    return kind, given
+                return [_problem(entry, value) for value in given if matched(entry, value) is NO]
+    return [_problem(kind, given)]
+
+
+def _problem(kind: Any, given: object) -> str:
+    shown = f"{type(given).__name__}(...)" if is_dataclass(given) else repr(given)
+    return f"got {shown}, expected {expected(kind)}{did_you_mean(given, words_of(kind), '; ')}"
 
 
 def words_of(kind: Any) -> tuple[str, ...]:

@@ -16,7 +16,7 @@ from typing import Any, Self
 
 from cgemit.io.files import new_file
 from cgemit.io.toml import toml_text
-from cgemit.kinds import NO, Choice, allows_none, classes_in, expected, kinds_of, matched, problem
+from cgemit.kinds import NO, Choice, allows_none, classes_in, expected, kinds_of, matched, problems_of
 from cgemit.problems import ProblemsError
 from cgemit.words import did_you_mean
 
@@ -43,7 +43,7 @@ class SettingsData:
             given = getattr(self, name)
             value = matched(kind, given)
             if value is NO:
-                problems.append(f"{name}: {problem(kind, given)}")
+                problems += [f"{name}: {text}" for text in problems_of(kind, given)]
             else:
                 object.__setattr__(self, name, value)
         problems += self.contradictions()
@@ -234,7 +234,7 @@ def _read(kind: Any, raw: object, path: str, problems: list[str], field: Field[A
     table = dict(raw) if isinstance(raw, Mapping) else {"name": raw}
     name = table.pop("name", _default(field).name)
     if not isinstance(name, str) or name not in classes:
-        problems.append(f"{path}: {problem(kind, name)}")
+        problems += [f"{path}: {text}" for text in problems_of(kind, name)]
         return None
     return _build(classes[name], table, f"{path}.", problems)
 
