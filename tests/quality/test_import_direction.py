@@ -35,6 +35,7 @@ PYTHON_LAYERS = [
     {"gun", "states", "tracks"},
     {"fit_settings"},
     {"simulate", "digitize", "cluster", "find", "fit"},
+    {"record"},
     {"result"},
     {"chain"},
     {"bench", "matter", "study.records", "study.spectra"},

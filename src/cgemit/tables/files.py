@@ -105,13 +105,18 @@ def load_tables(directory: str | os.PathLike[str]) -> dict[str, Table]:
     """
     from cgemit.tables.table import Table
 
-    folder = Path(directory)
-    if not (folder / INDEX).exists():
-        raise FileNotFoundError(f"{folder} holds no complete set of tables ({INDEX} is missing)")
+    return {name: Table.load(Path(directory) / f"{name}.npz") for name in read_index(directory)}
+
+
+def read_index(directory: str | os.PathLike[str]) -> list[str]:
+    """Return the names of the tables that `save_tables` wrote to a directory; raises as `load_tables`."""
+    index = Path(directory) / INDEX
+    if not index.exists():
+        raise FileNotFoundError(f"{directory} holds no complete set of tables ({INDEX} is missing)")
     try:
-        names = json.loads((folder / INDEX).read_text(encoding="utf-8"))
+        names = json.loads(index.read_text(encoding="utf-8"))
     except ValueError as error:
-        raise ValueError(f"{folder / INDEX} is damaged ({error})") from error
+        raise ValueError(f"{index} is damaged ({error})") from error
     if not isinstance(names, dict):
-        raise ValueError(f"{folder / INDEX} is damaged (expected an object with a key for each table)")
-    return {name: Table.load(folder / f"{name}.npz") for name in names}
+        raise ValueError(f"{index} is damaged (expected an object with a key for each table)")
+    return list(names)
