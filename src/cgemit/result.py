@@ -59,7 +59,8 @@ class Result:
     digis: Table
     wire_hits: Table
     clusters: Table
-    tracks: Table
+    tracks: Table = field(default=None)  # type: ignore[assignment]
+    """None where the run was saved without its fit."""
     residuals: Table | None = None
     states: Table | None = None
     timings: Mapping[str, float]
@@ -145,8 +146,9 @@ class Result:
         rows = [("detector", self.detector.name), ("gun", shots), ("seed", str(self.seed))]
         rows.append(("events", f"{self.particles.n_events:,}"))
         rows.append(("transport", ", ".join(f"{n:,} {name}" for name, n in self.transport().items())))
-        removed = ", ".join(f"{n:,} {name}" for name, n in self.removed().items()) or "none"
-        rows.append(("tracks", f"{len(self.tracks):,} (not fitted: {removed})"))
+        if "tracks" in self.tables:
+            removed = ", ".join(f"{n:,} {name}" for name, n in self.removed().items()) or "none"
+            rows.append(("tracks", f"{len(self.tracks):,} (not fitted: {removed})"))
         rows.append(("rows", ", ".join(f"{name} {len(table):,}" for name, table in self.tables.items())))
         rows.append(("hits", "assigned by truth"))
         rows.append(("time", f"{self.timings['wall']:.2f} s"))

@@ -289,5 +289,5 @@ def test_states_and_hypotheses_from_the_shell(tmp_path, capsys):
     assert main([*shot, "--states", "3 ns", "-o", str(tmp_path / "no")]) == 2
     scan = ["resolution", "-d", "besiii-cgem-design", "--p", "1", "--quiet", "-o", str(tmp_path / "no")]
     assert main([*scan, "--hypothesis", "all"]) == 2
-    assert "expected one of e, mu, pi, K, p" in capsys.readouterr().err
+    assert "fit.hypothesis: got e, mu, pi, K, p; this command expects one of them" in capsys.readouterr().err
     assert not (tmp_path / "no").exists()

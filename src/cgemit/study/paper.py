@@ -4,27 +4,24 @@ from __future__ import annotations
 
 import json
 import os
-import platform
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-
-import numpy as np
 
 from cgemit import chain
 from cgemit.detector import load
 from cgemit.gun import Gun
 from cgemit.io.folders import SUMMARY, check_free, new_folder
+from cgemit.record import versions, write_record
 from cgemit.result import Result, Settings
 from cgemit.study.paper_rows import make_rows
 from cgemit.study.present import html_table, text_table, with_error
 from cgemit.study.records import Line, Row
-from cgemit.study.samples import Order, Sample, ShowProgress, run_samples
+from cgemit.study.samples import Order, Sample, ShowProgress, record_of, run_samples
 from cgemit.study.scans import QUOTED_PARAMETERS, momentum_line, momentum_orders
 from cgemit.study.unfitted import hardly_fitted, why_unfitted
-from cgemit.version import VERSION
 
 if TYPE_CHECKING:
     from cgemit.detector import Detector
@@ -111,23 +108,27 @@ class Reproduction:
                 return row
         raise KeyError(f"{name!r}; there are {', '.join(row.id for row in self.results)}")
 
+    @property
+    def every_sample(self) -> list[Sample]:
+        """The samples at 1 GeV/c, and those of the momentum scans."""
+        return [*self.samples.values(), *(s for scan in self.scans.values() for s in scan)]
+
     def summary(self) -> dict[str, Any]:
         """Return what `summary.json` holds."""
-        every = [*self.samples.values(), *(s for scan in self.scans.values() for s in scan)]
         return {
             "program": "cgemit",
             "paper": "arXiv:1504.02570",
-            "versions": {"cgemit": VERSION, "python": platform.python_version(), "numpy": np.__version__},
+            "versions": versions(),
             "inputs": {
                 "detectors": list(DETECTORS), "particle": "mu-", "p": "1 GeV/c", "cos_theta": list(COS_THETA),
                 "events": self.inputs.events, "momenta": list(MOMENTA),
                 "events_per_momentum": self.inputs.events_per_momentum, "quick": self.inputs.quick,
-                "simulate": asdict(self.inputs.settings.simulate), "field": self.inputs.field,
+                "settings": self.inputs.settings.to_dict(), "field": self.inputs.field,
                 "hits": "assigned to tracks by truth",
             },
             "seed": self.inputs.seed,
             "timings": dict(self.timings),
-            "removed": {s.label: {"fit": dict(s.removed), "transport": dict(s.transport)} for s in every},
+            "removed": {s.label: {"fit": dict(s.removed), "transport": dict(s.transport)} for s in self.every_sample},
             "results": [row.as_json() for row in self.results],
             "curves": [line.as_json() for line in self.curves],
         }  # fmt: skip
@@ -159,6 +160,7 @@ def reproduce(
     settings: Settings | None = None,
     field: str | os.PathLike[str] | None = None,
     overwrite: bool = False,
+    command: str = "",
     progress: ShowProgress | None = None,
 ) -> Reproduction:
     """Reproduce the paper: mu- in its CGEM tracker and in the inner drift chamber.
@@ -166,7 +168,7 @@ def reproduce(
     Parameters
     ----------
     output : path or None
-        Folder for figures, tables, `summary.json` and `report.html`; nothing is written if None.
+        Folder for figures, tables, `summary.json`, `run.json` and `report.html`; nothing is written if None.
     events : int, optional
         Events at 1 GeV/c for each detector, at least 400; each of the ten momenta gets a quarter of it. Default
         20 000, or 1500 with `quick`.
@@ -181,6 +183,8 @@ def reproduce(
         Another magnetic field than the detectors' own (see `Detector.with_field`).
     overwrite : bool
         Write into a folder that holds files.
+    command : str
+        The command line that run.json shall name, if there was one.
     progress : callable, optional
         Called with the share that is done (0 to 1) and what is running.
 
@@ -203,7 +207,7 @@ def reproduce(
         events, events // _SHARE, seed, threads, quick, settings or Settings(), None if field is None else str(field)
     )
     study = _measure(inputs, progress)
-    return study if output is None else _write(study, Path(output), overwrite, progress)
+    return study if output is None else _write(study, Path(output), overwrite, command, progress)
 
 
 def _measure(inputs: Inputs, progress: ShowProgress | None) -> Reproduction:
@@ -257,7 +261,9 @@ def _stage_seconds(samples: Sequence[Sample]) -> dict[str, float]:
     return {f"{stage}_thread_s": sum(s.timings[stage] for s in samples) for stage in sorted(stages)}
 
 
-def _write(study: Reproduction, output: Path, overwrite: bool, progress: ShowProgress | None) -> Reproduction:
+def _write(
+    study: Reproduction, output: Path, overwrite: bool, command: str, progress: ShowProgress | None
+) -> Reproduction:
     """Write all files, and return the study with its folder and the time that writing took."""
     # Only where pictures are drawn is matplotlib loaded; it takes as long as a thousand events.
     from cgemit.study.paper_figures import write_figures
@@ -270,5 +276,6 @@ def _write(study: Reproduction, output: Path, overwrite: bool, progress: ShowPro
         timings = {**study.timings, "figures_s": seconds, "total_s": study.timings["run_s"] + seconds}
         study = replace(study, timings=timings, folder=output)
         (folder / "report.html").write_text(paper_report(study, folder), encoding="utf-8")
+        write_record(record_of(study.every_sample, study.inputs.seed, command), folder)
         (folder / SUMMARY).write_text(json.dumps(study.summary(), indent=2, allow_nan=False) + "\n", encoding="utf-8")
     return study

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from cgemit import chain
 from cgemit.gun import Gun
+from cgemit.record import gun_data, record
 from cgemit.result import Settings
 from cgemit.study.cluster_residuals import ClusterResiduals, cluster_residuals
 from cgemit.study.deltas import DeltaFractions, delta_fractions
@@ -109,3 +110,23 @@ def _run(order: Order, threads: int | None, progress: Callable[[float], None] | 
 def seed_of(seed: int, number: int) -> int:
     """Return a seed of its own for run `number` of a study (`numpy.random.SeedSequence`)."""
     return int(np.random.SeedSequence([seed, number]).generate_state(1, np.uint64)[0])
+
+
+def record_of(samples: Sequence[Sample], seed: int, command: str = "") -> dict[str, Any]:
+    """Return what `run.json` of a study holds: its settings and detectors, and what was shot for each sample.
+
+    Parameters
+    ----------
+    samples : sequence of Sample
+        Run with the same settings, at detectors of distinct names or equal ones.
+    seed : int
+        Of the study.
+    command : str
+        The command line that made it; none from Python.
+    """
+    source = [
+        {"label": s.label, "detector": s.detector.name, "gun": gun_data(s.gun), "events": s.n_events, "seed": s.seed}
+        for s in samples
+    ]
+    detectors = {s.detector.name: s.detector for s in samples}
+    return record(detectors=detectors, settings=samples[0].settings, seed=seed, source=source, command=command)

@@ -7,7 +7,7 @@ import os
 import re
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,12 +19,13 @@ from cgemit import chain
 from cgemit.gun import Gun
 from cgemit.io.folders import SUMMARY, new_folder
 from cgemit.particles import species
+from cgemit.record import write_record
 from cgemit.result import Settings
 from cgemit.study.estimate import Resolution
 from cgemit.study.present import html_table, text_table, with_error
 from cgemit.study.records import Line, write_csv
 from cgemit.study.resolutions import QUOTED, pulls, resolution, resolution_against
-from cgemit.study.samples import Order, Sample, ShowProgress, run_samples, seed_of
+from cgemit.study.samples import Order, Sample, ShowProgress, record_of, run_samples, seed_of
 from cgemit.study.unfitted import fitted, hardly_fitted, why_unfitted
 from cgemit.values import InTurn
 from cgemit.version import VERSION
@@ -142,7 +143,7 @@ class Scan:
         return summary_of([self])
 
     def save(self, folder: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
-        """Write resolution.csv, summary.json, the detector and the curves as PNG and PDF.
+        """Write resolution.csv, summary.json, run.json, the detector and the curves as PNG and PDF.
 
         Parameters
         ----------
@@ -196,7 +197,7 @@ def summary_of(scans: Sequence[Scan]) -> dict[str, Any]:
             "detectors": [scan.samples[0].detector.name for scan in scans],
             "particle": first.gun.particle, "cos_theta": cos_theta,
             "momenta": [momentum_of(s) for s in scans[0].samples], "events": first.n_events, "method": "mc",
-            "simulate": asdict(first.settings.simulate), "hits": "assigned by truth",
+            "settings": first.settings.to_dict(), "hits": "assigned by truth",
         },
         "seed": scans[0].seed,
         "timings": {"total_s": sum(scan.seconds for scan in scans)},
@@ -205,7 +206,9 @@ def summary_of(scans: Sequence[Scan]) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def save_scans(scans: Sequence[Scan], folder: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
+def save_scans(
+    scans: Sequence[Scan], folder: str | os.PathLike[str], *, overwrite: bool = False, command: str = ""
+) -> Path:
     """Write what `Scan.save` writes, for several detectors: one table and one picture of all.
 
     Parameters
@@ -215,6 +218,8 @@ def save_scans(scans: Sequence[Scan], folder: str | os.PathLike[str], *, overwri
         ``detector-1-NAME.toml``.
     folder : path
     overwrite : bool
+    command : str
+        The command line that run.json shall name, if there was one.
 
     Raises
     ------
@@ -232,6 +237,7 @@ def save_scans(scans: Sequence[Scan], folder: str | os.PathLike[str], *, overwri
         labels = ("σ(d_ρ)", "σ(d_z)", "σ(p)")
         panels = list(zip(labels, zip(*(scan.lines for scan in scans), strict=True), strict=True))
         draw_resolutions(panels, "p").save(place / "resolution")
+        write_record(record_of([s for scan in scans for s in scan.samples], scans[0].seed, command), place)
         (place / SUMMARY).write_text(json.dumps(summary_of(scans), indent=2) + "\n", encoding="utf-8")
     return Path(folder)
 

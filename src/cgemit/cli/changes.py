@@ -1,0 +1,201 @@
+"""`--settings`, `--set` and options that stand for a setting: one set of settings, and changes of the detector."""
+
+from __future__ import annotations
+
+import argparse
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import fields
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from cgemit.cli import read
+from cgemit.problems import ProblemsError
+from cgemit.words import did_you_mean
+
+if TYPE_CHECKING:
+    from cgemit.result import Settings
+
+_DETECTOR_EXAMPLE, _SETTING_EXAMPLE = 'cgem.L2.pitch_x="500 um"', "fit.loss=mean"
+
+
+class ChangesError(ProblemsError[str]):
+    """Wrong changes on the command line; every problem is a line of the message."""
+
+
+class Changes(NamedTuple):
+    """What `--set` changes: settings and values of the detector, by dotted key, in order."""
+
+    settings: list[tuple[str, object]]
+    detector: dict[str, object]
+
+
+class Option(NamedTuple):
+    """An option that stands for a setting."""
+
+    flag: str
+    key: str
+    value: object
+
+
+def add_set(parser: argparse.ArgumentParser, about: str) -> None:
+    """Add `--set`."""
+    parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", dest="overrides", help=about)
+
+
+def add_settings(parser: argparse.ArgumentParser) -> None:
+    """Add `--settings`."""
+    parser.add_argument(
+        "--settings", metavar="FILE",
+        help="settings of the stages: a TOML or JSON file with tables such as [fit] (see: cgemit settings), or the "
+        "run.json of earlier results; --set comes after it, and options that stand for a setting, such as "
+        "--no-deltas, come last",
+    )  # fmt: skip
+
+
+def stages() -> tuple[str, ...]:
+    """Return the stages that have settings."""
+    from cgemit.result import Settings
+
+    return tuple(field.name for field in fields(Settings))
+
+
+def split(texts: Sequence[str], *, settings: bool = True, detector: bool = True) -> Changes:
+    """Return what the texts of `--set` change.
+
+    Parameters
+    ----------
+    texts : sequence of str
+        ``KEY=VALUE``.
+    settings, detector : bool
+        Whether the command has settings, and a detector, to be changed.
+
+    Raises
+    ------
+    ChangesError
+        Listing every text that is no such thing, and every key that is neither a setting nor one of the detector.
+    """
+    from cgemit.detector.read import TOP_LEVEL
+
+    known = dict.fromkeys(stages(), "settings") if settings else {}
+    known |= dict.fromkeys(TOP_LEVEL, "detector") if detector else {}
+    problems: list[str] = []
+    found = Changes([], {})
+    for text in texts:
+        name, equals, value = (part.strip() for part in text.partition("="))
+        first = name.partition(".")[0]
+        if not equals or not name or (first in stages() and "." not in name):
+            examples = " or ".join([_SETTING_EXAMPLE] * settings + [_DETECTOR_EXAMPLE] * detector)
+            problems.append(f"--set: got {text!r}, expected KEY=VALUE such as {examples}")
+        elif known.get(first) == "settings":
+            found.settings.append((name, literal(value)))
+        elif known.get(first) == "detector":
+            found.detector[name] = literal(value)
+        else:
+            expected = ", or ".join(_kinds_of_keys(known))
+            problems.append(f"--set: got {name!r}, expected {expected}{did_you_mean(first, known, '; ')}")
+    if problems:
+        raise ChangesError("command line", problems)
+    return found
+
+
+def _kinds_of_keys(known: Mapping[str, str]) -> list[str]:
+    words = {"settings": "a setting, which begins with", "detector": "a value of the detector, which begins with"}
+    keys = {kind: [name for name in known if known[name] == kind] for kind in words}
+    return [f"{text} {', '.join(keys[kind])}" for kind, text in words.items() if keys[kind]]
+
+
+def read_settings(arguments: argparse.Namespace, found: Changes, one_track: bool = False) -> Settings:
+    """Return the settings of all stages: the file, then `--set` in order, then the options that stand for a setting.
+
+    Parameters
+    ----------
+    arguments : Namespace
+        With `--settings` and these options, as far as the command has them.
+    found : Changes
+        Of `--set`.
+    one_track : bool
+        Whether the fit can assume one mass only.
+
+    Raises
+    ------
+    ChangesError
+        Listing every problem of all of them, and options that contradict `--set`.
+    """
+    from cgemit.result import Settings
+    from cgemit.settings import SettingsError, nested
+
+    layers: list[tuple[str, Mapping[str, Any]]] = []
+    problems: list[str] = []
+    if arguments.settings is not None:
+        try:
+            layers.append((arguments.settings, _tables(arguments.settings)))
+        except SettingsError as error:
+            problems += [f"{error.source}: {text}" for text in error.problems]
+    layers += [("--set", nested(key, value)) for key, value in found.settings]
+    given = dict(found.settings)
+    for flag, key, value in _options(arguments):
+        layers.append((flag, nested(key, value)))
+        if key in given and _listed(given[key]) != _listed(value):
+            problems.append(f"{flag}: got {value!r}, but {given[key]!r} from --set {key}; expected one of them")
+    try:
+        settings = Settings.from_layers(layers)
+        if one_track and len(settings.fit.hypotheses()) > 1:
+            names = ", ".join(settings.fit.hypotheses())
+            problems.append(f"fit.hypothesis: got {names}; this command expects one of them")
+    except SettingsError as error:
+        problems += error.problems
+    if problems:
+        raise ChangesError("settings", problems)
+    return settings
+
+
+def _tables(file: str) -> Mapping[str, Any]:
+    """Return the tables of a file of settings, or those that the record of a run holds."""
+    from cgemit.record import FORMAT
+    from cgemit.settings import read_tables
+
+    tables = read_tables(file)
+    inner = tables.get("settings")
+    return inner if tables.get("format") == FORMAT and isinstance(inner, Mapping) else tables
+
+
+def _listed(value: object) -> list[object]:
+    return list(value) if isinstance(value, tuple | list) else [value]
+
+
+def literal(text: str) -> object:
+    """Read a value as a TOML file would, but let strings go without quotes, which the shell has eaten."""
+    try:
+        tables = tomllib.loads(f"value = {text}")
+    except tomllib.TOMLDecodeError:
+        return text
+    return tables["value"] if len(tables) == 1 else text  # more than one line: not a value
+
+
+def add_physics(parser: argparse.ArgumentParser) -> None:
+    """Add what is simulated of the passage through matter."""
+    group = parser.add_argument_group("physics")
+    group.add_argument(
+        "--no-deltas",
+        action="store_true",
+        help="no delta electrons in the drift gaps (simulate.deltas=false); the fit's cluster errors are unchanged",
+    )
+
+
+def add_hypothesis(parser: argparse.ArgumentParser, *, several: bool = False) -> None:
+    """Add the particle whose mass the fit assumes, or the `several`."""
+    parser.add_argument(
+        "--hypothesis", metavar="NAME,..." if several else "NAME", type=read.names,
+        help="fit with the mass of e, mu, pi, K or p instead of the particle's own (fit.hypothesis)"
+        + ("; several, or all: one track for each" if several else ""),
+    )  # fmt: skip
+
+
+def _options(arguments: argparse.Namespace) -> list[Option]:
+    """Return the options that stand for a setting and were given."""
+    options = [Option("--no-deltas", "simulate.deltas", False)] if getattr(arguments, "no_deltas", False) else []
+    for name in ("hypothesis", "states"):
+        value = getattr(arguments, name, None)
+        if value is not None:
+            options.append(Option(f"--{name}", f"fit.{name}", list(value)))
+    return options
