@@ -119,8 +119,9 @@ class SettingsData:
         return type(self).from_layers([("", self.to_dict()), *(("", nested(*item)) for item in overrides.items())])
 
     def to_toml(self, *, comments: bool = False) -> str:
-        """Return all settings as the text of a TOML file, with `comments` also what each may be."""
-        return toml_text(_without_none(self, self.to_dict()), comment=self._about if comments else None)
+        """Return all settings as the text of a TOML file, with `comments` also what each may be, None as a word."""
+        tables = _without_none(self, self.to_dict(), say_none=comments)
+        return toml_text(tables, comment=self._about if comments else None)
 
     def _about(self, path: str) -> str:
         first, _, rest = path.partition(".")
@@ -251,14 +252,14 @@ def _plain(value: Any, kind: Any) -> Any:
     return list(value) if isinstance(value, tuple) else value
 
 
-def _without_none(settings: Any, tables: Mapping[str, Any]) -> dict[str, Any]:
-    """Return tables without what is None by default, and the word where None is not the default."""
+def _without_none(settings: Any, tables: Mapping[str, Any], *, say_none: bool) -> dict[str, Any]:
+    """Return tables without what is None by default, and the word where None is not the default, or always."""
     found = dict(tables)
     for field in fields(settings):
         value = getattr(settings, field.name)
         if classes_in(kinds_of(type(settings))[field.name]):
-            found[field.name] = _without_none(value, tables[field.name])
-        elif value is None and _default(field) is None:
+            found[field.name] = _without_none(value, tables[field.name], say_none=say_none)
+        elif value is None and _default(field) is None and not say_none:
             del found[field.name]
         elif value is None:
             found[field.name] = _NONE

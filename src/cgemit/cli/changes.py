@@ -9,17 +9,14 @@ from dataclasses import fields
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from cgemit.cli import read
-from cgemit.problems import ProblemsError
 from cgemit.words import did_you_mean
 
 if TYPE_CHECKING:
     from cgemit.result import Settings
 
-_DETECTOR_EXAMPLE, _SETTING_EXAMPLE = 'cgem.L2.pitch_x="500 um"', "fit.loss=mean"
 
-
-class ChangesError(ProblemsError[str]):
-    """Wrong changes on the command line; every problem is a line of the message."""
+class InputError(ValueError):
+    """Wrong values on the command line; every problem is a line of the message."""
 
 
 class Changes(NamedTuple):
@@ -59,42 +56,37 @@ def stages() -> tuple[str, ...]:
     return tuple(field.name for field in fields(Settings))
 
 
-def split(texts: Sequence[str], *, settings: bool = True, detector: bool = True) -> Changes:
+def split(texts: Sequence[str], problems: list[str], *, settings: bool = True, detector: bool = True) -> Changes:
     """Return what the texts of `--set` change.
 
     Parameters
     ----------
     texts : sequence of str
         ``KEY=VALUE``.
+    problems : list of str
+        Texts that are no such thing, and keys that are neither a setting nor one of the detector, are added to it.
     settings, detector : bool
         Whether the command has settings, and a detector, to be changed.
-
-    Raises
-    ------
-    ChangesError
-        Listing every text that is no such thing, and every key that is neither a setting nor one of the detector.
     """
     from cgemit.detector.read import TOP_LEVEL
 
     known = dict.fromkeys(stages(), "settings") if settings else {}
     known |= dict.fromkeys(TOP_LEVEL, "detector") if detector else {}
-    problems: list[str] = []
+    examples = " or ".join(["fit.loss=mean"] * settings + ['cgem.L2.pitch_x="500 um"'] * detector)
     found = Changes([], {})
     for text in texts:
         name, equals, value = (part.strip() for part in text.partition("="))
-        first = name.partition(".")[0]
-        if not equals or not name or (first in stages() and "." not in name):
-            examples = " or ".join([_SETTING_EXAMPLE] * settings + [_DETECTOR_EXAMPLE] * detector)
+        first, dot, _ = name.partition(".")
+        kind = known.get(first)
+        if not equals or not name or (kind == "settings" and not dot):
             problems.append(f"--set: got {text!r}, expected KEY=VALUE such as {examples}")
-        elif known.get(first) == "settings":
+        elif kind == "settings":
             found.settings.append((name, literal(value)))
-        elif known.get(first) == "detector":
+        elif kind == "detector":
             found.detector[name] = literal(value)
         else:
             expected = ", or ".join(_kinds_of_keys(known))
             problems.append(f"--set: got {name!r}, expected {expected}{did_you_mean(first, known, '; ')}")
-    if problems:
-        raise ChangesError("command line", problems)
     return found
 
 
@@ -104,48 +96,71 @@ def _kinds_of_keys(known: Mapping[str, str]) -> list[str]:
     return [f"{text} {', '.join(keys[kind])}" for kind, text in words.items() if keys[kind]]
 
 
-def read_settings(arguments: argparse.Namespace, found: Changes, one_track: bool = False) -> Settings:
+def settings_of(arguments: argparse.Namespace, *, one_track: bool = False) -> Settings:
+    """Return the settings of a command that has no detector to be changed.
+
+    Parameters
+    ----------
+    arguments : Namespace
+    one_track : bool
+        Whether the fit can assume one mass only.
+
+    Raises
+    ------
+    InputError
+        Listing every problem.
+    """
+    problems: list[str] = []
+    found = split(arguments.overrides, problems, detector=False)
+    settings = read_settings(arguments, found.settings, problems, one_track=one_track)
+    if problems:
+        raise InputError("\n  ".join(["wrong settings", *problems]))
+    return settings
+
+
+def read_settings(
+    arguments: argparse.Namespace,
+    changed: Sequence[tuple[str, object]],
+    problems: list[str],
+    *,
+    one_track: bool = False,
+) -> Settings:
     """Return the settings of all stages: the file, then `--set` in order, then the options that stand for a setting.
 
     Parameters
     ----------
     arguments : Namespace
         With `--settings` and these options, as far as the command has them.
-    found : Changes
+    changed : sequence of (str, object)
         Of `--set`.
+    problems : list of str
+        Every problem of all of them, and options that contradict `--set`, are added to it.
     one_track : bool
         Whether the fit can assume one mass only.
-
-    Raises
-    ------
-    ChangesError
-        Listing every problem of all of them, and options that contradict `--set`.
     """
     from cgemit.result import Settings
     from cgemit.settings import SettingsError, nested
 
     layers: list[tuple[str, Mapping[str, Any]]] = []
-    problems: list[str] = []
     if arguments.settings is not None:
         try:
             layers.append((arguments.settings, _tables(arguments.settings)))
         except SettingsError as error:
             problems += [f"{error.source}: {text}" for text in error.problems]
-    layers += [("--set", nested(key, value)) for key, value in found.settings]
-    given = dict(found.settings)
+    layers += [("--set", nested(key, value)) for key, value in changed]
+    given = dict(changed)
     for flag, key, value in _options(arguments):
         layers.append((flag, nested(key, value)))
         if key in given and _listed(given[key]) != _listed(value):
             problems.append(f"{flag}: got {value!r}, but {given[key]!r} from --set {key}; expected one of them")
     try:
         settings = Settings.from_layers(layers)
-        if one_track and len(settings.fit.hypotheses()) > 1:
-            names = ", ".join(settings.fit.hypotheses())
-            problems.append(f"fit.hypothesis: got {names}; this command expects one of them")
     except SettingsError as error:
         problems += error.problems
-    if problems:
-        raise ChangesError("settings", problems)
+        return Settings()
+    names = settings.fit.hypotheses()
+    if one_track and len(names) > 1:
+        problems.append(f"fit.hypothesis: got {', '.join(names)}; this command expects one of them")
     return settings
 
 

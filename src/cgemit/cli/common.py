@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, ParamSpec, TypeVar
 
 from cgemit.cli import changes, read
+from cgemit.cli.changes import InputError as InputError
 
 if TYPE_CHECKING:
     from cgemit.detector import Detector
@@ -28,10 +29,6 @@ class HelpFormatter(argparse.RawDescriptionHelpFormatter):
         super().__init__(prog, max_help_position=30, width=110)
         # argparse forgets the indent of sub-commands when it works out the width of the first column.
         self._action_max_length = 14
-
-
-class InputError(ValueError):
-    """Wrong values on the command line; every problem is a line of the message."""
 
 
 class RunFailedError(RuntimeError):
@@ -124,12 +121,12 @@ def load_inputs(arguments: argparse.Namespace, *, one_track: bool = False) -> tu
     InputError
         Listing every problem of the settings and of all detectors.
     """
-    found = changes.split(arguments.overrides)
     problems: list[str] = []
-    settings = collect(problems, changes.read_settings, arguments, found, one_track)
+    found = changes.split(arguments.overrides, problems)
+    settings = changes.read_settings(arguments, found.settings, problems, one_track=one_track)
     detectors = collect(problems, load_detectors, arguments, found.detector)
-    if problems or settings is None or detectors is None:
-        raise InputError("\n".join(problems))
+    if problems or detectors is None:
+        raise InputError("\n  ".join(["wrong input", *problems]) if len(problems) > 1 else problems[0])
     return detectors, settings
 
 

@@ -9,8 +9,7 @@ from cgemit.cli import changes, common
 
 _DESCRIPTION = """\
 Print the settings of all stages as TOML, each with what it may be: the defaults, or what --settings and --set make of
-them. The text is a file that --settings takes. A setting that may be left out (None) and is has no line; "none" says
-so where something else would be taken."""
+them. The text is a file that --settings takes; what is left out of such a file has its default."""
 
 _EXAMPLES = """\
 examples:
@@ -34,6 +33,6 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 def run(arguments: argparse.Namespace) -> int:
     """Print the settings."""
-    settings = changes.read_settings(arguments, changes.split(arguments.overrides, detector=False))
+    settings = changes.settings_of(arguments)
     sys.stdout.write(settings.to_json() if arguments.json else settings.to_toml(comments=True))
     return common.OK

@@ -77,7 +77,10 @@ def run(arguments: argparse.Namespace) -> int:
     """Print the tables and write the pictures."""
     from cgemit.detector import describe
 
-    overrides = changes.split(arguments.overrides, settings=False).detector
+    problems: list[str] = []
+    overrides = changes.split(arguments.overrides, problems, settings=False).detector
+    if problems:
+        raise common.InputError("\n".join(problems))
     detector = common.load_detector(arguments.detector, overrides, arguments.field)
     numbers = describe(detector)
     folder = arguments.output or "cgemit-show-" + re.sub(r"[^\w.-]+", "-", detector.name)

@@ -55,8 +55,7 @@ def run(arguments: argparse.Namespace) -> int:
     from cgemit.cli.progress import Progress
     from cgemit.study.paper import reproduce
 
-    found = changes.split(arguments.overrides, detector=False)
-    settings = changes.read_settings(arguments, found, one_track=True)
+    settings = changes.settings_of(arguments, one_track=True)
     with Progress("study", quiet=arguments.quiet) as progress:
         study = reproduce(
             arguments.output, events=arguments.events, seed=arguments.seed, threads=arguments.threads,
