@@ -57,6 +57,7 @@ class FitSettings(SettingsData):
         Particles whose masses the fit assumes, ``"e"``, ``"mu"``, ``"pi"``, ``"K"``, ``"p"``, or ``"all"`` five: every
         candidate gets a track for each, in this order. None: one track, with the particle's own mass.
     max_iterations : int
+        A fit that has not converged after so many iterations gives up.
     tolerance : float
         The fit has converged when no parameter moves by more than this many of its standard deviations.
     least_width : float
