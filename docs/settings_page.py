@@ -75,8 +75,8 @@ cgemit: wrong settings
 ## What a run records
 
 Every output folder of `study`, `resolution` and `simulate` has a `run.json`. It holds the command, the versions of
-cgemit, Python and numpy, the seed, what was shot, all settings of all stages, the complete detector files, and a hash of
-this configuration. The tables carry the hash and the seed too.
+cgemit, Python and numpy, the seed, what was shot, all settings of all stages, the complete detector files, and a hash
+of this configuration. The tables carry the hash and the seed too.
 `cg.Result.load(folder)` reads back what `result.save(folder)` or `cgemit simulate -o folder` wrote: an equal result. A
 folder with a damaged file, or with tables of another run, is refused, and every such file is named.
 
