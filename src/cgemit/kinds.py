@@ -108,9 +108,12 @@ def classes_in(kind: Any) -> Mapping[str, type[Any]]:
 def matched(kind: Any, given: object) -> Any:
     """Return a value as it is kept if it is of a kind, else `NO`.
 
-    Values of numpy become those of Python, lists and arrays tuples, and whole numbers floats where floats are kept.
+    Values of numpy become those of Python, lists and arrays tuples, and whole numbers floats where floats are kept. The
+    name of a choice becomes an instance with all defaults.
     """
     if isinstance(kind, Choice):
+        if isinstance(given, str) and given in kind.classes:
+            return kind.classes[given]()
         return given if type(given) in kind.classes.values() else NO
     if get_origin(kind) is Annotated:
         base, *checks = get_args(kind)

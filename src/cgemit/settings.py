@@ -121,14 +121,7 @@ class SettingsData:
     def to_toml(self, *, comments: bool = False) -> str:
         """Return all settings as the text of a TOML file, with `comments` also what each may be, None as a word."""
         tables = _without_none(self, self.to_dict(), say_none=comments)
-        return toml_text(tables, comment=self._about if comments else None)
-
-    def _about(self, path: str) -> str:
-        first, _, rest = path.partition(".")
-        value, kind = getattr(self, first, None), kinds_of(type(self)).get(first)
-        if rest and isinstance(value, SettingsData):
-            return value._about(rest) if rest != "name" or not isinstance(kind, Choice) else expected(kind)
-        return expected(kind) if kind is not None else ""
+        return toml_text(tables, comment=(lambda path: _about(self, path)) if comments else None)
 
     @classmethod
     def from_toml(cls, text: str, source: str = "TOML text") -> Self:
@@ -250,6 +243,13 @@ def _plain(value: Any, kind: Any) -> Any:
         named = {"name": value.name} if isinstance(kind, Choice) else {}
         return named | {name: _plain(getattr(value, name), inner) for name, inner in kinds_of(type(value)).items()}
     return list(value) if isinstance(value, tuple) else value
+
+
+def _about(settings: Any, path: str) -> str:
+    """Return what the value at a dotted path may be."""
+    first, _, rest = path.partition(".")
+    value, kind = getattr(settings, first), kinds_of(type(settings))[first]
+    return _about(value, rest) if rest and not (rest == "name" and isinstance(kind, Choice)) else expected(kind)
 
 
 def _without_none(settings: Any, tables: Mapping[str, Any], *, say_none: bool) -> dict[str, Any]:

@@ -104,6 +104,10 @@ def test_none_is_left_out_where_it_is_the_default_and_is_a_word_elsewhere() -> N
 
 def test_a_choice_is_a_table_with_a_name_or_the_name_alone() -> None:
     assert Toy.from_toml('readout = "pads"').readout == Pads()
+    assert Toy(readout="pads") == Toy(readout=Pads())  # type: ignore[arg-type]
+    assert "\nname = \"pads\"  # one of 'strips', 'pads'\nside = 2.0  # a positive number\n" in Toy(
+        readout=Pads()
+    ).to_toml(comments=True)
     assert Toy.from_toml('[readout]\nname = "pads"\nside = 3').readout == Pads(side=3.0)
     assert Toy.from_toml("[readout]\ngain = 3").readout == Strips(gain=3.0)  # the default's own settings
     assert tomllib.loads(Toy(readout=Pads()).to_toml())["readout"] == {"name": "pads", "side": 2.0, "shape": "square"}
@@ -117,17 +121,23 @@ def test_a_choice_is_a_table_with_a_name_or_the_name_alone() -> None:
 
 def test_a_choice_that_is_added_later_counts() -> None:
     @dataclass(frozen=True, kw_only=True)
-    class Pixels(SettingsData):
+    class Pixels:  # a class from elsewhere, which checks itself
         name: ClassVar[str] = "pixels"
-        side: Positive = 0.05
+        side: float = 0.05
+
+        def __post_init__(self) -> None:
+            if self.side <= 0:
+                raise ValueError(f"side: got {self.side}, expected a size")
 
     with pytest.raises(SettingsError, match="later"):
-        Toy(later=Pixels())
+        Toy(later=Pixels())  # type: ignore[arg-type]
     KNOWN["pixels"] = Pixels
     try:
         toy = Toy.from_toml('later = {name = "pixels", side = 0.1}')
         assert toy.later == Pixels(side=0.1)
-        assert Toy.from_toml(toy.to_toml()) == toy
+        assert Toy.from_toml(toy.to_toml(comments=True)) == toy
+        with pytest.raises(SettingsError, match=r"\n  later\.side: got -1, expected a size"):
+            Toy.from_toml('later = {name = "pixels", side = -1}')
     finally:
         del KNOWN["pixels"]
 

@@ -148,3 +148,6 @@ def test_study_without_delta_electrons_says_so(tmp_path, monkeypatch):
     page = paper_report.paper_report(study, tmp_path)
     for text in ("--no-deltas", "Delta electrons were left out", "187.6 um"):
         assert text in page, text
+    other = cgemit.Settings(fit=cgemit.FitSettings(kinks=False))
+    changed = dataclasses.replace(study, inputs=dataclasses.replace(study.inputs, settings=other))
+    assert "--seed 1 --settings run.json -o DIR" in paper_report.paper_report(changed, tmp_path)

@@ -5,6 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from cgemit.io.folders import RECORD
+from cgemit.result import Settings
+from cgemit.simulate import SimulateSettings
 from cgemit.study.estimate import HEAD
 from cgemit.study.paper_captions import FIGURES, Group
 from cgemit.study.present import with_error
@@ -140,13 +143,14 @@ def _removed(study: Reproduction) -> TableOf:
 
 
 def _repeat(study: Reproduction) -> list[Part]:
-    without = "" if study.inputs.settings.simulate.deltas else " --no-deltas"
+    in_words = {Settings(): "", Settings(simulate=SimulateSettings(deltas=False)): " --no-deltas"}
+    settings = in_words.get(study.inputs.settings, f" --settings {RECORD}")
     field = f" --field {study.inputs.field}" if study.inputs.field else ""
-    command = f"cgemit study --events {study.inputs.events} --seed {study.inputs.seed}{without}{field} -o DIR"
+    command = f"cgemit study --events {study.inputs.events} --seed {study.inputs.seed}{settings}{field} -o DIR"
     seconds = ", ".join(f"{name} {value:.1f}" for name, value in study.timings.items())
     return [
         "The numbers depend on version, events and seed, not on threads.",
         Code(command),
         f"cgemit {VERSION}. Timings in seconds (stages are summed over threads): {seconds}.",
-        "Tables behind the figures are the CSV files beside this page; summary.json holds all numbers.",
+        f"The CSV files beside this page hold the data of the figures, summary.json all numbers, {RECORD} all settings.",
     ]
