@@ -152,5 +152,5 @@ def _repeat(study: Reproduction) -> list[Part]:
         "The numbers depend on version, events and seed, not on threads.",
         Code(command),
         f"cgemit {VERSION}. Timings in seconds (stages are summed over threads): {seconds}.",
-        f"The CSV files beside this page hold the data of the figures, summary.json all numbers, {RECORD} all settings.",
+        f"The CSV files beside this page hold the figures' data, summary.json all numbers, {RECORD} all settings.",
     ]
