@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 import time
 from collections.abc import Callable, Mapping
@@ -19,7 +18,8 @@ from cgemit.digitize import digitize
 from cgemit.fit import fit
 from cgemit.gun import Gun, Guns, generate
 from cgemit.particles import particles_from
-from cgemit.result import Result, Settings
+from cgemit.record import configuration_of, gun_data
+from cgemit.result import Result, Settings, detectors_of
 from cgemit.simulate import simulate
 from cgemit.tables import Table, concatenate
 from cgemit.version import VERSION
@@ -125,6 +125,7 @@ def run(
         raise TypeError(f"settings: got {type(settings).__name__}, expected {_expected(settings)}")
     detector, settings = load(detector), settings or Settings()
     believed = detector if fit_detector is None else load(fit_detector)
+    other = None if believed == detector else believed
     most = 2**31 - 1
     check_numbers("run", seed, threads, n=(n, 0, most), chunk=(chunk, 1, most))
     shooter, n_events, table = _source(gun, n)
@@ -135,11 +136,13 @@ def run(
 
     tasks = [task(first) for first in range(0, n_events, chunk)] or [task(0)]
     parts = _map(tasks, threads, executor, progress)
-    meta = _meta(detector, believed, shooter, settings, seed)
+    meta = _meta(detector, other, shooter, settings, seed)
     tables = {name: table.with_meta(**meta) for name, table in concatenate([part[0] for part in parts]).items()}
     timings = {stage: sum(part[1][stage] for part in parts) for stage in parts[0][1]}
     timings["wall"] = time.perf_counter() - start
-    return Result(detector=detector, gun=shooter, seed=seed, settings=settings, timings=timings, **tables)
+    return Result(
+        detector=detector, fit_detector=other, gun=shooter, seed=seed, settings=settings, timings=timings, **tables
+    )
 
 
 def _expected(given: object) -> str:
@@ -226,12 +229,12 @@ def _map(
 
 
 def _meta(
-    detector: Detector, believed: Detector, gun: Gun | Guns | None, settings: Settings, seed: int
+    detector: Detector, fit_detector: Detector | None, gun: Gun | Guns | None, settings: Settings, seed: int
 ) -> dict[str, Any]:
-    configuration = repr((detector.to_toml(), believed.to_toml(), gun, settings))
+    texts = {name: one.to_toml() for name, one in detectors_of(detector, fit_detector).items()}
     return {
         "version": VERSION,
-        "configuration": hashlib.sha256(configuration.encode()).hexdigest()[:16],
+        "configuration": configuration_of(texts, settings.to_dict(), gun_data(gun)),
         "detector": detector.name,
         "seed": seed,
     }

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -13,8 +13,9 @@ from cgemit import _core
 from cgemit.detector import Detector, compiled
 from cgemit.detector.compile import cgem_table
 from cgemit.helix import RADIUS_PER_KAPPA
+from cgemit.kinds import Check, Positive
+from cgemit.settings import SettingsData
 from cgemit.tables import Table
-from cgemit.values import POSITIVE, Fit, setting_problems
 
 Floats = npt.NDArray[np.float64]
 
@@ -24,13 +25,14 @@ MAX_SIZE = 64
 RARE = 1e-3
 """Sizes that fewer clusters of the reference have count as never made: what else makes them decides their error."""
 
-POSITIONS = ("centre", "charge")
+Position = Literal["centre", "charge"]
+Fraction = Annotated[float, Check(lambda value: 0 < value < 1, "a number between 0 and 1")]
 
 _POINTS = 2000  # of the reference sample in cos(theta); ten times as many move no error by more than 0.2 %
 
 
 @dataclass(frozen=True, kw_only=True)
-class ClusterSettings:
+class ClusterSettings(SettingsData):
     """How clusters are located, and the sample from which their errors follow: tracks from the origin.
 
     Attributes
@@ -49,18 +51,9 @@ class ClusterSettings:
         Listing every value that makes no sense.
     """
 
-    position: str = "centre"
-    reference_p: float = 1.0
-    reference_cos_theta: float = 0.93
-
-    def __post_init__(self) -> None:
-        numbers: dict[str, Fit] = {
-            "reference_p": POSITIVE,
-            "reference_cos_theta": (lambda value: 0 < value < 1, "a number between 0 and 1"),
-        }
-        problems = setting_problems(self, {"position": POSITIONS}, (), numbers)
-        if problems:
-            raise ValueError("ClusterSettings:\n  " + "\n  ".join(problems))
+    position: Position = "centre"
+    reference_p: Positive = 1.0
+    reference_cos_theta: Fraction = 0.93
 
 
 def cluster(detector: Detector, digis: Table, settings: ClusterSettings | None = None) -> Table:

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
 from cgemit import _core
 from cgemit.detector import Detector, compiled
+from cgemit.kinds import NotNegative, Positive
+from cgemit.settings import SettingsData
 from cgemit.tables import Table
-from cgemit.values import POSITIVE, setting_problems
 
-READOUTS = ("binary", "gaussian")
+Readout = Literal["binary", "gaussian"]
 
 #: Drift distance (mm) against drift time (ns) of the outer drift chamber's cells: medians of reconstructed hits of
 #: BESIII (BOSS 7.2.0 files published with pybes3), with the wire itself put at time 0. Straight lines between the
@@ -22,7 +23,7 @@ XT_TIME = np.array([0.0, 10.0, 25.0, 50.0, 75.0, 100.0, 150.0, 200.0, 250.0, 300
 
 
 @dataclass(frozen=True, kw_only=True)
-class DigitizeSettings:
+class DigitizeSettings(SettingsData):
     """How CGEM layers and wires are read out.
 
     Attributes
@@ -49,20 +50,13 @@ class DigitizeSettings:
         Listing every value that makes no sense.
     """
 
-    readout: str = "binary"
-    gain: float = 12_000.0
-    w_value: float = 0.0259
-    threshold: float = 1.7
-    sigma_x: float = 0.1387
-    sigma_v: float = 0.1327
+    readout: Readout = "binary"
+    gain: Positive = 12_000.0
+    w_value: Positive = 0.0259
+    threshold: NotNegative = 1.7
+    sigma_x: Positive = 0.1387
+    sigma_v: Positive = 0.1327
     reveal_sides: bool = False
-
-    def __post_init__(self) -> None:
-        numbers = dict.fromkeys(("gain", "w_value", "sigma_x", "sigma_v"), POSITIVE)
-        numbers["threshold"] = (lambda value: 0 <= value < math.inf, "zero or a positive number")
-        problems = setting_problems(self, {"readout": READOUTS}, ("reveal_sides",), numbers)
-        if problems:
-            raise ValueError("DigitizeSettings:\n  " + "\n  ".join(problems))
 
 
 def digitize(

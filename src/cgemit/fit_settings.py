@@ -4,29 +4,33 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Annotated, Literal, get_args
 
-import numpy as np
+from cgemit.detector import Screening
+from cgemit.kinds import Check, NotNegative, Positive
+from cgemit.settings import SettingsData
+from cgemit.species import HYPOTHESES, Hypothesis
+from cgemit.states import Place
 
-from cgemit.detector import SCREENINGS
-from cgemit.species import HYPOTHESES
-from cgemit.states import place_problems
-from cgemit.values import POSITIVE, Fit, is_whole, number, setting_problems
-
-SEEDS = ("hits", "truth")
-ERRORS = ("track", "cluster")
-LOSSES = ("truncated", "mean", "most_probable")
+MassHypothesis = Literal[Hypothesis, "all"]
+Seed = Literal["hits", "truth"]
+ClusterErrors = Literal["track", "cluster"]
+Loss = Literal["truncated", "mean", "most_probable"]
+LOSSES: tuple[Loss, ...] = get_args(Loss)
 
 _MOST = 2**31 - 1  # iterations, of the core's whole number
-_NUMBERS: dict[str, Fit] = {
-    "tolerance": POSITIVE,
-    "least_width": POSITIVE,
-    "delta_strips": (lambda value: 0 <= value < 1, "0 or a probability below 1"),
-    "outlier_pull": (lambda value: value == 0 or 2 <= value < math.inf, "0 or at least 2 standard deviations"),
-}
+
+Iterations = Annotated[int, Check(lambda value: 1 <= value <= _MOST, f"a whole number from 1 to {_MOST}")]
+Share = Annotated[float, Check(lambda value: 0 <= value < 1, "0 or a probability below 1")]
+Pull = Annotated[float, Check(lambda value: value == 0 or 2 <= value < math.inf, "0 or at least 2 standard deviations")]
+Spread = Annotated[float, Check(lambda value: 1e-12 <= value < math.inf, "a number not below 1e-12")]
+FiveSpreads = tuple[Spread, Spread, Spread, Spread, Spread]
+FiveNumbers = tuple[NotNegative, NotNegative, NotNegative, NotNegative, NotNegative]
+Radius = Annotated[float, Check(lambda value: 0 < value < math.inf, "a positive radius in mm")]
 
 
 @dataclass(frozen=True, kw_only=True)
-class FitSettings:
+class FitSettings(SettingsData):
     """How tracks are fitted.
 
     Attributes
@@ -53,6 +57,7 @@ class FitSettings:
         Particles whose masses the fit assumes, ``"e"``, ``"mu"``, ``"pi"``, ``"K"``, ``"p"``, or ``"all"`` five: every
         candidate gets a track for each, in this order. None: one track, with the particle's own mass.
     max_iterations : int
+        A fit that has not converged after so many iterations gives up.
     tolerance : float
         The fit has converged when no parameter moves by more than this many of its standard deviations.
     least_width : float
@@ -78,57 +83,40 @@ class FitSettings:
         Listing every value that makes no sense.
     """
 
-    seed: str = "hits"
-    cluster_errors: str = "track"
-    screening: str | None = None
-    loss: str = "truncated"
+    seed: Seed = "hits"
+    cluster_errors: ClusterErrors = "track"
+    screening: Screening | None = None
+    loss: Loss = "truncated"
     residuals: bool = False
-    states: tuple[float | str, ...] = ()
-    hypothesis: str | tuple[str, ...] | None = None
-    max_iterations: int = 15
-    tolerance: float = 0.1
-    least_width: float = 0.1
-    delta_strips: float = 0.008
+    states: tuple[Radius | Place, ...] = ()
+    hypothesis: MassHypothesis | tuple[MassHypothesis, ...] | None = None
+    max_iterations: Iterations = 15
+    tolerance: Positive = 0.1
+    least_width: Positive = 0.1
+    delta_strips: Share = 0.008
     kinks: bool = True
-    outlier_pull: float = 5.0
-    prior_sigma: tuple[float, float, float, float, float] = (200.0, 0.5, 5.0, 1000.0, 2.0)
-    seed_smearing: tuple[float, float, float, float, float] = (1.0, 0.005, 0.02, 5.0, 0.005)
+    outlier_pull: Pull = 5.0
+    prior_sigma: FiveSpreads = (200.0, 0.5, 5.0, 1000.0, 2.0)
+    seed_smearing: FiveNumbers = (
+        1.0,
+        0.005,
+        0.02,
+        5.0,
+        0.005,
+    )
 
-    def __post_init__(self) -> None:
-        choices = {"seed": SEEDS, "cluster_errors": ERRORS, "screening": (None, *SCREENINGS), "loss": LOSSES}
-        problems = setting_problems(self, choices, ("residuals", "kinks"), _NUMBERS)
-        if not is_whole(self.max_iterations, 1, _MOST):
-            problems.append(f"max_iterations: got {self.max_iterations!r}, expected a whole number from 1 to {_MOST}")
-        for name, least in (("prior_sigma", 1e-12), ("seed_smearing", 0.0)):
-            given = getattr(self, name)
-            listed = given.tolist() if isinstance(given, np.ndarray) else given
-            values = tuple(map(number, listed)) if isinstance(listed, tuple | list) else ()
-            if len(values) != 5 or not all(least <= value < math.inf for value in values):
-                problems.append(f"{name}: got {given!r}, expected five numbers, none below {least:g}")
-            object.__setattr__(self, name, values)
-        problems += place_problems(self.states)
-        problems += _hypothesis_problems(self.hypothesis)
-        if problems:
-            raise ValueError("FitSettings:\n  " + "\n  ".join(problems))
+    def contradictions(self) -> list[str]:
+        """Return what is wrong with several hypotheses together."""
+        given = self.hypothesis
+        if not isinstance(given, tuple) or len(given) == 1:
+            return []
+        if "all" in given:
+            return [f"hypothesis: got {given!r}, expected 'all' alone"]
+        once = len(set(map(str, given))) == len(given)
+        return [] if once else [f"hypothesis: got {given!r}, expected each name once"]
 
     def hypotheses(self) -> tuple[str, ...]:
         """Return the names of the particles whose masses are assumed; none for that of each particle itself."""
         given = () if self.hypothesis is None else self.hypothesis
-        names = (given,) if isinstance(given, str) else tuple(given)
+        names = given if isinstance(given, tuple) else (given,)
         return tuple(HYPOTHESES) if names == ("all",) else names
-
-
-def _hypothesis_problems(given: object) -> list[str]:
-    """Say what is wrong with a name, several names or None."""
-    expected = ", ".join(map(repr, (*HYPOTHESES, "all")))
-    if given is None:
-        return []
-    if not isinstance(given, str | tuple | list):
-        return [f"hypothesis: got {given!r}, expected None, or one or several of {expected}"]
-    names = [given] if isinstance(given, str) else list(given)
-    known = (*HYPOTHESES, "all") if len(names) == 1 else tuple(HYPOTHESES)
-    right = [name for name in names if isinstance(name, str) and name in known]
-    problems = [f"hypothesis: got {name!r}, expected one of {expected}" for name in names if name not in right]
-    if len(set(right)) < len(right):
-        problems.append(f"hypothesis: got {given!r}, expected each name once")
-    return problems

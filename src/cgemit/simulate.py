@@ -3,22 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 from cgemit import _core
-from cgemit.detector import SCREENINGS, Detector, compiled
+from cgemit.detector import Detector, Screening, compiled
 from cgemit.particles import check_particles
+from cgemit.settings import SettingsData
 from cgemit.tables import Table
-from cgemit.values import setting_problems
 
-FLUCTUATIONS = ("full", "gaussian", "off")
-FOILS = ("effective", "lattice")
+Fluctuations = Literal["full", "gaussian", "off"]
+Foil = Literal["effective", "lattice"]
 
 TransportStatus = _core.TransportStatus
 
 
 @dataclass(frozen=True, kw_only=True)
-class SimulateSettings:
+class SimulateSettings(SettingsData):
     """What the simulation draws at random (docs/methods/simulate.md).
 
     Attributes
@@ -47,23 +47,22 @@ class SimulateSettings:
         Listing every value that is not one of these, and values that do not go together.
     """
 
-    fluctuations: str = "full"
+    fluctuations: Fluctuations = "full"
     sublayers: bool = False
-    foil: str = "effective"
-    screening: str = "wentzel"
+    foil: Foil = "effective"
+    screening: Screening = "wentzel"
     deltas: bool = True
     steps: bool = False
 
-    def __post_init__(self) -> None:
-        choices = {"fluctuations": FLUCTUATIONS, "foil": FOILS, "screening": SCREENINGS}
-        problems = setting_problems(self, choices, ("sublayers", "deltas", "steps"), {})
+    def contradictions(self) -> list[str]:
+        """Return what does not go with fluctuations other than ``"full"``."""
+        problems = []
         full = str(self.fluctuations) == "full"
         if str(self.foil) == "lattice" and not full:
             problems.append("foil: got 'lattice', expected 'effective' unless fluctuations are 'full'")
         if self.steps is True and not full:
             problems.append("steps: got True, expected False unless fluctuations are 'full'")
-        if problems:
-            raise ValueError("SimulateSettings:\n  " + "\n  ".join(problems))
+        return problems
 
 
 def simulate(

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import resources
 from types import MappingProxyType
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -57,8 +58,9 @@ KNOWN: Mapping[int, Species] = MappingProxyType(_species())
 UNKNOWN = Species("", 0, 0, 0.0, 0.0, math.inf)
 
 #: The particles that BES3 files hold fits for, in their order; charge aside.
+Hypothesis = Literal["e", "mu", "pi", "K", "p"]
 HYPOTHESES: Mapping[str, Species] = MappingProxyType(
-    {name: KNOWN[pdg] for name, pdg in (("e", 11), ("mu", 13), ("pi", 211), ("K", 321), ("p", 2212))}
+    {name: KNOWN[pdg] for name, pdg in zip(get_args(Hypothesis), (11, 13, 211, 321, 2212), strict=True)}
 )
 
 # Spellings after _plain(): lower case, no blanks, underscores or inner hyphens.

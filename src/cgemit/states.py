@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -23,24 +23,9 @@ Floats = npt.NDArray[np.float64]
 Columns = dict[str, npt.ArrayLike]
 
 #: Places that states can be asked for by name; a number is the radius of a cylinder in mm.
-PLACES = ("origin", "beam_line", "beam_pipe", "hits")
+Place = Literal["origin", "beam_line", "beam_pipe", "hits"]
 
 _MASSES = {kind.pdg: kind.mass for kind in HYPOTHESES.values()}
-
-
-def place_problems(places: object) -> list[str]:
-    """Return what is wrong with places of states, each of which is one of `PLACES` or a radius in mm."""
-    if not isinstance(places, tuple | list):
-        return [f"states: got {places!r}, expected a tuple of radii in mm and of {', '.join(map(repr, PLACES))}"]
-    return [
-        f"states: got {place!r}, expected a positive radius in mm or one of {', '.join(map(repr, PLACES))}"
-        for place in places
-        if not (isinstance(place, str) and place in PLACES) and not _is_radius(place)
-    ]
-
-
-def _is_radius(place: object) -> bool:
-    return 0 < number(place) < math.inf
 
 
 def state_columns(
@@ -61,7 +46,7 @@ def state_columns(
     core : _core.Detector
         The same, compiled for it.
     places : tuple of float or str
-        Radii in mm, and names of `PLACES`.
+        Radii in mm, and names of `Place`.
     particles : Table of kind "particles"
         With the column `hypothesis` and the masses that the fit assumed.
     hits : FitHits
@@ -170,7 +155,7 @@ def _start_problems(table: Table, radius: object, particle: object, screening: o
     fits = isinstance(table, Table) and table.kind in ("states", "tracks")
     if not fits:
         problems.append(f"table: got {what(table)}, expected a table of kind 'states' or 'tracks'")
-    if not _is_radius(radius):
+    if not 0 < number(radius) < math.inf:
         problems.append(f"radius: got {radius!r}, expected a positive number, mm")
     if particle not in (None, *HYPOTHESES):
         problems.append(f"particle: got {particle!r}, expected one of {', '.join(map(repr, HYPOTHESES))}")
@@ -188,7 +173,7 @@ def _masses(table: Table, particle: str | None) -> Floats:
     if particle is not None:
         return np.full(len(table), HYPOTHESES[particle].mass)
     numbers, place = np.unique(table["hypothesis"], return_inverse=True)
-    return np.array([_MASSES.get(int(number), np.nan) for number in numbers])[place]
+    return np.array([_MASSES.get(int(pdg), np.nan) for pdg in numbers])[place]
 
 
 def _at(out: dict[str, npt.NDArray[Any]]) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Values that users give: numbers and choices of settings, and a gun's quantities.
+"""Values that users give: plain numbers, and a gun's quantities.
 
 Of a gun's quantities a number is fixed, a tuple a uniform range, and a list or array holds values to use in turn.
 """
@@ -6,7 +6,7 @@ Of a gun's quantities a number is fixed, a tuple a uniform range, and a list or 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -29,52 +29,6 @@ def number(given: object) -> float:
 def is_whole(given: object, least: int, most: int) -> bool:
     """Tell whether something is a whole number, of Python or numpy, within limits."""
     return isinstance(given, int | np.integer) and not isinstance(given, bool) and bool(least <= given <= most)
-
-
-#: What a number of a setting may be: whether it fits, and how to say so.
-Fit = tuple[Callable[[float], bool], str]
-POSITIVE: Fit = (lambda value: 0 < value < math.inf, "a positive number")
-
-
-def setting_problems(
-    settings: object,
-    choices: Mapping[str, Sequence[str | None]],
-    flags: Sequence[str],
-    numbers: Mapping[str, Fit],
-) -> list[str]:
-    """Return what is wrong with fields of a dataclass of settings, of whatever type they are.
-
-    Parameters
-    ----------
-    settings : dataclass
-        Truth values of numpy become those of Python, since JSON takes no others.
-    choices : mapping of str to sequence of str or None
-        What each field of that name may be.
-    flags : sequence of str
-        Fields that are True or False.
-    numbers : mapping of str to Fit
-        What each field that is a number may be.
-
-    Returns
-    -------
-    list of str
-    """
-    problems = []
-    for name, known in choices.items():
-        given = getattr(settings, name)
-        if not isinstance(given, str | None) or given not in known:
-            problems.append(f"{name}: got {given!r}, expected one of {', '.join(map(repr, known))}")
-    for name in flags:
-        given = getattr(settings, name)
-        if isinstance(given, np.bool_):
-            object.__setattr__(settings, name, bool(given))
-        elif not isinstance(given, bool):
-            problems.append(f"{name}: got {given!r}, expected True or False")
-    for name, (fits, expected) in numbers.items():
-        given = getattr(settings, name)
-        if not fits(number(given)):
-            problems.append(f"{name}: got {given!r}, expected {expected}")
-    return problems
 
 
 @dataclass(frozen=True)

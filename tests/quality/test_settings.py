@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import dataclasses
 import re
+from typing import Any, get_args
 
 import pytest
 from sources import CORE
 
 from cgemit import _core
+from cgemit.detector import Screening
 from cgemit.digitize import DigitizeSettings
 from cgemit.fit import FitSettings
-from cgemit.simulate import FLUCTUATIONS, SimulateSettings
+from cgemit.fit_settings import Loss
+from cgemit.simulate import Fluctuations, SimulateSettings
 
 # Struct, its header, its dataclass, and the fields of the core that are made from a setting of another name, or from
 # none: seeds and tables come with the call.
@@ -62,8 +65,13 @@ def test_every_struct_of_settings_is_listed() -> None:
     assert structs == {row[0] for row in STRUCTS}
 
 
-def test_fluctuations_are_those_of_the_core() -> None:
-    assert set(FLUCTUATIONS) == {member.name for member in _core.Fluctuations}
+@pytest.mark.parametrize(
+    ("choices", "core"),
+    [(Fluctuations, _core.Fluctuations), (Loss, _core.CoreLoss), (Screening, _core.Screening)],
+    ids=["fluctuations", "loss", "screening"],
+)
+def test_choices_are_those_of_the_core(choices: Any, core: Any) -> None:
+    assert set(get_args(choices)) == {member.name for member in core}
 
 
 def test_a_default_in_the_core_is_seen() -> None:

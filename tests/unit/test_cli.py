@@ -237,11 +237,14 @@ def test_a_study_in_a_map_that_is_too_small_says_so(narrow_map, tmp_path, capsys
 
 
 def test_resolutions_in_a_map_that_is_too_small_say_so(narrow_map, tmp_path, capsys):
-    assert main([*RESOLUTION, "--field", narrow_map, "-o", str(tmp_path / "out")]) == 0
-    note = capsys.readouterr().out.splitlines()[-1]
-    assert note.startswith("at 0.5, 1 GeV/c: 0 of 120 tracks fitted")
-    assert "transport: left_field 120 of 120; fit: " in note
-    assert ENDS in note
+    assert main([*RESOLUTION, "--field", narrow_map, "-o", str(tmp_path / "out")]) == 3
+    captured = capsys.readouterr()
+    begin = "cgemit: besiii-cgem-design-modified: at 0.5, 1 GeV/c: 0 of 120 tracks fitted"
+    assert captured.err.startswith(begin)
+    assert "transport: left_field 120 of 120; fit: " in captured.err
+    assert ENDS in captured.err
+    assert not captured.out
+    assert list(tmp_path.iterdir()) == [Path(narrow_map)]
 
 
 def test_slow_tracks_that_curl_are_no_matter_of_the_map(narrow_map, tmp_path, capsys):

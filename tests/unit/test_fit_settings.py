@@ -4,6 +4,7 @@ import dataclasses
 import inspect
 import math
 import re
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from cgemit.detector import load
 from cgemit.digitize import DigitizeSettings, digitize
 from cgemit.find import by_truth
 from cgemit.fit import PARAMETERS, FitSettings, FitStatus, fit
-from cgemit.fit_settings import ERRORS
+from cgemit.fit_settings import ClusterErrors
 from cgemit.gun import Gun, generate
 from cgemit.simulate import simulate
 
@@ -175,7 +176,7 @@ def test_residuals_on_request(event):
     assert not np.any(residuals["side"][~on_wire])
 
 
-@pytest.mark.parametrize("errors", ERRORS)
+@pytest.mark.parametrize("errors", get_args(ClusterErrors))
 def test_columns_agree_with_each_other(event, errors):
     """Pulls, errors and residuals of every parameter and of p are those of helix, truth and covariance."""
     tables, _ = event

@@ -255,7 +255,7 @@ def test_every_mistake_is_listed():
         FitSettings(states=("vertex", -1.0, float("nan"), True), hypothesis=("pi", "tau", "pi"))
     for text in ("'vertex'", "-1.0", "nan", "True", "hypothesis: got 'tau'", r"'pi'\)"):
         assert re.search(f"{text}, expected", str(caught.value))
-    with pytest.raises(ValueError, match="expected a tuple"):
+    with pytest.raises(ValueError, match="expected a list, each a positive radius"):
         FitSettings(states=10.0)  # type: ignore[arg-type]
     result, _ = states_of((), n=1)
     with pytest.raises(ValueError, match="extrapolate:") as caught:
@@ -289,5 +289,5 @@ def test_states_and_hypotheses_from_the_shell(tmp_path, capsys):
     assert main([*shot, "--states", "3 ns", "-o", str(tmp_path / "no")]) == 2
     scan = ["resolution", "-d", "besiii-cgem-design", "--p", "1", "--quiet", "-o", str(tmp_path / "no")]
     assert main([*scan, "--hypothesis", "all"]) == 2
-    assert "expected one of e, mu, pi, K, p" in capsys.readouterr().err
+    assert "fit.hypothesis: got e, mu, pi, K, p; this command expects one of them" in capsys.readouterr().err
     assert not (tmp_path / "no").exists()

@@ -139,7 +139,7 @@ def test_switch_of_the_shell(options, deltas, tmp_path, monkeypatch):
     for command in (["simulate", *design, "--cos-theta", "0", "-n", "3"], ["resolution", *design, "--events", "20"]):
         assert main([*command, "-o", str(tmp_path / command[0]), *options]) == 0
         summary = json.loads((tmp_path / command[0] / "summary.json").read_text())
-        assert summary.get("inputs", summary)["simulate"]["deltas"] is deltas
+        assert summary.get("inputs", summary)["settings"]["simulate"]["deltas"] is deltas
     given = []
     monkeypatch.setattr("cgemit.study.paper.reproduce", lambda *_, settings, **__: given.append(settings))
     main(["study", "-o", str(tmp_path / "out"), "--quiet", *options])
@@ -150,10 +150,13 @@ def test_study_without_delta_electrons_says_so(tmp_path, monkeypatch):
     """Their fractions vanish, every window has the same RMS, and the report tells how to repeat it."""
     settings = cgemit.Settings(simulate=cgemit.SimulateSettings(deltas=False))
     study = reproduce(events=400, settings=settings)
-    assert study.summary()["inputs"]["simulate"]["deltas"] is False
+    assert study.summary()["inputs"]["settings"]["simulate"]["deltas"] is False
     assert all(row.value == 0 for row in study.results if row.id.startswith("delta_fraction"))
     assert study["x_residual_rms_all"].value == study["x_residual_rms"].value < 188
     monkeypatch.setattr(report, "_images", lambda *_: [])  # they take seconds to draw
     page = report.paper_report(study, tmp_path)
     for text in ("--no-deltas", "Delta electrons were left out", "187.6 um"):
         assert text in page, text
+    other = cgemit.Settings(fit=cgemit.FitSettings(kinks=False))
+    changed = dataclasses.replace(study, inputs=dataclasses.replace(study.inputs, settings=other))
+    assert "--seed 1 --settings run.json -o DIR" in report.paper_report(changed, tmp_path)

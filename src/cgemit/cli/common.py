@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 import argparse
-from typing import TYPE_CHECKING
+from collections.abc import Callable
+from typing import TYPE_CHECKING, ParamSpec, TypeVar
 
-from cgemit.cli import read
+from cgemit.cli import changes, read
+from cgemit.cli.changes import InputError as InputError
 
 if TYPE_CHECKING:
     from cgemit.detector import Detector
     from cgemit.result import Settings
 
+P = ParamSpec("P")
+T = TypeVar("T")
+
 OK, BAD_INPUT, RUN_FAILED, INTERRUPTED = 0, 2, 3, 130
 
 #: The sub-commands, in the order of the help text; each is a module with `add_parser`.
-COMMANDS = ("study", "resolution", "simulate", "slab", "detectors", "show", "validate", "bench")
+COMMANDS = ("study", "resolution", "simulate", "slab", "detectors", "show", "validate", "settings", "bench")
 
 
 class HelpFormatter(argparse.RawDescriptionHelpFormatter):
@@ -26,8 +31,8 @@ class HelpFormatter(argparse.RawDescriptionHelpFormatter):
         self._action_max_length = 14
 
 
-class InputError(ValueError):
-    """Wrong values on the command line; every problem is a line of the message."""
+class RunFailedError(RuntimeError):
+    """A run that has no result."""
 
 
 class _Once(argparse.Action):
@@ -54,11 +59,12 @@ def add_detector(parser: argparse.ArgumentParser, *, several: bool = False) -> N
         help="a preset (see: cgemit detectors) or a detector file in TOML"
         + ("; repeat it to compare detectors" if several else ""),
     )  # fmt: skip
-    parser.add_argument(
-        "--set", action="append", default=[], metavar="KEY=VALUE", dest="overrides",
-        help='change one value of the detector, such as cgem.L2.pitch_x="500 um"; may be repeated'
+    changes.add_set(
+        parser, f"change one value: of the settings if its key begins with {', '.join(changes.stages())}, such as "
+        'fit.loss=mean, else of the detector, such as cgem.L2.pitch_x="500 um"; may be repeated'
         + (", and applies to every detector given" if several else ""),
     )  # fmt: skip
+    changes.add_settings(parser)
     add_field(parser)
     parser.add_argument(
         "--name", metavar="NAME",
@@ -71,8 +77,8 @@ def add_field(parser: argparse.ArgumentParser) -> None:
     """Add `--field`."""
     parser.add_argument(
         "--field", metavar="NAME|FILE",
-        help="another magnetic field: besiii, besiii-harmonic, finite-solenoid, uniform, a map (.npz, .csv) or a TOML file "
-        "with a table [field]",
+        help="another magnetic field: besiii, besiii-harmonic, finite-solenoid, uniform, a map (.npz, .csv) or a TOML "
+        "file with a table [field]",
     )  # fmt: skip
 
 
@@ -96,66 +102,56 @@ def add_run(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
 
 
-def add_physics(parser: argparse.ArgumentParser) -> None:
-    """Add what is simulated of the passage through matter."""
-    group = parser.add_argument_group("physics")
-    group.add_argument(
-        "--no-deltas",
-        action="store_true",
-        help="no delta electrons in the drift gaps; nothing else changes, the fit reckons with them all the same",
-    )
-
-
-def add_hypothesis(parser: argparse.ArgumentParser, *, several: bool = False) -> None:
-    """Add the particle whose mass the fit assumes, or the `several`."""
-    parser.add_argument(
-        "--hypothesis", metavar="NAME,..." if several else "NAME", type=read.names,
-        help="fit with the mass of e, mu, pi, K or p instead of the particle's own"
-        + ("; several, or all: one track for each" if several else ""),
-    )  # fmt: skip
-
-
-def settings_of(arguments: argparse.Namespace) -> Settings:
-    """Return the settings of all stages with what `add_physics`, and more where a sub-command has it, read."""
-    from cgemit.fit import FitSettings
-    from cgemit.result import Settings
-    from cgemit.simulate import SimulateSettings
-
-    chosen = {name: getattr(arguments, name, None) for name in ("hypothesis", "states")}
-    fit = FitSettings(**{name: value for name, value in chosen.items() if value is not None})
-    return Settings(simulate=SimulateSettings(deltas=not arguments.no_deltas), fit=fit)
-
-
 def add_seed(parser: argparse.ArgumentParser) -> None:
     """Add the seed."""
     parser.add_argument("--seed", type=read.seed, default=1, help="seed of the random numbers (default 1)")
 
 
-def load_detector(arguments: argparse.Namespace, name: str | None = None) -> Detector:
-    """Return the detector of `--detector` with the changes of `--set`, under a name of its own if there is one."""
-    return _load(arguments.detector, _overrides(arguments, name), arguments.field)
+def load_inputs(arguments: argparse.Namespace, *, one_track: bool = False) -> tuple[list[Detector], Settings]:
+    """Return the detectors of `--detector`, with the changes of `--set`, and the settings of all stages.
+
+    Parameters
+    ----------
+    arguments : Namespace
+    one_track : bool
+        Whether the command needs one track a particle, so that the fit can assume one mass only.
+
+    Raises
+    ------
+    InputError
+        Listing every problem of the settings and of all detectors.
+    """
+    problems: list[str] = []
+    found = changes.split(arguments.overrides, problems)
+    settings = changes.read_settings(arguments, found.settings, problems, one_track=one_track)
+    detectors = collect(problems, load_detectors, arguments, found.detector)
+    if problems or detectors is None:
+        raise InputError("\n  ".join(["wrong input", *problems]) if len(problems) > 1 else problems[0])
+    return detectors, settings
 
 
-def load_detectors(arguments: argparse.Namespace) -> list[Detector]:
-    """Return all detectors of `--detector` with the changes of `--set`; their names are distinct.
+def collect(problems: list[str], make: Callable[P, T], *given: P.args, **named: P.kwargs) -> T | None:
+    """Return what a function returns, or None with the message of its error added to `problems`."""
+    try:
+        return make(*given, **named)
+    except ValueError as error:
+        problems.append(str(error))
+    return None
+
+
+def load_detectors(arguments: argparse.Namespace, overrides: dict[str, object]) -> list[Detector]:
+    """Return all detectors of `--detector` with some values changed; their names are distinct.
 
     Raises
     ------
     InputError
         With all problems of all detectors, or the names that several of them have.
     """
-    from cgemit.detector import DetectorError
-
-    sources = arguments.detector
-    if arguments.name is not None and len(sources) > 1:
-        raise InputError(f"--name: got a name for {len(sources)} detectors; expected one detector")
-    overrides = _overrides(arguments, arguments.name)
-    detectors, problems = [], []
-    for source in sources:
-        try:
-            detectors.append(_load(source, overrides, arguments.field))
-        except DetectorError as error:
-            problems.append(str(error))
+    sources = [arguments.detector] if isinstance(arguments.detector, str) else arguments.detector
+    overrides = overrides | _name(arguments.name, overrides, len(sources))
+    problems: list[str] = []
+    loaded = [collect(problems, load_detector, source, overrides, arguments.field) for source in sources]
+    detectors = [detector for detector in loaded if detector is not None]
     by_name: dict[str, list[str]] = {}
     for source, detector in zip(sources, detectors, strict=not problems):
         by_name.setdefault(detector.name, []).append(source)
@@ -170,13 +166,8 @@ def load_detectors(arguments: argparse.Namespace) -> list[Detector]:
     return detectors
 
 
-def _overrides(arguments: argparse.Namespace, name: str | None) -> dict[str, object]:
-    if name is not None and not name.strip():
-        raise InputError(f"--name: got {name!r}; expected a name")
-    return dict(_override(text) for text in arguments.overrides) | ({} if name is None else {"name": name.strip()})
-
-
-def _load(source: str, overrides: dict[str, object], field: str | None) -> Detector:
+def load_detector(source: str, overrides: dict[str, object], field: str | None) -> Detector:
+    """Return the detector of a preset or file in another field, if one is given, and with some values changed."""
     from cgemit.detector import load
 
     detector = load(source)
@@ -185,19 +176,14 @@ def _load(source: str, overrides: dict[str, object], field: str | None) -> Detec
     return detector.with_overrides(overrides) if overrides else detector
 
 
-def _override(text: str) -> tuple[str, object]:
-    name, equals, value = text.partition("=")
-    if not equals or not name.strip():
-        raise InputError(f'--set: got {text!r}; expected KEY=VALUE such as cgem.L2.pitch_x="500 um"')
-    return name.strip(), _literal(value.strip())
-
-
-def _literal(text: str) -> object:
-    """Read a value as a detector file would, but let strings go without quotes, which the shell has eaten."""
-    import tomllib
-
-    try:
-        tables = tomllib.loads(f"value = {text}")
-    except tomllib.TOMLDecodeError:
-        return text
-    return tables["value"] if len(tables) == 1 else text  # more than one line: not a value
+def _name(name: str | None, overrides: dict[str, object], detectors: int) -> dict[str, object]:
+    """Return what `--name` changes."""
+    if name is None:
+        return {}
+    if not name.strip():
+        raise InputError(f"--name: got {name!r}; expected a name")
+    if detectors > 1:
+        raise InputError(f"--name: got a name for {detectors} detectors; expected one detector")
+    if overrides.get("name", name.strip()) != name.strip():
+        raise InputError(f"--name: got {name!r}, but {overrides['name']!r} from --set name; expected one of them")
+    return {"name": name.strip()}

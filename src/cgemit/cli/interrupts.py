@@ -1,13 +1,17 @@
-"""Ctrl-C, or SIGTERM, always ends the run, wherever it arrives."""
+"""What comes from outside while a command runs: Ctrl-C or SIGTERM, which end it, and a closed pipe, which does not."""
 
 from __future__ import annotations
 
 import _thread
+import contextlib
+import io
+import os
 import signal
 import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any, TextIO, cast
 
 _AGAIN = 0.02  # s
 
@@ -43,3 +47,46 @@ def interrupts_kept() -> Iterator[None]:
         sys.unraisablehook = report
         if takes_over:
             signal.signal(signal.SIGTERM, signal.SIG_DFL)
+
+
+@contextmanager
+def pipes_kept() -> Iterator[None]:
+    """Let a command go on without its reader when that has gone, as `head` does after some lines.
+
+    Its files are written all the same, and the exit code is that of the command.
+    """
+    streams = sys.stdout, sys.stderr
+    sys.stdout, sys.stderr = (cast(TextIO, _Kept(stream)) for stream in streams)
+    try:
+        yield
+    finally:
+        sys.stdout.flush()
+        sys.stdout, sys.stderr = streams
+
+
+class _Kept:
+    """A text stream that drops what cannot be written any more."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+
+    def write(self, text: str) -> int:
+        try:
+            return self._stream.write(text)
+        except BrokenPipeError:
+            self._drop()
+            return len(text)
+
+    def flush(self) -> None:
+        try:
+            self._stream.flush()
+        except BrokenPipeError:
+            self._drop()
+
+    def _drop(self) -> None:
+        """Send what is still in the buffer, and everything to come, to nowhere."""
+        with contextlib.suppress(io.UnsupportedOperation), open(os.devnull, "wb") as nowhere:  # noqa: PTH123
+            os.dup2(nowhere.fileno(), self._stream.fileno())
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)

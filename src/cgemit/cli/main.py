@@ -6,12 +6,13 @@ import argparse
 import importlib
 import io
 import re
+import shlex
 import sys
 import traceback
 from collections.abc import Sequence
 
-from cgemit.cli.common import BAD_INPUT, COMMANDS, INTERRUPTED, OK, RUN_FAILED, HelpFormatter
-from cgemit.cli.interrupts import interrupts_kept
+from cgemit.cli.common import BAD_INPUT, COMMANDS, INTERRUPTED, OK, RUN_FAILED, HelpFormatter, RunFailedError
+from cgemit.cli.interrupts import interrupts_kept, pipes_kept
 from cgemit.version import VERSION
 
 _DESCRIPTION = """\
@@ -25,7 +26,8 @@ examples:
   cgemit slab "Kapton 300 um + Cu 33 um" --particle pi- --p 0.5
                                                      scattering and energy loss in sheets of matter
   cgemit show besiii-cgem                            tables of material and read-out, pictures
-  cgemit simulate -d besiii-cgem --particle pi+ --p 0.5 -n 1000 --fit -o sample
+  cgemit simulate -d besiii-cgem --particle pi+ --p 0.5 --cos-theta 0 -n 1000 --fit -o sample
+  cgemit settings > settings.toml                    settings of all stages; --settings settings.toml uses them
 
 exit codes: 0 ok, 2 bad input, 3 the run failed, 130 interrupted
 Problems of a detector, a gun or sheets of matter are all listed at once; a malformed option ends at the first."""
@@ -58,10 +60,16 @@ def main(argv: Sequence[str] | None = None) -> int:
     """
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="replace")  # "?" where the encoding has no "±", rather than no result
+    with pipes_kept():
+        return _run(list(sys.argv[1:] if argv is None else argv))
+
+
+def _run(words: list[str]) -> int:
     arguments = argparse.Namespace()
     try:
         with interrupts_kept():
-            build_parser().parse_args(join_negative_values(sys.argv[1:] if argv is None else argv), arguments)
+            build_parser().parse_args(join_negative_values(words), arguments)
+            arguments.line = shlex.join(["cgemit", *words])
             importlib.import_module("cgemit.isa").choose()  # a wrong CGEMIT_ISA is a mistake, whatever is run
             return int(arguments.run(arguments) or OK)
     except SystemExit as stop:  # --help, --version, or arguments that argparse has complained about
@@ -69,9 +77,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("cgemit: interrupted", file=sys.stderr)
         return INTERRUPTED
-    except BrokenPipeError:  # the reader of a pipe such as `cgemit show ... | head` has gone
-        sys.stderr.close()
-        return OK
     except (ValueError, FileNotFoundError) as error:
         return _report(error, BAD_INPUT, getattr(arguments, "debug", False))
     except Exception as error:
@@ -81,9 +86,9 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _report(error: Exception, code: int, debug: bool) -> int:
     if debug:
         traceback.print_exception(error)
-    kind = "" if code == BAD_INPUT else f"{type(error).__name__}: "
-    print(f"cgemit: {kind}{error}", file=sys.stderr)
-    if code == RUN_FAILED and not debug:
+    foreseen = code == BAD_INPUT or isinstance(error, RunFailedError)
+    print(f"cgemit: {'' if foreseen else f'{type(error).__name__}: '}{error}", file=sys.stderr)
+    if not foreseen and not debug:
         print("cgemit: the run failed; --debug shows where", file=sys.stderr)
     return code
 

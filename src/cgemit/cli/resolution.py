@@ -5,8 +5,12 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from typing import TYPE_CHECKING
 
-from cgemit.cli import common, read
+from cgemit.cli import changes, common, read
+
+if TYPE_CHECKING:
+    from cgemit.study.scans import Scan
 
 _DESCRIPTION = """\
 Resolutions sigma(d_rho), sigma(d_z) and sigma(p) of one or several detectors against momentum, from simulated and
@@ -20,6 +24,7 @@ examples:
   cgemit resolution -d besiii-cgem-design --p 0.2:2.0:10 -o curves
   cgemit resolution -d besiii-cgem-design --set cgem.L1.drift_gap="3 mm" --name thin-gap --p 0.2:2.0:10 -o thin
   cgemit resolution -d besiii-cgem-design -d thin/detector.toml -d besiii-idc --p 0.2:2.0:10 -o compared
+  cgemit resolution -d besiii-cgem --set fit.loss=mean --p 0.2:2.0:10 -o mean-loss
   cgemit resolution -d besiii-idc --particle pi+ --p 1 --cos-theta -0.8:0.8 --events 20000 -o pions --json"""
 
 
@@ -44,8 +49,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     )
     parser.add_argument("--json", action="store_true", help="write summary.json to stdout instead of the table")
     common.add_output(parser)
-    common.add_hypothesis(parser)
-    common.add_physics(parser)
+    changes.add_hypothesis(parser)
+    changes.add_physics(parser)
     common.add_run(parser)
     common.add_common(parser)
     parser.set_defaults(run=run)
@@ -59,18 +64,24 @@ def run(arguments: argparse.Namespace) -> int:
 
     if isinstance(arguments.p, tuple):
         raise common.InputError("--p: got a range of two numbers; expected momenta, as START:STOP:COUNT or A,B,C")
-    if arguments.hypothesis and (len(arguments.hypothesis) > 1 or arguments.hypothesis == ("all",)):
-        raise common.InputError(f"--hypothesis: got {','.join(arguments.hypothesis)}; expected one of e, mu, pi, K, p")
     check_free(arguments.output, overwrite=arguments.overwrite)
-    detectors = common.load_detectors(arguments)
+    detectors, settings = common.load_inputs(arguments, one_track=True)
     momenta = arguments.p if isinstance(arguments.p, list) else [arguments.p]
     with Progress("resolution", quiet=arguments.quiet) as progress:
         scans = scan_detectors(
             detectors, momenta, particle=arguments.particle, cos_theta=arguments.cos_theta, events=arguments.events,
-            seed=arguments.seed, settings=common.settings_of(arguments), threads=arguments.threads, progress=progress,
+            seed=arguments.seed, settings=settings, threads=arguments.threads, progress=progress,
         )  # fmt: skip
-    save_scans(scans, arguments.output, overwrite=arguments.overwrite)
+    if failed := [f"{scan.samples[0].detector.name}: {scan.note()}" for scan in scans if not _any_fitted(scan)]:
+        raise common.RunFailedError("\n".join(failed))
+    save_scans(scans, arguments.output, overwrite=arguments.overwrite, command=arguments.line)
     print(json.dumps(summary_of(scans), indent=2) if arguments.json else "\n\n".join(map(str, scans)))
     if not arguments.quiet:
         print(f"curves: {arguments.output}/resolution.png", file=sys.stderr)
     return 0
+
+
+def _any_fitted(scan: Scan) -> bool:
+    from cgemit.fit import FitStatus
+
+    return any((sample.tracks["status"] == FitStatus.ok).any() for sample in scan.samples)

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cgemit.cli import common
+from cgemit.cli import changes, common
 
 if TYPE_CHECKING:
     from cgemit.detector import Detector
@@ -61,10 +61,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument(
         "detector", metavar="DETECTOR", help="a preset (see: cgemit detectors) or a detector file in TOML"
     )
-    parser.add_argument(
-        "--set", action="append", default=[], metavar="KEY=VALUE", dest="overrides",
-        help='change one value, such as cgem.L2.pitch_x="500 um"; may be repeated',
-    )  # fmt: skip
+    changes.add_set(parser, 'change one value, such as cgem.L2.pitch_x="500 um"; may be repeated')
     common.add_field(parser)
     parser.add_argument("--json", action="store_true", help="print the numbers as JSON instead of tables")
     parser.add_argument(
@@ -80,10 +77,14 @@ def run(arguments: argparse.Namespace) -> int:
     """Print the tables and write the pictures."""
     from cgemit.detector import describe
 
-    detector = common.load_detector(arguments)
+    problems: list[str] = []
+    overrides = changes.split(arguments.overrides, problems, settings=False).detector
+    if problems:
+        raise common.InputError("\n".join(problems))
+    detector = common.load_detector(arguments.detector, overrides, arguments.field)
     numbers = describe(detector)
-    print(json.dumps(numbers, indent=2, ensure_ascii=False) if arguments.json else text(numbers))
     folder = arguments.output or "cgemit-show-" + re.sub(r"[^\w.-]+", "-", detector.name)
+    print(json.dumps(numbers, indent=2, ensure_ascii=False) if arguments.json else text(numbers))
     _write(detector, numbers, folder, overwrite=arguments.overwrite)
     if not arguments.json:
         print(f"\npictures in {folder}")

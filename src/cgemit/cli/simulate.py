@@ -5,15 +5,21 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from dataclasses import asdict
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
 
-from cgemit.cli import common, read
+from cgemit.cli import changes, common, read
 from cgemit.version import VERSION
+
+if TYPE_CHECKING:
+    from cgemit.gun import Gun
+    from cgemit.result import Result
 
 _DESCRIPTION = """\
 Shoot particles through a detector and write the tables of the chain: particles, truths, steps, wire_truths, digis,
 wire_hits, clusters, with --fit tracks, and with --states also states. One .npz file a table (numpy.load, or
-cgemit.Table.load) with a JSON file beside it that says what the columns mean."""
+cgemit.Table.load), tables.json, detector.toml, summary.json, and run.json, which holds everything that the tables
+depend on. cgemit.Result.load(DIR) reads it all back."""
 
 _EXAMPLES = """\
 A quantity is a number (fixed), A:B (uniform range), A:B:N (N values from A to B in turn) or A,B,C (values in turn);
@@ -25,6 +31,7 @@ examples:
   cgemit simulate -d my-detector.toml --particle K- --p 0.3,0.5,1 --cos-theta 0 --vertex 1,0,0 -n 300 -o kaons
   cgemit simulate -d besiii-cgem --particle pi+ --p 0.5 --cos-theta 0 -n 100 --states beam_pipe,hits,"90 cm" -o states
   cgemit simulate -d besiii-cgem --set cgem.L1.drift_gap="3 mm" --name thin --p 1 --cos-theta 0 -n 1000 -o thin
+  cgemit simulate -d besiii-cgem --settings mine.toml --set fit.loss=mean --p 1 --cos-theta 0 -n 1000 -o mine
   cgemit simulate -d besiii-cgem --field my-map.npz --p 1 --cos-theta 0 -n 1000 -o mapped"""
 
 
@@ -37,15 +44,19 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     common.add_detector(parser)
     add_gun(parser)
     parser.add_argument("-n", "--events", type=read.positive, required=True, metavar="N", help="number of events")
-    parser.add_argument("--fit", action="store_true", help="write the fitted tracks too")
+    parser.add_argument(
+        "--fit",
+        action="store_true",
+        help="write the fitted tracks too (so do --states, --hypothesis, --set fit.*)",
+    )
     parser.add_argument(
         "--states", type=read.places, metavar="PLACE,...",
         help="also write where the fitted tracks are, with covariance: radii (mm), origin, beam_line, beam_pipe, hits",
     )  # fmt: skip
-    common.add_hypothesis(parser, several=True)
+    changes.add_hypothesis(parser, several=True)
     parser.add_argument("--json", action="store_true", help="write the summary to stdout as JSON")
     common.add_output(parser)
-    common.add_physics(parser)
+    changes.add_physics(parser)
     common.add_run(parser)
     common.add_common(parser)
     parser.set_defaults(run=run)
@@ -74,32 +85,40 @@ def run(arguments: argparse.Namespace) -> int:
     from cgemit.cli.progress import Progress
     from cgemit.gun import Gun
     from cgemit.io.folders import SUMMARY, new_folder
-    from cgemit.tables import save_tables
 
-    detector = common.load_detector(arguments, arguments.name)
+    (detector,), settings = common.load_inputs(arguments)
     names = ("particle", "p", "pt", "theta", "cos_theta", "phi", "vertex", "vertex_sigma")
     given = {name: getattr(arguments, name) for name in names}
     gun = Gun(**{name: value for name, value in given.items() if value is not None})
+    fits = _fits(arguments)
     with new_folder(arguments.output, overwrite=arguments.overwrite) as folder:
         with Progress("simulate", quiet=arguments.quiet) as progress:
             result = chain.run(
-                detector, gun, arguments.events, arguments.seed, settings=common.settings_of(arguments),
-                threads=arguments.threads, progress=progress,
+                detector, gun, arguments.events, arguments.seed, settings=settings, threads=arguments.threads,
+                progress=progress,
             )  # fmt: skip
-        fits = arguments.fit or arguments.states is not None or arguments.hypothesis is not None
-        tables = {name: table for name, table in result.tables.items() if fits or name != "tracks"}
-        save_tables(tables, folder)
-        (folder / "detector.toml").write_text(detector.to_toml(), encoding="utf-8")
-        summary = {
-            "version": VERSION, "detector": detector.name, "gun": repr(gun), "events": arguments.events,
-            "seed": arguments.seed, "simulate": asdict(result.settings.simulate), "transport": result.transport(),
-            "rows": {name: len(table) for name, table in tables.items()},
-        }  # fmt: skip
-        if fits:
-            summary["removed"] = result.removed()
+        result = result if fits else replace(result, tracks=None, residuals=None, states=None)  # type: ignore[arg-type]
+        result.save(folder, command=arguments.line)
+        summary = _summary(result, gun)
         (folder / SUMMARY).write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
     print(json.dumps(summary, indent=2) if arguments.json else result)
     if not arguments.quiet:
         rest = "" if fits else " (without the fitted tracks: --fit writes them)"
         print(f"tables: {arguments.output}{rest}", file=sys.stderr)
     return 0
+
+
+def _fits(arguments: argparse.Namespace) -> bool:
+    """Tell whether the command line asks for fitted tracks, by `--fit` or something that only the fit can give."""
+    asked = (arguments.fit, arguments.states is not None, arguments.hypothesis is not None)
+    return any(asked) or any(text.strip().startswith("fit.") for text in arguments.overrides)
+
+
+def _summary(result: Result, gun: Gun) -> dict[str, Any]:
+    """Return what people want to see first; run.json holds everything that the results depend on."""
+    summary = {
+        "version": VERSION, "detector": result.detector.name, "gun": repr(gun), "events": result.particles.n_events,
+        "seed": result.seed, "settings": result.settings.to_dict(), "transport": result.transport(),
+        "rows": {name: len(table) for name, table in result.tables.items()},
+    }  # fmt: skip
+    return summary | ({"removed": result.removed()} if "tracks" in result.tables else {})

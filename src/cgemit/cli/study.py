@@ -6,7 +6,8 @@ import argparse
 import json
 import sys
 
-from cgemit.cli.common import HelpFormatter, add_common, add_field, add_output, add_physics, add_run, settings_of
+from cgemit.cli import changes
+from cgemit.cli.common import HelpFormatter, add_common, add_field, add_output, add_run
 from cgemit.cli.read import positive
 
 _DESCRIPTION = """\
@@ -21,6 +22,7 @@ examples:
   cgemit study --events 100000 --seed 7 -o precise
   cgemit study --quick --json -o look     summary.json on stdout too
   cgemit study --no-deltas -o projected   without delta electrons: the pure projection
+  cgemit study --set digitize.threshold=5 -o coarse    any setting of any stage (cgemit settings lists them)
   cgemit study --field besiii-harmonic -o uneven    an inhomogeneous field; or a map of your own, --field map.npz
 
 Ctrl-C leaves no results: the folder appears when everything is in it."""
@@ -40,7 +42,9 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--quick", action="store_true", help="1500 events, unless --events says otherwise")
     parser.add_argument("--json", action="store_true", help="write summary.json to stdout too")
     add_field(parser)
-    add_physics(parser)
+    changes.add_set(parser, "change one setting, such as fit.loss=mean; may be repeated")
+    changes.add_settings(parser)
+    changes.add_physics(parser)
     add_run(parser)
     add_common(parser)
     parser.set_defaults(run=run)
@@ -51,11 +55,12 @@ def run(arguments: argparse.Namespace) -> int:
     from cgemit.cli.progress import Progress
     from cgemit.study.paper import reproduce
 
+    settings = changes.settings_of(arguments, one_track=True)
     with Progress("study", quiet=arguments.quiet) as progress:
         study = reproduce(
             arguments.output, events=arguments.events, seed=arguments.seed, threads=arguments.threads,
-            quick=arguments.quick, settings=settings_of(arguments), field=arguments.field,
-            overwrite=arguments.overwrite, progress=progress,
+            quick=arguments.quick, settings=settings, field=arguments.field, overwrite=arguments.overwrite,
+            command=arguments.line, progress=progress,
         )  # fmt: skip
     if arguments.json:
         json.dump(study.summary(), sys.stdout, indent=2)

@@ -1,6 +1,6 @@
 """Detector descriptions: presets, files, variants, and the form in which the compiled core sees them."""
 
-from cgemit.detector.compile import SCREENINGS, compiled, slab_table
+from cgemit.detector.compile import SCREENINGS, Screening, compiled, slab_table
 from cgemit.detector.describe import describe
 from cgemit.detector.field import Field, HarmonicField, MapField, SolenoidField
 from cgemit.detector.field.core import field_at
@@ -27,6 +27,7 @@ __all__ = [
     "MapField",
     "Material",
     "Problem",
+    "Screening",
     "Shell",
     "Slab",
     "SolenoidField",

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,8 @@ from cgemit.detector.parts import CgemLayer, DriftChamber, Shell
 from cgemit.detector.slabs import ENDLESS, Slab, hole_table, slabs
 
 #: Screening of nuclei by their electrons in multiple scattering (docs/methods/matter.md); the first is the default.
-SCREENINGS = ("wentzel", "moliere")
+Screening = Literal["wentzel", "moliere"]
+SCREENINGS: tuple[Screening, ...] = get_args(Screening)
 
 Columns = dict[str, NDArray[np.generic]]
 

@@ -1,9 +1,7 @@
 """A detector as short text, as numbers in tables with units in their names, and as a detector file."""
 
 import html
-import json
 import math
-from collections.abc import Mapping
 from typing import Any
 
 from cgemit.detector.field import field_text
@@ -12,6 +10,7 @@ from cgemit.detector.material import DensityEffect, Material
 from cgemit.detector.materials import library
 from cgemit.detector.parts import CgemLayer, Contents, SubLayer, WireLayer
 from cgemit.detector.slabs import Slab, slabs
+from cgemit.io.toml import toml_text
 from cgemit.units import NATIVE, format_quantity
 
 
@@ -173,9 +172,7 @@ def materials_of(detector: Contents) -> list[Material]:
 
 def to_toml(detector: Contents) -> str:
     """Return a complete detector file as text."""
-    lines: list[str] = []
-    _write_table(lines, "", to_dict(detector))
-    return "\n".join(lines).strip() + "\n"
+    return toml_text(to_dict(detector), in_place=("composition", "density_effect"))
 
 
 def _table(part: Any) -> dict[str, Any]:
@@ -199,39 +196,3 @@ def _value(value: Any, kind: str) -> Any:
 
 def _sub_layer(part: SubLayer) -> dict[str, Any]:
     return {"label": part.label, **_table(part)}
-
-
-def _write_table(lines: list[str], path: str, table: Mapping[str, Any]) -> None:
-    """Append a table: first its values, then its tables; small tables of numbers are written in place."""
-    inner = {name: v for name, v in table.items() if isinstance(v, Mapping) and not _in_place(name)}
-    values = {name: v for name, v in table.items() if name not in inner}
-    if path and (values or not inner):
-        lines += ["", f"[{path}]"]
-    lines += [f"{_name(name)} = {_text(value)}" for name, value in values.items()]
-    for name, sub in inner.items():
-        _write_table(lines, f"{path}.{_name(name)}" if path else _name(name), sub)
-
-
-def _in_place(name: str) -> bool:
-    return name in ("composition", "density_effect")
-
-
-def _name(name: str) -> str:
-    bare = name.replace("_", "").replace("-", "")
-    return name if bare.isascii() and bare.isalnum() else _quoted(name)
-
-
-def _text(value: Any) -> str:
-    if isinstance(value, list):
-        rows = "".join(f"\n    {_text(row)}," for row in value)
-        return f"[{rows}\n]"
-    if isinstance(value, Mapping):
-        return "{ " + ", ".join(f"{_name(name)} = {_text(v)}" for name, v in value.items()) + " }"
-    if isinstance(value, bool):
-        return str(value).lower()
-    return _quoted(value) if isinstance(value, str) else repr(value)
-
-
-def _quoted(text: str) -> str:
-    # JSON strings are TOML strings except for DEL, which TOML wants escaped.
-    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")

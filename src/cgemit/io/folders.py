@@ -14,8 +14,10 @@ from pathlib import Path
 
 #: The summary of a run's results.
 SUMMARY = "summary.json"
+#: Everything that results depend on.
+RECORD = "run.json"
 # Files that say what a folder holds: they are moved in last, so a folder that has them is complete.
-_INDEXES = (SUMMARY, "tables.json")
+_INDEXES = (SUMMARY, RECORD, "tables.json")
 
 
 class OutputExistsError(FileExistsError, ValueError):
@@ -28,7 +30,8 @@ def new_folder(path: str | os.PathLike[str], *, overwrite: bool = False) -> Iter
 
     If the block raises (Ctrl-C too), the temporary folder is removed and `path` is as it was. A folder that did not
     exist appears at once, by renaming. In an existing one, files of the same name are replaced and others are left
-    alone; `summary.json` and `tables.json`, with the tables it lists, are removed first and the new ones come last.
+    alone; `summary.json`, `run.json` and `tables.json`, with the tables it lists, are removed first, and the new ones
+    come last.
 
     Raises
     ------

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from cgemit.detector import Detector, MapField
 from cgemit.detector.field.core import extent
 from cgemit.fit import FitStatus
 from cgemit.gun import Gun
+from cgemit.record import gun_data, record
 from cgemit.result import Settings
 from cgemit.simulate import TransportStatus
 from cgemit.statistics.estimate import FEWEST
@@ -151,3 +153,23 @@ def _ends(detector: Detector) -> list[str]:
     if not isinstance(field, MapField):
         return []
     return [f"the map is of {field.grid.range_text()}", f"the detector goes to r = {r:g} mm, |z| = {z:g} mm"]
+
+
+def record_of(samples: Sequence[Sample], seed: int, command: str = "") -> dict[str, Any]:
+    """Return what `run.json` of a study holds: its settings and detectors, and what was shot for each sample.
+
+    Parameters
+    ----------
+    samples : sequence of Sample
+        Run with the same settings, at detectors of distinct names or equal ones.
+    seed : int
+        Of the study.
+    command : str
+        The command line that made it; none from Python.
+    """
+    source = [
+        {"label": s.label, "detector": s.detector.name, "gun": gun_data(s.gun), "events": s.n_events, "seed": s.seed}
+        for s in samples
+    ]
+    detectors = {s.detector.name: s.detector for s in samples}
+    return record(detectors=detectors, settings=samples[0].settings, seed=seed, source=source, command=command)

@@ -7,7 +7,7 @@ import os
 import re
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -19,13 +19,24 @@ from cgemit import chain
 from cgemit.detector import Detector
 from cgemit.gun import Gun
 from cgemit.io.folders import SUMMARY, new_folder
+from cgemit.record import write_record
 from cgemit.result import Settings
 from cgemit.species import species
 from cgemit.statistics.curves import Line
 from cgemit.statistics.estimate import Resolution
 from cgemit.statistics.formatting import html_table, text_table, with_error, write_csv
 from cgemit.statistics.resolutions import QUOTED, pulls, resolution, resolution_against
-from cgemit.study.samples import Order, Sample, ShowProgress, fitted, hardly_fitted, run_samples, seed_of, why_unfitted
+from cgemit.study.samples import (
+    Order,
+    Sample,
+    ShowProgress,
+    fitted,
+    hardly_fitted,
+    record_of,
+    run_samples,
+    seed_of,
+    why_unfitted,
+)
 from cgemit.tables import Table
 from cgemit.values import InTurn
 from cgemit.version import VERSION
@@ -139,7 +150,7 @@ class Scan:
         return summary_of([self])
 
     def save(self, folder: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
-        """Write resolution.csv, summary.json, the detector and the curves as PNG and PDF.
+        """Write resolution.csv, summary.json, run.json, the detector and the curves as PNG and PDF.
 
         Parameters
         ----------
@@ -193,7 +204,7 @@ def summary_of(scans: Sequence[Scan]) -> dict[str, Any]:
             "detectors": [scan.samples[0].detector.name for scan in scans],
             "particle": first.gun.particle, "cos_theta": cos_theta,
             "momenta": [momentum_of(s) for s in scans[0].samples], "events": first.n_events, "method": "mc",
-            "simulate": asdict(first.settings.simulate), "hits": "assigned by truth",
+            "settings": first.settings.to_dict(), "hits": "assigned by truth",
         },
         "seed": scans[0].seed,
         "timings": {"total_s": sum(scan.seconds for scan in scans)},
@@ -202,7 +213,9 @@ def summary_of(scans: Sequence[Scan]) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def save_scans(scans: Sequence[Scan], folder: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
+def save_scans(
+    scans: Sequence[Scan], folder: str | os.PathLike[str], *, overwrite: bool = False, command: str = ""
+) -> Path:
     """Write what `Scan.save` writes, for several detectors: one table and one picture of all.
 
     Parameters
@@ -212,6 +225,8 @@ def save_scans(scans: Sequence[Scan], folder: str | os.PathLike[str], *, overwri
         ``detector-1-NAME.toml``.
     folder : path
     overwrite : bool
+    command : str
+        The command line that run.json shall name, if there was one.
 
     Raises
     ------
@@ -229,6 +244,7 @@ def save_scans(scans: Sequence[Scan], folder: str | os.PathLike[str], *, overwri
         labels = ("σ(d_ρ)", "σ(d_z)", "σ(p)")
         panels = list(zip(labels, zip(*(scan.lines for scan in scans), strict=True), strict=True))
         draw_resolutions(panels, "p").save(place / "resolution")
+        write_record(record_of([s for scan in scans for s in scan.samples], scans[0].seed, command), place)
         (place / SUMMARY).write_text(json.dumps(summary_of(scans), indent=2) + "\n", encoding="utf-8")
     return Path(folder)
 

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from cgemit.io.folders import RECORD
+from cgemit.result import Settings
+from cgemit.simulate import SimulateSettings
 from cgemit.statistics.curves import SYMBOLS, WINDOW, windowed_resolution
 from cgemit.statistics.estimate import HEAD
 from cgemit.statistics.formatting import shown, with_error
@@ -136,13 +139,14 @@ def _removed(study: Reproduction) -> TableOf:
 
 
 def _repeat(study: Reproduction) -> list[Part]:
-    without = "" if study.inputs.settings.simulate.deltas else " --no-deltas"
+    in_words = {Settings(): "", Settings(simulate=SimulateSettings(deltas=False)): " --no-deltas"}
+    settings = in_words.get(study.inputs.settings, f" --settings {RECORD}")
     field = f" --field {study.inputs.field}" if study.inputs.field else ""
-    command = f"cgemit study --events {study.inputs.events} --seed {study.inputs.seed}{without}{field} -o DIR"
+    command = f"cgemit study --events {study.inputs.events} --seed {study.inputs.seed}{settings}{field} -o DIR"
     seconds = ", ".join(f"{name} {value:.1f}" for name, value in study.timings.items())
     return [
         "The numbers depend on version, events and seed, not on threads.",
         Code(command),
         f"cgemit {VERSION}. Timings in seconds (stages are summed over threads): {seconds}.",
-        "Tables behind the figures are the CSV files beside this page; summary.json holds all numbers.",
+        f"The CSV files beside this page hold the figures' data, summary.json all numbers, {RECORD} all settings.",
     ]

@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import platform
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
+from cgemit.record import versions
 from cgemit.result import Result, Settings
 from cgemit.statistics.curves import Line
 from cgemit.statistics.formatting import html_table, text_table, with_error
 from cgemit.study.paper.published import paper_values
 from cgemit.study.samples import Sample
-from cgemit.version import VERSION
 
 #: The detectors that the paper compares.
 DETECTORS = ("besiii-cgem-design", "besiii-idc")
@@ -131,23 +128,27 @@ class Reproduction:
                 return row
         raise KeyError(f"{name!r}; there are {', '.join(row.id for row in self.results)}")
 
+    @property
+    def every_sample(self) -> list[Sample]:
+        """The samples at 1 GeV/c, and those of the momentum scans."""
+        return [*self.samples.values(), *(s for scan in self.scans.values() for s in scan)]
+
     def summary(self) -> dict[str, Any]:
         """Return what `summary.json` holds."""
-        every = [*self.samples.values(), *(s for scan in self.scans.values() for s in scan)]
         return {
             "program": "cgemit",
             "paper": "arXiv:1504.02570",
-            "versions": {"cgemit": VERSION, "python": platform.python_version(), "numpy": np.__version__},
+            "versions": versions(),
             "inputs": {
                 "detectors": list(DETECTORS), "particle": "mu-", "p": "1 GeV/c", "cos_theta": list(COS_THETA),
                 "events": self.inputs.events, "momenta": list(MOMENTA),
                 "events_per_momentum": self.inputs.events_per_momentum, "quick": self.inputs.quick,
-                "simulate": asdict(self.inputs.settings.simulate), "field": self.inputs.field,
+                "settings": self.inputs.settings.to_dict(), "field": self.inputs.field,
                 "hits": "assigned to tracks by truth",
             },
             "seed": self.inputs.seed,
             "timings": dict(self.timings),
-            "removed": {s.label: {"fit": dict(s.removed), "transport": dict(s.transport)} for s in every},
+            "removed": {s.label: {"fit": dict(s.removed), "transport": dict(s.transport)} for s in self.every_sample},
             "results": [row.as_json() for row in self.results],
             "curves": [line.as_json() for line in self.curves],
         }  # fmt: skip

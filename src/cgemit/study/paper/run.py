@@ -13,10 +13,11 @@ from cgemit import chain
 from cgemit.detector import Detector, load
 from cgemit.gun import Gun
 from cgemit.io.folders import SUMMARY, check_free, new_folder
+from cgemit.record import write_record
 from cgemit.result import Settings
 from cgemit.study.paper.reproduction import COS_THETA, DETECTORS, MOMENTA, THIN_GAP, Inputs, Reproduction
 from cgemit.study.paper.rows import make_rows
-from cgemit.study.samples import Order, Sample, ShowProgress, hardly_fitted, run_samples, why_unfitted
+from cgemit.study.samples import Order, Sample, ShowProgress, hardly_fitted, record_of, run_samples, why_unfitted
 from cgemit.study.scans import QUOTED_PARAMETERS, momentum_line, momentum_orders
 
 _EVENTS, _QUICK_EVENTS, _FEWEST_EVENTS = 20_000, 1_500, 400
@@ -34,6 +35,7 @@ def reproduce(
     settings: Settings | None = None,
     field: str | os.PathLike[str] | None = None,
     overwrite: bool = False,
+    command: str = "",
     progress: ShowProgress | None = None,
 ) -> Reproduction:
     """Reproduce the paper: mu- in its CGEM tracker and in the inner drift chamber.
@@ -41,7 +43,7 @@ def reproduce(
     Parameters
     ----------
     output : path or None
-        Folder for figures, tables, `summary.json` and `report.html`; nothing is written if None.
+        Folder for figures, tables, `summary.json`, `run.json` and `report.html`; nothing is written if None.
     events : int, optional
         Events at 1 GeV/c for each detector, at least 400; each of the ten momenta gets a quarter of it. Default
         20 000, or 1500 with `quick`.
@@ -56,6 +58,8 @@ def reproduce(
         Another magnetic field than the detectors' own (see `Detector.with_field`).
     overwrite : bool
         Write into a folder that holds files.
+    command : str
+        The command line that run.json shall name, if there was one.
     progress : callable, optional
         Called with the share that is done (0 to 1) and what is running.
 
@@ -78,7 +82,7 @@ def reproduce(
         events, events // _SHARE, seed, threads, quick, settings or Settings(), None if field is None else str(field)
     )
     study = _measure(inputs, progress)
-    return study if output is None else _write(study, Path(output), overwrite, progress)
+    return study if output is None else _write(study, Path(output), overwrite, command, progress)
 
 
 def _measure(inputs: Inputs, progress: ShowProgress | None) -> Reproduction:
@@ -132,7 +136,9 @@ def _stage_seconds(samples: Sequence[Sample]) -> dict[str, float]:
     return {f"{stage}_thread_s": sum(s.timings[stage] for s in samples) for stage in sorted(stages)}
 
 
-def _write(study: Reproduction, output: Path, overwrite: bool, progress: ShowProgress | None) -> Reproduction:
+def _write(
+    study: Reproduction, output: Path, overwrite: bool, command: str, progress: ShowProgress | None
+) -> Reproduction:
     """Write all files, and return the study with its folder and the time that writing took."""
     # Only where pictures are drawn is matplotlib loaded; it takes as long as a thousand events.
     from cgemit.study.paper.figures import write_figures
@@ -145,5 +151,6 @@ def _write(study: Reproduction, output: Path, overwrite: bool, progress: ShowPro
         timings = {**study.timings, "figures_s": seconds, "total_s": study.timings["run_s"] + seconds}
         study = replace(study, timings=timings, folder=output)
         (folder / "report.html").write_text(paper_report(study, folder), encoding="utf-8")
+        write_record(record_of(study.every_sample, study.inputs.seed, command), folder)
         (folder / SUMMARY).write_text(json.dumps(study.summary(), indent=2, allow_nan=False) + "\n", encoding="utf-8")
     return study

@@ -1,0 +1,38 @@
+"""`cgemit settings`: the settings of all stages as a file."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+
+from cgemit.cli import changes, common
+
+_DESCRIPTION = """\
+Print the settings of all stages as TOML, each with what it may be: the defaults, or what --settings and --set make of
+them. The text is a file that --settings takes; what is left out of such a file has its default."""
+
+_EXAMPLES = """\
+examples:
+  cgemit settings > settings.toml                              a file with all defaults, to be changed
+  cgemit settings --settings mine.toml --set fit.loss=mean     what a run with the same options uses
+  cgemit settings --settings out/run.json                      what an earlier run used
+  cgemit simulate -d besiii-cgem --settings settings.toml --p 1 --cos-theta 0 -n 1000 -o out"""
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the sub-command."""
+    parser = subparsers.add_parser(
+        "settings", help="print the settings of all stages as a file", description=_DESCRIPTION, epilog=_EXAMPLES,
+        formatter_class=common.HelpFormatter,
+    )  # fmt: skip
+    changes.add_settings(parser)
+    changes.add_set(parser, "change one setting, such as fit.loss=mean; may be repeated")
+    parser.add_argument("--json", action="store_true", help="print JSON instead of TOML")
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Print the settings."""
+    settings = changes.settings_of(arguments)
+    sys.stdout.write(settings.to_json() if arguments.json else settings.to_toml(comments=True))
+    return common.OK

@@ -1,0 +1,282 @@
+"""The record of a run: everything that its results depend on, as one JSON file beside them."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import platform
+import tomllib
+from collections.abc import Collection, Mapping
+from dataclasses import fields
+from pathlib import Path
+from typing import Any, Generic, NamedTuple, TypeVar
+
+import numpy as np
+
+from cgemit.detector import Detector, load
+from cgemit.gun import Gun, Guns
+from cgemit.io.folders import RECORD
+from cgemit.problems import ProblemsError
+from cgemit.settings import SettingsData, SettingsError
+from cgemit.tables import Table, save_tables
+from cgemit.tables.files import read_index
+from cgemit.values import InTurn
+from cgemit.version import VERSION
+
+FORMAT = "cgemit-run-1"
+
+S = TypeVar("S", bound=SettingsData)
+
+#: The detector of a run, for other commands; the record holds it, too.
+DETECTOR = "detector.toml"
+
+_KINDS = {
+    "versions": dict, "configuration": str, "seed": int, "events": int, "first_event": int, "timings": dict,
+    "settings": dict, "detectors": dict,
+}  # fmt: skip
+
+
+class RecordError(ProblemsError[str]):
+    """A folder of results that is damaged, or mixed of several runs; `problems` lists what is wrong."""
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of what results depend on."""
+    return {"cgemit": VERSION, "python": platform.python_version(), "numpy": np.__version__}
+
+
+def configuration_of(detectors: Mapping[str, str], settings: Mapping[str, Any], source: object) -> str:
+    """Return the hash of what a run was configured with: the same after writing and reading.
+
+    Parameters
+    ----------
+    detectors : mapping of str to str
+        The complete TOML files by what the detectors are for.
+    settings : mapping
+        Settings of all stages, as `to_dict` returns them.
+    source : object
+        What was shot, as JSON has it.
+
+    Returns
+    -------
+    str
+        16 hexadecimal digits.
+    """
+    text = json.dumps([dict(detectors), dict(settings), source], sort_keys=True, allow_nan=False)
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def record(
+    *, detectors: Mapping[str, Detector], settings: SettingsData, seed: int, source: object, command: str = "",
+    **more: Any,
+) -> dict[str, Any]:  # fmt: skip
+    """Return what `run.json` holds.
+
+    Parameters
+    ----------
+    detectors : mapping of str to Detector
+        By what they are for.
+    settings : Settings
+        Of all stages.
+    seed : int
+    source : object
+        What was shot, as JSON has it (`gun_data`).
+    command : str
+        The command line that made the results; none from Python.
+    **more
+        Further entries.
+    """
+    texts = {name: detector.to_toml() for name, detector in detectors.items()}
+    return {
+        "format": FORMAT, "command": command or None, "versions": versions(),
+        "configuration": configuration_of(texts, settings.to_dict(), source), "seed": int(seed), **more,
+        "source": source, "settings": settings.to_dict(), "detectors": texts,
+    }  # fmt: skip
+
+
+def write_record(entries: Mapping[str, Any], folder: Path) -> Path:
+    """Write `run.json` and return its path."""
+    path = folder / RECORD
+    path.write_text(json.dumps(entries, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    return path
+
+
+def write_run(folder: Path, tables: Mapping[str, Table], entries: Mapping[str, Any]) -> list[Path]:
+    """Write the tables of a run, its detector and its record to an empty folder; return the files."""
+    paths = save_tables(tables, folder)
+    (folder / DETECTOR).write_text(entries["detectors"]["detector"], encoding="utf-8")
+    return [*paths, folder / DETECTOR, write_record(entries, folder)]
+
+
+class Run(NamedTuple, Generic[S]):
+    """What the folder of a run holds: entries of the record, and what they describe."""
+
+    entries: Mapping[str, Any]
+    detectors: Mapping[str, Detector]
+    gun: Gun | Guns | None
+    settings: S
+    tables: Mapping[str, Table]
+
+
+def read_run(folder: Path, kind: type[S], names: Collection[str], required: Collection[str]) -> Run[S]:
+    """Read what `write_run` wrote.
+
+    Parameters
+    ----------
+    folder : Path
+    kind : type
+        The class of the settings of all stages.
+    names, required : collection of str
+        Tables that a run may hold, and those that it must.
+
+    Raises
+    ------
+    FileNotFoundError
+        If the folder holds no run.
+    RecordError
+        Listing everything that is damaged or does not belong together.
+    """
+    problems: list[str] = []
+    entries = _read_record(folder, problems)
+    tables = _read_tables(folder, names, required, problems)
+    detectors, gun, settings = _read_entries(entries, kind, problems)
+    if entries:
+        problems += _strangers(tables, entries)
+        copy = folder / DETECTOR
+        if copy.is_file() and copy.read_text(encoding="utf-8") != entries["detectors"].get("detector"):
+            problems.append(f"{DETECTOR}: is not the detector of {RECORD}")
+    if problems:
+        raise RecordError(str(folder), problems)
+    return Run(entries, detectors, gun, settings, tables)
+
+
+def _read_record(folder: Path, problems: list[str]) -> dict[str, Any]:
+    """Return what `run.json` of a folder holds; empty, with problems added, if it is damaged."""
+    path = folder / RECORD
+    if not path.is_file():
+        raise FileNotFoundError(f"{folder} holds no complete run ({RECORD} is missing)")
+    try:
+        entries = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        problems.append(f"{RECORD}: got {error}, expected a JSON file")
+        return {}
+    if not isinstance(entries, dict) or entries.get("format") != FORMAT:
+        given = entries.get("format") if isinstance(entries, dict) else entries
+        problems.append(f"{RECORD}: got format {given!r:.50}, expected {FORMAT!r}")
+        return {}
+    wrong = [name for name, kind in _KINDS.items() if not isinstance(entries.get(name), kind)]
+    if wrong or "source" not in entries:
+        problems.append(f"{RECORD}: got no entry, or a wrong one, for {', '.join(wrong or ['source'])}")
+        return {}
+    return entries
+
+
+def _read_entries(
+    entries: Mapping[str, Any], kind: type[S], problems: list[str]
+) -> tuple[dict[str, Detector], Gun | Guns | None, S]:
+    """Return what the entries of a record describe; problems are added."""
+    if not entries:
+        return {}, None, kind()
+    found = configuration_of(entries["detectors"], entries["settings"], entries["source"])
+    if entries["configuration"] != found:
+        expected = f"expected {found!r}, the hash of its detectors, settings and source"
+        problems.append(f"{RECORD}: configuration: got {entries['configuration']!r}, {expected}")
+    if "detector" not in entries["detectors"]:
+        problems.append(f"{RECORD}: detectors.detector: missing")
+    read = {name: _detector(str(text), name, problems) for name, text in entries["detectors"].items()}
+    detectors = {name: detector for name, detector in read.items() if detector is not None}
+    try:
+        settings = kind.from_dict(entries["settings"])
+    except SettingsError as error:
+        problems += [f"{RECORD}: settings.{text}" for text in error.problems]
+        settings = kind()
+    return detectors, gun_from(entries["source"], problems), settings
+
+
+def _read_tables(
+    folder: Path, names: Collection[str], required: Collection[str], problems: list[str]
+) -> dict[str, Table]:
+    """Return the tables of a folder; problems are added."""
+    try:
+        index = read_index(folder)
+    except (ValueError, FileNotFoundError) as error:
+        problems.append(str(error))
+        return {}
+    problems += [f"{name}.npz: got a table that no run has" for name in index if name not in names]
+    problems += [f"{name}.npz: missing" for name in required if name not in index]
+    tables = {}
+    for name in (name for name in index if name in names):
+        try:
+            tables[name] = Table.load(folder / f"{name}.npz")
+        except (ValueError, FileNotFoundError) as error:
+            problems.append(f"{name}.npz: {error}")
+    return tables
+
+
+def _strangers(tables: Mapping[str, Table], entries: Mapping[str, Any]) -> list[str]:
+    """Say which tables are not of the run that the record describes."""
+    expected = {
+        "events": entries["events"], "first_event": entries["first_event"], "seed": entries["seed"],
+        "configuration": entries["configuration"], "version": entries["versions"].get("cgemit"),
+    }  # fmt: skip
+    problems = []
+    for name, table in tables.items():
+        given = {"events": table.n_events, "first_event": table.first_event, **table.meta}
+        wrong = [key for key, value in expected.items() if given.get(key) != value]
+        problems += [
+            f"{name}.npz: {key}: got {given.get(key)!r}, expected {expected[key]!r}, as {RECORD} says" for key in wrong
+        ]
+        if table.kind != name:
+            problems.append(f"{name}.npz: got a table of kind {table.kind!r}, expected {name!r}")
+    return problems
+
+
+def _detector(text: str, name: str, problems: list[str]) -> Detector | None:
+    """Return the detector of a complete TOML file; None, with problems added, if there are any."""
+    try:
+        return load(tomllib.loads(text))
+    except ValueError as error:
+        given = getattr(error, "problems", [error])
+        problems += [f"{RECORD}: detectors.{name}: {one}" for one in given]
+    return None
+
+
+def gun_data(gun: Gun | Guns | None) -> list[dict[str, Any]] | None:
+    """Return what was shot as JSON has it: one object a gun, a range as ``{"from": low, "to": high}``.
+
+    None stands for given particles.
+    """
+    if gun is None:
+        return None
+    guns = gun.guns if isinstance(gun, Guns) else (gun,)
+    return [{name: _value_data(name, getattr(one, name)) for name in _GUN} for one in guns]
+
+
+def gun_from(data: Any, problems: list[str]) -> Gun | Guns | None:
+    """Return what `gun_data` was made from; None, with problems added, if there are any."""
+    if data is None:
+        return None
+    try:
+        guns = [Gun(**{name: _value(name, value) for name, value in one.items()}) for one in data]
+        return guns[0] if len(guns) == 1 else Guns(tuple(guns))
+    except (ValueError, TypeError, KeyError, IndexError, AttributeError) as error:
+        problems += [f"{RECORD}: source: {one}" for one in getattr(error, "problems", [error])]
+    return None
+
+
+_GUN = [f.name for f in fields(Gun)]
+_TRIPLES = ("vertex", "vertex_sigma")
+
+
+def _value_data(name: str, value: Any) -> Any:
+    if name in _TRIPLES:
+        return [_value_data("", one) for one in value]
+    if isinstance(value, InTurn):
+        return list(value.values)
+    return {"from": value[0], "to": value[1]} if isinstance(value, tuple) else value
+
+
+def _value(name: str, data: Any) -> Any:
+    if name in _TRIPLES:
+        return tuple(_value("", one) for one in data)
+    return (data["from"], data["to"]) if isinstance(data, dict) else data

@@ -1,0 +1,361 @@
+"""Every option of the commands that run the chain gives what the same call in Python gives, and changes something."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from cgemit.chain import run
+from cgemit.cli import changes
+from cgemit.cli.main import build_parser, main
+from cgemit.cluster import ClusterSettings
+from cgemit.detector import load
+from cgemit.detector.read import TOP_LEVEL
+from cgemit.digitize import DigitizeSettings
+from cgemit.fit import FitSettings
+from cgemit.gun import Gun
+from cgemit.result import Result, Settings
+from cgemit.settings import SettingsError
+from cgemit.simulate import SimulateSettings
+from cgemit.study.scans import Scan, scan
+from cgemit.tables import Table
+
+DESIGN = "besiii-cgem-design"
+FILE = '[fit]\nkinks = false\n[cluster]\nposition = "charge"\n[digitize]\nthreshold = 6\n'
+OF_FILE = Settings(
+    fit=FitSettings(kinks=False), cluster=ClusterSettings(position="charge"), digitize=DigitizeSettings(threshold=6.0)
+)
+#: Options that say how results are shown or where they go; other tests look at them.
+SHOWN = {"--help", "--json", "--output", "--overwrite", "--quiet", "--debug", "--method"}
+
+
+@dataclass
+class Row:
+    """An option on the command line, and the arguments that do the same in Python.
+
+    Attributes
+    ----------
+    option : str
+        Its long form.
+    words : list of str
+        Of the command line, with the options that they replace left out.
+    same : dict
+        Changed arguments in Python.
+    instead : str
+        Option of the usual command line that goes, besides the option itself.
+    idle : bool
+        Whether the option changes no result.
+    """
+
+    option: str
+    words: list[str]
+    same: dict[str, Any] = field(default_factory=dict)
+    instead: str = ""
+    idle: bool = False
+
+
+def name(row: Row) -> str:
+    """Return what a test with this row is called."""
+    return " ".join(row.words) or f"no {row.option}"
+
+
+@pytest.fixture(autouse=True)
+def settings_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Put the file of settings that rows name into the current folder."""
+    monkeypatch.chdir(tmp_path)
+    path = tmp_path / "mine.toml"
+    path.write_text(FILE, encoding="utf-8")
+    return path
+
+
+def command_line(start: list[str], usual: dict[str, list[str]], row: Row) -> list[str]:
+    """Return the words of the usual command line with those of a row."""
+    kept = [word for option, words in usual.items() if option not in (row.option, row.instead) for word in words]
+    return [*start, *kept, *row.words]
+
+
+def options_of(command: str) -> set[str]:
+    """Return the long forms of the options of a command."""
+    choices = next(a.choices for a in build_parser()._actions if isinstance(a, argparse._SubParsersAction))
+    return {next(o for o in action.option_strings if o.startswith("--")) for action in choices[command]._actions}
+
+
+def with_settings(**stages: Any) -> dict[str, Any]:
+    """Return the argument of settings that are not all defaults."""
+    return {"settings": Settings(**stages)}
+
+
+COMMON = [
+    Row("--detector", ["-d", "besiii-idc"], {"detector": "besiii-idc"}),
+    Row("--set", ["--set", "cgem.L2.pitch_x=500 um"],
+        {"detector": load(DESIGN).with_overrides({"cgem.L2.pitch_x": "500 um"})}),
+    Row("--set", ["--set", "fit.loss=mean"], with_settings(fit=FitSettings(loss="mean"))),
+    Row("--set", ["--set", "simulate.sublayers=true", "--set", "cluster.position=charge"],
+        with_settings(simulate=SimulateSettings(sublayers=True), cluster=ClusterSettings(position="charge"))),
+    Row("--set", ["--set", "digitize.readout=gaussian", "--set", "digitize.sigma_x=0.2", "--set", "field.bz=0.9 T"],
+        {"detector": load(DESIGN).with_overrides({"field.bz": "0.9 T"}),
+         **with_settings(digitize=DigitizeSettings(readout="gaussian", sigma_x=0.2))}),
+    Row("--settings", ["--settings", "mine.toml"], {"settings": OF_FILE}),
+    Row("--settings", ["--settings", "mine.toml", "--set", "digitize.threshold=12", "--set", "fit.kinks=true"],
+        {"settings": replace(OF_FILE, digitize=DigitizeSettings(threshold=12), fit=FitSettings())}),
+    Row("--field", ["--field", "besiii-harmonic"], {"detector": load(DESIGN).with_field("besiii-harmonic")}),
+    Row("--name", ["--name", "mine"], {"detector": load(DESIGN).with_overrides({"name": "mine"})}),
+    Row("--no-deltas", ["--no-deltas"], with_settings(simulate=SimulateSettings(deltas=False))),
+    Row("--hypothesis", ["--hypothesis", "K"], with_settings(fit=FitSettings(hypothesis=("K",)))),
+    Row("--particle", ["--particle", "pi+"], {"particle": "pi+"}),
+    Row("--p", ["--p", "0.5"], {"p": 0.5}),
+    Row("--cos-theta", ["--cos-theta", "-0.5:0.2"], {"cos_theta": (-0.5, 0.2)}),
+    Row("--seed", ["--seed", "18446744073709551615"], {"seed": 2**64 - 1}),
+    Row("--threads", ["--threads", "2"], {"threads": 2}, idle=True),
+]  # fmt: skip
+
+GUN = ("particle", "p", "pt", "theta", "cos_theta", "phi", "vertex", "vertex_sigma")
+SIMULATE = {
+    "--detector": ["-d", DESIGN], "--p": ["--p", "0.3"], "--cos-theta": ["--cos-theta", "0.1"],
+    "--events": ["-n", "30"], "--fit": ["--fit"],
+}  # fmt: skip
+SIMULATE_ROWS = [
+    *COMMON,
+    Row("--events", ["-n", "31"], {"n": 31}),
+    Row("--pt", ["--pt", "0.3:0.4"], {"p": None, "pt": (0.3, 0.4)}, "--p"),
+    Row("--theta", ["--theta", "60 deg"], {"cos_theta": None, "theta": "60 deg"}, "--cos-theta"),
+    Row("--phi", ["--phi", "1,2"], {"phi": [1.0, 2.0]}),
+    Row("--vertex", ["--vertex", "1,2,30"], {"vertex": (1.0, 2.0, 30.0)}),
+    Row("--vertex-sigma", ["--vertex-sigma", "0.1,0.2,3"], {"vertex_sigma": (0.1, 0.2, 3.0)}),
+    Row("--hypothesis", ["--hypothesis", "mu,K"], with_settings(fit=FitSettings(hypothesis=("mu", "K")))),
+    Row("--states", ["--states", "hits,9 cm"], with_settings(fit=FitSettings(states=("hits", 90.0)))),
+]
+
+
+def simulated(**change: Any) -> Result:
+    """Return what the usual command line, or a changed one, gives in Python."""
+    given = {"detector": DESIGN, "particle": "mu-", "p": 0.3, "cos_theta": 0.1, "n": 30, "seed": 1} | change
+    gun = Gun(**{key: given.pop(key) for key in GUN if given.get(key) is not None})
+    return run(gun=gun, **{key: value for key, value in given.items() if key not in GUN})
+
+
+@pytest.fixture(scope="module")
+def usual() -> Result:
+    return simulated()
+
+
+@pytest.mark.parametrize("row", SIMULATE_ROWS, ids=name)
+def test_options_of_simulate(row: Row, usual: Result, tmp_path: Path) -> None:
+    words = command_line(["simulate"], SIMULATE, row)
+    assert main([*words, "--quiet", "-o", str(tmp_path / "out")]) == 0
+    found = Result.load(tmp_path / "out")
+    assert found == simulated(**row.same)
+    assert (found == usual) is row.idle
+    if row.option != "--name":
+        assert (dict(found.tables) == dict(usual.tables)) is row.idle
+    assert json.loads((tmp_path / "out" / "run.json").read_text())["command"].startswith("cgemit simulate ")
+
+
+def test_fit_writes_the_tracks(usual: Result, tmp_path: Path) -> None:
+    words = command_line(["simulate"], SIMULATE, Row("--fit", []))
+    assert main([*words, "--quiet", "-o", str(tmp_path / "out")]) == 0
+    expected = {name: table for name, table in usual.tables.items() if name in Result.load(tmp_path / "out").tables}
+    assert dict(Result.load(tmp_path / "out").tables) == expected
+    assert "tracks" not in expected
+    assert "clusters" in expected
+
+
+@pytest.mark.parametrize("option", ["--states=hits", "--hypothesis=mu", "--set=fit.loss=mean"])
+def test_what_only_the_fit_can_give_is_fitted(option: str, tmp_path: Path) -> None:
+    words = command_line(["simulate"], SIMULATE, Row("--fit", [option]))
+    assert main([*words, "--quiet", "-o", str(tmp_path / "out")]) == 0
+    assert len(Table.load(tmp_path / "out" / "tracks.npz")) == 30
+
+
+RESOLUTION = {
+    "--detector": ["-d", DESIGN], "--p": ["--p", "0.3"], "--cos-theta": ["--cos-theta", "0.1"],
+    "--events": ["--events", "30"],
+}  # fmt: skip
+RESOLUTION_ROWS = [*COMMON, Row("--events", ["--events", "31"], {"events": 31})]
+
+
+def scanned(**change: Any) -> Scan:
+    """Return what the usual command line, or a changed one, gives in Python."""
+    given = {"detector": DESIGN, "particle": "mu-", "p": 0.3, "cos_theta": 0.1, "events": 30, "seed": 1} | change
+    return scan(load(given.pop("detector")), [given.pop("p")], **given)
+
+
+def tracks_of(found: Scan) -> list[tuple[str, Table]]:
+    return [(sample.detector.name, sample.tracks) for sample in found.samples]
+
+
+@pytest.fixture(scope="module")
+def usual_scan() -> Scan:
+    return scanned()
+
+
+@pytest.mark.parametrize("row", RESOLUTION_ROWS, ids=name)
+def test_options_of_resolution(row: Row, usual_scan: Scan, monkeypatch: pytest.MonkeyPatch) -> None:
+    saved: list[Any] = []
+    monkeypatch.setattr("cgemit.study.scans.save_scans", lambda scans, *_, **__: saved.extend(scans))
+    assert main([*command_line(["resolution"], RESOLUTION, row), "--quiet", "-o", "out"]) == 0
+    assert tracks_of(saved[0]) == tracks_of(scanned(**row.same))
+    assert (tracks_of(saved[0]) == tracks_of(usual_scan)) is row.idle
+
+
+STUDY_ROWS = [
+    Row("--events", ["--events", "500"], {"events": 500}),
+    Row("--quick", ["--quick"], {"quick": True}),
+    Row("--seed", ["--seed", "7"], {"seed": 7}),
+    Row("--threads", ["--threads", "1"], {"threads": 1}),
+    Row("--field", ["--field", "finite-solenoid"], {"field": "finite-solenoid"}),
+    Row("--settings", ["--settings", "mine.toml"], {"settings": OF_FILE}),
+    Row("--set", ["--set", "fit.loss=mean"], with_settings(fit=FitSettings(loss="mean"))),
+    Row("--no-deltas", ["--no-deltas"], with_settings(simulate=SimulateSettings(deltas=False))),
+]
+
+
+@pytest.mark.parametrize("row", STUDY_ROWS, ids=name)
+def test_options_of_study(row: Row, monkeypatch: pytest.MonkeyPatch) -> None:
+    calls: list[dict[str, Any]] = []
+
+    class Reached(Exception):
+        """The study would begin."""
+
+    def begin(output: object, **given: Any) -> None:
+        calls.append(given)
+        raise Reached
+
+    monkeypatch.setattr("cgemit.study.paper.reproduce", begin)
+    for words in ([], row.words):
+        assert main(["study", *words]) == 3
+    shown = {"progress", "command"}
+    usual, changed = ({key: value for key, value in call.items() if key not in shown} for call in calls)
+    assert changed == usual | row.same != usual
+
+
+@pytest.mark.parametrize(
+    ("command", "rows"), [("simulate", SIMULATE_ROWS), ("resolution", RESOLUTION_ROWS), ("study", STUDY_ROWS)]
+)
+def test_every_option_is_tried(command: str, rows: list[Row]) -> None:
+    tried = {row.option for row in rows} | SHOWN | ({"--fit"} if command == "simulate" else set())
+    assert options_of(command) - tried == set()
+
+
+def test_a_run_is_repeated_from_its_record(tmp_path: Path) -> None:
+    words = command_line(["simulate"], SIMULATE, Row("", ["--quiet"]))
+    assert main([*words, "--settings", "mine.toml", "--no-deltas", "-o", "first"]) == 0
+    assert main([*words, "--settings", "first/run.json", "-o", "again"]) == 0
+    assert Result.load("first") == Result.load("again") != simulated()
+
+
+@pytest.mark.parametrize(
+    ("words", "messages"),
+    [
+        (["--set", "fit.loss=meen"], ['fit.loss: got \'meen\', expected one of', 'did you mean "mean"?']),
+        (["--set", "fitt.loss=mean"],
+         ["a setting, which begins with simulate, digitize, cluster", "a value of the detector, which begins with"]),
+        (["--set", "fit=3"], ["got 'fit=3', expected KEY=VALUE such as fit.loss=mean or cgem.L2.pitch_x"]),
+        (["--set", "fit.loss"], ["expected KEY=VALUE"]),
+        (["--no-deltas", "--set", "simulate.deltas=true"], ["--no-deltas: got False, but True from --set"]),
+        (["--hypothesis", "mu", "--set", "fit.hypothesis=pi"], ["--hypothesis: got ['mu'], but 'pi' from --set"]),
+        (["--name", "a", "--set", "name=b"], ["--name: got 'a', but 'b' from --set name"]),
+        (["--settings", "none.toml"], ["none.toml: got", "expected a TOML or JSON file"]),
+        (["--settings", "wrong.toml", "--set", "fit.los=1", "--set", "x=1", "--set", "cgem.L2.pitch=1",
+          "--hypothesis", "d"],
+         ["wrong.toml: digitize.gain: got -1", "--set: fit.los: got an unknown key", "--set: got 'x'",
+          "cgem.L2.pitch: got an unknown key", "--hypothesis: fit.hypothesis: got 'd'"]),
+    ],
+)  # fmt: skip
+def test_mistakes_are_all_listed(
+    words: list[str], messages: list[str], capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    (tmp_path / "wrong.toml").write_text("[digitize]\ngain = -1\n", encoding="utf-8")
+    assert main([*command_line(["simulate"], SIMULATE, Row("", words)), "-o", "never"]) == 2
+    text = capsys.readouterr().err
+    assert [message for message in messages if message not in text] == []
+    assert not (tmp_path / "never").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["study", "--set", "field.bz=1 T"], "expected a setting, which begins with"),
+        (["show", DESIGN, "--set", "fit.loss=mean"], "expected a value of the detector, which begins with"),
+        (["settings", "--set", "name=x"], "expected a setting, which begins with"),
+        (["study", "--set", "fit.hypothesis=all"], "this command expects one of them"),
+    ],
+)
+def test_commands_without_a_detector_or_settings_say_so(
+    words: list[str], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(words) == 2
+    assert message in capsys.readouterr().err
+
+
+def test_equal_values_are_no_contradiction() -> None:
+    words = ["--no-deltas", "--set", "simulate.deltas=false", "--hypothesis", "mu", "--set", "fit.hypothesis=mu"]
+    assert main([*command_line(["simulate"], SIMULATE, Row("", words)), "--quiet", "-o", "out"]) == 0
+
+
+def test_the_first_word_tells_settings_and_detector_apart() -> None:
+    assert not set(changes.stages()) & set(TOP_LEVEL)
+
+
+def printed(words: list[str], capsys: pytest.CaptureFixture[str]) -> str:
+    """Return what a command prints."""
+    assert main(words) == 0
+    return capsys.readouterr().out
+
+
+def test_settings_are_printed_as_a_file(settings_file: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert Settings.from_toml(printed(["settings"], capsys)) == Settings()
+    words = ["settings", "--settings", str(settings_file), "--set", "fit.states=[90, 'hits']"]
+    expected = replace(OF_FILE, fit=FitSettings(kinks=False, states=(90, "hits")))
+    assert Settings.from_toml(printed(words, capsys)) == expected
+    assert Settings.from_json(printed([*words, "--json"], capsys)) == expected
+    assert "loss = \"truncated\"  # one of 'truncated', 'mean', 'most_probable'" in printed(["settings"], capsys)
+    with pytest.raises(SettingsError):
+        Settings.from_toml("fit = 3")
+
+
+def closed(words: list[str], stream: str, folder: Path) -> int:
+    """Run a command whose reader has gone before the first line, and return its exit code."""
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    read, write = os.pipe()
+    os.close(read)
+    streams: dict[str, Any] = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL} | {stream: write}
+    try:
+        return subprocess.run(
+            [sys.executable, "-u", "-m", "cgemit", *words], cwd=folder, env=environment, check=False, **streams
+        ).returncode
+    finally:
+        os.close(write)
+
+
+@pytest.mark.parametrize("stream", ["stdout", "stderr"])
+def test_a_closed_pipe_leaves_no_files_out(stream: str, tmp_path: Path) -> None:
+    assert closed(["show", DESIGN, "-o", "pictures"], stream, tmp_path) == 0
+    pictures = {f"{picture}.{end}" for picture in ("r-phi", "r-z", "layers") for end in ("png", "pdf")}
+    assert {path.name for path in (tmp_path / "pictures").iterdir()} == {*pictures, "detector.toml", "summary.json"}
+    words = command_line(["simulate"], SIMULATE, Row("", []))
+    assert closed([*words, "-o", "run"], stream, tmp_path) == 0
+    assert Result.load(tmp_path / "run") == simulated()
+
+
+def test_a_closed_pipe_hides_no_failure(tmp_path: Path) -> None:
+    (tmp_path / "bad.toml").write_text("nonsense = 1\n", encoding="utf-8")
+    assert closed(["validate", DESIGN, "bad.toml"], "stdout", tmp_path) == 2
+    assert closed(["validate", "bad.toml"], "stderr", tmp_path) == 2
+
+
+def test_no_fitted_track_is_a_failure(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    slow = ["resolution", "-d", "besiii-idc", "-d", DESIGN, "--p", "0.02", "--events", "20", "--quiet", "-o", "out"]
+    assert main(slow) == 3
+    text = capsys.readouterr().err
+    assert "besiii-idc: at 0.02 GeV/c: 0 of 20 tracks fitted" in text
+    assert f"{DESIGN}: at 0.02 GeV/c: 0 of 20 tracks fitted" in text
+    assert not (tmp_path / "out").exists()

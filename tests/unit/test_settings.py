@@ -1,0 +1,238 @@
+"""Settings check themselves by their annotations, and files give back what was written."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import tomllib
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, ClassVar, Literal, get_args
+
+import numpy as np
+import pytest
+
+from cgemit.cluster import ClusterSettings
+from cgemit.digitize import DigitizeSettings
+from cgemit.fit import FitSettings
+from cgemit.kinds import NO, Positive, expected, kinds_of, matched, one_of
+from cgemit.result import Settings
+from cgemit.settings import SettingsData, SettingsError
+from cgemit.simulate import SimulateSettings
+from cgemit.states import Place
+
+STAGES = (SimulateSettings, DigitizeSettings, ClusterSettings, FitSettings)
+
+PLACES = ", ".join(map(repr, get_args(Place)))
+
+#: Settings none of which is a default.
+CHANGED = Settings(
+    simulate=SimulateSettings(sublayers=True, foil="lattice", screening="moliere", deltas=False, steps=True),
+    digitize=DigitizeSettings(reveal_sides=True),
+    cluster=ClusterSettings(position="charge", reference_p=0.1 + 0.2, reference_cos_theta=1 / 3),
+    fit=FitSettings(
+        cluster_errors="cluster", screening="moliere", loss="most_probable", residuals=True,
+        states=(90.5, "origin", "hits"), hypothesis=("mu", "K"), max_iterations=7, tolerance=1e-07, least_width=2,
+        delta_strips=0.0, kinks=False, outlier_pull=0, prior_sigma=(1, 2, 3, 4, 1 / 7),
+    ),
+)  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class Strips(SettingsData):
+    """One choice."""
+
+    name: ClassVar[str] = "strips"
+    gain: Positive = 10.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pads(SettingsData):
+    """Another choice."""
+
+    name: ClassVar[str] = "pads"
+    side: Positive = 2.0
+    shape: Literal["square", "hexagon"] = "square"
+
+
+KNOWN: dict[str, type[Any]] = {"strips": Strips, "pads": Pads}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Toy(SettingsData):
+    """Settings with everything that an annotation may say."""
+
+    readout: Strips | Pads = field(default_factory=Strips)
+    later: SettingsData = field(default_factory=Strips, metadata=one_of(KNOWN))
+    limit: float | None = 5.0
+    counts: tuple[int, ...] = ()
+    title: str = ""
+
+
+@pytest.mark.parametrize("settings", [Settings(), CHANGED, Toy(), Toy(readout=Pads(shape="hexagon"), limit=None)])
+def test_files_give_back_what_was_written(settings: SettingsData, tmp_path: Path) -> None:
+    kind = type(settings)
+    assert kind.from_toml(settings.to_toml()) == settings
+    assert kind.from_toml(settings.to_toml(comments=True)) == settings
+    assert kind.from_json(settings.to_json()) == settings
+    assert kind.from_dict(settings.to_dict()) == settings
+    for name in ("s.toml", "s.json"):
+        settings.save(tmp_path / name)
+        assert kind.load(tmp_path / name) == settings
+        assert repr(kind.load(tmp_path / name)) == repr(settings)
+    with pytest.raises(FileExistsError):
+        settings.save(tmp_path / "s.toml")
+
+
+def test_every_field_of_every_stage_is_in_the_files() -> None:
+    tables = tomllib.loads(CHANGED.to_toml())
+    assert json.loads(CHANGED.to_json()).keys() == tables.keys() == {f.name for f in dataclasses.fields(Settings)}
+    for stage in tables:
+        given = getattr(CHANGED, stage)
+        assert set(tables[stage]) == {f.name for f in dataclasses.fields(given)}
+        for name, value in tables[stage].items():
+            kept = getattr(given, name)
+            assert value == (list(kept) if isinstance(kept, tuple) else kept), name
+
+
+def test_none_is_left_out_where_it_is_the_default_and_is_a_word_elsewhere() -> None:
+    assert "screening" not in tomllib.loads(FitSettings().to_toml())
+    assert FitSettings.from_toml('screening = "none"') == FitSettings()
+    assert tomllib.loads(Toy(limit=None).to_toml())["limit"] == "none"
+    assert json.loads(FitSettings().to_json())["screening"] is None
+
+
+def test_a_choice_is_a_table_with_a_name_or_the_name_alone() -> None:
+    assert Toy.from_toml('readout = "pads"').readout == Pads()
+    assert Toy(readout="pads") == Toy(readout=Pads())  # type: ignore[arg-type]
+    assert "\nname = \"pads\"  # one of 'strips', 'pads'\nside = 2.0  # a positive number\n" in Toy(
+        readout=Pads()
+    ).to_toml(comments=True)
+    assert Toy.from_toml('[readout]\nname = "pads"\nside = 3').readout == Pads(side=3.0)
+    assert Toy.from_toml("[readout]\ngain = 3").readout == Strips(gain=3.0)  # the default's own settings
+    assert tomllib.loads(Toy(readout=Pads()).to_toml())["readout"] == {"name": "pads", "side": 2.0, "shape": "square"}
+    with pytest.raises(
+        SettingsError, match=r"readout: got 'pad', expected one of 'strips', 'pads'; did you mean \"pads"
+    ):
+        Toy.from_toml('readout = "pad"')
+    with pytest.raises(SettingsError, match=r"readout\.gain: got an unknown key, expected one of side, shape"):
+        Toy.from_toml('readout = {name = "pads", gain = 3}')
+
+
+def test_a_choice_that_is_added_later_counts() -> None:
+    @dataclass(frozen=True, kw_only=True)
+    class Pixels:  # a class from elsewhere, which checks itself
+        name: ClassVar[str] = "pixels"
+        side: float = 0.05
+
+        def __post_init__(self) -> None:
+            if self.side <= 0:
+                raise ValueError(f"side: got {self.side}, expected a size")
+
+    with pytest.raises(SettingsError, match="later"):
+        Toy(later=Pixels())  # type: ignore[arg-type]
+    KNOWN["pixels"] = Pixels
+    try:
+        toy = Toy.from_toml('later = {name = "pixels", side = 0.1}')
+        assert toy.later == Pixels(side=0.1)
+        assert Toy.from_toml(toy.to_toml(comments=True)) == toy
+        with pytest.raises(SettingsError, match=r"\n  later\.side: got -1, expected a size"):
+            Toy.from_toml('later = {name = "pixels", side = -1}')
+    finally:
+        del KNOWN["pixels"]
+
+
+def test_all_problems_of_a_file_are_listed_at_once(tmp_path: Path) -> None:
+    file = tmp_path / "wrong.toml"
+    file.write_text(
+        "fits = 1\n[fit]\nloss = 'meen'\ntolerance = -1\nprior_sigma = [1, 2]\nstates = ['hits', 'nowhere']\nlos = 1\n"
+        "[simulate]\nfoil = 'lattice'\nfluctuations = 'off'\ndeltas = 'no'\n[cluster]\nreference_p = '1 GeV'\n",
+        encoding="utf-8",
+    )
+    with pytest.raises(SettingsError) as error:
+        Settings.load(file)
+    assert error.value.source == str(file)
+    assert sorted(error.value.problems) == sorted(
+        [
+            "fits: got an unknown key, expected one of simulate, digitize, cluster, fit; did you mean \"fit\"?",
+            f"fit.los: got an unknown key, expected one of {', '.join(kinds_of(FitSettings))}; did you mean \"loss\"?",
+            "fit.loss: got 'meen', expected one of 'truncated', 'mean', 'most_probable'; did you mean \"mean\"?",
+            "fit.tolerance: got -1, expected a positive number",
+            "fit.prior_sigma: got [1, 2], expected a list of 5, each a number not below 1e-12",
+            f"fit.states: got 'nowhere', expected a positive radius in mm, or one of {PLACES}",
+            "simulate.deltas: got 'no', expected True or False",
+            "simulate.foil: got 'lattice', expected 'effective' unless fluctuations are 'full'",
+            "cluster.reference_p: got '1 GeV', expected a positive number",
+        ]
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [("loss = ", "TOML file"), ("3", "TOML file"), (None, "No such file")],
+)
+def test_files_that_cannot_be_read(text: str | None, message: str, tmp_path: Path) -> None:
+    file = tmp_path / "s.toml"
+    if text is not None:
+        file.write_text(text, encoding="utf-8")
+    with pytest.raises(SettingsError, match=message):
+        Settings.load(file)
+    with pytest.raises(SettingsError, match="expected tables of settings"):
+        Settings.from_json("[1]")
+
+
+def test_later_layers_lie_over_earlier_ones_and_problems_name_theirs() -> None:
+    first = {"fit": {"loss": "mean", "tolerance": 0.5}}
+    both = Settings.from_layers([("a.toml", first), ("--set", {"fit": {"tolerance": 0.2}})])
+    assert both == Settings(fit=FitSettings(loss="mean", tolerance=0.2))
+    with pytest.raises(SettingsError) as error:
+        Settings.from_layers([("a.toml", {"fit": {"loss": "m"}}), ("--set", {"fit": {"tolerance": 0}, "find": 1})])
+    assert [problem.partition(": got")[0] for problem in error.value.problems] == [
+        "a.toml: fit.loss", "--set: fit.tolerance", "--set: find",
+    ]  # fmt: skip
+
+
+def test_another_choice_in_a_later_layer_drops_the_settings_of_the_one_before() -> None:
+    strips = ("file", {"readout": {"name": "strips", "gain": 3}})
+    assert Toy.from_layers([strips, ("", {"readout": "pads"})]).readout == Pads()
+    assert Toy.from_layers([strips, ("", {"readout": {"name": "pads", "side": 3}})]).readout == Pads(side=3.0)
+    side = ("", {"readout": {"side": 3}})
+    assert Toy.from_layers([("", {"readout": "pads"}), side]).readout == Pads(side=3.0)
+    assert Toy.from_layers([strips, ("", {"readout": {"gain": 4}})]).readout == Strips(gain=4.0)
+
+
+def test_overrides_are_those_of_the_fields() -> None:
+    changed = Settings().with_overrides({"fit.loss": "mean", "simulate.deltas": False, "fit.states": ["hits", 90]})
+    assert changed == Settings(
+        simulate=SimulateSettings(deltas=False), fit=FitSettings(loss="mean", states=("hits", 90.0))
+    )
+    assert changed.with_overrides({"fit.loss": "truncated"}).fit == FitSettings(states=("hits", 90.0))
+    with pytest.raises(SettingsError, match=r"1 problem\n  fit\.loss: got 1,"):
+        changed.with_overrides({"fit.loss": 1})
+
+
+@pytest.mark.parametrize(
+    ("kind", "given", "kept"),
+    [
+        (bool, np.True_, True), (bool, 1, NO), (int, np.int64(3), 3), (int, True, NO), (int, 2.0, NO),
+        (float, 3, 3.0), (float, np.float32(0.5), 0.5), (float, "3", NO), (float, float("nan"), NO), (float, True, NO),
+        (Positive, 0, NO), (Positive, float("inf"), NO), (str, "a", "a"), (str, 1, NO), (float | None, None, None),
+        (Literal["a", "b"], np.str_("b"), "b"), (Literal["a", "b"], "c", NO), (Literal["a"], ["a"], NO),
+        (tuple[int, ...], [1, 2], (1, 2)), (tuple[int, ...], np.arange(2), (0, 1)), (tuple[int, ...], [1, "2"], NO),
+        (tuple[float, float], (1, 2), (1.0, 2.0)), (tuple[float, float], (1,), NO), (tuple[int, ...], "12", NO),
+    ],
+)  # fmt: skip
+def test_values_are_kept_as_those_of_python(kind: Any, given: object, kept: object) -> None:
+    value = matched(kind, given)
+    assert value == kept
+    assert type(value) is type(kept)
+
+
+@pytest.mark.parametrize("cls", [*STAGES, Settings], ids=lambda cls: cls.__name__)
+def test_every_field_has_a_default_and_words_for_what_it_may_be(cls: type[SettingsData]) -> None:
+    settings = cls()
+    for name, kind in kinds_of(cls).items():
+        assert matched(kind, getattr(settings, name)) == getattr(settings, name)
+        assert expected(kind)
+        with pytest.raises(SettingsError, match=f"^{cls.__name__}: 1 problem\n  {name}: got "):
+            dataclasses.replace(settings, **{name: object()})
