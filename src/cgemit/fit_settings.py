@@ -12,11 +12,11 @@ from cgemit.particles import HYPOTHESES
 from cgemit.states import place_problems
 from cgemit.values import POSITIVE, Fit, is_whole, number, setting_problems
 
-SEEDS = ("hits", "truth")
 ERRORS = ("track", "cluster")
 LOSSES = ("truncated", "mean", "most_probable")
 
 _MOST = 2**31 - 1  # iterations, of the core's whole number
+_LEAST_PRIOR = 1e-12
 _NUMBERS: dict[str, Fit] = {
     "tolerance": POSITIVE,
     "least_width": POSITIVE,
@@ -31,9 +31,6 @@ class FitSettings:
 
     Attributes
     ----------
-    seed : str
-        Where the first helix comes from: ``"hits"``, a circle and a line through the drift-chamber hits, or
-        ``"truth"``, the true helix smeared by `seed_smearing`.
     cluster_errors : str
         ``"track"``: from the number of strips and the incidence of the track. ``"cluster"``: as in the clusters
         table, from the number of strips and the layer alone.
@@ -51,7 +48,7 @@ class FitSettings:
         (closest approach), ``"beam_pipe"`` (inner surface), ``"hits"`` (every measurement). Empty: no such table.
     hypothesis : str, tuple of str or None
         Particles whose masses the fit assumes, ``"e"``, ``"mu"``, ``"pi"``, ``"K"``, ``"p"``, or ``"all"`` five: every
-        candidate gets a track for each, in this order. None: one track, with the particle's own mass.
+        candidate gets a track for each, in this order. None: one track, with the candidate's own mass.
     max_iterations : int
     tolerance : float
         The fit has converged when no parameter moves by more than this many of its standard deviations.
@@ -69,8 +66,6 @@ class FitSettings:
         first, and taken back where it does not any more. 0: every hit is used.
     prior_sigma : tuple of float
         Standard deviations of (dr mm, phi0 rad, kappa (GeV/c)^-1, dz mm, tanl) that the filter begins with.
-    seed_smearing : tuple of float
-        Standard deviations by which a true helix is smeared: (dr mm, phi0 rad, kappa relative, dz mm, tanl).
 
     Raises
     ------
@@ -78,7 +73,6 @@ class FitSettings:
         Listing every value that makes no sense.
     """
 
-    seed: str = "hits"
     cluster_errors: str = "track"
     screening: str | None = None
     loss: str = "truncated"
@@ -92,27 +86,25 @@ class FitSettings:
     kinks: bool = True
     outlier_pull: float = 5.0
     prior_sigma: tuple[float, float, float, float, float] = (200.0, 0.5, 5.0, 1000.0, 2.0)
-    seed_smearing: tuple[float, float, float, float, float] = (1.0, 0.005, 0.02, 5.0, 0.005)
 
     def __post_init__(self) -> None:
-        choices = {"seed": SEEDS, "cluster_errors": ERRORS, "screening": (None, *SCREENINGS), "loss": LOSSES}
+        choices = {"cluster_errors": ERRORS, "screening": (None, *SCREENINGS), "loss": LOSSES}
         problems = setting_problems(self, choices, ("residuals", "kinks"), _NUMBERS)
         if not is_whole(self.max_iterations, 1, _MOST):
             problems.append(f"max_iterations: got {self.max_iterations!r}, expected a whole number from 1 to {_MOST}")
-        for name, least in (("prior_sigma", 1e-12), ("seed_smearing", 0.0)):
-            given = getattr(self, name)
-            listed = given.tolist() if isinstance(given, np.ndarray) else given
-            values = tuple(map(number, listed)) if isinstance(listed, tuple | list) else ()
-            if len(values) != 5 or not all(least <= value < math.inf for value in values):
-                problems.append(f"{name}: got {given!r}, expected five numbers, none below {least:g}")
-            object.__setattr__(self, name, values)
+        given: object = self.prior_sigma
+        listed = given.tolist() if isinstance(given, np.ndarray) else given
+        values = tuple(map(number, listed)) if isinstance(listed, tuple | list) else ()
+        if len(values) != 5 or not all(_LEAST_PRIOR <= value < math.inf for value in values):
+            problems.append(f"prior_sigma: got {given!r}, expected five numbers, none below {_LEAST_PRIOR:g}")
+        object.__setattr__(self, "prior_sigma", values)
         problems += place_problems(self.states)
         problems += _hypothesis_problems(self.hypothesis)
         if problems:
             raise ValueError("FitSettings:\n  " + "\n  ".join(problems))
 
     def hypotheses(self) -> tuple[str, ...]:
-        """Return the names of the particles whose masses are assumed; none for that of each particle itself."""
+        """Return the names of the particles whose masses are assumed; none for that of each candidate itself."""
         given = () if self.hypothesis is None else self.hypothesis
         names = (given,) if isinstance(given, str) else tuple(given)
         return tuple(HYPOTHESES) if names == ("all",) else names

@@ -37,7 +37,9 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     common.add_detector(parser)
     add_gun(parser)
     parser.add_argument("-n", "--events", type=read.positive, required=True, metavar="N", help="number of events")
-    parser.add_argument("--fit", action="store_true", help="write the fitted tracks too")
+    parser.add_argument(
+        "--fit", action="store_true", help="fit too: candidates, tracks and their matches with particles"
+    )
     parser.add_argument(
         "--states", type=read.places, metavar="PLACE,...",
         help="also write where the fitted tracks are, with covariance: radii (mm), origin, beam_line, beam_pipe, hits",
@@ -80,26 +82,25 @@ def run(arguments: argparse.Namespace) -> int:
     names = ("particle", "p", "pt", "theta", "cos_theta", "phi", "vertex", "vertex_sigma")
     given = {name: getattr(arguments, name) for name in names}
     gun = Gun(**{name: value for name, value in given.items() if value is not None})
+    fits = arguments.fit or arguments.states is not None or arguments.hypothesis is not None
     with new_folder(arguments.output, overwrite=arguments.overwrite) as folder:
         with Progress("simulate", quiet=arguments.quiet) as progress:
             result = chain.run(
                 detector, gun, arguments.events, arguments.seed, settings=common.settings_of(arguments),
-                threads=arguments.threads, progress=progress,
+                until="fit" if fits else "cluster", threads=arguments.threads, progress=progress,
             )  # fmt: skip
-        fits = arguments.fit or arguments.states is not None or arguments.hypothesis is not None
-        tables = {name: table for name, table in result.tables.items() if fits or name != "tracks"}
-        save_tables(tables, folder)
+        save_tables(result.tables, folder)
         (folder / "detector.toml").write_text(detector.to_toml(), encoding="utf-8")
         summary = {
             "version": VERSION, "detector": detector.name, "gun": repr(gun), "events": arguments.events,
             "seed": arguments.seed, "simulate": asdict(result.settings.simulate), "transport": result.transport(),
-            "rows": {name: len(table) for name, table in tables.items()},
+            "rows": {name: len(table) for name, table in result.tables.items()},
         }  # fmt: skip
         if fits:
             summary["removed"] = result.removed()
         (folder / SUMMARY).write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
     print(json.dumps(summary, indent=2) if arguments.json else result)
     if not arguments.quiet:
-        rest = "" if fits else " (without the fitted tracks: --fit writes them)"
+        rest = "" if fits else " (nothing was fitted: --fit does)"
         print(f"tables: {arguments.output}{rest}", file=sys.stderr)
     return 0

@@ -17,7 +17,7 @@ from cgemit import chain
 from cgemit.detector import load
 from cgemit.gun import Gun
 from cgemit.io.folders import SUMMARY, check_free, new_folder
-from cgemit.result import Result, Settings
+from cgemit.result import Result, Settings, hits_text
 from cgemit.study.paper_rows import make_rows
 from cgemit.study.present import html_table, text_table, with_error
 from cgemit.study.records import Line, Row
@@ -123,7 +123,7 @@ class Reproduction:
                 "events": self.inputs.events, "momenta": list(MOMENTA),
                 "events_per_momentum": self.inputs.events_per_momentum, "quick": self.inputs.quick,
                 "simulate": asdict(self.inputs.settings.simulate), "field": self.inputs.field,
-                "hits": "assigned to tracks by truth",
+                "hits": hits_text(every[0].tracks),
             },
             "seed": self.inputs.seed,
             "timings": dict(self.timings),
@@ -139,11 +139,14 @@ class Reproduction:
         ]
 
     def __repr__(self) -> str:
-        title = f"arXiv:1504.02570 with {self.inputs.events:,} events, seed {self.inputs.seed}; hits assigned by truth"
-        return text_table(title, _HEAD, self._rows())
+        title = f"arXiv:1504.02570 with {self.inputs.events:,} events, seed {self.inputs.seed}"
+        return text_table(f"{title}; hits {self._hits()}", _HEAD, self._rows())
 
     def _repr_html_(self) -> str:
-        return html_table("arXiv:1504.02570; hits assigned by truth", _HEAD, self._rows())
+        return html_table(f"arXiv:1504.02570; hits {self._hits()}", _HEAD, self._rows())
+
+    def _hits(self) -> str:
+        return hits_text(next(iter(self.samples.values())).tracks)
 
 
 _HEAD = ("quantity", "paper", "cgemit", "unit")

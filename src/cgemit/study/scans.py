@@ -19,7 +19,7 @@ from cgemit import chain
 from cgemit.gun import Gun
 from cgemit.io.folders import SUMMARY, new_folder
 from cgemit.particles import species
-from cgemit.result import Settings
+from cgemit.result import Settings, hits_text
 from cgemit.study.estimate import Resolution
 from cgemit.study.present import html_table, text_table, with_error
 from cgemit.study.records import Line, write_csv
@@ -166,7 +166,7 @@ class Scan:
     def _title(self) -> str:
         first = self.samples[0]
         shot = f"{first.gun.particle}, cos(theta) {first.gun.cos_theta}"
-        return f"{first.detector.name}, {shot}: core widths; hits assigned by truth"
+        return f"{first.detector.name}, {shot}: core widths; hits {hits_text(first.tracks)}"
 
     def note(self) -> str:
         """Return what became of the tracks where hardly any was fitted; empty if there are enough everywhere."""
@@ -196,7 +196,7 @@ def summary_of(scans: Sequence[Scan]) -> dict[str, Any]:
             "detectors": [scan.samples[0].detector.name for scan in scans],
             "particle": first.gun.particle, "cos_theta": cos_theta,
             "momenta": [momentum_of(s) for s in scans[0].samples], "events": first.n_events, "method": "mc",
-            "simulate": asdict(first.settings.simulate), "hits": "assigned by truth",
+            "simulate": asdict(first.settings.simulate), "hits": hits_text(first.tracks),
         },
         "seed": scans[0].seed,
         "timings": {"total_s": sum(scan.seconds for scan in scans)},
