@@ -17,12 +17,11 @@ from pathlib import Path
 import numpy as np
 
 import cgemit as cg
-from cgemit.study.cluster_residuals import cluster_residuals
+from cgemit.statistics.curves import windowed_resolution
+from cgemit.statistics.formatting import with_error
+from cgemit.study.cluster_residuals import cluster_residuals, x_beyond, x_widths
 from cgemit.study.paper import COS_THETA, DETECTORS, THIN_GAP, Reproduction
-from cgemit.study.present import with_error
 from cgemit.study.samples import seed_of
-from cgemit.study.spectra import windowed_resolution
-from cgemit.study.windows import x_beyond, x_widths
 
 PAGE = Path(__file__).resolve().parent / "paper.md"
 SEED, BATCH = 11, 5000

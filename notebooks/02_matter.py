@@ -23,8 +23,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import cgemit as cg
-from cgemit.study.cluster_residuals import cluster_residuals
-from cgemit.study.windows import x_widths
+from cgemit.study.cluster_residuals import cluster_residuals, x_widths
 
 detector = cg.load("besiii-cgem-design")
 

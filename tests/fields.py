@@ -6,7 +6,7 @@ import numpy as np
 
 from cgemit import _core
 from cgemit.detector import write_field_map
-from cgemit.detector.field_grid import Axis, FieldGrid
+from cgemit.detector.field.grid import Axis, FieldGrid
 
 
 def harmonic_by_hand(x, y, z, bz=-0.98, b=0.175e-6, q=-0.251e-12):

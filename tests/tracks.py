@@ -9,8 +9,8 @@ import numpy as np
 from cgemit import _core
 from cgemit.candidates import FitHits, collect_hits
 from cgemit.detector import Detector, compiled, slab_table, slabs
-from cgemit.detector.field_core import compiled_field
-from cgemit.detector.readout import cgem_table, wire_table
+from cgemit.detector.compile import cgem_table, wire_table
+from cgemit.detector.field.core import compiled_field
 from cgemit.particles import species
 from cgemit.tables import Table
 

@@ -21,7 +21,7 @@ from cgemit.fit import PARAMETERS, FitSettings
 from cgemit.fit_settings import LOSSES
 from cgemit.result import Result
 from cgemit.simulate import SimulateSettings
-from cgemit.study.estimate import measure
+from cgemit.statistics.estimate import measure
 from fit_results import ANGLES, DETECTORS, FAR, MOMENTA, PARTICLES, Chi2, Choice, Known, Point, Pull, Side, Width
 from optimal import Optimum, errors, optimum
 from plain_tracks import Hit, TurnsBackError

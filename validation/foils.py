@@ -20,14 +20,13 @@ import numpy as np
 
 import cgemit as cg
 from cgemit.detector import CgemLayer, Detector, SubLayer, slabs
-from cgemit.detector.lattice import Holes
+from cgemit.detector.slabs import Holes
 from cgemit.result import Settings
 from cgemit.simulate import SimulateSettings
-from cgemit.study.cluster_residuals import cluster_residuals
+from cgemit.statistics.curves import windowed_resolution
+from cgemit.study.cluster_residuals import cluster_residuals, v_fit, x_widths
 from cgemit.study.paper import COS_THETA
 from cgemit.study.samples import seed_of
-from cgemit.study.spectra import v_fit, windowed_resolution
-from cgemit.study.windows import x_widths
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "methods" / "foils.md"
 PRESET = "besiii-cgem-design"

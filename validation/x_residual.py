@@ -10,10 +10,9 @@ import numpy as np
 import cgemit as cg
 from cgemit.result import Settings
 from cgemit.simulate import SimulateSettings
-from cgemit.study.cluster_residuals import ClusterResiduals, cluster_residuals
+from cgemit.study.cluster_residuals import X_WINDOWS, ClusterResiduals, cluster_residuals, x_beyond, x_widths
 from cgemit.study.paper import COS_THETA
 from cgemit.study.samples import seed_of
-from cgemit.study.windows import X_WINDOWS, x_beyond, x_widths
 
 DETECTOR = "besiii-cgem-design"
 _BATCH = 20_000

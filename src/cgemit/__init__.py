@@ -27,7 +27,7 @@ from cgemit.version import VERSION as __version__
 
 if TYPE_CHECKING:
     from cgemit import draw, study
-    from cgemit.study.resolutions import resolution
+    from cgemit.statistics.resolutions import resolution
 
 __all__ = [
     "ClusterSettings",
@@ -59,7 +59,7 @@ __all__ = [
 ]
 
 # Loaded when first used: they bring scipy and matplotlib, which take longer to import than all the rest.
-_LAZY = {"draw": "cgemit.draw", "study": "cgemit.study", "resolution": "cgemit.study.resolutions"}
+_LAZY = {"draw": "cgemit.draw", "study": "cgemit.study", "resolution": "cgemit.statistics.resolutions"}
 
 
 def __getattr__(name: str) -> Any:

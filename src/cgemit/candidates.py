@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -12,9 +12,9 @@ import numpy.typing as npt
 from cgemit import _core
 from cgemit.detector import Detector, compiled
 from cgemit.particles import HYPOTHESES
+from cgemit.problems import did_you_mean
 from cgemit.tables import Table
 from cgemit.tables.table import kind_problems, what
-from cgemit.words import did_you_mean
 
 Column = npt.NDArray[Any]
 
@@ -24,7 +24,11 @@ HIT_X, HIT_V, HIT_WIRE, HIT_XV = 0, 1, 2, 3
 XV_CLUSTER = 2
 """View of XV clusters in the clusters table."""
 
-NAMES = ("candidates", "candidate_hits")
+
+#: A finder takes detector, clusters and wire hits, and returns tables of candidates and their hits.
+Finder = Callable[[Detector, Table, Table], Mapping[str, Table]]
+
+FOUND = ("candidates", "candidate_hits")
 """Tables that a finder returns."""
 
 
@@ -230,44 +234,37 @@ def _without_repeats(clusters: Table, label: Column) -> Column:
     return np.where(repeats, -1, label)
 
 
-def with_hypotheses(candidates: Table, names: tuple[str, ...]) -> tuple[Column, Column, Column]:
-    """Return the tracks that the fit makes: each candidate once for every mass that it shall assume.
+def by_finder(finder: Finder, detector: Detector, clusters: Table, wire_hits: Table) -> dict[str, Table]:
+    """Return the tables that a finder makes.
 
     Parameters
     ----------
-    candidates : Table of kind "candidates"
-    names : tuple of str
-        Names of `HYPOTHESES`; none: the candidates' own masses.
+    finder : callable
+    detector : Detector
+    clusters, wire_hits : Table
 
     Returns
     -------
-    candidate : ndarray, (n,) int64
-        Row of the candidate.
-    pdg : ndarray, (n,) int
-        Number of the Particle Data Group, unsigned.
-    mass : ndarray, (n,) float64, GeV/c2
+    dict of str to Table
+        ``candidates`` and ``candidate_hits``, with the finder's name in `meta`.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If it returns anything but a mapping with these two tables, of the same events.
     """
-    n = len(candidates)
-    if not names:
-        return np.arange(n), candidates["pdg"], candidates["mass"]
-    kinds = [HYPOTHESES[name] for name in names]
-    pdg, mass = ([kind.pdg for kind in kinds], [kind.mass for kind in kinds])
-    return np.repeat(np.arange(n), len(kinds)), np.tile(pdg, n), np.tile(mass, n)
+    return check_found(finder(detector, clusters, wire_hits), finder_name(finder), clusters.events)
 
 
-def repeated(hits: FitHits, candidate: Column) -> FitHits:
-    """Return the hits of candidates picked by row, each as often as it is picked.
+def finder_name(finder: object) -> str:
+    """Return what tables call a finder: the name of the function, also of a partial one, or of the class.
 
     Parameters
     ----------
-    hits : FitHits
-    candidate : ndarray, (n,) int64
+    finder : callable
     """
-    counts = np.diff(hits.hit_offsets)[candidate]
-    offsets = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
-    # Hit j of a repeated candidate is as far behind its first one as in the original.
-    at = np.arange(offsets[-1]) + np.repeat(hits.hit_offsets[:-1][candidate] - offsets[:-1], counts)
-    return FitHits(offsets, **{name: column[at] for name, column in hits.columns().items()})
+    function = getattr(finder, "func", finder)
+    return str(getattr(function, "__name__", type(function).__name__))
 
 
 def check_found(found: object, finder: str, events: Column) -> dict[str, Table]:
@@ -287,12 +284,12 @@ def check_found(found: object, finder: str, events: Column) -> dict[str, Table]:
     TypeError, ValueError
         If that is not a mapping with tables of candidates and their hits, of the same events.
     """
-    if not isinstance(found, Mapping) or not set(NAMES) <= set(found):
+    if not isinstance(found, Mapping) or not set(FOUND) <= set(found):
         given = (
             f"a mapping with {', '.join(map(repr, found)) or 'nothing'}" if isinstance(found, Mapping) else what(found)
         )
         raise TypeError(f"finder {finder}: returned {given}; expected a mapping with 'candidates' and 'candidate_hits'")
-    tables = {name: found[name] for name in NAMES}
+    tables = {name: found[name] for name in FOUND}
     problems = kind_problems(**tables) or [
         f"{name}: cover other events than the clusters; expected the same"
         for name, table in tables.items()

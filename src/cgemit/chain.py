@@ -14,11 +14,10 @@ from typing import Any, Literal
 import numpy as np
 
 from cgemit import find
-from cgemit.candidates import check_found
+from cgemit.candidates import Finder, by_finder, finder_name
 from cgemit.cluster import cluster
 from cgemit.detector import Detector, load
 from cgemit.digitize import digitize
-from cgemit.find import Finder
 from cgemit.fit import FitSettings, fit
 from cgemit.gun import Gun, Guns, generate
 from cgemit.match import match
@@ -28,8 +27,7 @@ from cgemit.simulate import simulate
 from cgemit.tables import Table, concatenate
 from cgemit.version import VERSION
 
-STAGES = ("simulate", "digitize", "cluster", "find", "fit")
-"""Where a run can end."""
+STAGES = ("simulate", "digitize", "cluster", "find", "fit")  # where a run can end
 
 
 def run_chunk(
@@ -60,38 +58,40 @@ def run_chunk(
     timings : dict of str to float, s
         Wall time of each stage.
     """
-    clock = _Clock()
-    tables = simulate(detector, particles, settings.simulate, seed)
-    clock.stop("simulate")
-    if until == "simulate":
-        return tables, clock.seconds
-    tables |= digitize(
-        detector, tables["truths"], tables["wire_truths"], settings.digitize, seed, steps=tables["steps"]
-    )
-    clock.stop("digitize")
-    if until == "digitize":
-        return tables, clock.seconds
-    if "clusters" not in tables:  # the gaussian read-out has no strips to cluster
-        tables["clusters"] = cluster(detector, tables["digis"], settings.cluster)
-    clock.stop("cluster")
-    if until == "cluster":
-        return tables, clock.seconds
-    hits = tables["clusters"], tables["wire_hits"]
-    true = tables["particles"], *hits, tables["truths"], tables["wire_truths"]
-    if callable(finder):
-        tables |= check_found(finder(fit_detector, *hits), finder_name(finder), particles.events)
-    else:
-        tables |= find.by_truth(detector, *true)
-    clock.stop("find")
-    if until == "find":
-        return tables, clock.seconds
-    candidates = tables["candidates"], tables["candidate_hits"]
-    tables |= fit(fit_detector, *hits, *candidates, fit_settings(settings))
-    clock.stop("fit")
-    of_truth = tables["particles"], tables["truths"], tables["wire_truths"]
-    tables |= match(tables["tracks"], *candidates, *hits, *of_truth, detector=detector)
-    clock.stop("match")
-    return tables, clock.seconds
+    tables: dict[str, Table] = {}
+
+    def pick(*names: str) -> tuple[Any, ...]:
+        return tuple(tables[name] for name in names)
+
+    hits, truth, found = ("clusters", "wire_hits"), ("truths", "wire_truths"), ("candidates", "candidate_hits")
+    # The gaussian read-out has no strips to cluster.
+    stages: dict[str, Callable[[], Mapping[str, Table]]] = {
+        "simulate": lambda: simulate(detector, particles, settings.simulate, seed),
+        "digitize": lambda: digitize(
+            detector, tables["truths"], tables["wire_truths"], settings.digitize, seed, steps=tables["steps"]
+        ),
+        "cluster": lambda: (
+            {} if "clusters" in tables else {"clusters": cluster(detector, tables["digis"], settings.cluster)}
+        ),
+        "find": lambda: (
+            by_finder(finder, fit_detector, tables["clusters"], tables["wire_hits"])
+            if callable(finder)
+            else find.by_truth(detector, *pick("particles", *hits, *truth))
+        ),
+        "fit": lambda: fit(
+            fit_detector, tables["clusters"], tables["wire_hits"], tables["candidates"], tables["candidate_hits"],
+            fit_settings(settings),
+        ),
+        "match": lambda: match(*pick("tracks", *found, *hits, "particles", *truth), detector=detector),
+    }  # fmt: skip
+    seconds = {}
+    for stage, work in stages.items():
+        start = time.perf_counter()
+        tables |= work()
+        seconds[stage] = time.perf_counter() - start
+        if stage == until != "fit":
+            break
+    return tables, seconds
 
 
 def fit_settings(settings: Settings) -> FitSettings:
@@ -102,17 +102,6 @@ def fit_settings(settings: Settings) -> FitSettings:
     settings : Settings
     """
     return settings.fit if settings.fit.screening else replace(settings.fit, screening=settings.simulate.screening)
-
-
-def finder_name(finder: object) -> str:
-    """Return what tables call a finder: the name of the function, also of a partial one, or of the class.
-
-    Parameters
-    ----------
-    finder : callable
-    """
-    function = getattr(finder, "func", finder)
-    return str(getattr(function, "__name__", type(function).__name__))
 
 
 def run(
@@ -309,16 +298,3 @@ def _meta(
         "detector": detector.name,
         "seed": seed,
     }
-
-
-class _Clock:
-    """Seconds between stops."""
-
-    def __init__(self) -> None:
-        self.seconds: dict[str, float] = {}
-        self._last = time.perf_counter()
-
-    def stop(self, stage: str) -> None:
-        now = time.perf_counter()
-        self.seconds[stage] = now - self._last
-        self._last = now

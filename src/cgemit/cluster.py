@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from cgemit import _core
 from cgemit.detector import Detector, compiled
-from cgemit.detector.readout import cgem_table
+from cgemit.detector.compile import cgem_table
 from cgemit.helix import RADIUS_PER_KAPPA
 from cgemit.tables import Table
 from cgemit.values import POSITIVE, Fit, setting_problems

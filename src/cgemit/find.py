@@ -6,22 +6,17 @@ where two share a cluster or a cell, the one that left more (or was closer) has 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-
 import numpy as np
 import numpy.typing as npt
 
 from cgemit.candidates import HIT_V, HIT_WIRE, HIT_X
 from cgemit.detector import Detector
-from cgemit.detector.strip_plane import local_v
+from cgemit.detector.parts import local_v
 from cgemit.tables import Table
 from cgemit.tables.table import kind_problems
 
 Floats = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.intp]
-
-#: A finder takes detector, clusters and wire hits, and returns tables of candidates and their hits.
-Finder = Callable[[Detector, Table, Table], Mapping[str, Table]]
 
 
 def by_truth(

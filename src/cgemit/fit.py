@@ -9,12 +9,12 @@ import numpy as np
 import numpy.typing as npt
 
 from cgemit import _core, helix
-from cgemit.candidates import FitHits, collect_hits, repeated, with_hypotheses
+from cgemit.candidates import FitHits, collect_hits
 from cgemit.detector import SCREENINGS, Detector, compiled, load
 from cgemit.fit_settings import FitSettings as FitSettings
 from cgemit.states import state_columns
 from cgemit.tables import Table
-from cgemit.tracks import residual_columns, track_columns
+from cgemit.tracks import repeated, residual_columns, track_columns, with_hypotheses
 
 FitStatus = _core.FitStatus
 Floats = npt.NDArray[np.float64]

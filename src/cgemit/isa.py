@@ -81,4 +81,5 @@ def choose() -> None:
 
 
 def _library(isa: str) -> Path:
-    return Path(__file__).with_name(f"_kernels_{isa}.so")
+    # Beside the compiled module: an editable installation keeps that apart from the Python files.
+    return Path(_core.__file__).with_name(f"_kernels_{isa}.so")

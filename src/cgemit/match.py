@@ -127,14 +127,16 @@ def joined(tracks: Table, matches: Table) -> Table:
 def _owners(particles: Table, link: Rows, truths: Table) -> Rows:
     """Row of the particle behind each row of a table that links to truths; -1 none."""
     owner = np.append(particle_rows(particles, truths), -1)
-    return np.asarray(owner.take(np.where(link >= 0, link, -1)))
+    picked: Rows = owner.take(np.where(link >= 0, link, -1))
+    return picked
 
 
 def _pick(candidate_hits: Table, of_cluster: Rows, of_wire: Rows) -> Rows:
     """Row of the particle behind each hit of the candidates."""
     wire = candidate_hits["view"] == HIT_WIRE
     joined_rows = candidate_hits["row"] + np.where(wire, len(of_cluster), 0)
-    return np.concatenate([of_cluster, of_wire]).take(joined_rows)
+    picked: Rows = np.concatenate([of_cluster, of_wire]).take(joined_rows)
+    return picked
 
 
 def _hits_left(clusters: Table, of_cluster: Rows, of_wire: Rows, n: int) -> Rows:

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from cgemit import _core
-from cgemit.candidates import HIT_V, HIT_WIRE, HIT_X, XV_CLUSTER, check_found, label_candidates
+from cgemit.candidates import HIT_V, HIT_WIRE, HIT_X, XV_CLUSTER, Finder, by_finder, check_found, label_candidates
 from cgemit.cluster import ClusterSettings, cluster_errors
 from cgemit.detector import Detector, compiled, load
-from cgemit.detector.strip_plane import crossing_z, local_v
+from cgemit.detector.parts import crossing_z, local_v
 from cgemit.fit import FitSettings, fit
 from cgemit.particles import HYPOTHESES
 from cgemit.tables import SCHEMAS, Table
@@ -20,7 +20,6 @@ from cgemit.tables.convert import columns_of
 
 Column = npt.NDArray[Any]
 Columns = dict[str, Column]
-Finder = Callable[[Detector, Table, Table], Mapping[str, Table]]
 
 
 def fit_hits(
@@ -82,8 +81,7 @@ def fit_hits(
     events = np.unique(np.concatenate([part["event"] for part in columns]))
     hits = _table("clusters", columns[0], events), _table("wire_hits", columns[1], events)
     if callable(candidates):
-        name = getattr(candidates, "__name__", type(candidates).__name__)
-        found = check_found(candidates(detector, *hits), name, events)
+        found = by_finder(candidates, detector, *hits)
     elif candidates is not None:
         found = check_found(candidates, "given", events)
     else:
@@ -271,7 +269,7 @@ def _measurements(clusters: Columns, wires: Columns) -> Columns:
             joined.setdefault(name, []).append(column)
     kinds = {"kind": "u1", "layer": "i4", "element": "i4", "size": "i4", "side": "i8", "row": "i8"}
     columns = {name: np.concatenate(column).astype(kinds.get(name, "f8")) for name, column in joined.items()}
-    return columns | {"side": np.clip(columns["side"], -2, 2).astype(np.int8)}
+    return columns | {"side": np.clip(columns["side"], -128, 127).astype(np.int8)}
 
 
 def _table(kind: str, columns: Columns, events: Column) -> Table:

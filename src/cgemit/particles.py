@@ -10,12 +10,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from cgemit.problems import ProblemsError
+from cgemit.problems import ProblemsError, did_you_mean
 from cgemit.tables import SCHEMAS, Table
 from cgemit.tables.check import Array
 from cgemit.tables.convert import columns_of
 from cgemit.tables.table import kind_problems
-from cgemit.words import did_you_mean
 
 
 class ParticleError(ProblemsError[str]):

@@ -1,11 +1,25 @@
-"""Errors that list everything that is wrong with an input at once."""
+"""Errors that list everything that is wrong with an input at once, each problem with its place and a hint."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any, Generic, TypeVar
+import difflib
+from collections.abc import Iterable, Sequence
+from typing import Any, Generic, NamedTuple, TypeVar
 
 P = TypeVar("P")
+
+
+class Problem(NamedTuple):
+    """One mistake: path to the value, what was given, what was expected, and a hint (may be empty)."""
+
+    path: str
+    given: str
+    expected: str
+    hint: str = ""
+
+    def __str__(self) -> str:
+        hint = f" ({self.hint})" if self.hint else ""
+        return f"{self.path or 'file'}: got {self.given}; expected {self.expected}{hint}"
 
 
 class ProblemsError(ValueError, Generic[P]):
@@ -27,3 +41,29 @@ class ProblemsError(ValueError, Generic[P]):
     # Exceptions are pickled with their message alone, which is not what the constructor takes.
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), (self.source, self.problems)
+
+
+class DetectorError(ProblemsError[Problem]):
+    """A detector description with mistakes; `problems` lists them all.
+
+    Attributes
+    ----------
+    source : str
+        The file or preset that was read.
+    problems : tuple of Problem
+        Each with `path`, `given`, `expected`, `hint`.
+    """
+
+
+def did_you_mean(word: object, known: Iterable[object], before: str = "") -> str:
+    """Return ``did you mean "pitch_x"?`` for the nearest known word, after `before`; an empty text if none is near.
+
+    Case counts first (GeV is not Gev), but a word in the wrong case is recognised, too. What is no text is near none.
+    """
+    if not isinstance(word, str):
+        return ""
+    names = [name for name in known if isinstance(name, str)]
+    by_lower = {name.lower(): name for name in names}
+    close = difflib.get_close_matches(word, names, n=1)
+    close = close or [by_lower[name] for name in difflib.get_close_matches(word.lower(), by_lower, n=1)]
+    return f'{before}did you mean "{close[0]}"?' if close else ""

@@ -1,4 +1,4 @@
-"""What the fit found as columns of the tables tracks and residuals (docs/methods/fit.md)."""
+"""Tracks for the fit to make, and what it found as columns of the tables tracks and residuals (docs/methods/fit.md)."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ import numpy.typing as npt
 
 from cgemit import _core, helix
 from cgemit.candidates import FitHits
+from cgemit.particles import HYPOTHESES
+from cgemit.tables import Table
 
 Floats = npt.NDArray[np.float64]
 Column = npt.NDArray[Any]
@@ -58,3 +60,43 @@ def residual_columns(out: Out, hits: FitHits, event: Column) -> Columns:
         "side": pick(out["side"]),
         "used": pick(out["used"]),
     }
+
+
+def with_hypotheses(candidates: Table, names: tuple[str, ...]) -> tuple[Column, Column, Column]:
+    """Return the tracks that the fit makes: each candidate once for every mass that it shall assume.
+
+    Parameters
+    ----------
+    candidates : Table of kind "candidates"
+    names : tuple of str
+        Names of `HYPOTHESES`; none: the candidates' own masses.
+
+    Returns
+    -------
+    candidate : ndarray, (n,) int64
+        Row of the candidate.
+    pdg : ndarray, (n,) int
+        Number of the Particle Data Group, unsigned.
+    mass : ndarray, (n,) float64, GeV/c2
+    """
+    n = len(candidates)
+    if not names:
+        return np.arange(n), candidates["pdg"], candidates["mass"]
+    kinds = [HYPOTHESES[name] for name in names]
+    pdg, mass = ([kind.pdg for kind in kinds], [kind.mass for kind in kinds])
+    return np.repeat(np.arange(n), len(kinds)), np.tile(pdg, n), np.tile(mass, n)
+
+
+def repeated(hits: FitHits, candidate: Column) -> FitHits:
+    """Return the hits of candidates picked by row, each as often as it is picked.
+
+    Parameters
+    ----------
+    hits : FitHits
+    candidate : ndarray, (n,) int64
+    """
+    counts = np.diff(hits.hit_offsets)[candidate]
+    offsets = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+    # Hit j of a repeated candidate is as far behind its first one as in the original.
+    at = np.arange(offsets[-1]) + np.repeat(hits.hit_offsets[:-1][candidate] - offsets[:-1], counts)
+    return FitHits(offsets, **{name: column[at] for name, column in hits.columns().items()})

@@ -4,7 +4,7 @@ import math
 import re
 from decimal import Decimal
 
-from cgemit.words import did_you_mean
+from cgemit.problems import did_you_mean
 
 #: Native unit of each dimension: the unit of every number inside the program.
 NATIVE = {

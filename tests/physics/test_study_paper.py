@@ -7,9 +7,7 @@ import pytest
 
 import cgemit
 from cgemit.study import measure, resolution
-from cgemit.study.cluster_residuals import cluster_residuals
-from cgemit.study.spectra import v_fit
-from cgemit.study.windows import X_WINDOWS, geant4_runs, x_beyond, x_widths
+from cgemit.study.cluster_residuals import X_WINDOWS, cluster_residuals, geant4_runs, v_fit, x_beyond, x_widths
 from stats import assert_within, fraction_error
 
 DESIGN, IDC = "besiii-cgem-design", "besiii-idc"

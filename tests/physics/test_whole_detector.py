@@ -7,7 +7,7 @@ import pytest
 
 from cgemit import _core
 from cgemit.detector import compiled, load, slab_table, slabs
-from cgemit.detector.readout import cgem_table, wire_table
+from cgemit.detector.compile import cgem_table, wire_table
 from cgemit.fit import FitSettings
 from stats import assert_within
 from tracks import MUON, hits_on

@@ -41,6 +41,12 @@ def top(path: Path) -> str:
     return path.relative_to(PACKAGE).parts[0].removesuffix(".py")
 
 
+def module_of(path: Path) -> str:
+    """Return the dotted name of a module, or of the package whose `__init__` it is."""
+    name = package_of(path)
+    return name if path.stem == "__init__" else f"{name}.{path.stem}"
+
+
 def package_of(path: Path) -> str:
     """Return the dotted name of the package that a file lies in."""
     return ".".join(("cgemit", *path.relative_to(PACKAGE).parts[:-1]))

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
-from sources import CORE, PACKAGE, imports, included, package_of, python_files, top
+from sources import CORE, PACKAGE, imports, included, module_of, package_of, python_files, top
 
 # A folder may include itself and those before it; stages stand side by side and never include each other.
 CPP_LAYERS = [
@@ -22,10 +23,11 @@ CPP_LAYERS = [
     {"kernels"},
     {"bindings"},
 ]
-# A module or sub-package may import those before it; a dotted name gives one module of a package a place of its own:
-# pictures show what studies measure, and studies draw. `__init__` lists names for users, so it sees all of them.
+# A module or sub-package may import those before it; modules of one sub-package may import each other, but not in a
+# circle. Pictures take data: curves and histograms of `statistics`, tables, results. Studies measure, and draw what
+# they found. `__init__` lists names for users, so it sees all of them.
 PYTHON_LAYERS = [
-    {"problems", "words", "version"},
+    {"problems", "version"},
     {"_core", "data", "io", "units"},
     {"isa"},
     {"tables", "values"},
@@ -37,7 +39,7 @@ PYTHON_LAYERS = [
     {"match", "own_hits"},
     {"result"},
     {"chain"},
-    {"bench", "matter", "study.records", "study.spectra"},
+    {"bench", "matter", "statistics"},
     {"draw"},
     {"study"},
     {"cli"},
@@ -66,15 +68,44 @@ def python_problems(module: str, package: str, source: str) -> list[str]:
         first, *path = name.split(".")
         if first == "matplotlib" and module != "draw":
             problems.append(f"{module} imports {name}: only draw/ may")
-        if first == "cgemit" and path and path[0] != module and python_rank(path) >= PYTHON_RANK[module]:
+        if first == "cgemit" and path and path[0] != module and python_rank(path[0]) >= PYTHON_RANK[module]:
             problems.append(f"{module} imports {name}")
     return problems
 
 
-def python_rank(path: list[str]) -> int:
+def python_rank(module: str) -> int:
     """Return the layer of a module; names that `cgemit` itself offers count as a module of the top layer."""
-    top_rank = PYTHON_RANK.get(path[0], len(PYTHON_LAYERS))
-    return PYTHON_RANK.get(".".join(path[:2]), top_rank)
+    return PYTHON_RANK.get(module, len(PYTHON_LAYERS))
+
+
+def import_graph(sources: Mapping[str, tuple[str, str]]) -> dict[str, set[str]]:
+    """Return which modules each module imports, from each one's package and source.
+
+    What a package's `__init__` offers counts as an import of the package; that a module's own packages are imported
+    before it does not count.
+    """
+    graph = {}
+    for module, (package, source) in sources.items():
+        names = {name if name in sources else name.rpartition(".")[0] for name in imports(source, package)}
+        graph[module] = (names & sources.keys()) - {module, "cgemit"}
+    return graph
+
+
+def circles(graph: Mapping[str, set[str]]) -> list[set[str]]:
+    """Return the groups of modules that import each other, directly or through others."""
+    reached = {module: reachable(graph, module) for module in graph}
+    groups = {frozenset(other for other in reached[module] if module in reached[other]) for module in graph}
+    return [set(group) for group in groups if group]
+
+
+def reachable(graph: Mapping[str, set[str]], start: str) -> set[str]:
+    found: set[str] = set()
+    waiting = [start]
+    while waiting:
+        new = graph[waiting.pop()] - found
+        found |= new
+        waiting += new
+    return found
 
 
 @pytest.mark.parametrize("path", sorted(CORE.rglob("*.?pp")), ids=lambda p: str(p.relative_to(CORE)))
@@ -87,6 +118,28 @@ def test_python_modules_import_only_what_comes_before(path: Path) -> None:
     assert top(path) in PYTHON_RANK, f"give {top(path)} a place in PYTHON_LAYERS"
     if top(path) != "__init__":
         assert not python_problems(top(path), package_of(path), path.read_text())
+
+
+def test_no_python_modules_import_each_other_in_a_circle() -> None:
+    sources = {module_of(path): (package_of(path), path.read_text()) for path in python_files()}
+    assert not circles(import_graph(sources))
+
+
+@pytest.mark.parametrize(
+    ("first", "second"),
+    [
+        ("import cgemit.two", "import cgemit.one"),
+        ("from cgemit.two import f", "def f():\n    from cgemit.one import g"),
+        ("from cgemit import two", "if TYPE_CHECKING:\n    from .one import g"),
+        ("import cgemit.three", "from cgemit.one import g"),
+    ],
+)
+def test_a_circle_is_seen(first: str, second: str) -> None:
+    texts = {"cgemit.one": first, "cgemit.two": second, "cgemit.three": "import cgemit.two", "cgemit.four": first}
+    graph = import_graph({name: ("cgemit", text) for name, text in texts.items()})
+    assert len(circles(graph)) == 1
+    assert circles(graph)[0] >= {"cgemit.one", "cgemit.two"}
+    assert not circles(import_graph({name: ("cgemit", text) for name, text in [*texts.items()][1:]}))
 
 
 @pytest.mark.parametrize("path", python_files(), ids=lambda p: str(p.relative_to(PACKAGE)))
@@ -118,6 +171,8 @@ def test_a_wrong_include_is_seen(folder: str, line: str) -> None:
         ("fit", "def f():\n    import cgemit.chain"),
         ("study", "def f():\n    import matplotlib.pyplot as plt"),
         ("draw", "from cgemit.study.paper import reproduce"),
+        ("draw", "def f():\n    from cgemit.study.deltas import DeltaFractions"),
+        ("statistics", "if TYPE_CHECKING:\n    from cgemit.draw.style import Picture"),
         ("study", "from cgemit import run"),
     ],
 )

@@ -7,7 +7,7 @@ import re
 
 from sources import ROOT
 
-from cgemit.study.windows import X_WINDOWS
+from cgemit.study.cluster_residuals import X_WINDOWS
 from delta_fractions import ARRANGEMENTS, DISTANCES, failures
 from fit_page import fit_section
 from fit_results import ANGLES as FIT_ANGLES

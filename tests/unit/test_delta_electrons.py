@@ -7,7 +7,6 @@ import pytest
 
 from cgemit import _core
 from cgemit.detector import compiled, load
-from cgemit.detector.build import library
 from cgemit.detector.gaps import (
     REST_ENERGY,
     elastic,
@@ -16,6 +15,7 @@ from cgemit.detector.gaps import (
     slices,
     stopping_power,
 )
+from cgemit.detector.materials import library
 from stats import assert_within, fraction_error, mean_error
 
 # NIST ESTAR (ICRU Report 37): collision stopping power, MeV cm2/g. Water (and its ranges) compared with copies of the

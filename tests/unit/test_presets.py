@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from cgemit.detector import detectors, load
-from cgemit.detector.readout import cgem_table
+from cgemit.detector.compile import cgem_table
 from cgemit.detector.slabs import slabs
 
 DATA = Path(__file__).parent.parent / "data"

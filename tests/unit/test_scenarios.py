@@ -10,8 +10,8 @@ from cgemit.gun import Gun
 from cgemit.study import SCENARIOS, run_scenario
 from cgemit.study.hits import Hits, add_noise, exchange_clusters, keep, lose_layers
 from cgemit.study.robustness import own_hits
-from cgemit.study.robustness_page import HEAD, cells, page
 from cgemit.study.scenarios import kaon_decays
+from robustness_page import HEAD, cells, page
 
 DETECTOR = load("besiii-cgem-design")
 

@@ -10,8 +10,7 @@ from scipy import stats as distributions
 
 import cgemit as cg
 from cgemit.cli.main import main
-from cgemit.detector.build import library
-from cgemit.detector.mixtures import material_named
+from cgemit.detector.materials import library, material_named
 from cgemit.matter import SlabError
 from cgemit.matter.sheets import parse_stack
 from cgemit.matter.widths import angle_estimates, loss_estimates

@@ -16,15 +16,14 @@ import cgemit
 from cgemit import draw
 from cgemit.draw.curves import draw_grid, draw_resolutions
 from cgemit.draw.geometry import helix_points, near
+from cgemit.statistics.curves import Line, track_spectrum, windowed_resolution
+from cgemit.statistics.formatting import with_error, write_csv
 from cgemit.study import reproduce
-from cgemit.study.cluster_residuals import cluster_residuals
+from cgemit.study.cluster_residuals import cluster_residuals, v_spectrum, x_spectrum
 from cgemit.study.paper import DETECTORS, MOMENTA
-from cgemit.study.paper_figures import good_event
-from cgemit.study.present import with_error
-from cgemit.study.records import Line, write_csv
+from cgemit.study.paper.figures import good_event
 from cgemit.study.samples import seed_of
 from cgemit.study.scans import scan
-from cgemit.study.spectra import track_spectrum, v_spectrum, windowed_resolution, x_spectrum
 
 FIGURES = (
     "figure1_layer", "figure2_chain", "figure3_cluster", "figure4_residuals", "figure5_d_rho_d_z",

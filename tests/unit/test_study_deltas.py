@@ -9,10 +9,19 @@ import pytest
 import cgemit
 import gem_toy
 from cgemit.cli.main import main
-from cgemit.study import delta_displacements, delta_fractions, paper_report, reproduce
-from cgemit.study.cluster_residuals import ClusterResiduals
-from cgemit.study.spectra import v_fit, v_spectrum, x_spectrum
-from cgemit.study.windows import X_WINDOW, X_WINDOWS, geant4_runs, x_beyond, x_widths
+from cgemit.study import delta_displacements, delta_fractions, reproduce
+from cgemit.study.cluster_residuals import (
+    X_WINDOW,
+    X_WINDOWS,
+    ClusterResiduals,
+    geant4_runs,
+    v_fit,
+    v_spectrum,
+    x_beyond,
+    x_spectrum,
+    x_widths,
+)
+from cgemit.study.paper import report
 from cgemit.tables import Table
 from stats import assert_within, fraction_error
 
@@ -144,7 +153,7 @@ def test_study_without_delta_electrons_says_so(tmp_path, monkeypatch):
     assert study.summary()["inputs"]["simulate"]["deltas"] is False
     assert all(row.value == 0 for row in study.results if row.id.startswith("delta_fraction"))
     assert study["x_residual_rms_all"].value == study["x_residual_rms"].value < 188
-    monkeypatch.setattr(paper_report, "_images", lambda *_: [])  # they take seconds to draw
-    page = paper_report.paper_report(study, tmp_path)
+    monkeypatch.setattr(report, "_images", lambda *_: [])  # they take seconds to draw
+    page = report.paper_report(study, tmp_path)
     for text in ("--no-deltas", "Delta electrons were left out", "187.6 um"):
         assert text in page, text

@@ -1,20 +1,18 @@
 """Detector descriptions: presets, files, variants, and the form in which the compiled core sees them."""
 
-from cgemit.detector.build import load
 from cgemit.detector.compile import SCREENINGS, compiled, slab_table
 from cgemit.detector.describe import describe
 from cgemit.detector.field import Field, HarmonicField, MapField, SolenoidField
-from cgemit.detector.field_core import field_at
-from cgemit.detector.field_files import read_field_map, write_field_map
-from cgemit.detector.field_grid import FieldGrid
-from cgemit.detector.field_sources import fields
-from cgemit.detector.files import detectors
+from cgemit.detector.field.core import field_at
+from cgemit.detector.field.files import read_field_map, write_field_map
+from cgemit.detector.field.grid import FieldGrid
+from cgemit.detector.files import detectors, fields
 from cgemit.detector.material import Material
-from cgemit.detector.model import Detector
+from cgemit.detector.model import Detector, load
 from cgemit.detector.parts import CgemLayer, Cylinder, DriftChamber, Shell, SubLayer, WireLayer
-from cgemit.detector.problems import DetectorError, Problem
 from cgemit.detector.schema import schema
 from cgemit.detector.slabs import Slab, slabs
+from cgemit.problems import DetectorError, Problem
 
 __all__ = [
     "SCREENINGS",

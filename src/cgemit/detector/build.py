@@ -1,81 +1,24 @@
-"""From the tables of a detector file to a `Detector`: reads everything, collects all problems, then checks."""
+"""From the tables of a detector file to the parts of a detector: everything is read and all problems are collected."""
 
 import json
+import math
 import re
 from collections.abc import Mapping
-from functools import cache
-from pathlib import Path
 from typing import Any
 
 from cgemit.detector import check
-from cgemit.detector.derive import complete_layer
 from cgemit.detector.field import KINDS, Field, MapField, kind_key
-from cgemit.detector.field_files import read_field_map
-from cgemit.detector.field_sources import field_tables, place_map
-from cgemit.detector.files import library_materials, open_source, resolve
+from cgemit.detector.field.files import read_field_map
+from cgemit.detector.files import FOR_ALL_LAYERS
 from cgemit.detector.keys import keys_of
-from cgemit.detector.material import Material
-from cgemit.detector.materials import read_materials
-from cgemit.detector.merge import FOR_ALL_LAYERS, merged, set_path
-from cgemit.detector.model import Detector
-from cgemit.detector.parts import CgemLayer, Cylinder, DriftChamber, WireLayer
-from cgemit.detector.problems import DetectorError, Problem
+from cgemit.detector.materials import library, read_materials
+from cgemit.detector.parts import CgemLayer, Contents, Cylinder, DriftChamber, WireLayer
 from cgemit.detector.read import NAME, TOP_LEVEL, UNUSABLE, Reader, shown
-from cgemit.detector.write import to_dict
-from cgemit.words import did_you_mean
+from cgemit.problems import DetectorError, Problem, did_you_mean
 
 
-def load(source: str | Path | Mapping[str, Any] | Detector) -> Detector:
-    """Return the detector that a preset, a detector file or a mapping of the same form describes.
-
-    Parameters
-    ----------
-    source : str, Path, mapping or Detector
-        Name of a preset (see `detectors`), path to a TOML file, or tables as `tomllib` returns them; a `Detector`
-        is returned as it is.
-
-    Raises
-    ------
-    DetectorError
-        With all problems of the description.
-
-    """
-    if isinstance(source, Detector):
-        return source
-    opened = open_source(source)
-    problems: list[Problem] = []
-    tables = resolve(opened, problems)
-    if "name" not in opened.tables:
-        tables["name"] = Path(opened.name).stem
-    if "description" not in opened.tables:
-        base = opened.tables.get("base")
-        tables["description"] = f"variant of {base}" if base else ""
-    return build(opened.name, tables, problems)
-
-
-def override(detector: Detector, overrides: Mapping[str, object]) -> Detector:
-    """Return the detector with some values changed; see `Detector.with_overrides`."""
-    problems: list[Problem] = []
-    variant: dict[str, Any] = {}
-    for path, value in overrides.items():
-        if path == "base":
-            problems.append(Problem(path, shown(value), "a value of the detector; load another base instead"))
-        elif not set_path(variant, path, value):
-            problems.append(Problem(path, shown(value), "a value whose table is not itself overridden by a value"))
-    tables = merged(to_dict(detector), place_map(variant, None), problems)
-    if "name" not in variant and overrides:
-        tables["name"] = detector.name.removesuffix("-modified") + "-modified"
-    return build(detector.name, tables, problems)
-
-
-def replace_field(detector: Detector, source: str | Path | Mapping[str, Any]) -> Detector:
-    """Return the detector in another field; see `Detector.with_field`."""
-    tables = to_dict(detector) | {"field": field_tables(source)}
-    return build(detector.name, tables | {"name": detector.name.removesuffix("-modified") + "-modified"}, [])
-
-
-def build(source: str, tables: Mapping[str, Any], problems: list[Problem]) -> Detector:
-    """Return the detector that complete tables describe.
+def read_contents(source: str, tables: Mapping[str, Any], problems: list[Problem]) -> Contents:
+    """Return the parts of the detector that complete tables describe; `Detector` checks how they fit together.
 
     Raises
     ------
@@ -104,20 +47,7 @@ def build(source: str, tables: Mapping[str, Any], problems: list[Problem]) -> De
         raise DetectorError(source, problems + more)
     air = reader.materials["Air"]
     assert air is not None  # otherwise there was a problem
-    try:
-        return Detector(**texts, field=field, beam_pipe=pipe, cgem=cgem, walls=walls, drift_chamber=chamber, air=air)
-    except DetectorError as error:
-        raise DetectorError(source, error.problems) from None
-
-
-@cache
-def library() -> dict[str, Material]:
-    """Return the materials that come with the program."""
-    reader = Reader()
-    found = read_materials(reader, {}, library_materials())
-    if reader.problems:
-        raise DetectorError("_materials.toml", reader.problems)
-    return {name: material for name, material in found.items() if material}
+    return Contents(**texts, field=field, beam_pipe=pipe, cgem=cgem, walls=walls, drift_chamber=chamber, air=air)
 
 
 def _text(reader: Reader, name: str, raw: object) -> str:
@@ -209,3 +139,39 @@ def _chamber(reader: Reader, raw: object) -> DriftChamber | None:
         else:
             reader.note(path, f'"{number}"', "the number of a layer, such as 8")
     return DriftChamber(**values, layers=tuple(sorted(layers, key=lambda layer: layer.number)))
+
+
+def complete_layer(values: dict[str, Any]) -> None:
+    """Add strips_x, stereo and strips_v to the values (native units) of a CGEM layer where they are missing.
+
+    The stereo angle is the one of the sheet's diagonal, counted in whole strips: as the read-out of the BESIII CGEM
+    is laid out (docs/methods/detector.md). `stereo_sign` is taken out.
+    """
+    sign = values.pop("stereo_sign", 1)
+    if "strips_x" not in values:
+        radius = values["anode_radius"] + values.get("readout_offset", 0.0)
+        values["strips_x"] = strips_x(radius, values["sheets"], values["pitch_x"])
+    width = (values["strips_x"] - 1) * values["pitch_x"]
+    if "stereo" not in values:
+        values["stereo"] = sign * math.atan2(width, values["length"])
+    if "strips_v" not in values:
+        values["strips_v"] = strips_v(width, values["length"], values["stereo"], values["pitch_v"])
+
+
+def strips_x(radius: float, sheets: int, pitch: float) -> int:
+    """Return how many whole X strips fit on a sheet."""
+    return _floor(2 * math.pi * radius / (sheets * pitch))
+
+
+def strips_v(width: float, length: float, stereo: float, pitch: float) -> int:
+    """Return how many whole V strips fit between two corners of a sheet.
+
+    `width` runs from the first X strip to the last. With the stereo angle of the diagonal this is the experiment's
+    2 length sin(stereo)/pitch.
+    """
+    return _floor((width * math.cos(stereo) + length * math.sin(abs(stereo))) / pitch)
+
+
+def _floor(value: float) -> int:
+    # A value that could not be read stays unusable; its problem has been noted.
+    return value if math.isnan(value) else math.floor(value)  # type: ignore[return-value]

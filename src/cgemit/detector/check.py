@@ -3,24 +3,21 @@
 import math
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from cgemit.detector.field_core import extent
+from cgemit.detector.field import Field
+from cgemit.detector.field.core import extent
 from cgemit.detector.keys import keys_of
-from cgemit.detector.problems import Problem
+from cgemit.detector.parts import CgemLayer, Contents, Cylinder, DriftChamber
+from cgemit.problems import Problem
 from cgemit.units import NATIVE, format_quantity
-
-if TYPE_CHECKING:
-    from cgemit.detector.field import Field
-    from cgemit.detector.model import Detector
-    from cgemit.detector.parts import CgemLayer, Cylinder, DriftChamber
 
 TOUCH = 1e-6  # mm; parts closer than this touch
 _COIL = 1.25
 _THICK = 100.0  # mm; no single piece of solid matter in a tracker is thicker
 
 
-def value_problems(detector: "Detector") -> list[Problem]:
+def value_problems(detector: Contents) -> list[Problem]:
     """Return the values that lie outside the range of their key, for detectors made in Python."""
     parts: list[tuple[str, Any]] = [("field", detector.field)]
     parts += [(f"beam_pipe.{part.label}", part) for part in detector.beam_pipe]
@@ -36,14 +33,14 @@ def value_problems(detector: "Detector") -> list[Problem]:
     return problems + field_problems(detector.field) + _coil_problems(detector)
 
 
-def field_problems(field: "Field") -> list[Problem]:
+def field_problems(field: Field) -> list[Problem]:
     """Return whether the field is too weak to measure momenta."""
     if abs(field.bz) < 1e-3:
         return [Problem("field.bz", f"{field.bz:g} T", "a field of at least 1 mT, either sign")]
     return []
 
 
-def _coil_problems(detector: "Detector") -> list[Problem]:
+def _coil_problems(detector: Contents) -> list[Problem]:
     """Return whether the coil is not well outside the detector: close to it no grid follows its field."""
     radius, least = getattr(detector.field, "coil_radius", math.inf), _COIL * extent(detector)[0]
     if radius >= least:
@@ -68,10 +65,10 @@ def _part_problems(path: str, part: Any) -> list[Problem]:
 
 
 def geometry_problems(
-    beam_pipe: "Sequence[Cylinder]",
-    cgem: "Sequence[CgemLayer]",
-    walls: "Sequence[Cylinder]",
-    chamber: "DriftChamber | None",
+    beam_pipe: Sequence[Cylinder],
+    cgem: Sequence[CgemLayer],
+    walls: Sequence[Cylinder],
+    chamber: DriftChamber | None,
 ) -> list[Problem]:
     """Return overlaps, turned-over cylinders, absurd thicknesses, strips and holes that do not fit."""
     problems: list[Problem] = []
@@ -96,7 +93,7 @@ def geometry_problems(
     return problems + _overlaps(places)
 
 
-def _cylinder_problem(path: str, part: "Cylinder") -> list[Problem]:
+def _cylinder_problem(path: str, part: Cylinder) -> list[Problem]:
     if part.thickness <= 0:
         return [Problem(f"{path}.r_out", f"{part.r_out:g} mm", f"more than r_in = {part.r_in:g} mm")]
     if part.thickness > _THICK:
@@ -104,7 +101,7 @@ def _cylinder_problem(path: str, part: "Cylinder") -> list[Problem]:
     return []
 
 
-def _strip_problems(layer: "CgemLayer") -> list[Problem]:
+def _strip_problems(layer: CgemLayer) -> list[Problem]:
     """Return X strips wider than the sheet and V strips beyond its far corner."""
     path = f"cgem.{layer.label}"
     width = 2 * math.pi * layer.r_readout / layer.sheets
@@ -127,7 +124,7 @@ def _strip_problems(layer: "CgemLayer") -> list[Problem]:
     return problems
 
 
-def _hole_problems(layer: "CgemLayer") -> list[Problem]:
+def _hole_problems(layer: CgemLayer) -> list[Problem]:
     """Return holes of a foil that are wider inside than outside, or that touch."""
     path = f"cgem.{layer.label}"
     problems = []
@@ -140,7 +137,7 @@ def _hole_problems(layer: "CgemLayer") -> list[Problem]:
     return problems
 
 
-def _chamber_problems(chamber: "DriftChamber") -> list[Problem]:
+def _chamber_problems(chamber: DriftChamber) -> list[Problem]:
     if not chamber.layers:
         return [Problem("drift_chamber.layers", "no wire layer", "at least one [drift_chamber.layers.<number>]")]
     problems = []

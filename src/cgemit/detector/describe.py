@@ -1,20 +1,57 @@
-"""A detector in numbers: material and read-out as plain tables, units in the names."""
+"""A detector as short text, as numbers in tables with units in their names, and as a detector file."""
 
+import html
+import json
 import math
+from collections.abc import Mapping
 from typing import Any
 
 from cgemit.detector.field import field_text
-from cgemit.detector.model import Detector
-from cgemit.detector.parts import CgemLayer, WireLayer
+from cgemit.detector.keys import keys_of
+from cgemit.detector.material import DensityEffect, Material
+from cgemit.detector.materials import library
+from cgemit.detector.parts import CgemLayer, Contents, SubLayer, WireLayer
 from cgemit.detector.slabs import Slab, slabs
+from cgemit.units import NATIVE, format_quantity
 
 
-def describe(detector: Detector) -> dict[str, Any]:
+def lines(detector: Contents) -> list[str]:
+    """Return one line for the field and for each part that measures."""
+    found = [f"field {field_text(detector.field)}"]
+    for layer in detector.cgem:
+        found.append(
+            f"cgem {layer.label}: r = {layer.r_mid:.2f} mm (mid drift gap of {layer.drift_gap:g} mm), "
+            f"length {layer.length:g} mm, {layer.sheets} x ({layer.strips_x} X + {layer.strips_v} V) strips, "
+            f"stereo {math.degrees(layer.stereo):+.2f} deg"
+        )
+    chamber = detector.drift_chamber
+    if chamber:
+        first, last = chamber.layers[0], chamber.layers[-1]
+        cells = sum(layer.cells for layer in chamber.layers)
+        found.append(
+            f"drift chamber: {len(chamber.layers)} layers, {cells} cells, "
+            f"r = {first.r_mid:.1f} to {last.r_end:.1f} mm, wires {chamber.wires}"
+        )
+    return found
+
+
+def summary(detector: Contents) -> str:
+    """Return a few lines for the terminal."""
+    return "\n  ".join([f"Detector {detector.name!r}", *lines(detector)])
+
+
+def summary_html(detector: Contents) -> str:
+    """Return the same for a notebook."""
+    rows = "".join(f"<li>{html.escape(line)}</li>" for line in lines(detector))
+    return f"<b>Detector {html.escape(detector.name)}</b> {html.escape(detector.description)}<ul>{rows}</ul>"
+
+
+def describe(detector: Contents) -> dict[str, Any]:
     """Return everything that `cgemit show` prints, ready for JSON.
 
     Parameters
     ----------
-    detector : Detector
+    detector : Contents
 
     Returns
     -------
@@ -38,7 +75,7 @@ def describe(detector: Detector) -> dict[str, Any]:
     }
 
 
-def _scatterer(detector: Detector, slab: Slab) -> dict[str, Any]:
+def _scatterer(detector: Contents, slab: Slab) -> dict[str, Any]:
     first = slab.shells[0]
     middle = 0.5 * (slab.r_in + slab.r_out)
     owner = next((layer.label for layer in detector.cgem if layer.r_in < middle < layer.r_out), None)
@@ -101,3 +138,100 @@ def _wires(layer: WireLayer, gid_first: int) -> dict[str, Any]:
         "sigma_slope_um_per_mm": 1000 * layer.sigma_slope,
         "efficiency": layer.efficiency,
     }
+
+
+def to_dict(detector: Contents) -> dict[str, Any]:
+    """Return the tables of a complete detector file: quantities as text in native units, all digits kept."""
+    tables: dict[str, Any] = {"name": detector.name, "description": detector.description}
+    tables["field"] = _table(detector.field)
+    tables["beam_pipe"] = {part.label: _table(part) for part in detector.beam_pipe}
+    tables["cgem"] = {layer.label: _table(layer) for layer in detector.cgem}
+    tables["walls"] = {part.label: _table(part) for part in detector.walls}
+    if detector.drift_chamber:
+        tables["drift_chamber"] = _table(detector.drift_chamber)
+        layers = {str(layer.number): _table(layer) for layer in detector.drift_chamber.layers}
+        tables["drift_chamber"]["layers"] = layers
+    tables["materials"] = {m.name: _table(m) for m in own_materials(detector)}
+    return {name: value for name, value in tables.items() if value != {}}
+
+
+def own_materials(detector: Contents) -> list[Material]:
+    """Return the materials of a detector that differ from those that come with the program."""
+    used = {m.name: m for m in materials_of(detector)}
+    return [material for name, material in used.items() if library().get(name) != material]
+
+
+def materials_of(detector: Contents) -> list[Material]:
+    """Return every material of a detector."""
+    found = [detector.air, *(part.material for part in (*detector.beam_pipe, *detector.walls))]
+    for layer in detector.cgem:
+        found += [layer.gas, *(part.material for part in (*layer.cathode, *layer.foil, *layer.anode))]
+    if detector.drift_chamber:
+        found += [detector.drift_chamber.gas, detector.drift_chamber.wire_material]
+    return found
+
+
+def to_toml(detector: Contents) -> str:
+    """Return a complete detector file as text."""
+    lines: list[str] = []
+    _write_table(lines, "", to_dict(detector))
+    return "\n".join(lines).strip() + "\n"
+
+
+def _table(part: Any) -> dict[str, Any]:
+    found = {name: _value(getattr(part, name), key.kind) for name, key in keys_of(type(part)).items()}
+    return {name: value for name, value in found.items() if value not in ({}, "")}
+
+
+def _value(value: Any, kind: str) -> Any:
+    if isinstance(value, Material):
+        return value.name
+    if isinstance(value, DensityEffect):
+        return value._asdict()
+    if kind == "composition":
+        return dict(value)
+    if kind == "stack":
+        return [_sub_layer(part) for part in value]
+    if kind in NATIVE and kind != "dimensionless":
+        return format_quantity(value, kind)
+    return value
+
+
+def _sub_layer(part: SubLayer) -> dict[str, Any]:
+    return {"label": part.label, **_table(part)}
+
+
+def _write_table(lines: list[str], path: str, table: Mapping[str, Any]) -> None:
+    """Append a table: first its values, then its tables; small tables of numbers are written in place."""
+    inner = {name: v for name, v in table.items() if isinstance(v, Mapping) and not _in_place(name)}
+    values = {name: v for name, v in table.items() if name not in inner}
+    if path and (values or not inner):
+        lines += ["", f"[{path}]"]
+    lines += [f"{_name(name)} = {_text(value)}" for name, value in values.items()]
+    for name, sub in inner.items():
+        _write_table(lines, f"{path}.{_name(name)}" if path else _name(name), sub)
+
+
+def _in_place(name: str) -> bool:
+    return name in ("composition", "density_effect")
+
+
+def _name(name: str) -> str:
+    bare = name.replace("_", "").replace("-", "")
+    return name if bare.isascii() and bare.isalnum() else _quoted(name)
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, list):
+        rows = "".join(f"\n    {_text(row)}," for row in value)
+        return f"[{rows}\n]"
+    if isinstance(value, Mapping):
+        return "{ " + ", ".join(f"{_name(name)} = {_text(v)}" for name, v in value.items()) + " }"
+    if isinstance(value, bool):
+        return str(value).lower()
+    return _quoted(value) if isinstance(value, str) else repr(value)
+
+
+def _quoted(text: str) -> str:
+    # JSON strings are TOML strings except for DEL, which TOML wants escaped.
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")

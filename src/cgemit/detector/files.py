@@ -1,5 +1,6 @@
-"""Detector files: where they are, what they say, and the chain of bases below them."""
+"""Detector and field files: where they are, what they say, and variants laid over their bases."""
 
+import copy
 import re
 import tomllib
 from collections.abc import Mapping
@@ -8,12 +9,26 @@ from importlib import resources
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from cgemit.detector.field_sources import place_map
-from cgemit.detector.merge import merged
-from cgemit.detector.problems import DetectorError, Problem
-from cgemit.words import did_you_mean
+from cgemit.problems import DetectorError, Problem, did_you_mean
 
-_DATA = resources.files("cgemit.data") / "detectors"
+_DETECTORS = resources.files("cgemit.data") / "detectors"
+_FIELDS = resources.files("cgemit.data") / "fields"
+
+#: Values of a CGEM layer that are worked out from others, in order, and what each depends on.
+DERIVED_FROM = {
+    "strips_x": {"anode_radius", "readout_offset", "sheets", "pitch_x"},
+    "stereo": {"strips_x", "pitch_x", "length", "stereo_sign"},
+    "strips_v": {"stereo", "strips_x", "pitch_x", "pitch_v", "length"},
+}
+
+#: Values of [drift_chamber] that hold for every layer which does not state its own; a new value in a variant
+#: replaces the listed values of the base's layers.
+FOR_ALL_LAYERS = {
+    "sigma": ("sigma", "sigma_slope"),
+    "sigma_slope": ("sigma_slope",),
+    "efficiency": ("efficiency",),
+    "wire_x0": ("wire_x0",),
+}
 
 
 class Source(NamedTuple):
@@ -26,7 +41,7 @@ class Source(NamedTuple):
 
 def preset_names() -> tuple[str, ...]:
     """Return the names of the presets; files that begin with an underscore are parts of presets."""
-    names = (entry.name for entry in _DATA.iterdir() if entry.name.endswith(".toml"))
+    names = (entry.name for entry in _DETECTORS.iterdir() if entry.name.endswith(".toml"))
     return tuple(sorted(name.removesuffix(".toml") for name in names if not name.startswith("_")))
 
 
@@ -37,7 +52,7 @@ def detectors() -> dict[str, str]:
 
 @cache
 def _preset_tables(name: str) -> dict[str, Any]:
-    return tomllib.loads((_DATA / f"{name}.toml").read_text(encoding="utf-8"))
+    return tomllib.loads((_DETECTORS / f"{name}.toml").read_text(encoding="utf-8"))
 
 
 def library_materials() -> dict[str, Any]:
@@ -58,7 +73,7 @@ def open_source(source: str | Path | Mapping[str, Any], folder: Path | None = No
     if isinstance(source, Mapping):
         return Source(str(source.get("name", "detector")), folder, place_map(dict(source), folder))
     text = str(source)
-    if re.fullmatch(r"[\w-]+", text) and (_DATA / f"{text}.toml").is_file():
+    if re.fullmatch(r"[\w-]+", text) and (_DETECTORS / f"{text}.toml").is_file():
         return Source(text, None, _preset_tables(text))
     path = Path(text) if folder is None else folder / text
     if not path.is_file():
@@ -100,3 +115,132 @@ def _base_of(chain: list[Source], base: object, problems: list[Problem]) -> Sour
         problems.append(Problem("base", f'"{base}"', "a base that does not lead back to the file itself"))
         return None
     return found
+
+
+def merged(base: Mapping[str, Any], variant: Mapping[str, Any], problems: list[Problem]) -> dict[str, Any]:
+    """Return `base` with the tables of `variant` laid over it; what `variant["remove"]` names is taken out first."""
+    result = copy.deepcopy(dict(base))
+    _remove(result, variant.get("remove", []), problems)
+    for label, layer in _tables(variant, "cgem").items():
+        if isinstance(layer, Mapping):
+            _drop_derived(_tables(result, "cgem").get(label, {}), layer)
+    _drop_field(result, _tables(variant, "field"))
+    chamber = variant.get("drift_chamber")
+    if isinstance(chamber, Mapping):
+        for name in FOR_ALL_LAYERS.keys() & chamber.keys():
+            for layer in _tables(_tables(result, "drift_chamber"), "layers").values():
+                for old in FOR_ALL_LAYERS[name]:
+                    layer.pop(old, None)
+    _lay_over(result, {k: v for k, v in variant.items() if k not in ("remove", "base")}, "")
+    return result
+
+
+def set_path(tree: dict[str, Any], dotted: str, value: object) -> bool:
+    """Set a value in nested tables by its dotted path; return False if a part of the path is a value already."""
+    *parents, last = dotted.split(".")
+    for name in parents:
+        tree = tree.setdefault(name, {})
+        if not isinstance(tree, dict):
+            return False
+    tree[last] = value
+    return True
+
+
+def _tables(tree: Mapping[str, Any], name: str) -> dict[str, Any]:
+    found = tree.get(name)
+    return found if isinstance(found, dict) else {}
+
+
+def _drop_derived(base: dict[str, Any], variant: Mapping[str, Any]) -> None:
+    """Remove from a layer of the base what no longer follows from its changed values."""
+    changed = set(variant)
+    for name, depends in DERIVED_FROM.items():
+        if name not in variant and changed & depends:
+            old = base.pop(name, None)
+            changed.add(name)
+            if name == "stereo" and isinstance(old, str):
+                base["stereo_sign"] = -1 if old.lstrip().startswith("-") else 1
+
+
+def _drop_field(base: dict[str, Any], variant: Mapping[str, Any]) -> None:
+    """Leave nothing of the base's field but its strength where the variant has another kind; a map brings its own."""
+    old, kind = _tables(base, "field"), variant.get("kind")
+    if kind is not None and kind != old.get("kind"):
+        base["field"] = {"bz": old["bz"]} if "bz" in old and kind != "map" else {}
+    elif "file" in variant:
+        base["field"] = {name: value for name, value in old.items() if name not in ("bz", "checksum")}
+
+
+def _lay_over(base: dict[str, Any], variant: Mapping[str, Any], path: str) -> None:
+    for name, value in variant.items():
+        # A material is one statement: half of an old one and half of a new one would not belong together.
+        if isinstance(value, Mapping) and isinstance(base.get(name), dict) and path != "materials":
+            _lay_over(base[name], value, name)
+        else:
+            base[name] = copy.deepcopy(value)
+
+
+def _remove(tree: dict[str, Any], paths: object, problems: list[Problem]) -> None:
+    if not isinstance(paths, list) or not all(isinstance(path, str) for path in paths):
+        problems.append(Problem("remove", repr(paths), 'a list of paths such as ["cgem.L2", "drift_chamber"]'))
+        return
+    for path in paths:
+        *parents, last = path.split(".")
+        table: Any = tree
+        for name in parents:
+            table = table.get(name, {}) if isinstance(table, dict) else {}
+        if isinstance(table, dict) and last in table:
+            del table[last]
+        else:
+            prefix = "".join(name + "." for name in parents)
+            known = [prefix + name for name in table] if isinstance(table, dict) else []
+            problems.append(Problem("remove", f'"{path}"', "a part of the base", did_you_mean(path, known)))
+
+
+@cache
+def fields() -> tuple[str, ...]:
+    """Return the names of the preset fields."""
+    return tuple(
+        sorted(entry.name.removesuffix(".toml") for entry in _FIELDS.iterdir() if entry.name.endswith(".toml"))
+    )
+
+
+def field_tables(source: str | Path | Mapping[str, Any]) -> dict[str, Any]:
+    """Return the table [field] that a preset, a TOML file with one, a map file or a mapping stands for.
+
+    Raises
+    ------
+    DetectorError
+        If there is no such preset or file, or it holds no field.
+
+    """
+    if isinstance(source, Mapping):
+        return dict(source)
+    text = str(source)
+    if re.fullmatch(r"[\w-]+", text) and (_FIELDS / f"{text}.toml").is_file():
+        return _field_of(text, tomllib.loads((_FIELDS / f"{text}.toml").read_text(encoding="utf-8")), None)
+    path = Path(text)
+    if not path.is_file():
+        expected = f"one of {', '.join(fields())}, a map (.npz, .csv), or a TOML file with a table [field]"
+        raise DetectorError(text, [Problem("field", f'"{text}"', expected, did_you_mean(text, fields()))])
+    if path.suffix in (".npz", ".csv"):
+        return {"kind": "map", "file": str(path.absolute())}
+    try:
+        return _field_of(text, tomllib.loads(path.read_text(encoding="utf-8-sig")), path.parent)
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise DetectorError(text, [Problem("field", str(error), "a TOML file or a map (.npz, .csv)")]) from error
+
+
+def place_map(tables: dict[str, Any], folder: Path | None) -> dict[str, Any]:
+    """Return the tables of a file with the path of its field map made absolute; relative ones begin at `folder`."""
+    field = tables.get("field")
+    if not isinstance(field, Mapping) or not isinstance(field.get("file"), str):
+        return tables
+    return {**tables, "field": {**field, "file": str(((folder or Path()) / field["file"]).absolute())}}
+
+
+def _field_of(name: str, tables: dict[str, Any], folder: Path | None) -> dict[str, Any]:
+    found = place_map(tables, folder).get("field")
+    if not isinstance(found, Mapping):
+        raise DetectorError(name, [Problem("field", "nothing", "a table [field]")])
+    return dict(found)

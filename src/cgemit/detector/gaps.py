@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 
 from cgemit import _core
 from cgemit.detector.material import Material
-from cgemit.detector.model import Detector
-from cgemit.detector.parts import CgemLayer, Shell
+from cgemit.detector.parts import CgemLayer, Contents, Shell
 
 Floats = NDArray[np.float64]
 
@@ -269,6 +268,6 @@ def gap_columns(layer: CgemLayer) -> dict[str, Any]:
     }
 
 
-def gap_table(detector: Detector) -> list[dict[str, Any]]:
+def gap_table(detector: Contents) -> list[dict[str, Any]]:
     """Return the gaps of a detector, one per CGEM layer, as the core takes them."""
     return [gap_columns(layer) for layer in detector.cgem]

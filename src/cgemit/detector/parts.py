@@ -8,8 +8,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
+import numpy as np
+import numpy.typing as npt
+
+from cgemit.detector.field import Field
 from cgemit.detector.keys import key
 from cgemit.detector.material import Material
+
+Floats = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -229,3 +235,27 @@ class DriftChamber:
         for layer in self.layers[:-1]:
             starts.append(starts[-1] + layer.cells)
         return tuple(starts)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Contents:
+    """What a detector consists of, parts ordered from the beam line outward; a `Detector` is this, checked."""
+
+    name: str
+    description: str
+    field: Field
+    beam_pipe: tuple[Cylinder, ...]
+    cgem: tuple[CgemLayer, ...]
+    walls: tuple[Cylinder, ...]
+    drift_chamber: DriftChamber | None
+    air: Material  # fills the space between parts inside the drift chamber
+
+
+def local_v(layer: CgemLayer, x: Floats | float, z: Floats | float) -> Floats:
+    """Return V, (n,) float64 mm, of points with X and z, (n,) float64 mm."""
+    return np.asarray(x * np.cos(layer.stereo) + (layer.z_ref - z) * np.sin(layer.stereo))
+
+
+def crossing_z(layer: CgemLayer, x: Floats | float, v: Floats | float) -> Floats:
+    """Return z, (n,) float64 mm, at which lines of constant V meet those of constant X, (n,) float64 mm."""
+    return np.asarray(layer.z_ref - (v - x * np.cos(layer.stereo)) / np.sin(layer.stereo))

@@ -8,9 +8,8 @@ from typing import Any
 from cgemit.detector.keys import Key, keys_of, required_of
 from cgemit.detector.material import DensityEffect, Material, elements, fractions_of_formula
 from cgemit.detector.parts import CgemLayer, SubLayer
-from cgemit.detector.problems import Problem
+from cgemit.problems import Problem, did_you_mean
 from cgemit.units import NATIVE, QuantityError, parse_quantity
-from cgemit.words import did_you_mean
 
 TOP_LEVEL = {
     "base": "the preset or file that this one changes",

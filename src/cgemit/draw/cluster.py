@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.collections import PatchCollection, PolyCollection
 from matplotlib.patches import Rectangle
 
-from cgemit.detector.strip_plane import crossing_z, local_v
+from cgemit.detector.parts import crossing_z, local_v
 from cgemit.draw.geometry import Array, near
 from cgemit.draw.style import COLORS, Picture, legend_entries, new_picture, statistics_box, style
 

@@ -12,8 +12,8 @@ from matplotlib.axes import Axes
 
 from cgemit.draw.style import COLORS, Picture, grid, mathematical, new_picture, statistics_box, style
 from cgemit.result import Result, tracks_of
-from cgemit.study.records import Line, shown
-from cgemit.study.spectra import Spectrum, track_spectrum
+from cgemit.statistics.curves import Line, Spectrum, track_spectrum
+from cgemit.statistics.formatting import shown
 from cgemit.tables import Table
 
 # One more marker than colours, so that only the 43rd curve looks like the first.

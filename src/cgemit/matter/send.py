@@ -11,14 +11,12 @@ import numpy as np
 from cgemit import _core
 from cgemit.detector.compile import SCREENINGS, compiled_stack
 from cgemit.detector.material import Material
-from cgemit.detector.problems import Problem
 from cgemit.matter.passage import LayerNumbers, Passage
 from cgemit.matter.sheets import THINNEST, Sheet, parse_stack
 from cgemit.matter.widths import ANGLES, LOSSES, angle_estimates, loss_estimates
 from cgemit.particles import FASTEST, Species, species
-from cgemit.problems import ProblemsError
+from cgemit.problems import Problem, ProblemsError, did_you_mean
 from cgemit.units import QuantityError, parse_quantity
-from cgemit.words import did_you_mean
 
 #: Number of particles: fewer have no 1 % quantile, the columns of more take over 1 GB.
 FEWEST, MOST = 1000, 20_000_000

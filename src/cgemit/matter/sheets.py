@@ -4,8 +4,8 @@ import re
 from typing import NamedTuple
 
 from cgemit.detector.material import Material
-from cgemit.detector.mixtures import MaterialNameError, material_named
-from cgemit.detector.problems import Problem
+from cgemit.detector.materials import MaterialNameError, material_named
+from cgemit.problems import Problem
 from cgemit.units import NATIVE, QuantityError, parse_quantity
 
 _EXAMPLE = '"Kapton 300 um", "He/C3H8 60/40 16 mm" or "C 2.0 g/cm3 213.5 um"'

@@ -1,10 +1,10 @@
 """What to learn from the chain's tables: resolutions, pulls and how flat the chi-square probability is."""
 
+from cgemit.statistics.chi2 import Flatness, chi2_flatness, chi2_probability
+from cgemit.statistics.estimate import GaussianFit, Resolution, gaussian_fit, measure
+from cgemit.statistics.resolutions import Curve, Pulls, pulls, resolution, resolution_against
 from cgemit.study.deltas import DeltaFractions, delta_displacements, delta_fractions
-from cgemit.study.estimate import GaussianFit, Resolution, gaussian_fit, measure
-from cgemit.study.goodness import Flatness, chi2_flatness, chi2_probability
 from cgemit.study.paper import Reproduction, reproduce
-from cgemit.study.resolutions import Curve, Pulls, pulls, resolution, resolution_against
 from cgemit.study.robustness import Outcome, run_scenario
 from cgemit.study.scans import Scan, scan
 from cgemit.study.scenarios import SCENARIOS, Scenario

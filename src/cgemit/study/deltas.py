@@ -4,17 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
-from cgemit.study.estimate import share_error
-from cgemit.study.present import Comparable, html_table, text_table, with_error
-
-if TYPE_CHECKING:
-    from cgemit.result import Result
-    from cgemit.tables import Table
+from cgemit.result import Result
+from cgemit.statistics.estimate import share_error
+from cgemit.statistics.formatting import Comparable, html_table, text_table, with_error
+from cgemit.tables import Table
 
 Floats = npt.NDArray[np.float64]
 

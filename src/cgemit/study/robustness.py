@@ -13,7 +13,7 @@ from cgemit.detector import Detector, compiled, load
 from cgemit.fit import FitStatus, fit
 from cgemit.match import compare
 from cgemit.result import Result, Settings
-from cgemit.study.estimate import Resolution, measure
+from cgemit.statistics.estimate import Resolution, measure
 from cgemit.study.hits import Hits, Mask
 from cgemit.study.scenarios import Scenario
 from cgemit.tables import Table

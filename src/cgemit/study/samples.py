@@ -4,19 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from cgemit import chain
+from cgemit.detector import Detector, MapField
+from cgemit.detector.field.core import extent
+from cgemit.fit import FitStatus
 from cgemit.gun import Gun
 from cgemit.result import Settings
+from cgemit.simulate import TransportStatus
+from cgemit.statistics.estimate import FEWEST
 from cgemit.study.cluster_residuals import ClusterResiduals, cluster_residuals
 from cgemit.study.deltas import DeltaFractions, delta_fractions
-
-if TYPE_CHECKING:
-    from cgemit.detector import Detector
-    from cgemit.tables import Table
+from cgemit.tables import Table
 
 #: Shows progress: share of the work that is done (0 to 1) and what is running.
 ShowProgress = Callable[[float, str], None]
@@ -109,3 +110,44 @@ def _run(order: Order, threads: int | None, progress: Callable[[float], None] | 
 def seed_of(seed: int, number: int) -> int:
     """Return a seed of its own for run `number` of a study (`numpy.random.SeedSequence`)."""
     return int(np.random.SeedSequence([seed, number]).generate_state(1, np.uint64)[0])
+
+
+def fitted(sample: Sample) -> int:
+    """Return how many tracks were fitted."""
+    return int(np.count_nonzero(sample.tracks["status"] == FitStatus.ok))
+
+
+def hardly_fitted(samples: Sequence[Sample]) -> list[Sample]:
+    """Return the samples with too few fitted tracks for a width."""
+    return [sample for sample in samples if fitted(sample) < FEWEST]
+
+
+def why_unfitted(samples: Sequence[Sample]) -> str:
+    """Return how transport and fit of samples of one detector ended, and where its map ends if tracks left it."""
+    tracks = sum(len(sample.tracks) for sample in samples)
+    particles = sum(sum(sample.transport.values()) for sample in samples)
+    transport, removed = (_total([getattr(sample, name) for sample in samples]) for name in ("transport", "removed"))
+    parts = [
+        f"{sum(map(fitted, samples))} of {tracks} tracks fitted, expected at least {FEWEST} for a resolution",
+        "transport: " + _words(transport, particles),
+        "fit: " + _words(removed, tracks),
+    ]
+    if {TransportStatus.left_field.name, FitStatus.left_field.name} & (transport.keys() | removed.keys()):
+        parts += _ends(samples[0].detector)
+    return "; ".join(parts)
+
+
+def _total(counts: Sequence[Mapping[str, int]]) -> dict[str, int]:
+    names = dict.fromkeys(name for one in counts for name in one)
+    return {name: sum(one.get(name, 0) for one in counts) for name in names}
+
+
+def _words(counts: Mapping[str, int], total: int) -> str:
+    return ", ".join(f"{name} {number} of {total}" for name, number in counts.items()) or "all well"
+
+
+def _ends(detector: Detector) -> list[str]:
+    field, (r, z) = detector.field, extent(detector)
+    if not isinstance(field, MapField):
+        return []
+    return [f"the map is of {field.grid.range_text()}", f"the detector goes to r = {r:g} mm, |z| = {z:g} mm"]

@@ -10,28 +10,25 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from cgemit import chain
+from cgemit.detector import Detector
 from cgemit.gun import Gun
 from cgemit.io.folders import SUMMARY, new_folder
 from cgemit.particles import species
 from cgemit.result import Settings, hits_text
-from cgemit.study.estimate import Resolution
-from cgemit.study.present import html_table, text_table, with_error
-from cgemit.study.records import Line, write_csv
-from cgemit.study.resolutions import QUOTED, pulls, resolution, resolution_against
-from cgemit.study.samples import Order, Sample, ShowProgress, run_samples, seed_of
-from cgemit.study.unfitted import fitted, hardly_fitted, why_unfitted
+from cgemit.statistics.curves import Line
+from cgemit.statistics.estimate import Resolution
+from cgemit.statistics.formatting import html_table, text_table, with_error, write_csv
+from cgemit.statistics.resolutions import QUOTED, pulls, resolution, resolution_against
+from cgemit.study.samples import Order, Sample, ShowProgress, fitted, hardly_fitted, run_samples, seed_of, why_unfitted
+from cgemit.tables import Table
 from cgemit.values import InTurn
 from cgemit.version import VERSION
-
-if TYPE_CHECKING:
-    from cgemit.detector import Detector
-    from cgemit.tables import Table
 
 #: Parameters whose resolution is quoted.
 QUOTED_PARAMETERS = ("dr", "dz", "p")

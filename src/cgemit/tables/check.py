@@ -3,18 +3,40 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
+from cgemit.problems import did_you_mean
 from cgemit.tables.schemas import SCHEMAS, Column
-from cgemit.words import did_you_mean
 
 Array = np.ndarray[Any, Any]
 
 #: What files hold beside the columns.
 RESERVED = {"offsets": "the per-event offsets", "events": "the numbers of the events"}
+
+
+class Rows(Protocol):
+    """What a `Table` is to those that write, convert or show it."""
+
+    kind: str
+    columns: Mapping[str, Array]
+    n_events: int
+    first_event: int
+    offsets: np.ndarray[tuple[int], np.dtype[np.int64]]
+    meta: Mapping[str, Any]
+
+    def __len__(self) -> int: ...
+    @property
+    def events(self) -> Array:
+        """Numbers of the events covered."""
+        ...
+
+    @property
+    def cover(self) -> dict[str, Any]:
+        """Number, first and, where they have gaps, all numbers of the events covered."""
+        ...
 
 
 def schema_of(kind: str) -> tuple[Column, ...]:

@@ -5,14 +5,11 @@ from __future__ import annotations
 import importlib
 import itertools
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from cgemit.tables.check import Array
-
-if TYPE_CHECKING:
-    from cgemit.tables.table import Table
+from cgemit.tables.check import Array, Rows
 
 
 def _import(name: str) -> Any:
@@ -31,7 +28,7 @@ def columns_of(source: Any) -> dict[str, Array] | None:
     return None
 
 
-def to_pandas(table: Table) -> Any:
+def to_pandas(table: Rows) -> Any:
     """Return a data frame, one row per row; a matrix column becomes ``name_0_0, name_0_1, ...``."""
     pandas = _import("pandas")
     plain = {}
@@ -42,7 +39,7 @@ def to_pandas(table: Table) -> Any:
     return pandas.DataFrame(plain)
 
 
-def to_awkward(table: Table) -> Any:
+def to_awkward(table: Rows) -> Any:
     """Return one list of records per event."""
     awkward = _import("awkward")
     records = awkward.zip({name: awkward.from_numpy(column) for name, column in table.columns.items()}, depth_limit=1)

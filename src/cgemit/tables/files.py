@@ -6,21 +6,18 @@ import json
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from cgemit.io import new_file, read_arrays, write_arrays
-from cgemit.tables.check import Array, schema_of
+from cgemit.tables.check import Array, Rows, schema_of
 from cgemit.version import VERSION
-
-if TYPE_CHECKING:
-    from cgemit.tables.table import Table
 
 FORMAT = "cgemit-table-1"
 INDEX = "tables.json"
 _ABOUT = {"kind": str, "n_events": int, "first_event": int, "meta": dict}  # what `load` takes from `describe`
 
 
-def describe(table: Table) -> dict[str, Any]:
+def describe(table: Rows) -> dict[str, Any]:
     """Return what a file says about a table besides its columns."""
     return {
         "format": FORMAT,
@@ -34,7 +31,7 @@ def describe(table: Table) -> dict[str, Any]:
     }
 
 
-def save(table: Table, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
+def save(table: Rows, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
     """Write one table; see `Table.save`."""
     beside = {"offsets": table.offsets}
     events = table.cover["events"]
@@ -57,7 +54,7 @@ def load(path: str | os.PathLike[str]) -> tuple[str, dict[str, Array], int, int,
 
 
 def save_tables(
-    tables: Mapping[str, Table], directory: str | os.PathLike[str], *, overwrite: bool = False
+    tables: Mapping[str, Rows], directory: str | os.PathLike[str], *, overwrite: bool = False
 ) -> list[Path]:
     """Write each table to ``<name>.npz`` in a directory, and last of all what they hold to ``tables.json``.
 
@@ -94,29 +91,15 @@ def save_tables(
     return [*paths.values(), index]
 
 
-def load_tables(directory: str | os.PathLike[str]) -> dict[str, Table]:
-    """Read what `save_tables` wrote.
-
-    Parameters
-    ----------
-    directory : path
-
-    Raises
-    ------
-    FileNotFoundError
-        If the directory holds no complete set of tables.
-    ValueError
-        If a file is damaged.
-    """
-    from cgemit.tables.table import Table
-
-    folder = Path(directory)
-    if not (folder / INDEX).exists():
-        raise FileNotFoundError(f"{folder} holds no complete set of tables ({INDEX} is missing)")
+def read_index(directory: str | os.PathLike[str]) -> list[str]:
+    """Return the names of the tables that `save_tables` wrote to a directory; raises as `load_tables`."""
+    index = Path(directory) / INDEX
+    if not index.exists():
+        raise FileNotFoundError(f"{directory} holds no complete set of tables ({INDEX} is missing)")
     try:
-        names = json.loads((folder / INDEX).read_text(encoding="utf-8"))
+        names = json.loads(index.read_text(encoding="utf-8"))
     except ValueError as error:
-        raise ValueError(f"{folder / INDEX} is damaged ({error})") from error
+        raise ValueError(f"{index} is damaged ({error})") from error
     if not isinstance(names, dict):
-        raise ValueError(f"{folder / INDEX} is damaged (expected an object with a key for each table)")
-    return {name: Table.load(folder / f"{name}.npz") for name in names}
+        raise ValueError(f"{index} is damaged (expected an object with a key for each table)")
+    return list(names)

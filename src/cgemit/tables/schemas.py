@@ -208,13 +208,7 @@ def _helix(pivot: str) -> tuple[Column, ...]:
         _f8("kappa", "1/(GeV/c)", "charge / pT"),
         _f8("dz", "mm", "z at the point of closest approach, from the pivot"),
         _f8("tanl", "", "pz / pT"),
-        Column(
-            "cov",
-            np.dtype("f8"),
-            "mixed",
-            "covariance of (dr, phi0, kappa, dz, tanl), products of their units",
-            shape=(5, 5),
-        ),
+        Column("cov", np.dtype("f8"), "mixed", "covariance of these, products of their units", shape=(5, 5)),
     )
 
 

@@ -3,37 +3,34 @@
 from __future__ import annotations
 
 from html import escape
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cgemit.tables.check import Rows
 from cgemit.tables.schemas import SCHEMAS
-
-if TYPE_CHECKING:
-    from cgemit.tables.table import Table
 
 _SHOWN_ROWS = 5
 
 
-def _counts(table: Table) -> str:
+def _counts(table: Rows) -> str:
     events = f"{table.n_events} events from {table.first_event}"
     if table.cover["events"] is not None:
         events += f" to {table.events[-1]}, with gaps"
     return f"{table.kind}: {len(table)} rows, {events}"
 
 
-def _units(table: Table) -> dict[str, str]:
+def _units(table: Rows) -> dict[str, str]:
     known = {column.name: column.unit for column in SCHEMAS[table.kind]}
     return {name: known.get(name, "") for name in table.columns}
 
 
-def text(table: Table) -> str:
+def text(table: Rows) -> str:
     """Return kind, sizes and columns with their units."""
     columns = ", ".join(f"{name} [{unit}]" if unit else name for name, unit in _units(table).items())
     return f"<{_counts(table)}; {columns}>"
 
 
-def html(table: Table) -> str:
+def html(table: Rows) -> str:
     """Return the sizes and the first rows."""
     head = "".join(f"<th>{escape(name)}<br><small>{escape(unit)}</small></th>" for name, unit in _units(table).items())
     body = "".join(

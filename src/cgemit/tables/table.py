@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import os
 from collections.abc import KeysView, Mapping
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from cgemit.problems import did_you_mean
 from cgemit.tables import convert, files, show
 from cgemit.tables.check import Array, check_columns, event_range, schema_of
-from cgemit.words import did_you_mean
 
 
 class Table:
@@ -251,3 +252,20 @@ def kind_problems(**tables: object) -> list[str]:
         for name, table in tables.items()
         if not isinstance(table, Table) or table.kind != name
     ]
+
+
+def load_tables(directory: str | os.PathLike[str]) -> dict[str, Table]:
+    """Read what `save_tables` wrote.
+
+    Parameters
+    ----------
+    directory : path
+
+    Raises
+    ------
+    FileNotFoundError
+        If the directory holds no complete set of tables.
+    ValueError
+        If a file is damaged.
+    """
+    return {name: Table.load(Path(directory) / f"{name}.npz") for name in files.read_index(directory)}

@@ -24,7 +24,7 @@ struct GridAxis {
 
 // Between the points of a grid the field is a cubic spline in each direction, twice continuously
 // differentiable: sums of cubic B-splines (C. de Boor, A Practical Guide to Splines, 1978, chapter IX) whose
-// coefficients `cgemit.detector.field_grid` works out.
+// coefficients `cgemit.detector.field.grid` works out.
 struct FieldMap {
   FieldKind kind;
   double bz;  // T, at the origin

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from cgemit.study.present import Comparable, html_table, with_error
+from cgemit.statistics.formatting import Comparable, html_table, with_error
 
 Floats = npt.NDArray[np.float64]
 

@@ -1,20 +1,115 @@
-"""Why a number differs from the paper's: sentences that hold for what the run has measured."""
+"""The numbers that the paper quotes, measured, and why each differs: sentences that hold for what the run has found."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from cgemit.study.estimate import Resolution
-
-from cgemit.study.spectra import PITCH, WINDOW
-from cgemit.study.windows import X_WINDOW, geant4_runs
+from cgemit.statistics.curves import WINDOW, windowed_resolution
+from cgemit.statistics.estimate import Resolution
+from cgemit.study.cluster_residuals import PITCH, X_WINDOW, X_WINDOWS, geant4_runs, v_fit, x_beyond, x_widths
+from cgemit.study.deltas import DISTANCES
+from cgemit.study.paper.published import paper_values
+from cgemit.study.paper.reproduction import Row
+from cgemit.study.samples import Sample
 
 _LIMIT = PITCH / np.sqrt(12)  # um, RMS of a rectangle as wide as the pitch
 
 _OPEN = "The paper states neither the range of its Gaussian fit nor the resolution of its wires"
+
+
+def make_rows(samples: Mapping[str, Sample]) -> list[Row]:
+    """Return one row for each quantity and detector.
+
+    Parameters
+    ----------
+    samples : mapping of str to Sample
+        ``"cgem"``, ``"idc"``, and ``"gap"``: the CGEM with a thinner drift gap; all of 1 GeV/c.
+    """
+    cgem, gap = samples["cgem"], samples["gap"]
+    rows = [*_x_rows(cgem), _v_row(cgem)]
+    tracks = {name: _track_row(cgem, name) for name in ("dr", "dz", "p")}
+    rows += tracks.values()
+    rows += [_idc_row(samples["idc"], name, row.value) for name, row in tracks.items()]
+    nominal = {row.id: row.value for row in rows}
+    return [*rows, *_gap_rows(gap, nominal), *_window_rows(cgem), *_delta_rows(cgem)]
+
+
+def _row(name: str, sample: Sample, value: float, error: float, note: str) -> Row:
+    known = paper_values()[name]
+    return Row(name, sample.detector.name, value, error, known.unit, known.value, note)
+
+
+def _x_numbers(sample: Sample) -> dict[str, tuple[float, float]]:
+    widths = x_widths(sample.clusters)
+    return {
+        "x_residual_rms": (widths.rms, widths.rms_error),
+        "x_residual_core": (widths.core, widths.core_error),
+        "x_single_strip_fraction": sample.clusters.single_strip_fraction,
+    }
+
+
+def _x_rows(sample: Sample) -> list[Row]:
+    numbers = _x_numbers(sample)
+    (rms, error), (core, _) = numbers["x_residual_rms"], numbers["x_residual_core"]
+    notes = {
+        "x_residual_rms": explain_x_rms(rms, error, _published("x_residual_rms"), x_beyond(sample.clusters)[0]),
+        "x_residual_core": explain_x_core(core, rms),
+        "x_single_strip_fraction": explain_single_strips(sample.detector.cgem[0].drift_gap),
+    }
+    return [_row(name, sample, *numbers[name], note) for name, note in notes.items()]
+
+
+def _gap_rows(sample: Sample, nominal: Mapping[str, float]) -> list[Row]:
+    gap = sample.detector.cgem[0].drift_gap
+    return [
+        _row(f"{name}_gap3mm", sample, *pair, explain_gap_variant(gap, pair[0], nominal[name]))
+        for name, pair in _x_numbers(sample).items()
+    ]
+
+
+def _window_rows(sample: Sample) -> list[Row]:
+    rows = []
+    for number, (name, window) in enumerate(X_WINDOWS.items()):
+        widths = x_widths(sample.clusters, window)
+        note = explain_x_window(window, widths.outside, widths.n, number)
+        rows.append(_row(f"x_residual_rms_{name}", sample, widths.rms, widths.rms_error, note))
+    return rows
+
+
+def _delta_rows(sample: Sample) -> list[Row]:
+    found, rows = sample.deltas, []
+    for way, values, errors in (("rphi", found.rphi, found.rphi_error), ("z", found.z, found.z_error)):
+        for distance, value, error in zip(DISTANCES, values, errors, strict=True):
+            name = f"{distance:g}mm" if distance >= 1 else f"{1e3 * distance:.0f}um"
+            note = explain_deltas(found.crossings, simulated=sample.settings.simulate.deltas)
+            rows.append(_row(f"delta_fraction_{way}_{name}", sample, value, error, note))
+    return rows
+
+
+def _v_row(sample: Sample) -> Row:
+    fit = v_fit(sample.clusters)
+    note = explain_v_width(fit.sigma, fit.sigma_error, _published("v_residual_sigma"))
+    return _row("v_residual_sigma", sample, fit.sigma, fit.sigma_error, note)
+
+
+def _track_row(sample: Sample, parameter: str) -> Row:
+    name, widths = f"sigma_{parameter}", windowed_resolution(sample.tracks, parameter)
+    note = explain_track(parameter, widths, _published(name))
+    return _row(name, sample, widths.core, widths.core_error, note)
+
+
+def _idc_row(sample: Sample, parameter: str, cgem: float) -> Row:
+    widths = windowed_resolution(sample.tracks, parameter)
+    note = explain_idc(parameter, widths.core, cgem)
+    return _row(f"sigma_{parameter}_idc", sample, widths.core, widths.core_error, note)
+
+
+def _published(name: str) -> float:
+    value = paper_values()[name].value
+    assert value is not None, name
+    return value
 
 
 def deviation(value: float, error: float, paper: float) -> str:
@@ -25,7 +120,7 @@ def deviation(value: float, error: float, paper: float) -> str:
     return f"{100 * abs(share):.1f} % {where} the paper" + (f" ({errors:.1f} standard errors)" if errors < 10 else "")
 
 
-def x_rms(value: float, error: float, paper: float, beyond: float) -> str:
+def explain_x_rms(value: float, error: float, paper: float, beyond: float) -> str:
     """Explain the RMS of the X residual; `beyond` is the fraction of the residuals outside its window."""
     text = f"{deviation(value, error, paper).capitalize()}. Residuals within ±{X_WINDOW:g} mm. "
     limit = (
@@ -44,21 +139,21 @@ def x_rms(value: float, error: float, paper: float, beyond: float) -> str:
     )  # fmt: skip
 
 
-def x_window(window: float, outside: int, n: int, number: int) -> str:
+def explain_x_window(window: float, outside: int, n: int, number: int) -> str:
     """Explain the RMS of the X residual in one window, the `number`-th of `X_WINDOWS`."""
     where = f"{outside:,} of {n:,} residuals are outside" if np.isfinite(window) else "A few clusters decide it"
     geant4 = ", ".join(f"{run.rms[number]} um ({run.title})" for run in geant4_runs())
     return f"{where}. Geant4: {geant4}."
 
 
-def deltas(crossings: int, *, simulated: bool) -> str:
+def explain_deltas(crossings: int, *, simulated: bool) -> str:
     """Explain the fraction of crossings with a delta electron away from the track."""
     if not simulated:
         return "Delta electrons were left out."
     return f"Of {crossings:,} crossings; farthest deposit in the drift gap, from the track at the same radius."
 
 
-def x_core(core: float, rms: float) -> str:
+def explain_x_core(core: float, rms: float) -> str:
     """Explain the core width of the X residual."""
     return (
         f"The core of the same residuals. It is close to the RMS ({rms:.1f} um), since without delta electrons the "
@@ -69,7 +164,7 @@ def x_core(core: float, rms: float) -> str:
     )
 
 
-def single_strips(gap: float) -> str:
+def explain_single_strips(gap: float) -> str:
     """Explain the fraction of single-strip clusters."""
     return (
         f"Share of the rectangular part of the X residual. It depends on the drift gap ({gap:g} mm here), "
@@ -77,7 +172,7 @@ def single_strips(gap: float) -> str:
     )
 
 
-def gap_variant(gap: float, value: float, nominal: float) -> str:
+def explain_gap_variant(gap: float, value: float, nominal: float) -> str:
     """Explain the numbers of a thinner drift gap."""
     change = value / nominal - 1
     more = "more" if change > 0 else "less"
@@ -88,7 +183,7 @@ def gap_variant(gap: float, value: float, nominal: float) -> str:
     )
 
 
-def v_width(value: float, error: float, paper: float) -> str:
+def explain_v_width(value: float, error: float, paper: float) -> str:
     """Explain the width of the V residual."""
     text = f"{deviation(value, error, paper).capitalize()}. "
     return text + (
@@ -100,7 +195,7 @@ def v_width(value: float, error: float, paper: float) -> str:
     )
 
 
-def track(parameter: str, widths: Resolution, paper: float) -> str:
+def explain_track(parameter: str, widths: Resolution, paper: float) -> str:
     """Explain the core width of a track parameter at 1 GeV/c."""
     if abs(widths.core - paper) < 2 * widths.core_error:
         text = "Agrees within two standard errors. "
@@ -119,7 +214,7 @@ def track(parameter: str, widths: Resolution, paper: float) -> str:
     return f"{text}{shape} {reasons[parameter]}"
 
 
-def idc(quantity: str, value: float, cgem: float) -> str:
+def explain_idc(quantity: str, value: float, cgem: float) -> str:
     """Compare the inner drift chamber with the CGEM tracker as the paper's figures do."""
     ratio = value / cgem
     says = {

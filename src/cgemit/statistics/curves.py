@@ -1,23 +1,18 @@
-"""Histograms of residuals with their statistics: what a figure shows and its CSV table holds."""
+"""Curves and histograms as data: what figures show, and what CSV tables and `summary.json` hold."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from cgemit.study.estimate import FEWEST, GaussianFit, Resolution, gaussian_fit, measure
-from cgemit.study.present import with_error
-from cgemit.study.records import shown
-from cgemit.study.resolutions import QUOTED, resolution
-from cgemit.study.windows import X_WINDOW, x_widths
-
-if TYPE_CHECKING:
-    from cgemit.study.cluster_residuals import ClusterResiduals
-    from cgemit.tables import Table
+from cgemit.statistics.estimate import FEWEST, GaussianFit, Resolution
+from cgemit.statistics.formatting import shown, with_error
+from cgemit.statistics.resolutions import QUOTED, resolution
+from cgemit.tables import Table
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
@@ -28,10 +23,42 @@ SYMBOLS = {"dr": "d_ρ", "phi0": "φ₀", "kappa": "κ", "dz": "d_z", "tanl": "t
 #: Core widths to each side within which figures and reports take the RMS; what is outside is counted.
 WINDOW = 5.0
 
-#: Strips of the paper, um. A whole crossing moves the centre of its V strips by less than half of it.
-PITCH = 650.0
-
 _INSIDE_3 = 0.9973002  # of a Gaussian within 3 sigma
+
+
+@dataclass(frozen=True, eq=False)
+class Line:
+    """A quantity against another for one detector.
+
+    Attributes
+    ----------
+    id, detector : str
+    x, y, y_error : (n,) float64
+        In `x_unit`, `y_unit`; the error is statistical.
+    x_unit, y_unit : str
+    """
+
+    id: str
+    detector: str
+    x: npt.NDArray[np.float64]
+    x_unit: str
+    y: npt.NDArray[np.float64]
+    y_error: npt.NDArray[np.float64]
+    y_unit: str
+
+    def __eq__(self, other: object) -> bool:
+        """Compare all values; NaN equals NaN."""
+        return isinstance(other, Line) and self.as_json() == other.as_json()
+
+    def __hash__(self) -> int:
+        return hash((self.id, self.detector))
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the line as `summary.json` has it."""
+        return {
+            "id": self.id, "detector": self.detector, "x": _numbers(self.x), "x_unit": self.x_unit,
+            "y": _numbers(self.y), "y_error": _numbers(self.y_error), "y_unit": self.y_unit,
+        }  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -126,46 +153,14 @@ def track_spectrum(tracks: Table, parameter: str, bins: int = 80) -> Spectrum:
     unit, scale = QUOTED[parameter]
     values = scale * tracks[f"res_{parameter}"][tracks["status"] == 0]
     edges = np.linspace(*widths.window, bins + 1)
-    return Spectrum(f"{SYMBOLS[parameter]}: fitted − true", unit, edges, _histograms({"all": values}, edges), widths)
+    return Spectrum(f"{SYMBOLS[parameter]}: fitted − true", unit, edges, histograms({"all": values}, edges), widths)
 
 
-def x_spectrum(residuals: ClusterResiduals, reach: float = 500.0, bins: int = 100) -> Spectrum:
-    """Return the histogram of the X residuals with its parts from one and from several strips, in um.
-
-    Parameters
-    ----------
-    residuals : ClusterResiduals
-    reach : float
-        Range to each side, um.
-    bins : int
-    """
-    values = 1e3 * residuals.x
-    single = residuals.x_size == 1
-    share, error = residuals.single_strip_fraction
-    edges = np.linspace(-reach, reach, bins + 1)
-    parts = {"all": values, "single strip": values[single], "several strips": values[~single]}
-    extra = (f"one strip: {with_error(100 * share, 100 * error)} %",)
-    return Spectrum(
-        "X residual, R (φ − true φ)", "um", edges, _histograms(parts, edges), x_widths(residuals), None,
-        f"{X_WINDOW:g} mm", extra,
-    )  # fmt: skip
-
-
-def v_fit(residuals: ClusterResiduals) -> GaussianFit:
-    """Fit a Gaussian to the V residuals within one pitch, in um."""
-    values = 1e3 * residuals.v
-    return gaussian_fit(values[np.abs(values) < PITCH])
-
-
-def v_spectrum(residuals: ClusterResiduals) -> Spectrum:
-    """Return the histogram of the V residuals with a Gaussian fitted to those within one pitch, in um."""
-    values = 1e3 * residuals.v
-    edges = np.linspace(-500, 500, 101)
-    widths = measure(values, parameter="V", unit="um", window=(-PITCH, PITCH))
-    return Spectrum(
-        "V residual", "um", edges, _histograms({"all": values}, edges), widths, v_fit(residuals), f"{PITCH:g} µm"
-    )
-
-
-def _histograms(parts: Mapping[str, Floats], edges: Floats) -> dict[str, Ints]:
+def histograms(parts: Mapping[str, Floats], edges: Floats) -> dict[str, Ints]:
+    """Return the entries of each part in the bins."""
     return {name: np.histogram(values, edges)[0].astype(np.int64) for name, values in parts.items()}
+
+
+def _numbers(values: npt.NDArray[np.float64]) -> list[float | None]:
+    """Return numbers that JSON can hold: what is not finite becomes null."""
+    return [float(value) if np.isfinite(value) else None for value in values]

@@ -1,155 +1,27 @@
-"""The paper, arXiv:1504.02570, number by number and figure by figure."""
+"""The run that reproduces the paper: samples, numbers, figures and files."""
 
 from __future__ import annotations
 
 import json
 import os
-import platform
 import time
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-import numpy as np
 
 from cgemit import chain
-from cgemit.detector import load
+from cgemit.detector import Detector, load
 from cgemit.gun import Gun
 from cgemit.io.folders import SUMMARY, check_free, new_folder
-from cgemit.result import Result, Settings, hits_text
-from cgemit.study.paper_rows import make_rows
-from cgemit.study.present import html_table, text_table, with_error
-from cgemit.study.records import Line, Row
-from cgemit.study.samples import Order, Sample, ShowProgress, run_samples
+from cgemit.result import Settings
+from cgemit.study.paper.reproduction import COS_THETA, DETECTORS, MOMENTA, THIN_GAP, Inputs, Reproduction
+from cgemit.study.paper.rows import make_rows
+from cgemit.study.samples import Order, Sample, ShowProgress, hardly_fitted, run_samples, why_unfitted
 from cgemit.study.scans import QUOTED_PARAMETERS, momentum_line, momentum_orders
-from cgemit.study.unfitted import hardly_fitted, why_unfitted
-from cgemit.version import VERSION
-
-if TYPE_CHECKING:
-    from cgemit.detector import Detector
-
-#: The detectors that the paper compares.
-DETECTORS = ("besiii-cgem-design", "besiii-idc")
-#: Momenta of the curves, GeV/c.
-MOMENTA = (0.15, 0.2, 0.3, 0.4, 0.5, 0.75, 1.0, 1.25, 1.5, 2.0)
-#: Range of cos(theta), uniform: where a track crosses all CGEM layers.
-COS_THETA = (-0.93, 0.93)
-#: Drift gap of the variant, mm; the paper does not state its own.
-THIN_GAP = 3.0
 
 _EVENTS, _QUICK_EVENTS, _FEWEST_EVENTS = 20_000, 1_500, 400
 _SHARE = 4  # each momentum of the curves gets this part of the events
 _DISPLAY_EVENTS = 200  # among which the event that is drawn is looked for
-
-
-@dataclass(frozen=True)
-class Inputs:
-    """What a reproduction was asked for."""
-
-    events: int
-    events_per_momentum: int
-    seed: int
-    threads: int | None
-    quick: bool
-    settings: Settings
-    field: str | None = None  # None: the detectors' own
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class Reproduction:
-    """The paper's numbers beside ours.
-
-    Attributes
-    ----------
-    results : tuple of Row
-        One for each quantity and detector.
-    curves : tuple of Line
-        sigma_dr, sigma_dz and sigma_p against momentum for both detectors.
-    inputs : Inputs
-    samples : mapping of str to Sample
-        The samples at 1 GeV/c: ``"cgem"``, ``"idc"``, and ``"gap"`` with a thinner drift gap.
-    scans : mapping of str to tuple of Sample
-        The momentum scans: ``"cgem"`` and ``"idc"``.
-    display : Result
-        A few events to draw.
-    timings : mapping of str to float, s
-        Wall time of the parts, and stage times summed over threads.
-    folder : Path or None
-        Where the files are.
-    """
-
-    results: tuple[Row, ...]
-    curves: tuple[Line, ...]
-    inputs: Inputs
-    samples: Mapping[str, Sample]
-    scans: Mapping[str, tuple[Sample, ...]]
-    display: Result
-    timings: Mapping[str, float]
-    folder: Path | None = None
-
-    def __eq__(self, other: object) -> bool:
-        """Compare what was asked for, but for the threads, and all numbers."""
-        if not isinstance(other, Reproduction):
-            return NotImplemented
-        mine, theirs = ((replace(s.inputs, threads=None), s.results, s.curves) for s in (self, other))
-        return mine == theirs
-
-    def __hash__(self) -> int:
-        return hash(self.results)
-
-    def __getitem__(self, name: str) -> Row:
-        """Return a result by its id.
-
-        Raises
-        ------
-        KeyError
-            If there is none.
-        """
-        for row in self.results:
-            if row.id == name:
-                return row
-        raise KeyError(f"{name!r}; there are {', '.join(row.id for row in self.results)}")
-
-    def summary(self) -> dict[str, Any]:
-        """Return what `summary.json` holds."""
-        every = [*self.samples.values(), *(s for scan in self.scans.values() for s in scan)]
-        return {
-            "program": "cgemit",
-            "paper": "arXiv:1504.02570",
-            "versions": {"cgemit": VERSION, "python": platform.python_version(), "numpy": np.__version__},
-            "inputs": {
-                "detectors": list(DETECTORS), "particle": "mu-", "p": "1 GeV/c", "cos_theta": list(COS_THETA),
-                "events": self.inputs.events, "momenta": list(MOMENTA),
-                "events_per_momentum": self.inputs.events_per_momentum, "quick": self.inputs.quick,
-                "simulate": asdict(self.inputs.settings.simulate), "field": self.inputs.field,
-                "hits": hits_text(every[0].tracks),
-            },
-            "seed": self.inputs.seed,
-            "timings": dict(self.timings),
-            "removed": {s.label: {"fit": dict(s.removed), "transport": dict(s.transport)} for s in every},
-            "results": [row.as_json() for row in self.results],
-            "curves": [line.as_json() for line in self.curves],
-        }  # fmt: skip
-
-    def _rows(self) -> list[list[str]]:
-        return [
-            [row.id, f"{row.paper:g}" if row.paper is not None else "-", with_error(row.value, row.error), row.unit]
-            for row in self.results
-        ]
-
-    def __repr__(self) -> str:
-        title = f"arXiv:1504.02570 with {self.inputs.events:,} events, seed {self.inputs.seed}"
-        return text_table(f"{title}; hits {self._hits()}", _HEAD, self._rows())
-
-    def _repr_html_(self) -> str:
-        return html_table(f"arXiv:1504.02570; hits {self._hits()}", _HEAD, self._rows())
-
-    def _hits(self) -> str:
-        return hits_text(next(iter(self.samples.values())).tracks)
-
-
-_HEAD = ("quantity", "paper", "cgemit", "unit")
 
 
 def reproduce(
@@ -263,8 +135,8 @@ def _stage_seconds(samples: Sequence[Sample]) -> dict[str, float]:
 def _write(study: Reproduction, output: Path, overwrite: bool, progress: ShowProgress | None) -> Reproduction:
     """Write all files, and return the study with its folder and the time that writing took."""
     # Only where pictures are drawn is matplotlib loaded; it takes as long as a thousand events.
-    from cgemit.study.paper_figures import write_figures
-    from cgemit.study.paper_report import paper_report
+    from cgemit.study.paper.figures import write_figures
+    from cgemit.study.paper.report import paper_report
 
     start = time.perf_counter()
     with new_folder(output, overwrite=overwrite) as folder:

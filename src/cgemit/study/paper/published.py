@@ -1,12 +1,41 @@
-"""Titles and captions of the figures of the reproduction."""
+"""What the paper has: its numbers, and titles and captions of its figures."""
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
+from importlib import resources
 from typing import Literal
 
 Group = Literal["paper", "beyond", "display"]
+
+
+@dataclass(frozen=True)
+class PaperValue:
+    """A quantity of the paper.
+
+    Attributes
+    ----------
+    title, unit : str
+    statistic : str
+        How the paper got its number, or that it gives none.
+    value : float or None
+        As published.
+    """
+
+    title: str
+    unit: str
+    statistic: str
+    value: float | None = None
+
+
+@cache
+def paper_values() -> Mapping[str, PaperValue]:
+    """Return the quantities of arXiv:1504.02570 by result id (`data/paper_values.toml`)."""
+    text = resources.files("cgemit.data").joinpath("paper_values.toml").read_text(encoding="utf-8")
+    return {name: PaperValue(**entry) for name, entry in tomllib.loads(text).items()}
 
 
 @dataclass(frozen=True)

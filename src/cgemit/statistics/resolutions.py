@@ -10,12 +10,12 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from cgemit import _core
+from cgemit.problems import did_you_mean
 from cgemit.result import Result, tracks_of
-from cgemit.study.estimate import HEAD, Floats, Resolution, measure
-from cgemit.study.present import Comparable, html_table, text_table, with_error
-from cgemit.study.removed import removed_rows
+from cgemit.statistics.estimate import HEAD, Floats, Resolution, measure
+from cgemit.statistics.formatting import Comparable, html_table, text_table, with_error
 from cgemit.tables import PARAMETERS, Table
-from cgemit.words import did_you_mean
 
 #: Unit in which the resolution of each parameter is quoted, and how many of them make the native unit.
 QUOTED = {
@@ -230,3 +230,11 @@ def _edges(x: Floats, bins: int | npt.ArrayLike) -> Floats:
     if edges.ndim != 1 or len(edges) < 2 or not np.all(np.diff(edges) > 0):
         raise ValueError(f"bins: got {bins!r}; expected a number of bins or at least two increasing limits")
     return edges
+
+
+def removed_rows(status: npt.NDArray[np.int8], no_value: int) -> tuple[tuple[str, int], ...]:
+    """Return how many rows each status removed, and how many good ones had no number."""
+    codes, numbers = np.unique(status[status != 0], return_counts=True)
+    names = {int(one): one.name for one in _core.FitStatus}
+    removed = [(names.get(int(c), f"status {c}"), int(n)) for c, n in zip(codes, numbers, strict=True)]
+    return tuple(removed + ([("without a value", int(no_value))] if no_value else []))

@@ -3,22 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from cgemit.result import finder_of, hits_text
-from cgemit.study.estimate import HEAD
-from cgemit.study.paper_captions import FIGURES, Group
-from cgemit.study.present import with_error
-from cgemit.study.records import paper_values, shown
+from cgemit.statistics.curves import SYMBOLS, WINDOW, windowed_resolution
+from cgemit.statistics.estimate import HEAD
+from cgemit.statistics.formatting import shown, with_error
+from cgemit.statistics.resolutions import pulls
+from cgemit.study.cluster_residuals import X_WINDOWS, geant4_runs, x_beyond
+from cgemit.study.paper.published import FIGURES, Group, paper_values
+from cgemit.study.paper.reproduction import Reproduction
 from cgemit.study.report import Code, Image, Note, Part, Section, TableOf, html_report
-from cgemit.study.resolutions import pulls
-from cgemit.study.spectra import SYMBOLS, WINDOW, windowed_resolution
-from cgemit.study.windows import X_WINDOWS, geant4_runs, x_beyond
+from cgemit.study.samples import Sample
 from cgemit.version import VERSION
-
-if TYPE_CHECKING:
-    from cgemit.study.paper import Reproduction
-    from cgemit.study.samples import Sample
 
 _TITLE = "Cluster reconstruction and track fit of the BESIII CGEM inner tracker"
 _PURE = ", which no finder without truth can do: the resolutions contain no wrong or missed hits"

@@ -11,10 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cgemit.detector.field_check import Column, Columns, checked_grid, names_in
-from cgemit.detector.field_grid import FieldGrid
-from cgemit.detector.problems import DetectorError, Problem
+from cgemit.detector.field.grid import Column, Columns, FieldGrid, checked_grid, names_in
 from cgemit.io.files import new_file
+from cgemit.problems import DetectorError, Problem
 from cgemit.units import NATIVE, QuantityError, parse_quantity, units_of
 
 Floats = NDArray[np.float64]

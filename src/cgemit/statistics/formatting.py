@@ -1,12 +1,16 @@
-"""How results compare and print themselves."""
+"""How results compare, print themselves and are written to files."""
 
 from __future__ import annotations
 
+import csv
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import astuple
 from html import escape
+from pathlib import Path
 from typing import Any
+
+import numpy.typing as npt
 
 
 class Comparable:
@@ -46,3 +50,17 @@ def text_table(title: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -
     widths = [max(len(row[i]) for row in cells) for i in range(len(head))]
     lines = ["  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)) for row in cells]
     return "\n".join([title, *lines])
+
+
+def shown(unit: str) -> str:
+    """Return a unit as figures and reports write it."""
+    return unit.replace("um", "µm")
+
+
+def write_csv(path: Path, columns: Mapping[str, Sequence[Any] | npt.NDArray[Any]]) -> None:
+    """Write columns under headers that carry the unit, such as ``sigma_p (MeV/c)``."""
+    with path.open("w", newline="", encoding="utf-8") as stream:
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerow(columns)
+        for row in zip(*columns.values(), strict=True):
+            writer.writerow(f"{value:.7g}" if isinstance(value, float) else value for value in row)

@@ -1,4 +1,4 @@
-"""The page docs/methods/robustness.md: `python -m cgemit.study.robustness_page 10000 > docs/methods/robustness.md`."""
+"""The page docs/methods/robustness.md: `python validation/robustness_page.py 10000 > docs/methods/robustness.md`."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from cgemit.study.estimate import share_error
-from cgemit.study.present import with_error
+from cgemit.statistics.estimate import share_error
+from cgemit.statistics.formatting import with_error
 from cgemit.study.robustness import ACROSS, ALONG, HITS, LEVER, Outcome, run_scenario
 from cgemit.study.scenarios import SCENARIOS
 from cgemit.tables import PARAMETERS
@@ -18,7 +18,7 @@ HEAD = ("tracks", "what is difficult", "fitted %", "not fitted", "p %", "dr um",
 _INTRODUCTION = """# Difficult tracks
 
 Tracks that are slow, steep, displaced or curling, with too few hits, wrong hits or noise, in the design CGEM with the
-outer drift chamber. Written by `python -m cgemit.study.robustness_page {n} > docs/methods/robustness.md`, with {n}
+outer drift chamber. Written by `python validation/robustness_page.py {n} > docs/methods/robustness.md`, with {n}
 events of two tracks each. Hits are assigned by truth, then spoilt as the table says; the fit is told nothing of that.
 `cgemit.study.SCENARIOS` has the list, `cgemit.study.run_scenario` runs one.
 

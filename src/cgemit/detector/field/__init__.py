@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field
 
-from cgemit.detector.field_grid import FieldGrid
+from cgemit.detector.field.grid import FieldGrid
 from cgemit.detector.keys import Key, key
 
 _TOLERANCE = key("length", "error allowed to one step of a track through the field", 1e-9, 1.0)

@@ -4,27 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from cgemit.draw import chain_diagram, cluster, curves, event
 from cgemit.draw.style import COLORS, Picture, new_picture, style
-from cgemit.study.goodness import chi2_probability
-from cgemit.study.paper_captions import FIGURES
-from cgemit.study.present import with_error
-from cgemit.study.records import Line, paper_values, write_csv
-from cgemit.study.resolutions import pulls
+from cgemit.result import Result
+from cgemit.statistics.chi2 import chi2_probability
+from cgemit.statistics.curves import SYMBOLS, Line, track_spectrum
+from cgemit.statistics.estimate import Resolution
+from cgemit.statistics.formatting import with_error, write_csv
+from cgemit.statistics.resolutions import pulls
+from cgemit.study.cluster_residuals import X_WINDOWS, ClusterResiduals, v_spectrum, x_spectrum, x_widths
+from cgemit.study.paper.published import FIGURES, paper_values
+from cgemit.study.paper.reproduction import Reproduction
+from cgemit.study.samples import ShowProgress
 from cgemit.study.scans import QUOTED_PARAMETERS, angle_lines, momentum_line, pull_line, scan_columns
-from cgemit.study.spectra import SYMBOLS, track_spectrum, v_spectrum, x_spectrum
-from cgemit.study.windows import X_WINDOWS, x_widths
-
-if TYPE_CHECKING:
-    from cgemit.result import Result
-    from cgemit.study.cluster_residuals import ClusterResiduals
-    from cgemit.study.estimate import Resolution
-    from cgemit.study.paper import Reproduction
-    from cgemit.study.samples import ShowProgress
 
 _ANGLE_BINS = 10
 _TAIL_REACH = 8000.0  # um

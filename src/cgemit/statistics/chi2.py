@@ -9,9 +9,9 @@ import numpy as np
 from scipy import special
 
 from cgemit.result import Result, tracks_of
-from cgemit.study.estimate import Floats
-from cgemit.study.present import Comparable, with_error
-from cgemit.study.removed import removed_rows
+from cgemit.statistics.estimate import Floats
+from cgemit.statistics.formatting import Comparable, with_error
+from cgemit.statistics.resolutions import removed_rows
 from cgemit.tables import Table
 
 

@@ -1,0 +1,1 @@
+"""Widths, pulls and chi-square of fitted tracks, and the curves and histograms that figures show of them."""

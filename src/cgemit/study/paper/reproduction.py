@@ -1,0 +1,172 @@
+"""The reproduction's results: the paper's numbers and curves beside ours, and what they were made from."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cgemit.result import Result, Settings, hits_text
+from cgemit.statistics.curves import Line
+from cgemit.statistics.formatting import html_table, text_table, with_error
+from cgemit.study.paper.published import paper_values
+from cgemit.study.samples import Sample
+from cgemit.version import VERSION
+
+#: The detectors that the paper compares.
+DETECTORS = ("besiii-cgem-design", "besiii-idc")
+#: Momenta of the curves, GeV/c.
+MOMENTA = (0.15, 0.2, 0.3, 0.4, 0.5, 0.75, 1.0, 1.25, 1.5, 2.0)
+#: Range of cos(theta), uniform: where a track crosses all CGEM layers.
+COS_THETA = (-0.93, 0.93)
+#: Drift gap of the variant, mm; the paper does not state its own.
+THIN_GAP = 3.0
+
+
+@dataclass(frozen=True)
+class Row:
+    """One number of the study beside the paper's.
+
+    Attributes
+    ----------
+    id, detector, unit : str
+    value, error : float
+        In `unit`; the error is statistical, one standard deviation.
+    paper : float or None
+        Published number, where there is one.
+    note : str
+        What the number is, and why it differs.
+    """
+
+    id: str
+    detector: str
+    value: float
+    error: float
+    unit: str
+    paper: float | None
+    note: str
+
+    @property
+    def title(self) -> str:
+        """What people call it."""
+        return paper_values()[self.id].title
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the row as `summary.json` has it."""
+        return {
+            "id": self.id, "detector": self.detector, "value": self.value, "error": self.error, "unit": self.unit,
+            "paper": self.paper, "note": self.note,
+        }  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """What a reproduction was asked for."""
+
+    events: int
+    events_per_momentum: int
+    seed: int
+    threads: int | None
+    quick: bool
+    settings: Settings
+    field: str | None = None  # None: the detectors' own
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Reproduction:
+    """The paper's numbers beside ours.
+
+    Attributes
+    ----------
+    results : tuple of Row
+        One for each quantity and detector.
+    curves : tuple of Line
+        sigma_dr, sigma_dz and sigma_p against momentum for both detectors.
+    inputs : Inputs
+    samples : mapping of str to Sample
+        The samples at 1 GeV/c: ``"cgem"``, ``"idc"``, and ``"gap"`` with a thinner drift gap.
+    scans : mapping of str to tuple of Sample
+        The momentum scans: ``"cgem"`` and ``"idc"``.
+    display : Result
+        A few events to draw.
+    timings : mapping of str to float, s
+        Wall time of the parts, and stage times summed over threads.
+    folder : Path or None
+        Where the files are.
+    """
+
+    results: tuple[Row, ...]
+    curves: tuple[Line, ...]
+    inputs: Inputs
+    samples: Mapping[str, Sample]
+    scans: Mapping[str, tuple[Sample, ...]]
+    display: Result
+    timings: Mapping[str, float]
+    folder: Path | None = None
+
+    def __eq__(self, other: object) -> bool:
+        """Compare what was asked for, but for the threads, and all numbers."""
+        if not isinstance(other, Reproduction):
+            return NotImplemented
+        mine, theirs = ((replace(s.inputs, threads=None), s.results, s.curves) for s in (self, other))
+        return mine == theirs
+
+    def __hash__(self) -> int:
+        return hash(self.results)
+
+    def __getitem__(self, name: str) -> Row:
+        """Return a result by its id.
+
+        Raises
+        ------
+        KeyError
+            If there is none.
+        """
+        for row in self.results:
+            if row.id == name:
+                return row
+        raise KeyError(f"{name!r}; there are {', '.join(row.id for row in self.results)}")
+
+    def summary(self) -> dict[str, Any]:
+        """Return what `summary.json` holds."""
+        every = [*self.samples.values(), *(s for scan in self.scans.values() for s in scan)]
+        return {
+            "program": "cgemit",
+            "paper": "arXiv:1504.02570",
+            "versions": {"cgemit": VERSION, "python": platform.python_version(), "numpy": np.__version__},
+            "inputs": {
+                "detectors": list(DETECTORS), "particle": "mu-", "p": "1 GeV/c", "cos_theta": list(COS_THETA),
+                "events": self.inputs.events, "momenta": list(MOMENTA),
+                "events_per_momentum": self.inputs.events_per_momentum, "quick": self.inputs.quick,
+                "simulate": asdict(self.inputs.settings.simulate), "field": self.inputs.field,
+                "hits": hits_text(every[0].tracks),
+            },
+            "seed": self.inputs.seed,
+            "timings": dict(self.timings),
+            "removed": {s.label: {"fit": dict(s.removed), "transport": dict(s.transport)} for s in every},
+            "results": [row.as_json() for row in self.results],
+            "curves": [line.as_json() for line in self.curves],
+        }  # fmt: skip
+
+    def _rows(self) -> list[list[str]]:
+        return [
+            [row.id, f"{row.paper:g}" if row.paper is not None else "-", with_error(row.value, row.error), row.unit]
+            for row in self.results
+        ]
+
+    def __repr__(self) -> str:
+        title = f"arXiv:1504.02570 with {self.inputs.events:,} events, seed {self.inputs.seed}"
+        return text_table(f"{title}; hits {self._hits()}", _HEAD, self._rows())
+
+    def _repr_html_(self) -> str:
+        return html_table(f"arXiv:1504.02570; hits {self._hits()}", _HEAD, self._rows())
+
+    def _hits(self) -> str:
+        return hits_text(next(iter(self.samples.values())).tracks)
+
+
+_HEAD = ("quantity", "paper", "cgemit", "unit")
