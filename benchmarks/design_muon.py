@@ -15,12 +15,12 @@ from typing import Any
 
 import numpy as np
 
-from cgemit import FitSettings, Gun, Settings, _core, find, helix, isa, run
-from cgemit.bench import DETECTOR, SEED, instruction_set
-from cgemit.candidates import FitHits, fit_hits
+from cgemit import FitSettings, Gun, Settings, _core, helix, isa, run
+from cgemit.bench import DETECTOR, SEED, instruction_set, smeared
+from cgemit.candidates import FitHits, collect_hits
 from cgemit.detector import compiled
 from cgemit.digitize import DigitizeSettings
-from cgemit.fit import core_arguments, smeared
+from cgemit.fit import core_arguments
 from cgemit.result import Result
 from rows import write_rows
 
@@ -35,21 +35,21 @@ def one_per_layer(hits: FitHits) -> FitHits:
     counts = np.diff(hits.hit_offsets)
     place = np.stack([np.repeat(np.arange(len(counts)), counts), hits.kind, hits.layer], axis=1)
     first = np.append(True, np.any(place[1:] != place[:-1], axis=1))
-    columns = ("kind", "layer", "element", "value", "sigma", "size", "side", "row")
     kept = np.bincount(place[first, 0], minlength=len(counts))
     return replace(
         hits,
         hit_offsets=np.append(0, np.cumsum(kept)).astype(np.int64),
-        **{name: getattr(hits, name)[first] for name in columns},
+        **{name: column[first] for name, column in hits.columns().items()},
     )
 
 
 def arguments(result: Result, settings: FitSettings) -> dict[str, Any]:
     """Return what the compiled fit takes."""
-    tables = (result.particles, result.clusters, result.wire_hits, result.truths, result.wire_truths)
-    hits = one_per_layer(fit_hits(find.by_truth(result.detector, *tables), result.clusters, result.wire_hits))
+    hits = one_per_layer(
+        collect_hits(result.detector, result.candidates, result.candidate_hits, result.clusters, result.wire_hits)
+    )
     truth = helix.at_origin_in(result.particles, compiled(result.detector).field)
-    start = smeared(truth, result.particles, settings, SEED)
+    start = smeared(truth, result.particles, SEED)
     return core_arguments(result.detector, hits, result.particles["mass"], start, settings)
 
 

@@ -26,8 +26,7 @@ import numpy as np
 from matplotlib.patches import Ellipse
 
 import cgemit as cg
-from cgemit.candidates import HIT_WIRE, Candidates, fit_hits
-from cgemit.find import by_truth
+from cgemit.candidates import HIT_WIRE, collect_hits
 from cgemit.fit import PARAMETERS, FitSettings, fit
 
 detector = cg.load("besiii-cgem-design")
@@ -38,13 +37,12 @@ cg.draw.draw_event(result, event=0)
 # %% [markdown]
 # ## The hits
 #
-# A candidate is a list of hits, from the beam line outward: an X and a V position in each CGEM layer, and a drift
-# distance from each wire, whose side nobody tells.
+# A candidate is a set of hits: an X and a V position in each CGEM layer, and a drift distance from each wire, whose
+# side nobody tells. The table `candidate_hits` has a row for each, which points to the cluster or wire hit; the fit
+# takes them from the beam line outward.
 
 # %%
-tables = (result.particles, result.clusters, result.wire_hits, result.truths, result.wire_truths)
-candidate = by_truth(detector, *tables)
-hits = fit_hits(candidate, result.clusters, result.wire_hits)
+hits = collect_hits(detector, result.candidates, result.candidate_hits, result.clusters, result.wire_hits)
 for kind, name in ((0, "X"), (1, "V"), (HIT_WIRE, "wires")):
     of_kind = hits.kind == kind
     print(f"{name:5} {of_kind.sum():2} hits, error {1000 * hits.sigma[of_kind].mean():.0f} um each")
@@ -58,17 +56,18 @@ for kind, name in ((0, "X"), (1, "V"), (HIT_WIRE, "wires")):
 
 
 # %%
-def fitted(candidate, **changes):
-    """Fit the particle to a candidate and return its row of the tracks table."""
+def fitted(candidate_hits, start=None, **changes):
+    """Fit the candidate with some of its hits and return its row of the tracks table."""
     chosen = replace(FitSettings(), **changes)
-    tracks = fit(detector, result.particles, result.clusters, result.wire_hits, candidate, chosen)["tracks"]
+    tables = (result.clusters, result.wire_hits, result.candidates, candidate_hits)
+    tracks = fit(detector, *tables, chosen, start=start)["tracks"]
     return {name: tracks[name][0] for name in (*PARAMETERS, "cov", "chi2", "ndf", "iterations")}
 
 
-final = fitted(candidate)
+final = fitted(result.candidate_hits)
 error = np.sqrt(np.diag(final["cov"]))
 for iterations in range(1, int(final["iterations"]) + 1):
-    row = fitted(candidate, max_iterations=iterations)
+    row = fitted(result.candidate_hits, max_iterations=iterations)
     steps = [(row[name] - final[name]) / sigma for name, sigma in zip(PARAMETERS, error, strict=True)]
     print(f"after {iterations}: chi2 {row['chi2']:7.1f}  ", " ".join(f"{x:+9.4f}" for x in steps))
 
@@ -77,7 +76,8 @@ for iterations in range(1, int(final["iterations"]) + 1):
 #
 # The filter goes inward: the outer wires first, the first CGEM layer last. After each group of hits the state at the
 # origin has a covariance, the matter on the way in included. Wires alone know the curvature, and little of the vertex;
-# the CGEM layers bring the closest approach and z from centimetres to a fraction of a millimetre.
+# the CGEM layers bring the closest approach and z from centimetres to a fraction of a millimetre. Each of these fits
+# begins at the final helix: a few hits make no first helix of their own.
 
 # %%
 radius = {layer.number: layer.r_mid for layer in detector.drift_chamber.layers}
@@ -86,8 +86,7 @@ wires = int(np.count_nonzero(hits.kind == HIT_WIRE))
 used = {"12 outer wires": 12, "all wires": wires, "and L3": wires + 2, "and L2": wires + 4, "and L1": n}
 states = {}
 for name, outer in used.items():
-    part = Candidates(np.array([0, outer]), candidate.kind[n - outer :], candidate.row[n - outer :])
-    states[name] = fitted(part, seed="truth")
+    states[name] = fitted(result.candidate_hits[n - outer :], start=[[final[parameter] for parameter in PARAMETERS]])
 
 
 # %%

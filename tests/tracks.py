@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from cgemit import _core
+from cgemit.candidates import FitHits, collect_hits
 from cgemit.detector import Detector, compiled, slab_table, slabs
 from cgemit.detector.compile import cgem_table, wire_table
 from cgemit.detector.field.core import compiled_field
@@ -32,6 +33,11 @@ def particles(position, momentum, pdg=13):
     columns |= {name: position[:, i] for i, name in enumerate("xyz")}
     columns |= {name: momentum[:, i] for i, name in enumerate(("px", "py", "pz"))}
     return Table("particles", columns, n_events=n)
+
+
+def hits_of_result(result) -> FitHits:
+    """Return the measurements of the candidates of a run, as the fit takes them."""
+    return collect_hits(result.detector, result.candidates, result.candidate_hits, result.clusters, result.wire_hits)
 
 
 def on_helix(helix, pdg=13):

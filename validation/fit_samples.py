@@ -14,8 +14,8 @@ import numpy.typing as npt
 from scipy.stats import chi2, kstest
 
 import cgemit as cg
-from cgemit import _core, find
-from cgemit.candidates import fit_hits
+from cgemit import _core
+from cgemit.candidates import collect_hits
 from cgemit.digitize import DigitizeSettings
 from cgemit.fit import PARAMETERS, FitSettings
 from cgemit.fit_settings import LOSSES
@@ -149,8 +149,7 @@ def _layers(point: Point, sums: _Sums) -> list[Pull]:
 
 def _optima(result: Result, some: int = 10) -> list[tuple[Floats, Optimum]]:
     """Return the fitted helices of some tracks and the optimum for their hits, with mean pulls for the first."""
-    tables = (result.particles, result.clusters, result.wire_hits, result.truths, result.wire_truths)
-    hits = fit_hits(find.by_truth(result.detector, *tables), result.clusters, result.wire_hits)
+    hits = collect_hits(result.detector, result.candidates, result.candidate_hits, result.clusters, result.wire_hits)
     fitted = np.stack([result.tracks[name] for name in PARAMETERS], axis=1)
     columns = ("kind", "layer", "element", "sigma")
     cuts = (_core.CORE_MEAN_CUT, _core.CORE_VARIANCE_CUT)

@@ -10,6 +10,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 from cgemit import isa
+from cgemit.candidates import label_candidates
 from cgemit.chain import run
 from cgemit.cluster import ClusterSettings
 from cgemit.detector import Detector, DetectorError, detectors, load
@@ -17,6 +18,7 @@ from cgemit.digitize import DigitizeSettings
 from cgemit.fit import FitSettings, FitStatus
 from cgemit.gun import Gun
 from cgemit.matter import slab
+from cgemit.own_hits import fit_hits
 from cgemit.result import Result, Settings
 from cgemit.simulate import SimulateSettings, TransportStatus
 from cgemit.states import StateStatus, Surface, extrapolate
@@ -46,7 +48,9 @@ __all__ = [
     "detectors",
     "draw",
     "extrapolate",
+    "fit_hits",
     "isa",
+    "label_candidates",
     "load",
     "resolution",
     "run",

@@ -266,6 +266,12 @@ def find_clusters(
 def reference(
     detector: Detector, helix: npt.ArrayLike, mass: float, hits: _Columns, kinks: npt.ArrayLike | None = None
 ) -> _Reference: ...
+def check_hits(detector: Detector, hits: _Columns) -> None: ...
+
+# Columns as in the tables; `clusters` may have cov_xv, mm2. What comes out are the fields of FitHits.
+def collect_hits(
+    detector: Detector, *, candidates: _Columns, candidate_hits: _Columns, clusters: _Columns, wire_hits: _Columns
+) -> dict[str, _Array]: ...
 
 class SeedFrom(enum.Enum):
     wires = 0

@@ -5,24 +5,30 @@ from __future__ import annotations
 import os
 import platform
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
+
 from cgemit import _core, find, helix
 from cgemit import isa as kernels
-from cgemit.candidates import Candidates, fit_hits
+from cgemit.candidates import collect_hits
 from cgemit.cluster import cluster
 from cgemit.detector import Detector, compiled, load
 from cgemit.digitize import DigitizeSettings, digitize
-from cgemit.fit import FitSettings, fit, smeared
+from cgemit.fit import FitSettings, fit
 from cgemit.fit import core_arguments as fit_arguments
 from cgemit.gun import Gun, generate
 from cgemit.simulate import SimulateSettings, simulate
 from cgemit.simulate import core_arguments as simulate_arguments
+from cgemit.tables import Table
+
+Floats = npt.NDArray[np.float64]
 
 DETECTOR = "besiii-cgem-design"
 GUN = Gun("mu-", p=1.0, cos_theta=(-0.93, 0.93))
@@ -32,6 +38,9 @@ SEED = 1
 STAGES = (
     "simulate", "digitize", "cluster", "find", "fit", "fit_lr", "simulate_kernel", "fit_kernel", "fit_lr_kernel"
 )  # fmt: skip
+SMEARING = (1.0, 0.005, 0.02, 5.0, 0.005)
+"""By how much a given first helix is off: dr mm, phi0 rad, kappa relative, dz mm, tanl."""
+
 _FIT = FitSettings(residuals=True)
 _TWO_ITERATIONS = FitSettings(residuals=True, max_iterations=2, tolerance=1e-12)
 
@@ -170,17 +179,18 @@ def stage_calls(detector: Detector, gun: Gun, events: int, first_event: int = 0)
         for sides in (shown, hidden)
     }
 
-    def candidates() -> Candidates:
+    def candidates() -> dict[str, Table]:
         return find.by_truth(detector, particles, clusters, wire_hits[hidden], truths, wire_truths)
 
     found = candidates()
+    chosen = found["candidates"], found["candidate_hits"]
 
     def whole(sides: DigitizeSettings) -> Callable[[], Any]:
-        return lambda: fit(detector, particles, clusters, wire_hits[sides], found, _FIT, SEED)
+        return lambda: fit(detector, clusters, wire_hits[sides], *chosen, _FIT)
 
     def kernel(sides: DigitizeSettings, settings: FitSettings) -> Callable[[], Any]:
-        start = smeared(helix.at_origin_in(particles, compiled(detector).field), particles, settings, SEED)
-        hits = fit_hits(found, clusters, wire_hits[sides])
+        start = smeared(helix.at_origin_in(particles, compiled(detector).field), particles, SEED)
+        hits = collect_hits(detector, *chosen, clusters, wire_hits[sides])
         arguments = fit_arguments(detector, hits, particles["mass"], start, settings)
         return lambda: _core.fit(**arguments)
 
@@ -196,6 +206,28 @@ def stage_calls(detector: Detector, gun: Gun, events: int, first_event: int = 0)
         "fit_kernel": kernel(shown, _TWO_ITERATIONS),
         "fit_lr_kernel": kernel(hidden, _FIT),
     }
+
+
+def smeared(truth: Floats, particles: Table, seed: int, sigma: Sequence[float] = SMEARING) -> Floats:
+    """Return true helices smeared, for fits to begin with.
+
+    Parameters
+    ----------
+    truth : ndarray, (n, 5) float64
+    particles : Table of kind "particles"
+        Whose random streams are used.
+    seed : int
+    sigma : sequence of float
+        Standard deviations: dr mm, phi0 rad, kappa relative, dz mm, tanl.
+
+    Returns
+    -------
+    ndarray, (n, 5) float64
+    """
+    purpose = _core.Purpose.fit_seed
+    draws = [_core.normals(seed, particles["event"], particles["particle"], purpose, place) for place in (0, 1)]
+    scale = np.array(sigma) * np.where(np.arange(5) == 2, np.abs(truth[:, 2:3]), 1.0)
+    return truth + scale * np.concatenate(draws, axis=1)[:, :5]
 
 
 def machine() -> str:

@@ -1,42 +1,56 @@
-"""The chain: particles -> truths -> digis -> clusters -> tracks, chunk by chunk, on one screen."""
+"""The chain: particles -> truths -> digis -> clusters -> candidates -> tracks, chunk by chunk, on one screen."""
 
 from __future__ import annotations
 
 import os
+import pickle
 import time
 from collections.abc import Callable, Mapping
-from concurrent.futures import Executor, Future, ThreadPoolExecutor, as_completed
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor, as_completed
 from dataclasses import fields, replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from cgemit import find
+from cgemit.candidates import Finder, by_finder, finder_name
 from cgemit.cluster import cluster
 from cgemit.detector import Detector, load
 from cgemit.digitize import digitize
-from cgemit.fit import fit
+from cgemit.fit import FitSettings, fit
 from cgemit.gun import Gun, Guns, generate
+from cgemit.match import match
 from cgemit.particles import particles_from
 from cgemit.record import configuration_of, gun_data
-from cgemit.result import Result, Settings, detectors_of
+from cgemit.result import TABLES, Result, Settings, detectors_of
 from cgemit.simulate import simulate
 from cgemit.tables import Table, concatenate
 from cgemit.version import VERSION
 
+STAGES = ("simulate", "digitize", "cluster", "find", "fit")  # where a run can end
+
 
 def run_chunk(
-    detector: Detector, fit_detector: Detector, particles: Table, settings: Settings, seed: int
+    detector: Detector,
+    fit_detector: Detector,
+    particles: Table,
+    settings: Settings,
+    seed: int,
+    finder: Finder | Literal["truth"] = "truth",
+    until: str = "fit",
 ) -> tuple[dict[str, Table], dict[str, float]]:
-    """Run every stage on the events of one table of particles.
+    """Run the stages on the events of one table of particles.
 
     Parameters
     ----------
     detector, fit_detector : Detector
-        What is simulated and digitized, and what the fit believes.
+        What is simulated and digitized, and what finder and fit believe.
     particles : Table of kind "particles"
     settings : Settings
     seed : int
+    finder : "truth" or callable
+    until : str
+        The last stage, one of `STAGES`. After the fit, tracks are matched with particles.
 
     Returns
     -------
@@ -44,31 +58,50 @@ def run_chunk(
     timings : dict of str to float, s
         Wall time of each stage.
     """
-    clock = _Clock()
-    tables = simulate(detector, particles, settings.simulate, seed)
-    clock.stop("simulate")
-    tables |= digitize(
-        detector, tables["truths"], tables["wire_truths"], settings.digitize, seed, steps=tables["steps"]
-    )
-    clock.stop("digitize")
-    if "clusters" not in tables:  # the gaussian read-out has no strips to cluster
-        tables["clusters"] = cluster(detector, tables["digis"], settings.cluster)
-    clock.stop("cluster")
-    names = ("particles", "clusters", "wire_hits", "truths", "wire_truths")
-    candidates = find.by_truth(detector, *(tables[name] for name in names))
-    clock.stop("find")
-    tables |= fit(
-        fit_detector,
-        tables["particles"],
-        tables["clusters"],
-        tables["wire_hits"],
-        candidates,
-        settings.fit if settings.fit.screening else replace(settings.fit, screening=settings.simulate.screening),
-        seed,
-        simulated=detector,
-    )
-    clock.stop("fit")
-    return tables, clock.seconds
+    tables: dict[str, Table] = {}
+
+    def pick(*names: str) -> tuple[Any, ...]:
+        return tuple(tables[name] for name in names)
+
+    hits, truth, found = ("clusters", "wire_hits"), ("truths", "wire_truths"), ("candidates", "candidate_hits")
+    # The gaussian read-out has no strips to cluster.
+    stages: dict[str, Callable[[], Mapping[str, Table]]] = {
+        "simulate": lambda: simulate(detector, particles, settings.simulate, seed),
+        "digitize": lambda: digitize(
+            detector, tables["truths"], tables["wire_truths"], settings.digitize, seed, steps=tables["steps"]
+        ),
+        "cluster": lambda: (
+            {} if "clusters" in tables else {"clusters": cluster(detector, tables["digis"], settings.cluster)}
+        ),
+        "find": lambda: (
+            by_finder(finder, fit_detector, tables["clusters"], tables["wire_hits"])
+            if callable(finder)
+            else find.by_truth(detector, *pick("particles", *hits, *truth))
+        ),
+        "fit": lambda: fit(
+            fit_detector, tables["clusters"], tables["wire_hits"], tables["candidates"], tables["candidate_hits"],
+            fit_settings(settings),
+        ),
+        "match": lambda: match(*pick("tracks", *found, *hits, "particles", *truth), detector=detector),
+    }  # fmt: skip
+    seconds = {}
+    for stage, work in stages.items():
+        start = time.perf_counter()
+        tables |= work()
+        seconds[stage] = time.perf_counter() - start
+        if stage == until != "fit":
+            break
+    return tables, seconds
+
+
+def fit_settings(settings: Settings) -> FitSettings:
+    """Return the settings of the fit, with the screening that was simulated where they do not say.
+
+    Parameters
+    ----------
+    settings : Settings
+    """
+    return settings.fit if settings.fit.screening else replace(settings.fit, screening=settings.simulate.screening)
 
 
 def run(
@@ -79,14 +112,16 @@ def run(
     *,
     settings: Settings | None = None,
     fit_detector: Detector | str | Mapping[str, Any] | None = None,
+    finder: Finder | Literal["truth"] = "truth",
+    until: Literal["simulate", "digitize", "cluster", "find", "fit"] = "fit",
     threads: int | None = None,
     executor: Executor | None = None,
     chunk: int = 1000,
     progress: Callable[[float], None] | None = None,
 ) -> Result:
-    """Simulate, digitize, cluster and fit events; hits are assigned to tracks by truth.
+    """Simulate, digitize, cluster, find and fit events, and match the tracks with the particles.
 
-    Results depend on detector, gun, settings and seed, not on threads or chunks.
+    Results depend on detector, gun, settings, finder and seed, not on threads or chunks.
 
     Parameters
     ----------
@@ -99,7 +134,13 @@ def run(
     settings : Settings or None
         Of all stages; defaults if None.
     fit_detector : Detector or None
-        What the fit assumes, if it shall differ from what is simulated.
+        What finder and fit assume, if it shall differ from what is simulated.
+    finder : "truth" or callable
+        ``"truth"`` gives each charged particle its own hits. A function of (detector, clusters, wire_hits) returns a
+        mapping with the tables ``candidates`` and ``candidate_hits`` (`label_candidates` makes them). It is called for
+        each chunk, in several threads at a time.
+    until : str
+        The last stage that runs. Tables of later stages are None in the result.
     threads : int or None
         Threads of the pool; all cores if None. Ignored with `executor`.
     executor : concurrent.futures.Executor or None
@@ -116,9 +157,9 @@ def run(
     Raises
     ------
     ValueError
-        Listing what is wrong with detector, gun or numbers.
+        Listing what is wrong with detector, gun, numbers, finder or `until`.
     TypeError
-        If `settings` are something else, such as those of one stage.
+        If `settings` are something else, such as those of one stage, or processes cannot be given the finder.
     """
     start = time.perf_counter()
     if not isinstance(settings, Settings | None):
@@ -128,21 +169,47 @@ def run(
     other = None if believed == detector else believed
     most = 2**31 - 1
     check_numbers("run", seed, threads, n=(n, 0, most), chunk=(chunk, 1, most))
+    _check_stages(finder, until, executor)
     shooter, n_events, table = _source(gun, n)
 
     def task(first: int) -> tuple[Any, ...]:
         count = min(chunk, n_events - first)
-        return (detector, believed, shooter, table, first, count, settings, seed)
+        return (detector, believed, shooter, table, first, count, settings, seed, finder, until)
 
     tasks = [task(first) for first in range(0, n_events, chunk)] or [task(0)]
     parts = _map(tasks, threads, executor, progress)
     meta = _meta(detector, other, shooter, settings, seed)
-    tables = {name: table.with_meta(**meta) for name, table in concatenate([part[0] for part in parts]).items()}
+    joined = concatenate([part[0] for part in parts])
+    tables = {name: joined[name].with_meta(**meta) for name in TABLES if name in joined}
     timings = {stage: sum(part[1][stage] for part in parts) for stage in parts[0][1]}
     timings["wall"] = time.perf_counter() - start
     return Result(
-        detector=detector, fit_detector=other, gun=shooter, seed=seed, settings=settings, timings=timings, **tables
+        detector=detector,
+        fit_detector=other,
+        gun=shooter,
+        seed=seed,
+        settings=settings,
+        tables=tables,
+        timings=timings,
     )
+
+
+def _check_stages(finder: object, until: object, executor: Executor | None) -> None:
+    problems = []
+    if not callable(finder) and finder != "truth":
+        problems.append(f"finder: got {finder!r}, expected 'truth' or a function of (detector, clusters, wire_hits)")
+    if until not in STAGES:
+        problems.append(f"until: got {until!r}, expected one of {', '.join(map(repr, STAGES))}")
+    if problems:
+        raise ValueError("run:\n  " + "\n  ".join(problems))
+    if callable(finder) and isinstance(executor, ProcessPoolExecutor):
+        try:
+            pickle.dumps(finder)
+        except (pickle.PicklingError, AttributeError, TypeError) as error:
+            raise TypeError(
+                f"finder: got {finder_name(finder)}, which cannot be sent to other processes ({error}); "
+                "expected a function of a module, or an executor of threads"
+            ) from error
 
 
 def _expected(given: object) -> str:
@@ -196,6 +263,8 @@ def _work(
     count: int,
     settings: Settings,
     seed: int,
+    finder: Finder | Literal["truth"],
+    until: str,
 ) -> tuple[dict[str, Table], dict[str, float]]:
     if gun is not None:
         particles = generate(gun, count, seed, first)
@@ -203,7 +272,7 @@ def _work(
         assert table is not None
         begin = table.first_event + first
         particles = table.select_events(begin, begin + count)
-    return run_chunk(detector, believed, particles, settings, seed)
+    return run_chunk(detector, believed, particles, settings, seed, finder, until)
 
 
 def _map(
@@ -238,16 +307,3 @@ def _meta(
         "detector": detector.name,
         "seed": seed,
     }
-
-
-class _Clock:
-    """Seconds between stops."""
-
-    def __init__(self) -> None:
-        self.seconds: dict[str, float] = {}
-        self._last = time.perf_counter()
-
-    def stop(self, stage: str) -> None:
-        now = time.perf_counter()
-        self.seconds[stage] = now - self._last
-        self._last = now

@@ -1,7 +1,7 @@
-"""Assignment of hits to tracks by truth: a stand-in for track finding (docs/methods/find.md).
+"""Track finding. There is none yet: hits are assigned to particles by truth (docs/methods/find.md).
 
-Every particle gets its wire hits and one cluster a view of each of its crossings, and none of another particle; where
-two share a cluster or a cell, the one that left more (or was closer) has it.
+Every charged particle gets its wire hits and one cluster a view of each of its crossings, and none of another particle;
+where two share a cluster or a cell, the one that left more (or was closer) has it.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from cgemit.candidates import HIT_V, HIT_WIRE, HIT_X, Candidates
+from cgemit.candidates import HIT_V, HIT_WIRE, HIT_X
 from cgemit.detector import Detector
 from cgemit.detector.parts import local_v
 from cgemit.tables import Table
@@ -21,8 +21,8 @@ Rows = npt.NDArray[np.intp]
 
 def by_truth(
     detector: Detector, particles: Table, clusters: Table, wire_hits: Table, truths: Table, wire_truths: Table
-) -> Candidates:
-    """Give each particle the X clusters, V clusters and wire hits that its truths link to.
+) -> dict[str, Table]:
+    """Give each charged particle the X clusters, V clusters and wire hits that its truths link to.
 
     Of several clusters of one crossing in one view, `own_clusters` says which one. XV clusters are left out: they
     repeat what their X and V clusters say. Hits without a truth, or of a particle that the table does not hold, belong
@@ -37,7 +37,9 @@ def by_truth(
 
     Returns
     -------
-    Candidates
+    dict of str to Table
+        ``candidates``, one per charged particle and in their order, with the particle's own mass, and
+        ``candidate_hits``, ordered from the beam line outward.
 
     Raises
     ------
@@ -47,23 +49,43 @@ def by_truth(
     problems = _problems(detector, particles, clusters, wire_hits, truths, wire_truths)
     if problems:
         raise ValueError("by_truth:\n  " + "\n  ".join(problems))
+    charged = np.flatnonzero(particles["charge"])
     in_view = own_clusters(detector, clusters, truths)
     linked = np.flatnonzero(wire_hits["wire_truth"] >= 0)
-    owner_of_truth = _particle_rows(particles, truths)
-    owner_of_passage = _particle_rows(particles, wire_truths)
+    # The candidate of each particle; none for neutral ones, nor, at the end, for what is no particle's.
+    candidate_of = np.full(len(particles) + 1, -1)
+    candidate_of[charged] = np.arange(len(charged))
+    of_truth = candidate_of[particle_rows(particles, truths)]
+    of_passage = candidate_of[particle_rows(particles, wire_truths)]
     owner = np.concatenate(
-        [owner_of_truth[clusters["truth"][in_view]], owner_of_passage.take(wire_hits["wire_truth"].take(linked))]
+        [of_truth[clusters["truth"][in_view]], of_passage.take(wire_hits["wire_truth"].take(linked))]
     )
-    kind = np.concatenate([clusters["view"][in_view], np.full(len(linked), HIT_WIRE)]).astype(np.uint8)
+    view = np.concatenate([clusters["view"][in_view], np.full(len(linked), HIT_WIRE, "i1")])
     layer = np.concatenate([clusters["layer"][in_view], wire_hits["layer"].take(linked)])
-    row = np.concatenate([in_view, linked])
     layers = int(layer.max(initial=0)) + 1
-    outward = (owner * 2 + (kind == HIT_WIRE)) * layers + layer
+    outward = (owner * 2 + (view == HIT_WIRE)) * layers + layer
     # Stable: within a layer the order of the tables stays (sheet, then X before V; wire).
     order = np.argsort(outward, kind="stable")
     order = order[np.searchsorted(outward.take(order), 0) :]  # drops the hits of nobody, whose owner is -1
-    offsets = np.searchsorted(owner.take(order), np.arange(len(particles) + 1)).astype(np.int64)
-    return Candidates(offsets, kind.take(order), row.take(order))
+    owner = owner.take(order)
+    event = particles["event"].take(charged)
+    columns = {
+        "event": event,
+        "candidate": np.arange(len(event)) - np.searchsorted(event, event),
+        "pdg": np.abs(particles["pdg"].take(charged)),
+        "mass": particles["mass"].take(charged),
+    }
+    hits = {
+        "event": event.take(owner),
+        "candidate": owner,
+        "view": view.take(order),
+        "row": np.concatenate([in_view, linked]).take(order),
+    }
+    about = particles.cover | {"meta": {"finder": "truth"}}
+    return {
+        "candidates": Table("candidates", columns, **about),
+        "candidate_hits": Table("candidate_hits", hits, **about),
+    }
 
 
 def _problems(
@@ -76,13 +98,26 @@ def _problems(
     if problems:
         return problems
     return (
-        _link_problems(clusters, "truth", truths)
-        + _link_problems(wire_hits, "wire_truth", wire_truths)
+        link_problems(clusters, "truth", truths)
+        + link_problems(wire_hits, "wire_truth", wire_truths)
         + _layer_problems(detector, clusters, wire_hits)
     )
 
 
-def _link_problems(table: Table, link: str, target: Table) -> list[str]:
+def link_problems(table: Table, link: str, target: Table) -> list[str]:
+    """Say whether links of a table lead to rows that are not there or are those of another event.
+
+    Parameters
+    ----------
+    table : Table
+    link : str
+        Column of `table` that counts rows of `target`.
+    target : Table
+
+    Returns
+    -------
+    list of str
+    """
     rows = table[link]
     if rows.max(initial=-1) >= len(target):
         return [f"{target.kind}: got {len(target)} rows; expected more, {table.kind} link to row {rows.max()}"]
@@ -181,8 +216,20 @@ def _distances(detector: Detector, clusters: Table, truths: Table, rows: Rows) -
     return np.asarray(np.maximum(beside - 0.5 * size * pitch, 0.0))
 
 
-def _particle_rows(particles: Table, truths: Table) -> npt.NDArray[np.int64]:
-    """Row of the particles table for each row of a truth table, -1 where it holds no such particle."""
+def particle_rows(particles: Table, truths: Table) -> npt.NDArray[np.int64]:
+    """Return the particle behind each truth.
+
+    Parameters
+    ----------
+    particles : Table
+    truths : Table
+        Of kind "truths" or "wire_truths".
+
+    Returns
+    -------
+    ndarray, (truths,) int64
+        Row of the particles table; -1 where it holds no such particle.
+    """
     span = int(max(particles["particle"].max(initial=0), truths["particle"].max(initial=0))) + 1
     first = min(particles.first_event, truths.first_event)
     known = (particles["event"] - first) * span + particles["particle"]

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from cgemit import _core, helix
-from cgemit.candidates import Candidates, FitHits, fit_hits, with_masses
-from cgemit.detector import SCREENINGS, Detector, compiled
+from cgemit.candidates import FitHits, collect_hits
+from cgemit.detector import SCREENINGS, Detector, compiled, load
 from cgemit.fit_settings import FitSettings as FitSettings
-from cgemit.species import HYPOTHESES
 from cgemit.states import state_columns
 from cgemit.tables import Table
-from cgemit.tracks import residual_columns, track_columns
+from cgemit.tracks import repeated, residual_columns, track_columns, with_hypotheses
 
 FitStatus = _core.FitStatus
 Floats = npt.NDArray[np.float64]
@@ -23,56 +23,86 @@ PARAMETERS = helix.PARAMETERS
 
 
 def fit(
-    detector: Detector,
-    particles: Table,
+    detector: Detector | str | Mapping[str, Any],
     clusters: Table,
     wire_hits: Table,
-    candidates: Candidates,
+    candidates: Table,
+    candidate_hits: Table,
     settings: FitSettings | None = None,
-    seed: int = 0,
     *,
-    simulated: Detector | None = None,
+    start: npt.ArrayLike | None = None,
 ) -> dict[str, Table]:
     """Fit one helix to the hits of every candidate.
 
     Parameters
     ----------
-    detector : Detector
+    detector : Detector, or what `load` accepts
         Field and material that the fit assumes.
-    particles : Table of kind "particles"
-        The candidates' particles: mass hypothesis, and truth to compare with.
     clusters, wire_hits : Table
-    candidates : Candidates
-        One per row of `particles`.
+    candidates, candidate_hits : Table
+        Hits in any order: the fit takes them from the beam line outward.
     settings : FitSettings or None
-    seed : int
-        Key of the random streams; used by ``FitSettings(seed="truth")`` only.
-    simulated : Detector or None
-        What the particles really flew through, if that is not `detector`: its field bends the true helix.
+    start : array_like or None
+        Helices to begin with, (candidates, 5) float64: dr mm, phi0 rad, kappa (GeV/c)^-1, dz mm, tanl. None: the hits
+        provide them.
 
     Returns
     -------
     dict of str to Table
-        ``tracks``, one row per particle and mass hypothesis, with ``settings.residuals`` also ``residuals``, and with
+        ``tracks``, one row per candidate and mass hypothesis, with ``settings.residuals`` also ``residuals``, and with
         ``settings.states`` also ``states``. Rows whose `status` is not ok hold the last helix tried, and NaN where
         there is no helix, covariance or chi-square.
+
+    Raises
+    ------
+    ValueError
+        Listing everything that is wrong with the hits or the start.
     """
-    settings = settings or FitSettings()
-    kinds = [HYPOTHESES[name] for name in settings.hypotheses()]
-    particles, candidates = with_masses(particles, candidates, [(kind.pdg, kind.mass) for kind in kinds])
-    hits = fit_hits(candidates, clusters, wire_hits)
-    truth = helix.at_origin_in(particles, compiled(simulated or detector).field)
-    start = smeared(truth, particles, settings, seed) if settings.seed == "truth" else np.empty((0, 5))
-    arguments = core_arguments(detector, hits, particles["mass"], start, settings)
-    out, span = _core.fit(**arguments), (particles.n_events, particles.first_event)
-    tables = {"tracks": Table("tracks", track_columns(out, truth, particles), *span)}
+    detector, settings = load(detector), settings or FitSettings()
+    core = compiled_for_fit(detector, settings)
+    hits = collect_hits(core, candidates, candidate_hits, clusters, wire_hits)
+    names = settings.hypotheses()
+    candidate, pdg, mass = with_hypotheses(candidates, names)
+    begin = _start(start, len(candidates))
+    if len(names) > 1:
+        hits, begin = repeated(hits, candidate), begin[candidate] if len(begin) else begin
+    out = _core.fit(**core_arguments(detector, hits, mass, begin, settings))
+    event = candidates["event"].take(candidate)
+    about = candidates.cover | {
+        "meta": {name: candidates.meta[name] for name in ("finder",) if name in candidates.meta}
+    }
+    tables = {"tracks": Table("tracks", track_columns(out, event, candidate, pdg), **about)}
     if settings.residuals:
-        tables["residuals"] = Table("residuals", residual_columns(out, hits, particles), *span)
+        tables["residuals"] = Table("residuals", residual_columns(out, hits, event), **about)
     if settings.states:
-        core, settled = arguments["detector"], out["status"] == FitStatus.ok
-        columns = state_columns(detector, core, settings.states, particles, hits, out, settled)
-        tables["states"] = Table("states", columns, *span)
+        settled = out["status"] == FitStatus.ok
+        columns = state_columns(detector, core, settings.states, tables["tracks"], mass, hits, out, settled)
+        tables["states"] = Table("states", columns, **about)
     return tables
+
+
+def _start(given: npt.ArrayLike | None, n: int) -> Floats:
+    """Return the helices to begin with, (n, 5), or (0, 5) for none."""
+    if given is None:
+        return np.empty((0, 5))
+    start = np.ascontiguousarray(given, np.float64)
+    if start.shape != (n, 5):
+        raise ValueError(f"start: got shape {start.shape}, expected ({n}, 5), a helix for each candidate")
+    wrong = np.flatnonzero(~np.isfinite(start).all(axis=1))
+    if len(wrong):
+        raise ValueError(f"start: got {start[wrong[0]]} in row {wrong[0]}, expected finite numbers")
+    return start
+
+
+def compiled_for_fit(detector: Detector, settings: FitSettings) -> _core.Detector:
+    """Return the compiled detector with the matter that the fit assumes.
+
+    Parameters
+    ----------
+    detector : Detector
+    settings : FitSettings
+    """
+    return compiled(detector, screening=settings.screening or SCREENINGS[0], loss=settings.loss)
 
 
 def core_arguments(
@@ -95,9 +125,9 @@ def core_arguments(
         Arguments of ``_core.fit`` by name.
     """
     return {
-        "detector": compiled(detector, screening=settings.screening or SCREENINGS[0], loss=settings.loss),
+        "detector": compiled_for_fit(detector, settings),
         "hit_offsets": hits.hit_offsets,
-        "hits": {n: getattr(hits, n) for n in ("kind", "layer", "element", "size", "value", "sigma", "side")},
+        "hits": hits.columns(),
         "mass": mass,
         "start": start,
         "settings": _core.FitSettings(
@@ -113,24 +143,3 @@ def core_arguments(
         "residuals": settings.residuals,
         "states": bool(settings.states),
     }
-
-
-def smeared(truth: Floats, particles: Table, settings: FitSettings, seed: int) -> Floats:
-    """Return true helices smeared by `settings.seed_smearing`.
-
-    Parameters
-    ----------
-    truth : ndarray, (n, 5) float64
-    particles : Table of kind "particles"
-        Whose random streams are used.
-    settings : FitSettings
-    seed : int
-
-    Returns
-    -------
-    ndarray, (n, 5) float64
-    """
-    purpose = _core.Purpose.fit_seed
-    draws = [_core.normals(seed, particles["event"], particles["particle"], purpose, place) for place in (0, 1)]
-    sigma = np.array(settings.seed_smearing) * np.where(np.arange(5) == 2, np.abs(truth[:, 2:3]), 1.0)
-    return truth + sigma * np.concatenate(draws, axis=1)[:, :5]

@@ -7,13 +7,12 @@ from dataclasses import dataclass
 from typing import Annotated, Literal, get_args
 
 from cgemit.detector import Screening
-from cgemit.kinds import Check, NotNegative, Positive
+from cgemit.kinds import Check, Positive
 from cgemit.settings import SettingsData
 from cgemit.species import HYPOTHESES, Hypothesis
 from cgemit.states import Place
 
 MassHypothesis = Literal[Hypothesis, "all"]
-Seed = Literal["hits", "truth"]
 ClusterErrors = Literal["track", "cluster"]
 Loss = Literal["truncated", "mean", "most_probable"]
 LOSSES: tuple[Loss, ...] = get_args(Loss)
@@ -25,7 +24,6 @@ Share = Annotated[float, Check(lambda value: 0 <= value < 1, "0 or a probability
 Pull = Annotated[float, Check(lambda value: value == 0 or 2 <= value < math.inf, "0 or at least 2 standard deviations")]
 Spread = Annotated[float, Check(lambda value: 1e-12 <= value < math.inf, "a number not below 1e-12")]
 FiveSpreads = tuple[Spread, Spread, Spread, Spread, Spread]
-FiveNumbers = tuple[NotNegative, NotNegative, NotNegative, NotNegative, NotNegative]
 Radius = Annotated[float, Check(lambda value: 0 < value < math.inf, "a positive radius in mm")]
 
 
@@ -35,9 +33,6 @@ class FitSettings(SettingsData):
 
     Attributes
     ----------
-    seed : str
-        Where the first helix comes from: ``"hits"``, a circle and a line through the drift-chamber hits, or
-        ``"truth"``, the true helix smeared by `seed_smearing`.
     cluster_errors : str
         ``"track"``: from the number of strips and the incidence of the track. ``"cluster"``: as in the clusters
         table, from the number of strips and the layer alone.
@@ -55,7 +50,7 @@ class FitSettings(SettingsData):
         (closest approach), ``"beam_pipe"`` (inner surface), ``"hits"`` (every measurement). Empty: no such table.
     hypothesis : str, tuple of str or None
         Particles whose masses the fit assumes, ``"e"``, ``"mu"``, ``"pi"``, ``"K"``, ``"p"``, or ``"all"`` five: every
-        candidate gets a track for each, in this order. None: one track, with the particle's own mass.
+        candidate gets a track for each, in this order. None: one track, with the candidate's own mass.
     max_iterations : int
         A fit that has not converged after so many iterations gives up.
     tolerance : float
@@ -74,8 +69,6 @@ class FitSettings(SettingsData):
         first, and taken back where it does not any more. 0: every hit is used.
     prior_sigma : tuple of float
         Standard deviations of (dr mm, phi0 rad, kappa (GeV/c)^-1, dz mm, tanl) that the filter begins with.
-    seed_smearing : tuple of float
-        Standard deviations by which a true helix is smeared: (dr mm, phi0 rad, kappa relative, dz mm, tanl).
 
     Raises
     ------
@@ -83,7 +76,6 @@ class FitSettings(SettingsData):
         Listing every value that makes no sense.
     """
 
-    seed: Seed = "hits"
     cluster_errors: ClusterErrors = "track"
     screening: Screening | None = None
     loss: Loss = "truncated"
@@ -97,13 +89,6 @@ class FitSettings(SettingsData):
     kinks: bool = True
     outlier_pull: Pull = 5.0
     prior_sigma: FiveSpreads = (200.0, 0.5, 5.0, 1000.0, 2.0)
-    seed_smearing: FiveNumbers = (
-        1.0,
-        0.005,
-        0.02,
-        5.0,
-        0.005,
-    )
 
     def contradictions(self) -> list[str]:
         """Return what is wrong with several hypotheses together."""
@@ -116,7 +101,7 @@ class FitSettings(SettingsData):
         return [] if once else [f"hypothesis: got {given!r}, expected each name once"]
 
     def hypotheses(self) -> tuple[str, ...]:
-        """Return the names of the particles whose masses are assumed; none for that of each particle itself."""
+        """Return the names of the particles whose masses are assumed; none for that of each candidate itself."""
         given = () if self.hypothesis is None else self.hypothesis
         names = given if isinstance(given, tuple) else (given,)
         return tuple(HYPOTHESES) if names == ("all",) else names

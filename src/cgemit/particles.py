@@ -12,6 +12,7 @@ from cgemit.problems import ProblemsError, did_you_mean
 from cgemit.species import KNOWN, UNKNOWN
 from cgemit.tables import SCHEMAS, Table
 from cgemit.tables.check import Array
+from cgemit.tables.convert import columns_of
 from cgemit.tables.table import kind_problems
 
 
@@ -111,10 +112,9 @@ _MOST_EVENTS = 100_000_000  # a larger span of event numbers is a mistake, such 
 
 def _columns(source: Any) -> dict[str, Array]:
     """Return the columns of whatever was given."""
-    if isinstance(source, np.ndarray) and source.dtype.names:
-        return {name: source[name] for name in source.dtype.names}
-    if isinstance(source, Mapping | Table) or hasattr(source, "columns"):
-        return {str(name): np.asarray(source[name]) for name in source.keys()}  # noqa: SIM118  (tables, data frames)
+    columns = columns_of(source)
+    if columns is not None:
+        return columns
     raise ParticleError(
         "table of particles",
         [f"got {type(source).__name__}; expected a table, a mapping of arrays, a data frame or a structured array"],

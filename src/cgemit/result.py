@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from dataclasses import MISSING, dataclass, field, fields
+from dataclasses import dataclass, field
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,7 @@ from cgemit.digitize import DigitizeSettings
 from cgemit.fit import FitSettings, FitStatus
 from cgemit.gun import Gun, Guns
 from cgemit.io.folders import new_folder
+from cgemit.match import joined
 from cgemit.record import gun_data, read_run, record, write_run
 from cgemit.settings import SettingsData
 from cgemit.simulate import SimulateSettings, TransportStatus
@@ -22,8 +23,12 @@ from cgemit.tables import Table
 from cgemit.tables.table import what
 
 TABLES = (
-    *("particles", "truths", "steps", "wire_truths", "digis", "wire_hits", "clusters", "tracks", "residuals", "states"),
+    *("particles", "truths", "steps", "wire_truths", "digis", "wire_hits", "clusters", "candidates", "candidate_hits"),
+    *("tracks", "residuals", "states", "matches"),
 )
+
+#: What every run makes, wherever it ends.
+_EVERY_RUN = ("particles", "truths", "steps", "wire_truths")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,45 +47,83 @@ class Settings(SettingsData):
     fit: FitSettings = field(default_factory=FitSettings)
 
 
+class _Stored:
+    """One of the tables of a result; None where the run ended before it, or did not ask for it."""
+
+    def __init__(self, name: str = "") -> None:
+        self._name = name
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self._name = self._name or name
+
+    def __get__(self, result: Result | None, owner: type | None = None) -> Any:
+        return self if result is None else result.tables.get(self._name)
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Result:
-    """All tables of a run, and what made them."""
+    """All tables of a run, and what made them.
+
+    Attributes
+    ----------
+    detector : Detector
+    gun : Gun, Guns or None
+        None: the particles were given.
+    seed : int
+    settings : Settings
+    tables : mapping of str to Table
+        By name, in the order of `TABLES`; each is also an attribute, None where the run did not make it. ``tracks``
+        holds what the fit found, without the comparison with truth: the attribute `fitted`.
+    timings : mapping of str to float
+        Seconds of each stage, summed over chunks, and `wall`, from start to end.
+    """
 
     detector: Detector
     gun: Gun | Guns | None
     seed: int
     settings: Settings
     fit_detector: Detector | None = None
-    """What the fit assumed, if that is not `detector`."""
-    particles: Table
-    truths: Table
-    steps: Table
-    wire_truths: Table
-    digis: Table
-    wire_hits: Table
-    clusters: Table
-    tracks: Table = field(default=None)  # type: ignore[assignment]
-    """None where the run was saved without its fit."""
-    residuals: Table | None = None
-    states: Table | None = None
+    tables: Mapping[str, Table]
     timings: Mapping[str, float]
-    """Seconds of each stage, summed over chunks, and `wall`, from start to end."""
+
+    particles = _Stored()
+    truths = _Stored()
+    steps = _Stored()
+    wire_truths = _Stored()
+    digis = _Stored()
+    wire_hits = _Stored()
+    clusters = _Stored()
+    candidates = _Stored()
+    candidate_hits = _Stored()
+    fitted = _Stored("tracks")
+    residuals = _Stored()
+    states = _Stored()
+    matches = _Stored()
 
     @property
-    def tables(self) -> dict[str, Table]:
-        """The tables by name."""
-        return {name: getattr(self, name) for name in TABLES if getattr(self, name) is not None}
+    def tracks(self) -> Any:
+        """The fitted tracks with the columns of their matches; None where the run did not fit."""
+        if self.fitted is None or self.matches is None:
+            return self.fitted
+        return joined(self.fitted, self.matches)
+
+    @property
+    def finder(self) -> str | None:
+        """Name of what assigned the hits to candidates; None where the run did not."""
+        return None if self.candidates is None else finder_of(self.candidates)
 
     def __eq__(self, other: object) -> bool:
         """Compare everything but the timings."""
         if not isinstance(other, Result):
             return NotImplemented
-        mine, theirs = ((r.detector, r.fit_detector, r.gun, r.seed, r.settings, r.tables) for r in (self, other))
+        mine, theirs = ((r.detector, r.fit_detector, r.gun, r.seed, r.settings, dict(r.tables)) for r in (self, other))
         return mine == theirs
 
     def removed(self) -> dict[str, int]:
         """Count the tracks of each status other than ok."""
-        status = self.tracks["status"]
+        if self.fitted is None:
+            return {}
+        status = self.fitted["status"]
         return {s.name: n for s in FitStatus if s != FitStatus.ok and (n := int((status == s).sum()))}
 
     def transport(self) -> dict[str, int]:
@@ -136,21 +179,22 @@ class Result:
             A ValueError that lists every file that is damaged, and every table that is not of the run that run.json
             describes.
         """
-        required = [f.name for f in fields(cls) if f.name in TABLES and f.default is MISSING]
-        run = read_run(Path(folder), Settings, TABLES, required)
-        about: dict[str, Any] = {"gun": run.gun, "settings": run.settings, **run.detectors, **run.tables}
-        return cls(seed=run.entries["seed"], timings=run.entries["timings"], **about)
+        run = read_run(Path(folder), Settings, TABLES, _EVERY_RUN)
+        tables = {name: run.tables[name] for name in TABLES if name in run.tables}
+        about: dict[str, Any] = {"gun": run.gun, "settings": run.settings, **run.detectors}
+        return cls(seed=run.entries["seed"], tables=tables, timings=run.entries["timings"], **about)
 
     def _summary(self) -> list[tuple[str, str]]:
         shots = f"{self.gun!r}" if self.gun is not None else "given particles"
         rows = [("detector", self.detector.name), ("gun", shots), ("seed", str(self.seed))]
         rows.append(("events", f"{self.particles.n_events:,}"))
         rows.append(("transport", ", ".join(f"{n:,} {name}" for name, n in self.transport().items())))
-        if "tracks" in self.tables:
+        if self.fitted is not None:
             removed = ", ".join(f"{n:,} {name}" for name, n in self.removed().items()) or "none"
-            rows.append(("tracks", f"{len(self.tracks):,} (not fitted: {removed})"))
+            rows.append(("tracks", f"{len(self.fitted):,} (not fitted: {removed})"))
         rows.append(("rows", ", ".join(f"{name} {len(table):,}" for name, table in self.tables.items())))
-        rows.append(("hits", "assigned by truth"))
+        if self.candidates is not None:
+            rows.append(("hits", hits_text(self.candidates)))
         rows.append(("time", f"{self.timings['wall']:.2f} s"))
         return rows
 
@@ -167,6 +211,29 @@ def detectors_of(detector: Detector, fit_detector: Detector | None) -> dict[str,
     return {"detector": detector} | ({} if fit_detector is None else {"fit_detector": fit_detector})
 
 
+def finder_of(table: Table) -> str:
+    """Return the name of what assigned hits to the candidates or tracks of a table; ``"given"`` if it does not say.
+
+    Parameters
+    ----------
+    table : Table
+        Of candidates, their hits, or what was fitted to them.
+    """
+    return str(table.meta.get("finder", "given"))
+
+
+def hits_text(table: Table) -> str:
+    """Return how hits came to their tracks, for reports.
+
+    Parameters
+    ----------
+    table : Table
+        As in `finder_of`.
+    """
+    name = finder_of(table)
+    return {"truth": "assigned by truth", "given": "given with their candidates"}.get(name, f"found by {name}")
+
+
 def tracks_of(given: Result | Table) -> Table:
     """Return the tracks of a result, or the table of tracks itself.
 
@@ -179,10 +246,13 @@ def tracks_of(given: Result | Table) -> Table:
     TypeError
         If it is neither a result nor a table.
     ValueError
-        If it is a table of another kind.
+        If it is a table of another kind, or a result without tracks.
     """
     if isinstance(given, Result):
-        return given.tracks
+        if given.fitted is None:
+            raise ValueError("tracks: the result has none, since the run ended before the fit")
+        tracks: Table = given.tracks
+        return tracks
     if not isinstance(given, Table) or given.kind != "tracks":
         kind = ValueError if isinstance(given, Table) else TypeError
         raise kind(f"tracks: got {what(given)}, expected a table of kind 'tracks', or a Result")

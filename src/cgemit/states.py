@@ -32,12 +32,13 @@ def state_columns(
     detector: Detector,
     core: _core.Detector,
     places: tuple[float | str, ...],
-    particles: Table,
+    tracks: Table,
+    mass: Floats,
     hits: FitHits,
     fitted: dict[str, npt.NDArray[Any]],
     settled: npt.NDArray[np.bool_],
 ) -> Columns:
-    """Columns of the states table, for one row of `particles` a track.
+    """Columns of the states table.
 
     Parameters
     ----------
@@ -47,9 +48,11 @@ def state_columns(
         The same, compiled for it.
     places : tuple of float or str
         Radii in mm, and names of `Place`.
-    particles : Table of kind "particles"
-        With the column `hypothesis` and the masses that the fit assumed.
+    tracks : Table of kind "tracks"
+    mass : ndarray, (n,) float64, GeV/c2
+        That the fit assumed for each.
     hits : FitHits
+        Of each track.
     fitted : dict of ndarray
         Of the fit: `reference` (n, 5) float64, the helix about which its last iteration was linearised, with the
         azimuth of flight for phi0; `kinks` (n slabs, 2) float64, rad, how that was scattered in every slab; `prior`
@@ -63,25 +66,24 @@ def state_columns(
     dict of array_like
     """
     targets = _targets(detector, places)
-    columns = ("kind", "layer", "element", "size", "value", "sigma")
     used = {name: fitted[name] for name in ("used", "used_value", "used_variance")}
     out = _core.states(
         core,
         hit_offsets=hits.hit_offsets,
-        hits={name: getattr(hits, name) for name in columns} | used,
+        hits=hits.columns() | used,
         reference=fitted["reference"],
         kinks=fitted["kinks"].reshape(len(fitted["reference"]), -1),
         prior=fitted["prior"],
-        mass=particles["mass"],
+        mass=mass,
         fitted=settled.astype(np.uint8),
         targets=targets,
     )
     track, target = out["track"], out["target"]
     surface = targets["surface"][target]
     found: Columns = {
-        "event": particles["event"][track],
+        "event": tracks["event"][track],
         "track": track,
-        "hypothesis": particles["hypothesis"][track],
+        "hypothesis": tracks["hypothesis"][track],
         "surface": surface,
     }
     found |= _hit_columns(hits, out["hit"]) | _at(out)
@@ -146,7 +148,7 @@ def extrapolate(
         "hypothesis": table["hypothesis"], "surface": np.full(n, Surface.cylinder), "r": np.full(n, float(radius)),
         "view": none, "layer": none, "hit": none, "residual": nan, "err": nan, "pull": nan, "status": out["status"],
     }  # fmt: skip
-    return Table("states", columns | _at(out), table.n_events, table.first_event, table.meta)
+    return Table("states", columns | _at(out), meta=table.meta, **table.cover)
 
 
 def _start_problems(table: Table, radius: object, particle: object, screening: object, loss: object) -> list[str]:

@@ -10,6 +10,7 @@ from cgemit.digitize import digitize
 from cgemit.find import by_truth
 from cgemit.fit import FitSettings, fit
 from cgemit.gun import Gun, generate
+from cgemit.match import joined, match
 from cgemit.simulate import SimulateSettings, simulate
 from cgemit.study import pulls, resolution
 from cgemit.tables import Table
@@ -55,9 +56,12 @@ def fitted():
         prepared[deltas] = tables, by_truth(DESIGN, *(tables[name] for name in names))
 
     def run(deltas, **settings):
-        tables, candidates = prepared[deltas]
-        hits = tables["particles"], tables["clusters"], tables["wire_hits"]
-        return fit(DESIGN, *hits, candidates, FitSettings(residuals=True, **settings), 4)
+        tables, found = prepared[deltas]
+        hits = tables["clusters"], tables["wire_hits"]
+        out = fit(DESIGN, *hits, *found.values(), FitSettings(residuals=True, **settings))
+        of_truth = tables["particles"], tables["truths"], tables["wire_truths"]
+        matches = match(out["tracks"], *found.values(), *hits, *of_truth, detector=DESIGN)["matches"]
+        return out | {"tracks": joined(out["tracks"], matches)}
 
     return run
 

@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 
 import cgemit as cg
-from cgemit import _core, find
-from cgemit.candidates import fit_hits
+from cgemit import _core
 from cgemit.fit import PARAMETERS, FitSettings, core_arguments
 from exact import EXACT
-from tracks import order_of_matter
+from tracks import hits_of_result, order_of_matter
 
 FIT = FitSettings(residuals=True, tolerance=1e-7, max_iterations=50, outlier_pull=0, states=("origin",))
 GUN = cg.Gun("pi+", p=[0.12, 0.2, 0.4, 1.0, 2.5], cos_theta=(-0.8, 0.8), vertex_sigma=(1.0, 1.0, 5.0))
@@ -25,8 +24,7 @@ N = 100
 def sample(name: str):
     """Return detector, core, hits of simulated tracks, and what the core makes of them."""
     result = cg.run(name, GUN, N, seed=17, settings=EXACT, threads=1)
-    tables = (result.particles, result.clusters, result.wire_hits, result.truths, result.wire_truths)
-    hits = fit_hits(find.by_truth(result.detector, *tables), result.clusters, result.wire_hits)
+    hits = hits_of_result(result)
     start = np.stack([result.tracks[name] for name in PARAMETERS], axis=1)
     arguments = core_arguments(result.detector, hits, result.particles["mass"], start, FIT)
     fitted = _core.fit(**arguments)

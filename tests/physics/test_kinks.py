@@ -12,12 +12,12 @@ from scipy.optimize import least_squares
 from scipy.stats import chi2, kstest
 
 import cgemit as cg
-from cgemit import _core, find
-from cgemit.candidates import fit_hits
+from cgemit import _core
 from cgemit.fit import PARAMETERS, FitSettings
 from exact import EXACT
 from optimal import Optimum, optimum
 from plain_tracks import Hit, follow, stack_of
+from tracks import hits_of_result
 
 CUTS = (_core.CORE_MEAN_CUT, _core.CORE_VARIANCE_CUT)
 GUN = cg.Gun("mu+", p=0.1, cos_theta=(-0.3, 0.3))
@@ -37,8 +37,7 @@ def helices(result: cg.Result) -> np.ndarray:
 
 def hits_of(result: cg.Result, track: int) -> tuple[list[Hit], np.ndarray]:
     """Return the hits of a track and what they measured, mm."""
-    tables = (result.particles, result.clusters, result.wire_hits, result.truths, result.wire_truths)
-    found = fit_hits(find.by_truth(result.detector, *tables), result.clusters, result.wire_hits)
+    found = hits_of_result(result)
     rows = range(found.hit_offsets[track], found.hit_offsets[track + 1])
     hits = [Hit(*(getattr(found, name)[i].item() for name in ("kind", "layer", "element", "sigma"))) for i in rows]
     sign = np.array([found.side[i] if found.kind[i] == 2 else 1 for i in rows])

@@ -10,12 +10,13 @@ import numpy.typing as npt
 import pytest
 
 from cgemit import find, helix
-from cgemit.candidates import HIT_WIRE, Candidates
+from cgemit.candidates import HIT_WIRE
 from cgemit.chain import run
 from cgemit.detector import Detector, field_at, load
 from cgemit.digitize import digitize
 from cgemit.fit import PARAMETERS, FitSettings, FitStatus, fit
 from cgemit.gun import Gun, generate
+from cgemit.match import joined, match
 from cgemit.simulate import simulate
 from cgemit.states import StateStatus, Surface
 from cgemit.tables import Table
@@ -49,13 +50,15 @@ def sample(
     tables |= digitize(detector, tables["truths"], tables["wire_truths"], EXACT.digitize, 21, steps=tables["steps"])
     names = ("particles", "clusters", "wire_hits", "truths", "wire_truths")
     found = find.by_truth(detector, *(tables[name] for name in names))
-    layer = tables["wire_hits"]["layer"][np.where(found.kind == HIT_WIRE, found.row, 0)]
-    inner = (found.kind != HIT_WIRE) | (layer <= LAST_LAYER)
-    offsets = np.concatenate([[0], np.cumsum(inner)])[found.hit_offsets]
+    hits = found["candidate_hits"]
+    layer = tables["wire_hits"]["layer"][np.where(hits["view"] == HIT_WIRE, hits["row"], 0)]
+    hits = hits[(hits["view"] != HIT_WIRE) | (layer <= LAST_LAYER)]
     settings = FitSettings(states=("beam_pipe", *MIDDLES, "hits", *(LAYERS[number] for number in OUTSIDE)))
-    candidates = Candidates(offsets, found.kind[inner], found.row[inner])
-    hits = (tables["particles"], tables["clusters"], tables["wire_hits"])
-    return tables, fit(believed or detector, *hits, candidates, settings, 21, simulated=detector)
+    given = (found["candidates"], hits, tables["clusters"], tables["wire_hits"])
+    out = fit(believed or detector, *given[2:], *given[:2], settings)
+    of_truth = (tables["particles"], tables["truths"], tables["wire_truths"])
+    matches = match(out["tracks"], *given, *of_truth, detector=detector)["matches"]
+    return tables, out | {"tracks": joined(out["tracks"], matches)}
 
 
 def helices(table: Table) -> Floats:

@@ -301,7 +301,7 @@ def test_simulate_writes_tables(tmp_path, capsys):
     assert main([*SIMULATE, "--fit", "-o", str(tmp_path / "fitted"), "--vertex", "1,2,3 cm", "--json"]) == 0
     assert {path.stem for path in (tmp_path / "fitted").iterdir()} - {
         path.stem for path in (tmp_path / "bare").iterdir()
-    } == {"tracks"}
+    } == {"candidates", "candidate_hits", "tracks", "matches"}
     particles = Table.load(tmp_path / "fitted" / "particles.npz")
     assert particles.n_events == 50
     np.testing.assert_array_equal(particles["z"], 30.0)

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 import gem_toy
-from cgemit.candidates import HIT_V, HIT_WIRE, HIT_X, Candidates, fit_hits
+from cgemit.candidates import HIT_V, HIT_WIRE, HIT_X, collect_hits
 from cgemit.cluster import cluster
 from cgemit.detector import load
 from cgemit.digitize import DigitizeSettings, digitize
 from cgemit.find import by_truth, own_clusters
-from cgemit.fit import FitSettings, fit
+from cgemit.fit import fit
 from cgemit.tables import SCHEMAS, Table
 
 EVENTS = 30
@@ -19,8 +19,13 @@ DETECTOR = load("besiii-cgem-design")
 def particle_table(event, particle, n_events=EVENTS):
     """Particles of which only event and number matter."""
     n = len(event)
-    columns = {name: np.zeros(n) for name in ("mass", "x", "y", "z", "px", "py", "pz")}
-    columns |= {"event": np.array(event), "particle": np.array(particle, "i4"), "pdg": np.full(n, 13, "i4")}
+    columns = {name: np.zeros(n) for name in ("x", "y", "z", "px", "py", "pz")}
+    columns |= {
+        "mass": np.full(n, 0.10566),
+        "event": np.array(event),
+        "particle": np.array(particle, "i4"),
+        "pdg": np.full(n, 13, "i4"),
+    }
     columns |= {"charge": np.full(n, -1, "i1"), "status": np.zeros(n, "i1")}
     return Table("particles", columns, n_events)
 
@@ -52,10 +57,17 @@ def candidates_of(chain, particles):
     return by_truth(DETECTOR, particles, chain["clusters"], chain["wire_hits"], chain["truths"], chain["wire_truths"])
 
 
-def hits_of(candidates, i):
-    """Set of (kind, row) of one candidate."""
-    part = slice(*candidates.hit_offsets[i : i + 2])
-    return set(zip(candidates.kind[part].tolist(), candidates.row[part].tolist(), strict=True))
+def hits_of(found, i):
+    """Set of (view, row) of one candidate."""
+    hits = found["candidate_hits"]
+    mine = hits["candidate"] == i
+    assert (hits["event"][mine] == found["candidates"]["event"][i]).all()
+    return set(zip(hits["view"][mine].tolist(), hits["row"][mine].tolist(), strict=True))
+
+
+def counts_of(found):
+    """Number of hits of each candidate."""
+    return np.bincount(found["candidate_hits"]["candidate"], minlength=len(found["candidates"]))
 
 
 def expected_hits(chain, event, particle):
@@ -80,31 +92,41 @@ def test_each_particle_gets_its_own_hits(chain, order):
     for i in (0, 1, 7, 2 * EVENTS - 1):
         assert hits_of(candidates, i) == expected_hits(chain, particles["event"][i], particles["particle"][i])
     used = np.count_nonzero(chain["clusters"]["view"] < 2) + len(chain["wire_hits"])
-    assert candidates.hit_offsets[-1] == used
+    assert len(candidates["candidate_hits"]) == used
+    assert candidates["candidates"]["candidate"].tolist() == [0, 1] * EVENTS
+    assert candidates["candidates"].meta["finder"] == "truth"
 
 
 def test_particles_that_are_not_in_the_table_keep_their_hits(chain):
     """A table without particle 0 leaves that one's hits over; one without hits gets an empty candidate."""
     particles = particle_table([2, 5, 5], [1, 1, 7])
     candidates = candidates_of(chain, particles)
-    assert np.diff(candidates.hit_offsets)[2] == 0
+    assert counts_of(candidates).tolist()[2] == 0
     assert hits_of(candidates, 0) == expected_hits(chain, 2, 1)
     assert hits_of(candidates, 1) == expected_hits(chain, 5, 1)
-    assert len(candidates.row) == candidates.hit_offsets[-1] == len(candidates.kind)
+
+
+def test_neutral_particles_are_no_candidates(chain):
+    """They leave no hits, and no track that would count as one that is not fitted."""
+    particles = particle_table([2, 2, 5], [0, 1, 1]).with_columns(charge=np.array([0, -1, -1], "i1"))
+    found = candidates_of(chain, particles)
+    assert found["candidates"]["event"].tolist() == [2, 5]
+    assert hits_of(found, 0) == expected_hits(chain, 2, 1)
+    assert hits_of(found, 1) == expected_hits(chain, 5, 1)
 
 
 def test_no_particles_no_candidates(chain):
     """Empty tables on either side."""
-    assert candidates_of(chain, particle_table([], [])).hit_offsets.tolist() == [0]
+    assert not len(candidates_of(chain, particle_table([], []))["candidates"])
     empty = {kind: Table.empty(kind, EVENTS) for kind in ("clusters", "wire_hits", "truths", "wire_truths")}
-    assert candidates_of(empty, particle_table([0, 1], [0, 0])).hit_offsets.tolist() == [0, 0, 0]
+    assert counts_of(candidates_of(empty, particle_table([0, 1], [0, 0]))).tolist() == [0, 0]
 
 
 def test_hits_come_from_the_beam_line_outward(chain):
     """CGEM layers, then wire layers, each inside out; in a layer X before V."""
     particles = particle_table(np.repeat(np.arange(EVENTS), 2), np.tile([0, 1], EVENTS))
     candidates = candidates_of(chain, particles)
-    hits = fit_hits(candidates, chain["clusters"], chain["wire_hits"])
+    hits = collect_hits(DETECTOR, *candidates.values(), chain["clusters"], chain["wire_hits"])
     candidate = np.repeat(np.arange(2 * EVENTS), np.diff(hits.hit_offsets))
     place = np.column_stack([candidate, hits.kind == HIT_WIRE, hits.layer, hits.element, hits.kind]).tolist()
     assert place == sorted(place)
@@ -113,7 +135,7 @@ def test_hits_come_from_the_beam_line_outward(chain):
 def test_measurements_are_those_of_the_rows(chain):
     """Value, error, element, size and side of every hit, from the table it belongs to."""
     particles = particle_table(np.repeat(np.arange(EVENTS), 2), np.tile([0, 1], EVENTS))
-    hits = fit_hits(candidates_of(chain, particles), chain["clusters"], chain["wire_hits"])
+    hits = collect_hits(DETECTOR, *candidates_of(chain, particles).values(), chain["clusters"], chain["wire_hits"])
     columns = {
         HIT_X: ("clusters", {"value": "x", "sigma": "err_x", "element": "sheet", "layer": "layer", "size": "size"}),
         HIT_V: ("clusters", {"value": "v", "sigma": "err_v", "element": "sheet", "layer": "layer", "size": "size"}),
@@ -143,7 +165,7 @@ def test_later_events_count_from_the_first(chain):
     particles = particle_table(np.repeat(np.arange(EVENTS), 2), np.tile([0, 1], EVENTS)).select_events(10, 20)
     part = by_truth(DETECTOR, particles, cut["clusters"], cut["wire_hits"], chain["truths"], chain["wire_truths"])
     whole = candidates_of(chain, particle_table(np.repeat(np.arange(EVENTS), 2), np.tile([0, 1], EVENTS)))
-    np.testing.assert_array_equal(np.diff(part.hit_offsets), np.diff(whole.hit_offsets)[20:40])
+    np.testing.assert_array_equal(counts_of(part), counts_of(whole)[20:40])
 
 
 def by_truth_of(chain, detector=DETECTOR, **other):
@@ -179,24 +201,16 @@ def test_tables_that_do_not_belong_together_are_refused(chain):
 
 
 def test_candidates_of_other_tables_are_refused(chain):
-    """Hits in rows that the tables do not have, tables changed for one another, particles that are not the same."""
+    """Hits in rows that the tables do not have, and tables changed for one another."""
     particles = particle_table(np.repeat(np.arange(EVENTS), 2), np.tile([0, 1], EVENTS))
-    candidates = candidates_of(chain, particles)
+    found = candidates_of(chain, particles)
     clusters, wires = chain["clusters"], chain["wire_hits"]
-    with pytest.raises(ValueError, match=r"(?s) of clusters, which has 10 rows; .* of wire_hits, which has 9 rows; "):
-        fit(DETECTOR, particles, clusters[:10], wires[:9], candidates)
+    with pytest.raises(ValueError, match=r"(?s)expected 0 to 10 \(excluded\), rows of clusters.*rows of wire_hits"):
+        fit(DETECTOR, clusters[:10], wires[:9], *found.values())
     with pytest.raises(
         ValueError, match=r"(?s)clusters: got a table of kind 'wire_hits', .*wire_hits: got a table of k"
     ):
-        fit(DETECTOR, particles, wires, clusters, candidates)
-    for rows in (candidates.row - 1, candidates.row + len(clusters)):
-        with pytest.raises(ValueError, match=r"candidates: got rows .* of clusters, which has"):
-            fit_hits(Candidates(candidates.hit_offsets, candidates.kind, rows), clusters, wires)
-    with pytest.raises(ValueError, match="candidates: got kind 3, expected 0, 1 or 2"):
-        fit_hits(Candidates(candidates.hit_offsets, candidates.kind + np.uint8(1), candidates.row), clusters, wires)
-    for hypothesis in (None, "all"):
-        with pytest.raises(ValueError, match="candidates: got 60 for 10 particles, expected one per row"):
-            fit(DETECTOR, particles[:10], clusters, wires, candidates, FitSettings(hypothesis=hypothesis))
+        fit(DETECTOR, wires, clusters, *found.values())
 
 
 # ----- several clusters of one crossing
@@ -274,7 +288,7 @@ def test_deltas_do_not_change_what_a_particle_gets():
         clusters = cluster(DETECTOR, hits["digis"])
         particles = particle_table(np.arange(n), np.zeros(n), n)
         candidates = by_truth(DETECTOR, particles, clusters, hits["wire_hits"], truths, wires)
-        fitted = fit_hits(candidates, clusters, hits["wire_hits"])
+        fitted = collect_hits(DETECTOR, *candidates.values(), clusters, hits["wire_hits"])
         found.append((len(clusters), fitted.value.tolist(), fitted.hit_offsets.tolist()))
     assert found[0][0] < found[1][0]
     assert found[0][1:] == found[1][1:]

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from cgemit import _core, chain, helix
+from cgemit.bench import smeared
 from cgemit.cluster import cluster
 from cgemit.detector import load
 from cgemit.digitize import DigitizeSettings, digitize
@@ -17,6 +18,7 @@ from cgemit.find import by_truth
 from cgemit.fit import PARAMETERS, FitSettings, FitStatus, fit
 from cgemit.fit_settings import ClusterErrors
 from cgemit.gun import Gun, generate
+from cgemit.match import joined, match
 from cgemit.simulate import simulate
 
 DETECTOR = load("besiii-cgem-design")
@@ -34,23 +36,25 @@ def event():
     return tables, by_truth(DETECTOR, *(tables[name] for name in names))
 
 
-def fitted(event, key=0, **changes):
-    """Fit the events with some settings changed."""
-    tables, candidates = event
-    hits = tables["particles"], tables["clusters"], tables["wire_hits"]
-    return fit(DETECTOR, *hits, candidates, FitSettings(**changes), key)
+def fitted(event, start=None, **changes):
+    """Fit the events with some settings changed, and match the tracks."""
+    tables, found = event
+    hits = tables["clusters"], tables["wire_hits"]
+    out = fit(DETECTOR, *hits, *found.values(), FitSettings(**changes), start=start)
+    of_truth = tables["particles"], tables["truths"], tables["wire_truths"]
+    matches = match(out["tracks"], *found.values(), *hits, *of_truth, detector=DETECTOR)["matches"]
+    return out | {"tracks": joined(out["tracks"], matches)}
 
 
 def test_every_mistake_is_listed():
     """One error names every wrong value, what it is and what was expected."""
     with pytest.raises(ValueError, match="FitSettings") as error:
         FitSettings(
-            seed="hit", cluster_errors="both", loss="median", max_iterations=0, tolerance=-1, least_width=float("nan"),
-            delta_strips=1.0, prior_sigma=(1, 1, 0, 1, 1), seed_smearing=(1, 1, 1),
+            cluster_errors="both", loss="median", max_iterations=0, tolerance=-1, least_width=float("nan"),
+            delta_strips=1.0, prior_sigma=(1, 1, 0, 1, 1),
         )  # fmt: skip
     text = str(error.value)
     for name in (
-        "seed",
         "cluster_errors",
         "loss",
         "max_iterations",
@@ -58,29 +62,28 @@ def test_every_mistake_is_listed():
         "least_width",
         "delta_strips",
         "prior_sigma",
-        "seed_smearing",
     ):
         assert re.search(rf"^  {name}: ", text, re.MULTILINE)
-    assert "'hit', expected one of 'hits', 'truth'" in text
+    assert "'both', expected one of 'track', 'cluster'" in text
 
 
 @pytest.mark.parametrize(
     ("name", "value"),
     [
-        ("seed", ["hits"]), ("cluster_errors", np.array(["track", "cluster"])), ("screening", 1), ("loss", [1]),
+        ("cluster_errors", np.array(["track", "cluster"])), ("screening", 1), ("loss", [1]),
         ("residuals", "no"), ("states", (["origin"],)), ("hypothesis", 13), ("hypothesis", [["mu"]]),
         ("hypothesis", ("pi", "all")), ("max_iterations", "3"), ("max_iterations", 2.5), ("max_iterations", math.nan),
         ("max_iterations", 10**12), ("max_iterations", True), ("tolerance", "x"), ("tolerance", None),
         ("tolerance", 10**400), ("least_width", True), ("delta_strips", "a"), ("outlier_pull", None),
-        ("prior_sigma", 1), ("prior_sigma", (1, 1, "1", 1, 1)), ("seed_smearing", "abcde"),
+        ("prior_sigma", 1), ("prior_sigma", (1, 1, "1", 1, 1)),
     ],
 )  # fmt: skip
 def test_values_of_any_type_are_named(name, value):
     """What is of a wrong type is listed with the other mistakes, not refused by whatever meets it first."""
     with pytest.raises(ValueError, match="FitSettings") as error:
-        FitSettings(**{"least_width": -1.0, "seed": "hit", name: value})
+        FitSettings(**{"least_width": -1.0, "loss": "median", name: value})
     lines = str(error.value).splitlines()[1:]
-    assert sorted({line.split(":")[0].strip() for line in lines}) == sorted({"least_width", "seed", name})
+    assert sorted({line.split(":")[0].strip() for line in lines}) == sorted({"least_width", "loss", name})
     assert all(re.search(r": got .*, expected ", line) for line in lines)
 
 
@@ -97,8 +100,8 @@ def test_defaults_are_valid_and_frozen():
     """The defaults make sense, can not be changed, and differ by `dataclasses.replace`."""
     settings = FitSettings()
     with pytest.raises(dataclasses.FrozenInstanceError):
-        settings.seed = "truth"  # type: ignore[misc]
-    assert dataclasses.replace(settings, seed="truth") != settings
+        settings.loss = "mean"  # type: ignore[misc]
+    assert dataclasses.replace(settings, loss="mean") != settings
 
 
 def test_core_settings_have_the_same_names():
@@ -106,27 +109,33 @@ def test_core_settings_have_the_same_names():
     text = _core.FitSettings.__init__.__doc__
     names = set(re.findall(r"(\w+): ", text.split("->")[0])) - {"self"}
     ours = {field.name for field in dataclasses.fields(FitSettings)}
-    elsewhere = {"seed", "cluster_errors", "residuals", "states", "hypothesis", "screening", "loss", "seed_smearing"}
+    elsewhere = {"cluster_errors", "residuals", "states", "hypothesis", "screening", "loss"}
     assert names - {"errors_from_track"} == ours - elsewhere
     assert "=" not in text.split("->")[0]
     assert "settings" in inspect.signature(fit).parameters
 
 
-def test_seed_does_not_matter(event):
+def near_truth(event, seed):
+    """Return true helices smeared, for the fit to begin with."""
+    particles = event[0]["particles"]
+    return smeared(helix.at_origin(particles, DETECTOR.field.bz), particles, seed)
+
+
+def test_start_does_not_matter(event):
     """Started from the hits or from the smeared truth, and whatever the smearing, tracks end at the same helix."""
     from_hits = fitted(event, tolerance=1e-4)["tracks"]
     assert np.all(from_hits["status"] == FitStatus.ok)
     for seed in (1, 2):
-        from_truth = fitted(event, seed, seed="truth", tolerance=1e-4)["tracks"]
+        from_truth = fitted(event, near_truth(event, seed), tolerance=1e-4)["tracks"]
         assert np.all(from_truth["status"] == FitStatus.ok)
         for name in PARAMETERS:
             moved = from_truth[f"res_{name}"] - from_hits[f"res_{name}"]
             assert np.abs(moved / from_hits[f"err_{name}"]).max() < 0.05, name
 
 
-def test_smearing_is_drawn_from_the_seed(event):
-    """The smeared start depends on the seed and on nothing else: without iterations left the results show it."""
-    once = [fitted(event, seed, seed="truth", max_iterations=1)["tracks"] for seed in (1, 1, 2)]
+def test_the_fit_begins_where_it_is_told(event):
+    """Without iterations left the results depend on the start; each hypothesis begins at that of its candidate."""
+    once = [fitted(event, near_truth(event, seed), max_iterations=1)["tracks"] for seed in (1, 1, 2)]
     np.testing.assert_array_equal(once[0]["kappa"], once[1]["kappa"])
     assert not np.any(once[0]["kappa"] == once[2]["kappa"])
 
@@ -167,7 +176,7 @@ def test_residuals_on_request(event):
     used = tracks["n_clusters"] + tracks["n_wires"]
     np.testing.assert_array_equal(np.bincount(residuals["track"], minlength=len(tracks)), used)
     np.testing.assert_array_equal(tracks["ndf"], used - 5)
-    assert len(residuals) == len(candidates.row)
+    assert len(residuals) == len(candidates["candidate_hits"])
     np.testing.assert_allclose(residuals["pull"], residuals["residual"] / residuals["err"])
     on_wire = residuals["view"] == 2
     np.testing.assert_array_equal(residuals["layer"][on_wire], tables["wire_hits"]["layer"][residuals["hit"][on_wire]])
@@ -220,12 +229,12 @@ def test_wide_priors_change_nothing(event):
 
 
 def test_rows_without_hits_keep_their_place():
-    """Particles that leave nothing to fit keep a row that says so, with NaN where the covariance has no meaning."""
+    """Charged particles that leave nothing to fit have a row that says so, with NaN where there is no covariance."""
     guns = Gun("mu-", p=1.0, cos_theta=0.2) + Gun("gamma", p=1.0, cos_theta=0.2) + Gun("pi+", pt=0.02, cos_theta=0.0)
     tracks = chain.run(DETECTOR, guns, 3, seed=1).tracks
-    assert len(tracks) == 9
-    assert tracks["particle"].tolist() == [0, 1, 2] * 3
-    status = tracks["status"].reshape(3, 3)
+    assert len(tracks) == 6
+    assert tracks["particle"].tolist() == [0, -1] * 3  # no hit says of which particle the second one is
+    status = tracks["status"].reshape(3, 2)
     assert np.all(status[:, 0] == FitStatus.ok)
     assert np.all(status[:, 1:] != FitStatus.ok)
     lost = tracks["status"] != FitStatus.ok
@@ -246,12 +255,11 @@ def true_extents(truths, layer):
 
 def residual_errors(event, view, layer, strips, **changes):
     """Errors of the residuals to the track without them, of clusters of a view and layer that have so many strips."""
-    tables, candidates = event
+    tables, found = event
     clusters = tables["clusters"]
     mine = (clusters["view"] == view) & (clusters["layer"] == layer)
     other = clusters.with_columns(size=np.where(mine, strips, clusters["size"]).astype("i4"))
-    hits = tables["particles"], other, tables["wire_hits"]
-    out = fit(DETECTOR, *hits, candidates, FitSettings(residuals=True, **changes))
+    out = fit(DETECTOR, other, tables["wire_hits"], *found.values(), FitSettings(residuals=True, **changes))
     assert np.all(out["tracks"]["status"] == FitStatus.ok)
     rows = out["residuals"]
     return rows["err"][(rows["view"] == view) & (rows["layer"] == layer)]

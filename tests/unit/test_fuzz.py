@@ -30,7 +30,7 @@ def test_with_every_instruction_set(name):
 def test_a_wrong_number_is_seen():
     """The check itself: a covariance or residual that is no number, or not positive, is listed."""
     random = np.random.default_rng(1)
-    tables = fuzz.run(fuzz.tracks(200, random), fuzz.FitSettings(residuals=True), 1)
+    tables = fuzz.run(fuzz.tracks(200, random), fuzz.FitSettings(residuals=True))
     assert not fuzz.problems(tables)
     good = np.flatnonzero(tables["tracks"]["status"] == FitStatus.ok)[0]
     for value in (np.nan, -1.0):

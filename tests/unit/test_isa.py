@@ -8,9 +8,9 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from cgemit import DigitizeSettings, FitSettings, Gun, Result, Settings, _core, find, isa, run
-from cgemit.candidates import fit_hits
+from cgemit import DigitizeSettings, FitSettings, Gun, Result, Settings, _core, isa, run
 from cgemit.fit import core_arguments
+from tracks import hits_of_result
 
 LANES = [name for name in isa.available() if name != "scalar"]
 GUNS = {
@@ -167,8 +167,7 @@ def test_fit_is_that_of_scalar_code(name: str, sides: bool, gun: str) -> None:
 def test_lanes_differ_no_more_than_the_last_digit_does(sides: bool, gun: str) -> None:
     """From scalar code, as scalar code differs from itself where every measurement changes in its last binary digit."""
     result = fitted("scalar", gun, sides=sides)
-    tables = (result.particles, result.clusters, result.wire_hits, result.truths, result.wire_truths)
-    hits = fit_hits(find.by_truth(result.detector, *tables), result.clusters, result.wire_hits)
+    hits = hits_of_result(result)
     arguments = core_arguments(result.detector, hits, result.particles["mass"], np.empty((0, 5)), FitSettings())
     plain = _core.fit(**arguments)
     values = np.nextafter(hits.value, np.where(np.arange(len(hits.value)) % 2, np.inf, -np.inf))

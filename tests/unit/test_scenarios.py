@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from cgemit import chain, find
+from cgemit import chain
 from cgemit.candidates import HIT_V, HIT_WIRE, HIT_X
 from cgemit.detector import load
 from cgemit.gun import Gun
 from cgemit.study import SCENARIOS, run_scenario
-from cgemit.study.hits import Hits, add_noise, exchange_clusters, keep, lose_layers, repeat
+from cgemit.study.hits import Hits, add_noise, exchange_clusters, keep, lose_layers
 from cgemit.study.robustness import own_hits
 from cgemit.study.scenarios import kaon_decays
 from robustness_page import HEAD, cells, page
@@ -25,9 +25,7 @@ def result():
 @pytest.fixture(scope="module")
 def hits(result):
     """Return its hits as the fit got them."""
-    names = ("particles", "clusters", "wire_hits", "truths", "wire_truths")
-    candidates = find.by_truth(DETECTOR, *(result.tables[name] for name in names))
-    return Hits(candidates, result.clusters, result.wire_hits)
+    return Hits(result.candidates, result.candidate_hits, result.clusters, result.wire_hits)
 
 
 def generator():
@@ -38,7 +36,7 @@ def generator():
 def test_all_hits_are_own(hits, result):
     """By truth every hit belongs to its candidate, and to its event."""
     assert own_hits(hits, result).all()
-    assert len(hits.track) == len(hits.candidates.row)
+    assert len(hits.track) == len(hits.candidate_hits)
 
 
 def test_keep(hits):
@@ -46,7 +44,7 @@ def test_keep(hits):
     kept = keep(hits, ~hits.on_wire)
     assert not kept.on_wire.any()
     np.testing.assert_array_equal(kept.track, hits.track[~hits.on_wire])
-    np.testing.assert_array_equal(kept.candidates.row, hits.candidates.row[~hits.on_wire])
+    np.testing.assert_array_equal(kept.row, hits.row[~hits.on_wire])
 
 
 def test_layers_are_lost_as_a_whole(hits):
@@ -56,18 +54,11 @@ def test_layers_are_lost_as_a_whole(hits):
     assert abs(share - 0.7) < 4 * np.sqrt(0.21 * 2 / n)
 
     def crossings(some, view):
-        return (some.track * 10 + some.layer)[some.candidates.kind == view]
+        return (some.track * 10 + some.layer)[some.view == view]
 
     views, full = ([crossings(some, view) for view in (HIT_X, HIT_V)] for some in (left, hits))
     both = np.intersect1d(*full)
     np.testing.assert_array_equal(np.intersect1d(views[0], both), np.intersect1d(views[1], both))
-
-
-def test_repeated_hits_stand_together(hits):
-    """Twice the same row, one behind the other."""
-    twice = repeat(hits, np.ones(len(hits.track), bool))
-    np.testing.assert_array_equal(twice.candidates.row[::2], twice.candidates.row[1::2])
-    np.testing.assert_array_equal(np.diff(twice.candidates.hit_offsets), 2 * np.diff(hits.candidates.hit_offsets))
 
 
 def test_exchanged_clusters_are_others(hits, result):
@@ -75,7 +66,7 @@ def test_exchanged_clusters_are_others(hits, result):
     tracks = np.arange(300) < 150
     wrong = exchange_clusters(hits, 1, tracks)
     strange = ~own_hits(wrong, result)
-    expected = (hits.layer == 1) & (hits.candidates.kind != HIT_WIRE) & tracks[hits.track]
+    expected = (hits.layer == 1) & (hits.view != HIT_WIRE) & tracks[hits.track]
     assert np.count_nonzero(strange & ~expected) == 0
     assert np.count_nonzero(strange) > 0.95 * np.count_nonzero(expected)
 
@@ -90,9 +81,9 @@ def test_noise_is_beside_the_hits(hits, result):
     wires = np.count_nonzero(~own & noisy.on_wire)
     assert abs(lost / wires - 1 / 7) < 4 * np.sqrt(6 / 49 / wires)
     for kind, column, unit in ((HIT_WIRE, "wire", 3), (HIT_X, "x", 10), (HIT_V, "v", 10)):
-        of_kind = np.flatnonzero(noisy.candidates.kind == kind)
+        of_kind = np.flatnonzero(noisy.view == kind)
         table = noisy.wire_hits if kind == HIT_WIRE else noisy.clusters
-        value = table[column][noisy.candidates.row[of_kind]].astype(float)
+        value = table[column][noisy.row[of_kind]].astype(float)
         same = np.flatnonzero(np.diff(noisy.track[of_kind]) == 0)
         same = same[(np.diff(noisy.layer[of_kind])[same] == 0) & (own[of_kind][same] & ~own[of_kind][same + 1])]
         apart = np.abs(np.diff(value)[same])
@@ -109,7 +100,7 @@ def test_noise_leaves_tables_sorted(hits):
     noisy = add_noise(DETECTOR, hits, 0.5, generator())
     for table, mask in ((noisy.clusters, ~noisy.on_wire), (noisy.wire_hits, noisy.on_wire)):
         assert np.all(np.diff(table["event"]) >= 0)
-        np.testing.assert_array_equal(table["event"][noisy.candidates.row[mask]], noisy.track[mask])
+        np.testing.assert_array_equal(table["event"][noisy.row[mask]], noisy.track[mask])
 
 
 def test_kaon_decays():

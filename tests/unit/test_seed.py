@@ -4,15 +4,14 @@ import numpy as np
 import pytest
 
 import tracks
-from cgemit import _core, chain, find, helix
-from cgemit.candidates import fit_hits
+from cgemit import _core, chain, helix
+from cgemit.candidates import collect_hits
 from cgemit.detector import compiled, load
 from cgemit.study.hits import Hits, exchange_clusters
 from cgemit.study.scenarios import SCENARIOS
 
 DETECTOR = load("besiii-cgem-design")
 ALL = _core.SeedFrom.wires_and_clusters
-NAMES = ("kind", "layer", "element", "size", "value", "sigma", "side")
 
 # What a first helix of a clean track may miss: a few times what it does (dr mm, phi0 rad, kappa relative, dz mm, tanl).
 NEAR = np.array([2.0, 0.02, 0.05, 5.0, 0.04])
@@ -38,15 +37,12 @@ def of_scenario(name, events=400, spoil=None, mass=None):
     """Return how far the first helices of a scenario are off; infinite where there is none."""
     scenario = next(one for one in SCENARIOS if one.name == name)
     result = chain.run(DETECTOR, scenario.particles(events, 1), seed=1)
-    names = ("particles", "clusters", "wire_hits", "truths", "wire_truths")
-    candidates = find.by_truth(DETECTOR, *(result.tables[table] for table in names))
-    hits = Hits(candidates, result.clusters, result.wire_hits)
+    hits = Hits(result.candidates, result.candidate_hits, result.clusters, result.wire_hits)
     spoil = spoil or scenario.spoil
     hits = spoil(DETECTOR, hits, np.random.default_rng(1)) if spoil else hits
-    flat = fit_hits(hits.candidates, hits.clusters, hits.wire_hits)
-    columns = {column: getattr(flat, column) for column in NAMES}
+    flat = collect_hits(DETECTOR, hits.candidates, hits.candidate_hits, hits.clusters, hits.wire_hits)
     mass = result.particles["mass"] if mass is None else mass
-    found = seeds(columns, flat.hit_offsets, mass)
+    found = seeds(flat.columns(), flat.hit_offsets, mass)
     return np.nan_to_num(distance(found, helix.at_origin(result.particles, DETECTOR.field.bz)), nan=np.inf)
 
 
@@ -87,7 +83,7 @@ def test_all_clusters_wrong_is_seen():
 
     def all_wrong(_detector, hits, _random):
         for layer in range(3):
-            hits = exchange_clusters(hits, layer, np.ones(len(hits.candidates.hit_offsets) - 1, bool))
+            hits = exchange_clusters(hits, layer, np.ones(len(hits.candidates), bool))
         return hits
 
     assert np.any(np.quantile(of_scenario("plain", spoil=all_wrong), 0.95, axis=0) > NEAR)

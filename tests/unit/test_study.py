@@ -97,7 +97,7 @@ def test_report_is_self_contained_and_complete(study):
     page = (study.folder / "report.html").read_text(encoding="utf-8")
     parsed = outline(page)
     assert parsed.tags.count("figure") == len(FIGURES)
-    for text in ("217.1", "187.6 um", "delta electrons", "assigned to tracks by truth", "--seed 3"):
+    for text in ("217.1", "187.6 um", "delta electrons", "assigned by truth", "--seed 3"):
         assert text in page, text
     for row in study.results:
         in_per_cent = row.id.startswith("delta_fraction_")  # a line for each distance

@@ -227,8 +227,10 @@ def chunk(first, n, truth_rows):
     clusters = make("clusters", [first], n, first, truth=[truth_rows - 1], x_cluster=[0], v_cluster=[-1])
     hits = make("wire_hits", [first] * 3, n, first, wire_truth=[-1] * 3)
     tracks = make("tracks", [first], n, first)
+    candidates = make("candidates", [first], n, first)
+    found = make("candidate_hits", [first] * 2, n, first, view=[2, 3], row=[1, 0])
     residuals = make("residuals", [first] * 3, n, first, view=[0, 1, 2], hit=[0, -1, 2])
-    tables = (truths, make("wire_truths", [], n, first), digis, clusters, hits, tracks, residuals)
+    tables = (truths, make("wire_truths", [], n, first), digis, clusters, hits, candidates, found, tracks, residuals)
     return {table.kind: table for table in tables}
 
 
@@ -240,6 +242,8 @@ def test_concatenate_shifts_links():
     assert joined["clusters"]["v_cluster"].tolist() == [-1, -1, -1]
     assert joined["residuals"]["hit"].tolist() == [0, -1, 2, 1, -1, 5, 2, -1, 8]
     assert joined["residuals"]["track"].tolist() == [0, 0, 0, 1, 1, 1, 2, 2, 2]
+    assert joined["candidate_hits"]["row"].tolist() == [1, 0, 4, 1, 7, 2]
+    assert joined["candidate_hits"]["candidate"].tolist() == [0, 0, 1, 1, 2, 2]
     assert (joined["digis"].first_event, joined["digis"].n_events) == (0, 6)
     assert joined["digis"].meta == {"seed": 1}
     one = chunk(3, 2, 2)
@@ -311,3 +315,66 @@ def test_schemas_are_sound():
 def test_data_model_page_is_up_to_date():
     """docs/data_model.md is what the schemas say; write it anew with `python -m cgemit.tables.document`."""
     assert (DOCS / "data_model.md").read_text(encoding="utf-8") == data_model()
+
+
+FAR = 900_000_000_001
+
+
+def make_sparse(events, all_events):
+    """Return digis in some of several events."""
+    columns = make("digis", events, max(events) - min(events) + 1, min(events)).columns
+    return Table("digis", columns, len(all_events), events=all_events)
+
+
+def test_events_may_have_gaps(tmp_path):
+    """Offsets count the events covered; picking, files, pickles and pictures of the table keep them."""
+    table = make_sparse([4, 4, 20], [4, 17, 20])
+    assert table.events.tolist() == [4, 17, 20]
+    assert table.offsets.tolist() == [0, 2, 2, 3]
+    assert (table.n_events, table.first_event) == (3, 4)
+    assert table.select_events(5, 21).events.tolist() == [17, 20]
+    assert table.select_events(4, 18)["event"].tolist() == [4, 4]
+    assert table[[0, 2]].events.tolist() == [4, 17, 20]
+    table.save(tmp_path / "digis.npz")
+    assert Table.load(tmp_path / "digis.npz") == table
+    assert pickle.loads(pickle.dumps(table)) == table
+    assert table != make("digis", [4, 4, 20], 17, 4)
+    assert table != make_sparse([4, 4, 20], [4, 18, 20])
+    assert "3 events from 4 to 20, with gaps" in repr(table)
+    assert table.to_awkward()["layer"].tolist() == [[0, 0], [], [0]]
+    with pytest.raises(IndexError, match="4 to 22 are not within 4 to 21"):
+        table.select_events(4, 22)
+
+
+def test_numbers_far_apart_cost_nothing():
+    """The last event may be a million millions away."""
+    table = Table("digis", make("digis", [0], 1).columns | {"event": np.array([FAR])}, 2, events=[3, FAR])
+    assert table.offsets.tolist() == [0, 0, 1]
+
+
+def test_events_that_follow_each_other_have_no_gaps():
+    """The same table however its events are given."""
+    assert make_sparse([4, 5], [4, 5, 6]) == make("digis", [4, 5], 3, 4)
+
+
+@pytest.mark.parametrize(
+    ("events", "message"),
+    [([4, 4, 20], "do not increase"), ([4, 20], "got shape"), ([4.0, 17.0, 20.0], "float64"), ([4, 5, 19], "holds 20")],
+)
+def test_wrong_events_are_refused(events, message):
+    """Each once, in order, as many as said, and every row in one of them."""
+    columns = make("digis", [4, 4, 20], 17, 4).columns
+    with pytest.raises(ValueError, match=message):
+        Table("digis", columns, 3, events=events)
+
+
+def test_tables_with_gaps_are_joined():
+    """Chunks follow each other with gaps inside and between; those that overlap do not."""
+    digis = [make_sparse(events, events) for events in ([4, 17], [20, 33])]
+    none = Table.empty("truths").columns
+    chunks = [{"digis": table, "truths": Table("truths", none, **table.cover)} for table in digis]
+    joined = concatenate(chunks)["digis"]
+    assert joined.events.tolist() == [4, 17, 20, 33]
+    assert joined["event"].tolist() == [4, 17, 20, 33]
+    with pytest.raises(ValueError, match="ends before event 34, but the next chunk starts at 4"):
+        concatenate(chunks[::-1])

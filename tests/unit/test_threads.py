@@ -18,7 +18,7 @@ KINDS = {
     "smeared, sides known": Settings(
         simulate=SimulateSettings(fluctuations="gaussian"),
         digitize=DigitizeSettings(readout="gaussian", reveal_sides=True),
-        fit=FitSettings(seed="truth", cluster_errors="cluster"),
+        fit=FitSettings(cluster_errors="cluster"),
     ),
     "holes, every step": Settings(simulate=SimulateSettings(foil="lattice", sublayers=True, steps=True)),
 }

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from cgemit.cli import changes, common, read
@@ -47,7 +46,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument(
         "--fit",
         action="store_true",
-        help="write the fitted tracks too (so do --states, --hypothesis, --set fit.*)",
+        help="fit too: candidates, tracks and their matches with particles (so do --states, --hypothesis, --set fit.*)",
     )
     parser.add_argument(
         "--states", type=read.places, metavar="PLACE,...",
@@ -94,16 +93,15 @@ def run(arguments: argparse.Namespace) -> int:
     with new_folder(arguments.output, overwrite=arguments.overwrite) as folder:
         with Progress("simulate", quiet=arguments.quiet) as progress:
             result = chain.run(
-                detector, gun, arguments.events, arguments.seed, settings=settings, threads=arguments.threads,
-                progress=progress,
+                detector, gun, arguments.events, arguments.seed, settings=settings,
+                until="fit" if fits else "cluster", threads=arguments.threads, progress=progress,
             )  # fmt: skip
-        result = result if fits else replace(result, tracks=None, residuals=None, states=None)  # type: ignore[arg-type]
         result.save(folder, command=arguments.line)
         summary = _summary(result, gun)
         (folder / SUMMARY).write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
     print(json.dumps(summary, indent=2) if arguments.json else result)
     if not arguments.quiet:
-        rest = "" if fits else " (without the fitted tracks: --fit writes them)"
+        rest = "" if fits else " (nothing was fitted: --fit does)"
         print(f"tables: {arguments.output}{rest}", file=sys.stderr)
     return 0
 

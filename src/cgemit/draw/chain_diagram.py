@@ -38,8 +38,8 @@ _BOXES = (
     _Box(11.0, 0.2, "digis, wire_hits", ("fired strips and cells", "with charge and time"), False),
     _Box(8.25, 0.2, "cluster", ("contiguous strips,", "X, V and XV positions"), True),
     _Box(5.5, 0.2, "clusters", ("phi and z at mid-gap", "with their errors"), False),
-    _Box(2.75, 0.2, "find and fit", ("hits by truth; Kalman filter", "to the origin, smoother"), True),
-    _Box(0.0, 0.2, "tracks", ("helix, covariance,", "residuals and pulls"), False),
+    _Box(2.75, 0.2, "find and fit", ("candidates; Kalman filter", "to the origin, smoother"), True),
+    _Box(0.0, 0.2, "tracks", ("helix, covariance;", "matched with particles"), False),
 )
 
 

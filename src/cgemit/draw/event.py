@@ -109,8 +109,8 @@ def _rows_of(result: Result, event: int) -> _View:
     if not first <= event < first + n:
         raise ValueError(f"event: got {event}; expected a number from {first} to {first + n - 1}")
     truths, clusters, wire_hits, wire_truths, tracks = (
-        table.select_events(event, event + 1)
-        for table in (result.truths, result.clusters, result.wire_hits, result.wire_truths, result.tracks)
+        result.tables.get(name, Table.empty(name, n, first)).select_events(event, event + 1)  # a run may end early
+        for name in ("truths", "clusters", "wire_hits", "wire_truths", "tracks")
     )
     return _View(truths, clusters, wire_hits, wire_truths, int(result.wire_truths.offsets[event - first]), tracks)
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from cgemit.candidates import HIT_V, HIT_WIRE, HIT_X, Candidates
+from cgemit.candidates import HIT_V, HIT_WIRE, HIT_X
 from cgemit.detector import Detector
 from cgemit.tables import Table
 
@@ -19,33 +19,43 @@ Columns = dict[str, npt.NDArray[Any]]
 
 @dataclass(frozen=True, eq=False)
 class Hits:
-    """Candidates and the tables that they point into.
+    """Candidates, their hits, and the tables that these point into.
 
     Attributes
     ----------
-    candidates : Candidates
+    candidates, candidate_hits : Table
     clusters, wire_hits : Table
     """
 
-    candidates: Candidates
+    candidates: Table
+    candidate_hits: Table
     clusters: Table
     wire_hits: Table
 
     @property
     def track(self) -> Rows:
         """Candidate of each hit."""
-        offsets = self.candidates.hit_offsets
-        return np.repeat(np.arange(len(offsets) - 1, dtype=np.int64), np.diff(offsets))
+        return np.asarray(self.candidate_hits["candidate"])
+
+    @property
+    def view(self) -> Rows:
+        """View of each hit."""
+        return np.asarray(self.candidate_hits["view"])
+
+    @property
+    def row(self) -> Rows:
+        """Row of each hit in its table."""
+        return np.asarray(self.candidate_hits["row"])
 
     @property
     def on_wire(self) -> Mask:
         """Whether each hit is one of a wire."""
-        return np.asarray(self.candidates.kind == HIT_WIRE)
+        return np.asarray(self.view == HIT_WIRE)
 
     @property
     def layer(self) -> Rows:
         """CGEM layer or number of the wire layer of each hit."""
-        return self._column("layer", "layer", self.candidates.row)
+        return self._column("layer", "layer", self.row)
 
     def _column(self, of_cluster: str, of_wire: str, row: Rows) -> Rows:
         column = np.empty(len(row), np.int64)
@@ -72,22 +82,9 @@ def lose_layers(hits: Hits, share: float, random: np.random.Generator) -> Hits:
     return keep(hits, (random.random(index.max(initial=-1) + 1) >= share)[index])
 
 
-def repeat(hits: Hits, again: Mask) -> Hits:
-    """Return the candidates with some of their hits twice, one behind the other.
-
-    Parameters
-    ----------
-    hits : Hits
-    again : ndarray, (hits,) bool
-    """
-    return _times(hits, 1 + again.astype(np.int64))
-
-
 def _times(hits: Hits, times: Rows) -> Hits:
-    """Return the candidates with each hit so many times."""
-    old = hits.candidates
-    offsets = np.concatenate(([0], np.cumsum(times)))[old.hit_offsets].astype(np.int64)
-    return replace(hits, candidates=Candidates(offsets, np.repeat(old.kind, times), np.repeat(old.row, times)))
+    """Return the candidates with each hit so many times, one behind the other."""
+    return replace(hits, candidate_hits=hits.candidate_hits[np.repeat(np.arange(len(times)), times)])
 
 
 def exchange_clusters(hits: Hits, layer: int, tracks: Mask) -> Hits:
@@ -101,12 +98,19 @@ def exchange_clusters(hits: Hits, layer: int, tracks: Mask) -> Hits:
     tracks : ndarray, (candidates,) bool
         Which candidates are hurt, where both tracks have the cluster.
     """
-    row = hits.candidates.row.copy()
+    row, taken = hits.row.copy(), [np.empty(0, np.int64)]
     for view in (HIT_X, HIT_V):
-        mine = np.flatnonzero((hits.candidates.kind == view) & (hits.layer == layer))
+        mine = np.flatnonzero((hits.view == view) & (hits.layer == layer))
         hurt = tracks[hits.track[mine]]
-        row[mine[hurt]] = np.roll(hits.candidates.row[mine], -4)[hurt]
-    return replace(hits, candidates=replace(hits.candidates, row=row))
+        row[mine[hurt]] = np.roll(hits.row[mine], -4)[hurt]
+        taken.append(mine[hurt])
+    # The other track's event is another one, so that the cluster is copied.
+    places = np.concatenate(taken)
+    copies = {name: hits.clusters[name][row[places]] for name in hits.clusters}
+    clusters, old, new = _merged(hits.clusters, copies | {"event": hits.candidate_hits["event"][places]})
+    kept = np.setdiff1d(np.flatnonzero(~hits.on_wire), places)
+    row[kept], row[places] = old[row[kept]], new
+    return replace(hits, candidate_hits=hits.candidate_hits.with_columns(row=row), clusters=clusters)
 
 
 def add_noise(detector: Detector, hits: Hits, share: float, random: np.random.Generator) -> Hits:
@@ -124,10 +128,10 @@ def add_noise(detector: Detector, hits: Hits, share: float, random: np.random.Ge
     random : numpy.random.Generator
     """
     noisy = random.random(len(hits.track)) < share
-    spoilt = repeat(hits, noisy)
+    spoilt = _times(hits, 1 + noisy.astype(np.int64))
     second = np.flatnonzero(noisy) + 1 + np.arange(np.count_nonzero(noisy))
     wire, strip = (second[spoilt.on_wire[second] == is_wire] for is_wire in (True, False))
-    row = spoilt.candidates.row.copy()
+    row = spoilt.row.copy()
     new_wires = _wire_noise(detector, spoilt.wire_hits, row[wire], random)
     new_strips = _strip_noise(detector, spoilt.clusters, row[strip], random)
     same_cell = new_wires["gid"] == spoilt.wire_hits["gid"][row[wire]]
@@ -139,7 +143,7 @@ def add_noise(detector: Detector, hits: Hits, share: float, random: np.random.Ge
     row[strip] = new
     kept = np.ones(len(row), np.bool_)
     kept[wire[same_cell] - 1] = False
-    return keep(Hits(replace(spoilt.candidates, row=row), clusters, wire_hits), kept)
+    return keep(Hits(spoilt.candidates, spoilt.candidate_hits.with_columns(row=row), clusters, wire_hits), kept)
 
 
 def _wire_noise(detector: Detector, wire_hits: Table, rows: Rows, random: np.random.Generator) -> Columns:
@@ -184,4 +188,4 @@ def _merged(table: Table, extra: Columns) -> tuple[Table, Rows, Rows]:
     place = np.empty(len(order), np.int64)
     place[order] = np.arange(len(order))
     joined = {name: column[order] for name, column in columns.items()}
-    return Table(table.kind, joined, table.n_events, table.first_event), place[: len(table)], place[len(table) :]
+    return Table(table.kind, joined, **table.cover), place[: len(table)], place[len(table) :]

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from cgemit import chain, find
+from cgemit import chain
 from cgemit.candidates import HIT_V
-from cgemit.detector import Detector, load
+from cgemit.detector import Detector, compiled, load
 from cgemit.fit import FitStatus, fit
+from cgemit.match import compare
 from cgemit.result import Result, Settings
 from cgemit.statistics.estimate import Resolution, measure
 from cgemit.study.hits import Hits, Mask
@@ -102,15 +103,15 @@ def run_scenario(
     """
     detector, settings = load(detector), settings or Settings()
     result = chain.run(detector, scenario.particles(n_events, seed), seed=seed, settings=settings)
-    names = ("particles", "clusters", "wire_hits", "truths", "wire_truths")
-    candidates = find.by_truth(detector, *(result.tables[name] for name in names))
-    hits = Hits(candidates, result.clusters, result.wire_hits)
+    hits = Hits(result.candidates, result.candidate_hits, result.clusters, result.wire_hits)
     if scenario.spoil is None:
         return Outcome(scenario, result.tracks, has_enough(detector, hits, result))
     hits = scenario.spoil(detector, hits, np.random.default_rng(seed))
-    of_fit = replace(settings.fit, screening=settings.fit.screening or settings.simulate.screening)
-    tables = fit(detector, result.particles, hits.clusters, hits.wire_hits, hits.candidates, of_fit, seed)
-    return Outcome(scenario, tables["tracks"], has_enough(detector, hits, result))
+    tables = (hits.clusters, hits.wire_hits, hits.candidates, hits.candidate_hits)
+    tracks = fit(detector, *tables, chain.fit_settings(settings))["tracks"]
+    # Whatever hits a candidate has been given, it is compared with the particle that it was made of.
+    comparison = compare(tracks, result.particles, tracks["candidate"], compiled(detector).field)
+    return Outcome(scenario, tracks.with_columns(**comparison), has_enough(detector, hits, result))
 
 
 def has_enough(detector: Detector, hits: Hits, result: Result) -> Mask:
@@ -136,7 +137,7 @@ def has_enough(detector: Detector, hits: Hits, result: Result) -> Mask:
     )
     places = list(zip(hits.on_wire, hits.layer, strict=True))
     radius = np.array([radii[number] if wire else detector.cgem[number].r_mid for wire, number in places])
-    along = np.array([wire and tilted[number] for wire, number in places], np.bool_) | (hits.candidates.kind == HIT_V)
+    along = np.array([wire and tilted[number] for wire, number in places], np.bool_) | (hits.view == HIT_V)
     lowest, highest = np.full(n, np.inf), np.full(n, -np.inf)
     np.minimum.at(lowest, track[own], radius[own])
     np.maximum.at(highest, track[own], radius[own])
@@ -153,7 +154,7 @@ def own_hits(hits: Hits, result: Result) -> Mask:
         (~hits.on_wire, hits.clusters["truth"], result.truths),
     )
     for mask, links, truths in tables:
-        link, track = links[hits.candidates.row[mask]], hits.track[mask]
+        link, track = links[hits.row[mask]], hits.track[mask]
         same = link >= 0
         for name in ("event", "particle"):
             same[same] = truths[name][link[same]] == result.particles[name][track[same]]

@@ -20,7 +20,7 @@ from cgemit.detector import Detector
 from cgemit.gun import Gun
 from cgemit.io.folders import SUMMARY, new_folder
 from cgemit.record import write_record
-from cgemit.result import Settings
+from cgemit.result import Settings, hits_text
 from cgemit.species import species
 from cgemit.statistics.curves import Line
 from cgemit.statistics.estimate import Resolution
@@ -174,7 +174,7 @@ class Scan:
     def _title(self) -> str:
         first = self.samples[0]
         shot = f"{first.gun.particle}, cos(theta) {first.gun.cos_theta}"
-        return f"{first.detector.name}, {shot}: core widths; hits assigned by truth"
+        return f"{first.detector.name}, {shot}: core widths; hits {hits_text(first.tracks)}"
 
     def note(self) -> str:
         """Return what became of the tracks where hardly any was fitted; empty if there are enough everywhere."""
@@ -204,7 +204,7 @@ def summary_of(scans: Sequence[Scan]) -> dict[str, Any]:
             "detectors": [scan.samples[0].detector.name for scan in scans],
             "particle": first.gun.particle, "cos_theta": cos_theta,
             "momenta": [momentum_of(s) for s in scans[0].samples], "events": first.n_events, "method": "mc",
-            "settings": first.settings.to_dict(), "hits": "assigned by truth",
+            "settings": first.settings.to_dict(), "hits": hits_text(first.tracks),
         },
         "seed": scans[0].seed,
         "timings": {"total_s": sum(scan.seconds for scan in scans)},

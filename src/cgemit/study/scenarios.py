@@ -13,7 +13,7 @@ from cgemit.detector import Detector
 from cgemit.gun import Gun, Guns, generate
 from cgemit.particles import particles_from
 from cgemit.species import species
-from cgemit.study.hits import Hits, add_noise, exchange_clusters, keep, lose_layers, repeat
+from cgemit.study.hits import Hits, add_noise, exchange_clusters, keep, lose_layers
 from cgemit.tables import Table
 
 Spoil = Callable[[Detector, Hits, np.random.Generator], Hits]
@@ -136,18 +136,14 @@ def _noise(share: float) -> Spoil:
 
 
 def _wrong_cluster(detector: Detector, hits: Hits, random: np.random.Generator) -> Hits:
-    layer = random.integers(0, max(len(detector.cgem), 1), len(hits.candidates.hit_offsets) - 1)
+    layer = random.integers(0, max(len(detector.cgem), 1), len(hits.candidates))
     for number in range(len(detector.cgem)):
         hits = exchange_clusters(hits, number, layer == number)
     return hits
 
 
-def _twice(detector: Detector, hits: Hits, random: np.random.Generator) -> Hits:
-    return repeat(hits, random.random(len(hits.track)) < 0.2)
-
-
 def _x_only(detector: Detector, hits: Hits, random: np.random.Generator) -> Hits:
-    return keep(hits, hits.candidates.kind != HIT_V)
+    return keep(hits, hits.view != HIT_V)
 
 
 _PLAIN = both_charges("mu-", p=(0.3, 1.5), cos_theta=(-0.8, 0.8))
@@ -176,7 +172,6 @@ SCENARIOS = (
     Scenario("noise", "noise beside 10 % of the hits", _PLAIN, _noise(0.1)),
     Scenario("much noise", "noise beside 30 % of the hits", _PLAIN, _noise(0.3)),
     Scenario("wrong cluster", "one CGEM layer has another track's X and V", _PLAIN, _wrong_cluster),
-    Scenario("hits twice", "20 % of the hits given twice", _PLAIN, _twice),
     Scenario("noise and missing layers", "both", _PLAIN, lambda d, h, r: lose_layers(add_noise(d, h, 0.1, r), 0.2, r)),
     Scenario(
         "loopers",

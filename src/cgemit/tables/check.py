@@ -13,6 +13,9 @@ from cgemit.tables.schemas import SCHEMAS, Column
 
 Array = np.ndarray[Any, Any]
 
+#: What files hold beside the columns.
+RESERVED = {"offsets": "the per-event offsets", "events": "the numbers of the events"}
+
 
 class Rows(Protocol):
     """What a `Table` is to those that write, convert or show it."""
@@ -25,6 +28,15 @@ class Rows(Protocol):
     meta: Mapping[str, Any]
 
     def __len__(self) -> int: ...
+    @property
+    def events(self) -> Array:
+        """Numbers of the events covered."""
+        ...
+
+    @property
+    def cover(self) -> dict[str, Any]:
+        """Number, first and, where they have gaps, all numbers of the events covered."""
+        ...
 
 
 def schema_of(kind: str) -> tuple[Column, ...]:
@@ -41,7 +53,35 @@ def schema_of(kind: str) -> tuple[Column, ...]:
     return SCHEMAS[kind]
 
 
-def check_columns(kind: str, columns: Mapping[str, npt.ArrayLike], n_events: int, first_event: int) -> dict[str, Array]:
+def event_range(n_events: int, first_event: int, events: npt.ArrayLike | None) -> tuple[int, Array | None]:
+    """Return the first event, and the numbers of all where they have gaps, read-only (n_events,) int64.
+
+    Raises
+    ------
+    ValueError
+        If `events` are not `n_events` whole numbers, each above the one before.
+    """
+    if events is None or not n_events:
+        return int(first_event), None
+    given = np.asarray(events)
+    if given.shape != (n_events,) or given.dtype.kind not in "iu":
+        expected = f"({n_events},), whole numbers"
+        raise ValueError(f"events: got shape {given.shape}, {given.dtype}; expected {expected}")
+    if np.any(given[1:] <= given[:-1]):
+        raise ValueError("events: do not increase somewhere; expected each number above the one before")
+    first = int(given[0])
+    if int(given[-1]) - first == n_events - 1:
+        return first, None
+    return first, read_only(given, np.dtype(np.int64))
+
+
+def check_columns(
+    kind: str,
+    columns: Mapping[str, npt.ArrayLike],
+    n_events: int,
+    first_event: int,
+    events: Array | None = None,
+) -> dict[str, Array]:
     """Return read-only contiguous columns in schema order with the schema's dtypes, extra columns last.
 
     Arrays that fit already are not copied.
@@ -54,8 +94,9 @@ def check_columns(kind: str, columns: Mapping[str, npt.ArrayLike], n_events: int
     schema = schema_of(kind)
     problems = [f"{column.name}: missing ({column.doc})" for column in schema if column.name not in columns]
     rows = len(np.atleast_1d(np.asarray(columns["event"]))) if "event" in columns else None
-    if "offsets" in columns:
-        problems.append("offsets: is the name of the per-event offsets, not of a column")
+    problems += [
+        f"{name}: is the name of {what}, not of a column" for name, what in RESERVED.items() if name in columns
+    ]
     known = {column.name: column for column in schema}
     order = [name for name in known if name in columns] + [name for name in columns if name not in known]
     checked = {}
@@ -69,7 +110,7 @@ def check_columns(kind: str, columns: Mapping[str, npt.ArrayLike], n_events: int
         else:
             checked[name] = read_only(array, column.dtype if column else array.dtype)
     if "event" in checked:
-        problems += _event_problems(checked["event"], n_events, first_event)
+        problems += _event_problems(checked["event"], n_events, first_event, events)
     if problems:
         raise ValueError(f"the columns do not make a {kind} table:\n  " + "\n  ".join(problems))
     return checked
@@ -104,13 +145,20 @@ def _problem(array: Array, rows: int | None, column: Column | None) -> str:
     return ""
 
 
-def _event_problems(event: Array, n_events: int, first_event: int) -> list[str]:
+def _event_problems(event: Array, n_events: int, first_event: int, events: Array | None) -> list[str]:
     problems = []
     if n_events < 0:
         problems.append(f"n_events: is {n_events}, expected 0 or more")
     if np.any(event[1:] < event[:-1]):
         problems.append("event: decreases somewhere, expected rows sorted by event")
-    elif len(event) and (event[0] < first_event or event[-1] >= first_event + n_events):
+    elif not len(event):
+        return problems
+    elif events is not None:
+        place = np.minimum(np.searchsorted(events, event), n_events - 1)
+        strange = event[events[place] != event]
+        if len(strange):
+            problems.append(f"event: holds {strange[0]}, which is none of the {n_events} events covered")
+    elif event[0] < first_event or event[-1] >= first_event + n_events:
         problems.append(
             f"event: runs from {event[0]} to {event[-1]}, expected {first_event} to {first_event + n_events - 1}"
         )

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import importlib
 import itertools
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
-from cgemit.tables.check import Rows
+from cgemit.tables.check import Array, Rows
 
 
 def _import(name: str) -> Any:
@@ -16,6 +17,15 @@ def _import(name: str) -> Any:
         return importlib.import_module(name)
     except ImportError as error:
         raise ImportError(f"this needs {name}: pip install 'cgemit[io]'") from error
+
+
+def columns_of(source: Any) -> dict[str, Array] | None:
+    """Return the columns of a table, mapping, data frame or structured array; None for anything else."""
+    if isinstance(source, np.ndarray):
+        return {name: source[name] for name in source.dtype.names} if source.dtype.names else None
+    if isinstance(source, Mapping) or hasattr(source, "columns"):
+        return {str(name): np.asarray(source[name]) for name in source.keys()}  # noqa: SIM118  (tables, data frames)
+    return None
 
 
 def to_pandas(table: Rows) -> Any:

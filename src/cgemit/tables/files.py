@@ -33,10 +33,14 @@ def describe(table: Rows) -> dict[str, Any]:
 
 def save(table: Rows, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
     """Write one table; see `Table.save`."""
-    write_arrays(path, {**table.columns, "offsets": table.offsets}, describe(table), overwrite=overwrite)
+    beside = {"offsets": table.offsets}
+    events = table.cover["events"]
+    if events is not None:
+        beside["events"] = events
+    write_arrays(path, {**table.columns, **beside}, describe(table), overwrite=overwrite)
 
 
-def load(path: str | os.PathLike[str]) -> tuple[str, dict[str, Array], int, int, dict[str, Any]]:
+def load(path: str | os.PathLike[str]) -> tuple[str, dict[str, Array], int, int, dict[str, Any], Array | None]:
     """Read the arguments of `Table` from a file; see `Table.load`."""
     arrays, about = read_arrays(path)
     if about.get("format") != FORMAT:
@@ -45,7 +49,8 @@ def load(path: str | os.PathLike[str]) -> tuple[str, dict[str, Array], int, int,
     if wrong:
         raise ValueError(f"{path} is not a complete table file of cgemit (missing or wrong: {', '.join(wrong)})")
     arrays.pop("offsets", None)  # they follow from the event column
-    return about["kind"], arrays, about["n_events"], about["first_event"], about["meta"]
+    events = arrays.pop("events", None)
+    return about["kind"], arrays, about["n_events"], about["first_event"], about["meta"], events
 
 
 def save_tables(

@@ -51,15 +51,24 @@ def concatenate(chunks: Sequence[Mapping[str, Table]]) -> dict[str, Table]:
 def _problems(name: str, chunks: Sequence[Mapping[str, Table]]) -> list[str]:
     tables = [chunk[name] for chunk in chunks if name in chunk]
     problems = [
-        f"{name}: ends before event {a.first_event + a.n_events}, but the next chunk starts at {b.first_event}"
+        f"{name}: ends before event {_stop(a)}, but the next chunk starts at {b.first_event}"
         for a, b in itertools.pairwise(tables)
-        if b.first_event != a.first_event + a.n_events
+        if b.first_event != _stop(a) and not (_has_gaps(a, b) and b.first_event > _stop(a))
     ]
     if len({(table.kind, *table.columns) for table in tables}) > 1:
         problems.append(f"{name}: kinds or columns differ between chunks")
     linked = {target for column in SCHEMAS[tables[0].kind] for target in _targets(column)}
     missing = sorted(linked - set(chunks[0])) if len(chunks) > 1 else []
     return problems + [f"{name}: links to {target}, which the chunks do not hold" for target in missing]
+
+
+def _stop(table: Table) -> int:
+    """Return the number behind the last event."""
+    return int(table.events[-1]) + 1 if table.n_events else table.first_event
+
+
+def _has_gaps(*tables: Table) -> bool:
+    return any(table.cover["events"] is not None for table in tables)
 
 
 def _targets(column: Column) -> tuple[str, ...]:
@@ -79,7 +88,9 @@ def _join(tables: list[Table], before: Mapping[str, Array]) -> Table:
         for key, value in tables[0].meta.items()
         if all(key in table.meta and table.meta[key] == value for table in tables)
     }
-    return Table(tables[0].kind, joined, sum(table.n_events for table in tables), tables[0].first_event, same)
+    events = np.concatenate([table.events for table in tables]) if _has_gaps(*tables) else None
+    n_events = sum(table.n_events for table in tables)
+    return Table(tables[0].kind, joined, n_events, tables[0].first_event, same, events)
 
 
 def _shifted(table: Table, name: str, targets: tuple[str, ...], before: Mapping[str, Array], chunk: int) -> Array:

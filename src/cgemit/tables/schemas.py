@@ -172,14 +172,29 @@ _CLUSTERS = (
 )
 
 
+_CANDIDATES = (
+    _EVENT,
+    _i4("candidate", "number of the candidate within its event"),
+    _i4("pdg", "particle whose mass is assumed, number of the Particle Data Group, unsigned"),
+    _f8("mass", "GeV/c2", "its mass"),
+)
+
+_CANDIDATE_HITS = (
+    _EVENT,
+    _link("candidate", "the candidate", "candidates"),
+    _column("i1", "view", "", "0 X, 1 V, 2 wire, 3 XV: both coordinates of the cluster, with their covariance"),
+    _link("row", "the cluster or wire hit", ("clusters", "clusters", "wire_hits", "clusters")),
+)
+
+
 def _comparison() -> tuple[Column, ...]:
-    """Truth, residual, error and pull of each fitted quantity."""
-    kinds = (("truth", "true {}"), ("res", "fitted minus true {}"), ("err", "standard deviation of {}"))
+    """Truth, residual and pull of each fitted quantity."""
     return tuple(
         column
         for name, unit in PARAMETERS.items()
         for column in (
-            *(_f8(f"{kind}_{name}", unit, doc.format(name)) for kind, doc in kinds),
+            _f8(f"truth_{name}", unit, f"true {name}"),
+            _f8(f"res_{name}", unit, f"fitted minus true {name}"),
             _f8(f"pull_{name}", "", f"res_{name} / err_{name}"),
         )
     )
@@ -193,13 +208,7 @@ def _helix(pivot: str) -> tuple[Column, ...]:
         _f8("kappa", "1/(GeV/c)", "charge / pT"),
         _f8("dz", "mm", "z at the point of closest approach, from the pivot"),
         _f8("tanl", "", "pz / pT"),
-        Column(
-            "cov",
-            np.dtype("f8"),
-            "mixed",
-            "covariance of (dr, phi0, kappa, dz, tanl), products of their units",
-            shape=(5, 5),
-        ),
+        Column("cov", np.dtype("f8"), "mixed", "covariance of these, products of their units", shape=(5, 5)),
     )
 
 
@@ -207,24 +216,33 @@ _HYPOTHESIS = _i4("hypothesis", "particle whose mass the fit assumed, number of 
 
 _TRACKS = (
     _EVENT,
-    _PARTICLE,
+    _link("candidate", "the candidate", "candidates"),
     _HYPOTHESIS,
     *_helix("the z axis"),
     _f8("p", "GeV/c", "momentum"),
     _f8("chi2", "", "chi-square of the fit"),
     _i4("ndf", "number of degrees of freedom"),
-    _i4("n_clusters", "number of clusters used"),
+    _i4("n_clusters", "number of clusters used; an XV point counts twice"),
     _i4("n_wires", "number of wire hits used"),
     _i4("n_outliers", "number of hits left out as outliers"),
     _i4("iterations", "number of iterations"),
     _column("i1", "status", "", "how the fit ended (FitStatus; 0 is good)"),
+    *(_f8(f"err_{name}", unit, f"standard deviation of {name}") for name, unit in PARAMETERS.items()),
+)
+
+_MATCHES = (
+    _EVENT,
+    _link("track", "the track", "tracks"),
+    _i4("particle", "number of the particle within its event that most hits come from; -1 none"),
+    _f8("purity", "", "share of the candidate's hits that come from it; NaN without hits"),
+    _f8("efficiency", "", "share of its clusters and wire hits that the candidate has; NaN without a particle"),
     *_comparison(),
 )
 
 _RESIDUALS = (
     _EVENT,
     _link("track", "the track", "tracks"),
-    _column("i1", "view", "", "0 X, 1 V, 2 wire"),
+    _column("i1", "view", "", "0 X, 1 V, 2 wire; an XV point has a row for X and one for V beyond what X says"),
     _i4("layer", "layer of the cluster or wire"),
     _link("hit", "the cluster (views 0 and 1) or wire hit (view 2)", ("clusters", "clusters", "wire_hits")),
     _f8("residual", "mm", "measured minus predicted by the track fitted without this hit"),
@@ -257,34 +275,24 @@ _STATES = (
     _column("i1", "status", "", "whether there is a state (StateStatus; 0 is good)"),
 )
 
-#: All tables by name.
-SCHEMAS: Mapping[str, tuple[Column, ...]] = MappingProxyType(
-    {
-        "particles": _PARTICLES,
-        "truths": _TRUTHS,
-        "steps": _STEPS,
-        "wire_truths": _WIRE_TRUTHS,
-        "digis": _DIGIS,
-        "wire_hits": _WIRE_HITS,
-        "clusters": _CLUSTERS,
-        "tracks": _TRACKS,
-        "residuals": _RESIDUALS,
-        "states": _STATES,
-    }
+_KINDS = (
+    ("particles", _PARTICLES, "one generated particle"),
+    ("truths", _TRUTHS, "one crossing of a CGEM drift gap"),
+    ("steps", _STEPS, "one deposit in a CGEM drift gap: a piece of a delta electron's way, or an ionization cluster"),
+    ("wire_truths", _WIRE_TRUTHS, "one passage through a drift-chamber cell"),
+    ("digis", _DIGIS, "one fired strip"),
+    ("wire_hits", _WIRE_HITS, "one fired cell"),
+    ("clusters", _CLUSTERS, "one X, V or XV cluster"),
+    ("candidates", _CANDIDATES, "one set of hits that is taken for one track"),
+    ("candidate_hits", _CANDIDATE_HITS, "one hit of a candidate"),
+    ("tracks", _TRACKS, "one candidate, with one mass, and the track fitted to it"),
+    ("matches", _MATCHES, "one track and the particle that it is of"),
+    ("residuals", _RESIDUALS, "one hit of a fitted track"),
+    ("states", _STATES, "one track at one place"),
 )
 
+#: All tables by name.
+SCHEMAS: Mapping[str, tuple[Column, ...]] = MappingProxyType({name: columns for name, columns, _ in _KINDS})
+
 #: What a row of each table is.
-ROWS: Mapping[str, str] = MappingProxyType(
-    {
-        "particles": "one generated particle",
-        "truths": "one crossing of a CGEM drift gap",
-        "steps": "one deposit in a CGEM drift gap: a piece of a delta electron's way, or an ionization cluster",
-        "wire_truths": "one passage through a drift-chamber cell",
-        "digis": "one fired strip",
-        "wire_hits": "one fired cell",
-        "clusters": "one X, V or XV cluster",
-        "tracks": "one particle and its fitted track",
-        "residuals": "one hit of a fitted track",
-        "states": "one track at one place",
-    }
-)
+ROWS: Mapping[str, str] = MappingProxyType({name: row for name, _, row in _KINDS})

@@ -14,6 +14,8 @@ _SHOWN_ROWS = 5
 
 def _counts(table: Rows) -> str:
     events = f"{table.n_events} events from {table.first_event}"
+    if table.cover["events"] is not None:
+        events += f" to {table.events[-1]}, with gaps"
     return f"{table.kind}: {len(table)} rows, {events}"
 
 

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from cgemit.problems import did_you_mean
 from cgemit.tables import convert, files, show
-from cgemit.tables.check import Array, check_columns, schema_of
+from cgemit.tables.check import Array, check_columns, event_range, schema_of
 
 
 class Table:
@@ -32,13 +32,16 @@ class Table:
         Number of the first event; rows belong to ``first_event ... first_event + n_events - 1``.
     meta : mapping or None
         What can be written as JSON and belongs into every file, such as the configuration hash and the seed.
+    events : array_like or None
+        Numbers of the events covered, (n_events,) int64, strictly increasing, where they have gaps; `first_event` is
+        not used then.
 
     Attributes
     ----------
     columns : mapping of str to ndarray
         Read-only, C-contiguous.
     offsets : ndarray, (n_events + 1,) int64
-        Rows ``offsets[i]`` to ``offsets[i + 1]`` belong to event ``first_event + i``.
+        Rows ``offsets[i]`` to ``offsets[i + 1]`` belong to event ``events[i]``.
 
     Raises
     ------
@@ -46,7 +49,7 @@ class Table:
         Listing everything that is wrong with the columns.
     """
 
-    __slots__ = ("columns", "first_event", "kind", "meta", "n_events", "offsets")
+    __slots__ = ("_gaps", "columns", "first_event", "kind", "meta", "n_events", "offsets")
 
     kind: str
     columns: Mapping[str, Array]
@@ -54,6 +57,7 @@ class Table:
     first_event: int
     offsets: np.ndarray[tuple[int], np.dtype[np.int64]]
     meta: Mapping[str, Any]
+    _gaps: Array | None  # numbers of the events, where they do not follow each other
 
     def __init__(
         self,
@@ -62,13 +66,18 @@ class Table:
         n_events: int,
         first_event: int = 0,
         meta: Mapping[str, Any] | None = None,
+        events: npt.ArrayLike | None = None,
     ) -> None:
-        checked = check_columns(kind, columns, n_events, first_event)
-        edges = np.arange(first_event, first_event + n_events + 1, dtype=np.int64)
+        first_event, gaps = event_range(n_events, first_event, events)
+        checked = check_columns(kind, columns, n_events, first_event, gaps)
+        if gaps is None:
+            edges = np.arange(first_event, first_event + n_events + 1, dtype=np.int64)
+        else:
+            edges = np.append(gaps, gaps[-1] + 1)
         offsets = np.searchsorted(checked["event"], edges).astype(np.int64, copy=False)
         offsets.flags.writeable = False
-        values = (kind, MappingProxyType(checked), int(n_events), int(first_event), offsets, dict(meta or {}))
-        names = ("kind", "columns", "n_events", "first_event", "offsets", "meta")
+        values = (kind, MappingProxyType(checked), int(n_events), first_event, offsets, dict(meta or {}), gaps)
+        names = ("kind", "columns", "n_events", "first_event", "offsets", "meta", "_gaps")
         for name, value in zip(names, values, strict=True):
             object.__setattr__(self, name, value)
 
@@ -77,6 +86,18 @@ class Table:
         """Return a table without rows."""
         columns = {column.name: np.empty((0, *column.shape), column.dtype) for column in schema_of(kind)}
         return cls(kind, columns, n_events, first_event)
+
+    @property
+    def events(self) -> Array:
+        """Numbers of the events covered, (n_events,) int64, increasing."""
+        if self._gaps is not None:
+            return self._gaps
+        return np.arange(self.first_event, self.first_event + self.n_events, dtype=np.int64)
+
+    @property
+    def cover(self) -> dict[str, Any]:
+        """Arguments of `Table` that say which events it covers, for tables of the same ones."""
+        return {"n_events": self.n_events, "first_event": self.first_event, "events": self._gaps}
 
     def __setattr__(self, name: str, value: object) -> None:
         raise AttributeError(f"a table does not change; with_columns() makes a new one (tried to set {name!r})")
@@ -118,7 +139,7 @@ class Table:
         if not isinstance(rows, slice) and rows.size == 0 and rows.dtype.kind == "f":
             rows = rows.astype(np.int64)  # numpy makes an empty list one of floats
         picked = {name: column[rows] for name, column in self.columns.items()}
-        return Table(self.kind, picked, self.n_events, self.first_event, self.meta)
+        return self._like(picked)
 
     def select_events(self, first: int, stop: int) -> Table:
         """Return the rows of the events ``first ... stop - 1`` as a table that covers just these events.
@@ -132,36 +153,52 @@ class Table:
         IndexError
             If the table does not cover them.
         """
-        last = self.first_event + self.n_events
+        gaps = self._gaps
+        last = self.first_event + self.n_events if gaps is None else int(gaps[-1]) + 1
         if not self.first_event <= first <= stop <= last:
             raise IndexError(f"events {first} to {stop} are not within {self.first_event} to {last}")
-        rows = slice(*self.offsets[[first - self.first_event, stop - self.first_event]])
+        if gaps is None:
+            begin, end = first - self.first_event, stop - self.first_event
+        else:
+            begin, end = map(int, np.searchsorted(gaps, [first, stop]))
+        rows = slice(*self.offsets[[begin, end]])
         picked = {name: column[rows] for name, column in self.columns.items()}
-        return Table(self.kind, picked, stop - first, first, self.meta)
+        return Table(self.kind, picked, end - begin, first, self.meta, None if gaps is None else gaps[begin:end])
 
     def with_columns(self, **arrays: npt.ArrayLike) -> Table:
         """Return the same rows with columns added or replaced."""
-        return Table(self.kind, {**self.columns, **arrays}, self.n_events, self.first_event, self.meta)
+        return self._like({**self.columns, **arrays})
 
     def with_meta(self, **meta: Any) -> Table:
         """Return the same rows with `meta` added to."""
-        return Table(self.kind, self.columns, self.n_events, self.first_event, {**self.meta, **meta})
+        return Table(self.kind, self.columns, meta={**self.meta, **meta}, **self.cover)
+
+    def _like(self, columns: Mapping[str, npt.ArrayLike]) -> Table:
+        """Return other columns of the same events and origin."""
+        return Table(self.kind, columns, meta=self.meta, **self.cover)
 
     def __eq__(self, other: object) -> bool:
         """Compare events and columns, NaN equal to NaN; where they come from (`meta`) does not count."""
         if not isinstance(other, Table):
             return NotImplemented
-        mine = (self.kind, self.n_events, self.first_event, list(self.columns))
-        return mine == (other.kind, other.n_events, other.first_event, list(other.columns)) and all(
+        if (self.kind, list(self.columns)) != (other.kind, list(other.columns)):
+            return False
+        return self._covers_as(other) and all(
             column.dtype == other.columns[name].dtype
             and np.array_equal(column, other.columns[name], equal_nan=column.dtype.kind == "f")
             for name, column in self.columns.items()
         )
 
+    def _covers_as(self, other: Table) -> bool:
+        """Tell whether another table covers the same events."""
+        same = (self.n_events, self.first_event) == (other.n_events, other.first_event)
+        mine, theirs = self._gaps, other._gaps
+        return same and (mine is theirs or (mine is not None and theirs is not None and np.array_equal(mine, theirs)))
+
     __hash__ = None  # type: ignore[assignment]
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return Table, (self.kind, dict(self.columns), self.n_events, self.first_event, self.meta)
+        return Table, (self.kind, dict(self.columns), self.n_events, self.first_event, self.meta, self._gaps)
 
     def __repr__(self) -> str:
         return show.text(self)

@@ -141,20 +141,15 @@ constexpr std::size_t block_of_tracks = 256;
 py::dict run(const Detector& detector, const Array<std::int64_t>& hit_offsets, const py::dict& hit_columns,
              const Array<double>& mass_array, const Array<double>& start_array, const FitSettings& settings,
              bool residuals, bool states) {
-  const auto offsets = column(hit_offsets, "hit_offsets");
-  if (offsets.empty()) throw std::invalid_argument("hit_offsets: expected at least one entry");
+  const auto offsets = hit_offsets_of(hit_offsets);
   const auto n = offsets.size() - 1;
-  if (offsets[0] != 0) throw std::invalid_argument("hit_offsets: expected to begin with 0");
-  for (std::size_t i = 0; i < n; ++i) {
-    if (offsets[i] > offsets[i + 1]) throw std::invalid_argument("hit_offsets: expected to increase");
-  }
   const auto n_hits = static_cast<py::ssize_t>(offsets[n]);
   const auto mass = column(mass_array, "mass", static_cast<py::ssize_t>(n));
   const bool seeded = start_array.ndim() == 2 && start_array.shape(0) > 0;
   if (seeded) matrix(start_array, "start", static_cast<py::ssize_t>(n), 5);
-  const auto side_array = take<std::int8_t>(hit_columns, "side");
-  const auto side = column(side_array, "side", n_hits);
   const HitColumns columns(detector, hit_columns, n_hits);
+  columns.check_order(offsets);
+  const auto side = columns.side();
   std::vector<Perigee> start;
   for (std::size_t i = 0; seeded && i < n; ++i) start.push_back(from_bes3(start_array.data() + 5 * i));
   const Wanted wanted{residuals || states, states};

@@ -3,30 +3,38 @@
 
 #include <pybind11/pybind11.h>
 
-#include <span>
 #include <vector>
 
-#include "kalman/group.hpp"
+#include "bindings/inputs.hpp"
+#include "fit/hit_rules.hpp"
 
 namespace cgemit::bindings {
 
 // Columns of hits: kind u8 (0 X, 1 V, 2 wire), layer i32 (CGEM index or the experiment's wire-layer number),
-// element i32 (sheet or wire), size i32, value f8 (mm), sigma f8 (mm); each of length n.
+// element i32 (sheet or wire), size i32, value f8 (mm), sigma f8 (mm); each of length n. These may be left
+// out: side i8 (0, unknown), k f8 and x f8 (0, see Hit), row i64 (for messages).
 class HitColumns {
  public:
+  // Throws, listing everything that is wrong with the hits.
   HitColumns(const Detector& detector, const pybind11::dict& columns, pybind11::ssize_t n);
 
-  // Hits first to first + n into `out`; needs no GIL. Throws on what the detector has not.
+  // Throws if hits of a track are not ordered from the beam line outward.
+  void check_order(std::span<const std::int64_t> offsets) const;
+
+  // Hits first to first + n into `out`; needs no GIL.
   void take(std::size_t first, std::size_t n, std::vector<Hit>& out) const;
+  std::span<const std::int8_t> side() const { return hits_.side; }
 
  private:
-  const Detector& detector_;
+  HitRules rules_;
   pybind11::list held_;
-  std::span<const std::uint8_t> kind_;
-  std::span<const std::int32_t> layer_, element_, size_;
-  std::span<const double> value_, sigma_;
-  std::vector<int> wire_layers_;  // index by the experiment's layer number, -1: none
+  HitView hits_;
+  std::vector<std::int8_t> no_sides_;
 };
+
+// The places of the hits of n tracks: n + 1 numbers that begin with 0 and do not decrease. Throws if they are
+// something else.
+std::span<const std::int64_t> hit_offsets_of(const Array<std::int64_t>& array);
 
 // A row of (dr, phi0, kappa, dz, tanl).
 Perigee from_bes3(const double* row);

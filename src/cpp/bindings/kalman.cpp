@@ -5,57 +5,11 @@
 
 #include "bindings/arrays.hpp"
 #include "bindings/hits.hpp"
-#include "common/angles.hpp"
 #include "kalman/reference.hpp"
 
 namespace py = pybind11;
 
 namespace cgemit::bindings {
-
-HitColumns::HitColumns(const Detector& detector, const py::dict& columns, py::ssize_t n)
-    : detector_(detector) {
-  const auto get = [&]<class T>(std::span<const T>& to, const char* name) {
-    const auto array = bindings::take<T>(columns, name);
-    held_.append(array);
-    to = column(array, name, n);
-  };
-  get(kind_, "kind");
-  get(layer_, "layer");
-  get(element_, "element");
-  get(size_, "size");
-  get(value_, "value");
-  get(sigma_, "sigma");
-  for (std::size_t i = 0; i < detector.wires.size(); ++i) {
-    const auto number = static_cast<std::size_t>(detector.wires[i].number);
-    if (number >= wire_layers_.size()) wire_layers_.resize(number + 1, -1);
-    wire_layers_[number] = static_cast<int>(i);
-  }
-}
-
-void HitColumns::take(std::size_t first, std::size_t n, std::vector<Hit>& out) const {
-  out.clear();
-  for (std::size_t i = first; i < first + n; ++i) {
-    int index = layer_[i];
-    int limit = 0;
-    if (kind_[i] == static_cast<std::uint8_t>(View::wire)) {
-      const auto number = static_cast<std::size_t>(index);
-      index = index >= 0 && number < wire_layers_.size() ? wire_layers_[number] : -1;
-      if (index < 0) throw std::invalid_argument("layer: no wire layer of that number in the detector");
-      limit = detector_.wires[static_cast<std::size_t>(index)].cells;
-    } else if (kind_[i] > 2 || index < 0 || static_cast<std::size_t>(index) >= detector_.cgem.size()) {
-      throw std::invalid_argument("kind, layer: no such CGEM layer in the detector");
-    } else {
-      limit = detector_.cgem[static_cast<std::size_t>(index)].sheets;
-    }
-    if (element_[i] < 0 || element_[i] >= limit)
-      throw std::invalid_argument("element: no such wire or sheet in the layer");
-    out.push_back({static_cast<View>(kind_[i]), index, element_[i], size_[i], value_[i], sigma_[i]});
-  }
-}
-
-Perigee from_bes3(const double* row) {
-  return {row[0], wrap_angle(row[1] + 0.5 * pi), row[2], row[3], row[4]};
-}
 
 namespace {
 

@@ -13,6 +13,7 @@ void bind_kalman(pybind11::module_& module);
 void bind_simulate(pybind11::module_& module);
 void bind_digitize(pybind11::module_& module);
 void bind_cluster(pybind11::module_& module);
+void bind_hits(pybind11::module_& module);
 void bind_fit(pybind11::module_& module);
 void bind_seed(pybind11::module_& module);
 void bind_kernels(pybind11::module_& module);
@@ -32,6 +33,7 @@ PYBIND11_MODULE(_core, module, pybind11::mod_gil_not_used()) {
   bind_simulate(module);
   bind_digitize(module);
   bind_cluster(module);
+  bind_hits(module);
   bind_fit(module);
   bind_seed(module);
   bind_kernels(module);

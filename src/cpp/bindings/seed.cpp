@@ -17,18 +17,14 @@ namespace {
 
 py::array_t<double> seeds(const Detector& detector, const Array<std::int64_t>& hit_offsets,
                           const py::dict& hit_columns, const Array<double>& mass_array, SeedFrom from) {
-  const auto offsets = column(hit_offsets, "hit_offsets");
-  if (offsets.empty()) throw std::invalid_argument("hit_offsets: expected at least one entry");
+  const auto offsets = hit_offsets_of(hit_offsets);
   const auto n_hits = static_cast<py::ssize_t>(offsets.back());
   const HitColumns columns(detector, hit_columns, n_hits);
-  const auto side_array = take<std::int8_t>(hit_columns, "side");
-  const auto side = column(side_array, "side", n_hits);
+  const auto side = columns.side();
   const auto mass = column(mass_array, "mass", static_cast<py::ssize_t>(offsets.size()) - 1);
   std::vector<Hit> hits;
   std::vector<double> helix;
   for (std::size_t i = 0; i + 1 < offsets.size(); ++i) {
-    if (offsets[i] > offsets[i + 1] || offsets[i] < 0)
-      throw std::invalid_argument("hit_offsets: expected to increase");
     const auto first = static_cast<std::size_t>(offsets[i]),
                count = static_cast<std::size_t>(offsets[i + 1]) - first;
     columns.take(first, count, hits);

@@ -106,8 +106,7 @@ py::dict run(const Detector& detector, const Array<std::int64_t>& hit_offsets, c
              const Array<double>& reference_array, const Array<double>& kinks_array,
              const Array<double>& prior_array, const Array<double>& mass_array,
              const Array<std::uint8_t>& fitted_array, const py::dict& target_columns) {
-  const auto offsets = column(hit_offsets, "hit_offsets");
-  if (offsets.empty()) throw std::invalid_argument("hit_offsets: expected at least one entry");
+  const auto offsets = hit_offsets_of(hit_offsets);
   const auto n = static_cast<py::ssize_t>(offsets.size()) - 1;
   const auto n_hits = static_cast<py::ssize_t>(offsets.back());
   const auto reference = matrix(reference_array, "reference", n, 5);

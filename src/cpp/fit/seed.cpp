@@ -126,11 +126,11 @@ LineShape::Point strip_point(const CgemLayer& layer, const Hit& hit, std::span<c
     x = before[i].value;
     measured = true;
   }
+  const double v = hit.value + hit.k * hit.x;
   // Beside the sheet's first edge X may be a turn more or less: then z lies outside the layer.
-  double z = crossing_z(layer, x, hit.value);
+  double z = crossing_z(layer, x, v);
   if (!measured && std::abs(z) > layer.half_length) {
-    const double less = crossing_z(layer, x - around, hit.value),
-                 more = crossing_z(layer, x + around, hit.value);
+    const double less = crossing_z(layer, x - around, v), more = crossing_z(layer, x + around, v);
     z = std::min({z, less, more}, [](double a, double b) { return std::abs(a) < std::abs(b); });
   }
   const double error = measured ? strip_error : strip_error * scale;

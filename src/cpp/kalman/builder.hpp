@@ -114,6 +114,7 @@ class GroupBuilder {
     slot.there = slot.outlier = mask_of<T>(false);
     slot.noise = slot.size = 1.0;
     slot.drift = slot.edge = slot.known_side = slot.weight = 0.0;
+    slot.k = slot.x = 0.0;
     slot.wire = {T(0.0), T(0.0), T(0.0), T(0.0), T(1.0)};
   }
 
@@ -133,6 +134,8 @@ class GroupBuilder {
     if (hit.view != View::wire) {
       const CgemLayer& layer = detector_.cgem[static_cast<std::size_t>(hit.layer)];
       set_lane(slot.size, k, hit.size);
+      set_lane(slot.k, k, hit.k);
+      set_lane(slot.x, k, hit.x);
       set_lane(slot.edge, k, wrap_angle(layer.phi_first[static_cast<std::size_t>(hit.element)]));
       return;
     }

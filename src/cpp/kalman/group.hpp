@@ -26,6 +26,9 @@ struct Hit {
   std::int32_t size;     // strips in the cluster; 0: no strips
   double value;          // mm: X or V on the sheet, or drift distance
   double sigma;          // mm
+  // The V of a point that measures X and V together, uncorrelated with its X: `value` is V - k X of the
+  // measured X, k their covariance over the variance of X. 0: V alone.
+  double k = 0, x = 0;
 };
 
 // Flight parameters at the origin: psi is the flight azimuth, phi0 + pi/2.
@@ -48,6 +51,7 @@ struct Slot {
   T size;   // strips
   T edge;   // rad, azimuth where X begins
   T known_side;
+  T k, x;  // V: as in Hit
   WireOf<T> wire;
   // What the fit makes of it: right minus left probability; whether it counts as an outlier.
   T weight;

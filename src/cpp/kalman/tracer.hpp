@@ -109,8 +109,14 @@ class Tracer {
     const mask_of<T> near_edge = smaller(x, around - x) < seam_margin;
     const mask_of<T> take_other = near_edge & (abs(other - slot.drift) < abs(v - slot.drift));
     slot.extent = abs(x_extent * cosine - z_extent * sine);
-    found(slot, met, select(take_other, other, v),
-          T(cosine) * row_x - T(sine) * (r.along_z + (tanl_ * tan_a) * r.across));
+    T predicted = select(take_other, other, v);
+    Five<T> row = T(cosine) * row_x - T(sine) * (r.along_z + (tanl_ * tan_a) * r.across);
+    if (any(slot.k != 0.0)) {  // at the turn of the measured X
+      const T turns = around * nearest((slot.x - x) * (1 / around));
+      predicted = select(slot.k != 0.0, v + cosine * turns - slot.k * (x + turns), predicted);
+      row = row - slot.k * row_x;
+    }
+    found(slot, met, predicted, row);
   }
 
   static T positive(T angle) { return select(angle < 0.0, angle + 2 * pi, angle); }

@@ -71,7 +71,7 @@ def good_event(result: Result, layer: int = 0) -> int:
         sizes[clusters["event"][rows] - first, view] = clusters["size"][rows]
     pairs = np.bincount(clusters["event"][inside & (clusters["view"] == 2)] - first, minlength=clusters.n_events)
     distance = np.abs(sizes[:, 0] - 2) + np.abs(sizes[:, 1] - 3) + 100 * (pairs != 1)
-    return first + int(np.argmin(distance))
+    return int(first + np.argmin(distance))
 
 
 def _cluster_residuals(study: Reproduction, path: Path) -> Picture:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from cgemit.io.folders import RECORD
-from cgemit.result import Settings
+from cgemit.result import Settings, finder_of, hits_text
 from cgemit.simulate import SimulateSettings
 from cgemit.statistics.curves import SYMBOLS, WINDOW, windowed_resolution
 from cgemit.statistics.estimate import HEAD
@@ -19,10 +19,12 @@ from cgemit.study.samples import Sample
 from cgemit.version import VERSION
 
 _TITLE = "Cluster reconstruction and track fit of the BESIII CGEM inner tracker"
-_HITS = (
-    "Hits are assigned to tracks by truth: track finding does not exist yet, so the resolutions contain no wrong or "
-    "missed hits."
-)
+_PURE = ", which no finder without truth can do: the resolutions contain no wrong or missed hits"
+
+
+def _hits_note(study: Reproduction) -> str:
+    tracks = next(iter(study.samples.values())).tracks
+    return f"Hits are {hits_text(tracks)}{_PURE if finder_of(tracks) == 'truth' else ''}."
 
 
 def paper_report(study: Reproduction, folder: Path) -> str:
@@ -37,7 +39,7 @@ def paper_report(study: Reproduction, folder: Path) -> str:
         f"{_TITLE}: the paper and cgemit",
         lead,
         [
-            Section("The paper's numbers", [_comparison(study), Note(_HITS)]),
+            Section("The paper's numbers", [_comparison(study), Note(_hits_note(study))]),
             Section("Delta electrons and the X residual", [*_windows(study), *_deltas(study)]),
             Section("Figures of the paper", _images(folder, "paper")),
             Section("Are the errors right?", _images(folder, "beyond")),

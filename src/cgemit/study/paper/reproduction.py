@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from cgemit.record import versions
-from cgemit.result import Result, Settings
+from cgemit.result import Result, Settings, hits_text
 from cgemit.statistics.curves import Line
 from cgemit.statistics.formatting import html_table, text_table, with_error
 from cgemit.study.paper.published import paper_values
@@ -144,7 +144,7 @@ class Reproduction:
                 "events": self.inputs.events, "momenta": list(MOMENTA),
                 "events_per_momentum": self.inputs.events_per_momentum, "quick": self.inputs.quick,
                 "settings": self.inputs.settings.to_dict(), "field": self.inputs.field,
-                "hits": "assigned to tracks by truth",
+                "hits": hits_text(self.every_sample[0].tracks),
             },
             "seed": self.inputs.seed,
             "timings": dict(self.timings),
@@ -160,11 +160,14 @@ class Reproduction:
         ]
 
     def __repr__(self) -> str:
-        title = f"arXiv:1504.02570 with {self.inputs.events:,} events, seed {self.inputs.seed}; hits assigned by truth"
-        return text_table(title, _HEAD, self._rows())
+        title = f"arXiv:1504.02570 with {self.inputs.events:,} events, seed {self.inputs.seed}"
+        return text_table(f"{title}; hits {self._hits()}", _HEAD, self._rows())
 
     def _repr_html_(self) -> str:
-        return html_table("arXiv:1504.02570; hits assigned by truth", _HEAD, self._rows())
+        return html_table(f"arXiv:1504.02570; hits {self._hits()}", _HEAD, self._rows())
+
+    def _hits(self) -> str:
+        return hits_text(next(iter(self.samples.values())).tracks)
 
 
 _HEAD = ("quantity", "paper", "cgemit", "unit")

@@ -1,0 +1,176 @@
+"""Tracks beside the particles that they are of: which, how purely, and how far off (docs/methods/find.md)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from cgemit import _core, helix
+from cgemit.candidates import HIT_WIRE, HIT_XV, XV_CLUSTER
+from cgemit.detector import Detector, compiled, load
+from cgemit.find import link_problems, particle_rows
+from cgemit.tables import Table
+from cgemit.tables.table import kind_problems
+
+Floats = npt.NDArray[np.float64]
+Rows = npt.NDArray[np.int64]
+
+
+def match(
+    tracks: Table,
+    candidates: Table,
+    candidate_hits: Table,
+    clusters: Table,
+    wire_hits: Table,
+    particles: Table,
+    truths: Table,
+    wire_truths: Table,
+    *,
+    detector: Detector | str | Mapping[str, Any],
+) -> dict[str, Table]:
+    """Find the particle of each track, and compare the track with it.
+
+    A track is of the particle that most hits of its candidate come from; of several with as many hits, of the one
+    that comes first in the table of particles. An XV point counts as two hits, as the X and the V cluster that it
+    stands for. Noise is nobody's.
+
+    Parameters
+    ----------
+    tracks, candidates, candidate_hits, clusters, wire_hits : Table
+    particles, truths, wire_truths : Table
+        Of the same events; links of `clusters` and `wire_hits` count rows of `truths` and `wire_truths`.
+    detector : Detector, or what `load` accepts
+        What the particles flew through: its field bends the true helix.
+
+    Returns
+    -------
+    dict of str to Table
+        ``matches``, one row per track; without a particle everything but `purity` is -1 or NaN.
+
+    Raises
+    ------
+    ValueError
+        If tables are of another kind, or do not belong to each other.
+    """
+    tables = {
+        "tracks": tracks, "candidates": candidates, "candidate_hits": candidate_hits, "clusters": clusters,
+        "wire_hits": wire_hits, "particles": particles, "truths": truths, "wire_truths": wire_truths,
+    }  # fmt: skip
+    problems = kind_problems(**tables)
+    problems = problems or link_problems(clusters, "truth", truths) + link_problems(
+        wire_hits, "wire_truth", wire_truths
+    )
+    if problems:
+        raise ValueError("match:\n  " + "\n  ".join(problems))
+    of_cluster = _owners(particles, clusters["truth"], truths)
+    of_wire = _owners(particles, wire_hits["wire_truth"], wire_truths)
+    owner = _pick(candidate_hits, of_cluster, of_wire)
+    weight = np.where(candidate_hits["view"] == HIT_XV, 2, 1)
+    row, own, hits = _most_common(owner, weight, candidate_hits["candidate"], len(candidates))
+    left = _hits_left(clusters, of_cluster, of_wire, len(particles))
+    candidate = tracks["candidate"]
+    row, own, hits = row[candidate], own[candidate], hits[candidate]
+    known = row >= 0
+    of = np.where(known, row, 0)
+    none = np.full(len(tracks), np.nan)
+    columns = {
+        "event": tracks["event"],
+        "track": np.arange(len(tracks)),
+        "particle": np.where(known, particles["particle"].take(of), -1) if len(particles) else np.full(len(tracks), -1),
+        "purity": np.divide(own, hits, out=none.copy(), where=hits > 0),
+        "efficiency": np.divide(own, left.take(of), out=none.copy(), where=known) if len(particles) else none,
+    }
+    columns |= compare(tracks, particles, row, compiled(load(detector)).field)
+    return {"matches": Table("matches", columns, meta=tracks.meta, **tracks.cover)}
+
+
+def compare(tracks: Table, particles: Table, row: Rows, field: _core.Field) -> dict[str, Floats]:
+    """Return true parameters, residuals and pulls of tracks whose particles are known.
+
+    Parameters
+    ----------
+    tracks, particles : Table
+    row : ndarray, (tracks,) int64
+        Row of the particle of each track; -1 none.
+    field : _core.Field
+        In which the particles flew.
+
+    Returns
+    -------
+    dict of str to ndarray
+        Columns truth_*, res_*, pull_* of the matches table; NaN where there is no particle.
+    """
+    truth = np.concatenate([helix.at_origin_in(particles, field), np.full((1, 5), np.nan)])[row]
+    columns: dict[str, Floats] = {}
+    quantities = [(name, truth[:, i]) for i, name in enumerate(helix.PARAMETERS)]
+    for name, true in [*quantities, ("p", helix.momentum(truth))]:
+        residual = tracks[name] - true
+        if name == "phi0":
+            residual = np.remainder(residual + np.pi, 2 * np.pi) - np.pi
+        columns |= {f"truth_{name}": true, f"res_{name}": residual, f"pull_{name}": residual / tracks[f"err_{name}"]}
+    return columns
+
+
+def joined(tracks: Table, matches: Table) -> Table:
+    """Return the tracks with the columns of their matches.
+
+    Parameters
+    ----------
+    tracks, matches : Table
+    """
+    return tracks.with_columns(**{name: matches[name] for name in matches if name not in ("event", "track")})
+
+
+def _owners(particles: Table, link: Rows, truths: Table) -> Rows:
+    """Row of the particle behind each row of a table that links to truths; -1 none."""
+    owner = np.append(particle_rows(particles, truths), -1)
+    picked: Rows = owner.take(np.where(link >= 0, link, -1))
+    return picked
+
+
+def _pick(candidate_hits: Table, of_cluster: Rows, of_wire: Rows) -> Rows:
+    """Row of the particle behind each hit of the candidates."""
+    wire = candidate_hits["view"] == HIT_WIRE
+    joined_rows = candidate_hits["row"] + np.where(wire, len(of_cluster), 0)
+    picked: Rows = np.concatenate([of_cluster, of_wire]).take(joined_rows)
+    return picked
+
+
+def _hits_left(clusters: Table, of_cluster: Rows, of_wire: Rows, n: int) -> Rows:
+    """How many X clusters, V clusters and wire hits each of n particles left."""
+    view = clusters["view"]
+    # An XV cluster counts only where it is all that there is of its strips.
+    weight = np.where(view == XV_CLUSTER, np.where(clusters["x_cluster"] < 0, 2, 0), 1)
+    known, on_wire = of_cluster >= 0, of_wire >= 0
+    left = np.bincount(of_cluster[known], weight[known], minlength=n) + np.bincount(of_wire[on_wire], minlength=n)
+    return np.asarray(np.maximum(left, 1).astype(np.int64))
+
+
+def _most_common(owner: Rows, weight: Rows, candidate: Rows, n: int) -> tuple[Rows, Rows, Rows]:
+    """Return for each of n candidates the most common owner of its hits (-1: none), its hits there, and all hits."""
+    if np.any(candidate[1:] < candidate[:-1]):
+        order = np.argsort(candidate, kind="stable")
+        owner, weight, candidate = owner[order], weight[order], candidate[order]
+    hits = np.bincount(candidate, weight, minlength=n).astype(np.int64)
+    best, own = np.full(n, -1), np.zeros(n, np.int64)
+    first = np.flatnonzero(np.diff(candidate, prepend=-1))
+    if not len(first):
+        return best, own, hits
+    which = candidate[first]
+    least, most = np.minimum.reduceat(owner, first), np.maximum.reduceat(owner, first)
+    pure = least == most  # mostly all of them
+    best[which[pure]] = least[pure]
+    own[which[pure]] = np.where(least[pure] >= 0, hits[which[pure]], 0)
+    mixed = np.zeros(n, np.bool_)
+    mixed[which[~pure]] = True
+    rows = np.flatnonzero(mixed[candidate] & (owner >= 0))
+    width = int(owner.max(initial=0)) + 1
+    pairs, place = np.unique(candidate[rows] * width + owner[rows], return_inverse=True)
+    counts = np.bincount(place, weight[rows], minlength=len(pairs)).astype(np.int64)
+    order = np.lexsort((pairs, -counts, pairs // width))
+    chosen = order[np.diff(pairs[order] // width, prepend=-1) != 0]
+    best[pairs[chosen] // width], own[pairs[chosen] // width] = pairs[chosen] % width, counts[chosen]
+    return best, own, hits

@@ -1,0 +1,142 @@
+#include "bindings/hits.hpp"
+
+#include "common/angles.hpp"
+#include "fit/collect.hpp"
+
+namespace cgemit::bindings {
+
+HitColumns::HitColumns(const Detector& detector, const py::dict& columns, py::ssize_t n) : rules_(detector) {
+  const auto get = [&]<class T>(std::span<const T>& to, const char* name, bool needed = true) {
+    if (!needed && !columns.contains(name)) return;
+    const auto array = bindings::take<T>(columns, name);
+    held_.append(array);
+    to = column(array, name, n);
+  };
+  get(hits_.kind, "kind");
+  get(hits_.layer, "layer");
+  get(hits_.element, "element");
+  get(hits_.size, "size");
+  get(hits_.value, "value");
+  get(hits_.sigma, "sigma");
+  get(hits_.k, "k", false);
+  get(hits_.x, "x", false);
+  get(hits_.side, "side", false);
+  get(hits_.row, "row", false);
+  if (hits_.side.size() != hits_.kind.size()) {
+    no_sides_.resize(hits_.kind.size());
+    hits_.side = no_sides_;
+  }
+  check_hits(rules_, hits_);
+}
+
+void HitColumns::check_order(std::span<const std::int64_t> offsets) const {
+  Problems problems;
+  for (std::size_t track = 0; track + 1 < offsets.size(); ++track) {
+    int last = -1;
+    for (auto i = static_cast<std::size_t>(offsets[track]); i < static_cast<std::size_t>(offsets[track + 1]);
+         ++i) {
+      const int place = rules_.place(hits_.kind[i], hits_.layer[i]);
+      if (place < last) {
+        problems.add("track " + std::to_string(track) + ": hit " + std::to_string(i) +
+                     " lies inside the one before; expected hits from the beam line outward");
+        break;
+      }
+      last = place;
+    }
+  }
+  problems.raise("hits");
+}
+
+void HitColumns::take(std::size_t first, std::size_t n, std::vector<Hit>& out) const {
+  out.clear();
+  for (std::size_t i = first; i < first + n; ++i) {
+    out.push_back({.view = static_cast<View>(hits_.kind[i]),
+                   .layer = rules_.index(hits_.kind[i], hits_.layer[i]),
+                   .element = hits_.element[i],
+                   .size = hits_.size[i],
+                   .value = hits_.value[i],
+                   .sigma = hits_.sigma[i],
+                   .k = hits_.k.empty() ? 0 : hits_.k[i],
+                   .x = hits_.x.empty() ? 0 : hits_.x[i]});
+  }
+}
+
+std::span<const std::int64_t> hit_offsets_of(const Array<std::int64_t>& array) {
+  const auto offsets = column(array, "hit_offsets");
+  if (offsets.empty() || offsets[0] != 0)
+    throw std::invalid_argument("hit_offsets: expected to begin with 0");
+  for (std::size_t i = 0; i + 1 < offsets.size(); ++i) {
+    if (offsets[i] > offsets[i + 1]) throw std::invalid_argument("hit_offsets: expected to increase");
+  }
+  return offsets;
+}
+
+Perigee from_bes3(const double* row) {
+  return {row[0], wrap_angle(row[1] + 0.5 * pi), row[2], row[3], row[4]};
+}
+
+namespace {
+
+py::dict collect(const Detector& detector, const py::dict& candidates, const py::dict& candidate_hits,
+                 const py::dict& clusters, const py::dict& wire_hits) {
+  Inputs candidate(candidates, "event"), hit(candidate_hits, "event"), cluster(clusters, "event"),
+      wire(wire_hits, "event");
+  const CandidateInput chosen{.event = candidate.get<std::int64_t>("event"),
+                              .mass = candidate.get<double>("mass"),
+                              .hit_event = hit.get<std::int64_t>("event"),
+                              .candidate = hit.get<std::int64_t>("candidate"),
+                              .row = hit.get<std::int64_t>("row"),
+                              .view = hit.get<std::int8_t>("view")};
+  ClusterInput of_clusters{.event = cluster.get<std::int64_t>("event"),
+                           .layer = cluster.get<std::int32_t>("layer"),
+                           .sheet = cluster.get<std::int32_t>("sheet"),
+                           .size = cluster.get<std::int32_t>("size"),
+                           .view = cluster.get<std::int8_t>("view"),
+                           .x = cluster.get<double>("x"),
+                           .v = cluster.get<double>("v"),
+                           .err_x = cluster.get<double>("err_x"),
+                           .err_v = cluster.get<double>("err_v"),
+                           .cov_xv = {}};
+  if (clusters.contains("cov_xv")) of_clusters.cov_xv = cluster.get<double>("cov_xv");
+  const WireInput of_wires{.event = wire.get<std::int64_t>("event"),
+                           .layer = wire.get<std::int32_t>("layer"),
+                           .wire = wire.get<std::int32_t>("wire"),
+                           .drift = wire.get<double>("drift"),
+                           .sigma = wire.get<double>("sigma"),
+                           .side = wire.get<std::int8_t>("side")};
+  CollectedHits hits;
+  {
+    py::gil_scoped_release release;
+    hits = collect_hits(detector, chosen, of_clusters, of_wires);
+  }
+  py::dict out;
+  out["hit_offsets"] = to_numpy(std::move(hits.offsets));
+  out["kind"] = to_numpy(std::move(hits.kind));
+  out["layer"] = to_numpy(std::move(hits.layer));
+  out["element"] = to_numpy(std::move(hits.element));
+  out["value"] = to_numpy(std::move(hits.value));
+  out["sigma"] = to_numpy(std::move(hits.sigma));
+  out["size"] = to_numpy(std::move(hits.size));
+  out["side"] = to_numpy(std::move(hits.side));
+  out["row"] = to_numpy(std::move(hits.row));
+  out["k"] = to_numpy(std::move(hits.k));
+  out["x"] = to_numpy(std::move(hits.x));
+  return out;
+}
+
+void check(const Detector& detector, const py::dict& hits) {
+  HitColumns(detector, hits, static_cast<py::ssize_t>(py::len(hits["kind"])));
+}
+
+}  // namespace
+
+}  // namespace cgemit::bindings
+
+void bind_hits(pybind11::module_& module) {
+  namespace py = pybind11;
+  module.def("check_hits", &cgemit::bindings::check, py::arg("detector"), py::arg("hits"),
+             "Raise an error that lists everything that is wrong with measurements.");
+  module.def("collect_hits", &cgemit::bindings::collect, py::arg("detector"), py::kw_only(),
+             py::arg("candidates"), py::arg("candidate_hits"), py::arg("clusters"), py::arg("wire_hits"),
+             "Measurements of track candidates as flat columns, ordered from the beam line outward.");
+}

@@ -1,0 +1,46 @@
+// What is wrong with an input, in words: everything at once.
+#pragma once
+
+#include <array>
+#include <charconv>
+#include <cstddef>
+#include <stdexcept>
+#include <string>
+#include <utility>
+#include <vector>
+
+namespace cgemit {
+
+// The shortest text that reads back as the number.
+inline std::string to_text(double value) {
+  std::array<char, 32> text{};
+  const auto end = std::to_chars(text.data(), text.data() + text.size(), value).ptr;
+  return {text.data(), end};
+}
+
+class Problems {
+ public:
+  // Beyond the first few dozen they are only counted.
+  void add(std::string text) {
+    if (lines_.size() < most) lines_.push_back(std::move(text));
+    ++count_;
+  }
+  bool empty() const { return count_ == 0; }
+  std::size_t count() const { return count_; }
+
+  // Throws std::invalid_argument if there are any.
+  void raise(const std::string& where) const {
+    if (empty()) return;
+    std::string text = where + ":";
+    for (const std::string& line : lines_) text += "\n  " + line;
+    if (count_ > lines_.size()) text += "\n  and " + std::to_string(count_ - lines_.size()) + " more";
+    throw std::invalid_argument(text);
+  }
+
+ private:
+  static constexpr std::size_t most = 50;
+  std::vector<std::string> lines_;
+  std::size_t count_ = 0;
+};
+
+}  // namespace cgemit

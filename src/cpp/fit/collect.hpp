@@ -1,0 +1,53 @@
+// The measurements of track candidates from the tables that they point into, ordered from the beam line
+// outward.
+#pragma once
+
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include "fit/hit_rules.hpp"
+
+namespace cgemit {
+
+struct CandidateInput {
+  std::span<const std::int64_t> event;           // of each candidate
+  std::span<const double> mass;                  // GeV, likewise
+  std::span<const std::int64_t> hit_event;       // of each hit, and the following
+  std::span<const std::int64_t> candidate, row;  // which candidate, which row of the hit's table
+  std::span<const std::int8_t> view;             // 0 X, 1 V, 2 wire, 3 XV point
+};
+
+struct ClusterInput {
+  std::span<const std::int64_t> event;
+  std::span<const std::int32_t> layer, sheet, size;
+  std::span<const std::int8_t> view;  // 0 X, 1 V, 2 XV
+  std::span<const double> x, v, err_x, err_v;
+  std::span<const double> cov_xv;  // mm^2, covariance of x and v; empty: there is none
+};
+
+struct WireInput {
+  std::span<const std::int64_t> event;
+  std::span<const std::int32_t> layer, wire;
+  std::span<const double> drift, sigma;
+  std::span<const std::int8_t> side;
+};
+
+// Flat columns; hits `offsets[i]` to `offsets[i + 1]` are those of candidate i. An XV point is two: X, and
+// what V says beyond it.
+struct CollectedHits {
+  std::vector<std::int64_t> offsets;
+  std::vector<std::uint8_t> kind;
+  std::vector<std::int32_t> layer, element, size;
+  std::vector<double> value, sigma, k, x;
+  std::vector<std::int8_t> side;
+  std::vector<std::int64_t> row;
+};
+
+// The order of the result depends on the hits alone, not on that in which they are given. Throws, listing
+// all that is wrong with them, if any is given twice, belongs to another event, or is not there; what is
+// wrong with the measurements otherwise is for `check_hits`.
+CollectedHits collect_hits(const Detector& detector, const CandidateInput& candidates,
+                           const ClusterInput& clusters, const WireInput& wires);
+
+}  // namespace cgemit

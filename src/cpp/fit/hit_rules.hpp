@@ -1,0 +1,68 @@
+// What a hit must be before it is fitted.
+#pragma once
+
+#include <cmath>
+#include <cstdint>
+#include <span>
+#include <string>
+#include <vector>
+
+#include "common/problems.hpp"
+#include "kalman/group.hpp"
+
+namespace cgemit {
+
+// Hits by column, one entry a scalar measurement.
+struct HitView {
+  std::span<const std::uint8_t> kind;           // View
+  std::span<const std::int32_t> layer;          // CGEM layer, or number of the wire layer
+  std::span<const std::int32_t> element, size;  // as in Hit
+  std::span<const double> value, sigma, k, x;   // as in Hit; k and x may be empty
+  std::span<const std::int8_t> side;            // of the wire; 0: unknown
+  std::span<const std::int64_t> row;            // of its table, for messages; may be empty
+};
+
+class HitRules {
+ public:
+  explicit HitRules(const Detector& detector);
+
+  // Index into the detector's cgem or wires, -1: there is no such layer.
+  int index(std::uint8_t kind, std::int32_t layer) const { return layer_of(kind, layer).index; }
+  // Place on the way outward.
+  int place(std::uint8_t kind, std::int32_t layer) const { return layer_of(kind, layer).place; }
+
+  bool fits(const HitView& hits, std::size_t i) const {
+    const Layer& layer = layer_of(hits.kind[i], hits.layer[i]);
+    const double value = hits.value[i], sigma = hits.sigma[i];
+    const int side = hits.side[i];
+    const bool exists = hits.element[i] >= 0 && hits.element[i] < layer.elements;
+    const bool numbers = std::abs(value) < HUGE_VAL && sigma > 0 && sigma < HUGE_VAL && hits.size[i] >= 0;
+    return exists && numbers && side * side <= 1 && !(side != 0 && value < -most_below * sigma);
+  }
+  // Says what does not fit.
+  void explain(const HitView& hits, std::size_t i, Problems& problems) const;
+
+ private:
+  // Standard deviations that a drift distance may lie below 0: none of 10^15 Gaussian ones is farther.
+  static constexpr double most_below = 8;
+
+  struct Layer {
+    int index = -1, elements = 0, place = -1;
+  };
+
+  const Layer& layer_of(std::uint8_t kind, std::int32_t layer) const {
+    const auto& layers = kind == static_cast<std::uint8_t>(View::wire) ? wires_ : cgem_;
+    const auto number = static_cast<std::size_t>(layer);
+    return kind <= static_cast<std::uint8_t>(View::wire) && layer >= 0 && number < layers.size()
+               ? layers[number]
+               : none_;
+  }
+
+  std::vector<Layer> cgem_, wires_;  // wires: by the experiment's layer number
+  Layer none_;
+};
+
+// Throws, listing all that is wrong with the hits.
+void check_hits(const HitRules& rules, const HitView& hits);
+
+}  // namespace cgemit
