@@ -13,7 +13,7 @@ from cgemit import isa
 from cgemit.chain import run
 from cgemit.cluster import ClusterSettings
 from cgemit.detector import Detector, DetectorError, detectors, load
-from cgemit.digitize import DigitizeSettings
+from cgemit.digitize import BinaryReadout, DigitizeSettings, GaussianReadout
 from cgemit.fit import FitSettings, FitStatus
 from cgemit.gun import Gun
 from cgemit.matter import slab
@@ -28,12 +28,14 @@ if TYPE_CHECKING:
     from cgemit.study.resolutions import resolution
 
 __all__ = [
+    "BinaryReadout",
     "ClusterSettings",
     "Detector",
     "DetectorError",
     "DigitizeSettings",
     "FitSettings",
     "FitStatus",
+    "GaussianReadout",
     "Gun",
     "Result",
     "Settings",

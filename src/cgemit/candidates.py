@@ -54,7 +54,7 @@ class FitHits:
         Local X or V on the sheet, or drift distance.
     sigma : ndarray, (hits,) float64, mm
     size : ndarray, (hits,) int32
-        Strips of the cluster; 0 for wires and for clusters without strips.
+        Strips of the cluster; 0 for wires and for clusters whose error holds as it is (`method` 1).
     side : ndarray, (hits,) int8
         Side of the wire; 0 where hidden and for clusters.
     row : ndarray, (hits,) int64
@@ -147,7 +147,7 @@ def fit_hits(candidates: Candidates, clusters: Table, wire_hits: Table) -> FitHi
         element=pick(joined, clusters["sheet"], wire_hits["wire"]),
         value=pick(by_view, clusters["x"], clusters["v"], wire_hits["drift"]),
         sigma=pick(by_view, clusters["err_x"], clusters["err_v"], wire_hits["sigma"]),
-        size=pick(joined, clusters["size"], np.zeros(len(wire_hits), "i4")),
+        size=pick(joined, clusters["size"] * (clusters["method"] == 0), np.zeros(len(wire_hits), "i4")),
         side=pick(joined, np.zeros(len(clusters), "i1"), wire_hits["side"]),
         row=row,
     )

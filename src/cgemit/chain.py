@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 
 from cgemit import find
-from cgemit.cluster import cluster
 from cgemit.detector import Detector, load
 from cgemit.digitize import digitize
 from cgemit.fit import fit
@@ -51,8 +50,7 @@ def run_chunk(
         detector, tables["truths"], tables["wire_truths"], settings.digitize, seed, steps=tables["steps"]
     )
     clock.stop("digitize")
-    if "clusters" not in tables:  # the gaussian read-out has no strips to cluster
-        tables["clusters"] = cluster(detector, tables["digis"], settings.cluster)
+    tables["clusters"] = settings.digitize.readout.cluster(detector, tables["digis"], settings.cluster)
     clock.stop("cluster")
     names = ("particles", "clusters", "wire_hits", "truths", "wire_truths")
     candidates = find.by_truth(detector, *(tables[name] for name in names))

@@ -9,7 +9,7 @@ import pytest
 from sources import CORE
 
 from cgemit import _core
-from cgemit.digitize import DigitizeSettings
+from cgemit.digitize import BinaryReadout, DigitizeSettings, GaussianReadout
 from cgemit.fit import FitSettings
 from cgemit.simulate import FLUCTUATIONS, SimulateSettings
 
@@ -18,8 +18,8 @@ from cgemit.simulate import FLUCTUATIONS, SimulateSettings
 STRUCTS = [
     ("FitSettings", "fit/fit.hpp", FitSettings, {"errors_from_track": "cluster_errors"}),
     ("SimulateSettings", "simulate/simulate.hpp", SimulateSettings, {}),
-    ("BinaryReadout", "digitize/binary.hpp", DigitizeSettings, {}),
-    ("GaussianReadout", "digitize/gaussian.hpp", DigitizeSettings, {"charge_per_energy": "gain", "seed": None}),
+    ("BinaryReadout", "digitize/binary.hpp", BinaryReadout, {"w_values": None}),
+    ("GaussianReadout", "digitize/gaussian.hpp", GaussianReadout, {"w_values": None, "seed": None}),
     (
         "WireReadout",
         "digitize/wires.hpp",

@@ -1,11 +1,16 @@
-"""Strip counts and stereo angle of a CGEM layer where a file does not state them."""
+"""Strip counts, stereo angle and place of the V strips of a CGEM layer where a file does not state them."""
 
 import math
 from typing import Any
 
+#: Word for an `offset_v` that follows from the other values.
+CENTRED = "centred"
+
 
 def complete_layer(values: dict[str, Any]) -> None:
     """Add strips_x, stereo and strips_v to the values (native units) of a CGEM layer where they are missing.
+
+    An `offset_v` of ``"centred"`` becomes a number.
 
     The stereo angle is the one of the sheet's diagonal, counted in whole strips: as the read-out of the BESIII CGEM
     is laid out (docs/methods/detector.md). `stereo_sign` is taken out.
@@ -19,6 +24,8 @@ def complete_layer(values: dict[str, Any]) -> None:
         values["stereo"] = sign * math.atan2(width, values["length"])
     if "strips_v" not in values:
         values["strips_v"] = strips_v(width, values["length"], values["stereo"], values["pitch_v"])
+    if values.get("offset_v") == CENTRED:
+        values["offset_v"] = centred_v(values)
 
 
 def strips_x(radius: float, sheets: int, pitch: float) -> int:
@@ -33,6 +40,13 @@ def strips_v(width: float, length: float, stereo: float, pitch: float) -> int:
     2 length sin(stereo)/pitch.
     """
     return _floor((width * math.cos(stereo) + length * math.sin(abs(stereo))) / pitch)
+
+
+def centred_v(values: dict[str, Any]) -> float:
+    """Return the `offset_v` with which both corners of a sheet have the same room beside the V strips."""
+    stereo = values["stereo"]
+    extent = values["strips_x"] * values["pitch_x"] * math.cos(stereo) + values["length"] * math.sin(abs(stereo))
+    return float(0.5 * (extent / values["pitch_v"] - values["strips_v"]))
 
 
 def _floor(value: float) -> int:

@@ -97,6 +97,9 @@ class CgemLayer:
     strips_x: int = field(metadata=key("integer", "X strips of a sheet", 1, 100_000, derived=True))
     stereo: float = field(metadata=key("angle", "stereo angle of the V strips, signed", -1.55, 1.55, derived=True))
     strips_v: int = field(metadata=key("integer", "V strips of a sheet", 1, 100_000, derived=True))
+    offset_v: float = field(
+        metadata=key("offset", "V of the edge where V strip 0 begins, in units of pitch_v", 0.0, 100_000.0), default=0.0
+    )
 
     @property
     def half_length(self) -> float:

@@ -4,6 +4,7 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
+from cgemit.detector.derive import CENTRED
 from cgemit.detector.field import KINDS, kind_key
 from cgemit.detector.keys import Key, keys_of, required_of
 from cgemit.detector.material import DensityEffect, Material
@@ -120,6 +121,7 @@ def _value(key: Key) -> dict[str, Any]:
                 {"type": "object", "additionalProperties": {"type": "number", "exclusiveMinimum": 0, "maximum": 1}},
             ]
         },
+        "offset": {"anyOf": [{"const": CENTRED}, {"type": "number", **limits}]},
         "numbers": {
             "type": "object",
             "properties": {name: {"type": "number"} for name in DensityEffect._fields},
