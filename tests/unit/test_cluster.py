@@ -4,10 +4,12 @@ import numpy as np
 import pytest
 
 import gem_toy
-from cgemit import _core
+from cgemit import Gun, _core, run
 from cgemit.cluster import MAX_SIZE, ClusterSettings, cluster, cluster_errors, error_table
 from cgemit.detector import load
+from cgemit.detector.strip_plane import strips_of_v
 from cgemit.digitize import digitize
+from cgemit.draw.cluster import crossing
 from cgemit.tables import Table
 from stats import assert_within
 
@@ -134,6 +136,15 @@ def test_v_strips_off_the_corner_keep_their_place():
         residual = v["v"] - x * np.cos(layer.stereo) - (z_ref - z[v["truth"]]) * np.sin(layer.stereo)
         assert len(v) > 480
         assert 0.32 < np.abs(residual).max() <= 0.33 + 1e-9
+
+
+def test_pictures_count_v_strips_as_the_digitizer_does():
+    """As built: the strip under the middle of each crossing is among the fired ones."""
+    result = run("besiii-cgem", Gun("mu-", p=1.0, cos_theta=(-0.6, 0.6)), 20, seed=2)
+    for event, layer in np.ndindex(20, 3):
+        hit = crossing(result, event, layer)
+        v = hit.v(hit.x(hit.phi[1]), hit.z[1])
+        assert int(np.floor(strips_of_v(hit.layer, v))) in hit.strips_v
 
 
 def test_every_pair_that_crosses_on_the_sheet(design):

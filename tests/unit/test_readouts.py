@@ -11,7 +11,7 @@ import pytest
 from cgemit import DigitizeSettings, FitSettings, Gun, Result, Settings, digitize, load, run
 from cgemit.cluster import ClusterSettings, cluster
 from cgemit.detector import Detector
-from cgemit.detector.strip_plane import local_v
+from cgemit.detector.strip_plane import local_v, strips_of_v
 from cgemit.tables import Table
 from stats import assert_within
 
@@ -33,7 +33,7 @@ class OneStrip:
             for sheet, start in enumerate(layer.sheet_phi):
                 x = layer.r_readout * ((truths["phi"] - start) % (2 * np.pi))
                 v = local_v(layer, x, truths["z"])
-                strips = np.floor([x / layer.pitch_x, v / layer.pitch_v - layer.offset_v]).astype("i4")
+                strips = np.floor([x / layer.pitch_x, strips_of_v(layer, v)]).astype("i4")
                 on = (truths["layer"] == number) & (strips[0] < layer.strips_x)
                 on &= (np.abs(truths["z"]) < layer.half_length) & (strips[1] >= 0) & (strips[1] < layer.strips_v)
                 rows = np.flatnonzero(on)

@@ -13,6 +13,11 @@ def local_v(layer: CgemLayer, x: Floats | float, z: Floats | float) -> Floats:
     return np.asarray(x * np.cos(layer.stereo) + (layer.z_ref - z) * np.sin(layer.stereo))
 
 
+def strips_of_v(layer: CgemLayer, v: Floats | float) -> Floats:
+    """Return V, (n,) float64 mm, counted in V strips: i is the edge where strip i begins."""
+    return np.asarray(np.divide(v, layer.pitch_v) - layer.offset_v)
+
+
 def v_of_strips(layer: CgemLayer, strips: Floats | float) -> Floats:
     """Return V, (n,) float64 mm, of positions counted in V strips: i is the edge where strip i begins."""
     return np.asarray(np.add(strips, layer.offset_v) * layer.pitch_v)

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.collections import PatchCollection, PolyCollection
 from matplotlib.patches import Rectangle
 
-from cgemit.detector.strip_plane import crossing_z, local_v, v_of_strips
+from cgemit.detector.strip_plane import crossing_z, local_v, strips_of_v, v_of_strips
 from cgemit.draw.geometry import Array, near
 from cgemit.draw.style import COLORS, Picture, legend_entries, new_picture, statistics_box, style
 
@@ -143,8 +143,7 @@ def _draw_strips(axes: Axes, hit: Crossing, centre: tuple[float, float], half: f
             axes.text((strip + 0.5) * layer.pitch_x, low + 0.03 * half, f"X {strip}", rotation=90, ha="center",
                       va="bottom", fontsize=7.5, color=COLORS["x"])  # fmt: skip
     corners = hit.v(np.repeat(edges, 2), np.tile([low, high], 2))
-    edges_v = corners / layer.pitch_v - layer.offset_v
-    first, last = int(np.floor(edges_v.min())), int(np.floor(edges_v.max()))
+    first, last = (int(np.floor(strips_of_v(layer, v))) for v in (corners.min(), corners.max()))
     shapes = [_strip_v(hit, strip, edges) for strip in range(first, last + 1)]
     fired_v = [strip in hit.strips_v for strip in range(first, last + 1)]
     axes.add_collection(
