@@ -26,6 +26,7 @@ def design_layers(drift_gap=5.0):
         "pitch_x": np.full(3, 0.65),
         "pitch_v": np.full(3, 0.65),
         "stereo": sign * stereo,
+        "offset_v": np.zeros(3),
         "phi_first": np.array([[np.pi, 0.0]] * 3),
         "sheets": sheets,
         "strips_x": strips_x,

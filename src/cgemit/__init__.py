@@ -14,7 +14,7 @@ from cgemit.candidates import label_candidates
 from cgemit.chain import run
 from cgemit.cluster import ClusterSettings
 from cgemit.detector import Detector, DetectorError, detectors, load
-from cgemit.digitize import DigitizeSettings
+from cgemit.digitize import BinaryReadout, DigitizeSettings, GaussianReadout
 from cgemit.fit import FitSettings, FitStatus
 from cgemit.gun import Gun
 from cgemit.matter import slab
@@ -30,12 +30,14 @@ if TYPE_CHECKING:
     from cgemit.statistics.resolutions import resolution
 
 __all__ = [
+    "BinaryReadout",
     "ClusterSettings",
     "Detector",
     "DetectorError",
     "DigitizeSettings",
     "FitSettings",
     "FitStatus",
+    "GaussianReadout",
     "Gun",
     "Result",
     "Settings",

@@ -239,14 +239,20 @@ def simulate(
     seed: int,
 ) -> _Simulated: ...
 def read_out_strips(
-    detector: Detector, truths: _Columns, steps: _Columns, *, gain: float, w_value: float, threshold: float
+    detector: Detector,
+    truths: _Columns,
+    steps: _Columns,
+    *,
+    gain: float,
+    w_values: npt.ArrayLike,
+    threshold: float,
 ) -> dict[str, _Array]: ...
 def smear_positions(
     detector: Detector,
     truths: _Columns,
     *,
     gain: float,
-    w_value: float,
+    w_values: npt.ArrayLike,
     sigma_x: float,
     sigma_v: float,
     seed: int,
@@ -263,6 +269,8 @@ def read_out_wires(
 def find_clusters(
     detector: Detector, digis: _Columns, *, err_x: npt.ArrayLike, err_v: npt.ArrayLike, by_charge: bool
 ) -> dict[str, _Array]: ...
+def clusters_of_positions(detector: Detector, digis: _Columns, *, err_x: float, err_v: float) -> dict[str, _Array]: ...
+def size_errors(extents: npt.ArrayLike, pitch: float, sizes: int) -> _Array: ...
 def reference(
     detector: Detector, helix: npt.ArrayLike, mass: float, hits: _Columns, kinks: npt.ArrayLike | None = None
 ) -> _Reference: ...

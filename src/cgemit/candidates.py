@@ -54,7 +54,7 @@ class FitHits:
         Local X or V on the sheet, or drift distance.
     sigma : ndarray, (hits,) float64, mm
     size : ndarray, (hits,) int32
-        Strips of the cluster; 0 for wires, XV points and clusters without strips.
+        Strips of the cluster; 0 for wires, XV points and clusters whose error holds as it is (`method` 1).
     side : ndarray, (hits,) int8
         Side of the wire; 0 where unknown and for clusters.
     row : ndarray, (hits,) int64
@@ -110,6 +110,8 @@ def collect_hits(
     columns = {
         name: {column: table[column] for column in _READ[name] if column in table} for name, table in tables.items()
     }
+    # Clusters whose error holds as it is are fitted like clusters without strips.
+    columns["clusters"]["size"] = clusters["size"] * (clusters["method"] == 0)
     core = detector if isinstance(detector, _core.Detector) else compiled(detector)
     return FitHits(**_core.collect_hits(core, **columns))
 

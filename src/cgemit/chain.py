@@ -14,7 +14,6 @@ import numpy as np
 
 from cgemit import find
 from cgemit.candidates import Finder, by_finder, finder_name
-from cgemit.cluster import cluster
 from cgemit.detector import Detector, load
 from cgemit.digitize import digitize
 from cgemit.fit import FitSettings, fit
@@ -64,15 +63,14 @@ def run_chunk(
         return tuple(tables[name] for name in names)
 
     hits, truth, found = ("clusters", "wire_hits"), ("truths", "wire_truths"), ("candidates", "candidate_hits")
-    # The gaussian read-out has no strips to cluster.
     stages: dict[str, Callable[[], Mapping[str, Table]]] = {
         "simulate": lambda: simulate(detector, particles, settings.simulate, seed),
         "digitize": lambda: digitize(
             detector, tables["truths"], tables["wire_truths"], settings.digitize, seed, steps=tables["steps"]
         ),
-        "cluster": lambda: (
-            {} if "clusters" in tables else {"clusters": cluster(detector, tables["digis"], settings.cluster)}
-        ),
+        "cluster": lambda: {
+            "clusters": settings.digitize.readout.cluster(detector, tables["digis"], settings.cluster)
+        },
         "find": lambda: (
             by_finder(finder, fit_detector, tables["clusters"], tables["wire_hits"])
             if callable(finder)

@@ -22,9 +22,6 @@ Floats = npt.NDArray[np.float64]
 MAX_SIZE = 64
 """Cluster sizes in the table of errors; larger clusters have the error of this size."""
 
-RARE = 1e-3
-"""Sizes that fewer clusters of the reference have count as never made: what else makes them decides their error."""
-
 Position = Literal["centre", "charge"]
 Fraction = Annotated[float, Check(lambda value: 0 < value < 1, "a number between 0 and 1")]
 
@@ -120,8 +117,8 @@ def error_table(cgem: dict[str, Any], bz: float, settings: ClusterSettings) -> t
     for i in range(layers):
         layer = {name: column[i] for name, column in cgem.items()}
         width_x, width_v = reference_widths(layer, bz, settings)
-        err_x[i] = size_errors(width_x, layer["pitch_x"])
-        err_v[i] = size_errors(width_v, layer["pitch_v"])
+        err_x[i] = _core.size_errors(width_x, layer["pitch_x"], MAX_SIZE)
+        err_v[i] = _core.size_errors(width_v, layer["pitch_v"], MAX_SIZE)
     for table in (err_x, err_v):
         table.flags.writeable = False
     return err_x, err_v
@@ -160,38 +157,3 @@ def reference_widths(layer: dict[str, Any], bz: float, settings: ClusterSettings
     dx = layer["r_readout"] * (turned[2] - turned[0])
     dv = dx * np.cos(layer["stereo"]) - (z[2] - z[0]) * np.sin(layer["stereo"])
     return dx[crosses], np.abs(dv[crosses])
-
-
-def size_errors(widths: Floats, pitch: float) -> Floats:
-    """Return the RMS of the position error by number of fired strips.
-
-    A segment that extends over w fires n strips if its centre lies in an interval of length
-    min(n p - w, w - (n - 2) p) about the centre of these strips, p being the pitch. With the position uniform
-    against the strips the error is uniform in that interval: RMS length/sqrt(12). In a cluster of a size that segments
-    alone do not make, something else fired strips, too: the segment lies anywhere in it, its centre in an interval of
-    length n p - w (|n p - w| where it was cut off).
-
-    Parameters
-    ----------
-    widths : ndarray, (k,) float64, mm
-        Extents of a sample of segments, equally weighted; without any, w = 0.
-    pitch : float
-        mm.
-
-    Returns
-    -------
-    ndarray, (MAX_SIZE,) float64, mm
-        Where the sample never or hardly (`RARE`) makes a size, and in the last entry, that of the longer interval, but
-        not below that of one pitch.
-    """
-    if not len(widths):
-        widths = np.zeros(1)
-    n = np.arange(1, MAX_SIZE + 1)
-    errors = np.sqrt(np.mean(np.maximum(np.abs(n[:, None] * pitch - widths), pitch) ** 2, axis=1) / 12)
-    largest = min(MAX_SIZE - 1, int(np.max(widths) / pitch) + 2)
-    length = np.minimum(n[:largest, None] * pitch - widths, widths - (n[:largest, None] - 2) * pitch)
-    length = np.maximum(length, 0.0)
-    often = length.sum(axis=1)
-    made = np.flatnonzero(often > RARE * pitch * len(widths))
-    errors[made] = np.sqrt((length[made] ** 3).sum(axis=1) / often[made] / 12)
-    return np.asarray(errors)

@@ -208,10 +208,11 @@ def _distances(detector: Detector, clusters: Table, truths: Table, rows: Rows) -
     """How far crossings lie from the edge of their cluster (mm), 0 if inside."""
     first, size, layer, view = (clusters[name][rows] for name in ("first", "size", "layer", "view"))
     pitches = np.array([(cgem.pitch_x, cgem.pitch_v) for cgem in detector.cgem]).reshape(-1, 2)
+    begins = np.array([(0.0, cgem.offset_v) for cgem in detector.cgem]).reshape(-1, 2)
     pitch = pitches[layer, view]
     position = np.where(view == HIT_X, clusters["x"][rows], clusters["v"][rows])
     # A position weighted by charge is not the middle of the strips.
-    middle = np.where(size > 0, (first + 0.5 * size) * pitch, position)
+    middle = np.where(size > 0, (first + begins[layer, view] + 0.5 * size) * pitch, position)
     beside = np.abs(residuals(detector, clusters, truths, rows) - (position - middle))
     return np.asarray(np.maximum(beside - 0.5 * size * pitch, 0.0))
 

@@ -24,7 +24,7 @@ class Sample:
         detector = gem_toy.core_detector(cgem=layers)
         truths = gem_toy.muons_through(layers, n, seed=11)
         err_x, err_v = error_table(layers, -1.0, ClusterSettings())
-        values = {"gain": 12_000.0, "w_value": 0.0259, "threshold": 1.7}
+        values = {"gain": 12_000.0, "w_values": np.full(3, 0.0259), "threshold": 1.7}
         digis = _core.read_out_strips(detector, truths, gem_toy.no_steps(), **values)
         found = _core.find_clusters(detector, digis, err_x=err_x, err_v=err_v, by_charge=False)
         self.layers, self.truths = layers, truths

@@ -25,7 +25,7 @@ LINEAR = {
 }
 GAUSSIAN = cgemit.Settings(
     simulate=cgemit.SimulateSettings(fluctuations="gaussian"),
-    digitize=cgemit.DigitizeSettings(readout="gaussian", sigma_x=0.1387, sigma_v=0.1327, reveal_sides=True),
+    digitize=cgemit.DigitizeSettings(readout=cgemit.GaussianReadout(sigma_x=0.1387, sigma_v=0.1327), reveal_sides=True),
 )
 NO_DELTAS = cgemit.Settings(simulate=cgemit.SimulateSettings(deltas=False))
 

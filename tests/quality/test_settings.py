@@ -11,7 +11,7 @@ from sources import CORE
 
 from cgemit import _core
 from cgemit.detector import Screening
-from cgemit.digitize import DigitizeSettings
+from cgemit.digitize import BinaryReadout, DigitizeSettings, GaussianReadout
 from cgemit.fit import FitSettings
 from cgemit.fit_settings import Loss
 from cgemit.simulate import Fluctuations, SimulateSettings
@@ -21,8 +21,8 @@ from cgemit.simulate import Fluctuations, SimulateSettings
 STRUCTS = [
     ("FitSettings", "fit/fit.hpp", FitSettings, {"errors_from_track": "cluster_errors"}),
     ("SimulateSettings", "simulate/simulate.hpp", SimulateSettings, {}),
-    ("BinaryReadout", "digitize/binary.hpp", DigitizeSettings, {}),
-    ("GaussianReadout", "digitize/gaussian.hpp", DigitizeSettings, {"charge_per_energy": "gain", "seed": None}),
+    ("BinaryReadout", "digitize/binary.hpp", BinaryReadout, {"w_values": None}),
+    ("GaussianReadout", "digitize/gaussian.hpp", GaussianReadout, {"w_values": None, "seed": None}),
     (
         "WireReadout",
         "digitize/wires.hpp",

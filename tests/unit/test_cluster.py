@@ -4,8 +4,12 @@ import numpy as np
 import pytest
 
 import gem_toy
-from cgemit.cluster import MAX_SIZE, ClusterSettings, cluster, cluster_errors, error_table, size_errors
+from cgemit import Gun, _core, run
+from cgemit.cluster import MAX_SIZE, ClusterSettings, cluster, cluster_errors, error_table
 from cgemit.detector import load
+from cgemit.detector.parts import strips_of_v
+from cgemit.digitize import digitize
+from cgemit.draw.cluster import crossing
 from cgemit.tables import Table
 from stats import assert_within
 
@@ -23,7 +27,8 @@ def digi_table(rows, n_events=1):
     """Digis from rows (event, layer, sheet, view, strip, charge, truth); time is the row number."""
     event, layer, sheet, view, strip, charge, truth = (np.array(values) for values in zip(*rows, strict=True))
     columns = {"event": event, "layer": layer, "sheet": sheet, "view": view.astype("i1"), "strip": strip}
-    columns |= {"gid": np.zeros(len(rows), "i4"), "charge": charge.astype(float)}
+    columns |= {"gid": np.zeros(len(rows), "i4"), "position": np.full(len(rows), np.nan)}
+    columns["charge"] = charge.astype(float)
     columns |= {"time": np.arange(len(rows), dtype=float), "truth": truth, "n_truths": np.ones(len(rows), "i4")}
     return Table("digis", columns, n_events)
 
@@ -116,6 +121,32 @@ def test_xv_cluster_has_the_z_of_the_crossing(design, layer):
     assert (xv["charge"][0], xv["size"][0], xv["first"][0], xv["last"][0], xv["time"][0]) == (5.0, 2, -1, -1, 0.0)
 
 
+def test_v_strips_off_the_corner_keep_their_place():
+    """Points on the layers as built: the one strip that fires has its middle within half a pitch of the point."""
+    built = load("besiii-cgem")
+    for number, layer in enumerate(built.cgem):
+        phi, z = np.linspace(-3.0, 3.0, 501), np.linspace(-0.9, 0.9, 501) * layer.half_length
+        points = np.column_stack([layer.r_gap_in * np.cos(phi), layer.r_gap_in * np.sin(phi), z])
+        truths = Table("truths", gem_toy.truth_columns(np.arange(501), number, points, points), 501)
+        clusters = cluster(built, digitize(built, truths, Table.empty("wire_truths", 501))["digis"])
+        v = clusters[clusters["view"] == 1]
+        start = np.array(layer.sheet_phi)[v["sheet"]]
+        x = layer.r_readout * ((phi[v["truth"]] - start) % (2 * np.pi))
+        z_ref = np.copysign(layer.half_length, layer.stereo)
+        residual = v["v"] - x * np.cos(layer.stereo) - (z_ref - z[v["truth"]]) * np.sin(layer.stereo)
+        assert len(v) > 480
+        assert 0.32 < np.abs(residual).max() <= 0.33 + 1e-9
+
+
+def test_pictures_count_v_strips_as_the_digitizer_does():
+    """As built: the strip under the middle of each crossing is among the fired ones."""
+    result = run("besiii-cgem", Gun("mu-", p=1.0, cos_theta=(-0.6, 0.6)), 20, seed=2)
+    for event, layer in np.ndindex(20, 3):
+        hit = crossing(result, event, layer)
+        v = hit.v(hit.x(hit.phi[1]), hit.z[1])
+        assert int(np.floor(strips_of_v(hit.layer, v))) in hit.strips_v
+
+
 def test_every_pair_that_crosses_on_the_sheet(design):
     """Two tracks make four XV clusters, two of them ghosts; a pair that crosses beyond the end makes none."""
     a, b = 200, 230
@@ -175,6 +206,11 @@ def test_no_digis_no_clusters():
 
 
 # ----- errors
+
+
+def size_errors(extents, pitch):
+    """Errors by number of strips."""
+    return _core.size_errors(extents, pitch, MAX_SIZE)
 
 
 def test_errors_of_one_width_worked_by_hand():

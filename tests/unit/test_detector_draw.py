@@ -41,7 +41,7 @@ def test_magnified_view_labels_layers_and_sheets() -> None:
     assert [text.get_text() for text in axes.texts] == ["L1", "L2", "L3"]
     edges = [line.get_xydata() for line in axes.lines if len(line.get_xydata()) == 2]
     angles = sorted(math.degrees(math.atan2(*edge[0][::-1])) % 360 for edge in edges)
-    assert angles == pytest.approx([0.118, 0.222, 180.118, 180.222, 180.51])
+    assert angles == pytest.approx([0.118, 0.222, 180.118, 180.222, 180.502])
 
 
 def test_rz() -> None:

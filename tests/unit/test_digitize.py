@@ -5,8 +5,10 @@ import pytest
 
 import gem_toy
 from cgemit import _core
-from cgemit.detector import compiled, load
-from cgemit.digitize import XT_DISTANCE, XT_TIME, DigitizeSettings, digitize
+from cgemit.cluster import ClusterSettings
+from cgemit.detector import compiled, gaps, load
+from cgemit.digitize import BinaryReadout, DigitizeSettings, GaussianReadout, digitize
+from cgemit.digitize.wires import XT_DISTANCE, XT_TIME
 from cgemit.tables import Table
 from stats import assert_within, fraction_error
 
@@ -57,6 +59,26 @@ def test_threshold_is_on_the_total_charge(design):
     below = read_out(design, straight_up(1.0, 10.0, 14.0, energy=at_threshold * 0.999))["digis"]
     assert len(above) == 5
     assert len(below) == 0
+
+
+def test_the_gas_of_a_layer_decides_on_the_charge():
+    """28.7 eV an electron in Ar/CO2 70/30, 25.9 eV in Ar/iC4H10 90/10 (HEED)."""
+    gas = {"density": "1.711e-3 g/cm3", "composition": {"Ar": 0.7, "C": 0.0819, "O": 0.2181}, "gas": True}
+    gas["ionization"] = "ar-co2-70-30"
+    mixed = load({"base": "besiii-cgem-design", "materials": {"ArCO2": gas}, "cgem": {"L2": {"gas": "ArCO2"}}})
+    for layer, w_value in ((0, 25.9), (1, 28.7)):
+        charge = read_out(mixed, straight_up(1.0, 10.0, 14.0, layer=layer, energy=3.0))["digis"]["charge"]
+        assert charge.sum() == pytest.approx(3000 / w_value * 12_000 * ELECTRON)
+
+
+def test_a_gas_table_without_its_energy_per_electron_is_refused(monkeypatch, tmp_path):
+    """The message names the file and what it lacks."""
+    (tmp_path / "gases").mkdir()
+    (tmp_path / "gases" / "ar-co2-70-30.csv").write_text("quantity,at,value\ndensity,,1e-3\n")
+    monkeypatch.setattr(gaps.resources, "files", lambda package: tmp_path)
+    gaps.ionization.cache_clear()
+    with pytest.raises(ValueError, match=r"ar-co2-70-30.csv: got no w_value, expected"):
+        gaps.ionization("ar-co2-70-30")
 
 
 def test_truths_on_one_strip_add_up(design):
@@ -113,21 +135,28 @@ def test_rows_that_make_no_sense_are_refused(design):
 
 def test_settings_list_every_problem():
     """Each wrong value is named with what was given and what was expected."""
-    with pytest.raises(ValueError, match="readout") as caught:
-        DigitizeSettings(readout="analogue", gain=-1, w_value=np.nan, threshold=-0.1, sigma_x=0, sigma_v=np.inf)
-    message = str(caught.value)
-    for name in ("readout: got 'analogue'", "gain: got -1", "w_value: got nan", "threshold", "sigma_x", "sigma_v"):
-        assert name in message
+    with pytest.raises(ValueError, match=r"readout: got 'analogue', expected one of 'binary', 'gaussian'(?s:.*)sides"):
+        DigitizeSettings(readout="analogue", reveal_sides=2)
+    with pytest.raises(ValueError, match=r"gain: got -1(?s:.*)threshold: got -0.1"):
+        BinaryReadout(gain=-1, threshold=-0.1)
+    with pytest.raises(ValueError, match=r"sigma_x: got 0(?s:.*)sigma_v: got inf(?s:.*)gain: got nan"):
+        GaussianReadout(sigma_x=0, sigma_v=np.inf, gain=np.nan)
 
 
 def test_settings_of_wrong_type_are_named():
     """What is no number, and no truth value, is a problem like any other."""
-    with pytest.raises(ValueError, match="DigitizeSettings") as caught:
-        DigitizeSettings(readout=1, gain="x", w_value=None, threshold=[1.7], sigma_v=True, reveal_sides="x")
-    lines = str(caught.value).splitlines()[1:]
-    names = {line.split(":")[0].strip() for line in lines}
-    assert names == {"readout", "gain", "w_value", "threshold", "sigma_v", "reveal_sides"}
-    assert all("got " in line and ", expected " in line for line in lines)
+    given = (
+        (DigitizeSettings, {"readout": 1, "reveal_sides": "x"}),
+        (DigitizeSettings, {"readout": GaussianReadout}),
+        (BinaryReadout, {"gain": "x", "threshold": [1.7]}),
+        (GaussianReadout, {"sigma_x": None, "sigma_v": True}),
+    )
+    for kind, values in given:
+        with pytest.raises(ValueError, match=kind.__name__) as caught:
+            kind(**values)
+        lines = str(caught.value).splitlines()[1:]
+        assert {line.split(":")[0].strip() for line in lines} == values.keys()
+        assert all("got " in line and ", expected " in line for line in lines)
 
 
 # ----- gaussian read-out
@@ -138,15 +167,50 @@ def toy_muons(n, seed=5):
     return gem_toy.muons_through(gem_toy.design_layers(), n, seed, limit=0.8)
 
 
+def smeared(detector, truths, n_events=1, seed=1, **settings):
+    """Clusters of the gaussian read-out."""
+    readout = GaussianReadout(**settings)
+    digis = read_out(detector, truths, n_events=n_events, seed=seed, readout=readout)["digis"]
+    return readout.cluster(detector, digis, ClusterSettings())
+
+
+def test_gaussian_digis_are_positions(design):
+    """One row of X and one of V for each crossing, half of the charge in each, no strips; their order is free."""
+    truths = stacked(straight_up(1.0, 10.0, 14.0, energy=3.0), straight_up(1.3, -60.0, -50.0, energy=1.0))
+    digis = read_out(design, truths, readout=GaussianReadout(gain=8000, sigma_x=1e-9, sigma_v=1e-9))["digis"]
+    assert digis["view"].tolist() == [0, 0, 1, 1]
+    assert digis["truth"].tolist() == [0, 1, 0, 1]
+    assert set(digis["strip"]) == set(digis["gid"]) == {-1}
+    np.testing.assert_allclose(digis["charge"], 0.5 * np.array([3, 1, 3, 1]) / 0.0259 * 8000 * ELECTRON)
+    layer = design.cgem[1]
+    x = layer.r_readout * np.array([1.0, 1.3])  # of sheet 1, which begins at phi = 0
+    v = x * np.cos(layer.stereo) + (-345.0 - np.array([12.0, -55.0])) * np.sin(layer.stereo)
+    np.testing.assert_allclose(digis["position"], np.concatenate([x, v]))
+    clusters = GaussianReadout().cluster(design, digis, ClusterSettings())
+    assert clusters["truth"].tolist() == [0, 1, 0, 1, 0, 1]
+    np.testing.assert_allclose(clusters["z"][4:], [12.0, -55.0])
+    mixed = GaussianReadout().cluster(design, digis[np.array([2, 0, 3, 1])], ClusterSettings())
+    assert mixed == clusters
+
+
+def test_positions_without_a_partner_are_refused(design):
+    """The n-th X and the n-th V position belong together: one V too few, a position that is none, and strips."""
+    settings = ClusterSettings()
+    digis = read_out(design, straight_up(1.0, 10.0, 14.0), readout="gaussian")["digis"]
+    with pytest.raises(ValueError, match=r"event 0, layer 1, sheet 1: 1 positions in X and 0 in V"):
+        GaussianReadout().cluster(design, digis[:1], settings)
+    strips = read_out(design, straight_up(1.0, 10.0, 14.0))["digis"]
+    with pytest.raises(ValueError, match=r"digis row 0: the position is not finite"):
+        GaussianReadout().cluster(design, strips, settings)
+    with pytest.raises(ValueError, match=r"digis row 0: strip -1, expected 0 to 639"):
+        BinaryReadout().cluster(design, digis, settings)
+
+
 def test_gaussian_clusters_have_the_given_errors():
     """X and V residuals: mean 0, the given widths, no correlation; each hit once in every view."""
     n, sigma_x, sigma_v = 20_000, 0.2, 0.1
     columns = toy_muons(n)
-    tables = read_out(
-        load("besiii-cgem-design"), columns, n_events=n, readout="gaussian", sigma_x=sigma_x, sigma_v=sigma_v
-    )
-    clusters = tables["clusters"]
-    assert len(tables["digis"]) == 0
+    clusters = smeared(load("besiii-cgem-design"), columns, n_events=n, sigma_x=sigma_x, sigma_v=sigma_v)
     xv = clusters[clusters["view"] == 2]
     truth, layers, layer = xv["truth"], gem_toy.design_layers(), xv["layer"]
     res_x = layers["r_readout"][layer] * np.angle(np.exp(1j * (xv["phi"] - columns["phi"][truth])))
@@ -173,15 +237,15 @@ def test_gaussian_clusters_only_on_the_active_area(design):
     edge = gem_toy.design_layers()["phi_first"][1, 1]
     inside, beyond = straight_up(1.0, 343.0, 345.0), straight_up(1.0, 345.1, 346.0)
     seam = straight_up(edge - 0.001, 10.0, 14.0)
-    assert len(read_out(design, inside, readout="gaussian")["clusters"]) == 3
-    assert len(read_out(design, beyond, readout="gaussian")["clusters"]) == 0
-    assert len(read_out(design, seam, readout="gaussian")["clusters"]) == 0
+    assert len(smeared(design, inside)) == 3
+    assert len(smeared(design, beyond)) == 0
+    assert len(smeared(design, seam)) == 0
 
 
 def test_returning_track_has_its_own_noise(design):
     """A particle that crosses a layer twice gets two different draws."""
     twice = stacked(straight_up(1.0, 10.0, 14.0), straight_up(1.0, 10.0, 14.0))
-    x = read_out(design, twice, readout="gaussian")["clusters"]["x"]
+    x = smeared(design, twice)["x"]
     assert x[0] != x[1]
 
 
@@ -194,6 +258,7 @@ def test_results_do_not_depend_on_chunks(design, readout):
     wires = gem_toy.wire_truth_columns(np.repeat(np.arange(n), 20), np.tile(np.arange(8, 28), n), 11, doca)
     wire_truths = Table("wire_truths", wires, n)
     settings = DigitizeSettings(readout=readout)
+    assert settings.readout.name == readout
     whole = digitize(design, truths, wire_truths, settings, seed=9)
     part = digitize(design, truths.select_events(40, 60), wire_truths.select_events(40, 60), settings, seed=9)
     for name, table in part.items():
@@ -205,7 +270,7 @@ def test_results_do_not_depend_on_chunks(design, readout):
 
 def test_seeds_differ(design):
     """Another seed, other numbers."""
-    one, two = (read_out(design, straight_up(1.0, 10.0, 14.0), readout="gaussian", seed=s)["clusters"] for s in (1, 2))
+    one, two = (smeared(design, straight_up(1.0, 10.0, 14.0), seed=s) for s in (1, 2))
     assert one["x"][0] != two["x"][0]
 
 
@@ -283,9 +348,11 @@ def test_time_below_the_wire_continues_the_first_line():
 def test_kernels_check_their_columns(design):
     """Read-only columns are taken as they are; one of another length is refused."""
     table = Table("truths", straight_up(1.0, 10.0, 14.0), 1)
-    kwargs = {"gain": 12_000.0, "w_value": 0.0259, "threshold": 1.7}
+    kwargs = {"gain": 12_000.0, "w_values": np.full(3, 0.0259), "threshold": 1.7}
     steps = gem_toy.no_steps()
     digis = _core.read_out_strips(compiled(design), dict(table.columns), steps, **kwargs)
     assert len(digis["gid"]) == 5
     with pytest.raises(ValueError, match="one-dimensional array of length 1"):
         _core.read_out_strips(compiled(design), dict(table.columns) | {"energy": np.zeros(2)}, steps, **kwargs)
+    with pytest.raises(ValueError, match="w_values: expected a one-dimensional array of length 3"):
+        _core.read_out_strips(compiled(design), dict(table.columns), steps, **kwargs | {"w_values": np.ones(2)})

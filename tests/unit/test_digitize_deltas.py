@@ -5,7 +5,7 @@ import pytest
 
 import gem_toy
 from cgemit.detector import load
-from cgemit.digitize import DigitizeSettings, digitize
+from cgemit.digitize import BinaryReadout, DigitizeSettings, digitize
 from cgemit.tables import Table
 
 DETECTOR = load("besiii-cgem-design")
@@ -18,7 +18,7 @@ def read_out(truths, steps=None, n_events=1, **settings):
     """Digis of bare columns."""
     tables = Table("truths", truths, n_events), Table.empty("wire_truths", n_events)
     steps = None if steps is None else Table("steps", steps, n_events)
-    return digitize(DETECTOR, *tables, DigitizeSettings(**settings), steps=steps)["digis"]
+    return digitize(DETECTOR, *tables, DigitizeSettings(readout=BinaryReadout(**settings)), steps=steps)["digis"]
 
 
 def on_cylinder(layer, phi, z):

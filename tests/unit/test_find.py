@@ -5,7 +5,7 @@ import pytest
 
 import gem_toy
 from cgemit.candidates import HIT_V, HIT_WIRE, HIT_X, collect_hits
-from cgemit.cluster import cluster
+from cgemit.cluster import ClusterSettings, cluster
 from cgemit.detector import load
 from cgemit.digitize import DigitizeSettings, digitize
 from cgemit.find import by_truth, own_clusters
@@ -47,8 +47,9 @@ def chain(request):
     )
     truths = Table("truths", truths, EVENTS)
     wire_truths = Table("wire_truths", wires, EVENTS)
-    hits = digitize(DETECTOR, truths, wire_truths, DigitizeSettings(readout=request.param), seed=2)
-    clusters = hits["clusters"] if "clusters" in hits else cluster(DETECTOR, hits["digis"])
+    settings = DigitizeSettings(readout=request.param)
+    hits = digitize(DETECTOR, truths, wire_truths, settings, seed=2)
+    clusters = settings.readout.cluster(DETECTOR, hits["digis"], ClusterSettings())
     return {"truths": truths, "wire_truths": wire_truths, "wire_hits": hits["wire_hits"], "clusters": clusters}
 
 

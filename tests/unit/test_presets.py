@@ -3,12 +3,15 @@
 import csv
 import itertools
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from cgemit.detector import detectors, load
+from cgemit.detector import CgemLayer, DetectorError, detectors, load
 from cgemit.detector.compile import cgem_table
+from cgemit.detector.describe import to_dict
+from cgemit.detector.parts import crossing_z, v_of_strips
 from cgemit.detector.slabs import slabs
 
 DATA = Path(__file__).parent.parent / "data"
@@ -88,13 +91,77 @@ def test_readout(preset: str, counts: list[tuple[int, int, int]], degrees: list[
 def test_sheet_edges_and_strip_numbers_as_built() -> None:
     table = cgem_table(load("besiii-cgem").cgem)
     edges = [[math.degrees(phi) % 360 for phi in row] for row in table["phi_first"]]
-    assert edges[0][0] == pytest.approx(180.51)
+    assert edges[0][0] == pytest.approx(180.502)
     assert edges[1] == pytest.approx([180.118, 0.118])
     assert edges[2] == pytest.approx([180.222, 0.222])
     # First numbers of the experiment, layer by layer: 0, 2029, 5443 of 9897.
     assert table["gid_first"].tolist() == [0, 2029, 5443]
     layers = load("besiii-cgem").cgem
     assert sum(layer.sheets * (layer.strips_x + layer.strips_v) for layer in layers) == 9897
+
+
+# Azimuth of X strips by (layer, sheet, strip), and azimuth and z of the middle of V strips, in the strip table of the
+# experiment (package pybes3 0.5.6); rad, mm.
+X_STRIPS = {
+    (0, 0, 100): -2.3972025272, (1, 0, 100): -2.6390270165, (1, 1, 100): 0.5025656335, (2, 0, 100): -2.7591704958,
+    (2, 1, 100): 0.3824221542,
+}  # fmt: skip
+V_STRIPS = {
+    (0, 0, 5): (-3.1016101516, 263.3458301), (0, 0, 600): (0.0765209526, -6.1943191),
+    (0, 0, 1172): (3.1282918188, -265.6134801), (1, 0, 0): (-3.1354580109, -344.1037461),
+    (1, 0, 500): (-1.6824569527, -24.0523213), (1, 1, 1076): (3.1354588716, 344.1037461),
+    (2, 0, 3): (-3.1288508655, 421.1006153), (2, 1, 700): (1.5784686681, -1.5668691),
+}  # fmt: skip
+
+
+def strip_z(layer: CgemLayer, sheet: int, strip: int, phi: float) -> float:
+    x = layer.r_readout * ((phi - layer.sheet_phi[sheet]) % (2 * math.pi))
+    return float(crossing_z(layer, x, v_of_strips(layer, strip + 0.5)))
+
+
+def test_strips_as_built_are_where_the_experiment_has_them() -> None:
+    layers = load("besiii-cgem").cgem
+    for (number, sheet, strip), phi in X_STRIPS.items():
+        layer = layers[number]
+        x = layer.r_readout * ((phi - layer.sheet_phi[sheet]) % (2 * math.pi))
+        assert x == pytest.approx((strip + 0.5) * layer.pitch_x, abs=1e-3)
+    # z with V strip 0 at the corner, as the design has it, is that far off.
+    corner = {0: 0.31, 1: -1.15, 2: 0.55}
+    for (number, sheet, strip), (phi, z) in V_STRIPS.items():
+        layer = layers[number]
+        assert strip_z(layer, sheet, strip, phi) == pytest.approx(z, abs=5e-3)
+        assert strip_z(replace(layer, offset_v=0.0), sheet, strip, phi) - z == pytest.approx(corner[number], abs=0.02)
+
+
+@pytest.mark.parametrize(("number", "offset"), [(0, 0.352), (1, 0.898), (2, 0.452)])
+def test_v_strips_as_built_are_centred(number: int, offset: float) -> None:
+    layer = load("besiii-cgem").cgem[number]
+    assert layer.offset_v == pytest.approx(offset, abs=6e-4)
+    assert load("besiii-cgem-design").cgem[number].offset_v == 0
+    extent = layer.strips_x * layer.pitch_x * math.cos(layer.stereo) + layer.length * math.sin(abs(layer.stereo))
+    assert float(v_of_strips(layer, 0) + v_of_strips(layer, layer.strips_v)) == pytest.approx(extent, abs=1e-9)
+
+
+def test_offset_of_v_strips_in_files() -> None:
+    built = load("besiii-cgem")
+    assert load({"base": "besiii-cgem", "cgem": {"L1": {"offset_v": 0.1}}}).cgem[0].offset_v == 0.1
+    assert load(to_dict(built)) == built
+    # With another pitch as many strips as fit are centred again; a stated number stays on the sheet that it is for.
+    for variant in (
+        built.with_overrides({"cgem.L2.pitch_v": "500 um"}),
+        built.with_overrides({"cgem.L2.length": "600 mm"}),
+    ):
+        layer = variant.cgem[1]
+        extent = layer.strips_x * layer.pitch_x * math.cos(layer.stereo) + layer.length * math.sin(abs(layer.stereo))
+        assert layer.offset_v != built.cgem[1].offset_v
+        assert float(v_of_strips(layer, 0) + v_of_strips(layer, layer.strips_v)) == pytest.approx(extent, abs=1e-9)
+    for wrong in ("middle", -0.1, True):
+        with pytest.raises(DetectorError, match=r'L1.offset_v: .*expected "centred", or a number from 0'):
+            load({"base": "besiii-cgem", "cgem": {"L1": {"offset_v": wrong}}})
+    with pytest.raises(
+        DetectorError, match=r"1173 strips of 0.66 mm after an offset of 1 strips; expected at most 1172"
+    ):
+        load({"base": "besiii-cgem", "cgem": {"L1": {"offset_v": 1}}})
 
 
 def test_wires_end_where_the_table_says() -> None:

@@ -10,6 +10,7 @@ from cgemit import _core
 
 SAMPLES = 4001
 ROUNDING = 1e-9  # mm
+READOUT = {"gain": 12_000.0, "w_values": np.array([0.0259]), "threshold": 0.0}
 
 
 def layer_columns(index, **changes):
@@ -27,7 +28,7 @@ def fired(columns, entry, exit_):
     points = [[r * np.cos(phi), r * np.sin(phi), z] for r, (phi, z) in zip(radius, (entry, exit_), strict=True)]
     truths = gem_toy.truth_columns(0, 0, points[0], points[1])
     detector = gem_toy.core_detector(cgem=columns)
-    digis = _core.read_out_strips(detector, truths, gem_toy.no_steps(), gain=12_000.0, w_value=0.0259, threshold=0.0)
+    digis = _core.read_out_strips(detector, truths, gem_toy.no_steps(), **READOUT)
     return set(zip(digis["sheet"].tolist(), digis["view"].tolist(), digis["strip"].tolist(), strict=True))
 
 
@@ -54,11 +55,11 @@ def sampled(columns, entry, exit_, margin):
     """Strips that hold a sample, off their borders by `margin`; a negative one adds strips that are only near."""
     sheet, x, v = unrolled(columns, entry, exit_, margin)
     strips = set()
-    for view, value, pitch, count in (
-        (0, x, columns["pitch_x"][0], columns["strips_x"][0]),
-        (1, v, columns["pitch_v"][0], columns["strips_v"][0]),
+    for view, value, pitch, begin, count in (
+        (0, x, columns["pitch_x"][0], 0.0, columns["strips_x"][0]),
+        (1, v, columns["pitch_v"][0], columns["offset_v"][0] * columns["pitch_v"][0], columns["strips_v"][0]),
     ):
-        low, high = (np.floor((value + shift) / pitch).astype(int) for shift in (-margin, margin))
+        low, high = (np.floor((value - begin + shift) / pitch).astype(int) for shift in (-margin, margin))
         for strip in (low, high):
             keep = (sheet >= 0) & (strip >= 0) & (strip < count) & ((low == high) | (margin < 0))
             strips |= {(s, view, n) for s, n in np.unique([sheet[keep], strip[keep]], axis=1).T.tolist()}
@@ -82,11 +83,12 @@ def assert_brute_force(columns, entry, exit_):
     turn=st.floats(-1.5, 1.5),
     rise=st.floats(-30.0, 30.0),
     mirrored=st.booleans(),
+    offset=st.sampled_from([0.0, 0.352]),
 )
-def test_any_segment_fires_the_strips_under_it(index, phi, z, turn, rise, mirrored):
-    """Both stereo signs, across sheet edges, seams and ends."""
+def test_any_segment_fires_the_strips_under_it(index, phi, z, turn, rise, mirrored, offset):
+    """Both stereo signs, V strips at the corner and off it, across sheet edges, seams and ends."""
     sign = -1 if mirrored else 1
-    columns = layer_columns(index, stereo=sign * gem_toy.design_layers()["stereo"][index])
+    columns = layer_columns(index, stereo=sign * gem_toy.design_layers()["stereo"][index], offset_v=offset)
     z *= columns["half_length"][0]
     assert_brute_force(columns, (phi, z), (phi + turn, z + rise))
 
@@ -148,6 +150,21 @@ def test_first_and_last_v_strip(index):
     far = fired(columns, at(columns, 0, width - 0.05, -0.99999 * z_ref), at(columns, 0, width - 0.01, -0.99999 * z_ref))
     assert near == {(0, 0, 0), (0, 1, 0)}
     assert far == {(0, 0, columns["strips_x"][0] - 1)}
+
+
+@pytest.mark.parametrize("index", [0, 1])
+def test_v_strips_off_the_corner(index):
+    """With an offset of 0.9 strips the corner has X strips only up to V = 0.9 pitch, where V strip 0 begins."""
+    columns = layer_columns(index, offset_v=0.9)
+    z_ref, stereo = np.copysign(columns["half_length"][0], columns["stereo"][0]), columns["stereo"][0]
+
+    def along_z(v_1, v_2):
+        points = [at(columns, 0, 0.01, z_ref - (v - 0.01 * np.cos(stereo)) / np.sin(stereo)) for v in (v_1, v_2)]
+        return {strip for _, view, strip in fired(columns, *points) if view == 1}
+
+    assert along_z(0.01 * 0.65, 0.89 * 0.65) == set()
+    assert along_z(0.01 * 0.65, 0.91 * 0.65) == {0}
+    assert along_z(0.91 * 0.65, 2.91 * 0.65) == {0, 1, 2}
 
 
 def test_seam_gives_strips_on_both_sheets_and_none_in_the_dead_area():

@@ -10,7 +10,7 @@ from cgemit.detector import check
 from cgemit.detector.field import KINDS, Field, MapField, kind_key
 from cgemit.detector.field.files import read_field_map
 from cgemit.detector.files import FOR_ALL_LAYERS, map_path
-from cgemit.detector.keys import keys_of
+from cgemit.detector.keys import CENTRED, keys_of
 from cgemit.detector.materials import library, read_materials
 from cgemit.detector.parts import CgemLayer, Contents, Cylinder, DriftChamber, WireLayer
 from cgemit.detector.read import NAME, TOP_LEVEL, UNUSABLE, Reader, shown
@@ -144,6 +144,8 @@ def _chamber(reader: Reader, raw: object) -> DriftChamber | None:
 def complete_layer(values: dict[str, Any]) -> None:
     """Add strips_x, stereo and strips_v to the values (native units) of a CGEM layer where they are missing.
 
+    An `offset_v` of ``"centred"`` becomes a number.
+
     The stereo angle is the one of the sheet's diagonal, counted in whole strips: as the read-out of the BESIII CGEM
     is laid out (docs/methods/detector.md). `stereo_sign` is taken out.
     """
@@ -156,6 +158,8 @@ def complete_layer(values: dict[str, Any]) -> None:
         values["stereo"] = sign * math.atan2(width, values["length"])
     if "strips_v" not in values:
         values["strips_v"] = strips_v(width, values["length"], values["stereo"], values["pitch_v"])
+    if values.get("offset_v") == CENTRED:
+        values["offset_v"] = centred_v(values)
 
 
 def strips_x(radius: float, sheets: int, pitch: float) -> int:
@@ -170,6 +174,13 @@ def strips_v(width: float, length: float, stereo: float, pitch: float) -> int:
     2 length sin(stereo)/pitch.
     """
     return _floor((width * math.cos(stereo) + length * math.sin(abs(stereo))) / pitch)
+
+
+def centred_v(values: dict[str, Any]) -> float:
+    """Return the `offset_v` with which both corners of a sheet have the same room beside the V strips."""
+    stereo = values["stereo"]
+    extent = values["strips_x"] * values["pitch_x"] * math.cos(stereo) + values["length"] * math.sin(abs(stereo))
+    return float(0.5 * (extent / values["pitch_v"] - values["strips_v"]))
 
 
 def _floor(value: float) -> int:

@@ -112,9 +112,10 @@ def _strip_problems(layer: CgemLayer) -> list[Problem]:
         problems.append(Problem(f"{path}.strips_x", given, f"at most {most} on a sheet {width:.3f} mm wide"))
         return problems  # V strips cross the X strips: nothing to say about them yet
     extent = layer.strips_x * layer.pitch_x * math.cos(layer.stereo) + layer.length * math.sin(abs(layer.stereo))
-    if layer.strips_v * layer.pitch_v > extent + TOUCH:
-        most = math.floor(extent / layer.pitch_v + 1e-9)
+    if (layer.strips_v + layer.offset_v) * layer.pitch_v > extent + TOUCH:
+        most = math.floor(extent / layer.pitch_v - layer.offset_v + 1e-9)
         given = f"{layer.strips_v} strips of {layer.pitch_v:g} mm"
+        given += f" after an offset of {layer.offset_v:g} strips" if layer.offset_v else ""
         problems.append(
             Problem(f"{path}.strips_v", given, f"at most {most}: the sheet measures {extent:.3f} mm along V")
         )

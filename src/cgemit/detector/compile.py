@@ -143,8 +143,8 @@ def compiled_stack(parts: Sequence[tuple[Material, float]], screening: str = "we
 
 
 def cgem_table(layers: Sequence[CgemLayer]) -> Columns:
-    """Return the read-out of CGEM layers as columns: mm, rad; phi_first is (n, 2), the rest (n,)."""
-    names = ("r_readout", "r_gap_in", "r_gap_out", "half_length", "pitch_x", "pitch_v", "stereo")
+    """Return the read-out of CGEM layers as columns: mm, rad, strips; phi_first is (n, 2), the rest (n,)."""
+    names = ("r_readout", "r_gap_in", "r_gap_out", "half_length", "pitch_x", "pitch_v", "stereo", "offset_v")
     columns: Columns = {name: np.array([getattr(layer, name) for layer in layers], dtype=np.float64) for name in names}
     for name in ("sheets", "strips_x", "strips_v"):
         columns[name] = np.array([getattr(layer, name) for layer in layers], dtype=np.int32)

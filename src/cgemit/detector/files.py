@@ -9,6 +9,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from cgemit.detector.keys import CENTRED
 from cgemit.problems import DetectorError, Problem, did_you_mean
 
 _DETECTORS = resources.files("cgemit.data") / "detectors"
@@ -22,6 +23,7 @@ DERIVED_FROM = {
     "strips_x": {"anode_radius", "readout_offset", "sheets", "pitch_x"},
     "stereo": {"strips_x", "pitch_x", "length", "stereo_sign"},
     "strips_v": {"stereo", "strips_x", "pitch_x", "pitch_v", "length"},
+    "offset_v": {"strips_v", "stereo", "strips_x", "pitch_x", "pitch_v", "length"},
 }
 
 #: Values of [drift_chamber] that hold for every layer which does not state its own; a new value in a variant
@@ -163,6 +165,8 @@ def _drop_derived(base: dict[str, Any], variant: Mapping[str, Any]) -> None:
             changed.add(name)
             if name == "stereo" and isinstance(old, str):
                 base["stereo_sign"] = -1 if old.lstrip().startswith("-") else 1
+            if name == "offset_v" and old:
+                base["offset_v"] = CENTRED  # strips that were moved off the corner stay on the sheet
 
 
 def _drop_field(base: dict[str, Any], variant: Mapping[str, Any]) -> None:

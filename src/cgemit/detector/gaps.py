@@ -48,6 +48,8 @@ def ionization(name: str) -> Ionization:
     text = (resources.files("cgemit.data") / "gases" / f"{name}.csv").read_text(encoding="utf-8")
     rows = list(csv.DictReader(line for line in text.splitlines() if not line.startswith("#")))
     single = {row["quantity"]: float(row["value"]) for row in rows if not row["at"]}
+    if "w_value" not in single:
+        raise ValueError(f"data/gases/{name}.csv: got no w_value, expected the mean energy per electron in eV")
     columns = {}
     for quantity in ("clusters", "size", "more_than"):
         found = [(float(row["at"]), float(row["value"])) for row in rows if row["quantity"] == quantity]
@@ -89,7 +91,7 @@ def clusters_per_mm(gas: Material, ln_betagamma: Floats) -> Floats:
     Linear in ln(beta gamma) between the tabulated points, constant above (the plateau of the density effect),
     1/beta^2 below. In proportion to the density of electrons if that is not the one of the table.
     """
-    table = ionization(gas.ionization or DEFAULT_IONIZATION)
+    table = ionization_of(gas)
     inside = np.interp(ln_betagamma, np.log(table.betagamma), table.clusters)
     lowest = table.betagamma[0]
     per_beta2 = (1 + np.exp(-2 * ln_betagamma)) / (1 + lowest**-2)
@@ -97,6 +99,16 @@ def clusters_per_mm(gas: Material, ln_betagamma: Floats) -> Floats:
 
 
 DEFAULT_IONIZATION = "ar-ic4h10-90-10"
+
+
+def ionization_of(gas: Material) -> Ionization:
+    """Return the table that a gas names, or the default one."""
+    return ionization(gas.ionization or DEFAULT_IONIZATION)
+
+
+def w_values(detector: Contents) -> Floats:
+    """Return the mean energy per electron of ionization in each CGEM layer's gas, (layers,), keV."""
+    return np.array([ionization_of(layer.gas).w_value for layer in detector.cgem], np.float64)
 
 
 def _ratio(gas: Material, table: Ionization) -> float:
@@ -241,7 +253,7 @@ def gap_columns(layer: CgemLayer) -> dict[str, Any]:
     groups = _groups(shells, [shell.group for shell in shells].index("drift"))
     gap = [group[0].group for group in groups].index("drift")
     density = [sum(s.material.density * s.thickness for s in g) / sum(s.thickness for s in g) for g in groups]
-    table = ionization(layer.gas.ionization or DEFAULT_IONIZATION)
+    table = ionization_of(layer.gas)
     cut = slices(layer)
     grid = _core.LOSS_GRID_FIRST + _core.LOSS_GRID_STEP * np.arange(_core.LOSS_POINTS, dtype=np.float64)
     return {

@@ -7,10 +7,13 @@ from typing import Any
 
 from cgemit.units import NATIVE, describe
 
+#: Word for an `offset_v` that follows from the other values of a layer.
+CENTRED = "centred"
+
 
 @dataclass(frozen=True)
 class Key:
-    """One key: `kind` is a dimension of `units.NATIVE`, or integer, text, material, gas, stack, formula, numbers.
+    """One key: its kind is a dimension of `units.NATIVE`, or a word that the reader knows.
 
     `low` and `high` are the sensible range in native units, ends included; `derived` keys may be left out and are
     then worked out from the others.
@@ -41,6 +44,7 @@ class Key:
             "stack": "a list of { label, material, thickness }",
             "composition": 'a formula such as "CO2" or a table of mass fractions such as { Ar = 0.7, C = 0.3 }',
             "numbers": "a table of numbers c, x0, x1, a, k",
+            "offset": '"centred", or a number',
         }
         text = words.get(self.kind) or describe(self.kind)
         if self.low == -float("inf"):

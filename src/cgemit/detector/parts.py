@@ -103,6 +103,9 @@ class CgemLayer:
     strips_x: int = field(metadata=key("integer", "X strips of a sheet", 1, 100_000, derived=True))
     stereo: float = field(metadata=key("angle", "stereo angle of the V strips, signed", -1.55, 1.55, derived=True))
     strips_v: int = field(metadata=key("integer", "V strips of a sheet", 1, 100_000, derived=True))
+    offset_v: float = field(
+        metadata=key("offset", "V of the edge where V strip 0 begins, in units of pitch_v", 0.0, 100_000.0), default=0.0
+    )
 
     @property
     def half_length(self) -> float:
@@ -254,6 +257,16 @@ class Contents:
 def local_v(layer: CgemLayer, x: Floats | float, z: Floats | float) -> Floats:
     """Return V, (n,) float64 mm, of points with X and z, (n,) float64 mm."""
     return np.asarray(x * np.cos(layer.stereo) + (layer.z_ref - z) * np.sin(layer.stereo))
+
+
+def strips_of_v(layer: CgemLayer, v: Floats | float) -> Floats:
+    """Return V, (n,) float64 mm, counted in V strips: i is the edge where strip i begins."""
+    return np.asarray(np.divide(v, layer.pitch_v) - layer.offset_v)
+
+
+def v_of_strips(layer: CgemLayer, strips: Floats | float) -> Floats:
+    """Return V, (n,) float64 mm, of positions counted in V strips: i is the edge where strip i begins."""
+    return np.asarray(np.add(strips, layer.offset_v) * layer.pitch_v)
 
 
 def crossing_z(layer: CgemLayer, x: Floats | float, v: Floats | float) -> Floats:

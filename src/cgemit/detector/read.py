@@ -5,7 +5,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from cgemit.detector.keys import Key, keys_of, required_of
+from cgemit.detector.keys import CENTRED, Key, keys_of, required_of
 from cgemit.detector.material import DensityEffect, Material, elements, fractions_of_formula
 from cgemit.detector.parts import CgemLayer, SubLayer
 from cgemit.problems import Problem, did_you_mean
@@ -187,6 +187,13 @@ class Reader:
         # A sum that is 1 up to rounding stays untouched, so that files read back exactly.
         scale = 1.0 if abs(total - 1) < 1e-9 else total
         return tuple((name, part / scale) for name, part in raw.items())
+
+    def _offset(self, path: str, raw: object, key: Key) -> Any:
+        if raw == CENTRED:
+            return raw
+        if not isinstance(raw, int | float) or isinstance(raw, bool) or not key.admits(raw):
+            return self.note(path, shown(raw), key.expected())
+        return float(raw)
 
     def _numbers(self, path: str, raw: object, key: Key) -> Any:
         names = DensityEffect._fields

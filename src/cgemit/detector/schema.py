@@ -6,7 +6,7 @@ from typing import Any
 
 from cgemit.detector.field import KINDS, kind_key
 from cgemit.detector.files import FOR_ALL_LAYERS
-from cgemit.detector.keys import Key, keys_of, required_of
+from cgemit.detector.keys import CENTRED, Key, keys_of, required_of
 from cgemit.detector.material import DensityEffect, Material
 from cgemit.detector.parts import CgemLayer, Cylinder, DriftChamber, SubLayer, WireLayer
 from cgemit.detector.read import EXTRA, NAME, TOP_LEVEL
@@ -120,6 +120,7 @@ def _value(key: Key) -> dict[str, Any]:
                 {"type": "object", "additionalProperties": {"type": "number", "exclusiveMinimum": 0, "maximum": 1}},
             ]
         },
+        "offset": {"anyOf": [{"const": CENTRED}, {"type": "number", **limits}]},
         "numbers": {
             "type": "object",
             "properties": {name: {"type": "number"} for name in DensityEffect._fields},

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.collections import PatchCollection, PolyCollection
 from matplotlib.patches import Rectangle
 
-from cgemit.detector.parts import crossing_z, local_v
+from cgemit.detector.parts import crossing_z, local_v, strips_of_v, v_of_strips
 from cgemit.draw.geometry import Array, near
 from cgemit.draw.style import COLORS, Picture, legend_entries, new_picture, statistics_box, style
 
@@ -70,7 +70,7 @@ def crossing(result: Result, event: int, layer: int) -> Crossing:
     middle = float(truths["phi"][row])
     phi = near(np.arctan2(y, x), middle)
     sheet = int(clusters["sheet"][pair])
-    fired = (digis["layer"] == layer) & (digis["sheet"] == sheet)
+    fired = (digis["layer"] == layer) & (digis["sheet"] == sheet) & (digis["strip"] >= 0)
     return Crossing(
         result.detector.cgem[layer],
         np.array([np.hypot(x[0], y[0]), truths["r"][row], np.hypot(x[1], y[1])]),
@@ -143,7 +143,7 @@ def _draw_strips(axes: Axes, hit: Crossing, centre: tuple[float, float], half: f
             axes.text((strip + 0.5) * layer.pitch_x, low + 0.03 * half, f"X {strip}", rotation=90, ha="center",
                       va="bottom", fontsize=7.5, color=COLORS["x"])  # fmt: skip
     corners = hit.v(np.repeat(edges, 2), np.tile([low, high], 2))
-    first, last = int(corners.min() // layer.pitch_v), int(corners.max() // layer.pitch_v)
+    first, last = (int(np.floor(strips_of_v(layer, v))) for v in (corners.min(), corners.max()))
     shapes = [_strip_v(hit, strip, edges) for strip in range(first, last + 1)]
     fired_v = [strip in hit.strips_v for strip in range(first, last + 1)]
     axes.add_collection(
@@ -166,7 +166,7 @@ def _strip_x(start: float, pitch: float, low: float, high: float, fired: bool) -
 
 def _strip_v(hit: Crossing, strip: int, edges: Array) -> Array:
     """Return the corners (4, 2) in (X, z) of a V strip between two X; mm."""
-    v = hit.layer.pitch_v * np.array([strip, strip, strip + 1, strip + 1])
+    v = v_of_strips(hit.layer, np.array([strip, strip, strip + 1, strip + 1]))
     x = edges[[0, 1, 1, 0]]
     return np.column_stack([x, crossing_z(hit.layer, x, v)])
 
@@ -198,7 +198,7 @@ def draw_projection(result: Result, event: int, layer: int = 0) -> Picture:
         edges_x = start + hit.layer.pitch_x * hit.strips_x
         step = hit.layer.pitch_v / np.sin(hit.layer.stereo)
         # Where the V strips meet the line of constant X through the middle of the crossing.
-        offset = float(crossing_z(hit.layer, hit.x(hit.phi[1]), 0.0) - hit.z[1])
+        offset = float(crossing_z(hit.layer, hit.x(hit.phi[1]), v_of_strips(hit.layer, 0.0)) - hit.z[1])
         _draw_section(axes[0], hit, x, edges_x, hit.layer.pitch_x, start, COLORS["x"])
         _draw_section(axes[1], hit, hit.z - hit.z[1], offset - step * hit.strips_v, -step, offset, COLORS["v"])
         axes[0].set(xlabel="R (φ − φ at mid-gap)  (mm)", ylabel="r  (mm)")

@@ -124,8 +124,9 @@ _DIGIS = (
     _i4("layer", "CGEM layer, 0 innermost"),
     _SHEET,
     _column("i1", "view", "", "0 X, 1 V"),
-    _i4("strip", "strip of the view and sheet"),
-    _i4("gid", "strip number in the whole CGEM"),
+    _i4("strip", "strip of the view and sheet; -1 if a position is measured without strips"),
+    _i4("gid", "strip number in the whole CGEM; -1 without strips"),
+    _f8("position", "mm", "X or V measured without strips; NaN if strips tell it"),
     _f8("charge", "fC", "collected charge"),
     _f8("time", "ns", "arrival time"),
     _link("truth", "crossing with the largest contribution", "truths"),
@@ -168,7 +169,7 @@ _CLUSTERS = (
     _link("v_cluster", "the V cluster of an XV cluster", "clusters"),
     _link("truth", "crossing with the largest contribution", "truths"),
     _i4("n_truths", "number of crossings that contributed"),
-    _column("i1", "method", "", "0 centre of the strips (binary), 1 smeared truth (gaussian)"),
+    _column("i1", "method", "", "0 position of the strips, 1 position with an error that holds at any incidence"),
 )
 
 
@@ -280,7 +281,7 @@ _KINDS = (
     ("truths", _TRUTHS, "one crossing of a CGEM drift gap"),
     ("steps", _STEPS, "one deposit in a CGEM drift gap: a piece of a delta electron's way, or an ionization cluster"),
     ("wire_truths", _WIRE_TRUTHS, "one passage through a drift-chamber cell"),
-    ("digis", _DIGIS, "one fired strip"),
+    ("digis", _DIGIS, "one fired strip, or one position measured without strips"),
     ("wire_hits", _WIRE_HITS, "one fired cell"),
     ("clusters", _CLUSTERS, "one X, V or XV cluster"),
     ("candidates", _CANDIDATES, "one set of hits that is taken for one track"),

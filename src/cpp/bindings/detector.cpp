@@ -80,7 +80,7 @@ std::vector<CgemLayer> make_cgem(const py::dict& columns) {
              r_gap_out = take<double>(columns, "r_gap_out"),
              half_length = take<double>(columns, "half_length"), pitch_x = take<double>(columns, "pitch_x"),
              pitch_v = take<double>(columns, "pitch_v"), stereo = take<double>(columns, "stereo"),
-             phi_first = take<double>(columns, "phi_first");
+             offset_v = take<double>(columns, "offset_v"), phi_first = take<double>(columns, "phi_first");
   const auto sheets = take<std::int32_t>(columns, "sheets"),
              strips_x = take<std::int32_t>(columns, "strips_x"),
              strips_v = take<std::int32_t>(columns, "strips_v"),
@@ -97,6 +97,7 @@ std::vector<CgemLayer> make_cgem(const py::dict& columns) {
                  pitch_x.at(i),
                  pitch_v.at(i),
                  stereo.at(i),
+                 offset_v.at(i),
                  sheets.at(i),
                  strips_x.at(i),
                  strips_v.at(i),

@@ -1,9 +1,7 @@
 #include <pybind11/pybind11.h>
 
 #include "bindings/arrays.hpp"
-#include "bindings/cluster_columns.hpp"
 #include "bindings/inputs.hpp"
-#include "common/units.hpp"
 #include "digitize/binary.hpp"
 #include "digitize/gaussian.hpp"
 #include "digitize/wires.hpp"
@@ -42,16 +40,7 @@ StepColumns step_columns(Inputs& in) {
   return steps;
 }
 
-py::dict strips(const Detector& detector, const py::dict& table, const py::dict& step_table, double gain,
-                double w_value, double threshold) {
-  Inputs in(table, "event"), step_in(step_table, "event");
-  const TruthColumns truths = truth_columns(in);
-  const StepColumns steps = step_columns(step_in);
-  DigiColumns digis;
-  {
-    py::gil_scoped_release release;
-    digis = read_out_strips(detector, truths, steps, {gain, w_value, threshold});
-  }
+py::dict to_dict(DigiColumns&& digis) {
   py::dict out;
   out["event"] = to_numpy(std::move(digis.event));
   out["layer"] = to_numpy(std::move(digis.layer));
@@ -59,6 +48,7 @@ py::dict strips(const Detector& detector, const py::dict& table, const py::dict&
   out["view"] = to_numpy(std::move(digis.view));
   out["strip"] = to_numpy(std::move(digis.strip));
   out["gid"] = to_numpy(std::move(digis.gid));
+  out["position"] = to_numpy(std::move(digis.position));
   out["charge"] = to_numpy(std::move(digis.charge));
   out["time"] = to_numpy(std::move(digis.time));
   out["truth"] = to_numpy(std::move(digis.truth));
@@ -66,17 +56,41 @@ py::dict strips(const Detector& detector, const py::dict& table, const py::dict&
   return out;
 }
 
-py::dict smeared(const Detector& detector, const py::dict& table, double gain, double w_value, double sigma_x,
-                 double sigma_v, std::uint64_t seed) {
-  Inputs in(table, "event");
+// One number per CGEM layer.
+std::span<const double> per_layer(const Array<double>& w_values, const Detector& detector) {
+  return column(w_values, "w_values", static_cast<py::ssize_t>(detector.cgem.size()));
+}
+
+py::dict strips(const Detector& detector, const py::dict& table, const py::dict& step_table, double gain,
+                const Array<double>& w_values, double threshold) {
+  Inputs in(table, "event"), step_in(step_table, "event");
   const TruthColumns truths = truth_columns(in);
-  ClusterColumns clusters;
+  const StepColumns steps = step_columns(step_in);
+  const BinaryReadout readout{
+      .gain = gain, .w_values = per_layer(w_values, detector), .threshold = threshold};
+  DigiColumns digis;
   {
     py::gil_scoped_release release;
-    clusters =
-        smear_positions(detector, truths, {sigma_x, sigma_v, gain / w_value * elementary_charge_fC, seed});
+    digis = read_out_strips(detector, truths, steps, readout);
   }
-  return to_dict(std::move(clusters));
+  return to_dict(std::move(digis));
+}
+
+py::dict smeared(const Detector& detector, const py::dict& table, double gain, const Array<double>& w_values,
+                 double sigma_x, double sigma_v, std::uint64_t seed) {
+  Inputs in(table, "event");
+  const TruthColumns truths = truth_columns(in);
+  const GaussianReadout readout{.sigma_x = sigma_x,
+                                .sigma_v = sigma_v,
+                                .gain = gain,
+                                .w_values = per_layer(w_values, detector),
+                                .seed = seed};
+  DigiColumns digis;
+  {
+    py::gil_scoped_release release;
+    digis = smear_positions(detector, truths, readout);
+  }
+  return to_dict(std::move(digis));
 }
 
 py::dict wires(const Detector& detector, const py::dict& table, const Array<double>& xt_distance,
@@ -114,11 +128,11 @@ py::dict wires(const Detector& detector, const py::dict& table, const Array<doub
 
 void bind_digitize(py::module_& module) {
   module.def("read_out_strips", &strips, py::arg("detector"), py::arg("truths"), py::arg("steps"),
-             py::kw_only(), py::arg("gain"), py::arg("w_value"), py::arg("threshold"),
+             py::kw_only(), py::arg("gain"), py::arg("w_values"), py::arg("threshold"),
              "Columns of digis from columns of truths and steps: binary read-out.");
   module.def("smear_positions", &smeared, py::arg("detector"), py::arg("truths"), py::kw_only(),
-             py::arg("gain"), py::arg("w_value"), py::arg("sigma_x"), py::arg("sigma_v"), py::arg("seed"),
-             "Columns of clusters from columns of truths: read-out without strips.");
+             py::arg("gain"), py::arg("w_values"), py::arg("sigma_x"), py::arg("sigma_v"), py::arg("seed"),
+             "Columns of digis from columns of truths: read-out without strips.");
   module.def("read_out_wires", &wires, py::arg("detector"), py::arg("wire_truths"), py::kw_only(),
              py::arg("xt_distance"), py::arg("xt_time"), py::arg("reveal_sides"), py::arg("seed"),
              "Columns of wire_hits from columns of wire_truths.");

@@ -1,11 +1,7 @@
 #include "cluster/clusters.hpp"
 
 #include <algorithm>
-#include <numeric>
-#include <stdexcept>
-#include <string>
 #include <tuple>
-#include <utility>
 
 namespace cgemit {
 namespace {
@@ -13,23 +9,10 @@ namespace {
 using Rows = std::span<const std::size_t>;
 
 void check(const DigiView& digis, const Detector& detector) {
-  const auto layers = static_cast<std::int32_t>(detector.cgem.size());
   for (std::size_t i = 0; i < digis.size(); ++i) {
-    const auto expect = [&](const char* what, std::int32_t value, std::int32_t count) {
-      if (value >= 0 && value < count) return;
-      throw std::invalid_argument("digis row " + std::to_string(i) + ": " + what + " " +
-                                  std::to_string(value) + ", expected 0 to " + std::to_string(count - 1));
-    };
-    expect("layer", digis.layer[i], layers);
-    const CgemLayer& layer = detector.cgem[digis.layer[i]];
-    expect("sheet", digis.sheet[i], layer.sheets);
-    expect("view", digis.view[i], 2);
-    expect("strip", digis.strip[i], digis.view[i] == 0 ? layer.strips_x : layer.strips_v);
+    const CgemLayer& layer = checked_layer(detector, digis, i);
+    expect(i, "strip", digis.strip[i], digis.view[i] == 0 ? layer.strips_x : layer.strips_v);
   }
-}
-
-auto place(const DigiView& digis, std::size_t i) {
-  return std::tuple(digis.layer[i], digis.sheet[i], digis.view[i], digis.strip[i]);
 }
 
 // The truth with most of the cluster's charge, as far as the digis know: each names its largest only.
@@ -59,8 +42,8 @@ std::int32_t count_truths(const DigiView& digis, Rows rows) {
   return std::max(most, distinct);
 }
 
-// Position across the strips. Weighted by charge it is the geometric centre if the strips have none.
-double across(const DigiView& digis, Rows rows, double pitch, Position position) {
+// Position across the strips, in strips. Weighted by charge it is the geometric centre if they have none.
+double across(const DigiView& digis, Rows rows, Position position) {
   const std::int32_t first = digis.strip[rows.front()];
   double mean = 0.5 * (digis.strip[rows.back()] - first);
   if (position == Position::charge) {
@@ -71,7 +54,7 @@ double across(const DigiView& digis, Rows rows, double pitch, Position position)
     }
     if (sum > 0) mean = weighted / sum;
   }
-  return (first + mean + 0.5) * pitch;
+  return first + mean + 0.5;
 }
 
 // The cluster of one view made of the digis `rows`, ordered by strip.
@@ -92,11 +75,11 @@ ClusterRow make_cluster(const CgemLayer& layer, const DigiView& digis, Rows rows
   cluster.truth = largest_truth(digis, rows);
   cluster.n_truths = count_truths(digis, rows);
   if (cluster.view == ClusterView::x) {
-    cluster.x = across(digis, rows, layer.pitch_x, position);
+    cluster.x = x_of_strips(layer, across(digis, rows, position));
     cluster.err_x = errors.of(errors.x, cluster.layer, cluster.size);
     set_azimuth(layer, cluster);
   } else {
-    cluster.v = across(digis, rows, layer.pitch_v, position);
+    cluster.v = v_of_strips(layer, across(digis, rows, position));
     cluster.err_v = errors.of(errors.v, cluster.layer, cluster.size);
   }
   return cluster;
@@ -119,8 +102,8 @@ void write_sheet(const CgemLayer& layer, std::span<const ClusterRow> views, Clus
 
 // Neighbouring strips (or the same one twice) of one view and sheet belong together.
 bool adjacent(const DigiView& digis, std::size_t a, std::size_t b) {
-  return digis.layer[a] == digis.layer[b] && digis.sheet[a] == digis.sheet[b] &&
-         digis.view[a] == digis.view[b] && digis.strip[b] <= digis.strip[a] + 1;
+  return digis.sheet_of(a) == digis.sheet_of(b) && digis.view[a] == digis.view[b] &&
+         digis.strip[b] <= digis.strip[a] + 1;
 }
 
 }  // namespace
@@ -128,14 +111,7 @@ bool adjacent(const DigiView& digis, std::size_t a, std::size_t b) {
 ClusterColumns find_clusters(const Detector& detector, const DigiView& digis, const ErrorTable& errors,
                              Position position) {
   check(digis, detector);
-  std::vector<std::size_t> order(digis.size());
-  std::iota(order.begin(), order.end(), std::size_t{0});
-  const auto before = [&](std::size_t a, std::size_t b) {
-    return std::pair(digis.event[a], place(digis, a)) < std::pair(digis.event[b], place(digis, b));
-  };
-  if (!std::is_sorted(order.begin(), order.end(), before)) {
-    std::stable_sort(order.begin(), order.end(), before);
-  }
+  const std::vector<std::size_t> order = by_place(digis);
   ClusterColumns clusters;
   clusters.reserve(digis.size());
   std::vector<ClusterRow> sheet;
@@ -145,10 +121,8 @@ ClusterColumns find_clusters(const Detector& detector, const DigiView& digis, co
     sheet.clear();
   };
   for (std::size_t begin = 0, end; begin < order.size(); begin = end) {
-    for (end = begin + 1; end < order.size() && digis.event[order[end]] == digis.event[order[begin]] &&
-                          adjacent(digis, order[end - 1], order[end]);) {
-      ++end;
-    }
+    end = begin + 1;
+    while (end < order.size() && adjacent(digis, order[end - 1], order[end])) ++end;
     const CgemLayer& layer = detector.cgem[static_cast<std::size_t>(digis.layer[order[begin]])];
     ClusterRow cluster =
         make_cluster(layer, digis, Rows(order).subspan(begin, end - begin), errors, position);

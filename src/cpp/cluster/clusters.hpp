@@ -1,24 +1,14 @@
 // Fired strips become clusters: contiguous strips of one view, and pairs of views that intersect.
 #pragma once
 
+#include <algorithm>
 #include <cstdint>
 #include <span>
 
+#include "cluster/digis.hpp"
 #include "detector/cluster_rows.hpp"
 
 namespace cgemit {
-
-struct DigiView {
-  std::span<const std::int64_t> event;
-  std::span<const std::int32_t> layer, sheet;
-  std::span<const std::int8_t> view;
-  std::span<const std::int32_t> strip;
-  std::span<const double> charge, time;  // fC, ns
-  std::span<const std::int64_t> truth;
-  std::span<const std::int32_t> n_truths;
-
-  std::size_t size() const { return event.size(); }
-};
 
 // Position errors by layer and cluster size: row = layer, column = size - 1; the last column holds for all
 // larger sizes.

@@ -13,7 +13,9 @@
 namespace cgemit {
 
 enum class ClusterView : std::int8_t { x = 0, v = 1, xv = 2 };
-enum class ClusterMethod : std::int8_t { strips = 0, gaussian = 1 };
+// What tells the position: strips, whose number and the incidence of the track tell how well, or the read-out
+// itself, with an error that holds as it is.
+enum class ClusterMethod : std::int8_t { strips = 0, positions = 1 };
 
 inline constexpr double not_measured = std::numeric_limits<double>::quiet_NaN();
 

@@ -85,6 +85,7 @@ struct CgemLayer {
   double pitch_x;      // mm
   double pitch_v;      // mm
   double stereo;       // rad, signed
+  double offset_v;     // V of the edge where V strip 0 begins, in units of pitch_v
   int sheets;
   int strips_x;                     // per sheet
   int strips_v;                     // per sheet

@@ -1,7 +1,8 @@
 // Local coordinates on the unrolled read-out of a CGEM layer, in mm:
 //   X = r_readout (phi - phi_first[sheet])            along the circumference, from 0 to sheet_width()
 //   V = X cos(stereo) + (z_ref - z) sin(stereo)       across the stereo strips, from 0 upwards
-// as the experiment's software counts them for both signs of the stereo angle (docs/conventions.md).
+// X strip i covers X from i to i + 1 pitches, V strip i covers V from i + offset_v to i + 1 + offset_v
+// pitches, as the experiment's software counts them for both signs of the stereo angle (docs/conventions.md).
 #pragma once
 
 #include "common/angles.hpp"
@@ -22,6 +23,14 @@ inline double azimuth(const CgemLayer& layer, int sheet, double x) {
 
 inline double local_v(const CgemLayer& layer, double x, double z) {
   return x * layer.cos_stereo + (layer.z_ref() - z) * layer.sin_stereo;
+}
+
+// Positions counted in strips: i at the edge where strip i begins, i + 1/2 at its middle.
+inline double strips_of_x(const CgemLayer& layer, double x) { return x / layer.pitch_x; }
+inline double strips_of_v(const CgemLayer& layer, double v) { return v / layer.pitch_v - layer.offset_v; }
+inline double x_of_strips(const CgemLayer& layer, double strips) { return strips * layer.pitch_x; }
+inline double v_of_strips(const CgemLayer& layer, double strips) {
+  return (strips + layer.offset_v) * layer.pitch_v;
 }
 
 // z at which the line of constant V meets that of constant X.

@@ -4,8 +4,6 @@
 #include <string>
 #include <tuple>
 
-#include "common/units.hpp"
-
 namespace cgemit {
 namespace {
 
@@ -62,7 +60,7 @@ void share(const CgemLayer& layer, const Point& from, const Point& to, double ch
 
 // One truth with its steps [begin, end).
 void read_out(const CgemLayer& layer, const TruthColumns& truths, std::size_t row, const StepColumns& steps,
-              std::size_t begin, std::size_t end, double charge_per_energy, std::vector<Contribution>& out) {
+              std::size_t begin, std::size_t end, double per_energy, std::vector<Contribution>& out) {
   Contribution strip{};
   strip.layer = truths.layer[row];
   strip.time = truths.time[row];
@@ -71,14 +69,14 @@ void read_out(const CgemLayer& layer, const TruthColumns& truths, std::size_t ro
   for (std::size_t i = begin; i < end; ++i) {
     if (!steps.is_delta(i)) continue;
     of_particle -= steps.energy[i];
-    share(layer, steps.end(i, -0.5), steps.end(i, 0.5), steps.energy[i] * charge_per_energy, strip, out);
+    share(layer, steps.end(i, -0.5), steps.end(i, 0.5), steps.energy[i] * per_energy, strip, out);
   }
   if (of_particle < -rounding * truths.energy[row]) {
     throw std::invalid_argument("truths row " + std::to_string(row) + ": its delta electrons deposit " +
                                 std::to_string(-of_particle) + " keV more than its energy");
   }
-  share(layer, truths.entry_point(row), truths.exit_point(row),
-        std::max(0.0, of_particle) * charge_per_energy, strip, out);
+  share(layer, truths.entry_point(row), truths.exit_point(row), std::max(0.0, of_particle) * per_energy,
+        strip, out);
 }
 
 // Adds up the contributions [begin, end) to one strip, which are ordered by truth, and writes its digi.
@@ -97,16 +95,12 @@ void write(std::int64_t event, const Contribution* begin, const Contribution* en
     charge += part->charge;
     time = std::min(time, part->time);
   }
-  digis.event.push_back(event);
-  digis.layer.push_back(begin->layer);
-  digis.sheet.push_back(begin->sheet);
-  digis.view.push_back(begin->view);
-  digis.strip.push_back(begin->strip);
-  digis.gid.push_back(begin->gid);
-  digis.charge.push_back(charge);
-  digis.time.push_back(time);
-  digis.truth.push_back(truth);
-  digis.n_truths.push_back(n_truths);
+  DigiRow digi{event, begin->layer, begin->sheet, begin->view, begin->strip, begin->gid};
+  digi.charge = charge;
+  digi.time = time;
+  digi.truth = truth;
+  digi.n_truths = n_truths;
+  digis.push_back(digi);
 }
 
 }  // namespace
@@ -115,7 +109,6 @@ DigiColumns read_out_strips(const Detector& detector, const TruthColumns& truths
                             const BinaryReadout& readout) {
   check(truths, detector);
   check(steps, truths, detector);
-  const double charge_per_energy = readout.gain / readout.w_value * elementary_charge_fC;  // fC/keV
   DigiColumns digis;
   std::vector<Contribution> parts;
   std::size_t step = 0;  // truths and steps have one order
@@ -125,9 +118,10 @@ DigiColumns read_out_strips(const Detector& detector, const TruthColumns& truths
     for (std::size_t row = begin; row < end; ++row) {
       const std::size_t first = step;
       while (step < steps.size() && steps.truth[step] == static_cast<std::int64_t>(row)) ++step;
-      if (truths.energy[row] * charge_per_energy < readout.threshold) continue;
       const auto layer = static_cast<std::size_t>(truths.layer[row]);
-      read_out(detector.cgem[layer], truths, row, steps, first, step, charge_per_energy, parts);
+      const double per_energy = charge_per_energy(readout.gain, readout.w_values[layer]);
+      if (truths.energy[row] * per_energy < readout.threshold) continue;
+      read_out(detector.cgem[layer], truths, row, steps, first, step, per_energy, parts);
     }
     std::sort(parts.begin(), parts.end(), [](const auto& a, const auto& b) { return a.order() < b.order(); });
     for (std::size_t first = 0, last; first < parts.size(); first = last) {

@@ -1,15 +1,18 @@
 #include "digitize/gaussian.hpp"
 
+#include <algorithm>
 #include <optional>
+#include <utility>
 
 #include "common/rng.hpp"
+#include "detector/strip_plane.hpp"
 
 namespace cgemit {
 namespace {
 
 // The X and V rows of one truth.
 struct Pair {
-  ClusterRow x, v;
+  DigiRow x, v;
 };
 
 // How many earlier rows of the event hold the same particle in the same layer (a track that comes back):
@@ -26,6 +29,8 @@ std::optional<Pair> smear(const Detector& detector, const TruthColumns& truths, 
                           std::size_t row, const GaussianReadout& readout) {
   const CgemLayer& layer = detector.cgem[static_cast<std::size_t>(truths.layer[row])];
   if (std::abs(truths.z[row]) > layer.half_length) return std::nullopt;
+  const double per_energy =
+      charge_per_energy(readout.gain, readout.w_values[static_cast<std::size_t>(truths.layer[row])]);
   for (int sheet = 0; sheet < layer.sheets; ++sheet) {
     const double x = local_x(layer, sheet, truths.phi[row]);
     if (x >= layer.sheet_width()) continue;
@@ -33,20 +38,16 @@ std::optional<Pair> smear(const Detector& detector, const TruthColumns& truths, 
                         static_cast<std::uint32_t>(truths.particle[row]));
     const Block words = stream.block(Purpose::digitization, static_cast<std::uint32_t>(truths.layer[row]),
                                      occurrence(truths, event_begin, row));
-    ClusterRow common{truths.event[row], truths.layer[row], sheet, ClusterView::x};
-    common.charge = 0.5 * truths.energy[row] * readout.charge_per_energy;
+    DigiRow common{truths.event[row], truths.layer[row], sheet, 0};
+    common.charge = 0.5 * truths.energy[row] * per_energy;
     common.time = truths.time[row];
-    common.r = layer.r_mid();
     common.truth = static_cast<std::int64_t>(row);
     common.n_truths = 1;
-    common.method = ClusterMethod::gaussian;
     Pair pair{common, common};
-    pair.x.x = x + readout.sigma_x * normal_quantile(open_unit(words[0]));
-    pair.x.err_x = readout.sigma_x;
-    set_azimuth(layer, pair.x);
-    pair.v.view = ClusterView::v;
-    pair.v.v = local_v(layer, x, truths.z[row]) + readout.sigma_v * normal_quantile(open_unit(words[1]));
-    pair.v.err_v = readout.sigma_v;
+    pair.x.position = x + readout.sigma_x * normal_quantile(open_unit(words[0]));
+    pair.v.view = 1;
+    pair.v.position =
+        local_v(layer, x, truths.z[row]) + readout.sigma_v * normal_quantile(open_unit(words[1]));
     return pair;
   }
   return std::nullopt;
@@ -54,11 +55,10 @@ std::optional<Pair> smear(const Detector& detector, const TruthColumns& truths, 
 
 }  // namespace
 
-ClusterColumns smear_positions(const Detector& detector, const TruthColumns& truths,
-                               const GaussianReadout& readout) {
+DigiColumns smear_positions(const Detector& detector, const TruthColumns& truths,
+                            const GaussianReadout& readout) {
   check(truths, detector);
-  ClusterColumns clusters;
-  clusters.reserve(3 * truths.size());
+  DigiColumns digis;
   std::vector<Pair> pairs;
   for (std::size_t begin = 0, end; begin < truths.size(); begin = end) {
     end = event_end(truths.event, begin);
@@ -66,24 +66,18 @@ ClusterColumns smear_positions(const Detector& detector, const TruthColumns& tru
     for (std::size_t row = begin; row < end; ++row) {
       if (const auto pair = smear(detector, truths, begin, row, readout)) pairs.push_back(*pair);
     }
-    const auto place = [](const Pair& p) { return std::pair(p.x.layer, p.x.sheet); };
+    const auto sheet_of = [](const Pair& p) { return std::pair(p.x.layer, p.x.sheet); };
     std::stable_sort(pairs.begin(), pairs.end(),
-                     [&](const Pair& a, const Pair& b) { return place(a) < place(b); });
+                     [&](const Pair& a, const Pair& b) { return sheet_of(a) < sheet_of(b); });
     for (auto first = pairs.begin(); first != pairs.end();) {
       const auto last =
-          std::find_if(first, pairs.end(), [&](const Pair& p) { return place(p) != place(*first); });
-      const std::int64_t x_row = clusters.rows(), v_row = x_row + (last - first);
-      const CgemLayer& layer = detector.cgem[static_cast<std::size_t>(first->x.layer)];
-      for (auto pair = first; pair != last; ++pair) clusters.push_back(pair->x);
-      for (auto pair = first; pair != last; ++pair) clusters.push_back(pair->v);
-      for (auto pair = first; pair != last; ++pair) {
-        const std::int64_t k = pair - first;
-        clusters.push_back(join_views(layer, pair->x, pair->v, x_row + k, v_row + k));
-      }
+          std::find_if(first, pairs.end(), [&](const Pair& p) { return sheet_of(p) != sheet_of(*first); });
+      for (auto pair = first; pair != last; ++pair) digis.push_back(pair->x);
+      for (auto pair = first; pair != last; ++pair) digis.push_back(pair->v);
       first = last;
     }
   }
-  return clusters;
+  return digis;
 }
 
 }  // namespace cgemit

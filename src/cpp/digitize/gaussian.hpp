@@ -3,22 +3,25 @@
 #pragma once
 
 #include <cstdint>
+#include <span>
 
-#include "detector/cluster_rows.hpp"
+#include "detector/detector.hpp"
+#include "digitize/digis.hpp"
 #include "digitize/truths.hpp"
 
 namespace cgemit {
 
 struct GaussianReadout {
-  double sigma_x;            // mm, of X = r_readout dphi
-  double sigma_v;            // mm
-  double charge_per_energy;  // fC/keV, of both views together
+  double sigma_x;                    // mm, of X = r_readout dphi
+  double sigma_v;                    // mm
+  double gain;                       // electrons on the anode per electron of ionization
+  std::span<const double> w_values;  // keV per electron of ionization, of each CGEM layer
   std::uint64_t seed;
 };
 
-// An X, a V and an XV cluster for each truth on the active area of a sheet, ordered by event, layer, sheet,
-// view. X and V errors are independent. Clusters of different truths are neither merged nor combined.
-ClusterColumns smear_positions(const Detector& detector, const TruthColumns& truths,
-                               const GaussianReadout& readout);
+// An X and a V position for each truth on the active area of a sheet, ordered by event, layer, sheet, view,
+// and there as the truths are. X and V errors are independent.
+DigiColumns smear_positions(const Detector& detector, const TruthColumns& truths,
+                            const GaussianReadout& readout);
 
 }  // namespace cgemit

@@ -74,23 +74,25 @@ inline Pieces unroll(const CgemLayer& layer, const Point& entry, const Point& ex
   return pieces;
 }
 
-inline StripRange strips_between(double a, double b, double pitch, int strips) {
-  const auto strip = [&](double value) { return static_cast<int>(std::floor(value / pitch)); };
-  return {strip(std::min(a, b)), std::min(strip(std::max(a, b)), strips - 1)};
+// Those of `strips` strips that lie between two positions counted in strips.
+inline StripRange strips_between(double a, double b, int strips) {
+  const auto strip = [](double position) { return static_cast<int>(std::floor(position)); };
+  return {std::max(strip(std::min(a, b)), 0), std::min(strip(std::max(a, b)), strips - 1)};
 }
 
 // X strips of a piece. A piece lies on the sheet: its far edge belongs to the last strip.
 inline StripRange x_strips(const CgemLayer& layer, const Piece& piece) {
-  StripRange range = strips_between(piece.x1, piece.x2, layer.pitch_x, layer.strips_x);
+  StripRange range =
+      strips_between(strips_of_x(layer, piece.x1), strips_of_x(layer, piece.x2), layer.strips_x);
   range.first = std::min(range.first, range.last);
   return range;
 }
 
-// V strips of a piece; none in the corner of the sheet beyond the last V strip.
+// V strips of a piece; none in the corners of the sheet before the first and beyond the last V strip.
 inline StripRange v_strips(const CgemLayer& layer, const Piece& piece) {
   const double v1 = std::max(0.0, local_v(layer, piece.x1, piece.z1));  // rounding at the corner where V = 0
   const double v2 = std::max(0.0, local_v(layer, piece.x2, piece.z2));
-  return strips_between(v1, v2, layer.pitch_v, layer.strips_v);
+  return strips_between(strips_of_v(layer, v1), strips_of_v(layer, v2), layer.strips_v);
 }
 
 }  // namespace cgemit

@@ -1,8 +1,9 @@
 // What each hit measures on the present reference: value and variance, and on which side of its wire.
 #pragma once
 
-#include "fit/cluster_errors.hpp"
+#include "detector/cluster_errors.hpp"
 #include "fit/first_guess.hpp"
+#include "fit/fit.hpp"
 #include "kalman/group.hpp"
 
 namespace cgemit {
@@ -24,7 +25,8 @@ template <class T>
       if (settings.errors_from_track) {
         const CgemLayer& layer = detector.cgem[static_cast<std::size_t>(slot.layer)];
         const double pitch = slot.view == View::x ? layer.pitch_x : layer.pitch_v;
-        const T from_track = cluster_variance(slot.size, slot.extent, pitch, settings);
+        const T from_track =
+            cluster_variance(slot.size, slot.extent, pitch, settings.least_width, settings.delta_strips);
         slot.variance = select(slot.met & (slot.size > 0.0), from_track, slot.variance);
       }
     }

@@ -1,0 +1,92 @@
+"""Digitization: truths become digis, passages of drift cells drift distances (docs/methods/digitize.md)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from cgemit.detector import Detector
+from cgemit.digitize.binary import BinaryReadout as BinaryReadout
+from cgemit.digitize.gaussian import GaussianReadout as GaussianReadout
+from cgemit.digitize.readout import Readout as Readout
+from cgemit.digitize.wires import read_out_wires
+from cgemit.kinds import one_of
+from cgemit.settings import SettingsData
+from cgemit.tables import Table
+
+#: Read-outs of CGEM layers by name.
+READOUTS: dict[str, type[Readout]] = {
+    BinaryReadout.name: BinaryReadout,
+    GaussianReadout.name: GaussianReadout,
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class DigitizeSettings(SettingsData):
+    """How CGEM layers and wires are read out.
+
+    Attributes
+    ----------
+    readout : Readout
+        Of the CGEM layers, such as ``BinaryReadout(gain=8000)``. Its name alone, such as ``"gaussian"``, stands for
+        the read-out with its defaults.
+    reveal_sides : bool
+        Whether wire hits tell on which side of the wire the particle passed.
+
+    Raises
+    ------
+    ValueError
+        Listing every value that makes no sense.
+    """
+
+    readout: Readout = field(default_factory=BinaryReadout, metadata=one_of(READOUTS))
+    reveal_sides: bool = False
+
+    if TYPE_CHECKING:  # a name is accepted, too, and never kept
+
+        def __init__(self, *, readout: Readout | str = ..., reveal_sides: bool = ...) -> None: ...
+
+
+def digitize(
+    detector: Detector,
+    truths: Table,
+    wire_truths: Table,
+    settings: DigitizeSettings | None = None,
+    seed: int = 0,
+    *,
+    steps: Table | None = None,
+) -> dict[str, Table]:
+    """Read out the CGEM layers and the wires.
+
+    Parameters
+    ----------
+    detector : Detector
+    truths : Table
+        Of kind ``truths``.
+    wire_truths : Table
+        Of kind ``wire_truths``, of the same events.
+    settings : DigitizeSettings or None
+    seed : int
+        Key of the random numbers. They depend on seed, event, particle, layer and wire, on nothing else.
+    steps : Table or None
+        Of kind ``steps``, linked to `truths` and in their order: delta electrons deposit where they went (binary).
+        Without it, all energy of a truth lies between entry and exit.
+
+    Returns
+    -------
+    dict of str to Table
+        ``digis`` and ``wire_hits``.
+
+    Raises
+    ------
+    ValueError
+        If a layer or wire is not in the detector, a value is not finite, or a step does not belong to its truth or has
+        values that no step has.
+    """
+    settings = settings or DigitizeSettings()
+    if steps is None:
+        steps = Table.empty("steps", truths.n_events, truths.first_event)
+    return {
+        "wire_hits": read_out_wires(detector, wire_truths, reveal_sides=settings.reveal_sides, seed=seed),
+        "digis": settings.readout.digitize(detector, truths, steps, seed),
+    }

@@ -1,0 +1,43 @@
+"""What a read-out of CGEM layers offers to the chain."""
+
+from __future__ import annotations
+
+from typing import ClassVar, Protocol
+
+from cgemit.cluster import ClusterSettings
+from cgemit.detector import Detector
+from cgemit.tables import Table
+
+#: Electrons on the anode per electron of ionization: effective gain of a triple GEM.
+GAIN = 12_000.0
+
+
+class Readout(Protocol):
+    """A frozen dataclass of settings with these methods; `cgemit.digitize.READOUTS` finds it by its name."""
+
+    name: ClassVar[str]
+
+    def digitize(self, detector: Detector, truths: Table, steps: Table, seed: int) -> Table:
+        """Return the table ``digis`` of the crossings, by event, layer, sheet and view.
+
+        Parameters
+        ----------
+        detector : Detector
+        truths, steps : Table
+            Steps are linked to the truths and in their order.
+        seed : int
+            Key of the random numbers.
+        """
+        ...
+
+    def cluster(self, detector: Detector, digis: Table, settings: ClusterSettings) -> Table:
+        """Return the table ``clusters``: what the digis measure, and how well.
+
+        Parameters
+        ----------
+        detector : Detector
+        digis : Table
+            Its columns `truth` and `n_truths` may be passed on, and must not be used otherwise.
+        settings : ClusterSettings
+        """
+        ...

@@ -1,0 +1,66 @@
+// How well the strips of a cluster tell where a path crossed them: for the clusters table (averaged over a
+// sample of tracks, `cluster/size_errors.hpp`) and for the fit (for the incidence of its track).
+//
+// A path of projected length w = (m + f) p, p the pitch and 0 <= f < 1, touches m + 1 strips with
+// probability 1 - f or m + 2 with probability f; its centre is uniform in (1 - f) p or f p about theirs. A
+// delta electron (or another particle) adds k strips on one side with probability delta_strips / k, and the
+// centre of all strips is k p / 2 off: the variance is that of the mixture of all that makes as many strips
+// as were seen. Where nothing does, the path lies anywhere in the cluster, or was cut off and lies up to
+// half of what is missing beside.
+#pragma once
+
+#include "lanes/math.hpp"
+
+namespace cgemit {
+
+// The strips that a path touches.
+template <class T>
+struct Touched {
+  T whole;  // m: the path touches m + 1 strips or one more
+  T part;   // f
+};
+
+template <class T>
+Touched<T> touched(T extent, double pitch) {
+  const T length = extent * (1 / pitch), rounded = nearest(length);
+  const T whole = select(rounded > length, rounded - 1.0, rounded);
+  return {whole, length - whole};
+}
+
+// Length, mm, of the interval in which the centre of a path lies somewhere in `size` strips.
+template <class T>
+T anywhere(T size, T extent, double pitch) {
+  return larger(abs(size * pitch - extent), pitch);
+}
+
+template <class T>
+T delta_adds(T strips, double delta_strips) {
+  return select(strips > 0.0, delta_strips / larger(strips, 1.0), select(strips == 0.0, T(1.0), T(0.0)));
+}
+
+// Variance in squared pitches of a position that is uniform in an interval and off by half a strip for each
+// one added.
+template <class T>
+T position_variance(T added, T interval, double least_width) {
+  const T width = larger(interval, least_width);
+  return added * added * 0.25 + width * width * (1.0 / 12);
+}
+
+// Variance, mm^2, of the position of a cluster of `size` strips for a path of this extent, mm.
+// `least_width`: smallest interval, in pitches.
+template <class T>
+T cluster_variance(T size, T extent, double pitch, double least_width, double delta_strips) {
+  const auto [whole, part] = touched(extent, pitch);
+  const T added = size - 1.0 - whole;
+  const T fewer = (1.0 - part) * delta_adds(added, delta_strips),
+          more = part * delta_adds(added - 1.0, delta_strips);
+  const T both = fewer + more;
+  const T mixture = fewer * position_variance<T>(added, 1.0 - part, least_width) +
+                    more * position_variance<T>(added - 1.0, part, least_width);
+  const T somewhere = anywhere(size, extent, pitch);
+  const mask_of<T> can_be = both > 0.0;
+  return select(can_be, pitch * pitch * mixture / select(can_be, both, T(1.0)),
+                somewhere * somewhere * (1.0 / 12));
+}
+
+}  // namespace cgemit

@@ -1,0 +1,99 @@
+"""A read-out from outside the package: one class with its settings, and one line in the registry."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+import pytest
+
+from cgemit import DigitizeSettings, FitSettings, Gun, Result, Settings, digitize, load, run
+from cgemit.cluster import ClusterSettings, cluster
+from cgemit.detector import Detector
+from cgemit.detector.parts import local_v, strips_of_v
+from cgemit.tables import Table
+from stats import assert_within
+
+DESIGN = load("besiii-cgem-design")
+
+
+@dataclass(frozen=True, kw_only=True)
+class OneStrip:
+    """One strip a view fires, that under the middle of the crossing; its error is `scale` times pitch/sqrt(12)."""
+
+    name: ClassVar[str] = "one-strip"
+
+    scale: float = 1.0
+
+    def digitize(self, detector: Detector, truths: Table, steps: Table, seed: int) -> Table:
+        """Return two digis for each crossing of a sheet."""
+        found = []
+        for number, layer in enumerate(detector.cgem):
+            for sheet, start in enumerate(layer.sheet_phi):
+                x = layer.r_readout * ((truths["phi"] - start) % (2 * np.pi))
+                v = local_v(layer, x, truths["z"])
+                strips = np.floor([x / layer.pitch_x, strips_of_v(layer, v)]).astype("i4")
+                on = (truths["layer"] == number) & (strips[0] < layer.strips_x)
+                on &= (np.abs(truths["z"]) < layer.half_length) & (strips[1] >= 0) & (strips[1] < layer.strips_v)
+                rows = np.flatnonzero(on)
+                for view in (0, 1):
+                    same = (np.full_like(rows, value) for value in (sheet, view))
+                    found.append(np.column_stack([rows, *same, strips[view, rows]]))
+        rows, sheet, view, strip = np.concatenate(found).T
+        order = np.lexsort((strip, view, sheet, truths["layer"][rows], truths["event"][rows]))
+        rows, sheet, view, strip = (values[order] for values in (rows, sheet, view, strip))
+        columns = {name: truths[name][rows] for name in ("event", "layer", "time")}
+        columns |= {"sheet": sheet.astype("i4"), "view": view.astype("i1"), "strip": strip.astype("i4"), "truth": rows}
+        columns |= {"gid": np.full(len(rows), -1, "i4"), "n_truths": np.ones(len(rows), "i4")}
+        columns |= {"position": np.full(len(rows), np.nan), "charge": np.ones(len(rows))}
+        return Table("digis", columns, truths.n_events, truths.first_event)
+
+    def cluster(self, detector: Detector, digis: Table, settings: ClusterSettings) -> Table:
+        """Return clusters of contiguous strips with errors that hold at any incidence."""
+        clusters = cluster(detector, digis, settings)
+        pitch = np.array([layer.pitch_x for layer in detector.cgem])[clusters["layer"]]
+        error = self.scale * pitch / np.sqrt(12)
+        own = {name: np.where(np.isnan(clusters[name]), np.nan, error) for name in ("err_x", "err_v")}
+        return clusters.with_columns(**own, method=np.ones(len(clusters), "i1"))
+
+
+@pytest.fixture(autouse=True)
+def registered(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Make the read-out known: the one line."""
+    monkeypatch.setitem(digitize.READOUTS, OneStrip.name, OneStrip)
+
+
+def chain(readout: OneStrip | str, n: int = 150) -> Result:
+    """Muons of 1 GeV/c, read out and fitted."""
+    settings = Settings(digitize=DigitizeSettings(readout=readout), fit=FitSettings(residuals=True))
+    return run(DESIGN, Gun("mu-", p=1.0, cos_theta=(-0.8, 0.8)), n, seed=3, settings=settings, chunk=40)
+
+
+def test_it_is_known_by_its_name() -> None:
+    """The name stands for its defaults, and is listed with the others where a name is wrong."""
+    assert DigitizeSettings(readout="one-strip").readout == OneStrip()
+    with pytest.raises(ValueError, match=r"expected one of 'binary', 'gaussian', 'one-strip'"):
+        DigitizeSettings(readout="one strip")
+
+
+def test_it_runs_through_the_chain() -> None:
+    """Every muon is fitted; X is uniform within a strip, so that its residual has an RMS of pitch/sqrt(12)."""
+    result = chain("one-strip")
+    assert not result.tracks["status"].any()
+    x = result.clusters[result.clusters["view"] == 0]
+    assert set(x["size"]) == {1}
+    assert len(x) == pytest.approx(3 * len(result.tracks), abs=3)
+    radius = np.array([layer.r_readout for layer in DESIGN.cgem])[x["layer"]]
+    residual = radius * np.angle(np.exp(1j * (x["phi"] - result.truths["phi"][x["truth"]])))
+    assert np.abs(residual).max() <= 0.325 + 1e-9
+    assert_within(residual.std(), 0.65 / np.sqrt(12), 0.65 / np.sqrt(12) * np.sqrt(0.2 / len(x)))
+
+
+def test_the_fit_takes_its_errors() -> None:
+    """Clusters that are said to be a hundred times worse count for little, whatever their number of strips says."""
+    good, bad = chain("one-strip", 20), chain(OneStrip(scale=100.0), 20)
+    np.testing.assert_allclose(np.nanmax(bad.clusters["err_x"]), 65 / np.sqrt(12))
+    assert np.median(good.tracks["err_dz"]) < 1
+    assert np.median(bad.tracks["err_dz"]) > 2
+    assert np.array_equal(good.clusters["x"], bad.clusters["x"], equal_nan=True)
