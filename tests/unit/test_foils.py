@@ -200,5 +200,5 @@ def test_diluted_material_knows_its_solid_also_from_a_file(tmp_path) -> None:
 
 @pytest.mark.parametrize("wrong", [{"foil": "holes"}, {"foil": "lattice", "fluctuations": "gaussian"}])
 def test_settings_that_do_not_exist(wrong: dict[str, str]) -> None:
-    with pytest.raises(ValueError, match="SimulateSettings:\n  foil: "):
+    with pytest.raises(ValueError, match="SimulateSettings: 1 problem\n  foil: "):
         SimulateSettings(**wrong)
