@@ -48,6 +48,7 @@ def sample(
     particles = generate(Gun(particle, p=p, cos_theta=(-0.5, 0.5)), N, seed=21)
     tables = simulate(detector, particles, EXACT.simulate, seed=21)
     tables |= digitize(detector, tables["truths"], tables["wire_truths"], EXACT.digitize, 21, steps=tables["steps"])
+    tables["clusters"] = EXACT.digitize.readout.cluster(detector, tables["digis"], EXACT.cluster)
     names = ("particles", "clusters", "wire_hits", "truths", "wire_truths")
     found = find.by_truth(detector, *(tables[name] for name in names))
     hits = found["candidate_hits"]

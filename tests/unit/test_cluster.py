@@ -223,6 +223,15 @@ def test_errors_of_one_width_worked_by_hand():
     np.testing.assert_allclose(errors[:4] * np.sqrt(12), [0.65, 0.5, 0.15, 1.8])
 
 
+@pytest.mark.parametrize(
+    ("extents", "pitch", "sizes"), [([-0.1], 0.65, 4), ([np.nan], 0.65, 4), ([0.1], 0.0, 4), ([0.1], 0.65, 0)]
+)
+def test_extents_that_are_none_are_refused(extents, pitch, sizes):
+    """Negative, not a number, no pitch, no size."""
+    with pytest.raises(ValueError, match="size_errors: expected extents of 0 or more"):
+        _core.size_errors(np.array(extents), pitch, sizes)
+
+
 def test_hardly_made_sizes_count_as_never_made():
     """One segment in 2000 that is just wide enough for three strips does not set their error."""
     errors = size_errors(np.append(np.full(1999, 0.2), 0.66), 0.65)

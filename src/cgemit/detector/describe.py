@@ -117,6 +117,7 @@ def _cgem(layer: CgemLayer) -> dict[str, Any]:
         "pitch_v_um": 1000 * layer.pitch_v,
         "strips_x": layer.strips_x,
         "strips_v": layer.strips_v,
+        "offset_v": layer.offset_v,
         "stereo_deg": math.degrees(layer.stereo),
     }
 

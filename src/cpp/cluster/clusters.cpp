@@ -102,8 +102,8 @@ void write_sheet(const CgemLayer& layer, std::span<const ClusterRow> views, Clus
 
 // Neighbouring strips (or the same one twice) of one view and sheet belong together.
 bool adjacent(const DigiView& digis, std::size_t a, std::size_t b) {
-  return digis.sheet_of(a) == digis.sheet_of(b) && digis.view[a] == digis.view[b] &&
-         digis.strip[b] <= digis.strip[a] + 1;
+  return digis.strip[b] <= digis.strip[a] + 1 && digis.view[a] == digis.view[b] &&
+         digis.sheet_of(a) == digis.sheet_of(b);
 }
 
 }  // namespace

@@ -1,6 +1,8 @@
 #include "cluster/size_errors.hpp"
 
+#include <algorithm>
 #include <cmath>
+#include <stdexcept>
 
 #include "detector/cluster_errors.hpp"
 
@@ -26,6 +28,10 @@ struct Sums {
 std::vector<double> size_errors(std::span<const double> extents, double pitch, std::size_t sizes) {
   static constexpr double point[] = {0.0};
   if (extents.empty()) extents = point;
+  const bool lengths = std::ranges::all_of(extents, [](double w) { return w >= 0 && std::isfinite(w); });
+  if (!lengths || !(pitch > 0) || sizes == 0) {
+    throw std::invalid_argument("size_errors: expected extents of 0 or more, a positive pitch and a size");
+  }
   std::vector<Sums> sums(sizes);
   for (const double extent : extents) {
     const auto [whole, part] = touched(extent, pitch);
