@@ -1,4 +1,4 @@
-"""Validate the fit: ``python validation/fit.py`` (fifteen minutes; ``--quick``: five).
+"""Validate the fit: ``python validation/fit.py`` (twenty minutes; ``--quick``: five).
 
 Simulates and fits tracks over the grid of momentum, angle, charge, particle and detector; compares their pulls,
 chi-square, residuals and widths with what they have to be; writes fit_*.csv in validation/results and the pictures, and
@@ -20,7 +20,9 @@ from results import versions, write_rows
 from whole_page import whole_page
 
 
-def _measure_grid(folder: Path, tracks: int, others: int, threads: int | None, about: dict[str, str]) -> None:
+def _measure_grid(
+    folder: Path, tracks: int, others: int, optima: int, threads: int | None, about: dict[str, str]
+) -> None:
     """Measure every point of the grid: `tracks` a point where all is Gaussian, `others` elsewhere."""
     pulls: list[Pull] = []
     chi2: list[Chi2] = []
@@ -28,7 +30,7 @@ def _measure_grid(folder: Path, tracks: int, others: int, threads: int | None, a
     widths: list[Width] = []
     for point in grid():
         n = tracks if (point.mode, point.detector) == ("gaussian", DETECTORS[0]) else others
-        found = measure_point(point, n, threads)
+        found = measure_point(point, n, threads, optima)
         pulls += found[0]
         chi2.append(found[1])
         # A file of all layers of all points is too long: the page shows those of the reference.
@@ -59,6 +61,7 @@ def main() -> int:
     parser.add_argument("--tracks", type=int, default=50_000, help="tracks a point, all Gaussian (default 50000)")
     parser.add_argument("--others", type=int, default=25_000, help="tracks of every other point (default 25000)")
     parser.add_argument("--choices", type=int, default=20_000, help="tracks for losses and sides (default 20000)")
+    parser.add_argument("--optima", type=int, default=10, help="tracks a point whose optimum is found (default 10)")
     parser.add_argument("--threads", type=int, help="threads (default: all cores)")
     parser.add_argument("--quick", action="store_true", help="2000 tracks of everything")
     parser.add_argument("--page", action="store_true", help="write page and pictures from the results there are")
@@ -68,7 +71,7 @@ def main() -> int:
     if not given.page:
         _measure_choices(folder, choices, given.threads)
         events = f"{tracks:,} tracks a point where all is Gaussian in {DETECTORS[0]}, {others:,} elsewhere"
-        _measure_grid(folder, tracks, others, given.threads, {"versions": versions(), "events": events})
+        _measure_grid(folder, tracks, others, given.optima, given.threads, {"versions": versions(), "events": events})
     results = read_fit_results(folder)
     mpl.use("agg")
     pictures = {
