@@ -38,7 +38,8 @@ class Optimum:
         Its covariance, where all is linear.
     bias : ndarray, (6,) float64
         Mean error of `QUANTITIES`, in standard deviations, because what is measured is not linear in helix, angles and
-        losses: to second order, as M. J. Box, J. R. Stat. Soc. B 33 (1971) 171, but with angles and losses that are random.
+        losses: to second order, as M. J. Box, J. R. Stat. Soc. B 33 (1971) 171, but with angles and losses that are
+        random.
     linear_bias : ndarray, (5,) float64
         That of the helix for an estimate that takes what is measured as linear in angles and losses.
     pull : ndarray, (6,) float64
