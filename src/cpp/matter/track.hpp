@@ -3,7 +3,7 @@
 // Core widths of scattering and straggling are not additive: cut a slab in two and the sum differs. They are
 // therefore taken once for all matter that acts on the same parameters and shared out in proportion, so that
 // nothing depends on how matter is cut. All energy losses act on kappa. Of the scatters only those between
-// the wires do, and kappa has to know their own core: they hold a twentieth of the matter.
+// the wires do, and kappa has to know their own core: they hold a few per cent of the matter.
 #pragma once
 
 #include <algorithm>
