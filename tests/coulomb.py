@@ -26,11 +26,11 @@ def screening_squared(z, beta2, screening):
     """Return the squared screening momentum, GeV^2: Moliere's 1.13 + 3.76 (Z alpha/beta)^2, Thomas-Fermi radius.
 
     chi_0 p = alpha m_e Z^(1/3)/0.885 (G. Moliere, Z. Naturforsch. 2a (1947) 133; H.A. Bethe, Phys. Rev. 89 (1953)
-    1256); "wentzel" multiplies by 1 + exp(-Z^2/1000) as Geant4's G4WentzelOKandVIxSection.
+    1256); "wentzel" multiplies by 1 + exp(-Z^2/1000), hydrogen by 1, as Geant4's G4WentzelOKandVIxSection.
     """
     thomas_fermi = FINE_STRUCTURE * ELECTRON * z ** (1 / 3) / 0.885
     born = 1.13 + 3.76 * (z * FINE_STRUCTURE) ** 2 / beta2
-    return thomas_fermi**2 * born * (1 + np.exp(-z * z / 1000) if screening == "wentzel" else 1)
+    return thomas_fermi**2 * born * (1 + np.exp(-z * z / 1000) if screening == "wentzel" and z >= 2 else 1)
 
 
 def recoil(p, mass):

@@ -6,7 +6,7 @@ import itertools
 from collections.abc import Iterable, Sequence
 
 from cgemit.fit_settings import LOSSES
-from fit_results import ANGLES, DETECTORS, MOMENTA, Chi2, FitResults, Pull, Width
+from fit_results import ANGLES, DETECTORS, MOMENTA, PARTICLES, Chi2, FitResults, Pull, Width
 from results import table
 
 _HEAD = """
@@ -21,8 +21,8 @@ python validation/fit.py
 (fifteen minutes; `--quick` takes five, with 2000 tracks a point). {versions}.
 {events}.
 
-Momenta {momenta} GeV/c, cos(theta) {angles}, mu and pi of both charges, a random seed for each point. Numbers beyond
-their tolerance are set in bold type.
+Muons and pions of both charges at {light} GeV/c, K- and protons at {heavy} GeV/c, cos(theta) {angles}, a random seed
+for each point. Pulls are those of the helix parameters and of p. Numbers beyond their tolerance are set in bold type.
 
 ## All Gaussian
 
@@ -71,8 +71,8 @@ _DEFAULT = """
 ## Default simulation
 
 Strips, delta electrons, single scattering, straggling to W_max, sides to be found. **The core of every pull has to have
-a width of 1 ± 0.06 and a mean within 0.08, for kappa up to 0.2 GeV/c 1 ± 0.15 and 0.2, or four standard errors.** The
-tail is what lies beyond three core widths, 0.27 % of a Gaussian.
+a width of 1 ± 0.06 and a mean within 0.08, for kappa and p up to 0.2 GeV/c 1 ± 0.15 and 0.2, or four standard
+errors.** The tail is what lies beyond three core widths, 0.27 % of a Gaussian.
 """
 
 _OPTIMUM = """
@@ -106,9 +106,11 @@ not lose 3 %.** GENFIT's annealing filter has 0.03 %.
 def fit_section(results: FitResults) -> str:
     """Return the section as Markdown."""
     about = results.about["pulls"]
-    momenta, angles = (", ".join(f"{value:g}" for value in values) for values in (MOMENTA, ANGLES))
+    light, heavy, angles = (
+        ", ".join(f"{value:g}" for value in values) for values in (PARTICLES["mu-"], PARTICLES["K-"], ANGLES)
+    )
     parts = [
-        _HEAD.format(**about, momenta=momenta, angles=angles),
+        _HEAD.format(**about, light=light, heavy=heavy, angles=angles),
         _pull_table(results, "gaussian"),
         _off_table(results, slow=False),
         _off_table(results, slow=True),

@@ -8,12 +8,12 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from cgemit.draw.style import COLORS, Picture, grid, legend_entries, new_picture, style
-from cgemit.fit import PARAMETERS
 from cgemit.fit_settings import LOSSES
-from fit_results import ANGLES, DETECTORS, MOMENTA, FitResults, Pull
+from fit_results import ANGLES, DETECTORS, MOMENTA, PARTICLES, FitResults, Pull
+from optimal import QUANTITIES
 
 _ANGLE_COLOURS = dict(zip(ANGLES, (COLORS["x"], COLORS["single"], COLORS["fit"]), strict=True))
-_MARKERS = {"mu-": "o", "mu+": "s", "pi-": "^", "pi+": "v"}
+_MARKERS = {"mu-": "o", "mu+": "s", "pi-": "^", "pi+": "v", "K-": "P", "proton": "D"}
 _LOSS_COLOURS = dict(zip(LOSSES, (COLORS["fit"], COLORS["x"], COLORS["truth"]), strict=True))
 
 
@@ -21,11 +21,11 @@ def draw_pulls(results: FitResults) -> Picture:
     """Draw widths and means of the pulls of the reference detector against momentum; grey is what is allowed."""
     rows = [row for row in results.pulls if row.detector == DETECTORS[0]]
     with style():
-        picture, axes = new_picture(4, 5, (14.0, 9.4))
+        picture, axes = new_picture(4, 6, (16.8, 9.4))
         panels = [("gaussian", "width"), ("gaussian", "mean"), ("default", "width"), ("default", "mean")]
         plots = iter(axes)
         for mode, quantity in panels:
-            for name in PARAMETERS:
+            for name in QUANTITIES:
                 plot = next(plots)
                 _points(plot, [row for row in rows if (row.mode, row.parameter) == (mode, name)], quantity)
                 low, high = (0.85, 1.15) if quantity == "width" else (-0.2, 0.2)  # what fails by far is in the table
@@ -40,7 +40,7 @@ def _points(plot: Axes, rows: Sequence[Pull], quantity: str) -> None:
     which = ("width", "mean").index(quantity)
     centre = 1.0 - which
     for row in rows:
-        shift = 0.10 * ANGLES.index(row.cos_theta) - 0.10 + 0.025 * list(_MARKERS).index(row.particle)
+        shift = 0.16 * ANGLES.index(row.cos_theta) - 0.22 + 0.025 * list(_MARKERS).index(row.particle)
         x = MOMENTA.index(row.p) + shift
         allowed = row.tolerances[which]
         plot.fill_between((x - 0.02, x + 0.02), centre - allowed, centre + allowed, color=COLORS["matter"], lw=0)
@@ -62,7 +62,7 @@ def draw_residuals(results: FitResults) -> Picture:
     with style():
         picture, axes = new_picture(2, 1, (13.0, 6.0))
         for plot, quantity in zip(axes, ("width", "mean"), strict=True):
-            for number, p in enumerate(MOMENTA[1:]):
+            for number, p in enumerate(PARTICLES["mu-"][1:]):
                 found = {row.parameter: row for row in rows if row.p == p}
                 x = [i + 0.15 * number - 0.22 for i, name in enumerate(names) if name in found]
                 y = [getattr(found[name], quantity) for name in names if name in found]

@@ -23,7 +23,7 @@ from cgemit.result import Result
 from cgemit.simulate import SimulateSettings
 from cgemit.statistics.estimate import measure
 from fit_results import ANGLES, DETECTORS, FAR, MOMENTA, PARTICLES, Chi2, Choice, Known, Point, Pull, Side, Width
-from optimal import Optimum, errors, optimum
+from optimal import QUANTITIES, Optimum, errors, optimum
 from plain_tracks import Hit, TurnsBackError
 
 Floats = npt.NDArray[np.float64]
@@ -51,8 +51,9 @@ def grid() -> Iterator[Point]:
     """Return all points, the reference detector first; hidden sides are asked for on that one only."""
     for mode, detector in (("gaussian", DETECTORS[0]), ("hidden", DETECTORS[0]), ("default", DETECTORS[0]),
                            *((mode, name) for name in DETECTORS[1:] for mode in ("gaussian", "default"))):  # fmt: skip
-        for p, angle, particle in itertools.product(MOMENTA, ANGLES, PARTICLES):
-            yield Point(mode, detector, particle, p, angle)
+        for p, angle, (particle, momenta) in itertools.product(MOMENTA, ANGLES, PARTICLES.items()):
+            if p in momenta and (mode != "hidden" or momenta[0] == MOMENTA[0]):
+                yield Point(mode, detector, particle, p, angle)
 
 
 @dataclass
@@ -79,13 +80,17 @@ class _Sums:
                 store[name] = store.get(name, 0) + value
 
 
-def measure_point(point: Point, n: int, threads: int | None) -> tuple[list[Pull], Chi2, list[Pull], list[Width]]:
-    """Simulate and fit the tracks of one point; returns pulls, chi-square, residual pulls and widths."""
+def measure_point(
+    point: Point, n: int, threads: int | None, some: int = 10
+) -> tuple[list[Pull], Chi2, list[Pull], list[Width]]:
+    """Simulate and fit the tracks of one point; returns pulls, chi-square, residual pulls and widths.
+
+    The optimum is worked out for `some` of the tracks.
+    """
     settings, gun = MODES[point.mode], cg.Gun(point.particle, p=point.p, cos_theta=point.cos_theta)
     seed = zlib.crc32(repr(point).encode())
     columns: dict[str, list[npt.NDArray[np.generic]]] = {}
-    names = ["status", "chi2", "ndf", "res_p", "err_p"]
-    names += [f"{kind}_{name}" for kind in ("pull", "res", "err") for name in PARAMETERS]
+    names = ["status", "chi2", "ndf", *(f"{kind}_{name}" for kind in ("pull", "res", "err") for name in QUANTITIES)]
     sums, first = _Sums({}, {}, {}), None
     for block in range(math.ceil(n / BLOCK)):
         count = min(BLOCK, n - block * BLOCK)
@@ -103,8 +108,11 @@ def measure_point(point: Point, n: int, threads: int | None) -> tuple[list[Pull]
     flat = float(kstest(probability, "uniform").pvalue)
     kept = len(probability)
     row = Chi2(**asdict(point), n=kept, lost=n - kept, mean=float(probability.mean()), flat=flat)
-    best = _optima(first) if _has_optimum(point) else []
-    pulls = [_pull(point, name, tracks, best) for name in PARAMETERS]
+    best = _optima(first, some) if _has_optimum(point) else []
+    pulls = [_pull(point, name, tracks, best) for name in QUANTITIES]
+    if best and not all(row.agrees for row in pulls):  # mean pulls take ten times as long: where they are asked for
+        best = _optima(first, 1, pulls=True) + best[1:]
+        pulls = [_pull(point, name, tracks, best) for name in QUANTITIES]
     widths = _widths(point, tracks, best) if best else []
     return pulls, row, _layers(point, sums), widths
 
@@ -113,7 +121,8 @@ def _has_optimum(point: Point) -> bool:
     """Whether the independent calculation is made; second derivatives are not enough where tracks turn back early."""
     if point.mode != "gaussian" or point.p * math.sqrt(1 - point.cos_theta**2) < 0.08:
         return False
-    return point.detector == DETECTORS[0] or point.particle == "mu-" or point.p < 0.25
+    slow = point.p < (0.25 if MOMENTA[0] in PARTICLES[point.particle] else 0.6)
+    return point.detector == DETECTORS[0] or point.particle == "mu-" or slow
 
 
 def _pull(point: Point, name: str, tracks: Columns, best: Sequence[tuple[Floats, Optimum]]) -> Pull:
@@ -126,8 +135,9 @@ def _pull(point: Point, name: str, tracks: Columns, best: Sequence[tuple[Floats,
         tail = 1 - float(near.mean())
         numbers = (float(pull[near].std()), 1 / math.sqrt(2 * n), float(pull[near].mean()), 1 / math.sqrt(n))
     bias = float(residual[near].mean() / np.sqrt(np.mean(error[near] ** 2)))
-    i = PARAMETERS.index(name)
+    i = QUANTITIES.index(name)
     expected = (float(np.mean([one.bias[i] for _, one in best])), float(best[0][1].pull[i])) if best else (0.0, 0.0)
+    expected = expected[0], 0.0 if math.isnan(expected[1]) else expected[1]
     more = {"bias": bias, "expected_bias": expected[0], "expected_mean": expected[1], "tail": tail}
     return Pull(**asdict(point), parameter=name, n=n, **_named(numbers), **more)
 
@@ -147,19 +157,19 @@ def _layers(point: Point, sums: _Sums) -> list[Pull]:
     return rows
 
 
-def _optima(result: Result, some: int = 10) -> list[tuple[Floats, Optimum]]:
-    """Return the fitted helices of some tracks and the optimum for their hits, with mean pulls for the first."""
+def _optima(result: Result, some: int, *, pulls: bool = False) -> list[tuple[Floats, Optimum]]:
+    """Return the fitted helices of some tracks and the optimum for their hits."""
     hits = collect_hits(result.detector, result.candidates, result.candidate_hits, result.clusters, result.wire_hits)
     fitted = np.stack([result.tracks[name] for name in PARAMETERS], axis=1)
     columns = ("kind", "layer", "element", "sigma")
-    cuts = (_core.CORE_MEAN_CUT, _core.CORE_VARIANCE_CUT)
+    cut = (_core.CORE_CUT_XI, _core.CORE_CUT_SHARE)
     found = []
     for track in np.flatnonzero(result.tracks["status"] == 0)[:some]:
         rows = range(hits.hit_offsets[track], hits.hit_offsets[track + 1])
         seen = [Hit(*(getattr(hits, name)[i].item() for name in columns)) for i in rows]
         mass = float(result.particles["mass"][track])
         with contextlib.suppress(TurnsBackError):  # where its neighbours reach other matter
-            found.append((fitted[track], optimum(result.detector, seen, fitted[track], mass, cuts, pulls=not found)))
+            found.append((fitted[track], optimum(result.detector, seen, fitted[track], mass, cut, pulls=pulls)))
     return found
 
 

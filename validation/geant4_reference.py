@@ -21,6 +21,7 @@ SLABS = {
     "Cu_14um": "Cu 14 um",
     "Be_1.4mm": "Be 1.4 mm",
     "Ar_10mm": "Ar 10 mm",
+    "HeC3H8_16mm": "He/C3H8 16 mm",
     "CGEM_0.114": _CGEM.format(300, 33, 120, 150),
     "CGEM_0.13": _CGEM.format(*(round(1.1387 * length, 3) for length in (300, 33, 120, 150))),
 }
@@ -30,6 +31,7 @@ TITLES = {
     "Cu_14um": "Cu 14 um",
     "Be_1.4mm": "Be 1.4 mm",
     "Ar_10mm": "Ar 10 mm",
+    "HeC3H8_16mm": "He/C3H8 60/40, 16 mm",
     "CGEM_0.114": "CGEM layer, 0.114 g/cm2",
     "CGEM_0.13": "CGEM layer, 0.130 g/cm2",
 }
@@ -139,4 +141,5 @@ def _compare_row(passage: Passage, slab: str, model: str, row: Mapping[str, str]
 
 
 def _is_gate(slab: str, name: str, model: str) -> bool:
-    return model == "SS" if name in ANGLES else model == "WVI" and slab in _GATED_LOSSES
+    trusted = "WVI 10 steps" if slab == "HeC3H8_16mm" else "SS"
+    return model == trusted if name in ANGLES else model == "WVI" and slab in _GATED_LOSSES

@@ -8,7 +8,7 @@ parameters, and by one scattering angle or loss after the other, through differe
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,6 +19,10 @@ from cgemit.fit import PARAMETERS
 from plain_tracks import Hit, TracedSlab, follow, stack_of
 
 Floats = npt.NDArray[np.float64]
+Stack = Callable[[cg.Detector, float, tuple[float, float]], list[TracedSlab]]
+
+#: What the optimum is worked out for: the helix parameters, and p.
+QUANTITIES = (*PARAMETERS, "p")
 
 _PART = 0.3  # of a standard deviation, the steps of noise
 _STEP = np.array([1e-2, 1e-5, 1e-5, 1e-2, 1e-5])  # of the helix parameters; kappa relative
@@ -32,14 +36,15 @@ class Optimum:
     ----------
     cov : ndarray, (5, 5) float64
         Its covariance, where all is linear.
-    bias : ndarray, (5,) float64
-        Its mean error, in its standard deviations, because what is measured is not linear in helix, angles and losses:
-        to second order, as M. J. Box, J. R. Stat. Soc. B 33 (1971) 171, but with angles and losses that are random.
+    bias : ndarray, (6,) float64
+        Mean error of `QUANTITIES`, in standard deviations, because what is measured is not linear in helix, angles and
+        losses: to second order, as M. J. Box, J. R. Stat. Soc. B 33 (1971) 171, but with angles and losses that are
+        random.
     linear_bias : ndarray, (5,) float64
-        The same of an estimate that takes what is measured as linear in angles and losses.
-    pull : ndarray, (5,) float64
-        Mean of its pulls where the error is worked out at the estimate, as it has to be: the bias, less the covariance
-        of the estimate and the logarithm of its error. NaN where it was not asked for.
+        That of the helix for an estimate that takes what is measured as linear in angles and losses.
+    pull : ndarray, (6,) float64
+        Mean of the pulls of `QUANTITIES` where the error is worked out at the estimate, as it has to be: the bias, less
+        the covariance of the estimate and the logarithm of its error. NaN where it was not asked for.
     """
 
     cov: Floats
@@ -56,11 +61,12 @@ class _Track:
     hits: Sequence[Hit]
     helix: Floats
     mass: float
-    cuts: tuple[float, float]
+    cut: tuple[float, float]
+    matter: Stack
 
     def stack(self) -> list[TracedSlab]:
         """Return the matter that it meets."""
-        return stack_of(self.detector, self.helix[4], self.cuts)
+        return self.matter(self.detector, self.helix[4], self.cut)
 
 
 @dataclass(frozen=True)
@@ -85,9 +91,10 @@ def optimum(
     hits: Sequence[Hit],
     helix: npt.ArrayLike,
     mass: float,
-    cuts: tuple[float, float],
+    cut: tuple[float, float],
     *,
     pulls: bool = False,
+    matter: Stack = stack_of,
 ) -> Optimum:
     """Return covariance, bias and mean pulls of the optimal estimate.
 
@@ -100,19 +107,32 @@ def optimum(
         mm, rad, (GeV/c)^-1; about which it is linearised.
     mass : float
         GeV.
-    cuts : (float, float)
-        Collisions that count for mean and variance of the loss transfer less than these multiples of the track's xi.
+    cut : (float, float)
+        Collisions that count for mean and variance of the loss transfer less than this multiple of the track's xi plus
+        this share of p beta.
     pulls : bool
         Whether the mean of the pulls is worked out, which takes ten times as long.
+    matter : callable
+        Makes the slabs that the track meets from detector, tan(lambda) and `cut`.
     """
-    track = _Track(detector, hits, np.asarray(helix, np.float64), mass, cuts)
+    track = _Track(detector, hits, np.asarray(helix, np.float64), mass, cut, matter)
     found = _linear(track)
     sigma, axes = np.sqrt(np.diag(found.cov)), np.linalg.cholesky(found.cov)
     by_estimate = _curved(track, found, axes, np.zeros((len(found.noise), 5)))
     linear_bias = found.gain @ (found.by_kicks - by_estimate) / sigma
     bias = _bias_with_kinks(track, found, by_estimate)
-    pull = bias - _pull_of_errors(track, found) if pulls else np.full(5, np.nan)
+    bias = np.append(bias, _bias_of_p(track.helix, found.cov, bias * sigma))
+    pull = bias - _pull_of_errors(track, found) if pulls else np.full(6, np.nan)
     return Optimum(found.cov, bias, linear_bias, pull)
+
+
+def _bias_of_p(helix: Floats, cov: Floats, bias: Floats) -> float:
+    """Return the mean error of p in its standard deviations, to second order, from that of the helix."""
+    _, _, kappa, _, tanl = helix
+    p, stretch2 = np.hypot(1, tanl) / abs(kappa), 1 + tanl**2
+    by_kappa2, by_tanl2, mixed = 2 * p / kappa**2, p / stretch2**2, -p * tanl / (kappa * stretch2)
+    curved = by_kappa2 * cov[2, 2] / 2 + by_tanl2 * cov[4, 4] / 2 + mixed * cov[2, 4]
+    return float((_by_helix(helix) @ bias + curved) / errors(helix, cov)["p"])
 
 
 def _bias_with_kinks(track: _Track, found: _Linear, by_estimate: Floats) -> Floats:
@@ -146,9 +166,16 @@ def _pull_of_errors(track: _Track, found: _Linear) -> Floats:
     """Return covariance of the estimate and the logarithm of its error, in standard deviations of the estimate."""
     axes = np.linalg.cholesky(found.cov)
     near = [_linear(replace(track, helix=helix)) for helix in _pairs(track.helix, _PART * axes).T]
-    logs = [np.log(np.diag(one.cov)) / 2 for one in near]
-    slope = (np.array(logs[0::2]) - logs[1::2]).T / (2 * _PART)  # along each principal axis
-    return np.asarray((slope * axes).sum(axis=1) / np.sqrt(np.diag(found.cov)))
+    helices = _pairs(track.helix, _PART * axes).T
+    sigmas = [_sigmas(helix, one.cov) for helix, one in zip(helices, near, strict=True)]
+    slope = (np.log(sigmas[0::2]) - np.log(sigmas[1::2])).T / (2 * _PART)  # along each principal axis
+    changes = np.vstack([axes, _by_helix(track.helix) @ axes])
+    return np.asarray((slope * changes).sum(axis=1) / _sigmas(track.helix, found.cov))
+
+
+def _sigmas(helix: Floats, cov: Floats) -> Floats:
+    """Return the standard deviations of `QUANTITIES`."""
+    return np.append(np.sqrt(np.diag(cov)), errors(helix, cov)["p"])
 
 
 def _seen(track: _Track, found: _Linear, by_helix: Floats, by_noise: Floats) -> Floats:
@@ -192,8 +219,13 @@ def _pairs(helix: Floats, steps: Floats) -> Floats:
 
 def errors(helix: npt.ArrayLike, cov: Floats) -> dict[str, float]:
     """Return standard deviations of dr, dz (mm) and p (GeV/c) from helix and covariance."""
-    _, _, kappa, _, tanl = np.asarray(helix, np.float64)
-    p = np.hypot(1, tanl) / abs(kappa)
-    by = np.array([0, 0, -p / kappa, 0, p * tanl / (1 + tanl**2)])
+    by = _by_helix(np.asarray(helix, np.float64))
     sigma = dict(zip(PARAMETERS, np.sqrt(np.diag(cov)), strict=True))
     return {"dr": float(sigma["dr"]), "dz": float(sigma["dz"]), "p": float(np.sqrt(by @ cov @ by))}
+
+
+def _by_helix(helix: Floats) -> Floats:
+    """Return the derivatives of p by the helix parameters."""
+    _, _, kappa, _, tanl = helix
+    p = np.hypot(1, tanl) / abs(kappa)
+    return np.array([0, 0, -p / kappa, 0, p * tanl / (1 + tanl**2)])

@@ -158,12 +158,15 @@ def _distance(flight: Flight, layer: cg.detector.WireLayer, wire: int) -> Floats
 
 
 class TracedSlab:
-    """Matter at one radius, and what it does to a track on which the whole matter has sums xi and chi_c^2."""
+    """Matter at one radius, and what it does to a track.
 
-    def __init__(self, slab: Slab, whole_xi: float, whole_chi_c2: float, cuts: tuple[float, float]) -> None:
+    On the track all matter has the sum xi, and the slab's group (gas of the drift chamber, or the rest) chi_c^2.
+    """
+
+    def __init__(self, slab: Slab, whole_xi: float, group_chi_c2: float, cut: tuple[float, float]) -> None:
         self.slab, self.radius, self.gap, self.spread = slab, slab.radius, slab.gap, slab.spread
         self.half_length = max(shell.half_length for shell in slab.shells)
-        self.whole_xi, self.whole_chi_c2, self.cuts = whole_xi, whole_chi_c2, cuts
+        self.whole_xi, self.group_chi_c2, self.cut = whole_xi, group_chi_c2, cut
         self.shifts = slab.spread * 13.6e-3 * np.sqrt(slab.x0) > _THICK
         self.sigma = np.zeros(5)
 
@@ -173,9 +176,9 @@ class TracedSlab:
         pt, r = np.hypot(flight.p[0], flight.p[1]), self.radius
         path = p / pt * r / np.abs((flight.at[0] * flight.p[0] + flight.at[1] * flight.p[1]) / pt)
         energy = np.hypot(p, flight.mass)
-        loss, spread = _core_loss(self, p, flight.mass, path)
+        loss, spread = self.loss(p, flight.mass, path)
         after = np.sqrt((energy - loss) ** 2 - flight.mass**2)
-        angle = _angle(self, p[0], after[0], flight.mass, path[0])
+        angle = self.angle(p[0], after[0], flight.mass, path[0])
         shift = angle * self.spread * path[0] if self.shifts else 0.0
         self.sigma = np.array([angle, angle, spread[0], shift, shift])
         if kick is None:
@@ -186,34 +189,34 @@ class TracedSlab:
         direction = flight.p / p + kick[0] * first + kick[1] * second
         flight.p = direction / np.linalg.norm(direction, axis=0) * after
 
+    def loss(self, p: Floats, mass: float, path: Floats) -> tuple[Floats, Floats]:
+        """Mean (PDG 2024, eq. 34.11) and root of the variance of collisions below the cut, GeV."""
+        beta2 = p * p / (p * p + mass * mass)
+        w_max, xi = _w_max(p, mass), self.slab.xi * path / beta2
+        multiple, share = self.cut
+        cut = np.minimum(multiple * self.whole_xi / beta2 + share * p * np.sqrt(beta2), w_max)
+        bracket = np.log(2 * ELECTRON * (p / mass) ** 2 * cut) - beta2 * (1 + cut / w_max)
+        bracket = bracket + self.slab.log_term(np.log(p / mass))
+        return xi * bracket, np.sqrt(xi * cut * (1 - beta2 * cut / w_max / 2))
+
+    def angle(self, p: float, after: float, mass: float, path: float) -> float:
+        """Plane angle: Lynch and Dahl, Nucl. Instrum. Methods B 58 (1991) 6, F = 0.98, one logarithm for the group."""
+        beta2, beta2_after = (q * q / (q * q + mass * mass) for q in (p, after))
+        end = self.group_chi_c2 / beta2 / (2 * (1 - 0.98))
+        recoil = 2 * ELECTRON * float(_w_max(np.array([p]), mass)[0])
+        total = 0.0
+        for z, chi_c2, electrons in _elements(self.slab):
+            thomas_fermi = FINE_STRUCTURE * ELECTRON * z ** (1 / 3) / 0.885
+            geant = 1 + np.exp(-z * z / 1000) if z >= 2 else 1.0
+            screening = thomas_fermi**2 * (1.13 + 3.76 * (z * FINE_STRUCTURE) ** 2 / beta2) * geant
+            total += chi_c2 * (np.log(end / screening) - 1) - electrons * np.log(max(end / recoil, 1.0))
+        return float(np.sqrt(total * path / (1 + 0.98**2) / np.sqrt(beta2 * beta2_after) / (p * after)))
+
 
 def _w_max(p: Floats, mass: float) -> Floats:
     """Largest transfer to an electron at rest, GeV; PDG 2024, eq. 34.4."""
     ratio = ELECTRON / mass
     return 2 * ELECTRON * (p / mass) ** 2 / (1 + 2 * np.hypot(1, p / mass) * ratio + ratio**2)
-
-
-def _core_loss(slab: TracedSlab, p: Floats, mass: float, path: Floats) -> tuple[Floats, Floats]:
-    """Mean below the first cut (PDG 2024, eq. 34.11) and root of the variance below the second one, GeV."""
-    beta2 = p * p / (p * p + mass * mass)
-    w_max, xi = _w_max(p, mass), slab.slab.xi * path / beta2
-    mean_cut, cut = (np.minimum(c * slab.whole_xi / beta2, w_max) for c in slab.cuts)
-    bracket = np.log(2 * ELECTRON * (p / mass) ** 2 * mean_cut) - beta2 * (1 + mean_cut / w_max)
-    bracket = bracket + slab.slab.log_term(np.log(p / mass))
-    return xi * bracket, np.sqrt(xi * cut * (1 - beta2 * cut / w_max / 2))
-
-
-def _angle(slab: TracedSlab, p: float, after: float, mass: float, path: float) -> float:
-    """Plane angle of Lynch and Dahl, Nucl. Instrum. Methods B 58 (1991) 6, F = 0.98, one logarithm for the track."""
-    beta2, beta2_after = (q * q / (q * q + mass * mass) for q in (p, after))
-    end = slab.whole_chi_c2 / beta2 / (2 * (1 - 0.98))
-    recoil = 2 * ELECTRON * float(_w_max(np.array([p]), mass)[0])
-    total = 0.0
-    for z, chi_c2, electrons in _elements(slab.slab):
-        thomas_fermi = FINE_STRUCTURE * ELECTRON * z ** (1 / 3) / 0.885
-        screening = thomas_fermi**2 * (1.13 + 3.76 * (z * FINE_STRUCTURE) ** 2 / beta2) * (1 + np.exp(-z * z / 1000))
-        total += chi_c2 * (np.log(end / screening) - 1) - electrons * np.log(max(end / recoil, 1.0))
-    return float(np.sqrt(total * path / (1 + 0.98**2) / np.sqrt(beta2 * beta2_after) / (p * after)))
 
 
 def _elements(slab: Slab) -> list[tuple[float, float, float]]:
@@ -226,8 +229,11 @@ def _elements(slab: Slab) -> list[tuple[float, float, float]]:
     return found
 
 
-def stack_of(detector: cg.Detector, tanl: float, cuts: tuple[float, float]) -> list[TracedSlab]:
-    """The slabs of a detector, with the sums along a straight line from the origin."""
+def stack_of(detector: cg.Detector, tanl: float, cut: tuple[float, float]) -> list[TracedSlab]:
+    """The slabs of a detector, with the sums along a straight line from the origin.
+
+    `cut`: collisions count below this multiple of xi plus this share of p beta.
+    """
     found, crossed = slabs(detector), []
     for slab in found:
         if abs(tanl) * slab.radius <= max(shell.half_length for shell in slab.shells):
@@ -236,5 +242,8 @@ def stack_of(detector: cg.Detector, tanl: float, cuts: tuple[float, float]) -> l
             break
     stretch = float(np.hypot(1, tanl))
     xi = stretch * sum(slab.xi for slab in crossed)
-    chi_c2 = stretch * sum(row[1] for slab in crossed for row in _elements(slab))
-    return [TracedSlab(slab, xi, chi_c2, cuts) for slab in found]
+    chi_c2 = {
+        gas: stretch * sum(row[1] for slab in crossed if slab.ends == gas for row in _elements(slab))
+        for gas in (False, True)
+    }
+    return [TracedSlab(slab, xi, chi_c2[slab.ends], cut) for slab in found]

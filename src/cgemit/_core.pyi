@@ -16,9 +16,9 @@ _Columns: TypeAlias = dict[str, Any]  # of arrays; no other mapping will do
 ELECTRON_GRID_FIRST: Final[float]  # keV
 ELECTRON_POINTS: Final[int]
 ELECTRON_STEPS: Final[int]  # equal steps of the electron energies from each power of two to the next
-# Collisions that transfer less than this many times the xi of the track make the fit's loss, and its variance.
-CORE_MEAN_CUT: Final[float]
-CORE_VARIANCE_CUT: Final[float]
+# Collisions that transfer less than this many times the xi of the track plus this share of p beta make the fit's loss.
+CORE_CUT_XI: Final[float]
+CORE_CUT_SHARE: Final[float]
 LOSS_GRID_FIRST: Final[float]  # ln(beta gamma) of the first column of log_terms
 LOSS_GRID_STEP: Final[float]
 LOSS_POINTS: Final[int]
@@ -183,7 +183,7 @@ def approach_wire(
 ) -> tuple[_Floats, _Floats, _Floats, _Bytes]: ...
 
 # Matter: GeV, GeV/c; path in units of normal incidence.
-def total_matter(detector: Detector, tanl: float) -> tuple[float, float, float]: ...
+def total_matter(detector: Detector, tanl: float) -> tuple[float, float, float, float]: ...
 def scattering_angle(
     detector: Detector, slab: int, *, path: float, p: float, mass: float, charge: float = 1.0, track_chi_c2: float
 ) -> float: ...

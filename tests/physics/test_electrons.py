@@ -130,20 +130,20 @@ def test_muons_do_not_radiate():
 @pytest.mark.parametrize("charge", [-1, 1])
 @pytest.mark.parametrize("p", [0.05, 0.5])
 def test_what_the_fit_takes(p, charge):
-    """Collisions below multiples of xi and all radiation; the slope is the loss's derivative."""
+    """Collisions below the cut and all radiation; the slope is the loss's derivative."""
     core = slab_detector([(COPPER, 0.3, 50.0)])
-    _, xi, _ = _core.total_matter(core, 0.0)
+    xi = _core.total_matter(core, 0.0)[1]
     t = 0.03 / COPPER.x0 * COPPER.density
     energy, beta2 = np.hypot(p, ELECTRON), 1 / (1 + (ELECTRON / p) ** 2)
 
     def moments(at):
         return _core.core_loss(core, 0, path=1.0, p=at, mass=ELECTRON, charge=charge, track_xi=xi)
 
-    cut = _core.CORE_MEAN_CUT * xi / beta2
+    cut = _core.CORE_CUT_XI * xi / beta2 + _core.CORE_CUT_SHARE * p * np.sqrt(beta2)
     collisions = _core.restricted_loss(core, 0, path=1.0, p=p, mass=ELECTRON, charge=charge, cut=cut)
     loss, variance, slope = moments(p)
     assert loss == pytest.approx(collisions + t * energy, rel=1e-9)
-    assert variance == pytest.approx(_core.CORE_VARIANCE_CUT * (xi / beta2) ** 2 + 17 / 36 * t * energy**2, rel=1e-9)
+    assert variance == pytest.approx(cut * xi / beta2 + 17 / 36 * t * energy**2, rel=1e-9)
     step = 1e-3 * p
     difference = (moments(p + step)[0] - moments(p - step)[0]) / (2 * step)
     assert slope == pytest.approx(difference, rel=0.01)

@@ -19,7 +19,7 @@ from optimal import Optimum, optimum
 from plain_tracks import Hit, follow, stack_of
 from tracks import hits_of_result
 
-CUTS = (_core.CORE_MEAN_CUT, _core.CORE_VARIANCE_CUT)
+CUT = (_core.CORE_CUT_XI, _core.CORE_CUT_SHARE)
 GUN = cg.Gun("mu+", p=0.1, cos_theta=(-0.3, 0.3))
 
 
@@ -47,7 +47,7 @@ def hits_of(result: cg.Result, track: int) -> tuple[list[Hit], np.ndarray]:
 def optimal_estimate(result: cg.Result, track: int) -> Optimum:
     """Return what the optimal estimate of a track is, worked out without the fit."""
     mass = float(result.particles["mass"][track])
-    return optimum(result.detector, hits_of(result, track)[0], helices(result)[track], mass, CUTS)
+    return optimum(result.detector, hits_of(result, track)[0], helices(result)[track], mass, CUT)
 
 
 def best(result: cg.Result, track: int) -> tuple[np.ndarray, float]:
@@ -58,7 +58,7 @@ def best(result: cg.Result, track: int) -> tuple[np.ndarray, float]:
     hits, measured = hits_of(result, track)
     errors = np.array([hit.sigma for hit in hits])
     mass, helix = float(result.particles["mass"][track]), helices(result)[track]
-    stack = stack_of(result.detector, helix[4], CUTS)
+    stack = stack_of(result.detector, helix[4], CUT)
     follow(result.detector, hits, helix[:, None], mass, {}, stack)  # fills in the spreads
     noise = [(i, k, s.sigma[k]) for i, s in enumerate(stack) for k in range(5) if s.sigma[k] > 0]
     unit = np.sqrt(np.diag(result.tracks["cov"][track]))

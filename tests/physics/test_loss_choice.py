@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -23,8 +25,18 @@ from tracks import MUON, hits_on
 MOMENTA = (0.2, 0.3, 0.5, 0.7, 1.0, 2.0)
 
 
-def measured(p: float) -> tuple[float, float, float]:
-    """Return W_max and the error of the energy at the origin without straggling, in the track's xi, and beta^2."""
+class Measured(NamedTuple):
+    """A track's W_max, the cut of the fit and the error of the energy without straggling, in its xi; and beta^2."""
+
+    w_max: float
+    cut: float
+    error: float
+    beta2: float
+
+
+@cache
+def measured(p: float) -> Measured:
+    """Return what the fit knows of a muon at 90 degrees."""
     detector = load("besiii-cgem-design")
     compact, helix = compiled(detector), np.array([0, 0.4, -1 / p, 0, 0])
     hits = hits_on(detector, helix)
@@ -40,30 +52,33 @@ def measured(p: float) -> tuple[float, float, float]:
     error = math.sqrt(out["cov"][0, 2, 2] * beta2) * p * p / xi
     ratio, gamma = 0.51099895e-3 / MUON, math.hypot(1, p / MUON)
     w_max = 2 * 0.51099895e-3 * (p / MUON) ** 2 / (1 + 2 * gamma * ratio + ratio**2) / xi
-    cut = min(_core.CORE_VARIANCE_CUT, w_max)
-    return w_max, math.sqrt(error**2 - cut * (1 - beta2 * cut / w_max / 2)), beta2
+    cut = min(_core.CORE_CUT_XI + _core.CORE_CUT_SHARE * p * math.sqrt(beta2) / xi, w_max)
+    return Measured(w_max, cut, math.sqrt(error**2 - cut * (1 - beta2 * cut / w_max / 2)), beta2)
 
 
-def bias(p: float, cut: float) -> float:
-    """Return how far the loss below a cut is from that of the core, in sigmas of the core."""
-    w_max, error, beta2 = measured(p)
+def off(p: float, cut: float) -> tuple[float, float]:
+    """Return by how much loss and error with the collisions below a cut miss the core, in sigmas of the core."""
+    w_max, _, error, beta2 = measured(p)
     mean, sigma = core(*folded(w_max, beta2, error))
     cut = min(cut, w_max)
-    return ((math.log(cut / w_max) + beta2 * (1 - cut / w_max)) - mean) / sigma
+    loss = math.log(cut / w_max) + beta2 * (1 - cut / w_max)
+    return (loss - mean) / sigma, math.sqrt(error**2 + cut * (1 - beta2 * cut / w_max / 2)) / sigma - 1
 
 
 @pytest.mark.parametrize("p", MOMENTA)
 def test_loss_is_that_of_the_core(p: float) -> None:
     """Vavilov's distribution, folded with the error of the measurement, has its core where the fit takes it."""
-    assert abs(bias(p, _core.CORE_MEAN_CUT)) < (0.08 if p < 0.25 else 0.05)
+    loss, error = off(p, measured(p).cut)
+    assert abs(loss) < 0.04
+    assert abs(error) < (0.06 if p < 0.25 else 0.03)
 
 
-def test_the_alternatives_miss_the_core() -> None:
-    """Between 0.2 and 1 GeV/c the most probable loss is off, and with all collisions the error is too large."""
-    assert max(abs(bias(p, math.exp(0.2))) for p in MOMENTA) > 0.25
-    w_max, error, beta2 = measured(0.5)
-    _, sigma = core(*folded(w_max, beta2, error))
-    assert math.sqrt(error**2 + w_max * (1 - beta2 / 2)) > 1.08 * sigma
+def test_other_cuts_miss_the_core() -> None:
+    """Landau's width alone is too small an error, all collisions too large a one; the most probable loss is off."""
+    for p in (0.3, 0.5):
+        assert abs(off(p, math.exp(0.2))[0]) > 0.15
+        assert off(p, _core.CORE_CUT_XI)[1] < -0.03
+        assert off(p, math.inf)[1] > 0.08
 
 
 def test_the_core_ends_in_proportion_to_the_error() -> None:
@@ -116,7 +131,7 @@ def test_pulls_of_kappa(p: float) -> None:
 
 def test_pulls_see_another_loss() -> None:
     """With the most probable loss the mean of the pull of kappa is off, with the mean loss its width."""
-    gun, n = Gun("mu-", p=0.5, cos_theta=(-0.93, 0.93)), 4000
+    gun, n = Gun("mu-", p=0.3, cos_theta=0.0), 4000
 
     def kappa(loss: str):
         settings = Settings(fit=FitSettings(loss=loss))

@@ -11,9 +11,10 @@ from cgemit.study.cluster_residuals import X_WINDOWS
 from delta_fractions import ARRANGEMENTS, DISTANCES, failures
 from fit_page import fit_section
 from fit_results import ANGLES as FIT_ANGLES
-from fit_results import DETECTORS, MOMENTA, N_SIGMA, PARTICLES, read_fit_results
+from fit_results import DETECTORS, N_SIGMA, PARTICLES, read_fit_results
 from geant4_page import page, read_results
 from geant4_reference import ANGLES, cases
+from optimal import QUANTITIES
 from whole_page import whole_page
 
 PAGE = (ROOT / "docs" / "validation.md").read_text(encoding="utf-8")
@@ -56,17 +57,19 @@ def test_a_number_that_is_off_is_marked() -> None:
 def test_fit_holds_the_whole_grid_and_agrees() -> None:
     """What is off is the mean of pulls whose error changes with the estimate, by as much as has been worked out."""
     results = read_fit_results()
-    grid = {(name, p, angle, particle) for name in DETECTORS for p in MOMENTA for angle in FIT_ANGLES
-            for particle in PARTICLES}  # fmt: skip
+    grid = {(name, p, angle, particle) for name in DETECTORS for particle, momenta in PARTICLES.items()
+            for p in momenta for angle in FIT_ANGLES}  # fmt: skip
+    assert {"K-", "proton"} < PARTICLES.keys()
     for mode in ("gaussian", "default"):
         found = {(row.detector, row.p, row.cos_theta, row.particle) for row in results.pulls if row.mode == mode}
         assert found == grid
+    assert {row.parameter for row in results.pulls} == {*QUANTITIES}
     off = [row for row in results.pulls if row.mode == "gaussian" and not row.agrees]
     assert {(row.p, row.cos_theta) for row in off} <= {(0.1, 0.8), (0.2, 0.8), (0.2, 0.5)}
     assert {row.parameter for row in off} <= {"kappa", "dz", "tanl"}
     assert all(abs(row.width - 1) <= row.tolerances[0] for row in off)
     worked_out = [row for row in off if row.expected_mean]
-    assert {row.p for row in worked_out} == {0.2}
+    assert {row.p for row in worked_out} <= {0.2}
     assert all(abs(row.bias - row.expected_bias) < N_SIGMA * row.mean_error for row in worked_out)
     assert all(abs(row.mean - row.expected_mean) < N_SIGMA * row.mean_error for row in worked_out)
     assert all(abs(row.bias) < 0.05 for row in off)

@@ -139,14 +139,15 @@ def test_bethe_by_hand():
 @each_passage
 @pytest.mark.parametrize("times", [1, 30])
 def test_core_moments(matter, thickness, p, mass, times):
-    """Core loss and its variance are moments of the collisions below multiples of the xi of the whole track."""
+    """Core loss and its variance are moments of the collisions below 5 xi of the whole track and 0.7 % of p beta."""
     core = slab_detector([(matter, thickness, 50.0)])
     track_xi = times * matter.xi(thickness)
     beta2 = p * p / (p * p + mass * mass)
-    expected, xi, w_max = bethe(matter, thickness, p, mass, _core.CORE_MEAN_CUT * track_xi / beta2)
+    cut = _core.CORE_CUT_XI * track_xi / beta2 + _core.CORE_CUT_SHARE * p * math.sqrt(beta2)
+    expected, xi, w_max = bethe(matter, thickness, p, mass, cut)
     loss, variance, _ = _core.core_loss(core, 0, path=1.0, p=p, mass=mass, track_xi=track_xi)
     assert loss == pytest.approx(expected, rel=1e-3)
-    cut = min(_core.CORE_VARIANCE_CUT * track_xi / beta2, w_max)
+    cut = min(cut, w_max)
     # Integral of E^2 xi/E^2 (1 - beta^2 E/W_max).
     energy = np.linspace(0, cut, 2001)
     assert variance == pytest.approx(np.trapezoid(xi * (1 - beta2 * energy / w_max), energy), rel=1e-9)
@@ -183,24 +184,26 @@ def test_core_loss_is_additive(pieces):
 
 @pytest.mark.parametrize("pieces", [2, 10, 100])
 @pytest.mark.parametrize("pt", [0.2, 1.0])
-def test_noise_of_a_track_does_not_depend_on_cuts(pieces, pt):
-    """The fit's noise seen from the origin is the same if the beam pipe is cut into neighbouring slabs."""
+@pytest.mark.parametrize("where", ["pipe", "chamber gas"])
+def test_noise_of_a_track_does_not_depend_on_cuts(where, pieces, pt):
+    """The fit's noise seen from the origin is the same if beam pipe or chamber gas is cut into neighbouring slabs."""
     design = load("besiii-cgem-design")
     hits = hits_on(design, [0.1, 0.5, -1 / pt, 2.0, 0.3])
     columns, log_terms, elements = slab_table(slabs(design))
+    i = 0 if where == "pipe" else int(np.argmax(columns["ends"]))
 
     def noise(n):
-        repeat = np.where(np.arange(len(columns["x0"])) == 0, n, 1)
+        repeat = np.where(np.arange(len(columns["x0"])) == i, n, 1)
         cut = {k: np.repeat(v, repeat) for k, v in columns.items()}
         for name in ("x0", "xi"):
-            cut[name][:n] /= n
+            cut[name][i : i + n] /= n
         cut["spread"][:] = 0  # a thin piece may stay below the limit where shifts are followed
         rows = list(zip(elements["z"], elements["a"], elements["moles"], strict=True))
         parts = [rows[a:b] for a, b in itertools.pairwise(elements["first"])]
-        pipe = [(z, a, moles / n) for z, a, moles in parts[0]]
+        pieces_of_it = [(z, a, moles / n) for z, a, moles in parts[i]]
         core = _core.Detector(
             bz=-1.0, slabs=cut, log_terms=np.repeat(log_terms, repeat, axis=0),
-            composition=composition([pipe] * n + parts[1:]), cgem=cgem_table(design.cgem),
+            composition=composition(parts[:i] + [pieces_of_it] * n + parts[i + 1 :]), cgem=cgem_table(design.cgem),
             wires=wire_table(design.drift_chamber), screening=_core.Screening.wentzel,
         )  # fmt: skip
         vectors = _core.reference(core, np.array([0.1, 0.5, -1 / pt, 2.0, 0.3]), MUON, hits)["noise"]
@@ -220,8 +223,20 @@ def test_total_matter():
     xi = [m.xi(t) for m, t, _ in parts]
     chi = [chi_c2([part[:2]]) for part in parts]
     for tanl, met in ((0.0, 3), (-0.8, 3), (1.0, 2), (-2.0, 1)):
-        expected = [sum(column[:met]) * math.hypot(1, tanl) for column in (x0, xi, chi)]
+        expected = [*(sum(column[:met]) * math.hypot(1, tanl) for column in (x0, xi, chi)), 0.0]
         np.testing.assert_allclose(_core.total_matter(core, tanl), expected, rtol=1e-12)
+
+
+def test_chamber_gas_has_a_sum_of_its_own():
+    """The strengths of scattering are summed inside and outside the drift chamber."""
+    detector = load("besiii-cgem-design")
+    columns, _, elements = slab_table(slabs(detector))
+    strengths = [sum(strength(z)) * moles for z, moles in zip(elements["z"], elements["moles"], strict=True)]
+    of_slabs = np.add.reduceat(strengths, elements["first"][:-1])
+    gas = columns["ends"] == 1
+    found = _core.total_matter(compiled(detector), 0.0)[2:]
+    np.testing.assert_allclose(found, [of_slabs[~gas].sum(), of_slabs[gas].sum()], rtol=1e-9)
+    assert 10 < found[0] / found[1] < 50
 
 
 def test_total_matter_ends_with_the_chamber():

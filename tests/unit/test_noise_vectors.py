@@ -75,7 +75,7 @@ def test_noise_vectors_are_kicks_seen_from_the_origin(shape, charge, bz):
     # The kicks' sizes: path, angle from momentum half-way through the loss, straggling, shift.
     across = at[:2] @ at[3:5] / columns["radius"][slab]
     path = math.hypot(1, at[5]) / across
-    _, track_xi, track_chi_c2 = _core.total_matter(core, parameters[4])
+    _, track_xi, track_chi_c2, _ = _core.total_matter(core, parameters[4])
     loss, variance, _ = _core.core_loss(core, slab, path=path, p=p, mass=MUON, track_xi=track_xi)
     energy = math.hypot(p, MUON)
     after = math.sqrt((energy - loss) ** 2 - MUON**2)

@@ -43,31 +43,32 @@ py::dict pass_slabs(const Detector& detector, double p, double mass, double char
 }  // namespace
 
 void bind_matter(py::module_& module) {
-  module.attr("CORE_MEAN_CUT") = core_mean_cut;
-  module.attr("CORE_VARIANCE_CUT") = core_variance_cut;
+  module.attr("CORE_CUT_XI") = core_cut_xi;
+  module.attr("CORE_CUT_SHARE") = core_cut_share;
   module.def(
       "total_matter",
       [](const Detector& detector, double tanl) {
         const TrackMatter total = total_matter(detector, tanl);
-        return py::make_tuple(total.x0, total.xi, total.chi_c2);
+        return py::make_tuple(total.x0, total.xi, total.scattering[0].chi_c2, total.scattering[1].chi_c2);
       },
       py::arg("detector"), py::arg("tanl"),
-      "Radiation lengths, xi beta^2 (GeV) and (chi_c p beta)^2 (GeV^2) along a straight line from the "
-      "origin.");
+      "Radiation lengths, xi beta^2 (GeV) and (chi_c p beta)^2 (GeV^2) outside and inside the drift "
+      "chamber's "
+      "gas, along a straight line from the origin.");
   module.def(
       "scattering_angle",
       [](const Detector& detector, int slab, double path, double p, double mass, double charge,
          double track_chi_c2) {
         const Kinematics k = particle(p, mass, charge);
         TrackMatter track;
-        track.chi_c2 = track_chi_c2;
-        track.log_chi_c2 = std::log(track_chi_c2);
-        return std::sqrt(scattering_variance(slab_of(detector, slab), path, k, k, track));
+        const Slab& crossed = slab_of(detector, slab);
+        track.scattering[scattering_group(crossed)] = {track_chi_c2, std::log(track_chi_c2)};
+        return std::sqrt(scattering_variance(crossed, path, k, k, track));
       },
       py::arg("detector"), py::arg("slab"), py::kw_only(), py::arg("path"), py::arg("p"), py::arg("mass"),
       py::arg("charge") = 1.0, py::arg("track_chi_c2"),
       "Plane multiple-scattering angle, rad, that the fit takes for a slab of a track that crosses "
-      "track_chi_c2 in all.");
+      "track_chi_c2 in all slabs of its group.");
   module.def(
       "restricted_loss",
       [](const Detector& detector, int slab, double path, double p, double mass, double charge, double cut) {
@@ -83,7 +84,6 @@ void bind_matter(py::module_& module) {
          double track_xi) {
         TrackMatter track;
         track.xi = track_xi;
-        track.log_xi = std::log(track_xi);
         track.loss = detector.loss;
         const LossMoments m = core_loss(slab_of(detector, slab), path, particle(p, mass, charge), track);
         return py::make_tuple(m.loss, m.variance, m.slope);

@@ -132,11 +132,11 @@ struct Place {
   int index;      // into slabs or wires
 };
 
-// Which collisions the fit's energy loss describes: transfers below these multiples of the track's Landau xi
-// make its mean and its variance (`matter/loss.hpp`).
+// Which collisions the fit's energy loss describes (`matter/loss.hpp`). Mean and variance count transfers
+// below these multiples of the track's Landau xi plus a share of p beta.
 struct LossCuts {
   double mean, variance;
-  double log_mean;
+  double share;
 };
 
 struct Detector {

@@ -35,7 +35,7 @@ void prepare_loss(Detector& detector, CoreLoss choice) {
   LossCuts& cuts = detector.loss;
   switch (choice) {
     case CoreLoss::truncated:
-      cuts = {core_mean_cut, core_variance_cut, 0};
+      cuts = {core_cut_xi, core_cut_xi, core_cut_share};
       break;
     case CoreLoss::mean:
       cuts = {everything, everything, 0};
@@ -44,7 +44,6 @@ void prepare_loss(Detector& detector, CoreLoss choice) {
       cuts = {std::exp(most_probable), half_maximum * half_maximum, 0};
       break;
   }
-  cuts.log_mean = std::log(cuts.mean);
 }
 
 double light_spectrum_share(const Kinematics& k, double transfer) {
@@ -64,11 +63,15 @@ double light_restricted_loss(const Slab& slab, double path, const Kinematics& k,
 
 LossMoments light_core_loss(const Slab& slab, double path, const Kinematics& k, const TrackMatter& track) {
   const double xi = slab.xi * path * k.per_beta2, track_xi = track.xi * k.per_beta2;
-  const double cut = std::min(track.loss.mean * track_xi, k.w_max());
-  const double hardest = std::min(track.loss.variance * track_xi, k.w_max());
+  const double resolved = track.loss.share * k.p / k.per_beta, below = track.loss.mean * track_xi;
+  const double cut = std::min(below + resolved, k.w_max());
+  const double hardest = std::min(track.loss.variance * track_xi + resolved, k.w_max());
   const double bracket = std::max(light_bracket(slab, k, cut), 0.0), x0 = slab.x0 * path;
   const double radiated = radiated_mean * x0 * k.energy;
-  const double slope = xi * (2 + log_term(slab, k.log_bg).slope) / k.p + radiated_mean * x0 * k.p / k.energy;
+  // Per ln(p) the bracket grows by 2, and by as much as the cut.
+  const double grow = 2 + (below + resolved < k.w_max() ? resolved / cut : 0);
+  const double slope =
+      xi * (grow + log_term(slab, k.log_bg).slope) / k.p + radiated_mean * x0 * k.p / k.energy;
   return {xi * bracket + radiated, xi * hardest + radiated_variance * x0 * k.energy * k.energy, slope};
 }
 

@@ -16,7 +16,7 @@ constexpr double screening_scale = 2.007e-5 * MeV * MeV;
 double slowness(double z) { return 3.34 * z * z * fine_structure * fine_structure; }
 
 double screening_of(double z, double per_beta2, Screening screening) {
-  const double geant = screening == Screening::wentzel ? 1 + std::exp(-z * z / 1000) : 1.0;
+  const double geant = screening == Screening::wentzel && z >= 2 ? 1 + std::exp(-z * z / 1000) : 1.0;
   return screening_scale * std::pow(z, 2.0 / 3.0) * (1 + slowness(z) * per_beta2) * geant;
 }
 

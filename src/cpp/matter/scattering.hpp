@@ -23,7 +23,7 @@ void prepare_scattering(Detector& detector, Screening screening);
 
 // The core of the angle's distribution, as a Gaussian: variance of all scatters below a transfer q_F, of
 // which 1 - F are cut off on either side; Lynch and Dahl, Nucl. Instrum. Methods B 58 (1991) 6, eq. 7, F =
-// 0.98. It is the track's q_F, so that the variances of slabs add up.
+// 0.98. It is the q_F of all slabs of the group on the track, so that their variances add up.
 inline constexpr double core_fraction = 0.98;
 
 // Plane angle squared. 1/(p beta) is the mean (geometric) of that before and after the slab.
@@ -33,10 +33,11 @@ T scattering_variance(const Slab& slab, T path, const KinematicsOf<T>& before, c
   const T screening = read<&SlabPoint::log_screening>(slab, before.log_bg).value;
   constexpr double cut_scale = 0.5 / (1 - core_fraction);  // q_F^2 = cut_scale chi_c^2 p^2
   static const double log_cut_scale = std::log(cut_scale);
-  const T log_cut = log_cut_scale + track.log_chi_c2 - before.log_beta2();
+  const ScatteringSumOf<T>& total = track.scattering[scattering_group(slab)];
+  const T log_cut = log_cut_scale + total.log_chi_c2 - before.log_beta2();
   T sum = slab.chi_c2 * (log_cut - screening - 1.0);
   // Electrons recoil with 2 m_e W_max at most; where that is less, the core ends earlier for them.
-  const T recoil = 2 * electron_mass * before.w_max(), cut = cut_scale * track.chi_c2 * before.per_beta2;
+  const T recoil = 2 * electron_mass * before.w_max(), cut = cut_scale * total.chi_c2 * before.per_beta2;
   const mask_of<T> less = recoil < cut;
   if (any(less)) sum -= select(less, slab.chi_c2_electrons * log(cut / recoil), T(0.0));
   const T per_p_beta2 = before.per_beta * before.per_p * after.per_beta * after.per_p;

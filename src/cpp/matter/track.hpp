@@ -1,8 +1,9 @@
 // What a track crosses in all, and how much of a slab it sees.
 //
-// Core widths of scattering and straggling are not additive: cut a slab in two and the sum differs. Both are
-// therefore taken once for the whole track and shared out in proportion, so that nothing depends on how
-// matter is cut.
+// Core widths of scattering and straggling are not additive: cut a slab in two and the sum differs. They are
+// therefore taken once for all matter that acts on the same parameters and shared out in proportion, so that
+// nothing depends on how matter is cut. All energy losses act on kappa. Of the scatters only those between
+// the wires do, and kappa has to know their own core: they hold a few per cent of the matter.
 #pragma once
 
 #include <algorithm>
@@ -19,13 +20,23 @@ namespace cgemit {
 // Below this kinetic energy a particle counts as stopped.
 inline constexpr double least_kinetic = 0.1 * MeV;
 
+// Groups of slabs whose scatters act on the same parameters: the gas and wires of the drift chamber, which
+// alone decide on kappa, and everything else, which decides on direction and position at the origin.
+inline constexpr std::size_t scattering_groups = 2;
+inline std::size_t scattering_group(const Slab& slab) { return slab.ends ? 1 : 0; }
+
+// chi_c^2 times (p beta)^2 of a group of slabs along the track, GeV^2, and its logarithm.
+template <class T>
+struct ScatteringSumOf {
+  T chi_c2{0.0}, log_chi_c2{0.0};
+};
+
 // Sums over all slabs, along the track.
 template <class T>
 struct TrackMatterOf {
-  T x0{0.0};      // radiation lengths
-  T xi{0.0};      // GeV, Landau's xi times beta^2
-  T chi_c2{0.0};  // GeV^2, chi_c^2 times (p beta)^2
-  T log_xi{0.0}, log_chi_c2{0.0};
+  T x0{0.0};                                                       // radiation lengths
+  T xi{0.0};                                                       // GeV, Landau's xi times beta^2
+  std::array<ScatteringSumOf<T>, scattering_groups> scattering{};  // by `scattering_group`
   LossCuts loss{};
 };
 using TrackMatter = TrackMatterOf<double>;
@@ -39,17 +50,17 @@ TrackMatterOf<T> total_matter(const Detector& detector, T tanl) {
     const mask_of<T> met = inside & (abs(tanl) * slab.radius <= slab.half_length);
     total.x0 += select(met, T(slab.x0), 0.0);
     total.xi += select(met, T(slab.xi), 0.0);
-    total.chi_c2 += select(met, T(slab.chi_c2), 0.0);
+    total.scattering[scattering_group(slab)].chi_c2 += select(met, T(slab.chi_c2), 0.0);
     if (slab.ends) inside = met;
   }
   const T path = sqrt(1.0 + tanl * tanl);
   total.x0 *= path;
   total.xi *= path;
-  total.chi_c2 *= path;
   total.loss = detector.loss;
-  // Logarithms of an empty detector exist, too.
-  total.log_xi = log(larger(total.xi, 1e-15));
-  total.log_chi_c2 = log(larger(total.chi_c2, 1e-15));
+  for (ScatteringSumOf<T>& sum : total.scattering) {
+    sum.chi_c2 *= path;
+    sum.log_chi_c2 = log(larger(sum.chi_c2, 1e-15));  // of an empty detector, too
+  }
   return total;
 }
 

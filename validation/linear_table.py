@@ -1,0 +1,155 @@
+"""The table of linear covariances that docs/paper.md compares with: ``python validation/linear_table.py``.
+
+An independent program made the table. This prints the optimal linear covariance at 90 degrees step by step, from the
+table's model to that of the fit, beside the table and the widths of simulated tracks where all is Gaussian.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+import cgemit as cg
+from cgemit import _core
+from cgemit.detector import Slab
+from cgemit.digitize import DigitizeSettings, GaussianReadout
+from cgemit.fit import PARAMETERS, FitSettings
+from cgemit.simulate import SimulateSettings
+from cgemit.study import resolution
+from optimal import Stack, errors, optimum
+from plain_tracks import WIRE, Floats, Hit, TracedSlab, V, X, stack_of
+from program import say
+from results import table
+
+DESIGN, AS_BUILT, IDC = "besiii-cgem-design", "besiii-cgem", "besiii-idc"
+#: p (GeV/c) and cos(theta): sigma(d_rho) um, sigma(d_z) mm, sigma(p) MeV/c of mu-. Exact helix; Highland's formula with
+#: one logarithm for the track; no energy loss; pipe of 0.982 % of a radiation length; X 138.7 um, V 132.7 um, wires
+#: 130 um with known sides, one hit a layer.
+TABLE = {
+    DESIGN: {
+        (0.2, 0.0): (475.0, 0.607, 0.568),
+        (0.5, 0.0): (236.6, 0.339, 1.707),
+        (1.0, 0.0): (160.7, 0.2585, 4.912),
+        (1.5, 0.0): (133.0, 0.239, 9.820),
+        (1.0, 0.6): (192.8, 0.315, 4.567),
+        (1.0, 0.8): (249.3, 0.463, 4.398),
+    },
+    AS_BUILT: {(1.0, 0.0): (170.2, 0.265, 4.948)},
+    IDC: {(0.5, 0.0): (169.4, 0.996, 1.450), (1.0, 0.0): (108.9, 0.982, 4.185)},
+}
+#: The table's errors of hits, and no noise but Gaussian.
+GAUSSIAN = cg.Settings(
+    simulate=SimulateSettings(fluctuations="gaussian"),
+    digitize=DigitizeSettings(readout=GaussianReadout(sigma_x=0.1387, sigma_v=0.1327), reveal_sides=True),
+)
+CUT = (_core.CORE_CUT_XI, _core.CORE_CUT_SHARE)
+_PIPE = 0.00982
+_SIGMA = {X: 0.1387, V: 0.1327, WIRE: 0.13}
+_MUON = 0.1056583755
+
+
+class LosslessSlab(TracedSlab):
+    """Matter that scatters like the fit's and takes no energy."""
+
+    def loss(self, p: Floats, mass: float, path: Floats) -> tuple[Floats, Floats]:
+        """Nothing is lost."""
+        return 0 * p, 0 * p
+
+
+class HighlandSlab(LosslessSlab):
+    """Matter of the table: a share `part` of a total in radiation lengths, without loss."""
+
+    def __init__(self, slab: Slab, part: float, total: float) -> None:
+        super().__init__(slab, 0.0, 0.0, CUT)
+        self.part, self.total = part, total
+
+    def angle(self, p: float, after: float, mass: float, path: float) -> float:
+        """(13.6 MeV/(p beta)) sqrt(x/X0) [1 + 0.038 ln(T/beta^2)], T the track's total; PDG 2024, eq. 34.16."""
+        beta2 = p * p / (p * p + mass * mass)
+        logarithm = 1 + 0.038 * np.log(self.total / beta2)
+        return float(13.6e-3 / (p * np.sqrt(beta2)) * np.sqrt(self.part * path) * logarithm)
+
+
+def table_stack(detector: cg.Detector, tanl: float, cut: tuple[float, float]) -> list[TracedSlab]:
+    """Return the matter of the table, which has a pipe of its own."""
+    found = [traced.slab for traced in stack_of(detector, tanl, cut)]
+    pipe = sum(slab.x0 for slab in found if slab.shells[0].group == "pipe")
+    parts = [slab.x0 * (_PIPE / pipe if slab.shells[0].group == "pipe" else 1) for slab in found]
+    total = float(np.hypot(1, tanl)) * sum(parts)
+    return [HighlandSlab(slab, part, total) for slab, part in zip(found, parts, strict=True)]
+
+
+def lossless_stack(detector: cg.Detector, tanl: float, cut: tuple[float, float]) -> list[TracedSlab]:
+    """Return the matter of the fit without energy loss."""
+    found = stack_of(detector, tanl, cut)
+    return [LosslessSlab(one.slab, one.whole_xi, one.group_chi_c2, cut) for one in found]
+
+
+STEPS: dict[str, tuple[Stack, bool]] = {
+    "the table's model": (table_stack, True),
+    "scattering from elements, pipe of the preset": (lossless_stack, True),
+    "energy loss": (stack_of, True),
+    "all cells that fire": (stack_of, False),
+}
+
+
+def hits_of(result: cg.Result, track: int, one_a_layer: bool) -> list[Hit]:
+    """Return the hits of an event with one track, ordered outward; of a layer's cells all, or the nearest."""
+    clusters = result.clusters[(result.clusters["event"] == track) & (result.clusters["view"] < WIRE)]
+    rows = zip(*(clusters[name].tolist() for name in ("view", "layer", "sheet")), strict=True)
+    found = sorted(((layer, view, sheet) for view, layer, sheet in rows))
+    hits = [Hit(view, layer, sheet, _SIGMA[view]) for layer, view, sheet in found]
+    wires = result.wire_hits[result.wire_hits["event"] == track]
+    cells = sorted(zip(*(wires[name].tolist() for name in ("layer", "drift", "wire")), strict=True))
+    seen: set[int] = set()
+    for layer, _, wire in cells:
+        if not (one_a_layer and layer in seen):
+            hits.append(Hit(WIRE, layer, wire, _SIGMA[WIRE]))
+        seen.add(layer)
+    return hits
+
+
+def expected(
+    detector: cg.Detector, p: float, matter: Stack, one_a_layer: bool, tracks: int = 12
+) -> tuple[Floats, float]:
+    """Return sigma(d_rho) um, sigma(d_z) mm, sigma(p) MeV/c at 90 degrees, and the number of cells of a track.
+
+    Means over some tracks: the number of cells differs from one to the next.
+    """
+    gun = cg.Gun("mu-", p=p, cos_theta=0.0)
+    settings = cg.Settings(simulate=SimulateSettings(fluctuations="off"), digitize=GAUSSIAN.digitize, fit=FitSettings())
+    result = cg.run(detector, gun, tracks, 5, settings=settings)
+    found, cells = [], 0
+    for track in range(tracks):
+        hits = hits_of(result, track, one_a_layer)
+        helix = np.array([result.tracks[name][track] for name in PARAMETERS])
+        helix[[0, 2, 3, 4]] = 0.0, -1 / p, 0.0, 0.0
+        sigma = errors(helix, optimum(detector, hits, helix, _MUON, CUT, matter=matter).cov)
+        found.append([1000 * sigma["dr"], sigma["dz"], 1000 * sigma["p"]])
+        cells += sum(hit.kind == WIRE for hit in hits)
+    return np.mean(found, axis=0), cells / tracks
+
+
+def simulated(detector: cg.Detector, p: float, n: int) -> Floats:
+    """Return the core widths of fitted tracks where all is Gaussian."""
+    tracks = cg.run(detector, cg.Gun("mu-", p=p, cos_theta=0.0), n, 2, settings=GAUSSIAN).tracks
+    return np.array([resolution(tracks, name).core for name in ("dr", "dz", "p")])
+
+
+def main() -> None:
+    """Print the steps for each detector and momentum as Markdown."""
+    lines = []
+    for name, points in TABLE.items():
+        detector = cg.load(name)
+        for p in [p for p, angle in points if angle == 0]:
+            rows = {step: expected(detector, p, *choice) for step, choice in STEPS.items()}
+            rows = {"the table": (np.array(points[p, 0.0]), rows["the table's model"][1]), **rows}
+            rows["simulated, 20 000 tracks"] = simulated(detector, p, 20_000), rows["all cells that fire"][1]
+            for step, (values, cells) in rows.items():
+                lines.append([name, f"{p:g}", step, f"{cells:.1f}", *(f"{value:.4g}" for value in values)])
+            say(f"{name}, {p:g} GeV/c")
+    head = ["detector", "p, GeV/c", "", "wires", "sigma(d_rho), um", "sigma(d_z), mm", "sigma(p), MeV/c"]
+    print(table(head, lines))
+
+
+if __name__ == "__main__":
+    main()
