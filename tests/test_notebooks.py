@@ -24,6 +24,7 @@ def test_cells_are_short(path: Path) -> None:
     assert max(len(lines) for lines in cells) <= 32
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_notebook_runs(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MPLBACKEND", "agg")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -128,6 +128,12 @@ class Choice:
     mean: float
     mean_error: float
 
+    @property
+    def agrees(self) -> bool:
+        """Whether the default choice leaves width and mean as they have to be."""
+        width, mean = max(0.06, N_SIGMA * self.width_error), max(0.08, N_SIGMA * self.mean_error)
+        return self.loss != "truncated" or (abs(self.width - 1) < width and abs(self.mean) < mean)
+
 
 @dataclass(frozen=True)
 class Side:
@@ -149,6 +155,17 @@ class Known:
     hidden: float
     ratio: float
     ratio_error: float
+
+    @property
+    def agrees(self) -> bool:
+        """Whether finding the sides costs less than 3 %."""
+        return self.ratio < 1 + max(0.03, N_SIGMA * self.ratio_error)
+
+
+def wrong_sides(sides: Sequence[Side], p: float) -> float:
+    """Return the fraction of wrong sides beyond 0.25 mm from the wire; it has to be below 1e-3."""
+    far = [side for side in sides if side.p == p and side.first > 0.25]
+    return sum(side.wrong for side in far) / sum(side.n for side in far)
 
 
 @dataclass(frozen=True)

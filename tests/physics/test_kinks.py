@@ -80,6 +80,7 @@ def best(result: cg.Result, track: int) -> tuple[np.ndarray, float]:
     return helix + unit * done.x[:5], 2 * done.cost
 
 
+@pytest.mark.slow
 def test_fit_is_the_best_track() -> None:
     """With kinks kappa is within 0.03 sigma of it (RMS), chi-square within 0.1; without, three times as far."""
     with_kinks, without = sample(True), sample(False)
@@ -112,6 +113,7 @@ def test_chi_square_is_flat_where_tracks_turn_back() -> None:
     assert flat[False] < 1e-12
 
 
+@pytest.mark.slow
 def test_bias_of_kappa() -> None:
     """Scattered tracks come less far than straight ones: taken as linear they look bent more, by 0.16 sigma.
 

@@ -77,6 +77,7 @@ def test_the_gate_sees_the_model() -> None:
     assert dr * published["besiii-cgem"] / published["besiii-cgem-design"] > 1.04
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("p", "cos_theta"), [(0.2, 0.5), (1.0, 0.0)])
 def test_found_widths_are_optimal(p: float, cos_theta: float) -> None:
     """Where all is Gaussian, core widths of fitted tracks are within 3 % of the optimum; pulls and residuals agree."""
@@ -99,6 +100,7 @@ def test_gate_sees_wires_that_are_worse_than_believed() -> None:
     assert tracks["res_p"].std() < 0.9 * expected
 
 
+@pytest.mark.slow
 def test_mean_pulls_where_the_error_depends_on_the_estimate() -> None:
     """Slow, slanting pions: the pulls of dz and tanl have the means that the optimal estimate must have, and not 0."""
     point = Point("gaussian", "besiii-cgem-design", "pi-", 0.2, 0.8)

@@ -146,6 +146,7 @@ def test_no_row_is_lost(cgem, idc):
         assert sum(result.removed().values()) < 0.01 * len(result.tracks)
 
 
+@pytest.mark.slow
 def test_documented_numbers_are_those_of_the_program():
     text = (Path(__file__).parents[2] / "docs" / "paper.md").read_text(encoding="utf-8")
     pattern = r"\| `(\w+)` \| ([\d.]+|–) \| ([\d.]+) ± ([\d.]+) \|"

@@ -109,6 +109,7 @@ def test_every_page_is_in_the_index_of_the_documentation() -> None:
     assert not [page for page in pages if page != "README.md" and f"({page})" not in index]
 
 
+@pytest.mark.slow
 def test_readme_example_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The example as printed, but for fewer events: 20_000 becomes 500, and the study is its quick one."""
     (example,) = blocks("python")

@@ -123,6 +123,7 @@ def test_interruption_has_exit_code_130(monkeypatch, capsys, tmp_path):
     assert "interrupted" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("moment", ["besiii-idc", "drawing"])
 def test_ctrl_c_during_a_study_leaves_nothing(moment, tmp_path):
     # Without a terminal the progress is a line for every tenth of the work.

@@ -156,6 +156,7 @@ runpy.run_module("cgemit", run_name="__main__", alter_sys=True)
     assert (done.returncode, done.stderr, done.stdout) == (130, "", "")
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="no SIGTERM to handle")
 def test_sigterm_leaves_nothing(tmp_path):
     command = [sys.executable, "-u", "-m", "cgemit", *SIMULATE[:-1], "-n", "200000", "-o", str(tmp_path / "out")]

@@ -59,6 +59,7 @@ def result():
     return cgemit.run("besiii-cgem-design", GUN, 400, 5)
 
 
+@pytest.mark.slow
 def test_all_figures_are_written_as_png_and_pdf(study):
     for name in FIGURES:
         assert (study.folder / f"{name}.png").read_bytes().startswith(b"\x89PNG"), name
@@ -66,6 +67,7 @@ def test_all_figures_are_written_as_png_and_pdf(study):
     assert not [path.name for path in study.folder.iterdir() if path.name.startswith(".")]
 
 
+@pytest.mark.slow
 def test_summary(study):
     summary = json.loads((study.folder / "summary.json").read_text())
     assert summary == json.loads(json.dumps(study.summary()))
@@ -86,6 +88,7 @@ def test_summary(study):
     assert len(summary["removed"]) == 3 + 2 * len(MOMENTA)
 
 
+@pytest.mark.slow
 def test_removed_rows_add_up(study):
     for sample in [*study.samples.values(), *study.scans["cgem"], *study.scans["idc"]]:
         good = int(np.count_nonzero(sample.tracks["status"] == 0))
@@ -93,6 +96,7 @@ def test_removed_rows_add_up(study):
         assert sum(sample.transport.values()) == sample.n_events
 
 
+@pytest.mark.slow
 def test_report_is_self_contained_and_complete(study):
     page = (study.folder / "report.html").read_text(encoding="utf-8")
     parsed = outline(page)
@@ -105,6 +109,7 @@ def test_report_is_self_contained_and_complete(study):
         assert text in page
 
 
+@pytest.mark.slow
 def test_tables_carry_units_and_the_numbers_of_the_figures(study):
     tables = {path.stem: list(csv.reader(path.read_text().splitlines())) for path in study.folder.glob("*.csv")}
     assert tables["figure4_x_residual"][0] == ["low (um)", "high (um)", "all", "single strip", "several strips"]
@@ -122,6 +127,7 @@ def test_tables_carry_units_and_the_numbers_of_the_figures(study):
         assert not any("nan" in cell for row in rows for cell in row), name
 
 
+@pytest.mark.slow
 def test_study_prints_itself(study):
     assert "x_residual_rms" in repr(study)
     assert "<table>" in study._repr_html_()
@@ -130,6 +136,7 @@ def test_study_prints_itself(study):
         study["sigma"]
 
 
+@pytest.mark.slow
 def test_study_depends_on_the_seed_and_not_on_threads():
     one, two, other = (reproduce(events=400, seed=seed, threads=n) for seed, n in ((1, 1), (1, 2), (2, 1)))
     assert one == two
@@ -138,6 +145,7 @@ def test_study_depends_on_the_seed_and_not_on_threads():
     assert all(a.value != b.value for a, b in zip(one.results, other.results, strict=True) if "fraction" not in a.id)
 
 
+@pytest.mark.slow
 def test_study_pickles(study):
     copy = pickle.loads(pickle.dumps(study))
     assert copy == study
@@ -219,6 +227,7 @@ def test_window_leaves_out_far_tracks_and_counts_them(result):
     assert after.rms == pytest.approx(before.rms, rel=0.05)
 
 
+@pytest.mark.slow
 def test_pictures(result, tmp_path):
     for name in ("dr", "phi0", "kappa", "dz", "tanl", "p"):
         assert draw.residual(result, name)._repr_png_().startswith(b"\x89PNG")
@@ -332,6 +341,7 @@ def test_csv(tmp_path):
     assert not re.search(r"\r", (tmp_path / "t.csv").read_bytes().decode())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("numbers", [{"seed": -1}, {"seed": 1.5}, {"seed": "a"}, {"events": "x"}, {"threads": 0}])
 @pytest.mark.parametrize("study", [reproduce, partial(scan, cgemit.load("besiii-idc"), [1.0])])
 def test_numbers_that_are_none(study, numbers):

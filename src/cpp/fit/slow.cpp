@@ -1,7 +1,6 @@
 #include "fit/slow.hpp"
 
 #include <cmath>
-#include <ranges>
 
 #include "common/angles.hpp"
 #include "matter/loss.hpp"
@@ -44,7 +43,8 @@ Perigee before_loss(const Detector& detector, const Perigee& helix, double radiu
                    per_kappa * helix.kappa};
   double kappa = helix.kappa, arc = 0;
   if (radius <= std::abs(helix.d) || !step_to_cylinder(point, radius, arc)) return helix;
-  for (const Slab& slab : detector.slabs | std::views::reverse) {
+  for (auto next = detector.slabs.rbegin(); next != detector.slabs.rend(); ++next) {
+    const Slab& slab = *next;
     if (slab.radius >= radius) continue;
     if (!step_to_cylinder(point, slab.radius, arc)) break;
     if (std::abs(point.z) > slab.half_length) continue;

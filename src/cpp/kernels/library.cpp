@@ -1,4 +1,5 @@
 // Compiled once per instruction set, with CGEMIT_ISA its name and CGEMIT_LANES the width of its registers.
+#include "common/compiler.hpp"
 #include "fit/batch.hpp"
 #include "kernels/function.hpp"
 #include "kernels/kernels.hpp"
@@ -21,6 +22,4 @@ constexpr Kernels these{CGEMIT_ISA, CGEMIT_LANES, &function_of_lanes<Number>, &s
 
 }  // namespace cgemit
 
-extern "C" __attribute__((visibility("default"))) const cgemit::Kernels* cgemit_kernels() {
-  return &cgemit::these;
-}
+extern "C" CGEMIT_EXPORT const cgemit::Kernels* cgemit_kernels() { return &cgemit::these; }

@@ -21,7 +21,7 @@ struct SineCosine {
 };
 inline SineCosine<double> sine_cosine(double x) { return {std::sin(x), std::cos(x)}; }
 
-#if defined(__GNUC__) || defined(__clang__)
+#if CGEMIT_VECTORS
 
 // x > 0.
 template <int W>

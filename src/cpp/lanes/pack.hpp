@@ -14,13 +14,15 @@
 #include <type_traits>
 #include <utility>
 
+#include "common/compiler.hpp"
+
 #if defined(__SSE2__)
 #include <immintrin.h>
 #endif
 
 namespace cgemit {
 
-#if defined(__GNUC__) || defined(__clang__)
+#if CGEMIT_VECTORS
 
 // The compiler's vector types: W numbers, W 64-bit words.
 template <int W>
@@ -237,7 +239,7 @@ struct Lanes {
   static constexpr int width = 1;
   using Mask = bool;
 };
-#if defined(__GNUC__) || defined(__clang__)
+#if CGEMIT_VECTORS
 template <int W>
 struct Lanes<Pack<W>> {
   static constexpr int width = W;

@@ -27,7 +27,7 @@ inline void set_word(std::uint32_t& words, int, std::uint32_t value) { words = v
 inline void spread(std::uint32_t& words, std::uint32_t value) { words = value; }
 inline void count_along(std::uint32_t&) {}
 
-#if defined(__GNUC__) || defined(__clang__)
+#if CGEMIT_VECTORS
 
 // A 32-bit word per lane, in the low half of 64 bits; the high half is anything.
 template <int W>
@@ -172,7 +172,7 @@ class BlockSeries {
 
  private:
   static void count(std::uint32_t& words) { ++words; }
-#if defined(__GNUC__) || defined(__clang__)
+#if CGEMIT_VECTORS
   template <int W>
   static void count(Words<W>& words) {
     words.v += 1;

@@ -6,7 +6,7 @@
 namespace cgemit {
 
 // As many as the widest registers hold that the compiler may use.
-#if !defined(__GNUC__) && !defined(__clang__)
+#if !CGEMIT_VECTORS
 using Widest = double;
 #elif defined(__AVX512F__)
 using Widest = Pack<8>;
@@ -16,7 +16,7 @@ using Widest = Pack<4>;
 using Widest = Pack<2>;
 #endif
 
-#if defined(__GNUC__) || defined(__clang__)
+#if CGEMIT_VECTORS
 
 // A whole number of 2^51 at most as an integer.
 template <int W>

@@ -60,7 +60,7 @@ inline int poisson(double u, double mean) {
   return n;
 }
 
-#if defined(__GNUC__) || defined(__clang__)
+#if CGEMIT_VECTORS
 // The same in lanes, as whole numbers.
 template <int W>
 Pack<W> poisson(Pack<W> u, Pack<W> mean) {

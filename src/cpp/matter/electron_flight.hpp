@@ -3,6 +3,7 @@
 
 #include <cmath>
 
+#include "common/compiler.hpp"
 #include "lanes/philox.hpp"
 #include "matter/electron_steps.hpp"
 #include "matter/electrons.hpp"
@@ -111,7 +112,7 @@ class ElectronFlight {
   }
 
   // Those that are not at the end of their way.
-  [[gnu::flatten]] Mask step() {
+  CGEMIT_FLATTEN Mask step() {
     using namespace electron_step;
     const BlockOf<T> words = draws_.next();
     const Local<T> here = local();

@@ -40,7 +40,7 @@ inline double part_of(double energy) {
 inline double power_of_two(double energy) {
   return std::bit_cast<double>(std::bit_cast<std::uint64_t>(energy) >> 52 << 52);
 }
-#if defined(__GNUC__) || defined(__clang__)
+#if CGEMIT_VECTORS
 template <int W>
 Pack<W> part_of(Pack<W> energy) {
   const auto bits = std::bit_cast<typename Words<W>::Vector>(energy.v);
