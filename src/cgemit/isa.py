@@ -81,4 +81,5 @@ def choose() -> None:
 
 
 def _library(isa: str) -> Path:
-    return Path(__file__).with_name(f"_kernels_{isa}.so")
+    # Beside the core: in an editable installation that is not where the Python files are.
+    return Path(_core.__file__).with_name(f"_kernels_{isa}.so")
