@@ -66,8 +66,9 @@ def mixture(n: int) -> Table:
         (Gun("pi+", p=(0.05, 0.3), cos_theta=(-0.93, 0.93)), SimulateSettings(steps=True)),
         (Gun("mu+", p=0.2, cos_theta=(-0.5, 0.5)), SimulateSettings(fluctuations="gaussian")),
         (Gun("mu-", p=0.12, cos_theta=(-0.9, 0.9)), SimulateSettings(fluctuations="off")),
+        (Gun("pi-", p=(0.1, 0.5), cos_theta=(-0.8, 0.8)), SimulateSettings(foil="lattice")),
     ],
-    ids=["default", "slow and every cluster", "gaussian", "off"],
+    ids=["default", "slow and every cluster", "gaussian", "off", "foils with holes"],
 )
 def test_same_rows_as_scalar(name, gun, settings):
     """Every row is the scalar one but for rounding, and no more decisions flip than one row in 10^5."""
