@@ -206,10 +206,10 @@ void simulate_in(const Detector& detector, const ParticleColumns& particles, con
 inline void reserve(const Detector& detector, const SimulateSettings& settings, std::size_t n,
                     Simulated& out) {
   out.status.reserve(n);
-  out.truths.reserve(n * detector.cgem.size());
-  if (settings.deltas && settings.fluctuations == Fluctuations::full) out.steps.reserve(10 * n);
+  reserve_rows(out.truths, n * detector.cgem.size());
+  if (settings.deltas && settings.fluctuations == Fluctuations::full) reserve_rows(out.steps, 10 * n);
   // Tracks pass a little more than one cell of a layer.
-  out.wire_truths.reserve(n * (detector.wires.size() + detector.wires.size() / 8));
+  reserve_rows(out.wire_truths, n * (detector.wires.size() + detector.wires.size() / 8));
 }
 
 template <class T>

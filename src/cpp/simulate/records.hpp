@@ -54,7 +54,7 @@ void append_cells(const std::vector<CellRecord<T>>& cells, int i, const Particle
                   WireTruths& out) {
   std::size_t row = out.event.size(), end = row;
   for (const CellRecord<T>& c : cells) end += lane(c.fired, i);
-  out.resize(end);
+  resize_rows(out, end);
   for (const CellRecord<T>& c : cells) {
     if (!lane(c.fired, i)) continue;
     const double doca = lane(c.doca, i);
