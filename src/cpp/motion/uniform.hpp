@@ -27,9 +27,8 @@ class UniformMotionOf {
     return step_to_cylinder(point, r, arc, outward, who);
   }
   void to_apex(Point& point, T& arc, const Mask& who) const {
-    const T step = select(who, arc_to_apex(point), T(0.0));
-    advance(point, step);
-    arc = select(who, step, arc);
+    arc = select(who, arc_to_apex(point), T(0.0));
+    advance(point, arc);
   }
   Mask approach(Point& point, const WireOf<T>& wire, ApproachOf<T>& result, const Mask& who) const {
     return approach_wire(point, wire, result, who);

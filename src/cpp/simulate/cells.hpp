@@ -57,8 +57,11 @@ class CellFinder {
     const Mask reached =
         motion_.to_cylinder(range.at_wires, wire_radius(layer, from.z), range.arc, true, who);
     left_ = who & motion_.left();
-    if (const Mask turns = who & !reached & !left_; any(turns))
-      motion_.to_apex(range.at_wires, range.arc, turns);
+    if (const Mask turns = who & !reached & !left_; any(turns)) {
+      T arc(0.0);
+      motion_.to_apex(range.at_wires, arc, turns);
+      range.arc = select(turns, arc, range.arc);
+    }
     const CellBorders<T> borders(wires_, index, range.at_wires.z);
     const Mask found = any(reached) ? by_slope(layer, borders, reached, range) : reached;
     const Mask others = who & !found & !left_;
