@@ -149,6 +149,14 @@ def simulation() -> str:
     )
 
 
+def simulation_fields() -> str:
+    """Return the table of what the kinds of fields cost the simulation."""
+    return table(
+        ["code", "field", "us per muon", "over uniform"],
+        ((r["isa"], r["field"], f"{float(r['us']):.1f}", r["ratio"]) for r in read("simulation_fields")),
+    )
+
+
 def draw_stages() -> None:
     """Draw a group of bars for each stage."""
     runs = read("matrix")
@@ -193,6 +201,7 @@ BLOCKS = {
     "design_muon": (("design_muon",), design_muon), "tracks": (("stages",), tracks),
     "memory": (("memory",), memory), "operations": (("operations", "matrix"), operations),
     "peers": (("peers",), peers), "simulation": (("simulation",), simulation),
+    "simulation_fields": (("simulation_fields",), simulation_fields),
 }  # fmt: skip
 
 

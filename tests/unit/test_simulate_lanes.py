@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from cgemit import isa
-from cgemit.detector import load
+from cgemit.detector import Detector, load, write_field_map
 from cgemit.gun import Gun, generate
-from cgemit.simulate import SimulateSettings, simulate
+from cgemit.simulate import SimulateSettings, TransportStatus, simulate
 from cgemit.tables import Table
+from fields import harmonic_by_hand, small_map
 from tracks import particles
 
 DESIGN = load("besiii-cgem-design")
@@ -24,12 +25,14 @@ TOLERANCE = {"truths": 1e-9, "wire_truths": 1e-9, "steps": 1e-5}
 pytestmark = pytest.mark.skipif(not LANES, reason="no kernels for lanes on this machine")
 
 
-def simulated(name: str, table: Table, settings: SimulateSettings | None = None, seed: int = 1):
+def simulated(
+    name: str, table: Table, settings: SimulateSettings | None = None, seed: int = 1, detector: Detector = DESIGN
+):
     """Simulate with the kernels of one instruction set."""
     before = isa.name()
     isa.use(name)
     try:
-        return simulate(DESIGN, table, settings, seed)
+        return simulate(detector, table, settings, seed)
     finally:
         isa.use(before)
 
@@ -66,8 +69,9 @@ def mixture(n: int) -> Table:
         (Gun("pi+", p=(0.05, 0.3), cos_theta=(-0.93, 0.93)), SimulateSettings(steps=True)),
         (Gun("mu+", p=0.2, cos_theta=(-0.5, 0.5)), SimulateSettings(fluctuations="gaussian")),
         (Gun("mu-", p=0.12, cos_theta=(-0.9, 0.9)), SimulateSettings(fluctuations="off")),
+        (Gun("pi-", p=(0.1, 0.5), cos_theta=(-0.8, 0.8)), SimulateSettings(foil="lattice")),
     ],
-    ids=["default", "slow and every cluster", "gaussian", "off"],
+    ids=["default", "slow and every cluster", "gaussian", "off", "foils with holes"],
 )
 def test_same_rows_as_scalar(name, gun, settings):
     """Every row is the scalar one but for rounding, and no more decisions flip than one row in 10^5."""
@@ -92,12 +96,43 @@ def test_mixture_of_particles_comes_in_its_order(name):
         assert np.all(np.diff(lanes[kind]["event"]) >= 0)
 
 
+@pytest.fixture(scope="module")
+def fields(tmp_path_factory):
+    """The design in fields of every kind; tracks leave the maps before the outermost wires."""
+    folder = tmp_path_factory.mktemp("fields")
+    x, z = np.linspace(-450, 450, 19), np.linspace(-1300, 1300, 53)
+    values = harmonic_by_hand(x[:, None, None], x[None, :, None], z[None, None, :])
+    box = {"x": x, "y": x, "z": z} | {f"b{axis}": values[..., i] for i, axis in enumerate("xyz")}
+    return {
+        "uniform": DESIGN,
+        "harmonic": DESIGN.with_field("besiii-harmonic"),
+        "cylinder": DESIGN.with_field(small_map(folder)),
+        "box": DESIGN.with_field(write_field_map(folder / "box.npz", box)),
+    }
+
+
 @pytest.mark.parametrize("name", LANES)
-def test_companions_change_nothing(name):
+@pytest.mark.parametrize("field", ["harmonic", "cylinder", "box"])
+def test_same_rows_as_scalar_in_a_field_map(name, field, fields):
+    """Steps through the field round otherwise, too; particles of all kinds, on their way in or out, leave the map."""
+    n = 800
+    scalar, lanes = (simulated(kernels, mixture(n), detector=fields[field]) for kernels in ("scalar", name))
+    np.testing.assert_array_equal(scalar["particles"]["status"], lanes["particles"]["status"])
+    leave = (lanes["particles"]["status"] == TransportStatus.left_field).sum()
+    assert leave == 0 if field == "harmonic" else leave > n / 3
+    for kind in TABLES:
+        assert len(scalar[kind]["event"]) > n
+        assert len(differing_events(scalar[kind], lanes[kind], n, TOLERANCE[kind])) <= 1
+
+
+@pytest.mark.parametrize("name", LANES)
+@pytest.mark.parametrize("field", ["uniform", "harmonic", "cylinder"])
+def test_companions_change_nothing(name, field, fields):
     """Alone, or with other neighbours, a particle is the same to the last bit."""
     table = mixture(200)
-    everything = simulated(name, table)
-    parts = [simulated(name, table.select_events(*cut)) for cut in pairwise([0, 1, 18, 75, 200])]
+    detector, cuts = fields[field], pairwise([0, 1, 18, 75, 200])
+    everything = simulated(name, table, detector=detector)
+    parts = [simulated(name, table.select_events(*cut), detector=detector) for cut in cuts]
     for kind in TABLES:
         for column in everything[kind]:
             if column != "truth":

@@ -12,62 +12,11 @@ using namespace cgemit::bindings;
 
 namespace {
 
-py::dict to_columns(Truths&& t) {
-  py::dict d;
-  d["event"] = to_numpy(std::move(t.event));
-  d["particle"] = to_numpy(std::move(t.particle));
-  d["layer"] = to_numpy(std::move(t.layer));
-  d["entry_x"] = to_numpy(std::move(t.entry_x));
-  d["entry_y"] = to_numpy(std::move(t.entry_y));
-  d["entry_z"] = to_numpy(std::move(t.entry_z));
-  d["exit_x"] = to_numpy(std::move(t.exit_x));
-  d["exit_y"] = to_numpy(std::move(t.exit_y));
-  d["exit_z"] = to_numpy(std::move(t.exit_z));
-  d["r"] = to_numpy(std::move(t.r));
-  d["phi"] = to_numpy(std::move(t.phi));
-  d["z"] = to_numpy(std::move(t.z));
-  d["px"] = to_numpy(std::move(t.px));
-  d["py"] = to_numpy(std::move(t.py));
-  d["pz"] = to_numpy(std::move(t.pz));
-  d["path"] = to_numpy(std::move(t.path));
-  d["time"] = to_numpy(std::move(t.time));
-  d["energy"] = to_numpy(std::move(t.energy));
-  d["secondaries"] = to_numpy(std::move(t.secondaries));
-  return d;
-}
-
-py::dict to_columns(Steps&& s) {
-  py::dict d;
-  d["event"] = to_numpy(std::move(s.event));
-  d["particle"] = to_numpy(std::move(s.particle));
-  d["layer"] = to_numpy(std::move(s.layer));
-  d["x"] = to_numpy(std::move(s.x));
-  d["y"] = to_numpy(std::move(s.y));
-  d["z"] = to_numpy(std::move(s.z));
-  d["dx"] = to_numpy(std::move(s.dx));
-  d["dy"] = to_numpy(std::move(s.dy));
-  d["dz"] = to_numpy(std::move(s.dz));
-  d["energy"] = to_numpy(std::move(s.energy));
-  d["n_electrons"] = to_numpy(std::move(s.electrons));
-  d["parent"] = to_numpy(std::move(s.parent));
-  d["delta"] = to_numpy(std::move(s.delta));
-  d["truth"] = to_numpy(std::move(s.truth));
-  return d;
-}
-
-py::dict to_columns(WireTruths&& t) {
-  py::dict d;
-  d["event"] = to_numpy(std::move(t.event));
-  d["particle"] = to_numpy(std::move(t.particle));
-  d["layer"] = to_numpy(std::move(t.layer));
-  d["wire"] = to_numpy(std::move(t.wire));
-  d["doca"] = to_numpy(std::move(t.doca));
-  d["side"] = to_numpy(std::move(t.side));
-  d["x"] = to_numpy(std::move(t.x));
-  d["y"] = to_numpy(std::move(t.y));
-  d["z"] = to_numpy(std::move(t.z));
-  d["time"] = to_numpy(std::move(t.time));
-  return d;
+template <class Table>
+py::dict to_columns(Table&& table) {
+  py::dict columns;
+  table.each_column([&](const char* name, auto& values) { columns[name] = to_numpy(std::move(values)); });
+  return columns;
 }
 
 py::dict run(const Detector& detector, const py::dict& particles, Fluctuations fluctuations, bool deltas,
@@ -80,11 +29,16 @@ py::dict run(const Detector& detector, const py::dict& particles, Fluctuations f
              px = take<double>(particles, "px"), py_ = take<double>(particles, "py"),
              pz = take<double>(particles, "pz");
   const py::ssize_t n = event.size();
-  const ParticleColumns in{column(event, "event", n),   column(particle, "particle", n),
-                           column(charge, "charge", n), column(mass, "mass", n),
-                           column(x, "x", n),           column(y, "y", n),
-                           column(z, "z", n),           column(px, "px", n),
-                           column(py_, "py", n),        column(pz, "pz", n)};
+  const ParticleColumns in{.event = column(event, "event", n),
+                           .particle = column(particle, "particle", n),
+                           .charge = column(charge, "charge", n),
+                           .mass = column(mass, "mass", n),
+                           .x = column(x, "x", n),
+                           .y = column(y, "y", n),
+                           .z = column(z, "z", n),
+                           .px = column(px, "px", n),
+                           .py = column(py_, "py", n),
+                           .pz = column(pz, "pz", n)};
   Simulated out;
   {
     py::gil_scoped_release release;

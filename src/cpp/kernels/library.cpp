@@ -3,7 +3,7 @@
 #include "fit/batch.hpp"
 #include "kernels/function.hpp"
 #include "kernels/kernels.hpp"
-#include "simulate/lane_batch.hpp"
+#include "simulate/batch.hpp"
 
 namespace cgemit {
 

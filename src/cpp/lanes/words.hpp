@@ -16,6 +16,8 @@ using Widest = Pack<4>;
 using Widest = Pack<2>;
 #endif
 
+inline std::int64_t whole(double x) { return static_cast<std::int64_t>(x); }
+
 #if CGEMIT_VECTORS
 
 // A whole number of 2^51 at most as an integer.

@@ -20,12 +20,9 @@ struct FoilLine {
 // they pass some hundred holes get the mean.
 double solid_fraction(const Holes& holes, const FoilLine& line);
 
-// The same for a particle at the slab; 1 for a slab without holes. Where among the holes it crosses a foil is
-// drawn for each particle and foil: nobody knows how a foil lies to a fraction of a millimetre, and so the
-// mean over particles is that of the whole foil wherever they come from.
+// The same for a particle at a slab with holes. Where among the holes it crosses a foil is drawn for each
+// particle and foil: nobody knows how a foil lies to a fraction of a millimetre, and so the mean over
+// particles is that of the whole foil wherever they come from.
 double fraction_beside_holes(const Slab& slab, const HelixPoint& point, const Stream& stream);
-inline double foil_fraction(const Slab& slab, const HelixPoint& point, const Stream& stream) {
-  return slab.holes.pitch == 0 ? 1.0 : fraction_beside_holes(slab, point, stream);
-}
 
 }  // namespace cgemit

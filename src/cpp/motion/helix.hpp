@@ -101,14 +101,14 @@ void advance(HelixPointOf<T>& point, std::type_identity_t<T> arc) {
 
 // Transverse arc ahead to the point farthest from the beam line, where P falls through 0; infinite if
 // straight.
-inline double arc_to_apex(const HelixPoint& point) {
-  if (point.w == 0) return HUGE_VAL;
-  const double bend = std::abs(point.w);
+template <class T>
+T arc_to_apex(const HelixPointOf<T>& point) {
+  const T bend = abs(point.w);
   // P after a turn theta is P cos(theta) + (1/|w| -+ S) sin(theta).
-  const double side = 1.0 / bend - std::copysign(point.sideways(), point.w * point.sideways());
-  double theta = std::atan2(side, point.outward()) + 0.5 * pi;
-  if (theta < 0) theta += 2.0 * pi;
-  return theta / bend;
+  const T side = 1.0 / bend - copysign(point.sideways(), point.w * point.sideways());
+  T theta = atan2(side, point.outward()) + 0.5 * pi;
+  theta = select(theta < 0.0, theta + 2.0 * pi, theta);
+  return select(point.w == 0.0, T(HUGE_VAL), theta / bend);
 }
 
 }  // namespace cgemit

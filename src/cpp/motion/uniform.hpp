@@ -1,5 +1,4 @@
-// Motion in a uniform field, as the simulation and the fit ask for it; see `motion/field_motion.hpp` for the
-// other one.
+// Motion in a uniform field, as the simulation asks for it; see `motion/field_motion.hpp` for the other one.
 #pragma once
 
 #include "detector/detector.hpp"
@@ -8,26 +7,33 @@
 
 namespace cgemit {
 
-class UniformMotion {
+// Each function acts on the lanes `who`; the others stay where they are.
+template <class T>
+class UniformMotionOf {
  public:
+  using Mask = mask_of<T>;
+  using Point = HelixPointOf<T>;
   static constexpr bool keeps_dip = true;
 
-  explicit UniformMotion(const Detector& detector) : bz_(detector.bz) {}
+  explicit UniformMotionOf(const Detector& detector) : bz_(detector.bz) {}
 
-  // Gives a point the curvature of kappa = charge/pT.
-  void bend(HelixPoint& point, double kappa) const { point.w = curvature(bz_, kappa); }
-  double bz(const HelixPoint&) const { return bz_; }
-  bool to_cylinder(HelixPoint& point, double r, double& arc, bool outward = true) const {
-    return step_to_cylinder(point, r, arc, outward);
+  void look(Point&) const {}
+  // Gives points the curvature of kappa = charge/pT.
+  void bend(Point& point, const T& kappa, const Mask& who) const {
+    point.w = select(who, curvature(bz_, kappa), point.w);
   }
-  void to_apex(HelixPoint& point, double& arc) const {
-    arc = arc_to_apex(point);
+  T bz(const Point&) const { return T(bz_); }
+  Mask to_cylinder(Point& point, const T& r, T& arc, bool outward, const Mask& who) const {
+    return step_to_cylinder(point, r, arc, outward, who);
+  }
+  void to_apex(Point& point, T& arc, const Mask& who) const {
+    arc = select(who, arc_to_apex(point), T(0.0));
     advance(point, arc);
   }
-  bool approach(HelixPoint& point, const Wire& wire, Approach& result) const {
-    return approach_wire(point, wire, result);
+  Mask approach(Point& point, const WireOf<T>& wire, ApproachOf<T>& result, const Mask& who) const {
+    return approach_wire(point, wire, result, who);
   }
-  static constexpr bool left() { return false; }
+  static Mask left() { return Mask(false); }
 
  private:
   double bz_;

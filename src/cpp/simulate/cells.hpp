@@ -1,67 +1,147 @@
-// Which drift cells of a layer a track passes.
+// Which drift cells of a layer tracks pass: one track, or one per lane.
 #pragma once
 
-#include <algorithm>
 #include <cmath>
 
-#include "simulate/cells_at_once.hpp"
+#include "detector/wires.hpp"
+#include "motion/helix.hpp"
 
 namespace cgemit {
 
-// Cells from first to last, both included, to be taken modulo the cells of the layer.
-struct CellRange {
-  int first, last;
-  HelixPoint at_wires;  // where the track is at the radius of the wires, or nearest to it
-  double arc;           // mm, transverse path to there
+inline constexpr int most_cells = 64;  // a particle that runs along a layer fires no more
+inline constexpr int many_cells = 1 << 20;
+inline double nearest_cell(double c) { return static_cast<int>(c + (many_cells + 0.5)) - many_cells; }
+template <class T>
+T nearest_cell(const T& c) {
+  return nearest(c);
+}
+
+// Radial borders of a layer's cells, midway to the neighbouring layers at the track's z.
+template <class T>
+struct CellBorders {
+  T inner, outer;
+
+  CellBorders(const std::vector<WireLayer>& wires, std::size_t index, const T& z) {
+    const T here = wire_radius(wires[index], z);
+    const T below = index > 0 ? wire_radius(wires[index - 1], z) : T(-HUGE_VAL);
+    const T above = index + 1 < wires.size() ? wire_radius(wires[index + 1], z) : T(HUGE_VAL);
+    T half_in = 0.5 * (here - below), half_out = 0.5 * (above - here);
+    if (index == 0) half_in = smaller(half_out, pi * here / wires[index].cells);
+    if (index + 1 == wires.size()) half_out = smaller(half_in, pi * here / wires[index].cells);
+    inner = here - half_in;
+    outer = here + half_out;
+  }
 };
 
-// For one track, asked layer by layer on its way out. `Motion`: in the field that it flies through.
-template <class Motion>
+// Cells from first to last, both included, to be taken modulo the cells of the layer.
+template <class T, class Point>
+struct CellRange {
+  T first{0.0}, last{0.0};
+  Point at_wires;  // where the track is at the radius of the wires, or nearest to it
+  T arc{0.0};      // mm, transverse path to there
+};
+
+// Asked layer by layer on the way out. `Motion`: in the field that the tracks fly through.
+template <class T, class Motion>
 class CellFinder {
  public:
+  using Mask = mask_of<T>;
+  using Point = typename Motion::Point;
+
   CellFinder(const Detector& detector, Motion& motion) : wires_(detector.wires), motion_(motion) {}
 
-  // Every cell between the radial borders, which lie midway to the neighbouring layers at the track's z.
-  // False if the track turns back below them.
-  bool find(std::size_t index, const HelixPoint& from, CellRange& range) {
+  // Every cell between the radial borders, for those tracks `who` that do not turn back below them.
+  Mask find(std::size_t index, const Point& from, const Mask& who, CellRange<T, Point>& range) {
     const WireLayer& layer = wires_[index];
     range.at_wires = from;
-    const bool reached = motion_.to_cylinder(range.at_wires, wire_radius(layer, from.z), range.arc);
-    if (motion_.left()) return false;
-    if (!reached) motion_.to_apex(range.at_wires, range.arc);
-    const CellBorders<double> borders(wires_, index, range.at_wires.z);
-    return (reached && at_once_.find(layer, borders, range.at_wires, true, range.first, range.last)) ||
-           step_by_step(layer, from, borders.inner, borders.outer, range);
+    const Mask reached =
+        motion_.to_cylinder(range.at_wires, wire_radius(layer, from.z), range.arc, true, who);
+    left_ = who & motion_.left();
+    if (const Mask turns = who & !reached & !left_; any(turns)) {
+      T arc(0.0);
+      motion_.to_apex(range.at_wires, arc, turns);
+      range.arc = select(turns, arc, range.arc);
+    }
+    const CellBorders<T> borders(wires_, index, range.at_wires.z);
+    const Mask found = any(reached) ? by_slope(layer, borders, reached, range) : reached;
+    const Mask others = who & !found & !left_;
+    return any(others) ? found | step_by_step(layer, from, borders, others, range) : found;
   }
+  // Which of the tracks came to the edge of the field map instead.
+  const Mask& left() const { return left_; }
 
  private:
-  bool step_by_step(const WireLayer& layer, const HelixPoint& start, double inner, double outer,
-                    CellRange& range) const {
-    double arc = 0;
-    HelixPoint from = start, to = range.at_wires;
-    if (!motion_.to_cylinder(from, inner, arc)) return false;
-    if (!motion_.to_cylinder(to, outer, arc)) {
-      const double ahead = arc_to_apex(to);
-      if (ahead * std::abs(to.w) < pi) advance(to, ahead);
+  // From the slope at the wires; false where the bend of the track could make a difference.
+  Mask by_slope(const WireLayer& layer, const CellBorders<T>& borders, const Mask& who,
+                CellRange<T, Point>& range) {
+    const HelixPointOf<T>& middle = range.at_wires;
+    const T p = middle.outward(), radius = middle.radius(), per_p = 1.0 / p, per_radius = 1.0 / radius;
+    const T tan_a = middle.sideways() * per_p, per_cos = radius * per_p;
+    const T twist_tanl = layer.twist_per_z * middle.tanl;
+    const T at = cell_coordinate(layer, azimuth_of(middle, who), middle.z);
+    const T slope = (tan_a * per_radius - twist_tanl * per_cos) * layer.per_radian;
+    const T height = larger(radius - borders.inner, borders.outer - radius), w = abs(middle.w);
+    const T bend = (w + 2.0 * abs(tan_a) * per_radius) * per_cos * per_cos * per_cos * per_radius +
+                   abs(twist_tanl) * (w * per_cos + std::abs(layer.twist_per_z)) * per_cos;
+    const T unsure = 1e-9 + bend * height * height * layer.per_radian;
+    const T one = at + (borders.inner - radius) * slope, other = at + (borders.outer - radius) * slope;
+    const T low = smaller(one, other), high = larger(one, other);
+    const Mask few = who & (p > 0.0) & (abs(low) < many_cells) & (high - low < most_cells);
+    if (!any(few)) return few;
+    range.first = nearest_cell(low);
+    range.last = nearest_cell(high);
+    return few & (0.5 - abs(low - range.first) > unsure) & (0.5 - abs(high - range.last) > unsure);
+  }
+
+  // Counted on from the last point that was asked for: between wire layers the turn is small.
+  T azimuth_of(const HelixPointOf<T>& at, const Mask& who) {
+    const T cross = last_x_ * at.y - last_y_ * at.x, dot = last_x_ * at.x + last_y_ * at.y;
+    const Mask ahead = (dot > 0.0) & (abs(cross) < dot);
+    const auto counted = [&] {
+      const T turn = cross / dot;
+      return azimuth_ + turn * atan_over(turn);
+    };
+    azimuth_ = select(who, choose(ahead | !who, counted, [&] { return atan2(at.y, at.x); }), azimuth_);
+    last_x_ = select(who, at.x, last_x_);
+    last_y_ = select(who, at.y, last_y_);
+    return azimuth_;
+  }
+
+  // From one border to the other.
+  [[gnu::noinline]] Mask step_by_step(const WireLayer& layer, const Point& start,
+                                      const CellBorders<T>& borders, const Mask& who,
+                                      CellRange<T, Point>& range) {
+    T arc(0.0);
+    Point from = start, to = range.at_wires;
+    const Mask enters = motion_.to_cylinder(from, borders.inner, arc, true, who);
+    left_ = left_ | (who & motion_.left());
+    if (!any(enters)) return enters;
+    const Mask leaves = motion_.to_cylinder(to, borders.outer, arc, true, enters);
+    if (const Mask stays = enters & !leaves; any(stays)) {
+      const T ahead = arc_to_apex(to);
+      advance(to, select(stays & (ahead * abs(to.w) < pi), ahead, T(0.0)));
     }
-    const double first = cell_coordinate(layer, std::atan2(from.y, from.x), from.z);
-    const double last = first + cells_between(layer, from, to);
-    range.first = nearest_cell(std::min(first, last));
-    range.last = std::min(nearest_cell(std::max(first, last)), range.first + most_cells);
-    return true;
+    const T first = cell_coordinate(layer, atan2(from.y, from.x), from.z);
+    const T last = first + cells_between(layer, from, to);
+    const T low = nearest_cell(smaller(first, last)), high = nearest_cell(larger(first, last));
+    range.first = select(enters, low, range.first);
+    range.last = select(enters, smaller(high, low + most_cells), range.last);
+    return enters;
   }
 
   // Cells that the azimuth relative to the wires passes from one point to another.
-  static double cells_between(const WireLayer& layer, const HelixPoint& a, const HelixPoint& b) {
-    const double cross = a.x * b.y - a.y * b.x, dot = a.x * b.x + a.y * b.y;
-    const double turn = dot > 0 ? cross / dot * atan_over(cross / dot) : std::atan2(cross, dot);
-    const double twist = wire_azimuth(layer, b.z) - wire_azimuth(layer, a.z);
+  static T cells_between(const WireLayer& layer, const HelixPointOf<T>& a, const HelixPointOf<T>& b) {
+    const T cross = a.x * b.y - a.y * b.x, dot = a.x * b.x + a.y * b.y, ratio = cross / dot;
+    const T turn =
+        choose(dot > 0.0, [&] { return ratio * atan_over(ratio); }, [&] { return atan2(cross, dot); });
+    const T twist = wire_azimuth(layer, b.z) - wire_azimuth(layer, a.z);
     return (turn - twist) * layer.per_radian;
   }
 
   const std::vector<WireLayer>& wires_;
   Motion& motion_;
-  CellsAtOnce<double> at_once_;
+  Mask left_{false};
+  T last_x_{0.0}, last_y_{0.0}, azimuth_{0.0};
 };
 
 }  // namespace cgemit

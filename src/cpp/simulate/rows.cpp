@@ -5,17 +5,6 @@
 
 namespace cgemit {
 
-void Truths::reserve(std::size_t n) {
-  for (auto* column : {&entry_x, &entry_y, &entry_z, &exit_x, &exit_y, &exit_z, &r, &phi, &z, &px, &py, &pz,
-                       &path, &time, &energy}) {
-    column->reserve(n);
-  }
-  event.reserve(n);
-  particle.reserve(n);
-  layer.reserve(n);
-  secondaries.reserve(n);
-}
-
 void Truths::append(const ParticleNumber& who, const GapRow& row) {
   event.push_back(who.event);
   particle.push_back(who.particle);
@@ -39,13 +28,6 @@ void Truths::append(const ParticleNumber& who, const GapRow& row) {
   secondaries.push_back(static_cast<std::uint8_t>(std::min(row.left.deltas, 255)));
 }
 
-void Steps::reserve(std::size_t n) {
-  for (auto* column : {&x, &y, &z, &dx, &dy, &dz, &energy}) column->reserve(n);
-  for (auto* column : {&particle, &layer, &electrons, &delta}) column->reserve(n);
-  for (auto* column : {&event, &truth}) column->reserve(n);
-  parent.reserve(n);
-}
-
 void Steps::append(const ParticleNumber& who, std::int32_t in_layer, const Deposit& deposit,
                    std::int64_t in_truth) {
   event.push_back(who.event);
@@ -62,20 +44,6 @@ void Steps::append(const ParticleNumber& who, std::int32_t in_layer, const Depos
   parent.push_back(deposit.delta > 0 ? 1 : 0);
   delta.push_back(deposit.delta);
   truth.push_back(in_truth);
-}
-
-void WireTruths::reserve(std::size_t n) {
-  for (auto* column : {&doca, &x, &y, &z, &time}) column->reserve(n);
-  for (auto* column : {&particle, &layer, &wire}) column->reserve(n);
-  event.reserve(n);
-  side.reserve(n);
-}
-
-void WireTruths::resize(std::size_t n) {
-  for (auto* column : {&doca, &x, &y, &z, &time}) column->resize(n);
-  for (auto* column : {&particle, &layer, &wire}) column->resize(n);
-  event.resize(n);
-  side.resize(n);
 }
 
 }  // namespace cgemit

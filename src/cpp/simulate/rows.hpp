@@ -1,4 +1,5 @@
-// The tables that the simulation writes, one vector a column.
+// The tables that the simulation writes, one vector a column. `each_column` calls a function with the name
+// and the values of every column.
 #pragma once
 
 #include <cstdint>
@@ -33,8 +34,15 @@ struct Truths {
   std::vector<double> path, time, energy;                                 // mm, ns, keV
   std::vector<std::uint8_t> secondaries;
 
-  void reserve(std::size_t n);
   void append(const ParticleNumber& who, const GapRow& row);
+  template <class F>
+  void each_column(F&& f) {
+    f("event", event), f("particle", particle), f("layer", layer);
+    f("entry_x", entry_x), f("entry_y", entry_y), f("entry_z", entry_z);
+    f("exit_x", exit_x), f("exit_y", exit_y), f("exit_z", exit_z);
+    f("r", r), f("phi", phi), f("z", z), f("px", px), f("py", py), f("pz", pz);
+    f("path", path), f("time", time), f("energy", energy), f("secondaries", secondaries);
+  }
 };
 
 // One row per deposit in a drift gap: a piece of a delta electron's way, or an ionization cluster.
@@ -48,9 +56,14 @@ struct Steps {
   std::vector<std::int32_t> delta;  // number of the delta electron in the crossing, from 1
   std::vector<std::int64_t> truth;  // row of the crossing
 
-  void reserve(std::size_t n);
   void append(const ParticleNumber& who, std::int32_t in_layer, const Deposit& deposit,
               std::int64_t in_truth);
+  template <class F>
+  void each_column(F&& f) {
+    f("event", event), f("particle", particle), f("layer", layer);
+    f("x", x), f("y", y), f("z", z), f("dx", dx), f("dy", dy), f("dz", dz), f("energy", energy);
+    f("n_electrons", electrons), f("parent", parent), f("delta", delta), f("truth", truth);
+  }
 };
 
 // One row per drift cell that a particle passes.
@@ -61,8 +74,20 @@ struct WireTruths {
   std::vector<std::int8_t> side;
   std::vector<double> x, y, z, time;  // closest point on the track
 
-  void reserve(std::size_t n);
-  void resize(std::size_t n);
+  template <class F>
+  void each_column(F&& f) {
+    f("event", event), f("particle", particle), f("layer", layer), f("wire", wire), f("doca", doca);
+    f("side", side), f("x", x), f("y", y), f("z", z), f("time", time);
+  }
 };
+
+template <class Table>
+void reserve_rows(Table& table, std::size_t n) {
+  table.each_column([n](const char*, auto& column) { column.reserve(n); });
+}
+template <class Table>
+void resize_rows(Table& table, std::size_t n) {
+  table.each_column([n](const char*, auto& column) { column.resize(n); });
+}
 
 }  // namespace cgemit

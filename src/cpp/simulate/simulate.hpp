@@ -40,11 +40,4 @@ struct Simulated {
 void simulate(const Detector& detector, const ParticleColumns& particles, const SimulateSettings& settings,
               std::uint64_t seed, Simulated& out);
 
-// One of them; the status is returned.
-TransportStatus simulate_one(const Detector& detector, const ParticleColumns& particles, std::size_t row,
-                             const SimulateSettings& settings, std::uint64_t seed, Simulated& out);
-
-// Room for so many particles.
-void reserve(const Detector& detector, const SimulateSettings& settings, std::size_t n, Simulated& out);
-
 }  // namespace cgemit

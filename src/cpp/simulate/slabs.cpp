@@ -2,18 +2,11 @@
 
 #include <cmath>
 
-#include "matter/loss.hpp"
-#include "matter/radiation.hpp"
-#include "matter/scattering.hpp"
+#include "simulate/slab_draws.hpp"
 
 namespace cgemit {
 
 namespace {
-
-double lose(const Slab& slab, double path, const Kinematics& now, const Stream& stream, std::uint32_t place) {
-  const double loss = sample_loss(slab, path, now, stream, place);
-  return now.is_light() ? loss + sample_radiation(now.energy, slab.x0 * path, stream, place) : loss;
-}
 
 // Moves to a plane across x.
 void drift(HelixPoint& point, double x) {
@@ -30,7 +23,7 @@ TransportStatus pass(const Detector& detector, Kinematics now, const Stream& str
     drift(point, slab.radius);
     const double path = std::min(std::sqrt(1 + point.tanl * point.tanl) / point.ux, 100.0);
     const auto place = static_cast<std::uint32_t>(i);
-    const double loss = lose(slab, path, now, stream, place);
+    const double loss = draw_loss(slab, path, now, stream, place).loss;
     if (now.kinetic() - loss < least_kinetic) {
       energy_left = 0;
       return TransportStatus::stopped;

@@ -1,13 +1,12 @@
-// What W particles side by side leave on their way, kept until it is written particle by particle.
+// What particles side by side leave on their way, kept until it is written particle by particle.
 #pragma once
 
 #include <array>
-#include <bit>
 #include <vector>
 
 #include "matter/kinematics.hpp"
 #include "motion/helix.hpp"
-#include "simulate/simulate.hpp"
+#include "simulate/rows.hpp"
 
 namespace cgemit {
 
@@ -22,25 +21,27 @@ HelixPointOf<T> select(const mask_of<T>& m, const HelixPointOf<T>& a, const Heli
           select(m, a.uy, b.uy), select(m, a.tanl, b.tanl), select(m, a.w, b.w)};
 }
 
+inline const Kinematics& lane(const Kinematics& k, int) { return k; }
 template <class T>
-Kinematics lane(const KinematicsOf<T>& k, int i) {
+Kinematics lane(const KinematicsOf<T>& k, int i) {  // of heavy particles
   return {lane(k.p, i), lane(k.mass, i),
           lane(k.has_spin, i) > 0 ? Projectile::spin_half : Projectile::spinless};
 }
 
-// Drift gaps that the particles cross; which of them leave something there.
+// Crossings of one drift gap, and which of the particles leave something there.
 template <class T>
-struct GapLanes {
+struct GapRecord {
   const Slab* slab;
   mask_of<T> filled;
   HelixPointOf<T> entry, middle, exit;
   KinematicsOf<T> inside;
   T path, time, deposit;  // mm, ns, GeV
+  T bz;                   // T, at the entry
 };
 
 // A cell of each particle in one layer of wires.
 template <class T>
-struct CellLanes {
+struct CellRecord {
   const WireLayer* layer;
   mask_of<T> fired;
   std::array<std::int64_t, lanes_of<T>> wire;
@@ -49,11 +50,12 @@ struct CellLanes {
 
 // Appends the cells of one lane.
 template <class T>
-void append_cells(const std::vector<CellLanes<T>>& cells, int i, const ParticleNumber& who, WireTruths& out) {
+void append_cells(const std::vector<CellRecord<T>>& cells, int i, const ParticleNumber& who,
+                  WireTruths& out) {
   std::size_t row = out.event.size(), end = row;
-  for (const CellLanes<T>& c : cells) end += lane(c.fired, i);
-  out.resize(end);
-  for (const CellLanes<T>& c : cells) {
+  for (const CellRecord<T>& c : cells) end += lane(c.fired, i);
+  resize_rows(out, end);
+  for (const CellRecord<T>& c : cells) {
     if (!lane(c.fired, i)) continue;
     const double doca = lane(c.doca, i);
     out.event[row] = who.event;

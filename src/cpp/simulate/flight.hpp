@@ -1,0 +1,286 @@
+// Charged particles through the detector: from the vertex outward through matter, drift gaps and drift cells.
+#pragma once
+
+#include <algorithm>
+#include <array>
+#include <bit>
+#include <cmath>
+#include <vector>
+
+#include "simulate/cells.hpp"
+#include "simulate/records.hpp"
+#include "simulate/slab_draws.hpp"
+
+namespace cgemit {
+
+inline constexpr std::uint32_t inward_leg = 1U << 19;  // above any number of a particle
+
+inline Stream stream_of(const ParticleColumns& in, std::size_t row, std::uint64_t seed,
+                        std::uint32_t leg = 0) {
+  return {seed, static_cast<std::uint64_t>(in.event[row]),
+          static_cast<std::uint32_t>(in.particle[row]) | leg};
+}
+
+// One particle, or W of them side by side, one per SIMD lane: with masks, a lane gets what its particle would
+// get alone. `Motion`: in the field that they fly through. Electrons and positrons fly alone.
+// The hot functions are flattened: numbers should stay in registers.
+template <class T, class Motion>
+class Flight {
+ public:
+  static constexpr int width = lanes_of<T>;
+  using Mask = mask_of<T>;
+  using Point = typename Motion::Point;
+  using Rows = std::array<std::size_t, static_cast<std::size_t>(width)>;
+
+  // `rows`: the particles; lanes outside of `used` stay empty.
+  Flight(const Detector& detector, const SimulateSettings& settings, const ParticleColumns& in,
+         std::uint64_t seed, const Rows& rows, const Mask& used, std::vector<GapRecord<T>>& gaps,
+         std::vector<CellRecord<T>>& cells)
+      : detector_(detector),
+        settings_(settings),
+        in_(in),
+        seed_(seed),
+        rows_(rows),
+        motion_(detector),
+        stream_(streams(0)),
+        charge_(column([&](std::size_t row) { return double(in.charge[row]); })),
+        now_(kinematics()),
+        cell_finder_(detector, motion_),
+        flying_(used),
+        gaps_(gaps),
+        cells_(cells) {
+    const auto of = [this](std::span<const double> values) {
+      return column([values](std::size_t row) { return values[row]; });
+    };
+    const T pt = column([&](std::size_t row) { return std::hypot(in.px[row], in.py[row]); });
+    helix() = {of(in.x), of(in.y), of(in.z), of(in.px) / pt, of(in.py) / pt, of(in.pz) / pt, T(0.0)};
+    motion_.look(point_);
+    if (settings.fluctuations != Fluctuations::full) track_ = total_matter(detector, point_.tanl);
+    motion_.bend(point_, charge_ / pt, used);
+    follow_dip(Mask(true));
+    const T radius = point_.radius();
+    ahead_ = gathered<T>([&](int i) { return first_ahead(lane(radius, i)); });
+  }
+
+  void run() {
+    fly_in();
+    for (std::size_t i = 0; i < detector_.places.size() && any(flying_); ++i) {
+      const Place& surface = detector_.places[i];
+      const Mask passes = flying_ & (ahead_ <= static_cast<double>(i));
+      if (!any(passes)) continue;
+      const auto index = static_cast<std::size_t>(surface.index);
+      if (!surface.is_slab) {
+        pass_cells(index, passes);
+      } else if (const Mask meets = passes & !curled_; any(meets)) {
+        const Slab& slab = detector_.slabs[index];
+        slab.gap >= 0 ? cross_gap(slab, meets) : cross(slab, reach(slab.radius, meets));
+      }
+    }
+  }
+
+  TransportStatus status(int i) const {
+    if (lane(stopped_, i)) return TransportStatus::stopped;
+    if (lane(ended_, i)) return TransportStatus::end;
+    if (lane(left_, i)) return TransportStatus::left_field;
+    return lane(curled_, i) ? TransportStatus::curled : TransportStatus::outside;
+  }
+
+ private:
+  HelixPointOf<T>& helix() { return point_; }
+
+  template <class F>
+  T column(F&& f) const {
+    return gathered<T>([&](int i) { return f(rows_[static_cast<std::size_t>(i)]); });
+  }
+
+  // Index of the first surface beyond a radius.
+  double first_ahead(double radius) const {
+    const auto& surfaces = detector_.places;
+    return static_cast<double>(std::ranges::upper_bound(surfaces, radius, {}, &Place::radius) -
+                               surfaces.begin());
+  }
+
+  StreamOf<T> streams(std::uint32_t leg) const {
+    if constexpr (width == 1) {
+      return stream_of(in_, rows_[0], seed_, leg);
+    } else {
+      return [&]<std::size_t... i>(std::index_sequence<i...>) {
+        return StreamOf<T>({stream_of(in_, rows_[i], seed_, leg)...});
+      }(std::make_index_sequence<std::size_t{width}>());
+    }
+  }
+
+  KinematicsOf<T> kinematics() const {
+    const auto kind = [this](std::size_t row) { return projectile_of(in_.mass[row], in_.charge[row]); };
+    KinematicsOf<T> k(
+        column([&](std::size_t row) { return std::hypot(in_.px[row], in_.py[row], in_.pz[row]); }),
+        column([&](std::size_t row) { return in_.mass[row]; }), kind(rows_[0]));
+    k.has_spin = column([&](std::size_t row) { return kind(row) == Projectile::spin_half ? 1.0 : 0.0; });
+    return k;
+  }
+
+  // Those that begin on their way in meet matter there, before all else. A slab that is crossed on the way in
+  // and again on the way out acts anew.
+  void fly_in() {
+    Mask inward = flying_ & (ahead_ > 0.0) & (point_.outward() < 0.0);
+    if (!any(inward)) return;
+    stream_ = streams(inward_leg);
+    for (std::size_t i = detector_.places.size(); i-- > 0 && any(inward);) {
+      const Mask next = inward & (ahead_ == static_cast<double>(i + 1));
+      if (!any(next)) continue;
+      const Place& surface = detector_.places[i];
+      const Mask arrived = motion_.to_cylinder(point_, surface.radius, arc_, false, next);
+      stop_at_edge(next & motion_.left());
+      arrive(arrived);
+      ahead_ = select(arrived, T(static_cast<double>(i)), ahead_);
+      if (surface.is_slab) cross(detector_.slabs[static_cast<std::size_t>(surface.index)], arrived);
+      inward = inward & flying_ & (arrived | !next) & (point_.outward() < 0.0);
+    }
+    stream_ = streams(0);
+  }
+
+  // Those that get there.
+  Mask reach(double radius, const Mask& who) {
+    const Mask arrived = motion_.to_cylinder(point_, radius, arc_, true, who);
+    const Mask left = who & motion_.left();
+    stop_at_edge(left);
+    curled_ = curled_ | (who & !arrived & !left);
+    arrive(arrived);
+    return arrived;
+  }
+
+  void stop_at_edge(const Mask& left) {
+    left_ = left_ | left;
+    flying_ = flying_ & !left;
+  }
+
+  T flight_time(const T& arc) const { return arc * stretch_ * now_.per_beta * (1 / speed_of_light); }
+
+  void arrive(const Mask& arrived) {
+    time_ += select(arrived, flight_time(arc_), T(0.0));
+    if constexpr (!Motion::keeps_dip) follow_dip(arrived);
+  }
+
+  void follow_dip(const Mask& who) {
+    stretch_ = select(who, sqrt(1.0 + point_.tanl * point_.tanl), stretch_);
+  }
+
+  // Scatters and slows down at the slab's centroid, where the points are.
+  [[gnu::flatten]] void cross(const Slab& slab, const Mask& arrived) {
+    Mask within = arrived & (abs(point_.z) <= slab.half_length);
+    deposit_ = T(0.0);  // stays 0 beyond the ends
+    if (slab.ends) {
+      ended_ = ended_ | (arrived & !within);
+      flying_ = flying_ & !ended_;
+    }
+    if (!any(within)) return;
+    const T whole =
+        path_factor(slab, stretch_, abs(point_.outward())) * foil_fraction(slab, point_, stream_, within);
+    within = within & (whole != 0.0);
+    if (!any(within)) return;
+    // The others see next to nothing, which costs nothing.
+    const T path = select(within, whole, T(1e-6));
+    const LossDraw<T> drawn = lose(slab, path);
+    deposit_ = select(within, drawn.deposit, T(0.0));
+    const Mask stops = within & (now_.kinetic() - drawn.loss < least_kinetic);
+    stopped_ = stopped_ | stops;
+    flying_ = flying_ & !stops;
+    const Mask acts = within & !stops;
+    if (!any(acts)) return;
+    const KinematicsOf<T> after = now_.after_loss(select(acts, drawn.loss, T(0.0)));
+    HelixPointOf<T> there = point_;
+    scatter(slab, path, after, there);
+    now_ = select(acts, after, now_);
+    helix() = select(acts, there, helix());
+    follow_dip(acts);
+    motion_.bend(point_, charge_ * stretch_ * now_.per_p, acts);
+  }
+
+  LossDraw<T> lose(const Slab& slab, const T& path) const {
+    if (settings_.fluctuations == Fluctuations::full) return draw_loss(slab, path, now_, stream_, slab.place);
+    return draw_core_loss(core_loss(slab, path, now_, track_),
+                          settings_.fluctuations == Fluctuations::gaussian, stream_, slab.place);
+  }
+
+  void scatter(const Slab& slab, const T& path, const KinematicsOf<T>& after, HelixPointOf<T>& there) const {
+    if (settings_.fluctuations == Fluctuations::full) {
+      apply_kick(there, sample_scattering(slab, path, now_, after, stream_, slab.place));
+    } else if (settings_.fluctuations == Fluctuations::gaussian) {
+      const T sigma = sqrt(scattering_variance(slab, path, now_, after, track_));
+      apply_kick(there, draw_core_kick(slab, path, sigma, stream_, slab.place));
+    }
+  }
+
+  // A drift gap: entry, middle and exit lie on one track, then the gas acts in the middle.
+  void cross_gap(const Slab& slab, const Mask& who) {
+    const CgemLayer& layer = detector_.cgem[static_cast<std::size_t>(slab.gap)];
+    Point entry = point_;
+    T arc(0.0), rest(0.0);
+    const Mask met = motion_.to_cylinder(entry, layer.r_gap_in, arc, true, who);
+    const Mask enters = met & (arc >= 0.0);
+    const Mask arrived = reach(slab.radius, who);
+    if (!any(arrived)) return;
+    Point exit = point_;
+    const Mask leaves = motion_.to_cylinder(exit, layer.r_gap_out, rest, true, arrived);
+    const T path = (arc_ - arc + rest) * stretch_;
+    gaps_.push_back({&slab, Mask(false), entry, point_, exit, now_, path, time_, T(0.0), motion_.bz(entry)});
+    cross(slab, arrived);
+    gaps_.back().deposit = deposit_;
+    gaps_.back().filled = arrived & enters & leaves & (deposit_ > 0.0);
+  }
+
+  // A track that curls back below a slab may still pass by the next wires, until it turns back below those.
+  [[gnu::flatten]] void pass_cells(std::size_t index, const Mask& who) {
+    CellRange<T, Point> range;
+    const Mask found = cell_finder_.find(index, point_, who, range);
+    stop_at_edge(cell_finder_.left());
+    flying_ = flying_ & !(who & !found & curled_);
+    for (Mask left = found; any(left); left = left & (range.first <= range.last)) {
+      record_cell(detector_.wires[index], left, range);
+      range.first += T(1.0);
+    }
+  }
+
+  void record_cell(const WireLayer& layer, const Mask& who, const CellRange<T, Point>& range) {
+    const T cells(layer.cells), number = select(who, range.first, T(0.0));
+    T cell = number - cells * nearest(number / cells);
+    cell = select(cell < 0.0, cell + cells, cell);
+    const auto wire = std::bit_cast<std::array<std::int64_t, static_cast<std::size_t>(width)>>(whole(cell));
+    const auto placed = [&](double Wire::* value) {
+      return gathered<T>([&](int i) {
+        return layer.placed[static_cast<std::size_t>(wire[static_cast<std::size_t>(i)])].*value;
+      });
+    };
+    const WireOf<T> wires{placed(&Wire::x), placed(&Wire::y), placed(&Wire::ex), placed(&Wire::ey),
+                          placed(&Wire::ez)};
+    Point closest = range.at_wires;
+    ApproachOf<T> approach;
+    const Mask settled = motion_.approach(closest, wires, approach, who);
+    const T time = time_ + flight_time(approach.arc + range.arc);
+    // Neither behind the vertex nor beyond the ends of the wires.
+    const Mask fired = settled & (time >= 0.0) & (abs(approach.z_wire) <= layer.half_length);
+    if (!any(fired)) return;
+    cells_.push_back({&layer, fired, wire, approach.doca, closest.x, closest.y, closest.z, time});
+  }
+
+  const Detector& detector_;
+  const SimulateSettings& settings_;
+  const ParticleColumns& in_;
+  std::uint64_t seed_;
+  Rows rows_;
+  Motion motion_;
+  StreamOf<T> stream_;
+  T charge_, time_{0.0}, arc_{0.0}, deposit_{0.0};
+  Point point_;
+  T stretch_{1.0};  // path per transverse arc
+  T ahead_;         // index of the first surface ahead
+  KinematicsOf<T> now_;
+  TrackMatterOf<T> track_;
+  CellFinder<T, Motion> cell_finder_;
+  Mask flying_, stopped_{false}, ended_{false}, left_{false};
+  Mask curled_{false};  // past the outermost point: no cylinder lies ahead
+  std::vector<GapRecord<T>>& gaps_;
+  std::vector<CellRecord<T>>& cells_;
+};
+
+}  // namespace cgemit
