@@ -81,4 +81,4 @@ def choose() -> None:
 
 
 def _library(isa: str) -> Path:
-    return Path(__file__).with_name(f"_kernels_{isa}.so")
+    return Path(_core.__file__).with_name(f"_kernels_{isa}.so")
