@@ -212,9 +212,9 @@ def _label_problems(
     clusters: Table, wire_hits: Table, of_cluster: Column, of_wire: Column, hypothesis: object
 ) -> list[str]:
     problems = [
-        f"{name}: got shape {label.shape}, {label.dtype}; expected ({len(table)},), whole numbers"
+        f"{name}: got shape {label.shape}, {label.dtype}; expected ({len(table)},), whole numbers below 2**31"
         for name, label, table in (("cluster_label", of_cluster, clusters), ("wire_label", of_wire, wire_hits))
-        if label.shape != (len(table),) or (label.size and label.dtype.kind not in "iub")
+        if label.shape != (len(table),) or (label.size and (label.dtype.kind not in "iub" or label.max() >= 2**31))
     ]
     if not np.array_equal(clusters.events, wire_hits.events):
         problems.append("wire_hits: cover other events than the clusters; expected the same")

@@ -77,7 +77,12 @@ def fit_hits(
     _raise(problems)
     columns = _cluster_columns(detector, given["clusters"], problems), _wire_columns(detector, given["wire_hits"])
     _raise(problems)
-    _core.check_hits(compiled(detector), _measurements(*columns))
+    problems += _error_problems(given["clusters"])
+    try:
+        _core.check_hits(compiled(detector), _measurements(*columns))
+    except ValueError as error:
+        problems += [line.strip() for line in str(error).splitlines()[1:]]
+    _raise(problems)
     events = np.unique(np.concatenate([part["event"] for part in columns]))
     hits = _table("clusters", columns[0], events), _table("wire_hits", columns[1], events)
     if callable(candidates):
@@ -86,9 +91,19 @@ def fit_hits(
         found = check_found(candidates, "given", events)
     else:
         labels = [part["candidate"] if "candidate" in part else np.zeros(len(part), np.int64) for part in hits]
-        found = label_candidates(*hits, labels[0], labels[1], hypothesis)
+        found = check_found(label_candidates(*hits, labels[0], labels[1], hypothesis), "given", events)
     fitted = fit(detector, *hits, found["candidates"], found["candidate_hits"], settings)
     return {"clusters": hits[0], "wire_hits": hits[1], **found, **fitted}
+
+
+def _error_problems(clusters: Columns) -> list[str]:
+    """Say which errors of phi and z are not above 0: only their squares reach the fit."""
+    return [
+        f"clusters row {row}: {name}: got {clusters[name][row]:g}, expected a number above 0"
+        for name in ("err_phi", "err_z")
+        if name in clusters
+        for row in np.flatnonzero(clusters[name] <= 0)
+    ]
 
 
 def _raise(problems: list[str]) -> None:
