@@ -161,11 +161,10 @@ def _cluster_columns(detector: Detector, given: Columns, problems: list[str]) ->
         return columns
     nan = np.full(n, np.nan)
     names = ("x", "v", "phi", "z", "err_x", "err_v", "err_phi", "err_z")
-    for name in names:
+    for name in (*names, "r"):
         columns[name] = np.asarray(given.get(name, nan), np.float64).copy()
     columns["cov_xv"] = np.asarray(given.get("cov_xv", np.zeros(n)), np.float64).copy()
     columns["sheet"] = _sheets(detector, columns, "sheet" in has, problems)
-    columns["r"] = nan.copy()
     for name, value in (("first", -1), ("last", -1), ("size", 0)):
         columns[name] = given.get(name, np.full(n, value)).copy()
     errors = cluster_errors(detector, ClusterSettings()) if "first" in has else None
@@ -235,10 +234,9 @@ def _fill_points(layer: Any, mine: Columns, start: Column, point: Column) -> Non
     mine["v"] = np.where(by_z, local_v(layer, mine["x"], mine["z"]), mine["v"])
     mine["phi"] = np.where(point & np.isnan(mine["phi"]), _wrapped(start + mine["x"] / r), mine["phi"])
     mine["z"] = np.where(point & np.isnan(mine["z"]), crossing_z(layer, mine["x"], mine["v"]), mine["z"])
-    covariance = mine.get("cov", np.zeros((len(x), 2, 2)))
     phi2, z2, both = mine["err_phi"] ** 2, mine["err_z"] ** 2, mine.get("cov_phi_z", np.zeros(len(x)))
     if "cov" in mine:
-        phi2, z2, both = covariance[:, 0, 0], covariance[:, 1, 1], covariance[:, 0, 1]
+        phi2, z2, both = (mine["cov"][:, i, j] for i, j in ((0, 0), (1, 1), (0, 1)))
     # X = r (phi - start), V = X cos + (z_ref - z) sin.
     from_phi = point & np.isnan(mine["err_x"]) & np.isnan(mine["err_v"])
     with np.errstate(invalid="ignore"):

@@ -213,7 +213,7 @@ def test_tracks_that_have_not_settled_have_no_states():
 
 def test_rows_without_a_state_say_why():
     """Tracks that were not fitted, turn before the radius, or start beyond it, keep their rows."""
-    guns = Gun("mu-", p=1.0, cos_theta=0.0) + Gun("mu-", pt=0.09, cos_theta=0.0) + Gun("gamma", p=1.0, cos_theta=0.0)
+    guns = Gun("mu-", p=1.0, cos_theta=0.0) + Gun("mu-", pt=0.09, cos_theta=0.0) + Gun("pi+", pt=0.02, cos_theta=0.0)
     result, states = states_of(("origin", 10.0, 800.0, "hits"), guns, n=3)
     status = states["status"]
     assert np.all(result.tracks["status"].reshape(3, 3)[:, :2] == FitStatus.ok)
