@@ -2,7 +2,8 @@
 
 Simulates and fits tracks over the grid of momentum, angle, charge, particle and detector; compares their pulls,
 chi-square, residuals and widths with what they have to be; writes fit_*.csv in validation/results and the pictures, and
-renews docs/validation.md. With -o everything goes to another folder.
+renews docs/validation.md. ``--only`` renews some points and keeps what else is on file. With -o everything goes to
+another folder.
 """
 
 from __future__ import annotations

@@ -18,7 +18,7 @@ Pulls, chi-square, residuals and widths of fitted tracks over momentum, angle, c
 python validation/fit.py
 ```
 
-(fifteen minutes; `--quick` takes five, with 2000 tracks a point). {versions}.
+(twenty minutes; `--quick` takes five, with 2000 tracks a point; `--only` renews some points). {versions}.
 {events}.
 
 Muons and pions of both charges at {light} GeV/c, K- and protons at {heavy} GeV/c, cos(theta) {angles}, a random seed
