@@ -100,7 +100,8 @@ class Field:
     def is_uniform(self) -> bool: ...
     # points (n, 3) mm: field (n, 3) T, gradient (n, 3, 3) T/mm, inside the map (n,).
     def values(self, points: npt.ArrayLike) -> tuple[_Floats, _Floats, _Bytes]: ...
-    # points (n, 7): x y z mm, direction of flight, charge/p; paths (n,) mm; derivatives (7, 5) at every point.
+    # points (n, 7): x y z mm, direction of flight, charge/p; paths (n,) mm; derivatives (5, 5) at every point of how
+    # neighbours lie in the plane across the transverse flight: to the left, azimuth, charge/p, up, slope.
     def advance(
         self, points: npt.ArrayLike, paths: npt.ArrayLike, derivatives: npt.ArrayLike
     ) -> tuple[_Floats, _Floats, _Bytes]: ...

@@ -204,7 +204,7 @@ void bind_states(py::module_& module) {
              py::arg("targets"), "Smoothed states of fitted tracks at every target.");
   module.def("extrapolate", &run_extrapolate, py::arg("detector"), py::kw_only(), py::arg("pivot"),
              py::arg("helix"), py::arg("cov"), py::arg("mass"), py::arg("radius"), py::arg("share"),
-             py::arg("target_share"), "Move states to a cylinder through the matter on the way.");
+             py::arg("target_share"), "Move states to a cylinder through the matter on the trajectory.");
   module.def("change_pivot", &run_change_pivot, py::arg("helix"), py::arg("cov"), py::arg("step"),
              py::arg("bz"),
              "Helices and covariances (n, 25) at pivots moved by steps (n, 3), in fields (n,).");

@@ -11,7 +11,7 @@ namespace cgemit {
 
 // What one point says: the curve passes at `drift` from it, and the point lies to its left (side 1), right
 // (-1) or either (0).
-struct Spot {
+struct DriftCircle {
   double drift, side;
   double per_error;  // 1/mm, one over what is expected at best
   double votes;      // how much it counts when curves are compared
@@ -25,24 +25,26 @@ struct Spot {
 };
 
 // Where the curve should be drawn to, left of it, and how much that counts.
-struct Pull {
+struct Attraction {
   double offset, weight;
 };
 
 // An unknown side enters with what its two possibilities amount to at the present scale (in errors); what
 // lies far outside hardly counts (Geman and McClure, Bull. Int. Stat. Inst. 52 (1987) 5).
-inline Pull pull_of(const Spot& spot, double scale) {
-  const double per_spread = spot.per_error / scale, per_variance = per_spread * per_spread;
-  const double far = spot.miss() * per_spread, discount = 1 + far * far / 9;
-  if (spot.side != 0) return {spot.side * spot.drift, per_variance / (discount * discount)};
-  const double certain = spot.drift * spot.left * per_variance, square = 1 + certain * certain;
-  const double drift2 = spot.drift * spot.drift * per_variance;
-  return {spot.drift * certain / std::sqrt(square),
+inline Attraction attraction_of(const DriftCircle& drift_circle, double scale) {
+  const double per_spread = drift_circle.per_error / scale, per_variance = per_spread * per_spread;
+  const double far = drift_circle.miss() * per_spread, discount = 1 + far * far / 9;
+  if (drift_circle.side != 0)
+    return {drift_circle.side * drift_circle.drift, per_variance / (discount * discount)};
+  const double certain = drift_circle.drift * drift_circle.left * per_variance,
+               square = 1 + certain * certain;
+  const double drift2 = drift_circle.drift * drift_circle.drift * per_variance;
+  return {drift_circle.drift * certain / std::sqrt(square),
           per_variance * square / ((square + drift2) * discount * discount)};
 }
 
-// `Shape` has a Model (the curve), a Point with its Spot, how far `left` of a model a point lies, how many
-// points make a model (`least`), and Sums, which take points with their pulls and solve for the model.
+// `Shape` has a Model (the curve), a Point with its DriftCircle, how far `left` of a model a point lies, how
+// many points make a model (`least`), and Sums, which take points with their pulls and solve for the model.
 template <class Shape>
 class Annealed {
  public:
@@ -65,14 +67,15 @@ class Annealed {
     if (n_ < Shape::least) return {std::nullopt, 0};
     typename Shape::Sums sums;
     for (std::size_t i = 0; i < n_; ++i) {
-      const Spot& spot = points_[i].spot;
-      const double square = spot.per_error * spot.per_error;
-      sums.add(points_[i], nullptr, {0, square / (square * spot.drift * spot.drift + first * first)});
+      const DriftCircle& drift_circle = points_[i].drift_circle;
+      const double square = drift_circle.per_error * drift_circle.per_error;
+      sums.add(points_[i], nullptr,
+               {0, square / (square * drift_circle.drift * drift_circle.drift + first * first)});
     }
     const Result plain = settled(sums.solve());
     const double plain_lost = lost();
     if (!plain.model || plain.scale < 2 || n_ <= Shape::least + 1 || plain_lost < few * votes()) return plain;
-    const Result other = settled(from_few());
+    const Result other = settled(ransac());
     return other.model && lost() < 0.9 * plain_lost ? other : plain;
   }
 
@@ -102,9 +105,9 @@ class Annealed {
   double measure(const Model& model, double scale) {
     double sum = 0;
     for (std::size_t i = 0; i < n_; ++i) {
-      Spot& spot = points_[i].spot;
-      spot.left = Shape::left(model, points_[i]);
-      sum += std::min(std::abs(spot.miss()) * spot.per_error, 1.5 * scale);
+      DriftCircle& drift_circle = points_[i].drift_circle;
+      drift_circle.left = Shape::left(model, points_[i]);
+      sum += std::min(std::abs(drift_circle.miss()) * drift_circle.per_error, 1.5 * scale);
     }
     return std::max(1.2 * sum / static_cast<double>(n_), 1.0);
   }
@@ -112,25 +115,26 @@ class Annealed {
   // Votes of the points that the last measured curve misses.
   double lost() const {
     double sum = 0;
-    for (std::size_t i = 0; i < n_; ++i) sum += points_[i].spot.lost(near);
+    for (std::size_t i = 0; i < n_; ++i) sum += points_[i].drift_circle.lost(near);
     return sum;
   }
 
   double votes() const {
     double sum = 0;
-    for (std::size_t i = 0; i < n_; ++i) sum += points_[i].spot.votes;
+    for (std::size_t i = 0; i < n_; ++i) sum += points_[i].drift_circle.votes;
     return sum;
   }
 
   std::optional<Model> moved(const Model& model, double scale) const {
     typename Shape::Sums sums;
-    for (std::size_t i = 0; i < n_; ++i) sums.add(points_[i], &model, pull_of(points_[i].spot, scale));
+    for (std::size_t i = 0; i < n_; ++i)
+      sums.add(points_[i], &model, attraction_of(points_[i].drift_circle, scale));
     return sums.solve();
   }
 
   // The curve through a few points, spread over the way, that comes closest to most of the others (Fischler
   // and Bolles, CACM 24 (1981) 381).
-  std::optional<Model> from_few() {
+  std::optional<Model> ransac() {
     std::optional<Model> best;
     double least_lost = HUGE_VAL;
     const std::size_t part = n_ / Shape::least;

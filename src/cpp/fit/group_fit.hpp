@@ -5,6 +5,7 @@
 #include <cmath>
 
 #include "fit/first_guess.hpp"
+#include "fit/lane_rows.hpp"
 #include "fit/measured.hpp"
 #include "fit/outliers.hpp"
 #include "kalman/field_reference.hpp"
@@ -12,9 +13,6 @@
 #include "kalman/tracer.hpp"
 
 namespace cgemit {
-
-// A track in a lane: where its row and those of its hits go.
-using FitLane = FitOutput;
 
 template <class T>
 class GroupFit {
@@ -41,7 +39,7 @@ class GroupFit {
       const double sigma = settings_.prior_sigma[static_cast<std::size_t>(i)];
       prior[i] = sigma * sigma;
     });
-    known_ = prior;
+    variance_ = prior;
     for (iteration_ = 0; iteration_ < settings_.max_iterations && any(active_); ++iteration_)
       iterate(prior, mass, projectile);
   }
@@ -58,54 +56,87 @@ class GroupFit {
   static constexpr int kink_iterations = 4;         // that have to be left for kinks to settle
   static constexpr double least_scattering = 5e-5;  // rad^2; what is less is linear
 
+  // What one iteration knows.
+  struct Iteration {
+    bool last;
+    mask_of<T> works;        // lanes that are still fitted
+    FilteredState<T> state;  // at the origin, about the reference
+    T moved;                 // largest step of a parameter, in standard deviations, squared
+    mask_of<T> settled;      // lanes that may be ready
+    mask_of<T> judged;       // lanes whose outliers are looked for
+  };
+
   void iterate(const Five<T>& prior, T mass, Projectile projectile) {
-    const bool last = iteration_ + 1 == settings_.max_iterations;
+    Iteration now{};
+    now.last = iteration_ + 1 == settings_.max_iterations;
+    linearise(now, mass, projectile);
+    if (!any(now.works)) return;
+    filter_inward(now, prior);
+    smooth_outward(now);
+    decide(now);
+  }
+
+  // Follows the reference, and fills in what every hit measures on it.
+  void linearise(Iteration& now, T mass, Projectile projectile) {
     if (iteration_ > patient_iterations) give_up_hits();
     trace(mass, projectile);
     mask_of<T> works = active_;
-    if (any(group_.stopped)) works = works & !speed_up(last);
+    if (any(group_.stopped)) works = works & !speed_up(now.last);
     passed_ = select(works, helix_.kappa, passed_);
-    const mask_of<T> few = too_few(), hopeless(last || iteration_ >= patient_iterations);
+    const mask_of<T> few = too_few(), hopeless(now.last || iteration_ >= patient_iterations);
     works = works & !finish(works & group_.left & (few | hopeless), FitStatus::left_field);
     works = works & !finish(works & few, FitStatus::does_not_reach);
+    now.works = works;
     if (!any(works)) return;
     // Radiation leaves electrons where no first helix expects them.
     if (iteration_ == 0 && projectile < Projectile::electron)
       first_guess(group_, helix_, mass, spread_, works, settings_.outlier_pull > 0);
     if (settings_.outlier_pull > 0) keep_enough(group_, works);
     fill_slots(group_, detector_, settings_, wires_only_);
-    prior_ = beginning(prior);
-    Estimate<T> estimate = filter(detector_, group_, prior_);
-    works = works & !finish(works & !(positive_definite(estimate.c) & sound(estimate)),
-                            FitStatus::not_positive_definite);
-    T moved(0.0);
+  }
+
+  // The state at the origin, and the next reference.
+  void filter_inward(Iteration& now, const Five<T>& prior) {
+    reference_.prior = beginning(prior);
+    now.state = filter(detector_, group_, reference_.prior);
+    now.works = now.works & !finish(now.works & !(positive_definite(now.state.c) & sound(now.state)),
+                                    FitStatus::not_positive_definite);
+    now.moved = T(0.0);
     unroll<parameters>([&](auto i) {
-      moved = larger(moved, estimate.x[i] * estimate.x[i] / estimate.c(i, i));
-      known_[i] = select(works, estimate.c(i, i), known_[i]);
+      now.moved = larger(now.moved, now.state.x[i] * now.state.x[i] / now.state.c(i, i));
+      variance_[i] = select(now.works, now.state.c(i, i), variance_[i]);
     });
-    reference_ = helix_;
-    if (any(group_.kinked)) reference_kinks_ = group_.kinks;
-    move(estimate.x, works);
-    // Smoothing is for weights, outliers, kinks and residuals: for tracks that are about to be ready, or
-    // still have open sides or kinks.
-    mask_of<T> ready =
-        works & (moved < settings_.tolerance * settings_.tolerance) & !wires_only_ & !group_.left;
-    const mask_of<T> judged = iteration_ >= impatient_iterations ? works : ready;
-    if (last || any(judged) || any((open_ | group_.kinked) & works)) {
-      smooth(group_, works);
-      if (any(open_ & works)) ready = ready & renew_sides(group_, works, iteration_ < 2);
-      if (settings_.outlier_pull > 0)
-        ready = ready & renew_outliers(group_, judged, settings_.outlier_pull, iteration_ < last_return);
-    }
+    reference_.helix = helix_;
+    if (any(group_.kinked)) reference_.kinks = group_.kinks;
+    move(now.state.x, now.works);
+  }
+
+  // Residuals to the track without the hit. They renew weights of sides, outliers and kinks, and are asked
+  // for by tracks that are about to be ready: the others are spared them.
+  void smooth_outward(Iteration& now) {
+    now.settled =
+        now.works & (now.moved < settings_.tolerance * settings_.tolerance) & !wires_only_ & !group_.left;
+    now.judged = iteration_ >= impatient_iterations ? now.works : now.settled;
+    if (!now.last && !any(now.judged) && !any((open_ | group_.kinked) & now.works)) return;
+    smooth(group_, now.works);
+    if (any(open_ & now.works)) now.settled = now.settled & renew_sides(group_, now.works, iteration_ < 2);
+    if (settings_.outlier_pull > 0)
+      now.settled =
+          now.settled & renew_outliers(group_, now.judged, settings_.outlier_pull, iteration_ < last_return);
+  }
+
+  // Which lanes are ready; the others go on from the new reference.
+  void decide(Iteration& now) {
+    mask_of<T> ready = now.settled;
     if (kinks_) {
-      ready = ready & ((abs(estimate.chi2 - chi2_) < settings_.tolerance) | !group_.kinked);
-      ready = ready & !bend(judged & !wires_only_);
-      chi2_ = select(works, estimate.chi2, chi2_);
+      ready = ready & ((abs(now.state.chi2 - chi2_) < settings_.tolerance) | !group_.kinked);
+      ready = ready & !bend(now.judged & !wires_only_);
+      chi2_ = select(now.works, now.state.chi2, chi2_);
     }
-    wires_only_ = wires_only_ & !works;
-    store(ready, estimate, FitStatus::ok);
+    wires_only_ = wires_only_ & !now.works;
+    store(ready, now.state, FitStatus::ok);
     active_ = active_ & !ready;
-    if (last) store(works & !ready, estimate, FitStatus::not_converged);
+    if (now.last) store(now.works & !ready, now.state, FitStatus::not_converged);
   }
 
   // Where a linear fit has settled, or does not, slow tracks get kinks: angles, shifts and curvature multiply
@@ -141,15 +172,15 @@ class GroupFit {
     }
   }
 
-  // The covariance that the filter begins with. Rounding grows with its ratio to what comes out: once there
-  // are variances from the iteration before, a few thousand times those is as good as none and no weaker than
-  // it has to be. Not their correlations: what inner hits know together would be taken for what outer ones
-  // do. Its mean is the present reference, so that it does not pull anywhere once that has settled.
+  // The covariance that the filter begins with. Rounding error grows with the ratio of prior to posterior, so
+  // after the first iteration the prior is 4000 times the last diagonal variances. Correlations are dropped:
+  // they would leak information of the inner hits into the outer ones. Its mean is the present reference, so
+  // that it pulls nowhere once that has settled.
   Symmetric<T> beginning(const Five<T>& prior) const {
     constexpr double ratio = 4000;
     Five<T> variance = prior;
     if (iteration_ > 0)
-      unroll<parameters>([&](auto i) { variance[i] = smaller(ratio * known_[i], prior[i]); });
+      unroll<parameters>([&](auto i) { variance[i] = smaller(ratio * variance_[i], prior[i]); });
     return Symmetric<T>::diagonal(variance);
   }
 
@@ -190,7 +221,7 @@ class GroupFit {
     if (!any(failed)) return failed;
     for (std::size_t k = 0; k < lanes_.size(); ++k) {
       if (!lane(failed, static_cast<int>(k))) continue;
-      store_helix(k);
+      write_helix(*lanes_[k].rows, helix_, static_cast<int>(k), iteration_ + 1);
       lanes_[k].rows->status = status;
     }
     active_ = active_ & !failed;
@@ -215,75 +246,26 @@ class GroupFit {
     helix_.psi = helix_.psi - turns * (2 * pi);
   }
 
-  void store(mask_of<T> who, const Estimate<T>& estimate, FitStatus status) {
+  void store(mask_of<T> who, const FilteredState<T>& state, FitStatus status) {
     if (!any(who)) return;
     for (std::size_t k = 0; k < lanes_.size(); ++k) {
-      if (!lane(who, static_cast<int>(k))) continue;
-      store_helix(k);
-      FitRow& row = *lanes_[k].rows;
-      row.status = status;
-      row.chi2 = lane(estimate.chi2, static_cast<int>(k));
-      row.clusters = row.wires = row.outliers = 0;
-      store_covariance(estimate.c, k, row.covariance);
-      if (lanes_[k].last != nullptr) store_last(k, *lanes_[k].last);
+      const int i = static_cast<int>(k);
+      if (!lane(who, i)) continue;
+      write_helix(*lanes_[k].rows, helix_, i, iteration_ + 1);
+      write_state(*lanes_[k].rows, state, i, status);
+      if (lanes_[k].last != nullptr)
+        write_reference(lanes_[k], reference_, group_, i, detector_.slabs.size());
     }
-    for (const Slot<T>& slot : group_.slots) {
-      const mask_of<T> met = who & slot.met;
-      for (std::size_t k = 0; k < lanes_.size(); ++k)
-        if (lane(met, static_cast<int>(k))) store_hit(slot, k);
-    }
-  }
-
-  static void store_covariance(const Symmetric<T>& c, std::size_t k, std::array<double, 25>& out) {
-    for (int i = 0; i < parameters; ++i) {
-      for (int j = 0; j < parameters; ++j)
-        out[static_cast<std::size_t>(parameters * i + j)] = lane(c(i, j), static_cast<int>(k));
-    }
-  }
-
-  void store_helix(std::size_t k) {
-    FitRow& row = *lanes_[k].rows;
-    const int i = static_cast<int>(k);
-    row.helix = {lane(helix_.d, i), wrap_angle(lane(helix_.psi, i) - 0.5 * pi), lane(helix_.kappa, i),
-                 lane(helix_.z0, i), lane(helix_.tanl, i)};
-    row.iterations = iteration_ + 1;
-  }
-
-  void store_hit(const Slot<T>& slot, std::size_t k) {
-    const FitLane& to = lanes_[k];
-    const int i = static_cast<int>(k);
-    const bool used = lane(slot.used, i);
-    ++(!used ? to.rows->outliers : slot.view == View::wire ? to.rows->wires : to.rows->clusters);
-    if (to.hits == nullptr) return;
-    const double weight = lane(slot.weight, i);
-    to.hits[slot.hit[k]] = {lane(slot.unbiased, i), std::sqrt(lane(slot.unbiased_variance, i)),
-                            static_cast<std::int8_t>(weight > 0 ? 1 : (weight < 0 ? -1 : 0)),
-                            static_cast<std::uint8_t>(used)};
-    if (to.measured != nullptr) to.measured[slot.hit[k]] = {lane(slot.value, i), lane(slot.variance, i)};
-  }
-
-  void store_last(std::size_t k, LastIteration& last) const {
-    const int i = static_cast<int>(k);
-    store_covariance(prior_, k, last.prior);
-    KinkRow* kinks = lanes_[k].kinks;
-    std::fill_n(kinks, detector_.slabs.size(), KinkRow{0, 0});
-    for (const GroupStep& step : group_.steps) {
-      if (!step.is_slab || !lane(group_.kinked, i)) continue;
-      const Kink<T>& kink = reference_kinks_[static_cast<std::size_t>(step.noise)];
-      kinks[step.slab] = {lane(kink.aside, i), lane(kink.up, i)};
-    }
-    last.reference = {lane(reference_.d, i), lane(reference_.psi, i), lane(reference_.kappa, i),
-                      lane(reference_.z0, i), lane(reference_.tanl, i)};
+    write_hits(lanes_, group_, who);
   }
 
   const Detector& detector_;
   const FitSettings& settings_;
   Group<T>& group_;
-  PerigeeOf<T> helix_, reference_;  // reference: of this iteration, once the helix is that of the next
-  std::vector<Kink<T>> reference_kinks_;
-  Symmetric<T> prior_;  // what the filter begins with
-  Five<T> known_;       // variances of the iteration before
-  T spread_, passed_;   // of the start; kappa of the last reference that did not stop, 0 before
+  PerigeeOf<T> helix_;            // about which the next iteration is linearised
+  LinearisedAbout<T> reference_;  // what this one was
+  Five<T> variance_;              // of the iteration before
+  T spread_, passed_;             // of the start; kappa of the last reference that did not stop, 0 before
   std::span<const FitLane> lanes_;
   mask_of<T> active_, open_, wires_only_;
   T chi2_;  // of the iteration before

@@ -23,12 +23,12 @@ struct CircleShape {
   static constexpr std::size_t least = 3;
   struct Point {
     double x, y;
-    Spot spot;
+    DriftCircle drift_circle;
   };
   static double left(const Circle& circle, const Point& p) { return circle.left(p.x, p.y); }
   struct Sums {
     Moments moments;
-    void add(const Point& p, const Circle* about, const Pull& pull) {
+    void add(const Point& p, const Circle* about, const Attraction& pull) {
       Circle::Vector shift{0, 0};
       if (about != nullptr && pull.offset != 0) shift = about->leftward(p.x, p.y);
       moments.add(p.x - pull.offset * shift.x, p.y - pull.offset * shift.y, pull.weight);
@@ -48,14 +48,14 @@ struct LineShape {
   struct Point {
     double s, g0, g1, g2;
     double reach;  // mm, |z| that the hit can have
-    Spot spot;
+    DriftCircle drift_circle;
     double at(double z) const { return g0 + z * (g1 + z * g2); }
   };
   static double left(const Line& line, const Point& p) { return p.at(line.z0 + line.tanl * p.s); }
   // Normal equations; a weak tie to the origin keeps two close points from pointing anywhere.
   struct Sums {
     double n = 1 / (300.0 * 300.0), s1 = 0, s2 = 1e-9, z1 = 0, sz = 0;
-    void add(const Point& p, const Line* about, const Pull& pull) {
+    void add(const Point& p, const Line* about, const Attraction& pull) {
       const double z =
           about != nullptr ? about->z0 + about->tanl * p.s : std::clamp(-p.g0 / p.g1, -p.reach, p.reach);
       const double slope = p.g1 + 2 * z * p.g2, value = pull.offset - p.at(z) + slope * z;

@@ -29,8 +29,8 @@ Perigee perigee(const HelixPoint& point, double kappa) {
 }  // namespace
 
 Perigee before_loss(const Detector& detector, const Perigee& helix, double radius, double mass) {
-  const double stretch = std::sqrt(1 + helix.tanl * helix.tanl);
-  Kinematics now(stretch / std::abs(helix.kappa), mass, projectile_of(mass, helix.kappa));
+  const double sec_lambda = std::sqrt(1 + helix.tanl * helix.tanl);
+  Kinematics now(sec_lambda / std::abs(helix.kappa), mass, projectile_of(mass, helix.kappa));
   if (now.is_light() || now.p > mass) return helix;
   const TrackMatter track = total_matter(detector, helix.tanl);
   const double per_kappa = curvature(detector.bz, 1.0);
@@ -49,7 +49,7 @@ Perigee before_loss(const Detector& detector, const Perigee& helix, double radiu
     if (!step_to_cylinder(point, slab.radius, arc)) break;
     if (std::abs(point.z) > slab.half_length) continue;
     const double momentum = now.p;
-    now = before(slab, path_factor(slab, stretch, std::abs(point.outward())), now, track);
+    now = before(slab, path_factor(slab, sec_lambda, std::abs(point.outward())), now, track);
     kappa *= momentum / now.p;
     point.w = per_kappa * kappa;
   }

@@ -12,20 +12,20 @@ class States {
   States(const Detector& detector, const FittedTrack& track, StateSpace& space)
       : detector_(detector),
         track_(track),
-        way_(space.way),
+        trajectory_(space.trajectory),
         inward_(space.inward),
         smoothed_(space.smoothed),
-        who_{track.mass, total_matter(detector, track.reference.tanl), LocalMotion(detector)} {
-    follow(detector, track.reference, track.mass, track.hits, track.kinks, way_);
-    for (const Station& station : way_.stations) {
+        context_{track.mass, total_matter(detector, track.reference.tanl), LocalMotion(detector)} {
+    follow(detector, track.reference, track.mass, track.hits, track.kinks, trajectory_);
+    for (const Station& station : trajectory_.stations) {
       if (station.hit < 0) continue;
       const auto i = static_cast<std::size_t>(station.hit);
-      Element& row = way_.elements[station.element];
+      TrajectoryElement& row = trajectory_.elements[station.element];
       row.used = track.used[i].used;
       row.variance = track.used[i].variance;
-      row.value = track.used[i].value - way_.predicted[i];
+      row.value = track.used[i].value - trajectory_.predicted[i];
     }
-    filter_inward(way_.elements, track.prior, inward_);
+    filter_inward(trajectory_.elements, track.prior, inward_);
     smooth();
   }
 
@@ -46,26 +46,26 @@ class States {
  private:
   static TrackState empty(StateStatus status) { return {status, -1, {}, 0, 0}; }
 
-  bool is_slab(std::size_t k) const { return way_.stations[k].slab != nullptr; }
-  const Slab& slab(std::size_t k) const { return *way_.stations[k].slab; }
+  bool is_slab(std::size_t k) const { return trajectory_.stations[k].slab != nullptr; }
+  const Slab& slab(std::size_t k) const { return *trajectory_.stations[k].slab; }
 
   // The noise vectors of the slab at a station.
-  std::span<const Element> noise(std::size_t k) const {
-    const std::size_t first = way_.stations[k].element, end = way_.stations[k + 1].element;
-    return std::span(way_.elements).subspan(first, end - first);
+  std::span<const TrajectoryElement> noise(std::size_t k) const {
+    const std::size_t first = trajectory_.stations[k].element, end = trajectory_.stations[k + 1].element;
+    return std::span(trajectory_.elements).subspan(first, end - first);
   }
 
   // What all hits say before each station.
   void smooth() {
-    smoothed_.assign(way_.stations.size(), inward_.front());
+    smoothed_.assign(trajectory_.stations.size(), inward_.front());
     for (std::size_t k = 0; k + 1 < smoothed_.size(); ++k)
       smoothed_[k + 1] = is_slab(k) ? beyond(k, 1.0) : smoothed_[k];
   }
-  Known beyond(std::size_t k, double part) const {
-    return smooth_outward(smoothed_[k], inward_[way_.stations[k + 1].element], noise(k), part);
+  OriginState beyond(std::size_t k, double part) const {
+    return smooth_outward(smoothed_[k], inward_[trajectory_.stations[k + 1].element], noise(k), part);
   }
 
-  LocalState local(const Station& station, const Known& estimate) const {
+  LocalState local(const Station& station, const OriginState& estimate) const {
     const Vector5 moved = station.jacobian * estimate.x;
     const HelixPoint& p = station.point;
     const Perigee helix{moved[0], std::atan2(p.uy, p.ux) + moved[1], station.kappa + moved[2], moved[3],
@@ -74,7 +74,7 @@ class States {
   }
 
   TrackState closest(bool moves_pivot) const {
-    const Known& estimate = smoothed_.front();
+    const OriginState& estimate = smoothed_.front();
     const Perigee& r = track_.reference;
     const Vector5& x = estimate.x;
     TrackState found{
@@ -83,7 +83,7 @@ class States {
         {0, 0, 0, {r.d + x[0], r.psi + x[1], r.kappa + x[2], r.z0 + x[3], r.tanl + x[4]}, estimate.c},
         0,
         0};
-    if (moves_pivot) found.status = who_.motion.to_track(found.state);
+    if (moves_pivot) found.status = context_.motion.to_track(found.state);
     return found;
   }
 
@@ -94,19 +94,19 @@ class States {
     if (end + 1 == smoothed_.size()) return beyond_the_end(target);
     TrackState found{StateStatus::ok, -1, {}, 0, 0};
     const double part = slab(end).r_in < target.radius ? target.share : 0.0;
-    Known estimate = beyond(end, part);
+    OriginState estimate = beyond(end, part);
     if (part > 0) estimate.x += known_noise(noise(end));  // from the reference before it
-    found.state = local(way_.stations[end], estimate);
-    if (part > 0 && !cross(found.state, slab(end), part, who_, true, false))
+    found.state = local(trajectory_.stations[end], estimate);
+    if (part > 0 && !cross(found.state, slab(end), part, context_, true, false))
       return empty(StateStatus::stopped);
-    found.status = who_.motion.to_cylinder(found.state, target.radius);
+    found.status = context_.motion.to_cylinder(found.state, target.radius);
     return found;
   }
 
   // Past the last slab that the fit needed. Of the stations there, those before the turning point know the
-  // way.
+  // trajectory.
   TrackState beyond_the_end(const Target& target) const {
-    const auto& stations = way_.stations;
+    const auto& stations = trajectory_.stations;
     std::size_t first = stations.size() - 1;
     while (first > 0 && !is_slab(first - 1)) --first;
     std::size_t k = stations.size() - 1;
@@ -121,18 +121,18 @@ class States {
       if (std::ranges::find(stations, &next, &Station::slab) != stations.end()) continue;
       const double part = next.r_out <= target.radius ? 1.0 : target.share;
       const StateStatus status =
-          traverse(found.state, std::min(next.radius, target.radius), next, part, who_, true);
+          traverse(found.state, std::min(next.radius, target.radius), next, part, context_, true);
       if (status != StateStatus::ok) return empty(status);
     }
-    found.status = who_.motion.to_cylinder(found.state, target.radius);
+    found.status = context_.motion.to_cylinder(found.state, target.radius);
     return found;
   }
 
   // Where the last hit was met; what lies inside has acted, and perhaps the gap itself.
   std::size_t first_place_beyond() const {
-    const auto last = std::ranges::find_if(way_.stations.rbegin(), way_.stations.rend(),
+    const auto last = std::ranges::find_if(trajectory_.stations.rbegin(), trajectory_.stations.rend(),
                                            [](const Station& station) { return station.hit >= 0; });
-    if (last == way_.stations.rend()) return 0;
+    if (last == trajectory_.stations.rend()) return 0;
     const Hit& hit = track_.hits[static_cast<std::size_t>(last->hit)];
     const bool wire = hit.view == View::wire;
     const auto holds = [&](const Place& place) {
@@ -145,19 +145,19 @@ class States {
   TrackState at_hit(std::size_t i) const {
     TrackState found = empty(StateStatus::does_not_reach);
     found.hit = static_cast<std::int32_t>(i);
-    const auto at = std::ranges::find(way_.stations, found.hit, &Station::hit);
-    if (at == way_.stations.end()) return found;
-    const Known& estimate = smoothed_[static_cast<std::size_t>(at - way_.stations.begin())];
+    const auto at = std::ranges::find(trajectory_.stations, found.hit, &Station::hit);
+    if (at == trajectory_.stations.end()) return found;
+    const OriginState& estimate = smoothed_[static_cast<std::size_t>(at - trajectory_.stations.begin())];
     found.state = local(*at, estimate);
     const Hit& hit = track_.hits[i];
     if (hit.view == View::wire) {
       const auto layer = static_cast<std::size_t>(hit.layer), wire = static_cast<std::size_t>(hit.element);
-      found.status = who_.motion.to_wire(found.state, detector_.wires[layer].placed[wire]);
+      found.status = context_.motion.to_wire(found.state, detector_.wires[layer].placed[wire]);
     } else {
-      found.status = who_.motion.to_cylinder(found.state, at->point.radius());
+      found.status = context_.motion.to_cylinder(found.state, at->point.radius());
     }
     if (found.status != StateStatus::ok) return found;
-    const Element& row = way_.elements[at->element];
+    const TrajectoryElement& row = trajectory_.elements[at->element];
     found.residual = row.value - row.h.dot(estimate.x);
     // A hit that was used has pulled the track towards itself.
     const double of_track = row.h.dot(estimate.c * row.h);
@@ -167,9 +167,9 @@ class States {
 
   const Detector& detector_;
   const FittedTrack& track_;
-  Way& way_;
-  std::vector<Known>&inward_, &smoothed_;
-  Traveller who_;
+  ReferenceTrajectory& trajectory_;
+  std::vector<OriginState>&inward_, &smoothed_;
+  PropagationContext context_;
 };
 
 }  // namespace
@@ -182,8 +182,8 @@ void fitted_states(const Detector& detector, const FittedTrack& track, std::span
 
 StateStatus extrapolate(const Detector& detector, LocalState& state, double mass, double radius, double from,
                         double to) {
-  const Traveller who{mass, total_matter(detector, state.helix.tanl), LocalMotion(detector)};
-  const StateStatus begun = who.motion.to_track(state);
+  const PropagationContext context{mass, total_matter(detector, state.helix.tanl), LocalMotion(detector)};
+  const StateStatus begun = context.motion.to_track(state);
   if (begun != StateStatus::ok) return begun;
   const double start = std::hypot(state.x, state.y);
   const bool outward = radius > start;
@@ -194,10 +194,11 @@ StateStatus extrapolate(const Detector& detector, LocalState& state, double mass
     const Slab& slab = detector.slabs[outward ? i : n - 1 - i];
     if (slab.r_out <= low || slab.r_in >= high) continue;
     const double part = (slab.r_out > high ? at_high : 1.0) - (slab.r_in < low ? at_low : 0.0);
-    const StateStatus status = traverse(state, std::clamp(slab.radius, low, high), slab, part, who, outward);
+    const StateStatus status =
+        traverse(state, std::clamp(slab.radius, low, high), slab, part, context, outward);
     if (status != StateStatus::ok) return status;
   }
-  return who.motion.to_cylinder(state, radius);
+  return context.motion.to_cylinder(state, radius);
 }
 
 }  // namespace cgemit

@@ -46,8 +46,8 @@ struct FittedTrack {
 
 // Work space of a thread.
 struct StateSpace {
-  Way way;
-  std::vector<Known> inward, smoothed;
+  ReferenceTrajectory trajectory;
+  std::vector<OriginState> inward, smoothed;
 };
 
 // Appends one state for every target, for the hits as many as there are.

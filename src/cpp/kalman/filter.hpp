@@ -11,7 +11,7 @@
 namespace cgemit {
 
 template <class T>
-struct Estimate {
+struct FilteredState {
   Five<T> x;
   Symmetric<T> c;
   T chi2;
@@ -19,7 +19,7 @@ struct Estimate {
 
 // Whether it holds numbers, and a chi-square that no variance lost to rounding has made negative.
 template <class T>
-mask_of<T> sound(const Estimate<T>& estimate) {
+mask_of<T> sound(const FilteredState<T>& estimate) {
   T sum = 0.0 * estimate.chi2;
   unroll<parameters>([&](auto i) { sum += 0.0 * estimate.x[i] + 0.0 * estimate.c(i, i); });
   return (sum == 0.0) & (estimate.chi2 >= 0.0);
@@ -62,7 +62,7 @@ void add_noise(Symmetric<T>& c, const DenseNoise<T>& noise, bool shifts) {
 // The noise is that about the kink which the reference has already.
 template <class T>
 void take_kink(Five<T>& x, const SlabNoise<T>& noise, const Kink<T>& kink) {
-  const auto [turn, dip] = pulls(kink);
+  const auto [turn, dip] = in_noise_units(kink);
   x = x + dip * noise.dip;
   x[0] += turn * noise.turn[0];
   x[1] += turn * noise.turn[1];
@@ -71,13 +71,13 @@ void take_kink(Five<T>& x, const SlabNoise<T>& noise, const Kink<T>& kink) {
 
 template <class T>
 void take_kink(Five<T>& x, const DenseNoise<T>& noise, const Kink<T>& kink) {
-  const auto [turn, dip] = pulls(kink);
+  const auto [turn, dip] = in_noise_units(kink);
   x = x + turn * noise.turn + dip * noise.dip;
 }
 
 // One measurement. What is not used changes nothing but is compared with the track all the same.
 template <class T>
-void update(Estimate<T>& state, Slot<T>& slot) {
+void update(FilteredState<T>& state, Slot<T>& slot) {
   slot.ch = state.c * slot.row;
   slot.total = dot(slot.row, slot.ch) + slot.variance;
   slot.innovation = slot.residual - dot(slot.row, state.x);
@@ -90,8 +90,9 @@ void update(Estimate<T>& state, Slot<T>& slot) {
 
 // From the outermost measurement inward to the origin.
 template <class T>
-[[gnu::flatten]] Estimate<T> filter(const Detector& detector, Group<T>& group, const Symmetric<T>& prior) {
-  Estimate<T> state{Five<T>::zero(), prior, T(0.0)};
+[[gnu::flatten]] FilteredState<T> filter(const Detector& detector, Group<T>& group,
+                                         const Symmetric<T>& prior) {
+  FilteredState<T> state{Five<T>::zero(), prior, T(0.0)};
   for (std::size_t i = group.steps.size(); i-- > 0;) {
     const GroupStep& step = group.steps[i];
     if (step.is_slab) {

@@ -1,7 +1,7 @@
 // Tracks side by side, one per lane, and everything that they measured, ordered from the beam line outward.
 //
 // All lanes walk through the same slabs. Between two slabs each track has measurements of its own: slot
-// number n of a stretch holds the n-th measurement that each lane has there, or none.
+// number n of a sec_lambda holds the n-th measurement that each lane has there, or none.
 #pragma once
 
 #include <algorithm>
@@ -99,7 +99,7 @@ struct Kink {
 
 // How many times the noise, a turn and a change of dip, a kink is.
 template <class T>
-std::array<T, 2> pulls(const Kink<T>& kink) {
+std::array<T, 2> in_noise_units(const Kink<T>& kink) {
   const T per_sigma = select(kink.sigma > 0.0, 1.0 / kink.sigma, T(0.0));
   return {per_sigma * (kink.cosine * kink.aside + kink.sine * kink.up),
           per_sigma * (kink.cosine * kink.up - kink.sine * kink.aside)};

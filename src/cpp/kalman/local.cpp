@@ -4,8 +4,7 @@
 
 #include "common/angles.hpp"
 #include "kalman/field_local.hpp"
-#include "matter/loss.hpp"
-#include "matter/scattering.hpp"
+#include "kalman/slab_crossing.hpp"
 
 namespace cgemit {
 
@@ -29,49 +28,17 @@ struct TurnTerms {
   }
 };
 
-// A particle on both sides of a slab, and what it loses there.
-struct Passage {
-  Kinematics before, after;
-  LossMoments loss;
-  double path;
-};
-
-Passage outward_from(const Slab& slab, double path, const Kinematics& here, const TrackMatter& track) {
-  const LossMoments loss = core_loss(slab, path, here, track);
-  const bool stops = here.kinetic() - loss.loss < least_kinetic;
-  return {here, stops ? here : here.after_loss(loss.loss), loss, path};
-}
-
-// Back in, the loss is that of the energy which the particle had before. It changes so little with energy
-// that a few rounds settle it.
-Passage back_from(const Slab& slab, double path, const Kinematics& here, const TrackMatter& track) {
-  Passage result{here, here, core_loss(slab, path, here, track), path};
-  for (int i = 0; i < 20; ++i) {
-    const double loss = result.loss.loss;
-    result.before = here.after_loss(-loss);
-    result.loss = core_loss(slab, path, result.before, track);
-    if (std::abs(result.loss.loss - loss) < 1e-13 * here.energy) break;
-  }
-  return result;
-}
-
-// Noise of scattering and straggling in the coordinates inside the slab, kappa and tanl being those there.
-Matrix5 noise_of(const Slab& slab, const Passage& passage, const TrackMatter& track, double kappa,
-                 double tanl, double w) {
-  const double theta =
-      std::sqrt(scattering_variance(slab, passage.path, passage.before, passage.after, track));
-  const double stretch = std::sqrt(1 + tanl * tanl), p = passage.before.p;
-  const double straggling = kappa * std::sqrt(passage.loss.variance) * passage.before.energy / (p * p);
-  Eigen::Matrix<double, 5, 5> g = Matrix5::Zero();
-  g(1, 0) = theta * stretch;
-  g(2, 1) = kappa * tanl * theta;
-  g(4, 1) = stretch * stretch * theta;
-  g(2, 2) = straggling;
+// In the coordinates inside the slab, kappa and tanl being those there.
+Matrix5 covariance(const Slab& slab, const LocalNoise<double>& noise) {
+  Matrix5 g = Matrix5::Zero();
+  g(1, 0) = noise.turn_psi;
+  g(2, 1) = noise.dip_kappa;
+  g(4, 1) = noise.dip_tanl;
+  g(2, 2) = noise.straggling_kappa;
   if (slab.shifts) {
-    const double shift = theta * slab.spread * passage.path;
-    g(0, 3) = -shift;
-    g(3, 4) = shift * stretch;
-    g(1, 4) = w * shift * tanl / stretch;
+    g(0, 3) = -noise.shift_across;
+    g(3, 4) = noise.shift_z;
+    g(1, 4) = noise.shift_psi;
   }
   return g * g.transpose();
 }
@@ -194,40 +161,41 @@ StateStatus LocalMotion::integrate(LocalState& state, const Move& move) const {
   return StateStatus::ok;
 }
 
-bool cross(LocalState& state, const Slab& slab, double part, const Traveller& who, bool outward, bool noise) {
+bool cross(LocalState& state, const Slab& slab, double part, const PropagationContext& context, bool outward,
+           bool noise) {
   Perigee& h = state.helix;
-  const double tanl = h.tanl, stretch2 = 1 + tanl * tanl, stretch = std::sqrt(stretch2);
+  const double tanl = h.tanl, sec_lambda = std::sqrt(1 + tanl * tanl);
   const HelixPoint point = point_of(state, 0);
-  const double path = part * path_factor(slab, stretch, std::abs(point.outward()));
-  const Kinematics here(stretch / std::abs(h.kappa), who.mass, projectile_of(who.mass, h.kappa));
-  const Passage passage = (outward ? outward_from : back_from)(slab, path, here, who.matter);
-  if (outward && here.kinetic() - passage.loss.loss < least_kinetic) return false;
-  const Kinematics &before = passage.before, &after = passage.after;
-  const double ratio = before.p / after.p, kappa = outward ? h.kappa : h.kappa / ratio;
-  // dp'/dp at fixed tanl, and dp'/dtanl at fixed p, of p' = p(E(p) - loss(p, tanl)).
-  const double energy_per_p = after.energy / after.p, slope = tanl / stretch2;
-  const double by_p = energy_per_p * (before.p / before.energy - passage.loss.slope);
-  const double by_tanl = -energy_per_p * passage.loss.loss * slope;
+  const double path = part * path_factor(slab, sec_lambda, std::abs(point.outward()));
+  const Kinematics here(sec_lambda / std::abs(h.kappa), context.mass, projectile_of(context.mass, h.kappa));
+  const LossMoments loss = core_loss(slab, path, here, context.matter);
+  if (outward && stops(here, loss)) return false;
+  const SlabCrossing<double> crossing = outward ? cross_outward(slab, path, here, loss, context.matter)
+                                                : cross_inward(slab, path, here, context.matter);
+  const double kappa = outward ? h.kappa : h.kappa * crossing.after.p / crossing.before.p;
+  const LossJacobian<double> by = crossing.jacobian(kappa, tanl, sec_lambda);
   Matrix5 j = Matrix5::Identity();
-  j(2, 2) = by_p * ratio * ratio;
-  j(2, 4) = kappa * ratio * (slope - by_p * ratio * slope - by_tanl / after.p);
+  j(2, 2) = by.gain;
+  j(2, 4) = by.mixed;
   if (!outward) {
     j(2, 2) = 1 / j(2, 2);
     j(2, 4) *= -j(2, 2);
     state.c = (j * state.c * j.transpose()).eval();
   }
-  if (noise) state.c += noise_of(slab, passage, who.matter, kappa, tanl, who.motion.turning(point, kappa));
+  if (noise)
+    state.c +=
+        covariance(slab, crossing.noise(slab, kappa, tanl, sec_lambda, context.motion.turning(point, kappa)));
   if (outward) state.c = (j * state.c * j.transpose()).eval();
-  h.kappa = outward ? h.kappa * ratio : kappa;
+  h.kappa = outward ? h.kappa * by.ratio : kappa;
   return true;
 }
 
-StateStatus traverse(LocalState& state, double radius, const Slab& slab, double part, const Traveller& who,
-                     bool outward) {
-  const StateStatus moved = who.motion.to_cylinder(state, radius);
+StateStatus traverse(LocalState& state, double radius, const Slab& slab, double part,
+                     const PropagationContext& context, bool outward) {
+  const StateStatus moved = context.motion.to_cylinder(state, radius);
   if (moved != StateStatus::ok) return moved;
   if (std::abs(state.z) > slab.half_length) return StateStatus::ok;
-  return cross(state, slab, part, who, outward, true) ? StateStatus::ok : StateStatus::stopped;
+  return cross(state, slab, part, context, outward, true) ? StateStatus::ok : StateStatus::stopped;
 }
 
 }  // namespace cgemit

@@ -3,7 +3,7 @@
 
 #include "common/status.hpp"
 #include "detector/detector.hpp"
-#include "kalman/way.hpp"
+#include "kalman/trajectory.hpp"
 #include "matter/track.hpp"
 #include "motion/helix.hpp"
 #include "motion/wire.hpp"
@@ -54,8 +54,8 @@ class LocalMotion {
   double per_kappa_;  // curvature for kappa = 1 in a uniform field
 };
 
-// What flies, and through what field and matter.
-struct Traveller {
+// What a state needs to be propagated: the particle's mass, the field and the matter.
+struct PropagationContext {
   double mass;
   TrackMatter matter;
   LocalMotion motion;
@@ -63,11 +63,11 @@ struct Traveller {
 
 // Crosses a part of a slab at the pivot, on the way out, or back in: then it regains energy. `noise`: what
 // the matter does at random joins the covariance. False if the particle stops.
-[[nodiscard]] bool cross(LocalState& state, const Slab& slab, double part, const Traveller& who, bool outward,
-                         bool noise);
+[[nodiscard]] bool cross(LocalState& state, const Slab& slab, double part, const PropagationContext& context,
+                         bool outward, bool noise);
 
 // Goes to a radius and crosses a part of a slab there, with its noise, unless the slab ends before.
 [[nodiscard]] StateStatus traverse(LocalState& state, double radius, const Slab& slab, double part,
-                                   const Traveller& who, bool outward);
+                                   const PropagationContext& context, bool outward);
 
 }  // namespace cgemit

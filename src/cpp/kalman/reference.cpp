@@ -17,7 +17,7 @@ class Vectors {
   template <class Noise>
   void add(const Noise& noise, const Kink<double>& kink, bool shifts) {
     if (noise.dip[4] == 0) return;
-    const auto [turn, dip] = pulls(kink);
+    const auto [turn, dip] = in_noise_units(kink);
     add(noise.turn, turn);
     add(noise.dip, dip);
     add(noise.straggling, 0);

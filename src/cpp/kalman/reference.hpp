@@ -5,7 +5,7 @@
 #include <span>
 #include <vector>
 
-#include "kalman/way.hpp"
+#include "kalman/trajectory.hpp"
 
 namespace cgemit {
 

@@ -15,23 +15,23 @@
 #include <span>
 #include <vector>
 
-#include "kalman/way.hpp"
+#include "kalman/trajectory.hpp"
 
 namespace cgemit {
 
-struct Known {
+struct OriginState {
   Vector5 x;  // deviation from the reference
   Matrix5 c;
 };
 
 // `inward[i]`: what is known from the elements i and beyond. The last one is the prior.
-inline void filter_inward(const std::vector<Element>& elements, const Matrix5& prior,
-                          std::vector<Known>& inward) {
+inline void filter_inward(const std::vector<TrajectoryElement>& elements, const Matrix5& prior,
+                          std::vector<OriginState>& inward) {
   inward.resize(elements.size() + 1);
   inward.back() = {Vector5::Zero(), prior};
   for (std::size_t i = elements.size(); i-- > 0;) {
-    const Element& element = elements[i];
-    Known& state = inward[i] = inward[i + 1];
+    const TrajectoryElement& element = elements[i];
+    OriginState& state = inward[i] = inward[i + 1];
     if (!element.is_row) {
       state.c.noalias() += element.h * element.h.transpose();
       state.x += element.value * element.h;
@@ -46,16 +46,16 @@ inline void filter_inward(const std::vector<Element>& elements, const Matrix5& p
 }
 
 // What the noise of a scatterer is on the reference already.
-inline Vector5 known_noise(std::span<const Element> noise) {
+inline Vector5 known_noise(std::span<const TrajectoryElement> noise) {
   Vector5 sum = Vector5::Zero();
-  for (const Element& element : noise) sum += element.value * element.h;
+  for (const TrajectoryElement& element : noise) sum += element.value * element.h;
   return sum;
 }
 
 // The smoothed state beyond a part of the noise of one scatterer, from that before it; a deviation from the
 // reference beyond the whole scatterer. `outside`: what the filter says there.
-inline Known smooth_outward(const Known& before, const Known& outside, std::span<const Element> noise,
-                            double part = 1.0) {
+inline OriginState smooth_outward(const OriginState& before, const OriginState& outside,
+                                  std::span<const TrajectoryElement> noise, double part = 1.0) {
   if (noise.empty() || !(part > 0)) return before;
   using Vectors = Eigen::Matrix<double, 5, Eigen::Dynamic, 0, 5, 5>;
   Vectors g(5, static_cast<Eigen::Index>(noise.size()));

@@ -7,13 +7,12 @@
 #include "detector/strip_plane.hpp"
 #include "kalman/group.hpp"
 #include "kalman/helix_motion.hpp"
-#include "matter/loss.hpp"
-#include "matter/scattering.hpp"
+#include "kalman/slab_crossing.hpp"
 
 namespace cgemit {
 
-// Told of every place on the way; this one does not listen.
-struct NoWatch {
+// Is told of every place on the trajectory; this one does nothing.
+struct NoObserver {
   template <class Slot, class Motion>
   void meets(const Slot&, const Motion&) {}
   template <class Slab, class Motion>
@@ -25,19 +24,19 @@ struct NoWatch {
 };
 
 // The hot functions are flattened: what they call is small, and numbers should stay in registers.
-template <class T, class Motion = HelixMotion<T>, class Watch = NoWatch>
+template <class T, class Motion = HelixMotion<T>, class Observer = NoObserver>
 class Tracer {
  public:
   Tracer(const Detector& detector, const PerigeeOf<T>& start, T mass, Projectile projectile, Group<T>& group,
-         Watch watch = {})
+         Observer observer = {})
       : detector_(detector),
         group_(group),
         motion_(detector, start),
         tanl_(start.tanl),
-        stretch_(sqrt(1.0 + tanl_ * tanl_)),
-        now_(stretch_ / abs(start.kappa), mass, projectile),
+        sec_lambda_(sqrt(1.0 + tanl_ * tanl_)),
+        now_(sec_lambda_ / abs(start.kappa), mass, projectile),
         track_(total_matter(detector, start.tanl)),
-        watch_(watch) {}
+        observer_(observer) {}
 
   // Of those lanes `who`.
   void run(mask_of<T> who) {
@@ -62,7 +61,7 @@ class Tracer {
       for (std::int32_t s = step.first; s < step.last; ++s) meet_gap(slot(s), reached);
       cross(slab, noise, reached & beyond & (abs(motion_.point().z) <= slab.half_length));
     }
-    watch_.ends(motion_);
+    observer_.ends(motion_);
   }
 
  private:
@@ -82,7 +81,7 @@ class Tracer {
     slot.predicted = predicted;
     slot.row = all(met) ? row : select<T>(met, row, Five<T>::zero());
     for (int k = 0; k < lanes_of<T>; ++k) group_.reached[static_cast<std::size_t>(k)] += lane(met, k) ? 1 : 0;
-    if (any(met)) watch_.meets(slot, motion_);
+    if (any(met)) observer_.meets(slot, motion_);
   }
 
   [[gnu::flatten]] void meet_gap(Slot<T>& slot, mask_of<T> reached) {
@@ -152,32 +151,31 @@ class Tracer {
       return;
     }
     const HelixPointOf<T>& at = motion_.point();
-    const T whole = path_factor(slab, stretch_, abs(at.outward()));
+    const T whole = path_factor(slab, sec_lambda_, abs(at.outward()));
     T path = all(crosses) ? whole : select(crosses, whole, T(0.0));
     LossMomentsOf<T> loss = core_loss(slab, path, now_, track_);
-    const mask_of<T> stops = crosses & (now_.kinetic() - loss.loss < least_kinetic);
-    if (any(stops)) {
-      group_.stopped = group_.stopped | stops;
-      alive_ = alive_ & !stops;
-      crosses = crosses & !stops;
-      path = select(stops, T(0.0), path);
+    const mask_of<T> ends = crosses & stops(now_, loss);
+    if (any(ends)) {
+      group_.stopped = group_.stopped | ends;
+      alive_ = alive_ & !ends;
+      crosses = crosses & !ends;
+      path = select(ends, T(0.0), path);
       loss = core_loss(slab, path, now_, track_);
     }
-    const KinematicsOf<T> after = now_.after_loss(loss.loss);
-    const T theta = sqrt(scattering_variance(slab, path, now_, after, track_));
-    kink.sigma = select(crosses, theta, T(0.0));
-    if (any(crosses)) watch_.arrives(slab, motion_);
+    const SlabCrossing<T> crossing = cross_outward(slab, path, now_, loss, track_);
+    kink.sigma = select(crosses, crossing.theta, T(0.0));
+    if (any(crosses)) observer_.arrives(slab, motion_);
     if (any(group_.kinked)) scatter(kink, crosses & group_.kinked);
     const auto act = [&](auto& noise) {
-      make_noise(slab, path, theta, loss, noise);
+      make_noise(slab, crossing, noise);
       if (!all(crosses)) mask_noise(noise, crosses);
-      if (any(crosses)) watch_.crosses(slab, noise, kink);
+      if (any(crosses)) observer_.crosses(slab, noise, kink);
     };
     if constexpr (Motion::keeps_dip)
       act(group_.noise[place]);
     else
       act(group_.dense_noise[place]);
-    lose(loss, after, crosses);
+    lose(crossing, crosses);
   }
 
   // The reference turns by the kinks of those lanes `who`, and the horizontal across it with it.
@@ -194,22 +192,20 @@ class Tracer {
 
   void set_dip() {
     tanl_ = motion_.point().tanl;
-    stretch_ = sqrt(1.0 + tanl_ * tanl_);
+    sec_lambda_ = sqrt(1.0 + tanl_ * tanl_);
   }
 
   template <class Noise>
-  void make_noise(const Slab& slab, T path, T theta, const LossMomentsOf<T>& loss, Noise& noise) const {
+  void make_noise(const Slab& slab, const SlabCrossing<T>& crossing, Noise& noise) const {
     const Rows<T> r = motion_.rows();
     const typename Motion::Backward origin(motion_, r);
-    const T kappa = motion_.kappa();
-    noise.turn = origin.turned(theta * stretch_);
-    noise.dip = origin.changed(kappa * tanl_ * theta, stretch_ * stretch_ * theta);
-    noise.straggling = origin.slowed(kappa * sqrt(loss.variance) * now_.energy * now_.per_p * now_.per_p);
+    const LocalNoise<T> here = crossing.noise(slab, motion_.kappa(), tanl_, sec_lambda_, motion_.point().w);
+    noise.turn = origin.turned(here.turn_psi);
+    noise.dip = origin.changed(here.dip_kappa, here.dip_tanl);
+    noise.straggling = origin.slowed(here.straggling_kappa);
     if (!slab.shifts) return;
-    const T shift = theta * slab.spread * path;
-    noise.shift_across = origin.moved(shift, T(0.0), T(0.0));
-    // A shift in dip moves along the flight too, where the azimuth is another.
-    noise.shift_along = origin.moved(T(0.0), shift * stretch_, motion_.point().w * shift * tanl_ / stretch_);
+    noise.shift_across = origin.moved(here.shift_across, T(0.0), T(0.0));
+    noise.shift_along = origin.moved(T(0.0), here.shift_z, here.shift_psi);
   }
 
   // In a field map the slope changes on the way, and the way may end.
@@ -232,32 +228,26 @@ class Tracer {
     blend(noise.shift_along);
   }
 
-  void lose(const LossMomentsOf<T>& loss, const KinematicsOf<T>& after, mask_of<T> crosses) {
-    // dp'/dp at fixed tanl, and dp'/dtanl at fixed p, of p' = p(E(p) - loss(p, tanl)).
-    const T energy_per_p = after.per_beta, ratio = now_.p * after.per_p;
-    const T by_p = energy_per_p * (now_.p / now_.energy - loss.slope);
-    const T slope = tanl_ / (stretch_ * stretch_);
-    const T by_tanl = -energy_per_p * loss.loss * slope;
-    const T gain = by_p * ratio * ratio;
-    const T mixed = motion_.kappa() * ratio * (slope - by_p * ratio * slope - by_tanl * after.per_p);
+  void lose(const SlabCrossing<T>& crossing, mask_of<T> crosses) {
+    const LossJacobian<T> j = crossing.jacobian(motion_.kappa(), tanl_, sec_lambda_);
     if (all(crosses)) {
-      motion_.lose(ratio, gain, mixed);
-      now_ = after;
+      motion_.lose(j.ratio, j.gain, j.mixed);
+      now_ = crossing.after;
     } else {  // to the last bit as if the others had not been there
-      motion_.lose(select(crosses, ratio, T(1.0)), select(crosses, gain, T(1.0)),
-                   select(crosses, mixed, T(0.0)));
-      now_ = select(crosses, after, now_);
+      motion_.lose(select(crosses, j.ratio, T(1.0)), select(crosses, j.gain, T(1.0)),
+                   select(crosses, j.mixed, T(0.0)));
+      now_ = select(crosses, crossing.after, now_);
     }
   }
 
   const Detector& detector_;
   Group<T>& group_;
   Motion motion_;
-  T tanl_, stretch_;
+  T tanl_, sec_lambda_;
   KinematicsOf<T> now_;
   TrackMatterOf<T> track_;
   mask_of<T> alive_, curled_;  // curled: past the outermost point, no cylinder lies ahead
-  [[no_unique_address]] Watch watch_;
+  [[no_unique_address]] Observer observer_;
 };
 
 }  // namespace cgemit

@@ -1,4 +1,4 @@
-#include "kalman/way.hpp"
+#include "kalman/trajectory.hpp"
 
 #include <cmath>
 #include <type_traits>
@@ -13,13 +13,14 @@ namespace {
 // Writes down what the tracer tells.
 class Recorder {
  public:
-  Recorder(const Detector& detector, Way& way) : way_(&way), per_kappa_(curvature(detector.bz, 1.0)) {}
+  Recorder(const Detector& detector, ReferenceTrajectory& trajectory)
+      : trajectory_(&trajectory), per_kappa_(curvature(detector.bz, 1.0)) {}
 
   template <class Motion>
   void meets(const Slot<double>& slot, const Motion& motion) {
     mark(motion, slot.hit[0], nullptr);
-    way_->predicted[static_cast<std::size_t>(slot.hit[0])] = slot.predicted;
-    way_->elements.push_back({Eigen::Map<const Vector5>(slot.row.v.data()), true, false, 0, 0});
+    trajectory_->predicted[static_cast<std::size_t>(slot.hit[0])] = slot.predicted;
+    trajectory_->elements.push_back({Eigen::Map<const Vector5>(slot.row.v.data()), true, false, 0, 0});
   }
   template <class Motion>
   void arrives(const Slab& slab, const Motion& motion) {
@@ -27,7 +28,7 @@ class Recorder {
   }
   template <class Noise>
   void crosses(const Slab& slab, const Noise& noise, const Kink<double>& kink) {
-    const auto [turn, dip] = pulls(kink);
+    const auto [turn, dip] = in_noise_units(kink);
     add(noise.turn, turn);
     add(noise.dip, dip);
     add(noise.straggling);
@@ -47,27 +48,28 @@ class Recorder {
     Eigen::Index i = 0;
     for (const Five<double>& row : motion.derivatives())
       jacobian.row(i++) = Eigen::Map<const Vector5>(row.v.data()).transpose();
-    way_->stations.push_back({way_->elements.size(), hit, slab, motion.point(), kappa_of(motion), jacobian});
+    trajectory_->stations.push_back(
+        {trajectory_->elements.size(), hit, slab, motion.point(), kappa_of(motion), jacobian});
   }
   // In a uniform field the helices at a point are those of its curvature, to the last bit.
   double kappa_of(const HelixMotion<double>& motion) const { return motion.point().w / per_kappa_; }
   static double kappa_of(const FieldReference<double>& motion) { return motion.kappa(); }
   template <class G>
   void add(const G& g, double has = 0) {
-    way_->elements.push_back({vector5(g), false, false, has, 0});
+    trajectory_->elements.push_back({vector5(g), false, false, has, 0});
   }
 
-  Way* way_;
+  ReferenceTrajectory* trajectory_;
   double per_kappa_;  // curvature for kappa = 1 in a uniform field
 };
 
 }  // namespace
 
 void follow(const Detector& detector, const Perigee& start, double mass, std::span<const Hit> hits,
-            std::span<const double> kinks, Way& way) {
-  way.elements.clear();
-  way.stations.clear();
-  way.predicted.assign(hits.size(), 0);
+            std::span<const double> kinks, ReferenceTrajectory& trajectory) {
+  trajectory.elements.clear();
+  trajectory.stations.clear();
+  trajectory.predicted.assign(hits.size(), 0);
   if (!std::isfinite(start.kappa) || start.kappa == 0) return;
   const std::vector<std::int8_t> no_sides(hits.size(), 0);
   const std::span<const std::int8_t> sides(no_sides);
@@ -76,7 +78,7 @@ void follow(const Detector& detector, const Perigee& start, double mass, std::sp
   set_kinks(group, kinks);
   const auto run = [&]<class Motion>(std::type_identity<Motion>) {
     Tracer<double, Motion, Recorder>(detector, start, mass, projectile_of(mass, start.kappa), group,
-                                     Recorder(detector, way))
+                                     Recorder(detector, trajectory))
         .run(true);
   };
   if (detector.field.is_uniform()) {

@@ -18,7 +18,7 @@ inline Vector5 vector5(const std::array<double, 4>& g) { return {g[0], g[1], g[2
 inline Vector5 vector5(const std::array<double, 3>& g) { return {g[0], g[1], 0, g[2], 0}; }
 
 // Something on the way: a measurement, or one direction of a scatterer's noise.
-struct Element {
+struct TrajectoryElement {
   Vector5 h;  // measurement row, or noise vector g (covariance g g^T)
   bool is_row;
   bool used;        // by the filter
@@ -37,14 +37,14 @@ struct Station {
 };
 
 // Ordered from the origin outward.
-struct Way {
-  std::vector<Element> elements;
+struct ReferenceTrajectory {
+  std::vector<TrajectoryElement> elements;
   std::vector<Station> stations;
   std::vector<double> predicted;  // mm, one per hit: where the reference meets it
 };
 
 // Follows a helix through the matter as far as the last hit. `kinks`: angles for every slab, or none.
 void follow(const Detector& detector, const Perigee& start, double mass, std::span<const Hit> hits,
-            std::span<const double> kinks, Way& way);
+            std::span<const double> kinks, ReferenceTrajectory& trajectory);
 
 }  // namespace cgemit
