@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from cgemit import DigitizeSettings, FitSettings, Gun, Result, Settings, _core, find, isa, run
+from cgemit import DigitizeSettings, FitSettings, Gun, Result, Settings, _core, find, isa, load, run
 from cgemit.candidates import fit_hits
 from cgemit.fit import core_arguments
 
@@ -178,18 +178,41 @@ def test_lanes_differ_no_more_than_the_last_digit_does(sides: bool, gun: str) ->
 
 
 @pytest.mark.parametrize("name", LANES)
+@pytest.mark.parametrize("field", ["besiii-harmonic", "finite-solenoid"])
+def test_fit_through_a_map_is_that_of_scalar_code(field: str, name: str) -> None:
+    """Steps are adapted lane by lane: thresholds that rounding passes cost less than 1e-4 standard deviations."""
+    gun, columns = Gun("mu-", p=(0.3, 2.0), cos_theta=(-0.9, 0.9)), ("dr", "phi0", "kappa", "dz", "tanl")
+    results = []
+    for which in ("scalar", name):
+        isa.use(which)
+        results.append(run(load("besiii-cgem-design").with_field(field), gun, 200, seed=7, threads=1).tracks)
+    one, many = results
+    same = (one["status"] == many["status"]) & (one["iterations"] == many["iterations"])
+    assert np.mean(~same) <= 0.005
+    ok = same & (one["status"] == 0)
+    assert ok.sum() > 190
+    apart = np.max([np.abs(one[f"res_{c}"] - many[f"res_{c}"])[ok] / one[f"err_{c}"][ok] for c in columns], axis=0)
+    assert np.quantile(apart, 0.9) < 1e-7
+    assert np.quantile(apart, 0.99) < 1e-4
+
+
+@pytest.mark.parametrize("name", LANES)
+@pytest.mark.parametrize("field", ["uniform", "besiii-harmonic", "finite-solenoid"])
 @pytest.mark.parametrize(
     ("particle", "p", "events"),
     [("pi-", (0.15, 0.4), 40), ("pi-", (0.05, 0.1), 250), ("p", (0.2, 0.35), 300), ("mu-", (0.05, 1.0), 300)],
 )
-def test_a_track_does_not_know_its_neighbours(particle: str, p: tuple[float, float], events: int, name: str) -> None:
+def test_a_track_does_not_know_its_neighbours(
+    particle: str, p: tuple[float, float], events: int, field: str, name: str
+) -> None:
     """To the last bit the same alone as among others: results do not depend on how events are cut into chunks.
 
     Tracks with kinks and without, some that stop or turn back, some that have to give up hits.
     """
     isa.use(name)
     gun = Gun(particle, p=p, cos_theta=(-0.9, 0.9))
-    together = run("besiii-cgem-design", gun, events, seed=2, threads=1).tracks
-    alone = run("besiii-cgem-design", gun, events, seed=2, threads=1, chunk=1).tracks
+    detector = load("besiii-cgem-design").with_field(field)
+    together = run(detector, gun, events, seed=2, threads=1).tracks
+    alone = run(detector, gun, events, seed=2, threads=1, chunk=1).tracks
     for column, values in together.columns.items():
         assert values.tobytes() == alone[column].tobytes(), column

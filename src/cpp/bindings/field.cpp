@@ -36,11 +36,12 @@ py::tuple values(const FieldMap& map, const Array<double>& points) {
   std::vector<double> field, gradients;
   std::vector<std::uint8_t> inside;
   for (std::size_t i = 0; i < rows.size(); i += 3) {
-    FieldGradient gradient;
-    const FieldVector b = map.at(rows[i], rows[i + 1], rows[i + 2], gradient);
-    field.insert(field.end(), b.begin(), b.end());
-    for (const auto& row : gradient) gradients.insert(gradients.end(), row.begin(), row.end());
-    inside.push_back(map.holds(rows[i], rows[i + 1], rows[i + 2]));
+    const Vec3<double> x{rows[i], rows[i + 1], rows[i + 2]};
+    const auto& [b, slope] = map.at(x);
+    field.insert(field.end(), {b.x, b.y, b.z});
+    for (const Vec3<double>& row : {slope.x, slope.y, slope.z})
+      gradients.insert(gradients.end(), {row.x, row.y, row.z});
+    inside.push_back(map.holds(x));
   }
   return py::make_tuple(to_numpy(std::move(field), {n, 3}), to_numpy(std::move(gradients), {n, 3, 3}),
                         to_numpy(std::move(inside)));
@@ -51,22 +52,29 @@ py::tuple advance_points(const FieldMap& map, const Array<double>& points, const
   const py::ssize_t n = points.ndim() == 2 ? points.shape(0) : 0;
   const auto rows = matrix(points, "points", n, 7);
   const auto paths = column(path_column, "paths", n);
-  const auto start = matrix(derivative_array, "derivatives", 7, 5);
+  const auto start = matrix(derivative_array, "derivatives", 5, 5);
+  using Derivatives = FieldDerivatives<double>;
+  constexpr std::array order = {&Derivatives::across, &Derivatives::psi, &Derivatives::bend, &Derivatives::z,
+                                &Derivatives::tanl};
+  const auto scale = [](std::size_t row) { return row == 2 ? radius_per_kappa : 1.0; };
   std::vector<double> moved, derivatives;
   std::vector<std::uint8_t> inside;
   for (std::size_t i = 0; i < paths.size(); ++i) {
     const double* row = rows.data() + 7 * i;
-    FieldPoint point{{row[0], row[1], row[2]}, {row[3], row[4], row[5]}, row[6] / radius_per_kappa};
-    FieldDerivatives d = Eigen::Map<const Eigen::Matrix<double, 7, 5, Eigen::RowMajor>>(start.data());
-    d.row(6) /= radius_per_kappa;
-    inside.push_back(RungeKutta(map).advance(point, paths[i], &d));
-    d.row(6) *= radius_per_kappa;
-    moved.insert(moved.end(), point.x.begin(), point.x.end());
-    moved.insert(moved.end(), point.t.begin(), point.t.end());
-    for (Eigen::Index k = 0; k < 7; ++k)
-      for (Eigen::Index m = 0; m < 5; ++m) derivatives.push_back(d(k, m));
+    const Vec3<double> x{row[0], row[1], row[2]}, t{row[3], row[4], row[5]};
+    FieldPoint<double> point{x, t, map.at(x)};
+    Derivatives d;
+    for (std::size_t k = 0; k < 5; ++k)
+      for (std::size_t m = 0; m < 5; ++m) (d.*order[k])[m] = start[5 * k + m] / scale(k);
+    const double bend = row[6] / radius_per_kappa;
+    CarriedDerivatives<double> carried(d, t, point.field, bend);
+    inside.push_back(RungeKutta<double>(map).advance(point, bend, paths[i], true, &carried));
+    d = carried.finished();
+    moved.insert(moved.end(), {point.x.x, point.x.y, point.x.z, point.t.x, point.t.y, point.t.z});
+    for (std::size_t k = 0; k < 5; ++k)
+      for (std::size_t m = 0; m < 5; ++m) derivatives.push_back((d.*order[k])[m] * scale(k));
   }
-  return py::make_tuple(to_numpy(std::move(moved), {n, 6}), to_numpy(std::move(derivatives), {n, 7, 5}),
+  return py::make_tuple(to_numpy(std::move(moved), {n, 6}), to_numpy(std::move(derivatives), {n, 5, 5}),
                         to_numpy(std::move(inside)));
 }
 
@@ -99,8 +107,10 @@ void bind_field(py::module_& module) {
       .def("values", &values, py::arg("points"),
            "Field and gradient at points (n, 3), and whether they lie inside the map.")
       .def("advance", &advance_points, py::arg("points"), py::arg("paths"), py::arg("derivatives"),
-           "Move points, rows of (x y z, direction, charge/p), along paths, and derivatives (7, 5) with "
-           "them.")
+           "Move points, rows of (x y z, direction, charge/p), along paths, and with them derivatives (5, 5) "
+           "of "
+           "neighbours: to the left, azimuth, charge/p, up and slope, in the plane across the transverse "
+           "flight.")
       .def("to_perigee", &to_perigee, py::arg("points"),
            "Move points, rows of (x y z ux uy tanl, charge/pT), to their closest approach to the beam line: "
            "points, "

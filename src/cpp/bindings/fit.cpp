@@ -160,8 +160,7 @@ py::dict run(const Detector& detector, const Array<std::int64_t>& hit_offsets, c
   const Wanted wanted{residuals || states, states};
   const std::size_t slabs = detector.slabs.size();
   Output out(n, static_cast<std::size_t>(n_hits), slabs, wanted);
-  // A field map is stepped through one track at a time.
-  const auto fit = detector.field.is_uniform() ? kernels().fit : &fit_tracks;
+  const auto fit = kernels().fit;
   {
     py::gil_scoped_release release;
     std::vector<Hit> hits;

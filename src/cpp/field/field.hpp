@@ -1,15 +1,12 @@
 // The magnetic field at a point: uniform, harmonic, or interpolated on a grid. T, mm.
 #pragma once
 
-#include <array>
-#include <cmath>
 #include <cstddef>
 #include <vector>
 
-namespace cgemit {
+#include "lanes/vec3.hpp"
 
-using FieldVector = std::array<double, 3>;                   // Bx By Bz, T
-using FieldGradient = std::array<std::array<double, 3>, 3>;  // d B_i / d x_j, T/mm
+namespace cgemit {
 
 enum class FieldKind { uniform, harmonic, cylinder, box };
 
@@ -19,7 +16,21 @@ struct GridAxis {
   int points;
 
   double last() const { return first + step * (points - 1); }
-  bool holds(double value) const { return value >= first && value <= last(); }
+  template <class T>
+  mask_of<T> holds(const T& value) const {
+    return (value >= first) & (value <= last());
+  }
+};
+
+// The field at one point and how it changes from there.
+template <class T>
+struct FieldValue {
+  Vec3<T> b;      // T
+  Mat3<T> slope;  // d B_i / d x_j, T/mm
+
+  friend FieldValue select(const mask_of<T>& m, const FieldValue& a, const FieldValue& b) {
+    return {select<T>(m, a.b, b.b), select<T>(m, a.slope, b.slope)};
+  }
 };
 
 // Between the points of a grid the field is a cubic spline in each direction, twice continuously
@@ -37,12 +48,22 @@ struct FieldMap {
   double tolerance;  // mm, error allowed to one step of a track
 
   bool is_uniform() const { return kind == FieldKind::uniform; }
-  // Beyond the grid there is no field to speak of; `at` goes on with its outermost polynomials.
-  bool holds(double x, double y, double z) const;
-  FieldVector at(double x, double y, double z) const;
-  FieldVector at(double x, double y, double z, FieldGradient& gradient) const;
+  // Whether points lie on the grid. Beyond it the field is not known; `at` goes on with its outermost
+  // polynomials.
+  template <class T>
+  mask_of<T> holds(const Vec3<T>& x) const;
+  // Per lane; `field/values.hpp`.
+  template <class T>
+  FieldValue<T> at(const Vec3<T>& x) const;
 };
 
 inline FieldMap uniform_field(double bz) { return {FieldKind::uniform, bz, 0, 0, {}, {}, 0}; }
+
+template <class T>
+mask_of<T> FieldMap::holds(const Vec3<T>& x) const {
+  if (kind == FieldKind::box) return axes[0].holds(x.x) & axes[1].holds(x.y) & axes[2].holds(x.z);
+  if (kind == FieldKind::cylinder) return axes[0].holds(sqrt(x.x * x.x + x.y * x.y)) & axes[1].holds(x.z);
+  return mask_of<T>(true);
+}
 
 }  // namespace cgemit

@@ -133,14 +133,12 @@ class GroupFit {
     return sum;
   }
 
-  // Through a field map one track at a time: the caller takes `fit_tracks` there, whatever the instruction
-  // set.
   void trace(T mass, Projectile projectile) {
-    if constexpr (lanes_of<T> == 1) {
-      if (!detector_.field.is_uniform())
-        return Tracer<T, FieldReference>(detector_, helix_, mass, projectile, group_).run(active_);
+    if (detector_.field.is_uniform()) {
+      Tracer<T>(detector_, helix_, mass, projectile, group_).run(active_);
+    } else {
+      Tracer<T, FieldReference<T>>(detector_, helix_, mass, projectile, group_).run(active_);
     }
-    Tracer<T>(detector_, helix_, mass, projectile, group_).run(active_);
   }
 
   // The covariance that the filter begins with. Rounding grows with its ratio to what comes out: once there

@@ -49,8 +49,14 @@ void add_noise(Symmetric<T>& c, const SlabNoise<T>& noise, bool shifts) {
 }
 
 template <class T>
-void add_noise(Symmetric<T>& c, const std::array<Five<T>, 5>& noise) {
-  for (const Five<T>& g : noise) c.add([&g](auto i, auto j) { return g[i] * g[j]; });
+void add_noise(Symmetric<T>& c, const DenseNoise<T>& noise, bool shifts) {
+  const auto add = [&c](const Five<T>& g) { c.add([&g](auto i, auto j) { return g[i] * g[j]; }); };
+  add(noise.turn);
+  add(noise.dip);
+  add(noise.straggling);
+  if (!shifts) return;
+  add(noise.shift_across);
+  add(noise.shift_along);
 }
 
 // The noise is that about the kink which the reference has already.
@@ -64,9 +70,9 @@ void take_kink(Five<T>& x, const SlabNoise<T>& noise, const Kink<T>& kink) {
 }
 
 template <class T>
-void take_kink(Five<T>& x, const std::array<Five<T>, 5>& noise, const Kink<T>& kink) {
+void take_kink(Five<T>& x, const DenseNoise<T>& noise, const Kink<T>& kink) {
   const auto [turn, dip] = pulls(kink);
-  x = x + turn * noise[0] + dip * noise[1];
+  x = x + turn * noise.turn + dip * noise.dip;
 }
 
 // One measurement. What is not used changes nothing but is compared with the track all the same.
@@ -92,12 +98,12 @@ template <class T>
       const bool shifts = detector.slabs[static_cast<std::size_t>(step.slab)].shifts;
       const auto noise = static_cast<std::size_t>(step.noise);
       if (any(group.ahead[noise])) {
-        const auto take = [&](const auto& noise_here, auto... shifted) {
-          add_noise(state.c, noise_here, shifted...);
+        const auto take = [&](const auto& noise_here) {
+          add_noise(state.c, noise_here, shifts);
           if (any(group.kinked)) take_kink(state.x, noise_here, group.kinks[noise]);
         };
         if (group.dense_noise.empty()) {
-          take(group.noise[noise], shifts);
+          take(group.noise[noise]);
         } else {
           take(group.dense_noise[noise]);
         }
@@ -116,8 +122,8 @@ std::array<T, 2> seen(const SlabNoise<T>& noise, const Five<T>& lambda) {
           dot(noise.dip, lambda)};
 }
 template <class T>
-std::array<T, 2> seen(const std::array<Five<T>, 5>& noise, const Five<T>& lambda) {
-  return {dot(noise[0], lambda), dot(noise[1], lambda)};
+std::array<T, 2> seen(const DenseNoise<T>& noise, const Five<T>& lambda) {
+  return {dot(noise.turn, lambda), dot(noise.dip, lambda)};
 }
 
 // From the origin outward: the residual of every measurement to the track fitted without it, and, of those

@@ -76,6 +76,12 @@ struct SlabNoise {
   std::array<T, 3> turn, shift_across, shift_along;
 };
 
+// The same in a field map, where what turns or shifts a track also moves kappa and tanl at the origin.
+template <class T>
+struct DenseNoise {
+  Five<T> dip, straggling, turn, shift_across, shift_along;
+};
+
 // How the reference is scattered in a slab, as the iteration before found it: rad, two angles across the
 // flight before, horizontal and the other. (Such kinks are among the unknowns of the fits of V. Blobel, NIM A
 // 566 (2006) 14.) The noise is that about the flight behind, whose horizontal is turned by an angle of this
@@ -106,12 +112,12 @@ template <class T>
 struct Group {
   std::vector<GroupStep> steps;
   std::span<Slot<T>> slots;
-  std::vector<Slot<T>> storage;     // of the slots; grows to what the largest group needed
-  std::vector<SlabNoise<T>> noise;  // one per slab of `steps`, all zero where it was not crossed
-  std::vector<std::array<Five<T>, 5>> dense_noise;  // instead of `noise` in a field map; else empty
-  std::vector<mask_of<T>> ahead;                    // the same: lanes that have measurements beyond
-  mask_of<T> kinked;                                // lanes whose reference has kinks
-  std::vector<Kink<T>> kinks;                       // one per slab of `steps`; of no use in other lanes
+  std::vector<Slot<T>> storage;            // of the slots; grows to what the largest group needed
+  std::vector<SlabNoise<T>> noise;         // one per slab of `steps`, all zero where it was not crossed
+  std::vector<DenseNoise<T>> dense_noise;  // instead of `noise` in a field map; else empty
+  std::vector<mask_of<T>> ahead;           // the same: lanes that have measurements beyond
+  mask_of<T> kinked;                       // lanes whose reference has kinks
+  std::vector<Kink<T>> kinks;              // one per slab of `steps`; of no use in other lanes
   // After a trace: hits met; whether the particle ran out of momentum on the way to the next.
   std::array<std::int32_t, lanes_of<T>> reached;
   mask_of<T> stopped;

@@ -11,28 +11,12 @@
 
 #include <cmath>
 
+#include "kalman/deflection.hpp"
 #include "kalman/group.hpp"
 #include "motion/helix.hpp"
 #include "motion/wire.hpp"
 
 namespace cgemit {
-
-// (1 - cos f)/f^2 and (f - sin f)/f^2: the integral of the position over a helix step.
-template <class T>
-struct StepIntegral {
-  T along, across;
-};
-template <class T>
-StepIntegral<T> step_integral(T f) {
-  const T q = f * f;
-  const auto is_short = q < 0.25;
-  StepIntegral<T> i{
-      0.5 + q * (-1.0 / 24 + q * (1.0 / 720 + q * (-1.0 / 40320 + q * (1.0 / 3628800 - q / 479001600.0)))),
-      f * (1.0 / 6 + q * (-1.0 / 120 + q * (1.0 / 5040 + q * (-1.0 / 362880 + q / 39916800.0))))};
-  if (all(is_short)) return i;
-  const SineCosine<T> s = sine_cosine(f);
-  return {select(is_short, i.along, (1.0 - s.cosine) / q), select(is_short, i.across, (f - s.sine) / q)};
-}
 
 // Displacement across the flight and along z at one point, by the parameters at the origin.
 template <class T>
@@ -109,27 +93,18 @@ class HelixMotion {
     point_.w = per_kappa_ * kappa_;
   }
 
-  // The flight turns by angles across itself, `aside` in the horizontal and `up`, at fixed momentum. With
-  // unit vectors t along the flight and e across it the new one is (t + aside e1 + up e2)/|...|.
+  // The flight turns by angles across itself, `aside` in the horizontal and `up`, at fixed momentum.
   void scatter(T aside, T up) {
-    const T t = point_.tanl, stretch = sqrt(1.0 + t * t);
-    const T ahead = 1.0 - up * t, side = aside * stretch, rise = t + up;
-    const T per_square = 1.0 / (ahead * ahead + side * side), per_root = sqrt(per_square);
-    const T ux = (ahead * point_.ux - side * point_.uy) * per_root;
-    point_.uy = (ahead * point_.uy + side * point_.ux) * per_root;
-    point_.ux = ux;
-    point_.tanl = rise * per_root;
-    const T ratio = sqrt(1.0 + aside * aside + up * up) * per_root;
-    // By the slope before: logarithm of transverse momentum, and azimuth.
-    const T shrinks = (aside * aside * t - ahead * up) * per_square;
-    const T turn = aside * rise * per_square / stretch * d_dip_;
+    const Deflection<T> bent(point_.tanl, aside, up);
+    bent.turn(point_);
+    const T turn = bent.psi_by_tanl * d_dip_;
     turn_tanl_ += turn;
     turn_tanl_x_ += turn * point_.x;
     turn_tanl_y_ += turn * point_.y;
-    d_tanl_ = ratio * (d_tanl_ - kappa_ * shrinks * d_dip_);
-    d_kappa_ *= ratio;
-    d_dip_ *= per_root - point_.tanl * shrinks;
-    kappa_ *= ratio;
+    d_tanl_ = bent.kappa_ratio * (d_tanl_ - kappa_ * bent.shrinks * d_dip_);
+    d_kappa_ *= bent.kappa_ratio;
+    d_dip_ *= bent.tanl_by_tanl;
+    kappa_ *= bent.kappa_ratio;
     point_.w = per_kappa_ * kappa_;
   }
 

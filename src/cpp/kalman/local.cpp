@@ -136,7 +136,8 @@ bool change_pivot(LocalState& state, double x, double y, double z, double per_ka
 }
 
 StateStatus LocalMotion::to_track(LocalState& state) const {
-  if (!field_.is_uniform()) return integrate(state, [](FieldMotion&, HelixPoint&) { return true; });
+  if (!field_.is_uniform())
+    return integrate(state, [](FieldMotion&, FieldHelixPoint<double>&) { return true; });
   move_to(state, point_of(state, per_kappa_), 0, per_kappa_);
   return StateStatus::ok;
 }
@@ -144,8 +145,7 @@ StateStatus LocalMotion::to_track(LocalState& state) const {
 StateStatus LocalMotion::to_cylinder(LocalState& state, double radius) const {
   double arc = 0;
   if (!field_.is_uniform())
-    return integrate(state,
-                     [&](FieldMotion& m, HelixPoint& point) { return m.to_cylinder(point, radius, arc); });
+    return integrate(state, [&](FieldMotion& m, auto& point) { return m.to_cylinder(point, radius, arc); });
   HelixPoint point = point_of(state, per_kappa_);
   if (!step_to_cylinder(point, radius, arc)) return StateStatus::does_not_reach;
   move_to(state, point, arc, per_kappa_);
@@ -155,8 +155,7 @@ StateStatus LocalMotion::to_cylinder(LocalState& state, double radius) const {
 StateStatus LocalMotion::to_wire(LocalState& state, const Wire& wire) const {
   Approach approach{};
   if (!field_.is_uniform())
-    return integrate(state,
-                     [&](FieldMotion& m, HelixPoint& point) { return m.approach(point, wire, approach); });
+    return integrate(state, [&](FieldMotion& m, auto& point) { return m.approach(point, wire, approach); });
   HelixPoint point = point_of(state, per_kappa_);
   if (!approach_wire(point, wire, approach)) return StateStatus::does_not_reach;
   move_to(state, point, approach.arc, per_kappa_);
@@ -172,16 +171,21 @@ double LocalMotion::turning(const HelixPoint& point, double kappa) const {
 
 template <class Move>
 StateStatus LocalMotion::integrate(LocalState& state, const Move& move) const {
-  HelixPoint point = point_of(state, 0);
-  FieldDerivatives by = derivatives_by(state.helix);
+  FieldHelixPoint<double> point{point_of(state, 0), {}};
+  if (!field_.holds(Vec3<double>{point.x, point.y, point.z})) return StateStatus::left_field;
   FieldMotion motion(field_);
+  motion.look(point);
   motion.bend(point, state.helix.kappa);
+  auto by = derivatives_by<double>(state.helix, point, point.field.b, motion.bending());
   motion.carry(&by);
-  const bool inside = field_.holds(point.x, point.y, point.z), there = inside && move(motion, point);
-  if (!inside || motion.left()) return StateStatus::left_field;
+  const bool there = move(motion, point);
+  if (motion.left()) return StateStatus::left_field;
   if (!there) return StateStatus::does_not_reach;
-  const Matrix5 j = local_derivatives(motion, point, by);
-  const double kappa = motion.charge_per_p() * stretch_of(point.tanl);
+  const auto by_kappa = kappa_derivatives<double>(point, motion.charge_per_p(), by);
+  Matrix5 j;
+  for (std::size_t k = 0; k < parameters; ++k)
+    j.col(static_cast<Eigen::Index>(k)) << -by.across[k], by.psi[k], by_kappa[k], by.z[k], by.tanl[k];
+  const double kappa = motion.charge_per_p() * std::sqrt(1 + point.tanl * point.tanl);
   state = {point.x,
            point.y,
            point.z,

@@ -14,28 +14,22 @@ class Vectors {
  public:
   explicit Vectors(Reference& out) : out_(out) {}
 
-  void add(const SlabNoise<double>& noise, const Kink<double>& kink, bool shifts) {
+  template <class Noise>
+  void add(const Noise& noise, const Kink<double>& kink, bool shifts) {
     if (noise.dip[4] == 0) return;
     const auto [turn, dip] = pulls(kink);
     add(noise.turn, turn);
-    add(Eigen::Map<const Vector5>(noise.dip.v.data()), dip);
-    const auto& s = noise.straggling;
-    add(Vector5(s[0], s[1], s[2], s[3], 0), 0);
+    add(noise.dip, dip);
+    add(noise.straggling, 0);
     if (!shifts) return;
     add(noise.shift_across, 0);
     add(noise.shift_along, 0);
   }
-  void add(const std::array<Five<double>, 5>& noise, const Kink<double>& kink) {
-    const auto [turn, dip] = pulls(kink);
-    const std::array<double, 5> pull = {turn, dip, 0, 0, 0};
-    for (std::size_t i = 0; i < 5; ++i)
-      if (noise[i][1] != 0) add(Eigen::Map<const Vector5>(noise[i].v.data()), pull[i]);
-  }
 
  private:
-  void add(const std::array<double, 3>& g, double pull) { add(Vector5(g[0], g[1], 0, g[2], 0), pull); }
-  void add(const Vector5& g, double pull) {
-    out_.noise.push_back(g);
+  template <class G>
+  void add(const G& g, double pull) {
+    out_.noise.push_back(vector5(g));
     out_.pulls.push_back(pull);
   }
   Reference& out_;
@@ -56,7 +50,7 @@ Reference trace(const Detector& detector, const Perigee& start, double mass, std
   if (detector.field.is_uniform()) {
     Tracer<double>(detector, start, mass, projectile, group).run(true);
   } else {
-    Tracer<double, FieldReference>(detector, start, mass, projectile, group).run(true);
+    Tracer<double, FieldReference<double>>(detector, start, mass, projectile, group).run(true);
   }
   Vectors vectors(out);
   for (const GroupStep& step : group.steps) {
@@ -70,10 +64,11 @@ Reference trace(const Detector& detector, const Perigee& start, double mass, std
     const auto noise = static_cast<std::size_t>(step.noise);
     if (!group.ahead[noise]) continue;
     const Kink<double>& kink = group.kinks[noise];
+    const bool shifts = detector.slabs[static_cast<std::size_t>(step.slab)].shifts;
     if (!group.dense_noise.empty()) {
-      vectors.add(group.dense_noise[noise], kink);
+      vectors.add(group.dense_noise[noise], kink, shifts);
     } else {
-      vectors.add(group.noise[noise], kink, detector.slabs[static_cast<std::size_t>(step.slab)].shifts);
+      vectors.add(group.noise[noise], kink, shifts);
     }
   }
   out.reached = static_cast<std::size_t>(group.reached[0]);

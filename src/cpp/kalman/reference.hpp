@@ -5,11 +5,9 @@
 #include <span>
 #include <vector>
 
-#include "kalman/tracer.hpp"
+#include "kalman/way.hpp"
 
 namespace cgemit {
-
-using Vector5 = Eigen::Matrix<double, 5, 1>;
 
 // Where the reference meets a hit.
 struct Crossing {

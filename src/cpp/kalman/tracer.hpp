@@ -136,11 +136,12 @@ class Tracer {
 
   // Noise of a slab, then its energy loss on the reference. A lane dies where the particle stops.
   [[gnu::flatten]] void cross(const Slab& slab, std::size_t place, mask_of<T> crosses) {
-    if constexpr (!Motion::keeps_dip) group_.dense_noise[place] = {};
-    SlabNoise<T>& noise = group_.noise[place];
     Kink<T>& kink = group_.kinks[place];
     if (!any(crosses)) {
-      noise = {};
+      if constexpr (Motion::keeps_dip)
+        group_.noise[place] = {};
+      else
+        group_.dense_noise[place] = {};
       kink.aside = kink.up = kink.sigma = 0.0;
       return;
     }
@@ -161,14 +162,15 @@ class Tracer {
     kink.sigma = select(crosses, theta, T(0.0));
     if (any(crosses)) watch_.arrives(slab, motion_);
     if (any(group_.kinked)) scatter(kink, crosses & group_.kinked);
-    if constexpr (Motion::keeps_dip) {
+    const auto act = [&](auto& noise) {
       make_noise(slab, path, theta, loss, noise);
       if (!all(crosses)) mask_noise(noise, crosses);
       if (any(crosses)) watch_.crosses(slab, noise, kink);
-    } else if (crosses) {
-      make_dense_noise(slab, path, theta, loss, group_.dense_noise[place]);
-      watch_.crosses(slab, group_.dense_noise[place], kink);
-    }
+    };
+    if constexpr (Motion::keeps_dip)
+      act(group_.noise[place]);
+    else
+      act(group_.dense_noise[place]);
     lose(loss, after, crosses);
   }
 
@@ -189,8 +191,8 @@ class Tracer {
     stretch_ = sqrt(1.0 + tanl_ * tanl_);
   }
 
-  void make_noise(const Slab& slab, T path, T theta, const LossMomentsOf<T>& loss,
-                  SlabNoise<T>& noise) const {
+  template <class Noise>
+  void make_noise(const Slab& slab, T path, T theta, const LossMomentsOf<T>& loss, Noise& noise) const {
     const Rows<T> r = motion_.rows();
     const typename Motion::Backward origin(motion_, r);
     const T kappa = motion_.kappa();
@@ -204,20 +206,6 @@ class Tracer {
     noise.shift_along = origin.moved(T(0.0), shift * stretch_, motion_.point().w * shift * tanl_ / stretch_);
   }
 
-  // The same in a field map, where what turns or shifts a track also moves kappa and tanl at the origin.
-  void make_dense_noise(const Slab& slab, T path, T theta, const LossMomentsOf<T>& loss,
-                        std::array<Five<T>, 5>& noise) const {
-    const typename Motion::Backward origin(motion_, motion_.rows());
-    const T kappa = motion_.kappa();
-    noise[0] = origin.turned(theta * stretch_);
-    noise[1] = origin.changed(kappa * tanl_ * theta, stretch_ * stretch_ * theta);
-    noise[2] = origin.slowed(kappa * sqrt(loss.variance) * now_.energy * now_.per_p * now_.per_p);
-    if (!slab.shifts) return;
-    const T shift = theta * slab.spread * path;
-    noise[3] = origin.moved(shift, T(0.0), T(0.0));
-    noise[4] = origin.moved(T(0.0), shift * stretch_, motion_.point().w * shift * tanl_ / stretch_);
-  }
-
   // In a field map the slope changes on the way, and the way may end.
   void follow_dip() {
     if constexpr (!Motion::keeps_dip) {
@@ -226,11 +214,12 @@ class Tracer {
     }
   }
 
-  static void mask_noise(SlabNoise<T>& noise, mask_of<T> crosses) {
+  template <class Noise>
+  static void mask_noise(Noise& noise, mask_of<T> crosses) {
     const auto blend = [crosses](auto& numbers) {
       for (T& x : numbers) x = select(crosses, x, T(0.0));
     };
-    blend(noise.dip.v);
+    blend(noise.dip);
     blend(noise.straggling);
     blend(noise.turn);
     blend(noise.shift_across);

@@ -25,6 +25,8 @@ struct Five {
   static Five zero() { return {{T(0.0), T(0.0), T(0.0), T(0.0), T(0.0)}}; }
   T& operator[](int i) { return v[static_cast<std::size_t>(i)]; }
   const T& operator[](int i) const { return v[static_cast<std::size_t>(i)]; }
+  auto begin() { return v.begin(); }
+  auto end() { return v.end(); }
 };
 
 template <class T>

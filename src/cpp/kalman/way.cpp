@@ -25,21 +25,15 @@ class Recorder {
   void arrives(const Slab& slab, const Motion& motion) {
     mark(motion, -1, &slab);
   }
-  void crosses(const Slab& slab, const SlabNoise<double>& noise, const Kink<double>& kink) {
+  template <class Noise>
+  void crosses(const Slab& slab, const Noise& noise, const Kink<double>& kink) {
     const auto [turn, dip] = pulls(kink);
     add(noise.turn, turn);
-    add(Eigen::Map<const Vector5>(noise.dip.v.data()), dip);
-    add(Vector5(noise.straggling[0], noise.straggling[1], noise.straggling[2], noise.straggling[3], 0));
+    add(noise.dip, dip);
+    add(noise.straggling);
     if (!slab.shifts) return;
     add(noise.shift_across);
     add(noise.shift_along);
-  }
-  // In a field map.
-  void crosses(const Slab& slab, const std::array<Five<double>, 5>& noise, const Kink<double>& kink) {
-    const auto [turn, dip] = pulls(kink);
-    const std::array<double, 5> has = {turn, dip, 0, 0, 0};
-    const std::size_t vectors = slab.shifts ? 5 : 3;
-    for (std::size_t i = 0; i < vectors; ++i) add(Eigen::Map<const Vector5>(noise[i].v.data()), has[i]);
   }
   template <class Motion>
   void ends(const Motion& motion) {
@@ -57,9 +51,11 @@ class Recorder {
   }
   // In a uniform field the helices at a point are those of its curvature, to the last bit.
   double kappa_of(const HelixMotion<double>& motion) const { return motion.point().w / per_kappa_; }
-  static double kappa_of(const FieldReference& motion) { return motion.kappa(); }
-  void add(const Vector5& g, double has = 0) { way_->elements.push_back({g, false, false, has, 0}); }
-  void add(const std::array<double, 3>& g, double has = 0) { add(Vector5(g[0], g[1], 0, g[2], 0), has); }
+  static double kappa_of(const FieldReference<double>& motion) { return motion.kappa(); }
+  template <class G>
+  void add(const G& g, double has = 0) {
+    way_->elements.push_back({vector5(g), false, false, has, 0});
+  }
 
   Way* way_;
   double per_kappa_;  // curvature for kappa = 1 in a uniform field
@@ -86,7 +82,7 @@ void follow(const Detector& detector, const Perigee& start, double mass, std::sp
   if (detector.field.is_uniform()) {
     run(std::type_identity<HelixMotion<double>>());
   } else {
-    run(std::type_identity<FieldReference>());
+    run(std::type_identity<FieldReference<double>>());
   }
 }
 

@@ -12,6 +12,11 @@ namespace cgemit {
 using Vector5 = Eigen::Matrix<double, 5, 1>;
 using Matrix5 = Eigen::Matrix<double, 5, 5>;
 
+// All five components of a noise vector.
+inline Vector5 vector5(const Five<double>& g) { return Eigen::Map<const Vector5>(g.v.data()); }
+inline Vector5 vector5(const std::array<double, 4>& g) { return {g[0], g[1], g[2], g[3], 0}; }
+inline Vector5 vector5(const std::array<double, 3>& g) { return {g[0], g[1], 0, g[2], 0}; }
+
 // Something on the way: a measurement, or one direction of a scatterer's noise.
 struct Element {
   Vector5 h;  // measurement row, or noise vector g (covariance g g^T)

@@ -4,6 +4,7 @@
 #pragma once
 
 #include <cmath>
+#include <optional>
 
 #include "detector/detector.hpp"
 #include "motion/helix.hpp"
@@ -12,102 +13,138 @@
 
 namespace cgemit {
 
-// A helix point of this motion carries as `w` the curvature that the field has there, and its tanl changes on
-// the way. An arc is the path over 1/cos(dip) where it began.
-class FieldMotion {
+// A point that remembers the field there. As `w` it carries the curvature that this field gives it, and its
+// tanl changes on the way.
+template <class T>
+struct FieldHelixPoint : HelixPointOf<T> {
+  FieldValue<T> field;
+};
+
+// An arc is the path over 1/cos(dip) where it began. Every function moves lanes `who` and returns those that
+// arrived; the others stay where they are.
+template <class T>
+class FieldMotionOf {
  public:
   static constexpr bool keeps_dip = false;
+  using Point = FieldHelixPoint<T>;
+  using Mask = mask_of<T>;
 
-  explicit FieldMotion(const FieldMap& field) : stepper_(field), field_(field) {}
-  explicit FieldMotion(const Detector& detector) : FieldMotion(detector.field) {}
+  explicit FieldMotionOf(const FieldMap& field) : stepper_(field), field_(field) {}
+  explicit FieldMotionOf(const Detector& detector) : FieldMotionOf(detector.field) {}
 
   // Gives a point the curvature of kappa = charge/pT, which the particle keeps as charge/p.
-  void bend(HelixPoint& point, double kappa) {
-    bend_ = kappa / (radius_per_kappa * std::sqrt(1 + point.tanl * point.tanl));
-    const FieldPoint p = to_field(point);
-    point = to_helix(p, stepper_.field(p.x));
+  void bend(HelixPointOf<T>& point, const T& kappa) {
+    set_bend(point, kappa);
+    point.w = curvature(point, field_at(point).b, bend_);
   }
+  // The same where the field is known.
+  void bend(Point& point, const T& kappa, const Mask& who = Mask(true)) {
+    bend_ = select(who, kappa / (radius_per_kappa * sqrt(1.0 + point.tanl * point.tanl)), bend_);
+    point.w = select(who, curvature<T>(point, point.field.b, bend_), point.w);
+  }
+  // A smaller momentum: charge/p grows by `ratio`.
+  void lose(Point& point, const T& ratio) {
+    bend_ *= ratio;
+    point.w *= ratio;
+  }
+  // Another direction, at the same place and momentum.
+  void turned(Point& point) const { point.w = curvature<T>(point, point.field.b, bend_); }
+  // For a point that was put there by hand.
+  void look(Point& point) const { point.field = field_at(point); }
   // For derivatives that go along with every move; null: none.
-  void carry(FieldDerivatives* derivatives) { derivatives_ = derivatives; }
-  double bz(const HelixPoint& point) const { return field_.at(point.x, point.y, point.z)[2]; }
-  double charge_per_p() const { return bend_ * radius_per_kappa; }
-  // Of place and direction, by the path.
-  Eigen::Vector<double, 6> derivative_along(const HelixPoint& point) const {
-    const FieldPoint p = to_field(point);
-    Eigen::Vector<double, 6> by_path;
-    by_path << p.t, bend_ * p.t.cross(stepper_.field(p.x));
-    return by_path;
-  }
-  // Whether the last move ended outside the map.
-  bool left() const { return left_; }
+  void carry(FieldDerivatives<T>* derivatives) { derivatives_ = derivatives; }
+
+  T bz(const Point& point) const { return point.field.b.z; }
+  T bz(const HelixPointOf<T>& point) const { return field_at(point).b.z; }
+  const T& bending() const { return bend_; }  // charge/p in 1/(mm T)
+  T charge_per_p() const { return bend_ * radius_per_kappa; }
+  // Lanes whose last move ended outside the map.
+  Mask left() const { return left_; }
 
   // As `step_to_cylinder`.
-  [[nodiscard]] bool to_cylinder(HelixPoint& point, double r, double& arc, bool outward = true) {
-    Walk walk(*this, point);
-    for (int iteration = 0; iteration < most_iterations; ++iteration) {
-      HelixPoint guess = walk.here;
-      double step = 0;
-      const bool reached = step_to_cylinder(guess, r, step, outward);
-      // A cylinder below the closest approach. Where the helix turns back below one outside the track need
-      // not: go on to there, and see.
-      if (!reached && r < walk.here.radius()) return false;
-      if (!reached) step = arc_to_apex(walk.here);
-      if (!reached && !(step > close && step * std::abs(walk.here.w) < pi)) return false;
-      if (!walk.go(step)) return false;
-      if (reached && std::abs(walk.here.radius() - r) < exact * (1 + r)) {
-        if ((walk.here.outward() >= 0) != outward) return false;
-        arc = walk.finish(point);
-        return true;
+  template <class P>
+  [[nodiscard]] Mask to_cylinder(P& point, const T& r, T& arc, bool outward = true, Mask who = Mask(true)) {
+    Walk walk(*this, point, who);
+    Mask arrived(false);
+    for (int iteration = 0; any(walk.moving) && iteration < most_iterations; ++iteration) {
+      HelixPointOf<T> guess = walk.here;
+      T step(0.0);
+      const Mask reached = step_to_cylinder(guess, r, step, outward, walk.moving);
+      if (const Mask missed = walk.moving & !reached; any(missed)) {
+        // A cylinder below the closest approach. Where the helix turns back below one outside the track need
+        // not: go on to there, and see.
+        const T apex = arc_to_apex(walk.here);
+        const Mask goes_on =
+            missed & !(r < walk.here.radius()) & (apex > close) & (apex * abs(walk.here.w) < pi);
+        step = select(goes_on, apex, step);
+        walk.moving = walk.moving & (reached | goes_on);
       }
+      const Mask corrected = walk.go(step) & reached;
+      const Mask there = corrected & (abs(walk.here.radius() - r) < exact * (1.0 + r));
+      arrived = arrived | (there & (outward ? walk.here.outward() >= 0.0 : walk.here.outward() < 0.0));
+      walk.moving = walk.moving & !there;
     }
-    return false;
+    arc = walk.finish(point, arrived);
+    return arrived;
   }
 
   // To the outermost point ahead.
-  bool to_apex(HelixPoint& point, double& arc) {
-    Walk walk(*this, point);
-    double step = arc_to_apex(point);
-    for (int iteration = 0; iteration < most_iterations; ++iteration) {
-      if (!std::isfinite(step) || !walk.go(step)) return false;
-      if (std::abs(step) < close) break;
+  template <class P>
+  Mask to_apex(P& point, T& arc, Mask who = Mask(true)) {
+    Walk walk(*this, point, who);
+    T step = arc_to_apex<T>(point);
+    walk.moving = walk.moving & (step < HUGE_VAL);
+    Mask arrived(false);
+    for (int iteration = 0; any(walk.moving) && iteration < most_iterations; ++iteration) {
+      walk.go(step);
+      const Mask there = walk.moving & (abs(step) < close);
+      arrived = arrived | there;
+      walk.moving = walk.moving & !there;
       // The turn ahead or behind after which P vanishes.
-      const double along = 1 - walk.here.w * walk.here.sideways(), p = walk.here.outward() / along;
+      const T along = 1.0 - walk.here.w * walk.here.sideways(), p = walk.here.outward() / along;
       step = -p * atan_over(walk.here.w * p);
     }
-    arc = walk.finish(point);
-    return true;
+    arrived = arrived | walk.moving;
+    arc = walk.finish(point, arrived);
+    return arrived;
   }
 
   // To the closest approach to the beam line, less than half a turn away.
-  bool to_perigee(HelixPoint& point) {
-    Walk walk(*this, point);
-    for (int iteration = 0; iteration < most_iterations; ++iteration) {
-      const HelixPoint& p = walk.here;
-      const double turn = std::atan2(p.w * p.outward(), 1 - p.w * p.sideways());
-      const double step = p.w == 0 ? -p.outward() : -turn / p.w;
-      if (!walk.go(step)) return false;
-      if (std::abs(step) < exact) {
-        walk.finish(point);
-        return true;
-      }
+  template <class P>
+  Mask to_perigee(P& point, Mask who = Mask(true)) {
+    Walk walk(*this, point, who);
+    Mask arrived(false);
+    for (int iteration = 0; any(walk.moving) && iteration < most_iterations; ++iteration) {
+      const HelixPointOf<T>& p = walk.here;
+      const Mask bends = p.w != 0.0;
+      const T turn = atan2(p.w * p.outward(), 1.0 - p.w * p.sideways());
+      const T step = select(bends, -turn / select(bends, p.w, T(1.0)), -p.outward());
+      walk.go(step);
+      const Mask there = walk.moving & (abs(step) < exact);
+      arrived = arrived | there;
+      walk.moving = walk.moving & !there;
     }
-    return false;
+    walk.finish(point, arrived);
+    return arrived;
   }
 
   // As `approach_wire`.
-  [[nodiscard]] bool approach(HelixPoint& point, const Wire& wire, Approach& result) {
-    Walk walk(*this, point);
-    for (int iteration = 0; iteration < most_iterations; ++iteration) {
-      HelixPoint guess = walk.here;
-      if (!approach_wire(guess, wire, result)) return false;
-      const double step = result.arc;
-      if (!walk.go(step)) return false;
-      if (std::abs(step) < close) {
-        result.arc = walk.finish(point);
-        return true;
-      }
+  template <class P>
+  [[nodiscard]] Mask approach(P& point, const WireOf<T>& wire, ApproachOf<T>& result, Mask who = Mask(true)) {
+    Walk walk(*this, point, who);
+    Mask arrived(false);
+    result = {};
+    for (int iteration = 0; any(walk.moving) && iteration < most_iterations; ++iteration) {
+      HelixPointOf<T> guess = walk.here;
+      ApproachOf<T> found;
+      walk.moving = walk.moving & approach_wire(guess, wire, found, walk.moving);
+      const Mask there = walk.go(found.arc);
+      result = select(there, found, result);
+      arrived = arrived | there;
+      walk.moving = walk.moving & !there;
     }
-    return false;
+    result.arc = walk.finish(point, arrived);
+    return arrived;
   }
 
  private:
@@ -118,56 +155,87 @@ class FieldMotion {
 
   // Steps along the track; nothing counts before `finish`.
   struct Walk {
-    FieldMotion& motion;
-    HelixPoint here;
-    FieldPoint start, at;
-    Eigen::Vector3d b;  // field at the end of the last long step
-    double path = 0;
+    FieldMotionOf& motion;
+    Mask moving;
+    HelixPointOf<T> here;
+    FieldPoint<T> at;
+    std::optional<CarriedDerivatives<T>> carried;
+    T path{0.0};  // mm
 
-    Walk(FieldMotion& m, const HelixPoint& point)
-        : motion(m), here(point), start(m.to_field(point)), at(start), b(0, 0, 0) {
-      m.left_ = false;
+    template <class P>
+    Walk(FieldMotionOf& m, const P& point, const Mask& who)
+        : motion(m), moving(who), here(point), at(m.start(point)) {
+      m.left_ = Mask(false);
+      if (m.derivatives_ != nullptr) carried.emplace(*m.derivatives_, at.t, at.field, m.bend_);
     }
-    bool go(double arc) {
-      const double step = arc * std::sqrt(1 + here.tanl * here.tanl);
-      if (path != 0 && std::abs(step) < short_step) {
-        const Eigen::Vector3d turn = at.bend * at.t.cross(b);
-        at.x += step * at.t + 0.5 * step * step * turn;
-        at.t = (at.t + step * turn).normalized();
-      } else {
-        motion.left_ = !motion.stepper_.advance(at, step);
-        b = motion.stepper_.field(at.x);
+
+    // Moving lanes take a step. Returns those whose step was so short that it was a correction only.
+    Mask go(const T& arc) {
+      const T step = select(moving, arc * sqrt(1.0 + here.tanl * here.tanl), T(0.0));
+      const Mask brief = moving & (abs(step) < short_step);
+      if (const Mask far = moving & !brief; any(far)) {
+        const Mask inside =
+            motion.stepper_.advance(at, motion.bend_, step, far, carried ? &*carried : nullptr);
+        motion.left_ = motion.left_ | (far & !inside);
+        moving = moving & (brief | inside);
       }
+      if (any(brief)) correct(select(brief, step, T(0.0)), brief);
       path += step;
-      here = to_helix(at, b);
-      return !motion.left_;
+      here = motion.to_helix(at);
+      return brief & moving;
     }
-    // Derivatives need one journey only.
-    double finish(HelixPoint& point) {
-      if (motion.derivatives_ != nullptr)
-        motion.left_ = !motion.stepper_.advance(start, path, motion.derivatives_);
-      const double arc = path / std::sqrt(1 + point.tanl * point.tanl);
-      point = here;
+
+    void correct(const T& step, const Mask& who) {
+      const Vec3<T> turn = motion.bend_ * cross(at.t, at.field.b),
+                    change = step * at.t + 0.5 * step * step * turn;
+      FieldPoint<T> next = at;
+      next.x = at.x + change;
+      next.t = at.t + step * turn;
+      next.t = 1.0 / sqrt(dot(next.t, next.t)) * next.t;
+      const Vec3<T> other = at.field.slope * change;
+      next.field.b = at.field.b + other;
+      if (carried) carried->extend(step, next.t, next.field.b, other, who);
+      at = all(who) ? next : select(who, next, at);
+    }
+
+    template <class P>
+    T finish(P& point, const Mask& arrived) {
+      const T arc = select(arrived, path / sqrt(1.0 + point.tanl * point.tanl), T(0.0));
+      if (carried) {
+        const FieldDerivatives<T>& by = carried->finished();
+        *motion.derivatives_ = all(arrived) ? by : select(arrived, by, *motion.derivatives_);
+      }
+      static_cast<HelixPointOf<T>&>(point) = all(arrived) ? here : select<T>(arrived, here, point);
+      if constexpr (requires { point.field; })
+        point.field = all(arrived) ? at.field : select(arrived, at.field, point.field);
       return arc;
     }
   };
 
-  FieldPoint to_field(const HelixPoint& p) const {
-    const double cosine = 1 / std::sqrt(1 + p.tanl * p.tanl);
-    return {{p.x, p.y, p.z}, {cosine * p.ux, cosine * p.uy, cosine * p.tanl}, bend_};
+  FieldValue<T> field_at(const HelixPointOf<T>& p) const { return field_.at(Vec3<T>{p.x, p.y, p.z}); }
+  void set_bend(const HelixPointOf<T>& point, const T& kappa) {
+    bend_ = kappa / (radius_per_kappa * sqrt(1.0 + point.tanl * point.tanl));
+  }
+  static FieldPoint<T> start_with(const HelixPointOf<T>& p, const FieldValue<T>& field) {
+    const T cosine = 1.0 / sqrt(1.0 + p.tanl * p.tanl);
+    return {{p.x, p.y, p.z}, {cosine * p.ux, cosine * p.uy, cosine * p.tanl}, field};
+  }
+  FieldPoint<T> start(const HelixPointOf<T>& p) const { return start_with(p, field_at(p)); }
+  FieldPoint<T> start(const Point& p) const { return start_with(p, p.field); }
+
+  HelixPointOf<T> to_helix(const FieldPoint<T>& p) const {
+    const T per = 1.0 / sqrt(p.t.x * p.t.x + p.t.y * p.t.y);
+    HelixPointOf<T> point{p.x.x, p.x.y, p.x.z, per * p.t.x, per * p.t.y, per * p.t.z, T(0.0)};
+    point.w = bend_ * per * (point.tanl * (point.ux * p.field.b.x + point.uy * p.field.b.y) - p.field.b.z);
+    return point;
   }
 
-  static HelixPoint to_helix(const FieldPoint& p, const Eigen::Vector3d& b) {
-    const double t = std::sqrt(p.t[0] * p.t[0] + p.t[1] * p.t[1]), ux = p.t[0] / t, uy = p.t[1] / t,
-                 tanl = p.t[2] / t;
-    return {p.x[0], p.x[1], p.x[2], ux, uy, tanl, p.bend / t * (tanl * (ux * b[0] + uy * b[1]) - b[2])};
-  }
-
-  RungeKutta stepper_;
+  RungeKutta<T> stepper_;
   const FieldMap& field_;
-  double bend_ = 0;
-  FieldDerivatives* derivatives_ = nullptr;
-  bool left_ = false;
+  T bend_{0.0};
+  FieldDerivatives<T>* derivatives_ = nullptr;
+  Mask left_{false};
 };
+using FieldMotion = FieldMotionOf<double>;
 
 }  // namespace cgemit

@@ -30,6 +30,12 @@ struct HelixPointOf {
 };
 using HelixPoint = HelixPointOf<double>;
 
+template <class T>
+HelixPointOf<T> select(const mask_of<T>& m, const HelixPointOf<T>& a, const HelixPointOf<T>& b) {
+  return {select(m, a.x, b.x),   select(m, a.y, b.y),       select(m, a.z, b.z), select(m, a.ux, b.ux),
+          select(m, a.uy, b.uy), select(m, a.tanl, b.tanl), select(m, a.w, b.w)};
+}
+
 // w of a track with kappa = charge/pT; positive charge in positive field turns clockwise.
 template <class T>
 T curvature(double bz, T kappa) {
@@ -99,16 +105,32 @@ void advance(HelixPointOf<T>& point, std::type_identity_t<T> arc) {
   point.z += arc * point.tanl;
 }
 
+// (1 - cos f)/f^2 and (f - sin f)/f^2: the integral of the position over a helix step.
+template <class T>
+struct StepIntegral {
+  T along, across;
+};
+template <class T>
+StepIntegral<T> step_integral(T f) {
+  const T q = f * f;
+  const auto is_short = q < 0.25;
+  StepIntegral<T> i{
+      0.5 + q * (-1.0 / 24 + q * (1.0 / 720 + q * (-1.0 / 40320 + q * (1.0 / 3628800 - q / 479001600.0)))),
+      f * (1.0 / 6 + q * (-1.0 / 120 + q * (1.0 / 5040 + q * (-1.0 / 362880 + q / 39916800.0))))};
+  if (all(is_short)) return i;
+  const SineCosine<T> s = sine_cosine(f);
+  return {select(is_short, i.along, (1.0 - s.cosine) / q), select(is_short, i.across, (f - s.sine) / q)};
+}
+
 // Transverse arc ahead to the point farthest from the beam line, where P falls through 0; infinite if
 // straight.
 template <class T>
 T arc_to_apex(const HelixPointOf<T>& point) {
-  const T bend = abs(point.w);
+  const T bend = abs(point.w), sideways = point.sideways();
   // P after a turn theta is P cos(theta) + (1/|w| -+ S) sin(theta).
-  const T side = 1.0 / bend - copysign(point.sideways(), point.w * point.sideways());
-  T theta = atan2(side, point.outward()) + 0.5 * pi;
-  theta = select(theta < 0.0, theta + 2.0 * pi, theta);
-  return select(point.w == 0.0, T(HUGE_VAL), theta / bend);
+  const T side = 1.0 / bend - copysign(sideways, point.w * sideways);
+  const T theta = atan2(side, point.outward()) + 0.5 * pi;
+  return select(bend == 0.0, T(HUGE_VAL), select(theta < 0.0, theta + 2.0 * pi, theta) / bend);
 }
 
 }  // namespace cgemit

@@ -3,134 +3,102 @@
 // With x the place, t the direction of flight (unit vector) and l the path,
 //   dx/dl = t,   dt/dl = a = bend (t x B(x)),   bend = charge/p over 10^6/c: 1/(mm T).
 // Three places of a step know the field, four directions the force (E. J. Nystroem, Acta Soc. Sci. Fenn. 50
-// no. 13 (1925); J. Myrheim and L. Bugge, Nucl. Instrum. Methods 160 (1979) 43). The same stages transport
-// derivatives by any parameters, the field's gradient included (L. Bugge and J. Myrheim, Nucl. Instrum.
-// Methods 179 (1981) 365).
+// no. 13 (1925); J. Myrheim and L. Bugge, Nucl. Instrum. Methods 160 (1979) 43). The field at the end serves
+// for the next step, too. That in the middle is the cubic through the values and slopes at both ends, so that
+// a step asks for the field once.
 #pragma once
 
-#include <Eigen/Core>
-#include <Eigen/Geometry>
-#include <algorithm>
 #include <cmath>
 
-#include "field/field.hpp"
+#include "field/values.hpp"
+#include "motion/field_derivatives.hpp"
 
 namespace cgemit {
 
+template <class T>
 struct FieldPoint {
-  Eigen::Vector3d x;  // mm
-  Eigen::Vector3d t;  // unit vector
-  double bend;        // 1/(mm T)
+  Vec3<T> x;  // mm
+  Vec3<T> t;  // unit vector
+  FieldValue<T> field;
+
+  friend FieldPoint select(const mask_of<T>& m, const FieldPoint& a, const FieldPoint& b) {
+    return {select<T>(m, a.x, b.x), select<T>(m, a.t, b.t), select(m, a.field, b.field)};
+  }
 };
 
-// By five parameters: three rows of x, three of t, one of bend.
-using FieldDerivatives = Eigen::Matrix<double, 7, 5>;
-
+template <class T>
 class RungeKutta {
  public:
   explicit RungeKutta(const FieldMap& field) : field_(field) {}
 
-  // Moves along the path, back if it is negative; `derivatives` go along. False, leaving both where the track
-  // leaves the map.
-  bool advance(FieldPoint& point, double path, FieldDerivatives* derivatives = nullptr) {
-    if (!field_.holds(point.x[0], point.x[1], point.x[2])) return false;
-    double left = path;
-    for (int steps = 0; left != 0 && steps < most_steps; ++steps) {
-      const double h = std::copysign(std::min(std::abs(left), step_), left);
-      const bool is_last = h == left;
-      const Stages s = derivatives != nullptr ? stages<true>(point, h) : stages<false>(point, h);
-      const double growth =
-          s.error > 0 ? 0.9 * std::sqrt(std::sqrt(field_.tolerance / s.error)) : most_growth;
-      if (!(s.error <= field_.tolerance) && std::abs(h) > shortest) {
-        step_ = std::max(std::abs(h) * std::clamp(growth, 0.1, 0.9), shortest);
-        continue;
-      }
-      step_ = std::max(is_last ? step_ : 0.0, std::abs(h) * std::clamp(growth, 0.1, most_growth));
-      if (derivatives != nullptr) transport(point, h, s, *derivatives);
-      move(point, h, s);
-      if (!field_.holds(point.x[0], point.x[1], point.x[2])) return false;
-      left = is_last ? 0 : left - h;
+  // Moves lanes `who` along the path, back if it is negative; `derivatives` go along. Returns those that are
+  // still inside the map; the others are left where they came out.
+  mask_of<T> advance(FieldPoint<T>& point, const T& bend, const T& path, const mask_of<T>& who,
+                     CarriedDerivatives<T>* derivatives) {
+    mask_of<T> inside = who & field_.holds(point.x);
+    T left = select(inside, path, T(0.0));
+    mask_of<T> moving = inside & (left != 0.0);
+    for (int steps = 0; any(moving) && steps < most_steps; ++steps) {
+      const T h = select(moving, copysign(smaller(abs(left), step_), left), T(0.0));
+      const mask_of<T> is_last = h == left;
+      FieldStep<T> step;
+      FieldPoint<T> end;
+      const T error = make(point, bend, h, step, end);
+      const mask_of<T> taken = moving & !adapt(h, error, is_last, moving);
+      if (derivatives != nullptr && any(taken)) derivatives->take(step, taken);
+      point = all(taken) ? end : select(taken, end, point);
+      inside = inside & !(taken & !field_.holds(point.x));
+      left = select(taken, select(is_last, T(0.0), left - h), left);
+      moving = moving & inside & (left != 0.0);
     }
-    return left == 0;
-  }
-
-  Eigen::Vector3d field(const Eigen::Vector3d& x) const {
-    return Eigen::Vector3d(field_.at(x[0], x[1], x[2]).data());
+    return inside & !moving;
   }
 
  private:
   static constexpr int most_steps = 100000;
   static constexpr double most_growth = 4, shortest = 1e-3;  // mm
 
-  using Gradient = Eigen::Matrix<double, 3, 3, Eigen::RowMajor>;
-
-  struct Stages {
-    Eigen::Vector3d x2, x4;                      // middle and end
-    Eigen::Vector3d t2, t3, t4;                  // directions there
-    Eigen::Vector3d b1, b2, b4;                  // fields
-    Eigen::Vector3d turn1, turn2, turn3, turn4;  // t x B
-    Gradient g1, g2, g4;                         // of the field, if asked for
-    double error;                                // mm
-  };
-
-  template <bool gradients>
-  Stages stages(const FieldPoint& p, double h) const {
-    const double hb = h * p.bend;
-    Stages s;
-    s.b1 = look<gradients>(p.x, s.g1);
-    s.turn1 = p.t.cross(s.b1);
-    s.x2 = p.x + 0.5 * h * p.t + 0.125 * h * hb * s.turn1;
-    s.b2 = look<gradients>(s.x2, s.g2);
-    s.t2 = p.t + 0.5 * hb * s.turn1;
-    s.turn2 = s.t2.cross(s.b2);
-    s.t3 = p.t + 0.5 * hb * s.turn2;
-    s.turn3 = s.t3.cross(s.b2);
-    s.x4 = p.x + h * p.t + 0.5 * h * hb * s.turn3;
-    s.b4 = look<gradients>(s.x4, s.g4);
-    s.t4 = p.t + hb * s.turn3;
-    s.turn4 = s.t4.cross(s.b4);
-    s.error = std::abs(h * hb) * (s.turn1 - s.turn2 - s.turn3 + s.turn4).norm();
-    return s;
+  // Lanes whose step was too long; the length of their next one.
+  mask_of<T> adapt(const T& h, const T& error, const mask_of<T>& is_last, const mask_of<T>& moving) {
+    const T length = abs(h), tolerance(field_.tolerance);
+    const mask_of<T> some = error > 0.0;
+    const T growth = select(some, 0.9 * sqrt(sqrt(tolerance / select(some, error, T(1.0)))), T(most_growth));
+    const mask_of<T> refused = moving & !(error <= tolerance) & (length > shortest);
+    const T longer = length * larger(smaller(growth, most_growth), 0.1);
+    const T next = select(refused, larger(length * larger(smaller(growth, 0.9), 0.1), shortest),
+                          select(is_last, larger(longer, step_), longer));
+    step_ = select(moving, next, step_);
+    return refused;
   }
 
-  template <bool gradients>
-  Eigen::Vector3d look(const Eigen::Vector3d& x, Gradient& gradient) const {
-    if constexpr (!gradients) return field(x);
-    FieldGradient g;
-    const FieldVector b = field_.at(x[0], x[1], x[2], g);
-    gradient = Gradient(g[0].data());
-    return Eigen::Vector3d(b.data());
+  // Returns the error, mm.
+  T make(const FieldPoint<T>& from, const T& bend, const T& h, FieldStep<T>& step, FieldPoint<T>& end) const {
+    const T hb = h * bend;
+    const Vec3<T>&x = from.x, &t = from.t;
+    const FieldValue<T>& here = from.field;
+    const Vec3<T> by_path = here.slope * t;
+    const Vec3<T> turn1 = cross(t, here.b), t2 = t + 0.5 * hb * turn1;
+    // Where the end will be.
+    const Vec3<T> guess = cross(t2, here.b + 0.5 * h * by_path);
+    const Vec3<T> x4 = x + h * t + h * hb * (1.0 / 6) * (turn1 + 2.0 * guess);
+    end.field = field_.at(x4);
+    const Vec3<T> by_path4 = end.field.slope * (t + hb * guess);
+    const Vec3<T> b2 = 0.5 * (here.b + end.field.b) + 0.125 * h * (by_path - by_path4);
+    const Vec3<T> turn2 = cross(t2, b2), t3 = t + 0.5 * hb * turn2;
+    const Vec3<T> turn3 = cross(t3, b2), t4 = t + hb * turn3;
+    const Vec3<T> turn4 = cross(t4, end.field.b), both = turn2 + turn3;
+    end.x = x + h * t + h * hb * (1.0 / 6) * (turn1 + both);
+    end.t = normalized(t + hb * (1.0 / 6) * (turn1 + 2.0 * both + turn4));
+    end.field.b = end.field.b + end.field.slope * (end.x - x4);
+    step = {h, bend, t, end.t, here.b, end.field.b, {b2, 0.5 * (here.slope + end.field.slope)}};
+    const Vec3<T> off = turn1 - both + turn4;
+    return abs(h * hb) * sqrt(dot(off, off));
   }
 
-  static void move(FieldPoint& p, double h, const Stages& s) {
-    const double hb = h * p.bend;
-    p.x += h * p.t + h * hb / 6 * (s.turn1 + s.turn2 + s.turn3);
-    p.t += hb / 6 * (s.turn1 + 2 * (s.turn2 + s.turn3) + s.turn4);
-    p.t.normalize();
-  }
-
-  static void transport(const FieldPoint& p, double h, const Stages& s, FieldDerivatives& d) {
-    using Columns = Eigen::Matrix<double, 3, 5>;
-    // Change of the force: by bend, by the direction, by the field at the place.
-    const auto force = [&p, &d](const Eigen::Vector3d& turn, const Columns& dt, const Eigen::Vector3d& b,
-                                const Eigen::Vector3d& t, const Columns& db) {
-      Columns sum = turn * d.row(6);
-      for (Eigen::Index i = 0; i < 5; ++i) sum.col(i) += p.bend * (dt.col(i).cross(b) + t.cross(db.col(i)));
-      return sum;
-    };
-    const Columns dx = d.topRows<3>(), dt = d.middleRows<3>(3);
-    const Columns a1 = force(s.turn1, dt, s.b1, p.t, s.g1 * dx);
-    const Columns db2 = s.g2 * (dx + 0.5 * h * dt + 0.125 * h * h * a1);
-    const Columns a2 = force(s.turn2, dt + 0.5 * h * a1, s.b2, s.t2, db2);
-    const Columns a3 = force(s.turn3, dt + 0.5 * h * a2, s.b2, s.t3, db2);
-    const Columns db4 = s.g4 * (dx + h * dt + 0.5 * h * h * a3);
-    const Columns a4 = force(s.turn4, dt + h * a3, s.b4, s.t4, db4);
-    d.topRows<3>() += h * dt + h * h / 6 * (a1 + a2 + a3);
-    d.middleRows<3>(3) += h / 6 * (a1 + 2 * (a2 + a3) + a4);
-  }
+  static Vec3<T> normalized(const Vec3<T>& v) { return 1.0 / sqrt(dot(v, v)) * v; }
 
   const FieldMap& field_;
-  double step_ = HUGE_VAL;  // mm, what the tolerance allowed last
+  T step_{HUGE_VAL};  // mm, what the tolerance allowed last
 };
 
 }  // namespace cgemit

@@ -14,6 +14,11 @@ struct ApproachOf {
   T nx, ny, nz;  // n at the closest point
   T arc;         // transverse arc from the start to the closest point
   T z_wire;      // z on the wire
+
+  friend ApproachOf select(const mask_of<T>& m, const ApproachOf& a, const ApproachOf& b) {
+    return {select(m, a.doca, b.doca), select(m, a.nx, b.nx),   select(m, a.ny, b.ny),
+            select(m, a.nz, b.nz),     select(m, a.arc, b.arc), select(m, a.z_wire, b.z_wire)};
+  }
 };
 using Approach = ApproachOf<double>;
 

@@ -15,11 +15,6 @@ HelixPoint lane(const HelixPointOf<T>& p, int i) {
   return {lane(p.x, i),  lane(p.y, i),    lane(p.z, i), lane(p.ux, i),
           lane(p.uy, i), lane(p.tanl, i), lane(p.w, i)};
 }
-template <class T>
-HelixPointOf<T> select(const mask_of<T>& m, const HelixPointOf<T>& a, const HelixPointOf<T>& b) {
-  return {select(m, a.x, b.x),   select(m, a.y, b.y),       select(m, a.z, b.z), select(m, a.ux, b.ux),
-          select(m, a.uy, b.uy), select(m, a.tanl, b.tanl), select(m, a.w, b.w)};
-}
 
 inline const Kinematics& lane(const Kinematics& k, int) { return k; }
 template <class T>

@@ -1,0 +1,74 @@
+"""What field maps cost: ``python benchmarks/field.py`` (a minute).
+
+The compiled fit alone, one thread, sides of the wires to be found out: muons of 1 GeV/c simulated and fitted in the
+uniform field, in the harmonic field and through an (r, z) map, for each instruction set (``CGEMIT_ISA`` names one). The
+fields take turns, so that a machine whose speed changes does not matter; smallest of several runs in processor time.
+Writes `field.csv`.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from typing import Any
+
+import numpy as np
+
+from cgemit import FitSettings, Gun, _core, find, helix, isa, load, run
+from cgemit.bench import DETECTOR, SEED, instruction_set
+from cgemit.candidates import fit_hits
+from cgemit.detector import compiled
+from cgemit.fit import core_arguments, smeared
+from rows import write_rows
+
+GUN = Gun("mu-", p=1.0, cos_theta=(-0.93, 0.93))
+FIELDS = ("uniform", "besiii-harmonic", "finite-solenoid")
+EVENTS = 1000
+RUNS = 7
+
+
+def arguments(field: str) -> dict[str, Any]:
+    """Return what the compiled fit takes."""
+    result = run(load(DETECTOR).with_field(field), GUN, EVENTS, SEED)
+    tables = (result.particles, result.clusters, result.wire_hits, result.truths, result.wire_truths)
+    hits = fit_hits(find.by_truth(result.detector, *tables), result.clusters, result.wire_hits)
+    settings = FitSettings(residuals=True)
+    truth = helix.at_origin_in(result.particles, compiled(result.detector).field)
+    start = smeared(truth, result.particles, settings, SEED)
+    return core_arguments(result.detector, hits, result.particles["mass"], start, settings)
+
+
+def costs_us(calls: dict[str, dict[str, Any]]) -> dict[str, float]:
+    """Return us per track in each field."""
+    best = dict.fromkeys(calls, np.inf)
+    for _ in range(RUNS):
+        for field, call in calls.items():
+            start = time.process_time()
+            _core.fit(**call)
+            best[field] = min(best[field], 1e6 * (time.process_time() - start) / EVENTS)
+    return best
+
+
+def main() -> int:
+    """Measure, write and print."""
+    calls = {field: arguments(field) for field in FIELDS}
+    chosen = os.environ.get(isa.VARIABLE)
+    rows = []
+    for code in (chosen,) if chosen else isa.available():
+        with instruction_set(code):
+            cost = costs_us(calls)
+        row: dict[str, Any] = {"isa": code}
+        for field in FIELDS:
+            row[f"{field}_us"] = round(cost[field], 2)
+        for field in FIELDS[1:]:
+            row[f"{field}_ratio"] = round(cost[field] / cost["uniform"], 2)
+        rows.append(row)
+        print(row)
+    if not chosen:
+        write_rows("field.csv", rows)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

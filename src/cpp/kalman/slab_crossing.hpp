@@ -1,0 +1,86 @@
+// What one slab does to a particle: path, energy loss, scattering angle, and how these act on the helix
+// parameters at the slab. Written once, for the reference trajectory and for states along the track.
+#pragma once
+
+#include "matter/loss.hpp"
+#include "matter/scattering.hpp"
+
+namespace cgemit {
+
+// Change of kappa by the loss: kappa_behind = ratio kappa, and d(kappa_behind) = gain d(kappa) + mixed
+// d(tanl).
+template <class T>
+struct LossJacobian {
+  T ratio, gain, mixed;
+};
+
+// Standard deviations of the noise: every line is one random number and moves several parameters at a time.
+// All hold at the slab, for the helix with its pivot there.
+template <class T>
+struct LocalNoise {
+  T turn_psi;             // scattering in the horizontal
+  T dip_kappa, dip_tanl;  // scattering across that
+  T straggling_kappa;     // fluctuations of the loss
+  T shift_across;         // sideways shift inside of the slab
+  T shift_z, shift_psi;   // shift in dip: it moves along the flight too, where the azimuth is another
+};
+
+template <class T>
+struct SlabCrossing {
+  KinematicsOf<T> before, after;
+  LossMomentsOf<T> loss;
+  T path;   // factor to the slab's thickness
+  T theta;  // rad, standard deviation of each angle
+
+  // Of p' = p(E(p) - loss(p, tanl)): dp'/dp at fixed tanl and dp'/dtanl at fixed p.
+  LossJacobian<T> jacobian(const T& kappa, const T& tanl, const T& sec_lambda) const {
+    const T ratio = before.p * after.per_p, slope = tanl / (sec_lambda * sec_lambda);
+    const T by_p = after.per_beta * (before.p / before.energy - loss.slope);
+    const T by_tanl = -after.per_beta * loss.loss * slope;
+    return {ratio, by_p * ratio * ratio,
+            kappa * ratio * (slope - by_p * ratio * slope - by_tanl * after.per_p)};
+  }
+
+  // `w`: curvature of the flight.
+  LocalNoise<T> noise(const Slab& slab, const T& kappa, const T& tanl, const T& sec_lambda,
+                      const T& w) const {
+    const T shift = theta * slab.spread * path;
+    return {theta * sec_lambda,
+            kappa * tanl * theta,
+            sec_lambda * sec_lambda * theta,
+            kappa * sqrt(loss.variance) * before.energy * before.per_p * before.per_p,
+            shift,
+            shift * sec_lambda,
+            w * shift * tanl / sec_lambda};
+  }
+};
+
+template <class T>
+mask_of<T> stops(const KinematicsOf<T>& before, const LossMomentsOf<T>& loss) {
+  return before.kinetic() - loss.loss < least_kinetic;
+}
+
+// On the way out; only where the particle does not stop.
+template <class T>
+SlabCrossing<T> cross_outward(const Slab& slab, const T& path, const KinematicsOf<T>& before,
+                              const LossMomentsOf<T>& loss, const TrackMatterOf<T>& track) {
+  const KinematicsOf<T> after = before.after_loss(loss.loss);
+  return {before, after, loss, path, sqrt(scattering_variance(slab, path, before, after, track))};
+}
+
+// On the way back in: the loss is that of the energy which the particle had before. It changes so little with
+// energy that a few rounds settle it.
+inline SlabCrossing<double> cross_inward(const Slab& slab, double path, const Kinematics& after,
+                                         const TrackMatter& track) {
+  Kinematics before = after;
+  LossMoments loss = core_loss(slab, path, after, track);
+  for (int i = 0; i < 20; ++i) {
+    const double last = loss.loss;
+    before = after.after_loss(-last);
+    loss = core_loss(slab, path, before, track);
+    if (std::abs(loss.loss - last) < 1e-13 * after.energy) break;
+  }
+  return {before, after, loss, path, sqrt(scattering_variance(slab, path, before, after, track))};
+}
+
+}  // namespace cgemit
