@@ -42,9 +42,7 @@ py::dict run(const Detector& detector, const py::dict& particles, Fluctuations f
   Simulated out;
   {
     py::gil_scoped_release release;
-    const auto kernel =
-        detector.field.is_uniform() ? kernels().simulate : &cgemit::simulate;  // others go one by one
-    kernel(detector, in, {fluctuations, deltas, steps}, seed, out);
+    kernels().simulate(detector, in, {fluctuations, deltas, steps}, seed, out);
   }
   std::vector<std::int8_t> status;
   status.reserve(out.status.size());

@@ -38,9 +38,9 @@ class FieldMotionOf {
     point.w = curvature(point, field_at(point).b, bend_);
   }
   // The same where the field is known.
-  void bend(Point& point, const T& kappa) {
-    set_bend(point, kappa);
-    point.w = curvature<T>(point, point.field.b, bend_);
+  void bend(Point& point, const T& kappa, const Mask& who = Mask(true)) {
+    bend_ = select(who, kappa / (radius_per_kappa * sqrt(1.0 + point.tanl * point.tanl)), bend_);
+    point.w = select(who, curvature<T>(point, point.field.b, bend_), point.w);
   }
   // A smaller momentum: charge/p grows by `ratio`.
   void lose(Point& point, const T& ratio) {
@@ -54,6 +54,7 @@ class FieldMotionOf {
   // For derivatives that go along with every move; null: none.
   void carry(FieldDerivatives<T>* derivatives) { derivatives_ = derivatives; }
 
+  T bz(const Point& point) const { return point.field.b.z; }
   T bz(const HelixPointOf<T>& point) const { return field_at(point).b.z; }
   const T& bending() const { return bend_; }  // charge/p in 1/(mm T)
   T charge_per_p() const { return bend_ * radius_per_kappa; }

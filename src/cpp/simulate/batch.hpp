@@ -7,8 +7,8 @@
 
 #include "matter/electron_flight.hpp"
 #include "matter/ionization.hpp"
+#include "motion/field_motion.hpp"
 #include "motion/uniform.hpp"
-#include "simulate/field_motion.hpp"
 #include "simulate/flight.hpp"
 #include "simulate/simulate.hpp"
 
@@ -218,7 +218,7 @@ void simulate_lanes(const Detector& detector, const ParticleColumns& particles,
   reserve(detector, settings, particles.event.size(), out);
   if (detector.field.is_uniform())
     return simulate_in<T, UniformMotionOf>(detector, particles, settings, seed, out);
-  if constexpr (lanes_of<T> == 1) simulate_in<T, FieldMotionOf>(detector, particles, settings, seed, out);
+  simulate_in<T, FieldMotionOf>(detector, particles, settings, seed, out);
 }
 
 }  // namespace cgemit
