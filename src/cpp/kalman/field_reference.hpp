@@ -122,6 +122,7 @@ class FieldReference {
   template <class Act>
   void on_cylinder(const mask_of<T>& who, const Act& act) {
     const FieldDerivatives<T> before = by_origin_;
+    const HelixPointOf<T> here = point_;
     const T outward = point_.outward(), ahead = point_.sideways() / outward;
     Row forward;
     for (std::size_t i = 0; i < parameters; ++i) forward[i] = ahead * by_origin_.across[i];
@@ -129,7 +130,9 @@ class FieldReference {
     act(forward);
     for (T& x : forward) x = -x;
     follow(forward);
-    if (!all(who)) by_origin_ = select(who, by_origin_, before);
+    if (all(who)) return;
+    by_origin_ = select(who, by_origin_, before);
+    static_cast<HelixPointOf<T>&>(point_) = select<T>(who, point_, here);
   }
   // Moves neighbours along their flight.
   void follow(const Row& forward) {
