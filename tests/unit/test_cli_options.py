@@ -102,12 +102,14 @@ COMMON = [
     Row("--set", ["--set", "fit.loss=mean"], with_settings(fit=FitSettings(loss="mean"))),
     Row("--set", ["--set", "simulate.sublayers=true", "--set", "cluster.position=charge"],
         with_settings(simulate=SimulateSettings(sublayers=True), cluster=ClusterSettings(position="charge"))),
-    Row("--set", ["--set", "digitize.readout=gaussian", "--set", "digitize.readout.sigma_x=0.2", "--set", "field.bz=0.9 T"],
+    Row("--set",
+        ["--set", "digitize.readout=gaussian", "--set", "digitize.readout.sigma_x=0.2", "--set", "field.bz=0.9 T"],
         {"detector": load(DESIGN).with_overrides({"field.bz": "0.9 T"}),
          **with_settings(digitize=DigitizeSettings(readout=GaussianReadout(sigma_x=0.2)))}),
     Row("--settings", ["--settings", "mine.toml"], {"settings": OF_FILE}),
     Row("--settings", ["--settings", "mine.toml", "--set", "digitize.readout.threshold=12", "--set", "fit.kinks=true"],
-        {"settings": replace(OF_FILE, digitize=DigitizeSettings(readout=BinaryReadout(threshold=12)), fit=FitSettings())}),
+        {"settings": replace(OF_FILE, fit=FitSettings(),
+                             digitize=DigitizeSettings(readout=BinaryReadout(threshold=12)))}),
     Row("--field", ["--field", "besiii-harmonic"], {"detector": load(DESIGN).with_field("besiii-harmonic")}),
     Row("--name", ["--name", "mine"], {"detector": load(DESIGN).with_overrides({"name": "mine"})}),
     Row("--no-deltas", ["--no-deltas"], with_settings(simulate=SimulateSettings(deltas=False))),
@@ -268,14 +270,14 @@ def test_a_run_is_repeated_from_its_record(tmp_path: Path) -> None:
         (["--settings", "none.toml"], ["none.toml: got", "expected a TOML or JSON file"]),
         (["--settings", "wrong.toml", "--set", "fit.los=1", "--set", "x=1", "--set", "cgem.L2.pitch=1",
           "--hypothesis", "d"],
-         ["wrong.toml: digitize.gain: got -1", "--set: fit.los: got an unknown key", "--set: got 'x'",
+         ["wrong.toml: digitize.readout.gain: got -1", "--set: fit.los: got an unknown key", "--set: got 'x'",
           "cgem.L2.pitch: got an unknown key", "--hypothesis: fit.hypothesis: got 'd'"]),
     ],
 )  # fmt: skip
 def test_mistakes_are_all_listed(
     words: list[str], messages: list[str], capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    (tmp_path / "wrong.toml").write_text("[digitize]\ngain = -1\n", encoding="utf-8")
+    (tmp_path / "wrong.toml").write_text("[digitize.readout]\ngain = -1\n", encoding="utf-8")
     assert main([*command_line(["simulate"], SIMULATE, Row("", words)), "-o", "never"]) == 2
     text = capsys.readouterr().err
     assert [message for message in messages if message not in text] == []
