@@ -19,8 +19,8 @@ PAGE = Path(__file__).with_name("settings.md")
 TEXT = """\
 # Settings
 
-Settings control the stages of the chain; a [detector file](methods/detector.md) describes the detector. Each stage has a
-class with a default for every setting, and `Settings` holds the classes of all stages.
+Settings control the stages of the chain; a [detector file](methods/detector.md) describes the detector. Each stage has
+a class with a default for every setting, and `Settings` holds the classes of all stages.
 
 ## Three ways to give them
 
@@ -45,9 +45,9 @@ states = ["hits", 90.0]       # a tuple in Python is a list in a file
 ```
 
 `cg.Settings.load("my.toml")` reads it, `settings.save("my.toml")` writes all settings. `to_toml`, `from_toml`,
-`to_json`, `from_json`, `to_dict` and `from_dict` do the same with text and dicts. The class of each stage has these methods too.
-Reading back gives equal settings, to the last bit. TOML has no null: the string `"none"` stands for None, and a setting
-that is None by default may be left out.
+`to_json`, `from_json`, `to_dict` and `from_dict` do the same with text and dicts. The class of each stage has these
+methods too. Reading back gives equal settings, to the last bit. TOML has no null: the string `"none"` stands for None,
+and a setting that is None by default may be left out.
 
 On the command line, `cgemit study`, `resolution` and `simulate` take a file and single values:
 
@@ -58,9 +58,9 @@ cgemit settings --settings out/run.json                          # the settings 
 ```
 
 `--set` changes a setting if the first part of the name is a stage. Otherwise it changes a value of the detector
-(`--set cgem.L2.pitch_x="500 um"`). The file is applied first, then each `--set` in its order, then options that stand for a
-setting: `--no-deltas` (`simulate.deltas`), `--hypothesis` (`fit.hypothesis`), `--states` (`fit.states`). It is an error if
-such an option and a `--set` give different values to the same setting. In Python,
+(`--set cgem.L2.pitch_x="500 um"`). The file is applied first, then each `--set` in its order, then options that stand
+for a setting: `--no-deltas` (`simulate.deltas`), `--hypothesis` (`fit.hypothesis`), `--states` (`fit.states`). It is an
+error if such an option and a `--set` give different values to the same setting. In Python,
 `Settings().with_overrides({"fit.loss": "mean"})` is the equivalent of `--set`.
 
 An invalid choice raises an error when the settings are made; mypy finds it earlier. All problems of a file and of the
@@ -75,8 +75,8 @@ cgemit: wrong settings
 ## The record of a run
 
 Every output folder of `study`, `resolution` and `simulate` has a `run.json`. It holds the command, the versions of
-cgemit, Python and numpy, the seed, the source of particles, all settings of all stages, the complete detector files, and a hash
-of this configuration. The tables hold the hash and the seed too.
+cgemit, Python and numpy, the seed, the source of particles, all settings of all stages, the complete detector files,
+and a hash of this configuration. The tables hold the hash and the seed too.
 
 `cg.Result.load(folder)` reads the files of `result.save(folder)` or `cgemit simulate -o folder` and returns an equal
 result. A folder with a damaged file, or with tables of another run, is refused, and the error names every such file.
