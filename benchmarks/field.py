@@ -23,7 +23,7 @@ from cgemit.fit import core_arguments, smeared
 from rows import write_rows
 
 GUN = Gun("mu-", p=1.0, cos_theta=(-0.93, 0.93))
-FIELDS = ("uniform", "besiii-harmonic", "finite-solenoid")
+FIELDS = ("uniform", "besiii", "finite-solenoid")
 EVENTS = 1000
 RUNS = 7
 

@@ -30,7 +30,7 @@ CASES = {
     "default, foils with holes": SimulateSettings(foil="lattice"),
     "default, every sub-layer by itself": SimulateSettings(sublayers=True),
 }
-FIELDS = ("uniform", "besiii-harmonic", "finite-solenoid")  # the last one on a grid in (r, z)
+FIELDS = ("uniform", "besiii", "finite-solenoid")  # the last one on a grid in (r, z)
 
 
 def product_us() -> float:

@@ -61,7 +61,7 @@ def cases() -> list[Case]:
         end = "+z" if layer.stereo > 0 else "-z"
         found.append(mistaken(f"{layer.label} shifted by 50 um to {end}", overrides))
     found.append(mistaken("no beam pipe", {"remove": ["beam_pipe"]}))
-    for name in ("besiii-harmonic", "finite-solenoid"):
+    for name in ("besiii", "finite-solenoid"):
         uneven = truth.with_field(name)
         found.append(Case(f"`{name}` is uniform", uneven, uneven.with_overrides({"field.kind": "uniform"})))
     return found

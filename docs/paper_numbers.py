@@ -60,9 +60,10 @@ def choices() -> list[Choice]:
         Choice("wires of 150 um", overrides={"drift_chamber.sigma": "150 um"}),
         Choice('`drift_chamber.wires = "smeared"`', overrides={"drift_chamber.wires": "smeared"}),
         Choice("efficiency of cells 0.95", overrides={"drift_chamber.efficiency": 0.95}),
+        Choice("efficiency of cells 0.9", overrides={"drift_chamber.efficiency": 0.9}),
         Choice("field of +1 T", overrides={"field.bz": "1 T"}),
-        Choice("`--field besiii-harmonic`", magnet="besiii-harmonic"),
-        Choice("`--field besiii-harmonic` within ±0.6", magnet="besiii-harmonic", cos_theta=0.6),
+        Choice("`--field besiii`", magnet="besiii"),
+        Choice("`--field besiii` within ±0.6", magnet="besiii", cos_theta=0.6),
         Choice("`--field finite-solenoid`", magnet="finite-solenoid"),
         Choice("RMS within five core widths", width="rms"),
         Choice(

@@ -8,6 +8,9 @@ from cgemit import _core
 from cgemit.detector import write_field_map
 from cgemit.detector.field.grid import Axis, FieldGrid
 
+#: The preset besiii-harmonic without its limits in r and z: an uneven field that steep tracks do not leave.
+HARMONIC = {"kind": "harmonic", "bz": "-0.980 T", "b": "0.175 /m2", "q": "-0.251 /m4"}
+
 
 def harmonic_by_hand(x, y, z, bz=-0.98, b=0.175e-6, q=-0.251e-12):
     """Return the gradient of the scalar potential whose Bz is quoted, term by term; b, q and lengths in mm."""

@@ -23,6 +23,7 @@ from cgemit.fit import PARAMETERS, FitSettings, FitStatus, fit
 from cgemit.particles import particles_from
 from cgemit.study.hits import Hits, add_noise, exchange_clusters, keep, lose_layers
 from cgemit.tables import SCHEMAS, Table
+from cgemit.tracks import has_cov
 
 PRESETS = ("besiii-cgem-design", "besiii-cgem", "besiii-idc", "besiii-idc-boss")
 FAR = (50.0, 0.5, 1.0, 300.0, 1.0)
@@ -165,7 +166,7 @@ def problems(tables):
     """List what is wrong with the tables of a fit."""
     rows, found = tables["tracks"], []
     status = rows["status"]
-    ok, fitted = status == FitStatus.ok, np.isin(status, (FitStatus.ok, FitStatus.not_converged))
+    ok, fitted = status == FitStatus.ok, has_cov(status)
     if not np.isin(status, list(FitStatus)).all():
         found.append("a status that is none")
     none = np.isin(status, (FitStatus.too_few_hits, FitStatus.seed_failed))

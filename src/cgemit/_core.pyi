@@ -40,6 +40,7 @@ class FitStatus(enum.IntEnum):
     not_converged = 5
     not_positive_definite = 6
     left_field = 7
+    unconstrained = 8
 
 class StateStatus(enum.IntEnum):
     ok = 0
@@ -82,8 +83,8 @@ class Fluctuations(enum.IntEnum):
     off = 2
 
 class Field:
-    # Harmonic (b mm^-2, q mm^-4), or a grid. axes: first (mm), step (mm), points; coefficients of cubic B-splines:
-    # points + 2 of each axis, then the component.
+    # Harmonic (b mm^-2, q mm^-4; reach: largest r and |z|, mm), or a grid. axes: first (mm), step (mm), points;
+    # coefficients of cubic B-splines: points + 2 of each axis, then the component.
     def __init__(
         self,
         *,
@@ -93,6 +94,7 @@ class Field:
         q: float = 0.0,
         axes: Sequence[tuple[float, float, int]] = [],
         coefficients: npt.ArrayLike = [],
+        reach: Sequence[float] | None = None,
     ) -> None: ...
     @property
     def bz(self) -> float: ...  # T, at the origin

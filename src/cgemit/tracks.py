@@ -20,7 +20,7 @@ Out = dict[str, npt.NDArray[np.generic]]  # what the compiled fit returns
 
 def has_cov(status: npt.NDArray[np.generic]) -> npt.NDArray[np.bool_]:
     """Return whether fits that ended so have a covariance and a chi-square."""
-    return np.isin(status, (_core.FitStatus.ok, _core.FitStatus.not_converged))
+    return np.isin(status, (_core.FitStatus.ok, _core.FitStatus.not_converged, _core.FitStatus.unconstrained))
 
 
 def track_columns(out: Out, event: Column, candidate: Column, pdg: Column) -> Columns:

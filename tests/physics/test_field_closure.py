@@ -11,11 +11,12 @@ from cgemit.detector import load
 from cgemit.fit import PARAMETERS
 from cgemit.result import Result
 from exact import EXACT, assert_no_bias, assert_probability_is_flat, assert_pulls_are_standard_normal
+from fields import HARMONIC
 
 N = 3000
 POINTS = [
-    ("besiii-harmonic", "mu-", 0.2, 0.3),
-    ("besiii-harmonic", "mu+", 1.0, -0.5),
+    ("besiii", "mu-", 0.2, 0.3),
+    ("besiii", "mu+", 1.0, -0.5),
     ("finite-solenoid", "pi+", 0.5, 0.7),
 ]
 
@@ -36,7 +37,7 @@ def test_pulls_are_standard_normal(field: str, particle: str, p: float, cos_thet
 
 def test_pulls_of_displaced_vertices() -> None:
     """The truth is tracked back through the map, and the fit is where it says."""
-    detector = load("besiii-cgem-design").with_field("besiii-harmonic")
+    detector = load("besiii-cgem-design").with_field(HARMONIC)
     gun = cg.Gun("mu-", p=0.5, cos_theta=(-0.5, 0.5), vertex=(8, 25, 10))
     tracks = cg.run(detector, gun, N, seed=12, settings=EXACT).tracks
     for name in PARAMETERS:
@@ -45,7 +46,7 @@ def test_pulls_of_displaced_vertices() -> None:
 
 @pytest.mark.parametrize("believed", ["uniform", "a thousandth more"])
 def test_pull_gate_sees_a_wrong_field(believed: str) -> None:
-    detector = load("besiii-cgem-design").with_field("besiii-harmonic")
+    detector = load("besiii-cgem-design").with_field(HARMONIC)
     wrong = {"uniform": {"field.kind": "uniform"}, "a thousandth more": {"field.bz": "-0.98098 T"}}[believed]
     result = cg.run(
         detector, cg.Gun("mu-", p=1.0, cos_theta=-0.5), N, seed=11, settings=EXACT,

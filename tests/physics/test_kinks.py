@@ -15,6 +15,7 @@ import cgemit as cg
 from cgemit import _core
 from cgemit.fit import PARAMETERS, FitSettings
 from exact import EXACT
+from fields import HARMONIC
 from optimal import Optimum, optimum
 from plain_tracks import Hit, follow, stack_of
 from tracks import hits_of_result
@@ -135,7 +136,7 @@ def test_fast_tracks_have_no_kinks() -> None:
     np.testing.assert_array_equal(helices(sample(True, gun, 200)), helices(sample(False, gun, 200)))
 
 
-@pytest.mark.parametrize("field", ["uniform", "besiii-harmonic"])
+@pytest.mark.parametrize("field", ["uniform", HARMONIC])
 def test_states_are_those_of_the_fit(field: str) -> None:
     """The smoothed state at the origin is the helix, and every residual that of the hit against the smoothed track."""
     detector = cg.load("besiii-cgem-design")

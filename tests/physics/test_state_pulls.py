@@ -21,6 +21,7 @@ from cgemit.simulate import simulate
 from cgemit.states import StateStatus, Surface
 from cgemit.tables import Table
 from exact import EXACT, assert_standard_normal
+from fields import HARMONIC
 
 Floats = npt.NDArray[np.float64]
 N = 4000
@@ -33,7 +34,7 @@ OUTSIDE = (36, 42)  # layers of the chamber that the fit does not use
 FIELDS = {
     "-1 T": DETECTOR,
     "1 T": DETECTOR.with_overrides({"field.bz": "1 T"}),
-    "harmonic": DETECTOR.with_field("besiii-harmonic"),
+    "harmonic": DETECTOR.with_field(HARMONIC),
 }
 POINTS = [("mu-", 0.3, "-1 T"), ("mu+", 0.3, "1 T"), ("pi-", 1.0, "-1 T"), ("mu-", 0.3, "harmonic")]
 every_point = pytest.mark.parametrize(("particle", "p", "field"), POINTS)

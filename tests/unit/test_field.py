@@ -6,7 +6,7 @@ import pytest
 import cgemit as cg
 from cgemit.detector import Detector, field_at, fields
 from cgemit.detector.field.core import compiled_field, solenoid_field
-from fields import box_grid, harmonic_by_hand, on_core
+from fields import HARMONIC, box_grid, harmonic_by_hand, on_core
 
 RNG = np.random.default_rng(1)
 POINTS = np.stack([RNG.uniform(-600, 600, 200), RNG.uniform(-500, 500, 200), RNG.uniform(-1000, 1000, 200)], axis=1)
@@ -18,12 +18,10 @@ def design() -> Detector:
 
 
 def test_harmonic_field(design):
-    assert field_at(design.with_field("besiii-harmonic"), POINTS) == pytest.approx(
-        harmonic_by_hand(*POINTS.T), abs=1e-14
-    )
+    assert field_at(design.with_field(HARMONIC), POINTS) == pytest.approx(harmonic_by_hand(*POINTS.T), abs=1e-14)
 
 
-@pytest.mark.parametrize("name", ["besiii-harmonic", "finite-solenoid", "box"])
+@pytest.mark.parametrize("name", [HARMONIC, "finite-solenoid", "box"])
 def test_gradients_are_derivatives_and_obey_maxwell(design, name):
     core = on_core(box_grid(harmonic_by_hand)) if name == "box" else compiled_field(design.with_field(name))
     assert core is not None

@@ -10,7 +10,7 @@ from cgemit import _core
 from cgemit.detector import compiled, load, slabs
 from cgemit.fit import FitStatus
 from cgemit.states import StateStatus
-from fields import small_map
+from fields import HARMONIC, small_map
 from tracks import MUON, hits_on, particles, without_matter
 
 UNIFORM = load("besiii-cgem-design")
@@ -143,7 +143,7 @@ def test_noise_is_a_kick_seen_from_the_origin():
 
 
 def test_a_fit_that_leaves_its_map_says_so(tmp_path):
-    whole = UNIFORM.with_field("besiii-harmonic")
+    whole = UNIFORM.with_field(HARMONIC)
     small = UNIFORM.with_field(small_map(tmp_path))
     gun = cg.Gun("mu-", p=1.0, cos_theta=(-0.3, 0.3))
     result = cg.run(whole, gun, 30, seed=2, fit_detector=small)
@@ -165,7 +165,7 @@ def test_unknown_sides_and_low_momenta_are_fitted():
     assert np.median(np.abs(result.tracks["res_p"][fitted] / result.tracks["truth_p"][fitted])) < 0.01
 
 
-@pytest.mark.parametrize("name", ["besiii-harmonic", "finite-solenoid", "small map"])
+@pytest.mark.parametrize("name", [HARMONIC, "finite-solenoid", "small map"])
 def test_any_particle_ends_with_numbers_or_a_status(tmp_path, name):
     """From 25 MeV/c to 5 GeV/c, from far beside the beam line: nothing is NaN where all is said to be well."""
     rng, n = np.random.default_rng(5), 300

@@ -10,6 +10,7 @@ import pytest
 
 from cgemit import DigitizeSettings, FitSettings, Gun, Result, Settings, _core, isa, load, run
 from cgemit.fit import core_arguments
+from fields import HARMONIC
 from tracks import hits_of_result
 
 LANES = [name for name in isa.available() if name != "scalar"]
@@ -182,7 +183,7 @@ def test_lanes_differ_no_more_than_the_last_digit_does(sides: bool, gun: str) ->
 
 
 @pytest.mark.parametrize("name", LANES)
-@pytest.mark.parametrize("field", ["besiii-harmonic", "finite-solenoid"])
+@pytest.mark.parametrize("field", [HARMONIC, "finite-solenoid"])
 def test_fit_through_a_map_is_that_of_scalar_code(field: str, name: str) -> None:
     """Steps are adapted lane by lane: thresholds that rounding passes cost less than 1e-4 standard deviations."""
     gun, columns = Gun("mu-", p=(0.3, 2.0), cos_theta=(-0.9, 0.9)), ("dr", "phi0", "kappa", "dz", "tanl")
@@ -201,7 +202,7 @@ def test_fit_through_a_map_is_that_of_scalar_code(field: str, name: str) -> None
 
 
 @pytest.mark.parametrize("name", LANES)
-@pytest.mark.parametrize("field", ["uniform", "besiii-harmonic", "finite-solenoid"])
+@pytest.mark.parametrize("field", ["uniform", HARMONIC, "finite-solenoid"])
 @pytest.mark.parametrize(
     ("particle", "p", "events"),
     [("pi-", (0.15, 0.4), 40), ("pi-", (0.05, 0.1), 250), ("p", (0.2, 0.35), 300), ("mu-", (0.05, 1.0), 300)],

@@ -10,7 +10,7 @@ from cgemit.detector import Detector, load, write_field_map
 from cgemit.gun import Gun, generate
 from cgemit.simulate import SimulateSettings, TransportStatus, simulate
 from cgemit.tables import Table
-from fields import harmonic_by_hand, small_map
+from fields import HARMONIC, harmonic_by_hand, small_map
 from tracks import particles
 
 DESIGN = load("besiii-cgem-design")
@@ -105,7 +105,7 @@ def fields(tmp_path_factory):
     box = {"x": x, "y": x, "z": z} | {f"b{axis}": values[..., i] for i, axis in enumerate("xyz")}
     return {
         "uniform": DESIGN,
-        "harmonic": DESIGN.with_field("besiii-harmonic"),
+        "harmonic": DESIGN.with_field(HARMONIC),
         "cylinder": DESIGN.with_field(small_map(folder)),
         "box": DESIGN.with_field(write_field_map(folder / "box.npz", box)),
     }

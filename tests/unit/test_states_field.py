@@ -9,7 +9,7 @@ from cgemit import _core
 from cgemit.detector import compiled, load, slabs
 from cgemit.fit import FitStatus
 from cgemit.states import StateStatus, Surface
-from fields import harmonic_by_hand, small_map
+from fields import HARMONIC, harmonic_by_hand, small_map
 from oracles import LIGHT
 from tracks import MUON, hits_on, without_matter
 
@@ -203,14 +203,14 @@ def test_a_way_out_of_the_map_has_its_status(tmp_path):
     assert np.all(cg.extrapolate(detector, start, 499.0)["status"] == StateStatus.ok)
     assert {*cg.extrapolate(detector, start, 10.0)["status"]} == {StateStatus.ok, StateStatus.does_not_reach}
     # One that begins outside.
-    beyond = cg.extrapolate(detector.with_field("besiii-harmonic"), start, 600.0)
+    beyond = cg.extrapolate(detector.with_field(HARMONIC), start, 600.0)
     assert np.all(cg.extrapolate(detector, beyond, 300.0)["status"] == StateStatus.left_field)
     # The map ends in z, too.
     steep = start.with_columns(tanl=np.full(len(start), 20.0))
     assert np.all(cg.extrapolate(detector, steep, 499.0)["status"] == StateStatus.left_field)
 
 
-@pytest.mark.parametrize("field", ["besiii-harmonic", "finite-solenoid"])
+@pytest.mark.parametrize("field", [HARMONIC, "finite-solenoid"])
 def test_states_of_a_run_hold_together(field):
     """Points on their cylinders, positive definite covariances, and pulls of hits as in the residuals table."""
     radii = (10.0, 50.0, 250.0, 500.0, 900.0)

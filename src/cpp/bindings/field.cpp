@@ -3,6 +3,9 @@
 #include <pybind11/pybind11.h>
 #include <pybind11/stl.h>
 
+#include <array>
+#include <optional>
+
 #include "bindings/arrays.hpp"
 #include "motion/field_motion.hpp"
 
@@ -14,8 +17,12 @@ namespace {
 
 FieldMap make_field(double bz, double tolerance, double b, double q,
                     const std::vector<std::tuple<double, double, int>>& axes,
-                    const Array<double>& coefficients) {
-  if (axes.empty()) return {FieldKind::harmonic, bz, b, q, {}, {}, tolerance};
+                    const Array<double>& coefficients, std::optional<std::array<double, 2>> reach) {
+  if (axes.empty()) {
+    FieldMap map{FieldKind::harmonic, bz, b, q, {}, {}, tolerance};
+    if (reach) map.axes = {{0, (*reach)[0], 2}, {-(*reach)[1], 2 * (*reach)[1], 2}};
+    return map;
+  }
   if (axes.size() != 2 && axes.size() != 3) throw std::invalid_argument("axes: expected two or three");
   const bool is_box = axes.size() == 3;
   FieldMap map{is_box ? FieldKind::box : FieldKind::cylinder, bz, 0, 0, {}, {}, tolerance};
@@ -101,7 +108,7 @@ void bind_field(py::module_& module) {
   py::class_<FieldMap>(module, "Field", "The magnetic field at a point.")
       .def(py::init(&make_field), py::kw_only(), py::arg("bz"), py::arg("tolerance"), py::arg("b") = 0.0,
            py::arg("q") = 0.0, py::arg("axes") = std::vector<std::tuple<double, double, int>>(),
-           py::arg_v("coefficients", Array<double>(0), "[]"))
+           py::arg_v("coefficients", Array<double>(0), "[]"), py::arg("reach") = py::none())
       .def_readonly("bz", &FieldMap::bz)
       .def_property_readonly("is_uniform", &FieldMap::is_uniform)
       .def("values", &values, py::arg("points"),

@@ -25,6 +25,7 @@ void bind_status(py::module_& module) {
       .value("not_converged", FitStatus::not_converged)
       .value("not_positive_definite", FitStatus::not_positive_definite)
       .value("left_field", FitStatus::left_field)
+      .value("unconstrained", FitStatus::unconstrained)
       .finalize();
   py::native_enum<StateStatus>(module, "StateStatus", "enum.IntEnum",
                                "Whether a fitted track has a state where one is asked for.")

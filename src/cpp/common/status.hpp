@@ -24,7 +24,8 @@ enum class FitStatus : std::int8_t {
   stopped = 4,                // the reference momentum is used up in material before a hit
   not_converged = 5,          // still moving after the last allowed iteration
   not_positive_definite = 6,  // the covariance is not that of five real parameters
-  left_field = 7              // the reference leaves the field map before the last hit
+  left_field = 7,             // the reference leaves the field map before the last hit
+  unconstrained = 8           // no wire hit is used, and the error of the momentum exceeds half of it
 };
 
 // Whether a fitted track has a state where one is asked for.

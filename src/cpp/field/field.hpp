@@ -42,13 +42,13 @@ struct FieldMap {
   // Bz = bz [1 - b (z^2 - r^2/2) + q (z^4 - 3 z^2 r^2 + 3 r^4/8)], and the Br that goes with it.
   double b, q;  // mm^-2, mm^-4
   // r, z with Br, Bz ("cylinder"), or x, y, z with Bx, By, Bz ("box"): the last axis runs fastest, then the
-  // component.
+  // component. A harmonic field has no coefficients; axes in r and z, if there are any, say where it holds.
   std::vector<GridAxis> axes;
   std::vector<double> coefficients;
   double tolerance;  // mm, error allowed to one step of a track
 
   bool is_uniform() const { return kind == FieldKind::uniform; }
-  // Whether points lie on the grid. Beyond it the field is not known; `at` goes on with its outermost
+  // Whether points lie within the axes. Beyond them the field is not known; `at` goes on with its outermost
   // polynomials.
   template <class T>
   mask_of<T> holds(const Vec3<T>& x) const;
@@ -62,7 +62,7 @@ inline FieldMap uniform_field(double bz) { return {FieldKind::uniform, bz, 0, 0,
 template <class T>
 mask_of<T> FieldMap::holds(const Vec3<T>& x) const {
   if (kind == FieldKind::box) return axes[0].holds(x.x) & axes[1].holds(x.y) & axes[2].holds(x.z);
-  if (kind == FieldKind::cylinder) return axes[0].holds(sqrt(x.x * x.x + x.y * x.y)) & axes[1].holds(x.z);
+  if (axes.size() == 2) return axes[0].holds(sqrt(x.x * x.x + x.y * x.y)) & axes[1].holds(x.z);
   return mask_of<T>(true);
 }
 

@@ -48,6 +48,7 @@ class BatchFit {
     }
     // What does not settle with kinks may without.
     if (kinks) fit_all(starts, false, false);
+    for (std::size_t track = 0; track < input_.tracks(); ++track) mark_unconstrained(out_.rows[track]);
   }
 
  private:
@@ -98,6 +99,17 @@ class BatchFit {
   static bool is_good(const FitRow& row) {
     const int used = row.clusters + row.wires;
     return row.status == FitStatus::ok && row.chi2 < 5 * used + 30 && 2 * row.outliers < used;
+  }
+  // Particles that stop behind the first layers leave a few clusters: a helix with any momentum fits them.
+  static void mark_unconstrained(FitRow& row) {
+    if (row.status != FitStatus::ok || row.wires > 0) return;
+    // ln p = ln sec(lambda) - ln |kappa|
+    const double kappa = row.helix[2], tanl = row.helix[4], slope = tanl / (1 + tanl * tanl);
+    const auto cov = [&row](std::size_t i, std::size_t k) { return row.covariance[parameters * i + k]; };
+    const double variance =
+        cov(2, 2) / (kappa * kappa) - 2 * slope * cov(2, 4) / kappa + slope * slope * cov(4, 4);
+    constexpr double most = 0.5;
+    if (!(variance < most * most)) row.status = FitStatus::unconstrained;
   }
   // An outlier counts as much as the last hit that is none.
   double chi2_per_hit(const FitRow& row) const {

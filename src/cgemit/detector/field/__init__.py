@@ -8,6 +8,9 @@ from cgemit.detector.keys import Key, key
 _TOLERANCE = key("length", "error allowed to one step of a track through the field", 1e-9, 1.0)
 
 
+EVERYWHERE = 1e6  # mm, farther than any detector
+
+
 @dataclass(frozen=True, kw_only=True)
 class Field:
     """Uniform magnetic field along the beam."""
@@ -34,6 +37,12 @@ class HarmonicField(Field):
     kind: str = field(metadata=key("text", "shape of the field", choices=("harmonic",)), default="harmonic")
     b: float = field(metadata=key("inverse area", "quadratic decrease along the beam", -1e-5, 1e-5))  # mm^-2
     q: float = field(metadata=key("inverse area squared", "fourth-order term", -1e-11, 1e-11), default=0.0)  # mm^-4
+    r_max: float = field(
+        metadata=key("length", "largest radius at which the field holds", 1.0, EVERYWHERE), default=EVERYWHERE
+    )  # mm
+    z_max: float = field(
+        metadata=key("length", "largest |z| at which the field holds", 1.0, EVERYWHERE), default=EVERYWHERE
+    )  # mm
     tolerance: float = field(metadata=_TOLERANCE, default=1e-3)  # mm
 
 
@@ -73,7 +82,9 @@ def field_text(detector_field: Field) -> str:
         return f"{text} at the origin, {coil}"
     if isinstance(detector_field, HarmonicField):
         shape = f"b = {1e6 * detector_field.b:g} /m2, q = {1e12 * detector_field.q:g} /m4"
-        return f"{text} at the origin, harmonic with {shape}"
+        reach = f" for r < {detector_field.r_max:g} mm, |z| < {detector_field.z_max:g} mm"
+        limited = min(detector_field.r_max, detector_field.z_max) < EVERYWHERE
+        return f"{text} at the origin, harmonic with {shape}" + (reach if limited else "")
     if isinstance(detector_field, MapField):
         return f"{text} at the origin, map {detector_field.file}, {detector_field.grid.range_text()}"
     return text

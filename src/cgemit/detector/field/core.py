@@ -32,7 +32,8 @@ def compiled_field(detector: Contents) -> _core.Field | None:
     """Return the field that tracks step through, or None where it is uniform."""
     field = detector.field
     if isinstance(field, HarmonicField):
-        return _core.Field(bz=field.bz, b=field.b, q=field.q, tolerance=field.tolerance)
+        reach = (field.r_max, field.z_max)
+        return _core.Field(bz=field.bz, b=field.b, q=field.q, tolerance=field.tolerance, reach=reach)
     if isinstance(field, SolenoidField):
         r, z = extent(detector)
         reach = (r + _MARGIN_R, z + _MARGIN_Z)
