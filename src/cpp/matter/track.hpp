@@ -64,11 +64,11 @@ TrackMatterOf<T> total_matter(const Detector& detector, T tanl) {
   return total;
 }
 
-// Factor by which a track sees a slab thicker than at normal incidence: `stretch` = 1/cos(lambda), times
+// Factor by which a track sees a slab thicker than at normal incidence: `sec_lambda` = 1/cos(lambda), times
 // 1/cos(a), cos(a) = P/r. A grazing track sees at most the chord of the shell.
 template <class T>
-T path_factor(const Slab& slab, T stretch, T outward) {
-  return stretch * slab.radius / larger(outward, slab.least_outward);
+T path_factor(const Slab& slab, T sec_lambda, T outward) {
+  return sec_lambda * slab.radius / larger(outward, slab.least_outward);
 }
 
 // Where a slab's table is read.

@@ -3,6 +3,7 @@
 
 #include <cmath>
 
+#include "common/compiler.hpp"
 #include "detector/wires.hpp"
 #include "motion/helix.hpp"
 
@@ -108,9 +109,8 @@ class CellFinder {
   }
 
   // From one border to the other.
-  [[gnu::noinline]] Mask step_by_step(const WireLayer& layer, const Point& start,
-                                      const CellBorders<T>& borders, const Mask& who,
-                                      CellRange<T, Point>& range) {
+  CGEMIT_NOINLINE Mask step_by_step(const WireLayer& layer, const Point& start, const CellBorders<T>& borders,
+                                    const Mask& who, CellRange<T, Point>& range) {
     T arc(0.0);
     Point from = start, to = range.at_wires;
     const Mask enters = motion_.to_cylinder(from, borders.inner, arc, true, who);

@@ -7,6 +7,7 @@
 #include <cmath>
 #include <vector>
 
+#include "common/compiler.hpp"
 #include "simulate/cells.hpp"
 #include "simulate/records.hpp"
 #include "simulate/slab_draws.hpp"
@@ -154,7 +155,7 @@ class Flight {
     flying_ = flying_ & !left;
   }
 
-  T flight_time(const T& arc) const { return arc * stretch_ * now_.per_beta * (1 / speed_of_light); }
+  T flight_time(const T& arc) const { return arc * sec_lambda_ * now_.per_beta * (1 / speed_of_light); }
 
   void arrive(const Mask& arrived) {
     time_ += select(arrived, flight_time(arc_), T(0.0));
@@ -162,11 +163,11 @@ class Flight {
   }
 
   void follow_dip(const Mask& who) {
-    stretch_ = select(who, sqrt(1.0 + point_.tanl * point_.tanl), stretch_);
+    sec_lambda_ = select(who, sqrt(1.0 + point_.tanl * point_.tanl), sec_lambda_);
   }
 
   // Scatters and slows down at the slab's centroid, where the points are.
-  [[gnu::flatten]] void cross(const Slab& slab, const Mask& arrived) {
+  CGEMIT_FLATTEN void cross(const Slab& slab, const Mask& arrived) {
     Mask within = arrived & (abs(point_.z) <= slab.half_length);
     deposit_ = T(0.0);  // stays 0 beyond the ends
     if (slab.ends) {
@@ -175,7 +176,7 @@ class Flight {
     }
     if (!any(within)) return;
     const T whole =
-        path_factor(slab, stretch_, abs(point_.outward())) * foil_fraction(slab, point_, stream_, within);
+        path_factor(slab, sec_lambda_, abs(point_.outward())) * foil_fraction(slab, point_, stream_, within);
     within = within & (whole != 0.0);
     if (!any(within)) return;
     // The others see next to nothing, which costs nothing.
@@ -193,7 +194,7 @@ class Flight {
     now_ = select(acts, after, now_);
     helix() = select(acts, there, helix());
     follow_dip(acts);
-    motion_.bend(point_, charge_ * stretch_ * now_.per_p, acts);
+    motion_.bend(point_, charge_ * sec_lambda_ * now_.per_p, acts);
   }
 
   LossDraw<T> lose(const Slab& slab, const T& path) const {
@@ -222,7 +223,7 @@ class Flight {
     if (!any(arrived)) return;
     Point exit = point_;
     const Mask leaves = motion_.to_cylinder(exit, layer.r_gap_out, rest, true, arrived);
-    const T path = (arc_ - arc + rest) * stretch_;
+    const T path = (arc_ - arc + rest) * sec_lambda_;
     gaps_.push_back({&slab, Mask(false), entry, point_, exit, now_, path, time_, T(0.0), motion_.bz(entry)});
     cross(slab, arrived);
     gaps_.back().deposit = deposit_;
@@ -230,7 +231,7 @@ class Flight {
   }
 
   // A track that curls back below a slab may still pass by the next wires, until it turns back below those.
-  [[gnu::flatten]] void pass_cells(std::size_t index, const Mask& who) {
+  CGEMIT_FLATTEN void pass_cells(std::size_t index, const Mask& who) {
     CellRange<T, Point> range;
     const Mask found = cell_finder_.find(index, point_, who, range);
     stop_at_edge(cell_finder_.left());
@@ -272,8 +273,8 @@ class Flight {
   StreamOf<T> stream_;
   T charge_, time_{0.0}, arc_{0.0}, deposit_{0.0};
   Point point_;
-  T stretch_{1.0};  // path per transverse arc
-  T ahead_;         // index of the first surface ahead
+  T sec_lambda_{1.0};  // path per transverse arc
+  T ahead_;            // index of the first surface ahead
   KinematicsOf<T> now_;
   TrackMatterOf<T> track_;
   CellFinder<T, Motion> cell_finder_;
