@@ -2,7 +2,7 @@
 //
 // A change of curvature dw on a piece ds'' of the path turns the rest of the path about that piece. With Z
 // the quarter turn, the displacement at r(s) is
-// dr = dr0 + dpsi Z (r - r0) + Z integral dw(s'') (r(s) - r(s'')) ds''.
+//   dr = dr0 + dpsi Z (r - r0) + Z integral dw(s'') (r(s) - r(s'')) ds''.
 // Two running integrals, of the curvature's derivative and of that derivative times the position, therefore
 // give every row exactly, also with energy loss, which makes the curvature depend on position and tanl. Kinks
 // act on displaced tracks after the same path, not on the same cylinder: rows are off by the size of the

@@ -5,7 +5,7 @@
 // propagated outward from the origin through the noise (Rauch, Tung and Striebel, AIAA J. 3 (1965) 1445). The
 // gain for noise Q = G G^T is A = C (C + Q)^-1 = 1 - G B^T, B = (C + Q)^-1 G, with C the filter's covariance
 // outside, and the covariance is
-// C_s' = C + A (C_s - C - Q) A^T = A C_s A^T + G (1 - B^T G) G^T,
+//   C_s' = C + A (C_s - C - Q) A^T = A C_s A^T + G (1 - B^T G) G^T,
 // a sum of two positive terms, whatever the rounding. (Bierman's form, which gives the residuals, is cheaper,
 // but subtracts nearly equal numbers where the filter begins.)
 #pragma once
