@@ -35,7 +35,7 @@ inline void expect(std::size_t row, const char* what, std::int32_t value, std::i
                               ", expected 0 to " + std::to_string(count - 1));
 }
 
-// Checks the layer, sheet, view and strip of a digi, and returns its layer.
+// Checks the layer, sheet and view of a digi, and returns its layer.
 inline const CgemLayer& checked_layer(const Detector& detector, const DigiView& digis, std::size_t row) {
   expect(row, "layer", digis.layer[row], static_cast<std::int32_t>(detector.cgem.size()));
   const CgemLayer& layer = detector.cgem[static_cast<std::size_t>(digis.layer[row])];

@@ -13,8 +13,7 @@ constexpr double rare = 1e-3;  // sizes made by a smaller share of the paths are
 
 // Sums over paths, for one number of strips.
 struct Sums {
-  double length =
-      0;  // mm, of the intervals in which paths touch this number: their probability times the pitch
+  double length = 0;    // mm, of the intervals of paths that touch this number: probability times the pitch
   double cubed = 0;     // mm^3
   double anywhere = 0;  // mm^2
 
