@@ -9,7 +9,7 @@
 namespace cgemit {
 namespace {
 
-constexpr double rare = 1e-3;  // sizes made by a smaller share of the paths are ignored
+constexpr double rare = 1e-3;  // sizes made by a smaller share of the paths have another cause
 
 // Sums over paths, for one number of strips.
 struct Sums {
