@@ -160,7 +160,7 @@ class _Simulated(TypedDict):
 class _Reference(TypedDict):
     rows: _Floats  # (hits, 5)
     noise: _Floats  # (noise vectors, 5)
-    pulls: _Floats  # (noise vectors,), how many of each the kinks are
+    noise_units: _Floats  # (noise vectors,), the kinks in units of each
     predicted: _Floats  # (hits,), mm
     extent: _Floats  # (hits,), mm
     reached: bool

@@ -62,7 +62,7 @@ def everything_at_once(name, track, forget_matter=False):
         [prior, prior @ noise.T],
     ])  # fmt: skip
     residual = (measured - reference["predicted"]) / fields["sigma"]
-    white = np.concatenate([residual, -reference["pulls"], np.zeros(5)])
+    white = np.concatenate([residual, -reference["noise_units"], np.zeros(5)])
     units = 1 / np.linalg.norm(jacobian, axis=0)
     q, r = np.linalg.qr(jacobian * units)
     estimate = units * np.linalg.solve(r, q.T @ white)

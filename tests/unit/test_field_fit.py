@@ -97,7 +97,7 @@ def test_kinks_in_a_constant_map_are_those_of_a_uniform_field(shape):
     cores = [compiled(detector) for detector in (UNIFORM, EVEN)]
     one, other = (_core.reference(core, parameters, MUON, hits, kinks) for core in cores)
     assert other["predicted"] == pytest.approx(one["predicted"], abs=1e-6)
-    assert other["pulls"] == pytest.approx(one["pulls"], rel=1e-6)
+    assert other["noise_units"] == pytest.approx(one["noise_units"], rel=1e-6)
     assert np.abs(one["predicted"] - _core.reference(cores[0], parameters, MUON, hits)["predicted"]).max() > 4
     for name, limits in (("rows", [4e-2, 1e-8, 5e-3, 1e-8, 3e-4]), ("noise", [2e-2, 2e-3, 1e-9, 2.5e-2, 1e-9])):
         scale = np.abs(one[name]).max(axis=0)

@@ -177,10 +177,10 @@ def test_a_kink_is_its_noise_vector(shape, angle):
     kinks = np.zeros((len(slabs(detector)), 2))
     kinks[place, angle] = 1e-5
     found = _core.reference(core, parameters, MUON, hits, kinks)
-    pulled = int(np.argmax(np.abs(found["pulls"])))
-    assert np.sum(np.abs(found["pulls"])) < (1 + 1e-4) * abs(found["pulls"][pulled])
+    pulled = int(np.argmax(np.abs(found["noise_units"])))
+    assert np.sum(np.abs(found["noise_units"])) < (1 + 1e-4) * abs(found["noise_units"][pulled])
     moved = found["predicted"] - start["predicted"]
-    expected = start["rows"] @ start["noise"][pulled] * found["pulls"][pulled]
+    expected = start["rows"] @ start["noise"][pulled] * found["noise_units"][pulled]
     beyond = np.abs(moved) > 1e-9
     assert 5 < np.count_nonzero(beyond) < len(moved)
     np.testing.assert_allclose(moved[beyond], expected[beyond], rtol=0, atol=3e-3 * np.abs(expected).max())

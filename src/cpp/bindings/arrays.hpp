@@ -1,6 +1,6 @@
-// How arrays cross the border. Inputs: C-contiguous, of the stated type, shape checked, never truncated.
-// Outputs are not copied: a C++ vector moves into a capsule that numpy keeps alive, or, where the number of
-// rows is known, the array is numpy's own, which asks the system for large pages.
+// Passing arrays between Python and C++. Inputs: C-contiguous, of the stated type, shape checked, never
+// truncated. Outputs are not copied: a C++ vector moves into a capsule that numpy keeps alive. If the number
+// of rows is known in advance, the array is allocated by numpy, which asks the system for large pages.
 #pragma once
 
 #include <pybind11/numpy.h>
@@ -52,7 +52,7 @@ py::array_t<T> to_numpy(std::vector<T>&& values, std::vector<py::ssize_t> shape 
   return py::array_t<T>(std::move(shape), data, capsule);
 }
 
-// An array that is filled from the first element to the last; that needs no GIL.
+// An array that is filled from the first entry to the last; filling needs no GIL.
 template <class T>
 class Filled {
  public:

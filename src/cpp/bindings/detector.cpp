@@ -58,7 +58,7 @@ std::vector<Slab> make_slabs(const py::dict& columns, const Array<double>& log_t
   return slabs;
 }
 
-// Which slabs are parts of GEM foils, with their holes, and the random numbers of each slab.
+// Sets the slabs that are parts of GEM foils, their holes, and the RNG counter's `place` of each slab.
 void add_holes(const py::dict& columns, std::vector<Slab>& slabs) {
   for (std::size_t i = 0; i < slabs.size(); ++i) slabs[i].place = static_cast<std::uint32_t>(i);
   if (columns.empty()) return;
@@ -148,7 +148,7 @@ void bind_detector(py::module_& module) {
       .value("moliere", Screening::moliere)
       .finalize();
   py::native_enum<CoreLoss>(module, "CoreLoss", "enum.IntEnum",
-                            "Energy loss that the fit subtracts, with its variance.")
+                            "Energy loss subtracted by the fit, with its variance.")
       .value("truncated", CoreLoss::truncated)
       .value("mean", CoreLoss::mean)
       .value("most_probable", CoreLoss::most_probable)

@@ -114,12 +114,10 @@ void bind_field(py::module_& module) {
       .def("values", &values, py::arg("points"),
            "Field and gradient at points (n, 3), and whether they lie inside the map.")
       .def("advance", &advance_points, py::arg("points"), py::arg("paths"), py::arg("derivatives"),
-           "Move points, rows of (x y z, direction, charge/p), along paths, and with them derivatives (5, 5) "
-           "of "
-           "neighbours: to the left, azimuth, charge/p, up and slope, in the plane across the transverse "
-           "flight.")
+           "Move points, rows of (x y z, direction, charge/p), along paths, and propagate the derivatives "
+           "(5, 5) of neighbours: to the left, azimuth, charge/p, up and slope, in the plane across the "
+           "transverse flight.")
       .def("to_perigee", &to_perigee, py::arg("points"),
            "Move points, rows of (x y z ux uy tanl, charge/pT), to their closest approach to the beam line: "
-           "points, "
-           "whether that lies inside the map.");
+           "points, and whether they lie inside the map.");
 }

@@ -15,7 +15,7 @@ using namespace cgemit::bindings;
 
 namespace {
 
-// What of the result is asked for besides the tracks.
+// The parts of the result that are requested besides the tracks.
 struct Wanted {
   bool residuals, states;
 };
@@ -107,7 +107,7 @@ class Output {
   Filled<double> reference_, prior_, kinks_, value_, variance_;
 };
 
-// Rows of one block of tracks.
+// The rows of one block of tracks.
 class Rows {
  public:
   FitOutput room(std::size_t tracks, std::size_t hits, std::size_t slabs, const Wanted& wanted) {
@@ -135,7 +135,7 @@ class Rows {
   std::vector<KinkRow> kinks_;
 };
 
-// Tracks whose hits stay in the processor's cache while they are fitted.
+// Number of tracks whose hits stay in the processor's cache while they are fitted.
 constexpr std::size_t block_of_tracks = 256;
 
 py::dict run(const Detector& detector, const Array<std::int64_t>& hit_offsets, const py::dict& hit_columns,
@@ -193,6 +193,6 @@ void bind_fit(py::module_& module) {
   module.def("fit", &run, py::arg("detector"), py::kw_only(), py::arg("hit_offsets"), py::arg("hits"),
              py::arg("mass"), py::arg("start"), py::arg("settings"), py::arg("residuals"),
              py::arg("states") = false,
-             "Fit one track per row of hit_offsets; columns of the tracks, if asked for those of the hits' "
-             "residuals, and what states along the tracks are made from.");
+             "Fit one track per row of hit_offsets: columns of the tracks and, if requested, of the "
+             "residuals of the hits and of the last iteration, from which states along the tracks are made.");
 }

@@ -62,7 +62,7 @@ const GapMatter& gap_of(const Detector& detector, int layer) {
   return detector.gaps.at(static_cast<std::size_t>(layer));
 }
 
-// A straight track that crosses azimuth 0 in the middle of its entry.
+// A straight track that enters the gap at azimuth 0 and z = 0.
 GapCrossing straight_crossing(const Detector& detector, int layer, double tanl, double slope) {
   const CgemLayer& at = detector.cgem.at(static_cast<std::size_t>(layer));
   const double across = slope / std::sqrt(1 + slope * slope);
@@ -154,12 +154,13 @@ void bind_gap(py::module_& module) {
   module.attr("ELECTRON_GRID_FIRST") = electron_grid_first;
   module.attr("ELECTRON_STEPS") = electron_steps;
   module.attr("ELECTRON_POINTS") = electron_points;
-  module.def("ionize", &run, py::arg("detector"), py::arg("layer"), py::kw_only(), py::arg("p"),
-             py::arg("mass"), py::arg("charge") = 1.0, py::arg("n"), py::arg("seed"), py::arg("deltas"),
-             py::arg("keep_clusters"), py::arg("tanl") = 0.0, py::arg("slope") = 0.0,
-             "What n straight tracks through the azimuth 0 leave in a drift gap; slope: r dphi/dr on entry.");
+  module.def(
+      "ionize", &run, py::arg("detector"), py::arg("layer"), py::kw_only(), py::arg("p"), py::arg("mass"),
+      py::arg("charge") = 1.0, py::arg("n"), py::arg("seed"), py::arg("deltas"), py::arg("keep_clusters"),
+      py::arg("tanl") = 0.0, py::arg("slope") = 0.0,
+      "Deposits of n straight tracks through azimuth 0 in a drift gap; slope: r dphi/dr at the entry.");
   module.def(
       "follow_electrons", &follow_electrons, py::arg("detector"), py::arg("layer"), py::kw_only(),
       py::arg("w"), py::arg("energy"), py::arg("outward"), py::arg("n"), py::arg("seed"),
-      "Where n electrons end that start at w (mm from the inner edge of the gap) with an energy (keV).");
+      "End points of n electrons that start at w (mm from the inner edge of the gap) with an energy (keV).");
 }

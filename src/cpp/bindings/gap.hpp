@@ -1,4 +1,4 @@
-// Columns of the drift gaps to the core's numbers.
+// Converts the columns of the drift gaps to the core's structs.
 #pragma once
 
 #include <vector>

@@ -135,7 +135,7 @@ void check(const Detector& detector, const py::dict& hits) {
 void bind_hits(pybind11::module_& module) {
   namespace py = pybind11;
   module.def("check_hits", &cgemit::bindings::check, py::arg("detector"), py::arg("hits"),
-             "Raise an error that lists everything that is wrong with measurements.");
+             "Raise an error that lists every problem with measurements.");
   module.def("collect_hits", &cgemit::bindings::collect, py::arg("detector"), py::kw_only(),
              py::arg("candidates"), py::arg("candidate_hits"), py::arg("clusters"), py::arg("wire_hits"),
              "Measurements of track candidates as flat columns, ordered from the beam line outward.");

@@ -1,4 +1,4 @@
-// Columns of hits as the core wants them.
+// Columns of hits in the core's format.
 #pragma once
 
 #include <pybind11/pybind11.h>
@@ -11,17 +11,17 @@
 namespace cgemit::bindings {
 
 // Columns of hits: kind u8 (0 X, 1 V, 2 wire), layer i32 (CGEM index or the experiment's wire-layer number),
-// element i32 (sheet or wire), size i32, value f8 (mm), sigma f8 (mm); each of length n. These may be left
-// out: side i8 (0, unknown), k f8 and x f8 (0, see Hit), row i64 (for messages).
+// element i32 (sheet or wire), size i32, value f8 (mm), sigma f8 (mm); each of length n. Optional: side i8
+// (0, unknown), k f8 and x f8 (0, see Hit), row i64 (for messages).
 class HitColumns {
  public:
-  // Throws, listing everything that is wrong with the hits.
+  // Throws, listing every problem with the hits.
   HitColumns(const Detector& detector, const pybind11::dict& columns, pybind11::ssize_t n);
 
-  // Throws if hits of a track are not ordered from the beam line outward.
+  // Throws if the hits of a track are not ordered from the beam line outward.
   void check_order(std::span<const std::int64_t> offsets) const;
 
-  // Hits first to first + n into `out`; needs no GIL.
+  // Copies hits first to first + n to `out`; needs no GIL.
   void take(std::size_t first, std::size_t n, std::vector<Hit>& out) const;
   std::span<const std::int8_t> side() const { return hits_.side; }
 
@@ -32,8 +32,7 @@ class HitColumns {
   std::vector<std::int8_t> no_sides_;
 };
 
-// The places of the hits of n tracks: n + 1 numbers that begin with 0 and do not decrease. Throws if they are
-// something else.
+// Offsets of the hits of n tracks: n + 1 numbers that begin with 0 and do not decrease. Throws otherwise.
 std::span<const std::int64_t> hit_offsets_of(const Array<std::int64_t>& array);
 
 // A row of (dr, phi0, kappa, dz, tanl).

@@ -22,7 +22,7 @@ py::dict reference(const Detector& detector, const Array<double>& helix, double 
   std::vector<Hit> hits;
   HitColumns(detector, hit_columns, n).take(0, static_cast<std::size_t>(n), hits);
   const Reference out = trace(detector, from_bes3(row.data()), mass, hits, kinks);
-  std::vector<double> rows, noise, pulls = out.pulls, predicted, extent;
+  std::vector<double> rows, noise, noise_units = out.noise_units, predicted, extent;
   for (const Vector5& h : out.rows) rows.insert(rows.end(), h.begin(), h.end());
   for (const Vector5& g : out.noise) noise.insert(noise.end(), g.begin(), g.end());
   for (const Crossing& crossing : out.crossings) {
@@ -34,7 +34,7 @@ py::dict reference(const Detector& detector, const Array<double>& helix, double 
   py::dict result;
   result["rows"] = to_numpy(std::move(rows), {n_rows, 5});
   result["noise"] = to_numpy(std::move(noise), {n_noise, 5});
-  result["pulls"] = to_numpy(std::move(pulls));
+  result["noise_units"] = to_numpy(std::move(noise_units));
   result["predicted"] = to_numpy(std::move(predicted));
   result["extent"] = to_numpy(std::move(extent));
   result["reached"] = out.reached;
@@ -47,10 +47,9 @@ py::dict reference(const Detector& detector, const Array<double>& helix, double 
 }  // namespace cgemit::bindings
 
 void bind_kalman(py::module_& module) {
-  module.def(
-      "reference", &cgemit::bindings::reference, py::arg("detector"), py::arg("helix"), py::arg("mass"),
-      py::arg("hits"), py::arg("kinks") = py::none(),
-      "Follow one helix, scattered by `kinks` (rad, two for every slab), through its hits: predicted values, "
-      "their rows by (dr, phi0, kappa, dz, tanl), and the noise vectors of the matter, with how many of them "
-      "the kinks are.");
+  module.def("reference", &cgemit::bindings::reference, py::arg("detector"), py::arg("helix"),
+             py::arg("mass"), py::arg("hits"), py::arg("kinks") = py::none(),
+             "Follow one helix, scattered by `kinks` (rad, two for every slab), through its hits: predicted "
+             "values, their rows by (dr, phi0, kappa, dz, tanl), the noise vectors of the matter, and the "
+             "kinks in units of them.");
 }

@@ -22,7 +22,7 @@ Kinematics particle(double p, double mass, double charge) {
 
 py::dict pass_slabs(const Detector& detector, double p, double mass, double charge, std::size_t n,
                     std::uint64_t seed, std::uint64_t first) {
-  Passages out;
+  SlabResults out;
   {
     py::gil_scoped_release release;
     out = through_slabs(detector, particle(p, mass, charge), first, n, seed);
@@ -67,8 +67,8 @@ void bind_matter(py::module_& module) {
       },
       py::arg("detector"), py::arg("slab"), py::kw_only(), py::arg("path"), py::arg("p"), py::arg("mass"),
       py::arg("charge") = 1.0, py::arg("track_chi_c2"),
-      "Plane multiple-scattering angle, rad, that the fit takes for a slab of a track that crosses "
-      "track_chi_c2 in all slabs of its group.");
+      "Plane multiple-scattering angle, rad, used by the fit for a slab of a track that crosses track_chi_c2 "
+      "in all slabs of its group.");
   module.def(
       "restricted_loss",
       [](const Detector& detector, int slab, double path, double p, double mass, double charge, double cut) {
@@ -90,7 +90,7 @@ void bind_matter(py::module_& module) {
       },
       py::arg("detector"), py::arg("slab"), py::kw_only(), py::arg("path"), py::arg("p"), py::arg("mass"),
       py::arg("charge") = 1.0, py::arg("track_xi"),
-      "Loss (GeV), its variance, and d(loss)/dp that the fit uses.");
+      "Loss (GeV), its variance, and d(loss)/dp used by the fit.");
   module.def(
       "sample_loss",
       [](const Detector& detector, int slab, double path, double p, double mass, double charge,
@@ -110,7 +110,6 @@ void bind_matter(py::module_& module) {
   module.def(
       "through_slabs", &pass_slabs, py::arg("detector"), py::kw_only(), py::arg("p"), py::arg("mass"),
       py::arg("charge"), py::arg("n"), py::arg("seed"), py::arg("first") = 0,
-      "Pass n particles through the detector's slabs as plane sheets at normal incidence, counting from "
-      "number `first`: columns "
-      "angle_1, angle_2 (rad), shift_1, shift_2 (mm), loss (GeV), status.");
+      "Pass n particles through the detector's slabs as plane layers at normal incidence, counting from "
+      "number `first`: columns angle_1, angle_2 (rad), shift_1, shift_2 (mm), loss (GeV), status.");
 }

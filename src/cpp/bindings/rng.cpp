@@ -40,7 +40,7 @@ py::array_t<double> draw(std::uint64_t seed, const Array<std::int64_t>& events,
 
 void bind_rng(py::module_& module) {
   py::native_enum<Purpose>(module, "Purpose", "enum.IntEnum",
-                           "What a random draw is for; part of every stream.")
+                           "The purpose of a random draw; part of every stream.")
       .value("gun", Purpose::gun)
       .value("scattering", Purpose::scattering)
       .value("energy_loss", Purpose::energy_loss)

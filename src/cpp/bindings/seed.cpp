@@ -48,9 +48,8 @@ void bind_seed(py::module_& module) {
       .value("wires_and_clusters", SeedFrom::wires_and_clusters)
       .value("azimuths", SeedFrom::azimuths)
       .finalize();
-  module.def(
-      "seeds", &cgemit::bindings::seeds, py::arg("detector"), py::kw_only(), py::arg("hit_offsets"),
-      py::arg("hits"), py::arg("mass"), py::arg("source"),
-      "First helix of each row of hit_offsets, (n, 5) in the parameters of the tracks table; NaN where there "
-      "is none.");
+  module.def("seeds", &cgemit::bindings::seeds, py::arg("detector"), py::kw_only(), py::arg("hit_offsets"),
+             py::arg("hits"), py::arg("mass"), py::arg("source"),
+             "First helix of each row of hit_offsets, (n, 5) in the parameters of the tracks table; NaN if "
+             "there is none.");
 }

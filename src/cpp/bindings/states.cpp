@@ -17,7 +17,7 @@ namespace {
 
 constexpr double nan = std::numeric_limits<double>::quiet_NaN();
 
-// Columns of the states; what does not exist is NaN.
+// Columns of the states; missing values are NaN.
 class Output {
  public:
   void add(const TrackState& found, std::int64_t track, std::int64_t target, std::int64_t hit) {
@@ -75,7 +75,7 @@ std::vector<Target> make_targets(const py::dict& columns) {
   return targets;
 }
 
-// Rows of one track, in the order of the targets; the same number whatever becomes of the fit.
+// Rows of one track, in the order of the targets. Their number does not depend on the status of the fit.
 void add_track(const std::vector<TrackState>& found, const std::vector<Target>& targets, std::size_t track,
                std::size_t first_hit, std::size_t hits, Output& out) {
   std::size_t row = 0;
@@ -89,7 +89,7 @@ void add_track(const std::vector<TrackState>& found, const std::vector<Target>& 
   }
 }
 
-// What the fit measured at every hit.
+// The measurement used by the fit at every hit.
 std::vector<Used> make_used(const py::dict& columns, py::ssize_t n) {
   const auto used_array = take<std::uint8_t>(columns, "used");
   const auto value_array = take<double>(columns, "used_value"),

@@ -28,7 +28,7 @@ void bind_status(py::module_& module) {
       .value("unconstrained", FitStatus::unconstrained)
       .finalize();
   py::native_enum<StateStatus>(module, "StateStatus", "enum.IntEnum",
-                               "Whether a fitted track has a state where one is asked for.")
+                               "Whether a fitted track has a state at a requested surface.")
       .value("ok", StateStatus::ok)
       .value("not_fitted", StateStatus::not_fitted)
       .value("does_not_reach", StateStatus::does_not_reach)

@@ -15,7 +15,7 @@ void check(const DigiView& digis, const Detector& detector) {
   }
 }
 
-// The truth with most of the cluster's charge, as far as the digis know: each names its largest only.
+// The truth with most of the cluster's charge, from the largest truth that each digi names.
 std::int64_t largest_truth(const DigiView& digis, Rows rows) {
   std::int64_t largest = digis.truth[rows.front()];
   double most = -1;
@@ -31,7 +31,7 @@ std::int64_t largest_truth(const DigiView& digis, Rows rows) {
   return largest;
 }
 
-// At least this many truths: the digis' own counts, and the distinct truths they name.
+// Lower limit of the number of truths: from the counts of the digis, and the distinct truths they name.
 std::int32_t count_truths(const DigiView& digis, Rows rows) {
   std::int32_t most = 0, distinct = 0;
   for (std::size_t i = 0; i < rows.size(); ++i) {
@@ -42,7 +42,8 @@ std::int32_t count_truths(const DigiView& digis, Rows rows) {
   return std::max(most, distinct);
 }
 
-// Position across the strips, in strips. Weighted by charge it is the geometric centre if they have none.
+// Position across the strips, in strips. The charge-weighted position of strips without charge is the
+// geometric centre.
 double across(const DigiView& digis, Rows rows, Position position) {
   const std::int32_t first = digis.strip[rows.front()];
   double mean = 0.5 * (digis.strip[rows.back()] - first);

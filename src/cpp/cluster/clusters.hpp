@@ -1,4 +1,4 @@
-// Fired strips become clusters: contiguous strips of one view, and pairs of views that intersect.
+// Makes clusters of fired strips: contiguous strips of one view, and pairs of views that intersect.
 #pragma once
 
 #include <algorithm>
@@ -10,7 +10,7 @@
 
 namespace cgemit {
 
-// Position errors by layer and cluster size: row = layer, column = size - 1; the last column holds for all
+// Position errors by layer and cluster size: row = layer, column = size - 1; the last column is for all
 // larger sizes.
 struct ErrorTable {
   std::span<const double> x, v;  // mm
@@ -22,7 +22,7 @@ struct ErrorTable {
   }
 };
 
-// Position of a cluster: geometric centre of its strips, or their centres weighted by charge.
+// Position of a cluster: geometric centre of its strips, or charge-weighted mean of their centres.
 enum class Position { centre, charge };
 
 // Rows ordered by event, layer, sheet, then X, V and XV clusters. Within an event the digis may come in any

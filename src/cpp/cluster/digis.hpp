@@ -1,4 +1,4 @@
-// What the cluster makers read of the digis table, and in which order.
+// The columns of the digis table that clustering reads, and their order.
 #pragma once
 
 #include <algorithm>
@@ -18,7 +18,7 @@ struct DigiView {
   std::span<const std::int64_t> event;
   std::span<const std::int32_t> layer, sheet;
   std::span<const std::int8_t> view;
-  std::span<const std::int32_t> strip;   // -1: none, there is a position
+  std::span<const std::int32_t> strip;   // -1: no strip, the digi has a position
   std::span<const double> position;      // mm, X or V
   std::span<const double> charge, time;  // fC, ns
   std::span<const std::int64_t> truth;
@@ -28,14 +28,14 @@ struct DigiView {
   auto sheet_of(std::size_t i) const { return std::tuple(event[i], layer[i], sheet[i]); }
 };
 
-// Throws std::invalid_argument, naming the first row of `digis` where something is not within its count.
+// Throws std::invalid_argument, naming the first row of `digis` with a number that is out of range.
 inline void expect(std::size_t row, const char* what, std::int32_t value, std::int32_t count) {
   if (value >= 0 && value < count) return;
   throw std::invalid_argument("digis row " + std::to_string(row) + ": " + what + " " + std::to_string(value) +
                               ", expected 0 to " + std::to_string(count - 1));
 }
 
-// Checks where digis are, and returns their layer.
+// Checks the layer, sheet and view of a digi, and returns its layer.
 inline const CgemLayer& checked_layer(const Detector& detector, const DigiView& digis, std::size_t row) {
   expect(row, "layer", digis.layer[row], static_cast<std::int32_t>(detector.cgem.size()));
   const CgemLayer& layer = detector.cgem[static_cast<std::size_t>(digis.layer[row])];
@@ -44,7 +44,7 @@ inline const CgemLayer& checked_layer(const Detector& detector, const DigiView& 
   return layer;
 }
 
-// Rows by event, layer, sheet, view and strip; those without strips in the order they come in.
+// Rows by event, layer, sheet, view and strip; those without strips keep their order.
 inline std::vector<std::size_t> by_place(const DigiView& digis) {
   std::vector<std::size_t> order(digis.size());
   std::iota(order.begin(), order.end(), std::size_t{0});

@@ -9,12 +9,12 @@
 namespace cgemit {
 namespace {
 
-constexpr double rare = 1e-3;  // sizes made by a smaller share of the paths count as never made
+constexpr double rare = 1e-3;  // sizes made by a smaller share of the paths have another cause
 
 // Sums over paths, for one number of strips.
 struct Sums {
-  double length = 0;  // mm, of the intervals in which paths touch as many: their probability times the pitch
-  double cubed = 0;   // mm^3
+  double length = 0;    // mm, of the intervals of paths that touch this number: probability times the pitch
+  double cubed = 0;     // mm^3
   double anywhere = 0;  // mm^2
 
   void add(double interval) {

@@ -1,9 +1,9 @@
-// What compilers spell differently. The rest of the core is standard C++20, but for the vector types of
-// `lanes`, which stand behind CGEMIT_VECTORS, and there the instructions of single processors, behind the
-// macros that announce them.
+// Compiler-dependent code. The rest of the core is standard C++20, except for the vector types of `lanes`,
+// which are enabled by CGEMIT_VECTORS, and the instructions of single processors used there, which are
+// enabled by the macros of each instruction set.
 #pragma once
 
-// Vector types of the compiler, W numbers in one register: without them kernels exist for `double` only.
+// Vector types of the compiler, W numbers in one register. Without them kernels exist for `double` only.
 #if !defined(CGEMIT_VECTORS)
 #if defined(__GNUC__) || defined(__clang__)
 #define CGEMIT_VECTORS 1
@@ -12,9 +12,9 @@
 #endif
 #endif
 
-// CGEMIT_FLATTEN: everything that the function calls is inlined into it. A build may define it as empty
-// (CMakeLists.txt does for the sanitizers). CGEMIT_NOINLINE: the function is never inlined.
-// CGEMIT_EXPORT: visible outside the library.
+// CGEMIT_FLATTEN: all calls of the function are inlined into it. A build may define it as empty
+// (CMakeLists.txt does for the sanitizers). CGEMIT_NOINLINE: the function is never inlined. CGEMIT_EXPORT:
+// visible outside the library.
 #if defined(__GNUC__) || defined(__clang__)
 #if !defined(CGEMIT_FLATTEN)
 #define CGEMIT_FLATTEN [[gnu::flatten]]
@@ -31,7 +31,7 @@
 
 namespace cgemit {
 
-// Asks for the line of the cache that holds an address, to be read soon.
+// Prefetches the cache line of an address for reading.
 inline void prefetch([[maybe_unused]] const void* address) {
 #if defined(__GNUC__) || defined(__clang__)
   __builtin_prefetch(address);

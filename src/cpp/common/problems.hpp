@@ -1,4 +1,4 @@
-// What is wrong with an input, in words: everything at once.
+// Collects all problems of an input as text.
 #pragma once
 
 #include <array>
@@ -11,7 +11,7 @@
 
 namespace cgemit {
 
-// The shortest text that reads back as the number.
+// The shortest text that gives the same number when read back.
 inline std::string to_text(double value) {
   std::array<char, 32> text{};
   const auto end = std::to_chars(text.data(), text.data() + text.size(), value).ptr;
@@ -20,7 +20,7 @@ inline std::string to_text(double value) {
 
 class Problems {
  public:
-  // Beyond the first few dozen they are only counted.
+  // Only the first few dozen problems are listed; the others are counted.
   void add(std::string text) {
     if (lines_.size() < most) lines_.push_back(std::move(text));
     ++count_;

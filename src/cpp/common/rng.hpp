@@ -1,7 +1,7 @@
-// Counter-based random numbers: Philox4x32-10 (Salmon, Moraes, Dror, Shaw, SC'11,
-// doi 10.1145/2063384.2063405). A draw is a function of (seed, event, particle, purpose, place, block) and of
-// nothing else, so results do not depend on threads, chunks or on what other stages drew, and one event can
-// be replayed alone.
+// Counter-based random numbers: Philox4x32-10 (Salmon, Moraes, Dror, Shaw, SC'11, doi
+// 10.1145/2063384.2063405). A draw depends only on (seed, event, particle, purpose, place, block). Results
+// therefore do not depend on threads, chunks or the draws of other stages, and one event can be replayed
+// alone.
 #pragma once
 
 #include <array>
@@ -27,7 +27,7 @@ inline Block philox4x32(Block counter, std::uint32_t key0, std::uint32_t key1) {
   return counter;
 }
 
-// What a draw is for. New purposes go to the end: the number is part of every stream.
+// The purpose of a draw. New purposes go to the end, because the number is part of every stream.
 enum class Purpose : std::uint32_t {
   gun = 0,
   scattering = 1,
@@ -46,9 +46,9 @@ enum class Purpose : std::uint32_t {
 inline double open_unit(std::uint32_t bits) { return (bits + 0.5) * 0x1p-32; }
 
 // Standard normal number at a quantile: Acklam's rational approximation of the inverse error function (P. J.
-// Acklam, 2003), relative error below 1.2e-9; no logarithm but in the outer 5 %. Reaches 6.4 standard
-// deviations. In two pieces, for a number or several side by side: from the distance to the nearer end, as a
-// positive number, and from the distance to the middle.
+// Acklam, 2003), relative error below 1.2e-9. It needs a logarithm in the outer 5 % only. Reaches 6.4
+// standard deviations. In two parts, each for one number or several side by side: from the distance to the
+// nearer end, as a positive number, and from the distance to the middle.
 inline constexpr double normal_tail_ends = 0.02425;
 
 template <class T>
@@ -100,11 +100,11 @@ class Stream {
         event_(event),
         particle_(particle) {}
 
-  // Four raw words for a purpose at a place (surface, layer, wire ...); `block` counts further blocks there.
+  // Four words for a purpose and a `place` (surface, layer, wire ...); `block` counts further blocks there.
   Block block(Purpose purpose, std::uint32_t place, std::uint32_t block = 0) const {
     return philox4x32(counter(purpose, place, block), key0_, key1_);
   }
-  // What they are made from.
+  // The counter from which they are computed.
   Block counter(Purpose purpose, std::uint32_t place, std::uint32_t block) const {
     return {(static_cast<std::uint32_t>(purpose) << 26) ^ place, (particle_ << 12) ^ block,
             static_cast<std::uint32_t>(event_), static_cast<std::uint32_t>(event_ >> 32)};

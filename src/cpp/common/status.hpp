@@ -1,4 +1,4 @@
-// Why a row ended as it did. The Python enums are built from these, so that both sides have one list.
+// The final status of a row. The Python enums are built from these, so that there is only one list.
 #pragma once
 
 #include <cstdint>
@@ -11,31 +11,31 @@ enum class TransportStatus : std::int8_t {
   end = 1,         // left through an end
   curled = 2,      // turned back towards the axis
   stopped = 3,     // lost all its energy in material
-  neutral = 4,     // carries no charge; not transported
-  left_field = 5,  // came to where the field map ends
+  neutral = 4,     // no charge; not transported
+  left_field = 5,  // reached the edge of the field map
 };
 
 // How the fit of a track ended.
 enum class FitStatus : std::int8_t {
   ok = 0,
-  too_few_hits = 1,           // no more measurements than parameters: anything would fit
+  too_few_hits = 1,           // no more measurements than parameters
   seed_failed = 2,            // no helix through the hits to start from
   does_not_reach = 3,         // the reference helix meets fewer than six of the hits
   stopped = 4,                // the reference momentum is used up in material before a hit
   not_converged = 5,          // still moving after the last allowed iteration
-  not_positive_definite = 6,  // the covariance is not that of five real parameters
+  not_positive_definite = 6,  // the covariance is not a valid covariance of real parameters
   left_field = 7,             // the reference leaves the field map before the last hit
   unconstrained = 8           // no wire hit is used, and the error of the momentum exceeds half of it
 };
 
-// Whether a fitted track has a state where one is asked for.
+// Whether a fitted track has a state at a requested surface.
 enum class StateStatus : std::int8_t {
   ok = 0,
-  not_fitted = 1,  // the fit of the track has not settled
-  // it never gets there: the cylinder lies inside its closest approach or beyond its turn
+  not_fitted = 1,  // the fit of the track has not converged
+  // the cylinder lies inside the track's closest approach or beyond its turning point
   does_not_reach = 2,
-  stopped = 3,    // its momentum is used up before
-  left_field = 4  // the field map ends before
+  stopped = 3,    // the particle stops before the surface
+  left_field = 4  // the field map ends before the surface
 };
 
 }  // namespace cgemit

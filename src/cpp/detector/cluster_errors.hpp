@@ -1,19 +1,19 @@
-// How well the strips of a cluster tell where a path crossed them: for the clusters table (averaged over a
-// sample of tracks, `cluster/size_errors.hpp`) and for the fit (for the incidence of its track).
+// Position errors of clusters from their strips, for the clusters table (averaged over a sample of tracks,
+// `cluster/size_errors.hpp`) and for the fit (at the incidence of its track).
 //
-// A path of projected length w = (m + f) p, p the pitch and 0 <= f < 1, touches m + 1 strips with
-// probability 1 - f or m + 2 with probability f; its centre is uniform in (1 - f) p or f p about theirs. A
-// delta electron (or another particle) adds k strips on one side with probability delta_strips / k, and the
-// centre of all strips is k p / 2 off: the variance is that of the mixture of all that makes as many strips
-// as were seen. Where nothing does, the path lies anywhere in the cluster, or was cut off and lies up to
-// half of what is missing beside.
+// A path of projected length w = (m + f) p, p the pitch and 0 <= f < 1, touches m + 1 strips with probability
+// 1 - f or m + 2 with probability f. Its centre is uniform in an interval of (1 - f) p or f p about the
+// centre of the strips. A delta electron (or another particle) adds k strips on one side with probability
+// delta_strips / k, which displaces the centre of all strips by k p / 2. The variance is that of the mixture
+// of all combinations with the observed number of strips. If there is no such combination, the path either
+// lies anywhere in the cluster, or was cut off and lies up to half of the missing length beside it.
 #pragma once
 
 #include "lanes/math.hpp"
 
 namespace cgemit {
 
-// The strips that a path touches.
+// The number of strips that a path touches.
 template <class T>
 struct Touched {
   T whole;  // m: the path touches m + 1 strips or one more
@@ -27,7 +27,7 @@ Touched<T> touched(T extent, double pitch) {
   return {whole, length - whole};
 }
 
-// Length, mm, of the interval in which the centre of a path lies somewhere in `size` strips.
+// Length, mm, of the interval of possible centres of a path in `size` strips.
 template <class T>
 T anywhere(T size, T extent, double pitch) {
   return larger(abs(size * pitch - extent), pitch);
@@ -38,8 +38,8 @@ T delta_adds(T strips, double delta_strips) {
   return select(strips > 0.0, delta_strips / larger(strips, 1.0), select(strips == 0.0, T(1.0), T(0.0)));
 }
 
-// Variance in squared pitches of a position that is uniform in an interval and off by half a strip for each
-// one added.
+// Variance in squared pitches of a position that is uniform in an interval and displaced by half a strip for
+// each strip added.
 template <class T>
 T position_variance(T added, T interval, double least_width) {
   const T width = larger(interval, least_width);

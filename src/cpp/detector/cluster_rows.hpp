@@ -1,4 +1,4 @@
-// Rows of the clusters table and the formulas that fill them, shared by the read-outs with strips and
+// Rows of the clusters table and the formulas that fill them, shared by the read-outs with strips and those
 // without.
 #pragma once
 
@@ -13,8 +13,8 @@
 namespace cgemit {
 
 enum class ClusterView : std::int8_t { x = 0, v = 1, xv = 2 };
-// What tells the position: strips, whose number and the incidence of the track tell how well, or the read-out
-// itself, with an error that holds as it is.
+// The source of the position: strips, whose error depends on their number and the incidence of the track, or
+// the read-out itself, with a fixed error.
 enum class ClusterMethod : std::int8_t { strips = 0, positions = 1 };
 
 inline constexpr double not_measured = std::numeric_limits<double>::quiet_NaN();
@@ -23,7 +23,7 @@ struct ClusterRow {
   std::int64_t event;
   std::int32_t layer, sheet;
   ClusterView view;
-  std::int32_t first = -1, last = -1, size = 0;  // strips; -1 where there are none
+  std::int32_t first = -1, last = -1, size = 0;  // strips; -1 if there are none
   double charge = 0;                             // fC
   double time = 0;                               // ns
   double x = not_measured, v = not_measured;     // mm, local
@@ -36,8 +36,8 @@ struct ClusterRow {
   ClusterMethod method = ClusterMethod::strips;
 };
 
-// Sets the azimuth of a row whose x and err_x are known. The azimuth holds at mid-gap, too: charge is
-// projected to the read-out at unchanged phi and z.
+// Sets the azimuth of a row from its x and err_x. The azimuth is also valid at mid-gap: charge is projected
+// to the read-out at unchanged phi and z.
 inline void set_azimuth(const CgemLayer& layer, ClusterRow& row) {
   row.phi = azimuth(layer, row.sheet, row.x);
   row.err_phi = row.err_x / layer.r_readout;

@@ -1,5 +1,5 @@
-// The detector as the core sees it: plain numbers, ordered from the beam line outward, made by
-// `cgemit.detector` from the description that users write. Lengths in mm, angles in rad, field in T.
+// The detector in the core: plain numbers, ordered from the beam line outward, made by `cgemit.detector` from
+// the user's description. Lengths in mm, angles in rad, field in T.
 #pragma once
 
 #include <array>
@@ -12,18 +12,18 @@
 
 namespace cgemit {
 
-// What of a slab depends on velocity is tabulated against ln(beta gamma), on one grid for all slabs.
+// Velocity-dependent properties of a slab are tabulated against ln(beta gamma), on one grid for all slabs.
 inline constexpr int loss_points = 161;
 inline constexpr double loss_grid_first = -3.0;  // ln(beta gamma)
 inline constexpr double loss_grid_step = 0.1;
 
-// One element of a slab.
+// One chemical element of a slab.
 struct Component {
   double z, a;   // atomic number and weight, g/mol
   double moles;  // mol/cm^2 at normal incidence
 };
 
-// One point of that table.
+// One point of the loss table.
 struct SlabPoint {
   double log_term;       // -2 ln(I/GeV) - delta - 2 C/Z, weighted by xi
   double log_screening;  // ln of the screening angle squared, in momentum transfer (GeV/c)^2, weighted by
@@ -31,17 +31,17 @@ struct SlabPoint {
   double soft;           // GeV^2: plane variance of soft scatters times (p beta)^2, at normal incidence
 };
 
-// Scattering off one element, for scatters that are sampled one by one.
+// Scattering on one element, for scatters that are drawn one by one.
 struct HardScatterer {
   double up_to;      // running sum of the rates, 1 for the last element
-  double z;          // atomic number: z scatters on the nucleus for one on an electron
+  double z;          // atomic number: z scatters on the nucleus for each one on an electron
   double screening;  // (GeV/c)^2, for beta = 1
   double slow;       // the screening grows with 1/beta^2: screening (1 + slow/beta^2)/(1 + slow)
   double size;       // (GeV/c)^-2, radius of the nucleus squared over 12
 };
 
-// Holes through a slab that is a part of a GEM foil: a hexagonal lattice, circles whose radius is `waist` in
-// the middle of the foil and grows by `widening` per mm from there, so that copper has widening 0.
+// Holes through a slab that is part of a GEM foil: a hexagonal lattice of circles. Their radius is `waist` in
+// the middle of the foil and grows by `widening` per mm from there; copper has widening 0.
 struct Holes {
   int foil;      // running number of the foil; its parts share their holes
   double pitch;  // mm, 0 for a slab without holes
@@ -50,7 +50,7 @@ struct Holes {
   double begin, end;  // mm, where the slab begins and ends, outward from the middle of the foil
 };
 
-// A cylindrical shell of matter, or several neighbouring ones merged to one scatterer. It acts at `radius`.
+// A cylindrical shell of matter, or several neighbouring shells merged to one scatterer, acting at `radius`.
 struct Slab {
   double r_in;         // mm
   double r_out;        // mm
@@ -62,17 +62,17 @@ struct Slab {
   int gap;      // index of the CGEM layer whose drift gap this is, or -1
   bool ends;    // a track that crosses beyond half_length leaves the detector (end plate)
   Holes holes;  // pitch 0: none
-  std::uint32_t place;  // of its random numbers
+  std::uint32_t place;  // RNG counter `place`
   std::vector<Component> components;
   std::array<SlabPoint, loss_points> table;
-  // What follows from the above:
+  // Derived from the above:
   double least_outward;  // mm, P of a track that grazes the shell
-  bool shifts;  // whether sideways shifts inside count: at 1 GeV/c below 5 um they are lost in any hit error
+  bool shifts;  // whether shifts inside the slab matter: below 5 um at 1 GeV/c any hit error exceeds them
   // Scattering (`matter/scattering.hpp`), at normal incidence:
   double chi_c2;            // GeV^2, (chi_c p beta)^2 of nuclei and electrons
   double chi_c2_electrons;  // GeV^2, the electrons' part of it
-  double hard_from;         // (GeV/c)^2, scatters with a larger transfer are sampled one by one
-  double hard_rate;         // times 1/beta^2: how many of those are expected
+  double hard_from;         // (GeV/c)^2, scatters with a larger transfer are drawn one by one
+  double hard_rate;         // times 1/beta^2: the expected number of those
   std::vector<HardScatterer> hard;
 };
 
@@ -91,7 +91,7 @@ struct CgemLayer {
   int strips_v;                     // per sheet
   std::array<double, 2> phi_first;  // rad, edge of each sheet (X = 0)
   int gid_first;                    // running number of the layer's first strip: sheet by sheet, X then V
-  double cos_stereo, sin_stereo;    // follow from the stereo angle
+  double cos_stereo, sin_stereo;    // of the stereo angle
 
   double r_mid() const { return 0.5 * (r_gap_in + r_gap_out); }
   double sheet_width() const { return strips_x * pitch_x; }  // mm, in X
@@ -118,22 +118,22 @@ struct WireLayer {
   double sigma_slope;  // change of that error per mm of drift distance
   double efficiency;
   int gid_first;  // running number of the layer's wire 0
-  // From the above: one wire per cell; distance from the beam line is sqrt(waist + flare z^2).
+  // Derived from the above: one wire per cell; distance from the beam line is sqrt(waist + flare z^2).
   std::vector<Wire> placed;
   double waist, flare, tan_half_twist;
   double per_radian;   // cells per radian
   double twist_per_z;  // 1/mm, tan_half_twist/half_length
 };
 
-// What a track meets on its way out, by radius.
+// A surface that a track crosses on its outward path, ordered by radius.
 struct Place {
   double radius;  // mm
   bool is_slab;   // else a wire layer
   int index;      // into slabs or wires
 };
 
-// Which collisions the fit's energy loss describes (`matter/loss.hpp`). Mean and variance count transfers
-// below these multiples of the track's Landau xi plus a share of p beta.
+// Cuts of the fit's energy loss (`matter/loss.hpp`). Mean and variance count transfers below these multiples
+// of the track's Landau xi plus a share of p beta.
 struct LossCuts {
   double mean, variance;
   double share;
@@ -145,12 +145,12 @@ struct Detector {
   std::vector<Slab> slabs;
   std::vector<CgemLayer> cgem;
   std::vector<WireLayer> wires;
-  std::vector<GapMatter> gaps;  // one per CGEM layer, or none: then there are no electrons
+  std::vector<GapMatter> gaps;  // one per CGEM layer; if empty, no electrons are followed
   std::vector<Place> places;    // by radius
   LossCuts loss;
 };
 
-// Fills in what follows from the rest of the description.
+// Computes the quantities that follow from the rest of the description.
 Detector make_detector(FieldMap field, std::vector<Slab> slabs, std::vector<CgemLayer> cgem,
                        std::vector<WireLayer> wires, std::vector<GapMatter> gaps);
 

@@ -1,4 +1,4 @@
-// What lies about a drift gap, for ionizations and for electrons of some keV. Made by `cgemit.detector.gaps`.
+// Matter around a drift gap, for ionization and electrons of some keV. Made by `cgemit.detector.gaps`.
 #pragma once
 
 #include <array>
@@ -8,16 +8,16 @@
 
 namespace cgemit {
 
-// Grid of electron energies: sixteen equal steps from each power of two keV to the next.
+// Grid of electron energies: sixteen equal steps between successive powers of two in keV.
 inline constexpr int electron_steps = 16;
 inline constexpr double electron_grid_first = 0.25;              // keV
 inline constexpr int electron_points = 19 * electron_steps + 1;  // to 131 MeV
 
-// Ionizations of more electrons are delta electrons.
+// Larger ionizations are treated as delta electrons.
 inline constexpr std::size_t largest_cluster = 40;
 
-// What a material does to electrons of one energy. Scatters with mu = (1 - cos(angle))/2 above `cut` are
-// drawn one by one, with the spectrum 1/(mu + screening)^2, softer ones together.
+// Properties of a material for electrons of one energy. Scatters with mu = (1 - cos(angle))/2 above `cut` are
+// drawn one by one, with the spectrum 1/(mu + screening)^2; softer scatters are combined.
 struct ElectronPoint {
   double stopping;  // keV/mm
   double path;      // mm, mean free path of the hard scatters
@@ -27,7 +27,7 @@ struct ElectronPoint {
   double per_momentum;  // 1/(GeV/c)
 };
 
-// A sub-layer at a drift gap. Positions w here and below: mm outward from the inner edge of the gap.
+// A sub-layer at a drift gap. Positions w here and below are in mm, outward from the inner edge of the gap.
 struct ElectronLayer {
   double w_in, w_out;  // mm
   double density;      // g/cm2 per mm
@@ -38,21 +38,21 @@ struct ElectronLayer {
 // Matter at one depth in front of the gap or behind it, from which electrons may reach the gap.
 struct DeltaSlice {
   double w_in, w_out;   // mm
-  double least_energy;  // keV; electrons of less do not reach the gap
+  double least_energy;  // keV; electrons of lower energy do not reach the gap
   double rate;          // xi/least_energy at normal incidence, summed over the slices up to this one
 };
 
 // A drift gap, the cathode in front of it, foils and anode behind it.
 struct GapMatter {
   std::vector<ElectronLayer> layers;  // from inside
-  std::size_t gap;                    // which of them is the gap
+  std::size_t gap;                    // index of the gap among the layers
   double half_length;                 // mm; electrons are not followed beyond
   std::vector<DeltaSlice> slices;
   double xi;                     // keV/mm of the gas; Landau's xi is xi/beta^2
   double w_value;                // keV per electron
   std::vector<double> clusters;  // ionizations per mm, on the grid of ln(beta gamma)
-  // Of 2^32 ionizations, how many have up to 1, 2, 3 ... electrons, then how many up to each border but the
-  // first of the ranges over which the number of electrons n falls as 1/n^2.
+  // Cumulative numbers, out of 2^32 ionizations: those with up to 1, 2, 3 ... electrons, then those up to
+  // each border but the first of the ranges over which the number of electrons n falls as 1/n^2.
   std::vector<std::uint32_t> sizes;
   std::vector<double> tail;  // borders of these ranges, electrons
 

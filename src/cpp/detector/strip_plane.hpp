@@ -10,8 +10,8 @@
 
 namespace cgemit {
 
-// X of an azimuth, counted from the edge of a sheet: in [0, 2 pi r_readout), beyond sheet_width() off the
-// sheet.
+// X of an azimuth, counted from the edge of a sheet: in [0, 2 pi r_readout); values above sheet_width() are
+// off the sheet.
 inline double local_x(const CgemLayer& layer, int sheet, double phi) {
   return layer.r_readout * positive_angle(phi - layer.phi_first[sheet]);
 }
@@ -33,7 +33,7 @@ inline double v_of_strips(const CgemLayer& layer, double strips) {
   return (strips + layer.offset_v) * layer.pitch_v;
 }
 
-// z at which the line of constant V meets that of constant X.
+// z at which the line of constant V crosses the line of constant X.
 inline double crossing_z(const CgemLayer& layer, double x, double v) {
   return layer.z_ref() - (v - x * layer.cos_stereo) / layer.sin_stereo;
 }

@@ -32,7 +32,7 @@ T wire_azimuth(const WireLayer& layer, const T& z) {
   return t * atan_over(t);
 }
 
-// Azimuth of a point in units of cells, 0 at wire 0: the nearest whole number is the cell the point lies in.
+// Azimuth of a point in units of cells, 0 at wire 0. The nearest whole number is the cell of the point.
 template <class T>
 T cell_coordinate(const WireLayer& layer, const T& phi, const T& z) {
   const T wire_0 = layer.phi_east - 0.5 * layer.twist + wire_azimuth(layer, z);

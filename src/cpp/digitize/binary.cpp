@@ -7,9 +7,9 @@
 namespace cgemit {
 namespace {
 
-constexpr double rounding = 1e-9;  // of an energy that was added up in another order
+constexpr double rounding = 1e-9;  // of an energy that was summed in another order
 
-// What one truth leaves on one strip.
+// The contribution of one truth to one strip.
 struct Contribution {
   std::int32_t gid, layer, sheet;
   std::int8_t view;
@@ -35,7 +35,7 @@ void append(const CgemLayer& layer, Contribution strip, StripRange range, std::v
   }
 }
 
-// Shares `charge` among the strips that the projected segment touches; what lies off the active area is lost.
+// Shares `charge` among the strips that the projected segment touches; charge off the active area is lost.
 void share(const CgemLayer& layer, const Point& from, const Point& to, double charge, Contribution strip,
            std::vector<Contribution>& out) {
   const Pieces pieces = unroll(layer, from, to);
@@ -58,7 +58,7 @@ void share(const CgemLayer& layer, const Point& from, const Point& to, double ch
   }
 }
 
-// One truth with its steps [begin, end).
+// Reads out one truth with its steps [begin, end).
 void read_out(const CgemLayer& layer, const TruthColumns& truths, std::size_t row, const StepColumns& steps,
               std::size_t begin, std::size_t end, double per_energy, std::vector<Contribution>& out) {
   Contribution strip{};
@@ -79,7 +79,7 @@ void read_out(const CgemLayer& layer, const TruthColumns& truths, std::size_t ro
         strip, out);
 }
 
-// Adds up the contributions [begin, end) to one strip, which are ordered by truth, and writes its digi.
+// Sums the contributions [begin, end) to one strip, ordered by truth, and writes its digi.
 void write(std::int64_t event, const Contribution* begin, const Contribution* end, DigiColumns& digis) {
   double charge = 0, time = begin->time, of_truth = 0, largest = -1;
   std::int64_t truth = -1;
@@ -111,7 +111,7 @@ DigiColumns read_out_strips(const Detector& detector, const TruthColumns& truths
   check(steps, truths, detector);
   DigiColumns digis;
   std::vector<Contribution> parts;
-  std::size_t step = 0;  // truths and steps have one order
+  std::size_t step = 0;  // truths and steps have the same order
   for (std::size_t begin = 0, end; begin < truths.size(); begin = end) {
     end = event_end(truths.event, begin);
     parts.clear();

@@ -1,4 +1,4 @@
-// Binary read-out of the CGEM layers (arXiv:1504.02570): truths become fired strips.
+// Binary read-out of the CGEM layers (arXiv:1504.02570): makes fired strips of truths.
 #pragma once
 
 #include <span>
@@ -18,9 +18,9 @@ struct BinaryReadout {
 // One row per fired strip, ordered by event, layer, sheet, view, strip.
 //
 // No Lorentz angle, no diffusion, no drift time. X and V view collect half of the charge each. Every step of
-// a delta electron shares its charge equally among the strips of a view that its own projection touches; what
-// is left of the truth's energy is the particle's and shared by the strips between entry and exit. Steps of
-// the particle itself change nothing.
+// a delta electron shares its charge equally among the strips of a view that its own projection touches. The
+// rest of the truth's energy belongs to the particle and is shared by the strips between entry and exit.
+// Steps of the particle itself have no effect.
 DigiColumns read_out_strips(const Detector& detector, const TruthColumns& truths, const StepColumns& steps,
                             const BinaryReadout& readout);
 

@@ -15,8 +15,8 @@ struct Pair {
   DigiRow x, v;
 };
 
-// How many earlier rows of the event hold the same particle in the same layer (a track that comes back):
-// together with particle and layer it names a truth whatever the chunk.
+// Number of earlier rows of the event with the same particle in the same layer (a track that comes back).
+// Together with particle and layer it identifies a truth independently of the chunk.
 std::uint32_t occurrence(const TruthColumns& truths, std::size_t event_begin, std::size_t row) {
   std::uint32_t n = 0;
   for (std::size_t i = event_begin; i < row; ++i) {

@@ -1,5 +1,5 @@
-// Read-out without strips: positions at mid-gap smeared with given errors. Everything downstream has an exact
-// answer with it.
+// Read-out without strips: positions at mid-gap, smeared with given errors. With it all later stages have an
+// exact expectation.
 #pragma once
 
 #include <cstdint>
@@ -20,7 +20,7 @@ struct GaussianReadout {
 };
 
 // An X and a V position for each truth on the active area of a sheet, ordered by event, layer, sheet, view,
-// and there as the truths are. X and V errors are independent.
+// and then as the truths. X and V errors are independent.
 DigiColumns smear_positions(const Detector& detector, const TruthColumns& truths,
                             const GaussianReadout& readout);
 

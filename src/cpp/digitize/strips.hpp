@@ -1,4 +1,4 @@
-// Which strips a straight segment on the unrolled read-out touches: exact geometry, no sampling.
+// The strips that a straight segment on the unrolled read-out touches: exact geometry, no sampling.
 #pragma once
 
 #include <algorithm>
@@ -19,7 +19,7 @@ struct Piece {
   double x1, z1, x2, z2;  // mm, 0 <= x <= sheet_width(), |z| <= half_length
 };
 
-// At most two pieces a sheet: a segment spans at most half a turn, and a sheet at most a full one.
+// At most two pieces per sheet: a segment spans at most half a turn, and a sheet at most a full one.
 struct Pieces {
   int n = 0;
   std::array<Piece, 4> list;
@@ -31,7 +31,7 @@ struct StripRange {
   int count() const { return std::max(0, last - first + 1); }
 };
 
-// Narrows [t0, t1] to where low <= a + t d <= high.
+// Narrows [t0, t1] to the part with low <= a + t d <= high.
 inline void narrow(double a, double d, double low, double high, double& t0, double& t1) {
   if (d == 0) {
     if (a < low || a > high) t1 = t0;
@@ -42,11 +42,11 @@ inline void narrow(double a, double d, double low, double high, double& t0, doub
   t1 = std::min(t1, std::max(at_low, at_high));
 }
 
-// Clips the segment from (x, z) over (dx, dz) to the sheet and appends what is left of it.
+// Clips the segment from (x, z) over (dx, dz) to the sheet and appends the remaining part.
 inline void clip(const CgemLayer& layer, int sheet, double x, double z, double dx, double dz,
                  Pieces& pieces) {
   const double width = layer.sheet_width(), half = layer.half_length;
-  if (dx == 0 && x >= width) return;  // along the border: belongs to the neighbour
+  if (dx == 0 && x >= width) return;  // along the border: it belongs to the neighbour
   double t0 = 0, t1 = 1;
   narrow(x, dx, 0, width, t0, t1);
   narrow(z, dz, -half, half, t0, t1);
@@ -58,7 +58,8 @@ inline void clip(const CgemLayer& layer, int sheet, double x, double z, double d
 }
 
 // Projects entry and exit point to the read-out at unchanged phi and z and unrolls the straight line between
-// them, taking the short way in phi; pieces on every sheet it lies on (two at a seam or a sheet's edge).
+// them, along the shorter direction in phi. Gives pieces on every sheet that it touches (two at a seam or a
+// sheet's edge).
 inline Pieces unroll(const CgemLayer& layer, const Point& entry, const Point& exit) {
   const double phi = std::atan2(entry.y, entry.x);
   const double dx = layer.r_readout * wrap_angle(std::atan2(exit.y, exit.x) - phi);
@@ -74,7 +75,7 @@ inline Pieces unroll(const CgemLayer& layer, const Point& entry, const Point& ex
   return pieces;
 }
 
-// Those of `strips` strips that lie between two positions counted in strips.
+// The strips, out of `strips`, between two positions counted in strips.
 inline StripRange strips_between(double a, double b, int strips) {
   const auto strip = [](double position) { return static_cast<int>(std::floor(position)); };
   return {std::max(strip(std::min(a, b)), 0), std::min(strip(std::max(a, b)), strips - 1)};

@@ -1,4 +1,4 @@
-// What the digitizers read of the truths table.
+// The columns of the truths and steps tables that the digitizers read.
 #pragma once
 
 #include <cmath>
@@ -24,8 +24,7 @@ struct TruthColumns {
   Point exit_point(std::size_t i) const { return {exit[0][i], exit[1][i], exit[2][i]}; }
 };
 
-// What the digitizers read of the steps table. A step is the straight piece from middle - d/2 to middle +
-// d/2.
+// Columns of the steps table. A step is the straight piece from middle - d/2 to middle + d/2.
 struct StepColumns {
   std::span<const std::int64_t> event, truth;  // truth: row of the truths
   std::span<const std::int32_t> particle, layer, n_electrons;
@@ -40,14 +39,14 @@ struct StepColumns {
   }
 };
 
-// End of the rows that belong to the same event as row `begin`.
+// End of the rows of the same event as row `begin`.
 inline std::size_t event_end(std::span<const std::int64_t> event, std::size_t begin) {
   std::size_t end = begin + 1;
   while (end < event.size() && event[end] == event[begin]) ++end;
   return end;
 }
 
-// Throws std::invalid_argument, naming the first row that the kernels could not handle.
+// Throws std::invalid_argument, naming the first row with values that the kernels cannot handle.
 inline void check(const TruthColumns& truths, const Detector& detector) {
   const auto layers = static_cast<std::int32_t>(detector.cgem.size());
   for (std::size_t i = 0; i < truths.size(); ++i) {
@@ -65,8 +64,8 @@ inline void check(const TruthColumns& truths, const Detector& detector) {
 }
 
 // Whether the middle of a step of a delta electron lies in the drift gap. A chord between two points of the
-// inner face dips below it by its sagitta: the mean square radius of the ends counts there. Clusters of the
-// particle itself are on the chord from entry to exit, and move nothing.
+// inner face lies below it by its sagitta, so the mean square radius of the end points is compared. Clusters
+// of the particle itself are on the chord from entry to exit and have no effect.
 inline bool in_gap(const StepColumns& steps, std::size_t i, const CgemLayer& layer) {
   constexpr double rounding = 1e-3;  // mm
   const double x = steps.middle[0][i], y = steps.middle[1][i], dx = steps.d[0][i], dy = steps.d[1][i];
@@ -75,8 +74,8 @@ inline bool in_gap(const StepColumns& steps, std::size_t i, const CgemLayer& lay
   return square <= high * high && square + 0.25 * (dx * dx + dy * dy) >= low * low;
 }
 
-// Throws std::invalid_argument, naming the first row that does not belong to its truth, or has values that no
-// step has. Steps come in the order of the truths, which have been checked.
+// Throws std::invalid_argument, naming the first row that does not belong to its truth, or has impossible
+// values. Steps come in the order of the truths, which have been checked.
 inline void check(const StepColumns& steps, const TruthColumns& truths, const Detector& detector) {
   std::int64_t before = 0;
   for (std::size_t i = 0; i < steps.size(); ++i) {

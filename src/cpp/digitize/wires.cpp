@@ -11,7 +11,7 @@
 namespace cgemit {
 namespace {
 
-struct Passage {
+struct FiredCell {
   std::int32_t gid;
   double drift, sigma;
   std::size_t row;
@@ -19,7 +19,7 @@ struct Passage {
   auto order() const { return std::tuple(gid, drift, row); }
 };
 
-// Index in the detector of each layer number of the experiment; -1 for a number it does not have.
+// Index in the detector of each layer number of the experiment; -1 if there is no such layer.
 std::vector<int> index_of_number(const Detector& detector) {
   std::vector<int> index;
   for (std::size_t i = 0; i < detector.wires.size(); ++i) {
@@ -47,7 +47,7 @@ void check(const WireTruthColumns& truths, const Detector& detector, const std::
   }
 }
 
-// Straight lines between the points of the table, and the outermost ones continued.
+// Linear interpolation between the points of the table, and extrapolation beyond the outermost ones.
 double drift_time(const WireReadout& readout, double drift) {
   const auto& x = readout.xt_distance;
   const auto above = std::upper_bound(x.begin() + 1, x.end() - 1, drift) - x.begin();
@@ -56,7 +56,7 @@ double drift_time(const WireReadout& readout, double drift) {
 }
 
 void fire(const WireLayer& layer, const WireTruthColumns& truths, std::size_t row, std::uint64_t seed,
-          std::vector<Passage>& out) {
+          std::vector<FiredCell>& out) {
   const Stream stream(seed, static_cast<std::uint64_t>(truths.event[row]),
                       static_cast<std::uint32_t>(truths.particle[row]));
   const auto place =
@@ -68,11 +68,11 @@ void fire(const WireLayer& layer, const WireTruthColumns& truths, std::size_t ro
   };
   const double distance = std::abs(truths.doca[row]);
   const double drift = distance + sigma(distance) * normal_quantile(open_unit(words[0]));
-  // The hit knows its own drift distance only, so that is what its error is taken at.
+  // The error is evaluated at the measured drift distance, the only one that the hit has.
   out.push_back({layer.gid_first + truths.wire[row], drift, sigma(drift), row});
 }
 
-void write(const WireTruthColumns& truths, const WireReadout& readout, const Passage& hit,
+void write(const WireTruthColumns& truths, const WireReadout& readout, const FiredCell& hit,
            WireHitColumns& hits) {
   hits.event.push_back(truths.event[hit.row]);
   hits.layer.push_back(truths.layer[hit.row]);
@@ -100,16 +100,15 @@ WireHitColumns read_out_wires(const Detector& detector, const WireTruthColumns& 
   check(truths, detector, index);
   WireHitColumns hits;
   reserve(hits, truths.size());
-  std::vector<Passage> passages;
+  std::vector<FiredCell> fired;
   for (std::size_t begin = 0, end; begin < truths.size(); begin = end) {
-    passages.clear();
+    fired.clear();
     for (end = begin; end < truths.size() && truths.event[end] == truths.event[begin]; ++end) {
-      fire(detector.wires[index[truths.layer[end]]], truths, end, readout.seed, passages);
+      fire(detector.wires[index[truths.layer[end]]], truths, end, readout.seed, fired);
     }
-    std::sort(passages.begin(), passages.end(),
-              [](const auto& a, const auto& b) { return a.order() < b.order(); });
-    for (std::size_t i = 0; i < passages.size(); ++i) {
-      if (i == 0 || passages[i].gid != passages[i - 1].gid) write(truths, readout, passages[i], hits);
+    std::sort(fired.begin(), fired.end(), [](const auto& a, const auto& b) { return a.order() < b.order(); });
+    for (std::size_t i = 0; i < fired.size(); ++i) {
+      if (i == 0 || fired[i].gid != fired[i - 1].gid) write(truths, readout, fired[i], hits);
     }
   }
   return hits;

@@ -1,4 +1,4 @@
-// Wire chamber: track passages become measured drift distances.
+// Read-out of the drift chamber: measured drift distances of the cells that tracks cross.
 #pragma once
 
 #include <cstdint>
@@ -33,12 +33,12 @@ struct WireHitColumns {
   std::vector<double> drift, sigma;      // mm
   std::vector<double> drift_time;        // ns
   std::vector<std::int8_t> side;         // 0 hidden
-  std::vector<std::int64_t> wire_truth;  // row of the passage that gave the hit
+  std::vector<std::int64_t> wire_truth;  // row of the cell crossing that gave the hit
 };
 
-// The drift distance is |doca| plus a Gaussian error sigma(|doca|), not cut at zero: near the wire it may
-// come out slightly negative, and side times drift is then exactly Gaussian about doca. A cell that several
-// particles fire gives one hit, that of the smallest drift time.
+// The drift distance is |doca| plus a Gaussian error sigma(|doca|), not cut at zero. Near the wire it may be
+// slightly negative; side times drift is then exactly Gaussian about doca. A cell fired by several particles
+// gives one hit, with the smallest drift time.
 WireHitColumns read_out_wires(const Detector& detector, const WireTruthColumns& truths,
                               const WireReadout& readout);
 

@@ -10,7 +10,7 @@ namespace cgemit {
 
 enum class FieldKind { uniform, harmonic, cylinder, box };
 
-// One axis of a grid: equidistant points, with one coefficient more beyond either end.
+// One axis of a grid: equidistant points, with one additional coefficient beyond either end.
 struct GridAxis {
   double first, step;  // mm
   int points;
@@ -22,7 +22,7 @@ struct GridAxis {
   }
 };
 
-// The field at one point and how it changes from there.
+// The field at one point and its gradient.
 template <class T>
 struct FieldValue {
   Vec3<T> b;      // T
@@ -34,21 +34,22 @@ struct FieldValue {
 };
 
 // Between the points of a grid the field is a cubic spline in each direction, twice continuously
-// differentiable: sums of cubic B-splines (C. de Boor, A Practical Guide to Splines, 1978, chapter IX) whose
-// coefficients `cgemit.detector.field.grid` works out.
+// differentiable: sums of cubic B-splines (C. de Boor, A Practical Guide to Splines, 1978, chapter IX) with
+// coefficients from `cgemit.detector.field.grid`.
 struct FieldMap {
   FieldKind kind;
   double bz;  // T, at the origin
-  // Bz = bz [1 - b (z^2 - r^2/2) + q (z^4 - 3 z^2 r^2 + 3 r^4/8)], and the Br that goes with it.
+  // Bz = bz [1 - b (z^2 - r^2/2) + q (z^4 - 3 z^2 r^2 + 3 r^4/8)], and the Br that satisfies Maxwell's
+  // equations with it.
   double b, q;  // mm^-2, mm^-4
   // r, z with Br, Bz ("cylinder"), or x, y, z with Bx, By, Bz ("box"): the last axis runs fastest, then the
   // component. A harmonic field has no coefficients; axes in r and z, if there are any, say where it holds.
   std::vector<GridAxis> axes;
   std::vector<double> coefficients;
-  double tolerance;  // mm, error allowed to one step of a track
+  double tolerance;  // mm, error allowed in one step of a track
 
   bool is_uniform() const { return kind == FieldKind::uniform; }
-  // Whether points lie within the axes. Beyond them the field is not known; `at` goes on with its outermost
+  // Whether points lie within the axes. Beyond them the field is unknown, and `at` continues the outermost
   // polynomials.
   template <class T>
   mask_of<T> holds(const Vec3<T>& x) const;

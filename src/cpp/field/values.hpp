@@ -21,7 +21,7 @@ struct SplineWeights {
   SplineWeights(const GridAxis& axis, const T& at) {
     const double last_cell = axis.points - 2, per_step = 1 / axis.step;
     const T position = (at - axis.first) * per_step;
-    // The cell that holds the point or, outside of the grid, the nearest one.
+    // The cell that contains the point or, outside the grid, the nearest one.
     const T cell = nearest(select(position > 0.5, smaller(position - 0.5, last_cell), T(0.0)));
     if constexpr (lanes_of<T> == 1)
       first = {static_cast<std::size_t>(cell)};
@@ -35,7 +35,7 @@ struct SplineWeights {
   }
 };
 
-// Coefficients that lie side by side in memory; the compiler cuts them to the size of its registers.
+// Coefficients adjacent in memory; the compiler divides them into registers.
 template <int n>
 struct Run {
   std::array<double, n> v{};
@@ -70,7 +70,7 @@ Meridian<T> on_grid(const FieldMap& map, const T& r, const T& z) {
   constexpr std::size_t width = lanes_of<T>;
   const SplineWeights<T> in_r(map.axes[0], r), in_z(map.axes[1], z);
   const auto row = static_cast<std::size_t>(map.axes[1].points + 2);
-  // Along r lane by lane, as coefficients lie in memory: Br and Bz of four B-splines in z.
+  // Along r lane by lane, in the memory order of the coefficients: Br and Bz of four B-splines in z.
   std::array<Run<8>, width> value, slope;
   for (std::size_t k = 0; k < width; ++k) {
     const double* c = &map.coefficients[2 * (in_r.first[k] * row + in_z.first[k])];
@@ -101,7 +101,7 @@ Meridian<T> on_grid(const FieldMap& map, const T& r, const T& z) {
 
 template <class T>
 FieldValue<T> around_axis(const FieldMap& map, const Vec3<T>& x) {
-  constexpr double on_axis = 1e-3;  // mm; nearer to the beam line Br/r is the slope of Br
+  constexpr double on_axis = 1e-3;  // mm; closer to the beam line Br/r is the slope of Br
   const T r = sqrt(x.x * x.x + x.y * x.y);
   const Meridian<T> m = map.kind == FieldKind::harmonic ? harmonic(map, r, x.z) : on_grid(map, r, x.z);
   const mask_of<T> beside = r > on_axis;
@@ -119,7 +119,7 @@ FieldValue<T> in_box(const FieldMap& map, const Vec3<T>& x) {
   const SplineWeights<T> in_x(map.axes[0], x.x), in_y(map.axes[1], x.y), in_z(map.axes[2], x.z);
   const auto column = static_cast<std::size_t>(map.axes[2].points + 2),
              plane = column * static_cast<std::size_t>(map.axes[1].points + 2);
-  // Lane by lane, as coefficients lie in memory: the three components of four B-splines in z.
+  // Lane by lane, in the memory order of the coefficients: the three components of four B-splines in z.
   std::array<Run<12>, width> value, by_x, by_y;
   for (std::size_t k = 0; k < width; ++k) {
     const double* c = &map.coefficients[3 * (in_x.first[k] * plane + in_y.first[k] * column + in_z.first[k])];

@@ -1,4 +1,4 @@
-// A curve through points of which some are wrong and most lie beside it at a known distance, on either side.
+// Robust curve fit to drift circles: distance known, side unknown, some outliers.
 #pragma once
 
 #include <algorithm>
@@ -9,28 +9,28 @@
 
 namespace cgemit {
 
-// What one point says: the curve passes at `drift` from it, and the point lies to its left (side 1), right
-// (-1) or either (0).
+// The constraint of one point: the curve passes at `drift` from it, and the point lies to its left (side 1),
+// right (-1) or either (0).
 struct DriftCircle {
   double drift, side;
-  double per_error;  // 1/mm, one over what is expected at best
-  double votes;      // how much it counts when curves are compared
-  double left;       // mm, how far left of the present curve the point lies
+  double per_error;  // 1/mm, one over the smallest expected error
+  double votes;      // its weight when curves are compared
+  double left;       // mm, distance of the point to the left of the present curve
   double miss() const { return side == 0 ? std::abs(left) - drift : left - side * drift; }
-  // Its votes, as far as it misses the curve by more than some of its errors.
+  // Its votes, in proportion to the part of its distance from the curve beyond `errors` errors.
   double lost(double errors) const {
     const double far = miss() * per_error / errors, square = far * far;
     return votes * square / (1 + square);
   }
 };
 
-// Where the curve should be drawn to, left of it, and how much that counts.
+// The offset to the left of the curve at which the curve should pass, and the weight of this offset.
 struct Attraction {
   double offset, weight;
 };
 
-// An unknown side enters with what its two possibilities amount to at the present scale (in errors); what
-// lies far outside hardly counts (Geman and McClure, Bull. Int. Stat. Inst. 52 (1987) 5).
+// For an unknown side the two possibilities are averaged at the present scale (in errors). Points far outside
+// have almost no weight (Geman and McClure, Bull. Int. Stat. Inst. 52 (1987) 5).
 inline Attraction attraction_of(const DriftCircle& drift_circle, double scale) {
   const double per_spread = drift_circle.per_error / scale, per_variance = per_spread * per_spread;
   const double far = drift_circle.miss() * per_spread, discount = 1 + far * far / 9;
@@ -43,8 +43,9 @@ inline Attraction attraction_of(const DriftCircle& drift_circle, double scale) {
           per_variance * square / ((square + drift2) * discount * discount)};
 }
 
-// `Shape` has a Model (the curve), a Point with its DriftCircle, how far `left` of a model a point lies, how
-// many points make a model (`least`), and Sums, which take points with their pulls and solve for the model.
+// `Shape` has a Model (the curve), a Point with its DriftCircle, the distance `left` of a point from a model,
+// the number of points that determine a model (`least`), and Sums, which take points with their attractions
+// and solve for the model.
 template <class Shape>
 class Annealed {
  public:
@@ -53,16 +54,16 @@ class Annealed {
 
   struct Result {
     std::optional<Model> model;
-    double scale;  // in errors, how well most points are met; at least 1
+    double scale;  // in errors, the distance of most points from the curve; at least 1
   };
 
-  // More points would not improve a first helix.
+  // Points beyond the capacity are ignored: they would not improve a first helix.
   void add(const Point& point) {
     if (n_ < points_.size()) points_[n_++] = point;
   }
 
-  // Least squares with weights that get sharper as the curve gets better. If that leaves many points lost,
-  // also from a curve through few of them.
+  // Least squares with weights that become sharper as the curve improves. If many points are still lost,
+  // RANSAC is tried as well.
   Result result() {
     if (n_ < Shape::least) return {std::nullopt, 0};
     typename Shape::Sums sums;
@@ -100,8 +101,8 @@ class Annealed {
     return {model, scale};
   }
 
-  // Where the points lie. Returns how well most are met: what lies far outside the last scale counts as if at
-  // its edge.
+  // Measures the distances of the points from the curve. Returns the distance of most points; points far
+  // outside the last scale count as if they were at its edge.
   double measure(const Model& model, double scale) {
     double sum = 0;
     for (std::size_t i = 0; i < n_; ++i) {
@@ -132,8 +133,8 @@ class Annealed {
     return sums.solve();
   }
 
-  // The curve through a few points, spread over the way, that comes closest to most of the others (Fischler
-  // and Bolles, CACM 24 (1981) 381).
+  // RANSAC: the curve through a few points, spread along the track, that is closest to most of the others
+  // (Fischler and Bolles, CACM 24 (1981) 381).
   std::optional<Model> ransac() {
     std::optional<Model> best;
     double least_lost = HUGE_VAL;

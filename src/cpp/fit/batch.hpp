@@ -1,4 +1,4 @@
-// Many tracks: seeds, groups of tracks that cross about the same, fits.
+// Many tracks: their seeds, groups of tracks that cross similar surfaces, and the fits.
 #pragma once
 
 #include <algorithm>
@@ -41,12 +41,12 @@ class BatchFit {
       std::erase_if(starts, [&](const Start& start) { return settled(start.track); });
     } else {
       fit_all(seeds(SeedFrom::wires_and_clusters, good), false, kinks);
-      // A poor seed would let the clusters mislead the sides: the wires settle among themselves first.
+      // After a poor seed the clusters would mislead the sides, so the wires are fitted first, alone.
       fit_all(seeds(SeedFrom::wires, good), true, kinks);
       fit_all(seeds(SeedFrom::azimuths, good), false, kinks);
       starts = seeds(SeedFrom::wires_and_clusters, settled);
     }
-    // What does not settle with kinks may without.
+    // A fit that does not converge with kinks is repeated without.
     if (kinks) fit_all(starts, false, false);
     for (std::size_t track = 0; track < input_.tracks(); ++track) mark_unconstrained(out_.rows[track]);
   }
@@ -60,7 +60,7 @@ class BatchFit {
     Seed seed;
   };
 
-  // Rows of an attempt.
+  // The rows of one attempt.
   struct Scratch {
     FitRow row;
     LastIteration last;
@@ -94,8 +94,7 @@ class BatchFit {
     return projectile_of(input_.mass[track], kappa);
   }
 
-  // Wrong sides or a wrong turn show in the chi-square long before it is unlikely by chance, or in many
-  // outliers.
+  // Wrong sides or a wrong turn show up as a large chi-square or as many outliers.
   static bool is_good(const FitRow& row) {
     const int used = row.clusters + row.wires;
     return row.status == FitStatus::ok && row.chi2 < 5 * used + 30 && 2 * row.outliers < used;
@@ -111,12 +110,12 @@ class BatchFit {
     constexpr double most = 0.5;
     if (!(variance < most * most)) row.status = FitStatus::unconstrained;
   }
-  // An outlier counts as much as the last hit that is none.
+  // Each outlier counts as a hit just at the outlier cut.
   double chi2_per_hit(const FitRow& row) const {
     const double cut = settings_.outlier_pull * settings_.outlier_pull;
     return (row.chi2 + cut * row.outliers) / std::max(row.clusters + row.wires + row.outliers, 1);
   }
-  // A settled fit, then one that still moves, then none.
+  // Order of preference: a converged fit, one that has not converged, none.
   static int rank(FitStatus status) {
     return status == FitStatus::ok ? 2 : status == FitStatus::not_converged ? 1 : 0;
   }
@@ -125,8 +124,8 @@ class BatchFit {
     return rank(a.status) > 0 && chi2_per_hit(a) < chi2_per_hit(b);
   }
 
-  // Alike for tracks that cross alike: tracks sorted by it leave few lanes idle. Clusters and where the last
-  // hit is, then how many hits there are in each eighth of the chamber.
+  // Sort key that is similar for tracks that cross similar surfaces, so that few lanes are idle: the clusters
+  // and the layer of the last hit, then the number of hits in each eighth of the chamber.
   std::uint64_t key(std::size_t track) const {
     if (width == 1) return 0;
     std::uint64_t clusters = 0, wires = 0;
@@ -141,7 +140,7 @@ class BatchFit {
     return (std::min<std::uint64_t>(clusters, 255) << 48) ^ wires;
   }
 
-  // Of all tracks that are not `done`.
+  // Fits all tracks that are not `done`.
   template <class Done>
   std::vector<Start> seeds(SeedFrom from, const Done& done) const {
     std::vector<Start> starts;
@@ -180,7 +179,7 @@ class BatchFit {
     PerigeeOf<T> helix;
     T mass, spread;
     for (std::size_t k = 0; k < width; ++k) {
-      const Start& start = starts[std::min(k, starts.size() - 1)];  // idle lanes hold something sensible
+      const Start& start = starts[std::min(k, starts.size() - 1)];  // idle lanes hold a valid helix
       const Perigee& from = start.seed.helix;
       const int i = static_cast<int>(k);
       set_lane(helix.d, i, from.d);
@@ -203,7 +202,7 @@ class BatchFit {
     }
   }
 
-  // Of the hits; the row of the track says what becomes of it.
+  // Clears the rows of the hits; the row of the track holds its status.
   void clear(std::size_t track) const {
     if (out_.hits != nullptr) std::fill_n(out_.hits + input_.first(track), input_.count(track), HitRow{});
     if (out_.last == nullptr) return;
@@ -212,10 +211,10 @@ class BatchFit {
     std::fill_n(out_.kinks + track * slabs(), slabs(), KinkRow{});
   }
 
-  // Straight or undefined: as good as straight.
+  // A straight or undefined track gets a kappa close to that of a straight one.
   static double usable_kappa(double kappa) { return std::isfinite(kappa) && kappa != 0 ? kappa : 1e-9; }
 
-  // A first attempt goes to where the result is; a later one has to be better than that.
+  // The first attempt is written to the result; a later one replaces it only if it is better.
   bool is_first(std::size_t track) const { return out_.rows[track].status == FitStatus::seed_failed; }
   FitLane rows_of(std::size_t track) const {
     const std::size_t first = input_.first(track);

@@ -7,14 +7,14 @@
 
 namespace cgemit {
 
-// A circle, or a straight line, flown through in direction u from its closest approach to the beam line.
+// A circle or a straight line, flown through in direction u at its closest approach to the beam line.
 struct Circle {
   double w, d, ux, uy;  // curvature (1/mm), signed distance (mm) and direction as in `Perigee`
 
   double x() const { return d * uy; }
   double y() const { return -d * ux; }
 
-  // Left of the flight positive, a distance near the circle: (R^2 - distance^2 from the centre)/(2 R).
+  // Distance near the circle, positive to the left of the flight: (R^2 - distance^2 from the centre)/(2 R).
   double algebraic(double px, double py) const {
     return (1 - w * d) * (py * ux - px * uy) + d * (1 - 0.5 * w * d) - 0.5 * w * (px * px + py * py);
   }
@@ -22,19 +22,19 @@ struct Circle {
   struct Vector {
     double x, y;
   };
-  // Gradient of that.
+  // Gradient of `algebraic`.
   Vector gradient(double px, double py) const {
     const double n = 1 - w * d;
     return {-n * uy - w * px, n * ux - w * py};
   }
-  // Unit vector of the gradient near the circle, one step of Newton from 1: it points to the left of the
-  // flight.
+  // Unit vector of the gradient near the circle, from one Newton step starting at 1; it points to the left of
+  // the flight.
   Vector leftward(double px, double py) const {
     const Vector g = gradient(px, py);
     const double scale = 1.5 - 0.5 * (g.x * g.x + g.y * g.y);
     return {g.x * scale, g.y * scale};
   }
-  // How far left of the flight a point near the circle lies, mm; the sign is right everywhere.
+  // Distance to the left of the flight for a point near the circle, mm; the sign is right everywhere.
   double left(double px, double py) const {
     const double g = algebraic(px, py);
     return g / (1 - 0.5 * w * g);
@@ -60,8 +60,8 @@ class Moments {
   }
 
   // Least squares of k r^2 - (y ux - x uy) - e over k, e and the direction (V. Karimaki, NIM A 305 (1991)
-  // 187): the distance to the circle for points that are much closer to it than its radius. The flight goes
-  // away from the beam line.
+  // 187). This is the distance to the circle for points whose distance is much smaller than its radius. The
+  // flight goes away from the beam line.
   std::optional<Circle> circle() const {
     if (points_ < 3) return std::nullopt;
     const double per = 1 / n_, x = x_ * per, y = y_ * per, z = z_ * per;
@@ -70,7 +70,7 @@ class Moments {
     const double sine = 2 * (zz * xy - xz * yz), cosine = zz * (xx - yy) - xz * xz + yz * yz;
     const double size = std::sqrt(sine * sine + cosine * cosine);
     if (!(size > 0) || !(zz > 1e-12 * z * z)) return std::nullopt;
-    // Half of the angle; of the two ways to fly along the line the one away from the beam line.
+    // Half of the angle. Of the two directions along the line, the one away from the beam line is taken.
     const double larger = std::sqrt(0.5 + 0.5 * std::abs(cosine) / size),
                  smaller = 0.5 * sine / (size * larger);
     double ux = cosine > 0 ? larger : smaller, uy = cosine > 0 ? smaller : larger;

@@ -17,7 +17,7 @@ struct Entry {
   double value, sigma, k, x;
   std::int64_t row;
 
-  // Rows come last: where tables are ordered otherwise, the hits are not.
+  // The row comes last, so that the order of the hits does not depend on the order of the tables.
   auto order() const { return std::tuple(place, element, kind, std::bit_cast<std::int64_t>(value), row); }
   bool repeats(const Entry& before) const { return kind == before.kind && row == before.row; }
 };
@@ -56,7 +56,7 @@ class Collector {
   }
 
  private:
-  // How many hits each candidate has.
+  // Counts the hits of each candidate.
   void count() {
     offsets_.assign(candidates_.event.size() + 1, 0);
     bool all = true;
@@ -76,12 +76,12 @@ class Collector {
     return view == wire_view ? wires_.event : clusters_.event;
   }
 
-  // Whether a hit points to a candidate and to a row of its kind, all of one event.
+  // Whether a hit refers to a candidate and to a row of its kind, all of the same event.
   bool is_there(std::size_t i) const {
     const std::int8_t view = candidates_.view[i];
     if (view < 0 || view > point_view) return false;
     const auto candidate = static_cast<std::size_t>(candidates_.candidate[i]),
-               row = static_cast<std::size_t>(candidates_.row[i]);  // below 0: beyond any size
+               row = static_cast<std::size_t>(candidates_.row[i]);  // negative: beyond any size
     const auto table = events(view);
     if (candidate >= candidates_.event.size() || row >= table.size()) return false;
     const std::int64_t event = candidates_.event[candidate];
@@ -137,7 +137,7 @@ class Collector {
     const double err_x = clusters_.err_x[row], err_v = clusters_.err_v[row];
     if (view == 0) return put({0, 0, 0, layer, sheet, clusters_.size[row], x, err_x, 0, 0, number});
     if (view == 1) return put({1, 0, 0, layer, sheet, clusters_.size[row], v, err_v, 0, 0, number});
-    // The strips of a point are those of two clusters: its errors are what it says itself.
+    // The strips of an XV point belong to two clusters, so the errors of the point are its own.
     const double covariance = clusters_.cov_xv.empty() ? 0 : clusters_.cov_xv[row];
     put({0, 0, 0, layer, sheet, 0, x, err_x, 0, 0, number});
     if (err_x > 0 && !(std::abs(covariance) < err_x * err_v)) {

@@ -1,5 +1,5 @@
-// The measurements of track candidates from the tables that they point into, ordered from the beam line
-// outward.
+// Collects the measurements of track candidates from the tables that they refer to, ordered from the beam
+// line outward.
 #pragma once
 
 #include <cstdint>
@@ -23,7 +23,7 @@ struct ClusterInput {
   std::span<const std::int32_t> layer, sheet, size;
   std::span<const std::int8_t> view;  // 0 X, 1 V, 2 XV
   std::span<const double> x, v, err_x, err_v;
-  std::span<const double> cov_xv;  // mm^2, covariance of x and v; empty: there is none
+  std::span<const double> cov_xv;  // mm^2, covariance of x and v; may be empty
 };
 
 struct WireInput {
@@ -33,8 +33,8 @@ struct WireInput {
   std::span<const std::int8_t> side;
 };
 
-// Flat columns; hits `offsets[i]` to `offsets[i + 1]` are those of candidate i. An XV point is two: X, and
-// what V says beyond it.
+// Flat columns; hits `offsets[i]` to `offsets[i + 1]` belong to candidate i. An XV point becomes two hits: X,
+// and the part of V that is uncorrelated with X.
 struct CollectedHits {
   std::vector<std::int64_t> offsets;
   std::vector<std::uint8_t> kind;
@@ -44,9 +44,9 @@ struct CollectedHits {
   std::vector<std::int64_t> row;
 };
 
-// The order of the result depends on the hits alone, not on that in which they are given. Throws, listing
-// all that is wrong with them, if any is given twice, belongs to another event, or is not there; what is
-// wrong with the measurements otherwise is for `check_hits`.
+// The order of the result depends on the hits only, not on their order in the input. Throws, listing every
+// problem, if a hit is given twice, belongs to another event, or does not exist. `check_hits` checks the
+// measurements themselves.
 CollectedHits collect_hits(const Detector& detector, const CandidateInput& candidates,
                            const ClusterInput& clusters, const WireInput& wires);
 

@@ -1,4 +1,4 @@
-// Sides of wires and outliers as the first helix shows them, where it is known to be good.
+// First values for the sides of wires and for outliers from the first helix, where that helix is good.
 #pragma once
 
 #include "kalman/group.hpp"
@@ -11,20 +11,19 @@ T hyperbolic_tangent(T x) {
   return copysign(1.0 - 2.0 / (1.0 + exp(2.0 * a)), x);
 }
 
-// For a traced group whose tracks start from `helix`, which most hits miss by `spread` (mm). Both guesses are
-// looked at again in the fit: it is spared the iterations in which a first helix finds out, and outliers do
-// not pull it.
+// For a traced group whose tracks start from `helix`; `spread` (mm) is the distance of most hits from it. The
+// fit reviews both later. The first values save iterations and keep outliers out of the first one.
 template <class T>
 void first_guess(Group<T>& group, const PerigeeOf<T>& helix, T mass, T spread, mask_of<T> who,
                  bool outliers) {
-  constexpr double sharp = 0.6;  // mm, two to three times what clean tracks have
+  constexpr double sharp = 0.6;  // mm, two to three times the spread of clean tracks
   who = who & (spread < sharp);
   if (!any(who)) return;
-  // How far scattering takes a track off its first helix: 13.6 MeV sqrt(0.02)/(p beta) over half a metre,
-  // over sqrt(3).
+  // Displacement of a track from its first helix by scattering: 13.6 MeV sqrt(0.02)/(p beta) over half a
+  // metre, over sqrt(3).
   const T p2 = (1.0 + helix.tanl * helix.tanl) / (helix.kappa * helix.kappa);
   const T wander = 0.56 * sqrt(p2 + mass * mass) / p2;
-  // The helix follows most of that: it goes through the hits.
+  // The helix goes through the hits and therefore absorbs most of this displacement.
   const T variance = 2.0 * spread * spread + wander * wander / 16.0;
   T all(0.0), far(0.0);
   for (Slot<T>& slot : group.slots) {
@@ -41,7 +40,7 @@ void first_guess(Group<T>& group, const PerigeeOf<T>& helix, T mass, T spread, m
     all += select(met, T(1.0), T(0.0));
     far += select(slot.outlier, T(1.0), T(0.0));
   }
-  // A helix that misses a third of its hits is not to be trusted with that.
+  // Outliers of a helix that misses a third of its hits are not used.
   const mask_of<T> believed = mask_of<T>(outliers) & (3.0 * far < all);
   for (Slot<T>& slot : group.slots) slot.outlier = slot.outlier & believed;
 }

@@ -1,5 +1,5 @@
-// Track fit: Kalman filter from the outermost hit inward to the origin, linearised about a reference that is
-// renewed until it stops moving.
+// Track fit: Kalman filter from the outermost hit inward to the origin, linearised about a reference
+// trajectory that is updated until it converges.
 #pragma once
 
 #include <array>
@@ -11,25 +11,25 @@
 
 namespace cgemit {
 
-// Values live in `cgemit.fit.FitSettings`.
+// Default values are in `cgemit.fit.FitSettings`.
 struct FitSettings {
   int max_iterations;
-  // The reference has stopped when every parameter moves by less, in its standard deviation.
+  // The reference has converged when no parameter moves by more than this, in standard deviations.
   double tolerance;
   bool errors_from_track;  // cluster errors from size and the track's incidence, else from the cluster's own
                            // table
   double least_width;      // smallest spread of a cluster's position, in pitches
-  double delta_strips;     // probability that a delta electron adds one strip to a cluster; 0: none does
-  bool kinks;              // whether the reference of a slow track is scattered as its hits show
-  double outlier_pull;  // a hit this many standard deviations from the rest of the track is left out; 0: none
-  std::array<double, 5> prior_sigma;  // of d, psi, kappa, z0, tanl: weak, for the filter to begin with
+  double delta_strips;     // probability that a delta electron adds one strip to a cluster; 0: never
+  bool kinks;              // whether the reference of a slow track gets kinks from its hits
+  double outlier_pull;     // a hit with a larger pull to the rest of the track is left out; 0: no outliers
+  std::array<double, 5> prior_sigma;  // of d, psi, kappa, z0, tanl: the weak prior of the filter
 };
 
 // Tracks to fit, one after the other. Hits of a track are ordered outward; `side` per hit: +1 or -1 known, 0
-// to be found out. With `start` empty the hits provide it.
+// unknown. If `start` is empty the start helices come from the hits.
 struct FitInput {
   std::span<const std::int64_t>
-      offsets;  // of n tracks: n + 1 places in the hits, counted from the first one's
+      offsets;  // for n tracks: n + 1 indices into the hits, relative to the first one
   std::span<const Hit> hits;
   std::span<const std::int8_t> side;
   std::span<const double> mass;    // GeV
@@ -49,26 +49,26 @@ struct FitRow {
   FitStatus status;
 };
 
-// One row per hit, against the track fitted without it.
+// One row per hit, compared with the track fitted without it.
 struct HitRow {
   double residual;    // mm, measured - predicted
-  double error;       // mm, of that difference; 0: the track does not meet it
+  double error;       // mm, of that difference; 0: the track does not cross the surface
   std::int8_t side;   // wires: the side of the larger weight; clusters: 0
-  std::uint8_t used;  // 0: an outlier, left out
+  std::uint8_t used;  // 0: an outlier, not used
 };
 
-// What the last iteration was made with, for states along the track; (d, psi, kappa, z0, tanl).
+// State of the last iteration, for states along the track; (d, psi, kappa, z0, tanl).
 struct LastIteration {
-  std::array<double, 5> reference;  // about which it was linearised
-  std::array<double, 25> prior;     // the covariance with which its filter began
+  std::array<double, 5> reference;  // the linearisation point
+  std::array<double, 25> prior;     // the covariance of the filter's prior
 };
 using KinkRow = std::array<double, 2>;  // rad, of one slab; see Kink
 struct Measured {
-  double value, variance;  // mm, mm^2; variance 0: the track does not meet it
+  double value, variance;  // mm, mm^2; variance 0: the track does not cross the surface
 };
 
-// Where the rows go. `hits` may be null; `last`, `measured` and `kinks`, one per slab of the detector for
-// each track, come together, or are null.
+// The output rows. `hits` may be null. `last`, `measured` and `kinks` (one per slab of the detector for each
+// track) are given together, or are all null.
 struct FitOutput {
   FitRow* rows;
   HitRow* hits;
@@ -77,7 +77,7 @@ struct FitOutput {
   KinkRow* kinks;
 };
 
-// The plain scalar path.
+// The scalar code without SIMD lanes.
 void fit_tracks(const Detector& detector, const FitInput& input, const FitSettings& settings,
                 const FitOutput& output);
 

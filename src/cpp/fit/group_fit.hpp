@@ -20,8 +20,8 @@ class GroupFit {
   GroupFit(const Detector& detector, const FitSettings& settings, Group<T>& group)
       : detector_(detector), settings_(settings), group_(group) {}
 
-  // From `start`, which most hits miss by `spread` (mm). `wires_first`: sides that are open settle among the
-  // wires before the clusters join. `kinks`: slow tracks get them.
+  // Fits from `start`; `spread` (mm) is the distance of most hits from it. `wires_first`: the unknown sides
+  // are determined from the wires alone before the clusters join. `kinks`: slow tracks get kinks.
   void run(const PerigeeOf<T>& start, T spread, T mass, Projectile projectile, std::span<const FitLane> lanes,
            bool wires_first, bool kinks) {
     helix_ = start;
@@ -44,26 +44,27 @@ class GroupFit {
       iterate(prior, mass, projectile);
   }
 
-  // Whether slow tracks may get kinks at all.
+  // Whether slow tracks may have kinks at all.
   static bool gives_kinks(const FitSettings& settings) {
     return settings.kinks && settings.max_iterations > kink_iterations;
   }
 
  private:
   static constexpr int patient_iterations = 6;
-  static constexpr int impatient_iterations = 4;    // from here on outliers may be why a fit does not settle
-  static constexpr int last_return = 8;             // from this iteration on an outlier stays one
-  static constexpr int kink_iterations = 4;         // that have to be left for kinks to settle
-  static constexpr double least_scattering = 5e-5;  // rad^2; what is less is linear
+  static constexpr int impatient_iterations =
+      4;                                     // from here on, outliers are looked for even without convergence
+  static constexpr int last_return = 8;      // from this iteration on, outliers do not return
+  static constexpr int kink_iterations = 4;  // iterations that must remain for kinks to converge
+  static constexpr double least_scattering = 5e-5;  // rad^2; smaller variances are linear
 
-  // What one iteration knows.
+  // The results of one iteration.
   struct Iteration {
     bool last;
-    mask_of<T> works;        // lanes that are still fitted
+    mask_of<T> works;        // lanes that are still being fitted
     FilteredState<T> state;  // at the origin, about the reference
     T moved;                 // largest step of a parameter, in standard deviations, squared
-    mask_of<T> settled;      // lanes that may be ready
-    mask_of<T> judged;       // lanes whose outliers are looked for
+    mask_of<T> settled;      // lanes that may have converged
+    mask_of<T> judged;       // lanes that are searched for outliers
   };
 
   void iterate(const Five<T>& prior, T mass, Projectile projectile) {
@@ -76,7 +77,7 @@ class GroupFit {
     decide(now);
   }
 
-  // Follows the reference, and fills in what every hit measures on it.
+  // Follows the reference trajectory and computes the measurement of every hit on it.
   void linearise(Iteration& now, T mass, Projectile projectile) {
     if (iteration_ > patient_iterations) give_up_hits();
     trace(mass, projectile);
@@ -88,14 +89,14 @@ class GroupFit {
     works = works & !finish(works & few, FitStatus::does_not_reach);
     now.works = works;
     if (!any(works)) return;
-    // Radiation leaves electrons where no first helix expects them.
+    // After radiation, electrons are far from any first helix.
     if (iteration_ == 0 && projectile < Projectile::electron)
       first_guess(group_, helix_, mass, spread_, works, settings_.outlier_pull > 0);
     if (settings_.outlier_pull > 0) keep_enough(group_, works);
     fill_slots(group_, detector_, settings_, wires_only_);
   }
 
-  // The state at the origin, and the next reference.
+  // Computes the state at the origin and the next reference.
   void filter_inward(Iteration& now, const Five<T>& prior) {
     reference_.prior = beginning(prior);
     now.state = filter(detector_, group_, reference_.prior);
@@ -111,8 +112,8 @@ class GroupFit {
     move(now.state.x, now.works);
   }
 
-  // Residuals to the track without the hit. They renew weights of sides, outliers and kinks, and are asked
-  // for by tracks that are about to be ready: the others are spared them.
+  // Residuals to the track without the hit. They update the weights of sides, outliers and kinks, and are
+  // needed only for tracks close to convergence; the other tracks skip them.
   void smooth_outward(Iteration& now) {
     now.settled =
         now.works & (now.moved < settings_.tolerance * settings_.tolerance) & !wires_only_ & !group_.left;
@@ -125,7 +126,7 @@ class GroupFit {
           now.settled & renew_outliers(group_, now.judged, settings_.outlier_pull, iteration_ < last_return);
   }
 
-  // Which lanes are ready; the others go on from the new reference.
+  // Decides which lanes have converged; the others continue from the new reference.
   void decide(Iteration& now) {
     mask_of<T> ready = now.settled;
     if (kinks_) {
@@ -139,8 +140,8 @@ class GroupFit {
     if (now.last) store(now.works & !ready, now.state, FitStatus::not_converged);
   }
 
-  // Where a linear fit has settled, or does not, slow tracks get kinks: angles, shifts and curvature multiply
-  // where a track is scattered by more than a few mrad. Returns which did now.
+  // Slow tracks get kinks once a linear fit has converged, or fails to: angles, shifts and curvature multiply
+  // where scattering exceeds a few mrad. Returns the lanes that got kinks now.
   mask_of<T> bend(mask_of<T> who) {
     who = who & !group_.kinked;
     if (!any(who) || iteration_ + kink_iterations >= settings_.max_iterations) return mask_of<T>(false);
@@ -157,7 +158,7 @@ class GroupFit {
     return who;
   }
 
-  // Variance of the angle behind all matter, rad^2.
+  // Variance of the angle after all matter, rad^2.
   T scattering() const {
     T sum(0.0);
     for (const Kink<T>& kink : group_.kinks) sum += kink.sigma * kink.sigma;
@@ -172,10 +173,10 @@ class GroupFit {
     }
   }
 
-  // The covariance that the filter begins with. Rounding error grows with the ratio of prior to posterior, so
-  // after the first iteration the prior is 4000 times the last diagonal variances. Correlations are dropped:
-  // they would leak information of the inner hits into the outer ones. Its mean is the present reference, so
-  // that it pulls nowhere once that has settled.
+  // The covariance of the filter's prior. Rounding error grows with the ratio of prior to posterior, so after
+  // the first iteration the prior is 4000 times the last diagonal variances. Correlations are dropped: they
+  // would leak information of the inner hits into the outer ones. The mean of the prior is the present
+  // reference, so that the prior has no bias after convergence.
   Symmetric<T> beginning(const Five<T>& prior) const {
     constexpr double ratio = 4000;
     Five<T> variance = prior;
@@ -191,8 +192,9 @@ class GroupFit {
     return open;
   }
 
-  // Where the reference stops before the last hits it gets more momentum: half of the way back to the last
-  // one that did not, or just more. Where that does not help, the hits beyond have been given up.
+  // If the reference stops before the last hits, its momentum is raised: kappa moves halfway back to that of
+  // the last reference that did not stop, or is reduced by a fixed factor. If that does not help, the hits
+  // beyond are given up.
   mask_of<T> speed_up(bool last) {
     const mask_of<T> stopped = active_ & group_.stopped;
     if (iteration_ > patient_iterations || last) return finish(stopped, FitStatus::stopped);
@@ -202,13 +204,13 @@ class GroupFit {
     return stopped;
   }
 
-  // Hits that stay out of the reference's reach are given up after some iterations.
+  // Hits that the reference does not reach are given up after some iterations.
   void give_up_hits() {
     for (Slot<T>& slot : group_.slots) slot.there = slot.there & (slot.met | !active_);
     look_ahead(group_);
   }
 
-  // As many measurements as parameters can be met by anything: at least one more is asked for.
+  // Any track can meet as many measurements as it has parameters: at least one more is required.
   mask_of<T> too_few() const {
     mask_of<T> few(false);
     for (int k = 0; k < lanes_of<T>; ++k)
@@ -216,7 +218,7 @@ class GroupFit {
     return few;
   }
 
-  // Ends the fit of these lanes. Returns them.
+  // Ends the fit of these lanes. Returns the lanes.
   mask_of<T> finish(mask_of<T> failed, FitStatus status) {
     if (!any(failed)) return failed;
     for (std::size_t k = 0; k < lanes_.size(); ++k) {
@@ -228,8 +230,7 @@ class GroupFit {
     return failed;
   }
 
-  // The new reference; a curvature that would more than double or change sign by itself is approached in
-  // halves.
+  // The new reference. A step that would change the curvature by more than half of it is shortened.
   void move(const Five<T>& x, mask_of<T> who) {
     const T limit = larger(0.5 * abs(helix_.kappa), 0.2);
     const T fraction = select(who, smaller(T(1.0), limit / larger(abs(x[2]), 1e-12)), T(0.0));
@@ -262,13 +263,13 @@ class GroupFit {
   const Detector& detector_;
   const FitSettings& settings_;
   Group<T>& group_;
-  PerigeeOf<T> helix_;            // about which the next iteration is linearised
-  LinearisedAbout<T> reference_;  // what this one was
-  Five<T> variance_;              // of the iteration before
-  T spread_, passed_;             // of the start; kappa of the last reference that did not stop, 0 before
+  PerigeeOf<T> helix_;            // linearisation point of the next iteration
+  LinearisedAbout<T> reference_;  // linearisation point of this iteration
+  Five<T> variance_;              // of the previous iteration
+  T spread_, passed_;             // of the start; kappa of the last reference that did not stop, 0 if none
   std::span<const FitLane> lanes_;
   mask_of<T> active_, open_, wires_only_;
-  T chi2_;  // of the iteration before
+  T chi2_;  // of the previous iteration
   bool kinks_ = true;
   int iteration_ = 0;
 };

@@ -1,4 +1,4 @@
-// What a hit must be before it is fitted.
+// Requirements on hits, checked before the fit.
 #pragma once
 
 #include <cmath>
@@ -12,7 +12,7 @@
 
 namespace cgemit {
 
-// Hits by column, one entry a scalar measurement.
+// Hits by column; each entry is a scalar measurement.
 struct HitView {
   std::span<const std::uint8_t> kind;           // View
   std::span<const std::int32_t> layer;          // CGEM layer, or number of the wire layer
@@ -26,9 +26,9 @@ class HitRules {
  public:
   explicit HitRules(const Detector& detector);
 
-  // Index into the detector's cgem or wires, -1: there is no such layer.
+  // Index into the detector's cgem or wires; -1 if there is no such layer.
   int index(std::uint8_t kind, std::int32_t layer) const { return layer_of(kind, layer).index; }
-  // Place on the way outward.
+  // Position of the layer among the surfaces, counted outward.
   int place(std::uint8_t kind, std::int32_t layer) const { return layer_of(kind, layer).place; }
 
   bool fits(const HitView& hits, std::size_t i) const {
@@ -39,11 +39,11 @@ class HitRules {
     const bool numbers = std::abs(value) < HUGE_VAL && sigma > 0 && sigma < HUGE_VAL && hits.size[i] >= 0;
     return exists && numbers && side * side <= 1 && !(side != 0 && value < -most_below * sigma);
   }
-  // Says what does not fit.
+  // Lists the problems of a hit.
   void explain(const HitView& hits, std::size_t i, Problems& problems) const;
 
  private:
-  // Standard deviations that a drift distance may lie below 0: none of 10^15 Gaussian ones is farther.
+  // Standard deviations that a drift distance may lie below 0. Of 10^15 Gaussian values none is farther.
   static constexpr double most_below = 8;
 
   struct Layer {
@@ -62,7 +62,7 @@ class HitRules {
   Layer none_;
 };
 
-// Throws, listing all that is wrong with the hits.
+// Throws, listing every problem with the hits.
 void check_hits(const HitRules& rules, const HitView& hits);
 
 }  // namespace cgemit

@@ -1,4 +1,4 @@
-// The result of a lane, written into the rows of its track.
+// Writes the result of a lane into the rows of its track.
 #pragma once
 
 #include <algorithm>
@@ -10,10 +10,10 @@
 
 namespace cgemit {
 
-// A track in a lane: where its row and those of its hits go.
+// The output rows of the track in a lane and of its hits.
 using FitLane = FitOutput;
 
-// What an iteration was linearised about, and the covariance with which its filter began.
+// The linearisation point of an iteration, and the covariance of its prior.
 template <class T>
 struct LinearisedAbout {
   PerigeeOf<T> helix;
@@ -28,7 +28,7 @@ void write_covariance(const Symmetric<T>& c, int i, std::array<double, 25>& out)
   }
 }
 
-// As in the BES3 files.
+// Parameters as in the BES3 files.
 template <class T>
 void write_helix(FitRow& row, const PerigeeOf<T>& helix, int i, int iterations) {
   row.helix = {lane(helix.d, i), wrap_angle(lane(helix.psi, i) - 0.5 * pi), lane(helix.kappa, i),

@@ -1,6 +1,7 @@
-// What each hit measures on the present reference: value and variance, and on which side of its wire.
+// The measurement of each hit on the present reference: value, variance, and side of the wire.
 #pragma once
 
+#include "common/compiler.hpp"
 #include "detector/cluster_errors.hpp"
 #include "fit/first_guess.hpp"
 #include "fit/fit.hpp"
@@ -8,14 +9,15 @@
 
 namespace cgemit {
 
-// `wires_only`: lanes whose clusters do not count yet.
+// `wires_only`: lanes that do not use their clusters yet.
 template <class T>
-[[gnu::flatten]] void fill_slots(Group<T>& group, const Detector& detector, const FitSettings& settings,
-                                 mask_of<T> wires_only) {
+CGEMIT_FLATTEN void fill_slots(Group<T>& group, const Detector& detector, const FitSettings& settings,
+                               mask_of<T> wires_only) {
   for (Slot<T>& slot : group.slots) {
     slot.used = slot.met & !slot.outlier;
     if (slot.view == View::wire) {
-      // A drift distance is a mixture of two sides: its mean and variance for the present weight of each.
+      // A drift distance is a mixture of two sides; its mean and variance follow from the present weight of
+      // each.
       slot.value = slot.weight * slot.drift;
       slot.variance = slot.noise + (1.0 - slot.weight * slot.weight) * slot.drift * slot.drift;
     } else {
@@ -34,10 +36,10 @@ template <class T>
   }
 }
 
-// Probability of each side from the track fitted without the hit; `early` predictions are worse than they
-// say. True where no weight moved any more.
+// Probability of each side from the track fitted without the hit. `early`: the errors of the predictions are
+// underestimated. True where no weight changed any more.
 template <class T>
-[[gnu::flatten]] mask_of<T> renew_sides(Group<T>& group, mask_of<T> who, bool early) {
+CGEMIT_FLATTEN mask_of<T> renew_sides(Group<T>& group, mask_of<T> who, bool early) {
   const double caution = early ? 4.0 : 1.0;
   T largest(0.0);
   for (Slot<T>& slot : group.slots) {

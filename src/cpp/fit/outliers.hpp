@@ -1,4 +1,4 @@
-// Hits that do not belong to their track are left out, and taken back when the track comes nearer.
+// Leaves out hits that do not belong to their track, and takes them back if the track moves closer.
 #pragma once
 
 #include "kalman/group.hpp"
@@ -10,8 +10,8 @@ T squared_pull(const Slot<T>& slot) {
   return slot.unbiased * slot.unbiased / slot.unbiased_variance;
 }
 
-// Leaves out what lies far from the rest of the track, the worst first, and takes back what does not any
-// more. True where nothing changed.
+// Leaves out the hits with large pulls to the rest of the track, the worst first, and takes back those whose
+// pull is small again. True where nothing changed.
 template <class T>
 mask_of<T> renew_outliers(Group<T>& group, mask_of<T> who, double most_pull, bool may_return) {
   T worst(0.0), left(0.0);
@@ -20,7 +20,7 @@ mask_of<T> renew_outliers(Group<T>& group, mask_of<T> who, double most_pull, boo
     left += select(slot.used, T(1.0), T(0.0));
   }
   const double cut = most_pull * most_pull;
-  // Far outliers pull the track towards them and away from its hits.
+  // Far outliers move the track away from its good hits, so the worst ones are removed first.
   const T limit = larger(0.25 * worst, cut);
   mask_of<T> changed(false);
   for (Slot<T>& slot : group.slots) {
@@ -35,7 +35,7 @@ mask_of<T> renew_outliers(Group<T>& group, mask_of<T> who, double most_pull, boo
   return !changed;
 }
 
-// Where a new reference meets so few hits that no more are left than parameters, outliers count again.
+// If a new reference meets so few hits that no more are left than parameters, the outliers are used again.
 template <class T>
 void keep_enough(Group<T>& group, mask_of<T> who) {
   T used(0.0);

@@ -15,7 +15,7 @@ namespace cgemit {
 
 namespace {
 
-constexpr double wire_error = 0.2, strip_error = 0.2;  // mm, with what a circle does not know of the track
+constexpr double wire_error = 0.2, strip_error = 0.2;  // mm, including the effects that the circle neglects
 
 // The transverse plane.
 struct CircleShape {
@@ -28,10 +28,10 @@ struct CircleShape {
   static double left(const Circle& circle, const Point& p) { return circle.left(p.x, p.y); }
   struct Sums {
     Moments moments;
-    void add(const Point& p, const Circle* about, const Attraction& pull) {
+    void add(const Point& p, const Circle* about, const Attraction& attraction) {
       Circle::Vector shift{0, 0};
-      if (about != nullptr && pull.offset != 0) shift = about->leftward(p.x, p.y);
-      moments.add(p.x - pull.offset * shift.x, p.y - pull.offset * shift.y, pull.weight);
+      if (about != nullptr && attraction.offset != 0) shift = about->leftward(p.x, p.y);
+      moments.add(p.x - attraction.offset * shift.x, p.y - attraction.offset * shift.y, attraction.weight);
     }
     std::optional<Circle> solve() const { return moments.circle(); }
   };
@@ -41,25 +41,26 @@ struct Line {
   double z0, tanl;
 };
 
-// z over arc: a point lies left of the circle by g0 + g1 z + g2 z^2 where the track is at height z.
+// z as a function of arc: a point lies to the left of the circle by g0 + g1 z + g2 z^2 where the track is at
+// height z.
 struct LineShape {
   using Model = Line;
   static constexpr std::size_t least = 2;
   struct Point {
     double s, g0, g1, g2;
-    double reach;  // mm, |z| that the hit can have
+    double reach;  // mm, largest possible |z| of the hit
     DriftCircle drift_circle;
     double at(double z) const { return g0 + z * (g1 + z * g2); }
   };
   static double left(const Line& line, const Point& p) { return p.at(line.z0 + line.tanl * p.s); }
-  // Normal equations; a weak tie to the origin keeps two close points from pointing anywhere.
+  // Normal equations. A weak constraint to the origin keeps the slope through two close points finite.
   struct Sums {
     double n = 1 / (300.0 * 300.0), s1 = 0, s2 = 1e-9, z1 = 0, sz = 0;
-    void add(const Point& p, const Line* about, const Attraction& pull) {
+    void add(const Point& p, const Line* about, const Attraction& attraction) {
       const double z =
           about != nullptr ? about->z0 + about->tanl * p.s : std::clamp(-p.g0 / p.g1, -p.reach, p.reach);
-      const double slope = p.g1 + 2 * z * p.g2, value = pull.offset - p.at(z) + slope * z;
-      const double row = pull.weight * slope;
+      const double slope = p.g1 + 2 * z * p.g2, value = attraction.offset - p.at(z) + slope * z;
+      const double row = attraction.weight * slope;
       n += row * slope;
       s1 += row * slope * p.s;
       s2 += row * slope * p.s * p.s;
@@ -95,7 +96,7 @@ CircleFit::Result find_circle(const Detector& detector, std::span<const Hit> hit
   return fit.result();
 }
 
-// A stereo wire at height z lies left of the circle by a quadratic in z.
+// At height z a stereo wire lies to the left of the circle by a quadratic in z.
 LineShape::Point wire_point(const WireLayer& layer, const Hit& hit, double side, const Circle& circle,
                             double s, double error) {
   const Wire& wire = layer.placed[static_cast<std::size_t>(hit.element)];
@@ -109,7 +110,7 @@ LineShape::Point wire_point(const WireLayer& layer, const Hit& hit, double side,
           {hit.value, side, 1 / error, std::sqrt(gx * gx + gy * gy) / error, 0}};
 }
 
-// V strips, met at the X of their layer that lies closest to the circle, or else where the circle is.
+// V strips, crossed at the X of their layer that is closest to the circle, or else at the circle itself.
 LineShape::Point strip_point(const CgemLayer& layer, const Hit& hit, std::span<const Hit> before,
                              const HelixPoint& point, double s, double scale) {
   const double around = 2 * pi * layer.r_readout;
@@ -127,7 +128,7 @@ LineShape::Point strip_point(const CgemLayer& layer, const Hit& hit, std::span<c
     measured = true;
   }
   const double v = hit.value + hit.k * hit.x;
-  // Beside the sheet's first edge X may be a turn more or less: then z lies outside the layer.
+  // Near the sheet's first edge X may be off by one turn; z then lies outside the layer.
   double z = crossing_z(layer, x, v);
   if (!measured && std::abs(z) > layer.half_length) {
     const double less = crossing_z(layer, x - around, v), more = crossing_z(layer, x + around, v);
@@ -160,11 +161,11 @@ LineFit::Result find_line(const Detector& detector, std::span<const Hit> hits,
   return line.result();
 }
 
-// Track from the beam line, azimuth psi0 + w r/2 and z = z0 + tanl r, through wires whose azimuth at z is
-// phi + slope z: linear in (psi0, w/2, z0, tanl). For chambers with few axial layers.
+// Track from the beam line with azimuth psi0 + w r/2 and z = z0 + tanl r, through wires with azimuth phi +
+// slope z: linear in (psi0, w/2, z0, tanl). For chambers with few axial layers.
 std::optional<Perigee> seed_from_azimuths(const Detector& detector, std::span<const Hit> hits) {
   Eigen::Matrix4d normal = Eigen::Matrix4d::Zero();
-  // Weak ties, in units of the wires' error: curvature 1/300 mm, z0 300 mm, tanl 3.
+  // Weak constraints, in units of the wires' error: curvature 1/300 mm, z0 300 mm, tanl 3.
   constexpr double error = 0.02;  // rad, half a cell
   normal.diagonal() << 0, 1 / std::pow(1.0 / 300, 2), 1 / std::pow(300.0, 2), 1 / 9.0;
   normal *= error * error;

@@ -10,7 +10,8 @@ namespace cgemit {
 
 namespace {
 
-// Momentum before a slab, from that behind it: the mean of two estimates, one too large, one too small.
+// Momentum before a slab, from the momentum after it: the mean of two estimates, one too large, one too
+// small.
 Kinematics before(const Slab& slab, double path, const Kinematics& after, const TrackMatter& track) {
   const double most = core_loss(slab, path, after, track).loss;
   const double least = core_loss(slab, path, after.after_loss(-most), track).loss;

@@ -1,4 +1,4 @@
-// Slow particles bend ever more on their way out: what a circle through their hits says about the origin.
+// Energy-loss correction of the first helix: slow particles curve more and more on their way outward.
 #pragma once
 
 #include "detector/detector.hpp"
@@ -6,8 +6,9 @@
 
 namespace cgemit {
 
-// Follows a helix that holds at `radius` back to the closest approach to the beam line, with the energy that
-// the matter in between takes. What the mean loss does not change by a hundredth is returned as it is.
+// Follows a helix that is valid at `radius` back to the closest approach to the beam line, with the energy
+// loss in the matter between. If the mean loss changes the helix by less than a hundredth, the helix is
+// returned unchanged.
 Perigee before_loss(const Detector& detector, const Perigee& helix, double radius, double mass);
 
 }  // namespace cgemit

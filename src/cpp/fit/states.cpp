@@ -55,7 +55,7 @@ class States {
     return std::span(trajectory_.elements).subspan(first, end - first);
   }
 
-  // What all hits say before each station.
+  // The filtered state from all hits, before each station.
   void smooth() {
     smoothed_.assign(trajectory_.stations.size(), inward_.front());
     for (std::size_t k = 0; k + 1 < smoothed_.size(); ++k)
@@ -87,7 +87,7 @@ class States {
     return found;
   }
 
-  // Between the slabs, the state of the nearest station that is still on its way out.
+  // Between the slabs, the state of the nearest station that is still on the outward part of the track.
   TrackState on_cylinder(const Target& target) const {
     std::size_t end = 0;
     while (end + 1 < smoothed_.size() && !(is_slab(end) && slab(end).r_out > target.radius)) ++end;
@@ -95,7 +95,7 @@ class States {
     TrackState found{StateStatus::ok, -1, {}, 0, 0};
     const double part = slab(end).r_in < target.radius ? target.share : 0.0;
     OriginState estimate = beyond(end, part);
-    if (part > 0) estimate.x += known_noise(noise(end));  // from the reference before it
+    if (part > 0) estimate.x += known_noise(noise(end));  // relative to the reference before the slab
     found.state = local(trajectory_.stations[end], estimate);
     if (part > 0 && !cross(found.state, slab(end), part, context_, true, false))
       return empty(StateStatus::stopped);
@@ -103,8 +103,7 @@ class States {
     return found;
   }
 
-  // Past the last slab that the fit needed. Of the stations there, those before the turning point know the
-  // trajectory.
+  // Past the last slab that the fit needed. Only the stations before the turning point have a trajectory.
   TrackState beyond_the_end(const Target& target) const {
     const auto& stations = trajectory_.stations;
     std::size_t first = stations.size() - 1;
@@ -128,7 +127,7 @@ class States {
     return found;
   }
 
-  // Where the last hit was met; what lies inside has acted, and perhaps the gap itself.
+  // The position of the last hit. The matter inside it has acted, and perhaps the gap itself.
   std::size_t first_place_beyond() const {
     const auto last = std::ranges::find_if(trajectory_.stations.rbegin(), trajectory_.stations.rend(),
                                            [](const Station& station) { return station.hit >= 0; });
@@ -159,7 +158,7 @@ class States {
     if (found.status != StateStatus::ok) return found;
     const TrajectoryElement& row = trajectory_.elements[at->element];
     found.residual = row.value - row.h.dot(estimate.x);
-    // A hit that was used has pulled the track towards itself.
+    // A hit that was used is correlated with the track.
     const double of_track = row.h.dot(estimate.c * row.h);
     found.variance = row.used ? row.variance - of_track : row.variance + of_track;
     return found;

@@ -1,4 +1,4 @@
-// Fitted tracks anywhere on their way: smoothed states between the measurements, extrapolated ones beyond.
+// States of fitted tracks anywhere along the track: smoothed between the measurements, extrapolated beyond.
 #pragma once
 
 #include <cstdint>
@@ -13,11 +13,11 @@ namespace cgemit {
 
 enum class Surface : std::int8_t { origin = 0, beam_line = 1, cylinder = 2, hit = 3 };
 
-// Where a state is asked for.
+// The surface of a requested state.
 struct Target {
   Surface surface;
   double radius;  // mm, of a cylinder
-  double share;   // of the slab that the cylinder cuts: what lies inside
+  double share;   // part of the slab cut by the cylinder that lies inside it
 };
 
 // One measurement as the last iteration of the fit used it.
@@ -31,16 +31,16 @@ struct TrackState {
   StateStatus status;
   std::int32_t hit;  // -1: not at a hit
   LocalState state;
-  double residual, variance;  // mm, of a hit to this state; variance 0: there is none
+  double residual, variance;  // mm, of a hit relative to this state; variance 0: none
 };
 
-// A fitted track: the helix about which its last iteration was linearised, and what it used.
+// A fitted track: the helix about which its last iteration was linearised, and the measurements it used.
 struct FittedTrack {
   std::span<const Hit> hits;
   std::span<const Used> used;
   Perigee reference;
-  std::span<const double> kinks;  // of it, two angles for every slab
-  Matrix5 prior;                  // what its filter began with
+  std::span<const double> kinks;  // of the helix, two angles for every slab
+  Matrix5 prior;                  // of the filter
   double mass;
 };
 
@@ -50,13 +50,12 @@ struct StateSpace {
   std::vector<OriginState> inward, smoothed;
 };
 
-// Appends one state for every target, for the hits as many as there are.
+// Appends one state for every target; for targets at the hits, one per hit.
 void fitted_states(const Detector& detector, const FittedTrack& track, std::span<const Target> targets,
                    StateSpace& space, std::vector<TrackState>& out);
 
-// Moves a state to a cylinder through the matter on the way, outward or back in, whose noise it collects. The
-// slab in which it begins is taken from `from` on, and that of the target as far as `to` (shares as in
-// Target).
+// Moves a state to a cylinder, outward or inward, and adds the noise of the matter between. The slab in which
+// the state begins is crossed from `from` on, and the slab of the target up to `to` (shares as in Target).
 StateStatus extrapolate(const Detector& detector, LocalState& state, double mass, double radius, double from,
                         double to);
 

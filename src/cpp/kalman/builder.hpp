@@ -1,8 +1,9 @@
-// Sorts the hits of up to `lanes_of<T>` tracks into a group.
+// Sorts the hits of up to `lanes_of<T>` tracks into the slots of a group.
 #pragma once
 
 #include <algorithm>
 
+#include "common/compiler.hpp"
 #include "kalman/group.hpp"
 
 namespace cgemit {
@@ -27,8 +28,8 @@ class GroupBuilder {
     }
   }
 
-  // `sides` per hit: +1 or -1 known, 0 not. Fewer tracks leave lanes without hits; of hits that are not
-  // ordered outward the rest of the track is left out.
+  // `sides` per hit: +1 or -1 known, 0 unknown. With fewer tracks than lanes, the other lanes have no hits.
+  // If the hits of a track are not ordered outward, the rest of the track is left out.
   void build(std::span<const std::span<const Hit>> hits, std::span<const std::span<const std::int8_t>> sides,
              Group<T>& group) {
     const std::size_t steps = count(hits);
@@ -51,7 +52,7 @@ class GroupBuilder {
     group.dense_noise.resize(detector_.field.is_uniform() ? 0 : static_cast<std::size_t>(slabs));
     for (Slot<T>& slot : group.slots) slot.hit.fill(-1);
     for (std::size_t k = 0; k < hits.size(); ++k) place_track(k, hits[k], group);
-    // Slot by slot: a group of tracks is larger than what the processor has at hand.
+    // Slot by slot: a group of tracks is larger than the processor's cache.
     for (Slot<T>& slot : group.slots) {
       empty(slot);
       for (std::size_t k = 0; k < hits.size(); ++k) {
@@ -73,12 +74,12 @@ class GroupBuilder {
     return detector_.wires[static_cast<std::size_t>(hit.layer)].placed[static_cast<std::size_t>(hit.element)];
   }
   static void prefetch(const Wire& wire) {
-    __builtin_prefetch(&wire.x);
-    __builtin_prefetch(&wire.ez);  // may be in the next line of the cache
+    cgemit::prefetch(&wire.x);
+    cgemit::prefetch(&wire.ez);  // may be in the next cache line
   }
 
-  // f(hit number, step, whether it comes second there: V clusters do, after the X clusters of all lanes; how
-  // many of its kind the track had there before).
+  // f(hit number, step, second, number): `second` is true for V clusters, which follow the X clusters of all
+  // lanes; `number` counts the earlier hits of the same kind that the track has in this step.
   template <class F>
   void walk(std::span<const Hit> hits, F&& f) const {
     std::size_t step = 0;
@@ -93,8 +94,8 @@ class GroupBuilder {
     }
   }
 
-  // The largest number of slots that each step needs. Returns how many steps there are to the last hit. Wires
-  // are spread over the memory: they are called for here, so that they are at hand when the slots are filled.
+  // The largest number of slots that each step needs. Returns the number of steps up to the last hit. Wires
+  // are spread over the memory; they are prefetched here for the filling of the slots.
   std::size_t count(std::span<const std::span<const Hit>> hits) {
     most_.assign(2 * steps_.size(), 0);
     std::size_t steps = 0;
@@ -109,7 +110,7 @@ class GroupBuilder {
     return steps;
   }
 
-  // What the reference, the filter and the smoother write stays as it was.
+  // The fields that the reference, the filter and the smoother write are left as they are.
   static void empty(Slot<T>& slot) {
     slot.there = slot.outlier = mask_of<T>(false);
     slot.noise = slot.size = 1.0;

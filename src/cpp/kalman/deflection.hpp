@@ -1,18 +1,18 @@
-// A flight that turns by two small angles across itself, at fixed momentum.
+// A change of flight direction by two small angles about the axes across the flight, at fixed momentum.
 #pragma once
 
 #include "motion/helix.hpp"
 
 namespace cgemit {
 
-// With unit vectors t along the flight and e across it, horizontal and the other, the new direction is
-// (t + aside e1 + up e2)/|...|.
+// With t the unit vector along the flight and e1 (horizontal) and e2 those across it, the new direction is (t
+// + aside e1 + up e2)/|...|.
 template <class T>
 struct Deflection {
   T cosine, sine;               // of the change of azimuth
-  T tanl;                       // behind
-  T kappa_ratio;                // kappa = charge/pT behind over before
-  T psi_by_tanl, tanl_by_tanl;  // azimuth and tanl behind by tanl before
+  T tanl;                       // after
+  T kappa_ratio;                // kappa = charge/pT after over before
+  T psi_by_tanl, tanl_by_tanl;  // derivatives of azimuth and tanl after by tanl before
   T shrinks;                    // -d ln(pT)/d tanl before
 
   Deflection(const T& tanl_before, const T& aside, const T& up) {

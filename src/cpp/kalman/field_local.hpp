@@ -1,8 +1,8 @@
 // Helix parameters at one point of a track in a field map.
 //
-// A helix stands for the track that touches it where it is closest to the pivot, in the transverse plane.
-// With the pivot on a reference track, another one is described where it passes the plane across the
-// reference's transverse direction of flight: as by `FieldDerivatives`, with kappa for charge/p.
+// The track is represented by the helix that touches it where it is closest to the pivot in the transverse
+// plane. If the pivot lies on a reference trajectory, a neighbouring track is described where it crosses the
+// plane across the transverse flight of the reference, as in `FieldDerivatives`, with kappa for charge/p.
 #pragma once
 
 #include <cmath>
@@ -12,13 +12,15 @@
 
 namespace cgemit {
 
-// Derivatives at the closest point of a helix to its pivot, by (d, psi, kappa, z0, tanl). `point` is there.
+// Derivatives at the closest point of a helix to its pivot, by (d, psi, kappa, z0, tanl). `point` is the
+// closest point.
 template <class T>
 FieldDerivatives<T> derivatives_by(const PerigeeOf<T>& helix, const HelixPointOf<T>& point, const Vec3<T>& b,
                                    const T& bend) {
   const T zero(0.0), square = 1.0 + helix.tanl * helix.tanl, per_s = 1.0 / sqrt(square);
   const T by_kappa = per_s * (1 / radius_per_kappa);
-  // Azimuth turns about the pivot and moves the track by d along its flight, from where it comes back.
+  // A change of azimuth turns the helix about the pivot and moves the track by d along its flight; the track
+  // is then moved back.
   return {{T(-1.0), zero, zero, zero, zero},
           {zero, 1.0 - point.w * helix.d, zero, zero, zero},
           {zero, zero, by_kappa, zero, -helix.kappa * helix.tanl / square * by_kappa},
@@ -26,7 +28,7 @@ FieldDerivatives<T> derivatives_by(const PerigeeOf<T>& helix, const HelixPointOf
           {zero, -slope_rate(point, b, bend) * helix.d, zero, zero, T(1.0)}};
 }
 
-// Derivatives of kappa, with the pivot at a point of the track.
+// Derivatives of kappa, for a pivot at a point of the track.
 template <class T>
 std::array<T, parameters> kappa_derivatives(const HelixPointOf<T>& point, const T& charge_per_p,
                                             const FieldDerivatives<T>& by) {

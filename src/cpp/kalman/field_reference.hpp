@@ -1,7 +1,7 @@
-// The reference trajectory in a field map, for the tracer: as `HelixMotion`.
+// The reference trajectory in a field map, with the interface of `HelixMotion` for the tracer.
 //
-// Derivatives by the five parameters at the origin go along with every step. The matrix of the parameters at
-// one place by those at the origin, inverted, takes noise there.
+// Every step also propagates the derivatives by the five parameters at the origin. The inverse of the matrix
+// of the parameters at one point by those at the origin transports noise from that point to the origin.
 #pragma once
 
 #include "kalman/deflection.hpp"
@@ -25,13 +25,13 @@ class FieldReference {
     by_origin_ = derivatives_by<T>(start, point_, point_.field.b, motion_.bending());
     motion_.carry(&by_origin_);
   }
-  // The motion points to the derivatives.
+  // The motion holds a pointer to the derivatives.
   FieldReference(const FieldReference&) = delete;
   FieldReference& operator=(const FieldReference&) = delete;
 
   const HelixPointOf<T>& point() const { return point_; }
   T kappa() const { return motion_.charge_per_p() * sec_lambda(); }
-  // Lanes whose map ended before the place that was asked for last.
+  // Lanes that left the map before the surface asked for last.
   const mask_of<T>& left() const { return left_; }
 
   mask_of<T> go_to(double radius, const mask_of<T>& who) {
@@ -54,7 +54,7 @@ class FieldReference {
     return r;
   }
 
-  // As of `HelixMotion`; lanes that lose nothing stay as they are.
+  // As in `HelixMotion`; lanes without loss stay as they are.
   void lose(const T& ratio, const T& gain, const T& mixed) {
     const auto slow_down = [&](Row&) {
       const Row by_kappa = kappa_derivatives<T>(point_, motion_.charge_per_p(), by_origin_);
@@ -83,7 +83,7 @@ class FieldReference {
     on_cylinder((aside != 0.0) | (up != 0.0), deflect);
   }
 
-  // Of (d, psi, kappa, z0, tanl) with the pivot here by those at the origin, row by row.
+  // Derivatives of (d, psi, kappa, z0, tanl) with the pivot here by those at the origin, row by row.
   std::array<Five<T>, parameters> derivatives() const {
     Row d;
     for (std::size_t i = 0; i < parameters; ++i) d[i] = -by_origin_.across[i];
@@ -94,7 +94,7 @@ class FieldReference {
              {by_origin_.tanl}}};
   }
 
-  // Origin parameters of a track that is displaced or turned here and whose kappa and tanl change.
+  // Parameters at the origin of a track that is displaced or turned here and whose kappa and tanl change.
   class Backward {
    public:
     Backward(const FieldReference& m, const Rows<T>&) : back_(inverse(m.derivatives())) {}
@@ -117,8 +117,8 @@ class FieldReference {
 
   T sec_lambda() const { return sqrt(1.0 + point_.tanl * point_.tanl); }
 
-  // What acts on lanes `who` acts on every displaced track on this cylinder, not after the same path:
-  // `forward` is how much farther on that is. `act` may turn the plane.
+  // Material acts on every displaced track of the lanes `who` on this cylinder, not after the same path:
+  // `forward` is the additional path to the cylinder. `act` may turn the plane.
   template <class Act>
   void on_cylinder(const mask_of<T>& who, const Act& act) {
     const FieldDerivatives<T> before = by_origin_;

@@ -1,11 +1,12 @@
-// The Kalman filter and its smoother for a state that never moves.
+// The Kalman filter and its smoother for a constant state.
 //
 // The state is the helix at the origin, (d, psi, kappa, z0, tanl), as a deviation x from a reference. Every
-// measurement is a row h in these five coordinates and every scatterer a set of vectors g: what the track
-// beyond the scatterer looks like when extrapolated to the origin. The transition matrix is 1. (Fruehwirth,
-// NIM A 262 (1987) 444; smoother in the form of Bierman, Automatica 9 (1973) 503, modified Bryson-Frazier.)
+// measurement is a row h in these five coordinates. Every scatterer is a set of vectors g: the change of the
+// track beyond the scatterer, extrapolated to the origin. The transition matrix is 1. (Fruehwirth, NIM A 262
+// (1987) 444; smoother in the form of Bierman, Automatica 9 (1973) 503, modified Bryson-Frazier.)
 #pragma once
 
+#include "common/compiler.hpp"
 #include "kalman/group.hpp"
 
 namespace cgemit {
@@ -17,7 +18,7 @@ struct FilteredState {
   T chi2;
 };
 
-// Whether it holds numbers, and a chi-square that no variance lost to rounding has made negative.
+// Whether the state is finite and its chi-square is not negative, as rounding of a variance could make it.
 template <class T>
 mask_of<T> sound(const FilteredState<T>& estimate) {
   T sum = 0.0 * estimate.chi2;
@@ -59,7 +60,7 @@ void add_noise(Symmetric<T>& c, const DenseNoise<T>& noise, bool shifts) {
   add(noise.shift_along);
 }
 
-// The noise is that about the kink which the reference has already.
+// The noise is centred on the kink that the reference already has.
 template <class T>
 void take_kink(Five<T>& x, const SlabNoise<T>& noise, const Kink<T>& kink) {
   const auto [turn, dip] = in_noise_units(kink);
@@ -75,7 +76,7 @@ void take_kink(Five<T>& x, const DenseNoise<T>& noise, const Kink<T>& kink) {
   x = x + turn * noise.turn + dip * noise.dip;
 }
 
-// One measurement. What is not used changes nothing but is compared with the track all the same.
+// One measurement. An unused measurement leaves the state unchanged, but its residual is computed.
 template <class T>
 void update(FilteredState<T>& state, Slot<T>& slot) {
   slot.ch = state.c * slot.row;
@@ -90,8 +91,7 @@ void update(FilteredState<T>& state, Slot<T>& slot) {
 
 // From the outermost measurement inward to the origin.
 template <class T>
-[[gnu::flatten]] FilteredState<T> filter(const Detector& detector, Group<T>& group,
-                                         const Symmetric<T>& prior) {
+CGEMIT_FLATTEN FilteredState<T> filter(const Detector& detector, Group<T>& group, const Symmetric<T>& prior) {
   FilteredState<T> state{Five<T>::zero(), prior, T(0.0)};
   for (std::size_t i = group.steps.size(); i-- > 0;) {
     const GroupStep& step = group.steps[i];
@@ -116,7 +116,7 @@ template <class T>
   return state;
 }
 
-// Turn and change of dip, in their standard deviations.
+// The turn and the change of dip, in units of their standard deviations.
 template <class T>
 std::array<T, 2> seen(const SlabNoise<T>& noise, const Five<T>& lambda) {
   return {noise.turn[0] * lambda[0] + noise.turn[1] * lambda[1] + noise.turn[2] * lambda[3],
@@ -127,10 +127,10 @@ std::array<T, 2> seen(const DenseNoise<T>& noise, const Five<T>& lambda) {
   return {dot(noise.turn, lambda), dot(noise.dip, lambda)};
 }
 
-// From the origin outward: the residual of every measurement to the track fitted without it, and, of those
-// lanes `who` that have them, the kinks that all measurements see.
+// From the origin outward: the residual of every measurement to the track fitted without it, and, for lanes
+// `who` with kinks, the smoothed kinks.
 template <class T>
-[[gnu::flatten]] void smooth(Group<T>& group, mask_of<T> who) {
+CGEMIT_FLATTEN void smooth(Group<T>& group, mask_of<T> who) {
   who = who & group.kinked;
   Five<T> lambda = Five<T>::zero();
   Symmetric<T> big_lambda = Symmetric<T>::diagonal(Five<T>::zero());
@@ -139,7 +139,7 @@ template <class T>
       Slot<T>& slot = group.slots[static_cast<std::size_t>(s)];
       const T weight = select(slot.used, 1.0 / slot.total, T(0.0));
       const Five<T> lk = big_lambda * slot.ch;
-      const T known = dot(slot.ch, lk);  // how much the inner measurements know of this one
+      const T known = dot(slot.ch, lk);  // reduction of the predicted variance by the inner measurements
       const T away = slot.innovation + dot(slot.ch, lambda), share = 1.0 / (1.0 + weight * known);
       slot.unbiased = away * share;
       slot.unbiased_variance = select(slot.used, slot.total * share, slot.total - known);

@@ -1,7 +1,7 @@
-// Tracks side by side, one per lane, and everything that they measured, ordered from the beam line outward.
+// Tracks side by side, one per lane, with all their measurements, ordered from the beam line outward.
 //
-// All lanes walk through the same slabs. Between two slabs each track has measurements of its own: slot
-// number n of a sec_lambda holds the n-th measurement that each lane has there, or none.
+// All lanes cross the same slabs. Between two slabs each track has measurements of its own: slot number n
+// between them holds the n-th measurement of each lane there, or none.
 #pragma once
 
 #include <algorithm>
@@ -26,8 +26,8 @@ struct Hit {
   std::int32_t size;     // strips in the cluster; 0: no strips
   double value;          // mm: X or V on the sheet, or drift distance
   double sigma;          // mm
-  // The V of a point that measures X and V together, uncorrelated with its X: `value` is V - k X of the
-  // measured X, k their covariance over the variance of X. 0: V alone.
+  // For the V of a point that measures X and V together, uncorrelated with its X: `value` is V - k X with the
+  // measured X, and k is their covariance over the variance of X. k = 0: V alone.
   double k = 0, x = 0;
 };
 
@@ -45,7 +45,7 @@ struct Slot {
   std::int32_t layer;                         // clusters: index into the detector's cgem
   std::array<std::int32_t, lanes_of<T>> hit;  // number among the track's hits, -1: none
   mask_of<T> there;
-  // What was measured:
+  // The measurement:
   T drift;  // mm: X, V or drift distance
   T noise;  // mm^2
   T size;   // strips
@@ -53,26 +53,26 @@ struct Slot {
   T known_side;
   T k, x;  // V: as in Hit
   WireOf<T> wire;
-  // What the fit makes of it: right minus left probability; whether it counts as an outlier.
+  // Set by the fit: right minus left probability; whether the hit is an outlier.
   T weight;
   mask_of<T> outlier;
-  // Where the reference meets it:
+  // Where the reference crosses it:
   mask_of<T> met;
   T predicted;  // mm, in the hit's own coordinate; wires: signed distance
   T extent;     // mm, projection of the path in the drift gap on X or V; 0 for wires
   Five<T> row;
-  // What the filter sees, and what it leaves behind for the smoother:
+  // Input of the filter, and its results for the smoother:
   mask_of<T> used;
   T value, variance, residual;  // measured; residual to the reference
   Five<T> ch;                   // C h before the update
   T innovation, total;          // residual before the update, and its variance
-  // What the smoother adds: the residual to all other measurements and its variance, the measurement's own
-  // included.
+  // Set by the smoother: the residual to the track fitted without this hit, and its variance, which includes
+  // the measurement's own.
   T unbiased, unbiased_variance;
 };
 
-// Noise of a slab in the coordinates of the origin. Of (d, psi, kappa, z0, tanl), what turns or shifts a
-// track at fixed kappa and tanl moves d, psi and z0 only; straggling leaves tanl alone.
+// Noise of a slab in the coordinates of the origin, (d, psi, kappa, z0, tanl). A turn or shift of the track
+// at fixed kappa and tanl changes d, psi and z0 only; straggling does not change tanl.
 template <class T>
 struct SlabNoise {
   Five<T> dip;
@@ -80,16 +80,16 @@ struct SlabNoise {
   std::array<T, 3> turn, shift_across, shift_along;
 };
 
-// The same in a field map, where what turns or shifts a track also moves kappa and tanl at the origin.
+// The same in a field map, where a turn or shift also changes kappa and tanl at the origin.
 template <class T>
 struct DenseNoise {
   Five<T> dip, straggling, turn, shift_across, shift_along;
 };
 
-// How the reference is scattered in a slab, as the iteration before found it: rad, two angles across the
-// flight before, horizontal and the other. (Such kinks are among the unknowns of the fits of V. Blobel, NIM A
-// 566 (2006) 14.) The noise is that about the flight behind, whose horizontal is turned by an angle of this
-// cosine and sine.
+// Scattering angles (kinks) of the reference in a slab, as estimated by the previous iteration: two angles in
+// rad across the flight before the slab, horizontal and the other. (Such kinks are among the unknowns of the
+// fits of V. Blobel, NIM A 566 (2006) 14.) The noise is defined across the flight after the slab, whose
+// horizontal axis is turned by the angle with this cosine and sine.
 template <class T>
 struct Kink {
   T aside, up;
@@ -97,7 +97,7 @@ struct Kink {
   T cosine, sine;
 };
 
-// How many times the noise, a turn and a change of dip, a kink is.
+// The kinks in units of the noise: a turn and a change of dip.
 template <class T>
 std::array<T, 2> in_noise_units(const Kink<T>& kink) {
   const T per_sigma = select(kink.sigma > 0.0, 1.0 / kink.sigma, T(0.0));
@@ -105,10 +105,10 @@ std::array<T, 2> in_noise_units(const Kink<T>& kink) {
           per_sigma * (kink.cosine * kink.up - kink.sine * kink.aside)};
 }
 
-// A slab with the clusters in its gap, which the track makes before it is scattered there, or wires.
+// A slab with the clusters in its gap, measured before the track scatters in the slab; or a set of wires.
 struct GroupStep {
   bool is_slab;
-  std::int32_t slab, noise;  // which slab, and where its noise is
+  std::int32_t slab, noise;  // which slab, and the index of its noise
   std::int32_t first, last;  // slots
 };
 
@@ -116,16 +116,16 @@ template <class T>
 struct Group {
   std::vector<GroupStep> steps;
   std::span<Slot<T>> slots;
-  std::vector<Slot<T>> storage;            // of the slots; grows to what the largest group needed
+  std::vector<Slot<T>> storage;            // of the slots; grows to the size of the largest group
   std::vector<SlabNoise<T>> noise;         // one per slab of `steps`, all zero where it was not crossed
   std::vector<DenseNoise<T>> dense_noise;  // instead of `noise` in a field map; else empty
-  std::vector<mask_of<T>> ahead;           // the same: lanes that have measurements beyond
+  std::vector<mask_of<T>> ahead;           // the same: lanes with measurements beyond
   mask_of<T> kinked;                       // lanes whose reference has kinks
-  std::vector<Kink<T>> kinks;              // one per slab of `steps`; of no use in other lanes
-  // After a trace: hits met; whether the particle ran out of momentum on the way to the next.
+  std::vector<Kink<T>> kinks;              // one per slab of `steps`; unused in other lanes
+  // After a trace: hits met; whether the particle ran out of momentum before the next one.
   std::array<std::int32_t, lanes_of<T>> reached;
   mask_of<T> stopped;
-  mask_of<T> left;  // whether it came to the edge of the field map
+  mask_of<T> left;  // whether it left the field map
 };
 
 // Kinks for a single track: two angles for every slab of the detector, or none at all.
@@ -139,7 +139,7 @@ inline void set_kinks(Group<double>& group, std::span<const double> kinks) {
   }
 }
 
-// Fills in `ahead`, at first and after hits were given up.
+// Fills in `ahead`, at the start and after hits were given up.
 template <class T>
 void look_ahead(Group<T>& group) {
   group.ahead.resize(group.noise.size());

@@ -1,16 +1,17 @@
-// The reference trajectory in a uniform field, and how it moves with the parameters at the origin.
+// The reference trajectory in a uniform field, and its derivatives by the parameters at the origin.
 //
-// Derivatives follow from one picture: a change of curvature dw on a piece ds'' of the path turns all that
-// follows about that piece. With Z the quarter turn, the displacement at r(s) is
-//   dr = dr0 + dpsi Z (r - r0) + Z integral dw(s'') (r(s) - r(s'')) ds'',
-// so that two running integrals, of the curvature's derivative and of that times the position, give every row
-// exactly, with energy loss (which makes the curvature depend on where it is, and on tanl) as without. Kinks
+// A change of curvature dw on a piece ds'' of the path turns the rest of the path about that piece. With Z
+// the quarter turn, the displacement at r(s) is
+//   dr = dr0 + dpsi Z (r - r0) + Z integral dw(s'') (r(s) - r(s'')) ds''.
+// Two running integrals, of the curvature's derivative and of that derivative times the position, therefore
+// give every row exactly, also with energy loss, which makes the curvature depend on position and tanl. Kinks
 // act on displaced tracks after the same path, not on the same cylinder: rows are off by the size of the
 // kinks times the tangent of the incidence.
 #pragma once
 
 #include <cmath>
 
+#include "common/compiler.hpp"
 #include "kalman/deflection.hpp"
 #include "kalman/group.hpp"
 #include "motion/helix.hpp"
@@ -22,8 +23,9 @@ namespace cgemit {
 template <class T>
 struct Rows {
   Five<T> across, along_z;
-  T forward_d, forward_kappa, forward_tanl;  // displacement along the flight; by psi it is `sideways`
-  T sideways;                                // S of the point
+  T forward_d, forward_kappa,
+      forward_tanl;  // displacement along the flight; its derivative by psi is `sideways`
+  T sideways;        // S of the point
 };
 
 template <class T>
@@ -43,8 +45,8 @@ class HelixMotion {
   const HelixPointOf<T>& point() const { return point_; }
   const T& kappa() const { return kappa_; }
 
-  // Steps of those lanes `who`; false where the place is not reached.
-  [[gnu::flatten]] mask_of<T> go_to(double radius, mask_of<T> who) {
+  // Moves the lanes `who`; false where the cylinder is not reached.
+  CGEMIT_FLATTEN mask_of<T> go_to(double radius, mask_of<T> who) {
     const HelixPointOf<T> from = point_;
     T step(0.0);
     const mask_of<T> reached = step_to_cylinder(point_, radius, step, true, who);
@@ -74,7 +76,7 @@ class HelixMotion {
     return r;
   }
 
-  // Of (d, psi, kappa, z0, tanl) with the pivot here by those at the origin, row by row.
+  // Derivatives of (d, psi, kappa, z0, tanl) with the pivot here by those at the origin, row by row.
   std::array<Five<T>, parameters> derivatives() const {
     const Rows<T> r = rows();
     const T zero(0.0);
@@ -85,7 +87,7 @@ class HelixMotion {
              {{zero, zero, zero, zero, d_dip_}}}};
   }
 
-  // The momentum falls: kappa grows by `ratio`, its derivative by itself is `gain`, by tanl `mixed`.
+  // Momentum loss: kappa grows by the factor `ratio`; its derivative by kappa is `gain`, by tanl `mixed`.
   void lose(T ratio, T gain, T mixed) {
     d_kappa_ *= gain;
     d_tanl_ = gain * d_tanl_ + mixed * d_dip_;
@@ -93,7 +95,7 @@ class HelixMotion {
     point_.w = per_kappa_ * kappa_;
   }
 
-  // The flight turns by angles across itself, `aside` in the horizontal and `up`, at fixed momentum.
+  // Turns the flight at fixed momentum by two angles across it: `aside` horizontally and `up`.
   void scatter(T aside, T up) {
     const Deflection<T> bent(point_.tanl, aside, up);
     bent.turn(point_);
@@ -108,7 +110,7 @@ class HelixMotion {
     point_.w = per_kappa_ * kappa_;
   }
 
-  // Origin parameters of a track that is displaced or turned here and whose kappa and tanl change.
+  // Parameters at the origin of a track that is displaced or turned here and whose kappa and tanl change.
   class Backward {
    public:
     Backward(const HelixMotion& m, const Rows<T>& r) : r_(r), w_(m.point_.w), d_tanl_(m.d_tanl_) {
@@ -123,7 +125,7 @@ class HelixMotion {
     }
     // Derivatives of the azimuth here by the parameters at the origin.
     Five<T> azimuth() const { return {{psi_d_, psi_psi_, psi_kappa_, T(0.0), psi_tanl_}}; }
-    // (d, psi, z0) by a turn in azimuth, rad, or shifts, mm, at fixed kappa and tanl.
+    // Derivatives of (d, psi, z0) by a turn in azimuth, rad, or by shifts, mm, at fixed kappa and tanl.
     std::array<T, 3> turned(T psi) const {
       const T d = -r_.across[1] * psi * per_determinant_, turn = r_.across[0] * psi * per_determinant_;
       return {d, turn, -r_.along_z[0] * d - r_.along_z[1] * turn};
@@ -133,7 +135,7 @@ class HelixMotion {
       const T turn = (r_.across[0] * psi - psi_d_ * across) * per_determinant_;
       return {d, turn, along_z - r_.along_z[0] * d - r_.along_z[1] * turn};
     }
-    // All five by kappa and tanl at fixed place and azimuth.
+    // Derivatives of all five parameters by kappa and tanl at fixed position and azimuth.
     Five<T> changed(T kappa, T tanl) const {
       const T tanl0 = tanl * per_d_dip_, kappa0 = (kappa - d_tanl_ * tanl0) * per_d_kappa_;
       const std::array<T, 3> m =
@@ -173,9 +175,9 @@ class HelixMotion {
   HelixPointOf<T> point_;
   double per_kappa_;  // 1/mm, curvature of kappa = 1
   T u0x_, u0y_, kappa_;
-  // Derivatives of the local kappa by the origin's kappa and tanl, and of the local tanl by the origin's.
+  // Derivatives of the local kappa by kappa and tanl at the origin, and of the local tanl by tanl there.
   T d_kappa_{1.0}, d_tanl_{0.0}, d_dip_{1.0};
-  // Of the azimuth so far, summed up, and times the place where it turned; of z at fixed arc, by tanl.
+  // Derivatives of the azimuth: sums, and sums times the position of the turn; of z at fixed arc, by tanl.
   T turn_kappa_{0.0}, turn_kappa_x_{0.0}, turn_kappa_y_{0.0};
   T turn_tanl_{0.0}, turn_tanl_x_{0.0}, turn_tanl_y_{0.0};
   T rise_{0.0};

@@ -1,18 +1,18 @@
-// Inverse of the derivatives of a track's parameters at one place by those at another.
+// Inverse of the derivatives of a track's parameters at one point by those at another.
 #pragma once
 
 #include "kalman/vector.hpp"
 
 namespace cgemit {
 
-// Five rows by (d, psi, kappa, z0, tanl). The corner of d and psi is inverted first: however far a track has
-// turned, its determinant stays near 1. So does what is left of the diagonal then, and nothing needs to be
-// exchanged.
+// Five rows by (d, psi, kappa, z0, tanl). The block of d and psi is inverted first: its determinant stays
+// near 1 however far a track has turned. The remaining diagonal entries also stay near 1, so that no rows
+// need to be exchanged.
 template <class T>
 std::array<Five<T>, parameters> inverse(std::array<Five<T>, parameters> m) {
   const T per = 1.0 / (m[0][0] * m[1][1] - m[0][1] * m[1][0]);
   const T c00 = m[1][1] * per, c01 = -m[0][1] * per, c10 = -m[1][0] * per, c11 = m[0][0] * per;
-  // Gauss and Jordan in place, a pivot of two rows and three of one.
+  // Gauss-Jordan elimination in the same array, with one 2x2 pivot and three single ones.
   unroll<3>([&](auto i) {
     Five<T>& row = m[i + 2];
     const T a = row[0] * c00 + row[1] * c10, b = row[0] * c01 + row[1] * c11;

@@ -10,7 +10,7 @@ namespace cgemit {
 
 namespace {
 
-// sin(f)/f, (1 - cos f)/f^2 and (f - sin f)/f^2, by their series where that is short.
+// sin(f)/f, (1 - cos f)/f^2 and (f - sin f)/f^2, by their series where f is small.
 struct TurnTerms {
   double sine, versine, lag;
 
@@ -28,7 +28,7 @@ struct TurnTerms {
   }
 };
 
-// In the coordinates inside the slab, kappa and tanl being those there.
+// In the local coordinates; kappa and tanl are those inside the slab.
 Matrix5 covariance(const Slab& slab, const LocalNoise<double>& noise) {
   Matrix5 g = Matrix5::Zero();
   g(1, 0) = noise.turn_psi;
@@ -43,7 +43,7 @@ Matrix5 covariance(const Slab& slab, const LocalNoise<double>& noise) {
   return g * g.transpose();
 }
 
-// To a point of the helix itself, an arc ahead or (negative) behind.
+// To a point of the same helix, an arc ahead or (negative) behind.
 void move_to(LocalState& state, const HelixPoint& to, double arc, double per_kappa) {
   const Matrix5 j = pivot_jacobian(state.helix, 0, arc, per_kappa);
   state.c = (j * state.c * j.transpose()).eval();

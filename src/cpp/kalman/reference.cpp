@@ -9,7 +9,7 @@ namespace cgemit {
 
 namespace {
 
-// Noise vectors, and how many of them the kinks are.
+// Noise vectors, and the kinks in units of them.
 class Vectors {
  public:
   explicit Vectors(Reference& out) : out_(out) {}
@@ -28,9 +28,9 @@ class Vectors {
 
  private:
   template <class G>
-  void add(const G& g, double pull) {
+  void add(const G& g, double units) {
     out_.noise.push_back(vector5(g));
-    out_.pulls.push_back(pull);
+    out_.noise_units.push_back(units);
   }
   Reference& out_;
 };

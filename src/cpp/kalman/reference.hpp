@@ -1,4 +1,4 @@
-// One reference helix with its hits, for those who want to look at rows and noise vectors.
+// One reference helix with its hits, for inspection of rows and noise vectors.
 #pragma once
 
 #include <Eigen/Core>
@@ -9,7 +9,7 @@
 
 namespace cgemit {
 
-// Where the reference meets a hit.
+// The crossing of the reference with a hit.
 struct Crossing {
   double predicted;  // mm, in the hit's own coordinate; wires: signed distance
   double extent;     // mm, projection of the path in the drift gap on X or V; 0 for wires
@@ -18,13 +18,13 @@ struct Crossing {
 // Ordered from the origin outward.
 struct Reference {
   std::vector<Vector5> rows, noise;
-  std::vector<double> pulls;        // one per noise vector: how many of it the kinks are
+  std::vector<double> noise_units;  // one per noise vector: the kinks in units of it
   std::vector<Crossing> crossings;  // one per row
-  std::size_t reached;              // hits that the reference meets; the rest lies beyond its turning point
+  std::size_t reached;              // hits that the reference meets; the others lie beyond its turning point
   bool stopped;                     // it ran out of momentum
 };
 
-// Follows the helix through the material as far as the last hit. `kinks`: angles for every slab, or none.
+// Follows the helix through the material up to the last hit. `kinks`: angles for every slab, or none.
 Reference trace(const Detector& detector, const Perigee& start, double mass, std::span<const Hit> hits,
                 std::span<const double> kinks);
 

@@ -1,5 +1,5 @@
-// What one slab does to a particle: path, energy loss, scattering angle, and how these act on the helix
-// parameters at the slab. Written once, for the reference trajectory and for states along the track.
+// The effects of one slab on a particle: path, energy loss, scattering angle, and their effect on the helix
+// parameters at the slab. The reference trajectory and the states along the track share this code.
 #pragma once
 
 #include "matter/loss.hpp"
@@ -7,32 +7,31 @@
 
 namespace cgemit {
 
-// Change of kappa by the loss: kappa_behind = ratio kappa, and d(kappa_behind) = gain d(kappa) + mixed
-// d(tanl).
+// Change of kappa by the loss: kappa_after = ratio kappa, and d(kappa_after) = gain d(kappa) + mixed d(tanl).
 template <class T>
 struct LossJacobian {
   T ratio, gain, mixed;
 };
 
-// Standard deviations of the noise: every line is one random number and moves several parameters at a time.
-// All hold at the slab, for the helix with its pivot there.
+// Standard deviations of the noise. Each line is one random number, which may change several parameters. All
+// are defined at the slab, for the helix with its pivot there.
 template <class T>
 struct LocalNoise {
-  T turn_psi;             // scattering in the horizontal
-  T dip_kappa, dip_tanl;  // scattering across that
+  T turn_psi;             // scattering in the horizontal plane
+  T dip_kappa, dip_tanl;  // scattering across the horizontal plane
   T straggling_kappa;     // fluctuations of the loss
-  T shift_across;         // sideways shift inside of the slab
-  T shift_z, shift_psi;   // shift in dip: it moves along the flight too, where the azimuth is another
+  T shift_across;         // sideways shift inside the slab
+  T shift_z, shift_psi;   // shift in dip: also along the flight, where the azimuth differs
 };
 
 template <class T>
 struct SlabCrossing {
   KinematicsOf<T> before, after;
   LossMomentsOf<T> loss;
-  T path;   // factor to the slab's thickness
+  T path;   // path over the slab's thickness
   T theta;  // rad, standard deviation of each angle
 
-  // Of p' = p(E(p) - loss(p, tanl)): dp'/dp at fixed tanl and dp'/dtanl at fixed p.
+  // Jacobian of p' = p(E(p) - loss(p, tanl)): dp'/dp at fixed tanl and dp'/dtanl at fixed p.
   LossJacobian<T> jacobian(const T& kappa, const T& tanl, const T& sec_lambda) const {
     const T ratio = before.p * after.per_p, slope = tanl / (sec_lambda * sec_lambda);
     const T by_p = after.per_beta * (before.p / before.energy - loss.slope);
@@ -60,7 +59,7 @@ mask_of<T> stops(const KinematicsOf<T>& before, const LossMomentsOf<T>& loss) {
   return before.kinetic() - loss.loss < least_kinetic;
 }
 
-// On the way out; only where the particle does not stop.
+// Outward crossing, for particles that do not stop.
 template <class T>
 SlabCrossing<T> cross_outward(const Slab& slab, const T& path, const KinematicsOf<T>& before,
                               const LossMomentsOf<T>& loss, const TrackMatterOf<T>& track) {
@@ -68,8 +67,8 @@ SlabCrossing<T> cross_outward(const Slab& slab, const T& path, const KinematicsO
   return {before, after, loss, path, sqrt(scattering_variance(slab, path, before, after, track))};
 }
 
-// On the way back in: the loss is that of the energy which the particle had before. It changes so little with
-// energy that a few rounds settle it.
+// Inward crossing: the loss is evaluated at the energy before the slab, which is unknown. The loss varies so
+// little with energy that a few iterations converge.
 inline SlabCrossing<double> cross_inward(const Slab& slab, double path, const Kinematics& after,
                                          const TrackMatter& track) {
   Kinematics before = after;

@@ -1,13 +1,13 @@
-// The smoothed state everywhere on the way: what all measurements together say.
+// The smoothed state everywhere along the track, from all measurements.
 //
-// Between two scatterers the state at the origin (`filter.hpp`) does not change. The filter goes inward and
-// leaves behind, before each element, what all outer ones say; then the smoothed state goes outward from the
-// origin through the noise (Rauch, Tung and Striebel, AIAA J. 3 (1965) 1445). Their gain for noise Q = G G^T
-// is A = C (C + Q)^-1 = 1 - G B^T, B = (C + Q)^-1 G, C being the filter's covariance outside, and their
-// covariance
+// Between two scatterers the state at the origin (`filter.hpp`) does not change. The filter runs inward and
+// stores, before each trajectory element, the state from all outer ones. The smoothed state is then
+// propagated outward from the origin through the noise (Rauch, Tung and Striebel, AIAA J. 3 (1965) 1445). The
+// gain for noise Q = G G^T is A = C (C + Q)^-1 = 1 - G B^T, B = (C + Q)^-1 G, with C the filter's covariance
+// outside, and the covariance is
 //   C_s' = C + A (C_s - C - Q) A^T = A C_s A^T + G (1 - B^T G) G^T,
-// a sum of two that are positive, whatever the rounding. (The form of Bierman that gives residuals is
-// cheaper, but subtracts equals where the filter begins.)
+// a sum of two positive terms, whatever the rounding. (Bierman's form, which gives the residuals, is cheaper,
+// but subtracts nearly equal numbers where the filter begins.)
 #pragma once
 
 #include <Eigen/Cholesky>
@@ -24,7 +24,7 @@ struct OriginState {
   Matrix5 c;
 };
 
-// `inward[i]`: what is known from the elements i and beyond. The last one is the prior.
+// `inward[i]`: the filtered state from trajectory elements i and beyond. The last one is the prior.
 inline void filter_inward(const std::vector<TrajectoryElement>& elements, const Matrix5& prior,
                           std::vector<OriginState>& inward) {
   inward.resize(elements.size() + 1);
@@ -45,15 +45,15 @@ inline void filter_inward(const std::vector<TrajectoryElement>& elements, const 
   }
 }
 
-// What the noise of a scatterer is on the reference already.
+// The part of a scatterer's noise that the reference already contains.
 inline Vector5 known_noise(std::span<const TrajectoryElement> noise) {
   Vector5 sum = Vector5::Zero();
   for (const TrajectoryElement& element : noise) sum += element.value * element.h;
   return sum;
 }
 
-// The smoothed state beyond a part of the noise of one scatterer, from that before it; a deviation from the
-// reference beyond the whole scatterer. `outside`: what the filter says there.
+// The smoothed state after a part of one scatterer's noise, from the state before it; a deviation from the
+// reference beyond the whole scatterer. `outside`: the filtered state there.
 inline OriginState smooth_outward(const OriginState& before, const OriginState& outside,
                                   std::span<const TrajectoryElement> noise, double part = 1.0) {
   if (noise.empty() || !(part > 0)) return before;

@@ -1,9 +1,10 @@
-// The reference from the origin outward: where it meets every measurement, with rows and noise in the
-// coordinates of the origin. Scattering and loss are the moments of `matter/`.
+// Follows the reference trajectory from the origin outward: predicts every measurement and computes its row
+// and the noise in the coordinates of the origin. Scattering and loss are the moments of `matter/`.
 #pragma once
 
 #include <cmath>
 
+#include "common/compiler.hpp"
 #include "detector/strip_plane.hpp"
 #include "kalman/group.hpp"
 #include "kalman/helix_motion.hpp"
@@ -11,7 +12,7 @@
 
 namespace cgemit {
 
-// Is told of every place on the trajectory; this one does nothing.
+// An observer is called at every surface of the trajectory; this one does nothing.
 struct NoObserver {
   template <class Slot, class Motion>
   void meets(const Slot&, const Motion&) {}
@@ -23,7 +24,7 @@ struct NoObserver {
   void ends(const Motion&) {}
 };
 
-// The hot functions are flattened: what they call is small, and numbers should stay in registers.
+// The hot functions are flattened: they call small functions, and numbers should stay in registers.
 template <class T, class Motion = HelixMotion<T>, class Observer = NoObserver>
 class Tracer {
  public:
@@ -38,7 +39,7 @@ class Tracer {
         track_(total_matter(detector, start.tanl)),
         observer_(observer) {}
 
-  // Of those lanes `who`.
+  // Traces the lanes `who`.
   void run(mask_of<T> who) {
     group_.reached = {};
     group_.stopped = group_.left = mask_of<T>(false);
@@ -54,7 +55,7 @@ class Tracer {
       const auto noise = static_cast<std::size_t>(step.noise);
       const mask_of<T> beyond = group_.ahead[noise];
       const mask_of<T> wanted = alive_ & (beyond | has_hits(step)) & (inner < slab.radius);
-      // A helix that curls back below a slab may still pass by the next wires, but not by a gap.
+      // A helix that turns back below a slab may still pass the next wires, but not a gap.
       const mask_of<T> reached = wanted & !curled_ & motion_.go_to(slab.radius, wanted & !curled_);
       follow_dip();
       if (slab.gap >= 0) alive_ = alive_ & (reached | !wanted);
@@ -65,7 +66,8 @@ class Tracer {
   }
 
  private:
-  static constexpr double seam_margin = 50;  // mm, more than a first helix is ever off at a CGEM layer
+  static constexpr double seam_margin =
+      50;  // mm, more than the distance of a first helix from its hits at any CGEM layer
 
   Slot<T>& slot(std::int32_t s) { return group_.slots[static_cast<std::size_t>(s)]; }
 
@@ -75,7 +77,7 @@ class Tracer {
     return some;
   }
 
-  // Where nothing is met, nothing is learnt.
+  // The row of a hit that is not met is zero.
   void found(Slot<T>& slot, mask_of<T> met, T predicted, const Five<T>& row) {
     slot.met = met;
     slot.predicted = predicted;
@@ -84,7 +86,7 @@ class Tracer {
     if (any(met)) observer_.meets(slot, motion_);
   }
 
-  [[gnu::flatten]] void meet_gap(Slot<T>& slot, mask_of<T> reached) {
+  CGEMIT_FLATTEN void meet_gap(Slot<T>& slot, mask_of<T> reached) {
     const CgemLayer& layer = detector_.cgem[static_cast<std::size_t>(slot.layer)];
     const HelixPointOf<T>& at = motion_.point();
     const Rows<T> r = motion_.rows();
@@ -103,14 +105,14 @@ class Tracer {
     }
     const double cosine = layer.cos_stereo, sine = layer.sin_stereo;
     const T v = x * cosine + (layer.z_ref() - at.z) * sine;
-    // Near the sheet's first edge track and hit may lie on either side of it.
+    // Near the sheet's first edge the track and the hit may lie on either side of it.
     const T other = v + select(x < 0.5 * around, T(around * cosine), T(-around * cosine));
     const mask_of<T> near_edge = smaller(x, around - x) < seam_margin;
     const mask_of<T> take_other = near_edge & (abs(other - slot.drift) < abs(v - slot.drift));
     slot.extent = abs(x_extent * cosine - z_extent * sine);
     T predicted = select(take_other, other, v);
     Five<T> row = T(cosine) * row_x - T(sine) * (r.along_z + (tanl_ * tan_a) * r.across);
-    if (any(slot.k != 0.0)) {  // at the turn of the measured X
+    if (any(slot.k != 0.0)) {  // in the same turn as the measured X
       const T turns = around * nearest((slot.x - x) * (1 / around));
       predicted = select(slot.k != 0.0, v + cosine * turns - slot.k * (x + turns), predicted);
       row = row - slot.k * row_x;
@@ -120,7 +122,7 @@ class Tracer {
 
   static T positive(T angle) { return select(angle < 0.0, angle + 2 * pi, angle); }
 
-  [[gnu::flatten]] void meet_wire(Slot<T>& slot) {
+  CGEMIT_FLATTEN void meet_wire(Slot<T>& slot) {
     const mask_of<T> wanted = alive_ & slot.there;
     if (!any(wanted)) {
       slot.met = mask_of<T>(false);
@@ -139,8 +141,8 @@ class Tracer {
     found(slot, met, approach.doca, across * r.across + approach.nz * r.along_z);
   }
 
-  // Noise of a slab, then its energy loss on the reference. A lane dies where the particle stops.
-  [[gnu::flatten]] void cross(const Slab& slab, std::size_t place, mask_of<T> crosses) {
+  // Noise of a slab, then the energy loss of the reference. A lane ends where the particle stops.
+  CGEMIT_FLATTEN void cross(const Slab& slab, std::size_t place, mask_of<T> crosses) {
     Kink<T>& kink = group_.kinks[place];
     if (!any(crosses)) {
       if constexpr (Motion::keeps_dip)
@@ -178,8 +180,8 @@ class Tracer {
     lose(crossing, crosses);
   }
 
-  // The reference turns by the kinks of those lanes `who`, and the horizontal across it with it.
-  [[gnu::noinline]] void scatter(Kink<T>& kink, mask_of<T> who) {
+  // Turns the reference by the kinks of the lanes `who`, and with it the horizontal axis across it.
+  CGEMIT_NOINLINE void scatter(Kink<T>& kink, mask_of<T> who) {
     kink.aside = select(who, kink.aside, T(0.0));
     kink.up = select(who, kink.up, T(0.0));
     const T ahead = 1.0 - kink.up * tanl_, turned = kink.aside * tanl_;
@@ -208,7 +210,7 @@ class Tracer {
     noise.shift_along = origin.moved(T(0.0), here.shift_z, here.shift_psi);
   }
 
-  // In a field map the slope changes on the way, and the way may end.
+  // In a field map tanl changes along the track, and the track may leave the map.
   void follow_dip() {
     if constexpr (!Motion::keeps_dip) {
       set_dip();
@@ -233,7 +235,7 @@ class Tracer {
     if (all(crosses)) {
       motion_.lose(j.ratio, j.gain, j.mixed);
       now_ = crossing.after;
-    } else {  // to the last bit as if the others had not been there
+    } else {  // bit for bit as if the other lanes were absent
       motion_.lose(select(crosses, j.ratio, T(1.0)), select(crosses, j.gain, T(1.0)),
                    select(crosses, j.mixed, T(0.0)));
       now_ = select(crosses, crossing.after, now_);
@@ -246,7 +248,7 @@ class Tracer {
   T tanl_, sec_lambda_;
   KinematicsOf<T> now_;
   TrackMatterOf<T> track_;
-  mask_of<T> alive_, curled_;  // curled: past the outermost point, no cylinder lies ahead
+  mask_of<T> alive_, curled_;  // curled: past the outermost point, no cylinder ahead
   [[no_unique_address]] Observer observer_;
 };
 

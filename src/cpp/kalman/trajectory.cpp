@@ -10,7 +10,7 @@ namespace cgemit {
 
 namespace {
 
-// Writes down what the tracer tells.
+// The observer that records the trajectory.
 class Recorder {
  public:
   Recorder(const Detector& detector, ReferenceTrajectory& trajectory)
@@ -51,7 +51,7 @@ class Recorder {
     trajectory_->stations.push_back(
         {trajectory_->elements.size(), hit, slab, motion.point(), kappa_of(motion), jacobian});
   }
-  // In a uniform field the helices at a point are those of its curvature, to the last bit.
+  // In a uniform field kappa follows from the curvature at a point, bit for bit.
   double kappa_of(const HelixMotion<double>& motion) const { return motion.point().w / per_kappa_; }
   static double kappa_of(const FieldReference<double>& motion) { return motion.kappa(); }
   template <class G>

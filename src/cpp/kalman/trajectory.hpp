@@ -1,4 +1,4 @@
-// The way of one track: its reference, kept piece by piece.
+// The reference trajectory of one track, recorded piece by piece.
 #pragma once
 
 #include <Eigen/Core>
@@ -17,33 +17,33 @@ inline Vector5 vector5(const Five<double>& g) { return Eigen::Map<const Vector5>
 inline Vector5 vector5(const std::array<double, 4>& g) { return {g[0], g[1], g[2], g[3], 0}; }
 inline Vector5 vector5(const std::array<double, 3>& g) { return {g[0], g[1], 0, g[2], 0}; }
 
-// Something on the way: a measurement, or one direction of a scatterer's noise.
+// A measurement, or one noise vector of a scatterer.
 struct TrajectoryElement {
   Vector5 h;  // measurement row, or noise vector g (covariance g g^T)
   bool is_row;
   bool used;        // by the filter
-  double value;     // measured - predicted on the reference; noise: how many g the reference has
+  double value;     // measured - predicted on the reference; noise: the reference's kink in units of g
   double variance;  // of the measurement
 };
 
-// A hit or a slab, or where the reference ends.
+// A hit, a slab, or the end of the reference.
 struct Station {
-  std::size_t element;  // its first element; as many as there are, at the end
+  std::size_t element;  // index of its first element; the number of elements at the end
   std::int32_t hit;     // which hit, or -1
   const Slab* slab;     // or null
   HelixPoint point;     // before the slab acts
   double kappa;
-  Matrix5 jacobian;  // of (d, psi, kappa, z0, tanl) with the pivot here by those at the origin
+  Matrix5 jacobian;  // derivatives of (d, psi, kappa, z0, tanl) with the pivot here by those at the origin
 };
 
 // Ordered from the origin outward.
 struct ReferenceTrajectory {
   std::vector<TrajectoryElement> elements;
   std::vector<Station> stations;
-  std::vector<double> predicted;  // mm, one per hit: where the reference meets it
+  std::vector<double> predicted;  // mm, one per hit: the predicted measurement
 };
 
-// Follows a helix through the matter as far as the last hit. `kinks`: angles for every slab, or none.
+// Follows a helix through the matter up to the last hit. `kinks`: angles for every slab, or none.
 void follow(const Detector& detector, const Perigee& start, double mass, std::span<const Hit> hits,
             std::span<const double> kinks, ReferenceTrajectory& trajectory);
 

@@ -10,7 +10,7 @@ namespace cgemit {
 
 inline constexpr int parameters = 5;
 
-// f(0), f(1) ... f(n - 1) with the index as a constant, so that small arrays live in registers.
+// f(0), f(1) ... f(n - 1) with a constant index, so that small arrays stay in registers.
 template <int n, class F>
 void unroll(F&& f) {
   [&f]<int... i>(std::integer_sequence<int, i...>) {
@@ -63,8 +63,8 @@ template <class T>
 struct Symmetric {
   std::array<T, parameters*(parameters + 1) / 2> v;
 
-  static constexpr int place(int i, int j) {
-    return i <= j ? i * parameters - i * (i - 1) / 2 + j - i : place(j, i);
+  static constexpr int entry(int i, int j) {
+    return i <= j ? i * parameters - i * (i - 1) / 2 + j - i : entry(j, i);
   }
   static Symmetric diagonal(const Five<T>& d) {
     Symmetric s;
@@ -72,8 +72,8 @@ struct Symmetric {
     unroll<parameters>([&](auto i) { s(i, i) = d[i]; });
     return s;
   }
-  T& operator()(int i, int j) { return v[static_cast<std::size_t>(place(i, j))]; }
-  const T& operator()(int i, int j) const { return v[static_cast<std::size_t>(place(i, j))]; }
+  T& operator()(int i, int j) { return v[static_cast<std::size_t>(entry(i, j))]; }
+  const T& operator()(int i, int j) const { return v[static_cast<std::size_t>(entry(i, j))]; }
 
   Five<T> operator*(const Five<T>& h) const {
     Five<T> out;
@@ -83,7 +83,7 @@ struct Symmetric {
     });
     return out;
   }
-  // Adds f(i, j) to every element.
+  // Adds f(i, j) to every entry.
   template <class F>
   void add(F&& f) {
     unroll<parameters>([&](auto i) {
@@ -94,8 +94,8 @@ struct Symmetric {
   }
 };
 
-// Whether a covariance is that of five real parameters: the pivots of its Cholesky decomposition are
-// positive, by more than what rounding leaves of a variance.
+// Whether a matrix is a valid covariance of five real parameters: the pivots of its Cholesky decomposition
+// are positive by more than the rounding error of a variance.
 template <class T>
 mask_of<T> positive_definite(Symmetric<T> c) {
   constexpr double rounding = 1e-11;

@@ -24,7 +24,7 @@ bool processor_runs(const std::string& isa) {
   if (isa == "scalar" || isa == "baseline") return true;
 #if defined(__x86_64__) && (defined(__GNUC__) || defined(__clang__))
   __builtin_cpu_init();
-  // What x86-64-v3 has beyond these (LZCNT, MOVBE, F16C) came with the same processors.
+  // The other features of x86-64-v3 (LZCNT, MOVBE, F16C) came with the same processors.
   const bool v3 = __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma") &&
                   __builtin_cpu_supports("bmi") && __builtin_cpu_supports("bmi2");
   if (isa == "v3") return v3;
@@ -40,7 +40,7 @@ void use_scalar_kernels() { in_use = &scalar; }
 
 #if !defined(_WIN32)
 void use_kernels(const std::string& path) {
-  // Never closed: threads may still be in it.
+  // Never closed: threads may still be executing it.
   void* library = dlopen(path.c_str(), RTLD_NOW | RTLD_LOCAL);
   if (library == nullptr) throw std::runtime_error(dlerror());
   using Entry = const Kernels* (*)();

@@ -1,7 +1,7 @@
-// Functions of a pack of numbers: logarithm, exponential, sine and cosine, arctangent. Polynomials and
-// rational functions of the Cephes library (S. L. Moshier, Methods and Programs for Mathematical Functions,
-// 1989), for normal numbers in the ranges given; within 2 units of the last place of the functions of the
-// standard library, which serve for one number.
+// Functions of a pack of numbers: logarithm, exponential, sine and cosine, arctangent. They use polynomials
+// and rational functions of the Cephes library (S. L. Moshier, Methods and Programs for Mathematical
+// Functions, 1989), for normal numbers in the ranges given, and agree within 2 units of the last place with
+// the standard library, which is used for single numbers.
 #pragma once
 
 #include <cmath>
@@ -76,7 +76,7 @@ template <int W>
 SineCosine<Pack<W>> sine_cosine(Pack<W> x) {
   using Bits = typename Registers<W>::Bits;
   using Vector = typename Pack<W>::Vector;
-  // Quarter turns off, pi/2 in three pieces.
+  // Subtracts quarter turns, with pi/2 in three parts.
   const Pack<W> n = nearest(x * 0.63661977236758134308);
   const Pack<W> r =
       ((x - n * 1.57079625129699707031) - n * 7.54978941586159635335e-8) - n * 5.39030285815811905290e-15;
@@ -147,7 +147,7 @@ Pack<W> atan2(Pack<W> y, Pack<W> x) {
 
 using std::atan2;
 
-// atan(t)/t, exact also where t vanishes.
+// atan(t)/t, exact also for t = 0.
 template <class T>
 T atan_over(T t) {
   const T q = t * t;
@@ -161,7 +161,7 @@ T atan_over(T t) {
   return choose(q < 1e-3, brief, [&] { return choose(q < 0.02, series, [&t] { return atan(t) / t; }); });
 }
 
-// tan(f)/f, exact to rounding; by its series where that is short.
+// tan(f)/f, exact to rounding; by its series for small f.
 template <class T>
 T tangent_over(T f) {
   const T q = f * f;

@@ -1,11 +1,12 @@
-// The number types of the kernels. A kernel is written once, for a number T: `double`, or a pack of W tracks
-// side by side, one per SIMD lane. What it needs beyond arithmetic is here, for both: masks instead of `if`,
+// The number types of the kernels. A kernel is written once, for a number type T: `double`, or a pack of W
+// tracks side by side, one per SIMD lane. The operations needed beyond arithmetic are defined here for both:
+// masks instead of `if`,
 //   select(mask, a, b)     lane by lane a or b
-//   choose(mask, f, g)     the same of two functions, of which only what is needed is called
+//   choose(mask, f, g)     the same for two functions; a function that no lane needs is not called
 //   any(mask), all(mask)
-// A lane's result must not depend on its companions, to the last bit: `choose` is for that, `if (all(...))`
-// around one of two formulas is not. And square root, absolute value, smaller, larger, lane by lane access.
-// Functions are in `lanes/math.hpp`.
+// and square root, absolute value, smaller, larger, lane by lane access. Functions are in `lanes/math.hpp`.
+// The result of a lane must not depend on the other lanes, to the last bit: `choose` ensures this, `if
+// (all(...))` around one of two formulas does not.
 #pragma once
 
 #include <bit>
@@ -24,7 +25,7 @@ namespace cgemit {
 
 #if CGEMIT_VECTORS
 
-// The compiler's vector types: W numbers, W 64-bit words.
+// The compiler's vector types: W numbers, W 64-bit integers.
 template <int W>
 struct Registers;
 #define CGEMIT_REGISTERS(W)                                           \
@@ -192,7 +193,7 @@ Pack<W> choose(Mask<W> m, F&& f, G&& g) {
   return select(m, f(), g());
 }
 
-// To a nearest whole number, |x| < 2^51.
+// Rounds to a nearest whole number, |x| < 2^51.
 template <int W>
 Pack<W> nearest(Pack<W> x) {
   return (x + 0x1.8p52) - 0x1.8p52;

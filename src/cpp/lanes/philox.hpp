@@ -1,4 +1,5 @@
-// Random numbers of W particles side by side: each lane gets what `common/rng.hpp` gives its particle.
+// Random numbers of W particles side by side: each lane gets the numbers that `common/rng.hpp` gives its
+// particle.
 #pragma once
 
 #include <array>
@@ -29,7 +30,7 @@ inline void count_along(std::uint32_t&) {}
 
 #if CGEMIT_VECTORS
 
-// A 32-bit word per lane, in the low half of 64 bits; the high half is anything.
+// A 32-bit word per lane, in the low half of 64 bits; the high half is undefined.
 template <int W>
 struct Words {
   using Vector = typename Registers<W>::Bits;
@@ -89,7 +90,7 @@ class StreamLanes {
   std::array<Words<W>, 4> block(Purpose purpose, std::uint32_t place, std::uint32_t block = 0) const {
     using Vector = typename Words<W>::Vector;
     const Words<W> first{Vector{} + ((static_cast<std::uint32_t>(purpose) << 26) ^ place)};
-    const auto [key0, key1] = streams_[0].key();  // all have the same
+    const auto [key0, key1] = streams_[0].key();  // the same for all
     return philox4x32<W>({first, {particle_.v ^ block}, low_, high_}, key0, key1);
   }
 
@@ -126,13 +127,13 @@ Pack<W> normal_quantile(Pack<W> u) {
 
 #endif
 
-// Blocks of one stream one after the other, several computed at a time.
+// Blocks of one stream in sequence, several computed at a time.
 class BlocksAhead {
  public:
   BlocksAhead(const Stream& stream, Purpose purpose, std::uint32_t place, std::uint32_t first)
       : stream_(stream), purpose_(purpose), place_(place), first_(first) {}
 
-  // Words are asked for in order, from 0.
+  // Words must be requested in order, from 0.
   std::uint32_t operator[](std::uint32_t number) {
     constexpr std::uint32_t width = lanes_of<Widest>;
     if (number % (4 * width) == 0) look_ahead(number / 4);
@@ -155,7 +156,7 @@ class BlocksAhead {
   BlockOf<Widest> words_{};
 };
 
-// Blocks one after the other, of a stream or of one in each lane.
+// Blocks in sequence, of one stream or of one in each lane.
 template <class T>
 class BlockSeries {
  public:

@@ -5,7 +5,7 @@
 
 namespace cgemit {
 
-// As many as the widest registers hold that the compiler may use.
+// The pack that fills the widest registers the compiler may use.
 #if !CGEMIT_VECTORS
 using Widest = double;
 #elif defined(__AVX512F__)
@@ -20,7 +20,7 @@ inline std::int64_t whole(double x) { return static_cast<std::int64_t>(x); }
 
 #if CGEMIT_VECTORS
 
-// A whole number of 2^51 at most as an integer.
+// Converts a whole number of at most 2^51 to an integer.
 template <int W>
 typename Registers<W>::Words whole(Pack<W> x) {
   return reinterpret_cast<typename Registers<W>::Words>((x + 0x1.8p52).v) - 0x4338000000000000;

@@ -1,4 +1,4 @@
-// Random numbers one after the other, where it is not known beforehand how many are needed.
+// Random numbers drawn one after the other, for code that does not know in advance how many it needs.
 #pragma once
 
 #include <algorithm>
@@ -8,13 +8,13 @@
 
 namespace cgemit {
 
-// The uniform numbers of one purpose at one place, for a particle or one in each lane.
+// The uniform random numbers of one purpose at one `place`, for a single particle or one per lane.
 template <class T>
 class DrawsOf {
  public:
   DrawsOf(const StreamOf<T>& stream, Purpose purpose, std::uint32_t place)
       : stream_(stream), purpose_(purpose), place_(place) {}
-  // Goes on where others are, in one of their lanes.
+  // Continues the sequence of one lane of `others`.
   template <class Others>
   DrawsOf(const StreamOf<T>& stream, const Others& others, int i)
       : stream_(stream),
@@ -43,8 +43,8 @@ class DrawsOf {
 };
 using Draws = DrawsOf<double>;
 
-// Poisson number at a quantile counted from the top: the usual none costs no exponential. Large numbers by
-// Cornish and Fisher's expansion about the normal quantile, wrong by less than 0.01.
+// Poisson number at a quantile counted from the top. The common result 0 needs no exponential. For large
+// numbers the Cornish-Fisher expansion about the normal quantile is used, with an error below 0.01.
 inline int poisson(double u, double mean) {
   if (u >= mean) return 0;  // 1 - exp(-mean) < mean
   if (mean > 200) {
@@ -61,7 +61,7 @@ inline int poisson(double u, double mean) {
 }
 
 #if CGEMIT_VECTORS
-// The same in lanes, as whole numbers.
+// The same in lanes; the results are integers.
 template <int W>
 Pack<W> poisson(Pack<W> u, Pack<W> mean) {
   Pack<W> n(0.0);

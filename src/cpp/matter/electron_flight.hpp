@@ -1,4 +1,4 @@
-// Electrons on their way around a drift gap: one, or one in each lane until none is left.
+// Transport of electrons around a drift gap: a single one, or one in each lane until none is left.
 #pragma once
 
 #include <cmath>
@@ -111,7 +111,7 @@ class ElectronFlight {
             rise / width_of_bin};
   }
 
-  // Those that are not at the end of their way.
+  // Moves all electrons by one step. Returns those that have not ended.
   CGEMIT_FLATTEN Mask step() {
     using namespace electron_step;
     const BlockOf<T> words = draws_.next();
@@ -139,7 +139,7 @@ class ElectronFlight {
     return stays & (steps_ < most_steps);
   }
 
-  // The loss on a step is taken to second order: up to a quarter of the energy.
+  // The loss in a step is computed to second order, so a step may take up to a quarter of the energy.
   T longest_allowed(const electron_step::Local<T>& here) const {
     const T loss = 0.25 * e_.energy / here.stopping;
     return select(in_gap_, smaller(loss, electron_step::longest_step), loss);
@@ -170,7 +170,7 @@ class ElectronFlight {
     way_ += length;
   }
 
-  // Those that have energy left.
+  // Returns the electrons that have energy left.
   Mask slow_down(const electron_step::Local<T>& here, const T& length) {
     using electron_step::shortest_piece;
     T loss = here.stopping * length * (1.0 - 0.5 * here.slope * length);
@@ -184,7 +184,7 @@ class ElectronFlight {
     return !ends;
   }
 
-  // False where the electron does not come back.
+  // False if the electron does not come back.
   bool cross_border(int i, bool outward, double bend) {
     end_piece(i);
     const GapMatter& matter = *task(i).matter;
@@ -197,10 +197,10 @@ class ElectronFlight {
     return lane(in_gap_, i) || lane(can_return(), i);
   }
 
-  // The way outside, where nothing but the field acts: a turn until the electron meets the layers again.
+  // Path outside the layers, where only the field acts: the electron turns until it meets the layers again.
   bool curl_back(int i, bool outward, double bend) {
     const double du = lane(e_.du, i), dw = lane(e_.dw, i);
-    if ((dw > 0) != outward) return true;  // the field has turned it back on the border
+    if ((dw > 0) != outward) return true;  // the field has turned it back at the border
     const double along = 2 * dw / bend;
     if (std::abs(along) > electron_step::farthest) return false;
     const double angle = std::atan2(du, std::abs(dw));
@@ -235,7 +235,7 @@ class ElectronFlight {
     begin_piece(i);
   }
 
-  // Which electron a lane follows, and where it is.
+  // The electron that a lane follows, and its layer.
   struct Place {
     std::size_t task, number;
     const ElectronLayer* layer;

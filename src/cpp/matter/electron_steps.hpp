@@ -1,5 +1,5 @@
-// What happens to electrons on a step: the numbers of the layer at their energy, turns, soft and hard
-// scatters.
+// Physics of one electron step: the layer's values at the electron's energy, turns in the field, soft and
+// hard scatters.
 #pragma once
 
 #include <algorithm>
@@ -15,21 +15,23 @@ namespace cgemit {
 
 namespace electron_step {
 
-inline constexpr double longest_step = 1.5;     // mm in the gap, to be drawn as a straight piece
+inline constexpr double longest_step = 1.5;     // mm in the gap, recorded as a straight piece
 inline constexpr double largest_turn = 0.3;     // rad in the field in one step
 inline constexpr double shortest_piece = 0.05;  // mm; shorter ones are joined
-inline constexpr double farthest = 50;  // mm in u; beyond, layers are no planes and others lie on the way
-inline constexpr std::uint32_t most_steps = 4096;  // blocks of random numbers per stream: a metre of gas
+inline constexpr double farthest =
+    50;  // mm in u; farther away a layer is not a plane, and other layers follow
+inline constexpr std::uint32_t most_steps =
+    4096;  // blocks of random numbers per stream: enough for a metre of gas
 
-// What a layer does to an electron of the energy it has.
+// The properties of a layer for an electron of the present energy.
 template <class T>
 struct Local {
   T stopping, path, cut, screening, soft, per_momentum;  // as in `ElectronPoint`
   T slope;                                               // d(stopping)/d(energy), 1/mm
 };
 
-// Place of an energy on the grid, read off the number itself: exponent and first four bits of the mantissa
-// are the bin.
+// Bin of an energy on the grid, read from the bits of the number: the exponent and the first four bits of the
+// mantissa.
 inline std::size_t bin_of(double energy) {
   constexpr std::uint64_t first = std::bit_cast<std::uint64_t>(electron_grid_first) >> 48;
   return std::min<std::uint64_t>((std::bit_cast<std::uint64_t>(energy) >> 48) - first, electron_points - 2);
@@ -54,7 +56,7 @@ Pack<W> power_of_two(Pack<W> energy) {
 }
 #endif
 
-// Turns the direction about the field.
+// Turns the direction about the field axis.
 template <class T>
 void turn(ElectronOf<T>& electron, const T& angle) {
   const T q = angle * angle;  // at most largest_turn^2: next terms below 1e-6
@@ -70,7 +72,8 @@ T hard_scatter(const Local<T>& here, const T& uniform) {
   return 1.0 / (most - uniform * (most - least)) - here.screening;
 }
 
-// Soft scatters on a way: the mean cosines of successive ones multiply, mu is exponential about its mean.
+// Soft scatters on a path: the mean cosines of successive scatters multiply, and mu is exponentially
+// distributed about its mean.
 template <class T>
 T soft_scatter(const Local<T>& here, const T& way, const T& uniform) {
   const T sum = here.soft * way;
@@ -80,7 +83,7 @@ T soft_scatter(const Local<T>& here, const T& way, const T& uniform) {
   return smaller(-mean * log(uniform), 1.0);
 }
 
-// Directions around a circle, for the first ten of sixteen bits.
+// Directions around a circle, from the first ten of sixteen bits.
 struct Around {
   double cosine, sine;
 };

@@ -12,8 +12,8 @@ constexpr double most_pieces = 200;
 
 double nearest(double x) { return static_cast<int>(x + std::copysign(0.5, x)); }
 
-// Makes a point relative to the nearest hole; holes are at (i + j/2, j sqrt(3)/2) pitches. Rounding all three
-// of i, j, -i-j and then mending the worst finds the hexagon that holds the point.
+// Makes a point relative to the nearest hole; holes are at (i + j/2, j sqrt(3)/2) pitches. Rounding i, j and
+// -i-j and then correcting the one with the largest error gives the hexagon that contains the point.
 void from_nearest_hole(double pitch, double& u, double& v) {
   const double j = v / (row * pitch), i = u / pitch - 0.5 * j, k = -i - j;
   double ni = nearest(i), nj = nearest(j);
@@ -28,8 +28,8 @@ void from_nearest_hole(double pitch, double& u, double& v) {
   v -= nj * row * pitch;
 }
 
-// Length of w in 0 to `step` where (u + slope_u w, v + slope_v w) lies in a circle of radius r + grow w about
-// 0: where a w^2 + 2 b w + c < 0.
+// Length of the part of w, from 0 to `step`, in which (u + slope_u w, v + slope_v w) lies in a circle of
+// radius r + grow w about 0: a w^2 + 2 b w + c < 0.
 double length_in_hole(double u, double v, double slope_u, double slope_v, double r, double grow,
                       double step) {
   const double a = slope_u * slope_u + slope_v * slope_v - grow * grow;
@@ -43,19 +43,18 @@ double length_in_hole(double u, double v, double slope_u, double slope_v, double
   return a < 0 ? step - between : between;
 }
 
-// Mean over the lattice of the part of an area that is hole, times the length, from `from` to `to` on one
-// side.
+// Mean over the lattice of the length inside holes, between `from` and `to` on one side of the middle.
 double mean_length_in_holes(const Holes& holes, double r_from, double r_to, double length) {
   const double mean_r2 = (r_from * r_from + r_from * r_to + r_to * r_to) / 3;
   return pi * mean_r2 / (row * holes.pitch * holes.pitch) * length;
 }
 
-// Length of w within holes, for `from` and `to` on one side of the foil's middle.
+// Length of w inside holes, with `from` and `to` on the same side of the foil's middle.
 double length_in_holes(const Holes& holes, const FoilLine& line, double from, double to) {
   const double r_from = holes.waist + holes.widening * std::abs(from);
   const double r_to = holes.waist + holes.widening * std::abs(to);
-  // A piece no longer than the bridge between two holes meets only the hole next to its middle: any other
-  // centre is at least half a pitch from there.
+  // A piece shorter than the bridge between two holes can cross only the hole nearest to its middle: any
+  // other centre is at least half a pitch from there.
   const double run = std::sqrt(line.slope_u * line.slope_u + line.slope_v * line.slope_v) * (to - from);
   const double bridge = holes.pitch - 2 * std::max(r_from, r_to);
   if (run > most_pieces * bridge) return mean_length_in_holes(holes, r_from, r_to, to - from);
@@ -86,7 +85,7 @@ double solid_fraction(const Holes& holes, const FoilLine& line) {
 double fraction_beside_holes(const Slab& slab, const HelixPoint& point, const Stream& stream) {
   const Block words = stream.block(Purpose::foil, static_cast<std::uint32_t>(slab.holes.foil));
   const double i = open_unit(words[0]), j = open_unit(words[1]), pitch = slab.holes.pitch;
-  // A track that grazes the slab sees no more than its chord, as in `path_factor`.
+  // A track that grazes the slab crosses at most its chord, as in `path_factor`.
   const double along = point.outward(),
                outward = std::copysign(std::max(std::abs(along), slab.least_outward), along);
   return solid_fraction(slab.holes, {(i + 0.5 * j) * pitch, j * row * pitch, point.sideways() / outward,

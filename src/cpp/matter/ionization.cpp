@@ -12,19 +12,19 @@ namespace cgemit {
 
 namespace {
 
-// Blocks of random numbers. Of the gas: 0 for counts, then sizes (four a block), then one for each cluster
-// and one for each fast electron. Of the solids: 0 for the count, then two for each electron.
+// Blocks of random numbers. Gas: block 0 for counts, then sizes (four per block), then one block for each
+// cluster and one for each fast electron. Solids: block 0 for the count, then two for each electron.
 constexpr std::uint32_t cluster_blocks = 512, fast_blocks = 3072, spin_blocks = 2048;
 constexpr int most_clusters = 2044, most_fast = 1023, most_solid = 2047;
 constexpr double steepest =
-    0.05;  // cosine to the radius from which on the plane of the layer is no longer one
+    0.05;  // cosine to the radius above which the plane approximation of the layer fails
 
-// What collisions of the particle with free electrons can do; keV.
+// Kinematics of the particle's collisions with free electrons; keV.
 struct Collisions {
   const Kinematics& particle;
-  double largest;    // transfer
-  double kinematic;  // the same, where the two electrons of a collision can be told apart
-  double peak;       // of `share`
+  double largest;    // largest transfer
+  double kinematic;  // the same, if the two electrons of a collision can be distinguished
+  double peak;       // largest value of `share`
 
   explicit Collisions(const Kinematics& k)
       : particle(k),
@@ -32,21 +32,21 @@ struct Collisions {
         kinematic(k.is_light() ? k.kinetic() / keV : largest),
         peak(spectrum_peak(k.projectile)) {}
 
-  // How often there is one of this energy, relative to xi/(beta^2 E^2).
+  // Rate of collisions with this transfer, relative to xi/(beta^2 E^2).
   double share(double energy) const {
     return energy > largest ? 0 : spectrum_share(particle, energy * keV, largest * keV);
   }
-  // Cosine of the angle between particle and struck electron, by energy and momentum conservation.
+  // Cosine of the angle between the particle and the struck electron, from energy and momentum conservation.
   double cosine(double energy) const {
     constexpr double twice_rest = 2 * electron_mass / keV;
     return std::sqrt(std::min(energy * (kinematic + twice_rest) / (kinematic * (energy + twice_rest)), 1.0));
   }
 };
 
-class Passage {
+class GapIonization {
  public:
-  Passage(const GapMatter& matter, const GapCrossing& crossing, const Kinematics& k, const Stream& stream,
-          std::uint32_t place, DeltaBatch& electrons, std::vector<Deposit>& out)
+  GapIonization(const GapMatter& matter, const GapCrossing& crossing, const Kinematics& k,
+                const Stream& stream, std::uint32_t place, DeltaBatch& electrons, std::vector<Deposit>& out)
       : matter_(matter),
         crossing_(crossing),
         collisions_(k),
@@ -55,7 +55,7 @@ class Passage {
         electrons_(electrons),
         out_(out) {}
 
-  // Clusters of the size table, and the electrons above it.
+  // Clusters within the size table, and the electrons above it.
   void gas(double density, bool deltas, bool keep_clusters) {
     const Block counts = stream_.block(Purpose::ionization, place_);
     const int n = std::min(poisson(open_unit(counts[0]), density * crossing_.length), most_clusters);
@@ -97,7 +97,8 @@ class Passage {
   int clusters() const { return clusters_; }
 
  private:
-  // A point of the track and how it flies there, in the plane that touches the layer: u along r phi.
+  // A point of the track and the direction of flight there, in the plane that touches the layer: u along r
+  // phi.
   struct Start {
     double cosine, sine;  // of its azimuth
     double z, w;
@@ -163,7 +164,7 @@ class Passage {
     Electron electron{0, from.w, from.z, from.du, from.dw, from.dz, energy};
     const double azimuth = 2 * pi * turns;
     deflect(electron, 0.5 * (1 - collisions_.cosine(energy)), std::cos(azimuth), std::sin(azimuth));
-    // Ten bits of the place tell the electrons of a crossing apart.
+    // Ten bits of `place` distinguish the electrons of a crossing.
     const std::uint32_t own = place_ | ((++followed_ & 1023U) << 16);
     electrons_.electrons.push_back({&matter_, crossing_.bz, stream_, own, electron});
     electrons_.births.push_back({from.cosine, from.sine, origin});
@@ -179,7 +180,7 @@ class Passage {
   int clusters_ = 0;  // electrons set free
 };
 
-// A point in the plane of an electron, rolled onto the layer.
+// A point in the electron's plane, mapped back onto the layer.
 std::array<double, 3> rolled(const std::array<double, 3>& at, double inner, const DeltaBatch::Birth& birth) {
   const double r = inner + at[1], half = 0.5 * at[0] / r, t = half * tangent_over(half),
                scale = r / (1 + t * t);
@@ -214,10 +215,10 @@ Ionized set_free(const GapMatter& matter, const GapCrossing& crossing, const Kin
                  const Stream& stream, std::uint32_t place, bool deltas, bool keep_clusters,
                  DeltaBatch& electrons, std::vector<Deposit>& out) {
   const std::size_t first = electrons.electrons.size();
-  Passage passage(matter, crossing, k, stream, place, electrons, out);
-  passage.gas(cluster_density(matter, k.log_bg), deltas, keep_clusters);
-  if (deltas) passage.solids();
-  return {passage.clusters(), first, electrons.electrons.size()};
+  GapIonization ionization(matter, crossing, k, stream, place, electrons, out);
+  ionization.gas(cluster_density(matter, k.log_bg), deltas, keep_clusters);
+  if (deltas) ionization.solids();
+  return {ionization.clusters(), first, electrons.electrons.size()};
 }
 
 GapResult collect(const GapMatter& matter, const GapCrossing& crossing, const Ionized& ionized,

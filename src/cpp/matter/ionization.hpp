@@ -1,5 +1,5 @@
-// What a charged particle leaves in a drift gap: ionization clusters along its way and delta electrons, those
-// from the cathode in front of the gap and from the foils behind it included.
+// Ionization by a charged particle in a drift gap: clusters along its path and delta electrons, including
+// those from the cathode in front of the gap and from the foils behind it.
 #pragma once
 
 #include <cstdint>
@@ -19,14 +19,14 @@ struct GapCrossing {
   double length;           // mm, along the track
 };
 
-// Where a delta electron was born.
+// The origin of a delta electron.
 enum class DeltaOrigin : std::int8_t { gas = 0, cathode = 1, behind = 2 };
 
-// Energy left in the gap: at a point (an ionization cluster) or on a straight piece of a delta electron's
-// way.
+// Energy deposited in the gap: at a point (an ionization cluster) or on a straight piece of a delta
+// electron's path.
 struct Deposit {
   double x, y, z;          // mm, its middle
-  double dx, dy, dz;       // mm, from begin to end
+  double dx, dy, dz;       // mm, end minus begin
   double energy;           // keV
   std::int32_t electrons;  // set free
   std::int32_t delta;      // 0 for a cluster of the particle itself, else 1, 2 ...
@@ -34,12 +34,12 @@ struct Deposit {
 };
 
 struct GapResult {
-  double energy;  // keV, everything left in the gap
+  double energy;  // keV, all energy deposited in the gap
   int electrons;  // set free
-  int deltas;     // delta electrons that left something in the gap
+  int deltas;     // delta electrons that deposited energy in the gap
 };
 
-// Delta electrons to be followed, and where on which track they were born.
+// Delta electrons to be followed, and the tracks and positions of their origin.
 struct DeltaBatch : ElectronBatch {
   struct Birth {
     double cosine, sine;  // of the azimuth at which the plane of the electron touches the layer
@@ -53,21 +53,21 @@ struct DeltaBatch : ElectronBatch {
   }
 };
 
-// A crossing whose electrons are yet to be followed.
+// A crossing whose electrons have not been followed yet.
 struct Ionized {
   int clusters;             // electrons set free in clusters
   std::size_t first, last;  // its delta electrons in the batch, `last` not included
 };
 
-// Random passage through a gap. `deltas`: electrons of more than a keV are born on the track, or in the
-// solids, and followed; else what is born in the gas stays on the track up to 52 keV. Deposits of delta
-// electrons are appended to `out`, with `keep_clusters` also the ionization clusters before them; nothing
-// else depends on that. `place` is below 2^16.
+// Random crossing of a gap. With `deltas`, electrons above one keV start on the track, or in the solids, and
+// are followed; without, the energy of electrons from the gas, up to 52 keV, stays on the track. Deposits of
+// delta electrons are appended to `out`; with `keep_clusters` the ionization clusters are appended before
+// them. Nothing else depends on `keep_clusters`. `place` is below 2^16.
 GapResult ionize(const GapMatter& matter, const GapCrossing& crossing, const Kinematics& k,
                  const Stream& stream, std::uint32_t place, bool deltas, bool keep_clusters,
                  std::vector<Deposit>& out);
 
-// The same in two parts, between which the electrons of many crossings are followed.
+// The same in two parts; the electrons of many crossings are followed between them.
 Ionized set_free(const GapMatter& matter, const GapCrossing& crossing, const Kinematics& k,
                  const Stream& stream, std::uint32_t place, bool deltas, bool keep_clusters,
                  DeltaBatch& electrons, std::vector<Deposit>& out);

@@ -8,10 +8,10 @@
 
 namespace cgemit {
 
-// What decides on the spectrum of a particle's collisions with electrons.
+// Type of a particle, which determines the spectrum of its collisions with electrons.
 enum class Projectile { spinless, spin_half, electron, positron };
 
-// Of the particles that live long enough to be tracked, pions and kaons have no spin.
+// Of the particles that live long enough to be tracked, pions and kaons have spin 0.
 inline Projectile projectile_of(double mass, double charge) {
   if (mass < 2 * electron_mass) return charge < 0 ? Projectile::electron : Projectile::positron;
   const bool spinless = std::abs(mass - 139.57 * MeV) < MeV || std::abs(mass - 493.68 * MeV) < MeV;
@@ -24,7 +24,7 @@ struct KinematicsOf {
   T p, energy, mass;
   T per_p, per_mass, per_beta, per_beta2, beta2, gamma;
   T log_bg, log_gamma;  // ln(beta gamma), ln(gamma)
-  T has_spin;           // 1 for spin 1/2, else 0; the spectrum of heavy particles' collisions depends on it
+  T has_spin;           // 1 for spin 1/2, else 0; it affects the collision spectrum of heavy particles
   Projectile projectile;
 
   KinematicsOf(T momentum, T mass_, Projectile projectile_)
@@ -48,7 +48,7 @@ struct KinematicsOf {
     k.log_gamma += log_ratio(k.energy, energy, per_p / per_beta);
     return k;
   }
-  // Lanes `m` of a, the others of b.
+  // Takes a in the lanes of `m` and b in the others.
   friend KinematicsOf select(mask_of<T> m, KinematicsOf a, const KinematicsOf& b) {
     for (T KinematicsOf::* x : {&KinematicsOf::p, &KinematicsOf::energy, &KinematicsOf::per_p,
                                 &KinematicsOf::per_beta, &KinematicsOf::per_beta2, &KinematicsOf::beta2,
@@ -59,8 +59,8 @@ struct KinematicsOf {
   bool is_light() const { return projectile >= Projectile::electron; }
   T kinetic() const { return energy - mass; }
   T log_beta2() const { return 2.0 * (log_bg - log_gamma); }
-  // Largest energy that one collision can give to an electron at rest; PDG 2024 eq. 34.4. Of two electrons
-  // the slower one counts as struck, a positron can lose everything.
+  // Largest energy transfer of one collision to an electron at rest; PDG 2024 eq. 34.4. Of two electrons the
+  // slower one counts as struck; a positron can lose all its energy.
   T w_max() const {
     if (projectile == Projectile::electron) return 0.5 * kinetic();
     if (projectile == Projectile::positron) return kinetic();
@@ -76,7 +76,7 @@ struct KinematicsOf {
     beta2 = 1.0 / per_beta2;
     gamma = energy * per_mass;
   }
-  // ln(a/b), by its series where the next term is below 1e-9.
+  // ln(a/b), by its series if the next term is below 1e-9.
   static T log_ratio(T a, T b, T per_b) {
     const T d = (a - b) * per_b;
     return choose(

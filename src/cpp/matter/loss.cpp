@@ -11,7 +11,7 @@ namespace {
 // -2 ln(I) - delta - 2 C/Z of a slab, and its slope in ln(beta gamma).
 Read<double> log_term(const Slab& slab, double log_bg) { return read<&SlabPoint::log_term>(slab, log_bg); }
 
-// Bracket that xi/beta^2 multiplies, for electrons and positrons: F-(tau, D) and F+(tau, D) of Berger and
+// The bracket multiplied by xi/beta^2, for electrons and positrons: F-(tau, D) and F+(tau, D) of Berger and
 // Seltzer, energies in m_e.
 double light_bracket(const Slab& slab, const Kinematics& k, double limit) {
   const double tau = k.kinetic() / electron_mass, d = std::min(limit / electron_mass, 0.999999 * tau);
@@ -68,7 +68,7 @@ LossMoments light_core_loss(const Slab& slab, double path, const Kinematics& k, 
   const double hardest = std::min(track.loss.variance * track_xi + resolved, k.w_max());
   const double bracket = std::max(light_bracket(slab, k, cut), 0.0), x0 = slab.x0 * path;
   const double radiated = radiated_mean * x0 * k.energy;
-  // Per ln(p) the bracket grows by 2, and by as much as the cut.
+  // Per ln(p) the bracket grows by 2, and by the growth of the cut.
   const double grow = 2 + (below + resolved < k.w_max() ? resolved / cut : 0);
   const double slope =
       xi * (grow + log_term(slab, k.log_bg).slope) / k.p + radiated_mean * x0 * k.p / k.energy;

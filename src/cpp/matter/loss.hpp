@@ -25,7 +25,8 @@ T restricted_loss(const Slab& slab, const T& path, const KinematicsOf<T>& k, con
   return larger(slab.xi * path * k.per_beta2 * bracket, 0.0);
 }
 
-// A number of given mean 0, variance 1, skewness and excess kurtosis; Cornish and Fisher (1938), third order.
+// A random number with mean 0, variance 1, and given skewness and excess kurtosis; Cornish and Fisher (1938),
+// third order.
 template <class T>
 T skewed_normal(const T& z, const T& skewness, const T& kurtosis) {
   const T z2 = z * z;
@@ -43,19 +44,18 @@ struct LossMomentsOf {
 using LossMoments = LossMomentsOf<double>;
 
 // Landau's distribution has no variance, and rare collisions dominate its mean. The fit takes mean and
-// variance of all collisions with a transfer below a cut, which is the track's, so that the moments of slabs
-// add up. Slow particles (cut above w_max) get Bethe's mean and Vavilov's variance. Electrons and positrons:
-// mean and variance of their radiation on top.
+// variance of all collisions with a transfer below a cut. The cut is the same along the track, so that the
+// moments of slabs add up. Slow particles (cut above w_max) get Bethe's mean and Vavilov's variance. For
+// electrons and positrons, mean and variance of the radiation are added.
 //   truncated      the core of what a momentum measurement sees (docs/methods/matter.md): its cut is 2.3
-//   times
-//                  the error of the energy, taken as 0.3 % of p beta, and 5 xi for Landau's own width
+//                  times the error of the energy, taken as 0.3 % of p beta, and 5 xi for Landau's own width
 //   mean           all collisions
 //   most_probable  Landau's most probable loss, and the Gaussian as wide as his distribution at half maximum,
 //                  4.018 xi; PDG 2024, eq. 34.12
 enum class CoreLoss { truncated, mean, most_probable };
 inline constexpr double core_cut_xi = 5, core_cut_share = 0.007;
 
-// Sets the cuts of a detector.
+// Sets the loss cuts of a detector.
 void prepare_loss(Detector& detector, CoreLoss choice);
 
 LossMoments light_core_loss(const Slab& slab, double path, const Kinematics& k, const TrackMatter& track);
@@ -71,8 +71,8 @@ LossMomentsOf<T> heavy_core_loss(const Slab& slab, T path, const KinematicsOf<T>
   static const double log_constant = std::log(2 * electron_mass);
   const T share = k.beta2 / w_max, spin = share * cut;
   const T bracket = log_constant + log(cut) + 2.0 * k.log_bg - k.beta2 - spin + term.value;
-  // Per ln(p), with 1/gamma^2 = 1 - beta^2: 1/beta^2 falls by 2/gamma^2, (beta gamma)^2 grows by 2, beta^2 by
-  // 2 beta^2/gamma^2, p beta by 1 + 1/gamma^2; the cut follows 1/beta^2 and p beta, or w_max.
+  // Derivatives by ln(p), with 1/gamma^2 = 1 - beta^2: 1/beta^2 falls by 2/gamma^2, (beta gamma)^2 grows by
+  // 2, beta^2 by 2 beta^2/gamma^2, p beta by 1 + 1/gamma^2; the cut follows 1/beta^2 and p beta, or w_max.
   const T per_gamma2 = 1.0 - k.beta2, ratio = electron_mass * k.per_mass;
   const T grow_w_max = 2.0 - 2.0 * ratio * k.gamma * k.beta2 / (1.0 + 2.0 * k.gamma * ratio + ratio * ratio);
   const T grow_wanted = ((1.0 + per_gamma2) * resolved - 2.0 * per_gamma2 * below) / wanted;
@@ -101,7 +101,7 @@ LossMomentsOf<T> core_loss(const Slab& slab, T path, const KinematicsOf<T>& k,
   return out;
 }
 
-// How often a collision transfers an energy, relative to xi/(beta^2 E^2).
+// Rate of collisions with this transfer, relative to xi/(beta^2 E^2).
 double light_spectrum_share(const Kinematics& k, double transfer);
 template <class T>
 T spectrum_share(const KinematicsOf<T>& k, const T& transfer, const T& w_max) {
@@ -110,20 +110,20 @@ T spectrum_share(const KinematicsOf<T>& k, const T& transfer, const T& w_max) {
   }
   return 1.0 - k.beta2 * transfer / w_max + k.has_spin * (0.5 * transfer * transfer / (k.energy * k.energy));
 }
-// The most that this can be.
+// The largest value of `light_spectrum_share`.
 inline double spectrum_peak(Projectile projectile) { return projectile == Projectile::electron ? 2.25 : 1.0; }
 
-// Energy lost in collisions in a slab, GeV: those above a cut one by one, with the spectrum of the
-// particle's spin (Rossi; Moller; Bhabha) up to w_max; softer ones by mean, variance, skewness and kurtosis.
-// The mean is that of `restricted_loss` exactly, and two halves of a slab sum to the whole. Lanes are for
-// heavy particles.
+// Energy lost in collisions in a slab, GeV. Collisions above a cut are drawn one by one, with the spectrum of
+// the particle's spin (Rossi; Moller; Bhabha) up to w_max; the softer ones are drawn together from mean,
+// variance, skewness and kurtosis. The mean equals that of `restricted_loss` exactly, and two halves of a
+// slab sum to the whole. Lanes are for heavy particles.
 template <class T>
 T sample_loss(const Slab& slab, const T& path, const KinematicsOf<T>& k, const StreamOf<T>& stream,
               std::uint32_t place) {
   if (!(slab.xi > 0)) return T(0.0);
   const T xi = slab.xi * path * k.per_beta2, w_max = k.w_max();
-  // The number of collisions above the cut is xi (1/cut - 1/w_max) before the spectrum's factor: more where
-  // more is lost, so that a track has some tens in all.
+  // The number of collisions above the cut is xi (1/cut - 1/w_max) before the spectrum's factor. It is larger
+  // where the loss is larger, so that a track has some tens in all.
   const T expected = smaller(larger(xi / keV, 0.2), 1.0), per_max = 1.0 / w_max;
   const T weight = expected + xi * per_max, cut = xi / weight;
   const T soft_mean = restricted_loss(slab, path, k, cut);

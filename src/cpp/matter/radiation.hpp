@@ -12,7 +12,8 @@ namespace cgemit {
 // Mean and variance of y per radiation length: integrals of y dN and y^2 dN.
 inline constexpr double radiated_mean = 1.0, radiated_variance = 17.0 / 36;
 
-// Energy, GeV, of the photons that an electron of this energy radiates in x0 radiation lengths; they leave.
+// Energy, GeV, of the photons that an electron of this energy radiates in x0 radiation lengths. The photons
+// leave the detector.
 double sample_radiation(double energy, double x0, const Stream& stream, std::uint32_t place);
 
 }  // namespace cgemit

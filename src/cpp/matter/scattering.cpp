@@ -6,13 +6,13 @@ namespace cgemit {
 
 namespace {
 
-// Hard scatters expected: this many on the whole way through the detector, shared out in proportion so that
-// nothing depends on how matter is cut, but no fewer and no more than these in a slab.
+// Expected numbers of hard scatters: in the whole detector, shared among the slabs in proportion so that the
+// result does not depend on how matter is cut; and the smallest and largest number in one slab.
 constexpr double hard_in_all = 6, least_hard = 0.1, most_hard = 4;
 
 // Moliere's screening angle squared times p^2 for beta = 0 of the correction below; Lynch and Dahl, eq. 4.
 constexpr double screening_scale = 2.007e-5 * MeV * MeV;
-// The correction is 1 + slow/beta^2, slow = 3.34 (Z alpha)^2.
+// The correction is 1 + slow/beta^2 with slow = 3.34 (Z alpha)^2.
 double slowness(double z) { return 3.34 * z * z * fine_structure * fine_structure; }
 
 double screening_of(double z, double per_beta2, Screening screening) {
@@ -27,7 +27,7 @@ double nuclear_size(double a) {
   return radius * radius / 12;
 }
 
-// Transfer above which `wanted` scatters are expected at beta = 1; 0 if there are not as many.
+// Transfer above which `wanted` scatters are expected at beta = 1; 0 if fewer are expected in all.
 double transfer_for(const Slab& slab, double wanted, Screening screening) {
   const auto expected = [&](double q2) {
     double n = 0;
@@ -71,7 +71,7 @@ void prepare_table(Slab& slab, Screening screening) {
   }
 }
 
-// One hard scatter, as a space angle; 0 if the proposed one does not happen.
+// One hard scatter, as a space angle; 0 if the proposed scatter is rejected.
 double hard_angle(const Slab& slab, double p, double per_beta2, double recoil, Draws& draws) {
   const double which = draws.next();
   const auto h = std::ranges::find_if(slab.hard, [&](const HardScatterer& e) { return which <= e.up_to; });
@@ -97,7 +97,7 @@ double hard_angle(const Slab& slab, double p, double per_beta2, double recoil, D
 void prepare_scattering(Detector& detector, Screening screening) {
   double total = 0;
   for (Slab& slab : detector.slabs) {
-    slab.chi_c2 = slab.chi_c2_electrons = 1e-30;  // a slab of nothing has logarithms, too
+    slab.chi_c2 = slab.chi_c2_electrons = 1e-30;  // logarithms must also exist for a slab of no matter
     for (const Component& c : slab.components) {
       const double electrons = bethe_constant * electron_mass * c.z * c.moles;
       slab.chi_c2 += electrons * (c.z + 1);
@@ -123,7 +123,7 @@ void add_hard_scatters(const Slab& slab, int n, double p, double per_beta2, doub
     kick.angle_1 += a;
     kick.angle_2 += b;
     if (!slab.shifts) continue;
-    // It happens anywhere in the slab, as evenly as a slab of this spread allows.
+    // The scatter happens at a uniformly distributed depth of the slab, with the slab's spread.
     const double ahead = std::sqrt(12.0) * depth * (draws.next() - 0.5);
     kick.shift_1 += a * ahead;
     kick.shift_2 += b * ahead;

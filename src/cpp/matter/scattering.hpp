@@ -1,9 +1,10 @@
 // Multiple Coulomb scattering from the elements of a slab.
 //
-// One cross-section serves both sides. With q = p theta the momentum transfer, one element adds
+// The fit and the simulation use the same cross-section. With q = p theta the momentum transfer, one element
+// adds
 //   dN/dq^2 = (c_i/beta^2) / (q^2 + a_i^2)^2,   c_i = K m_e Z^2 n_i on nuclei, K m_e Z n_i on electrons,
-// n_i in mol/cm^2 (Bethe, Phys. Rev. 89 (1953) 1256; Moliere's chi_c^2 = c/(p beta)^2, chi_a = a/p). Nuclei
-// scatter less beyond their size, electrons take no more than their largest recoil.
+// n_i in mol/cm^2 (Bethe, Phys. Rev. 89 (1953) 1256; Moliere's chi_c^2 = c/(p beta)^2, chi_a = a/p). The
+// nuclear size reduces scattering at large transfers, and electrons take at most their largest recoil.
 #pragma once
 
 #include <cmath>
@@ -14,19 +15,19 @@
 
 namespace cgemit {
 
-// Screening of the nucleus by its electrons: Moliere's, or his squared times 1 + exp(-Z^2/1000), as in the
-// Wentzel-VI model of Geant4.
+// Screening of the nucleus by its electrons: Moliere's screening angle, or its square times 1 +
+// exp(-Z^2/1000), as in the Wentzel-VI model of Geant4.
 enum class Screening { wentzel, moliere };
 
 // Fills in the scattering tables of all slabs.
 void prepare_scattering(Detector& detector, Screening screening);
 
-// The core of the angle's distribution, as a Gaussian: variance of all scatters below a transfer q_F, of
-// which 1 - F are cut off on either side; Lynch and Dahl, Nucl. Instrum. Methods B 58 (1991) 6, eq. 7, F =
-// 0.98. It is the q_F of all slabs of the group on the track, so that their variances add up.
+// Gaussian core of the angular distribution: variance of all scatters below a transfer q_F, with a fraction 1
+// - F cut off on either side; Lynch and Dahl, Nucl. Instrum. Methods B 58 (1991) 6, eq. 7, F = 0.98. q_F is
+// the same for all slabs of a group on the track, so that their variances add up.
 inline constexpr double core_fraction = 0.98;
 
-// Plane angle squared. 1/(p beta) is the mean (geometric) of that before and after the slab.
+// Variance of the plane angle. 1/(p beta) is the geometric mean of the values before and after the slab.
 template <class T>
 T scattering_variance(const Slab& slab, T path, const KinematicsOf<T>& before, const KinematicsOf<T>& after,
                       const TrackMatterOf<T>& track) {
@@ -36,7 +37,7 @@ T scattering_variance(const Slab& slab, T path, const KinematicsOf<T>& before, c
   const ScatteringSumOf<T>& total = track.scattering[scattering_group(slab)];
   const T log_cut = log_cut_scale + total.log_chi_c2 - before.log_beta2();
   T sum = slab.chi_c2 * (log_cut - screening - 1.0);
-  // Electrons recoil with 2 m_e W_max at most; where that is less, the core ends earlier for them.
+  // Electrons recoil with at most 2 m_e W_max; where this is below the cut, it limits their part of the core.
   const T recoil = 2 * electron_mass * before.w_max(), cut = cut_scale * total.chi_c2 * before.per_beta2;
   const mask_of<T> less = recoil < cut;
   if (any(less)) sum -= select(less, slab.chi_c2_electrons * log(cut / recoil), T(0.0));
@@ -46,7 +47,7 @@ T scattering_variance(const Slab& slab, T path, const KinematicsOf<T>& before, c
 }
 
 // Turns the flight direction by plane angles about the two axes across it, and shifts the point along them.
-// Axis 1 is horizontal (in the transverse plane), axis 2 completes a right-handed set with the flight.
+// Axis 1 is horizontal (in the transverse plane); axis 2 completes a right-handed set with the flight.
 template <class T>
 struct KickOf {
   T angle_1{0.0}, angle_2{0.0}, shift_1{0.0}, shift_2{0.0};  // rad, mm
@@ -84,12 +85,12 @@ void apply_kick(HelixPointOf<T>& point, const KickOf<T>& kick) {
   point.tanl = up * per_transverse;
 }
 
-// Hard scatters, n of them, of a particle of this momentum; added to what the kick is already. `depth`: mm,
-// standard deviation of where in the slab they happen. `recoil`: (GeV/c)^2, the most that electrons take.
+// Adds n hard scatters of a particle of this momentum to the kick. `depth`: mm, standard deviation of their
+// depth in the slab. `recoil`: (GeV/c)^2, the largest transfer to electrons.
 void add_hard_scatters(const Slab& slab, int n, double p, double per_beta2, double recoil, double depth,
                        Draws& draws, Kick& kick);
 
-// Scatters of a slab: soft ones as a Gaussian, hard ones (transfer above `slab.hard_from`) one by one.
+// Scatters in a slab: soft ones as a Gaussian, hard ones (transfer above `slab.hard_from`) one by one.
 template <class T>
 KickOf<T> sample_scattering(const Slab& slab, const T& path, const KinematicsOf<T>& before,
                             const KinematicsOf<T>& after, const StreamOf<T>& stream, std::uint32_t place) {

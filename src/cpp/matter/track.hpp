@@ -1,9 +1,10 @@
-// What a track crosses in all, and how much of a slab it sees.
+// The total matter along a track, and the path of a track in a slab.
 //
-// Core widths of scattering and straggling are not additive: cut a slab in two and the sum differs. They are
-// therefore taken once for all matter that acts on the same parameters and shared out in proportion, so that
-// nothing depends on how matter is cut. All energy losses act on kappa. Of the scatters only those between
-// the wires do, and kappa has to know their own core: they hold a few per cent of the matter.
+// Core widths of scattering and straggling are not additive: the sum changes if a slab is cut in two. The
+// core is therefore computed once for all matter that acts on the same parameters and shared out in
+// proportion, so that the result does not depend on how matter is cut. All energy losses act on kappa. Of the
+// scatters only those between the wires act on kappa, and they contain a few per cent of the matter, so they
+// have their own core.
 #pragma once
 
 #include <algorithm>
@@ -21,7 +22,7 @@ namespace cgemit {
 inline constexpr double least_kinetic = 0.1 * MeV;
 
 // Groups of slabs whose scatters act on the same parameters: the gas and wires of the drift chamber, which
-// alone decide on kappa, and everything else, which decides on direction and position at the origin.
+// alone affect kappa, and all other slabs, which affect direction and position at the origin.
 inline constexpr std::size_t scattering_groups = 2;
 inline std::size_t scattering_group(const Slab& slab) { return slab.ends ? 1 : 0; }
 
@@ -41,7 +42,7 @@ struct TrackMatterOf {
 };
 using TrackMatter = TrackMatterOf<double>;
 
-// Matter of the detector along a straight line from the origin with this slope.
+// Matter of the detector along a straight line from the origin with this tanl.
 template <class T>
 TrackMatterOf<T> total_matter(const Detector& detector, T tanl) {
   TrackMatterOf<T> total;
@@ -59,19 +60,19 @@ TrackMatterOf<T> total_matter(const Detector& detector, T tanl) {
   total.loss = detector.loss;
   for (ScatteringSumOf<T>& sum : total.scattering) {
     sum.chi_c2 *= path;
-    sum.log_chi_c2 = log(larger(sum.chi_c2, 1e-15));  // of an empty detector, too
+    sum.log_chi_c2 = log(larger(sum.chi_c2, 1e-15));  // finite for an empty detector, too
   }
   return total;
 }
 
-// Factor by which a track sees a slab thicker than at normal incidence: `stretch` = 1/cos(lambda), times
-// 1/cos(a), cos(a) = P/r. A grazing track sees at most the chord of the shell.
+// Path of a track in a slab over the path at normal incidence: `sec_lambda` = 1/cos(lambda), times 1/cos(a),
+// cos(a) = P/r. The path of a grazing track is at most the chord of the shell.
 template <class T>
-T path_factor(const Slab& slab, T stretch, T outward) {
-  return stretch * slab.radius / larger(outward, slab.least_outward);
+T path_factor(const Slab& slab, T sec_lambda, T outward) {
+  return sec_lambda * slab.radius / larger(outward, slab.least_outward);
 }
 
-// Where a slab's table is read.
+// Position on the grid of a slab's table.
 struct GridPlace {
   std::size_t i;
   double fraction;
@@ -85,7 +86,7 @@ struct GridPlace {
   double between(double a, double b) const { return a + fraction * (b - a); }
 };
 
-// The same, per track.
+// The same for several tracks.
 template <class T>
 struct GridPlaces {
   std::array<std::size_t, lanes_of<T>> i;
@@ -105,7 +106,7 @@ struct GridPlaces {
   }
 };
 
-// A column of that table, and its slope, per track.
+// A column of that table and its slope, per track.
 template <class T>
 struct Read {
   T value, slope;

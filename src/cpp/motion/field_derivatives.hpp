@@ -1,14 +1,15 @@
-// How neighbouring tracks move beside a reference through a field map, by the five parameters of its start.
+// Motion of neighbouring tracks relative to a reference trajectory in a field map, by the five parameters of
+// its start.
 //
-// A neighbour is described where it passes the plane across the transverse flight u of the reference: by how
-// far to the left (m, a quarter turn from u) and how far up it lies, and by the differences of azimuth, slope
+// A neighbour is described where it crosses the plane across the transverse flight u of the reference: by its
+// distance to the left (along m, a quarter turn from u) and upward, and by the differences of azimuth, slope
 // and charge/p. With s the transverse arc of the reference, w its curvature and T = d(tanl)/ds,
 //   a' = psi,   psi' = dw - w^2 a,   z' = tau - tanl w a,   tau' = dT - T w a,
 // where dw and dT are the changes of
 //   w = bend S (tanl B_u - B_z),   T = bend S^3 B_m,   S = sec(lambda),
-// by place, azimuth, slope and bend. A step is a helix for its first half, a kick by everything that a helix
-// along z does not know (slopes of the field and its components across the beam), and a helix for its second
-// half: exact in a uniform field along z, of second order in the rest.
+// by position, azimuth, slope and bend. A step is a helix for its first half, a kick with all effects that a
+// helix along z does not include (slopes of the field and its components across the beam), and a helix for
+// its second half. It is exact in a uniform field along z and of second order in the other effects.
 #pragma once
 
 #include <array>
@@ -18,7 +19,7 @@
 
 namespace cgemit {
 
-// One step of a reference, as `RungeKutta` made it.
+// One step of a reference, as made by `RungeKutta`.
 template <class T>
 struct FieldStep {
   T h;               // mm, path
@@ -35,21 +36,21 @@ struct FieldStep {
   }
 };
 
-// The curvature that a field gives a flight.
+// The curvature of a flight in a field.
 template <class T>
 T curvature(const HelixPointOf<T>& point, const Vec3<T>& b, const T& bend) {
   const T sec = sqrt(1.0 + point.tanl * point.tanl);
   return bend * sec * (point.tanl * (point.ux * b.x + point.uy * b.y) - b.z);
 }
 
-// d(tanl)/ds along a flight through a field.
+// d(tanl)/ds of a flight in a field.
 template <class T>
 T slope_rate(const HelixPointOf<T>& point, const Vec3<T>& b, const T& bend) {
   const T square = 1.0 + point.tanl * point.tanl;
   return bend * square * sqrt(square) * (point.ux * b.y - point.uy * b.x);
 }
 
-// Changes of the curvature by charge/p and by tanl.
+// Derivatives of the curvature by charge/p and by tanl.
 template <class T>
 struct CurvatureSlopes {
   T bend, tanl;
@@ -65,7 +66,7 @@ struct FieldDerivatives {
   using Row = std::array<T, 5>;
   Row across, psi, bend, z, tanl;
 
-  // Along an arc of a helix.
+  // Propagates along an arc of a helix.
   void drift(const T& w, const T& s, const T& slope, const CurvatureSlopes<T>& w_by) {
     const T f = w * s;
     const StepIntegral<T> turn = step_integral(f);
@@ -90,7 +91,7 @@ struct FieldDerivatives {
             arc4 = step.t4.x * end.ux + step.t4.y * end.uy;
     const T part = step.h * (1.0 / 8), s_first = part * (3.0 * arc1 + arc4),
             s_second = part * (arc1 + 3.0 * arc4);
-    // Parabolas through the three places, averaged over either half.
+    // Parabolas through the three points, averaged over each half.
     const CurvatureSlopes<T> by1 = curvature_slopes(start, step.b1, step.bend),
                              by2 = curvature_slopes(middle, step.b2.b, step.bend),
                              by4 = curvature_slopes(end, step.b4, step.bend);
@@ -106,7 +107,7 @@ struct FieldDerivatives {
     drift(half(end.w, middle.w, start.w), s_second, middle.tanl, halves(by4, by2, by1));
   }
 
-  // Lanes `m` of a, the others of b.
+  // Takes a in the lanes of `m` and b in the others.
   friend FieldDerivatives select(const mask_of<T>& m, FieldDerivatives a, const FieldDerivatives& b) {
     for (Row FieldDerivatives::* row :
          {&FieldDerivatives::across, &FieldDerivatives::psi, &FieldDerivatives::bend, &FieldDerivatives::z,
@@ -128,7 +129,7 @@ struct FieldDerivatives {
     const Vec3<T>& b = step.b2.b;
     const Mat3<T>& g = step.b2.slope;
     const T b_u = ux * b.x + uy * b.y, b_m = ux * b.y - uy * b.x;
-    // Changes of B by the place, to the left and up.
+    // Derivatives of B by position, to the left and up.
     const Vec3<T> left{ux * g.x.y - uy * g.x.x, ux * g.y.y - uy * g.y.x, ux * g.z.y - uy * g.z.x};
     const T left_u = ux * left.x + uy * left.y, left_m = ux * left.y - uy * left.x;
     const T up_u = ux * g.x.z + uy * g.y.z, up_m = ux * g.y.z - uy * g.x.z;
@@ -138,7 +139,7 @@ struct FieldDerivatives {
             psi_psi = in_plane * slope * b_m;
     const T tanl_a = bent_upward * (left_m - at.w * b_m), tanl_z = bent_upward * up_m,
             tanl_psi = -bent_upward * b_u, tanl_tanl = 3.0 * in_plane * slope * b_m, tanl_bend = upward * b_m;
-    // A kick changes the directions that it depends on: their change counts by half.
+    // A kick changes the directions that it depends on; half of this change is included.
     const T more_psi = 1.0 + 0.5 * psi_psi, more_tanl = 1.0 + 0.5 * tanl_tanl, half = 0.5 * tanl_psi;
     for (std::size_t i = 0; i < 5; ++i) {
       const T by_psi = psi_a * across[i] + psi_z * z[i] + psi_psi * psi[i];
@@ -150,8 +151,8 @@ struct FieldDerivatives {
   }
 };
 
-// Derivatives on their way through one move: the last step waits until it is known where the move ends, so
-// that small corrections of its length cost no step of their own.
+// Derivatives during one move. The last step is kept open until the end point of the move is known, so that
+// small corrections of its length need no step of their own.
 template <class T>
 class CarriedDerivatives {
  public:
@@ -164,7 +165,7 @@ class CarriedDerivatives {
     last_ = all(who) ? step : select(who, step, last_);
     waiting_ = waiting_ | who;
   }
-  // A correction by h, to where the direction is t and the field b, changed by `change`.
+  // Corrects the last step by a length h, to a point with direction t and field b, changed by `change`.
   void extend(const T& h, const Vec3<T>& t, const Vec3<T>& b, const Vec3<T>& change, const mask_of<T>& who) {
     last_.h += h;
     last_.t4 = select<T>(who, t, last_.t4);

@@ -1,6 +1,6 @@
 // Motion in a field map with the same interface as in a uniform field: to a cylinder, to the outermost point,
-// to a wire. Each is a Newton iteration over Runge-Kutta steps; the helix that touches the track supplies the
-// guesses.
+// to a wire. Each is a Newton iteration over Runge-Kutta steps; the helix that touches the track gives the
+// step lengths.
 #pragma once
 
 #include <cmath>
@@ -13,15 +13,15 @@
 
 namespace cgemit {
 
-// A point that remembers the field there. As `w` it carries the curvature that this field gives it, and its
-// tanl changes on the way.
+// A point that also stores its field. Its `w` is the curvature in this field, and its tanl changes along the
+// track.
 template <class T>
 struct FieldHelixPoint : HelixPointOf<T> {
   FieldValue<T> field;
 };
 
-// An arc is the path over 1/cos(dip) where it began. Every function moves lanes `who` and returns those that
-// arrived; the others stay where they are.
+// An arc is the path divided by 1/cos(dip) at its start. Every function moves the lanes `who` and returns
+// those that arrived; the others stay where they are.
 template <class T>
 class FieldMotionOf {
  public:
@@ -32,26 +32,26 @@ class FieldMotionOf {
   explicit FieldMotionOf(const FieldMap& field) : stepper_(field), field_(field) {}
   explicit FieldMotionOf(const Detector& detector) : FieldMotionOf(detector.field) {}
 
-  // Gives a point the curvature of kappa = charge/pT, which the particle keeps as charge/p.
+  // Sets the curvature of a point from kappa = charge/pT; the particle keeps charge/p.
   void bend(HelixPointOf<T>& point, const T& kappa) {
     set_bend(point, kappa);
     point.w = curvature(point, field_at(point).b, bend_);
   }
-  // The same where the field is known.
+  // The same for a point that knows its field.
   void bend(Point& point, const T& kappa, const Mask& who = Mask(true)) {
     bend_ = select(who, kappa / (radius_per_kappa * sqrt(1.0 + point.tanl * point.tanl)), bend_);
     point.w = select(who, curvature<T>(point, point.field.b, bend_), point.w);
   }
-  // A smaller momentum: charge/p grows by `ratio`.
+  // Momentum loss: charge/p grows by the factor `ratio`.
   void lose(Point& point, const T& ratio) {
     bend_ *= ratio;
     point.w *= ratio;
   }
-  // Another direction, at the same place and momentum.
+  // To be called after a change of direction at the same position and momentum.
   void turned(Point& point) const { point.w = curvature<T>(point, point.field.b, bend_); }
-  // For a point that was put there by hand.
+  // Evaluates the field at a point that was set directly.
   void look(Point& point) const { point.field = field_at(point); }
-  // For derivatives that go along with every move; null: none.
+  // Derivatives to be propagated with every move; null: none.
   void carry(FieldDerivatives<T>* derivatives) { derivatives_ = derivatives; }
 
   T bz(const Point& point) const { return point.field.b.z; }
@@ -71,8 +71,9 @@ class FieldMotionOf {
       T step(0.0);
       const Mask reached = step_to_cylinder(guess, r, step, outward, walk.moving);
       if (const Mask missed = walk.moving & !reached; any(missed)) {
-        // A cylinder below the closest approach. Where the helix turns back below one outside the track need
-        // not: go on to there, and see.
+        // Either the cylinder lies below the closest approach, or the touching helix turns back before a
+        // cylinder farther out. The track need not turn back there: it is followed to the turning point of
+        // the helix and tried again.
         const T apex = arc_to_apex(walk.here);
         const Mask goes_on =
             missed & !(r < walk.here.radius()) & (apex > close) & (apex * abs(walk.here.w) < pi);
@@ -88,7 +89,7 @@ class FieldMotionOf {
     return arrived;
   }
 
-  // To the outermost point ahead.
+  // To the next outermost point.
   template <class P>
   Mask to_apex(P& point, T& arc, Mask who = Mask(true)) {
     Walk walk(*this, point, who);
@@ -100,7 +101,7 @@ class FieldMotionOf {
       const Mask there = walk.moving & (abs(step) < close);
       arrived = arrived | there;
       walk.moving = walk.moving & !there;
-      // The turn ahead or behind after which P vanishes.
+      // The turn, forward or backward, after which P vanishes.
       const T along = 1.0 - walk.here.w * walk.here.sideways(), p = walk.here.outward() / along;
       step = -p * atan_over(walk.here.w * p);
     }
@@ -149,11 +150,11 @@ class FieldMotionOf {
 
  private:
   static constexpr int most_iterations = 20;
-  // mm; what is left along the track changes a distance by its square only, a place by itself.
+  // mm; an error along the track changes a distance in second order, a position in first order
   static constexpr double close = 1e-5, exact = 1e-12;
-  static constexpr double short_step = 3e-3;  // mm; shorter ones need no more than the curvature
+  static constexpr double short_step = 3e-3;  // mm; shorter steps need the curvature only
 
-  // Steps along the track; nothing counts before `finish`.
+  // State of steps along the track; the points are unchanged before `finish`.
   struct Walk {
     FieldMotionOf& motion;
     Mask moving;
@@ -169,7 +170,7 @@ class FieldMotionOf {
       if (m.derivatives_ != nullptr) carried.emplace(*m.derivatives_, at.t, at.field, m.bend_);
     }
 
-    // Moving lanes take a step. Returns those whose step was so short that it was a correction only.
+    // Moving lanes take a step. Returns those whose step was short enough to be a correction only.
     Mask go(const T& arc) {
       const T step = select(moving, arc * sqrt(1.0 + here.tanl * here.tanl), T(0.0));
       const Mask brief = moving & (abs(step) < short_step);

@@ -42,7 +42,7 @@ T curvature(double bz, T kappa) {
   return kappa * (-bz / radius_per_kappa);
 }
 
-// Moves along the chord of a turn by 2 atan(t): h = tan(half the turn)/w is half of what the step would be if
+// Moves along the chord of a turn by 2 atan(t): h = tan(half the turn)/w is half of the length of the step if
 // straight.
 template <class T>
 void turn(HelixPointOf<T>& point, T h, T t) {
@@ -59,10 +59,11 @@ void turn(HelixPointOf<T>& point, T h, T t) {
   point.ux = ux;
 }
 
-// Moves to the cylinder of radius r. `outward`: to where the helix leaves it. That lies ahead from inside the
-// cylinder; from outside, on the way out, it lies behind (a negative arc). Else to where the helix enters it,
-// for a point outside on its way in. Returns false, leaving the point alone, when the helix does not reach
-// it. `arc` receives the transverse path, 0 where there is none. Lanes other than `who` stay where they are.
+// Moves to the cylinder of radius r. With `outward`, to the point where the helix leaves it: this point is
+// ahead if the start is inside the cylinder, and behind (a negative arc) if the start is outside and moving
+// outward. Otherwise to the point where the helix enters it, for a start outside that moves inward. Returns
+// false and leaves the point unchanged if the helix does not reach the cylinder. `arc` receives the
+// transverse path, 0 if there is none. Lanes other than `who` stay where they are.
 template <class T>
 [[nodiscard]] mask_of<T> step_to_cylinder(HelixPointOf<T>& point, std::type_identity_t<T> r, T& arc,
                                           bool outward = true, mask_of<T> who = mask_of<T>(true)) {
@@ -75,11 +76,11 @@ template <class T>
   if (!any(reached)) return reached;
   const T root = sqrt(larger(p1_squared, 0.0)), p1 = outward ? root : -root;
   const T p0 = point.outward();
-  // Two forms of one number; each is a difference of equals where the other is not. Heading in and leaving on
-  // the other side needs the second, above all when the point lies on the cylinder.
+  // Two forms of one number; each is a difference of equal terms where the other is not. A helix that moves
+  // inward and leaves on the other side needs the second, above all if the point lies on the cylinder.
   const mask_of<T> through = outward & (p0 < 0.0);
   const T sum = p0 + p1;
-  const auto no_step = sum == 0.0;  // a graze: only a point that is there already has reached it
+  const auto no_step = sum == 0.0;  // a tangent: only a point that lies on the cylinder has reached it
   T h = choose(
       through,
       [&] { return 0.5 * (p1 - p0) / (1.0 - point.w * (point.sideways() + 0.25 * point.w * difference)); },
@@ -87,7 +88,8 @@ template <class T>
   reached = reached & (through | !no_step | (difference == 0.0));
   h = select(reached, h, T(0.0));
   const T t = point.w * h;
-  // On the way through, h < 0 is a turn by more than pi; otherwise it is a step back to a smaller radius.
+  // On a helix that crosses the cylinder's inside, h < 0 is a turn by more than pi; otherwise it is a step
+  // back to a smaller radius.
   const mask_of<T> far_side = through & (h < 0.0);
   const T near_arc = 2.0 * h * atan_over(t);
   arc = any(far_side) ? select(far_side, (2.0 * atan(t) + copysign(T(2.0 * pi), point.w)) / point.w, near_arc)
@@ -97,7 +99,7 @@ template <class T>
   return reached;
 }
 
-// Moves by a transverse arc, forward or back.
+// Moves by a transverse arc, forward or backward.
 template <class T>
 void advance(HelixPointOf<T>& point, std::type_identity_t<T> arc) {
   const T h = 0.5 * arc * tangent_over(0.5 * point.w * arc);
@@ -122,8 +124,8 @@ StepIntegral<T> step_integral(T f) {
   return {select(is_short, i.along, (1.0 - s.cosine) / q), select(is_short, i.across, (f - s.sine) / q)};
 }
 
-// Transverse arc ahead to the point farthest from the beam line, where P falls through 0; infinite if
-// straight.
+// Transverse arc ahead to the point farthest from the beam line, where P falls through 0; infinite for a
+// straight track.
 template <class T>
 T arc_to_apex(const HelixPointOf<T>& point) {
   const T bend = abs(point.w), sideways = point.sideways();

@@ -1,11 +1,11 @@
-// Motion in a field that changes from place to place: Runge-Kutta-Nystrom steps of fourth order.
+// Motion in a non-uniform field: Runge-Kutta-Nystrom steps of fourth order.
 //
-// With x the place, t the direction of flight (unit vector) and l the path,
+// With x the position, t the direction of flight (unit vector) and l the path,
 //   dx/dl = t,   dt/dl = a = bend (t x B(x)),   bend = charge/p over 10^6/c: 1/(mm T).
-// Three places of a step know the field, four directions the force (E. J. Nystroem, Acta Soc. Sci. Fenn. 50
-// no. 13 (1925); J. Myrheim and L. Bugge, Nucl. Instrum. Methods 160 (1979) 43). The field at the end serves
-// for the next step, too. That in the middle is the cubic through the values and slopes at both ends, so that
-// a step asks for the field once.
+// A step uses the field at three points and the force in four directions (E. J. Nystroem, Acta Soc. Sci.
+// Fenn. 50 no. 13 (1925); J. Myrheim and L. Bugge, Nucl. Instrum. Methods 160 (1979) 43). The field at the
+// end is reused by the next step. The field in the middle is the cubic through the values and slopes at both
+// ends, so that a step evaluates the field once.
 #pragma once
 
 #include <cmath>
@@ -31,8 +31,8 @@ class RungeKutta {
  public:
   explicit RungeKutta(const FieldMap& field) : field_(field) {}
 
-  // Moves lanes `who` along the path, back if it is negative; `derivatives` go along. Returns those that are
-  // still inside the map; the others are left where they came out.
+  // Moves the lanes `who` along the path, backward if it is negative, and propagates `derivatives`. Returns
+  // the lanes that are still inside the map; the others stop where they left it.
   mask_of<T> advance(FieldPoint<T>& point, const T& bend, const T& path, const mask_of<T>& who,
                      CarriedDerivatives<T>* derivatives) {
     mask_of<T> inside = who & field_.holds(point.x);
@@ -58,7 +58,7 @@ class RungeKutta {
   static constexpr int most_steps = 100000;
   static constexpr double most_growth = 4, shortest = 1e-3;  // mm
 
-  // Lanes whose step was too long; the length of their next one.
+  // Lanes whose step was too long; sets the length of their next step.
   mask_of<T> adapt(const T& h, const T& error, const mask_of<T>& is_last, const mask_of<T>& moving) {
     const T length = abs(h), tolerance(field_.tolerance);
     const mask_of<T> some = error > 0.0;
@@ -71,14 +71,14 @@ class RungeKutta {
     return refused;
   }
 
-  // Returns the error, mm.
+  // Makes a step. Returns its error, mm.
   T make(const FieldPoint<T>& from, const T& bend, const T& h, FieldStep<T>& step, FieldPoint<T>& end) const {
     const T hb = h * bend;
     const Vec3<T>&x = from.x, &t = from.t;
     const FieldValue<T>& here = from.field;
     const Vec3<T> by_path = here.slope * t;
     const Vec3<T> turn1 = cross(t, here.b), t2 = t + 0.5 * hb * turn1;
-    // Where the end will be.
+    // Estimated end point.
     const Vec3<T> guess = cross(t2, here.b + 0.5 * h * by_path);
     const Vec3<T> x4 = x + h * t + h * hb * (1.0 / 6) * (turn1 + 2.0 * guess);
     end.field = field_.at(x4);
@@ -98,7 +98,7 @@ class RungeKutta {
   static Vec3<T> normalized(const Vec3<T>& v) { return 1.0 / sqrt(dot(v, v)) * v; }
 
   const FieldMap& field_;
-  T step_{HUGE_VAL};  // mm, what the tolerance allowed last
+  T step_{HUGE_VAL};  // mm, step allowed by the tolerance
 };
 
 }  // namespace cgemit

@@ -1,4 +1,4 @@
-// Motion in a uniform field, as the simulation asks for it; see `motion/field_motion.hpp` for the other one.
+// Motion in a uniform field with the simulation's interface; `motion/field_motion.hpp` is for field maps.
 #pragma once
 
 #include "detector/detector.hpp"
@@ -18,7 +18,7 @@ class UniformMotionOf {
   explicit UniformMotionOf(const Detector& detector) : bz_(detector.bz) {}
 
   void look(Point&) const {}
-  // Gives points the curvature of kappa = charge/pT.
+  // Sets the curvature of points from kappa = charge/pT.
   void bend(Point& point, const T& kappa, const Mask& who) const {
     point.w = select(who, curvature(bz_, kappa), point.w);
   }

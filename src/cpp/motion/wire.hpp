@@ -22,9 +22,9 @@ struct ApproachOf {
 };
 using Approach = ApproachOf<double>;
 
-// Moves `point` to its closest approach: where f(s) = (point - wire) . (tangent across the wire) vanishes, by
-// the reverted Taylor series of f with three derivatives; from far away the first step is straight. False if
-// that does not settle; the point is then anywhere. Lanes other than `who` stay where they are.
+// Moves `point` to its closest approach, where f(s) = (point - wire) . (tangent across the wire) vanishes, by
+// the reverted Taylor series of f with three derivatives; from far away the first step is straight. Returns
+// false if this does not converge; the point is then undefined. Lanes other than `who` stay where they are.
 template <class T>
 [[nodiscard]] mask_of<T> approach_wire(HelixPointOf<T>& point, const WireOf<T>& wire, ApproachOf<T>& result,
                                        mask_of<T> who = mask_of<T>(true)) {
@@ -52,7 +52,7 @@ template <class T>
         select(moving, select(near, first * (1.0 - curve + 2.0 * curve * curve - twist), first), T(0.0));
     advance(point, step);
     arc += step;
-    // What is left is of third order in these.
+    // The remaining error is of third order in these.
     const T order = abs(curve) + abs(point.w * step);
     moving = moving & !(near & (abs(step) * order * order * order < accuracy));
   }

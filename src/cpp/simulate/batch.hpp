@@ -1,5 +1,6 @@
-// The simulation of a table of particles, W of them side by side: chunk by chunk they fly, ionize the gas of
-// the drift gaps, have their delta electrons followed, and are written in the order of their rows.
+// Simulates a table of particles, W of them side by side. For each chunk the particles are transported,
+// ionize the gas of the drift gaps, their delta electrons are followed, and the rows are written in the order
+// of the input.
 #pragma once
 
 #include <algorithm>
@@ -14,8 +15,8 @@
 
 namespace cgemit {
 
-// A chunk has particles enough for their delta electrons to fill lanes of their own. What becomes of a
-// particle does not depend on its companions. `MotionOf`: in the field that they fly through.
+// A chunk has enough particles for their delta electrons to fill lanes of their own. The result for a
+// particle does not depend on the others. `MotionOf`: motion in the field.
 template <class T, template <class> class MotionOf>
 class Batch {
  public:
@@ -23,10 +24,10 @@ class Batch {
         std::uint64_t seed, Simulated& out)
       : detector_(detector), in_(in), settings_(settings), seed_(seed), out_(out) {}
 
-  // From a row on; returns the first row that is left.
+  // Simulates the chunk that begins with row `first`. Returns the first row that is left.
   std::size_t run(std::size_t first) {
     const std::size_t end = take_seats(first);
-    // Written at once, cells leave the memory nearest to the processor to the next group.
+    // Cells that are written at once free the cache for the next group.
     const bool cells_at_once = alone_used_ == 0;
     for (std::size_t g = 0; g * width < side_by_side_; ++g) {
       std::vector<CellRecord<T>>& cells = cells_at_once ? groups_[0].cells : groups_[g].cells;
@@ -43,7 +44,7 @@ class Batch {
  private:
   static constexpr std::size_t width = lanes_of<T>, most_seats = 32, most_rows = 256;
 
-  // Particles that fly side by side.
+  // Particles that are simulated side by side.
   template <class N>
   struct Group {
     typename Flight<N, MotionOf<N>>::Rows rows;
@@ -52,18 +53,18 @@ class Batch {
     std::vector<GapRecord<N>> gaps;
     std::vector<CellRecord<N>> cells;
   };
-  // Where a particle flies: in a lane of a group, or alone.
+  // Position of a particle: a lane of a group, or on its own.
   struct Seat {
     std::size_t row;
     bool alone;
     std::size_t group;
     int lane;
   };
-  // What a particle leaves in a drift gap.
+  // The result of a particle in a drift gap.
   struct Filled {
     GapCrossing crossing;
     Ionized ionized;
-    std::size_t clusters;  // deposits of its own
+    std::size_t clusters;  // deposits of the particle itself
   };
 
   bool flies(std::size_t row) const { return in_.charge[row] != 0 && (in_.px[row] != 0 || in_.py[row] != 0); }
@@ -110,7 +111,7 @@ class Batch {
       f(groups_[seat.group]);
   }
 
-  // Ionization clusters, and the delta electrons that are to be followed.
+  // Draws the ionization clusters, and the delta electrons to be followed.
   void ionize() {
     electrons_.clear();
     clusters_.clear();
@@ -202,13 +203,13 @@ void simulate_in(const Detector& detector, const ParticleColumns& particles, con
   for (std::size_t row = 0; row < particles.event.size();) row = batch.run(row);
 }
 
-// Room for so many particles.
+// Reserves memory for this many particles.
 inline void reserve(const Detector& detector, const SimulateSettings& settings, std::size_t n,
                     Simulated& out) {
   out.status.reserve(n);
   reserve_rows(out.truths, n * detector.cgem.size());
   if (settings.deltas && settings.fluctuations == Fluctuations::full) reserve_rows(out.steps, 10 * n);
-  // Tracks pass a little more than one cell of a layer.
+  // Tracks cross slightly more than one cell of a layer.
   reserve_rows(out.wire_truths, n * (detector.wires.size() + detector.wires.size() / 8));
 }
 

@@ -1,8 +1,9 @@
-// Which drift cells of a layer tracks pass: one track, or one per lane.
+// The drift cells of a layer that tracks cross: for one track, or one per lane.
 #pragma once
 
 #include <cmath>
 
+#include "common/compiler.hpp"
 #include "detector/wires.hpp"
 #include "motion/helix.hpp"
 
@@ -33,15 +34,15 @@ struct CellBorders {
   }
 };
 
-// Cells from first to last, both included, to be taken modulo the cells of the layer.
+// Cells from first to last, both included; cell numbers are modulo the number of cells of the layer.
 template <class T, class Point>
 struct CellRange {
   T first{0.0}, last{0.0};
-  Point at_wires;  // where the track is at the radius of the wires, or nearest to it
-  T arc{0.0};      // mm, transverse path to there
+  Point at_wires;  // point of the track at the radius of the wires, or closest to it
+  T arc{0.0};      // mm, transverse path to this point
 };
 
-// Asked layer by layer on the way out. `Motion`: in the field that the tracks fly through.
+// Called layer by layer, outward. `Motion`: motion in the field.
 template <class T, class Motion>
 class CellFinder {
  public:
@@ -50,7 +51,7 @@ class CellFinder {
 
   CellFinder(const Detector& detector, Motion& motion) : wires_(detector.wires), motion_(motion) {}
 
-  // Every cell between the radial borders, for those tracks `who` that do not turn back below them.
+  // Finds every cell between the radial borders, for the tracks `who` that do not turn back below them.
   Mask find(std::size_t index, const Point& from, const Mask& who, CellRange<T, Point>& range) {
     const WireLayer& layer = wires_[index];
     range.at_wires = from;
@@ -67,11 +68,12 @@ class CellFinder {
     const Mask others = who & !found & !left_;
     return any(others) ? found | step_by_step(layer, from, borders, others, range) : found;
   }
-  // Which of the tracks came to the edge of the field map instead.
+  // Tracks that left the field map instead.
   const Mask& left() const { return left_; }
 
  private:
-  // From the slope at the wires; false where the bend of the track could make a difference.
+  // Cells from the slope of the track at the wires; false if the curvature of the track could change the
+  // result.
   Mask by_slope(const WireLayer& layer, const CellBorders<T>& borders, const Mask& who,
                 CellRange<T, Point>& range) {
     const HelixPointOf<T>& middle = range.at_wires;
@@ -93,7 +95,7 @@ class CellFinder {
     return few & (0.5 - abs(low - range.first) > unsure) & (0.5 - abs(high - range.last) > unsure);
   }
 
-  // Counted on from the last point that was asked for: between wire layers the turn is small.
+  // Azimuth continued from the previous point: between wire layers the turn is small.
   T azimuth_of(const HelixPointOf<T>& at, const Mask& who) {
     const T cross = last_x_ * at.y - last_y_ * at.x, dot = last_x_ * at.x + last_y_ * at.y;
     const Mask ahead = (dot > 0.0) & (abs(cross) < dot);
@@ -107,10 +109,9 @@ class CellFinder {
     return azimuth_;
   }
 
-  // From one border to the other.
-  [[gnu::noinline]] Mask step_by_step(const WireLayer& layer, const Point& start,
-                                      const CellBorders<T>& borders, const Mask& who,
-                                      CellRange<T, Point>& range) {
+  // Follows the track from one border to the other.
+  CGEMIT_NOINLINE Mask step_by_step(const WireLayer& layer, const Point& start, const CellBorders<T>& borders,
+                                    const Mask& who, CellRange<T, Point>& range) {
     T arc(0.0);
     Point from = start, to = range.at_wires;
     const Mask enters = motion_.to_cylinder(from, borders.inner, arc, true, who);
@@ -129,7 +130,7 @@ class CellFinder {
     return enters;
   }
 
-  // Cells that the azimuth relative to the wires passes from one point to another.
+  // Number of cells that the azimuth relative to the wires crosses from one point to another.
   static T cells_between(const WireLayer& layer, const HelixPointOf<T>& a, const HelixPointOf<T>& b) {
     const T cross = a.x * b.y - a.y * b.x, dot = a.x * b.x + a.y * b.y, ratio = cross / dot;
     const T turn =

@@ -1,4 +1,4 @@
-// Charged particles through the detector: from the vertex outward through matter, drift gaps and drift cells.
+// Transport of charged particles: from the vertex outward through matter, drift gaps and drift cells.
 #pragma once
 
 #include <algorithm>
@@ -7,13 +7,14 @@
 #include <cmath>
 #include <vector>
 
+#include "common/compiler.hpp"
 #include "simulate/cells.hpp"
 #include "simulate/records.hpp"
 #include "simulate/slab_draws.hpp"
 
 namespace cgemit {
 
-inline constexpr std::uint32_t inward_leg = 1U << 19;  // above any number of a particle
+inline constexpr std::uint32_t inward_leg = 1U << 19;  // above any particle number
 
 inline Stream stream_of(const ParticleColumns& in, std::size_t row, std::uint64_t seed,
                         std::uint32_t leg = 0) {
@@ -21,9 +22,9 @@ inline Stream stream_of(const ParticleColumns& in, std::size_t row, std::uint64_
           static_cast<std::uint32_t>(in.particle[row]) | leg};
 }
 
-// One particle, or W of them side by side, one per SIMD lane: with masks, a lane gets what its particle would
-// get alone. `Motion`: in the field that they fly through. Electrons and positrons fly alone.
-// The hot functions are flattened: numbers should stay in registers.
+// One particle, or W of them side by side, one per SIMD lane. Masks ensure that a lane gets the same result
+// as its particle alone. `Motion`: motion in the field. Electrons and positrons are simulated one by one. The
+// hot functions are flattened, so that numbers stay in registers.
 template <class T, class Motion>
 class Flight {
  public:
@@ -32,7 +33,7 @@ class Flight {
   using Point = typename Motion::Point;
   using Rows = std::array<std::size_t, static_cast<std::size_t>(width)>;
 
-  // `rows`: the particles; lanes outside of `used` stay empty.
+  // `rows`: the particles; lanes outside `used` are empty.
   Flight(const Detector& detector, const SimulateSettings& settings, const ParticleColumns& in,
          std::uint64_t seed, const Rows& rows, const Mask& used, std::vector<GapRecord<T>>& gaps,
          std::vector<CellRecord<T>>& cells)
@@ -119,8 +120,8 @@ class Flight {
     return k;
   }
 
-  // Those that begin on their way in meet matter there, before all else. A slab that is crossed on the way in
-  // and again on the way out acts anew.
+  // Particles that start inward first cross the matter there. A slab crossed on the inward and again on the
+  // outward path acts twice, with new random numbers.
   void fly_in() {
     Mask inward = flying_ & (ahead_ > 0.0) & (point_.outward() < 0.0);
     if (!any(inward)) return;
@@ -139,7 +140,7 @@ class Flight {
     stream_ = streams(0);
   }
 
-  // Those that get there.
+  // Returns the lanes that reach the radius.
   Mask reach(double radius, const Mask& who) {
     const Mask arrived = motion_.to_cylinder(point_, radius, arc_, true, who);
     const Mask left = who & motion_.left();
@@ -154,7 +155,7 @@ class Flight {
     flying_ = flying_ & !left;
   }
 
-  T flight_time(const T& arc) const { return arc * stretch_ * now_.per_beta * (1 / speed_of_light); }
+  T flight_time(const T& arc) const { return arc * sec_lambda_ * now_.per_beta * (1 / speed_of_light); }
 
   void arrive(const Mask& arrived) {
     time_ += select(arrived, flight_time(arc_), T(0.0));
@@ -162,11 +163,11 @@ class Flight {
   }
 
   void follow_dip(const Mask& who) {
-    stretch_ = select(who, sqrt(1.0 + point_.tanl * point_.tanl), stretch_);
+    sec_lambda_ = select(who, sqrt(1.0 + point_.tanl * point_.tanl), sec_lambda_);
   }
 
-  // Scatters and slows down at the slab's centroid, where the points are.
-  [[gnu::flatten]] void cross(const Slab& slab, const Mask& arrived) {
+  // Scattering and energy loss at the slab's centroid, where the points are.
+  CGEMIT_FLATTEN void cross(const Slab& slab, const Mask& arrived) {
     Mask within = arrived & (abs(point_.z) <= slab.half_length);
     deposit_ = T(0.0);  // stays 0 beyond the ends
     if (slab.ends) {
@@ -175,10 +176,10 @@ class Flight {
     }
     if (!any(within)) return;
     const T whole =
-        path_factor(slab, stretch_, abs(point_.outward())) * foil_fraction(slab, point_, stream_, within);
+        path_factor(slab, sec_lambda_, abs(point_.outward())) * foil_fraction(slab, point_, stream_, within);
     within = within & (whole != 0.0);
     if (!any(within)) return;
-    // The others see next to nothing, which costs nothing.
+    // The other lanes get a path of nearly zero, so that no lane needs a branch.
     const T path = select(within, whole, T(1e-6));
     const LossDraw<T> drawn = lose(slab, path);
     deposit_ = select(within, drawn.deposit, T(0.0));
@@ -193,7 +194,7 @@ class Flight {
     now_ = select(acts, after, now_);
     helix() = select(acts, there, helix());
     follow_dip(acts);
-    motion_.bend(point_, charge_ * stretch_ * now_.per_p, acts);
+    motion_.bend(point_, charge_ * sec_lambda_ * now_.per_p, acts);
   }
 
   LossDraw<T> lose(const Slab& slab, const T& path) const {
@@ -211,7 +212,7 @@ class Flight {
     }
   }
 
-  // A drift gap: entry, middle and exit lie on one track, then the gas acts in the middle.
+  // A drift gap: entry, middle and exit lie on one track; then the gas acts at the middle.
   void cross_gap(const Slab& slab, const Mask& who) {
     const CgemLayer& layer = detector_.cgem[static_cast<std::size_t>(slab.gap)];
     Point entry = point_;
@@ -222,15 +223,15 @@ class Flight {
     if (!any(arrived)) return;
     Point exit = point_;
     const Mask leaves = motion_.to_cylinder(exit, layer.r_gap_out, rest, true, arrived);
-    const T path = (arc_ - arc + rest) * stretch_;
+    const T path = (arc_ - arc + rest) * sec_lambda_;
     gaps_.push_back({&slab, Mask(false), entry, point_, exit, now_, path, time_, T(0.0), motion_.bz(entry)});
     cross(slab, arrived);
     gaps_.back().deposit = deposit_;
     gaps_.back().filled = arrived & enters & leaves & (deposit_ > 0.0);
   }
 
-  // A track that curls back below a slab may still pass by the next wires, until it turns back below those.
-  [[gnu::flatten]] void pass_cells(std::size_t index, const Mask& who) {
+  // A track that turns back below a slab may still pass the next wires, until it turns back below those.
+  CGEMIT_FLATTEN void pass_cells(std::size_t index, const Mask& who) {
     CellRange<T, Point> range;
     const Mask found = cell_finder_.find(index, point_, who, range);
     stop_at_edge(cell_finder_.left());
@@ -257,7 +258,7 @@ class Flight {
     ApproachOf<T> approach;
     const Mask settled = motion_.approach(closest, wires, approach, who);
     const T time = time_ + flight_time(approach.arc + range.arc);
-    // Neither behind the vertex nor beyond the ends of the wires.
+    // Cells fire neither behind the vertex nor beyond the ends of the wires.
     const Mask fired = settled & (time >= 0.0) & (abs(approach.z_wire) <= layer.half_length);
     if (!any(fired)) return;
     cells_.push_back({&layer, fired, wire, approach.doca, closest.x, closest.y, closest.z, time});
@@ -272,8 +273,8 @@ class Flight {
   StreamOf<T> stream_;
   T charge_, time_{0.0}, arc_{0.0}, deposit_{0.0};
   Point point_;
-  T stretch_{1.0};  // path per transverse arc
-  T ahead_;         // index of the first surface ahead
+  T sec_lambda_{1.0};  // path per transverse arc
+  T ahead_;            // index of the first surface ahead
   KinematicsOf<T> now_;
   TrackMatterOf<T> track_;
   CellFinder<T, Motion> cell_finder_;

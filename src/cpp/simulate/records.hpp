@@ -1,4 +1,4 @@
-// What particles side by side leave on their way, kept until it is written particle by particle.
+// Results of particles simulated side by side, kept until they are written particle by particle.
 #pragma once
 
 #include <array>
@@ -23,7 +23,7 @@ Kinematics lane(const KinematicsOf<T>& k, int i) {  // of heavy particles
           lane(k.has_spin, i) > 0 ? Projectile::spin_half : Projectile::spinless};
 }
 
-// Crossings of one drift gap, and which of the particles leave something there.
+// Crossings of one drift gap; the mask holds the particles with a recorded crossing.
 template <class T>
 struct GapRecord {
   const Slab* slab;
@@ -34,7 +34,7 @@ struct GapRecord {
   T bz;                   // T, at the entry
 };
 
-// A cell of each particle in one layer of wires.
+// One cell of each particle in one layer of wires.
 template <class T>
 struct CellRecord {
   const WireLayer* layer;

@@ -1,4 +1,4 @@
-// The tables that the simulation writes, one vector a column. `each_column` calls a function with the name
+// The tables written by the simulation, one vector per column. `each_column` calls a function with the name
 // and the values of every column.
 #pragma once
 
@@ -45,14 +45,14 @@ struct Truths {
   }
 };
 
-// One row per deposit in a drift gap: a piece of a delta electron's way, or an ionization cluster.
+// One row per deposit in a drift gap: a piece of a delta electron's path, or an ionization cluster.
 struct Steps {
   std::vector<std::int64_t> event;
   std::vector<std::int32_t> particle, layer;
   std::vector<double> x, y, z, dx, dy, dz;  // mm, middle, and end minus begin
   std::vector<double> energy;               // keV
   std::vector<std::int32_t> electrons;
-  std::vector<std::int8_t> parent;  // 0 the particle, 1 a delta electron
+  std::vector<std::int8_t> parent;  // 0: the particle, 1: a delta electron
   std::vector<std::int32_t> delta;  // number of the delta electron in the crossing, from 1
   std::vector<std::int64_t> truth;  // row of the crossing
 
@@ -66,7 +66,7 @@ struct Steps {
   }
 };
 
-// One row per drift cell that a particle passes.
+// One row per drift cell that a particle crosses.
 struct WireTruths {
   std::vector<std::int64_t> event;
   std::vector<std::int32_t> particle, layer, wire;

@@ -16,7 +16,7 @@ enum class Fluctuations { full, gaussian, off };
 
 struct SimulateSettings {
   Fluctuations fluctuations;
-  bool deltas;  // electrons that leave the track's way
+  bool deltas;  // electrons that leave the particle's track
   bool steps;   // also the particle's own ionization clusters
 };
 
@@ -35,8 +35,8 @@ struct Simulated {
   std::vector<TransportStatus> status;  // one per particle
 };
 
-// Appends to `out`. Hits are recorded on the way out; a particle that first moves inward only meets the
-// matter there.
+// Appends to `out`. Hits are recorded on the outward path only; a particle that starts inward first crosses
+// the matter there.
 void simulate(const Detector& detector, const ParticleColumns& particles, const SimulateSettings& settings,
               std::uint64_t seed, Simulated& out);
 

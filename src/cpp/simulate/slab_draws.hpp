@@ -1,4 +1,4 @@
-// Energy loss and scattering of particles in a slab, as the simulation draws them.
+// Random energy loss and scattering of particles in a slab, as used by the simulation.
 #pragma once
 
 #include "matter/foil.hpp"
@@ -12,10 +12,10 @@ namespace cgemit {
 template <class T>
 struct LossDraw {
   T loss;     // GeV
-  T deposit;  // GeV, what of it the slab keeps: photons leave
+  T deposit;  // GeV, the part of the loss that stays in the slab: photons leave
 };
 
-// All fluctuations. `place`: of the random numbers.
+// All fluctuations. `place`: the RNG counter's.
 template <class T>
 LossDraw<T> draw_loss(const Slab& slab, const T& path, const KinematicsOf<T>& now, const StreamOf<T>& stream,
                       std::uint32_t place) {
@@ -28,8 +28,8 @@ LossDraw<T> draw_loss(const Slab& slab, const T& path, const KinematicsOf<T>& no
   return {collisions, collisions};
 }
 
-// The noise that the fit assumes, or none. The loss may be negative in thin matter; the slab keeps its
-// expected value.
+// The Gaussian noise that the fit assumes, or no noise. The loss may be negative in thin matter; the deposit
+// in the slab is the expected loss.
 template <class T>
 LossDraw<T> draw_core_loss(const LossMomentsOf<T>& core, bool fluctuates, const StreamOf<T>& stream,
                            std::uint32_t place) {
@@ -53,7 +53,7 @@ KickOf<T> draw_core_kick(const Slab& slab, const T& path, const T& sigma, const 
   return kick;
 }
 
-// The part of the slab beside the holes of its foil that each of the particles `who` crosses.
+// Fraction of the slab outside the holes of its foil that each of the particles `who` crosses.
 template <class T>
 T foil_fraction(const Slab& slab, const HelixPointOf<T>& point, const StreamOf<T>& stream,
                 const mask_of<T>& who) {

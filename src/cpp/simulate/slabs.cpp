@@ -8,7 +8,7 @@ namespace cgemit {
 
 namespace {
 
-// Moves to a plane across x.
+// Moves in a straight line to a plane across x.
 void drift(HelixPoint& point, double x) {
   const double step = (x - point.x) / point.ux;
   point.x = x;
@@ -40,9 +40,9 @@ TransportStatus pass(const Detector& detector, Kinematics now, const Stream& str
 
 }  // namespace
 
-Passages through_slabs(const Detector& detector, const Kinematics& incoming, std::uint64_t first,
-                       std::size_t n, std::uint64_t seed) {
-  Passages out;
+SlabResults through_slabs(const Detector& detector, const Kinematics& incoming, std::uint64_t first,
+                          std::size_t n, std::uint64_t seed) {
+  SlabResults out;
   if (detector.slabs.empty()) return out;
   for (auto* column : {&out.angle_1, &out.angle_2, &out.shift_1, &out.shift_2, &out.loss}) column->reserve(n);
   for (std::size_t row = 0; row < n; ++row) {

@@ -1,4 +1,4 @@
-// Particles straight through a stack of slabs: what the matter alone does to them.
+// Particles in a straight line through a stack of slabs: the effect of the matter alone.
 #pragma once
 
 #include <cstdint>
@@ -10,18 +10,18 @@
 
 namespace cgemit {
 
-// One row per particle, behind the stack. Plane angles and shifts (against the unscattered line) in the two
-// planes across the flight.
-struct Passages {
+// One row per particle, after the stack. Plane angles and shifts (relative to the unscattered line) in the
+// two planes across the flight.
+struct SlabResults {
   std::vector<double> angle_1, angle_2;  // rad
   std::vector<double> shift_1, shift_2;  // mm
   std::vector<double> loss;              // GeV, all of the kinetic energy if stopped
   std::vector<TransportStatus> status;   // outside, stopped, or curled: turned back
 };
 
-// Particles number `first` to `first` + n through the slabs of the detector as plane sheets at distances r_in
-// to r_out, met at normal incidence.
-Passages through_slabs(const Detector& detector, const Kinematics& incoming, std::uint64_t first,
-                       std::size_t n, std::uint64_t seed);
+// Particles number `first` to `first` + n through the slabs of the detector, taken as plane layers at
+// distances r_in to r_out and crossed at normal incidence.
+SlabResults through_slabs(const Detector& detector, const Kinematics& incoming, std::uint64_t first,
+                          std::size_t n, std::uint64_t seed);
 
 }  // namespace cgemit
