@@ -48,7 +48,7 @@ class FitHits:
         `HIT_X`, `HIT_V` or `HIT_WIRE`.
     layer : ndarray, (hits,) int32
         CGEM layer, or the experiment's number of the wire layer.
-    element : ndarray, (hits,) int32
+    channel : ndarray, (hits,) int32
         Sheet or wire.
     value : ndarray, (hits,) float64, mm
         Local X or V on the sheet, or drift distance.
@@ -66,7 +66,7 @@ class FitHits:
     hit_offsets: npt.NDArray[np.int64]
     kind: npt.NDArray[np.uint8]
     layer: npt.NDArray[np.int32]
-    element: npt.NDArray[np.int32]
+    channel: npt.NDArray[np.int32]
     value: npt.NDArray[np.float64]
     sigma: npt.NDArray[np.float64]
     size: npt.NDArray[np.int32]

@@ -273,14 +273,14 @@ def _measurements(clusters: Columns, wires: Columns) -> Columns:
         (wires, np.arange(len(wires["layer"])), HIT_WIRE, "wire", "drift", "sigma"),
     ]  # fmt: skip
     joined: dict[str, list[Column]] = {}
-    for table, rows, kind, element, value, sigma in parts:
+    for table, rows, kind, channel, value, sigma in parts:
         layer = table["layer"][rows]
-        of = {"layer": layer, "element": table[element][rows], "value": table[value][rows], "sigma": table[sigma][rows]}
+        of = {"layer": layer, "channel": table[channel][rows], "value": table[value][rows], "sigma": table[sigma][rows]}
         of |= {"kind": np.full(len(layer), kind), "row": table["given_row"][rows], "size": np.zeros(len(layer))}
         of["side"] = table["side"][rows] if kind == HIT_WIRE else np.zeros(len(layer))
         for name, column in of.items():
             joined.setdefault(name, []).append(column)
-    kinds = {"kind": "u1", "layer": "i4", "element": "i4", "size": "i4", "side": "i8", "row": "i8"}
+    kinds = {"kind": "u1", "layer": "i4", "channel": "i4", "size": "i4", "side": "i8", "row": "i8"}
     columns = {name: np.concatenate(column).astype(kinds.get(name, "f8")) for name, column in joined.items()}
     return columns | {"side": np.clip(columns["side"], -128, 127).astype(np.int8)}
 

@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+import _thread
 import argparse
+import contextlib
 import importlib
 import io
+import os
 import re
 import shlex
+import signal
 import sys
+import threading
 import traceback
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any, TextIO, cast
 
 from cgemit.cli.common import BAD_INPUT, COMMANDS, INTERRUPTED, OK, RUN_FAILED, HelpFormatter, RunFailedError
-from cgemit.cli.interrupts import interrupts_kept, pipes_kept
 from cgemit.version import VERSION
 
 _DESCRIPTION = """\
@@ -24,13 +30,13 @@ examples:
   cgemit study                                       every figure and number of arXiv:1504.02570 in ./cgemit-study
   cgemit resolution -d besiii-cgem --p 0.2:2.0:10 -o curves
   cgemit slab "Kapton 300 um + Cu 33 um" --particle pi- --p 0.5
-                                                     scattering and energy loss in sheets of matter
+                                                     scattering and energy loss in layers of matter
   cgemit show besiii-cgem                            tables of material and read-out, pictures
   cgemit simulate -d besiii-cgem --particle pi+ --p 0.5 --cos-theta 0 -n 1000 --fit -o sample
   cgemit settings > settings.toml                    settings of all stages; --settings settings.toml uses them
 
 exit codes: 0 ok, 2 bad input, 3 the run failed, 130 interrupted
-Problems of a detector, a gun or sheets of matter are all listed at once; a malformed option ends at the first."""
+Problems of a detector, a gun or layers of matter are all listed at once; a malformed option ends at the first."""
 
 
 def build_parser() -> argparse.ArgumentParser:
@@ -40,8 +46,8 @@ def build_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"cgemit {VERSION}")
     subparsers = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
-    for name in COMMANDS:
-        importlib.import_module(f"cgemit.cli.{name}").add_parser(subparsers)
+    for module in dict.fromkeys(COMMANDS.values()):
+        importlib.import_module(f"cgemit.cli.{module}").add_parser(subparsers)
     return parser
 
 
@@ -102,6 +108,85 @@ def join_negative_values(argv: Sequence[str]) -> list[str]:
         else:
             joined.append(word)
     return joined
+
+
+_AGAIN = 0.02  # s
+
+
+@contextmanager
+def interrupts_kept() -> Iterator[None]:
+    """Repeat an interrupt that Python has dropped, and take SIGTERM for one.
+
+    By default SIGTERM ends the process on the spot, and unfinished folders stay behind.
+
+    An exception that arises while an object is taken down (a finalizer, a weak reference's callback) is reported and
+    forgotten; matplotlib has many of these, so that Ctrl-C during the drawing would sometimes do nothing.
+    """
+    report = sys.unraisablehook
+
+    def repeat(dropped: sys.UnraisableHookArgs) -> None:
+        if dropped.exc_type is KeyboardInterrupt:
+            # Later and from outside: here it would be dropped again.
+            threading.Timer(_AGAIN, _thread.interrupt_main).start()
+        else:
+            report(dropped)
+
+    sys.unraisablehook = repeat
+    # Python handles signals in its main thread only; a program that calls us may have a handler of its own.
+    takes_over = (
+        threading.current_thread() is threading.main_thread() and signal.getsignal(signal.SIGTERM) == signal.SIG_DFL
+    )
+    if takes_over:
+        signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        sys.unraisablehook = report
+        if takes_over:
+            signal.signal(signal.SIGTERM, signal.SIG_DFL)
+
+
+@contextmanager
+def pipes_kept() -> Iterator[None]:
+    """Let a command go on without its reader when that has gone, as `head` does after some lines.
+
+    Its files are written all the same, and the exit code is that of the command.
+    """
+    streams = sys.stdout, sys.stderr
+    sys.stdout, sys.stderr = (cast(TextIO, _Kept(stream)) for stream in streams)
+    try:
+        yield
+    finally:
+        sys.stdout.flush()
+        sys.stdout, sys.stderr = streams
+
+
+class _Kept:
+    """A text stream that drops what cannot be written any more."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+
+    def write(self, text: str) -> int:
+        try:
+            return self._stream.write(text)
+        except BrokenPipeError:
+            self._drop()
+            return len(text)
+
+    def flush(self) -> None:
+        try:
+            self._stream.flush()
+        except BrokenPipeError:
+            self._drop()
+
+    def _drop(self) -> None:
+        """Send what is still in the buffer, and everything to come, to nowhere."""
+        with contextlib.suppress(io.UnsupportedOperation), open(os.devnull, "wb") as nowhere:  # noqa: PTH123
+            os.dup2(nowhere.fileno(), self._stream.fileno())
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
 
 
 if __name__ == "__main__":

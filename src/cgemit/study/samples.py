@@ -17,8 +17,7 @@ from cgemit.record import gun_data, record
 from cgemit.result import Settings
 from cgemit.simulate import TransportStatus
 from cgemit.statistics.estimate import FEWEST
-from cgemit.study.cluster_residuals import ClusterResiduals, cluster_residuals
-from cgemit.study.deltas import DeltaFractions, delta_fractions
+from cgemit.study.cluster_residuals import ClusterResiduals, DeltaFractions, cluster_residuals, delta_fractions
 from cgemit.tables import Table
 
 #: Shows progress: share of the work that is done (0 to 1) and what is running.

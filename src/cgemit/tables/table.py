@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from cgemit.problems import did_you_mean
-from cgemit.tables import convert, files, show
+from cgemit.tables import convert, files
 from cgemit.tables.check import Array, check_columns, event_range, schema_of
 
 
@@ -201,10 +201,10 @@ class Table:
         return Table, (self.kind, dict(self.columns), self.n_events, self.first_event, self.meta, self._gaps)
 
     def __repr__(self) -> str:
-        return show.text(self)
+        return convert.text(self)
 
     def _repr_html_(self) -> str:
-        return show.html(self)
+        return convert.html(self)
 
     def to_pandas(self) -> Any:
         """Return a pandas data frame, one row per row; a matrix column becomes ``name_0_0, name_0_1, ...``."""

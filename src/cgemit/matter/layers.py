@@ -1,4 +1,4 @@
-"""Sheets of matter as text, such as ``"Kapton 300 um + Cu 33 um"``."""
+"""Layers of matter as text, such as ``"Kapton 300 um + Cu 33 um"``."""
 
 import re
 from typing import NamedTuple
@@ -11,45 +11,45 @@ from cgemit.units import NATIVE, QuantityError, parse_quantity
 _EXAMPLE = '"Kapton 300 um", "He/C3H8 60/40 16 mm" or "C 2.0 g/cm3 213.5 um"'
 _QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?\s*(?:[^\s\d.+-]\S*)?)")
 _FRACTIONS = re.compile(r"\s*((?:\d+\.?\d*|\.\d+)(?:/(?:\d+\.?\d*|\.\d+))+)%?(?=\s|$)")
-#: mm. Thinner than an atom is no sheet; far below, X/X0 vanishes in the arithmetic.
+#: mm. Thinner than an atom is no layer; far below, X/X0 vanishes in the arithmetic.
 THINNEST, THICKEST = 1e-9, 1e6
 _DENSITIES = (1e-6, 25.0)  # g/cm3, as in detector files
 
 
-class Sheet(NamedTuple):
-    """A plane sheet: material, thickness in mm, and what was chosen where the text leaves something open."""
+class Layer(NamedTuple):
+    """A plane layer: material, thickness in mm, and what was chosen where the text leaves something open."""
 
     material: Material
     thickness: float
     note: str = ""
 
 
-def parse_stack(text: str, problems: list[Problem]) -> tuple[Sheet, ...]:
-    """Return the sheets that a text describes; add what is wrong with it to `problems`.
+def parse_stack(text: str, problems: list[Problem]) -> tuple[Layer, ...]:
+    """Return the layers that a text describes; add what is wrong with it to `problems`.
 
     Parameters
     ----------
     text : str
-        Sheets with "+" between them: name of the material (`material_named`), for gases fractions by volume such as
+        Layers with "+" between them: name of the material (`material_named`), for gases fractions by volume such as
         ``60/40``, a density if it is not the usual one, and the thickness.
     problems : list of Problem
-        Added to; their path says which sheet, and at which character it begins.
+        Added to; their path says which layer, and at which character it begins.
 
     """
     found = []
-    # An exponent such as 1e+3 is not the end of a sheet.
+    # An exponent such as 1e+3 is not the end of a layer.
     ends = [m.start() for m in re.finditer(r"(?<![\d.][eE])\+", text)]
     starts = [0, *(end + 1 for end in ends)]
     for number, (start, end) in enumerate(zip(starts, [*ends, len(text)], strict=True), 1):
         part = text[start:end]
         column = start + len(part) - len(part.lstrip()) + 1
-        sheet = _sheet(part, f"layer {number}, character {column}", problems)
-        if sheet:
-            found.append(sheet)
+        layer = _layer(part, f"layer {number}, character {column}", problems)
+        if layer:
+            found.append(layer)
     return tuple(found)
 
 
-def _sheet(part: str, place: str, problems: list[Problem]) -> Sheet | None:
+def _layer(part: str, place: str, problems: list[Problem]) -> Layer | None:
     name, _, rest = part.strip().partition(" ")
     if not name:
         problems.append(Problem(place, "nothing", f"material and thickness, as {_EXAMPLE}"))
@@ -65,7 +65,7 @@ def _sheet(part: str, place: str, problems: list[Problem]) -> Sheet | None:
         material, note = material_named(name, volumes, density)
     except MaterialNameError as error:
         problems.append(Problem(place, error.given, error.expected, error.hint))
-    return Sheet(material, thickness, note) if len(problems) == before else None
+    return Layer(material, thickness, note) if len(problems) == before else None
 
 
 def _numbers(text: str, place: str, problems: list[Problem]) -> tuple[float | None, float]:

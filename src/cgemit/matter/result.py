@@ -1,4 +1,4 @@
-"""What is known of particles behind sheets of matter, and how it prints itself."""
+"""What is known of particles behind layers of matter, and how it prints itself."""
 
 from __future__ import annotations
 
@@ -46,8 +46,8 @@ class LayerNumbers:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Passage:
-    """Particles through plane sheets of matter at normal incidence.
+class SlabResult:
+    """Particles through plane layers of matter at normal incidence.
 
     Plane angles are those of both planes across the flight together, of the particles that come through: half width
     of the central 68.27 %, of 98 % over 2.326 and of 99.9 % over 3.291, which agree for a Gaussian. A width with
@@ -78,7 +78,7 @@ class Passage:
     angle_1, angle_2 : (n,) ndarray of float64, rad
         Plane angles; of particles that do not come through where they ended.
     shift_1, shift_2 : (n,) ndarray of float64, mm
-        Displacements behind the last sheet, of particles that do not come through where they ended.
+        Displacements behind the last layer, of particles that do not come through where they ended.
     loss : (n,) ndarray of float64, keV
     status : (n,) ndarray of int8
         `TransportStatus`: outside, stopped or curled.
