@@ -43,7 +43,7 @@ def run_chunk(
     Parameters
     ----------
     detector, fit_detector : Detector
-        What is simulated and digitized, and what finder and fit believe.
+        The detector that is simulated and digitized, and the one that finder and fit assume.
     particles : Table of kind "particles"
     settings : Settings
     seed : int
@@ -93,7 +93,7 @@ def run_chunk(
 
 
 def fit_settings(settings: Settings) -> FitSettings:
-    """Return the settings of the fit, with the screening that was simulated where they do not say.
+    """Return the settings of the fit; a screening of None becomes the simulated one.
 
     Parameters
     ----------
@@ -132,7 +132,7 @@ def run(
     settings : Settings or None
         Of all stages; defaults if None.
     fit_detector : Detector or None
-        What finder and fit assume, if it shall differ from what is simulated.
+        Detector that finder and fit assume. None: the simulated one.
     finder : "truth" or callable
         ``"truth"`` gives each charged particle its own hits. A function of (detector, clusters, wire_hits) returns a
         mapping with the tables ``candidates`` and ``candidate_hits`` (`label_candidates` makes them). It is called for
@@ -142,7 +142,7 @@ def run(
     threads : int or None
         Threads of the pool; all cores if None. Ignored with `executor`.
     executor : concurrent.futures.Executor or None
-        Where the chunks run, instead of an own thread pool.
+        Runs the chunks instead of a thread pool made here.
     chunk : int
         Events per chunk.
     progress : callable or None
@@ -155,9 +155,9 @@ def run(
     Raises
     ------
     ValueError
-        Listing what is wrong with detector, gun, numbers, finder or `until`.
+        Listing every problem of detector, gun, numbers, finder or `until`.
     TypeError
-        If `settings` are something else, such as those of one stage, or processes cannot be given the finder.
+        If `settings` are not of all stages, or the finder cannot be sent to other processes.
     """
     start = time.perf_counter()
     if not isinstance(settings, Settings | None):
@@ -211,18 +211,18 @@ def _check_stages(finder: object, until: object, executor: Executor | None) -> N
 
 
 def _expected(given: object) -> str:
-    """Return what settings should look like; those of one stage go into those of all."""
+    """Return the expected form of settings; those of one stage go into `Settings`."""
     stage = next((f.name for f in fields(Settings) if type(given) is f.default_factory), "")
     return f"Settings({stage}=...)" if stage else "Settings(simulate=..., digitize=..., cluster=..., fit=...)"
 
 
 def check_numbers(where: str, seed: int, threads: int | None, **others: tuple[int | None, int, int]) -> None:
-    """Check whole numbers; None is good.
+    """Check whole numbers; None is allowed.
 
     Parameters
     ----------
     where : str
-        The first word of the message.
+        The beginning of the message.
     seed : int
     threads : int or None
     **others : (int or None, int, int)
@@ -231,7 +231,7 @@ def check_numbers(where: str, seed: int, threads: int | None, **others: tuple[in
     Raises
     ------
     ValueError
-        Listing what is wrong.
+        Listing every problem.
     """
     numbers = {**others, "seed": (seed, 0, 2**64 - 1), "threads": (threads, 1, 2**15)}
     problems = [

@@ -46,7 +46,7 @@ def fit(
         Hits in any order: the fit takes them from the beam line outward.
     settings : FitSettings or None
     start : array_like or None
-        Helices to begin with, (candidates, 5) float64: dr mm, phi0 rad, kappa (GeV/c)^-1, dz mm, tanl. None: the hits
+        Starting helices, (candidates, 5) float64: dr mm, phi0 rad, kappa (GeV/c)^-1, dz mm, tanl. None: the hits
         provide them.
 
     Returns
@@ -59,7 +59,7 @@ def fit(
     Raises
     ------
     ValueError
-        Listing everything that is wrong with the hits or the start.
+        Listing every problem of the hits or the start.
     """
     detector, settings = load(detector), settings or FitSettings()
     core = compiled_for_fit(detector, settings)
@@ -85,7 +85,7 @@ def fit(
 
 
 def _start(given: npt.ArrayLike | None, n: int) -> Floats:
-    """Return the helices to begin with, (n, 5), or (0, 5) for none."""
+    """Return the starting helices, (n, 5), or (0, 5) for none."""
     if given is None:
         return np.empty((0, 5))
     start = np.ascontiguousarray(given, np.float64)
@@ -111,7 +111,7 @@ def compiled_for_fit(detector: Detector, settings: FitSettings) -> _core.Detecto
 def core_arguments(
     detector: Detector, hits: FitHits, mass: Floats, start: Floats, settings: FitSettings
 ) -> dict[str, Any]:
-    """Return what the compiled fit takes.
+    """Return the arguments of the compiled fit.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ def core_arguments(
     hits : FitHits
     mass : ndarray, (n,) float64, GeV/c2
     start : ndarray, (n, 5) float64
-        Helices to begin with; (0, 5): the hits provide them.
+        Starting helices; (0, 5): the hits provide them.
     settings : FitSettings
 
     Returns
@@ -149,7 +149,7 @@ def core_arguments(
 
 
 def _has_cov(status: npt.NDArray[np.generic]) -> npt.NDArray[np.bool_]:
-    """Return whether fits that ended so have a covariance and a chi-square."""
+    """Return whether fits with these statuses have a covariance and a chi-square."""
     return np.isin(status, (_core.FitStatus.ok, _core.FitStatus.not_converged))
 
 
@@ -193,7 +193,7 @@ def _residual_columns(out: Out, hits: FitHits, event: Column) -> Columns:
 
 
 def _with_hypotheses(candidates: Table, names: tuple[str, ...]) -> tuple[Column, Column, Column]:
-    """Return the tracks that the fit makes: each candidate once for every mass that it shall assume.
+    """Return the tracks to fit: each candidate once per mass hypothesis.
 
     Parameters
     ----------
@@ -227,6 +227,6 @@ def _repeated(hits: FitHits, candidate: Column) -> FitHits:
     """
     counts = np.diff(hits.hit_offsets)[candidate]
     offsets = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
-    # Hit j of a repeated candidate is as far behind its first one as in the original.
+    # Hit j of a repeated candidate has the same distance to the candidate's first hit as in the original.
     at = np.arange(offsets[-1]) + np.repeat(hits.hit_offsets[:-1][candidate] - offsets[:-1], counts)
     return FitHits(offsets, **{name: column[at] for name, column in hits.columns().items()})

@@ -33,7 +33,7 @@ def is_whole(given: object, least: int, most: int) -> bool:
 
 @dataclass(frozen=True)
 class InTurn:
-    """Values used one after the other: event number `i` gets the value at place ``i modulo their number``."""
+    """Values used one after the other: event number `i` gets the value at position ``i modulo their number``."""
 
     values: tuple[float, ...]
 
@@ -94,7 +94,7 @@ def _range(path: str, given: tuple[Any, ...], limit: Limit, problems: list[str])
 
 
 def _number(path: str, given: Any, limit: Limit, problems: list[str]) -> float:
-    """Return one number in native units; 0 with a problem added if it is none."""
+    """Return one number in native units; 0, with a problem added, if it is not a number in the limits."""
     if isinstance(given, str):
         try:
             value = parse_quantity(given, limit.dimension)

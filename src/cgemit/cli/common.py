@@ -1,4 +1,4 @@
-"""What several sub-commands share: options, the detector, exit codes, the progress bar."""
+"""Shared parts of the sub-commands: options, the detector, exit codes, the progress bar."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class HelpFormatter(argparse.RawDescriptionHelpFormatter):
 
     def __init__(self, prog: str) -> None:
         super().__init__(prog, max_help_position=30, width=110)
-        # argparse forgets the indent of sub-commands when it works out the width of the first column.
+        # argparse forgets the indent of sub-commands when it computes the width of the first column.
         self._action_max_length = 14
 
 
@@ -49,7 +49,7 @@ class RunFailedError(RuntimeError):
 
 
 class _Once(argparse.Action):
-    """Store a value, and complain about a second one, of which the first would get lost."""
+    """Store a value; a second one is an error, since it would replace the first."""
 
     def __call__(
         self, parser: argparse.ArgumentParser, namespace: argparse.Namespace, values: object, option: str | None = None

@@ -36,7 +36,7 @@ examples:
   cgemit settings > settings.toml                    settings of all stages; --settings settings.toml uses them
 
 exit codes: 0 ok, 2 bad input, 3 the run failed, 130 interrupted
-Problems of a detector, a gun or layers of matter are all listed at once; a malformed option ends at the first."""
+Problems of a detector, a gun or layers of matter are all listed at once; a malformed option is reported alone."""
 
 
 def build_parser() -> argparse.ArgumentParser:
@@ -70,12 +70,12 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _run(list(sys.argv[1:] if argv is None else argv))
 
 
-def _run(words: list[str]) -> int:
+def _run(argv: list[str]) -> int:
     arguments = argparse.Namespace()
     try:
         with interrupts_kept():
-            build_parser().parse_args(join_negative_values(words), arguments)
-            arguments.line = shlex.join(["cgemit", *words])
+            build_parser().parse_args(join_negative_values(argv), arguments)
+            arguments.line = shlex.join(["cgemit", *argv])
             importlib.import_module("cgemit.isa").choose()  # a wrong CGEMIT_ISA is a mistake, whatever is run
             return int(arguments.run(arguments) or OK)
     except SystemExit as stop:  # --help, --version, or arguments that argparse has complained about
@@ -102,11 +102,11 @@ def _report(error: Exception, code: int, debug: bool) -> int:
 def join_negative_values(argv: Sequence[str]) -> list[str]:
     """Write ``--cos-theta -0.9:0.9`` as ``--cos-theta=-0.9:0.9``, since argparse would take the value for an option."""
     joined: list[str] = []
-    for word in argv:
-        if joined and re.fullmatch(r"--[a-z-]+", joined[-1]) and re.match(r"-\.?\d", word):
-            joined[-1] += f"={word}"
+    for text in argv:
+        if joined and re.fullmatch(r"--[a-z-]+", joined[-1]) and re.match(r"-\.?\d", text):
+            joined[-1] += f"={text}"
         else:
-            joined.append(word)
+            joined.append(text)
     return joined
 
 
@@ -115,18 +115,18 @@ _AGAIN = 0.02  # s
 
 @contextmanager
 def interrupts_kept() -> Iterator[None]:
-    """Repeat an interrupt that Python has dropped, and take SIGTERM for one.
+    """Repeat an interrupt that Python has dropped; SIGTERM counts as an interrupt.
 
-    By default SIGTERM ends the process on the spot, and unfinished folders stay behind.
+    By default SIGTERM ends the process at once and leaves unfinished folders behind.
 
-    An exception that arises while an object is taken down (a finalizer, a weak reference's callback) is reported and
-    forgotten; matplotlib has many of these, so that Ctrl-C during the drawing would sometimes do nothing.
+    Python reports and then drops an exception in a finalizer or in the callback of a weak reference. matplotlib has
+    many of these, so Ctrl-C during drawing would sometimes do nothing.
     """
     report = sys.unraisablehook
 
     def repeat(dropped: sys.UnraisableHookArgs) -> None:
         if dropped.exc_type is KeyboardInterrupt:
-            # Later and from outside: here it would be dropped again.
+            # Sent later, from outside the finalizer: here it would be dropped again.
             threading.Timer(_AGAIN, _thread.interrupt_main).start()
         else:
             report(dropped)
@@ -148,9 +148,9 @@ def interrupts_kept() -> Iterator[None]:
 
 @contextmanager
 def pipes_kept() -> Iterator[None]:
-    """Let a command go on without its reader when that has gone, as `head` does after some lines.
+    """Let a command continue after its reader has closed the pipe, as `head` does after some lines.
 
-    Its files are written all the same, and the exit code is that of the command.
+    The files of the command are still written, and its exit code is kept.
     """
     streams = sys.stdout, sys.stderr
     sys.stdout, sys.stderr = (cast(TextIO, _Kept(stream)) for stream in streams)
@@ -162,7 +162,7 @@ def pipes_kept() -> Iterator[None]:
 
 
 class _Kept:
-    """A text stream that drops what cannot be written any more."""
+    """A text stream that drops its output once the pipe is closed."""
 
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream
@@ -181,7 +181,7 @@ class _Kept:
             self._drop()
 
     def _drop(self) -> None:
-        """Send what is still in the buffer, and everything to come, to nowhere."""
+        """Send the buffer and all later output to the null device."""
         with contextlib.suppress(io.UnsupportedOperation), open(os.devnull, "wb") as nowhere:  # noqa: PTH123
             os.dup2(nowhere.fileno(), self._stream.fileno())
 

@@ -49,8 +49,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         help="fit too: candidates, tracks and their matches with particles (so do --states, --hypothesis, --set fit.*)",
     )
     parser.add_argument(
-        "--states", type=read.places, metavar="PLACE,...",
-        help="also write where the fitted tracks are, with covariance: radii (mm), origin, beam_line, beam_pipe, hits",
+        "--states", type=read.surfaces, metavar="SURFACE,...",
+        help="also write the states of the fitted tracks: radii (mm), origin, beam_line, beam_pipe, hits",
     )  # fmt: skip
     changes.add_hypothesis(parser, several=True)
     parser.add_argument("--json", action="store_true", help="write the summary to stdout as JSON")

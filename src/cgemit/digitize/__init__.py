@@ -1,4 +1,4 @@
-"""Digitization: truths become digis, passages of drift cells drift distances (docs/methods/digitize.md)."""
+"""Digitization: truths become digis, crossings of drift cells become drift distances (docs/methods/digitize.md)."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class DigitizeSettings(SettingsData):
     Raises
     ------
     ValueError
-        Listing every value that makes no sense.
+        Listing every invalid value.
     """
 
     readout: Readout = field(default_factory=BinaryReadout, metadata=one_of(READOUTS))
@@ -74,9 +74,9 @@ def digitize(
         Of kind ``wire_truths``, of the same events.
     settings : DigitizeSettings or None
     seed : int
-        Key of the random numbers. They depend on seed, event, particle, layer and wire, on nothing else.
+        Key of the random numbers. They depend only on seed, event, particle, layer and wire.
     steps : Table or None
-        Of kind ``steps``, linked to `truths` and in their order: delta electrons deposit where they went (binary).
+        Of kind ``steps``, linked to `truths` and in their order: delta electrons deposit along their paths (binary).
         Without it, all energy of a truth lies between entry and exit.
 
     Returns
@@ -88,7 +88,7 @@ def digitize(
     ------
     ValueError
         If a layer or wire is not in the detector, a value is not finite, or a step does not belong to its truth or has
-        values that no step has.
+        invalid values.
     """
     settings = settings or DigitizeSettings()
     if steps is None:

@@ -17,7 +17,7 @@ _DENSITIES = (1e-6, 25.0)  # g/cm3, as in detector files
 
 
 class Layer(NamedTuple):
-    """A plane layer: material, thickness in mm, and what was chosen where the text leaves something open."""
+    """A plane layer: material, thickness in mm, and the default chosen for an incomplete text."""
 
     material: Material
     thickness: float
@@ -25,7 +25,7 @@ class Layer(NamedTuple):
 
 
 def parse_stack(text: str, problems: list[Problem]) -> tuple[Layer, ...]:
-    """Return the layers that a text describes; add what is wrong with it to `problems`.
+    """Return the layers that a text describes; add its problems to `problems`.
 
     Parameters
     ----------
@@ -33,7 +33,7 @@ def parse_stack(text: str, problems: list[Problem]) -> tuple[Layer, ...]:
         Layers with "+" between them: name of the material (`material_named`), for gases fractions by volume such as
         ``60/40``, a density if it is not the usual one, and the thickness.
     problems : list of Problem
-        Added to; their path says which layer, and at which character it begins.
+        Added to; their path names the layer and its first character.
 
     """
     found = []
@@ -69,19 +69,19 @@ def _layer(part: str, place: str, problems: list[Problem]) -> Layer | None:
 
 
 def _numbers(text: str, place: str, problems: list[Problem]) -> tuple[float | None, float]:
-    """Return density (None if not given) and thickness; 1 for what is wrong, since the name is still to be read."""
-    words = [match[1] for match in _QUANTITY.finditer(text)]
-    if re.sub(r"\s", "", "".join(words)) != re.sub(r"\s", "", text) or not 1 <= len(words) <= 2:
+    """Return density (None if not given) and thickness; 1 for a wrong value, since the name is still to be read."""
+    quantities = [match[1] for match in _QUANTITY.finditer(text)]
+    if re.sub(r"\s", "", "".join(quantities)) != re.sub(r"\s", "", text) or not 1 <= len(quantities) <= 2:
         given = f'"{text.strip()}" after the material' if text.strip() else "no thickness"
         problems.append(Problem(place, given, f"a thickness, before it a density if need be, as {_EXAMPLE}"))
         return 1.0, 1.0
     limits = {"density": _DENSITIES, "length": (THINNEST, THICKEST)}
     values = []
-    for word, dimension in zip(words, ("density", "length")[-len(words) :], strict=True):
+    for quantity, dimension in zip(quantities, ("density", "length")[-len(quantities) :], strict=True):
         least, most = limits[dimension]
         values.append(1.0)
         try:
-            value = parse_quantity(word, dimension)
+            value = parse_quantity(quantity, dimension)
         except QuantityError as error:
             problems.append(Problem(place, error.given, error.expected, error.hint))
             continue
@@ -89,5 +89,5 @@ def _numbers(text: str, place: str, problems: list[Problem]) -> tuple[float | No
             values[-1] = value
         else:
             expected = f"a {dimension} from {least:g} to {most:g} {NATIVE[dimension]}"
-            problems.append(Problem(place, f'"{word.strip()}"', expected))
+            problems.append(Problem(place, f'"{quantity.strip()}"', expected))
     return (values[0] if len(values) == 2 else None), values[-1]

@@ -25,24 +25,24 @@ _CHUNK = 20_000
 _PIECE = 0.02  # a layer is cut where the particle would lose more of its kinetic energy, or cross more X0, at once
 _MOST_PIECES = 100  # of a layer
 _STOPPED = 1e-3  # a particle has stopped on average where it has this fraction of its kinetic energy left
-_WIDEST = 1e3  # mrad; formulas of small angles say nothing above
+_WIDEST = 1e3  # mrad; formulas for small angles are not valid above
 _KEV = 1e6  # per GeV
 
 
 class SlabError(ProblemsError[Problem]):
-    """Bad input about layers of matter; `problems` lists everything that is wrong with it.
+    """Bad input about layers of matter; `problems` lists every problem.
 
     Attributes
     ----------
     source : str
-        What was asked for.
+        The function with the bad input.
     problems : tuple of Problem
         Each with `path`, `given`, `expected`, `hint`.
     """
 
 
 class _Order(NamedTuple):
-    """What was asked for, checked."""
+    """The checked arguments."""
 
     layers: tuple[Layer, ...]
     kind: Species
@@ -70,8 +70,8 @@ def slab(
 ) -> SlabResult:
     """Send particles through plane layers of matter at normal incidence and measure their angles and losses.
 
-    Thick layers are cut into pieces that a particle crosses with less than 2 % of its kinetic energy and of X0; what
-    is behind the place where it stops on average stays in one piece.
+    Thick layers are cut into pieces that a particle crosses with less than 2 % of its kinetic energy and of X0; the
+    part behind the point where it stops on average stays in one piece.
 
     Parameters
     ----------
@@ -99,7 +99,7 @@ def slab(
     Raises
     ------
     SlabError
-        Listing everything that is wrong.
+        Listing every problem.
     """
     order = _check(matter, particle, p, n, seed, screening)
     parts = [(layer.material, layer.thickness) for layer in order.layers]
@@ -153,7 +153,7 @@ def _check(
 
 
 def _layers(matter: object, problems: list[Problem]) -> tuple[Layer, ...]:
-    """Return the layers of pairs; what is none of them is a problem."""
+    """Return the layers of pairs of material and thickness; anything else is a problem."""
     expected = 'a text such as "Kapton 300 um", or a sequence of (Material, thickness in mm)'
     if not isinstance(matter, Sequence):
         problems.append(Problem("matter", repr(matter), expected))
@@ -194,7 +194,7 @@ def _momentum(p: float | str, problems: list[Problem]) -> float:
 
 
 def _pieces(parts: Sequence[tuple[Material, float]], order: _Order, screening: str) -> list[_Piece]:
-    """Cut the layers for a particle that loses what it loses on average."""
+    """Cut the layers for a particle with the mean energy loss."""
     whole = compiled_stack(parts, screening)
     mass, charge = order.kind.mass, float(order.kind.charge)
     chi_c2 = _core.total_matter(whole, 0.0)[2]

@@ -1,4 +1,4 @@
-"""What to learn from the chain's tables: resolutions, pulls and how flat the chi-square probability is."""
+"""Studies of the chain's tables: resolutions, pulls and the flatness of the chi-square probability."""
 
 from cgemit.statistics.chi2 import Flatness, chi2_flatness, chi2_probability
 from cgemit.statistics.estimate import GaussianFit, Resolution, gaussian_fit, measure

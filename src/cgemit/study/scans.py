@@ -115,11 +115,11 @@ def scan_columns(samples: Sequence[Sample]) -> dict[str, list[Any]]:
             columns[f"{what}_{name}_error ({unit})"] = [getattr(w, f"{what}_error") for w in widths]
         columns[f"tail_{name}"] = [w.tail for w in widths]
     columns["fitted"] = [fitted(s) for s in samples]
-    columns["not fitted"] = [_words(s.removed) for s in samples]
+    columns["not fitted"] = [_counts_text(s.removed) for s in samples]
     return columns
 
 
-def _words(counts: Mapping[str, int]) -> str:
+def _counts_text(counts: Mapping[str, int]) -> str:
     return "; ".join(f"{number} {name}" for name, number in counts.items()) or "none"
 
 
@@ -167,7 +167,7 @@ class Scan:
     def _rows(self) -> list[list[str]]:
         pairs = [zip(line.y, line.y_error, strict=True) for line in self.lines]
         cells = [[with_error(*pair) for pair in column] for column in pairs]
-        ends = [[f"{fitted(s)}/{s.n_events}", _words(s.removed)] for s in self.samples]
+        ends = [[f"{fitted(s)}/{s.n_events}", _counts_text(s.removed)] for s in self.samples]
         momenta = [f"{momentum_of(s):g}" for s in self.samples]
         return [[p, *row, *end] for p, row, end in zip(momenta, zip(*cells, strict=True), ends, strict=True)]
 
@@ -177,7 +177,7 @@ class Scan:
         return f"{first.detector.name}, {shot}: core widths; hits {hits_text(first.tracks)}"
 
     def note(self) -> str:
-        """Return what became of the tracks where hardly any was fitted; empty if there are enough everywhere."""
+        """Return how the tracks ended where hardly any was fitted; empty if there are enough everywhere."""
         few = hardly_fitted(self.samples)
         momenta = ", ".join(f"{momentum_of(s):g}" for s in few)
         return f"at {momenta} GeV/c: {why_unfitted(few)}" if few else ""
@@ -192,7 +192,7 @@ class Scan:
 
 
 def summary_of(scans: Sequence[Scan]) -> dict[str, Any]:
-    """Return what `summary.json` holds: the curves of all detectors, shot at alike."""
+    """Return what `summary.json` holds: the curves of all detectors, for the same gun."""
     first = scans[0].samples[0]
     cos_theta = first.gun.cos_theta
     if isinstance(cos_theta, InTurn):
@@ -226,7 +226,7 @@ def save_scans(
     folder : path
     overwrite : bool
     command : str
-        The command line that run.json shall name, if there was one.
+        Command line for run.json, if there was one.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""The numbers that the paper quotes, measured, and why each differs: sentences that hold for what the run has found."""
+"""The numbers that the paper quotes, measured, and why each differs: the sentences follow the numbers of the run."""
 
 from __future__ import annotations
 

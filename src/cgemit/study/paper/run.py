@@ -53,13 +53,13 @@ def reproduce(
     quick : bool
         Fewer events.
     settings : Settings, optional
-        Of all stages: what another model of matter or another read-out does to the numbers.
+        Of all stages, to try another model of matter or another read-out.
     field : str or path, optional
         Another magnetic field than the detectors' own (see `Detector.with_field`).
     overwrite : bool
         Write into a folder that holds files.
     command : str
-        The command line that run.json shall name, if there was one.
+        Command line for run.json, if there was one.
     progress : callable, optional
         Called with the share that is done (0 to 1) and what is running.
 
@@ -140,7 +140,7 @@ def _write(
     study: Reproduction, output: Path, overwrite: bool, command: str, progress: ShowProgress | None
 ) -> Reproduction:
     """Write all files, and return the study with its folder and the time that writing took."""
-    # Only where pictures are drawn is matplotlib loaded; it takes as long as a thousand events.
+    # matplotlib is loaded only where pictures are drawn; the import takes as long as a thousand events.
     from cgemit.study.paper.figures import write_figures
     from cgemit.study.paper.report import paper_report
 
