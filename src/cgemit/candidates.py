@@ -20,10 +20,8 @@ Column = npt.NDArray[Any]
 
 HIT_X, HIT_V, HIT_WIRE, HIT_XV = 0, 1, 2, 3
 """Views of hits; a hit of view `HIT_XV` is an XV cluster with both its coordinates."""
-
 XV_CLUSTER = 2
 """View of XV clusters in the clusters table."""
-
 
 #: A finder takes detector, clusters and wire hits, and returns tables of candidates and their hits.
 Finder = Callable[[Detector, Table, Table], Mapping[str, Table]]

@@ -10,8 +10,6 @@ from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPool
 from dataclasses import fields, replace
 from typing import Any, Literal
 
-import numpy as np
-
 from cgemit import find
 from cgemit.candidates import Finder, by_finder, finder_name
 from cgemit.detector import Detector, load
@@ -24,6 +22,7 @@ from cgemit.record import configuration_of, gun_data
 from cgemit.result import TABLES, Result, Settings, detectors_of
 from cgemit.simulate import simulate
 from cgemit.tables import Table, concatenate
+from cgemit.values import check_numbers
 from cgemit.version import VERSION
 
 STAGES = ("simulate", "digitize", "cluster", "find", "fit")  # where a run can end
@@ -214,33 +213,6 @@ def _expected(given: object) -> str:
     """Return the expected form of settings; those of one stage go into `Settings`."""
     stage = next((f.name for f in fields(Settings) if type(given) is f.default_factory), "")
     return f"Settings({stage}=...)" if stage else "Settings(simulate=..., digitize=..., cluster=..., fit=...)"
-
-
-def check_numbers(where: str, seed: int, threads: int | None, **others: tuple[int | None, int, int]) -> None:
-    """Check whole numbers; None is allowed.
-
-    Parameters
-    ----------
-    where : str
-        The beginning of the message.
-    seed : int
-    threads : int or None
-    **others : (int or None, int, int)
-        More numbers by name, each with its least and most.
-
-    Raises
-    ------
-    ValueError
-        Listing every problem.
-    """
-    numbers = {**others, "seed": (seed, 0, 2**64 - 1), "threads": (threads, 1, 2**15)}
-    problems = [
-        f"{name}: {value!r}, expected a whole number from {least} to {most}"
-        for name, (value, least, most) in numbers.items()
-        if value is not None and not (isinstance(value, int | np.integer) and least <= value <= most)
-    ]
-    if problems:
-        raise ValueError(f"{where}:\n  " + "\n  ".join(problems))
 
 
 def _source(gun: Any, n: int | None) -> tuple[Gun | Guns | None, int, Table | None]:

@@ -113,6 +113,11 @@ def seed_of(seed: int, number: int) -> int:
     return int(np.random.SeedSequence([seed, number]).generate_state(1, np.uint64)[0])
 
 
+def momentum_of(sample: Sample) -> float:
+    """Return the momentum of a sample shot with one momentum, GeV/c."""
+    return float(sample.gun.p)  # type: ignore[arg-type]
+
+
 def fitted(sample: Sample) -> int:
     """Return how many tracks were fitted."""
     return int(np.count_nonzero(sample.tracks["status"] == FitStatus.ok))

@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from cgemit import chain
 from cgemit.detector import Detector
 from cgemit.gun import Gun
 from cgemit.io.folders import SUMMARY, new_folder
@@ -32,13 +31,14 @@ from cgemit.study.samples import (
     ShowProgress,
     fitted,
     hardly_fitted,
+    momentum_of,
     record_of,
     run_samples,
     seed_of,
     why_unfitted,
-)
+)  # fmt: skip
 from cgemit.tables import Table
-from cgemit.values import InTurn
+from cgemit.values import InTurn, check_numbers
 from cgemit.version import VERSION
 
 #: Parameters whose resolution is quoted.
@@ -93,11 +93,6 @@ def angle_lines(tracks: Table, detector: str, parameter: str, edges: npt.ArrayLi
         core, error = curve.column("core"), curve.column("core_error")
         lines.append(Line(f"{name}_{parameter}_cos_theta", detector, np.array(curve.x), "", core, error, unit))
     return lines[0], lines[1]
-
-
-def momentum_of(sample: Sample) -> float:
-    """Return the momentum of a sample shot with one momentum, GeV/c."""
-    return float(sample.gun.p)  # type: ignore[arg-type]
 
 
 def scan_columns(samples: Sequence[Sample]) -> dict[str, list[Any]]:
@@ -291,7 +286,7 @@ def scan(
         If particle or numbers make no sense, or the particle is neutral.
     """
     start = time.perf_counter()
-    chain.check_numbers("scan", seed, threads, events=(events, 1, 2**31 - 1))
+    check_numbers("scan", seed, threads, events=(events, 1, 2**31 - 1))
     gun: dict[str, Any] = {"particle": particle, "cos_theta": cos_theta}
     orders = momentum_orders(detector, momenta, **gun, events=events, seed=seed, settings=settings)
     samples = run_samples(orders, threads=threads, progress=progress)

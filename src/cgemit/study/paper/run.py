@@ -19,6 +19,7 @@ from cgemit.study.paper.reproduction import COS_THETA, DETECTORS, MOMENTA, THIN_
 from cgemit.study.paper.rows import make_rows
 from cgemit.study.samples import Order, Sample, ShowProgress, hardly_fitted, record_of, run_samples, why_unfitted
 from cgemit.study.scans import QUOTED_PARAMETERS, momentum_line, momentum_orders
+from cgemit.values import check_numbers
 
 _EVENTS, _QUICK_EVENTS, _FEWEST_EVENTS = 20_000, 1_500, 400
 _SHARE = 4  # each momentum of the curves gets this part of the events
@@ -75,7 +76,7 @@ def reproduce(
         If events, seed or threads are no such numbers, there is no such field, or too few tracks are fitted at 1 GeV/c.
     """
     events = events if events is not None else _QUICK_EVENTS if quick else _EVENTS
-    chain.check_numbers("study", seed, threads, events=(events, _FEWEST_EVENTS, 2**31 - 1))
+    check_numbers("study", seed, threads, events=(events, _FEWEST_EVENTS, 2**31 - 1))
     if output is not None:
         check_free(output, overwrite=overwrite)
     inputs = Inputs(
