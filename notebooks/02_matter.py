@@ -56,11 +56,11 @@ axes.grid(alpha=0.3)
 
 # %%
 layer = "Kapton 300 um + Cu 33 um + CarbonFiber 120 um + Epoxy 150 um"
-passage = cg.slab(layer, particle="mu-", p=1.0, n=100_000)
-passage
+slab_result = cg.slab(layer, particle="mu-", p=1.0, n=100_000)
+slab_result
 
 # %%
-cg.draw.draw_slab(passage)
+cg.draw.draw_slab(slab_result)
 
 # %% [markdown]
 # Screening of the nucleus by its electrons decides where soft scattering ends. It is a named choice, in the simulation

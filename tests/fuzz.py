@@ -19,11 +19,10 @@ from cgemit.candidates import HIT_WIRE
 from cgemit.cluster import cluster
 from cgemit.detector import load
 from cgemit.digitize import DigitizeSettings, digitize
-from cgemit.fit import PARAMETERS, FitSettings, FitStatus, fit
+from cgemit.fit import PARAMETERS, FitSettings, FitStatus, fit, has_cov
 from cgemit.particles import particles_from
 from cgemit.study.hits import Hits, add_noise, exchange_clusters, keep, lose_layers
 from cgemit.tables import SCHEMAS, Table
-from cgemit.tracks import has_cov
 
 PRESETS = ("besiii-cgem-design", "besiii-cgem", "besiii-idc", "besiii-idc-boss")
 FAR = (50.0, 0.5, 1.0, 300.0, 1.0)

@@ -89,11 +89,11 @@ def hits_of(detector: Detector, out):
         in_layer = np.flatnonzero(wires["layer"] == number)
         i = in_layer[np.argmin(np.abs(wires["doca"][in_layer]))]
         rows.append((2, number, wires["wire"][i], abs(wires["doca"][i]), wires["side"][i]))
-    kind, layer, element, value, side = zip(*rows, strict=True)
+    kind, layer, channel, value, side = zip(*rows, strict=True)
     return {
         "kind": np.array(kind, np.uint8),
         "layer": np.array(layer, np.int32),
-        "element": np.array(element, np.int32),
+        "channel": np.array(channel, np.int32),
         "size": np.zeros(len(rows), np.int32),
         "value": np.array(value),
         "sigma": np.where(np.array(kind) == 2, 0.13, 0.12),

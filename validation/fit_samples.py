@@ -161,7 +161,7 @@ def _optima(result: Result, some: int, *, pulls: bool = False) -> list[tuple[Flo
     """Return the fitted helices of some tracks and the optimum for their hits."""
     hits = collect_hits(result.detector, result.candidates, result.candidate_hits, result.clusters, result.wire_hits)
     fitted = np.stack([result.tracks[name] for name in PARAMETERS], axis=1)
-    columns = ("kind", "layer", "element", "sigma")
+    columns = ("kind", "layer", "channel", "sigma")
     cut = (_core.CORE_CUT_XI, _core.CORE_CUT_SHARE)
     found = []
     for track in np.flatnonzero(result.tracks["status"] == 0)[:some]:

@@ -14,7 +14,7 @@ import matplotlib as mpl
 import cgemit as cg
 import delta_fractions
 import x_residual
-from cgemit.matter import Passage
+from cgemit.matter import SlabResult
 from delta_pictures import draw_deltas
 from geant4_page import read_results
 from geant4_pictures import draw_distributions, draw_loss_ratios, draw_scattering_ratios
@@ -30,21 +30,21 @@ def _about(events: str) -> dict[str, str]:
     return {"versions": versions(), "events": f"{events}; seed {SEED}", "reference": "Geant4 11.4.1"}
 
 
-def slabs(folder: Path, n: int) -> dict[tuple[str, float], Passage]:
-    """Simulate the slabs with both screenings, write the comparisons, and return the passages with the default one."""
+def slabs(folder: Path, n: int) -> dict[tuple[str, float], SlabResult]:
+    """Simulate the slabs with both screenings, write the comparisons, and return the results with the default one."""
     rows: list[Comparison] = []
-    passages = {}
+    results = {}
     for slab, p in cases():
         for screening in ("wentzel", "moliere"):
-            passage = cg.slab(SLABS[slab], "mu-", p, n, SEED, screening)
-            found = compare(passage, slab)
+            result = cg.slab(SLABS[slab], "mu-", p, n, SEED, screening)
+            found = compare(result, slab)
             rows += [row for row in found if screening == "wentzel" or row.quantity.endswith("mrad")]
             if screening == "wentzel":
-                passages[slab, p] = passage
+                results[slab, p] = result
         say(f"{SLABS[slab]}, {p:g} GeV/c")
     about = _about(f"{n:,} mu- for each slab, momentum and screening")
     write_rows(folder / "slabs.csv", rows, about, ("ratio", "ratio_error", "allowed"))
-    return passages
+    return results
 
 
 def deltas(folder: Path, n: int) -> None:
@@ -72,7 +72,7 @@ def main() -> int:
     parser.add_argument("--tracks", type=int, default=200_000, help="tracks for the X residual (default 200000)")
     given = parser.parse_args()
     folder, images, page = places(given.output)
-    passages = slabs(folder, given.n)
+    slab_results = slabs(folder, given.n)
     deltas(folder, given.deltas)
     residuals(folder, given.tracks)
     results = read_results(folder)  # what the files hold is what the page and the pictures show
@@ -80,7 +80,7 @@ def main() -> int:
     pictures = {
         "scattering": draw_scattering_ratios(results.slabs),
         "loss": draw_loss_ratios(results.slabs),
-        "distributions": draw_distributions(passages),
+        "distributions": draw_distributions(slab_results),
         "deltas": draw_deltas(results.fractions, results.spectrum, results.residuals),
     }
     save_pictures(images, pictures)

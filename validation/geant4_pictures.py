@@ -10,7 +10,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import NullFormatter
 
 from cgemit.draw.style import COLORS, Picture, grid, legend_entries, new_picture, style
-from cgemit.matter import Passage
+from cgemit.matter import SlabResult
 from geant4_reference import ANGLES, TITLES, Comparison, references
 
 _MOMENTA = {0.1: COLORS["single"], 0.2: COLORS["x"], 1.0: COLORS["fit"]}
@@ -97,15 +97,15 @@ def draw_loss_ratios(rows: Sequence[Comparison]) -> Picture:
     return picture
 
 
-def draw_distributions(passages: Mapping[tuple[str, float], Passage]) -> Picture:
+def draw_distributions(results: Mapping[tuple[str, float], SlabResult]) -> Picture:
     """Draw how many angles are beyond, and how many losses below a value; points are Geant4's quantiles."""
     slabs = ("C_0.1X0", "Cu_14um", "Ar_10mm", "CGEM_0.13")
     with style():
         picture, axes = new_picture(2, 4, (15.0, 7.4))
         for column, slab in enumerate(slabs):
             for p, colour in _MOMENTA.items():
-                _survival(axes[column], passages[slab, p], slab, colour)
-                _cumulated(axes[4 + column], passages[slab, p], slab, colour)
+                _survival(axes[column], results[slab, p], slab, colour)
+                _cumulated(axes[4 + column], results[slab, p], slab, colour)
             axes[column].set(
                 title=TITLES[slab], xscale="log", yscale="log", ylim=(3e-4, 1.2), xlabel="|plane angle|  (mrad)"
             )
@@ -127,21 +127,21 @@ def draw_distributions(passages: Mapping[tuple[str, float], Passage]) -> Picture
     return picture
 
 
-def _survival(plot: Axes, passage: Passage, slab: str, colour: str) -> None:
-    both = np.sort(np.abs(1e3 * np.concatenate([passage.angle_1, passage.angle_2])[np.tile(passage.through, 2)]))
+def _survival(plot: Axes, result: SlabResult, slab: str, colour: str) -> None:
+    both = np.sort(np.abs(1e3 * np.concatenate([result.angle_1, result.angle_2])[np.tile(result.through, 2)]))
     levels = np.geomspace(0.95, 3e-4, 300)
     plot.plot(np.quantile(both, 1 - levels), levels, color=colour, lw=1.3)
     for model, row in references():
-        if row["slab"] == slab and float(row["p_gev"]) == passage.p and model in ("SS", "WVI"):
+        if row["slab"] == slab and float(row["p_gev"]) == result.p and model in ("SS", "WVI"):
             marker = "o" if model == "SS" else "^"
             for name, (inside, gaussian) in _INSIDE.items():
                 plot.plot(float(row[name]) * gaussian, 1 - inside, marker, color=colour, mfc="white", ms=5.5)
 
 
-def _cumulated(plot: Axes, passage: Passage, slab: str, colour: str) -> None:
+def _cumulated(plot: Axes, result: SlabResult, slab: str, colour: str) -> None:
     levels = 1 / (1 + np.exp(-np.linspace(-6.2, 6.2, 300)))
-    plot.plot(np.quantile(passage.loss, levels), levels, color=colour, lw=1.3)
+    plot.plot(np.quantile(result.loss, levels), levels, color=colour, lw=1.3)
     for model, row in references():
-        if row["slab"] == slab and float(row["p_gev"]) == passage.p and model == "WVI":
+        if row["slab"] == slab and float(row["p_gev"]) == result.p and model == "WVI":
             for name, level in _QUANTILES.items():
                 plot.plot(float(row[f"loss_kev_{name}"]), level, "^", color=colour, mfc="white", ms=5.5)

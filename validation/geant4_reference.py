@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from cgemit.matter import Passage
+    from cgemit.matter import SlabResult
 
 DATA = Path(__file__).resolve().parent / "data"
 
@@ -114,29 +114,29 @@ def cases() -> list[tuple[str, float]]:
     return sorted(found, key=lambda case: (list(SLABS).index(case[0]), case[1]))
 
 
-def compare(passage: Passage, slab: str) -> list[Comparison]:
+def compare(result: SlabResult, slab: str) -> list[Comparison]:
     """Return the numbers of a simulated slab beside all references for it."""
     found = []
     for model, row in references():
-        if row["slab"] == slab and float(row["p_gev"]) == passage.p:
-            found += _compare_row(passage, slab, model, row)
+        if row["slab"] == slab and float(row["p_gev"]) == result.p:
+            found += _compare_row(result, slab, model, row)
     return found
 
 
-def _compare_row(passage: Passage, slab: str, model: str, row: Mapping[str, str]) -> Iterator[Comparison]:
+def _compare_row(result: SlabResult, slab: str, model: str, row: Mapping[str, str]) -> Iterator[Comparison]:
     for name in (*ANGLES, *LOSSES):
-        value, error = getattr(passage, name), passage.errors[name]
+        value, error = getattr(result, name), result.errors[name]
         if not row.get(name) or value is None or error is None:
             continue
         reference, events = float(row[name]), row["n"]
         # Of the other models only numbers of events are known: their relative errors are those of cgemit, scaled.
-        share = error / value * math.sqrt(passage.n / float(events)) if events else None
+        share = error / value * math.sqrt(result.n / float(events)) if events else None
         if model == "SS":
             share = _SS_ERRORS[name]
         yield Comparison(
-            slab=slab, quantity=name, model=model, screening=passage.screening, p=passage.p, value=value, error=error,
+            slab=slab, quantity=name, model=model, screening=result.screening, p=result.p, value=value, error=error,
             reference=reference, reference_error=None if share is None else share * reference,
-            gated=name in _TOLERANCES and passage.screening == "wentzel" and _is_gate(slab, name, model),
+            gated=name in _TOLERANCES and result.screening == "wentzel" and _is_gate(slab, name, model),
         )  # fmt: skip
 
 

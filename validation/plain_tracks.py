@@ -30,7 +30,7 @@ class Hit:
 
     kind: int
     layer: int
-    element: int
+    channel: int
     sigma: float
 
 
@@ -110,7 +110,7 @@ def follow(
             layer = wires[hits[len(seen)].layer]
             if layer.r_mid > slab.radius:
                 break
-            seen.append(_distance(flight, layer, hits[len(seen)].element))
+            seen.append(_distance(flight, layer, hits[len(seen)].channel))
         if len(seen) == len(hits):
             break
         reached = flight.go_to(slab.radius)
@@ -123,14 +123,14 @@ def follow(
         if abs(flight.at[2, 0]) <= slab.half_length:
             slab.cross(flight, kicks.get(number))
     while len(seen) < len(hits):
-        seen.append(_distance(flight, wires[hits[len(seen)].layer], hits[len(seen)].element))
+        seen.append(_distance(flight, wires[hits[len(seen)].layer], hits[len(seen)].channel))
     return np.array(seen)
 
 
 def _strip(flight: Flight, layer: cg.detector.CgemLayer, hit: Hit) -> Floats:
     """X or V where the track is in the middle of a drift gap; unrolled about the first track."""
     azimuth = np.arctan2(flight.at[1], flight.at[0])
-    first = (azimuth[0] - layer.sheet_phi[hit.element]) % (2 * np.pi)
+    first = (azimuth[0] - layer.sheet_phi[hit.channel]) % (2 * np.pi)
     x = layer.r_readout * (first + np.remainder(azimuth - azimuth[0] + np.pi, 2 * np.pi) - np.pi)
     if hit.kind == X:
         return np.asarray(x, np.float64)

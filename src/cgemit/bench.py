@@ -1,4 +1,4 @@
-"""What each stage costs per track (benchmarks/README.md)."""
+"""Wall time of each stage per track (benchmarks/README.md)."""
 
 from __future__ import annotations
 
@@ -34,12 +34,12 @@ DETECTOR = "besiii-cgem-design"
 GUN = Gun("mu-", p=1.0, cos_theta=(-0.93, 0.93))
 SEED = 1
 
-#: What is timed, in the order of the chain; `_kernel`: the compiled core alone, on arrays that are there.
+#: The timed stages in the order of the chain; `_kernel`: the compiled core alone, on prepared arrays.
 STAGES = (
     "simulate", "digitize", "cluster", "find", "fit", "fit_lr", "simulate_kernel", "fit_kernel", "fit_lr_kernel"
 )  # fmt: skip
 SMEARING = (1.0, 0.005, 0.02, 5.0, 0.005)
-"""By how much a given first helix is off: dr mm, phi0 rad, kappa relative, dz mm, tanl."""
+"""Smearing of a given starting helix: dr mm, phi0 rad, kappa relative, dz mm, tanl."""
 
 _FIT = FitSettings(residuals=True)
 _TWO_ITERATIONS = FitSettings(residuals=True, max_iterations=2, tolerance=1e-12)
@@ -56,12 +56,12 @@ class Cost:
     threads : int
     simulate_us, digitize_us, cluster_us, find_us : float
     fit_us, fit_lr_us : float
-        Fit with smoother, sides of the wires known, and to be found out; the hits provide the first helix.
+        Fit with smoother, with the sides of the wires known and unknown; the hits provide the starting helix.
     simulate_kernel_us : float
         The compiled simulation alone.
     fit_kernel_us, fit_lr_kernel_us : float
-        The compiled fit alone from a given helix, the true one smeared, with residuals: two iterations with the
-        sides known, and as many as it takes to find them out.
+        The compiled fit alone with residuals, started from the smeared true helix: two iterations with the sides known,
+        as many as needed with the sides unknown.
     """
 
     isa: str
@@ -83,7 +83,7 @@ class Cost:
 
 @contextmanager
 def instruction_set(name: str | None) -> Iterator[str]:
-    """Use the kernels of an instruction set for a while.
+    """Use the kernels of an instruction set inside the block.
 
     Parameters
     ----------
@@ -127,7 +127,7 @@ def measure(
     threads : int
         Threads that run the same stage at the same time, each on events of its own.
     repeat : int
-        The fastest of so many runs counts, after one that is not counted.
+        Number of timed runs, after one that is not counted. The fastest one counts.
     gun : Gun
     isa : str or None
         Instruction set of the kernels, one of `cgemit.isa.available`; None: the one in use.
@@ -209,7 +209,7 @@ def stage_calls(detector: Detector, gun: Gun, events: int, first_event: int = 0)
 
 
 def smeared(truth: Floats, particles: Table, seed: int, sigma: Sequence[float] = SMEARING) -> Floats:
-    """Return true helices smeared, for fits to begin with.
+    """Return smeared true helices as starting helices of fits.
 
     Parameters
     ----------

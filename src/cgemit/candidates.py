@@ -20,10 +20,8 @@ Column = npt.NDArray[Any]
 
 HIT_X, HIT_V, HIT_WIRE, HIT_XV = 0, 1, 2, 3
 """Views of hits; a hit of view `HIT_XV` is an XV cluster with both its coordinates."""
-
 XV_CLUSTER = 2
 """View of XV clusters in the clusters table."""
-
 
 #: A finder takes detector, clusters and wire hits, and returns tables of candidates and their hits.
 Finder = Callable[[Detector, Table, Table], Mapping[str, Table]]
@@ -48,25 +46,25 @@ class FitHits:
         `HIT_X`, `HIT_V` or `HIT_WIRE`.
     layer : ndarray, (hits,) int32
         CGEM layer, or the experiment's number of the wire layer.
-    element : ndarray, (hits,) int32
+    channel : ndarray, (hits,) int32
         Sheet or wire.
     value : ndarray, (hits,) float64, mm
         Local X or V on the sheet, or drift distance.
     sigma : ndarray, (hits,) float64, mm
     size : ndarray, (hits,) int32
-        Strips of the cluster; 0 for wires, XV points and clusters whose error holds as it is (`method` 1).
+        Strips of the cluster; 0 for wires, XV points and clusters with a fixed error (`method` 1).
     side : ndarray, (hits,) int8
         Side of the wire; 0 where unknown and for clusters.
     row : ndarray, (hits,) int64
         Row of the clusters or wire_hits table.
     k, x : ndarray, (hits,) float64
-        Of the V of an XV point k and the measured X in mm; else 0.
+        For the V of an XV point: k, and the measured X in mm; otherwise 0.
     """
 
     hit_offsets: npt.NDArray[np.int64]
     kind: npt.NDArray[np.uint8]
     layer: npt.NDArray[np.int32]
-    element: npt.NDArray[np.int32]
+    channel: npt.NDArray[np.int32]
     value: npt.NDArray[np.float64]
     sigma: npt.NDArray[np.float64]
     size: npt.NDArray[np.int32]
@@ -76,7 +74,7 @@ class FitHits:
     x: npt.NDArray[np.float64]
 
     def columns(self) -> dict[str, Column]:
-        """Return everything but the offsets, by name."""
+        """Return all columns except the offsets, by name."""
         return {f.name: getattr(self, f.name) for f in fields(self) if f.name != "hit_offsets"}
 
 
@@ -88,7 +86,7 @@ def collect_hits(
     Parameters
     ----------
     detector : Detector or _core.Detector
-        It says what lies outside of what.
+        Gives the order of layers from the beam line outward.
     candidates, candidate_hits, clusters, wire_hits : Table
 
     Returns
@@ -98,8 +96,8 @@ def collect_hits(
     Raises
     ------
     ValueError
-        Listing every table of another kind, or every hit that is not there, belongs to another event or is given
-        twice, together with all that is wrong with measurements.
+        Listing every table of another kind; or every hit that does not exist, belongs to another event or is given
+        twice, and every problem of the measurements.
     """
     tables = {
         "candidates": candidates, "candidate_hits": candidate_hits, "clusters": clusters, "wire_hits": wire_hits
@@ -110,7 +108,7 @@ def collect_hits(
     columns = {
         name: {column: table[column] for column in _READ[name] if column in table} for name, table in tables.items()
     }
-    # Clusters whose error holds as it is are fitted like clusters without strips.
+    # Clusters with a fixed error are fitted like clusters without strips.
     columns["clusters"]["size"] = clusters["size"] * (clusters["method"] == 0)
     core = detector if isinstance(detector, _core.Detector) else compiled(detector)
     return FitHits(**_core.collect_hits(core, **columns))
@@ -125,7 +123,7 @@ _READ = {
 
 
 def _repeated_points(candidate_hits: Table, clusters: Table) -> list[str]:
-    """Say which XV points repeat X or V clusters of the same candidate."""
+    """Return which XV points repeat X or V clusters of the same candidate."""
     view, row, candidate = (candidate_hits[name] for name in ("view", "row", "candidate"))
     points = np.flatnonzero((view == HIT_XV) & (row >= 0) & (row < len(clusters)))
     if not len(points):
@@ -160,7 +158,7 @@ def label_candidates(
     wire_label : array_like, (wire_hits,) int
         The same for the wire hits.
     hypothesis : str
-        Particle whose mass the fit shall assume: ``"e"``, ``"mu"``, ``"pi"``, ``"K"`` or ``"p"``.
+        Particle whose mass the fit assumes: ``"e"``, ``"mu"``, ``"pi"``, ``"K"`` or ``"p"``.
 
     Returns
     -------
@@ -259,7 +257,7 @@ def by_finder(finder: Finder, detector: Detector, clusters: Table, wire_hits: Ta
 
 
 def finder_name(finder: object) -> str:
-    """Return what tables call a finder: the name of the function, also of a partial one, or of the class.
+    """Return the name of a finder in tables: the name of the function, also of a partial one, or of the class.
 
     Parameters
     ----------
@@ -275,7 +273,7 @@ def check_found(found: object, finder: str, events: Column) -> dict[str, Table]:
     Parameters
     ----------
     found : object
-        What it returned.
+        Its return value.
     finder : str
         Its name.
     events : ndarray, (n,) int64
@@ -284,7 +282,7 @@ def check_found(found: object, finder: str, events: Column) -> dict[str, Table]:
     Raises
     ------
     TypeError, ValueError
-        If that is not a mapping with tables of candidates and their hits, of the same events.
+        If `found` is not a mapping with tables of candidates and their hits, of the same events.
     """
     if not isinstance(found, Mapping) or not set(FOUND) <= set(found):
         given = (

@@ -10,8 +10,6 @@ from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPool
 from dataclasses import fields, replace
 from typing import Any, Literal
 
-import numpy as np
-
 from cgemit import find
 from cgemit.candidates import Finder, by_finder, finder_name
 from cgemit.detector import Detector, load
@@ -24,6 +22,7 @@ from cgemit.record import configuration_of, gun_data
 from cgemit.result import TABLES, Result, Settings, detectors_of
 from cgemit.simulate import simulate
 from cgemit.tables import Table, concatenate
+from cgemit.values import check_numbers
 from cgemit.version import VERSION
 
 STAGES = ("simulate", "digitize", "cluster", "find", "fit")  # where a run can end
@@ -43,7 +42,7 @@ def run_chunk(
     Parameters
     ----------
     detector, fit_detector : Detector
-        What is simulated and digitized, and what finder and fit believe.
+        The detector that is simulated and digitized, and the one that finder and fit assume.
     particles : Table of kind "particles"
     settings : Settings
     seed : int
@@ -93,7 +92,7 @@ def run_chunk(
 
 
 def fit_settings(settings: Settings) -> FitSettings:
-    """Return the settings of the fit, with the screening that was simulated where they do not say.
+    """Return the settings of the fit; a screening of None becomes the simulated one.
 
     Parameters
     ----------
@@ -132,7 +131,7 @@ def run(
     settings : Settings or None
         Of all stages; defaults if None.
     fit_detector : Detector or None
-        What finder and fit assume, if it shall differ from what is simulated.
+        Detector that finder and fit assume. None: the simulated one.
     finder : "truth" or callable
         ``"truth"`` gives each charged particle its own hits. A function of (detector, clusters, wire_hits) returns a
         mapping with the tables ``candidates`` and ``candidate_hits`` (`label_candidates` makes them). It is called for
@@ -142,7 +141,7 @@ def run(
     threads : int or None
         Threads of the pool; all cores if None. Ignored with `executor`.
     executor : concurrent.futures.Executor or None
-        Where the chunks run, instead of an own thread pool.
+        Runs the chunks instead of a thread pool made here.
     chunk : int
         Events per chunk.
     progress : callable or None
@@ -155,9 +154,9 @@ def run(
     Raises
     ------
     ValueError
-        Listing what is wrong with detector, gun, numbers, finder or `until`.
+        Listing every problem of detector, gun, numbers, finder or `until`.
     TypeError
-        If `settings` are something else, such as those of one stage, or processes cannot be given the finder.
+        If `settings` are not of all stages, or the finder cannot be sent to other processes.
     """
     start = time.perf_counter()
     if not isinstance(settings, Settings | None):
@@ -211,36 +210,9 @@ def _check_stages(finder: object, until: object, executor: Executor | None) -> N
 
 
 def _expected(given: object) -> str:
-    """Return what settings should look like; those of one stage go into those of all."""
+    """Return the expected form of settings; those of one stage go into `Settings`."""
     stage = next((f.name for f in fields(Settings) if type(given) is f.default_factory), "")
     return f"Settings({stage}=...)" if stage else "Settings(simulate=..., digitize=..., cluster=..., fit=...)"
-
-
-def check_numbers(where: str, seed: int, threads: int | None, **others: tuple[int | None, int, int]) -> None:
-    """Check whole numbers; None is good.
-
-    Parameters
-    ----------
-    where : str
-        The first word of the message.
-    seed : int
-    threads : int or None
-    **others : (int or None, int, int)
-        More numbers by name, each with its least and most.
-
-    Raises
-    ------
-    ValueError
-        Listing what is wrong.
-    """
-    numbers = {**others, "seed": (seed, 0, 2**64 - 1), "threads": (threads, 1, 2**15)}
-    problems = [
-        f"{name}: {value!r}, expected a whole number from {least} to {most}"
-        for name, (value, least, most) in numbers.items()
-        if value is not None and not (isinstance(value, int | np.integer) and least <= value <= most)
-    ]
-    if problems:
-        raise ValueError(f"{where}:\n  " + "\n  ".join(problems))
 
 
 def _source(gun: Any, n: int | None) -> tuple[Gun | Guns | None, int, Table | None]:

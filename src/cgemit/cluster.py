@@ -30,13 +30,13 @@ _POINTS = 2000  # of the reference sample in cos(theta); ten times as many move 
 
 @dataclass(frozen=True, kw_only=True)
 class ClusterSettings(SettingsData):
-    """How clusters are located, and the sample from which their errors follow: tracks from the origin.
+    """Position of clusters, and the reference sample of tracks from the origin that gives their errors.
 
     Attributes
     ----------
     position : str
-        ``"centre"``: geometric centre of the fired strips, all that a binary read-out tells. ``"charge"``: centres of
-        the strips weighted by charge, for a read-out whose charges tell where a track passed.
+        ``"centre"``: geometric centre of the fired strips, for a binary read-out. ``"charge"``: mean of the strip
+        centres weighted by charge, for a read-out whose charges measure the position.
     reference_p : float
         GeV/c.
     reference_cos_theta : float
@@ -45,7 +45,7 @@ class ClusterSettings(SettingsData):
     Raises
     ------
     ValueError
-        Listing every value that makes no sense.
+        Listing every invalid value.
     """
 
     position: Position = "centre"

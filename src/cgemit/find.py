@@ -1,7 +1,7 @@
 """Track finding. There is none yet: hits are assigned to particles by truth (docs/methods/find.md).
 
-Every charged particle gets its wire hits and one cluster a view of each of its crossings, and none of another particle;
-where two share a cluster or a cell, the one that left more (or was closer) has it.
+Every charged particle gets its wire hits and one cluster per view of each of its crossings, and no hit of another
+particle. A cluster or cell that two particles share goes to the one that left more (or was closer).
 """
 
 from __future__ import annotations
@@ -24,9 +24,8 @@ def by_truth(
 ) -> dict[str, Table]:
     """Give each charged particle the X clusters, V clusters and wire hits that its truths link to.
 
-    Of several clusters of one crossing in one view, `own_clusters` says which one. XV clusters are left out: they
-    repeat what their X and V clusters say. Hits without a truth, or of a particle that the table does not hold, belong
-    to nobody.
+    Of several clusters of one crossing in one view, `own_clusters` selects one. XV clusters are left out, since they
+    repeat their X and V clusters. Hits without a truth, or of a particle that is not in the table, are not assigned.
 
     Parameters
     ----------
@@ -52,7 +51,7 @@ def by_truth(
     charged = np.flatnonzero(particles["charge"])
     in_view = own_clusters(detector, clusters, truths)
     linked = np.flatnonzero(wire_hits["wire_truth"] >= 0)
-    # The candidate of each particle; none for neutral ones, nor, at the end, for what is no particle's.
+    # The candidate of each particle; -1 for neutral ones and, as the last entry, for hits without a particle.
     candidate_of = np.full(len(particles) + 1, -1)
     candidate_of[charged] = np.arange(len(charged))
     of_truth = candidate_of[particle_rows(particles, truths)]
@@ -66,7 +65,7 @@ def by_truth(
     outward = (owner * 2 + (view == HIT_WIRE)) * layers + layer
     # Stable: within a layer the order of the tables stays (sheet, then X before V; wire).
     order = np.argsort(outward, kind="stable")
-    order = order[np.searchsorted(outward.take(order), 0) :]  # drops the hits of nobody, whose owner is -1
+    order = order[np.searchsorted(outward.take(order), 0) :]  # drops hits without an owner (-1)
     owner = owner.take(order)
     event = particles["event"].take(charged)
     columns = {
@@ -91,7 +90,7 @@ def by_truth(
 def _problems(
     detector: Detector, particles: Table, clusters: Table, wire_hits: Table, truths: Table, wire_truths: Table
 ) -> list[str]:
-    """Say which tables are something else, link to rows that are not there, or are those of another detector."""
+    """Return which tables are of another kind, link to missing rows, or belong to another detector."""
     problems = kind_problems(
         particles=particles, clusters=clusters, wire_hits=wire_hits, truths=truths, wire_truths=wire_truths
     )
@@ -105,7 +104,7 @@ def _problems(
 
 
 def link_problems(table: Table, link: str, target: Table) -> list[str]:
-    """Say whether links of a table lead to rows that are not there or are those of another event.
+    """Return whether links of a table lead to missing rows or to rows of another event.
 
     Parameters
     ----------
@@ -148,7 +147,7 @@ def own_clusters(detector: Detector, clusters: Table, truths: Table) -> Rows:
     """Return the one cluster of each crossing and view that the particle itself made.
 
     Delta electrons may fire strips away from the particle's own, and at a seam of the read-out a crossing fires strips
-    of two sheets. The cluster that holds the strip at the crossing's mid-gap point counts, else the nearest one.
+    of two sheets. The cluster with the strip at the crossing's mid-gap point is selected, otherwise the nearest one.
 
     Parameters
     ----------

@@ -12,12 +12,15 @@ from cgemit import _core, helix
 from cgemit.candidates import FitHits, collect_hits
 from cgemit.detector import SCREENINGS, Detector, compiled, load
 from cgemit.fit_settings import FitSettings as FitSettings
+from cgemit.species import HYPOTHESES
 from cgemit.states import state_columns
 from cgemit.tables import Table
-from cgemit.tracks import repeated, residual_columns, track_columns, with_hypotheses
 
 FitStatus = _core.FitStatus
 Floats = npt.NDArray[np.float64]
+Column = npt.NDArray[Any]
+Columns = dict[str, npt.ArrayLike]
+Out = dict[str, npt.NDArray[np.generic]]  # what the compiled fit returns
 
 PARAMETERS = helix.PARAMETERS
 
@@ -43,7 +46,7 @@ def fit(
         Hits in any order: the fit takes them from the beam line outward.
     settings : FitSettings or None
     start : array_like or None
-        Helices to begin with, (candidates, 5) float64: dr mm, phi0 rad, kappa (GeV/c)^-1, dz mm, tanl. None: the hits
+        Starting helices, (candidates, 5) float64: dr mm, phi0 rad, kappa (GeV/c)^-1, dz mm, tanl. None: the hits
         provide them.
 
     Returns
@@ -56,24 +59,24 @@ def fit(
     Raises
     ------
     ValueError
-        Listing everything that is wrong with the hits or the start.
+        Listing every problem of the hits or the start.
     """
     detector, settings = load(detector), settings or FitSettings()
     core = compiled_for_fit(detector, settings)
     hits = collect_hits(core, candidates, candidate_hits, clusters, wire_hits)
     names = settings.hypotheses()
-    candidate, pdg, mass = with_hypotheses(candidates, names)
+    candidate, pdg, mass = _with_hypotheses(candidates, names)
     begin = _start(start, len(candidates))
     if len(names) > 1:
-        hits, begin = repeated(hits, candidate), begin[candidate] if len(begin) else begin
+        hits, begin = _repeated(hits, candidate), begin[candidate] if len(begin) else begin
     out = _core.fit(**core_arguments(detector, hits, mass, begin, settings))
     event = candidates["event"].take(candidate)
     about = candidates.cover | {
         "meta": {name: candidates.meta[name] for name in ("finder",) if name in candidates.meta}
     }
-    tables = {"tracks": Table("tracks", track_columns(out, event, candidate, pdg), **about)}
+    tables = {"tracks": Table("tracks", _track_columns(out, event, candidate, pdg), **about)}
     if settings.residuals:
-        tables["residuals"] = Table("residuals", residual_columns(out, hits, event), **about)
+        tables["residuals"] = Table("residuals", _residual_columns(out, hits, event), **about)
     if settings.states:
         settled = out["status"] == FitStatus.ok
         columns = state_columns(detector, core, settings.states, tables["tracks"], mass, hits, out, settled)
@@ -82,7 +85,7 @@ def fit(
 
 
 def _start(given: npt.ArrayLike | None, n: int) -> Floats:
-    """Return the helices to begin with, (n, 5), or (0, 5) for none."""
+    """Return the starting helices, (n, 5), or (0, 5) for none."""
     if given is None:
         return np.empty((0, 5))
     start = np.ascontiguousarray(given, np.float64)
@@ -108,7 +111,7 @@ def compiled_for_fit(detector: Detector, settings: FitSettings) -> _core.Detecto
 def core_arguments(
     detector: Detector, hits: FitHits, mass: Floats, start: Floats, settings: FitSettings
 ) -> dict[str, Any]:
-    """Return what the compiled fit takes.
+    """Return the arguments of the compiled fit.
 
     Parameters
     ----------
@@ -116,7 +119,7 @@ def core_arguments(
     hits : FitHits
     mass : ndarray, (n,) float64, GeV/c2
     start : ndarray, (n, 5) float64
-        Helices to begin with; (0, 5): the hits provide them.
+        Starting helices; (0, 5): the hits provide them.
     settings : FitSettings
 
     Returns
@@ -143,3 +146,87 @@ def core_arguments(
         "residuals": settings.residuals,
         "states": bool(settings.states),
     }
+
+
+def has_cov(status: npt.NDArray[np.generic]) -> npt.NDArray[np.bool_]:
+    """Return whether fits with these statuses have a covariance and a chi-square."""
+    return np.isin(status, (FitStatus.ok, FitStatus.not_converged, FitStatus.unconstrained))
+
+
+def _track_columns(out: Out, event: Column, candidate: Column, pdg: Column) -> Columns:
+    """Return the columns of the tracks table; `event`, `candidate` (row) and `pdg` (of the mass) of each track."""
+    no_helix = np.isin(out["status"], (_core.FitStatus.too_few_hits, _core.FitStatus.seed_failed))
+    fitted = np.where(no_helix[:, None], np.nan, out["helix"])
+    known = has_cov(out["status"])
+    cov = np.where(known[:, None, None], out["cov"], np.nan)
+    columns: Columns = {"event": event, "candidate": candidate, "hypothesis": pdg}
+    columns |= {name: fitted[:, i] for i, name in enumerate(helix.PARAMETERS)}
+    columns |= {"cov": cov, "p": helix.momentum(fitted)}
+    columns |= {name: out[name] for name in ("ndf", "n_clusters", "n_wires", "n_outliers", "iterations", "status")}
+    columns["chi2"] = np.where(known, out["chi2"], np.nan)
+    error = np.sqrt(np.diagonal(cov, axis1=1, axis2=2))
+    columns |= {f"err_{name}": error[:, i] for i, name in enumerate(helix.PARAMETERS)}
+    return columns | {"err_p": helix.momentum_error(fitted, cov)}
+
+
+def _residual_columns(out: Out, hits: FitHits, event: Column) -> Columns:
+    """Return the columns of the residuals table: hits that the tracks meet; `event` of each track."""
+    met = np.flatnonzero(np.asarray(out["err"], np.float64) > 0)
+
+    def pick(column: Column) -> Column:  # several times faster than column[met], or a mask
+        return column.take(met)
+
+    track = pick(np.repeat(np.arange(len(event)), np.diff(hits.hit_offsets)))
+    residual, err = pick(out["residual"]), pick(out["err"])
+    return {
+        "event": event.take(track),
+        "track": track,
+        "view": pick(hits.kind),
+        "layer": pick(hits.layer),
+        "hit": pick(hits.row),
+        "residual": residual,
+        "err": err,
+        "pull": residual / err,
+        "side": pick(out["side"]),
+        "used": pick(out["used"]),
+    }
+
+
+def _with_hypotheses(candidates: Table, names: tuple[str, ...]) -> tuple[Column, Column, Column]:
+    """Return the tracks to fit: each candidate once per mass hypothesis.
+
+    Parameters
+    ----------
+    candidates : Table of kind "candidates"
+    names : tuple of str
+        Names of `HYPOTHESES`; none: the candidates' own masses.
+
+    Returns
+    -------
+    candidate : ndarray, (n,) int64
+        Row of the candidate.
+    pdg : ndarray, (n,) int
+        Number of the Particle Data Group, unsigned.
+    mass : ndarray, (n,) float64, GeV/c2
+    """
+    n = len(candidates)
+    if not names:
+        return np.arange(n), candidates["pdg"], candidates["mass"]
+    kinds = [HYPOTHESES[name] for name in names]
+    pdg, mass = ([kind.pdg for kind in kinds], [kind.mass for kind in kinds])
+    return np.repeat(np.arange(n), len(kinds)), np.tile(pdg, n), np.tile(mass, n)
+
+
+def _repeated(hits: FitHits, candidate: Column) -> FitHits:
+    """Return the hits of candidates picked by row, each as often as it is picked.
+
+    Parameters
+    ----------
+    hits : FitHits
+    candidate : ndarray, (n,) int64
+    """
+    counts = np.diff(hits.hit_offsets)[candidate]
+    offsets = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+    # Hit j of a repeated candidate has the same distance to the candidate's first hit as in the original.
+    at = np.arange(offsets[-1]) + np.repeat(hits.hit_offsets[:-1][candidate] - offsets[:-1], counts)
+    return FitHits(offsets, **{name: column[at] for name, column in hits.columns().items()})

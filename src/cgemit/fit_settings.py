@@ -37,43 +37,44 @@ class FitSettings(SettingsData):
         ``"track"``: from the number of strips and the incidence of the track. ``"cluster"``: as in the clusters
         table, from the number of strips and the layer alone.
     screening : str or None
-        Screening of nuclei in multiple scattering (``SimulateSettings.screening``). None: what was simulated, or
-        ``"wentzel"`` where the fit does not know.
+        Screening of nuclei in multiple scattering (``SimulateSettings.screening``). None: the simulated one, or
+        ``"wentzel"`` without a simulation.
     loss : str
-        Energy loss subtracted, with its variance (docs/methods/matter.md). ``"truncated"``: of the collisions that the
-        core of a momentum measurement holds. ``"mean"``: of all. ``"most_probable"``: Landau's most probable loss, and
-        the Gaussian as wide as his distribution at half maximum.
+        Energy loss subtracted, with its variance (docs/methods/matter.md). ``"truncated"``: of the collisions within
+        the core of a momentum measurement. ``"mean"``: of all collisions. ``"most_probable"``: Landau's most probable
+        loss, and the Gaussian as wide as his distribution at half maximum.
     residuals : bool
-        Whether the residuals table is made: every hit against the track fitted without it, outliers too.
+        Whether the fit makes the residuals table: every hit, outliers included, against the track fitted without it.
     states : tuple of float or str
-        Where the states table gives track and covariance, in any field: radii in mm, ``"origin"``, ``"beam_line"``
-        (closest approach), ``"beam_pipe"`` (inner surface), ``"hits"`` (every measurement). Empty: no such table.
+        Surfaces at which the states table gives track and covariance, in any field: radii in mm, ``"origin"``,
+        ``"beam_line"`` (closest approach), ``"beam_pipe"`` (inner surface), ``"hits"`` (every measurement). Empty: no
+        such table.
     hypothesis : str, tuple of str or None
         Particles whose masses the fit assumes, ``"e"``, ``"mu"``, ``"pi"``, ``"K"``, ``"p"``, or ``"all"`` five: every
         candidate gets a track for each, in this order. None: one track, with the candidate's own mass.
     max_iterations : int
-        A fit that has not converged after so many iterations gives up.
+        A fit that has not converged after this many iterations stops.
     tolerance : float
         The fit has converged when no parameter moves by more than this many of its standard deviations.
     least_width : float
-        Least spread, in strip pitches, of the position that a cluster's size allows; it stands for the error of the
-        track's incidence, so that a narrow allowed interval is not taken for a perfect measurement.
+        Least spread, in strip pitches, of the position that a cluster's size allows; it accounts for the error of the
+        track's incidence. Without it, a narrow allowed interval would count as a perfect measurement.
     delta_strips : float
-        Probability that a delta electron adds one strip to a cluster; k strips are k times less probable. It says how
-        much a cluster is worth that is longer than the track makes likely. 0: there are no delta electrons.
+        Probability that a delta electron adds one strip to a cluster; k strips are k times less probable. Sets the
+        weight of clusters that are longer than the incidence predicts. 0: there are no delta electrons.
     kinks : bool
-        Whether the reference about which a slow track is fitted is scattered at every layer as its hits show, instead
-        of a helix that only loses energy. What is linear in the angles is then so about the track as it flew.
+        Whether the reference trajectory of a slow track is scattered at every layer as its hits show, instead of a
+        helix that only loses energy. The linearisation then holds around the scattered path.
     outlier_pull : float
-        A hit is left out where it lies this many standard deviations from the track fitted without it, the farthest
-        first, and taken back where it does not any more. 0: every hit is used.
+        A hit this many standard deviations from the track fitted without it is left out, the farthest first, and taken
+        back once it is closer. 0: every hit is used.
     prior_sigma : tuple of float
-        Standard deviations of (dr mm, phi0 rad, kappa (GeV/c)^-1, dz mm, tanl) that the filter begins with.
+        Standard deviations of (dr mm, phi0 rad, kappa (GeV/c)^-1, dz mm, tanl) of the filter's prior.
 
     Raises
     ------
     ValueError
-        Listing every value that makes no sense.
+        Listing every invalid value.
     """
 
     cluster_errors: ClusterErrors = "track"

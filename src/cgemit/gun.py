@@ -22,7 +22,7 @@ class Gun:
     """A source of equal particles; ``gun + other`` shoots both in every event.
 
     For every quantity a number is fixed, a tuple ``(low, high)`` a uniform range, and a list or array the values
-    to use in turn: event number `i` gets the value at place ``i modulo length``. Strings such as ``"200 MeV/c"``
+    to use in turn: event number `i` gets the value at position ``i modulo length``. Strings such as ``"200 MeV/c"``
     or ``"90 deg"`` are accepted in place of numbers.
 
     Parameters
@@ -45,7 +45,7 @@ class Gun:
     Raises
     ------
     ParticleError
-        Listing everything that is wrong.
+        Listing every problem.
     """
 
     particle: str | int

@@ -26,7 +26,7 @@ def at_origin(particles: Table, bz: float) -> Floats:
     Parameters
     ----------
     particles : Table of kind "particles"
-        Charged; rows without charge or transverse momentum come out as NaN.
+        Charged; rows without charge or transverse momentum are NaN.
     bz : float
         T, signed.
 
@@ -60,9 +60,9 @@ def at_origin_in(particles: Table, field: _core.Field) -> Floats:
     Parameters
     ----------
     particles : Table of kind "particles"
-        Charged; rows without charge or transverse momentum come out as NaN.
+        Charged; rows without charge or transverse momentum are NaN.
     field : _core.Field
-        Where the way back leaves its map, the field is taken to be that at the origin.
+        Where the backward track leaves the map, the field at the origin is used.
 
     Returns
     -------
@@ -133,7 +133,7 @@ def change_pivot(
     pivot_to: npt.ArrayLike,
     bz: npt.ArrayLike,
 ) -> tuple[Floats, Floats]:
-    """Give the same helices with respect to another pivot, as BES3 software has them.
+    """Return the same helices with respect to another pivot, as defined in BES3 software.
 
     The circle's centre stays: (dr' + R) e(phi0') + pivot_to = (dr + R) e(phi0) + pivot_from, e(phi) = (cos phi,
     sin phi), R = RADIUS_PER_KAPPA / (bz kappa) with its sign; dz' = dz - R tanl (phi0' - phi0) and the difference of
@@ -148,7 +148,8 @@ def change_pivot(
     pivot_from, pivot_to : array_like, (3,) or (n, 3) float64
         x, y, z, mm.
     bz : array_like, () or (n,) float64
-        T, signed. In a field map what bends the track there (docs/methods/states.md), for pivots near each other.
+        T, signed. In a field map, the field that bends the track there (docs/methods/states.md), for pivots near each
+        other.
 
     Returns
     -------
@@ -191,7 +192,7 @@ def momentum_error(parameters: Floats, cov: Floats) -> Floats:
 
 
 def to_perigee(parameters: Floats, cov: Floats) -> tuple[Floats, Floats]:
-    """Perigee parameters (d0, z0, phi, theta, q/p) of helices, as other tracking programs have them.
+    """Perigee parameters (d0, z0, phi, theta, q/p) of helices, as defined in other tracking programs.
 
     d0 = -dr, z0 = dz, phi = phi0 + pi/2, theta = pi/2 - atan(tanl), q/p = kappa / sqrt(1 + tanl^2); same pivot.
 

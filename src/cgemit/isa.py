@@ -13,7 +13,7 @@ from cgemit import _core
 NAMES = ("scalar", "baseline", "v3", "v4")
 VARIABLE = "CGEMIT_ISA"
 
-_chosen = False  # until then the core has its scalar kernels, whatever was asked for
+_chosen = False  # until then the core uses its scalar kernels, whatever was requested
 
 
 def available() -> tuple[str, ...]:

@@ -1,6 +1,6 @@
-"""What the annotation of a setting allows: ``bool``, ``float``, ``Literal[...]``, tuples, ``None``, other settings.
+"""Kinds of settings by annotation: ``bool``, ``float``, ``Literal[...]``, tuples, ``None``, other settings.
 
-The annotation is the only place that says it. Checks, messages, files, the command line and the documentation follow.
+The annotation is the only definition. Checks, messages, files, the command line and the documentation follow from it.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from cgemit.values import number
 
 
 class Check(NamedTuple):
-    """What a value must be beyond its type: goes into ``Annotated[float, Check(...)]``, a name of its own in a module.
+    """The condition on a value beyond its type, for ``Annotated[float, Check(...)]``, a name of its own in a module.
 
-    Inside a class the annotation is a text, and what it names there is not found when `fits` is called.
+    Inside a class the annotation is a text, and names defined there are not found when `fits` is called.
     """
 
     fits: Callable[[Any], bool]
@@ -47,8 +47,8 @@ class Choice(NamedTuple):
 def one_of(classes: Mapping[str, type[Any]]) -> dict[str, Choice]:
     """Return the metadata of a dataclass field that holds an instance of one of some classes.
 
-    Without it, the classes are those of the annotation. The mapping is looked at when a value is checked, so that
-    classes added to it later count.
+    Without it, the classes are those of the annotation. The mapping is read when a value is checked, so classes may be
+    added to it later.
 
     Parameters
     ----------
@@ -120,7 +120,7 @@ def matched(kind: Any, given: object) -> Any:
         value = matched(base, given)
         return value if value is not NO and all(check.fits(value) for check in checks) else NO
     if get_origin(kind) is Literal:
-        return next((word for word in get_args(kind) if isinstance(given, str) and given == word), NO)
+        return next((text for text in get_args(kind) if isinstance(given, str) and given == text), NO)
     if _is_union(kind):
         return next((value for one in get_args(kind) if (value := matched(one, given)) is not NO), NO)
     if get_origin(kind) is tuple:
@@ -154,7 +154,7 @@ def _matched_plain(kind: Any, given: object) -> Any:
 
 
 def problems_of(kind: Any, given: object) -> list[str]:
-    """Say what is wrong with a value that is not of a kind; of a list of any length, with each entry that is not."""
+    """Return the problems of a value that is not of a kind; for a list of any length, those of each wrong entry."""
     if isinstance(given, tuple | list):
         for one in _members(kind):
             if get_origin(one) is tuple and get_args(one)[-1] is Ellipsis:
@@ -165,20 +165,20 @@ def problems_of(kind: Any, given: object) -> list[str]:
 
 def _problem(kind: Any, given: object) -> str:
     shown = f"{type(given).__name__}(...)" if is_dataclass(given) else repr(given)
-    return f"got {shown}, expected {expected(kind)}{did_you_mean(given, words_of(kind), '; ')}"
+    return f"got {shown}, expected {expected(kind)}{did_you_mean(given, texts_of(kind), '; ')}"
 
 
-def words_of(kind: Any) -> tuple[str, ...]:
-    """Return the words among the values of a kind."""
+def texts_of(kind: Any) -> tuple[str, ...]:
+    """Return the texts among the values of a kind."""
     if isinstance(kind, Choice):
         return tuple(kind.classes)
     if get_origin(kind) is Literal:
         return get_args(kind)
-    return tuple(word for one in get_args(kind) for word in words_of(one)) if _is_union(kind) else ()
+    return tuple(text for one in get_args(kind) for text in texts_of(one)) if _is_union(kind) else ()
 
 
 def expected(kind: Any) -> str:
-    """Return in words what a value of a kind is."""
+    """Return the values of a kind as text."""
     if isinstance(kind, Choice):
         return "one of " + ", ".join(map(repr, kind.classes))
     if get_origin(kind) is Annotated:

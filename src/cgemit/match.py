@@ -1,4 +1,4 @@
-"""Tracks beside the particles that they are of: which, how purely, and how far off (docs/methods/find.md)."""
+"""The particle of each track: purity, efficiency, true parameters, residuals and pulls (docs/methods/find.md)."""
 
 from __future__ import annotations
 
@@ -33,9 +33,9 @@ def match(
 ) -> dict[str, Table]:
     """Find the particle of each track, and compare the track with it.
 
-    A track is of the particle that most hits of its candidate come from; of several with as many hits, of the one
-    that comes first in the table of particles. An XV point counts as two hits, as the X and the V cluster that it
-    stands for. Noise is nobody's.
+    A track belongs to the particle that most hits of its candidate come from. If several particles have as many hits,
+    it belongs to the first one in the table of particles. An XV point counts as two hits, its X and its V cluster.
+    Noise belongs to no particle.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ def match(
     particles, truths, wire_truths : Table
         Of the same events; links of `clusters` and `wire_hits` count rows of `truths` and `wire_truths`.
     detector : Detector, or what `load` accepts
-        What the particles flew through: its field bends the true helix.
+        The simulated detector: its field bends the true helix.
 
     Returns
     -------
@@ -96,7 +96,7 @@ def compare(tracks: Table, particles: Table, row: Rows, field: _core.Field) -> d
     row : ndarray, (tracks,) int64
         Row of the particle of each track; -1 none.
     field : _core.Field
-        In which the particles flew.
+        Field of the simulated detector.
 
     Returns
     -------
@@ -142,7 +142,7 @@ def _pick(candidate_hits: Table, of_cluster: Rows, of_wire: Rows) -> Rows:
 def _hits_left(clusters: Table, of_cluster: Rows, of_wire: Rows, n: int) -> Rows:
     """How many X clusters, V clusters and wire hits each of n particles left."""
     view = clusters["view"]
-    # An XV cluster counts only where it is all that there is of its strips.
+    # An XV cluster counts only where the table holds no X or V cluster of its strips.
     weight = np.where(view == XV_CLUSTER, np.where(clusters["x_cluster"] < 0, 2, 0), 1)
     known, on_wire = of_cluster >= 0, of_wire >= 0
     left = np.bincount(of_cluster[known], weight[known], minlength=n) + np.bincount(of_wire[on_wire], minlength=n)
@@ -161,7 +161,7 @@ def _most_common(owner: Rows, weight: Rows, candidate: Rows, n: int) -> tuple[Ro
         return best, own, hits
     which = candidate[first]
     least, most = np.minimum.reduceat(owner, first), np.maximum.reduceat(owner, first)
-    pure = least == most  # mostly all of them
+    pure = least == most  # usually all of them
     best[which[pure]] = least[pure]
     own[which[pure]] = np.where(least[pure] >= 0, hits[which[pure]], 0)
     mixed = np.zeros(n, np.bool_)

@@ -1,4 +1,4 @@
-"""Hits from elsewhere: columns of any origin become tables, and are fitted (docs/own_hits.md)."""
+"""Fits of hits from other programs: columns of any origin become tables (docs/own_hits.md)."""
 
 from __future__ import annotations
 
@@ -53,14 +53,14 @@ def fit_hits(
     Returns
     -------
     dict of str to Table
-        ``tracks`` and what else `fit` makes, and the tables ``clusters``, ``wire_hits``, ``candidates`` and
+        ``tracks`` and the other tables of `fit`, and the tables ``clusters``, ``wire_hits``, ``candidates`` and
         ``candidate_hits``. Their rows are sorted by `event`, a column that may be left out, too: one event. The column
         `given_row` of the hits says where a row was.
 
     Raises
     ------
     ValueError
-        Listing everything that is wrong with the columns or the hits, by their rows as given.
+        Listing every problem of the columns or the hits, by their rows as given.
     """
     detector = load(detector)
     problems: list[str] = []
@@ -97,7 +97,7 @@ def fit_hits(
 
 
 def _error_problems(clusters: Columns) -> list[str]:
-    """Say which errors of phi and z are not above 0: only their squares reach the fit."""
+    """Return which errors of phi and z are not above 0; only their squares reach the fit."""
     return [
         f"clusters row {row}: {name}: got {clusters[name][row]:g}, expected a number above 0"
         for name in ("err_phi", "err_z")
@@ -115,7 +115,7 @@ _WHOLE = ("event", "layer", "sheet", "view", "first", "last", "size", "wire", "s
 
 
 def _read(kind: str, source: Any, needed: tuple[str, ...], problems: list[str]) -> Columns:
-    """Return the columns of a source, whole numbers as integers, with `event`, `given_row` and what is needed."""
+    """Return the columns of a source, whole numbers as integers, with `event`, `given_row` and the needed columns."""
     if source is None:
         return {name: np.zeros(0, np.int64) for name in ("event", "given_row", *needed)}
     columns = columns_of(source)
@@ -273,14 +273,14 @@ def _measurements(clusters: Columns, wires: Columns) -> Columns:
         (wires, np.arange(len(wires["layer"])), HIT_WIRE, "wire", "drift", "sigma"),
     ]  # fmt: skip
     joined: dict[str, list[Column]] = {}
-    for table, rows, kind, element, value, sigma in parts:
+    for table, rows, kind, channel, value, sigma in parts:
         layer = table["layer"][rows]
-        of = {"layer": layer, "element": table[element][rows], "value": table[value][rows], "sigma": table[sigma][rows]}
+        of = {"layer": layer, "channel": table[channel][rows], "value": table[value][rows], "sigma": table[sigma][rows]}
         of |= {"kind": np.full(len(layer), kind), "row": table["given_row"][rows], "size": np.zeros(len(layer))}
         of["side"] = table["side"][rows] if kind == HIT_WIRE else np.zeros(len(layer))
         for name, column in of.items():
             joined.setdefault(name, []).append(column)
-    kinds = {"kind": "u1", "layer": "i4", "element": "i4", "size": "i4", "side": "i8", "row": "i8"}
+    kinds = {"kind": "u1", "layer": "i4", "channel": "i4", "size": "i4", "side": "i8", "row": "i8"}
     columns = {name: np.concatenate(column).astype(kinds.get(name, "f8")) for name, column in joined.items()}
     return columns | {"side": np.clip(columns["side"], -128, 127).astype(np.int8)}
 

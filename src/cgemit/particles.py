@@ -1,4 +1,4 @@
-"""Tables of particles from anywhere, checked."""
+"""Checked tables of particles from any source."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from cgemit.tables.table import kind_problems
 
 
 class ParticleError(ProblemsError[str]):
-    """Bad input about particles; `problems` lists everything that is wrong with it.
+    """Bad input about particles; `problems` lists every problem.
 
     Attributes
     ----------
     source : str
-        What the problems are about.
+        The input with the problems.
     problems : tuple of str
         Each with the path to the value, what was given and what was expected.
     """
@@ -54,7 +54,7 @@ def particles_from(source: Any, *, n_events: int | None = None, first_event: int
     Raises
     ------
     ParticleError
-        Listing everything that is wrong with the columns.
+        Listing every problem of the columns.
     """
     columns = _columns(source)
     problems = _missing(columns) or _problems(columns)
@@ -77,7 +77,7 @@ def particles_from(source: Any, *, n_events: int | None = None, first_event: int
 
 
 def check_particles(particles: Table) -> None:
-    """Refuse a table of particles with values that make no sense.
+    """Raise an error for a table of particles with invalid values.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ def check_particles(particles: Table) -> None:
     Raises
     ------
     ParticleError
-        Listing everything that is wrong with the columns.
+        Listing every problem of the columns.
     """
     problems = kind_problems(particles=particles) or _problems(particles.columns)
     if problems:
@@ -111,7 +111,7 @@ _MOST_EVENTS = 100_000_000  # a larger span of event numbers is a mistake, such 
 
 
 def _columns(source: Any) -> dict[str, Array]:
-    """Return the columns of whatever was given."""
+    """Return the columns of any accepted source."""
     columns = columns_of(source)
     if columns is not None:
         return columns
@@ -122,7 +122,7 @@ def _columns(source: Any) -> dict[str, Array]:
 
 
 def _missing(columns: Mapping[str, Array]) -> list[str]:
-    """Say which columns are missing or cannot be columns of one table of numbers."""
+    """Return which columns are missing or cannot be columns of one table of numbers."""
     rows = len(columns["event"]) if "event" in columns and columns["event"].ndim else None
     problems = [
         f"{name}: missing; expected a column for each of {', '.join(_NEEDED)}{did_you_mean(name, columns, '; ')}"
@@ -138,7 +138,7 @@ def _missing(columns: Mapping[str, Array]) -> list[str]:
 
 
 def _problems(columns: Mapping[str, Array]) -> list[str]:
-    """Say what is wrong with the values."""
+    """Return the problems of the values."""
     bad: dict[str, tuple[str, npt.NDArray[np.bool_]]] = {}
     for name, column in columns.items():
         if name in _FLOATS:
@@ -174,7 +174,7 @@ def _problems(columns: Mapping[str, Array]) -> list[str]:
 
 
 def _too_large(columns: Mapping[str, Array]) -> dict[str, tuple[str, npt.NDArray[np.bool_]]]:
-    """Mark finite coordinates and momenta beyond what makes sense."""
+    """Mark finite coordinates and momenta beyond their limits."""
     limits = dict.fromkeys("xyz", (FARTHEST, "mm")) | dict.fromkeys(("px", "py", "pz"), (FASTEST, "GeV/c"))
     return {
         f"{name}: is beyond +-{most:g} {unit}": (name, np.isfinite(columns[name]) & (np.abs(columns[name]) > most))

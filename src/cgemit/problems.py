@@ -1,4 +1,4 @@
-"""Errors that list everything that is wrong with an input at once, each problem with its place and a hint."""
+"""Errors that list all problems of an input at once, each with its path and a hint."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ class ProblemsError(ValueError, Generic[P]):
     Attributes
     ----------
     source : str
-        What the problems are about.
+        The input with the problems.
     problems : tuple
-        What is wrong with it.
+        Its problems.
     """
 
     def __init__(self, source: str, problems: Sequence[P]) -> None:
@@ -58,7 +58,8 @@ class DetectorError(ProblemsError[Problem]):
 def did_you_mean(word: object, known: Iterable[object], before: str = "") -> str:
     """Return ``did you mean "pitch_x"?`` for the nearest known word, after `before`; an empty text if none is near.
 
-    Case counts first (GeV is not Gev), but a word in the wrong case is recognised, too. What is no text is near none.
+    Case counts first (GeV is not Gev), but a word in the wrong case is recognised, too. A value that is not a text is
+    near none.
     """
     if not isinstance(word, str):
         return ""

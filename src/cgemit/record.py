@@ -37,11 +37,11 @@ _KINDS = {
 
 
 class RecordError(ProblemsError[str]):
-    """A folder of results that is damaged, or mixed of several runs; `problems` lists what is wrong."""
+    """A folder of results that is damaged or mixes several runs; `problems` lists every problem."""
 
 
 def versions() -> dict[str, str]:
-    """Return the versions of what results depend on."""
+    """Return the versions that results depend on."""
     return {"cgemit": VERSION, "python": platform.python_version(), "numpy": np.__version__}
 
 
@@ -51,11 +51,11 @@ def configuration_of(detectors: Mapping[str, str], settings: Mapping[str, Any], 
     Parameters
     ----------
     detectors : mapping of str to str
-        The complete TOML files by what the detectors are for.
+        The complete TOML files by the role of the detectors.
     settings : mapping
         Settings of all stages, as `to_dict` returns them.
     source : object
-        What was shot, as JSON has it.
+        The particle source as JSON.
 
     Returns
     -------
@@ -75,14 +75,14 @@ def record(
     Parameters
     ----------
     detectors : mapping of str to Detector
-        By what they are for.
+        By their role.
     settings : Settings
         Of all stages.
     seed : int
     source : object
-        What was shot, as JSON has it (`gun_data`).
+        The particle source as JSON (`gun_data`).
     command : str
-        The command line that made the results; none from Python.
+        Command line that made the results; empty from Python.
     **more
         Further entries.
     """
@@ -109,7 +109,7 @@ def write_run(folder: Path, tables: Mapping[str, Table], entries: Mapping[str, A
 
 
 class Run(NamedTuple, Generic[S]):
-    """What the folder of a run holds: entries of the record, and what they describe."""
+    """The content of a run's folder: entries of the record, and the objects that they describe."""
 
     entries: Mapping[str, Any]
     detectors: Mapping[str, Detector]
@@ -214,7 +214,7 @@ def _read_tables(
 
 
 def _strangers(tables: Mapping[str, Table], entries: Mapping[str, Any]) -> list[str]:
-    """Say which tables are not of the run that the record describes."""
+    """Return which tables are not of the run that the record describes."""
     expected = {
         "events": entries["events"], "first_event": entries["first_event"], "seed": entries["seed"],
         "configuration": entries["configuration"], "version": entries["versions"].get("cgemit"),
@@ -242,7 +242,7 @@ def _detector(text: str, name: str, problems: list[str]) -> Detector | None:
 
 
 def gun_data(gun: Gun | Guns | None) -> list[dict[str, Any]] | None:
-    """Return what was shot as JSON has it: one object a gun, a range as ``{"from": low, "to": high}``.
+    """Return the particle source as JSON: one object per gun, a range as ``{"from": low, "to": high}``.
 
     None stands for given particles.
     """
@@ -253,7 +253,7 @@ def gun_data(gun: Gun | Guns | None) -> list[dict[str, Any]] | None:
 
 
 def gun_from(data: Any, problems: list[str]) -> Gun | Guns | None:
-    """Return what `gun_data` was made from; None, with problems added, if there are any."""
+    """Return the source that `gun_data` was made from; None, with problems added, if there are any."""
     if data is None:
         return None
     try:

@@ -1,4 +1,4 @@
-"""What a run is made with, and what comes of it."""
+"""The settings and the result of a run."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ TABLES = (
     *("tracks", "residuals", "states", "matches"),
 )
 
-#: What every run makes, wherever it ends.
+#: Tables of every run, wherever it ends.
 _EVERY_RUN = ("particles", "truths", "steps", "wire_truths")
 
 
@@ -38,7 +38,7 @@ class Settings(SettingsData):
     Raises
     ------
     SettingsError
-        A ValueError that lists every stage that is given something else than its settings.
+        A ValueError that lists every stage whose settings are of another class.
     """
 
     simulate: SimulateSettings = field(default_factory=SimulateSettings)
@@ -62,7 +62,7 @@ class _Stored:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Result:
-    """All tables of a run, and what made them.
+    """All tables of a run, with its detector, gun, seed and settings.
 
     Attributes
     ----------
@@ -73,7 +73,7 @@ class Result:
     settings : Settings
     tables : mapping of str to Table
         By name, in the order of `TABLES`; each is also an attribute, None where the run did not make it. ``tracks``
-        holds what the fit found, without the comparison with truth: the attribute `fitted`.
+        holds the fitted tracks without the comparison with truth: the attribute `fitted`.
     timings : mapping of str to float
         Seconds of each stage, summed over chunks, and `wall`, from start to end.
     """
@@ -109,7 +109,7 @@ class Result:
 
     @property
     def finder(self) -> str | None:
-        """Name of what assigned the hits to candidates; None where the run did not."""
+        """Name of the finder that assigned the hits to candidates; None where the run did not."""
         return None if self.candidates is None else finder_of(self.candidates)
 
     def __eq__(self, other: object) -> bool:
@@ -143,7 +143,7 @@ class Result:
         overwrite : bool
             Whether the folder may hold files already. Those of the same name are replaced.
         command : str
-            The command line that run.json shall name, if there was one.
+            Command line for run.json, if there was one.
 
         Returns
         -------
@@ -207,17 +207,17 @@ class Result:
 
 
 def detectors_of(detector: Detector, fit_detector: Detector | None) -> dict[str, Detector]:
-    """Return the detectors of a run by what they are for, as run.json names them."""
+    """Return the detectors of a run by their role, as run.json names them."""
     return {"detector": detector} | ({} if fit_detector is None else {"fit_detector": fit_detector})
 
 
 def finder_of(table: Table) -> str:
-    """Return the name of what assigned hits to the candidates or tracks of a table; ``"given"`` if it does not say.
+    """Return the name of the finder of the candidates or tracks of a table; ``"given"`` if it has none.
 
     Parameters
     ----------
     table : Table
-        Of candidates, their hits, or what was fitted to them.
+        Of candidates, of their hits, or of fitted tracks.
     """
     return str(table.meta.get("finder", "given"))
 

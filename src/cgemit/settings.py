@@ -1,6 +1,6 @@
 """Settings as data: dataclasses that check themselves by their annotations, and read and write TOML and JSON.
 
-TOML has no null: None is left out where it is the default, and may be given as the word ``"none"``. A field that holds
+TOML has no null: None is left out where it is the default, and may be given as the text ``"none"``. A field that holds
 one of several classes is a table with the key `name`, or that name alone for the defaults of the class.
 """
 
@@ -66,7 +66,7 @@ class SettingsData:
         given : mapping
             As `to_dict`, or a TOML or JSON file, gives it.
         source : str
-            Where it is from, for messages.
+            Name of the source, for messages.
 
         Raises
         ------
@@ -118,7 +118,7 @@ class SettingsData:
         return type(self).from_layers([("", self.to_dict()), *(("", nested(*item)) for item in overrides.items())])
 
     def to_toml(self, *, comments: bool = False) -> str:
-        """Return all settings as the text of a TOML file, with `comments` also what each may be, None as a word."""
+        """Return all settings as the text of a TOML file, with `comments` also what each may be, None as the text."""
         tables = _without_none(self, self.to_dict(), say_none=comments)
         return toml_text(tables, comment=(lambda path: _about(self, path)) if comments else None)
 
@@ -252,7 +252,7 @@ def _about(settings: Any, path: str) -> str:
 
 
 def _without_none(settings: Any, tables: Mapping[str, Any], *, say_none: bool) -> dict[str, Any]:
-    """Return tables without what is None by default, and the word where None is not the default, or always."""
+    """Return tables without what is None by default, and the text where None is not the default, or always."""
     found = dict(tables)
     for field in fields(settings):
         value = getattr(settings, field.name)

@@ -19,7 +19,7 @@ TransportStatus = _core.TransportStatus
 
 @dataclass(frozen=True, kw_only=True)
 class SimulateSettings(SettingsData):
-    """What the simulation draws at random (docs/methods/simulate.md).
+    """Random processes of the simulation (docs/methods/simulate.md).
 
     Attributes
     ----------
@@ -30,9 +30,9 @@ class SimulateSettings(SettingsData):
     sublayers : bool
         Whether every sub-layer scatters by itself, instead of groups of neighbours merged to one scatterer.
     foil : str
-        ``"effective"``: GEM foils are even matter. ``"lattice"``: they have holes, and a track meets the copper and
-        Kapton that it really crosses (docs/methods/foils.md); with fluctuations ``"full"`` only, since the others make
-        the fit's assumptions true.
+        ``"effective"``: GEM foils are uniform matter. ``"lattice"``: they have holes, and a track crosses the copper
+        and Kapton on its path (docs/methods/foils.md); with fluctuations ``"full"`` only, since the others follow the
+        fit's assumptions.
     screening : str
         Screening of nuclei in multiple scattering: ``"wentzel"``, as in Geant4's Wentzel-VI model, or ``"moliere"``.
         The fit follows it.
@@ -55,7 +55,7 @@ class SimulateSettings(SettingsData):
     steps: bool = False
 
     def contradictions(self) -> list[str]:
-        """Return what does not go with fluctuations other than ``"full"``."""
+        """Return the settings that need fluctuations ``"full"``."""
         problems = []
         full = str(self.fluctuations) == "full"
         if str(self.foil) == "lattice" and not full:
@@ -75,7 +75,7 @@ def simulate(
     energy loss with Bethe's mean and collisions up to the largest transfer (docs/methods/matter.md), valid for
     beta gamma > 0.13; ionization clusters and delta electrons in the drift gaps (docs/methods/deltas.md).
     Random numbers are those of (seed, event, particle, place), so results do not depend on how events are cut into
-    chunks. Hits are recorded on the way out; a particle that first moves inward only meets the matter there.
+    chunks. Hits are recorded on the outward path; a particle that first moves inward only meets the matter there.
 
     Parameters
     ----------
@@ -93,7 +93,7 @@ def simulate(
     Raises
     ------
     ParticleError
-        Listing everything that is wrong with the particles.
+        Listing every problem of the particles.
     """
     check_particles(particles)
     out = _core.simulate(**core_arguments(detector, particles, settings or SimulateSettings(), seed))
@@ -107,7 +107,7 @@ def simulate(
 
 
 def core_arguments(detector: Detector, particles: Table, settings: SimulateSettings, seed: int) -> dict[str, Any]:
-    """Return what the compiled simulation takes.
+    """Return the arguments of the compiled simulation.
 
     Parameters
     ----------

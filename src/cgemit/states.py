@@ -1,4 +1,4 @@
-"""Fitted tracks anywhere on their way: smoothed states, and extrapolation through matter (docs/methods/states.md)."""
+"""States of fitted tracks at any surface: smoothed, and extrapolated through matter (docs/methods/states.md)."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ StateStatus = _core.StateStatus
 Floats = npt.NDArray[np.float64]
 Columns = dict[str, npt.ArrayLike]
 
-#: Places that states can be asked for by name; a number is the radius of a cylinder in mm.
+#: Surfaces of states by name; a number is the radius of a cylinder in mm.
 Place = Literal["origin", "beam_line", "beam_pipe", "hits"]
 
 _MASSES = {kind.pdg: kind.mass for kind in HYPOTHESES.values()}
@@ -43,7 +43,7 @@ def state_columns(
     Parameters
     ----------
     detector : Detector
-        What the fit assumed.
+        Detector that the fit assumed.
     core : _core.Detector
         The same, compiled for it.
     places : tuple of float or str
@@ -54,12 +54,12 @@ def state_columns(
     hits : FitHits
         Of each track.
     fitted : dict of ndarray
-        Of the fit: `reference` (n, 5) float64, the helix about which its last iteration was linearised, with the
-        azimuth of flight for phi0; `kinks` (n slabs, 2) float64, rad, how that was scattered in every slab; `prior`
-        (n, 25) float64, the covariance that its filter began with; `used` (hits,) uint8, whether it used a hit;
+        Of the fit: `reference` (n, 5) float64, the helix of the reference trajectory of its last iteration, with the
+        azimuth of flight for phi0; `kinks` (n slabs, 2) float64, rad, the scattering of that trajectory in every slab;
+        `prior` (n, 25) float64, the covariance of its filter's prior; `used` (hits,) uint8, whether it used a hit;
         `used_value`, `used_variance` (hits,) float64, mm and mm2, what it measured.
     settled : ndarray, (n,) bool
-        Whether the fit has settled: the last iteration of one that has not may have begun far from where it ended.
+        Whether the fit has settled; otherwise its last iteration may have begun far from its result.
 
     Returns
     -------
@@ -101,11 +101,11 @@ def extrapolate(
     screening: str = SCREENINGS[0],
     loss: str = "truncated",
 ) -> Table:
-    """Move fitted tracks to a cylinder, outward or back in, through the matter on the way.
+    """Extrapolate fitted tracks to a cylinder, outward or inward, through the matter in between.
 
-    Tracks are helices in a uniform field, Runge-Kutta steps in any other. The energy loss changes them, and the noise
-    of the matter joins the covariance: nothing new is measured. Between measurements, and from the innermost one to the
-    origin, ``FitSettings(states=...)`` knows more: there the state is that of all measurements, on either side.
+    Tracks are helices in a uniform field, Runge-Kutta steps in any other. The energy loss changes the state, and the
+    noise of the matter adds to its covariance. No measurement is added. Between measurements, and from the innermost
+    one to the origin, ``FitSettings(states=...)`` is more precise: its states use all measurements, on either side.
 
     Parameters
     ----------
@@ -113,7 +113,7 @@ def extrapolate(
     table : Table of kind "states" or "tracks"
         Where to start; tracks start at the origin.
     radius : float
-        mm. A track that does not reach it, or leaves the field map before, gets a row that says so.
+        mm. A track that does not reach it, or leaves the field map before, gets a row with such a `status`.
     particle : str or None
         Name of the particle (``"e"``, ``"mu"``, ``"pi"``, ``"K"``, ``"p"``); that of the column `hypothesis` if None.
     screening, loss : str
@@ -127,7 +127,7 @@ def extrapolate(
     Raises
     ------
     ValueError
-        Listing every argument that makes no sense, or what is wrong with the detector.
+        Listing every invalid argument, or every problem of the detector.
     """
     problems = _start_problems(table, radius, particle, screening, loss)
     if problems:
@@ -152,7 +152,7 @@ def extrapolate(
 
 
 def _start_problems(table: Table, radius: object, particle: object, screening: object, loss: object) -> list[str]:
-    """Return what is wrong with the arguments of `extrapolate`."""
+    """Return the problems of the arguments of `extrapolate`."""
     problems = []
     fits = isinstance(table, Table) and table.kind in ("states", "tracks")
     if not fits:
@@ -190,7 +190,7 @@ def _at(out: dict[str, npt.NDArray[Any]]) -> dict[str, Any]:
 
 
 def _hit_columns(hits: FitHits, hit: npt.NDArray[Any]) -> Columns:
-    """Columns view, layer and hit of states at hits, by their place in `hits`; -1 for those that are at none."""
+    """Columns view, layer and hit of states at hits, by their row in `hits`; -1 for those that are at none."""
     at_hit = hit >= 0
     found: Columns = {}
     for name, kind, values in (("view", "i1", hits.kind), ("layer", "i4", hits.layer), ("hit", "i8", hits.row)):
@@ -201,7 +201,7 @@ def _hit_columns(hits: FitHits, hit: npt.NDArray[Any]) -> Columns:
 
 
 def _targets(detector: Detector, places: tuple[float | str, ...]) -> dict[str, npt.NDArray[Any]]:
-    """Columns surface, radius (mm) and share of the places, in their order."""
+    """Columns surface, radius (mm) and share of the requested surfaces, in their order."""
     kinds = {"origin": Surface.origin, "beam_line": Surface.beam_line, "hits": Surface.hit}
     if "beam_pipe" in places and not detector.beam_pipe:
         raise ValueError("states: 'beam_pipe', but the detector has none")

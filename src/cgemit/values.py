@@ -31,9 +31,36 @@ def is_whole(given: object, least: int, most: int) -> bool:
     return isinstance(given, int | np.integer) and not isinstance(given, bool) and bool(least <= given <= most)
 
 
+def check_numbers(where: str, seed: int, threads: int | None, **others: tuple[int | None, int, int]) -> None:
+    """Check whole numbers; None is allowed.
+
+    Parameters
+    ----------
+    where : str
+        The beginning of the message.
+    seed : int
+    threads : int or None
+    **others : (int or None, int, int)
+        More numbers by name, each with its least and most.
+
+    Raises
+    ------
+    ValueError
+        Listing every problem.
+    """
+    numbers = {**others, "seed": (seed, 0, 2**64 - 1), "threads": (threads, 1, 2**15)}
+    problems = [
+        f"{name}: {value!r}, expected a whole number from {least} to {most}"
+        for name, (value, least, most) in numbers.items()
+        if value is not None and not (isinstance(value, int | np.integer) and least <= value <= most)
+    ]
+    if problems:
+        raise ValueError(f"{where}:\n  " + "\n  ".join(problems))
+
+
 @dataclass(frozen=True)
 class InTurn:
-    """Values used one after the other: event number `i` gets the value at place ``i modulo their number``."""
+    """Values used one after the other: event number `i` gets the value at position ``i modulo their number``."""
 
     values: tuple[float, ...]
 
@@ -94,7 +121,7 @@ def _range(path: str, given: tuple[Any, ...], limit: Limit, problems: list[str])
 
 
 def _number(path: str, given: Any, limit: Limit, problems: list[str]) -> float:
-    """Return one number in native units; 0 with a problem added if it is none."""
+    """Return one number in native units; 0, with a problem added, if it is not a number in the limits."""
     if isinstance(given, str):
         try:
             value = parse_quantity(given, limit.dimension)

@@ -40,7 +40,7 @@ def hits_of(result: cg.Result, track: int) -> tuple[list[Hit], np.ndarray]:
     """Return the hits of a track and what they measured, mm."""
     found = hits_of_result(result)
     rows = range(found.hit_offsets[track], found.hit_offsets[track + 1])
-    hits = [Hit(*(getattr(found, name)[i].item() for name in ("kind", "layer", "element", "sigma"))) for i in rows]
+    hits = [Hit(*(getattr(found, name)[i].item() for name in ("kind", "layer", "channel", "sigma"))) for i in rows]
     sign = np.array([found.side[i] if found.kind[i] == 2 else 1 for i in rows])
     return hits, sign * np.array([found.value[i] for i in rows])
 

@@ -30,7 +30,7 @@ def track(name: str, p: float, cos_theta: float):
     helix = np.array([0.0, 0.4, -1 / (p * sine), 0.0, cos_theta / sine])
     found = hits_on(detector, helix)
     sigma = np.array([0.1387, 0.1327, 0.13])[found["kind"]]
-    hits = [Hit(*(int(found[name][i]) for name in ("kind", "layer", "element")), sigma[i]) for i in range(len(sigma))]
+    hits = [Hit(*(int(found[name][i]) for name in ("kind", "layer", "channel")), sigma[i]) for i in range(len(sigma))]
     return detector, helix, found | {"sigma": sigma}, hits
 
 
@@ -94,7 +94,7 @@ def test_gate_sees_wires_that_are_worse_than_believed() -> None:
     tracks = run(detector, Gun("mu-", p=1.0, cos_theta=0.0), 2000, seed=3, settings=EXACT).tracks
     _, helix, _, hits = track("besiii-cgem-design", 1.0, 0.0)
     wrong = [
-        Hit(hit.kind, hit.layer, hit.element, 0.16 if hit.kind == plain_tracks.WIRE else hit.sigma) for hit in hits
+        Hit(hit.kind, hit.layer, hit.channel, 0.16 if hit.kind == plain_tracks.WIRE else hit.sigma) for hit in hits
     ]
     expected = errors(helix, optimum(detector, wrong, helix, MUON, CUT).cov)["p"]
     assert tracks["res_p"].std() < 0.9 * expected

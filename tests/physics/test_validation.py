@@ -8,14 +8,14 @@ import dataclasses
 import pytest
 
 import cgemit as cg
-from cgemit.matter import Passage
+from cgemit.matter import SlabResult
 from geant4_reference import ANGLES, SLABS, Comparison, cases, compare, read
 
 N = 100_000
 
 
-def gates(passage: Passage, slab: str) -> list[Comparison]:
-    return [row for row in compare(passage, slab) if row.gated]
+def gates(result: SlabResult, slab: str) -> list[Comparison]:
+    return [row for row in compare(result, slab) if row.gated]
 
 
 def failures(rows: list[Comparison]) -> list[str]:

@@ -17,7 +17,7 @@ STUB = ast.parse((PACKAGE / "_core.pyi").read_text())
 FUNCTIONS = {node.name: node for node in STUB.body if isinstance(node, ast.FunctionDef)}
 CLASSES = {node.name: node for node in STUB.body if isinstance(node, ast.ClassDef)}
 CONSTANTS = {node.target.id: node for node in STUB.body if isinstance(node, ast.AnnAssign)}
-HIT_COLUMNS = {"kind": "u1", "layer": "i4", "element": "i4", "size": "i4", "value": "f8", "sigma": "f8"}
+HIT_COLUMNS = {"kind": "u1", "layer": "i4", "channel": "i4", "size": "i4", "value": "f8", "sigma": "f8"}
 ENUMS = {name for name in CLASSES if isinstance(getattr(_core, name, None), enum.EnumType)}
 
 

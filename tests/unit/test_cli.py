@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from cgemit.cli import common, read
+from cgemit.cli.common import Progress
 from cgemit.cli.main import join_negative_values, main
-from cgemit.cli.progress import Progress
 from cgemit.detector import load, write_field_map
 from cgemit.tables import Table
 

@@ -7,8 +7,7 @@ from pathlib import Path
 import jsonschema
 import pytest
 
-from cgemit.cli import common, show, validate
-from cgemit.cli import detectors as detectors_command
+from cgemit.cli import common, detector
 from cgemit.detector import DetectorError, load
 
 MATTER = """\
@@ -25,8 +24,7 @@ def call(*words: str) -> int:
     """Run a sub-command as the command line does, without turning errors into exit codes."""
     parser = argparse.ArgumentParser()
     subparsers = parser.add_subparsers()
-    for module in (detectors_command, show, validate):
-        module.add_parser(subparsers)
+    detector.add_parser(subparsers)
     arguments = parser.parse_args(words)
     return int(arguments.run(arguments))
 

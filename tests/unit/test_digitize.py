@@ -7,8 +7,7 @@ import gem_toy
 from cgemit import _core
 from cgemit.cluster import ClusterSettings
 from cgemit.detector import compiled, gaps, load
-from cgemit.digitize import BinaryReadout, DigitizeSettings, GaussianReadout, digitize
-from cgemit.digitize.wires import XT_DISTANCE, XT_TIME
+from cgemit.digitize import XT_DISTANCE, XT_TIME, BinaryReadout, DigitizeSettings, GaussianReadout, digitize
 from cgemit.tables import Table
 from stats import assert_within, fraction_error
 

@@ -129,20 +129,20 @@ def test_hits_come_from_the_beam_line_outward(chain):
     candidates = candidates_of(chain, particles)
     hits = collect_hits(DETECTOR, *candidates.values(), chain["clusters"], chain["wire_hits"])
     candidate = np.repeat(np.arange(2 * EVENTS), np.diff(hits.hit_offsets))
-    place = np.column_stack([candidate, hits.kind == HIT_WIRE, hits.layer, hits.element, hits.kind]).tolist()
+    place = np.column_stack([candidate, hits.kind == HIT_WIRE, hits.layer, hits.channel, hits.kind]).tolist()
     assert place == sorted(place)
 
 
 def test_measurements_are_those_of_the_rows(chain):
-    """Value, error, element, size and side of every hit, from the table it belongs to."""
+    """Value, error, channel, size and side of every hit, from the table it belongs to."""
     particles = particle_table(np.repeat(np.arange(EVENTS), 2), np.tile([0, 1], EVENTS))
     hits = collect_hits(DETECTOR, *candidates_of(chain, particles).values(), chain["clusters"], chain["wire_hits"])
     columns = {
-        HIT_X: ("clusters", {"value": "x", "sigma": "err_x", "element": "sheet", "layer": "layer", "size": "size"}),
-        HIT_V: ("clusters", {"value": "v", "sigma": "err_v", "element": "sheet", "layer": "layer", "size": "size"}),
+        HIT_X: ("clusters", {"value": "x", "sigma": "err_x", "channel": "sheet", "layer": "layer", "size": "size"}),
+        HIT_V: ("clusters", {"value": "v", "sigma": "err_v", "channel": "sheet", "layer": "layer", "size": "size"}),
         HIT_WIRE: (
             "wire_hits",
-            {"value": "drift", "sigma": "sigma", "element": "wire", "layer": "layer", "side": "side"},
+            {"value": "drift", "sigma": "sigma", "channel": "wire", "layer": "layer", "side": "side"},
         ),
     }
     for kind, (table, names) in columns.items():
@@ -153,7 +153,7 @@ def test_measurements_are_those_of_the_rows(chain):
     assert not np.isnan(hits.value).any()
     assert set(hits.size[hits.kind == HIT_WIRE]) == {0}
     assert set(hits.side[hits.kind != HIT_WIRE]) == {0}
-    expected = {"kind": "u1", "layer": "i4", "element": "i4", "value": "f8", "sigma": "f8", "size": "i4", "side": "i1"}
+    expected = {"kind": "u1", "layer": "i4", "channel": "i4", "value": "f8", "sigma": "f8", "size": "i4", "side": "i1"}
     assert all(getattr(hits, name).dtype == dtype for name, dtype in (expected | {"row": "i8"}).items())
 
 

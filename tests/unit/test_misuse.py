@@ -8,8 +8,7 @@ import time
 import numpy as np
 import pytest
 
-from cgemit.cli.interrupts import interrupts_kept
-from cgemit.cli.main import main
+from cgemit.cli.main import interrupts_kept, main
 from cgemit.detector import DetectorError, load
 from cgemit.gun import Gun
 from cgemit.io.folders import OutputExistsError, check_free
@@ -179,7 +178,7 @@ def test_sigterm_is_that_of_the_caller_afterwards(capsys):
 def test_interrupt_within_a_finalizer_ends_the_program():
     code = """
 import sys, time
-from cgemit.cli import detectors, main
+from cgemit.cli import detector, main
 class Slow:
     def __del__(self):
         print("ready", flush=True)
@@ -189,7 +188,7 @@ def run(arguments):
     Slow()
     for _ in range(1000):
         time.sleep(0.01)
-detectors.run = run
+detector.run_detectors = run
 sys.exit(main.main(["detectors"]))
 """
     with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:

@@ -72,19 +72,19 @@ def test_predictions_are_on_the_path(name, bz, charge, shape):
     pt, tanl = abs(1 / parameters[2]), parameters[4]
     circle = helix_point(position, momentum, charge, bz)
     for i in range(len(predicted)):
-        kind, number, element = hits["kind"][i], hits["layer"][i], hits["element"][i]
+        kind, number, channel = hits["kind"][i], hits["layer"][i], hits["channel"][i]
         layer = detector.cgem[number] if kind < 2 else wire_layer(detector, number)
         _, arcs, reached = _core.step_to_cylinder(circle[None], layer.r_mid)
         arc = arcs[0] if reached[0] else _core.advance(circle[None], np.zeros(1))[1][0]
         path = integrate(position, momentum, charge, bz, arc * math.hypot(1, tanl))
         x, y, z, px, py, pz = path.y[:, -1]
         if kind < 2:
-            along = layer.r_readout * ((math.atan2(y, x) - layer.sheet_phi[element]) % (2 * math.pi))
+            along = layer.r_readout * ((math.atan2(y, x) - layer.sheet_phi[channel]) % (2 * math.pi))
             v = along * math.cos(layer.stereo) + (layer.z_ref - z) * math.sin(layer.stereo)
             assert predicted[i] == pytest.approx(along if kind == 0 else v, abs=1e-6)
             continue
         # Newton's method for the right angle between wire, track and connection, on the integrated path.
-        east, west = map(np.array, layer.end_points(element))
+        east, west = map(np.array, layer.end_points(channel))
         wire = (east - west) / np.linalg.norm(east - west)
         for _ in range(8):
             flight = np.array([px, py, pz]) / math.hypot(pt, pz)

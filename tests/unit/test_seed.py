@@ -113,7 +113,7 @@ def test_all_on_one_layer():
     n = 12
     hits = {
         "kind": np.full(n, 2, np.uint8), "layer": np.full(n, layer.number, np.int32),
-        "element": np.arange(n, dtype=np.int32), "size": np.zeros(n, np.int32),
+        "channel": np.arange(n, dtype=np.int32), "size": np.zeros(n, np.int32),
         "value": np.full(n, 3.0), "sigma": np.full(n, 0.13), "side": np.zeros(n, np.int8),
     }  # fmt: skip
     for source in (ALL, _core.SeedFrom.wires, _core.SeedFrom.azimuths):

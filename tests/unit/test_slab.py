@@ -1,4 +1,4 @@
-"""Sheets of matter: what a text means, formulas by hand, widths and their errors, the command line."""
+"""Layers of matter: what a text means, formulas by hand, widths and their errors, the command line."""
 
 import json
 import math
@@ -12,7 +12,7 @@ import cgemit as cg
 from cgemit.cli.main import main
 from cgemit.detector.materials import library, material_named
 from cgemit.matter import SlabError
-from cgemit.matter.sheets import parse_stack
+from cgemit.matter.layers import parse_stack
 from cgemit.matter.widths import angle_estimates, loss_estimates
 from stats import assert_within
 
@@ -22,21 +22,21 @@ KEYS = [
 ]  # fmt: skip
 
 
-def sheets(text):
+def layers(text):
     problems = []
     found = parse_stack(text, problems)
     assert not problems
     return found
 
 
-def test_sheets_are_materials_with_thicknesses():
-    kapton, copper = sheets("Kapton 300 um+Cu 0.033mm")
+def test_layers_are_materials_with_thicknesses():
+    kapton, copper = layers("Kapton 300 um+Cu 0.033mm")
     assert (kapton.material, kapton.thickness) == (library()["Kapton"], 0.3)
     assert (copper.material, copper.thickness) == (library()["Cu"], 0.033)
-    (carbon,) = sheets("C 2.0 g/cm3 2.135e+2 um")
+    (carbon,) = layers("C 2.0 g/cm3 2.135e+2 um")
     assert (carbon.material.density, carbon.thickness) == (2.0, 0.2135)
     assert 10 * 42.70 / carbon.material.density == pytest.approx(carbon.material.x0, rel=2e-3)  # PDG: 42.70 g/cm2
-    assert sheets("W 1 mm")[0].material.density == 19.3
+    assert layers("W 1 mm")[0].material.density == 19.3
 
 
 @pytest.mark.parametrize(
@@ -111,7 +111,7 @@ def test_unclear_texts_are_refused(text):
         (5, "matter", "5"),
         (["Kapton 300 um", "Cu 5 um"], "matter[0]", "'Kapton 300 um'"),
         ([(library()["Kapton"], "300 um")], "matter[0]", "300 um"),
-        ([], "matter", "no sheet"),
+        ([], "matter", "no layer"),
     ],
 )
 def test_what_is_no_matter_is_refused_in_words(matter, path, given):

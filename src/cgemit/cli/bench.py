@@ -1,4 +1,4 @@
-"""`cgemit bench`: what each stage costs per track."""
+"""`cgemit bench`: wall time of each stage per track."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from cgemit.cli.read import positive
 _DESCRIPTION = """\
 Microseconds per track of each stage: mu- of 1 GeV/c, cos(theta) uniform in +-0.93, in besiii-cgem-design (CGEM and
 outer drift chamber). The fit includes the smoother. The fastest of several runs counts; with several threads, wall time
-divided by the tracks of all of them. Kernel: the compiled core alone, on arrays that are there; the fit begins with a
-given helix and makes two iterations where the sides are known."""
+divided by the tracks of all of them. Kernel: the compiled core alone, on prepared arrays; its fit starts from a given
+helix and makes two iterations where the sides are known."""
 
 _EXAMPLES = """\
 examples:

@@ -64,7 +64,7 @@ def split(texts: Sequence[str], problems: list[str], *, settings: bool = True, d
     texts : sequence of str
         ``KEY=VALUE``.
     problems : list of str
-        Texts that are no such thing, and keys that are neither a setting nor one of the detector, are added to it.
+        Receives each text of another form, and each key that is neither a setting nor a value of the detector.
     settings, detector : bool
         Whether the command has settings, and a detector, to be changed.
     """
@@ -91,9 +91,9 @@ def split(texts: Sequence[str], problems: list[str], *, settings: bool = True, d
 
 
 def _kinds_of_keys(known: Mapping[str, str]) -> list[str]:
-    words = {"settings": "a setting, which begins with", "detector": "a value of the detector, which begins with"}
-    keys = {kind: [name for name in known if known[name] == kind] for kind in words}
-    return [f"{text} {', '.join(keys[kind])}" for kind, text in words.items() if keys[kind]]
+    texts = {"settings": "a setting, which begins with", "detector": "a value of the detector, which begins with"}
+    keys = {kind: [name for name in known if known[name] == kind] for kind in texts}
+    return [f"{text} {', '.join(keys[kind])}" for kind, text in texts.items() if keys[kind]]
 
 
 def settings_of(arguments: argparse.Namespace, *, one_track: bool = False) -> Settings:
@@ -132,9 +132,9 @@ def read_settings(
     arguments : Namespace
         With `--settings` and these options, as far as the command has them.
     changed : sequence of (str, object)
-        Of `--set`.
+        The settings that `--set` changes.
     problems : list of str
-        Every problem of all of them, and options that contradict `--set`, are added to it.
+        Receives every problem, and every option that contradicts `--set`.
     one_track : bool
         Whether the fit can assume one mass only.
     """
@@ -179,7 +179,7 @@ def _listed(value: object) -> list[object]:
 
 
 def literal(text: str) -> object:
-    """Read a value as a TOML file would, but let strings go without quotes, which the shell has eaten."""
+    """Read a value as in a TOML file; strings need no quotes, since the shell removes them."""
     try:
         tables = tomllib.loads(f"value = {text}")
     except tomllib.TOMLDecodeError:
@@ -188,7 +188,7 @@ def literal(text: str) -> object:
 
 
 def add_physics(parser: argparse.ArgumentParser) -> None:
-    """Add what is simulated of the passage through matter."""
+    """Add the options of the simulated processes in matter."""
     group = parser.add_argument_group("physics")
     group.add_argument(
         "--no-deltas",

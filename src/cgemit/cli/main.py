@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+import _thread
 import argparse
+import contextlib
 import importlib
 import io
+import os
 import re
 import shlex
+import signal
 import sys
+import threading
 import traceback
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any, TextIO, cast
 
 from cgemit.cli.common import BAD_INPUT, COMMANDS, INTERRUPTED, OK, RUN_FAILED, HelpFormatter, RunFailedError
-from cgemit.cli.interrupts import interrupts_kept, pipes_kept
 from cgemit.version import VERSION
 
 _DESCRIPTION = """\
@@ -24,13 +30,13 @@ examples:
   cgemit study                                       every figure and number of arXiv:1504.02570 in ./cgemit-study
   cgemit resolution -d besiii-cgem --p 0.2:2.0:10 -o curves
   cgemit slab "Kapton 300 um + Cu 33 um" --particle pi- --p 0.5
-                                                     scattering and energy loss in sheets of matter
+                                                     scattering and energy loss in layers of matter
   cgemit show besiii-cgem                            tables of material and read-out, pictures
   cgemit simulate -d besiii-cgem --particle pi+ --p 0.5 --cos-theta 0 -n 1000 --fit -o sample
   cgemit settings > settings.toml                    settings of all stages; --settings settings.toml uses them
 
 exit codes: 0 ok, 2 bad input, 3 the run failed, 130 interrupted
-Problems of a detector, a gun or sheets of matter are all listed at once; a malformed option ends at the first."""
+Problems of a detector, a gun or layers of matter are all listed at once; a malformed option is reported alone."""
 
 
 def build_parser() -> argparse.ArgumentParser:
@@ -40,8 +46,8 @@ def build_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"cgemit {VERSION}")
     subparsers = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
-    for name in COMMANDS:
-        importlib.import_module(f"cgemit.cli.{name}").add_parser(subparsers)
+    for module in dict.fromkeys(COMMANDS.values()):
+        importlib.import_module(f"cgemit.cli.{module}").add_parser(subparsers)
     return parser
 
 
@@ -64,12 +70,12 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _run(list(sys.argv[1:] if argv is None else argv))
 
 
-def _run(words: list[str]) -> int:
+def _run(argv: list[str]) -> int:
     arguments = argparse.Namespace()
     try:
         with interrupts_kept():
-            build_parser().parse_args(join_negative_values(words), arguments)
-            arguments.line = shlex.join(["cgemit", *words])
+            build_parser().parse_args(join_negative_values(argv), arguments)
+            arguments.line = shlex.join(["cgemit", *argv])
             importlib.import_module("cgemit.isa").choose()  # a wrong CGEMIT_ISA is a mistake, whatever is run
             return int(arguments.run(arguments) or OK)
     except SystemExit as stop:  # --help, --version, or arguments that argparse has complained about
@@ -96,12 +102,91 @@ def _report(error: Exception, code: int, debug: bool) -> int:
 def join_negative_values(argv: Sequence[str]) -> list[str]:
     """Write ``--cos-theta -0.9:0.9`` as ``--cos-theta=-0.9:0.9``, since argparse would take the value for an option."""
     joined: list[str] = []
-    for word in argv:
-        if joined and re.fullmatch(r"--[a-z-]+", joined[-1]) and re.match(r"-\.?\d", word):
-            joined[-1] += f"={word}"
+    for text in argv:
+        if joined and re.fullmatch(r"--[a-z-]+", joined[-1]) and re.match(r"-\.?\d", text):
+            joined[-1] += f"={text}"
         else:
-            joined.append(word)
+            joined.append(text)
     return joined
+
+
+_AGAIN = 0.02  # s
+
+
+@contextmanager
+def interrupts_kept() -> Iterator[None]:
+    """Repeat an interrupt that Python has dropped; SIGTERM counts as an interrupt.
+
+    By default SIGTERM ends the process at once and leaves unfinished folders behind.
+
+    Python reports and then drops an exception in a finalizer or in the callback of a weak reference. matplotlib has
+    many of these, so Ctrl-C during drawing would sometimes do nothing.
+    """
+    report = sys.unraisablehook
+
+    def repeat(dropped: sys.UnraisableHookArgs) -> None:
+        if dropped.exc_type is KeyboardInterrupt:
+            # Sent later, from outside the finalizer: here it would be dropped again.
+            threading.Timer(_AGAIN, _thread.interrupt_main).start()
+        else:
+            report(dropped)
+
+    sys.unraisablehook = repeat
+    # Python handles signals in its main thread only; a program that calls us may have a handler of its own.
+    takes_over = (
+        threading.current_thread() is threading.main_thread() and signal.getsignal(signal.SIGTERM) == signal.SIG_DFL
+    )
+    if takes_over:
+        signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        sys.unraisablehook = report
+        if takes_over:
+            signal.signal(signal.SIGTERM, signal.SIG_DFL)
+
+
+@contextmanager
+def pipes_kept() -> Iterator[None]:
+    """Let a command continue after its reader has closed the pipe, as `head` does after some lines.
+
+    The files of the command are still written, and its exit code is kept.
+    """
+    streams = sys.stdout, sys.stderr
+    sys.stdout, sys.stderr = (cast(TextIO, _Kept(stream)) for stream in streams)
+    try:
+        yield
+    finally:
+        sys.stdout.flush()
+        sys.stdout, sys.stderr = streams
+
+
+class _Kept:
+    """A text stream that drops its output once the pipe is closed."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+
+    def write(self, text: str) -> int:
+        try:
+            return self._stream.write(text)
+        except BrokenPipeError:
+            self._drop()
+            return len(text)
+
+    def flush(self) -> None:
+        try:
+            self._stream.flush()
+        except BrokenPipeError:
+            self._drop()
+
+    def _drop(self) -> None:
+        """Send the buffer and all later output to the null device."""
+        with contextlib.suppress(io.UnsupportedOperation), open(os.devnull, "wb") as nowhere:  # noqa: PTH123
+            os.dup2(nowhere.fileno(), self._stream.fileno())
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
 
 
 if __name__ == "__main__":

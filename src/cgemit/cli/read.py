@@ -41,8 +41,8 @@ def names(text: str) -> tuple[str, ...]:
     return tuple(part.strip() for part in text.split(","))
 
 
-def places(text: str) -> tuple[float | str, ...]:
-    """Read places of states, ``A,B,C``: lengths are radii, words stay as they are."""
+def surfaces(text: str) -> tuple[float | str, ...]:
+    """Read the surfaces of states, ``A,B,C``: a length is a radius, a name stays a name."""
     try:
         return tuple(part if part.isidentifier() else _number(part, "length") for part in names(text))
     except QuantityError as error:

@@ -58,7 +58,6 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the scan."""
-    from cgemit.cli.progress import Progress
     from cgemit.io.folders import check_free
     from cgemit.study.scans import save_scans, scan_detectors, summary_of
 
@@ -67,7 +66,7 @@ def run(arguments: argparse.Namespace) -> int:
     check_free(arguments.output, overwrite=arguments.overwrite)
     detectors, settings = common.load_inputs(arguments, one_track=True)
     momenta = arguments.p if isinstance(arguments.p, list) else [arguments.p]
-    with Progress("resolution", quiet=arguments.quiet) as progress:
+    with common.Progress("resolution", quiet=arguments.quiet) as progress:
         scans = scan_detectors(
             detectors, momenta, particle=arguments.particle, cos_theta=arguments.cos_theta, events=arguments.events,
             seed=arguments.seed, settings=settings, threads=arguments.threads, progress=progress,

@@ -49,8 +49,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         help="fit too: candidates, tracks and their matches with particles (so do --states, --hypothesis, --set fit.*)",
     )
     parser.add_argument(
-        "--states", type=read.places, metavar="PLACE,...",
-        help="also write where the fitted tracks are, with covariance: radii (mm), origin, beam_line, beam_pipe, hits",
+        "--states", type=read.surfaces, metavar="SURFACE,...",
+        help="also write the states of the fitted tracks: radii (mm), origin, beam_line, beam_pipe, hits",
     )  # fmt: skip
     changes.add_hypothesis(parser, several=True)
     parser.add_argument("--json", action="store_true", help="write the summary to stdout as JSON")
@@ -81,7 +81,6 @@ def add_gun(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Run the chain and write its tables."""
     from cgemit import chain
-    from cgemit.cli.progress import Progress
     from cgemit.gun import Gun
     from cgemit.io.folders import SUMMARY, new_folder
 
@@ -91,7 +90,7 @@ def run(arguments: argparse.Namespace) -> int:
     gun = Gun(**{name: value for name, value in given.items() if value is not None})
     fits = _fits(arguments)
     with new_folder(arguments.output, overwrite=arguments.overwrite) as folder:
-        with Progress("simulate", quiet=arguments.quiet) as progress:
+        with common.Progress("simulate", quiet=arguments.quiet) as progress:
             result = chain.run(
                 detector, gun, arguments.events, arguments.seed, settings=settings,
                 until="fit" if fits else "cluster", threads=arguments.threads, progress=progress,

@@ -1,4 +1,4 @@
-"""`cgemit slab`: scattering and energy loss in sheets of matter."""
+"""`cgemit slab`: scattering and energy loss in layers of matter."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from cgemit.cli import common, read
 from cgemit.matter.send import FEWEST, MOST
 
 if TYPE_CHECKING:
-    from cgemit.matter import Passage
+    from cgemit.matter import SlabResult
 
 _DESCRIPTION = """\
-Send particles through plane sheets of matter and print X/X0, scattering angles and energy losses: simulated ones with
+Send particles through plane layers of matter and print X/X0, scattering angles and energy losses: simulated ones with
 their statistical errors, and those of Highland's formula, of the track fit and of Bethe's formula.
 
-MATTER is a list of sheets with "+" between them, each a material and a thickness:
+MATTER is a list of layers with "+" between them, each a material and a thickness:
   "Kapton 300 um + Cu 33 um"   materials of detector files (such as CarbonFiber, Epoxy, CgemGas), element symbols
   "He/C3H8 60/40 16 mm"        gases at 20 C and 1 atm, with fractions by volume in %; without them He/C3H8 is 60/40 and
                                Ar/iC4H10 90/10, as in detector files, and other mixtures have equal parts
@@ -38,10 +38,10 @@ examples:
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add the sub-command."""
     parser = subparsers.add_parser(
-        "slab", help="scattering and energy loss in sheets of matter", description=_DESCRIPTION, epilog=_EXAMPLES,
+        "slab", help="scattering and energy loss in layers of matter", description=_DESCRIPTION, epilog=_EXAMPLES,
         formatter_class=common.HelpFormatter,
     )  # fmt: skip
-    parser.add_argument("matter", metavar="MATTER", help='sheets, such as "Kapton 300 um + Cu 33 um"')
+    parser.add_argument("matter", metavar="MATTER", help='layers, such as "Kapton 300 um + Cu 33 um"')
     parser.add_argument("--particle", default="mu-", help="PDG name or number (default mu-)")
     parser.add_argument(
         "--p", type=_momentum, default=1.0, metavar="P", help="momentum, GeV/c unless a unit is given (default 1)"
@@ -68,32 +68,31 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 def run(arguments: argparse.Namespace) -> int:
     """Send the particles, print and draw."""
-    from cgemit.cli.progress import Progress
     from cgemit.io.folders import check_free
     from cgemit.matter import slab
 
     if arguments.output:
         check_free(arguments.output, overwrite=arguments.overwrite)
-    with Progress("slab", quiet=arguments.quiet) as progress:
-        passage = slab(
+    with common.Progress("slab", quiet=arguments.quiet) as progress:
+        result = slab(
             arguments.matter, arguments.particle, arguments.p, arguments.n, arguments.seed, arguments.screening,
             progress=progress,
         )  # fmt: skip
-    numbers = json.dumps(passage.to_dict(), indent=2, ensure_ascii=False, allow_nan=False)
+    numbers = json.dumps(result.to_dict(), indent=2, ensure_ascii=False, allow_nan=False)
     if arguments.output:
-        _write(passage, numbers, arguments.output, overwrite=arguments.overwrite)
-    print(numbers if arguments.json else passage)
+        _write(result, numbers, arguments.output, overwrite=arguments.overwrite)
+    print(numbers if arguments.json else result)
     if arguments.output and not arguments.quiet:
         print(f"picture: {arguments.output}/slab.png", file=sys.stderr)
     return common.OK
 
 
-def _write(passage: Passage, numbers: str, folder: str, *, overwrite: bool) -> None:
+def _write(result: SlabResult, numbers: str, folder: str, *, overwrite: bool) -> None:
     from cgemit.draw import draw_slab
     from cgemit.io.folders import SUMMARY, new_folder
 
     with new_folder(folder, overwrite=overwrite) as place:
-        draw_slab(passage).save(place / "slab")
+        draw_slab(result).save(place / "slab")
         (place / SUMMARY).write_text(numbers + "\n", encoding="utf-8")
 
 

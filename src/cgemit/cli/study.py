@@ -6,7 +6,7 @@ import argparse
 import json
 import sys
 
-from cgemit.cli import changes
+from cgemit.cli import changes, common
 from cgemit.cli.common import HelpFormatter, add_common, add_field, add_output, add_run
 from cgemit.cli.read import positive
 
@@ -52,11 +52,10 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the study."""
-    from cgemit.cli.progress import Progress
     from cgemit.study.paper import reproduce
 
     settings = changes.settings_of(arguments, one_track=True)
-    with Progress("study", quiet=arguments.quiet) as progress:
+    with common.Progress("study", quiet=arguments.quiet) as progress:
         study = reproduce(
             arguments.output, events=arguments.events, seed=arguments.seed, threads=arguments.threads,
             quick=arguments.quick, settings=settings, field=arguments.field, overwrite=arguments.overwrite,

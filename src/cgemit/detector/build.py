@@ -1,4 +1,4 @@
-"""From the tables of a detector file to the parts of a detector: everything is read and all problems are collected."""
+"""Build the parts of a detector from the tables of its file; all problems are collected."""
 
 import json
 import math
@@ -146,8 +146,8 @@ def complete_layer(values: dict[str, Any]) -> None:
 
     An `offset_v` of ``"centred"`` becomes a number.
 
-    The stereo angle is the one of the sheet's diagonal, counted in whole strips: as the read-out of the BESIII CGEM
-    is laid out (docs/methods/detector.md). `stereo_sign` is taken out.
+    The stereo angle is that of the sheet's diagonal in whole strips, as in the read-out of the BESIII CGEM
+    (docs/methods/detector.md). `stereo_sign` is removed.
     """
     sign = values.pop("stereo_sign", 1)
     if "strips_x" not in values:

@@ -70,7 +70,7 @@ def geometry_problems(
     walls: Sequence[Cylinder],
     chamber: DriftChamber | None,
 ) -> list[Problem]:
-    """Return overlaps, turned-over cylinders, absurd thicknesses, strips and holes that do not fit."""
+    """Return overlaps, inverted cylinders, implausible thicknesses, and strips and holes that do not fit."""
     problems: list[Problem] = []
     places: list[tuple[float, float, str]] = []
     for group, cylinders in (("beam_pipe", beam_pipe), ("walls", walls)):

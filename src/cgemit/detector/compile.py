@@ -113,7 +113,7 @@ def compiled(
 
 
 def compiled_stack(parts: Sequence[tuple[Material, float]], screening: str = "wentzel") -> _core.Detector:
-    """Return plane sheets of matter, one behind the other, as a compiled detector without read-out.
+    """Return plane layers of matter, one behind the other, as a compiled detector without read-out.
 
     Parameters
     ----------

@@ -55,7 +55,7 @@ def describe(detector: Contents) -> dict[str, Any]:
     Returns
     -------
     dict
-        name, description, field_t (at the origin), field (in words); `material`: one entry per scatterer with its
+        name, description, field_t (at the origin), field (text); `material`: one entry per scatterer with its
         `sub_layers`; `cgem` and `wires`: one entry per layer. Thickness in radiation lengths and energy loss at normal
         incidence.
 

@@ -1,4 +1,4 @@
-"""Detector and field files: where they are, what they say, and variants laid over their bases."""
+"""Detector and field files: their paths, their tables, and variants merged into their bases."""
 
 import copy
 import re
@@ -18,7 +18,7 @@ _FIELDS = resources.files("cgemit.data") / "fields"
 #: Begins the name of a field map that comes with the program, such as ``cgemit:besiii.npz``.
 OWN_MAP = "cgemit:"
 
-#: Values of a CGEM layer that are worked out from others, in order, and what each depends on.
+#: Derived values of a CGEM layer in the order of their computation, each with the values that it depends on.
 DERIVED_FROM = {
     "strips_x": {"anode_radius", "readout_offset", "sheets", "pitch_x"},
     "stereo": {"strips_x", "pitch_x", "length", "stereo_sign"},
@@ -37,7 +37,7 @@ FOR_ALL_LAYERS = {
 
 
 class Source(NamedTuple):
-    """What a file says: a name for messages, the folder that relative bases refer to, and the tables."""
+    """The content of a file: a name for messages, the folder that relative bases refer to, and the tables."""
 
     name: str
     folder: Path | None
@@ -67,7 +67,7 @@ def library_materials() -> dict[str, Any]:
 
 
 def open_source(source: str | Path | Mapping[str, Any], folder: Path | None = None) -> Source:
-    """Return what a preset, a file or a mapping says.
+    """Return the content of a preset, a file or a mapping.
 
     Raises
     ------
@@ -157,7 +157,7 @@ def _tables(tree: Mapping[str, Any], name: str) -> dict[str, Any]:
 
 
 def _drop_derived(base: dict[str, Any], variant: Mapping[str, Any]) -> None:
-    """Remove from a layer of the base what no longer follows from its changed values."""
+    """Remove the derived values of a layer of the base that depend on changed values."""
     changed = set(variant)
     for name, depends in DERIVED_FROM.items():
         if name not in variant and changed & depends:
@@ -170,7 +170,7 @@ def _drop_derived(base: dict[str, Any], variant: Mapping[str, Any]) -> None:
 
 
 def _drop_field(base: dict[str, Any], variant: Mapping[str, Any]) -> None:
-    """Leave nothing of the base's field but its strength where the variant has another kind; a map brings its own."""
+    """Keep only the strength of the base's field if the variant has another kind; a map has its own strength."""
     old, kind = _tables(base, "field"), variant.get("kind")
     if kind is not None and kind != old.get("kind"):
         base["field"] = {"bz": old["bz"]} if "bz" in old and kind != "map" else {}
@@ -180,7 +180,7 @@ def _drop_field(base: dict[str, Any], variant: Mapping[str, Any]) -> None:
 
 def _lay_over(base: dict[str, Any], variant: Mapping[str, Any], path: str) -> None:
     for name, value in variant.items():
-        # A material is one statement: half of an old one and half of a new one would not belong together.
+        # A material is replaced as a whole: keys of the old and of the new one would not be consistent.
         if isinstance(value, Mapping) and isinstance(base.get(name), dict) and path != "materials":
             _lay_over(base[name], value, name)
         else:
@@ -250,7 +250,7 @@ def place_map(tables: dict[str, Any], folder: Path | None) -> dict[str, Any]:
 
 
 def map_path(file: str) -> Path:
-    """Return where the map is that `file` of a table [field] names."""
+    """Return the path of the map that `file` of a table [field] names."""
     return Path(str(_FIELDS / file.removeprefix(OWN_MAP))) if file.startswith(OWN_MAP) else Path(file)
 
 

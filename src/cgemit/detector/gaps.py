@@ -1,6 +1,6 @@
-"""What ionizations and electrons of some keV meet at a drift gap: its gas, the cathode before it, foils behind it.
+"""Matter around a drift gap for ionization and keV electrons: its gas, the cathode before it, the foils behind it.
 
-Everything that does not depend on the particle is worked out here, once per detector, for `docs/methods/deltas.md`.
+The tables that do not depend on the particle are computed here, once per detector (docs/methods/deltas.md).
 Positions w are mm outward from the inner edge of the gap; energies keV.
 """
 
@@ -72,8 +72,8 @@ LARGEST_SIZE = 2000
 def _sizes(listed: Floats, beyond: Floats) -> tuple[Floats, Floats]:
     """Return cumulative shares of sizes and ranges, and the borders of the ranges.
 
-    Between listed sizes the logarithm of the share is linear. Beyond the last range border the shares go on as 1/n^2
-    without end; what lies above `LARGEST_SIZE` is left out.
+    Between listed sizes the logarithm of the share is linear. Beyond the last range border the shares continue as
+    1/n^2; sizes above `LARGEST_SIZE` are left out.
     """
     every = np.arange(1, round(listed[0, -1]) + 1)
     shares = np.exp(np.interp(every, listed[0], np.log(listed[1])))
@@ -142,8 +142,8 @@ def elastic(material: Material, energy: Floats) -> tuple[Floats, Floats]:
     """Return K (1/mm) and a of the rate of elastic scatters K/(mu + a)^2 d(mu), mu = (1 - cos(angle))/2; (n,) each.
 
     Screened Rutherford cross-section as in D.C. Joy, Monte Carlo Modeling for Electron Microscopy and Microanalysis
-    (1995), ch. 3: 5.21e-21 cm2 Z^2/E^2 ((E + 511)/(E + 1024))^2 4 pi/(a(1 + a)), a = 3.4e-3 Z^0.67/E, E in keV. In a
-    the energy stands for the squared momentum, p^2/2m. Elements of a mixture share one a: ln(a) is the mean with K.
+    (1995), ch. 3: 5.21e-21 cm2 Z^2/E^2 ((E + 511)/(E + 1024))^2 4 pi/(a(1 + a)), a = 3.4e-3 Z^0.67/E, E in keV.
+    In a, E is replaced by p^2/2m. Elements of a mixture share one a: ln(a) is the mean with K.
     """
     reduced = energy * (1 + energy / (2 * REST_ENERGY))
     strength, logarithm = 0.0, 0.0
@@ -162,15 +162,15 @@ def electron_energies() -> Floats:
 
 
 def step_share(energy: Floats) -> Floats:
-    """Return the way between hard scatters as a share of transport mean free path or remaining way, (n,); keV, (n,).
+    """Return the path between hard scatters over transport mean free path or remaining path, (n,); keV, (n,).
 
-    Finer for faster electrons, which go farther: with half of it the displacements stay the same within 2 %.
+    The share is smaller for faster electrons, which go farther. Half of it changes the displacements by less than 2 %.
     """
     return np.clip(0.1 * np.sqrt(200 / energy), 0.1, 0.5)
 
 
 def electron_table(shells: Sequence[Shell]) -> Floats:
-    """Return what sub-layers, as one even matter, do to electrons of the core's energies, (ELECTRON_POINTS, 6) float64.
+    """Return the electron table of sub-layers as one uniform matter, (ELECTRON_POINTS, 6) float64.
 
     Columns: stopping (keV/mm), mean free path of hard scatters (mm), the mu above which a scatter is hard, screening,
     mean of mu per mm by soft scatters, 1/momentum ((GeV/c)^-1). The mean free path of hard scatters is
@@ -194,7 +194,7 @@ def electron_table(shells: Sequence[Shell]) -> Floats:
 
 
 def _groups(shells: Sequence[Shell], gap: int) -> list[list[Shell]]:
-    """Return the sub-layers in groups that electrons may take as even matter: neighbouring solids far from the gap."""
+    """Return the sub-layers in groups of uniform matter for electrons: solids side by side far from the gap."""
     found: list[list[Shell]] = []
     dense = [depth > EVEN_DEPTH and shell.material.density > EVEN_DENSITY for shell, depth in
              zip(shells, _depths([[shell] for shell in shells], gap), strict=True)]  # fmt: skip

@@ -1,4 +1,4 @@
-"""What each key of a detector file may hold: stated once, on the dataclass field; reader, checks and schema use it."""
+"""Allowed values of the keys of a detector file, stated once on the dataclass field for reader, checks and schema."""
 
 import dataclasses
 import math
@@ -7,16 +7,16 @@ from typing import Any
 
 from cgemit.units import NATIVE, describe
 
-#: Word for an `offset_v` that follows from the other values of a layer.
+#: Name of an `offset_v` that follows from the other values of a layer.
 CENTRED = "centred"
 
 
 @dataclass(frozen=True)
 class Key:
-    """One key: its kind is a dimension of `units.NATIVE`, or a word that the reader knows.
+    """One key: its kind is a dimension of `units.NATIVE`, or a name that the reader knows.
 
     `low` and `high` are the sensible range in native units, ends included; `derived` keys may be left out and are
-    then worked out from the others.
+    then computed from the others.
     """
 
     kind: str
@@ -31,10 +31,10 @@ class Key:
         return math.isfinite(value) and self.low <= value <= self.high
 
     def expected(self) -> str:
-        """Return the allowed values in words."""
+        """Return the allowed values as text."""
         if self.choices:
             return "one of " + ", ".join(f'"{choice}"' for choice in self.choices)
-        words = {
+        texts = {
             "integer": "a whole number",
             "boolean": "true or false",
             "sign": "1 or -1",
@@ -46,7 +46,7 @@ class Key:
             "numbers": "a table of numbers c, x0, x1, a, k",
             "offset": '"centred", or a number',
         }
-        text = words.get(self.kind) or describe(self.kind)
+        text = texts.get(self.kind) or describe(self.kind)
         if self.low == -float("inf"):
             return text
         if self.kind in NATIVE:

@@ -80,7 +80,7 @@ class Material:
     )
 
     def solid(self) -> "Material":
-        """Return what stands beside the holes: the same matter undiluted."""
+        """Return the matter between the holes: the same material undiluted."""
         if self.filling == 1:
             return self
         name, density, x0 = f"solid {self.name}", self.density / self.filling, self.x0 * self.filling

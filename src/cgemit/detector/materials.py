@@ -26,7 +26,7 @@ MOLAR_VOLUME = 8.314462618 * 293.15 / 101325 * 1e6
 #: Chemical formulas that mean a gas when no density is given, beside the elements that are gases.
 GASES = ("H2", "N2", "O2", "F2", "Cl2", "CH4", "C2H6", "C3H8", "C4H10", "iC4H10", "CO2", "CF4", "C2H2F4", "SF6")
 
-#: Mixtures that come with the program, by what people call them without fractions.
+#: Mixtures that come with the program, by their names without fractions.
 USUAL = {"He/C3H8": ("MdcGas", "60/40"), "Ar/iC4H10": ("CgemGas", "90/10")}
 
 _BULK = ("x0", "z_over_a", "excitation_energy")
@@ -49,7 +49,7 @@ def read_materials(reader: Reader, known: Mapping[str, Material], raw: Mapping[s
     while waiting:
         ready = [name for name, table in waiting.items() if _base(table) in (None, *found)]
         if not ready:
-            # Blame those whose base does not exist; if all exist they lead in a circle.
+            # Report those whose base does not exist; if all bases exist, they form a circle.
             for name in [n for n, table in waiting.items() if _base(table) not in raw] or list(waiting):
                 base = _base(waiting.pop(name)) or ""
                 hint = did_you_mean(base, found)
@@ -91,7 +91,7 @@ def _material(reader: Reader, name: str, raw: object, found: Mapping[str, Materi
 
 
 def _with_base(reader: Reader, path: str, name: str, base: Material, values: dict[str, Any]) -> Material | None:
-    """Return what a table says that has a base: the base at another density."""
+    """Return the material of a table with a base: the base at another density."""
     for key in values.keys() - {"density", "x0"}:
         reader.note(f"{path}.{key}", "a value beside base", "only density and x0 beside base")
         return None
@@ -101,8 +101,8 @@ def _with_base(reader: Reader, path: str, name: str, base: Material, values: dic
 def _diluted(base: Material, density: float, x0: float | None = None) -> Material:
     """Return a material at another density (g/cm3).
 
-    A solid is diluted by holes, the matter beside them is unchanged: it keeps its density effect, and `filling` says
-    how dense it is. A gas gets a new density effect for its new pressure.
+    A solid is diluted by holes. The matter between them is unchanged and keeps its density effect; `filling` is its
+    share of the volume. A gas gets a new density effect for its new pressure.
     """
     effect, filling = base.density_effect, base.filling
     if not base.gas:

@@ -32,7 +32,7 @@ class Detector(Contents):
             raise DetectorError(self.name, problems)
 
     def __hash__(self) -> int:
-        # What was made for a detector is looked up at every call, which the hash of all parts would slow down.
+        # Caches look up the detector at every call; the hash of all parts would slow this down.
         return hash((self.name, self.description))
 
     def __repr__(self) -> str:
@@ -49,7 +49,7 @@ class Detector(Contents):
         """Return a variant: dotted keys of the detector file and their values.
 
         For example ``{"cgem.L2.pitch_x": "500 um"}``. Strip counts and stereo angles that depend on a changed value
-        are worked out anew.
+        are recomputed.
 
         Raises
         ------

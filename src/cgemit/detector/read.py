@@ -37,8 +37,8 @@ EXTRA: dict[type, dict[str, Key]] = {
 }
 
 
-#: Stands for a value whose problem has been noted: arithmetic with it stays unusable and no check of it fails, so that
-#: the rest of the part can still be checked.
+#: A value whose problem has been noted. Arithmetic with it stays unusable and no check of it fails, so the rest of the
+#: part can still be checked.
 UNUSABLE: Any = math.nan
 
 
@@ -76,12 +76,12 @@ class Reader:
         defaults: Mapping[str, Any] | None = None,
         siblings: Iterable[str] = (),
     ) -> dict[str, Any]:
-        """Return the values of a table in native units; UNUSABLE in the place of what is wrong or missing.
+        """Return the values of a table in native units; UNUSABLE for wrong or missing values.
 
         Parameters
         ----------
         path, raw : str, object
-            Where the table stands in the file, and what it says.
+            Path of the table in the file, and its content.
         kind : type
             The dataclass whose keys are read.
         elsewhere : iterable of str
@@ -215,7 +215,7 @@ def _only(raw: Mapping[str, Any]) -> str:
 
 
 def _label_hint(path: str, siblings: Iterable[str]) -> str:
-    """Return what may be wrong with a table that is not complete: a misspelt label, or a new part."""
+    """Return a hint for an incomplete table: a misspelt label, or a new part."""
     others = list(siblings)
     label = path.rpartition(".")[2]
     hint = did_you_mean(label, [other for other in others if other != label])
@@ -223,7 +223,7 @@ def _label_hint(path: str, siblings: Iterable[str]) -> str:
 
 
 def shown(raw: object) -> str:
-    """Return a short rendering of what a file says, as TOML would write it."""
+    """Return a value of a file in short form, as TOML would write it."""
     if isinstance(raw, Mapping):
         return "a table"
     if isinstance(raw, list):

@@ -86,7 +86,7 @@ def _table(kind: type, complete: bool, more: Mapping[str, Any] | None = None) ->
 
 
 def _chamber(complete: bool) -> dict[str, Any]:
-    """Return the drift chamber: what it says for all layers need not be said by each."""
+    """Return the drift chamber: values stated for all layers may be left out in each layer."""
     layer = _table(WireLayer, complete)
     common = {name: layer["properties"][name] for name in FOR_ALL_LAYERS}
     if complete:

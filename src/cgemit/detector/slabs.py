@@ -15,7 +15,7 @@ from cgemit.detector.parts import CgemLayer, Contents, Cylinder, DriftChamber, S
 
 ENDLESS = 1e9  # mm, half length of air
 _LUMP = 70.0  # mm of chamber gas that act as one scatterer: about four wire layers
-#: Random numbers of what only a lattice has count from here, so that other slabs keep theirs.
+#: RNG places of slabs that only a lattice has count from here, so that other slabs keep theirs.
 _FIRST_PLACE = 1 << 16
 
 
@@ -266,7 +266,7 @@ def hole_table(holes: Sequence[Holes | None], groups: Sequence[str], merge: bool
 
 
 def _places(groups: Sequence[str], merge: bool) -> list[int]:
-    """Return where each slab has its random numbers: as without a lattice, so that both share their noise."""
+    """Return the RNG place of each slab: as without a lattice, so that both share their noise."""
     if not merge:
         return list(range(len(groups)))
     places: list[int] = []

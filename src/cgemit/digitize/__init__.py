@@ -1,19 +1,26 @@
-"""Digitization: truths become digis, passages of drift cells drift distances (docs/methods/digitize.md)."""
+"""Digitization: truths become digis, crossings of drift cells become drift distances (docs/methods/digitize.md)."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from cgemit.detector import Detector
+import numpy as np
+
+from cgemit import _core
+from cgemit.detector import Detector, compiled
 from cgemit.digitize.binary import BinaryReadout as BinaryReadout
 from cgemit.digitize.gaussian import GaussianReadout as GaussianReadout
 from cgemit.digitize.readout import Readout as Readout
-from cgemit.digitize.wires import read_out_wires
 from cgemit.kinds import one_of
 from cgemit.settings import SettingsData
 from cgemit.tables import Table
 
+#: Drift distance (mm) against drift time (ns) of the outer drift chamber's cells: medians of reconstructed hits of
+#: BESIII (BOSS 7.2.0 files published with pybes3), with the wire itself put at time 0. Straight lines between the
+#: points; the outermost ones are continued.
+XT_DISTANCE = np.array([0.0, 0.5, 1.2, 2.0, 2.8, 3.45, 4.7, 5.75, 6.9, 7.9, 8.3])
+XT_TIME = np.array([0.0, 10.0, 25.0, 50.0, 75.0, 100.0, 150.0, 200.0, 250.0, 300.0, 350.0])
 #: Read-outs of CGEM layers by name.
 READOUTS: dict[str, type[Readout]] = {
     BinaryReadout.name: BinaryReadout,
@@ -36,7 +43,7 @@ class DigitizeSettings(SettingsData):
     Raises
     ------
     ValueError
-        Listing every value that makes no sense.
+        Listing every invalid value.
     """
 
     readout: Readout = field(default_factory=BinaryReadout, metadata=one_of(READOUTS))
@@ -67,9 +74,9 @@ def digitize(
         Of kind ``wire_truths``, of the same events.
     settings : DigitizeSettings or None
     seed : int
-        Key of the random numbers. They depend on seed, event, particle, layer and wire, on nothing else.
+        Key of the random numbers. They depend only on seed, event, particle, layer and wire.
     steps : Table or None
-        Of kind ``steps``, linked to `truths` and in their order: delta electrons deposit where they went (binary).
+        Of kind ``steps``, linked to `truths` and in their order: delta electrons deposit along their paths (binary).
         Without it, all energy of a truth lies between entry and exit.
 
     Returns
@@ -81,7 +88,7 @@ def digitize(
     ------
     ValueError
         If a layer or wire is not in the detector, a value is not finite, or a step does not belong to its truth or has
-        values that no step has.
+        invalid values.
     """
     settings = settings or DigitizeSettings()
     if steps is None:
@@ -90,3 +97,26 @@ def digitize(
         "wire_hits": read_out_wires(detector, wire_truths, reveal_sides=settings.reveal_sides, seed=seed),
         "digis": settings.readout.digitize(detector, truths, steps, seed),
     }
+
+
+def read_out_wires(detector: Detector, wire_truths: Table, *, reveal_sides: bool, seed: int) -> Table:
+    """Return the table ``wire_hits`` of a table ``wire_truths``.
+
+    Parameters
+    ----------
+    detector : Detector
+    wire_truths : Table
+    reveal_sides : bool
+        Whether wire hits tell on which side of the wire the particle passed.
+    seed : int
+
+    Raises
+    ------
+    ValueError
+        If a wire is not in the detector, or a value is not finite.
+    """
+    hits = _core.read_out_wires(
+        compiled(detector), dict(wire_truths.columns), xt_distance=XT_DISTANCE, xt_time=XT_TIME,
+        reveal_sides=reveal_sides, seed=seed,
+    )  # fmt: skip
+    return Table("wire_hits", hits, wire_truths.n_events, wire_truths.first_event)

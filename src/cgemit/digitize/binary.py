@@ -29,7 +29,7 @@ class BinaryReadout(SettingsData):
     Raises
     ------
     ValueError
-        Listing every value that makes no sense.
+        Listing every invalid value.
     """
 
     name: ClassVar[str] = "binary"

@@ -1,4 +1,4 @@
-"""Gaussian read-out: positions smeared with given errors, so that everything downstream has an exact answer."""
+"""Gaussian read-out: positions smeared with given errors, so that the exact result of the later stages is known."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class GaussianReadout(SettingsData):
     Raises
     ------
     ValueError
-        Listing every value that makes no sense.
+        Listing every invalid value.
     """
 
     name: ClassVar[str] = "gaussian"

@@ -1,4 +1,4 @@
-"""What a read-out of CGEM layers offers to the chain."""
+"""The interface of a read-out of CGEM layers."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ class Readout(Protocol):
         ...
 
     def cluster(self, detector: Detector, digis: Table, settings: ClusterSettings) -> Table:
-        """Return the table ``clusters``: what the digis measure, and how well.
+        """Return the table ``clusters``: the measured positions with their errors.
 
         Parameters
         ----------
         detector : Detector
         digis : Table
-            Its columns `truth` and `n_truths` may be passed on, and must not be used otherwise.
+            Its columns `truth` and `n_truths` may only be passed on.
         settings : ClusterSettings
         """
         ...

@@ -152,7 +152,7 @@ def draw_curves(
 
 
 def _limit_curves(axes: Axes, curves: Sequence[Line], paper: tuple[float, float] | None) -> None:
-    """Show all of every point, and every place in x where there could have been one."""
+    """Show every point with its error bar, and every x of the curves, also without a point."""
     x, y, error = (np.concatenate([getattr(curve, name) for curve in curves]) for name in ("x", "y", "y_error"))
     asked = x[np.isfinite(x)]
     axes.update_datalim(np.stack([asked, np.zeros(len(asked))], axis=1), updatey=False)

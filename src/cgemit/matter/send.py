@@ -1,4 +1,4 @@
-"""Send particles through plane sheets of matter."""
+"""Send particles through plane layers of matter."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ import numpy as np
 from cgemit import _core
 from cgemit.detector.compile import SCREENINGS, compiled_stack
 from cgemit.detector.material import Material
-from cgemit.matter.passage import LayerNumbers, Passage
-from cgemit.matter.sheets import THINNEST, Sheet, parse_stack
+from cgemit.matter.layers import THINNEST, Layer, parse_stack
+from cgemit.matter.result import LayerNumbers, SlabResult
 from cgemit.matter.widths import ANGLES, LOSSES, angle_estimates, loss_estimates
 from cgemit.particles import FASTEST
 from cgemit.problems import Problem, ProblemsError, did_you_mean
@@ -22,37 +22,37 @@ from cgemit.units import QuantityError, parse_quantity
 #: Number of particles: fewer have no 1 % quantile, the columns of more take over 1 GB.
 FEWEST, MOST = 1000, 20_000_000
 _CHUNK = 20_000
-_PIECE = 0.02  # a sheet is cut where the particle would lose more of its kinetic energy, or cross more X0, at once
-_MOST_PIECES = 100  # of a sheet
+_PIECE = 0.02  # a layer is cut where the particle would lose more of its kinetic energy, or cross more X0, at once
+_MOST_PIECES = 100  # of a layer
 _STOPPED = 1e-3  # a particle has stopped on average where it has this fraction of its kinetic energy left
-_WIDEST = 1e3  # mrad; formulas of small angles say nothing above
+_WIDEST = 1e3  # mrad; formulas for small angles are not valid above
 _KEV = 1e6  # per GeV
 
 
 class SlabError(ProblemsError[Problem]):
-    """Bad input about sheets of matter; `problems` lists everything that is wrong with it.
+    """Bad input about layers of matter; `problems` lists every problem.
 
     Attributes
     ----------
     source : str
-        What was asked for.
+        The function with the bad input.
     problems : tuple of Problem
         Each with `path`, `given`, `expected`, `hint`.
     """
 
 
 class _Order(NamedTuple):
-    """What was asked for, checked."""
+    """The checked arguments."""
 
-    sheets: tuple[Sheet, ...]
+    layers: tuple[Layer, ...]
     kind: Species
     p: float
 
 
 class _Piece(NamedTuple):
-    """A part of a sheet that is crossed at one momentum; core angle squared (rad^2) and mean loss (GeV) in it."""
+    """A part of a layer that is crossed at one momentum; core angle squared (rad^2) and mean loss (GeV) in it."""
 
-    sheet: int
+    layer: int
     share: float
     variance: float
     loss: float
@@ -67,11 +67,11 @@ def slab(
     screening: str = "wentzel",
     *,
     progress: Callable[[float], None] | None = None,
-) -> Passage:
-    """Send particles through plane sheets of matter at normal incidence and measure their angles and losses.
+) -> SlabResult:
+    """Send particles through plane layers of matter at normal incidence and measure their angles and losses.
 
-    Thick sheets are cut into pieces that a particle crosses with less than 2 % of its kinetic energy and of X0; what
-    is behind the place where it stops on average stays in one piece.
+    Thick layers are cut into pieces that a particle crosses with less than 2 % of its kinetic energy and of X0; the
+    part behind the point where it stops on average stays in one piece.
 
     Parameters
     ----------
@@ -94,17 +94,17 @@ def slab(
 
     Returns
     -------
-    Passage
+    SlabResult
 
     Raises
     ------
     SlabError
-        Listing everything that is wrong.
+        Listing every problem.
     """
     order = _check(matter, particle, p, n, seed, screening)
-    parts = [(sheet.material, sheet.thickness) for sheet in order.sheets]
+    parts = [(layer.material, layer.thickness) for layer in order.layers]
     pieces = _pieces(parts, order, screening)
-    cut = [(parts[piece.sheet][0], parts[piece.sheet][1] * piece.share) for piece in pieces]
+    cut = [(parts[piece.layer][0], parts[piece.layer][1] * piece.share) for piece in pieces]
     columns = _send(compiled_stack(cut, screening), order, n, seed, progress)
     columns["loss"] *= _KEV
     status = columns["status"]
@@ -116,7 +116,7 @@ def slab(
     losses = loss_estimates(columns["loss"][through | stopped])
     simulated |= {f"loss_kev_{name}": losses[name] for name in LOSSES}
     numbers = {**_by_formula(order, pieces), **{name: value for name, (value, _) in simulated.items()}, **columns}
-    return Passage(
+    return SlabResult(
         matter=_text(matter), particle=order.kind.name, screening=screening, p=order.p, n=n, seed=seed,
         stopped=int(np.sum(stopped)), turned=int(np.sum(~through & ~stopped)), **numbers,
         errors={name: error for name, (_, error) in simulated.items()},
@@ -136,10 +136,10 @@ def _check(
     screening: str,
 ) -> _Order:
     problems: list[Problem] = []
-    sheets = parse_stack(matter, problems) if isinstance(matter, str) else _sheets(matter, problems)
-    if not problems and (not sheets or not all(THINNEST <= sheet.thickness < math.inf for sheet in sheets)):
-        expected = f"sheets of {THINNEST:g} mm or more, and finite"
-        problems.append(Problem("matter", "no sheet, or one without thickness", expected))
+    layers = parse_stack(matter, problems) if isinstance(matter, str) else _layers(matter, problems)
+    if not problems and (not layers or not all(THINNEST <= layer.thickness < math.inf for layer in layers)):
+        expected = f"layers of {THINNEST:g} mm or more, and finite"
+        problems.append(Problem("matter", "no layer, or one without thickness", expected))
     kind, momentum = _kind(particle, problems), _momentum(p, problems)
     for name, value, least, most in (("n", n, FEWEST, MOST), ("seed", seed, 0, 2**64 - 1)):
         if not isinstance(value, int | np.integer) or isinstance(value, bool) or not least <= value <= most:
@@ -149,11 +149,11 @@ def _check(
         problems.append(Problem("screening", repr(screening), expected, did_you_mean(str(screening), SCREENINGS)))
     if problems:
         raise SlabError("slab", problems)
-    return _Order(sheets, kind, momentum)
+    return _Order(layers, kind, momentum)
 
 
-def _sheets(matter: object, problems: list[Problem]) -> tuple[Sheet, ...]:
-    """Return the sheets of pairs; what is none of them is a problem."""
+def _layers(matter: object, problems: list[Problem]) -> tuple[Layer, ...]:
+    """Return the layers of pairs of material and thickness; anything else is a problem."""
     expected = 'a text such as "Kapton 300 um", or a sequence of (Material, thickness in mm)'
     if not isinstance(matter, Sequence):
         problems.append(Problem("matter", repr(matter), expected))
@@ -162,7 +162,7 @@ def _sheets(matter: object, problems: list[Problem]) -> tuple[Sheet, ...]:
     for number, pair in enumerate(matter):
         match pair:
             case (Material() as material, int() | float() | np.number() as thickness) if math.isfinite(thickness):
-                found.append(Sheet(material, float(thickness)))
+                found.append(Layer(material, float(thickness)))
             case _:
                 problems.append(Problem(f"matter[{number}]", repr(pair), "(Material, thickness in mm)"))
     return tuple(found)
@@ -194,7 +194,7 @@ def _momentum(p: float | str, problems: list[Problem]) -> float:
 
 
 def _pieces(parts: Sequence[tuple[Material, float]], order: _Order, screening: str) -> list[_Piece]:
-    """Cut the sheets for a particle that loses what it loses on average."""
+    """Cut the layers for a particle with the mean energy loss."""
     whole = compiled_stack(parts, screening)
     mass, charge = order.kind.mass, float(order.kind.charge)
     chi_c2 = _core.total_matter(whole, 0.0)[2]
@@ -226,7 +226,7 @@ def _momentum_of(kinetic: float, mass: float) -> float:
 
 
 def _mean_loss(whole: _core.Detector, number: int, p: float, kind: Species, x0: float) -> float:
-    """Return the mean loss in a sheet, GeV, at a momentum; of electrons with radiation, E x/X0."""
+    """Return the mean loss in a layer, GeV, at a momentum; of electrons with radiation, E x/X0."""
     charge = float(kind.charge)
     collisions = _core.restricted_loss(whole, number, path=1.0, p=p, mass=kind.mass, charge=charge, cut=1e9)
     light = abs(kind.pdg) == 11
@@ -234,25 +234,25 @@ def _mean_loss(whole: _core.Detector, number: int, p: float, kind: Species, x0: 
 
 
 def _by_formula(order: _Order, pieces: Sequence[_Piece]) -> dict[str, Any]:
-    sheets = []
-    for number, (material, thickness, note) in enumerate(order.sheets):
-        variance = sum(piece.variance for piece in pieces if piece.sheet == number)
-        loss = sum(piece.loss for piece in pieces if piece.sheet == number)
-        sheets.append(
+    layers = []
+    for number, (material, thickness, note) in enumerate(order.layers):
+        variance = sum(piece.variance for piece in pieces if piece.layer == number)
+        loss = sum(piece.loss for piece in pieces if piece.layer == number)
+        layers.append(
             LayerNumbers(
                 material=material.name, note=note, thickness_mm=thickness, density_gcm3=material.density,
                 mass_gcm2=0.1 * material.density * thickness, x_over_x0=thickness / material.x0,
                 core_mrad=_angle(1e3 * math.sqrt(variance)), mean_loss_kev=_known(_KEV * loss),
             )
         )  # fmt: skip
-    x_over_x0 = sum(sheet.x_over_x0 for sheet in sheets)
+    x_over_x0 = sum(layer.x_over_x0 for layer in layers)
     energy = math.hypot(order.p, order.kind.mass)
     beta = order.p / energy
     logarithm = 1 + 0.038 * math.log(x_over_x0 / beta**2)
     highland = 13.6 / (beta * order.p) * math.sqrt(x_over_x0) * logarithm
     return {
-        "layers": tuple(sheets),
-        "mass_gcm2": sum(sheet.mass_gcm2 for sheet in sheets),
+        "layers": tuple(layers),
+        "mass_gcm2": sum(layer.mass_gcm2 for layer in layers),
         "x_over_x0": x_over_x0,
         "highland_mrad": _angle(highland) if logarithm > 0 else None,
         "core_mrad": _angle(1e3 * math.sqrt(sum(piece.variance for piece in pieces))),

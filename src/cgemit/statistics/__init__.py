@@ -1,1 +1,1 @@
-"""Widths, pulls and chi-square of fitted tracks, and the curves and histograms that figures show of them."""
+"""Widths, pulls and chi-square of fitted tracks, and the curves and histograms of figures."""

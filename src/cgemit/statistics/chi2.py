@@ -1,4 +1,4 @@
-"""How well the chi-square of the fits agrees with what it should be."""
+"""Tests of the chi-square of the fits against its expected distribution."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Curves and histograms as data: what figures show, and what CSV tables and `summary.json` hold."""
+"""Curves and histograms as data, for figures, CSV tables and `summary.json`."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Ints = npt.NDArray[np.int64]
 #: Axis labels of the track quantities.
 SYMBOLS = {"dr": "d_ρ", "phi0": "φ₀", "kappa": "κ", "dz": "d_z", "tanl": "tan λ", "p": "p"}
 
-#: Core widths to each side within which figures and reports take the RMS; what is outside is counted.
+#: Core widths to each side within which figures and reports take the RMS; values outside are counted.
 WINDOW = 5.0
 
 _INSIDE_3 = 0.9973002  # of a Gaussian within 3 sigma
@@ -130,7 +130,7 @@ class Spectrum:
 def windowed_resolution(tracks: Table, parameter: str) -> Resolution:
     """Return the widths of a track parameter with the RMS within `WINDOW` core widths of the core's mean.
 
-    A handful of tracks far out would otherwise decide the RMS; they are counted in `outside`.
+    A few tracks far out would otherwise dominate the RMS; they are counted in `outside`.
     """
     widths = resolution(tracks, parameter)
     if not widths.core > 0:

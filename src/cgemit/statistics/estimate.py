@@ -1,4 +1,4 @@
-"""How wide is a sample? Core, central interval, RMS and tails of plain arrays, each with its error."""
+"""Widths of a sample: core, central interval, RMS and tails of plain arrays, each with its error."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Resolution(Comparable):
     rms, rms_error, mean, mean_error : float
         Standard deviation (about the mean) and mean of the rows within `window`.
     window : (float, float)
-        Where `rms` and `mean` look; infinite if everywhere.
+        Range of the rows in `rms` and `mean`; infinite for all rows.
     outside : int
         Rows outside `window`.
     tail, tail_error : float
@@ -114,7 +114,7 @@ def measure(
     parameter, unit : str
         For print-outs.
     window : (low, high) or None
-        Where the RMS and the mean look, in `unit`; None looks everywhere.
+        Range of the RMS and the mean, in `unit`; None: all rows.
     removed : tuple of (str, int)
         Rows that were left out before, and why.
 

@@ -1,4 +1,4 @@
-"""How results compare, print themselves and are written to files."""
+"""Comparison, printing and CSV files of results."""
 
 from __future__ import annotations
 

@@ -45,7 +45,7 @@ def resolution(tracks: Table | Result, parameter: str, *, window: tuple[float, f
     parameter : str
         One of dr, phi0, kappa, dz, tanl, p.
     window : (low, high) or None
-        Where the RMS looks, in the quoted unit; None looks everywhere.
+        Range of the RMS, in the quoted unit; None: all rows.
 
     Returns
     -------
@@ -55,7 +55,7 @@ def resolution(tracks: Table | Result, parameter: str, *, window: tuple[float, f
     Raises
     ------
     TypeError, ValueError
-        If `tracks` are none, the parameter is unknown or the window is empty.
+        If `tracks` is of another kind, the parameter is unknown or the window is empty.
     """
     unit, scale = QUOTED[_known(parameter, "parameter", list(QUOTED))]
     return _measure(tracks_of(tracks), f"res_{parameter}", parameter, unit, scale, window)
@@ -171,12 +171,12 @@ def resolution_against(
     kind : str
         "residual" (quoted units) or "pull".
     window : (low, high) or None
-        Where the RMS looks.
+        Range of the RMS.
 
     Raises
     ------
     TypeError, ValueError
-        If `tracks` are none, a name is unknown or the limits do not increase.
+        If `tracks` is of another kind, a name is unknown or the limits do not increase.
     """
     unit, scale = QUOTED[_known(parameter, "parameter", list(QUOTED))]
     quantity, by_unit = BY[_known(by, "by", list(BY))]

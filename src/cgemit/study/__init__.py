@@ -1,9 +1,9 @@
-"""What to learn from the chain's tables: resolutions, pulls and how flat the chi-square probability is."""
+"""Studies of the chain's tables: resolutions, pulls and the flatness of the chi-square probability."""
 
 from cgemit.statistics.chi2 import Flatness, chi2_flatness, chi2_probability
 from cgemit.statistics.estimate import GaussianFit, Resolution, gaussian_fit, measure
 from cgemit.statistics.resolutions import Curve, Pulls, pulls, resolution, resolution_against
-from cgemit.study.deltas import DeltaFractions, delta_displacements, delta_fractions
+from cgemit.study.cluster_residuals import DeltaFractions, delta_displacements, delta_fractions
 from cgemit.study.paper import Reproduction, reproduce
 from cgemit.study.robustness import Outcome, run_scenario
 from cgemit.study.scans import Scan, scan

@@ -1,4 +1,4 @@
-"""Hits of track candidates that are lost, added or exchanged: what real events do to them."""
+"""Lost, added and exchanged hits of track candidates, as in real events."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ def exchange_clusters(hits: Hits, layer: int, tracks: Mask) -> Hits:
     layer : int
         CGEM layer.
     tracks : ndarray, (candidates,) bool
-        Which candidates are hurt, where both tracks have the cluster.
+        Which candidates are changed, where both tracks have the cluster.
     """
     row, taken = hits.row.copy(), [np.empty(0, np.int64)]
     for view in (HIT_X, HIT_V):
@@ -114,7 +114,7 @@ def exchange_clusters(hits: Hits, layer: int, tracks: Mask) -> Hits:
 
 
 def add_noise(detector: Detector, hits: Hits, share: float, random: np.random.Generator) -> Hits:
-    """Return the candidates with noise: beside each of their hits, with probability `share`, a hit that is none.
+    """Return the candidates with noise: a false hit beside each of their hits with probability `share`.
 
     Noise on a wire lies in a cell at most 3 away, anywhere in it; in the hit's own cell the shorter drift is seen.
     Noise on strips is a cluster like the hit's own, shifted by a whole number of strips, at most 10 mm.

@@ -1,4 +1,4 @@
-"""How many difficult tracks are fitted, how well, and what becomes of the others (docs/methods/robustness.md)."""
+"""Efficiency, resolution and failures of the fit of difficult tracks (docs/methods/robustness.md)."""
 
 from __future__ import annotations
 

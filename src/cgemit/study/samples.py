@@ -17,8 +17,7 @@ from cgemit.record import gun_data, record
 from cgemit.result import Settings
 from cgemit.simulate import TransportStatus
 from cgemit.statistics.estimate import FEWEST
-from cgemit.study.cluster_residuals import ClusterResiduals, cluster_residuals
-from cgemit.study.deltas import DeltaFractions, delta_fractions
+from cgemit.study.cluster_residuals import ClusterResiduals, DeltaFractions, cluster_residuals, delta_fractions
 from cgemit.tables import Table
 
 #: Shows progress: share of the work that is done (0 to 1) and what is running.
@@ -27,7 +26,7 @@ ShowProgress = Callable[[float, str], None]
 
 @dataclass(frozen=True)
 class Order:
-    """A sample that is to be run."""
+    """A sample to be run."""
 
     label: str
     detector: Detector
@@ -39,7 +38,7 @@ class Order:
 
 @dataclass(frozen=True)
 class Sample(Order):
-    """One run: what was shot at which detector and what came out of it.
+    """One run of the chain: its inputs, tracks, residuals and counts.
 
     Attributes
     ----------
@@ -114,6 +113,11 @@ def seed_of(seed: int, number: int) -> int:
     return int(np.random.SeedSequence([seed, number]).generate_state(1, np.uint64)[0])
 
 
+def momentum_of(sample: Sample) -> float:
+    """Return the momentum of a sample shot with one momentum, GeV/c."""
+    return float(sample.gun.p)  # type: ignore[arg-type]
+
+
 def fitted(sample: Sample) -> int:
     """Return how many tracks were fitted."""
     return int(np.count_nonzero(sample.tracks["status"] == FitStatus.ok))
@@ -131,8 +135,8 @@ def why_unfitted(samples: Sequence[Sample]) -> str:
     transport, removed = (_total([getattr(sample, name) for sample in samples]) for name in ("transport", "removed"))
     parts = [
         f"{sum(map(fitted, samples))} of {tracks} tracks fitted, expected at least {FEWEST} for a resolution",
-        "transport: " + _words(transport, particles),
-        "fit: " + _words(removed, tracks),
+        "transport: " + _counts_text(transport, particles),
+        "fit: " + _counts_text(removed, tracks),
     ]
     if {TransportStatus.left_field.name, FitStatus.left_field.name} & (transport.keys() | removed.keys()):
         parts += _ends(samples[0].detector)
@@ -144,7 +148,7 @@ def _total(counts: Sequence[Mapping[str, int]]) -> dict[str, int]:
     return {name: sum(one.get(name, 0) for one in counts) for name in names}
 
 
-def _words(counts: Mapping[str, int], total: int) -> str:
+def _counts_text(counts: Mapping[str, int], total: int) -> str:
     return ", ".join(f"{name} {number} of {total}" for name, number in counts.items()) or "all well"
 
 
@@ -156,7 +160,7 @@ def _ends(detector: Detector) -> list[str]:
 
 
 def record_of(samples: Sequence[Sample], seed: int, command: str = "") -> dict[str, Any]:
-    """Return what `run.json` of a study holds: its settings and detectors, and what was shot for each sample.
+    """Return what `run.json` of a study holds: its settings and detectors, and the gun of each sample.
 
     Parameters
     ----------

@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from cgemit import chain
 from cgemit.detector import Detector
 from cgemit.gun import Gun
 from cgemit.io.folders import SUMMARY, new_folder
@@ -32,13 +31,14 @@ from cgemit.study.samples import (
     ShowProgress,
     fitted,
     hardly_fitted,
+    momentum_of,
     record_of,
     run_samples,
     seed_of,
     why_unfitted,
-)
+)  # fmt: skip
 from cgemit.tables import Table
-from cgemit.values import InTurn
+from cgemit.values import InTurn, check_numbers
 from cgemit.version import VERSION
 
 #: Parameters whose resolution is quoted.
@@ -95,11 +95,6 @@ def angle_lines(tracks: Table, detector: str, parameter: str, edges: npt.ArrayLi
     return lines[0], lines[1]
 
 
-def momentum_of(sample: Sample) -> float:
-    """Return the momentum of a sample shot with one momentum, GeV/c."""
-    return float(sample.gun.p)  # type: ignore[arg-type]
-
-
 def scan_columns(samples: Sequence[Sample]) -> dict[str, list[Any]]:
     """Return the widths of all quoted parameters for each momentum: the columns of the CSV table."""
     columns: dict[str, list[Any]] = {
@@ -115,11 +110,11 @@ def scan_columns(samples: Sequence[Sample]) -> dict[str, list[Any]]:
             columns[f"{what}_{name}_error ({unit})"] = [getattr(w, f"{what}_error") for w in widths]
         columns[f"tail_{name}"] = [w.tail for w in widths]
     columns["fitted"] = [fitted(s) for s in samples]
-    columns["not fitted"] = [_words(s.removed) for s in samples]
+    columns["not fitted"] = [_counts_text(s.removed) for s in samples]
     return columns
 
 
-def _words(counts: Mapping[str, int]) -> str:
+def _counts_text(counts: Mapping[str, int]) -> str:
     return "; ".join(f"{number} {name}" for name, number in counts.items()) or "none"
 
 
@@ -167,7 +162,7 @@ class Scan:
     def _rows(self) -> list[list[str]]:
         pairs = [zip(line.y, line.y_error, strict=True) for line in self.lines]
         cells = [[with_error(*pair) for pair in column] for column in pairs]
-        ends = [[f"{fitted(s)}/{s.n_events}", _words(s.removed)] for s in self.samples]
+        ends = [[f"{fitted(s)}/{s.n_events}", _counts_text(s.removed)] for s in self.samples]
         momenta = [f"{momentum_of(s):g}" for s in self.samples]
         return [[p, *row, *end] for p, row, end in zip(momenta, zip(*cells, strict=True), ends, strict=True)]
 
@@ -177,7 +172,7 @@ class Scan:
         return f"{first.detector.name}, {shot}: core widths; hits {hits_text(first.tracks)}"
 
     def note(self) -> str:
-        """Return what became of the tracks where hardly any was fitted; empty if there are enough everywhere."""
+        """Return how the tracks ended where hardly any was fitted; empty if there are enough everywhere."""
         few = hardly_fitted(self.samples)
         momenta = ", ".join(f"{momentum_of(s):g}" for s in few)
         return f"at {momenta} GeV/c: {why_unfitted(few)}" if few else ""
@@ -192,7 +187,7 @@ class Scan:
 
 
 def summary_of(scans: Sequence[Scan]) -> dict[str, Any]:
-    """Return what `summary.json` holds: the curves of all detectors, shot at alike."""
+    """Return what `summary.json` holds: the curves of all detectors, for the same gun."""
     first = scans[0].samples[0]
     cos_theta = first.gun.cos_theta
     if isinstance(cos_theta, InTurn):
@@ -226,7 +221,7 @@ def save_scans(
     folder : path
     overwrite : bool
     command : str
-        The command line that run.json shall name, if there was one.
+        Command line for run.json, if there was one.
 
     Raises
     ------
@@ -291,7 +286,7 @@ def scan(
         If particle or numbers make no sense, or the particle is neutral.
     """
     start = time.perf_counter()
-    chain.check_numbers("scan", seed, threads, events=(events, 1, 2**31 - 1))
+    check_numbers("scan", seed, threads, events=(events, 1, 2**31 - 1))
     gun: dict[str, Any] = {"particle": particle, "cos_theta": cos_theta}
     orders = momentum_orders(detector, momenta, **gun, events=events, seed=seed, settings=settings)
     samples = run_samples(orders, threads=threads, progress=progress)

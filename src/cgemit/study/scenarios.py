@@ -115,7 +115,7 @@ def _directions(random: np.random.Generator, n: int, most: float) -> np.ndarray:
 
 
 def only_layers(*layers: int) -> Spoil:
-    """Return what leaves the wires and the given CGEM layers."""
+    """Return a function that keeps only the wires and the given CGEM layers."""
     return lambda detector, hits, random: keep(hits, hits.on_wire | np.isin(hits.layer, layers))
 
 

@@ -1,4 +1,4 @@
-"""Turn given columns into those of a schema, or list everything that is wrong with them."""
+"""Turn given columns into those of a schema, or list all their problems."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from cgemit.tables.schemas import SCHEMAS, Column
 
 Array = np.ndarray[Any, Any]
 
-#: What files hold beside the columns.
+#: Further arrays of files.
 RESERVED = {"offsets": "the per-event offsets", "events": "the numbers of the events"}
 
 
 class Rows(Protocol):
-    """What a `Table` is to those that write, convert or show it."""
+    """The interface of a `Table` for modules that write, convert or show it."""
 
     kind: str
     columns: Mapping[str, Array]
@@ -129,7 +129,7 @@ def read_only(array: Array, dtype: np.dtype[Any]) -> Array:
 
 
 def _problem(array: Array, rows: int | None, column: Column | None) -> str:
-    """Say what is wrong with one column, or nothing."""
+    """Return the problem of one column, or an empty text."""
     shape = column.shape if column else array.shape[1:]
     if array.ndim == 0 or array.shape[1:] != shape or (rows is not None and len(array) != rows):
         expected = ", ".join(str(n) for n in ("n" if rows is None else rows, *shape))

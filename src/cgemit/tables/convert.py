@@ -1,15 +1,17 @@
-"""Tables as pandas data frames and awkward arrays."""
+"""Tables as pandas data frames, awkward arrays, text and HTML."""
 
 from __future__ import annotations
 
 import importlib
 import itertools
 from collections.abc import Mapping
+from html import escape
 from typing import Any
 
 import numpy as np
 
 from cgemit.tables.check import Array, Rows
+from cgemit.tables.schemas import SCHEMAS
 
 
 def _import(name: str) -> Any:
@@ -44,3 +46,41 @@ def to_awkward(table: Rows) -> Any:
     awkward = _import("awkward")
     records = awkward.zip({name: awkward.from_numpy(column) for name, column in table.columns.items()}, depth_limit=1)
     return awkward.unflatten(records, np.diff(table.offsets))
+
+
+_SHOWN_ROWS = 5
+
+
+def _counts(table: Rows) -> str:
+    events = f"{table.n_events} events from {table.first_event}"
+    if table.cover["events"] is not None:
+        events += f" to {table.events[-1]}, with gaps"
+    return f"{table.kind}: {len(table)} rows, {events}"
+
+
+def _units(table: Rows) -> dict[str, str]:
+    known = {column.name: column.unit for column in SCHEMAS[table.kind]}
+    return {name: known.get(name, "") for name in table.columns}
+
+
+def text(table: Rows) -> str:
+    """Return kind, sizes and columns with their units."""
+    columns = ", ".join(f"{name} [{unit}]" if unit else name for name, unit in _units(table).items())
+    return f"<{_counts(table)}; {columns}>"
+
+
+def html(table: Rows) -> str:
+    """Return the sizes and the first rows."""
+    head = "".join(f"<th>{escape(name)}<br><small>{escape(unit)}</small></th>" for name, unit in _units(table).items())
+    body = "".join(
+        "<tr>" + "".join(f"<td>{escape(_cell(column[row]))}</td>" for column in table.columns.values()) + "</tr>"
+        for row in range(min(_SHOWN_ROWS, len(table)))
+    )
+    more = f"<p>... {len(table) - _SHOWN_ROWS} more rows</p>" if len(table) > _SHOWN_ROWS else ""
+    return f"<p><b>{escape(_counts(table))}</b></p><table><tr>{head}</tr>{body}</table>{more}"
+
+
+def _cell(value: np.generic) -> str:
+    if np.ndim(value):
+        return "x".join(map(str, np.shape(value))) + " matrix"
+    return f"{value:.6g}" if isinstance(value, np.floating) else str(value)

@@ -17,9 +17,8 @@ Stages meet in tables: plain numpy columns, one row per object, sorted by `event
   `first_event + i`; an event without rows has none there.
 - A column that links counts rows of another table, from 0; -1 means none. Links hold for tables as a stage returned
   them or `concatenate` joined them, not after rows were picked.
-- `status` says how a row ended (`TransportStatus` for particles, `FitStatus` for tracks, `StateStatus` for
-  states). Rows are kept whatever it
-  is; a value that does not exist is NaN.
+- `status` tells how a row ended (`TransportStatus` for particles, `FitStatus` for tracks, `StateStatus` for
+  states). Rows of every status are kept; a value that does not exist is NaN.
 - Columns cannot be written; `with_columns` returns a new table, in which further columns may follow those below.
 
 In a file (`Table.save`, `.npz`) each column is an array of the same name, beside `offsets` and the JSON text

@@ -18,7 +18,7 @@ _ABOUT = {"kind": str, "n_events": int, "first_event": int, "meta": dict}  # wha
 
 
 def describe(table: Rows) -> dict[str, Any]:
-    """Return what a file says about a table besides its columns."""
+    """Return the description of a table in a file, without its columns."""
     return {
         "format": FORMAT,
         "version": VERSION,
@@ -56,7 +56,7 @@ def load(path: str | os.PathLike[str]) -> tuple[str, dict[str, Array], int, int,
 def save_tables(
     tables: Mapping[str, Rows], directory: str | os.PathLike[str], *, overwrite: bool = False
 ) -> list[Path]:
-    """Write each table to ``<name>.npz`` in a directory, and last of all what they hold to ``tables.json``.
+    """Write each table to ``<name>.npz`` in a directory, and last of all their description to ``tables.json``.
 
     A directory without ``tables.json`` is therefore not complete.
 

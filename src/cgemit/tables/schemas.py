@@ -103,7 +103,7 @@ _STEPS = (
     *(_f8(f"d{axis}", "mm", f"end minus begin of the step, {axis}; 0 for an ionization cluster") for axis in "xyz"),
     _f8("energy", "keV", "deposited energy"),
     _i4("n_electrons", "electrons of ionization"),
-    _column("i1", "parent", "", "what deposited it: 0 the particle itself, 1 a delta electron"),
+    _column("i1", "parent", "", "source: 0 the particle itself, 1 a delta electron"),
     _i4("delta", "number of the delta electron within the crossing, from 1; 0 for the particle itself"),
     _link("truth", "the crossing", "truths"),
 )
@@ -126,7 +126,7 @@ _DIGIS = (
     _column("i1", "view", "", "0 X, 1 V"),
     _i4("strip", "strip of the view and sheet; -1 if a position is measured without strips"),
     _i4("gid", "strip number in the whole CGEM; -1 without strips"),
-    _f8("position", "mm", "X or V measured without strips; NaN if strips tell it"),
+    _f8("position", "mm", "X or V measured without strips; NaN with strips"),
     _f8("charge", "fC", "collected charge"),
     _f8("time", "ns", "arrival time"),
     _link("truth", "crossing with the largest contribution", "truths"),
@@ -142,7 +142,7 @@ _WIRE_HITS = (
     _f8("sigma", "mm", "its standard deviation"),
     _f8("drift_time", "ns", "drift time"),
     _column("i1", "side", "", "side of the wire, +1 or -1; 0 hidden"),
-    _link("wire_truth", "the cell passage it comes from", "wire_truths"),
+    _link("wire_truth", "the cell crossing it comes from", "wire_truths"),
 )
 
 _NOT_MEASURED = "NaN where the cluster's view does not measure it"
@@ -243,7 +243,7 @@ _MATCHES = (
 _RESIDUALS = (
     _EVENT,
     _link("track", "the track", "tracks"),
-    _column("i1", "view", "", "0 X, 1 V, 2 wire; an XV point has a row for X and one for V beyond what X says"),
+    _column("i1", "view", "", "0 X, 1 V, 2 wire; an XV point has a row for X and one for V given X"),
     _i4("layer", "layer of the cluster or wire"),
     _link("hit", "the cluster (views 0 and 1) or wire hit (view 2)", ("clusters", "clusters", "wire_hits")),
     _f8("residual", "mm", "measured minus predicted by the track fitted without this hit"),
@@ -257,7 +257,7 @@ _STATES = (
     _EVENT,
     _link("track", "the track", "tracks"),
     _HYPOTHESIS,
-    _column("i1", "surface", "", "where: 0 origin, 1 closest approach to the beam line, 2 cylinder, 3 hit (Surface)"),
+    _column("i1", "surface", "", "surface: 0 origin, 1 closest approach to the beam line, 2 cylinder, 3 hit (Surface)"),
     _column("i1", "view", "", "of a hit: 0 X, 1 V, 2 wire; -1 elsewhere"),
     _i4("layer", "layer of the cluster or wire; -1 elsewhere"),
     _link("hit", "the cluster (views 0 and 1) or wire hit (view 2)", ("clusters", "clusters", "wire_hits")),
@@ -279,17 +279,17 @@ _STATES = (
 _KINDS = (
     ("particles", _PARTICLES, "one generated particle"),
     ("truths", _TRUTHS, "one crossing of a CGEM drift gap"),
-    ("steps", _STEPS, "one deposit in a CGEM drift gap: a piece of a delta electron's way, or an ionization cluster"),
-    ("wire_truths", _WIRE_TRUTHS, "one passage through a drift-chamber cell"),
+    ("steps", _STEPS, "one deposit in a CGEM drift gap: a step of a delta electron, or an ionization cluster"),
+    ("wire_truths", _WIRE_TRUTHS, "one crossing of a drift-chamber cell"),
     ("digis", _DIGIS, "one fired strip, or one position measured without strips"),
     ("wire_hits", _WIRE_HITS, "one fired cell"),
     ("clusters", _CLUSTERS, "one X, V or XV cluster"),
     ("candidates", _CANDIDATES, "one set of hits that is taken for one track"),
     ("candidate_hits", _CANDIDATE_HITS, "one hit of a candidate"),
     ("tracks", _TRACKS, "one candidate, with one mass, and the track fitted to it"),
-    ("matches", _MATCHES, "one track and the particle that it is of"),
+    ("matches", _MATCHES, "one track and its particle"),
     ("residuals", _RESIDUALS, "one hit of a fitted track"),
-    ("states", _STATES, "one track at one place"),
+    ("states", _STATES, "one track at one surface"),
 )
 
 #: All tables by name.

@@ -1,4 +1,4 @@
-"""One table: columns, per-event offsets, and what is known about where they come from."""
+"""One table: columns, per-event offsets and their origin."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from cgemit.problems import did_you_mean
-from cgemit.tables import convert, files, show
+from cgemit.tables import convert, files
 from cgemit.tables.check import Array, check_columns, event_range, schema_of
 
 
@@ -31,7 +31,7 @@ class Table:
     first_event : int
         Number of the first event; rows belong to ``first_event ... first_event + n_events - 1``.
     meta : mapping or None
-        What can be written as JSON and belongs into every file, such as the configuration hash and the seed.
+        Values for JSON that belong into every file, such as the configuration hash and the seed.
     events : array_like or None
         Numbers of the events covered, (n_events,) int64, strictly increasing, where they have gaps; `first_event` is
         not used then.
@@ -46,7 +46,7 @@ class Table:
     Raises
     ------
     ValueError
-        Listing everything that is wrong with the columns.
+        Listing every problem of the columns.
     """
 
     __slots__ = ("_gaps", "columns", "first_event", "kind", "meta", "n_events", "offsets")
@@ -178,7 +178,7 @@ class Table:
         return Table(self.kind, columns, meta=self.meta, **self.cover)
 
     def __eq__(self, other: object) -> bool:
-        """Compare events and columns, NaN equal to NaN; where they come from (`meta`) does not count."""
+        """Compare events and columns, NaN equal to NaN; their origin (`meta`) does not count."""
         if not isinstance(other, Table):
             return NotImplemented
         if (self.kind, list(self.columns)) != (other.kind, list(other.columns)):
@@ -201,10 +201,10 @@ class Table:
         return Table, (self.kind, dict(self.columns), self.n_events, self.first_event, self.meta, self._gaps)
 
     def __repr__(self) -> str:
-        return show.text(self)
+        return convert.text(self)
 
     def _repr_html_(self) -> str:
-        return show.html(self)
+        return convert.html(self)
 
     def to_pandas(self) -> Any:
         """Return a pandas data frame, one row per row; a matrix column becomes ``name_0_0, name_0_1, ...``."""
@@ -241,12 +241,12 @@ class Table:
 
 
 def what(given: object) -> str:
-    """Return what was given in the place of a table, for messages."""
+    """Return a short description of a value given for a table, for messages."""
     return f"a table of kind {given.kind!r}" if isinstance(given, Table) else type(given).__name__
 
 
 def kind_problems(**tables: object) -> list[str]:
-    """Say which of some tables are not of the kind that they are named after."""
+    """Return which of some tables are not of the kind that they are named after."""
     return [
         f"{name}: got {what(table)}, expected a table of kind {name!r}"
         for name, table in tables.items()

@@ -14,7 +14,7 @@ HitColumns::HitColumns(const Detector& detector, const py::dict& columns, py::ss
   };
   get(hits_.kind, "kind");
   get(hits_.layer, "layer");
-  get(hits_.element, "element");
+  get(hits_.element, "channel");
   get(hits_.size, "size");
   get(hits_.value, "value");
   get(hits_.sigma, "sigma");
@@ -113,7 +113,7 @@ py::dict collect(const Detector& detector, const py::dict& candidates, const py:
   out["hit_offsets"] = to_numpy(std::move(hits.offsets));
   out["kind"] = to_numpy(std::move(hits.kind));
   out["layer"] = to_numpy(std::move(hits.layer));
-  out["element"] = to_numpy(std::move(hits.element));
+  out["channel"] = to_numpy(std::move(hits.element));
   out["value"] = to_numpy(std::move(hits.value));
   out["sigma"] = to_numpy(std::move(hits.sigma));
   out["size"] = to_numpy(std::move(hits.size));

@@ -32,7 +32,7 @@ class SolenoidField(Field):
 
 @dataclass(frozen=True, kw_only=True)
 class HarmonicField(Field):
-    """Bz = bz [1 - b (z^2 - r^2/2) + q (z^4 - 3 z^2 r^2 + 3 r^4/8)] with the Br that Maxwell's equations ask for."""
+    """Bz = bz [1 - b (z^2 - r^2/2) + q (z^4 - 3 z^2 r^2 + 3 r^4/8)]; Br follows from Maxwell's equations."""
 
     kind: str = field(metadata=key("text", "shape of the field", choices=("harmonic",)), default="harmonic")
     b: float = field(metadata=key("inverse area", "quadratic decrease along the beam", -1e-5, 1e-5))  # mm^-2

@@ -1,4 +1,4 @@
-"""The field of a detector as the core sees it; a solenoid's is worked out on a grid."""
+"""The field of a detector as the core sees it; the field of a solenoid is computed on a grid."""
 
 import math
 

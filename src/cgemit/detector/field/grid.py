@@ -111,7 +111,7 @@ def _along(matrix: Floats, values: Floats, axis: int) -> Floats:
 
 
 def _spline_matrix(points: int, parity: float = 0.0) -> Floats:
-    """Return what makes coefficients (points + 2) of values (points); `parity` about the first point, 0 for none."""
+    """Return the matrix (points + 2, points) from values to coefficients; `parity` about the first point, or 0."""
     equations = np.zeros((points + 2, points + 2))
     for i in range(points):
         equations[i, i : i + 3] = 1 / 6, 4 / 6, 1 / 6
@@ -125,7 +125,7 @@ def _spline_matrix(points: int, parity: float = 0.0) -> Floats:
 
 
 class Column(NamedTuple):
-    """What a map says of an axis or a component, in mm or T; without a unit if the file's own is unknown."""
+    """Values of an axis or a component of a map, in mm or T; without a unit if the file's unit is unknown."""
 
     values: Floats
     unit: str
@@ -140,7 +140,7 @@ Columns = dict[str, Column | None]
 
 
 def names_in(columns: Mapping[str, Any]) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the names of axes and components of the map that these columns are of."""
+    """Return the names of the axes and components of the map that these columns belong to."""
     return BOX if columns.keys() & {"x", "y", "bx", "by"} else CYLINDER
 
 

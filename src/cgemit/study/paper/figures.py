@@ -61,7 +61,7 @@ def _makers(study: Reproduction) -> dict[str, Callable[[Path], Picture]]:
 
 
 def good_event(result: Result, layer: int = 0) -> int:
-    """Return the first event with two X and three V strips in a layer, or what comes closest."""
+    """Return the first event with two X and three V strips in a layer, or the event closest to it."""
     clusters = result.clusters
     first = clusters.first_event
     inside = clusters["layer"] == layer

@@ -1,4 +1,4 @@
-"""What the paper has: its numbers, and titles and captions of its figures."""
+"""The paper's numbers, and titles and captions of its figures."""
 
 from __future__ import annotations
 

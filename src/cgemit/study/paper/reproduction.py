@@ -1,4 +1,4 @@
-"""The reproduction's results: the paper's numbers and curves beside ours, and what they were made from."""
+"""The reproduction's results: the paper's numbers and curves beside ours, and the samples they were made from."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class Row:
 
     @property
     def title(self) -> str:
-        """What people call it."""
+        """Its usual name."""
         return paper_values()[self.id].title
 
     def as_json(self) -> dict[str, Any]:
@@ -62,7 +62,7 @@ class Row:
 
 @dataclass(frozen=True)
 class Inputs:
-    """What a reproduction was asked for."""
+    """The arguments of a reproduction."""
 
     events: int
     events_per_momentum: int
@@ -106,7 +106,7 @@ class Reproduction:
     folder: Path | None = None
 
     def __eq__(self, other: object) -> bool:
-        """Compare what was asked for, but for the threads, and all numbers."""
+        """Compare the arguments, except the threads, and all numbers."""
         if not isinstance(other, Reproduction):
             return NotImplemented
         mine, theirs = ((replace(s.inputs, threads=None), s.results, s.curves) for s in (self, other))

@@ -1,4 +1,4 @@
-"""The numbers that the paper quotes, measured, and why each differs: sentences that hold for what the run has found."""
+"""The numbers that the paper quotes, measured, and why each differs: the sentences follow the numbers of the run."""
 
 from __future__ import annotations
 
@@ -8,8 +8,7 @@ import numpy as np
 
 from cgemit.statistics.curves import WINDOW, windowed_resolution
 from cgemit.statistics.estimate import Resolution
-from cgemit.study.cluster_residuals import PITCH, X_WINDOW, X_WINDOWS, geant4_runs, v_fit, x_beyond, x_widths
-from cgemit.study.deltas import DISTANCES
+from cgemit.study.cluster_residuals import DISTANCES, PITCH, X_WINDOW, X_WINDOWS, geant4_runs, v_fit, x_beyond, x_widths
 from cgemit.study.paper.published import paper_values
 from cgemit.study.paper.reproduction import Row
 from cgemit.study.samples import Sample

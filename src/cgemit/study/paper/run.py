@@ -19,6 +19,7 @@ from cgemit.study.paper.reproduction import COS_THETA, DETECTORS, MOMENTA, THIN_
 from cgemit.study.paper.rows import make_rows
 from cgemit.study.samples import Order, Sample, ShowProgress, hardly_fitted, record_of, run_samples, why_unfitted
 from cgemit.study.scans import QUOTED_PARAMETERS, momentum_line, momentum_orders
+from cgemit.values import check_numbers
 
 _EVENTS, _QUICK_EVENTS, _FEWEST_EVENTS = 20_000, 1_500, 400
 _SHARE = 4  # each momentum of the curves gets this part of the events
@@ -53,13 +54,13 @@ def reproduce(
     quick : bool
         Fewer events.
     settings : Settings, optional
-        Of all stages: what another model of matter or another read-out does to the numbers.
+        Of all stages, to try another model of matter or another read-out.
     field : str or path, optional
         Another magnetic field than the detectors' own (see `Detector.with_field`).
     overwrite : bool
         Write into a folder that holds files.
     command : str
-        The command line that run.json shall name, if there was one.
+        Command line for run.json, if there was one.
     progress : callable, optional
         Called with the share that is done (0 to 1) and what is running.
 
@@ -75,7 +76,7 @@ def reproduce(
         If events, seed or threads are no such numbers, there is no such field, or too few tracks are fitted at 1 GeV/c.
     """
     events = events if events is not None else _QUICK_EVENTS if quick else _EVENTS
-    chain.check_numbers("study", seed, threads, events=(events, _FEWEST_EVENTS, 2**31 - 1))
+    check_numbers("study", seed, threads, events=(events, _FEWEST_EVENTS, 2**31 - 1))
     if output is not None:
         check_free(output, overwrite=overwrite)
     inputs = Inputs(
@@ -140,7 +141,7 @@ def _write(
     study: Reproduction, output: Path, overwrite: bool, command: str, progress: ShowProgress | None
 ) -> Reproduction:
     """Write all files, and return the study with its folder and the time that writing took."""
-    # Only where pictures are drawn is matplotlib loaded; it takes as long as a thousand events.
+    # matplotlib is loaded only where pictures are drawn; the import takes as long as a thousand events.
     from cgemit.study.paper.figures import write_figures
     from cgemit.study.paper.report import paper_report
 

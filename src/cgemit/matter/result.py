@@ -1,4 +1,4 @@
-"""What is known of particles behind sheets of matter, and how it prints itself."""
+"""Numbers of particles behind layers of matter, and their printed form."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ class LayerNumbers:
     Attributes
     ----------
     material, note : str
-        Name, and what was chosen where the text leaves something open.
+        Name, and the default chosen for an incomplete text.
     thickness_mm, density_gcm3, mass_gcm2, x_over_x0 : float
     core_mrad : float or None
-        Share of the fit's core angle; None behind the place where the particle stops on average, and above 1 rad.
+        Share of the fit's core angle; None behind the point where the particle stops on average, and above 1 rad.
     mean_loss_kev : float or None
         Mean energy loss by collisions; None where the particle stops on average.
     """
@@ -46,12 +46,12 @@ class LayerNumbers:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Passage:
-    """Particles through plane sheets of matter at normal incidence.
+class SlabResult:
+    """Particles through plane layers of matter at normal incidence.
 
     Plane angles are those of both planes across the flight together, of the particles that come through: half width
     of the central 68.27 %, of 98 % over 2.326 and of 99.9 % over 3.291, which agree for a Gaussian. A width with
-    fewer than five entries beyond it is None. Losses hold stopped particles with all their kinetic energy.
+    fewer than five entries beyond it is None. Stopped particles count in the losses with their full kinetic energy.
 
     Attributes
     ----------
@@ -66,7 +66,7 @@ class Passage:
         13.6 MeV/(beta p) sqrt(x/X0) [1 + 0.038 ln(x/(X0 beta^2))], PDG 2024, "Passage of particles through matter",
         eq. 34.16; None for so little matter that its logarithm is negative, and above 1 rad.
     core_mrad : float or None
-        Core of the distribution as the fit takes it (docs/methods/matter.md); None above 1 rad.
+        Core of the distribution that the fit assumes (docs/methods/matter.md); None above 1 rad.
     mean_loss_kev : float or None
         Mean loss by collisions by formula, with that by radiation for electrons.
     q68_mrad, q98_mrad, q999_mrad : float or None
@@ -76,9 +76,9 @@ class Passage:
     errors : dict of str to float or None
         Standard errors of the simulated numbers, by their names.
     angle_1, angle_2 : (n,) ndarray of float64, rad
-        Plane angles; of particles that do not come through where they ended.
+        Plane angles; of particles that do not come through, those at their end point.
     shift_1, shift_2 : (n,) ndarray of float64, mm
-        Displacements behind the last sheet, of particles that do not come through where they ended.
+        Displacements behind the last layer, of particles that do not come through, at their end point.
     loss : (n,) ndarray of float64, keV
     status : (n,) ndarray of int8
         `TransportStatus`: outside, stopped or curled.
@@ -136,7 +136,7 @@ class Passage:
         return plain
 
     def tables(self) -> list[tuple[tuple[str, ...], list[Row]]]:
-        """Return what is printed: heads and rows of the layers, of the angles and of the losses."""
+        """Return the printed tables: heads and rows of the layers, of the angles and of the losses."""
         angles = [("Highland (PDG 34.16)", _text(self.highland_mrad), "")]
         angles.append(("core, as the fit takes it", _text(self.core_mrad), ""))
         angles += [(width.label, *self.number(f"{name}_mrad")) for name, width in ANGLES.items()]
@@ -164,7 +164,7 @@ class Passage:
         return f"{value:.{digits}f}", f"{error:.{digits}f}"
 
     def title(self) -> str:
-        """Return what was sent through what, in two lines."""
+        """Return particle, matter, number, seed and screening in two lines."""
         removed = ", ".join(f"{n:,} {what}" for n, what in ((self.stopped, "stopped"), (self.turned, "turned away")))
         return (
             f"{self.particle} of {self.p:g} GeV/c through {self.matter}\n"
@@ -172,7 +172,7 @@ class Passage:
         )
 
     def notes(self) -> list[str]:
-        """Return what was chosen where the text leaves something open."""
+        """Return the defaults chosen for an incomplete text."""
         return [f"{s.material}: {s.note}" for s in self.layers if s.note]
 
     def __repr__(self) -> str:
