@@ -206,9 +206,10 @@ def _fill_layer(layer: Any, mine: Columns, of_strips: tuple[Column, Column] | No
     given_errors = np.isfinite(np.where(view == HIT_V, mine["err_v"], mine["err_x"])) | ("err" in mine)
     strips = (mine["first"] >= 0) & (mine["last"] >= mine["first"]) & ~point
     size = np.where(strips, mine["last"] - mine["first"] + 1, 0)
-    for is_view, name, pitch, which in ((HIT_X, "x", layer.pitch_x, 0), (HIT_V, "v", layer.pitch_v, 1)):
+    of_views = (HIT_X, "x", layer.pitch_x, 0.0, 0), (HIT_V, "v", layer.pitch_v, layer.offset_v, 1)
+    for is_view, name, pitch, offset, which in of_views:
         rows, error = view == is_view, mine[f"err_{name}"]
-        centre = 0.5 * (mine["first"] + mine["last"] + 1) * pitch
+        centre = (0.5 * (mine["first"] + mine["last"] + 1) + offset) * pitch
         mine[name] = np.where(rows & strips & np.isnan(mine[name]), centre, mine[name])
         if "err" in mine:
             error = np.where(rows & np.isnan(error), mine["err"], error)

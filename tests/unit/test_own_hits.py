@@ -84,6 +84,15 @@ def test_strips_and_drift_distances_are_enough(run):
     assert_tracks_of(cg.fit_hits(DETECTOR, shuffled(strips_of(run)), shuffled(wires_of(run))), run)
 
 
+def test_v_strips_that_begin_beside_zero():
+    """The first V strip of the as-built detector begins `offset_v` pitches from V = 0."""
+    run = cg.run("besiii-cgem", cg.Gun("mu-", p=1.0, cos_theta=(-0.5, 0.5)), n=3, until="cluster")
+    strips = run.clusters[run.clusters["view"] < 2]
+    found = cg.fit_hits("besiii-cgem", columns(run.clusters, STRIPS, np.flatnonzero(run.clusters["view"] < 2)))
+    back = np.argsort(found["clusters"]["given_row"])
+    np.testing.assert_allclose(found["clusters"]["v"][back], strips["v"], rtol=0, atol=1e-12)
+
+
 def test_data_frames_structured_arrays_and_tables(run):
     """The same hits in whatever holds columns."""
     pandas = pytest.importorskip("pandas")
