@@ -231,12 +231,48 @@ def test_one_kind_of_hits_alone(run):
             {"layer": [0, 9], "phi": [1.0, 1.0], "z": [0.0, 0.0], "err_phi": [0.0, 1e-3], "err_z": [-1.0, 1.0]},
             {"layer": [8, 8, 1], "wire": [-1, 0, 0], "drift": [1.0, np.nan, 1.0], "side": [0, 7, 0]},
             [
-                "clusters row 0: err_x: got 0, expected a finite number above 0", "clusters row 0: err_phi: got 0, ",
+                "clusters row 0: err_phi: got 0, expected a number above 0",
                 "clusters row 0: err_z: got -1, expected a number above 0",
                 "clusters row 1: layer: got 9",
                 "wire_hits row 0: wire: got -1", "wire_hits row 1: drift: got nan", "wire_hits row 1: side: got 7",
                 "wire_hits row 2: layer: got 1, expected the number of a wire layer",
             ],
+        ),
+        (  # more than 32 bits would come out as other wires and layers
+            {"layer": [2**32], "phi": [1.0], "z": [1.0]}, {"layer": [8], "wire": [2**32 + 5], "drift": [1.0]},
+            [
+                "clusters row 0: layer: got 4294967296, expected a number below 2**31",
+                "wire_hits row 0: wire: got 4294967301, expected a number below 2**31",
+            ],
+        ),
+        (
+            {"layer": [0], "phi": [1.0], "z": [1.0], "event": np.array([2**64 - 1], np.uint64)},
+            {"layer": [8], "wire": [5], "drift": [1.0], "event": [2**63 - 1]},
+            [
+                "clusters row 0: event: got 18446744073709551615, expected a number below 2**62",
+                "wire_hits row 0: event: got 9223372036854775807, expected",
+            ],
+        ),
+        (
+            {"layer": [0, 9, 0], "phi": [np.inf, 1.0, 1.0], "z": [1.0, 1.0, np.nan], "cov": [np.eye(2)] * 3}, None,
+            [
+                "clusters row 0: phi: got inf, expected a finite number, rad",
+                "clusters row 1: layer: got 9, expected a CGEM layer of the detector, 0 to 2",
+                "clusters row 2: z: got nan, expected a finite number, mm",
+            ],
+        ),
+        (
+            {"layer": [0], "phi": [1.0], "z": [1.0], "cov": [[1.0, 1.0]]}, None,
+            ["clusters: cov: got shape (1, 2), expected (1, 2, 2)"],
+        ),
+        (
+            {"layer": [0], "phi": [1.0], "z": [1.0], "cov": [[[1.0, 0.5], [0.0, 1.0]]]}, None,
+            ["clusters row 0: cov: got [[1.0, 0.5], [0.0, 1.0]], expected a symmetric, positive definite matrix"],
+        ),
+        (
+            {"layer": [0] * 3, "view": [0] * 3, "first": [5, -2, 10], "last": [3, 4, 10**6]}, None,
+            [f"clusters row {row}: first, last: got {pair}; expected strips from 0 to 844, the first not above the last"
+             for row, pair in enumerate(("5, 3", "-2, 4", "10, 1000000"))],
         ),
         (
             {"layer": [0], "phi": [1.0], "z": [0.0], "err_phi": [1e-3], "err_z": [1.0], "candidate": [1]},
@@ -250,11 +286,14 @@ def test_mistakes_are_listed_by_the_rows_given(clusters, wires, messages):
     with pytest.raises(ValueError, match=r"fit_hits|hits:") as error:
         cg.fit_hits(DETECTOR, clusters, wires)
     assert [text for text in messages if text not in str(error.value)] == []
+    assert len(set(lines := str(error.value).splitlines())) == len(lines)
 
 
 def test_hypothesis_and_clusters_without_layers(run):
     """A particle that is none; clusters for a detector without CGEM layers."""
     with pytest.raises(ValueError, match="hypothesis: got 'tau', expected one of 'e', 'mu'"):
         cg.fit_hits(DETECTOR, hypothesis="tau")
+    with pytest.raises(ValueError, match=r"hypothesis: got \['pi'\], expected one of 'e', 'mu'"):
+        cg.fit_hits(DETECTOR, hypothesis=["pi"])
     with pytest.raises(ValueError, match="expected none, besiii-idc has no CGEM layers"):
         cg.fit_hits("besiii-idc", strips_of(run))
