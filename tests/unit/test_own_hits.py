@@ -295,5 +295,7 @@ def test_hypothesis_and_clusters_without_layers(run):
         cg.fit_hits(DETECTOR, hypothesis="tau")
     with pytest.raises(ValueError, match=r"hypothesis: got \['pi'\], expected one of 'e', 'mu'"):
         cg.fit_hits(DETECTOR, hypothesis=["pi"])
+    with pytest.raises(TypeError, match="settings: got Settings, expected FitSettings"):
+        cg.fit_hits(DETECTOR, settings=cg.Settings())
     with pytest.raises(ValueError, match="expected none, besiii-idc has no CGEM layers"):
         cg.fit_hits("besiii-idc", strips_of(run))

@@ -35,4 +35,4 @@ def read_out_wires(detector: Detector, wire_truths: Table, *, reveal_sides: bool
         compiled(detector), dict(wire_truths.columns), xt_distance=XT_DISTANCE, xt_time=XT_TIME,
         reveal_sides=reveal_sides, seed=seed,
     )  # fmt: skip
-    return Table("wire_hits", hits, wire_truths.n_events, wire_truths.first_event)
+    return Table("wire_hits", hits, **wire_truths.cover)
