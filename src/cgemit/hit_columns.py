@@ -122,3 +122,29 @@ def _strip_problems(detector: Detector, clusters: Columns) -> list[str]:
                     f"{strips - 1}, the first not above the last"
                 )
     return problems
+
+
+def repeated(kind: str, columns: Columns, names: tuple[str, ...]) -> list[str]:
+    """Say which hits of a candidate are given twice: they would count double. Hits of none (number below 0) may repeat.
+
+    Parameters
+    ----------
+    kind : str
+        Name of the argument, for messages.
+    columns : dict of str to ndarray
+        With `given_row`.
+    names : tuple of str
+        Columns that tell hits apart; NaN equals NaN.
+    """
+    rows = len(columns["given_row"])
+    keys = [columns[name] for name in ("event", "candidate", *names) if name in columns]
+    order = np.lexsort([columns["given_row"], *keys])
+    same = np.ones(max(rows - 1, 0), np.bool_)
+    for key in keys:
+        before, after = key[order[:-1]], key[order[1:]]
+        same &= (before == after) | ((before != before) & (after != after))
+    same &= columns.get("candidate", np.zeros(rows))[order[1:]] >= 0
+    return [
+        f"{kind} row {order[i + 1]}: got the hit of row {order[i]} again, expected each hit once"
+        for i in np.flatnonzero(same)
+    ]

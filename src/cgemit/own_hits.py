@@ -13,7 +13,7 @@ from cgemit.cluster import ClusterSettings, cluster_errors
 from cgemit.detector import Detector, compiled, load
 from cgemit.detector.parts import crossing_z, local_v
 from cgemit.fit import FitSettings, fit
-from cgemit.hit_columns import Column, Columns, read, value_problems
+from cgemit.hit_columns import Column, Columns, read, repeated, value_problems
 from cgemit.species import HYPOTHESES
 from cgemit.tables import SCHEMAS, Table
 
@@ -81,6 +81,9 @@ def fit_hits(
     except ValueError as error:
         lines = dict.fromkeys(line.strip() for line in str(error).splitlines()[1:])
         problems += [line for line in lines if line.partition(":")[0] not in rows]
+    if candidates is None:  # else a finder may tell equal hits apart
+        problems += repeated("clusters", columns[0], ("layer", "sheet", "view", "x", "v"))
+        problems += repeated("wire_hits", columns[1], ("layer", "wire", "drift"))
     _raise(problems)
     events = np.unique(np.concatenate([part["event"] for part in columns]))
     hits = _table("clusters", columns[0], events), _table("wire_hits", columns[1], events)

@@ -289,6 +289,22 @@ def test_mistakes_are_listed_by_the_rows_given(clusters, wires, messages):
     assert len(set(lines := str(error.value).splitlines())) == len(lines)
 
 
+def test_hits_given_twice(run):
+    """A row that repeats another one of its candidate is named; another candidate may have the same hit."""
+    points, wires = points_of(run, "err_x", "err_v"), wires_of(run)
+    again = [{name: np.append(column, column[3]) for name, column in hits.items()} for hits in (points, wires)]
+    with pytest.raises(ValueError, match="fit_hits:") as error:
+        cg.fit_hits(DETECTOR, *again)
+    assert [line.strip() for line in str(error.value).splitlines()[1:]] == [
+        f"{kind} row {len(hits['layer'])}: got the hit of row 3 again, expected each hit once"
+        for kind, hits in (("clusters", points), ("wire_hits", wires))
+    ]
+    numbers = [np.append(np.zeros(len(hits["layer"]), int), 1) for hits in (points, wires)]
+    shared = [hits | {"candidate": number} for hits, number in zip(again, numbers, strict=True)]
+    n = len({*points["event"][[3]], *wires["event"][[3]]})
+    assert len(cg.fit_hits(DETECTOR, *shared)["tracks"]) == len(FAR) + n
+
+
 def test_hypothesis_and_clusters_without_layers(run):
     """A particle that is none; clusters for a detector without CGEM layers."""
     with pytest.raises(ValueError, match="hypothesis: got 'tau', expected one of 'e', 'mu'"):
