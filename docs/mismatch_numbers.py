@@ -95,7 +95,7 @@ def _median_error(values: np.ndarray[Any, np.dtype[np.float64]]) -> float:
 
 def table(particle: str, events: int, threads: int | None) -> str:
     """Return one table."""
-    head = ("the fit believes", *(heading for _, heading, _ in QUANTITIES), "width of p", "width of d_rho", "chi²/ndf")
+    head = ("the fit assumes", *(heading for _, heading, _ in QUANTITIES), "width of p", "width of d_rho", "chi²/ndf")
     lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
     for case in cases():
         lines.append(row(case, particle, events, threads))

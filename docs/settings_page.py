@@ -1,6 +1,6 @@
 """Write docs/settings.md: the text below, and tables of all settings made from their classes.
 
-Run ``python docs/settings_page.py``; a test compares the page with what this makes.
+Run ``python docs/settings_page.py``; a test compares the page with its output.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ PAGE = Path(__file__).with_name("settings.md")
 TEXT = """\
 # Settings
 
-Settings say how the stages of the chain work; a [detector file](methods/detector.md) says what they work on. Each stage
-has a class with a default for every setting, and `Settings` holds those of all stages.
+Settings control the stages of the chain; a [detector file](methods/detector.md) describes the detector. Each stage has
+a class with a default for every setting, and `Settings` holds the classes of all stages.
 
 ## Three ways to give them
 
@@ -33,7 +33,7 @@ settings = cg.Settings(simulate=cg.SimulateSettings(deltas=False), fit=cg.FitSet
 result = cg.run("besiii-cgem-design", cg.Gun("mu-", p=1.0, cos_theta=0.0), n=100, settings=settings)
 ```
 
-In a file, TOML or JSON (the name ends in `.json`). What a file leaves out has its default:
+In a file, TOML or JSON (if the name ends in `.json`). A setting that is not in the file has its default:
 
 ```toml
 [simulate]
@@ -45,26 +45,26 @@ states = ["hits", 90.0]       # a tuple in Python is a list in a file
 ```
 
 `cg.Settings.load("my.toml")` reads it, `settings.save("my.toml")` writes all settings. `to_toml`, `from_toml`,
-`to_json`, `from_json`, `to_dict` and `from_dict` do the same with text and dicts. The class of each stage has them too.
-Reading back gives equal settings, to the last bit. TOML has no null: the word `"none"` stands for None, and a setting
-that is None by default may be left out.
+`to_json`, `from_json`, `to_dict` and `from_dict` do the same with text and dicts. The class of each stage has these
+methods too. Reading back gives equal settings, to the last bit. TOML has no null: the string `"none"` stands for None,
+and a setting that is None by default may be left out.
 
 On the command line, `cgemit study`, `resolution` and `simulate` take a file and single values:
 
 ```sh
-cgemit settings > my.toml                                        # all defaults, with what each may be
+cgemit settings > my.toml                                        # all defaults, with the allowed values
 cgemit simulate -d besiii-cgem --settings my.toml --set fit.loss=mean --p 1 --cos-theta 0 -n 1000 --fit -o out
-cgemit settings --settings out/run.json                          # what that run used
+cgemit settings --settings out/run.json                          # the settings of that run
 ```
 
-`--set` changes a setting if its first word is a stage, and else a value of the detector
-(`--set cgem.L2.pitch_x="500 um"`). The file comes first, then each `--set` in its order, then options that stand for a
-setting: `--no-deltas` (`simulate.deltas`), `--hypothesis` (`fit.hypothesis`), `--states` (`fit.states`). Such an option
-and a `--set` of the same setting with another value are an error. In Python,
-`Settings().with_overrides({"fit.loss": "mean"})` does what `--set` does.
+`--set` changes a setting if the first part of the name is a stage. Otherwise it changes a value of the detector
+(`--set cgem.L2.pitch_x="500 um"`). The file is applied first, then each `--set` in its order, then options that stand
+for a setting: `--no-deltas` (`simulate.deltas`), `--hypothesis` (`fit.hypothesis`), `--states` (`fit.states`). It is an
+error if such an option and a `--set` give different values to the same setting. In Python,
+`Settings().with_overrides({"fit.loss": "mean"})` is the equivalent of `--set`.
 
-A wrong word fails when the settings are made, and in mypy before that. All problems of a file and of the command line
-are listed at once, each with the place where it was given:
+An invalid choice raises an error when the settings are made; mypy finds it earlier. All problems of a file and of the
+command line are listed at once, each with its source:
 
 ```
 cgemit: wrong settings
@@ -72,13 +72,14 @@ cgemit: wrong settings
   --set: fit.tolerance: got -1, expected a positive number
 ```
 
-## What a run records
+## The record of a run
 
 Every output folder of `study`, `resolution` and `simulate` has a `run.json`. It holds the command, the versions of
-cgemit, Python and numpy, the seed, what was shot, all settings of all stages, the complete detector files, and a hash
-of this configuration. The tables carry the hash and the seed too.
-`cg.Result.load(folder)` reads back what `result.save(folder)` or `cgemit simulate -o folder` wrote: an equal result. A
-folder with a damaged file, or with tables of another run, is refused, and every such file is named.
+cgemit, Python and numpy, the seed, the source of particles, all settings of all stages, the complete detector files,
+and a hash of this configuration. The tables hold the hash and the seed too.
+
+`cg.Result.load(folder)` reads the files of `result.save(folder)` or `cgemit simulate -o folder` and returns an equal
+result. A folder with a damaged file, or with tables of another run, is refused, and the error names every such file.
 
 ## All settings
 
@@ -92,10 +93,10 @@ def page() -> str:
 
 
 def sections(path: str, cls: type[Any], name: str = "") -> Iterator[str]:
-    """Yield the table of a class of settings, then those of the classes that its settings may hold."""
+    """Yield the table of a class of settings, then the tables of the classes that its settings may hold."""
     choice = f' with `name = "{name}"`' if name else ""
     lines = [f"\n### `[{path}]`{choice}: {cls.__name__}\n"]
-    lines += ["| setting | default | may be | meaning |", "|---|---|---|---|"]
+    lines += ["| setting | default | allowed | meaning |", "|---|---|---|---|"]
     settings, about = cls(), meanings(cls)
     for field, kind in kinds_of(cls).items():
         value = getattr(settings, field)
@@ -109,7 +110,7 @@ def sections(path: str, cls: type[Any], name: str = "") -> Iterator[str]:
 
 
 def shown(value: object) -> str:
-    """Return a default as a file has it."""
+    """Return a default in the notation of a file."""
     if isinstance(value, tuple):
         return f"[{', '.join(map(shown, value))}]"
     if isinstance(value, bool) or value is None:
@@ -118,7 +119,7 @@ def shown(value: object) -> str:
 
 
 def meanings(cls: type[Any]) -> dict[str, str]:
-    """Return what the docstring of a class says about each of its attributes."""
+    """Return the description of each attribute from the docstring of a class."""
     section = re.search(r"Attributes\n-+\n(.*?)(?:\n\n|\Z)", inspect.getdoc(cls) or "", re.DOTALL)
     entries = re.split(r"^(\w+) : .*\n?", section[1] if section else "", flags=re.MULTILINE)[1:]
     texts = [" ".join(text.split()).replace("``", "`") for text in entries[1::2]]

@@ -17,33 +17,35 @@ HEAD = ("tracks", "what is difficult", "fitted %", "not fitted", "p %", "dr um",
 
 _INTRODUCTION = """# Difficult tracks
 
-Tracks that are slow, steep, displaced or curling, with too few hits, wrong hits or noise, in the design CGEM with the
-outer drift chamber. Written by `python validation/robustness_page.py {n} > docs/methods/robustness.md`, with {n}
-events of two tracks each. Hits are assigned by truth, then spoilt as the table says; the fit is told nothing of that.
-`cgemit.study.SCENARIOS` has the list, `cgemit.study.run_scenario` runs one.
+This page shows how the fit performs on tracks that are slow, steep, displaced or curling, or that have too few hits,
+wrong hits or noise. The detector is the design CGEM with the outer drift chamber. The page is written by
+`python validation/robustness_page.py {n} > docs/methods/robustness.md`, with {n} events of two tracks each. Hits are
+assigned by truth and then changed as the table says; the fit gets no information about the changes.
+`cgemit.study.SCENARIOS` lists the scenarios, `cgemit.study.run_scenario` runs one.
 
 A track counts if it has at least {hits} hits of its own, {along} of them stereo or V and {across} axial or X, over
-{lever:g} mm of radius: a helix cannot be measured with less. *fitted*: share of those with status `ok`, with its
-standard error; *not fitted*: the statuses of the others. *p*, *dr*, *dz*: core widths of fitted minus true values, p
-relative to the true one. *pulls*: core widths for dr, phi0, kappa, dz, tanl (1 if the errors are right).
+{lever:g} mm of radius. A helix cannot be measured with less. *fitted* is the fraction of these tracks with status `ok`
+and its standard error. *not fitted* lists the statuses of the others. *p*, *dr* and *dz* are the core widths of fitted
+minus true values; p is relative to the true p. *pulls* are core widths for dr, phi0, kappa, dz, tanl (1 if the errors
+are right).
 
 """
 
 _CLOSING = """
-How the fit gets there: [fit.md](fit.md), "Iteration" and "Outliers". What remains:
+The method is described in [fit.md](fit.md), "Iteration" and "Outliers". Known limitations:
 
-- Pions below 65 MeV/c lose half of their energy in the beam pipe and more on the way. Where the loss that the fit
-  reckons with would stop them before their last hits, hits are given up, and where fewer than six are left the status
-  is `does_not_reach` or `stopped`.
-- With the CGEM alone the sagitta, 0.3 mm at 1 GeV/c, is what one strip's error of 0.2 mm leaves of it: kappa is
-  measured, p hardly.
-- The fit takes all matter between the innermost hit and the origin as crossed. Pions of K_S decays outside the beam
-  pipe have not lost what it takes; the states table (`FitSettings(states=...)`) has their helix at any radius.
-- Electrons radiate in jumps that no Gaussian describes: pulls with narrow cores and long tails.
+- Pions below 65 MeV/c lose half of their energy in the beam pipe and more further out. If the loss assumed by the fit
+  would stop them before their last hits, hits are given up. If fewer than six are left, the status is
+  `does_not_reach` or `stopped`.
+- With the CGEM alone, the sagitta of 0.3 mm at 1 GeV/c is comparable to the error of one strip, 0.2 mm. kappa is
+  measured, but p is hardly constrained.
+- The fit assumes that all matter between the innermost hit and the origin is crossed. Pions of K_S decays outside the
+  beam pipe have not had this energy loss. The states table (`FitSettings(states=...)`) has their helix at any radius.
+- Electrons radiate in jumps that no Gaussian describes. Their pulls have narrow cores and long tails.
 
-Nor does nonsense do harm: `tests/fuzz.py` gives the fit tracks with hits lost, added, exchanged, repeated and out of
-order, and hits of any place, size and error. Nothing raises, and where a number is none the row's status says why.
-`python tests/fuzz.py 1000000` repeats that for a million tracks and counts the statuses.
+Invalid input does no harm. `tests/fuzz.py` gives the fit tracks with hits lost, added, exchanged, repeated and out of
+order, and hits of any position, size and error. No exception is raised, and if a value is NaN the status of the row
+gives the reason. `python tests/fuzz.py 1000000` repeats this for a million tracks and counts the statuses.
 """
 
 

@@ -20,7 +20,7 @@ def outcome(name, **settings):
 @pytest.mark.parametrize(
     "name",
     ["wide", "end plates", "layers missing", "one CGEM layer, outer", "drift chamber only", "CGEM only", "noise",
-     "much noise", "wrong cluster", "hits twice", "loopers", "loopers with noise", "muons 0.1 GeV/c", "K_S pions",
+     "much noise", "wrong cluster", "loopers", "loopers with noise", "muons 0.1 GeV/c", "K_S pions",
      "electrons", "kaons", "protons", "10 GeV/c"],
 )  # fmt: skip
 def test_are_fitted(name):

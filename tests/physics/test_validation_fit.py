@@ -67,11 +67,12 @@ def test_every_gate_sees_errors_that_are_a_sixth_too_small(monkeypatch: pytest.M
 
     def wrong(*arguments: object, **more: object) -> Result:
         result = right(*arguments, **more)
-        pulls = {name: 1.2 * result.tracks[name] for name in result.tracks.columns if name.startswith("pull_")}
-        tracks = result.tracks.with_columns(chi2=1.44 * result.tracks["chi2"], **pulls)
+        pulls = {name: 1.2 * result.matches[name] for name in result.matches.columns if name.startswith("pull_")}
+        matches = result.matches.with_columns(**pulls)
+        tracks = result.fitted.with_columns(chi2=1.44 * result.fitted["chi2"])
         assert result.residuals is not None
         residuals = result.residuals.with_columns(pull=1.2 * result.residuals["pull"])
-        return replace(result, tracks=tracks, residuals=residuals)
+        return replace(result, tables={**result.tables, "matches": matches, "tracks": tracks, "residuals": residuals})
 
     monkeypatch.setattr(cg, "run", wrong)
     found = results(Point("gaussian", DETECTORS[0], "mu-", 1.0, 0.5))

@@ -19,7 +19,7 @@ from cgemit.cli.main import build_parser, main
 from cgemit.cluster import ClusterSettings
 from cgemit.detector import load
 from cgemit.detector.read import TOP_LEVEL
-from cgemit.digitize import DigitizeSettings
+from cgemit.digitize import BinaryReadout, DigitizeSettings, GaussianReadout
 from cgemit.fit import FitSettings
 from cgemit.gun import Gun
 from cgemit.result import Result, Settings
@@ -29,9 +29,11 @@ from cgemit.study.scans import Scan, scan
 from cgemit.tables import Table
 
 DESIGN = "besiii-cgem-design"
-FILE = '[fit]\nkinks = false\n[cluster]\nposition = "charge"\n[digitize]\nthreshold = 6\n'
+FILE = '[fit]\nkinks = false\n[cluster]\nposition = "charge"\n[digitize.readout]\nthreshold = 6\n'
 OF_FILE = Settings(
-    fit=FitSettings(kinks=False), cluster=ClusterSettings(position="charge"), digitize=DigitizeSettings(threshold=6.0)
+    fit=FitSettings(kinks=False),
+    cluster=ClusterSettings(position="charge"),
+    digitize=DigitizeSettings(readout=BinaryReadout(threshold=6.0)),
 )
 #: Options that say how results are shown or where they go; other tests look at them.
 SHOWN = {"--help", "--json", "--output", "--overwrite", "--quiet", "--debug", "--method"}
@@ -100,12 +102,14 @@ COMMON = [
     Row("--set", ["--set", "fit.loss=mean"], with_settings(fit=FitSettings(loss="mean"))),
     Row("--set", ["--set", "simulate.sublayers=true", "--set", "cluster.position=charge"],
         with_settings(simulate=SimulateSettings(sublayers=True), cluster=ClusterSettings(position="charge"))),
-    Row("--set", ["--set", "digitize.readout=gaussian", "--set", "digitize.sigma_x=0.2", "--set", "field.bz=0.9 T"],
+    Row("--set",
+        ["--set", "digitize.readout=gaussian", "--set", "digitize.readout.sigma_x=0.2", "--set", "field.bz=0.9 T"],
         {"detector": load(DESIGN).with_overrides({"field.bz": "0.9 T"}),
-         **with_settings(digitize=DigitizeSettings(readout="gaussian", sigma_x=0.2))}),
+         **with_settings(digitize=DigitizeSettings(readout=GaussianReadout(sigma_x=0.2)))}),
     Row("--settings", ["--settings", "mine.toml"], {"settings": OF_FILE}),
-    Row("--settings", ["--settings", "mine.toml", "--set", "digitize.threshold=12", "--set", "fit.kinks=true"],
-        {"settings": replace(OF_FILE, digitize=DigitizeSettings(threshold=12), fit=FitSettings())}),
+    Row("--settings", ["--settings", "mine.toml", "--set", "digitize.readout.threshold=12", "--set", "fit.kinks=true"],
+        {"settings": replace(OF_FILE, fit=FitSettings(),
+                             digitize=DigitizeSettings(readout=BinaryReadout(threshold=12)))}),
     Row("--field", ["--field", "besiii-harmonic"], {"detector": load(DESIGN).with_field("besiii-harmonic")}),
     Row("--name", ["--name", "mine"], {"detector": load(DESIGN).with_overrides({"name": "mine"})}),
     Row("--no-deltas", ["--no-deltas"], with_settings(simulate=SimulateSettings(deltas=False))),
@@ -266,14 +270,14 @@ def test_a_run_is_repeated_from_its_record(tmp_path: Path) -> None:
         (["--settings", "none.toml"], ["none.toml: got", "expected a TOML or JSON file"]),
         (["--settings", "wrong.toml", "--set", "fit.los=1", "--set", "x=1", "--set", "cgem.L2.pitch=1",
           "--hypothesis", "d"],
-         ["wrong.toml: digitize.gain: got -1", "--set: fit.los: got an unknown key", "--set: got 'x'",
+         ["wrong.toml: digitize.readout.gain: got -1", "--set: fit.los: got an unknown key", "--set: got 'x'",
           "cgem.L2.pitch: got an unknown key", "--hypothesis: fit.hypothesis: got 'd'"]),
     ],
 )  # fmt: skip
 def test_mistakes_are_all_listed(
     words: list[str], messages: list[str], capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    (tmp_path / "wrong.toml").write_text("[digitize]\ngain = -1\n", encoding="utf-8")
+    (tmp_path / "wrong.toml").write_text("[digitize.readout]\ngain = -1\n", encoding="utf-8")
     assert main([*command_line(["simulate"], SIMULATE, Row("", words)), "-o", "never"]) == 2
     text = capsys.readouterr().err
     assert [message for message in messages if message not in text] == []

@@ -191,4 +191,4 @@ def test_files_are_replaced_when_asked_only(result: Result, saved: Path) -> None
     files = other.save(saved, overwrite=True)
     assert Result.load(saved) == other
     assert {path.name for path in files} == {path.name for path in saved.iterdir()}  # states and residuals are gone
-    assert Table.load(saved / "tracks.npz") == other.tracks
+    assert Table.load(saved / "tracks.npz") == other.fitted

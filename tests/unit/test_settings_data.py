@@ -92,6 +92,8 @@ def test_every_field_of_every_stage_is_in_the_files() -> None:
         assert set(tables[stage]) == {f.name for f in dataclasses.fields(given)}
         for name, value in tables[stage].items():
             kept = getattr(given, name)
+            if name == "readout":
+                kept = {"name": kept.name, **dataclasses.asdict(kept)}
             assert value == (list(kept) if isinstance(kept, tuple) else kept), name
 
 

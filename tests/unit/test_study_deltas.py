@@ -71,7 +71,7 @@ def test_fractions_count_crossings():
     result = cgemit.run("besiii-cgem-design", cgemit.Gun("mu-", p=1.0, cos_theta=0.2), 100, 1)
     rows = np.arange(0, 300, 10)
     steps = steps_beside(result.truths, rows, np.full(30, 1.5), np.full(30, 0.3))
-    result = dataclasses.replace(result, steps=Table("steps", steps, 100))
+    result = dataclasses.replace(result, tables={**result.tables, "steps": Table("steps", steps, 100)})
     found = delta_fractions(result)
     assert found.rphi == (0.1, 0.1, 0.1, 0.0, 0.0)
     assert found.z == (0.1, 0.0, 0.0, 0.0, 0.0)
