@@ -95,6 +95,10 @@ def value_problems(detector: Detector, clusters: Columns) -> list[str]:
     for name in ("err_phi", "err_z"):  # only their squares reach the fit
         if name in clusters:
             refuse(name, clusters[name] <= 0, "expected a number above 0")
+    if {"cov_phi_z", "err_phi", "err_z"} <= clusters.keys():
+        limit = np.abs(clusters["err_phi"] * clusters["err_z"])
+        large = (limit > 0) & ~(np.abs(clusters["cov_phi_z"]) < limit)
+        refuse("cov_phi_z", point & large, "expected less in size than err_phi err_z")
     if "cov" in clusters:
         cov = clusters["cov"]
         lowest = cov[:, 0, 0] * cov[:, 1, 1] - cov[:, 0, 1] ** 2
@@ -146,5 +150,5 @@ def repeated(kind: str, columns: Columns, names: tuple[str, ...]) -> list[str]:
     same &= columns.get("candidate", np.zeros(rows))[order[1:]] >= 0
     return [
         f"{kind} row {order[i + 1]}: got the hit of row {order[i]} again, expected each hit once"
-        for i in np.flatnonzero(same)
+        for i in sorted(np.flatnonzero(same), key=lambda i: order[i + 1])
     ]

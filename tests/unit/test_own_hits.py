@@ -270,6 +270,12 @@ def test_one_kind_of_hits_alone(run):
             ["clusters row 0: cov: got [[1.0, 0.5], [0.0, 1.0]], expected a symmetric, positive definite matrix"],
         ),
         (
+            {"layer": [0, 1], "phi": [1.0] * 2, "z": [1.0] * 2, "err_phi": [1e-3] * 2, "err_z": [0.5] * 2,
+             "cov_phi_z": [6e-4, np.nan]}, None,
+            [f"clusters row {row}: cov_phi_z: got {got}, expected less in size than err_phi err_z"
+             for row, got in enumerate(("0.0006", "nan"))],
+        ),
+        (
             {"layer": [0] * 3, "view": [0] * 3, "first": [5, -2, 10], "last": [3, 4, 10**6]}, None,
             [f"clusters row {row}: first, last: got {pair}; expected strips from 0 to 844, the first not above the last"
              for row, pair in enumerate(("5, 3", "-2, 4", "10, 1000000"))],
@@ -292,16 +298,17 @@ def test_mistakes_are_listed_by_the_rows_given(clusters, wires, messages):
 def test_hits_given_twice(run):
     """A row that repeats another one of its candidate is named; another candidate may have the same hit."""
     points, wires = points_of(run, "err_x", "err_v"), wires_of(run)
-    again = [{name: np.append(column, column[3]) for name, column in hits.items()} for hits in (points, wires)]
+    again = [{name: np.append(column, column[[3, 0]]) for name, column in hits.items()} for hits in (points, wires)]
     with pytest.raises(ValueError, match="fit_hits:") as error:
         cg.fit_hits(DETECTOR, *again)
     assert [line.strip() for line in str(error.value).splitlines()[1:]] == [
-        f"{kind} row {len(hits['layer'])}: got the hit of row 3 again, expected each hit once"
+        f"{kind} row {len(hits['layer']) + i}: got the hit of row {row} again, expected each hit once"
         for kind, hits in (("clusters", points), ("wire_hits", wires))
+        for i, row in enumerate((3, 0))
     ]
-    numbers = [np.append(np.zeros(len(hits["layer"]), int), 1) for hits in (points, wires)]
+    numbers = [np.append(np.zeros(len(hits["layer"]), int), [1, 1]) for hits in (points, wires)]
     shared = [hits | {"candidate": number} for hits, number in zip(again, numbers, strict=True)]
-    n = len({*points["event"][[3]], *wires["event"][[3]]})
+    n = len({*points["event"][[3, 0]], *wires["event"][[3, 0]]})
     assert len(cg.fit_hits(DETECTOR, *shared)["tracks"]) == len(FAR) + n
 
 
