@@ -216,7 +216,7 @@ def _label_problems(
     ]
     if not np.array_equal(clusters.events, wire_hits.events):
         problems.append("wire_hits: cover other events than the clusters; expected the same")
-    if hypothesis not in HYPOTHESES:
+    if not isinstance(hypothesis, str) or hypothesis not in HYPOTHESES:
         known = ", ".join(map(repr, HYPOTHESES))
         problems.append(
             f"hypothesis: got {hypothesis!r}, expected one of {known}{did_you_mean(hypothesis, HYPOTHESES, '; ')}"

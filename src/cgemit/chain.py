@@ -13,7 +13,7 @@ from typing import Any, Literal
 from cgemit import find
 from cgemit.candidates import Finder, by_finder, finder_name
 from cgemit.detector import Detector, load
-from cgemit.digitize import digitize
+from cgemit.digitize import cluster_digis, digitize
 from cgemit.fit import FitSettings, fit
 from cgemit.gun import Gun, Guns, generate
 from cgemit.match import match
@@ -68,7 +68,7 @@ def run_chunk(
             detector, tables["truths"], tables["wire_truths"], settings.digitize, seed, steps=tables["steps"]
         ),
         "cluster": lambda: {
-            "clusters": settings.digitize.readout.cluster(detector, tables["digis"], settings.cluster)
+            "clusters": cluster_digis(detector, tables["digis"], settings.digitize, settings.cluster)
         },
         "find": lambda: (
             by_finder(finder, fit_detector, tables["clusters"], tables["wire_hits"])

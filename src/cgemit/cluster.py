@@ -77,7 +77,7 @@ def cluster(detector: Detector, digis: Table, settings: ClusterSettings | None =
     err_x, err_v = cluster_errors(detector, settings)
     by_charge = settings.position == "charge"
     found = _core.find_clusters(compiled(detector), dict(digis.columns), err_x=err_x, err_v=err_v, by_charge=by_charge)
-    return Table("clusters", found, digis.n_events, digis.first_event)
+    return Table("clusters", found, **digis.cover)
 
 
 @functools.lru_cache(maxsize=32)

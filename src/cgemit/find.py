@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from cgemit.candidates import HIT_V, HIT_WIRE, HIT_X
+from cgemit.candidates import HIT_V, HIT_WIRE, HIT_X, XV_CLUSTER
 from cgemit.detector import Detector
 from cgemit.detector.parts import local_v
 from cgemit.tables import Table
@@ -137,9 +137,16 @@ def _layer_problems(detector: Detector, clusters: Table, wire_hits: Table) -> li
         strange = table["layer"][~np.isin(table["layer"], list(known))]
         if len(strange):
             problems.append(f"{table.kind}: got layer {strange[0]}, which {detector.name} does not have")
+    view = clusters["view"]
+    strange = view[(view < HIT_X) | (view > XV_CLUSTER)]
+    if len(strange):
+        problems.append(f"clusters: got view {strange[0]}, expected 0 (X), 1 (V) or 2 (XV)")
     sheets = np.array([cgem.sheets for cgem in detector.cgem])
-    if not problems and np.any(clusters["sheet"] >= sheets.take(clusters["layer"])):
-        problems.append(f"clusters: got sheet {clusters['sheet'].max()}, which {detector.name} does not have")
+    if problems:
+        return problems
+    wrong = (clusters["sheet"] < 0) | (clusters["sheet"] >= sheets.take(clusters["layer"]))
+    if wrong.any():
+        problems.append(f"clusters: got sheet {clusters['sheet'][wrong][0]}, which {detector.name} does not have")
     return problems
 
 

@@ -58,10 +58,14 @@ def fit(
 
     Raises
     ------
+    TypeError
+        If the settings are something else.
     ValueError
         Listing every problem of the hits or the start.
     """
-    detector, settings = load(detector), settings or FitSettings()
+    detector, settings = load(detector), FitSettings() if settings is None else settings
+    if not isinstance(settings, FitSettings):
+        raise TypeError(f"settings: got {type(settings).__name__}, expected FitSettings")
     core = compiled_for_fit(detector, settings)
     hits = collect_hits(core, candidates, candidate_hits, clusters, wire_hits)
     names = settings.hypotheses()

@@ -60,8 +60,10 @@ def match(
         "wire_hits": wire_hits, "particles": particles, "truths": truths, "wire_truths": wire_truths,
     }  # fmt: skip
     problems = kind_problems(**tables)
-    problems = problems or link_problems(clusters, "truth", truths) + link_problems(
-        wire_hits, "wire_truth", wire_truths
+    problems = problems or (
+        link_problems(clusters, "truth", truths)
+        + link_problems(wire_hits, "wire_truth", wire_truths)
+        + _row_problems(tracks, candidates, candidate_hits, clusters, wire_hits)
     )
     if problems:
         raise ValueError("match:\n  " + "\n  ".join(problems))
@@ -122,6 +124,29 @@ def joined(tracks: Table, matches: Table) -> Table:
     tracks, matches : Table
     """
     return tracks.with_columns(**{name: matches[name] for name in matches if name not in ("event", "track")})
+
+
+def _row_problems(
+    tracks: Table, candidates: Table, candidate_hits: Table, clusters: Table, wire_hits: Table
+) -> list[str]:
+    """Say which tracks and hits count rows that are not there."""
+    view, row = candidate_hits["view"], candidate_hits["row"]
+    of_wire = view == HIT_WIRE
+    checks = [
+        ("tracks", "candidate", tracks["candidate"], len(candidates), "rows of candidates", True),
+        ("candidate_hits", "candidate", candidate_hits["candidate"], len(candidates), "rows of candidates", True),
+        ("candidate_hits", "view", view, HIT_XV + 1, "views", True),
+        ("candidate_hits", "row", row, len(clusters), "rows of clusters", ~of_wire),
+        ("candidate_hits", "row", row, len(wire_hits), "rows of wire_hits", of_wire),
+    ]
+    problems = []
+    for table, name, values, n, of, where in checks:
+        wrong = np.flatnonzero(((values < 0) | (values >= n)) & where)
+        if len(wrong):
+            problems.append(
+                f"{table} row {wrong[0]}: {name}: got {values[wrong[0]]}, expected 0 to {n} (excluded), {of}"
+            )
+    return problems
 
 
 def _owners(particles: Table, link: Rows, truths: Table) -> Rows:

@@ -1,4 +1,4 @@
-"""Fits of hits from other programs: columns of any origin become tables (docs/own_hits.md)."""
+"""Hits from elsewhere: columns of any origin become tables, and are fitted (docs/own_hits.md)."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from cgemit import _core
 from cgemit.candidates import HIT_V, HIT_WIRE, HIT_X, XV_CLUSTER, Finder, by_finder, check_found, label_candidates
@@ -14,12 +13,9 @@ from cgemit.cluster import ClusterSettings, cluster_errors
 from cgemit.detector import Detector, compiled, load
 from cgemit.detector.parts import crossing_z, local_v
 from cgemit.fit import FitSettings, fit
+from cgemit.hit_columns import Column, Columns, read, repeated, value_problems
 from cgemit.species import HYPOTHESES
 from cgemit.tables import SCHEMAS, Table
-from cgemit.tables.convert import columns_of
-
-Column = npt.NDArray[Any]
-Columns = dict[str, Column]
 
 
 def fit_hits(
@@ -53,35 +49,41 @@ def fit_hits(
     Returns
     -------
     dict of str to Table
-        ``tracks`` and the other tables of `fit`, and the tables ``clusters``, ``wire_hits``, ``candidates`` and
+        ``tracks`` and what else `fit` makes, and the tables ``clusters``, ``wire_hits``, ``candidates`` and
         ``candidate_hits``. Their rows are sorted by `event`, a column that may be left out, too: one event. The column
         `given_row` of the hits says where a row was.
 
     Raises
     ------
     ValueError
-        Listing every problem of the columns or the hits, by their rows as given.
+        Listing everything that is wrong with the columns or the hits, by their rows as given.
     """
     detector = load(detector)
     problems: list[str] = []
-    if hypothesis not in HYPOTHESES:
+    if not isinstance(hypothesis, str) or hypothesis not in HYPOTHESES:
         problems.append(f"hypothesis: got {hypothesis!r}, expected one of {', '.join(map(repr, HYPOTHESES))}")
     given = {
-        "clusters": _read("clusters", clusters, ("layer",), problems),
-        "wire_hits": _read("wire_hits", wire_hits, ("layer", "wire", "drift"), problems),
+        "clusters": read("clusters", clusters, ("layer",), problems),
+        "wire_hits": read("wire_hits", wire_hits, ("layer", "wire", "drift"), problems),
     }
     labelled = [name for name, columns in given.items() if "candidate" in columns]
     bare = [name for name, columns in given.items() if len(columns["layer"]) and name not in labelled]
     if candidates is None and labelled and bare:
         problems.append(f"{bare[0]}: have no column 'candidate', as the {labelled[0]} have; expected both or none")
     _raise(problems)
-    columns = _cluster_columns(detector, given["clusters"], problems), _wire_columns(detector, given["wire_hits"])
+    with np.errstate(invalid="ignore"):  # infinite numbers are listed below
+        columns = _cluster_columns(detector, given["clusters"], problems), _wire_columns(detector, given["wire_hits"])
     _raise(problems)
-    problems += _error_problems(given["clusters"])
+    problems += value_problems(detector, given["clusters"] | {"view": columns[0]["view"]})
+    rows = {line.partition(":")[0] for line in problems}  # X, V and their errors follow from wrong numbers there
     try:
         _core.check_hits(compiled(detector), _measurements(*columns))
     except ValueError as error:
-        problems += [line.strip() for line in str(error).splitlines()[1:]]
+        lines = dict.fromkeys(line.strip() for line in str(error).splitlines()[1:])
+        problems += [line for line in lines if line.partition(":")[0] not in rows]
+    if candidates is None:  # else a finder may tell equal hits apart
+        problems += repeated("clusters", columns[0], ("layer", "sheet", "view", "x", "v"))
+        problems += repeated("wire_hits", columns[1], ("layer", "wire", "drift"))
     _raise(problems)
     events = np.unique(np.concatenate([part["event"] for part in columns]))
     hits = _table("clusters", columns[0], events), _table("wire_hits", columns[1], events)
@@ -96,50 +98,9 @@ def fit_hits(
     return {"clusters": hits[0], "wire_hits": hits[1], **found, **fitted}
 
 
-def _error_problems(clusters: Columns) -> list[str]:
-    """Return which errors of phi and z are not above 0; only their squares reach the fit."""
-    return [
-        f"clusters row {row}: {name}: got {clusters[name][row]:g}, expected a number above 0"
-        for name in ("err_phi", "err_z")
-        if name in clusters
-        for row in np.flatnonzero(clusters[name] <= 0)
-    ]
-
-
 def _raise(problems: list[str]) -> None:
     if problems:
         raise ValueError("fit_hits:\n  " + "\n  ".join(problems))
-
-
-_WHOLE = ("event", "layer", "sheet", "view", "first", "last", "size", "wire", "side", "candidate", "gid")
-
-
-def _read(kind: str, source: Any, needed: tuple[str, ...], problems: list[str]) -> Columns:
-    """Return the columns of a source, whole numbers as integers, with `event`, `given_row` and the needed columns."""
-    if source is None:
-        return {name: np.zeros(0, np.int64) for name in ("event", "given_row", *needed)}
-    columns = columns_of(source)
-    if columns is None:
-        expected = "a table, a mapping of arrays, a data frame or a structured array"
-        problems.append(f"{kind}: got {type(source).__name__}, expected {expected}")
-        return _read(kind, None, needed, problems)
-    missing = [name for name in needed if name not in columns]
-    rows = len(columns["layer"]) if "layer" in columns and columns["layer"].ndim else 0
-    for name in missing:
-        problems.append(f"{kind}: {name}: missing, expected columns {', '.join(needed)}")
-    for name, column in columns.items():
-        if column.ndim == 0 or len(column) != rows or column.dtype.kind not in "iufb":
-            if not missing:
-                problems.append(f"{kind}: {name}: got {column.dtype}, shape {column.shape}; expected {rows} numbers")
-        elif name in _WHOLE and column.dtype.kind == "f":
-            wrong = np.flatnonzero(~(column == np.rint(column)))
-            if len(wrong):
-                problems.append(f"{kind} row {wrong[0]}: {name}: got {column[wrong[0]]}, expected a whole number")
-            columns[name] = np.where(np.isfinite(column), column, 0).astype(np.int64)
-    if problems:
-        return _read(kind, None, needed, problems)
-    columns.setdefault("event", np.zeros(rows, np.int64))
-    return columns | {"given_row": np.arange(rows)}
 
 
 def _cluster_columns(detector: Detector, given: Columns, problems: list[str]) -> Columns:
@@ -206,9 +167,10 @@ def _fill_layer(layer: Any, mine: Columns, of_strips: tuple[Column, Column] | No
     given_errors = np.isfinite(np.where(view == HIT_V, mine["err_v"], mine["err_x"])) | ("err" in mine)
     strips = (mine["first"] >= 0) & (mine["last"] >= mine["first"]) & ~point
     size = np.where(strips, mine["last"] - mine["first"] + 1, 0)
-    for is_view, name, pitch, which in ((HIT_X, "x", layer.pitch_x, 0), (HIT_V, "v", layer.pitch_v, 1)):
+    of_views = (HIT_X, "x", layer.pitch_x, 0.0, 0), (HIT_V, "v", layer.pitch_v, layer.offset_v, 1)
+    for is_view, name, pitch, offset, which in of_views:
         rows, error = view == is_view, mine[f"err_{name}"]
-        centre = 0.5 * (mine["first"] + mine["last"] + 1) * pitch
+        centre = (0.5 * (mine["first"] + mine["last"] + 1) + offset) * pitch
         mine[name] = np.where(rows & strips & np.isnan(mine[name]), centre, mine[name])
         if "err" in mine:
             error = np.where(rows & np.isnan(error), mine["err"], error)
@@ -273,14 +235,14 @@ def _measurements(clusters: Columns, wires: Columns) -> Columns:
         (wires, np.arange(len(wires["layer"])), HIT_WIRE, "wire", "drift", "sigma"),
     ]  # fmt: skip
     joined: dict[str, list[Column]] = {}
-    for table, rows, kind, channel, value, sigma in parts:
+    for table, rows, kind, element, value, sigma in parts:
         layer = table["layer"][rows]
-        of = {"layer": layer, "channel": table[channel][rows], "value": table[value][rows], "sigma": table[sigma][rows]}
+        of = {"layer": layer, "element": table[element][rows], "value": table[value][rows], "sigma": table[sigma][rows]}
         of |= {"kind": np.full(len(layer), kind), "row": table["given_row"][rows], "size": np.zeros(len(layer))}
         of["side"] = table["side"][rows] if kind == HIT_WIRE else np.zeros(len(layer))
         for name, column in of.items():
             joined.setdefault(name, []).append(column)
-    kinds = {"kind": "u1", "layer": "i4", "channel": "i4", "size": "i4", "side": "i8", "row": "i8"}
+    kinds = {"kind": "u1", "layer": "i4", "element": "i4", "size": "i4", "side": "i8", "row": "i8"}
     columns = {name: np.concatenate(column).astype(kinds.get(name, "f8")) for name, column in joined.items()}
     return columns | {"side": np.clip(columns["side"], -128, 127).astype(np.int8)}
 

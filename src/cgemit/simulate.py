@@ -97,12 +97,12 @@ def simulate(
     """
     check_particles(particles)
     out = _core.simulate(**core_arguments(detector, particles, settings or SimulateSettings(), seed))
-    span = (particles.n_events, particles.first_event)
+    cover = particles.cover
     return {
         "particles": particles.with_columns(status=out["status"]),
-        "truths": Table("truths", out["truths"], *span),
-        "steps": Table("steps", out["steps"], *span),
-        "wire_truths": Table("wire_truths", out["wire_truths"], *span),
+        "truths": Table("truths", out["truths"], **cover),
+        "steps": Table("steps", out["steps"], **cover),
+        "wire_truths": Table("wire_truths", out["wire_truths"], **cover),
     }
 
 

@@ -374,6 +374,28 @@ def test_matches_of_pure_candidates(result):
     assert joined(result.fitted, matches) == result.tracks
 
 
+def test_rows_that_are_not_there_are_listed(result):
+    """Tracks and hits that count rows beyond the tables, or before them, are refused all at once."""
+    hits = {name: result.candidate_hits[name].copy() for name in ("candidate", "view", "row")}
+    hits["candidate"][:2], hits["view"][2] = (99, -1), 9
+    wire = np.flatnonzero(hits["view"] == HIT_WIRE)[0]
+    hits["row"][[3, wire]] = -1, 10**6
+    candidate = result.fitted["candidate"].copy()
+    candidate[5] = 80
+    with pytest.raises(ValueError, match="match:") as error:
+        matched(result, result.candidate_hits.with_columns(**hits), result.fitted.with_columns(candidate=candidate))
+    assert [line.strip() for line in str(error.value).splitlines()[1:]] == [
+        "tracks row 5: candidate: got 80, expected 0 to 80 (excluded), rows of candidates",
+        "candidate_hits row 0: candidate: got 99, expected 0 to 80 (excluded), rows of candidates",
+        "candidate_hits row 2: view: got 9, expected 0 to 4 (excluded), views",
+        f"candidate_hits row 3: row: got -1, expected 0 to {len(result.clusters)} (excluded), rows of clusters",
+        (
+            f"candidate_hits row {wire}: row: got 1000000, expected 0 to {len(result.wire_hits)} (excluded), "
+            "rows of wire_hits"
+        ),
+    ]
+
+
 def test_most_hits_decide(result):
     """Hits of both particles of an event: the larger part names the particle; of equal parts the first one."""
     hits = result.candidate_hits

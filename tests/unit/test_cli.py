@@ -3,6 +3,7 @@
 import csv
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -12,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cgemit import Settings
 from cgemit.cli import common, read
 from cgemit.cli.common import Progress
 from cgemit.cli.main import join_negative_values, main
@@ -49,6 +51,20 @@ def test_help_and_version(capsys):
     for name in common.COMMANDS:
         assert main([name, "--help"]) == 0, name
         assert "examples:" in capsys.readouterr().out, name
+
+
+def test_settings_in_the_examples_exist(capsys):
+    """What the help of the commands sets can be set."""
+    keys = []
+    for name in common.COMMANDS:
+        main([name, "--help"])
+        keys += re.findall(r"--set (\S+)=(\S+)", capsys.readouterr().out.partition("examples:")[2])
+    stages = {key: value for key, value in keys if key.partition(".")[0] in Settings().to_dict()}
+    assert {"fit.loss", "digitize.readout.threshold"} <= stages.keys()
+    changed = Settings().with_overrides(
+        {key: float(value) if value.isdigit() else value for key, value in stages.items()}
+    )
+    assert changed.digitize.readout.threshold == 5
 
 
 @pytest.mark.parametrize(

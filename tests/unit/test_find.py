@@ -195,6 +195,11 @@ def test_tables_that_do_not_belong_together_are_refused(chain):
     sheet = np.full(len(chain["clusters"]), 1, "i4")
     with pytest.raises(ValueError, match="clusters: got sheet 1, which besiii-cgem-design does not have"):
         by_truth_of(chain, clusters=chain["clusters"].with_columns(sheet=sheet))
+    with pytest.raises(ValueError, match="clusters: got sheet -2, which besiii-cgem-design does not have"):
+        by_truth_of(chain, clusters=chain["clusters"].with_columns(sheet=-2 * sheet))
+    for view in (-1, 3):
+        with pytest.raises(ValueError, match=rf"clusters: got view {view}, expected 0 \(X\), 1 \(V\) or 2 \(XV\)"):
+            by_truth_of(chain, clusters=chain["clusters"].with_columns(view=sheet.astype("i1") * view))
     with pytest.raises(
         ValueError, match=r"(?s)clusters: got a table of kind 'wire_hits', .*\n  wire_hits: got NoneType,"
     ):

@@ -84,6 +84,15 @@ def test_strips_and_drift_distances_are_enough(run):
     assert_tracks_of(cg.fit_hits(DETECTOR, shuffled(strips_of(run)), shuffled(wires_of(run))), run)
 
 
+def test_v_strips_that_begin_beside_zero():
+    """The first V strip of the as-built detector begins `offset_v` pitches from V = 0."""
+    run = cg.run("besiii-cgem", cg.Gun("mu-", p=1.0, cos_theta=(-0.5, 0.5)), n=3, until="cluster")
+    strips = run.clusters[run.clusters["view"] < 2]
+    found = cg.fit_hits("besiii-cgem", columns(run.clusters, STRIPS, np.flatnonzero(run.clusters["view"] < 2)))
+    back = np.argsort(found["clusters"]["given_row"])
+    np.testing.assert_allclose(found["clusters"]["v"][back], strips["v"], rtol=0, atol=1e-12)
+
+
 def test_data_frames_structured_arrays_and_tables(run):
     """The same hits in whatever holds columns."""
     pandas = pytest.importorskip("pandas")
@@ -222,12 +231,54 @@ def test_one_kind_of_hits_alone(run):
             {"layer": [0, 9], "phi": [1.0, 1.0], "z": [0.0, 0.0], "err_phi": [0.0, 1e-3], "err_z": [-1.0, 1.0]},
             {"layer": [8, 8, 1], "wire": [-1, 0, 0], "drift": [1.0, np.nan, 1.0], "side": [0, 7, 0]},
             [
-                "clusters row 0: err_x: got 0, expected a finite number above 0", "clusters row 0: err_phi: got 0, ",
+                "clusters row 0: err_phi: got 0, expected a number above 0",
                 "clusters row 0: err_z: got -1, expected a number above 0",
                 "clusters row 1: layer: got 9",
                 "wire_hits row 0: wire: got -1", "wire_hits row 1: drift: got nan", "wire_hits row 1: side: got 7",
                 "wire_hits row 2: layer: got 1, expected the number of a wire layer",
             ],
+        ),
+        (  # more than 32 bits would come out as other wires and layers
+            {"layer": [2**32], "phi": [1.0], "z": [1.0]}, {"layer": [8], "wire": [2**32 + 5], "drift": [1.0]},
+            [
+                "clusters row 0: layer: got 4294967296, expected a number below 2**31",
+                "wire_hits row 0: wire: got 4294967301, expected a number below 2**31",
+            ],
+        ),
+        (
+            {"layer": [0], "phi": [1.0], "z": [1.0], "event": np.array([2**64 - 1], np.uint64)},
+            {"layer": [8], "wire": [5], "drift": [1.0], "event": [2**63 - 1]},
+            [
+                "clusters row 0: event: got 18446744073709551615, expected a number below 2**62",
+                "wire_hits row 0: event: got 9223372036854775807, expected",
+            ],
+        ),
+        (
+            {"layer": [0, 9, 0], "phi": [np.inf, 1.0, 1.0], "z": [1.0, 1.0, np.nan], "cov": [np.eye(2)] * 3}, None,
+            [
+                "clusters row 0: phi: got inf, expected a finite number, rad",
+                "clusters row 1: layer: got 9, expected a CGEM layer of the detector, 0 to 2",
+                "clusters row 2: z: got nan, expected a finite number, mm",
+            ],
+        ),
+        (
+            {"layer": [0], "phi": [1.0], "z": [1.0], "cov": [[1.0, 1.0]]}, None,
+            ["clusters: cov: got shape (1, 2), expected (1, 2, 2)"],
+        ),
+        (
+            {"layer": [0], "phi": [1.0], "z": [1.0], "cov": [[[1.0, 0.5], [0.0, 1.0]]]}, None,
+            ["clusters row 0: cov: got [[1.0, 0.5], [0.0, 1.0]], expected a symmetric, positive definite matrix"],
+        ),
+        (
+            {"layer": [0, 1], "phi": [1.0] * 2, "z": [1.0] * 2, "err_phi": [1e-3] * 2, "err_z": [0.5] * 2,
+             "cov_phi_z": [6e-4, np.nan]}, None,
+            [f"clusters row {row}: cov_phi_z: got {got}, expected less in size than err_phi err_z"
+             for row, got in enumerate(("0.0006", "nan"))],
+        ),
+        (
+            {"layer": [0] * 3, "view": [0] * 3, "first": [5, -2, 10], "last": [3, 4, 10**6]}, None,
+            [f"clusters row {row}: first, last: got {pair}; expected strips from 0 to 844, the first not above the last"
+             for row, pair in enumerate(("5, 3", "-2, 4", "10, 1000000"))],
         ),
         (
             {"layer": [0], "phi": [1.0], "z": [0.0], "err_phi": [1e-3], "err_z": [1.0], "candidate": [1]},
@@ -241,11 +292,33 @@ def test_mistakes_are_listed_by_the_rows_given(clusters, wires, messages):
     with pytest.raises(ValueError, match=r"fit_hits|hits:") as error:
         cg.fit_hits(DETECTOR, clusters, wires)
     assert [text for text in messages if text not in str(error.value)] == []
+    assert len(set(lines := str(error.value).splitlines())) == len(lines)
+
+
+def test_hits_given_twice(run):
+    """A row that repeats another one of its candidate is named; another candidate may have the same hit."""
+    points, wires = points_of(run, "err_x", "err_v"), wires_of(run)
+    again = [{name: np.append(column, column[[3, 0]]) for name, column in hits.items()} for hits in (points, wires)]
+    with pytest.raises(ValueError, match="fit_hits:") as error:
+        cg.fit_hits(DETECTOR, *again)
+    assert [line.strip() for line in str(error.value).splitlines()[1:]] == [
+        f"{kind} row {len(hits['layer']) + i}: got the hit of row {row} again, expected each hit once"
+        for kind, hits in (("clusters", points), ("wire_hits", wires))
+        for i, row in enumerate((3, 0))
+    ]
+    numbers = [np.append(np.zeros(len(hits["layer"]), int), [1, 1]) for hits in (points, wires)]
+    shared = [hits | {"candidate": number} for hits, number in zip(again, numbers, strict=True)]
+    n = len({*points["event"][[3, 0]], *wires["event"][[3, 0]]})
+    assert len(cg.fit_hits(DETECTOR, *shared)["tracks"]) == len(FAR) + n
 
 
 def test_hypothesis_and_clusters_without_layers(run):
     """A particle that is none; clusters for a detector without CGEM layers."""
     with pytest.raises(ValueError, match="hypothesis: got 'tau', expected one of 'e', 'mu'"):
         cg.fit_hits(DETECTOR, hypothesis="tau")
+    with pytest.raises(ValueError, match=r"hypothesis: got \['pi'\], expected one of 'e', 'mu'"):
+        cg.fit_hits(DETECTOR, hypothesis=["pi"])
+    with pytest.raises(TypeError, match="settings: got Settings, expected FitSettings"):
+        cg.fit_hits(DETECTOR, settings=cg.Settings())
     with pytest.raises(ValueError, match="expected none, besiii-idc has no CGEM layers"):
         cg.fit_hits("besiii-idc", strips_of(run))

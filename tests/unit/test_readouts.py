@@ -12,6 +12,7 @@ from cgemit import DigitizeSettings, FitSettings, Gun, Result, Settings, digitiz
 from cgemit.cluster import ClusterSettings, cluster
 from cgemit.detector import Detector
 from cgemit.detector.parts import local_v, strips_of_v
+from cgemit.simulate import simulate
 from cgemit.tables import Table
 from stats import assert_within
 
@@ -97,3 +98,40 @@ def test_the_fit_takes_its_errors() -> None:
     assert np.median(good.tracks["err_dz"]) < 1
     assert np.median(bad.tracks["err_dz"]) > 2
     assert np.array_equal(good.clusters["x"], bad.clusters["x"], equal_nan=True)
+
+
+def test_what_it_makes_is_checked(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing, another table, or one of other events is refused, and the read-out is named."""
+    stages = {"digis": "digitize", "clusters": "cluster"}
+    for kind, stage in stages.items():
+        for wrong, message in (
+            (None, "got NoneType, expected a table of kind"),
+            (Table.empty("truths", 5), "got a table of kind 'truths'"),
+            (Table.empty(kind, 1), "cover other events than"),
+        ):  # fmt: skip
+            with monkeypatch.context() as patch:
+                patch.setattr(OneStrip, stage, lambda *_, wrong=wrong: wrong)
+                with pytest.raises((TypeError, ValueError), match=f"read-out one-strip: {kind}: {message}"):
+                    chain("one-strip", 5)
+
+
+@pytest.mark.parametrize("readout", ["binary", "gaussian"])
+def test_event_numbers_with_gaps(readout: str) -> None:
+    """Each stage takes tables whose event numbers have gaps; digis and clusters are those of numbers without."""
+    result = run(DESIGN, Gun("mu-", p=1.0, cos_theta=(-0.8, 0.8)), 4, seed=3)
+    settings, numbers = DigitizeSettings(readout=readout), np.array([3, 10, 11, 50_000_000])
+
+    def apart(table: Table) -> Table:
+        columns = {**table.columns, "event": numbers[table["event"]]}
+        return Table(table.kind, columns, 4, events=numbers)
+
+    simulated = simulate(DESIGN, apart(result.particles), seed=3)
+    assert all(np.array_equal(table.events, numbers) for table in simulated.values())
+    made = digitize.digitize(DESIGN, apart(result.truths), apart(result.wire_truths), settings)
+    plain = digitize.digitize(DESIGN, result.truths, result.wire_truths, settings)
+    made["clusters"] = settings.readout.cluster(DESIGN, made["digis"], ClusterSettings())
+    plain["clusters"] = settings.readout.cluster(DESIGN, plain["digis"], ClusterSettings())
+    for name, table in made.items():
+        assert np.array_equal(table.events, numbers)
+        assert np.array_equal(table["event"], numbers[plain[name]["event"]])
+        assert np.array_equal(table.offsets, plain[name].offsets)

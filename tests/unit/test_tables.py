@@ -378,3 +378,10 @@ def test_tables_with_gaps_are_joined():
     assert joined["event"].tolist() == [4, 17, 20, 33]
     with pytest.raises(ValueError, match="ends before event 34, but the next chunk starts at 4"):
         concatenate(chunks[::-1])
+
+
+def test_numbers_of_events_beyond_the_range():
+    """Offsets need the number after the last one: it must fit, too."""
+    for last in (2**63 - 1, 2**63):
+        with pytest.raises(ValueError, match=f"events: got 5 to {last}, expected numbers within"):
+            Table.empty("particles", 2, events=np.array([5, last], np.uint64))

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cgemit import _core
+from cgemit.cluster import ClusterSettings
 from cgemit.detector import Detector, compiled
 from cgemit.digitize.binary import BinaryReadout as BinaryReadout
 from cgemit.digitize.gaussian import GaussianReadout as GaussianReadout
@@ -15,6 +16,7 @@ from cgemit.digitize.readout import Readout as Readout
 from cgemit.kinds import one_of
 from cgemit.settings import SettingsData
 from cgemit.tables import Table
+from cgemit.tables.table import kind_problems
 
 #: Drift distance (mm) against drift time (ns) of the outer drift chamber's cells: medians of reconstructed hits of
 #: BESIII (BOSS 7.2.0 files published with pybes3), with the wire itself put at time 0. Straight lines between the
@@ -92,10 +94,10 @@ def digitize(
     """
     settings = settings or DigitizeSettings()
     if steps is None:
-        steps = Table.empty("steps", truths.n_events, truths.first_event)
+        steps = Table.empty("steps", **truths.cover)
     return {
         "wire_hits": read_out_wires(detector, wire_truths, reveal_sides=settings.reveal_sides, seed=seed),
-        "digis": settings.readout.digitize(detector, truths, steps, seed),
+        "digis": made("digis", settings.readout.digitize(detector, truths, steps, seed), settings.readout, truths),
     }
 
 
@@ -119,4 +121,48 @@ def read_out_wires(detector: Detector, wire_truths: Table, *, reveal_sides: bool
         compiled(detector), dict(wire_truths.columns), xt_distance=XT_DISTANCE, xt_time=XT_TIME,
         reveal_sides=reveal_sides, seed=seed,
     )  # fmt: skip
-    return Table("wire_hits", hits, wire_truths.n_events, wire_truths.first_event)
+    return Table("wire_hits", hits, **wire_truths.cover)
+
+
+def cluster_digis(
+    detector: Detector, digis: Table, settings: DigitizeSettings, cluster_settings: ClusterSettings
+) -> Table:
+    """Return the table ``clusters`` that the read-out of the settings makes of digis.
+
+    Parameters
+    ----------
+    detector : Detector
+    digis : Table
+    settings : DigitizeSettings
+    cluster_settings : ClusterSettings
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a digi is not in the detector, or the read-out makes anything but clusters of the same events.
+    """
+    return made("clusters", settings.readout.cluster(detector, digis, cluster_settings), settings.readout, digis)
+
+
+def made(kind: str, table: object, readout: Readout, source: Table) -> Table:
+    """Return the table that a read-out has made of another one.
+
+    Parameters
+    ----------
+    kind : str
+    table : object
+        What the read-out returned.
+    readout : Readout
+    source : Table
+
+    Raises
+    ------
+    TypeError, ValueError
+        If it is not a table of this kind, of the same events.
+    """
+    problems = kind_problems(**{kind: table})
+    if problems or not isinstance(table, Table):
+        raise TypeError(f"read-out {readout.name}: {problems[0]}")
+    if not np.array_equal(table.events, source.events):
+        raise ValueError(f"read-out {readout.name}: {kind}: cover other events than {source.kind}; expected the same")
+    return table

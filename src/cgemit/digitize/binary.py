@@ -51,7 +51,7 @@ class BinaryReadout(SettingsData):
             compiled(detector), dict(truths.columns), dict(steps.columns),
             gain=self.gain, w_values=w_values(detector), threshold=self.threshold,
         )  # fmt: skip
-        return Table("digis", digis, truths.n_events, truths.first_event)
+        return Table("digis", digis, **truths.cover)
 
     def cluster(self, detector: Detector, digis: Table, settings: ClusterSettings) -> Table:
         """Return the clusters of contiguous strips, see `Readout.cluster`.

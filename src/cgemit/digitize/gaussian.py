@@ -54,7 +54,7 @@ class GaussianReadout(SettingsData):
             compiled(detector), dict(truths.columns),
             gain=self.gain, w_values=w_values(detector), sigma_x=self.sigma_x, sigma_v=self.sigma_v, seed=seed,
         )  # fmt: skip
-        return Table("digis", digis, truths.n_events, truths.first_event)
+        return Table("digis", digis, **truths.cover)
 
     def cluster(self, detector: Detector, digis: Table, settings: ClusterSettings) -> Table:
         """Return every position as a cluster, see `Readout.cluster`; none of the settings applies.
@@ -73,4 +73,4 @@ class GaussianReadout(SettingsData):
         found = _core.clusters_of_positions(
             compiled(detector), dict(digis.columns), err_x=self.sigma_x, err_v=self.sigma_v
         )
-        return Table("clusters", found, digis.n_events, digis.first_event)
+        return Table("clusters", found, **digis.cover)

@@ -70,6 +70,8 @@ def event_range(n_events: int, first_event: int, events: npt.ArrayLike | None) -
     if np.any(given[1:] <= given[:-1]):
         raise ValueError("events: do not increase somewhere; expected each number above the one before")
     first = int(given[0])
+    if not -(2**62) <= first <= int(given[-1]) <= 2**62:
+        raise ValueError(f"events: got {first} to {given[-1]}, expected numbers within 2**62")
     if int(given[-1]) - first == n_events - 1:
         return first, None
     return first, read_only(given, np.dtype(np.int64))

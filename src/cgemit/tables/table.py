@@ -82,10 +82,10 @@ class Table:
             object.__setattr__(self, name, value)
 
     @classmethod
-    def empty(cls, kind: str, n_events: int = 0, first_event: int = 0) -> Table:
+    def empty(cls, kind: str, n_events: int = 0, first_event: int = 0, events: npt.ArrayLike | None = None) -> Table:
         """Return a table without rows."""
         columns = {column.name: np.empty((0, *column.shape), column.dtype) for column in schema_of(kind)}
-        return cls(kind, columns, n_events, first_event)
+        return cls(kind, columns, n_events, first_event, events=events)
 
     @property
     def events(self) -> Array:
