@@ -51,7 +51,7 @@ axes.grid(alpha=0.3)
 # %% [markdown]
 # ## A slab alone: scattering
 #
-# `cg.slab` sends particles through sheets of matter. Most angles are a Gaussian of many soft scatters; a single hard
+# `cg.slab` sends particles through layers of matter. Most angles are a Gaussian of many soft scatters; a single hard
 # scatter makes the tail that no Gaussian has: the width that holds 99.9 % is three times what the core suggests.
 
 # %%

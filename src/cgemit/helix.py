@@ -80,9 +80,9 @@ def at_origin_in(particles: Table, field: _core.Field) -> Floats:
     flights = [px * per_pt, py * per_pt, pz * per_pt, particles["charge"] * per_pt]
     points, found = field.to_perigee(np.stack([*places, *flights], axis=1))
     x, y, z, ux, uy, tanl = points.T
-    stretch = np.hypot(1, pz * per_pt)
+    sec_lambda = np.hypot(1, pz * per_pt)
     # p is conserved, pT is not.
-    kappa = particles["charge"] * per_pt / stretch * np.hypot(1, tanl)
+    kappa = particles["charge"] * per_pt / sec_lambda * np.hypot(1, tanl)
     phi0 = _within_a_turn(np.arctan2(-ux, uy))
     parameters = np.stack([x * uy - y * ux, phi0, kappa, z, tanl], axis=1)
     return np.asarray(np.where((bent & (found == 1))[:, None], parameters, nominal))

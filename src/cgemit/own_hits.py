@@ -254,9 +254,9 @@ def _table(kind: str, columns: Columns, events: Column) -> Table:
     schema = SCHEMAS[kind]
     filled = {c.name: np.full(len(order), defaults.get(c.name, 0), c.dtype) for c in schema if c.name not in columns}
     picked = {name: column[order] for name, column in {**filled, **columns}.items()}
-    place = np.append(np.argsort(order), -1)  # of each row as given
+    position = np.append(np.argsort(order), -1)  # of each row as given
     for name in picked.keys() & {"x_cluster", "v_cluster"}:
-        picked[name] = place[np.clip(picked[name], -1, len(order))]
+        picked[name] = position[np.clip(picked[name], -1, len(order))]
     integers = {c.name: c.dtype for c in schema if c.dtype.kind in "iu"}
     picked = {name: column.astype(integers[name]) if name in integers else column for name, column in picked.items()}
     return Table(kind, picked, len(events), events=events)

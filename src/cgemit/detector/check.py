@@ -72,25 +72,25 @@ def geometry_problems(
 ) -> list[Problem]:
     """Return overlaps, inverted cylinders, implausible thicknesses, and strips and holes that do not fit."""
     problems: list[Problem] = []
-    places: list[tuple[float, float, str]] = []
+    spans: list[tuple[float, float, str]] = []
     for group, cylinders in (("beam_pipe", beam_pipe), ("walls", walls)):
         for part in cylinders:
             wrong = _cylinder_problem(f"{group}.{part.label}", part)
             problems += wrong
-            places += [] if wrong else [(part.r_in, part.r_out, f"{group}.{part.label}")]
+            spans += [] if wrong else [(part.r_in, part.r_out, f"{group}.{part.label}")]
     for layer in cgem:
         problems += _strip_problems(layer) + _hole_problems(layer)
         if layer.r_in <= 0:
             given = f"an inner face at {layer.r_in:g} mm"
             problems.append(Problem(f"cgem.{layer.label}", given, "gaps and electrodes that fit inside anode_radius"))
-        places.append((layer.r_in, layer.r_out, f"cgem.{layer.label}"))
+        spans.append((layer.r_in, layer.r_out, f"cgem.{layer.label}"))
     if chamber:
         wrong = _chamber_problems(chamber)
         problems += wrong
         # A layer with a problem of its own would only repeat it as an overlap.
         sound = [w for w in chamber.layers if not any(str(w.number) in problem.path.split(".") for problem in wrong)]
-        places += [(w.r_mid, w.r_end, f"drift_chamber.layers.{w.number}") for w in sound]
-    return problems + _overlaps(places)
+        spans += [(w.r_mid, w.r_end, f"drift_chamber.layers.{w.number}") for w in sound]
+    return problems + _overlaps(spans)
 
 
 def _cylinder_problem(path: str, part: Cylinder) -> list[Problem]:
@@ -159,15 +159,15 @@ def _chamber_problems(chamber: DriftChamber) -> list[Problem]:
     return problems
 
 
-def _overlaps(places: list[tuple[float, float, str]]) -> list[Problem]:
-    """Return the parts that begin inside another one; `places` holds (inner radius, outer radius, path)."""
+def _overlaps(spans: list[tuple[float, float, str]]) -> list[Problem]:
+    """Return the parts that begin inside another one; `spans` holds (inner radius, outer radius, path)."""
     covered: dict[tuple[float, float, str], list[tuple[float, float, str]]] = {}
-    known = [place for place in places if not math.isnan(place[0] + place[1])]  # others could not be read
+    known = [span for span in spans if not math.isnan(span[0] + span[1])]  # others could not be read
     before = (0.0, 0.0, "")
-    for place in sorted(known):
-        if place[0] < before[1] - TOUCH:
-            covered.setdefault(before, []).append(place)
-        before = max(before, place, key=lambda part: part[1])
+    for span in sorted(known):
+        if span[0] < before[1] - TOUCH:
+            covered.setdefault(before, []).append(span)
+        before = max(before, span, key=lambda part: part[1])
     return [_overlap(part, inside) for part, inside in covered.items()]
 
 

@@ -148,7 +148,7 @@ def cgem_table(layers: Sequence[CgemLayer]) -> Columns:
     columns: Columns = {name: np.array([getattr(layer, name) for layer in layers], dtype=np.float64) for name in names}
     for name in ("sheets", "strips_x", "strips_v"):
         columns[name] = np.array([getattr(layer, name) for layer in layers], dtype=np.int32)
-    # A layer of one sheet fills the second place with the first: the core reads `sheets` of them.
+    # A layer of one sheet repeats the first azimuth as the second: the core reads `sheets` of them.
     edges = [(*layer.sheet_phi, *layer.sheet_phi)[:2] for layer in layers]
     columns["phi_first"] = np.array(edges, dtype=np.float64).reshape(-1, 2)
     strips = [layer.sheets * (layer.strips_x + layer.strips_v) for layer in layers]

@@ -104,7 +104,7 @@ def _shape(loss: Floats, q16: float, q84: float) -> tuple[float, float] | None:
     above = np.flatnonzero(density >= 0.5 * density.max())
     if above[0] == 0 or above[-1] == len(x) - 1:
         return None
-    # The top is flat: its place is that of a curve of fourth order through the logarithm of the upper third.
+    # The top is flat: its position is the maximum of a curve of fourth order through the logarithm of the upper third.
     top = np.flatnonzero(density > 0.67 * density.max())
     if len(top) < 10:
         return None
