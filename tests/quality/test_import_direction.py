@@ -36,7 +36,7 @@ PYTHON_LAYERS = [
     {"settings"},
     {"detector", "helix", "particles"},
     {"candidates"},
-    {"gun", "states", "tracks"},
+    {"gun", "hit_columns", "states", "tracks"},
     {"fit_settings"},
     {"cluster"},
     {"simulate", "digitize", "find", "fit"},
