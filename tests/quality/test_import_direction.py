@@ -36,7 +36,7 @@ PYTHON_LAYERS = [
     {"settings"},
     {"detector", "helix", "particles"},
     {"candidates"},
-    {"gun", "states"},
+    {"gun", "hit_columns", "states"},
     {"fit_settings"},
     {"cluster"},
     {"simulate", "digitize", "find", "fit"},
