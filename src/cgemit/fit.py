@@ -153,7 +153,16 @@ def core_arguments(
 
 
 def has_cov(status: npt.NDArray[np.generic]) -> npt.NDArray[np.bool_]:
-    """Return whether fits with these statuses have a covariance and a chi-square."""
+    """Return whether fits with these statuses have a covariance and a chi-square.
+
+    Parameters
+    ----------
+    status : ndarray, (n,) int8
+
+    Returns
+    -------
+    ndarray, (n,) bool
+    """
     return np.isin(status, (FitStatus.ok, FitStatus.not_converged, FitStatus.unconstrained))
 
 
