@@ -16,6 +16,7 @@ from cgemit.gun import Gun
 from cgemit.record import gun_data, record
 from cgemit.result import Settings
 from cgemit.simulate import TransportStatus
+from cgemit.species import species
 from cgemit.statistics.estimate import FEWEST
 from cgemit.study.cluster_residuals import ClusterResiduals, DeltaFractions, cluster_residuals, delta_fractions
 from cgemit.tables import Table
@@ -111,6 +112,27 @@ def _run(order: Order, threads: int | None, progress: Callable[[float], None] | 
 def seed_of(seed: int, number: int) -> int:
     """Return a seed of its own for run `number` of a study (`numpy.random.SeedSequence`)."""
     return int(np.random.SeedSequence([seed, number]).generate_state(1, np.uint64)[0])
+
+
+def momentum_orders(
+    detector: Detector,
+    momenta: Sequence[float],
+    *,
+    particle: str | int = "mu-",
+    cos_theta: float | tuple[float, float] | list[float],
+    events: int,
+    seed: int,
+    settings: Settings | None = None,
+) -> list[Order]:
+    """Return the samples of a momentum scan; each momentum has a seed of its own, the same for every detector."""
+    orders = []
+    for number, p in enumerate(momenta, start=1):
+        gun = Gun(particle, p=p, cos_theta=cos_theta)
+        if species(gun.particle).charge == 0:
+            raise ValueError(f"particle: got {particle!r}; expected a charged particle")
+        label = f"{detector.name}, {p:g} GeV/c"
+        orders.append(Order(label, detector, gun, events, seed_of(seed, number), settings or Settings()))
+    return orders
 
 
 def momentum_of(sample: Sample) -> float:

@@ -16,25 +16,22 @@ import numpy as np
 import numpy.typing as npt
 
 from cgemit.detector import Detector
-from cgemit.gun import Gun
 from cgemit.io.folders import SUMMARY, new_folder
 from cgemit.record import write_record
 from cgemit.result import Settings, hits_text
-from cgemit.species import species
 from cgemit.statistics.curves import Line
 from cgemit.statistics.estimate import Resolution
 from cgemit.statistics.formatting import html_table, text_table, with_error, write_csv
 from cgemit.statistics.resolutions import QUOTED, pulls, resolution, resolution_against
 from cgemit.study.samples import (
-    Order,
     Sample,
     ShowProgress,
     fitted,
     hardly_fitted,
     momentum_of,
+    momentum_orders,
     record_of,
     run_samples,
-    seed_of,
     why_unfitted,
 )  # fmt: skip
 from cgemit.tables import Table
@@ -43,27 +40,6 @@ from cgemit.version import VERSION
 
 #: Parameters whose resolution is quoted.
 QUOTED_PARAMETERS = ("dr", "dz", "p")
-
-
-def momentum_orders(
-    detector: Detector,
-    momenta: Sequence[float],
-    *,
-    particle: str | int = "mu-",
-    cos_theta: float | tuple[float, float] | list[float],
-    events: int,
-    seed: int,
-    settings: Settings | None = None,
-) -> list[Order]:
-    """Return the samples of a momentum scan; each momentum has a seed of its own, the same for every detector."""
-    orders = []
-    for number, p in enumerate(momenta, start=1):
-        gun = Gun(particle, p=p, cos_theta=cos_theta)
-        if species(gun.particle).charge == 0:
-            raise ValueError(f"particle: got {particle!r}; expected a charged particle")
-        label = f"{detector.name}, {p:g} GeV/c"
-        orders.append(Order(label, detector, gun, events, seed_of(seed, number), settings or Settings()))
-    return orders
 
 
 def momentum_line(samples: Sequence[Sample], parameter: str) -> Line:

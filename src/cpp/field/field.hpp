@@ -28,8 +28,8 @@ struct FieldValue {
   Vec3<T> b;      // T
   Mat3<T> slope;  // d B_i / d x_j, T/mm
 
-  friend FieldValue select(const mask_of<T>& m, const FieldValue& a, const FieldValue& b) {
-    return {select<T>(m, a.b, b.b), select<T>(m, a.slope, b.slope)};
+  friend FieldValue select(const mask_of<T>& m, const FieldValue& one, const FieldValue& other) {
+    return {select<T>(m, one.b, other.b), select<T>(m, one.slope, other.slope)};
   }
 };
 

@@ -17,8 +17,17 @@ from cgemit.record import write_record
 from cgemit.result import Settings
 from cgemit.study.paper.reproduction import COS_THETA, DETECTORS, MOMENTA, THIN_GAP, Inputs, Reproduction
 from cgemit.study.paper.rows import make_rows
-from cgemit.study.samples import Order, Sample, ShowProgress, hardly_fitted, record_of, run_samples, why_unfitted
-from cgemit.study.scans import QUOTED_PARAMETERS, momentum_line, momentum_orders
+from cgemit.study.samples import (
+    Order,
+    Sample,
+    ShowProgress,
+    hardly_fitted,
+    momentum_orders,
+    record_of,
+    run_samples,
+    why_unfitted,
+)
+from cgemit.study.scans import QUOTED_PARAMETERS, momentum_line
 from cgemit.values import check_numbers
 
 _EVENTS, _QUICK_EVENTS, _FEWEST_EVENTS = 20_000, 1_500, 400
