@@ -13,6 +13,7 @@ from cgemit.fit import core_arguments
 from fields import HARMONIC
 from tracks import hits_of_result
 
+MAPS = [pytest.param(field, marks=pytest.mark.slow) for field in (HARMONIC, "finite-solenoid")]
 LANES = [name for name in isa.available() if name != "scalar"]
 GUNS = {
     "mu- 1 GeV/c": Gun("mu-", p=1.0, cos_theta=(-0.93, 0.93)),
@@ -202,7 +203,7 @@ def test_fit_through_a_map_is_that_of_scalar_code(field: str, name: str) -> None
 
 
 @pytest.mark.parametrize("name", LANES)
-@pytest.mark.parametrize("field", ["uniform", HARMONIC, "finite-solenoid"])
+@pytest.mark.parametrize("field", ["uniform", *MAPS])
 @pytest.mark.parametrize(
     ("particle", "p", "events"),
     [("pi-", (0.15, 0.4), 40), ("pi-", (0.05, 0.1), 250), ("p", (0.2, 0.35), 300), ("mu-", (0.05, 1.0), 300)],
