@@ -80,6 +80,8 @@ def fit_hits(
         _core.check_hits(compiled(detector), _measurements(*columns))
     except ValueError as error:
         lines = dict.fromkeys(line.strip() for line in str(error).splitlines()[1:])
+        if not lines:  # not a list of problems
+            raise
         problems += [line for line in lines if line.partition(":")[0] not in rows]
     if candidates is None:  # else a finder may tell equal hits apart
         problems += repeated("clusters", columns[0], ("layer", "sheet", "view", "x", "v"))
@@ -237,12 +239,12 @@ def _measurements(clusters: Columns, wires: Columns) -> Columns:
     joined: dict[str, list[Column]] = {}
     for table, rows, kind, element, value, sigma in parts:
         layer = table["layer"][rows]
-        of = {"layer": layer, "element": table[element][rows], "value": table[value][rows], "sigma": table[sigma][rows]}
+        of = {"layer": layer, "channel": table[element][rows], "value": table[value][rows], "sigma": table[sigma][rows]}
         of |= {"kind": np.full(len(layer), kind), "row": table["given_row"][rows], "size": np.zeros(len(layer))}
         of["side"] = table["side"][rows] if kind == HIT_WIRE else np.zeros(len(layer))
         for name, column in of.items():
             joined.setdefault(name, []).append(column)
-    kinds = {"kind": "u1", "layer": "i4", "element": "i4", "size": "i4", "side": "i8", "row": "i8"}
+    kinds = {"kind": "u1", "layer": "i4", "channel": "i4", "size": "i4", "side": "i8", "row": "i8"}
     columns = {name: np.concatenate(column).astype(kinds.get(name, "f8")) for name, column in joined.items()}
     return columns | {"side": np.clip(columns["side"], -128, 127).astype(np.int8)}
 

@@ -47,8 +47,9 @@ class Outcome:
 
     @property
     def efficiency(self) -> float:
-        """Share of the tracks with enough hits that are fitted."""
-        return len(self.good) / max(int(np.count_nonzero(self.enough)), 1)
+        """Share of the tracks with enough hits that are fitted, with those whose momentum the hits do not constrain."""
+        settled = np.isin(self.tracks["status"][self.enough], (FitStatus.ok, FitStatus.unconstrained))
+        return int(np.count_nonzero(settled)) / max(len(settled), 1)
 
     @property
     def removed(self) -> Mapping[str, int]:
