@@ -19,7 +19,7 @@ CPP_LAYERS = [
     {"motion"},
     {"matter"},
     {"kalman"},
-    {"simulate", "digitize", "cluster", "find", "fit"},
+    {"simulate", "digitize", "cluster", "find", "fit", "covariance"},
     {"kernels"},
     {"bindings"},
 ]

@@ -110,15 +110,6 @@ class GroupBuilder {
     return steps;
   }
 
-  // The fields that the reference, the filter and the smoother write are left as they are.
-  static void empty(Slot<T>& slot) {
-    slot.there = slot.outlier = mask_of<T>(false);
-    slot.noise = slot.size = 1.0;
-    slot.drift = slot.edge = slot.known_side = slot.weight = 0.0;
-    slot.k = slot.x = 0.0;
-    slot.wire = {T(0.0), T(0.0), T(0.0), T(0.0), T(1.0)};
-  }
-
   void place_track(std::size_t k, std::span<const Hit> hits, Group<T>& group) const {
     walk(hits, [&](std::size_t i, std::size_t step, std::size_t second, std::int32_t before) {
       Slot<T>& slot = group.slots[static_cast<std::size_t>(first_[2 * step + second] + before)];

@@ -13,6 +13,8 @@ namespace {
 // The observer that records the trajectory.
 class Recorder {
  public:
+  static constexpr bool provides_hits = false;
+
   Recorder(const Detector& detector, ReferenceTrajectory& trajectory)
       : trajectory_(&trajectory), per_kappa_(curvature(detector.bz, 1.0)) {}
 

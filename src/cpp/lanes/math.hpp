@@ -173,4 +173,10 @@ T tangent_over(T f) {
                 [&q] { return 1.0 + q * (1.0 / 3 + q * (2.0 / 15 + q * (17.0 / 315 + q * (62.0 / 2835)))); });
 }
 
+template <class T>
+T hyperbolic_tangent(T x) {
+  const T a = smaller(abs(x), 20.0);  // 1 to rounding beyond
+  return copysign(1.0 - 2.0 / (1.0 + exp(2.0 * a)), x);
+}
+
 }  // namespace cgemit

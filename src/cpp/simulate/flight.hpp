@@ -8,7 +8,7 @@
 #include <vector>
 
 #include "common/compiler.hpp"
-#include "simulate/cells.hpp"
+#include "motion/cells.hpp"
 #include "simulate/records.hpp"
 #include "simulate/slab_draws.hpp"
 
@@ -243,25 +243,15 @@ class Flight {
   }
 
   void record_cell(const WireLayer& layer, const Mask& who, const CellRange<T, Point>& range) {
-    const T cells(layer.cells), number = select(who, range.first, T(0.0));
-    T cell = number - cells * nearest(number / cells);
-    cell = select(cell < 0.0, cell + cells, cell);
-    const auto wire = std::bit_cast<std::array<std::int64_t, static_cast<std::size_t>(width)>>(whole(cell));
-    const auto placed = [&](double Wire::* value) {
-      return gathered<T>([&](int i) {
-        return layer.placed[static_cast<std::size_t>(wire[static_cast<std::size_t>(i)])].*value;
-      });
-    };
-    const WireOf<T> wires{placed(&Wire::x), placed(&Wire::y), placed(&Wire::ex), placed(&Wire::ey),
-                          placed(&Wire::ez)};
+    const CellWires<T> cell(layer, select(who, range.first, T(0.0)));
     Point closest = range.at_wires;
     ApproachOf<T> approach;
-    const Mask settled = motion_.approach(closest, wires, approach, who);
+    const Mask settled = motion_.approach(closest, cell.wire, approach, who);
     const T time = time_ + flight_time(approach.arc + range.arc);
     // Cells fire neither behind the vertex nor beyond the ends of the wires.
     const Mask fired = settled & (time >= 0.0) & (abs(approach.z_wire) <= layer.half_length);
     if (!any(fired)) return;
-    cells_.push_back({&layer, fired, wire, approach.doca, closest.x, closest.y, closest.z, time});
+    cells_.push_back({&layer, fired, cell.number, approach.doca, closest.x, closest.y, closest.z, time});
   }
 
   const Detector& detector_;
