@@ -14,12 +14,12 @@ class GroupBuilder {
   explicit GroupBuilder(const Detector& detector)
       : detector_(detector), gap_step_(detector.cgem.size(), -1), wire_step_(detector.wires.size(), -1) {
     std::int32_t slabs = 0;
-    for (const Place& place : detector.places) {
-      const auto index = static_cast<std::size_t>(place.index);
-      if (place.is_slab) {
+    for (const Surface& surface : detector.surfaces) {
+      const auto index = static_cast<std::size_t>(surface.index);
+      if (surface.is_slab) {
         const int gap = detector.slabs[index].gap;
         if (gap >= 0) gap_step_[static_cast<std::size_t>(gap)] = static_cast<std::int32_t>(steps_.size());
-        steps_.push_back({true, place.index, slabs++, 0, 0});
+        steps_.push_back({true, surface.index, slabs++, 0, 0});
       } else {
         // Layers of wires between the same slabs share their slots.
         if (steps_.empty() || steps_.back().is_slab) steps_.push_back({false, -1, -1, 0, 0});
@@ -71,7 +71,7 @@ class GroupBuilder {
   }
 
   const Wire& wire_of(const Hit& hit) const {
-    return detector_.wires[static_cast<std::size_t>(hit.layer)].placed[static_cast<std::size_t>(hit.element)];
+    return detector_.wires[static_cast<std::size_t>(hit.layer)].placed[static_cast<std::size_t>(hit.channel)];
   }
   static void prefetch(const Wire& wire) {
     cgemit::prefetch(&wire.x);
@@ -128,7 +128,7 @@ class GroupBuilder {
       set_lane(slot.size, k, hit.size);
       set_lane(slot.k, k, hit.k);
       set_lane(slot.x, k, hit.x);
-      set_lane(slot.edge, k, wrap_angle(layer.phi_first[static_cast<std::size_t>(hit.element)]));
+      set_lane(slot.edge, k, wrap_angle(layer.phi_first[static_cast<std::size_t>(hit.channel)]));
       return;
     }
     const Wire& wire = wire_of(hit);

@@ -22,7 +22,7 @@ enum class View : std::uint8_t { x = 0, v = 1, wire = 2 };
 struct Hit {
   View view;
   std::int32_t layer;    // index into the detector's cgem or wires
-  std::int32_t element;  // sheet or wire
+  std::int32_t channel;  // sheet or wire
   std::int32_t size;     // strips in the cluster; 0: no strips
   double value;          // mm: X or V on the sheet, or drift distance
   double sigma;          // mm

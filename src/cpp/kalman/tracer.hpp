@@ -147,13 +147,13 @@ class Tracer {
   }
 
   // Noise of a slab, then the energy loss of the reference. A lane ends where the particle stops.
-  CGEMIT_FLATTEN void cross(const Slab& slab, std::size_t place, mask_of<T> crosses) {
-    Kink<T>& kink = group_.kinks[place];
+  CGEMIT_FLATTEN void cross(const Slab& slab, std::size_t number, mask_of<T> crosses) {
+    Kink<T>& kink = group_.kinks[number];
     if (!any(crosses)) {
       if constexpr (Motion::keeps_dip)
-        group_.noise[place] = {};
+        group_.noise[number] = {};
       else
-        group_.dense_noise[place] = {};
+        group_.dense_noise[number] = {};
       kink.aside = kink.up = kink.sigma = 0.0;
       return;
     }
@@ -179,9 +179,9 @@ class Tracer {
       if (any(crosses)) observer_.crosses(slab, noise, kink);
     };
     if constexpr (Motion::keeps_dip)
-      act(group_.noise[place]);
+      act(group_.noise[number]);
     else
-      act(group_.dense_noise[place]);
+      act(group_.dense_noise[number]);
     lose(crossing, crosses);
   }
 

@@ -65,8 +65,8 @@ class Flight {
 
   void run() {
     fly_in();
-    for (std::size_t i = 0; i < detector_.places.size() && any(flying_); ++i) {
-      const Place& surface = detector_.places[i];
+    for (std::size_t i = 0; i < detector_.surfaces.size() && any(flying_); ++i) {
+      const Surface& surface = detector_.surfaces[i];
       const Mask passes = flying_ & (ahead_ <= static_cast<double>(i));
       if (!any(passes)) continue;
       const auto index = static_cast<std::size_t>(surface.index);
@@ -96,8 +96,8 @@ class Flight {
 
   // Index of the first surface beyond a radius.
   double first_ahead(double radius) const {
-    const auto& surfaces = detector_.places;
-    return static_cast<double>(std::ranges::upper_bound(surfaces, radius, {}, &Place::radius) -
+    const auto& surfaces = detector_.surfaces;
+    return static_cast<double>(std::ranges::upper_bound(surfaces, radius, {}, &Surface::radius) -
                                surfaces.begin());
   }
 
@@ -126,10 +126,10 @@ class Flight {
     Mask inward = flying_ & (ahead_ > 0.0) & (point_.outward() < 0.0);
     if (!any(inward)) return;
     stream_ = streams(inward_leg);
-    for (std::size_t i = detector_.places.size(); i-- > 0 && any(inward);) {
+    for (std::size_t i = detector_.surfaces.size(); i-- > 0 && any(inward);) {
       const Mask next = inward & (ahead_ == static_cast<double>(i + 1));
       if (!any(next)) continue;
-      const Place& surface = detector_.places[i];
+      const Surface& surface = detector_.surfaces[i];
       const Mask arrived = motion_.to_cylinder(point_, surface.radius, arc_, false, next);
       stop_at_edge(next & motion_.left());
       arrive(arrived);
