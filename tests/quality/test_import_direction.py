@@ -45,6 +45,7 @@ PYTHON_LAYERS = [
     {"result"},
     {"chain"},
     {"bench", "matter", "statistics"},
+    {"covariance"},
     {"draw"},
     {"study"},
     {"cli"},

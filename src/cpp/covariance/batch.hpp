@@ -20,9 +20,9 @@ class CovarianceBatch {
                   const CovarianceOutput& output)
       : detector_(detector), input_(input), settings_(settings), out_(output), names_(detector) {
     std::int32_t slabs = 0;
-    for (const Place& place : detector.places)
+    for (const Surface& surface : detector.surfaces)
       group_.steps.push_back(
-          {place.is_slab, place.is_slab ? place.index : -1, place.is_slab ? slabs++ : -1, 0, 0});
+          {surface.is_slab, surface.is_slab ? surface.index : -1, surface.is_slab ? slabs++ : -1, 0, 0});
     const auto n = static_cast<std::size_t>(slabs);
     group_.noise.resize(n);
     group_.dense_noise.resize(detector.field.is_uniform() ? 0 : n);

@@ -35,7 +35,7 @@ class ExpectedHits {
 
   void reaches(GroupStep& step, const Slab& slab, const HelixPointOf<T>& at, const Mask& reached) {
     step.first = step.last = next_;
-    if (slab.ends) inside_ = inside_ & (!reached | (abs(at.z) <= slab.half_length));
+    if (slab.ends) inside_ = inside_ & ((!reached) | (abs(at.z) <= slab.half_length));
     if (slab.gap < 0) return;
     const auto index = static_cast<std::size_t>(slab.gap);
     const CgemLayer& layer = detector_.cgem[index];

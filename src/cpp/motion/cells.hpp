@@ -9,7 +9,7 @@
 
 #include "common/compiler.hpp"
 #include "detector/wires.hpp"
-#include "lanes/words.hpp"
+#include "lanes/integers.hpp"
 #include "motion/helix.hpp"
 
 namespace cgemit {
