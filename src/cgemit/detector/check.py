@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from functools import lru_cache
 from itertools import pairwise
 from typing import Any
 
@@ -50,7 +51,8 @@ def _coil_problems(detector: Contents) -> list[Problem]:
     ]
 
 
-def _part_problems(path: str, part: Any) -> list[Problem]:
+@lru_cache(maxsize=4096)
+def _part_problems(path: str, part: Any) -> tuple[Problem, ...]:
     problems = []
     for name, key in keys_of(type(part)).items():
         value = getattr(part, name)
@@ -61,7 +63,7 @@ def _part_problems(path: str, part: Any) -> list[Problem]:
             problems.append(Problem(f"{path}.{name}", f'"{value.name}", which is no gas', key.expected()))
         elif key.choices and value not in key.choices:
             problems.append(Problem(f"{path}.{name}", repr(value), key.expected()))
-    return problems
+    return tuple(problems)
 
 
 def geometry_problems(

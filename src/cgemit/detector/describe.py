@@ -5,7 +5,7 @@ import math
 from typing import Any
 
 from cgemit.detector.field import field_text
-from cgemit.detector.keys import keys_of
+from cgemit.detector.keys import keys_of, opened
 from cgemit.detector.material import DensityEffect, Material
 from cgemit.detector.materials import library
 from cgemit.detector.parts import CgemLayer, Contents, SubLayer, WireLayer
@@ -153,6 +153,19 @@ def to_dict(detector: Contents) -> dict[str, Any]:
         tables["drift_chamber"]["layers"] = layers
     tables["materials"] = {m.name: _table(m) for m in own_materials(detector)}
     return {name: value for name, value in tables.items() if value != {}}
+
+
+def tables_of(detector: Contents) -> dict[str, Any]:
+    """Return the tables of a complete detector file with its parts as they are, for variants (`files.merged`)."""
+    tables: dict[str, Any] = {"name": detector.name, "description": detector.description, "field": detector.field}
+    tables |= {group: {part.label: part for part in getattr(detector, group)} for group in _GROUPS}
+    if detector.drift_chamber:
+        layers = {str(layer.number): layer for layer in detector.drift_chamber.layers}
+        tables["drift_chamber"] = opened(detector.drift_chamber) | {"layers": layers}
+    return tables | {"materials": {material.name: material for material in own_materials(detector)}}
+
+
+_GROUPS = ("beam_pipe", "cgem", "walls")
 
 
 def own_materials(detector: Contents) -> list[Material]:

@@ -104,7 +104,7 @@ def override(detector: Detector, overrides: Mapping[str, object]) -> Detector:
             problems.append(Problem(path, shown(value), "a value of the detector; load another base instead"))
         elif not set_path(variant, path, value):
             problems.append(Problem(path, shown(value), "a value whose table is not itself overridden by a value"))
-    tables = merged(describe.to_dict(detector), place_map(variant, None), problems)
+    tables = merged(describe.tables_of(detector), place_map(variant, None), problems)
     if "name" not in variant and overrides:
         tables["name"] = detector.name.removesuffix("-modified") + "-modified"
     return build(detector.name, tables, problems)
@@ -112,7 +112,7 @@ def override(detector: Detector, overrides: Mapping[str, object]) -> Detector:
 
 def replace_field(detector: Detector, source: str | Path | Mapping[str, Any]) -> Detector:
     """Return the detector in another field; see `Detector.with_field`."""
-    tables = describe.to_dict(detector) | {"field": field_tables(source)}
+    tables = describe.tables_of(detector) | {"field": field_tables(source)}
     return build(detector.name, tables | {"name": detector.name.removesuffix("-modified") + "-modified"}, [])
 
 

@@ -2,10 +2,10 @@
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
-from cgemit.detector.keys import CENTRED, Key, keys_of, required_of
+from cgemit.detector.keys import CENTRED, Key, Known, keys_of, required_of
 from cgemit.detector.material import DensityEffect, Material, elements, fractions_of_formula
 from cgemit.detector.parts import CgemLayer, SubLayer
 from cgemit.problems import Problem, did_you_mean
@@ -108,11 +108,21 @@ class Reader:
 
     def value(self, path: str, raw: object, key: Key) -> Any:
         """Return one value in native units, or UNUSABLE after noting what is wrong."""
+        if isinstance(raw, Known):
+            return self._known(raw.value)
         if key.kind in NATIVE:
             return self._quantity(path, raw, key)
         if key.kind in ("text", "boolean", "integer", "sign"):
             return self._plain(path, raw, key)
         return getattr(self, f"_{key.kind}")(path, raw, key)
+
+    def _known(self, value: Any) -> Any:
+        """Return a value of a part that was read before; materials of the same name may have changed since."""
+        if isinstance(value, Material):
+            return self.materials.get(value.name) or value
+        if isinstance(value, tuple) and value and isinstance(value[0], SubLayer):
+            return tuple(replace(part, material=self._known(part.material)) for part in value)
+        return value
 
     def _quantity(self, path: str, raw: object, key: Key) -> Any:
         try:
