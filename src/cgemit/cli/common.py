@@ -82,7 +82,7 @@ def add_detector(parser: argparse.ArgumentParser, *, several: bool = False) -> N
     parser.add_argument(
         "--name", metavar="NAME",
         help=("with one detector: " if several else "") + "what results call it (default: its own name, "
-        "with -modified after --set or --field)",
+        "with what --set and --field change)",
     )  # fmt: skip
 
 

@@ -9,9 +9,10 @@ from typing import Any
 from cgemit.detector import check
 from cgemit.detector.field import KINDS, Field, MapField, kind_key
 from cgemit.detector.field.files import read_field_map
-from cgemit.detector.files import FOR_ALL_LAYERS, map_path
+from cgemit.detector.files import map_path
 from cgemit.detector.keys import CENTRED, keys_of, plain
 from cgemit.detector.materials import library, read_materials
+from cgemit.detector.merge import FOR_ALL_LAYERS
 from cgemit.detector.parts import CgemLayer, Contents, Cylinder, DriftChamber, WireLayer
 from cgemit.detector.read import NAME, TOP_LEVEL, UNUSABLE, Reader, shown
 from cgemit.problems import DetectorError, Problem, did_you_mean

@@ -54,7 +54,8 @@ def _coil_problems(detector: Contents) -> list[Problem]:
 @lru_cache(maxsize=4096)
 def _part_problems(path: str, part: Any) -> tuple[Problem, ...]:
     problems = []
-    for name, key in keys_of(type(part)).items():
+    kind: Any = type(part)
+    for name, key in keys_of(kind).items():
         value = getattr(part, name)
         if isinstance(value, int | float) and not isinstance(value, bool) and not key.admits(value):
             shown = format_quantity(value, key.kind) if key.kind in NATIVE else str(value)

@@ -190,7 +190,8 @@ def to_toml(detector: Contents) -> str:
 
 
 def _table(part: Any) -> dict[str, Any]:
-    found = {name: _value(getattr(part, name), key.kind) for name, key in keys_of(type(part)).items()}
+    kind: Any = type(part)
+    found = {name: _value(getattr(part, name), key.kind) for name, key in keys_of(kind).items()}
     return {name: value for name, value in found.items() if value not in ({}, "")}
 
 

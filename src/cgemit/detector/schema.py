@@ -5,9 +5,9 @@ from collections.abc import Mapping
 from typing import Any
 
 from cgemit.detector.field import KINDS, kind_key
-from cgemit.detector.files import FOR_ALL_LAYERS
 from cgemit.detector.keys import CENTRED, Key, keys_of, required_of
 from cgemit.detector.material import DensityEffect, Material
+from cgemit.detector.merge import FOR_ALL_LAYERS
 from cgemit.detector.parts import CgemLayer, Cylinder, DriftChamber, SubLayer, WireLayer
 from cgemit.detector.read import EXTRA, NAME, TOP_LEVEL
 from cgemit.units import NATIVE, format_quantity, units_of
