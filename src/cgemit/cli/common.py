@@ -25,6 +25,7 @@ OK, BAD_INPUT, RUN_FAILED, INTERRUPTED = 0, 2, 3, 130
 COMMANDS = {
     "study": "study",
     "resolution": "resolution",
+    "sweep": "sweep",
     "simulate": "simulate",
     "slab": "slab",
     "detectors": "detector",
