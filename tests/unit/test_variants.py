@@ -1,4 +1,4 @@
-"""Variants of a detector: wildcards, relative values, names, fingerprints, allowed ranges, copies of layers."""
+"""Variants of a detector: wildcards, relative values, names, hashes, allowed ranges, copies of layers."""
 
 from __future__ import annotations
 
@@ -106,14 +106,14 @@ def test_names_are_made_of_what_changed() -> None:
     assert DESIGN.with_overrides({}).name == DESIGN.name
 
 
-def test_fingerprints_tell_contents_apart_and_nothing_else() -> None:
+def test_hashes_tell_contents_apart_and_nothing_else() -> None:
     changes = {"cgem.*.pitch_x": "x1.01", "cgem.*.foil.Kapton.thickness": "x1.01", "drift_chamber.sigma": "x1.01",
                "field.bz": "x1.01", "cgem.L1.gas": "MdcGas", "walls.*.half_length": "x1.01"}  # fmt: skip
-    found = {DESIGN.with_overrides({key: value}).fingerprint for key, value in changes.items()}
-    assert len(found | {DESIGN.fingerprint}) == len(changes) + 1
-    assert DESIGN.with_overrides({"name": "other", "description": "?"}).fingerprint == DESIGN.fingerprint
+    found = {DESIGN.with_overrides({key: value}).content_hash for key, value in changes.items()}
+    assert len(found | {DESIGN.content_hash}) == len(changes) + 1
+    assert DESIGN.with_overrides({"name": "other", "description": "?"}).content_hash == DESIGN.content_hash
     there = DESIGN.with_overrides({"cgem.L2.drift_gap": "3 mm"})
-    assert there.with_overrides({"cgem.L2.drift_gap": "5 mm"}).fingerprint == DESIGN.fingerprint
+    assert there.with_overrides({"cgem.L2.drift_gap": "5 mm"}).content_hash == DESIGN.content_hash
 
 
 def test_bounds_end_where_the_neighbours_begin() -> None:

@@ -65,9 +65,9 @@ class Detector(Contents):
         return override(self, overrides)
 
     @cached_property
-    def fingerprint(self) -> str:
+    def content_hash(self) -> str:
         """Sixteen hexadecimal digits that name the content, whatever name and description are."""
-        return variants.fingerprint(self)
+        return variants.content_hash(self)
 
     def bounds(self, key: str) -> tuple[float, float]:
         """Return the range of a number, in its native unit, for which the detector is possible with all else kept.

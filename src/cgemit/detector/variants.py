@@ -1,4 +1,4 @@
-"""Changes of a detector by dotted keys: wildcards, relative values, names of variants, fingerprints, allowed ranges."""
+"""Changes of a detector by dotted keys: wildcards, relative values, names of variants, hashes, allowed ranges."""
 
 import dataclasses
 import hashlib
@@ -172,7 +172,7 @@ def _short(value: object) -> str:
     return re.sub(r"[/\\]", "_", re.sub(r"[\s+]", "", text))
 
 
-def fingerprint(detector: Contents) -> str:
+def content_hash(detector: Contents) -> str:
     """Return 16 hexadecimal digits that name the content of a detector, whatever its name and description are."""
     chamber = detector.drift_chamber
     parts = [detector.field, *detector.beam_pipe, *detector.cgem, *detector.walls, detector.air]

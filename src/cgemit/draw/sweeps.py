@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import Normalize
 
-from cgemit.draw.style import COLORS, Picture, grid, mathematical, new_picture, style
+from cgemit.draw.style import COLORS, Picture, grid, legend_entries, mathematical, new_picture, style
 from cgemit.statistics.formatting import shown
 
 Columns = Mapping[str, Sequence[Any]]
@@ -134,12 +134,14 @@ def _map(columns: Columns, parameters: tuple[str, ...], quantity: str, values: A
         x, y = (_ticks(axes, columns[name], axis) for name, axis in zip(parameters, "xy", strict=True))
         rows, wrong = here & drawn & (variant > 0), here & ~drawn & (variant > 0)
         _cells(axes, x[here & (variant > 0)], y[here & (variant > 0)], x[rows], y[rows], values[rows], label(quantity))
-        axes.plot(x[wrong], y[wrong], "x", color=COLORS["wire"], ms=7)
+        axes.plot(x[wrong], y[wrong], "x", color=COLORS["wire"], ms=7, label="not possible" if wrong.any() else None)
         base = here & drawn & (variant == 0)
-        axes.plot(x[base], y[base], "o", ms=10, mfc="none", mec=COLORS["fit"], mew=1.6)
+        axes.plot(x[base], y[base], "o", ms=10, mfc="none", mec=COLORS["fit"], mew=1.6, label="base")
         axes.set(xlabel=label(parameters[0]), ylabel=label(parameters[1]), title=text)
     for axes in every[len(panels) :]:
         axes.set_visible(False)
+    entries = legend_entries(every[:1])
+    picture.legend(entries.values(), entries.keys(), loc="outside lower center", ncols=2)
     return picture
 
 
@@ -189,4 +191,4 @@ def _unit(column: Sequence[Any], rows: Any) -> tuple[Any, tuple[str, str]]:
     numbers = np.array(chosen, np.float64)
     low, high = float(numbers.min()), float(numbers.max())
     width = high - low
-    return ((numbers - low) / width if width else np.full(len(numbers), 0.5)), (f"{low:.4g}", f"{high:.4g}")
+    return ((numbers - low) / width if width else np.full(len(numbers), 0.5)), (f"{low:.5g}", f"{high:.5g}")

@@ -80,7 +80,9 @@ class Evaluation:
         """Return momentum and angle of every point; one point without them for a function."""
         if self.method == "function":
             return [{}]
-        return [{"p (GeV/c)": p, "cos_theta": _shown(c)} for p in self.p for c in self.cos_theta]
+        as_text = any(isinstance(one, tuple) for one in self.cos_theta)
+        angles = [_text(one) if as_text else float(one) for one in self.cos_theta]  # type: ignore[arg-type]
+        return [{"p (GeV/c)": float(p), "cos_theta": one} for p in self.p for one in angles]
 
     def __call__(self, detector: Detector) -> dict[str, Any]:
         """Return the numbers of every point, and of "mc" what errors of differences follow from."""
@@ -93,8 +95,8 @@ class Evaluation:
         return {"points": [point for point, _ in found], "replicas": [replicas for _, replicas in found]}
 
 
-def _shown(cos_theta: CosTheta) -> float | str:
-    return f"{cos_theta[0]:g}:{cos_theta[1]:g}" if isinstance(cos_theta, tuple) else cos_theta
+def _text(cos_theta: CosTheta) -> str:
+    return f"{cos_theta[0]:g}:{cos_theta[1]:g}" if isinstance(cos_theta, tuple) else f"{cos_theta:g}"
 
 
 def column(name: str, quantity: str) -> str:

@@ -80,7 +80,7 @@ class Sweep:
         results = tuple(dict.fromkeys(name for row in kept for name in row if name not in known))
         names = [*LEADING, *parameters, *(name for name in _POINT if name in points[0]), *results]
         empty = {name: _empty([row[name] for row in kept if name in row]) for name in names}
-        table = {name: [row.get(name, empty[name]) for row in kept] for name in names}
+        table = {name: _of_one_kind([row.get(name, empty[name]) for row in kept]) for name in names}
         return Sweep(table, parameters, results, space, evaluation, tuple(bases))
 
     def __len__(self) -> int:
@@ -140,7 +140,18 @@ class Sweep:
         return paths
 
     def write_parquet(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
-        """Write the table as a Parquet file (needs pyarrow, extra ``[io]``)."""
+        """Write the table as a Parquet file (needs pyarrow, extra ``[io]``).
+
+        Parameters
+        ----------
+        path : path
+        overwrite : bool
+
+        Raises
+        ------
+        FileExistsError
+            If the file exists and `overwrite` is false.
+        """
         import pyarrow
         import pyarrow.parquet
 
@@ -154,7 +165,7 @@ class Sweep:
         return {
             "program": "cgemit", "versions": versions(), "physics": PHYSICS,
             "inputs": {
-                "base": self.bases[0].name, "hash": self.bases[0].fingerprint, "space": self.space.kind,
+                "base": self.bases[0].name, "hash": self.bases[0].content_hash, "space": self.space.kind,
                 "keys": list(self.space.keys), "evaluation": json.loads(json.dumps(self.evaluation.described())),
             },
             "variants": len(self.space), "status": {name: statuses.count(name) for name in sorted(set(statuses))},
@@ -206,6 +217,12 @@ def _cell(value: Any) -> str:
 def _empty(values: Sequence[Any]) -> Any:
     """Return what stands where a column has no value: an empty text among texts, else NaN."""
     return "" if values and all(isinstance(value, str) for value in values) else math.nan
+
+
+def _of_one_kind(values: list[Any]) -> list[Any]:
+    """Return a column with whole numbers and truth values as floats if it has any float, or NaN."""
+    numbers = all(isinstance(value, int | float) for value in values)
+    return [float(value) for value in values] if numbers and any(isinstance(v, float) for v in values) else values
 
 
 def _without_base(changes: Mapping[str, Any]) -> dict[str, Any]:

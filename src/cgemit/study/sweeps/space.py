@@ -123,7 +123,21 @@ def sobol(ranges: Mapping[str, Any], n: int, *, seed: int = 1) -> Space:
 
 
 def latin_hypercube(ranges: Mapping[str, Any], n: int, *, seed: int = 1) -> Space:
-    """Return a Latin hypercube (`scipy.stats.qmc.LatinHypercube`); parameters as of `sobol`."""
+    """Return a Latin hypercube (`scipy.stats.qmc.LatinHypercube`).
+
+    Parameters
+    ----------
+    ranges : mapping of str to (low, high) or list
+        As of `sobol`.
+    n : int
+        Number of variants.
+    seed : int
+
+    Raises
+    ------
+    SpaceError
+        With every problem of the ranges.
+    """
     return _sampled(
         "latin_hypercube", ranges, n,
         lambda dimensions: qmc.LatinHypercube(dimensions, rng=np.random.default_rng(seed)).random(n),
