@@ -3,29 +3,15 @@
 from __future__ import annotations
 
 import os
-import random
 import signal
-import subprocess
-import sys
-import time
 from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 import cgemit as cg
 from cgemit.study import sweep
-
-SPACE = {"cgem.*.pitch_x": ["400 um", "500 um", "600 um", "700 um"], "cgem.L2.anode_radius": ["132.5 mm", "160 mm"]}
-HOW: dict[str, Any] = {"evaluate": "mc", "p": [0.5], "events": 60}
-FILES = ("sweep.csv", "summary.json", "detector.toml")
-
-
-def swept(folder: Path, **how: Any) -> list[bytes]:
-    """Return the files that a sweep writes."""
-    sweep("besiii-cgem-design", SPACE, output=folder, **(HOW | how))
-    return [(folder / name).read_bytes() for name in FILES]
+from kill_sweeps import FILES, SPACE, killed_until_complete, swept, written
 
 
 @pytest.fixture(scope="module")
@@ -64,39 +50,11 @@ def test_dask_makes_the_same_files_when_a_worker_is_killed(serial: list[bytes], 
     assert killed
 
 
-SCRIPT = """
-import sys
-from pathlib import Path
-from test_sweep_executors import swept
-swept(Path(sys.argv[1]))
-"""
-
-
-def killed_until_complete(folder: Path, delays: list[float]) -> int:
-    """Run a sweep and kill it after each delay (s), then let it end; return how many chunks survived the kills."""
-    command = [sys.executable, "-c", SCRIPT, str(folder)]
-    environment = os.environ | {"PYTHONPATH": str(Path(__file__).parent)}
-    for delay in delays:
-        process = subprocess.Popen(command, env=environment)
-        start = time.monotonic()
-        while process.poll() is None and not (folder / "chunks").is_dir():
-            time.sleep(0.02)
-        time.sleep(delay)
-        if process.poll() is None:
-            assert time.monotonic() - start < 120
-            process.kill()
-        process.wait()
-    survived = len([path for path in (folder / "chunks").iterdir() if not path.name.startswith(".")])
-    subprocess.run(command, env=environment, check=True)
-    return survived
-
-
 @pytest.mark.slow
 def test_a_killed_sweep_ends_as_an_uninterrupted_one(serial: list[bytes], tmp_path: Path) -> None:
-    chance = random.Random(3)
     folder = tmp_path / "out"
-    killed_until_complete(folder, [chance.uniform(0.0, 0.4) for _ in range(3)])
-    assert [(folder / name).read_bytes() for name in FILES] == serial
+    assert killed_until_complete(folder, "threads", [0.0, 0.2, 0.1]) > 0
+    assert written(folder) == serial
     assert sorted(path.name for path in folder.iterdir()) == ["chunks", *sorted(FILES)]
     assert not list((folder / "chunks").glob(".*"))
 

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cache
 from typing import Any
 
 from cgemit.detector.keys import CENTRED, Key, Known, keys_of, required_of
@@ -92,7 +93,7 @@ class Reader:
             Labels of the tables beside this one, to recognise a misspelt label.
 
         """
-        keys = {**keys_of(kind), **EXTRA.get(kind, {})}
+        keys = _keys(kind)
         values = dict(defaults or {})
         tables = self.mapping(path, raw)
         for name, value in tables.items():
@@ -101,7 +102,8 @@ class Reader:
             else:
                 known = [*keys, *elsewhere]
                 self.note(f"{path}.{name}", "an unknown key", "one of " + ", ".join(known), did_you_mean(name, known))
-        missing = [name for name in keys if name in required_of(kind) - values.keys()]
+        left = required_of(kind) - values.keys()
+        missing = [name for name in keys if name in left] if left else []
         if missing and not self.baseless and isinstance(raw, Mapping):
             self.note(path, _only(raw), "also " + ", ".join(missing), _label_hint(path, siblings))
         return {**values, **{name: _unusable(keys[name]) for name in missing}}
@@ -121,7 +123,9 @@ class Reader:
         if isinstance(value, Material):
             return self.materials.get(value.name) or value
         if isinstance(value, tuple) and value and isinstance(value[0], SubLayer):
-            return tuple(replace(part, material=self._known(part.material)) for part in value)
+            materials = [self._known(part.material) for part in value]
+            if any(new is not part.material for new, part in zip(materials, value, strict=True)):
+                return tuple(replace(part, material=new) for new, part in zip(materials, value, strict=True))
         return value
 
     def _quantity(self, path: str, raw: object, key: Key) -> Any:
@@ -212,6 +216,12 @@ class Reader:
         number = Key("dimensionless", "", -100.0, 100.0)
         values = [self._quantity(f"{path}.{name}", raw[name], number) for name in names]
         return DensityEffect(*values)
+
+
+@cache
+def _keys(kind: Any) -> dict[str, Key]:
+    """Return the keys that the table of a part may have in a file."""
+    return {**keys_of(kind), **EXTRA.get(kind, {})}
 
 
 def _unusable(key: Key) -> Any:
