@@ -23,6 +23,7 @@ from cgemit.study import sweep
 SPACE = {"cgem.*.pitch_x": ["400 um", "500 um", "600 um", "700 um"], "cgem.L2.anode_radius": ["132.5 mm", "160 mm"]}
 HOW: dict[str, Any] = {"evaluate": "mc", "p": [0.5], "events": 60}
 FILES = ("sweep.csv", "summary.json", "detector.toml")
+EVENTS = 12_000  # of the twenty kills: some seconds for each of nine chunks
 WAYS = ("serial", "threads", "processes", "dask")
 
 
@@ -54,16 +55,16 @@ def executor(way: str) -> Iterator[Executor]:
         yield pool
 
 
-def killed_until_complete(folder: Path, way: str, delays: list[float]) -> int:
-    """Run a sweep, kill it after each delay (s) from its first file on, then let it end; return how many were killed."""
-    command = [sys.executable, __file__, way, str(folder)]
+def killed_until_complete(folder: Path, way: str, delays: list[float], events: int = 60) -> int:
+    """Run a sweep, kill it after each delay (s), from its first file on, then let it end; return how many it ended."""
+    command = [sys.executable, __file__, way, str(folder), str(events)]
     killed = 0
     for delay in delays:
         process = subprocess.Popen(command, start_new_session=True, stderr=subprocess.DEVNULL)
         while process.poll() is None and not (folder / "chunks").is_dir():
             time.sleep(0.02)
         time.sleep(delay)
-        if process.poll() is None:
+        if process.poll() is None and not (folder / "sweep.csv").exists():
             os.killpg(process.pid, signal.SIGKILL)
             killed += 1
         process.wait()
@@ -75,17 +76,19 @@ def main() -> None:
     """Kill twenty times a sweep of each kind, and compare."""
     chance = random.Random(1)
     with tempfile.TemporaryDirectory() as folder:
-        expected = swept(Path(folder) / "expected")
+        expected = swept(Path(folder) / "expected", events=EVENTS)
         for way in WAYS:
             place = Path(folder) / way
-            killed = killed_until_complete(place, way, [chance.uniform(0.0, 2.0) for _ in range(20)])
+            killed = killed_until_complete(place, way, [chance.uniform(0.0, 4.0) for _ in range(20)], EVENTS)
             same = written(place) == expected and not list((place / "chunks").glob(".*"))
-            print(f"{way}: killed {killed} times of 20; {'the same' if same else 'DIFFERENT'} files")
+            print(
+                f"{way}: killed {killed} times before its end; {'the same' if same else 'DIFFERENT'} files", flush=True
+            )
 
 
 if __name__ == "__main__":
-    if len(sys.argv) == 3:
+    if len(sys.argv) == 4:
         with executor(sys.argv[1]) as pool:
-            swept(Path(sys.argv[2]), executor=pool)
+            swept(Path(sys.argv[2]), executor=pool, events=int(sys.argv[3]))
     else:
         main()
