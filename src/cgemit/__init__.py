@@ -27,6 +27,7 @@ from cgemit.version import VERSION as __version__
 
 if TYPE_CHECKING:
     from cgemit import draw, study
+    from cgemit.covariance import analytic
     from cgemit.statistics.resolutions import resolution
 
 __all__ = [
@@ -47,6 +48,7 @@ __all__ = [
     "Table",
     "TransportStatus",
     "__version__",
+    "analytic",
     "detectors",
     "draw",
     "extrapolate",
@@ -61,14 +63,19 @@ __all__ = [
 ]
 
 # Loaded when first used: they bring scipy and matplotlib, which take longer to import than all the rest.
-_LAZY = {"draw": "cgemit.draw", "study": "cgemit.study", "resolution": "cgemit.statistics.resolutions"}
+_LAZY = {
+    "analytic": "cgemit.covariance",
+    "draw": "cgemit.draw",
+    "study": "cgemit.study",
+    "resolution": "cgemit.statistics.resolutions",
+}
 
 
 def __getattr__(name: str) -> Any:
     if name not in _LAZY:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     module = importlib.import_module(_LAZY[name])
-    return getattr(module, name) if name == "resolution" else module
+    return getattr(module, name) if name in ("analytic", "resolution") else module
 
 
 def __dir__() -> list[str]:

@@ -10,7 +10,7 @@ from cgemit.detector import Screening
 from cgemit.kinds import Check, Positive
 from cgemit.settings import SettingsData
 from cgemit.species import HYPOTHESES, Hypothesis
-from cgemit.states import Place
+from cgemit.states import SurfaceName
 
 MassHypothesis = Literal[Hypothesis, "all"]
 ClusterErrors = Literal["track", "cluster"]
@@ -81,7 +81,7 @@ class FitSettings(SettingsData):
     screening: Screening | None = None
     loss: Loss = "truncated"
     residuals: bool = False
-    states: tuple[Radius | Place, ...] = ()
+    states: tuple[Radius | SurfaceName, ...] = ()
     hypothesis: MassHypothesis | tuple[MassHypothesis, ...] | None = None
     max_iterations: Iterations = 15
     tolerance: Positive = 0.1

@@ -237,9 +237,9 @@ def _measurements(clusters: Columns, wires: Columns) -> Columns:
         (wires, np.arange(len(wires["layer"])), HIT_WIRE, "wire", "drift", "sigma"),
     ]  # fmt: skip
     joined: dict[str, list[Column]] = {}
-    for table, rows, kind, element, value, sigma in parts:
+    for table, rows, kind, channel, value, sigma in parts:
         layer = table["layer"][rows]
-        of = {"layer": layer, "channel": table[element][rows], "value": table[value][rows], "sigma": table[sigma][rows]}
+        of = {"layer": layer, "channel": table[channel][rows], "value": table[value][rows], "sigma": table[sigma][rows]}
         of |= {"kind": np.full(len(layer), kind), "row": table["given_row"][rows], "size": np.zeros(len(layer))}
         of["side"] = table["side"][rows] if kind == HIT_WIRE else np.zeros(len(layer))
         for name, column in of.items():

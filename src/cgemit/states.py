@@ -23,7 +23,7 @@ Floats = npt.NDArray[np.float64]
 Columns = dict[str, npt.ArrayLike]
 
 #: Surfaces of states by name; a number is the radius of a cylinder in mm.
-Place = Literal["origin", "beam_line", "beam_pipe", "hits"]
+SurfaceName = Literal["origin", "beam_line", "beam_pipe", "hits"]
 
 _MASSES = {kind.pdg: kind.mass for kind in HYPOTHESES.values()}
 
@@ -31,7 +31,7 @@ _MASSES = {kind.pdg: kind.mass for kind in HYPOTHESES.values()}
 def state_columns(
     detector: Detector,
     core: _core.Detector,
-    places: tuple[float | str, ...],
+    surfaces: tuple[float | str, ...],
     tracks: Table,
     mass: Floats,
     hits: FitHits,
@@ -46,8 +46,8 @@ def state_columns(
         Detector that the fit assumed.
     core : _core.Detector
         The same, compiled for it.
-    places : tuple of float or str
-        Radii in mm, and names of `Place`.
+    surfaces : tuple of float or str
+        Radii in mm, and names of `SurfaceName`.
     tracks : Table of kind "tracks"
     mass : ndarray, (n,) float64, GeV/c2
         That the fit assumed for each.
@@ -65,7 +65,7 @@ def state_columns(
     -------
     dict of array_like
     """
-    targets = _targets(detector, places)
+    targets = _targets(detector, surfaces)
     used = {name: fitted[name] for name in ("used", "used_value", "used_variance")}
     out = _core.states(
         core,
@@ -174,8 +174,8 @@ def _masses(table: Table, particle: str | None) -> Floats:
     """Return the mass of each row, GeV/c2; NaN where it is not known."""
     if particle is not None:
         return np.full(len(table), HYPOTHESES[particle].mass)
-    numbers, place = np.unique(table["hypothesis"], return_inverse=True)
-    return np.array([_MASSES.get(int(pdg), np.nan) for pdg in numbers])[place]
+    numbers, number = np.unique(table["hypothesis"], return_inverse=True)
+    return np.array([_MASSES.get(int(pdg), np.nan) for pdg in numbers])[number]
 
 
 def _at(out: dict[str, npt.NDArray[Any]]) -> dict[str, Any]:
@@ -200,15 +200,15 @@ def _hit_columns(hits: FitHits, hit: npt.NDArray[Any]) -> Columns:
     return found
 
 
-def _targets(detector: Detector, places: tuple[float | str, ...]) -> dict[str, npt.NDArray[Any]]:
+def _targets(detector: Detector, surfaces: tuple[float | str, ...]) -> dict[str, npt.NDArray[Any]]:
     """Columns surface, radius (mm) and share of the requested surfaces, in their order."""
     kinds = {"origin": Surface.origin, "beam_line": Surface.beam_line, "hits": Surface.hit}
-    if "beam_pipe" in places and not detector.beam_pipe:
+    if "beam_pipe" in surfaces and not detector.beam_pipe:
         raise ValueError("states: 'beam_pipe', but the detector has none")
-    radii = [detector.beam_pipe[0].r_in if place == "beam_pipe" else place for place in places]
-    surface = [kinds.get(place, Surface.cylinder) if isinstance(place, str) else Surface.cylinder for place in radii]
-    radius = np.array([0.0 if isinstance(place, str) else float(place) for place in radii])
-    return {"surface": np.array(surface, np.int8), "radius": radius, "share": _shares_inside(detector, radius)}
+    given = [detector.beam_pipe[0].r_in if surface == "beam_pipe" else surface for surface in surfaces]
+    kind = [kinds.get(surface, Surface.cylinder) if isinstance(surface, str) else Surface.cylinder for surface in given]
+    radius = np.array([0.0 if isinstance(surface, str) else float(surface) for surface in given])
+    return {"surface": np.array(kind, np.int8), "radius": radius, "share": _shares_inside(detector, radius)}
 
 
 def _shares_inside(detector: Detector, radii: Floats) -> Floats:

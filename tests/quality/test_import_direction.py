@@ -19,7 +19,7 @@ CPP_LAYERS = [
     {"motion"},
     {"matter"},
     {"kalman"},
-    {"simulate", "digitize", "cluster", "find", "fit"},
+    {"simulate", "digitize", "cluster", "find", "fit", "covariance"},
     {"kernels"},
     {"bindings"},
 ]
@@ -45,6 +45,7 @@ PYTHON_LAYERS = [
     {"result"},
     {"chain"},
     {"bench", "matter", "statistics"},
+    {"covariance"},
     {"draw"},
     {"study"},
     {"cli"},

@@ -19,11 +19,11 @@ from cgemit.kinds import NO, Positive, expected, kinds_of, matched, one_of
 from cgemit.result import Settings
 from cgemit.settings import SettingsData, SettingsError
 from cgemit.simulate import SimulateSettings
-from cgemit.states import Place
+from cgemit.states import SurfaceName
 
 STAGES = (SimulateSettings, DigitizeSettings, ClusterSettings, FitSettings)
 
-PLACES = ", ".join(map(repr, get_args(Place)))
+SURFACES = ", ".join(map(repr, get_args(SurfaceName)))
 
 #: Settings none of which is a default.
 CHANGED = Settings(
@@ -161,7 +161,7 @@ def test_all_problems_of_a_file_are_listed_at_once(tmp_path: Path) -> None:
             "fit.loss: got 'meen', expected one of 'truncated', 'mean', 'most_probable'; did you mean \"mean\"?",
             "fit.tolerance: got -1, expected a positive number",
             "fit.prior_sigma: got [1, 2], expected a list of 5, each a number not below 1e-12",
-            f"fit.states: got 'nowhere', expected a positive radius in mm, or one of {PLACES}",
+            f"fit.states: got 'nowhere', expected a positive radius in mm, or one of {SURFACES}",
             "simulate.deltas: got 'no', expected True or False",
             "simulate.foil: got 'lattice', expected 'effective' unless fluctuations are 'full'",
             "cluster.reference_p: got '1 GeV', expected a positive number",

@@ -23,9 +23,9 @@ WALL = next(slab for slab in slabs(DETECTOR) if slab.shells[0].group == "wall")
 PLACES = ("origin", "beam_line", 10.0, "beam_pipe", 50.0, 250.0, 500.0, "hits", 1000.0)
 
 
-def states_of(places, gun=None, n=40, **changes):
+def states_of(surfaces, gun=None, n=40, **changes):
     """Return the result of a run in which everything is Gaussian, and its states."""
-    settings = dataclasses.replace(EXACT, fit=FitSettings(states=places, residuals=True, **changes))
+    settings = dataclasses.replace(EXACT, fit=FitSettings(states=surfaces, residuals=True, **changes))
     gun = gun or Gun("mu-", p=(0.3, 1.0), cos_theta=(-0.6, 0.6), vertex_sigma=(1.0, 1.0, 5.0))
     result = chain.run(DETECTOR, gun, n, seed=5, settings=settings)
     return result, result.states
@@ -93,7 +93,7 @@ def test_states_assume_what_the_fit_assumed(setting, value):
 
 
 def test_every_row_holds_together(run):
-    """Rows come in the order of the places, with positive definite covariances and points on their helices."""
+    """Rows come in the order of the surfaces, with positive definite covariances and points on their helices."""
     result, states = run
     assert np.all(states["status"] == StateStatus.ok)
     n_hits = len(result.residuals)
@@ -250,7 +250,7 @@ def test_chunks_join():
 
 
 def test_every_mistake_is_listed():
-    """Places and arguments that make no sense are named together."""
+    """Surfaces and arguments that make no sense are named together."""
     with pytest.raises(ValueError, match="FitSettings") as caught:
         FitSettings(states=("vertex", -1.0, float("nan"), True), hypothesis=("pi", "tau", "pi"))
     for text in ("'vertex'", "-1.0", "nan", "True", "hypothesis: got 'tau'", r"'pi'\)"):
@@ -276,7 +276,7 @@ def test_every_mistake_is_listed():
 
 
 def test_states_and_hypotheses_from_the_shell(tmp_path, capsys):
-    """Places are radii with units and names; a mass that is not the particle's own gives tracks of its own."""
+    """Surfaces are radii with units and names; a mass that is not the particle's own gives tracks of its own."""
     shot = ["simulate", "-d", "besiii-cgem-design", "--p", "0.5", "--cos-theta", "0", "-n", "3", "--quiet"]
     assert main([*shot, "--states", "beam_pipe,9 cm", "--hypothesis", "mu,K", "-o", str(tmp_path / "out")]) == 0
     tracks, states = (Table.load(tmp_path / "out" / f"{name}.npz") for name in ("tracks", "states"))

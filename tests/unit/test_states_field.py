@@ -73,7 +73,7 @@ def test_extrapolation_in_a_constant_map_is_that_of_the_uniform_field(radius, ma
     assert_close(on(constant, found, 25.0), on(uniform, expected, 25.0), parameters=1e-8)
 
 
-def fitted_states(core, detector, places, offset=0.0):
+def fitted_states(core, detector, surfaces, offset=0.0):
     """Return smoothed states of tracks about HELICES whose hits lie `offset` sigma beside them, in turn."""
     hits = [hits_on(detector, helix) for helix in HELICES]
     columns = {name: np.concatenate([one[name] for one in hits]) for name in hits[0]}
@@ -90,13 +90,13 @@ def fitted_states(core, detector, places, offset=0.0):
         kinks=np.zeros((len(HELICES), 2 * len(slabs(detector)))),
         mass=np.full(len(HELICES), MUON), fitted=np.ones(len(HELICES), np.uint8),
         targets={
-            "surface": np.array([surface for surface, _ in places], np.int8),
-            "radius": np.array([radius for _, radius in places]), "share": np.zeros(len(places)),
+            "surface": np.array([surface for surface, _ in surfaces], np.int8),
+            "radius": np.array([radius for _, radius in surfaces]), "share": np.zeros(len(surfaces)),
         },
     )  # fmt: skip
 
 
-PLACES = [(0, 0.0), (1, 0.0), *((CYLINDER, radius) for radius in (*EVERY_RADIUS, 800.0)), (int(Surface.hit), 0.0)]
+SURFACES = [(0, 0.0), (1, 0.0), *((CYLINDER, radius) for radius in (*EVERY_RADIUS, 800.0)), (int(Surface.hit), 0.0)]
 
 
 @pytest.mark.parametrize("density", [0.0, 1.0])
@@ -106,7 +106,7 @@ def test_states_in_a_constant_map_are_those_of_the_uniform_field(density):
     With matter, a displaced track loses its momentum after the same path in one, on the same cylinder in the other.
     """
     expected, found = (
-        fitted_states(without_matter(detector, density), UNIFORM, PLACES, offset=0.5) for detector in (UNIFORM, EVEN)
+        fitted_states(without_matter(detector, density), UNIFORM, SURFACES, offset=0.5) for detector in (UNIFORM, EVEN)
     )
     assert np.abs(expected["residual"][expected["hit"] >= 0]).max() > 0.05
     exact = density == 0
@@ -125,11 +125,11 @@ def test_there_and_back(detector):
 
 
 @pytest.mark.parametrize("detector", [UNEVEN, COIL], ids=["harmonic", "solenoid"])
-def test_in_vacuum_all_places_have_one_track(detector):
+def test_in_vacuum_all_surfaces_have_one_track(detector):
     """Smoothed states, by derivatives from the origin, are the state at the origin moved there."""
     core = without_matter(detector)
-    states = fitted_states(core, detector, PLACES)
-    at = {place: {name: states[name][states["target"] == i] for name in states} for i, place in enumerate(PLACES)}
+    states = fitted_states(core, detector, SURFACES)
+    at = {surface: {name: states[name][states["target"] == i] for name in states} for i, surface in enumerate(SURFACES)}
     origin = at[0, 0.0]
     assert_close(on(core, at[1, 0.0], 100.0), on(core, origin, 100.0), 1e-7, 1e-7, 1e-7)
     for radius in (*EVERY_RADIUS, 800.0):

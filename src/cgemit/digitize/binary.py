@@ -5,11 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
+import numpy as np
+
 from cgemit import _core
 from cgemit.cluster import ClusterSettings, cluster
 from cgemit.detector import Detector, compiled
 from cgemit.detector.gaps import w_values
-from cgemit.digitize.readout import GAIN
+from cgemit.digitize.readout import GAIN, Floats
 from cgemit.kinds import NotNegative, Positive
 from cgemit.settings import SettingsData
 from cgemit.tables import Table
@@ -63,3 +65,13 @@ class BinaryReadout(SettingsData):
         settings : ClusterSettings
         """
         return cluster(detector, digis, settings)
+
+    def expected_errors(self, detector: Detector) -> tuple[Floats, Floats]:
+        """Return zeros: errors follow from the number of strips, see `Readout.expected_errors`.
+
+        Parameters
+        ----------
+        detector : Detector
+        """
+        none = np.zeros(len(detector.cgem))
+        return none, none

@@ -5,11 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
+import numpy as np
+
 from cgemit import _core
 from cgemit.cluster import ClusterSettings
 from cgemit.detector import Detector, compiled
 from cgemit.detector.gaps import w_values
-from cgemit.digitize.readout import GAIN
+from cgemit.digitize.readout import GAIN, Floats
 from cgemit.kinds import Positive
 from cgemit.settings import SettingsData
 from cgemit.tables import Table
@@ -74,3 +76,13 @@ class GaussianReadout(SettingsData):
             compiled(detector), dict(digis.columns), err_x=self.sigma_x, err_v=self.sigma_v
         )
         return Table("clusters", found, **digis.cover)
+
+    def expected_errors(self, detector: Detector) -> tuple[Floats, Floats]:
+        """Return the given errors, the same for all layers, see `Readout.expected_errors`.
+
+        Parameters
+        ----------
+        detector : Detector
+        """
+        layers = len(detector.cgem)
+        return np.full(layers, self.sigma_x), np.full(layers, self.sigma_v)

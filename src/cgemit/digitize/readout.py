@@ -4,9 +4,14 @@ from __future__ import annotations
 
 from typing import ClassVar, Protocol
 
+import numpy as np
+import numpy.typing as npt
+
 from cgemit.cluster import ClusterSettings
 from cgemit.detector import Detector
 from cgemit.tables import Table
+
+Floats = npt.NDArray[np.float64]
 
 #: Electrons on the anode per electron of ionization: effective gain of a triple GEM.
 GAIN = 12_000.0
@@ -39,5 +44,19 @@ class Readout(Protocol):
         digis : Table
             Its columns `truth` and `n_truths` may only be passed on.
         settings : ClusterSettings
+        """
+        ...
+
+    def expected_errors(self, detector: Detector) -> tuple[Floats, Floats]:
+        """Return the errors of X and V that `cgemit.covariance` expects.
+
+        Parameters
+        ----------
+        detector : Detector
+
+        Returns
+        -------
+        sigma_x, sigma_v : ndarray, (layers,) float64, mm
+            0: strips fire where the projected path touches them, so that the error follows from their number.
         """
         ...

@@ -1,7 +1,7 @@
 #include "bindings/hits.hpp"
 
 #include "common/angles.hpp"
-#include "fit/collect.hpp"
+#include "fit/collect_hits.hpp"
 
 namespace cgemit::bindings {
 
@@ -14,7 +14,7 @@ HitColumns::HitColumns(const Detector& detector, const py::dict& columns, py::ss
   };
   get(hits_.kind, "kind");
   get(hits_.layer, "layer");
-  get(hits_.element, "channel");
+  get(hits_.channel, "channel");
   get(hits_.size, "size");
   get(hits_.value, "value");
   get(hits_.sigma, "sigma");
@@ -35,13 +35,13 @@ void HitColumns::check_order(std::span<const std::int64_t> offsets) const {
     int last = -1;
     for (auto i = static_cast<std::size_t>(offsets[track]); i < static_cast<std::size_t>(offsets[track + 1]);
          ++i) {
-      const int place = rules_.place(hits_.kind[i], hits_.layer[i]);
-      if (place < last) {
+      const int surface = rules_.surface(hits_.kind[i], hits_.layer[i]);
+      if (surface < last) {
         problems.add("track " + std::to_string(track) + ": hit " + std::to_string(i) +
                      " lies inside the one before; expected hits from the beam line outward");
         break;
       }
-      last = place;
+      last = surface;
     }
   }
   problems.raise("hits");
@@ -52,7 +52,7 @@ void HitColumns::take(std::size_t first, std::size_t n, std::vector<Hit>& out) c
   for (std::size_t i = first; i < first + n; ++i) {
     out.push_back({.view = static_cast<View>(hits_.kind[i]),
                    .layer = rules_.index(hits_.kind[i], hits_.layer[i]),
-                   .element = hits_.element[i],
+                   .channel = hits_.channel[i],
                    .size = hits_.size[i],
                    .value = hits_.value[i],
                    .sigma = hits_.sigma[i],
@@ -113,7 +113,7 @@ py::dict collect(const Detector& detector, const py::dict& candidates, const py:
   out["hit_offsets"] = to_numpy(std::move(hits.offsets));
   out["kind"] = to_numpy(std::move(hits.kind));
   out["layer"] = to_numpy(std::move(hits.layer));
-  out["channel"] = to_numpy(std::move(hits.element));
+  out["channel"] = to_numpy(std::move(hits.channel));
   out["value"] = to_numpy(std::move(hits.value));
   out["sigma"] = to_numpy(std::move(hits.sigma));
   out["size"] = to_numpy(std::move(hits.size));

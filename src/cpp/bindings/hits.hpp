@@ -11,7 +11,7 @@
 namespace cgemit::bindings {
 
 // Columns of hits: kind u8 (0 X, 1 V, 2 wire), layer i32 (CGEM index or the experiment's wire-layer number),
-// element i32 (sheet or wire), size i32, value f8 (mm), sigma f8 (mm); each of length n. Optional: side i8
+// channel i32 (sheet or wire), size i32, value f8 (mm), sigma f8 (mm); each of length n. Optional: side i8
 // (0, unknown), k f8 and x f8 (0, see Hit), row i64 (for messages).
 class HitColumns {
  public:

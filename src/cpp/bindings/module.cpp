@@ -18,6 +18,7 @@ void bind_fit(pybind11::module_& module);
 void bind_seed(pybind11::module_& module);
 void bind_kernels(pybind11::module_& module);
 void bind_states(pybind11::module_& module);
+void bind_covariance(pybind11::module_& module);
 
 PYBIND11_MODULE(_core, module, pybind11::mod_gil_not_used()) {
   module.doc() = "Compiled core of cgemit: kernels on columns of numbers.";
@@ -38,4 +39,5 @@ PYBIND11_MODULE(_core, module, pybind11::mod_gil_not_used()) {
   bind_seed(module);
   bind_kernels(module);
   bind_states(module);
+  bind_covariance(module);
 }

@@ -68,9 +68,9 @@ std::vector<Target> make_targets(const py::dict& columns) {
   const auto radius = column(radius_array, "radius", n), share = column(share_array, "share", n);
   std::vector<Target> targets;
   for (std::size_t i = 0; i < surface.size(); ++i) {
-    if (surface[i] < 0 || surface[i] > static_cast<std::int8_t>(Surface::hit))
+    if (surface[i] < 0 || surface[i] > static_cast<std::int8_t>(StateSurface::hit))
       throw std::invalid_argument("surface: no such surface");
-    targets.push_back({static_cast<Surface>(surface[i]), radius[i], share[i]});
+    targets.push_back({static_cast<StateSurface>(surface[i]), radius[i], share[i]});
   }
   return targets;
 }
@@ -80,7 +80,7 @@ void add_track(const std::vector<TrackState>& found, const std::vector<Target>& 
                std::size_t first_hit, std::size_t hits, Output& out) {
   std::size_t row = 0;
   for (std::size_t k = 0; k < targets.size(); ++k) {
-    const bool at_hits = targets[k].surface == Surface::hit;
+    const bool at_hits = targets[k].surface == StateSurface::hit;
     for (std::size_t i = 0; i < (at_hits ? hits : 1); ++i) {
       const TrackState lost{StateStatus::not_fitted, -1, {}, 0, 0};
       out.add(found.empty() ? lost : found[row++], static_cast<std::int64_t>(track),
@@ -193,11 +193,11 @@ py::tuple run_change_pivot(const Array<double>& helix_array, const Array<double>
 }  // namespace
 
 void bind_states(py::module_& module) {
-  py::native_enum<Surface>(module, "Surface", "enum.IntEnum", "Where a fitted track has a state.")
-      .value("origin", Surface::origin)
-      .value("beam_line", Surface::beam_line)
-      .value("cylinder", Surface::cylinder)
-      .value("hit", Surface::hit)
+  py::native_enum<StateSurface>(module, "Surface", "enum.IntEnum", "Where a fitted track has a state.")
+      .value("origin", StateSurface::origin)
+      .value("beam_line", StateSurface::beam_line)
+      .value("cylinder", StateSurface::cylinder)
+      .value("hit", StateSurface::hit)
       .finalize();
   module.def("states", &run, py::arg("detector"), py::kw_only(), py::arg("hit_offsets"), py::arg("hits"),
              py::arg("reference"), py::arg("kinks"), py::arg("prior"), py::arg("mass"), py::arg("fitted"),

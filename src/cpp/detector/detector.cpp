@@ -33,12 +33,12 @@ Detector make_detector(FieldMap field, std::vector<Slab> slabs, std::vector<Cgem
     layer.sin_stereo = std::sin(layer.stereo);
   }
   for (std::size_t i = 0; i < detector.slabs.size(); ++i) {
-    detector.places.push_back({detector.slabs[i].radius, true, static_cast<int>(i)});
+    detector.surfaces.push_back({detector.slabs[i].radius, true, static_cast<int>(i)});
   }
   for (std::size_t i = 0; i < detector.wires.size(); ++i) {
-    detector.places.push_back({wire_radius(detector.wires[i], 0.0), false, static_cast<int>(i)});
+    detector.surfaces.push_back({wire_radius(detector.wires[i], 0.0), false, static_cast<int>(i)});
   }
-  std::ranges::stable_sort(detector.places, {}, &Place::radius);
+  std::ranges::stable_sort(detector.surfaces, {}, &Surface::radius);
   return detector;
 }
 

@@ -126,7 +126,7 @@ struct WireLayer {
 };
 
 // A surface that a track crosses on its outward path, ordered by radius.
-struct Place {
+struct Surface {
   double radius;  // mm
   bool is_slab;   // else a wire layer
   int index;      // into slabs or wires
@@ -145,8 +145,8 @@ struct Detector {
   std::vector<Slab> slabs;
   std::vector<CgemLayer> cgem;
   std::vector<WireLayer> wires;
-  std::vector<GapMatter> gaps;  // one per CGEM layer; if empty, no electrons are followed
-  std::vector<Place> places;    // by radius
+  std::vector<GapMatter> gaps;    // one per CGEM layer; if empty, no electrons are followed
+  std::vector<Surface> surfaces;  // by radius
   LossCuts loss;
 };
 

@@ -6,7 +6,7 @@
 #include <cstring>
 
 #include "field/field.hpp"
-#include "lanes/words.hpp"
+#include "lanes/integers.hpp"
 
 namespace cgemit {
 

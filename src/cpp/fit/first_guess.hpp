@@ -2,14 +2,9 @@
 #pragma once
 
 #include "kalman/group.hpp"
+#include "lanes/math.hpp"
 
 namespace cgemit {
-
-template <class T>
-T hyperbolic_tangent(T x) {
-  const T a = smaller(abs(x), 20.0);  // 1 to rounding beyond
-  return copysign(1.0 - 2.0 / (1.0 + exp(2.0 * a)), x);
-}
 
 // For a traced group whose tracks start from `helix`; `spread` (mm) is the distance of most hits from it. The
 // fit reviews both later. The first values save iterations and keep outliers out of the first one.

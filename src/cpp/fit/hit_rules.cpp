@@ -11,13 +11,13 @@ HitRules::HitRules(const Detector& detector) : cgem_(detector.cgem.size()) {
     if (number_of[i] >= wires_.size()) wires_.resize(number_of[i] + 1);
     wires_[number_of[i]] = {static_cast<int>(i), detector.wires[i].cells, -1};
   }
-  int place = 0;
-  for (const Place& at : detector.places) {
+  int surface = 0;
+  for (const Surface& at : detector.surfaces) {
     const auto i = static_cast<std::size_t>(at.index);
-    if (!at.is_slab) wires_[number_of[i]].place = place;
+    if (!at.is_slab) wires_[number_of[i]].surface = surface;
     const int gap = at.is_slab ? detector.slabs[i].gap : -1;
-    if (gap >= 0) cgem_[static_cast<std::size_t>(gap)].place = place;
-    ++place;
+    if (gap >= 0) cgem_[static_cast<std::size_t>(gap)].surface = surface;
+    ++surface;
   }
 }
 
@@ -37,9 +37,9 @@ void HitRules::explain(const HitView& hits, std::size_t i, Problems& problems) c
   } else if (layer.index < 0) {
     add("layer", std::to_string(hits.layer[i]),
         wire ? "the number of a wire layer of the detector" : "a CGEM layer of the detector");
-  } else if (hits.element[i] < 0 || hits.element[i] >= layer.elements) {
-    add(wire ? "wire" : "sheet", std::to_string(hits.element[i]),
-        "0 to " + std::to_string(layer.elements - 1) + " in layer " + std::to_string(hits.layer[i]));
+  } else if (hits.channel[i] < 0 || hits.channel[i] >= layer.channels) {
+    add(wire ? "wire" : "sheet", std::to_string(hits.channel[i]),
+        "0 to " + std::to_string(layer.channels - 1) + " in layer " + std::to_string(hits.layer[i]));
   }
   if (!std::isfinite(value)) add(wire ? "drift" : x ? "x" : "v", to_text(value), "a finite number, mm");
   if (!(sigma > 0 && sigma < HUGE_VAL))

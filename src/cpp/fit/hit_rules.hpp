@@ -16,7 +16,7 @@ namespace cgemit {
 struct HitView {
   std::span<const std::uint8_t> kind;           // View
   std::span<const std::int32_t> layer;          // CGEM layer, or number of the wire layer
-  std::span<const std::int32_t> element, size;  // as in Hit
+  std::span<const std::int32_t> channel, size;  // as in Hit
   std::span<const double> value, sigma, k, x;   // as in Hit; k and x may be empty
   std::span<const std::int8_t> side;            // of the wire; 0: unknown
   std::span<const std::int64_t> row;            // of its table, for messages; may be empty
@@ -29,13 +29,13 @@ class HitRules {
   // Index into the detector's cgem or wires; -1 if there is no such layer.
   int index(std::uint8_t kind, std::int32_t layer) const { return layer_of(kind, layer).index; }
   // Position of the layer among the surfaces, counted outward.
-  int place(std::uint8_t kind, std::int32_t layer) const { return layer_of(kind, layer).place; }
+  int surface(std::uint8_t kind, std::int32_t layer) const { return layer_of(kind, layer).surface; }
 
   bool fits(const HitView& hits, std::size_t i) const {
     const Layer& layer = layer_of(hits.kind[i], hits.layer[i]);
     const double value = hits.value[i], sigma = hits.sigma[i];
     const int side = hits.side[i];
-    const bool exists = hits.element[i] >= 0 && hits.element[i] < layer.elements;
+    const bool exists = hits.channel[i] >= 0 && hits.channel[i] < layer.channels;
     const bool numbers = std::abs(value) < HUGE_VAL && sigma > 0 && sigma < HUGE_VAL && hits.size[i] >= 0;
     return exists && numbers && side * side <= 1 && !(side != 0 && value < -most_below * sigma);
   }
@@ -47,7 +47,7 @@ class HitRules {
   static constexpr double most_below = 8;
 
   struct Layer {
-    int index = -1, elements = 0, place = -1;
+    int index = -1, channels = 0, surface = -1;
   };
 
   const Layer& layer_of(std::uint8_t kind, std::int32_t layer) const {

@@ -8,7 +8,7 @@
 #include "detector/strip_plane.hpp"
 #include "fit/annealed.hpp"
 #include "fit/circle.hpp"
-#include "fit/slow.hpp"
+#include "fit/slow_seed.hpp"
 #include "motion/helix.hpp"
 
 namespace cgemit {
@@ -85,11 +85,11 @@ CircleFit::Result find_circle(const Detector& detector, std::span<const Hit> hit
     const Hit& hit = hits[i];
     const auto index = static_cast<std::size_t>(hit.layer);
     if (hit.view == View::wire && detector.wires[index].twist == 0) {
-      const Wire& wire = detector.wires[index].placed[static_cast<std::size_t>(hit.element)];
+      const Wire& wire = detector.wires[index].placed[static_cast<std::size_t>(hit.channel)];
       fit.add({wire.x, wire.y, {hit.value, static_cast<double>(sides[i]), 1 / wire_error, 1, 0}});
     } else if (hit.view == View::x && from == SeedFrom::wires_and_clusters) {
       const CgemLayer& layer = detector.cgem[index];
-      const double phi = azimuth(layer, hit.element, hit.value), r = layer.r_mid();
+      const double phi = azimuth(layer, hit.channel, hit.value), r = layer.r_mid();
       fit.add({r * std::cos(phi), r * std::sin(phi), {0, 1, 1 / strip_error, 1, 0}});
     }
   }
@@ -99,7 +99,7 @@ CircleFit::Result find_circle(const Detector& detector, std::span<const Hit> hit
 // At height z a stereo wire lies to the left of the circle by a quadratic in z.
 LineShape::Point wire_point(const WireLayer& layer, const Hit& hit, double side, const Circle& circle,
                             double s, double error) {
-  const Wire& wire = layer.placed[static_cast<std::size_t>(hit.element)];
+  const Wire& wire = layer.placed[static_cast<std::size_t>(hit.channel)];
   const double gx = wire.ex / wire.ez, gy = wire.ey / wire.ez;
   const auto [nx, ny] = circle.gradient(wire.x, wire.y);
   return {s,
@@ -114,12 +114,12 @@ LineShape::Point wire_point(const WireLayer& layer, const Hit& hit, double side,
 LineShape::Point strip_point(const CgemLayer& layer, const Hit& hit, std::span<const Hit> before,
                              const HelixPoint& point, double s, double scale) {
   const double around = 2 * pi * layer.r_readout;
-  double on_circle = local_x(layer, hit.element, std::atan2(point.y, point.x)), x = on_circle;
+  double on_circle = local_x(layer, hit.channel, std::atan2(point.y, point.x)), x = on_circle;
   double closest = 10;  // mm
   bool measured = false;
   for (std::size_t i = before.size();
        i-- > 0 && before[i].layer == hit.layer && before[i].view != View::wire;) {
-    if (before[i].view != View::x || before[i].element != hit.element) continue;
+    if (before[i].view != View::x || before[i].channel != hit.channel) continue;
     const double off = before[i].value - on_circle,
                  distance = std::abs(off - around * std::round(off / around));
     if (distance >= closest) continue;
@@ -175,7 +175,7 @@ std::optional<Perigee> seed_from_azimuths(const Detector& detector, std::span<co
   for (const Hit& hit : hits) {
     if (hit.view != View::wire) continue;
     const WireLayer& layer = detector.wires[static_cast<std::size_t>(hit.layer)];
-    const Wire& wire = layer.placed[static_cast<std::size_t>(hit.element)];
+    const Wire& wire = layer.placed[static_cast<std::size_t>(hit.channel)];
     const double phi = std::atan2(wire.y, wire.x), r = std::sqrt(layer.waist);
     if (points == 0) first = phi;
     const double slope = layer.tan_half_twist / layer.half_length;

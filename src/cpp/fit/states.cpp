@@ -20,25 +20,25 @@ class States {
     for (const Station& station : trajectory_.stations) {
       if (station.hit < 0) continue;
       const auto i = static_cast<std::size_t>(station.hit);
-      TrajectoryElement& row = trajectory_.elements[station.element];
+      TrajectoryTerm& row = trajectory_.terms[station.term];
       row.used = track.used[i].used;
       row.variance = track.used[i].variance;
       row.value = track.used[i].value - trajectory_.predicted[i];
     }
-    filter_inward(trajectory_.elements, track.prior, inward_);
+    filter_inward(trajectory_.terms, track.prior, inward_);
     smooth();
   }
 
   void append(const Target& target, std::vector<TrackState>& out) const {
     switch (target.surface) {
-      case Surface::origin:
-      case Surface::beam_line:
-        out.push_back(closest(target.surface == Surface::beam_line));
+      case StateSurface::origin:
+      case StateSurface::beam_line:
+        out.push_back(closest(target.surface == StateSurface::beam_line));
         break;
-      case Surface::cylinder:
+      case StateSurface::cylinder:
         out.push_back(on_cylinder(target));
         break;
-      case Surface::hit:
+      case StateSurface::hit:
         for (std::size_t i = 0; i < track_.hits.size(); ++i) out.push_back(at_hit(i));
     }
   }
@@ -50,9 +50,9 @@ class States {
   const Slab& slab(std::size_t k) const { return *trajectory_.stations[k].slab; }
 
   // The noise vectors of the slab at a station.
-  std::span<const TrajectoryElement> noise(std::size_t k) const {
-    const std::size_t first = trajectory_.stations[k].element, end = trajectory_.stations[k + 1].element;
-    return std::span(trajectory_.elements).subspan(first, end - first);
+  std::span<const TrajectoryTerm> noise(std::size_t k) const {
+    const std::size_t first = trajectory_.stations[k].term, end = trajectory_.stations[k + 1].term;
+    return std::span(trajectory_.terms).subspan(first, end - first);
   }
 
   // The filtered state from all hits, before each station.
@@ -62,7 +62,7 @@ class States {
       smoothed_[k + 1] = is_slab(k) ? beyond(k, 1.0) : smoothed_[k];
   }
   OriginState beyond(std::size_t k, double part) const {
-    return smooth_outward(smoothed_[k], inward_[trajectory_.stations[k + 1].element], noise(k), part);
+    return smooth_outward(smoothed_[k], inward_[trajectory_.stations[k + 1].term], noise(k), part);
   }
 
   LocalState local(const Station& station, const OriginState& estimate) const {
@@ -112,10 +112,10 @@ class States {
     while (k > first && !(stations[k].point.outward() > 0)) --k;
     if (!(stations[k].point.outward() > 0)) return empty(StateStatus::does_not_reach);
     TrackState found{StateStatus::ok, -1, local(stations[k], smoothed_[k]), 0, 0};
-    for (std::size_t i = first_place_beyond(); i < detector_.places.size(); ++i) {
-      const Place& place = detector_.places[i];
-      if (!place.is_slab) continue;
-      const Slab& next = detector_.slabs[static_cast<std::size_t>(place.index)];
+    for (std::size_t i = first_surface_beyond(); i < detector_.surfaces.size(); ++i) {
+      const Surface& surface = detector_.surfaces[i];
+      if (!surface.is_slab) continue;
+      const Slab& next = detector_.slabs[static_cast<std::size_t>(surface.index)];
       if (next.r_in >= target.radius) break;
       if (std::ranges::find(stations, &next, &Station::slab) != stations.end()) continue;
       const double part = next.r_out <= target.radius ? 1.0 : target.share;
@@ -128,17 +128,18 @@ class States {
   }
 
   // The position of the last hit. The matter inside it has acted, and perhaps the gap itself.
-  std::size_t first_place_beyond() const {
+  std::size_t first_surface_beyond() const {
     const auto last = std::ranges::find_if(trajectory_.stations.rbegin(), trajectory_.stations.rend(),
                                            [](const Station& station) { return station.hit >= 0; });
     if (last == trajectory_.stations.rend()) return 0;
     const Hit& hit = track_.hits[static_cast<std::size_t>(last->hit)];
     const bool wire = hit.view == View::wire;
-    const auto holds = [&](const Place& place) {
-      const auto index = static_cast<std::size_t>(place.index);
-      return place.is_slab != wire && (wire ? place.index : detector_.slabs[index].gap) == hit.layer;
+    const auto holds = [&](const Surface& surface) {
+      const auto index = static_cast<std::size_t>(surface.index);
+      return surface.is_slab != wire && (wire ? surface.index : detector_.slabs[index].gap) == hit.layer;
     };
-    return static_cast<std::size_t>(std::ranges::find_if(detector_.places, holds) - detector_.places.begin());
+    return static_cast<std::size_t>(std::ranges::find_if(detector_.surfaces, holds) -
+                                    detector_.surfaces.begin());
   }
 
   TrackState at_hit(std::size_t i) const {
@@ -150,13 +151,13 @@ class States {
     found.state = local(*at, estimate);
     const Hit& hit = track_.hits[i];
     if (hit.view == View::wire) {
-      const auto layer = static_cast<std::size_t>(hit.layer), wire = static_cast<std::size_t>(hit.element);
+      const auto layer = static_cast<std::size_t>(hit.layer), wire = static_cast<std::size_t>(hit.channel);
       found.status = context_.motion.to_wire(found.state, detector_.wires[layer].placed[wire]);
     } else {
       found.status = context_.motion.to_cylinder(found.state, at->point.radius());
     }
     if (found.status != StateStatus::ok) return found;
-    const TrajectoryElement& row = trajectory_.elements[at->element];
+    const TrajectoryTerm& row = trajectory_.terms[at->term];
     found.residual = row.value - row.h.dot(estimate.x);
     // A hit that was used is correlated with the track.
     const double of_track = row.h.dot(estimate.c * row.h);

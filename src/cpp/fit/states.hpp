@@ -11,11 +11,11 @@
 
 namespace cgemit {
 
-enum class Surface : std::int8_t { origin = 0, beam_line = 1, cylinder = 2, hit = 3 };
+enum class StateSurface : std::int8_t { origin = 0, beam_line = 1, cylinder = 2, hit = 3 };
 
 // The surface of a requested state.
 struct Target {
-  Surface surface;
+  StateSurface surface;
   double radius;  // mm, of a cylinder
   double share;   // part of the slab cut by the cylinder that lies inside it
 };

@@ -14,12 +14,12 @@ class GroupBuilder {
   explicit GroupBuilder(const Detector& detector)
       : detector_(detector), gap_step_(detector.cgem.size(), -1), wire_step_(detector.wires.size(), -1) {
     std::int32_t slabs = 0;
-    for (const Place& place : detector.places) {
-      const auto index = static_cast<std::size_t>(place.index);
-      if (place.is_slab) {
+    for (const Surface& surface : detector.surfaces) {
+      const auto index = static_cast<std::size_t>(surface.index);
+      if (surface.is_slab) {
         const int gap = detector.slabs[index].gap;
         if (gap >= 0) gap_step_[static_cast<std::size_t>(gap)] = static_cast<std::int32_t>(steps_.size());
-        steps_.push_back({true, place.index, slabs++, 0, 0});
+        steps_.push_back({true, surface.index, slabs++, 0, 0});
       } else {
         // Layers of wires between the same slabs share their slots.
         if (steps_.empty() || steps_.back().is_slab) steps_.push_back({false, -1, -1, 0, 0});
@@ -71,7 +71,7 @@ class GroupBuilder {
   }
 
   const Wire& wire_of(const Hit& hit) const {
-    return detector_.wires[static_cast<std::size_t>(hit.layer)].placed[static_cast<std::size_t>(hit.element)];
+    return detector_.wires[static_cast<std::size_t>(hit.layer)].placed[static_cast<std::size_t>(hit.channel)];
   }
   static void prefetch(const Wire& wire) {
     cgemit::prefetch(&wire.x);
@@ -110,15 +110,6 @@ class GroupBuilder {
     return steps;
   }
 
-  // The fields that the reference, the filter and the smoother write are left as they are.
-  static void empty(Slot<T>& slot) {
-    slot.there = slot.outlier = mask_of<T>(false);
-    slot.noise = slot.size = 1.0;
-    slot.drift = slot.edge = slot.known_side = slot.weight = 0.0;
-    slot.k = slot.x = 0.0;
-    slot.wire = {T(0.0), T(0.0), T(0.0), T(0.0), T(1.0)};
-  }
-
   void place_track(std::size_t k, std::span<const Hit> hits, Group<T>& group) const {
     walk(hits, [&](std::size_t i, std::size_t step, std::size_t second, std::int32_t before) {
       Slot<T>& slot = group.slots[static_cast<std::size_t>(first_[2 * step + second] + before)];
@@ -137,7 +128,7 @@ class GroupBuilder {
       set_lane(slot.size, k, hit.size);
       set_lane(slot.k, k, hit.k);
       set_lane(slot.x, k, hit.x);
-      set_lane(slot.edge, k, wrap_angle(layer.phi_first[static_cast<std::size_t>(hit.element)]));
+      set_lane(slot.edge, k, wrap_angle(layer.phi_first[static_cast<std::size_t>(hit.channel)]));
       return;
     }
     const Wire& wire = wire_of(hit);

@@ -22,7 +22,7 @@ enum class View : std::uint8_t { x = 0, v = 1, wire = 2 };
 struct Hit {
   View view;
   std::int32_t layer;    // index into the detector's cgem or wires
-  std::int32_t element;  // sheet or wire
+  std::int32_t channel;  // sheet or wire
   std::int32_t size;     // strips in the cluster; 0: no strips
   double value;          // mm: X or V on the sheet, or drift distance
   double sigma;          // mm
@@ -42,7 +42,7 @@ using Perigee = PerigeeOf<double>;
 template <class T>
 struct Slot {
   View view;
-  std::int32_t layer;                         // clusters: index into the detector's cgem
+  std::int32_t layer;                         // index into the detector's cgem or wires
   std::array<std::int32_t, lanes_of<T>> hit;  // number among the track's hits, -1: none
   mask_of<T> there;
   // The measurement:
@@ -70,6 +70,16 @@ struct Slot {
   // the measurement's own.
   T unbiased, unbiased_variance;
 };
+
+// Empties a slot. The fields that the reference, the filter and the smoother write are left as they are.
+template <class T>
+void empty(Slot<T>& slot) {
+  slot.there = slot.outlier = mask_of<T>(false);
+  slot.noise = slot.size = 1.0;
+  slot.drift = slot.edge = slot.known_side = slot.weight = 0.0;
+  slot.k = slot.x = 0.0;
+  slot.wire = {T(0.0), T(0.0), T(0.0), T(0.0), T(1.0)};
+}
 
 // Noise of a slab in the coordinates of the origin, (d, psi, kappa, z0, tanl). A turn or shift of the track
 // at fixed kappa and tanl changes d, psi and z0 only; straggling does not change tanl.

@@ -1,7 +1,7 @@
 // The smoothed state everywhere along the track, from all measurements.
 //
 // Between two scatterers the state at the origin (`filter.hpp`) does not change. The filter runs inward and
-// stores, before each trajectory element, the state from all outer ones. The smoothed state is then
+// stores, before each trajectory term, the state from all outer ones. The smoothed state is then
 // propagated outward from the origin through the noise (Rauch, Tung and Striebel, AIAA J. 3 (1965) 1445). The
 // gain for noise Q = G G^T is A = C (C + Q)^-1 = 1 - G B^T, B = (C + Q)^-1 G, with C the filter's covariance
 // outside, and the covariance is
@@ -24,21 +24,21 @@ struct OriginState {
   Matrix5 c;
 };
 
-// `inward[i]`: the filtered state from trajectory elements i and beyond. The last one is the prior.
-inline void filter_inward(const std::vector<TrajectoryElement>& elements, const Matrix5& prior,
+// `inward[i]`: the filtered state from trajectory terms i and beyond. The last one is the prior.
+inline void filter_inward(const std::vector<TrajectoryTerm>& terms, const Matrix5& prior,
                           std::vector<OriginState>& inward) {
-  inward.resize(elements.size() + 1);
+  inward.resize(terms.size() + 1);
   inward.back() = {Vector5::Zero(), prior};
-  for (std::size_t i = elements.size(); i-- > 0;) {
-    const TrajectoryElement& element = elements[i];
+  for (std::size_t i = terms.size(); i-- > 0;) {
+    const TrajectoryTerm& term = terms[i];
     OriginState& state = inward[i] = inward[i + 1];
-    if (!element.is_row) {
-      state.c.noalias() += element.h * element.h.transpose();
-      state.x += element.value * element.h;
-    } else if (element.used) {
-      const Vector5 ch = state.c * element.h;
-      const double weight = 1.0 / (element.h.dot(ch) + element.variance);
-      const double innovation = element.value - element.h.dot(state.x);
+    if (!term.is_row) {
+      state.c.noalias() += term.h * term.h.transpose();
+      state.x += term.value * term.h;
+    } else if (term.used) {
+      const Vector5 ch = state.c * term.h;
+      const double weight = 1.0 / (term.h.dot(ch) + term.variance);
+      const double innovation = term.value - term.h.dot(state.x);
       state.x += ch * (innovation * weight);
       state.c.noalias() -= (ch * weight) * ch.transpose();
     }
@@ -46,16 +46,16 @@ inline void filter_inward(const std::vector<TrajectoryElement>& elements, const 
 }
 
 // The part of a scatterer's noise that the reference already contains.
-inline Vector5 known_noise(std::span<const TrajectoryElement> noise) {
+inline Vector5 known_noise(std::span<const TrajectoryTerm> noise) {
   Vector5 sum = Vector5::Zero();
-  for (const TrajectoryElement& element : noise) sum += element.value * element.h;
+  for (const TrajectoryTerm& term : noise) sum += term.value * term.h;
   return sum;
 }
 
 // The smoothed state after a part of one scatterer's noise, from the state before it; a deviation from the
 // reference beyond the whole scatterer. `outside`: the filtered state there.
 inline OriginState smooth_outward(const OriginState& before, const OriginState& outside,
-                                  std::span<const TrajectoryElement> noise, double part = 1.0) {
+                                  std::span<const TrajectoryTerm> noise, double part = 1.0) {
   if (noise.empty() || !(part > 0)) return before;
   using Vectors = Eigen::Matrix<double, 5, Eigen::Dynamic, 0, 5, 5>;
   Vectors g(5, static_cast<Eigen::Index>(noise.size()));

@@ -12,8 +12,11 @@
 
 namespace cgemit {
 
-// An observer is called at every surface of the trajectory; this one does nothing.
+// An observer is called at every surface of the trajectory; this one does nothing. An observer with
+// `provides_hits` also fills in the hits of every step when the reference arrives there, in place of a
+// `GroupBuilder` before: `reaches` at a slab, `passes` at a layer of wires.
 struct NoObserver {
+  static constexpr bool provides_hits = false;
   template <class Slot, class Motion>
   void meets(const Slot&, const Motion&) {}
   template <class Slab, class Motion>
@@ -46,8 +49,9 @@ class Tracer {
     alive_ = who;
     curled_ = mask_of<T>(false);
     const T inner = motion_.point().radius();
-    for (const GroupStep& step : group_.steps) {
+    for (GroupStep& step : group_.steps) {
       if (!step.is_slab) {
+        if constexpr (Observer::provides_hits) observer_.passes(step, motion_, alive_);
         for (std::int32_t s = step.first; s < step.last; ++s) meet_wire(slot(s));
         continue;
       }
@@ -58,6 +62,7 @@ class Tracer {
       // A helix that turns back below a slab may still pass the next wires, but not a gap.
       const mask_of<T> reached = wanted & !curled_ & motion_.go_to(slab.radius, wanted & !curled_);
       follow_dip();
+      if constexpr (Observer::provides_hits) observer_.reaches(step, slab, motion_, reached);
       if (slab.gap >= 0) alive_ = alive_ & (reached | !wanted);
       for (std::int32_t s = step.first; s < step.last; ++s) meet_gap(slot(s), reached);
       cross(slab, noise, reached & beyond & (abs(motion_.point().z) <= slab.half_length));
@@ -142,13 +147,13 @@ class Tracer {
   }
 
   // Noise of a slab, then the energy loss of the reference. A lane ends where the particle stops.
-  CGEMIT_FLATTEN void cross(const Slab& slab, std::size_t place, mask_of<T> crosses) {
-    Kink<T>& kink = group_.kinks[place];
+  CGEMIT_FLATTEN void cross(const Slab& slab, std::size_t number, mask_of<T> crosses) {
+    Kink<T>& kink = group_.kinks[number];
     if (!any(crosses)) {
       if constexpr (Motion::keeps_dip)
-        group_.noise[place] = {};
+        group_.noise[number] = {};
       else
-        group_.dense_noise[place] = {};
+        group_.dense_noise[number] = {};
       kink.aside = kink.up = kink.sigma = 0.0;
       return;
     }
@@ -174,9 +179,9 @@ class Tracer {
       if (any(crosses)) observer_.crosses(slab, noise, kink);
     };
     if constexpr (Motion::keeps_dip)
-      act(group_.noise[place]);
+      act(group_.noise[number]);
     else
-      act(group_.dense_noise[place]);
+      act(group_.dense_noise[number]);
     lose(crossing, crosses);
   }
 

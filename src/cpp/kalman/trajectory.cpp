@@ -13,6 +13,8 @@ namespace {
 // The observer that records the trajectory.
 class Recorder {
  public:
+  static constexpr bool provides_hits = false;
+
   Recorder(const Detector& detector, ReferenceTrajectory& trajectory)
       : trajectory_(&trajectory), per_kappa_(curvature(detector.bz, 1.0)) {}
 
@@ -20,7 +22,7 @@ class Recorder {
   void meets(const Slot<double>& slot, const Motion& motion) {
     mark(motion, slot.hit[0], nullptr);
     trajectory_->predicted[static_cast<std::size_t>(slot.hit[0])] = slot.predicted;
-    trajectory_->elements.push_back({Eigen::Map<const Vector5>(slot.row.v.data()), true, false, 0, 0});
+    trajectory_->terms.push_back({Eigen::Map<const Vector5>(slot.row.v.data()), true, false, 0, 0});
   }
   template <class Motion>
   void arrives(const Slab& slab, const Motion& motion) {
@@ -49,14 +51,14 @@ class Recorder {
     for (const Five<double>& row : motion.derivatives())
       jacobian.row(i++) = Eigen::Map<const Vector5>(row.v.data()).transpose();
     trajectory_->stations.push_back(
-        {trajectory_->elements.size(), hit, slab, motion.point(), kappa_of(motion), jacobian});
+        {trajectory_->terms.size(), hit, slab, motion.point(), kappa_of(motion), jacobian});
   }
   // In a uniform field kappa follows from the curvature at a point, bit for bit.
   double kappa_of(const HelixMotion<double>& motion) const { return motion.point().w / per_kappa_; }
   static double kappa_of(const FieldReference<double>& motion) { return motion.kappa(); }
   template <class G>
   void add(const G& g, double has = 0) {
-    trajectory_->elements.push_back({vector5(g), false, false, has, 0});
+    trajectory_->terms.push_back({vector5(g), false, false, has, 0});
   }
 
   ReferenceTrajectory* trajectory_;
@@ -67,7 +69,7 @@ class Recorder {
 
 void follow(const Detector& detector, const Perigee& start, double mass, std::span<const Hit> hits,
             std::span<const double> kinks, ReferenceTrajectory& trajectory) {
-  trajectory.elements.clear();
+  trajectory.terms.clear();
   trajectory.stations.clear();
   trajectory.predicted.assign(hits.size(), 0);
   if (!std::isfinite(start.kappa) || start.kappa == 0) return;

@@ -18,7 +18,7 @@ inline Vector5 vector5(const std::array<double, 4>& g) { return {g[0], g[1], g[2
 inline Vector5 vector5(const std::array<double, 3>& g) { return {g[0], g[1], 0, g[2], 0}; }
 
 // A measurement, or one noise vector of a scatterer.
-struct TrajectoryElement {
+struct TrajectoryTerm {
   Vector5 h;  // measurement row, or noise vector g (covariance g g^T)
   bool is_row;
   bool used;        // by the filter
@@ -28,17 +28,17 @@ struct TrajectoryElement {
 
 // A hit, a slab, or the end of the reference.
 struct Station {
-  std::size_t element;  // index of its first element; the number of elements at the end
-  std::int32_t hit;     // which hit, or -1
-  const Slab* slab;     // or null
-  HelixPoint point;     // before the slab acts
+  std::size_t term;  // index of its first term; the number of terms at the end
+  std::int32_t hit;  // which hit, or -1
+  const Slab* slab;  // or null
+  HelixPoint point;  // before the slab acts
   double kappa;
   Matrix5 jacobian;  // derivatives of (d, psi, kappa, z0, tanl) with the pivot here by those at the origin
 };
 
 // Ordered from the origin outward.
 struct ReferenceTrajectory {
-  std::vector<TrajectoryElement> elements;
+  std::vector<TrajectoryTerm> terms;
   std::vector<Station> stations;
   std::vector<double> predicted;  // mm, one per hit: the predicted measurement
 };

@@ -13,7 +13,7 @@ namespace cgemit {
 
 namespace {
 
-constexpr Kernels scalar{"scalar", 1, &function_of_lanes<double>, &simulate, &fit_tracks};
+constexpr Kernels scalar{"scalar", 1, &function_of_lanes<double>, &simulate, &fit_tracks, &covariances};
 std::atomic<const Kernels*> in_use{&scalar};
 
 }  // namespace

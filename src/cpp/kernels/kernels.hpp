@@ -7,6 +7,7 @@
 
 #include <string>
 
+#include "covariance/covariance.hpp"
 #include "fit/fit.hpp"
 #include "simulate/simulate.hpp"
 
@@ -20,6 +21,8 @@ struct Kernels {
   void (*simulate)(const Detector&, const ParticleColumns&, const SimulateSettings&, std::uint64_t seed,
                    Simulated&);
   void (*fit)(const Detector&, const FitInput&, const FitSettings&, const FitOutput&);
+  void (*covariances)(const Detector&, const CovarianceInput&, const CovarianceSettings&,
+                      const CovarianceOutput&);
 };
 
 // The kernels in use: scalar ones until others are opened.

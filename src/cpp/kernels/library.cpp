@@ -1,5 +1,6 @@
 // Compiled once per instruction set, with CGEMIT_ISA its name and CGEMIT_LANES the width of its registers.
 #include "common/compiler.hpp"
+#include "covariance/batch.hpp"
 #include "fit/batch.hpp"
 #include "kernels/function.hpp"
 #include "kernels/kernels.hpp"
@@ -16,7 +17,13 @@ void fit(const Detector& detector, const FitInput& input, const FitSettings& set
   BatchFit<Number>(detector, input, settings, output).run();
 }
 
-constexpr Kernels these{CGEMIT_ISA, CGEMIT_LANES, &function_of_lanes<Number>, &simulate_lanes<Number>, &fit};
+void covariances_of_lanes(const Detector& detector, const CovarianceInput& input,
+                          const CovarianceSettings& settings, const CovarianceOutput& output) {
+  CovarianceBatch<Number>(detector, input, settings, output).run();
+}
+
+constexpr Kernels these{CGEMIT_ISA, CGEMIT_LANES,         &function_of_lanes<Number>, &simulate_lanes<Number>,
+                        &fit,       &covariances_of_lanes};
 
 }  // namespace
 

@@ -102,7 +102,7 @@ SineCosine<Pack<W>> sine_cosine(Pack<W> x) {
                z +
            4.16666666666665929218e-2);
   const Bits quarter = reinterpret_cast<Bits>((n + 0x1.8p52).v);
-  const typename Registers<W>::Words odd = (quarter & 1) != 0;
+  const typename Registers<W>::Integers odd = (quarter & 1) != 0;
   const Bits sine_sign = (quarter & 2) << 62, cosine_sign = ((quarter + 1) & 2) << 62;
   const Vector sine = odd ? c.v : s.v, cosine = odd ? s.v : c.v;
   return {Pack<W>(reinterpret_cast<Vector>(reinterpret_cast<Bits>(sine) ^ sine_sign)),
@@ -171,6 +171,12 @@ T tangent_over(T f) {
   };
   return choose(q > 1e-3, whole,
                 [&q] { return 1.0 + q * (1.0 / 3 + q * (2.0 / 15 + q * (17.0 / 315 + q * (62.0 / 2835)))); });
+}
+
+template <class T>
+T hyperbolic_tangent(T x) {
+  const T a = smaller(abs(x), 20.0);  // 1 to rounding beyond
+  return copysign(1.0 - 2.0 / (1.0 + exp(2.0 * a)), x);
 }
 
 }  // namespace cgemit

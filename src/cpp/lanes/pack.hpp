@@ -28,12 +28,12 @@ namespace cgemit {
 // The compiler's vector types: W numbers, W 64-bit integers.
 template <int W>
 struct Registers;
-#define CGEMIT_REGISTERS(W)                                           \
-  template <>                                                         \
-  struct Registers<W> {                                               \
-    typedef double Numbers __attribute__((vector_size(8 * (W))));     \
-    typedef std::int64_t Words __attribute__((vector_size(8 * (W)))); \
-    typedef std::uint64_t Bits __attribute__((vector_size(8 * (W)))); \
+#define CGEMIT_REGISTERS(W)                                              \
+  template <>                                                            \
+  struct Registers<W> {                                                  \
+    typedef double Numbers __attribute__((vector_size(8 * (W))));        \
+    typedef std::int64_t Integers __attribute__((vector_size(8 * (W)))); \
+    typedef std::uint64_t Bits __attribute__((vector_size(8 * (W))));    \
   };
 CGEMIT_REGISTERS(2)
 CGEMIT_REGISTERS(4)
@@ -43,7 +43,7 @@ CGEMIT_REGISTERS(8)
 // A truth value per lane: all bits of it.
 template <int W>
 struct Mask {
-  using Vector = typename Registers<W>::Words;
+  using Vector = typename Registers<W>::Integers;
   Vector v;
 
   Mask() = default;
@@ -174,14 +174,14 @@ Pack<W> sqrt(Pack<W> x) {
 
 template <int W>
 Pack<W> abs(Pack<W> x) {
-  using Bits = typename Registers<W>::Words;
+  using Bits = typename Registers<W>::Integers;
   return Pack<W>(reinterpret_cast<typename Pack<W>::Vector>(reinterpret_cast<Bits>(x.v) & INT64_MAX));
 }
 
 // |x| with the sign of y.
 template <int W>
 Pack<W> copysign(Pack<W> x, Pack<W> y) {
-  using Bits = typename Registers<W>::Words;
+  using Bits = typename Registers<W>::Integers;
   return Pack<W>(reinterpret_cast<typename Pack<W>::Vector>((reinterpret_cast<Bits>(x.v) & INT64_MAX) |
                                                             (reinterpret_cast<Bits>(y.v) & INT64_MIN)));
 }

@@ -6,8 +6,8 @@
 #include <cstdint>
 
 #include "common/rng.hpp"
+#include "lanes/integers.hpp"
 #include "lanes/math.hpp"
-#include "lanes/words.hpp"
 
 namespace cgemit {
 

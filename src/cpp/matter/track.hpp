@@ -13,7 +13,7 @@
 #include <cmath>
 
 #include "detector/detector.hpp"
-#include "lanes/words.hpp"
+#include "lanes/integers.hpp"
 #include "matter/kinematics.hpp"
 
 namespace cgemit {

@@ -8,7 +8,7 @@
 #include <vector>
 
 #include "common/compiler.hpp"
-#include "simulate/cells.hpp"
+#include "motion/cells.hpp"
 #include "simulate/records.hpp"
 #include "simulate/slab_draws.hpp"
 
@@ -65,8 +65,8 @@ class Flight {
 
   void run() {
     fly_in();
-    for (std::size_t i = 0; i < detector_.places.size() && any(flying_); ++i) {
-      const Place& surface = detector_.places[i];
+    for (std::size_t i = 0; i < detector_.surfaces.size() && any(flying_); ++i) {
+      const Surface& surface = detector_.surfaces[i];
       const Mask passes = flying_ & (ahead_ <= static_cast<double>(i));
       if (!any(passes)) continue;
       const auto index = static_cast<std::size_t>(surface.index);
@@ -96,8 +96,8 @@ class Flight {
 
   // Index of the first surface beyond a radius.
   double first_ahead(double radius) const {
-    const auto& surfaces = detector_.places;
-    return static_cast<double>(std::ranges::upper_bound(surfaces, radius, {}, &Place::radius) -
+    const auto& surfaces = detector_.surfaces;
+    return static_cast<double>(std::ranges::upper_bound(surfaces, radius, {}, &Surface::radius) -
                                surfaces.begin());
   }
 
@@ -126,10 +126,10 @@ class Flight {
     Mask inward = flying_ & (ahead_ > 0.0) & (point_.outward() < 0.0);
     if (!any(inward)) return;
     stream_ = streams(inward_leg);
-    for (std::size_t i = detector_.places.size(); i-- > 0 && any(inward);) {
+    for (std::size_t i = detector_.surfaces.size(); i-- > 0 && any(inward);) {
       const Mask next = inward & (ahead_ == static_cast<double>(i + 1));
       if (!any(next)) continue;
-      const Place& surface = detector_.places[i];
+      const Surface& surface = detector_.surfaces[i];
       const Mask arrived = motion_.to_cylinder(point_, surface.radius, arc_, false, next);
       stop_at_edge(next & motion_.left());
       arrive(arrived);
@@ -243,25 +243,15 @@ class Flight {
   }
 
   void record_cell(const WireLayer& layer, const Mask& who, const CellRange<T, Point>& range) {
-    const T cells(layer.cells), number = select(who, range.first, T(0.0));
-    T cell = number - cells * nearest(number / cells);
-    cell = select(cell < 0.0, cell + cells, cell);
-    const auto wire = std::bit_cast<std::array<std::int64_t, static_cast<std::size_t>(width)>>(whole(cell));
-    const auto placed = [&](double Wire::* value) {
-      return gathered<T>([&](int i) {
-        return layer.placed[static_cast<std::size_t>(wire[static_cast<std::size_t>(i)])].*value;
-      });
-    };
-    const WireOf<T> wires{placed(&Wire::x), placed(&Wire::y), placed(&Wire::ex), placed(&Wire::ey),
-                          placed(&Wire::ez)};
+    const CellWires<T> cell(layer, select(who, range.first, T(0.0)));
     Point closest = range.at_wires;
     ApproachOf<T> approach;
-    const Mask settled = motion_.approach(closest, wires, approach, who);
+    const Mask settled = motion_.approach(closest, cell.wire, approach, who);
     const T time = time_ + flight_time(approach.arc + range.arc);
     // Cells fire neither behind the vertex nor beyond the ends of the wires.
     const Mask fired = settled & (time >= 0.0) & (abs(approach.z_wire) <= layer.half_length);
     if (!any(fired)) return;
-    cells_.push_back({&layer, fired, wire, approach.doca, closest.x, closest.y, closest.z, time});
+    cells_.push_back({&layer, fired, cell.number, approach.doca, closest.x, closest.y, closest.z, time});
   }
 
   const Detector& detector_;

@@ -1,4 +1,4 @@
-#include "fit/collect.hpp"
+#include "fit/collect_hits.hpp"
 
 #include <algorithm>
 #include <bit>
@@ -13,12 +13,12 @@ constexpr std::int8_t wire_view = 2, point_view = 3;
 struct Entry {
   std::uint8_t kind;
   std::int8_t side;
-  std::int32_t place, layer, element, size;
+  std::int32_t surface, layer, channel, size;
   double value, sigma, k, x;
   std::int64_t row;
 
   // The row comes last, so that the order of the hits does not depend on the order of the tables.
-  auto order() const { return std::tuple(place, element, kind, std::bit_cast<std::int64_t>(value), row); }
+  auto order() const { return std::tuple(surface, channel, kind, std::bit_cast<std::int64_t>(value), row); }
   bool repeats(const Entry& before) const { return kind == before.kind && row == before.row; }
 };
 
@@ -46,7 +46,7 @@ class Collector {
     sort();
     CollectedHits hits = columns();
     if (!problems_.empty()) {
-      const HitView view{hits.kind,  hits.layer, hits.element, hits.size, hits.value,
+      const HitView view{hits.kind,  hits.layer, hits.channel, hits.size, hits.value,
                          hits.sigma, hits.k,     hits.x,       hits.side, hits.row};
       for (std::size_t i = 0; i < hits.kind.size(); ++i)
         if (!rules_.fits(view, i)) rules_.explain(view, i, problems_);
@@ -124,7 +124,7 @@ class Collector {
     const std::int64_t number = candidates_.row[i];
     const auto row = static_cast<std::size_t>(number);
     const auto put = [&](Entry entry) {
-      entry.place = rules_.place(entry.kind, entry.layer);
+      entry.surface = rules_.surface(entry.kind, entry.layer);
       entries_[static_cast<std::size_t>(at++)] = entry;
     };
     if (view == wire_view) {
@@ -169,7 +169,7 @@ class Collector {
     const std::size_t n = entries_.size();
     hits.kind.resize(n);
     hits.side.resize(n);
-    for (auto* values : {&hits.layer, &hits.element, &hits.size}) values->resize(n);
+    for (auto* values : {&hits.layer, &hits.channel, &hits.size}) values->resize(n);
     for (auto* values : {&hits.value, &hits.sigma, &hits.k, &hits.x}) values->resize(n);
     hits.row.resize(n);
     for (std::size_t i = 0; i < n; ++i) {
@@ -177,7 +177,7 @@ class Collector {
       hits.kind[i] = entry.kind;
       hits.side[i] = entry.side;
       hits.layer[i] = entry.layer;
-      hits.element[i] = entry.element;
+      hits.channel[i] = entry.channel;
       hits.size[i] = entry.size;
       hits.value[i] = entry.value;
       hits.sigma[i] = entry.sigma;

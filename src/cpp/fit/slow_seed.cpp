@@ -1,4 +1,4 @@
-#include "fit/slow.hpp"
+#include "fit/slow_seed.hpp"
 
 #include <cmath>
 

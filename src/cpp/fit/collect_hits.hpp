@@ -38,7 +38,7 @@ struct WireInput {
 struct CollectedHits {
   std::vector<std::int64_t> offsets;
   std::vector<std::uint8_t> kind;
-  std::vector<std::int32_t> layer, element, size;
+  std::vector<std::int32_t> layer, channel, size;
   std::vector<double> value, sigma, k, x;
   std::vector<std::int8_t> side;
   std::vector<std::int64_t> row;

@@ -1,10 +1,15 @@
 // The drift cells of a layer that tracks cross: for one track, or one per lane.
 #pragma once
 
+#include <array>
+#include <bit>
 #include <cmath>
+#include <cstdint>
+#include <vector>
 
 #include "common/compiler.hpp"
 #include "detector/wires.hpp"
+#include "lanes/integers.hpp"
 #include "motion/helix.hpp"
 
 namespace cgemit {
@@ -40,6 +45,27 @@ struct CellRange {
   T first{0.0}, last{0.0};
   Point at_wires;  // point of the track at the radius of the wires, or closest to it
   T arc{0.0};      // mm, transverse path to this point
+};
+
+// One cell of a layer for each lane: its number, and its wire.
+template <class T>
+struct CellWires {
+  std::array<std::int64_t, static_cast<std::size_t>(lanes_of<T>)> number;
+  WireOf<T> wire;
+
+  // `count`: a whole number, modulo the number of cells.
+  CellWires(const WireLayer& layer, const T& count) {
+    const T cells(layer.cells);
+    T cell = count - cells * nearest(count / cells);
+    cell = select(cell < 0.0, cell + cells, cell);
+    number = std::bit_cast<decltype(number)>(whole(cell));
+    const auto placed = [&](double Wire::* value) {
+      return gathered<T>([&](int i) {
+        return layer.placed[static_cast<std::size_t>(number[static_cast<std::size_t>(i)])].*value;
+      });
+    };
+    wire = {placed(&Wire::x), placed(&Wire::y), placed(&Wire::ex), placed(&Wire::ey), placed(&Wire::ez)};
+  }
 };
 
 // Called layer by layer, outward. `Motion`: motion in the field.

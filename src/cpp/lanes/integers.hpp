@@ -22,11 +22,11 @@ inline std::int64_t whole(double x) { return static_cast<std::int64_t>(x); }
 
 // Converts a whole number of at most 2^51 to an integer.
 template <int W>
-typename Registers<W>::Words whole(Pack<W> x) {
-  return reinterpret_cast<typename Registers<W>::Words>((x + 0x1.8p52).v) - 0x4338000000000000;
+typename Registers<W>::Integers whole(Pack<W> x) {
+  return reinterpret_cast<typename Registers<W>::Integers>((x + 0x1.8p52).v) - 0x4338000000000000;
 }
 
-// Products of the low 32 bits of each word with one number.
+// Products of the low 32 bits of each integer with one number.
 template <int W>
 typename Registers<W>::Bits products(typename Registers<W>::Bits a, std::uint32_t b) {
 #if defined(__AVX512F__)

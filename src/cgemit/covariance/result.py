@@ -1,0 +1,150 @@
+"""Covariances of a grid of points as numpy arrays."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from cgemit.covariance.budget import Budget, budget_of
+from cgemit.covariance.mixture import core_width, mean
+from cgemit.covariance.tracks import QUANTITIES, Tracks
+from cgemit.detector import Detector
+from cgemit.digitize.readout import Readout
+from cgemit.fit import FitStatus
+
+Floats = npt.NDArray[np.float64]
+
+#: Places of the core's 15 entries in a covariance.
+UPPER = np.triu_indices(5)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Covariance:
+    """Covariances of (dr, phi0, kappa, dz, tanl) at the origin for a grid of tracks.
+
+    Arrays have the shape of the arguments of `analytic`, broadcast. What varies within a point (azimuth, position of the
+    strips under the track, ranges of p and cos(theta)) is sampled, so that the residuals of a point are a mixture of
+    Gaussians: ``sigma`` is the core of the mixture, as `resolution` measures it (Gaussian within 3 of its sigmas), ``rms``
+    the root of the mean variance.
+
+    Attributes
+    ----------
+    detector : Detector
+    particle : str
+    readout : Readout
+        Of the CGEM layers.
+    p, cos_theta, phi : ndarray, float64, GeV/c, 1, rad
+        Means of the samples of each point; `phi` (azimuth of the momentum) is NaN where it is averaged.
+    status : ndarray, int8
+        `FitStatus`: ok if any sample of the point has a covariance, else that of most samples.
+    reached : ndarray, float64
+        Fraction of the samples with a covariance.
+    n_clusters, n_wires : ndarray, float64
+        Mean number of clusters and wire hits of these samples.
+    cov : ndarray, shape + (5, 5) float64
+        Mean covariance of these samples: mm, rad, (GeV/c)^-1.
+    """
+
+    detector: Detector
+    particle: str
+    readout: Readout
+    p: Floats
+    cos_theta: Floats
+    phi: Floats
+    status: npt.NDArray[np.int8]
+    reached: Floats
+    n_clusters: Floats
+    n_wires: Floats
+    cov: Floats
+    _tracks: Tracks
+    _samples: Floats  # (points, samples, 15), NaN without a covariance
+
+    def sigma(self, quantity: str) -> Floats:
+        """Return the core resolution: the Gaussian within 3 of its sigmas.
+
+        Parameters
+        ----------
+        quantity : str
+            ``"dr"`` mm, ``"phi0"`` rad, ``"kappa"`` (GeV/c)^-1, ``"dz"`` mm, ``"tanl"``, ``"theta"`` rad, ``"p"`` GeV/c or
+            ``"pt"`` GeV/c.
+
+        Returns
+        -------
+        ndarray, float64
+            NaN where no sample has a covariance.
+
+        Raises
+        ------
+        ValueError
+            If the quantity is not known.
+        """
+        return core_width(self.variances(quantity).reshape(-1, self._tracks.samples)).reshape(self.p.shape)
+
+    def rms(self, quantity: str) -> Floats:
+        """Return the root of the mean variance; see `sigma`."""
+        variances = self.variances(quantity)
+        with np.errstate(invalid="ignore"):
+            return np.asarray(np.sqrt(mean(variances, ~np.isnan(variances))))
+
+    def variances(self, quantity: str) -> Floats:
+        """Return the variance of every sample, shape + (samples,); NaN without a covariance."""
+        weights = self._tracks.gradients(quantity)
+        # Of a b^T + b a^T the entries beside the diagonal count twice.
+        outer = weights[:, UPPER[0]] * weights[:, UPPER[1]] * np.where(UPPER[0] == UPPER[1], 1.0, 2.0)
+        entries = self._samples.reshape(-1, 15)
+        return np.einsum("ti,ti->t", outer, entries).reshape(*self.p.shape, self._tracks.samples)
+
+    def budget(self, quantity: str) -> Budget:
+        """Return the exact split of the mean variance by measurement and scatterer.
+
+        Parameters
+        ----------
+        quantity : str
+            As in `sigma`.
+
+        Returns
+        -------
+        Budget
+            Whose terms sum to the square of `rms`.
+        """
+        return budget_of(self._tracks, quantity, self.detector, self.particle, self.p, self.cos_theta, self.reached)
+
+    def __getattr__(self, name: str) -> Floats:
+        """Return ``sigma_p`` for ``sigma("p")``, ``rms_dr`` for ``rms("dr")``."""
+        kind, _, quantity = name.partition("_")
+        if kind in ("sigma", "rms") and quantity in QUANTITIES:
+            return self.sigma(quantity) if kind == "sigma" else self.rms(quantity)
+        raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
+
+    def __dir__(self) -> list[str]:
+        return sorted([*super().__dir__(), *(f"{kind}_{name}" for kind in ("sigma", "rms") for name in QUANTITIES)])
+
+    def table(self) -> dict[str, npt.NDArray[Any]]:
+        """Return one row per point as columns: arguments, status, core and RMS of every quantity in native units."""
+        columns: dict[str, npt.NDArray[Any]] = {"p": self.p.ravel(), "cos_theta": self.cos_theta.ravel()}
+        columns |= {"phi": self.phi.ravel(), "status": self.status.ravel(), "reached": self.reached.ravel()}
+        columns |= {"n_clusters": self.n_clusters.ravel(), "n_wires": self.n_wires.ravel()}
+        for name in QUANTITIES:
+            columns[f"sigma_{name}"], columns[f"rms_{name}"] = self.sigma(name).ravel(), self.rms(name).ravel()
+        return columns
+
+    def to_pandas(self) -> Any:
+        """Return `table` as a pandas DataFrame."""
+        import pandas as pd
+
+        return pd.DataFrame(self.table())
+
+    def __repr__(self) -> str:
+        rows = [
+            f"  p {p:.4g} GeV/c, cos(theta) {c:.3g}: sigma(d_rho) {1e3 * dr:.4g} um, sigma(d_z) {dz:.4g} mm, "
+            f"sigma(p) {1e3 * sp:.4g} MeV/c" + ("" if s == 0 else f" [{FitStatus(int(s)).name}]")
+            for p, c, dr, dz, sp, s in zip(
+                *(np.ravel(x) for x in (self.p, self.cos_theta, self.sigma("dr"), self.sigma("dz"), self.sigma("p"))),
+                self.status.ravel(), strict=True,
+            )  # fmt: skip
+        ]
+        more = [f"  ... {len(rows) - 12} more"] if len(rows) > 12 else []
+        return "\n".join([f"<{self.detector.name}, {self.particle}, read-out {self.readout.name}", *rows[:12], *more]) + ">"

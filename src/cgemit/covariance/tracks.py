@@ -1,0 +1,79 @@
+"""The tracks of a grid of points, and their covariances from the core."""
+
+from __future__ import annotations
+
+import os
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from cgemit import _core
+from cgemit.detector import Detector
+from cgemit.fit import FitSettings, compiled_for_fit
+from cgemit.helix import PARAMETERS
+
+Floats = npt.NDArray[np.float64]
+
+#: What has a resolution, with its unit.
+QUANTITIES = {
+    "dr": "mm", "phi0": "rad", "kappa": "1/(GeV/c)", "dz": "mm", "tanl": "", "theta": "rad", "p": "GeV/c", "pt": "GeV/c",
+}  # fmt: skip
+
+_CHUNK = 4096  # tracks of one task
+
+
+@dataclass(frozen=True, eq=False)
+class Tracks:
+    """The tracks of all points and samples, and how their covariances are computed."""
+
+    detector: Detector
+    fit: FitSettings
+    settings: _core.CovarianceSettings
+    phi: Floats  # azimuth of the momentum at the origin; this and the following (tracks,)
+    kappa: Floats
+    tanl: Floats
+    mass: Floats
+    samples: int
+    phases: Floats
+    threads: int | None
+
+    def run(self, budget: bool) -> dict[str, npt.NDArray[Any]]:
+        """Return the columns of the core, in chunks on all cores."""
+        core = compiled_for_fit(self.detector, self.fit)
+        n = len(self.phi)
+        step = max(1, _CHUNK // self.samples) * self.samples
+
+        def part(first: int) -> dict[str, npt.NDArray[Any]]:
+            rows = slice(first, min(first + step, n))
+            return _core.covariances(
+                core, phi=self.phi[rows], kappa=self.kappa[rows], tanl=self.tanl[rows], mass=self.mass[rows],
+                samples=self.samples, phases=self.phases, settings=self.settings, budget=budget,
+            )  # fmt: skip
+
+        starts = range(0, n, step)
+        if len(starts) == 1:
+            return part(0)
+        with ThreadPoolExecutor(self.threads or os.cpu_count()) as pool:
+            parts = list(pool.map(part, starts))
+        return {name: np.concatenate([one[name] for one in parts]) for name in parts[0]}
+
+    def gradients(self, quantity: str) -> Floats:
+        """Return the derivatives of a quantity by (dr, phi0, kappa, dz, tanl), (tracks, 5)."""
+        rows = np.zeros((len(self.phi), 5))
+        square = 1 + self.tanl * self.tanl
+        pt = 1 / np.abs(self.kappa)
+        if quantity in PARAMETERS:
+            rows[:, PARAMETERS.index(quantity)] = 1
+        elif quantity == "theta":
+            rows[:, 4] = -1 / square
+        elif quantity == "pt":
+            rows[:, 2] = -pt / self.kappa
+        elif quantity == "p":
+            p = pt * np.sqrt(square)
+            rows[:, 2], rows[:, 4] = -p / self.kappa, p * self.tanl / square
+        else:
+            raise ValueError(f"quantity: got {quantity!r}; expected one of {', '.join(QUANTITIES)}")
+        return rows

@@ -1,0 +1,94 @@
+#include "covariance/covariance.hpp"
+
+#include <pybind11/pybind11.h>
+#include <pybind11/stl.h>
+
+#include "bindings/arrays.hpp"
+#include "kernels/kernels.hpp"
+
+namespace py = pybind11;
+using namespace cgemit;
+using namespace cgemit::bindings;
+
+namespace {
+
+// The rows of one track as numpy columns.
+py::dict columns_of(const std::vector<CovarianceRow>& rows) {
+  Filled<double> covariance(rows.size(), {static_cast<py::ssize_t>(covariance_entries)});
+  Filled<std::int32_t> clusters(rows.size()), wires(rows.size());
+  Filled<std::int8_t> status(rows.size());
+  for (const CovarianceRow& row : rows) {
+    covariance.append(row.covariance);
+    clusters.append(row.clusters);
+    wires.append(row.wires);
+    status.append(static_cast<std::int8_t>(row.status));
+  }
+  py::dict out;
+  out["covariance"] = covariance.array();
+  out["n_clusters"] = clusters.array();
+  out["n_wires"] = wires.array();
+  out["status"] = status.array();
+  return out;
+}
+
+py::dict run(const Detector& detector, const Array<double>& phi, const Array<double>& kappa,
+             const Array<double>& tanl, const Array<double>& mass, std::size_t samples,
+             const Array<double>& phases, const CovarianceSettings& settings, bool budget) {
+  const auto n = phi.size();
+  const auto views = static_cast<py::ssize_t>(2 * detector.cgem.size());
+  if (samples == 0 || n % static_cast<py::ssize_t>(samples) != 0)
+    throw std::invalid_argument("samples: expected a divisor of the number of tracks");
+  for (const auto* sigma : {&settings.sigma_x, &settings.sigma_v})
+    if (sigma->size() != detector.cgem.size())
+      throw std::invalid_argument("sigma_x, sigma_v: expected a number for each CGEM layer");
+  std::vector<double> psi;
+  for (const double azimuth : column(phi, "phi", n)) psi.push_back(azimuth);
+  const CovarianceInput input{.psi = psi,
+                              .kappa = column(kappa, "kappa", n),
+                              .tanl = column(tanl, "tanl", n),
+                              .mass = column(mass, "mass", n),
+                              .samples = samples,
+                              .phases = matrix(phases, "phases", static_cast<py::ssize_t>(samples), views)};
+  const BudgetTerms names(detector);
+  std::vector<CovarianceRow> rows(static_cast<std::size_t>(n));
+  const std::size_t points = static_cast<std::size_t>(n) / samples;
+  std::vector<double> sums(budget ? points * names.size() * budget_entries : 0, 0.0);
+  static_assert(sizeof(BudgetTerm) == budget_entries * sizeof(double));
+  {
+    py::gil_scoped_release release;
+    kernels().covariances(detector, input, settings,
+                          {rows.data(), budget ? reinterpret_cast<BudgetTerm*>(sums.data()) : nullptr});
+  }
+  py::dict out = columns_of(rows);
+  if (budget)
+    out["budget"] =
+        to_numpy(std::move(sums), {static_cast<py::ssize_t>(points), static_cast<py::ssize_t>(names.size()),
+                                   static_cast<py::ssize_t>(budget_entries)});
+  return out;
+}
+
+}  // namespace
+
+void bind_covariance(py::module_& module) {
+  py::class_<CovarianceSettings>(module, "CovarianceSettings",
+                                 "Settings of the covariance; the values live in cgemit.covariance.")
+      .def(py::init([](std::vector<double> sigma_x, std::vector<double> sigma_v, double least_width,
+                       double delta_strips, bool sides_known, std::uint64_t seed,
+                       const std::array<double, 5>& prior_sigma) {
+             return CovarianceSettings{.sigma_x = std::move(sigma_x),
+                                       .sigma_v = std::move(sigma_v),
+                                       .least_width = least_width,
+                                       .delta_strips = delta_strips,
+                                       .sides_known = sides_known,
+                                       .seed = seed,
+                                       .prior_sigma = prior_sigma};
+           }),
+           py::kw_only(), py::arg("sigma_x"), py::arg("sigma_v"), py::arg("least_width"),
+           py::arg("delta_strips"), py::arg("sides_known"), py::arg("seed"), py::arg("prior_sigma"));
+  module.def(
+      "covariances", &run, py::arg("detector"), py::kw_only(), py::arg("phi"), py::arg("kappa"),
+      py::arg("tanl"), py::arg("mass"), py::arg("samples"), py::arg("phases"), py::arg("settings"),
+      py::arg("budget"),
+      "Covariances of (dr, phi0, kappa, dz, tanl) of tracks from the origin, without events: columns of "
+      "the tracks, and if requested the sums of the budget's terms over the samples of each point.");
+}

@@ -1,0 +1,128 @@
+// Covariances of many tracks, one per lane.
+#pragma once
+
+#include <algorithm>
+#include <cmath>
+#include <vector>
+
+#include "covariance/budget.hpp"
+#include "covariance/expected_hits.hpp"
+#include "kalman/field_reference.hpp"
+#include "kalman/filter.hpp"
+#include "kalman/tracer.hpp"
+
+namespace cgemit {
+
+template <class T>
+class CovarianceBatch {
+ public:
+  CovarianceBatch(const Detector& detector, const CovarianceInput& input, const CovarianceSettings& settings,
+                  const CovarianceOutput& output)
+      : detector_(detector), input_(input), settings_(settings), out_(output), names_(detector) {
+    std::int32_t slabs = 0;
+    for (const Surface& surface : detector.surfaces)
+      group_.steps.push_back(
+          {surface.is_slab, surface.is_slab ? surface.index : -1, surface.is_slab ? slabs++ : -1, 0, 0});
+    const auto n = static_cast<std::size_t>(slabs);
+    group_.noise.resize(n);
+    group_.dense_noise.resize(detector.field.is_uniform() ? 0 : n);
+    group_.kinks.resize(n);
+    group_.kinked = mask_of<T>(false);
+    if (out_.budget != nullptr) terms_.resize(names_.size());
+  }
+
+  void run() {
+    for (std::size_t first = 0; first < input_.tracks();) {
+      std::size_t n = 1;
+      while (n < width && first + n < input_.tracks() && kind(first + n) == kind(first)) ++n;
+      run_group(first, n);
+      first += n;
+    }
+  }
+
+ private:
+  static constexpr std::size_t width = lanes_of<T>;
+
+  Projectile kind(std::size_t track) const { return projectile_of(input_.mass[track], input_.kappa[track]); }
+  std::size_t point(std::size_t track) const { return track / input_.samples; }
+
+  void run_group(std::size_t first, std::size_t n) {
+    const auto column = [&](std::span<const double> values) {
+      return gathered<T>(
+          [&](int i) { return values[std::min(first + static_cast<std::size_t>(i), first + n - 1)]; });
+    };
+    const PerigeeOf<T> start{T(0.0), column(input_.psi), column(input_.kappa), T(0.0), column(input_.tanl)};
+    ExpectedHits<T> hits(detector_, settings_, input_, first, group_);
+    // Whether hits lie beyond a slab is not known before.
+    group_.ahead.assign(group_.noise.size(), mask_of<T>(true));
+    trace(start, column(input_.mass), kind(first), Expectation<T>(hits));
+    for (Slot<T>& slot : group_.slots) slot.used = slot.met;
+    Five<T> prior;
+    unroll<parameters>([&](auto i) { prior[i] = settings_.prior_sigma[i] * settings_.prior_sigma[i]; });
+    const FilteredState<T> state = filter(detector_, group_, Symmetric<T>::diagonal(prior));
+    const mask_of<T> valid = sound(state) & positive_definite(state.c);
+    mask_of<T> ok(false);
+    for (std::size_t k = 0; k < n; ++k) {
+      count_hits(k, out_.rows[first + k]);
+      out_.rows[first + k].status = status(static_cast<int>(k), valid);
+      set_lane(ok, static_cast<int>(k), out_.rows[first + k].status == FitStatus::ok);
+    }
+    const Symmetric<T> covariance =
+        Budget<T>(detector_, group_, terms_.data(), ok).split(settings_.prior_sigma);
+    for (std::size_t k = 0; k < n; ++k) write(covariance, static_cast<int>(k), out_.rows[first + k]);
+    // The sums stay in lanes as long as all lanes belong to one point.
+    const bool next_is_same = point(first) == point(std::min(first + n + width, input_.tracks()) - 1) &&
+                              n == width && first + n < input_.tracks();
+    if (out_.budget != nullptr && !next_is_same) flush(first, n);
+  }
+
+  void trace(const PerigeeOf<T>& start, const T& mass, Projectile projectile, Expectation<T> hits) {
+    const mask_of<T> all(true);
+    if (detector_.field.is_uniform()) {
+      Tracer<T, HelixMotion<T>, Expectation<T>>(detector_, start, mass, projectile, group_, hits).run(all);
+    } else {
+      Tracer<T, FieldReference<T>, Expectation<T>>(detector_, start, mass, projectile, group_, hits).run(all);
+    }
+  }
+
+  void count_hits(std::size_t k, CovarianceRow& row) const {
+    row.clusters = row.wires = 0;
+    for (const Slot<T>& slot : group_.slots)
+      if (lane(slot.met, static_cast<int>(k))) ++(slot.view == View::wire ? row.wires : row.clusters);
+  }
+
+  FitStatus status(int i, const mask_of<T>& valid) const {
+    if (group_.reached[static_cast<std::size_t>(i)] <= parameters) {
+      if (lane(group_.left, i)) return FitStatus::left_field;
+      return lane(group_.stopped, i) ? FitStatus::stopped : FitStatus::too_few_hits;
+    }
+    return lane(valid, i) ? FitStatus::ok : FitStatus::not_positive_definite;
+  }
+
+  static void write(const Symmetric<T>& covariance, int i, CovarianceRow& row) {
+    for (std::size_t e = 0; e < covariance_entries; ++e)
+      row.covariance[e] = row.status == FitStatus::ok ? lane(covariance.v[e], i) : std::nan("");
+  }
+
+  // Adds the sums of the lanes to the budgets of their points.
+  void flush(std::size_t first, std::size_t n) {
+    for (std::size_t term = 0; term < terms_.size(); ++term) {
+      for (std::size_t e = 0; e < budget_entries; ++e) {
+        for (std::size_t k = 0; k < n; ++k)
+          out_.budget[point(first + k) * terms_.size() + term][e] +=
+              lane(terms_[term][e], static_cast<int>(k));
+        terms_[term][e] = 0.0;
+      }
+    }
+  }
+
+  const Detector& detector_;
+  const CovarianceInput& input_;
+  const CovarianceSettings& settings_;
+  const CovarianceOutput& out_;
+  BudgetTerms names_;
+  Group<T> group_;
+  std::vector<TermOf<T>> terms_;  // sums of the present lanes; empty without budget
+};
+
+}  // namespace cgemit

@@ -1,0 +1,76 @@
+// Covariance of a track's helix without events: the fit's own reference trajectory and filter with the hits
+// that the track is expected to leave, and the exact split of the variances by measurement and scatterer.
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include "common/status.hpp"
+#include "kalman/group.hpp"
+
+namespace cgemit {
+
+// Default values are in `cgemit.covariance`.
+struct CovarianceSettings {
+  // Errors of X and V of each CGEM layer, mm; 0: strips fire where the path touches them, and the error
+  // follows from the number of strips, as in the fit.
+  std::vector<double> sigma_x, sigma_v;
+  double least_width, delta_strips;  // as in the fit
+  bool sides_known;                  // whether a wire hit tells its side
+  std::uint64_t seed;                // of wire efficiencies
+  std::array<double, 5> prior_sigma;
+};
+
+// Tracks from the origin. `samples` tracks in a row belong to one point; they share its entry of the budget.
+// `phases`: for each of the samples a number from 0 to 1 for X and V of every CGEM layer, which determines
+// where the strips lie under the path.
+struct CovarianceInput {
+  std::span<const double> psi, kappa, tanl, mass;
+  std::size_t samples;
+  std::span<const double> phases;
+
+  std::size_t tracks() const { return psi.size(); }
+};
+
+// Entries of a term of the budget: variances of (d, psi, kappa, z0, tanl), and the covariance of kappa and
+// tanl.
+inline constexpr std::size_t budget_entries = 6;
+using BudgetTerm = std::array<double, budget_entries>;
+
+// Terms of the budget: X and V of every CGEM layer, every layer of wires, scattering and straggling of every
+// slab, the filter's prior.
+struct BudgetTerms {
+  std::size_t cgem, wires, slabs;
+
+  explicit BudgetTerms(const Detector& detector)
+      : cgem(detector.cgem.size()), wires(detector.wires.size()), slabs(detector.slabs.size()) {}
+  std::size_t cluster(std::size_t layer, View view) const { return 2 * layer + (view == View::v ? 1 : 0); }
+  std::size_t wire(std::size_t layer) const { return 2 * cgem + layer; }
+  std::size_t scattering(std::size_t slab) const { return 2 * cgem + wires + 2 * slab; }
+  std::size_t straggling(std::size_t slab) const { return scattering(slab) + 1; }
+  std::size_t prior() const { return 2 * cgem + wires + 2 * slabs; }
+  std::size_t size() const { return prior() + 1; }
+};
+
+inline constexpr std::size_t covariance_entries = 15;  // upper triangle, row by row
+
+struct CovarianceRow {
+  std::array<double, covariance_entries> covariance;  // of (d, psi, kappa, z0, tanl)
+  std::int32_t clusters, wires;
+  FitStatus status;
+};
+
+// One row per track. `budget` may be null; otherwise it holds `BudgetTerms` for each point: sums over its
+// tracks with status ok.
+struct CovarianceOutput {
+  CovarianceRow* rows;
+  BudgetTerm* budget;
+};
+
+// The scalar code without SIMD lanes.
+void covariances(const Detector& detector, const CovarianceInput& input, const CovarianceSettings& settings,
+                 const CovarianceOutput& output);
+
+}  // namespace cgemit
