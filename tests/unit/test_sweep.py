@@ -16,6 +16,7 @@ import pytest
 import cgemit as cg
 from cgemit.cli.main import main
 from cgemit.detector import Detector
+from cgemit.fit import FitStatus
 from cgemit.study import grid, latin_hypercube, sobol, sweep
 from cgemit.study.samples import seed_of
 from cgemit.study.sweeps.evaluate import GROUPS, error_of_difference
@@ -216,6 +217,25 @@ def test_simulated_resolutions_are_those_of_a_run(tmp_path: Path) -> None:
         assert found.columns[f"delta_sigma_{name} ({unit})"][3] == variant - base
     assert found.columns["delta_sigma_dr (um)"][:2] == [0, 0]
     assert found.columns["delta_sigma_dr_error (um)"][:2] == [0, 0]
+
+
+def test_analytic_resolutions_are_those_of_the_covariance() -> None:
+    space = {"cgem.*.pitch_x": ["900 um"], "drift_chamber.sigma": ["x1", "x2"]}
+    found = sweep(DESIGN, space, p=[0.01, 0.3, 1.0], cos_theta=[0.2, (-0.5, 0.5)], particle="pi+", chunk=2)
+    one, mixed = (cg.analytic(found.detector(2), "pi+", [0.01, 0.3, 1.0], c) for c in (0.2, (-0.5, 0.5)))
+    rows = slice(12, 18)  # of variant 2: momenta, and for each the two angles
+    assert found.columns["cos_theta"][rows] == ["0.2", "-0.5:0.5"] * 3
+    for name, header, scale in (("p", "sigma_p (MeV/c)", 1e3), ("dr", "sigma_dr (um)", 1e3), ("dz", "sigma_dz (mm)", 1),
+                                ("theta", "sigma_theta (mrad)", 1e3), ("tanl", "sigma_tanl (1e-3)", 1e3)):  # fmt: skip
+        expected = scale * np.array([one.sigma(name), mixed.sigma(name)]).T.ravel()
+        np.testing.assert_array_equal(found[header][rows], expected)
+    assert found.columns["tracks"][rows][::2] == [FitStatus(int(status)).name for status in one.status]
+    assert found.columns["tracks"][12] != "ok" == found.columns["tracks"][14]
+    assert found.columns["sigma_p (MeV/c)"][16] > 1.5 * found.columns["sigma_p (MeV/c)"][10]
+    read_out = cg.Settings(digitize=cg.DigitizeSettings(readout=cg.GaussianReadout(sigma_x=0.3, sigma_v=0.3)))
+    changed = sweep(DESIGN, space, settings=read_out)
+    expected = cg.analytic(changed.detector(1), readout=read_out.digitize.readout).sigma("dr")
+    assert changed.columns["sigma_dr (um)"][1] == pytest.approx(1e3 * float(expected), rel=1e-12)
 
 
 def test_error_of_a_difference_of_widths_of_the_same_events() -> None:

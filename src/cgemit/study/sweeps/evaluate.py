@@ -12,6 +12,7 @@ from typing import Any, Literal
 import numpy as np
 
 from cgemit import chain
+from cgemit.covariance import analytic
 from cgemit.detector import Detector
 from cgemit.fit import FitStatus
 from cgemit.gun import Gun
@@ -50,7 +51,7 @@ class Evaluation:
     particle : str or int
     p : tuple of float, GeV/c
     cos_theta : tuple of float or (float, float)
-        Values, or for "mc" ranges.
+        Values or uniform ranges.
     events, seed : int
         Of "mc", for each point.
     settings : Settings or None
@@ -71,10 +72,8 @@ class Evaluation:
         if self.function is not None:
             return {"method": self.method, "function": identity(self.function)}
         found: dict[str, Any] = {"method": self.method, "particle": self.particle, "points": self.points()}
-        if self.method == "mc":
-            settings = (self.settings or Settings()).to_dict()
-            found |= {"events": self.events, "seed": self.seed, "settings": settings, "groups": GROUPS}
-        return found
+        found["settings"] = (self.settings or Settings()).to_dict()
+        return found | ({"events": self.events, "seed": self.seed, "groups": GROUPS} if self.method == "mc" else {})
 
     def points(self) -> list[dict[str, Any]]:
         """Return momentum and angle of every point; one point without them for a function."""
@@ -105,8 +104,25 @@ def column(name: str, quantity: str) -> str:
 
 
 def analytic_points(detector: Detector, evaluation: Evaluation) -> list[dict[str, Any]]:
-    """Return the resolutions of every point from the covariance, without events."""
-    raise NotImplementedError("analytic")
+    """Return the core resolutions of every point from the covariance, without events.
+
+    `reached` is the fraction of tracks with a covariance; `tracks` says how most of the others ended.
+    """
+    settings = evaluation.settings or Settings()
+    how: dict[str, Any] = {
+        "readout": settings.digitize.readout, "reveal_sides": settings.digitize.reveal_sides,
+        "fit": chain.fit_settings(settings), "threads": 1,
+    }  # fmt: skip
+    p = np.array(evaluation.p, np.float64)
+    found = [analytic(detector, evaluation.particle, p, one, **how) for one in evaluation.cos_theta]
+    columns = {column(f"sigma_{name}", name): (name, scale) for name, (_, scale) in QUANTITIES.items()}
+    sigmas = [{header: scale * one.sigma(name) for header, (name, scale) in columns.items()} for one in found]
+    return [
+        {header: float(values[i]) for header, values in sigma.items()}
+        | {"reached": float(one.reached[i]), "tracks": FitStatus(int(one.status[i])).name}
+        for i in range(len(p))
+        for sigma, one in zip(sigmas, found, strict=True)
+    ]
 
 
 def _simulated(

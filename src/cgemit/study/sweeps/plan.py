@@ -37,10 +37,10 @@ KEYS: dict[str, dict[str, str]] = {
         "seed": "seed of a sample (default 1)",
     },
     "evaluate": {
-        "method": '"analytic", "mc" or "FILE.py:FUNCTION", relative to the plan',
+        "method": '"analytic" (default), "mc" or "FILE.py:FUNCTION", relative to the plan',
         "particle": 'name or PDG number (default "mu-")',
         "p": "momentum or list of momenta, GeV/c or with a unit (default 1)",
-        "cos_theta": 'number, list of numbers, or "LOW:HIGH" of simulated tracks (default 0)',
+        "cos_theta": 'number, "LOW:HIGH" for a uniform range, or a list of these (default 0)',
         "events": "simulated events for each variant, momentum and angle (default 2000)",
         "seed": "seed of the simulation (default 1)",
         "chunk": "variants in one chunk",

@@ -29,7 +29,7 @@ def sweep(
     base: Detector | str | Mapping[str, Any],
     space: Space | Mapping[str, Sequence[Any]] | Sequence[Changes],
     *,
-    evaluate: Literal["analytic", "mc"] | Function = "mc",
+    evaluate: Literal["analytic", "mc"] | Function = "analytic",
     particle: str | int = "mu-",
     p: float | Sequence[float] = 1.0,
     cos_theta: CosTheta | Sequence[CosTheta] = 0.0,
@@ -59,12 +59,12 @@ def sweep(
         of numbers.
     particle : str or int
     p : float or list of float, GeV/c
-    cos_theta : float or list of float
-        For "mc" also (low, high), a uniform range.
+    cos_theta : float, (float, float), or list of these
+        A pair is a uniform range.
     events, seed : int
         Of "mc", for each variant, momentum and angle.
     settings : Settings, optional
-        Of "mc": all stages.
+        Of all stages; "analytic" uses read-out and fit.
     executor : concurrent.futures.Executor, optional
         Default: a thread pool of all cores. Dask: ``client.get_executor()``.
     output : path, optional
@@ -133,9 +133,6 @@ def _check(evaluation: Evaluation, part: tuple[int, int] | None, chunk: int | No
     problems = []
     if evaluation.method not in CHUNK:
         problems.append(f"evaluate: got {evaluation.method!r}, expected 'analytic', 'mc' or a function")
-    for one in evaluation.cos_theta:
-        if isinstance(one, tuple) and evaluation.method == "analytic":
-            problems.append(f"cos_theta: got the range {one}, expected numbers unless tracks are simulated")
     if chunk is not None and not is_whole(chunk, 1, 1_000_000):
         problems.append(f"chunk: got {chunk!r}, expected a whole number from 1 to 1000000")
     if part is not None and not (is_whole(part[1], 1, 1_000_000) and is_whole(part[0], 0, part[1] - 1)):
