@@ -109,7 +109,7 @@ def compiled_for_fit(detector: Detector, settings: FitSettings) -> _core.Detecto
     detector : Detector
     settings : FitSettings
     """
-    return compiled(detector, screening=settings.screening or SCREENINGS[0], loss=settings.loss)
+    return compiled(detector, screening=settings.screening or SCREENINGS[0], loss=settings.loss, gaps=False)
 
 
 def core_arguments(

@@ -256,7 +256,7 @@ def test_a_study_in_a_map_that_is_too_small_says_so(narrow_map, tmp_path, capsys
 def test_resolutions_in_a_map_that_is_too_small_say_so(narrow_map, tmp_path, capsys):
     assert main([*RESOLUTION, "--field", narrow_map, "-o", str(tmp_path / "out")]) == 3
     captured = capsys.readouterr()
-    begin = "cgemit: besiii-cgem-design-modified: at 0.5, 1 GeV/c: 0 of 120 tracks fitted"
+    begin = "cgemit: besiii-cgem-design+field=narrow: at 0.5, 1 GeV/c: 0 of 120 tracks fitted"
     assert captured.err.startswith(begin)
     assert "transport: left_field 120 of 120; fit: " in captured.err
     assert ENDS in captured.err
@@ -277,8 +277,8 @@ def test_changes_apply_to_every_detector(tmp_path):
     assert main(arguments) == 0
     files = sorted((tmp_path / "out").glob("detector-*.toml"))
     assert [(load(file).name, load(file).field.bz) for file in files] == [
-        ("besiii-cgem-design-modified", 1.5),
-        ("besiii-idc-modified", 1.5),
+        ("besiii-cgem-design+field.bz=1.5T", 1.5),
+        ("besiii-idc+field.bz=1.5T", 1.5),
     ]
 
 

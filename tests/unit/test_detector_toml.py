@@ -173,8 +173,10 @@ def test_bases_that_lead_in_a_circle(tmp_path: Path) -> None:
 def test_overrides_name_the_result() -> None:
     base = load("besiii-idc")
     changed = base.with_overrides({"field.bz": "0.9 T"})
-    assert changed.name == "besiii-idc-modified"
-    assert changed.with_overrides({"drift_chamber.sigma": "1 mm"}).name == "besiii-idc-modified"
+    assert changed.name == "besiii-idc+field.bz=0.9T"
+    assert changed.with_overrides({"drift_chamber.sigma": "1 mm"}).name.endswith(
+        "+field.bz=0.9T+drift_chamber.sigma=1mm"
+    )
     assert base.with_overrides({"name": "mine"}).name == "mine"
 
 

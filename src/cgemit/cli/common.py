@@ -25,6 +25,7 @@ OK, BAD_INPUT, RUN_FAILED, INTERRUPTED = 0, 2, 3, 130
 COMMANDS = {
     "study": "study",
     "resolution": "resolution",
+    "sweep": "sweep",
     "simulate": "simulate",
     "slab": "slab",
     "detectors": "detector",
@@ -82,7 +83,7 @@ def add_detector(parser: argparse.ArgumentParser, *, several: bool = False) -> N
     parser.add_argument(
         "--name", metavar="NAME",
         help=("with one detector: " if several else "") + "what results call it (default: its own name, "
-        "with -modified after --set or --field)",
+        "with what --set and --field change)",
     )  # fmt: skip
 
 

@@ -9,9 +9,10 @@ from typing import Any
 from cgemit.detector import check
 from cgemit.detector.field import KINDS, Field, MapField, kind_key
 from cgemit.detector.field.files import read_field_map
-from cgemit.detector.files import FOR_ALL_LAYERS, map_path
-from cgemit.detector.keys import CENTRED, keys_of
+from cgemit.detector.files import map_path
+from cgemit.detector.keys import CENTRED, keys_of, plain
 from cgemit.detector.materials import library, read_materials
+from cgemit.detector.merge import FOR_ALL_LAYERS
 from cgemit.detector.parts import CgemLayer, Contents, Cylinder, DriftChamber, WireLayer
 from cgemit.detector.read import NAME, TOP_LEVEL, UNUSABLE, Reader, shown
 from cgemit.problems import DetectorError, Problem, did_you_mean
@@ -57,11 +58,13 @@ def _text(reader: Reader, name: str, raw: object) -> str:
 
 
 def _field(reader: Reader, raw: object) -> Field:
+    if isinstance(raw, Field):
+        return raw
     if raw is None:
         if not reader.baseless:
             reader.note("field", "nothing", 'a table [field] with kind = "uniform" and bz')
         return Field(kind="uniform", bz=UNUSABLE)
-    given = reader.mapping("field", raw).get("kind")
+    given = plain(reader.mapping("field", raw).get("kind"))
     if given is not None and given not in KINDS:
         reader.value("field.kind", given, kind_key())
         return Field(kind="uniform", bz=UNUSABLE)
@@ -100,7 +103,9 @@ def _read_map(reader: Reader, values: dict[str, Any]) -> None:
 def _cylinders(reader: Reader, group: str, raw: object) -> tuple[Cylinder, ...]:
     tables = reader.mapping(group, raw)
     found = [
-        Cylinder(label=label, **reader.table(f"{group}.{label}", table, Cylinder, siblings=tables))
+        table
+        if isinstance(table, Cylinder)
+        else Cylinder(label=label, **reader.table(f"{group}.{label}", table, Cylinder, siblings=tables))
         for label, table in tables.items()
     ]
     return tuple(sorted(found, key=lambda part: part.r_in))
@@ -110,6 +115,9 @@ def _cgem(reader: Reader, raw: object) -> tuple[CgemLayer, ...]:
     found = []
     tables = reader.mapping("cgem", raw)
     for label, table in tables.items():
+        if isinstance(table, CgemLayer):
+            found.append(table)
+            continue
         values = reader.table(f"cgem.{label}", table, CgemLayer, siblings=tables)
         complete_layer(values)
         found.append(CgemLayer(label=label, **values))
@@ -133,7 +141,9 @@ def _chamber(reader: Reader, raw: object) -> DriftChamber | None:
     layers = []
     for number, row in rows.items():
         path = f"drift_chamber.layers.{number}"
-        if str(number).isdecimal():
+        if isinstance(row, WireLayer):
+            layers.append(row)
+        elif str(number).isdecimal():
             found = reader.table(path, row, WireLayer, defaults=common, siblings=rows)
             layers.append(WireLayer(number=int(number), **found))
         else:

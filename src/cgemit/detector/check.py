@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from functools import lru_cache
 from itertools import pairwise
 from typing import Any
 
@@ -50,9 +51,11 @@ def _coil_problems(detector: Contents) -> list[Problem]:
     ]
 
 
-def _part_problems(path: str, part: Any) -> list[Problem]:
+@lru_cache(maxsize=4096)
+def _part_problems(path: str, part: Any) -> tuple[Problem, ...]:
     problems = []
-    for name, key in keys_of(type(part)).items():
+    kind: Any = type(part)
+    for name, key in keys_of(kind).items():
         value = getattr(part, name)
         if isinstance(value, int | float) and not isinstance(value, bool) and not key.admits(value):
             shown = format_quantity(value, key.kind) if key.kind in NATIVE else str(value)
@@ -61,7 +64,7 @@ def _part_problems(path: str, part: Any) -> list[Problem]:
             problems.append(Problem(f"{path}.{name}", f'"{value.name}", which is no gas', key.expected()))
         elif key.choices and value not in key.choices:
             problems.append(Problem(f"{path}.{name}", repr(value), key.expected()))
-    return problems
+    return tuple(problems)
 
 
 def geometry_problems(

@@ -49,34 +49,63 @@ def slab_table(found: Sequence[Slab]) -> SlabTable:
         first (n + 1,) int32.
 
     """
-    columns: Columns = {"half_length": np.array([max(shell.half_length for shell in s.shells) for s in found])}
-    for name in ("r_in", "r_out", "radius", "spread", "x0", "xi"):
-        columns[name] = np.array([getattr(slab, name) for slab in found], dtype=np.float64)
+    rows = [_row(slab) for slab in found]
+    numbers = np.array([row.numbers for row in rows], dtype=np.float64).reshape(-1, len(_NUMBERS)).T
+    columns: Columns = dict(zip(_NUMBERS, numbers.copy(), strict=True))
     columns["gap"] = np.array([slab.gap for slab in found], dtype=np.int32)
     columns["ends"] = np.array([slab.ends for slab in found], dtype=np.uint8)
+    terms = np.array([row.log_terms for row in rows]).reshape(-1, _core.LOSS_POINTS)
+    elements = np.array([element for row in rows for element in row.elements], dtype=np.float64).reshape(-1, 3).T
+    first = np.cumsum([0, *(len(row.elements) for row in rows)]).astype(np.int32)
+    composition: Columns = dict(zip(("z", "a", "moles"), elements.copy(), strict=True))
+    return SlabTable(columns, terms, {"first": first, **composition})
+
+
+_NUMBERS = ("half_length", "r_in", "r_out", "radius", "spread", "x0", "xi")
+
+
+class _Row(NamedTuple):
+    """What the core needs of a slab: the columns `_NUMBERS`, the Bethe logarithm, (Z, A, mol/cm2) of its elements."""
+
+    numbers: tuple[float, ...]
+    log_terms: NDArray[np.float64]
+    elements: tuple[tuple[float, float, float], ...]
+
+
+@lru_cache(maxsize=4096)
+def _row(slab: Slab) -> _Row:
+    """Return the row of a slab; most slabs of a variant are those of its base."""
+    half_length = max(shell.half_length for shell in slab.shells)
+    numbers = (half_length, *(float(getattr(slab, name)) for name in _NUMBERS[1:]))
+    moles: dict[Element, float] = {}
+    for shell in slab.shells:
+        for element, per_gram in _elements(shell.material):
+            part = per_gram * shell.material.density * 0.1 * shell.thickness
+            moles[element] = moles.get(element, 0.0) + part
+    terms = [shell.xi * _log_term(shell.material) for shell in slab.shells]
+    log_terms = np.asarray(np.sum(terms, axis=0) / slab.xi, dtype=np.float64)
+    return _Row(numbers, log_terms, tuple((element.z, element.a, amount) for element, amount in moles.items()))
+
+
+@lru_cache(maxsize=512)
+def _log_term(material: Material) -> NDArray[np.float64]:
     grid = _core.LOSS_GRID_FIRST + _core.LOSS_GRID_STEP * np.arange(_core.LOSS_POINTS, dtype=np.float64)
-    terms = np.array([slab.log_term(grid) for slab in found]).reshape(-1, _core.LOSS_POINTS)
-    return SlabTable(columns, terms, _composition(found))
+    return material.log_term(grid)
 
 
-def _composition(found: Sequence[Slab]) -> Columns:
-    rows: list[tuple[float, float, float]] = []
-    first = [0]
-    for slab in found:
-        moles: dict[Element, float] = {}
-        for shell in slab.shells:
-            for element, per_gram in shell.material.elements():
-                part = per_gram * shell.material.density * 0.1 * shell.thickness
-                moles[element] = moles.get(element, 0.0) + part
-        rows += [(element.z, element.a, amount) for element, amount in moles.items()]
-        first.append(len(rows))
-    z, a, amounts = np.array(rows, dtype=np.float64).reshape(-1, 3).T
-    return {"first": np.array(first, dtype=np.int32), "z": z.copy(), "a": a.copy(), "moles": amounts.copy()}
+@lru_cache(maxsize=512)
+def _elements(material: Material) -> tuple[tuple[Element, float], ...]:
+    return tuple(material.elements())
 
 
-@lru_cache(maxsize=64)
 def compiled(
-    detector: Detector, merge: bool = True, screening: str = "wentzel", foil: str = "effective", loss: str = "truncated"
+    detector: Detector,
+    merge: bool = True,
+    screening: str = "wentzel",
+    foil: str = "effective",
+    loss: str = "truncated",
+    *,
+    gaps: bool = True,
 ) -> _core.Detector:
     """Return the detector of the compiled core; equal descriptions share one.
 
@@ -90,12 +119,20 @@ def compiled(
         Screening of nuclei in multiple scattering, ``"wentzel"`` or ``"moliere"`` (docs/methods/matter.md).
     loss : str
         Energy loss that the fit subtracts (``FitSettings.loss``).
+    gaps : bool
+        Whether to make the tables of ionization and electrons in the drift gaps, which only the simulation reads and
+        which take most of the time.
 
     Raises
     ------
     ValueError
         If ``CGEMIT_ISA`` names an instruction set that is not available.
     """
+    return _compiled(detector, merge, screening, foil, loss, gaps)
+
+
+@lru_cache(maxsize=64)
+def _compiled(detector: Detector, merge: bool, screening: str, foil: str, loss: str, gaps: bool) -> _core.Detector:
     isa.choose()
     found = slabs(detector, merge, foil)
     groups = [slab.shells[0].group for slab in found]
@@ -106,7 +143,7 @@ def compiled(
         wires=wire_table(detector.drift_chamber),
         screening=getattr(_core.Screening, screening),
         lattice=hole_table([slab.holes for slab in found], groups, merge) if foil == "lattice" else {},
-        gaps=gap_table(detector),
+        gaps=gap_table(detector) if gaps else [],
         loss=getattr(_core.CoreLoss, loss),
         field=compiled_field(detector),
     )

@@ -5,7 +5,7 @@ import math
 from typing import Any
 
 from cgemit.detector.field import field_text
-from cgemit.detector.keys import keys_of
+from cgemit.detector.keys import keys_of, opened
 from cgemit.detector.material import DensityEffect, Material
 from cgemit.detector.materials import library
 from cgemit.detector.parts import CgemLayer, Contents, SubLayer, WireLayer
@@ -155,6 +155,19 @@ def to_dict(detector: Contents) -> dict[str, Any]:
     return {name: value for name, value in tables.items() if value != {}}
 
 
+def tables_of(detector: Contents) -> dict[str, Any]:
+    """Return the tables of a complete detector file with its parts as they are, for variants (`files.merged`)."""
+    tables: dict[str, Any] = {"name": detector.name, "description": detector.description, "field": detector.field}
+    tables |= {group: {part.label: part for part in getattr(detector, group)} for group in _GROUPS}
+    if detector.drift_chamber:
+        layers = {str(layer.number): layer for layer in detector.drift_chamber.layers}
+        tables["drift_chamber"] = opened(detector.drift_chamber) | {"layers": layers}
+    return tables | {"materials": {material.name: material for material in own_materials(detector)}}
+
+
+_GROUPS = ("beam_pipe", "cgem", "walls")
+
+
 def own_materials(detector: Contents) -> list[Material]:
     """Return the materials of a detector that differ from those that come with the program."""
     used = {m.name: m for m in materials_of(detector)}
@@ -177,7 +190,8 @@ def to_toml(detector: Contents) -> str:
 
 
 def _table(part: Any) -> dict[str, Any]:
-    found = {name: _value(getattr(part, name), key.kind) for name, key in keys_of(type(part)).items()}
+    kind: Any = type(part)
+    found = {name: _value(getattr(part, name), key.kind) for name, key in keys_of(kind).items()}
     return {name: value for name, value in found.items() if value not in ({}, "")}
 
 

@@ -7,7 +7,7 @@ Positions w are mm outward from the inner edge of the gap; energies keV.
 import csv
 import math
 from collections.abc import Sequence
-from functools import cache
+from functools import cache, lru_cache
 from importlib import resources
 from itertools import pairwise
 from typing import Any, NamedTuple
@@ -247,8 +247,12 @@ def slices(layer: CgemLayer) -> NDArray[np.float64]:
     return np.array(rows)
 
 
+@lru_cache(maxsize=64)
 def gap_columns(layer: CgemLayer) -> dict[str, Any]:
-    """Return a gap as the core takes it: dicts of columns (float64) and numbers, see ``detector/gap.hpp``."""
+    """Return a gap as the core takes it: dicts of columns (float64) and numbers, see ``detector/gap.hpp``.
+
+    Equal layers share one result, which must not be changed.
+    """
     shells = list(layer.shells())
     groups = _groups(shells, [shell.group for shell in shells].index("drift"))
     gap = [group[0].group for group in groups].index("drift")

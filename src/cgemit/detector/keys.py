@@ -3,7 +3,8 @@
 import dataclasses
 import math
 from dataclasses import dataclass
-from typing import Any
+from functools import cache
+from typing import Any, NamedTuple
 
 from cgemit.units import NATIVE, describe
 
@@ -59,13 +60,33 @@ def key(kind: str, doc: str, low: float = -float("inf"), high: float = float("in
     return {"key": Key(kind, doc, low, high, **more)}
 
 
-def keys_of(kind: type) -> dict[str, Key]:
+class Known(NamedTuple):
+    """A value of a part that was read before, in the tables of a variant: it needs neither parsing nor checking."""
+
+    value: Any
+
+
+def plain(value: Any) -> Any:
+    """Return a value of a table without `Known` around it."""
+    return value.value if isinstance(value, Known) else value
+
+
+def opened(part: Any) -> Any:
+    """Return a part that was read before as a table of `Known` values; anything else as it is."""
+    if not dataclasses.is_dataclass(part) or isinstance(part, type):
+        return part
+    return {name: Known(getattr(part, name)) for name in keys_of(type(part))}
+
+
+@cache
+def keys_of(kind: Any) -> dict[str, Key]:
     """Return the keys of a dataclass by name, in the order of its fields."""
     return {f.name: f.metadata["key"] for f in dataclasses.fields(kind) if "key" in f.metadata}
 
 
-def required_of(kind: type) -> set[str]:
+@cache
+def required_of(kind: Any) -> frozenset[str]:
     """Return the names of the keys that have neither a default nor a rule to derive them."""
     missing = dataclasses.MISSING
     fields = [f for f in dataclasses.fields(kind) if "key" in f.metadata]
-    return {f.name for f in fields if f.default is missing and not f.metadata["key"].derived}
+    return frozenset(f.name for f in fields if f.default is missing and not f.metadata["key"].derived)

@@ -79,6 +79,10 @@ class Material:
         metadata=key("text", "table of primary ionization of a gas", choices=GAS_TABLES, derived=True),
     )
 
+    def __hash__(self) -> int:
+        # Caches look up materials often; the hash of all fields would slow this down.
+        return hash((self.name, self.density, self.x0))
+
     def solid(self) -> "Material":
         """Return the matter between the holes: the same material undiluted."""
         if self.filling == 1:

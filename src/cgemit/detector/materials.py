@@ -56,7 +56,8 @@ def read_materials(reader: Reader, known: Mapping[str, Material], raw: Mapping[s
                 reader.note(f"materials.{name}.base", f'"{base}"', "the name of another material", hint)
                 found[name] = None
         for name in ready:
-            found[name] = _material(reader, name, waiting.pop(name), found)
+            table = waiting.pop(name)
+            found[name] = table if isinstance(table, Material) else _material(reader, name, table, found)
     return found
 
 

@@ -1,16 +1,20 @@
 """The detector as an immutable, checked dataclass of its parts, and how it is made from files."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from cgemit.detector import check, describe
+from cgemit.detector import check, describe, variants
 from cgemit.detector.build import read_contents
-from cgemit.detector.files import field_tables, merged, open_source, place_map, resolve, set_path
-from cgemit.detector.parts import Contents
+from cgemit.detector.files import field_tables, open_source, place_map, resolve
+from cgemit.detector.keys import Known
+from cgemit.detector.merge import merged, set_path
+from cgemit.detector.parts import CgemLayer, Contents, Cylinder
 from cgemit.detector.read import shown
 from cgemit.problems import DetectorError, Problem
+from cgemit.units import NATIVE
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,7 +53,8 @@ class Detector(Contents):
         """Return a variant: dotted keys of the detector file and their values.
 
         For example ``{"cgem.L2.pitch_x": "500 um"}``. Strip counts and stereo angles that depend on a changed value
-        are recomputed.
+        are recomputed. Labels may be patterns (``"cgem.*.pitch_x"``), several keys may stand together, separated by
+        commas, and numbers may be relative (``"x2"``, ``"+5 %"``). The name is made of what changed.
 
         Raises
         ------
@@ -58,6 +63,33 @@ class Detector(Contents):
 
         """
         return override(self, overrides)
+
+    @cached_property
+    def content_hash(self) -> str:
+        """Sixteen hexadecimal digits that name the content, whatever name and description are."""
+        return variants.content_hash(self)
+
+    def bounds(self, key: str) -> tuple[float, float]:
+        """Return the range of a number, in its native unit, for which the detector is possible with all else kept.
+
+        Parameters
+        ----------
+        key : str
+            Dotted key, which may be a pattern if all values that it matches are equal.
+
+        Returns
+        -------
+        (float, float)
+            The lowest and the highest allowed value. Neighbouring parts then touch, or the sensible range of the key
+            ends.
+
+        Raises
+        ------
+        DetectorError
+            If the key does not stand for one number.
+
+        """
+        return bounds(self, key)
 
     def with_field(self, source: "str | Path | Mapping[str, Any]") -> "Detector":
         """Return the same detector in another field: a preset (see `fields`), a map, a TOML file, or a table [field].
@@ -99,21 +131,65 @@ def override(detector: Detector, overrides: Mapping[str, object]) -> Detector:
     """Return the detector with some values changed; see `Detector.with_overrides`."""
     problems: list[Problem] = []
     variant: dict[str, Any] = {}
-    for path, value in overrides.items():
+    for path, value in variants.expanded(detector, overrides, problems).items():
         if path == "base":
             problems.append(Problem(path, shown(value), "a value of the detector; load another base instead"))
         elif not set_path(variant, path, value):
             problems.append(Problem(path, shown(value), "a value whose table is not itself overridden by a value"))
-    tables = merged(describe.to_dict(detector), place_map(variant, None), problems)
-    if "name" not in variant and overrides:
-        tables["name"] = detector.name.removesuffix("-modified") + "-modified"
+    tables = merged(describe.tables_of(detector), place_map(variant, None), problems)
+    if "name" not in variant:
+        tables["name"] = variants.variant_name(detector.name, overrides)
     return build(detector.name, tables, problems)
 
 
 def replace_field(detector: Detector, source: str | Path | Mapping[str, Any]) -> Detector:
     """Return the detector in another field; see `Detector.with_field`."""
-    tables = describe.to_dict(detector) | {"field": field_tables(source)}
-    return build(detector.name, tables | {"name": detector.name.removesuffix("-modified") + "-modified"}, [])
+    tables = describe.tables_of(detector) | {"field": field_tables(source)}
+    text = dict(source) if isinstance(source, Mapping) else Path(source).stem
+    return build(detector.name, tables | {"name": variants.variant_name(detector.name, {"field": text})}, [])
+
+
+def bounds(detector: Detector, key: str) -> tuple[float, float]:
+    """Return the allowed range of a number; see `Detector.bounds`."""
+    problems: list[Problem] = []
+    paths = list(variants.matching(detector, key, problems))
+    now = [variants.value_at(detector, path) for path in paths]
+    numbers = [found for found in now if found and (found[1].kind in NATIVE or found[1].kind == "integer")]
+    if not numbers or len(numbers) < len(now) or len({number for number, _ in numbers}) > 1:
+        given = "different values: " + ", ".join(f"{n:g}" for n, _ in numbers) if len(numbers) > 1 else "no number"
+        problems = problems or [Problem(key, given, "the dotted key of one number")]
+        raise DetectorError(detector.name, problems)
+    start, limits = numbers[0]
+    order = _order(detector)
+
+    def allowed(value: float) -> bool:
+        try:  # a part that has jumped over its neighbour is beyond the range
+            return _order(override(detector, dict.fromkeys(paths, Known(value)))) == order
+        except DetectorError:
+            return False
+
+    whole = limits.kind == "integer"
+    low, high = (_edge(allowed, start, end, whole) for end in (limits.low, limits.high))
+    return low, high
+
+
+def _order(detector: Detector) -> list[str]:
+    """Return the parts from inside outward."""
+    parts: list[Cylinder | CgemLayer] = [*detector.beam_pipe, *detector.cgem, *detector.walls]
+    found = [(part.r_in, part.label) for part in parts]
+    if detector.drift_chamber:
+        found += [(layer.r_mid, str(layer.number)) for layer in detector.drift_chamber.layers]
+    return [label for _, label in sorted(found)]
+
+
+def _edge(allowed: Callable[[float], bool], inside: float, outside: float, whole: bool) -> float:
+    """Return the value nearest to `outside` that is allowed, by bisection from `inside`, which is."""
+    if allowed(outside):
+        return outside
+    while abs(outside - inside) > (1 if whole else 1e-9 * max(1.0, abs(inside))):
+        middle = (inside + outside) // 2 if whole else 0.5 * (inside + outside)
+        inside, outside = (middle, outside) if allowed(middle) else (inside, middle)
+    return inside
 
 
 def build(source: str, tables: Mapping[str, Any], problems: list[Problem]) -> Detector:

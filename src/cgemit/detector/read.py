@@ -2,10 +2,11 @@
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import cache
 from typing import Any
 
-from cgemit.detector.keys import CENTRED, Key, keys_of, required_of
+from cgemit.detector.keys import CENTRED, Key, Known, keys_of, required_of
 from cgemit.detector.material import DensityEffect, Material, elements, fractions_of_formula
 from cgemit.detector.parts import CgemLayer, SubLayer
 from cgemit.problems import Problem, did_you_mean
@@ -92,7 +93,7 @@ class Reader:
             Labels of the tables beside this one, to recognise a misspelt label.
 
         """
-        keys = {**keys_of(kind), **EXTRA.get(kind, {})}
+        keys = _keys(kind)
         values = dict(defaults or {})
         tables = self.mapping(path, raw)
         for name, value in tables.items():
@@ -101,18 +102,31 @@ class Reader:
             else:
                 known = [*keys, *elsewhere]
                 self.note(f"{path}.{name}", "an unknown key", "one of " + ", ".join(known), did_you_mean(name, known))
-        missing = [name for name in keys if name in required_of(kind) - values.keys()]
+        left = required_of(kind) - values.keys()
+        missing = [name for name in keys if name in left] if left else []
         if missing and not self.baseless and isinstance(raw, Mapping):
             self.note(path, _only(raw), "also " + ", ".join(missing), _label_hint(path, siblings))
         return {**values, **{name: _unusable(keys[name]) for name in missing}}
 
     def value(self, path: str, raw: object, key: Key) -> Any:
         """Return one value in native units, or UNUSABLE after noting what is wrong."""
+        if isinstance(raw, Known):
+            return self._known(raw.value)
         if key.kind in NATIVE:
             return self._quantity(path, raw, key)
         if key.kind in ("text", "boolean", "integer", "sign"):
             return self._plain(path, raw, key)
         return getattr(self, f"_{key.kind}")(path, raw, key)
+
+    def _known(self, value: Any) -> Any:
+        """Return a value of a part that was read before; materials of the same name may have changed since."""
+        if isinstance(value, Material):
+            return self.materials.get(value.name) or value
+        if isinstance(value, tuple) and value and isinstance(value[0], SubLayer):
+            materials = [self._known(part.material) for part in value]
+            if any(new is not part.material for new, part in zip(materials, value, strict=True)):
+                return tuple(replace(part, material=new) for new, part in zip(materials, value, strict=True))
+        return value
 
     def _quantity(self, path: str, raw: object, key: Key) -> Any:
         try:
@@ -202,6 +216,12 @@ class Reader:
         number = Key("dimensionless", "", -100.0, 100.0)
         values = [self._quantity(f"{path}.{name}", raw[name], number) for name in names]
         return DensityEffect(*values)
+
+
+@cache
+def _keys(kind: Any) -> dict[str, Key]:
+    """Return the keys that the table of a part may have in a file."""
+    return {**keys_of(kind), **EXTRA.get(kind, {})}
 
 
 def _unusable(key: Key) -> Any:

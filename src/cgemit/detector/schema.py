@@ -5,9 +5,9 @@ from collections.abc import Mapping
 from typing import Any
 
 from cgemit.detector.field import KINDS, kind_key
-from cgemit.detector.files import FOR_ALL_LAYERS
 from cgemit.detector.keys import CENTRED, Key, keys_of, required_of
 from cgemit.detector.material import DensityEffect, Material
+from cgemit.detector.merge import FOR_ALL_LAYERS
 from cgemit.detector.parts import CgemLayer, Cylinder, DriftChamber, SubLayer, WireLayer
 from cgemit.detector.read import EXTRA, NAME, TOP_LEVEL
 from cgemit.units import NATIVE, format_quantity, units_of
@@ -42,7 +42,7 @@ def _top(complete: bool) -> dict[str, Any]:
     kinds: dict[str, dict[str, Any]] = {
         "field": _field(complete),
         "beam_pipe": _labelled(_table(Cylinder, complete)),
-        "cgem": _labelled(_table(CgemLayer, complete)),
+        "cgem": _labelled(_layer(complete)),
         "walls": _labelled(_table(Cylinder, complete)),
         "drift_chamber": _chamber(complete),
         "materials": _labelled(_material()),
@@ -76,6 +76,23 @@ def _field(complete: bool) -> dict[str, Any]:
 
 def _labelled(table: dict[str, Any]) -> dict[str, Any]:
     return {"type": "object", "additionalProperties": table}
+
+
+_LIKE = "label of the layer that this one is a copy of"
+
+
+def _layer(complete: bool) -> dict[str, Any]:
+    """Return a CGEM layer: a copy of another one states what differs, and sub-layers of its stacks by label."""
+    partial = _table(CgemLayer, complete=False, more={"like": {"type": "string", "description": _LIKE}})
+    rows = _labelled(_table(SubLayer, complete=False))
+    for name, one in keys_of(CgemLayer).items():
+        if one.kind == "stack":
+            whole = partial["properties"][name]
+            about = {"description": whole.pop("description")}
+            partial["properties"][name] = about | {"if": {"type": "object"}, "then": rows, "else": whole}
+    if not complete:
+        return partial
+    return {"if": {"required": ["like"]}, "then": partial, "else": _table(CgemLayer, complete=True)}
 
 
 def _table(kind: type, complete: bool, more: Mapping[str, Any] | None = None) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 import dataclasses
 import math
 from collections.abc import Iterable, Iterator, Sequence
+from functools import lru_cache
 from itertools import groupby, pairwise
 from typing import NamedTuple
 
@@ -101,16 +102,24 @@ def slabs(detector: Contents, merge: bool = True, foil: str = "effective") -> li
 
     """
     solid = _cylinders("pipe", detector.beam_pipe, merge) + _cylinders("wall", detector.walls, merge)
+    foils = 0
     for number, layer in enumerate(detector.cgem):
-        lattice = foil == "lattice"
-        if lattice:
-            first = sum(other.foils for other in detector.cgem[:number])
-            solid += [Slab((shell,), holes=holes) for shell, holes in perforated(layer, first)]
-        for group in ("cathode", "drift", "anode") if lattice else ("cathode", "drift", "foils", "anode"):
-            shells = [shell for shell in layer.shells() if shell.group == group]
-            solid += [Slab(tuple(part), number if group == "drift" else -1) for part in _parts(shells, merge)]
+        solid += _layer(layer, number, foils, merge, foil == "lattice")
+        foils += layer.foils
     solid.sort(key=lambda slab: slab.r_in)
     return sorted(solid + _fillers(detector, solid, merge), key=lambda slab: slab.r_in)
+
+
+@lru_cache(maxsize=1024)
+def _layer(layer: CgemLayer, number: int, first_foil: int, merge: bool, lattice: bool) -> tuple[Slab, ...]:
+    """Return the slabs of a CGEM layer; `number` is its own, `first_foil` that of its first foil in the detector."""
+    found = []
+    if lattice:
+        found += [Slab((shell,), holes=holes) for shell, holes in perforated(layer, first_foil)]
+    for group in ("cathode", "drift", "anode") if lattice else ("cathode", "drift", "foils", "anode"):
+        shells = [shell for shell in layer.shells() if shell.group == group]
+        found += [Slab(tuple(part), number if group == "drift" else -1) for part in _parts(shells, merge)]
+    return tuple(found)
 
 
 def _parts(shells: Sequence[Shell], merge: bool) -> list[list[Shell]]:

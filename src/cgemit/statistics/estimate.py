@@ -142,6 +142,11 @@ def measure(
     )  # fmt: skip
 
 
+def core_sigma(sample: npt.ArrayLike) -> float:
+    """Return the sigma of the Gaussian within 3 of its sigmas of a sample, (n,), alone; NaN for fewer than 10 rows."""
+    return _core(np.sort(np.asarray(sample, np.float64)))[0]
+
+
 def _moments(x: Floats) -> tuple[float, float, float, float]:
     """Return standard deviation, its error, mean, its error.
 

@@ -8,6 +8,7 @@ from cgemit.study.paper import Reproduction, reproduce
 from cgemit.study.robustness import Outcome, run_scenario
 from cgemit.study.scans import Scan, scan
 from cgemit.study.scenarios import SCENARIOS, Scenario
+from cgemit.study.sweeps import Space, Sweep, grid, latin_hypercube, sobol, sweep
 
 __all__ = [
     "SCENARIOS",
@@ -21,11 +22,15 @@ __all__ = [
     "Resolution",
     "Scan",
     "Scenario",
+    "Space",
+    "Sweep",
     "chi2_flatness",
     "chi2_probability",
     "delta_displacements",
     "delta_fractions",
     "gaussian_fit",
+    "grid",
+    "latin_hypercube",
     "measure",
     "pulls",
     "reproduce",
@@ -33,4 +38,6 @@ __all__ = [
     "resolution_against",
     "run_scenario",
     "scan",
+    "sobol",
+    "sweep",
 ]

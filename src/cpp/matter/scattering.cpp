@@ -1,6 +1,8 @@
 #include "matter/scattering.hpp"
 
 #include <algorithm>
+#include <utility>
+#include <vector>
 
 namespace cgemit {
 
@@ -15,10 +17,17 @@ constexpr double screening_scale = 2.007e-5 * MeV * MeV;
 // The correction is 1 + slow/beta^2 with slow = 3.34 (Z alpha)^2.
 double slowness(double z) { return 3.34 * z * z * fine_structure * fine_structure; }
 
-double screening_of(double z, double per_beta2, Screening screening) {
-  const double geant = screening == Screening::wentzel && z >= 2 ? 1 + std::exp(-z * z / 1000) : 1.0;
-  return screening_scale * std::pow(z, 2.0 / 3.0) * (1 + slowness(z) * per_beta2) * geant;
-}
+// Screening of an element; its powers are computed once, not at every point of the tables.
+struct ScreeningOf {
+  double scale, slow, geant;
+
+  ScreeningOf(double z, Screening screening)
+      : scale(screening_scale * std::pow(z, 2.0 / 3.0)),
+        slow(slowness(z)),
+        geant(screening == Screening::wentzel && z >= 2 ? 1 + std::exp(-z * z / 1000) : 1.0) {}
+
+  double operator()(double per_beta2) const { return scale * (1 + slow * per_beta2) * geant; }
+};
 
 // Nuclear radius squared over 12, for the form factor (1 + (q R)^2/12)^-2 of an exponential charge
 // distribution, R = 1.27 A^0.27 fm; Butkevich et al., Nucl. Instrum. Methods A 488 (2002) 282.
@@ -29,11 +38,13 @@ double nuclear_size(double a) {
 
 // Transfer above which `wanted` scatters are expected at beta = 1; 0 if fewer are expected in all.
 double transfer_for(const Slab& slab, double wanted, Screening screening) {
+  std::vector<std::pair<double, double>> elements;  // strength and screening
+  for (const Component& c : slab.components)
+    elements.emplace_back(bethe_constant * electron_mass * c.z * (c.z + 1) * c.moles,
+                          ScreeningOf(c.z, screening)(1));
   const auto expected = [&](double q2) {
     double n = 0;
-    for (const Component& c : slab.components)
-      n +=
-          bethe_constant * electron_mass * c.z * (c.z + 1) * c.moles / (q2 + screening_of(c.z, 1, screening));
+    for (const auto& [strength, a2] : elements) n += strength / (q2 + a2);
     return n;
   };
   if (!(expected(0) > wanted)) return 0;
@@ -49,7 +60,7 @@ void prepare_hard(Slab& slab, Screening screening) {
   slab.hard.clear();
   slab.hard_rate = 0;
   for (const Component& c : slab.components) {
-    const double a2 = screening_of(c.z, 1, screening);
+    const double a2 = ScreeningOf(c.z, screening)(1);
     slab.hard_rate += bethe_constant * electron_mass * c.z * (c.z + 1) * c.moles / (slab.hard_from + a2);
     slab.hard.push_back({slab.hard_rate, c.z, a2, slowness(c.z), nuclear_size(c.a)});
   }
@@ -57,12 +68,15 @@ void prepare_hard(Slab& slab, Screening screening) {
 }
 
 void prepare_table(Slab& slab, Screening screening) {
+  std::vector<std::pair<double, ScreeningOf>> elements;  // chi_c^2 and screening
+  for (const Component& c : slab.components)
+    elements.emplace_back(bethe_constant * electron_mass * c.z * (c.z + 1) * c.moles,
+                          ScreeningOf(c.z, screening));
   for (int i = 0; i < loss_points; ++i) {
     const double bg = std::exp(loss_grid_first + i * loss_grid_step), per_beta2 = 1 + 1 / (bg * bg);
     double logs = 0, soft = 0;
-    for (const Component& c : slab.components) {
-      const double chi_c2 = bethe_constant * electron_mass * c.z * (c.z + 1) * c.moles;
-      const double a2 = screening_of(c.z, per_beta2, screening), ratio = slab.hard_from / a2;
+    for (const auto& [chi_c2, screening_at] : elements) {
+      const double a2 = screening_at(per_beta2), ratio = slab.hard_from / a2;
       logs += chi_c2 * std::log(a2);
       soft += 0.5 * chi_c2 * (std::log1p(ratio) - ratio / (1 + ratio));
     }

@@ -1,0 +1,134 @@
+"""`cgemit sweep`: many variants of a detector, from a plan."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cgemit.cli import changes, common, read
+
+if TYPE_CHECKING:
+    from cgemit.study.sweeps import Sweep
+
+_DESCRIPTION = """\
+Evaluate variants of a detector: a grid, a sample or a list of changes of its file, as a plan in TOML says
+(docs/sweeps.md). Writes sweep.csv, one row for each variant, momentum and angle, a picture, and each part of the
+results as soon as it is complete: the same command continues after an interruption."""
+
+_EXAMPLES = """\
+examples:
+  cgemit sweep plan.toml -o pitches
+  cgemit sweep plan.toml -o pitches --set evaluate.events=500 --set 'vary.cgem.*.pitch_x=["400 um", "600 um"]'
+  cgemit sweep plan.toml -o pitches --array-index 3/20     part 3 of 0 to 19, for HTCondor and Slurm (docs/farm.md)
+  cgemit sweep --merge pitches                             the table of all parts
+
+a plan:
+  base = "besiii-cgem-design"
+  [vary]
+  "cgem.*.pitch_x" = ["400 um", "650 um", "900 um"]
+  [evaluate]
+  p = [0.3, 1.0]"""
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the sub-command."""
+    parser = subparsers.add_parser(
+        "sweep", help="evaluate many variants of a detector", description=_DESCRIPTION, epilog=_EXAMPLES,
+        formatter_class=common.HelpFormatter,
+    )  # fmt: skip
+    parser.add_argument("plan", nargs="?", metavar="PLAN", help="what is varied and evaluated: a TOML file")
+    parser.add_argument("-o", "--output", metavar="DIR", help="folder for the results; parts that it holds are kept")
+    parser.add_argument("--overwrite", action="store_true", help="compute everything anew")
+    changes.add_set(parser, "change one value of the plan, such as evaluate.events=500; may be repeated")
+    parser.add_argument(
+        "--array-index", type=_part, metavar="I/N",
+        help="compute part I (0 to N - 1) of N parts only, and write no table",
+    )  # fmt: skip
+    parser.add_argument("--merge", metavar="DIR", help="write the table of a folder whose parts are complete")
+    parser.add_argument("--parquet", action="store_true", help="write sweep.parquet too (needs pyarrow)")
+    parser.add_argument("--json", action="store_true", help="write summary.json to stdout instead of the table")
+    parser.add_argument(
+        "--threads", type=read.positive, default=None, metavar="N",
+        help="number of threads (default: all cores); results do not depend on it",
+    )  # fmt: skip
+    common.add_common(parser)
+    parser.set_defaults(run=run)
+
+
+def _part(text: str) -> tuple[int, int]:
+    first, slash, last = text.partition("/")
+    if slash and first.isdecimal() and last.isdecimal() and int(first) < int(last):
+        return int(first), int(last)
+    raise argparse.ArgumentTypeError(f"got {text!r}; expected I/N with I from 0 to N - 1, such as 3/20")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the sweep, or merge one."""
+    from cgemit.study.sweeps.plan import read_plan
+
+    file, output = _places(arguments)
+    plan = read_plan(file, _changed(arguments.overrides))
+    how: dict[str, Any] = {"part": arguments.array_index, "overwrite": arguments.overwrite}
+    if arguments.merge is not None:
+        how["compute"] = False
+    with ExitStack() as stack:
+        progress = stack.enter_context(common.Progress("sweep", quiet=arguments.quiet))
+        if arguments.threads is not None:
+            how["executor"] = stack.enter_context(ThreadPoolExecutor(arguments.threads))
+        result = plan.run(output=output, progress=progress, **how)
+    missing = result.missing()
+    if arguments.merge is not None and missing:
+        raise common.RunFailedError(
+            f"{output}: {missing} of {len(plan.arguments['space']) + 1} variants are missing; "
+            f"cgemit sweep {Path(output) / 'plan.toml'} -o {output} computes them"
+        )
+    if arguments.merge is None:
+        plan.write(output)
+    if arguments.array_index is None:
+        _report(result, plan.draw, Path(output), arguments)
+    return 0
+
+
+def _places(arguments: argparse.Namespace) -> tuple[str, str]:
+    """Return the plan's file and the folder of the results."""
+    problems = []
+    if arguments.merge is None:
+        problems += ["PLAN: missing, expected a TOML file"] * (arguments.plan is None)
+        problems += ["-o: missing, expected a folder for the results"] * (arguments.output is None)
+    else:
+        given = {"PLAN": arguments.plan, "-o": arguments.output, "--set": arguments.overrides or None,
+                 "--array-index": arguments.array_index, "--overwrite": arguments.overwrite or None}  # fmt: skip
+        problems += [f"{name}: got one, expected none beside --merge" for name, one in given.items() if one is not None]
+    if problems:
+        raise common.InputError("\n  ".join(["wrong input", *problems]) if len(problems) > 1 else problems[0])
+    if arguments.merge is None:
+        return arguments.plan, arguments.output
+    return str(Path(arguments.merge) / "plan.toml"), arguments.merge
+
+
+def _changed(texts: list[str]) -> dict[str, object]:
+    """Return what `--set` changes in the plan, by dotted key."""
+    found: dict[str, object] = {}
+    for text in texts:
+        name, equals, value = (part.strip() for part in text.partition("="))
+        if not equals or not name:
+            raise common.InputError(f"--set: got {text!r}, expected KEY=VALUE such as evaluate.events=500")
+        found[name] = changes.literal(value)
+    return found
+
+
+def _report(result: Sweep, draw: Any, output: Path, arguments: argparse.Namespace) -> None:
+    if "ok" not in result.columns["status"]:
+        problems = dict.fromkeys(filter(None, result.columns["problems"]))
+        raise common.RunFailedError("\n  ".join(["no variant could be evaluated", *list(problems)[:10]]))
+    if arguments.parquet:
+        result.write_parquet(output / "sweep.parquet", overwrite=True)
+    result.draw(**draw).save(output / "sweep", overwrite=True)
+    print(json.dumps(result.summary(), indent=2) if arguments.json else result)
+    if not arguments.quiet:
+        print(f"table: {output}/sweep.csv, picture: {output}/sweep.png", file=sys.stderr)

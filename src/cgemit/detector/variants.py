@@ -1,0 +1,198 @@
+"""Changes of a detector by dotted keys: wildcards, relative values, names of variants, hashes, allowed ranges."""
+
+import dataclasses
+import hashlib
+import json
+import re
+from collections.abc import Iterator, Mapping
+from fnmatch import fnmatchcase
+from functools import lru_cache
+from typing import Any
+
+from cgemit.detector.keys import Key, Known, keys_of
+from cgemit.detector.material import Material
+from cgemit.detector.merge import FOR_ALL_LAYERS
+from cgemit.detector.parts import Contents, DriftChamber, SubLayer
+from cgemit.detector.read import shown
+from cgemit.problems import Problem, did_you_mean
+from cgemit.units import NATIVE
+
+_NUMBER = r"(\d+\.?\d*(?:[eE][+-]?\d+)?|\.\d+)"
+_FACTOR = re.compile(rf"\s*[x×]\s*{_NUMBER}\s*")
+_PERCENT = re.compile(rf"\s*([+-]{_NUMBER})\s*%\s*")
+_LONGEST_NAME = 100
+
+
+def factor_of(value: object) -> float | None:
+    """Return the factor that a relative value such as ``"x2"`` or ``"+5 %"`` stands for, or None."""
+    if not isinstance(value, str):
+        return None
+    if times := _FACTOR.fullmatch(value):
+        return float(times[1])
+    percent = _PERCENT.fullmatch(value)
+    return 1 + float(percent[1]) / 100 if percent else None
+
+
+def expanded(detector: Contents, changes: Mapping[str, object], problems: list[Problem]) -> dict[str, object]:
+    """Return changes by plain dotted keys: wildcards filled in, relative values computed from those of the detector.
+
+    Parameters
+    ----------
+    detector : Contents
+    changes : mapping of str to object
+        By dotted keys, several of which may stand together, separated by commas. ``*``, ``?`` and ``[...]`` match
+        labels; a key without them has precedence.
+    problems : list of Problem
+        Receives every pattern that matches nothing and every relative value of something that is no number.
+    """
+    found: dict[str, object] = {}
+    exact: dict[str, object] = {}
+    for keys, value in changes.items():
+        for key in keys.split(","):
+            paths = list(matching(detector, key.strip(), problems))
+            for path in paths:
+                (exact if path == key.strip() else found).update(_absolute(detector, path, value, problems))
+    return found | exact
+
+
+def matching(detector: Contents, pattern: str, problems: list[Problem]) -> Iterator[str]:
+    """Yield the dotted keys of a detector that a pattern matches; a key without wildcards is yielded as it is."""
+    if not _is_pattern(pattern):
+        yield pattern
+        return
+    paths: list[tuple[str, Any]] = [("", _root(detector))]
+    for name in pattern.split("."):
+        found = []
+        for path, node in paths:
+            children = _children(node)
+            names = [child for child in children if fnmatchcase(child, name)] if _is_pattern(name) else [name]
+            found += [(f"{path}.{child}".lstrip("."), children.get(child)) for child in names]
+        if not found:
+            known = ", ".join(dict.fromkeys(child for _, node in paths for child in _children(node)))
+            problems.append(Problem(pattern, f'"{name}", which matches nothing', f"a pattern for {known or 'a part'}"))
+            return
+        paths = found
+    yield from (path for path, _ in paths)
+
+
+def _is_pattern(text: str) -> bool:
+    return any(mark in text for mark in "*?[")
+
+
+def _root(detector: Contents) -> dict[str, Any]:
+    groups = {name: {part.label: part for part in getattr(detector, name)} for name in ("beam_pipe", "cgem", "walls")}
+    return {"field": detector.field, "drift_chamber": detector.drift_chamber, **groups}
+
+
+def _children(node: Any) -> Mapping[str, Any]:
+    """Return what may stand behind a dot: labels of parts, keys of a part, labels of the rows of a stack."""
+    if isinstance(node, Mapping):
+        return node
+    if isinstance(node, tuple) and node and isinstance(node[0], SubLayer):
+        return {part.label: part for part in node}
+    if not dataclasses.is_dataclass(node) or isinstance(node, type | Material):
+        return {}
+    kind: Any = type(node)
+    children = {name: getattr(node, name) for name in keys_of(kind)}
+    if isinstance(node, DriftChamber):
+        children["layers"] = {str(layer.number): layer for layer in node.layers}
+    return children
+
+
+def value_at(detector: Contents, path: str) -> tuple[Any, Key] | None:
+    """Return the value at a dotted key and what it may be; None if the detector has no such value."""
+    *parents, last = path.split(".")
+    node: Any = _root(detector)
+    for name in parents:
+        node = _children(node).get(name)
+    kind: Any = type(node)
+    keys = keys_of(kind) if dataclasses.is_dataclass(node) else {}
+    return (getattr(node, last), keys[last]) if last in keys else None
+
+
+def _absolute(detector: Contents, path: str, value: object, problems: list[Problem]) -> dict[str, object]:
+    """Return the changes that a value, which may be relative, makes at a plain key."""
+    factor = factor_of(value)
+    if factor is None:
+        return {path: value}
+    group, _, name = path.rpartition(".")
+    if group == "drift_chamber" and name in FOR_ALL_LAYERS and detector.drift_chamber:
+        layers = [f"drift_chamber.layers.{layer.number}.{name}" for layer in detector.drift_chamber.layers]
+        return {one: new for layer in layers for one, new in _absolute(detector, layer, value, problems).items()}
+    now = value_at(detector, path)
+    if now is None:
+        hint = did_you_mean(path.rpartition(".")[2], _siblings(detector, path))
+        problems.append(Problem(path, shown(value), "a number of the detector", hint))
+        return {}
+    number, key = now
+    if key.kind == "integer" and (number * factor) % 1 == 0:
+        return {path: Known(round(number * factor))}
+    if key.kind in NATIVE or (key.kind == "offset" and isinstance(number, float)):
+        return {path: Known(number * factor)}
+    if key.kind not in ("text", "material", "gas"):
+        given = f"{shown(value)} times {number}" if key.kind == "integer" else shown(value)
+        problems.append(Problem(path, given, key.expected()))
+        return {}
+    return {path: value}
+
+
+def _siblings(detector: Contents, path: str) -> list[str]:
+    node: Any = _root(detector)
+    for name in path.split(".")[:-1]:
+        node = _children(node).get(name)
+    return list(_children(node))
+
+
+def variant_name(name: str, changes: Mapping[str, object]) -> str:
+    """Return the name of a variant: the base's, and behind plus signs what changed, such as ``+cgem.L2.pitch_x=500um``.
+
+    Wildcards that match every label are left out. A long name ends with a hash of all changes.
+    """
+    base, *before = name.split("+")
+    texts = dict(part.partition("=")[::2] for part in before)
+    for key, value in changes.items():
+        if key not in ("name", "description"):
+            key = ",".join(part.strip() for part in key.split(","))
+            texts[key.replace(".*", "")] = _short(value)
+    full = "+".join([base, *(f"{key}={text}" if text else key for key, text in texts.items())])
+    if len(full) <= _LONGEST_NAME:
+        return full
+    return f"{full[: _LONGEST_NAME - 9]}~{hashlib.sha256(full.encode()).hexdigest()[:8]}"
+
+
+def _short(value: object) -> str:
+    """Return a value as a part of a name: without blanks, plus signs and separators of paths."""
+    if isinstance(value, Known):
+        value = value.value
+    if isinstance(value, list) and all(isinstance(one, str) for one in value):
+        value = ",".join(value)
+    if not isinstance(value, str | int | float):
+        return hashlib.sha256(json.dumps(value, sort_keys=True, default=str).encode()).hexdigest()[:8]
+    text = str(value).lower() if isinstance(value, bool) else str(value)
+    return re.sub(r"[/\\]", "_", re.sub(r"[\s+]", "", text))
+
+
+def content_hash(detector: Contents) -> str:
+    """Return 16 hexadecimal digits that name the content of a detector, whatever its name and description are."""
+    chamber = detector.drift_chamber
+    parts = [detector.field, *detector.beam_pipe, *detector.cgem, *detector.walls, detector.air]
+    parts += [chamber, *chamber.layers] if chamber else []
+    return hashlib.sha256(" ".join(map(_digest, parts)).encode()).hexdigest()[:16]
+
+
+@lru_cache(maxsize=4096)
+def _digest(part: Any) -> str:
+    kind: Any = type(part)
+    values = [f"{kind.__name__} {getattr(part, 'label', '')} {getattr(part, 'number', '')}"]
+    for name in keys_of(kind):
+        if name != "file":  # of a map, whose checksum tells more
+            values.append(f"{name}={_text(getattr(part, name))}")
+    return hashlib.sha256("\n".join(values).encode()).hexdigest()
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, Material | SubLayer):
+        return f"{getattr(value, 'name', '')} {_digest(value)}"
+    if isinstance(value, tuple) and value and isinstance(value[0], SubLayer):
+        return " ".join(map(_digest, value))
+    return repr(value)

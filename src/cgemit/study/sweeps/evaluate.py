@@ -1,0 +1,196 @@
+"""What a sweep computes for one detector: analytic resolutions, simulated ones, or a function of the user."""
+
+from __future__ import annotations
+
+import hashlib
+import inspect
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from cgemit import chain
+from cgemit.covariance import analytic
+from cgemit.detector import Detector
+from cgemit.fit import FitStatus
+from cgemit.gun import Gun
+from cgemit.result import Settings
+from cgemit.statistics.estimate import Floats, core_sigma, measure
+from cgemit.study.samples import seed_of
+from cgemit.tables import Table
+
+#: Unit in which each resolution is quoted, and how many of them make the native unit.
+QUANTITIES = {
+    "p": ("MeV/c", 1000.0),
+    "pt": ("MeV/c", 1000.0),
+    "dr": ("um", 1000.0),
+    "dz": ("mm", 1.0),
+    "phi0": ("mrad", 1000.0),
+    "theta": ("mrad", 1000.0),
+    "tanl": ("1e-3", 1000.0),
+}
+
+#: Parts of a sample that are left out in turn; the spread of what is left gives the error of a difference.
+GROUPS = 20
+
+#: What the user's own function is.
+Function = Callable[[Detector], Mapping[str, Any]]
+
+CosTheta = float | tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """What is computed for every variant, the same for all.
+
+    Attributes
+    ----------
+    method : "analytic", "mc" or "function"
+    particle : str or int
+    p : tuple of float, GeV/c
+    cos_theta : tuple of float or (float, float)
+        Values or uniform ranges.
+    events, seed : int
+        Of "mc", for each point.
+    settings : Settings or None
+    function : callable or None
+    """
+
+    method: Literal["analytic", "mc", "function"]
+    particle: str | int
+    p: tuple[float, ...]
+    cos_theta: tuple[CosTheta, ...]
+    events: int
+    seed: int
+    settings: Settings | None
+    function: Function | None
+
+    def described(self) -> dict[str, Any]:
+        """Return all that results depend on, beside the detector, as JSON."""
+        if self.function is not None:
+            return {"method": self.method, "function": identity(self.function)}
+        found: dict[str, Any] = {"method": self.method, "particle": self.particle, "points": self.points()}
+        found["settings"] = (self.settings or Settings()).to_dict()
+        return found | ({"events": self.events, "seed": self.seed, "groups": GROUPS} if self.method == "mc" else {})
+
+    def points(self) -> list[dict[str, Any]]:
+        """Return momentum and angle of every point; one point without them for a function."""
+        if self.method == "function":
+            return [{}]
+        as_text = any(isinstance(one, tuple) for one in self.cos_theta)
+        angles = [_text(one) if as_text else float(one) for one in self.cos_theta]  # type: ignore[arg-type]
+        return [{"p (GeV/c)": float(p), "cos_theta": one} for p in self.p for one in angles]
+
+    def __call__(self, detector: Detector) -> dict[str, Any]:
+        """Return the numbers of every point, and of "mc" what errors of differences follow from."""
+        if self.function is not None:
+            return {"points": [numbers_of(self.function(detector))]}
+        if self.method == "analytic":
+            return {"points": analytic_points(detector, self)}
+        pairs = [(p, c) for p in self.p for c in self.cos_theta]
+        found = [_simulated(detector, self, number, p, c) for number, (p, c) in enumerate(pairs, start=1)]
+        return {"points": [point for point, _ in found], "replicas": [replicas for _, replicas in found]}
+
+
+def _text(cos_theta: CosTheta) -> str:
+    return f"{cos_theta[0]:g}:{cos_theta[1]:g}" if isinstance(cos_theta, tuple) else f"{cos_theta:g}"
+
+
+def column(name: str, quantity: str) -> str:
+    """Return the header of a column, such as ``sigma_p (MeV/c)``."""
+    return f"{name} ({QUANTITIES[quantity][0]})"
+
+
+def analytic_points(detector: Detector, evaluation: Evaluation) -> list[dict[str, Any]]:
+    """Return the core resolutions of every point from the covariance, without events.
+
+    `reached` is the fraction of tracks with a covariance; `tracks` says how most of the others ended.
+    """
+    settings = evaluation.settings or Settings()
+    how: dict[str, Any] = {
+        "readout": settings.digitize.readout, "reveal_sides": settings.digitize.reveal_sides,
+        "fit": chain.fit_settings(settings), "threads": 1,
+    }  # fmt: skip
+    p = np.array(evaluation.p, np.float64)
+    found = [analytic(detector, evaluation.particle, p, one, **how) for one in evaluation.cos_theta]
+    columns = {column(f"sigma_{name}", name): (name, scale) for name, (_, scale) in QUANTITIES.items()}
+    sigmas = [{header: scale * one.sigma(name) for header, (name, scale) in columns.items()} for one in found]
+    return [
+        {header: float(values[i]) for header, values in sigma.items()}
+        | {"reached": float(one.reached[i]), "tracks": FitStatus(int(one.status[i])).name}
+        for i in range(len(p))
+        for sigma, one in zip(sigmas, found, strict=True)
+    ]
+
+
+def _simulated(
+    detector: Detector, evaluation: Evaluation, number: int, p: float, cos_theta: CosTheta
+) -> tuple[dict[str, Any], dict[str, list[float]]]:
+    """Return resolutions of one point, and each without one of `GROUPS` groups of events.
+
+    Point `number` has the same random numbers for every variant.
+    """
+    gun = Gun(evaluation.particle, p=p, cos_theta=cos_theta)
+    seed = seed_of(evaluation.seed, number)
+    tracks = chain.run(detector, gun, evaluation.events, seed, settings=evaluation.settings, threads=1).tracks
+    good = tracks["status"] == FitStatus.ok
+    group = tracks["event"][good] % GROUPS
+    point: dict[str, Any] = {"fitted": int(good.sum()), "events": evaluation.events}
+    replicas = {}
+    for name, sample in residuals(tracks, good).items():
+        width = measure(sample)
+        point[column(f"sigma_{name}", name)] = width.core
+        point[column(f"sigma_{name}_error", name)] = width.core_error
+        replicas[name] = [core_sigma(sample[group != left_out]) for left_out in range(GROUPS)]
+    return point, replicas
+
+
+def residuals(tracks: Table, good: Any) -> dict[str, Floats]:
+    """Return fitted minus true values of each of `QUANTITIES`, (n,) in quoted units, of the chosen tracks."""
+    pt = 1 / np.abs(tracks["kappa"][good]) - 1 / np.abs(tracks["truth_kappa"][good])
+    theta = np.arctan2(1, tracks["tanl"][good]) - np.arctan2(1, tracks["truth_tanl"][good])
+    found = {name: tracks[f"res_{name}"][good] for name in QUANTITIES if name not in ("pt", "theta")}
+    return {name: scale * (found | {"pt": pt, "theta": theta})[name] for name, (_, scale) in QUANTITIES.items()}
+
+
+def error_of_difference(one: list[float], other: list[float]) -> float:
+    """Return the error of a difference of two widths of the same events, from both without each group (jackknife).
+
+    B. Efron, The Jackknife, the Bootstrap and Other Resampling Plans (1982), ch. 3.
+    """
+    difference = np.array(one) - np.array(other)
+    spread = float(np.sum((difference - difference.mean()) ** 2))
+    return math.sqrt((GROUPS - 1) / GROUPS * spread)
+
+
+def numbers_of(found: object) -> dict[str, Any]:
+    """Return what a user's function returned as plain numbers.
+
+    Raises
+    ------
+    TypeError
+        If it is no mapping of names to numbers, truth values or texts.
+    """
+    if not isinstance(found, Mapping):
+        raise TypeError(f"got {type(found).__name__}, expected a dict of numbers by name")
+    plain = {str(key): value.item() if isinstance(value, np.generic) else value for key, value in found.items()}
+    wrong = [f"{key}: {value!r:.40}" for key, value in plain.items() if not isinstance(value, bool | int | float | str)]
+    if wrong:
+        raise TypeError(f"got {', '.join(wrong)}, expected numbers")
+    return plain
+
+
+def identity(function: Function) -> str:
+    """Return what tells a function from others: its module, its name and a hash of its source.
+
+    Values that it refers to are not seen: a sweep is not redone when they change.
+    """
+    try:
+        source = inspect.getsource(function)
+    except (OSError, TypeError):
+        code = getattr(function, "__code__", None)
+        source = repr((code.co_code, code.co_consts)) if code else repr(type(function))
+    name = f"{getattr(function, '__module__', '')}.{getattr(function, '__qualname__', type(function).__qualname__)}"
+    return f"{name} {hashlib.sha256(source.encode()).hexdigest()[:16]}"

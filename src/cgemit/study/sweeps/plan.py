@@ -1,0 +1,253 @@
+"""A sweep as a TOML file: what is varied, what is evaluated."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from cgemit.io import new_file
+from cgemit.io.toml import toml_text
+from cgemit.problems import ProblemsError, did_you_mean
+from cgemit.result import Settings
+from cgemit.settings import SettingsError
+from cgemit.study.sweeps.result import Sweep
+from cgemit.study.sweeps.run import sweep
+from cgemit.study.sweeps.space import Space, SpaceError, grid, latin_hypercube, listed, sobol
+from cgemit.units import QuantityError, parse_quantity
+
+#: Keys of each table of a plan, with what they mean; docs/sweeps.md shows them.
+KEYS: dict[str, dict[str, str]] = {
+    "": {
+        "base": "preset or detector file that the variants change",
+        "vary": "keys of the detector file and their values, or { from, to } of samples",
+        "variants": "a list of variants, instead of vary",
+        "sample": "how values of vary are combined",
+        "evaluate": "what is computed for each variant",
+        "settings": "settings of the stages, as in a file of settings",
+        "draw": "what is drawn",
+    },
+    "sample": {
+        "kind": '"grid" (default), "sobol" or "latin_hypercube"',
+        "n": "number of variants of a sample",
+        "seed": "seed of a sample (default 1)",
+    },
+    "evaluate": {
+        "method": '"analytic" (default), "mc" or "FILE.py:FUNCTION", relative to the plan',
+        "particle": 'name or PDG number (default "mu-")',
+        "p": "momentum or list of momenta, GeV/c or with a unit (default 1)",
+        "cos_theta": 'number, "LOW:HIGH" for a uniform range, or a list of these (default 0)',
+        "events": "simulated events for each variant, momentum and angle (default 2000)",
+        "seed": "seed of the simulation (default 1)",
+        "chunk": "variants in one chunk",
+    },
+    "draw": {
+        "quantity": "column of the results (default: the first resolution)",
+        "kind": '"scan", "map" or "parallel"',
+    },
+}
+PLAN = "plan.toml"
+_SAMPLES = {"sobol": sobol, "latin_hypercube": latin_hypercube}
+
+
+class PlanError(ProblemsError[str]):
+    """A plan with mistakes; `problems` lists them all."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A plan that was read.
+
+    Attributes
+    ----------
+    tables : mapping
+        As in the file, with changes.
+    arguments : mapping
+        Of `sweep`.
+    draw : mapping
+        Of `Sweep.draw`.
+    """
+
+    tables: Mapping[str, Any]
+    arguments: Mapping[str, Any]
+    draw: Mapping[str, Any]
+
+    def run(self, **how: Any) -> Sweep:
+        """Run the sweep with further arguments of `sweep`: `output`, `executor`, `part`, `progress` ..."""
+        return sweep(**self.arguments, **how)
+
+    def write(self, folder: str | os.PathLike[str]) -> Path:
+        """Write the plan to the folder of its output, from where it can be merged."""
+        path = Path(folder) / PLAN
+        with new_file(path, overwrite=True) as temporary:
+            temporary.write_text(toml_text(self.tables), encoding="utf-8")
+        return path
+
+
+def read_plan(path: str | os.PathLike[str], changes: Mapping[str, Any] | None = None) -> Plan:
+    """Return the plan of a TOML file.
+
+    Parameters
+    ----------
+    path : path
+    changes : mapping of str to object, optional
+        Values that replace those of the file, by dotted key such as ``evaluate.events`` or ``vary.cgem.*.pitch_x``.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    PlanError
+        With every problem of the plan.
+    """
+    file = Path(path)
+    try:
+        tables = tomllib.loads(file.read_text(encoding="utf-8-sig"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise PlanError(str(path), [f"got {error}; expected a TOML file"]) from error
+    problems: list[str] = []
+    for key, value in (changes or {}).items():
+        _change(tables, key, value, problems)
+    _check_keys(tables, problems)
+    if problems:
+        raise PlanError(str(path), problems)
+    tables = _placed(tables, file.resolve().parent)
+    arguments = {"base": tables.get("base"), **_evaluate(tables.get("evaluate", {}), problems)}
+    arguments["space"] = _space(tables, problems)
+    arguments["settings"] = _settings(tables.get("settings"), problems)
+    if not isinstance(arguments["base"], str):
+        problems.append(f"base: got {arguments['base']!r}, expected a preset or a detector file")
+    if problems:
+        raise PlanError(str(path), problems)
+    return Plan(tables, arguments, tables.get("draw", {}))
+
+
+def _change(tables: dict[str, Any], key: str, value: Any, problems: list[str]) -> None:
+    first, _, rest = key.partition(".")
+    if not rest:
+        tables[first] = value
+    elif not isinstance(tables.setdefault(first, {}), dict):
+        problems.append(f"{key}: got {value!r}, expected a value of a table; {first} is none")
+    elif first == "settings":
+        stage, _, name = rest.partition(".")
+        tables[first].setdefault(stage, {})[name] = value
+    else:
+        tables[first][rest] = value
+
+
+def _check_keys(tables: Mapping[str, Any], problems: list[str]) -> None:
+    for name, known in KEYS.items():
+        table = tables.get(name, {}) if name else tables
+        if not isinstance(table, Mapping):
+            problems.append(f"{name}: got {table!r}, expected a table [{name}]")
+            continue
+        before = f"{name}." if name else ""
+        problems += [
+            f"{before}{key}: an unknown key; expected one of {', '.join(known)}{did_you_mean(key, known, '; ')}"
+            for key in table
+            if key not in known
+        ]
+    for name in ("vary", "settings"):
+        if not isinstance(tables.get(name, {}), Mapping):
+            problems.append(f"{name}: got {tables[name]!r}, expected a table [{name}]")
+    if not isinstance(tables.get("variants", []), list):
+        problems.append(f"variants: got {tables['variants']!r}, expected tables [[variants]]")
+    if ("vary" in tables) == ("variants" in tables):
+        given = "both" if "vary" in tables else "none"
+        problems.append(f"vary, variants: got {given}, expected one of them")
+
+
+def _placed(tables: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """Return the tables with paths of files beside the plan made absolute."""
+    found = dict(tables)
+    if isinstance(found.get("base"), str) and (folder / found["base"]).is_file():
+        found["base"] = str(folder / found["base"])
+    method = found.get("evaluate", {}).get("method")
+    if isinstance(method, str) and ":" in method:
+        found["evaluate"] = {**found["evaluate"], "method": str(folder / method)}
+    return found
+
+
+def _evaluate(table: Mapping[str, Any], problems: list[str]) -> dict[str, Any]:
+    found = {key: table[key] for key in ("particle", "events", "seed", "chunk") if key in table}
+    if "method" in table:
+        found["evaluate"] = _method(table["method"], problems)
+    if "p" in table:
+        found["p"] = _numbers("evaluate.p", table["p"], "momentum", problems)
+    if "cos_theta" in table:
+        found["cos_theta"] = _numbers("evaluate.cos_theta", table["cos_theta"], "dimensionless", problems)
+    return found
+
+
+def _numbers(path: str, given: Any, dimension: str, problems: list[str]) -> Any:
+    """Return numbers, numbers with units and ranges ``LOW:HIGH`` of a plan as `sweep` takes them."""
+    if isinstance(given, list):
+        return [_numbers(f"{path}[{i}]", one, dimension, problems) for i, one in enumerate(given)]
+    if not isinstance(given, str):
+        return given
+    try:
+        ends = [float(text) if _is_number(text) else parse_quantity(text, dimension) for text in given.split(":")]
+    except QuantityError as error:
+        problems.append(f"{path}: got {error}")
+        return 0.0
+    return ends[0] if len(ends) == 1 else tuple(ends)
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _method(method: Any, problems: list[str]) -> Any:
+    if not isinstance(method, str) or ":" not in method:
+        return method
+    file, _, name = method.rpartition(":")
+    spec = importlib.util.spec_from_file_location(Path(file).stem, file)
+    if spec is None or spec.loader is None or not Path(file).is_file():
+        problems.append(f"evaluate.method: got {method!r}, expected FILE.py:FUNCTION with a file that exists")
+        return method
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    function = getattr(module, name, None)
+    if not callable(function):
+        problems.append(f"evaluate.method: got {method!r}, expected a function of that file")
+    return function
+
+
+def _space(tables: Mapping[str, Any], problems: list[str]) -> Space | None:
+    sample = tables.get("sample", {})
+    kind = sample.get("kind", "grid")
+    try:
+        if "variants" in tables:
+            return listed(tables["variants"])
+        if kind == "grid":
+            return grid(tables["vary"])
+        if kind not in _SAMPLES:
+            problems.append(f"sample.kind: got {kind!r}, expected one of grid, {', '.join(_SAMPLES)}")
+            return None
+        ranges = {key: _range(value) for key, value in tables["vary"].items()}
+        return _SAMPLES[kind](ranges, sample.get("n", 0), seed=sample.get("seed", 1))
+    except SpaceError as error:
+        problems += str(error).split("\n  ")[1:]
+    return None
+
+
+def _range(value: Any) -> Any:
+    return (value["from"], value["to"]) if isinstance(value, Mapping) and value.keys() == {"from", "to"} else value
+
+
+def _settings(table: Mapping[str, Any] | None, problems: list[str]) -> Settings | None:
+    if table is None:
+        return None
+    try:
+        return Settings.from_dict(table)
+    except SettingsError as error:
+        problems += [f"settings.{text}" for text in error.problems]
+    return None

@@ -1,0 +1,285 @@
+"""The table of a sweep: one row for each variant and point; written, printed, converted."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from cgemit.detector import Detector
+from cgemit.detector.variants import matching, value_at, variant_name
+from cgemit.io.files import new_file
+from cgemit.io.folders import SUMMARY
+from cgemit.record import versions
+from cgemit.statistics.formatting import html_table, text_table, write_csv
+from cgemit.study.sweeps.evaluate import QUANTITIES, Evaluation, column, error_of_difference
+from cgemit.study.sweeps.space import Space, split_quantity
+from cgemit.units import NATIVE, format_quantity
+from cgemit.version import PHYSICS
+
+if TYPE_CHECKING:
+    from cgemit.draw.style import Picture
+
+#: Columns that say which variant a row is of and how it ended.
+LEADING = ("variant", "name", "hash", "status", "problems")
+_POINT = ("p (GeV/c)", "cos_theta")
+_SHOWN_ROWS = 40
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Sweep:
+    """The result of a sweep.
+
+    Attributes
+    ----------
+    columns : dict of str to list
+        The tidy table: one row for each variant, momentum and angle; variant 0 is the base. `status` is "ok",
+        "impossible" (`problems` says why the detector cannot be built), "failed" or "missing".
+    parameters : tuple of str
+        Columns of what is varied.
+    results : tuple of str
+        Columns of what was computed.
+    space : Space
+    evaluation : Evaluation
+    bases : tuple of Detector
+        The detector that each row's variant changes, by variant.
+    """
+
+    columns: dict[str, list[Any]]
+    parameters: tuple[str, ...]
+    results: tuple[str, ...]
+    space: Space
+    evaluation: Evaluation
+    bases: tuple[Detector, ...]
+
+    @staticmethod
+    def joined(
+        space: Space, evaluation: Evaluation, bases: Sequence[Detector], rows: Sequence[Mapping[str, Any]]
+    ) -> Sweep:
+        """Return the table of the base and its variants, from one row each."""
+        changes: list[Mapping[str, Any]] = [{}, *space.variants]
+        axes = {key: _axis(key, bases[0], [one.get(key) for one in space.variants]) for key in space.keys}
+        points = evaluation.points()
+        kept: list[dict[str, Any]] = []
+        for number, (row, changed, base) in enumerate(zip(rows, changes, bases, strict=True)):
+            name = str(changed.get("name") or variant_name(base.name, _without_base(changed)))
+            leading = {"variant": number, "name": name, "hash": row.get("hash", ""), "status": row["status"],
+                       "problems": "; ".join(row["problems"])}  # fmt: skip
+            varied = {header: values[number] for header, values in axes.values()}
+            for i, point in enumerate(points):
+                results = row["points"][i] if "points" in row else {}
+                kept.append(leading | varied | point | results | _differences(row, rows[0], i))
+        parameters = tuple(header for header, _ in axes.values())
+        known = (*LEADING, *parameters, *_POINT)
+        results = tuple(dict.fromkeys(name for row in kept for name in row if name not in known))
+        names = [*LEADING, *parameters, *(name for name in _POINT if name in points[0]), *results]
+        empty = {name: _empty([row[name] for row in kept if name in row]) for name in names}
+        table = {name: _of_one_kind([row.get(name, empty[name]) for row in kept]) for name in names}
+        return Sweep(table, parameters, results, space, evaluation, tuple(bases))
+
+    def __len__(self) -> int:
+        return len(self.columns["variant"])
+
+    def __getitem__(self, name: str) -> Any:
+        return np.array(self.columns[name])
+
+    def missing(self) -> int:
+        """Return how many variants were not computed, the base among them."""
+        pairs = zip(self.columns["variant"], self.columns["status"], strict=True)
+        return len({number for number, status in pairs if status == "missing"})
+
+    def detector(self, variant: int) -> Detector:
+        """Return a variant by its number in the table; 0 is the base."""
+        changes = _without_base(self.space.variants[variant - 1]) if variant else {}
+        return self.bases[variant].with_overrides(dict(changes)) if changes else self.bases[variant]
+
+    def to_pandas(self) -> Any:
+        """Return the table as a `pandas.DataFrame`."""
+        import pandas
+
+        return pandas.DataFrame(self.columns)
+
+    def to_xarray(self) -> Any:
+        """Return the results of a grid as an `xarray.Dataset` with one dimension for each key, momentum and angle.
+
+        Raises
+        ------
+        ValueError
+            If the space is no grid.
+        """
+        import xarray
+
+        if self.space.kind != "grid":
+            raise ValueError(f"to_xarray: got a space of kind {self.space.kind!r}, expected a grid")
+        here = np.array(self.columns["variant"]) > 0
+        dimensions = [*self.parameters, *(name for name in _POINT if name in self.columns)]
+        coordinates = {name: list(dict.fromkeys(self[name][here].tolist())) for name in dimensions}
+        shape = tuple(len(values) for values in coordinates.values())
+        data = {name: (dimensions, self[name][here].reshape(shape)) for name in (*self.results, "status", "name")}
+        return xarray.Dataset(data, coords=coordinates, attrs={"base": self.bases[0].name})
+
+    def write(self, folder: str | os.PathLike[str]) -> list[Path]:
+        """Write sweep.csv, detector.toml (the base) and summary.json to a folder; return the files.
+
+        Files of an earlier sweep are replaced.
+        """
+        place = Path(folder)
+        paths = [place / "sweep.csv", place / "detector.toml", place / SUMMARY]
+        with new_file(paths[0], overwrite=True) as temporary:
+            write_csv(temporary, self.columns)
+        with new_file(paths[1], overwrite=True) as temporary:
+            temporary.write_text(self.bases[0].to_toml(), encoding="utf-8")
+        with new_file(paths[2], overwrite=True) as temporary:
+            temporary.write_text(json.dumps(self.summary(), indent=2) + "\n", encoding="utf-8")
+        return paths
+
+    def write_parquet(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
+        """Write the table as a Parquet file (needs pyarrow, extra ``[io]``).
+
+        Parameters
+        ----------
+        path : path
+        overwrite : bool
+
+        Raises
+        ------
+        FileExistsError
+            If the file exists and `overwrite` is false.
+        """
+        import pyarrow
+        import pyarrow.parquet
+
+        with new_file(path, overwrite=overwrite) as temporary:
+            pyarrow.parquet.write_table(pyarrow.table(self.columns), temporary)
+        return Path(path)
+
+    def summary(self) -> dict[str, Any]:
+        """Return what `summary.json` holds: what was varied and evaluated, and how the variants ended."""
+        statuses = [status for status, point in zip(self.columns["status"], self._is_first(), strict=True) if point]
+        return {
+            "program": "cgemit", "versions": versions(), "physics": PHYSICS,
+            "inputs": {
+                "base": self.bases[0].name, "hash": self.bases[0].content_hash, "space": self.space.kind,
+                "keys": list(self.space.keys), "evaluation": json.loads(json.dumps(self.evaluation.described())),
+            },
+            "variants": len(self.space), "status": {name: statuses.count(name) for name in sorted(set(statuses))},
+            "parameters": list(self.parameters), "results": list(self.results),
+        }  # fmt: skip
+
+    def draw(self, quantity: str | None = None, **options: Any) -> Picture:
+        """Draw one result against what is varied: a scan of one key, a map of two, parallel coordinates of more.
+
+        Parameters
+        ----------
+        quantity : str, optional
+            Column of `results`; default: the first resolution, or the first of all.
+        **options
+            Of `cgemit.draw.sweeps.draw_sweep`.
+        """
+        from cgemit.draw.sweeps import draw_sweep
+
+        if quantity is not None and quantity not in self.results:
+            raise ValueError(f"quantity: got {quantity!r}, expected one of {', '.join(self.results)}")
+        first = next((name for name in self.results if name.startswith("sigma_dr")), self.results[0])
+        return draw_sweep(self.columns, self.parameters, quantity or first, **options)
+
+    def _is_first(self) -> list[bool]:
+        numbers = self.columns["variant"]
+        return [i == 0 or numbers[i - 1] != number for i, number in enumerate(numbers)]
+
+    def _cells(self) -> tuple[list[str], list[list[str]], str]:
+        shown = [name for name in self.results if not name.startswith("delta_") and "_error" not in name][:6]
+        head = ["variant", "status", *self.parameters, *(name for name in _POINT if name in self.columns), *shown]
+        count = min(len(self), _SHOWN_ROWS)
+        rows = [[_cell(self.columns[name][i]) for name in head] for i in range(count)]
+        more = f"; {len(self) - count} more rows" if len(self) > count else ""
+        return head, rows, f"{self.bases[0].name}: {len(self.space)} variants, {len(self)} rows{more}"
+
+    def __repr__(self) -> str:
+        head, rows, title = self._cells()
+        return text_table(title, head, rows)
+
+    def _repr_html_(self) -> str:
+        head, rows, title = self._cells()
+        return html_table(title, head, rows)
+
+
+def _cell(value: Any) -> str:
+    return f"{value:.5g}" if isinstance(value, float) else str(value)
+
+
+def _empty(values: Sequence[Any]) -> Any:
+    """Return what stands where a column has no value: an empty text among texts, else NaN."""
+    return "" if values and all(isinstance(value, str) for value in values) else math.nan
+
+
+def _of_one_kind(values: list[Any]) -> list[Any]:
+    """Return a column with whole numbers and truth values as floats if it has any float, or NaN."""
+    numbers = all(isinstance(value, int | float) for value in values)
+    return [float(value) for value in values] if numbers and any(isinstance(v, float) for v in values) else values
+
+
+def _without_base(changes: Mapping[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in changes.items() if key not in ("base", "field")}
+
+
+def _axis(key: str, base: Detector, values: Sequence[Any]) -> tuple[str, list[Any]]:
+    """Return header and column of a key: numbers with the unit in the header where all values have the same one.
+
+    The first entry is the base's own value; where there is none, NaN or an empty text.
+    """
+    parsed = [split_quantity(value) for value in values]
+    kinds = {(one[0], one[2]) for one in parsed if one}
+    if None not in parsed and len(kinds) == 1:
+        times, unit = kinds.pop()
+        header = f"{key} ({'times' if times == 'x' else 'change in %' if times else unit})".replace(" ()", "")
+        neutral = {"x": 1.0, "%": 0.0}
+        first = neutral[times] if times else _own(key, base, unit)
+        return header, [first, *(one[1] for one in parsed if one)]
+    return key, [_own_text(key, base), *(_text(value) for value in values)]
+
+
+def _text(value: Any) -> str:
+    return "" if value is None else value if isinstance(value, str) else json.dumps(value, default=str)
+
+
+def _values(key: str, base: Detector) -> list[tuple[Any, Any]]:
+    paths = [path for one in key.split(",") for path in matching(base, one.strip(), [])]
+    return [found for path in paths if (found := value_at(base, path)) is not None]
+
+
+def _own(key: str, base: Detector, unit: str) -> float:
+    """Return the base's value of a key in a unit; NaN if it has none, or several."""
+    numbers = {(value, one.kind) for value, one in _values(key, base) if isinstance(value, int | float)}
+    if len(numbers) != 1:
+        return math.nan
+    value, kind = numbers.pop()
+    if kind not in NATIVE or not unit:
+        return float(value)
+    return float(format_quantity(value, kind, unit).split()[0])
+
+
+def _own_text(key: str, base: Detector) -> str:
+    if key == "base":
+        return base.name
+    texts = {getattr(value, "name", str(value)) for value, _ in _values(key, base)}
+    return texts.pop() if len(texts) == 1 else ""
+
+
+def _differences(row: Mapping[str, Any], base: Mapping[str, Any], point: int) -> dict[str, float]:
+    """Return the differences of simulated resolutions to the base's at one point, with their paired errors."""
+    if "replicas" not in row or "replicas" not in base:
+        return {}
+    found = {}
+    for name in QUANTITIES:
+        sigma = column(f"sigma_{name}", name)
+        found[column(f"delta_sigma_{name}", name)] = row["points"][point][sigma] - base["points"][point][sigma]
+        pair = row["replicas"][point][name], base["replicas"][point][name]
+        found[column(f"delta_sigma_{name}_error", name)] = error_of_difference(*pair)
+    return found

@@ -1,0 +1,377 @@
+"""Sweeps: spaces, tables, chunks on disk, errors of differences, pictures; the same from the command line."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from concurrent.futures import Executor, Future
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import cgemit as cg
+from cgemit.cli.main import main
+from cgemit.detector import Detector
+from cgemit.fit import FitStatus
+from cgemit.study import grid, latin_hypercube, sobol, sweep
+from cgemit.study.samples import seed_of
+from cgemit.study.sweeps.evaluate import GROUPS, error_of_difference
+from cgemit.study.sweeps.plan import PlanError, read_plan
+from cgemit.study.sweeps.space import SpaceError
+
+DESIGN = cg.load("besiii-cgem-design")
+PITCHES = {"cgem.*.pitch_x": ["400 um", "900 um"], "cgem.L2.anode_radius": ["132.5 mm", "160 mm"]}
+
+
+def channels(detector: Detector) -> dict[str, Any]:
+    """Return the number of strips, and the thickness of the first layer."""
+    strips = sum(layer.sheets * (layer.strips_x + layer.strips_v) for layer in detector.cgem)
+    return {"strips": strips, "x0 (%)": 100 * sum(shell.x0 for shell in detector.cgem[0].shells())}
+
+
+class Counting(Executor):
+    """Runs what is submitted at once, and counts it; interrupts like Ctrl-C after some."""
+
+    def __init__(self, stop: int = 10**9) -> None:
+        self.submitted, self.stop = 0, stop
+
+    def submit(self, function: Callable[..., Any], /, *given: Any, **named: Any) -> Future[Any]:
+        """Return a future that is done."""
+        self.submitted += 1
+        future: Future[Any] = Future()
+        if self.submitted > self.stop:
+            future.set_exception(KeyboardInterrupt())
+        else:
+            future.set_result(function(*given, **named))
+        return future
+
+
+def test_a_grid_is_a_table_with_a_row_for_each_variant_and_the_base_first() -> None:
+    found = sweep(DESIGN, PITCHES, evaluate=channels)
+    table = found.to_pandas()
+    assert table["cgem.*.pitch_x (um)"].tolist() == [650, 400, 400, 900, 900]
+    assert table["cgem.L2.anode_radius (mm)"].tolist() == [132.5, 132.5, 160, 132.5, 160]
+    assert table["status"].tolist() == ["ok", "ok", "impossible", "ok", "impossible"]
+    assert table["strips"][[0, 1, 3]].tolist() == [channels(found.detector(i))["strips"] for i in (0, 1, 3)]
+    assert table["strips"].isna().tolist() == [False, False, True, False, True]
+    assert "no overlap with cgem.L2" in table["problems"][2]
+    assert table["hash"].tolist() == [DESIGN.content_hash, *(found.detector(1).content_hash, ""), table["hash"][3], ""]
+    assert len(set(table["name"])) == 5
+    assert table["name"][1] == found.detector(1).name
+    assert found.detector(1).cgem[0].pitch_x == 0.4
+
+
+def test_a_grid_becomes_an_xarray_dataset() -> None:
+    found = sweep(DESIGN, PITCHES, evaluate=channels)
+    cube = found.to_xarray()
+    assert dict(cube.sizes) == {"cgem.*.pitch_x (um)": 2, "cgem.L2.anode_radius (mm)": 2}
+    cell = cube["strips"].sel({"cgem.*.pitch_x (um)": 900, "cgem.L2.anode_radius (mm)": 132.5})
+    assert float(cell) == found["strips"][3]
+    with pytest.raises(ValueError, match="expected a grid"):
+        sweep(DESIGN, [{"cgem.L1.foils": 2}], evaluate=channels).to_xarray()
+
+
+def test_axes_of_words_of_relative_values_and_of_other_bases() -> None:
+    space = {"base": ["besiii-cgem-design", "besiii-cgem"], "field": ["uniform", "besiii"],
+             "cgem.*.drift_gap": ["x0.5", "x1"], "cgem.*.gas": ["CgemGas", "MdcGas"]}  # fmt: skip
+    found = sweep(DESIGN, space, evaluate=lambda d: {"gap": d.cgem[0].drift_gap, "field": d.field.kind})
+    assert found.parameters == ("base", "field", "cgem.*.drift_gap (times)", "cgem.*.gas")
+    assert found.columns["cgem.*.drift_gap (times)"][:3] == [1.0, 0.5, 0.5]
+    assert found.columns["cgem.*.gas"][:3] == ["CgemGas", "CgemGas", "MdcGas"]
+    assert set(found.columns["status"]) == {"ok"}
+    gaps = {"besiii-cgem-design": 5.0, "besiii-cgem": cg.load("besiii-cgem").cgem[0].drift_gap}
+    factors = found["cgem.*.drift_gap (times)"][1:]
+    assert found["gap"][1:].tolist() == [gaps[b] * f for b, f in zip(found["base"][1:], factors, strict=True)]
+    assert len(set(found.columns["name"])) == 17
+
+
+@pytest.mark.parametrize("sample", [sobol, latin_hypercube])
+def test_samples_fill_their_ranges(sample: Callable[..., Any]) -> None:
+    ranges = {"cgem.*.pitch_x": ("400 um", "900 um"), "cgem.*.drift_gap": ("x0.5", "x1.5"), "cgem.*.foils": (1, 4),
+              "cgem.*.gas": ["CgemGas", "MdcGas"], "drift_chamber.efficiency": (0.5, 1.0)}  # fmt: skip
+    found = sample(ranges, 64, seed=3)
+    pitches = [float(one["cgem.*.pitch_x"].removesuffix(" um")) for one in found.variants]
+    assert np.histogram(pitches, 8, (400, 900))[0].tolist() == [8] * 8
+    assert sorted({one["cgem.*.foils"] for one in found.variants}) == [1, 2, 3, 4]
+    assert [one["cgem.*.gas"] for one in found.variants].count("MdcGas") == 32
+    assert all(0.5 <= one["drift_chamber.efficiency"] <= 1 for one in found.variants)
+    assert found == sample(ranges, 64, seed=3) != sample(ranges, 64, seed=4)
+    table = sweep(DESIGN, found, evaluate=channels)
+    assert table.columns["cgem.*.pitch_x (um)"][1:] == pitches
+    assert set(table.columns["status"]) == {"ok"}
+
+
+def test_problems_of_spaces_and_arguments_are_all_listed() -> None:
+    with pytest.raises(SpaceError) as caught:
+        sobol({"a": ("1 mm", "2 um"), "b": ("3 mm", "1 mm"), "c": 4}, 0)
+    assert [line.partition(":")[0].strip() for line in str(caught.value).splitlines()[1:]] == ["n", "a", "b", "c"]
+    with pytest.raises(SpaceError, match="each value once"):
+        grid({"a": [1, 1]})
+    with pytest.raises(ValueError, match="wrong sweep") as wrong:
+        sweep(DESIGN, PITCHES, evaluate="magic", p=-1, part=(3, 2), chunk=0, events=0)  # type: ignore[arg-type]
+    for text in ("evaluate: got 'magic'", "events: 0", "p[0]: got", "part: got (3, 2)", "chunk: got 0"):
+        assert text in str(wrong.value)
+    with pytest.raises(ValueError, match="expected a charged particle"):
+        sweep(DESIGN, PITCHES, particle="gamma")
+
+
+def test_a_function_that_fails_is_a_row_and_is_tried_again(tmp_path: Path) -> None:
+    broken = [True]
+
+    def fragile(detector: Detector) -> dict[str, Any]:
+        if broken[0] and detector.cgem[0].foils == 2:
+            raise RuntimeError("no licence")
+        return {"foils": detector.cgem[0].foils}
+
+    space = {"cgem.L1.foils": [1, 2]}
+    first = sweep(DESIGN, space, evaluate=fragile, output=tmp_path / "out")
+    assert first.columns["status"] == ["ok", "ok", "failed"]
+    assert first.columns["problems"][2] == "RuntimeError: no licence"
+    broken[0] = False
+    again = Counting()
+    second = sweep(DESIGN, space, evaluate=fragile, output=tmp_path / "out", executor=again)
+    assert (again.submitted, second.columns["foils"]) == (1, [3, 1, 2])
+
+
+def test_a_sweep_goes_on_where_it_was_interrupted(tmp_path: Path) -> None:
+    whole = sweep(DESIGN, PITCHES, evaluate=channels, output=tmp_path / "whole")
+    with pytest.raises(KeyboardInterrupt):
+        sweep(DESIGN, PITCHES, evaluate=channels, output=tmp_path / "out", executor=Counting(stop=2))
+    rest = Counting()
+    found = sweep(DESIGN, PITCHES, evaluate=channels, output=tmp_path / "out", executor=rest)
+    assert rest.submitted == 3
+    assert found.columns.keys() == whole.columns.keys()
+    for name in ("sweep.csv", "summary.json", "detector.toml"):
+        assert (tmp_path / "out" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
+    nothing = Counting()
+    larger = {"cgem.*.pitch_x": ["400 um", "900 um", "500 um"], "cgem.L2.anode_radius": ["132.5 mm", "160 mm"]}
+    sweep(DESIGN, PITCHES, evaluate=channels, output=tmp_path / "out", executor=nothing)
+    sweep(DESIGN, larger, evaluate=channels, output=tmp_path / "out", executor=nothing)
+    assert nothing.submitted == 2  # the new pitch
+
+
+@pytest.mark.parametrize("damage", ["cut", "flip", "empty", "other"])
+def test_damaged_chunks_are_found_and_computed_anew(tmp_path: Path, damage: str) -> None:
+    first = sweep(DESIGN, PITCHES, evaluate=channels, output=tmp_path)
+    before = (tmp_path / "sweep.csv").read_bytes()
+    chunk, other, *_ = sorted((tmp_path / "chunks").iterdir())
+    text = chunk.read_text()
+    marked = "ok" if "ok" in text else "impossible"
+    changed = {
+        "cut": text[:-30],
+        "flip": text.replace(marked, marked[::-1], 1),
+        "empty": "",
+        "other": other.read_text(),
+    }
+    chunk.write_text(changed[damage])
+    counted = Counting()
+    again = sweep(DESIGN, PITCHES, evaluate=channels, output=tmp_path, executor=counted)
+    assert counted.submitted == 1
+    assert str(again.columns) == str(first.columns)
+    assert (tmp_path / "sweep.csv").read_bytes() == before
+
+
+def test_chunks_depend_on_all_that_results_depend_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def computed(**how: Any) -> int:
+        counted = Counting()
+        given: dict[str, Any] = {"evaluate": "mc", "events": 20, "output": tmp_path, "executor": counted}
+        sweep(how.pop("base", DESIGN), {"cgem.L1.foils": [2]}, **(given | how))
+        return counted.submitted
+
+    assert computed() == 2
+    assert computed() == 0
+    assert computed(base=DESIGN.with_overrides({"name": "other"})) == 0
+    for change in ({"seed": 2}, {"events": 21}, {"p": 0.5}, {"cos_theta": 0.1}, {"particle": "pi-"},
+                   {"base": DESIGN.with_overrides({"field.bz": "0.9 T"})},
+                   {"settings": cg.Settings(simulate=cg.SimulateSettings(deltas=False))}):  # fmt: skip
+        assert computed(**change) == 2, change
+    monkeypatch.setattr("cgemit.study.sweeps.chunks.PHYSICS", 10**6)
+    assert computed() == 2
+
+
+def test_folders_of_others_are_left_alone(tmp_path: Path) -> None:
+    (tmp_path / "mine.txt").write_text("mine")
+    with pytest.raises(ValueError, match="already holds files"):
+        sweep(DESIGN, PITCHES, evaluate=channels, output=tmp_path)
+    sweep(DESIGN, PITCHES, evaluate=channels, output=tmp_path / "out")
+    with pytest.raises(ValueError, match="already holds a sweep"):
+        sweep(DESIGN, PITCHES, evaluate=channels, output=tmp_path / "out", resume=False)
+    counted = Counting()
+    sweep(DESIGN, PITCHES, evaluate=channels, output=tmp_path / "out", overwrite=True, executor=counted)
+    assert counted.submitted == 5
+
+
+def test_simulated_resolutions_are_those_of_a_run(tmp_path: Path) -> None:
+    found = sweep(DESIGN, {"cgem.*.pitch_x": ["900 um"]}, evaluate="mc", p=[0.3, 1.0], cos_theta=0.2, events=300)
+    assert found.columns["p (GeV/c)"] == [0.3, 1.0, 0.3, 1.0]
+    result = cg.run(found.detector(1), cg.Gun("mu-", p=1.0, cos_theta=0.2), 300, seed_of(1, 2))
+    for name, unit in (("dr", "um"), ("dz", "mm"), ("p", "MeV/c"), ("phi0", "mrad"), ("tanl", "1e-3")):
+        width = cg.resolution(result, name)
+        assert found.columns[f"sigma_{name} ({unit})"][3] == width.core
+        assert found.columns[f"sigma_{name}_error ({unit})"][3] == width.core_error
+        base, variant = found.columns[f"sigma_{name} ({unit})"][1::2]
+        assert found.columns[f"delta_sigma_{name} ({unit})"][3] == variant - base
+    assert found.columns["delta_sigma_dr (um)"][:2] == [0, 0]
+    assert found.columns["delta_sigma_dr_error (um)"][:2] == [0, 0]
+
+
+def test_analytic_resolutions_are_those_of_the_covariance() -> None:
+    space = {"cgem.*.pitch_x": ["900 um"], "drift_chamber.sigma": ["x1", "x2"]}
+    found = sweep(DESIGN, space, p=[0.01, 0.3, 1.0], cos_theta=[0.2, (-0.5, 0.5)], particle="pi+", chunk=2)
+    one, mixed = (cg.analytic(found.detector(2), "pi+", [0.01, 0.3, 1.0], c) for c in (0.2, (-0.5, 0.5)))
+    rows = slice(12, 18)  # of variant 2: momenta, and for each the two angles
+    assert found.columns["cos_theta"][rows] == ["0.2", "-0.5:0.5"] * 3
+    for name, header, scale in (("p", "sigma_p (MeV/c)", 1e3), ("dr", "sigma_dr (um)", 1e3), ("dz", "sigma_dz (mm)", 1),
+                                ("theta", "sigma_theta (mrad)", 1e3), ("tanl", "sigma_tanl (1e-3)", 1e3)):  # fmt: skip
+        expected = scale * np.array([one.sigma(name), mixed.sigma(name)]).T.ravel()
+        np.testing.assert_array_equal(found[header][rows], expected)
+    assert found.columns["tracks"][rows][::2] == [FitStatus(int(status)).name for status in one.status]
+    assert found.columns["tracks"][12] != "ok" == found.columns["tracks"][14]
+    assert found.columns["sigma_p (MeV/c)"][16] > 1.5 * found.columns["sigma_p (MeV/c)"][10]
+    read_out = cg.Settings(digitize=cg.DigitizeSettings(readout=cg.GaussianReadout(sigma_x=0.3, sigma_v=0.3)))
+    changed = sweep(DESIGN, space, settings=read_out)
+    expected = cg.analytic(changed.detector(1), readout=read_out.digitize.readout).sigma("dr")
+    assert changed.columns["sigma_dr (um)"][1] == pytest.approx(1e3 * float(expected), rel=1e-12)
+
+
+def test_error_of_a_difference_of_widths_of_the_same_events() -> None:
+    random = np.random.default_rng(5)
+    errors, differences = [], []
+    for _ in range(300):
+        common, own = random.normal(size=(2, 400))
+        samples = (common, common + 0.3 * own)
+        group = np.arange(400) % GROUPS
+        errors.append(error_of_difference(*([float(x[group != g].std()) for g in range(GROUPS)] for x in samples)))
+        differences.append(samples[1].std() - samples[0].std())
+    spread = np.std(differences)
+    # 300 differences know their spread to 4 %; unpaired errors would be 3 times as large.
+    assert np.mean(errors) == pytest.approx(spread, rel=0.12)
+    assert spread < 0.5 * math.hypot(1, 1.04) / math.sqrt(800)
+
+
+def test_tables_are_written_and_read_back(tmp_path: Path) -> None:
+    found = sweep(DESIGN, PITCHES, evaluate=channels, output=tmp_path)
+    csv = pd.read_csv(tmp_path / "sweep.csv", keep_default_na=False, na_values=["nan"])
+    assert csv.columns.tolist() == list(found.columns)
+    pd.testing.assert_frame_equal(csv, found.to_pandas(), check_dtype=False, rtol=1e-6)
+    pd.testing.assert_frame_equal(pd.read_parquet(found.write_parquet(tmp_path / "t.parquet")), found.to_pandas())
+    assert cg.load(tmp_path / "detector.toml").content_hash == DESIGN.content_hash
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert (summary["status"], summary["variants"]) == ({"impossible": 2, "ok": 3}, 4)
+    assert "impossible" in repr(found)
+    assert "<table>" in found._repr_html_()
+
+
+PLAN = """
+base = "besiii-cgem-design"
+[vary]
+"cgem.*.pitch_x" = ["400 um", "900 um"]
+[evaluate]
+method = "mc"
+p = [0.5, "1 GeV/c"]
+cos_theta = [0.0, "-0.3:0.3"]
+events = 60
+seed = 7
+particle = "pi+"
+[settings.simulate]
+deltas = false
+"""
+
+
+@pytest.fixture
+def plan(tmp_path: Path) -> Path:
+    path = tmp_path / "plan.toml"
+    path.write_text(PLAN, encoding="utf-8")
+    return path
+
+
+def test_a_plan_is_the_same_call_in_python(plan: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["sweep", str(plan), "-o", str(tmp_path / "a"), "--parquet", "--quiet", "--threads", "1"]) == 0
+    assert "2 variants, 12 rows" in capsys.readouterr().out
+    settings = cg.Settings(simulate=cg.SimulateSettings(deltas=False))
+    given: dict[str, Any] = {"evaluate": "mc", "p": [0.5, 1.0], "cos_theta": [0.0, (-0.3, 0.3)], "events": 60,
+                             "seed": 7, "particle": "pi+", "settings": settings}  # fmt: skip
+    found = sweep(DESIGN, {"cgem.*.pitch_x": ["400 um", "900 um"]}, **given, output=tmp_path / "b")
+    for name in ("sweep.csv", "summary.json", "detector.toml"):
+        assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
+    pd.testing.assert_frame_equal(pd.read_parquet(tmp_path / "a" / "sweep.parquet"), found.to_pandas())
+    assert (tmp_path / "a" / "sweep.png").stat().st_size > 5000
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        ("evaluate.events=61", {"events": 61}),
+        ("evaluate.seed=8", {"seed": 8}),
+        ("evaluate.p=0.7", {"p": 0.7}),
+        ("evaluate.particle=mu-", {"particle": "mu-"}),
+        ("evaluate.cos_theta=0.1", {"cos_theta": 0.1}),
+        ("base=besiii-cgem", {"base": "besiii-cgem"}),
+        ("evaluate.chunk=2", {"chunk": 2}),
+        ('vary.cgem.*.pitch_x=["500 um"]', {"space": {"cgem.*.pitch_x": ["500 um"]}}),
+        ("settings.simulate.deltas=true", {"settings": cg.Settings()}),
+    ],
+)
+def test_set_changes_one_value_of_the_plan(plan: Path, change: str, named: dict[str, Any]) -> None:
+    from cgemit.cli.sweep import _changed
+
+    before, after = dict(read_plan(plan).arguments), dict(read_plan(plan, _changed([change])).arguments)
+    expected = before | named
+    if "space" in named:
+        expected["space"] = grid(named["space"])
+    assert after == expected != before
+
+
+def test_parts_of_an_array_are_merged(plan: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    whole, parts = tmp_path / "whole", tmp_path / "parts"
+    assert main(["sweep", str(plan), "-o", str(whole), "--quiet"]) == 0
+    assert main(["sweep", str(plan), "-o", str(parts), "--quiet", "--array-index", "1/2"]) == 0
+    assert sorted(path.name for path in parts.iterdir()) == ["chunks", "plan.toml"]
+    assert main(["sweep", "--merge", str(parts), "--quiet"]) == 3
+    assert "2 of 3 variants are missing" in capsys.readouterr().err
+    assert main(["sweep", str(plan), "-o", str(parts), "--quiet", "--array-index", "0/2"]) == 0
+    capsys.readouterr()
+    assert main(["sweep", "--merge", str(parts), "--quiet", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == json.loads((whole / "summary.json").read_text())
+    assert (parts / "sweep.csv").read_bytes() == (whole / "sweep.csv").read_bytes()
+
+
+def test_functions_of_a_file_beside_the_plan(tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text("def foils(detector):\n    return {'foils': detector.cgem[0].foils}\n")
+    text = 'base = "besiii-cgem-design"\n[evaluate]\nmethod = "mine.py:foils"\n[[variants]]\n"cgem.L1.foils" = 2\n'
+    (tmp_path / "plan.toml").write_text(text)
+    assert read_plan(tmp_path / "plan.toml").run().columns["foils"] == [3, 2]
+
+
+def test_problems_of_a_plan_are_all_listed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "plan.toml"
+    path.write_text('bse = "x"\n[vary]\n[[variants]]\n[sample]\nkin = "grid"\n[draw]\n')
+    with pytest.raises(PlanError) as caught:
+        read_plan(path)
+    begins = [text.split(";")[0] for text in caught.value.problems]
+    assert begins == [
+        "bse: an unknown key",
+        "sample.kin: an unknown key",
+        "vary, variants: got both, expected one of them",
+    ]
+    path.write_text('base = 3\n[vary]\na = []\n[evaluate]\np = "1 mm"\nmethod = "no.py:f"\n[settings.fit]\nlos = 1\n')
+    with pytest.raises(PlanError) as caught:
+        read_plan(path)
+    begins = [text.partition(":")[0] for text in caught.value.problems]
+    assert begins == ["evaluate.method", "evaluate.p", "a", "settings.fit.los", "base"]
+    assert main(["sweep", str(path), "-o", str(tmp_path / "out")]) == 2
+    assert main(["sweep", str(tmp_path / "none.toml"), "-o", str(tmp_path / "out")]) == 2
+    assert main(["sweep", str(path)]) == 2
+    assert "-o: missing" in capsys.readouterr().err
+
+
+def test_a_sweep_without_a_possible_variant_has_failed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "mine.py").write_text("def wrong(detector):\n    raise ValueError('never')\n")
+    text = 'base = "besiii-cgem-design"\n[evaluate]\nmethod = "mine.py:wrong"\n[vary]\n"cgem.L1.foils" = [2]\n'
+    (tmp_path / "plan.toml").write_text(text)
+    assert main(["sweep", str(tmp_path / "plan.toml"), "-o", str(tmp_path / "out"), "--quiet"]) == 3
+    assert "ValueError: never" in capsys.readouterr().err
