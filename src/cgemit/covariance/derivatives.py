@@ -247,4 +247,3 @@ def design_keys(detector: Contents) -> Iterator[str]:
                 yield f"cgem.{layer.label}.{stack}.{part.label}.thickness"
     if detector.drift_chamber is not None:
         yield "drift_chamber.sigma"
-

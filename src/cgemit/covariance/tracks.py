@@ -20,8 +20,15 @@ Floats = npt.NDArray[np.float64]
 
 #: What has a resolution, with its unit.
 QUANTITIES = {
-    "dr": "mm", "phi0": "rad", "kappa": "1/(GeV/c)", "dz": "mm", "tanl": "", "theta": "rad", "p": "GeV/c", "pt": "GeV/c",
-}  # fmt: skip
+    "dr": "mm",
+    "phi0": "rad",
+    "kappa": "1/(GeV/c)",
+    "dz": "mm",
+    "tanl": "",
+    "theta": "rad",
+    "p": "GeV/c",
+    "pt": "GeV/c",
+}
 
 _CHUNK = 4096  # tracks of one task
 

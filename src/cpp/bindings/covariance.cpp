@@ -93,7 +93,7 @@ void bind_covariance(py::module_& module) {
   module.def(
       "covariances", &run, py::arg("detector"), py::kw_only(), py::arg("phi"), py::arg("kappa"),
       py::arg("tanl"), py::arg("mass"), py::arg("samples"), py::arg("phases"), py::arg("settings"),
-      py::arg("budget"),
+      py::arg("budget"), py::arg("variants") = std::vector<const Detector*>(),
       "Covariances of (dr, phi0, kappa, dz, tanl) of tracks from the origin, without events: columns of "
       "the tracks, and if requested the sums of the budget's terms over the samples of each point. Rows of "
       "`variants` of the detector, which keep the hits of the first one, follow those of the detector.");
