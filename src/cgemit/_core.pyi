@@ -151,7 +151,7 @@ class FitSettings:
         prior_sigma: Sequence[float],
     ) -> None: ...
 
-class CovarianceSettings:
+class HitModel:
     def __init__(
         self,
         *,
@@ -325,9 +325,9 @@ def covariances(
     mass: npt.ArrayLike,
     samples: int,
     phases: npt.ArrayLike,
-    settings: CovarianceSettings,
+    model: HitModel,
     budget: bool,
-    variants: Sequence[Detector] = (),
+    variants: Sequence[Detector] = [],
 ) -> dict[str, _Array]: ...
 def isa() -> str: ...
 def lanes() -> int: ...

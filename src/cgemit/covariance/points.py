@@ -108,12 +108,12 @@ def analytic(
     turned = 2 * np.pi * drawn[:, 0] - np.pi
     psi = np.where(np.isnan(phi_low).reshape(-1, 1), turned, phi_low.reshape(-1, 1))
     sine = np.sqrt(1 - cosine * cosine)
-    core = _core.CovarianceSettings(
+    model = _core.HitModel(
         sigma_x=list(sigma_x), sigma_v=list(sigma_v), least_width=fit.least_width, delta_strips=fit.delta_strips,
         sides_known=reveal_sides, seed=0, prior_sigma=fit.prior_sigma,
     )  # fmt: skip
     tracks = Tracks(
-        detector, fit, core, psi.ravel(), (charges.reshape(-1, 1) / (momentum * sine)).ravel(), (cosine / sine).ravel(),
+        detector, fit, model, psi.ravel(), (charges.reshape(-1, 1) / (momentum * sine)).ravel(), (cosine / sine).ravel(),
         np.repeat(masses.ravel(), number), number, np.ascontiguousarray(drawn[:, 3:]), threads,
     )  # fmt: skip
     out = tracks.run(budget=False)

@@ -143,7 +143,7 @@ class Covariance:
         rows = [
             f"  p {p:.4g} GeV/c, cos(theta) {c:.3g}: sigma(d_rho) {1e3 * dr:.4g} um, sigma(d_z) {dz:.4g} mm, "
             f"sigma(p) {1e3 * sp:.4g} MeV/c" + ("" if s == 0 else f" [{FitStatus(int(s)).name}]")
-            for p, c, dr, dz, sp, s in zip(*map(np.ravel, columns), strict=True)
+            for p, c, dr, dz, sp, s in zip(*(np.ravel(one) for one in columns), strict=True)
         ]
         more = [f"  ... {len(rows) - 12} more"] if len(rows) > 12 else []
         head = f"<{self.detector.name}, {self.particle}, read-out {self.readout.name}"

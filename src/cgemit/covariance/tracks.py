@@ -39,7 +39,7 @@ class Tracks:
 
     detector: Detector
     fit: FitSettings
-    settings: _core.CovarianceSettings
+    model: _core.HitModel
     phi: Floats  # azimuth of the momentum at the origin; this and the following (tracks,)
     kappa: Floats
     tanl: Floats
@@ -66,7 +66,7 @@ class Tracks:
             rows = slice(first, min(first + step, n))
             found: dict[str, npt.NDArray[Any]] = _core.covariances(
                 core, phi=self.phi[rows], kappa=self.kappa[rows], tanl=self.tanl[rows], mass=self.mass[rows],
-                samples=self.samples, phases=self.phases, settings=self.settings, budget=budget,
+                samples=self.samples, phases=self.phases, model=self.model, budget=budget,
                 variants=list(variants),
             )  # fmt: skip
             if not variants:

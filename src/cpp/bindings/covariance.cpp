@@ -33,13 +33,13 @@ py::dict columns_of(const std::vector<CovarianceRow>& rows) {
 
 py::dict run(const Detector& detector, const Array<double>& phi, const Array<double>& kappa,
              const Array<double>& tanl, const Array<double>& mass, std::size_t samples,
-             const Array<double>& phases, const CovarianceSettings& settings, bool budget,
+             const Array<double>& phases, const HitModel& model, bool budget,
              const std::vector<const Detector*>& variants) {
   const auto n = phi.size();
   const auto views = static_cast<py::ssize_t>(2 * detector.cgem.size());
   if (samples == 0 || n % static_cast<py::ssize_t>(samples) != 0)
     throw std::invalid_argument("samples: expected a divisor of the number of tracks");
-  for (const auto* sigma : {&settings.sigma_x, &settings.sigma_v})
+  for (const auto* sigma : {&model.sigma_x, &model.sigma_v})
     if (sigma->size() != detector.cgem.size())
       throw std::invalid_argument("sigma_x, sigma_v: expected a number for each CGEM layer");
   for (const Detector* variant : variants)
@@ -61,7 +61,7 @@ py::dict run(const Detector& detector, const Array<double>& phi, const Array<dou
   static_assert(sizeof(BudgetTerm) == budget_entries * sizeof(double));
   {
     py::gil_scoped_release release;
-    kernels().covariances(detector, input, settings,
+    kernels().covariances(detector, input, model,
                           {rows.data(), budget ? reinterpret_cast<BudgetTerm*>(sums.data()) : nullptr});
   }
   py::dict out = columns_of(rows);
@@ -75,24 +75,24 @@ py::dict run(const Detector& detector, const Array<double>& phi, const Array<dou
 }  // namespace
 
 void bind_covariance(py::module_& module) {
-  py::class_<CovarianceSettings>(module, "CovarianceSettings",
-                                 "Settings of the covariance; the values live in cgemit.covariance.")
+  py::class_<HitModel>(module, "HitModel",
+                       "Errors of the hits that cgemit.covariance expects, and the prior of the filter.")
       .def(py::init([](std::vector<double> sigma_x, std::vector<double> sigma_v, double least_width,
                        double delta_strips, bool sides_known, std::uint64_t seed,
                        const std::array<double, 5>& prior_sigma) {
-             return CovarianceSettings{.sigma_x = std::move(sigma_x),
-                                       .sigma_v = std::move(sigma_v),
-                                       .least_width = least_width,
-                                       .delta_strips = delta_strips,
-                                       .sides_known = sides_known,
-                                       .seed = seed,
-                                       .prior_sigma = prior_sigma};
+             return HitModel{.sigma_x = std::move(sigma_x),
+                             .sigma_v = std::move(sigma_v),
+                             .least_width = least_width,
+                             .delta_strips = delta_strips,
+                             .sides_known = sides_known,
+                             .seed = seed,
+                             .prior_sigma = prior_sigma};
            }),
            py::kw_only(), py::arg("sigma_x"), py::arg("sigma_v"), py::arg("least_width"),
            py::arg("delta_strips"), py::arg("sides_known"), py::arg("seed"), py::arg("prior_sigma"));
   module.def(
       "covariances", &run, py::arg("detector"), py::kw_only(), py::arg("phi"), py::arg("kappa"),
-      py::arg("tanl"), py::arg("mass"), py::arg("samples"), py::arg("phases"), py::arg("settings"),
+      py::arg("tanl"), py::arg("mass"), py::arg("samples"), py::arg("phases"), py::arg("model"),
       py::arg("budget"), py::arg("variants") = std::vector<const Detector*>(),
       "Covariances of (dr, phi0, kappa, dz, tanl) of tracks from the origin, without events: columns of "
       "the tracks, and if requested the sums of the budget's terms over the samples of each point. Rows of "

@@ -16,9 +16,9 @@ namespace cgemit {
 template <class T>
 class CovarianceBatch {
  public:
-  CovarianceBatch(const Detector& detector, const CovarianceInput& input, const CovarianceSettings& settings,
+  CovarianceBatch(const Detector& detector, const CovarianceInput& input, const HitModel& model,
                   const CovarianceOutput& output)
-      : detector_(detector), input_(input), settings_(settings), out_(output), names_(detector) {
+      : detector_(detector), input_(input), model_(model), out_(output), names_(detector) {
     std::int32_t slabs = 0;
     for (const Surface& surface : detector.surfaces)
       group_.steps.push_back(
@@ -53,14 +53,10 @@ class CovarianceBatch {
     };
     const PerigeeOf<T> start{T(0.0), column(input_.psi), column(input_.kappa), T(0.0), column(input_.tanl)};
     const T mass = column(input_.mass);
-    const mask_of<T> ok = compute(detector_, first, start, mass, false, &out_.rows[first], n);
-    const Symmetric<T> covariance =
-        Budget<T>(detector_, group_, terms_.data(), ok).split(settings_.prior_sigma);
-    write(covariance, &out_.rows[first], n);
+    compute(detector_, first, start, mass, false, terms_.data(), &out_.rows[first], n);
     for (std::size_t v = 0; v < input_.variants.size(); ++v) {
       CovarianceRow* rows = &out_.rows[(v + 1) * input_.tracks() + first];
-      compute(*input_.variants[v], first, start, mass, true, rows, n);
-      write(Budget<T>(*input_.variants[v], group_, nullptr, ok).split(settings_.prior_sigma), rows, n);
+      compute(*input_.variants[v], first, start, mass, true, nullptr, rows, n);
     }
     // The sums stay in lanes as long as all lanes belong to one point.
     const bool next_is_same = point(first) == point(std::min(first + n + width, input_.tracks()) - 1) &&
@@ -68,18 +64,17 @@ class CovarianceBatch {
     if (out_.budget != nullptr && !next_is_same) flush(first, n);
   }
 
-  // Traces and filters n tracks; writes their rows but for the covariance. Returns the lanes that have one.
-  // `again`: with the hits of the first detector.
-  mask_of<T> compute(const Detector& detector, std::size_t first, const PerigeeOf<T>& start, const T& mass,
-                     bool again, CovarianceRow* rows, std::size_t n) {
-    ExpectedHits<T> hits(detector, settings_, input_, first, group_, kept_, again);
+  // Traces and filters n tracks and writes their rows. `again`: with the hits of the first detector.
+  void compute(const Detector& detector, std::size_t first, const PerigeeOf<T>& start, const T& mass,
+               bool again, TermOf<T>* terms, CovarianceRow* rows, std::size_t n) {
+    ExpectedHits<T> hits(detector, model_, input_, first, group_, kept_, again);
     // Whether hits lie beyond a slab is not known before.
     group_.ahead.assign(group_.noise.size(), mask_of<T>(true));
     trace(detector, start, mass, kind(first), Expectation<T>(hits));
     for (Slot<T>& slot : group_.slots) slot.used = slot.met;
     Five<T> prior;
-    unroll<parameters>([&](auto i) { prior[i] = settings_.prior_sigma[i] * settings_.prior_sigma[i]; });
-    const FilteredState<T> state = filter(detector, group_, Symmetric<T>::diagonal(prior));
+    unroll<parameters>([&](auto i) { prior[i] = model_.prior_sigma[i] * model_.prior_sigma[i]; });
+    FilteredState<T> state = filter(detector, group_, Symmetric<T>::diagonal(prior));
     const mask_of<T> valid = sound(state) & positive_definite(state.c);
     mask_of<T> ok(false);
     for (std::size_t k = 0; k < n; ++k) {
@@ -87,7 +82,8 @@ class CovarianceBatch {
       rows[k].status = status(static_cast<int>(k), valid);
       set_lane(ok, static_cast<int>(k), rows[k].status == FitStatus::ok);
     }
-    return ok;
+    Budget<T>(detector, group_, terms, ok).split(model_.prior_sigma, state.c);
+    write(state.c, rows, n);
   }
 
   void trace(const Detector& detector, const PerigeeOf<T>& start, const T& mass, Projectile projectile,
@@ -135,7 +131,7 @@ class CovarianceBatch {
 
   const Detector& detector_;
   const CovarianceInput& input_;
-  const CovarianceSettings& settings_;
+  const HitModel& model_;
   const CovarianceOutput& out_;
   BudgetTerms names_;
   Group<T> group_;

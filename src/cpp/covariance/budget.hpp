@@ -5,7 +5,7 @@
 // The u_k follow from the gains of the filter: with L = 1 behind the innermost update, going outward,
 //   measurement:  u = L K sigma,  then L <- L (1 - K h^T);     noise vector g:  u = L g,
 // and L (prior) L^T remains. The sum is the covariance for any gains K (Joseph's form), so it has no rounding
-// error of differences.
+// error of differences. The entries that the budget does not split are those of the filter.
 #pragma once
 
 #include "covariance/covariance.hpp"
@@ -22,15 +22,15 @@ class Budget {
   // `terms`: sums to which the parts are added, or null.
   Budget(const Detector& detector, Group<T>& group, TermOf<T>* terms, const mask_of<T>& who)
       : detector_(detector), group_(group), names_(detector), terms_(terms), who_(who) {
-    total_ = Symmetric<T>::diagonal(Five<T>::zero());
+    total_.fill(T(0.0));
     unroll<parameters>([&](auto i) {
       rows_[i] = Five<T>::zero();
       rows_[i][i] = 1.0;
     });
   }
 
-  // After the filter. Returns the covariance.
-  CGEMIT_FLATTEN const Symmetric<T>& split(const std::array<double, 5>& prior_sigma) {
+  // After the filter. Replaces the entries of its covariance that are split by their sums.
+  CGEMIT_FLATTEN void split(const std::array<double, 5>& prior_sigma, Symmetric<T>& covariance) {
     for (const GroupStep& step : group_.steps) {
       for (std::int32_t s = step.first; s < step.last; ++s)
         measure(group_.slots[static_cast<std::size_t>(s)]);
@@ -45,7 +45,8 @@ class Budget {
       unroll<parameters>([&](auto i) { u[i] = rows_[i][k] * prior_sigma[k]; });
       add(u, names_.prior());
     });
-    return total_;
+    unroll<parameters>([&](auto i) { covariance(i, i) = total_[i]; });
+    covariance(2, 4) = total_[5];
   }
 
  private:
@@ -85,16 +86,11 @@ class Budget {
   }
 
   void add(const Five<T>& u, std::size_t term) {
-    Symmetric<T> part;
-    unroll<parameters>([&](auto i) {
-      unroll<parameters>([&](auto j) {
-        if constexpr (j >= i) total_(i, j) += part(i, j) = u[i] * u[j];
-      });
-    });
+    TermOf<T> part{u[0] * u[0], u[1] * u[1], u[2] * u[2], u[3] * u[3], u[4] * u[4], u[2] * u[4]};
+    unroll<budget_entries>([&](auto e) { total_[e] += part[e]; });
     if (terms_ == nullptr) return;
     TermOf<T>& to = terms_[term];
-    unroll<parameters>([&](auto i) { to[i] += select(who_, part(i, i), T(0.0)); });
-    to[5] += select(who_, part(2, 4), T(0.0));
+    unroll<budget_entries>([&](auto e) { to[e] += select(who_, part[e], T(0.0)); });
   }
 
   const Detector& detector_;
@@ -103,7 +99,7 @@ class Budget {
   TermOf<T>* terms_;
   mask_of<T> who_;
   std::array<Five<T>, parameters> rows_;  // of L
-  Symmetric<T> total_;
+  TermOf<T> total_;
 };
 
 }  // namespace cgemit

@@ -13,9 +13,9 @@ bool same_surfaces(const Detector& a, const Detector& b) {
          });
 }
 
-void covariances(const Detector& detector, const CovarianceInput& input, const CovarianceSettings& settings,
+void covariances(const Detector& detector, const CovarianceInput& input, const HitModel& model,
                  const CovarianceOutput& output) {
-  CovarianceBatch<double>(detector, input, settings, output).run();
+  CovarianceBatch<double>(detector, input, model, output).run();
 }
 
 }  // namespace cgemit

@@ -12,8 +12,8 @@
 
 namespace cgemit {
 
-// Default values are in `cgemit.covariance`.
-struct CovarianceSettings {
+// Errors of the expected hits, and the prior of the filter.
+struct HitModel {
   // Errors of X and V of each CGEM layer, mm; 0: strips fire where the path touches them, and the error
   // follows from the number of strips, as in the fit.
   std::vector<double> sigma_x, sigma_v;
@@ -75,7 +75,7 @@ struct CovarianceOutput {
 bool same_surfaces(const Detector& a, const Detector& b);
 
 // The scalar code without SIMD lanes.
-void covariances(const Detector& detector, const CovarianceInput& input, const CovarianceSettings& settings,
+void covariances(const Detector& detector, const CovarianceInput& input, const HitModel& model,
                  const CovarianceOutput& output);
 
 }  // namespace cgemit

@@ -30,20 +30,21 @@ class ExpectedHits {
  public:
   using Mask = mask_of<T>;
 
-  ExpectedHits(const Detector& detector, const CovarianceSettings& settings, const CovarianceInput& input,
+  ExpectedHits(const Detector& detector, const HitModel& model, const CovarianceInput& input,
                std::size_t first, Group<T>& group, std::vector<KeptHit<T>>& kept, bool again)
       : detector_(detector),
-        settings_(settings),
+        model_(model),
         input_(input),
         first_(first),
         group_(group),
         kept_(kept),
         again_(again),
+        keeps_(!again && !input.variants.empty()),
         steps_(detector),
         cells_(detector, steps_) {
     group_.slots = {};
     for (GroupStep& step : group_.steps) step.first = step.last = 0;
-    if (!again_) kept_.clear();
+    if (keeps_) kept_.clear();
   }
   ExpectedHits(const ExpectedHits&) = delete;  // `cells_` refers to `steps_`
   ExpectedHits& operator=(const ExpectedHits&) = delete;
@@ -95,19 +96,19 @@ class ExpectedHits {
   // The variance of a measurement that the reference has met. Of a variant it is that of the kept cluster,
   // times the change of the mean over all positions of the strips.
   void measure(Slot<T>& slot, const Mask& met) {
-    KeptHit<T>& kept = kept_[static_cast<std::size_t>(&slot - group_.storage.data())];
+    const auto number = static_cast<std::size_t>(&slot - group_.storage.data());
     if (slot.view == View::wire) {
       slot.variance = wire_variance(slot);
-      if (!again_) kept.there = met;
-      return;
+    } else if (again_) {
+      slot.variance = kept_[number].variance * mean_error(slot) / kept_[number].mean;
+    } else {
+      slot.variance = cluster_error(slot);
     }
-    const T mean = mean_error(slot);
-    if (!again_) {
-      kept.variance = cluster_error(slot);
-      kept.mean = mean;
-      kept.there = met;
-    }
-    slot.variance = kept.variance * mean / kept.mean;
+    if (!keeps_) return;
+    kept_[number].there = met;
+    if (slot.view == View::wire) return;
+    kept_[number].variance = slot.variance;
+    kept_[number].mean = mean_error(slot);
   }
 
  private:
@@ -130,13 +131,13 @@ class ExpectedHits {
     slot.edge = edge;
     // Tells the trace on which side of a seam the hit is.
     slot.drift = view == View::x ? x : x * layer.cos_stereo + (layer.z_ref() - at.z) * layer.sin_stereo;
-    if (!again_) kept_.push_back({step_number(step), view, index, there, {}, edge, T(1.0), T(1.0)});
+    if (keeps_) kept_.push_back({step_number(step), view, index, there, {}, edge, T(1.0), T(1.0)});
   }
   void add_wire(GroupStep& step, std::size_t index, const Mask& there, const CellNumbers<T>& cell) {
     Slot<T>& slot = add(step, View::wire, index);
     slot.there = there;
     slot.wire = cell_wires<T>(detector_.wires[index], cell);
-    if (!again_) kept_.push_back({step_number(step), View::wire, index, there, cell, T(0.0), T(1.0), T(1.0)});
+    if (keeps_) kept_.push_back({step_number(step), View::wire, index, there, cell, T(0.0), T(1.0), T(1.0)});
   }
 
   std::size_t step_number(const GroupStep& step) const {
@@ -172,7 +173,7 @@ class ExpectedHits {
     Mask fired(false);
     for (int i = 0; i < lanes_of<T>; ++i) {
       const auto wire = static_cast<std::uint32_t>(cell[static_cast<std::size_t>(i)]);
-      const Stream stream(settings_.seed, sample(i), 0);
+      const Stream stream(model_.seed, sample(i), 0);
       const Block words =
           stream.block(Purpose::drift_distance, static_cast<std::uint32_t>(layer.number) << 16 | wire);
       set_lane(fired, i, open_unit(words[1]) <= layer.efficiency);
@@ -186,7 +187,7 @@ class ExpectedHits {
     const WireLayer& layer = detector_.wires[static_cast<std::size_t>(slot.layer)];
     const T distance = abs(slot.predicted), sigma = layer.sigma + layer.sigma_slope * distance;
     const T own = sigma * sigma;
-    if (settings_.sides_known) return own;
+    if (model_.sides_known) return own;
     const T weight = hyperbolic_tangent(distance * distance / own);
     return own + (1.0 - weight * weight) * distance * distance;
   }
@@ -207,11 +208,10 @@ class ExpectedHits {
     return (1.0 - part) * error_of_size(slot, whole + 1.0) + part * error_of_size(slot, whole + 2.0);
   }
   T error_of_size(const Slot<T>& slot, const T& size) const {
-    return cluster_variance(size, slot.extent, pitch(slot), settings_.least_width, settings_.delta_strips);
+    return cluster_variance(size, slot.extent, pitch(slot), model_.least_width, model_.delta_strips);
   }
   double given_error(const Slot<T>& slot) const {
-    return (slot.view == View::x ? settings_.sigma_x
-                                 : settings_.sigma_v)[static_cast<std::size_t>(slot.layer)];
+    return (slot.view == View::x ? model_.sigma_x : model_.sigma_v)[static_cast<std::size_t>(slot.layer)];
   }
   double pitch(const Slot<T>& slot) const {
     const CgemLayer& layer = detector_.cgem[static_cast<std::size_t>(slot.layer)];
@@ -219,12 +219,12 @@ class ExpectedHits {
   }
 
   const Detector& detector_;
-  const CovarianceSettings& settings_;
+  const HitModel& model_;
   const CovarianceInput& input_;
   std::size_t first_;  // track in the first lane
   Group<T>& group_;
   std::vector<KeptHit<T>>& kept_;  // one per slot
-  bool again_;                     // whether the kept hits are used
+  bool again_, keeps_;             // whether the kept hits are used, or made
   UniformMotionOf<T>
       steps_;  // to the next layer of wires; short, so that the field is as at the last surface
   CellFinder<T, UniformMotionOf<T>> cells_;

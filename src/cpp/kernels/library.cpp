@@ -17,9 +17,9 @@ void fit(const Detector& detector, const FitInput& input, const FitSettings& set
   BatchFit<Number>(detector, input, settings, output).run();
 }
 
-void covariances_of_lanes(const Detector& detector, const CovarianceInput& input,
-                          const CovarianceSettings& settings, const CovarianceOutput& output) {
-  CovarianceBatch<Number>(detector, input, settings, output).run();
+void covariances_of_lanes(const Detector& detector, const CovarianceInput& input, const HitModel& model,
+                          const CovarianceOutput& output) {
+  CovarianceBatch<Number>(detector, input, model, output).run();
 }
 
 constexpr Kernels these{CGEMIT_ISA, CGEMIT_LANES,         &function_of_lanes<Number>, &simulate_lanes<Number>,
