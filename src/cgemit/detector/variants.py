@@ -41,16 +41,19 @@ def expanded(detector: Contents, changes: Mapping[str, object], problems: list[P
     detector : Contents
     changes : mapping of str to object
         By dotted keys, several of which may stand together, separated by commas. ``*``, ``?`` and ``[...]`` match
-        labels; a key without them has precedence.
+        labels of parts that are not removed; a key without them has precedence.
     problems : list of Problem
         Receives every pattern that matches nothing and every relative value of something that is no number.
     """
     found: dict[str, object] = {}
     exact: dict[str, object] = {}
+    removed = changes.get("remove")
+    gone = tuple(f"{path}." for path in removed) if isinstance(removed, list) else ()
     for keys, value in changes.items():
         for key in keys.split(","):
-            paths = list(matching(detector, key.strip(), problems))
-            for path in paths:
+            for path in matching(detector, key.strip(), problems):
+                if path != key.strip() and f"{path}.".startswith(gone):
+                    continue
                 (exact if path == key.strip() else found).update(_absolute(detector, path, value, problems))
     return found | exact
 
