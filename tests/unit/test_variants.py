@@ -115,6 +115,11 @@ def test_names_are_made_of_what_changed() -> None:
         ).name
     )
     assert DESIGN.with_overrides({}).name == DESIGN.name
+    odd = DESIGN.with_overrides({"name": "a++b=1+c"})
+    assert odd.with_overrides({}).name == odd.name
+    assert (
+        odd.with_overrides({"cgem.L1.foils": 2}).with_overrides({"cgem.L1.foils": 1}).name == "a++b=1+c+cgem.L1.foils=1"
+    )
 
 
 def test_hashes_tell_contents_apart_and_nothing_else() -> None:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from cgemit import _core, isa
 from cgemit.detector.field.core import compiled_field
-from cgemit.detector.gaps import gap_table
+from cgemit.detector.gaps import gap_columns, gap_table
 from cgemit.detector.material import Element, Material
 from cgemit.detector.model import Detector
 from cgemit.detector.parts import CgemLayer, DriftChamber, Shell
@@ -129,6 +129,12 @@ def compiled(
         If ``CGEMIT_ISA`` names an instruction set that is not available.
     """
     return _compiled(detector, merge, screening, foil, loss, gaps)
+
+
+def forget() -> None:
+    """Forget all compiled detectors and tables, for tests that replace what they are made with."""
+    for cache in (_compiled, _row, _log_term, _elements, gap_columns):
+        cache.cache_clear()
 
 
 @lru_cache(maxsize=64)
