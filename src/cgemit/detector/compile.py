@@ -83,7 +83,7 @@ def _row(slab: Slab) -> _Row:
             part = per_gram * shell.material.density * 0.1 * shell.thickness
             moles[element] = moles.get(element, 0.0) + part
     terms = [shell.xi * _log_term(shell.material) for shell in slab.shells]
-    log_terms = np.asarray(np.sum(terms, axis=0) / slab.xi, dtype=np.float64)
+    log_terms = np.asarray(np.sum(terms, axis=0) / numbers[-1], dtype=np.float64)  # xi, the last of _NUMBERS
     return _Row(numbers, log_terms, tuple((element.z, element.a, amount) for element, amount in moles.items()))
 
 
