@@ -27,7 +27,7 @@ from cgemit.version import VERSION as __version__
 
 if TYPE_CHECKING:
     from cgemit import draw, study
-    from cgemit.covariance import analytic
+    from cgemit.covariance import analytic, sensitivity
     from cgemit.statistics.resolutions import resolution
 
 __all__ = [
@@ -58,6 +58,7 @@ __all__ = [
     "load",
     "resolution",
     "run",
+    "sensitivity",
     "slab",
     "study",
 ]
@@ -68,6 +69,7 @@ _LAZY = {
     "draw": "cgemit.draw",
     "study": "cgemit.study",
     "resolution": "cgemit.statistics.resolutions",
+    "sensitivity": "cgemit.covariance",
 }
 
 
@@ -75,7 +77,7 @@ def __getattr__(name: str) -> Any:
     if name not in _LAZY:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     module = importlib.import_module(_LAZY[name])
-    return getattr(module, name) if name in ("analytic", "resolution") else module
+    return getattr(module, name) if name in ("analytic", "resolution", "sensitivity") else module
 
 
 def __dir__() -> list[str]:

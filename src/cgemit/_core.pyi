@@ -151,6 +151,19 @@ class FitSettings:
         prior_sigma: Sequence[float],
     ) -> None: ...
 
+class CovarianceSettings:
+    def __init__(
+        self,
+        *,
+        sigma_x: Sequence[float],
+        sigma_v: Sequence[float],
+        least_width: float,
+        delta_strips: float,
+        sides_known: bool,
+        seed: int,
+        prior_sigma: Sequence[float],
+    ) -> None: ...
+
 class _Simulated(TypedDict):
     status: npt.NDArray[np.int8]
     truths: dict[str, _Array]
@@ -302,6 +315,19 @@ def fit(
     settings: FitSettings,
     residuals: bool,
     states: bool = False,
+) -> dict[str, _Array]: ...
+def covariances(
+    detector: Detector,
+    *,
+    phi: npt.ArrayLike,
+    kappa: npt.ArrayLike,
+    tanl: npt.ArrayLike,
+    mass: npt.ArrayLike,
+    samples: int,
+    phases: npt.ArrayLike,
+    settings: CovarianceSettings,
+    budget: bool,
+    variants: Sequence[Detector] = (),
 ) -> dict[str, _Array]: ...
 def isa() -> str: ...
 def lanes() -> int: ...

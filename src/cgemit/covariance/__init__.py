@@ -7,4 +7,6 @@ track crosses a read-out, and runs the filter (docs/methods/covariance.md).
 from cgemit.covariance.budget import Budget as Budget
 from cgemit.covariance.points import analytic as analytic
 from cgemit.covariance.result import Covariance as Covariance
+from cgemit.covariance.derivatives import Sensitivity as Sensitivity
+from cgemit.covariance.derivatives import sensitivity as sensitivity
 from cgemit.covariance.tracks import QUANTITIES as QUANTITIES

@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from cgemit.covariance.tracks import QUANTITIES, Tracks
 from cgemit.detector import Detector
+from cgemit.detector.parts import CgemLayer
 from cgemit.detector.slabs import slabs
 from cgemit.statistics.formatting import html_table, text_table
 
@@ -54,11 +55,10 @@ def sources(detector: Detector) -> tuple[Source, ...]:
     chamber = detector.drift_chamber
     if chamber is not None:
         found += [Source(f"wires {layer.number}", "wires", MEASUREMENT) for layer in chamber.layers]
-    labels = [layer.label for layer in detector.cgem]
     for slab in slabs(detector):
         first = slab.shells[0]
-        inside = [label for label, layer in zip(labels, detector.cgem, strict=True)
-                  if first.group in ("cathode", "drift", "foils", "anode") and _contains(layer, first.r_in)]  # fmt: skip
+        of_layer = first.group in ("cathode", "drift", "foils", "anode")
+        inside = [layer.label for layer in detector.cgem if of_layer and _contains(layer, first.r_in)]
         part = inside[0] if inside else first.group
         name = f"{part} {first.group}" if inside else f"{first.group} {first.r_in:.5g} mm"
         for cause, weight in ((SCATTERING, "x0"), (STRAGGLING, "xi")):
@@ -71,7 +71,7 @@ def sources(detector: Detector) -> tuple[Source, ...]:
     return (*found, Source("prior", "prior", PRIOR))
 
 
-def _contains(layer: Any, radius: float) -> bool:
+def _contains(layer: CgemLayer, radius: float) -> bool:
     shells = list(layer.shells())
     return min(s.r_in for s in shells) <= radius + 1e-9 and radius < max(s.r_out for s in shells)
 
@@ -160,14 +160,17 @@ class Budget:
                 value = float(groups[name].ravel()[i])
                 yield [f"{self.p.ravel()[i]:.4g}", name, f"{value**0.5:.4g}", f"{100 * value / total[i]:.1f} %"]
 
+    def _title(self) -> str:
+        return f"{self.detector}, {self.particle}: budget of {self.quantity}"
+
     def _head(self) -> list[str]:
         return ["p [GeV/c]", "part", f"sigma [{self.unit}]" if self.unit else "sigma", "of variance"]
 
     def __repr__(self) -> str:
-        return text_table(f"{self.detector}, {self.particle}: budget of {self.quantity}", self._head(), list(self._rows()))
+        return text_table(self._title(), self._head(), list(self._rows()))
 
     def _repr_html_(self) -> str:
-        return html_table(f"{self.detector}, {self.particle}: budget of {self.quantity}", self._head(), list(self._rows()))
+        return html_table(self._title(), self._head(), list(self._rows()))
 
 
 def _groups(source: Source, by: By) -> list[tuple[str, float]]:

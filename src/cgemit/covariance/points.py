@@ -47,7 +47,7 @@ def analytic(
     particle : str or int
         Name or number of the Particle Data Group.
     p : float, str, array_like or tuple of two, GeV/c
-        Momentum at the origin. A tuple is a range, over which each point is averaged uniformly; an array is a set of points.
+        Momentum at the origin. A tuple is a range, over which each point is averaged uniformly; an array holds points.
     cos_theta : float, array_like or tuple of two
         Cosine of the polar angle, likewise.
     phi : float, str, array_like or None, rad
@@ -55,8 +55,8 @@ def analytic(
     charge, mass : array_like or None
         e, GeV/c2. None: those of the particle. `p`, `cos_theta`, `phi`, `charge` and `mass` are broadcast.
     readout : Readout or str
-        Of the CGEM layers. Binary clusters have the error that follows from their number of strips; the positions of the
-        strips under the track are sampled.
+        Of the CGEM layers. Binary clusters have the error that follows from their number of strips; the positions of
+        the strips under the track are sampled.
     reveal_sides : bool
         Whether wire hits tell their side. If not, hits close to their wire have the weights of the fit.
     fit : FitSettings or None
@@ -125,6 +125,7 @@ def _result(
     shape: tuple[int, ...], momentum: Floats, cosine: Floats, phi: Floats,
 ) -> Covariance:  # fmt: skip
     """Return the result of the core's columns."""
+
     def by_point(column: npt.NDArray[Any]) -> npt.NDArray[Any]:
         return column.reshape(-1, tracks.samples, *column.shape[1:])
 
@@ -158,7 +159,7 @@ def _numbers(name: str, given: Any, dimension: str, problems: list[str]) -> Floa
         if dimension and isinstance(given, str):
             return np.asarray(parse_quantity(given, dimension), np.float64)
         if dimension and isinstance(given, list):
-            return np.array([parse_quantity(one, dimension) if isinstance(one, str) else one for one in given], np.float64)
+            given = [parse_quantity(one, dimension) if isinstance(one, str) else one for one in given]
         return np.asarray(given, np.float64)
     except (QuantityError, TypeError, ValueError) as error:
         problems.append(f"{name}: got {error}")

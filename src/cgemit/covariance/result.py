@@ -25,10 +25,10 @@ UPPER = np.triu_indices(5)
 class Covariance:
     """Covariances of (dr, phi0, kappa, dz, tanl) at the origin for a grid of tracks.
 
-    Arrays have the shape of the arguments of `analytic`, broadcast. What varies within a point (azimuth, position of the
-    strips under the track, ranges of p and cos(theta)) is sampled, so that the residuals of a point are a mixture of
-    Gaussians: ``sigma`` is the core of the mixture, as `resolution` measures it (Gaussian within 3 of its sigmas), ``rms``
-    the root of the mean variance.
+    Arrays have the shape of the arguments of `analytic`, broadcast. What varies within a point (azimuth, position of
+    the strips under the track, ranges of p and cos(theta)) is sampled, so that the residuals of a point are a mixture
+    of Gaussians: ``sigma`` is the core of the mixture, as `resolution` measures it (Gaussian within 3 of its sigmas),
+    ``rms`` the root of the mean variance.
 
     Attributes
     ----------
@@ -68,8 +68,8 @@ class Covariance:
         Parameters
         ----------
         quantity : str
-            ``"dr"`` mm, ``"phi0"`` rad, ``"kappa"`` (GeV/c)^-1, ``"dz"`` mm, ``"tanl"``, ``"theta"`` rad, ``"p"`` GeV/c or
-            ``"pt"`` GeV/c.
+            ``"dr"`` mm, ``"phi0"`` rad, ``"kappa"`` (GeV/c)^-1, ``"dz"`` mm, ``"tanl"``, ``"theta"`` rad, ``"p"`` GeV/c
+            or ``"pt"`` GeV/c.
 
         Returns
         -------
@@ -95,7 +95,8 @@ class Covariance:
         # Of a b^T + b a^T the entries beside the diagonal count twice.
         outer = weights[:, UPPER[0]] * weights[:, UPPER[1]] * np.where(UPPER[0] == UPPER[1], 1.0, 2.0)
         entries = self._samples.reshape(-1, 15)
-        return np.einsum("ti,ti->t", outer, entries).reshape(*self.p.shape, self._tracks.samples)
+        found: Floats = np.einsum("ti,ti->t", outer, entries)
+        return found.reshape(*self.p.shape, self._tracks.samples)
 
     def budget(self, quantity: str) -> Budget:
         """Return the exact split of the mean variance by measurement and scatterer.
@@ -138,13 +139,12 @@ class Covariance:
         return pd.DataFrame(self.table())
 
     def __repr__(self) -> str:
+        columns = self.p, self.cos_theta, self.sigma("dr"), self.sigma("dz"), self.sigma("p"), self.status
         rows = [
             f"  p {p:.4g} GeV/c, cos(theta) {c:.3g}: sigma(d_rho) {1e3 * dr:.4g} um, sigma(d_z) {dz:.4g} mm, "
             f"sigma(p) {1e3 * sp:.4g} MeV/c" + ("" if s == 0 else f" [{FitStatus(int(s)).name}]")
-            for p, c, dr, dz, sp, s in zip(
-                *(np.ravel(x) for x in (self.p, self.cos_theta, self.sigma("dr"), self.sigma("dz"), self.sigma("p"))),
-                self.status.ravel(), strict=True,
-            )  # fmt: skip
+            for p, c, dr, dz, sp, s in zip(*map(np.ravel, columns), strict=True)
         ]
         more = [f"  ... {len(rows) - 12} more"] if len(rows) > 12 else []
-        return "\n".join([f"<{self.detector.name}, {self.particle}, read-out {self.readout.name}", *rows[:12], *more]) + ">"
+        head = f"<{self.detector.name}, {self.particle}, read-out {self.readout.name}"
+        return "\n".join([head, *rows[:12], *more]) + ">"

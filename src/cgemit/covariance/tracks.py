@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
@@ -19,8 +20,15 @@ Floats = npt.NDArray[np.float64]
 
 #: What has a resolution, with its unit.
 QUANTITIES = {
-    "dr": "mm", "phi0": "rad", "kappa": "1/(GeV/c)", "dz": "mm", "tanl": "", "theta": "rad", "p": "GeV/c", "pt": "GeV/c",
-}  # fmt: skip
+    "dr": "mm",
+    "phi0": "rad",
+    "kappa": "1/(GeV/c)",
+    "dz": "mm",
+    "tanl": "",
+    "theta": "rad",
+    "p": "GeV/c",
+    "pt": "GeV/c",
+}
 
 _CHUNK = 4096  # tracks of one task
 
@@ -40,25 +48,38 @@ class Tracks:
     phases: Floats
     threads: int | None
 
-    def run(self, budget: bool) -> dict[str, npt.NDArray[Any]]:
-        """Return the columns of the core, in chunks on all cores."""
+    def run(self, budget: bool, variants: Sequence[_core.Detector] = ()) -> dict[str, npt.NDArray[Any]]:
+        """Return the columns of the core, computed in chunks on all cores; those of variants as the first axis.
+
+        Parameters
+        ----------
+        budget : bool
+            Whether to return the sums of the budget's terms.
+        variants : sequence of _core.Detector
+            Detectors that get the hits of the first; then every column has a first axis of 1 + their number.
+        """
         core = compiled_for_fit(self.detector, self.fit)
         n = len(self.phi)
         step = max(1, _CHUNK // self.samples) * self.samples
 
         def part(first: int) -> dict[str, npt.NDArray[Any]]:
             rows = slice(first, min(first + step, n))
-            return _core.covariances(
+            found: dict[str, npt.NDArray[Any]] = _core.covariances(
                 core, phi=self.phi[rows], kappa=self.kappa[rows], tanl=self.tanl[rows], mass=self.mass[rows],
                 samples=self.samples, phases=self.phases, settings=self.settings, budget=budget,
+                variants=list(variants),
             )  # fmt: skip
+            if not variants:
+                return found
+            return {name: column.reshape(1 + len(variants), -1, *column.shape[1:]) for name, column in found.items()}
 
         starts = range(0, n, step)
         if len(starts) == 1:
             return part(0)
         with ThreadPoolExecutor(self.threads or os.cpu_count()) as pool:
             parts = list(pool.map(part, starts))
-        return {name: np.concatenate([one[name] for one in parts]) for name in parts[0]}
+        axis = 1 if variants else 0
+        return {name: np.concatenate([one[name] for one in parts], axis=axis) for name in parts[0]}
 
     def gradients(self, quantity: str) -> Floats:
         """Return the derivatives of a quantity by (dr, phi0, kappa, dz, tanl), (tracks, 5)."""

@@ -33,7 +33,8 @@ py::dict columns_of(const std::vector<CovarianceRow>& rows) {
 
 py::dict run(const Detector& detector, const Array<double>& phi, const Array<double>& kappa,
              const Array<double>& tanl, const Array<double>& mass, std::size_t samples,
-             const Array<double>& phases, const CovarianceSettings& settings, bool budget) {
+             const Array<double>& phases, const CovarianceSettings& settings, bool budget,
+             const std::vector<const Detector*>& variants) {
   const auto n = phi.size();
   const auto views = static_cast<py::ssize_t>(2 * detector.cgem.size());
   if (samples == 0 || n % static_cast<py::ssize_t>(samples) != 0)
@@ -41,6 +42,9 @@ py::dict run(const Detector& detector, const Array<double>& phi, const Array<dou
   for (const auto* sigma : {&settings.sigma_x, &settings.sigma_v})
     if (sigma->size() != detector.cgem.size())
       throw std::invalid_argument("sigma_x, sigma_v: expected a number for each CGEM layer");
+  for (const Detector* variant : variants)
+    if (variant == nullptr || !same_surfaces(detector, *variant))
+      throw std::invalid_argument("variants: expected the surfaces of the detector in the same order");
   std::vector<double> psi;
   for (const double azimuth : column(phi, "phi", n)) psi.push_back(azimuth);
   const CovarianceInput input{.psi = psi,
@@ -48,9 +52,10 @@ py::dict run(const Detector& detector, const Array<double>& phi, const Array<dou
                               .tanl = column(tanl, "tanl", n),
                               .mass = column(mass, "mass", n),
                               .samples = samples,
-                              .phases = matrix(phases, "phases", static_cast<py::ssize_t>(samples), views)};
+                              .phases = matrix(phases, "phases", static_cast<py::ssize_t>(samples), views),
+                              .variants = variants};
   const BudgetTerms names(detector);
-  std::vector<CovarianceRow> rows(static_cast<std::size_t>(n));
+  std::vector<CovarianceRow> rows(static_cast<std::size_t>(n) * (1 + variants.size()));
   const std::size_t points = static_cast<std::size_t>(n) / samples;
   std::vector<double> sums(budget ? points * names.size() * budget_entries : 0, 0.0);
   static_assert(sizeof(BudgetTerm) == budget_entries * sizeof(double));
@@ -88,7 +93,8 @@ void bind_covariance(py::module_& module) {
   module.def(
       "covariances", &run, py::arg("detector"), py::kw_only(), py::arg("phi"), py::arg("kappa"),
       py::arg("tanl"), py::arg("mass"), py::arg("samples"), py::arg("phases"), py::arg("settings"),
-      py::arg("budget"),
+      py::arg("budget"), py::arg("variants") = std::vector<const Detector*>(),
       "Covariances of (dr, phi0, kappa, dz, tanl) of tracks from the origin, without events: columns of "
-      "the tracks, and if requested the sums of the budget's terms over the samples of each point.");
+      "the tracks, and if requested the sums of the budget's terms over the samples of each point. Rows of "
+      "`variants` of the detector, which keep the hits of the first one, follow those of the detector.");
 }

@@ -52,36 +52,51 @@ class CovarianceBatch {
           [&](int i) { return values[std::min(first + static_cast<std::size_t>(i), first + n - 1)]; });
     };
     const PerigeeOf<T> start{T(0.0), column(input_.psi), column(input_.kappa), T(0.0), column(input_.tanl)};
-    ExpectedHits<T> hits(detector_, settings_, input_, first, group_);
-    // Whether hits lie beyond a slab is not known before.
-    group_.ahead.assign(group_.noise.size(), mask_of<T>(true));
-    trace(start, column(input_.mass), kind(first), Expectation<T>(hits));
-    for (Slot<T>& slot : group_.slots) slot.used = slot.met;
-    Five<T> prior;
-    unroll<parameters>([&](auto i) { prior[i] = settings_.prior_sigma[i] * settings_.prior_sigma[i]; });
-    const FilteredState<T> state = filter(detector_, group_, Symmetric<T>::diagonal(prior));
-    const mask_of<T> valid = sound(state) & positive_definite(state.c);
-    mask_of<T> ok(false);
-    for (std::size_t k = 0; k < n; ++k) {
-      count_hits(k, out_.rows[first + k]);
-      out_.rows[first + k].status = status(static_cast<int>(k), valid);
-      set_lane(ok, static_cast<int>(k), out_.rows[first + k].status == FitStatus::ok);
-    }
+    const T mass = column(input_.mass);
+    const mask_of<T> ok = compute(detector_, first, start, mass, false, &out_.rows[first], n);
     const Symmetric<T> covariance =
         Budget<T>(detector_, group_, terms_.data(), ok).split(settings_.prior_sigma);
-    for (std::size_t k = 0; k < n; ++k) write(covariance, static_cast<int>(k), out_.rows[first + k]);
+    write(covariance, &out_.rows[first], n);
+    for (std::size_t v = 0; v < input_.variants.size(); ++v) {
+      CovarianceRow* rows = &out_.rows[(v + 1) * input_.tracks() + first];
+      compute(*input_.variants[v], first, start, mass, true, rows, n);
+      write(Budget<T>(*input_.variants[v], group_, nullptr, ok).split(settings_.prior_sigma), rows, n);
+    }
     // The sums stay in lanes as long as all lanes belong to one point.
     const bool next_is_same = point(first) == point(std::min(first + n + width, input_.tracks()) - 1) &&
                               n == width && first + n < input_.tracks();
     if (out_.budget != nullptr && !next_is_same) flush(first, n);
   }
 
-  void trace(const PerigeeOf<T>& start, const T& mass, Projectile projectile, Expectation<T> hits) {
+  // Traces and filters n tracks; writes their rows but for the covariance. Returns the lanes that have one.
+  // `again`: with the hits of the first detector.
+  mask_of<T> compute(const Detector& detector, std::size_t first, const PerigeeOf<T>& start, const T& mass,
+                     bool again, CovarianceRow* rows, std::size_t n) {
+    ExpectedHits<T> hits(detector, settings_, input_, first, group_, kept_, again);
+    // Whether hits lie beyond a slab is not known before.
+    group_.ahead.assign(group_.noise.size(), mask_of<T>(true));
+    trace(detector, start, mass, kind(first), Expectation<T>(hits));
+    for (Slot<T>& slot : group_.slots) slot.used = slot.met;
+    Five<T> prior;
+    unroll<parameters>([&](auto i) { prior[i] = settings_.prior_sigma[i] * settings_.prior_sigma[i]; });
+    const FilteredState<T> state = filter(detector, group_, Symmetric<T>::diagonal(prior));
+    const mask_of<T> valid = sound(state) & positive_definite(state.c);
+    mask_of<T> ok(false);
+    for (std::size_t k = 0; k < n; ++k) {
+      count_hits(k, rows[k]);
+      rows[k].status = status(static_cast<int>(k), valid);
+      set_lane(ok, static_cast<int>(k), rows[k].status == FitStatus::ok);
+    }
+    return ok;
+  }
+
+  void trace(const Detector& detector, const PerigeeOf<T>& start, const T& mass, Projectile projectile,
+             Expectation<T> hits) {
     const mask_of<T> all(true);
-    if (detector_.field.is_uniform()) {
-      Tracer<T, HelixMotion<T>, Expectation<T>>(detector_, start, mass, projectile, group_, hits).run(all);
+    if (detector.field.is_uniform()) {
+      Tracer<T, HelixMotion<T>, Expectation<T>>(detector, start, mass, projectile, group_, hits).run(all);
     } else {
-      Tracer<T, FieldReference<T>, Expectation<T>>(detector_, start, mass, projectile, group_, hits).run(all);
+      Tracer<T, FieldReference<T>, Expectation<T>>(detector, start, mass, projectile, group_, hits).run(all);
     }
   }
 
@@ -99,9 +114,11 @@ class CovarianceBatch {
     return lane(valid, i) ? FitStatus::ok : FitStatus::not_positive_definite;
   }
 
-  static void write(const Symmetric<T>& covariance, int i, CovarianceRow& row) {
-    for (std::size_t e = 0; e < covariance_entries; ++e)
-      row.covariance[e] = row.status == FitStatus::ok ? lane(covariance.v[e], i) : std::nan("");
+  static void write(const Symmetric<T>& covariance, CovarianceRow* rows, std::size_t n) {
+    for (std::size_t k = 0; k < n; ++k)
+      for (std::size_t e = 0; e < covariance_entries; ++e)
+        rows[k].covariance[e] =
+            rows[k].status == FitStatus::ok ? lane(covariance.v[e], static_cast<int>(k)) : std::nan("");
   }
 
   // Adds the sums of the lanes to the budgets of their points.
@@ -122,6 +139,7 @@ class CovarianceBatch {
   const CovarianceOutput& out_;
   BudgetTerms names_;
   Group<T> group_;
+  std::vector<KeptHit<T>> kept_;
   std::vector<TermOf<T>> terms_;  // sums of the present lanes; empty without budget
 };
 

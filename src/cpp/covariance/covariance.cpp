@@ -1,8 +1,17 @@
 #include "covariance/covariance.hpp"
 
+#include <algorithm>
+
 #include "covariance/batch.hpp"
 
 namespace cgemit {
+
+bool same_surfaces(const Detector& a, const Detector& b) {
+  return a.cgem.size() == b.cgem.size() && a.field.is_uniform() == b.field.is_uniform() &&
+         std::ranges::equal(a.surfaces, b.surfaces, [](const Surface& one, const Surface& other) {
+           return one.is_slab == other.is_slab && one.index == other.index;
+         });
+}
 
 void covariances(const Detector& detector, const CovarianceInput& input, const CovarianceSettings& settings,
                  const CovarianceOutput& output) {

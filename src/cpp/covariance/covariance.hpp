@@ -25,11 +25,13 @@ struct CovarianceSettings {
 
 // Tracks from the origin. `samples` tracks in a row belong to one point; they share its entry of the budget.
 // `phases`: for each of the samples a number from 0 to 1 for X and V of every CGEM layer, which determines
-// where the strips lie under the path.
+// where the strips lie under the path. `variants`: detectors for which the same tracks are computed again
+// with the hits of the first detector (the same strips and cells), for differences.
 struct CovarianceInput {
   std::span<const double> psi, kappa, tanl, mass;
   std::size_t samples;
   std::span<const double> phases;
+  std::span<const Detector* const> variants;
 
   std::size_t tracks() const { return psi.size(); }
 };
@@ -62,12 +64,15 @@ struct CovarianceRow {
   FitStatus status;
 };
 
-// One row per track. `budget` may be null; otherwise it holds `BudgetTerms` for each point: sums over its
-// tracks with status ok.
+// One row per track, then one per track for each variant. `budget` may be null; otherwise it holds
+// `BudgetTerms` for each point: sums over its tracks with status ok, without variants.
 struct CovarianceOutput {
   CovarianceRow* rows;
   BudgetTerm* budget;
 };
+
+// Whether the surfaces of two detectors have the same order, so that hits of one can be used for the other.
+bool same_surfaces(const Detector& a, const Detector& b);
 
 // The scalar code without SIMD lanes.
 void covariances(const Detector& detector, const CovarianceInput& input, const CovarianceSettings& settings,

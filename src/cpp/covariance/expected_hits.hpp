@@ -2,7 +2,7 @@
 // clusters in every gap whose active area it crosses, and every cell that it passes through.
 #pragma once
 
-#include <bit>
+#include <vector>
 
 #include "common/rng.hpp"
 #include "covariance/covariance.hpp"
@@ -13,22 +13,37 @@
 
 namespace cgemit {
 
+// An expected hit of each lane, kept for variants of the detector.
+template <class T>
+struct KeptHit {
+  std::size_t step;
+  View view;
+  std::size_t layer;
+  mask_of<T> there;
+  CellNumbers<T> cell;  // of a wire
+  T edge;               // of a sheet, rad
+  T variance, mean;     // mm^2, of a cluster: of this one, and of all with the same projected path
+};
+
 template <class T>
 class ExpectedHits {
  public:
   using Mask = mask_of<T>;
 
   ExpectedHits(const Detector& detector, const CovarianceSettings& settings, const CovarianceInput& input,
-               std::size_t first, Group<T>& group)
+               std::size_t first, Group<T>& group, std::vector<KeptHit<T>>& kept, bool again)
       : detector_(detector),
         settings_(settings),
         input_(input),
         first_(first),
         group_(group),
+        kept_(kept),
+        again_(again),
         steps_(detector),
         cells_(detector, steps_) {
     group_.slots = {};
     for (GroupStep& step : group_.steps) step.first = step.last = 0;
+    if (!again_) kept_.clear();
   }
   ExpectedHits(const ExpectedHits&) = delete;  // `cells_` refers to `steps_`
   ExpectedHits& operator=(const ExpectedHits&) = delete;
@@ -38,54 +53,61 @@ class ExpectedHits {
     if (slab.ends) inside_ = inside_ & ((!reached) | (abs(at.z) <= slab.half_length));
     if (slab.gap < 0) return;
     const auto index = static_cast<std::size_t>(slab.gap);
+    if (again_) return repeat(step, at);
     const CgemLayer& layer = detector_.cgem[index];
     const Mask within = reached & inside_ & (abs(at.z) <= layer.half_length);
     if (!any(within)) return;
     const T phi = atan2(at.y, at.x);
     Mask there(false);
-    T edge(0.0), x(0.0);
+    T edge(0.0);
     for (int sheet = 0; sheet < layer.sheets; ++sheet) {
-      const double begins = wrap_angle(layer.phi_first[static_cast<std::size_t>(sheet)]);
-      const T turned = phi - begins;
-      const T along = layer.r_readout * select(turned < 0.0, turned + 2 * pi, turned);
-      const Mask on = within & (along < layer.sheet_width());
-      edge = select(on, T(begins), edge);
-      x = select(on, along, x);
+      const T begins(wrap_angle(layer.phi_first[static_cast<std::size_t>(sheet)]));
+      const Mask on = within & (along_sheet(layer, phi, begins) < layer.sheet_width());
+      edge = select(on, begins, edge);
       there = there | on;
     }
     if (!any(there)) return;
-    const T v = x * layer.cos_stereo + (layer.z_ref() - at.z) * layer.sin_stereo;
-    for (const View view : {View::x, View::v}) {
-      Slot<T>& slot = add(step, view, index);
-      slot.there = there;
-      slot.edge = edge;
-      slot.drift = view == View::x ? x : v;  // tells the trace on which side of a seam the hit is
-    }
+    for (const View view : {View::x, View::v}) add_cluster(step, view, index, there, edge, at);
   }
 
   void passes(GroupStep& step, const HelixPointOf<T>& at, const Mask& alive) {
     step.first = step.last = next_;
     const std::size_t index = layer_++;
+    if (again_) return repeat(step, at);
     const WireLayer& layer = detector_.wires[index];
     const Mask outward = alive & inside_ & (at.outward() > 0.0);
     if (!any(outward)) return;
     CellRange<T, HelixPointOf<T>> range;
     Mask left = cells_.find(index, at, outward, range);
-    left = left & (abs(range.at_wires.z) <= layer.half_length);
     for (; any(left); left = left & (range.first <= range.last)) {
-      const CellWires<T> cell(layer, select(left, range.first, T(0.0)));
+      const CellNumbers<T> cell = cell_numbers(layer, select(left, range.first, T(0.0)));
       const Mask fired = layer.efficiency < 1 ? left & is_efficient(layer, cell) : left;
       range.first += T(1.0);
-      if (!any(fired)) continue;
-      Slot<T>& slot = add(step, View::wire, index);
-      slot.there = fired;
-      slot.wire = cell.wire;
+      if (any(fired)) add_wire(step, index, fired, cell);
     }
   }
 
-  // The variance of a measurement that the reference has met.
-  void measure(Slot<T>& slot) const {
-    slot.variance = slot.view == View::wire ? wire_variance(slot) : cluster_error(slot);
+  Mask on_wire(const Slot<T>& slot, const T& z) const {
+    if (again_) return Mask(true);
+    return abs(z) <= detector_.wires[static_cast<std::size_t>(slot.layer)].half_length;
+  }
+
+  // The variance of a measurement that the reference has met. Of a variant it is that of the kept cluster,
+  // times the change of the mean over all positions of the strips.
+  void measure(Slot<T>& slot, const Mask& met) {
+    KeptHit<T>& kept = kept_[static_cast<std::size_t>(&slot - group_.storage.data())];
+    if (slot.view == View::wire) {
+      slot.variance = wire_variance(slot);
+      if (!again_) kept.there = met;
+      return;
+    }
+    const T mean = mean_error(slot);
+    if (!again_) {
+      kept.variance = cluster_error(slot);
+      kept.mean = mean;
+      kept.there = met;
+    }
+    slot.variance = kept.variance * mean / kept.mean;
   }
 
  private:
@@ -93,6 +115,44 @@ class ExpectedHits {
     return std::min(first_ + static_cast<std::size_t>(lane), input_.tracks() - 1);
   }
   std::size_t sample(int lane) const { return track(lane) % input_.samples; }
+
+  static T along_sheet(const CgemLayer& layer, const T& phi, const T& edge) {
+    const T turned = phi - edge;
+    return layer.r_readout * select(turned < 0.0, turned + 2 * pi, turned);
+  }
+
+  void add_cluster(GroupStep& step, View view, std::size_t index, const Mask& there, const T& edge,
+                   const HelixPointOf<T>& at) {
+    const CgemLayer& layer = detector_.cgem[index];
+    const T x = along_sheet(layer, atan2(at.y, at.x), edge);
+    Slot<T>& slot = add(step, view, index);
+    slot.there = there;
+    slot.edge = edge;
+    // Tells the trace on which side of a seam the hit is.
+    slot.drift = view == View::x ? x : x * layer.cos_stereo + (layer.z_ref() - at.z) * layer.sin_stereo;
+    if (!again_) kept_.push_back({step_number(step), view, index, there, {}, edge, T(1.0), T(1.0)});
+  }
+  void add_wire(GroupStep& step, std::size_t index, const Mask& there, const CellNumbers<T>& cell) {
+    Slot<T>& slot = add(step, View::wire, index);
+    slot.there = there;
+    slot.wire = cell_wires<T>(detector_.wires[index], cell);
+    if (!again_) kept_.push_back({step_number(step), View::wire, index, there, cell, T(0.0), T(1.0), T(1.0)});
+  }
+
+  std::size_t step_number(const GroupStep& step) const {
+    return static_cast<std::size_t>(&step - group_.steps.data());
+  }
+  // The kept hits of a step.
+  void repeat(GroupStep& step, const HelixPointOf<T>& at) {
+    while (static_cast<std::size_t>(next_) < kept_.size() &&
+           kept_[static_cast<std::size_t>(next_)].step == step_number(step)) {
+      const KeptHit<T>& kept = kept_[static_cast<std::size_t>(next_)];
+      if (kept.view == View::wire)
+        add_wire(step, kept.layer, kept.there, kept.cell);
+      else
+        add_cluster(step, kept.view, kept.layer, kept.there, kept.edge, at);
+    }
+  }
 
   Slot<T>& add(GroupStep& step, View view, std::size_t layer) {
     const auto used = static_cast<std::size_t>(next_);
@@ -108,10 +168,10 @@ class ExpectedHits {
     return slot;
   }
 
-  Mask is_efficient(const WireLayer& layer, const CellWires<T>& cell) const {
+  Mask is_efficient(const WireLayer& layer, const CellNumbers<T>& cell) const {
     Mask fired(false);
     for (int i = 0; i < lanes_of<T>; ++i) {
-      const auto wire = static_cast<std::uint32_t>(cell.number[static_cast<std::size_t>(i)]);
+      const auto wire = static_cast<std::uint32_t>(cell[static_cast<std::size_t>(i)]);
       const Stream stream(settings_.seed, sample(i), 0);
       const Block words =
           stream.block(Purpose::drift_distance, static_cast<std::uint32_t>(layer.number) << 16 | wire);
@@ -133,16 +193,29 @@ class ExpectedHits {
 
   T cluster_error(const Slot<T>& slot) const {
     const auto index = static_cast<std::size_t>(slot.layer);
-    const CgemLayer& layer = detector_.cgem[index];
     const bool is_x = slot.view == View::x;
-    const double sigma = (is_x ? settings_.sigma_x : settings_.sigma_v)[index];
-    if (sigma > 0) return T(sigma * sigma);
-    const double pitch = is_x ? layer.pitch_x : layer.pitch_v;
+    if (const double sigma = given_error(slot); sigma > 0) return T(sigma * sigma);
     const std::size_t views = 2 * detector_.cgem.size(), view = 2 * index + (is_x ? 0 : 1);
     const T phase = gathered<T>([&](int i) { return input_.phases[views * sample(i) + view]; });
-    const auto [whole, part] = touched(slot.extent, pitch);
-    const T size = whole + 1.0 + select(phase < part, T(1.0), T(0.0));
-    return cluster_variance(size, slot.extent, pitch, settings_.least_width, settings_.delta_strips);
+    const auto [whole, part] = touched(slot.extent, pitch(slot));
+    return error_of_size(slot, whole + select(phase < part, T(2.0), T(1.0)));
+  }
+  // The same, averaged over the positions of the strips.
+  T mean_error(const Slot<T>& slot) const {
+    if (const double sigma = given_error(slot); sigma > 0) return T(sigma * sigma);
+    const auto [whole, part] = touched(slot.extent, pitch(slot));
+    return (1.0 - part) * error_of_size(slot, whole + 1.0) + part * error_of_size(slot, whole + 2.0);
+  }
+  T error_of_size(const Slot<T>& slot, const T& size) const {
+    return cluster_variance(size, slot.extent, pitch(slot), settings_.least_width, settings_.delta_strips);
+  }
+  double given_error(const Slot<T>& slot) const {
+    return (slot.view == View::x ? settings_.sigma_x
+                                 : settings_.sigma_v)[static_cast<std::size_t>(slot.layer)];
+  }
+  double pitch(const Slot<T>& slot) const {
+    const CgemLayer& layer = detector_.cgem[static_cast<std::size_t>(slot.layer)];
+    return slot.view == View::x ? layer.pitch_x : layer.pitch_v;
   }
 
   const Detector& detector_;
@@ -150,6 +223,8 @@ class ExpectedHits {
   const CovarianceInput& input_;
   std::size_t first_;  // track in the first lane
   Group<T>& group_;
+  std::vector<KeptHit<T>>& kept_;  // one per slot
+  bool again_;                     // whether the kept hits are used
   UniformMotionOf<T>
       steps_;  // to the next layer of wires; short, so that the field is as at the last surface
   CellFinder<T, UniformMotionOf<T>> cells_;
@@ -176,8 +251,9 @@ class Expectation {
   }
   template <class Motion>
   void meets(Slot<T>& slot, const Motion&) {
-    hits_->measure(slot);
+    hits_->measure(slot, slot.met);
   }
+  mask_of<T> on_wire(const Slot<T>& slot, const T& z) const { return hits_->on_wire(slot, z); }
   template <class Motion>
   void arrives(const Slab&, const Motion&) {}
   template <class Noise>

@@ -14,7 +14,8 @@ namespace cgemit {
 
 // An observer is called at every surface of the trajectory; this one does nothing. An observer with
 // `provides_hits` also fills in the hits of every step when the reference arrives there, in place of a
-// `GroupBuilder` before: `reaches` at a slab, `passes` at a layer of wires.
+// `GroupBuilder` before: `reaches` at a slab, `passes` at a layer of wires; and tells at the closest approach
+// to a wire, in `on_wire`, which lanes pass between its ends.
 struct NoObserver {
   static constexpr bool provides_hits = false;
   template <class Slot, class Motion>
@@ -143,7 +144,9 @@ class Tracer {
     const Rows<T> r = motion_.rows();
     const T across = approach.ny * at.ux - approach.nx * at.uy;
     slot.extent = 0.0;
-    found(slot, met, approach.doca, across * r.across + approach.nz * r.along_z);
+    mask_of<T> hit = met;
+    if constexpr (Observer::provides_hits) hit = met & observer_.on_wire(slot, approach.z_wire);
+    found(slot, hit, approach.doca, across * r.across + approach.nz * r.along_z);
   }
 
   // Noise of a slab, then the energy loss of the reference. A lane ends where the particle stops.

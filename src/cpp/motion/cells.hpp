@@ -47,26 +47,25 @@ struct CellRange {
   T arc{0.0};      // mm, transverse path to this point
 };
 
-// One cell of a layer for each lane: its number, and its wire.
+// The number of a cell for each lane, and its wire. `count`: a whole number, modulo the number of cells.
 template <class T>
-struct CellWires {
-  std::array<std::int64_t, static_cast<std::size_t>(lanes_of<T>)> number;
-  WireOf<T> wire;
-
-  // `count`: a whole number, modulo the number of cells.
-  CellWires(const WireLayer& layer, const T& count) {
-    const T cells(layer.cells);
-    T cell = count - cells * nearest(count / cells);
-    cell = select(cell < 0.0, cell + cells, cell);
-    number = std::bit_cast<decltype(number)>(whole(cell));
-    const auto placed = [&](double Wire::* value) {
-      return gathered<T>([&](int i) {
-        return layer.placed[static_cast<std::size_t>(number[static_cast<std::size_t>(i)])].*value;
-      });
-    };
-    wire = {placed(&Wire::x), placed(&Wire::y), placed(&Wire::ex), placed(&Wire::ey), placed(&Wire::ez)};
-  }
-};
+using CellNumbers = std::array<std::int64_t, static_cast<std::size_t>(lanes_of<T>)>;
+template <class T>
+CellNumbers<T> cell_numbers(const WireLayer& layer, const T& count) {
+  const T cells(layer.cells);
+  T cell = count - cells * nearest(count / cells);
+  cell = select(cell < 0.0, cell + cells, cell);
+  return std::bit_cast<CellNumbers<T>>(whole(cell));
+}
+template <class T>
+WireOf<T> cell_wires(const WireLayer& layer, const CellNumbers<T>& number) {
+  const auto placed = [&](double Wire::* value) {
+    return gathered<T>([&](int i) {
+      return layer.placed[static_cast<std::size_t>(number[static_cast<std::size_t>(i)])].*value;
+    });
+  };
+  return {placed(&Wire::x), placed(&Wire::y), placed(&Wire::ex), placed(&Wire::ey), placed(&Wire::ez)};
+}
 
 // Called layer by layer, outward. `Motion`: motion in the field.
 template <class T, class Motion>

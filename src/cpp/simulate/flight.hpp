@@ -243,15 +243,15 @@ class Flight {
   }
 
   void record_cell(const WireLayer& layer, const Mask& who, const CellRange<T, Point>& range) {
-    const CellWires<T> cell(layer, select(who, range.first, T(0.0)));
+    const CellNumbers<T> cell = cell_numbers(layer, select(who, range.first, T(0.0)));
     Point closest = range.at_wires;
     ApproachOf<T> approach;
-    const Mask settled = motion_.approach(closest, cell.wire, approach, who);
+    const Mask settled = motion_.approach(closest, cell_wires<T>(layer, cell), approach, who);
     const T time = time_ + flight_time(approach.arc + range.arc);
     // Cells fire neither behind the vertex nor beyond the ends of the wires.
     const Mask fired = settled & (time >= 0.0) & (abs(approach.z_wire) <= layer.half_length);
     if (!any(fired)) return;
-    cells_.push_back({&layer, fired, cell.number, approach.doca, closest.x, closest.y, closest.z, time});
+    cells_.push_back({&layer, fired, cell, approach.doca, closest.x, closest.y, closest.z, time});
   }
 
   const Detector& detector_;

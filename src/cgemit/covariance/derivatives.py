@@ -1,0 +1,249 @@
+"""What a small change of each number of the design does to a resolution."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from cgemit.covariance.points import analytic
+from cgemit.covariance.result import Covariance
+from cgemit.detector import Detector, DetectorError, load
+from cgemit.detector.parts import CgemLayer, Contents
+from cgemit.fit import compiled_for_fit
+from cgemit.statistics.formatting import html_table, text_table
+
+Floats = npt.NDArray[np.float64]
+
+#: Relative steps of differences, tried in turn where parts are so close that a larger one is impossible.
+STEPS = (1e-3, 1e-4, 1e-5, 1e-6)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Sensitivity:
+    """Relative derivatives of resolutions by numbers of the design, d ln(sigma)/d ln(number).
+
+    Attributes
+    ----------
+    detector, particle : str
+    p, cos_theta : ndarray, float64
+        Of the points.
+    keys : tuple of str
+        Dotted keys of the detector file.
+    quantities : tuple of str
+    values : ndarray, (keys, quantities) + shape of the points, float64
+        Percent that sigma grows by if the number grows by 1 %; NaN where the number cannot be changed.
+    problems : dict of str to str
+        Keys that cannot be changed, and why.
+    """
+
+    detector: str
+    particle: str
+    p: Floats
+    cos_theta: Floats
+    keys: tuple[str, ...]
+    quantities: tuple[str, ...]
+    values: Floats
+    problems: Mapping[str, str]
+
+    def of(self, key: str, quantity: str) -> Floats:
+        """Return the derivatives of one quantity by one number, for all points."""
+        return np.asarray(self.values[self.keys.index(key), self.quantities.index(quantity)])
+
+    def ordered(self) -> list[str]:
+        """Return the keys by their largest effect on any quantity at any point, largest first."""
+        size = np.nanmax(np.abs(np.nan_to_num(self.values)).reshape(len(self.keys), -1), axis=1, initial=0)
+        return [self.keys[i] for i in np.argsort(-size, kind="stable")]
+
+    def table(self) -> dict[str, npt.NDArray[Any]]:
+        """Return one row per point and key, largest effect first, with a column for each quantity."""
+        rows = [self.keys.index(key) for key in self.ordered()]
+        points = self.p.size
+        columns: dict[str, npt.NDArray[Any]] = {
+            "p": np.repeat(self.p.ravel(), len(rows)), "cos_theta": np.repeat(self.cos_theta.ravel(), len(rows)),
+            "key": np.tile(np.array([self.keys[i] for i in rows], dtype=object), points),
+        }  # fmt: skip
+        flat = self.values.reshape(len(self.keys), len(self.quantities), points)
+        for number, name in enumerate(self.quantities):
+            columns[f"dln_sigma_{name}"] = flat[rows, number].T.ravel()
+        return columns
+
+    def to_pandas(self) -> Any:
+        """Return `table` as a pandas DataFrame."""
+        import pandas as pd
+
+        return pd.DataFrame(self.table())
+
+    def _text(self) -> tuple[str, list[str], list[list[str]]]:
+        head = ["1 % more of", *(f"sigma({name}) [%]" for name in self.quantities)]
+        flat = self.values.reshape(len(self.keys), len(self.quantities), -1)[..., 0]
+        rows = [[key, *(f"{x:+.3f}" for x in flat[self.keys.index(key)])] for key in self.ordered()]
+        where = f"p {self.p.ravel()[0]:.4g} GeV/c, cos(theta) {self.cos_theta.ravel()[0]:.3g}"
+        return f"{self.detector}, {self.particle}, {where}", head, rows
+
+    def __repr__(self) -> str:
+        return text_table(*self._text())
+
+    def _repr_html_(self) -> str:
+        return html_table(*self._text())
+
+
+def sensitivity(
+    detector: Detector | str | Mapping[str, Any],
+    particle: str | int = "mu-",
+    p: Any = 1.0,
+    cos_theta: Any = 0.0,
+    *,
+    keys: Sequence[str] | None = None,
+    quantities: Sequence[str] = ("dr", "dz", "p"),
+    **how: Any,
+) -> Sensitivity:
+    """Return what 1 % more of each number of a detector does to its resolutions.
+
+    Parameters
+    ----------
+    detector : Detector, or what `load` accepts
+    particle : str or int
+    p, cos_theta
+        As for `analytic`.
+    keys : sequence of str or None
+        Dotted keys of numbers, also patterns such as ``"cgem.*.pitch_x"``, whose values then change together. None:
+        field, thicknesses, radii, gaps, pitches and stereo angles of all parts, and the error of the wires.
+    quantities : sequence of str
+        As for `Covariance.sigma`.
+    **how
+        Further arguments of `analytic`.
+
+    Returns
+    -------
+    Sensitivity
+
+    Raises
+    ------
+    DetectorError, ValueError
+        As for `analytic`; if a key or quantity is not known.
+
+    Notes
+    -----
+    Differences of the same kernels, central where both neighbours are possible: the hits (crossed cells, fired strips)
+    and the sample of tracks are those of the detector itself, and the error of a cluster changes as its mean over all
+    positions of the strips. Numbers of strips do not matter, and a stereo angle that follows from the diagonal of the
+    sheet changes continuously with radius and length.
+    """
+    detector = load(detector)
+    base = analytic(detector, particle, p, cos_theta, **how)
+    for name in quantities:
+        base.variances(name)  # refuses an unknown name
+    wanted = tuple(keys) if keys is not None else tuple(design_keys(detector))
+    values = np.full((len(wanted), len(quantities), *base.p.shape), np.nan)
+    problems: dict[str, str] = {}
+    stencils: list[tuple[int, _Stencil]] = []
+    for number, key in enumerate(wanted):
+        stencil = _stencil(detector, key)
+        if isinstance(stencil, str):
+            problems[key] = stencil
+        else:
+            stencils.append((number, stencil))
+    variants = [one for _, stencil in stencils for one in stencil.detectors]
+    found = iter(varied(base, variants))
+    for number, stencil in stencils:
+        others = [next(found) for _ in stencil.detectors]
+        for column, name in enumerate(quantities):
+            logs = [np.log(one.sigma(name)) for one in others]
+            total = sum(weight * one for weight, one in zip(stencil.weights, logs, strict=True))
+            values[number, column] = total + stencil.own * np.log(base.sigma(name))
+    return Sensitivity(
+        detector.name, base.particle, base.p, base.cos_theta, wanted, tuple(quantities), values, problems
+    )  # fmt: skip
+
+
+def varied(base: Covariance, variants: Sequence[Detector]) -> list[Covariance]:
+    """Return the covariances of the same tracks with the same hits in variants of the detector.
+
+    Parameters
+    ----------
+    base : Covariance
+    variants : sequence of Detector
+        Which differ so little that their surfaces keep their order.
+    """
+    tracks = base._tracks
+    cores = [compiled_for_fit(_with_stereo(one, base.detector), tracks.fit) for one in variants]
+    rows = tracks.run(budget=False, variants=cores)["covariance"].reshape(1 + len(variants), *base._samples.shape)
+    return [dataclasses.replace(base, detector=one, _samples=row) for one, row in zip(variants, rows[1:], strict=True)]
+
+
+@dataclass(frozen=True)
+class _Stencil:
+    """A difference that gives a derivative by ln(number): weights of neighbours, and of the detector itself."""
+
+    detectors: list[Detector]
+    weights: list[float]
+    own: float
+
+
+def _stencil(detector: Detector, key: str) -> _Stencil | str:
+    """Return the difference for a key, or why there is none."""
+    problem = ""
+    for step in STEPS:
+        found: dict[int, Detector | None] = {}
+        for side in (1, -1):
+            try:
+                found[side] = detector.with_overrides({key: f"x{1 + side * step!r}"})
+            except DetectorError as error:
+                found[side], problem = None, str(error.problems[0])
+        up, down = (np.log1p(side * step) for side in (1, -1))
+        above, below = found[1], found[-1]
+        if above is not None and below is not None:
+            return _Stencil([above, below], [1 / (up - down), -1 / (up - down)], 0.0)
+        for side, one in found.items():
+            if one is None:
+                continue
+            try:
+                far = detector.with_overrides({key: f"x{1 + 2 * side * step!r}"})
+            except DetectorError:
+                continue
+            a, b = np.log1p(side * step), np.log1p(2 * side * step)
+            # Through three points: f'(0) = [f(a) b/a - f(b) a/b]/(b - a) - f(0) (a + b)/(a b).
+            return _Stencil([one, far], [b / a / (b - a), -a / b / (b - a)], -(a + b) / (a * b))
+    return problem
+
+
+def _with_stereo(variant: Detector, base: Detector) -> Detector:
+    """Return a variant whose derived stereo angles follow radius and length continuously, not in whole strips."""
+    layers = []
+    for layer, old in zip(variant.cgem, base.cgem, strict=True):
+        derived = abs(abs(layer.stereo) - math.atan2((layer.strips_x - 1) * layer.pitch_x, layer.length)) < 1e-12
+        if derived and layer.stereo != old.stereo:
+            angle = abs(old.stereo) + _diagonal(layer) - _diagonal(old)
+            layer = dataclasses.replace(layer, stereo=math.copysign(angle, old.stereo))
+        layers.append(layer)
+    return dataclasses.replace(variant, cgem=tuple(layers))
+
+
+def _diagonal(layer: CgemLayer) -> float:
+    return math.atan2(2 * math.pi * layer.r_readout / layer.sheets, layer.length)
+
+
+def design_keys(detector: Contents) -> Iterator[str]:
+    """Yield the keys that `sensitivity` varies by default.
+
+    Parameters
+    ----------
+    detector : Detector
+    """
+    yield "field.bz"
+    for group in ("beam_pipe", "walls"):
+        yield from (f"{group}.{part.label}.thickness" for part in getattr(detector, group))
+    for layer in detector.cgem:
+        for name in ("anode_radius", "pitch_x", "pitch_v", "stereo", "drift_gap", "transfer_gap", "induction_gap"):
+            yield f"cgem.{layer.label}.{name}"
+        for stack in ("cathode", "foil", "anode"):
+            for part in getattr(layer, stack):
+                yield f"cgem.{layer.label}.{stack}.{part.label}.thickness"
+    if detector.drift_chamber is not None:
+        yield "drift_chamber.sigma"

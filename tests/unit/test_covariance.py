@@ -1,0 +1,209 @@
+"""The covariance without events against independent linear algebra, and the properties of its budget."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import cgemit as cg
+from cgemit import isa
+from cgemit.covariance import QUANTITIES
+from cgemit.covariance.budget import sources
+from cgemit.covariance.derivatives import varied
+from cgemit.covariance.mixture import core_width
+from cgemit.statistics.estimate import measure
+from fields import HARMONIC
+
+DESIGN, CHAMBER = cg.load("besiii-cgem-design"), cg.load("besiii-idc")
+
+
+def noiseless(detector: cg.Detector, p: float, cos_theta: float, phi: float, particle: str = "mu-") -> cg.Result:
+    """One track on its reference trajectory, with its hits."""
+    gun = cg.Gun(particle, p=p, cos_theta=cos_theta, phi=phi)
+    settings = cg.Settings(
+        simulate=cg.SimulateSettings(fluctuations="off"),
+        digitize=cg.DigitizeSettings(readout=cg.GaussianReadout(sigma_x=1e-7, sigma_v=1e-7), reveal_sides=True),
+    )
+    return cg.run(detector, gun, n=1, seed=1, settings=settings)
+
+
+@pytest.mark.parametrize(("detector", "p", "cos_theta", "phi"), [
+    (DESIGN, 1.0, 0.0, 0.3), (DESIGN, 0.4, 0.6, -2.0), (CHAMBER, 0.7, -0.5, 1.0),
+])  # fmt: skip
+def test_hits_are_those_of_the_simulation(detector: cg.Detector, p: float, cos_theta: float, phi: float) -> None:
+    result = noiseless(detector, p, cos_theta, phi)
+    found = cg.analytic(detector, "mu-", p, cos_theta, phi=phi, readout="gaussian", reveal_sides=True)
+    wires = len(result.wire_hits)
+    assert found.n_wires == wires
+    assert found.n_clusters == len(result.candidate_hits) - wires
+
+
+@pytest.mark.parametrize(("detector", "p", "cos_theta", "phi"), [
+    (DESIGN, 1.0, 0.0, 0.3), (DESIGN, 0.4, 0.6, -2.0), (CHAMBER, 0.7, -0.5, 1.0),
+])  # fmt: skip
+def test_covariance_is_that_of_the_fit(detector: cg.Detector, p: float, cos_theta: float, phi: float) -> None:
+    """A fit of the same hits, started on the track, has the same covariance (its later priors cost up to 1e-3)."""
+    gun = cg.Gun("mu-", p=p, cos_theta=cos_theta, phi=phi)
+    settings = cg.Settings(
+        simulate=cg.SimulateSettings(fluctuations="off"),
+        digitize=cg.DigitizeSettings(readout="gaussian", reveal_sides=True),
+        fit=cg.FitSettings(outlier_pull=0, kinks=False),
+    )
+    result = cg.run(detector, gun, n=200, seed=3, settings=settings)
+    mean = result.fitted["cov"][result.fitted["status"] == 0].mean(axis=0)
+    found = cg.analytic(detector, "mu-", p, cos_theta, phi=phi, readout="gaussian", reveal_sides=True)
+    scale = np.sqrt(np.diagonal(mean))
+    assert np.abs((found.cov - mean) / np.outer(scale, scale)).max() < 0.01
+
+
+@pytest.mark.parametrize("field", [None, HARMONIC])
+@pytest.mark.parametrize("readout", ["binary", "gaussian"])
+def test_budget_sums_to_the_variance(field: object, readout: str) -> None:
+    detector = DESIGN if field is None else DESIGN.with_field(field)
+    found = cg.analytic(detector, "pi+", [0.3, 1.0], [[0.0], [0.7]], readout=readout, samples=16)
+    for quantity in QUANTITIES:
+        budget = found.budget(quantity)
+        assert budget.variances.shape == (2, 2, len(sources(detector)))
+        assert np.all(budget.variances >= 0)
+        np.testing.assert_allclose(budget.total, found.rms(quantity) ** 2, rtol=1e-10)
+        for by in ("part", "material", "cause", "source"):
+            np.testing.assert_allclose(sum(budget.grouped(by).values()), budget.total, rtol=1e-10)
+
+
+def test_a_track_does_not_know_its_neighbours() -> None:
+    p, cos_theta = np.linspace(0.15, 2, 37), np.linspace(-0.9, 0.9, 37)
+    for name in isa.available():
+        isa.use(name)
+        try:
+            many = cg.analytic(DESIGN, "mu-", p, cos_theta, phi=0.3).cov
+            one = [cg.analytic(DESIGN, "mu-", a, b, phi=0.3).cov for a, b in zip(p, cos_theta, strict=True)]
+        finally:
+            isa.use(isa.available()[-1])
+        assert np.array_equal(many, np.array(one), equal_nan=True)
+
+
+def test_lanes_give_what_scalar_code_gives() -> None:
+    p, cos_theta = np.linspace(0.15, 2, 33), np.linspace(-0.9, 0.9, 33)
+    found = {}
+    for name in isa.available():
+        isa.use(name)
+        try:
+            found[name] = cg.analytic(DESIGN, "mu-", p, cos_theta, samples=8)
+        finally:
+            isa.use(isa.available()[-1])
+    for other in found.values():
+        assert np.array_equal(other.n_wires, found["scalar"].n_wires)
+        np.testing.assert_allclose(other.sigma("p"), found["scalar"].sigma("p"), rtol=1e-8)
+        np.testing.assert_allclose(
+            other.budget("dr").variances, found["scalar"].budget("dr").variances, rtol=1e-6, atol=1e-16
+        )
+
+
+def test_chunks_and_threads_do_not_matter() -> None:
+    p = np.linspace(0.3, 1, 200)
+    one = cg.analytic(DESIGN, "mu-", p, 0.2, samples=64, threads=1)
+    assert np.array_equal(one.cov, cg.analytic(DESIGN, "mu-", p, 0.2, samples=64, threads=2).cov)
+    assert np.array_equal(one.cov[7], cg.analytic(DESIGN, "mu-", p[7], 0.2, samples=64).cov)
+
+
+def test_core_of_a_mixture_is_what_a_sample_of_it_has() -> None:
+    variances = np.array([[1.0, 1.0, 4.0, 25.0]])
+    rng = np.random.default_rng(3)
+    sample = rng.normal(size=2_000_000) * np.sqrt(variances[0])[rng.integers(0, 4, 2_000_000)]
+    core = measure(sample)
+    assert abs(core_width(variances)[0] - core.core) < 4 * core.core_error
+    assert core_width(np.array([[2.0, np.nan, 2.0]]))[0] == pytest.approx(np.sqrt(2.0), rel=1e-9)
+
+
+def test_errors_scale_with_the_measurements() -> None:
+    """Without matter, twice the errors give twice the resolution."""
+    thin = CHAMBER.with_overrides({"field.bz": "-1 T"})
+    one = cg.analytic(thin, "mu-", 1e3, 0.1, phi=0.2, reveal_sides=True)
+    two = cg.analytic(thin.with_overrides({"drift_chamber.sigma": "x2"}), "mu-", 1e3, 0.1, phi=0.2, reveal_sides=True)
+    np.testing.assert_allclose(two.sigma("p") / one.sigma("p"), 2, rtol=1e-3)
+
+
+def test_quantities_follow_from_the_covariance() -> None:
+    found = cg.analytic(DESIGN, "mu-", 0.8, 0.5, phi=1.0, readout="gaussian")
+    tanl = 0.5 / np.sqrt(0.75)
+    kappa = -1 / (0.8 * np.sqrt(0.75))
+    by_kappa, by_tanl = -0.8 / kappa, 0.8 * tanl / (1 + tanl**2)
+    c = found.cov
+    variance = by_kappa**2 * c[2, 2] + 2 * by_kappa * by_tanl * c[2, 4] + by_tanl**2 * c[4, 4]
+    assert found.sigma_p == pytest.approx(np.sqrt(variance), rel=1e-12)
+    assert found.sigma_pt == pytest.approx(np.sqrt(c[2, 2]) / kappa**2, rel=1e-12)
+    assert found.sigma_theta == pytest.approx(np.sqrt(c[4, 4]) / (1 + tanl**2), rel=1e-12)
+    assert found.sigma_dr == pytest.approx(np.sqrt(c[0, 0]))
+    assert found.rms_dz == pytest.approx(np.sqrt(c[3, 3]))
+
+
+def test_shapes_ranges_and_status() -> None:
+    found = cg.analytic(DESIGN, "mu-", [0.02, 0.5], [[0.0], [0.3], [0.995]], samples=8)
+    assert found.p.shape == (3, 2) == found.sigma_p.shape
+    assert found.cov.shape == (3, 2, 5, 5)
+    assert found.status[0, 0] != 0
+    assert np.isnan(found.sigma_p[0, 0])
+    assert found.reached[0, 0] == 0
+    assert found.status[0, 1] == 0
+    assert found.reached[0, 1] == 1
+    assert found.status[2, 1] == cg.FitStatus.too_few_hits
+    mixed = cg.analytic(DESIGN, "mu-", (0.3, 1.0), (-0.93, 0.93))
+    assert mixed.p.shape == ()
+    assert mixed.rms_p > mixed.sigma_p > 0
+
+
+def test_every_problem_is_listed() -> None:
+    with pytest.raises(ValueError, match=r"p: expected positive.*\n.*cos_theta.*\n.*samples") as error:
+        cg.analytic(DESIGN, "mu-", -1, 1.5, samples=0)
+    assert str(error.value).count("\n") == 3
+    with pytest.raises(ValueError, match="charged particles"):
+        cg.analytic(DESIGN, "gamma", 1.0)
+    with pytest.raises(ValueError, match="quantity: got 'q'; expected one of dr"):
+        cg.analytic(DESIGN, "mu-", 1.0, samples=2).sigma("q")
+    with pytest.raises(ValueError, match="budget of p: got a range"):
+        cg.analytic(DESIGN, "mu-", (0.5, 1.0), samples=4).budget("p")
+
+
+# Each kind of number that a design has; steps of 2 % where neighbours allow it.
+KINDS = {
+    "field.bz": 0.02, "cgem.L1.anode_radius": 0.005, "cgem.*.pitch_v": 0.02, "cgem.L2.stereo": 0.02,
+    "cgem.L1.drift_gap": 0.02, "cgem.*.foil.Kapton.thickness": 0.02, "drift_chamber.sigma": 0.02,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("key", KINDS)
+def test_derivatives_predict_small_changes(key: str) -> None:
+    """Taylor: what the first order leaves falls with the square of the step."""
+    how = {"readout": cg.GaussianReadout(), "phi": 0.4, "reveal_sides": True}
+    found = cg.sensitivity(DESIGN, "mu-", 0.6, 0.3, keys=[key], **how)
+    base = cg.analytic(DESIGN, "mu-", 0.6, 0.3, **how)
+    for quantity in ("dr", "dz", "p"):
+        left = []
+        for step in (KINDS[key], KINDS[key] / 4):
+            (one,) = varied(base, [DESIGN.with_overrides({key: f"x{1 + step!r}"})])
+            change = float(np.log(one.sigma(quantity) / base.sigma(quantity)))
+            left.append(abs(change - float(found.of(key, quantity)) * np.log1p(step)))
+        assert left[1] < left[0] / 8 + 2e-6, (quantity, left)
+
+
+def test_derivative_by_an_error_is_its_share_of_the_budget() -> None:
+    how = {"readout": "gaussian", "phi": 0.4, "reveal_sides": True}
+    found = cg.sensitivity(DESIGN, "mu-", 1.0, 0.0, keys=["drift_chamber.sigma"], quantities=("p", "dr"), **how)
+    for quantity in ("p", "dr"):
+        budget = cg.analytic(DESIGN, "mu-", 1.0, 0.0, **how).budget(quantity)
+        wires = sum(v for s, v in zip(budget.sources, budget.variances, strict=True) if s.name.startswith("wires"))
+        assert float(found.of("drift_chamber.sigma", quantity)) == pytest.approx(float(wires / budget.total), rel=1e-4)
+
+
+def test_the_field_scales_the_momentum_resolution() -> None:
+    """At high momentum, where only measurements count, sigma(p) falls like 1/B."""
+    found = cg.sensitivity(CHAMBER, "mu-", 200.0, 0.0, keys=["field.bz"], quantities=("p",), phi=0.1, reveal_sides=True)
+    assert float(found.of("field.bz", "p")) == pytest.approx(-1, abs=0.01)
+
+
+def test_numbers_that_cannot_move_say_why() -> None:
+    found = cg.sensitivity(DESIGN, "mu-", 1.0, 0.0, keys=["drift_chamber.sigma", "cgem.L1.sheets"], samples=4)
+    assert "sheets" in found.problems["cgem.L1.sheets"]
+    assert np.isnan(found.of("cgem.L1.sheets", "p"))
+    assert found.ordered()[0] == "drift_chamber.sigma"
+    assert "drift_chamber.sigma" in repr(found)
