@@ -15,11 +15,11 @@ from typing import Any
 
 import numpy as np
 
-from cgemit import FitSettings, Gun, _core, find, helix, isa, load, run
-from cgemit.bench import DETECTOR, SEED, instruction_set
-from cgemit.candidates import fit_hits
+from cgemit import FitSettings, Gun, _core, helix, isa, load, run
+from cgemit.bench import DETECTOR, SEED, instruction_set, smeared
+from cgemit.candidates import collect_hits
 from cgemit.detector import compiled
-from cgemit.fit import core_arguments, smeared
+from cgemit.fit import core_arguments
 from rows import write_rows
 
 GUN = Gun("mu-", p=1.0, cos_theta=(-0.93, 0.93))
@@ -31,11 +31,10 @@ RUNS = 7
 def arguments(field: str) -> dict[str, Any]:
     """Return what the compiled fit takes."""
     result = run(load(DETECTOR).with_field(field), GUN, EVENTS, SEED)
-    tables = (result.particles, result.clusters, result.wire_hits, result.truths, result.wire_truths)
-    hits = fit_hits(find.by_truth(result.detector, *tables), result.clusters, result.wire_hits)
+    hits = collect_hits(result.detector, result.candidates, result.candidate_hits, result.clusters, result.wire_hits)
     settings = FitSettings(residuals=True)
     truth = helix.at_origin_in(result.particles, compiled(result.detector).field)
-    start = smeared(truth, result.particles, settings, SEED)
+    start = smeared(truth, result.particles, SEED)
     return core_arguments(result.detector, hits, result.particles["mass"], start, settings)
 
 
