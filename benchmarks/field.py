@@ -1,9 +1,9 @@
 """What field maps cost: ``python benchmarks/field.py`` (a minute).
 
 The compiled fit alone, one thread, sides of the wires to be found out: muons of 1 GeV/c simulated and fitted in the
-uniform field, in the harmonic field and through two (r, z) maps, for each instruction set (``CGEMIT_ISA`` names one). The
-fields take turns, so that a machine whose speed changes does not matter; smallest of several runs in processor time.
-Writes `field.csv`.
+uniform field, in the harmonic field and through two (r, z) maps, for each instruction set (``CGEMIT_ISA`` names
+one). The fields take turns, so that a machine whose speed changes does not matter; smallest of several runs in
+processor time. Writes `field.csv`.
 """
 
 from __future__ import annotations
