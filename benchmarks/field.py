@@ -1,9 +1,9 @@
 """What field maps cost: ``python benchmarks/field.py`` (a minute).
 
 The compiled fit alone, one thread, sides of the wires to be found out: muons of 1 GeV/c simulated and fitted in the
-uniform field, in the harmonic field and through an (r, z) map, for each instruction set (``CGEMIT_ISA`` names one). The
-fields take turns, so that a machine whose speed changes does not matter; smallest of several runs in processor time.
-Writes `field.csv`.
+uniform field, in the harmonic field and through two (r, z) maps, for each instruction set (``CGEMIT_ISA`` names
+one). The fields take turns, so that a machine whose speed changes does not matter; smallest of several runs in
+processor time. Writes `field.csv`.
 """
 
 from __future__ import annotations
@@ -15,15 +15,15 @@ from typing import Any
 
 import numpy as np
 
-from cgemit import FitSettings, Gun, _core, find, helix, isa, load, run
-from cgemit.bench import DETECTOR, SEED, instruction_set
-from cgemit.candidates import fit_hits
+from cgemit import FitSettings, Gun, _core, helix, isa, load, run
+from cgemit.bench import DETECTOR, SEED, instruction_set, smeared
+from cgemit.candidates import collect_hits
 from cgemit.detector import compiled
-from cgemit.fit import core_arguments, smeared
+from cgemit.fit import core_arguments
 from rows import write_rows
 
 GUN = Gun("mu-", p=1.0, cos_theta=(-0.93, 0.93))
-FIELDS = ("uniform", "besiii", "finite-solenoid")
+FIELDS = ("uniform", "besiii-harmonic", "besiii", "finite-solenoid")
 EVENTS = 1000
 RUNS = 7
 
@@ -31,11 +31,10 @@ RUNS = 7
 def arguments(field: str) -> dict[str, Any]:
     """Return what the compiled fit takes."""
     result = run(load(DETECTOR).with_field(field), GUN, EVENTS, SEED)
-    tables = (result.particles, result.clusters, result.wire_hits, result.truths, result.wire_truths)
-    hits = fit_hits(find.by_truth(result.detector, *tables), result.clusters, result.wire_hits)
+    hits = collect_hits(result.detector, result.candidates, result.candidate_hits, result.clusters, result.wire_hits)
     settings = FitSettings(residuals=True)
     truth = helix.at_origin_in(result.particles, compiled(result.detector).field)
-    start = smeared(truth, result.particles, settings, SEED)
+    start = smeared(truth, result.particles, SEED)
     return core_arguments(result.detector, hits, result.particles["mass"], start, settings)
 
 

@@ -12,6 +12,7 @@ import pytest
 
 from cgemit import _core
 from cgemit.detector import compiled, load, slabs
+from cgemit.detector.compile import forget
 from delta_fractions import Fraction, born, failures, measure, reference_stack
 from slabs import MUON
 from stats import assert_within
@@ -106,11 +107,11 @@ def test_finer_steps_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     usual = [row for row in fractions() if row.gated]
     share = gaps.step_share
     monkeypatch.setattr(gaps, "step_share", lambda energy: 0.5 * share(energy))
-    compiled.cache_clear()
+    forget()
     try:
         finer = [row for row in fractions() if row.gated]
     finally:
-        compiled.cache_clear()
+        forget()
     percent, expected = (np.array([row.percent for row in rows]) for rows in (usual, finer))
     error = np.array([np.hypot(a.error, b.error) for a, b in zip(usual, finer, strict=True)])
     assert_within(percent, expected, error + 0.01 * percent, n_sigma=3, what="fractions")

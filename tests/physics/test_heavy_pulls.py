@@ -40,10 +40,10 @@ def test_one_logarithm_for_all_matter_fails(particle: str, monkeypatch: pytest.M
         return table
 
     monkeypatch.setattr(compiling, "slab_table", one_group)
-    compiling.compiled.cache_clear()
+    compiling.forget()
     try:
         found = pulls_of("besiii-cgem-design", particle, 0.5)
     finally:
-        compiling.compiled.cache_clear()
+        compiling.forget()
     assert found["p"].core < 1 - WIDTH
     assert found["kappa"].core < 1 - WIDTH

@@ -112,8 +112,16 @@ def test_problems_of_spaces_and_arguments_are_all_listed() -> None:
     with pytest.raises(SpaceError, match="each value once"):
         grid({"a": [1, 1]})
     with pytest.raises(ValueError, match="wrong sweep") as wrong:
-        sweep(DESIGN, PITCHES, evaluate="magic", p=-1, part=(3, 2), chunk=0, events=0)  # type: ignore[arg-type]
-    for text in ("evaluate: got 'magic'", "events: 0", "p[0]: got", "part: got (3, 2)", "chunk: got 0"):
+        sweep(DESIGN, PITCHES, evaluate="magic", p=-1, part=(3, 2), chunk=0, events=0, quantities=["x"], samples=0)  # type: ignore[arg-type]
+    for text in (
+        "evaluate: got 'magic'",
+        "events: 0",
+        "p[0]: got",
+        "part: got (3, 2)",
+        "chunk: got 0",
+        "quantities: got x",
+        "samples: got 0",
+    ):
         assert text in str(wrong.value)
     with pytest.raises(ValueError, match="expected a charged particle"):
         sweep(DESIGN, PITCHES, particle="gamma")
@@ -186,7 +194,7 @@ def test_chunks_depend_on_all_that_results_depend_on(tmp_path: Path, monkeypatch
     assert computed() == 0
     assert computed(base=DESIGN.with_overrides({"name": "other"})) == 0
     for change in ({"seed": 2}, {"events": 21}, {"p": 0.5}, {"cos_theta": 0.1}, {"particle": "pi-"},
-                   {"base": DESIGN.with_overrides({"field.bz": "0.9 T"})},
+                   {"quantities": ["dr"]}, {"base": DESIGN.with_overrides({"field.bz": "0.9 T"})},
                    {"settings": cg.Settings(simulate=cg.SimulateSettings(deltas=False))}):  # fmt: skip
         assert computed(**change) == 2, change
     monkeypatch.setattr("cgemit.study.sweeps.chunks.PHYSICS", 10**6)
@@ -232,6 +240,10 @@ def test_analytic_resolutions_are_those_of_the_covariance() -> None:
     assert found.columns["tracks"][rows][::2] == [FitStatus(int(status)).name for status in one.status]
     assert found.columns["tracks"][12] != "ok" == found.columns["tracks"][14]
     assert found.columns["sigma_p (MeV/c)"][16] > 1.5 * found.columns["sigma_p (MeV/c)"][10]
+    few = sweep(DESIGN, space, quantities=["dz", "pt"], samples=3)
+    assert [name for name in few.results if name.startswith("sigma")] == ["sigma_dz (mm)", "sigma_pt (MeV/c)"]
+    expected = cg.analytic(few.detector(1), samples=3).sigma("dz")
+    assert few.columns["sigma_dz (mm)"][1] == pytest.approx(float(expected), rel=1e-12)
     read_out = cg.Settings(digitize=cg.DigitizeSettings(readout=cg.GaussianReadout(sigma_x=0.3, sigma_v=0.3)))
     changed = sweep(DESIGN, space, settings=read_out)
     expected = cg.analytic(changed.detector(1), readout=read_out.digitize.readout).sigma("dr")
@@ -312,6 +324,8 @@ def test_a_plan_is_the_same_call_in_python(plan: Path, tmp_path: Path, capsys: p
         ("evaluate.cos_theta=0.1", {"cos_theta": 0.1}),
         ("base=besiii-cgem", {"base": "besiii-cgem"}),
         ("evaluate.chunk=2", {"chunk": 2}),
+        ("evaluate.samples=2", {"samples": 2}),
+        ('evaluate.quantities=["p"]', {"quantities": ["p"]}),
         ('vary.cgem.*.pitch_x=["500 um"]', {"space": {"cgem.*.pitch_x": ["500 um"]}}),
         ("settings.simulate.deltas=true", {"settings": cg.Settings()}),
     ],

@@ -76,6 +76,17 @@ def test_a_copied_layer_recomputes_its_strips() -> None:
     ]
 
 
+def test_tables_single_values_and_removal_go_together() -> None:
+    table = {"pitch_x": "500 um"}
+    for changes in ({"cgem.L1": table, "cgem.L1.foils": 2}, {"cgem.L1.foils": 2, "cgem.L1": table}):
+        layer = DESIGN.with_overrides(changes).cgem[0]
+        assert (layer.pitch_x, layer.foils) == (0.5, 2)
+    assert table == {"pitch_x": "500 um"}
+    found = DESIGN.with_overrides({"remove": ["cgem.L1"], "cgem.*.pitch_x": "500 um"})
+    assert [(layer.label, layer.pitch_x) for layer in found.cgem] == [("L2", 0.5), ("L3", 0.5)]
+    assert problems({"remove": ["cgem.L1"], "cgem.L1.pitch_x": "500 um"})[0].startswith("cgem.L1: got only pitch_x")
+
+
 def test_problems_are_all_listed() -> None:
     assert problems({"cgem.X*.pitch_x": "1 mm", "cgem.L1.foils": "x1.5", "cgem.L1.pitch": "x2"}) == [
         'cgem.X*.pitch_x: got "X*", which matches nothing; expected a pattern for L1, L2, L3',
@@ -104,6 +115,11 @@ def test_names_are_made_of_what_changed() -> None:
         ).name
     )
     assert DESIGN.with_overrides({}).name == DESIGN.name
+    odd = DESIGN.with_overrides({"name": "a++b=1+c"})
+    assert odd.with_overrides({}).name == odd.name
+    assert (
+        odd.with_overrides({"cgem.L1.foils": 2}).with_overrides({"cgem.L1.foils": 1}).name == "a++b=1+c+cgem.L1.foils=1"
+    )
 
 
 def test_hashes_tell_contents_apart_and_nothing_else() -> None:
@@ -126,6 +142,8 @@ def test_bounds_end_where_the_neighbours_begin() -> None:
         assert DESIGN.with_overrides({"cgem.L2.anode_radius": f"{value!r} mm"}).cgem[1].anode_radius == value
     assert DESIGN.bounds("cgem.L2.foils") == (1, 5)
     assert DESIGN.bounds("cgem.*.pitch_x") == (0.01, 20.0)
+    thickest = DESIGN.bounds("cgem.L2.foil.Kapton.thickness")[1]  # three foils fill the room to the first layer
+    assert thickest == pytest.approx(0.05 + (layer.r_in - inner.r_out) / 3, abs=1e-6)
     with pytest.raises(DetectorError, match=r"different values: 87\.5, 132\.5, 175"):
         DESIGN.bounds("cgem.*.anode_radius")
     with pytest.raises(DetectorError, match="no number"):

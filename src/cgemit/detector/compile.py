@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from cgemit import _core, isa
 from cgemit.detector.field.core import compiled_field
-from cgemit.detector.gaps import gap_table
+from cgemit.detector.gaps import gap_columns, gap_table
 from cgemit.detector.material import Element, Material
 from cgemit.detector.model import Detector
 from cgemit.detector.parts import CgemLayer, DriftChamber, Shell
@@ -83,7 +83,7 @@ def _row(slab: Slab) -> _Row:
             part = per_gram * shell.material.density * 0.1 * shell.thickness
             moles[element] = moles.get(element, 0.0) + part
     terms = [shell.xi * _log_term(shell.material) for shell in slab.shells]
-    log_terms = np.asarray(np.sum(terms, axis=0) / slab.xi, dtype=np.float64)
+    log_terms = np.asarray(np.sum(terms, axis=0) / numbers[-1], dtype=np.float64)  # xi, the last of _NUMBERS
     return _Row(numbers, log_terms, tuple((element.z, element.a, amount) for element, amount in moles.items()))
 
 
@@ -129,6 +129,12 @@ def compiled(
         If ``CGEMIT_ISA`` names an instruction set that is not available.
     """
     return _compiled(detector, merge, screening, foil, loss, gaps)
+
+
+def forget() -> None:
+    """Forget all compiled detectors and tables, for tests that replace what they are made with."""
+    for cache in (_compiled, _row, _log_term, _elements, gap_columns):
+        cache.cache_clear()
 
 
 @lru_cache(maxsize=64)

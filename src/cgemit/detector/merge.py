@@ -86,13 +86,17 @@ def _copy_layer(layers: dict[str, Any], label: str, changes: Mapping[str, Any], 
 
 
 def set_path(tree: dict[str, Any], dotted: str, value: object) -> bool:
-    """Set a value in nested tables by its dotted path; return False if a part of the path is a value already."""
+    """Set a value in nested tables by its dotted path; return False if a part of the path is a value already.
+
+    A table is copied, and what is set inside it by longer paths stays.
+    """
     *parents, last = dotted.split(".")
     for name in parents:
         tree = tree.setdefault(name, {})
         if not isinstance(tree, dict):
             return False
-    tree[last] = value
+    before = tree.get(last)
+    tree[last] = _copied(value) | before if isinstance(value, Mapping) and isinstance(before, dict) else _copied(value)
     return True
 
 

@@ -71,9 +71,11 @@ class Slab(NamedTuple):
     @property
     def spread(self) -> float:
         """Standard deviation of the scattering power about `radius`, mm; each shell counts with its own width."""
-        radius = self.radius
+        parts = [s.x0 for s in self.shells]
+        x0 = sum(parts)
+        radius = sum(part * _middle(s) for part, s in zip(parts, self.shells, strict=True)) / x0
         widths = ((_middle(s) - radius) ** 2 + (s.r_out - s.r_in) ** 2 / 12 for s in self.shells)
-        return math.sqrt(sum(s.x0 * width for s, width in zip(self.shells, widths, strict=True)) / self.x0)
+        return math.sqrt(sum(part * width for part, width in zip(parts, widths, strict=True)) / x0)
 
     def log_term(self, ln_betagamma: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return -2 ln(I/GeV) - delta - 2 C/Z, (n,) float64, averaged over the shells with their xi."""
@@ -116,8 +118,9 @@ def _layer(layer: CgemLayer, number: int, first_foil: int, merge: bool, lattice:
     found = []
     if lattice:
         found += [Slab((shell,), holes=holes) for shell, holes in perforated(layer, first_foil)]
+    every = list(layer.shells())
     for group in ("cathode", "drift", "anode") if lattice else ("cathode", "drift", "foils", "anode"):
-        shells = [shell for shell in layer.shells() if shell.group == group]
+        shells = [shell for shell in every if shell.group == group]
         found += [Slab(tuple(part), number if group == "drift" else -1) for part in _parts(shells, merge)]
     return tuple(found)
 

@@ -13,7 +13,7 @@ from cgemit.detector.keys import Key, Known, keys_of
 from cgemit.detector.material import Material
 from cgemit.detector.merge import FOR_ALL_LAYERS
 from cgemit.detector.parts import Contents, DriftChamber, SubLayer
-from cgemit.detector.read import shown
+from cgemit.detector.read import TOP_LEVEL, shown
 from cgemit.problems import Problem, did_you_mean
 from cgemit.units import NATIVE
 
@@ -41,16 +41,19 @@ def expanded(detector: Contents, changes: Mapping[str, object], problems: list[P
     detector : Contents
     changes : mapping of str to object
         By dotted keys, several of which may stand together, separated by commas. ``*``, ``?`` and ``[...]`` match
-        labels; a key without them has precedence.
+        labels of parts that are not removed; a key without them has precedence.
     problems : list of Problem
         Receives every pattern that matches nothing and every relative value of something that is no number.
     """
     found: dict[str, object] = {}
     exact: dict[str, object] = {}
+    removed = changes.get("remove")
+    gone = tuple(f"{path}." for path in removed) if isinstance(removed, list) else ()
     for keys, value in changes.items():
         for key in keys.split(","):
-            paths = list(matching(detector, key.strip(), problems))
-            for path in paths:
+            for path in matching(detector, key.strip(), problems):
+                if path != key.strip() and f"{path}.".startswith(gone):
+                    continue
                 (exact if path == key.strip() else found).update(_absolute(detector, path, value, problems))
     return found | exact
 
@@ -148,8 +151,7 @@ def variant_name(name: str, changes: Mapping[str, object]) -> str:
 
     Wildcards that match every label are left out. A long name ends with a hash of all changes.
     """
-    base, *before = name.split("+")
-    texts = dict(part.partition("=")[::2] for part in before)
+    base, texts = _split_name(name)
     for key, value in changes.items():
         if key not in ("name", "description"):
             key = ",".join(part.strip() for part in key.split(","))
@@ -158,6 +160,17 @@ def variant_name(name: str, changes: Mapping[str, object]) -> str:
     if len(full) <= _LONGEST_NAME:
         return full
     return f"{full[: _LONGEST_NAME - 9]}~{hashlib.sha256(full.encode()).hexdigest()[:8]}"
+
+
+def _split_name(name: str) -> tuple[str, dict[str, str]]:
+    """Return the name of the first base, and the changes that the rest of the name tells."""
+    *parts, last = name.split("+")
+    changes: dict[str, str] = {}
+    while parts and last.partition("=")[0].partition(".")[0] in TOP_LEVEL:
+        key, _, text = last.partition("=")
+        changes = {key: text} | changes
+        last = parts.pop()
+    return "+".join([*parts, last]), changes
 
 
 def _short(value: object) -> str:

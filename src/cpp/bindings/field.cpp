@@ -76,7 +76,7 @@ py::tuple advance_points(const FieldMap& map, const Array<double>& points, const
     const double bend = row[6] / radius_per_kappa;
     CarriedDerivatives<double> carried(d, t, point.field, bend);
     inside.push_back(RungeKutta<double>(map).advance(point, bend, paths[i], true, &carried));
-    d = carried.finished();
+    carried.finish(true);
     moved.insert(moved.end(), {point.x.x, point.x.y, point.x.z, point.t.x, point.t.y, point.t.z});
     for (std::size_t k = 0; k < 5; ++k)
       for (std::size_t m = 0; m < 5; ++m) derivatives.push_back((d.*order[k])[m] * scale(k));

@@ -63,7 +63,11 @@ inline FieldMap uniform_field(double bz) { return {FieldKind::uniform, bz, 0, 0,
 template <class T>
 mask_of<T> FieldMap::holds(const Vec3<T>& x) const {
   if (kind == FieldKind::box) return axes[0].holds(x.x) & axes[1].holds(x.y) & axes[2].holds(x.z);
-  if (axes.size() == 2) return axes[0].holds(sqrt(x.x * x.x + x.y * x.y)) & axes[1].holds(x.z);
+  if (axes.size() == 2) {
+    const T r2 = x.x * x.x + x.y * x.y;
+    const double first = axes[0].first, last = axes[0].last();
+    return (r2 >= first * first) & (r2 <= last * last) & axes[1].holds(x.z);
+  }
   return mask_of<T>(true);
 }
 

@@ -18,15 +18,6 @@ Kinematics before(const Slab& slab, double path, const Kinematics& after, const 
   return after.after_loss(-0.5 * (most + least));
 }
 
-// Closest approach of a helix to the beam line (docs/conventions.md; `cgemit.helix.at_origin`).
-Perigee perigee(const HelixPoint& point, double kappa) {
-  const double s = point.sideways(), p = point.outward(), w = point.w;
-  const double reach = std::hypot(1 - w * s, w * p), theta = -std::atan2(w * p, 1 - w * s);
-  const double d = (2 * s - w * (point.x * point.x + point.y * point.y)) / (1 + reach);
-  return {d, wrap_angle(std::atan2(point.uy, point.ux) + theta), kappa, point.z + theta / w * point.tanl,
-          point.tanl};
-}
-
 }  // namespace
 
 Perigee before_loss(const Detector& detector, const Perigee& helix, double radius, double mass) {
@@ -35,13 +26,7 @@ Perigee before_loss(const Detector& detector, const Perigee& helix, double radiu
   if (now.is_light() || now.p > mass) return helix;
   const TrackMatter track = total_matter(detector, helix.tanl);
   const double per_kappa = curvature(detector.bz, 1.0);
-  HelixPoint point{helix.d * std::sin(helix.psi),
-                   -helix.d * std::cos(helix.psi),
-                   helix.z0,
-                   std::cos(helix.psi),
-                   std::sin(helix.psi),
-                   helix.tanl,
-                   per_kappa * helix.kappa};
+  HelixPoint point = closest_point(helix, per_kappa);
   double kappa = helix.kappa, arc = 0;
   if (radius <= std::abs(helix.d) || !step_to_cylinder(point, radius, arc)) return helix;
   for (auto next = detector.slabs.rbegin(); next != detector.slabs.rend(); ++next) {
@@ -54,7 +39,9 @@ Perigee before_loss(const Detector& detector, const Perigee& helix, double radiu
     kappa *= momentum / now.p;
     point.w = per_kappa * kappa;
   }
-  return perigee(point, kappa);
+  const PivotApproach closest = approach_pivot(point, 0, 0);
+  return {closest.d, wrap_angle(std::atan2(point.uy, point.ux) + closest.turn), kappa,
+          point.z + closest.arc * point.tanl, point.tanl};
 }
 
 }  // namespace cgemit

@@ -2,7 +2,7 @@
 #pragma once
 
 #include "detector/detector.hpp"
-#include "kalman/reference.hpp"
+#include "motion/helix.hpp"
 
 namespace cgemit {
 

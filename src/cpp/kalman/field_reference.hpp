@@ -17,9 +17,7 @@ class FieldReference {
   static constexpr bool keeps_dip = false;
 
   FieldReference(const Detector& detector, const PerigeeOf<T>& start) : motion_(detector) {
-    const SineCosine<T> psi = sine_cosine(start.psi);
-    static_cast<HelixPointOf<T>&>(point_) = {
-        start.d * psi.sine, -start.d * psi.cosine, start.z0, psi.cosine, psi.sine, start.tanl, T(0.0)};
+    static_cast<HelixPointOf<T>&>(point_) = closest_point(start, 0.0);
     motion_.look(point_);
     motion_.bend(point_, start.kappa);
     by_origin_ = derivatives_by<T>(start, point_, point_.field.b, motion_.bending());

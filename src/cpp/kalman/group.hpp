@@ -13,6 +13,7 @@
 #include "common/angles.hpp"
 #include "detector/detector.hpp"
 #include "kalman/vector.hpp"
+#include "motion/helix.hpp"
 
 namespace cgemit {
 
@@ -30,13 +31,6 @@ struct Hit {
   // measured X, and k is their covariance over the variance of X. k = 0: V alone.
   double k = 0, x = 0;
 };
-
-// Flight parameters at the origin: psi is the flight azimuth, phi0 + pi/2.
-template <class T>
-struct PerigeeOf {
-  T d, psi, kappa, z0, tanl;
-};
-using Perigee = PerigeeOf<double>;
 
 // One measurement per lane.
 template <class T>

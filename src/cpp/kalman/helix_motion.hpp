@@ -33,14 +33,12 @@ class HelixMotion {
  public:
   static constexpr bool keeps_dip = true;
 
-  HelixMotion(const Detector& detector, const PerigeeOf<T>& start) : kappa_(start.kappa) {
-    const SineCosine<T> psi = sine_cosine(start.psi);
-    u0x_ = psi.cosine;
-    u0y_ = psi.sine;
-    per_kappa_ = curvature(detector.bz, 1.0);
-    point_ = {start.d * psi.sine, -start.d * psi.cosine, start.z0, psi.cosine, psi.sine,
-              start.tanl,         per_kappa_ * kappa_};
-  }
+  HelixMotion(const Detector& detector, const PerigeeOf<T>& start)
+      : per_kappa_(curvature(detector.bz, 1.0)),
+        point_(closest_point(start, per_kappa_)),
+        u0x_(point_.ux),
+        u0y_(point_.uy),
+        kappa_(start.kappa) {}
 
   const HelixPointOf<T>& point() const { return point_; }
   const T& kappa() const { return kappa_; }
@@ -172,8 +170,8 @@ class HelixMotion {
     rise_ += d_dip_ * step;
   }
 
-  HelixPointOf<T> point_;
   double per_kappa_;  // 1/mm, curvature of kappa = 1
+  HelixPointOf<T> point_;
   T u0x_, u0y_, kappa_;
   // Derivatives of the local kappa by kappa and tanl at the origin, and of the local tanl by tanl there.
   T d_kappa_{1.0}, d_tanl_{0.0}, d_dip_{1.0};

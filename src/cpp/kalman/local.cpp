@@ -57,9 +57,7 @@ void move_to(LocalState& state, const HelixPoint& to, double arc, double per_kap
 }  // namespace
 
 HelixPoint point_of(const LocalState& state, double per_kappa) {
-  const Perigee& h = state.helix;
-  const double ux = std::cos(h.psi), uy = std::sin(h.psi);
-  return {state.x + h.d * uy, state.y - h.d * ux, state.z + h.z0, ux, uy, h.tanl, per_kappa * h.kappa};
+  return closest_point(state.helix, per_kappa, state.x, state.y, state.z);
 }
 
 Matrix5 pivot_jacobian(const Perigee& from, double d_to, double arc, double per_kappa) {
@@ -83,19 +81,13 @@ Matrix5 pivot_jacobian(const Perigee& from, double d_to, double arc, double per_
 
 bool change_pivot(LocalState& state, double x, double y, double z, double per_kappa) {
   const HelixPoint point = point_of(state, per_kappa);
-  const double dx = point.x - x, dy = point.y - y;
-  const double sideways = dx * point.uy - dy * point.ux, outward = dx * point.ux + dy * point.uy;
-  const double across = 1 - point.w * sideways, along = point.w * outward;
-  const double reach = std::sqrt(across * across + along * along);  // distance to the centre over |R|
-  if (!(reach > 1e-12)) return false;
-  const double theta = -std::atan2(along, across);
-  const double arc = across > 0 ? -outward / across * atan_over(along / across) : theta / point.w;
-  const double d = (2 * sideways - point.w * (dx * dx + dy * dy)) / (1 + reach);
-  const Matrix5 j = pivot_jacobian(state.helix, d, arc, per_kappa);
+  const PivotApproach closest = approach_pivot(point, x, y);
+  if (!closest.exists) return false;
+  const Matrix5 j = pivot_jacobian(state.helix, closest.d, closest.arc, per_kappa);
   state.c = (j * state.c * j.transpose()).eval();
-  state.helix.d = d;
-  state.helix.psi = wrap_angle(state.helix.psi + theta);
-  state.helix.z0 = point.z + arc * point.tanl - z;
+  state.helix.d = closest.d;
+  state.helix.psi = wrap_angle(state.helix.psi + closest.turn);
+  state.helix.z0 = point.z + closest.arc * point.tanl - z;
   state.x = x;
   state.y = y;
   state.z = z;

@@ -41,7 +41,9 @@ class Tracer {
         sec_lambda_(sqrt(1.0 + tanl_ * tanl_)),
         now_(sec_lambda_ / abs(start.kappa), mass, projectile),
         track_(total_matter(detector, start.tanl)),
-        observer_(observer) {}
+        observer_(observer) {
+    set_cut(track_, now_);
+  }
 
   // Traces the lanes `who`.
   void run(mask_of<T> who) {

@@ -18,6 +18,15 @@ inline Projectile projectile_of(double mass, double charge) {
   return spinless ? Projectile::spinless : Projectile::spin_half;
 }
 
+// ln(a/b), by its series if the next term is below 1e-9.
+template <class T>
+T log_ratio(const T& a, const T& b, const T& per_b) {
+  const T d = (a - b) * per_b;
+  return choose(
+      abs(d) < 0.02, [&d] { return d * (1.0 - d * (1.0 / 2 - d * (1.0 / 3 - d / 4.0))); },
+      [&] { return log(a / b); });
+}
+
 // Momenta in GeV/c, energies in GeV.
 template <class T>
 struct KinematicsOf {
@@ -45,7 +54,7 @@ struct KinematicsOf {
     k.p = sqrt((k.energy - mass) * (k.energy + mass));
     k.follow();
     k.log_bg += log_ratio(k.p, p, per_p);
-    k.log_gamma += log_ratio(k.energy, energy, per_p / per_beta);
+    k.log_gamma += log_ratio<T>(k.energy, energy, per_p / per_beta);
     return k;
   }
   // Takes a in the lanes of `m` and b in the others.
@@ -75,13 +84,6 @@ struct KinematicsOf {
     per_beta2 = per_beta * per_beta;
     beta2 = 1.0 / per_beta2;
     gamma = energy * per_mass;
-  }
-  // ln(a/b), by its series if the next term is below 1e-9.
-  static T log_ratio(T a, T b, T per_b) {
-    const T d = (a - b) * per_b;
-    return choose(
-        abs(d) < 0.02, [&d] { return d * (1.0 - d * (1.0 / 2 - d * (1.0 / 3 - d / 4.0))); },
-        [&] { return log(a / b); });
   }
 };
 using Kinematics = KinematicsOf<double>;

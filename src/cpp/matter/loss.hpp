@@ -60,29 +60,60 @@ void prepare_loss(Detector& detector, CoreLoss choice);
 
 LossMoments light_core_loss(const Slab& slab, double path, const Kinematics& k, const TrackMatter& track);
 
+// The cut of heavy particles, and the numbers that it is made of, GeV.
+template <class T>
+struct CoreCut {
+  T below, resolved;  // Landau's width and the resolution
+  T wanted, w_max;    // their sum; the largest transfer
+  T share;            // beta^2/w_max
+  T per_recoil;       // 1/(1 + 2 gamma m_e/m + (m_e/m)^2)
+  T value;
+
+  CoreCut(const KinematicsOf<T>& k, const TrackMatterOf<T>& track)
+      : below(track.loss.mean * (track.xi * k.per_beta2)),
+        resolved(track.loss.share * k.p * k.beta2 * k.per_beta),
+        wanted(below + resolved) {
+    const T ratio = electron_mass * k.per_mass, recoil = 1.0 + 2.0 * k.gamma * ratio + ratio * ratio,
+            bg = k.p * k.per_mass;
+    per_recoil = 1.0 / recoil;
+    w_max = 2 * electron_mass * bg * bg * per_recoil;
+    share = (1.0 - k.beta2) * recoil * (1 / (2 * electron_mass));
+    value = smaller(wanted, w_max);
+  }
+};
+
+// Stores the cut at the start of a track.
+template <class T>
+void set_cut(TrackMatterOf<T>& track, const KinematicsOf<T>& start) {
+  if (start.is_light()) return;
+  track.cut = CoreCut<T>(start, track).value;
+  track.per_cut = 1.0 / track.cut;
+  track.log_cut = log(track.cut);
+}
+
 template <class T>
 LossMomentsOf<T> heavy_core_loss(const Slab& slab, T path, const KinematicsOf<T>& k,
                                  const TrackMatterOf<T>& track) {
-  const T xi = slab.xi * path * k.per_beta2, track_xi = track.xi * k.per_beta2;
-  const T resolved = track.loss.share * k.p * k.beta2 * k.per_beta, below = track.loss.mean * track_xi;
-  const T wanted = below + resolved;
-  const T w_max = k.w_max(), cut = smaller(wanted, w_max);
+  const CoreCut<T> cut(k, track);
+  const T xi = slab.xi * path * k.per_beta2;
   const Read<T> term = read<&SlabPoint::log_term>(slab, k.log_bg);
   static const double log_constant = std::log(2 * electron_mass);
-  const T share = k.beta2 / w_max, spin = share * cut;
-  const T bracket = log_constant + log(cut) + 2.0 * k.log_bg - k.beta2 - spin + term.value;
+  const T spin = cut.share * cut.value,
+          log_cut = track.log_cut + log_ratio(cut.value, track.cut, track.per_cut);
+  const T bracket = log_constant + log_cut + 2.0 * k.log_bg - k.beta2 - spin + term.value;
   // Derivatives by ln(p), with 1/gamma^2 = 1 - beta^2: 1/beta^2 falls by 2/gamma^2, (beta gamma)^2 grows by
   // 2, beta^2 by 2 beta^2/gamma^2, p beta by 1 + 1/gamma^2; the cut follows 1/beta^2 and p beta, or w_max.
-  const T per_gamma2 = 1.0 - k.beta2, ratio = electron_mass * k.per_mass;
-  const T grow_w_max = 2.0 - 2.0 * ratio * k.gamma * k.beta2 / (1.0 + 2.0 * k.gamma * ratio + ratio * ratio);
-  const T grow_wanted = ((1.0 + per_gamma2) * resolved - 2.0 * per_gamma2 * below) / wanted;
-  const T grow_cut = select(wanted < w_max, grow_wanted, grow_w_max);
+  const T per_gamma2 = 1.0 - k.beta2;
+  const T grow_w_max = 2.0 - 2.0 * electron_mass * k.per_mass * k.gamma * k.beta2 * cut.per_recoil;
+  const T grow_wanted = ((1.0 + per_gamma2) * cut.resolved - 2.0 * per_gamma2 * cut.below) / cut.wanted;
+  const T grow_cut = select(cut.wanted < cut.w_max, grow_wanted, grow_w_max);
   const T grow_bracket =
       2.0 + grow_cut - 2.0 * k.beta2 * per_gamma2 - spin * (2.0 * per_gamma2 + grow_cut - grow_w_max);
   const T per_log_p = -2.0 * per_gamma2 * bracket + grow_bracket + term.slope;
   const T amount = select(bracket > 0.0, xi, T(0.0));
-  const T hardest = smaller(track.loss.variance * track_xi + resolved, w_max);
-  return {amount * bracket, amount * hardest * (1.0 - 0.5 * share * hardest), amount * per_log_p * k.per_p};
+  const T hardest = smaller(track.loss.variance * (track.xi * k.per_beta2) + cut.resolved, cut.w_max);
+  return {amount * bracket, amount * hardest * (1.0 - 0.5 * cut.share * hardest),
+          amount * per_log_p * k.per_p};
 }
 
 template <class T>

@@ -39,6 +39,9 @@ struct TrackMatterOf {
   T xi{0.0};                                                       // GeV, Landau's xi times beta^2
   std::array<ScatteringSumOf<T>, scattering_groups> scattering{};  // by `scattering_group`
   LossCuts loss{};
+  // A cut of the loss on this track, GeV, its inverse and its logarithm: the logarithms of the cuts elsewhere
+  // on the track follow by a series.
+  T cut{1.0}, per_cut{1.0}, log_cut{0.0};
 };
 using TrackMatter = TrackMatterOf<double>;
 

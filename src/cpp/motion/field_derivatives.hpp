@@ -13,6 +13,7 @@
 #pragma once
 
 #include <array>
+#include <optional>
 
 #include "field/field.hpp"
 #include "motion/helix.hpp"
@@ -55,10 +56,13 @@ template <class T>
 struct CurvatureSlopes {
   T bend, tanl;
 };
+// `sec`, `cosine`: of the dip.
 template <class T>
-CurvatureSlopes<T> curvature_slopes(const HelixPointOf<T>& at, const Vec3<T>& b, const T& bend) {
-  const T square = 1.0 + at.tanl * at.tanl, sec = sqrt(square), b_u = at.ux * b.x + at.uy * b.y;
-  return {sec * (at.tanl * b_u - b.z), bend / sec * ((square + at.tanl * at.tanl) * b_u - at.tanl * b.z)};
+CurvatureSlopes<T> curvature_slopes(const HelixPointOf<T>& at, const T& sec, const T& cosine,
+                                    const Vec3<T>& b, const T& bend) {
+  const T b_u = at.ux * b.x + at.uy * b.y;
+  return {sec * (at.tanl * b_u - b.z),
+          bend * cosine * ((1.0 + 2.0 * at.tanl * at.tanl) * b_u - at.tanl * b.z)};
 }
 
 template <class T>
@@ -82,19 +86,18 @@ struct FieldDerivatives {
   }
 
   void transport(const FieldStep<T>& step) {
-    const HelixPointOf<T> start = flight(step.t1, step.b1, step.bend),
-                          end = flight(step.t4, step.b4, step.bend);
+    const Flight first(step.t1, step.b1, step.bend), last(step.t4, step.b4, step.bend);
+    const HelixPointOf<T>&start = first.at, &end = last.at;
     const T x = start.ux + end.ux, y = start.uy + end.uy, per = 1.0 / sqrt(x * x + y * y), zero(0.0);
     HelixPointOf<T> middle{zero, zero, zero, per * x, per * y, 0.5 * (start.tanl + end.tanl), zero};
-    middle.w = curvature(middle, step.b2.b, step.bend);
-    const T arc1 = step.t1.x * start.ux + step.t1.y * start.uy,
-            arc4 = step.t4.x * end.ux + step.t4.y * end.uy;
-    const T part = step.h * (1.0 / 8), s_first = part * (3.0 * arc1 + arc4),
-            s_second = part * (arc1 + 3.0 * arc4);
+    const T sec = sqrt(1.0 + middle.tanl * middle.tanl);
+    const CurvatureSlopes<T> by1 = curvature_slopes(start, first.sec, first.cosine, step.b1, step.bend),
+                             by2 = curvature_slopes<T>(middle, sec, 1.0 / sec, step.b2.b, step.bend),
+                             by4 = curvature_slopes(end, last.sec, last.cosine, step.b4, step.bend);
+    middle.w = step.bend * by2.bend;
+    const T part = step.h * (1.0 / 8), s_first = part * (3.0 * first.cosine + last.cosine),
+            s_second = part * (first.cosine + 3.0 * last.cosine);
     // Parabolas through the three points, averaged over each half.
-    const CurvatureSlopes<T> by1 = curvature_slopes(start, step.b1, step.bend),
-                             by2 = curvature_slopes(middle, step.b2.b, step.bend),
-                             by4 = curvature_slopes(end, step.b4, step.bend);
     const auto half = [](const T& outer, const T& inner, const T& beyond) {
       return (5.0 * outer + 8.0 * inner - beyond) * (1.0 / 12);
     };
@@ -103,7 +106,7 @@ struct FieldDerivatives {
       return CurvatureSlopes<T>{half(a.bend, b.bend, c.bend), half(a.tanl, b.tanl, c.tanl)};
     };
     drift(half(start.w, middle.w, end.w), s_first, middle.tanl, halves(by1, by2, by4));
-    kick(step, middle, s_first + s_second);
+    kick(step, middle, sec, s_first + s_second);
     drift(half(end.w, middle.w, start.w), s_second, middle.tanl, halves(by4, by2, by1));
   }
 
@@ -117,14 +120,20 @@ struct FieldDerivatives {
   }
 
  private:
-  static HelixPointOf<T> flight(const Vec3<T>& t, const Vec3<T>& b, const T& bend) {
-    const T sec = 1.0 / sqrt(t.x * t.x + t.y * t.y);
-    HelixPointOf<T> point{T(0.0), T(0.0), T(0.0), sec * t.x, sec * t.y, sec * t.z, T(0.0)};
-    point.w = bend * sec * (point.tanl * (point.ux * b.x + point.uy * b.y) - b.z);
-    return point;
-  }
+  // A direction of flight, with the secant and the cosine of its dip.
+  struct Flight {
+    T cosine, sec;
+    HelixPointOf<T> at;
 
-  void kick(const FieldStep<T>& step, const HelixPointOf<T>& at, const T& s) {
+    Flight(const Vec3<T>& t, const Vec3<T>& b, const T& bend)
+        : cosine(sqrt(t.x * t.x + t.y * t.y)),
+          sec(1.0 / cosine),
+          at{T(0.0), T(0.0), T(0.0), sec * t.x, sec * t.y, sec * t.z, T(0.0)} {
+      at.w = bend * sec * (at.tanl * (at.ux * b.x + at.uy * b.y) - b.z);
+    }
+  };
+
+  void kick(const FieldStep<T>& step, const HelixPointOf<T>& at, const T& sec, const T& s) {
     const T &ux = at.ux, &uy = at.uy, &slope = at.tanl;
     const Vec3<T>& b = step.b2.b;
     const Mat3<T>& g = step.b2.slope;
@@ -133,7 +142,7 @@ struct FieldDerivatives {
     const Vec3<T> left{ux * g.x.y - uy * g.x.x, ux * g.y.y - uy * g.y.x, ux * g.z.y - uy * g.z.x};
     const T left_u = ux * left.x + uy * left.y, left_m = ux * left.y - uy * left.x;
     const T up_u = ux * g.x.z + uy * g.y.z, up_m = ux * g.y.z - uy * g.x.z;
-    const T sec = sqrt(1.0 + slope * slope), in_plane = step.bend * sec * s;
+    const T in_plane = step.bend * sec * s;
     const T upward = sec * sec * sec * s, bent_upward = step.bend * upward;
     const T psi_a = in_plane * (slope * left_u - left.z), psi_z = in_plane * (slope * up_u - g.z.z),
             psi_psi = in_plane * slope * b_m;
@@ -156,12 +165,14 @@ struct FieldDerivatives {
 template <class T>
 class CarriedDerivatives {
  public:
-  CarriedDerivatives(const FieldDerivatives<T>& by, const Vec3<T>& t, const FieldValue<T>& field,
-                     const T& bend)
+  CarriedDerivatives(FieldDerivatives<T>& by, const Vec3<T>& t, const FieldValue<T>& field, const T& bend)
       : by_(by), last_{T(0.0), bend, t, t, field.b, field.b, field} {}
 
   void take(const FieldStep<T>& step, const mask_of<T>& who) {
-    flush(who);
+    if (const mask_of<T> now = waiting_ & who; any(now)) {
+      if (!before_) before_ = by_;
+      transport(now);
+    }
     last_ = all(who) ? step : select(who, step, last_);
     waiting_ = waiting_ | who;
   }
@@ -173,22 +184,25 @@ class CarriedDerivatives {
     last_.b2.b = select<T>(who, last_.b2.b + T(0.5) * change, last_.b2.b);
     waiting_ = waiting_ | who;
   }
-  const FieldDerivatives<T>& finished() {
-    flush(waiting_);
-    return by_;
+  // Ends the move of the lanes that arrived; the others keep the derivatives of its start.
+  void finish(const mask_of<T>& arrived) {
+    if (before_ && !all(arrived)) by_ = select(arrived, by_, *before_);
+    if (const mask_of<T> now = waiting_ & arrived; any(now)) transport(now);
   }
 
  private:
-  void flush(const mask_of<T>& who) {
-    const mask_of<T> now = waiting_ & who;
-    if (!any(now)) return;
-    FieldDerivatives<T> moved = by_;
-    moved.transport(last_);
-    by_ = all(now) ? moved : select(now, moved, by_);
-    waiting_ = waiting_ & !now;
+  void transport(const mask_of<T>& who) {
+    if (all(who)) {
+      by_.transport(last_);
+    } else {
+      FieldDerivatives<T> moved = by_;
+      moved.transport(last_);
+      by_ = select(who, moved, by_);
+    }
   }
 
-  FieldDerivatives<T> by_;
+  FieldDerivatives<T>& by_;
+  std::optional<FieldDerivatives<T>> before_;  // at the start, if the move has more than one step
   FieldStep<T> last_;
   mask_of<T> waiting_{false};
 };

@@ -134,16 +134,15 @@ class FieldMotionOf {
   [[nodiscard]] Mask approach(P& point, const WireOf<T>& wire, ApproachOf<T>& result, Mask who = Mask(true)) {
     Walk walk(*this, point, who);
     Mask arrived(false);
-    result = {};
     for (int iteration = 0; any(walk.moving) && iteration < most_iterations; ++iteration) {
-      HelixPointOf<T> guess = walk.here;
-      ApproachOf<T> found;
-      walk.moving = walk.moving & approach_wire(guess, wire, found, walk.moving);
-      const Mask there = walk.go(found.arc);
-      result = select(there, found, result);
+      T arc(0.0);
+      walk.moving = walk.moving & arc_to_wire(walk.here, wire, arc, walk.moving);
+      const Mask there = walk.go(arc);
       arrived = arrived | there;
       walk.moving = walk.moving & !there;
     }
+    result = distance_to_wire(walk.here, wire);
+    if (!all(arrived)) result = select(arrived, result, ApproachOf<T>{});
     result.arc = walk.finish(point, arrived);
     return arrived;
   }
@@ -161,18 +160,24 @@ class FieldMotionOf {
     HelixPointOf<T> here;
     FieldPoint<T> at;
     std::optional<CarriedDerivatives<T>> carried;
-    T path{0.0};  // mm
+    T path{0.0};    // mm
+    T cosine, sec;  // of the dip, at the start and here
 
     template <class P>
     Walk(FieldMotionOf& m, const P& point, const Mask& who)
-        : motion(m), moving(who), here(point), at(m.start(point)) {
+        : motion(m),
+          moving(who),
+          here(point),
+          at(m.start(point)),
+          cosine(sqrt(at.t.x * at.t.x + at.t.y * at.t.y)),
+          sec(1.0 / cosine) {
       m.left_ = Mask(false);
       if (m.derivatives_ != nullptr) carried.emplace(*m.derivatives_, at.t, at.field, m.bend_);
     }
 
     // Moving lanes take a step. Returns those whose step was short enough to be a correction only.
     Mask go(const T& arc) {
-      const T step = select(moving, arc * sqrt(1.0 + here.tanl * here.tanl), T(0.0));
+      const T step = select(moving, arc * sec, T(0.0));
       const Mask brief = moving & (abs(step) < short_step);
       if (const Mask far = moving & !brief; any(far)) {
         const Mask inside =
@@ -182,7 +187,8 @@ class FieldMotionOf {
       }
       if (any(brief)) correct(select(brief, step, T(0.0)), brief);
       path += step;
-      here = motion.to_helix(at);
+      sec = 1.0 / sqrt(at.t.x * at.t.x + at.t.y * at.t.y);
+      here = motion.to_helix(at, sec);
       return brief & moving;
     }
 
@@ -201,11 +207,8 @@ class FieldMotionOf {
 
     template <class P>
     T finish(P& point, const Mask& arrived) {
-      const T arc = select(arrived, path / sqrt(1.0 + point.tanl * point.tanl), T(0.0));
-      if (carried) {
-        const FieldDerivatives<T>& by = carried->finished();
-        *motion.derivatives_ = all(arrived) ? by : select(arrived, by, *motion.derivatives_);
-      }
+      const T arc = select(arrived, path * cosine, T(0.0));
+      if (carried) carried->finish(arrived);
       static_cast<HelixPointOf<T>&>(point) = all(arrived) ? here : select<T>(arrived, here, point);
       if constexpr (requires { point.field; })
         point.field = all(arrived) ? at.field : select(arrived, at.field, point.field);
@@ -224,8 +227,7 @@ class FieldMotionOf {
   FieldPoint<T> start(const HelixPointOf<T>& p) const { return start_with(p, field_at(p)); }
   FieldPoint<T> start(const Point& p) const { return start_with(p, p.field); }
 
-  HelixPointOf<T> to_helix(const FieldPoint<T>& p) const {
-    const T per = 1.0 / sqrt(p.t.x * p.t.x + p.t.y * p.t.y);
+  HelixPointOf<T> to_helix(const FieldPoint<T>& p, const T& per) const {
     HelixPointOf<T> point{p.x.x, p.x.y, p.x.z, per * p.t.x, per * p.t.y, per * p.t.z, T(0.0)};
     point.w = bend_ * per * (point.tanl * (point.ux * p.field.b.x + point.uy * p.field.b.y) - p.field.b.z);
     return point;

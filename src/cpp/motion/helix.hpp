@@ -36,6 +36,37 @@ HelixPointOf<T> select(const mask_of<T>& m, const HelixPointOf<T>& a, const Heli
           select(m, a.uy, b.uy), select(m, a.tanl, b.tanl), select(m, a.w, b.w)};
 }
 
+// A helix by its closest approach to a pivot: psi is the flight azimuth there, phi0 + pi/2.
+template <class T>
+struct PerigeeOf {
+  T d, psi, kappa, z0, tanl;
+};
+using Perigee = PerigeeOf<double>;
+
+// The closest point to the pivot (x, y, z). `per_kappa`: curvature for kappa = 1, or 0 if w is set later.
+template <class T>
+HelixPointOf<T> closest_point(const PerigeeOf<T>& helix, double per_kappa, const T& x = T(0.0),
+                              const T& y = T(0.0), const T& z = T(0.0)) {
+  const SineCosine<T> psi = sine_cosine(helix.psi);
+  return {x + helix.d * psi.sine, y - helix.d * psi.cosine, z + helix.z0, psi.cosine, psi.sine, helix.tanl,
+          per_kappa * helix.kappa};
+}
+
+// The closest approach of a helix to a pivot, seen from one of its points: less than half a turn away.
+struct PivotApproach {
+  double d, turn, arc;  // mm, rad of azimuth, mm along the transverse arc
+  bool exists;          // else the pivot is the centre of the circle
+};
+inline PivotApproach approach_pivot(const HelixPoint& point, double x, double y) {
+  const double dx = point.x - x, dy = point.y - y;
+  const double sideways = dx * point.uy - dy * point.ux, outward = dx * point.ux + dy * point.uy;
+  const double across = 1 - point.w * sideways, along = point.w * outward;
+  const double reach = std::sqrt(across * across + along * along);  // distance to the centre over |R|
+  const double turn = -std::atan2(along, across);
+  const double arc = across > 0 ? -outward / across * atan_over(along / across) : turn / point.w;
+  return {(2 * sideways - point.w * (dx * dx + dy * dy)) / (1 + reach), turn, arc, reach > 1e-12};
+}
+
 // w of a track with kappa = charge/pT; positive charge in positive field turns clockwise.
 template <class T>
 T curvature(double bz, T kappa) {

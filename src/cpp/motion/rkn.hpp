@@ -43,8 +43,8 @@ class RungeKutta {
       const mask_of<T> is_last = h == left;
       FieldStep<T> step;
       FieldPoint<T> end;
-      const T error = make(point, bend, h, step, end);
-      const mask_of<T> taken = moving & !adapt(h, error, is_last, moving);
+      const T square = make(point, bend, h, step, end);
+      const mask_of<T> taken = moving & !adapt(h, square, is_last, moving);
       if (derivatives != nullptr && any(taken)) derivatives->take(step, taken);
       point = all(taken) ? end : select(taken, end, point);
       inside = inside & !(taken & !field_.holds(point.x));
@@ -58,20 +58,24 @@ class RungeKutta {
   static constexpr int most_steps = 100000;
   static constexpr double most_growth = 4, shortest = 1e-3;  // mm
 
-  // Lanes whose step was too long; sets the length of their next step.
-  mask_of<T> adapt(const T& h, const T& error, const mask_of<T>& is_last, const mask_of<T>& moving) {
-    const T length = abs(h), tolerance(field_.tolerance);
-    const mask_of<T> some = error > 0.0;
-    const T growth = select(some, 0.9 * sqrt(sqrt(tolerance / select(some, error, T(1.0)))), T(most_growth));
-    const mask_of<T> refused = moving & !(error <= tolerance) & (length > shortest);
+  // Lanes whose step was too long; sets the length of their next step. `square`: of the error, mm^2.
+  mask_of<T> adapt(const T& h, const T& square, const mask_of<T>& is_last, const mask_of<T>& moving) {
+    const T length = abs(h), limit(field_.tolerance * field_.tolerance);
+    const mask_of<T> good = square <= limit, refused = moving & !good & (length > shortest);
+    // A good last step changes nothing if the length was not limited before.
+    const mask_of<T> changes = moving & !(good & is_last & (step_ == HUGE_VAL));
+    if (!any(changes)) return refused;
+    const mask_of<T> some = square > 0.0;
+    const T growth =
+        select(some, 0.9 * sqrt(sqrt(sqrt(limit / select(some, square, T(1.0))))), T(most_growth));
     const T longer = length * larger(smaller(growth, most_growth), 0.1);
     const T next = select(refused, larger(length * larger(smaller(growth, 0.9), 0.1), shortest),
                           select(is_last, larger(longer, step_), longer));
-    step_ = select(moving, next, step_);
+    step_ = select(changes, next, step_);
     return refused;
   }
 
-  // Makes a step. Returns its error, mm.
+  // Makes a step. Returns the square of its error, mm^2.
   T make(const FieldPoint<T>& from, const T& bend, const T& h, FieldStep<T>& step, FieldPoint<T>& end) const {
     const T hb = h * bend;
     const Vec3<T>&x = from.x, &t = from.t;
@@ -92,7 +96,7 @@ class RungeKutta {
     end.field.b = end.field.b + end.field.slope * (end.x - x4);
     step = {h, bend, t, end.t, here.b, end.field.b, {b2, 0.5 * (here.slope + end.field.slope)}};
     const Vec3<T> off = turn1 - both + turn4;
-    return abs(h * hb) * sqrt(dot(off, off));
+    return (h * hb) * (h * hb) * dot(off, off);
   }
 
   static Vec3<T> normalized(const Vec3<T>& v) { return 1.0 / sqrt(dot(v, v)) * v; }

@@ -56,6 +56,10 @@ class Evaluation:
         Of "mc", for each point.
     settings : Settings or None
     function : callable or None
+    quantities : tuple of str
+        Resolutions, of `QUANTITIES`.
+    samples : int or None
+        Of "analytic": tracks that are averaged at each point.
     """
 
     method: Literal["analytic", "mc", "function"]
@@ -66,14 +70,17 @@ class Evaluation:
     seed: int
     settings: Settings | None
     function: Function | None
+    quantities: tuple[str, ...]
+    samples: int | None
 
     def described(self) -> dict[str, Any]:
         """Return all that results depend on, beside the detector, as JSON."""
         if self.function is not None:
             return {"method": self.method, "function": identity(self.function)}
         found: dict[str, Any] = {"method": self.method, "particle": self.particle, "points": self.points()}
-        found["settings"] = (self.settings or Settings()).to_dict()
-        return found | ({"events": self.events, "seed": self.seed, "groups": GROUPS} if self.method == "mc" else {})
+        found |= {"settings": (self.settings or Settings()).to_dict(), "quantities": self.quantities}
+        simulated = {"events": self.events, "seed": self.seed, "groups": GROUPS}
+        return found | (simulated if self.method == "mc" else {"samples": self.samples})
 
     def points(self) -> list[dict[str, Any]]:
         """Return momentum and angle of every point; one point without them for a function."""
@@ -111,11 +118,11 @@ def analytic_points(detector: Detector, evaluation: Evaluation) -> list[dict[str
     settings = evaluation.settings or Settings()
     how: dict[str, Any] = {
         "readout": settings.digitize.readout, "reveal_sides": settings.digitize.reveal_sides,
-        "fit": chain.fit_settings(settings), "threads": 1,
+        "fit": chain.fit_settings(settings), "threads": 1, "samples": evaluation.samples,
     }  # fmt: skip
     p = np.array(evaluation.p, np.float64)
     found = [analytic(detector, evaluation.particle, p, one, **how) for one in evaluation.cos_theta]
-    columns = {column(f"sigma_{name}", name): (name, scale) for name, (_, scale) in QUANTITIES.items()}
+    columns = {column(f"sigma_{name}", name): (name, QUANTITIES[name][1]) for name in evaluation.quantities}
     sigmas = [{header: scale * one.sigma(name) for header, (name, scale) in columns.items()} for one in found]
     return [
         {header: float(values[i]) for header, values in sigma.items()}
@@ -139,7 +146,9 @@ def _simulated(
     group = tracks["event"][good] % GROUPS
     point: dict[str, Any] = {"fitted": int(good.sum()), "events": evaluation.events}
     replicas = {}
-    for name, sample in residuals(tracks, good).items():
+    samples = residuals(tracks, good)
+    for name in evaluation.quantities:
+        sample = samples[name]
         width = measure(sample)
         point[column(f"sigma_{name}", name)] = width.core
         point[column(f"sigma_{name}_error", name)] = width.core_error

@@ -43,6 +43,8 @@ KEYS: dict[str, dict[str, str]] = {
         "cos_theta": 'number, "LOW:HIGH" for a uniform range, or a list of these (default 0)',
         "events": "simulated events for each variant, momentum and angle (default 2000)",
         "seed": "seed of the simulation (default 1)",
+        "quantities": "resolutions to be computed (default: p, pt, dr, dz, phi0, theta, tanl)",
+        "samples": "analytic: tracks that are averaged at each point",
         "chunk": "variants in one chunk",
     },
     "draw": {
@@ -173,7 +175,8 @@ def _placed(tables: dict[str, Any], folder: Path) -> dict[str, Any]:
 
 
 def _evaluate(table: Mapping[str, Any], problems: list[str]) -> dict[str, Any]:
-    found = {key: table[key] for key in ("particle", "events", "seed", "chunk") if key in table}
+    plain = ("particle", "events", "seed", "chunk", "quantities", "samples")
+    found = {key: table[key] for key in plain if key in table}
     if "method" in table:
         found["evaluate"] = _method(table["method"], problems)
     if "p" in table:

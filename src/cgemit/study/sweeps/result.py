@@ -18,7 +18,7 @@ from cgemit.io.files import new_file
 from cgemit.io.folders import SUMMARY
 from cgemit.record import versions
 from cgemit.statistics.formatting import html_table, text_table, write_csv
-from cgemit.study.sweeps.evaluate import QUANTITIES, Evaluation, column, error_of_difference
+from cgemit.study.sweeps.evaluate import Evaluation, column, error_of_difference
 from cgemit.study.sweeps.space import Space, split_quantity
 from cgemit.units import NATIVE, format_quantity
 from cgemit.version import PHYSICS
@@ -277,7 +277,7 @@ def _differences(row: Mapping[str, Any], base: Mapping[str, Any], point: int) ->
     if "replicas" not in row or "replicas" not in base:
         return {}
     found = {}
-    for name in QUANTITIES:
+    for name in base["replicas"][point]:
         sigma = column(f"sigma_{name}", name)
         found[column(f"delta_sigma_{name}", name)] = row["points"][point][sigma] - base["points"][point][sigma]
         pair = row["replicas"][point][name], base["replicas"][point][name]

@@ -16,7 +16,7 @@ from cgemit.species import species
 from cgemit.study.samples import ShowProgress
 from cgemit.study.sweeps.chunks import CHUNKS
 from cgemit.study.sweeps.compute import Task, compute_rows
-from cgemit.study.sweeps.evaluate import CosTheta, Evaluation, Function
+from cgemit.study.sweeps.evaluate import QUANTITIES, CosTheta, Evaluation, Function
 from cgemit.study.sweeps.result import Sweep
 from cgemit.study.sweeps.space import Changes, Space, grid, listed
 from cgemit.values import check_numbers, is_whole
@@ -36,6 +36,8 @@ def sweep(
     events: int = 2000,
     seed: int = 1,
     settings: Settings | None = None,
+    quantities: Sequence[str] = tuple(QUANTITIES),
+    samples: int | None = None,
     executor: Executor | None = None,
     output: str | os.PathLike[str] | None = None,
     resume: bool = True,
@@ -65,6 +67,10 @@ def sweep(
         Of "mc", for each variant, momentum and angle.
     settings : Settings, optional
         Of all stages; "analytic" uses read-out and fit.
+    quantities : sequence of str
+        Resolutions to be computed: p, pt, dr, dz, phi0, theta, tanl.
+    samples : int, optional
+        Of "analytic": tracks that are averaged at each point (`cgemit.analytic`).
     executor : concurrent.futures.Executor, optional
         Default: a thread pool of all cores. Dask: ``client.get_executor()``.
     output : path, optional
@@ -96,7 +102,10 @@ def sweep(
     OutputExistsError
         If the folder holds files that are none of a sweep.
     """
-    evaluation = _evaluation(evaluate, particle, p, cos_theta, events, seed, settings)
+    evaluation = _evaluation(
+        evaluate, particle=particle, p=_listed(p), cos_theta=_listed(cos_theta), events=events, seed=seed,
+        settings=settings, quantities=tuple(quantities), samples=samples,
+    )  # fmt: skip
     _check(evaluation, part, chunk)
     start = load(base) if not isinstance(base, Detector) else base
     chosen = _space(space)
@@ -112,12 +121,10 @@ def sweep(
     return result
 
 
-def _evaluation(
-    evaluate: Any, particle: str | int, p: Any, cos_theta: Any, events: int, seed: int, settings: Settings | None
-) -> Evaluation:
+def _evaluation(evaluate: Any, **how: Any) -> Evaluation:
     function = evaluate if callable(evaluate) else None
     method: Any = "function" if function else evaluate
-    return Evaluation(method, particle, _listed(p), _listed(cos_theta), events, seed, settings, function)
+    return Evaluation(method=method, function=function, **how)
 
 
 def _listed(given: Any) -> tuple[Any, ...]:
@@ -133,6 +140,11 @@ def _check(evaluation: Evaluation, part: tuple[int, int] | None, chunk: int | No
     problems = []
     if evaluation.method not in CHUNK:
         problems.append(f"evaluate: got {evaluation.method!r}, expected 'analytic', 'mc' or a function")
+    if not evaluation.quantities or set(evaluation.quantities) - QUANTITIES.keys():
+        expected = ", ".join(QUANTITIES)
+        problems.append(f"quantities: got {', '.join(map(str, evaluation.quantities)) or 'none'}, expected {expected}")
+    if evaluation.samples is not None and not is_whole(evaluation.samples, 1, 2**20):
+        problems.append(f"samples: got {evaluation.samples!r}, expected a whole number from 1 to {2**20}")
     if chunk is not None and not is_whole(chunk, 1, 1_000_000):
         problems.append(f"chunk: got {chunk!r}, expected a whole number from 1 to 1000000")
     if part is not None and not (is_whole(part[1], 1, 1_000_000) and is_whole(part[0], 0, part[1] - 1)):
