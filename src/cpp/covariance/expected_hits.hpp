@@ -76,7 +76,7 @@ class ExpectedHits {
     const std::size_t index = layer_++;
     if (again_) return repeat(step, at);
     const WireLayer& layer = detector_.wires[index];
-    const Mask outward = alive & inside_ & (at.outward() > 0.0);
+    const Mask outward = alive & inside_ & (at.outward() >= 0.0);
     if (!any(outward)) return;
     CellRange<T, HelixPointOf<T>> range;
     Mask left = cells_.find(index, at, outward, range);
