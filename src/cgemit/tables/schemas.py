@@ -3,65 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
 
-
-@dataclass(frozen=True)
-class Column:
-    """One column of a table.
-
-    Parameters
-    ----------
-    name : str
-    dtype : numpy.dtype
-    unit : str
-        Empty for counts, numbers of things and other pure numbers.
-    doc : str
-    links : str, tuple of str or None
-        The table whose rows the column counts (-1: none). A tuple picks the table by the row's `view`.
-    shape : tuple of int
-        Shape of one entry; ``()`` is a plain number.
-    """
-
-    name: str
-    dtype: np.dtype[np.generic]
-    unit: str
-    doc: str
-    links: str | tuple[str, ...] | None = None
-    shape: tuple[int, ...] = ()
-
+from cgemit.tables.columns import Column
+from cgemit.tables.columns import column_of as _column
+from cgemit.tables.columns import link as _link
+from cgemit.tables.columns import momentum as _momentum
+from cgemit.tables.columns import point as _point
+from cgemit.tables.columns import real as _f8
+from cgemit.tables.columns import whole as _i4
 
 #: The fitted quantities, each with its native unit.
 PARAMETERS: Mapping[str, str] = MappingProxyType(
     {"dr": "mm", "phi0": "rad", "kappa": "1/(GeV/c)", "dz": "mm", "tanl": "", "p": "GeV/c"}
 )
-
-
-def _column(code: str, name: str, unit: str, doc: str, links: str | tuple[str, ...] | None = None) -> Column:
-    return Column(name, np.dtype(code), unit, doc, links)
-
-
-def _f8(name: str, unit: str, doc: str) -> Column:
-    return _column("f8", name, unit, doc)
-
-
-def _i4(name: str, doc: str) -> Column:
-    return _column("i4", name, "", doc)
-
-
-def _link(name: str, doc: str, links: str | tuple[str, ...]) -> Column:
-    return _column("i8", name, "", doc, links)
-
-
-def _point(prefix: str, doc: str) -> tuple[Column, ...]:
-    return tuple(_f8(prefix + axis, "mm", f"{doc}, {axis}") for axis in "xyz")
-
-
-def _momentum(doc: str) -> tuple[Column, ...]:
-    return tuple(_f8("p" + axis, "GeV/c", f"{doc}, {axis}") for axis in "xyz")
 
 
 _EVENT = _column("i8", "event", "", "event number")
