@@ -14,7 +14,7 @@ from cgemit.tables import Table
 from stats import assert_within
 
 EXACT = Settings(
-    simulate=SimulateSettings(fluctuations="gaussian"),
+    simulate=SimulateSettings(fluctuations="gaussian", decays=False),
     digitize=DigitizeSettings(readout="gaussian", reveal_sides=True),
 )
 

@@ -83,7 +83,8 @@ def truth_columns(event, layer, entry, exit_, middle=None, particle=None, energy
     columns["r"] = np.hypot(middle[:, 1], middle[:, 0])
     columns["z"] = middle[:, 2].copy()
     columns |= {name: full(0.0, "f8") for name in ("px", "py", "pz", "path")}
-    return columns | {"time": full(time, "f8"), "energy": full(energy, "f8"), "secondaries": full(0, "u1")}
+    columns |= {"time": full(time, "f8"), "energy": full(energy, "f8")}
+    return columns | {"secondaries": full(0, "u1"), "daughter": full(0, "i4")}
 
 
 def step_columns(truths, truth, middle, vector, energy=1.0, parent=1, delta=1):
@@ -114,6 +115,7 @@ def wire_truth_columns(event, layer, wire, doca, particle=0):
     numbers = {"event": event, "particle": particle, "layer": layer, "wire": wire}
     columns = {name: values.astype("i8" if name == "event" else "i4") for name, values in numbers.items()}
     columns |= {name: np.zeros(len(doca)) for name in ("x", "y", "z", "time")}
+    columns["daughter"] = np.zeros(len(doca), "i4")
     return columns | {"doca": doca.astype(float), "side": np.where(doca < 0, -1, 1).astype("i1")}
 
 

@@ -22,7 +22,8 @@ python validation/fit.py
 {events}.
 
 Muons and pions of both charges at {light} GeV/c, K- and protons at {heavy} GeV/c, cos(theta) {angles}, a random seed
-for each point. Pulls are those of the helix parameters and of p. Numbers beyond their tolerance are set in bold type.
+for each point. Particles do not decay in flight (`decays=False`). Pulls are those of the helix parameters and of p.
+Numbers beyond their tolerance are set in bold type.
 
 ## All Gaussian
 

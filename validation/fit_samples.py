@@ -35,15 +35,17 @@ BINS = (-1.0, 0.0, 0.065, 0.13, 0.195, 0.26, 0.325, 0.39, 0.52, 0.65, 0.9, 1.3, 
 MIXED = (-0.93, 0.93)  # cos(theta) of the paper's sample
 VIEWS = ("x", "v", "w")
 
+# The particles do not decay: a gate on the fit is about tracks of one particle.
+WITHOUT_DECAYS = cg.Settings(simulate=SimulateSettings(decays=False))
 EXACT = cg.Settings(
-    simulate=SimulateSettings(fluctuations="gaussian"),
+    simulate=SimulateSettings(fluctuations="gaussian", decays=False),
     digitize=DigitizeSettings(readout="gaussian", reveal_sides=True),
     fit=FitSettings(residuals=True),
 )
 MODES = {
     "gaussian": EXACT,
     "hidden": replace(EXACT, digitize=DigitizeSettings(readout="gaussian")),
-    "default": cg.Settings(),
+    "default": WITHOUT_DECAYS,
 }
 
 
@@ -195,7 +197,7 @@ def measure_losses(n: int, threads: int | None, momenta: Sequence[float] = (0.1,
     """Fit the same tracks with each choice of the loss."""
     rows = []
     for p, loss in itertools.product(momenta, LOSSES):
-        settings = cg.Settings(fit=FitSettings(loss=loss))
+        settings = replace(WITHOUT_DECAYS, fit=FitSettings(loss=loss))
         gun = cg.Gun("mu-", p=p, cos_theta=MIXED)
         found = cg.study.pulls(cg.run(DETECTORS[0], gun, n, 7, settings=settings, threads=threads).tracks)["kappa"]
         numbers = (found.core, found.core_error, found.core_mean, found.core_mean_error)
@@ -209,7 +211,9 @@ def measure_sides(n: int, threads: int | None, momenta: Sequence[float] = (0.2, 
     for p in momenta:
         runs = {}
         for reveal in (False, True):
-            settings = cg.Settings(digitize=DigitizeSettings(reveal_sides=reveal), fit=FitSettings(residuals=True))
+            settings = replace(
+                WITHOUT_DECAYS, digitize=DigitizeSettings(reveal_sides=reveal), fit=FitSettings(residuals=True)
+            )
             gun = cg.Gun("mu-", p=p, cos_theta=MIXED)
             runs[reveal] = cg.run(DETECTORS[0], gun, n, 8, settings=settings, threads=threads)
         sides += _wrong_sides(p, runs[False])

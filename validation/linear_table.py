@@ -38,7 +38,7 @@ TABLE = {
 }
 #: The table's errors of hits, and no noise but Gaussian.
 GAUSSIAN = cg.Settings(
-    simulate=SimulateSettings(fluctuations="gaussian"),
+    simulate=SimulateSettings(fluctuations="gaussian", decays=False),
     digitize=DigitizeSettings(readout=GaussianReadout(sigma_x=0.1387, sigma_v=0.1327), reveal_sides=True),
 )
 CUT = (_core.CORE_CUT_XI, _core.CORE_CUT_SHARE)
@@ -116,7 +116,9 @@ def expected(
     Means over some tracks: the number of cells differs from one to the next.
     """
     gun = cg.Gun("mu-", p=p, cos_theta=0.0)
-    settings = cg.Settings(simulate=SimulateSettings(fluctuations="off"), digitize=GAUSSIAN.digitize, fit=FitSettings())
+    settings = cg.Settings(
+        simulate=SimulateSettings(fluctuations="off", decays=False), digitize=GAUSSIAN.digitize, fit=FitSettings()
+    )
     result = cg.run(detector, gun, tracks, 5, settings=settings)
     found, cells = [], 0
     for track in range(tracks):

@@ -21,7 +21,8 @@ This page shows how the fit performs on tracks that are slow, steep, displaced o
 wrong hits or noise. The detector is the design CGEM with the outer drift chamber. The page is written by
 `python validation/robustness_page.py {n} > docs/methods/robustness.md`, with {n} events of two tracks each. Hits are
 assigned by truth and then changed as the table says; the fit gets no information about the changes.
-`cgemit.study.SCENARIOS` lists the scenarios, `cgemit.study.run_scenario` runs one.
+`cgemit.study.SCENARIOS` lists the scenarios, `cgemit.study.run_scenario` runs one. Particles do not decay in flight
+here.
 
 A track counts if it has at least {hits} hits of its own, {along} of them stereo or V and {across} axial or X, over
 {lever:g} mm of radius. A helix cannot be measured with less. *fitted* is the fraction of these tracks with status `ok`

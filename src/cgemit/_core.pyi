@@ -30,6 +30,7 @@ class TransportStatus(enum.IntEnum):
     stopped = 3
     neutral = 4
     left_field = 5
+    decayed = 6
 
 class FitStatus(enum.IntEnum):
     ok = 0
@@ -67,6 +68,7 @@ class Purpose(enum.IntEnum):
     deltas = 8
     radiation = 9
     foil = 10
+    decay = 11
 
 class Screening(enum.IntEnum):
     wentzel = 0
@@ -81,6 +83,16 @@ class Fluctuations(enum.IntEnum):
     full = 0
     gaussian = 1
     off = 2
+
+class DecaySpectrum(enum.IntEnum):
+    phase_space = 0
+    semileptonic = 1
+    michel = 2
+
+# Columns: pdg, mass (GeV), lifetime (ns); species, fraction, spectrum; mode, pdg, charge (e), mass (GeV). `species` and
+# `mode` count the rows of the tables before.
+class DecayTable:
+    def __init__(self, species: _Columns, modes: _Columns, products: _Columns) -> None: ...
 
 class Field:
     # Harmonic (b mm^-2, q mm^-4; reach: largest r and |z|, mm), or a grid. axes: first (mm), step (mm), points;
@@ -169,6 +181,7 @@ class _Simulated(TypedDict):
     truths: dict[str, _Array]
     steps: dict[str, _Array]
     wire_truths: dict[str, _Array]
+    decays: dict[str, _Array]
 
 class _Reference(TypedDict):
     rows: _Floats  # (hits, 5)
@@ -252,6 +265,7 @@ def simulate(
     fluctuations: Fluctuations,
     deltas: bool = True,
     steps: bool = False,
+    decays: DecayTable | None = None,
     seed: int,
 ) -> _Simulated: ...
 def read_out_strips(

@@ -1,7 +1,8 @@
 """Track finding. There is none yet: hits are assigned to particles by truth (docs/methods/find.md).
 
 Every charged particle gets its wire hits and one cluster per view of each of its crossings, and no hit of another
-particle. A cluster or cell that two particles share goes to the one that left more (or was closer).
+particle. A cluster or cell that two particles share goes to the one that left more (or was closer). Hits of the
+daughters of a decay in flight are not the particle's own: its candidate ends at the decay.
 """
 
 from __future__ import annotations
@@ -25,7 +26,8 @@ def by_truth(
     """Give each charged particle the X clusters, V clusters and wire hits that its truths link to.
 
     Of several clusters of one crossing in one view, `own_clusters` selects one. XV clusters are left out, since they
-    repeat their X and V clusters. Hits without a truth, or of a particle that is not in the table, are not assigned.
+    repeat their X and V clusters. Hits without a truth, of a particle that is not in the table, or of the daughters of
+    a decay are not assigned.
 
     Parameters
     ----------
@@ -54,8 +56,10 @@ def by_truth(
     # The candidate of each particle; -1 for neutral ones and, as the last entry, for hits without a particle.
     candidate_of = np.full(len(particles) + 1, -1)
     candidate_of[charged] = np.arange(len(charged))
-    of_truth = candidate_of[particle_rows(particles, truths)]
-    of_passage = candidate_of[particle_rows(particles, wire_truths)]
+    of_truth, of_passage = (
+        np.where(table["daughter"] == 0, candidate_of[particle_rows(particles, table)], -1)
+        for table in (truths, wire_truths)
+    )
     owner = np.concatenate(
         [of_truth[clusters["truth"][in_view]], of_passage.take(wire_hits["wire_truth"].take(linked))]
     )

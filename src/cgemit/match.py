@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +17,8 @@ from cgemit.tables.table import kind_problems
 
 Floats = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.int64]
+Flags = npt.NDArray[np.bool_]
+Scalar = TypeVar("Scalar", bound=np.generic)
 
 
 def match(
@@ -35,7 +37,8 @@ def match(
 
     A track belongs to the particle that most hits of its candidate come from. If several particles have as many hits,
     it belongs to the first one in the table of particles. An XV point counts as two hits, its X and its V cluster.
-    Noise belongs to no particle.
+    Noise belongs to no particle. Hits of the charged daughters of a decay count as hits of the particle here, but
+    neither in purity nor in efficiency.
 
     Parameters
     ----------
@@ -67,12 +70,16 @@ def match(
     )
     if problems:
         raise ValueError("match:\n  " + "\n  ".join(problems))
-    of_cluster = _owners(particles, clusters["truth"], truths)
-    of_wire = _owners(particles, wire_hits["wire_truth"], wire_truths)
+    of_cluster, late_cluster = _owners(particles, clusters["truth"], truths)
+    of_wire, late_wire = _owners(particles, wire_hits["wire_truth"], wire_truths)
     owner = _pick(candidate_hits, of_cluster, of_wire)
     weight = np.where(candidate_hits["view"] == HIT_XV, 2, 1)
     row, own, hits = _most_common(owner, weight, candidate_hits["candidate"], len(candidates))
-    left = _hits_left(clusters, of_cluster, of_wire, len(particles))
+    late = _pick(candidate_hits, late_cluster, late_wire) & (owner == row[candidate_hits["candidate"]])
+    own = own - np.bincount(candidate_hits["candidate"], weight * late, minlength=len(candidates)).astype(np.int64)
+    left = _hits_left(
+        clusters, np.where(late_cluster, -1, of_cluster), np.where(late_wire, -1, of_wire), len(particles)
+    )
     candidate = tracks["candidate"]
     row, own, hits = row[candidate], own[candidate], hits[candidate]
     known = row >= 0
@@ -85,6 +92,8 @@ def match(
         "purity": np.divide(own, hits, out=none.copy(), where=hits > 0),
         "efficiency": np.divide(own, left.take(of), out=none.copy(), where=known) if len(particles) else none,
     }
+    decayed = np.append(particles["status"] == _core.TransportStatus.decayed, False)
+    columns["decayed"] = np.where(known, decayed.take(of), -1)
     columns |= compare(tracks, particles, row, compiled(load(detector)).field)
     return {"matches": Table("matches", columns, meta=tracks.meta, **tracks.cover)}
 
@@ -149,18 +158,19 @@ def _row_problems(
     return problems
 
 
-def _owners(particles: Table, link: Rows, truths: Table) -> Rows:
-    """Row of the particle behind each row of a table that links to truths; -1 none."""
-    owner = np.append(particle_rows(particles, truths), -1)
-    picked: Rows = owner.take(np.where(link >= 0, link, -1))
-    return picked
+def _owners(particles: Table, link: Rows, truths: Table) -> tuple[Rows, Flags]:
+    """Row of the particle behind each row of a table that links to truths (-1: none); whether a daughter left it."""
+    position = np.where(link >= 0, link, -1)
+    owner: Rows = np.append(particle_rows(particles, truths), -1).take(position)
+    late: Flags = np.append(truths["daughter"] > 0, False).take(position)
+    return owner, late
 
 
-def _pick(candidate_hits: Table, of_cluster: Rows, of_wire: Rows) -> Rows:
-    """Row of the particle behind each hit of the candidates."""
+def _pick(candidate_hits: Table, of_cluster: npt.NDArray[Scalar], of_wire: npt.NDArray[Scalar]) -> npt.NDArray[Scalar]:
+    """Value behind each hit of the candidates, from the values of all clusters and wire hits."""
     wire = candidate_hits["view"] == HIT_WIRE
     joined_rows = candidate_hits["row"] + np.where(wire, len(of_cluster), 0)
-    picked: Rows = np.concatenate([of_cluster, of_wire]).take(joined_rows)
+    picked: npt.NDArray[Scalar] = np.concatenate([of_cluster, of_wire]).take(joined_rows)
     return picked
 
 

@@ -23,12 +23,12 @@ from cgemit.tables import Table
 from cgemit.tables.table import what
 
 TABLES = (
-    *("particles", "truths", "steps", "wire_truths", "digis", "wire_hits", "clusters", "candidates", "candidate_hits"),
-    *("tracks", "residuals", "states", "matches"),
+    *("particles", "decays", "truths", "steps", "wire_truths", "digis", "wire_hits", "clusters"),
+    *("candidates", "candidate_hits", "tracks", "residuals", "states", "matches"),
 )
 
 #: Tables of every run, wherever it ends.
-_EVERY_RUN = ("particles", "truths", "steps", "wire_truths")
+_EVERY_RUN = ("particles", "decays", "truths", "steps", "wire_truths")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,6 +87,7 @@ class Result:
     timings: Mapping[str, float]
 
     particles = _Stored()
+    decays = _Stored()
     truths = _Stored()
     steps = _Stored()
     wire_truths = _Stored()

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from cgemit import _core
+from cgemit.decays import compiled_decays
 from cgemit.detector import Detector, Screening, compiled
 from cgemit.particles import check_particles
 from cgemit.settings import SettingsData
@@ -40,6 +41,8 @@ class SimulateSettings(SettingsData):
         Whether delta electrons leave deposits of their own in the drift gaps; with fluctuations ``"full"``.
     steps : bool
         Whether the steps table holds the ionization clusters of the particles, too, not only delta electrons.
+    decays : bool
+        Whether muons, charged pions and charged kaons decay in flight. Their charged daughters leave hits, too.
 
     Raises
     ------
@@ -53,6 +56,7 @@ class SimulateSettings(SettingsData):
     screening: Screening = "wentzel"
     deltas: bool = True
     steps: bool = False
+    decays: bool = True
 
     def contradictions(self) -> list[str]:
         """Return the settings that need fluctuations ``"full"``."""
@@ -68,7 +72,7 @@ class SimulateSettings(SettingsData):
 def simulate(
     detector: Detector, particles: Table, settings: SimulateSettings | None = None, seed: int = 0
 ) -> dict[str, Table]:
-    """Transport particles outward until they leave, curl back or stop.
+    """Transport particles outward until they leave, curl back, stop or decay.
 
     Uniform field: exact helices between scatterers; field maps: Runge-Kutta-Nystrom steps (docs/methods/field.md).
     Scattering from the elements of the matter, soft as a Gaussian with lateral displacement, hard ones one by one;
@@ -76,6 +80,7 @@ def simulate(
     beta gamma > 0.13; ionization clusters and delta electrons in the drift gaps (docs/methods/deltas.md).
     Random numbers are those of (seed, event, particle, place), so results do not depend on how events are cut into
     chunks. Hits are recorded on the outward path; a particle that first moves inward only meets the matter there.
+    The charged daughters of decays are transported in the same way, and their hits carry the number of the particle.
 
     Parameters
     ----------
@@ -88,7 +93,7 @@ def simulate(
     Returns
     -------
     dict of str to Table
-        ``particles`` with `status` filled in (TransportStatus), ``truths``, ``steps`` and ``wire_truths``.
+        ``particles`` with `status` filled in (TransportStatus), ``decays``, ``truths``, ``steps`` and ``wire_truths``.
 
     Raises
     ------
@@ -100,6 +105,7 @@ def simulate(
     cover = particles.cover
     return {
         "particles": particles.with_columns(status=out["status"]),
+        "decays": Table("decays", out["decays"], **cover),
         "truths": Table("truths", out["truths"], **cover),
         "steps": Table("steps", out["steps"], **cover),
         "wire_truths": Table("wire_truths", out["wire_truths"], **cover),
@@ -127,8 +133,9 @@ def core_arguments(detector: Detector, particles: Table, settings: SimulateSetti
         "fluctuations": getattr(_core.Fluctuations, settings.fluctuations),
         "deltas": settings.deltas,
         "steps": settings.steps,
+        "decays": compiled_decays() if settings.decays else None,
         "seed": seed,
     }
 
 
-_COLUMNS = ("event", "particle", "charge", "mass", "x", "y", "z", "px", "py", "pz")
+_COLUMNS = ("event", "particle", "pdg", "charge", "mass", "x", "y", "z", "px", "py", "pz")

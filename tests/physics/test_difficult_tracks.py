@@ -1,12 +1,14 @@
 """Tracks with noise, wrong clusters, few layers, low momentum or a displaced vertex are fitted, and fitted well."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import stats
 from cgemit.fit import FitSettings
-from cgemit.result import Settings
 from cgemit.study import SCENARIOS, run_scenario
+from cgemit.study.robustness import WITHOUT_DECAYS
 
 EVENTS = 600
 BY_NAME = {scenario.name: scenario for scenario in SCENARIOS}
@@ -14,7 +16,7 @@ BY_NAME = {scenario.name: scenario for scenario in SCENARIOS}
 
 def outcome(name, **settings):
     """Return the tracks of a scenario."""
-    return run_scenario(BY_NAME[name], EVENTS, settings=Settings(fit=FitSettings(**settings)))
+    return run_scenario(BY_NAME[name], EVENTS, settings=replace(WITHOUT_DECAYS, fit=FitSettings(**settings)))
 
 
 @pytest.mark.parametrize(

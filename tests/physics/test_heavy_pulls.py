@@ -8,6 +8,8 @@ import pytest
 from cgemit.chain import run
 from cgemit.detector import compile as compiling
 from cgemit.gun import Gun
+from cgemit.result import Settings
+from cgemit.simulate import SimulateSettings
 from cgemit.study import Pulls, pulls
 
 N = 4000  # a standard error of 0.011 of the width
@@ -15,8 +17,9 @@ WIDTH, MEAN = 0.06, 0.08  # as on the validation page
 
 
 def pulls_of(detector: str, particle: str, p: float) -> Pulls:
-    """Return the pulls of the default simulation at 90 degrees."""
-    return pulls(run(detector, Gun(particle, p=p, cos_theta=0.0), N, seed=17).tracks)
+    """Return the pulls of the default simulation without decays at 90 degrees."""
+    settings = Settings(simulate=SimulateSettings(decays=False))
+    return pulls(run(detector, Gun(particle, p=p, cos_theta=0.0), N, seed=17, settings=settings).tracks)
 
 
 @pytest.mark.parametrize(("particle", "p"), [("K-", 0.35), ("K-", 0.5), ("proton", 0.35), ("proton", 0.5)])

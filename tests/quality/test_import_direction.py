@@ -33,7 +33,7 @@ PYTHON_LAYERS = [
     {"tables", "values"},
     {"kinds"},
     {"species"},
-    {"settings"},
+    {"decays", "settings"},
     {"detector", "helix", "particles"},
     {"candidates"},
     {"gun", "hit_columns", "states"},

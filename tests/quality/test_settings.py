@@ -38,7 +38,7 @@ def fields(source: str, struct: str) -> dict[str, bool]:
     assert body, f"no struct {struct}"
     found = {}
     for statement in body[1].split(";"):
-        declared = re.fullmatch(r"\s*[\w:<>, ]+?\s+(\w+)\s*(=.*|\{.*)?", statement, re.DOTALL)
+        declared = re.fullmatch(r"\s*[\w:<>,* ]+?\s+(\w+)\s*(=.*|\{.*)?", statement, re.DOTALL)
         assert declared or not statement.strip(), f"{struct}: cannot read {statement!r}"
         if declared:
             found[declared[1]] = declared[2] is not None

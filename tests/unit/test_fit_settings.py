@@ -19,7 +19,7 @@ from cgemit.fit import PARAMETERS, FitSettings, FitStatus, fit
 from cgemit.fit_settings import ClusterErrors
 from cgemit.gun import Gun, generate
 from cgemit.match import joined, match
-from cgemit.simulate import simulate
+from cgemit.simulate import SimulateSettings, simulate
 
 DETECTOR = load("besiii-cgem-design")
 
@@ -158,7 +158,7 @@ def test_slow_particles_are_fitted_with_the_momentum_they_started_with():
 
 def test_a_particle_that_cannot_get_there_has_a_status():
     """A proton of 0.08 GeV/c does not leave the beam pipe, so a pion's hits beyond are not those of a proton."""
-    wrong = chain.Settings(fit=FitSettings(hypothesis="p"))
+    wrong = chain.Settings(simulate=SimulateSettings(decays=False), fit=FitSettings(hypothesis="p"))
     tracks = chain.run("besiii-cgem-design", Gun("pi+", p=0.08, cos_theta=0.0), 200, settings=wrong).tracks
     short = np.isin(tracks["status"], (FitStatus.stopped, FitStatus.does_not_reach))
     assert np.mean(short) > 0.9

@@ -145,6 +145,11 @@ def fitted(sample: Sample) -> int:
     return int(np.count_nonzero(sample.tracks["status"] == FitStatus.ok))
 
 
+def decayed(sample: Sample) -> int:
+    """Return how many particles decayed in flight."""
+    return sample.transport.get(TransportStatus.decayed.name, 0)
+
+
 def hardly_fitted(samples: Sequence[Sample]) -> list[Sample]:
     """Return the samples with too few fitted tracks for a width."""
     return [sample for sample in samples if fitted(sample) < FEWEST]

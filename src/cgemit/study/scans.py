@@ -26,6 +26,7 @@ from cgemit.statistics.resolutions import QUOTED, pulls, resolution, resolution_
 from cgemit.study.samples import (
     Sample,
     ShowProgress,
+    decayed,
     fitted,
     hardly_fitted,
     momentum_of,
@@ -85,6 +86,7 @@ def scan_columns(samples: Sequence[Sample]) -> dict[str, list[Any]]:
             columns[f"{what}_{name} ({unit})"] = [getattr(w, what) for w in widths]
             columns[f"{what}_{name}_error ({unit})"] = [getattr(w, f"{what}_error") for w in widths]
         columns[f"tail_{name}"] = [w.tail for w in widths]
+    columns["decayed"] = [decayed(s) for s in samples]
     columns["fitted"] = [fitted(s) for s in samples]
     columns["not fitted"] = [_counts_text(s.removed) for s in samples]
     return columns
@@ -138,7 +140,7 @@ class Scan:
     def _rows(self) -> list[list[str]]:
         pairs = [zip(line.y, line.y_error, strict=True) for line in self.lines]
         cells = [[with_error(*pair) for pair in column] for column in pairs]
-        ends = [[f"{fitted(s)}/{s.n_events}", _counts_text(s.removed)] for s in self.samples]
+        ends = [[f"{decayed(s)}", f"{fitted(s)}/{s.n_events}", _counts_text(s.removed)] for s in self.samples]
         momenta = [f"{momentum_of(s):g}" for s in self.samples]
         return [[p, *row, *end] for p, row, end in zip(momenta, zip(*cells, strict=True), ends, strict=True)]
 
@@ -220,7 +222,7 @@ def save_scans(
     return Path(folder)
 
 
-_HEAD = ("p [GeV/c]", "sigma(d_rho) [um]", "sigma(d_z) [mm]", "sigma(p) [MeV/c]", "fitted", "not fitted")
+_HEAD = ("p [GeV/c]", "sigma(d_rho) [um]", "sigma(d_z) [mm]", "sigma(p) [MeV/c]", "decayed", "fitted", "not fitted")
 
 
 def scan(

@@ -9,7 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from cgemit.problems import did_you_mean
-from cgemit.tables.schemas import SCHEMAS, Column
+from cgemit.tables.columns import Column
+from cgemit.tables.schemas import SCHEMAS
 
 Array = np.ndarray[Any, Any]
 

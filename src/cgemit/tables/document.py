@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import sys
 
-from cgemit.tables.schemas import ROWS, SCHEMAS, Column
+from cgemit.tables.columns import Column
+from cgemit.tables.schemas import ROWS, SCHEMAS
 
 _INTRODUCTION = """# Data model
 

@@ -8,7 +8,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from cgemit.tables.check import Array
-from cgemit.tables.schemas import SCHEMAS, Column
+from cgemit.tables.columns import Column
+from cgemit.tables.schemas import SCHEMAS
 from cgemit.tables.table import Table
 
 

@@ -3,65 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
 
-
-@dataclass(frozen=True)
-class Column:
-    """One column of a table.
-
-    Parameters
-    ----------
-    name : str
-    dtype : numpy.dtype
-    unit : str
-        Empty for counts, numbers of things and other pure numbers.
-    doc : str
-    links : str, tuple of str or None
-        The table whose rows the column counts (-1: none). A tuple picks the table by the row's `view`.
-    shape : tuple of int
-        Shape of one entry; ``()`` is a plain number.
-    """
-
-    name: str
-    dtype: np.dtype[np.generic]
-    unit: str
-    doc: str
-    links: str | tuple[str, ...] | None = None
-    shape: tuple[int, ...] = ()
-
+from cgemit.tables.columns import Column
+from cgemit.tables.columns import column_of as _column
+from cgemit.tables.columns import link as _link
+from cgemit.tables.columns import momentum as _momentum
+from cgemit.tables.columns import point as _point
+from cgemit.tables.columns import real as _f8
+from cgemit.tables.columns import whole as _i4
 
 #: The fitted quantities, each with its native unit.
 PARAMETERS: Mapping[str, str] = MappingProxyType(
     {"dr": "mm", "phi0": "rad", "kappa": "1/(GeV/c)", "dz": "mm", "tanl": "", "p": "GeV/c"}
 )
-
-
-def _column(code: str, name: str, unit: str, doc: str, links: str | tuple[str, ...] | None = None) -> Column:
-    return Column(name, np.dtype(code), unit, doc, links)
-
-
-def _f8(name: str, unit: str, doc: str) -> Column:
-    return _column("f8", name, unit, doc)
-
-
-def _i4(name: str, doc: str) -> Column:
-    return _column("i4", name, "", doc)
-
-
-def _link(name: str, doc: str, links: str | tuple[str, ...]) -> Column:
-    return _column("i8", name, "", doc, links)
-
-
-def _point(prefix: str, doc: str) -> tuple[Column, ...]:
-    return tuple(_f8(prefix + axis, "mm", f"{doc}, {axis}") for axis in "xyz")
-
-
-def _momentum(doc: str) -> tuple[Column, ...]:
-    return tuple(_f8("p" + axis, "GeV/c", f"{doc}, {axis}") for axis in "xyz")
 
 
 _EVENT = _column("i8", "event", "", "event number")
@@ -79,6 +36,22 @@ _PARTICLES = (
     _column("i1", "status", "", "how its transport ended (TransportStatus; 0 before simulation)"),
 )
 
+_DAUGHTER = _i4("daughter", "who left it: 0 the particle itself, k the k-th charged daughter of its decays")
+
+_DECAYS = (
+    _EVENT,
+    _PARTICLE,
+    _i4("daughter", "number of this charged daughter among those of the particle, from 1"),
+    _i4("parent", "what decayed: 0 the particle itself, k its k-th charged daughter"),
+    _i4("pdg", "the daughter's number of the Particle Data Group"),
+    _i4("mode", "decay mode of the parent, counted from 0 as in `cgemit.decays.DECAYS`"),
+    *_point("", "point of the decay"),
+    _f8("time", "ns", "time of the decay since the particle left its vertex"),
+    *(_f8(f"parent_p{axis}", "GeV/c", f"momentum of the parent at its decay, {axis}") for axis in "xyz"),
+    *_momentum("momentum of the daughter at the decay"),
+    _column("i1", "status", "", "how the transport of the daughter ended (TransportStatus)"),
+)
+
 _TRUTHS = (
     _EVENT,
     _PARTICLE,
@@ -93,6 +66,7 @@ _TRUTHS = (
     _f8("time", "ns", "time of flight from the vertex"),
     _f8("energy", "keV", "energy deposited in the gap, by the particle and its delta electrons"),
     _column("u1", "secondaries", "", "delta electrons of this crossing that left deposits in the gap"),
+    _DAUGHTER,
 )
 
 _STEPS = (
@@ -117,6 +91,7 @@ _WIRE_TRUTHS = (
     _column("i1", "side", "", "sign of doca, +1 or -1"),
     *_point("", "point of the track closest to the wire"),
     _f8("time", "ns", "time of flight from the vertex"),
+    _DAUGHTER,
 )
 
 _DIGIS = (
@@ -234,9 +209,10 @@ _TRACKS = (
 _MATCHES = (
     _EVENT,
     _link("track", "the track", "tracks"),
-    _i4("particle", "number of the particle within its event that most hits come from; -1 none"),
-    _f8("purity", "", "share of the candidate's hits that come from it; NaN without hits"),
-    _f8("efficiency", "", "share of its clusters and wire hits that the candidate has; NaN without a particle"),
+    _i4("particle", "number of the particle within its event that it and its daughters left most hits of; -1 none"),
+    _f8("purity", "", "share of the candidate's hits that it left itself, before any decay; NaN without hits"),
+    _f8("efficiency", "", "share of its own clusters and wire hits that the candidate has; NaN without a particle"),
+    _column("i1", "decayed", "", "1 if it decayed in flight, 0 if not; -1 without a particle"),
     *_comparison(),
 )
 
@@ -278,6 +254,7 @@ _STATES = (
 
 _KINDS = (
     ("particles", _PARTICLES, "one generated particle"),
+    ("decays", _DECAYS, "one charged daughter of a decay in flight"),
     ("truths", _TRUTHS, "one crossing of a CGEM drift gap"),
     ("steps", _STEPS, "one deposit in a CGEM drift gap: a step of a delta electron, or an ionization cluster"),
     ("wire_truths", _WIRE_TRUTHS, "one crossing of a drift-chamber cell"),

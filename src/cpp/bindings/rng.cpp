@@ -52,6 +52,7 @@ void bind_rng(py::module_& module) {
       .value("deltas", Purpose::deltas)
       .value("radiation", Purpose::radiation)
       .value("foil", Purpose::foil)
+      .value("decay", Purpose::decay)
       .finalize();
   module.def(
       "philox4x32",

@@ -2,6 +2,9 @@
 
 #include <pybind11/native_enum.h>
 #include <pybind11/pybind11.h>
+#include <pybind11/stl.h>
+
+#include <optional>
 
 #include "bindings/arrays.hpp"
 #include "kernels/kernels.hpp"
@@ -19,10 +22,37 @@ py::dict to_columns(Table&& table) {
   return columns;
 }
 
+// Modes and products come as flat columns: mode i belongs to species[of_species[i]], product k to mode
+// of_mode[k].
+DecayTable make_decays(const py::dict& species, const py::dict& modes, const py::dict& products) {
+  const auto pdg = take<std::int32_t>(species, "pdg"), of_species = take<std::int32_t>(modes, "species"),
+             spectrum = take<std::int32_t>(modes, "spectrum"), of_mode = take<std::int32_t>(products, "mode"),
+             product_pdg = take<std::int32_t>(products, "pdg"),
+             charge = take<std::int32_t>(products, "charge");
+  const auto mass = take<double>(species, "mass"), lifetime = take<double>(species, "lifetime"),
+             fraction = take<double>(modes, "fraction"), product_mass = take<double>(products, "mass");
+  DecayTable table;
+  for (py::ssize_t i = 0; i < pdg.size(); ++i)
+    table.species.push_back({.pdg = pdg.at(i), .mass = mass.at(i), .lifetime = lifetime.at(i), .modes = {}});
+  std::vector<std::vector<DecayProduct>> products_of(static_cast<std::size_t>(of_species.size()));
+  for (py::ssize_t k = 0; k < of_mode.size(); ++k) {
+    products_of.at(static_cast<std::size_t>(of_mode.at(k)))
+        .push_back({.pdg = product_pdg.at(k), .charge = charge.at(k), .mass = product_mass.at(k)});
+  }
+  for (py::ssize_t i = 0; i < of_species.size(); ++i) {
+    table.species.at(static_cast<std::size_t>(of_species.at(i)))
+        .modes.push_back({.fraction = fraction.at(i),
+                          .spectrum = static_cast<DecaySpectrum>(spectrum.at(i)),
+                          .products = std::move(products_of[static_cast<std::size_t>(i)])});
+  }
+  for (const UnstableSpecies& one : table.species) check(one);
+  return table;
+}
+
 py::dict run(const Detector& detector, const py::dict& particles, Fluctuations fluctuations, bool deltas,
-             bool steps, std::uint64_t seed) {
+             bool steps, const std::optional<DecayTable>& decays, std::uint64_t seed) {
   const auto event = take<std::int64_t>(particles, "event");
-  const auto particle = take<std::int32_t>(particles, "particle");
+  const auto particle = take<std::int32_t>(particles, "particle"), pdg = take<std::int32_t>(particles, "pdg");
   const auto charge = take<std::int8_t>(particles, "charge");
   const auto mass = take<double>(particles, "mass"), x = take<double>(particles, "x"),
              y = take<double>(particles, "y"), z = take<double>(particles, "z"),
@@ -31,6 +61,7 @@ py::dict run(const Detector& detector, const py::dict& particles, Fluctuations f
   const py::ssize_t n = event.size();
   const ParticleColumns in{.event = column(event, "event", n),
                            .particle = column(particle, "particle", n),
+                           .pdg = column(pdg, "pdg", n),
                            .charge = column(charge, "charge", n),
                            .mass = column(mass, "mass", n),
                            .x = column(x, "x", n),
@@ -39,10 +70,12 @@ py::dict run(const Detector& detector, const py::dict& particles, Fluctuations f
                            .px = column(px, "px", n),
                            .py = column(py_, "py", n),
                            .pz = column(pz, "pz", n)};
+  const SimulateSettings settings{
+      .fluctuations = fluctuations, .deltas = deltas, .steps = steps, .decays = decays ? &*decays : nullptr};
   Simulated out;
   {
     py::gil_scoped_release release;
-    kernels().simulate(detector, in, {fluctuations, deltas, steps}, seed, out);
+    kernels().simulate(detector, in, settings, seed, out);
   }
   std::vector<std::int8_t> status;
   status.reserve(out.status.size());
@@ -52,6 +85,7 @@ py::dict run(const Detector& detector, const py::dict& particles, Fluctuations f
   result["truths"] = to_columns(std::move(out.truths));
   result["steps"] = to_columns(std::move(out.steps));
   result["wire_truths"] = to_columns(std::move(out.wire_truths));
+  result["decays"] = to_columns(std::move(out.decays));
   return result;
 }
 
@@ -64,8 +98,17 @@ void bind_simulate(py::module_& module) {
       .value("gaussian", Fluctuations::gaussian)
       .value("off", Fluctuations::off)
       .finalize();
+  py::native_enum<DecaySpectrum>(module, "DecaySpectrum", "enum.IntEnum",
+                                 "Distribution of the products' momenta in the rest frame.")
+      .value("phase_space", DecaySpectrum::phase_space)
+      .value("semileptonic", DecaySpectrum::semileptonic)
+      .value("michel", DecaySpectrum::michel)
+      .finalize();
+  py::class_<DecayTable>(module, "DecayTable", "Species that decay in flight, and their modes.")
+      .def(py::init(&make_decays), py::arg("species"), py::arg("modes"), py::arg("products"));
   module.def("simulate", &run, py::arg("detector"), py::arg("particles"), py::kw_only(),
-             py::arg("fluctuations"), py::arg("deltas") = true, py::arg("steps") = false, py::arg("seed"),
-             "Transport particles through the detector; columns of `truths`, `steps` and `wire_truths`, and "
-             "`status`.");
+             py::arg("fluctuations"), py::arg("deltas") = true, py::arg("steps") = false,
+             py::arg("decays") = py::none(), py::arg("seed"),
+             "Transport particles through the detector; columns of `truths`, `steps`, `wire_truths` and "
+             "`decays`, and `status`.");
 }

@@ -15,6 +15,7 @@ void bind_status(py::module_& module) {
       .value("stopped", TransportStatus::stopped)
       .value("neutral", TransportStatus::neutral)
       .value("left_field", TransportStatus::left_field)
+      .value("decayed", TransportStatus::decayed)
       .finalize();
   py::native_enum<FitStatus>(module, "FitStatus", "enum.IntEnum", "How the fit of a track ended.")
       .value("ok", FitStatus::ok)

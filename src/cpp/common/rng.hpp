@@ -40,6 +40,7 @@ enum class Purpose : std::uint32_t {
   deltas = 8,
   radiation = 9,
   foil = 10,
+  decay = 11,
 };
 
 // Uniform in (0, 1), never 0 and never 1: 32 bits, centred.

@@ -13,6 +13,7 @@ enum class TransportStatus : std::int8_t {
   stopped = 3,     // lost all its energy in material
   neutral = 4,     // no charge; not transported
   left_field = 5,  // reached the edge of the field map
+  decayed = 6      // decayed in flight
 };
 
 // How the fit of a track ended.

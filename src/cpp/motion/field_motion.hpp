@@ -110,6 +110,14 @@ class FieldMotionOf {
     return arrived;
   }
 
+  // Moves by an arc, forward or backward.
+  template <class P>
+  void along(P& point, const T& arc) {
+    Walk walk(*this, point, Mask(true));
+    walk.go(arc);
+    walk.finish(point, walk.moving);
+  }
+
   // To the closest approach to the beam line, less than half a turn away.
   template <class P>
   Mask to_perigee(P& point, Mask who = Mask(true)) {

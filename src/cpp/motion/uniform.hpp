@@ -30,6 +30,8 @@ class UniformMotionOf {
     arc = select(who, arc_to_apex(point), T(0.0));
     advance(point, arc);
   }
+  // Moves by an arc, forward or backward.
+  void along(Point& point, const T& arc) const { advance(point, arc); }
   Mask approach(Point& point, const WireOf<T>& wire, ApproachOf<T>& result, const Mask& who) const {
     return approach_wire(point, wire, result, who);
   }

@@ -29,12 +29,13 @@ class Batch {
     const std::size_t end = take_seats(first);
     // Cells that are written at once free the cache for the next group.
     const bool cells_at_once = alone_used_ == 0;
+    for (std::size_t g = 0; g < alone_used_; ++g) fly_with_daughters(alone_[g]);
     for (std::size_t g = 0; g * width < side_by_side_; ++g) {
       std::vector<CellRecord<T>>& cells = cells_at_once ? groups_[0].cells : groups_[g].cells;
       fly(groups_[g], cells);
-      if (cells_at_once) each_lane(groups_[g].used, [&](int i) { write_cells(cells, i, groups_[g].rows); });
+      fly_decayed(g);
+      if (cells_at_once) write_cells_of_group(g, cells);
     }
-    for (std::size_t g = 0; g < alone_used_; ++g) fly(alone_[g], alone_[g].cells);
     ionize();
     ElectronFlight<T>(electrons_).run();
     write(first, end, !cells_at_once);
@@ -52,6 +53,7 @@ class Batch {
     std::array<TransportStatus, lanes_of<N>> status{};
     std::vector<GapRecord<N>> gaps;
     std::vector<CellRecord<N>> cells;
+    std::vector<Daughter> daughters;  // of a particle on its own
   };
   // Position of a particle: a lane of a group, or on its own.
   struct Seat {
@@ -103,6 +105,55 @@ class Batch {
     each_lane(group.used, [&](int i) { group.status[static_cast<std::size_t>(i)] = flight.status(i); });
   }
 
+  // Particles of a group that decay are flown again on their own, with their daughters.
+  void fly_decayed(std::size_t g) {
+    const auto decayed = [&](int i) {
+      return groups_[g].status[static_cast<std::size_t>(i)] == TransportStatus::decayed;
+    };
+    for (Seat& seat : seats_) {
+      if (seat.alone || seat.group != g || !decayed(seat.lane)) continue;
+      seat = {seat.row, true, alone_used_++, 0};
+      alone_[seat.group].rows = {seat.row};
+      alone_[seat.group].used = true;
+      fly_with_daughters(alone_[seat.group]);
+    }
+  }
+
+  // Daughters that decay have daughters, too: the list grows.
+  void fly_with_daughters(Group<double>& group) {
+    group.gaps.clear();
+    group.cells.clear();
+    group.daughters.clear();
+    const std::size_t row = group.rows[0];
+    group.status[0] = fly_alone(group, in_, row, 0);
+    for (std::size_t k = 0; k < group.daughters.size(); ++k) {
+      const Daughter one = group.daughters[k];
+      const std::size_t gaps = group.gaps.size(), cells = group.cells.size();
+      const auto number = static_cast<std::int32_t>(k + 1);
+      group.daughters[k].status = fly_alone(group, columns_of(one), 0, number);
+      const auto mark = [&](auto& record) {
+        record.daughter = number;
+        record.time += one.time;
+      };
+      std::for_each(group.gaps.begin() + static_cast<std::ptrdiff_t>(gaps), group.gaps.end(), mark);
+      std::for_each(group.cells.begin() + static_cast<std::ptrdiff_t>(cells), group.cells.end(), mark);
+    }
+  }
+
+  // Adds the records of the particle `number` (0: the particle itself), and its daughters.
+  TransportStatus fly_alone(Group<double>& group, const ParticleColumns& in, std::size_t row,
+                            std::int32_t number) {
+    Flight<double, MotionOf<double>> flight(detector_, settings_, in, seed_, {row}, true, group.gaps,
+                                            group.cells);
+    flight.run();
+    if (flight.status(0) == TransportStatus::decayed) {
+      const double start = number == 0 ? 0.0 : group.daughters[static_cast<std::size_t>(number - 1)].time;
+      add_daughters(*settings_.decays->find(in.pdg[row]), flight.decay_point(), stream_of(in, row, seed_),
+                    who(group.rows[0]), number, start, group.daughters);
+    }
+    return flight.status(0);
+  }
+
   template <class F>
   void with_group(const Seat& seat, F&& f) {
     if (seat.alone)
@@ -119,8 +170,12 @@ class Batch {
     if (!ionizes()) return;
     for (const Seat& seat : seats_) {
       with_group(seat, [&](const auto& group) {
-        for (const auto& gap : group.gaps)
-          if (lane(gap.filled, seat.lane)) fill(gap, seat.lane, stream_of(in_, seat.row, seed_));
+        for (const auto& gap : group.gaps) {
+          if (!lane(gap.filled, seat.lane)) continue;
+          const auto k = static_cast<std::size_t>(gap.daughter);
+          const ParticleColumns in = k == 0 ? in_ : columns_of(group.daughters[k - 1]);
+          fill(gap, seat.lane, stream_of(in, k == 0 ? seat.row : 0, seed_));
+        }
       });
     }
   }
@@ -151,10 +206,23 @@ class Batch {
         for (const auto& gap : group.gaps)
           if (lane(gap.filled, seat->lane)) write_gap(gap, seat->lane, who(row));
         if (with_cells) write_cells(group.cells, seat->lane, group.rows);
+        for (std::size_t k = 0; k < group.daughters.size(); ++k)
+          out_.decays.append(group.daughters[k], static_cast<std::int32_t>(k + 1));
         out_.status.push_back(group.status[static_cast<std::size_t>(seat->lane)]);
       });
       ++seat;
     }
+  }
+
+  // While all particles have been side by side: the seats are in the order of the lanes.
+  void write_cells_of_group(std::size_t g, const std::vector<CellRecord<T>>& cells) {
+    each_lane(groups_[g].used, [&](int i) {
+      const Seat& seat = seats_[g * width + static_cast<std::size_t>(i)];
+      if (seat.alone)
+        write_cells(alone_[seat.group].cells, 0, alone_[seat.group].rows);
+      else
+        write_cells(cells, i, groups_[g].rows);
+    });
   }
 
   template <class N, class Rows>
@@ -165,8 +233,9 @@ class Batch {
   template <class N>
   void write_gap(const GapRecord<N>& gap, int i, const ParticleNumber& of) {
     const GapResult left = ionizes() ? write_steps(gap, of) : GapResult{lane(gap.deposit, i) / keV, 0, 0};
-    out_.truths.append(of, {gap.slab->gap, lane(gap.entry, i), lane(gap.middle, i), lane(gap.exit, i),
-                            lane(gap.inside.p, i), lane(gap.path, i), lane(gap.time, i), left});
+    out_.truths.append(
+        of, {gap.slab->gap, gap.daughter, lane(gap.entry, i), lane(gap.middle, i), lane(gap.exit, i),
+             lane(gap.inside.p, i), lane(gap.path, i), lane(gap.time, i), left});
   }
 
   template <class N>

@@ -11,16 +11,9 @@
 #include "motion/cells.hpp"
 #include "simulate/records.hpp"
 #include "simulate/slab_draws.hpp"
+#include "simulate/start.hpp"
 
 namespace cgemit {
-
-inline constexpr std::uint32_t inward_leg = 1U << 19;  // above any particle number
-
-inline Stream stream_of(const ParticleColumns& in, std::size_t row, std::uint64_t seed,
-                        std::uint32_t leg = 0) {
-  return {seed, static_cast<std::uint64_t>(in.event[row]),
-          static_cast<std::uint32_t>(in.particle[row]) | leg};
-}
 
 // One particle, or W of them side by side, one per SIMD lane. Masks ensure that a lane gets the same result
 // as its particle alone. `Motion`: motion in the field. Electrons and positrons are simulated one by one. The
@@ -39,21 +32,20 @@ class Flight {
          std::vector<CellRecord<T>>& cells)
       : detector_(detector),
         settings_(settings),
-        in_(in),
-        seed_(seed),
-        rows_(rows),
+        start_{in, rows, seed},
         motion_(detector),
-        stream_(streams(0)),
-        charge_(column([&](std::size_t row) { return double(in.charge[row]); })),
-        now_(kinematics()),
+        stream_(start_.streams(0)),
+        charge_(start_.column([&](std::size_t row) { return double(in.charge[row]); })),
+        now_(start_.kinematics()),
+        decay_time_(start_.decay_time(settings.decays, now_.gamma)),
         cell_finder_(detector, motion_),
         flying_(used),
         gaps_(gaps),
         cells_(cells) {
     const auto of = [this](std::span<const double> values) {
-      return column([values](std::size_t row) { return values[row]; });
+      return start_.column([values](std::size_t row) { return values[row]; });
     };
-    const T pt = column([&](std::size_t row) { return std::hypot(in.px[row], in.py[row]); });
+    const T pt = start_.column([&](std::size_t row) { return std::hypot(in.px[row], in.py[row]); });
     helix() = {of(in.x), of(in.y), of(in.z), of(in.px) / pt, of(in.py) / pt, of(in.pz) / pt, T(0.0)};
     motion_.look(point_);
     if (settings.fluctuations != Fluctuations::full) track_ = total_matter(detector, point_.tanl);
@@ -77,22 +69,31 @@ class Flight {
         slab.gap >= 0 ? cross_gap(slab, meets) : cross(slab, reach(slab.radius, meets));
       }
     }
+    decay_before_apex();
   }
 
   TransportStatus status(int i) const {
+    if (lane(decayed_, i)) return TransportStatus::decayed;
     if (lane(stopped_, i)) return TransportStatus::stopped;
     if (lane(ended_, i)) return TransportStatus::end;
     if (lane(left_, i)) return TransportStatus::left_field;
     return lane(curled_, i) ? TransportStatus::curled : TransportStatus::outside;
   }
 
+  // The particle at its decay: one that has decayed, alone.
+  DecayPoint decay_point() {
+    static_assert(width == 1);
+    Point at = point_;
+    motion_.along(at, (decay_time_ - time_) * speed_of_light / (sec_lambda_ * now_.per_beta));
+    const double transverse = now_.p / std::sqrt(1 + at.tanl * at.tanl);
+    return {.position = {at.x, at.y, at.z},
+            .time = decay_time_,
+            .momentum = {transverse * at.ux, transverse * at.uy, transverse * at.tanl},
+            .mass = now_.mass};
+  }
+
  private:
   HelixPointOf<T>& helix() { return point_; }
-
-  template <class F>
-  T column(F&& f) const {
-    return gathered<T>([&](int i) { return f(rows_[static_cast<std::size_t>(i)]); });
-  }
 
   // Index of the first surface beyond a radius.
   double first_ahead(double radius) const {
@@ -101,31 +102,12 @@ class Flight {
                                surfaces.begin());
   }
 
-  StreamOf<T> streams(std::uint32_t leg) const {
-    if constexpr (width == 1) {
-      return stream_of(in_, rows_[0], seed_, leg);
-    } else {
-      return [&]<std::size_t... i>(std::index_sequence<i...>) {
-        return StreamOf<T>({stream_of(in_, rows_[i], seed_, leg)...});
-      }(std::make_index_sequence<std::size_t{width}>());
-    }
-  }
-
-  KinematicsOf<T> kinematics() const {
-    const auto kind = [this](std::size_t row) { return projectile_of(in_.mass[row], in_.charge[row]); };
-    KinematicsOf<T> k(
-        column([&](std::size_t row) { return std::hypot(in_.px[row], in_.py[row], in_.pz[row]); }),
-        column([&](std::size_t row) { return in_.mass[row]; }), kind(rows_[0]));
-    k.has_spin = column([&](std::size_t row) { return kind(row) == Projectile::spin_half ? 1.0 : 0.0; });
-    return k;
-  }
-
   // Particles that start inward first cross the matter there. A slab crossed on the inward and again on the
   // outward path acts twice, with new random numbers.
   void fly_in() {
     Mask inward = flying_ & (ahead_ > 0.0) & (point_.outward() < 0.0);
     if (!any(inward)) return;
-    stream_ = streams(inward_leg);
+    stream_ = start_.streams(inward_leg);
     for (std::size_t i = detector_.surfaces.size(); i-- > 0 && any(inward);) {
       const Mask next = inward & (ahead_ == static_cast<double>(i + 1));
       if (!any(next)) continue;
@@ -134,10 +116,10 @@ class Flight {
       stop_at_edge(next & motion_.left());
       arrive(arrived);
       ahead_ = select(arrived, T(static_cast<double>(i)), ahead_);
-      if (surface.is_slab) cross(detector_.slabs[static_cast<std::size_t>(surface.index)], arrived);
+      if (surface.is_slab) cross(detector_.slabs[static_cast<std::size_t>(surface.index)], arrived & flying_);
       inward = inward & flying_ & (arrived | !next) & (point_.outward() < 0.0);
     }
-    stream_ = streams(0);
+    stream_ = start_.streams(0);
   }
 
   // Returns the lanes that reach the radius.
@@ -147,7 +129,23 @@ class Flight {
     stop_at_edge(left);
     curled_ = curled_ | (who & !arrived & !left);
     arrive(arrived);
-    return arrived;
+    return arrived & flying_;
+  }
+
+  // The lanes are beyond their decay. The flight is then repeated by `Batch`, one particle at a time.
+  void decay(const Mask& who) {
+    decayed_ = decayed_ | who;
+    flying_ = flying_ & !who;
+  }
+
+  // Particles that turn back are followed to their outermost point.
+  void decay_before_apex() {
+    const Mask turned = curled_ & !decayed_ & !stopped_ & !ended_ & !left_ & (decay_time_ < HUGE_VAL);
+    if (!any(turned)) return;
+    Point apex = point_;
+    T arc(0.0);
+    motion_.to_apex(apex, arc, turned);
+    decay(turned & (time_ + flight_time(arc) >= decay_time_));
   }
 
   void stop_at_edge(const Mask& left) {
@@ -159,6 +157,7 @@ class Flight {
 
   void arrive(const Mask& arrived) {
     time_ += select(arrived, flight_time(arc_), T(0.0));
+    decay(arrived & (time_ >= decay_time_));
     if constexpr (!Motion::keeps_dip) follow_dip(arrived);
   }
 
@@ -191,6 +190,8 @@ class Flight {
     const KinematicsOf<T> after = now_.after_loss(select(acts, drawn.loss, T(0.0)));
     HelixPointOf<T> there = point_;
     scatter(slab, path, after, there);
+    // The rest of the proper time stays the same.
+    decay_time_ = select(acts, time_ + (decay_time_ - time_) * (after.gamma / now_.gamma), decay_time_);
     now_ = select(acts, after, now_);
     helix() = select(acts, there, helix());
     follow_dip(acts);
@@ -248,17 +249,17 @@ class Flight {
     ApproachOf<T> approach;
     const Mask settled = motion_.approach(closest, cell_wires<T>(layer, cell), approach, who);
     const T time = time_ + flight_time(approach.arc + range.arc);
-    // Cells fire neither behind the vertex nor beyond the ends of the wires.
-    const Mask fired = settled & (time >= 0.0) & (abs(approach.z_wire) <= layer.half_length);
+    // Cells fire neither behind the vertex, nor beyond the ends of the wires, nor after the decay.
+    const Mask meets = settled & (time >= 0.0) & (abs(approach.z_wire) <= layer.half_length);
+    const Mask late = meets & (time >= decay_time_), fired = meets & !late;
+    decay(late);
     if (!any(fired)) return;
     cells_.push_back({&layer, fired, cell, approach.doca, closest.x, closest.y, closest.z, time});
   }
 
   const Detector& detector_;
   const SimulateSettings& settings_;
-  const ParticleColumns& in_;
-  std::uint64_t seed_;
-  Rows rows_;
+  StartOf<T> start_;
   Motion motion_;
   StreamOf<T> stream_;
   T charge_, time_{0.0}, arc_{0.0}, deposit_{0.0};
@@ -266,9 +267,10 @@ class Flight {
   T sec_lambda_{1.0};  // path per transverse arc
   T ahead_;            // index of the first surface ahead
   KinematicsOf<T> now_;
+  T decay_time_;  // ns, of the decay if the particle loses no more energy
   TrackMatterOf<T> track_;
   CellFinder<T, Motion> cell_finder_;
-  Mask flying_, stopped_{false}, ended_{false}, left_{false};
+  Mask flying_, stopped_{false}, ended_{false}, left_{false}, decayed_{false};
   Mask curled_{false};  // past the outermost point: no cylinder lies ahead
   std::vector<GapRecord<T>>& gaps_;
   std::vector<CellRecord<T>>& cells_;

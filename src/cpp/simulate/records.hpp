@@ -30,8 +30,9 @@ struct GapRecord {
   mask_of<T> filled;
   HelixPointOf<T> entry, middle, exit;
   KinematicsOf<T> inside;
-  T path, time, deposit;  // mm, ns, GeV
-  T bz;                   // T, at the entry
+  T path, time, deposit;      // mm, ns, GeV
+  T bz;                       // T, at the entry
+  std::int32_t daughter = 0;  // 0: the particle itself, k: its k-th daughter
 };
 
 // One cell of each particle in one layer of wires.
@@ -41,6 +42,7 @@ struct CellRecord {
   mask_of<T> fired;
   std::array<std::int64_t, lanes_of<T>> wire;
   T doca, x, y, z, time;
+  std::int32_t daughter = 0;
 };
 
 // Appends the cells of one lane.
@@ -63,6 +65,7 @@ void append_cells(const std::vector<CellRecord<T>>& cells, int i, const Particle
     out.y[row] = lane(c.y, i);
     out.z[row] = lane(c.z, i);
     out.time[row] = lane(c.time, i);
+    out.daughter[row] = c.daughter;
     ++row;
   }
 }

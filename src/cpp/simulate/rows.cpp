@@ -9,6 +9,7 @@ void Truths::append(const ParticleNumber& who, const GapRow& row) {
   event.push_back(who.event);
   particle.push_back(who.particle);
   layer.push_back(row.layer);
+  daughter.push_back(row.daughter);
   entry_x.push_back(row.entry.x);
   entry_y.push_back(row.entry.y);
   entry_z.push_back(row.entry.z);
@@ -44,6 +45,26 @@ void Steps::append(const ParticleNumber& who, std::int32_t in_layer, const Depos
   parent.push_back(deposit.delta > 0 ? 1 : 0);
   delta.push_back(deposit.delta);
   truth.push_back(in_truth);
+}
+
+void Decays::append(const Daughter& one, std::int32_t number) {
+  event.push_back(one.of.event);
+  particle.push_back(one.of.particle);
+  daughter.push_back(number);
+  parent.push_back(one.parent);
+  pdg.push_back(one.pdg);
+  mode.push_back(one.mode);
+  x.push_back(one.at.position.x);
+  y.push_back(one.at.position.y);
+  z.push_back(one.at.position.z);
+  time.push_back(one.time);
+  parent_px.push_back(one.at.momentum.x);
+  parent_py.push_back(one.at.momentum.y);
+  parent_pz.push_back(one.at.momentum.z);
+  px.push_back(one.momentum.x);
+  py.push_back(one.momentum.y);
+  pz.push_back(one.momentum.z);
+  status.push_back(static_cast<std::int8_t>(one.status));
 }
 
 }  // namespace cgemit

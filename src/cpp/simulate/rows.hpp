@@ -5,19 +5,16 @@
 #include <cstdint>
 #include <vector>
 
+#include "common/status.hpp"
 #include "matter/ionization.hpp"
 #include "motion/helix.hpp"
+#include "simulate/daughters.hpp"
 
 namespace cgemit {
 
-struct ParticleNumber {
-  std::int64_t event;
-  std::int32_t particle;
-};
-
 // A crossing of a drift gap.
 struct GapRow {
-  std::int32_t layer;
+  std::int32_t layer, daughter;
   HelixPoint entry, middle, exit;
   double momentum;    // GeV/c
   double path, time;  // mm, ns
@@ -27,7 +24,7 @@ struct GapRow {
 // One row per crossing of a drift gap.
 struct Truths {
   std::vector<std::int64_t> event;
-  std::vector<std::int32_t> particle, layer;
+  std::vector<std::int32_t> particle, layer, daughter;
   std::vector<double> entry_x, entry_y, entry_z, exit_x, exit_y, exit_z;  // mm
   std::vector<double> r, phi, z;                                          // middle of the gap
   std::vector<double> px, py, pz;                                         // GeV/c, there
@@ -42,6 +39,7 @@ struct Truths {
     f("exit_x", exit_x), f("exit_y", exit_y), f("exit_z", exit_z);
     f("r", r), f("phi", phi), f("z", z), f("px", px), f("py", py), f("pz", pz);
     f("path", path), f("time", time), f("energy", energy), f("secondaries", secondaries);
+    f("daughter", daughter);
   }
 };
 
@@ -69,7 +67,7 @@ struct Steps {
 // One row per drift cell that a particle crosses.
 struct WireTruths {
   std::vector<std::int64_t> event;
-  std::vector<std::int32_t> particle, layer, wire;
+  std::vector<std::int32_t> particle, layer, wire, daughter;
   std::vector<double> doca;  // mm, signed
   std::vector<std::int8_t> side;
   std::vector<double> x, y, z, time;  // closest point on the track
@@ -77,7 +75,26 @@ struct WireTruths {
   template <class F>
   void each_column(F&& f) {
     f("event", event), f("particle", particle), f("layer", layer), f("wire", wire), f("doca", doca);
-    f("side", side), f("x", x), f("y", y), f("z", z), f("time", time);
+    f("side", side), f("x", x), f("y", y), f("z", z), f("time", time), f("daughter", daughter);
+  }
+};
+
+// One row per charged daughter of a decay.
+struct Decays {
+  std::vector<std::int64_t> event;
+  std::vector<std::int32_t> particle, daughter, parent, pdg, mode;
+  std::vector<double> x, y, z, time;                    // mm, ns
+  std::vector<double> parent_px, parent_py, parent_pz;  // GeV/c, at the decay
+  std::vector<double> px, py, pz;                       // GeV/c, of the daughter
+  std::vector<std::int8_t> status;
+
+  void append(const Daughter& one, std::int32_t number);
+  template <class F>
+  void each_column(F&& f) {
+    f("event", event), f("particle", particle), f("daughter", daughter), f("parent", parent), f("pdg", pdg);
+    f("mode", mode), f("x", x), f("y", y), f("z", z), f("time", time), f("parent_px", parent_px);
+    f("parent_py", parent_py), f("parent_pz", parent_pz), f("px", px), f("py", py), f("pz", pz);
+    f("status", status);
   }
 };
 

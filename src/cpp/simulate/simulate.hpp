@@ -8,6 +8,7 @@
 #include "common/rng.hpp"
 #include "common/status.hpp"
 #include "detector/detector.hpp"
+#include "simulate/decays.hpp"
 #include "simulate/rows.hpp"
 
 namespace cgemit {
@@ -16,14 +17,15 @@ enum class Fluctuations { full, gaussian, off };
 
 struct SimulateSettings {
   Fluctuations fluctuations;
-  bool deltas;  // electrons that leave the particle's track
-  bool steps;   // also the particle's own ionization clusters
+  bool deltas;               // electrons that leave the particle's track
+  bool steps;                // also the particle's own ionization clusters
+  const DecayTable* decays;  // null: nothing decays
 };
 
 // One row per generated particle; all columns of one length.
 struct ParticleColumns {
   std::span<const std::int64_t> event;
-  std::span<const std::int32_t> particle;
+  std::span<const std::int32_t> particle, pdg;
   std::span<const std::int8_t> charge;
   std::span<const double> mass, x, y, z, px, py, pz;
 };
@@ -32,6 +34,7 @@ struct Simulated {
   Truths truths;
   Steps steps;
   WireTruths wire_truths;
+  Decays decays;
   std::vector<TransportStatus> status;  // one per particle
 };
 
