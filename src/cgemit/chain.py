@@ -176,7 +176,7 @@ def run(
     tasks = [task(first) for first in range(0, n_events, chunk)] or [task(0)]
     parts = _map(tasks, threads, executor, progress)
     meta = _meta(detector, other, shooter, settings, seed)
-    joined = concatenate([part[0] for part in parts])
+    joined = concatenate([part[0] for part in parts], gaps=table is not None)
     tables = {name: joined[name].with_meta(**meta) for name in TABLES if name in joined}
     timings = {stage: sum(part[1][stage] for part in parts) for stage in parts[0][1]}
     timings["wall"] = time.perf_counter() - start
@@ -240,8 +240,8 @@ def _work(
         particles = generate(gun, count, seed, first)
     else:
         assert table is not None
-        begin = table.first_event + first
-        particles = table.select_events(begin, begin + count)
+        numbers = table.events[first : first + count]
+        particles = table.select_events(int(numbers[0]), int(numbers[-1]) + 1) if count else table
     return run_chunk(detector, believed, particles, settings, seed, finder, until)
 
 

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from typing import NamedTuple
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.patches import Annulus, Patch, Rectangle
 
-from cgemit.detector import CgemLayer, Detector, Shell, WireLayer
+from cgemit.detector import CgemLayer, Detector, Shell, WireLayer, load
 from cgemit.draw.geometry import wire_layers, wire_positions, wire_profile
 from cgemit.draw.style import COLORS, Picture, new_picture, style
 
@@ -40,17 +40,18 @@ class _Ring(NamedTuple):
     half_length: float  # mm
 
 
-def draw_detector(detector: Detector) -> Picture:
+def draw_detector(detector: Detector | str | Mapping[str, Any]) -> Picture:
     """Return a picture of the detector across the beam, whole and magnified, and along the beam.
 
     Parameters
     ----------
-    detector : Detector
+    detector : Detector, or what `load` accepts
 
     Returns
     -------
     Picture
     """
+    detector = load(detector)
     with style():
         picture, axes = new_picture(1, 2, (12.6, 6.9))
         draw_xy(detector, axes[0])
@@ -60,17 +61,18 @@ def draw_detector(detector: Detector) -> Picture:
     return picture
 
 
-def draw_sides(detector: Detector) -> Picture:
+def draw_sides(detector: Detector | str | Mapping[str, Any]) -> Picture:
     """Return a picture of the detector along the beam, whole and magnified.
 
     Parameters
     ----------
-    detector : Detector
+    detector : Detector, or what `load` accepts
 
     Returns
     -------
     Picture
     """
+    detector = load(detector)
     with style():
         picture, axes = new_picture(2, 1, (9.6, 9.4), height_ratios=(1.5, 1))
         draw_rz(detector, axes[0])
@@ -80,8 +82,9 @@ def draw_sides(detector: Detector) -> Picture:
     return picture
 
 
-def draw_layers(detector: Detector) -> Picture:
+def draw_layers(detector: Detector | str | Mapping[str, Any]) -> Picture:
     """Return a picture of the materials of every CGEM layer."""
+    detector = load(detector)
     with style():
         rows = len(detector.cgem)
         picture, axes = new_picture(rows, 1, (11.0, 2.9 * rows))
@@ -91,17 +94,18 @@ def draw_layers(detector: Detector) -> Picture:
     return picture
 
 
-def draw_xy(detector: Detector, ax: Axes | None = None, r_max: float | None = None) -> Axes:
+def draw_xy(detector: Detector | str | Mapping[str, Any], ax: Axes | None = None, r_max: float | None = None) -> Axes:
     """Draw the detector in the plane across the beam, wires where they cross z = 0.
 
     Parameters
     ----------
-    detector : Detector
+    detector : Detector, or what `load` accepts
     ax : Axes, optional
         Where to draw; default: new axes.
     r_max : float, optional
         Outer edge of the view, mm; default: the whole detector.
     """
+    detector = load(detector)
     with style():
         ax, edge, rings = _view(detector, ax, r_max, (6.6, 6.4))
         for ring in rings:
@@ -118,17 +122,18 @@ def draw_xy(detector: Detector, ax: Axes | None = None, r_max: float | None = No
     return ax
 
 
-def draw_rz(detector: Detector, ax: Axes | None = None, r_max: float | None = None) -> Axes:
+def draw_rz(detector: Detector | str | Mapping[str, Any], ax: Axes | None = None, r_max: float | None = None) -> Axes:
     """Draw one half of the detector along the beam, with lines of constant cos(theta).
 
     Parameters
     ----------
-    detector : Detector
+    detector : Detector, or what `load` accepts
     ax : Axes, optional
         Where to draw; default: new axes.
     r_max : float, optional
         Outer edge of the view, mm; default: the whole detector.
     """
+    detector = load(detector)
     with style():
         ax, edge, rings = _view(detector, ax, r_max, (9.6, 5.4))
         layers = [layer for layer in wire_layers(detector) if layer.r_mid < edge]

@@ -18,17 +18,19 @@ import numpy as np
 def new_file(path: str | os.PathLike[str], *, overwrite: bool = False) -> Iterator[Path]:
     """Give a temporary path in the folder of `path` that becomes `path` when the block ends well.
 
-    The folder is made if it is missing. If the block raises (Ctrl-C too), nothing is left behind, so that no
-    half-written file can look complete.
+    If the block raises (Ctrl-C too), nothing is left behind, so that no half-written file can look complete.
 
     Raises
     ------
+    FileNotFoundError
+        If the folder does not exist: a misspelt path must not become a folder.
     FileExistsError
         If `path` exists and `overwrite` is false; asked before the block runs, and again at its end.
     """
     target = Path(path)
     _refuse_existing(target, overwrite)
-    target.parent.mkdir(parents=True, exist_ok=True)
+    if not target.parent.is_dir():
+        raise FileNotFoundError(f"{target}: there is no folder {target.parent}")
     # The suffix stays, since writers such as matplotlib choose the format by it.
     temporary = target.with_name(f".{target.stem}-{secrets.token_hex(4)}.tmp{target.suffix}")
     try:

@@ -58,7 +58,7 @@ def save_tables(
 ) -> list[Path]:
     """Write each table to ``<name>.npz`` in a directory, and last of all their description to ``tables.json``.
 
-    A directory without ``tables.json`` is therefore not complete.
+    The directory is made if it is missing. Without ``tables.json`` it is not complete.
 
     Parameters
     ----------
@@ -82,6 +82,7 @@ def save_tables(
     existing = [str(path) for path in (*paths.values(), index) if path.exists()]
     if existing and not overwrite:
         raise FileExistsError(f"{', '.join(existing)} would be replaced; pass overwrite=True to do so")
+    folder.mkdir(parents=True, exist_ok=True)
     index.unlink(missing_ok=True)
     for name, table in tables.items():
         save(table, paths[name], overwrite=overwrite)
