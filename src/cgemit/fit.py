@@ -109,7 +109,8 @@ def compiled_for_fit(detector: Detector, settings: FitSettings) -> _core.Detecto
     detector : Detector
     settings : FitSettings
     """
-    return compiled(detector, screening=settings.screening or SCREENINGS[0], loss=settings.loss)
+    screening = settings.screening or SCREENINGS[0]
+    return compiled(detector, screening=screening, loss=settings.loss, radiation=settings.radiation)
 
 
 def core_arguments(

@@ -221,7 +221,7 @@ def momentum_error(parameters: npt.ArrayLike, cov: npt.ArrayLike) -> Floats:
         both = 2 * by_kappa * by_tanl * cov[..., 2, 4]
         error = np.sqrt(by_kappa**2 * cov[..., 2, 2] + both + by_tanl**2 * cov[..., 4, 4])
     # The sign of a NaN depends on the vector instructions, and these on a row's place in the array.
-    return np.where(np.isnan(error), np.nan, error)
+    return np.asarray(np.where(np.isnan(error), np.nan, error))
 
 
 def to_perigee(parameters: npt.ArrayLike, cov: npt.ArrayLike) -> tuple[Floats, Floats]:

@@ -76,7 +76,12 @@ def _composition(found: Sequence[Slab]) -> Columns:
 
 @lru_cache(maxsize=64)
 def compiled(
-    detector: Detector, merge: bool = True, screening: str = "wentzel", foil: str = "effective", loss: str = "truncated"
+    detector: Detector,
+    merge: bool = True,
+    screening: str = "wentzel",
+    foil: str = "effective",
+    loss: str = "truncated",
+    radiation: bool = True,
 ) -> _core.Detector:
     """Return the detector of the compiled core; equal descriptions share one.
 
@@ -90,6 +95,8 @@ def compiled(
         Screening of nuclei in multiple scattering, ``"wentzel"`` or ``"moliere"`` (docs/methods/matter.md).
     loss : str
         Energy loss that the fit subtracts (``FitSettings.loss``).
+    radiation : bool
+        Whether it includes the bremsstrahlung of electrons and positrons.
 
     Raises
     ------
@@ -108,6 +115,7 @@ def compiled(
         lattice=hole_table([slab.holes for slab in found], groups, merge) if foil == "lattice" else {},
         gaps=gap_table(detector),
         loss=getattr(_core.CoreLoss, loss),
+        radiation=radiation,
         field=compiled_field(detector),
     )
 

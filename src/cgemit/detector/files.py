@@ -3,13 +3,16 @@
 import copy
 import re
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import cache
 from importlib import resources
+from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from cgemit.detector.keys import CENTRED
+from cgemit.io.files import read_text
+from cgemit.io.toml import parse_toml
 from cgemit.problems import DetectorError, Problem, did_you_mean
 
 _DETECTORS = resources.files("cgemit.data") / "detectors"
@@ -17,6 +20,9 @@ _FIELDS = resources.files("cgemit.data") / "fields"
 
 #: Begins the name of a field map that comes with the program, such as ``cgemit:besiii.npz``.
 OWN_MAP = "cgemit:"
+
+#: Key of the material that a material of a variant replaces.
+BELOW = "<below>"
 
 #: Derived values of a CGEM layer in the order of their computation, each with the values that it depends on.
 DERIVED_FROM = {
@@ -78,19 +84,35 @@ def open_source(source: str | Path | Mapping[str, Any], folder: Path | None = No
     if isinstance(source, Mapping):
         return Source(str(source.get("name", "detector")), folder, place_map(dict(source), folder))
     text = str(source)
-    if re.fullmatch(r"[\w-]+", text) and (_DETECTORS / f"{text}.toml").is_file():
+    if _is_preset(_DETECTORS, text):
         return Source(text, None, _preset_tables(text))
     path = Path(text) if folder is None else folder / text
-    if not path.is_file():
+    if not _is_file(path):
         known = ", ".join(preset_names())
-        given = f'"{text}"' + (", a folder" if text and path.is_dir() else "")
-        problem = Problem("", given, f"one of {known}, or a detector file", did_you_mean(text, preset_names()))
-        raise DetectorError(text, [problem])
+        given = _quoted(text) + (", a folder" if text and _is_file(path, Path.is_dir) else "")
+        problem = Problem("", given, f"one of {known}, or a detector file", did_you_mean(text[:80], preset_names()))
+        raise DetectorError(text[:80], [problem])
     try:
-        tables = tomllib.loads(path.read_text(encoding="utf-8-sig"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        tables = parse_toml(read_text(path))
+    except ValueError as error:
         raise DetectorError(str(path), [Problem("", str(error), "a TOML file")]) from error
     return Source(str(path), path.parent, place_map(tables, path.parent))
+
+
+def _quoted(text: str) -> str:
+    return f'"{text}"' if len(text) <= 80 else f'"{text[:80]}..."'
+
+
+def _is_preset(folder: Traversable, name: str) -> bool:
+    return bool(re.fullmatch(r"[\w-]{1,100}", name, re.ASCII)) and (folder / f"{name}.toml").is_file()
+
+
+def _is_file(path: Path, test: Callable[[Path], bool] = Path.is_file) -> bool:
+    """Tell whether there is such a file; a path that no file can have has none."""
+    try:
+        return test(path)
+    except (OSError, ValueError):  # too long a name, a null byte
+        return False
 
 
 def resolve(source: Source, problems: list[Problem]) -> dict[str, Any]:
@@ -109,17 +131,27 @@ def resolve(source: Source, problems: list[Problem]) -> dict[str, Any]:
 
 def _base_of(chain: list[Source], base: object, problems: list[Problem]) -> Source | None:
     if not isinstance(base, str):
-        problems.append(Problem("base", repr(base), "the name of a preset or of a detector file"))
+        problems.append(Problem("base", repr(base)[:80], "the name of a preset or of a detector file"))
         return None
     try:
         found = open_source(base, chain[-1].folder)
     except DetectorError as error:
         problems += [problem._replace(path="base") for problem in error.problems]
         return None
-    if any(found.name == link.name for link in chain):
-        problems.append(Problem("base", f'"{base}"', "a base that does not lead back to the file itself"))
+    if any(_place(found) == _place(link) for link in chain) or len(chain) > _MOST_BASES:
+        problems.append(Problem("base", _quoted(base), "a base that does not lead back to the file itself"))
         return None
     return found
+
+
+_MOST_BASES = 50
+
+
+def _place(source: Source) -> object:
+    """Return what is equal for equal files, however their paths are written; tables are equal to nothing else."""
+    if _is_preset(_DETECTORS, source.name) and source.folder is None and source.tables is _preset_tables(source.name):
+        return source.name
+    return id(source.tables) if source.folder is None else Path(source.name).resolve()
 
 
 def merged(base: Mapping[str, Any], variant: Mapping[str, Any], problems: list[Problem]) -> dict[str, Any]:
@@ -180,9 +212,12 @@ def _drop_field(base: dict[str, Any], variant: Mapping[str, Any]) -> None:
 
 def _lay_over(base: dict[str, Any], variant: Mapping[str, Any], path: str) -> None:
     for name, value in variant.items():
-        # A material is replaced as a whole: keys of the old and of the new one would not be consistent.
-        if isinstance(value, Mapping) and isinstance(base.get(name), dict) and path != "materials":
-            _lay_over(base[name], value, name)
+        if isinstance(value, Mapping) and isinstance(base.get(name), dict):
+            # Values of a material depend on each other: the reader decides what of the old one stays.
+            if path == "materials":
+                base[name] = {**copy.deepcopy(dict(value)), BELOW: base[name]}
+            else:
+                _lay_over(base[name], value, name)
         else:
             base[name] = copy.deepcopy(value)
 
@@ -224,17 +259,19 @@ def field_tables(source: str | Path | Mapping[str, Any]) -> dict[str, Any]:
     if isinstance(source, Mapping):
         return dict(source)
     text = str(source)
-    if re.fullmatch(r"[\w-]+", text) and (_FIELDS / f"{text}.toml").is_file():
+    if _is_preset(_FIELDS, text):
         return _field_of(text, tomllib.loads((_FIELDS / f"{text}.toml").read_text(encoding="utf-8")), None)
     path = Path(text)
-    if not path.is_file():
+    if not _is_file(path):
         expected = f"one of {', '.join(fields())}, a map (.npz, .csv), or a TOML file with a table [field]"
-        raise DetectorError(text, [Problem("field", f'"{text}"', expected, did_you_mean(text, fields()))])
+        raise DetectorError(text[:80], [Problem("field", _quoted(text), expected, did_you_mean(text[:80], fields()))])
     if path.suffix in (".npz", ".csv"):
         return {"kind": "map", "file": str(path.absolute())}
     try:
-        return _field_of(text, tomllib.loads(path.read_text(encoding="utf-8-sig")), path.parent)
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        return _field_of(text, parse_toml(read_text(path)), path.parent)
+    except DetectorError:
+        raise
+    except ValueError as error:
         raise DetectorError(text, [Problem("field", str(error), "a TOML file or a map (.npz, .csv)")]) from error
 
 

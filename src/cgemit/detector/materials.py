@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from functools import cache
 from typing import Any
 
-from cgemit.detector.files import library_materials
+from cgemit.detector.files import BELOW, library_materials
 from cgemit.detector.material import (
     Material,
     element_rows,
@@ -56,7 +56,7 @@ def read_materials(reader: Reader, known: Mapping[str, Material], raw: Mapping[s
                 reader.note(f"materials.{name}.base", f'"{base}"', "the name of another material", hint)
                 found[name] = None
         for name in ready:
-            found[name] = _material(reader, name, waiting.pop(name), found)
+            found[name] = _material(reader, name, waiting.pop(name), found, known.get(name))
     return found
 
 
@@ -65,16 +65,31 @@ def _base(table: object) -> str | None:
     return base if isinstance(base, str) else None
 
 
-def _material(reader: Reader, name: str, raw: object, found: Mapping[str, Material | None]) -> Material | None:
+def _material(
+    reader: Reader, name: str, raw: object, found: Mapping[str, Material | None], old: Material | None
+) -> Material | None:
+    """Return the material of a table; what it does not say is that of the `old` material of the same name."""
     path = f"materials.{name}"
+    if isinstance(raw, Mapping) and BELOW in raw:
+        old = _material(Reader(), name, raw[BELOW], found, old) or old
+        raw = {key: value for key, value in raw.items() if key != BELOW}
     base = found.get(_base(raw) or "")
     before = len(reader.problems)
-    values = reader.table(path, raw, Material, defaults={"density": base.density} if base else None)
+    if base or old is None or not isinstance(raw, Mapping):
+        defaults = {"density": base.density} if base else {}
+    else:
+        defaults = _kept(old, raw)
+    values = reader.table(path, raw, Material, defaults=defaults)
     if len(reader.problems) > before or (_base(raw) and base is None):
         return None
     values.pop("base", None)
     if base:
         return _with_base(reader, path, name, base, values)
+    if old and isinstance(raw, Mapping) and raw.keys() <= {"density", "x0"}:
+        same = values["density"] == old.density
+        return _diluted(old, values["density"], values["x0"] if "x0" in raw else old.x0 if same else None)
+    if old and "x0" in defaults and isinstance(raw, Mapping) and "x0" not in raw:
+        values["x0"] *= old.density / values["density"]
     if "composition" not in values and not all(key in values for key in _BULK):
         given = "only " + ", ".join(values)
         reader.note(path, given, "also composition, or all of " + ", ".join(_BULK))
@@ -88,6 +103,14 @@ def _material(reader: Reader, name: str, raw: object, found: Mapping[str, Materi
     effect = (values["excitation_energy"], values["z_over_a"], values["density"], values["gas"])
     values.setdefault("density_effect", general_density_effect(*effect))
     return Material(name=name, **values)
+
+
+def _kept(old: Material, raw: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the values of a material that a table for it leaves as they are."""
+    if "composition" in raw or all(key in raw for key in _BULK):
+        return {"density": old.density, "gas": old.gas}
+    names = ["density", "gas", *_BULK, *(["composition"] if old.composition else [])]
+    return {name: getattr(old, name) for name in names}
 
 
 def _with_base(reader: Reader, path: str, name: str, base: Material, values: dict[str, Any]) -> Material | None:

@@ -13,7 +13,7 @@ from matplotlib.patches import Annulus, Patch, Rectangle
 
 from cgemit.detector import CgemLayer, Detector, Shell, WireLayer, load
 from cgemit.draw.geometry import wire_layers, wire_positions, wire_profile
-from cgemit.draw.style import COLORS, Picture, new_picture, style
+from cgemit.draw.style import COLORS, Picture, new_picture, plain, style
 
 _PARTS = {
     "beam pipe": "#B5651D",
@@ -116,7 +116,7 @@ def draw_xy(detector: Detector | str | Mapping[str, Any], ax: Axes | None = None
         wires = _wires_xy(ax, detector, edge)
         marked = [_mark_layer(ax, layer) for layer in detector.cgem if layer.r_out > 0.3 * edge]
         ax.set(xlim=(-edge, edge), ylim=(-edge, edge), aspect="equal", xlabel="x (mm)", ylabel="y (mm)")
-        ax.set_title(f"{detector.name}: r-phi" + (" at z = 0" if detector.drift_chamber else ""))
+        ax.set_title(f"{plain(detector.name)}: r-phi" + (" at z = 0" if detector.drift_chamber else ""))
         handles = _handles(rings, wires) + marked[:1]
         ax.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.09), ncols=3, fontsize=8)
     return ax
@@ -146,10 +146,10 @@ def draw_rz(detector: Detector | str | Mapping[str, Any], ax: Axes | None = None
             ax.plot(*wire_profile(layer), color=_WIRES[_kind(layer)], linewidth=0.6)
         for cgem in detector.cgem:
             place = (cgem.half_length + 0.008 * reach, cgem.r_mid)
-            ax.annotate(cgem.label, place, va="center", fontsize=8.5, fontweight="bold", color=COLORS["text"])
+            ax.annotate(plain(cgem.label), place, va="center", fontsize=8.5, fontweight="bold", color=COLORS["text"])
         _polar_angles(ax, edge, reach)
         ax.set(xlim=(-reach, reach), ylim=(0, edge), xlabel="z (mm)", ylabel="r (mm)")
-        ax.set_title(f"{detector.name}: r-z", pad=16)
+        ax.set_title(f"{plain(detector.name)}: r-z", pad=16)
         handles = _handles(rings, {_kind(layer) for layer in layers})
         box = {"frameon": True, "framealpha": 0.93, "edgecolor": COLORS["grid"]}
         ax.legend(handles=handles, loc="lower left", fontsize=8, **box)
@@ -180,8 +180,8 @@ def draw_layer(layer: CgemLayer, ax: Axes | None = None) -> Axes:
             ax.text((r_in + r_out) / 2, 1.09, text, ha="center", va="bottom", fontsize=8, color=COLORS["text"])
         margin = 0.01 * (layer.r_out - layer.r_in)
         ax.set(xlim=(layer.r_in - margin, layer.r_out + margin), ylim=(0, 1), yticks=[], xlabel="r (mm)")
-        ax.set_title(f"CGEM layer {layer.label}: materials along the radius, to scale", pad=38)
-        handles = [Patch(facecolor=color, edgecolor="#999999", label=name) for name, color in colors.items()]
+        ax.set_title(f"CGEM layer {plain(layer.label)}: materials along the radius, to scale", pad=38)
+        handles = [Patch(facecolor=color, edgecolor="#999999", label=plain(name)) for name, color in colors.items()]
         ax.legend(handles=handles, loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=8)
     return ax
 
@@ -241,7 +241,7 @@ def _mark_layer(ax: Axes, layer: CgemLayer) -> Line2D:
     phi = math.radians(60)
     place = (layer.r_mid * math.cos(phi), layer.r_mid * math.sin(phi))
     box = {"boxstyle": "round,pad=0.15", "facecolor": "white", "edgecolor": "none", "alpha": 0.85}
-    ax.text(*place, layer.label, ha="center", va="center", fontsize=9, fontweight="bold", bbox=box)
+    ax.text(*place, plain(layer.label), ha="center", va="center", fontsize=9, fontweight="bold", bbox=box)
     return Line2D([], [], color=COLORS["fit"], linewidth=1.6, label="edge of a read-out sheet")
 
 

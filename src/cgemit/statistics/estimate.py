@@ -267,6 +267,10 @@ class GaussianFit(Comparable):
         mean, sigma = with_error(self.mean, self.mean_error), with_error(self.sigma, self.sigma_error)
         return f"<Gaussian: mean {mean}, sigma {sigma}, {self.n} rows>"
 
+    def _repr_html_(self) -> str:
+        cells = [with_error(self.mean, self.mean_error), with_error(self.sigma, self.sigma_error), str(self.n)]
+        return html_table("Gaussian", ("mean", "sigma", "rows"), [cells])
+
 
 def gaussian_fit(sample: npt.ArrayLike) -> GaussianFit:
     """Fit a Gaussian to all rows of a sample by maximum likelihood, without a histogram.

@@ -71,6 +71,9 @@ class Pulls(Comparable):
         names = [pull.parameter for pull in self.pulls]
         return self.pulls[names.index(_known(parameter, "parameter", names))]
 
+    def _ipython_key_completions_(self) -> list[str]:
+        return [pull.parameter for pull in self.pulls]
+
     def __iter__(self) -> Iterator[Resolution]:
         return iter(self.pulls)
 

@@ -113,10 +113,7 @@ class Table:
         return iter(self.columns)
 
     def __array__(self, *_: object, **__: object) -> Array:
-        """Refuse, since columns have dtypes and shapes of their own; numpy and pandas would take their names for rows.
-
-        awkward asks for `__dlpack__` and would take the names for rows, too.
-        """
+        """Refuse: numpy and pandas, and by `__dlpack__` awkward, would take the names of the columns for rows."""
         raise TypeError(f"{self.kind}: got a table; expected to_pandas(), to_awkward(), or a column such as ['event']")
 
     __dlpack__ = __dlpack_device__ = __array__
@@ -219,6 +216,9 @@ class Table:
     def _repr_html_(self) -> str:
         return convert.html(self)
 
+    def _ipython_key_completions_(self) -> list[str]:
+        return list(self.columns)
+
     def to_pandas(self) -> Any:
         """Return a pandas data frame, one row per row; a matrix column becomes ``name_0_0, name_0_1, ...``."""
         return convert.to_pandas(self)
@@ -291,6 +291,11 @@ def load_tables(directory: str | os.PathLike[str]) -> dict[str, Table]:
     FileNotFoundError
         If the directory holds no complete set of tables.
     ValueError
-        If a file is damaged.
+        If a file is damaged, or tables are not those that ``tables.json`` describes.
     """
-    return {name: Table.load(Path(directory) / f"{name}.npz") for name in files.read_index(directory)}
+    index = files.read_index(directory)
+    tables = {name: Table.load(Path(directory) / f"{name}.npz") for name in index}
+    problems = [line for name, table in tables.items() for line in files.index_problems(name, table, index[name])]
+    if problems:
+        raise ValueError(f"{directory} holds tables of several runs:\n  " + "\n  ".join(problems))
+    return tables
