@@ -93,9 +93,8 @@ def _parse(argv: list[str], arguments: argparse.Namespace) -> None:
     parser = build_parser()
     first = next((word for word in argv if not word.startswith("-")), None)
     if first is not None and first not in COMMANDS and argv[0] == first:
-        parser.error(
-            f"unknown command {first!r}{did_you_mean(first, COMMANDS, '; ') or '; one of ' + ', '.join(COMMANDS)}"
-        )
+        hint = did_you_mean(first, COMMANDS, "; ") or "; expected one of " + ", ".join(COMMANDS)
+        parser.error(f"unknown command {first!r}{hint}")
     _, unknown = parser.parse_known_args(argv, arguments)
     if unknown:
         chosen = next(a.choices for a in parser._actions if isinstance(a, argparse._SubParsersAction))

@@ -49,7 +49,7 @@ class DigitizeSettings(SettingsData):
         Listing every invalid value.
     """
 
-    readout: Readout = field(default_factory=BinaryReadout, metadata=one_of(READOUTS))
+    readout: Readout = field(default_factory=BinaryReadout, metadata=one_of(READOUTS, "cgemit.digitize.READOUTS"))
     reveal_sides: bool = False
 
     if TYPE_CHECKING:  # a name is accepted, too, and never kept
