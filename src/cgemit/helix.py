@@ -152,7 +152,7 @@ def momentum_vector(parameters: npt.ArrayLike) -> Floats:
     """
     _, phi0, kappa, _, tanl = np.moveaxis(_parameters(parameters), -1, 0)
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.stack([-np.sin(phi0), np.cos(phi0), tanl], axis=-1) / np.abs(kappa)[..., None]
+        return np.asarray(np.stack([-np.sin(phi0), np.cos(phi0), tanl], axis=-1) / np.abs(kappa)[..., None])
 
 
 def change_pivot(
