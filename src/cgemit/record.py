@@ -20,7 +20,7 @@ from cgemit.io.toml import parse_toml
 from cgemit.problems import ProblemsError
 from cgemit.settings import SettingsData, SettingsError
 from cgemit.tables import Table, save_tables
-from cgemit.tables.files import index_problems, read_index
+from cgemit.tables.files import read_index
 from cgemit.values import InTurn
 from cgemit.version import VERSION
 
@@ -209,7 +209,6 @@ def _read_tables(
     for name in (name for name in index if name in names):
         try:
             tables[name] = Table.load(folder / f"{name}.npz")
-            problems += index_problems(name, tables[name], index[name])
         except (ValueError, FileNotFoundError) as error:
             problems.append(f"{name}.npz: {error}")
     return tables

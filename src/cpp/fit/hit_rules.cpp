@@ -8,13 +8,14 @@ namespace cgemit {
 
 namespace {
 
-// Of a cell as wide as the layer's wires are apart, and as high as the next layer is far, mm.
-double cell_diagonal(const std::vector<WireLayer>& layers, std::size_t i) {
+// Three diagonals: a track that turns back passes the wire of its last cell at up to one and a half widths.
+// A cell is as wide as the layer's wires are apart, and as high as the next layer is far, mm.
+double longest_drift(const std::vector<WireLayer>& layers, std::size_t i) {
   const double width = 2 * pi * layers[i].r_end / layers[i].cells;
   double height = 0;
   if (i > 0) height = std::max(height, std::abs(layers[i].r_end - layers[i - 1].r_end));
   if (i + 1 < layers.size()) height = std::max(height, std::abs(layers[i + 1].r_end - layers[i].r_end));
-  return std::hypot(width, std::max(width, height));
+  return 3 * std::hypot(width, std::max(width, height));
 }
 
 }  // namespace
@@ -27,7 +28,7 @@ HitRules::HitRules(const Detector& detector) : cgem_(detector.cgem.size()) {
     number_of[i] = static_cast<std::size_t>(detector.wires[i].number);
     if (number_of[i] >= wires_.size()) wires_.resize(number_of[i] + 1);
     wires_[number_of[i]] = {static_cast<int>(i), detector.wires[i].cells, -1,
-                            cell_diagonal(detector.wires, i)};
+                            longest_drift(detector.wires, i)};
   }
   int place = 0;
   for (const Place& at : detector.places) {
@@ -61,7 +62,7 @@ void HitRules::explain(const HitView& hits, std::size_t i, Problems& problems) c
   }
   if (!std::isfinite(value)) add(wire ? "drift" : x ? "x" : "v", to_text(value), "a finite number, mm");
   if (std::isfinite(value) && sigma > 0 && std::abs(value) > layer.reach + most_below * sigma)
-    add("drift", to_text(value), "at most the diagonal of a cell, " + to_text(layer.reach) + " mm");
+    add("drift", to_text(value), "at most three diagonals of a cell, " + to_text(layer.reach) + " mm");
   if (!(sigma > 0 && sigma < HUGE_VAL))
     add(wire ? "sigma" : x ? "err_x" : "err_v", to_text(sigma), "a finite number above 0, mm");
   if (hits.size[i] < 0) add("size", std::to_string(hits.size[i]), "0 or more strips");

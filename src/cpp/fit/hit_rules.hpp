@@ -50,7 +50,7 @@ class HitRules {
 
   struct Layer {
     int index = -1, elements = 0, place = -1;
-    double reach = HUGE_VAL;  // mm, the diagonal of the largest cell: no drift is longer
+    double reach = HUGE_VAL;  // mm, no drift is longer
   };
 
   const Layer& layer_of(std::uint8_t kind, std::int32_t layer) const {

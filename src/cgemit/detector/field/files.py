@@ -208,8 +208,8 @@ def _on_grid(columns: Columns, axes: tuple[str, ...], components: tuple[str, ...
     shape = tuple(map(len, spans))
     indices = (np.searchsorted(span, c.values) for span, c in zip(spans, given.values(), strict=True))
     rows = len(next(iter(given.values())).values)
-    whole = rows == math.prod(shape) > 0  # in whole numbers: the product may be too large for an array
-    places = np.ravel_multi_index(tuple(indices), shape) if whole else np.empty(0, dtype=np.intp)
+    whole = rows == math.prod(shape)  # in whole numbers: the product may be too large for an array
+    places = np.ravel_multi_index(tuple(indices), shape) if whole and rows else np.empty(0, dtype=np.intp)
     if not whole or len(np.unique(places)) != rows:
         size = " x ".join(map(str, shape))
         expected = f"each point of the {size} grid of {', '.join(axes)} once"
