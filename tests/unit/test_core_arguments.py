@@ -183,7 +183,9 @@ def test_a_drift_is_not_longer_than_a_cell():
     """A drift distance of 100 mm is a mistake, such as micrometres or a time; the longest possible one is none."""
     layer = DETECTOR.drift_chamber.layers[10]
     wires = {"layer": [layer.number], "wire": [1], "drift": [100.0]}
-    with pytest.raises(ValueError, match="wire_hits row 0: drift: got 100, expected at most three diagonals of a cell, "):
+    with pytest.raises(
+        ValueError, match="wire_hits row 0: drift: got 100, expected at most three diagonals of a cell, "
+    ):
         fit_hits(DETECTOR, wire_hits=wires)
     width = 2 * np.pi * layer.r_end / layer.cells
     fit_hits(DETECTOR, wire_hits=wires | {"drift": [1.6 * width]})  # as of tracks that turn back in the cell

@@ -90,8 +90,10 @@ def open_source(source: str | Path | Mapping[str, Any], folder: Path | None = No
     if not _is_file(path):
         known = ", ".join(preset_names())
         given = _quoted(text) + (", a folder" if text and _is_file(path, Path.is_dir) else "")
-        problem = Problem("", given, f"one of {known}, or a detector file", did_you_mean(text[:80], preset_names()))
-        raise DetectorError(text[:80], [problem])
+        problem = Problem(
+            "", given, f"one of {known}, or a detector file", did_you_mean(text[:_LONGEST], preset_names())
+        )
+        raise DetectorError(text[:_LONGEST], [problem])
     try:
         tables = parse_toml(read_text(path))
     except ValueError as error:
@@ -99,8 +101,11 @@ def open_source(source: str | Path | Mapping[str, Any], folder: Path | None = No
     return Source(str(path), path.parent, place_map(tables, path.parent))
 
 
+_LONGEST = 300  # characters of a path in a message
+
+
 def _quoted(text: str) -> str:
-    return f'"{text}"' if len(text) <= 80 else f'"{text[:80]}..."'
+    return f'"{text}"' if len(text) <= _LONGEST else f'"{text[:_LONGEST]}..."'
 
 
 def _is_preset(folder: Traversable, name: str) -> bool:
@@ -264,7 +269,9 @@ def field_tables(source: str | Path | Mapping[str, Any]) -> dict[str, Any]:
     path = Path(text)
     if not _is_file(path):
         expected = f"one of {', '.join(fields())}, a map (.npz, .csv), or a TOML file with a table [field]"
-        raise DetectorError(text[:80], [Problem("field", _quoted(text), expected, did_you_mean(text[:80], fields()))])
+        raise DetectorError(
+            text[:_LONGEST], [Problem("field", _quoted(text), expected, did_you_mean(text[:_LONGEST], fields()))]
+        )
     if path.suffix in (".npz", ".csv"):
         return {"kind": "map", "file": str(path.absolute())}
     try:

@@ -1,24 +1,6 @@
 #include "fit/hit_rules.hpp"
 
-#include <algorithm>
-
-#include "common/angles.hpp"
-
 namespace cgemit {
-
-namespace {
-
-// Three diagonals: a track that turns back passes the wire of its last cell at up to one and a half widths.
-// A cell is as wide as the layer's wires are apart, and as high as the next layer is far, mm.
-double longest_drift(const std::vector<WireLayer>& layers, std::size_t i) {
-  const double width = 2 * pi * layers[i].r_end / layers[i].cells;
-  double height = 0;
-  if (i > 0) height = std::max(height, std::abs(layers[i].r_end - layers[i - 1].r_end));
-  if (i + 1 < layers.size()) height = std::max(height, std::abs(layers[i + 1].r_end - layers[i].r_end));
-  return 3 * std::hypot(width, std::max(width, height));
-}
-
-}  // namespace
 
 HitRules::HitRules(const Detector& detector) : cgem_(detector.cgem.size()) {
   for (std::size_t i = 0; i < detector.cgem.size(); ++i)
@@ -27,8 +9,7 @@ HitRules::HitRules(const Detector& detector) : cgem_(detector.cgem.size()) {
   for (std::size_t i = 0; i < detector.wires.size(); ++i) {
     number_of[i] = static_cast<std::size_t>(detector.wires[i].number);
     if (number_of[i] >= wires_.size()) wires_.resize(number_of[i] + 1);
-    wires_[number_of[i]] = {static_cast<int>(i), detector.wires[i].cells, -1,
-                            longest_drift(detector.wires, i)};
+    wires_[number_of[i]] = {static_cast<int>(i), detector.wires[i].cells, -1};
   }
   int place = 0;
   for (const Place& at : detector.places) {
@@ -61,8 +42,6 @@ void HitRules::explain(const HitView& hits, std::size_t i, Problems& problems) c
         "0 to " + std::to_string(layer.elements - 1) + " in layer " + std::to_string(hits.layer[i]));
   }
   if (!std::isfinite(value)) add(wire ? "drift" : x ? "x" : "v", to_text(value), "a finite number, mm");
-  if (std::isfinite(value) && sigma > 0 && std::abs(value) > layer.reach + most_below * sigma)
-    add("drift", to_text(value), "at most three diagonals of a cell, " + to_text(layer.reach) + " mm");
   if (!(sigma > 0 && sigma < HUGE_VAL))
     add(wire ? "sigma" : x ? "err_x" : "err_v", to_text(sigma), "a finite number above 0, mm");
   if (hits.size[i] < 0) add("size", std::to_string(hits.size[i]), "0 or more strips");

@@ -36,9 +36,7 @@ class HitRules {
     const double value = hits.value[i], sigma = hits.sigma[i];
     const int side = hits.side[i];
     const bool exists = hits.element[i] >= 0 && hits.element[i] < layer.elements;
-    const bool near = std::abs(value) <= layer.reach + most_below * sigma;
-    const bool numbers =
-        near && std::abs(value) < HUGE_VAL && sigma > 0 && sigma < HUGE_VAL && hits.size[i] >= 0;
+    const bool numbers = std::abs(value) < HUGE_VAL && sigma > 0 && sigma < HUGE_VAL && hits.size[i] >= 0;
     return exists && numbers && side * side <= 1 && !(side != 0 && value < -most_below * sigma);
   }
   // Lists the problems of a hit.
@@ -50,7 +48,6 @@ class HitRules {
 
   struct Layer {
     int index = -1, elements = 0, place = -1;
-    double reach = HUGE_VAL;  // mm, no drift is longer
   };
 
   const Layer& layer_of(std::uint8_t kind, std::int32_t layer) const {
