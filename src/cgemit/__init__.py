@@ -9,26 +9,25 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
-from cgemit import isa
-from cgemit.candidates import label_candidates
-from cgemit.chain import run
-from cgemit.cluster import ClusterSettings
-from cgemit.detector import Detector, DetectorError, detectors, load
-from cgemit.digitize import BinaryReadout, DigitizeSettings, GaussianReadout
-from cgemit.fit import FitSettings, FitStatus
-from cgemit.gun import Gun
-from cgemit.matter import slab
-from cgemit.own_hits import fit_hits
-from cgemit.result import Result, Settings
-from cgemit.simulate import SimulateSettings, TransportStatus
-from cgemit.states import StateStatus, Surface, extrapolate
-from cgemit.tables import Table
 from cgemit.version import VERSION as __version__
 
 if TYPE_CHECKING:
-    from cgemit import draw, study
+    from cgemit import draw, isa, study
+    from cgemit.candidates import label_candidates
+    from cgemit.chain import run
+    from cgemit.cluster import ClusterSettings
     from cgemit.covariance import analytic, sensitivity
+    from cgemit.detector import Detector, DetectorError, detectors, load
+    from cgemit.digitize import BinaryReadout, DigitizeSettings, GaussianReadout
+    from cgemit.fit import FitSettings, FitStatus
+    from cgemit.gun import Gun
+    from cgemit.matter import slab
+    from cgemit.own_hits import fit_hits
+    from cgemit.result import Result, Settings
+    from cgemit.simulate import SimulateSettings, TransportStatus
+    from cgemit.states import StateStatus, Surface, extrapolate
     from cgemit.statistics.resolutions import resolution
+    from cgemit.tables import Table
 
 __all__ = [
     "BinaryReadout",
@@ -63,21 +62,49 @@ __all__ = [
     "study",
 ]
 
-# Loaded when first used: they bring scipy and matplotlib, which take longer to import than all the rest.
-_LAZY = {
-    "analytic": "cgemit.covariance",
-    "draw": "cgemit.draw",
-    "study": "cgemit.study",
-    "resolution": "cgemit.statistics.resolutions",
-    "sensitivity": "cgemit.covariance",
+# The modules of the public names. They are imported when first used: numpy, scipy and matplotlib take half a second,
+# in which Ctrl-C would end the command line with a traceback.
+_MODULES = {
+    "BinaryReadout": "digitize",
+    "ClusterSettings": "cluster",
+    "Detector": "detector",
+    "DetectorError": "detector",
+    "DigitizeSettings": "digitize",
+    "FitSettings": "fit",
+    "FitStatus": "fit",
+    "GaussianReadout": "digitize",
+    "Gun": "gun",
+    "Result": "result",
+    "Settings": "result",
+    "SimulateSettings": "simulate",
+    "StateStatus": "states",
+    "Surface": "states",
+    "Table": "tables",
+    "TransportStatus": "simulate",
+    "analytic": "covariance",
+    "detectors": "detector",
+    "extrapolate": "states",
+    "fit_hits": "own_hits",
+    "label_candidates": "candidates",
+    "load": "detector",
+    "resolution": "statistics.resolutions",
+    "run": "chain",
+    "sensitivity": "covariance",
+    "slab": "matter",
 }
 
 
 def __getattr__(name: str) -> Any:
-    if name not in _LAZY:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    module = importlib.import_module(_LAZY[name])
-    return getattr(module, name) if name in ("analytic", "resolution", "sensitivity") else module
+    if name in _MODULES:
+        return getattr(importlib.import_module(f"cgemit.{_MODULES[name]}"), name)
+    missing = f"cgemit.{name}"
+    try:
+        if not name.startswith("_"):
+            return importlib.import_module(missing)
+    except ModuleNotFoundError as error:
+        if error.name != missing:
+            raise
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:

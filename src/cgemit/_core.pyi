@@ -136,6 +136,7 @@ class Detector:
         lattice: _Columns = {},
         gaps: list[dict[str, Any]] = [],
         loss: CoreLoss = CoreLoss.truncated,
+        radiation: bool = True,
         field: Field | None = None,
     ) -> None: ...
     @property

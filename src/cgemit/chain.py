@@ -17,6 +17,7 @@ from cgemit.digitize import cluster_digis, digitize
 from cgemit.fit import FitSettings, fit
 from cgemit.gun import Gun, Guns, generate
 from cgemit.match import match
+from cgemit.memory import check_memory
 from cgemit.particles import particles_from
 from cgemit.record import configuration_of, gun_data
 from cgemit.result import TABLES, Result, Settings, detectors_of
@@ -24,6 +25,9 @@ from cgemit.simulate import simulate
 from cgemit.tables import Table, concatenate
 from cgemit.values import check_numbers
 from cgemit.version import VERSION
+
+#: From this many chunks on, the first one tells whether all fit into memory before the others begin.
+MANY = 64
 
 STAGES = ("simulate", "digitize", "cluster", "find", "fit")  # where a run can end
 
@@ -174,9 +178,9 @@ def run(
         return (detector, believed, shooter, table, first, count, settings, seed, finder, until)
 
     tasks = [task(first) for first in range(0, n_events, chunk)] or [task(0)]
-    parts = _map(tasks, threads, executor, progress)
+    parts = _map(tasks, threads, executor, progress, n_events)
     meta = _meta(detector, other, shooter, settings, seed)
-    joined = concatenate([part[0] for part in parts])
+    joined = concatenate([part[0] for part in parts], gaps=table is not None)
     tables = {name: joined[name].with_meta(**meta) for name in TABLES if name in joined}
     timings = {stage: sum(part[1][stage] for part in parts) for stage in parts[0][1]}
     timings["wall"] = time.perf_counter() - start
@@ -240,8 +244,8 @@ def _work(
         particles = generate(gun, count, seed, first)
     else:
         assert table is not None
-        begin = table.first_event + first
-        particles = table.select_events(begin, begin + count)
+        numbers = table.events[first : first + count]
+        particles = table.select_events(int(numbers[0]), int(numbers[-1]) + 1) if count else table
     return run_chunk(detector, believed, particles, settings, seed, finder, until)
 
 
@@ -250,12 +254,17 @@ def _map(
     threads: int | None,
     executor: Executor | None,
     progress: Callable[[float], None] | None,
+    n_events: int,
 ) -> list[tuple[dict[str, Table], dict[str, float]]]:
     """Run the tasks on the executor and return the answers in order; an interrupt leaves nothing running."""
     pool = executor or ThreadPoolExecutor(threads or os.cpu_count())
     futures: list[Future[tuple[dict[str, Table], dict[str, float]]]] = []
     try:
-        futures = [pool.submit(_work, *task) for task in tasks]
+        if len(tasks) > MANY:
+            futures = [pool.submit(_work, *tasks[0])]
+            first = futures[0].result()[0]
+            check_memory(first, first["particles"].n_events, n_events)
+        futures += [pool.submit(_work, *task) for task in tasks[len(futures) :]]
         for done, _ in enumerate(as_completed(futures), start=1):
             if progress is not None:
                 progress(done / len(futures))

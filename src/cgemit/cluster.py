@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
@@ -10,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from cgemit import _core
-from cgemit.detector import Detector, compiled
+from cgemit.detector import Detector, compiled, load
 from cgemit.detector.compile import cgem_table
 from cgemit.helix import RADIUS_PER_KAPPA
 from cgemit.kinds import Check, Positive
@@ -53,12 +54,14 @@ class ClusterSettings(SettingsData):
     reference_cos_theta: Fraction = 0.93
 
 
-def cluster(detector: Detector, digis: Table, settings: ClusterSettings | None = None) -> Table:
+def cluster(
+    detector: Detector | str | Mapping[str, Any], digis: Table, settings: ClusterSettings | None = None
+) -> Table:
     """Join neighbouring strips to X and V clusters, and intersecting X and V clusters to XV clusters.
 
     Parameters
     ----------
-    detector : Detector
+    detector : Detector, or what `load` accepts
     digis : Table
         Of kind ``digis``.
     settings : ClusterSettings or None
@@ -73,7 +76,7 @@ def cluster(detector: Detector, digis: Table, settings: ClusterSettings | None =
     ValueError
         If a strip is not in the detector.
     """
-    settings = settings or ClusterSettings()
+    detector, settings = load(detector), settings or ClusterSettings()
     err_x, err_v = cluster_errors(detector, settings)
     by_charge = settings.position == "charge"
     found = _core.find_clusters(compiled(detector), dict(digis.columns), err_x=err_x, err_v=err_v, by_charge=by_charge)

@@ -7,11 +7,14 @@ daughters of a decay in flight are not the particle's own: its candidate ends at
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
 
 from cgemit.candidates import HIT_V, HIT_WIRE, HIT_X, XV_CLUSTER
-from cgemit.detector import Detector
+from cgemit.detector import Detector, load
 from cgemit.detector.parts import local_v
 from cgemit.tables import Table
 from cgemit.tables.table import kind_problems
@@ -21,7 +24,12 @@ Rows = npt.NDArray[np.intp]
 
 
 def by_truth(
-    detector: Detector, particles: Table, clusters: Table, wire_hits: Table, truths: Table, wire_truths: Table
+    detector: Detector | str | Mapping[str, Any],
+    particles: Table,
+    clusters: Table,
+    wire_hits: Table,
+    truths: Table,
+    wire_truths: Table,
 ) -> dict[str, Table]:
     """Give each charged particle the X clusters, V clusters and wire hits that its truths link to.
 
@@ -31,7 +39,7 @@ def by_truth(
 
     Parameters
     ----------
-    detector : Detector
+    detector : Detector, or what `load` accepts
         In which the clusters were made.
     particles, clusters, wire_hits, truths, wire_truths : Table
         Of the same events; links of `clusters` and `wire_hits` count rows of `truths` and `wire_truths`.
@@ -47,6 +55,7 @@ def by_truth(
     ValueError
         If the tables do not belong to each other or to the detector.
     """
+    detector = load(detector)
     problems = _problems(detector, particles, clusters, wire_hits, truths, wire_truths)
     if problems:
         raise ValueError("by_truth:\n  " + "\n  ".join(problems))

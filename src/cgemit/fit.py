@@ -109,7 +109,10 @@ def compiled_for_fit(detector: Detector, settings: FitSettings) -> _core.Detecto
     detector : Detector
     settings : FitSettings
     """
-    return compiled(detector, screening=settings.screening or SCREENINGS[0], loss=settings.loss, gaps=False)
+    screening = settings.screening or SCREENINGS[0]
+    return compiled(
+        detector, screening=screening, loss=settings.loss, radiation=settings.radiation, gaps=False
+    )
 
 
 def core_arguments(

@@ -43,6 +43,9 @@ class FitSettings(SettingsData):
         Energy loss subtracted, with its variance (docs/methods/matter.md). ``"truncated"``: of the collisions within
         the core of a momentum measurement. ``"mean"``: of all collisions. ``"most_probable"``: Landau's most probable
         loss, and the Gaussian as wide as his distribution at half maximum.
+    radiation : bool
+        Whether the energy loss of electrons and positrons includes bremsstrahlung, mean and variance. False: collisions
+        only, as in fits with the electron hypothesis elsewhere (docs/methods/matter.md).
     residuals : bool
         Whether the fit makes the residuals table: every hit, outliers included, against the track fitted without it.
     states : tuple of float or str
@@ -80,6 +83,7 @@ class FitSettings(SettingsData):
     cluster_errors: ClusterErrors = "track"
     screening: Screening | None = None
     loss: Loss = "truncated"
+    radiation: bool = True
     residuals: bool = False
     states: tuple[Radius | SurfaceName, ...] = ()
     hypothesis: MassHypothesis | tuple[MassHypothesis, ...] | None = None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields
+from html import escape
 from typing import Any, cast
 
 import numpy as np
@@ -74,6 +75,9 @@ class Gun:
         given = [f"{f.name}={getattr(self, f.name)!r}" for f in fields(self)[1:] if getattr(self, f.name) != f.default]
         return f"Gun({', '.join([repr(self.particle), *given])})"
 
+    def _repr_html_(self) -> str:
+        return Guns((self,))._repr_html_()
+
 
 @dataclass(frozen=True, repr=False)
 class Guns:
@@ -89,6 +93,34 @@ class Guns:
 
     def __repr__(self) -> str:
         return " + ".join(map(repr, self.guns))
+
+    def _repr_html_(self) -> str:
+        names = [f.name for f in fields(Gun) if any(getattr(gun, f.name) is not None for gun in self.guns)]
+        left = 'style="text-align:left"'
+        rows = "".join(
+            f"<tr><th {left}>{name} {_UNITS[name]}</th>"
+            + "".join(f"<td {left}>{escape(_shown(getattr(gun, name)))}</td>" for gun in self.guns)
+            + "</tr>"
+            for name in names
+        )
+        return f"<p><b>Gun</b></p><table>{rows}</table>"
+
+
+_UNITS = dict.fromkeys(("particle", "cos_theta", "multiplicity"), "") | {
+    "p": "[GeV/c]", "pt": "[GeV/c]", "theta": "[rad]", "phi": "[rad]", "vertex": "[mm]", "vertex_sigma": "[mm]",
+}  # fmt: skip
+
+
+def _shown(value: object) -> str:
+    """Return a quantity as text: a fixed value, a range, or values in turn."""
+    if isinstance(value, InTurn):
+        shown = ", ".join(f"{one:g}" for one in value.values[:6])
+        return f"in turn {shown}" + (f" ... ({len(value.values)})" if len(value.values) > 6 else "")
+    if isinstance(value, tuple) and len(value) == 2:
+        return f"{value[0]:g} to {value[1]:g}"
+    if isinstance(value, tuple):
+        return ", ".join(map(_shown, value))
+    return f"{value:g}" if isinstance(value, float) else str(value)
 
 
 def generate(gun: Gun | Guns, n_events: int, seed: int, first_event: int = 0) -> Table:

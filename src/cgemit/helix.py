@@ -93,37 +93,66 @@ def _within_a_turn(angle: Floats) -> Floats:
     return -(np.remainder(-angle + np.pi, 2 * np.pi) - np.pi)
 
 
-def momentum(parameters: Floats) -> Floats:
+def _parameters(given: npt.ArrayLike) -> Floats:
+    """Return helix parameters as an array, (5,) or (n, 5) float64.
+
+    Raises
+    ------
+    ValueError
+        If they have another shape.
+    """
+    array = np.asarray(given, np.float64)
+    if array.ndim not in (1, 2) or array.shape[-1] != 5:
+        raise ValueError(f"parameters: got shape {array.shape}, expected (5,) or (n, 5): {', '.join(PARAMETERS)}")
+    return array
+
+
+def _with_covariance(parameters: npt.ArrayLike, cov: npt.ArrayLike) -> tuple[Floats, Floats]:
+    """Return parameters and covariance of one helix, (5,) and (5, 5), or of many, (n, 5) and (n, 5, 5) float64.
+
+    Raises
+    ------
+    ValueError
+        If the shapes do not belong to each other.
+    """
+    array, covariance = _parameters(parameters), np.asarray(cov, np.float64)
+    if covariance.shape != (*array.shape, 5):
+        raise ValueError(f"cov: got shape {covariance.shape}, expected {(*array.shape, 5)}, as parameters have it")
+    return array, covariance
+
+
+def momentum(parameters: npt.ArrayLike) -> Floats:
     """Momentum of helices.
 
     Parameters
     ----------
-    parameters : ndarray, (n, 5) float64
+    parameters : array_like, (n, 5) or (5,) float64
 
     Returns
     -------
-    ndarray, (n,) float64, GeV/c
+    ndarray, (n,) or () float64, GeV/c
         sqrt(1 + tanl^2) / |kappa|.
     """
+    _, _, kappa, _, tanl = np.moveaxis(_parameters(parameters), -1, 0)
     with np.errstate(divide="ignore"):
-        return np.asarray(np.sqrt(1 + parameters[:, 4] ** 2) / np.abs(parameters[:, 2]))
+        return np.asarray(np.sqrt(1 + tanl**2) / np.abs(kappa))
 
 
-def momentum_vector(parameters: Floats) -> Floats:
+def momentum_vector(parameters: npt.ArrayLike) -> Floats:
     """Momentum of helices at the point that is closest to their pivot.
 
     Parameters
     ----------
-    parameters : ndarray, (n, 5) float64
+    parameters : array_like, (n, 5) or (5,) float64
 
     Returns
     -------
-    ndarray, (n, 3) float64, GeV/c
+    ndarray, (n, 3) or (3,) float64, GeV/c
         (-sin phi0, cos phi0, tanl) / |kappa|.
     """
-    phi0, tanl = parameters[:, 1], parameters[:, 4]
+    _, phi0, kappa, _, tanl = np.moveaxis(_parameters(parameters), -1, 0)
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.stack([-np.sin(phi0), np.cos(phi0), tanl], axis=1) / np.abs(parameters[:, 2:3])
+        return np.asarray(np.stack([-np.sin(phi0), np.cos(phi0), tanl], axis=-1) / np.abs(kappa)[..., None])
 
 
 def change_pivot(
@@ -141,9 +170,9 @@ def change_pivot(
 
     Parameters
     ----------
-    parameters : array_like, (n, 5) float64
+    parameters : array_like, (n, 5) or (5,) float64
         dr mm, phi0 rad, kappa (GeV/c)^-1, dz mm, tanl.
-    cov : array_like, (n, 5, 5) float64
+    cov : array_like, (n, 5, 5) or (5, 5) float64
         Their covariance.
     pivot_from, pivot_to : array_like, (3,) or (n, 3) float64
         x, y, z, mm.
@@ -153,9 +182,9 @@ def change_pivot(
 
     Returns
     -------
-    parameters : ndarray, (n, 5) float64
+    parameters : ndarray, (n, 5) or (5,) float64
         NaN where the pivot is the centre of the circle, to which no point is closest.
-    cov : ndarray, (n, 5, 5) float64
+    cov : ndarray, (n, 5, 5) or (5, 5) float64
         Their covariance, with the exact Jacobian.
 
     Raises
@@ -163,60 +192,65 @@ def change_pivot(
     ValueError
         If shapes do not fit.
     """
-    given = np.ascontiguousarray(parameters, np.float64)
-    step = np.subtract(pivot_to, pivot_from, dtype=np.float64)
-    step = np.ascontiguousarray(np.broadcast_to(step, (len(given), 3)))
-    field = np.ascontiguousarray(np.broadcast_to(np.asarray(bz, np.float64), len(given)))
-    moved, covariance = _core.change_pivot(given, np.ascontiguousarray(cov, np.float64).reshape(-1, 25), step, field)
-    return moved, covariance
+    given, covariance = _with_covariance(parameters, cov)
+    rows = given.size // 5
+    step = np.ascontiguousarray(np.broadcast_to(np.subtract(pivot_to, pivot_from, dtype=np.float64), (rows, 3)))
+    field = np.ascontiguousarray(np.broadcast_to(np.asarray(bz, np.float64), rows))
+    helices = np.ascontiguousarray(given).reshape(-1, 5), np.ascontiguousarray(covariance).reshape(-1, 25)
+    moved, with_errors = _core.change_pivot(*helices, step, field)
+    return moved.reshape(given.shape), with_errors.reshape(covariance.shape)
 
 
-def momentum_error(parameters: Floats, cov: Floats) -> Floats:
+def momentum_error(parameters: npt.ArrayLike, cov: npt.ArrayLike) -> Floats:
     """Standard deviation of the momentum.
 
     Parameters
     ----------
-    parameters : ndarray, (n, 5) float64
-    cov : ndarray, (n, 5, 5) float64
+    parameters : array_like, (n, 5) or (5,) float64
+    cov : array_like, (n, 5, 5) or (5, 5) float64
 
     Returns
     -------
-    ndarray, (n,) float64, GeV/c
+    ndarray, (n,) or () float64, GeV/c
         First order in kappa and tanl, with their covariance.
     """
-    p, kappa, tanl = momentum(parameters), parameters[:, 2], parameters[:, 4]
+    parameters, cov = _with_covariance(parameters, cov)
+    p, kappa, tanl = momentum(parameters), parameters[..., 2], parameters[..., 4]
     with np.errstate(divide="ignore", invalid="ignore"):
         by_kappa, by_tanl = -p / kappa, p * tanl / (1 + tanl * tanl)
-    variance = by_kappa**2 * cov[:, 2, 2] + 2 * by_kappa * by_tanl * cov[:, 2, 4] + by_tanl**2 * cov[:, 4, 4]
-    return np.asarray(np.sqrt(variance))
+        both = 2 * by_kappa * by_tanl * cov[..., 2, 4]
+        error = np.sqrt(by_kappa**2 * cov[..., 2, 2] + both + by_tanl**2 * cov[..., 4, 4])
+    # The sign of a NaN depends on the vector instructions, and these on a row's place in the array.
+    return np.asarray(np.where(np.isnan(error), np.nan, error))
 
 
-def to_perigee(parameters: Floats, cov: Floats) -> tuple[Floats, Floats]:
+def to_perigee(parameters: npt.ArrayLike, cov: npt.ArrayLike) -> tuple[Floats, Floats]:
     """Perigee parameters (d0, z0, phi, theta, q/p) of helices, as defined in other tracking programs.
 
     d0 = -dr, z0 = dz, phi = phi0 + pi/2, theta = pi/2 - atan(tanl), q/p = kappa / sqrt(1 + tanl^2); same pivot.
 
     Parameters
     ----------
-    parameters : ndarray, (n, 5) float64
+    parameters : array_like, (n, 5) or (5,) float64
         dr mm, phi0 rad, kappa (GeV/c)^-1, dz mm, tanl.
-    cov : ndarray, (n, 5, 5) float64
+    cov : array_like, (n, 5, 5) or (5, 5) float64
         Their covariance.
 
     Returns
     -------
-    perigee : ndarray, (n, 5) float64
+    perigee : ndarray, (n, 5) or (5,) float64
         d0 mm, z0 mm, phi rad in (-pi, pi], theta rad in (0, pi), q/p (GeV/c)^-1.
-    cov : ndarray, (n, 5, 5) float64
+    cov : ndarray, (n, 5, 5) or (5, 5) float64
         Their covariance, to first order.
     """
-    dr, phi0, kappa, dz, tanl = np.moveaxis(np.asarray(parameters, np.float64), -1, 0)
+    parameters, cov = _with_covariance(parameters, cov)
+    dr, phi0, kappa, dz, tanl = np.moveaxis(parameters, -1, 0)
     cos2 = 1 / (1 + tanl * tanl)
     cosine = np.sqrt(cos2)
     phi = np.pi - np.remainder(0.5 * np.pi - phi0, 2 * np.pi)
-    perigee = np.stack([-dr, dz, phi, np.arctan2(1, tanl), kappa * cosine], axis=1)
-    jacobian = np.zeros((len(perigee), 5, 5))
-    jacobian[:, 0, 0], jacobian[:, 1, 3], jacobian[:, 2, 1] = -1, 1, 1
-    jacobian[:, 3, 4] = -cos2
-    jacobian[:, 4, 2], jacobian[:, 4, 4] = cosine, -kappa * tanl * cos2 * cosine
-    return perigee, jacobian @ cov @ np.swapaxes(jacobian, 1, 2)
+    perigee = np.stack([-dr, dz, phi, np.arctan2(1, tanl), kappa * cosine], axis=-1)
+    jacobian = np.zeros((*perigee.shape, 5))
+    jacobian[..., 0, 0], jacobian[..., 1, 3], jacobian[..., 2, 1] = -1, 1, 1
+    jacobian[..., 3, 4] = -cos2
+    jacobian[..., 4, 2], jacobian[..., 4, 4] = cosine, -kappa * tanl * cos2 * cosine
+    return perigee, jacobian @ cov @ np.swapaxes(jacobian, -1, -2)

@@ -109,6 +109,28 @@ def value_problems(detector: Detector, clusters: Columns) -> list[str]:
     return problems + _strip_problems(detector, clusters)
 
 
+def drift_problems(detector: Detector, wires: Columns) -> list[str]:
+    """Say which drift distances are longer than any in their cells: three diagonals, since tracks may turn back there.
+
+    Parameters
+    ----------
+    detector : Detector
+    wires : dict of str to ndarray
+        As given, with `layer` and `drift`.
+    """
+    layers = detector.drift_chamber.layers if detector.drift_chamber else ()
+    problems = []
+    for place, layer in enumerate(layers):
+        width = 2 * np.pi * layer.r_end / layer.cells
+        beside = [abs(other.r_end - layer.r_end) for other in layers[max(0, place - 1) : place + 2]]
+        most = 3 * float(np.hypot(width, max(width, *beside)))
+        for row in np.flatnonzero((wires["layer"] == layer.number) & (np.abs(wires["drift"]) > most)):
+            given, expected = wires["drift"][row], f"expected at most three diagonals of a cell, {most:.4g} mm"
+            if np.isfinite(given):
+                problems.append(f"wire_hits row {row}: drift: got {given:g}, {expected}")
+    return problems
+
+
 def _strip_problems(detector: Detector, clusters: Columns) -> list[str]:
     """Say which clusters of strips, whose position follows from them, have strips that are not there."""
     if not {"first", "last"} <= clusters.keys():

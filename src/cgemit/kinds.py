@@ -42,9 +42,10 @@ class Choice(NamedTuple):
     """A field that holds an instance of one of several classes, by their names."""
 
     classes: Mapping[str, type[Any]]
+    registry: str = ""  # where the mapping is, for messages
 
 
-def one_of(classes: Mapping[str, type[Any]]) -> dict[str, Choice]:
+def one_of(classes: Mapping[str, type[Any]], registry: str = "") -> dict[str, Choice]:
     """Return the metadata of a dataclass field that holds an instance of one of some classes.
 
     Without it, the classes are those of the annotation. The mapping is read when a value is checked, so classes may be
@@ -54,8 +55,10 @@ def one_of(classes: Mapping[str, type[Any]]) -> dict[str, Choice]:
     ----------
     classes : mapping of str to type
         Dataclasses by their names.
+    registry : str
+        Where the mapping is, for the message about a class that is not in it.
     """
-    return {"choice": Choice(classes)}
+    return {"choice": Choice(classes, registry)}
 
 
 class _No:
@@ -165,7 +168,11 @@ def problems_of(kind: Any, given: object) -> list[str]:
 
 def _problem(kind: Any, given: object) -> str:
     shown = f"{type(given).__name__}(...)" if is_dataclass(given) else repr(given)
-    return f"got {shown}, expected {expected(kind)}{did_you_mean(given, texts_of(kind), '; ')}"
+    hint = did_you_mean(given, texts_of(kind), "; ")
+    if isinstance(kind, Choice) and kind.registry and is_dataclass(given):
+        name = getattr(given, "name", "name")
+        hint = f"; {kind.registry}[{name!r}] = {type(given).__name__} registers it"
+    return f"got {shown}, expected {expected(kind)}{hint}"
 
 
 def texts_of(kind: Any) -> tuple[str, ...]:

@@ -13,7 +13,7 @@ from cgemit.cluster import ClusterSettings, cluster_errors
 from cgemit.detector import Detector, compiled, load
 from cgemit.detector.parts import crossing_z, local_v
 from cgemit.fit import FitSettings, fit
-from cgemit.hit_columns import Column, Columns, read, repeated, value_problems
+from cgemit.hit_columns import Column, Columns, drift_problems, read, repeated, value_problems
 from cgemit.species import HYPOTHESES
 from cgemit.tables import SCHEMAS, Table
 
@@ -75,6 +75,7 @@ def fit_hits(
         columns = _cluster_columns(detector, given["clusters"], problems), _wire_columns(detector, given["wire_hits"])
     _raise(problems)
     problems += value_problems(detector, given["clusters"] | {"view": columns[0]["view"]})
+    problems += drift_problems(detector, given["wire_hits"])
     rows = {line.partition(":")[0] for line in problems}  # X, V and their errors follow from wrong numbers there
     try:
         _core.check_hits(compiled(detector), _measurements(*columns))

@@ -60,7 +60,9 @@ def particles_from(source: Any, *, n_events: int | None = None, first_event: int
     problems = _missing(columns) or _problems(columns)
     if problems:
         raise ParticleError("table of particles", problems)
+    gaps = None
     if isinstance(source, Table):
+        gaps = source.cover["events"] if n_events is first_event is None else None
         n_events = source.n_events if n_events is None else n_events
         first_event = source.first_event if first_event is None else first_event
     order = np.argsort(columns["event"], kind="stable")
@@ -71,7 +73,7 @@ def particles_from(source: Any, *, n_events: int | None = None, first_event: int
     first = first_event if first_event is not None else int(event[0]) if len(event) else 0
     number = n_events if n_events is not None else int(event[-1]) + 1 - first if len(event) else 0
     try:
-        return Table("particles", _filled(columns), number, first)
+        return Table("particles", _filled(columns), number, first, events=gaps)
     except ValueError as error:
         raise ParticleError("table of particles", [str(error)]) from error
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 import platform
-import tomllib
 from collections.abc import Collection, Mapping
 from dataclasses import fields
 from pathlib import Path
@@ -15,7 +14,9 @@ import numpy as np
 
 from cgemit.detector import Detector, load
 from cgemit.gun import Gun, Guns
+from cgemit.io.files import read_text
 from cgemit.io.folders import RECORD
+from cgemit.io.toml import parse_toml
 from cgemit.problems import ProblemsError
 from cgemit.settings import SettingsData, SettingsError
 from cgemit.tables import Table, save_tables
@@ -143,7 +144,7 @@ def read_run(folder: Path, kind: type[S], names: Collection[str], required: Coll
     if entries:
         problems += _strangers(tables, entries)
         copy = folder / DETECTOR
-        if copy.is_file() and copy.read_text(encoding="utf-8") != entries["detectors"].get("detector"):
+        if copy.is_file() and read_text(copy) != entries["detectors"].get("detector"):
             problems.append(f"{DETECTOR}: is not the detector of {RECORD}")
     if problems:
         raise RecordError(str(folder), problems)
@@ -156,8 +157,8 @@ def _read_record(folder: Path, problems: list[str]) -> dict[str, Any]:
     if not path.is_file():
         raise FileNotFoundError(f"{folder} holds no complete run ({RECORD} is missing)")
     try:
-        entries = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:
+        entries = json.loads(read_text(path))
+    except (ValueError, RecursionError) as error:
         problems.append(f"{RECORD}: got {error}, expected a JSON file")
         return {}
     if not isinstance(entries, dict) or entries.get("format") != FORMAT:
@@ -234,7 +235,7 @@ def _strangers(tables: Mapping[str, Table], entries: Mapping[str, Any]) -> list[
 def _detector(text: str, name: str, problems: list[str]) -> Detector | None:
     """Return the detector of a complete TOML file; None, with problems added, if there are any."""
     try:
-        return load(tomllib.loads(text))
+        return load(parse_toml(text))
     except ValueError as error:
         given = getattr(error, "problems", [error])
         problems += [f"{RECORD}: detectors.{name}: {one}" for one in given]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,7 @@ from cgemit.match import joined
 from cgemit.record import gun_data, read_run, record, write_run
 from cgemit.settings import SettingsData
 from cgemit.simulate import SimulateSettings, TransportStatus
-from cgemit.tables import Table
+from cgemit.tables import Table, select_events
 from cgemit.tables.table import what
 
 TABLES = (
@@ -119,6 +119,28 @@ class Result:
             return NotImplemented
         mine, theirs = ((r.detector, r.fit_detector, r.gun, r.seed, r.settings, dict(r.tables)) for r in (self, other))
         return mine == theirs
+
+    def select_events(self, first: int, stop: int) -> Result:
+        """Return the result of the events ``first ... stop - 1``: all its tables, with links between their rows.
+
+        Parameters
+        ----------
+        first, stop : int
+
+        Raises
+        ------
+        IndexError
+            If the run does not cover them.
+        """
+        return replace(self, tables=select_events(self.tables, first, stop))
+
+    def to_awkward(self) -> dict[str, Any]:
+        """Return every table as an awkward array with one list per event; links count rows within the event.
+
+        ``tracks`` holds the columns of the matches, too.
+        """
+        tracks = {} if self.tracks is None else {"tracks": self.tracks}
+        return {name: table.to_awkward(self.tables) for name, table in {**self.tables, **tracks}.items()}
 
     def removed(self) -> dict[str, int]:
         """Count the tracks of each status other than ok."""

@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import json
 import os
-import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import MISSING, Field, fields
+from html import escape
 from pathlib import Path
 from typing import Any, Self
 
-from cgemit.io.files import new_file
-from cgemit.io.toml import toml_text
+from cgemit.io.files import new_file, read_text
+from cgemit.io.toml import parse_toml, toml_text
 from cgemit.kinds import NO, Choice, allows_none, classes_in, expected, kinds_of, matched, problems_of
 from cgemit.problems import ProblemsError, did_you_mean
 
@@ -102,6 +102,14 @@ class SettingsData:
         except SettingsError as error:
             raise SettingsError(error.source, [_with_origin(text, origins) for text in error.problems]) from None
 
+    def _repr_html_(self) -> str:
+        left = 'style="text-align:left"'
+        rows = "".join(
+            f"<tr><th {left}>{escape(path)}</th><td {left}>{escape(str(value))}</td></tr>"
+            for path, value in _flat("", self.to_dict())
+        )
+        return f"<p><b>{type(self).__name__}</b></p><table>{rows}</table>"
+
     def with_overrides(self, overrides: Mapping[str, object]) -> Self:
         """Return the settings with some values changed, such as ``{"fit.loss": "mean"}`` of settings of all stages.
 
@@ -169,8 +177,8 @@ def read_tables(path: str | os.PathLike[str]) -> Mapping[str, Any]:
         If it cannot be read.
     """
     try:
-        text = Path(path).read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
+        text = read_text(path)
+    except (OSError, ValueError) as error:
         raise SettingsError(str(path), [f"got {error}, expected a TOML or JSON file"]) from error
     return _parsed(text, "JSON" if Path(path).suffix == ".json" else "TOML", str(path))
 
@@ -186,16 +194,21 @@ def nested(path: str, value: object) -> dict[str, Any]:
 
 def _parsed(text: str, form: str, source: str) -> Mapping[str, Any]:
     try:
-        tables = tomllib.loads(text) if form == "TOML" else json.loads(text)
-    except ValueError as error:
+        tables = parse_toml(text) if form == "TOML" else json.loads(text)
+    except (ValueError, RecursionError) as error:
         raise SettingsError(source, [f"got {error}, expected a {form} file"]) from error
     if not isinstance(tables, Mapping):
         raise SettingsError(source, [f"got {tables!r:.50}, expected tables of settings"])
     return tables
 
 
-def _build(cls: type[Any], given: object, path: str, problems: list[str]) -> Any:
-    """Return an instance of a dataclass made of a table; None, with problems added, if there are any."""
+def _build(
+    cls: type[Any], given: object, path: str, problems: list[str], choices: Mapping[str, type[Any]] | None = None
+) -> Any:
+    """Return an instance of a dataclass made of a table; None, with problems added, if there are any.
+
+    `choices` are the classes of which this one was chosen: a key of another one is told apart from a misspelt one.
+    """
     if not isinstance(given, Mapping):
         problems.append(f"{path.removesuffix('.')}: got {given!r}, expected a table of settings")
         return None
@@ -203,7 +216,7 @@ def _build(cls: type[Any], given: object, path: str, problems: list[str]) -> Any
     defaults = {f.name: f for f in fields(cls)}
     for name, raw in given.items():
         if name not in kinds:
-            hint = did_you_mean(name, kinds, "; ")
+            hint = _owner(name, cls, choices or {}) or did_you_mean(name, kinds, "; ")
             problems.append(f"{path}{name}: got an unknown key, expected one of {', '.join(kinds)}{hint}")
             continue
         count = len(problems)
@@ -229,7 +242,23 @@ def _read(kind: Any, raw: object, path: str, problems: list[str], field: Field[A
     if not isinstance(name, str) or name not in classes:
         problems += [f"{path}: {text}" for text in problems_of(kind, name)]
         return None
-    return _build(classes[name], table, f"{path}.", problems)
+    return _build(classes[name], table, f"{path}.", problems, classes)
+
+
+def _flat(path: str, value: object) -> Iterator[tuple[str, object]]:
+    """Yield the dotted path and the value of everything in nested tables."""
+    if not isinstance(value, Mapping):
+        yield path, value
+        return
+    for name, inner in value.items():
+        yield from _flat(f"{path}.{name}" if path else str(name), inner)
+
+
+def _owner(key: str, cls: type[Any], choices: Mapping[str, type[Any]]) -> str:
+    """Return which other choices have a key; an empty text if none has."""
+    owners = [name for name, one in choices.items() if one is not cls and key in kinds_of(one)]
+    mine = next((name for name, one in choices.items() if one is cls), "")
+    return f"; it is a key of name = {' or '.join(map(repr, owners))}, and name is {mine!r} here" if owners else ""
 
 
 def _default(field: Field[Any]) -> Any:

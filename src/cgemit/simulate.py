@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
 from cgemit import _core
 from cgemit.decays import compiled_decays
-from cgemit.detector import Detector, Screening, compiled
+from cgemit.detector import Detector, Screening, compiled, load
 from cgemit.particles import check_particles
 from cgemit.settings import SettingsData
 from cgemit.tables import Table
@@ -70,7 +71,10 @@ class SimulateSettings(SettingsData):
 
 
 def simulate(
-    detector: Detector, particles: Table, settings: SimulateSettings | None = None, seed: int = 0
+    detector: Detector | str | Mapping[str, Any],
+    particles: Table,
+    settings: SimulateSettings | None = None,
+    seed: int = 0,
 ) -> dict[str, Table]:
     """Transport particles outward until they leave, curl back, stop or decay.
 
@@ -84,7 +88,7 @@ def simulate(
 
     Parameters
     ----------
-    detector : Detector
+    detector : Detector, or what `load` accepts
     particles : Table of kind "particles"
     settings : SimulateSettings or None
     seed : int
@@ -101,7 +105,7 @@ def simulate(
         Listing every problem of the particles.
     """
     check_particles(particles)
-    out = _core.simulate(**core_arguments(detector, particles, settings or SimulateSettings(), seed))
+    out = _core.simulate(**core_arguments(load(detector), particles, settings or SimulateSettings(), seed))
     cover = particles.cover
     return {
         "particles": particles.with_columns(status=out["status"]),

@@ -100,6 +100,7 @@ def extrapolate(
     particle: str | None = None,
     screening: str = SCREENINGS[0],
     loss: str = "truncated",
+    radiation: bool = True,
 ) -> Table:
     """Extrapolate fitted tracks to a cylinder, outward or inward, through the matter in between.
 
@@ -116,8 +117,9 @@ def extrapolate(
         mm. A track that does not reach it, or leaves the field map before, gets a row with such a `status`.
     particle : str or None
         Name of the particle (``"e"``, ``"mu"``, ``"pi"``, ``"K"``, ``"p"``); that of the column `hypothesis` if None.
-    screening, loss : str
-        Screening of nuclei in multiple scattering, and the energy loss subtracted, as in `FitSettings`.
+    screening, loss, radiation : str, str, bool
+        Screening of nuclei in multiple scattering, the energy loss subtracted, and whether electrons and positrons
+        radiate, as in `FitSettings`.
 
     Returns
     -------
@@ -137,7 +139,7 @@ def extrapolate(
     parameters = np.stack([table[name] for name in helix.PARAMETERS], axis=1)
     start = np.hypot(*(pivot[:, i] + table["dr"] * f(table["phi0"]) for i, f in enumerate((np.cos, np.sin))))
     out = _core.extrapolate(
-        compiled(detector, screening=screening, loss=loss), pivot=pivot, helix=parameters,
+        compiled(detector, screening=screening, loss=loss, radiation=bool(radiation)), pivot=pivot, helix=parameters,
         cov=table["cov"].reshape(-1, 25), mass=_masses(table, particle), radius=float(radius),
         share=_shares_inside(detector, start), target_share=float(_shares_inside(detector, np.array([radius]))[0]),
     )  # fmt: skip

@@ -77,9 +77,9 @@ def parse_quantity(text: object, dimension: str) -> float:
     """
     expected = describe(dimension)
     if dimension == "dimensionless" and isinstance(text, int | float) and not isinstance(text, bool):
-        return _finite(float(text), repr(text), expected)
+        return _finite(_float(text), _quoted(text), expected)
     if isinstance(text, int | float) and not isinstance(text, bool):
-        raise QuantityError(f"{text!r} (no unit)", expected, _unit_hint(text, dimension))
+        raise QuantityError(f"{_quoted(text)} (no unit)", expected, _unit_hint(_float(text), dimension))
     match = _QUANTITY.fullmatch(text) if isinstance(text, str) else None
     if not match:
         raise QuantityError(_quoted(text), expected)
@@ -115,8 +115,23 @@ def units_of(dimension: str) -> tuple[str, ...]:
     return tuple(_UNITS[dimension])
 
 
+_LONGEST = 80  # characters of a value in a message
+
+
 def _quoted(text: object) -> str:
-    return f'"{text}"' if isinstance(text, str) else repr(text)
+    try:
+        shown = text if isinstance(text, str) else repr(text)
+    except ValueError:  # a whole number of thousands of digits
+        return "a number too large to write"
+    shown = shown if len(shown) <= _LONGEST else f"{shown[:_LONGEST]}..."
+    return f'"{shown}"' if isinstance(text, str) else shown
+
+
+def _float(number: float) -> float:
+    try:
+        return float(number)
+    except OverflowError:  # a whole number of hundreds of digits
+        return math.inf
 
 
 def _finite(value: float, given: str, expected: str) -> float:
@@ -130,6 +145,12 @@ def _unit_hint(number: float, dimension: str) -> str:
     return "write the unit, as in " + " or ".join(examples)
 
 
+def _sister(number: str, unit: str, dimension: str) -> str:
+    """Return a hint for an energy in place of a momentum, or the reverse: people write MeV for both."""
+    sister = unit.removesuffix("/c") if unit.endswith("/c") else f"{unit}/c"
+    return f'did you mean "{number} {sister}"?' if sister in _UNITS[dimension] else ""
+
+
 def _unit_problem(text: str, number: str, unit: str, dimension: str) -> tuple[str, str, str]:
     """Return (given, expected, hint) for a unit that does not belong to `dimension`."""
     expected = describe(dimension)
@@ -138,6 +159,6 @@ def _unit_problem(text: str, number: str, unit: str, dimension: str) -> tuple[st
     for other, units in _UNITS.items():
         if unit in units:
             article = "an" if other[0] in "aeiou" else "a"
-            return f"{_quoted(text)} ({article} {other})", expected, ""
+            return f"{_quoted(text)} ({article} {other})", expected, _sister(number, unit, dimension)
     known = [name for units in _UNITS.values() for name in units if name]
     return f'{_quoted(text)} (unknown unit "{unit}")', expected, did_you_mean(unit, known)

@@ -132,7 +132,9 @@ def _number(path: str, given: Any, limit: Limit, problems: list[str]) -> float:
         value = number(given)
     if math.isfinite(value) and limit.fits(value):
         return value
-    problems.append(f"{path}: got {given!r}; expected {limit.expected}")
+    degrees = limit.dimension == "angle" and not isinstance(given, str) and limit.fits(math.radians(value))
+    hint = f' (did you mean "{given:g} deg"?)' if degrees and math.isfinite(value) else ""
+    problems.append(f"{path}: got {given!r}; expected {limit.expected}{hint}")
     return 0.0
 
 

@@ -43,6 +43,7 @@ PYTHON_LAYERS = [
     {"match", "own_hits"},
     {"record"},
     {"result"},
+    {"memory"},
     {"chain"},
     {"bench", "matter", "statistics"},
     {"covariance"},

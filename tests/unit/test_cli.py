@@ -71,7 +71,7 @@ def test_settings_in_the_examples_exist(capsys):
     ("arguments", "message"),
     [
         ([], "required"),
-        (["sturdy"], "invalid choice"),
+        (["sturdy"], "unknown command"),
         (["study", "--events", "none"], "whole number"),
         (["study", "--events", "10", "-o", "never"], "from 400"),
         (["study", "--threads", "0"], "at least 1"),

@@ -225,7 +225,7 @@ def test_kinds_replace_each_other(design):
         ({"kind": "dipole", "bz": "1 T"}, ["field.kind"]),
         ({"kind": "map", "file": 3}, ["field.file"]),
         ({"kind": "map"}, ["field"]),
-        ({"bz": "1 T"}, ["field"]),
+        ({"bzz": "1 T"}, ["field.bzz", "field"]),
     ],
 )
 def test_every_mistake_of_a_field_table(design, field, problems):

@@ -169,3 +169,26 @@ def test_perigee_covariance_against_differences() -> None:
         columns.append(change / 2e-6)
     jacobian = np.stack(columns, axis=2)
     assert result == pytest.approx(jacobian @ cov @ np.swapaxes(jacobian, 1, 2), rel=1e-6, abs=1e-6)
+
+
+def test_one_helix_is_a_row_of_many() -> None:
+    """One helix, shape (5,), gives what it gives among others."""
+    many = np.array([[0.1, 0.2, -1.5, 3.0, 0.4], [1.0, -2.0, 0.7, -30.0, -1.1]])
+    cov = np.stack([np.diag([1e-2, 1e-6, 1e-4, 1e-1, 1e-5]), np.diag([2e-2, 3e-6, 4e-4, 5e-1, 6e-5]) + 1e-7])
+    one, error = many[1], cov[1]
+    assert helix.momentum(one) == helix.momentum(many)[1]
+    assert helix.momentum(one.tolist()).shape == ()
+    assert helix.momentum_error(one, error) == helix.momentum_error(many, cov)[1]
+    np.testing.assert_array_equal(helix.momentum_vector(one), helix.momentum_vector(many)[1])
+    calls = [
+        lambda *given: helix.to_perigee(*given),
+        lambda *given: helix.change_pivot(*given, [0.0, 0, 0], [1.0, 2, 3], -1.0),
+    ]
+    for call in calls:
+        for found, rows in zip(call(one, error), call(many, cov), strict=True):
+            np.testing.assert_array_equal(found, rows[1])
+    for call in calls:
+        with pytest.raises(ValueError, match=r"parameters: got shape \(4,\), expected \(5,\) or \(n, 5\)"):
+            call(one[:4], error)
+        with pytest.raises(ValueError, match=r"cov: got shape \(2, 5, 5\), expected \(5, 5\)"):
+            call(one, cov)

@@ -8,11 +8,21 @@ import time
 import numpy as np
 import pytest
 
+from cgemit import study
 from cgemit.cli.main import interrupts_kept, main
-from cgemit.detector import DetectorError, load
-from cgemit.gun import Gun
+from cgemit.cluster import ClusterSettings, cluster
+from cgemit.detector import DetectorError, load, write_field_map
+from cgemit.digitize import DigitizeSettings, cluster_digis, digitize
+from cgemit.draw.detector import draw_detector, draw_layers, draw_sides
+from cgemit.draw.style import new_picture
+from cgemit.find import by_truth
+from cgemit.fit import fit
+from cgemit.fit_settings import FitSettings
+from cgemit.gun import Gun, generate
 from cgemit.io.folders import OutputExistsError, check_free
 from cgemit.particles import ParticleError, particles_from
+from cgemit.simulate import simulate
+from cgemit.tables import Table
 
 SIMULATE = ["simulate", "-d", "besiii-cgem-design", "--p", "1", "--theta", "1", "--quiet"]
 ROW = {"event": [0], "pdg": [13], "px": [1.0], "py": [0.0], "pz": [0.0]}
@@ -117,6 +127,42 @@ def test_a_chamber_that_is_no_table_is_one_problem():
     with pytest.raises(DetectorError) as caught:
         load({"base": "besiii-cgem", "drift_chamber": "none"})
     assert [problem.path for problem in caught.value.problems] == ["drift_chamber"]
+
+
+WRITERS = {
+    "picture": lambda path: new_picture()[0].save(path.with_suffix(".png")),
+    "table": lambda path: Table.empty("truths").save(path),
+    "settings": lambda path: FitSettings().save(path),
+    "map": lambda path: write_field_map(
+        path.with_suffix(".csv"), {**{key: [0, 1, 2, 3] for key in "rz"}, "br": np.zeros((4, 4)), "bz": np.ones((4, 4))}
+    ),
+}
+
+
+@pytest.mark.parametrize("write", WRITERS.values(), ids=WRITERS)
+def test_a_file_does_not_make_folders(write, tmp_path):
+    with pytest.raises(FileNotFoundError, match=r"there is no folder .*mistyped"):
+        write(tmp_path / "mistyped" / "file.npz")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_stages_take_names_of_detectors():
+    """Every public function that takes a detector takes what `load` takes."""
+    name, settings = "besiii-cgem-design", DigitizeSettings()
+    found = {}
+    for given in (name, load(name)):
+        tables = simulate(given, generate(Gun("mu-", p=1, theta=1), 4, seed=1), seed=1)
+        tables |= digitize(given, tables["truths"], tables["wire_truths"], seed=1, steps=tables["steps"])
+        tables["clusters"] = cluster_digis(given, tables["digis"], settings, ClusterSettings())
+        assert tables["clusters"] == cluster(given, tables["digis"])
+        order = ("particles", "clusters", "wire_hits", "truths", "wire_truths")
+        tables |= by_truth(given, *(tables[one] for one in order))
+        hits = (tables[one] for one in ("clusters", "wire_hits", "candidates", "candidate_hits"))
+        found[given] = tables | fit(given, *hits)
+    assert found[name] == found[load(name)]
+    assert repr(study.scan(name, [1.0], events=20)) == repr(study.scan(load(name), [1.0], events=20))
+    for draw in (draw_detector, draw_sides, draw_layers):
+        assert draw(name).get_axes()
 
 
 class Stubborn:

@@ -115,7 +115,7 @@ def test_many_pivots_at_once_and_the_centre():
     np.testing.assert_allclose(found[1], [-1.0, 0, 1.0, -2.0, 0], atol=1e-12)
     assert np.isnan(found[2]).all()
     assert np.isnan(cov[2]).all()
-    with pytest.raises(ValueError, match="expected shape"):
+    with pytest.raises(ValueError, match=r"cov: got shape \(1, 5, 5\), expected \(3, 5, 5\)"):
         helix.change_pivot(parameters, covariance()[None], [0.0, 0, 0], pivots, 1.0)
     with pytest.raises(ValueError, match="broadcast"):
-        helix.change_pivot(parameters, parameters, [0.0, 0, 0], [[0.0, 0], [1, 1]], 1.0)
+        helix.change_pivot(parameters, cov, [0.0, 0, 0], [[0.0, 0], [1, 1]], 1.0)

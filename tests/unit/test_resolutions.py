@@ -132,3 +132,20 @@ def test_results_compare_pickle_and_print():
     assert "0.5 to 2" in curve._repr_html_()
     with pytest.raises(AttributeError):
         resolution(tracks, "dr").core = 1
+
+
+@pytest.mark.parametrize("by", ["p", "cos_theta", "pt"])
+def test_tracks_of_one_angle_and_momentum_are_one_bin(by):
+    result = chain.run("besiii-cgem-design", Gun("mu-", p=1.0, theta=1), 40)
+    curve = resolution_against(result, "p", by)
+    assert curve.values == (resolution(result, "p"),)
+    assert curve.outside == 0
+    assert curve.edges[0] < curve.x[0] < curve.edges[1]
+    assert len(resolution_against(result, "p", "cos_theta", [0, 0.5, 1]).values) == 2
+
+
+@pytest.mark.parametrize("window", [5, (1,), (1, 2, 3), (2, 1), "ab", ("a", 1), (float("nan"), 1), 0])
+def test_windows_are_two_numbers(window):
+    with pytest.raises(ValueError, match=r"window: got .*; expected \(low, high\)"):
+        measure(np.arange(20.0), window=window)
+    assert measure(np.arange(20.0), window=[4.5, 14.5]).outside == 10

@@ -128,7 +128,7 @@ def test_equality_and_pickle():
 def test_file_round_trip(tmp_path):
     """A file gives the same table back and says units, version and seed."""
     table = make("tracks", [5, 6, 6], 4, first_event=4, cov=np.arange(75.0).reshape(3, 5, 5))
-    path = tmp_path / "deeper" / "tracks.npz"
+    path = tmp_path / "tracks.npz"
     table.save(path)
     again = Table.load(path)
     assert again == table

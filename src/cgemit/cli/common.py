@@ -7,7 +7,7 @@ import sys
 import time
 from collections.abc import Callable
 from types import TracebackType
-from typing import TYPE_CHECKING, ParamSpec, TextIO, TypeVar
+from typing import TYPE_CHECKING, NoReturn, ParamSpec, TextIO, TypeVar
 
 from cgemit.cli import changes, read
 from cgemit.cli.changes import InputError as InputError
@@ -43,6 +43,18 @@ class HelpFormatter(argparse.RawDescriptionHelpFormatter):
         super().__init__(prog, max_help_position=30, width=110)
         # argparse forgets the indent of sub-commands when it computes the width of the first column.
         self._action_max_length = 14
+
+
+class Parser(argparse.ArgumentParser):
+    """Say what is wrong in one line, with the nearest command or option; --help shows the rest."""
+
+    def error(self, message: str) -> NoReturn:
+        """Write the message and leave with exit code 2."""
+        self.exit(BAD_INPUT, f"{self.prog}: {message} ({self.prog} --help lists the options)\n")
+
+    def options(self) -> list[str]:
+        """Return the options that the command knows."""
+        return [option for action in self._actions for option in action.option_strings]
 
 
 class RunFailedError(RuntimeError):

@@ -18,7 +18,8 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any, TextIO, cast
 
-from cgemit.cli.common import BAD_INPUT, COMMANDS, INTERRUPTED, OK, RUN_FAILED, HelpFormatter, RunFailedError
+from cgemit.cli.common import BAD_INPUT, COMMANDS, INTERRUPTED, OK, RUN_FAILED, HelpFormatter, Parser, RunFailedError
+from cgemit.problems import did_you_mean
 from cgemit.version import VERSION
 
 _DESCRIPTION = """\
@@ -42,9 +43,7 @@ Problems of a detector, a gun or layers of matter are all listed at once; a malf
 
 def build_parser() -> argparse.ArgumentParser:
     """Return the parser with all sub-commands."""
-    parser = argparse.ArgumentParser(
-        prog="cgemit", description=_DESCRIPTION, epilog=_EXAMPLES, formatter_class=HelpFormatter
-    )
+    parser = Parser(prog="cgemit", description=_DESCRIPTION, epilog=_EXAMPLES, formatter_class=HelpFormatter)
     parser.add_argument("--version", action="version", version=f"cgemit {VERSION}")
     subparsers = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     for module in dict.fromkeys(COMMANDS.values()):
@@ -75,7 +74,7 @@ def _run(argv: list[str]) -> int:
     arguments = argparse.Namespace()
     try:
         with interrupts_kept():
-            build_parser().parse_args(join_negative_values(argv), arguments)
+            _parse(join_negative_values(argv), arguments)
             arguments.line = shlex.join(["cgemit", *argv])
             importlib.import_module("cgemit.isa").choose()  # a wrong CGEMIT_ISA is a mistake, whatever is run
             return int(arguments.run(arguments) or OK)
@@ -88,6 +87,22 @@ def _run(argv: list[str]) -> int:
         return _report(error, BAD_INPUT, getattr(arguments, "debug", False))
     except Exception as error:
         return _report(error, RUN_FAILED, getattr(arguments, "debug", False))
+
+
+def _parse(argv: list[str], arguments: argparse.Namespace) -> None:
+    """Read the command line; unknown commands and options get the nearest known one as a hint."""
+    parser = build_parser()
+    first = next((word for word in argv if not word.startswith("-")), None)
+    if first is not None and first not in COMMANDS and argv[0] == first:
+        hint = did_you_mean(first, COMMANDS, "; ") or "; expected one of " + ", ".join(COMMANDS)
+        parser.error(f"unknown command {first!r}{hint}")
+    _, unknown = parser.parse_known_args(argv, arguments)
+    if unknown:
+        chosen = next(a.choices for a in parser._actions if isinstance(a, argparse._SubParsersAction))
+        command = cast(Parser, chosen[arguments.command])
+        word = unknown[0].partition("=")[0]
+        hint = did_you_mean(word, command.options(), "; ") if word.startswith("-") else ""
+        command.error(f"got {' '.join(unknown)}, which it does not know{hint}")
 
 
 def _report(error: Exception, code: int, debug: bool) -> int:

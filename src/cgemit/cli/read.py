@@ -62,7 +62,7 @@ def seed(text: str) -> int:
 def whole(text: str, least: int, most: int) -> int:
     """Read a whole number from `least` to `most`."""
     try:
-        number = int(text)
+        number = int(text) if text.strip().lstrip("+-").isdecimal() else _from_scientific(text)
     except ValueError:
         number = least - 1
     if number < least:
@@ -70,6 +70,14 @@ def whole(text: str, least: int, most: int) -> int:
     if number > most:
         raise argparse.ArgumentTypeError(f"got {text!r}; expected a whole number of at most {most}")
     return number
+
+
+def _from_scientific(text: str) -> int:
+    """Return the whole number that a text such as ``1e4`` stands for."""
+    value = float(text)
+    if not value.is_integer() or abs(value) > 2**53:  # beyond, a float is not exact
+        raise ValueError(text)
+    return int(value)
 
 
 def _values(text: str, dimension: str) -> Values:

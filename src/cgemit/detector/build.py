@@ -1,6 +1,5 @@
 """Build the parts of a detector from the tables of its file; all problems are collected."""
 
-import json
 import math
 import re
 from collections.abc import Mapping
@@ -14,7 +13,7 @@ from cgemit.detector.keys import CENTRED, keys_of, plain
 from cgemit.detector.materials import library, read_materials
 from cgemit.detector.merge import FOR_ALL_LAYERS
 from cgemit.detector.parts import CgemLayer, Contents, Cylinder, DriftChamber, WireLayer
-from cgemit.detector.read import NAME, TOP_LEVEL, UNUSABLE, Reader, shown
+from cgemit.detector.read import LAST_WIRE_LAYER, NAME, TOP_LEVEL, UNUSABLE, WIRE_NUMBER, Reader, shown
 from cgemit.problems import DetectorError, Problem, did_you_mean
 
 
@@ -31,9 +30,7 @@ def read_contents(source: str, tables: Mapping[str, Any], problems: list[Problem
     for name in tables.keys() - TOP_LEVEL.keys():
         reader.note(str(name), "an unknown key", "one of " + ", ".join(TOP_LEVEL), did_you_mean(name, TOP_LEVEL))
     texts = {name: _text(reader, name, tables.get(name, "")) for name in ("name", "description")}
-    if not re.fullmatch(NAME, texts["name"]):
-        given = json.dumps(texts["name"], ensure_ascii=False)  # which shows the end of a line as \n
-        reader.note("name", given, "one line of text without / and \\, since files are called by it")
+    tables = _check_names(reader, tables, texts["name"])
     own = reader.mapping("materials", tables.get("materials", {}))
     reader.materials = read_materials(reader, library(), own)
     field = _field(reader, tables.get("field"))
@@ -51,6 +48,30 @@ def read_contents(source: str, tables: Mapping[str, Any], problems: list[Problem
     return Contents(**texts, field=field, beam_pipe=pipe, cgem=cgem, walls=walls, drift_chamber=chamber, air=air)
 
 
+# More parts than any detector has: a mistake, or meant to exhaust the memory.
+_MOST_PARTS = {"beam_pipe": 100, "cgem": 100, "walls": 100, "materials": 1000}
+_MOST_WIRE_LAYERS, _MOST_CELLS = 1000, 1_000_000
+
+
+def _check_names(reader: Reader, tables: Mapping[str, Any], name: str) -> Mapping[str, Any]:
+    """Note names that cannot be names of files, and groups of too many parts; return the tables without these."""
+    if not re.fullmatch(NAME, name):
+        expected = "one line of text, up to 100 characters, without / and \\, since files are called by it"
+        reader.note("name", shown(name), expected)
+    for group, most in _MOST_PARTS.items():
+        parts = tables.get(group)
+        if not isinstance(parts, Mapping):
+            continue
+        if len(parts) > most:
+            reader.note(group, f"{len(parts)} tables", f"at most {most}")
+            tables, parts = {**tables, group: {}}, {}
+        for label in parts:
+            if not re.fullmatch(NAME, str(label)):
+                expected = "one line of text, up to 100 characters, without / and \\"
+                reader.note(f"{group}.{shown(str(label))}", "as a label", expected)
+    return tables
+
+
 def _text(reader: Reader, name: str, raw: object) -> str:
     if not isinstance(raw, str):
         reader.note(name, shown(raw), "text")
@@ -64,11 +85,13 @@ def _field(reader: Reader, raw: object) -> Field:
         if not reader.baseless:
             reader.note("field", "nothing", 'a table [field] with kind = "uniform" and bz')
         return Field(kind="uniform", bz=UNUSABLE)
-    given = plain(reader.mapping("field", raw).get("kind"))
-    if given is not None and given not in KINDS:
-        reader.value("field.kind", given, kind_key())
+    given = plain(reader.mapping("field", raw).get("kind", "uniform"))
+    if not isinstance(given, str) or given not in KINDS:
+        # The other keys are checked as those of any kind.
+        keys = {name: key for kind in KINDS.values() for name, key in keys_of(kind).items()}
+        reader.table("field", raw, Field, keys=keys | {"kind": kind_key()})
         return Field(kind="uniform", bz=UNUSABLE)
-    kind = KINDS.get(str(given), Field)
+    kind = KINDS[given]
     values = reader.table("field", raw, kind)
     if kind is MapField:
         _read_map(reader, values)
@@ -139,15 +162,21 @@ def _chamber(reader: Reader, raw: object) -> DriftChamber | None:
     }
     values = reader.table("drift_chamber", tables, DriftChamber, elsewhere=(*keys, "layers"))
     layers = []
+    if len(rows) > _MOST_WIRE_LAYERS:
+        reader.note("drift_chamber.layers", f"{len(rows)} tables", f"at most {_MOST_WIRE_LAYERS}")
+        rows = {}
     for number, row in rows.items():
-        path = f"drift_chamber.layers.{number}"
+        path = f"drift_chamber.layers.{shown(str(number))[1:-1]}"
         if isinstance(row, WireLayer):
             layers.append(row)
-        elif str(number).isdecimal():
+        elif re.fullmatch(WIRE_NUMBER, str(number)) and int(number) <= LAST_WIRE_LAYER:
             found = reader.table(path, row, WireLayer, defaults=common, siblings=rows)
             layers.append(WireLayer(number=int(number), **found))
         else:
-            reader.note(path, f'"{number}"', "the number of a layer, such as 8")
+            reader.note(path, shown(str(number)), f"the number of a layer, such as 8, up to {LAST_WIRE_LAYER}")
+    cells = sum(layer.cells for layer in layers)
+    if cells > _MOST_CELLS:
+        reader.note("drift_chamber.layers", f"{cells} cells", f"at most {_MOST_CELLS}")
     return DriftChamber(**values, layers=tuple(sorted(layers, key=lambda layer: layer.number)))
 
 

@@ -104,6 +104,7 @@ def compiled(
     screening: str = "wentzel",
     foil: str = "effective",
     loss: str = "truncated",
+    radiation: bool = True,
     *,
     gaps: bool = True,
 ) -> _core.Detector:
@@ -119,6 +120,8 @@ def compiled(
         Screening of nuclei in multiple scattering, ``"wentzel"`` or ``"moliere"`` (docs/methods/matter.md).
     loss : str
         Energy loss that the fit subtracts (``FitSettings.loss``).
+    radiation : bool
+        Whether it includes the bremsstrahlung of electrons and positrons.
     gaps : bool
         Whether to make the tables of ionization and electrons in the drift gaps, which only the simulation reads and
         which take most of the time.
@@ -128,7 +131,7 @@ def compiled(
     ValueError
         If ``CGEMIT_ISA`` names an instruction set that is not available.
     """
-    return _compiled(detector, merge, screening, foil, loss, gaps)
+    return _compiled(detector, merge, screening, foil, loss, radiation, gaps)
 
 
 def forget() -> None:
@@ -138,7 +141,9 @@ def forget() -> None:
 
 
 @lru_cache(maxsize=64)
-def _compiled(detector: Detector, merge: bool, screening: str, foil: str, loss: str, gaps: bool) -> _core.Detector:
+def _compiled(
+    detector: Detector, merge: bool, screening: str, foil: str, loss: str, radiation: bool, gaps: bool
+) -> _core.Detector:
     isa.choose()
     found = slabs(detector, merge, foil)
     groups = [slab.shells[0].group for slab in found]
@@ -151,6 +156,7 @@ def _compiled(detector: Detector, merge: bool, screening: str, foil: str, loss: 
         lattice=hole_table([slab.holes for slab in found], groups, merge) if foil == "lattice" else {},
         gaps=gap_table(detector) if gaps else [],
         loss=getattr(_core.CoreLoss, loss),
+        radiation=radiation,
         field=compiled_field(detector),
     )
 

@@ -18,19 +18,9 @@ def lines(detector: Contents) -> list[str]:
     """Return one line for the field and for each part that measures."""
     found = [f"field {field_text(detector.field)}"]
     for layer in detector.cgem:
-        found.append(
-            f"cgem {layer.label}: r = {layer.r_mid:.2f} mm (mid drift gap of {layer.drift_gap:g} mm), "
-            f"length {layer.length:g} mm, {layer.sheets} x ({layer.strips_x} X + {layer.strips_v} V) strips, "
-            f"stereo {math.degrees(layer.stereo):+.2f} deg"
-        )
-    chamber = detector.drift_chamber
-    if chamber:
-        first, last = chamber.layers[0], chamber.layers[-1]
-        cells = sum(layer.cells for layer in chamber.layers)
-        found.append(
-            f"drift chamber: {len(chamber.layers)} layers, {cells} cells, "
-            f"r = {first.r_mid:.1f} to {last.r_end:.1f} mm, wires {chamber.wires}"
-        )
+        found.append(f"cgem {layer.label}: {layer.text()}")
+    if detector.drift_chamber:
+        found.append(f"drift chamber: {detector.drift_chamber.text()}")
     return found
 
 

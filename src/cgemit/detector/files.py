@@ -2,13 +2,16 @@
 
 import re
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import cache
 from importlib import resources
+from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from cgemit.detector.merge import merged
+from cgemit.io.files import read_text
+from cgemit.io.toml import parse_toml
 from cgemit.problems import DetectorError, Problem, did_you_mean
 
 _DETECTORS = resources.files("cgemit.data") / "detectors"
@@ -60,19 +63,40 @@ def open_source(source: str | Path | Mapping[str, Any], folder: Path | None = No
     if isinstance(source, Mapping):
         return Source(str(source.get("name", "detector")), folder, place_map(dict(source), folder))
     text = str(source)
-    if re.fullmatch(r"[\w-]+", text) and (_DETECTORS / f"{text}.toml").is_file():
+    if _is_preset(_DETECTORS, text):
         return Source(text, None, _preset_tables(text))
     path = Path(text) if folder is None else folder / text
-    if not path.is_file():
+    if not _is_file(path):
         known = ", ".join(preset_names())
-        given = f'"{text}"' + (", a folder" if text and path.is_dir() else "")
-        problem = Problem("", given, f"one of {known}, or a detector file", did_you_mean(text, preset_names()))
-        raise DetectorError(text, [problem])
+        given = _quoted(text) + (", a folder" if text and _is_file(path, Path.is_dir) else "")
+        problem = Problem(
+            "", given, f"one of {known}, or a detector file", did_you_mean(text[:_LONGEST], preset_names())
+        )
+        raise DetectorError(text[:_LONGEST], [problem])
     try:
-        tables = tomllib.loads(path.read_text(encoding="utf-8-sig"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        tables = parse_toml(read_text(path))
+    except ValueError as error:
         raise DetectorError(str(path), [Problem("", str(error), "a TOML file")]) from error
     return Source(str(path), path.parent, place_map(tables, path.parent))
+
+
+_LONGEST = 300  # characters of a path in a message
+
+
+def _quoted(text: str) -> str:
+    return f'"{text}"' if len(text) <= _LONGEST else f'"{text[:_LONGEST]}..."'
+
+
+def _is_preset(folder: Traversable, name: str) -> bool:
+    return bool(re.fullmatch(r"[\w-]{1,100}", name, re.ASCII)) and (folder / f"{name}.toml").is_file()
+
+
+def _is_file(path: Path, test: Callable[[Path], bool] = Path.is_file) -> bool:
+    """Tell whether there is such a file; a path that no file can have has none."""
+    try:
+        return test(path)
+    except (OSError, ValueError):  # too long a name, a null byte
+        return False
 
 
 def resolve(source: Source, problems: list[Problem]) -> dict[str, Any]:
@@ -91,17 +115,27 @@ def resolve(source: Source, problems: list[Problem]) -> dict[str, Any]:
 
 def _base_of(chain: list[Source], base: object, problems: list[Problem]) -> Source | None:
     if not isinstance(base, str):
-        problems.append(Problem("base", repr(base), "the name of a preset or of a detector file"))
+        problems.append(Problem("base", repr(base)[:80], "the name of a preset or of a detector file"))
         return None
     try:
         found = open_source(base, chain[-1].folder)
     except DetectorError as error:
         problems += [problem._replace(path="base") for problem in error.problems]
         return None
-    if any(found.name == link.name for link in chain):
-        problems.append(Problem("base", f'"{base}"', "a base that does not lead back to the file itself"))
+    if any(_place(found) == _place(link) for link in chain) or len(chain) > _MOST_BASES:
+        problems.append(Problem("base", _quoted(base), "a base that does not lead back to the file itself"))
         return None
     return found
+
+
+_MOST_BASES = 50
+
+
+def _place(source: Source) -> object:
+    """Return what is equal for equal files, however their paths are written; tables are equal to nothing else."""
+    if _is_preset(_DETECTORS, source.name) and source.folder is None and source.tables is _preset_tables(source.name):
+        return source.name
+    return id(source.tables) if source.folder is None else Path(source.name).resolve()
 
 
 @cache
@@ -124,17 +158,21 @@ def field_tables(source: str | Path | Mapping[str, Any]) -> dict[str, Any]:
     if isinstance(source, Mapping):
         return dict(source)
     text = str(source)
-    if re.fullmatch(r"[\w-]+", text) and (_FIELDS / f"{text}.toml").is_file():
+    if _is_preset(_FIELDS, text):
         return _field_of(text, tomllib.loads((_FIELDS / f"{text}.toml").read_text(encoding="utf-8")), None)
     path = Path(text)
-    if not path.is_file():
+    if not _is_file(path):
         expected = f"one of {', '.join(fields())}, a map (.npz, .csv), or a TOML file with a table [field]"
-        raise DetectorError(text, [Problem("field", f'"{text}"', expected, did_you_mean(text, fields()))])
+        raise DetectorError(
+            text[:_LONGEST], [Problem("field", _quoted(text), expected, did_you_mean(text[:_LONGEST], fields()))]
+        )
     if path.suffix in (".npz", ".csv"):
         return {"kind": "map", "file": str(path.absolute())}
     try:
-        return _field_of(text, tomllib.loads(path.read_text(encoding="utf-8-sig")), path.parent)
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        return _field_of(text, parse_toml(read_text(path)), path.parent)
+    except DetectorError:
+        raise
+    except ValueError as error:
         raise DetectorError(text, [Problem("field", str(error), "a TOML file or a map (.npz, .csv)")]) from error
 
 

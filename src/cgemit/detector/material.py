@@ -57,7 +57,7 @@ class Material:
 
     name: str
     density: float = field(metadata=key("density", "density", 1e-6, 25.0))  # g/cm3
-    x0: float = field(metadata=key("length", "radiation length", 0.5, 1e8, derived=True))  # mm
+    x0: float = field(metadata=key("length", "radiation length", 0.5, 1e10, derived=True))  # mm
     z_over_a: float = field(metadata=key("dimensionless", "mean Z/A, mol/g", 0.3, 1.0, derived=True))
     excitation_energy: float = field(
         metadata=key("energy", "mean excitation energy I", 1e-8, 2e-6, derived=True)

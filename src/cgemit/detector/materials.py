@@ -17,6 +17,7 @@ from cgemit.detector.material import (
     x0_of_fractions,
     z_over_a_of_fractions,
 )
+from cgemit.detector.merge import BELOW
 from cgemit.detector.read import Reader
 from cgemit.problems import DetectorError, did_you_mean
 
@@ -57,7 +58,8 @@ def read_materials(reader: Reader, known: Mapping[str, Material], raw: Mapping[s
                 found[name] = None
         for name in ready:
             table = waiting.pop(name)
-            found[name] = table if isinstance(table, Material) else _material(reader, name, table, found)
+            read_before = isinstance(table, Material)
+            found[name] = table if read_before else _material(reader, name, table, found, known.get(name))
     return found
 
 
@@ -66,16 +68,32 @@ def _base(table: object) -> str | None:
     return base if isinstance(base, str) else None
 
 
-def _material(reader: Reader, name: str, raw: object, found: Mapping[str, Material | None]) -> Material | None:
+def _material(
+    reader: Reader, name: str, raw: object, found: Mapping[str, Material | None], old: Material | None
+) -> Material | None:
+    """Return the material of a table; what it does not say is that of the `old` material of the same name."""
     path = f"materials.{name}"
+    if isinstance(raw, Mapping) and BELOW in raw:
+        below = raw[BELOW]
+        old = below if isinstance(below, Material) else _material(Reader(), name, below, found, old) or old
+        raw = {key: value for key, value in raw.items() if key != BELOW}
     base = found.get(_base(raw) or "")
     before = len(reader.problems)
-    values = reader.table(path, raw, Material, defaults={"density": base.density} if base else None)
+    if base or old is None or not isinstance(raw, Mapping):
+        defaults = {"density": base.density} if base else {}
+    else:
+        defaults = _kept(old, raw)
+    values = reader.table(path, raw, Material, defaults=defaults)
     if len(reader.problems) > before or (_base(raw) and base is None):
         return None
     values.pop("base", None)
     if base:
         return _with_base(reader, path, name, base, values)
+    if old and isinstance(raw, Mapping) and raw.keys() <= {"density", "x0"}:
+        same = values["density"] == old.density
+        return _diluted(old, values["density"], values["x0"] if "x0" in raw else old.x0 if same else None)
+    if old and "x0" in defaults and isinstance(raw, Mapping) and "x0" not in raw:
+        values["x0"] *= old.density / values["density"]
     if "composition" not in values and not all(key in values for key in _BULK):
         given = "only " + ", ".join(values)
         reader.note(path, given, "also composition, or all of " + ", ".join(_BULK))
@@ -89,6 +107,14 @@ def _material(reader: Reader, name: str, raw: object, found: Mapping[str, Materi
     effect = (values["excitation_energy"], values["z_over_a"], values["density"], values["gas"])
     values.setdefault("density_effect", general_density_effect(*effect))
     return Material(name=name, **values)
+
+
+def _kept(old: Material, raw: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the values of a material that a table for it leaves as they are."""
+    if "composition" in raw or all(key in raw for key in _BULK):
+        return {"density": old.density, "gas": old.gas}
+    names = ["density", "gas", *_BULK, *(["composition"] if old.composition else [])]
+    return {name: getattr(old, name) for name in names}
 
 
 def _with_base(reader: Reader, path: str, name: str, base: Material, values: dict[str, Any]) -> Material | None:

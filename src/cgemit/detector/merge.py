@@ -6,6 +6,9 @@ from typing import Any
 from cgemit.detector.keys import CENTRED, Known, opened, plain
 from cgemit.problems import Problem, did_you_mean
 
+#: Key of the material that a material of a variant replaces.
+BELOW = "<below>"
+
 #: Derived values of a CGEM layer in the order of their computation, each with the values that it depends on.
 DERIVED_FROM = {
     "strips_x": {"anode_radius", "readout_offset", "sheets", "pitch_x"},
@@ -132,8 +135,11 @@ def _drop_field(base: dict[str, Any], variant: Mapping[str, Any]) -> None:
 
 def _lay_over(base: dict[str, Any], variant: Mapping[str, Any], path: str) -> None:
     for name, value in variant.items():
-        # A material is replaced as a whole: keys of the old and of the new one would not be consistent.
-        if isinstance(value, Mapping) and name in base and path != "materials":
+        if isinstance(value, Mapping) and name in base and path == "materials":
+            # Values of a material depend on each other: the reader decides what of the old one stays.
+            base[name] = {**_copied(value), BELOW: base[name]}
+            continue
+        if isinstance(value, Mapping) and name in base:
             base[name] = _stack_of(base[name])
             if isinstance(base[name], list):
                 base[name] = _changed_stack(base[name], value)

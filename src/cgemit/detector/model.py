@@ -118,7 +118,10 @@ def load(source: str | Path | Mapping[str, Any] | Detector) -> Detector:
         return source
     opened = open_source(source)
     problems: list[Problem] = []
-    tables = resolve(opened, problems)
+    try:
+        tables = resolve(opened, problems)
+    except RecursionError:
+        raise DetectorError(opened.name, [Problem("", "tables in tables in tables ...", "fewer levels")]) from None
     if "name" not in opened.tables:
         tables["name"] = Path(opened.name).stem
     if "description" not in opened.tables:

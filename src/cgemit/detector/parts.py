@@ -6,6 +6,7 @@ The metadata of each field (`keys.Key`) states what a detector file may hold the
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from html import escape
 from typing import NamedTuple
 
 import numpy as np
@@ -69,7 +70,7 @@ class Shell(NamedTuple):
         return self.material.xi(self.thickness)
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class CgemLayer:
     """One cylindrical GEM layer with X and V strips; everything is placed from the V-strip plane inward and outward.
 
@@ -106,6 +107,20 @@ class CgemLayer:
     offset_v: float = field(
         metadata=key("offset", "V of the edge where V strip 0 begins, in units of pitch_v", 0.0, 100_000.0), default=0.0
     )
+
+    def __repr__(self) -> str:
+        return f"<CGEM layer {self.label}: {self.text()}>"
+
+    def _repr_html_(self) -> str:
+        return f"<b>CGEM layer {escape(self.label)}</b> {escape(self.text())}"
+
+    def text(self) -> str:
+        """Return the layer in one line."""
+        return (
+            f"r = {self.r_mid:.2f} mm (mid drift gap of {self.drift_gap:g} mm), length {self.length:g} mm, "
+            f"{self.sheets} x ({self.strips_x} X + {self.strips_v} V) strips, "
+            f"stereo {math.degrees(self.stereo):+.2f} deg"
+        )
 
     @property
     def half_length(self) -> float:
@@ -216,7 +231,7 @@ class WireLayer:
         )
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class DriftChamber:
     """A drift chamber: wire layers in one gas."""
 
@@ -230,6 +245,19 @@ class DriftChamber:
         metadata=key("integer", "running number of the innermost layer's wire 0", 0, 1_000_000), default=0
     )
     layers: tuple[WireLayer, ...] = ()
+
+    def __repr__(self) -> str:
+        return f"<drift chamber: {self.text()}>"
+
+    def _repr_html_(self) -> str:
+        return f"<b>drift chamber</b> {escape(self.text())}"
+
+    def text(self) -> str:
+        """Return the chamber in one line."""
+        cells = sum(layer.cells for layer in self.layers)
+        reach = f", r = {self.layers[0].r_mid:.1f} to {self.layers[-1].r_end:.1f} mm" if self.layers else ""
+        matter = {"none": "not counted", "smeared": f"{self.wire_material.name}, spread over the gas"}[self.wires]
+        return f"{len(self.layers)} layers, {cells} cells{reach}, gas {self.gas.name}, matter of the wires {matter}"
 
     @property
     def gid_first(self) -> tuple[int, ...]:

@@ -1,5 +1,6 @@
 """Reading one table of a detector file: every value is checked against its key, every problem is noted."""
 
+import json
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
@@ -25,8 +26,17 @@ TOP_LEVEL = {
     "materials": "materials by name",
 }
 
-#: What a name must match: one line, not blank, without separators of paths.
-NAME = r"[^/\\\r\n]*[^/\\\s][^/\\\r\n]*"
+# Separators of paths, control characters, and marks that change the direction of text.
+_NOT_IN_NAMES = r"/\\\x00-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069"
+
+#: What a name must match: one line of at most 100 characters, not only blanks and dots, without separators of paths.
+NAME = rf"(?=.{{1,100}}$)[^{_NOT_IN_NAMES}]*[^{_NOT_IN_NAMES}\s.][^{_NOT_IN_NAMES}]*"
+
+#: What the label of a wire layer must match, and its largest number.
+WIRE_NUMBER, LAST_WIRE_LAYER = "0|[1-9][0-9]{0,4}", 65535
+
+#: Characters of a value that messages show.
+LONGEST_SHOWN = 80
 
 #: Keys that a file may hold beside those of the dataclass.
 EXTRA: dict[type, dict[str, Key]] = {
@@ -76,6 +86,7 @@ class Reader:
         elsewhere: Iterable[str] = (),
         defaults: Mapping[str, Any] | None = None,
         siblings: Iterable[str] = (),
+        keys: Mapping[str, Key] | None = None,
     ) -> dict[str, Any]:
         """Return the values of a table in native units; UNUSABLE for wrong or missing values.
 
@@ -91,9 +102,11 @@ class Reader:
             Values, already read, of keys that may be missing.
         siblings : iterable of str
             Labels of the tables beside this one, to recognise a misspelt label.
+        keys : mapping, optional
+            What is read instead of the keys of `kind`.
 
         """
-        keys = _keys(kind)
+        keys = keys or _keys(kind)
         values = dict(defaults or {})
         tables = self.mapping(path, raw)
         for name, value in tables.items():
@@ -250,4 +263,8 @@ def shown(raw: object) -> str:
         return f"a list of {len(raw)}"
     if isinstance(raw, bool):
         return str(raw).lower()
-    return f'"{raw}"' if isinstance(raw, str) else repr(raw)
+    try:
+        text = json.dumps(raw, ensure_ascii=False) if isinstance(raw, str) else repr(raw)
+    except ValueError:  # a whole number of thousands of digits
+        return "a number too large to write"
+    return text if len(text) <= LONGEST_SHOWN else text[:LONGEST_SHOWN] + "..."

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from cgemit import _core
 from cgemit.cluster import ClusterSettings
-from cgemit.detector import Detector, compiled
+from cgemit.detector import Detector, compiled, load
 from cgemit.digitize.binary import BinaryReadout as BinaryReadout
 from cgemit.digitize.gaussian import GaussianReadout as GaussianReadout
 from cgemit.digitize.readout import Readout as Readout
@@ -48,7 +49,7 @@ class DigitizeSettings(SettingsData):
         Listing every invalid value.
     """
 
-    readout: Readout = field(default_factory=BinaryReadout, metadata=one_of(READOUTS))
+    readout: Readout = field(default_factory=BinaryReadout, metadata=one_of(READOUTS, "cgemit.digitize.READOUTS"))
     reveal_sides: bool = False
 
     if TYPE_CHECKING:  # a name is accepted, too, and never kept
@@ -57,7 +58,7 @@ class DigitizeSettings(SettingsData):
 
 
 def digitize(
-    detector: Detector,
+    detector: Detector | str | Mapping[str, Any],
     truths: Table,
     wire_truths: Table,
     settings: DigitizeSettings | None = None,
@@ -69,7 +70,7 @@ def digitize(
 
     Parameters
     ----------
-    detector : Detector
+    detector : Detector, or what `load` accepts
     truths : Table
         Of kind ``truths``.
     wire_truths : Table
@@ -92,7 +93,7 @@ def digitize(
         If a layer or wire is not in the detector, a value is not finite, or a step does not belong to its truth or has
         invalid values.
     """
-    settings = settings or DigitizeSettings()
+    detector, settings = load(detector), settings or DigitizeSettings()
     if steps is None:
         steps = Table.empty("steps", **truths.cover)
     return {
@@ -125,13 +126,16 @@ def read_out_wires(detector: Detector, wire_truths: Table, *, reveal_sides: bool
 
 
 def cluster_digis(
-    detector: Detector, digis: Table, settings: DigitizeSettings, cluster_settings: ClusterSettings
+    detector: Detector | str | Mapping[str, Any],
+    digis: Table,
+    settings: DigitizeSettings,
+    cluster_settings: ClusterSettings,
 ) -> Table:
     """Return the table ``clusters`` that the read-out of the settings makes of digis.
 
     Parameters
     ----------
-    detector : Detector
+    detector : Detector, or what `load` accepts
     digis : Table
     settings : DigitizeSettings
     cluster_settings : ClusterSettings
@@ -141,7 +145,7 @@ def cluster_digis(
     TypeError, ValueError
         If a digi is not in the detector, or the read-out makes anything but clusters of the same events.
     """
-    return made("clusters", settings.readout.cluster(detector, digis, cluster_settings), settings.readout, digis)
+    return made("clusters", settings.readout.cluster(load(detector), digis, cluster_settings), settings.readout, digis)
 
 
 def made(kind: str, table: object, readout: Readout, source: Table) -> Table:

@@ -12,7 +12,7 @@ from matplotlib.patches import Rectangle
 
 from cgemit.detector.parts import crossing_z, local_v, strips_of_v, v_of_strips
 from cgemit.draw.geometry import Array, near
-from cgemit.draw.style import COLORS, Picture, legend_entries, new_picture, statistics_box, style
+from cgemit.draw.style import COLORS, Picture, legend_entries, new_picture, plain, statistics_box, style
 
 if TYPE_CHECKING:
     from cgemit.detector import CgemLayer
@@ -113,7 +113,9 @@ def draw_cluster(result: Result, event: int, layer: int = 0) -> Picture:
         axes.plot(*found, "X", color=COLORS["data"], ms=10, mec="white", label="XV cluster")
         axes.set(xlim=(centre[0] - half, centre[0] + half), ylim=(centre[1] - half, centre[1] + half), aspect="equal")
         axes.set(xlabel="X = R (φ − φ of the sheet's edge)  (mm)", ylabel="z  (mm)")
-        axes.set_title(f"{result.detector.name}: {hit.layer.label}, sheet {hit.sheet}, event {event}", loc="left")
+        axes.set_title(
+            f"{plain(result.detector.name)}: {plain(hit.layer.label)}, sheet {hit.sheet}, event {event}", loc="left"
+        )
         statistics_box(axes, _numbers(hit, centre, found))
         axes.legend(loc="upper left", bbox_to_anchor=(1.02, 1.0), handlelength=1.6)
         picture.subplots_adjust(left=0.09, right=0.66, top=0.94, bottom=0.1)
@@ -203,7 +205,7 @@ def draw_projection(result: Result, event: int, layer: int = 0) -> Picture:
         _draw_section(axes[1], hit, hit.z - hit.z[1], offset - step * hit.strips_v, -step, offset, COLORS["v"])
         axes[0].set(xlabel="R (φ − φ at mid-gap)  (mm)", ylabel="r  (mm)")
         axes[1].set(xlabel="z − z at mid-gap  (mm)")
-        axes[0].set_title(f"{hit.layer.label} across the beam: X strips", loc="left")
+        axes[0].set_title(f"{plain(hit.layer.label)} across the beam: X strips", loc="left")
         axes[1].set_title("along the beam: V strips at the crossing's X", loc="left")
         entries = legend_entries(axes)
         picture.legend(entries.values(), entries.keys(), loc="lower center", ncols=5)

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
 
-from cgemit.draw.style import COLORS, Picture, grid, mathematical, new_picture, statistics_box, style
+from cgemit.draw.style import COLORS, Picture, grid, mathematical, new_picture, plain, statistics_box, style
 from cgemit.result import Result, tracks_of
 from cgemit.statistics.curves import Line, Spectrum, track_spectrum
 from cgemit.statistics.formatting import shown
@@ -47,8 +47,8 @@ def residual(result: Result | Table, quantity: str = "p") -> Picture:
     tracks = tracks_of(result)
     with style():
         picture, (axes,) = new_picture(1, 1, (6.4, 4.6))
-        title = "" if isinstance(result, Table) else f"{result.detector.name}, {result.particles.n_events:,} events"
-        draw_spectrum(axes, track_spectrum(tracks, quantity), title)
+        about = "" if isinstance(result, Table) else f"{result.detector.name}, {result.particles.n_events:,} events"
+        draw_spectrum(axes, track_spectrum(tracks, quantity), about)
         picture.subplots_adjust(left=0.13, right=0.97, top=0.92, bottom=0.13)
     return picture
 
@@ -119,7 +119,7 @@ def _label_spectrum(axes: Axes, spectrum: Spectrum, title: str, headroom: float 
     most = max(1, spectrum.counts["all"].max())
     axes.set(xlim=(spectrum.edges[0], spectrum.edges[-1]), ylim=(0, headroom * (most + np.sqrt(most))))
     if title:
-        axes.set_title(title, loc="left")
+        axes.set_title(plain(title), loc="left")
     grid(axes)
 
 
@@ -138,9 +138,11 @@ def draw_curves(
         A published point.
     """
     for curve, (marker, colour) in zip(curves, _looks(), strict=False):
+        if not np.isfinite(curve.y).any():
+            continue  # a legend must not name a curve that is not there
         axes.errorbar(
             curve.x, curve.y, curve.y_error, fmt=f"{marker}-", color=colour, ms=5, lw=1.2, mec="white", mew=0.5,
-            elinewidth=1, label=curve.detector,
+            elinewidth=1, label=plain(curve.detector),
         )  # fmt: skip
     if paper:
         star: dict[str, Any] = {"ms": 13, "color": COLORS["single"], "mec": COLORS["data"], "mew": 0.7}
@@ -157,6 +159,8 @@ def _limit_curves(axes: Axes, curves: Sequence[Line], paper: tuple[float, float]
     asked = x[np.isfinite(x)]
     axes.update_datalim(np.stack([asked, np.zeros(len(asked))], axis=1), updatey=False)
     axes.autoscale_view(scaley=False)
+    if len(np.unique(asked)) == 1:  # around a single point the labels of the ticks would overlap
+        axes.set_xticks(asked[:1])
     drawn = np.isfinite(y)
     tops = [*(y + np.nan_to_num(error))[drawn], *([paper[1]] if paper else [])]
     axes.set_ylim(0, 1.08 * max(tops, default=1.0))
@@ -185,7 +189,8 @@ def draw_resolutions(
         points = [*papers, *[None] * (len(panels) - len(papers))]
         for plot, (label, curves), paper in zip(axes, panels, points, strict=True):
             draw_curves(plot, curves, label, x_label, paper)
-        axes[0].legend()
+        if axes[0].get_legend_handles_labels()[0]:
+            axes[0].legend()
         picture.subplots_adjust(left=0.75 / width, right=1 - 0.15 / width, top=0.96, bottom=0.13, wspace=0.2)
     return picture
 
@@ -211,7 +216,7 @@ def draw_pulls(
             for (detector, pulls), (marker, colour) in zip(samples.items(), _looks(), strict=False):
                 counts, _ = np.histogram(pulls[name], edges)
                 density = counts / max(1, len(pulls[name])) / (edges[1] - edges[0])
-                plot.plot(centres, density, marker, ms=3.6, color=colour, label=texts[detector][name])
+                plot.plot(centres, density, marker, ms=3.6, color=colour, label=plain(texts[detector][name]))
             unit_gaussian = np.exp(-0.5 * centres**2) / np.sqrt(2 * np.pi)
             plot.plot(centres, unit_gaussian, color=COLORS["data"], lw=1, ls="--", zorder=1)
             plot.set(xlim=(-5, 5), ylim=(0, 0.62), xlabel=f"pull of {mathematical(name)}", ylabel="density")
@@ -230,7 +235,7 @@ def draw_probabilities(samples: Mapping[str, npt.NDArray[np.float64]]) -> Pictur
         for (detector, values), (_, colour) in zip(samples.items(), _looks(), strict=False):
             counts, _ = np.histogram(values, edges)
             mean = max(1, len(values)) / (len(edges) - 1)
-            text = f"{detector}: n = {len(values):,}, mean = {np.mean(values):.3f}"
+            text = f"{plain(detector)}: n = {len(values):,}, mean = {np.mean(values):.3f}"
             axes.stairs(counts / mean, edges, color=colour, lw=1.4, label=text)
         axes.axhline(1, color=COLORS["data"], lw=1, ls="--", label="right errors")
         axes.set(xlabel="χ² probability", ylabel="entries / expectation", xlim=(0, 1))
@@ -278,7 +283,7 @@ def _legend_below(picture: Picture, labels: Sequence[str]) -> None:
 
     options: dict[str, Any] = {"ls": "", "ms": 6}
     handles = [
-        Line2D([], [], marker=marker, color=colour, label=label, **options)
+        Line2D([], [], marker=marker, color=colour, label=plain(label), **options)
         for label, (marker, colour) in zip(labels, _looks(), strict=False)
     ]
     picture.legend(handles=handles, loc="lower center", ncols=len(labels), fontsize=9.5)

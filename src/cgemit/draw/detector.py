@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from typing import NamedTuple
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.patches import Annulus, Patch, Rectangle
 
-from cgemit.detector import CgemLayer, Detector, Shell, WireLayer
+from cgemit.detector import CgemLayer, Detector, Shell, WireLayer, load
 from cgemit.draw.geometry import wire_layers, wire_positions, wire_profile
-from cgemit.draw.style import COLORS, Picture, new_picture, style
+from cgemit.draw.style import COLORS, Picture, new_picture, plain, style
 
 _PARTS = {
     "beam pipe": "#B5651D",
@@ -40,17 +40,18 @@ class _Ring(NamedTuple):
     half_length: float  # mm
 
 
-def draw_detector(detector: Detector) -> Picture:
+def draw_detector(detector: Detector | str | Mapping[str, Any]) -> Picture:
     """Return a picture of the detector across the beam, whole and magnified, and along the beam.
 
     Parameters
     ----------
-    detector : Detector
+    detector : Detector, or what `load` accepts
 
     Returns
     -------
     Picture
     """
+    detector = load(detector)
     with style():
         picture, axes = new_picture(1, 2, (12.6, 6.9))
         draw_xy(detector, axes[0])
@@ -60,17 +61,18 @@ def draw_detector(detector: Detector) -> Picture:
     return picture
 
 
-def draw_sides(detector: Detector) -> Picture:
+def draw_sides(detector: Detector | str | Mapping[str, Any]) -> Picture:
     """Return a picture of the detector along the beam, whole and magnified.
 
     Parameters
     ----------
-    detector : Detector
+    detector : Detector, or what `load` accepts
 
     Returns
     -------
     Picture
     """
+    detector = load(detector)
     with style():
         picture, axes = new_picture(2, 1, (9.6, 9.4), height_ratios=(1.5, 1))
         draw_rz(detector, axes[0])
@@ -80,8 +82,9 @@ def draw_sides(detector: Detector) -> Picture:
     return picture
 
 
-def draw_layers(detector: Detector) -> Picture:
+def draw_layers(detector: Detector | str | Mapping[str, Any]) -> Picture:
     """Return a picture of the materials of every CGEM layer."""
+    detector = load(detector)
     with style():
         rows = len(detector.cgem)
         picture, axes = new_picture(rows, 1, (11.0, 2.9 * rows))
@@ -91,17 +94,18 @@ def draw_layers(detector: Detector) -> Picture:
     return picture
 
 
-def draw_xy(detector: Detector, ax: Axes | None = None, r_max: float | None = None) -> Axes:
+def draw_xy(detector: Detector | str | Mapping[str, Any], ax: Axes | None = None, r_max: float | None = None) -> Axes:
     """Draw the detector in the plane across the beam, wires where they cross z = 0.
 
     Parameters
     ----------
-    detector : Detector
+    detector : Detector, or what `load` accepts
     ax : Axes, optional
         Where to draw; default: new axes.
     r_max : float, optional
         Outer edge of the view, mm; default: the whole detector.
     """
+    detector = load(detector)
     with style():
         ax, edge, rings = _view(detector, ax, r_max, (6.6, 6.4))
         for ring in rings:
@@ -112,23 +116,24 @@ def draw_xy(detector: Detector, ax: Axes | None = None, r_max: float | None = No
         wires = _wires_xy(ax, detector, edge)
         marked = [_mark_layer(ax, layer) for layer in detector.cgem if layer.r_out > 0.3 * edge]
         ax.set(xlim=(-edge, edge), ylim=(-edge, edge), aspect="equal", xlabel="x (mm)", ylabel="y (mm)")
-        ax.set_title(f"{detector.name}: r-phi" + (" at z = 0" if detector.drift_chamber else ""))
+        ax.set_title(f"{plain(detector.name)}: r-phi" + (" at z = 0" if detector.drift_chamber else ""))
         handles = _handles(rings, wires) + marked[:1]
         ax.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.09), ncols=3, fontsize=8)
     return ax
 
 
-def draw_rz(detector: Detector, ax: Axes | None = None, r_max: float | None = None) -> Axes:
+def draw_rz(detector: Detector | str | Mapping[str, Any], ax: Axes | None = None, r_max: float | None = None) -> Axes:
     """Draw one half of the detector along the beam, with lines of constant cos(theta).
 
     Parameters
     ----------
-    detector : Detector
+    detector : Detector, or what `load` accepts
     ax : Axes, optional
         Where to draw; default: new axes.
     r_max : float, optional
         Outer edge of the view, mm; default: the whole detector.
     """
+    detector = load(detector)
     with style():
         ax, edge, rings = _view(detector, ax, r_max, (9.6, 5.4))
         layers = [layer for layer in wire_layers(detector) if layer.r_mid < edge]
@@ -141,10 +146,10 @@ def draw_rz(detector: Detector, ax: Axes | None = None, r_max: float | None = No
             ax.plot(*wire_profile(layer), color=_WIRES[_kind(layer)], linewidth=0.6)
         for cgem in detector.cgem:
             place = (cgem.half_length + 0.008 * reach, cgem.r_mid)
-            ax.annotate(cgem.label, place, va="center", fontsize=8.5, fontweight="bold", color=COLORS["text"])
+            ax.annotate(plain(cgem.label), place, va="center", fontsize=8.5, fontweight="bold", color=COLORS["text"])
         _polar_angles(ax, edge, reach)
         ax.set(xlim=(-reach, reach), ylim=(0, edge), xlabel="z (mm)", ylabel="r (mm)")
-        ax.set_title(f"{detector.name}: r-z", pad=16)
+        ax.set_title(f"{plain(detector.name)}: r-z", pad=16)
         handles = _handles(rings, {_kind(layer) for layer in layers})
         box = {"frameon": True, "framealpha": 0.93, "edgecolor": COLORS["grid"]}
         ax.legend(handles=handles, loc="lower left", fontsize=8, **box)
@@ -175,8 +180,8 @@ def draw_layer(layer: CgemLayer, ax: Axes | None = None) -> Axes:
             ax.text((r_in + r_out) / 2, 1.09, text, ha="center", va="bottom", fontsize=8, color=COLORS["text"])
         margin = 0.01 * (layer.r_out - layer.r_in)
         ax.set(xlim=(layer.r_in - margin, layer.r_out + margin), ylim=(0, 1), yticks=[], xlabel="r (mm)")
-        ax.set_title(f"CGEM layer {layer.label}: materials along the radius, to scale", pad=38)
-        handles = [Patch(facecolor=color, edgecolor="#999999", label=name) for name, color in colors.items()]
+        ax.set_title(f"CGEM layer {plain(layer.label)}: materials along the radius, to scale", pad=38)
+        handles = [Patch(facecolor=color, edgecolor="#999999", label=plain(name)) for name, color in colors.items()]
         ax.legend(handles=handles, loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=8)
     return ax
 
@@ -236,7 +241,7 @@ def _mark_layer(ax: Axes, layer: CgemLayer) -> Line2D:
     phi = math.radians(60)
     place = (layer.r_mid * math.cos(phi), layer.r_mid * math.sin(phi))
     box = {"boxstyle": "round,pad=0.15", "facecolor": "white", "edgecolor": "none", "alpha": 0.85}
-    ax.text(*place, layer.label, ha="center", va="center", fontsize=9, fontweight="bold", bbox=box)
+    ax.text(*place, plain(layer.label), ha="center", va="center", fontsize=9, fontweight="bold", bbox=box)
     return Line2D([], [], color=COLORS["fit"], linewidth=1.6, label="edge of a read-out sheet")
 
 

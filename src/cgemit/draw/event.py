@@ -12,7 +12,7 @@ from matplotlib.collections import EllipseCollection, LineCollection
 from matplotlib.patches import Rectangle, Wedge
 
 from cgemit.draw.geometry import helix_points, wire_layers, wire_positions, wire_profile
-from cgemit.draw.style import COLORS, Picture, legend_entries, new_picture, style
+from cgemit.draw.style import COLORS, Picture, legend_entries, new_picture, plain, style
 from cgemit.tables import Table
 
 if TYPE_CHECKING:
@@ -61,7 +61,7 @@ def draw_event(result: Result, event: int = 0) -> Picture:
         _frame(axes[2], "z  (mm)", "r  (mm)")
         axes[2].set(xlim=(-1.03 * reach.z, 1.03 * reach.z), ylim=(0, 1.03 * reach.r))
         _tracks(axes, detector, view, reach)
-        titles = (f"{detector.name}, event {event}", "inner layers", "side view")
+        titles = (f"{plain(detector.name)}, event {event}", "inner layers", "side view")
         for plot, title in zip(axes, titles, strict=True):
             plot.set_title(title, loc="left")
         _legend(picture, axes)

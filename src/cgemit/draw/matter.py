@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
 
-from cgemit.draw.style import COLORS, Picture, grid, new_picture, statistics_box, style
+from cgemit.draw.style import COLORS, Picture, grid, new_picture, plain, statistics_box, style
 
 if TYPE_CHECKING:
     from cgemit.matter import SlabResult
@@ -33,7 +33,7 @@ def draw_slab(result: SlabResult) -> Picture:
         picture, (angles, losses) = new_picture(1, 2, (11.4, 4.8))
         draw_angles(angles, result)
         draw_losses(losses, result)
-        picture.suptitle(result.title(), fontsize=10, x=0.06, ha="left")
+        picture.suptitle(plain(result.title()), fontsize=10, x=0.06, ha="left")
         picture.subplots_adjust(left=0.065, right=0.99, top=0.86, bottom=0.12, wspace=0.18)
     return picture
 

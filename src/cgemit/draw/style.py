@@ -80,7 +80,10 @@ class Picture(Figure):
             with new_file(target, overwrite=overwrite) as temporary:
                 # No creation date, so that the same run writes the same bytes.
                 metadata = {"CreationDate": None} if target.suffix == ".pdf" else None
-                self.savefig(temporary, dpi=_DPI, metadata=metadata)
+                # First into memory: on a full disk matplotlib's PDF writer hides the error behind one of its own.
+                stream = io.BytesIO()
+                self.savefig(stream, format=target.suffix[1:], dpi=_DPI, metadata=metadata)
+                temporary.write_bytes(stream.getvalue())
         return targets
 
 
@@ -112,6 +115,11 @@ def legend_entries(axes: Sequence[Axes]) -> dict[str, Any]:
     """Return the handles of all axes by label, each label once."""
     pairs = (zip(*plot.get_legend_handles_labels(), strict=True) for plot in axes)
     return {label: handle for pair in pairs for handle, label in pair}
+
+
+def plain(text: str) -> str:
+    """Return text of users, such as a name, so that matplotlib does not take ``$`` for the limits of a formula."""
+    return text.replace("$", r"\$")
 
 
 def mathematical(label: str) -> str:

@@ -3,8 +3,27 @@
 from __future__ import annotations
 
 import json
+import tomllib
 from collections.abc import Callable, Collection, Mapping
 from typing import Any
+
+_LARGEST, _LONGEST_LINE = 1_000_000, 4_000  # characters; the time to read dotted keys grows with their square
+
+
+def parse_toml(text: str) -> dict[str, Any]:
+    """Return the tables of a TOML text.
+
+    Raises
+    ------
+    ValueError
+        If it is no TOML, or too large or too deeply nested to be read.
+    """
+    if len(text) > _LARGEST or max(map(len, text.splitlines()), default=0) > _LONGEST_LINE:
+        raise ValueError(f"more than {_LARGEST} characters, or more than {_LONGEST_LINE} in a line")
+    try:
+        return tomllib.loads(text)
+    except RecursionError:
+        raise ValueError("too many levels of nesting") from None
 
 
 def toml_text(

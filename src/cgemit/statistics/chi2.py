@@ -10,7 +10,7 @@ from scipy import special
 
 from cgemit.result import Result, tracks_of
 from cgemit.statistics.estimate import Floats
-from cgemit.statistics.formatting import Comparable, with_error
+from cgemit.statistics.formatting import Comparable, html_table, with_error
 from cgemit.statistics.resolutions import removed_rows
 from cgemit.tables import Table
 
@@ -57,6 +57,13 @@ class Flatness(Comparable):
     chi2: float
     ndf: int
     binned: float
+
+    def _repr_html_(self) -> str:
+        removed = ", ".join(f"{number} {reason}" for reason, number in self.removed) or "none"
+        cells = [with_error(self.mean, self.mean_error), f"{self.kolmogorov:.3g}", f"{self.binned:.3g}",
+                 f"{self.chi2:.1f}/{self.ndf}", str(self.n), removed]  # fmt: skip
+        head = ("mean (0.5 expected)", "flat (Kolmogorov)", "flat (bins)", "chi2/ndf", "rows", "removed")
+        return html_table("chi-square probability", head, [cells])
 
     def __repr__(self) -> str:
         removed = ", ".join(f"{number} {reason}" for reason, number in self.removed) or "none"

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from cgemit.statistics.formatting import Comparable, html_table, with_error
+from cgemit.values import number
 
 Floats = npt.NDArray[np.float64]
 
@@ -124,11 +125,9 @@ def measure(
         If the sample is not a list of finite numbers, or the window is empty.
     """
     x = np.sort(np.asarray(sample, np.float64), axis=None)
-    low, high = window or (-math.inf, math.inf)
     if np.ndim(sample) != 1 or not np.isfinite(x).all():
         raise ValueError(f"{parameter}: expected a list of finite numbers, got shape {np.shape(sample)}")
-    if not low < high:
-        raise ValueError(f"window: got ({low}, {high}); expected (low, high)")
+    low, high = _window(window)
     first, last = np.searchsorted(x, [low, high], side="left")
     inside = x[first:last]
     rms, rms_error, mean, mean_error = _moments(inside)
@@ -145,6 +144,16 @@ def measure(
 def core_sigma(sample: npt.ArrayLike) -> float:
     """Return the sigma of the Gaussian within 3 of its sigmas of a sample, (n,), alone; NaN for fewer than 10 rows."""
     return _core(np.sort(np.asarray(sample, np.float64)))[0]
+
+
+def _window(given: object) -> tuple[float, float]:
+    """Return the ends of a window; infinite for None."""
+    if given is None:
+        return -math.inf, math.inf
+    ends = [number(end) for end in given] if isinstance(given, tuple | list | np.ndarray) and np.ndim(given) else []
+    if len(ends) != 2 or not ends[0] < ends[1]:
+        raise ValueError(f"window: got {given!r}; expected (low, high)")
+    return ends[0], ends[1]
 
 
 def _moments(x: Floats) -> tuple[float, float, float, float]:
@@ -262,6 +271,10 @@ class GaussianFit(Comparable):
     def __repr__(self) -> str:
         mean, sigma = with_error(self.mean, self.mean_error), with_error(self.sigma, self.sigma_error)
         return f"<Gaussian: mean {mean}, sigma {sigma}, {self.n} rows>"
+
+    def _repr_html_(self) -> str:
+        cells = [with_error(self.mean, self.mean_error), with_error(self.sigma, self.sigma_error), str(self.n)]
+        return html_table("Gaussian", ("mean", "sigma", "rows"), [cells])
 
 
 def gaussian_fit(sample: npt.ArrayLike) -> GaussianFit:

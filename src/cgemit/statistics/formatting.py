@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import astuple
 from html import escape
@@ -38,18 +39,39 @@ def with_error(value: float, error: float) -> str:
 
 
 def html_table(title: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Return a title and a table of cells."""
-    top = "".join(f"<th>{escape(cell)}</th>" for cell in head)
-    body = "".join("<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in rows)
+    """Return a title and a table of cells, text to the left and numbers to the right."""
+    left = [_is_text(column) for column in zip(*rows, strict=True)] or [True] * len(head)
+    align = [f'style="text-align:{"left" if to_left else "right"}"' for to_left in left]
+    top = "".join(f"<th {how}>{escape(cell)}</th>" for cell, how in zip(head, align, strict=True))
+    body = "".join(
+        "<tr>" + "".join(f"<td {how}>{escape(cell)}</td>" for cell, how in zip(row, align, strict=True)) + "</tr>"
+        for row in rows
+    )
     return f"<p><b>{escape(title)}</b></p><table><tr>{top}</tr>{body}</table>"
 
 
 def text_table(title: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Return a title and a table of aligned columns."""
+    """Return a title and a table of aligned columns, text to the left and numbers to the right."""
+    left = [_is_text(column) for column in zip(*rows, strict=True)] or [True] * len(head)
     cells = [list(head), *(list(row) for row in rows)]
     widths = [max(len(row[i]) for row in cells) for i in range(len(head))]
-    lines = ["  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)) for row in cells]
+    lines = [
+        "  ".join(
+            cell.ljust(width) if to_left else cell.rjust(width)
+            for cell, width, to_left in zip(row, widths, left, strict=True)
+        ).rstrip()
+        for row in cells
+    ]
     return "\n".join([title, *lines])
+
+
+# A number with its error, a share, a range, or what stands for none.
+_NUMBER = re.compile(r"[-+]?[\d.,]+(e[-+]?\d+)?( ± [\d.]+)?( %)?|\d+/\d+|[-+\d.]+ to [-+\d.]+|-|nan|none")
+
+
+def _is_text(column: Sequence[str]) -> bool:
+    """Tell whether a column holds text; "none" and "-" stand for no number."""
+    return not all(_NUMBER.fullmatch(cell) for cell in column) or all(cell == "none" for cell in column)
 
 
 def shown(unit: str) -> str:

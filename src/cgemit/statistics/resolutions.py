@@ -71,6 +71,9 @@ class Pulls(Comparable):
         names = [pull.parameter for pull in self.pulls]
         return self.pulls[names.index(_known(parameter, "parameter", names))]
 
+    def _ipython_key_completions_(self) -> list[str]:
+        return [pull.parameter for pull in self.pulls]
+
     def __iter__(self) -> Iterator[Resolution]:
         return iter(self.pulls)
 
@@ -167,7 +170,8 @@ def resolution_against(
     by : str
         p, pt (GeV/c), cos_theta or charge (e), all true values.
     bins : int or (m + 1,) array_like
-        Number of equal bins, or their increasing limits. A bin holds its lower limit, the last one both.
+        Number of equal bins, or their increasing limits. A bin holds its lower limit, the last one both. Where all
+        tracks have the same value, a number of bins gives a single one.
     kind : str
         "residual" (quoted units) or "pull".
     window : (low, high) or None
@@ -225,11 +229,20 @@ def _edges(x: Floats, bins: int | npt.ArrayLike) -> Floats:
         finite = x[np.isfinite(x)]
         if bins < 1 or not len(finite):
             raise ValueError(f"bins: got {bins} for {len(finite)} rows; expected at least one bin and one row")
-        return np.histogram_bin_edges(finite, int(bins)).astype(np.float64)
+        return _equal_bins(finite, int(bins))
     edges = np.asarray(bins, np.float64)
     if edges.ndim != 1 or len(edges) < 2 or not np.all(np.diff(edges) > 0):
         raise ValueError(f"bins: got {bins!r}; expected a number of bins or at least two increasing limits")
     return edges
+
+
+def _equal_bins(x: Floats, bins: int) -> Floats:
+    """Return the limits of equal bins; of a single one where all values agree, as for a gun of one angle."""
+    low, high = float(x.min()), float(x.max())
+    margin = 1e-6 * max(1.0, abs(low), abs(high))
+    if high - low < margin:
+        return np.array([low - margin, high + margin])
+    return np.linspace(low, high, bins + 1)
 
 
 def removed_rows(status: npt.NDArray[np.int8], no_value: int) -> tuple[tuple[str, int], ...]:

@@ -18,6 +18,7 @@ from cgemit.result import Settings
 from cgemit.simulate import TransportStatus
 from cgemit.species import species
 from cgemit.statistics.estimate import FEWEST
+from cgemit.statistics.formatting import html_table, text_table
 from cgemit.study.cluster_residuals import ClusterResiduals, DeltaFractions, cluster_residuals, delta_fractions
 from cgemit.tables import Table
 
@@ -37,7 +38,7 @@ class Order:
     settings: Settings
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Sample(Order):
     """One run of the chain: its inputs, tracks, residuals and counts.
 
@@ -65,6 +66,23 @@ class Sample(Order):
     removed: Mapping[str, int]
     transport: Mapping[str, int]
     timings: Mapping[str, float]
+
+    def _rows(self) -> list[list[str]]:
+        tracks = f"{fitted(self)}/{len(self.tracks)}"
+        return [[self.label, repr(self.gun), str(self.n_events), str(self.seed), tracks, _counts(self.removed)]]
+
+    def __repr__(self) -> str:
+        return text_table("sample", _HEAD, self._rows())
+
+    def _repr_html_(self) -> str:
+        return html_table("sample", _HEAD, self._rows())
+
+
+_HEAD = ("sample", "gun", "events", "seed", "fitted", "not fitted")
+
+
+def _counts(counts: Mapping[str, int]) -> str:
+    return ", ".join(f"{number} {name}" for name, number in counts.items()) or "none"
 
 
 def run_samples(

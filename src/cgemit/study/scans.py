@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from cgemit.detector import Detector
+from cgemit.detector import Detector, load
 from cgemit.io.folders import SUMMARY, new_folder
 from cgemit.record import write_record
 from cgemit.result import Settings, hits_text
@@ -226,7 +226,7 @@ _HEAD = ("p [GeV/c]", "sigma(d_rho) [um]", "sigma(d_z) [mm]", "sigma(p) [MeV/c]"
 
 
 def scan(
-    detector: Detector,
+    detector: Detector | str | Mapping[str, Any],
     momenta: Sequence[float],
     *,
     particle: str | int = "mu-",
@@ -241,7 +241,7 @@ def scan(
 
     Parameters
     ----------
-    detector : Detector
+    detector : Detector, or what `load` accepts
     momenta : sequence of float
         GeV/c.
     particle : str or int
@@ -266,7 +266,7 @@ def scan(
     start = time.perf_counter()
     check_numbers("scan", seed, threads, events=(events, 1, 2**31 - 1))
     gun: dict[str, Any] = {"particle": particle, "cos_theta": cos_theta}
-    orders = momentum_orders(detector, momenta, **gun, events=events, seed=seed, settings=settings)
+    orders = momentum_orders(load(detector), momenta, **gun, events=events, seed=seed, settings=settings)
     samples = run_samples(orders, threads=threads, progress=progress)
     return Scan(tuple(samples), seed, time.perf_counter() - start)
 

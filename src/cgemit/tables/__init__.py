@@ -2,8 +2,18 @@
 
 from cgemit.tables.columns import Column
 from cgemit.tables.files import save_tables
-from cgemit.tables.join import concatenate
+from cgemit.tables.join import concatenate, select_events
 from cgemit.tables.schemas import PARAMETERS, ROWS, SCHEMAS
 from cgemit.tables.table import Table, load_tables
 
-__all__ = ["PARAMETERS", "ROWS", "SCHEMAS", "Column", "Table", "concatenate", "load_tables", "save_tables"]
+__all__ = [
+    "PARAMETERS",
+    "ROWS",
+    "SCHEMAS",
+    "Column",
+    "Table",
+    "concatenate",
+    "load_tables",
+    "save_tables",
+    "select_events",
+]

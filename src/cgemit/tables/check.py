@@ -18,6 +18,9 @@ Array = np.ndarray[Any, Any]
 RESERVED = {"offsets": "the per-event offsets", "events": "the numbers of the events"}
 
 
+_MOST_EVENTS = 2**31 - 1
+
+
 class Rows(Protocol):
     """The interface of a `Table` for modules that write, convert or show it."""
 
@@ -60,8 +63,10 @@ def event_range(n_events: int, first_event: int, events: npt.ArrayLike | None) -
     Raises
     ------
     ValueError
-        If `events` are not `n_events` whole numbers, each above the one before.
+        If there are too many events, or `events` are not `n_events` whole numbers, each above the one before.
     """
+    if not 0 <= n_events <= _MOST_EVENTS:
+        raise ValueError(f"n_events: is {n_events}, expected 0 to {_MOST_EVENTS}")
     if events is None or not n_events:
         return int(first_event), None
     given = np.asarray(events)
@@ -150,8 +155,6 @@ def _problem(array: Array, rows: int | None, column: Column | None) -> str:
 
 def _event_problems(event: Array, n_events: int, first_event: int, events: Array | None) -> list[str]:
     problems = []
-    if n_events < 0:
-        problems.append(f"n_events: is {n_events}, expected 0 or more")
     if np.any(event[1:] < event[:-1]):
         problems.append("event: decreases somewhere, expected rows sorted by event")
     elif not len(event):

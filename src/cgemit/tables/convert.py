@@ -42,7 +42,7 @@ def to_pandas(table: Rows) -> Any:
 
 
 def to_awkward(table: Rows) -> Any:
-    """Return one list of records per event."""
+    """Return one list of records per event; links stay as they are."""
     awkward = _import("awkward")
     records = awkward.zip({name: awkward.from_numpy(column) for name, column in table.columns.items()}, depth_limit=1)
     return awkward.unflatten(records, np.diff(table.offsets))

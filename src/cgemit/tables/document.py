@@ -17,7 +17,8 @@ Stages meet in tables: plain numpy columns, one row per object, sorted by `event
 - `event` is the global event number. Rows `offsets[i]` to `offsets[i + 1]` of a table belong to event
   `first_event + i`; an event without rows has none there.
 - A column that links counts rows of another table, from 0; -1 means none. Links hold for tables as a stage returned
-  them or `concatenate` joined them, not after rows were picked.
+  them or `concatenate` joined them, not after rows were picked. `Result.select_events` keeps them for some events,
+  and `Result.to_awkward` gives lists per event in which links count within the event.
 - `status` tells how a row ended (`TransportStatus` for particles, `FitStatus` for tracks, `StateStatus` for
   states). Rows of every status are kept; a value that does not exist is NaN.
 - Columns cannot be written; `with_columns` returns a new table, in which further columns may follow those below.

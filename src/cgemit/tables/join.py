@@ -1,4 +1,4 @@
-"""Join the tables of consecutive chunks of events."""
+"""Join the tables of consecutive chunks of events, and cut events out of them."""
 
 from __future__ import annotations
 
@@ -8,12 +8,11 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from cgemit.tables.check import Array
-from cgemit.tables.columns import Column
-from cgemit.tables.schemas import SCHEMAS
+from cgemit.tables.links import linked, moved_links
 from cgemit.tables.table import Table
 
 
-def concatenate(chunks: Sequence[Mapping[str, Table]]) -> dict[str, Table]:
+def concatenate(chunks: Sequence[Mapping[str, Table]], *, gaps: bool = False) -> dict[str, Table]:
     """Join chunk results table by table, and let the link columns count rows of the joined tables.
 
     Parameters
@@ -21,6 +20,8 @@ def concatenate(chunks: Sequence[Mapping[str, Table]]) -> dict[str, Table]:
     chunks : sequence of mapping of str to Table
         The tables of each chunk, in the order of events. Every chunk holds the same tables, among them all that
         its link columns point into.
+    gaps : bool
+        Whether event numbers may be missing between two chunks.
 
     Returns
     -------
@@ -34,7 +35,7 @@ def concatenate(chunks: Sequence[Mapping[str, Table]]) -> dict[str, Table]:
     if not chunks:
         raise ValueError("chunks: expected at least one")
     names = list(chunks[0])
-    problems = [problem for name in names for problem in _problems(name, chunks)]
+    problems = [problem for name in names for problem in _problems(name, chunks, gaps)]
     problems += [
         f"chunk {i}: holds {sorted(chunk)}, expected {sorted(names)}"
         for i, chunk in enumerate(chunks)
@@ -49,17 +50,48 @@ def concatenate(chunks: Sequence[Mapping[str, Table]]) -> dict[str, Table]:
     return {name: _join([chunk[name] for chunk in chunks], before) for name in names}
 
 
-def _problems(name: str, chunks: Sequence[Mapping[str, Table]]) -> list[str]:
+def select_events(tables: Mapping[str, Table], first: int, stop: int) -> dict[str, Table]:
+    """Return the rows of the events ``first ... stop - 1`` of all tables of a run; links count the selected rows.
+
+    Parameters
+    ----------
+    tables : mapping of str to Table
+        Of the same events, among them all that links point into.
+    first, stop : int
+
+    Returns
+    -------
+    dict of str to Table
+
+    Raises
+    ------
+    IndexError
+        If the tables do not cover the events.
+    ValueError
+        If a table that is linked to is missing.
+    """
+    problems = [
+        f"{name}: links to {target}, which is missing"
+        for name, table in tables.items()
+        for target in sorted(linked(table.kind) - tables.keys())
+    ]
+    if problems:
+        raise ValueError("select_events:\n  " + "\n  ".join(problems))
+    before = {name: np.int64(np.searchsorted(table["event"], first)) for name, table in tables.items()}
+    picked = {name: table.select_events(first, stop) for name, table in tables.items()}
+    return {name: table.with_columns(**moved_links(table, lambda to: -before[to])) for name, table in picked.items()}
+
+
+def _problems(name: str, chunks: Sequence[Mapping[str, Table]], gaps: bool) -> list[str]:
     tables = [chunk[name] for chunk in chunks if name in chunk]
     problems = [
         f"{name}: ends before event {_stop(a)}, but the next chunk starts at {b.first_event}"
         for a, b in itertools.pairwise(tables)
-        if b.first_event != _stop(a) and not (_has_gaps(a, b) and b.first_event > _stop(a))
+        if b.first_event != _stop(a) and not ((gaps or _has_gaps(a, b)) and b.first_event > _stop(a))
     ]
     if len({(table.kind, *table.columns) for table in tables}) > 1:
         problems.append(f"{name}: kinds or columns differ between chunks")
-    linked = {target for column in SCHEMAS[tables[0].kind] for target in _targets(column)}
-    missing = sorted(linked - set(chunks[0])) if len(chunks) > 1 else []
+    missing = sorted(linked(tables[0].kind) - set(chunks[0])) if len(chunks) > 1 else []
     return problems + [f"{name}: links to {target}, which the chunks do not hold" for target in missing]
 
 
@@ -72,31 +104,18 @@ def _has_gaps(*tables: Table) -> bool:
     return any(table.cover["events"] is not None for table in tables)
 
 
-def _targets(column: Column) -> tuple[str, ...]:
-    return (column.links,) if isinstance(column.links, str) else column.links or ()
-
-
 def _join(tables: list[Table], before: Mapping[str, Array]) -> Table:
-    links = {column.name: _targets(column) for column in SCHEMAS[tables[0].kind] if column.links}
-    joined = {}
-    for name in tables[0].columns:
-        parts = [table.columns[name] for table in tables]
-        if name in links:
-            parts = [_shifted(table, name, links[name], before, i) for i, table in enumerate(tables)]
-        joined[name] = np.concatenate(parts)
+    # Bound as a default: the loop's own variable would have its last value.
+    links = [moved_links(table, lambda name, i=i: before[name][i]) for i, table in enumerate(tables)]  # type: ignore[misc]
+    joined = {
+        name: np.concatenate([moved.get(name, table.columns[name]) for table, moved in zip(tables, links, strict=True)])
+        for name in tables[0].columns
+    }
     same = {
         key: value
         for key, value in tables[0].meta.items()
         if all(key in table.meta and table.meta[key] == value for table in tables)
     }
-    events = np.concatenate([table.events for table in tables]) if _has_gaps(*tables) else None
+    events = np.concatenate([table.events for table in tables])
     n_events = sum(table.n_events for table in tables)
     return Table(tables[0].kind, joined, n_events, tables[0].first_event, same, events)
-
-
-def _shifted(table: Table, name: str, targets: tuple[str, ...], before: Mapping[str, Array], chunk: int) -> Array:
-    """Return the link column of one chunk, counting rows of the joined table; -1 stays -1."""
-    rows: Array = table.columns[name]
-    shifts = np.array([before[target][chunk] for target in targets])
-    shift = shifts[table.columns["view"]] if len(targets) > 1 else shifts[0]
-    return np.where(rows < 0, rows, rows + shift)

@@ -14,6 +14,7 @@ import numpy.typing as npt
 from cgemit.problems import did_you_mean
 from cgemit.tables import convert, files
 from cgemit.tables.check import Array, check_columns, event_range, schema_of
+from cgemit.tables.links import local_links
 
 
 class Table:
@@ -111,6 +112,12 @@ class Table:
     def __iter__(self) -> Any:
         return iter(self.columns)
 
+    def __array__(self, *_: object, **__: object) -> Array:
+        """Refuse: numpy and pandas, and by `__dlpack__` awkward, would take the names of the columns for rows."""
+        raise TypeError(f"{self.kind}: got a table; expected to_pandas(), to_awkward(), or a column such as ['event']")
+
+    __dlpack__ = __dlpack_device__ = __array__
+
     def keys(self) -> KeysView[str]:
         """Return the names of the columns."""
         return self.columns.keys()
@@ -143,6 +150,9 @@ class Table:
 
     def select_events(self, first: int, stop: int) -> Table:
         """Return the rows of the events ``first ... stop - 1`` as a table that covers just these events.
+
+        Links still count rows of the whole tables; `cgemit.tables.select_events` and `Result.select_events` change
+        them for all tables of a run.
 
         Parameters
         ----------
@@ -206,13 +216,28 @@ class Table:
     def _repr_html_(self) -> str:
         return convert.html(self)
 
+    def _ipython_key_completions_(self) -> list[str]:
+        return list(self.columns)
+
     def to_pandas(self) -> Any:
         """Return a pandas data frame, one row per row; a matrix column becomes ``name_0_0, name_0_1, ...``."""
         return convert.to_pandas(self)
 
-    def to_awkward(self) -> Any:
-        """Return an awkward array with one list of records per event."""
-        return convert.to_awkward(self)
+    def to_awkward(self, tables: Mapping[str, Table] | None = None) -> Any:
+        """Return an awkward array with one list of records per event.
+
+        Parameters
+        ----------
+        tables : mapping of str to Table, optional
+            All tables of the run (`Result.tables`). With them, links count rows of the linked table within the event,
+            as lists per event need it; without them, rows of the whole table, as in the columns.
+
+        Raises
+        ------
+        ValueError
+            If `tables` lacks a table that is linked to, or holds it for other events.
+        """
+        return convert.to_awkward(self if tables is None else self.with_columns(**local_links(self, tables)))
 
     def save(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
         """Write the table to an `.npz` file: the columns, the offsets and a JSON text (`Table.load` reads it).
@@ -266,6 +291,11 @@ def load_tables(directory: str | os.PathLike[str]) -> dict[str, Table]:
     FileNotFoundError
         If the directory holds no complete set of tables.
     ValueError
-        If a file is damaged.
+        If a file is damaged, or tables are not those that ``tables.json`` describes.
     """
-    return {name: Table.load(Path(directory) / f"{name}.npz") for name in files.read_index(directory)}
+    index = files.read_index(directory)
+    tables = {name: Table.load(Path(directory) / f"{name}.npz") for name in index}
+    problems = [line for name, table in tables.items() for line in files.index_problems(name, table, index[name])]
+    if problems:
+        raise ValueError(f"{directory} holds tables of several runs:\n  " + "\n  ".join(problems))
+    return tables

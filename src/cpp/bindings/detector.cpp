@@ -5,10 +5,13 @@
 #include <pybind11/stl.h>
 
 #include <algorithm>
+#include <cmath>
 #include <optional>
 
 #include "bindings/arrays.hpp"
 #include "bindings/gap.hpp"
+#include "common/angles.hpp"
+#include "common/problems.hpp"
 #include "matter/loss.hpp"
 #include "matter/scattering.hpp"
 
@@ -24,6 +27,8 @@ void add_components(const py::dict& columns, std::vector<Slab>& slabs) {
   const auto z = take<double>(columns, "z"), a = take<double>(columns, "a"),
              moles = take<double>(columns, "moles");
   const auto starts = column(first, "first", static_cast<py::ssize_t>(slabs.size()) + 1);
+  if (starts.front() != 0 || !std::ranges::is_sorted(starts))
+    throw std::invalid_argument("first: expected to begin with 0 and not to decrease");
   for (std::size_t i = 0; i < slabs.size(); ++i) {
     for (std::int32_t k = starts[i]; k < starts[i + 1]; ++k)
       slabs[i].components.push_back({z.at(k), a.at(k), moles.at(k)});
@@ -139,6 +144,78 @@ std::vector<WireLayer> make_wires(const py::dict& columns) {
   return layers;
 }
 
+// Adds a problem for every number of a part that is not in its range, ends included.
+class Part {
+ public:
+  Part(Problems& problems, const char* name, std::size_t number)
+      : problems_(problems), where_(name + ("[" + std::to_string(number) + "]")) {}
+  void within(const char* name, double value, double low, double high) const {
+    if (value >= low && value <= high) return;
+    problems_.add(where_ + " " + name + ": got " + to_text(value) + ", expected " + to_text(low) + " to " +
+                  to_text(high));
+  }
+
+ private:
+  Problems& problems_;
+  std::string where_;
+};
+
+// What the kernels divide by, index with and allocate; the description in Python has its own, narrower
+// limits.
+void check(double bz, const std::vector<Slab>& slabs, const std::vector<CgemLayer>& cgem,
+           const std::vector<WireLayer>& wires, std::size_t gaps) {
+  constexpr double far = 1e12, tiny = 1e-12, most_strips = 1e9, most_cells = 1e6, most_layers = 65535;
+  Problems problems;
+  if (!std::isfinite(bz)) problems.add("bz: got " + to_text(bz) + ", expected a finite number");
+  for (std::size_t i = 0; i < slabs.size(); ++i) {
+    const Part part(problems, "slab", i);
+    part.within("r_in", slabs[i].r_in, 0, far);
+    part.within("r_out", slabs[i].r_out, slabs[i].r_in, far);
+    part.within("radius", slabs[i].radius, 0, far);
+    part.within("spread", slabs[i].spread, 0, far);
+    part.within("half_length", slabs[i].half_length, 0, HUGE_VAL);
+    part.within("x0", slabs[i].x0, 0, far);
+    part.within("xi", slabs[i].xi, 0, far);
+    part.within("gap", slabs[i].gap, -1, static_cast<double>(cgem.size()) - 1);
+    for (const SlabPoint& point : slabs[i].table) part.within("log_terms", point.log_term, -far, far);
+    for (const Component& one : slabs[i].components) {
+      part.within("z", one.z, tiny, far);
+      part.within("a", one.a, tiny, far);
+      part.within("moles", one.moles, 0, far);
+    }
+  }
+  for (std::size_t i = 0; i < cgem.size(); ++i) {
+    const Part part(problems, "cgem", i);
+    part.within("r_gap_in", cgem[i].r_gap_in, tiny, far);
+    part.within("r_gap_out", cgem[i].r_gap_out, cgem[i].r_gap_in, far);
+    part.within("r_readout", cgem[i].r_readout, tiny, far);
+    part.within("half_length", cgem[i].half_length, tiny, far);
+    part.within("pitch_x", cgem[i].pitch_x, tiny, far);
+    part.within("pitch_v", cgem[i].pitch_v, tiny, far);
+    part.within("stereo", std::abs(cgem[i].stereo), tiny, pi);
+    part.within("offset_v", cgem[i].offset_v, -far, far);
+    part.within("strips_x", cgem[i].strips_x, 1, most_strips);
+    part.within("strips_v", cgem[i].strips_v, 1, most_strips);
+    for (const double phi : cgem[i].phi_first) part.within("phi_first", phi, -far, far);
+  }
+  for (std::size_t i = 0; i < wires.size(); ++i) {
+    const Part part(problems, "wires", i);
+    part.within("number", wires[i].number, 0, most_layers);
+    part.within("cells", wires[i].cells, 1, most_cells);
+    part.within("r_end", wires[i].r_end, tiny, far);
+    part.within("half_length", wires[i].half_length, tiny, far);
+    part.within("twist", std::abs(wires[i].twist), 0, pi);
+    part.within("phi_east", wires[i].phi_east, -far, far);
+    part.within("sigma", wires[i].sigma, 0, far);
+    part.within("sigma_slope", wires[i].sigma_slope, -far, far);
+    part.within("efficiency", wires[i].efficiency, 0, 1);
+  }
+  if (gaps != 0 && gaps != cgem.size())
+    problems.add("gaps: got " + std::to_string(gaps) + ", expected one for each of " +
+                 std::to_string(cgem.size()) + " CGEM layers");
+  problems.raise("detector");
+}
+
 }  // namespace
 
 void bind_detector(py::module_& module) {
@@ -161,19 +238,23 @@ void bind_detector(py::module_& module) {
       .def(py::init([](double bz, const py::dict& slabs, const Array<double>& log_terms,
                        const py::dict& composition, const py::dict& cgem, const py::dict& wires,
                        Screening screening, const py::dict& lattice, const py::list& gaps, CoreLoss loss,
-                       const std::optional<FieldMap>& field) {
+                       bool radiation, const std::optional<FieldMap>& field) {
              std::vector<Slab> made = make_slabs(slabs, log_terms, composition);
              add_holes(lattice, made);
+             std::vector<CgemLayer> layers = make_cgem(cgem);
+             std::vector<WireLayer> wire_layers = make_wires(wires);
+             std::vector<GapMatter> matter = make_gaps(gaps);
+             check(bz, made, layers, wire_layers, matter.size());
              Detector detector = make_detector(field ? *field : uniform_field(bz), std::move(made),
-                                               make_cgem(cgem), make_wires(wires), make_gaps(gaps));
+                                               std::move(layers), std::move(wire_layers), std::move(matter));
              prepare_scattering(detector, screening);
-             prepare_loss(detector, loss);
+             prepare_loss(detector, loss, radiation);
              return detector;
            }),
            py::kw_only(), py::arg("bz"), py::arg("slabs"), py::arg("log_terms"), py::arg("composition"),
            py::arg("cgem"), py::arg("wires"), py::arg("screening"), py::arg("lattice") = py::dict(),
            py::arg("gaps") = py::list(), py::arg_v("loss", CoreLoss::truncated, "CoreLoss.truncated"),
-           py::arg("field") = py::none())
+           py::arg("radiation") = true, py::arg("field") = py::none())
       .def_readonly("bz", &Detector::bz)
       .def_readonly("field", &Detector::field)
       .def_property_readonly("n_slabs", [](const Detector& d) { return d.slabs.size(); })

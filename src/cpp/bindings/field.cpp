@@ -3,7 +3,9 @@
 #include <pybind11/pybind11.h>
 #include <pybind11/stl.h>
 
+#include <algorithm>
 #include <array>
+#include <cmath>
 #include <optional>
 
 #include "bindings/arrays.hpp"
@@ -15,9 +17,16 @@ using namespace cgemit::bindings;
 
 namespace {
 
+constexpr int most_points = 100'000;  // of an axis
+
 FieldMap make_field(double bz, double tolerance, double b, double q,
                     const std::vector<std::tuple<double, double, int>>& axes,
                     const Array<double>& coefficients, std::optional<std::array<double, 2>> reach) {
+  const bool numbers = std::isfinite(bz) && std::isfinite(b) && std::isfinite(q);
+  if (!numbers || !(tolerance > 0 && tolerance < HUGE_VAL))
+    throw std::invalid_argument("bz, b, q, tolerance: expected finite numbers, tolerance above 0");
+  if (reach && !((*reach)[0] > 0 && (*reach)[1] > 0 && (*reach)[0] + (*reach)[1] < HUGE_VAL))
+    throw std::invalid_argument("reach: expected two finite lengths above 0");
   if (axes.empty()) {
     FieldMap map{FieldKind::harmonic, bz, b, q, {}, {}, tolerance};
     if (reach) map.axes = {{0, (*reach)[0], 2}, {-(*reach)[1], 2 * (*reach)[1], 2}};
@@ -28,11 +37,14 @@ FieldMap make_field(double bz, double tolerance, double b, double q,
   FieldMap map{is_box ? FieldKind::box : FieldKind::cylinder, bz, 0, 0, {}, {}, tolerance};
   std::size_t size = axes.size();
   for (const auto& [first, step, points] : axes) {
-    if (points < 2 || !(step > 0)) throw std::invalid_argument("axes: expected two points at a distance");
+    if (points < 2 || points > most_points || !(step > 0 && step < HUGE_VAL) || !std::isfinite(first))
+      throw std::invalid_argument("axes: expected 2 to 100000 points at a finite distance");
     map.axes.push_back({first, step, points});
-    size *= static_cast<std::size_t>(points) + 2;
+    size *= static_cast<std::size_t>(points) + 2;  // below 2^53: three factors of 17 bits
   }
   const auto values = column(coefficients, "coefficients", static_cast<py::ssize_t>(size));
+  if (!std::ranges::all_of(values, [](double value) { return std::isfinite(value); }))
+    throw std::invalid_argument("coefficients: expected finite numbers");
   map.coefficients.assign(values.begin(), values.end());
   return map;
 }

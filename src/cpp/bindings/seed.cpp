@@ -3,6 +3,8 @@
 #include <pybind11/native_enum.h>
 #include <pybind11/pybind11.h>
 
+#include <algorithm>
+#include <cmath>
 #include <limits>
 
 #include "bindings/arrays.hpp"
@@ -22,6 +24,8 @@ py::array_t<double> seeds(const Detector& detector, const Array<std::int64_t>& h
   const HitColumns columns(detector, hit_columns, n_hits);
   const auto side = columns.side();
   const auto mass = column(mass_array, "mass", static_cast<py::ssize_t>(offsets.size()) - 1);
+  if (!std::ranges::all_of(mass, [](double value) { return value > 0 && value < HUGE_VAL; }))
+    throw std::invalid_argument("mass: expected finite numbers above 0");
   std::vector<Hit> hits;
   std::vector<double> helix;
   for (std::size_t i = 0; i + 1 < offsets.size(); ++i) {

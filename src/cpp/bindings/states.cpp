@@ -3,11 +3,14 @@
 #include <pybind11/native_enum.h>
 #include <pybind11/pybind11.h>
 
+#include <algorithm>
+#include <cmath>
 #include <limits>
 
 #include "bindings/arrays.hpp"
 #include "bindings/hits.hpp"
 #include "common/angles.hpp"
+#include "common/problems.hpp"
 
 namespace py = pybind11;
 using namespace cgemit;
@@ -70,6 +73,10 @@ std::vector<Target> make_targets(const py::dict& columns) {
   for (std::size_t i = 0; i < surface.size(); ++i) {
     if (surface[i] < 0 || surface[i] > static_cast<std::int8_t>(StateSurface::hit))
       throw std::invalid_argument("surface: no such surface");
+    const bool at_radius = static_cast<StateSurface>(surface[i]) == StateSurface::cylinder;
+    if (!(radius[i] >= 0 && radius[i] < HUGE_VAL) || (at_radius && radius[i] == 0))
+      throw std::invalid_argument("radius: expected a finite length, above 0 for a cylinder");
+    if (!(share[i] >= 0 && share[i] <= 1)) throw std::invalid_argument("share: expected 0 to 1");
     targets.push_back({static_cast<StateSurface>(surface[i]), radius[i], share[i]});
   }
   return targets;
@@ -98,8 +105,32 @@ std::vector<Used> make_used(const py::dict& columns, py::ssize_t n) {
   const auto value = column(value_array, "used_value", n),
              variance = column(variance_array, "used_variance", n);
   std::vector<Used> used;
-  for (std::size_t i = 0; i < value.size(); ++i) used.push_back({counts[i] != 0, value[i], variance[i]});
+  for (std::size_t i = 0; i < value.size(); ++i) {
+    if (counts[i] != 0 && !(std::isfinite(value[i]) && variance[i] > 0 && variance[i] < HUGE_VAL))
+      throw std::invalid_argument("used_value, used_variance: expected finite numbers, variances above 0");
+    used.push_back({counts[i] != 0, value[i], variance[i]});
+  }
   return used;
+}
+
+bool all_finite(std::span<const double> values) {
+  return std::ranges::all_of(values, [](double value) { return std::isfinite(value); });
+}
+
+// Throws unless the numbers of all fitted tracks can be propagated.
+void check_tracks(std::span<const std::uint8_t> fitted, std::span<const double> reference,
+                  std::span<const double> kinks, std::span<const double> prior, std::span<const double> mass,
+                  std::size_t angles) {
+  Problems problems;
+  for (std::size_t i = 0; i < fitted.size(); ++i) {
+    if (!fitted[i]) continue;
+    const bool finite = all_finite(reference.subspan(5 * i, 5)) && all_finite(prior.subspan(25 * i, 25)) &&
+                        all_finite(kinks.subspan(angles * i, angles)) && std::isfinite(mass[i]);
+    if (!finite || reference[5 * i + 2] == 0 || !(mass[i] > 0))
+      problems.add("track " + std::to_string(i) +
+                   ": expected finite reference, kinks and prior, kappa other than 0, and a mass above 0");
+  }
+  problems.raise("states");
 }
 
 py::dict run(const Detector& detector, const Array<std::int64_t>& hit_offsets, const py::dict& hit_columns,
@@ -115,6 +146,7 @@ py::dict run(const Detector& detector, const Array<std::int64_t>& hit_offsets, c
   const auto prior = matrix(prior_array, "prior", n, 25);
   const auto mass = column(mass_array, "mass", n);
   const auto fitted = column(fitted_array, "fitted", n);
+  check_tracks(fitted, reference, kinks, prior, mass, angles);
   const std::vector<Used> used = make_used(hit_columns, n_hits);
   std::vector<Hit> hits;
   HitColumns(detector, hit_columns, n_hits).take(0, static_cast<std::size_t>(n_hits), hits);
@@ -156,6 +188,8 @@ py::dict run_extrapolate(const Detector& detector, const Array<double>& pivot_ar
   const auto pivot = matrix(pivot_array, "pivot", n, 3), helix = matrix(helix_array, "helix", n, 5),
              covariance = matrix(covariance_array, "cov", n, 25);
   const auto from = column(from_array, "share", n);
+  if (!(radius > 0 && radius < HUGE_VAL))
+    throw std::invalid_argument("radius: expected a finite length above 0");
   Output out;
   {
     py::gil_scoped_release release;

@@ -137,6 +137,7 @@ struct Surface {
 struct LossCuts {
   double mean, variance;
   double share;
+  double radiation = 1;  // share of the bremsstrahlung that counts: 1, or 0 without it
 };
 
 struct Detector {

@@ -30,7 +30,7 @@ double light_bracket(const Slab& slab, const Kinematics& k, double limit) {
 
 }  // namespace
 
-void prepare_loss(Detector& detector, CoreLoss choice) {
+void prepare_loss(Detector& detector, CoreLoss choice, bool radiation) {
   constexpr double everything = 1e30, most_probable = 0.2, half_maximum = 4.018 / 2.3548;
   LossCuts& cuts = detector.loss;
   switch (choice) {
@@ -44,6 +44,7 @@ void prepare_loss(Detector& detector, CoreLoss choice) {
       cuts = {std::exp(most_probable), half_maximum * half_maximum, 0};
       break;
   }
+  cuts.radiation = radiation ? 1 : 0;
 }
 
 double light_spectrum_share(const Kinematics& k, double transfer) {
@@ -66,7 +67,8 @@ LossMoments light_core_loss(const Slab& slab, double path, const Kinematics& k, 
   const double resolved = track.loss.share * k.p / k.per_beta, below = track.loss.mean * track_xi;
   const double cut = std::min(below + resolved, k.w_max());
   const double hardest = std::min(track.loss.variance * track_xi + resolved, k.w_max());
-  const double bracket = std::max(light_bracket(slab, k, cut), 0.0), x0 = slab.x0 * path;
+  const double bracket = std::max(light_bracket(slab, k, cut), 0.0);
+  const double x0 = track.loss.radiation * slab.x0 * path;
   const double radiated = radiated_mean * x0 * k.energy;
   // Per ln(p) the bracket grows by 2, and by the growth of the cut.
   const double grow = 2 + (below + resolved < k.w_max() ? resolved / cut : 0);

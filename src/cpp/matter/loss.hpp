@@ -55,8 +55,9 @@ using LossMoments = LossMomentsOf<double>;
 enum class CoreLoss { truncated, mean, most_probable };
 inline constexpr double core_cut_xi = 5, core_cut_share = 0.007;
 
-// Sets the loss cuts of a detector.
-void prepare_loss(Detector& detector, CoreLoss choice);
+// Sets the loss cuts of a detector. Without `radiation`, electrons and positrons lose energy in collisions
+// only.
+void prepare_loss(Detector& detector, CoreLoss choice, bool radiation);
 
 LossMoments light_core_loss(const Slab& slab, double path, const Kinematics& k, const TrackMatter& track);
 

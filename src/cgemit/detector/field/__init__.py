@@ -15,7 +15,10 @@ EVERYWHERE = 1e6  # mm, farther than any detector
 class Field:
     """Uniform magnetic field along the beam."""
 
-    kind: str = field(metadata=key("text", "shape of the field", choices=("uniform", "solenoid", "harmonic", "map")))
+    kind: str = field(
+        metadata=key("text", "shape of the field", choices=("uniform", "solenoid", "harmonic", "map")),
+        default="uniform",
+    )
     bz: float = field(metadata=key("field", "component along the beam at the origin, signed", -10.0, 10.0))  # T
 
 

@@ -1,9 +1,8 @@
 """Field maps in files: .npz with arrays, .csv with one row a point. Every problem of a file is listed at once."""
 
 import csv
+import math
 import re
-import zipfile
-import zlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -12,13 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgemit.detector.field.grid import Column, Columns, FieldGrid, checked_grid, names_in
-from cgemit.io.files import new_file
+from cgemit.io.files import check_regular, new_file, read_npz
 from cgemit.problems import DetectorError, Problem
 from cgemit.units import NATIVE, QuantityError, parse_quantity, units_of
 
 Floats = NDArray[np.float64]
 
 _HEADER = re.compile(r"\s*(\w+)\s*\[(.*)\]\s*")
+_LARGEST_CSV = 500_000_000  # bytes
 _LENGTH, _FIELD = "length_unit", "field_unit"
 
 
@@ -122,12 +122,8 @@ def _check_unit(unit: object, dimension: str, path: str, problems: list[Problem]
 def _read_npz(path: Path, problems: list[Problem]) -> Columns | None:
     """Return the arrays of a file in mm and T."""
     try:
-        file = np.load(path)
-        if not isinstance(file, np.lib.npyio.NpzFile):
-            raise ValueError("one array, as of a .npy file")
-        with file:
-            found = {name: file[name] for name in file.files}
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+        found = read_npz(path)
+    except (OSError, ValueError) as error:
         problems.append(Problem("", str(error), "a .npz file of arrays"))
         return None
     axes, components = names_in(found)
@@ -149,8 +145,11 @@ def _read_npz(path: Path, problems: list[Problem]) -> Columns | None:
 def _read_csv(path: Path, problems: list[Problem]) -> Columns | None:
     """Return the columns of a file as axes and arrays on the grid, in mm and T."""
     try:
+        check_regular(path)
+        if path.stat().st_size > _LARGEST_CSV:
+            raise ValueError(f"{path.stat().st_size} bytes, expected at most {_LARGEST_CSV}")
         lines = [line for line in path.read_text(encoding="utf-8-sig").splitlines() if line and line[0] != "#"]
-    except (OSError, UnicodeDecodeError) as error:
+    except (OSError, ValueError) as error:
         problems.append(Problem("", str(error), "a text file"))
         return None
     header, *rows = list(csv.reader(lines)) or [[]]
@@ -208,11 +207,13 @@ def _on_grid(columns: Columns, axes: tuple[str, ...], components: tuple[str, ...
     spans = [np.unique(column.values) for column in given.values()]
     shape = tuple(map(len, spans))
     indices = (np.searchsorted(span, c.values) for span, c in zip(spans, given.values(), strict=True))
-    places = np.ravel_multi_index(tuple(indices), shape) if min(shape) else np.empty(0, dtype=np.intp)
-    if len(places) != np.prod(shape) or len(np.unique(places)) != len(places):
+    rows = len(next(iter(given.values())).values)
+    whole = rows == math.prod(shape)  # in whole numbers: the product may be too large for an array
+    places = np.ravel_multi_index(tuple(indices), shape) if whole and rows else np.empty(0, dtype=np.intp)
+    if not whole or len(np.unique(places)) != rows:
         size = " x ".join(map(str, shape))
         expected = f"each point of the {size} grid of {', '.join(axes)} once"
-        problems.append(Problem("rows", f"{len(places)} rows", expected))
+        problems.append(Problem("rows", f"{rows} rows", expected))
         return dict.fromkeys(axes) | flat
     order = np.argsort(places)
     sorted_axes = {name: Column(span, given[name].unit) for name, span in zip(axes, spans, strict=True)}

@@ -1,6 +1,7 @@
 """A magnetic field on a regular grid: checks of its columns, and the splines through it that the core evaluates."""
 
 import hashlib
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -17,7 +18,9 @@ Floats = NDArray[np.float64]
 CYLINDER = (("r", "z"), ("br", "bz"))
 BOX = (("x", "y", "z"), ("bx", "by", "bz"))
 
-_FEWEST = 4  # points along an axis; a cubic needs as many
+_FEWEST, _MOST = 4, 5000  # points along an axis; a cubic needs four, and memory grows with the square
+_MOST_POINTS = 20_000_000  # of a grid
+_STRONGEST = 10.0  # T
 _UNEVEN = 1e-6  # of a step
 _ON_AXIS = 1e-3  # of the largest field: Br on the beam line may be no more than that
 
@@ -155,6 +158,8 @@ def checked_grid(columns: Columns, problems: list[Problem]) -> FieldGrid | None:
     given = [column.values for name in axes if (column := columns.get(name))]
     known = len(given) == len(axes) and all(values.ndim == 1 and len(values) >= _FEWEST for values in given)
     shape = tuple(map(len, given)) if known else None  # uneven axes have a length, too
+    if shape is not None and math.prod(shape) > _MOST_POINTS:
+        problems.append(Problem("", f"a grid of {math.prod(shape)} points", f"at most {_MOST_POINTS}"))
     for name in components:
         if column := columns.get(name):
             _check_component(name, column, shape, axes, problems)
@@ -171,7 +176,10 @@ def _check_component(
     if shape is not None and column.values.shape != shape:
         expected = f"shape {shape}: one value for each of {', '.join(axes)}"
         problems.append(Problem(name, f"shape {column.values.shape}", expected))
-    _check_finite(name, column, problems)
+    if _check_finite(name, column, problems) and column.unit:
+        largest = np.abs(column.values).max(initial=0.0)
+        if largest > _STRONGEST:
+            problems.append(Problem(name, f"up to {column.text(largest)}", f"at most {_STRONGEST:g} T"))
 
 
 def _check_finite(name: str, column: Column, problems: list[Problem]) -> bool:
@@ -192,8 +200,8 @@ def _check_beam_line(br: Column, bz: Column, problems: list[Problem]) -> None:
 def _axis(name: str, column: Column, problems: list[Problem]) -> Axis | None:
     """Return an axis; it must be equidistant and hold the origin, and r must begin there."""
     values = column.values
-    if values.ndim != 1 or len(values) < _FEWEST:
-        problems.append(Problem(name, f"shape {values.shape}", f"one dimension of at least {_FEWEST} points"))
+    if values.ndim != 1 or not _FEWEST <= len(values) <= _MOST:
+        problems.append(Problem(name, f"shape {values.shape}", f"one dimension of {_FEWEST} to {_MOST} points"))
         return None
     if not _check_finite(name, column, problems):
         return None
