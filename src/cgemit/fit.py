@@ -110,9 +110,7 @@ def compiled_for_fit(detector: Detector, settings: FitSettings) -> _core.Detecto
     settings : FitSettings
     """
     screening = settings.screening or SCREENINGS[0]
-    return compiled(
-        detector, screening=screening, loss=settings.loss, radiation=settings.radiation, gaps=False
-    )
+    return compiled(detector, screening=screening, loss=settings.loss, radiation=settings.radiation, gaps=False)
 
 
 def core_arguments(

@@ -112,8 +112,9 @@ def analytic(
         sigma_x=list(sigma_x), sigma_v=list(sigma_v), least_width=fit.least_width, delta_strips=fit.delta_strips,
         sides_known=reveal_sides, seed=0, prior_sigma=fit.prior_sigma,
     )  # fmt: skip
+    kappa = charges.reshape(-1, 1) / (momentum * sine)
     tracks = Tracks(
-        detector, fit, model, psi.ravel(), (charges.reshape(-1, 1) / (momentum * sine)).ravel(), (cosine / sine).ravel(),
+        detector, fit, model, psi.ravel(), kappa.ravel(), (cosine / sine).ravel(),
         np.repeat(masses.ravel(), number), number, np.ascontiguousarray(drawn[:, 3:]), threads,
     )  # fmt: skip
     out = tracks.run(budget=False)

@@ -88,7 +88,8 @@ def _field(reader: Reader, raw: object) -> Field:
     given = plain(reader.mapping("field", raw).get("kind", "uniform"))
     if not isinstance(given, str) or given not in KINDS:
         # The other keys are checked as those of any kind.
-        keys = {name: key for kind in KINDS.values() for name, key in keys_of(kind).items()}
+        kinds: list[Any] = list(KINDS.values())
+        keys = {name: key for kind in kinds for name, key in keys_of(kind).items()}
         reader.table("field", raw, Field, keys=keys | {"kind": kind_key()})
         return Field(kind="uniform", bz=UNUSABLE)
     kind = KINDS[given]
