@@ -51,7 +51,7 @@ def test_equal_layers_without_matter_are_those_of_gluckstern(n: int, sigma: floa
 
 def settings(readout: str, fluctuations: str) -> cg.Settings:
     return cg.Settings(
-        simulate=cg.SimulateSettings(fluctuations=fluctuations, deltas=False),
+        simulate=cg.SimulateSettings(fluctuations=fluctuations, deltas=False, decays=False),
         digitize=cg.DigitizeSettings(readout=readout),
     )
 
@@ -101,7 +101,7 @@ def test_each_cause_alone_makes_its_terms_of_the_budget() -> None:
     }  # fmt: skip
     for cause, (detector, readout, fluctuations) in causes.items():
         how = cg.Settings(
-            simulate=cg.SimulateSettings(fluctuations=fluctuations, deltas=False),
+            simulate=cg.SimulateSettings(fluctuations=fluctuations, deltas=False, decays=False),
             digitize=cg.DigitizeSettings(readout=readout, reveal_sides=True),
         )
         ran = cg.run(detector, gun, n=5000, seed=4, settings=how, until="find")

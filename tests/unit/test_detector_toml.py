@@ -102,7 +102,7 @@ variants = st.fixed_dictionaries(
         "field": st.floats(0.1, 3).map(lambda tesla: {"bz": f"{tesla} T"}),
         "drift_chamber": st.floats(10, 500).map(lambda um: {"sigma": f"{um} um", "wires": "smeared"}),
         "walls": st.dictionaries(
-            st.text(min_size=1, max_size=5),
+            st.from_regex(NAME, fullmatch=True),
             st.just({"r_in": "185 mm", "r_out": "186 mm", "half_length": "54 cm", "material": "Al"}),
             max_size=1,
         ),
