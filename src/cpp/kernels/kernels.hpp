@@ -21,8 +21,7 @@ struct Kernels {
   void (*simulate)(const Detector&, const ParticleColumns&, const SimulateSettings&, std::uint64_t seed,
                    Simulated&);
   void (*fit)(const Detector&, const FitInput&, const FitSettings&, const FitOutput&);
-  void (*covariances)(const Detector&, const CovarianceInput&, const HitModel&,
-                      const CovarianceOutput&);
+  void (*covariances)(const Detector&, const CovarianceInput&, const HitModel&, const CovarianceOutput&);
 };
 
 // The kernels in use: scalar ones until others are opened.
