@@ -113,7 +113,7 @@ def sensitivity(
         As for `analytic`.
     keys : sequence of str or None
         Dotted keys of numbers, also patterns such as ``"cgem.*.pitch_x"``, whose values then change together. None:
-        field, thicknesses, radii, gaps, pitches and stereo angles of all parts, and the error of the wires.
+        field, radii, gaps, pitches, stereo angles and thicknesses of all CGEM layers, and the error of the wires.
     quantities : sequence of str
         As for `Covariance.sigma`.
     **how
@@ -237,8 +237,6 @@ def design_keys(detector: Contents) -> Iterator[str]:
     detector : Detector
     """
     yield "field.bz"
-    for group in ("beam_pipe", "walls"):
-        yield from (f"{group}.{part.label}.thickness" for part in getattr(detector, group))
     for layer in detector.cgem:
         for name in ("anode_radius", "pitch_x", "pitch_v", "stereo", "drift_gap", "transfer_gap", "induction_gap"):
             yield f"cgem.{layer.label}.{name}"

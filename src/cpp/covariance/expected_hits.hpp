@@ -23,6 +23,7 @@ struct KeptHit {
   CellNumbers<T> cell;  // of a wire
   T edge;               // of a sheet, rad
   T variance, mean;     // mm^2, of a cluster: of this one, and of all with the same projected path
+  T distance;           // mm, from a wire
 };
 
 template <class T>
@@ -93,12 +94,13 @@ class ExpectedHits {
     return abs(z) <= detector_.wires[static_cast<std::size_t>(slot.layer)].half_length;
   }
 
-  // The variance of a measurement that the reference has met. Of a variant it is that of the kept cluster,
-  // times the change of the mean over all positions of the strips.
+  // The variance of a measurement that the reference has met. Tracks are anywhere in strips and cells,
+  // whatever the design: a variant keeps the distances from wires, and a cluster's variance changes as the
+  // mean over all positions of the strips.
   void measure(Slot<T>& slot, const Mask& met) {
     const auto number = static_cast<std::size_t>(&slot - group_.storage.data());
     if (slot.view == View::wire) {
-      slot.variance = wire_variance(slot);
+      slot.variance = wire_variance(slot, again_ ? kept_[number].distance : abs(slot.predicted));
     } else if (again_) {
       slot.variance = kept_[number].variance * mean_error(slot) / kept_[number].mean;
     } else {
@@ -106,6 +108,7 @@ class ExpectedHits {
     }
     if (!keeps_) return;
     kept_[number].there = met;
+    kept_[number].distance = abs(slot.predicted);
     if (slot.view == View::wire) return;
     kept_[number].variance = slot.variance;
     kept_[number].mean = mean_error(slot);
@@ -131,13 +134,14 @@ class ExpectedHits {
     slot.edge = edge;
     // Tells the trace on which side of a seam the hit is.
     slot.drift = view == View::x ? x : x * layer.cos_stereo + (layer.z_ref() - at.z) * layer.sin_stereo;
-    if (keeps_) kept_.push_back({step_number(step), view, index, there, {}, edge, T(1.0), T(1.0)});
+    if (keeps_) kept_.push_back({step_number(step), view, index, there, {}, edge, T(1.0), T(1.0), T(0.0)});
   }
   void add_wire(GroupStep& step, std::size_t index, const Mask& there, const CellNumbers<T>& cell) {
     Slot<T>& slot = add(step, View::wire, index);
     slot.there = there;
     slot.wire = cell_wires<T>(detector_.wires[index], cell);
-    if (keeps_) kept_.push_back({step_number(step), View::wire, index, there, cell, T(0.0), T(1.0), T(1.0)});
+    if (keeps_)
+      kept_.push_back({step_number(step), View::wire, index, there, cell, T(0.0), T(1.0), T(1.0), T(0.0)});
   }
 
   std::size_t step_number(const GroupStep& step) const {
@@ -183,10 +187,9 @@ class ExpectedHits {
 
   // A hit whose side is unknown is close to its wire a mixture of both, with the weights that the fit gives
   // them (`fit/measured.hpp`).
-  T wire_variance(const Slot<T>& slot) const {
+  T wire_variance(const Slot<T>& slot, const T& distance) const {
     const WireLayer& layer = detector_.wires[static_cast<std::size_t>(slot.layer)];
-    const T distance = abs(slot.predicted), sigma = layer.sigma + layer.sigma_slope * distance;
-    const T own = sigma * sigma;
+    const T sigma = layer.sigma + layer.sigma_slope * distance, own = sigma * sigma;
     if (model_.sides_known) return own;
     const T weight = hyperbolic_tangent(distance * distance / own);
     return own + (1.0 - weight * weight) * distance * distance;

@@ -15,6 +15,7 @@
 #include <array>
 #include <optional>
 
+#include "common/compiler.hpp"
 #include "field/field.hpp"
 #include "motion/helix.hpp"
 
@@ -85,7 +86,8 @@ struct FieldDerivatives {
     }
   }
 
-  void transport(const FieldStep<T>& step) {
+  // Never inlined, so that all callers round alike: a lane must not depend on the others.
+  CGEMIT_NOINLINE void transport(const FieldStep<T>& step) {
     const Flight first(step.t1, step.b1, step.bend), last(step.t4, step.b4, step.bend);
     const HelixPointOf<T>&start = first.at, &end = last.at;
     const T x = start.ux + end.ux, y = start.uy + end.uy, per = 1.0 / sqrt(x * x + y * y), zero(0.0);
