@@ -199,6 +199,9 @@ def test_the_field_scales_the_momentum_resolution() -> None:
     """At high momentum, where only measurements count, sigma(p) falls like 1/B."""
     found = cg.sensitivity(CHAMBER, "mu-", 200.0, 0.0, keys=["field.bz"], quantities=("p",), phi=0.1, reveal_sides=True)
     assert float(found.of("field.bz", "p")) == pytest.approx(-1, abs=0.01)
+    # Scattering does, too; and where the side of a wire is hidden, tracks keep their distances from wires.
+    found = cg.sensitivity(DESIGN, "mu-", 1.0, 0.0, keys=["field.bz"], quantities=("p",))
+    assert float(found.of("field.bz", "p")) == pytest.approx(-1, abs=0.01)
 
 
 def test_numbers_that_cannot_move_say_why() -> None:
