@@ -15,8 +15,8 @@ from cgemit.draw.curves import draw_resolutions
 from cgemit.fit import FitSettings
 from cgemit.result import Settings
 from cgemit.study import fit_form, scan, scan_analytic
-from cgemit.study.analytic_scan import line_momenta
-from cgemit.study.scan_files import compared, fits_text, save_scans
+from cgemit.study.analytic_scan import compared, line_momenta
+from cgemit.study.scan_files import fits_text, save_scans
 
 DESIGN, IDC = "besiii-cgem-design", "besiii-idc"
 MOMENTA = [0.3, 1.0, 0.5]

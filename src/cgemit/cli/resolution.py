@@ -108,7 +108,8 @@ def _scans(
 
 def _text(points: Sequence[Scan], lines: Sequence[AnalyticScan]) -> str:
     """Return a table and the fits of each detector."""
-    from cgemit.study.scan_files import compared, fits_text
+    from cgemit.study.analytic_scan import compared
+    from cgemit.study.scan_files import fits_text
 
     if points and lines:
         pairs = list(zip(points, lines, strict=True))

@@ -21,11 +21,12 @@ from cgemit.fit import FitSettings, FitStatus
 from cgemit.result import Settings
 from cgemit.species import HYPOTHESES, species
 from cgemit.statistics.curves import Line
-from cgemit.statistics.formatting import html_table, text_table
+from cgemit.statistics.formatting import html_table, text_table, with_error
 from cgemit.statistics.forms import FORMS, FormFit, fit_form
 from cgemit.statistics.resolutions import QUOTED
 from cgemit.study.samples import Order, momentum_of, momentum_orders
-from cgemit.study.scans import QUOTED_PARAMETERS
+from cgemit.study.scan_files import save_scans, summary_of
+from cgemit.study.scans import QUOTED_PARAMETERS, Scan
 from cgemit.values import InTurn
 
 Floats = npt.NDArray[np.float64]
@@ -56,6 +57,8 @@ class AnalyticScan:
     seconds: float
 
     method: ClassVar[str] = "analytic"
+    hits: ClassVar[str] = ""
+    removed: ClassVar[Mapping[str, Mapping[str, int]]] = {}
 
     @property
     def detector(self) -> Detector:
@@ -135,8 +138,6 @@ class AnalyticScan:
 
     def summary(self) -> dict[str, Any]:
         """Return what `summary.json` holds."""
-        from cgemit.study.scan_files import summary_of
-
         return summary_of([self])
 
     def save(self, folder: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
@@ -152,8 +153,6 @@ class AnalyticScan:
         OutputExistsError
             If the folder holds files and `overwrite` is false.
         """
-        from cgemit.study.scan_files import save_scans
-
         return save_scans([self], folder, overwrite=overwrite)
 
     def empty(self) -> bool:
@@ -245,7 +244,7 @@ def scan_analytic(
     """
     start = time.perf_counter()
     gun: dict[str, Any] = {"particle": particle, "cos_theta": cos_theta}
-    orders = momentum_orders(load(detector), momenta, **gun, events=1, seed=seed, settings=settings)
+    orders = momentum_orders(load(detector), momenta, **gun, events=0, seed=seed, settings=settings)
     if not orders:
         raise ValueError("momenta: got none, expected at least one")
     first = orders[0]
@@ -270,3 +269,30 @@ def _check_hypothesis(fit: FitSettings, particle: str | int) -> None:
             f"fit.hypothesis: got {', '.join(others)} for {particle}; "
             "the analytic method expects the particle's own mass"
         )
+
+
+def compared(simulated: Scan, line: AnalyticScan) -> str:
+    """Return a table of simulated and analytic core widths side by side, with their ratio.
+
+    Parameters
+    ----------
+    simulated : Scan
+    line : AnalyticScan
+        Of the same detector and momenta.
+    """
+    cells = [[f"{p:g}" for p in line.momenta]]
+    head = ["p [GeV/c]"]
+    for name, text, points in zip(QUOTED_PARAMETERS, _HEAD[1:4], simulated.lines, strict=True):
+        expected = line.at(name)
+        head += [text, "analytic", "ratio"]
+        cells.append([with_error(*pair) for pair in zip(points.y, points.y_error, strict=True)])
+        cells.append([with_error(value, 0.0) for value in expected])
+        ratios = zip(points.y / expected, points.y_error / expected, strict=True)
+        cells.append([with_error(*pair) for pair in ratios])
+    first = line.orders[0]
+    title = (
+        f"{first.detector.name}, {first.gun.particle}, cos(theta) {first.gun.cos_theta}: core widths, simulated "
+        f"({simulated.samples[0].n_events} events at each momentum) and analytic, ratio simulated/analytic"
+    )
+    table = text_table(title, head, [list(row) for row in zip(*cells, strict=True)])
+    return "\n".join([table, *filter(None, [simulated.note(), line.note()])])

@@ -5,27 +5,67 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from cgemit.detector import Detector
 from cgemit.io.folders import SUMMARY, new_folder
 from cgemit.record import gun_data, record, write_record
-from cgemit.result import hits_text
-from cgemit.statistics.formatting import text_table, with_error, write_csv
-from cgemit.study.analytic_scan import AnalyticScan
-from cgemit.study.samples import momentum_of
-from cgemit.study.scans import QUOTED_PARAMETERS, Scan
+from cgemit.statistics.curves import Line
+from cgemit.statistics.formatting import write_csv
+from cgemit.statistics.forms import FormFit
+from cgemit.study.samples import Order, momentum_of
 from cgemit.values import InTurn
 from cgemit.version import VERSION
 
-AnyScan = Scan | AnalyticScan
+
+class AnyScan(Protocol):
+    """What the files need of a scan, simulated or analytic."""
+
+    @property
+    def method(self) -> str:
+        """``"mc"`` or ``"analytic"``."""
+
+    @property
+    def detector(self) -> Detector:
+        """The detector."""
+
+    @property
+    def orders(self) -> Sequence[Order]:
+        """Detector, gun, settings and number of events at each momentum asked for."""
+
+    @property
+    def lines(self) -> list[Line]:
+        """Resolutions of d_rho, d_z and p against momentum."""
+
+    @property
+    def fits(self) -> list[FormFit]:
+        """The usual forms, fitted to them."""
+
+    @property
+    def seed(self) -> int:
+        """Seed of the events."""
+
+    @property
+    def seconds(self) -> float:
+        """Wall time."""
+
+    @property
+    def hits(self) -> str:
+        """How hits came to their tracks; empty without events."""
+
+    @property
+    def removed(self) -> Mapping[str, Mapping[str, int]]:
+        """Tracks that did not fit, by sample and status."""
+
+    def columns(self) -> dict[str, list[Any]]:
+        """Return the columns of the CSV table."""
 
 
 def summary_of(scans: Sequence[AnyScan]) -> dict[str, Any]:
     """Return what `summary.json` holds: the curves of all detectors and methods, for the same gun."""
-    simulated = [scan for scan in scans if isinstance(scan, Scan)]
+    simulated = [scan for scan in scans if scan.method == "mc"]
     first = scans[0].orders[0]
     cos_theta = first.gun.cos_theta
     if isinstance(cos_theta, InTurn):
@@ -35,18 +75,18 @@ def summary_of(scans: Sequence[AnyScan]) -> dict[str, Any]:
         "momenta": [momentum_of(order) for order in scans[0].orders],
     }  # fmt: skip
     if simulated:
-        inputs["events"] = simulated[0].samples[0].n_events
+        inputs["events"] = simulated[0].orders[0].n_events
     methods = {scan.method for scan in scans}
     inputs |= {"method": methods.pop() if len(methods) == 1 else "both", "settings": first.settings.to_dict()}
     if simulated:
-        inputs["hits"] = hits_text(simulated[0].samples[0].tracks)
+        inputs["hits"] = simulated[0].hits
     return {
         "program": "cgemit",
         "version": VERSION,
         "inputs": inputs,
         "seed": scans[0].seed,
         "timings": {"total_s": sum(scan.seconds for scan in scans)},
-        "removed": {s.label: dict(s.removed) for scan in simulated for s in scan.samples},
+        "removed": {label: dict(counts) for scan in scans for label, counts in scan.removed.items()},
         "curves": [line.as_json() for scan in scans for line in scan.lines],
         "fits": [fit.as_json() for scan in scans for fit in scan.fits],
     }
@@ -104,36 +144,6 @@ def columns_of(scans: Sequence[AnyScan]) -> dict[str, list[Any]]:
     }
 
 
-def compared(simulated: Scan, line: AnalyticScan) -> str:
-    """Return a table of simulated and analytic core widths side by side, with their ratio.
-
-    Parameters
-    ----------
-    simulated : Scan
-    line : AnalyticScan
-        Of the same detector and momenta.
-    """
-    cells = [[f"{p:g}" for p in line.momenta]]
-    head = ["p [GeV/c]"]
-    for name, text, points in zip(QUOTED_PARAMETERS, _HEADS, simulated.lines, strict=True):
-        expected = line.at(name)
-        head += [text, "analytic", "ratio"]
-        cells.append([with_error(*pair) for pair in zip(points.y, points.y_error, strict=True)])
-        cells.append([with_error(value, 0.0) for value in expected])
-        ratios = zip(points.y / expected, points.y_error / expected, strict=True)
-        cells.append([with_error(*pair) for pair in ratios])
-    first = line.orders[0]
-    title = (
-        f"{first.detector.name}, {first.gun.particle}, cos(theta) {first.gun.cos_theta}: core widths, simulated "
-        f"({simulated.samples[0].n_events} events at each momentum) and analytic, ratio simulated/analytic"
-    )
-    table = text_table(title, head, [list(row) for row in zip(*cells, strict=True)])
-    return "\n".join([table, *filter(None, [simulated.note(), line.note()])])
-
-
-_HEADS = ("sigma(d_rho) [um]", "sigma(d_z) [mm]", "sigma(p) [MeV/c]")
-
-
 def fits_text(scans: Sequence[AnyScan]) -> str:
     """Return the fits of the usual forms to some scans, one a line; empty with fewer than three momenta.
 
@@ -155,10 +165,9 @@ def _record(scans: Sequence[AnyScan], command: str) -> dict[str, Any]:
     source = []
     for scan in scans:
         for order in scan.orders:
-            events = order.n_events if isinstance(scan, Scan) else 0
             about: dict[str, Any] = {"label": order.label, "detector": order.detector.name, "gun": gun_data(order.gun)}
-            about |= {"events": events, "seed": order.seed}
-            source.append(about if isinstance(scan, Scan) else about | {"method": scan.method})
+            about |= {"events": order.n_events, "seed": order.seed}
+            source.append(about if scan.method == "mc" else about | {"method": scan.method})
     return record(
         detectors=_detectors(scans), settings=scans[0].orders[0].settings, seed=scans[0].seed, source=source,
         command=command,

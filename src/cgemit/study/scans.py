@@ -32,6 +32,7 @@ from cgemit.study.samples import (
     run_samples,
     why_unfitted,
 )  # fmt: skip
+from cgemit.study.scan_files import save_scans, summary_of
 from cgemit.tables import Table
 from cgemit.values import check_numbers
 
@@ -128,6 +129,16 @@ class Scan:
         return self.samples
 
     @property
+    def hits(self) -> str:
+        """How hits came to their tracks."""
+        return hits_text(self.samples[0].tracks)
+
+    @property
+    def removed(self) -> dict[str, Mapping[str, int]]:
+        """Tracks that did not fit, by sample and status."""
+        return {s.label: s.removed for s in self.samples}
+
+    @property
     def fits(self) -> list[FormFit]:
         """The usual forms, fitted to the resolutions; none with fewer than three momenta."""
         gun = self.samples[0].gun
@@ -151,8 +162,6 @@ class Scan:
 
     def summary(self) -> dict[str, Any]:
         """Return what `summary.json` holds."""
-        from cgemit.study.scan_files import summary_of
-
         return summary_of([self])
 
     def save(self, folder: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
@@ -168,8 +177,6 @@ class Scan:
         OutputExistsError
             If the folder holds files and `overwrite` is false.
         """
-        from cgemit.study.scan_files import save_scans
-
         return save_scans([self], folder, overwrite=overwrite)
 
     def _rows(self) -> list[list[str]]:
