@@ -75,7 +75,7 @@ def test_settings_in_the_examples_exist(capsys):
         (["study", "--events", "none"], "whole number"),
         (["study", "--events", "10", "-o", "never"], "from 400"),
         (["study", "--threads", "0"], "at least 1"),
-        ([*RESOLUTION, "-o", "never", "--method", "analytic"], "analytic"),
+        ([*RESOLUTION, "-o", "never", "--method", "geant"], "geant"),
         (["resolution", "-d", "besiii-cgem", "--p", "1:2", "-o", "never"], "START:STOP:COUNT"),
         (["resolution", "-d", "besiii-cgam", "--p", "1", "-o", "never"], "besiii-cgem"),
         (["resolution", "-d", "besiii-cgem", "--p", "1 mm", "-o", "never"], "momentum"),

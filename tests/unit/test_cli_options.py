@@ -204,7 +204,7 @@ def usual_scan() -> Scan:
 @pytest.mark.parametrize("row", RESOLUTION_ROWS, ids=name)
 def test_options_of_resolution(row: Row, usual_scan: Scan, monkeypatch: pytest.MonkeyPatch) -> None:
     saved: list[Any] = []
-    monkeypatch.setattr("cgemit.study.scans.save_scans", lambda scans, *_, **__: saved.extend(scans))
+    monkeypatch.setattr("cgemit.study.scan_files.save_scans", lambda scans, *_, **__: saved.extend(scans))
     assert main([*command_line(["resolution"], RESOLUTION, row), "--quiet", "-o", "out"]) == 0
     assert tracks_of(saved[0]) == tracks_of(scanned(**row.same))
     assert (tracks_of(saved[0]) == tracks_of(usual_scan)) is row.idle

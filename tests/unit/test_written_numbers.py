@@ -18,7 +18,8 @@ from cgemit.statistics.resolutions import QUOTED
 from cgemit.study import measure, reproduce, scan
 from cgemit.study.cluster_residuals import geant4_runs
 from cgemit.study.paper.published import paper_values
-from cgemit.study.scans import save_scans, scan_columns
+from cgemit.study.scan_files import save_scans
+from cgemit.study.scans import scan_columns
 
 UNITS = {"dr": 1e3, "phi0": 1e3, "kappa": 1.0, "dz": 1.0, "tanl": 1e3, "p": 1e3}
 

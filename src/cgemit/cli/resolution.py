@@ -10,12 +10,18 @@ from typing import TYPE_CHECKING
 from cgemit.cli import changes, common, read
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from cgemit.detector import Detector
+    from cgemit.result import Settings
+    from cgemit.study.analytic_scan import AnalyticScan
     from cgemit.study.scans import Scan
 
 _DESCRIPTION = """\
-Resolutions sigma(d_rho), sigma(d_z) and sigma(p) of one or several detectors against momentum, from simulated and
-fitted tracks. A table for each detector goes to stdout; the folder gets resolution.csv, summary.json, the detectors
-as TOML, and the curves of all detectors in one picture as PNG and PDF."""
+Resolutions sigma(d_rho), sigma(d_z) and sigma(p) of one or several detectors against momentum: points from simulated
+and fitted tracks, lines from the covariance of the fit without events, or both. A table for each detector and the
+fits of the usual forms (with three momenta or more) go to stdout; the folder gets resolution.csv, summary.json, the
+detectors as TOML, and the curves of all detectors in one picture as PNG and PDF."""
 
 _EXAMPLES = """\
 Momenta are one number, A,B,C, or START:STOP:COUNT with both ends; in GeV/c unless a unit is given.
@@ -24,6 +30,7 @@ examples:
   cgemit resolution -d besiii-cgem-design --p 0.2:2.0:10 -o curves
   cgemit resolution -d besiii-cgem-design --set cgem.L1.drift_gap="3 mm" --name thin-gap --p 0.2:2.0:10 -o thin
   cgemit resolution -d besiii-cgem-design -d thin/detector.toml -d besiii-idc --p 0.2:2.0:10 -o compared
+  cgemit resolution -d besiii-cgem-design -d besiii-idc --method both --cos-theta 0 --p 0.2:2.0:10 -o lines
   cgemit resolution -d besiii-cgem --set fit.loss=mean --p 0.2:2.0:10 -o mean-loss
   cgemit resolution -d besiii-idc --particle pi+ --p 1 --cos-theta -0.8:0.8 --events 20000 -o pions --json"""
 
@@ -42,11 +49,14 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         help="cosine of the polar angle: a value, or a range drawn uniformly (default -0.93:0.93)",
     )  # fmt: skip
     parser.add_argument(
-        "--events", type=read.positive, default=5000, metavar="N", help="at each momentum (default 5000)"
-    )
+        "--events", type=read.positive, default=5000, metavar="N",
+        help="at each momentum (default 5000); not used by the analytic method",
+    )  # fmt: skip
     parser.add_argument(
-        "--method", choices=("mc",), default="mc", help="mc: simulated events (the only method of this version)"
-    )
+        "--method", choices=("mc", "analytic", "both"), default="mc",
+        help="mc: points from simulated events (default); analytic: lines through at least 60 momenta between the "
+        "first and the last, without events; both: lines and points",
+    )  # fmt: skip
     parser.add_argument("--json", action="store_true", help="write summary.json to stdout instead of the table")
     common.add_output(parser)
     changes.add_hypothesis(parser)
@@ -59,28 +69,49 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 def run(arguments: argparse.Namespace) -> int:
     """Run the scan."""
     from cgemit.io.folders import check_free
-    from cgemit.study.scans import save_scans, scan_detectors, summary_of
+    from cgemit.study.scan_files import save_scans, summary_of
 
     if isinstance(arguments.p, tuple):
         raise common.InputError("--p: got a range of two numbers; expected momenta, as START:STOP:COUNT or A,B,C")
     check_free(arguments.output, overwrite=arguments.overwrite)
     detectors, settings = common.load_inputs(arguments, one_track=True)
-    momenta = arguments.p if isinstance(arguments.p, list) else [arguments.p]
-    with common.Progress("resolution", quiet=arguments.quiet) as progress:
-        scans = scan_detectors(
-            detectors, momenta, particle=arguments.particle, cos_theta=arguments.cos_theta, events=arguments.events,
-            seed=arguments.seed, settings=settings, threads=arguments.threads, progress=progress,
-        )  # fmt: skip
-    if failed := [f"{scan.samples[0].detector.name}: {scan.note()}" for scan in scans if not _any_fitted(scan)]:
+    points, lines = _scans(arguments, detectors, settings)
+    scans: list[Scan | AnalyticScan] = [*points, *lines]
+    if failed := [f"{scan.detector.name}: {scan.note()}" for scan in scans if scan.empty()]:
         raise common.RunFailedError("\n".join(failed))
     save_scans(scans, arguments.output, overwrite=arguments.overwrite, command=arguments.line)
-    print(json.dumps(summary_of(scans), indent=2) if arguments.json else "\n\n".join(map(str, scans)))
+    print(json.dumps(summary_of(scans), indent=2) if arguments.json else _text(points, lines))
     if not arguments.quiet:
         print(f"curves: {arguments.output}/resolution.png", file=sys.stderr)
     return 0
 
 
-def _any_fitted(scan: Scan) -> bool:
-    from cgemit.fit import FitStatus
+def _scans(
+    arguments: argparse.Namespace, detectors: Sequence[Detector], settings: Settings
+) -> tuple[list[Scan], list[AnalyticScan]]:
+    """Return the scans of all detectors by simulation and by the covariance, as far as they are asked for."""
+    from cgemit.study.analytic_scan import scan_analytic
+    from cgemit.study.scans import scan_detectors
 
-    return any((sample.tracks["status"] == FitStatus.ok).any() for sample in scan.samples)
+    momenta = arguments.p if isinstance(arguments.p, list) else [arguments.p]
+    how = {name: getattr(arguments, name) for name in ("particle", "cos_theta", "seed", "threads")}
+    how["settings"] = settings
+    points: list[Scan] = []
+    lines: list[AnalyticScan] = []
+    with common.Progress("resolution", quiet=arguments.quiet) as progress:
+        if arguments.method != "mc":  # first, since it is quick to find what is wrong
+            lines = [scan_analytic(detector, momenta, **how) for detector in detectors]
+        if arguments.method != "analytic":
+            points = scan_detectors(detectors, momenta, events=arguments.events, progress=progress, **how)
+    return points, lines
+
+
+def _text(points: Sequence[Scan], lines: Sequence[AnalyticScan]) -> str:
+    """Return a table and the fits of each detector."""
+    from cgemit.study.analytic_scan import compared
+    from cgemit.study.scan_files import fits_text
+
+    if points and lines:
+        pairs = list(zip(points, lines, strict=True))
+        return "\n\n".join("\n".join(filter(None, [compared(*pair), fits_text(pair)])) for pair in pairs)
+    return "\n\n".join("\n".join(filter(None, [str(scan), fits_text([scan])])) for scan in points or lines)

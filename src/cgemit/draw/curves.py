@@ -126,23 +126,33 @@ def _label_spectrum(axes: Axes, spectrum: Spectrum, title: str, headroom: float 
 def draw_curves(
     axes: Axes, curves: Sequence[Line], y_label: str, x_label: str, paper: tuple[float, float] | None = None
 ) -> None:
-    """Draw curves with errors into axes, one per detector.
+    """Draw curves with errors into axes, in one colour per detector.
 
     Parameters
     ----------
     curves : sequence of Line
-        All in the same units.
+        All in the same units. Analytic ones are lines without points; simulated ones beside them are points without
+        lines, and the legend tells which is which.
     y_label, x_label : str
         Without the unit.
     paper : (float, float), optional
         A published point.
     """
-    for curve, (marker, colour) in zip(curves, _looks(), strict=False):
+    looks = dict(zip(dict.fromkeys(curve.detector for curve in curves), _looks(), strict=False))
+    methods = {curve.method for curve in curves}
+    for curve in curves:
         if not np.isfinite(curve.y).any():
             continue  # a legend must not name a curve that is not there
+        (marker, colour), label = looks[curve.detector], plain(curve.detector)
+        if curve.method == "analytic":
+            # A single momentum is no line.
+            kind = "_" if len(curve.x) == 1 else "-"
+            axes.plot(curve.x, curve.y, kind, color=colour, lw=1.4, ms=16, mew=1.4, label=f"{label}, analytic")
+            continue
+        both = "analytic" in methods
         axes.errorbar(
-            curve.x, curve.y, curve.y_error, fmt=f"{marker}-", color=colour, ms=5, lw=1.2, mec="white", mew=0.5,
-            elinewidth=1, label=plain(curve.detector),
+            curve.x, curve.y, curve.y_error, fmt=marker if both else f"{marker}-", color=colour, ms=5, lw=1.2,
+            mec="white", mew=0.5, elinewidth=1, label=f"{label}, simulated" if both else label,
         )  # fmt: skip
     if paper:
         star: dict[str, Any] = {"ms": 13, "color": COLORS["single"], "mec": COLORS["data"], "mew": 0.7}

@@ -36,6 +36,8 @@ class Line:
     x, y, y_error : (n,) float64
         In `x_unit`, `y_unit`; the error is statistical.
     x_unit, y_unit : str
+    method : str
+        ``"mc"`` (simulated events), ``"analytic"`` (a line without points), or empty.
     """
 
     id: str
@@ -45,6 +47,7 @@ class Line:
     y: npt.NDArray[np.float64]
     y_error: npt.NDArray[np.float64]
     y_unit: str
+    method: str = ""
 
     def __eq__(self, other: object) -> bool:
         """Compare all values; NaN equals NaN."""
@@ -58,7 +61,7 @@ class Line:
         return {
             "id": self.id, "detector": self.detector, "x": _numbers(self.x), "x_unit": self.x_unit,
             "y": _numbers(self.y), "y_error": _numbers(self.y_error), "y_unit": self.y_unit,
-        }  # fmt: skip
+        } | ({"method": self.method} if self.method else {})  # fmt: skip
 
 
 @dataclass(frozen=True)

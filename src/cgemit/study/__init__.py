@@ -2,7 +2,9 @@
 
 from cgemit.statistics.chi2 import Flatness, chi2_flatness, chi2_probability
 from cgemit.statistics.estimate import GaussianFit, Resolution, gaussian_fit, measure
+from cgemit.statistics.forms import FormFit, fit_form
 from cgemit.statistics.resolutions import Curve, Pulls, pulls, resolution, resolution_against
+from cgemit.study.analytic_scan import AnalyticScan, scan_analytic
 from cgemit.study.cluster_residuals import DeltaFractions, delta_displacements, delta_fractions
 from cgemit.study.paper import Reproduction, reproduce
 from cgemit.study.robustness import Outcome, run_scenario
@@ -12,9 +14,11 @@ from cgemit.study.sweeps import Space, Sweep, grid, latin_hypercube, sobol, swee
 
 __all__ = [
     "SCENARIOS",
+    "AnalyticScan",
     "Curve",
     "DeltaFractions",
     "Flatness",
+    "FormFit",
     "GaussianFit",
     "Outcome",
     "Pulls",
@@ -28,6 +32,7 @@ __all__ = [
     "chi2_probability",
     "delta_displacements",
     "delta_fractions",
+    "fit_form",
     "gaussian_fit",
     "grid",
     "latin_hypercube",
@@ -38,6 +43,7 @@ __all__ = [
     "resolution_against",
     "run_scenario",
     "scan",
+    "scan_analytic",
     "sobol",
     "sweep",
 ]

@@ -153,7 +153,7 @@ def momentum_orders(
     return orders
 
 
-def momentum_of(sample: Sample) -> float:
+def momentum_of(sample: Order) -> float:
     """Return the momentum of a sample shot with one momentum, GeV/c."""
     return float(sample.gun.p)  # type: ignore[arg-type]
 

@@ -2,26 +2,24 @@
 
 from __future__ import annotations
 
-import json
 import os
-import re
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from html import escape
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
 from cgemit.detector import Detector, load
-from cgemit.io.folders import SUMMARY, new_folder
-from cgemit.record import write_record
+from cgemit.fit import FitStatus
 from cgemit.result import Settings, hits_text
 from cgemit.statistics.curves import Line
-from cgemit.statistics.estimate import Resolution
-from cgemit.statistics.formatting import html_table, text_table, with_error, write_csv
+from cgemit.statistics.estimate import Resolution, measure
+from cgemit.statistics.formatting import html_table, text_table, with_error
+from cgemit.statistics.forms import FORMS, FormFit, fit_form
 from cgemit.statistics.resolutions import QUOTED, pulls, resolution, resolution_against
 from cgemit.study.samples import (
     Sample,
@@ -31,13 +29,12 @@ from cgemit.study.samples import (
     hardly_fitted,
     momentum_of,
     momentum_orders,
-    record_of,
     run_samples,
     why_unfitted,
 )  # fmt: skip
+from cgemit.study.scan_files import save_scans, summary_of
 from cgemit.tables import Table
-from cgemit.values import InTurn, check_numbers
-from cgemit.version import VERSION
+from cgemit.values import check_numbers
 
 #: Parameters whose resolution is quoted.
 QUOTED_PARAMETERS = ("dr", "dz", "p")
@@ -77,6 +74,7 @@ def scan_columns(samples: Sequence[Sample]) -> dict[str, list[Any]]:
     columns: dict[str, list[Any]] = {
         "detector": [s.detector.name for s in samples],
         "p (GeV/c)": [momentum_of(s) for s in samples],
+        "method": ["mc"] * len(samples),
         "events": [s.n_events for s in samples],
     }
     for name in QUOTED_PARAMETERS:
@@ -113,10 +111,54 @@ class Scan:
     seed: int
     seconds: float
 
+    method: ClassVar[str] = "mc"
+
     @property
     def lines(self) -> list[Line]:
         """Core resolutions of d_rho, d_z and p against momentum."""
-        return [momentum_line(self.samples, name) for name in QUOTED_PARAMETERS]
+        return [replace(momentum_line(self.samples, name), method=self.method) for name in QUOTED_PARAMETERS]
+
+    @property
+    def detector(self) -> Detector:
+        """The detector."""
+        return self.samples[0].detector
+
+    @property
+    def orders(self) -> tuple[Sample, ...]:
+        """The samples: their detector, gun and settings."""
+        return self.samples
+
+    @property
+    def hits(self) -> str:
+        """How hits came to their tracks."""
+        return hits_text(self.samples[0].tracks)
+
+    @property
+    def removed(self) -> dict[str, Mapping[str, int]]:
+        """Tracks that did not fit, by sample and status."""
+        return {s.label: s.removed for s in self.samples}
+
+    @property
+    def fits(self) -> list[FormFit]:
+        """The usual forms, fitted to the resolutions; none with fewer than three momenta."""
+        gun = self.samples[0].gun
+        how: dict[str, Any] = {"particle": gun.particle, "cos_theta": gun.cos_theta}
+        how |= {"detector": self.detector.name, "method": self.method}
+        p = [momentum_of(s) for s in self.samples]
+        found = []
+        for name in FORMS:
+            widths = [_relative_pt(s) if name == "pt" else resolution(s.tracks, name) for s in self.samples]
+            core, error = ([getattr(w, what) for w in widths] for what in ("core", "core_error"))
+            found.append(fit_form(name, p, core, error, **how))
+        return [one for one in found if one is not None]
+
+    def columns(self) -> dict[str, list[Any]]:
+        """Return the columns of the CSV table."""
+        return scan_columns(self.samples)
+
+    def empty(self) -> bool:
+        """Tell whether no track was fitted."""
+        return not any(map(fitted, self.samples))
 
     def summary(self) -> dict[str, Any]:
         """Return what `summary.json` holds."""
@@ -164,62 +206,11 @@ class Scan:
         )
 
 
-def summary_of(scans: Sequence[Scan]) -> dict[str, Any]:
-    """Return what `summary.json` holds: the curves of all detectors, for the same gun."""
-    first = scans[0].samples[0]
-    cos_theta = first.gun.cos_theta
-    if isinstance(cos_theta, InTurn):
-        cos_theta = list(cos_theta.values)
-    return {
-        "program": "cgemit",
-        "version": VERSION,
-        "inputs": {
-            "detectors": [scan.samples[0].detector.name for scan in scans],
-            "particle": first.gun.particle, "cos_theta": cos_theta,
-            "momenta": [momentum_of(s) for s in scans[0].samples], "events": first.n_events, "method": "mc",
-            "settings": first.settings.to_dict(), "hits": hits_text(first.tracks),
-        },
-        "seed": scans[0].seed,
-        "timings": {"total_s": sum(scan.seconds for scan in scans)},
-        "removed": {s.label: dict(s.removed) for scan in scans for s in scan.samples},
-        "curves": [line.as_json() for scan in scans for line in scan.lines],
-    }  # fmt: skip
-
-
-def save_scans(
-    scans: Sequence[Scan], folder: str | os.PathLike[str], *, overwrite: bool = False, command: str = ""
-) -> Path:
-    """Write what `Scan.save` writes, for several detectors: one table and one picture of all.
-
-    Parameters
-    ----------
-    scans : sequence of Scan
-        Same gun and momenta; detectors of distinct names. Of several, each is written to a file of its own,
-        ``detector-1-NAME.toml``.
-    folder : path
-    overwrite : bool
-    command : str
-        Command line for run.json, if there was one.
-
-    Raises
-    ------
-    OutputExistsError
-        If the folder holds files and `overwrite` is false.
-    """
-    from cgemit.draw.curves import draw_resolutions
-
-    with new_folder(folder, overwrite=overwrite) as place:
-        write_csv(place / "resolution.csv", scan_columns([s for scan in scans for s in scan.samples]))
-        for number, scan in enumerate(scans, start=1):
-            detector = scan.samples[0].detector
-            which = f"-{number}-" + re.sub(r"[^\w.-]+", "-", detector.name)[:60] if len(scans) > 1 else ""
-            (place / f"detector{which}.toml").write_text(detector.to_toml(), encoding="utf-8")
-        labels = ("σ(d_ρ)", "σ(d_z)", "σ(p)")
-        panels = list(zip(labels, zip(*(scan.lines for scan in scans), strict=True), strict=True))
-        draw_resolutions(panels, "p").save(place / "resolution")
-        write_record(record_of([s for scan in scans for s in scan.samples], scans[0].seed, command), place)
-        (place / SUMMARY).write_text(json.dumps(summary_of(scans), indent=2) + "\n", encoding="utf-8")
-    return Path(folder)
+def _relative_pt(sample: Sample) -> Resolution:
+    """Return the widths of fitted over true pT, minus 1, in %."""
+    tracks = sample.tracks
+    rows = tracks["status"] == FitStatus.ok
+    return measure(100 * (np.abs(tracks["truth_kappa"][rows] / tracks["kappa"][rows]) - 1), parameter="pt", unit="%")
 
 
 _HEAD = ("p [GeV/c]", "sigma(d_rho) [um]", "sigma(d_z) [mm]", "sigma(p) [MeV/c]", "decayed", "fitted", "not fitted")

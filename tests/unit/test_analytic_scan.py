@@ -1,0 +1,242 @@
+"""Resolution curves without events: numbers, files, options and print-out of `cgemit resolution`."""
+
+import csv
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import cgemit as cg
+from cgemit.cli.main import main
+from cgemit.covariance.mixture import core_width
+from cgemit.digitize import DigitizeSettings
+from cgemit.draw.curves import draw_resolutions
+from cgemit.fit import FitSettings
+from cgemit.result import Settings
+from cgemit.study import fit_form, scan, scan_analytic
+from cgemit.study.analytic_scan import compared, line_momenta
+from cgemit.study.scan_files import fits_text, save_scans
+
+DESIGN, IDC = "besiii-cgem-design", "besiii-idc"
+MOMENTA = [0.3, 1.0, 0.5]
+UNITS = {"dr": ("um", 1000.0), "dz": ("mm", 1.0), "p": ("MeV/c", 1000.0)}
+
+
+@pytest.fixture(scope="module")
+def line():
+    return scan_analytic(DESIGN, MOMENTA, cos_theta=0.3, particle="pi+")
+
+
+@pytest.fixture(scope="module")
+def points():
+    return scan(DESIGN, MOMENTA, cos_theta=0.3, particle="pi+", events=60, seed=2)
+
+
+def rows_of(path):
+    with path.open(encoding="utf-8") as stream:
+        return list(csv.DictReader(stream))
+
+
+def test_momenta_of_a_line():
+    found = line_momenta(MOMENTA)
+    assert len(found) >= 60
+    assert (found[0], found[-1]) == (0.3, 1.0)
+    assert set(MOMENTA) <= set(found.tolist())
+    assert np.all(np.diff(found) > 1e-6)
+    assert np.max(np.diff(found)) <= 0.7 / 59 * (1 + 1e-9)
+    assert line_momenta([0.7]).tolist() == [0.7]
+    assert line_momenta([0.7, 0.7]).tolist() == [0.7]
+
+
+def test_lines_are_those_of_analytic(line):
+    expected = cg.analytic(DESIGN, "pi+", line.p, 0.3)
+    for found, (name, (unit, scale)) in zip(line.lines, UNITS.items(), strict=True):
+        assert (found.id, found.detector, found.method) == (f"sigma_{name}", DESIGN, "analytic")
+        assert (found.x_unit, found.y_unit) == ("GeV/c", unit)
+        np.testing.assert_array_equal(found.x, line.p)
+        np.testing.assert_allclose(found.y, scale * expected.sigma(name), rtol=1e-12)
+        assert np.isnan(found.y_error).all()
+    pt = line.p * np.sqrt(1 - 0.3**2)
+    np.testing.assert_allclose(line.sigma("pt"), 100 * expected.sigma("pt") / pt, rtol=1e-9)
+    np.testing.assert_allclose(line.at("dz"), expected.sigma("dz")[np.searchsorted(line.p, MOMENTA)])
+
+
+def test_ranges_and_lists_of_angles():
+    of_range = scan_analytic(IDC, [0.5], cos_theta=(-0.8, 0.8))
+    np.testing.assert_allclose(of_range.sigma("dz"), cg.analytic(IDC, p=[0.5], cos_theta=(-0.8, 0.8)).sigma("dz"))
+    of_list = scan_analytic(IDC, [0.5, 1.0], cos_theta=[0.0, 0.6])
+    each = [cg.analytic(IDC, p=of_list.p, cos_theta=c).variances("dz") for c in (0.0, 0.6)]
+    np.testing.assert_allclose(of_list.sigma("dz"), core_width(np.concatenate(each, axis=1)), rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("words", "settings", "change"),
+    [
+        (["--set", "digitize.readout=gaussian"], Settings(digitize=DigitizeSettings(readout="gaussian")),
+         {"readout": "gaussian"}),
+        (["--set", "digitize.reveal_sides=true"], Settings(digitize=DigitizeSettings(reveal_sides=True)),
+         {"reveal_sides": True}),
+        (["--set", "fit.loss=mean"], Settings(fit=FitSettings(loss="mean")), {"fit": FitSettings(loss="mean")}),
+        (["--cos-theta=-0.5:0.5"], None, {"cos_theta": (-0.5, 0.5)}),
+        (["--particle", "p"], None, {"particle": "p"}),
+        (["--set", "cgem.L2.pitch_x=500 um"], None,
+         {"detector": cg.load(DESIGN).with_overrides({"cgem.L2.pitch_x": "500 um"})}),
+        (["--threads", "1"], None, {}),
+        (["--events", "7"], None, {}),
+    ],
+)  # fmt: skip
+def test_options_are_arguments_of_python(words, settings, change, tmp_path):
+    """Each option gives the numbers of `scan_analytic` and of `analytic` itself, in CSV and JSON."""
+    out = tmp_path / "out"
+    how = ["--method", "analytic", "--p", "0.3,0.6", "--quiet", "-o", str(out)]
+    cosine = [] if any("--cos-theta" in word for word in words) else ["--cos-theta", "0.2"]
+    assert main(["resolution", "-d", DESIGN, *cosine, *how, *words]) == 0
+    given = {"detector": DESIGN, "particle": "mu-", "cos_theta": 0.2} | change
+    shot = {name: given[name] for name in ("particle", "cos_theta")}
+    same = scan_analytic(given["detector"], [0.3, 0.6], **shot, settings=settings)
+    expected = cg.analytic(given.pop("detector"), p=same.p, **given)
+    rows, summary = rows_of(out / "resolution.csv"), json.loads((out / "summary.json").read_text())
+    assert summary["curves"] == [one.as_json() for one in same.lines]
+    assert summary["fits"] == [one.as_json() for one in same.fits]
+    assert {row["method"] for row in rows} == {"analytic"}
+    for curve, (name, (unit, scale)) in zip(summary["curves"], UNITS.items(), strict=True):
+        np.testing.assert_allclose(curve["y"], scale * expected.sigma(name), rtol=1e-12)
+        for kind, values in (("core", expected.sigma(name)), ("rms", expected.rms(name))):
+            column = [float(row[f"{kind}_{name} ({unit})"]) for row in rows]
+            np.testing.assert_allclose(column, scale * values, rtol=1e-6)
+    usual = cg.analytic(DESIGN, p=same.p, cos_theta=0.2)
+    assert np.allclose(expected.sigma("p"), usual.sigma("p"), rtol=1e-9) is (words[0] in ("--threads", "--events"))
+
+
+def test_no_event_is_simulated(monkeypatch, tmp_path, capsys):
+    def forbidden(*_, **__):
+        raise AssertionError("events simulated")
+
+    monkeypatch.setattr("cgemit.chain.run", forbidden)
+    usual = ["resolution", "-d", DESIGN, "--p", "0.5", "--quiet", "-o", str(tmp_path / "out")]
+    assert main([*usual, "--method", "analytic"]) == 0
+    assert main([*usual, "--method", "both", "--overwrite"]) == 3
+    assert "events simulated" in capsys.readouterr().err
+    inputs = json.loads((tmp_path / "out" / "summary.json").read_text())["inputs"]
+    assert inputs["method"] == "analytic"
+    assert "events" not in inputs
+
+
+def test_files_of_both_methods(line, points, tmp_path):
+    save_scans([points, line], tmp_path / "out")
+    rows = rows_of(tmp_path / "out" / "resolution.csv")
+    assert [row["method"] for row in rows] == ["mc"] * 3 + ["analytic"] * len(line.p)
+    for scanned, part in ((points, rows[:3]), (line, rows[3:])):
+        for one, (name, (unit, _)) in zip(scanned.lines, UNITS.items(), strict=True):
+            np.testing.assert_allclose([float(row[f"core_{name} ({unit})"]) for row in part], one.y, rtol=1e-6)
+            np.testing.assert_allclose([float(row["p (GeV/c)"]) for row in part], one.x, rtol=1e-6)
+    assert {row["events"] for row in rows[3:]} == {""}
+    assert [row["covariance"] for row in rows[3:]] == ["1"] * len(line.p)
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert [(curve["id"], curve["method"]) for curve in summary["curves"]] == [
+        (f"sigma_{name}", method) for method in ("mc", "analytic") for name in UNITS
+    ]
+    assert [(fit["quantity"], fit["method"], fit["statistical"]) for fit in summary["fits"]] == [
+        (name, method, method == "mc") for method in ("mc", "analytic") for name in ("dr", "dz", "pt")
+    ]
+    assert summary["inputs"]["method"] == "both"
+    assert summary["inputs"]["events"] == 60
+    assert summary["inputs"]["detectors"] == [DESIGN]
+    record = json.loads((tmp_path / "out" / "run.json").read_text())
+    assert [one["events"] for one in record["source"]] == [60] * 3 + [0] * 3
+    assert (tmp_path / "out" / "detector.toml").exists()
+
+
+def test_both_methods_side_by_side(line, points):
+    text = compared(points, line).splitlines()
+    assert text[1].split("  ")[0] == "p [GeV/c]"
+    for place, p in enumerate(MOMENTA):
+        cells = [cell for cell in text[2 + place].split("  ") if cell.strip()]
+        assert float(cells[0]) == p
+        for number, (name, mc) in enumerate(zip(UNITS, points.lines, strict=True)):
+            simulated, analytic, ratio = cells[1 + 3 * number : 4 + 3 * number]
+            value, error = mc.y[place], mc.y_error[place]
+            assert float(simulated.split(" ± ")[0]) == pytest.approx(value, abs=error / 10)
+            assert float(analytic) == pytest.approx(line.at(name)[place], rel=1e-3)
+            assert float(ratio.split(" ± ")[0]) == pytest.approx(value / line.at(name)[place], abs=0.01)
+            assert float(ratio.split(" ± ")[1]) == pytest.approx(error / line.at(name)[place], rel=0.06)
+    fits = fits_text([points, line]).splitlines()
+    assert [one.split(":")[0] for one in fits] == ["simulated"] * 3 + ["analytic"] * 3
+
+
+def test_fits_are_those_of_the_curves(line, points):
+    names = {"dr": 0, "dz": 1}
+    for scanned in (line, points):
+        for fit in scanned.fits:
+            if fit.quantity in names:
+                curve = scanned.lines[names[fit.quantity]]
+                error = None if scanned is line else curve.y_error
+                sigma = curve.y
+            elif scanned is line:
+                sigma, error = line.sigma("pt"), None
+            else:
+                rows = [s.tracks for s in points.samples]
+                ratios = [np.abs(t["truth_kappa"] / t["kappa"])[t["status"] == 0] - 1 for t in rows]
+                widths = [cg.study.measure(100 * one) for one in ratios]
+                sigma, error = ([getattr(w, what) for w in widths] for what in ("core", "core_error"))
+            p = line.p if scanned is line else MOMENTA
+            how = {"particle": "pi+", "cos_theta": 0.3, "detector": DESIGN, "method": scanned.method}
+            assert str(fit) == str(fit_form(fit.quantity, p, sigma, error, **how))
+            assert fit.as_json() == fit_form(fit.quantity, p, sigma, error, **how).as_json()
+
+
+def test_lines_and_points_of_a_detector_have_one_colour(line, points):
+    other = [replace(one, detector="other", y=2 * one.y) for one in (points.lines[2], line.lines[2])]
+    curves = [points.lines[2], other[0], line.lines[2], other[1]]
+    (axes,) = draw_resolutions([("σ(p)", curves)], "p").axes
+    drawn = {artist.get_label(): artist for artist in axes.lines if not artist.get_label().startswith("_")}
+    bars = {bar.get_label(): bar.lines[0] for bar in axes.containers}
+    assert drawn.keys() == {f"{DESIGN}, analytic", "other, analytic"}
+    assert bars.keys() == {f"{DESIGN}, simulated", "other, simulated"}
+    assert {text.get_text() for text in axes.get_legend().get_texts()} == drawn.keys() | bars.keys()
+    for name, (point, analytic) in {DESIGN: (curves[0], curves[2]), "other": (curves[1], curves[3])}.items():
+        mc, smooth = bars[f"{name}, simulated"], drawn[f"{name}, analytic"]
+        assert mc.get_color() == smooth.get_color()
+        assert (mc.get_linestyle(), smooth.get_linestyle(), smooth.get_marker()) == ("None", "-", "None")
+        assert mc.get_marker() != "None"
+        for artist, curve in ((mc, point), (smooth, analytic)):
+            np.testing.assert_array_equal(artist.get_xdata(), curve.x)
+            np.testing.assert_array_equal(artist.get_ydata(), curve.y)
+    assert drawn[f"{DESIGN}, analytic"].get_color() != drawn["other, analytic"].get_color()
+    assert axes.get_ylim()[1] > np.max(other[1].y)
+
+
+def test_a_single_momentum_is_seen():
+    one = scan_analytic(IDC, [0.5], cos_theta=0.0)
+    assert one.fits == []
+    (axes,) = draw_resolutions([("σ(p)", one.lines[2:])], "p").axes
+    assert (axes.lines[0].get_marker(), len(axes.lines[0].get_xdata())) == ("_", 1)
+
+
+@pytest.mark.parametrize("method", ["analytic", "both"])
+def test_no_covariance_anywhere_has_exit_code_3(method, tmp_path, capsys):
+    slow = ["resolution", "-d", DESIGN, "--p", "0.01,0.02", "--cos-theta", "0", "--events", "20", "--quiet"]
+    assert main([*slow, "--method", method, "-o", str(tmp_path / "out")]) == 3
+    captured = capsys.readouterr()
+    assert f"{DESIGN}: at 0.01, 0.02 GeV/c: no track has a covariance (stopped)" in captured.err
+    assert not captured.out
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_momenta_without_a_covariance_are_named(tmp_path, capsys):
+    words = ["resolution", "-d", DESIGN, "-d", IDC, "--p", "0.02,0.5", "--cos-theta", "0", "--quiet"]
+    assert main([*words, "--method", "analytic", "-o", str(tmp_path / "out")]) == 0
+    tables = capsys.readouterr().out.split("\n\n")
+    assert [table.split(",")[0] for table in tables] == [DESIGN, IDC]
+    assert "at 0.02 GeV/c: no track has a covariance (stopped)" in tables[0]
+    curves = json.loads((tmp_path / "out" / "summary.json").read_text())["curves"]
+    assert curves[0]["y"][0] is None
+    assert curves[0]["y"][-1] > 0
+
+
+def test_the_mass_of_another_particle_is_refused(tmp_path, capsys):
+    words = ["resolution", "-d", DESIGN, "--p", "1", "--method", "analytic", "--quiet", "-o", str(tmp_path / "out")]
+    assert main([*words, "--hypothesis", "pi"]) == 2
+    assert "fit.hypothesis: got pi for mu-" in capsys.readouterr().err
+    assert main([*words, "--hypothesis", "mu"]) == 0
