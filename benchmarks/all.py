@@ -12,7 +12,18 @@ import time
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
-PROGRAMS = ("matrix", "design_muon", "stages", "memory", "simulation", "operations", "peers", "variants", "page")
+PROGRAMS = (
+    "matrix",
+    "design_muon",
+    "covariance",
+    "stages",
+    "memory",
+    "simulation",
+    "operations",
+    "peers",
+    "variants",
+    "page",
+)
 
 
 def main() -> int:

@@ -196,9 +196,17 @@ def draw_tracks() -> None:
     figure.savefig(IMAGES / "performance-tracks.png", dpi=100)
 
 
+def covariance() -> str:
+    """Return the table of one covariance beside one fit."""
+    head = ["us per track", "covariance", "with the budget", "fit, two iterations", "fit / with the budget"]
+    columns = ("isa", "covariance_us", "with_budget_us", "fit_us", "fit_over_covariance")
+    return table(head, ([r[name] for name in columns] for r in read("covariance")))
+
+
 BLOCKS = {
     "about": ((), about), "stages": (("matrix",), stages),
-    "design_muon": (("design_muon",), design_muon), "tracks": (("stages",), tracks),
+    "design_muon": (("design_muon",), design_muon), "covariance": (("covariance",), covariance),
+    "tracks": (("stages",), tracks),
     "memory": (("memory",), memory), "operations": (("operations", "matrix"), operations),
     "peers": (("peers",), peers), "simulation": (("simulation",), simulation),
     "simulation_fields": (("simulation_fields",), simulation_fields),
