@@ -57,10 +57,10 @@ def test_covariance_is_that_of_the_fit(detector: cg.Detector, p: float, cos_thet
 
 
 @pytest.mark.parametrize("field", [None, HARMONIC])
-@pytest.mark.parametrize("readout", ["binary", "gaussian"])
-def test_budget_sums_to_the_variance(field: object, readout: str) -> None:
+@pytest.mark.parametrize(("readout", "samples"), [("binary", 16), ("gaussian", 20)])
+def test_budget_sums_to_the_variance(field: object, readout: str, samples: int) -> None:
     detector = DESIGN if field is None else DESIGN.with_field(field)
-    found = cg.analytic(detector, "pi+", [0.3, 1.0], [[0.0], [0.7]], readout=readout, samples=16)
+    found = cg.analytic(detector, "pi+", [0.3, 1.0], [[0.0], [0.7]], readout=readout, samples=samples)
     for quantity in QUANTITIES:
         budget = found.budget(quantity)
         assert budget.variances.shape == (2, 2, len(sources(detector)))
@@ -68,6 +68,13 @@ def test_budget_sums_to_the_variance(field: object, readout: str) -> None:
         np.testing.assert_allclose(budget.total, found.rms(quantity) ** 2, rtol=1e-10)
         for by in ("part", "material", "cause", "source"):
             np.testing.assert_allclose(sum(budget.grouped(by).values()), budget.total, rtol=1e-10)
+
+
+@pytest.mark.parametrize("samples", [1, 7, 20, 100])
+def test_budget_counts_every_sample_of_a_point(samples: int) -> None:
+    """Also the last ones, where lanes stay empty."""
+    found = cg.analytic(DESIGN, "mu-", 0.7, 0.2, readout="gaussian", samples=samples)
+    np.testing.assert_allclose(found.budget("dr").total, found.rms("dr") ** 2, rtol=1e-10)
 
 
 def test_a_track_does_not_know_its_neighbours() -> None:

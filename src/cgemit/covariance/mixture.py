@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-Floats = npt.NDArray[np.float64]
+from cgemit.statistics.estimate import SECOND_INSIDE
 
-_SECOND = 0.9733369246625415  # <u^2> of a standard normal variable cut at +-3
+Floats = npt.NDArray[np.float64]
 
 
 def mean(values: npt.NDArray[Any], good: npt.NDArray[np.bool_]) -> Floats:
@@ -52,7 +52,7 @@ def core_width(variances: Floats) -> Floats:
             u = 3 * np.sqrt(square[:, None] / v)
             inside = np.where(good, erf(u / math.sqrt(2)), 0.0)
             second = np.where(good, v * (inside - u * math.sqrt(2 / math.pi) * np.exp(-0.5 * u * u)), 0.0)
-            new = second.sum(axis=1) / inside.sum(axis=1) / _SECOND
+            new = second.sum(axis=1) / inside.sum(axis=1) / SECOND_INSIDE
             if not np.any(np.abs(new - square) > 1e-12 * square):
                 break
             square = new

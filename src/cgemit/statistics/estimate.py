@@ -17,9 +17,9 @@ FEWEST = 10  # a width of fewer rows is not quoted
 
 _N_SIGMA = 3.0  # half-width of the core's window, in core sigmas
 
-# <u^2> of a standard normal variable cut at +-3, by partial integration: 0.9733.
 _INSIDE = math.erf(_N_SIGMA / math.sqrt(2))
-_SECOND = 1 - 2 * _N_SIGMA * math.exp(-(_N_SIGMA**2) / 2) / math.sqrt(2 * math.pi) / _INSIDE
+#: <u^2> of a standard normal variable cut at +-3, by partial integration: 0.9733.
+SECOND_INSIDE = 1 - 2 * _N_SIGMA * math.exp(-(_N_SIGMA**2) / 2) / math.sqrt(2 * math.pi) / _INSIDE
 
 _CENTRAL = math.erf(1 / math.sqrt(2))  # 0.6827, what a Gaussian holds within one sigma
 
@@ -195,7 +195,7 @@ def _core(x: Floats) -> tuple[float, float, float, float]:
         before = (i, j)
         mean = float(first[j] - first[i]) / (j - i)
         variance = float(second[j] - second[i]) / (j - i) - mean**2
-        sigma = math.sqrt(max(0.0, variance) / _SECOND)
+        sigma = math.sqrt(max(0.0, variance) / SECOND_INSIDE)
     if sigma == 0:
         return 0.0, 0.0, centre + mean, 0.0
     sigma_error, mean_error = _core_errors((shifted - mean) / sigma)
@@ -215,9 +215,9 @@ def _core_errors(u: Floats) -> tuple[float, float]:
     half = 0.25  # of the range about an edge that gives the density there
     edge = float(np.count_nonzero(np.abs(np.abs(u) - _N_SIGMA) < half)) / (2 * half)
     # At least a tenth of the curvature is kept: noise in `edge` must not make a small sample's error infinite.
-    slope_sigma = max(2 * total - _N_SIGMA * (_N_SIGMA**2 - _SECOND) * edge, 0.2 * total)
+    slope_sigma = max(2 * total - _N_SIGMA * (_N_SIGMA**2 - SECOND_INSIDE) * edge, 0.2 * total)
     slope_mean = max(number - _N_SIGMA * edge, 0.1 * number)
-    return math.sqrt(float(np.sum((square - _SECOND) ** 2))) / slope_sigma, math.sqrt(total) / slope_mean
+    return math.sqrt(float(np.sum((square - SECOND_INSIDE) ** 2))) / slope_sigma, math.sqrt(total) / slope_mean
 
 
 def _tail(x: Floats, core: float, mean: float) -> tuple[float, float]:

@@ -58,9 +58,10 @@ class CovarianceBatch {
       CovarianceRow* rows = &out_.rows[(v + 1) * input_.tracks() + first];
       compute(*input_.variants[v], first, start, mass, true, nullptr, rows, n);
     }
-    // The sums stay in lanes as long as all lanes belong to one point.
-    const bool next_is_same = point(first) == point(std::min(first + n + width, input_.tracks()) - 1) &&
-                              n == width && first + n < input_.tracks();
+    // The sums stay in lanes as long as all lanes belong to one point and the next group fills all of them.
+    const std::size_t next_end = first + n + width;
+    const bool next_is_same =
+        n == width && next_end <= input_.tracks() && point(first) == point(next_end - 1);
     if (out_.budget != nullptr && !next_is_same) flush(first, n);
   }
 
