@@ -133,7 +133,7 @@ def foil_matter(detector: cg.Detector, slope: float, n: int, rng: np.random.Gene
             foil, (i, j) = slab.holes.foil, rng.random((2, n)) * slab.holes.pitch
             line = {"u": i + j / 2, "v": j * np.sqrt(0.75), "slope_u": np.full(n, slope), "slope_v": np.zeros(n)}
         if slab.holes:
-            total += slab.x0 * np.hypot(1, slope) * _core.solid_fraction(core, number, **line)
+            total += slab.x0 * np.hypot(1, slope) * _core._testing.solid_fraction(core, number, **line)
     return total
 
 

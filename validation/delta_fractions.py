@@ -132,7 +132,9 @@ def measure(detector: Detector, n: int, seed: int, arrangement: str = "reference
     beyond: dict[tuple[str, str], Any] = {}
     for chunk, first in enumerate(range(0, n, _CHUNK)):
         count = min(_CHUNK, n - first)
-        columns = _core.ionize(core, 0, p=P, mass=MUON, n=count, seed=seed + chunk, deltas=True, keep_clusters=False)
+        columns = _core._testing.ionize(
+            core, 0, p=P, mass=MUON, n=count, seed=seed + chunk, deltas=True, keep_clusters=False
+        )
         for key, found in _count(columns, count).items():
             beyond[key] = beyond.get(key, 0) + found
     known = reference_fractions()
@@ -185,7 +187,9 @@ def born(n: int, seed: int) -> list[Born]:
     counts = np.zeros(len(THRESHOLDS))
     for chunk, first in enumerate(range(0, n, _CHUNK)):
         count = min(_CHUNK, n - first)
-        columns = _core.ionize(core, 0, p=P, mass=MUON, n=count, seed=seed + chunk, deltas=False, keep_clusters=True)
+        columns = _core._testing.ionize(
+            core, 0, p=P, mass=MUON, n=count, seed=seed + chunk, deltas=False, keep_clusters=True
+        )
         energy = columns["deposit_energy"]
         counts += [np.sum(energy > threshold) for threshold in THRESHOLDS]
     seam = (LARGEST_SIZE + 0.5) * ionization("ar-ic4h10-90-10").w_value

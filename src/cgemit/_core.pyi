@@ -200,17 +200,6 @@ def uniforms(
 def normals(
     seed: int, events: npt.ArrayLike, particle: npt.ArrayLike, purpose: Purpose, place: int, block: int = 0
 ) -> _Floats: ...
-def philox4x32(*, counter: Sequence[int], key: Sequence[int]) -> list[int]: ...
-
-# Motion: points (n, 7) float64, rows of x y z (mm), flight direction ux uy, tanl, signed curvature w (1/mm);
-# arcs (n,) float64, mm, transverse.
-def step_to_cylinder(
-    points: npt.ArrayLike, radius: float, *, outward: bool = True
-) -> tuple[_Floats, _Floats, _Bytes]: ...
-def advance(points: npt.ArrayLike, arcs: npt.ArrayLike) -> tuple[_Floats, _Floats]: ...
-def approach_wire(
-    points: npt.ArrayLike, detector: Detector, layer: int, wire: int
-) -> tuple[_Floats, _Floats, _Floats, _Bytes]: ...
 
 # Matter: GeV, GeV/c; path in units of normal incidence.
 def total_matter(detector: Detector, tanl: float) -> tuple[float, float, float, float]: ...
@@ -220,42 +209,8 @@ def scattering_angle(
 def restricted_loss(
     detector: Detector, slab: int, *, path: float, p: float, mass: float, charge: float = 1.0, cut: float
 ) -> float: ...
-def core_loss(
-    detector: Detector, slab: int, *, path: float, p: float, mass: float, charge: float = 1.0, track_xi: float
-) -> tuple[float, float, float]: ...
-def sample_loss(
-    detector: Detector, slab: int, *, path: float, p: float, mass: float, charge: float = 1.0, seed: int, n: int
-) -> _Floats: ...
 def through_slabs(
     detector: Detector, *, p: float, mass: float, charge: float, n: int, seed: int, first: int = 0
-) -> dict[str, _Array]: ...
-
-# Which part (0 to 1) of a straight line through a slab with holes lies beside them: u, v (mm) where it crosses the
-# middle of the foil, slopes du/dw, dv/dw with w outward; (n,) float64.
-def solid_fraction(
-    detector: Detector, slab: int, *, u: npt.ArrayLike, v: npt.ArrayLike, slope_u: npt.ArrayLike, slope_v: npt.ArrayLike
-) -> _Floats: ...
-
-# Drift gaps: keV, mm. Columns of `ionize` are energy, electrons, deltas per track, and deposit_crossing (the track),
-# deposit_x y z dx dy dz energy electrons delta origin per deposit; origin 0 gas, 1 cathode, 2 behind the gap.
-def ionize(
-    detector: Detector,
-    layer: int,
-    *,
-    p: float,
-    mass: float,
-    charge: float = 1.0,
-    n: int,
-    seed: int,
-    deltas: bool,
-    keep_clusters: bool,
-    tanl: float = 0.0,
-    slope: float = 0.0,
-) -> dict[str, _Array]: ...
-
-# Columns u w z, energy left, length of the way and energy deposited in the gap of electrons that start at (0, w, 0).
-def follow_electrons(
-    detector: Detector, layer: int, *, w: float, energy: float, outward: float, n: int, seed: int
 ) -> dict[str, _Array]: ...
 
 # Stages: one call for a chunk of events, without the GIL.
@@ -302,24 +257,12 @@ def find_clusters(
 ) -> dict[str, _Array]: ...
 def clusters_of_positions(detector: Detector, digis: _Columns, *, err_x: float, err_v: float) -> dict[str, _Array]: ...
 def size_errors(extents: npt.ArrayLike, pitch: float, sizes: int) -> _Array: ...
-def reference(
-    detector: Detector, helix: npt.ArrayLike, mass: float, hits: _Columns, kinks: npt.ArrayLike | None = None
-) -> _Reference: ...
 def check_hits(detector: Detector, hits: _Columns) -> None: ...
 
 # Columns as in the tables; `clusters` may have cov_xv, mm2. What comes out are the fields of FitHits.
 def collect_hits(
     detector: Detector, *, candidates: _Columns, candidate_hits: _Columns, clusters: _Columns, wire_hits: _Columns
 ) -> dict[str, _Array]: ...
-
-class SeedFrom(enum.Enum):
-    wires = 0
-    wires_and_clusters = 1
-    azimuths = 2
-
-def seeds(
-    detector: Detector, *, hit_offsets: npt.ArrayLike, hits: _Columns, mass: npt.ArrayLike, source: SeedFrom
-) -> _Array: ...
 def fit(
     detector: Detector,
     *,
@@ -346,7 +289,6 @@ def covariances(
 ) -> dict[str, _Array]: ...
 def isa() -> str: ...
 def lanes() -> int: ...
-def function(name: str, values: npt.ArrayLike) -> _Array: ...
 def processor_runs(isa: str) -> bool: ...
 def use_kernels(path: str) -> None: ...
 def use_scalar_kernels() -> None: ...
@@ -380,3 +322,78 @@ def extrapolate(
 def change_pivot(
     helix: npt.ArrayLike, cov: npt.ArrayLike, step: npt.ArrayLike, bz: npt.ArrayLike
 ) -> tuple[_Floats, _Floats]: ...
+
+# What only tests ask of the core: single steps that the stages take on their own.
+class _testing:
+    @staticmethod
+    def philox4x32(*, counter: Sequence[int], key: Sequence[int]) -> list[int]: ...
+    # Motion: points (n, 7) float64, rows of x y z (mm), flight direction ux uy, tanl, signed curvature w (1/mm);
+    # arcs (n,) float64, mm, transverse.
+    @staticmethod
+    def step_to_cylinder(
+        points: npt.ArrayLike, radius: float, *, outward: bool = True
+    ) -> tuple[_Floats, _Floats, _Bytes]: ...
+    @staticmethod
+    def advance(points: npt.ArrayLike, arcs: npt.ArrayLike) -> tuple[_Floats, _Floats]: ...
+    @staticmethod
+    def approach_wire(
+        points: npt.ArrayLike, detector: Detector, layer: int, wire: int
+    ) -> tuple[_Floats, _Floats, _Floats, _Bytes]: ...
+    @staticmethod
+    def core_loss(
+        detector: Detector, slab: int, *, path: float, p: float, mass: float, charge: float = 1.0, track_xi: float
+    ) -> tuple[float, float, float]: ...
+    @staticmethod
+    def sample_loss(
+        detector: Detector, slab: int, *, path: float, p: float, mass: float, charge: float = 1.0, seed: int, n: int
+    ) -> _Floats: ...
+    # Which part (0 to 1) of a straight line through a slab with holes lies beside them: u, v (mm) where it crosses the
+    # middle of the foil, slopes du/dw, dv/dw with w outward; (n,) float64.
+    @staticmethod
+    def solid_fraction(
+        detector: Detector,
+        slab: int,
+        *,
+        u: npt.ArrayLike,
+        v: npt.ArrayLike,
+        slope_u: npt.ArrayLike,
+        slope_v: npt.ArrayLike,
+    ) -> _Floats: ...
+    # Drift gaps: keV, mm. Columns of `ionize` are energy, electrons, deltas per track, and deposit_crossing (the
+    # track), deposit_x y z dx dy dz energy electrons delta origin per deposit; origin 0 gas, 1 cathode, 2 behind.
+    @staticmethod
+    def ionize(
+        detector: Detector,
+        layer: int,
+        *,
+        p: float,
+        mass: float,
+        charge: float = 1.0,
+        n: int,
+        seed: int,
+        deltas: bool,
+        keep_clusters: bool,
+        tanl: float = 0.0,
+        slope: float = 0.0,
+    ) -> dict[str, _Array]: ...
+    # Columns u w z, energy left, length of the path and energy deposited in the gap of electrons that start at
+    # (0, w, 0).
+    @staticmethod
+    def follow_electrons(
+        detector: Detector, layer: int, *, w: float, energy: float, outward: float, n: int, seed: int
+    ) -> dict[str, _Array]: ...
+    @staticmethod
+    def reference(
+        detector: Detector, helix: npt.ArrayLike, mass: float, hits: _Columns, kinks: npt.ArrayLike | None = None
+    ) -> _Reference: ...
+    class SeedFrom(enum.Enum):
+        wires = 0
+        wires_and_clusters = 1
+        azimuths = 2
+
+    @staticmethod
+    def seeds(
+        detector: Detector, *, hit_offsets: npt.ArrayLike, hits: _Columns, mass: npt.ArrayLike, source: SeedFrom
+    ) -> _Array: ...
+    @staticmethod
+    def function(name: str, values: npt.ArrayLike) -> _Array: ...

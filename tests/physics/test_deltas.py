@@ -64,7 +64,7 @@ def test_sign_of_the_field_mirrors() -> None:
     means = []
     for bz in ("1 T", "-1 T"):
         core = compiled(reference_stack().with_overrides({"field.bz": bz}))
-        found = _core.ionize(core, 0, p=1.0, mass=MUON, n=N, seed=5, deltas=True, keep_clusters=False)
+        found = _core._testing.ionize(core, 0, p=1.0, mass=MUON, n=N, seed=5, deltas=True, keep_clusters=False)
         far = np.abs(found["deposit_y"]) > 0.5
         means.append(np.mean(np.sign(found["deposit_y"][far])))
     assert means[0] * means[1] < 0
@@ -86,8 +86,8 @@ def test_electrons_that_come_in_nearly_replace_those_that_leave() -> None:
     """The mean deposit is between the mean loss below 30 keV, whose electrons stay near, and Bethe's mean loss."""
     detector = load("besiii-cgem-design")
     core = compiled(detector)
-    found = _core.ionize(core, 0, p=1.0, mass=MUON, n=N, seed=3, deltas=True, keep_clusters=False)
-    without = _core.ionize(core, 0, p=1.0, mass=MUON, n=N, seed=3, deltas=False, keep_clusters=False)
+    found = _core._testing.ionize(core, 0, p=1.0, mass=MUON, n=N, seed=3, deltas=True, keep_clusters=False)
+    without = _core._testing.ionize(core, 0, p=1.0, mass=MUON, n=N, seed=3, deltas=False, keep_clusters=False)
     (gap,) = (i for i, slab in enumerate(slabs(detector)) if slab.gap == 0)
     restricted, bethe = (
         1e6 * _core.restricted_loss(core, gap, path=1.0, p=1.0, mass=MUON, cut=cut) for cut in (30e-6, 1.0)

@@ -88,7 +88,7 @@ def test_single_collisions(kinetic, charge, spectrum, largest):
     """In thin matter, losses above a few per cent are as many as the spectrum has, and the mean is the formula's."""
     core, p, n = slab_detector([(BERYLLIUM, 0.02, 50.0)]), momentum(kinetic), 1_000_000
     xi = BERYLLIUM.xi(0.02) * (1 + (ELECTRON / p) ** 2)
-    sample = _core.sample_loss(core, 0, path=1.0, p=p, mass=ELECTRON, charge=charge, seed=2, n=n)
+    sample = _core._testing.sample_loss(core, 0, path=1.0, p=p, mass=ELECTRON, charge=charge, seed=2, n=n)
     mean = _core.restricted_loss(core, 0, path=1.0, p=p, mass=ELECTRON, charge=charge, cut=1e3)
     assert_within(sample.mean(), mean, mean_error(sample), what="mean")
     assert sample.max() < largest * kinetic + 40 * xi
@@ -139,7 +139,7 @@ def test_what_the_fit_takes(p, charge):
     energy, beta2 = np.hypot(p, ELECTRON), 1 / (1 + (ELECTRON / p) ** 2)
 
     def moments(at):
-        return _core.core_loss(core, 0, path=1.0, p=at, mass=ELECTRON, charge=charge, track_xi=xi)
+        return _core._testing.core_loss(core, 0, path=1.0, p=at, mass=ELECTRON, charge=charge, track_xi=xi)
 
     cut = _core.CORE_CUT_XI * xi / beta2 + _core.CORE_CUT_SHARE * p * np.sqrt(beta2)
     collisions = _core.restricted_loss(core, 0, path=1.0, p=p, mass=ELECTRON, charge=charge, cut=cut)
@@ -157,7 +157,9 @@ def test_the_fit_may_leave_radiation_out():
     thick, p = slabs_of(detector)[0].x0, 0.8
     energy = np.hypot(p, ELECTRON)
     both = [
-        _core.core_loss(compiled(detector, radiation=on), 0, path=1.0, p=p, mass=ELECTRON, charge=-1, track_xi=1e-6)
+        _core._testing.core_loss(
+            compiled(detector, radiation=on), 0, path=1.0, p=p, mass=ELECTRON, charge=-1, track_xi=1e-6
+        )
         for on in (True, False)
     ]
     assert both[0][0] - both[1][0] == pytest.approx(thick * energy, rel=1e-9)

@@ -27,7 +27,7 @@ each_passage = pytest.mark.parametrize(("matter", "thickness", "p", "mass"), PAS
 def sample(matter, thickness, p, mass, seed=1, n=N, path=1.0):
     """Return losses in one slab, GeV."""
     core = slab_detector([(matter, thickness, 50.0)])
-    return _core.sample_loss(core, 0, path=path, p=p, mass=mass, seed=seed, n=n)
+    return _core._testing.sample_loss(core, 0, path=path, p=p, mass=mass, seed=seed, n=n)
 
 
 def beta2(p, mass):
@@ -117,7 +117,7 @@ def test_shape_is_landau():
     xi = columns["xi"][0] / b2
     assert xi < 1e-3 * w_max
     mean = _core.restricted_loss(core, 0, path=1.0, p=1.0, mass=MUON, cut=w_max)
-    losses = _core.sample_loss(core, 0, path=1.0, p=1.0, mass=MUON, seed=5, n=N)
+    losses = _core._testing.sample_loss(core, 0, path=1.0, p=1.0, mass=MUON, seed=5, n=N)
     probabilities = np.array([0.1, 0.25, 0.5, 0.75, 0.9, 0.95])
     expected = landau_quantiles(xi, mean, w_max, b2, probabilities)
     found = np.quantile(losses, probabilities)
@@ -154,7 +154,7 @@ def test_losses_are_never_negative():
     detector = load("besiii-cgem-design")
     core, columns = compiled(detector), slab_table(slabs(detector)).slabs
     gap = int(np.flatnonzero(columns["gap"] == 0)[0])
-    losses = _core.sample_loss(core, gap, path=1.0, p=1.0, mass=MUON, seed=2, n=N)
+    losses = _core._testing.sample_loss(core, gap, path=1.0, p=1.0, mass=MUON, seed=2, n=N)
     assert losses.min() >= 0
     xi = columns["xi"][gap] / beta2(1.0, MUON)
     mean = _core.restricted_loss(core, gap, path=1.0, p=1.0, mass=MUON, cut=1e3)

@@ -45,7 +45,7 @@ def everything_at_once(name, track, forget_matter=False):
     fields = {f.name: getattr(hits, f.name)[rows] for f in dataclasses.fields(hits) if f.name != "hit_offsets"}
     helix = fitted["reference"][track] - np.array([0, np.pi / 2, 0, 0, 0])  # from the azimuth of flight
     kinks = fitted["kinks"].reshape(N, -1, 2)[track]
-    reference = _core.reference(core, helix, mass[track], fields, kinks)
+    reference = _core._testing.reference(core, helix, mass[track], fields, kinks)
     n, noise = len(fields["kind"]), reference["noise"]
     assert reference["reached"] == n
     seen = reference["rows"] @ noise.T

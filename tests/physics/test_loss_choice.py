@@ -102,7 +102,7 @@ def test_choices_are_what_they_say() -> None:
 
     def moments(choice: str) -> tuple[float, float, float]:
         detector = slab_detector([(BERYLLIUM, thickness, 50.0)], loss=choice)
-        return _core.core_loss(detector, 0, path=1.0, p=p, mass=MUON, track_xi=xi * beta2)
+        return _core._testing.core_loss(detector, 0, path=1.0, p=p, mass=MUON, track_xi=xi * beta2)
 
     loss, variance, _ = moments("mean")
     everything = slab_detector([(BERYLLIUM, thickness, 50.0)])

@@ -115,7 +115,7 @@ def test_mean_below_100_kev(matter, thickness, p):
     expected, xi, _ = bethe(matter, thickness, p, MUON, cut)
     assert expected < 2e-6
     core = slab_detector([(matter, thickness, 50.0)])
-    sample = _core.sample_loss(core, 0, path=1.0, p=p, mass=MUON, seed=1, n=n)
+    sample = _core._testing.sample_loss(core, 0, path=1.0, p=p, mass=MUON, seed=1, n=n)
     # The others' `expected` carries collisions of a little less than 100 keV over the border.
     soft = np.where(sample < cut + expected, sample, 0.0)
     assert soft.mean() == pytest.approx(expected, rel=0.01)

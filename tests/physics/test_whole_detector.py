@@ -72,7 +72,7 @@ def core_through(core, p, gas):
     variance, energy = 0.0, math.hypot(p, MUON)
     for slab in range(core.n_slabs):
         before = math.sqrt(energy**2 - MUON**2)
-        energy -= _core.core_loss(core, slab, path=1.0, p=before, mass=MUON, charge=-1, track_xi=xi)[0]
+        energy -= _core._testing.core_loss(core, slab, path=1.0, p=before, mass=MUON, charge=-1, track_xi=xi)[0]
         middle = 0.5 * (before + math.sqrt(energy**2 - MUON**2))
         total = chi_c2[gas]
         variance += (

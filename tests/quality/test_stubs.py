@@ -16,6 +16,7 @@ from cgemit.gun import Gun, generate
 STUB = ast.parse((PACKAGE / "_core.pyi").read_text())
 FUNCTIONS = {node.name: node for node in STUB.body if isinstance(node, ast.FunctionDef)}
 CLASSES = {node.name: node for node in STUB.body if isinstance(node, ast.ClassDef)}
+TESTING = {node.name: node for node in CLASSES["_testing"].body if isinstance(node, ast.FunctionDef | ast.ClassDef)}
 CONSTANTS = {node.target.id: node for node in STUB.body if isinstance(node, ast.AnnAssign)}
 HIT_COLUMNS = {"kind": "u1", "layer": "i4", "channel": "i4", "size": "i4", "value": "f8", "sigma": "f8"}
 ENUMS = {name for name in CLASSES if isinstance(getattr(_core, name, None), enum.EnumType)}
@@ -59,12 +60,20 @@ def spelled(annotation: ast.expr | None) -> str:
     for word, meaning in words.items():
         if word in outer:
             return meaning
-    return outer.removeprefix("cgemit._core.")
+    return outer.removeprefix("cgemit._core.").removeprefix("_testing.")
 
 
 def test_names_agree() -> None:
     stub = {name for name in (FUNCTIONS | CLASSES | CONSTANTS) if not name.startswith("_")}
     assert stub == {name for name in dir(_core) if not name.startswith("_")}
+    assert set(TESTING) == {name for name in dir(_core._testing) if not name.startswith("_")}
+
+
+@pytest.mark.parametrize("name", sorted(name for name, node in TESTING.items() if isinstance(node, ast.FunctionDef)))
+def test_functions_for_tests_agree(name: str) -> None:
+    compiled_one = signature_of(getattr(_core._testing, name))
+    assert arguments(TESTING[name]) == arguments(compiled_one)
+    assert spelled(TESTING[name].returns) == spelled(compiled_one.returns)
 
 
 @pytest.mark.parametrize("name", sorted(FUNCTIONS))
@@ -100,7 +109,7 @@ def test_keys_of_returned_dicts_agree() -> None:
     hits = {
         name: np.empty(0, code) for name, code in zip(HIT_COLUMNS, ("u1", "i4", "i4", "i4", "f8", "f8"), strict=True)
     }
-    reference = _core.reference(core, np.array([0.0, 0.0, 1.0, 0.0, 0.0]), 0.1, hits)
+    reference = _core._testing.reference(core, np.array([0.0, 0.0, 1.0, 0.0, 0.0]), 0.1, hits)
     for name, found in (("_Simulated", simulated), ("_Reference", reference)):
         keys = {node.target.id for node in CLASSES[name].body if isinstance(node, ast.AnnAssign)}
         assert keys == set(found)

@@ -117,17 +117,17 @@ def test_fields(change, message):
 def calls():
     """Return the arguments with which the fit calls `states` and `seeds`."""
     kept = {}
-    real = {name: getattr(_core, name) for name in ("states", "seeds")}
+    states = _core.states
 
     def keep(detector, **given):
         kept["states"] = {"detector": detector, **given}
-        return real["states"](detector, **given)
+        return states(detector, **given)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(_core, "states", keep)
         run(DETECTOR, Gun("mu-", p=0.5, theta=1), 6, settings=Settings(fit=FitSettings(states=("origin", "hits"))))
     names = ("detector", "hit_offsets", "hits", "mass")
-    kept["seeds"] = {name: kept["states"][name] for name in names} | {"source": _core.SeedFrom.wires}
+    kept["seeds"] = {name: kept["states"][name] for name in names} | {"source": _core._testing.SeedFrom.wires}
     return kept
 
 
@@ -163,9 +163,10 @@ def with_nan(array, row=0):
 )
 def test_states_and_seeds(calls, name, argument, change, message):
     given = calls[name]
-    getattr(_core, name)(**given)
+    call = _core.states if name == "states" else _core._testing.seeds
+    call(**given)
     with pytest.raises(ValueError, match=message):
-        getattr(_core, name)(**given | {argument: change(given[argument])})
+        call(**given | {argument: change(given[argument])})
 
 
 def test_targets_of_states(calls):

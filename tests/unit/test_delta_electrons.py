@@ -53,7 +53,9 @@ def material(name: str):
 
 def back_scattered(name: str, energy: float, n: int = 6000) -> float:
     """Return the share of electrons that come back out of a thick piece of matter."""
-    ends = _core.follow_electrons(compiled(detector(name, 1.0)), 0, w=1e-9, energy=energy, outward=-1.0, n=n, seed=3)
+    ends = _core._testing.follow_electrons(
+        compiled(detector(name, 1.0)), 0, w=1e-9, energy=energy, outward=-1.0, n=n, seed=3
+    )
     return float(np.mean(ends["w"] > 1))
 
 
@@ -74,7 +76,7 @@ def test_stopping_power_has_no_step_where_the_formulas_meet() -> None:
 def test_way_is_the_csda_range(energy: float, csda: float) -> None:
     """In a gap full of water the way is ESTAR's range, but for the last 0.3 keV and 0.06 % of radiation."""
     core = compiled(detector("Al", 0.01, gas="Water"))
-    ends = _core.follow_electrons(core, 0, w=2.5, energy=energy, outward=0.5, n=400, seed=1)
+    ends = _core._testing.follow_electrons(core, 0, w=2.5, energy=energy, outward=0.5, n=400, seed=1)
     assert np.all(ends["energy"] == 0)
     np.testing.assert_allclose(ends["deposited"], energy, rtol=1e-9)
     np.testing.assert_allclose(0.1 * ends["way"].mean(), csda, rtol=0.015)
@@ -108,7 +110,7 @@ def test_scattering_has_the_transport_mean_free_path() -> None:
     transport = float(1 / (2 * strength * (np.log1p(1 / a) - 1 / (1 + a)))[0])
     thickness = 0.05 * transport
     core = compiled(detector("Au", thickness))
-    ends = _core.follow_electrons(core, 0, w=-thickness, energy=50.0, outward=1.0, n=20_000, seed=2)
+    ends = _core._testing.follow_electrons(core, 0, w=-thickness, energy=50.0, outward=1.0, n=20_000, seed=2)
     through = ends["w"] > 1
     # Behind the gold nothing scatters: the cosine follows from shift and distance.
     w, u, z = (ends[name][through] for name in ("w", "u", "z"))
@@ -123,7 +125,7 @@ def test_scattering_has_the_transport_mean_free_path() -> None:
 def test_electrons_turn_in_the_field() -> None:
     """In next to nothing an electron of 100 keV meets the cathode again at 2 r, r = p/(0.29979 B)."""
     core = compiled(detector("Al", 1.0, bz="-1 T"))
-    ends = _core.follow_electrons(core, 0, w=0.0, energy=100.0, outward=1.0, n=50, seed=1)
+    ends = _core._testing.follow_electrons(core, 0, w=0.0, energy=100.0, outward=1.0, n=50, seed=1)
     momentum = np.sqrt(100 * (100 + 2 * REST_ENERGY)) * 1e-3  # MeV/c
     # Many stay near where they enter the aluminium; a negative charge in negative field turns to negative azimuth.
     assert np.median(ends["u"]) < 0
@@ -135,7 +137,7 @@ def test_electrons_come_back_from_outside() -> None:
     ends = {}
     for bz in ("1 T", "1 mT"):
         core = compiled(detector("Al", 0.001, bz=bz))
-        ends[bz] = _core.follow_electrons(core, 0, w=1.0, energy=500.0, outward=-1.0, n=300, seed=1)
+        ends[bz] = _core._testing.follow_electrons(core, 0, w=1.0, energy=500.0, outward=-1.0, n=300, seed=1)
     assert np.mean(ends["1 mT"]["deposited"]) < 0.1 * np.mean(ends["1 T"]["deposited"])
 
 
@@ -150,7 +152,9 @@ def test_the_way_outside_is_the_rest_of_the_circle(sign: int) -> None:
     momentum = 0.299792458 * bz * radius * 1e3  # keV/c
     energy = float(np.hypot(momentum, REST_ENERGY) - REST_ENERGY)
     core = compiled(detector("Au", 10.0, bz=f"{sign * bz} T"))
-    ends = _core.follow_electrons(core, 0, w=w, energy=energy, outward=float(np.sqrt(1 - du**2)), n=100, seed=1)
+    ends = _core._testing.follow_electrons(
+        core, 0, w=w, energy=energy, outward=float(np.sqrt(1 - du**2)), n=100, seed=1
+    )
     # w = sign r (cos(a) - cos(a0)) + w0, a the angle of the direction to the u axis; it meets w = 0 going down.
     begin, end = np.arccos(du), -np.arccos(du - sign * w / radius)
     arc = begin - end if sign > 0 else 2 * np.pi + end - begin
@@ -163,7 +167,7 @@ def test_the_way_outside_is_the_rest_of_the_circle(sign: int) -> None:
 def test_energy_is_accounted_for() -> None:
     """What an electron of 5 keV has lost in the middle of the gas is what it left there."""
     core = compiled(load("besiii-cgem"))
-    ends = _core.follow_electrons(core, 0, w=2.5, energy=5.0, outward=0.2, n=300, seed=1)
+    ends = _core._testing.follow_electrons(core, 0, w=2.5, energy=5.0, outward=0.2, n=300, seed=1)
     np.testing.assert_allclose(ends["deposited"], 5.0, rtol=1e-9)
     farthest = np.sqrt(ends["u"] ** 2 + ends["z"] ** 2 + (ends["w"] - 2.5) ** 2)
     reach = 10 * practical_range(np.array([5.0]))[0] / load("besiii-cgem").cgem[0].gas.density

@@ -32,7 +32,7 @@ every_shape = pytest.mark.parametrize("shape", SHAPES)
 
 
 def reference(core, parameters, hits):
-    return _core.reference(core, parameters, MUON, hits)
+    return _core._testing.reference(core, parameters, MUON, hits)
 
 
 @every_shape
@@ -95,10 +95,10 @@ def test_kinks_in_a_constant_map_are_those_of_a_uniform_field(shape):
     hits = hits_on(UNIFORM, parameters)
     kinks = np.random.default_rng(3).normal(scale=0.01, size=(len(slabs(UNIFORM)), 2))
     cores = [compiled(detector) for detector in (UNIFORM, EVEN)]
-    one, other = (_core.reference(core, parameters, MUON, hits, kinks) for core in cores)
+    one, other = (_core._testing.reference(core, parameters, MUON, hits, kinks) for core in cores)
     assert other["predicted"] == pytest.approx(one["predicted"], abs=1e-6)
     assert other["noise_units"] == pytest.approx(one["noise_units"], rel=1e-6)
-    assert np.abs(one["predicted"] - _core.reference(cores[0], parameters, MUON, hits)["predicted"]).max() > 4
+    assert np.abs(one["predicted"] - _core._testing.reference(cores[0], parameters, MUON, hits)["predicted"]).max() > 4
     for name, limits in (("rows", [4e-2, 1e-8, 5e-3, 1e-8, 3e-4]), ("noise", [2e-2, 2e-3, 1e-9, 2.5e-2, 1e-9])):
         scale = np.abs(one[name]).max(axis=0)
         assert (np.abs(other[name] - one[name]).max(axis=0) / scale < limits).all()
@@ -110,10 +110,12 @@ def test_differences_with_kinks(shape):
     core, parameters = compiled(UNEVEN), np.array(SHAPES[shape])
     hits = hits_on(UNEVEN, parameters)
     kinks = np.random.default_rng(3).normal(scale=0.01, size=(len(slabs(UNEVEN)), 2))
-    rows = _core.reference(core, parameters, MUON, hits, kinks)["rows"]
+    rows = _core._testing.reference(core, parameters, MUON, hits, kinks)["rows"]
     for i, part in enumerate([8e-3, 1e-7, 3e-4, 3e-5, 2e-3]):
         step = np.where(np.arange(5) == i, 0.05 * STEP, 0.0)
-        ends = [_core.reference(core, parameters + sign * step, MUON, hits, kinks)["predicted"] for sign in (1, -1)]
+        ends = [
+            _core._testing.reference(core, parameters + sign * step, MUON, hits, kinks)["predicted"] for sign in (1, -1)
+        ]
         limit = part * np.abs(rows[:, i]).max()
         np.testing.assert_allclose(rows[:, i], (ends[0] - ends[1]) / (2 * step[i]), rtol=0, atol=limit, err_msg=f"{i}")
 

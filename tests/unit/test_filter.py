@@ -72,7 +72,7 @@ def linear_model(detector, core, helix, hits, prior=PRIOR):
     A noise vector changes what a measurement beyond it sees by row . vector, so two measurements share the noise of
     all matter inside both. The prior describes the track beyond all matter.
     """
-    reference = _core.reference(core, helix, MUON, hits)
+    reference = _core._testing.reference(core, helix, MUON, hits)
     n = len(hits["kind"])
     assert reference["reached"] == n
     inside = order_of_matter(detector, hits, len(reference["noise"]))
@@ -148,7 +148,7 @@ def test_residual_of_the_innermost_hit_is_that_of_a_refit(name, which):
     _, core, helix, hits = smeared_track(name, which)
     out = fitted(core, hits, helix, settings())
     without = fitted(core, {k: v[1:] for k, v in hits.items()}, helix, settings())
-    predicted = _core.reference(core, without["helix"][0], MUON, hits)["predicted"][0]
+    predicted = _core._testing.reference(core, without["helix"][0], MUON, hits)["predicted"][0]
     measured = hits["value"][0] * (hits["side"][0] if hits["kind"][0] == 2 else 1)
     # The two fits are linearised about different helices.
     assert measured - predicted == pytest.approx(out["residual"][0], abs=0.02 * out["err"][0])

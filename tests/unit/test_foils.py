@@ -36,7 +36,7 @@ def lines(n: int, slope: float, seed: int) -> dict[str, np.ndarray]:
 
 
 def fraction(slab: int, given: dict[str, np.ndarray], detector: Detector = BUILT) -> np.ndarray:
-    return _core.solid_fraction(compiled(detector, foil="lattice"), slab, **given)
+    return _core._testing.solid_fraction(compiled(detector, foil="lattice"), slab, **given)
 
 
 def marched(slab: int, given: dict[str, np.ndarray], steps: int = 4000) -> np.ndarray:

@@ -27,7 +27,7 @@ def tracks(draw, largest_radius=150.0, log_pt=log_pt):
 
 def step(track, radius, outward=True):
     """Move one helix point to a cylinder: new point, transverse arc, whether reached."""
-    points, arcs, reached = _core.step_to_cylinder(helix_point(*track)[None], radius, outward=outward)
+    points, arcs, reached = _core._testing.step_to_cylinder(helix_point(*track)[None], radius, outward=outward)
     return points[0], arcs[0], bool(reached[0])
 
 
@@ -109,7 +109,7 @@ def test_cylinders_out_of_reach(track, margin, beyond, outward):
 def test_straight_line(kappa):
     """Without curvature, and with one too small to matter, steps are those of a straight line."""
     start = np.array([20.0, -30.0, 5.0, math.cos(2.0), math.sin(2.0), 0.7, 1e-3 * kappa])
-    points, arcs, reached = _core.step_to_cylinder(start[None], 800.0)
+    points, arcs, reached = _core._testing.step_to_cylinder(start[None], 800.0)
     along, across = start[:2] @ start[3:5], start[0] * start[4] - start[1] * start[3]
     arc = math.sqrt(800.0**2 - across**2) - along
     bend = 0.5 * start[6] * arc**2
@@ -117,7 +117,7 @@ def test_straight_line(kappa):
     assert arcs[0] == pytest.approx(arc, abs=1e-11 + abs(bend))
     expected = np.array([*(start[:2] + arc * start[3:5]), 5 + 0.7 * arc])
     np.testing.assert_allclose(points[0, :3], expected, rtol=0, atol=1e-11 + 2 * abs(bend))
-    moved, apex = _core.advance(start[None], np.array([arc]))
+    moved, apex = _core._testing.advance(start[None], np.array([arc]))
     np.testing.assert_allclose(moved[0, :3], expected, rtol=0, atol=1e-11 + abs(bend))
     assert apex[0] > 1e11
 
@@ -126,7 +126,7 @@ def test_straight_line_steps_back():
     """A straight line that has a cylinder behind it steps back to either side of it."""
     away = np.array([[0.0, 100.0, 0.0, 0.0, 1.0, 0.5, 0.0]])
     for outward, arc in ((True, -50.0), (False, -150.0)):
-        points, arcs, reached = _core.step_to_cylinder(away, 50.0, outward=outward)
+        points, arcs, reached = _core._testing.step_to_cylinder(away, 50.0, outward=outward)
         assert reached[0]
         assert arcs[0] == arc
         np.testing.assert_array_equal(points[0], [0, 100 + arc, 0.5 * arc, 0, 1, 0.5, 0])
@@ -135,10 +135,10 @@ def test_straight_line_steps_back():
 def test_curvature_goes_to_zero_smoothly():
     """From bent to straight, the step differs from the straight one by the sagitta, to second order in curvature."""
     start = np.array([3.0, 4.0, 0.0, 1.0, 0.0, 0.0, 0.0])
-    straight = _core.step_to_cylinder(start[None], 500.0)[0][0]
+    straight = _core._testing.step_to_cylinder(start[None], 500.0)[0][0]
     length = straight[0] - start[0]
     for w in 10.0 ** np.arange(-14, -5):
-        bent = _core.step_to_cylinder(np.array([[*start[:6], w]]), 500.0)[0][0]
+        bent = _core._testing.step_to_cylinder(np.array([[*start[:6], w]]), 500.0)[0][0]
         assert bent[1] - straight[1] == pytest.approx(0.5 * w * length**2, rel=1e-2, abs=1e-12)
 
 
@@ -149,7 +149,7 @@ def test_advance(track, turn):
     point = helix_point(*track)
     arc = math.copysign(min(abs(turn / point[6]), 2000.0), turn)
     assume(arc != 0)
-    moved, _ = _core.advance(point[None], np.array([arc]))
+    moved, _ = _core._testing.advance(point[None], np.array([arc]))
     assert_same_point(moved[0], integrated(track, arc)[-1], abs(arc) * math.hypot(1, point[5]))
 
 
@@ -160,9 +160,9 @@ def test_arc_to_apex(track):
     closest, farthest = distances_from_centre(track)
     assume(farthest - closest > 1e-3)
     point = helix_point(*track)
-    apex = _core.advance(point[None], np.zeros(1))[1]
+    apex = _core._testing.advance(point[None], np.zeros(1))[1]
     assert 0 <= apex[0] <= 2 * math.pi / abs(point[6]) * (1 + 1e-12)
-    moved = _core.advance(point[None], apex)[0][0]
+    moved = _core._testing.advance(point[None], apex)[0][0]
     assert math.hypot(moved[0], moved[1]) == pytest.approx(farthest, rel=1e-11)
     assert moved[0] * moved[3] + moved[1] * moved[4] == pytest.approx(0, abs=1e-9 * farthest)
 
@@ -184,7 +184,7 @@ def test_charge_and_field_turn_alike(track, radius):
 def test_wrong_shape_is_refused():
     """Points with the wrong number of columns raise an error that says what was expected."""
     with pytest.raises(ValueError, match=r"points: expected shape \(2, 7\)"):
-        _core.advance(np.zeros((2, 6)), np.zeros(2))
+        _core._testing.advance(np.zeros((2, 6)), np.zeros(2))
 
 
 def test_through_a_cylinder_from_a_point_on_it() -> None:
@@ -197,7 +197,7 @@ def test_through_a_cylinder_from_a_point_on_it() -> None:
         flight = phi + turn
         start = np.array([[r * np.cos(phi), r * np.sin(phi), 0.0, np.cos(flight), np.sin(flight), 0.5, w]])
         on = float(np.hypot(start[0, 0], start[0, 1]))
-        moved, arc, reached = _core.step_to_cylinder(start, on)
+        moved, arc, reached = _core._testing.step_to_cylinder(start, on)
         assert reached[0]
         # Half the turn is asin(w/2 times the chord), and the chord of a straight flight is 2 r cos(turn).
         chord = float(np.hypot(*(moved[0, :2] - start[0, :2])))

@@ -21,7 +21,7 @@ N = 60_000
 def ionize(n=N, detector=DETECTOR, **more):
     """Return what muons of 1 GeV/c leave in the gap of the first layer."""
     settings = {"p": 1.0, "mass": MUON, "seed": 11, "deltas": False, "keep_clusters": True}
-    return _core.ionize(compiled(detector), 0, n=n, **(settings | more))
+    return _core._testing.ionize(compiled(detector), 0, n=n, **(settings | more))
 
 
 def test_number_of_clusters_is_poisson() -> None:

@@ -145,7 +145,7 @@ def test_core_moments(matter, thickness, p, mass, times):
     beta2 = p * p / (p * p + mass * mass)
     cut = _core.CORE_CUT_XI * track_xi / beta2 + _core.CORE_CUT_SHARE * p * math.sqrt(beta2)
     expected, xi, w_max = bethe(matter, thickness, p, mass, cut)
-    loss, variance, _ = _core.core_loss(core, 0, path=1.0, p=p, mass=mass, track_xi=track_xi)
+    loss, variance, _ = _core._testing.core_loss(core, 0, path=1.0, p=p, mass=mass, track_xi=track_xi)
     assert loss == pytest.approx(expected, rel=1e-3)
     cut = min(cut, w_max)
     # Integral of E^2 xi/E^2 (1 - beta^2 E/W_max).
@@ -161,7 +161,7 @@ def test_core_slope(matter, thickness, p, mass, times):
     track_xi = times * matter.xi(thickness)
 
     def loss(momentum):
-        return _core.core_loss(core, 0, path=1.0, p=momentum, mass=mass, track_xi=track_xi)
+        return _core._testing.core_loss(core, 0, path=1.0, p=momentum, mass=mass, track_xi=track_xi)
 
     # Half a bin of the table of the density effect away from its nodes, where the slope jumps.
     nodes = np.exp(_core.LOSS_GRID_FIRST + _core.LOSS_GRID_STEP * (np.arange(_core.LOSS_POINTS) + 0.5)) * mass
@@ -177,8 +177,8 @@ def test_core_loss_is_additive(pieces):
     whole = slab_detector([(BERYLLIUM, 2.0, 50.0)])
     piece = slab_detector([(BERYLLIUM, 2.0 / pieces, 50.0)])
     track_xi = _core.total_matter(whole, 0.0)[1]
-    full = _core.core_loss(whole, 0, path=1.0, p=0.4, mass=MUON, track_xi=track_xi)
-    part = _core.core_loss(piece, 0, path=1.0, p=0.4, mass=MUON, track_xi=track_xi)
+    full = _core._testing.core_loss(whole, 0, path=1.0, p=0.4, mass=MUON, track_xi=track_xi)
+    part = _core._testing.core_loss(piece, 0, path=1.0, p=0.4, mass=MUON, track_xi=track_xi)
     np.testing.assert_allclose(pieces * np.array(part), full, rtol=1e-12)
 
 
@@ -206,7 +206,7 @@ def test_noise_of_a_track_does_not_depend_on_cuts(where, pieces, pt):
             composition=composition(parts[:i] + [pieces_of_it] * n + parts[i + 1 :]), cgem=cgem_table(design.cgem),
             wires=wire_table(design.drift_chamber), screening=_core.Screening.wentzel,
         )  # fmt: skip
-        vectors = _core.reference(core, np.array([0.1, 0.5, -1 / pt, 2.0, 0.3]), MUON, hits)["noise"]
+        vectors = _core._testing.reference(core, np.array([0.1, 0.5, -1 / pt, 2.0, 0.3]), MUON, hits)["noise"]
         return vectors.T @ vectors
 
     whole, cut = noise(1), noise(pieces)

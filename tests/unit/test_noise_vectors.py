@@ -64,19 +64,19 @@ def test_noise_vectors_are_kicks_seen_from_the_origin(shape, charge, bz):
     detector, core, slab, columns = one_slab(0.02, 1e-4, 4.0, bz)
     parameters = helix_of(shape, charge)
     hits = hits_on(detector, parameters)
-    noise = _core.reference(core, parameters, MUON, hits)["noise"]
+    noise = _core._testing.reference(core, parameters, MUON, hits)["noise"]
     noise = noise[np.any(np.abs(noise) > 1e-9, axis=1)]  # the other slabs are empty
     assert len(noise) == 5  # two angles, the loss, two shifts
     start = on_helix(parameters)
     point = helix_point([start[c][0] for c in "xyz"], [start[c][0] for c in ("px", "py", "pz")], charge, bz)
-    at = _core.step_to_cylinder(point[None], columns["radius"][slab])[0][0]
+    at = _core._testing.step_to_cylinder(point[None], columns["radius"][slab])[0][0]
     position, momentum = at[:3], abs(1 / parameters[2]) * np.array([*at[3:5], at[5]])
     p = np.linalg.norm(momentum)
     # The kicks' sizes: path, angle from momentum half-way through the loss, straggling, shift.
     across = at[:2] @ at[3:5] / columns["radius"][slab]
     path = math.hypot(1, at[5]) / across
     _, track_xi, track_chi_c2, _ = _core.total_matter(core, parameters[4])
-    loss, variance, _ = _core.core_loss(core, slab, path=path, p=p, mass=MUON, track_xi=track_xi)
+    loss, variance, _ = _core._testing.core_loss(core, slab, path=path, p=p, mass=MUON, track_xi=track_xi)
     energy = math.hypot(p, MUON)
     after = math.sqrt((energy - loss) ** 2 - MUON**2)
     theta = _core.scattering_angle(
@@ -134,7 +134,7 @@ def test_noise_behind_all_matter(shape, charge):
     shifts = columns["spread"] * 13.6e-3 * np.sqrt(columns["x0"]) > 5e-3
     gap = int(np.flatnonzero(columns["gap"] == 2)[0])
     first = np.where(shifts, 5, 3)[:gap].sum()
-    noise = _core.reference(core, parameters, MUON, hits_on(detector, parameters))["noise"][first : first + 3]
+    noise = _core._testing.reference(core, parameters, MUON, hits_on(detector, parameters))["noise"][first : first + 3]
     _, _, kappa, _, tanl = arrival(parameters)
     # Sideways; up and down at fixed momentum; momentum alone. Sizes are tested with a single slab above; what is left
     # is that the loss depends on how obliquely matter is met.

@@ -95,7 +95,7 @@ def information(core, helix, mass, mine, prior, rho):
     plain["value"] = mine["value"] + mine["k"] * mine["x"]  # V as measured
     plain["sigma"] = np.where(np.isin(np.arange(len(mine["kind"])), v), ERR_V, mine["sigma"])
     plain["k"], plain["x"] = np.zeros_like(mine["k"]), np.zeros_like(mine["x"])
-    reference = _core.reference(core, helix, mass, plain)
+    reference = _core._testing.reference(core, helix, mass, plain)
     h, g = reference["rows"], reference["noise"]
     measured = np.where(plain["kind"] == 2, plain["value"] * plain["side"], plain["value"])
     n = len(h)

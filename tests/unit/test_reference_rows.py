@@ -41,7 +41,7 @@ def wire_layer(detector, number):
 
 def reference(core, parameters, hits):
     """Follow a helix through hits."""
-    return _core.reference(core, parameters, MUON, hits)
+    return _core._testing.reference(core, parameters, MUON, hits)
 
 
 def linear_error(core, parameters, hits, step):
@@ -74,8 +74,8 @@ def test_predictions_are_on_the_path(name, bz, charge, shape):
     for i in range(len(predicted)):
         kind, number, channel = hits["kind"][i], hits["layer"][i], hits["channel"][i]
         layer = detector.cgem[number] if kind < 2 else wire_layer(detector, number)
-        _, arcs, reached = _core.step_to_cylinder(circle[None], layer.r_mid)
-        arc = arcs[0] if reached[0] else _core.advance(circle[None], np.zeros(1))[1][0]
+        _, arcs, reached = _core._testing.step_to_cylinder(circle[None], layer.r_mid)
+        arc = arcs[0] if reached[0] else _core._testing.advance(circle[None], np.zeros(1))[1][0]
         path = integrate(position, momentum, charge, bz, arc * math.hypot(1, tanl))
         x, y, z, px, py, pz = path.y[:, -1]
         if kind < 2:
@@ -157,11 +157,13 @@ def test_differences_with_kinks(shape, charge, bz):
     """
     detector, parameters = DETECTORS["besiii-cgem-design", bz], helix_of(shape, charge)
     core, kinks, hits = compiled(detector), kinked(detector), hits_on(detector, helix_of(shape, charge))
-    rows = _core.reference(core, parameters, MUON, hits, kinks)["rows"]
+    rows = _core._testing.reference(core, parameters, MUON, hits, kinks)["rows"]
     limits = [3e-2, 1e-7, 7e-3, 1e-7, 1.5e-3] if shape == "slow" else [3e-3, 1e-7, 1e-3, 1e-7, 1e-4]
     for i, part in enumerate(limits):
         step = np.where(np.arange(5) == i, 0.05 * STEP, 0.0)
-        ends = [_core.reference(core, parameters + sign * step, MUON, hits, kinks)["predicted"] for sign in (1, -1)]
+        ends = [
+            _core._testing.reference(core, parameters + sign * step, MUON, hits, kinks)["predicted"] for sign in (1, -1)
+        ]
         assert len(ends[0]) == len(ends[1]) == len(rows) > 30
         limit = part * np.max(np.abs(rows[:, i]))
         np.testing.assert_allclose(rows[:, i], (ends[0] - ends[1]) / (2 * step[i]), rtol=0, atol=limit, err_msg=f"{i}")
@@ -173,10 +175,10 @@ def test_a_kink_is_its_noise_vector(shape, angle):
     """A small kink moves the hits beyond by row times noise vector, times how many standard deviations it is."""
     detector, parameters = DETECTORS["besiii-cgem-design", -1], helix_of(shape, 1)
     core, hits = compiled(detector), hits_on(detector, parameters)
-    start, place = _core.reference(core, parameters, MUON, hits), 7
+    start, place = _core._testing.reference(core, parameters, MUON, hits), 7
     kinks = np.zeros((len(slabs(detector)), 2))
     kinks[place, angle] = 1e-5
-    found = _core.reference(core, parameters, MUON, hits, kinks)
+    found = _core._testing.reference(core, parameters, MUON, hits, kinks)
     pulled = int(np.argmax(np.abs(found["noise_units"])))
     assert np.sum(np.abs(found["noise_units"])) < (1 + 1e-4) * abs(found["noise_units"][pulled])
     moved = found["predicted"] - start["predicted"]
@@ -212,7 +214,7 @@ def test_extent_is_the_path_across_the_gap(shape, charge, bz):
     point = helix_point([start[c][0] for c in "xyz"], [start[c][0] for c in ("px", "py", "pz")], charge, bz)[None]
     for i in np.flatnonzero(hits["kind"] < 2):
         layer = detector.cgem[hits["layer"][i]]
-        ends = [_core.step_to_cylinder(point, r)[0][0] for r in (layer.r_gap_in, layer.r_gap_out)]
+        ends = [_core._testing.step_to_cylinder(point, r)[0][0] for r in (layer.r_gap_in, layer.r_gap_out)]
         turned = math.atan2(ends[1][1], ends[1][0]) - math.atan2(ends[0][1], ends[0][0])
         along = layer.r_readout * math.remainder(turned, 2 * math.pi)
         v = along * math.cos(layer.stereo) - (ends[1][2] - ends[0][2]) * math.sin(layer.stereo)
@@ -237,7 +239,7 @@ def test_stopped_in_matter():
     """A proton of 0.1 GeV/c runs out of momentum in the beam pipe, and the reference says so."""
     detector = DETECTORS["besiii-cgem-design", -1]
     hits = hits_on(detector, helix_of("central 1 GeV/c", 1))
-    out = _core.reference(compiled(detector), np.array([0, 0.4, 1 / 0.1, 0, 0]), 0.93827208816, hits)
+    out = _core._testing.reference(compiled(detector), np.array([0, 0.4, 1 / 0.1, 0, 0]), 0.93827208816, hits)
     assert out["stopped"]
     assert out["reached"] == 0
 

@@ -31,14 +31,14 @@ def draws(function, n, seed=1, particle=0, place=0, block=0, first=0):
 )
 def test_known_answers(counter, key, expected):
     """Philox4x32-10 gives the words published with Random123 (kat_vectors)."""
-    assert tuple(_core.philox4x32(counter=counter, key=key)) == expected
+    assert tuple(_core._testing.philox4x32(counter=counter, key=key)) == expected
 
 
 def test_counter_and_key_of_a_stream():
     """Seed, event, particle, purpose, place and block each have their own bits of counter and key, as documented."""
     seed, event, particle, place, block = 0x0123456789ABCDEF, 0x1122334455667788, 0xABCDE, 0x2ABCDEF, 0x9AB
     counter = [(int(TEST) << 26) | place, (particle << 12) | block, event & 0xFFFFFFFF, event >> 32]
-    words = np.array(_core.philox4x32(counter=counter, key=[seed & 0xFFFFFFFF, seed >> 32]), dtype=np.float64)
+    words = np.array(_core._testing.philox4x32(counter=counter, key=[seed & 0xFFFFFFFF, seed >> 32]), dtype=np.float64)
     found = _core.uniforms(seed, np.array([event]), np.array([particle], np.int32), TEST, place, block)
     np.testing.assert_array_equal(found[0], (words + 0.5) / 2**32)
 

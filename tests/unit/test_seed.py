@@ -11,7 +11,7 @@ from cgemit.study.hits import Hits, exchange_clusters
 from cgemit.study.scenarios import SCENARIOS
 
 DETECTOR = load("besiii-cgem-design")
-ALL = _core.SeedFrom.wires_and_clusters
+ALL = _core._testing.SeedFrom.wires_and_clusters
 
 # What a first helix of a clean track may miss: a few times what it does (dr mm, phi0 rad, kappa relative, dz mm, tanl).
 NEAR = np.array([2.0, 0.02, 0.05, 5.0, 0.04])
@@ -20,7 +20,7 @@ NEAR = np.array([2.0, 0.02, 0.05, 5.0, 0.04])
 def seeds(hits, offsets, mass, source=ALL, detector=DETECTOR):
     """Return the first helices of some candidates."""
     core = compiled(detector)
-    return _core.seeds(
+    return _core._testing.seeds(
         core, hit_offsets=offsets, hits=hits, mass=np.broadcast_to(mass, len(offsets) - 1), source=source
     )
 
@@ -57,7 +57,7 @@ def test_clean_track(bz, kappa, hidden):
         hits = tracks.hits_on(detector, true)
         if hidden:
             hits["side"][:] = 0
-        for source in (ALL, _core.SeedFrom.wires):
+        for source in (ALL, _core._testing.SeedFrom.wires):
             found = seeds(hits, [0, len(hits["kind"])], tracks.MUON, source, detector)
             near = NEAR * (1, 1, 1, 4, 1) if source != ALL and hidden else NEAR
             assert np.all(distance(found, true) < near), (number, source, found)
@@ -102,7 +102,7 @@ def test_too_few_points(number):
     """No helix goes through two points; five hits may or may not be enough."""
     hits = tracks.hits_on(DETECTOR, np.array([[0.3, 0.5, 1.0, 4.0, 0.3]]))
     few = {name: column[:number] for name, column in hits.items()}
-    for source in (ALL, _core.SeedFrom.wires, _core.SeedFrom.azimuths):
+    for source in (ALL, _core._testing.SeedFrom.wires, _core._testing.SeedFrom.azimuths):
         found = seeds(few, [0, number], tracks.MUON, source)
         assert np.isnan(found).all() or (number == 5 and np.isfinite(found).all())
 
@@ -116,6 +116,6 @@ def test_all_on_one_layer():
         "channel": np.arange(n, dtype=np.int32), "size": np.zeros(n, np.int32),
         "value": np.full(n, 3.0), "sigma": np.full(n, 0.13), "side": np.zeros(n, np.int8),
     }  # fmt: skip
-    for source in (ALL, _core.SeedFrom.wires, _core.SeedFrom.azimuths):
+    for source in (ALL, _core._testing.SeedFrom.wires, _core._testing.SeedFrom.azimuths):
         found = seeds(hits, [0, n], tracks.MUON, source)
         assert np.isnan(found).all() or np.isfinite(found).all()

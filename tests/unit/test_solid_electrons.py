@@ -34,7 +34,7 @@ def electrons(origin: str, density: str, n: int, tanl: float, slope: float):
         "cgem.L1.anode": thin,
     }
     detector = load("besiii-cgem").with_overrides(changes)
-    found = _core.ionize(
+    found = _core._testing.ionize(
         compiled(detector), 0, p=P, mass=PROTON, n=n, seed=4, deltas=True, keep_clusters=False, tanl=tanl, slope=slope
     )
     begins = found["deposit_origin"] == ("cathode", "behind").index(origin) + 1

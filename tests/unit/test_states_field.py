@@ -77,7 +77,9 @@ def fitted_states(core, detector, surfaces, offset=0.0):
     """Return smoothed states of tracks about HELICES whose hits lie `offset` sigma beside them, in turn."""
     hits = [hits_on(detector, helix) for helix in HELICES]
     columns = {name: np.concatenate([one[name] for one in hits]) for name in hits[0]}
-    predicted = [_core.reference(core, helix, MUON, one)["predicted"] for helix, one in zip(HELICES, hits, strict=True)]
+    predicted = [
+        _core._testing.reference(core, helix, MUON, one)["predicted"] for helix, one in zip(HELICES, hits, strict=True)
+    ]
     beside = np.concatenate([np.cos(np.arange(len(one))) for one in predicted])
     reference = HELICES + np.array([0, np.pi / 2, 0, 0, 0])
     return _core.states(

@@ -161,6 +161,6 @@ def test_gap_tables_are_made_where_they_are_needed() -> None:
     without, complete = compiled(small, gaps=False), compiled(small)
     assert without is not complete
     given = {"w": 1.0, "energy": 20.0, "outward": 1.0, "n": 3, "seed": 1}
-    assert _core.follow_electrons(complete, 0, **given)
+    assert _core._testing.follow_electrons(complete, 0, **given)
     with pytest.raises(IndexError):
-        _core.follow_electrons(without, 0, **given)
+        _core._testing.follow_electrons(without, 0, **given)

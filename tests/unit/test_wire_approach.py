@@ -63,7 +63,7 @@ def passages(draw):
     tanl = draw(st.floats(-1.2, 1.2))
     position = [r * math.cos(at), r * math.sin(at), draw(st.floats(-20, 20))]
     point = helix_point(position, [pt * math.cos(direction), pt * math.sin(direction), pt * tanl], charge, bz)
-    moved, _, reached = _core.step_to_cylinder(point[None], radius)
+    moved, _, reached = _core._testing.step_to_cylinder(point[None], radius)
     assume(reached[0] and abs(moved[0, 2]) < LAYERS[layer].half_length)
     # Wires near the crossing: azimuth of wire 0 at this z from its ends.
     middle, along = wire_line(layer, 0)
@@ -71,7 +71,7 @@ def passages(draw):
     cell = (math.atan2(moved[0, 1], moved[0, 0]) - math.atan2(at_z[1], at_z[0])) * LAYERS[layer].cells / (2 * math.pi)
     wire = round(cell + draw(st.floats(-1.5, 1.5))) % LAYERS[layer].cells
     before = 40.0  # mm, where the search starts before the layer
-    start = _core.step_to_cylinder(point[None], max(radius - before, r + 1e-6))
+    start = _core._testing.step_to_cylinder(point[None], max(radius - before, r + 1e-6))
     assume(start[2][0])
     return start[0][0], layer, wire
 
@@ -81,7 +81,7 @@ def passages(draw):
 def test_distance_is_the_smallest(passage):
     """Distance, arc and point agree with minimisation over arc and place on the wire."""
     start, layer, wire = passage
-    moved, doca, arcs, found = _core.approach_wire(start[None], CORE, layer, wire)
+    moved, doca, arcs, found = _core._testing.approach_wire(start[None], CORE, layer, wire)
     assume(abs(moved[0, 0] * moved[0, 3] + moved[0, 1] * moved[0, 4]) > 0.2 * LAYERS[layer].r_mid)
     middle, along = wire_line(layer, wire)
     distance, arc, _ = brute_force(start, middle, along, arcs[0] + 60)
@@ -96,8 +96,8 @@ def test_distance_is_the_smallest(passage):
 def test_sign_and_right_angles(passage):
     """The distance is that along flight x wire, to 1e-9 mm where the point is 10 nm from being the closest."""
     start, layer, wire = passage
-    moved, doca, _, found = _core.approach_wire(start[None], CORE, layer, wire)
-    _, settled, rest, _ = _core.approach_wire(moved, CORE, layer, wire)
+    moved, doca, _, found = _core._testing.approach_wire(start[None], CORE, layer, wire)
+    _, settled, rest, _ = _core._testing.approach_wire(moved, CORE, layer, wire)
     assert abs(rest[0]) < 1e-5
     assert doca[0] == pytest.approx(settled[0], abs=1e-9)
     middle, along = wire_line(layer, wire)
@@ -118,7 +118,7 @@ def test_against_integration(layer, pt, charge, bz):
     """From a displaced vertex, the distance to each wire near the track is that of the integrated path."""
     position, momentum = np.array([15.0, -12.0, 8.0]), pt * np.array([math.cos(0.9), math.sin(0.9), 0.25])
     point = helix_point(position, momentum, charge, bz)
-    crossing, arcs, reached = _core.step_to_cylinder(point[None], LAYERS[layer].r_mid)
+    crossing, arcs, reached = _core._testing.step_to_cylinder(point[None], LAYERS[layer].r_mid)
     if not reached[0]:
         assert 2 * pt / LIGHT < LAYERS[layer].r_mid + 20
         return
@@ -133,7 +133,7 @@ def test_against_integration(layer, pt, charge, bz):
         middle, along = ends[wire]
         distances = np.linalg.norm(np.cross(points - middle, along), axis=1)
         best = np.argmin(distances)
-        _, doca, _, found = _core.approach_wire(crossing, CORE, layer, int(wire))
+        _, doca, _, found = _core._testing.approach_wire(crossing, CORE, layer, int(wire))
         assert found[0]
         assert 0 < best < len(points) - 1
         assert abs(doca[0]) <= distances[best] + 1e-9
@@ -147,7 +147,7 @@ def test_sides_by_hand():
     np.testing.assert_allclose(along, [0, 0, 1], atol=1e-15)
     for offset, sign in ((-2.0, 1), (2.0, -1)):
         start = np.array([[middle[0] - 10, middle[1] + offset, 0, 1, 0, 0.3, 0.0]])
-        moved, doca, arcs, found = _core.approach_wire(start, CORE, axial, 0)
+        moved, doca, arcs, found = _core._testing.approach_wire(start, CORE, axial, 0)
         assert found[0]
         assert doca[0] == pytest.approx(sign * 2.0, abs=1e-12)
         assert arcs[0] == pytest.approx(10.0, abs=1e-12)

@@ -81,4 +81,7 @@ Array<T> take(const py::dict& columns, const char* name) {
   return py::cast<Array<T>>(columns[name]);
 }
 
+// What only tests ask of the core: single steps that the stages take on their own.
+inline py::module_ testing(py::module_& module) { return module.def_submodule("_testing"); }
+
 }  // namespace cgemit::bindings

@@ -28,8 +28,9 @@ py::array_t<double> solid_fractions(const Detector& detector, int slab, const Ar
 }  // namespace
 
 void bind_foil(py::module_& module) {
-  module.def("solid_fraction", &solid_fractions, py::arg("detector"), py::arg("slab"), py::kw_only(),
-             py::arg("u"), py::arg("v"), py::arg("slope_u"), py::arg("slope_v"),
-             "Fraction (0 to 1) of straight lines through a slab with holes that is outside the holes; u, v "
-             "in mm at the middle of the foil.");
+  testing(module).def(
+      "solid_fraction", &solid_fractions, py::arg("detector"), py::arg("slab"), py::kw_only(), py::arg("u"),
+      py::arg("v"), py::arg("slope_u"), py::arg("slope_v"),
+      "Fraction (0 to 1) of straight lines through a slab with holes that is outside the holes; u, v "
+      "in mm at the middle of the foil.");
 }

@@ -154,12 +154,12 @@ void bind_gap(py::module_& module) {
   module.attr("ELECTRON_GRID_FIRST") = electron_grid_first;
   module.attr("ELECTRON_STEPS") = electron_steps;
   module.attr("ELECTRON_POINTS") = electron_points;
-  module.def(
+  testing(module).def(
       "ionize", &run, py::arg("detector"), py::arg("layer"), py::kw_only(), py::arg("p"), py::arg("mass"),
       py::arg("charge") = 1.0, py::arg("n"), py::arg("seed"), py::arg("deltas"), py::arg("keep_clusters"),
       py::arg("tanl") = 0.0, py::arg("slope") = 0.0,
       "Deposits of n straight tracks through azimuth 0 in a drift gap; slope: r dphi/dr at the entry.");
-  module.def(
+  testing(module).def(
       "follow_electrons", &follow_electrons, py::arg("detector"), py::arg("layer"), py::kw_only(),
       py::arg("w"), py::arg("energy"), py::arg("outward"), py::arg("n"), py::arg("seed"),
       "End points of n electrons that start at w (mm from the inner edge of the gap) with an energy (keV).");

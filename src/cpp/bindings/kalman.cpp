@@ -47,9 +47,11 @@ py::dict reference(const Detector& detector, const Array<double>& helix, double 
 }  // namespace cgemit::bindings
 
 void bind_kalman(py::module_& module) {
-  module.def("reference", &cgemit::bindings::reference, py::arg("detector"), py::arg("helix"),
-             py::arg("mass"), py::arg("hits"), py::arg("kinks") = py::none(),
-             "Follow one helix, scattered by `kinks` (rad, two for every slab), through its hits: predicted "
-             "values, their rows by (dr, phi0, kappa, dz, tanl), the noise vectors of the matter, and the "
-             "kinks in units of them.");
+  using cgemit::bindings::testing;
+  testing(module).def(
+      "reference", &cgemit::bindings::reference, py::arg("detector"), py::arg("helix"), py::arg("mass"),
+      py::arg("hits"), py::arg("kinks") = py::none(),
+      "Follow one helix, scattered by `kinks` (rad, two for every slab), through its hits: predicted "
+      "values, their rows by (dr, phi0, kappa, dz, tanl), the noise vectors of the matter, and the "
+      "kinks in units of them.");
 }

@@ -26,8 +26,9 @@ py::array_t<double> function(const std::string& name, const Array<double>& value
 void bind_kernels(py::module_& module) {
   module.def("isa", [] { return std::string(kernels().isa); }, "Name of the instruction set in use.");
   module.def("lanes", [] { return kernels().lanes; }, "Tracks that its kernels handle side by side.");
-  module.def("function", &function, py::arg("name"), py::arg("values"),
-             "Apply a function of the kernels in use: log, exp, sine, cosine, atan, azimuth, nearest.");
+  testing(module).def(
+      "function", &function, py::arg("name"), py::arg("values"),
+      "Apply a function of the kernels in use: log, exp, sine, cosine, atan, azimuth, nearest.");
   module.def("processor_runs", &processor_runs, py::arg("isa"), "Whether this processor runs such code.");
   module.def("use_kernels", &use_kernels, py::arg("path"), "Open and use the kernels of this library.");
   module.def("use_scalar_kernels", &use_scalar_kernels, "Use the plain scalar kernels.");

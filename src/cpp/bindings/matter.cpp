@@ -78,7 +78,7 @@ void bind_matter(py::module_& module) {
       py::arg("charge") = 1.0, py::arg("cut"),
       "Mean energy loss (GeV) in a slab by collisions below the cut (GeV); path in units of normal "
       "incidence.");
-  module.def(
+  testing(module).def(
       "core_loss",
       [](const Detector& detector, int slab, double path, double p, double mass, double charge,
          double track_xi) {
@@ -91,7 +91,7 @@ void bind_matter(py::module_& module) {
       py::arg("detector"), py::arg("slab"), py::kw_only(), py::arg("path"), py::arg("p"), py::arg("mass"),
       py::arg("charge") = 1.0, py::arg("track_xi"),
       "Loss (GeV), its variance, and d(loss)/dp used by the fit.");
-  module.def(
+  testing(module).def(
       "sample_loss",
       [](const Detector& detector, int slab, double path, double p, double mass, double charge,
          std::uint64_t seed, py::ssize_t n) {

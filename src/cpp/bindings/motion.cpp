@@ -72,14 +72,15 @@ py::tuple to_wire(const Array<double>& points, const Detector& detector, int lay
 }  // namespace
 
 void bind_motion(py::module_& module) {
-  module.def(
+  testing(module).def(
       "step_to_cylinder", &to_cylinder, py::arg("points"), py::arg("radius"), py::kw_only(),
       py::arg("outward") = true,
       "Move helix points, rows of (x y z ux uy tanl w), to a cylinder: points, arcs, whether reached.");
-  module.def("advance", &along, py::arg("points"), py::arg("arcs"),
-             "Move helix points by transverse arcs: points, and the arc from each to its outermost point.");
-  module.def("approach_wire", &to_wire, py::arg("points"), py::arg("detector"), py::arg("layer"),
-             py::arg("wire"),
-             "Move helix points to their closest approach to a wire: points, signed distances, arcs, whether "
-             "found.");
+  testing(module).def(
+      "advance", &along, py::arg("points"), py::arg("arcs"),
+      "Move helix points by transverse arcs: points, and the arc from each to its outermost point.");
+  testing(module).def(
+      "approach_wire", &to_wire, py::arg("points"), py::arg("detector"), py::arg("layer"), py::arg("wire"),
+      "Move helix points to their closest approach to a wire: points, signed distances, arcs, whether "
+      "found.");
 }

@@ -54,7 +54,7 @@ void bind_rng(py::module_& module) {
       .value("foil", Purpose::foil)
       .value("decay", Purpose::decay)
       .finalize();
-  module.def(
+  testing(module).def(
       "philox4x32",
       [](Block counter, std::array<std::uint32_t, 2> key) { return philox4x32(counter, key[0], key[1]); },
       py::kw_only(), py::arg("counter"), py::arg("key"), "Four words of Philox4x32-10.");

@@ -47,13 +47,16 @@ py::array_t<double> seeds(const Detector& detector, const Array<std::int64_t>& h
 
 void bind_seed(py::module_& module) {
   using cgemit::SeedFrom;
-  py::native_enum<SeedFrom>(module, "SeedFrom", "enum.Enum", "What the first helix is drawn through.")
+  using cgemit::bindings::testing;
+  py::native_enum<SeedFrom>(testing(module), "SeedFrom", "enum.Enum",
+                            "What the first helix is drawn through.")
       .value("wires", SeedFrom::wires)
       .value("wires_and_clusters", SeedFrom::wires_and_clusters)
       .value("azimuths", SeedFrom::azimuths)
       .finalize();
-  module.def("seeds", &cgemit::bindings::seeds, py::arg("detector"), py::kw_only(), py::arg("hit_offsets"),
-             py::arg("hits"), py::arg("mass"), py::arg("source"),
-             "First helix of each row of hit_offsets, (n, 5) in the parameters of the tracks table; NaN if "
-             "there is none.");
+  testing(module).def(
+      "seeds", &cgemit::bindings::seeds, py::arg("detector"), py::kw_only(), py::arg("hit_offsets"),
+      py::arg("hits"), py::arg("mass"), py::arg("source"),
+      "First helix of each row of hit_offsets, (n, 5) in the parameters of the tracks table; NaN if "
+      "there is none.");
 }
