@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, Field, fields
 from html import escape
 from pathlib import Path
 from typing import Any, Self
 
 from cgemit.io.files import new_file, read_text
-from cgemit.io.toml import parse_toml, toml_text
+from cgemit.io.toml import flat, nested, parse_toml, toml_text
 from cgemit.kinds import NO, Choice, allows_none, classes_in, expected, kinds_of, matched, problems_of
 from cgemit.problems import ProblemsError, did_you_mean
 
@@ -106,7 +106,7 @@ class SettingsData:
         left = 'style="text-align:left"'
         rows = "".join(
             f"<tr><th {left}>{escape(path)}</th><td {left}>{escape(str(value))}</td></tr>"
-            for path, value in _flat("", self.to_dict())
+            for path, value in flat("", self.to_dict())
         )
         return f"<p><b>{type(self).__name__}</b></p><table>{rows}</table>"
 
@@ -183,15 +183,6 @@ def read_tables(path: str | os.PathLike[str]) -> Mapping[str, Any]:
     return _parsed(text, "JSON" if Path(path).suffix == ".json" else "TOML", str(path))
 
 
-def nested(path: str, value: object) -> dict[str, Any]:
-    """Return tables that hold one value at a dotted path."""
-    *parents, last = path.split(".")
-    tables: dict[str, Any] = {last: value}
-    for name in reversed(parents):
-        tables = {name: tables}
-    return tables
-
-
 def _parsed(text: str, form: str, source: str) -> Mapping[str, Any]:
     try:
         tables = parse_toml(text) if form == "TOML" else json.loads(text)
@@ -243,15 +234,6 @@ def _read(kind: Any, raw: object, path: str, problems: list[str], field: Field[A
         problems += [f"{path}: {text}" for text in problems_of(kind, name)]
         return None
     return _build(classes[name], table, f"{path}.", problems, classes)
-
-
-def _flat(path: str, value: object) -> Iterator[tuple[str, object]]:
-    """Yield the dotted path and the value of everything in nested tables."""
-    if not isinstance(value, Mapping):
-        yield path, value
-        return
-    for name, inner in value.items():
-        yield from _flat(f"{path}.{name}" if path else str(name), inner)
 
 
 def _owner(key: str, cls: type[Any], choices: Mapping[str, type[Any]]) -> str:

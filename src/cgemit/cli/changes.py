@@ -138,8 +138,9 @@ def read_settings(
     one_track : bool
         Whether the fit can assume one mass only.
     """
+    from cgemit.io.toml import nested
     from cgemit.result import Settings
-    from cgemit.settings import SettingsError, nested
+    from cgemit.settings import SettingsError
 
     layers: list[tuple[str, Mapping[str, Any]]] = []
     if arguments.settings is not None:

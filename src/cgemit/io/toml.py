@@ -1,10 +1,10 @@
-"""Nested tables as TOML text, which `tomllib` reads back to equal tables."""
+"""Nested tables: as TOML text, which `tomllib` reads back to equal tables, and by dotted paths."""
 
 from __future__ import annotations
 
 import json
 import tomllib
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from typing import Any
 
 _LARGEST, _LONGEST_LINE = 1_000_000, 4_000  # characters; the time to read dotted keys grows with their square
@@ -90,3 +90,21 @@ def _text(value: Any) -> str:
 def _quoted(text: str) -> str:
     # JSON strings are TOML strings except for DEL, which TOML wants escaped.
     return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
+
+
+def nested(path: str, value: object) -> dict[str, Any]:
+    """Return tables that hold one value at a dotted path."""
+    *parents, last = path.split(".")
+    tables: dict[str, Any] = {last: value}
+    for name in reversed(parents):
+        tables = {name: tables}
+    return tables
+
+
+def flat(path: str, value: object) -> Iterator[tuple[str, object]]:
+    """Yield the dotted path and the value of everything in nested tables."""
+    if not isinstance(value, Mapping):
+        yield path, value
+        return
+    for name, inner in value.items():
+        yield from flat(f"{path}.{name}" if path else str(name), inner)
