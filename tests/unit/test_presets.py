@@ -28,7 +28,7 @@ def rows(name: str) -> list[dict[str, str]]:
 
 
 def test_names_and_descriptions() -> None:
-    assert tuple(detectors()) == NAMES
+    assert tuple(detectors()) == (*NAMES, "stcf-like")
     for name, description in detectors().items():
         assert len(description) > 20
         assert load(name).name == name
@@ -219,3 +219,19 @@ def test_design_has_thinner_copper_on_its_foils() -> None:
     for layer in load("besiii-cgem-design").cgem:
         assert [part.thickness for part in layer.foil] == [0.002, 0.05, 0.002]
         assert layer.r_gap_out == pytest.approx(layer.anode_radius - 6.162)
+
+
+def test_a_tracker_that_is_not_besiii() -> None:
+    """Radii and layers of the source, cells about as wide as high, tilts of about 50 mrad, ends at one angle."""
+    detector = load("stcf-like")
+    assert [layer.anode_radius for layer in detector.cgem] == [60, 110, 160]
+    wires = detector.drift_chamber.layers
+    assert len(wires) == 48
+    assert wires[-1].r_end + 0.5 * (wires[-1].r_end - wires[-2].r_end) == pytest.approx(820, abs=1)
+    for inner, layer in itertools.pairwise(wires):
+        assert layer.r_end - inner.r_end == pytest.approx(12.9)
+        assert 2 * math.pi * layer.r_mid / layer.cells == pytest.approx(12.9, rel=0.25)
+        tilt = abs(layer.r_end * math.sin(0.5 * layer.twist) / layer.half_length)
+        assert tilt == 0 if layer.number // 6 in (0, 3, 6, 7) else tilt == pytest.approx(0.05, rel=0.1)
+        cosine = layer.half_length / math.hypot(layer.half_length, layer.r_end)
+        assert cosine == pytest.approx(0.93, abs=1e-3) if layer.half_length < 1400 else cosine < 0.93
