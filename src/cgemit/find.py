@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from cgemit.candidates import HIT_V, HIT_WIRE, HIT_X, XV_CLUSTER
 from cgemit.detector import Detector, load
-from cgemit.detector.parts import local_v
+from cgemit.detector.strips import local_v
 from cgemit.tables import Table
 from cgemit.tables.table import kind_problems
 

@@ -11,8 +11,8 @@ import pytest
 from cgemit.detector import CgemLayer, DetectorError, detectors, load
 from cgemit.detector.compile import cgem_table
 from cgemit.detector.describe import to_dict
-from cgemit.detector.parts import crossing_z, v_of_strips
 from cgemit.detector.slabs import slabs
+from cgemit.detector.strips import crossing_z, v_of_strips
 
 DATA = Path(__file__).parent.parent / "data"
 NAMES = ("besiii-cgem", "besiii-cgem-design", "besiii-idc", "besiii-idc-boss")

@@ -13,6 +13,7 @@ from cgemit.detector.gaps import gap_columns, gap_table
 from cgemit.detector.material import Element, Material
 from cgemit.detector.model import Detector
 from cgemit.detector.parts import CgemLayer, DriftChamber, Shell
+from cgemit.detector.placement import IN_PLACE
 from cgemit.detector.slabs import ENDLESS, Slab, hole_table, slabs
 
 #: Screening of nuclei by their electrons in multiple scattering (docs/methods/matter.md); the first is the default.
@@ -192,7 +193,7 @@ def compiled_stack(parts: Sequence[tuple[Material, float]], screening: str = "we
 
 
 def cgem_table(layers: Sequence[CgemLayer]) -> Columns:
-    """Return the read-out of CGEM layers as columns: mm, rad, strips; phi_first is (n, 2), the rest (n,)."""
+    """Return the read-out of layers as columns: mm, rad, strips. phi_first (n, 2), placement (n, 12), others (n,)."""
     names = ("r_readout", "r_gap_in", "r_gap_out", "half_length", "pitch_x", "pitch_v", "stereo", "offset_v")
     columns: Columns = {name: np.array([getattr(layer, name) for layer in layers], dtype=np.float64) for name in names}
     for name in ("sheets", "strips_x", "strips_v"):
@@ -200,17 +201,19 @@ def cgem_table(layers: Sequence[CgemLayer]) -> Columns:
     # A layer of one sheet repeats the first azimuth as the second: the core reads `sheets` of them.
     edges = [(*layer.sheet_phi, *layer.sheet_phi)[:2] for layer in layers]
     columns["phi_first"] = np.array(edges, dtype=np.float64).reshape(-1, 2)
+    columns["placement"] = np.array([layer.placement for layer in layers], dtype=np.float64).reshape(-1, 12)
     strips = [layer.sheets * (layer.strips_x + layer.strips_v) for layer in layers]
     columns["gid_first"] = np.cumsum([0, *strips])[:-1].astype(np.int32)
     return columns
 
 
 def wire_table(chamber: DriftChamber | None) -> Columns:
-    """Return the wire layers of a chamber as columns (n,): mm, rad."""
+    """Return the wire layers of a chamber as columns (n,): mm, rad; placement is (1, 12)."""
     layers = chamber.layers if chamber else ()
     names = ("r_end", "half_length", "twist", "phi_east", "sigma", "sigma_slope", "efficiency")
     columns: Columns = {name: np.array([getattr(layer, name) for layer in layers], dtype=np.float64) for name in names}
     for name in ("number", "cells"):
         columns[name] = np.array([getattr(layer, name) for layer in layers], dtype=np.int32)
     columns["gid_first"] = np.array(chamber.gid_first if chamber else (), dtype=np.int32)
+    columns["placement"] = (chamber.placement if chamber else IN_PLACE).reshape(1, 12)
     return columns

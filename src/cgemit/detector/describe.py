@@ -9,6 +9,7 @@ from cgemit.detector.keys import keys_of, opened
 from cgemit.detector.material import DensityEffect, Material
 from cgemit.detector.materials import library
 from cgemit.detector.parts import CgemLayer, Contents, SubLayer, WireLayer
+from cgemit.detector.placement import PLACEMENT
 from cgemit.detector.slabs import Slab, slabs
 from cgemit.io.toml import toml_text
 from cgemit.units import NATIVE, format_quantity
@@ -181,7 +182,8 @@ def to_toml(detector: Contents) -> str:
 
 def _table(part: Any) -> dict[str, Any]:
     kind: Any = type(part)
-    found = {name: _value(getattr(part, name), key.kind) for name, key in keys_of(kind).items()}
+    keys = {name: key for name, key in keys_of(kind).items() if name not in PLACEMENT or getattr(part, name) != 0}
+    found = {name: _value(getattr(part, name), key.kind) for name, key in keys.items()}
     return {name: value for name, value in found.items() if value not in ({}, "")}
 
 

@@ -9,14 +9,10 @@ from dataclasses import dataclass, field
 from html import escape
 from typing import NamedTuple
 
-import numpy as np
-import numpy.typing as npt
-
 from cgemit.detector.field import Field
 from cgemit.detector.keys import key
 from cgemit.detector.material import Material
-
-Floats = npt.NDArray[np.float64]
+from cgemit.detector.placement import Placed
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,7 +67,7 @@ class Shell(NamedTuple):
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
-class CgemLayer:
+class CgemLayer(Placed):
     """One cylindrical GEM layer with X and V strips; everything is placed from the V-strip plane inward and outward.
 
     From inside: cathode, drift gap, first foil, transfer gap, ..., last foil, induction gap, anode.
@@ -119,7 +115,7 @@ class CgemLayer:
         return (
             f"r = {self.r_mid:.2f} mm (mid drift gap of {self.drift_gap:g} mm), length {self.length:g} mm, "
             f"{self.sheets} x ({self.strips_x} X + {self.strips_v} V) strips, "
-            f"stereo {math.degrees(self.stereo):+.2f} deg"
+            f"stereo {math.degrees(self.stereo):+.2f} deg{self.moved_text()}"
         )
 
     @property
@@ -232,7 +228,7 @@ class WireLayer:
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
-class DriftChamber:
+class DriftChamber(Placed):
     """A drift chamber: wire layers in one gas."""
 
     gas: Material = field(metadata=key("gas", "gas of the chamber"))
@@ -257,7 +253,8 @@ class DriftChamber:
         cells = sum(layer.cells for layer in self.layers)
         reach = f", r = {self.layers[0].r_mid:.1f} to {self.layers[-1].r_end:.1f} mm" if self.layers else ""
         matter = {"none": "not counted", "smeared": f"{self.wire_material.name}, spread over the gas"}[self.wires]
-        return f"{len(self.layers)} layers, {cells} cells{reach}, gas {self.gas.name}, matter of the wires {matter}"
+        wires = f"{len(self.layers)} layers, {cells} cells{reach}, gas {self.gas.name}"
+        return f"{wires}, matter of the wires {matter}{self.moved_text()}"
 
     @property
     def gid_first(self) -> tuple[int, ...]:
@@ -280,23 +277,3 @@ class Contents:
     walls: tuple[Cylinder, ...]
     drift_chamber: DriftChamber | None
     air: Material  # fills the space between parts inside the drift chamber
-
-
-def local_v(layer: CgemLayer, x: Floats | float, z: Floats | float) -> Floats:
-    """Return V, (n,) float64 mm, of points with X and z, (n,) float64 mm."""
-    return np.asarray(x * np.cos(layer.stereo) + (layer.z_ref - z) * np.sin(layer.stereo))
-
-
-def strips_of_v(layer: CgemLayer, v: Floats | float) -> Floats:
-    """Return V, (n,) float64 mm, counted in V strips: i is the edge where strip i begins."""
-    return np.asarray(np.divide(v, layer.pitch_v) - layer.offset_v)
-
-
-def v_of_strips(layer: CgemLayer, strips: Floats | float) -> Floats:
-    """Return V, (n,) float64 mm, of positions counted in V strips: i is the edge where strip i begins."""
-    return np.asarray(np.add(strips, layer.offset_v) * layer.pitch_v)
-
-
-def crossing_z(layer: CgemLayer, x: Floats | float, v: Floats | float) -> Floats:
-    """Return z, (n,) float64 mm, at which lines of constant V meet those of constant X, (n,) float64 mm."""
-    return np.asarray(layer.z_ref - (v - x * np.cos(layer.stereo)) / np.sin(layer.stereo))

@@ -13,6 +13,7 @@ from cgemit.cluster import ClusterSettings
 from cgemit.detector import Detector, compiled, load
 from cgemit.digitize.binary import BinaryReadout as BinaryReadout
 from cgemit.digitize.gaussian import GaussianReadout as GaussianReadout
+from cgemit.digitize.placed import in_layer_axes
 from cgemit.digitize.readout import Readout as Readout
 from cgemit.kinds import one_of
 from cgemit.settings import SettingsData
@@ -96,6 +97,7 @@ def digitize(
     detector, settings = load(detector), settings or DigitizeSettings()
     if steps is None:
         steps = Table.empty("steps", **truths.cover)
+    truths, steps = in_layer_axes(detector, truths, steps)
     return {
         "wire_hits": read_out_wires(detector, wire_truths, reveal_sides=settings.reveal_sides, seed=seed),
         "digis": made("digis", settings.readout.digitize(detector, truths, steps, seed), settings.readout, truths),

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.collections import PatchCollection, PolyCollection
 from matplotlib.patches import Rectangle
 
-from cgemit.detector.parts import crossing_z, local_v, strips_of_v, v_of_strips
+from cgemit.detector.strips import crossing_z, local_v, strips_of_v, v_of_strips
 from cgemit.draw.geometry import Array, near
 from cgemit.draw.style import COLORS, Picture, legend_entries, new_picture, plain, statistics_box, style
 

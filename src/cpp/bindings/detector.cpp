@@ -80,6 +80,16 @@ void add_holes(const py::dict& columns, std::vector<Slab>& slabs) {
   }
 }
 
+// Row `i` of a column `placement`: shift, then the rows of the rotation.
+Placement placement_of(std::span<const double> rows, std::size_t i) {
+  Placement found;
+  const auto row = rows.subspan(12 * i, 12);
+  std::ranges::copy(row.first(3), found.shift.begin());
+  std::ranges::copy(row.last(9), found.turn.begin());
+  found.moved = found.shift != Placement().shift || found.turn != Placement().turn;
+  return found;
+}
+
 std::vector<CgemLayer> make_cgem(const py::dict& columns) {
   const auto r_readout = take<double>(columns, "r_readout"), r_gap_in = take<double>(columns, "r_gap_in"),
              r_gap_out = take<double>(columns, "r_gap_out"),
@@ -92,6 +102,8 @@ std::vector<CgemLayer> make_cgem(const py::dict& columns) {
              gid_first = take<std::int32_t>(columns, "gid_first");
   const auto n = static_cast<std::size_t>(r_readout.size());
   const auto edges = matrix(phi_first, "phi_first", r_readout.size(), 2);
+  const auto placement = take<double>(columns, "placement");
+  const auto placements = matrix(placement, "placement", r_readout.size(), 12);
   std::vector<CgemLayer> layers(n);
   for (std::size_t i = 0; i < n; ++i) {
     if (sheets.at(i) < 1 || sheets.at(i) > 2) throw std::invalid_argument("cgem sheets: expected 1 or 2");
@@ -109,7 +121,8 @@ std::vector<CgemLayer> make_cgem(const py::dict& columns) {
                  {edges[2 * i], edges[2 * i + 1]},
                  gid_first.at(i),
                  0,
-                 0};
+                 0,
+                 placement_of(placements, i)};
   }
   return layers;
 }
@@ -197,6 +210,8 @@ void check(double bz, const std::vector<Slab>& slabs, const std::vector<CgemLaye
     part.within("strips_x", cgem[i].strips_x, 1, most_strips);
     part.within("strips_v", cgem[i].strips_v, 1, most_strips);
     for (const double phi : cgem[i].phi_first) part.within("phi_first", phi, -far, far);
+    for (const double shift : cgem[i].placement.shift) part.within("placement", shift, -far, far);
+    for (const double one : cgem[i].placement.turn) part.within("placement", one, -1, 1);
   }
   for (std::size_t i = 0; i < wires.size(); ++i) {
     const Part part(problems, "wires", i);
@@ -245,8 +260,11 @@ void bind_detector(py::module_& module) {
              std::vector<WireLayer> wire_layers = make_wires(wires);
              std::vector<GapMatter> matter = make_gaps(gaps);
              check(bz, made, layers, wire_layers, matter.size());
-             Detector detector = make_detector(field ? *field : uniform_field(bz), std::move(made),
-                                               std::move(layers), std::move(wire_layers), std::move(matter));
+             const auto placement = take<double>(wires, "placement");
+             const Placement chamber = placement_of(matrix(placement, "placement", 1, 12), 0);
+             Detector detector =
+                 make_detector(field ? *field : uniform_field(bz), std::move(made), std::move(layers),
+                               std::move(wire_layers), std::move(matter), chamber);
              prepare_scattering(detector, screening);
              prepare_loss(detector, loss, radiation);
              return detector;

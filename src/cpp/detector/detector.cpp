@@ -5,12 +5,13 @@
 #include <utility>
 
 #include "common/units.hpp"
+#include "detector/placement.hpp"
 #include "detector/wires.hpp"
 
 namespace cgemit {
 
 Detector make_detector(FieldMap field, std::vector<Slab> slabs, std::vector<CgemLayer> cgem,
-                       std::vector<WireLayer> wires, std::vector<GapMatter> gaps) {
+                       std::vector<WireLayer> wires, std::vector<GapMatter> gaps, const Placement& chamber) {
   const double bz = field.bz;
   Detector detector{
       bz, std::move(field), std::move(slabs), std::move(cgem), std::move(wires), std::move(gaps), {}, {}};
@@ -22,7 +23,10 @@ Detector make_detector(FieldMap field, std::vector<Slab> slabs, std::vector<Cgem
     layer.per_radian = layer.cells / (2 * pi);
     layer.twist_per_z = layer.tan_half_twist / layer.half_length;
     layer.placed.clear();
-    for (int i = 0; i < layer.cells; ++i) layer.placed.push_back(place_wire(layer, i));
+    for (int i = 0; i < layer.cells; ++i) {
+      const Wire wire = place_wire(layer, i);
+      layer.placed.push_back(chamber.moved ? moved(chamber, wire) : wire);
+    }
   }
   for (Slab& slab : detector.slabs) {
     slab.least_outward = std::sqrt(0.5 * (slab.r_out - slab.r_in) * slab.radius);

@@ -76,6 +76,14 @@ struct Slab {
   std::vector<HardScatterer> hard;
 };
 
+// Where a part is, against its place in the description. A point p of the beam's axes is turn (p - shift) in
+// the part's own.
+struct Placement {
+  bool moved = false;
+  std::array<double, 3> shift{};                          // mm
+  std::array<double, 9> turn{1, 0, 0, 0, 1, 0, 0, 0, 1};  // rows of a rotation
+};
+
 // One cylindrical GEM layer with its two-view read-out.
 struct CgemLayer {
   double r_readout;    // mm, radius of X = r_readout (phi - phi_first)
@@ -92,6 +100,7 @@ struct CgemLayer {
   std::array<double, 2> phi_first;  // rad, edge of each sheet (X = 0)
   int gid_first;                    // running number of the layer's first strip: sheet by sheet, X then V
   double cos_stereo, sin_stereo;    // of the stereo angle
+  Placement placement = {};
 
   double r_mid() const { return 0.5 * (r_gap_in + r_gap_out); }
   double sheet_width() const { return strips_x * pitch_x; }  // mm, in X
@@ -153,6 +162,7 @@ struct Detector {
 
 // Computes the quantities that follow from the rest of the description.
 Detector make_detector(FieldMap field, std::vector<Slab> slabs, std::vector<CgemLayer> cgem,
-                       std::vector<WireLayer> wires, std::vector<GapMatter> gaps);
+                       std::vector<WireLayer> wires, std::vector<GapMatter> gaps,
+                       const Placement& chamber = {});
 
 }  // namespace cgemit

@@ -9,6 +9,7 @@
 #include "kalman/group.hpp"
 #include "kalman/helix_motion.hpp"
 #include "kalman/slab_crossing.hpp"
+#include "motion/seen.hpp"
 
 namespace cgemit {
 
@@ -104,7 +105,10 @@ class Tracer {
     const double gap = layer.r_gap_out - layer.r_gap_in, around = 2 * pi * layer.r_readout;
     const T x_extent = scale * gap * tan_a, z_extent = gap * per_cos * tanl_;
     const Five<T> row_x = (scale * per_cos) * r.across;
-    const T x = layer.r_readout * positive(atan2(at.y, at.x) - slot.edge);
+    HelixPointOf<T> shifted;
+    if (layer.placement.moved) shifted = seen_by(layer.placement, at);
+    const HelixPointOf<T>& seen = layer.placement.moved ? shifted : at;
+    const T x = layer.r_readout * positive(atan2(seen.y, seen.x) - slot.edge);
     const mask_of<T> met = reached & slot.there;
     if (slot.view == View::x) {
       slot.extent = abs(x_extent);
@@ -112,7 +116,7 @@ class Tracer {
       return;
     }
     const double cosine = layer.cos_stereo, sine = layer.sin_stereo;
-    const T v = x * cosine + (layer.z_ref() - at.z) * sine;
+    const T v = x * cosine + (layer.z_ref() - seen.z) * sine;
     // Near the sheet's first edge the track and the hit may lie on either side of it.
     const T other = v + select(x < 0.5 * around, T(around * cosine), T(-around * cosine));
     const mask_of<T> near_edge = smaller(x, around - x) < seam_margin;
