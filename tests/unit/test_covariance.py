@@ -56,6 +56,53 @@ def test_covariance_is_that_of_the_fit(detector: cg.Detector, p: float, cos_thet
     assert np.abs((found.cov - mean) / np.outer(scale, scale)).max() < 0.01
 
 
+# In the beam pipe, in a cathode, in a gap, between wires and outside the last of them.
+RADII = (20.0, 32.5, 78.84, 121.0, 171.0, 500.0, 900.0)
+
+
+@pytest.mark.parametrize("field", [None, HARMONIC])
+def test_covariance_at_a_radius_is_that_of_the_states_of_the_fit(field: object) -> None:
+    """States of fits of hits on one track, with their own variances, at the same cylinders."""
+    detector = DESIGN if field is None else DESIGN.with_field(field)
+    settings = cg.Settings(
+        simulate=cg.SimulateSettings(fluctuations="off"),
+        digitize=cg.DigitizeSettings(readout="gaussian", reveal_sides=True),
+        fit=cg.FitSettings(outlier_pull=0, kinks=False, states=RADII),
+    )
+    states = cg.run(detector, cg.Gun("mu-", p=0.5, cos_theta=0.3, phi=0.4), n=100, seed=3, settings=settings).states
+    how = {"phi": 0.4, "readout": "gaussian", "reveal_sides": True}
+    found = cg.analytic(detector, "mu-", 0.5, 0.3, radius=list(RADII), **how)
+    assert found.cov.shape == (len(RADII), 5, 5)
+    for radius, cov in zip(RADII, found.cov, strict=True):
+        mean = states["cov"][states["r"] == radius].mean(axis=0)
+        scale = np.sqrt(np.diagonal(mean))
+        assert np.abs((cov - mean) / np.outer(scale, scale)).max() < 0.01, radius
+    # A cylinder on the other side of a wall has another covariance.
+    near = cg.analytic(detector, "mu-", 0.5, 0.3, radius=[31.48, 33.71], **how)
+    assert near.sigma_phi0[1] < 0.85 * near.sigma_phi0[0]
+
+
+def test_a_small_cylinder_is_the_origin() -> None:
+    """Without matter between, the covariance is that of the origin, seen from the point of the track."""
+    for readout in ("gaussian", "binary"):
+        origin = cg.analytic(DESIGN, "pi+", [0.3, 1.0], 0.5, readout=readout, samples=8)
+        small = cg.analytic(DESIGN, "pi+", [0.3, 1.0], 0.5, readout=readout, samples=8, radius="1 um")
+        np.testing.assert_allclose(small.variances("p"), origin.variances("p"), rtol=1e-6)
+        np.testing.assert_allclose(small.cov, origin.cov, rtol=1e-3)
+
+
+def test_what_a_radius_cannot_have() -> None:
+    lost = cg.analytic(DESIGN, "mu-", 0.1, 0.0, radius=[100.0, 760.0], phi=0.0, samples=2)
+    assert list(lost.status) == [0, cg.FitStatus.does_not_reach]
+    assert np.isnan(lost.sigma_p[1])
+    with pytest.raises(ValueError, match="budget: got covariances at a radius"):
+        lost.budget("p")
+    with pytest.raises(ValueError, match="sensitivity: got covariances at a radius"):
+        cg.sensitivity(DESIGN, "mu-", 1.0, keys=["field.bz"], radius=100.0, samples=2)
+    with pytest.raises(ValueError, match=r"radius: expected positive lengths"):
+        cg.analytic(DESIGN, "mu-", 1.0, radius=-1.0)
+
+
 @pytest.mark.parametrize("field", [None, HARMONIC])
 @pytest.mark.parametrize(("readout", "samples"), [("binary", 16), ("gaussian", 20)])
 def test_budget_sums_to_the_variance(field: object, readout: str, samples: int) -> None:
