@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.special import erf
 
 import cgemit as cg
 from cgemit import isa
@@ -11,7 +12,7 @@ from cgemit.covariance import QUANTITIES
 from cgemit.covariance.budget import sources
 from cgemit.covariance.derivatives import varied
 from cgemit.covariance.mixture import core_width
-from cgemit.statistics.estimate import measure
+from cgemit.statistics.estimate import SECOND_INSIDE, measure
 from fields import HARMONIC
 
 DESIGN, CHAMBER = cg.load("besiii-cgem-design"), cg.load("besiii-idc")
@@ -166,6 +167,13 @@ def test_core_of_a_mixture_is_what_a_sample_of_it_has() -> None:
     sample = rng.normal(size=2_000_000) * np.sqrt(variances[0])[rng.integers(0, 4, 2_000_000)]
     core = measure(sample)
     assert abs(core_width(variances)[0] - core.core) < 4 * core.core_error
+    # Gaussians of equal width, one wide outlier, and very different widths: a variance that the window reproduces.
+    for mixture in ([1.0] * 9, [1.0] * 9 + [1e4], [1e-4, 1.0, 100.0], [1.0, 1.001]):
+        square = float(core_width(np.array([mixture]))[0]) ** 2
+        u = 3 * np.sqrt(square / np.array(mixture))
+        inside = erf(u / np.sqrt(2))
+        second = np.array(mixture) * (inside - u * np.sqrt(2 / np.pi) * np.exp(-0.5 * u * u))
+        assert second.sum() / inside.sum() == pytest.approx(SECOND_INSIDE * square, rel=1e-10)
     assert core_width(np.array([[2.0, np.nan, 2.0]]))[0] == pytest.approx(np.sqrt(2.0), rel=1e-9)
 
 
