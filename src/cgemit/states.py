@@ -141,7 +141,7 @@ def extrapolate(
     out = _core.extrapolate(
         compiled(detector, screening=screening, loss=loss, radiation=bool(radiation)), pivot=pivot, helix=parameters,
         cov=table["cov"].reshape(-1, 25), mass=_masses(table, particle), radius=float(radius),
-        share=_shares_inside(detector, start), target_share=float(_shares_inside(detector, np.array([radius]))[0]),
+        share=shares_inside(detector, start), target_share=float(shares_inside(detector, np.array([radius]))[0]),
     )  # fmt: skip
     n = len(table)
     none, nan = np.full(n, -1), np.full(n, np.nan)
@@ -210,11 +210,17 @@ def _targets(detector: Detector, surfaces: tuple[float | str, ...]) -> dict[str,
     given = [detector.beam_pipe[0].r_in if surface == "beam_pipe" else surface for surface in surfaces]
     kind = [kinds.get(surface, Surface.cylinder) if isinstance(surface, str) else Surface.cylinder for surface in given]
     radius = np.array([0.0 if isinstance(surface, str) else float(surface) for surface in given])
-    return {"surface": np.array(kind, np.int8), "radius": radius, "share": _shares_inside(detector, radius)}
+    return {"surface": np.array(kind, np.int8), "radius": radius, "share": shares_inside(detector, radius)}
 
 
-def _shares_inside(detector: Detector, radii: Floats) -> Floats:
-    """Return which part of X/X0 of the scatterer that a radius cuts lies inside that radius; 0 if it cuts none."""
+def shares_inside(detector: Detector, radii: Floats) -> Floats:
+    """Return which part of X/X0 of the scatterer that a radius cuts lies inside that radius; 0 if it cuts none.
+
+    Parameters
+    ----------
+    detector : Detector
+    radii : ndarray, (n,) float64, mm
+    """
     shares = np.zeros(len(radii))
     for slab in slabs(detector):
         cut = (slab.r_in < radii) & (radii < slab.r_out)

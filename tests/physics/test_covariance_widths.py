@@ -88,6 +88,35 @@ def test_binary_clusters_are_a_mixture(detector: str) -> None:
         assert core == pytest.approx(measured.core, rel=0.05)
 
 
+@pytest.mark.parametrize(("particle", "p", "cos_theta"), [("mu-", 0.4, 0.3), ("pi+", 1.0, -0.5)])
+def test_widths_in_the_gaps_are_those_of_simulated_events(particle: str, p: float, cos_theta: float) -> None:
+    """Where tracks cross the middles of the drift gaps: fitted states against true points, 4 standard errors."""
+    design, n = cg.load("besiii-cgem-design"), 4000
+    middles = [layer.r_mid for layer in design.cgem]
+    how = cg.Settings(
+        simulate=cg.SimulateSettings(fluctuations="gaussian", deltas=False, decays=False),
+        digitize=cg.DigitizeSettings(readout="gaussian", reveal_sides=True),
+        fit=cg.FitSettings(states=tuple(middles)),
+    )
+    result = cg.run(design, cg.Gun(particle, p=p, cos_theta=cos_theta), n=n, seed=8, settings=how)
+    found = cg.analytic(design, particle, p, cos_theta, radius=middles, readout="gaussian", reveal_sides=True)
+    origin = cg.analytic(design, particle, p, cos_theta, readout="gaussian", reveal_sides=True)
+    states, truths = result.states, result.truths
+    for layer, radius in enumerate(middles):
+        at, true = states[states["r"] == radius], truths[truths["layer"] == layer]
+        _, mine, row = np.intersect1d(at["event"], true["event"], return_indices=True)
+        assert len(row) > 0.98 * n
+        azimuth = np.arctan2(at["y"], at["x"])[mine]
+        around = radius * (np.remainder(azimuth - true["phi"][row] + np.pi, 2 * np.pi) - np.pi)
+        incidence = np.arctan2(at["py"], at["px"])[mine] - azimuth
+        # Both points are on the cylinder; dr and dz are displacements at the same path.
+        up = at["z"][mine] - true["z"][row] - at["tanl"][mine] * np.sin(incidence) * around
+        for name, residual in (("dr", around * np.cos(incidence)), ("dz", up)):
+            ratio = residual.std() / float(found.rms(name)[layer])
+            assert abs(ratio - 1) < 4 / np.sqrt(2 * len(residual)), (layer, name, ratio)
+            assert residual.std() < 0.9 * origin.rms(name)  # the covariance of the origin fails
+
+
 def test_each_cause_alone_makes_its_terms_of_the_budget() -> None:
     """Events in which only the wires, only the clusters or only the matter fluctuate, fitted with all weights."""
     design = cg.load("besiii-cgem-design")

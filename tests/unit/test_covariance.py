@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.special import erf
 
 import cgemit as cg
 from cgemit import isa
@@ -11,7 +12,7 @@ from cgemit.covariance import QUANTITIES
 from cgemit.covariance.budget import sources
 from cgemit.covariance.derivatives import varied
 from cgemit.covariance.mixture import core_width
-from cgemit.statistics.estimate import measure
+from cgemit.statistics.estimate import SECOND_INSIDE, measure
 from fields import HARMONIC
 
 DESIGN, CHAMBER = cg.load("besiii-cgem-design"), cg.load("besiii-idc")
@@ -54,6 +55,53 @@ def test_covariance_is_that_of_the_fit(detector: cg.Detector, p: float, cos_thet
     found = cg.analytic(detector, "mu-", p, cos_theta, phi=phi, readout="gaussian", reveal_sides=True)
     scale = np.sqrt(np.diagonal(mean))
     assert np.abs((found.cov - mean) / np.outer(scale, scale)).max() < 0.01
+
+
+# In the beam pipe, in a cathode, in a gap, between wires and outside the last of them.
+RADII = (20.0, 32.5, 78.84, 121.0, 171.0, 500.0, 900.0)
+
+
+@pytest.mark.parametrize("field", [None, HARMONIC])
+def test_covariance_at_a_radius_is_that_of_the_states_of_the_fit(field: object) -> None:
+    """States of fits of hits on one track, with their own variances, at the same cylinders."""
+    detector = DESIGN if field is None else DESIGN.with_field(field)
+    settings = cg.Settings(
+        simulate=cg.SimulateSettings(fluctuations="off"),
+        digitize=cg.DigitizeSettings(readout="gaussian", reveal_sides=True),
+        fit=cg.FitSettings(outlier_pull=0, kinks=False, states=RADII),
+    )
+    states = cg.run(detector, cg.Gun("mu-", p=0.5, cos_theta=0.3, phi=0.4), n=100, seed=3, settings=settings).states
+    how = {"phi": 0.4, "readout": "gaussian", "reveal_sides": True}
+    found = cg.analytic(detector, "mu-", 0.5, 0.3, radius=list(RADII), **how)
+    assert found.cov.shape == (len(RADII), 5, 5)
+    for radius, cov in zip(RADII, found.cov, strict=True):
+        mean = states["cov"][states["r"] == radius].mean(axis=0)
+        scale = np.sqrt(np.diagonal(mean))
+        assert np.abs((cov - mean) / np.outer(scale, scale)).max() < 0.01, radius
+    # A cylinder on the other side of a wall has another covariance.
+    near = cg.analytic(detector, "mu-", 0.5, 0.3, radius=[31.48, 33.71], **how)
+    assert near.sigma_phi0[1] < 0.85 * near.sigma_phi0[0]
+
+
+def test_a_small_cylinder_is_the_origin() -> None:
+    """Without matter between, the covariance is that of the origin, seen from the point of the track."""
+    for readout in ("gaussian", "binary"):
+        origin = cg.analytic(DESIGN, "pi+", [0.3, 1.0], 0.5, readout=readout, samples=8)
+        small = cg.analytic(DESIGN, "pi+", [0.3, 1.0], 0.5, readout=readout, samples=8, radius="1 um")
+        np.testing.assert_allclose(small.variances("p"), origin.variances("p"), rtol=1e-6)
+        np.testing.assert_allclose(small.cov, origin.cov, rtol=1e-3)
+
+
+def test_what_a_radius_cannot_have() -> None:
+    lost = cg.analytic(DESIGN, "mu-", 0.1, 0.0, radius=[100.0, 760.0], phi=0.0, samples=2)
+    assert list(lost.status) == [0, cg.FitStatus.does_not_reach]
+    assert np.isnan(lost.sigma_p[1])
+    with pytest.raises(ValueError, match="budget: got covariances at a radius"):
+        lost.budget("p")
+    with pytest.raises(ValueError, match="sensitivity: got covariances at a radius"):
+        cg.sensitivity(DESIGN, "mu-", 1.0, keys=["field.bz"], radius=100.0, samples=2)
+    with pytest.raises(ValueError, match=r"radius: expected positive lengths"):
+        cg.analytic(DESIGN, "mu-", 1.0, radius=-1.0)
 
 
 @pytest.mark.parametrize("field", [None, HARMONIC])
@@ -119,6 +167,13 @@ def test_core_of_a_mixture_is_what_a_sample_of_it_has() -> None:
     sample = rng.normal(size=2_000_000) * np.sqrt(variances[0])[rng.integers(0, 4, 2_000_000)]
     core = measure(sample)
     assert abs(core_width(variances)[0] - core.core) < 4 * core.core_error
+    # Gaussians of equal width, one wide outlier, and very different widths: a variance that the window reproduces.
+    for mixture in ([1.0] * 9, [1.0] * 9 + [1e4], [1e-4, 1.0, 100.0], [1.0, 1.001]):
+        square = float(core_width(np.array([mixture]))[0]) ** 2
+        u = 3 * np.sqrt(square / np.array(mixture))
+        inside = erf(u / np.sqrt(2))
+        second = np.array(mixture) * (inside - u * np.sqrt(2 / np.pi) * np.exp(-0.5 * u * u))
+        assert second.sum() / inside.sum() == pytest.approx(SECOND_INSIDE * square, rel=1e-10)
     assert core_width(np.array([[2.0, np.nan, 2.0]]))[0] == pytest.approx(np.sqrt(2.0), rel=1e-9)
 
 

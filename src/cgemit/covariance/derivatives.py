@@ -137,6 +137,7 @@ def sensitivity(
     """
     detector = load(detector)
     base = analytic(detector, particle, p, cos_theta, **how)
+    base.only_at_origin("sensitivity")
     for name in quantities:
         base.variances(name)  # refuses an unknown name
     wanted = tuple(keys) if keys is not None else tuple(design_keys(detector))

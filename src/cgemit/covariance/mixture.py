@@ -48,12 +48,22 @@ def core_width(variances: Floats) -> Floats:
         square = mean(v, good)
         if v.shape[1] == 1:
             return np.asarray(np.sqrt(square))
-        for _ in range(200):
+        weight = good.astype(np.float64)
+
+        def narrowed(square: Floats) -> Floats:
+            """Return the variance of the Gaussian that a window of 3 sigma of this variance finds."""
             u = 3 * np.sqrt(square[:, None] / v)
-            inside = np.where(good, erf(u / math.sqrt(2)), 0.0)
-            second = np.where(good, v * (inside - u * math.sqrt(2 / math.pi) * np.exp(-0.5 * u * u)), 0.0)
-            new = second.sum(axis=1) / inside.sum(axis=1) / SECOND_INSIDE
-            if not np.any(np.abs(new - square) > 1e-12 * square):
+            inside = weight * erf(u / math.sqrt(2))
+            second = v * (inside - weight * u * math.sqrt(2 / math.pi) * np.exp(-0.5 * u * u))
+            return np.asarray(second.sum(axis=1) / inside.sum(axis=1) / SECOND_INSIDE)
+
+        for _ in range(100):
+            one = narrowed(square)
+            two = narrowed(one)
+            if not np.any(np.abs(two - one) > 1e-13 * one):
                 break
-            square = new
-        return np.asarray(np.sqrt(square))
+            # Steffensen's step to the fixed point; where rounding decides it, the last value.
+            curved, step = two - 2 * one + square, one - square
+            better = square - step * step / curved
+            square = np.where((np.abs(curved) > 1e-9 * square) & (better > 0), better, two)
+        return np.asarray(np.sqrt(two))

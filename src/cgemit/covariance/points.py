@@ -12,6 +12,7 @@ import numpy.typing as npt
 from cgemit import _core
 from cgemit.covariance.mixture import draws, mean
 from cgemit.covariance.result import UPPER, Covariance
+from cgemit.covariance.surfaces import at_cylinders
 from cgemit.covariance.tracks import Tracks
 from cgemit.detector import Detector, load
 from cgemit.digitize import DigitizeSettings
@@ -31,6 +32,7 @@ def analytic(
     cos_theta: Quantity = 0.0,
     *,
     phi: Quantity | None = None,
+    radius: Quantity | None = None,
     charge: npt.ArrayLike | None = None,
     mass: npt.ArrayLike | None = None,
     readout: Readout | str = "binary",
@@ -39,7 +41,7 @@ def analytic(
     samples: int | None = None,
     threads: int | None = None,
 ) -> Covariance:
-    """Return the covariance of a track's helix at the origin, without events.
+    """Return the covariance of a track's helix at the origin or at any radius, without events.
 
     Parameters
     ----------
@@ -52,8 +54,11 @@ def analytic(
         Cosine of the polar angle, likewise.
     phi : float, str, array_like or None, rad
         Azimuth of the momentum; None: averaged over the full circle.
+    radius : float, str, array_like or None, mm
+        Of the cylinder where the covariance is wanted: from all hits, inside and outside, after all matter inside the
+        cylinder and before all outside. None: at the origin.
     charge, mass : array_like or None
-        e, GeV/c2. None: those of the particle. `p`, `cos_theta`, `phi`, `charge` and `mass` are broadcast.
+        e, GeV/c2. None: those of the particle. `p`, `cos_theta`, `phi`, `radius`, `charge` and `mass` are broadcast.
     readout : Readout or str
         Of the CGEM layers. Binary clusters have the error that follows from their number of strips; the positions of
         the strips under the track are sampled.
@@ -90,17 +95,20 @@ def analytic(
     p_low, p_high = _limits("p", p, "momentum", problems)
     c_low, c_high = _limits("cos_theta", cos_theta, "", problems)
     azimuth = None if phi is None else _limits("phi", phi, "angle", problems)
+    at = np.array(math.nan) if radius is None else _numbers("radius", radius, "length", problems)
+    if radius is not None and not (np.all(at > 0) and np.all(np.isfinite(at))):
+        problems.append("radius: expected positive lengths in mm")
     charges = np.asarray(kind.charge if charge is None else charge, np.float64)
     masses = np.asarray(kind.mass if mass is None else mass, np.float64)
-    problems += _problems(p_low, p_high, c_low, c_high, charges, masses, samples)
+    problems += _problems(p_low, p_high, c_low, c_high, charges, masses, at, samples)
     if problems:
         raise ValueError("analytic:\n  " + "\n  ".join(problems))
     sigma_x, sigma_v = _errors(digitize.readout, detector)
     varies = azimuth is None or not (np.all(sigma_x > 0) and np.all(sigma_v > 0))
     varies = varies or bool(np.any(p_low != p_high) or np.any(c_low != c_high)) or _inefficient(detector)
     number = samples or (128 if varies else 1)
-    given = [p_low, p_high, c_low, c_high, charges, masses, *(azimuth or (np.array(math.nan),) * 2)]
-    p_low, p_high, c_low, c_high, charges, masses, phi_low, _ = np.broadcast_arrays(*given)
+    given = [p_low, p_high, c_low, c_high, charges, masses, at, *(azimuth or (np.array(math.nan),) * 2)]
+    p_low, p_high, c_low, c_high, charges, masses, at, phi_low, _ = np.broadcast_arrays(*given)
     shape = p_low.shape
     drawn = draws(number, 3 + 2 * len(detector.cgem))
     momentum = _sampled(p_low, p_high, drawn[:, 1])
@@ -117,13 +125,16 @@ def analytic(
         detector, fit, model, psi.ravel(), kappa.ravel(), (cosine / sine).ravel(),
         np.repeat(masses.ravel(), number), number, np.ascontiguousarray(drawn[:, 3:]), threads,
     )  # fmt: skip
-    out = tracks.run(budget=False)
-    return _result(detector, kind.name, digitize.readout, tracks, out, shape, momentum, cosine, phi_low)
+    if radius is None:
+        out = tracks.run(budget=False)
+    else:
+        tracks, out = at_cylinders(tracks, np.repeat(at.ravel(), number))
+    return _result(detector, kind.name, digitize.readout, tracks, out, shape, momentum, cosine, phi_low, at)
 
 
 def _result(
     detector: Detector, particle: str, readout: Readout, tracks: Tracks, out: dict[str, npt.NDArray[Any]],
-    shape: tuple[int, ...], momentum: Floats, cosine: Floats, phi: Floats,
+    shape: tuple[int, ...], momentum: Floats, cosine: Floats, phi: Floats, radius: Floats,
 ) -> Covariance:  # fmt: skip
     """Return the result of the core's columns."""
 
@@ -138,7 +149,7 @@ def _result(
     worst = np.array([0 if good.any() else np.bincount(row).argmax() for row, good in zip(status, ok, strict=True)])
     return Covariance(
         detector, particle, readout, momentum.mean(axis=1).reshape(shape), cosine.mean(axis=1).reshape(shape),
-        phi.reshape(shape), worst.astype(np.int8).reshape(shape), ok.mean(axis=1).reshape(shape),
+        phi.reshape(shape), radius.reshape(shape), worst.astype(np.int8).reshape(shape), ok.mean(axis=1).reshape(shape),
         mean(by_point(out["n_clusters"]), ok).reshape(shape), mean(by_point(out["n_wires"]), ok).reshape(shape),
         cov.reshape(*shape, 5, 5), tracks, entries,
     )  # fmt: skip
@@ -168,8 +179,9 @@ def _numbers(name: str, given: Any, dimension: str, problems: list[str]) -> Floa
 
 
 def _problems(
-    p_low: Floats, p_high: Floats, c_low: Floats, c_high: Floats, charge: Floats, mass: Floats, samples: int | None
-) -> list[str]:
+    p_low: Floats, p_high: Floats, c_low: Floats, c_high: Floats, charge: Floats, mass: Floats, radius: Floats,
+    samples: int | None,
+) -> list[str]:  # fmt: skip
     found = []
     if not (np.all(p_low > 0) and np.all(np.isfinite(p_high))):
         found.append("p: expected positive momenta in GeV/c")
@@ -182,10 +194,10 @@ def _problems(
     if samples is not None and not (isinstance(samples, int | np.integer) and 1 <= samples <= 2**20):
         found.append(f"samples: got {samples!r}; expected a whole number from 1 to {2**20}")
     try:
-        np.broadcast_shapes(p_low.shape, c_low.shape, charge.shape, mass.shape)
+        np.broadcast_shapes(p_low.shape, c_low.shape, charge.shape, mass.shape, radius.shape)
     except ValueError:
-        shapes = ", ".join(map(str, (p_low.shape, c_low.shape, charge.shape, mass.shape)))
-        found.append(f"p, cos_theta, charge, mass: got shapes {shapes}; expected shapes that can be broadcast")
+        shapes = ", ".join(map(str, (p_low.shape, c_low.shape, charge.shape, mass.shape, radius.shape)))
+        found.append(f"p, cos_theta, charge, mass, radius: got shapes {shapes}; expected shapes that can be broadcast")
     return found
 
 

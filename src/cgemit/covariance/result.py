@@ -23,7 +23,7 @@ UPPER = np.triu_indices(5)
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Covariance:
-    """Covariances of (dr, phi0, kappa, dz, tanl) at the origin for a grid of tracks.
+    """Covariances of (dr, phi0, kappa, dz, tanl) at the origin, or where tracks leave a cylinder, for a grid of tracks.
 
     Arrays have the shape of the arguments of `analytic`, broadcast. What varies within a point (azimuth, position of
     the strips under the track, ranges of p and cos(theta)) is sampled, so that the residuals of a point are a mixture
@@ -37,7 +37,10 @@ class Covariance:
     readout : Readout
         Of the CGEM layers.
     p, cos_theta, phi : ndarray, float64, GeV/c, 1, rad
-        Means of the samples of each point; `phi` (azimuth of the momentum) is NaN where it is averaged.
+        Means of the samples of each point, at the origin; `phi` (azimuth of the momentum) is NaN where it is averaged.
+    radius : ndarray, float64, mm
+        Of the cylinder; NaN at the origin. All matter inside it has acted, and none outside. The pivot is the point of
+        the track there, so that dr and dz are the displacements across the flight and along the beam.
     status : ndarray, int8
         `FitStatus`: ok if any sample of the point has a covariance, else that of most samples.
     reached : ndarray, float64
@@ -54,6 +57,7 @@ class Covariance:
     p: Floats
     cos_theta: Floats
     phi: Floats
+    radius: Floats
     status: npt.NDArray[np.int8]
     reached: Floats
     n_clusters: Floats
@@ -110,8 +114,19 @@ class Covariance:
         -------
         Budget
             Whose terms sum to the square of `rms`.
+
+        Raises
+        ------
+        ValueError
+            As `sigma`; for covariances elsewhere than at the origin.
         """
+        self.only_at_origin("budget")
         return budget_of(self._tracks, quantity, self.detector, self.particle, self.p, self.cos_theta, self.reached)
+
+    def only_at_origin(self, what: str) -> None:
+        """Raise ValueError unless these are covariances at the origin; `what` is what is wanted."""
+        if not np.all(np.isnan(self.radius)):
+            raise ValueError(f"{what}: got covariances at a radius; expected covariances at the origin")
 
     def __getattr__(self, name: str) -> Floats:
         """Return ``sigma_p`` for ``sigma("p")``, ``rms_dr`` for ``rms("dr")``."""
@@ -126,7 +141,8 @@ class Covariance:
     def table(self) -> dict[str, npt.NDArray[Any]]:
         """Return one row per point as columns: arguments, status, core and RMS of every quantity in native units."""
         columns: dict[str, npt.NDArray[Any]] = {"p": self.p.ravel(), "cos_theta": self.cos_theta.ravel()}
-        columns |= {"phi": self.phi.ravel(), "status": self.status.ravel(), "reached": self.reached.ravel()}
+        columns |= {"phi": self.phi.ravel(), "radius": self.radius.ravel(), "status": self.status.ravel()}
+        columns["reached"] = self.reached.ravel()
         columns |= {"n_clusters": self.n_clusters.ravel(), "n_wires": self.n_wires.ravel()}
         for name in QUANTITIES:
             columns[f"sigma_{name}"], columns[f"rms_{name}"] = self.sigma(name).ravel(), self.rms(name).ravel()

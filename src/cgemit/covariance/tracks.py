@@ -48,7 +48,9 @@ class Tracks:
     phases: Floats
     threads: int | None
 
-    def run(self, budget: bool, variants: Sequence[_core.Detector] = ()) -> dict[str, npt.NDArray[Any]]:
+    def run(
+        self, budget: bool, variants: Sequence[_core.Detector] = (), hits: bool = False
+    ) -> dict[str, npt.NDArray[Any]]:
         """Return the columns of the core, computed in chunks on all cores; those of variants as the first axis.
 
         Parameters
@@ -57,6 +59,9 @@ class Tracks:
             Whether to return the sums of the budget's terms.
         variants : sequence of _core.Detector
             Detectors that get the hits of the first; then every column has a first axis of 1 + their number.
+        hits : bool
+            Whether to return the expected hits of all tracks, without variants: ``hit_kind``, ``hit_layer``,
+            ``hit_channel``, ``hit_value`` (mm) and ``hit_variance`` (mm2), ordered by track.
         """
         core = compiled_for_fit(self.detector, self.fit)
         n = len(self.phi)
@@ -64,11 +69,13 @@ class Tracks:
 
         def part(first: int) -> dict[str, npt.NDArray[Any]]:
             rows = slice(first, min(first + step, n))
-            found: dict[str, npt.NDArray[Any]] = _core.covariances(
+            found: dict[str, Any] = _core.covariances(
                 core, phi=self.phi[rows], kappa=self.kappa[rows], tanl=self.tanl[rows], mass=self.mass[rows],
-                samples=self.samples, phases=self.phases, model=self.model, budget=budget,
+                samples=self.samples, phases=self.phases, model=self.model, budget=budget, hits=hits,
                 variants=list(variants),
             )  # fmt: skip
+            if hits:
+                found |= {f"hit_{name}": column for name, column in found.pop("hits").items()}
             if not variants:
                 return found
             return {name: column.reshape(1 + len(variants), -1, *column.shape[1:]) for name, column in found.items()}

@@ -63,7 +63,7 @@ def open_source(source: str | Path | Mapping[str, Any], folder: Path | None = No
     if isinstance(source, Mapping):
         return Source(str(source.get("name", "detector")), folder, place_map(dict(source), folder))
     text = str(source)
-    if _is_preset(_DETECTORS, text):
+    if is_preset(text):
         return Source(text, None, _preset_tables(text))
     path = Path(text) if folder is None else folder / text
     if not _is_file(path):
@@ -85,6 +85,16 @@ _LONGEST = 300  # characters of a path in a message
 
 def _quoted(text: str) -> str:
     return f'"{text}"' if len(text) <= _LONGEST else f'"{text[:_LONGEST]}..."'
+
+
+def is_preset(name: str) -> bool:
+    """Return whether a preset, or a part of presets, has this name.
+
+    Parameters
+    ----------
+    name : str
+    """
+    return _is_preset(_DETECTORS, name)
 
 
 def _is_preset(folder: Traversable, name: str) -> bool:

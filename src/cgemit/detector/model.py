@@ -2,13 +2,13 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
 
 from cgemit.detector import check, describe, variants
 from cgemit.detector.build import read_contents
-from cgemit.detector.files import field_tables, open_source, place_map, resolve
+from cgemit.detector.files import field_tables, is_preset, open_source, place_map, resolve
 from cgemit.detector.keys import Known
 from cgemit.detector.merge import merged, set_path
 from cgemit.detector.parts import CgemLayer, Contents, Cylinder
@@ -116,6 +116,19 @@ def load(source: str | Path | Mapping[str, Any] | Detector) -> Detector:
     """
     if isinstance(source, Detector):
         return source
+    if not isinstance(source, Mapping) and is_preset(str(source)):
+        return _preset(str(source))
+    return _loaded(source)
+
+
+@cache
+def _preset(name: str) -> Detector:
+    """Return a preset; its file does not change while the program runs."""
+    return _loaded(name)
+
+
+def _loaded(source: str | Path | Mapping[str, Any]) -> Detector:
+    """Return the detector of a preset, a file or tables; see `load`."""
     opened = open_source(source)
     problems: list[Problem] = []
     try:

@@ -148,10 +148,29 @@ def _fillers(detector: Contents, solid: Sequence[Slab], merge: bool) -> list[Sla
     inside = [slab for slab in solid if slab.r_in < first_wire]
     found = []
     for inner, outer in pairwise(inside):
-        if outer.r_in - inner.r_out > TOUCH:
-            found.append(Slab((Shell("air", "air", inner.r_out, outer.r_in, ENDLESS, detector.air),)))
-    gas = _chamber_gas(chamber, solid, inside) if chamber else []
-    return found + (_lumps(gas) if merge else gas)
+        end, begin = inner.r_out, outer.r_in
+        if begin - end > TOUCH:
+            found.append(Slab((Shell("air", "air", end, begin, ENDLESS, detector.air),)))
+    if chamber:
+        # Without a part inside, the chamber begins at its first wire layer.
+        start = inside[-1].r_out if inside else first_wire
+        walls = tuple((slab.r_in, slab.r_out) for slab in solid if slab.r_in > start - TOUCH)
+        found += _chamber_gas(_Gas.of(chamber), start, walls, merge)
+    return found
+
+
+class _Gas(NamedTuple):
+    """What the gas of a chamber depends on: not the errors of the wires, for example."""
+
+    material: Material
+    wires: str
+    metal: Material
+    layers: tuple[tuple[int, float, float, float], ...]  # number, r_mid and half_length (mm), wire_x0
+
+    @classmethod
+    def of(cls, chamber: DriftChamber) -> "_Gas":
+        layers = tuple((one.number, one.r_mid, one.half_length, one.wire_x0) for one in chamber.layers)
+        return cls(chamber.gas, chamber.wires, chamber.wire_material, layers)
 
 
 def _lumps(gas: Sequence[Slab]) -> list[Slab]:
@@ -172,25 +191,23 @@ def _same_end(a: Slab, b: Slab) -> bool:
     return max(ends) < 1.01 * min(ends)
 
 
-def _chamber_gas(chamber: DriftChamber, solid: Sequence[Slab], inside: Sequence[Slab]) -> list[Slab]:
-    """Return one lump of gas before each wire layer; the innermost begins at the last part inside the chamber.
+@lru_cache(maxsize=256)
+def _chamber_gas(gas: _Gas, start: float, walls: tuple[tuple[float, float], ...], merge: bool) -> tuple[Slab, ...]:
+    """Return one lump of gas before each wire layer, the innermost from `start`, or if merged larger lumps.
 
     Where the end plate steps outward from one layer to the next, the lump reaches to the farther plate.
-
-    Without a part inside, the chamber begins at its first wire layer.
     """
     found = []
-    start = inside[-1].r_out if inside else chamber.layers[0].r_mid
-    inner = chamber.layers[0]
-    for layer in chamber.layers:
-        walls = [(s.r_in, s.r_out) for s in solid if start - TOUCH < s.r_in < layer.r_mid]
-        length = max(inner.half_length, layer.half_length)
-        for r_in, r_out in _between(start, layer.r_mid, walls):
-            gas = Shell("gas", f"gas before layer {layer.number}", r_in, r_out, length, chamber.gas)
-            share = (r_out - r_in) / (layer.r_mid - start)
-            found.append(Slab((gas, *_wires(chamber, gas, layer.wire_x0 * share)), ends=True))
-        start, inner = layer.r_mid, layer
-    return found
+    before = gas.layers[0][2]
+    for number, radius, half_length, x0 in gas.layers:
+        here = [wall for wall in walls if start - TOUCH < wall[0] < radius]
+        for r_in, r_out in _between(start, radius, here):
+            text = f"gas before layer {number}"
+            shell = Shell("gas", text, r_in, r_out, max(before, half_length), gas.material)
+            share = (r_out - r_in) / (radius - start)
+            found.append(Slab((shell, *_wires(gas, shell, x0 * share)), ends=True))
+        start, before = radius, half_length
+    return tuple(_lumps(found) if merge else found)
 
 
 def _between(start: float, end: float, walls: Iterable[tuple[float, float]]) -> list[tuple[float, float]]:
@@ -199,12 +216,11 @@ def _between(start: float, end: float, walls: Iterable[tuple[float, float]]) -> 
     return [(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a > TOUCH]
 
 
-def _wires(chamber: DriftChamber, gas: Shell, x0: float) -> list[Shell]:
+def _wires(gas: _Gas, shell: Shell, x0: float) -> list[Shell]:
     """Return the wires as matter spread evenly over a lump of gas: nothing, or one shell of low density."""
-    if chamber.wires == "none" or x0 == 0:
+    if gas.wires == "none" or x0 == 0:
         return []
-    metal = chamber.wire_material
-    return [gas._replace(label="wires", material=_spread(metal, x0 * metal.x0 / gas.thickness))]
+    return [shell._replace(label="wires", material=_spread(gas.metal, x0 * gas.metal.x0 / shell.thickness))]
 
 
 def _spread(metal: Material, filling: float) -> Material:

@@ -31,9 +31,31 @@ py::dict columns_of(const std::vector<CovarianceRow>& rows) {
   return out;
 }
 
+// The expected hits of all tracks as numpy columns, as a fit takes them.
+py::dict columns_of(const std::vector<ExpectedHit>& hits, const Detector& detector) {
+  Filled<std::uint8_t> kind(hits.size());
+  Filled<std::int32_t> layer(hits.size()), channel(hits.size());
+  Filled<double> value(hits.size()), variance(hits.size());
+  for (const ExpectedHit& hit : hits) {
+    const bool wire = hit.view == View::wire;
+    kind.append(static_cast<std::uint8_t>(hit.view));
+    layer.append(wire ? detector.wires[static_cast<std::size_t>(hit.layer)].number : hit.layer);
+    channel.append(hit.channel);
+    value.append(hit.value);
+    variance.append(hit.variance);
+  }
+  py::dict out;
+  out["kind"] = kind.array();
+  out["layer"] = layer.array();
+  out["channel"] = channel.array();
+  out["value"] = value.array();
+  out["variance"] = variance.array();
+  return out;
+}
+
 py::dict run(const Detector& detector, const Array<double>& phi, const Array<double>& kappa,
              const Array<double>& tanl, const Array<double>& mass, std::size_t samples,
-             const Array<double>& phases, const HitModel& model, bool budget,
+             const Array<double>& phases, const HitModel& model, bool budget, bool hits,
              const std::vector<const Detector*>& variants) {
   const auto n = phi.size();
   const auto views = static_cast<py::ssize_t>(2 * detector.cgem.size());
@@ -58,13 +80,16 @@ py::dict run(const Detector& detector, const Array<double>& phi, const Array<dou
   std::vector<CovarianceRow> rows(static_cast<std::size_t>(n) * (1 + variants.size()));
   const std::size_t points = static_cast<std::size_t>(n) / samples;
   std::vector<double> sums(budget ? points * names.size() * budget_entries : 0, 0.0);
+  std::vector<ExpectedHit> expected;
   static_assert(sizeof(BudgetTerm) == budget_entries * sizeof(double));
   {
     py::gil_scoped_release release;
     kernels().covariances(detector, input, model,
-                          {rows.data(), budget ? reinterpret_cast<BudgetTerm*>(sums.data()) : nullptr});
+                          {rows.data(), budget ? reinterpret_cast<BudgetTerm*>(sums.data()) : nullptr,
+                           hits ? &expected : nullptr});
   }
   py::dict out = columns_of(rows);
+  if (hits) out["hits"] = columns_of(expected, detector);
   if (budget)
     out["budget"] =
         to_numpy(std::move(sums), {static_cast<py::ssize_t>(points), static_cast<py::ssize_t>(names.size()),
@@ -93,8 +118,9 @@ void bind_covariance(py::module_& module) {
   module.def(
       "covariances", &run, py::arg("detector"), py::kw_only(), py::arg("phi"), py::arg("kappa"),
       py::arg("tanl"), py::arg("mass"), py::arg("samples"), py::arg("phases"), py::arg("model"),
-      py::arg("budget"), py::arg("variants") = std::vector<const Detector*>(),
+      py::arg("budget"), py::arg("hits") = false, py::arg("variants") = std::vector<const Detector*>(),
       "Covariances of (dr, phi0, kappa, dz, tanl) of tracks from the origin, without events: columns of "
-      "the tracks, and if requested the sums of the budget's terms over the samples of each point. Rows of "
+      "the tracks, and if requested the sums of the budget's terms over the samples of each point, and the "
+      "expected hits of all tracks (X, V, or signed distance from a wire, mm; variance, mm2). Rows of "
       "`variants` of the detector, which keep the hits of the first one, follow those of the detector.");
 }

@@ -54,6 +54,7 @@ class CovarianceBatch {
     const PerigeeOf<T> start{T(0.0), column(input_.psi), column(input_.kappa), T(0.0), column(input_.tanl)};
     const T mass = column(input_.mass);
     compute(detector_, first, start, mass, false, terms_.data(), &out_.rows[first], n);
+    if (out_.hits != nullptr) write_hits(n);
     for (std::size_t v = 0; v < input_.variants.size(); ++v) {
       CovarianceRow* rows = &out_.rows[(v + 1) * input_.tracks() + first];
       compute(*input_.variants[v], first, start, mass, true, nullptr, rows, n);
@@ -116,6 +117,14 @@ class CovarianceBatch {
       for (std::size_t e = 0; e < covariance_entries; ++e)
         rows[k].covariance[e] =
             rows[k].status == FitStatus::ok ? lane(covariance.v[e], static_cast<int>(k)) : std::nan("");
+  }
+
+  void write_hits(std::size_t n) {
+    for (int k = 0; k < static_cast<int>(n); ++k)
+      for (const Slot<T>& slot : group_.slots)
+        if (lane(slot.met, k))
+          out_.hits->push_back({slot.view, slot.layer, slot.hit[static_cast<std::size_t>(k)],
+                                lane(slot.predicted, k), lane(slot.variance, k)});
   }
 
   // Adds the sums of the lanes to the budgets of their points.

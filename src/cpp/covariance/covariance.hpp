@@ -64,11 +64,22 @@ struct CovarianceRow {
   FitStatus status;
 };
 
+// A hit that a track is expected to leave, on its reference trajectory.
+struct ExpectedHit {
+  View view;
+  std::int32_t layer;    // index into the detector's cgem or wires
+  std::int32_t channel;  // sheet or wire
+  double value;          // mm, X, V or signed distance from the wire
+  double variance;       // mm^2
+};
+
 // One row per track, then one per track for each variant. `budget` may be null; otherwise it holds
-// `BudgetTerms` for each point: sums over its tracks with status ok, without variants.
+// `BudgetTerms` for each point: sums over its tracks with status ok, without variants. `hits` may be null;
+// otherwise it receives the hits of the tracks, each track's from the beam line outward, without variants.
 struct CovarianceOutput {
   CovarianceRow* rows;
   BudgetTerm* budget;
+  std::vector<ExpectedHit>* hits;
 };
 
 // Whether the surfaces of two detectors have the same order, so that hits of one can be used for the other.

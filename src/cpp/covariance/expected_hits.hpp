@@ -62,14 +62,16 @@ class ExpectedHits {
     const T phi = atan2(at.y, at.x);
     Mask there(false);
     T edge(0.0);
+    std::array<std::int32_t, lanes_of<T>> channel{};
     for (int sheet = 0; sheet < layer.sheets; ++sheet) {
       const T begins(wrap_angle(layer.phi_first[static_cast<std::size_t>(sheet)]));
       const Mask on = within & (along_sheet(layer, phi, begins) < layer.sheet_width());
       edge = select(on, begins, edge);
       there = there | on;
+      each_lane(on, [&](int i) { channel[static_cast<std::size_t>(i)] = sheet; });
     }
     if (!any(there)) return;
-    for (const View view : {View::x, View::v}) add_cluster(step, view, index, there, edge, at);
+    for (const View view : {View::x, View::v}) add_cluster(step, view, index, there, edge, at).hit = channel;
   }
 
   void passes(GroupStep& step, const HelixPointOf<T>& at, const Mask& alive) {
@@ -125,8 +127,8 @@ class ExpectedHits {
     return layer.r_readout * select(turned < 0.0, turned + 2 * pi, turned);
   }
 
-  void add_cluster(GroupStep& step, View view, std::size_t index, const Mask& there, const T& edge,
-                   const HelixPointOf<T>& at) {
+  Slot<T>& add_cluster(GroupStep& step, View view, std::size_t index, const Mask& there, const T& edge,
+                       const HelixPointOf<T>& at) {
     const CgemLayer& layer = detector_.cgem[index];
     const T x = along_sheet(layer, atan2(at.y, at.x), edge);
     Slot<T>& slot = add(step, view, index);
@@ -135,11 +137,13 @@ class ExpectedHits {
     // Tells the trace on which side of a seam the hit is.
     slot.drift = view == View::x ? x : x * layer.cos_stereo + (layer.z_ref() - at.z) * layer.sin_stereo;
     if (keeps_) kept_.push_back({step_number(step), view, index, there, {}, edge, T(1.0), T(1.0), T(0.0)});
+    return slot;
   }
   void add_wire(GroupStep& step, std::size_t index, const Mask& there, const CellNumbers<T>& cell) {
     Slot<T>& slot = add(step, View::wire, index);
     slot.there = there;
     slot.wire = cell_wires<T>(detector_.wires[index], cell);
+    for (std::size_t i = 0; i < cell.size(); ++i) slot.hit[i] = static_cast<std::int32_t>(cell[i]);
     if (keeps_)
       kept_.push_back({step_number(step), View::wire, index, there, cell, T(0.0), T(1.0), T(1.0), T(0.0)});
   }

@@ -36,8 +36,9 @@ struct Hit {
 template <class T>
 struct Slot {
   View view;
-  std::int32_t layer;                         // index into the detector's cgem or wires
-  std::array<std::int32_t, lanes_of<T>> hit;  // number among the track's hits, -1: none
+  std::int32_t layer;  // index into the detector's cgem or wires
+  // Number among the track's hits, -1: none; of an expected hit (`covariance/`) its channel.
+  std::array<std::int32_t, lanes_of<T>> hit;
   mask_of<T> there;
   // The measurement:
   T drift;  // mm: X, V or drift distance
