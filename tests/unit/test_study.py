@@ -26,7 +26,8 @@ from cgemit.study.samples import seed_of
 from cgemit.study.scans import scan
 
 FIGURES = (
-    "figure1_layer", "figure2_chain", "figure3_cluster", "figure4_residuals", "figure5_d_rho_d_z",
+    "figure1_layer", "figure2_chain", "figure3_cluster", "figure4_x_residual", "figure4_x_tails",
+    "figure4_v_residual", "figure5_d_rho_d_z",
     "figure6_d_rho_d_z_vs_p", "figure7_p", "figure8_p_vs_p", "pulls", "pulls_vs_p", "resolution_vs_cos_theta",
     "chi2_probability", "event",
 )  # fmt: skip
@@ -99,9 +100,12 @@ def test_removed_rows_add_up(study):
 @pytest.mark.slow
 def test_report_is_self_contained_and_complete(study):
     page = (study.folder / "report.html").read_text(encoding="utf-8")
-    parsed = outline(page)
+    parsed = outline(page, study.folder)
+    assert {path.name for path in study.folder.iterdir() if path.suffix in (".csv", ".pdf")} - {
+        "momentum_scan.csv"
+    } <= set(parsed.values("href"))
     assert parsed.tags.count("figure") == len(FIGURES)
-    for text in ("217.1", "187.6 um", "delta electrons", "assigned by truth", "--seed 3"):
+    for text in ("217.1", "187.6 µm", "delta electrons", "assigned by truth", "--seed 3"):
         assert text in page, text
     for row in study.results:
         in_per_cent = row.id.startswith("delta_fraction_")  # a line for each distance

@@ -13,7 +13,7 @@ from cgemit.draw import curves
 from cgemit.draw.style import new_picture
 from cgemit.statistics.curves import SYMBOLS, Line, Spectrum, track_spectrum
 from cgemit.statistics.estimate import gaussian_fit
-from cgemit.statistics.formatting import with_error
+from cgemit.statistics.formatting import shown, with_error
 from cgemit.statistics.resolutions import QUOTED
 from cgemit.study import measure, reproduce, scan
 from cgemit.study.cluster_residuals import geant4_runs
@@ -293,7 +293,7 @@ def test_columns_of_the_report(study, report):
     assert published == 5  # the numbers that the text of the paper quotes
     head, *rows = report["X residual/cgemit ± statistical error"]
     for place, one in enumerate(geant4_runs(), start=2):
-        assert head[place] == f"Geant4, {one.title}"
+        assert head[place] == f"Geant4, {shown(one.title)}"
         assert [row[place] for row in rows[: len(one.rms)]] == [str(value) for value in one.rms]
         assert [row[place] for row in rows[len(one.rms) :]] == [str(one.beyond_3mm), str(one.single_strip)]
     x = 1e3 * study.samples["cgem"].clusters.x

@@ -74,9 +74,9 @@ def _is_text(column: Sequence[str]) -> bool:
     return not all(_NUMBER.fullmatch(cell) for cell in column) or all(cell == "none" for cell in column)
 
 
-def shown(unit: str) -> str:
-    """Return a unit as figures and reports write it."""
-    return unit.replace("um", "µm")
+def shown(text: str) -> str:
+    """Return a unit, or a text with units, as figures and reports write it: with "µm" for "um"."""
+    return re.sub(r"\bum\b", "µm", text)
 
 
 def write_csv(path: Path, columns: Mapping[str, Sequence[Any] | npt.NDArray[Any]]) -> None:

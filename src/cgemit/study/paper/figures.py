@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from cgemit.draw import chain_diagram, cluster, curves, event
 from cgemit.draw.style import COLORS, Picture, new_picture, style
 from cgemit.result import Result
 from cgemit.statistics.chi2 import chi2_probability
-from cgemit.statistics.curves import SYMBOLS, Line, track_spectrum
+from cgemit.statistics.curves import SYMBOLS, Line, Spectrum, track_spectrum
 from cgemit.statistics.estimate import Resolution
 from cgemit.statistics.formatting import with_error, write_csv
 from cgemit.statistics.resolutions import pulls
@@ -47,7 +48,9 @@ def _makers(study: Reproduction) -> dict[str, Callable[[Path], Picture]]:
         "layer": lambda path: cluster.draw_projection(study.display, number),
         "chain": lambda path: chain_diagram.draw_chain(),
         "cluster": lambda path: cluster.draw_cluster(study.display, number),
-        "residuals": lambda path: _cluster_residuals(study, path),
+        "x_residual": lambda path: _x_residual(study, path),
+        "x_tails": lambda path: _x_tails(study, path),
+        "v_residual": lambda path: _v_residual(study, path),
         "dr_dz": lambda path: _track_residuals(study, path, ("dr", "dz")),
         "dr_dz_p": lambda path: _against_momentum(study, path, ("dr", "dz")),
         "p": lambda path: _track_residuals(study, path, ("p",)),
@@ -74,19 +77,30 @@ def good_event(result: Result, layer: int = 0) -> int:
     return int(first + np.argmin(distance))
 
 
-def _cluster_residuals(study: Reproduction, path: Path) -> Picture:
+def _x_residual(study: Reproduction, path: Path) -> Picture:
+    spectrum = x_spectrum(study.samples["cgem"].clusters)
+    return _residual(path, spectrum, lambda axes: curves.draw_parts(axes, spectrum, _PARTS, "X clusters"))
+
+
+def _x_tails(study: Reproduction, path: Path) -> Picture:
     residuals = study.samples["cgem"].clusters
-    x, v = x_spectrum(residuals), v_spectrum(residuals)
-    tails = x_spectrum(residuals, _TAIL_REACH, 160)
-    write_csv(path.with_name("figure4_x_residual.csv"), x.columns())
-    write_csv(path.with_name("figure4_x_tails.csv"), tails.columns())
-    write_csv(path.with_name("figure4_v_residual.csv"), v.columns())
+    spectrum, windows = x_spectrum(residuals, _TAIL_REACH, 160), _windows(residuals)
+    title = "X clusters, tails"
+    return _residual(path, spectrum, lambda axes: curves.draw_tails(axes, spectrum, _PARTS, windows, title))
+
+
+def _v_residual(study: Reproduction, path: Path) -> Picture:
+    spectrum = v_spectrum(study.samples["cgem"].clusters)
+    return _residual(path, spectrum, lambda axes: curves.draw_spectrum(axes, spectrum, "V clusters"))
+
+
+def _residual(path: Path, spectrum: Spectrum, draw: Callable[[Any], None]) -> Picture:
+    """Write the table of a spectrum of cluster residuals and return its picture."""
+    write_csv(_table(path), spectrum.columns())
     with style():
-        picture, axes = new_picture(1, 3, (17.4, 4.8))
-        curves.draw_parts(axes[0], x, _PARTS, "X clusters")
-        curves.draw_tails(axes[1], tails, _PARTS, _windows(residuals), "X clusters, tails")
-        curves.draw_spectrum(axes[2], v, "V clusters")
-        picture.subplots_adjust(left=0.045, right=0.99, top=0.93, bottom=0.12, wspace=0.2)
+        picture, (axes,) = new_picture(1, 1, (7.4, 4.8))
+        draw(axes)
+        picture.subplots_adjust(left=0.11, right=0.98, top=0.93, bottom=0.12)
     return picture
 
 
