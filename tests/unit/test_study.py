@@ -238,14 +238,14 @@ def test_pictures(result, tmp_path):
     assert draw.residual(result.tracks, "p").axes[0].get_title(loc="left") == ""
     with pytest.raises(ValueError, match="parameter"):
         draw.residual(result, "pt")
-    picture = draw.draw_event(result, 7)
+    picture = draw.event(result, 7)
     assert [path.name for path in picture.save(tmp_path / "p-1.0")] == ["p-1.0.png", "p-1.0.pdf"]
     assert [path.name for path in picture.save(tmp_path / "p.pdf")] == ["p.pdf"]
     with pytest.raises(FileExistsError):
         picture.save(tmp_path / "p.pdf")
     with pytest.raises(ValueError, match="from 0 to 399"):
-        draw.draw_event(result, 400)
-    assert draw.draw_event(cgemit.run("besiii-idc", GUN, 1, 1)).axes
+        draw.event(result, 400)
+    assert draw.event(cgemit.run("besiii-idc", GUN, 1, 1)).axes
 
 
 def test_drawn_event_shows_a_crossing_of_two_x_and_three_v_strips(result):

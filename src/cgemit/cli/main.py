@@ -35,6 +35,8 @@ examples:
                                                      scattering and energy loss in layers of matter
   cgemit show besiii-cgem                            tables of material and read-out, pictures
   cgemit simulate -d besiii-cgem --particle pi+ --p 0.5 --cos-theta 0 -n 1000 --fit -o sample
+  cgemit display -d besiii-cgem --p 1 --cos-theta 0 -o event
+                                                     one event as a picture; --html: in three dimensions
   cgemit settings > settings.toml                    settings of all stages; --settings settings.toml uses them
 
 exit codes: 0 ok, 2 bad input, 3 the run failed, 130 interrupted

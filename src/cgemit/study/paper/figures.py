@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from cgemit.draw import chain_diagram, cluster, curves, event
+from cgemit.draw import chain_diagram, cluster, curves, display
 from cgemit.draw.style import COLORS, Picture, new_picture, style
 from cgemit.result import Result
 from cgemit.statistics.chi2 import chi2_probability
@@ -59,7 +59,7 @@ def _makers(study: Reproduction) -> dict[str, Callable[[Path], Picture]]:
         "pulls_p": lambda path: _pulls_against_momentum(study, path),
         "cos_theta": lambda path: _against_angle(study, path),
         "chi2": lambda path: _probabilities(study, path),
-        "event": lambda path: event.draw_event(study.display, number),
+        "event": lambda path: display.event(study.display, number),
     }
 
 
