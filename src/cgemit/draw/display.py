@@ -64,7 +64,8 @@ def event(result: Result, number: int = 0) -> Picture:
         _tracks(axes, view)
         for layer, plot in enumerate(anodes):
             _anode(plot, view, layer)
-        titles = (f"{plain(detector.name)}, event {number}: {view.shot()}", "inner layers", "side view")
+        picture.suptitle(f"{plain(detector.name)}, event {number}: {view.shot()}", x=0.075, ha="left", fontsize=11.5)
+        titles = ("across the beam", "inner layers", "side view")
         for plot, title in zip(axes, titles, strict=True):
             plot.set_title(title, loc="left")
         entries = legend_entries([*axes, *anodes])
@@ -75,9 +76,9 @@ def event(result: Result, number: int = 0) -> Picture:
 def _layout(layers: int) -> tuple[Picture, list[Axes], list[Axes]]:
     """Return a picture with axes across the beam, magnified, along it; and one for each unrolled anode."""
     heights = [4.7, 2.6, 3.0] if layers else [4.7, 2.6]
-    height = sum(heights) + 0.75 * len(heights) + 0.8
+    height = sum(heights) + 0.75 * len(heights) + 1.0
     picture = Picture(figsize=(10.0, height))
-    edges = {"left": 0.075, "right": 0.985, "top": 1 - 0.3 / height, "bottom": 1.3 / height}
+    edges = {"left": 0.075, "right": 0.985, "top": 1 - 0.65 / height, "bottom": 1.3 / height}
     grid = picture.add_gridspec(len(heights), 1, height_ratios=heights, hspace=0.22, **edges)
     across = grid[0].subgridspec(1, 2, wspace=0.2)
     axes = [picture.add_subplot(place) for place in (across[0], across[1], grid[1])]
@@ -132,12 +133,13 @@ def _clusters(axes: Axes, view: EventView, x: Array, y: Array, size: float) -> N
     """Draw clusters and ghosts at x and y, (clusters,) float64; NaN where a view does not measure them."""
     seen = np.isfinite(x) & np.isfinite(y)
     real, ghosts = seen & view.shown_clusters(), seen & view.ghosts
-    look: dict[str, Any] = {"ms": size, "zorder": 5}
     if real.any():
-        axes.plot(x[real], y[real], "P", color=COLORS["cgem"], mec="white", mew=0.5, label="CGEM cluster", **look)
+        axes.plot(
+            x[real], y[real], "P", color=COLORS["cgem"], mec="white", mew=0.5, label="CGEM cluster", ms=size, zorder=5
+        )
     if ghosts.any():
         label = "ghost: X and V of different crossings"
-        axes.plot(x[ghosts], y[ghosts], "X", mfc="white", mec=GHOST, mew=0.9, label=label, **look)
+        axes.plot(x[ghosts], y[ghosts], "X", mfc="white", mec=GHOST, mew=0.9, label=label, ms=size, zorder=4.5)
 
 
 def _transverse_hits(axes: Axes, view: EventView, *, magnified: bool) -> None:
