@@ -68,6 +68,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     """
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="replace")  # "?" where the encoding has no "±", rather than no result
+    if "_ARGCOMPLETE" in os.environ:
+        complete(build_parser())
     with pipes_kept():
         return _run(list(sys.argv[1:] if argv is None else argv))
 
@@ -105,6 +107,13 @@ def _parse(argv: list[str], arguments: argparse.Namespace) -> None:
         word = unknown[0].partition("=")[0]
         hint = did_you_mean(word, command.options(), "; ") if word.startswith("-") else ""
         command.error(f"got {' '.join(unknown)}, which it does not know{hint}")
+
+
+def complete(parser: argparse.ArgumentParser) -> None:
+    """Answer a shell that asks for completions (argcomplete, extra [completion]), and leave."""
+    import argcomplete
+
+    argcomplete.autocomplete(parser)
 
 
 def _report(error: Exception, code: int, debug: bool) -> int:

@@ -8,6 +8,7 @@ from cgemit.draw.detector import draw_detector, draw_sides
 from cgemit.draw.display import event
 from cgemit.draw.display3d import event_3d, save_page
 from cgemit.draw.matter import draw_slab
+from cgemit.draw.scans import resolutions
 from cgemit.draw.style import Picture
 
 draw_event = event  # its former name
@@ -26,5 +27,6 @@ __all__ = [
     "event",
     "event_3d",
     "residual",
+    "resolutions",
     "save_page",
 ]

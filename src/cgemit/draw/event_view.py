@@ -113,7 +113,8 @@ def view_of(result: Result, event: int) -> EventView:
     ValueError
         If the result has no such event.
     """
-    first, n = result.particles.first_event, result.particles.n_events
+    whole = next(iter(result.tables.values()))  # any of them covers all events
+    first, n = whole.first_event, whole.n_events
     if not first <= event < first + n:
         raise ValueError(f"event: got {event}; expected a number from {first} to {first + n - 1}")
     part = result.select_events(event, event + 1)
@@ -145,7 +146,8 @@ def _reach(detector: Detector) -> tuple[float, float]:
 def _states(part: Result) -> States:
     """Return the smoothed states of the event at the beam line and at the hits, fitted again; none without hits."""
     names = ("track", "surface", "view", "hit", *_POINT, *_MOMENTUM)
-    if part.fitted is None or part.candidates is None or not len(part.fitted):
+    needed = ("tracks", "candidates", "candidate_hits", "clusters", "wire_hits")
+    if any(part.tables.get(name) is None for name in needed) or not len(part.fitted):
         return {name: np.empty(0) for name in names}
     settings = replace(fit_settings(part.settings), states=("beam_line", "hits"), residuals=False)
     found = fit(

@@ -6,12 +6,14 @@ import csv
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import astuple
+from dataclasses import astuple, fields
 from html import escape
 from pathlib import Path
 from typing import Any
 
 import numpy.typing as npt
+
+from cgemit.tables.frames import data_frame
 
 
 class Comparable:
@@ -26,6 +28,18 @@ class Comparable:
     def _key(self) -> str:
         fields: tuple[Any, ...] = astuple(self)  # type: ignore[call-overload]
         return repr(fields)  # a float's repr is exact
+
+
+class Tabular:
+    """A result that is a table of numbers."""
+
+    def columns(self) -> Mapping[str, Sequence[Any]]:
+        """Return the numbers as columns; of a dataclass of numbers, one row."""
+        return {f.name: [getattr(self, f.name)] for f in fields(self)}  # type: ignore[arg-type]
+
+    def to_pandas(self) -> Any:
+        """Return the numbers as a `pandas.DataFrame`."""
+        return data_frame(self.columns())
 
 
 def with_error(value: float, error: float) -> str:

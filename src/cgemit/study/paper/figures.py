@@ -20,7 +20,8 @@ from cgemit.study.cluster_residuals import X_WINDOWS, ClusterResiduals, v_spectr
 from cgemit.study.paper.published import FIGURES, paper_values
 from cgemit.study.paper.reproduction import Reproduction
 from cgemit.study.samples import ShowProgress
-from cgemit.study.scans import QUOTED_PARAMETERS, angle_lines, momentum_line, pull_line, scan_columns
+from cgemit.study.scan_table import scan_columns
+from cgemit.study.scans import QUOTED_PARAMETERS, angle_lines, momentum_line, pull_line
 
 _ANGLE_BINS = 10
 _TAIL_REACH = 8000.0  # um
