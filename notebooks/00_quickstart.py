@@ -67,7 +67,7 @@ print(f"layer {result.clusters['layer'][first]}: phi measured {measured:.5f}, tr
 # The drift gaps are crossed where the circles are; crosses are reconstructed clusters, small circles drift distances.
 
 # %%
-cg.draw.draw_event(result, event=0)
+cg.draw.event(result, 0)
 
 # %%
 track = {name: result.tracks[name][0] for name in ("dr", "phi0", "kappa", "dz", "tanl", "p", "chi2", "ndf")}

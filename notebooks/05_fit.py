@@ -32,7 +32,7 @@ from cgemit.fit import PARAMETERS, FitSettings, fit
 detector = cg.load("besiii-cgem-design")
 settings = cg.Settings(fit=FitSettings(residuals=True))
 result = cg.run(detector, cg.Gun("mu-", p=0.5, cos_theta=0.3), n=1, seed=5, settings=settings)
-cg.draw.draw_event(result, event=0)
+cg.draw.event(result, 0)
 
 # %% [markdown]
 # ## The hits

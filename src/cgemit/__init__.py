@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from cgemit.gun import Gun
     from cgemit.matter import slab
     from cgemit.own_hits import fit_hits
+    from cgemit.progress import ProgressBar
     from cgemit.result import Result, Settings
     from cgemit.simulate import SimulateSettings, TransportStatus
     from cgemit.states import StateStatus, Surface, extrapolate
@@ -39,6 +40,7 @@ __all__ = [
     "FitStatus",
     "GaussianReadout",
     "Gun",
+    "ProgressBar",
     "Result",
     "Settings",
     "SimulateSettings",
@@ -74,6 +76,7 @@ _MODULES = {
     "FitStatus": "fit",
     "GaussianReadout": "digitize",
     "Gun": "gun",
+    "ProgressBar": "progress",
     "Result": "result",
     "Settings": "result",
     "SimulateSettings": "simulate",

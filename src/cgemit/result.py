@@ -142,6 +142,11 @@ class Result:
         tracks = {} if self.tracks is None else {"tracks": self.tracks}
         return {name: table.to_awkward(self.tables) for name, table in {**self.tables, **tracks}.items()}
 
+    def to_pandas(self) -> dict[str, Any]:
+        """Return every table as a `pandas.DataFrame`; ``tracks`` holds the columns of the matches, too."""
+        tracks = {} if self.tracks is None else {"tracks": self.tracks}
+        return {name: table.to_pandas() for name, table in {**self.tables, **tracks}.items()}
+
     def removed(self) -> dict[str, int]:
         """Count the tracks of each status other than ok."""
         if self.fitted is None:

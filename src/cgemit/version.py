@@ -1,10 +1,13 @@
-"""The version of the installed package."""
+"""The version of the installed package, and the address of its documentation."""
 
 from importlib import metadata
 
 #: Raised with every change of results ("Results change" in CHANGELOG.md): stored results of a sweep with another number
 #: are computed anew. A test ties it to the golden numbers.
 PHYSICS = 2
+
+#: Address of the documentation, as `[project.urls]` of pyproject.toml has it.
+DOCS = "https://cgemit.readthedocs.io/en/latest"
 
 try:
     VERSION = metadata.version("cgemit")

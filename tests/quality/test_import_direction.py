@@ -27,7 +27,7 @@ CPP_LAYERS = [
 # circle. Pictures take data: curves and histograms of `statistics`, tables, results. Studies measure, and draw what
 # they found. `__init__` lists names for users, so it sees all of them.
 PYTHON_LAYERS = [
-    {"problems", "version"},
+    {"problems", "progress", "version"},
     {"_core", "data", "io", "units"},
     {"isa"},
     {"tables", "values"},

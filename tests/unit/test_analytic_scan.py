@@ -15,7 +15,9 @@ from cgemit.draw.curves import draw_resolutions
 from cgemit.fit import FitSettings
 from cgemit.result import Settings
 from cgemit.study import fit_form, scan, scan_analytic
-from cgemit.study.analytic_scan import compared, line_momenta
+from cgemit.study.analytic_scan import line_momenta
+from cgemit.study.compared import compared
+from cgemit.study.quantities import QUANTITIES
 from cgemit.study.scan_files import fits_text, save_scans
 
 DESIGN, IDC = "besiii-cgem-design", "besiii-idc"
@@ -58,7 +60,7 @@ def test_lines_are_those_of_analytic(line):
         np.testing.assert_allclose(found.y, scale * expected.sigma(name), rtol=1e-12)
         assert np.isnan(found.y_error).all()
     pt = line.p * np.sqrt(1 - 0.3**2)
-    np.testing.assert_allclose(line.sigma("pt"), 100 * expected.sigma("pt") / pt, rtol=1e-9)
+    np.testing.assert_allclose(line.sigma("pt_rel"), 100 * expected.sigma("pt") / pt, rtol=1e-9)
     np.testing.assert_allclose(line.at("dz"), expected.sigma("dz")[np.searchsorted(line.p, MOMENTA)])
 
 
@@ -97,12 +99,12 @@ def test_options_are_arguments_of_python(words, settings, change, tmp_path):
     same = scan_analytic(given["detector"], [0.3, 0.6], **shot, settings=settings)
     expected = cg.analytic(given.pop("detector"), p=same.p, **given)
     rows, summary = rows_of(out / "resolution.csv"), json.loads((out / "summary.json").read_text())
-    assert summary["curves"] == [one.as_json() for one in same.lines]
+    assert summary["curves"] == [one.as_json() for one in same.all_lines]
     assert summary["fits"] == [one.as_json() for one in same.fits]
     assert {row["method"] for row in rows} == {"analytic"}
-    for curve, (name, (unit, scale)) in zip(summary["curves"], UNITS.items(), strict=True):
+    for curve, (name, (unit, scale)) in zip(summary["curves"][:3], UNITS.items(), strict=True):
         np.testing.assert_allclose(curve["y"], scale * expected.sigma(name), rtol=1e-12)
-        for kind, values in (("core", expected.sigma(name)), ("rms", expected.rms(name))):
+        for kind, values in (("sigma", expected.sigma(name)), ("rms", expected.rms(name))):
             column = [float(row[f"{kind}_{name} ({unit})"]) for row in rows]
             np.testing.assert_allclose(column, scale * values, rtol=1e-6)
     usual = cg.analytic(DESIGN, p=same.p, cos_theta=0.2)
@@ -129,13 +131,13 @@ def test_files_of_both_methods(line, points, tmp_path):
     assert [row["method"] for row in rows] == ["mc"] * 3 + ["analytic"] * len(line.p)
     for scanned, part in ((points, rows[:3]), (line, rows[3:])):
         for one, (name, (unit, _)) in zip(scanned.lines, UNITS.items(), strict=True):
-            np.testing.assert_allclose([float(row[f"core_{name} ({unit})"]) for row in part], one.y, rtol=1e-6)
+            np.testing.assert_allclose([float(row[f"sigma_{name} ({unit})"]) for row in part], one.y, rtol=1e-6)
             np.testing.assert_allclose([float(row["p (GeV/c)"]) for row in part], one.x, rtol=1e-6)
     assert {row["events"] for row in rows[3:]} == {""}
-    assert [row["covariance"] for row in rows[3:]] == ["1"] * len(line.p)
+    assert [row["reached"] for row in rows[3:]] == ["1"] * len(line.p)
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert [(curve["id"], curve["method"]) for curve in summary["curves"]] == [
-        (f"sigma_{name}", method) for method in ("mc", "analytic") for name in UNITS
+        (f"sigma_{name}", method) for method in ("mc", "analytic") for name in QUANTITIES
     ]
     assert [(fit["quantity"], fit["method"], fit["statistical"]) for fit in summary["fits"]] == [
         (name, method, method == "mc") for method in ("mc", "analytic") for name in ("dr", "dz", "pt")
@@ -174,7 +176,7 @@ def test_fits_are_those_of_the_curves(line, points):
                 error = None if scanned is line else curve.y_error
                 sigma = curve.y
             elif scanned is line:
-                sigma, error = line.sigma("pt"), None
+                sigma, error = line.sigma("pt_rel"), None
             else:
                 rows = [s.tracks for s in points.samples]
                 ratios = [np.abs(t["truth_kappa"] / t["kappa"])[t["status"] == 0] - 1 for t in rows]

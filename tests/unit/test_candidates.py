@@ -200,7 +200,7 @@ def test_runs_may_end_early(until, result):
     assert (part.finder == "truth") == (until == "find")
     assert part.removed() == {}
     assert "tracks" not in repr(part)
-    cg.draw.draw_event(part, event=0)
+    cg.draw.event(part, 0)
     with pytest.raises(ValueError, match="tracks: the result has none"):
         cg.resolution(part, "p")
 

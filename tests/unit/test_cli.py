@@ -18,6 +18,7 @@ from cgemit.cli import common, read
 from cgemit.cli.common import Progress
 from cgemit.cli.main import join_negative_values, main
 from cgemit.detector import load, write_field_map
+from cgemit.study.quantities import QUANTITIES
 from cgemit.tables import Table
 
 RESOLUTION = ["resolution", "-d", "besiii-cgem-design", "--p", "0.5,1", "--events", "60", "--quiet"]
@@ -196,10 +197,10 @@ def test_resolution_writes_table_curves_and_json(tmp_path, capsys):
     first, second = (json.loads((tmp_path / name / "summary.json").read_text()) for name in "ab")
     assert printed["curves"] == second["curves"]
     assert first["curves"] == second["curves"]  # whatever the number of threads
-    assert [curve["id"] for curve in first["curves"]] == ["sigma_dr", "sigma_dz", "sigma_p"]
+    assert [curve["id"] for curve in first["curves"]][:3] == ["sigma_dr", "sigma_dz", "sigma_p"]
     assert first["curves"][2]["y_unit"] == "MeV/c"
     header = (tmp_path / "a" / "resolution.csv").read_text().splitlines()[0]
-    assert "core_dr (um)" in header.split(",")
+    assert "sigma_dr (um)" in header.split(",")
     assert (tmp_path / "a" / "resolution.png").read_bytes().startswith(b"\x89PNG")
     assert (tmp_path / "a" / "resolution.pdf").read_bytes().startswith(b"%PDF")
 
@@ -217,18 +218,19 @@ def test_several_detectors_give_one_table_each_and_one_file_of_all(tmp_path, cap
     names = ["besiii-cgem-design", "thin", "besiii-idc"]
     assert main([*RESOLUTION, "-d", str(thin), "-d", "besiii-idc", "-o", str(tmp_path / "all")]) == 0
     tables = capsys.readouterr().out.split("\n\n")
-    assert [table.split(",")[0] for table in tables] == names
+    differences = [f"{name} minus besiii-cgem-design" for name in names[1:]]
+    assert [table.split(",")[0] for table in tables] == names + differences
     with (tmp_path / "all" / "resolution.csv").open(encoding="utf-8") as stream:
         rows = list(csv.DictReader(stream))
-    assert [(row["detector"], row["p (GeV/c)"]) for row in rows] == [(name, p) for name in names for p in ("0.5", "1")]
+    assert [(row["name"], row["p (GeV/c)"]) for row in rows] == [(name, p) for name in names for p in ("0.5", "1")]
     summary = json.loads((tmp_path / "all" / "summary.json").read_text())
     assert summary["inputs"]["detectors"] == names
     curves = [(curve["detector"], curve["id"]) for curve in summary["curves"]]
-    assert curves == [(name, f"sigma_{what}") for name in names for what in ("dr", "dz", "p")]
-    assert len({tuple(curve["y"]) for curve in summary["curves"]}) == 9
+    assert curves == [(name, f"sigma_{what}") for name in names for what in QUANTITIES]
+    assert len({tuple(curve["y"]) for curve in summary["curves"]}) == 27
     assert load(tmp_path / "all" / "detector-2-thin.toml") == load(thin)
     assert main([*RESOLUTION, "-o", str(tmp_path / "one"), "--json"]) == 0  # alone it has the same curves
-    assert json.loads(capsys.readouterr().out)["curves"] == summary["curves"][:3]
+    assert json.loads(capsys.readouterr().out)["curves"] == summary["curves"][:9]
 
 
 @pytest.fixture

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from cgemit.chain import run
@@ -146,6 +147,46 @@ def simulated(**change: Any) -> Result:
     return run(gun=gun, **{key: value for key, value in given.items() if key not in GUN})
 
 
+DISPLAY = {"--detector": ["-d", DESIGN], "--p": ["--p", "0.3"], "--cos-theta": ["--cos-theta", "0.1"]}
+DISPLAY_ROWS = [
+    *(row for row in SIMULATE_ROWS if row.option not in ("--events", "--states", "--threads")
+      and row.words != ["--hypothesis", "mu,K"]),
+    Row("--event", ["--event", "4"]),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("row", DISPLAY_ROWS, ids=name)
+def test_options_of_display(row: Row, monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn: list[Any] = []
+
+    class Reached(Exception):
+        """The picture would begin."""
+
+    def begin(*given: Any) -> None:
+        drawn.append(given)
+        raise Reached
+
+    monkeypatch.setattr("cgemit.draw.display.event", begin)
+    for one in (Row("", []), row):
+        assert main([*command_line(["display"], DISPLAY, one), "--quiet", "-o", "out"]) == 3
+    (usual, _), (found, number) = drawn
+    assert number == (4 if row.option == "--event" else 0)
+    expected = simulated(**{"n": 5} | row.same).select_events(number, number + 1)
+    assert_same_rows(found, expected)
+    assert found.detector.name == expected.detector.name
+    if row.option not in ("--name", "--no-deltas", "--set", "--settings"):  # which change no row of some events
+        with pytest.raises(AssertionError, match=r"Arrays are not equal|assert \["):
+            assert_same_rows(found, usual)
+
+
+def assert_same_rows(found: Result, expected: Result) -> None:
+    """Compare all tables but what they say of the gun."""
+    assert list(found.tables) == list(expected.tables)
+    for kind, table in expected.tables.items():
+        for column in table.columns:
+            np.testing.assert_array_equal(found.tables[kind][column], table[column], err_msg=f"{kind}.{column}")
+
+
 @pytest.fixture(scope="module")
 def usual() -> Result:
     return simulated()
@@ -183,13 +224,19 @@ RESOLUTION = {
     "--detector": ["-d", DESIGN], "--p": ["--p", "0.3"], "--cos-theta": ["--cos-theta", "0.1"],
     "--events": ["--events", "30"],
 }  # fmt: skip
-RESOLUTION_ROWS = [*COMMON, Row("--events", ["--events", "31"], {"events": 31})]
+RESOLUTION_ROWS = [
+    *COMMON,
+    Row("--events", ["--events", "31"], {"events": 31}),
+    Row("--pt", ["--pt", "0.3"], {"p": None, "pt": [0.3]}, "--p"),
+    Row("--theta", ["--theta", "60 deg:70 deg"], {"cos_theta": None, "theta": ("60 deg", "70 deg")}, "--cos-theta"),
+]
 
 
 def scanned(**change: Any) -> Scan:
     """Return what the usual command line, or a changed one, gives in Python."""
     given = {"detector": DESIGN, "particle": "mu-", "p": 0.3, "cos_theta": 0.1, "events": 30, "seed": 1} | change
-    return scan(load(given.pop("detector")), [given.pop("p")], **given)
+    p = given.pop("p")
+    return scan(load(given.pop("detector")), None if p is None else [p], **given)
 
 
 def tracks_of(found: Scan) -> list[tuple[str, Table]]:
@@ -242,10 +289,16 @@ def test_options_of_study(row: Row, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize(
-    ("command", "rows"), [("simulate", SIMULATE_ROWS), ("resolution", RESOLUTION_ROWS), ("study", STUDY_ROWS)]
+    ("command", "rows"),
+    [("simulate", SIMULATE_ROWS), ("resolution", RESOLUTION_ROWS), ("study", STUDY_ROWS), ("display", DISPLAY_ROWS)],
 )
 def test_every_option_is_tried(command: str, rows: list[Row]) -> None:
-    tried = {row.option for row in rows} | SHOWN | ({"--fit"} if command == "simulate" else set())
+    tried = (
+        {row.option for row in rows}
+        | SHOWN
+        | ({"--html"} if command == "display" else set())
+        | ({"--fit"} if command == "simulate" else set())
+    )
     assert options_of(command) - tried == set()
 
 

@@ -184,11 +184,9 @@ def test_studies_say_how_many_decayed():
 
 def test_pictures_of_decays(tmp_path):
     """The event display draws events with kinks."""
-    from cgemit.draw.event import draw_event
-
     result = cg.run(DETECTOR, Gun("K+", p=0.3, cos_theta=0.0), 30, seed=6)
     event = int(result.decays["event"][0])
-    draw_event(result, event).save(tmp_path / "kink")
+    cg.draw.event(result, event).save(tmp_path / "kink")
     assert list(tmp_path.iterdir())
 
 

@@ -62,7 +62,7 @@ def test_what_is_no_whole_number(text, capsys):
         (["sturdy"], "cgemit: unknown command 'sturdy'; did you mean \"study\"?"),
         (["xyz"], "cgemit: unknown command 'xyz'; expected one of study, "),
         (["study", "--evnts", "3"], 'cgemit study: got --evnts 3, which it does not know; did you mean "--events"?'),
-        (["resolution", "-d", "x"], "cgemit resolution: the following arguments are required: --p, -o/--output"),
+        (["resolution", "-d", "x"], "cgemit resolution: the following arguments are required: -o/--output"),
         ([], "cgemit: the following arguments are required: COMMAND"),
     ],
 )

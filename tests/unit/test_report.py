@@ -2,7 +2,9 @@
 
 import base64
 import re
+import tomllib
 from html.parser import HTMLParser
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,9 +13,12 @@ from cgemit.statistics.estimate import measure
 from cgemit.study.paper import rows
 from cgemit.study.paper.published import paper_values
 from cgemit.study.report import Code, Image, Note, Section, TableOf, html_report
+from cgemit.version import DOCS
 
+ROOT = Path(__file__).parents[2]
 PNG = b"\x89PNG\r\n\x1a\n not really"
-VOID = {"meta", "img"}
+VOID = {"meta", "img", "input", "br"}
+IN_A_LINE = {"a", "b", "br", "code", "img", "input", "label"}  # all that a paragraph may hold
 
 
 class Outline(HTMLParser):
@@ -21,10 +26,12 @@ class Outline(HTMLParser):
 
     def __init__(self):
         super().__init__()
-        self.open, self.attributes, self.tags = [], [], []
+        self.open, self.attributes, self.tags, self.text = [], [], [], ""
 
     def handle_starttag(self, tag, attrs):
         """Open a tag."""
+        assert "p" not in self.open or tag in IN_A_LINE, tag
+        assert "a" not in self.open or tag != "a"
         self.tags.append(tag)
         self.attributes += [(tag, *pair) for pair in attrs]
         if tag not in VOID:
@@ -34,15 +41,39 @@ class Outline(HTMLParser):
         """Close the tag that was opened last."""
         assert self.open.pop() == tag
 
+    def handle_data(self, data):
+        """Collect the text that is shown."""
+        if "style" not in self.open and "pre" not in self.open:
+            self.text += data
 
-def outline(page):
-    """Parse a page and make sure it is complete and refers to nothing outside."""
+    def values(self, name):
+        """Return the values of an attribute."""
+        return [value for _, known, value in self.attributes if known == name]
+
+
+def outline(page, folder=None):
+    """Parse a page; make sure that it is complete, that it loads nothing from outside, and that its links lead there.
+
+    Links lead to places in the page, files of the folder, the documentation or arXiv.
+    """
     parsed = Outline()
     parsed.feed(page)
     assert parsed.open == []
-    for tag, name, value in parsed.attributes:
-        if name in ("src", "href", "srcset", "action"):
-            assert value.startswith("data:"), (tag, name, value)
+    places = parsed.values("id")
+    assert len(places) == len(set(places))
+    for value in parsed.values("src"):
+        assert value.startswith("data:image/png;base64,")
+    assert not parsed.values("srcset") + parsed.values("action")
+    for value in parsed.values("href"):
+        if value.startswith("#"):
+            assert value[1:] in places
+        elif value.startswith(DOCS):
+            page_name = value.removeprefix(DOCS).removesuffix(".html")
+            assert (ROOT / f"docs{page_name}.md").is_file(), value
+        elif not value.startswith("https://arxiv.org/abs/"):
+            assert folder is not None
+            assert (folder / value).is_file(), value
+    assert not re.search(r"\bum\b", parsed.text)
     assert not {"script", "link", "iframe"} & set(parsed.tags)
     assert not re.search(r"@import|url\(", page)
     return parsed
@@ -60,6 +91,31 @@ def test_page_is_self_contained(tmp_path):
     assert "&lt;b&gt;&amp;" in page
     assert "<b>&" not in page
     assert '<td class="number">1 ± 2</td>' in page
+
+
+def test_text_gets_links_contents_and_one_spelling_of_micrometres(tmp_path):
+    for name in ("a.png", "a.pdf", "a.csv", "summary.json"):
+        (tmp_path / name).write_bytes(PNG)
+    text = "650 um of arXiv:1504.02570, drums; docs/methods/fit.md says why; summary.json holds <all>"
+    parts = [text, Image(tmp_path / "a.png", "T", "30 um", ["a.pdf", "a.csv"]), Code("x --pitch '30 um'")]
+    page = html_report("A", "lead", [Section("Pulls at 1 GeV/c", parts), Section("Rest", [])])
+    parsed = outline(page, tmp_path)
+    links = ["#pulls-at-1-gev-c", "#rest", "https://arxiv.org/abs/1504.02570", f"{DOCS}/methods/fit.html"]
+    assert parsed.values("href") == [*links, "summary.json", "a.pdf", "a.csv"]
+    assert "650 µm of" in parsed.text
+    assert "drums" in parsed.text
+    assert "--pitch &#x27;30 um&#x27;" in page
+    assert parsed.tags.count("input") == 1
+
+
+def test_wide_tables_say_that_they_scroll():
+    tables = {n: html_report("A", "l", [Section("s", [TableOf(["x"] * n, [["1"] * n])])]) for n in (7, 8)}
+    assert [outline(page).text.count("scroll sideways") for page in tables.values()] == [0, 1]
+
+
+def test_address_of_the_documentation_is_that_of_the_project():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    assert project["urls"]["Documentation"] == DOCS
 
 
 def test_missing_picture_is_an_error(tmp_path):

@@ -26,7 +26,8 @@ from cgemit.study.samples import seed_of
 from cgemit.study.scans import scan
 
 FIGURES = (
-    "figure1_layer", "figure2_chain", "figure3_cluster", "figure4_residuals", "figure5_d_rho_d_z",
+    "figure1_layer", "figure2_chain", "figure3_cluster", "figure4_x_residual", "figure4_x_tails",
+    "figure4_v_residual", "figure5_d_rho_d_z",
     "figure6_d_rho_d_z_vs_p", "figure7_p", "figure8_p_vs_p", "pulls", "pulls_vs_p", "resolution_vs_cos_theta",
     "chi2_probability", "event",
 )  # fmt: skip
@@ -99,9 +100,12 @@ def test_removed_rows_add_up(study):
 @pytest.mark.slow
 def test_report_is_self_contained_and_complete(study):
     page = (study.folder / "report.html").read_text(encoding="utf-8")
-    parsed = outline(page)
+    parsed = outline(page, study.folder)
+    assert {path.name for path in study.folder.iterdir() if path.suffix in (".csv", ".pdf")} - {
+        "momentum_scan.csv"
+    } <= set(parsed.values("href"))
     assert parsed.tags.count("figure") == len(FIGURES)
-    for text in ("217.1", "187.6 um", "delta electrons", "assigned by truth", "--seed 3"):
+    for text in ("217.1", "187.6 µm", "delta electrons", "assigned by truth", "--seed 3"):
         assert text in page, text
     for row in study.results:
         in_per_cent = row.id.startswith("delta_fraction_")  # a line for each distance
@@ -234,14 +238,14 @@ def test_pictures(result, tmp_path):
     assert draw.residual(result.tracks, "p").axes[0].get_title(loc="left") == ""
     with pytest.raises(ValueError, match="parameter"):
         draw.residual(result, "pt")
-    picture = draw.draw_event(result, 7)
+    picture = draw.event(result, 7)
     assert [path.name for path in picture.save(tmp_path / "p-1.0")] == ["p-1.0.png", "p-1.0.pdf"]
     assert [path.name for path in picture.save(tmp_path / "p.pdf")] == ["p.pdf"]
     with pytest.raises(FileExistsError):
         picture.save(tmp_path / "p.pdf")
     with pytest.raises(ValueError, match="from 0 to 399"):
-        draw.draw_event(result, 400)
-    assert draw.draw_event(cgemit.run("besiii-idc", GUN, 1, 1)).axes
+        draw.event(result, 400)
+    assert draw.event(cgemit.run("besiii-idc", GUN, 1, 1)).axes
 
 
 def test_drawn_event_shows_a_crossing_of_two_x_and_three_v_strips(result):

@@ -13,13 +13,13 @@ from cgemit.draw import curves
 from cgemit.draw.style import new_picture
 from cgemit.statistics.curves import SYMBOLS, Line, Spectrum, track_spectrum
 from cgemit.statistics.estimate import gaussian_fit
-from cgemit.statistics.formatting import with_error
+from cgemit.statistics.formatting import shown, with_error
 from cgemit.statistics.resolutions import QUOTED
 from cgemit.study import measure, reproduce, scan
 from cgemit.study.cluster_residuals import geant4_runs
 from cgemit.study.paper.published import paper_values
 from cgemit.study.scan_files import save_scans
-from cgemit.study.scans import scan_columns
+from cgemit.study.scan_table import scan_columns
 
 UNITS = {"dr": 1e3, "phi0": 1e3, "kappa": 1.0, "dz": 1.0, "tanl": 1e3, "p": 1e3}
 
@@ -60,12 +60,12 @@ def test_numbers_of_a_scan(scanned, tmp_path):
     np.testing.assert_allclose(numbers(columns["p (GeV/c)"]), [0.15, 1.0])
     for name, text in unit.items():
         expected = [widths(sample.tracks, name) for sample in scanned.samples]
-        for what in ("core", "q68", "rms"):
+        for what, head in (("core", "sigma"), ("q68", "q68"), ("rms", "rms")):
             np.testing.assert_allclose(
-                numbers(columns[f"{what}_{name} ({text})"]), [getattr(w, what) for w in expected], rtol=1e-6
+                numbers(columns[f"{head}_{name} ({text})"]), [getattr(w, what) for w in expected], rtol=1e-6
             )
             errors = [getattr(w, f"{what}_error") for w in expected]
-            np.testing.assert_allclose(numbers(columns[f"{what}_{name}_error ({text})"]), errors, rtol=1e-6)
+            np.testing.assert_allclose(numbers(columns[f"{head}_{name}_error ({text})"]), errors, rtol=1e-6)
         np.testing.assert_allclose(numbers(columns[f"tail_{name}"]), [w.tail for w in expected], rtol=1e-6)
         curve = drawn[f"sigma_{name}"]
         assert (curve["x"], curve["x_unit"], curve["y_unit"]) == ([0.15, 1.0], "GeV/c", text)
@@ -293,7 +293,7 @@ def test_columns_of_the_report(study, report):
     assert published == 5  # the numbers that the text of the paper quotes
     head, *rows = report["X residual/cgemit ± statistical error"]
     for place, one in enumerate(geant4_runs(), start=2):
-        assert head[place] == f"Geant4, {one.title}"
+        assert head[place] == f"Geant4, {shown(one.title)}"
         assert [row[place] for row in rows[: len(one.rms)]] == [str(value) for value in one.rms]
         assert [row[place] for row in rows[len(one.rms) :]] == [str(one.beyond_3mm), str(one.single_strip)]
     x = 1e3 * study.samples["cgem"].clusters.x

@@ -27,6 +27,7 @@ COMMANDS = {
     "resolution": "resolution",
     "sweep": "sweep",
     "simulate": "simulate",
+    "display": "display",
     "slab": "slab",
     "detectors": "detector",
     "show": "detector",
@@ -80,11 +81,12 @@ def add_common(parser: argparse.ArgumentParser) -> None:
 
 def add_detector(parser: argparse.ArgumentParser, *, several: bool = False) -> None:
     """Add `--detector`, which may be repeated if there are `several`, `--set` and `--name`."""
-    parser.add_argument(
+    detector = parser.add_argument(
         "-d", "--detector", action="append" if several else _Once, required=True, metavar="NAME|FILE",
         help="a preset (see: cgemit detectors) or a detector file in TOML"
         + ("; repeat it to compare detectors" if several else ""),
     )  # fmt: skip
+    detector.completer = preset_names  # type: ignore[attr-defined]
     changes.add_set(
         parser, f"change one value: of the settings if its key begins with {', '.join(changes.stages())}, such as "
         'fit.loss=mean, else of the detector, such as cgem.L2.pitch_x="500 um"; may be repeated'
@@ -97,6 +99,15 @@ def add_detector(parser: argparse.ArgumentParser, *, several: bool = False) -> N
         help=("with one detector: " if several else "") + "what results call it (default: its own name, "
         "with what --set and --field change)",
     )  # fmt: skip
+
+
+def preset_names(prefix: str = "", **_: object) -> list[str]:
+    """Return the presets, and the files, that complete a word of the command line."""
+    from argcomplete.completers import FilesCompleter
+
+    from cgemit.detector import detectors
+
+    return [name for name in detectors() if name.startswith(prefix)] + list(FilesCompleter("toml")(prefix))
 
 
 def add_field(parser: argparse.ArgumentParser) -> None:

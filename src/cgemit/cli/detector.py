@@ -91,9 +91,10 @@ def _add_show(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -
         "show", help="tables of material and read-out, pictures", description=_SHOW, epilog=_SHOW_EXAMPLES,
         formatter_class=common.HelpFormatter,
     )  # fmt: skip
-    parser.add_argument(
+    detector = parser.add_argument(
         "detector", metavar="DETECTOR", help="a preset (see: cgemit detectors) or a detector file in TOML"
     )
+    detector.completer = common.preset_names  # type: ignore[attr-defined]
     changes.add_set(parser, 'change one value, such as cgem.L2.pitch_x="500 um"; may be repeated')
     common.add_field(parser)
     parser.add_argument("--json", action="store_true", help="print the numbers as JSON instead of tables")

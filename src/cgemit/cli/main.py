@@ -35,6 +35,8 @@ examples:
                                                      scattering and energy loss in layers of matter
   cgemit show besiii-cgem                            tables of material and read-out, pictures
   cgemit simulate -d besiii-cgem --particle pi+ --p 0.5 --cos-theta 0 -n 1000 --fit -o sample
+  cgemit display -d besiii-cgem --p 1 --cos-theta 0 -o event
+                                                     one event as a picture; --html: in three dimensions
   cgemit settings > settings.toml                    settings of all stages; --settings settings.toml uses them
 
 exit codes: 0 ok, 2 bad input, 3 the run failed, 130 interrupted
@@ -66,6 +68,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     """
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="replace")  # "?" where the encoding has no "±", rather than no result
+    if "_ARGCOMPLETE" in os.environ:
+        complete(build_parser())
     with pipes_kept():
         return _run(list(sys.argv[1:] if argv is None else argv))
 
@@ -103,6 +107,13 @@ def _parse(argv: list[str], arguments: argparse.Namespace) -> None:
         word = unknown[0].partition("=")[0]
         hint = did_you_mean(word, command.options(), "; ") if word.startswith("-") else ""
         command.error(f"got {' '.join(unknown)}, which it does not know{hint}")
+
+
+def complete(parser: argparse.ArgumentParser) -> None:
+    """Answer a shell that asks for completions (argcomplete, extra [completion]), and leave."""
+    import argcomplete
+
+    argcomplete.autocomplete(parser)
 
 
 def _report(error: Exception, code: int, debug: bool) -> int:

@@ -54,6 +54,11 @@ def positive(text: str) -> int:
     return whole(text, 1, 2**31 - 1)
 
 
+def event(text: str) -> int:
+    """Read the number of an event."""
+    return whole(text, 0, 2**31 - 1)
+
+
 def seed(text: str) -> int:
     """Read the seed of the random numbers."""
     return whole(text, 0, 2**64 - 1)

@@ -21,7 +21,9 @@ _DESCRIPTION = """\
 Resolutions sigma(d_rho), sigma(d_z) and sigma(p) of one or several detectors against momentum: points from simulated
 and fitted tracks, lines from the covariance of the fit without events, or both. A table for each detector and the
 fits of the usual forms (with three momenta or more) go to stdout; the folder gets resolution.csv, summary.json, the
-detectors as TOML, and the curves of all detectors in one picture as PNG and PDF."""
+detectors as TOML, and the curves of all detectors in one picture as PNG and PDF, also of sigma(p)/p,
+sigma(pT)/pT, pT, phi0, theta and tan(lambda). Several detectors see the same particles: differences
+to the first have paired errors."""
 
 _EXAMPLES = """\
 Momenta are one number, A,B,C, or START:STOP:COUNT with both ends; in GeV/c unless a unit is given.
@@ -31,6 +33,7 @@ examples:
   cgemit resolution -d besiii-cgem-design --set cgem.L1.drift_gap="3 mm" --name thin-gap --p 0.2:2.0:10 -o thin
   cgemit resolution -d besiii-cgem-design -d thin/detector.toml -d besiii-idc --p 0.2:2.0:10 -o compared
   cgemit resolution -d besiii-cgem-design -d besiii-idc --method both --cos-theta 0 --p 0.2:2.0:10 -o lines
+  cgemit resolution -d besiii-cgem --particle pi+ --particle K+ --pt 0.2:1.0:5 --theta "60 deg" -o hadrons
   cgemit resolution -d besiii-cgem --set fit.loss=mean --p 0.2:2.0:10 -o mean-loss
   cgemit resolution -d besiii-idc --particle pi+ --p 1 --cos-theta -0.8:0.8 --events 20000 -o pions --json"""
 
@@ -42,12 +45,21 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         formatter_class=common.HelpFormatter,
     )  # fmt: skip
     common.add_detector(parser, several=True)
-    parser.add_argument("--particle", default="mu-", help="PDG name or number (default mu-)")
-    parser.add_argument("--p", type=read.momenta, required=True, metavar="VALUES", help="momenta, GeV/c")
     parser.add_argument(
-        "--cos-theta", type=read.cosines, default=(-0.93, 0.93), metavar="LO:HI|VALUE",
+        "--particle", action="append", metavar="PARTICLE",
+        help="PDG name or number (default mu-); repeat it to compare particles",
+    )  # fmt: skip
+    momentum = parser.add_mutually_exclusive_group(required=True)
+    momentum.add_argument("--p", type=read.momenta, metavar="VALUES", help="momenta, GeV/c")
+    momentum.add_argument("--pt", type=read.momenta, metavar="VALUES", help="transverse momenta, GeV/c")
+    polar = parser.add_mutually_exclusive_group()
+    polar.add_argument(
+        "--cos-theta", type=read.cosines, metavar="LO:HI|VALUE",
         help="cosine of the polar angle: a value, or a range drawn uniformly (default -0.93:0.93)",
     )  # fmt: skip
+    polar.add_argument(
+        "--theta", type=read.angles, metavar="LO:HI|VALUE", help="polar angle, rad: a value, or a range drawn uniformly"
+    )
     parser.add_argument(
         "--events", type=read.positive, default=5000, metavar="N",
         help="at each momentum (default 5000); not used by the analytic method",
@@ -71,8 +83,11 @@ def run(arguments: argparse.Namespace) -> int:
     from cgemit.io.folders import check_free
     from cgemit.study.scan_files import save_scans, summary_of
 
-    if isinstance(arguments.p, tuple):
-        raise common.InputError("--p: got a range of two numbers; expected momenta, as START:STOP:COUNT or A,B,C")
+    for name in ("p", "pt"):
+        if isinstance(getattr(arguments, name), tuple):
+            raise common.InputError(
+                f"--{name}: got a range of two numbers; expected momenta, as START:STOP:COUNT or A,B,C"
+            )
     check_free(arguments.output, overwrite=arguments.overwrite)
     detectors, settings = common.load_inputs(arguments, one_track=True)
     points, lines = _scans(arguments, detectors, settings)
@@ -93,25 +108,33 @@ def _scans(
     from cgemit.study.analytic_scan import scan_analytic
     from cgemit.study.scans import scan_detectors
 
-    momenta = arguments.p if isinstance(arguments.p, list) else [arguments.p]
-    how = {name: getattr(arguments, name) for name in ("particle", "cos_theta", "seed", "threads")}
-    how["settings"] = settings
+    given = {name: getattr(arguments, name) for name in ("p", "pt")}
+    momenta, pt = (value if isinstance(value, list | None) else [value] for value in given.values())
+    how = {name: getattr(arguments, name) for name in ("cos_theta", "theta", "seed", "threads")}
+    how |= {"settings": settings, "momenta": momenta, "pt": pt}
+    particles = arguments.particle or ["mu-"]
     points: list[Scan] = []
     lines: list[AnalyticScan] = []
     with common.Progress("resolution", quiet=arguments.quiet) as progress:
         if arguments.method != "mc":  # first, since it is quick to find what is wrong
-            lines = [scan_analytic(detector, momenta, **how) for detector in detectors]
+            lines = [scan_analytic(one, particle=particle, **how) for particle in particles for one in detectors]
         if arguments.method != "analytic":
-            points = scan_detectors(detectors, momenta, events=arguments.events, progress=progress, **how)
+            points = scan_detectors(detectors, particles, events=arguments.events, progress=progress, **how)
     return points, lines
 
 
 def _text(points: Sequence[Scan], lines: Sequence[AnalyticScan]) -> str:
-    """Return a table and the fits of each detector."""
-    from cgemit.study.analytic_scan import compared
-    from cgemit.study.scan_files import fits_text
+    """Return a table and the fits of each detector and particle, and the differences to the first detector."""
+    from cgemit.study.compared import compared
+    from cgemit.study.scan_files import base_of, fits_text
+    from cgemit.study.scan_table import differences_text
+    from cgemit.study.scans import QUOTED_PARAMETERS
 
     if points and lines:
         pairs = list(zip(points, lines, strict=True))
-        return "\n\n".join("\n".join(filter(None, [compared(*pair), fits_text(pair)])) for pair in pairs)
-    return "\n\n".join("\n".join(filter(None, [str(scan), fits_text([scan])])) for scan in points or lines)
+        parts = [[compared(*pair), fits_text(pair)] for pair in pairs]
+    else:
+        parts = [[str(scan), fits_text([scan])] for scan in points or lines]
+    bases = [(scan, base_of(scan, points)) for scan in points]
+    parts += [[differences_text(scan.orders, base.orders, QUOTED_PARAMETERS)] for scan, base in bases if base]  # type: ignore[arg-type]
+    return "\n\n".join("\n".join(filter(None, part)) for part in parts)

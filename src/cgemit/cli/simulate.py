@@ -81,13 +81,10 @@ def add_gun(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Run the chain and write its tables."""
     from cgemit import chain
-    from cgemit.gun import Gun
     from cgemit.io.folders import SUMMARY, new_folder
 
     (detector,), settings = common.load_inputs(arguments)
-    names = ("particle", "p", "pt", "theta", "cos_theta", "phi", "vertex", "vertex_sigma")
-    given = {name: getattr(arguments, name) for name in names}
-    gun = Gun(**{name: value for name, value in given.items() if value is not None})
+    gun = gun_of(arguments)
     fits = _fits(arguments)
     with new_folder(arguments.output, overwrite=arguments.overwrite) as folder:
         with common.Progress("simulate", quiet=arguments.quiet) as progress:
@@ -103,6 +100,15 @@ def run(arguments: argparse.Namespace) -> int:
         rest = "" if fits else " (nothing was fitted: --fit does)"
         print(f"tables: {arguments.output}{rest}", file=sys.stderr)
     return 0
+
+
+def gun_of(arguments: argparse.Namespace) -> Gun:
+    """Return the gun of the options that `add_gun` adds."""
+    from cgemit.gun import Gun
+
+    names = ("particle", "p", "pt", "theta", "cos_theta", "phi", "vertex", "vertex_sigma")
+    given = {name: getattr(arguments, name) for name in names}
+    return Gun(**{name: value for name, value in given.items() if value is not None})
 
 
 def _fits(arguments: argparse.Namespace) -> bool:

@@ -14,6 +14,7 @@ from cgemit.detector import Detector
 from cgemit.detector.parts import CgemLayer
 from cgemit.detector.slabs import slabs
 from cgemit.statistics.formatting import html_table, text_table
+from cgemit.tables.frames import data_frame
 
 Floats = npt.NDArray[np.float64]
 
@@ -147,9 +148,7 @@ class Budget:
 
     def to_pandas(self, by: By = "source") -> Any:
         """Return `table` as a pandas DataFrame."""
-        import pandas as pd
-
-        return pd.DataFrame(self.table(by))
+        return data_frame(self.table(by))
 
     def _rows(self) -> Iterator[list[str]]:
         groups = self.grouped("part")

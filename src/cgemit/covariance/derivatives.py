@@ -17,6 +17,7 @@ from cgemit.detector import Detector, DetectorError, load
 from cgemit.detector.parts import CgemLayer, Contents
 from cgemit.fit import compiled_for_fit
 from cgemit.statistics.formatting import html_table, text_table
+from cgemit.tables.frames import data_frame
 
 Floats = npt.NDArray[np.float64]
 
@@ -75,9 +76,7 @@ class Sensitivity:
 
     def to_pandas(self) -> Any:
         """Return `table` as a pandas DataFrame."""
-        import pandas as pd
-
-        return pd.DataFrame(self.table())
+        return data_frame(self.table())
 
     def _text(self) -> tuple[str, list[str], list[list[str]]]:
         head = ["1 % more of", *(f"sigma({name}) [%]" for name in self.quantities)]

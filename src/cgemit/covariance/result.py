@@ -14,6 +14,7 @@ from cgemit.covariance.tracks import QUANTITIES, Tracks
 from cgemit.detector import Detector
 from cgemit.digitize.readout import Readout
 from cgemit.fit import FitStatus
+from cgemit.tables.frames import data_frame
 
 Floats = npt.NDArray[np.float64]
 
@@ -150,9 +151,7 @@ class Covariance:
 
     def to_pandas(self) -> Any:
         """Return `table` as a pandas DataFrame."""
-        import pandas as pd
-
-        return pd.DataFrame(self.table())
+        return data_frame(self.table())
 
     def __repr__(self) -> str:
         columns = self.p, self.cos_theta, self.sigma("dr"), self.sigma("dz"), self.sigma("p"), self.status

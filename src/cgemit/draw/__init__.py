@@ -5,9 +5,13 @@ from cgemit.draw.chain_diagram import draw_chain
 from cgemit.draw.cluster import draw_cluster, draw_projection
 from cgemit.draw.curves import residual
 from cgemit.draw.detector import draw_detector, draw_sides
-from cgemit.draw.event import draw_event
+from cgemit.draw.display import event
+from cgemit.draw.display3d import event_3d, save_page
 from cgemit.draw.matter import draw_slab
+from cgemit.draw.scans import resolutions
 from cgemit.draw.style import Picture
+
+draw_event = event  # its former name
 
 __all__ = [
     "Picture",
@@ -20,5 +24,9 @@ __all__ = [
     "draw_sensitivity",
     "draw_sides",
     "draw_slab",
+    "event",
+    "event_3d",
     "residual",
+    "resolutions",
+    "save_page",
 ]

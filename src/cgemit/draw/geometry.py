@@ -73,3 +73,31 @@ def wire_profile(layer: WireLayer) -> tuple[Array, Array]:
     z = np.linspace(-layer.half_length, layer.half_length, 41)
     sag = layer.r_end**2 - layer.r_mid**2
     return z, np.sqrt(layer.r_mid**2 + sag * (z / layer.half_length) ** 2)
+
+
+def smooth_curve(points: Array, directions: Array, steps: int = 12) -> Array:
+    """Return a curve through points with given directions: a cubic between neighbours, as long as the arc would be.
+
+    Parameters
+    ----------
+    points, directions : (n, 3) float64
+        In their order along the curve; directions of any length.
+    steps : int
+        Points for each interval.
+
+    Returns
+    -------
+    (m, 3) float64
+    """
+    unit = directions / np.linalg.norm(directions, axis=1, keepdims=True)
+    here, there = points[:-1], points[1:]
+    chord = np.linalg.norm(there - here, axis=1)
+    half = 0.5 * np.arccos(np.clip(np.sum(unit[:-1] * unit[1:], axis=1), -1, 1))
+    length = (chord / np.sinc(half / np.pi))[:, None, None]  # of the arc of a circle with this chord and turn
+    t = np.linspace(0, 1, steps, endpoint=False)[None, :, None]
+    start, end = unit[:-1, None], unit[1:, None]
+    cubic = (
+        (1 + 2 * t) * (1 - t) ** 2 * here[:, None] + t**2 * (3 - 2 * t) * there[:, None]
+        + length * (t * (1 - t) ** 2 * start - t**2 * (1 - t) * end)
+    )  # fmt: skip
+    return np.concatenate([cubic.reshape(-1, 3), points[-1:]])

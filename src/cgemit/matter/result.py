@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from cgemit import _core
 from cgemit.matter.widths import ANGLES, LOSSES
+from cgemit.tables.frames import data_frame
 
 Floats = npt.NDArray[np.float64]
 Row = tuple[str, ...]
@@ -134,6 +135,11 @@ class SlabResult:
         plain = {name: getattr(self, name) for name in names[: names.index("angle_1")]}
         plain["layers"] = [{f.name: getattr(layer, f.name) for f in fields(layer)} for layer in self.layers]
         return plain
+
+    def to_pandas(self) -> Any:
+        """Return the particles, one row each, as a `pandas.DataFrame`: columns of angles, shifts, loss and status."""
+        names = ("angle_1", "angle_2", "shift_1", "shift_2", "loss", "status")
+        return data_frame({name: getattr(self, name) for name in names})
 
     def tables(self) -> list[tuple[tuple[str, ...], list[Row]]]:
         """Return the printed tables: heads and rows of the layers, of the angles and of the losses."""

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy import special
 
 from cgemit.result import Result, tracks_of
 from cgemit.statistics.estimate import Floats
-from cgemit.statistics.formatting import Comparable, html_table, with_error
+from cgemit.statistics.formatting import Comparable, Tabular, html_table, with_error
 from cgemit.statistics.resolutions import removed_rows
 from cgemit.tables import Table
 
@@ -32,7 +33,7 @@ def chi2_probability(tracks: Table | Result) -> Floats:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Flatness(Comparable):
+class Flatness(Comparable, Tabular):
     """How well the chi-square probability agrees with a uniform distribution.
 
     Attributes
@@ -57,6 +58,11 @@ class Flatness(Comparable):
     chi2: float
     ndf: int
     binned: float
+
+    def columns(self) -> dict[str, list[Any]]:
+        """Return all numbers as columns of one row; `removed` as text."""
+        removed = ", ".join(f"{number} {reason}" for reason, number in self.removed) or "none"
+        return {name: list(values) for name, values in super().columns().items()} | {"removed": [removed]}
 
     def _repr_html_(self) -> str:
         removed = ", ".join(f"{number} {reason}" for reason, number in self.removed) or "none"

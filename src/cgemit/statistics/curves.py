@@ -38,6 +38,8 @@ class Line:
     x_unit, y_unit : str
     method : str
         ``"mc"`` (simulated events), ``"analytic"`` (a line without points), or empty.
+    particle : str
+        Whose, or empty.
     """
 
     id: str
@@ -48,6 +50,7 @@ class Line:
     y_error: npt.NDArray[np.float64]
     y_unit: str
     method: str = ""
+    particle: str = ""
 
     def __eq__(self, other: object) -> bool:
         """Compare all values; NaN equals NaN."""
@@ -61,7 +64,7 @@ class Line:
         return {
             "id": self.id, "detector": self.detector, "x": _numbers(self.x), "x_unit": self.x_unit,
             "y": _numbers(self.y), "y_error": _numbers(self.y_error), "y_unit": self.y_unit,
-        } | ({"method": self.method} if self.method else {})  # fmt: skip
+        } | {name: text for name in ("method", "particle") if (text := getattr(self, name))}  # fmt: skip
 
 
 @dataclass(frozen=True)

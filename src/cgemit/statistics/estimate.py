@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from cgemit.statistics.formatting import Comparable, html_table, with_error
+from cgemit.statistics.formatting import Comparable, Tabular, html_table, with_error
 from cgemit.values import number
 
 Floats = npt.NDArray[np.float64]
@@ -25,7 +26,7 @@ _CENTRAL = math.erf(1 / math.sqrt(2))  # 0.6827, what a Gaussian holds within on
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Resolution(Comparable):
+class Resolution(Comparable, Tabular):
     """The widths of one sample, all in `unit`; NaN where fewer than 10 rows are left.
 
     Attributes
@@ -73,6 +74,12 @@ class Resolution(Comparable):
         pairs = [(self.core, self.core_error), (self.q68, self.q68_error), (self.rms, self.rms_error),
                  (self.core_mean, self.core_mean_error), (100 * self.tail, 100 * self.tail_error)]  # fmt: skip
         return [*(with_error(*pair) for pair in pairs), str(self.n), self.removed_text()]
+
+    def columns(self) -> dict[str, list[Any]]:
+        """Return all numbers as columns of one row; `removed` as text, the window as two columns."""
+        columns = {name: list(values) for name, values in super().columns().items() if name != "window"}
+        window = dict(zip(("window_low", "window_high"), ([end] for end in self.window), strict=True))
+        return columns | {"removed": [self.removed_text()]} | window
 
     def removed_text(self) -> str:
         """Return how many rows were removed and why."""
@@ -259,7 +266,7 @@ def _q68(x: Floats) -> tuple[float, float]:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class GaussianFit(Comparable):
+class GaussianFit(Comparable, Tabular):
     """A Gaussian fitted to a sample: number of rows, mean and sigma with errors."""
 
     n: int

@@ -6,12 +6,14 @@ import csv
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import astuple
+from dataclasses import astuple, fields
 from html import escape
 from pathlib import Path
 from typing import Any
 
 import numpy.typing as npt
+
+from cgemit.tables.frames import data_frame
 
 
 class Comparable:
@@ -26,6 +28,18 @@ class Comparable:
     def _key(self) -> str:
         fields: tuple[Any, ...] = astuple(self)  # type: ignore[call-overload]
         return repr(fields)  # a float's repr is exact
+
+
+class Tabular:
+    """A result that is a table of numbers."""
+
+    def columns(self) -> Mapping[str, Sequence[Any]]:
+        """Return the numbers as columns; of a dataclass of numbers, one row."""
+        return {f.name: [getattr(self, f.name)] for f in fields(self)}  # type: ignore[arg-type]
+
+    def to_pandas(self) -> Any:
+        """Return the numbers as a `pandas.DataFrame`."""
+        return data_frame(self.columns())
 
 
 def with_error(value: float, error: float) -> str:
@@ -74,9 +88,9 @@ def _is_text(column: Sequence[str]) -> bool:
     return not all(_NUMBER.fullmatch(cell) for cell in column) or all(cell == "none" for cell in column)
 
 
-def shown(unit: str) -> str:
-    """Return a unit as figures and reports write it."""
-    return unit.replace("um", "µm")
+def shown(text: str) -> str:
+    """Return a unit, or a text with units, as figures and reports write it: with "µm" for "um"."""
+    return re.sub(r"\bum\b", "µm", text)
 
 
 def write_csv(path: Path, columns: Mapping[str, Sequence[Any] | npt.NDArray[Any]]) -> None:

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from scipy.optimize import least_squares
 
 from cgemit.species import species
-from cgemit.statistics.formatting import with_error
+from cgemit.statistics.formatting import Tabular, with_error
 from cgemit.values import InTurn
 
 Floats = npt.NDArray[np.float64]
@@ -69,7 +69,7 @@ FORMS = {
 
 
 @dataclass(frozen=True)
-class FormFit:
+class FormFit(Tabular):
     """A form fitted to a curve.
 
     Attributes
@@ -114,6 +114,10 @@ class FormFit:
             f"{self.formula}: a = {a} {self.a_unit}, b = {b} {self.b_unit}"
             f" ({quality}within {100 * self.deviation:.2g} %)"
         )
+
+    def columns(self) -> dict[str, list[Any]]:
+        """Return all values as columns of one row."""
+        return {name: [value] for name, value in self.as_json().items()}
 
     def as_json(self) -> dict[str, Any]:
         """Return the fit as `summary.json` has it: a number that is not finite becomes null."""

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -14,7 +14,8 @@ from cgemit import _core
 from cgemit.problems import did_you_mean
 from cgemit.result import Result, tracks_of
 from cgemit.statistics.estimate import HEAD, Floats, Resolution, measure
-from cgemit.statistics.formatting import Comparable, html_table, text_table, with_error
+from cgemit.statistics.formatting import Comparable, Tabular, html_table, text_table
+from cgemit.statistics.widths import Pulls, Resolutions, stacked
 from cgemit.tables import PARAMETERS, Table
 
 #: Unit in which the resolution of each parameter is quoted, and how many of them make the native unit.
@@ -61,33 +62,15 @@ def resolution(tracks: Table | Result, parameter: str, *, window: tuple[float, f
     return _measure(tracks_of(tracks), f"res_{parameter}", parameter, unit, scale, window)
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class Pulls(Comparable):
-    """The pulls (residual / error) of all parameters; `rms` and `mean` are the plain width and mean."""
+def resolutions(tracks: Table | Result) -> Resolutions:
+    """Return `resolution` of all parameters, shown as one table.
 
-    pulls: tuple[Resolution, ...]
-
-    def __getitem__(self, parameter: str) -> Resolution:
-        names = [pull.parameter for pull in self.pulls]
-        return self.pulls[names.index(_known(parameter, "parameter", names))]
-
-    def _ipython_key_completions_(self) -> list[str]:
-        return [pull.parameter for pull in self.pulls]
-
-    def __iter__(self) -> Iterator[Resolution]:
-        return iter(self.pulls)
-
-    def __len__(self) -> int:
-        return len(self.pulls)
-
-    def _rows(self) -> list[list[str]]:
-        return [[pull.parameter, *pull.cells(), with_error(pull.mean, pull.mean_error)] for pull in self.pulls]
-
-    def __repr__(self) -> str:
-        return text_table("pulls", ("parameter", *HEAD, "mean"), self._rows())
-
-    def _repr_html_(self) -> str:
-        return html_table("pulls", ("parameter", *HEAD, "mean"), self._rows())
+    Parameters
+    ----------
+    tracks : Table or Result
+        Of kind "tracks", or with such a table.
+    """
+    return Resolutions(tuple(resolution(tracks, name) for name in QUOTED))
 
 
 def pulls(tracks: Table | Result) -> Pulls:
@@ -103,7 +86,7 @@ def pulls(tracks: Table | Result) -> Pulls:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Curve(Comparable):
+class Curve(Comparable, Tabular):
     """The widths of one parameter in bins of something.
 
     Attributes
@@ -127,6 +110,11 @@ class Curve(Comparable):
     x: tuple[float, ...]
     values: tuple[Resolution, ...]
     outside: int
+
+    def columns(self) -> dict[str, list[Any]]:
+        """Return limits, mean and numbers of the bins as columns, one row for each bin."""
+        bins = {f"{self.by}_low": list(self.edges[:-1]), f"{self.by}_high": list(self.edges[1:]), self.by: list(self.x)}
+        return bins | stacked([value.columns() for value in self.values])
 
     def column(self, name: str) -> Floats:
         """Return one number of each bin, such as ``"core"`` or ``"core_error"``, (bins,) float64."""

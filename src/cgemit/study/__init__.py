@@ -3,7 +3,8 @@
 from cgemit.statistics.chi2 import Flatness, chi2_flatness, chi2_probability
 from cgemit.statistics.estimate import GaussianFit, Resolution, gaussian_fit, measure
 from cgemit.statistics.forms import FormFit, fit_form
-from cgemit.statistics.resolutions import Curve, Pulls, pulls, resolution, resolution_against
+from cgemit.statistics.resolutions import Curve, pulls, resolution, resolution_against, resolutions
+from cgemit.statistics.widths import Pulls, Resolutions
 from cgemit.study.analytic_scan import AnalyticScan, scan_analytic
 from cgemit.study.cluster_residuals import DeltaFractions, delta_displacements, delta_fractions
 from cgemit.study.paper import Reproduction, reproduce
@@ -24,6 +25,7 @@ __all__ = [
     "Pulls",
     "Reproduction",
     "Resolution",
+    "Resolutions",
     "Scan",
     "Scenario",
     "Space",
@@ -41,6 +43,7 @@ __all__ = [
     "reproduce",
     "resolution",
     "resolution_against",
+    "resolutions",
     "run_scenario",
     "scan",
     "scan_analytic",

@@ -17,16 +17,19 @@ import numpy.typing as npt
 from cgemit.covariance import Covariance, analytic
 from cgemit.covariance.mixture import core_width, mean
 from cgemit.detector import Detector, load
-from cgemit.fit import FitSettings, FitStatus
+from cgemit.fit import FitStatus
 from cgemit.result import Settings
 from cgemit.species import HYPOTHESES, species
 from cgemit.statistics.curves import Line
-from cgemit.statistics.formatting import html_table, text_table, with_error
+from cgemit.statistics.formatting import Tabular, html_table, text_table
 from cgemit.statistics.forms import FORMS, FormFit, fit_form
-from cgemit.statistics.resolutions import QUOTED
-from cgemit.study.samples import Order, momentum_of, momentum_orders
+from cgemit.study import samples
+from cgemit.study.quantities import QUANTITIES, column
+from cgemit.study.samples import Order, cosines_of, momentum_name, momentum_of, transverse
 from cgemit.study.scan_files import save_scans, summary_of
-from cgemit.study.scans import QUOTED_PARAMETERS, Scan
+from cgemit.study.scan_table import angle_text, leading_columns, shot_text
+from cgemit.study.scans import QUOTED_PARAMETERS
+from cgemit.study.sweeps.evaluate import QUANTITIES as OF_SWEEPS
 from cgemit.values import InTurn
 
 Floats = npt.NDArray[np.float64]
@@ -36,7 +39,7 @@ LINE_POINTS = 60
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class AnalyticScan:
+class AnalyticScan(Tabular):
     """Resolutions of one detector against momentum from the covariance, without events.
 
     Attributes
@@ -81,16 +84,18 @@ class AnalyticScan:
         Parameters
         ----------
         name : str
-            ``"dr"`` um, ``"dz"`` mm, ``"p"`` MeV/c; ``"pt"``: sigma(pT)/pT in %.
+            Of `quantities.QUANTITIES`, such as ``"dr"`` um, ``"dz"`` mm, ``"p"`` MeV/c, ``"pt_rel"`` %.
         rms : bool
             Whether to return the root of the mean variance instead.
         """
         found = self.covariance
-        if name == "pt":  # sigma(pT)/pT = sigma(kappa)/|kappa|, track by track
+        if name == "pt_rel":  # sigma(pT)/pT = sigma(kappa)/|kappa|, track by track
             kappa = found._tracks.kappa.reshape(*found.p.shape, -1)
             variances, scale = found.variances("kappa") / kappa**2, 100.0
+        elif name == "p_rel":
+            variances, scale = found.variances("p") / found.p[..., None] ** 2, 100.0
         else:
-            variances, scale = found.variances(name), QUOTED[name][1]
+            variances, scale = found.variances(name), OF_SWEEPS[name][1]
         rows = variances.reshape(len(self.p), -1)
         return scale * (np.sqrt(mean(rows, ~np.isnan(rows))) if rms else core_width(rows))
 
@@ -99,23 +104,34 @@ class AnalyticScan:
         """Fraction of the tracks with a covariance at the momenta of the lines."""
         return np.asarray(self.covariance.reached.reshape(len(self.p), -1).mean(axis=1))
 
-    @cached_property
+    @property
+    def angle(self) -> str:
+        """Polar angle of the tracks, as text."""
+        return angle_text(self.orders[0])
+
+    @property
     def lines(self) -> list[Line]:
         """Core resolutions of d_rho, d_z and p against momentum; they have no statistical error."""
-        none = np.full(len(self.p), np.nan)
+        return [line for line in self.all_lines if line.id.removeprefix("sigma_") in QUOTED_PARAMETERS]
+
+    @cached_property
+    def all_lines(self) -> list[Line]:
+        """Core resolutions of all quantities against momentum, or transverse momentum."""
+        none, about = np.full(len(self.p), np.nan), (self.method, str(self.orders[0].gun.particle))
         return [
-            Line(f"sigma_{name}", self.detector.name, self.p, "GeV/c", self.sigma(name), none, QUOTED[name][0],
-                 self.method)
-            for name in QUOTED_PARAMETERS
-        ]  # fmt: skip
+            Line(f"sigma_{name}", self.detector.name, self.p, "GeV/c", self.sigma(name), none, unit, *about)
+            for name, (unit, _) in QUANTITIES.items()
+        ]
 
     @cached_property
     def fits(self) -> list[FormFit]:
-        """The usual forms, fitted to the lines with equal relative weights; none with fewer than three momenta."""
-        gun = self.orders[0].gun
-        how: dict[str, Any] = {"particle": gun.particle, "cos_theta": gun.cos_theta}
+        """The usual forms, fitted to the lines with equal relative weights; none against pT."""
+        first = self.orders[0]
+        if transverse(first):
+            return []
+        how: dict[str, Any] = {"particle": first.gun.particle, "cos_theta": cosines_of(first)}
         how |= {"detector": self.detector.name, "method": self.method}
-        found = [fit_form(name, self.p, self.sigma(name), **how) for name in FORMS]
+        found = [fit_form(name, self.p, self.sigma("pt_rel" if name == "pt" else name), **how) for name in FORMS]
         return [one for one in found if one is not None]
 
     def at(self, name: str) -> Floats:
@@ -127,14 +143,13 @@ class AnalyticScan:
 
     def columns(self) -> dict[str, list[Any]]:
         """Return the widths for each momentum of the lines: the columns of the CSV table."""
-        n = len(self.p)
-        columns: dict[str, list[Any]] = {"detector": [self.detector.name] * n, "p (GeV/c)": self.p.tolist()}
-        columns |= {"method": [self.method] * n}
-        for name in QUOTED_PARAMETERS:
-            unit = QUOTED[name][0]
-            columns[f"core_{name} ({unit})"] = self.sigma(name).tolist()
-            columns[f"rms_{name} ({unit})"] = self.sigma(name, rms=True).tolist()
-        return columns | {"covariance": self.reached.tolist()}
+        first, n = leading_columns(self.orders[:1], self.method), len(self.p)
+        columns = {name: value * n for name, value in first.items()}
+        columns[f"{momentum_name(self.orders[0])} (GeV/c)"] = self.p.tolist()
+        for name in QUANTITIES:
+            columns[column("sigma", name)] = self.sigma(name).tolist()
+            columns[column("rms", name)] = self.sigma(name, rms=True).tolist()
+        return columns | {"reached": self.reached.tolist()}
 
     def summary(self) -> dict[str, Any]:
         """Return what `summary.json` holds."""
@@ -170,8 +185,10 @@ class AnalyticScan:
         return f"at {momenta} GeV/c: no track has a covariance ({why})"
 
     def _title(self) -> str:
-        gun = self.orders[0].gun
-        return f"{self.detector.name}, {gun.particle}, cos(theta) {gun.cos_theta}: core widths, analytic"
+        return f"{self.detector.name}, {shot_text(self.orders[0])}: core widths, analytic"
+
+    def _head(self) -> tuple[str, ...]:
+        return (f"{momentum_name(self.orders[0])} [GeV/c]", *_HEAD)
 
     def _rows(self) -> list[list[str]]:
         values = [self.at(name) for name in QUOTED_PARAMETERS]
@@ -182,14 +199,14 @@ class AnalyticScan:
         ]
 
     def __repr__(self) -> str:
-        return "\n".join([text_table(self._title(), _HEAD, self._rows()), *filter(None, [self.note()])])
+        return "\n".join([text_table(self._title(), self._head(), self._rows()), *filter(None, [self.note()])])
 
     def _repr_html_(self) -> str:
         note = f"<p>{escape(self.note())}</p>" if self.note() else ""
-        return html_table(self._title(), _HEAD, self._rows()) + note
+        return html_table(self._title(), self._head(), self._rows()) + note
 
 
-_HEAD = ("p [GeV/c]", "sigma(d_rho) [um]", "sigma(d_z) [mm]", "sigma(p) [MeV/c]", "with covariance")
+_HEAD = ("sigma(d_rho) [um]", "sigma(d_z) [mm]", "sigma(p) [MeV/c]", "with covariance")
 
 
 def line_momenta(momenta: Sequence[float]) -> Floats:
@@ -211,10 +228,12 @@ def line_momenta(momenta: Sequence[float]) -> Floats:
 
 def scan_analytic(
     detector: Detector | str | Mapping[str, Any],
-    momenta: Sequence[float],
+    momenta: Sequence[float] | None = None,
     *,
+    pt: Sequence[float] | None = None,
     particle: str | int = "mu-",
-    cos_theta: float | tuple[float, float] | list[float] = (-0.93, 0.93),
+    cos_theta: float | tuple[float, float] | list[float] | None = None,
+    theta: Any = None,
     seed: int = 1,
     settings: Settings | None = None,
     threads: int | None = None,
@@ -224,12 +243,12 @@ def scan_analytic(
     Parameters
     ----------
     detector : Detector, or what `load` accepts
-    momenta : sequence of float
-        GeV/c; the lines also have at least 60 momenta from the first to the last of them.
+    momenta, pt : sequence of float, GeV/c
+        Momenta or transverse momenta: one of them. The lines also have at least 60 from the first to the last of them.
     particle : str or int
         Name or number of the Particle Data Group.
-    cos_theta : float, (float, float) or list of float
-        Cosine of the polar angle: fixed, averaged over a uniform range, or over some values.
+    cos_theta, theta : float, (float, float) or list of float
+        As in `scan`; averaged over a uniform range, or over some values. Transverse momenta need fixed angles.
     seed : int
         Kept for the record; nothing is random.
     settings : Settings, optional
@@ -243,17 +262,19 @@ def scan_analytic(
         If particle or numbers make no sense, the particle is neutral, or the fit assumes the mass of another particle.
     """
     start = time.perf_counter()
-    gun: dict[str, Any] = {"particle": particle, "cos_theta": cos_theta}
-    orders = momentum_orders(load(detector), momenta, **gun, events=0, seed=seed, settings=settings)
+    gun = samples.gun_arguments(momenta, pt, particle, cos_theta, theta)
+    orders = samples.momentum_orders(load(detector), **gun, events=0, seed=seed, settings=settings)
     if not orders:
         raise ValueError("momenta: got none, expected at least one")
     first = orders[0]
     digitize, fit = first.settings.digitize, first.settings.fit
-    _check_hypothesis(fit, first.gun.particle)
-    p: Any = line_momenta([momentum_of(order) for order in orders])
-    angles: Any = first.gun.cos_theta
-    if isinstance(angles, InTurn):
-        p, angles = p[:, None], list(angles.values)
+    if others := [name for name in fit.hypotheses() if HYPOTHESES[name].pdg != abs(species(first.gun.particle).pdg)]:
+        # A covariance does not hold the bias of another mass.
+        raise ValueError(
+            f"fit.hypothesis: got {', '.join(others)} for {first.gun.particle}; "
+            "the analytic method expects the particle's own mass"
+        )
+    p, angles = _grid(line_momenta([momentum_of(order) for order in orders]), first)
     found = analytic(
         first.detector, first.gun.particle, p, angles, readout=digitize.readout, reveal_sides=digitize.reveal_sides,
         fit=fit, threads=threads,
@@ -261,38 +282,13 @@ def scan_analytic(
     return AnalyticScan(tuple(orders), found, seed, time.perf_counter() - start)
 
 
-def _check_hypothesis(fit: FitSettings, particle: str | int) -> None:
-    """Refuse a fit that assumes the mass of another particle, since a covariance does not hold its bias."""
-    own = abs(species(particle).pdg)
-    if others := [name for name in fit.hypotheses() if HYPOTHESES[name].pdg != own]:
-        raise ValueError(
-            f"fit.hypothesis: got {', '.join(others)} for {particle}; "
-            "the analytic method expects the particle's own mass"
-        )
-
-
-def compared(simulated: Scan, line: AnalyticScan) -> str:
-    """Return a table of simulated and analytic core widths side by side, with their ratio.
-
-    Parameters
-    ----------
-    simulated : Scan
-    line : AnalyticScan
-        Of the same detector and momenta.
-    """
-    cells = [[f"{p:g}" for p in line.momenta]]
-    head = ["p [GeV/c]"]
-    for name, text, points in zip(QUOTED_PARAMETERS, _HEAD[1:4], simulated.lines, strict=True):
-        expected = line.at(name)
-        head += [text, "analytic", "ratio"]
-        cells.append([with_error(*pair) for pair in zip(points.y, points.y_error, strict=True)])
-        cells.append([with_error(value, 0.0) for value in expected])
-        ratios = zip(points.y / expected, points.y_error / expected, strict=True)
-        cells.append([with_error(*pair) for pair in ratios])
-    first = line.orders[0]
-    title = (
-        f"{first.detector.name}, {first.gun.particle}, cos(theta) {first.gun.cos_theta}: core widths, simulated "
-        f"({simulated.samples[0].n_events} events at each momentum) and analytic, ratio simulated/analytic"
-    )
-    table = text_table(title, head, [list(row) for row in zip(*cells, strict=True)])
-    return "\n".join([table, *filter(None, [simulated.note(), line.note()])])
+def _grid(momenta: Floats, order: Order) -> tuple[Floats, Any]:
+    """Return momenta, p or pT, as p; and the cosines to be broadcast with it."""
+    angles = cosines_of(order)
+    if isinstance(angles, InTurn | list):
+        momenta, angles = momenta[:, None], list(angles.values if isinstance(angles, InTurn) else angles)
+    if not transverse(order):
+        return momenta, angles
+    if isinstance(angles, tuple):
+        raise ValueError(f"cos_theta: got a range, {angles}, with pT; the analytic method expects fixed angles")
+    return momenta / np.sqrt(1 - np.square(angles)), angles

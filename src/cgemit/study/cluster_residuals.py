@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from functools import cache
 from importlib import resources
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -21,7 +22,7 @@ from cgemit import find
 from cgemit.result import Result
 from cgemit.statistics.curves import Spectrum, histograms
 from cgemit.statistics.estimate import GaussianFit, Resolution, gaussian_fit, measure, share_error
-from cgemit.statistics.formatting import Comparable, html_table, text_table, with_error
+from cgemit.statistics.formatting import Comparable, Tabular, html_table, text_table, with_error
 from cgemit.tables import Table
 
 Floats = npt.NDArray[np.float64]
@@ -180,7 +181,7 @@ def v_spectrum(residuals: ClusterResiduals) -> Spectrum:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class DeltaFractions(Comparable):
+class DeltaFractions(Comparable, Tabular):
     """Fractions of the crossings of a drift gap with a delta electron's deposit beyond some distances from the track.
 
     Attributes
@@ -200,6 +201,12 @@ class DeltaFractions(Comparable):
     rphi_error: tuple[float, ...]
     z: tuple[float, ...]
     z_error: tuple[float, ...]
+
+    def columns(self) -> dict[str, list[Any]]:
+        """Return the fractions as columns, one row for each distance."""
+        names = ("beyond", "rphi", "rphi_error", "z", "z_error")
+        crossings = {"crossings": [self.crossings] * len(self.beyond)}
+        return {name: list(getattr(self, name)) for name in names} | crossings
 
     def _rows(self) -> list[list[str]]:
         pairs = zip(self.rphi, self.rphi_error, self.z, self.z_error, strict=True)

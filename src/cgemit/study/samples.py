@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -21,6 +22,7 @@ from cgemit.statistics.estimate import FEWEST
 from cgemit.statistics.formatting import html_table, text_table
 from cgemit.study.cluster_residuals import ClusterResiduals, DeltaFractions, cluster_residuals, delta_fractions
 from cgemit.tables import Table
+from cgemit.values import InTurn
 
 #: Shows progress: share of the work that is done (0 to 1) and what is running.
 ShowProgress = Callable[[float, str], None]
@@ -137,7 +139,9 @@ def momentum_orders(
     momenta: Sequence[float],
     *,
     particle: str | int = "mu-",
-    cos_theta: float | tuple[float, float] | list[float],
+    cos_theta: Any = None,
+    theta: Any = None,
+    transverse: bool = False,
     events: int,
     seed: int,
     settings: Settings | None = None,
@@ -145,17 +149,80 @@ def momentum_orders(
     """Return the samples of a momentum scan; each momentum has a seed of its own, the same for every detector."""
     orders = []
     for number, p in enumerate(momenta, start=1):
-        gun = Gun(particle, p=p, cos_theta=cos_theta)
+        momentum: dict[str, Any] = {"pt" if transverse else "p": p}
+        gun = Gun(particle, **momentum, cos_theta=cos_theta, theta=theta)
         if species(gun.particle).charge == 0:
             raise ValueError(f"particle: got {particle!r}; expected a charged particle")
-        label = f"{detector.name}, {p:g} GeV/c"
+        label = f"{detector.name}, {gun.particle}, {p:g} GeV/c"
         orders.append(Order(label, detector, gun, events, seed_of(seed, number), settings or Settings()))
     return orders
 
 
+def gun_arguments(momenta: Any, pt: Any, particle: str | int, cos_theta: Any, theta: Any) -> dict[str, Any]:
+    """Return the arguments of `momentum_orders` that say what is shot.
+
+    Raises
+    ------
+    ValueError
+        If there is not exactly one of both momenta, or both angles are given.
+    """
+    problems = []
+    if (momenta is None) == (pt is None):
+        problems.append("momenta, pt: expected exactly one of them")
+    if cos_theta is not None and theta is not None:
+        problems.append("cos_theta, theta: got both, expected one of them")
+    if problems:
+        raise ValueError("scan:\n  " + "\n  ".join(problems))
+    if cos_theta is None and theta is None:
+        cos_theta = (-0.93, 0.93)
+    values = list(momenta if pt is None else pt)
+    return {
+        "momenta": values,
+        "transverse": pt is not None,
+        "particle": particle,
+        "cos_theta": cos_theta,
+        "theta": theta,
+    }
+
+
+def transverse(order: Order) -> bool:
+    """Tell whether the gun has a transverse momentum."""
+    return order.gun.p is None
+
+
 def momentum_of(sample: Order) -> float:
-    """Return the momentum of a sample shot with one momentum, GeV/c."""
-    return float(sample.gun.p)  # type: ignore[arg-type]
+    """Return the momentum, or transverse momentum, of a sample shot with one, GeV/c."""
+    return float(sample.gun.pt if transverse(sample) else sample.gun.p)  # type: ignore[arg-type]
+
+
+def momentum_name(sample: Order) -> str:
+    """Return ``"p"``, or ``"pt"`` where the gun has a transverse momentum."""
+    return "pt" if transverse(sample) else "p"
+
+
+def angle_of(order: Order) -> tuple[str, Any]:
+    """Return ``"cos_theta"`` or ``"theta"`` and the value of the gun as a number or as text, LO:HI or A,B,C."""
+    name = "cos_theta" if order.gun.theta is None else "theta"
+    value = getattr(order.gun, name)
+    if isinstance(value, InTurn):
+        return name, ",".join(f"{one:g}" for one in value.values)
+    return name, f"{value[0]:g}:{value[1]:g}" if isinstance(value, tuple) else float(value)
+
+
+def cosines_of(order: Order) -> Any:
+    """Return the cosines of the polar angles of a gun, a number, a uniform range or values in turn.
+
+    A range uniform in theta becomes 64 values.
+    """
+    gun = order.gun
+    if gun.theta is None:
+        return gun.cos_theta
+    if isinstance(gun.theta, tuple):
+        low, high = gun.theta
+        return [math.cos(low + (high - low) * (i + 0.5) / 64) for i in range(64)]
+    if isinstance(gun.theta, InTurn):
+        return [math.cos(one) for one in gun.theta.values]
+    return math.cos(gun.theta)  # type: ignore[arg-type]
 
 
 def fitted(sample: Sample) -> int:

@@ -15,7 +15,8 @@ from cgemit.record import gun_data, record, write_record
 from cgemit.statistics.curves import Line
 from cgemit.statistics.formatting import write_csv
 from cgemit.statistics.forms import FormFit
-from cgemit.study.samples import Order, momentum_of
+from cgemit.study.samples import Order, angle_of, momentum_name, momentum_of
+from cgemit.study.scan_table import difference_columns
 from cgemit.values import InTurn
 from cgemit.version import VERSION
 
@@ -38,6 +39,10 @@ class AnyScan(Protocol):
     @property
     def lines(self) -> list[Line]:
         """Resolutions of d_rho, d_z and p against momentum."""
+
+    @property
+    def all_lines(self) -> list[Line]:
+        """Resolutions of all quantities."""
 
     @property
     def fits(self) -> list[FormFit]:
@@ -67,13 +72,13 @@ def summary_of(scans: Sequence[AnyScan]) -> dict[str, Any]:
     """Return what `summary.json` holds: the curves of all detectors and methods, for the same gun."""
     simulated = [scan for scan in scans if scan.method == "mc"]
     first = scans[0].orders[0]
-    cos_theta = first.gun.cos_theta
-    if isinstance(cos_theta, InTurn):
-        cos_theta = list(cos_theta.values)
-    inputs: dict[str, Any] = {
-        "detectors": list(_detectors(scans)), "particle": first.gun.particle, "cos_theta": cos_theta,
-        "momenta": [momentum_of(order) for order in scans[0].orders],
-    }  # fmt: skip
+    angle = angle_of(first)[0]
+    value = getattr(first.gun, angle)
+    particles = list(dict.fromkeys(scan.orders[0].gun.particle for scan in scans))
+    inputs: dict[str, Any] = {"detectors": list(_detectors(scans))}
+    inputs |= {"particle": particles[0]} if len(particles) == 1 else {"particles": particles}
+    inputs[angle] = list(value.values) if isinstance(value, InTurn) else value
+    inputs["momenta" if momentum_name(first) == "p" else "pt"] = [momentum_of(order) for order in scans[0].orders]
     if simulated:
         inputs["events"] = simulated[0].orders[0].n_events
     methods = {scan.method for scan in scans}
@@ -87,7 +92,7 @@ def summary_of(scans: Sequence[AnyScan]) -> dict[str, Any]:
         "seed": scans[0].seed,
         "timings": {"total_s": sum(scan.seconds for scan in scans)},
         "removed": {label: dict(counts) for scan in scans for label, counts in scan.removed.items()},
-        "curves": [line.as_json() for scan in scans for line in scan.lines],
+        "curves": [line.as_json() for scan in scans for line in scan.all_lines],
         "fits": [fit.as_json() for scan in scans for fit in scan.fits],
     }
 
@@ -100,8 +105,8 @@ def save_scans(
     Parameters
     ----------
     scans : sequence of Scan or AnalyticScan
-        Same gun and momenta; detectors of distinct names, each with one scan of a method. Of several detectors, each
-        is written to a file of its own, ``detector-1-NAME.toml``.
+        Same angles and momenta; each detector and particle with one scan of a method, detectors of distinct names. Of
+        several detectors, each is written to a file of its own, ``detector-1-NAME.toml``.
     folder : path
     overwrite : bool
     command : str
@@ -112,7 +117,7 @@ def save_scans(
     OutputExistsError
         If the folder holds files and `overwrite` is false.
     """
-    from cgemit.draw.curves import draw_resolutions
+    from cgemit.draw.scans import resolutions
 
     detectors = _detectors(scans)
     with new_folder(folder, overwrite=overwrite) as place:
@@ -120,9 +125,7 @@ def save_scans(
         for number, (name, detector) in enumerate(detectors.items(), start=1):
             which = f"-{number}-" + re.sub(r"[^\w.-]+", "-", name)[:60] if len(detectors) > 1 else ""
             (place / f"detector{which}.toml").write_text(detector.to_toml(), encoding="utf-8")
-        labels = ("σ(d_ρ)", "σ(d_z)", "σ(p)")
-        panels = list(zip(labels, zip(*(scan.lines for scan in scans), strict=True), strict=True))
-        draw_resolutions(panels, "p").save(place / "resolution")
+        resolutions(scans).save(place / "resolution")
         write_record(_record(scans, command), place)
         (place / SUMMARY).write_text(json.dumps(summary_of(scans), indent=2) + "\n", encoding="utf-8")
     return Path(folder)
@@ -131,17 +134,32 @@ def save_scans(
 def columns_of(scans: Sequence[AnyScan]) -> dict[str, list[Any]]:
     """Return the columns of the CSV table; cells are empty where a method has no such number.
 
+    Simulated scans beside one of another detector and the same particle have columns of the differences to the first.
+
     Parameters
     ----------
     scans : sequence of Scan or AnalyticScan
     """
-    tables = [scan.columns() for scan in scans]
+    pairs = [(scan, base_of(scan, scans)) for scan in scans]
+    tables = [
+        scan.columns() | ({} if base is None else difference_columns(scan.orders, base.orders))  # type: ignore[arg-type]
+        for scan, base in pairs
+    ]
     names = dict.fromkeys(name for table in tables for name in table)
     sizes = [len(next(iter(table.values()))) for table in tables]
     return {
         name: [cell for table, size in zip(tables, sizes, strict=True) for cell in table.get(name, [""] * size)]
         for name in names
     }
+
+
+def base_of(scan: AnyScan, scans: Sequence[AnyScan]) -> AnyScan | None:
+    """Return the simulated scan of the first detector with the same particle and events; None for itself."""
+    if scan.method != "mc":
+        return None
+    particle = scan.orders[0].gun.particle
+    first = next(one for one in scans if one.method == "mc" and one.orders[0].gun.particle == particle)
+    return None if first is scan else first
 
 
 def fits_text(scans: Sequence[AnyScan]) -> str:

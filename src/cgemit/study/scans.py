@@ -6,6 +6,7 @@ import os
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from html import escape
 from pathlib import Path
 from typing import Any, ClassVar
@@ -14,25 +15,30 @@ import numpy as np
 import numpy.typing as npt
 
 from cgemit.detector import Detector, load
-from cgemit.fit import FitStatus
 from cgemit.result import Settings, hits_text
 from cgemit.statistics.curves import Line
-from cgemit.statistics.estimate import Resolution, measure
-from cgemit.statistics.formatting import html_table, text_table, with_error
+from cgemit.statistics.estimate import Resolution
+from cgemit.statistics.formatting import Tabular, html_table, text_table, with_error
 from cgemit.statistics.forms import FORMS, FormFit, fit_form
 from cgemit.statistics.resolutions import QUOTED, pulls, resolution, resolution_against
+from cgemit.study.quantities import QUANTITIES, median_error, width
 from cgemit.study.samples import (
     Sample,
     ShowProgress,
+    cosines_of,
     decayed,
     fitted,
+    gun_arguments,
     hardly_fitted,
+    momentum_name,
     momentum_of,
     momentum_orders,
     run_samples,
+    transverse,
     why_unfitted,
-)  # fmt: skip
+)
 from cgemit.study.scan_files import save_scans, summary_of
+from cgemit.study.scan_table import angle_text, counts_text, scan_columns, shot_text
 from cgemit.tables import Table
 from cgemit.values import check_numbers
 
@@ -49,6 +55,12 @@ def momentum_line(samples: Sequence[Sample], parameter: str) -> Line:
 def pull_line(samples: Sequence[Sample], parameter: str) -> Line:
     """Return the core width of a parameter's pull against momentum (GeV/c)."""
     return _line(samples, f"pull_{parameter}", [pulls(s.tracks)[parameter] for s in samples], "")
+
+
+def quantity_line(samples: Sequence[Sample], quantity: str) -> Line:
+    """Return the core resolution of one of `QUANTITIES` against momentum (GeV/c)."""
+    widths = [width(s.tracks, quantity) for s in samples]
+    return _line(samples, f"sigma_{quantity}", widths, QUANTITIES[quantity][0])
 
 
 def _line(samples: Sequence[Sample], name: str, widths: Sequence[Resolution], unit: str) -> Line:
@@ -69,33 +81,8 @@ def angle_lines(tracks: Table, detector: str, parameter: str, edges: npt.ArrayLi
     return lines[0], lines[1]
 
 
-def scan_columns(samples: Sequence[Sample]) -> dict[str, list[Any]]:
-    """Return the widths of all quoted parameters for each momentum: the columns of the CSV table."""
-    columns: dict[str, list[Any]] = {
-        "detector": [s.detector.name for s in samples],
-        "p (GeV/c)": [momentum_of(s) for s in samples],
-        "method": ["mc"] * len(samples),
-        "events": [s.n_events for s in samples],
-    }
-    for name in QUOTED_PARAMETERS:
-        widths = [resolution(s.tracks, name) for s in samples]
-        unit = QUOTED[name][0]
-        for what in ("core", "q68", "rms"):
-            columns[f"{what}_{name} ({unit})"] = [getattr(w, what) for w in widths]
-            columns[f"{what}_{name}_error ({unit})"] = [getattr(w, f"{what}_error") for w in widths]
-        columns[f"tail_{name}"] = [w.tail for w in widths]
-    columns["decayed"] = [decayed(s) for s in samples]
-    columns["fitted"] = [fitted(s) for s in samples]
-    columns["not fitted"] = [_counts_text(s.removed) for s in samples]
-    return columns
-
-
-def _counts_text(counts: Mapping[str, int]) -> str:
-    return "; ".join(f"{number} {name}" for name, number in counts.items()) or "none"
-
-
 @dataclass(frozen=True, eq=False, repr=False)
-class Scan:
+class Scan(Tabular):
     """Resolutions of one detector against momentum.
 
     Attributes
@@ -114,9 +101,20 @@ class Scan:
     method: ClassVar[str] = "mc"
 
     @property
+    def angle(self) -> str:
+        """Polar angle of the tracks, as text."""
+        return angle_text(self.samples[0])
+
+    @property
     def lines(self) -> list[Line]:
         """Core resolutions of d_rho, d_z and p against momentum."""
-        return [replace(momentum_line(self.samples, name), method=self.method) for name in QUOTED_PARAMETERS]
+        return [line for line in self.all_lines if line.id.removeprefix("sigma_") in QUOTED_PARAMETERS]
+
+    @cached_property
+    def all_lines(self) -> list[Line]:
+        """Core resolutions of all quantities against momentum, or transverse momentum."""
+        about: dict[str, Any] = {"method": self.method, "particle": str(self.samples[0].gun.particle)}
+        return [replace(quantity_line(self.samples, name), **about) for name in QUANTITIES]
 
     @property
     def detector(self) -> Detector:
@@ -140,14 +138,16 @@ class Scan:
 
     @property
     def fits(self) -> list[FormFit]:
-        """The usual forms, fitted to the resolutions; none with fewer than three momenta."""
-        gun = self.samples[0].gun
-        how: dict[str, Any] = {"particle": gun.particle, "cos_theta": gun.cos_theta}
+        """The usual forms, fitted to the resolutions; none with fewer than three momenta, or against pT."""
+        first = self.samples[0]
+        if transverse(first):
+            return []
+        how: dict[str, Any] = {"particle": first.gun.particle, "cos_theta": cosines_of(first)}
         how |= {"detector": self.detector.name, "method": self.method}
         p = [momentum_of(s) for s in self.samples]
         found = []
         for name in FORMS:
-            widths = [_relative_pt(s) if name == "pt" else resolution(s.tracks, name) for s in self.samples]
+            widths = [width(s.tracks, "pt_rel" if name == "pt" else name) for s in self.samples]
             core, error = ([getattr(w, what) for w in widths] for what in ("core", "core_error"))
             found.append(fit_form(name, p, core, error, **how))
         return [one for one in found if one is not None]
@@ -180,16 +180,25 @@ class Scan:
         return save_scans([self], folder, overwrite=overwrite)
 
     def _rows(self) -> list[list[str]]:
-        pairs = [zip(line.y, line.y_error, strict=True) for line in self.lines]
-        cells = [[with_error(*pair) for pair in column] for column in pairs]
-        ends = [[f"{decayed(s)}", f"{fitted(s)}/{s.n_events}", _counts_text(s.removed)] for s in self.samples]
-        momenta = [f"{momentum_of(s):g}" for s in self.samples]
-        return [[p, *row, *end] for p, row, end in zip(momenta, zip(*cells, strict=True), ends, strict=True)]
+        widths = {name: quantity_line(self.samples, name) for name in QUOTED_PARAMETERS}
+        rows = []
+        for i, sample in enumerate(self.samples):
+            cells = [
+                cell
+                for name, line in widths.items()
+                for cell in (with_error(line.y[i], line.y_error[i]), f"{median_error(sample.tracks, name):.4g}")
+            ]
+            end = [f"{decayed(sample)}", f"{fitted(sample)}/{sample.n_events}", counts_text(sample.removed)]
+            rows.append([f"{momentum_of(sample):g}", *cells, *end])
+        return rows
 
     def _title(self) -> str:
         first = self.samples[0]
-        shot = f"{first.gun.particle}, cos(theta) {first.gun.cos_theta}"
-        return f"{first.detector.name}, {shot}: core widths; hits {hits_text(first.tracks)}"
+        shot = f"{first.detector.name}, {shot_text(first)}"
+        return f"{shot}: core widths, and medians of the fit's own errors; hits {hits_text(first.tracks)}"
+
+    def _head(self) -> tuple[str, ...]:
+        return (f"{momentum_name(self.samples[0])} [GeV/c]", *_HEAD)
 
     def note(self) -> str:
         """Return how the tracks ended where hardly any was fitted; empty if there are enough everywhere."""
@@ -198,30 +207,28 @@ class Scan:
         return f"at {momenta} GeV/c: {why_unfitted(few)}" if few else ""
 
     def __repr__(self) -> str:
-        return "\n".join([text_table(self._title(), _HEAD, self._rows()), *filter(None, [self.note()])])
+        return "\n".join([text_table(self._title(), self._head(), self._rows()), *filter(None, [self.note()])])
 
     def _repr_html_(self) -> str:
-        return html_table(self._title(), _HEAD, self._rows()) + (
+        return html_table(self._title(), self._head(), self._rows()) + (
             f"<p>{escape(note)}</p>" if (note := self.note()) else ""
         )
 
 
-def _relative_pt(sample: Sample) -> Resolution:
-    """Return the widths of fitted over true pT, minus 1, in %."""
-    tracks = sample.tracks
-    rows = tracks["status"] == FitStatus.ok
-    return measure(100 * (np.abs(tracks["truth_kappa"][rows] / tracks["kappa"][rows]) - 1), parameter="pt", unit="%")
-
-
-_HEAD = ("p [GeV/c]", "sigma(d_rho) [um]", "sigma(d_z) [mm]", "sigma(p) [MeV/c]", "decayed", "fitted", "not fitted")
+_HEAD = (
+    *("sigma(d_rho) [um]", "median error", "sigma(d_z) [mm]", "median error", "sigma(p) [MeV/c]", "median error"),
+    *("decayed", "fitted", "not fitted"),
+)
 
 
 def scan(
     detector: Detector | str | Mapping[str, Any],
-    momenta: Sequence[float],
+    momenta: Sequence[float] | None = None,
     *,
+    pt: Sequence[float] | None = None,
     particle: str | int = "mu-",
-    cos_theta: float | tuple[float, float] | list[float] = (-0.93, 0.93),
+    cos_theta: float | tuple[float, float] | list[float] | None = None,
+    theta: Any = None,
     events: int = 5000,
     seed: int = 1,
     settings: Settings | None = None,
@@ -233,12 +240,13 @@ def scan(
     Parameters
     ----------
     detector : Detector, or what `load` accepts
-    momenta : sequence of float
-        GeV/c.
+    momenta, pt : sequence of float, GeV/c
+        Momenta or transverse momenta: one of them.
     particle : str or int
         Name or number of the Particle Data Group.
-    cos_theta : float, or (float, float)
-        Cosine of the polar angle: fixed, or the limits of a uniform range.
+    cos_theta, theta : float, (float, float) or list of float
+        Cosine of the polar angle, or the angle in rad or with a unit: fixed, the limits of a uniform range, or values
+        in turn. Default: cos(theta) uniform in (-0.93, 0.93).
     events : int
         For each momentum.
     seed : int
@@ -256,18 +264,22 @@ def scan(
     """
     start = time.perf_counter()
     check_numbers("scan", seed, threads, events=(events, 1, 2**31 - 1))
-    gun: dict[str, Any] = {"particle": particle, "cos_theta": cos_theta}
-    orders = momentum_orders(load(detector), momenta, **gun, events=events, seed=seed, settings=settings)
+    gun = gun_arguments(momenta, pt, particle, cos_theta, theta)
+    orders = momentum_orders(load(detector), **gun, events=events, seed=seed, settings=settings)
     samples = run_samples(orders, threads=threads, progress=progress)
     return Scan(tuple(samples), seed, time.perf_counter() - start)
 
 
 def scan_detectors(
-    detectors: Sequence[Detector], momenta: Sequence[float], *, progress: ShowProgress | None = None, **how: Any
+    detectors: Sequence[Detector], particles: Sequence[str | int], *, progress: ShowProgress | None = None, **how: Any
 ) -> list[Scan]:
-    """Run `scan` for each detector, with its other arguments; the particles are the same for all."""
+    """Run `scan` for each particle and detector, with its other arguments; all detectors see the same particles."""
+    pairs = [(particle, detector) for particle in particles for detector in detectors]
 
     def part(number: int) -> ShowProgress | None:
-        return progress and (lambda done, label: progress((number + done) / len(detectors), label))
+        return progress and (lambda done, label: progress((number + done) / len(pairs), label))
 
-    return [scan(detector, momenta, progress=part(number), **how) for number, detector in enumerate(detectors)]
+    return [
+        scan(detector, particle=particle, progress=part(number), **how)
+        for number, (particle, detector) in enumerate(pairs)
+    ]

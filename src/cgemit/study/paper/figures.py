@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from cgemit.draw import chain_diagram, cluster, curves, event
+from cgemit.draw import chain_diagram, cluster, curves, display
 from cgemit.draw.style import COLORS, Picture, new_picture, style
 from cgemit.result import Result
 from cgemit.statistics.chi2 import chi2_probability
-from cgemit.statistics.curves import SYMBOLS, Line, track_spectrum
+from cgemit.statistics.curves import SYMBOLS, Line, Spectrum, track_spectrum
 from cgemit.statistics.estimate import Resolution
 from cgemit.statistics.formatting import with_error, write_csv
 from cgemit.statistics.resolutions import pulls
@@ -19,7 +20,8 @@ from cgemit.study.cluster_residuals import X_WINDOWS, ClusterResiduals, v_spectr
 from cgemit.study.paper.published import FIGURES, paper_values
 from cgemit.study.paper.reproduction import Reproduction
 from cgemit.study.samples import ShowProgress
-from cgemit.study.scans import QUOTED_PARAMETERS, angle_lines, momentum_line, pull_line, scan_columns
+from cgemit.study.scan_table import scan_columns
+from cgemit.study.scans import QUOTED_PARAMETERS, angle_lines, momentum_line, pull_line
 
 _ANGLE_BINS = 10
 _TAIL_REACH = 8000.0  # um
@@ -47,7 +49,9 @@ def _makers(study: Reproduction) -> dict[str, Callable[[Path], Picture]]:
         "layer": lambda path: cluster.draw_projection(study.display, number),
         "chain": lambda path: chain_diagram.draw_chain(),
         "cluster": lambda path: cluster.draw_cluster(study.display, number),
-        "residuals": lambda path: _cluster_residuals(study, path),
+        "x_residual": lambda path: _x_residual(study, path),
+        "x_tails": lambda path: _x_tails(study, path),
+        "v_residual": lambda path: _v_residual(study, path),
         "dr_dz": lambda path: _track_residuals(study, path, ("dr", "dz")),
         "dr_dz_p": lambda path: _against_momentum(study, path, ("dr", "dz")),
         "p": lambda path: _track_residuals(study, path, ("p",)),
@@ -56,7 +60,7 @@ def _makers(study: Reproduction) -> dict[str, Callable[[Path], Picture]]:
         "pulls_p": lambda path: _pulls_against_momentum(study, path),
         "cos_theta": lambda path: _against_angle(study, path),
         "chi2": lambda path: _probabilities(study, path),
-        "event": lambda path: event.draw_event(study.display, number),
+        "event": lambda path: display.event(study.display, number),
     }
 
 
@@ -74,19 +78,30 @@ def good_event(result: Result, layer: int = 0) -> int:
     return int(first + np.argmin(distance))
 
 
-def _cluster_residuals(study: Reproduction, path: Path) -> Picture:
+def _x_residual(study: Reproduction, path: Path) -> Picture:
+    spectrum = x_spectrum(study.samples["cgem"].clusters)
+    return _residual(path, spectrum, lambda axes: curves.draw_parts(axes, spectrum, _PARTS, "X clusters"))
+
+
+def _x_tails(study: Reproduction, path: Path) -> Picture:
     residuals = study.samples["cgem"].clusters
-    x, v = x_spectrum(residuals), v_spectrum(residuals)
-    tails = x_spectrum(residuals, _TAIL_REACH, 160)
-    write_csv(path.with_name("figure4_x_residual.csv"), x.columns())
-    write_csv(path.with_name("figure4_x_tails.csv"), tails.columns())
-    write_csv(path.with_name("figure4_v_residual.csv"), v.columns())
+    spectrum, windows = x_spectrum(residuals, _TAIL_REACH, 160), _windows(residuals)
+    title = "X clusters, tails"
+    return _residual(path, spectrum, lambda axes: curves.draw_tails(axes, spectrum, _PARTS, windows, title))
+
+
+def _v_residual(study: Reproduction, path: Path) -> Picture:
+    spectrum = v_spectrum(study.samples["cgem"].clusters)
+    return _residual(path, spectrum, lambda axes: curves.draw_spectrum(axes, spectrum, "V clusters"))
+
+
+def _residual(path: Path, spectrum: Spectrum, draw: Callable[[Any], None]) -> Picture:
+    """Write the table of a spectrum of cluster residuals and return its picture."""
+    write_csv(_table(path), spectrum.columns())
     with style():
-        picture, axes = new_picture(1, 3, (17.4, 4.8))
-        curves.draw_parts(axes[0], x, _PARTS, "X clusters")
-        curves.draw_tails(axes[1], tails, _PARTS, _windows(residuals), "X clusters, tails")
-        curves.draw_spectrum(axes[2], v, "V clusters")
-        picture.subplots_adjust(left=0.045, right=0.99, top=0.93, bottom=0.12, wspace=0.2)
+        picture, (axes,) = new_picture(1, 1, (7.4, 4.8))
+        draw(axes)
+        picture.subplots_adjust(left=0.11, right=0.98, top=0.93, bottom=0.12)
     return picture
 
 

@@ -12,7 +12,7 @@ from cgemit.statistics.estimate import HEAD
 from cgemit.statistics.formatting import shown, with_error
 from cgemit.statistics.resolutions import pulls
 from cgemit.study.cluster_residuals import X_WINDOWS, geant4_runs, x_beyond
-from cgemit.study.paper.published import FIGURES, Group, paper_values
+from cgemit.study.paper.published import FIGURES, Group, PaperFigure, paper_values
 from cgemit.study.paper.reproduction import Reproduction
 from cgemit.study.report import Code, Image, Note, Part, Section, TableOf, html_report
 from cgemit.study.samples import Sample
@@ -53,7 +53,14 @@ def paper_report(study: Reproduction, folder: Path) -> str:
 
 
 def _images(folder: Path, group: Group) -> list[Part]:
-    return [Image(folder / f"{f.name}.png", f.title, f.caption) for f in FIGURES.values() if f.group == group]
+    figures = [figure for figure in FIGURES.values() if figure.group == group]
+    return [Image(folder / f"{f.name}.png", f.title, f.caption, _files(folder, f)) for f in figures]
+
+
+def _files(folder: Path, figure: PaperFigure) -> list[str]:
+    """Return the names of the PDF of a figure and of the tables behind it."""
+    tables = [path.name for pattern in figure.tables for path in sorted(folder.glob(pattern))]
+    return [f"{figure.name}.pdf", *tables]
 
 
 def _comparison(study: Reproduction) -> TableOf:

@@ -10,7 +10,7 @@ from typing import Any
 from cgemit.record import versions
 from cgemit.result import Result, Settings, hits_text
 from cgemit.statistics.curves import Line
-from cgemit.statistics.formatting import html_table, text_table, with_error
+from cgemit.statistics.formatting import Tabular, html_table, text_table, with_error
 from cgemit.study.paper.published import paper_values
 from cgemit.study.samples import Sample
 
@@ -74,7 +74,7 @@ class Inputs:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Reproduction:
+class Reproduction(Tabular):
     """The paper's numbers beside ours.
 
     Attributes
@@ -115,6 +115,9 @@ class Reproduction:
     def __hash__(self) -> int:
         return hash(self.results)
 
+    def _ipython_key_completions_(self) -> list[str]:
+        return [row.id for row in self.results]
+
     def __getitem__(self, name: str) -> Row:
         """Return a result by its id.
 
@@ -152,6 +155,11 @@ class Reproduction:
             "results": [row.as_json() for row in self.results],
             "curves": [line.as_json() for line in self.curves],
         }  # fmt: skip
+
+    def columns(self) -> dict[str, list[Any]]:
+        """Return the paper's numbers and ours as columns, one row for each quantity."""
+        rows = [row.as_json() for row in self.results]
+        return {name: [row[name] for row in rows] for name in rows[0]}
 
     def _rows(self) -> list[list[str]]:
         return [

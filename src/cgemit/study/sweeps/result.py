@@ -20,6 +20,7 @@ from cgemit.record import versions
 from cgemit.statistics.formatting import html_table, text_table, write_csv
 from cgemit.study.sweeps.evaluate import Evaluation, column, error_of_difference
 from cgemit.study.sweeps.space import Space, split_quantity
+from cgemit.tables.frames import data_frame
 from cgemit.units import NATIVE, format_quantity
 from cgemit.version import PHYSICS
 
@@ -86,6 +87,9 @@ class Sweep:
     def __len__(self) -> int:
         return len(self.columns["variant"])
 
+    def _ipython_key_completions_(self) -> list[str]:
+        return list(self.columns)
+
     def __getitem__(self, name: str) -> Any:
         return np.array(self.columns[name])
 
@@ -101,9 +105,7 @@ class Sweep:
 
     def to_pandas(self) -> Any:
         """Return the table as a `pandas.DataFrame`."""
-        import pandas
-
-        return pandas.DataFrame(self.columns)
+        return data_frame(self.columns)
 
     def to_xarray(self) -> Any:
         """Return the results of a grid as an `xarray.Dataset` with one dimension for each key, momentum and angle.

@@ -1,0 +1,62 @@
+"""`cgemit display`: one event as a picture, and as a page that turns in three dimensions."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+
+from cgemit.cli import changes, common, read
+from cgemit.cli.simulate import add_gun, gun_of
+
+_DESCRIPTION = """\
+Draw one event: the detector, true crossings, clusters, ghosts (XV clusters of different crossings), drift circles,
+fired strips on the unrolled anodes, and the fitted tracks. event.png and event.pdf go to the folder, with --html also
+event.html, which turns in three dimensions and needs no network (extra [notebook])."""
+
+_EXAMPLES = """\
+Options of the gun are those of `cgemit simulate`. Event N is event N of a run with the same options and seed.
+
+examples:
+  cgemit display -d besiii-cgem --p 1 --cos-theta -0.93:0.93 -o event
+  cgemit display -d besiii-cgem --particle pi- --p 0.1 --cos-theta 0.2 --event 3 --html -o slow"""
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the sub-command."""
+    parser = subparsers.add_parser(
+        "display", help="draw one event", description=_DESCRIPTION, epilog=_EXAMPLES,
+        formatter_class=common.HelpFormatter,
+    )  # fmt: skip
+    common.add_detector(parser)
+    add_gun(parser)
+    parser.add_argument("--event", type=read.event, default=0, metavar="N", help="number of the event (default 0)")
+    parser.add_argument("--html", action="store_true", help="also write event.html, in three dimensions")
+    common.add_output(parser)
+    changes.add_hypothesis(parser)
+    changes.add_physics(parser)
+    common.add_seed(parser)
+    common.add_common(parser)
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Simulate the event and draw it."""
+    from cgemit import chain
+    from cgemit.draw.display import event
+    from cgemit.draw.display3d import event_3d, save_page
+    from cgemit.gun import generate
+    from cgemit.io.folders import check_free, new_folder
+
+    check_free(arguments.output, overwrite=arguments.overwrite)
+    (detector,), settings = common.load_inputs(arguments, one_track=True)
+    particles = generate(gun_of(arguments), 1, arguments.seed, arguments.event)
+    result = chain.run(detector, particles, seed=arguments.seed, settings=settings, threads=1)
+    figure = event_3d(result, arguments.event) if arguments.html else None
+    with new_folder(arguments.output, overwrite=arguments.overwrite) as folder:
+        event(result, arguments.event).save(folder / "event")
+        if figure is not None:
+            save_page(figure, folder / "event.html", overwrite=True)
+    print(result)
+    if not arguments.quiet:
+        print(f"event: {arguments.output}/event.{'html' if arguments.html else 'png'}", file=sys.stderr)
+    return 0
