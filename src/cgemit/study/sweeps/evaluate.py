@@ -12,7 +12,7 @@ from typing import Any, Literal
 import numpy as np
 
 from cgemit import chain
-from cgemit.covariance import analytic
+from cgemit.covariance import Covariance, analytic
 from cgemit.detector import Detector
 from cgemit.fit import FitStatus
 from cgemit.gun import Gun
@@ -110,24 +110,33 @@ def column(name: str, quantity: str) -> str:
     return f"{name} ({QUANTITIES[quantity][0]})"
 
 
+def analytic_arguments(evaluation: Evaluation) -> dict[str, Any]:
+    """Return the arguments of `analytic` beside detector, particle, momenta and angle."""
+    settings = evaluation.settings or Settings()
+    return {
+        "readout": settings.digitize.readout, "reveal_sides": settings.digitize.reveal_sides,
+        "fit": chain.fit_settings(settings), "threads": 1, "samples": evaluation.samples,
+    }  # fmt: skip
+
+
+def covariances(detector: Detector, evaluation: Evaluation) -> list[Covariance]:
+    """Return the covariances at all momenta for each cos(theta)."""
+    how, p = analytic_arguments(evaluation), np.array(evaluation.p, np.float64)
+    return [analytic(detector, evaluation.particle, p, one, **how) for one in evaluation.cos_theta]
+
+
 def analytic_points(detector: Detector, evaluation: Evaluation) -> list[dict[str, Any]]:
     """Return the core resolutions of every point from the covariance, without events.
 
     `reached` is the fraction of tracks with a covariance; `tracks` says how most of the others ended.
     """
-    settings = evaluation.settings or Settings()
-    how: dict[str, Any] = {
-        "readout": settings.digitize.readout, "reveal_sides": settings.digitize.reveal_sides,
-        "fit": chain.fit_settings(settings), "threads": 1, "samples": evaluation.samples,
-    }  # fmt: skip
-    p = np.array(evaluation.p, np.float64)
-    found = [analytic(detector, evaluation.particle, p, one, **how) for one in evaluation.cos_theta]
+    found = covariances(detector, evaluation)
     columns = {column(f"sigma_{name}", name): (name, QUANTITIES[name][1]) for name in evaluation.quantities}
     sigmas = [{header: scale * one.sigma(name) for header, (name, scale) in columns.items()} for one in found]
     return [
         {header: float(values[i]) for header, values in sigma.items()}
         | {"reached": float(one.reached[i]), "tracks": FitStatus(int(one.status[i])).name}
-        for i in range(len(p))
+        for i in range(len(evaluation.p))
         for sigma, one in zip(sigmas, found, strict=True)
     ]
 
