@@ -6,6 +6,7 @@ from cgemit.statistics.forms import FormFit, fit_form
 from cgemit.statistics.resolutions import Curve, Pulls, pulls, resolution, resolution_against
 from cgemit.study.analytic_scan import AnalyticScan, scan_analytic
 from cgemit.study.cluster_residuals import DeltaFractions, delta_displacements, delta_fractions
+from cgemit.study.optimizer import Background, Confirmation, Optimization, OptimizeError, optimize
 from cgemit.study.paper import Reproduction, reproduce
 from cgemit.study.robustness import Outcome, run_scenario
 from cgemit.study.scans import Scan, scan
@@ -15,11 +16,15 @@ from cgemit.study.sweeps import Space, Sweep, grid, latin_hypercube, sobol, swee
 __all__ = [
     "SCENARIOS",
     "AnalyticScan",
+    "Background",
+    "Confirmation",
     "Curve",
     "DeltaFractions",
     "Flatness",
     "FormFit",
     "GaussianFit",
+    "Optimization",
+    "OptimizeError",
     "Outcome",
     "Pulls",
     "Reproduction",
@@ -37,6 +42,7 @@ __all__ = [
     "grid",
     "latin_hypercube",
     "measure",
+    "optimize",
     "pulls",
     "reproduce",
     "resolution",

@@ -7,6 +7,7 @@ import inspect
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
@@ -90,6 +91,15 @@ class Evaluation:
         angles = [_text(one) if as_text else float(one) for one in self.cos_theta]  # type: ignore[arg-type]
         return [{"p (GeV/c)": float(p), "cos_theta": one} for p in self.p for one in angles]
 
+    @cached_property
+    def arguments(self) -> dict[str, Any]:
+        """Arguments of `analytic` beside detector, particle, momenta and angle."""
+        settings = self.settings or Settings()
+        return {
+            "readout": settings.digitize.readout, "reveal_sides": settings.digitize.reveal_sides,
+            "fit": chain.fit_settings(settings), "threads": 1, "samples": self.samples,
+        }  # fmt: skip
+
     def __call__(self, detector: Detector) -> dict[str, Any]:
         """Return the numbers of every point, and of "mc" what errors of differences follow from."""
         if self.function is not None:
@@ -110,19 +120,10 @@ def column(name: str, quantity: str) -> str:
     return f"{name} ({QUANTITIES[quantity][0]})"
 
 
-def analytic_arguments(evaluation: Evaluation) -> dict[str, Any]:
-    """Return the arguments of `analytic` beside detector, particle, momenta and angle."""
-    settings = evaluation.settings or Settings()
-    return {
-        "readout": settings.digitize.readout, "reveal_sides": settings.digitize.reveal_sides,
-        "fit": chain.fit_settings(settings), "threads": 1, "samples": evaluation.samples,
-    }  # fmt: skip
-
-
 def covariances(detector: Detector, evaluation: Evaluation) -> list[Covariance]:
     """Return the covariances at all momenta for each cos(theta)."""
-    how, p = analytic_arguments(evaluation), np.array(evaluation.p, np.float64)
-    return [analytic(detector, evaluation.particle, p, one, **how) for one in evaluation.cos_theta]
+    p = np.array(evaluation.p, np.float64)
+    return [analytic(detector, evaluation.particle, p, one, **evaluation.arguments) for one in evaluation.cos_theta]
 
 
 def analytic_points(detector: Detector, evaluation: Evaluation) -> list[dict[str, Any]]:
