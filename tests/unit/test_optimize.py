@@ -82,13 +82,14 @@ def test_gradients_are_the_slopes_of_what_is_minimized() -> None:
     slopes = np.array([descent.slope(u), *(descent.margin_slopes(u)[:3])])
     scale = np.abs(slopes).max(axis=1)
     errors = []
-    for step in (0.04, 0.02):  # Taylor: the error of central differences falls with the square of the step
+    for step in (0.02, 0.01):  # Taylor: the error of central differences falls with the square of the step
         moved = step * np.eye(len(u))
         up, down = (np.array([[descent.value(u + s * one), *descent.margins(u + s * one)[:3]] for one in moved])
                     for s in (1, -1))  # fmt: skip
         errors.append(np.abs((up - down).T / (2 * step) - slopes).max(axis=1) / scale)
-    assert (errors[0] < 0.02).all()
-    assert (errors[1] < np.maximum(errors[0] / 3, 1e-4)).all()
+    # d_z oscillates with the pitch of the V strips, so that its second differences are large.
+    assert (errors[0] < [2e-3, 0.2, 2e-3, 1e-6]).all()
+    assert (errors[1] < np.maximum(errors[0] / 3.5, 1e-6)).all()
 
 
 def test_the_free_space_between_parts_is_linear(found: Optimization) -> None:
