@@ -30,7 +30,7 @@ def optuna() -> Any:
         import optuna as module
     except ImportError as error:
         raise MissingPackageError(
-            'several objectives and choices need Optuna 5 or later: pip install "cgemit[opt]"'
+            'expected Optuna 5 or later, which is not installed: pip install "cgemit[opt]"'
         ) from error
     module.logging.set_verbosity(module.logging.WARNING)
     return module

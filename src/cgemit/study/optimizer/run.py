@@ -21,6 +21,7 @@ from cgemit.study.optimizer.evaluator import Design, Evaluator
 from cgemit.study.optimizer.evolution import evolve
 from cgemit.study.optimizer.geometry import Background
 from cgemit.study.optimizer.goals import OCCUPANCY, Goal, Goals, Limit, goal_of, limits_of
+from cgemit.study.optimizer.journal import MissingPackageError, optuna
 from cgemit.study.optimizer.result import Optimization
 from cgemit.study.optimizer.single import Found, search
 from cgemit.study.optimizer.variables import Variable, variables_of
@@ -208,6 +209,10 @@ def _method_problems(method: Any, variables: Sequence[Variable], texts: Any, eva
         hint = did_you_mean(method, known, "; ")
         return [f"method: got {method!r}, expected one of {', '.join(known)}{hint}"]
     if method == "nsga2":
+        try:
+            optuna()
+        except MissingPackageError as error:
+            return [f"method: got 'nsga2', {error}"]
         return []
     problems = [
         f"method: got {method!r} for {one.key}, which is a choice or a whole number; expected 'nsga2'"
