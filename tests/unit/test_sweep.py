@@ -331,9 +331,9 @@ def test_a_plan_is_the_same_call_in_python(plan: Path, tmp_path: Path, capsys: p
     ],
 )
 def test_set_changes_one_value_of_the_plan(plan: Path, change: str, named: dict[str, Any]) -> None:
-    from cgemit.cli.sweep import _changed
+    from cgemit.cli.changes import plan_changes
 
-    before, after = dict(read_plan(plan).arguments), dict(read_plan(plan, _changed([change])).arguments)
+    before, after = dict(read_plan(plan).arguments), dict(read_plan(plan, plan_changes([change])).arguments)
     expected = before | named
     if "space" in named:
         expected["space"] = grid(named["space"])

@@ -39,6 +39,17 @@ def add_set(parser: argparse.ArgumentParser, about: str) -> None:
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", dest="overrides", help=about)
 
 
+def plan_changes(texts: list[str]) -> dict[str, object]:
+    """Return what `--set` changes in a plan, by dotted key."""
+    found: dict[str, object] = {}
+    for text in texts:
+        name, equals, value = (part.strip() for part in text.partition("="))
+        if not equals or not name:
+            raise InputError(f"--set: got {text!r}, expected KEY=VALUE such as evaluate.events=500")
+        found[name] = literal(value)
+    return found
+
+
 def add_settings(parser: argparse.ArgumentParser) -> None:
     """Add `--settings`."""
     parser.add_argument(

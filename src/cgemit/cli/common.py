@@ -26,6 +26,7 @@ COMMANDS = {
     "study": "study",
     "resolution": "resolution",
     "sweep": "sweep",
+    "optimize": "optimize",
     "simulate": "simulate",
     "display": "display",
     "slab": "slab",

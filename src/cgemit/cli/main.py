@@ -31,6 +31,7 @@ examples:
   cgemit study                                       every figure and number of arXiv:1504.02570 in ./cgemit-study
   cgemit resolution -d besiii-cgem --p 0.2:2.0:10 -o curves
   cgemit sweep plan.toml -o pitches                  many variants of a detector, resumable
+  cgemit optimize plan.toml -o best                  the best designs within limits
   cgemit slab "Kapton 300 um + Cu 33 um" --particle pi- --p 0.5
                                                      scattering and energy loss in layers of matter
   cgemit show besiii-cgem                            tables of material and read-out, pictures

@@ -72,7 +72,7 @@ def run(arguments: argparse.Namespace) -> int:
     from cgemit.study.sweeps.plan import read_plan
 
     file, output = _places(arguments)
-    plan = read_plan(file, _changed(arguments.overrides))
+    plan = read_plan(file, changes.plan_changes(arguments.overrides))
     how: dict[str, Any] = {"part": arguments.array_index, "overwrite": arguments.overwrite}
     if arguments.merge is not None:
         how["compute"] = False
@@ -109,17 +109,6 @@ def _places(arguments: argparse.Namespace) -> tuple[str, str]:
     if arguments.merge is None:
         return arguments.plan, arguments.output
     return str(Path(arguments.merge) / "plan.toml"), arguments.merge
-
-
-def _changed(texts: list[str]) -> dict[str, object]:
-    """Return what `--set` changes in the plan, by dotted key."""
-    found: dict[str, object] = {}
-    for text in texts:
-        name, equals, value = (part.strip() for part in text.partition("="))
-        if not equals or not name:
-            raise common.InputError(f"--set: got {text!r}, expected KEY=VALUE such as evaluate.events=500")
-        found[name] = changes.literal(value)
-    return found
 
 
 def _report(result: Sweep, draw: Any, output: Path, arguments: argparse.Namespace) -> None:

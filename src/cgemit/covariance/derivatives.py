@@ -140,26 +140,49 @@ def sensitivity(
     for name in quantities:
         base.variances(name)  # refuses an unknown name
     wanted = tuple(keys) if keys is not None else tuple(design_keys(detector))
-    values = np.full((len(wanted), len(quantities), *base.p.shape), np.nan)
+    values, problems = logarithmic_slopes(base, detector, wanted, quantities)
+    return Sensitivity(
+        detector.name, base.particle, base.p, base.cos_theta, wanted, tuple(quantities), values, problems
+    )  # fmt: skip
+
+
+def logarithmic_slopes(
+    base: Covariance, detector: Detector, keys: Sequence[str], quantities: Sequence[str]
+) -> tuple[Floats, dict[str, str]]:
+    """Return d ln(sigma)/d ln(number) of a detector with the hits of `base`, and why some numbers cannot be changed.
+
+    Parameters
+    ----------
+    base : Covariance
+        Of this detector, or of a similar one (see `varied`).
+    detector : Detector
+    keys, quantities : sequence of str
+
+    Returns
+    -------
+    values : (keys, quantities) + shape of the points, float64
+        NaN where the number cannot be changed.
+    problems : dict of str to str
+    """
+    values = np.full((len(keys), len(quantities), *base.p.shape), np.nan)
     problems: dict[str, str] = {}
     stencils: list[tuple[int, _Stencil]] = []
-    for number, key in enumerate(wanted):
+    for number, key in enumerate(keys):
         stencil = _stencil(detector, key)
         if isinstance(stencil, str):
             problems[key] = stencil
         else:
             stencils.append((number, stencil))
     variants = [one for _, stencil in stencils for one in stencil.detectors]
-    found = iter(varied(base, variants))
+    found = iter(varied(base, variants if detector is base.detector else [detector, *variants]))
+    own = base if detector is base.detector else next(found)
     for number, stencil in stencils:
         others = [next(found) for _ in stencil.detectors]
         for column, name in enumerate(quantities):
             logs = [np.log(one.sigma(name)) for one in others]
             total = sum(weight * one for weight, one in zip(stencil.weights, logs, strict=True))
-            values[number, column] = total + stencil.own * np.log(base.sigma(name))
-    return Sensitivity(
-        detector.name, base.particle, base.p, base.cos_theta, wanted, tuple(quantities), values, problems
-    )  # fmt: skip
+            values[number, column] = total + stencil.own * np.log(own.sigma(name))
+    return values, problems
 
 
 def varied(base: Covariance, variants: Sequence[Detector]) -> list[Covariance]:
@@ -220,7 +243,8 @@ def _with_stereo(variant: Detector, base: Detector) -> Detector:
         derived = abs(abs(layer.stereo) - math.atan2((layer.strips_x - 1) * layer.pitch_x, layer.length)) < 1e-12
         if derived and layer.stereo != old.stereo:
             angle = abs(old.stereo) + _diagonal(layer) - _diagonal(old)
-            layer = dataclasses.replace(layer, stereo=math.copysign(angle, old.stereo))
+            # The hits are given: one V strip fits at any angle.
+            layer = dataclasses.replace(layer, stereo=math.copysign(angle, old.stereo), strips_v=1)
         layers.append(layer)
     return dataclasses.replace(variant, cgem=tuple(layers))
 

@@ -19,7 +19,8 @@ Columns = Mapping[str, Sequence[Any]]
 _COLOURS = (COLORS["cgem"], COLORS["idc"], COLORS["truth"], COLORS["single"], COLORS["multi"], COLORS["data"])
 _MARKERS = ("o", "s", "D", "^", "v", "P", "X")
 _MAP = "viridis"
-_GREEK = {"dr": "d_ρ", "dz": "d_z", "pt": r"$p_T$", "phi0": r"$\phi_0$", "theta": "θ", "tanl": "tan λ", "p": "p"}
+#: Symbols of the resolutions of a sweep.
+GREEK = {"dr": "d_ρ", "dz": "d_z", "pt": r"$p_T$", "phi0": r"$\phi_0$", "theta": "θ", "tanl": "tan λ", "p": "p"}
 
 
 def draw_sweep(columns: Columns, parameters: Sequence[str], quantity: str, *, kind: str | None = None) -> Picture:
@@ -60,8 +61,8 @@ def label(header: str) -> str:
     """Return the header of a column as an axis label: ``cgem.L2.pitch_x (um)`` as ``cgem.L2.pitch_x [µm]``."""
     name, bracket, unit = header.partition(" (")
     for before in ("delta_sigma_", "sigma_"):
-        if name.startswith(before) and name.removeprefix(before) in _GREEK:
-            inner = f"σ({_GREEK[name.removeprefix(before)]})"
+        if name.startswith(before) and name.removeprefix(before) in GREEK:
+            inner = f"σ({GREEK[name.removeprefix(before)]})"
             name = mathematical(inner if before == "sigma_" else f"{inner} − base")
     return escaped(name) + (f" [{shown(unit[:-1])}]" if bracket else "")
 
@@ -163,7 +164,7 @@ def _parallel(columns: Columns, parameters: tuple[str, ...], quantity: str, valu
     rows = np.flatnonzero(here & drawn & (np.array(columns["variant"]) > 0))
     names = [*parameters, quantity]
     picture, (axes,) = new_picture(1, 1, (max(6.0, 1.9 * len(names)), 4.6))
-    scaled, ends = zip(*(_unit(columns[name], rows) for name in names), strict=True)
+    scaled, ends = zip(*(unit_scaled(columns[name], rows) for name in names), strict=True)
     shade = Normalize(float(values[rows].min()), float(values[rows].max()))
     colours = mpl.colormaps[_MAP](shade(values[rows]))
     for line, colour in zip(np.array(scaled).T, colours, strict=True):
@@ -181,7 +182,7 @@ def _parallel(columns: Columns, parameters: tuple[str, ...], quantity: str, valu
     return picture
 
 
-def _unit(column: Sequence[Any], rows: Any) -> tuple[Any, tuple[str, str]]:
+def unit_scaled(column: Sequence[Any], rows: Any) -> tuple[Any, tuple[str, str]]:
     """Return a column scaled to 0 to 1, and the texts of its ends; words are counted."""
     chosen = [column[i] for i in rows]
     if not all(isinstance(value, int | float) for value in chosen):

@@ -7,6 +7,7 @@ from cgemit.statistics.resolutions import Curve, pulls, resolution, resolution_a
 from cgemit.statistics.widths import Pulls, Resolutions
 from cgemit.study.analytic_scan import AnalyticScan, scan_analytic
 from cgemit.study.cluster_residuals import DeltaFractions, delta_displacements, delta_fractions
+from cgemit.study.optimizer import Background, Confirmation, Optimization, OptimizeError, optimize
 from cgemit.study.paper import Reproduction, reproduce
 from cgemit.study.robustness import Outcome, run_scenario
 from cgemit.study.scans import Scan, scan
@@ -16,11 +17,15 @@ from cgemit.study.sweeps import Space, Sweep, grid, latin_hypercube, sobol, swee
 __all__ = [
     "SCENARIOS",
     "AnalyticScan",
+    "Background",
+    "Confirmation",
     "Curve",
     "DeltaFractions",
     "Flatness",
     "FormFit",
     "GaussianFit",
+    "Optimization",
+    "OptimizeError",
     "Outcome",
     "Pulls",
     "Reproduction",
@@ -39,6 +44,7 @@ __all__ = [
     "grid",
     "latin_hypercube",
     "measure",
+    "optimize",
     "pulls",
     "reproduce",
     "resolution",

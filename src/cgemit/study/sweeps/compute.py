@@ -9,13 +9,22 @@ from concurrent.futures import Executor, Future, ThreadPoolExecutor, as_complete
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from cgemit.detector import Detector, DetectorError
 from cgemit.study.samples import ShowProgress
 from cgemit.study.sweeps.chunks import address, clean, read_chunk, same_after_writing, write_chunk
-from cgemit.study.sweeps.evaluate import Evaluation
 from cgemit.study.sweeps.space import Changes
+
+
+class Evaluates(Protocol):
+    """What is computed for a detector; it can be pickled."""
+
+    def described(self) -> dict[str, Any]:
+        """Return all that results depend on, beside the detector, as JSON."""
+
+    def __call__(self, detector: Detector) -> dict[str, Any]:
+        """Return the results as JSON."""
 
 
 @dataclass(frozen=True)
@@ -24,7 +33,7 @@ class Task:
 
     detectors: tuple[Detector, ...]
     changes: tuple[Changes, ...]
-    evaluation: Evaluation
+    evaluation: Evaluates
 
     @property
     def address(self) -> str:
@@ -38,7 +47,7 @@ def work(task: Task) -> list[dict[str, Any]]:
     return [_row(*pair, task.evaluation) for pair in zip(task.detectors, task.changes, strict=True)]
 
 
-def _row(base: Detector, changes: Changes, evaluation: Evaluation) -> dict[str, Any]:
+def _row(base: Detector, changes: Changes, evaluation: Evaluates) -> dict[str, Any]:
     try:
         detector = base.with_overrides(dict(changes)) if changes else base
     except DetectorError as error:

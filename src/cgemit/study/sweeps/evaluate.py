@@ -7,12 +7,13 @@ import inspect
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
 
 from cgemit import chain
-from cgemit.covariance import analytic
+from cgemit.covariance import Covariance, analytic
 from cgemit.detector import Detector
 from cgemit.fit import FitStatus
 from cgemit.gun import Gun
@@ -90,6 +91,15 @@ class Evaluation:
         angles = [_text(one) if as_text else float(one) for one in self.cos_theta]  # type: ignore[arg-type]
         return [{"p (GeV/c)": float(p), "cos_theta": one} for p in self.p for one in angles]
 
+    @cached_property
+    def arguments(self) -> dict[str, Any]:
+        """Arguments of `analytic` beside detector, particle, momenta and angle."""
+        settings = self.settings or Settings()
+        return {
+            "readout": settings.digitize.readout, "reveal_sides": settings.digitize.reveal_sides,
+            "fit": chain.fit_settings(settings), "threads": 1, "samples": self.samples,
+        }  # fmt: skip
+
     def __call__(self, detector: Detector) -> dict[str, Any]:
         """Return the numbers of every point, and of "mc" what errors of differences follow from."""
         if self.function is not None:
@@ -110,24 +120,24 @@ def column(name: str, quantity: str) -> str:
     return f"{name} ({QUANTITIES[quantity][0]})"
 
 
+def covariances(detector: Detector, evaluation: Evaluation) -> list[Covariance]:
+    """Return the covariances at all momenta for each cos(theta)."""
+    p = np.array(evaluation.p, np.float64)
+    return [analytic(detector, evaluation.particle, p, one, **evaluation.arguments) for one in evaluation.cos_theta]
+
+
 def analytic_points(detector: Detector, evaluation: Evaluation) -> list[dict[str, Any]]:
     """Return the core resolutions of every point from the covariance, without events.
 
     `reached` is the fraction of tracks with a covariance; `tracks` says how most of the others ended.
     """
-    settings = evaluation.settings or Settings()
-    how: dict[str, Any] = {
-        "readout": settings.digitize.readout, "reveal_sides": settings.digitize.reveal_sides,
-        "fit": chain.fit_settings(settings), "threads": 1, "samples": evaluation.samples,
-    }  # fmt: skip
-    p = np.array(evaluation.p, np.float64)
-    found = [analytic(detector, evaluation.particle, p, one, **how) for one in evaluation.cos_theta]
+    found = covariances(detector, evaluation)
     columns = {column(f"sigma_{name}", name): (name, QUANTITIES[name][1]) for name in evaluation.quantities}
     sigmas = [{header: scale * one.sigma(name) for header, (name, scale) in columns.items()} for one in found]
     return [
         {header: float(values[i]) for header, values in sigma.items()}
         | {"reached": float(one.reached[i]), "tracks": FitStatus(int(one.status[i])).name}
-        for i in range(len(p))
+        for i in range(len(evaluation.p))
         for sigma, one in zip(sigmas, found, strict=True)
     ]
 

@@ -113,14 +113,14 @@ def read_plan(path: str | os.PathLike[str], changes: Mapping[str, Any] | None = 
         raise PlanError(str(path), [f"got {error}; expected a TOML file"]) from error
     problems: list[str] = []
     for key, value in (changes or {}).items():
-        _change(tables, key, value, problems)
+        change_table(tables, key, value, problems)
     _check_keys(tables, problems)
     if problems:
         raise PlanError(str(path), problems)
-    tables = _placed(tables, file.resolve().parent)
+    tables = placed(tables, file.resolve().parent)
     arguments = {"base": tables.get("base"), **_evaluate(tables.get("evaluate", {}), problems)}
     arguments["space"] = _space(tables, problems)
-    arguments["settings"] = _settings(tables.get("settings"), problems)
+    arguments["settings"] = settings_of(tables.get("settings"), problems)
     if not isinstance(arguments["base"], str):
         problems.append(f"base: got {arguments['base']!r}, expected a preset or a detector file")
     if problems:
@@ -128,7 +128,8 @@ def read_plan(path: str | os.PathLike[str], changes: Mapping[str, Any] | None = 
     return Plan(tables, arguments, tables.get("draw", {}))
 
 
-def _change(tables: dict[str, Any], key: str, value: Any, problems: list[str]) -> None:
+def change_table(tables: dict[str, Any], key: str, value: Any, problems: list[str]) -> None:
+    """Replace one value of a plan's tables, by dotted key."""
     first, _, rest = key.partition(".")
     if not rest:
         tables[first] = value
@@ -163,7 +164,7 @@ def _check_keys(tables: Mapping[str, Any], problems: list[str]) -> None:
         problems.append(f"vary, variants: got {given}, expected one of them")
 
 
-def _placed(tables: dict[str, Any], folder: Path) -> dict[str, Any]:
+def placed(tables: dict[str, Any], folder: Path) -> dict[str, Any]:
     """Return the tables with paths of files beside the plan made absolute."""
     found = dict(tables)
     if isinstance(found.get("base"), str) and (folder / found["base"]).is_file():
@@ -180,16 +181,16 @@ def _evaluate(table: Mapping[str, Any], problems: list[str]) -> dict[str, Any]:
     if "method" in table:
         found["evaluate"] = _method(table["method"], problems)
     if "p" in table:
-        found["p"] = _numbers("evaluate.p", table["p"], "momentum", problems)
+        found["p"] = numbers("evaluate.p", table["p"], "momentum", problems)
     if "cos_theta" in table:
-        found["cos_theta"] = _numbers("evaluate.cos_theta", table["cos_theta"], "dimensionless", problems)
+        found["cos_theta"] = numbers("evaluate.cos_theta", table["cos_theta"], "dimensionless", problems)
     return found
 
 
-def _numbers(path: str, given: Any, dimension: str, problems: list[str]) -> Any:
+def numbers(path: str, given: Any, dimension: str, problems: list[str]) -> Any:
     """Return numbers, numbers with units and ranges ``LOW:HIGH`` of a plan as `sweep` takes them."""
     if isinstance(given, list):
-        return [_numbers(f"{path}[{i}]", one, dimension, problems) for i, one in enumerate(given)]
+        return [numbers(f"{path}[{i}]", one, dimension, problems) for i, one in enumerate(given)]
     if not isinstance(given, str):
         return given
     try:
@@ -235,18 +236,20 @@ def _space(tables: Mapping[str, Any], problems: list[str]) -> Space | None:
         if kind not in _SAMPLES:
             problems.append(f"sample.kind: got {kind!r}, expected one of grid, {', '.join(_SAMPLES)}")
             return None
-        ranges = {key: _range(value) for key, value in tables["vary"].items()}
+        ranges = {key: range_of(value) for key, value in tables["vary"].items()}
         return _SAMPLES[kind](ranges, sample.get("n", 0), seed=sample.get("seed", 1))
     except SpaceError as error:
         problems += str(error).split("\n  ")[1:]
     return None
 
 
-def _range(value: Any) -> Any:
+def range_of(value: Any) -> Any:
+    """Return ``{ from, to }`` of a plan as (low, high); other values as they are."""
     return (value["from"], value["to"]) if isinstance(value, Mapping) and value.keys() == {"from", "to"} else value
 
 
-def _settings(table: Mapping[str, Any] | None, problems: list[str]) -> Settings | None:
+def settings_of(table: Mapping[str, Any] | None, problems: list[str]) -> Settings | None:
+    """Return the settings of a plan, None if it has none; every problem is added to `problems`."""
     if table is None:
         return None
     try:

@@ -242,7 +242,7 @@ def _axis(key: str, base: Detector, values: Sequence[Any]) -> tuple[str, list[An
         times, unit = kinds.pop()
         header = f"{key} ({'times' if times == 'x' else 'change in %' if times else unit})".replace(" ()", "")
         neutral = {"x": 1.0, "%": 0.0}
-        first = neutral[times] if times else _own(key, base, unit)
+        first = neutral[times] if times else own_value(key, base, unit)
         return header, [first, *(one[1] for one in parsed if one)]
     return key, [_own_text(key, base), *(_text(value) for value in values)]
 
@@ -256,7 +256,7 @@ def _values(key: str, base: Detector) -> list[tuple[Any, Any]]:
     return [found for path in paths if (found := value_at(base, path)) is not None]
 
 
-def _own(key: str, base: Detector, unit: str) -> float:
+def own_value(key: str, base: Detector, unit: str) -> float:
     """Return the base's value of a key in a unit; NaN if it has none, or several."""
     numbers = {(value, one.kind) for value, one in _values(key, base) if isinstance(value, int | float)}
     if len(numbers) != 1:

@@ -103,7 +103,7 @@ def sweep(
         If the folder holds files that are none of a sweep.
     """
     evaluation = _evaluation(
-        evaluate, particle=particle, p=_listed(p), cos_theta=_listed(cos_theta), events=events, seed=seed,
+        evaluate, particle=particle, p=as_tuple(p), cos_theta=as_tuple(cos_theta), events=events, seed=seed,
         settings=settings, quantities=tuple(quantities), samples=samples,
     )  # fmt: skip
     _check(evaluation, part, chunk)
@@ -112,7 +112,7 @@ def sweep(
     bases = [(start, {}), *_with_bases(start, chosen.variants)]
     size = chunk or CHUNK[evaluation.method]
     tasks = [_task(bases[i : i + size], evaluation) for i in range(0, len(bases), size)]
-    folder = _folder(output, resume=resume, overwrite=overwrite)
+    folder = chunk_folder(output, resume=resume, overwrite=overwrite)
     rows = compute_rows(tasks, folder, executor, part if compute else (0, 0), progress)
     found = [row for task_rows in rows for row in task_rows]
     result = Sweep.joined(chosen, evaluation, [detector for detector, _ in bases], found)
@@ -127,7 +127,7 @@ def _evaluation(evaluate: Any, **how: Any) -> Evaluation:
     return Evaluation(method=method, function=function, **how)
 
 
-def _listed(given: Any) -> tuple[Any, ...]:
+def as_tuple(given: Any) -> tuple[Any, ...]:
     """Return numbers and (low, high) ranges of a list, or a single one, as a tuple."""
     if hasattr(given, "tolist"):
         given = given.tolist()
@@ -143,19 +143,25 @@ def _check(evaluation: Evaluation, part: tuple[int, int] | None, chunk: int | No
     if not evaluation.quantities or set(evaluation.quantities) - QUANTITIES.keys():
         expected = ", ".join(QUANTITIES)
         problems.append(f"quantities: got {', '.join(map(str, evaluation.quantities)) or 'none'}, expected {expected}")
-    if evaluation.samples is not None and not is_whole(evaluation.samples, 1, 2**20):
-        problems.append(f"samples: got {evaluation.samples!r}, expected a whole number from 1 to {2**20}")
     if chunk is not None and not is_whole(chunk, 1, 1_000_000):
         problems.append(f"chunk: got {chunk!r}, expected a whole number from 1 to 1000000")
     if part is not None and not (is_whole(part[1], 1, 1_000_000) and is_whole(part[0], 0, part[1] - 1)):
         problems.append(f"part: got {part!r}, expected (i, n) with i from 0 to n - 1")
-    try:
-        check_numbers("sweep", evaluation.seed, None, events=(evaluation.events, 1, 2**31 - 1))
-    except ValueError as error:
-        problems.append(str(error))
-    problems += _gun_problems(evaluation)
+    problems += number_problems("sweep", evaluation)
     if problems:
         raise ValueError("\n  ".join(["wrong sweep", *dict.fromkeys(problems)]))
+
+
+def number_problems(name: str, evaluation: Evaluation) -> list[str]:
+    """Return what is wrong with samples, events, seed and gun of an evaluation."""
+    problems = []
+    if evaluation.samples is not None and not is_whole(evaluation.samples, 1, 2**20):
+        problems.append(f"samples: got {evaluation.samples!r}, expected a whole number from 1 to {2**20}")
+    try:
+        check_numbers(name, evaluation.seed, None, events=(evaluation.events, 1, 2**31 - 1))
+    except ValueError as error:
+        problems.append(str(error))
+    return problems + _gun_problems(evaluation)
 
 
 def _gun_problems(evaluation: Evaluation) -> list[str]:
@@ -196,7 +202,7 @@ def _task(pairs: Sequence[tuple[Detector, Changes]], evaluation: Evaluation) -> 
     return Task(tuple(detector for detector, _ in pairs), tuple(changes for _, changes in pairs), evaluation)
 
 
-def _folder(output: str | os.PathLike[str] | None, *, resume: bool, overwrite: bool) -> Path | None:
+def chunk_folder(output: str | os.PathLike[str] | None, *, resume: bool, overwrite: bool) -> Path | None:
     """Return the folder of the chunks, made if it is missing; None without an output."""
     if output is None:
         return None

@@ -1,0 +1,109 @@
+"""`cgemit optimize`: the best designs of a detector, from a plan."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cgemit.cli import changes, common, read
+
+if TYPE_CHECKING:
+    from cgemit.study.optimizer import Optimization
+
+_DESCRIPTION = """\
+Find the best variants of a detector, as a plan in TOML says (docs/optimize.md): the best one of one objective, or the
+Pareto front of several. Writes optimize.csv, one row for each design, summary.json, optimum.toml and pictures. The same
+command continues after an interruption."""
+
+_EXAMPLES = """\
+examples:
+  cgemit optimize plan.toml -o best
+  cgemit optimize plan.toml -o best --set search.method=cobyla
+  cgemit optimize plan.toml -o best --processes 2 --confirm 20000     simulated tracks of the base and five designs
+
+a plan:
+  base = "besiii-cgem-design"
+  minimize = "dr @ 0.3 GeV/c"
+  [vary]
+  "cgem.L2.anode_radius" = { from = "105 mm", to = "155 mm" }
+  "cgem.*.pitch_x" = { from = "300 um", to = "1000 um" }
+  [constraints]
+  channels = { max = 10010 }
+  [evaluate]
+  p = [0.3, 1.0]"""
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the sub-command."""
+    parser = subparsers.add_parser(
+        "optimize", help="find the best variants of a detector", description=_DESCRIPTION, epilog=_EXAMPLES,
+        formatter_class=common.HelpFormatter,
+    )  # fmt: skip
+    parser.add_argument("plan", metavar="PLAN", help="what is varied, minimized and limited: a TOML file")
+    parser.add_argument(
+        "-o", "--output", required=True, metavar="DIR", help="folder for the results; designs that it holds are kept"
+    )
+    parser.add_argument("--overwrite", action="store_true", help="compute everything anew")
+    changes.add_set(parser, "change one value of the plan, such as search.calls=50; may be repeated")
+    parser.add_argument(
+        "--confirm", type=read.positive, metavar="N", help="simulate N tracks for the base and up to five best designs"
+    )
+    parser.add_argument("--parquet", action="store_true", help="write optimize.parquet too (needs pyarrow)")
+    parser.add_argument("--json", action="store_true", help="write summary.json to stdout instead of the table")
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument(
+        "--threads", type=read.positive, metavar="N",
+        help="number of threads (default: all cores); results do not depend on it",
+    )  # fmt: skip
+    where.add_argument(
+        "--processes", type=read.positive, metavar="N", help="processes instead of threads, faster for many designs"
+    )
+    common.add_common(parser)
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the optimization."""
+    from cgemit.study.optimizer.plan import read_optimize_plan
+
+    plan = read_optimize_plan(arguments.plan, changes.plan_changes(arguments.overrides))
+    output = Path(arguments.output)
+    with ExitStack() as stack:
+        progress = stack.enter_context(common.Progress("optimize", quiet=arguments.quiet))
+        result = plan.run(
+            output=output, overwrite=arguments.overwrite, progress=progress, executor=_executor(arguments, stack)
+        )
+    plan.write(output)
+    _report(result, output, arguments)
+    return 0
+
+
+def _executor(arguments: argparse.Namespace, stack: ExitStack) -> Any:
+    from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+    from multiprocessing import get_context
+
+    if arguments.processes:
+        return stack.enter_context(ProcessPoolExecutor(arguments.processes, mp_context=get_context("spawn")))
+    return stack.enter_context(ThreadPoolExecutor(arguments.threads)) if arguments.threads else None
+
+
+def _report(result: Optimization, output: Path, arguments: argparse.Namespace) -> None:
+    if not result.front:
+        problems = dict.fromkeys(filter(None, result.columns["problems"]))
+        raise common.RunFailedError("\n  ".join(["no design keeps all limits", *list(problems)[:10]]))
+    if arguments.parquet:
+        result.write_parquet(output / "optimize.parquet", overwrite=True)
+    kinds = ["convergence", *(["front"] if len(result.objectives) > 1 else []), "parallel"]
+    for kind in kinds:
+        result.draw(kind).save(output / kind, overwrite=True)
+    print(json.dumps(result.summary(), indent=2) if arguments.json else result)
+    if arguments.confirm:
+        confirmation = result.confirm(events=arguments.confirm)
+        confirmation.write(output)
+        print(confirmation, file=sys.stderr if arguments.json else sys.stdout)
+    if not arguments.quiet:
+        print(f"table: {output}/optimize.csv, pictures: {', '.join(f'{one}.png' for one in kinds)}", file=sys.stderr)

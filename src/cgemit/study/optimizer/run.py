@@ -1,0 +1,277 @@
+"""An optimization: what is varied, minimized and limited, checked and handed to a search."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Mapping, Sequence
+from concurrent.futures import Executor
+from contextlib import ExitStack
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+from cgemit.detector import Detector, load
+from cgemit.io.folders import SUMMARY, OutputExistsError, check_free
+from cgemit.problems import ProblemsError, did_you_mean
+from cgemit.result import Settings
+from cgemit.study.optimizer.descent import NoStartError
+from cgemit.study.optimizer.evaluator import Design, Evaluator
+from cgemit.study.optimizer.evolution import evolve
+from cgemit.study.optimizer.geometry import Background
+from cgemit.study.optimizer.goals import OCCUPANCY, Goal, Goals, Limit, goal_of, limits_of
+from cgemit.study.optimizer.journal import MissingPackageError, optuna
+from cgemit.study.optimizer.result import Optimization
+from cgemit.study.optimizer.single import Found, search
+from cgemit.study.optimizer.variables import Variable, variables_of
+from cgemit.study.samples import ShowProgress
+from cgemit.study.sweeps.evaluate import CosTheta, Evaluation
+from cgemit.study.sweeps.run import as_tuple, chunk_folder, number_problems
+from cgemit.values import is_whole
+
+#: SLSQP with gradients, COBYLA without, NSGA-II.
+Method = Literal["gradient", "cobyla", "nsga2"]
+_TOLERANCE = {"gradient": 1e-4, "cobyla": 1e-3, "nsga2": 1.0}
+
+
+class OptimizeError(ProblemsError[str]):
+    """Arguments of an optimization with mistakes; `problems` lists them all."""
+
+
+@dataclass(frozen=True)
+class _Task:
+    """Checked arguments."""
+
+    base: Detector
+    variables: tuple[Variable, ...]
+    objectives: tuple[Goal, ...]
+    limits: tuple[Limit, ...]
+    goals: Goals
+    method: Method
+
+
+def optimize(
+    base: Detector | str | Mapping[str, Any],
+    space: Mapping[str, Any],
+    *,
+    minimize: str | Sequence[str] = "dr",
+    constraints: Mapping[str, tuple[float | None, float | None]] | None = None,
+    p: float | Sequence[float] = 1.0,
+    cos_theta: CosTheta | Sequence[CosTheta] = 0.0,
+    particle: str | int = "mu-",
+    evaluate: Literal["analytic", "mc"] = "analytic",
+    method: Method | None = None,
+    tolerance: float | None = None,
+    steps: int = 200,
+    population: int = 100,
+    offspring: int = 30,
+    calls: int = 200,
+    seed: int = 1,
+    events: int = 2000,
+    samples: int | None = None,
+    settings: Settings | None = None,
+    background: Background | Mapping[str, float] | None = None,
+    executor: Executor | None = None,
+    output: str | os.PathLike[str] | None = None,
+    resume: bool = True,
+    overwrite: bool = False,
+    progress: ShowProgress | None = None,
+) -> Optimization:
+    """Find the best variants of a detector.
+
+    Parameters
+    ----------
+    base : Detector, or what `load` accepts
+    space : mapping of str to (low, high), "bounds" or list
+        By dotted key of the detector file, which may be a pattern: a range in one unit (``("105 mm", "155 mm")``,
+        ``("x0.8", "x1.2")``), the allowed range, or values to choose from.
+    minimize : str or sequence of str
+        Objectives: resolutions (p, pt, dr, dz, phi0, theta, tanl), as the geometric mean of all points or at one
+        momentum (``"dr @ 0.3 GeV/c"``); ``"channels"``; ``"area"`` m2; ``"x0"`` %; ``"outer_radius"``,
+        ``"inner_radius"``, ``"gap"`` mm (free space between parts); ``"pt_threshold"`` MeV/c; ``"occupancy"`` %.
+    constraints : mapping of str to (low, high)
+        Limits of the same quantities in the unit of their column; None: no limit on this side.
+    p, cos_theta, particle, evaluate, events, samples, settings
+        As for `sweep`. All designs have the same tracks.
+    method : "gradient", "cobyla" or "nsga2"
+        SLSQP with the gradients of the covariance; COBYLA, without gradients; NSGA-II (Optuna, extra ``[opt]``).
+        Default: "gradient" for one objective of continuous numbers, else "nsga2".
+    tolerance : float, optional
+        Relative change of the objective ("gradient", 1e-4) or change of the variables in units of their ranges
+        ("cobyla", 1e-3) at which the search ends.
+    steps : int
+        Most iterations of "gradient", most designs of "cobyla".
+    population, offspring, calls : int
+        Of "nsga2": designs of the first population and parents of each call, new designs of each call, and calls.
+    seed : int
+        Of "nsga2", and of simulated tracks.
+    background : Background or mapping, optional
+        What "occupancy" needs: rate in kHz/cm2 at a radius ...
+    executor, output, resume, overwrite, progress
+        As for `sweep`.
+
+    Returns
+    -------
+    Optimization
+        With one row for each design; row 0 is the base.
+
+    Raises
+    ------
+    OptimizeError
+        Listing every problem of the arguments.
+    OutputExistsError
+        If the folder holds files that are none of an optimization.
+    """
+    evaluation = Evaluation(
+        method=evaluate, particle=particle, p=as_tuple(_list(p)), cos_theta=as_tuple(_list(cos_theta)), events=events,
+        seed=seed, settings=settings, function=None, quantities=(), samples=samples,
+    )  # fmt: skip
+    numbers = {"steps": steps, "population": population, "offspring": offspring, "calls": calls, "seed": seed}
+    start = load(base)
+    task = _checked(start, space, minimize, constraints or {}, evaluation, background, method, tolerance, numbers)
+    folder, journal = _places(task, output, resume=resume, overwrite=overwrite, numbers=numbers)
+    with ExitStack() as stack:
+        evaluator = Evaluator(start, task.goals, task.limits, folder, executor or _pool(stack))
+        first = Design(0, "base", tuple(one.start(start) for one in task.variables), evaluator.rows([{}])[0])
+        if task.method == "nsga2":
+            designs = evolve(
+                evaluator, task.variables, task.objectives, population=population, offspring=offspring, calls=calls,
+                seed=seed, journal=journal, progress=progress,
+            )  # fmt: skip
+            found = Found(designs, 0, f"{calls} calls")
+        else:
+            how: dict[str, Any] = {"tolerance": tolerance or _TOLERANCE[task.method], "steps": steps}
+            try:
+                found = search(
+                    evaluator, task.variables, task.objectives[0], method=task.method, progress=progress, **how
+                )
+            except NoStartError as error:
+                raise OptimizeError("optimize", [f"start: {one}" for one in str(error).split("\n")]) from None
+    result = Optimization.of(evaluator, task.variables, task.objectives, task.method, (first, *found.designs), found)
+    if output is not None:
+        result.write(Path(output))
+    return result
+
+
+def _list(given: Any) -> Any:
+    """Return a sequence of numbers as a list; a pair of cos(theta) is a range and stays one."""
+    return list(given) if hasattr(given, "__iter__") and not isinstance(given, str | tuple) else given
+
+
+def _pool(stack: ExitStack) -> Executor:
+    from concurrent.futures import ThreadPoolExecutor
+
+    return stack.enter_context(ThreadPoolExecutor(os.cpu_count() or 1))
+
+
+def _checked(
+    base: Detector, space: Mapping[str, Any], minimize: Any, constraints: Mapping[str, Any], evaluation: Evaluation,
+    background: Any, method: Any, tolerance: Any, numbers: Mapping[str, Any],
+) -> _Task:  # fmt: skip
+    """Return the arguments in their final form, or raise OptimizeError with every problem."""
+    problems: list[str] = []
+    variables = variables_of(base, space, problems)
+    texts = [minimize] if isinstance(minimize, str) else minimize
+    if not isinstance(texts, Sequence) or not texts or len(set(map(str, texts))) < len(texts):
+        problems.append(f"minimize: got {minimize!r}, expected one or several different objectives")
+        texts = []
+    found = [goal_of("minimize", text, evaluation.p, problems) for text in texts]
+    objectives = tuple(one for one in found if one is not None)
+    limits = limits_of(constraints, evaluation.p, problems)
+    goals = tuple(dict.fromkeys([*objectives, *(one.goal for one in limits)]))
+    hits = _background(background, problems)
+    if hits is None and background is None and any(one.name == OCCUPANCY for one in goals):
+        problems.append("background: got none, expected the rate of hits that occupancy needs")
+    if not base.cgem:
+        problems.append("base: got a detector without CGEM layers, expected at least one")
+    chosen: Any = method or ("gradient" if len(texts) == 1 and all(one.continuous for one in variables) else "nsga2")
+    problems += _method_problems(chosen, variables, texts, evaluation)
+    if evaluation.method not in ("analytic", "mc"):
+        problems.append(f"evaluate: got {evaluation.method!r}, expected 'analytic' or 'mc'")
+    if tolerance is not None and not (isinstance(tolerance, int | float) and 0 < tolerance < 1):
+        problems.append(f"tolerance: got {tolerance!r}, expected a number between 0 and 1")
+    least = {"steps": 1, "population": 4, "offspring": 1, "calls": 0, "seed": 0}
+    for name, value in numbers.items():
+        if name != "seed" and not is_whole(value, least[name], 1_000_000):
+            problems.append(f"{name}: got {value!r}, expected a whole number from {least[name]} to 1000000")
+    names = tuple(dict.fromkeys(one.name for one in goals if one.resolution))
+    full = Evaluation(**{one.name: getattr(evaluation, one.name) for one in fields(evaluation)} | {"quantities": names})
+    problems += number_problems("optimize", full)
+    if problems:
+        raise OptimizeError("optimize", list(dict.fromkeys(problems)))
+    return _Task(base, variables, objectives, limits, Goals(goals, full, hits), chosen)
+
+
+def _method_problems(method: Any, variables: Sequence[Variable], texts: Any, evaluation: Evaluation) -> list[str]:
+    known = get_args(Method)
+    if method not in known:
+        hint = did_you_mean(method, known, "; ")
+        return [f"method: got {method!r}, expected one of {', '.join(known)}{hint}"]
+    if method == "nsga2":
+        try:
+            optuna()
+        except MissingPackageError as error:
+            return [f"method: got 'nsga2', {error}"]
+        return []
+    problems = [
+        f"method: got {method!r} for {one.key}, which is a choice or a whole number; expected 'nsga2'"
+        for one in variables
+        if not one.continuous
+    ]
+    if len(texts) > 1:
+        problems.append(f"method: got {method!r} for {len(texts)} objectives, expected 'nsga2'")
+    if method == "gradient":
+        if evaluation.method == "mc":
+            problems.append("method: got 'gradient' for evaluate 'mc', expected 'cobyla' or 'nsga2'")
+        problems += [
+            f"method: got 'gradient' for {one.key} from {one.low:g} to {one.high:g} {one.unit}".rstrip()
+            + ", expected a range without zero"
+            for one in variables
+            if one.continuous and one.before != "%" and one.low <= 0 <= one.high
+        ]
+    return problems
+
+
+def _background(given: Any, problems: list[str]) -> Background | None:
+    if given is None or isinstance(given, Background):
+        problems += given.problems() if given else []
+        return given
+    known = {one.name for one in fields(Background)}
+    if not isinstance(given, Mapping) or not given.keys() <= known or "rate" not in given:
+        problems.append(f"background: got {given!r}, expected rate and perhaps {', '.join(sorted(known - {'rate'}))}")
+        return None
+    found = Background(**given)
+    problems += found.problems()
+    return found
+
+
+def _places(
+    task: _Task, output: Any, *, resume: bool, overwrite: bool, numbers: Mapping[str, Any]
+) -> tuple[Path | None, Path | None]:
+    """Return the folder of the chunks and the journal of this very search."""
+    if output is not None and not overwrite and (Path(output) / SUMMARY).exists() and not _is_ours(Path(output)):
+        check_free(output)
+    folder = chunk_folder(output, resume=resume, overwrite=overwrite)
+    if folder is None:
+        return None, None
+    journals = Path(output) / "journals"
+    journals.mkdir(exist_ok=True)
+    if overwrite:
+        for old in journals.glob("*.log"):
+            old.unlink()
+    # The number of calls is no part of the name: a search can be continued with more of them.
+    text = json.dumps(
+        [task.base.content_hash, [repr(one) for one in task.variables], task.goals.described(),
+         [one.header for one in task.objectives], [repr(one) for one in task.limits],
+         {name: value for name, value in numbers.items() if name in ("population", "offspring", "seed")}],
+        sort_keys=True, default=str,
+    )  # fmt: skip
+    return folder, journals / f"{hashlib.sha256(text.encode()).hexdigest()[:16]}.log"
+
+
+def _is_ours(folder: Path) -> bool:
+    try:
+        return "minimize" in json.loads((folder / SUMMARY).read_text(encoding="utf-8")).get("inputs", {})
+    except (OSError, ValueError, AttributeError):
+        raise OutputExistsError(f"{folder} already holds files; choose another folder or overwrite it") from None

@@ -1,0 +1,254 @@
+"""Optimization: goals by hand, gradients, optima within limits, problems all at once, files and the command line."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import cgemit as cg
+from cgemit.cli.main import main
+from cgemit.study import Background, Optimization, OptimizeError, optimize, sobol, sweep
+from cgemit.study.optimizer import geometry
+from cgemit.study.optimizer.descent import Descent
+from cgemit.study.optimizer.evaluator import Evaluator
+from cgemit.study.optimizer.goals import Goals, goal_of, limits_of
+from cgemit.study.optimizer.variables import variables_of
+from cgemit.study.sweeps.evaluate import Evaluation
+
+DESIGN = cg.load("besiii-cgem-design")
+SPACE = {
+    "cgem.L1.anode_radius": ("80 mm", "100 mm"),
+    "cgem.L2.anode_radius": ("105 mm", "155 mm"),
+    "cgem.L1.pitch_x": ("400 um", "1000 um"),
+    "cgem.*.pitch_v": ("x0.6", "x2"),
+}
+LIMITS = {"channels": (None, 10010), "gap": (3, None)}
+HOW: dict[str, Any] = {"minimize": "dr", "constraints": LIMITS, "p": 0.3, "samples": 64}
+
+
+@pytest.fixture(scope="module")
+def found() -> Optimization:
+    return optimize(DESIGN, SPACE, **HOW)
+
+
+def test_numbers_of_a_design_by_hand() -> None:
+    radii, lengths = (87.5, 132.5, 175), (532, 690, 847)
+    assert geometry.channels(DESIGN) == 845 + 1175 + 2 * (640 + 1094) + 2 * (845 + 1416)
+    area = sum(2 * math.pi * r * length for r, length in zip(radii, lengths, strict=True))
+    assert geometry.area(DESIGN) == pytest.approx(area / 1e6, rel=1e-12)
+    assert geometry.radiation_lengths(DESIGN) == pytest.approx(0.43079 + 0.36687 + 0.51079, abs=2e-5)
+    assert (geometry.inner_radius(DESIGN), geometry.outer_radius(DESIGN)) == pytest.approx((74.262, 179.365))
+    # Beam pipe ends at 33.7 mm, the layers lie from 74.262, 119.198 and 161.69 mm, the wall begins at 182.6 mm.
+    gaps = [74.262 - 33.7, 119.198 - 91.745, 161.69 - 136.7375, 182.6 - 179.365]
+    assert geometry.gaps(DESIGN) == pytest.approx(gaps, abs=1e-9)
+    assert geometry.smallest_gap(DESIGN) == pytest.approx(3.235)
+    assert geometry.pt_threshold(DESIGN) == pytest.approx(0.299792458 * 1.0 * 166.34 / 2, rel=1e-4)
+
+
+def test_occupancy_by_hand() -> None:
+    background = Background(rate=10, radius=78.84, power=0, window=1000, strips=3)
+    sheets = [2 * math.pi * 8.75 * 53.2 / 845, 2 * math.pi * 13.25 * 69 / 2 / 640, 2 * math.pi * 17.5 * 84.7 / 2 / 845]
+    mean = 10e3 * max(sheets) * 3 * 1e-6
+    assert geometry.occupancy(DESIGN, background) == pytest.approx(100 * (1 - math.exp(-mean)), rel=1e-9)
+
+
+def test_strips_without_rounding_are_never_fewer() -> None:
+    for variant in sobol({"cgem.*.pitch_x": ("300 um", "900 um"), "cgem.*.pitch_v": ("300 um", "900 um")}, 16).variants:
+        detector = DESIGN.with_overrides(dict(variant))
+        whole, real = geometry.channels(detector), geometry.smooth_channels(detector)
+        # At most one strip of each view and sheet, and some V strips because the diagonal is that of whole X strips.
+        assert whole <= real < whole + 30
+
+
+def test_gradients_are_the_slopes_of_what_is_minimized() -> None:
+    problems: list[str] = []
+    texts = ("dr @ 0.3", "dz", "channels", "x0")
+    space = {**SPACE, "cgem.*.foil.Kapton.thickness": ("+0 %", "+100 %"), "cgem.*.drift_gap": ("4 mm", "6 mm")}
+    goals = tuple(goal_of("", text, (0.3, 1.0), problems) for text in texts)
+    evaluation = Evaluation("analytic", "mu-", (0.3, 1.0), (0.0, 0.6), 1, 1, None, None, ("dr", "dz"), 64)
+    limits = limits_of({"dz": (None, 10), "channels": (None, 1e5), "x0": (None, 10)}, (0.3, 1.0), problems)
+    evaluator = Evaluator(DESIGN, Goals(goals, evaluation, None), limits, None, None)
+    descent = Descent(evaluator, variables_of(DESIGN, space, problems), goals[0], fixed_hits=True)
+    assert not problems
+    u = np.array([0.4, 0.5, 0.3, 0.4, 0.2, 0.5])
+    descent.start(u)
+    descent.renew(u + 0.05)
+    slopes = np.array([descent.slope(u), *(descent.margin_slopes(u)[:3])])
+    scale = np.abs(slopes).max(axis=1)
+    errors = []
+    for step in (0.02, 0.01):  # Taylor: the error of central differences falls with the square of the step
+        moved = step * np.eye(len(u))
+        up, down = (np.array([[descent.value(u + s * one), *descent.margins(u + s * one)[:3]] for one in moved])
+                    for s in (1, -1))  # fmt: skip
+        errors.append(np.abs((up - down).T / (2 * step) - slopes).max(axis=1) / scale)
+    # d_z oscillates with the pitch of the V strips, so that its second differences are large.
+    assert (errors[0] < [2e-3, 0.2, 2e-3, 1e-6]).all()
+    assert (errors[1] < np.maximum(errors[0] / 3.5, 1e-6)).all()
+
+
+def test_the_free_space_between_parts_is_linear(found: Optimization) -> None:
+    descent = Descent(found.evaluator, found.variables, found.objectives[0])
+    descent.start(np.full(4, 0.5))
+    for u in ([0.0, 0.9, 0.2, 0.1], [1.0, 0.3, 0.8, 0.9]):
+        gaps = geometry.gaps(descent.detector(np.array(u)))
+        # The first three change with the two radii, the last one does not.
+        assert descent.margins(np.array(u))[1:] == pytest.approx((np.array(gaps[:3]) - 3) / 10, abs=1e-5)
+
+
+def test_both_searches_find_the_same_optimum_and_keep_all_limits(found: Optimization) -> None:
+    other = optimize(DESIGN, SPACE, method="cobyla", **HOW)
+    for one in (found, other):
+        (best,) = one.front
+        assert one.columns["kind"][best] == "optimum"
+        assert one["channels"][best] <= 10010
+        assert one["gap (mm)"][best] >= 3 - 1e-5
+    values = [one["sigma_dr (um)"][one.front[0]] for one in (found, other)]
+    assert values[0] == pytest.approx(values[1], rel=2e-3)
+    assert values[0] < 0.85 * found["sigma_dr (um)"][0]
+    assert 0 < found.gradients <= found.evaluations < other.evaluations
+    assert other.gradients == 0
+
+
+def test_no_allowed_design_of_a_sample_is_better(found: Optimization) -> None:
+    def numbers(detector: cg.Detector) -> dict[str, float]:
+        return {"channels": geometry.channels(detector), "gap": geometry.smallest_gap(detector)}
+
+    space = sobol(SPACE, 64)
+    table = sweep(DESIGN, space, p=0.3, samples=64, quantities=["dr"]).to_pandas()
+    more = sweep(DESIGN, space, evaluate=numbers).to_pandas()
+    allowed = (more["status"] == "ok") & (more["channels"] <= 10010) & (more["gap"] >= 3)
+    assert allowed.sum() > 15
+    best = found["sigma_dr (um)"][found.front[0]]
+    assert table["sigma_dr (um)"][allowed].min() > best
+
+
+def test_the_optimum_has_sheets_full_of_whole_strips(found: Optimization) -> None:
+    layer = found.detector().cgem[0]
+    assert layer.strips_x * layer.pitch_x == pytest.approx(2 * math.pi * layer.r_readout, rel=1e-7)
+    before = found.detector(len(found) - 2).cgem[0]
+    assert 2 * math.pi * before.r_readout - before.strips_x * before.pitch_x > 1e-3
+    assert geometry.channels(found.detector()) == found["channels"][-1]
+
+
+def test_an_objective_without_tracks_ends_at_its_limit() -> None:
+    best = optimize(
+        DESIGN, {"cgem.*.pitch_x": ("300 um", "900 um"), "cgem.*.pitch_v": ("300 um", "900 um")}, minimize="channels",
+        constraints={"dr @ 0.3": (None, 320)}, p=[0.3, 1.0], samples=64,
+    )  # fmt: skip
+    assert best["sigma_dr at 0.3 GeV/c (um)"][best.front[0]] == pytest.approx(320, rel=2e-3)
+    assert best["channels"][best.front[0]] < best["channels"][0]
+
+
+def test_an_optimum_without_an_allowed_design_says_so() -> None:
+    none = optimize(DESIGN, {"cgem.*.pitch_x": ("500 um", "700 um")}, constraints={"channels": (None, 100)}, samples=64)
+    assert none.front == []
+    assert "no design keeps all limits" in none.message
+    with pytest.raises(ValueError, match="expected the row of a design"):
+        none.detector()
+
+
+def test_every_problem_is_listed_at_once() -> None:
+    space = {"cgem.L9.pitch_x": ("1 um", "2 um"), "cgem.*.foils": [1, 2], "cgem.L1.pitch_x": ("600 um", "1 mm"), "a": 3}
+    with pytest.raises(OptimizeError) as error:
+        optimize(
+            DESIGN, space, minimize=["dr", "drr", "dz @ 0.7"], constraints={"occupancy": (None, 1), "x0": (2, 1)},
+            method="gradient", p=0.3, calls=-1, events=0, tolerance=2, particle="mu-",
+        )  # fmt: skip
+    text = str(error.value)
+    for part in (
+        "cgem.L9", "cgem.*.foils, which is a choice", "cgem.L1.pitch_x: got ('600 um', '1 mm')", "a: got 3",
+        "'drr'", 'did you mean "dr"?', "'dz @ 0.7', expected one of p: 0.3", "background: got none",
+        "constraints.x0: got (2, 1)", "for 3 objectives", "calls: got -1", "events", "tolerance: got 2",
+    ):  # fmt: skip
+        assert part in text, part
+
+
+def test_an_impossible_start_is_a_problem() -> None:
+    space = {"cgem.L1.anode_radius": ("110 mm", "115 mm"), "cgem.L2.anode_radius": ("105 mm", "110 mm")}
+    with pytest.raises(OptimizeError, match=r"start: .*no overlap with cgem.L2"):
+        optimize(DESIGN, space, samples=64)
+
+
+def test_simulation_confirms_the_optimum(found: Optimization) -> None:
+    confirmed = found.confirm(events=5000)
+    assert confirmed["design"].tolist() == [0, found.front[0]]
+    assert (np.abs(confirmed["ratio"] - 1) < 4 * confirmed["ratio_error"]).all()
+    assert confirmed["ratio_error"].max() < 0.02
+    # The same tracks in both: the gain is known better than from two samples.
+    gain, error = confirmed["to_base"][1], confirmed["to_base_error"][1]
+    assert gain == pytest.approx(found["sigma_dr (um)"][found.front[0]] / found["sigma_dr (um)"][0], abs=4 * error)
+    assert error < math.hypot(*confirmed["ratio_error"])
+
+
+def test_the_result_is_the_same_after_an_interruption(tmp_path: Path) -> None:
+    folder = tmp_path / "out"
+
+    def stop(share: float, text: str) -> None:
+        if share > 0.02:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        optimize(DESIGN, SPACE, output=folder, progress=stop, **HOW)
+    kept = len(list((folder / "chunks").iterdir()))
+    assert 0 < kept < 8
+    again = optimize(DESIGN, SPACE, output=folder, **HOW)
+    whole = optimize(DESIGN, SPACE, output=tmp_path / "whole", **HOW)
+    assert (folder / "optimize.csv").read_bytes() == (tmp_path / "whole" / "optimize.csv").read_bytes()
+    assert (
+        cg.load(folder / "optimum.toml").content_hash == again.detector().content_hash == whole.detector().content_hash
+    )
+
+
+PLAN = """
+base = "besiii-cgem-design"
+minimize = "dr"
+[vary]
+"cgem.L2.anode_radius" = { from = "105 mm", to = "155 mm" }
+"cgem.L1.pitch_x" = "bounds"
+[constraints]
+channels = { max = 10010 }
+[evaluate]
+p = "300 MeV/c"
+samples = 64
+"""
+
+
+def test_the_command_line_writes_what_python_returns(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    plan, output = tmp_path / "plan.toml", tmp_path / "out"
+    plan.write_text(PLAN)
+    command = ["optimize", str(plan), "-o", str(output), "--quiet", "--parquet", "--confirm", "500", "--json"]
+    assert main([*command, "--set", "search.method=cobyla", "--set", "search.tolerance=0.05"]) == 0
+    summary = json.loads(capsys.readouterr().out)
+    table = pd.read_csv(output / "optimize.csv")
+    assert summary["inputs"]["vary"]["cgem.L1.pitch_x"] == [0.01, 20.0, "mm"]
+    assert summary["evaluations"] == len(table) - 1
+    assert table["sigma_dr (um)"].iloc[-1] == pytest.approx(summary["best"][0]["sigma_dr (um)"], rel=1e-5)
+    assert pd.read_parquet(output / "optimize.parquet")["name"].tolist() == table["name"].tolist()
+    assert {path.suffix for path in output.glob("convergence.*")} == {".png", ".pdf"}
+    assert len(pd.read_csv(output / "confirmation.csv")) == 2
+    assert main(["optimize", str(output / "plan.toml"), "-o", str(output), "--quiet"]) == 0
+
+
+def test_the_command_line_refuses_other_folders_and_lists_problems(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    plan = tmp_path / "plan.toml"
+    plan.write_text(
+        PLAN.replace("[vary]", "[vary]\nnothing = 1").replace("minimize", "minimise") + "x = 1\n[search]\ny = 2"
+    )
+    assert main(["optimize", str(plan), "-o", str(tmp_path / "new")]) == 2
+    error = capsys.readouterr().err
+    assert all(part in error for part in ("minimise: an unknown key", "evaluate.x: an", "search.y: an"))
+    plan.write_text(PLAN)
+    (tmp_path / "foreign").mkdir()
+    (tmp_path / "foreign" / "file").write_text("")
+    assert main(["optimize", str(plan), "-o", str(tmp_path / "foreign")]) == 2
+    assert "already holds files" in capsys.readouterr().err
+    sweep(DESIGN, [{}], evaluate=lambda detector: {"a": 1}, output=tmp_path / "sweep")
+    assert main(["optimize", str(plan), "-o", str(tmp_path / "sweep")]) == 2
