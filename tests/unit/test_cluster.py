@@ -7,7 +7,7 @@ import gem_toy
 from cgemit import Gun, _core, run
 from cgemit.cluster import MAX_SIZE, ClusterSettings, cluster, cluster_errors, error_table
 from cgemit.detector import load
-from cgemit.detector.parts import strips_of_v
+from cgemit.detector.strips import strips_of_v
 from cgemit.digitize import digitize
 from cgemit.draw.cluster import crossing
 from cgemit.tables import Table

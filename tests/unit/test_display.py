@@ -12,7 +12,7 @@ from matplotlib.collections import EllipseCollection, LineCollection
 
 import cgemit as cg
 from cgemit.cli.main import main
-from cgemit.detector.parts import crossing_z, v_of_strips
+from cgemit.detector.strips import crossing_z, v_of_strips
 from cgemit.draw.display import TRACK_COLORS
 from cgemit.draw.event_view import strip_line, view_of
 from cgemit.draw.geometry import helix_points, smooth_curve, wire_positions

@@ -11,7 +11,7 @@ import pytest
 from cgemit import DigitizeSettings, FitSettings, Gun, Result, Settings, digitize, load, run
 from cgemit.cluster import ClusterSettings, cluster
 from cgemit.detector import Detector
-from cgemit.detector.parts import local_v, strips_of_v
+from cgemit.detector.strips import local_v, strips_of_v
 from cgemit.simulate import simulate
 from cgemit.tables import Table
 from stats import assert_within
