@@ -71,7 +71,8 @@ class ExpectedHits {
       each_lane(on, [&](int i) { channel[static_cast<std::size_t>(i)] = sheet; });
     }
     if (!any(there)) return;
-    for (const View view : {View::x, View::v}) add_cluster(step, view, index, there, edge, at).hit = channel;
+    for (const View view : {View::x, View::v})
+      add_cluster(step, view, index, there, edge, phi, at.z).hit = channel;
   }
 
   void passes(GroupStep& step, const HelixPointOf<T>& at, const Mask& alive) {
@@ -128,14 +129,14 @@ class ExpectedHits {
   }
 
   Slot<T>& add_cluster(GroupStep& step, View view, std::size_t index, const Mask& there, const T& edge,
-                       const HelixPointOf<T>& at) {
+                       const T& phi, const T& z) {
     const CgemLayer& layer = detector_.cgem[index];
-    const T x = along_sheet(layer, atan2(at.y, at.x), edge);
+    const T x = along_sheet(layer, phi, edge);
     Slot<T>& slot = add(step, view, index);
     slot.there = there;
     slot.edge = edge;
     // Tells the trace on which side of a seam the hit is.
-    slot.drift = view == View::x ? x : x * layer.cos_stereo + (layer.z_ref() - at.z) * layer.sin_stereo;
+    slot.drift = view == View::x ? x : x * layer.cos_stereo + (layer.z_ref() - z) * layer.sin_stereo;
     if (keeps_) kept_.push_back({step_number(step), view, index, there, {}, edge, T(1.0), T(1.0), T(0.0)});
     return slot;
   }
@@ -159,7 +160,7 @@ class ExpectedHits {
       if (kept.view == View::wire)
         add_wire(step, kept.layer, kept.there, kept.cell);
       else
-        add_cluster(step, kept.view, kept.layer, kept.there, kept.edge, at);
+        add_cluster(step, kept.view, kept.layer, kept.there, kept.edge, atan2(at.y, at.x), at.z);
     }
   }
 
