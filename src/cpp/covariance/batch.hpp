@@ -27,7 +27,6 @@ class CovarianceBatch {
     group_.noise.resize(n);
     group_.dense_noise.resize(detector.field.is_uniform() ? 0 : n);
     group_.kinks.resize(n);
-    group_.kinked = mask_of<T>(false);
     if (out_.budget != nullptr) terms_.resize(names_.size());
   }
 
@@ -53,6 +52,7 @@ class CovarianceBatch {
     };
     const PerigeeOf<T> start{T(0.0), column(input_.psi), column(input_.kappa), T(0.0), column(input_.tanl)};
     const T mass = column(input_.mass);
+    group_.kinked = column(input_.scatters) != 0.0;
     compute(detector_, first, start, mass, false, terms_.data(), &out_.rows[first], n);
     if (out_.hits != nullptr) write_hits(n);
     for (std::size_t v = 0; v < input_.variants.size(); ++v) {
