@@ -281,6 +281,7 @@ def covariances(
     kappa: npt.ArrayLike,
     tanl: npt.ArrayLike,
     mass: npt.ArrayLike,
+    scatters: npt.ArrayLike,
     samples: int,
     phases: npt.ArrayLike,
     model: HitModel,

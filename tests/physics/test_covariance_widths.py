@@ -58,6 +58,8 @@ def settings(readout: str, fluctuations: str) -> cg.Settings:
 
 #: Particle, p (GeV/c) and cos(theta) of the points that every run of the tests measures.
 POINTS = [("mu-", 0.2, 0.0), ("mu-", 1.0, 0.5), ("pi+", 0.5, 0.8), ("K+", 0.4, 0.3), ("proton", 0.6, 0.0)]
+#: The last one is near the ends of the chamber, where scattering decides how many wires a track has.
+POINTS += [("K+", 0.8, 0.9)]
 
 
 @pytest.mark.parametrize("detector", ["besiii-cgem-design", "besiii-idc"])

@@ -92,6 +92,23 @@ def test_a_small_cylinder_is_the_origin() -> None:
         np.testing.assert_allclose(small.cov, origin.cov, rtol=1e-3)
 
 
+def test_near_the_ends_the_samples_scatter() -> None:
+    """There, hits differ from sample to sample; elsewhere and for one track the trajectory is the expected one."""
+    how = {"phi": 0.3, "readout": "gaussian"}
+    one = cg.analytic(DESIGN, "K+", 0.8, 0.9, **how)
+    many = cg.analytic(DESIGN, "K+", 0.8, 0.9, samples=256, **how)
+    assert not one._tracks.scatters.any()
+    assert many._tracks.scatters.all()
+    # The expected trajectory has one number of wires; scattered ones leave earlier and later.
+    wires = many._tracks.run(budget=False)["n_wires"]
+    assert wires.min() < one.n_wires - 1
+    assert wires.max() > one.n_wires + 1
+    assert float(many.rms("p")) > 1.01 * float(one.rms("p"))
+    middle = cg.analytic(DESIGN, "K+", 0.8, [0.0, -0.6], samples=4, **how)
+    assert not middle._tracks.scatters.any()
+    np.testing.assert_allclose(many.budget("p").total, many.rms("p") ** 2, rtol=1e-10)
+
+
 def test_what_a_radius_cannot_have() -> None:
     lost = cg.analytic(DESIGN, "mu-", 0.1, 0.0, radius=[100.0, 760.0], phi=0.0, samples=2)
     assert list(lost.status) == [0, cg.FitStatus.does_not_reach]

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from cgemit import _core
+from cgemit.covariance.ends import near_ends
 from cgemit.covariance.mixture import draws, mean
 from cgemit.covariance.result import UPPER, Covariance
 from cgemit.covariance.surfaces import at_cylinders
@@ -86,7 +87,8 @@ def analytic(
     -----
     Scattering and straggling enter with the variances of the fit (docs/methods/matter.md), measurements with the errors
     of the read-out, so that the result is that of a fit whose assumptions hold: simulation with
-    ``fluctuations="gaussian"``.
+    ``fluctuations="gaussian"``. Near the ends of the layers, where scattering decides which hits a track has, the
+    trajectories of the samples scatter (only at the origin, and if more than one track is averaged).
     """
     detector, fit = load(detector), fit or FitSettings()
     digitize = DigitizeSettings(readout=readout, reveal_sides=reveal_sides)
@@ -120,10 +122,12 @@ def analytic(
         sigma_x=list(sigma_x), sigma_v=list(sigma_v), least_width=fit.least_width, delta_strips=fit.delta_strips,
         sides_known=reveal_sides, seed=0, prior_sigma=fit.prior_sigma,
     )  # fmt: skip
-    kappa = charges.reshape(-1, 1) / (momentum * sine)
+    kappa, tanl = (charges.reshape(-1, 1) / (momentum * sine)).ravel(), (cosine / sine).ravel()
+    sampled = number > 1 and radius is None
+    scatters = near_ends(detector, kappa, tanl).astype(np.float64) if sampled else np.zeros(len(kappa))
     tracks = Tracks(
-        detector, fit, model, psi.ravel(), kappa.ravel(), (cosine / sine).ravel(),
-        np.repeat(masses.ravel(), number), number, np.ascontiguousarray(drawn[:, 3:]), threads,
+        detector, fit, model, psi.ravel(), kappa, tanl, np.repeat(masses.ravel(), number), scatters, number,
+        np.ascontiguousarray(drawn[:, 3:]), threads,
     )  # fmt: skip
     if radius is None:
         out = tracks.run(budget=False)

@@ -44,6 +44,7 @@ class Tracks:
     kappa: Floats
     tanl: Floats
     mass: Floats
+    scatters: Floats  # 1 for trajectories that scatter, with the angles of their sample; 0 for the expected trajectory
     samples: int
     phases: Floats
     threads: int | None
@@ -71,6 +72,7 @@ class Tracks:
             rows = slice(first, min(first + step, n))
             found: dict[str, Any] = _core.covariances(
                 core, phi=self.phi[rows], kappa=self.kappa[rows], tanl=self.tanl[rows], mass=self.mass[rows],
+                scatters=self.scatters[rows],
                 samples=self.samples, phases=self.phases, model=self.model, budget=budget, hits=hits,
                 variants=list(variants),
             )  # fmt: skip

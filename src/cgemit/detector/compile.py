@@ -77,13 +77,15 @@ class _Row(NamedTuple):
 def _row(slab: Slab) -> _Row:
     """Return the row of a slab; most slabs of a variant are those of its base."""
     half_length = max(shell.half_length for shell in slab.shells)
-    numbers = (half_length, *(float(getattr(slab, name)) for name in _NUMBERS[1:]))
+    x0, radius, spread = slab.moments()
+    xi = [shell.xi for shell in slab.shells]
+    numbers = (half_length, slab.r_in, slab.r_out, radius, spread, x0, sum(xi))
     moles: dict[Element, float] = {}
     for shell in slab.shells:
         for element, per_gram in _elements(shell.material):
             part = per_gram * shell.material.density * 0.1 * shell.thickness
             moles[element] = moles.get(element, 0.0) + part
-    terms = [shell.xi * _log_term(shell.material) for shell in slab.shells]
+    terms = [part * _log_term(shell.material) for part, shell in zip(xi, slab.shells, strict=True)]
     log_terms = np.asarray(np.sum(terms, axis=0) / numbers[-1], dtype=np.float64)  # xi, the last of _NUMBERS
     return _Row(numbers, log_terms, tuple((element.z, element.a, amount) for element, amount in moles.items()))
 

@@ -66,16 +66,20 @@ class Slab(NamedTuple):
     @property
     def radius(self) -> float:
         """Centroid of the scattering power, mm."""
-        return sum(shell.x0 * _middle(shell) for shell in self.shells) / self.x0
+        return self.moments()[1]
 
     @property
     def spread(self) -> float:
         """Standard deviation of the scattering power about `radius`, mm; each shell counts with its own width."""
-        parts = [s.x0 for s in self.shells]
-        x0 = sum(parts)
-        radius = sum(part * _middle(s) for part, s in zip(parts, self.shells, strict=True)) / x0
-        widths = ((_middle(s) - radius) ** 2 + (s.r_out - s.r_in) ** 2 / 12 for s in self.shells)
-        return math.sqrt(sum(part * width for part, width in zip(parts, widths, strict=True)) / x0)
+        return self.moments()[2]
+
+    def moments(self) -> tuple[float, float, float]:
+        """Return `x0`, `radius` and `spread`."""
+        parts = [(s.x0, _middle(s), s.r_out - s.r_in) for s in self.shells]
+        x0 = sum(part for part, _, _ in parts)
+        radius = sum(part * middle for part, middle, _ in parts) / x0
+        total = sum(part * ((middle - radius) ** 2 + width**2 / 12) for part, middle, width in parts)
+        return x0, radius, math.sqrt(total / x0)
 
     def log_term(self, ln_betagamma: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return -2 ln(I/GeV) - delta - 2 C/Z, (n,) float64, averaged over the shells with their xi."""

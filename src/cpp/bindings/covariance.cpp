@@ -54,8 +54,8 @@ py::dict columns_of(const std::vector<ExpectedHit>& hits, const Detector& detect
 }
 
 py::dict run(const Detector& detector, const Array<double>& phi, const Array<double>& kappa,
-             const Array<double>& tanl, const Array<double>& mass, std::size_t samples,
-             const Array<double>& phases, const HitModel& model, bool budget, bool hits,
+             const Array<double>& tanl, const Array<double>& mass, const Array<double>& scatters,
+             std::size_t samples, const Array<double>& phases, const HitModel& model, bool budget, bool hits,
              const std::vector<const Detector*>& variants) {
   const auto n = phi.size();
   const auto views = static_cast<py::ssize_t>(2 * detector.cgem.size());
@@ -73,6 +73,7 @@ py::dict run(const Detector& detector, const Array<double>& phi, const Array<dou
                               .kappa = column(kappa, "kappa", n),
                               .tanl = column(tanl, "tanl", n),
                               .mass = column(mass, "mass", n),
+                              .scatters = column(scatters, "scatters", n),
                               .samples = samples,
                               .phases = matrix(phases, "phases", static_cast<py::ssize_t>(samples), views),
                               .variants = variants};
@@ -117,8 +118,9 @@ void bind_covariance(py::module_& module) {
            py::arg("delta_strips"), py::arg("sides_known"), py::arg("seed"), py::arg("prior_sigma"));
   module.def(
       "covariances", &run, py::arg("detector"), py::kw_only(), py::arg("phi"), py::arg("kappa"),
-      py::arg("tanl"), py::arg("mass"), py::arg("samples"), py::arg("phases"), py::arg("model"),
-      py::arg("budget"), py::arg("hits") = false, py::arg("variants") = std::vector<const Detector*>(),
+      py::arg("tanl"), py::arg("mass"), py::arg("scatters"), py::arg("samples"), py::arg("phases"),
+      py::arg("model"), py::arg("budget"), py::arg("hits") = false,
+      py::arg("variants") = std::vector<const Detector*>(),
       "Covariances of (dr, phi0, kappa, dz, tanl) of tracks from the origin, without events: columns of "
       "the tracks, and if requested the sums of the budget's terms over the samples of each point, and the "
       "expected hits of all tracks (X, V, or signed distance from a wire, mm; variance, mm2). Rows of "

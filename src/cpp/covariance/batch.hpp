@@ -27,7 +27,6 @@ class CovarianceBatch {
     group_.noise.resize(n);
     group_.dense_noise.resize(detector.field.is_uniform() ? 0 : n);
     group_.kinks.resize(n);
-    group_.kinked = mask_of<T>(false);
     if (out_.budget != nullptr) terms_.resize(names_.size());
   }
 
@@ -53,6 +52,7 @@ class CovarianceBatch {
     };
     const PerigeeOf<T> start{T(0.0), column(input_.psi), column(input_.kappa), T(0.0), column(input_.tanl)};
     const T mass = column(input_.mass);
+    group_.kinked = column(input_.scatters) != 0.0;
     compute(detector_, first, start, mass, false, terms_.data(), &out_.rows[first], n);
     if (out_.hits != nullptr) write_hits(n);
     for (std::size_t v = 0; v < input_.variants.size(); ++v) {
@@ -76,11 +76,15 @@ class CovarianceBatch {
     for (Slot<T>& slot : group_.slots) slot.used = slot.met;
     Five<T> prior;
     unroll<parameters>([&](auto i) { prior[i] = model_.prior_sigma[i] * model_.prior_sigma[i]; });
-    FilteredState<T> state = filter(detector, group_, Symmetric<T>::diagonal(prior));
+    FilteredState<T> state = filter<false>(detector, group_, Symmetric<T>::diagonal(prior));
     const mask_of<T> valid = sound(state) & positive_definite(state.c);
     mask_of<T> ok(false);
+    T clusters(0.0), wires(0.0);
+    for (const Slot<T>& slot : group_.slots)
+      (slot.view == View::wire ? wires : clusters) += select(slot.met, T(1.0), T(0.0));
     for (std::size_t k = 0; k < n; ++k) {
-      count_hits(k, rows[k]);
+      rows[k].clusters = static_cast<std::int32_t>(lane(clusters, static_cast<int>(k)));
+      rows[k].wires = static_cast<std::int32_t>(lane(wires, static_cast<int>(k)));
       rows[k].status = status(static_cast<int>(k), valid);
       set_lane(ok, static_cast<int>(k), rows[k].status == FitStatus::ok);
     }
@@ -96,12 +100,6 @@ class CovarianceBatch {
     } else {
       Tracer<T, FieldReference<T>, Expectation<T>>(detector, start, mass, projectile, group_, hits).run(all);
     }
-  }
-
-  void count_hits(std::size_t k, CovarianceRow& row) const {
-    row.clusters = row.wires = 0;
-    for (const Slot<T>& slot : group_.slots)
-      if (lane(slot.met, static_cast<int>(k))) ++(slot.view == View::wire ? row.wires : row.clusters);
   }
 
   FitStatus status(int i, const mask_of<T>& valid) const {

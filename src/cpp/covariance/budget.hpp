@@ -21,7 +21,7 @@ class Budget {
  public:
   // `terms`: sums to which the parts are added, or null.
   Budget(const Detector& detector, Group<T>& group, TermOf<T>* terms, const mask_of<T>& who)
-      : detector_(detector), group_(group), names_(detector), terms_(terms), who_(who) {
+      : detector_(detector), group_(group), names_(detector), terms_(terms), who_(who), everyone_(all(who)) {
     total_.fill(T(0.0));
     unroll<parameters>([&](auto i) {
       rows_[i] = Five<T>::zero();
@@ -51,10 +51,9 @@ class Budget {
 
  private:
   CGEMIT_FLATTEN void measure(const Slot<T>& slot) {
-    const T weight = select(slot.used, 1.0 / slot.total, T(0.0));
     const T sigma = sqrt(slot.variance);
     Five<T> u;
-    unroll<parameters>([&](auto i) { u[i] = weight * dot(rows_[i], slot.ch); });
+    unroll<parameters>([&](auto i) { u[i] = slot.inverse * dot(rows_[i], slot.ch); });
     unroll<parameters>([&](auto i) { rows_[i] = rows_[i] - u[i] * slot.row; });
     const auto layer = static_cast<std::size_t>(slot.layer);
     add(sigma * u, slot.view == View::wire ? names_.wire(layer) : names_.cluster(layer, slot.view));
@@ -90,7 +89,11 @@ class Budget {
     unroll<budget_entries>([&](auto e) { total_[e] += part[e]; });
     if (terms_ == nullptr) return;
     TermOf<T>& to = terms_[term];
-    unroll<budget_entries>([&](auto e) { to[e] += select(who_, part[e], T(0.0)); });
+    if (everyone_) {
+      unroll<budget_entries>([&](auto e) { to[e] += part[e]; });
+    } else {
+      unroll<budget_entries>([&](auto e) { to[e] += select(who_, part[e], T(0.0)); });
+    }
   }
 
   const Detector& detector_;
@@ -98,6 +101,7 @@ class Budget {
   BudgetTerms names_;
   TermOf<T>* terms_;
   mask_of<T> who_;
+  bool everyone_;
   std::array<Five<T>, parameters> rows_;  // of L
   TermOf<T> total_;
 };

@@ -8,6 +8,7 @@
 #include "covariance/covariance.hpp"
 #include "detector/cluster_errors.hpp"
 #include "detector/strip_plane.hpp"
+#include "matter/draws.hpp"
 #include "motion/cells.hpp"
 #include "motion/uniform.hpp"
 
@@ -39,6 +40,7 @@ class ExpectedHits {
         first_(first),
         group_(group),
         kept_(kept),
+        streams_(streams()),
         again_(again),
         keeps_(!again && !input.variants.empty()),
         steps_(detector),
@@ -71,7 +73,8 @@ class ExpectedHits {
       each_lane(on, [&](int i) { channel[static_cast<std::size_t>(i)] = sheet; });
     }
     if (!any(there)) return;
-    for (const View view : {View::x, View::v}) add_cluster(step, view, index, there, edge, at).hit = channel;
+    for (const View view : {View::x, View::v})
+      add_cluster(step, view, index, there, edge, phi, at.z).hit = channel;
   }
 
   void passes(GroupStep& step, const HelixPointOf<T>& at, const Mask& alive) {
@@ -89,6 +92,16 @@ class ExpectedHits {
       range.first += T(1.0);
       if (any(fired)) add_wire(step, index, fired, cell);
     }
+  }
+
+  // Where its samples scatter, the trajectory turns in each slab by two angles with the standard deviation of
+  // the slab's noise.
+  void scatters(const GroupStep& step, const Slab& slab) {
+    if (!any(group_.kinked)) return;
+    Kink<T>& kink = group_.kinks[static_cast<std::size_t>(step.noise)];
+    DrawsOf<T> draws(streams_, Purpose::scattering, slab.place);
+    kink.aside = kink.sigma * normal_quantile(draws.next());
+    kink.up = kink.sigma * normal_quantile(draws.next());
   }
 
   Mask on_wire(const Slot<T>& slot, const T& z) const {
@@ -128,14 +141,14 @@ class ExpectedHits {
   }
 
   Slot<T>& add_cluster(GroupStep& step, View view, std::size_t index, const Mask& there, const T& edge,
-                       const HelixPointOf<T>& at) {
+                       const T& phi, const T& z) {
     const CgemLayer& layer = detector_.cgem[index];
-    const T x = along_sheet(layer, atan2(at.y, at.x), edge);
+    const T x = along_sheet(layer, phi, edge);
     Slot<T>& slot = add(step, view, index);
     slot.there = there;
     slot.edge = edge;
     // Tells the trace on which side of a seam the hit is.
-    slot.drift = view == View::x ? x : x * layer.cos_stereo + (layer.z_ref() - at.z) * layer.sin_stereo;
+    slot.drift = view == View::x ? x : x * layer.cos_stereo + (layer.z_ref() - z) * layer.sin_stereo;
     if (keeps_) kept_.push_back({step_number(step), view, index, there, {}, edge, T(1.0), T(1.0), T(0.0)});
     return slot;
   }
@@ -159,7 +172,7 @@ class ExpectedHits {
       if (kept.view == View::wire)
         add_wire(step, kept.layer, kept.there, kept.cell);
       else
-        add_cluster(step, kept.view, kept.layer, kept.there, kept.edge, at);
+        add_cluster(step, kept.view, kept.layer, kept.there, kept.edge, atan2(at.y, at.x), at.z);
     }
   }
 
@@ -225,12 +238,24 @@ class ExpectedHits {
     return slot.view == View::x ? layer.pitch_x : layer.pitch_v;
   }
 
+  StreamOf<T> streams() const {
+    const auto of_lane = [&](int i) { return Stream(model_.seed, sample(i), 0); };
+    if constexpr (lanes_of<T> == 1) {
+      return of_lane(0);
+    } else {
+      return [&]<int... i>(std::integer_sequence<int, i...>) {
+        return StreamOf<T>({of_lane(i)...});
+      }(std::make_integer_sequence<int, lanes_of<T>>());
+    }
+  }
+
   const Detector& detector_;
   const HitModel& model_;
   const CovarianceInput& input_;
   std::size_t first_;  // track in the first lane
   Group<T>& group_;
   std::vector<KeptHit<T>>& kept_;  // one per slot
+  StreamOf<T> streams_;            // of the sample of each lane
   bool again_, keeps_;             // whether the kept hits are used, or made
   UniformMotionOf<T>
       steps_;  // to the next layer of wires; short, so that the field is as at the last surface
@@ -250,6 +275,7 @@ class Expectation {
 
   template <class Motion>
   void reaches(GroupStep& step, const Slab& slab, const Motion& motion, const mask_of<T>& reached) {
+    step_ = &step;
     hits_->reaches(step, slab, motion.point(), reached);
   }
   template <class Motion>
@@ -262,7 +288,9 @@ class Expectation {
   }
   mask_of<T> on_wire(const Slot<T>& slot, const T& z) const { return hits_->on_wire(slot, z); }
   template <class Motion>
-  void arrives(const Slab&, const Motion&) {}
+  void arrives(const Slab& slab, const Motion&) {
+    hits_->scatters(*step_, slab);
+  }
   template <class Noise>
   void crosses(const Slab&, const Noise&, const Kink<T>&) {}
   template <class Motion>
@@ -270,6 +298,7 @@ class Expectation {
 
  private:
   ExpectedHits<T>* hits_;
+  const GroupStep* step_ = nullptr;  // of the slab reached last
 };
 
 }  // namespace cgemit

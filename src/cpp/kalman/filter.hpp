@@ -76,21 +76,24 @@ void take_kink(Five<T>& x, const DenseNoise<T>& noise, const Kink<T>& kink) {
   x = x + turn * noise.turn + dip * noise.dip;
 }
 
-// One measurement. An unused measurement leaves the state unchanged, but its residual is computed.
-template <class T>
+// One measurement. An unused measurement leaves the state unchanged, but its residual is computed. Without
+// `residuals` only the covariance is computed.
+template <bool residuals = true, class T>
 void update(FilteredState<T>& state, Slot<T>& slot) {
   slot.ch = state.c * slot.row;
   slot.total = dot(slot.row, slot.ch) + slot.variance;
-  slot.innovation = slot.residual - dot(slot.row, state.x);
-  const T weight = select(slot.used, 1.0 / slot.total, T(0.0));
-  const Five<T> gain = weight * slot.ch;
-  state.x = state.x + slot.innovation * gain;
+  slot.inverse = select(slot.used, 1.0 / slot.total, T(0.0));
+  const Five<T> gain = slot.inverse * slot.ch;
+  if constexpr (residuals) {
+    slot.innovation = slot.residual - dot(slot.row, state.x);
+    state.x = state.x + slot.innovation * gain;
+    state.chi2 += slot.innovation * slot.innovation * slot.inverse;
+  }
   state.c.add([&](auto i, auto j) { return -(gain[i] * slot.ch[j]); });
-  state.chi2 += slot.innovation * slot.innovation * weight;
 }
 
 // From the outermost measurement inward to the origin.
-template <class T>
+template <bool residuals = true, class T>
 CGEMIT_FLATTEN FilteredState<T> filter(const Detector& detector, Group<T>& group, const Symmetric<T>& prior) {
   FilteredState<T> state{Five<T>::zero(), prior, T(0.0)};
   for (std::size_t i = group.steps.size(); i-- > 0;) {
@@ -111,7 +114,7 @@ CGEMIT_FLATTEN FilteredState<T> filter(const Detector& detector, Group<T>& group
       }
     }
     for (std::int32_t s = step.last; s-- > step.first;)
-      update(state, group.slots[static_cast<std::size_t>(s)]);
+      update<residuals>(state, group.slots[static_cast<std::size_t>(s)]);
   }
   return state;
 }
@@ -137,7 +140,7 @@ CGEMIT_FLATTEN void smooth(Group<T>& group, mask_of<T> who) {
   for (const GroupStep& step : group.steps) {
     for (std::int32_t s = step.first; s < step.last; ++s) {
       Slot<T>& slot = group.slots[static_cast<std::size_t>(s)];
-      const T weight = select(slot.used, 1.0 / slot.total, T(0.0));
+      const T weight = slot.inverse;
       const Five<T> lk = big_lambda * slot.ch;
       const T known = dot(slot.ch, lk);  // reduction of the predicted variance by the inner measurements
       const T away = slot.innovation + dot(slot.ch, lambda), share = 1.0 / (1.0 + weight * known);

@@ -61,6 +61,7 @@ struct Slot {
   T value, variance, residual;  // measured; residual to the reference
   Five<T> ch;                   // C h before the update
   T innovation, total;          // residual before the update, and its variance
+  T inverse;                    // 1/total, 0 if not used
   // Set by the smoother: the residual to the track fitted without this hit, and its variance, which includes
   // the measurement's own.
   T unbiased, unbiased_variance;

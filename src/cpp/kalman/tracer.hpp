@@ -48,7 +48,7 @@ class Tracer {
 
   // Traces the lanes `who`.
   void run(mask_of<T> who) {
-    group_.reached = {};
+    reached_ = 0.0;
     group_.stopped = group_.left = mask_of<T>(false);
     alive_ = who;
     curled_ = mask_of<T>(false);
@@ -71,6 +71,8 @@ class Tracer {
       for (std::int32_t s = step.first; s < step.last; ++s) meet_gap(slot(s), reached);
       cross(slab, noise, reached & beyond & (abs(motion_.point().z) <= slab.half_length));
     }
+    for (int k = 0; k < lanes_of<T>; ++k)
+      group_.reached[static_cast<std::size_t>(k)] = static_cast<std::int32_t>(lane(reached_, k));
     observer_.ends(motion_);
   }
 
@@ -91,7 +93,7 @@ class Tracer {
     slot.met = met;
     slot.predicted = predicted;
     slot.row = all(met) ? row : select<T>(met, row, Five<T>::zero());
-    for (int k = 0; k < lanes_of<T>; ++k) group_.reached[static_cast<std::size_t>(k)] += lane(met, k) ? 1 : 0;
+    reached_ += select(met, T(1.0), T(0.0));
     if (any(met)) observer_.meets(slot, motion_);
   }
 
@@ -262,6 +264,7 @@ class Tracer {
   T tanl_, sec_lambda_;
   KinematicsOf<T> now_;
   TrackMatterOf<T> track_;
+  T reached_{0.0};             // hits
   mask_of<T> alive_, curled_;  // curled: past the outermost point, no cylinder ahead
   [[no_unique_address]] Observer observer_;
 };

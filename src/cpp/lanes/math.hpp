@@ -152,10 +152,10 @@ template <class T>
 T atan_over(T t) {
   const T q = t * t;
   const auto brief = [&q] {
-    return 1.0 + q * (-1.0 / 3 + q * (1.0 / 5 + q * (-1.0 / 7 + q * (1.0 / 9 - q / 11.0))));
+    return 1.0 + q * (-1.0 / 3 + q * (1.0 / 5 + q * (-1.0 / 7 + q * (1.0 / 9 - q * (1.0 / 11)))));
   };
   const auto series = [&q] {
-    const T tail = -1.0 / 11 + q * (1.0 / 13 + q * (-1.0 / 15 + q * (1.0 / 17 - q / 19.0)));
+    const T tail = -1.0 / 11 + q * (1.0 / 13 + q * (-1.0 / 15 + q * (1.0 / 17 - q * (1.0 / 19))));
     return 1.0 + q * (-1.0 / 3 + q * (1.0 / 5 + q * (-1.0 / 7 + q * (1.0 / 9 + q * tail))));
   };
   return choose(q < 1e-3, brief, [&] { return choose(q < 0.02, series, [&t] { return atan(t) / t; }); });

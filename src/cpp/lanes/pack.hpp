@@ -229,7 +229,7 @@ template <class F, class G>
 double choose(bool m, F&& f, G&& g) {
   return m ? f() : g();
 }
-inline double nearest(double x) { return std::nearbyint(x); }
+inline double nearest(double x) { return (x + 0x1.8p52) - 0x1.8p52; }
 inline double lane(const double& x, int) { return x; }
 inline void set_lane(double& x, int, double value) { x = value; }
 inline bool lane(const bool& m, int) { return m; }

@@ -80,8 +80,8 @@ class CellFinder {
   Mask find(std::size_t index, const Point& from, const Mask& who, CellRange<T, Point>& range) {
     const WireLayer& layer = wires_[index];
     range.at_wires = from;
-    const Mask reached =
-        motion_.to_cylinder(range.at_wires, wire_radius(layer, from.z), range.arc, true, who);
+    const T cylinder = wire_radius(layer, from.z);
+    const Mask reached = motion_.to_cylinder(range.at_wires, cylinder, range.arc, true, who);
     left_ = who & motion_.left();
     if (const Mask turns = who & !reached & !left_; any(turns)) {
       T arc(0.0);
@@ -89,7 +89,7 @@ class CellFinder {
       range.arc = select(turns, arc, range.arc);
     }
     const CellBorders<T> borders(wires_, index, range.at_wires.z);
-    const Mask found = any(reached) ? by_slope(layer, borders, reached, range) : reached;
+    const Mask found = any(reached) ? by_slope(layer, borders, cylinder, reached, range) : reached;
     const Mask others = who & !found & !left_;
     return any(others) ? found | step_by_step(layer, from, borders, others, range) : found;
   }
@@ -99,10 +99,10 @@ class CellFinder {
  private:
   // Cells from the slope of the track at the wires; false if the curvature of the track could change the
   // result.
-  Mask by_slope(const WireLayer& layer, const CellBorders<T>& borders, const Mask& who,
+  Mask by_slope(const WireLayer& layer, const CellBorders<T>& borders, const T& radius, const Mask& who,
                 CellRange<T, Point>& range) {
     const HelixPointOf<T>& middle = range.at_wires;
-    const T p = middle.outward(), radius = middle.radius(), per_p = 1.0 / p, per_radius = 1.0 / radius;
+    const T p = middle.outward(), per_p = 1.0 / p, per_radius = 1.0 / radius;
     const T tan_a = middle.sideways() * per_p, per_cos = radius * per_p;
     const T twist_tanl = layer.twist_per_z * middle.tanl;
     const T at = cell_coordinate(layer, azimuth_of(middle, who), middle.z);

@@ -148,8 +148,9 @@ StepIntegral<T> step_integral(T f) {
   const T q = f * f;
   const auto is_short = q < 0.25;
   StepIntegral<T> i{
-      0.5 + q * (-1.0 / 24 + q * (1.0 / 720 + q * (-1.0 / 40320 + q * (1.0 / 3628800 - q / 479001600.0)))),
-      f * (1.0 / 6 + q * (-1.0 / 120 + q * (1.0 / 5040 + q * (-1.0 / 362880 + q / 39916800.0))))};
+      0.5 + q * (-1.0 / 24 +
+                 q * (1.0 / 720 + q * (-1.0 / 40320 + q * (1.0 / 3628800 - q * (1.0 / 479001600))))),
+      f * (1.0 / 6 + q * (-1.0 / 120 + q * (1.0 / 5040 + q * (-1.0 / 362880 + q * (1.0 / 39916800)))))};
   if (all(is_short)) return i;
   const SineCosine<T> s = sine_cosine(f);
   return {select(is_short, i.along, (1.0 - s.cosine) / q), select(is_short, i.across, (f - s.sine) / q)};
