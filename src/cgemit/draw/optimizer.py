@@ -112,7 +112,8 @@ def draw_front(columns: Columns, objectives: Sequence[str], errors: Sequence[str
         If there is only one objective, or no design is allowed.
     """
     kind = np.array(columns["front"], dtype=object)
-    front, tied = kind == "front", kind == "within errors"
+    loose, tied = kind == "front within errors", kind == "within errors"
+    front = (kind == "front") | loose
     allowed = np.array(columns["allowed"], bool)
     if len(objectives) < 2 or not front.any():
         raise ValueError("front: got one objective or no allowed design, expected several objectives and a design")
@@ -125,7 +126,8 @@ def draw_front(columns: Columns, objectives: Sequence[str], errors: Sequence[str
             x, y = values[i], values[k]
             rest = allowed & ~front & ~tied
             axes.plot(x[rest], y[rest], ".", ms=2.5, color=COLORS["matter"], label="other allowed designs")
-            axes.plot(x[tied], y[tied], ".", ms=5, color=COLORS["multi"], label="within errors of the front")
+            if tied.any():
+                axes.plot(x[tied], y[tied], ".", ms=5, color=COLORS["multi"], label="dominated by less than errors")
             across, up = (_errors(columns, errors[one], front) for one in (i, k))
             axes.errorbar(x[front], y[front], up, across, fmt="none", ecolor=COLORS["wire"], lw=0.7, zorder=2)
             others = [m for m in range(len(values)) if m not in (i, k)]
@@ -136,6 +138,9 @@ def draw_front(columns: Columns, objectives: Sequence[str], errors: Sequence[str
             drawn = axes.scatter(x[front], y[front], s=17, zorder=3, label="front", **colour)
             if others:
                 picture.colorbar(drawn, ax=axes, label=label(objectives[others[0]]))
+            if loose.any():
+                axes.plot(x[loose], y[loose], "o", ms=6.5, mfc="none", mec=COLORS["wire"], mew=0.6, zorder=2.5,
+                          label="of the front by less than errors")  # fmt: skip
             axes.plot(x[:1], y[:1], "*", ms=12, mfc="white", mec=COLORS["fit"], mew=1.4, zorder=4, label="base")
             _near(axes, x, y, front | tied)
             axes.set(xlabel=label(objectives[i]), ylabel=label(objectives[k]))
