@@ -186,6 +186,19 @@ def test_simulation_confirms_the_optimum(found: Optimization) -> None:
     assert error < math.hypot(*confirmed["ratio_error"])
 
 
+def test_the_picture_shows_every_allowed_design_and_the_best_so_far(found: Optimization) -> None:
+    (axes,) = found.draw().axes
+    table = found.to_pandas()
+    allowed = table[table["allowed"]]
+    (steps,) = [one for one in axes.lines if one.get_label() == "allowed, with the hits of another design"]
+    assert steps.get_xdata().tolist() == allowed["design"][allowed["kind"] == "step"].tolist()
+    (container,) = axes.containers
+    assert container.lines[0].get_ydata().tolist() == allowed["sigma_dr (um)"][allowed["kind"] != "step"].tolist()
+    (best,) = [one for one in axes.lines if one.get_drawstyle() == "steps-post"]
+    assert best.get_ydata()[-1] == allowed["sigma_dr (um)"].min()
+    assert axes.get_ylabel() == r"σ($d_\rho$) [µm]"
+
+
 def test_the_result_is_the_same_after_an_interruption(tmp_path: Path) -> None:
     folder = tmp_path / "out"
 

@@ -102,6 +102,7 @@ def test_budgets_of_variants_are_bars_that_add_up_to_the_variance() -> None:
         widths = {bars.get_label(): bars[row].get_width() for bars in axes.containers}
         assert widths == pytest.approx({name: 1e6 * float(value) for name, value in budget.items()}, rel=1e-9)
         assert axes.texts[row].get_text() == f"RMS {1000 * covariance.rms_dr:.4g} µm"
+    assert len(found.draw("sigma_dz (mm)", kind="budget").axes[0].containers) > 5
     few = found.draw_budgets("dr", "source").axes[0]
     assert len(few.containers) == 8 + 1
     assert few.containers[-1].get_label() == "other"

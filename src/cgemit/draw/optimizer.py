@@ -57,8 +57,13 @@ def draw_convergence(columns: Columns, objective: str, error: str | None, title:
         picture, (axes,) = new_picture(1, 1, (6.6, 4.4))
         if wrong.any():
             axes.plot(number[wrong], values[wrong], "x", color=COLORS["wire"], ms=6, label="outside of limits")
-        bars = np.array(columns[error], np.float64)[good] if error else None
-        axes.errorbar(number[good], values[good], bars, fmt="o", ms=4.5, color=COLORS["cgem"], label="allowed")
+        fixed = good & (np.array(columns["kind"]) == "step")
+        own = good & ~fixed
+        bars = np.array(columns[error], np.float64)[own] if error else None
+        axes.errorbar(number[own], values[own], bars, fmt="o", ms=4.5, color=COLORS["cgem"], label="allowed")
+        if fixed.any():
+            axes.plot(number[fixed], values[fixed], "o", ms=4.5, mfc="white", mec=COLORS["cgem"],
+                      label="allowed, with the hits of another design")  # fmt: skip
         best = np.fmin.accumulate(np.where(good, values, np.nan))
         axes.step(number, best, where="post", color=COLORS["idc"], lw=1.4, label="best allowed design so far")
         axes.set(xlabel="evaluated designs (0: base)", ylabel=label(objective))

@@ -181,13 +181,15 @@ class Sweep:
         quantity : str, optional
             Column of `results`; default: the first resolution, or the first of all.
         **options
-            Of `cgemit.draw.sweeps.draw_sweep`.
+            Of `cgemit.draw.sweeps.draw_sweep`; ``kind="budget"`` is `draw_budgets`.
         """
         from cgemit.draw.sweeps import draw_sweep
 
         if quantity is not None and quantity not in self.results:
             raise ValueError(f"quantity: got {quantity!r}, expected one of {', '.join(self.results)}")
         first = next((name for name in self.results if name.startswith("sigma_dr")), self.results[0])
+        if options.get("kind") == "budget":
+            return self.draw_budgets((quantity or first).partition(" (")[0].removeprefix("sigma_"))
         return draw_sweep(self.columns, self.parameters, quantity or first, **options)
 
     def draw_budgets(self, quantity: str = "dr", by: By = "part", *, point: int = 0, most: int = 12) -> Picture:
