@@ -18,6 +18,7 @@ from cgemit.study.optimizer import geometry
 from cgemit.study.optimizer.descent import Descent
 from cgemit.study.optimizer.evaluator import Evaluator
 from cgemit.study.optimizer.goals import Goals, goal_of, limits_of
+from cgemit.study.optimizer.plan import KEYS, read_optimize_plan
 from cgemit.study.optimizer.variables import variables_of
 from cgemit.study.sweeps.evaluate import Evaluation
 
@@ -169,6 +170,19 @@ def test_every_problem_is_listed_at_once() -> None:
         assert part in text, part
 
 
+def test_wrong_types_are_problems_of_their_arguments() -> None:
+    with pytest.raises(OptimizeError) as error:
+        optimize(
+            DESIGN, [], minimize=3, p=["1 GeV", "x", None], constraints=[1], method="gradientt", evaluate="both",
+            samples=0, background={"rat": 3},
+        )  # type: ignore[arg-type]  # fmt: skip
+    for part in (
+        "space: got []", "minimize: got 3", "p: got '1 GeV'", "p: got 'x'", "p: got None", "constraints: got [1]",
+        'did you mean "gradient"?', "evaluate: got 'both'", "samples: got 0", "background: got {'rat': 3}",
+    ):  # fmt: skip
+        assert part in str(error.value), part
+
+
 def test_an_impossible_start_is_a_problem() -> None:
     space = {"cgem.L1.anode_radius": ("110 mm", "115 mm"), "cgem.L2.anode_radius": ("105 mm", "110 mm")}
     with pytest.raises(OptimizeError, match=r"start: .*no overlap with cgem.L2"):
@@ -184,6 +198,19 @@ def test_simulation_confirms_the_optimum(found: Optimization) -> None:
     gain, error = confirmed["to_base"][1], confirmed["to_base_error"][1]
     assert gain == pytest.approx(found["sigma_dr (um)"][found.front[0]] / found["sigma_dr (um)"][0], abs=4 * error)
     assert error < math.hypot(*confirmed["ratio_error"])
+
+
+def test_the_picture_shows_every_allowed_design_and_the_best_so_far(found: Optimization) -> None:
+    (axes,) = found.draw().axes
+    table = found.to_pandas()
+    allowed = table[table["allowed"]]
+    (steps,) = [one for one in axes.lines if one.get_label() == "allowed, with the hits of another design"]
+    assert steps.get_xdata().tolist() == allowed["design"][allowed["kind"] == "step"].tolist()
+    (container,) = axes.containers
+    assert container.lines[0].get_ydata().tolist() == allowed["sigma_dr (um)"][allowed["kind"] != "step"].tolist()
+    (best,) = [one for one in axes.lines if one.get_drawstyle() == "steps-post"]
+    assert best.get_ydata()[-1] == allowed["sigma_dr (um)"].min()
+    assert axes.get_ylabel() == r"σ($d_\rho$) [µm]"
 
 
 def test_the_result_is_the_same_after_an_interruption(tmp_path: Path) -> None:
@@ -233,6 +260,24 @@ def test_the_command_line_writes_what_python_returns(tmp_path: Path, capsys: pyt
     assert {path.suffix for path in output.glob("convergence.*")} == {".png", ".pdf"}
     assert len(pd.read_csv(output / "confirmation.csv")) == 2
     assert main(["optimize", str(output / "plan.toml"), "-o", str(output), "--quiet"]) == 0
+
+
+def test_the_plans_of_the_documentation_run(tmp_path: Path) -> None:
+    plans = Path(__file__).resolve().parents[2] / "docs" / "plans"
+    page = (plans.parent / "optimize.md").read_text()
+    assert not [key for table in KEYS.values() for key in table if f"`{key}`" not in page and f"[{key}" not in page]
+    result = read_optimize_plan(plans / "front.toml", {"search.calls": 0, "search.population": 4}).run()
+    assert len(result) == 5
+    assert read_optimize_plan(plans / "optimum.toml").arguments["constraints"] == LIMITS
+
+
+@pytest.mark.slow
+def test_processes_find_what_one_process_finds(tmp_path: Path) -> None:
+    plan = tmp_path / "plan.toml"
+    plan.write_text(PLAN + "[search]\nmethod = 'nsga2'\npopulation = 12\noffspring = 6\ncalls = 2\n")
+    assert main(["optimize", str(plan), "-o", str(tmp_path / "one"), "--quiet", "--threads", "1"]) == 0
+    assert main(["optimize", str(plan), "-o", str(tmp_path / "two"), "--quiet", "--processes", "2"]) == 0
+    assert (tmp_path / "one/optimize.csv").read_bytes() == (tmp_path / "two/optimize.csv").read_bytes()
 
 
 def test_the_command_line_refuses_other_folders_and_lists_problems(

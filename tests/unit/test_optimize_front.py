@@ -15,7 +15,7 @@ from optuna.storages.journal import JournalFileBackend
 import cgemit as cg
 from cgemit.draw.optimizer import label
 from cgemit.study import Optimization, OptimizeError, optimize
-from cgemit.study.optimizer.front import growth, hypervolume, nondominated, within_errors
+from cgemit.study.optimizer.front import by_noise, growth, hypervolume, nondominated, within_errors
 from cgemit.study.sweeps.evaluate import GROUPS
 
 DESIGN = cg.load("besiii-cgem-design")
@@ -74,6 +74,12 @@ def test_a_front_is_not_decided_by_noise() -> None:
     assert within_errors(values, replicas, front).tolist() == [False, True, False, False]
     replicas[:, 0] = values[:, :1] + 0.004 * common  # the same tracks: differences have no error
     assert not within_errors(values, replicas, front).any()
+    # The second design is of the front by 0.01 +- 0.02 only, the third by 0.2.
+    values = np.array([[1.01, 5.0], [1.0, 6.0], [0.8, 6.0]])
+    replicas = np.repeat(values[:, :, None], GROUPS, axis=2)
+    replicas[:, 0] += 0.004 * own[:3]
+    assert by_noise(values[:2], replicas[:2], np.array([True, True])).tolist() == [False, True]
+    assert by_noise(values[::2], replicas[::2], np.array([True, True])).tolist() == [False, False]
 
 
 def test_the_front_of_a_search_keeps_the_limits_and_is_dominated_by_nothing(found: tuple[Optimization, Path]) -> None:

@@ -1,6 +1,6 @@
 """Pictures; the only part of the package that knows matplotlib."""
 
-from cgemit.draw.budget import draw_budget, draw_sensitivity
+from cgemit.draw.budget import draw_budget, draw_budgets, draw_sensitivity
 from cgemit.draw.chain_diagram import draw_chain
 from cgemit.draw.cluster import draw_cluster, draw_projection
 from cgemit.draw.curves import residual
@@ -16,6 +16,7 @@ draw_event = event  # its former name
 __all__ = [
     "Picture",
     "draw_budget",
+    "draw_budgets",
     "draw_chain",
     "draw_cluster",
     "draw_detector",

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import matplotlib as mpl
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +19,7 @@ _SYMBOLS = {
 }  # fmt: skip
 _COLOURS = (COLORS["cgem"], COLORS["idc"], COLORS["truth"])
 _OTHER = "other"
+_AREAS = mpl.colormaps["tab20"](np.arange(20))[[0, 2, 4, 6, 8, 10, 12, 16, 18, 1, 3, 5, 7, 9, 11, 13, 17, 19]]
 
 
 def draw_budget(budget: Budget, by: By = "part", *, most: int = 8) -> Picture:
@@ -51,12 +54,11 @@ def draw_budget(budget: Budget, by: By = "part", *, most: int = 8) -> Picture:
     p = budget.p[order]
     shares = _shares(budget, by, most)
     edges = np.cumsum([np.zeros(len(p)), *(share[order] for share in shares.values())], axis=0)
-    colours = mpl.colormaps["tab20"](np.arange(20) % 20)[[0, 2, 4, 6, 8, 10, 12, 16, 18, 1, 3, 5, 7, 9, 11, 13, 17, 19]]
     with style():
         width = 6.2 + 0.085 * max(map(len, shares))  # room for the legend
         picture, (axes,) = new_picture(1, 1, (width, 4.6))
         for number, name in enumerate(shares):
-            colour = COLORS["matter"] if name == _OTHER else colours[number % len(colours)]
+            colour = COLORS["matter"] if name == _OTHER else _AREAS[number % len(_AREAS)]
             low, high = edges[number], edges[number + 1]
             axes.fill_between(p, low, high, color=colour, lw=0, alpha=0.85, label=plain(name))
             axes.plot(p, high, color="white", lw=0.6)
@@ -68,6 +70,76 @@ def draw_budget(budget: Budget, by: By = "part", *, most: int = 8) -> Picture:
         axes.legend(handles[::-1], labels[::-1], loc="center left", bbox_to_anchor=(1.01, 0.5), title=by)
         picture.subplots_adjust(left=0.7 / width, right=5.6 / width, top=0.92, bottom=0.12)
     return picture
+
+
+def draw_budgets(budgets: Mapping[str, Budget], by: By = "part", *, most: int = 8, scale: float = 1.0) -> Picture:
+    """Draw what the variance of each variant of a detector is made of, as stacked bars.
+
+    Parameters
+    ----------
+    budgets : mapping of str to Budget
+        By the name of the variant, from top to bottom; of the same quantity at one point.
+    by : str
+        As for `Budget.grouped`.
+    most : int
+        Groups that are drawn: those with the largest variance in any variant. The rest is one group, ``other``.
+    scale : float
+        1 for variances in the unit of the budgets; 1000 for those of lengths in µm, of momenta in MeV/c.
+
+    Returns
+    -------
+    Picture
+        The length of a bar is the variance; the number beside it is its root.
+
+    Raises
+    ------
+    ValueError
+        If there is no budget, or one of several points.
+    """
+    if not budgets or most < 1 or any(one.p.size != 1 for one in budgets.values()):
+        sizes = [one.p.size for one in budgets.values()]
+        raise ValueError(f"draw_budgets: got {sizes} points, most {most}; expected budgets of one point, and most > 0")
+    first = next(iter(budgets.values()))
+    pieces = _pieces(budgets, by, most)
+    unit = {"mm": "µm", "GeV/c": "MeV/c", "rad": "mrad"}.get(first.unit, first.unit) if scale == 1000 else first.unit
+    names = [plain(name).replace("+", "\n+") for name in budgets]
+    with style():
+        tall = 1.5 + sum(0.2 + 0.17 * (1 + name.count("\n")) for name in names)
+        before = 0.3 + 0.075 * max(len(line) for name in names for line in name.split("\n"))  # inches for the names
+        width = before + 7.2
+        picture, (axes,) = new_picture(1, 1, (width, tall))
+        left = np.zeros(len(budgets))
+        for number, (key, piece) in enumerate(pieces.items()):
+            colour = COLORS["matter"] if key == _OTHER else _AREAS[number % len(_AREAS)]
+            axes.barh(np.arange(len(names)), scale**2 * piece, 0.72, left, color=colour, edgecolor="white", lw=0.5,
+                      label=plain(key))  # fmt: skip
+            left = left + scale**2 * piece
+        for row, total in enumerate(left):
+            axes.text(total * 1.01, row, f"RMS {total**0.5:.4g} {unit}", va="center", fontsize=8.4)
+        axes.set_yticks(np.arange(len(names)), names)
+        axes.set(ylim=(len(names) - 0.4, -0.6), xlim=(0, 1.22 * left.max()))
+        axes.set_xlabel(f"variance of {mathematical(_SYMBOLS[first.quantity])}" + (f"  ({unit}²)" if unit else ""))
+        p, cosine = float(first.p.ravel()[0]), float(first.cos_theta.ravel()[0])
+        axes.set_title(
+            plain(f"{first.detector}, {first.particle}, p = {p:.4g} GeV/c, cos θ = {cosine:.3g}"), loc="left"
+        )
+        axes.tick_params(axis="y", length=0)
+        axes.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), title=by)
+        right = 1 - 1.4 / width
+        picture.subplots_adjust(left=before / width, right=right, top=1 - 0.35 / tall, bottom=0.55 / tall)
+    return picture
+
+
+def _pieces(budgets: Mapping[str, Budget], by: By, most: int) -> dict[str, Floats]:
+    """Return the variances of each group, (variants,), the largest first; more groups than `most` are added up."""
+    every = [{key: float(value.ravel()[0]) for key, value in one.grouped(by).items()} for one in budgets.values()]
+    keys = dict.fromkeys(key for groups in every for key in groups)
+    found = {key: np.array([groups.get(key, 0.0) for groups in every]) for key in keys}
+    names = sorted(found, key=lambda key: -float(found[key].max()))
+    if len(names) <= most:
+        return {name: found[name] for name in names}
+    rest = np.sum([found[name] for name in names[most:]], axis=0)
+    return {name: found[name] for name in names[:most]} | {_OTHER: rest}
 
 
 def _shares(budget: Budget, by: By, most: int) -> dict[str, Floats]:

@@ -57,8 +57,13 @@ def draw_convergence(columns: Columns, objective: str, error: str | None, title:
         picture, (axes,) = new_picture(1, 1, (6.6, 4.4))
         if wrong.any():
             axes.plot(number[wrong], values[wrong], "x", color=COLORS["wire"], ms=6, label="outside of limits")
-        bars = np.array(columns[error], np.float64)[good] if error else None
-        axes.errorbar(number[good], values[good], bars, fmt="o", ms=4.5, color=COLORS["cgem"], label="allowed")
+        fixed = good & (np.array(columns["kind"]) == "step")
+        own = good & ~fixed
+        bars = np.array(columns[error], np.float64)[own] if error else None
+        axes.errorbar(number[own], values[own], bars, fmt="o", ms=4.5, color=COLORS["cgem"], label="allowed")
+        if fixed.any():
+            axes.plot(number[fixed], values[fixed], "o", ms=4.5, mfc="white", mec=COLORS["cgem"],
+                      label="allowed, with the hits of another design")  # fmt: skip
         best = np.fmin.accumulate(np.where(good, values, np.nan))
         axes.step(number, best, where="post", color=COLORS["idc"], lw=1.4, label="best allowed design so far")
         axes.set(xlabel="evaluated designs (0: base)", ylabel=label(objective))
@@ -112,7 +117,8 @@ def draw_front(columns: Columns, objectives: Sequence[str], errors: Sequence[str
         If there is only one objective, or no design is allowed.
     """
     kind = np.array(columns["front"], dtype=object)
-    front, tied = kind == "front", kind == "within errors"
+    loose, tied = kind == "front within errors", kind == "within errors"
+    front = (kind == "front") | loose
     allowed = np.array(columns["allowed"], bool)
     if len(objectives) < 2 or not front.any():
         raise ValueError("front: got one objective or no allowed design, expected several objectives and a design")
@@ -125,7 +131,8 @@ def draw_front(columns: Columns, objectives: Sequence[str], errors: Sequence[str
             x, y = values[i], values[k]
             rest = allowed & ~front & ~tied
             axes.plot(x[rest], y[rest], ".", ms=2.5, color=COLORS["matter"], label="other allowed designs")
-            axes.plot(x[tied], y[tied], ".", ms=5, color=COLORS["multi"], label="within errors of the front")
+            if tied.any():
+                axes.plot(x[tied], y[tied], ".", ms=5, color=COLORS["multi"], label="dominated by less than errors")
             across, up = (_errors(columns, errors[one], front) for one in (i, k))
             axes.errorbar(x[front], y[front], up, across, fmt="none", ecolor=COLORS["wire"], lw=0.7, zorder=2)
             others = [m for m in range(len(values)) if m not in (i, k)]
@@ -136,6 +143,9 @@ def draw_front(columns: Columns, objectives: Sequence[str], errors: Sequence[str
             drawn = axes.scatter(x[front], y[front], s=17, zorder=3, label="front", **colour)
             if others:
                 picture.colorbar(drawn, ax=axes, label=label(objectives[others[0]]))
+            if loose.any():
+                axes.plot(x[loose], y[loose], "o", ms=6.5, mfc="none", mec=COLORS["wire"], mew=0.6, zorder=2.5,
+                          label="of the front by less than errors")  # fmt: skip
             axes.plot(x[:1], y[:1], "*", ms=12, mfc="white", mec=COLORS["fit"], mew=1.4, zorder=4, label="base")
             _near(axes, x, y, front | tied)
             axes.set(xlabel=label(objectives[i]), ylabel=label(objectives[k]))

@@ -43,11 +43,35 @@ def within_errors(values: Floats, replicas: Floats, front: npt.NDArray[np.bool_]
     off = np.zeros(len(values), bool)
     for i in np.flatnonzero(front):
         rows = np.flatnonzero(np.all(values >= values[i], axis=1) & ~front & ~off)
-        difference = replicas[rows] - replicas[i]
-        spread = np.sum((difference - difference.mean(axis=2, keepdims=True)) ** 2, axis=2)
-        error = np.sqrt((GROUPS - 1) / GROUPS * spread)
-        off[rows] = np.any(values[rows] - values[i] > SIGMAS * error + 1e-12 * np.abs(values[i]), axis=1)
+        limit = SIGMAS * _error(replicas[rows] - replicas[i]) + 1e-12 * np.abs(values[i])
+        off[rows] = np.any(values[rows] - values[i] > limit, axis=1)
     return ~front & ~off
+
+
+def by_noise(values: Floats, replicas: Floats, front: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+    """Return which designs of the front owe their place to differences below the error.
+
+    Some other design of the front is better by more than `SIGMAS` standard errors of the difference in one objective,
+    and worse by less than that in the others.
+
+    Parameters
+    ----------
+    values, replicas, front
+        As for `within_errors`.
+    """
+    found = np.zeros(len(values), bool)
+    rows = np.flatnonzero(front)
+    for i in rows:
+        worse = values[rows] - values[i]
+        limit = SIGMAS * _error(replicas[rows] - replicas[i]) + 1e-12 * np.abs(values[i])
+        found[i] = bool(np.any(np.all(worse <= limit, axis=1) & np.any(worse < -limit, axis=1)))
+    return found
+
+
+def _error(differences: Floats) -> Floats:
+    """Return the errors of differences of (n, objectives, groups) values without each group."""
+    spread = np.sum((differences - differences.mean(axis=2, keepdims=True)) ** 2, axis=2)
+    return np.asarray(np.sqrt((GROUPS - 1) / GROUPS * spread))
 
 
 def hypervolume(values: Floats, reference: Floats) -> float:

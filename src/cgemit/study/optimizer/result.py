@@ -13,16 +13,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cgemit.detector import Detector
-from cgemit.detector.variants import variant_name
 from cgemit.io.files import new_file
 from cgemit.io.folders import SUMMARY
 from cgemit.record import versions
 from cgemit.statistics.formatting import html_table, text_table, write_csv
 from cgemit.study.optimizer.confirm import Confirmation, confirm
 from cgemit.study.optimizer.evaluator import Design, Evaluator
-from cgemit.study.optimizer.front import SIGMAS, growth, hypervolume, nondominated, within_errors
+from cgemit.study.optimizer.front import SIGMAS, growth, hypervolume
 from cgemit.study.optimizer.goals import Goal, jackknife
 from cgemit.study.optimizer.single import Found
+from cgemit.study.optimizer.table import FRONT, LOOSE, TIED, columns_of, front_of, replicas_of
 from cgemit.study.optimizer.variables import Variable, changes_of
 from cgemit.study.sweeps.evaluate import GROUPS
 from cgemit.version import PHYSICS
@@ -30,7 +30,6 @@ from cgemit.version import PHYSICS
 if TYPE_CHECKING:
     from cgemit.draw.style import Picture
 
-FRONT, TIED = "front", "within errors"
 _SHOWN_ROWS = 20
 
 
@@ -43,8 +42,9 @@ class Optimization:
     columns : dict of str to list
         One row for each evaluated design; row 0 is the base. `call` counts the steps or the groups of designs. `kind`
         is "base", "value", "step" (resolutions with the hits of another design, without errors) or "optimum".
-        `allowed` says whether all limits are kept. `front` is "front" for designs that no other one dominates, and
-        "within errors" for those that are dominated by less than the error of the difference.
+        `allowed` says whether all limits are kept. `front` is "front" for designs that no other one dominates, "front
+        within errors" for those among them that another one would dominate but for differences below the error, and
+        "within errors" for designs that are dominated by less than the error.
     variables : tuple of Variable
     objectives : tuple of Goal
     method : str
@@ -77,12 +77,12 @@ class Optimization:
         designs: Sequence[Design], found: Found,
     ) -> Optimization:  # fmt: skip
         """Return the table of some designs, the front among them, and its hypervolume."""
-        columns = _columns(evaluator, variables, designs)
+        columns = columns_of(evaluator, variables, designs)
         values = np.array([columns[one.header] for one in objectives], np.float64).T
         values[~np.array(columns["allowed"])] = np.nan
-        replicas = _replicas(designs, objectives, values)
+        replicas = replicas_of(designs, objectives, values)
         if len(objectives) > 1:
-            columns["front"] = _front(values, replicas)
+            columns["front"] = front_of(values, replicas)
         volumes: list[tuple[int, int, float]] = []
         reference, error = values[:0].sum(axis=0), math.nan
         if len(objectives) > 1:
@@ -91,7 +91,7 @@ class Optimization:
             reference = first.max(axis=0) if len(first) else np.full(len(objectives), np.nan)
             own = slice(1, None)  # the base is no design of the search
             volumes = growth(values[own], [one.call for one in designs[own]], reference)
-            rows = np.array([one == FRONT for one in columns["front"]])
+            rows = np.array([one in (FRONT, LOOSE) for one in columns["front"]])
             error = jackknife([hypervolume(replicas[rows][..., i], reference) for i in range(GROUPS)])
         return Optimization(
             columns, tuple(variables), tuple(objectives), method, found.gradients, found.message, volumes,
@@ -116,7 +116,7 @@ class Optimization:
             best = [i for i, kind in enumerate(self.columns["kind"]) if kind == "optimum"]
             first = self.columns[self.objectives[0].header]
             return best or sorted(self._allowed(), key=lambda i: float(first[i]))[:1]
-        rows = [i for i, one in enumerate(self.columns["front"]) if one == FRONT]
+        rows = [i for i, one in enumerate(self.columns["front"]) if one in (FRONT, LOOSE)]
         values = self[self.objectives[0].header]
         return sorted(rows, key=lambda i: float(values[i]))
 
@@ -224,7 +224,8 @@ class Optimization:
         if len(self.objectives) > 1 and self.growth:
             found["hypervolume"] = {"value": self.growth[-1][2], "error": self.hypervolume_error,
                                     "reference": list(self.reference)}  # fmt: skip
-            found["front"] = {"designs": len(self.front), TIED: self.columns["front"].count(TIED), "sigmas": SIGMAS}
+            counts = {name: self.columns["front"].count(name) for name in (FRONT, LOOSE, TIED)}
+            found["front"] = counts | {"sigmas": SIGMAS}
         return json.loads(json.dumps(found, default=str).replace("NaN", "null").replace("Infinity", "null"))  # type: ignore[no-any-return]
 
     def draw(self, kind: str | None = None) -> Picture:
@@ -270,8 +271,8 @@ class Optimization:
         gradients = f", {self.gradients} gradients" if self.method == "gradient" else ""
         title = f"{self.evaluator.base.name}, {self.method}: {self.evaluations} designs{gradients}; {self.message}"
         if len(self.objectives) > 1:
-            tied = self.columns["front"].count(TIED)
-            title += f"; front of {len(self.front)}, {tied} more within errors, some shown"
+            loose, tied = (self.columns["front"].count(name) for name in (LOOSE, TIED))
+            title += f"; front of {len(self.front)}, {loose} of them and {tied} others within errors; some are shown"
         return head, cells, title
 
     def __repr__(self) -> str:
@@ -285,50 +286,3 @@ class Optimization:
 
 def _cell(value: Any) -> str:
     return f"{value:.5g}" if isinstance(value, float) else str(value)
-
-
-def _columns(evaluator: Evaluator, variables: Sequence[Variable], designs: Sequence[Design]) -> dict[str, list[Any]]:
-    rows = [one.row for one in designs]
-    columns: dict[str, list[Any]] = {
-        "design": list(range(len(designs))),
-        "call": [one.call for one in designs],
-        "kind": [one.kind for one in designs],
-        "name": [_name(evaluator.base, variables, one) for one in designs],
-        "hash": [row.get("hash", "") for row in rows],
-        "status": [row["status"] for row in rows],
-        "problems": ["; ".join(row["problems"]) for row in rows],
-        "allowed": [evaluator.allowed(row) for row in rows],
-    }
-    for i, variable in enumerate(variables):
-        columns[variable.header] = [one.values[i] for one in designs]
-    for goal in evaluator.goals.goals:
-        columns[goal.header] = [row.get("values", {}).get(goal.header, math.nan) for row in rows]
-        if goal.resolution:
-            columns[goal.error_header] = [row.get("errors", {}).get(goal.header, math.nan) for row in rows]
-    return columns
-
-
-def _name(base: Detector, variables: Sequence[Variable], design: Design) -> str:
-    return base.name if design.kind == "base" else variant_name(base.name, changes_of(variables, design.values))
-
-
-def _replicas(designs: Sequence[Design], objectives: Sequence[Goal], values: Any) -> Any:
-    """Return (designs, objectives, GROUPS) values without each group of tracks."""
-    found = np.repeat(values[:, :, None], GROUPS, axis=2)
-    for i, design in enumerate(designs):
-        for k, goal in enumerate(objectives):
-            replicas = design.row.get("replicas", {}).get(goal.header)
-            if replicas is not None:
-                found[i, k] = replicas
-    return found
-
-
-def _front(values: Any, replicas: Any) -> list[str]:
-    """Return what each design is: on the front, within errors of it, or neither (an empty text)."""
-    texts = np.full(len(values), "", dtype=object)
-    allowed = np.flatnonzero(np.isfinite(values).all(axis=1))
-    if len(allowed):
-        front = nondominated(values[allowed])
-        texts[allowed[front]] = FRONT
-        texts[allowed[within_errors(values[allowed], replicas[allowed], front)]] = TIED
-    return [str(one) for one in texts]

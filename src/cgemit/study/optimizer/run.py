@@ -28,6 +28,7 @@ from cgemit.study.optimizer.variables import Variable, variables_of
 from cgemit.study.samples import ShowProgress
 from cgemit.study.sweeps.evaluate import CosTheta, Evaluation
 from cgemit.study.sweeps.run import as_tuple, chunk_folder, number_problems
+from cgemit.units import QuantityError, parse_quantity
 from cgemit.values import is_whole
 
 #: SLSQP with gradients, COBYLA without, NSGA-II.
@@ -123,13 +124,16 @@ def optimize(
     OutputExistsError
         If the folder holds files that are none of an optimization.
     """
+    problems: list[str] = []
     evaluation = Evaluation(
-        method=evaluate, particle=particle, p=as_tuple(_list(p)), cos_theta=as_tuple(_list(cos_theta)), events=events,
-        seed=seed, settings=settings, function=None, quantities=(), samples=samples,
+        method=evaluate, particle=particle, p=_momenta(p, problems), cos_theta=as_tuple(_list(cos_theta)),
+        events=events, seed=seed, settings=settings, function=None, quantities=(), samples=samples,
     )  # fmt: skip
     numbers = {"steps": steps, "population": population, "offspring": offspring, "calls": calls, "seed": seed}
     start = load(base)
-    task = _checked(start, space, minimize, constraints or {}, evaluation, background, method, tolerance, numbers)
+    task = _checked(
+        start, space, minimize, constraints or {}, evaluation, background, method, tolerance, numbers, problems
+    )  # fmt: skip
     folder, journal = _places(task, output, resume=resume, overwrite=overwrite, numbers=numbers)
     with ExitStack() as stack:
         evaluator = Evaluator(start, task.goals, task.limits, folder, executor or _pool(stack))
@@ -154,6 +158,17 @@ def optimize(
     return result
 
 
+def _momenta(given: Any, problems: list[str]) -> tuple[float, ...]:
+    """Return momenta in GeV/c; each may have a unit."""
+    found = []
+    for one in list(given) if hasattr(given, "__iter__") and not isinstance(given, str) else [given]:
+        try:
+            found.append(float(parse_quantity(one, "momentum")) if isinstance(one, str) else float(one))
+        except (QuantityError, TypeError, ValueError):
+            problems.append(f"p: got {one!r}, expected a momentum in GeV/c, such as 0.3 or '300 MeV/c'")
+    return tuple(found) or (1.0,)
+
+
 def _list(given: Any) -> Any:
     """Return a sequence of numbers as a list; a pair of cos(theta) is a range and stays one."""
     return list(given) if hasattr(given, "__iter__") and not isinstance(given, str | tuple) else given
@@ -167,10 +182,9 @@ def _pool(stack: ExitStack) -> Executor:
 
 def _checked(
     base: Detector, space: Mapping[str, Any], minimize: Any, constraints: Mapping[str, Any], evaluation: Evaluation,
-    background: Any, method: Any, tolerance: Any, numbers: Mapping[str, Any],
+    background: Any, method: Any, tolerance: Any, numbers: Mapping[str, Any], problems: list[str],
 ) -> _Task:  # fmt: skip
-    """Return the arguments in their final form, or raise OptimizeError with every problem."""
-    problems: list[str] = []
+    """Return the arguments in their final form, or raise OptimizeError with every problem, those given among them."""
     variables = variables_of(base, space, problems)
     texts = [minimize] if isinstance(minimize, str) else minimize
     if not isinstance(texts, Sequence) or not texts or len(set(map(str, texts))) < len(texts):

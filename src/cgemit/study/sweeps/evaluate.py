@@ -13,7 +13,7 @@ from typing import Any, Literal
 import numpy as np
 
 from cgemit import chain
-from cgemit.covariance import Covariance, analytic
+from cgemit.covariance import Budget, Covariance, analytic
 from cgemit.detector import Detector
 from cgemit.fit import FitStatus
 from cgemit.gun import Gun
@@ -140,6 +140,26 @@ def analytic_points(detector: Detector, evaluation: Evaluation) -> list[dict[str
         for i in range(len(evaluation.p))
         for sigma, one in zip(sigmas, found, strict=True)
     ]
+
+
+def budgets(evaluation: Evaluation, detectors: Mapping[str, Detector], quantity: str, point: int) -> dict[str, Budget]:
+    """Return the error budget of a resolution for each of some detectors at one point of an evaluation.
+
+    Raises
+    ------
+    ValueError
+        If the evaluation was a function, or there is no such point or quantity.
+    """
+    points = [(p, one) for p in evaluation.p for one in evaluation.cos_theta]
+    if evaluation.method == "function" or not 0 <= point < len(points) or quantity not in QUANTITIES:
+        raise ValueError(
+            f"budgets: got {quantity!r} at point {point} of evaluation {evaluation.method!r}; expected one of "
+            f"{', '.join(QUANTITIES)}, a point below {len(points)}, and an evaluation of resolutions"
+        )
+    how = (evaluation.particle, *points[point])
+    return {
+        name: analytic(detector, *how, **evaluation.arguments).budget(quantity) for name, detector in detectors.items()
+    }
 
 
 def _simulated(

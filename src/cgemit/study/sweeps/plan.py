@@ -49,7 +49,7 @@ KEYS: dict[str, dict[str, str]] = {
     },
     "draw": {
         "quantity": "column of the results (default: the first resolution)",
-        "kind": '"scan", "map" or "parallel"',
+        "kind": '"scan", "map", "parallel" or "budget"',
     },
 }
 PLAN = "plan.toml"

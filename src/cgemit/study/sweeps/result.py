@@ -12,13 +12,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from cgemit.covariance.budget import By
 from cgemit.detector import Detector
 from cgemit.detector.variants import matching, value_at, variant_name
 from cgemit.io.files import new_file
 from cgemit.io.folders import SUMMARY
 from cgemit.record import versions
 from cgemit.statistics.formatting import html_table, text_table, write_csv
-from cgemit.study.sweeps.evaluate import Evaluation, column, error_of_difference
+from cgemit.study.sweeps.evaluate import QUANTITIES, Evaluation, budgets, column, error_of_difference
 from cgemit.study.sweeps.space import Space, split_quantity
 from cgemit.tables.frames import data_frame
 from cgemit.units import NATIVE, format_quantity
@@ -182,14 +183,43 @@ class Sweep:
         quantity : str, optional
             Column of `results`; default: the first resolution, or the first of all.
         **options
-            Of `cgemit.draw.sweeps.draw_sweep`.
+            Of `cgemit.draw.sweeps.draw_sweep`; ``kind="budget"`` is `draw_budgets`.
         """
         from cgemit.draw.sweeps import draw_sweep
 
         if quantity is not None and quantity not in self.results:
             raise ValueError(f"quantity: got {quantity!r}, expected one of {', '.join(self.results)}")
         first = next((name for name in self.results if name.startswith("sigma_dr")), self.results[0])
+        if options.get("kind") == "budget":
+            return self.draw_budgets((quantity or first).partition(" (")[0].removeprefix("sigma_"))
         return draw_sweep(self.columns, self.parameters, quantity or first, **options)
+
+    def draw_budgets(self, quantity: str = "dr", by: By = "part", *, point: int = 0, most: int = 12) -> Picture:
+        """Draw what the variance of each variant is made of (`cgemit.draw.draw_budgets`).
+
+        Parameters
+        ----------
+        quantity : str
+            Resolution.
+        by : str
+            "part", "cause", "material" or "source".
+        point : int
+            Momentum and angle: their number among those of a variant.
+        most : int
+            Variants, in the order of the table; variants that cannot be built are left out.
+
+        Raises
+        ------
+        ValueError
+            If the evaluation was a function, or there is no such point or quantity.
+        """
+        from cgemit.draw.budget import draw_budgets
+
+        first = [i for i, here in enumerate(self._is_first()) if here and self.columns["status"][i] == "ok"][:most]
+        names = {self.columns["variant"][i]: self.columns["name"][i] for i in first}
+        short = {number: name.removeprefix(f"{self.bases[number].name}+") for number, name in names.items()}
+        detectors = {short[number] if number else "base": self.detector(number) for number in names}
+        return draw_budgets(budgets(self.evaluation, detectors, quantity, point), by, scale=QUANTITIES[quantity][1])
 
     def _is_first(self) -> list[bool]:
         numbers = self.columns["variant"]
