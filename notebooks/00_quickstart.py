@@ -15,7 +15,7 @@
 #
 # Which resolution does a tracker reach, and what should change? This notebook loads the CGEM inner tracker of BESIII
 # with the outer drift chamber, follows muons through it, looks at one track, measures resolutions, and compares a
-# variant. Units are mm, ns, GeV, GeV/c, T and rad throughout (`docs/conventions.md`).
+# variant. Units are mm, ns, GeV, GeV/c, T and rad throughout ([conventions](../docs/conventions.md)).
 
 # %%
 import numpy as np
@@ -49,8 +49,8 @@ result = cg.run(detector, gun, n=2000, seed=1)
 result
 
 # %% [markdown]
-# Every stage leaves a table: plain numpy columns, one row per object, described in `docs/data_model.md`. Links between
-# tables are row numbers. Here is the truth behind the first X cluster:
+# Every stage leaves a table: plain numpy columns, one row per object, described in the [data
+# model](../docs/data_model.md). Links between tables are row numbers. Here is the truth behind the first X cluster:
 
 # %%
 result.clusters
@@ -85,8 +85,12 @@ cg.resolution(result.tracks, "p")
 # %%
 cg.draw.residual(result, "p")
 
+# %% [markdown]
+# The core of a pull has the width 1 where the errors are right. The plain RMS is larger: delta electrons and hard
+# scatters make tails, which no Gaussian error describes.
+
 # %%
-{name: round(float(result.tracks[f"pull_{name}"].std()), 2) for name in ("dr", "phi0", "kappa", "dz", "tanl")}
+cg.study.pulls(result)
 
 # %% [markdown]
 # ## A variant
@@ -97,7 +101,8 @@ cg.draw.residual(result, "p")
 # %%
 fine = cg.load({"base": "besiii-cgem-design", "name": "fine-L1", "cgem": {"L1": {"pitch_x": "400 um"}}})
 variant = cg.run(fine, gun, n=2000, seed=1)
-{run.detector.name: cg.resolution(run.tracks, "dr") for run in (result, variant)}
+for run in (result, variant):
+    print(run.detector.name, cg.resolution(run, "dr"))
 
 # %% [markdown]
 # End of the tour. `cg.study.reproduce(output="out")`, or `cgemit study` in a shell, makes every figure of the paper.

@@ -15,8 +15,8 @@
 #
 # Matter limits the resolution of a light tracker below 1 GeV/c and makes the tails everywhere. This notebook follows a
 # muon through the beam pipe, the three CGEM layers and the drift chamber, layer by layer: how much matter, how large
-# the angles and losses, and where delta electrons go. Formulas and sources are in `docs/methods/matter.md` and
-# `docs/methods/deltas.md`, the comparison with Geant4 in `docs/validation.md`.
+# the angles and losses, and where delta electrons go. Formulas and sources are in [matter](../docs/methods/matter.md)
+# and [deltas](../docs/methods/deltas.md), the comparison with Geant4 in [validation](../docs/validation.md).
 
 # %%
 import matplotlib.pyplot as plt

@@ -16,7 +16,7 @@
 # The fit turns 3 CGEM clusters and some 40 drift distances into the five parameters of a helix at the origin, with a
 # covariance. This notebook looks over its shoulder: how it settles, how every hit makes the error ellipse smaller and
 # matter makes it larger, what each hit says of the others, and whether errors can be believed. Derivations are in
-# `docs/methods/fit.md`, the checks in `docs/validation.md`.
+# [fit](../docs/methods/fit.md), the checks in [validation](../docs/validation.md).
 
 # %%
 from dataclasses import replace

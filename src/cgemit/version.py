@@ -6,8 +6,8 @@ from importlib import metadata
 #: are computed anew. A test ties it to the golden numbers.
 PHYSICS = 2
 
-#: Address of the documentation, as `[project.urls]` of pyproject.toml has it.
-DOCS = "https://cgemit.readthedocs.io/en/latest"
+#: Address of the pages of docs/; `[project.urls]` of pyproject.toml has the address of the site.
+DOCS = "https://cgemit.readthedocs.io/en/latest/docs"
 
 try:
     VERSION = metadata.version("cgemit")

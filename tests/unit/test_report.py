@@ -115,7 +115,7 @@ def test_wide_tables_say_that_they_scroll():
 
 def test_address_of_the_documentation_is_that_of_the_project():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    assert project["urls"]["Documentation"] == DOCS
+    assert project["urls"]["Documentation"] + "/docs" == DOCS
 
 
 def test_missing_picture_is_an_error(tmp_path):

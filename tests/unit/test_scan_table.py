@@ -16,7 +16,7 @@ from cgemit.draw.scans import PANELS, resolutions
 from cgemit.study import measure, scan, scan_analytic
 from cgemit.study.quantities import QUANTITIES
 from cgemit.study.scan_files import columns_of, save_scans
-from cgemit.study.scan_table import difference, differences_text
+from cgemit.study.scan_table import difference
 
 DESIGN = "besiii-cgem-design"
 
@@ -109,7 +109,13 @@ def test_differences_have_the_errors_of_pairs(pair: list[Any]) -> None:
     paired = difference(other, base, "dz")[1]
     apart = np.hypot(*(measure(by_hand(one.tracks)["dz"][0]).core_error for one in (other, base)))
     assert paired < 0.9 * apart
-    text = differences_text(pair[1].samples, pair[0].samples, ["dr"]).splitlines()
+    found = pair[1].minus(pair[0])
+    text = repr(found).splitlines()
+    frame = found.to_pandas()
+    assert frame["delta_sigma_dz (mm)"].tolist() == columns["delta_sigma_dz (mm)"][2:]
+    assert found._repr_html_().count("<tr>") == 3
+    with pytest.raises(ValueError, match="got different particles"):
+        pair[1].minus(scan(DESIGN, [0.4, 1.0], cos_theta=(-0.5, 0.5), events=40))
     assert text[0].startswith("wide minus besiii-cgem-design, mu-: differences of core widths")
     value = columns["delta_sigma_dr (um)"][2]
     assert float(text[2].split()[1]) == pytest.approx(value, abs=abs(columns["delta_sigma_dr_error (um)"][2]) / 15)

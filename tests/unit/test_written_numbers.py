@@ -330,3 +330,16 @@ def test_resolutions_and_removed_rows_of_the_report(study, report):
         ends = {part.split()[1]: int(part.split()[0]) for part in cells["end of transport"].split(", ")}
         assert ends == dict(sample.transport)
         assert int(cells["clusters without truth"]) == sample.clusters.without_truth
+
+
+@pytest.mark.parametrize(
+    ("gun", "text"),
+    [
+        (Gun("pi+", pt=0.5, theta=(0.5, 1.5)), "pi+, pT = 0.5 GeV/c, θ = 0.5 to 1.5 rad"),
+        (Gun("mu-", p=[0.5, 1.0], cos_theta=0.1) + Gun("K-", p=1, theta=1),
+         "mu-, p = 0.5, 1 GeV/c, cos θ = 0.1; K-, p = 1 GeV/c, θ = 1 rad"),
+    ],
+)  # fmt: skip
+def test_pictures_of_residuals_say_what_was_shot(gun, text):
+    axes = curves.residual(run("besiii-cgem-design", gun, 20, 1), "p").axes[0]
+    assert axes.get_title(loc="left") == f"besiii-cgem-design, 20 events\n{text}"

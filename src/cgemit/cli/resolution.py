@@ -127,8 +127,7 @@ def _text(points: Sequence[Scan], lines: Sequence[AnalyticScan]) -> str:
     """Return a table and the fits of each detector and particle, and the differences to the first detector."""
     from cgemit.study.compared import compared
     from cgemit.study.scan_files import base_of, fits_text
-    from cgemit.study.scan_table import differences_text
-    from cgemit.study.scans import QUOTED_PARAMETERS
+    from cgemit.study.scan_table import differences
 
     if points and lines:
         pairs = list(zip(points, lines, strict=True))
@@ -136,5 +135,5 @@ def _text(points: Sequence[Scan], lines: Sequence[AnalyticScan]) -> str:
     else:
         parts = [[str(scan), fits_text([scan])] for scan in points or lines]
     bases = [(scan, base_of(scan, points)) for scan in points]
-    parts += [[differences_text(scan.orders, base.orders, QUOTED_PARAMETERS)] for scan, base in bases if base]  # type: ignore[arg-type]
+    parts += [[str(differences(scan.orders, base.orders))] for scan, base in bases if base]  # type: ignore[arg-type]
     return "\n\n".join("\n".join(filter(None, part)) for part in parts)

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
 
+from cgemit.draw.shots import shot_text
 from cgemit.draw.style import COLORS, Picture, grid, mathematical, new_picture, plain, statistics_box, style
 from cgemit.result import Result, tracks_of
 from cgemit.statistics.curves import Line, Spectrum, track_spectrum
@@ -49,7 +50,9 @@ def residual(result: Result | Table, quantity: str = "p") -> Picture:
         picture, (axes,) = new_picture(1, 1, (6.4, 4.6))
         about = "" if isinstance(result, Table) else f"{result.detector.name}, {result.particles.n_events:,} events"
         draw_spectrum(axes, track_spectrum(tracks, quantity), about)
-        picture.subplots_adjust(left=0.13, right=0.97, top=0.92, bottom=0.13)
+        if not isinstance(result, Table):
+            axes.set_title(f"{axes.get_title(loc='left')}\n{plain(shot_text(result.gun))}", loc="left", fontsize=9.5)
+        picture.subplots_adjust(left=0.13, right=0.97, top=0.89, bottom=0.13)
     return picture
 
 

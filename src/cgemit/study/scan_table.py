@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from cgemit.fit import FitStatus
 from cgemit.statistics.estimate import core_sigma
-from cgemit.statistics.formatting import text_table, with_error
+from cgemit.statistics.formatting import Tabular, html_table, text_table, with_error
 from cgemit.study.quantities import QUANTITIES, column, median_error, sample_of, width
 from cgemit.study.samples import Order, Sample, angle_of, decayed, fitted, momentum_name, momentum_of
 from cgemit.study.sweeps.evaluate import GROUPS, error_of_difference
@@ -102,8 +103,48 @@ def difference_columns(samples: Sequence[Sample], bases: Sequence[Sample]) -> Co
     return columns
 
 
-def differences_text(samples: Sequence[Sample], bases: Sequence[Sample], names: Sequence[str]) -> str:
-    """Return a table of the differences of some quantities to other samples of the same events."""
+@dataclass(frozen=True, eq=False, repr=False)
+class Differences(Tabular):
+    """Differences of resolutions of two detectors that saw the same particles.
+
+    Attributes
+    ----------
+    samples, bases : tuple of Sample
+        Of the detector, and of the one that is subtracted.
+    """
+
+    samples: tuple[Sample, ...]
+    bases: tuple[Sample, ...]
+
+    def columns(self) -> Columns:
+        """Return momenta, angles, and the differences of all quantities with their paired errors."""
+        return leading_columns(self.samples, "mc") | difference_columns(self.samples, self.bases)
+
+    def __repr__(self) -> str:
+        return text_table(*differences_table(self.samples, self.bases))
+
+    def _repr_html_(self) -> str:
+        return html_table(*differences_table(self.samples, self.bases))
+
+
+def differences(samples: Sequence[Sample], bases: Sequence[Sample]) -> Differences:
+    """Return the differences to other samples of the same events.
+
+    Raises
+    ------
+    ValueError
+        If guns, events or seeds differ.
+    """
+    shots = [[(one.gun, one.n_events, one.seed) for one in group] for group in (samples, bases)]
+    if shots[0] != shots[1]:
+        raise ValueError("difference of scans: got different particles, expected equal guns, events and seeds")
+    return Differences(tuple(samples), tuple(bases))
+
+
+def differences_table(
+    samples: Sequence[Sample], bases: Sequence[Sample], names: Sequence[str] = ("dr", "dz", "p")
+) -> tuple[str, list[str], list[list[str]]]:
+    """Return title, head and rows of the differences of some quantities to other samples of the same events."""
     first, base = samples[0], bases[0]
     title = (
         f"{first.detector.name} minus {base.detector.name}, {first.gun.particle}: differences of core widths (sigma) "
@@ -116,7 +157,7 @@ def differences_text(samples: Sequence[Sample], bases: Sequence[Sample], names: 
         + [signed(*compare(*pair, name)) for name in names for compare in (difference, median_difference)]
         for pair in zip(samples, bases, strict=True)
     ]
-    return text_table(title, head, rows)
+    return title, head, rows
 
 
 def signed(value: float, error: float) -> str:

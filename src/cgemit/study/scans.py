@@ -38,7 +38,7 @@ from cgemit.study.samples import (
     why_unfitted,
 )
 from cgemit.study.scan_files import save_scans, summary_of
-from cgemit.study.scan_table import angle_text, counts_text, scan_columns, shot_text
+from cgemit.study.scan_table import Differences, angle_text, counts_text, differences, scan_columns, shot_text
 from cgemit.tables import Table
 from cgemit.values import check_numbers
 
@@ -155,6 +155,21 @@ class Scan(Tabular):
     def columns(self) -> dict[str, list[Any]]:
         """Return the columns of the CSV table."""
         return scan_columns(self.samples)
+
+    def minus(self, base: Scan) -> Differences:
+        """Return the differences to the resolutions of another detector, with their paired errors.
+
+        Parameters
+        ----------
+        base : Scan
+            Of the same particles: equal momenta, angles, events and seed.
+
+        Raises
+        ------
+        ValueError
+            If the particles are not the same.
+        """
+        return differences(self.samples, base.samples)
 
     def empty(self) -> bool:
         """Tell whether no track was fitted."""

@@ -1,0 +1,58 @@
+"""Configuration of the documentation's site: `sphinx-build -W -c docs . build/site` from the project's folder."""
+
+import re
+import tomllib
+from pathlib import Path
+
+PROJECT = tomllib.loads((Path(__file__).parents[1] / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+
+project = "cgemit"
+author = copyright = PROJECT["authors"][0]["name"]
+version = release = PROJECT["version"]
+
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.mathjax", "sphinx.ext.napoleon"]
+root_doc = "docs/index"
+include_patterns = [
+    *("README.md", "CHANGELOG.md", "CONTRIBUTING.md", "benchmarks/README.md", "validation/data/README.md"),
+    *("docs/*.md", "docs/how-to/*.md", "docs/methods/*.md", "docs/reference/*.md", "notebooks/*.py"),
+]
+exclude_patterns = ["build", "docs/*.py"]
+# A name such as Detector has several homes, which are the same.
+suppress_warnings = ["ref.python"]
+
+html_theme = "furo"
+html_title = f"cgemit {release}"
+html_static_path = ["site/static"]
+html_css_files = ["wide.css"]
+html_extra_path = ["site/index.html"]  # index.html, which leads to docs/index.html
+
+myst_enable_extensions = ["dollarmath"]
+myst_heading_anchors = 4
+nb_custom_formats = {".py": ["jupytext.reads", {"fmt": "py:percent"}]}
+nb_execution_mode = "force"
+nb_execution_timeout = 300
+nb_execution_raise_on_error = True
+nb_execution_in_temp = True
+nb_merge_streams = True
+
+autodoc_member_order = "bysource"
+autodoc_typehints = "none"  # the docstrings say more
+autodoc_default_options = {"members": True}
+napoleon_numpy_docstring = True
+napoleon_google_docstring = False
+napoleon_use_rtype = False
+napoleon_use_param = False
+napoleon_use_ivar = True
+
+
+def _literal(app, what, name, obj, options, lines):
+    """Make `name` in docstrings a code text and |x| no substitution, as they are not in reStructuredText."""
+    code = [re.sub(r"(?<!`)`([^`<>]+)`(?![`_])", r"``\1``", line) for line in lines]
+    if what in ("property", "attribute") and code:
+        code[0] = code[0].replace(": ", " – ", 1)  # napoleon takes what is before a colon for the type
+    lines[:] = [re.sub(r"\|(?=.*\|)|(?<=\w)\|", r"\\|", line) if "``" not in line else line for line in code]
+
+
+def setup(app):
+    """Connect the changes of docstrings, before napoleon reads them."""
+    app.connect("autodoc-process-docstring", _literal, priority=100)
