@@ -3,9 +3,11 @@
 from cgemit.statistics.chi2 import Flatness, chi2_flatness, chi2_probability
 from cgemit.statistics.estimate import GaussianFit, Resolution, gaussian_fit, measure
 from cgemit.statistics.forms import FormFit, fit_form
+from cgemit.statistics.fractions import Fraction
 from cgemit.statistics.resolutions import Curve, Pulls, pulls, resolution, resolution_against
 from cgemit.study.analytic_scan import AnalyticScan, scan_analytic
 from cgemit.study.cluster_residuals import DeltaFractions, delta_displacements, delta_fractions
+from cgemit.study.finding_metrics import Finding, FindingRates, finding
 from cgemit.study.paper import Reproduction, reproduce
 from cgemit.study.robustness import Outcome, run_scenario
 from cgemit.study.scans import Scan, scan
@@ -17,8 +19,11 @@ __all__ = [
     "AnalyticScan",
     "Curve",
     "DeltaFractions",
+    "Finding",
+    "FindingRates",
     "Flatness",
     "FormFit",
+    "Fraction",
     "GaussianFit",
     "Outcome",
     "Pulls",
@@ -32,6 +37,7 @@ __all__ = [
     "chi2_probability",
     "delta_displacements",
     "delta_fractions",
+    "finding",
     "fit_form",
     "gaussian_fit",
     "grid",
