@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from cgemit.covariance import analytic, sensitivity
     from cgemit.detector import Detector, DetectorError, detectors, load
     from cgemit.digitize import BinaryReadout, DigitizeSettings, GaussianReadout
+    from cgemit.find_settings import FindSettings
     from cgemit.fit import FitSettings, FitStatus
     from cgemit.gun import Gun
     from cgemit.matter import slab
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     from cgemit.states import StateStatus, Surface, extrapolate
     from cgemit.statistics.resolutions import resolution
     from cgemit.tables import Table
+    from cgemit.track_finder import find_tracks
 
 __all__ = [
     "BinaryReadout",
@@ -35,6 +37,7 @@ __all__ = [
     "Detector",
     "DetectorError",
     "DigitizeSettings",
+    "FindSettings",
     "FitSettings",
     "FitStatus",
     "GaussianReadout",
@@ -51,6 +54,7 @@ __all__ = [
     "detectors",
     "draw",
     "extrapolate",
+    "find_tracks",
     "fit_hits",
     "isa",
     "label_candidates",
@@ -70,6 +74,7 @@ _MODULES = {
     "Detector": "detector",
     "DetectorError": "detector",
     "DigitizeSettings": "digitize",
+    "FindSettings": "find_settings",
     "FitSettings": "fit",
     "FitStatus": "fit",
     "GaussianReadout": "digitize",
@@ -84,6 +89,7 @@ _MODULES = {
     "analytic": "covariance",
     "detectors": "detector",
     "extrapolate": "states",
+    "find_tracks": "track_finder",
     "fit_hits": "own_hits",
     "label_candidates": "candidates",
     "load": "detector",

@@ -12,6 +12,7 @@ from typing import Any
 from cgemit.cluster import ClusterSettings
 from cgemit.detector import Detector
 from cgemit.digitize import DigitizeSettings
+from cgemit.find_settings import FindSettings
 from cgemit.fit import FitSettings, FitStatus
 from cgemit.gun import Gun, Guns
 from cgemit.io.folders import new_folder
@@ -44,6 +45,7 @@ class Settings(SettingsData):
     simulate: SimulateSettings = field(default_factory=SimulateSettings)
     digitize: DigitizeSettings = field(default_factory=DigitizeSettings)
     cluster: ClusterSettings = field(default_factory=ClusterSettings)
+    find: FindSettings = field(default_factory=FindSettings)
     fit: FitSettings = field(default_factory=FitSettings)
 
 
