@@ -13,6 +13,7 @@ from cgemit.version import VERSION as __version__
 
 if TYPE_CHECKING:
     from cgemit import draw, isa, study
+    from cgemit.background import BackgroundSettings
     from cgemit.candidates import label_candidates
     from cgemit.chain import run
     from cgemit.cluster import ClusterSettings
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
     from cgemit.track_finder import find_tracks
 
 __all__ = [
+    "BackgroundSettings",
     "BinaryReadout",
     "ClusterSettings",
     "Detector",
@@ -69,6 +71,7 @@ __all__ = [
 # The modules of the public names. They are imported when first used: numpy, scipy and matplotlib take half a second,
 # in which Ctrl-C would end the command line with a traceback.
 _MODULES = {
+    "BackgroundSettings": "background",
     "BinaryReadout": "digitize",
     "ClusterSettings": "cluster",
     "Detector": "detector",

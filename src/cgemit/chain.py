@@ -11,6 +11,7 @@ from dataclasses import fields, replace
 from typing import Any, Literal
 
 from cgemit import find
+from cgemit.background import add_background
 from cgemit.candidates import Finder, by_finder, finder_name
 from cgemit.detector import Detector, load
 from cgemit.digitize import cluster_digis, digitize
@@ -72,8 +73,13 @@ def run_chunk(
     hits, truth, found = ("clusters", "wire_hits"), ("truths", "wire_truths"), ("candidates", "candidate_hits")
     stages: dict[str, Callable[[], Mapping[str, Table]]] = {
         "simulate": lambda: simulate(detector, particles, settings.simulate, seed),
-        "digitize": lambda: digitize(
-            detector, tables["truths"], tables["wire_truths"], settings.digitize, seed, steps=tables["steps"]
+        "digitize": lambda: add_background(
+            detector,
+            **digitize(
+                detector, tables["truths"], tables["wire_truths"], settings.digitize, seed, steps=tables["steps"]
+            ),
+            settings=settings.background,
+            seed=seed,
         ),
         "cluster": lambda: {
             "clusters": cluster_digis(detector, tables["digis"], settings.digitize, settings.cluster)
@@ -225,7 +231,11 @@ def _check_stages(finder: object, until: object, executor: Executor | None) -> N
 def _expected(given: object) -> str:
     """Return the expected form of settings; those of one stage go into `Settings`."""
     stage = next((f.name for f in fields(Settings) if type(given) is f.default_factory), "")
-    return f"Settings({stage}=...)" if stage else "Settings(simulate=..., digitize=..., cluster=..., find=..., fit=...)"
+    return (
+        f"Settings({stage}=...)"
+        if stage
+        else "Settings(simulate=..., digitize=..., background=..., cluster=..., find=..., fit=...)"
+    )
 
 
 def _source(gun: Any, n: int | None) -> tuple[Gun | Guns | None, int, Table | None]:

@@ -53,7 +53,7 @@ class FindSettings(SettingsData):
     least_axial : int
         Layers of axial wires and X clusters that a seed of the chamber needs.
     min_score : float
-        Smallest logarithm of the likelihood ratio of a track to foreign hits.
+        Smallest logarithm of the likelihood ratio of a track to foreign hits, beyond 2.5 for each hit.
     max_seeds : int
         Seeds of an event that are followed, of each source; the best ones come first.
 
@@ -74,5 +74,5 @@ class FindSettings(SettingsData):
     max_z: Length = 400.0
     min_pt: Positive = 0.03
     least_axial: Layers = 6
-    min_score: Score = 10.0
+    min_score: Score = 5.0
     max_seeds: Count = 200

@@ -40,6 +40,7 @@ PYTHON_LAYERS = [
     {"find_settings", "fit_settings"},
     {"cluster"},
     {"simulate", "digitize", "find", "fit", "track_finder"},
+    {"background"},
     {"match", "own_hits"},
     {"record"},
     {"result"},

@@ -27,6 +27,8 @@ py::dict run(const Detector& detector, const Array<std::int64_t>& event_offsets,
   out["offsets"] = to_numpy(std::move(found.offsets));
   out["hits"] = to_numpy(std::move(found.hits));
   out["score"] = to_numpy(std::move(found.score));
+  out["chi2"] = to_numpy(std::move(found.chi2));
+  out["holes"] = to_numpy(std::move(found.holes));
   out["seeds"] = to_numpy(std::move(found.seeds));
   return out;
 }

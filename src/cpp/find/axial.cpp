@@ -6,6 +6,7 @@
 #include <array>
 #include <bit>
 #include <cmath>
+#include <functional>
 
 #include "common/angles.hpp"
 #include "detector/strip_plane.hpp"
@@ -16,10 +17,11 @@ namespace cgemit {
 namespace {
 
 constexpr double cell_psi = 2 * pi / 64;
-constexpr int most_boxes = 3000;       // divided in one search
-constexpr double hit_error = 0.3;      // mm, with the effects that a circle neglects
-constexpr double beam_line = 5;        // mm, distance of tracks from the beam line that the fit expects
-constexpr double close_points = 1e-6;  // 1/mm^2
+constexpr int most_boxes = 4000;      // divided in one event
+constexpr double hit_error = 0.3;     // mm, with the effects that a circle neglects
+constexpr double beam_line = 5;       // mm, distance of tracks from the beam line that the fit expects
+constexpr double least_squares = 10;  // mm^2, r^2 - l^2 of a usable hit
+constexpr double per_occupancy = 12;  // layers that a seed needs in addition, per share of fired cells
 
 }  // namespace
 
@@ -27,18 +29,27 @@ AxialSearch::AxialSearch(const Detector& detector, const FindSettings& settings)
     : detector_(detector),
       settings_(settings),
       largest_w_(std::abs(curvature(detector.bz, 1 / settings.min_pt))),
-      grid_(static_cast<std::size_t>(columns * rows)) {}
+      grid_(static_cast<std::size_t>(columns * rows)) {
+  for (int i = 0; i < columns; ++i) columns_.emplace_back(-pi + i * cell_psi, cell_psi);
+}
 
 void AxialSearch::add(double x, double y, double drift, std::size_t layer, std::int32_t id) {
   const double squares = x * x + y * y - drift * drift;
-  if (!(squares > 1 / close_points * 1e-5)) return;
-  points_.push_back(
-      {x, y, drift, 2 / squares, std::atan2(y, x), std::uint64_t{1} << (layer % 64), id, false});
+  if (!(squares > least_squares)) return;
+  points_.push_back({x, y, drift, 2 / squares, std::uint64_t{1} << (layer % 64), id, false});
 }
 
 void AxialSearch::load(const EventHits& hits) {
   points_.clear();
   const std::size_t gaps = detector_.cgem.size();
+  double occupancy = 0;
+  int layers = 0;
+  for (std::size_t i = 0; i < detector_.wires.size(); ++i) {
+    if (detector_.wires[i].twist != 0) continue;
+    occupancy += hits.occupancy(i);
+    ++layers;
+  }
+  least_ = settings_.least_axial + (layers > 0 ? static_cast<int>(per_occupancy * occupancy / layers) : 0);
   for (std::int32_t id = 0; id < hits.size(); ++id) {
     if (hits.is_taken(id)) continue;
     const Hit& hit = hits[id];
@@ -52,6 +63,7 @@ void AxialSearch::load(const EventHits& hits) {
       add(wire.x, wire.y, std::max(hit.value, 0.0), gaps + layer, id);
     }
   }
+  coarse();
 }
 
 int AxialSearch::deepest(double w) const {
@@ -60,47 +72,46 @@ int AxialSearch::deepest(double w) const {
 }
 
 // Whether one of the two curves of a hit crosses a box.
-bool AxialSearch::touches(const Point& point, double psi, double w, int depth) const {
-  const double width = cell_psi / (1 << depth), height = 2 * largest_w_ / rows / (1 << depth);
-  if (std::abs(wrap_angle(point.phi - psi - 0.5 * width)) > 0.5 * pi) return false;
-  const double one = point.y * std::cos(psi) - point.x * std::sin(psi),
-               other = point.y * std::cos(psi + width) - point.x * std::sin(psi + width);
+bool AxialSearch::touches(const Point& point, const Column& column, double w, double height) {
+  if (!column.outward(point)) return false;
+  const double one = column.at_low(point), other = column.at_high(point);
   const double low = std::min(one, other), high = std::max(one, other);
   for (const double side : {-point.drift, point.drift})
     if ((high + side) * point.per >= w && (low + side) * point.per <= w + height) return true;
   return false;
 }
 
-void AxialSearch::push(double psi, double w, int depth, std::int32_t first, std::int32_t last) {
+int AxialSearch::layers_in(const Box& box) const {
   std::uint64_t layers = 0;
-  for (std::int32_t i = first; i < last; ++i)
-    layers |= points_[static_cast<std::size_t>(arena_[static_cast<std::size_t>(i)])].layer;
-  const int n = std::popcount(layers);
-  if (n < settings_.least_axial) return;
-  heap_.push_back({n, depth, psi, w, first, last});
-  std::ranges::push_heap(heap_, [](const Box& a, const Box& b) {
-    return std::tuple(a.layers, a.depth, -a.psi, -a.w) < std::tuple(b.layers, b.depth, -b.psi, -b.w);
-  });
+  for (std::int32_t i = box.first; i < box.last; ++i) {
+    const Point& p = points_[static_cast<std::size_t>(arena_[static_cast<std::size_t>(i)])];
+    if (!p.left_out) layers |= p.layer;
+  }
+  return std::popcount(layers);
+}
+
+void AxialSearch::push(const Box& box) {
+  if (box.layers < least_) return;
+  heap_.push_back(box);
+  std::ranges::push_heap(heap_, std::less<>());
 }
 
 // The boxes of the first grid with enough layers.
 void AxialSearch::coarse() {
   std::ranges::fill(grid_, 0);
-  const double height = 2 * largest_w_ / rows;
+  const double height = 2 * largest_w_ / rows, per_height = 1 / height;
+  const auto row_of = [&](double w) {
+    return static_cast<int>(
+        std::floor((std::clamp(w, -2 * largest_w_, 2 * largest_w_) + largest_w_) * per_height));
+  };
   for (const Point& p : points_) {
-    if (p.left_out) continue;
     for (int column = 0; column < columns; ++column) {
-      const double psi = -pi + column * cell_psi;
-      if (std::abs(wrap_angle(p.phi - psi - 0.5 * cell_psi)) > 0.5 * pi) continue;
-      const double one = p.y * std::cos(psi) - p.x * std::sin(psi),
-                   other = p.y * std::cos(psi + cell_psi) - p.x * std::sin(psi + cell_psi);
+      const Column& edges = columns_[static_cast<std::size_t>(column)];
+      if (!edges.outward(p)) continue;
+      const double one = edges.at_low(p), other = edges.at_high(p);
       for (const double side : {-p.drift, p.drift}) {
-        const double low = (std::min(one, other) + side) * p.per,
-                     high = (std::max(one, other) + side) * p.per;
-        const int first =
-            std::max(0, static_cast<int>(std::floor((std::max(low, -1.0) + largest_w_) / height)));
-        const int last =
-            std::min(rows - 1, static_cast<int>(std::floor((std::min(high, 1.0) + largest_w_) / height)));
+        const int first = std::max(0, row_of((std::min(one, other) + side) * p.per));
+        const int last = std::min(rows - 1, row_of((std::max(one, other) + side) * p.per));
         for (int row = first; row <= last; ++row)
           grid_[static_cast<std::size_t>(column * rows + row)] |= p.layer;
       }
@@ -108,54 +119,66 @@ void AxialSearch::coarse() {
   }
   heap_.clear();
   arena_.clear();
-  for (int column = 0; column < columns; ++column) {
-    for (int row = 0; row < rows; ++row) {
-      if (std::popcount(grid_[static_cast<std::size_t>(column * rows + row)]) < settings_.least_axial)
-        continue;
-      const double psi = -pi + column * cell_psi, w = -largest_w_ + row * height;
-      const auto first = static_cast<std::int32_t>(arena_.size());
-      for (std::size_t i = 0; i < points_.size(); ++i)
-        if (!points_[i].left_out && touches(points_[i], psi, w, 0))
-          arena_.push_back(static_cast<std::int32_t>(i));
-      push(psi, w, 0, first, static_cast<std::int32_t>(arena_.size()));
-    }
-  }
+  divided_ = 0;
+  for (int column = 0; column < columns; ++column)
+    for (int row = 0; row < rows; ++row)
+      push({std::popcount(grid_[static_cast<std::size_t>(column * rows + row)]), 0, -pi + column * cell_psi,
+            -largest_w_ + row * height, -1, -1});
+}
+
+// The points of a box of the first grid.
+void AxialSearch::collect(Box& box) {
+  const Column column(box.psi, cell_psi);
+  const double height = 2 * largest_w_ / rows;
+  box.first = static_cast<std::int32_t>(arena_.size());
+  for (std::size_t i = 0; i < points_.size(); ++i)
+    if (!points_[i].left_out && touches(points_[i], column, box.w, height))
+      arena_.push_back(static_cast<std::int32_t>(i));
+  box.last = static_cast<std::int32_t>(arena_.size());
 }
 
 void AxialSearch::divide(const Box& box) {
   const int depth = box.depth + 1;
   const double width = cell_psi / (1 << depth), height = 2 * largest_w_ / rows / (1 << depth);
-  for (int child = 0; child < 4; ++child) {
-    const double psi = box.psi + (child % 2) * width, w = box.w + (child / 2) * height;
-    const auto first = static_cast<std::int32_t>(arena_.size());
-    for (std::int32_t i = box.first; i < box.last; ++i) {
-      const std::int32_t point = arena_[static_cast<std::size_t>(i)];
-      if (touches(points_[static_cast<std::size_t>(point)], psi, w, depth)) arena_.push_back(point);
+  for (int i = 0; i < 2; ++i) {
+    const double psi = box.psi + i * width;
+    const Column column(psi, width);
+    for (int j = 0; j < 2; ++j) {
+      Box child{0, depth, psi, box.w + j * height, static_cast<std::int32_t>(arena_.size()), 0};
+      for (std::int32_t k = box.first; k < box.last; ++k) {
+        const std::int32_t point = arena_[static_cast<std::size_t>(k)];
+        if (touches(points_[static_cast<std::size_t>(point)], column, child.w, height))
+          arena_.push_back(point);
+      }
+      child.last = static_cast<std::int32_t>(arena_.size());
+      child.layers = layers_in(child);
+      push(child);
     }
-    push(psi, w, depth, first, static_cast<std::int32_t>(arena_.size()));
   }
 }
 
+// The count of a box is that of all its points when it was made; points left out since then lower it.
 std::optional<FoundCircle> AxialSearch::next() {
-  const auto before = [](const Box& a, const Box& b) {
-    return std::tuple(a.layers, a.depth, -a.psi, -a.w) < std::tuple(b.layers, b.depth, -b.psi, -b.w);
-  };
-  coarse();
-  for (int n = 0; n < most_boxes && !heap_.empty(); ++n) {
-    std::ranges::pop_heap(heap_, before);
-    const Box box = heap_.back();
+  while (!heap_.empty() && divided_ < most_boxes) {
+    std::ranges::pop_heap(heap_, std::less<>());
+    Box box = heap_.back();
     heap_.pop_back();
-    if (box.depth < deepest(box.w)) {
+    if (box.first < 0) collect(box);
+    const int now = layers_in(box);
+    if (now < box.layers) {
+      box.layers = now;
+      push(box);
+    } else if (box.depth < deepest(box.w)) {
+      ++divided_;
       divide(box);
-      continue;
+    } else {
+      const double scale = 1.0 / (1 << box.depth);
+      auto found = circle(box.psi + 0.5 * cell_psi * scale, box.w + largest_w_ / rows * scale);
+      // Whatever comes of it, the next search must find something else.
+      for (std::int32_t i = box.first; i < box.last; ++i)
+        points_[static_cast<std::size_t>(arena_[static_cast<std::size_t>(i)])].left_out = true;
+      if (found) return found;
     }
-    const double scale = 1.0 / (1 << box.depth);
-    auto found = circle(box.psi + 0.5 * cell_psi * scale, box.w + largest_w_ / rows * scale);
-    // Whatever comes of it, the next search must find something else.
-    for (std::int32_t i = box.first; i < box.last; ++i)
-      points_[static_cast<std::size_t>(arena_[static_cast<std::size_t>(i)])].left_out = true;
-    if (found) return found;
-    coarse();
   }
   return std::nullopt;
 }
@@ -193,7 +216,7 @@ std::optional<FoundCircle> AxialSearch::circle(double psi, double w) {
       c.hits.push_back(p.id);
       layers |= p.layer;
     }
-    if (std::popcount(layers) < settings_.least_axial) return std::nullopt;
+    if (std::popcount(layers) < least_) return std::nullopt;
     const Eigen::Vector3d step = normal.ldlt().solve(right);
     if (!step.allFinite()) return std::nullopt;
     c.d += step[0];

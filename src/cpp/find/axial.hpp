@@ -7,8 +7,11 @@
 // beam line counts.
 #pragma once
 
+#include <array>
+#include <cmath>
 #include <cstdint>
 #include <optional>
+#include <tuple>
 #include <vector>
 
 #include "find/event_hits.hpp"
@@ -37,22 +40,41 @@ class AxialSearch {
 
   struct Point {
     double x, y, drift, per;  // per: 2/(r^2 - l^2)
-    double phi;
-    std::uint64_t layer;  // one bit
+    std::uint64_t layer;      // one bit
     std::int32_t id;
     bool left_out;
   };
   struct Box {
     int layers, depth;
     double psi, w;             // lowest corner
-    std::int32_t first, last;  // its points in the arena
+    std::int32_t first, last;  // its points in the arena; not yet collected if first < 0
+
+    bool operator<(const Box& other) const {
+      return std::tuple(layers, depth, -psi, -w) <
+             std::tuple(other.layers, other.depth, -other.psi, -other.w);
+    }
+  };
+  // The edges of a column of boxes.
+  struct Column {
+    double cos_low, sin_low, cos_high, sin_high;
+    Column(double psi, double width)
+        : cos_low(std::cos(psi)),
+          sin_low(std::sin(psi)),
+          cos_high(std::cos(psi + width)),
+          sin_high(std::sin(psi + width)) {}
+    // Whether the point is on the half turn that leaves the beam line.
+    bool outward(const Point& p) const { return p.x * (cos_low + cos_high) + p.y * (sin_low + sin_high) > 0; }
+    double at_low(const Point& p) const { return p.y * cos_low - p.x * sin_low; }
+    double at_high(const Point& p) const { return p.y * cos_high - p.x * sin_high; }
   };
 
   void add(double x, double y, double drift, std::size_t layer, std::int32_t id);
   void coarse();
-  bool touches(const Point& point, double psi, double w, int depth) const;
+  static bool touches(const Point& point, const Column& column, double w, double height);
+  void collect(Box& box);
   void divide(const Box& box);
-  void push(double psi, double w, int depth, std::int32_t first, std::int32_t last);
+  void push(const Box& box);
+  int layers_in(const Box& box) const;
   std::optional<FoundCircle> circle(double psi, double w);
   int deepest(double w) const;
   double residual(const FoundCircle& c, const Point& p) const;
@@ -64,6 +86,8 @@ class AxialSearch {
   std::vector<std::uint64_t> grid_;
   std::vector<Box> heap_;
   std::vector<std::int32_t> arena_;
+  std::vector<Column> columns_;
+  int least_ = 0, divided_ = 0;
 };
 
 }  // namespace cgemit

@@ -14,6 +14,13 @@ inline bool is_track(const FoundTrack& track) {
   return track.across >= 3 && track.along >= 2 && track.across + track.along >= 6;
 }
 
+// Chance finds hits wherever it looks: each hit must add to the likelihood on average, and fit.
+inline bool is_likely(const FoundTrack& track, double min_score) {
+  constexpr double per_hit = 2.5, chi2_per_hit = 15;
+  const auto n = static_cast<double>(track.hits.size());
+  return track.score > min_score + per_hit * n && track.chi2 < chi2_per_hit * n;
+}
+
 class Competition {
  public:
   explicit Competition(const Detector& detector) : detector_(detector) {}
@@ -27,7 +34,7 @@ class Competition {
     std::size_t kept = 0;
     for (std::size_t i = 0; i < tracks.size(); ++i) {
       FoundTrack& track = tracks[i];
-      if (track.score < min_score || !keeps(track, hits)) continue;
+      if (!is_likely(track, min_score) || !keeps(track, hits)) continue;
       for (const std::int32_t hit : track.hits) used_[static_cast<std::size_t>(hit)] = 1;
       if (kept != i) tracks[kept] = std::move(track);
       ++kept;

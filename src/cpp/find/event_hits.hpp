@@ -41,8 +41,9 @@ class EventHits {
       if (hit.view != View::wire) {
         ++begin_[place(static_cast<std::size_t>(hit.layer), hit.view) + 1];
       } else {
-        // Of several hits of a cell, the earliest counts.
-        if (cell(hit) >= 0) continue;
+        // Of several hits of a cell, the earliest counts. A hit from beyond the cell came too late for a
+        // track.
+        if (cell(hit) >= 0 || hit.value > reach(hit)) continue;
         cell(hit) = static_cast<std::int32_t>(hits_.size());
         ++fired_[static_cast<std::size_t>(hit.layer)];
       }
@@ -86,6 +87,10 @@ class EventHits {
 
  private:
   static std::size_t place(std::size_t layer, View view) { return 2 * layer + (view == View::v ? 1 : 0); }
+  double reach(const Hit& hit) const {
+    const WireLayer& layer = detector_.wires[static_cast<std::size_t>(hit.layer)];
+    return 1.6 * pi * layer.r_end / layer.cells;
+  }
   std::int32_t& cell(const Hit& hit) {
     return cells_[static_cast<std::size_t>(hit.layer)][static_cast<std::size_t>(hit.channel)];
   }

@@ -39,6 +39,8 @@ class EventFinder {
   std::int64_t seeds() const { return seeds_; }
 
  private:
+  static constexpr int most_failures = 8;  // circles in a row that led to no track beyond doubt
+
   // A seed of which two clusters belong to a track beyond doubt is not followed.
   void try_segment(const FindSeed& seed) {
     int taken = 0;
@@ -61,11 +63,16 @@ class EventFinder {
 
   void from_chamber() {
     axial_.load(hits_);
-    for (int n = 0; n < settings_.max_seeds; ++n) {
+    int failures = 0;
+    for (int n = 0; n < settings_.max_seeds && failures < most_failures; ++n) {
       const auto circle = axial_.next();
       if (!circle) return;
-      for (const FoundLine& line : stereo_.find(*circle, hits_, 2))
-        if (try_seed(seed_of(*circle, line))) break;
+      ++failures;
+      for (const FoundLine& line : stereo_.find(*circle, hits_, 2)) {
+        if (!try_seed(seed_of(*circle, line))) continue;
+        failures = 0;
+        break;
+      }
     }
   }
 
@@ -115,6 +122,8 @@ FindOutput find_tracks(const Detector& detector, const FindInput& input, const F
       for (const std::int32_t hit : track.hits) out.hits.push_back(finder.hits().source(hit));
       out.offsets.push_back(static_cast<std::int64_t>(out.hits.size()));
       out.score.push_back(track.score);
+      out.chi2.push_back(track.chi2);
+      out.holes.push_back(track.holes);
     }
     out.seeds.push_back(finder.seeds());
   }

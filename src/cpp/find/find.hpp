@@ -37,7 +37,8 @@ struct FindInput {
 // outward. The tracks of an event follow each other, the best one first.
 struct FindOutput {
   std::vector<std::int64_t> event, offsets, hits;
-  std::vector<double> score;
+  std::vector<double> score, chi2;
+  std::vector<std::int64_t> holes;
   std::vector<std::int64_t> seeds;  // of each event: seeds that were followed
 };
 
