@@ -17,7 +17,7 @@ from cgemit.tables import Table
 
 Floats = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.int64]
-Level = Literal["off", "2009", "2026"]
+Level = Literal["off", "bes2009", "bes2026"]
 Share = Annotated[float, Check(lambda value: 0 <= value <= 0.6, "a share from 0 to 0.6")]
 
 #: Hits of wires against radius (mm, kHz/cm^2): random triggers of BESIII in 2009, of events published with pybes3,
@@ -47,8 +47,8 @@ class BackgroundSettings(SettingsData):
     Attributes
     ----------
     level : str
-        ``"off"``, or the rates measured at BESIII: ``"2009"``, cells of the drift chamber from random triggers, and
-        clusters of the CGEM at rates extrapolated from them; ``"2026"``, with noise of single strips as well.
+        ``"off"``, or the rates measured at BESIII: ``"bes2009"``, cells of the drift chamber from random triggers, and
+        clusters of the CGEM at rates extrapolated from them; ``"bes2026"``, with noise of single strips as well.
     factor : float
         All rates are multiplied by it.
     cells : float
@@ -211,7 +211,7 @@ def _layer_strips(
         for view, middle, size in ((0, x / layer.pitch_x, size_x), (1, v, size_v)):
             strips = 1 + int(size * MOST_STRIPS)
             parts.append((sheet, view, np.arange(strips) + int(np.floor(middle - 0.5 * (strips - 1)))))
-    if settings.level == "2026" and number == 0:
+    if settings.level == "bes2026" and number == 0:
         for sheet in range(layer.sheets):
             for view, strips in ((0, layer.strips_x), (1, layer.strips_v)):
                 share = 1 - np.exp(-STRIP_RATE[view] * STRIP_WINDOW * 1e-6 * settings.factor)

@@ -24,7 +24,7 @@ def empty(run, n=400):
 
 
 def test_off_changes_nothing(run):
-    for settings in ({}, {"level": "2009", "factor": 0.0}):
+    for settings in ({}, {"level": "bes2009", "factor": 0.0}):
         tables = added(run, **settings)
         assert tables["digis"] is run.digis
         assert tables["wire_hits"] is run.wire_hits
@@ -33,7 +33,7 @@ def test_off_changes_nothing(run):
 def test_the_shares_of_fired_cells_are_the_measured_ones(run):
     # Mean shares of random triggers of 2009: 34, 14, 7, 6.3 and 1.5 %; their rates have two digits.
     for clumps in (False, True):
-        settings = cg.BackgroundSettings(level="2009", clumps=clumps)
+        settings = cg.BackgroundSettings(level="bes2009", clumps=clumps)
         wires = add_background(cg.load("besiii-idc"), *empty(run), settings, seed=1)["wire_hits"]
         cells = {layer.number: layer.cells for layer in cg.load("besiii-idc").drift_chamber.layers}
         for layer, share in ((0, 0.32), (3, 0.14), (9, 0.07), (20, 0.06), (36, 0.015)):
@@ -76,7 +76,7 @@ def test_the_earliest_hit_of_a_cell_is_kept(run):
 
 
 def test_strips_of_particles_stay_as_they_are(run):
-    digis = added(run, level="2026", factor=3.0)["digis"]
+    digis = added(run, level="bes2026", factor=3.0)["digis"]
     mine = digis[digis["n_truths"] > 0]
     assert all(np.array_equal(mine[name], run.digis[name], equal_nan=True) for name in digis if name != "event")
     noise = digis[digis["n_truths"] == 0]
@@ -95,7 +95,7 @@ def test_strips_of_particles_stay_as_they_are(run):
 def test_clusters_and_noise_of_strips_have_their_rates(run):
     quiet, noisy = (
         add_background(run.detector, *empty(run, 150), cg.BackgroundSettings(level=level), seed=1)["digis"]
-        for level in ("2009", "2026")
+        for level in ("bes2009", "bes2026")
     )
     layer = run.detector.cgem[0]
     expected = layer.sheets * layer.strips_v * STRIP_RATE[1] * 1e-3 * 150
@@ -110,7 +110,7 @@ def test_clusters_and_noise_of_strips_have_their_rates(run):
 
 
 def test_events_do_not_depend_on_each_other(run):
-    settings = cg.BackgroundSettings(level="2026")
+    settings = cg.BackgroundSettings(level="bes2026")
     whole = add_background(run.detector, *empty(run, 10), settings, seed=1)
     part = add_background(
         run.detector,
@@ -123,7 +123,7 @@ def test_events_do_not_depend_on_each_other(run):
 
 
 def test_background_is_part_of_the_chain():
-    settings = cg.Settings(background=cg.BackgroundSettings(level="2009"))
+    settings = cg.Settings(background=cg.BackgroundSettings(level="bes2009"))
     result = cg.run("besiii-cgem", MUON, n=5, settings=settings)
     assert np.count_nonzero(result.wire_hits["wire_truth"] < 0) > 100
     assert (result.matches["purity"] == 1).all()

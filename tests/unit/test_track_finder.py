@@ -91,7 +91,7 @@ def test_the_order_of_hits_does_not_matter(run):
 
 
 def test_chunks_and_threads_do_not_matter():
-    settings = cg.Settings(background=BackgroundSettings(level="2026"))
+    settings = cg.Settings(background=BackgroundSettings(level="bes2026"))
     whole, parts = (
         cg.run("besiii-cgem", PAIR, n=12, settings=settings, finder="ckf", chunk=chunk, threads=threads)
         for chunk, threads in ((100, 1), (5, 2))
@@ -186,7 +186,7 @@ def test_events_without_hits_and_without_tracks(run):
 def test_a_third_of_all_cells_at_random_is_bounded_work(name):
     nothing = cg.Gun("mu-", p=0.3, cos_theta=0.0)
     for clumps in (True, False):
-        settings = cg.Settings(background=BackgroundSettings(level="2026", factor=1.0, cells=0.3, clumps=clumps))
+        settings = cg.Settings(background=BackgroundSettings(level="bes2026", factor=1.0, cells=0.3, clumps=clumps))
         run = cg.run(name, nothing, n=2, settings=settings, until="cluster")
         start = time.perf_counter()
         found = cg.find_tracks(run.detector, run.clusters, run.wire_hits)

@@ -27,6 +27,7 @@ COMMANDS = {
     "resolution": "resolution",
     "sweep": "sweep",
     "simulate": "simulate",
+    "find": "find",
     "slab": "slab",
     "detectors": "detector",
     "show": "detector",

@@ -6,6 +6,7 @@ from cgemit.draw.cluster import draw_cluster, draw_projection
 from cgemit.draw.curves import residual
 from cgemit.draw.detector import draw_detector, draw_sides
 from cgemit.draw.event import draw_event
+from cgemit.draw.finding import draw_finding
 from cgemit.draw.matter import draw_slab
 from cgemit.draw.style import Picture
 
@@ -16,6 +17,7 @@ __all__ = [
     "draw_cluster",
     "draw_detector",
     "draw_event",
+    "draw_finding",
     "draw_projection",
     "draw_sensitivity",
     "draw_sides",

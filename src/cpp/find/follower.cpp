@@ -14,6 +14,8 @@ namespace {
 constexpr double sure = 4;        // a hit with a larger likelihood ratio is taken without another branch
 constexpr double rim = 0.5;       // mm, of a cell; a track in it need not fire the cell
 constexpr double inflation = 10;  // of a covariance that the same hits have made
+constexpr int most_speed_ups = 8;
+constexpr double speed_up = 0.92;  // of kappa
 constexpr int least_hits = 3;
 constexpr double close_to_edge = 0.85;  // of half a cell
 
@@ -60,8 +62,14 @@ void Follower::trace(const Perigee& start) {
 bool Follower::pass(const Perigee& start, const Symmetric<double>& prior,
                     std::span<const std::int32_t> forced, bool wide) {
   reference_ = start;
-  nearby_.begin(*hits_, wide);
-  trace(start);
+  // A circle through the hits has the momentum after some of the loss; with that at the origin, the particle may
+  // stop before its last hits.
+  for (int time = 0; time < most_speed_ups; ++time) {
+    nearby_.begin(*hits_, wide);
+    trace(reference_);
+    if (!group_.stopped) break;
+    reference_.kappa *= speed_up;
+  }
   for (Slot<double>& s : group_.slots) s.met = s.met && s.there;
   links_.clear();
   branches_.assign(1, {{Five<double>::zero(), prior, 0}, 0, -1, 0, 0, 0, false});
