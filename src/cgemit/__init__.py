@@ -13,12 +13,14 @@ from cgemit.version import VERSION as __version__
 
 if TYPE_CHECKING:
     from cgemit import draw, isa, study
+    from cgemit.background import BackgroundSettings
     from cgemit.candidates import label_candidates
     from cgemit.chain import run
     from cgemit.cluster import ClusterSettings
     from cgemit.covariance import analytic, sensitivity
     from cgemit.detector import Detector, DetectorError, detectors, load
     from cgemit.digitize import BinaryReadout, DigitizeSettings, GaussianReadout
+    from cgemit.find_settings import FindSettings
     from cgemit.fit import FitSettings, FitStatus
     from cgemit.gun import Gun
     from cgemit.matter import slab
@@ -29,13 +31,16 @@ if TYPE_CHECKING:
     from cgemit.states import StateStatus, Surface, extrapolate
     from cgemit.statistics.resolutions import resolution
     from cgemit.tables import Table
+    from cgemit.track_finder import find_tracks
 
 __all__ = [
+    "BackgroundSettings",
     "BinaryReadout",
     "ClusterSettings",
     "Detector",
     "DetectorError",
     "DigitizeSettings",
+    "FindSettings",
     "FitSettings",
     "FitStatus",
     "GaussianReadout",
@@ -53,6 +58,7 @@ __all__ = [
     "detectors",
     "draw",
     "extrapolate",
+    "find_tracks",
     "fit_hits",
     "isa",
     "label_candidates",
@@ -67,11 +73,13 @@ __all__ = [
 # The modules of the public names. They are imported when first used: numpy, scipy and matplotlib take half a second,
 # in which Ctrl-C would end the command line with a traceback.
 _MODULES = {
+    "BackgroundSettings": "background",
     "BinaryReadout": "digitize",
     "ClusterSettings": "cluster",
     "Detector": "detector",
     "DetectorError": "detector",
     "DigitizeSettings": "digitize",
+    "FindSettings": "find_settings",
     "FitSettings": "fit",
     "FitStatus": "fit",
     "GaussianReadout": "digitize",
@@ -87,6 +95,7 @@ _MODULES = {
     "analytic": "covariance",
     "detectors": "detector",
     "extrapolate": "states",
+    "find_tracks": "track_finder",
     "fit_hits": "own_hits",
     "label_candidates": "candidates",
     "load": "detector",

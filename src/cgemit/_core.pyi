@@ -164,6 +164,28 @@ class FitSettings:
         prior_sigma: Sequence[float],
     ) -> None: ...
 
+class FindSettings:
+    def __init__(
+        self,
+        *,
+        segments: bool,
+        chamber: bool,
+        mass: float,
+        efficiency: float,
+        gate: float,
+        branches: int,
+        passes: int,
+        holes_in_row: int,
+        max_d: float,
+        max_z: float,
+        min_pt: float,
+        least_axial: int,
+        min_score: float,
+        max_seeds: int,
+        least_width: float,
+        delta_strips: float,
+    ) -> None: ...
+
 class HitModel:
     def __init__(
         self,
@@ -273,6 +295,13 @@ def fit(
     settings: FitSettings,
     residuals: bool,
     states: bool = False,
+) -> dict[str, _Array]: ...
+def find_tracks(
+    detector: Detector,
+    *,
+    event_offsets: npt.ArrayLike,
+    hits: _Columns,
+    settings: FindSettings,
 ) -> dict[str, _Array]: ...
 def covariances(
     detector: Detector,

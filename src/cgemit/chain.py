@@ -11,6 +11,7 @@ from dataclasses import fields, replace
 from typing import Any, Literal
 
 from cgemit import find
+from cgemit.background import add_background
 from cgemit.candidates import Finder, by_finder, finder_name
 from cgemit.detector import Detector, load
 from cgemit.digitize import cluster_digis, digitize
@@ -23,12 +24,16 @@ from cgemit.record import configuration_of, gun_data
 from cgemit.result import TABLES, Result, Settings, detectors_of
 from cgemit.simulate import simulate
 from cgemit.tables import Table, concatenate
+from cgemit.track_finder import find_tracks
 from cgemit.values import check_numbers
 from cgemit.version import VERSION
+
+FinderName = Literal["truth", "ckf"]
 
 #: From this many chunks on, the first one tells whether all fit into memory before the others begin.
 MANY = 64
 
+FINDERS = ("truth", "ckf")  # by name; any function of (detector, clusters, wire_hits) is a finder, too
 STAGES = ("simulate", "digitize", "cluster", "find", "fit")  # where a run can end
 
 
@@ -38,7 +43,7 @@ def run_chunk(
     particles: Table,
     settings: Settings,
     seed: int,
-    finder: Finder | Literal["truth"] = "truth",
+    finder: Finder | FinderName = "truth",
     until: str = "fit",
 ) -> tuple[dict[str, Table], dict[str, float]]:
     """Run the stages on the events of one table of particles.
@@ -50,7 +55,7 @@ def run_chunk(
     particles : Table of kind "particles"
     settings : Settings
     seed : int
-    finder : "truth" or callable
+    finder : "truth", "ckf" or callable
     until : str
         The last stage, one of `STAGES`. After the fit, tracks are matched with particles.
 
@@ -68,8 +73,13 @@ def run_chunk(
     hits, truth, found = ("clusters", "wire_hits"), ("truths", "wire_truths"), ("candidates", "candidate_hits")
     stages: dict[str, Callable[[], Mapping[str, Table]]] = {
         "simulate": lambda: simulate(detector, particles, settings.simulate, seed),
-        "digitize": lambda: digitize(
-            detector, tables["truths"], tables["wire_truths"], settings.digitize, seed, steps=tables["steps"]
+        "digitize": lambda: add_background(
+            detector,
+            **digitize(
+                detector, tables["truths"], tables["wire_truths"], settings.digitize, seed, steps=tables["steps"]
+            ),
+            settings=settings.background,
+            seed=seed,
         ),
         "cluster": lambda: {
             "clusters": cluster_digis(detector, tables["digis"], settings.digitize, settings.cluster)
@@ -77,6 +87,8 @@ def run_chunk(
         "find": lambda: (
             by_finder(finder, fit_detector, tables["clusters"], tables["wire_hits"])
             if callable(finder)
+            else find_tracks(fit_detector, tables["clusters"], tables["wire_hits"], settings.find)
+            if finder == "ckf"
             else find.by_truth(detector, *pick("particles", *hits, *truth))
         ),
         "fit": lambda: fit(
@@ -113,7 +125,7 @@ def run(
     *,
     settings: Settings | None = None,
     fit_detector: Detector | str | Mapping[str, Any] | None = None,
-    finder: Finder | Literal["truth"] = "truth",
+    finder: Finder | FinderName = "truth",
     until: Literal["simulate", "digitize", "cluster", "find", "fit"] = "fit",
     threads: int | None = None,
     executor: Executor | None = None,
@@ -136,8 +148,9 @@ def run(
         Of all stages; defaults if None.
     fit_detector : Detector or None
         Detector that finder and fit assume. None: the simulated one.
-    finder : "truth" or callable
-        ``"truth"`` gives each charged particle its own hits. A function of (detector, clusters, wire_hits) returns a
+    finder : "truth", "ckf" or callable
+        ``"truth"`` gives each charged particle its own hits. ``"ckf"`` finds tracks from the hits alone, with
+        ``settings.find``. A function of (detector, clusters, wire_hits) returns a
         mapping with the tables ``candidates`` and ``candidate_hits`` (`label_candidates` makes them). It is called for
         each chunk, in several threads at a time.
     until : str
@@ -197,8 +210,10 @@ def run(
 
 def _check_stages(finder: object, until: object, executor: Executor | None) -> None:
     problems = []
-    if not callable(finder) and finder != "truth":
-        problems.append(f"finder: got {finder!r}, expected 'truth' or a function of (detector, clusters, wire_hits)")
+    if not callable(finder) and finder not in FINDERS:
+        problems.append(
+            f"finder: got {finder!r}, expected 'truth', 'ckf' or a function of (detector, clusters, wire_hits)"
+        )
     if until not in STAGES:
         problems.append(f"until: got {until!r}, expected one of {', '.join(map(repr, STAGES))}")
     if problems:
@@ -216,7 +231,11 @@ def _check_stages(finder: object, until: object, executor: Executor | None) -> N
 def _expected(given: object) -> str:
     """Return the expected form of settings; those of one stage go into `Settings`."""
     stage = next((f.name for f in fields(Settings) if type(given) is f.default_factory), "")
-    return f"Settings({stage}=...)" if stage else "Settings(simulate=..., digitize=..., cluster=..., fit=...)"
+    return (
+        f"Settings({stage}=...)"
+        if stage
+        else "Settings(simulate=..., digitize=..., background=..., cluster=..., find=..., fit=...)"
+    )
 
 
 def _source(gun: Any, n: int | None) -> tuple[Gun | Guns | None, int, Table | None]:
@@ -237,7 +256,7 @@ def _work(
     count: int,
     settings: Settings,
     seed: int,
-    finder: Finder | Literal["truth"],
+    finder: Finder | FinderName,
     until: str,
 ) -> tuple[dict[str, Table], dict[str, float]]:
     if gun is not None:

@@ -1,4 +1,4 @@
-"""Track finding. There is none yet: hits are assigned to particles by truth (docs/methods/find.md).
+"""The perfect finder: hits are assigned to particles by truth (docs/methods/find.md).
 
 Every charged particle gets its wire hits and one cluster per view of each of its crossings, and no hit of another
 particle. A cluster or cell that two particles share goes to the one that left more (or was closer). Hits of the

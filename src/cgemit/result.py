@@ -9,9 +9,11 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
+from cgemit.background import BackgroundSettings
 from cgemit.cluster import ClusterSettings
 from cgemit.detector import Detector
 from cgemit.digitize import DigitizeSettings
+from cgemit.find_settings import FindSettings
 from cgemit.fit import FitSettings, FitStatus
 from cgemit.gun import Gun, Guns
 from cgemit.io.folders import new_folder
@@ -43,7 +45,9 @@ class Settings(SettingsData):
 
     simulate: SimulateSettings = field(default_factory=SimulateSettings)
     digitize: DigitizeSettings = field(default_factory=DigitizeSettings)
+    background: BackgroundSettings = field(default_factory=BackgroundSettings)
     cluster: ClusterSettings = field(default_factory=ClusterSettings)
+    find: FindSettings = field(default_factory=FindSettings)
     fit: FitSettings = field(default_factory=FitSettings)
 
 

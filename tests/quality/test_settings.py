@@ -12,6 +12,7 @@ from sources import CORE
 from cgemit import _core
 from cgemit.detector import Screening
 from cgemit.digitize import BinaryReadout, DigitizeSettings, GaussianReadout
+from cgemit.find_settings import FindSettings
 from cgemit.fit import FitSettings
 from cgemit.fit_settings import Loss
 from cgemit.simulate import Fluctuations, SimulateSettings
@@ -20,6 +21,12 @@ from cgemit.simulate import Fluctuations, SimulateSettings
 # none: seeds and tables come with the call.
 STRUCTS = [
     ("FitSettings", "fit/fit.hpp", FitSettings, {"errors_from_track": "cluster_errors"}),
+    (
+        "FindSettings",
+        "find/find.hpp",
+        FindSettings,
+        {"segments": "method", "chamber": "method", "mass": "hypothesis", "least_width": None, "delta_strips": None},
+    ),
     ("SimulateSettings", "simulate/simulate.hpp", SimulateSettings, {}),
     ("BinaryReadout", "digitize/binary.hpp", BinaryReadout, {"w_values": None}),
     ("GaussianReadout", "digitize/gaussian.hpp", GaussianReadout, {"w_values": None, "seed": None}),

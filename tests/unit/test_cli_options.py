@@ -21,6 +21,7 @@ from cgemit.cluster import ClusterSettings
 from cgemit.detector import load
 from cgemit.detector.read import TOP_LEVEL
 from cgemit.digitize import BinaryReadout, DigitizeSettings, GaussianReadout
+from cgemit.find_settings import FindSettings
 from cgemit.fit import FitSettings
 from cgemit.gun import Gun
 from cgemit.result import Result, Settings
@@ -136,8 +137,10 @@ SIMULATE_ROWS = [
     Row("--vertex", ["--vertex", "1,2,30"], {"vertex": (1.0, 2.0, 30.0)}),
     Row("--vertex-sigma", ["--vertex-sigma", "0.1,0.2,3"], {"vertex_sigma": (0.1, 0.2, 3.0)}),
     Row("--hypothesis", ["--hypothesis", "mu,K"], with_settings(fit=FitSettings(hypothesis=("mu", "K")))),
+    Row("--finder", ["--finder", "ckf", "--set", "find.hypothesis=pi"],
+        {"finder": "ckf", **with_settings(find=FindSettings(hypothesis="pi"))}),
     Row("--states", ["--states", "hits,9 cm"], with_settings(fit=FitSettings(states=("hits", 90.0)))),
-]
+]  # fmt: skip
 
 
 def simulated(**change: Any) -> Result:
@@ -213,7 +216,9 @@ def test_fit_writes_the_tracks(usual: Result, tmp_path: Path) -> None:
     assert "clusters" in expected
 
 
-@pytest.mark.parametrize("option", ["--states=hits", "--hypothesis=mu", "--set=fit.loss=mean"])
+@pytest.mark.parametrize(
+    "option", ["--states=hits", "--hypothesis=mu", "--set=fit.loss=mean", "--finder=ckf", "--set=find.gate=5"]
+)
 def test_what_only_the_fit_can_give_is_fitted(option: str, tmp_path: Path) -> None:
     words = command_line(["simulate"], SIMULATE, Row("--fit", [option]))
     assert main([*words, "--quiet", "-o", str(tmp_path / "out")]) == 0

@@ -28,6 +28,7 @@ COMMANDS = {
     "sweep": "sweep",
     "optimize": "optimize",
     "simulate": "simulate",
+    "find": "find",
     "display": "display",
     "slab": "slab",
     "detectors": "detector",

@@ -46,8 +46,13 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument(
         "--fit",
         action="store_true",
-        help="fit too: candidates, tracks and their matches with particles (so do --states, --hypothesis, --set fit.*)",
+        help="fit too: candidates, tracks and their matches with particles "
+        "(so do --finder, --states, --hypothesis, --set fit.*, --set find.*)",
     )
+    parser.add_argument(
+        "--finder", choices=("truth", "ckf"), default=None,
+        help="assigns the hits to tracks: truth (default), or ckf, which sees measurements only; implies --fit",
+    )  # fmt: skip
     parser.add_argument(
         "--states", type=read.surfaces, metavar="SURFACE,...",
         help="also write the states of the fitted tracks: radii (mm), origin, beam_line, beam_pipe, hits",
@@ -90,7 +95,8 @@ def run(arguments: argparse.Namespace) -> int:
         with common.Progress("simulate", quiet=arguments.quiet) as progress:
             result = chain.run(
                 detector, gun, arguments.events, arguments.seed, settings=settings,
-                until="fit" if fits else "cluster", threads=arguments.threads, progress=progress,
+                finder=arguments.finder or "truth", until="fit" if fits else "cluster",
+                threads=arguments.threads, progress=progress,
             )  # fmt: skip
         result.save(folder, command=arguments.line)
         summary = _summary(result, gun)
@@ -113,8 +119,13 @@ def gun_of(arguments: argparse.Namespace) -> Gun:
 
 def _fits(arguments: argparse.Namespace) -> bool:
     """Tell whether the command line asks for fitted tracks, by `--fit` or something that only the fit can give."""
-    asked = (arguments.fit, arguments.states is not None, arguments.hypothesis is not None)
-    return any(asked) or any(text.strip().startswith("fit.") for text in arguments.overrides)
+    asked = (
+        arguments.fit,
+        arguments.finder is not None,
+        arguments.states is not None,
+        arguments.hypothesis is not None,
+    )
+    return any(asked) or any(text.strip().startswith(("fit.", "find.")) for text in arguments.overrides)
 
 
 def _summary(result: Result, gun: Gun) -> dict[str, Any]:

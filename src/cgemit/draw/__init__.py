@@ -7,6 +7,7 @@ from cgemit.draw.curves import residual
 from cgemit.draw.detector import draw_detector, draw_sides
 from cgemit.draw.display import event
 from cgemit.draw.display3d import event_3d, save_page
+from cgemit.draw.finding import draw_finding
 from cgemit.draw.matter import draw_slab
 from cgemit.draw.scans import resolutions
 from cgemit.draw.style import Picture
@@ -21,6 +22,7 @@ __all__ = [
     "draw_cluster",
     "draw_detector",
     "draw_event",
+    "draw_finding",
     "draw_projection",
     "draw_sensitivity",
     "draw_sides",

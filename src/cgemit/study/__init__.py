@@ -3,10 +3,12 @@
 from cgemit.statistics.chi2 import Flatness, chi2_flatness, chi2_probability
 from cgemit.statistics.estimate import GaussianFit, Resolution, gaussian_fit, measure
 from cgemit.statistics.forms import FormFit, fit_form
+from cgemit.statistics.fractions import Fraction
 from cgemit.statistics.resolutions import Curve, pulls, resolution, resolution_against, resolutions
 from cgemit.statistics.widths import Pulls, Resolutions
 from cgemit.study.analytic_scan import AnalyticScan, scan_analytic
 from cgemit.study.cluster_residuals import DeltaFractions, delta_displacements, delta_fractions
+from cgemit.study.finding_metrics import Finding, FindingRates, finding
 from cgemit.study.optimizer import Background, Confirmation, Optimization, OptimizeError, optimize
 from cgemit.study.paper import Reproduction, reproduce
 from cgemit.study.robustness import Outcome, run_scenario
@@ -21,8 +23,11 @@ __all__ = [
     "Confirmation",
     "Curve",
     "DeltaFractions",
+    "Finding",
+    "FindingRates",
     "Flatness",
     "FormFit",
+    "Fraction",
     "GaussianFit",
     "Optimization",
     "OptimizeError",
@@ -39,6 +44,7 @@ __all__ = [
     "chi2_probability",
     "delta_displacements",
     "delta_fractions",
+    "finding",
     "fit_form",
     "gaussian_fit",
     "grid",

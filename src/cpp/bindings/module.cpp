@@ -14,6 +14,7 @@ void bind_simulate(pybind11::module_& module);
 void bind_digitize(pybind11::module_& module);
 void bind_cluster(pybind11::module_& module);
 void bind_hits(pybind11::module_& module);
+void bind_find(pybind11::module_& module);
 void bind_fit(pybind11::module_& module);
 void bind_seed(pybind11::module_& module);
 void bind_kernels(pybind11::module_& module);
@@ -35,6 +36,7 @@ PYBIND11_MODULE(_core, module, pybind11::mod_gil_not_used()) {
   bind_digitize(module);
   bind_cluster(module);
   bind_hits(module);
+  bind_find(module);
   bind_fit(module);
   bind_seed(module);
   bind_kernels(module);

@@ -1,0 +1,148 @@
+"""`cgemit find`: how well tracks are found."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cgemit.cli import changes, common, read
+from cgemit.cli.simulate import add_gun
+from cgemit.version import VERSION
+
+if TYPE_CHECKING:
+    from cgemit.study import Finding
+
+_DESCRIPTION = """\
+Simulate events, find their tracks, and compare them with the particles: efficiency, fakes and clones as Belle II and
+ACTS define them, hit purity and hit efficiency, the share of findable particles and what each condition removes.
+With -o also the efficiency against pT, cos(theta) and phi, as picture (efficiency.png) and table (efficiency.csv)."""
+
+_EXAMPLES = """\
+A quantity is a number (fixed), A:B (uniform range), A:B:N (N values from A to B in turn) or A,B,C (values in turn).
+
+examples:
+  cgemit find -d besiii-cgem --p 0.3:2 --cos-theta -0.93:0.93 -n 2000
+  cgemit find -d besiii-cgem --particle pi+ --pt 0.05:0.3 --cos-theta -0.9:0.9 -n 5000 -o slow-pions
+  cgemit find -d besiii-idc --tracks 4 --p 0.2:1.5 --cos-theta -0.93:0.93 -n 500 --set background.level=bes2009 -o four
+  cgemit find -d besiii-cgem --set find.method=chamber --p 0.5 --cos-theta -0.9:0.9 -n 1000
+  cgemit find -d besiii-cgem --finder truth --p 0.5 --cos-theta -0.9:0.9 -n 1000         the perfect finder"""
+
+#: Bins of the efficiency.
+_BINS = 20
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the sub-command."""
+    parser = subparsers.add_parser(
+        "find", help="efficiency, fakes and clones of track finding", description=_DESCRIPTION, epilog=_EXAMPLES,
+        formatter_class=common.HelpFormatter,
+    )  # fmt: skip
+    common.add_detector(parser)
+    add_gun(parser)
+    parser.add_argument(
+        "--tracks", type=read.positive, default=1, metavar="N", help="such particles in every event (default 1)"
+    )
+    parser.add_argument("-n", "--events", type=read.positive, required=True, metavar="N", help="number of events")
+    parser.add_argument("--finder", choices=("truth", "ckf"), default="ckf", help="the finder (default ckf)")
+    parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
+    parser.add_argument(
+        "-o", "--output", metavar="DIR", default=None, help="folder for the efficiency and summary.json"
+    )
+    parser.add_argument(
+        "--overwrite", action="store_true", help="write into a folder that already holds files, replacing results"
+    )
+    changes.add_physics(parser)
+    common.add_run(parser)
+    common.add_common(parser)
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Find and compare."""
+    from cgemit import chain
+    from cgemit.gun import Gun, Guns
+    from cgemit.io.folders import check_free
+    from cgemit.study import finding
+
+    if arguments.output:
+        check_free(arguments.output, overwrite=arguments.overwrite)
+    (detector,), settings = common.load_inputs(arguments)
+    names = ("particle", "p", "pt", "theta", "cos_theta", "phi", "vertex", "vertex_sigma")
+    given = {name: getattr(arguments, name) for name in names}
+    gun = Gun(**{name: value for name, value in given.items() if value is not None})
+    with common.Progress("find", quiet=arguments.quiet) as progress:
+        result = chain.run(
+            detector, gun if arguments.tracks == 1 else Guns((gun,) * arguments.tracks), arguments.events,
+            arguments.seed, settings=settings, finder=arguments.finder, until="find", threads=arguments.threads,
+            progress=progress,
+        )  # fmt: skip
+    found = finding(result)
+    seconds = result.timings["find"]
+    about = {
+        "version": VERSION, "command": arguments.line, "detector": detector.name, "events": arguments.events,
+        "seed": arguments.seed, "settings": settings.to_dict(),
+        "time_per_event": {"value": 1e3 * seconds / arguments.events, "unit": "ms"},
+        **numbers_of(found),
+    }  # fmt: skip
+    text = json.dumps(about, indent=2, allow_nan=False)
+    if arguments.output:
+        _write(found, text, arguments.output, overwrite=arguments.overwrite)
+    print(text if arguments.json else f"{found!r}\n  {'time of an event':<48}{1e3 * seconds / arguments.events:.2f} ms")
+    if arguments.output and not arguments.quiet:
+        print(f"picture: {arguments.output}/efficiency.png", file=sys.stderr)
+    return common.OK
+
+
+def numbers_of(found: Finding) -> dict[str, Any]:
+    """Return the results as plain numbers; fractions with their Wilson intervals."""
+    from cgemit.statistics.fractions import Fraction
+
+    def plain(fraction: Fraction) -> dict[str, Any]:
+        low, high = fraction.interval()
+        value = {"value": fraction.value, "low": low, "high": high} if fraction.n else {}
+        return {"count": fraction.count, "n": fraction.n, **value}
+
+    findable = Fraction(int(found.findable.sum()), int(found.charged.sum()))
+    numbers: dict[str, Any] = {"finder": found.finder, "findable": plain(findable), "removed": dict(found.removed)}
+    for definition in ("belle2", "acts"):
+        rates = found.rates(definition)
+        numbers[definition] = {
+            name: plain(getattr(rates, name)) for name in ("efficiency", "fakes", "clones", "decays")
+        }
+    for name in ("purity", "hit_efficiency"):
+        value = getattr(found, name)
+        numbers[name] = value if value == value else None
+    return numbers
+
+
+def _write(found: Finding, text: str, folder: str, *, overwrite: bool) -> None:
+    import numpy as np
+
+    from cgemit.draw import draw_finding
+    from cgemit.io.folders import SUMMARY, new_folder
+    from cgemit.statistics.formatting import write_csv
+    from cgemit.study.finding_metrics import curve
+
+    ranges = {
+        "pt": found.pt[found.charged],
+        "cos_theta": found.cos_theta[found.charged],
+        "phi": np.array([-np.pi, np.pi]),
+    }
+    curves = {}
+    for name, values in ranges.items():
+        low, high = (float(values.min()), float(values.max())) if len(values) else (0.0, 1.0)
+        wide = max(high - low, 1e-6 * max(abs(high), 1.0))
+        curves[name] = curve(found, name, np.linspace(low, low + wide * (1 + 1e-9), _BINS + 1))
+    columns = {"quantity": np.repeat(list(curves), _BINS)}
+    columns |= {name: np.concatenate([one[name] for one in curves.values()]) for name in next(iter(curves.values()))}
+    rates = found.rates()
+    lines = [f"efficiency {rates.efficiency}", f"fakes {rates.fakes.count}", f"clones {rates.clones.count}"]
+    lines += [f"hit purity {100 * found.purity:.2f} %", f"hit efficiency {100 * found.hit_efficiency:.2f} %"]
+    with new_folder(folder, overwrite=overwrite) as place:
+        title = f"{found.detector}, finder {found.finder}, findable particles, Belle II matching"
+        draw_finding(curves, title, lines).save(Path(place) / "efficiency")
+        write_csv(Path(place) / "efficiency.csv", columns)
+        (Path(place) / SUMMARY).write_text(text + "\n", encoding="utf-8")

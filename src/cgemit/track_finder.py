@@ -1,0 +1,143 @@
+"""Track finding without truth: seeds, and a combinatorial Kalman filter (docs/methods/find.md)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from cgemit import _core
+from cgemit.candidates import HIT_V, HIT_WIRE, HIT_X, HIT_XV, XV_CLUSTER
+from cgemit.detector import Detector, compiled, load
+from cgemit.find_settings import FindSettings as FindSettings
+from cgemit.fit_settings import FitSettings
+from cgemit.species import HYPOTHESES
+from cgemit.tables import Table
+from cgemit.tables.table import kind_problems
+
+#: Name of the finder in tables and in ``cgemit.run(finder=...)``.
+NAME = "ckf"
+
+Column = npt.NDArray[Any]
+
+
+def find_tracks(
+    detector: Detector | str | Mapping[str, Any],
+    clusters: Table,
+    wire_hits: Table,
+    settings: FindSettings | None = None,
+) -> dict[str, Table]:
+    """Find the tracks of each event from its clusters and wire hits; links to truths are not read.
+
+    Parameters
+    ----------
+    detector : Detector, or what `load` accepts
+        Field and material that the finder assumes.
+    clusters, wire_hits : Table
+        Of the same events, in any order within an event.
+    settings : FindSettings or None
+
+    Returns
+    -------
+    dict of str to Table
+        ``candidates``, the best one of an event first, and ``candidate_hits``.
+
+    Raises
+    ------
+    TypeError
+        If the settings are something else.
+    ValueError
+        Listing every problem of the tables or their hits.
+    """
+    detector, settings = load(detector), FindSettings() if settings is None else settings
+    if not isinstance(settings, FindSettings):
+        raise TypeError(f"settings: got {type(settings).__name__}, expected FindSettings")
+    problems = kind_problems(clusters=clusters, wire_hits=wire_hits)
+    if not problems and not np.array_equal(clusters.events, wire_hits.events):
+        problems = ["wire_hits: cover other events than the clusters; expected the same"]
+    if problems:
+        raise ValueError("find_tracks:\n  " + "\n  ".join(problems))
+    event, view, hits = _measurements(clusters, wire_hits)
+    order = np.argsort(event, kind="stable")
+    offsets = np.searchsorted(event[order], np.append(clusters.events, np.iinfo(np.int64).max)).astype(np.int64)
+    found = _core.find_tracks(
+        compiled(detector, gaps=False), event_offsets=offsets,
+        hits={name: np.ascontiguousarray(column[order]) for name, column in hits.items()},
+        settings=_core_settings(settings),
+    )  # fmt: skip
+    return _tables(found, clusters, view[order], hits["row"][order], settings)
+
+
+def _core_settings(settings: FindSettings) -> _core.FindSettings:
+    fit = FitSettings()
+    return _core.FindSettings(
+        segments=settings.method != "chamber",
+        chamber=settings.method != "segments",
+        mass=HYPOTHESES[settings.hypothesis].mass,
+        least_width=fit.least_width,
+        delta_strips=fit.delta_strips,
+        **{
+            name: getattr(settings, name)
+            for name in (
+                *("efficiency", "gate", "branches", "passes", "holes_in_row", "max_d", "max_z", "min_pt"),
+                *("least_axial", "min_score", "max_seeds"),
+            )
+        },
+    )
+
+
+def _measurements(clusters: Table, wire_hits: Table) -> tuple[Column, Column, dict[str, Column]]:
+    """Return event, view in `candidate_hits`, and columns of all measurements: X, V, and wires.
+
+    An XV cluster is left out if its X and V clusters are in the table, and otherwise gives two measurements.
+    """
+    points = (clusters["view"] == XV_CLUSTER) & (clusters["x_cluster"] < 0)
+    x = np.flatnonzero((clusters["view"] == HIT_X) | points)
+    v = np.flatnonzero((clusters["view"] == HIT_V) | points)
+    strips = np.concatenate([x, v])
+    kind = np.repeat([HIT_X, HIT_V], [len(x), len(v)])
+    n = len(wire_hits)
+    size = clusters["size"] * (clusters["method"] == 0) * (clusters["view"] != XV_CLUSTER)
+
+    def both(of_strips: Column, of_wires: Column, dtype: str) -> Column:
+        return np.concatenate([of_strips, of_wires]).astype(dtype)
+
+    hits = {
+        "kind": both(kind, np.full(n, HIT_WIRE), "u1"),
+        "layer": both(clusters["layer"][strips], wire_hits["layer"], "i4"),
+        "channel": both(clusters["sheet"][strips], wire_hits["wire"], "i4"),
+        "size": both(size[strips], np.zeros(n), "i4"),
+        "value": both(np.concatenate([clusters["x"][x], clusters["v"][v]]), wire_hits["drift"], "f8"),
+        "sigma": both(np.concatenate([clusters["err_x"][x], clusters["err_v"][v]]), wire_hits["sigma"], "f8"),
+        "row": both(strips, np.arange(n), "i8"),
+    }
+    view = both(np.where(points[strips], HIT_XV, kind), np.full(n, HIT_WIRE), "i1")
+    return both(clusters["event"][strips], wire_hits["event"], "i8"), view, hits
+
+
+def _tables(
+    found: dict[str, Column], clusters: Table, view: Column, row: Column, settings: FindSettings
+) -> dict[str, Table]:
+    """Return the tables of the finder; `view` and `row` of each measurement."""
+    event = clusters.events[found["event"]]
+    n = len(event)
+    kind = HYPOTHESES[settings.hypothesis]
+    candidates = {
+        "event": event, "candidate": np.arange(n) - np.searchsorted(event, event),
+        "pdg": np.full(n, kind.pdg), "mass": np.full(n, kind.mass),
+    }  # fmt: skip
+    candidate = np.repeat(np.arange(n), np.diff(found["offsets"]))
+    view, row = view[found["hits"]], row[found["hits"]]
+    # A point is one hit, whether X, V or both were found.
+    once = np.ones(len(row), np.bool_)
+    points = np.flatnonzero(view == HIT_XV)
+    _, first = np.unique(np.stack([candidate[points], row[points]]), axis=1, return_index=True)
+    once[np.delete(points, first)] = False
+    hits = {"event": event[candidate[once]], "candidate": candidate[once], "view": view[once], "row": row[once]}
+    about = clusters.cover | {"meta": {"finder": NAME}}
+    return {
+        "candidates": Table("candidates", candidates, **about),
+        "candidate_hits": Table("candidate_hits", hits, **about),
+    }

@@ -1,0 +1,58 @@
+#include "find/find.hpp"
+
+#include <pybind11/pybind11.h>
+
+#include "bindings/arrays.hpp"
+#include "bindings/hits.hpp"
+
+namespace py = pybind11;
+using namespace cgemit;
+using namespace cgemit::bindings;
+
+namespace {
+
+py::dict run(const Detector& detector, const Array<std::int64_t>& event_offsets, const py::dict& hit_columns,
+             const FindSettings& settings) {
+  const auto offsets = hit_offsets_of(event_offsets);
+  const HitColumns columns(detector, hit_columns, static_cast<py::ssize_t>(offsets.back()));
+  FindOutput found;
+  {
+    py::gil_scoped_release release;
+    std::vector<Hit> hits;
+    columns.take(0, static_cast<std::size_t>(offsets.back()), hits);
+    found = find_tracks(detector, {offsets, hits}, settings);
+  }
+  py::dict out;
+  out["event"] = to_numpy(std::move(found.event));
+  out["offsets"] = to_numpy(std::move(found.offsets));
+  out["hits"] = to_numpy(std::move(found.hits));
+  out["score"] = to_numpy(std::move(found.score));
+  out["chi2"] = to_numpy(std::move(found.chi2));
+  out["holes"] = to_numpy(std::move(found.holes));
+  out["seeds"] = to_numpy(std::move(found.seeds));
+  return out;
+}
+
+}  // namespace
+
+void bind_find(py::module_& module) {
+  py::class_<FindSettings>(module, "FindSettings",
+                           "Settings of the finder; the values live in cgemit.find_settings.FindSettings.")
+      .def(py::init([](bool segments, bool chamber, double mass, double efficiency, double gate, int branches,
+                       int passes, int holes_in_row, double max_d, double max_z, double min_pt,
+                       int least_axial, double min_score, int max_seeds, double least_width,
+                       double delta_strips) {
+             return FindSettings{segments,  chamber,      mass,        efficiency,  gate,   branches,
+                                 passes,    holes_in_row, max_d,       max_z,       min_pt, least_axial,
+                                 min_score, max_seeds,    least_width, delta_strips};
+           }),
+           py::kw_only(), py::arg("segments"), py::arg("chamber"), py::arg("mass"), py::arg("efficiency"),
+           py::arg("gate"), py::arg("branches"), py::arg("passes"), py::arg("holes_in_row"), py::arg("max_d"),
+           py::arg("max_z"), py::arg("min_pt"), py::arg("least_axial"), py::arg("min_score"),
+           py::arg("max_seeds"), py::arg("least_width"), py::arg("delta_strips"));
+  module.def(
+      "find_tracks", &run, py::arg("detector"), py::kw_only(), py::arg("event_offsets"), py::arg("hits"),
+      py::arg("settings"),
+      "Tracks of each event: event, offsets of their hits, numbers of the hits, score; and how many seeds "
+      "each event had.");
+}

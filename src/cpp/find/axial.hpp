@@ -1,0 +1,93 @@
+// Circles from the beam line that touch many drift circles of axial wires (and pass X clusters), by division
+// of the plane of azimuth and curvature.
+//
+// A circle through the beam line with flight azimuth psi and curvature w touches the drift circle (x, y, l)
+// on one of its sides if w = 2 (y cos psi - x sin psi -+ l)/(r^2 - l^2): two sinusoids a hit. (T. Alexopoulos
+// et al., NIM A 592 (2008) 456; Belle II tracking, CPC 259 (2021) 107610.) Only the half turn that leaves the
+// beam line counts.
+#pragma once
+
+#include <array>
+#include <cmath>
+#include <cstdint>
+#include <optional>
+#include <tuple>
+#include <vector>
+
+#include "find/event_hits.hpp"
+#include "find/find.hpp"
+
+namespace cgemit {
+
+// A circle with the covariance of (d, psi, w).
+struct FoundCircle {
+  double d, psi, w;
+  std::array<double, 6> covariance;  // upper triangle
+  std::vector<std::int32_t> hits;
+};
+
+class AxialSearch {
+ public:
+  AxialSearch(const Detector& detector, const FindSettings& settings);
+
+  // Takes over the axial hits that are not taken.
+  void load(const EventHits& hits);
+  // The circle with the most layers; its hits are left out afterwards. None: too few layers.
+  std::optional<FoundCircle> next();
+
+ private:
+  static constexpr int columns = 64, rows = 64;
+
+  struct Point {
+    double x, y, drift, per;  // per: 2/(r^2 - l^2)
+    std::uint64_t layer;      // one bit
+    std::int32_t id;
+    bool left_out;
+  };
+  struct Box {
+    int layers, depth;
+    double psi, w;             // lowest corner
+    std::int32_t first, last;  // its points in the arena; not yet collected if first < 0
+
+    bool operator<(const Box& other) const {
+      return std::tuple(layers, depth, -psi, -w) <
+             std::tuple(other.layers, other.depth, -other.psi, -other.w);
+    }
+  };
+  // The edges of a column of boxes.
+  struct Column {
+    double cos_low, sin_low, cos_high, sin_high;
+    Column(double psi, double width)
+        : cos_low(std::cos(psi)),
+          sin_low(std::sin(psi)),
+          cos_high(std::cos(psi + width)),
+          sin_high(std::sin(psi + width)) {}
+    // Whether the point is on the half turn that leaves the beam line.
+    bool outward(const Point& p) const { return p.x * (cos_low + cos_high) + p.y * (sin_low + sin_high) > 0; }
+    double at_low(const Point& p) const { return p.y * cos_low - p.x * sin_low; }
+    double at_high(const Point& p) const { return p.y * cos_high - p.x * sin_high; }
+  };
+
+  void add(double x, double y, double drift, std::size_t layer, std::int32_t id);
+  void coarse();
+  static bool touches(const Point& point, const Column& column, double w, double height);
+  void collect(Box& box);
+  void divide(const Box& box);
+  void push(const Box& box);
+  int layers_in(const Box& box) const;
+  std::optional<FoundCircle> circle(double psi, double w);
+  int deepest(double w) const;
+  double residual(const FoundCircle& c, const Point& p) const;
+
+  const Detector& detector_;
+  const FindSettings& settings_;
+  double largest_w_;
+  std::vector<Point> points_;
+  std::vector<std::uint64_t> grid_;
+  std::vector<Box> heap_;
+  std::vector<std::int32_t> arena_;
+  std::vector<Column> columns_;
+  int least_ = 0, divided_ = 0;
+};
+
+}  // namespace cgemit

@@ -1,0 +1,70 @@
+// Of tracks that share hits, the better ones keep them.
+#pragma once
+
+#include <algorithm>
+#include <vector>
+
+#include "find/event_hits.hpp"
+#include "find/follower.hpp"
+
+namespace cgemit {
+
+// Enough measurements for a helix and a degree of freedom.
+inline bool is_track(const FoundTrack& track) {
+  return track.across >= 3 && track.along >= 2 && track.across + track.along >= 6;
+}
+
+// Chance finds hits wherever it looks: each hit must add to the likelihood on average, and fit.
+inline bool is_likely(const FoundTrack& track, double min_score) {
+  constexpr double per_hit = 2.5, chi2_per_hit = 15;
+  const auto n = static_cast<double>(track.hits.size());
+  return track.score > min_score + per_hit * n && track.chi2 < chi2_per_hit * n;
+}
+
+class Competition {
+ public:
+  explicit Competition(const Detector& detector) : detector_(detector) {}
+
+  // Removes tracks that share too many of their hits with better ones, and shared wires of the others.
+  void settle(std::vector<FoundTrack>& tracks, const EventHits& hits, double min_score) {
+    std::ranges::sort(tracks, [](const FoundTrack& a, const FoundTrack& b) {
+      return a.score != b.score ? a.score > b.score : a.hits < b.hits;
+    });
+    used_.assign(static_cast<std::size_t>(hits.size()), 0);
+    std::size_t kept = 0;
+    for (std::size_t i = 0; i < tracks.size(); ++i) {
+      FoundTrack& track = tracks[i];
+      if (!is_likely(track, min_score) || !keeps(track, hits)) continue;
+      for (const std::int32_t hit : track.hits) used_[static_cast<std::size_t>(hit)] = 1;
+      if (kept != i) tracks[kept] = std::move(track);
+      ++kept;
+    }
+    tracks.resize(kept);
+  }
+
+ private:
+  static constexpr double most_shared = 0.3;
+
+  bool keeps(FoundTrack& track, const EventHits& hits) const {
+    const auto is_used = [&](std::int32_t hit) { return used_[static_cast<std::size_t>(hit)] != 0; };
+    const auto shared = static_cast<double>(std::ranges::count_if(track.hits, is_used));
+    if (shared > most_shared * static_cast<double>(track.hits.size())) return false;
+    if (shared == 0) return is_track(track);
+    std::erase_if(track.hits, [&](std::int32_t hit) { return hits[hit].view == View::wire && is_used(hit); });
+    track.across = track.along = track.wires = 0;
+    for (const std::int32_t id : track.hits) {
+      const Hit& hit = hits[id];
+      const bool wire = hit.view == View::wire;
+      track.wires += wire ? 1 : 0;
+      const bool tilted =
+          wire ? detector_.wires[static_cast<std::size_t>(hit.layer)].twist != 0 : hit.view == View::v;
+      ++(tilted ? track.along : track.across);
+    }
+    return is_track(track);
+  }
+
+  const Detector& detector_;
+  std::vector<std::uint8_t> used_;
+};
+
+}  // namespace cgemit

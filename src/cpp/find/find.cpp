@@ -1,0 +1,133 @@
+#include "find/find.hpp"
+
+#include <cmath>
+
+#include "find/axial.hpp"
+#include "find/compete.hpp"
+#include "find/segments.hpp"
+#include "find/stereo.hpp"
+
+namespace cgemit {
+
+namespace {
+
+class EventFinder {
+ public:
+  EventFinder(const Detector& detector, const FindSettings& settings)
+      : detector_(detector),
+        settings_(settings),
+        hits_(detector),
+        follower_(detector, settings),
+        segments_(detector, settings),
+        axial_(detector, settings),
+        stereo_(detector, settings),
+        competition_(detector) {}
+
+  const std::vector<FoundTrack>& find(std::span<const Hit> hits, std::int64_t first) {
+    hits_.load(hits, first);
+    tracks_.clear();
+    seeds_ = 0;
+    if (settings_.segments && detector_.cgem.size() >= 3)
+      for (const FindSeed& seed : segments_.three_layers(hits_)) try_segment(seed);
+    if (settings_.chamber) from_chamber();
+    if (settings_.segments && detector_.cgem.size() >= 2)
+      for (const FindSeed& seed : segments_.two_layers(hits_)) try_segment(seed);
+    competition_.settle(tracks_, hits_, settings_.min_score);
+    return tracks_;
+  }
+  const EventHits& hits() const { return hits_; }
+  std::int64_t seeds() const { return seeds_; }
+
+ private:
+  static constexpr int most_failures = 8;  // circles in a row that led to no track beyond doubt
+
+  // A seed of which two clusters belong to a track beyond doubt is not followed.
+  void try_segment(const FindSeed& seed) {
+    int taken = 0;
+    for (const std::int32_t id : seed.hits) taken += hits_.is_taken(id) ? 1 : 0;
+    if (taken >= 2) return;
+    try_seed(seed);
+  }
+
+  bool try_seed(const FindSeed& seed) {
+    ++seeds_;
+    FoundTrack track;
+    if (!follower_.follow(seed, hits_, track) || !is_track(track)) return false;
+    const bool solid = track.wires >= 14 && track.along >= 4 && track.wires > 4 * track.holes &&
+                       track.chi2 < 4 * static_cast<double>(track.hits.size());
+    if (solid)
+      for (const std::int32_t id : track.hits) hits_.take(id);
+    tracks_.push_back(std::move(track));
+    return solid;
+  }
+
+  void from_chamber() {
+    axial_.load(hits_);
+    int failures = 0;
+    for (int n = 0; n < settings_.max_seeds && failures < most_failures; ++n) {
+      const auto circle = axial_.next();
+      if (!circle) return;
+      ++failures;
+      for (const FoundLine& line : stereo_.find(*circle, hits_, 2)) {
+        if (!try_seed(seed_of(*circle, line))) continue;
+        failures = 0;
+        break;
+      }
+    }
+  }
+
+  FindSeed seed_of(const FoundCircle& circle, const FoundLine& line) const {
+    const double per_kappa = curvature(detector_.bz, 1.0), kappa = circle.w / per_kappa;
+    FindSeed seed{{circle.d, circle.psi, kappa == 0 ? 1e-9 : kappa, line.z0, line.tanl}, {}, {}};
+    Symmetric<double>& c = seed.covariance;
+    c = Symmetric<double>::diagonal(Five<double>::zero());
+    // The search has seen the hits already, and neglects scattering and loss.
+    constexpr double caution = 6;
+    c(0, 0) = caution * circle.covariance[0] + 0.1;
+    c(0, 1) = caution * circle.covariance[1];
+    c(0, 2) = caution * circle.covariance[2] / per_kappa;
+    c(1, 1) = caution * circle.covariance[3] + 1e-6 * (1 + kappa * kappa);
+    c(1, 2) = caution * circle.covariance[4] / per_kappa;
+    c(2, 2) = caution * circle.covariance[5] / (per_kappa * per_kappa) + 4e-4 * kappa * kappa;
+    c(3, 3) = caution * line.covariance[0] + 4;
+    c(3, 4) = caution * line.covariance[1];
+    c(4, 4) = caution * line.covariance[2] + 1e-6 * (1 + kappa * kappa);
+    return seed;
+  }
+
+  const Detector& detector_;
+  const FindSettings& settings_;
+  EventHits hits_;
+  Follower follower_;
+  SegmentFinder segments_;
+  AxialSearch axial_;
+  StereoSearch stereo_;
+  Competition competition_;
+  std::vector<FoundTrack> tracks_;
+  std::int64_t seeds_ = 0;
+};
+
+}  // namespace
+
+FindOutput find_tracks(const Detector& detector, const FindInput& input, const FindSettings& settings) {
+  FindOutput out;
+  out.offsets.push_back(0);
+  EventFinder finder(detector, settings);
+  for (std::size_t event = 0; event + 1 < input.offsets.size(); ++event) {
+    const auto first = static_cast<std::size_t>(input.offsets[event]),
+               last = static_cast<std::size_t>(input.offsets[event + 1]);
+    for (const FoundTrack& track :
+         finder.find(input.hits.subspan(first, last - first), input.offsets[event])) {
+      out.event.push_back(static_cast<std::int64_t>(event));
+      for (const std::int32_t hit : track.hits) out.hits.push_back(finder.hits().source(hit));
+      out.offsets.push_back(static_cast<std::int64_t>(out.hits.size()));
+      out.score.push_back(track.score);
+      out.chi2.push_back(track.chi2);
+      out.holes.push_back(track.holes);
+    }
+    out.seeds.push_back(finder.seeds());
+  }
+  return out;
+}
+
+}  // namespace cgemit

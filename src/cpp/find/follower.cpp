@@ -1,0 +1,268 @@
+#include "find/follower.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+#include "detector/cluster_errors.hpp"
+#include "kalman/field_reference.hpp"
+#include "kalman/tracer.hpp"
+
+namespace cgemit {
+
+namespace {
+
+constexpr double sure = 4;        // a hit with a larger likelihood ratio is taken without another branch
+constexpr double rim = 0.5;       // mm, of a cell; a track in it need not fire the cell
+constexpr double inflation = 10;  // of a covariance that the same hits have made
+constexpr int most_speed_ups = 8;
+constexpr double speed_up = 0.92;  // of kappa
+constexpr int least_hits = 3;
+constexpr double close_to_edge = 0.85;  // of half a cell
+
+double log_gaussian(double chi2, double variance) { return -0.5 * (chi2 + std::log(2 * pi * variance)); }
+
+}  // namespace
+
+bool Follower::follow(const FindSeed& seed, const EventHits& hits, FoundTrack& track) {
+  hits_ = &hits;
+  last_found_.clear();
+  Perigee start = seed.helix;
+  Symmetric<double> prior = seed.covariance;
+  std::span<const std::int32_t> forced = seed.hits;
+  for (int number = 0; number < settings_.passes; ++number) {
+    if (!pass(start, prior, forced, number == 0)) return false;
+    const Branch& best = branches_.front();
+    if (!refit(best)) return false;
+    collect(best, track);
+    if (track.hits == last_found_) break;
+    last_found_ = track.hits;
+    start = track.helix;
+    prior = track.covariance;
+    for (double& entry : prior.v) entry *= inflation;
+    forced = {};
+  }
+  return std::abs(track.helix.d) <= settings_.max_d && std::abs(track.helix.z0) <= settings_.max_z;
+}
+
+void Follower::trace(const Perigee& start) {
+  const Projectile projectile = projectile_of(settings_.mass, start.kappa);
+  const NearbyObserver observer(nearby_);
+  if (detector_.field.is_uniform()) {
+    Tracer<double, HelixMotion<double>, NearbyObserver>(detector_, start, settings_.mass, projectile, group_,
+                                                        observer)
+        .run(true);
+  } else {
+    Tracer<double, FieldReference<double>, NearbyObserver>(detector_, start, settings_.mass, projectile,
+                                                           group_, observer)
+        .run(true);
+  }
+}
+
+// One pass outward about `start`. Returns whether a branch has enough hits; the best one is the first.
+bool Follower::pass(const Perigee& start, const Symmetric<double>& prior,
+                    std::span<const std::int32_t> forced, bool wide) {
+  reference_ = start;
+  // A circle through the hits has the momentum after some of the loss; with that at the origin, the particle may
+  // stop before its last hits.
+  for (int time = 0; time < most_speed_ups; ++time) {
+    nearby_.begin(*hits_, wide);
+    trace(reference_);
+    if (!group_.stopped) break;
+    reference_.kappa *= speed_up;
+  }
+  for (Slot<double>& s : group_.slots) s.met = s.met && s.there;
+  links_.clear();
+  branches_.assign(1, {{Five<double>::zero(), prior, 0}, 0, -1, 0, 0, 0, false});
+  for (const GroupStep& step : group_.steps) {
+    if (!step.is_slab) {
+      wires(step);
+      continue;
+    }
+    const Slab& slab = detector_.slabs[static_cast<std::size_t>(step.slab)];
+    if (slab.gap >= 0) {
+      gap_view(step, View::x, forced);
+      gap_view(step, View::v, forced);
+    }
+    const auto noise = static_cast<std::size_t>(step.noise);
+    for (Branch& branch : branches_) {
+      if (branch.ended) continue;
+      if (group_.dense_noise.empty())
+        add_noise(branch.state.c, group_.noise[noise], slab.shifts);
+      else
+        add_noise(branch.state.c, group_.dense_noise[noise], slab.shifts);
+    }
+  }
+  std::ranges::stable_sort(branches_, [](const Branch& a, const Branch& b) { return a.score > b.score; });
+  return branches_.front().hits >= least_hits;
+}
+
+double Follower::variance_of(const Slot<double>& s) const {
+  if (s.size <= 0) return s.noise;
+  const CgemLayer& layer = detector_.cgem[static_cast<std::size_t>(s.layer)];
+  const double pitch = s.view == View::x ? layer.pitch_x : layer.pitch_v;
+  return cluster_variance(s.size, s.extent, pitch, settings_.least_width, settings_.delta_strips);
+}
+
+// Each branch takes one of the clusters of a view, or none.
+void Follower::gap_view(const GroupStep& step, View view, std::span<const std::int32_t> forced) {
+  std::int32_t only = -1;
+  for (std::int32_t s = step.first; s < step.last; ++s)
+    if (slot(s).view == view && std::ranges::find(forced, slot(s).hit[0]) != forced.end()) only = s;
+  const auto layer = static_cast<std::size_t>(detector_.slabs[static_cast<std::size_t>(step.slab)].gap);
+  const double log_density = std::log(hits_->density(layer, view)),
+               log_found = std::log(settings_.efficiency);
+  next_.clear();
+  for (const Branch& branch : branches_) {
+    const bool tries = !branch.ended;
+    for (std::int32_t s = step.first; tries && s < step.last; ++s) {
+      const Slot<double>& there = slot(s);
+      if (there.view != view || !there.met || (only >= 0 && s != only)) continue;
+      const Five<double> ch = branch.state.c * there.row;
+      const double total = dot(there.row, ch) + variance_of(there);
+      const double residual = there.drift - there.predicted - dot(there.row, branch.state.x);
+      const double chi2 = residual * residual / total;
+      if (only < 0 && !(chi2 < settings_.gate * settings_.gate)) continue;
+      next_.push_back(branch);
+      take(next_.back(), s, residual, total, ch, log_found + log_gaussian(chi2, total) - log_density, 0);
+    }
+    if (only >= 0 && tries) continue;
+    next_.push_back(branch);
+    if (tries && nearby_.expects(step)) hole(next_.back(), std::log1p(-settings_.efficiency));
+  }
+  if (next_.empty()) next_ = branches_;
+  branches_.swap(next_);
+  keep_best();
+}
+
+void Follower::wires(const GroupStep& step) {
+  for (std::int32_t s = step.first; s < step.last; ++s)
+    if (slot(s).met) wire(slot(s));
+}
+
+void Follower::wire(Slot<double>& cell) {
+  const auto layer = static_cast<std::size_t>(cell.layer);
+  const WireLayer& wires = detector_.wires[layer];
+  const double half = pi * wires.r_end / wires.cells;
+  const bool fired = cell.hit[0] >= 0;
+  const auto number = static_cast<std::int32_t>(&cell - group_.slots.data());
+  const double gate = settings_.gate, background = hits_->density(layer, View::wire);
+  const std::size_t branches = branches_.size();
+  for (std::size_t i = 0; i < branches; ++i) {
+    if (branches_[i].ended) continue;
+    const Five<double> ch = branches_[i].state.c * cell.row;
+    const double known = dot(cell.row, ch), spread = std::sqrt(known);
+    const double predicted = cell.predicted + dot(cell.row, branches_[i].state.x),
+                 distance = std::abs(predicted);
+    const bool crosses = distance + 2 * spread < close_to_edge * half - rim;
+    if (!fired) {
+      if (crosses) hole(branches_[i], std::log1p(-settings_.efficiency));
+      continue;
+    }
+    if (distance - gate * spread > 1.6 * half) continue;
+    const double variance = known + cell.noise;
+    const double right = cell.drift - predicted, left = -cell.drift - predicted;
+    const double near = std::min(std::abs(right), std::abs(left)), chi2 = near * near / variance;
+    if (!(chi2 < gate * gate)) {
+      // An earlier hit of something else hides the track's own; a later one does not.
+      if (crosses)
+        hole(branches_[i],
+             cell.drift < distance ? std::log(hits_->occupancy(layer)) : std::log1p(-settings_.efficiency));
+      continue;
+    }
+    const double other = std::max(std::abs(right), std::abs(left));
+    const double both = std::log1p(std::exp(0.5 * (chi2 - other * other / variance)));
+    const double ratio = std::log(settings_.efficiency / background) + log_gaussian(chi2, variance) + both;
+    if (ratio < 0) continue;
+    if (ratio < sure) branches_.push_back(branches_[i]);  // without the hit
+    const double weight = std::tanh(cell.drift * predicted / variance);
+    const double total = known + cell.noise + (1 - weight * weight) * cell.drift * cell.drift;
+    take(branches_[i], number, weight * cell.drift - predicted, total, ch, ratio, weight);
+  }
+  if (branches_.size() > branches) keep_best();
+}
+
+void Follower::hole(Branch& branch, double penalty) const {
+  branch.score += std::max(penalty, std::log1p(-settings_.efficiency));
+  ++branch.holes;
+  branch.ended = ++branch.in_row > settings_.holes_in_row;
+}
+
+void Follower::take(Branch& branch, std::int32_t number, double residual, double total,
+                    const Five<double>& ch, double gain, double weight) {
+  const double per = 1 / total;
+  branch.state.x = branch.state.x + (residual * per) * ch;
+  branch.state.c.add([&](auto i, auto j) { return -per * ch[i] * ch[j]; });
+  branch.state.chi2 += residual * residual * per;
+  branch.score += gain;
+  branch.in_row = 0;
+  ++branch.hits;
+  links_.push_back({number, branch.chain, weight});
+  branch.chain = static_cast<std::int32_t>(links_.size()) - 1;
+}
+
+void Follower::keep_best() {
+  const auto most = static_cast<std::size_t>(settings_.branches);
+  if (branches_.size() <= most) return;
+  std::ranges::stable_sort(branches_, [](const Branch& a, const Branch& b) { return a.score > b.score; });
+  branches_.resize(most);
+}
+
+// The track at the origin from all hits of a branch: the filter inward, twice, with the sides of wires from
+// the first time.
+bool Follower::refit(const Branch& best) {
+  for (std::int32_t at = best.chain; at >= 0; at = links_[static_cast<std::size_t>(at)].before) {
+    const Link& link = links_[static_cast<std::size_t>(at)];
+    slot(link.slot).used = true;
+    slot(link.slot).weight = link.weight;
+  }
+  const Five<double> prior{{1e4, 1, 100, 1e6, 25}};
+  for (int time = 0; time < 2; ++time) {
+    for (Slot<double>& s : group_.slots) {
+      if (!s.used) continue;
+      if (s.view == View::wire) {
+        s.value = s.weight * s.drift;
+        s.variance = s.noise + (1 - s.weight * s.weight) * s.drift * s.drift;
+      } else {
+        s.value = s.drift;
+        s.variance = variance_of(s);
+      }
+      s.residual = s.value - s.predicted;
+    }
+    for (Slot<double>& s : group_.slots)
+      if (!s.met) s.row = Five<double>::zero();
+    fitted_ = filter(detector_, group_, Symmetric<double>::diagonal(prior));
+    if (!(sound(fitted_) && positive_definite(fitted_.c))) return false;
+    if (time == 1) break;
+    smooth(group_, false);
+    for (Slot<double>& s : group_.slots) {
+      if (!s.used || s.view != View::wire) continue;
+      const double spread = std::max(s.unbiased_variance - s.variance, 0.0);
+      s.weight = std::tanh(s.drift * (s.value - s.unbiased) / (s.noise + spread));
+    }
+  }
+  return true;
+}
+
+void Follower::collect(const Branch& best, FoundTrack& track) const {
+  track.hits.clear();
+  track.across = track.along = track.wires = 0;
+  track.score = best.score;
+  track.holes = best.holes;
+  track.chi2 = fitted_.chi2;
+  for (std::int32_t at = best.chain; at >= 0; at = links_[static_cast<std::size_t>(at)].before) {
+    const Slot<double>& s = group_.slots[static_cast<std::size_t>(links_[static_cast<std::size_t>(at)].slot)];
+    track.hits.push_back(s.hit[0]);
+    if (s.view == View::wire) ++track.wires;
+    const bool tilted = s.view == View::v || (s.view == View::wire &&
+                                              detector_.wires[static_cast<std::size_t>(s.layer)].twist != 0);
+    ++(tilted ? track.along : track.across);
+  }
+  std::ranges::reverse(track.hits);
+  const Five<double>& x = fitted_.x;
+  track.helix = {reference_.d + x[0], wrap_angle(reference_.psi + x[1]), reference_.kappa + x[2],
+                 reference_.z0 + x[3], reference_.tanl + x[4]};
+  if (track.helix.kappa == 0) track.helix.kappa = 1e-9;
+  track.covariance = fitted_.c;
+}
+
+}  // namespace cgemit

@@ -1,0 +1,85 @@
+// The combinatorial Kalman filter: follows a seed outward through the detector and decides which hits belong
+// to it.
+//
+// The reference is traced once; every measurement near it is a row, every scatterer a set of vectors
+// (`kalman/filter.hpp`). A branch is therefore only an estimate, its covariance and a list of hits. Branches
+// are compared by the logarithm of their likelihood ratio to background,
+//   hit:  ln(efficiency N(residual; 0, S) / density of foreign hits),   hole:  ln(1 - efficiency).
+#pragma once
+
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include "find/find.hpp"
+#include "find/nearby.hpp"
+#include "kalman/filter.hpp"
+
+namespace cgemit {
+
+// A helix that a track may follow.
+struct FindSeed {
+  Perigee helix;
+  Symmetric<double> covariance;
+  std::vector<std::int32_t>
+      hits;  // clusters that the track must have; others of their layer and view are not tried
+};
+
+struct FoundTrack {
+  Perigee helix;  // at the origin
+  Symmetric<double> covariance;
+  std::vector<std::int32_t> hits;  // from the beam line outward
+  double score = 0, chi2 = 0;
+  int across = 0, along = 0;  // measured coordinates across the beam and along it
+  int wires = 0, holes = 0;
+};
+
+class Follower {
+ public:
+  Follower(const Detector& detector, const FindSettings& settings)
+      : detector_(detector), settings_(settings), nearby_(detector, group_) {}
+
+  // Returns false where the seed leads nowhere.
+  bool follow(const FindSeed& seed, const EventHits& hits, FoundTrack& track);
+
+ private:
+  struct Branch {
+    FilteredState<double> state;
+    double score;
+    std::int32_t chain;  // its last hit; -1: none
+    std::int32_t hits, holes, in_row;
+    bool ended;
+  };
+  struct Link {
+    std::int32_t slot, before;
+    double weight;  // right minus left probability of a wire
+  };
+
+  bool pass(const Perigee& start, const Symmetric<double>& prior, std::span<const std::int32_t> forced,
+            bool wide);
+  void trace(const Perigee& start);
+  void gap_view(const GroupStep& step, View view, std::span<const std::int32_t> forced);
+  void wires(const GroupStep& step);
+  void wire(Slot<double>& slot);
+  void hole(Branch& branch, double penalty) const;
+  void take(Branch& branch, std::int32_t slot, double residual, double total, const Five<double>& ch,
+            double gain, double weight);
+  void keep_best();
+  bool refit(const Branch& best);
+  void collect(const Branch& best, FoundTrack& track) const;
+  double variance_of(const Slot<double>& slot) const;
+  Slot<double>& slot(std::int32_t number) { return group_.slots[static_cast<std::size_t>(number)]; }
+
+  const Detector& detector_;
+  const FindSettings& settings_;
+  Group<double> group_;
+  NearbyHits nearby_;
+  const EventHits* hits_ = nullptr;
+  std::vector<Branch> branches_, next_;
+  std::vector<Link> links_;
+  std::vector<std::int32_t> found_, last_found_;
+  FilteredState<double> fitted_{};
+  Perigee reference_{};
+};
+
+}  // namespace cgemit

@@ -1,0 +1,175 @@
+#include "find/segments.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+#include "common/angles.hpp"
+#include "detector/strip_plane.hpp"
+#include "motion/helix.hpp"
+
+namespace cgemit {
+
+namespace {
+
+constexpr double near_line = 0.3;     // mm, error of the closest approach of three points without scattering
+constexpr double height_error = 1.5;  // mm, of a crossing of X and V, with the delta electrons of both
+constexpr double gate = 4;            // standard deviations
+constexpr double usual_z = 100;       // mm, of vertices: only orders the seeds
+constexpr double thickness = 0.008;   // radiation lengths of a layer; of the beam pipe, too
+constexpr double highland = 13.6 * MeV;
+
+// A circle through three points, flown through from the first to the last.
+HelixPoint through(double ax, double ay, double bx, double by, double cx, double cy) {
+  const double abx = bx - ax, aby = by - ay, acx = cx - ax, acy = cy - ay;
+  const double ab = std::hypot(abx, aby), ac = std::hypot(acx, acy), bc = std::hypot(cx - bx, cy - by);
+  const double w = 2 * (abx * acy - aby * acx) / (ab * ac * bc);
+  const double half = std::asin(std::clamp(0.5 * w * ac, -1.0, 1.0));
+  const double psi = std::atan2(acy, acx) - half;
+  return {ax, ay, 0, std::cos(psi), std::sin(psi), 0, w};
+}
+
+double arc(double w, double chord) {
+  const double sine = std::clamp(0.5 * w * chord, -1.0, 1.0);
+  return std::abs(sine) < 1e-6 ? chord : 2 * std::asin(sine) / w;
+}
+
+}  // namespace
+
+SegmentFinder::SegmentFinder(const Detector& detector, const FindSettings& settings)
+    : detector_(detector),
+      settings_(settings),
+      largest_w_(std::abs(curvature(detector.bz, 1 / settings.min_pt))),
+      points_(detector.cgem.size()) {}
+
+void SegmentFinder::load(const EventHits& hits, bool all) {
+  seeds_.clear();
+  ranks_.clear();
+  for (std::size_t layer = 0; layer < points_.size(); ++layer) {
+    points_[layer].clear();
+    const CgemLayer& cgem = detector_.cgem[layer];
+    for (std::int32_t id = hits.first(layer, View::x); id < hits.last(layer, View::x); ++id) {
+      if (!all && hits.is_taken(id)) continue;
+      const double phi = azimuth(cgem, hits[id].channel, hits[id].value), r = cgem.r_mid();
+      points_[layer].push_back({r * std::cos(phi), r * std::sin(phi), phi, id});
+    }
+  }
+}
+
+// z of the crossings of an X cluster with the V clusters of its sheet.
+void SegmentFinder::heights(const EventHits& hits, std::size_t layer, const Point& point,
+                            std::vector<Height>& out, bool all) const {
+  out.clear();
+  const CgemLayer& cgem = detector_.cgem[layer];
+  for (std::int32_t id = hits.first(layer, View::v); id < hits.last(layer, View::v); ++id) {
+    if (hits[id].channel != hits[point.id].channel || (!all && hits.is_taken(id))) continue;
+    const double z = crossing_z(cgem, hits[point.id].value, hits[id].value);
+    if (std::abs(z) < cgem.half_length + 5) out.push_back({z, id});
+  }
+}
+
+const std::vector<FindSeed>& SegmentFinder::three_layers(const EventHits& hits) {
+  load(hits, true);
+  for (std::size_t inner = 0; inner + 2 < points_.size(); ++inner) {
+    // No track turns by more between two layers, if it comes from near the beam line.
+    const double r_in = detector_.cgem[inner].r_mid(), r_out = detector_.cgem[inner + 2].r_mid();
+    const double bend = std::asin(std::min(1.0, 0.5 * largest_w_ * r_out)) -
+                        std::asin(std::min(1.0, 0.5 * largest_w_ * r_in));
+    const double window = bend + std::min(0.5, settings_.max_d * (1 / r_in - 1 / r_out));
+    for (const Point& a : points_[inner]) {
+      for (const Point& c : points_[inner + 2]) {
+        const double turn = wrap_angle(c.phi - a.phi);
+        if (std::abs(turn) > window) continue;
+        for (const Point& b : points_[inner + 1]) {
+          const double part = wrap_angle(b.phi - a.phi);
+          if (std::abs(part - 0.5 * turn) > 0.5 * std::abs(turn) + 0.1) continue;
+          three(inner, a, b, c, hits);
+        }
+      }
+    }
+  }
+  return ranked();
+}
+
+void SegmentFinder::three(std::size_t inner, const Point& a, const Point& b, const Point& c,
+                          const EventHits& hits) {
+  HelixPoint at = through(a.x, a.y, b.x, b.y, c.x, c.y);
+  if (std::abs(at.w) > 1.15 * largest_w_ || at.outward() < 0) return;
+  const PivotApproach line = approach_pivot(at, 0, 0);
+  if (!line.exists || std::abs(line.d) > settings_.max_d) return;
+  heights(hits, inner, a, low_, true);
+  heights(hits, inner + 1, b, middle_, true);
+  heights(hits, inner + 2, c, high_, true);
+  const double s_a = -line.arc, s_b = s_a + arc(at.w, std::hypot(b.x - a.x, b.y - a.y)),
+               s_c = s_a + arc(at.w, std::hypot(c.x - a.x, c.y - a.y));
+  const double kappa = at.w / curvature(detector_.bz, 1.0);
+  const double pt = 1 / std::max(std::abs(kappa), 1e-3);
+  for (const Height& low : low_) {
+    for (const Height& high : high_) {
+      const double tanl = (high.z - low.z) / (s_c - s_a), z0 = low.z - tanl * s_a;
+      if (std::abs(z0) > settings_.max_z) continue;
+      const double p = pt * std::sqrt(1 + tanl * tanl), beta = p / std::hypot(p, settings_.mass);
+      const double theta = highland / (p * beta) * std::sqrt(thickness * std::sqrt(1 + tanl * tanl));
+      const double scattered = theta * (s_c - s_b) * (1 + tanl * tanl);
+      const double sigma_z = std::hypot(height_error, scattered);
+      const double sigma_d = std::hypot(near_line, 1.5 * theta * s_a);
+      for (const Height& middle : middle_) {
+        const double off = (middle.z - low.z - tanl * (s_b - s_a)) / sigma_z;
+        if (std::abs(off) > gate) continue;
+        const double beside = line.d / sigma_d, far = z0 / usual_z;
+        add({line.d, wrap_angle(std::atan2(at.uy, at.ux) + line.turn), kappa, z0, tanl}, settings_.max_d,
+            {a.id, low.id, b.id, middle.id, c.id, high.id},
+            off * off + std::min(beside * beside, 30.0) + far * far);
+      }
+    }
+  }
+}
+
+const std::vector<FindSeed>& SegmentFinder::two_layers(const EventHits& hits) {
+  load(hits, false);
+  for (std::size_t inner = 0; inner < points_.size(); ++inner)
+    for (std::size_t outer = inner + 1; outer < std::min(points_.size(), inner + 3); ++outer)
+      for (const Point& a : points_[inner])
+        for (const Point& c : points_[outer]) two(inner, outer, a, c, hits);
+  return ranked();
+}
+
+void SegmentFinder::two(std::size_t inner, std::size_t outer, const Point& a, const Point& c,
+                        const EventHits& hits) {
+  if (a.x * c.x + a.y * c.y < 0) return;
+  const HelixPoint at = through(0, 0, a.x, a.y, c.x, c.y);
+  if (std::abs(at.w) > 1.15 * largest_w_) return;
+  heights(hits, inner, a, low_, false);
+  heights(hits, outer, c, high_, false);
+  const double s_a = arc(at.w, std::hypot(a.x, a.y)), s_c = arc(at.w, std::hypot(c.x, c.y));
+  const double kappa = at.w / curvature(detector_.bz, 1.0);
+  for (const Height& low : low_) {
+    for (const Height& high : high_) {
+      const double tanl = (high.z - low.z) / (s_c - s_a), z0 = low.z - tanl * s_a;
+      if (std::abs(z0) > usual_z) continue;
+      const double far = z0 / (0.2 * usual_z);
+      add({0, wrap_angle(std::atan2(at.uy, at.ux)), kappa, z0, tanl}, 1, {a.id, low.id, c.id, high.id},
+          far * far);
+    }
+  }
+}
+
+void SegmentFinder::add(const Perigee& helix, double sigma_d, std::initializer_list<std::int32_t> hits,
+                        double rank) {
+  const double sigma_kappa = 2 + 0.3 * std::abs(helix.kappa);
+  const Five<double> variance{{sigma_d * sigma_d, 0.04, sigma_kappa * sigma_kappa, 2500, 0.25}};
+  FindSeed seed{helix, Symmetric<double>::diagonal(variance), hits};
+  if (seed.helix.kappa == 0) seed.helix.kappa = 1e-9;
+  ranks_.push_back({rank, seeds_.size()});
+  seeds_.push_back(std::move(seed));
+}
+
+const std::vector<FindSeed>& SegmentFinder::ranked() {
+  std::ranges::stable_sort(ranks_, [](const Ranked& a, const Ranked& b) { return a.rank < b.rank; });
+  sorted_.clear();
+  const auto most = static_cast<std::size_t>(settings_.max_seeds);
+  for (std::size_t i = 0; i < std::min(most, ranks_.size()); ++i)
+    sorted_.push_back(std::move(seeds_[ranks_[i].seed]));
+  return sorted_;
+}
+
+}  // namespace cgemit

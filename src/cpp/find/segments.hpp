@@ -1,0 +1,52 @@
+// Seeds from the CGEM alone: pairs of X and V clusters in three layers, or in two and the beam line.
+#pragma once
+
+#include <vector>
+
+#include "find/event_hits.hpp"
+#include "find/find.hpp"
+#include "find/follower.hpp"
+
+namespace cgemit {
+
+class SegmentFinder {
+ public:
+  SegmentFinder(const Detector& detector, const FindSettings& settings);
+
+  // Seeds of three neighbouring layers, or of two with the beam line as a third point; the best ones first.
+  // Taken clusters are left out of those of two layers.
+  const std::vector<FindSeed>& three_layers(const EventHits& hits);
+  const std::vector<FindSeed>& two_layers(const EventHits& hits);
+
+ private:
+  struct Point {
+    double x, y, phi;
+    std::int32_t id;
+  };
+  struct Height {
+    double z;
+    std::int32_t id;
+  };
+  struct Ranked {
+    double rank;
+    std::size_t seed;
+  };
+
+  void load(const EventHits& hits, bool all);
+  void heights(const EventHits& hits, std::size_t layer, const Point& point, std::vector<Height>& out,
+               bool all) const;
+  void three(std::size_t inner, const Point& a, const Point& b, const Point& c, const EventHits& hits);
+  void two(std::size_t inner, std::size_t outer, const Point& a, const Point& c, const EventHits& hits);
+  void add(const Perigee& helix, double sigma_d, std::initializer_list<std::int32_t> hits, double rank);
+  const std::vector<FindSeed>& ranked();
+
+  const Detector& detector_;
+  const FindSettings& settings_;
+  double largest_w_;  // 1/mm, of the smallest transverse momentum
+  std::vector<std::vector<Point>> points_;
+  std::vector<Height> low_, middle_, high_;
+  std::vector<FindSeed> seeds_, sorted_;
+  std::vector<Ranked> ranks_;
+};
+
+}  // namespace cgemit

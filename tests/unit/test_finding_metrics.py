@@ -1,0 +1,136 @@
+"""Metrics of track finding on candidates whose hits are moved by hand."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import cgemit as cg
+from cgemit.statistics.fractions import Fraction
+from cgemit.study.finding_metrics import CLASSES
+
+
+@pytest.fixture(scope="module")
+def run():
+    gun = cg.Gun("mu-", p=0.5, cos_theta=(-0.5, 0.5))
+    settings = cg.Settings(simulate=cg.SimulateSettings(decays=False))
+    return cg.run("besiii-cgem", gun, n=4, settings=settings, until="find")
+
+
+def changed(run, candidate, kept=None):
+    """The run with hits in other candidates, and some left out."""
+    hits = run.candidate_hits.with_columns(candidate=candidate)
+    hits = hits if kept is None else hits[kept]
+    return replace(run, tables=run.tables | {"candidate_hits": hits})
+
+
+def in_one_event(run):
+    """The same particles and hits, as if all were of one event: the particle's number tells them apart."""
+    tables = dict(run.tables)
+    for name in ("particles", "truths", "wire_truths"):
+        tables[name] = tables[name].with_columns(particle=tables[name]["event"].astype("i4"))
+    for name in tables:
+        columns = dict(tables[name].columns)
+        columns["event"] = np.zeros(len(tables[name]), "i8")
+        tables[name] = cg.Table(name, columns, first_event=0, n_events=1)
+    return replace(run, tables=tables)
+
+
+def classes(finding, definition="belle2"):
+    return [CLASSES[i] for i in finding.classes[definition]]
+
+
+def test_the_perfect_finder_scores_all_and_nothing_else(run):
+    finding = cg.study.finding(run)
+    assert classes(finding) == ["matched"] * 4
+    rates = finding.rates()
+    assert (rates.efficiency.value, rates.fakes.value, rates.clones.value) == (1, 0, 0)
+    assert (finding.purity, finding.hit_efficiency) == (1, 1)
+
+
+def test_lost_hits_lower_the_hit_efficiency_only(run):
+    kept = np.ones(len(run.candidate_hits), np.bool_)
+    mine = np.flatnonzero(run.candidate_hits["candidate"] == 0)
+    kept[mine[::2]] = False
+    finding = cg.study.finding(changed(run, run.candidate_hits["candidate"], kept))
+    left = len(mine) - len(mine[::2])
+    assert finding.purity == 1
+    assert finding.hit_efficiency == pytest.approx((3 + left / len(mine)) / 4, abs=1e-12)
+    assert finding.rates().efficiency.value == 1
+
+
+def test_a_track_of_which_a_third_is_foreign_is_matched_and_of_which_more_is_a_fake(run):
+    one = in_one_event(run)
+    candidate = one.candidate_hits["candidate"]
+    own, other = np.flatnonzero(candidate == 0), np.flatnonzero(candidate == 1)
+    for moved, expected in ((len(own) // 2, "matched"), (len(own) // 2 + 1, "fake")):
+        labels = candidate.copy()
+        labels[other[-moved:]] = 0
+        finding = cg.study.finding(changed(one, labels))
+        assert classes(finding)[0] == expected
+        assert classes(finding, "acts")[0] == "matched"
+        if expected == "fake":
+            assert finding.rates().efficiency == Fraction(3, 4)
+            assert finding.rates().fakes == Fraction(1, 4)
+
+
+def test_of_two_halves_of_a_track_the_longer_is_matched_and_the_shorter_a_clone(run):
+    one = in_one_event(run)
+    candidate = one.candidate_hits["candidate"].copy()
+    kept = candidate != 1  # the second candidate gets hits of the first particle
+    mine = np.flatnonzero(candidate == 0)
+    candidate[mine[-(len(mine) // 3) :]] = 1
+    finding = cg.study.finding(changed(one, candidate, kept | (candidate == 1) & (np.arange(len(kept)) <= mine[-1])))
+    assert classes(finding) == ["matched", "clone", "matched", "matched"]
+    assert finding.rates().clones == Fraction(1, 4)
+    assert finding.rates().efficiency == Fraction(3, 4)
+
+
+def test_a_track_with_less_than_a_twentieth_of_a_particle_is_a_fake_for_belle_ii(run):
+    one = in_one_event(run)
+    candidate = one.candidate_hits["candidate"]
+    mine = np.flatnonzero(candidate == 0)
+    kept = candidate != 0
+    kept[mine[:2]] = True
+    assert len(mine) > 40
+    finding = cg.study.finding(changed(one, candidate, kept))
+    assert classes(finding)[0] == "fake"
+    assert classes(finding, "acts")[0] == "matched"
+
+
+def test_noise_counts_in_the_purity_and_belongs_to_no_particle(run):
+    hits = run.wire_hits
+    noisy = replace(run, tables=run.tables | {"wire_hits": hits.with_columns(wire_truth=np.full(len(hits), -1))})
+    finding = cg.study.finding(noisy)
+    assert classes(finding) == ["fake"] * 4  # 6 clusters among more than 40 hits
+    assert finding.findable.all()  # 3 layers of the CGEM are enough
+    assert finding.particles.wires.tolist() == [0] * 4
+
+
+def test_particles_without_enough_hits_are_not_findable_and_the_reason_is_counted(run):
+    few = run.wire_truths["event"].copy()
+    clusters = run.clusters.with_columns(truth=np.where(run.clusters["layer"] > 0, -1, run.clusters["truth"]))
+    kept = np.isin(np.arange(len(run.wire_hits)), np.flatnonzero(few != 2))
+    wires = run.wire_hits.with_columns(wire_truth=np.where(kept, run.wire_hits["wire_truth"], -1))
+    finding = cg.study.finding(replace(run, tables=run.tables | {"clusters": clusters, "wire_hits": wires}))
+    assert finding.findable.tolist() == [True, True, False, True]  # a chamber alone is enough, one CGEM layer is not
+    assert finding.removed == {
+        "no hit at all": 0,
+        "3 stereo wires among 10 or more": 0,
+        "3 wires beside 2 layers with X and V": 0,
+        "10 wires, or 2 layers with X and V": 1,
+    }
+
+
+def test_a_run_without_candidates_is_told_apart(run):
+    with pytest.raises(ValueError, match="finding: got a result without candidates"):
+        cg.study.finding(replace(run, tables={k: t for k, t in run.tables.items() if "candidate" not in k}))
+
+
+def test_wilson_intervals():
+    # Brown, Cai, DasGupta, Stat. Sci. 16 (2001) 101: centre (k + z^2/2)/(n + z^2).
+    low, high = Fraction(8, 10).interval(z=1.959964)
+    assert (low, high) == pytest.approx((0.4901624, 0.9433178), abs=1e-6)
+    assert Fraction(0, 10).interval()[0] == 0
+    assert Fraction(10, 10).interval()[1] == 1
+    assert 0 < Fraction(0, 10).interval()[1] < 0.1
