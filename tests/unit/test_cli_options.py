@@ -36,7 +36,7 @@ OF_FILE = Settings(
     digitize=DigitizeSettings(readout=BinaryReadout(threshold=6.0)),
 )
 #: Options that say how results are shown or where they go; other tests look at them.
-SHOWN = {"--help", "--json", "--output", "--overwrite", "--quiet", "--debug", "--method"}
+SHOWN = {"--help", "--json", "--output", "--overwrite", "--quiet", "--debug", "--method", "--format"}
 
 
 @dataclass
@@ -135,6 +135,7 @@ SIMULATE_ROWS = [
     Row("--vertex", ["--vertex", "1,2,30"], {"vertex": (1.0, 2.0, 30.0)}),
     Row("--vertex-sigma", ["--vertex-sigma", "0.1,0.2,3"], {"vertex_sigma": (0.1, 0.2, 3.0)}),
     Row("--hypothesis", ["--hypothesis", "mu,K"], with_settings(fit=FitSettings(hypothesis=("mu", "K")))),
+    Row("--keep", ["--keep", "tracks,digis"], {"keep": ("tracks", "digis")}),
     Row("--states", ["--states", "hits,9 cm"], with_settings(fit=FitSettings(states=("hits", 90.0)))),
 ]
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import shutil
 import sys
 from typing import TYPE_CHECKING, Any
 
@@ -16,9 +17,10 @@ if TYPE_CHECKING:
 
 _DESCRIPTION = """\
 Shoot particles through a detector and write the tables of the chain: particles, truths, steps, wire_truths, digis,
-wire_hits, clusters, with --fit tracks, and with --states also states. One .npz file a table (numpy.load, or
+wire_hits, clusters, with --fit tracks, and with --states also states. One file a table (.npz: numpy.load, or
 cgemit.Table.load), tables.json, detector.toml, summary.json, and run.json, which holds everything that the tables
-depend on. cgemit.Result.load(DIR) reads it all back."""
+depend on. cgemit.Result.load(DIR) reads it all back. With --keep the tables are written in parts while the run goes
+on, so that the memory does not depend on the number of events; cgemit.open(DIR) reads them as they are needed."""
 
 _EXAMPLES = """\
 A quantity is a number (fixed), A:B (uniform range), A:B:N (N values from A to B in turn) or A,B,C (values in turn);
@@ -31,7 +33,11 @@ examples:
   cgemit simulate -d besiii-cgem --particle pi+ --p 0.5 --cos-theta 0 -n 100 --states beam_pipe,hits,"90 cm" -o states
   cgemit simulate -d besiii-cgem --set cgem.L1.drift_gap="3 mm" --name thin --p 1 --cos-theta 0 -n 1000 -o thin
   cgemit simulate -d besiii-cgem --settings mine.toml --set fit.loss=mean --p 1 --cos-theta 0 -n 1000 -o mine
-  cgemit simulate -d besiii-cgem --field my-map.npz --p 1 --cos-theta 0 -n 1000 -o mapped"""
+  cgemit simulate -d besiii-cgem --field my-map.npz --p 1 --cos-theta 0 -n 1000 -o mapped
+  cgemit simulate -d besiii-cgem --p 1 --cos-theta -0.93:0.93 -n 1e7 --keep tracks --format parquet -o many"""
+
+#: As `cgemit.tables.formats.FORMATS`, which would need numpy.
+FORMATS = ("npz", "npz-compressed", "parquet", "root", "csv")
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -55,6 +61,13 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     changes.add_hypothesis(parser, several=True)
     parser.add_argument("--json", action="store_true", help="write the summary to stdout as JSON")
     common.add_output(parser)
+    parser.add_argument(
+        "--format", choices=FORMATS, default="npz", help="of the tables' files (default npz); root: a TTree a file"
+    )
+    parser.add_argument(
+        "--keep", type=read.names, metavar="TABLE,...",
+        help="write only these tables (all: every one), in parts while the run goes on, without holding them in memory",
+    )  # fmt: skip
     changes.add_physics(parser)
     common.add_run(parser)
     common.add_common(parser)
@@ -83,22 +96,31 @@ def run(arguments: argparse.Namespace) -> int:
     from cgemit import chain
     from cgemit.gun import Gun
     from cgemit.io.folders import SUMMARY, new_folder
+    from cgemit.tables.formats import check_format
 
     (detector,), settings = common.load_inputs(arguments)
     names = ("particle", "p", "pt", "theta", "cos_theta", "phi", "vertex", "vertex_sigma")
     given = {name: getattr(arguments, name) for name in names}
     gun = Gun(**{name: value for name, value in given.items() if value is not None})
     fits = _fits(arguments)
+    how: dict[str, Any] = {"settings": settings, "until": "fit" if fits else "cluster", "threads": arguments.threads}
+    check_format(arguments.format)
     with new_folder(arguments.output, overwrite=arguments.overwrite) as folder:
+        parts = folder / "run" / "parts"  # deeper, since the folder itself is locked
+        if arguments.keep is not None:
+            keep = None if arguments.keep == ("all",) else arguments.keep
+            how |= {"keep": keep, "output": parts, "format": arguments.format, "command": arguments.line}
         with common.Progress("simulate", quiet=arguments.quiet) as progress:
-            result = chain.run(
-                detector, gun, arguments.events, arguments.seed, settings=settings,
-                until="fit" if fits else "cluster", threads=arguments.threads, progress=progress,
-            )  # fmt: skip
-        result.save(folder, command=arguments.line)
-        summary = _summary(result, gun)
+            result = chain.run(detector, gun, arguments.events, arguments.seed, progress=progress, **how)
+        if arguments.keep is None:
+            result.save(folder, command=arguments.line, format=arguments.format)
+        summary, text = _summary(result, gun), repr(result)
+        if arguments.keep is not None:
+            for path in parts.iterdir():
+                path.rename(folder / path.name)
+            shutil.rmtree(parts.parent)
         (folder / SUMMARY).write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
-    print(json.dumps(summary, indent=2) if arguments.json else result)
+    print(json.dumps(summary, indent=2) if arguments.json else text)
     if not arguments.quiet:
         rest = "" if fits else " (nothing was fitted: --fit does)"
         print(f"tables: {arguments.output}{rest}", file=sys.stderr)
@@ -107,15 +129,16 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _fits(arguments: argparse.Namespace) -> bool:
     """Tell whether the command line asks for fitted tracks, by `--fit` or something that only the fit can give."""
-    asked = (arguments.fit, arguments.states is not None, arguments.hypothesis is not None)
+    kept = set(arguments.keep or ()) & {"candidates", "candidate_hits", "tracks", "residuals", "states", "matches"}
+    asked = (arguments.fit, arguments.states is not None, arguments.hypothesis is not None, bool(kept))
     return any(asked) or any(text.strip().startswith("fit.") for text in arguments.overrides)
 
 
 def _summary(result: Result, gun: Gun) -> dict[str, Any]:
     """Return what people want to see first; run.json holds everything that the results depend on."""
     summary = {
-        "version": VERSION, "detector": result.detector.name, "gun": repr(gun), "events": result.particles.n_events,
+        "version": VERSION, "detector": result.detector.name, "gun": repr(gun), "events": result.n_events,
         "seed": result.seed, "settings": result.settings.to_dict(), "transport": result.transport(),
-        "rows": {name: len(table) for name, table in result.tables.items()},
+        "rows": result.rows,
     }  # fmt: skip
     return summary | ({"removed": result.removed()} if "tracks" in result.tables else {})

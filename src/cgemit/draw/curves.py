@@ -47,7 +47,7 @@ def residual(result: Result | Table, quantity: str = "p") -> Picture:
     tracks = tracks_of(result)
     with style():
         picture, (axes,) = new_picture(1, 1, (6.4, 4.6))
-        about = "" if isinstance(result, Table) else f"{result.detector.name}, {result.particles.n_events:,} events"
+        about = "" if isinstance(result, Table) else f"{result.detector.name}, {result.n_events:,} events"
         draw_spectrum(axes, track_spectrum(tracks, quantity), about)
         picture.subplots_adjust(left=0.13, right=0.97, top=0.92, bottom=0.13)
     return picture

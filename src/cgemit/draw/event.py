@@ -105,7 +105,7 @@ class _Reach(NamedTuple):
 
 
 def _rows_of(result: Result, event: int) -> _View:
-    first, n = result.particles.first_event, result.particles.n_events
+    first, n = result.first_event, result.n_events
     if not first <= event < first + n:
         raise ValueError(f"event: got {event}; expected a number from {first} to {first + n - 1}")
     truths, clusters, wire_hits, wire_truths, tracks = (
