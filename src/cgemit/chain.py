@@ -137,9 +137,11 @@ def run(
     Parameters
     ----------
     detector : Detector, or what `load` accepts
-    gun : Gun, or a table of particles (Table, DataFrame, dict of arrays, structured array)
+    gun : Gun, or particles in any form that `cgemit.particles.particles_from` takes
+        A table, data frame, dict of arrays, structured or awkward array, or the path of a file, such as
+        ``"events.hepmc"``.
     n : int or None
-        Number of events; 1000 for a gun if not given. Must be left out when `gun` is a table.
+        Number of events; 1000 for a gun if not given. Must be left out when `gun` is no gun.
     seed : int
         0 to 2**64 - 1.
     settings : Settings or None

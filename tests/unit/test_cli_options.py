@@ -246,7 +246,7 @@ def test_options_of_study(row: Row, monkeypatch: pytest.MonkeyPatch) -> None:
     ("command", "rows"), [("simulate", SIMULATE_ROWS), ("resolution", RESOLUTION_ROWS), ("study", STUDY_ROWS)]
 )
 def test_every_option_is_tried(command: str, rows: list[Row]) -> None:
-    tried = {row.option for row in rows} | SHOWN | ({"--fit"} if command == "simulate" else set())
+    tried = {row.option for row in rows} | SHOWN | ({"--fit", "--particles"} if command == "simulate" else set())
     assert options_of(command) - tried == set()
 
 

@@ -12,7 +12,6 @@ from cgemit.cli import changes, common, read
 from cgemit.version import VERSION
 
 if TYPE_CHECKING:
-    from cgemit.gun import Gun
     from cgemit.result import Result
 
 _DESCRIPTION = """\
@@ -34,7 +33,8 @@ examples:
   cgemit simulate -d besiii-cgem --set cgem.L1.drift_gap="3 mm" --name thin --p 1 --cos-theta 0 -n 1000 -o thin
   cgemit simulate -d besiii-cgem --settings mine.toml --set fit.loss=mean --p 1 --cos-theta 0 -n 1000 -o mine
   cgemit simulate -d besiii-cgem --field my-map.npz --p 1 --cos-theta 0 -n 1000 -o mapped
-  cgemit simulate -d besiii-cgem --p 1 --cos-theta -0.93:0.93 -n 1e7 --keep tracks --format parquet -o many"""
+  cgemit simulate -d besiii-cgem --p 1 --cos-theta -0.93:0.93 -n 1e7 --keep tracks --format parquet -o many
+  cgemit simulate -d besiii-cgem --particles events.hepmc --fit -o generated"""
 
 #: As `cgemit.tables.formats.FORMATS`, which would need numpy.
 FORMATS = ("npz", "npz-compressed", "parquet", "root", "csv")
@@ -48,7 +48,9 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     )  # fmt: skip
     common.add_detector(parser)
     add_gun(parser)
-    parser.add_argument("-n", "--events", type=read.positive, required=True, metavar="N", help="number of events")
+    parser.add_argument(
+        "-n", "--events", type=read.positive, metavar="N", help="number of events (with --particles: those of the file)"
+    )
     parser.add_argument(
         "--fit",
         action="store_true",
@@ -77,11 +79,11 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 def add_gun(parser: argparse.ArgumentParser) -> None:
     """Add the options of the gun."""
     gun = parser.add_argument_group("gun")
-    gun.add_argument("--particle", default="mu-", help="PDG name or number (default mu-)")
-    momentum = gun.add_mutually_exclusive_group(required=True)
+    gun.add_argument("--particle", help="PDG name or number (default mu-)")
+    momentum = gun.add_mutually_exclusive_group()
     momentum.add_argument("--p", type=read.momenta, metavar="VALUES", help="momentum, GeV/c")
     momentum.add_argument("--pt", type=read.momenta, metavar="VALUES", help="transverse momentum, GeV/c")
-    polar = gun.add_mutually_exclusive_group(required=True)
+    polar = gun.add_mutually_exclusive_group()
     polar.add_argument("--theta", type=read.angles, metavar="VALUES", help="polar angle, rad")
     polar.add_argument("--cos-theta", type=read.cosines, metavar="VALUES", help="its cosine")
     gun.add_argument("--phi", type=read.angles, metavar="VALUES", help="azimuth, rad (default: uniform)")
@@ -89,19 +91,53 @@ def add_gun(parser: argparse.ArgumentParser) -> None:
     gun.add_argument(
         "--vertex-sigma", type=read.triple, metavar="X,Y,Z", help="its Gaussian spread, mm (default 0,0,0)"
     )
+    gun.add_argument(
+        "--particles", metavar="FILE",
+        help="particles of a generator instead of the gun: HepMC (.hepmc, .hepmc.gz; needs pyhepmc) or a table of "
+        "particles (.npz, .parquet, .root)",
+    )  # fmt: skip
+
+
+_GUN = ("particle", "p", "pt", "theta", "cos_theta", "phi", "vertex", "vertex_sigma")
+
+
+def _source(arguments: argparse.Namespace) -> Any:
+    """Return the gun of the options, or the table of particles of a file.
+
+    Raises
+    ------
+    InputError
+        Listing every option that is missing, or that says the same as another.
+    """
+    from cgemit.gun import Gun
+    from cgemit.particles import particles_from
+
+    given = {name: getattr(arguments, name) for name in _GUN if getattr(arguments, name) is not None}
+    if arguments.particles is not None:
+        if given:
+            options = ", ".join("--" + name.replace("_", "-") for name in given)
+            raise common.InputError(f"--particles: got {options}, too; expected particles of a file or of a gun")
+        return particles_from(arguments.particles)
+    needed = (("-n",), ("--p", "--pt"), ("--theta", "--cos-theta"))
+    names = {"-n": "events"}
+    missing = [
+        " or ".join(options)
+        for options in needed
+        if all(getattr(arguments, names.get(one, one[2:].replace("-", "_"))) is None for one in options)
+    ]
+    if missing:
+        raise common.InputError(f"got no {', no '.join(missing)}; expected all of them, or --particles FILE")
+    return Gun(**{"particle": "mu-", **given})
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the chain and write its tables."""
     from cgemit import chain
-    from cgemit.gun import Gun
     from cgemit.io.folders import SUMMARY, new_folder
     from cgemit.tables.formats import check_format
 
     (detector,), settings = common.load_inputs(arguments)
-    names = ("particle", "p", "pt", "theta", "cos_theta", "phi", "vertex", "vertex_sigma")
-    given = {name: getattr(arguments, name) for name in names}
-    gun = Gun(**{name: value for name, value in given.items() if value is not None})
+    gun = _source(arguments)
     fits = _fits(arguments)
     how: dict[str, Any] = {"settings": settings, "until": "fit" if fits else "cluster", "threads": arguments.threads}
     check_format(arguments.format)
@@ -114,7 +150,7 @@ def run(arguments: argparse.Namespace) -> int:
             result = chain.run(detector, gun, arguments.events, arguments.seed, progress=progress, **how)
         if arguments.keep is None:
             result.save(folder, command=arguments.line, format=arguments.format)
-        summary, text = _summary(result, gun), repr(result)
+        summary, text = _summary(result), repr(result)
         if arguments.keep is not None:
             for path in parts.iterdir():
                 path.rename(folder / path.name)
@@ -134,10 +170,10 @@ def _fits(arguments: argparse.Namespace) -> bool:
     return any(asked) or any(text.strip().startswith("fit.") for text in arguments.overrides)
 
 
-def _summary(result: Result, gun: Gun) -> dict[str, Any]:
+def _summary(result: Result) -> dict[str, Any]:
     """Return what people want to see first; run.json holds everything that the results depend on."""
     summary = {
-        "version": VERSION, "detector": result.detector.name, "gun": repr(gun), "events": result.n_events,
+        "version": VERSION, "detector": result.detector.name, "gun": repr(result.gun), "events": result.n_events,
         "seed": result.seed, "settings": result.settings.to_dict(), "transport": result.transport(),
         "rows": result.rows,
     }  # fmt: skip
