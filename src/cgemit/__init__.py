@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from cgemit.fit import FitSettings, FitStatus
     from cgemit.gun import Gun
     from cgemit.matter import slab
+    from cgemit.opened import open
     from cgemit.own_hits import fit_hits
     from cgemit.progress import ProgressBar
     from cgemit.result import Result, Settings
@@ -63,6 +64,7 @@ __all__ = [
     "isa",
     "label_candidates",
     "load",
+    "open",
     "resolution",
     "run",
     "sensitivity",
@@ -99,6 +101,7 @@ _MODULES = {
     "fit_hits": "own_hits",
     "label_candidates": "candidates",
     "load": "detector",
+    "open": "opened",
     "resolution": "statistics.resolutions",
     "run": "chain",
     "sensitivity": "covariance",

@@ -5,33 +5,37 @@ from __future__ import annotations
 import os
 import pickle
 import time
-from collections.abc import Callable, Mapping
-from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor, as_completed
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor, ProcessPoolExecutor
 from dataclasses import fields, replace
 from typing import Any, Literal
 
 from cgemit import find
 from cgemit.background import add_background
 from cgemit.candidates import Finder, by_finder, finder_name
+from cgemit.chunks import MANY, Answer, Totals, answers
 from cgemit.detector import Detector, load
 from cgemit.digitize import cluster_digis, digitize
 from cgemit.fit import FitSettings, fit
 from cgemit.gun import Gun, Guns, generate
+from cgemit.io.folders import new_folder
 from cgemit.match import match
-from cgemit.memory import check_memory
+from cgemit.memory import check_disk
+from cgemit.opened import open as open_run
 from cgemit.particles import particles_from
-from cgemit.record import configuration_of, gun_data
-from cgemit.result import TABLES, Result, Settings, detectors_of
+from cgemit.problems import did_you_mean
+from cgemit.record import configuration_of, gun_data, write_about
+from cgemit.result import TABLES, Result, Settings, detectors_of, transport_counts
 from cgemit.simulate import simulate
 from cgemit.tables import Table, concatenate
+from cgemit.tables.formats import check_format
+from cgemit.tables.links import without_links
+from cgemit.tables.stored import PartsWriter, StoredTables
 from cgemit.track_finder import find_tracks
 from cgemit.values import check_numbers
 from cgemit.version import VERSION
 
 FinderName = Literal["truth", "ckf"]
-
-#: From this many chunks on, the first one tells whether all fit into memory before the others begin.
-MANY = 64
 
 FINDERS = ("truth", "ckf")  # by name; any function of (detector, clusters, wire_hits) is a finder, too
 STAGES = ("simulate", "digitize", "cluster", "find", "fit")  # where a run can end
@@ -131,17 +135,25 @@ def run(
     executor: Executor | None = None,
     chunk: int = 1000,
     progress: Callable[[float], None] | None = None,
+    keep: Sequence[str] | None = None,
+    output: str | os.PathLike[str] | None = None,
+    format: str = "npz",
+    overwrite: bool = False,
+    command: str = "",
 ) -> Result:
     """Simulate, digitize, cluster, find and fit events, and match the tracks with the particles.
 
-    Results depend on detector, gun, settings, finder and seed, not on threads or chunks.
+    Results depend on detector, gun, settings, finder and seed, not on threads or chunks. With `output` the memory
+    does not depend on the number of events.
 
     Parameters
     ----------
     detector : Detector, or what `load` accepts
-    gun : Gun, or a table of particles (Table, DataFrame, dict of arrays, structured array)
+    gun : Gun, or particles in any form that `cgemit.particles.particles_from` takes
+        A table, data frame, dict of arrays, structured or awkward array, or the path of a file, such as
+        ``"events.hepmc"``.
     n : int or None
-        Number of events; 1000 for a gun if not given. Must be left out when `gun` is a table.
+        Number of events; 1000 for a gun if not given. Must be left out when `gun` is no gun.
     seed : int
         0 to 2**64 - 1.
     settings : Settings or None
@@ -163,6 +175,18 @@ def run(
         Events per chunk.
     progress : callable or None
         Called with the fraction done after every chunk.
+    keep : sequence of str or None
+        Names of the tables in the result; None: all. ``tracks`` brings ``matches``. Links to tables that are not kept
+        are -1.
+    output : path or None
+        Folder to which the tables are written in parts while the run goes on. It appears when all is complete.
+        The result is that of `cgemit.open`: it reads its tables when they are asked for.
+    format : str
+        Of the files in `output`, as for `Result.save`.
+    overwrite : bool
+        Whether `output` may hold files already.
+    command : str
+        Command line for run.json in `output`, if there was one.
 
     Returns
     -------
@@ -170,8 +194,11 @@ def run(
 
     Raises
     ------
+    OutputExistsError
+        If `output` holds files and `overwrite` is false.
     ValueError
-        Listing every problem of detector, gun, numbers, finder or `until`.
+        Listing every problem of detector, gun, numbers, finder, `until` or `keep`, or if the run needs more memory,
+        or space on disk, than there is.
     TypeError
         If `settings` are not of all stages, or the finder cannot be sent to other processes.
     """
@@ -183,33 +210,52 @@ def run(
     other = None if believed == detector else believed
     most = 2**31 - 1
     check_numbers("run", seed, threads, n=(n, 0, most), chunk=(chunk, 1, most))
-    _check_stages(finder, until, executor)
+    kept = _check_stages(finder, until, executor, keep)
     shooter, n_events, table = _source(gun, n)
 
     def task(first: int) -> tuple[Any, ...]:
         count = min(chunk, n_events - first)
-        return (detector, believed, shooter, table, first, count, settings, seed, finder, until)
+        return (detector, believed, shooter, table, first, count, settings, seed, finder, until, kept)
 
     tasks = [task(first) for first in range(0, n_events, chunk)] or [task(0)]
-    parts = _map(tasks, threads, executor, progress, n_events)
     meta = _meta(detector, other, shooter, settings, seed)
-    joined = concatenate([part[0] for part in parts], gaps=table is not None)
-    tables = {name: joined[name].with_meta(**meta) for name in TABLES if name in joined}
-    timings = {stage: sum(part[1][stage] for part in parts) for stage in parts[0][1]}
-    timings["wall"] = time.perf_counter() - start
-    return Result(
-        detector=detector,
-        fit_detector=other,
-        gun=shooter,
-        seed=seed,
-        settings=settings,
-        tables=tables,
-        timings=timings,
-    )
+
+    def result(tables: Mapping[str, Table], totals: Totals) -> Result:
+        transported = None if "particles" in tables else dict(totals.transport)
+        timings = {**totals.timings, "wall": time.perf_counter() - start}
+        return Result(
+            detector=detector, fit_detector=other, gun=shooter, seed=seed, settings=settings, tables=tables,
+            timings=timings, transported=transported,
+        )  # fmt: skip
+
+    totals = Totals(progress, len(tasks))
+    if output is None:
+        parts = answers(_work, tasks, threads, executor, None if len(tasks) <= MANY else n_events)
+        joined = concatenate([totals.add(answer) for answer in parts], gaps=table is not None)
+        return result({name: joined[name].with_meta(**meta) for name in TABLES if name in joined}, totals)
+    check_format(format)
+    with new_folder(output, overwrite=overwrite) as folder:
+        writer = PartsWriter(folder, format, gaps=table is not None)
+        for answer in answers(_work, tasks, threads, executor, None, pending=True):
+            tables = totals.add(answer)
+            if writer.add({name: tables[name].with_meta(**meta) for name in TABLES if name in tables}):
+                check_disk(folder, writer.size, writer.events, n_events)
+        writer.close()
+        write_about(folder, result(StoredTables(folder), totals).entries(command))
+    return open_run(output)
 
 
-def _check_stages(finder: object, until: object, executor: Executor | None) -> None:
+def _check_stages(finder: object, until: object, executor: Executor | None, keep: Any) -> tuple[str, ...] | None:
+    """Raise an error if a run cannot be as asked for; return the tables to be kept, None for all."""
     problems = []
+    names = [keep] if isinstance(keep, str) else [] if keep is None else list(keep)
+    problems += [
+        f"keep: got {name!r:.50}, expected some of {', '.join(TABLES)}{did_you_mean(str(name), TABLES, '; ')}"
+        for name in names
+        if name not in TABLES
+    ]
+    if keep is not None and not names:
+        problems.append("keep: got no table, expected at least one")
     if not callable(finder) and finder not in FINDERS:
         problems.append(
             f"finder: got {finder!r}, expected 'truth', 'ckf' or a function of (detector, clusters, wire_hits)"
@@ -226,6 +272,7 @@ def _check_stages(finder: object, until: object, executor: Executor | None) -> N
                 f"finder: got {finder_name(finder)}, which cannot be sent to other processes ({error}); "
                 "expected a function of a module, or an executor of threads"
             ) from error
+    return None if keep is None else (*names, *(["matches"] if "tracks" in names else []))
 
 
 def _expected(given: object) -> str:
@@ -258,41 +305,24 @@ def _work(
     seed: int,
     finder: Finder | FinderName,
     until: str,
-) -> tuple[dict[str, Table], dict[str, float]]:
+    keep: tuple[str, ...] | None,
+) -> Answer:
     if gun is not None:
         particles = generate(gun, count, seed, first)
     else:
         assert table is not None
         numbers = table.events[first : first + count]
         particles = table.select_events(int(numbers[0]), int(numbers[-1]) + 1) if count else table
-    return run_chunk(detector, believed, particles, settings, seed, finder, until)
-
-
-def _map(
-    tasks: list[tuple[Any, ...]],
-    threads: int | None,
-    executor: Executor | None,
-    progress: Callable[[float], None] | None,
-    n_events: int,
-) -> list[tuple[dict[str, Table], dict[str, float]]]:
-    """Run the tasks on the executor and return the answers in order; an interrupt leaves nothing running."""
-    pool = executor or ThreadPoolExecutor(threads or os.cpu_count())
-    futures: list[Future[tuple[dict[str, Table], dict[str, float]]]] = []
-    try:
-        if len(tasks) > MANY:
-            futures = [pool.submit(_work, *tasks[0])]
-            first = futures[0].result()[0]
-            check_memory(first, first["particles"].n_events, n_events)
-        futures += [pool.submit(_work, *task) for task in tasks[len(futures) :]]
-        for done, _ in enumerate(as_completed(futures), start=1):
-            if progress is not None:
-                progress(done / len(futures))
-        return [future.result() for future in futures]
-    finally:
-        for future in futures:
-            future.cancel()
-        if executor is None:
-            pool.shutdown()
+    tables, seconds = run_chunk(detector, believed, particles, settings, seed, finder, until)
+    transport = transport_counts(tables["particles"]["status"])
+    sizes = {name: sum(column.nbytes for column in one.columns.values()) for name, one in tables.items()}
+    if keep is not None:
+        missing = [name for name in keep if name not in tables and name != "matches"]
+        if missing:
+            raise ValueError(f"keep: got {', '.join(missing)}, which this run does not make, only {', '.join(tables)}")
+        kept = {name: tables[name] for name in TABLES if name in tables and name in keep}
+        tables = {name: one.with_columns(**without_links(one, kept)) for name, one in kept.items()}
+    return Answer(tables, seconds, transport, count, sizes)
 
 
 def _meta(

@@ -1,11 +1,11 @@
-"""The memory that a run needs, compared with what there is."""
+"""The memory, or the space on disk, that a run needs, compared with what there is."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
-
-from cgemit.tables import Table
+import shutil
+from collections.abc import Collection, Mapping
+from pathlib import Path
 
 #: Chunks are held until they are joined: the tables of a run stand in memory twice.
 COPIES = 2
@@ -21,13 +21,55 @@ def available() -> int:
         return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
 
 
-def check_memory(tables: Mapping[str, Table], done: int, n_events: int) -> None:
+def check_memory(sizes: Mapping[str, int], kept: Collection[str], done: int, n_events: int) -> None:
     """Raise an error if a run does not fit into memory, judged by its first events.
 
     Parameters
     ----------
-    tables : mapping of str to Table
-        Of the first events.
+    sizes : mapping of str to int, bytes
+        Of all tables of the first events.
+    kept : collection of str
+        The tables that the run keeps.
+    done, n_events : int
+        Number of these events, and of all.
+
+    Raises
+    ------
+    ValueError
+        With what the run needs, what there is, and how it would fit.
+    """
+    size = sum(sizes[name] for name in kept) / done
+    tracks = sum(sizes.get(name, 0) for name in _TRACKS) / done
+    needed, free = COPIES * size * n_events, available()
+    if needed <= free:
+        return
+    ways = []
+    if set(kept) > set(_TRACKS) <= sizes.keys() and COPIES * tracks * n_events <= free:
+        ways.append(f"keep=('tracks',) needs {_gigabytes(COPIES * tracks * n_events)}")
+    disk = f"{_gigabytes(size * n_events)} on disk"
+    if set(kept) > set(_TRACKS) <= sizes.keys():
+        disk += f", or {_gigabytes(tracks * n_events)} with keep=('tracks',)"
+    ways.append(f"output=FOLDER (on the command line --keep) needs no more memory than a few chunks, and {disk}")
+    raise ValueError(
+        f"n: {n_events} events need about {_gigabytes(needed)} of memory ({size / 1000:.1f} kB an event, "
+        f"{COPIES} times), and {_gigabytes(free)} are free; expected at most {int(free / needed * n_events):,} "
+        f"events at a time, or less of each: {'; '.join(ways)}"
+    )
+
+
+#: What ``keep=("tracks",)`` keeps.
+_TRACKS = ("tracks", "matches")
+
+
+def check_disk(folder: Path, size: int, done: int, n_events: int) -> None:
+    """Raise an error if the rest of a run does not fit on the disk, judged by what is written.
+
+    Parameters
+    ----------
+    folder : Path
+        Where the run is written.
+    size : int, bytes
+        Of the files of the first events.
     done, n_events : int
         Number of these events, and of all.
 
@@ -36,11 +78,14 @@ def check_memory(tables: Mapping[str, Table], done: int, n_events: int) -> None:
     ValueError
         With what the run needs and what there is.
     """
-    size = sum(column.nbytes for table in tables.values() for column in table.columns.values())
-    needed, free = COPIES * size * n_events / done, available()
+    needed, free = size * n_events / done, size + shutil.disk_usage(folder).free
     if needed > free:
         raise ValueError(
-            f"n: {n_events} events need about {needed / 1e9:,.0f} GB of memory ({size / done / 1000:.1f} kB an event, "
-            f"{COPIES} times), and {free / 1e9:,.0f} GB are free; expected at most {int(free / needed * n_events):,} "
-            "events at a time: several runs with seeds of their own"
+            f"n: {n_events} events need about {_gigabytes(needed)} on disk ({size / done / 1000:.2f} kB an event), and "
+            f"{_gigabytes(free)} are free there; expected at most {int(free / needed * n_events):,} "
+            "events, or fewer tables, or a smaller format such as parquet"
         )
+
+
+def _gigabytes(size: float) -> str:
+    return f"{size / 1e9:,.0f} GB" if size >= 1e10 else f"{size / 1e9:.2g} GB"

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from cgemit.io.hepmc import ENDINGS, read_hepmc
+from cgemit.io.packages import package
 from cgemit.problems import ProblemsError, did_you_mean
 from cgemit.species import KNOWN, UNKNOWN
 from cgemit.tables import SCHEMAS, Table
@@ -33,15 +37,18 @@ FARTHEST, FASTEST = 1e6, 1e6
 
 
 def particles_from(source: Any, *, n_events: int | None = None, first_event: int | None = None) -> Table:
-    """Make a table of particles from a mapping of arrays, a pandas data frame, a structured array or a table.
+    """Make a table of particles from arrays, a data frame, a table, lists per event or a file.
 
     Parameters
     ----------
-    source : Table, mapping, pandas.DataFrame or structured ndarray
+    source : Table, mapping, pandas.DataFrame, structured ndarray, awkward.Array or path
         Columns, each (n,): `event` int, `pdg` int, `px`, `py`, `pz` GeV/c are needed. `x`, `y`, `z` mm are 0
         where not given, `particle` (number within the event) counts the rows of the event, `charge` e and `mass`
         GeV/c2 follow from `pdg`. Rows may come in any order; those of an event keep theirs. Further columns of
-        numbers are kept.
+        numbers are kept. An awkward array holds one list of records per event, or a record of lists; events are then
+        counted from 0, unless there is a field `event`. A file is a table of particles as `Table.save` or
+        `Result.save` wrote it, or the text form of HepMC2 or HepMC3 (``.hepmc``, ``.hepmc3``, ``.hepmc.gz``; needs
+        pyhepmc), of which the particles of status 1 are taken, with their production vertices.
     n_events, first_event : int or None
         Events that the table covers. If not given, those that `source` covers if it is a table, else those from
         the smallest to the largest event number.
@@ -53,9 +60,19 @@ def particles_from(source: Any, *, n_events: int | None = None, first_event: int
 
     Raises
     ------
+    FileNotFoundError
+        If there is no such file.
     ParticleError
         Listing every problem of the columns.
+    ValueError
+        If a file is damaged, or needs a package that is not installed.
     """
+    given = n_events
+    if isinstance(source, str | os.PathLike):
+        source, n_events = _from_file(Path(source), n_events)
+    elif type(source).__module__.partition(".")[0] == "awkward":
+        source, n_events = _from_lists(source, n_events)
+    counted = n_events is not given  # from 0, with events that have no particles
     columns = _columns(source)
     problems = _missing(columns) or _problems(columns)
     if problems:
@@ -65,6 +82,8 @@ def particles_from(source: Any, *, n_events: int | None = None, first_event: int
         gaps = source.cover["events"] if n_events is first_event is None else None
         n_events = source.n_events if n_events is None else n_events
         first_event = source.first_event if first_event is None else first_event
+    elif first_event is None and counted:
+        first_event = 0
     order = np.argsort(columns["event"], kind="stable")
     columns = {name: column[order] for name, column in columns.items()}
     event = columns["event"] = columns["event"].astype(np.int64)
@@ -76,6 +95,44 @@ def particles_from(source: Any, *, n_events: int | None = None, first_event: int
         return Table("particles", _filled(columns), number, first, events=gaps)
     except ValueError as error:
         raise ParticleError("table of particles", [str(error)]) from error
+
+
+def _from_file(path: Path, n_events: int | None) -> tuple[Any, int | None]:
+    """Return the columns or the table of a file, and the number of events if the file tells more than its rows."""
+    if path.name.endswith(ENDINGS):
+        columns, found = read_hepmc(path)
+        return columns, found if n_events is None else n_events
+    if path.suffix not in (".npz", ".parquet", ".root"):
+        known = ", ".join((".npz", ".parquet", ".root", *ENDINGS))
+        raise ParticleError("table of particles", [f"got the file {str(path)[:80]!r}; expected one of {known}"])
+    table = Table.load(path)
+    if table.kind != "particles":
+        raise ParticleError(str(path), [f"got a table of kind {table.kind!r}; expected 'particles'"])
+    return table, n_events
+
+
+def _from_lists(source: Any, n_events: int | None) -> tuple[dict[str, Array], int | None]:
+    """Return the columns of an awkward array with one list per event, and the number of events."""
+    awkward = package("awkward")
+    fields = awkward.fields(source)
+    try:
+        lists = {name: source[name] for name in fields}
+        depth = {name: one.ndim for name, one in lists.items()}
+        if not fields or set(depth.values()) != {2}:
+            given = ", ".join(f"{name} {ndim}" for name, ndim in depth.items()) or "no fields"
+            raise ValueError(f"got {given} dimensions")
+        sizes = np.asarray(awkward.num(lists[fields[0]]))
+        wrong = [name for name, one in lists.items() if not np.array_equal(np.asarray(awkward.num(one)), sizes)]
+        if wrong:
+            raise ValueError(f"{', '.join(wrong)}: got lists of other lengths than {fields[0]}")
+        columns = {name: awkward.to_numpy(awkward.flatten(one), allow_missing=False) for name, one in lists.items()}
+    except (ValueError, TypeError) as error:
+        problem = f"got an awkward array that is no list of records per event ({error})"
+        raise ParticleError("table of particles", [problem]) from error
+    if "event" in columns:
+        return columns, n_events
+    columns["event"] = np.repeat(np.arange(len(sizes)), sizes)
+    return columns, len(sizes) if n_events is None else n_events
 
 
 def check_particles(particles: Table) -> None:

@@ -20,7 +20,7 @@ from cgemit.io.toml import parse_toml
 from cgemit.problems import ProblemsError
 from cgemit.settings import SettingsData, SettingsError
 from cgemit.tables import Table, save_tables
-from cgemit.tables.files import read_index
+from cgemit.tables.stored import StoredTables, about_of
 from cgemit.values import InTurn
 from cgemit.version import VERSION
 
@@ -102,11 +102,15 @@ def write_record(entries: Mapping[str, Any], folder: Path) -> Path:
     return path
 
 
-def write_run(folder: Path, tables: Mapping[str, Table], entries: Mapping[str, Any]) -> list[Path]:
+def write_run(folder: Path, tables: Mapping[str, Table], entries: Mapping[str, Any], format: str = "npz") -> list[Path]:
     """Write the tables of a run, its detector and its record to an empty folder; return the files."""
-    paths = save_tables(tables, folder)
+    return [*save_tables(tables, folder, format=format), *write_about(folder, entries)]
+
+
+def write_about(folder: Path, entries: Mapping[str, Any]) -> list[Path]:
+    """Write the detector of a run and its record beside its tables; return the files."""
     (folder / DETECTOR).write_text(entries["detectors"]["detector"], encoding="utf-8")
-    return [*paths, folder / DETECTOR, write_record(entries, folder)]
+    return [folder / DETECTOR, write_record(entries, folder)]
 
 
 class Run(NamedTuple, Generic[S]):
@@ -119,7 +123,9 @@ class Run(NamedTuple, Generic[S]):
     tables: Mapping[str, Table]
 
 
-def read_run(folder: Path, kind: type[S], names: Collection[str], required: Collection[str]) -> Run[S]:
+def read_run(
+    folder: Path, kind: type[S], names: Collection[str], required: Collection[str], *, lazy: bool = False
+) -> Run[S]:
     """Read what `write_run` wrote.
 
     Parameters
@@ -128,7 +134,9 @@ def read_run(folder: Path, kind: type[S], names: Collection[str], required: Coll
     kind : type
         The class of the settings of all stages.
     names, required : collection of str
-        Tables that a run may hold, and those that it must.
+        Tables that a run may hold, and those that it must if the record does not list its tables.
+    lazy : bool
+        Whether tables are read and checked when they are asked for only.
 
     Raises
     ------
@@ -139,7 +147,7 @@ def read_run(folder: Path, kind: type[S], names: Collection[str], required: Coll
     """
     problems: list[str] = []
     entries = _read_record(folder, problems)
-    tables = _read_tables(folder, names, required, problems)
+    tables = _read_tables(folder, names, entries.get("tables", required), problems, lazy=lazy)
     detectors, gun, settings = _read_entries(entries, kind, problems)
     if entries:
         problems += _strangers(tables, entries)
@@ -195,22 +203,25 @@ def _read_entries(
 
 
 def _read_tables(
-    folder: Path, names: Collection[str], required: Collection[str], problems: list[str]
-) -> dict[str, Table]:
+    folder: Path, names: Collection[str], required: Collection[str], problems: list[str], *, lazy: bool
+) -> Mapping[str, Table]:
     """Return the tables of a folder; problems are added."""
     try:
-        index = read_index(folder)
+        stored = StoredTables(folder)
     except (ValueError, FileNotFoundError) as error:
         problems.append(str(error))
         return {}
-    problems += [f"{name}.npz: got a table that no run has" for name in index if name not in names]
-    problems += [f"{name}.npz: missing" for name in required if name not in index]
+    problems += [f"{stored.file(name)}: got a table that no run has" for name in stored if name not in names]
+    problems += [f"{name}.npz: missing" for name in required if name not in stored]
+    if lazy:
+        problems += stored.problems()
+        return stored if not problems else {}
     tables = {}
-    for name in (name for name in index if name in names):
+    for name in (name for name in stored if name in names):
         try:
-            tables[name] = Table.load(folder / f"{name}.npz")
+            tables[name] = stored.read(name, check=False)
         except (ValueError, FileNotFoundError) as error:
-            problems.append(f"{name}.npz: {error}")
+            problems.append(f"{stored.file(name)}: {error}")
     return tables
 
 
@@ -221,14 +232,16 @@ def _strangers(tables: Mapping[str, Table], entries: Mapping[str, Any]) -> list[
         "configuration": entries["configuration"], "version": entries["versions"].get("cgemit"),
     }  # fmt: skip
     problems = []
-    for name, table in tables.items():
-        given = {"events": table.n_events, "first_event": table.first_event, **table.meta}
+    for name in tables:
+        about = about_of(tables, name)
+        meta = about["meta"] if isinstance(about.get("meta"), dict) else {}
+        given = {"events": about["n_events"], "first_event": about["first_event"], **meta}
         wrong = [key for key, value in expected.items() if given.get(key) != value]
         problems += [
             f"{name}.npz: {key}: got {given.get(key)!r}, expected {expected[key]!r}, as {RECORD} says" for key in wrong
         ]
-        if table.kind != name:
-            problems.append(f"{name}.npz: got a table of kind {table.kind!r}, expected {name!r}")
+        if about["kind"] != name:
+            problems.append(f"{name}.npz: got a table of kind {about['kind']!r}, expected {name!r}")
     return problems
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from html import escape
 from pathlib import Path
@@ -18,10 +18,12 @@ from cgemit.fit import FitSettings, FitStatus
 from cgemit.gun import Gun, Guns
 from cgemit.io.folders import new_folder
 from cgemit.match import joined
-from cgemit.record import gun_data, read_run, record, write_run
+from cgemit.record import Run, gun_data, read_run, record, write_run
 from cgemit.settings import SettingsData
 from cgemit.simulate import SimulateSettings, TransportStatus
-from cgemit.tables import Table, select_events
+from cgemit.tables import SCHEMAS, Table, select_events
+from cgemit.tables.formats import check_format
+from cgemit.tables.stored import StoredTables, about_of, column_of
 from cgemit.tables.table import what
 
 TABLES = (
@@ -30,7 +32,10 @@ TABLES = (
 )
 
 #: Tables of every run, wherever it ends.
-_EVERY_RUN = ("particles", "decays", "truths", "steps", "wire_truths")
+EVERY_RUN = ("particles", "decays", "truths", "steps", "wire_truths")
+
+#: Columns that `Result.tracks` takes from the matches.
+_MATCHED = {column.name for column in SCHEMAS["matches"]} - {"event", "track"}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,6 +85,8 @@ class Result:
         holds the fitted tracks without the comparison with truth: the attribute `fitted`.
     timings : mapping of str to float
         Seconds of each stage, summed over chunks, and `wall`, from start to end.
+    transported : mapping of str to int, or None
+        Particles of each transport status, if the run did not keep their table.
     """
 
     detector: Detector
@@ -89,6 +96,7 @@ class Result:
     fit_detector: Detector | None = None
     tables: Mapping[str, Table]
     timings: Mapping[str, float]
+    transported: Mapping[str, int] | None = None
 
     particles = _Stored()
     decays = _Stored()
@@ -113,9 +121,59 @@ class Result:
         return joined(self.fitted, self.matches)
 
     @property
+    def n_events(self) -> int:
+        """Number of events, with and without rows."""
+        return int(self._cover()["n_events"])
+
+    @property
+    def first_event(self) -> int:
+        """Number of the first event."""
+        return int(self._cover()["first_event"])
+
+    def _cover(self) -> Mapping[str, Any]:
+        return about_of(self.tables, next(iter(self.tables)))
+
+    @property
+    def rows(self) -> dict[str, int]:
+        """Number of rows of each table."""
+        return {name: about_of(self.tables, name)["rows"] for name in self.tables}
+
+    def column(self, table: str, column: str) -> Any:
+        """Return one column of a table, (n,) or (n, ...); of a run in files, the others are not read.
+
+        Parameters
+        ----------
+        table, column : str
+            ``tracks`` has the columns of the matches, too.
+
+        Raises
+        ------
+        KeyError
+            If there is no such table or column.
+        """
+        if table == "tracks" and "matches" in self.tables and column in _MATCHED:
+            table = "matches"
+        if table not in self.tables:
+            raise KeyError(f"the result has no table {table!r}, only {', '.join(self.tables)}")
+        return column_of(self.tables, table, column)
+
+    def parts(self) -> Iterator[Result]:
+        """Yield the results of the parts of a run in files, one after the other; of another run, the result itself.
+
+        Links of a part count rows of its own tables. Each part's tables are read when they are asked for, so that
+        the memory is that of one part.
+        """
+        if not isinstance(self.tables, StoredTables):
+            yield self
+            return
+        for part in self.tables.parts():
+            yield replace(self, tables=part, transported=None if "particles" in part else self.transported)
+
+    @property
     def finder(self) -> str | None:
         """Name of the finder that assigned the hits to candidates; None where the run did not."""
-        return None if self.candidates is None else finder_of(self.candidates)
+        name = next((name for name in ("candidates", "tracks") if name in self.tables), None)
+        return None if name is None else _finder(about_of(self.tables, name)["meta"])
 
     def __eq__(self, other: object) -> bool:
         """Compare everything but the timings."""
@@ -153,21 +211,24 @@ class Result:
 
     def removed(self) -> dict[str, int]:
         """Count the tracks of each status other than ok."""
-        if self.fitted is None:
+        if "tracks" not in self.tables:
             return {}
-        status = self.fitted["status"]
+        status = column_of(self.tables, "tracks", "status")
         return {s.name: n for s in FitStatus if s != FitStatus.ok and (n := int((status == s).sum()))}
 
     def transport(self) -> dict[str, int]:
         """Count the particles of each transport status."""
-        status = self.particles["status"]
-        return {s.name: n for s in TransportStatus if (n := int((status == s).sum()))}
+        if "particles" not in self.tables:
+            return dict(self.transported or {})
+        return transport_counts(column_of(self.tables, "particles", "status"))
 
-    def save(self, folder: str | os.PathLike[str], *, overwrite: bool = False, command: str = "") -> list[Path]:
+    def save(
+        self, folder: str | os.PathLike[str], *, overwrite: bool = False, command: str = "", format: str = "npz"
+    ) -> list[Path]:
         """Write the run to a folder, from which `load` reads it back.
 
-        Every table as .npz, with tables.json beside them; detector.toml; and run.json, which holds what the tables
-        depend on: detectors, gun, seed, settings of all stages, versions, configuration hash.
+        Every table in a file of its name, with tables.json beside them; detector.toml; and run.json, which holds what
+        the tables depend on: detectors, gun, seed, settings of all stages, versions, configuration hash.
 
         Parameters
         ----------
@@ -176,6 +237,9 @@ class Result:
             Whether the folder may hold files already. Those of the same name are replaced.
         command : str
             Command line for run.json, if there was one.
+        format : str
+            Of the tables: "npz", "npz-compressed", "parquet" (needs pyarrow), "root" (one TTree a file; needs
+            uproot) or "csv".
 
         Returns
         -------
@@ -185,19 +249,34 @@ class Result:
         ------
         OutputExistsError
             If the folder holds files and `overwrite` is false.
+        ValueError
+            If the format is unknown, or needs a package that is not installed.
         """
-        about = {"events": self.particles.n_events, "first_event": self.particles.first_event}
-        entries = record(
+        check_format(format)
+        entries = self.entries(command)
+        with new_folder(folder, overwrite=overwrite) as place:
+            names = [path.name for path in write_run(place, self.tables, entries, format)]
+        return [Path(folder) / name for name in names]
+
+    def entries(self, command: str = "") -> dict[str, Any]:
+        """Return what run.json holds.
+
+        Parameters
+        ----------
+        command : str
+            Command line, if there was one.
+        """
+        about = {"events": self.n_events, "first_event": self.first_event, "tables": list(self.tables)}
+        if self.transported is not None:
+            about["transported"] = dict(self.transported)
+        return record(
             detectors=detectors_of(self.detector, self.fit_detector), settings=self.settings, seed=self.seed,
             source=gun_data(self.gun), command=command, **about, timings=dict(self.timings),
         )  # fmt: skip
-        with new_folder(folder, overwrite=overwrite) as place:
-            names = [path.name for path in write_run(place, self.tables, entries)]
-        return [Path(folder) / name for name in names]
 
     @classmethod
     def load(cls, folder: str | os.PathLike[str]) -> Result:
-        """Read what `save`, or ``cgemit simulate``, wrote: an equal result.
+        """Read what `save`, or ``cgemit simulate``, wrote: an equal result, with all its tables in memory.
 
         Parameters
         ----------
@@ -211,22 +290,20 @@ class Result:
             A ValueError that lists every file that is damaged, and every table that is not of the run that run.json
             describes.
         """
-        run = read_run(Path(folder), Settings, TABLES, _EVERY_RUN)
-        tables = {name: run.tables[name] for name in TABLES if name in run.tables}
-        about: dict[str, Any] = {"gun": run.gun, "settings": run.settings, **run.detectors}
-        return cls(seed=run.entries["seed"], tables=tables, timings=run.entries["timings"], **about)
+        run = read_run(Path(folder), Settings, TABLES, EVERY_RUN)
+        return result_of(run, {name: run.tables[name] for name in TABLES if name in run.tables})
 
     def _summary(self) -> list[tuple[str, str]]:
         shots = f"{self.gun!r}" if self.gun is not None else "given particles"
         rows = [("detector", self.detector.name), ("gun", shots), ("seed", str(self.seed))]
-        rows.append(("events", f"{self.particles.n_events:,}"))
+        rows.append(("events", f"{self.n_events:,}"))
         rows.append(("transport", ", ".join(f"{n:,} {name}" for name, n in self.transport().items())))
-        if self.fitted is not None:
+        if "tracks" in self.tables:
             removed = ", ".join(f"{n:,} {name}" for name, n in self.removed().items()) or "none"
-            rows.append(("tracks", f"{len(self.fitted):,} (not fitted: {removed})"))
-        rows.append(("rows", ", ".join(f"{name} {len(table):,}" for name, table in self.tables.items())))
-        if self.candidates is not None:
-            rows.append(("hits", hits_text(self.candidates)))
+            rows.append(("tracks", f"{self.rows['tracks']:,} (not fitted: {removed})"))
+        rows.append(("rows", ", ".join(f"{name} {number:,}" for name, number in self.rows.items())))
+        if self.finder is not None:
+            rows.append(("hits", _hits_text(self.finder)))
         rows.append(("time", f"{self.timings['wall']:.2f} s"))
         return rows
 
@@ -236,6 +313,20 @@ class Result:
     def _repr_html_(self) -> str:
         rows = "".join(f"<tr><th>{escape(name)}</th><td>{escape(text)}</td></tr>" for name, text in self._summary())
         return f"<table>{rows}</table>"
+
+
+def result_of(run: Run[Settings], tables: Mapping[str, Table]) -> Result:
+    """Return the result of a run that was read, with tables of its own or some others."""
+    about: dict[str, Any] = {"gun": run.gun, "settings": run.settings, **run.detectors}
+    entries = run.entries
+    return Result(
+        seed=entries["seed"], tables=tables, timings=entries["timings"], transported=entries.get("transported"), **about
+    )
+
+
+def transport_counts(status: Any) -> dict[str, int]:
+    """Return the number of particles of each transport status, from the column (n,) of these."""
+    return {s.name: n for s in TransportStatus if (n := int((status == s).sum()))}
 
 
 def detectors_of(detector: Detector, fit_detector: Detector | None) -> dict[str, Detector]:
@@ -251,7 +342,11 @@ def finder_of(table: Table) -> str:
     table : Table
         Of candidates, of their hits, or of fitted tracks.
     """
-    return str(table.meta.get("finder", "given"))
+    return _finder(table.meta)
+
+
+def _finder(meta: Mapping[str, Any]) -> str:
+    return str(meta.get("finder", "given"))
 
 
 def hits_text(table: Table) -> str:
@@ -262,7 +357,10 @@ def hits_text(table: Table) -> str:
     table : Table
         As in `finder_of`.
     """
-    name = finder_of(table)
+    return _hits_text(finder_of(table))
+
+
+def _hits_text(name: str) -> str:
     return {"truth": "assigned by truth", "given": "given with their candidates"}.get(name, f"found by {name}")
 
 
@@ -281,7 +379,7 @@ def tracks_of(given: Result | Table) -> Table:
         If it is a table of another kind, or a result without tracks.
     """
     if isinstance(given, Result):
-        if given.fitted is None:
+        if "tracks" not in given.tables:
             raise ValueError("tracks: the result has none, since the run ended before the fit")
         tracks: Table = given.tracks
         return tracks

@@ -38,7 +38,7 @@ OF_FILE = Settings(
     digitize=DigitizeSettings(readout=BinaryReadout(threshold=6.0)),
 )
 #: Options that say how results are shown or where they go; other tests look at them.
-SHOWN = {"--help", "--json", "--output", "--overwrite", "--quiet", "--debug", "--method"}
+SHOWN = {"--help", "--json", "--output", "--overwrite", "--quiet", "--debug", "--method", "--format"}
 
 
 @dataclass
@@ -139,6 +139,7 @@ SIMULATE_ROWS = [
     Row("--hypothesis", ["--hypothesis", "mu,K"], with_settings(fit=FitSettings(hypothesis=("mu", "K")))),
     Row("--finder", ["--finder", "ckf", "--set", "find.hypothesis=pi"],
         {"finder": "ckf", **with_settings(find=FindSettings(hypothesis="pi"))}),
+    Row("--keep", ["--keep", "tracks,digis"], {"keep": ("tracks", "digis")}),
     Row("--states", ["--states", "hits,9 cm"], with_settings(fit=FitSettings(states=("hits", 90.0)))),
 ]  # fmt: skip
 
@@ -298,12 +299,8 @@ def test_options_of_study(row: Row, monkeypatch: pytest.MonkeyPatch) -> None:
     [("simulate", SIMULATE_ROWS), ("resolution", RESOLUTION_ROWS), ("study", STUDY_ROWS), ("display", DISPLAY_ROWS)],
 )
 def test_every_option_is_tried(command: str, rows: list[Row]) -> None:
-    tried = (
-        {row.option for row in rows}
-        | SHOWN
-        | ({"--html"} if command == "display" else set())
-        | ({"--fit"} if command == "simulate" else set())
-    )
+    tried = {row.option for row in rows} | SHOWN
+    tried |= {"display": {"--html"}, "simulate": {"--fit", "--particles"}}.get(command, set())
     assert options_of(command) - tried == set()
 
 

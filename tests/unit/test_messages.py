@@ -109,7 +109,7 @@ def test_runs_larger_than_the_memory_are_refused(monkeypatch, capsys):
     assert main(arguments) == 2
     assert "GB are free; expected at most" in capsys.readouterr().err
     monkeypatch.setattr(memory, "available", lambda: 10**18)
-    memory.check_memory(least.tables, 1000, 100_000_000)
+    memory.check_memory({"tracks": 10**9}, {"tracks"}, 1000, 100_000_000)
 
 
 def test_import_takes_no_numpy():

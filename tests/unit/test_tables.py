@@ -283,7 +283,7 @@ def test_missing_extra_is_named(method, monkeypatch):
             raise ImportError(name)
         return import_module(name, *args, **kwargs)
 
-    monkeypatch.setattr("cgemit.tables.convert.importlib.import_module", without)
+    monkeypatch.setattr("cgemit.io.packages.importlib.import_module", without)
     with pytest.raises(ImportError, match=r"pip install 'cgemit\[io\]'"):
         getattr(make("digis", [0], 1), method)()
 

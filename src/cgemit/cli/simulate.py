@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import shutil
 import sys
 from typing import TYPE_CHECKING, Any
 
@@ -11,14 +12,14 @@ from cgemit.cli import changes, common, read
 from cgemit.version import VERSION
 
 if TYPE_CHECKING:
-    from cgemit.gun import Gun
     from cgemit.result import Result
 
 _DESCRIPTION = """\
 Shoot particles through a detector and write the tables of the chain: particles, truths, steps, wire_truths, digis,
-wire_hits, clusters, with --fit tracks, and with --states also states. One .npz file a table (numpy.load, or
+wire_hits, clusters, with --fit tracks, and with --states also states. One file a table (.npz: numpy.load, or
 cgemit.Table.load), tables.json, detector.toml, summary.json, and run.json, which holds everything that the tables
-depend on. cgemit.Result.load(DIR) reads it all back."""
+depend on. cgemit.Result.load(DIR) reads it all back. With --keep the tables are written in parts while the run goes
+on, so that the memory does not depend on the number of events; cgemit.open(DIR) reads them as they are needed."""
 
 _EXAMPLES = """\
 A quantity is a number (fixed), A:B (uniform range), A:B:N (N values from A to B in turn) or A,B,C (values in turn);
@@ -31,7 +32,12 @@ examples:
   cgemit simulate -d besiii-cgem --particle pi+ --p 0.5 --cos-theta 0 -n 100 --states beam_pipe,hits,"90 cm" -o states
   cgemit simulate -d besiii-cgem --set cgem.L1.drift_gap="3 mm" --name thin --p 1 --cos-theta 0 -n 1000 -o thin
   cgemit simulate -d besiii-cgem --settings mine.toml --set fit.loss=mean --p 1 --cos-theta 0 -n 1000 -o mine
-  cgemit simulate -d besiii-cgem --field my-map.npz --p 1 --cos-theta 0 -n 1000 -o mapped"""
+  cgemit simulate -d besiii-cgem --field my-map.npz --p 1 --cos-theta 0 -n 1000 -o mapped
+  cgemit simulate -d besiii-cgem --p 1 --cos-theta -0.93:0.93 -n 1e7 --keep tracks --format parquet -o many
+  cgemit simulate -d besiii-cgem --particles events.hepmc --fit -o generated"""
+
+#: As `cgemit.tables.formats.FORMATS`, which would need numpy.
+FORMATS = ("npz", "npz-compressed", "parquet", "root", "csv")
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -41,8 +47,10 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         epilog=_EXAMPLES, formatter_class=common.HelpFormatter,
     )  # fmt: skip
     common.add_detector(parser)
-    add_gun(parser)
-    parser.add_argument("-n", "--events", type=read.positive, required=True, metavar="N", help="number of events")
+    add_gun(parser, files=True)
+    parser.add_argument(
+        "-n", "--events", type=read.positive, metavar="N", help="number of events (with --particles: those of the file)"
+    )
     parser.add_argument(
         "--fit",
         action="store_true",
@@ -60,20 +68,27 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     changes.add_hypothesis(parser, several=True)
     parser.add_argument("--json", action="store_true", help="write the summary to stdout as JSON")
     common.add_output(parser)
+    parser.add_argument(
+        "--format", choices=FORMATS, default="npz", help="of the tables' files (default npz); root: a TTree a file"
+    )
+    parser.add_argument(
+        "--keep", type=read.names, metavar="TABLE,...",
+        help="write only these tables (all: every one), in parts while the run goes on, without holding them in memory",
+    )  # fmt: skip
     changes.add_physics(parser)
     common.add_run(parser)
     common.add_common(parser)
     parser.set_defaults(run=run)
 
 
-def add_gun(parser: argparse.ArgumentParser) -> None:
-    """Add the options of the gun."""
+def add_gun(parser: argparse.ArgumentParser, *, files: bool = False) -> None:
+    """Add the options of the gun, and with `files` that of a file of particles."""
     gun = parser.add_argument_group("gun")
-    gun.add_argument("--particle", default="mu-", help="PDG name or number (default mu-)")
-    momentum = gun.add_mutually_exclusive_group(required=True)
+    gun.add_argument("--particle", help="PDG name or number (default mu-)")
+    momentum = gun.add_mutually_exclusive_group()
     momentum.add_argument("--p", type=read.momenta, metavar="VALUES", help="momentum, GeV/c")
     momentum.add_argument("--pt", type=read.momenta, metavar="VALUES", help="transverse momentum, GeV/c")
-    polar = gun.add_mutually_exclusive_group(required=True)
+    polar = gun.add_mutually_exclusive_group()
     polar.add_argument("--theta", type=read.angles, metavar="VALUES", help="polar angle, rad")
     polar.add_argument("--cos-theta", type=read.cosines, metavar="VALUES", help="its cosine")
     gun.add_argument("--phi", type=read.angles, metavar="VALUES", help="azimuth, rad (default: uniform)")
@@ -81,58 +96,116 @@ def add_gun(parser: argparse.ArgumentParser) -> None:
     gun.add_argument(
         "--vertex-sigma", type=read.triple, metavar="X,Y,Z", help="its Gaussian spread, mm (default 0,0,0)"
     )
+    if not files:
+        return
+    gun.add_argument(
+        "--particles", metavar="FILE",
+        help="particles of a generator instead of the gun: HepMC (.hepmc, .hepmc.gz; needs pyhepmc) or a table of "
+        "particles (.npz, .parquet, .root)",
+    )  # fmt: skip
+
+
+_GUN = ("particle", "p", "pt", "theta", "cos_theta", "phi", "vertex", "vertex_sigma")
+
+
+def gun_of(arguments: argparse.Namespace, *others: tuple[str, object]) -> Gun:
+    """Return the gun of the options.
+
+    Parameters
+    ----------
+    arguments : Namespace
+    *others : (str, object)
+        Further options that must be given beside the gun's, and their values.
+
+    Raises
+    ------
+    InputError
+        Listing every option that is missing.
+    """
+    from cgemit.gun import Gun
+
+    given = {name: getattr(arguments, name) for name in _GUN if getattr(arguments, name) is not None}
+    missing = [name for name, value in others if value is None]
+    for options in (("--p", "--pt"), ("--theta", "--cos-theta")):
+        if not any(one[2:].replace("-", "_") in given for one in options):
+            missing.append(" or ".join(options))
+    if missing:
+        raise common.InputError(f"got no {', no '.join(missing)}; expected all of them{_or_file(arguments)}")
+    return Gun(**{"particle": "mu-", **given})
+
+
+def _or_file(arguments: argparse.Namespace) -> str:
+    return ", or --particles FILE" if hasattr(arguments, "particles") else ""
+
+
+def _source(arguments: argparse.Namespace) -> Any:
+    """Return the gun of the options, or the table of particles of a file.
+
+    Raises
+    ------
+    InputError
+        Listing every option that is missing, or that says the same as another.
+    """
+    from cgemit.particles import particles_from
+
+    if arguments.particles is None:
+        return gun_of(arguments, ("-n", arguments.events))
+    given = [name for name in _GUN if getattr(arguments, name) is not None]
+    if given:
+        options = ", ".join("--" + name.replace("_", "-") for name in given)
+        raise common.InputError(f"--particles: got {options}, too; expected particles of a file or of a gun")
+    return particles_from(arguments.particles)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the chain and write its tables."""
     from cgemit import chain
     from cgemit.io.folders import SUMMARY, new_folder
+    from cgemit.tables.formats import check_format
 
     (detector,), settings = common.load_inputs(arguments)
-    gun = gun_of(arguments)
+    gun = _source(arguments)
     fits = _fits(arguments)
+    how: dict[str, Any] = {"settings": settings, "until": "fit" if fits else "cluster", "threads": arguments.threads}
+    how["finder"] = arguments.finder or "truth"
+    check_format(arguments.format)
     with new_folder(arguments.output, overwrite=arguments.overwrite) as folder:
+        parts = folder / "run" / "parts"  # deeper, since the folder itself is locked
+        if arguments.keep is not None:
+            keep = None if arguments.keep == ("all",) else arguments.keep
+            how |= {"keep": keep, "output": parts, "format": arguments.format, "command": arguments.line}
         with common.Progress("simulate", quiet=arguments.quiet) as progress:
-            result = chain.run(
-                detector, gun, arguments.events, arguments.seed, settings=settings,
-                finder=arguments.finder or "truth", until="fit" if fits else "cluster",
-                threads=arguments.threads, progress=progress,
-            )  # fmt: skip
-        result.save(folder, command=arguments.line)
-        summary = _summary(result, gun)
+            result = chain.run(detector, gun, arguments.events, arguments.seed, progress=progress, **how)
+        if arguments.keep is None:
+            result.save(folder, command=arguments.line, format=arguments.format)
+        summary, text = _summary(result), repr(result)
+        if arguments.keep is not None:
+            for path in parts.iterdir():
+                path.rename(folder / path.name)
+            shutil.rmtree(parts.parent)
         (folder / SUMMARY).write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
-    print(json.dumps(summary, indent=2) if arguments.json else result)
+    print(json.dumps(summary, indent=2) if arguments.json else text)
     if not arguments.quiet:
         rest = "" if fits else " (nothing was fitted: --fit does)"
         print(f"tables: {arguments.output}{rest}", file=sys.stderr)
     return 0
 
 
-def gun_of(arguments: argparse.Namespace) -> Gun:
-    """Return the gun of the options that `add_gun` adds."""
-    from cgemit.gun import Gun
-
-    names = ("particle", "p", "pt", "theta", "cos_theta", "phi", "vertex", "vertex_sigma")
-    given = {name: getattr(arguments, name) for name in names}
-    return Gun(**{name: value for name, value in given.items() if value is not None})
-
-
 def _fits(arguments: argparse.Namespace) -> bool:
     """Tell whether the command line asks for fitted tracks, by `--fit` or something that only the fit can give."""
+    kept = set(arguments.keep or ()) & {"candidates", "candidate_hits", "tracks", "residuals", "states", "matches"}
     asked = (
-        arguments.fit,
-        arguments.finder is not None,
-        arguments.states is not None,
-        arguments.hypothesis is not None,
-    )
+        arguments.fit, arguments.finder is not None, arguments.states is not None, arguments.hypothesis is not None,
+        bool(kept),
+    )  # fmt: skip
     return any(asked) or any(text.strip().startswith(("fit.", "find.")) for text in arguments.overrides)
 
 
-def _summary(result: Result, gun: Gun) -> dict[str, Any]:
+def _summary(result: Result) -> dict[str, Any]:
     """Return what people want to see first; run.json holds everything that the results depend on."""
     summary = {
-        "version": VERSION, "detector": result.detector.name, "gun": repr(gun), "events": result.particles.n_events,
+        "version": VERSION, "detector": result.detector.name, "gun": repr(result.gun), "events": result.n_events,
         "seed": result.seed, "settings": result.settings.to_dict(), "transport": result.transport(),
-        "rows": {name: len(table) for name, table in result.tables.items()},
+        "rows": result.rows,
     }  # fmt: skip
     return summary | ({"removed": result.removed()} if "tracks" in result.tables else {})

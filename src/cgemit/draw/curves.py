@@ -48,7 +48,7 @@ def residual(result: Result | Table, quantity: str = "p") -> Picture:
     tracks = tracks_of(result)
     with style():
         picture, (axes,) = new_picture(1, 1, (6.4, 4.6))
-        about = "" if isinstance(result, Table) else f"{result.detector.name}, {result.particles.n_events:,} events"
+        about = "" if isinstance(result, Table) else f"{result.detector.name}, {result.n_events:,} events"
         draw_spectrum(axes, track_spectrum(tracks, quantity), about)
         if not isinstance(result, Table):
             axes.set_title(f"{axes.get_title(loc='left')}\n{plain(shot_text(result.gun))}", loc="left", fontsize=9.5)

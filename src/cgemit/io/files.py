@@ -8,7 +8,7 @@ import os
 import secrets
 import stat
 import zipfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -57,6 +57,7 @@ def write_arrays(
     meta: Mapping[str, Any],
     *,
     overwrite: bool = False,
+    compressed: bool = False,
 ) -> None:
     """Write arrays and what is said about them to one file, completely or not at all.
 
@@ -66,7 +67,7 @@ def write_arrays(
     arrays : mapping of str to ndarray
     meta : mapping
         What JSON can hold.
-    overwrite : bool
+    overwrite, compressed : bool
 
     Raises
     ------
@@ -77,15 +78,19 @@ def write_arrays(
     """
     text = json.dumps(dict(meta), allow_nan=False)
     with new_file(path, overwrite=overwrite) as temporary, temporary.open("wb") as stream:
-        np.savez(stream, **{_META: np.array(text)}, **arrays)  # type: ignore[arg-type]
+        write = np.savez_compressed if compressed else np.savez
+        write(stream, **{_META: np.array(text)}, **arrays)  # type: ignore[arg-type]
 
 
-def read_arrays(path: str | os.PathLike[str]) -> tuple[dict[str, np.ndarray[Any, Any]], dict[str, Any]]:
-    """Read what `write_arrays` wrote.
+def read_arrays(
+    path: str | os.PathLike[str], names: Collection[str] | None = None
+) -> tuple[dict[str, np.ndarray[Any, Any]], dict[str, Any]]:
+    """Read what `write_arrays` wrote: all arrays, or those named.
 
     Parameters
     ----------
     path : path
+    names : collection of str or None
 
     Returns
     -------
@@ -100,7 +105,7 @@ def read_arrays(path: str | os.PathLike[str]) -> tuple[dict[str, np.ndarray[Any,
         If the file is damaged or was not written by `write_arrays`.
     """
     try:
-        arrays = read_npz(path)
+        arrays = read_npz(path, None if names is None else {_META, *names})
         meta = json.loads(str(arrays.pop(_META)))
         if not isinstance(meta, dict):
             raise ValueError(f"{_META} holds {meta!r:.50}, not an object")
@@ -113,8 +118,14 @@ def read_arrays(path: str | os.PathLike[str]) -> tuple[dict[str, np.ndarray[Any,
 MOST_PACKED, FREE_BYTES = 50, 2**26
 
 
-def read_npz(path: str | os.PathLike[str]) -> dict[str, np.ndarray[Any, Any]]:
-    """Return the arrays of an `.npz` file; sizes are checked before memory is asked for.
+def check_unpacked(size: int, total: int) -> None:
+    """Raise a ValueError if a file of `size` bytes cannot hold `total` bytes of data."""
+    if total > max(FREE_BYTES, MOST_PACKED * size):
+        raise ValueError(f"{size} bytes that unpack to {total}")
+
+
+def read_npz(path: str | os.PathLike[str], names: Collection[str] | None = None) -> dict[str, np.ndarray[Any, Any]]:
+    """Return the arrays of an `.npz` file, or those named; sizes are checked before memory is asked for.
 
     Raises
     ------
@@ -127,10 +138,9 @@ def read_npz(path: str | os.PathLike[str]) -> dict[str, np.ndarray[Any, Any]]:
     try:
         with zipfile.ZipFile(path) as archive:
             members = archive.infolist()
-            total, size = sum(one.file_size for one in members), Path(path).stat().st_size
-            if total > max(FREE_BYTES, MOST_PACKED * size):
-                raise ValueError(f"{size} bytes that unpack to {total}")
-            return {one.filename.removesuffix(".npy"): _array(archive, one) for one in members}
+            check_unpacked(Path(path).stat().st_size, sum(one.file_size for one in members))
+            chosen = {one.filename.removesuffix(".npy"): one for one in members}
+            return {name: _array(archive, one) for name, one in chosen.items() if names is None or name in names}
     except FileNotFoundError:
         raise
     except Exception as error:  # of zipfile, zlib, struct, numpy: a damaged file is bad input, whatever notices it

@@ -182,4 +182,11 @@ def _tables_in(folder: Path) -> list[str]:
         names = json.loads((folder / "tables.json").read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return []
-    return [f"{name}.npz" for name in names if re.fullmatch(r"\w+", name)] if isinstance(names, dict) else []
+    if not isinstance(names, dict):
+        return []
+    found = []
+    for name, about in names.items():
+        suffix = about.get("suffix", ".npz") if isinstance(about, dict) else ".npz"
+        if re.fullmatch(r"\w+", name) and re.fullmatch(r"\.\w+", str(suffix)):
+            found += [f"{name}{suffix}", *(f"{name}/{path.name}" for path in (folder / name).glob(f"part-*{suffix}"))]
+    return found

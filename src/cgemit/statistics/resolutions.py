@@ -11,8 +11,9 @@ import numpy as np
 import numpy.typing as npt
 
 from cgemit import _core
+from cgemit.opened import TrackColumns, track_columns
 from cgemit.problems import did_you_mean
-from cgemit.result import Result, tracks_of
+from cgemit.result import Result
 from cgemit.statistics.estimate import HEAD, Floats, Resolution, measure
 from cgemit.statistics.formatting import Comparable, Tabular, html_table, text_table
 from cgemit.statistics.widths import Pulls, Resolutions, stacked
@@ -28,7 +29,7 @@ QUOTED = {
     "p": ("MeV/c", 1000.0),
 }
 #: What tracks can be binned in: a function of the table, and the unit.
-BY: dict[str, tuple[Callable[[Table], Floats], str]] = {
+BY: dict[str, tuple[Callable[[Table | TrackColumns], Floats], str]] = {
     "p": (lambda tracks: tracks["truth_p"], "GeV/c"),
     "pt": (lambda tracks: 1 / np.abs(tracks["truth_kappa"]), "GeV/c"),
     "cos_theta": (lambda tracks: tracks["truth_tanl"] / np.sqrt(1 + tracks["truth_tanl"] ** 2), ""),
@@ -38,6 +39,8 @@ BY: dict[str, tuple[Callable[[Table], Floats], str]] = {
 
 def resolution(tracks: Table | Result, parameter: str, *, window: tuple[float, float] | None = None) -> Resolution:
     """Return the widths of the residual (fitted minus true) of one parameter.
+
+    Of a run in files (`cgemit.open`), only the columns that are needed are read, part by part.
 
     Parameters
     ----------
@@ -59,7 +62,7 @@ def resolution(tracks: Table | Result, parameter: str, *, window: tuple[float, f
         If `tracks` is of another kind, the parameter is unknown or the window is empty.
     """
     unit, scale = QUOTED[_known(parameter, "parameter", list(QUOTED))]
-    return _measure(tracks_of(tracks), f"res_{parameter}", parameter, unit, scale, window)
+    return _measure(track_columns(tracks), f"res_{parameter}", parameter, unit, scale, window)
 
 
 def resolutions(tracks: Table | Result) -> Resolutions:
@@ -81,8 +84,8 @@ def pulls(tracks: Table | Result) -> Pulls:
     tracks : Table or Result
         Of kind "tracks", or with such a table.
     """
-    tracks = tracks_of(tracks)
-    return Pulls(tuple(_measure(tracks, f"pull_{name}", name, "", 1.0, None) for name in PARAMETERS))
+    columns = track_columns(tracks)
+    return Pulls(tuple(_measure(columns, f"pull_{name}", name, "", 1.0, None) for name in PARAMETERS))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -175,14 +178,14 @@ def resolution_against(
     _known(kind, "kind", ["residual", "pull"])
     column = f"res_{parameter}" if kind == "residual" else f"pull_{parameter}"
     unit, scale = (unit, scale) if kind == "residual" else ("", 1.0)
-    tracks = tracks_of(tracks)
-    x = np.asarray(quantity(tracks), np.float64)
+    columns = track_columns(tracks)
+    x = np.asarray(quantity(columns), np.float64)
     edges = _edges(x, bins)
     bin_of = np.searchsorted(edges, x, side="right") - 1
     bin_of[x == edges[-1]] = len(edges) - 2
     bin_of[~np.isfinite(x) | (x > edges[-1])] = -1
     chosen = [bin_of == i for i in range(len(edges) - 1)]
-    values = tuple(_measure(tracks, column, parameter, unit, scale, window, rows) for rows in chosen)
+    values = tuple(_measure(columns, column, parameter, unit, scale, window, rows) for rows in chosen)
     means = tuple(float(x[rows].mean()) if rows.any() else math.nan for rows in chosen)
     outside = len(x) - sum(int(np.count_nonzero(rows)) for rows in chosen)
     return Curve(parameter, unit, by, by_unit, tuple(map(float, edges)), means, values, outside)
@@ -196,7 +199,7 @@ def _known(name: str, what: str, known: list[str]) -> str:
 
 
 def _measure(
-    tracks: Table,
+    tracks: Table | TrackColumns,
     column: str,
     parameter: str,
     unit: str,

@@ -4,7 +4,8 @@ from cgemit.tables.columns import Column
 from cgemit.tables.files import save_tables
 from cgemit.tables.join import concatenate, select_events
 from cgemit.tables.schemas import PARAMETERS, ROWS, SCHEMAS
-from cgemit.tables.table import Table, load_tables
+from cgemit.tables.stored import load_tables
+from cgemit.tables.table import Table
 
 __all__ = [
     "PARAMETERS",

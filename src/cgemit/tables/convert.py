@@ -2,23 +2,16 @@
 
 from __future__ import annotations
 
-import importlib
-import itertools
 from collections.abc import Mapping
 from html import escape
 from typing import Any
 
 import numpy as np
 
+from cgemit.io.packages import package
 from cgemit.tables.check import Array, Rows
+from cgemit.tables.formats import plain_columns
 from cgemit.tables.schemas import SCHEMAS
-
-
-def _import(name: str) -> Any:
-    try:
-        return importlib.import_module(name)
-    except ImportError as error:
-        raise ImportError(f"this needs {name}: pip install 'cgemit[io]'") from error
 
 
 def columns_of(source: Any) -> dict[str, Array] | None:
@@ -32,18 +25,12 @@ def columns_of(source: Any) -> dict[str, Array] | None:
 
 def to_pandas(table: Rows) -> Any:
     """Return a data frame, one row per row; a matrix column becomes ``name_0_0, name_0_1, ...``."""
-    pandas = _import("pandas")
-    plain = {}
-    for name, column in table.columns.items():
-        for index in itertools.product(*(range(n) for n in column.shape[1:])):
-            place: Any = (slice(None), *index)
-            plain["_".join([name, *map(str, index)])] = column[place]
-    return pandas.DataFrame(plain)
+    return package("pandas").DataFrame(plain_columns(table.columns))
 
 
 def to_awkward(table: Rows) -> Any:
     """Return one list of records per event; links stay as they are."""
-    awkward = _import("awkward")
+    awkward = package("awkward")
     records = awkward.zip({name: awkward.from_numpy(column) for name, column in table.columns.items()}, depth_limit=1)
     return awkward.unflatten(records, np.diff(table.offsets))
 

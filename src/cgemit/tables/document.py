@@ -23,8 +23,38 @@ Stages meet in tables: plain numpy columns, one row per object, sorted by `event
   states). Rows of every status are kept; a value that does not exist is NaN.
 - Columns cannot be written; `with_columns` returns a new table, in which further columns may follow those below.
 
-In a file (`Table.save`, `.npz`) each column is an array of the same name, beside `offsets` and the JSON text
-`__meta__` with version, units, event range, and the configuration hash and seed of the run.
+## Files
+
+`Result.save(folder, format=...)` and `cgemit simulate --format` write each table to a file of its name:
+
+| format | file | needs | a matrix column is | read by |
+|---|---|---|---|---|
+| `npz`, `npz-compressed` | `tracks.npz`, also with `offsets`; JSON text `__meta__` | | one array | `numpy.load` |
+| `parquet` | `tracks.parquet`; JSON text `cgemit` in the schema | pyarrow | `cov_0_0, cov_0_1, ...` | pandas, dask |
+| `root` | `tracks.root`: a TTree `tracks`, JSON text `cgemit` | uproot | one branch `[5][5]` | ROOT, uproot |
+| `csv` | `tracks.csv`: names, then rows; every digit is kept | | `cov_0_0, cov_0_1, ...` | everything |
+
+`pip install 'cgemit[io]'` installs the packages. The JSON text holds version, units, event range, and the
+configuration hash and seed of the run; for CSV it is in `tables.json`, which lists all tables. `Result.load` and
+`cgemit.open` read every format back to equal tables and check that all files belong to the run of `run.json`.
+`Table.load` reads one file of any format but CSV.
+
+### More events than memory
+
+`cgemit.run(..., keep=("tracks",))` keeps only the tables named (`tracks` brings `matches`), with links to other
+tables set to -1. With `output=folder` (on the command line `--keep tracks`, or `--keep all` for every table) tables
+are written while the run goes on, in parts `tracks/part-000000.parquet`, ... of 32 MB. The memory does not depend on
+the number of events: 154 MB for 10^5 muons, 162 MB for 3·10^5 and 175 MB for 10^6, at 0.5 kB of disk an event, with
+
+    cgemit simulate -d besiii-cgem-design --p 1 --cos-theta -0.93:0.93 -n 300000 --keep tracks --threads 1 -o many
+
+Links count rows of the whole table, so that other programs can read the parts as one data set
+(`pandas.read_parquet("many/tracks")`). The folder appears under its name when it is complete; an interrupted run
+leaves none.
+
+`cgemit.open(folder)` reads no table before it is asked for. `result.tracks` then reads all parts; `result.parts()`
+gives one `Result` after the other, whose links count rows of the part; `result.column("tracks", "p")` reads one
+column. `cgemit.resolution`, `pulls` and `resolution_against` read only the columns that they need.
 """
 
 

@@ -1,4 +1,4 @@
-"""Tables in files: one `.npz` per table, with one JSON text beside a set of them."""
+"""Sets of tables in folders: a file or a folder of parts for each, and one JSON text that describes them."""
 
 from __future__ import annotations
 
@@ -9,60 +9,20 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from cgemit.io import new_file, read_arrays, write_arrays
+from cgemit.io import new_file
 from cgemit.io.files import read_text
-from cgemit.tables.check import Array, Rows, schema_of
-from cgemit.version import VERSION
+from cgemit.tables.check import Rows
+from cgemit.tables.formats import FORMATS, check_format, describe, describe_fully, save
 
-FORMAT = "cgemit-table-1"
 INDEX = "tables.json"
-_ABOUT = {"kind": str, "n_events": int, "first_event": int, "meta": dict}  # what `load` takes from `describe`
-
-
-def describe(table: Rows) -> dict[str, Any]:
-    """Return the description of a table in a file, without its columns."""
-    return {
-        "format": FORMAT,
-        "version": VERSION,
-        "kind": table.kind,
-        "rows": len(table),
-        "n_events": table.n_events,
-        "first_event": table.first_event,
-        "units": {column.name: column.unit for column in schema_of(table.kind)},
-        "meta": dict(table.meta),
-    }
-
-
-def save(table: Rows, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
-    """Write one table; see `Table.save`."""
-    beside = {"offsets": table.offsets}
-    events = table.cover["events"]
-    if events is not None:
-        beside["events"] = events
-    write_arrays(path, {**table.columns, **beside}, describe(table), overwrite=overwrite)
-
-
-def load(path: str | os.PathLike[str]) -> tuple[str, dict[str, Array], int, int, dict[str, Any], Array | None]:
-    """Read the arguments of `Table` from a file; see `Table.load`."""
-    arrays, about = read_arrays(path)
-    if about.get("format") != FORMAT:
-        raise ValueError(f"{path} has format {about.get('format')!r}, expected {FORMAT!r}")
-    wrong = [name for name, kind in _ABOUT.items() if not isinstance(about.get(name), kind)]
-    if wrong:
-        raise ValueError(f"{path} is not a complete table file of cgemit (missing or wrong: {', '.join(wrong)})")
-    offsets = arrays.pop("offsets", np.empty(0))  # they follow from the event column
-    if len(np.atleast_1d(offsets)) != about["n_events"] + 1:
-        raise ValueError(f"{path} is damaged: {about['n_events']} events, but {len(offsets)} offsets")
-    events = arrays.pop("events", None)
-    return about["kind"], arrays, about["n_events"], about["first_event"], about["meta"], events
+#: What every entry says about the size of its table.
+COVER = {"n_events": 0, "first_event": 0, "rows": 0}.keys()
 
 
 def save_tables(
-    tables: Mapping[str, Rows], directory: str | os.PathLike[str], *, overwrite: bool = False
+    tables: Mapping[str, Rows], directory: str | os.PathLike[str], *, overwrite: bool = False, format: str = "npz"
 ) -> list[Path]:
-    """Write each table to ``<name>.npz`` in a directory, and last of all their description to ``tables.json``.
+    """Write each table to a file of its name in a directory, and last of all their description to ``tables.json``.
 
     The directory is made if it is missing. Without ``tables.json`` it is not complete.
 
@@ -71,6 +31,8 @@ def save_tables(
     tables : mapping of str to Table
     directory : path
     overwrite : bool
+    format : str
+        One of "npz", "npz-compressed", "parquet" (pyarrow), "root" (a TTree of the table's name; uproot), "csv".
 
     Returns
     -------
@@ -81,9 +43,11 @@ def save_tables(
     ------
     FileExistsError
         If one of the files exists and `overwrite` is false; nothing is written then.
+    ValueError
+        If the format is unknown, needs a package that is not installed, or cannot hold a column.
     """
-    folder = Path(directory)
-    paths = {name: folder / f"{name}.npz" for name in tables}
+    folder, suffix = Path(directory), FORMATS[check_format(format)]
+    paths = {name: folder / f"{name}{suffix}" for name in tables}
     index = folder / INDEX
     existing = [str(path) for path in (*paths.values(), index) if path.exists()]
     if existing and not overwrite:
@@ -91,11 +55,22 @@ def save_tables(
     folder.mkdir(parents=True, exist_ok=True)
     index.unlink(missing_ok=True)
     for name, table in tables.items():
-        save(table, paths[name], overwrite=overwrite)
-    with new_file(index) as temporary:
-        about = {name: describe(table) for name, table in tables.items()}
-        temporary.write_text(json.dumps(about, indent=2, allow_nan=False) + "\n", encoding="utf-8")
-    return [*paths.values(), index]
+        save(table, paths[name], overwrite=overwrite, form=format)
+    return [*paths.values(), write_index(folder, {name: entry(table, suffix) for name, table in tables.items()})]
+
+
+def entry(table: Rows, suffix: str) -> dict[str, Any]:
+    """Return what the index says about a table in a file."""
+    found = describe(table) if suffix == ".npz" else describe_fully(table)
+    return found if suffix == ".npz" else found | {"suffix": suffix}
+
+
+def write_index(folder: Path, entries: Mapping[str, Mapping[str, Any]]) -> Path:
+    """Write the description of all tables."""
+    path = folder / INDEX
+    with new_file(path) as temporary:
+        temporary.write_text(json.dumps(entries, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    return path
 
 
 def read_index(directory: str | os.PathLike[str]) -> dict[str, dict[str, Any]]:
@@ -112,18 +87,50 @@ def read_index(directory: str | os.PathLike[str]) -> dict[str, dict[str, Any]]:
     strange = [name for name in tables if not re.fullmatch(r"[A-Za-z_]\w{0,63}", name, re.ASCII)]
     if strange:
         raise ValueError(f"{index} is damaged (got the table name {strange[0][:80]!r}, expected letters and digits)")
+    for name, about in tables.items():
+        problem = _entry_problem(about)
+        if problem:
+            raise ValueError(f"{index} is damaged ({name}: {problem})")
     return tables
 
 
-def index_problems(name: str, table: Rows, about: Mapping[str, Any]) -> list[str]:
+def _entry_problem(about: Mapping[str, Any]) -> str:
+    """Return what is wrong with the entry of a table, or an empty text."""
+    suffix = about.get("suffix", ".npz")
+    if suffix not in FORMATS.values():
+        return f"suffix: got {suffix!r:.40}, expected one of {', '.join(dict.fromkeys(FORMATS.values()))}"
+    parts = about.get("parts")
+    if parts is None:
+        return ""
+    if not isinstance(parts, list) or not parts or not all(isinstance(part, dict) for part in parts):
+        return f"parts: got {parts!r:.40}, expected a list of parts"
+    if any(not isinstance(part.get(key), int) or part[key] < 0 for part in parts for key in COVER):
+        return f"parts: expected {', '.join(COVER)} of each, whole numbers"
+    for key in ("n_events", "rows"):
+        total = sum(part[key] for part in parts)
+        if total != about.get(key):
+            return f"parts: got {total} {key}, expected {about.get(key)!r:.20}"
+    return ""
+
+
+def files_of(name: str, about: Mapping[str, Any]) -> list[tuple[str, dict[str, Any]]]:
+    """Return the files of a table, relative to the folder, each with the description of what it holds."""
+    suffix = about.get("suffix", ".npz")
+    if "parts" not in about:
+        return [(f"{name}{suffix}", dict(about))]
+    common = {key: value for key, value in about.items() if key != "parts"}
+    return [(f"{name}/part-{i:06d}{suffix}", common | part) for i, part in enumerate(about["parts"])]
+
+
+def index_problems(file: str, table: Rows, about: Mapping[str, Any]) -> list[str]:
     """Return how a table differs from its description in the index: it is of another run, or half replaced."""
     found = json.loads(json.dumps(describe(table)))
-    pairs = [(key, found[key], about.get(key)) for key in ("kind", "rows", "n_events", "first_event")]
+    pairs = [(key, found[key], about.get(key)) for key in ("kind", *COVER)]
     meta, expected = found["meta"], about.get("meta")
     expected = expected if isinstance(expected, dict) else {}
     pairs += [(key, meta.get(key), expected.get(key)) for key in dict.fromkeys([*meta, *expected])]
     return [
-        f"{name}.npz: {key}: got {given!r:.100}, expected {wanted!r:.100}, as {INDEX} says"
+        f"{file}: {key}: got {given!r:.100}, expected {wanted!r:.100}, as {INDEX} says"
         for key, given, wanted in pairs
         if given != wanted
     ]

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from cgemit.tables.check import Array
-from cgemit.tables.links import linked, moved_links
+from cgemit.tables.links import lost_links, moved_links
 from cgemit.tables.table import Table
 
 
@@ -50,6 +50,17 @@ def concatenate(chunks: Sequence[Mapping[str, Table]], *, gaps: bool = False) ->
     return {name: _join([chunk[name] for chunk in chunks], before) for name in names}
 
 
+def append(tables: Sequence[Table]) -> Table:
+    """Join the parts of one table, whose links count rows of the joined tables already.
+
+    Parameters
+    ----------
+    tables : sequence of Table
+        At least one, in the order of events.
+    """
+    return tables[0] if len(tables) == 1 else _join(list(tables), {})
+
+
 def select_events(tables: Mapping[str, Table], first: int, stop: int) -> dict[str, Table]:
     """Return the rows of the events ``first ... stop - 1`` of all tables of a run; links count the selected rows.
 
@@ -73,13 +84,13 @@ def select_events(tables: Mapping[str, Table], first: int, stop: int) -> dict[st
     problems = [
         f"{name}: links to {target}, which is missing"
         for name, table in tables.items()
-        for target in sorted(linked(table.kind) - tables.keys())
+        for target in lost_links(table, tables)
     ]
     if problems:
         raise ValueError("select_events:\n  " + "\n  ".join(problems))
-    before = {name: np.int64(np.searchsorted(table["event"], first)) for name, table in tables.items()}
+    before = {name: np.searchsorted(table["event"], [first]) for name, table in tables.items()}
     picked = {name: table.select_events(first, stop) for name, table in tables.items()}
-    return {name: table.with_columns(**moved_links(table, lambda to: -before[to])) for name, table in picked.items()}
+    return {name: table.with_columns(**_moved(table, 0, before, sign=-1)) for name, table in picked.items()}
 
 
 def _problems(name: str, chunks: Sequence[Mapping[str, Table]], gaps: bool) -> list[str]:
@@ -91,7 +102,7 @@ def _problems(name: str, chunks: Sequence[Mapping[str, Table]], gaps: bool) -> l
     ]
     if len({(table.kind, *table.columns) for table in tables}) > 1:
         problems.append(f"{name}: kinds or columns differ between chunks")
-    missing = sorted(linked(tables[0].kind) - set(chunks[0])) if len(chunks) > 1 else []
+    missing = sorted({to for table in tables for to in lost_links(table, chunks[0])}) if len(chunks) > 1 else []
     return problems + [f"{name}: links to {target}, which the chunks do not hold" for target in missing]
 
 
@@ -104,9 +115,14 @@ def _has_gaps(*tables: Table) -> bool:
     return any(table.cover["events"] is not None for table in tables)
 
 
+def _moved(table: Table, place: int, before: Mapping[str, Array], sign: int = 1) -> dict[str, Array]:
+    """Return the link columns with the rows before added; those to tables that are not kept are all -1."""
+    nothing = np.zeros(place + 1, np.int64)
+    return moved_links(table, lambda to: sign * before.get(to, nothing)[place])
+
+
 def _join(tables: list[Table], before: Mapping[str, Array]) -> Table:
-    # Bound as a default: the loop's own variable would have its last value.
-    links = [moved_links(table, lambda name, i=i: before[name][i]) for i, table in enumerate(tables)]  # type: ignore[misc]
+    links = [_moved(table, i, before) for i, table in enumerate(tables)]
     joined = {
         name: np.concatenate([moved.get(name, table.columns[name]) for table, moved in zip(tables, links, strict=True)])
         for name in tables[0].columns

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from cgemit.problems import did_you_mean
-from cgemit.tables import convert, files
+from cgemit.tables import convert, formats
 from cgemit.tables.check import Array, check_columns, event_range, schema_of
 from cgemit.tables.links import local_links
 
@@ -240,16 +240,21 @@ class Table:
         return convert.to_awkward(self if tables is None else self.with_columns(**local_links(self, tables)))
 
     def save(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
-        """Write the table to an `.npz` file: the columns, the offsets and a JSON text (`Table.load` reads it).
+        """Write the table to a file that `Table.load` reads: the columns and a JSON text.
 
-        The file is complete or absent. The text holds version, units, event range and `meta`.
+        A name that ends in ``.parquet`` (needs pyarrow) or ``.root`` (a TTree; needs uproot) gives a file of that
+        kind, any other an `.npz` file, which holds the offsets, too. The file is complete or absent. The text holds
+        version, units, event range and `meta`.
 
         Raises
         ------
         FileExistsError
             If `path` exists and `overwrite` is false.
+        ValueError
+            If the format needs a package that is not installed, or cannot hold a column.
         """
-        files.save(self, path, overwrite=overwrite)
+        form = {".parquet": "parquet", ".root": "root"}.get(Path(path).suffix, "npz")
+        formats.save(self, path, overwrite=overwrite, form=formats.check_format(form))
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Table:
@@ -262,7 +267,7 @@ class Table:
         ValueError
             If it is damaged or holds something else.
         """
-        return cls(*files.load(path))
+        return cls(*formats.load(path))
 
 
 def what(given: object) -> str:
@@ -277,25 +282,3 @@ def kind_problems(**tables: object) -> list[str]:
         for name, table in tables.items()
         if not isinstance(table, Table) or table.kind != name
     ]
-
-
-def load_tables(directory: str | os.PathLike[str]) -> dict[str, Table]:
-    """Read what `save_tables` wrote.
-
-    Parameters
-    ----------
-    directory : path
-
-    Raises
-    ------
-    FileNotFoundError
-        If the directory holds no complete set of tables.
-    ValueError
-        If a file is damaged, or tables are not those that ``tables.json`` describes.
-    """
-    index = files.read_index(directory)
-    tables = {name: Table.load(Path(directory) / f"{name}.npz") for name in index}
-    problems = [line for name, table in tables.items() for line in files.index_problems(name, table, index[name])]
-    if problems:
-        raise ValueError(f"{directory} holds tables of several runs:\n  " + "\n  ".join(problems))
-    return tables
