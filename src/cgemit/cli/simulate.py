@@ -12,6 +12,7 @@ from cgemit.cli import changes, common, read
 from cgemit.version import VERSION
 
 if TYPE_CHECKING:
+    from cgemit.gun import Gun
     from cgemit.result import Result
 
 _DESCRIPTION = """\
