@@ -9,7 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from cgemit.detector import Detector
-from cgemit.detector.parts import CgemLayer, local_v, strips_of_v
+from cgemit.detector.parts import CgemLayer
+from cgemit.detector.strips import local_v, strips_of_v
 from cgemit.digitize import XT_DISTANCE, XT_TIME
 from cgemit.kinds import Check, NotNegative
 from cgemit.settings import SettingsData
