@@ -80,13 +80,18 @@ void add_holes(const py::dict& columns, std::vector<Slab>& slabs) {
   }
 }
 
-// Row `i` of a column `placement`: shift, then the rows of the rotation.
-Placement placement_of(std::span<const double> rows, std::size_t i) {
-  Placement found;
-  const auto row = rows.subspan(12 * i, 12);
-  std::ranges::copy(row.first(3), found.shift.begin());
-  std::ranges::copy(row.last(9), found.turn.begin());
-  found.moved = found.shift != Placement().shift || found.turn != Placement().turn;
+// Column `placement` of n parts: shift, then the rows of the rotation. Without it the parts are in place.
+std::vector<Placement> placements_of(const py::dict& columns, std::size_t n) {
+  std::vector<Placement> found(n);
+  if (!columns.contains("placement")) return found;
+  const auto column = take<double>(columns, "placement");
+  const auto rows = matrix(column, "placement", static_cast<py::ssize_t>(n), 12);
+  for (std::size_t i = 0; i < n; ++i) {
+    const auto row = rows.subspan(12 * i, 12);
+    std::ranges::copy(row.first(3), found[i].shift.begin());
+    std::ranges::copy(row.last(9), found[i].turn.begin());
+    found[i].moved = found[i].shift != Placement().shift || found[i].turn != Placement().turn;
+  }
   return found;
 }
 
@@ -102,8 +107,7 @@ std::vector<CgemLayer> make_cgem(const py::dict& columns) {
              gid_first = take<std::int32_t>(columns, "gid_first");
   const auto n = static_cast<std::size_t>(r_readout.size());
   const auto edges = matrix(phi_first, "phi_first", r_readout.size(), 2);
-  const auto placement = take<double>(columns, "placement");
-  const auto placements = matrix(placement, "placement", r_readout.size(), 12);
+  const auto placements = placements_of(columns, n);
   std::vector<CgemLayer> layers(n);
   for (std::size_t i = 0; i < n; ++i) {
     if (sheets.at(i) < 1 || sheets.at(i) > 2) throw std::invalid_argument("cgem sheets: expected 1 or 2");
@@ -122,7 +126,7 @@ std::vector<CgemLayer> make_cgem(const py::dict& columns) {
                  gid_first.at(i),
                  0,
                  0,
-                 placement_of(placements, i)};
+                 placements[i]};
   }
   return layers;
 }
@@ -260,8 +264,7 @@ void bind_detector(py::module_& module) {
              std::vector<WireLayer> wire_layers = make_wires(wires);
              std::vector<GapMatter> matter = make_gaps(gaps);
              check(bz, made, layers, wire_layers, matter.size());
-             const auto placement = take<double>(wires, "placement");
-             const Placement chamber = placement_of(matrix(placement, "placement", 1, 12), 0);
+             const Placement chamber = placements_of(wires, 1).front();
              Detector detector =
                  make_detector(field ? *field : uniform_field(bz), std::move(made), std::move(layers),
                                std::move(wire_layers), std::move(matter), chamber);
