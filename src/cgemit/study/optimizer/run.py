@@ -30,6 +30,7 @@ from cgemit.study.sweeps.evaluate import CosTheta, Evaluation
 from cgemit.study.sweeps.run import as_tuple, chunk_folder, number_problems
 from cgemit.units import QuantityError, parse_quantity
 from cgemit.values import is_whole
+from cgemit.version import PHYSICS
 
 #: SLSQP with gradients, COBYLA without, NSGA-II.
 Method = Literal["gradient", "cobyla", "nsga2"]
@@ -276,7 +277,7 @@ def _places(
             old.unlink()
     # The number of calls is no part of the name: a search can be continued with more of them.
     text = json.dumps(
-        [task.base.content_hash, [repr(one) for one in task.variables], task.goals.described(),
+        [PHYSICS, task.base.content_hash, [repr(one) for one in task.variables], task.goals.described(),
          [one.header for one in task.objectives], [repr(one) for one in task.limits],
          {name: value for name, value in numbers.items() if name in ("population", "offspring", "seed")}],
         sort_keys=True, default=str,

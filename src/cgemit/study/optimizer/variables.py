@@ -8,7 +8,7 @@ from typing import Any
 
 from cgemit.detector import Detector, DetectorError
 from cgemit.detector.variants import matching, value_at
-from cgemit.study.sweeps.result import own_value
+from cgemit.study.sweeps.axes import own_value
 from cgemit.study.sweeps.space import Changes, split_quantity
 from cgemit.units import NATIVE
 from cgemit.values import is_whole

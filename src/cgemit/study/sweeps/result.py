@@ -14,15 +14,15 @@ import numpy as np
 
 from cgemit.covariance.budget import By
 from cgemit.detector import Detector
-from cgemit.detector.variants import matching, value_at, variant_name
+from cgemit.detector.variants import variant_name
 from cgemit.io.files import new_file
 from cgemit.io.folders import SUMMARY
 from cgemit.record import versions
 from cgemit.statistics.formatting import html_table, text_table, write_csv
+from cgemit.study.sweeps.axes import axis_of
 from cgemit.study.sweeps.evaluate import QUANTITIES, Evaluation, budgets, column, error_of_difference
-from cgemit.study.sweeps.space import Space, split_quantity
+from cgemit.study.sweeps.space import Space
 from cgemit.tables.frames import data_frame
-from cgemit.units import NATIVE, format_quantity
 from cgemit.version import PHYSICS
 
 if TYPE_CHECKING:
@@ -66,7 +66,7 @@ class Sweep:
     ) -> Sweep:
         """Return the table of the base and its variants, from one row each."""
         changes: list[Mapping[str, Any]] = [{}, *space.variants]
-        axes = {key: _axis(key, bases[0], [one.get(key) for one in space.variants]) for key in space.keys}
+        axes = {key: axis_of(key, bases[0], [one.get(key) for one in space.variants]) for key in space.keys}
         points = evaluation.points()
         kept: list[dict[str, Any]] = []
         for number, (row, changed, base) in enumerate(zip(rows, changes, bases, strict=True)):
@@ -259,49 +259,6 @@ def _of_one_kind(values: list[Any]) -> list[Any]:
 
 def _without_base(changes: Mapping[str, Any]) -> dict[str, Any]:
     return {key: value for key, value in changes.items() if key not in ("base", "field")}
-
-
-def _axis(key: str, base: Detector, values: Sequence[Any]) -> tuple[str, list[Any]]:
-    """Return header and column of a key: numbers with the unit in the header where all values have the same one.
-
-    The first entry is the base's own value; where there is none, NaN or an empty text.
-    """
-    parsed = [split_quantity(value) for value in values]
-    kinds = {(one[0], one[2]) for one in parsed if one}
-    if None not in parsed and len(kinds) == 1:
-        times, unit = kinds.pop()
-        header = f"{key} ({'times' if times == 'x' else 'change in %' if times else unit})".replace(" ()", "")
-        neutral = {"x": 1.0, "%": 0.0}
-        first = neutral[times] if times else own_value(key, base, unit)
-        return header, [first, *(one[1] for one in parsed if one)]
-    return key, [_own_text(key, base), *(_text(value) for value in values)]
-
-
-def _text(value: Any) -> str:
-    return "" if value is None else value if isinstance(value, str) else json.dumps(value, default=str)
-
-
-def _values(key: str, base: Detector) -> list[tuple[Any, Any]]:
-    paths = [path for one in key.split(",") for path in matching(base, one.strip(), [])]
-    return [found for path in paths if (found := value_at(base, path)) is not None]
-
-
-def own_value(key: str, base: Detector, unit: str) -> float:
-    """Return the base's value of a key in a unit; NaN if it has none, or several."""
-    numbers = {(value, one.kind) for value, one in _values(key, base) if isinstance(value, int | float)}
-    if len(numbers) != 1:
-        return math.nan
-    value, kind = numbers.pop()
-    if kind not in NATIVE or not unit:
-        return float(value)
-    return float(format_quantity(value, kind, unit).split()[0])
-
-
-def _own_text(key: str, base: Detector) -> str:
-    if key == "base":
-        return base.name
-    texts = {getattr(value, "name", str(value)) for value, _ in _values(key, base)}
-    return texts.pop() if len(texts) == 1 else ""
 
 
 def _differences(row: Mapping[str, Any], base: Mapping[str, Any], point: int) -> dict[str, float]:
