@@ -156,8 +156,7 @@ def test_all_problems_of_a_file_are_listed_at_once(tmp_path: Path) -> None:
     assert error.value.source == str(file)
     assert sorted(error.value.problems) == sorted(
         [
-            ("fits: got an unknown key, expected one of simulate, digitize, background, cluster, find, fit; "
-            'did you mean "fit"?'),
+            f"fits: got an unknown key, expected one of {', '.join(kinds_of(Settings))}; did you mean \"fit\"?",
             f"fit.los: got an unknown key, expected one of {', '.join(kinds_of(FitSettings))}; did you mean \"loss\"?",
             "fit.loss: got 'meen', expected one of 'truncated', 'mean', 'most_probable'; did you mean \"mean\"?",
             "fit.tolerance: got -1, expected a positive number",

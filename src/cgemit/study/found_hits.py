@@ -32,7 +32,8 @@ class CandidateCounts(NamedTuple):
     of_daughters : ndarray, (candidates,) int64
         Those of its daughters.
     found : ndarray, (candidates,) int64
-        Measurements of that particle itself: crossings of a gap, counted per view, and cells.
+        Measurements of that particle itself: crossings of a gap, counted per view, and cells; without the clusters
+        that it shares, which are measurements of the particle with the larger part.
     """
 
     particle: Rows
@@ -119,8 +120,8 @@ def count_candidates(result: Result) -> CandidateCounts:
         return np.bincount(candidate[which], weight[which], minlength=n).astype(np.int64)
 
     # A crossing counts once per view, however many of its clusters the candidate has.
-    strips = np.flatnonzero(own & ~late & ~wire)
-    crossing = np.where(shared[strips], -1 - row[strips], clusters["truth"][row[strips]])
+    strips = np.flatnonzero(own & ~shared & ~late & ~wire)
+    crossing = clusters["truth"][row[strips]]
     found = np.bincount(candidate[own & ~late & wire], minlength=n)
     for axis in (HIT_X, HIT_V):
         on = (view[strips] == axis) | (view[strips] == HIT_XV)

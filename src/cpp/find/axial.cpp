@@ -29,7 +29,8 @@ AxialSearch::AxialSearch(const Detector& detector, const FindSettings& settings)
     : detector_(detector),
       settings_(settings),
       largest_w_(std::abs(curvature(detector.bz, 1 / settings.min_pt))),
-      grid_(static_cast<std::size_t>(columns * rows)) {
+      grid_(static_cast<std::size_t>(columns * rows)),
+      counts_(grid_.size()) {
   for (int i = 0; i < columns; ++i) columns_.emplace_back(-pi + i * cell_psi, cell_psi);
 }
 
@@ -98,7 +99,14 @@ void AxialSearch::push(const Box& box) {
 
 // The boxes of the first grid with enough layers.
 void AxialSearch::coarse() {
+  heap_.clear();
+  arena_.clear();
+  divided_ = 0;
+  std::uint64_t layers = 0;
+  for (const Point& p : points_) layers |= p.layer;
+  if (std::popcount(layers) < least_) return;
   std::ranges::fill(grid_, 0);
+  std::ranges::fill(counts_, 0);
   const double height = 2 * largest_w_ / rows, per_height = 1 / height;
   const auto row_of = [&](double w) {
     return static_cast<int>(
@@ -112,17 +120,17 @@ void AxialSearch::coarse() {
       for (const double side : {-p.drift, p.drift}) {
         const int first = std::max(0, row_of((std::min(one, other) + side) * p.per));
         const int last = std::min(rows - 1, row_of((std::max(one, other) + side) * p.per));
-        for (int row = first; row <= last; ++row)
-          grid_[static_cast<std::size_t>(column * rows + row)] |= p.layer;
+        for (int row = first; row <= last; ++row) {
+          const auto at = static_cast<std::size_t>(column * rows + row);
+          counts_[at] = static_cast<std::uint8_t>(counts_[at] + ((grid_[at] & p.layer) == 0 ? 1 : 0));
+          grid_[at] |= p.layer;
+        }
       }
     }
   }
-  heap_.clear();
-  arena_.clear();
-  divided_ = 0;
   for (int column = 0; column < columns; ++column)
     for (int row = 0; row < rows; ++row)
-      push({std::popcount(grid_[static_cast<std::size_t>(column * rows + row)]), 0, -pi + column * cell_psi,
+      push({counts_[static_cast<std::size_t>(column * rows + row)], 0, -pi + column * cell_psi,
             -largest_w_ + row * height, -1, -1});
 }
 

@@ -83,7 +83,8 @@ class AxialSearch {
   const FindSettings& settings_;
   double largest_w_;
   std::vector<Point> points_;
-  std::vector<std::uint64_t> grid_;
+  std::vector<std::uint64_t> grid_;   // layers of each box of the first grid, one bit each
+  std::vector<std::uint8_t> counts_;  // their number
   std::vector<Box> heap_;
   std::vector<std::int32_t> arena_;
   std::vector<Column> columns_;

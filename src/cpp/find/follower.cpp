@@ -14,6 +14,7 @@ namespace {
 constexpr double sure = 4;        // a hit with a larger likelihood ratio is taken without another branch
 constexpr double rim = 0.5;       // mm, of a cell; a track in it need not fire the cell
 constexpr double inflation = 10;  // of a covariance that the same hits have made
+constexpr int few_hits = 2;
 constexpr int most_speed_ups = 8;
 constexpr double speed_up = 0.92;  // of kappa
 constexpr int least_hits = 3;
@@ -34,7 +35,9 @@ bool Follower::follow(const FindSeed& seed, const EventHits& hits, FoundTrack& t
     const Branch& best = branches_.front();
     if (!refit(best)) return false;
     collect(best, track);
-    if (track.hits == last_found_) break;
+    // The reference was good enough if a second pass has changed next to nothing.
+    const auto more = static_cast<int>(track.hits.size()) - static_cast<int>(last_found_.size());
+    if (track.hits == last_found_ || (number > 0 && std::abs(more) <= few_hits)) break;
     last_found_ = track.hits;
     start = track.helix;
     prior = track.covariance;
@@ -62,8 +65,8 @@ void Follower::trace(const Perigee& start) {
 bool Follower::pass(const Perigee& start, const Symmetric<double>& prior,
                     std::span<const std::int32_t> forced, bool wide) {
   reference_ = start;
-  // A circle through the hits has the momentum after some of the loss; with that at the origin, the particle may
-  // stop before its last hits.
+  // A circle through the hits has the momentum after some of the loss; with that at the origin, the particle
+  // may stop before its last hits.
   for (int time = 0; time < most_speed_ups; ++time) {
     nearby_.begin(*hits_, wide);
     trace(reference_);

@@ -19,7 +19,10 @@ constexpr std::size_t most_heights = 400;
 }  // namespace
 
 StereoSearch::StereoSearch(const Detector& detector, const FindSettings& settings)
-    : detector_(detector), settings_(settings), grid_(static_cast<std::size_t>(slopes * bins)) {}
+    : detector_(detector),
+      settings_(settings),
+      grid_(static_cast<std::size_t>(slopes * bins)),
+      counts_(grid_.size()) {}
 
 // A wire lies to the left of the circle by a quadratic in z, and by plus or minus the drift distance where
 // the track passes it.
@@ -79,35 +82,35 @@ const std::vector<FoundLine>& StereoSearch::find(const FoundCircle& circle, cons
   wires(circle, hits);
   if (heights_.size() > most_heights) heights_.resize(most_heights);
   std::ranges::fill(grid_, 0);
-  const double step = 2 * largest_tanl / slopes, bin = 2 * settings_.max_z / bins;
+  std::ranges::fill(counts_, 0);
+  const double step = 2 * largest_tanl / slopes, bin = 2 * settings_.max_z / bins, per_bin = 1 / bin;
   for (const Height& height : heights_) {
     for (int i = 0; i < slopes; ++i) {
       const double z0 = height.z - (-largest_tanl + (i + 0.5) * step) * height.s;
-      const double place = (z0 + settings_.max_z) / bin;
-      const int below = static_cast<int>(std::floor(place - 0.5));
-      for (const int at : {below, below + 1})
-        if (at >= 0 && at < bins) grid_[static_cast<std::size_t>(i * bins + at)] |= height.layer;
+      const double place = (z0 + settings_.max_z) * per_bin - 0.5;
+      if (!(place >= 0 && place < bins - 1)) continue;
+      const auto below = static_cast<std::size_t>(i * bins + static_cast<int>(place));
+      for (const std::size_t at : {below, below + 1}) {
+        counts_[at] = static_cast<std::uint8_t>(counts_[at] + ((grid_[at] & height.layer) == 0 ? 1 : 0));
+        grid_[at] |= height.layer;
+      }
     }
   }
   for (std::size_t number = 0; number < most; ++number) {
-    int best = 1, place = -1;
+    const int best = *std::ranges::max_element(counts_);
+    if (best < 2 || (!lines_.empty() && best < 0.7 * lines_.front().layers)) break;
+    int place = -1;  // of the bins with most layers, the one whose z0 is closest to the origin
     for (int i = 0; i < slopes * bins; ++i) {
-      const int n = std::popcount(grid_[static_cast<std::size_t>(i)]);
-      const bool nearer =
-          place >= 0 && n == best && std::abs(i % bins - bins / 2) < std::abs(place % bins - bins / 2);
-      if (n > best || nearer) {
-        best = n;
-        place = i;
-      }
+      if (counts_[static_cast<std::size_t>(i)] != best) continue;
+      if (place < 0 || std::abs(i % bins - bins / 2) < std::abs(place % bins - bins / 2)) place = i;
     }
-    if (place < 0 || (!lines_.empty() && best < 0.7 * lines_.front().layers)) break;
     const auto found =
         line(-settings_.max_z + (place % bins + 0.5) * bin, -largest_tanl + (place / bins + 0.5) * step);
     if (found) lines_.push_back(*found);
     const int slope = place / bins, offset = place % bins;
     for (int i = std::max(0, slope - 5); i <= std::min(slopes - 1, slope + 5); ++i)
       for (int j = std::max(0, offset - 5); j <= std::min(bins - 1, offset + 5); ++j)
-        grid_[static_cast<std::size_t>(i * bins + j)] = 0;
+        counts_[static_cast<std::size_t>(i * bins + j)] = 0;
   }
   return lines_;
 }

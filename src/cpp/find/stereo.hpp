@@ -37,7 +37,8 @@ class StereoSearch {
   const Detector& detector_;
   const FindSettings& settings_;
   std::vector<Height> heights_;
-  std::vector<std::uint64_t> grid_;
+  std::vector<std::uint64_t> grid_;   // layers of each bin, one bit each
+  std::vector<std::uint8_t> counts_;  // their number
   std::vector<FoundLine> lines_;
 };
 
