@@ -35,7 +35,8 @@ Stages meet in tables: plain numpy columns, one row per object, sorted by `event
 | `csv` | `tracks.csv`: names, then rows; every digit is kept | | `cov_0_0, cov_0_1, ...` | everything |
 
 `pip install 'cgemit[io]'` installs the packages. The JSON text holds version, units, event range, and the
-configuration hash and seed of the run; for CSV it is in `tables.json`, which lists all tables. `Result.load` and
+configuration hash and seed of the run, and a checksum of each column; for CSV it is in `tables.json`, which lists all
+tables. `Result.load` and
 `cgemit.open` read every format back to equal tables and check that all files belong to the run of `run.json`.
 `Table.load` reads one file of any format but CSV.
 
