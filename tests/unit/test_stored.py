@@ -23,7 +23,7 @@ from cgemit.cli.main import main
 from cgemit.io.folders import OutputExistsError
 from cgemit.result import Result, Settings
 from cgemit.statistics.resolutions import pulls, resolution_against
-from cgemit.tables import SCHEMAS, Table, load_tables, save_tables, stored
+from cgemit.tables import SCHEMAS, Table, files, formats, load_tables, save_tables, stored
 from cgemit.tables.formats import FORMATS
 from cgemit.tables.links import targets
 
@@ -128,6 +128,26 @@ def test_damaged_files_are_refused(whole: Result, tmp_path: Path, form: str, how
     assert same(opened.clusters, whole.clusters)
     with pytest.raises(ValueError, match="truths"):
         opened.truths  # noqa: B018
+
+
+@pytest.mark.parametrize("form", ["parquet", "root", "csv"])
+def test_another_number_in_a_file_is_seen(
+    whole: Result, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, form: str
+) -> None:
+    """Formats without a checksum of their own have one of each column."""
+    z = whole.truths["z"].copy()
+    z[3] = np.nextafter(z[3], 0)
+    sums = formats.describe_fully(whole.truths)["crc32"]
+    describe_fully = formats.describe_fully
+    for module in (formats, files):
+        monkeypatch.setattr(module, "describe_fully", lambda table: describe_fully(table) | {"crc32": sums})
+    save_tables({"truths": whole.truths}, tmp_path / "good", format=form)
+    save_tables({"truths": whole.truths.with_columns(z=z)}, tmp_path / "wrong", format=form)
+    assert same(load_tables(tmp_path / "good")["truths"], whole.truths)
+    with pytest.raises(ValueError, match=rf"truths.{form} is damaged: the checksum of z is another one"):
+        load_tables(tmp_path / "wrong")
+    with pytest.raises(ValueError, match="the checksum of z"):
+        stored.StoredTables(tmp_path / "wrong").column("truths", "z")
 
 
 @pytest.mark.parametrize("form", ["npz", "parquet", pytest.param("root", marks=pytest.mark.slow), "csv"])
@@ -296,6 +316,7 @@ def test_answers_do_not_pile_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
         return work(*arguments)
 
     def added(self: Any, tables: Any) -> bool:
+        time.sleep(0.01)  # slower than the work, so that answers would pile up
         waiting["written"] += 1
         most.append(waiting["begun"] - waiting["written"])
         return add(self, tables)

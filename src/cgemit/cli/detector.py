@@ -19,7 +19,8 @@ if TYPE_CHECKING:
 _SHOW = """\
 Print what a detector is made of (radii and X/X0 at normal incidence, per scatterer and per sub-layer) and its read-out
 (strips, pitch, stereo angles, wires), and draw it: r-phi.png, r-z.png, layers.png (and .pdf) in the output folder,
-beside detector.toml (the complete description) and summary.json (the printed numbers)."""
+beside detector.toml (the complete description), summary.json (the printed numbers), and with --gdml detector.gdml
+(volumes and materials for Geant4, DD4hep and ROOT)."""
 
 _SHOW_EXAMPLES = """\
 examples:
@@ -98,6 +99,7 @@ def _add_show(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -
     changes.add_set(parser, 'change one value, such as cgem.L2.pitch_x="500 um"; may be repeated')
     common.add_field(parser)
     parser.add_argument("--json", action="store_true", help="print the numbers as JSON instead of tables")
+    parser.add_argument("--gdml", action="store_true", help="write detector.gdml too")
     parser.add_argument(
         "-o", "--output", metavar="DIR", default=None, help="folder for the pictures (default cgemit-show-NAME)"
     )
@@ -143,7 +145,7 @@ def run_show(arguments: argparse.Namespace) -> int:
     numbers = describe(detector)
     folder = arguments.output or "cgemit-show-" + re.sub(r"[^\w.-]+", "-", detector.name)
     print(json.dumps(numbers, indent=2, ensure_ascii=False) if arguments.json else text(numbers))
-    _write(detector, numbers, folder, overwrite=arguments.overwrite)
+    _write(detector, numbers, folder, overwrite=arguments.overwrite, gdml=arguments.gdml)
     if not arguments.json:
         print(f"\npictures in {folder}")
     return common.OK
@@ -192,7 +194,7 @@ def _rows(columns: Sequence[tuple[str, str, str]], rows: Iterable[Mapping[str, A
     return [line.rstrip() for line in [aligned[0], "-" * len(aligned[0]), *aligned[1:]]]
 
 
-def _write(detector: Detector, numbers: Mapping[str, Any], folder: str, *, overwrite: bool) -> None:
+def _write(detector: Detector, numbers: Mapping[str, Any], folder: str, *, overwrite: bool, gdml: bool) -> None:
     from cgemit.draw.detector import draw_detector, draw_layers, draw_sides
     from cgemit.io.folders import SUMMARY, new_folder
 
@@ -202,6 +204,8 @@ def _write(detector: Detector, numbers: Mapping[str, Any], folder: str, *, overw
         if detector.cgem:
             draw_layers(detector).save(place / "layers")
         Path(place / "detector.toml").write_text(detector.to_toml(), encoding="utf-8")
+        if gdml:
+            detector.to_gdml(place / "detector.gdml")
         Path(place / SUMMARY).write_text(json.dumps(numbers, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
 
 

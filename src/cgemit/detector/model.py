@@ -1,12 +1,13 @@
 """The detector as an immutable, checked dataclass of its parts, and how it is made from files."""
 
+import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
 
-from cgemit.detector import check, describe, variants
+from cgemit.detector import check, describe, gdml, variants
 from cgemit.detector.build import read_contents
 from cgemit.detector.files import field_tables, is_preset, open_source, place_map, resolve
 from cgemit.detector.keys import Known
@@ -48,6 +49,26 @@ class Detector(Contents):
     def to_toml(self) -> str:
         """Return a complete detector file, without a base, that `load` reads back to an equal detector."""
         return describe.to_toml(self)
+
+    def to_gdml(self, path: "str | os.PathLike[str]", *, overwrite: bool = False) -> None:
+        """Write volumes and materials as GDML, for Geant4, DD4hep and ROOT.
+
+        The world is air; each sub-layer is a tube of its material at its effective density, with an `auxiliary` that
+        states its radiation length; the gas of the chamber is one tube for each wire layer, smeared wires mixed in.
+        Read-out, wires one by one, and the field are not written.
+
+        Parameters
+        ----------
+        path : path
+        overwrite : bool
+
+        Raises
+        ------
+        FileExistsError
+            If `path` exists and `overwrite` is false.
+
+        """
+        gdml.write_gdml(self, path, overwrite=overwrite)
 
     def with_overrides(self, overrides: dict[str, object]) -> "Detector":
         """Return a variant: dotted keys of the detector file and their values.

@@ -185,7 +185,7 @@ def check_regular(path: str | os.PathLike[str]) -> None:
         raise ValueError(f"{str(path)[:80]!r} is {'a folder' if stat.S_ISDIR(mode) else 'a pipe or a device'}, no file")
 
 
-def read_text(path: str | os.PathLike[str]) -> str:
+def read_text(path: str | os.PathLike[str], largest: int = LARGEST_TEXT) -> str:
     """Return the text of a file in UTF-8, without its byte-order mark.
 
     Raises
@@ -193,10 +193,10 @@ def read_text(path: str | os.PathLike[str]) -> str:
     FileNotFoundError
         If there is no such file.
     ValueError
-        If it is no file of text, or larger than `LARGEST_TEXT`.
+        If it is no file of text, or larger than `largest` bytes.
     """
     check_regular(path)
     size = Path(path).stat().st_size
-    if size > LARGEST_TEXT:
-        raise ValueError(f"{str(path)[:80]!r} has {size} bytes, expected at most {LARGEST_TEXT}")
+    if size > largest:
+        raise ValueError(f"{str(path)[:80]!r} has {size} bytes, expected at most {largest}")
     return Path(path).read_text(encoding="utf-8-sig")

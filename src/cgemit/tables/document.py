@@ -35,7 +35,8 @@ Stages meet in tables: plain numpy columns, one row per object, sorted by `event
 | `csv` | `tracks.csv`: names, then rows; every digit is kept | | `cov_0_0, cov_0_1, ...` | everything |
 
 `pip install 'cgemit[io]'` installs the packages. The JSON text holds version, units, event range, and the
-configuration hash and seed of the run; for CSV it is in `tables.json`, which lists all tables. `Result.load` and
+configuration hash and seed of the run, and a checksum of each column; for CSV it is in `tables.json`, which lists all
+tables. `Result.load` and
 `cgemit.open` read every format back to equal tables and check that all files belong to the run of `run.json`.
 `Table.load` reads one file of any format but CSV.
 
@@ -55,6 +56,38 @@ leaves none.
 `cgemit.open(folder)` reads no table before it is asked for. `result.tracks` then reads all parts; `result.parts()`
 gives one `Result` after the other, whose links count rows of the part; `result.column("tracks", "p")` reads one
 column. `cgemit.resolution`, `pulls` and `resolution_against` read only the columns that they need.
+
+## Names in EDM4hep and LCIO
+
+| here | EDM4hep | LCIO, where it differs |
+|---|---|---|
+| `particles` | `MCParticle` | |
+| its `pdg`, `charge`, `mass` | `PDG`, `charge`, `mass` | |
+| its `x y z`, `px py pz` | `vertex`, `momentum` | |
+| its `status` | `simulatorStatus`, a bit pattern | |
+| `truths`, `wire_truths` | `SimTrackerHit` | |
+| `x y z` (of `truths`: `r phi z`), `px py pz` | `position`, `momentum` | |
+| `path`, `time` | `pathLength`, `time` | |
+| `energy` | `eDep` | `EDep` |
+| `gid` of digis, wire hits | `cellID` | `cellID0` |
+| `digis` with `charge`, `time` | `TrackerPulse` with `charge`, `time` | |
+| `wire_hits` | `SenseWireHit` | `TrackerHit` |
+| its `drift`, `sigma` | `distanceToWire`, `distanceToWireError` | |
+| `clusters` of views X and V | `TrackerHitPlane` with `du` or `dv` | `dU` or `dV` |
+| `clusters` of view XV | `TrackerHit3D` with `position`, `covMatrix` | `TrackerHit` |
+| links to `truths` | `TrackerHitSimTrackerHitLink` | `LCRelation` |
+| `tracks` | `Track` | |
+| its `chi2`, `ndf` | `chi2`, `ndf` | |
+| `states`, and the parameters of `tracks` | `TrackState` | |
+| `dr`, `dz` | `D0` (`-dr`), `Z0` | `d0`, `z0` |
+| `phi0`, `tanl` | `phi` (`phi0 + pi/2`), `tanLambda` | |
+| `kappa` | `omega`, the curvature in 1/mm | |
+| `cov` (5, 5) | `covMatrix`, lower triangle of d0, phi, omega, z0, tan lambda | |
+| `surface` 0 | `location` `AtIP` | |
+| `matches` | `TrackMCParticleLink` | `LCRelation` |
+
+The names are those of EDM4hep 0.99 and LCIO 2. Lengths in mm, times in ns and momenta in GeV/c are the same; deposits
+are in keV here and in GeV there. `cgemit.helix.to_perigee` returns d0, z0, phi, theta and q/p with their covariance.
 """
 
 

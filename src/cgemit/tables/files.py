@@ -15,6 +15,7 @@ from cgemit.tables.check import Rows
 from cgemit.tables.formats import FORMATS, check_format, describe, describe_fully, save
 
 INDEX = "tables.json"
+_LARGEST = 200_000_000  # bytes of an index, which has a line for each of many parts
 #: What every entry says about the size of its table.
 COVER = {"n_events": 0, "first_event": 0, "rows": 0}.keys()
 
@@ -79,7 +80,7 @@ def read_index(directory: str | os.PathLike[str]) -> dict[str, dict[str, Any]]:
     if not index.exists():
         raise FileNotFoundError(f"{directory} holds no complete set of tables ({INDEX} is missing)")
     try:
-        tables = json.loads(read_text(index))
+        tables = json.loads(read_text(index, _LARGEST))
     except (ValueError, RecursionError) as error:
         raise ValueError(f"{index} is damaged ({error})") from error
     if not isinstance(tables, dict) or not all(isinstance(about, dict) for about in tables.values()):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 import os
+import zlib
 from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
@@ -63,10 +64,31 @@ def describe(table: Rows) -> dict[str, Any]:
 
 
 def describe_fully(table: Rows) -> dict[str, Any]:
-    """Return the description with all that a file of plain columns does not hold: dtypes, shapes, gaps of events."""
+    """Return the description with all that a file of plain columns does not hold.
+
+    These are dtypes, shapes, checksums and gaps of events; `.npz` files hold them already.
+    """
     columns = {name: [column.dtype.str[1:], *column.shape[1:]] for name, column in table.columns.items()}
+    sums = {name: _checksum(column) for name, column in table.columns.items()}
     gaps = table.cover["events"]
-    return describe(table) | {"columns": columns} | ({} if gaps is None else {"events": gaps.tolist()})
+    return describe(table) | {"columns": columns, "crc32": sums} | ({} if gaps is None else {"events": gaps.tolist()})
+
+
+def _checksum(column: Array) -> int:
+    """Return the checksum of a column; all NaN are the same, since text does not tell them apart."""
+    if column.dtype.kind == "f" and np.isnan(column).any():
+        column = np.where(np.isnan(column), np.array(np.nan, column.dtype), column)
+    return zlib.crc32(np.ascontiguousarray(column).tobytes())
+
+
+def _check_sums(path: str | os.PathLike[str], arrays: Mapping[str, Array], about: Mapping[str, Any]) -> None:
+    """Raise a ValueError if a column is not the one that was written."""
+    sums = about.get("crc32")
+    if not isinstance(sums, dict):
+        raise ValueError(f"{path} is damaged: it has no checksums")
+    wrong = [name for name, array in arrays.items() if sums.get(name) != _checksum(array)]
+    if wrong:
+        raise ValueError(f"{path} is damaged: the checksum of {', '.join(wrong)} is another one")
 
 
 def save(table: Rows, path: str | os.PathLike[str], *, overwrite: bool = False, form: str = "npz") -> None:
@@ -110,6 +132,7 @@ def load(path: str | os.PathLike[str], about: Mapping[str, Any] | None = None) -
     if Path(path).suffix in _OTHERS:
         events = found.get("events")
         _check_rows(path, arrays, found)
+        _check_sums(path, arrays, found)
     else:
         offsets = arrays.pop("offsets", np.empty(0))  # they follow from the event column
         if len(np.atleast_1d(offsets)) != found["n_events"] + 1:
@@ -130,11 +153,13 @@ def load_columns(path: Path, names: Collection[str], about: Mapping[str, Any]) -
     ValueError
         If it is damaged, or holds another number of rows than `about` says.
     """
-    arrays, _ = _read(path, names, about)
+    arrays, found = _read(path, names, about)
     missing = [name for name in names if name not in arrays]
     if missing:
         raise KeyError(f"{path} has no column {', '.join(missing)}")
     _check_rows(path, arrays, about)
+    if path.suffix in _OTHERS:
+        _check_sums(path, arrays, found)
     return {name: arrays[name] for name in names}
 
 

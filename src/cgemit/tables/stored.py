@@ -21,6 +21,10 @@ from cgemit.tables.table import Table
 PART_BYTES = 2**25
 
 
+#: What the index says about each part of a table.
+_OF_PART = ("n_events", "first_event", "rows", "events", "crc32")
+
+
 class LazyTables(Mapping[str, Table]):
     """Tables that are read when they are asked for."""
 
@@ -212,16 +216,20 @@ class PartsWriter:
         suffix = FORMATS[self._format]
         for name, table in joined.items():
             links = moved_links(table, lambda to: np.int64(self._before[to]))
+            table = table.with_columns(**links)
             about = entry(table, suffix)
-            cover = {key: about.pop(key) for key in ("n_events", "first_event", "rows", "events") if key in about}
+            cover = {key: about.pop(key) for key in _OF_PART if key in about}
+            if suffix != ".csv":  # other files hold them themselves
+                cover = {key: cover[key] for key in _OF_PART[:3]}
             kept = self._entries.setdefault(name, about | cover | {"n_events": 0, "rows": 0, "parts": []})
-            kept.pop("events", None)
+            for key in _OF_PART[3:]:
+                kept.pop(key, None)
             kept["parts"].append(cover)
             kept["n_events"] += cover["n_events"]
             kept["rows"] += cover["rows"]
             path = self._folder / files_of(name, kept)[-1][0]
             path.parent.mkdir(exist_ok=True)
-            save(table.with_columns(**links), path, form=self._format)
+            save(table, path, form=self._format)
             self.size += path.stat().st_size
         self._before.update({name: len(table) for name, table in joined.items()})
         self.events += next(iter(joined.values())).n_events
