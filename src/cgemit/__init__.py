@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from cgemit.cluster import ClusterSettings
     from cgemit.covariance import analytic, sensitivity
     from cgemit.detector import Detector, DetectorError, detectors, load
-    from cgemit.digitize import BinaryReadout, DigitizeSettings, GaussianReadout
+    from cgemit.digitize import Apv25Readout, BinaryReadout, DigitizeSettings, GaussianReadout, TigerReadout
     from cgemit.fit import FitSettings, FitStatus
     from cgemit.gun import Gun
     from cgemit.matter import slab
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from cgemit.tables import Table
 
 __all__ = [
+    "Apv25Readout",
     "BinaryReadout",
     "ClusterSettings",
     "Detector",
@@ -45,6 +46,7 @@ __all__ = [
     "StateStatus",
     "Surface",
     "Table",
+    "TigerReadout",
     "TransportStatus",
     "__version__",
     "analytic",
@@ -65,6 +67,7 @@ __all__ = [
 # The modules of the public names. They are imported when first used: numpy, scipy and matplotlib take half a second,
 # in which Ctrl-C would end the command line with a traceback.
 _MODULES = {
+    "Apv25Readout": "digitize",
     "BinaryReadout": "digitize",
     "ClusterSettings": "cluster",
     "Detector": "detector",
@@ -80,6 +83,7 @@ _MODULES = {
     "StateStatus": "states",
     "Surface": "states",
     "Table": "tables",
+    "TigerReadout": "digitize",
     "TransportStatus": "simulate",
     "analytic": "covariance",
     "detectors": "detector",
