@@ -18,7 +18,14 @@ if TYPE_CHECKING:
     from cgemit.cluster import ClusterSettings
     from cgemit.covariance import analytic, sensitivity
     from cgemit.detector import Detector, DetectorError, detectors, load
-    from cgemit.digitize import Apv25Readout, BinaryReadout, DigitizeSettings, GaussianReadout, TigerReadout
+    from cgemit.digitize import (
+        Apv25Readout,
+        BinaryReadout,
+        DigitizeSettings,
+        GaussianReadout,
+        ProjectionReadout,
+        TigerReadout,
+    )
     from cgemit.fit import FitSettings, FitStatus
     from cgemit.gun import Gun
     from cgemit.matter import slab
@@ -40,6 +47,7 @@ __all__ = [
     "FitStatus",
     "GaussianReadout",
     "Gun",
+    "ProjectionReadout",
     "Result",
     "Settings",
     "SimulateSettings",
@@ -76,6 +84,7 @@ _MODULES = {
     "FitSettings": "fit",
     "FitStatus": "fit",
     "GaussianReadout": "digitize",
+    "ProjectionReadout": "digitize",
     "Gun": "gun",
     "Result": "result",
     "Settings": "result",

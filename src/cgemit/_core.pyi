@@ -312,6 +312,19 @@ def nearest_holes(
 def share_cloud(
     detector: Detector, layer: int, phi: float, z: float, sigma_x: float, sigma_z: float
 ) -> dict[str, _Array]: ...
+def read_out_profiles(
+    detector: Detector,
+    truths: _Columns,
+    steps: _Columns,
+    *,
+    gain: float,
+    w_values: npt.ArrayLike,
+    sigma: float,
+    threshold: float,
+    noise: float,
+    seed: int,
+) -> dict[str, _Array]: ...
+def profile_below(edge: float, a: float, b: float, sigma: float) -> float: ...
 def read_out_wires(
     detector: Detector,
     wire_truths: _Columns,

@@ -47,7 +47,7 @@ def test_nearest_hole_is_that_of_all_holes() -> None:
 @pytest.mark.parametrize("z", [30.0, 265.9])
 @pytest.mark.parametrize("x", [200.0, 0.1])
 def test_cloud_on_the_strips_against_points(x: float, z: float) -> None:
-    """Points of a Gaussian, counted in the strips of X and V: in the middle, at the sheet's edge and the strips' end."""
+    """Points of a Gaussian, counted in the strips of both views: in the middle, at edges and at a corner."""
     layer, n = DESIGN.cgem[1], 200_000
     sheet, sigma_x, sigma_z = 1, 0.28, 0.31
     z = z - 265.9 + layer.half_length - 0.1 if z > 100 else z

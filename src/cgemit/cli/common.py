@@ -27,6 +27,7 @@ COMMANDS = {
     "resolution": "resolution",
     "sweep": "sweep",
     "simulate": "simulate",
+    "readout": "readout",
     "slab": "slab",
     "detectors": "detector",
     "show": "detector",

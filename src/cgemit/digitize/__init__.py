@@ -14,6 +14,7 @@ from cgemit.detector import Detector, compiled, load
 from cgemit.digitize.apv25 import Apv25Readout as Apv25Readout
 from cgemit.digitize.binary import BinaryReadout as BinaryReadout
 from cgemit.digitize.gaussian import GaussianReadout as GaussianReadout
+from cgemit.digitize.projection import ProjectionReadout as ProjectionReadout
 from cgemit.digitize.readout import Readout as Readout
 from cgemit.digitize.tiger import TigerReadout as TigerReadout
 from cgemit.kinds import one_of
@@ -32,6 +33,7 @@ READOUTS: dict[str, type[Readout]] = {
     GaussianReadout.name: GaussianReadout,
     TigerReadout.name: TigerReadout,
     Apv25Readout.name: Apv25Readout,
+    ProjectionReadout.name: ProjectionReadout,
 }
 
 

@@ -76,6 +76,7 @@ class AnalogReadout(SettingsData):
     """
 
     needs_clusters: ClassVar[bool] = True
+    estimators: ClassVar[tuple[Estimator, ...]] = ("centroid", "micro-tpc", "merged")
 
     gain: Positive = GAIN
     polya: NotNegative = 0.36

@@ -36,6 +36,12 @@ _MISSING = (
     "got no calibration for this detector, field and read-out, "
     "expected digitize.readout.calibration = a file written by: cgemit readout --calibrate FILE"
 )
+#: Keys of a layer that calibrations depend on, with those of the gaps' gas.
+_LAYER = (
+    "anode_radius", "readout_offset", "length", "sheets", "pitch_x", "pitch_v", "stereo", "strips_x", "strips_v",
+    "offset_v", "drift_gap", "transfer_gap", "induction_gap", "drift_field", "transfer_field", "induction_field",
+    "foils", "hole_pitch",
+)  # fmt: skip
 _FOLDER = "readout"  # of the package's data
 
 
@@ -123,11 +129,7 @@ def key_of(detector: Detector, readout: Any) -> str:
     settings = readout.to_dict()
     for name in ("calibration", "estimator"):
         settings.pop(name, None)
-    layers = [
-        {name: value for name, value in vars(layer).items() if isinstance(value, int | float | str)}
-        | {"gas": layer.gas.ionization}
-        for layer in detector.cgem
-    ]
+    layers = [[getattr(layer, name) for name in _LAYER] + [layer.gas.ionization] for layer in detector.cgem]
     text = json.dumps([MODEL, readout.name, settings, layers, detector.field.bz], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
@@ -234,12 +236,40 @@ def find_clusters(
         "shift": bend * drift["shift"],
         "delay": drift["delay"] + flight,
     }
-    charge, delay = delays(drift["induction"])
+    return clusters_at(
+        detector, digis, timing, delays(drift["induction"]),
+        calibration=calibration, estimator=estimator, missing=missing, edge=edge,
+    )  # fmt: skip
+
+
+def clusters_at(
+    detector: Detector,
+    digis: Table,
+    timing: dict[str, Floats],
+    delays: tuple[Floats, Floats],
+    *,
+    calibration: Calibration,
+    estimator: Estimator,
+    missing: int,
+    edge: float,
+) -> Table:
+    """Return the clusters of strips for given drift and delays.
+
+    Parameters
+    ----------
+    detector : Detector
+    digis : Table
+    timing : dict of str to ndarray, (layers,) float64
+        velocity (mm/ns), tan_lorentz, shift (rad), delay (ns).
+    delays : (ndarray, ndarray), (2 layers, n) float64
+        Charge (fC) and delay (ns) of the chip by layer and view.
+    calibration, estimator, missing, edge
+        See `find_clusters`.
+    """
     found = _core.find_charge_time_clusters(
-        compiled(detector), dict(digis.columns), timing=timing, delay_charge=charge, delay=delay,
+        compiled(detector), dict(digis.columns), timing=timing, delay_charge=delays[0], delay=delays[1],
         errors=calibration.errors.reshape(-1, SIZES), depth=calibration.depth.reshape(-1, CHARGES),
-        height=calibration.height.reshape(-1, CHARGES),
-        edges=calibration.edges.reshape(-1, CHARGES - 1),
+        height=calibration.height.reshape(-1, CHARGES), edges=calibration.edges.reshape(-1, CHARGES - 1),
         estimator=estimator, missing=missing, edge=edge,
     )  # fmt: skip
     return Table("clusters", found, **digis.cover)

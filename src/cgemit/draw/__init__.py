@@ -7,6 +7,7 @@ from cgemit.draw.curves import residual
 from cgemit.draw.detector import draw_detector, draw_sides
 from cgemit.draw.event import draw_event
 from cgemit.draw.matter import draw_slab
+from cgemit.draw.readout import draw_readout
 from cgemit.draw.style import Picture
 
 __all__ = [
@@ -17,6 +18,7 @@ __all__ = [
     "draw_detector",
     "draw_event",
     "draw_projection",
+    "draw_readout",
     "draw_sensitivity",
     "draw_sides",
     "draw_slab",

@@ -5,6 +5,7 @@
 #include "bindings/inputs.hpp"
 #include "digitize/binary.hpp"
 #include "digitize/gaussian.hpp"
+#include "digitize/projection.hpp"
 #include "digitize/wires.hpp"
 
 namespace py = pybind11;
@@ -50,6 +51,26 @@ py::dict smeared(const Detector& detector, const py::dict& table, double gain, c
   return to_dict(std::move(digis));
 }
 
+py::dict profiles(const Detector& detector, const py::dict& table, const py::dict& step_table, double gain,
+                  const Array<double>& w_values, double sigma, double threshold, double noise,
+                  std::uint64_t seed) {
+  Inputs in(table, "event"), step_in(step_table, "event");
+  const TruthColumns truths = truth_columns(in);
+  const StepColumns steps = step_columns(step_in);
+  const ProjectionReadout readout{.gain = gain,
+                                  .w_values = per_layer(w_values, detector),
+                                  .sigma = sigma,
+                                  .threshold = threshold,
+                                  .noise = noise,
+                                  .seed = seed};
+  DigiColumns digis;
+  {
+    py::gil_scoped_release release;
+    digis = read_out_profiles(detector, truths, steps, readout);
+  }
+  return to_dict(std::move(digis));
+}
+
 py::dict wires(const Detector& detector, const py::dict& table, const Array<double>& xt_distance,
                const Array<double>& xt_time, bool reveal_sides, std::uint64_t seed) {
   Inputs in(table, "event");
@@ -90,6 +111,12 @@ void bind_digitize(py::module_& module) {
   module.def("smear_positions", &smeared, py::arg("detector"), py::arg("truths"), py::kw_only(),
              py::arg("gain"), py::arg("w_values"), py::arg("sigma_x"), py::arg("sigma_v"), py::arg("seed"),
              "Columns of digis from columns of truths: read-out without strips.");
+  module.def("read_out_profiles", &profiles, py::arg("detector"), py::arg("truths"), py::arg("steps"),
+             py::kw_only(), py::arg("gain"), py::arg("w_values"), py::arg("sigma"), py::arg("threshold"),
+             py::arg("noise"), py::arg("seed"),
+             "Columns of digis from columns of truths and steps: charge profiles integrated over strips.");
+  module.def("profile_below", &profile_below, py::arg("edge"), py::arg("a"), py::arg("b"), py::arg("sigma"),
+             "Part up to an edge of a charge that is uniform from a to b, smeared by a Gaussian.");
   module.def("read_out_wires", &wires, py::arg("detector"), py::arg("wire_truths"), py::kw_only(),
              py::arg("xt_distance"), py::arg("xt_time"), py::arg("reveal_sides"), py::arg("seed"),
              "Columns of wire_hits from columns of wire_truths.");

@@ -120,18 +120,18 @@ def calibration_from(result: Result, readout: Any, about: str) -> Calibration:
 
     layers = len(detector.cgem)
     found = replace(neutral(layers), key=key_of(detector, readout), about=about)
-    first, centroids = measured("micro-tpc", found), measured("centroid", found)
+    first = measured("centroid", found)
     for view, layer in np.ndindex(2, layers):
         charge = first.charge[(first.view == view) & (first.layer == layer)]
         if len(charge) >= _FEWEST:
             found.edges[view, layer] = np.quantile(charge, _QUANTILES)
     for at in np.ndindex(found.depth.shape):
-        found.height[at] = _depth(_select(centroids, found, at))
-    for _ in range(_STEPS):
+        found.height[at] = _depth(_select(first, found, at)) if readout.lorentz else 0.0
+    for _ in range(_STEPS if "micro-tpc" in readout.estimators else 0):
         lines = measured("micro-tpc", found)
         for at in np.ndindex(found.depth.shape):
             found.depth[at] += _depth(_select(lines, found, at))
-    for estimator in ("centroid", "micro-tpc", "merged"):
+    for estimator in readout.estimators:
         which, sample = ESTIMATORS.index(estimator), measured(estimator, found)
         for view, layer in np.ndindex(2, layers):
             plane = sample.residual[(sample.view == view) & (sample.layer == layer)]
