@@ -59,7 +59,7 @@ def test_density_and_sizes_of_clusters_are_of_one_source() -> None:
     listed = len(heed.sizes) - len(heed.tail) + 1
     sizes = np.append(np.arange(1, listed + 1), np.sqrt(heed.tail[:-1] * heed.tail[1:]))
     own = np.diff(heed.sizes, prepend=0.0)
-    other = np.array([65.6, 15.0, 6.4, 3.5, 2.25, 1.55, 1.05, 0.81, 0.61, 0.49, 0.39, 0.30, 0.25, 0.20, 0.16, 0.12, 
+    other = np.array([65.6, 15.0, 6.4, 3.5, 2.25, 1.55, 1.05, 0.81, 0.61, 0.49, 0.39, 0.30, 0.25, 0.20, 0.16, 0.12,
                       0.095, 0.075, 0.063, 0.054] + [21.6 / n**2 for n in range(21, 301)])  # fmt: skip
 
     def median(values: np.ndarray, shares: np.ndarray) -> float:
