@@ -115,13 +115,14 @@ class EventReadout {
     const double sigma_x =
         layer.r_readout * std::max(std::hypot(factor * gas.cloud_phi, cloud.spread_phi), least_phi);
     const double sigma_z = std::max(std::hypot(factor * gas.cloud_z, cloud.spread_z), least_z);
-    const double charge = cloud.charge * elementary_charge_fC, time = truths_.time[row] + cloud.time;
-    share_on_layer(layer, cloud.phi, cloud.z, sigma_x, sigma_z,
-                   [&](int sheet, int view, int strip, double part) {
-                     signals_[number].add(sheet, view, strip, time,
-                                          part * share[static_cast<std::size_t>(view)] * charge,
-                                          static_cast<std::int64_t>(row));
-                   });
+    const double charge = cloud.charge * elementary_charge_fC;
+    StripSignals& signals = signals_[number];
+    const StripSignals::Transit transit = signals.transit(truths_.time[row] + cloud.time);
+    share_on_layer(
+        layer, cloud.phi, cloud.z, sigma_x, sigma_z, [&](int sheet, int view, int strip, double part) {
+          signals.add(sheet, view, strip, transit, part * share[static_cast<std::size_t>(view)] * charge,
+                      static_cast<std::int64_t>(row));
+        });
   }
 
   void write(std::size_t number, std::int64_t event) {

@@ -38,12 +38,25 @@ class StripSignals {
     steps_.clear();
     start_ = first;
     induction_ = induction / time_step;
+    per_time_ = 1 / induction;
     bins_ = static_cast<std::size_t>((last - first) / time_step + induction_) + 3;
     last_ = (last - first) / time_step;
   }
 
-  // A charge (fC) that crosses the induction gap at constant velocity from `time` on: a rectangular current.
-  void add(int sheet, int view, int strip, double time, double charge, std::int64_t truth) {
+  // When a charge enters and leaves the induction gap, on the grid.
+  struct Transit {
+    std::size_t enters, leaves;
+    double after_enters, after_leaves;  // share of the step that falls to the next time
+  };
+  Transit transit(double time) const {
+    const double at = std::clamp((time - start_) / time_step, 0.0, last_), end = at + induction_;
+    const auto enters = static_cast<std::size_t>(at), leaves = static_cast<std::size_t>(end);
+    return {enters, leaves, at - static_cast<double>(enters), end - static_cast<double>(leaves)};
+  }
+
+  // A charge (fC) that crosses the induction gap at constant velocity: a rectangular current. Its steps are
+  // shared between neighbouring times, so that their mean time is exact.
+  void add(int sheet, int view, int strip, const Transit& at, double charge, std::int64_t truth) {
     const std::size_t slot = slot_of(local(sheet, view, strip));
     Source& source = sources_[slot];
     if (source.truth != truth) {
@@ -57,10 +70,12 @@ class StripSignals {
       source.largest = source.charge;
       source.largest_truth = truth;
     }
-    const double at = std::clamp((time - start_) / time_step, 0.0, last_),
-                 rate = charge / (induction_ * time_step);
-    step(slot, at, rate);
-    step(slot, at + induction_, -rate);
+    const double rate = charge * per_time_, late = rate * at.after_enters, late_end = rate * at.after_leaves;
+    double* steps = &steps_[slot * bins_];
+    steps[at.enters] += rate - late;
+    steps[at.enters + 1] += late;
+    steps[at.leaves] -= rate - late_end;
+    steps[at.leaves + 1] -= late_end;
   }
 
   // Adds a share of every strip's current to its neighbours at a distance of one and of two strips.
@@ -115,20 +130,12 @@ class StripSignals {
     }
     return static_cast<std::size_t>(slot);
   }
-  // Shares a step of the current between the two neighbouring times, so that its mean time is exact.
-  void step(std::size_t slot, double at, double rate) {
-    const auto bin = static_cast<std::size_t>(at);
-    const double part = at - static_cast<double>(bin);
-    steps_[slot * bins_ + bin] += rate * (1 - part);
-    steps_[slot * bins_ + bin + 1] += rate * part;
-  }
-
   const CgemLayer* layer_;
   std::vector<std::int32_t> slot_of_, strips_;  // slot of each strip or -1; strips in order of their slots
   std::vector<Source> sources_;
   std::vector<double> steps_;  // fC/ns, one histogram a slot
   std::size_t bins_ = 0;
-  double start_ = 0, induction_ = 0, last_ = 0;  // ns; steps of the grid
+  double start_ = 0, induction_ = 0, last_ = 0, per_time_ = 0;  // ns; steps of the grid; 1/ns
 };
 
 }  // namespace cgemit
