@@ -26,9 +26,7 @@ _EXAMPLES = """\
 examples:
   cgemit readout --readout apv25 --bz 0 -o test-beam
   cgemit readout --readout tiger --bz 1 --angles "-30 deg:30 deg:7" --set digitize.readout.gain=20000 -o one-tesla
-  cgemit readout --readout tiger -d my-detector.toml --calibrate my-tiger.json
-  cgemit simulate -d my-detector.toml --readout tiger --set digitize.readout.calibration=my-tiger.json --p 1
-      --cos-theta -0.9:0.9 -n 1000 --fit -o muons"""
+  cgemit readout --readout tiger -d my-detector.toml --calibrate my-tiger.json"""
 
 _ANGLES = "0 deg:40 deg:9"
 
