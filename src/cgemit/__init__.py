@@ -19,7 +19,14 @@ if TYPE_CHECKING:
     from cgemit.cluster import ClusterSettings
     from cgemit.covariance import analytic, sensitivity
     from cgemit.detector import Detector, DetectorError, detectors, load
-    from cgemit.digitize import BinaryReadout, DigitizeSettings, GaussianReadout
+    from cgemit.digitize import (
+        Apv25Readout,
+        BinaryReadout,
+        DigitizeSettings,
+        GaussianReadout,
+        ProjectionReadout,
+        TigerReadout,
+    )
     from cgemit.find_settings import FindSettings
     from cgemit.fit import FitSettings, FitStatus
     from cgemit.gun import Gun
@@ -35,6 +42,7 @@ if TYPE_CHECKING:
     from cgemit.track_finder import find_tracks
 
 __all__ = [
+    "Apv25Readout",
     "BackgroundSettings",
     "BinaryReadout",
     "ClusterSettings",
@@ -47,12 +55,14 @@ __all__ = [
     "GaussianReadout",
     "Gun",
     "ProgressBar",
+    "ProjectionReadout",
     "Result",
     "Settings",
     "SimulateSettings",
     "StateStatus",
     "Surface",
     "Table",
+    "TigerReadout",
     "TransportStatus",
     "__version__",
     "analytic",
@@ -75,6 +85,7 @@ __all__ = [
 # The modules of the public names. They are imported when first used: numpy, scipy and matplotlib take half a second,
 # in which Ctrl-C would end the command line with a traceback.
 _MODULES = {
+    "Apv25Readout": "digitize",
     "BackgroundSettings": "background",
     "BinaryReadout": "digitize",
     "ClusterSettings": "cluster",
@@ -85,6 +96,7 @@ _MODULES = {
     "FitSettings": "fit",
     "FitStatus": "fit",
     "GaussianReadout": "digitize",
+    "ProjectionReadout": "digitize",
     "Gun": "gun",
     "ProgressBar": "progress",
     "Result": "result",
@@ -93,6 +105,7 @@ _MODULES = {
     "StateStatus": "states",
     "Surface": "states",
     "Table": "tables",
+    "TigerReadout": "digitize",
     "TransportStatus": "simulate",
     "analytic": "covariance",
     "detectors": "detector",

@@ -69,6 +69,9 @@ class Purpose(enum.IntEnum):
     radiation = 9
     foil = 10
     decay = 11
+    readout_electron = 12
+    readout_truth = 13
+    readout_strip = 14
 
 class Screening(enum.IntEnum):
     wentzel = 0
@@ -265,6 +268,40 @@ def smear_positions(
     sigma_v: float,
     seed: int,
 ) -> dict[str, _Array]: ...
+def read_out_analog(
+    detector: Detector,
+    truths: _Columns,
+    steps: _Columns,
+    *,
+    drift: _Columns,
+    physics: _Columns,
+    chip: _Columns,
+    share_spread: float,
+    neighbour: float,
+    second_neighbour: float,
+    seed: int,
+) -> dict[str, _Array]: ...
+def shaped(terms: npt.ArrayLike, dt: float, steps: npt.ArrayLike) -> npt.NDArray[np.float64]: ...
+def polya_gains(theta: float, seed: int, n: int) -> npt.NDArray[np.float64]: ...
+def nearest_holes(
+    pitch: float, u: npt.ArrayLike, v: npt.ArrayLike
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]: ...
+def share_cloud(
+    detector: Detector, layer: int, phi: float, z: float, sigma_x: float, sigma_z: float
+) -> dict[str, _Array]: ...
+def read_out_profiles(
+    detector: Detector,
+    truths: _Columns,
+    steps: _Columns,
+    *,
+    gain: float,
+    w_values: npt.ArrayLike,
+    sigma: float,
+    threshold: float,
+    noise: float,
+    seed: int,
+) -> dict[str, _Array]: ...
+def profile_below(edge: float, a: float, b: float, sigma: float) -> float: ...
 def read_out_wires(
     detector: Detector,
     wire_truths: _Columns,
@@ -277,6 +314,22 @@ def read_out_wires(
 def find_clusters(
     detector: Detector, digis: _Columns, *, err_x: npt.ArrayLike, err_v: npt.ArrayLike, by_charge: bool
 ) -> dict[str, _Array]: ...
+def find_charge_time_clusters(
+    detector: Detector,
+    digis: _Columns,
+    *,
+    timing: _Columns,
+    delay_charge: npt.ArrayLike,
+    delay: npt.ArrayLike,
+    errors: npt.ArrayLike,
+    depth: npt.ArrayLike,
+    height: npt.ArrayLike,
+    edges: npt.ArrayLike,
+    estimator: str,
+    missing: int,
+    edge: float,
+) -> dict[str, _Array]: ...
+def fit_line(position: npt.ArrayLike, charge: npt.ArrayLike, height: npt.ArrayLike) -> tuple[float, float, bool]: ...
 def clusters_of_positions(detector: Detector, digis: _Columns, *, err_x: float, err_v: float) -> dict[str, _Array]: ...
 def size_errors(extents: npt.ArrayLike, pitch: float, sizes: int) -> _Array: ...
 def check_hits(detector: Detector, hits: _Columns) -> None: ...

@@ -15,7 +15,7 @@ from cgemit.background import add_background
 from cgemit.candidates import Finder, by_finder, finder_name
 from cgemit.chunks import MANY, Answer, Totals, answers
 from cgemit.detector import Detector, load
-from cgemit.digitize import cluster_digis, digitize
+from cgemit.digitize import DigitizeSettings, Readout, cluster_digis, digitize
 from cgemit.fit import FitSettings, fit
 from cgemit.gun import Gun, Guns, generate
 from cgemit.io.folders import new_folder
@@ -128,6 +128,7 @@ def run(
     seed: int = 1,
     *,
     settings: Settings | None = None,
+    readout: Readout | str | None = None,
     fit_detector: Detector | str | Mapping[str, Any] | None = None,
     finder: Finder | FinderName = "truth",
     until: Literal["simulate", "digitize", "cluster", "find", "fit"] = "fit",
@@ -158,6 +159,9 @@ def run(
         0 to 2**64 - 1.
     settings : Settings or None
         Of all stages; defaults if None.
+    readout : Readout, str or None
+        Read-out of the CGEM layers, instead of that of the settings. A read-out that starts from ionization clusters
+        makes them rows of ``steps``.
     fit_detector : Detector or None
         Detector that finder and fit assume. None: the simulated one.
     finder : "truth", "ckf" or callable
@@ -205,7 +209,7 @@ def run(
     start = time.perf_counter()
     if not isinstance(settings, Settings | None):
         raise TypeError(f"settings: got {type(settings).__name__}, expected {_expected(settings)}")
-    detector, settings = load(detector), settings or Settings()
+    detector, settings = load(detector), with_readout(settings or Settings(), readout)
     believed = detector if fit_detector is None else load(fit_detector)
     other = None if believed == detector else believed
     most = 2**31 - 1
@@ -243,6 +247,28 @@ def run(
         writer.close()
         write_about(folder, result(StoredTables(folder), totals).entries(command))
     return open_run(output)
+
+
+def with_readout(settings: Settings, readout: Readout | str | None) -> Settings:
+    """Return settings with another read-out, and with the ionization clusters that it needs.
+
+    Parameters
+    ----------
+    settings : Settings
+    readout : Readout, str or None
+        None: that of the settings.
+
+    Raises
+    ------
+    ValueError
+        If the read-out is unknown, or the simulation cannot make what it needs.
+    """
+    if readout is not None:
+        digitized = DigitizeSettings(readout=readout, reveal_sides=settings.digitize.reveal_sides)
+        settings = replace(settings, digitize=digitized)
+    if getattr(settings.digitize.readout, "needs_clusters", False) and not settings.simulate.steps:
+        settings = replace(settings, simulate=replace(settings.simulate, steps=True))
+    return settings
 
 
 def _check_stages(finder: object, until: object, executor: Executor | None, keep: Any) -> tuple[str, ...] | None:

@@ -11,7 +11,7 @@ from sources import CORE
 
 from cgemit import _core
 from cgemit.detector import Screening
-from cgemit.digitize import BinaryReadout, DigitizeSettings, GaussianReadout
+from cgemit.digitize import BinaryReadout, DigitizeSettings, GaussianReadout, ProjectionReadout
 from cgemit.find_settings import FindSettings
 from cgemit.fit import FitSettings
 from cgemit.fit_settings import Loss
@@ -30,6 +30,7 @@ STRUCTS = [
     ("SimulateSettings", "simulate/simulate.hpp", SimulateSettings, {}),
     ("BinaryReadout", "digitize/binary.hpp", BinaryReadout, {"w_values": None}),
     ("GaussianReadout", "digitize/gaussian.hpp", GaussianReadout, {"w_values": None, "seed": None}),
+    ("ProjectionReadout", "digitize/projection.hpp", ProjectionReadout, {"w_values": None, "seed": None}),
     (
         "WireReadout",
         "digitize/wires.hpp",

@@ -114,6 +114,7 @@ COMMON = [
                              digitize=DigitizeSettings(readout=BinaryReadout(threshold=12)))}),
     Row("--field", ["--field", "besiii-harmonic"], {"detector": load(DESIGN).with_field("besiii-harmonic")}),
     Row("--name", ["--name", "mine"], {"detector": load(DESIGN).with_overrides({"name": "mine"})}),
+    Row("--readout", ["--readout", "gaussian"], with_settings(digitize=DigitizeSettings(readout="gaussian"))),
     Row("--no-deltas", ["--no-deltas"], with_settings(simulate=SimulateSettings(deltas=False))),
     Row("--hypothesis", ["--hypothesis", "K"], with_settings(fit=FitSettings(hypothesis=("K",)))),
     Row("--particle", ["--particle", "pi+"], {"particle": "pi+"}),
@@ -271,6 +272,7 @@ STUDY_ROWS = [
     Row("--field", ["--field", "finite-solenoid"], {"field": "finite-solenoid"}),
     Row("--settings", ["--settings", "mine.toml"], {"settings": OF_FILE}),
     Row("--set", ["--set", "fit.loss=mean"], with_settings(fit=FitSettings(loss="mean"))),
+    Row("--readout", ["--readout", "gaussian"], with_settings(digitize=DigitizeSettings(readout="gaussian"))),
     Row("--no-deltas", ["--no-deltas"], with_settings(simulate=SimulateSettings(deltas=False))),
 ]
 

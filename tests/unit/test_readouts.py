@@ -74,7 +74,9 @@ def chain(readout: OneStrip | str, n: int = 150) -> Result:
 def test_it_is_known_by_its_name() -> None:
     """The name stands for its defaults, and is listed with the others where a name is wrong."""
     assert DigitizeSettings(readout="one-strip").readout == OneStrip()
-    with pytest.raises(ValueError, match=r"expected one of 'binary', 'gaussian', 'one-strip'"):
+    with pytest.raises(
+        ValueError, match=r"expected one of 'binary', 'gaussian', 'tiger', 'apv25', 'analog-projection', 'one-strip'"
+    ):
         DigitizeSettings(readout="one strip")
 
 

@@ -60,6 +60,16 @@ def add_settings(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
 
 
+def add_readout(parser: argparse.ArgumentParser, default: str | None = None) -> None:
+    """Add `--readout`."""
+    usual = f"default {default}; " if default else ""
+    parser.add_argument(
+        "--readout", metavar="NAME", default=default,
+        help="read-out of the CGEM layers: binary, gaussian, tiger, apv25 or analog-projection "
+        f"({usual}digitize.readout; --set digitize.readout.KEY changes its settings)",
+    )  # fmt: skip
+
+
 def stages() -> tuple[str, ...]:
     """Return the stages that have settings."""
     from cgemit.result import Settings
@@ -159,6 +169,8 @@ def read_settings(
             layers.append((arguments.settings, _tables(arguments.settings)))
         except SettingsError as error:
             problems += [f"{error.source}: {text}" for text in error.problems]
+    if getattr(arguments, "readout", None) is not None:
+        layers.append(("--readout", nested("digitize.readout", arguments.readout)))
     layers += [("--set", nested(key, value)) for key, value in changed]
     given = dict(changed)
     for flag, key, value in _options(arguments):

@@ -30,6 +30,7 @@ COMMANDS = {
     "simulate": "simulate",
     "find": "find",
     "display": "display",
+    "readout": "readout",
     "slab": "slab",
     "detectors": "detector",
     "show": "detector",

@@ -76,6 +76,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "--keep", type=read.names, metavar="TABLE,...",
         help="write only these tables (all: every one), in parts while the run goes on, without holding them in memory",
     )  # fmt: skip
+    changes.add_readout(parser)
     changes.add_physics(parser)
     common.add_run(parser)
     common.add_common(parser)

@@ -88,6 +88,12 @@ class CgemLayer(Placed):
     drift_gap: float = field(metadata=key("length", "gap between cathode and first foil", 0.1, 50.0))  # mm
     transfer_gap: float = field(metadata=key("length", "gap between two foils", 0.1, 50.0))  # mm
     induction_gap: float = field(metadata=key("length", "gap between last foil and anode", 0.1, 50.0))  # mm
+    # Operating point of the test beams and of the digitization model, doi 10.1007/s41605-020-00166-0; at mid-gap.
+    drift_field: float = field(metadata=key("electric field", "field of the drift gap", 0.01, 20.0), default=1.5)
+    transfer_field: float = field(metadata=key("electric field", "field of the transfer gaps", 0.01, 20.0), default=3.0)
+    induction_field: float = field(
+        metadata=key("electric field", "field of the induction gap", 0.01, 20.0), default=5.0
+    )
     foils: int = field(metadata=key("integer", "number of GEM foils", 1, 5), default=3)
     # Standard GEM foils: F. Sauli, Nucl. Instrum. Methods A 805 (2016) 2.
     hole_outer: float = field(metadata=key("length", "diameter of holes, in electrodes", 1e-3, 5.0), default=0.07)  # mm

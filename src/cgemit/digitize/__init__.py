@@ -11,10 +11,13 @@ import numpy as np
 from cgemit import _core
 from cgemit.cluster import ClusterSettings
 from cgemit.detector import Detector, compiled, load
+from cgemit.digitize.apv25 import Apv25Readout as Apv25Readout
 from cgemit.digitize.binary import BinaryReadout as BinaryReadout
 from cgemit.digitize.gaussian import GaussianReadout as GaussianReadout
 from cgemit.digitize.placed import in_layer_axes
+from cgemit.digitize.projection import ProjectionReadout as ProjectionReadout
 from cgemit.digitize.readout import Readout as Readout
+from cgemit.digitize.tiger import TigerReadout as TigerReadout
 from cgemit.kinds import one_of
 from cgemit.settings import SettingsData
 from cgemit.tables import Table
@@ -29,6 +32,9 @@ XT_TIME = np.array([0.0, 10.0, 25.0, 50.0, 75.0, 100.0, 150.0, 200.0, 250.0, 300
 READOUTS: dict[str, type[Readout]] = {
     BinaryReadout.name: BinaryReadout,
     GaussianReadout.name: GaussianReadout,
+    TigerReadout.name: TigerReadout,
+    Apv25Readout.name: Apv25Readout,
+    ProjectionReadout.name: ProjectionReadout,
 }
 
 

@@ -3,6 +3,7 @@
 #include "bindings/arrays.hpp"
 #include "bindings/cluster_columns.hpp"
 #include "bindings/inputs.hpp"
+#include "cluster/charge_time.hpp"
 #include "cluster/clusters.hpp"
 #include "cluster/positions.hpp"
 #include "cluster/size_errors.hpp"
@@ -56,6 +57,74 @@ py::dict of_positions(const Detector& detector, const py::dict& table, double er
   return to_dict(std::move(found));
 }
 
+// Entry i of a column for each CGEM layer.
+std::vector<LayerTiming> layer_timing(const py::dict& table, const Detector& detector) {
+  Inputs in(table, "velocity");
+  const auto velocity = in.get<double>("velocity"), tan_lorentz = in.get<double>("tan_lorentz"),
+             shift = in.get<double>("shift"), delay = in.get<double>("delay");
+  if (velocity.size() != detector.cgem.size()) {
+    throw std::invalid_argument("timing: expected one row for each CGEM layer");
+  }
+  std::vector<LayerTiming> found;
+  for (std::size_t i = 0; i < velocity.size(); ++i) {
+    found.push_back({velocity[i], tan_lorentz[i], shift[i], delay[i]});
+  }
+  return found;
+}
+
+// An input of shape (rows, width).
+std::span<const double> rows_of(const Array<double>& array, const char* name, std::size_t rows,
+                                py::ssize_t width) {
+  if (width < 1) throw std::invalid_argument(std::string(name) + ": expected rows with entries");
+  return matrix(array, name, static_cast<py::ssize_t>(rows), width);
+}
+
+py::dict with_times(const Detector& detector, const py::dict& table, const py::dict& timing,
+                    const Array<double>& delay_charge, const Array<double>& delay,
+                    const Array<double>& errors, const Array<double>& depth, const Array<double>& height,
+                    const Array<double>& edges, const std::string& estimator, std::int32_t missing,
+                    double edge) {
+  Inputs in(table, "event");
+  const DigiView digis = digi_view(in);
+  const std::vector<LayerTiming> layers = layer_timing(timing, detector);
+  const std::size_t n = detector.cgem.size();
+  const py::ssize_t points = delay.ndim() == 2 ? delay.shape(1) : 0,
+                    sizes = errors.ndim() == 2 ? errors.shape(1) : 0;
+  const py::ssize_t charges = depth.ndim() == 2 ? depth.shape(1) : 0;
+  const auto rows = static_cast<std::size_t>(std::max<py::ssize_t>(charges, 0));
+  if (estimator != "merged" && estimator != "centroid" && estimator != "micro-tpc") {
+    throw std::invalid_argument("estimator: got " + estimator + ", expected merged, centroid or micro-tpc");
+  }
+  const ChargeTimeModel model{
+      .layers = layers,
+      .delays = {rows_of(delay_charge, "delay_charge", 2 * n, points), rows_of(delay, "delay", 2 * n, points),
+                 static_cast<std::size_t>(points)},
+      .calibration = {rows_of(errors, "errors", 6 * n * rows, sizes), rows_of(depth, "depth", 2 * n, charges),
+                      rows_of(height, "height", 2 * n, charges),
+                      matrix(edges, "edges", static_cast<py::ssize_t>(2 * n), charges - 1), n, rows,
+                      static_cast<std::size_t>(sizes)},
+      .estimator = estimator == "merged"     ? Estimator::merged
+                   : estimator == "centroid" ? Estimator::centroid
+                                             : Estimator::micro_tpc,
+      .missing = missing,
+      .edge = edge};
+  ClusterColumns found;
+  {
+    py::gil_scoped_release release;
+    found = find_charge_time_clusters(detector, digis, model);
+  }
+  return to_dict(std::move(found));
+}
+
+py::tuple line_of(const Array<double>& position, const Array<double>& charge, const Array<double>& height) {
+  const auto x = column(position, "position"), q = column(charge, "charge", position.size()),
+             w = column(height, "height", position.size());
+  std::vector<StripPoint> points;
+  for (std::size_t i = 0; i < x.size(); ++i) points.push_back({x[i], q[i], w[i]});
+  const Line line = fit_line(points);
+  return py::make_tuple(line.at_middle, line.slope, line.good);
+}
+
 py::array_t<double> errors_of_sizes(const Array<double>& extents, double pitch, std::size_t sizes) {
   return to_numpy(size_errors(column(extents, "extents"), pitch, sizes));
 }
@@ -69,6 +138,12 @@ void bind_cluster(py::module_& module) {
   module.def("clusters_of_positions", &of_positions, py::arg("detector"), py::arg("digis"), py::kw_only(),
              py::arg("err_x"), py::arg("err_v"),
              "Columns of clusters from columns of digis: read-out without strips.");
+  module.def("find_charge_time_clusters", &with_times, py::arg("detector"), py::arg("digis"), py::kw_only(),
+             py::arg("timing"), py::arg("delay_charge"), py::arg("delay"), py::arg("errors"),
+             py::arg("depth"), py::arg("height"), py::arg("edges"), py::arg("estimator"), py::arg("missing"),
+             py::arg("edge"), "Columns of clusters from columns of digis: charge centroid and line fit.");
+  module.def("fit_line", &line_of, py::arg("position"), py::arg("charge"), py::arg("height"),
+             "Position at height 0, slope, and whether there is a line, of strips with charge and height.");
   module.def(
       "size_errors", &errors_of_sizes, py::arg("extents"), py::arg("pitch"), py::arg("sizes"),
       "RMS of the position error (mm) of clusters of 1 to `sizes` strips for a sample of extents (mm).");

@@ -1,9 +1,11 @@
 #include <pybind11/pybind11.h>
 
 #include "bindings/arrays.hpp"
+#include "bindings/digi_tables.hpp"
 #include "bindings/inputs.hpp"
 #include "digitize/binary.hpp"
 #include "digitize/gaussian.hpp"
+#include "digitize/projection.hpp"
 #include "digitize/wires.hpp"
 
 namespace py = pybind11;
@@ -11,50 +13,6 @@ using namespace cgemit;
 using namespace cgemit::bindings;
 
 namespace {
-
-TruthColumns truth_columns(Inputs& in) {
-  TruthColumns truths;
-  truths.event = in.get<std::int64_t>("event");
-  truths.particle = in.get<std::int32_t>("particle");
-  truths.layer = in.get<std::int32_t>("layer");
-  truths.entry = {in.get<double>("entry_x"), in.get<double>("entry_y"), in.get<double>("entry_z")};
-  truths.exit = {in.get<double>("exit_x"), in.get<double>("exit_y"), in.get<double>("exit_z")};
-  truths.phi = in.get<double>("phi");
-  truths.z = in.get<double>("z");
-  truths.time = in.get<double>("time");
-  truths.energy = in.get<double>("energy");
-  return truths;
-}
-
-StepColumns step_columns(Inputs& in) {
-  StepColumns steps;
-  steps.event = in.get<std::int64_t>("event");
-  steps.truth = in.get<std::int64_t>("truth");
-  steps.particle = in.get<std::int32_t>("particle");
-  steps.layer = in.get<std::int32_t>("layer");
-  steps.n_electrons = in.get<std::int32_t>("n_electrons");
-  steps.parent = in.get<std::int8_t>("parent");
-  steps.middle = {in.get<double>("x"), in.get<double>("y"), in.get<double>("z")};
-  steps.d = {in.get<double>("dx"), in.get<double>("dy"), in.get<double>("dz")};
-  steps.energy = in.get<double>("energy");
-  return steps;
-}
-
-py::dict to_dict(DigiColumns&& digis) {
-  py::dict out;
-  out["event"] = to_numpy(std::move(digis.event));
-  out["layer"] = to_numpy(std::move(digis.layer));
-  out["sheet"] = to_numpy(std::move(digis.sheet));
-  out["view"] = to_numpy(std::move(digis.view));
-  out["strip"] = to_numpy(std::move(digis.strip));
-  out["gid"] = to_numpy(std::move(digis.gid));
-  out["position"] = to_numpy(std::move(digis.position));
-  out["charge"] = to_numpy(std::move(digis.charge));
-  out["time"] = to_numpy(std::move(digis.time));
-  out["truth"] = to_numpy(std::move(digis.truth));
-  out["n_truths"] = to_numpy(std::move(digis.n_truths));
-  return out;
-}
 
 // One number per CGEM layer.
 std::span<const double> per_layer(const Array<double>& w_values, const Detector& detector) {
@@ -89,6 +47,26 @@ py::dict smeared(const Detector& detector, const py::dict& table, double gain, c
   {
     py::gil_scoped_release release;
     digis = smear_positions(detector, truths, readout);
+  }
+  return to_dict(std::move(digis));
+}
+
+py::dict profiles(const Detector& detector, const py::dict& table, const py::dict& step_table, double gain,
+                  const Array<double>& w_values, double sigma, double threshold, double noise,
+                  std::uint64_t seed) {
+  Inputs in(table, "event"), step_in(step_table, "event");
+  const TruthColumns truths = truth_columns(in);
+  const StepColumns steps = step_columns(step_in);
+  const ProjectionReadout readout{.gain = gain,
+                                  .w_values = per_layer(w_values, detector),
+                                  .sigma = sigma,
+                                  .threshold = threshold,
+                                  .noise = noise,
+                                  .seed = seed};
+  DigiColumns digis;
+  {
+    py::gil_scoped_release release;
+    digis = read_out_profiles(detector, truths, steps, readout);
   }
   return to_dict(std::move(digis));
 }
@@ -133,6 +111,12 @@ void bind_digitize(py::module_& module) {
   module.def("smear_positions", &smeared, py::arg("detector"), py::arg("truths"), py::kw_only(),
              py::arg("gain"), py::arg("w_values"), py::arg("sigma_x"), py::arg("sigma_v"), py::arg("seed"),
              "Columns of digis from columns of truths: read-out without strips.");
+  module.def("read_out_profiles", &profiles, py::arg("detector"), py::arg("truths"), py::arg("steps"),
+             py::kw_only(), py::arg("gain"), py::arg("w_values"), py::arg("sigma"), py::arg("threshold"),
+             py::arg("noise"), py::arg("seed"),
+             "Columns of digis from columns of truths and steps: charge profiles integrated over strips.");
+  module.def("profile_below", &profile_below, py::arg("edge"), py::arg("a"), py::arg("b"), py::arg("sigma"),
+             "Part up to an edge of a charge that is uniform from a to b, smeared by a Gaussian.");
   module.def("read_out_wires", &wires, py::arg("detector"), py::arg("wire_truths"), py::kw_only(),
              py::arg("xt_distance"), py::arg("xt_time"), py::arg("reveal_sides"), py::arg("seed"),
              "Columns of wire_hits from columns of wire_truths.");

@@ -11,6 +11,7 @@ void bind_foil(pybind11::module_& module);
 void bind_gap(pybind11::module_& module);
 void bind_kalman(pybind11::module_& module);
 void bind_simulate(pybind11::module_& module);
+void bind_analog(pybind11::module_& module);
 void bind_digitize(pybind11::module_& module);
 void bind_cluster(pybind11::module_& module);
 void bind_hits(pybind11::module_& module);
@@ -33,6 +34,7 @@ PYBIND11_MODULE(_core, module, pybind11::mod_gil_not_used()) {
   bind_gap(module);
   bind_kalman(module);
   bind_simulate(module);
+  bind_analog(module);
   bind_digitize(module);
   bind_cluster(module);
   bind_hits(module);

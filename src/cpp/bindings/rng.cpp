@@ -53,6 +53,9 @@ void bind_rng(py::module_& module) {
       .value("radiation", Purpose::radiation)
       .value("foil", Purpose::foil)
       .value("decay", Purpose::decay)
+      .value("readout_electron", Purpose::readout_electron)
+      .value("readout_truth", Purpose::readout_truth)
+      .value("readout_strip", Purpose::readout_strip)
       .finalize();
   testing(module).def(
       "philox4x32",

@@ -41,6 +41,9 @@ enum class Purpose : std::uint32_t {
   radiation = 9,
   foil = 10,
   decay = 11,
+  readout_electron = 12,
+  readout_truth = 13,
+  readout_strip = 14,
 };
 
 // Uniform in (0, 1), never 0 and never 1: 32 bits, centred.

@@ -2,38 +2,19 @@
 
 #include <stdexcept>
 #include <string>
-#include <tuple>
+
+#include "digitize/contributions.hpp"
 
 namespace cgemit {
 namespace {
 
 constexpr double rounding = 1e-9;  // of an energy that was summed in another order
 
-// The contribution of one truth to one strip.
-struct Contribution {
-  std::int32_t gid, layer, sheet;
-  std::int8_t view;
-  std::int32_t strip;
-  double charge, time;
-  std::int64_t truth;
-
-  auto order() const { return std::tuple(gid, truth); }
-};
-
 // Strips that one truth fires on one sheet.
 struct Fired {
   int sheet;
   StripRange x, v;
 };
-
-void append(const CgemLayer& layer, Contribution strip, StripRange range, std::vector<Contribution>& out) {
-  const int sheet_first = layer.gid_first + strip.sheet * (layer.strips_x + layer.strips_v);
-  const int view_first = sheet_first + (strip.view == 0 ? 0 : layer.strips_x);
-  for (strip.strip = range.first; strip.strip <= range.last; ++strip.strip) {
-    strip.gid = view_first + strip.strip;
-    out.push_back(strip);
-  }
-}
 
 // Shares `charge` among the strips that the projected segment touches; charge off the active area is lost.
 void share(const CgemLayer& layer, const Point& from, const Point& to, double charge, Contribution strip,
@@ -79,30 +60,6 @@ void read_out(const CgemLayer& layer, const TruthColumns& truths, std::size_t ro
         strip, out);
 }
 
-// Sums the contributions [begin, end) to one strip, ordered by truth, and writes its digi.
-void write(std::int64_t event, const Contribution* begin, const Contribution* end, DigiColumns& digis) {
-  double charge = 0, time = begin->time, of_truth = 0, largest = -1;
-  std::int64_t truth = -1;
-  std::int32_t n_truths = 0;
-  for (const Contribution* part = begin; part != end; ++part) {
-    const bool new_truth = part == begin || part->truth != (part - 1)->truth;
-    n_truths += new_truth;
-    of_truth = part->charge + (new_truth ? 0 : of_truth);
-    if (of_truth > largest) {
-      largest = of_truth;
-      truth = part->truth;
-    }
-    charge += part->charge;
-    time = std::min(time, part->time);
-  }
-  DigiRow digi{event, begin->layer, begin->sheet, begin->view, begin->strip, begin->gid};
-  digi.charge = charge;
-  digi.time = time;
-  digi.truth = truth;
-  digi.n_truths = n_truths;
-  digis.push_back(digi);
-}
-
 }  // namespace
 
 DigiColumns read_out_strips(const Detector& detector, const TruthColumns& truths, const StepColumns& steps,
@@ -123,11 +80,7 @@ DigiColumns read_out_strips(const Detector& detector, const TruthColumns& truths
       if (truths.energy[row] * per_energy < readout.threshold) continue;
       read_out(detector.cgem[layer], truths, row, steps, first, step, per_energy, parts);
     }
-    std::sort(parts.begin(), parts.end(), [](const auto& a, const auto& b) { return a.order() < b.order(); });
-    for (std::size_t first = 0, last; first < parts.size(); first = last) {
-      for (last = first + 1; last < parts.size() && parts[last].gid == parts[first].gid;) ++last;
-      write(truths.event[begin], &parts[first], parts.data() + last, digis);
-    }
+    write_digis(truths.event[begin], parts, digis, [](DigiRow&) { return true; });
   }
   return digis;
 }

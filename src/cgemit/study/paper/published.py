@@ -171,7 +171,7 @@ FIGURES: Mapping[str, PaperFigure] = {
         "display",
         "The event of figures 1 and 3",
         "True crossings, clusters, drift circles, the fitted track through its smoothed states, and the fired strips "
-        "on the unrolled anodes. Ghosts are X and V clusters of different crossings; other clusters beside the track are "
-        "those of delta electrons.",
+        "on the unrolled anodes. Ghosts are X and V clusters of different crossings; other clusters beside the track "
+        "are those of delta electrons.",
     ),
 }

@@ -1,0 +1,212 @@
+"""Analog read-outs: electrons of ionization drift and multiply, a chip measures charge and time of each strip."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar
+
+import numpy as np
+
+from cgemit import _core
+from cgemit.cluster import ClusterSettings
+from cgemit.detector import Detector, compiled
+from cgemit.detector.gaps import w_values
+from cgemit.digitize.analog_cluster import Calibration, Estimator, calibration_of, find_clusters, neutral
+from cgemit.digitize.readout import GAIN, Floats
+from cgemit.digitize.shapers import Shaper
+from cgemit.digitize.transport import drift_columns
+from cgemit.kinds import Check, NotNegative, Positive
+from cgemit.settings import SettingsData
+from cgemit.tables import Table
+
+SURVIVAL = 0.957 * 0.962
+"""An electron enters a hole of the first foil, and its gain is not zero (PARSIFAL, at the nominal voltage)."""
+
+Probability = Annotated[float, Check(lambda value: 0 < value <= 1, "a number above 0 and up to 1")]
+Share = Annotated[float, Check(lambda value: 0 <= value < 1, "a number from 0 to 1, 1 excluded")]
+Missing = Annotated[int, Check(lambda value: 0 <= value <= 10, "a whole number from 0 to 10")]
+
+
+@dataclass(frozen=True, kw_only=True)
+class AnalogReadout(SettingsData):
+    """What both chips have in common: the avalanche and the strips. Gas and fields belong to the detector.
+
+    Attributes
+    ----------
+    gain : float
+        Mean number of electrons on the anode per electron of ionization whose avalanche reaches it.
+    polya : float
+        Parameter theta of the Polya distribution of the gain; its relative variance is 1/(1 + theta).
+    gain_fluctuation : bool
+        Whether the gain fluctuates.
+    survival : float
+        Probability that an electron enters a hole and its avalanche reaches the anode.
+    first_gain : float
+        Electrons behind the first foil per electron that entered it.
+    diffusion : float
+        Factor on all diffusion widths; 0 switches diffusion off.
+    lorentz : bool
+        Whether the Lorentz angle acts.
+    holes : bool
+        Whether electrons move to the centre of the nearest hole of the first foil.
+    share_spread : float
+        Standard deviation of ln(charge on X / charge on V) from crossing to crossing; both views have half on average.
+    neighbour, second_neighbour : float
+        Share of a strip's current that its neighbours see, and those beyond them (capacitive coupling).
+    threshold_x, threshold_v : float
+        fC.
+    noise : float
+        fC, of an amplitude.
+    jitter : float
+        ns, of the time, beside what noise makes.
+    missing : int
+        Strips that may be missing within a cluster.
+    edge : float
+        Outermost strips with a smaller share of their neighbour's charge do not enter line fits.
+    estimator : str
+        Position of a cluster: ``"centroid"`` of the charge, ``"micro-tpc"``, a line fit through the drift gap (clusters
+        without one have their centroid), or ``"merged"``, the mean of both with the weights of their errors.
+    calibration : str
+        File that ``cgemit readout`` has written; empty: the one that comes with the program.
+
+    Raises
+    ------
+    ValueError
+        Listing every invalid value.
+    """
+
+    needs_clusters: ClassVar[bool] = True
+    estimators: ClassVar[tuple[Estimator, ...]] = ("centroid", "micro-tpc", "merged")
+
+    gain: Positive = GAIN
+    polya: NotNegative = 0.36
+    gain_fluctuation: bool = True
+    survival: Probability = SURVIVAL
+    first_gain: Positive = 15.0
+    diffusion: NotNegative = 1.0
+    lorentz: bool = True
+    holes: bool = True
+    share_spread: NotNegative = 0.1
+    neighbour: Share = 0.0
+    second_neighbour: Share = 0.0
+    threshold_x: Positive = 2.0
+    threshold_v: Positive = 2.0
+    noise: NotNegative = 0.5
+    jitter: NotNegative = 2.0
+    missing: Missing = 1
+    edge: Share = 0.1
+    estimator: Estimator = "merged"
+    calibration: str = ""
+
+    def digitize(self, detector: Detector, truths: Table, steps: Table, seed: int) -> Table:
+        """Return the strips above threshold with charge and time, see `Readout.digitize`.
+
+        Parameters
+        ----------
+        detector : Detector
+        truths, steps : Table
+            Steps with the ionization clusters (``SimulateSettings(steps=True)``).
+        seed : int
+            Key of the random numbers.
+        """
+        digis = _core.read_out_analog(
+            compiled(detector), dict(truths.columns), dict(steps.columns), **self.core_arguments(detector), seed=seed
+        )
+        return Table("digis", digis, **truths.cover)
+
+    def core_arguments(self, detector: Detector) -> dict[str, Any]:
+        """Return the arguments of the compiled digitization by name, except tables and seed.
+
+        Parameters
+        ----------
+        detector : Detector
+
+        Raises
+        ------
+        ValueError
+            If a layer's gas or field has no table of electron transport.
+        """
+        layers = {
+            "hole_pitch": np.array([layer.hole_pitch if self.holes else 0.0 for layer in detector.cgem]),
+            "w_value": w_values(detector),
+        }
+        return {
+            "drift": drift_columns(detector) | layers,
+            "physics": {
+                "survival": self.survival,
+                "gain": self.gain,
+                "polya": self.polya if self.gain_fluctuation else np.inf,
+                "diffusion": self.diffusion,
+                "first_gain": self.first_gain,
+                "lorentz": self.lorentz,
+                "correlated": True,
+            },
+            "chip": self.chip(),
+            "share_spread": self.share_spread,
+            "neighbour": self.neighbour,
+            "second_neighbour": self.second_neighbour,
+        }
+
+    def cluster(self, detector: Detector, digis: Table, settings: ClusterSettings) -> Table:
+        """Return clusters with positions at mid-gap and calibrated errors, see `Readout.cluster`.
+
+        Parameters
+        ----------
+        detector : Detector
+        digis : Table
+        settings : ClusterSettings
+            Not used: positions and errors are those of the read-out.
+
+        Raises
+        ------
+        CalibrationError
+            If there is no calibration for this detector, field and read-out.
+        """
+        return self.cluster_with(detector, digis, calibration_of(detector, self))
+
+    def cluster_with(self, detector: Detector, digis: Table, calibration: Calibration | None = None) -> Table:
+        """Return clusters with the errors of a calibration; without one, errors of 1 mm.
+
+        Parameters
+        ----------
+        detector : Detector
+        digis : Table
+        calibration : Calibration or None
+        """
+        return find_clusters(
+            detector, digis, self.delays, calibration=calibration or neutral(len(detector.cgem)),
+            estimator=self.estimator, lorentz=self.lorentz, missing=self.missing, edge=self.edge,
+        )  # fmt: skip
+
+    def expected_errors(self, detector: Detector) -> tuple[Floats, Floats]:
+        """Return the errors of clusters of the most frequent size, see `Readout.expected_errors`.
+
+        Parameters
+        ----------
+        detector : Detector
+
+        Raises
+        ------
+        CalibrationError
+            If there is no calibration for this detector, field and read-out.
+        """
+        return calibration_of(detector, self).typical(self.estimator)
+
+    def delays(self, induction: Floats) -> tuple[Floats, Floats]:
+        """Return measured charge and delay of the chip by layer and view, see `find_clusters`.
+
+        Parameters
+        ----------
+        induction : (layers,) float64, ns
+        """
+        raise NotImplementedError
+
+    def chip(self) -> dict[str, Any]:
+        """Return the chip as the core takes it."""
+        raise NotImplementedError
+
+    def _chip(self, kind: str, timing: Shaper, charge: Shaper, **values: float) -> dict[str, Any]:
+        """Return a chip with what both chips have in common."""
+        common = {"threshold_x": self.threshold_x, "threshold_v": self.threshold_v, "noise": self.noise}
+        shapers = {"timing": (timing.normalised, timing.delay), "charge": (charge.normalised, charge.delay)}
+        return {"kind": kind, **shapers, **common, "jitter": self.jitter, **values}

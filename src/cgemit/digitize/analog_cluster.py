@@ -1,0 +1,275 @@
+"""Clusters of strips with charge and time, and what they assume of gas and chip (docs/methods/readout.md)."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib import resources
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from cgemit import _core
+from cgemit.detector import Detector, compiled
+from cgemit.digitize.transport import drift_columns
+from cgemit.problems import ProblemsError
+from cgemit.tables import Table
+
+Floats = npt.NDArray[np.float64]
+
+Estimator = Literal["merged", "centroid", "micro-tpc"]
+ESTIMATORS: tuple[Estimator, ...] = ("merged", "centroid", "micro-tpc")
+SIZES = 24
+"""Numbers of strips with errors of their own; larger clusters have the error of this number."""
+CHARGES = 6
+"""Ranges of the charge of clusters with errors of their own."""
+
+#: Changes with everything that makes stored calibrations wrong.
+MODEL = 1
+_SPEED_OF_LIGHT = 299.792458  # mm/ns
+_MISSING = (
+    "got no calibration for this detector, field and read-out, "
+    "expected digitize.readout.calibration = a file written by: cgemit readout --calibrate FILE"
+)
+#: Keys of a layer that calibrations depend on, with those of the gaps' gas.
+_LAYER = (
+    "anode_radius", "readout_offset", "length", "sheets", "pitch_x", "pitch_v", "stereo", "strips_x", "strips_v",
+    "offset_v", "drift_gap", "transfer_gap", "induction_gap", "drift_field", "transfer_field", "induction_field",
+    "foils", "hole_pitch",
+)  # fmt: skip
+_FOLDER = "readout"  # of the package's data
+
+
+class CalibrationError(ProblemsError[str]):
+    """A calibration that is missing or wrong; `problems` lists every problem."""
+
+
+#: Shapes of the arrays of a calibration; -1 stands for the number of layers.
+_SHAPES = {
+    "edges": (2, -1, CHARGES - 1), "depth": (2, -1, CHARGES), "height": (2, -1, CHARGES), "typical_errors": (3, 2, -1),
+    "errors": (3, 2, -1, CHARGES, SIZES),
+}  # fmt: skip
+
+
+def _shape(name: str, layers: int) -> tuple[int, ...]:
+    return tuple(layers if n < 0 else n for n in _SHAPES[name])
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """Errors of clusters by estimator, view, layer, charge and number of strips.
+
+    Attributes
+    ----------
+    errors : (3, 2, layers, CHARGES, SIZES) float64, mm
+        In the order of `ESTIMATORS`; views X and V.
+    depth : (2, layers, CHARGES) float64, mm
+        Outward; what to add to the heights in the gap that times give, so that line fits do not depend on the slope.
+    height : (2, layers, CHARGES) float64, mm
+        Outward from mid-gap; mean height of the charge in the gap, at which centroids are corrected for the Lorentz
+        shift.
+    edges : (2, layers, CHARGES - 1) float64, fC
+        Charges of clusters where the next range begins.
+    typical_errors : (3, 2, layers) float64, mm
+        Over all charges and sizes of the sample.
+    key : str
+        Hash of what the calibration belongs to, see `key_of`.
+    about : str
+        Detector, read-out and sample, for people.
+    """
+
+    errors: Floats
+    depth: Floats
+    height: Floats
+    edges: Floats
+    typical_errors: Floats
+    key: str
+    about: str
+
+    def typical(self, estimator: str) -> tuple[Floats, Floats]:
+        """Return the errors of X and V, each (layers,) float64 mm, over all sizes."""
+        x, v = self.typical_errors[ESTIMATORS.index(estimator)]
+        return x, v
+
+    def to_json(self) -> str:
+        """Return the text of a calibration file."""
+        data = {
+            "about": self.about, "key": self.key,
+            **{name: np.round(getattr(self, name), 6).tolist() for name in _SHAPES},
+        }  # fmt: skip
+        return json.dumps(data) + "\n"
+
+
+def neutral(layers: int) -> Calibration:
+    """Return the calibration with which calibrations are made: equal errors, no correction."""
+    values = {name: np.ones(_shape(name, layers)) for name in ("errors", "typical_errors")}
+    values |= {name: np.zeros(_shape(name, layers)) for name in ("depth", "height", "edges")}
+    return Calibration(**values, key="", about="none")
+
+
+def key_of(detector: Detector, readout: Any) -> str:
+    """Return the hash of what a calibration depends on: CGEM layers, field, settings of the read-out.
+
+    Parameters
+    ----------
+    detector : Detector
+    readout : AnalogReadout or ProjectionReadout
+        Its `calibration` and `estimator` do not count.
+
+    Returns
+    -------
+    str
+        16 hexadecimal digits.
+    """
+    settings = readout.to_dict()
+    for name in ("calibration", "estimator"):
+        settings.pop(name, None)
+    layers = [[getattr(layer, name) for name in _LAYER] + [layer.gas.ionization] for layer in detector.cgem]
+    text = json.dumps([MODEL, readout.name, settings, layers, detector.field.bz], sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+@lru_cache(maxsize=64)
+def calibration_of(detector: Detector, readout: Any) -> Calibration:
+    """Return the calibration of a read-out: its file, or the one that comes with the program.
+
+    Parameters
+    ----------
+    detector : Detector
+    readout : AnalogReadout or ProjectionReadout
+
+    Raises
+    ------
+    CalibrationError
+        If there is none, or the file belongs to another detector, field or read-out.
+    """
+    key = key_of(detector, readout)
+    if readout.calibration:
+        found = read_calibration(Path(readout.calibration).read_text(encoding="utf-8"), readout.calibration)
+    else:
+        file = resources.files("cgemit.data") / _FOLDER / f"{key}.json"
+        if not file.is_file():
+            raise CalibrationError(
+                f"read-out {readout.name} of {detector.name}",
+                [_MISSING],
+            )
+        found = read_calibration(file.read_text(encoding="utf-8"), file.name)
+    if found.key != key:
+        raise CalibrationError(
+            readout.calibration or key,
+            [f"got a calibration of {found.about}, expected one of this detector, field and read-out ({key})"],
+        )
+    return found
+
+
+def read_calibration(text: str, source: str) -> Calibration:
+    """Return the calibration of a file.
+
+    Parameters
+    ----------
+    text, source : str
+        Its content and its name, for messages.
+
+    Raises
+    ------
+    CalibrationError
+        Listing every problem of the file.
+    """
+    try:
+        data = json.loads(text)
+        values = {name: np.array(data[name], np.float64) for name in _SHAPES}
+        key, about = str(data["key"]), str(data["about"])
+    except (ValueError, KeyError, TypeError) as error:
+        raise CalibrationError(source, [f"got {error!r}, expected a calibration file"]) from error
+    problems = []
+    layers = values["depth"].shape[1] if values["depth"].ndim == 3 else 0
+    for name, array in values.items():
+        if array.shape != _shape(name, layers):
+            problems.append(f"{name}: got shape {array.shape}, expected {_shape(name, layers)}")
+        if not np.isfinite(array).all() or ("errors" in name and not (array > 0).all()):
+            problems.append(f"{name}: got numbers that are not finite or not positive, expected lengths or charges")
+    if problems:
+        raise CalibrationError(source, problems)
+    return Calibration(**values, key=key, about=about)
+
+
+def find_clusters(
+    detector: Detector,
+    digis: Table,
+    delays: Callable[[Floats], tuple[Floats, Floats]],
+    *,
+    calibration: Calibration,
+    estimator: Estimator,
+    lorentz: bool,
+    missing: int,
+    edge: float,
+) -> Table:
+    """Return the clusters of strips with charge and time.
+
+    Parameters
+    ----------
+    detector : Detector
+    digis : Table
+    delays : callable
+        Returns measured charge (fC, growing) and delay of the chip (ns), each (2 layers, n) float64, by layer and view,
+        from the induction times of the layers, (layers,) float64 ns.
+    calibration : Calibration
+    estimator : str
+    lorentz : bool
+        Whether the Lorentz shift is corrected.
+    missing : int
+        Strips that may be missing within a cluster.
+    edge : float
+        Outermost strips with a smaller share of their neighbour's charge do not enter line fits.
+    """
+    drift = drift_columns(detector)
+    flight = np.array([layer.r_mid for layer in detector.cgem]) / _SPEED_OF_LIGHT
+    bend = 1.0 if lorentz else 0.0
+    timing = {
+        "velocity": drift["velocity"],
+        "tan_lorentz": bend * drift["tan_lorentz"],
+        "shift": bend * drift["shift"],
+        "delay": drift["delay"] + flight,
+    }
+    return clusters_at(
+        detector, digis, timing, delays(drift["induction"]),
+        calibration=calibration, estimator=estimator, missing=missing, edge=edge,
+    )  # fmt: skip
+
+
+def clusters_at(
+    detector: Detector,
+    digis: Table,
+    timing: dict[str, Floats],
+    delays: tuple[Floats, Floats],
+    *,
+    calibration: Calibration,
+    estimator: Estimator,
+    missing: int,
+    edge: float,
+) -> Table:
+    """Return the clusters of strips for given drift and delays.
+
+    Parameters
+    ----------
+    detector : Detector
+    digis : Table
+    timing : dict of str to ndarray, (layers,) float64
+        velocity (mm/ns), tan_lorentz, shift (rad), delay (ns).
+    delays : (ndarray, ndarray), (2 layers, n) float64
+        Charge (fC) and delay (ns) of the chip by layer and view.
+    calibration, estimator, missing, edge
+        See `find_clusters`.
+    """
+    found = _core.find_charge_time_clusters(
+        compiled(detector), dict(digis.columns), timing=timing, delay_charge=delays[0], delay=delays[1],
+        errors=calibration.errors.reshape(-1, SIZES), depth=calibration.depth.reshape(-1, CHARGES),
+        height=calibration.height.reshape(-1, CHARGES), edges=calibration.edges.reshape(-1, CHARGES - 1),
+        estimator=estimator, missing=missing, edge=edge,
+    )  # fmt: skip
+    return Table("clusters", found, **digis.cover)

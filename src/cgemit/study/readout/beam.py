@@ -1,0 +1,158 @@
+"""A test beam: one layer of 2 m radius, which is nearly plane, and particles at a given angle to it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from cgemit.chain import run
+from cgemit.detector import Detector, load
+from cgemit.digitize.analog_cluster import ESTIMATORS
+from cgemit.particles import particles_from
+from cgemit.result import Result
+from cgemit.species import species
+from cgemit.statistics.estimate import Resolution, measure
+from cgemit.study.readout.calibrate import calibration_from, measurements
+from cgemit.tables import Table
+
+RADIUS = 2000.0
+"""Of the anode, mm."""
+LEAST_FIELD = 1e-3  # T
+_SPREAD = 20.0  # mm, half-width of the beam at mid-gap
+_BEFORE = 3.0  # mm, from the layer's inner face to where particles start
+
+
+def beam_detector(bz: float = 0.0, **layer: Any) -> Detector:
+    """Return a detector of one layer with 650 um strips, a 5/2/2/2 mm stack and Ar/iC4H10 90/10.
+
+    Parameters
+    ----------
+    bz : float
+        T; electrons are bent towards larger phi if it is positive. 0 stands for 1 mT, the least field of a detector.
+    **layer
+        Keys of the layer that differ, such as ``drift_field="2 kV/cm"``.
+    """
+    own = {"anode_radius": f"{RADIUS} mm", "length": "400 mm", "sheets": 1, "phi_first": "180 deg", "stereo": "45 deg"}
+    tables = {
+        "base": "besiii-cgem-design",
+        "name": f"beam {bz:g} T",
+        "remove": ["cgem.L2", "cgem.L3", "beam_pipe", "walls", "drift_chamber"],
+        "field": {"kind": "uniform", "bz": f"{bz or LEAST_FIELD!r} T"},
+        "cgem": {"L1": own | layer},
+    }
+    return load(tables)
+
+
+def beam_particles(detector: Detector, particle: str, p: float, angle: float, n: int, seed: int) -> Table:
+    """Return particles that cross the middle of the gap at an angle to the radius.
+
+    Parameters
+    ----------
+    detector : Detector
+    particle : str
+    p : float
+        GeV/c.
+    angle : float
+        rad, in the plane across the beam line, positive towards larger phi.
+    n : int
+    seed : int
+    """
+    layer = detector.cgem[0]
+    random = np.random.default_rng(seed)
+    phi, z = random.uniform(-_SPREAD, _SPREAD, (2, n)) / np.array([[layer.r_mid], [1.0]])
+    back = (layer.r_mid - layer.r_in + _BEFORE) / np.cos(angle)
+    ux, uy = np.cos(phi + angle), np.sin(phi + angle)
+    return particles_from(
+        {
+            "event": np.arange(n), "pdg": np.full(n, species(particle).pdg), "x": layer.r_mid * np.cos(phi) - back * ux,
+            "y": layer.r_mid * np.sin(phi) - back * uy, "z": z, "px": p * ux, "py": p * uy, "pz": np.zeros(n),
+        }
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class BeamPoint:
+    """What a read-out measures at one angle, across the X strips.
+
+    Attributes
+    ----------
+    angle : float, deg
+    charge : float, fC
+        Mean of the X clusters, without the largest 2 %.
+    size : float
+        Mean number of strips.
+    efficiency : float
+        Share of crossings with an X cluster.
+    widths : dict of str to Resolution
+        Residuals in um by estimator.
+    """
+
+    angle: float
+    charge: float
+    size: float
+    efficiency: float
+    widths: dict[str, Resolution]
+
+
+def beam_run(
+    detector: Detector, readout: Any, angle: float, *, n: int, seed: int, particle: str = "pi-", p: float = 150.0,
+    threads: int | None = None,
+) -> Result:  # fmt: skip
+    """Return a run of a beam up to its digis.
+
+    Parameters
+    ----------
+    detector : Detector
+    readout : AnalogReadout
+    angle : float
+        deg.
+    n : int
+    seed : int
+    particle : str
+    p : float
+        GeV/c.
+    threads : int or None
+    """
+    particles = beam_particles(detector, particle, p, np.radians(angle), n, seed)
+    return run(detector, particles, seed=seed, readout=readout, until="digitize", threads=threads)
+
+
+def beam_point(
+    detector: Detector, readout: Any, angle: float, *, n: int = 4000, seed: int = 1, particle: str = "pi-",
+    p: float = 150.0, threads: int | None = None,
+) -> BeamPoint:  # fmt: skip
+    """Return what a read-out resolves at one angle; another sample at the same angle gives the errors for merging.
+
+    Parameters
+    ----------
+    detector : Detector
+        As `beam_detector` makes it.
+    readout : AnalogReadout
+    angle : float
+        deg, positive towards larger phi.
+    n : int
+        Particles in each of the samples.
+    seed : int
+    particle : str
+    p : float
+        GeV/c.
+    threads : int or None
+    """
+    other, result = (
+        beam_run(detector, readout, angle, n=n, seed=one, particle=particle, p=p, threads=threads)
+        for one in (seed + 1, seed)
+    )
+    calibration = calibration_from(other, readout, "beam")
+    widths: dict[str, Resolution] = {}
+    charge, size, found = float("nan"), float("nan"), 0
+    for estimator in ESTIMATORS:
+        clusters = replace(readout, estimator=estimator).cluster_with(detector, result.digis, calibration)
+        sample = measurements(detector, clusters, result.truths, lorentz=readout.lorentz)
+        across = sample.view == 0
+        widths[estimator] = measure(1e3 * sample.residual[across], parameter=estimator, unit="um")
+        charges = np.sort(sample.charge[across])
+        charge = float(np.mean(charges[: int(0.98 * len(charges))]))
+        size, found = float(np.mean(sample.size[across])), int(np.count_nonzero(across))
+    return BeamPoint(angle, charge, size, found / len(result.truths), widths)

@@ -1,0 +1,55 @@
+// The tables that the digitizers read and write as dicts of numpy columns.
+#pragma once
+
+#include "bindings/arrays.hpp"
+#include "bindings/inputs.hpp"
+#include "digitize/digis.hpp"
+#include "digitize/truths.hpp"
+
+namespace cgemit::bindings {
+
+inline TruthColumns truth_columns(Inputs& in) {
+  TruthColumns truths;
+  truths.event = in.get<std::int64_t>("event");
+  truths.particle = in.get<std::int32_t>("particle");
+  truths.layer = in.get<std::int32_t>("layer");
+  truths.entry = {in.get<double>("entry_x"), in.get<double>("entry_y"), in.get<double>("entry_z")};
+  truths.exit = {in.get<double>("exit_x"), in.get<double>("exit_y"), in.get<double>("exit_z")};
+  truths.phi = in.get<double>("phi");
+  truths.z = in.get<double>("z");
+  truths.time = in.get<double>("time");
+  truths.energy = in.get<double>("energy");
+  return truths;
+}
+
+inline StepColumns step_columns(Inputs& in) {
+  StepColumns steps;
+  steps.event = in.get<std::int64_t>("event");
+  steps.truth = in.get<std::int64_t>("truth");
+  steps.particle = in.get<std::int32_t>("particle");
+  steps.layer = in.get<std::int32_t>("layer");
+  steps.n_electrons = in.get<std::int32_t>("n_electrons");
+  steps.parent = in.get<std::int8_t>("parent");
+  steps.middle = {in.get<double>("x"), in.get<double>("y"), in.get<double>("z")};
+  steps.d = {in.get<double>("dx"), in.get<double>("dy"), in.get<double>("dz")};
+  steps.energy = in.get<double>("energy");
+  return steps;
+}
+
+inline py::dict to_dict(DigiColumns&& digis) {
+  py::dict out;
+  out["event"] = to_numpy(std::move(digis.event));
+  out["layer"] = to_numpy(std::move(digis.layer));
+  out["sheet"] = to_numpy(std::move(digis.sheet));
+  out["view"] = to_numpy(std::move(digis.view));
+  out["strip"] = to_numpy(std::move(digis.strip));
+  out["gid"] = to_numpy(std::move(digis.gid));
+  out["position"] = to_numpy(std::move(digis.position));
+  out["charge"] = to_numpy(std::move(digis.charge));
+  out["time"] = to_numpy(std::move(digis.time));
+  out["truth"] = to_numpy(std::move(digis.truth));
+  out["n_truths"] = to_numpy(std::move(digis.n_truths));
+  return out;
+}
+
+}  // namespace cgemit::bindings

@@ -1,0 +1,77 @@
+// Clusters of strips with charge and time: centroid of the charge, line fit through the drift gap
+// ("micro-TPC"), and their weighted mean (docs/methods/readout.md).
+#pragma once
+
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include "cluster/digis.hpp"
+#include "detector/cluster_rows.hpp"
+
+namespace cgemit {
+
+enum class Estimator { merged = 0, centroid = 1, micro_tpc = 2 };
+
+// What the reconstruction assumes of one layer.
+struct LayerTiming {
+  double velocity;     // mm/ns, in the drift gap
+  double tan_lorentz;  // in the drift gap, positive towards larger phi
+  double shift;        // rad, Lorentz shift behind the drift gap
+  double delay;  // ns, between the crossing and the arrival of electrons without drift in the induction gap
+};
+
+// Delay of the chip against the measured charge of a strip, by layer and view: rows of `points` entries each.
+struct DelayTable {
+  std::span<const double> charge, delay;  // fC, growing; ns
+  std::size_t points;
+
+  double at(std::size_t layer, int view, double strip_charge) const;
+};
+
+// Errors by estimator, view, layer, charge and number of strips; and what to add to the heights that times
+// give. The charge of a cluster counts by the number of `edges` that it reaches. Larger clusters have the
+// error of the largest size.
+struct Calibration {
+  std::span<const double> errors;  // mm; (3, 2, layers, charges, sizes)
+  std::span<const double> depth;   // mm, outward, added to heights; (2, layers, charges)
+  std::span<const double> height;  // mm, mean height of the charge of a centroid; (2, layers, charges)
+  std::span<const double> edges;   // fC, growing; (2, layers, charges - 1)
+  std::size_t layers, charges, sizes;
+
+  // Row of a cluster in `depth` and `height`.
+  std::size_t row(int view, std::size_t layer, double charge) const;
+  double error(Estimator which, std::size_t row, std::int32_t size) const;
+};
+
+struct ChargeTimeModel {
+  std::span<const LayerTiming> layers;
+  DelayTable delays;
+  Calibration calibration;
+  Estimator estimator;
+  std::int32_t missing;  // strips that may be missing within a cluster
+  double
+      edge;  // outermost strips with less than this share of their neighbour's charge do not enter line fits
+};
+
+// Position of a strip and where in the gap its charge comes from.
+struct StripPoint {
+  double position;  // mm, X or V at the anode, without correction
+  double charge;    // fC
+  double height;    // mm, outward from mid-gap; of the start of its electrons
+};
+
+// Line x = a + b w through points at heights w: least squares in x with weights 1/(1 + (mean
+// charge/charge)^2), the errors of PARSIFAL up to a factor. Finite at any incidence. `good` is false for
+// fewer than three points, or if all are at one height.
+struct Line {
+  double at_middle, slope;
+  bool good;
+};
+Line fit_line(std::span<const StripPoint> points);
+
+// Rows ordered by event, layer, sheet, then X, V and XV clusters, with positions at mid-gap.
+ClusterColumns find_charge_time_clusters(const Detector& detector, const DigiView& digis,
+                                         const ChargeTimeModel& model);
+
+}  // namespace cgemit

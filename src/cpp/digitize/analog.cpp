@@ -1,0 +1,173 @@
+#include "digitize/analog.hpp"
+
+#include <stdexcept>
+#include <string>
+#include <vector>
+
+#include "digitize/strip_signals.hpp"
+
+namespace cgemit {
+namespace {
+
+constexpr double late = 8;  // widths of the drift time beyond which no electron arrives
+
+// First step of each truth, and the end of the last one's.
+std::vector<std::size_t> first_steps(const TruthColumns& truths, const StepColumns& steps) {
+  std::vector<std::size_t> first(truths.size() + 1, steps.size());
+  std::size_t step = 0;
+  for (std::size_t row = 0; row < truths.size(); ++row) {
+    first[row] = step;
+    double deposited = 0;
+    for (; step < steps.size() && steps.truth[step] == static_cast<std::int64_t>(row); ++step) {
+      deposited += steps.energy[step];
+    }
+    if (std::abs(deposited - truths.energy[row]) > 1e-6 * (truths.energy[row] + 1)) {
+      throw std::invalid_argument("truths row " + std::to_string(row) + ": its steps deposit " +
+                                  std::to_string(deposited) + " keV, expected its energy, " +
+                                  std::to_string(truths.energy[row]) +
+                                  " keV: simulate with SimulateSettings(steps=True)");
+    }
+  }
+  return first;
+}
+
+// Number of earlier rows of the event with the same particle in the same layer; with particle and layer it
+// identifies a truth independently of the chunk.
+std::uint32_t earlier(const TruthColumns& truths, std::size_t event_begin, std::size_t row) {
+  std::uint32_t n = 0;
+  for (std::size_t i = event_begin; i < row; ++i) {
+    n += truths.particle[i] == truths.particle[row] && truths.layer[i] == truths.layer[row];
+  }
+  return n;
+}
+
+class EventReadout {
+ public:
+  EventReadout(const Detector& detector, const TruthColumns& truths, const StepColumns& steps,
+               const AnalogModel& readout)
+      : detector_(detector),
+        truths_(truths),
+        steps_(steps),
+        first_(first_steps(truths, steps)),
+        readout_(readout) {
+    for (const CgemLayer& layer : detector.cgem) signals_.emplace_back(layer);
+  }
+
+  // Truths [begin, end) are those of one event.
+  void read(std::size_t begin, std::size_t end) {
+    for (std::size_t layer = 0; layer < detector_.cgem.size(); ++layer) {
+      if (!open(layer, begin, end)) continue;
+      for (std::size_t row = begin; row < end; ++row) {
+        if (truths_.layer[row] == static_cast<std::int32_t>(layer)) collect(row, begin);
+      }
+      signals_[layer].couple(readout_.neighbour, readout_.second);
+      write(layer, truths_.event[begin]);
+    }
+  }
+  DigiColumns digis;
+
+ private:
+  // Prepares the currents of a layer; false if no truth crosses it.
+  bool open(std::size_t layer, std::size_t begin, std::size_t end) {
+    double first = std::numeric_limits<double>::infinity(), last = -first;
+    for (std::size_t row = begin; row < end; ++row) {
+      if (truths_.layer[row] != static_cast<std::int32_t>(layer)) continue;
+      first = std::min(first, truths_.time[row]);
+      last = std::max(last, truths_.time[row]);
+    }
+    if (first > last) return false;
+    const LayerDrift& drift = readout_.drift[layer];
+    const double gap = detector_.cgem[layer].r_gap_out - detector_.cgem[layer].r_gap_in;
+    const double spread = late * readout_.physics.diffusion * drift.sigma_l * std::sqrt(gap) / drift.velocity;
+    signals_[layer].begin(first + drift.delay - spread, last + drift.delay + gap / drift.velocity + spread,
+                          drift.induction);
+    return true;
+  }
+
+  // Drifts all electrons of a truth to the strips.
+  void collect(std::size_t row, std::size_t event_begin) {
+    const auto number = static_cast<std::size_t>(truths_.layer[row]);
+    const std::uint32_t place =
+        (static_cast<std::uint32_t>(number) << 19) | ((earlier(truths_, event_begin, row) & 7U) << 16);
+    const Stream stream(readout_.seed, static_cast<std::uint64_t>(truths_.event[row]),
+                        static_cast<std::uint32_t>(truths_.particle[row]));
+    const double ratio = readout_.share_spread * stream.normals(Purpose::readout_truth, place)[0];
+    const std::array<double, 2> share = {1 / (1 + std::exp(-ratio)), 1 / (1 + std::exp(ratio))};
+    std::uint32_t electron = 0;
+    for (std::size_t i = first_[row]; i < first_[row + 1]; ++i) {
+      for (std::int32_t k = 0; k < steps_.n_electrons[i]; ++k) {
+        ElectronDraws draws(stream, place, electron++);
+        release(number, i, row, share, draws);
+      }
+    }
+  }
+
+  // One electron of a step.
+  void release(std::size_t number, std::size_t step, std::size_t row, const std::array<double, 2>& share,
+               ElectronDraws& draws) {
+    if (draws.uniform() > readout_.physics.survival) return;
+    const CgemLayer& layer = detector_.cgem[number];
+    const LayerDrift& gas = readout_.drift[number];
+    const Point at = steps_.end(step, draws.uniform() - 0.5);
+    const Arrival cloud = drift(layer, gas, readout_.physics, std::sqrt(at.x * at.x + at.y * at.y),
+                                std::atan2(at.y, at.x), at.z, draws);
+    const double factor = readout_.physics.diffusion;
+    const double sigma_x =
+        layer.r_readout * std::max(std::hypot(factor * gas.cloud_phi, cloud.spread_phi), least_phi);
+    const double sigma_z = std::max(std::hypot(factor * gas.cloud_z, cloud.spread_z), least_z);
+    const double charge = cloud.charge * elementary_charge_fC;
+    StripSignals& signals = signals_[number];
+    const StripSignals::Transit transit = signals.transit(truths_.time[row] + cloud.time);
+    share_on_layer(
+        layer, cloud.phi, cloud.z, sigma_x, sigma_z, [&](int sheet, int view, int strip, double part) {
+          signals.add(sheet, view, strip, transit, part * share[static_cast<std::size_t>(view)] * charge,
+                      static_cast<std::int64_t>(row));
+        });
+  }
+
+  void write(std::size_t number, std::int64_t event) {
+    const CgemLayer& layer = detector_.cgem[number];
+    const Stream stream(readout_.seed, static_cast<std::uint64_t>(event), 0);
+    signals_[number].each([&](int sheet, int view, int strip, const StripSignals::Source& source,
+                              std::span<const double> steps) {
+      const double threshold = readout_.chip.threshold[static_cast<std::size_t>(view)];
+      if (source.total < threshold - hopeless * readout_.chip.noise) return;
+      DigiRow digi{event, static_cast<std::int32_t>(number), sheet, static_cast<std::int8_t>(view), strip};
+      digi.gid = layer.gid_first + sheet * (layer.strips_x + layer.strips_v) +
+                 (view == 0 ? 0 : layer.strips_x) + strip;
+      const auto measured = measure(readout_.chip, view, signals_[number].start(), steps, stream,
+                                    static_cast<std::uint32_t>(digi.gid));
+      if (!measured) return;
+      digi.charge = measured->charge;
+      digi.time = measured->time;
+      digi.truth = source.largest_truth;
+      digi.n_truths = source.n;
+      digis.push_back(digi);
+    });
+  }
+
+  static constexpr double hopeless = 6;  // times the noise below threshold: such strips never fire
+  static constexpr double least_phi = 1e-9, least_z = 1e-6;  // rad, mm: a cloud without diffusion
+  const Detector& detector_;
+  const TruthColumns& truths_;
+  const StepColumns& steps_;
+  std::vector<std::size_t> first_;
+  const AnalogModel& readout_;
+  std::vector<StripSignals> signals_;
+};
+
+}  // namespace
+
+DigiColumns read_out_analog(const Detector& detector, const TruthColumns& truths, const StepColumns& steps,
+                            const AnalogModel& readout) {
+  check(truths, detector);
+  check(steps, truths, detector);
+  EventReadout event(detector, truths, steps, readout);
+  for (std::size_t begin = 0, end; begin < truths.size(); begin = end) {
+    end = event_end(truths.event, begin);
+    event.read(begin, end);
+  }
+  return std::move(event.digis);
+}
+
+}  // namespace cgemit

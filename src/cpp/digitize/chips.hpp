@@ -1,0 +1,37 @@
+// Front-end chips: what a strip's current becomes (docs/methods/readout.md).
+#pragma once
+
+#include <array>
+#include <optional>
+#include <span>
+
+#include "common/rng.hpp"
+#include "digitize/shaper.hpp"
+
+namespace cgemit {
+
+enum class ChipKind { tiger, apv25 };
+
+// Amplitudes are in fC: 1 fC that arrives at once has a peak of 1 fC behind either shaper.
+struct Chip {
+  ChipKind kind;
+  Shaper timing, charge;            // APV25: the second one is not used
+  std::array<double, 2> threshold;  // fC, of X and V strips
+  double noise;                     // fC, standard deviation of an amplitude
+  double jitter;                    // ns, standard deviation of the time
+  double saturation;                // fC, largest charge
+  double sample_delay;  // ns, TIGER: from the crossing of the threshold to the sample of the charge
+  double clock;         // ns, APV25: between samples, the first one at time 0
+  int samples;          // APV25
+};
+
+struct Measured {
+  double charge, time;  // fC, ns
+};
+
+// What the chip makes of a current that begins at `start` (ns), given by its steps (fC/ns) on the grid of
+// `strip_signals.hpp`; nothing below the threshold. Noise is that of (stream, gid).
+std::optional<Measured> measure(const Chip& chip, int view, double start, std::span<const double> steps,
+                                const Stream& stream, std::uint32_t gid);
+
+}  // namespace cgemit

@@ -1,0 +1,71 @@
+// Response of a front-end amplifier as a sum of damped terms, so that a train of currents is filtered in one
+// pass.
+#pragma once
+
+#include <array>
+#include <cmath>
+#include <cstddef>
+#include <span>
+#include <stdexcept>
+
+namespace cgemit {
+
+// Response to a unit charge at time 0: the sum of (a + b u) exp(-rate u) for u = t - delay > 0. One for the
+// peak: `cgemit.digitize.shapers` normalises it.
+struct ShaperTerm {
+  double a, b, rate;  // 1, 1/ns, 1/ns
+};
+
+struct Shaper {
+  static constexpr std::size_t most = 4;
+  std::array<ShaperTerm, most> terms{};
+  std::size_t n = 0;
+  double delay = 0;  // ns
+
+  Shaper(std::span<const double> rows, double delayed) : delay(delayed) {
+    if (rows.empty() || rows.size() % 3 != 0 || rows.size() > 3 * most) {
+      throw std::invalid_argument("shaper: expected 1 to 4 terms of 3 numbers");
+    }
+    for (; n < rows.size() / 3; ++n) {
+      terms[n] = {rows[3 * n], rows[3 * n + 1], rows[3 * n + 2]};
+      if (!(terms[n].rate > 0)) throw std::invalid_argument("shaper: expected positive rates");
+    }
+  }
+};
+
+// Amplitude at equidistant times for a current that is constant between them, filtered from one time to the
+// next. The response to a step of the current is the integral of the response to a charge,
+//   a/rate + b/rate^2 - exp(-rate u) (a/rate + b/rate^2 + b u/rate).
+class StepFilter {
+ public:
+  StepFilter(const Shaper& shaper, double dt) : n_(shaper.n), dt_(dt) {
+    for (std::size_t k = 0; k < n_; ++k) {
+      const ShaperTerm& term = shaper.terms[k];
+      const double constant = term.a / term.rate + term.b / (term.rate * term.rate);
+      level_ += constant;
+      constant_[k] = constant;
+      slope_[k] = term.b / term.rate;
+      decay_[k] = std::exp(-term.rate * dt);
+    }
+  }
+  // Goes on to the next time and adds a step of the current (fC/ns) there; returns the amplitude (fC),
+  // without the shaper's delay.
+  double next(double step) {
+    double amplitude = level_ * current_;
+    for (std::size_t k = 0; k < n_; ++k) {
+      linear_[k] = decay_[k] * (linear_[k] + dt_ * plain_[k]);
+      plain_[k] *= decay_[k];
+      amplitude -= constant_[k] * plain_[k] + slope_[k] * linear_[k];
+      plain_[k] += step;
+    }
+    current_ += step;
+    return amplitude;
+  }
+
+ private:
+  std::size_t n_;
+  double dt_, level_ = 0, current_ = 0;
+  std::array<double, Shaper::most> constant_{}, slope_{}, decay_{}, plain_{}, linear_{};
+};
+
+}  // namespace cgemit

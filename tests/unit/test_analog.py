@@ -1,0 +1,209 @@
+"""Steps of the analog read-out one by one: gain, holes, cloud, shapers, line fit; chunks, mistakes, calibrations."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from cgemit import Apv25Readout, Gun, Settings, SimulateSettings, TigerReadout, _core, digitize, load, run
+from cgemit.cluster import ClusterSettings
+from cgemit.detector import compiled
+from cgemit.detector.strips import local_v, strips_of_v
+from cgemit.digitize.analog_cluster import CHARGES, SIZES, CalibrationError, calibration_of, key_of, read_calibration
+from cgemit.digitize.apv25 import half_height
+from cgemit.digitize.shapers import APV25, TIGER_E, TIGER_T, Shaper
+from cgemit.digitize.tiger import SAMPLE_DELAY, leading_edges
+from stats import assert_within
+
+DESIGN = load("besiii-cgem-design")
+GUN = Gun("mu-", p=1.0, cos_theta=(-0.8, 0.8))
+
+
+@pytest.mark.parametrize("theta", [0.0, 0.36, 5.0])
+def test_gain_is_a_gamma_distribution(theta: float) -> None:
+    gains = _core.polya_gains(theta, 5, 20_000)
+    law = stats.gamma(1 + theta, scale=1 / (1 + theta))
+    assert stats.kstest(gains, law.cdf).pvalue > 1e-4
+    assert_within(gains.mean(), 1, law.std() / np.sqrt(len(gains)))
+    assert stats.kstest(gains, stats.expon(scale=1.1).cdf).pvalue < 1e-4  # the gate can fail
+
+
+def test_nearest_hole_is_that_of_all_holes() -> None:
+    pitch, random = 0.14, np.random.default_rng(3)
+    u, v = random.uniform(-1, 1, (2, 2000))
+    i, j = (a.ravel() for a in np.meshgrid(np.arange(-20, 21), np.arange(-12, 13)))
+    holes = np.column_stack([pitch * (i + 0.5 * j), pitch * j * np.sqrt(0.75)])
+    distance = np.hypot(u[:, None] - holes[:, 0], v[:, None] - holes[:, 1])
+    found = _core.nearest_holes(pitch, u, v)
+    np.testing.assert_allclose(np.column_stack(found), holes[distance.argmin(axis=1)], atol=1e-12)
+    assert_within(np.mean((u - found[0]) ** 2), 5 / 72 * pitch**2, 5 / 72 * pitch**2 / np.sqrt(len(u)))
+
+
+@pytest.mark.parametrize("z", [30.0, 265.9])
+@pytest.mark.parametrize("x", [200.0, 0.1])
+def test_cloud_on_the_strips_against_points(x: float, z: float) -> None:
+    """Points of a Gaussian, counted in the strips of both views: in the middle, at edges and at a corner."""
+    layer, n = DESIGN.cgem[1], 200_000
+    sheet, sigma_x, sigma_z = 1, 0.28, 0.31
+    z = z - 265.9 + layer.half_length - 0.1 if z > 100 else z
+    found = _core.share_cloud(compiled(DESIGN), 1, layer.sheet_phi[sheet] + x / layer.r_readout, z, sigma_x, sigma_z)
+    random = np.random.default_rng(7)
+    points, along = random.normal(x, sigma_x, n), random.normal(z, sigma_z, n)
+    inside = (points >= 0) & (points < layer.strips_x * layer.pitch_x) & (np.abs(along) <= layer.half_length)
+    for view, place in ((0, points / layer.pitch_x), (1, strips_of_v(layer, local_v(layer, points, along)))):
+        rows = (found["view"] == view) & (found["sheet"] == sheet)
+        part = np.zeros(layer.strips_x if view == 0 else layer.strips_v)
+        np.add.at(part, found["strip"][rows], found["part"][rows])
+        strips = np.floor(place[inside]).astype(int)
+        expected = np.bincount(strips[(strips >= 0) & (strips < len(part))], minlength=len(part)) / n
+        np.testing.assert_allclose(part, expected, atol=5 * np.sqrt(0.25 / n))
+
+
+@pytest.mark.parametrize(
+    ("shaper", "peak", "width"), [(TIGER_T, 53.6, 123.0), (TIGER_E, 154.7, 237.0), (APV25, 50.0, 122.3)]
+)
+def test_pulse_shapes(shaper: Shaper, peak: float, width: float) -> None:
+    """Peak times and widths at half maximum of the chips' responses."""
+    t = np.arange(0.0, 800.0, 0.05)
+    pulse = shaper.response(t)
+    assert pulse.max() == pytest.approx(1, abs=1e-6)
+    assert t[pulse.argmax()] == pytest.approx(peak, abs=0.1)
+    assert np.count_nonzero(pulse > 0.5) * 0.05 == pytest.approx(width, abs=1.0)
+
+
+@pytest.mark.parametrize(
+    ("shaper", "factors"),
+    [(APV25, (0.950, 0.768, 0.634)), (TIGER_T, (0.940, 0.757, 0.637)), (TIGER_E, (0.986, 0.924, 0.860))],
+)
+def test_ballistic_deficit(shaper: Shaper, factors: tuple[float, ...]) -> None:
+    t = np.arange(0.0, 800.0, 0.1)
+    found = [shaper.pulse(t, duration).max() for duration in (56.5, 137.0, 193.0)]
+    np.testing.assert_allclose(found, factors, atol=1.5e-3)
+
+
+@pytest.mark.parametrize("shaper", [TIGER_T, TIGER_E, APV25])
+def test_filter_against_a_convolution(shaper: Shaper) -> None:
+    """Random steps of a current, filtered in one pass, and summed over all pairs of times."""
+    dt, random = 2.0, np.random.default_rng(1)
+    steps = random.normal(size=120)
+    times = dt * np.arange(len(steps))
+    lag = times[:, None] - times[None, :]
+    undelayed = Shaper(shaper.terms)
+    response = np.array([undelayed._step(row) for row in np.maximum(lag, 0.0)])
+    found = _core.shaped(shaper.normalised, dt, steps)
+    np.testing.assert_allclose(found, response @ steps, atol=1e-9)
+    assert np.abs(found - _core.shaped(shaper.normalised, 2.1, steps)).max() > 0.1  # the gate can fail
+
+
+def test_delays_of_the_chips() -> None:
+    """Time walk of a leading edge at a fixed threshold; half of the largest sample of a slow pulse."""
+    charge, delay = leading_edges(57.0, 2.0)
+    t = np.arange(0, 400, 0.01)
+    for i in (3, 30, 60):
+        true = charge[i] / TIGER_E.pulse(np.array([delay[i] + SAMPLE_DELAY]), 57.0)[0]
+        assert t[np.flatnonzero(true * TIGER_T.pulse(t, 57.0) > 2.0)[0]] == pytest.approx(delay[i], abs=0.2)
+    assert np.all(np.diff(charge) > 0)
+    assert np.all(np.diff(delay) < 0)
+    exact = APV25.pulse(t, 57.0)
+    assert half_height(57.0) == pytest.approx(t[np.flatnonzero(exact > 0.5 * exact.max())[0]], abs=2.0)
+
+
+def test_line_fit_against_least_squares() -> None:
+    random = np.random.default_rng(2)
+    height, charge = random.uniform(-2, 2, 6), random.uniform(1, 30, 6)
+    position = 3 + 0.4 * height + random.normal(0, 0.1, 6)
+    weight = 1 / (1 + (charge.mean() / charge) ** 2)
+    slope, middle = np.polyfit(height, position, 1, w=np.sqrt(weight))
+    np.testing.assert_allclose(_core.fit_line(position, charge, height), (middle, slope, True), rtol=1e-9)
+    assert _core.fit_line(position[:2], charge[:2], height[:2])[2] is False
+    assert _core.fit_line(position, charge, np.ones(6))[2] is False
+    upright = _core.fit_line(np.full(6, 5.0), charge, height)  # normal incidence
+    np.testing.assert_allclose(upright[:2], (5.0, 0.0), atol=1e-12)
+
+
+@pytest.mark.parametrize("readout", ["tiger", "apv25"])
+def test_chunks_and_threads_change_nothing(readout: str) -> None:
+    """Digis and clusters of an event depend on seed and event only."""
+    whole = run(DESIGN, GUN, 24, seed=4, readout=readout, until="cluster", chunk=24)
+    parts = run(DESIGN, GUN, 24, seed=4, readout=readout, until="cluster", chunk=5, threads=2)
+    other = run(DESIGN, GUN, 24, seed=5, readout=readout, until="cluster")
+    assert len(whole.digis) > 24 * 12
+    for name in ("charge", "time", "gid"):
+        assert np.array_equal(whole.digis[name], parts.digis[name])
+    assert np.array_equal(whole.clusters["err_x"], parts.clusters["err_x"], equal_nan=True)
+    assert not np.array_equal(whole.digis["charge"][:50], other.digis["charge"][:50])
+
+
+def test_charge_follows_gain_and_stays() -> None:
+    """Without threshold and noise the strips of both views hold what survives of the ionization."""
+    quiet = Apv25Readout(
+        threshold_x=1e-6,
+        threshold_v=1e-6,
+        noise=0,
+        saturation=1e9,
+        gain_fluctuation=False,
+        share_spread=0,
+        survival=1.0,
+    )
+    result = run(DESIGN, GUN, 300, seed=8, readout=quiet, until="digitize")
+    steps, half = result.steps, np.array([layer.half_length for layer in DESIGN.cgem])
+    assert np.all(np.abs(result.truths["z"]) < half[result.truths["layer"]] - 20)
+    electrons = steps["n_electrons"].sum()
+    expected = 0.5 * electrons * quiet.gain * 1.602176634e-4
+    for view in (0, 1):  # the largest sample of each strip: less than the charge, more than after the worst deficit
+        share = result.digis["charge"][result.digis["view"] == view].sum() / expected
+        assert 0.80 < share < 0.97
+    double = run(DESIGN, GUN, 300, seed=8, readout=replace(quiet, gain=24_000.0), until="digitize")
+    assert double.digis["charge"].sum() == pytest.approx(2 * result.digis["charge"].sum(), rel=1e-4)
+
+
+def test_it_needs_all_ionization() -> None:
+    """The chain makes clusters rows of the steps; without them the truth is named."""
+    settings = Settings(simulate=SimulateSettings(steps=False))
+    result = run(DESIGN, GUN, 3, seed=4, settings=settings, until="simulate")
+    with pytest.raises(ValueError, match=r"truths row 0: its steps deposit .* SimulateSettings\(steps=True\)"):
+        digitize.digitize(DESIGN, result.truths, result.wire_truths, digitize.DigitizeSettings(readout="tiger"), 1,
+                          steps=result.steps)  # fmt: skip
+    with pytest.raises(ValueError, match="steps: got True, expected False unless fluctuations are 'full'"):
+        run(DESIGN, GUN, 3, readout="tiger", settings=Settings(simulate=SimulateSettings(fluctuations="off")))
+
+
+def test_every_wrong_setting_is_listed() -> None:
+    with pytest.raises(ValueError, match="4 problems") as caught:
+        TigerReadout(gain=0, survival=1.2, neighbour=-0.1, estimator="mean")  # type: ignore[arg-type]
+    assert all(name in str(caught.value) for name in ("gain", "survival", "neighbour", "estimator"))
+
+
+def test_calibrations_of_the_presets() -> None:
+    """Presets have one; another detector or read-out needs its own, and the message says how to make it."""
+    for name in ("besiii-cgem-design", "besiii-cgem"):
+        for readout in (TigerReadout(), Apv25Readout()):
+            found = calibration_of(load(name), readout)
+            assert found.errors.shape == (3, 2, 3, CHARGES, SIZES)
+            assert np.all((found.typical_errors[0] > 0.09) & (found.typical_errors[0] < 0.19))
+    tilted = TigerReadout(estimator="centroid")
+    assert key_of(DESIGN, tilted) == key_of(DESIGN, TigerReadout())
+    changed = DESIGN.with_overrides({"cgem.L1.drift_field": "2 kV/cm"})
+    for detector, readout in ((changed, TigerReadout()), (DESIGN, TigerReadout(gain=9_000.0))):
+        with pytest.raises(CalibrationError, match="cgemit readout --calibrate"):
+            readout.cluster(detector, run(DESIGN, GUN, 1, readout=readout, until="digitize").digis, ClusterSettings())
+
+
+def test_a_wrong_calibration_lists_its_problems(tmp_path: Path) -> None:
+    found = calibration_of(DESIGN, TigerReadout())
+    data = json.loads(found.to_json())
+    assert np.allclose(read_calibration(json.dumps(data), "file").errors, found.errors)
+    data["depth"] = data["depth"][:1]
+    data["errors"][0][0][0][0][0] = -1.0
+    with pytest.raises(CalibrationError, match="file: 2 problems") as caught:
+        read_calibration(json.dumps(data), "file")
+    assert "depth: got shape" in str(caught.value)
+    file = tmp_path / "apv.json"
+    file.write_text(calibration_of(DESIGN, Apv25Readout()).to_json())
+    with pytest.raises(CalibrationError, match="got a calibration of apv25"):
+        calibration_of(DESIGN, TigerReadout(calibration=str(file)))

@@ -1,0 +1,88 @@
+"""Charge profiles integrated over strips, and the command that scans read-outs and makes calibrations."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+from scipy.stats import norm
+
+from cgemit import Gun, ProjectionReadout, _core, load, run
+from cgemit.cli.main import main
+from cgemit.digitize.analog_cluster import calibration_of
+from cgemit.study.readout.calibrate import measurements
+
+DESIGN = load("besiii-cgem-design")
+
+
+@pytest.mark.parametrize(("a", "b", "sigma"), [(0.0, 2.3, 0.3), (1.0, 1.0, 0.45), (-1.0, 0.2, 1.5), (0.0, 1e-7, 0.3)])
+def test_profile_is_a_smeared_line(a: float, b: float, sigma: float) -> None:
+    for edge in (-1.0, 0.4, 1.2, 3.0):
+        exact = norm.cdf((edge - a) / sigma)
+        if b - a > 1e-3:
+            exact = quad(lambda x, e=edge: norm.cdf((e - x) / sigma), a, b)[0] / (b - a)
+        assert _core.profile_below(edge, a, b, sigma) == pytest.approx(exact, abs=1e-6)
+
+
+def test_strips_hold_the_deposit() -> None:
+    """Without threshold and noise both views hold half of the charge each; positions are unbiased."""
+    quiet = ProjectionReadout(threshold=1e-9, noise=0)
+    result = run(DESIGN, Gun("mu-", p=1.0, cos_theta=(-0.8, 0.8)), 200, seed=3, readout=quiet, until="digitize")
+    charge = result.truths["energy"] / 25.9e-3 * quiet.gain * 1.602176634e-4
+    for view in (0, 1):  # a few lose charge to the area between sheets
+        rows = result.digis["view"] == view
+        found = np.bincount(result.digis["truth"][rows], result.digis["charge"][rows], minlength=len(charge))
+        assert np.median(found / charge) == pytest.approx(0.5, abs=1e-4)
+        assert (found / charge).max() < 0.5 + 1e-9
+    again = run(DESIGN, Gun("mu-", p=1.0, cos_theta=(-0.8, 0.8)), 200, seed=3, readout=quiet, until="digitize", chunk=7)
+    assert np.array_equal(again.digis["charge"], result.digis["charge"])
+
+
+def test_the_chain_with_its_calibration() -> None:
+    readout = ProjectionReadout()
+    result = run(DESIGN, Gun("mu-", p=1.0, cos_theta=(-0.93, 0.93)), 400, seed=6, readout="analog-projection")
+    assert (result.tracks["status"] == 0).mean() > 0.99
+    x = result.clusters["err_x"][result.clusters["view"] == 0]
+    assert np.median(x) < 0.1 < 0.14  # better than the binary read-out's 0.139 mm
+    assert calibration_of(DESIGN, readout).typical("centroid")[0].max() < 0.1
+    sample = measurements(DESIGN, result.clusters, result.truths, lorentz=False)
+    assert abs(np.median(sample.residual)) < 0.01
+
+
+@pytest.mark.slow
+def test_command_scans_and_calibrates(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out, file = tmp_path / "scan", tmp_path / "mine.json"
+    scan = ["readout", "--readout", "apv25", "--bz", "0", "--angles", "0 deg,30 deg", "-n", "400", "--quiet"]
+    assert main([*scan, "--set", "digitize.readout.gain=39000", "-o", str(out)]) == 0
+    rows = list(csv.DictReader((out / "readout.csv").read_text().splitlines()))
+    assert [float(row["angle_deg"]) for row in rows] == [0, 30]
+    assert float(rows[1]["centroid_um"]) > 4 * float(rows[0]["centroid_um"])
+    assert (out / "readout.png").stat().st_size > 10_000
+    assert main(["readout", "--readout", "binary", "--bz", "0"]) == 2
+    assert main(["readout", "--calibrate", str(file)]) == 2
+    assert main([*scan, "--bz", "1.5"]) == 2
+    assert "expected 0 to 1.2 T" in capsys.readouterr().err
+    calibrate = ["readout", "--readout", "analog-projection", "--set", "digitize.readout.sigma=0.4"]
+    assert main([*calibrate, "-d", "besiii-cgem", "--calibrate", str(file), "--quiet"]) == 0
+    own = calibration_of(load("besiii-cgem"), ProjectionReadout(sigma=0.4, calibration=str(file)))
+    assert own.typical("centroid")[0].shape == (3,)
+    run_it = [
+        "simulate",
+        "-d",
+        "besiii-cgem",
+        "--readout",
+        "analog-projection",
+        "--p",
+        "1",
+        "--cos-theta",
+        "0",
+        "-n",
+        "5",
+    ]
+    changed = ["--set", "digitize.readout.sigma=0.4"]
+    assert main([*run_it, *changed, "-o", str(tmp_path / "a"), "--quiet"]) == 2
+    changed += ["--set", f"digitize.readout.calibration={file}"]
+    assert main([*run_it, *changed, "-o", str(tmp_path / "b"), "--quiet"]) == 0
