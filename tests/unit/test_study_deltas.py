@@ -155,7 +155,7 @@ def test_study_without_delta_electrons_says_so(tmp_path, monkeypatch):
     assert study["x_residual_rms_all"].value == study["x_residual_rms"].value < 188
     monkeypatch.setattr(report, "_images", lambda *_: [])  # they take seconds to draw
     page = report.paper_report(study, tmp_path)
-    for text in ("--no-deltas", "Delta electrons were left out", "187.6 um"):
+    for text in ("--no-deltas", "Delta electrons were left out", "187.6 µm"):
         assert text in page, text
     other = cgemit.Settings(fit=cgemit.FitSettings(kinks=False))
     changed = dataclasses.replace(study, inputs=dataclasses.replace(study.inputs, settings=other))

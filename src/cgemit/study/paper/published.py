@@ -170,7 +170,8 @@ FIGURES: Mapping[str, PaperFigure] = {
         "event",
         "display",
         "The event of figures 1 and 3",
-        "True crossings, clusters, drift circles and the fitted track. Clusters beside the track are those of delta "
-        "electrons, or X and V clusters wrongly paired.",
+        "True crossings, clusters, drift circles, the fitted track through its smoothed states, and the fired strips "
+        "on the unrolled anodes. Ghosts are X and V clusters of different crossings; other clusters beside the track "
+        "are those of delta electrons.",
     ),
 }
