@@ -74,5 +74,5 @@ class FindSettings(SettingsData):
     max_z: Length = 400.0
     min_pt: Positive = 0.03
     least_axial: Layers = 6
-    min_score: Score = 0.0
+    min_score: Score = 2.0
     max_seeds: Count = 200
