@@ -6,7 +6,7 @@ import dataclasses
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -20,8 +20,9 @@ from cgemit.statistics.formatting import html_table, text_table
 
 Floats = npt.NDArray[np.float64]
 
-#: Relative steps of differences, tried in turn where parts are so close that a larger one is impossible.
-STEPS = (1e-3, 1e-4, 1e-5, 1e-6)
+#: Relative steps of differences, tried in turn, outward and inward, where parts are so close that a larger one is
+#: impossible. The hits are kept, so that nothing steps: what is left of the second order is as small as the step.
+STEPS = (2e-5, 4e-6)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -130,7 +131,7 @@ def sensitivity(
 
     Notes
     -----
-    Differences of the same kernels, central where both neighbours are possible: the hits (crossed cells, fired strips)
+    Differences of the same kernels over small steps, one variant for each key: the hits (crossed cells, fired strips)
     and the sample of tracks are those of the detector itself, and the error of a cluster changes as its mean over all
     positions of the strips. Numbers of strips do not matter, and a stereo angle that follows from the diagonal of the
     sheet changes continuously with radius and length.
@@ -143,21 +144,18 @@ def sensitivity(
     wanted = tuple(keys) if keys is not None else tuple(design_keys(detector))
     values = np.full((len(wanted), len(quantities), *base.p.shape), np.nan)
     problems: dict[str, str] = {}
-    stencils: list[tuple[int, _Stencil]] = []
+    neighbours: dict[int, _Neighbour] = {}
     for number, key in enumerate(wanted):
-        stencil = _stencil(detector, key)
-        if isinstance(stencil, str):
-            problems[key] = stencil
+        found = _neighbour(detector, key)
+        if isinstance(found, str):
+            problems[key] = found
         else:
-            stencils.append((number, stencil))
-    variants = [one for _, stencil in stencils for one in stencil.detectors]
-    found = iter(varied(base, variants))
-    for number, stencil in stencils:
-        others = [next(found) for _ in stencil.detectors]
+            neighbours[number] = found
+    others = varied(base, [one.detector for one in neighbours.values()])
+    logs = {name: np.log(base.sigma(name)) for name in quantities}
+    for (number, one), other in zip(neighbours.items(), others, strict=True):
         for column, name in enumerate(quantities):
-            logs = [np.log(one.sigma(name)) for one in others]
-            total = sum(weight * one for weight, one in zip(stencil.weights, logs, strict=True))
-            values[number, column] = total + stencil.own * np.log(base.sigma(name))
+            values[number, column] = (np.log(other.sigma(name)) - logs[name]) / one.step
     return Sensitivity(
         detector.name, base.particle, base.p, base.cos_theta, wanted, tuple(quantities), values, problems
     )  # fmt: skip
@@ -178,39 +176,22 @@ def varied(base: Covariance, variants: Sequence[Detector]) -> list[Covariance]:
     return [dataclasses.replace(base, detector=one, _samples=row) for one, row in zip(variants, rows[1:], strict=True)]
 
 
-@dataclass(frozen=True)
-class _Stencil:
-    """A difference that gives a derivative by ln(number): weights of neighbours, and of the detector itself."""
+class _Neighbour(NamedTuple):
+    """A variant of the detector, and by how much ln(number) differs."""
 
-    detectors: list[Detector]
-    weights: list[float]
-    own: float
+    detector: Detector
+    step: float
 
 
-def _stencil(detector: Detector, key: str) -> _Stencil | str:
-    """Return the difference for a key, or why there is none."""
+def _neighbour(detector: Detector, key: str) -> _Neighbour | str:
+    """Return the variant whose difference to the detector gives the derivative by a key, or why there is none."""
     problem = ""
     for step in STEPS:
-        found: dict[int, Detector | None] = {}
-        for side in (1, -1):
+        for side in (step, -step):
             try:
-                found[side] = detector.with_overrides({key: f"x{1 + side * step!r}"})
+                return _Neighbour(detector.with_overrides({key: f"x{1 + side!r}"}), math.log1p(side))
             except DetectorError as error:
-                found[side], problem = None, str(error.problems[0])
-        up, down = (np.log1p(side * step) for side in (1, -1))
-        above, below = found[1], found[-1]
-        if above is not None and below is not None:
-            return _Stencil([above, below], [1 / (up - down), -1 / (up - down)], 0.0)
-        for side, one in found.items():
-            if one is None:
-                continue
-            try:
-                far = detector.with_overrides({key: f"x{1 + 2 * side * step!r}"})
-            except DetectorError:
-                continue
-            a, b = np.log1p(side * step), np.log1p(2 * side * step)
-            # Through three points: f'(0) = [f(a) b/a - f(b) a/b]/(b - a) - f(0) (a + b)/(a b).
-            return _Stencil([one, far], [b / a / (b - a), -a / b / (b - a)], -(a + b) / (a * b))
+                problem = str(error.problems[0])
     return problem
 
 
@@ -219,7 +200,7 @@ def _with_stereo(variant: Detector, base: Detector) -> Detector:
     layers = []
     for layer, old in zip(variant.cgem, base.cgem, strict=True):
         derived = abs(abs(layer.stereo) - math.atan2((layer.strips_x - 1) * layer.pitch_x, layer.length)) < 1e-12
-        if derived and layer.stereo != old.stereo:
+        if derived:
             angle = abs(old.stereo) + _diagonal(layer) - _diagonal(old)
             layer = dataclasses.replace(layer, stereo=math.copysign(angle, old.stereo))
         layers.append(layer)
