@@ -265,6 +265,25 @@ def test_derivatives_predict_small_changes(key: str) -> None:
         assert left[1] < left[0] / 8 + 2e-6, (quantity, left)
 
 
+@pytest.mark.parametrize("cos_theta", [0.0, 0.85, 0.93])
+@pytest.mark.parametrize("samples", [1, 16])
+def test_a_variant_without_a_change_has_the_same_covariance(cos_theta: float, samples: int) -> None:
+    """Also near the ends, where tracks pass some wires beyond their ends."""
+    base = cg.analytic(DESIGN, "mu-", [0.3, 1.0], cos_theta, samples=samples)
+    (same,) = varied(base, [DESIGN])
+    np.testing.assert_allclose(same.sigma("p"), base.sigma("p"), rtol=1e-8)
+
+
+@pytest.mark.parametrize("layer", ["L1", "L2", "L3"])
+def test_stereo_angles_follow_the_radius_in_no_steps(layer: str) -> None:
+    """Per step, changes are the same for one that adds an X strip (1 in 1000) and one that does not."""
+    base = cg.analytic(DESIGN, "mu-", 1.0, 0.3, phi=0.4, readout="gaussian")
+    steps = (1e-4, 2e-3)
+    others = varied(base, [DESIGN.with_overrides({f"cgem.{layer}.anode_radius": f"x{1 + h!r}"}) for h in steps])
+    small, large = (float(np.log(one.sigma("dz") / base.sigma("dz"))) / h for one, h in zip(others, steps, strict=True))
+    assert small == pytest.approx(large, abs=0.01)
+
+
 def test_derivative_by_an_error_is_its_share_of_the_budget() -> None:
     how = {"readout": "gaussian", "phi": 0.4, "reveal_sides": True}
     found = cg.sensitivity(DESIGN, "mu-", 1.0, 0.0, keys=["drift_chamber.sigma"], quantities=("p", "dr"), **how)

@@ -6,7 +6,7 @@ import dataclasses
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -21,8 +21,9 @@ from cgemit.tables.frames import data_frame
 
 Floats = npt.NDArray[np.float64]
 
-#: Relative steps of differences, tried in turn where parts are so close that a larger one is impossible.
-STEPS = (1e-3, 1e-4, 1e-5, 1e-6)
+#: Relative steps of differences, tried in turn, outward and inward, where parts are so close that a larger one is
+#: impossible. The hits are kept, so that nothing steps: what is left of the second order is as small as the step.
+STEPS = (2e-5, 4e-6)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -129,7 +130,7 @@ def sensitivity(
 
     Notes
     -----
-    Differences of the same kernels, central where both neighbours are possible: the hits (crossed cells, fired strips)
+    Differences of the same kernels over small steps, one variant for each key: the hits (crossed cells, fired strips)
     and the sample of tracks are those of the detector itself, and the error of a cluster changes as its mean over all
     positions of the strips. Numbers of strips do not matter, and a stereo angle that follows from the diagonal of the
     sheet changes continuously with radius and length.
@@ -166,6 +167,7 @@ def logarithmic_slopes(
     """
     values = np.full((len(keys), len(quantities), *base.p.shape), np.nan)
     problems: dict[str, str] = {}
+<<<<<<< HEAD
     stencils: list[tuple[int, _Stencil]] = []
     for number, key in enumerate(keys):
         stencil = _stencil(detector, key)
@@ -183,6 +185,23 @@ def logarithmic_slopes(
             total = sum(weight * one for weight, one in zip(stencil.weights, logs, strict=True))
             values[number, column] = total + stencil.own * np.log(own.sigma(name))
     return values, problems
+=======
+    neighbours: dict[int, _Neighbour] = {}
+    for number, key in enumerate(wanted):
+        found = _neighbour(detector, key)
+        if isinstance(found, str):
+            problems[key] = found
+        else:
+            neighbours[number] = found
+    others = varied(base, [one.detector for one in neighbours.values()])
+    logs = {name: np.log(base.sigma(name)) for name in quantities}
+    for (number, one), other in zip(neighbours.items(), others, strict=True):
+        for column, name in enumerate(quantities):
+            values[number, column] = (np.log(other.sigma(name)) - logs[name]) / one.step
+    return Sensitivity(
+        detector.name, base.particle, base.p, base.cos_theta, wanted, tuple(quantities), values, problems
+    )  # fmt: skip
+>>>>>>> ana
 
 
 def varied(base: Covariance, variants: Sequence[Detector]) -> list[Covariance]:
@@ -200,39 +219,22 @@ def varied(base: Covariance, variants: Sequence[Detector]) -> list[Covariance]:
     return [dataclasses.replace(base, detector=one, _samples=row) for one, row in zip(variants, rows[1:], strict=True)]
 
 
-@dataclass(frozen=True)
-class _Stencil:
-    """A difference that gives a derivative by ln(number): weights of neighbours, and of the detector itself."""
+class _Neighbour(NamedTuple):
+    """A variant of the detector, and by how much ln(number) differs."""
 
-    detectors: list[Detector]
-    weights: list[float]
-    own: float
+    detector: Detector
+    step: float
 
 
-def _stencil(detector: Detector, key: str) -> _Stencil | str:
-    """Return the difference for a key, or why there is none."""
+def _neighbour(detector: Detector, key: str) -> _Neighbour | str:
+    """Return the variant whose difference to the detector gives the derivative by a key, or why there is none."""
     problem = ""
     for step in STEPS:
-        found: dict[int, Detector | None] = {}
-        for side in (1, -1):
+        for side in (step, -step):
             try:
-                found[side] = detector.with_overrides({key: f"x{1 + side * step!r}"})
+                return _Neighbour(detector.with_overrides({key: f"x{1 + side!r}"}), math.log1p(side))
             except DetectorError as error:
-                found[side], problem = None, str(error.problems[0])
-        up, down = (np.log1p(side * step) for side in (1, -1))
-        above, below = found[1], found[-1]
-        if above is not None and below is not None:
-            return _Stencil([above, below], [1 / (up - down), -1 / (up - down)], 0.0)
-        for side, one in found.items():
-            if one is None:
-                continue
-            try:
-                far = detector.with_overrides({key: f"x{1 + 2 * side * step!r}"})
-            except DetectorError:
-                continue
-            a, b = np.log1p(side * step), np.log1p(2 * side * step)
-            # Through three points: f'(0) = [f(a) b/a - f(b) a/b]/(b - a) - f(0) (a + b)/(a b).
-            return _Stencil([one, far], [b / a / (b - a), -a / b / (b - a)], -(a + b) / (a * b))
+                problem = str(error.problems[0])
     return problem
 
 
@@ -241,7 +243,7 @@ def _with_stereo(variant: Detector, base: Detector) -> Detector:
     layers = []
     for layer, old in zip(variant.cgem, base.cgem, strict=True):
         derived = abs(abs(layer.stereo) - math.atan2((layer.strips_x - 1) * layer.pitch_x, layer.length)) < 1e-12
-        if derived and layer.stereo != old.stereo:
+        if derived:
             angle = abs(old.stereo) + _diagonal(layer) - _diagonal(old)
             # The hits are given: one V strip fits at any angle.
             layer = dataclasses.replace(layer, stereo=math.copysign(angle, old.stereo), strips_v=1)

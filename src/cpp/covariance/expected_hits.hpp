@@ -20,7 +20,7 @@ struct KeptHit {
   std::size_t step;
   View view;
   std::size_t layer;
-  mask_of<T> there;
+  mask_of<T> there;     // lanes that have met it
   CellNumbers<T> cell;  // of a wire
   T edge;               // of a sheet, rad
   T variance, mean;     // mm^2, of a cluster: of this one, and of all with the same projected path
@@ -149,7 +149,8 @@ class ExpectedHits {
     slot.edge = edge;
     // Tells the trace on which side of a seam the hit is.
     slot.drift = view == View::x ? x : x * layer.cos_stereo + (layer.z_ref() - z) * layer.sin_stereo;
-    if (keeps_) kept_.push_back({step_number(step), view, index, there, {}, edge, T(1.0), T(1.0), T(0.0)});
+    if (keeps_)
+      kept_.push_back({step_number(step), view, index, Mask(false), {}, edge, T(1.0), T(1.0), T(0.0)});
     return slot;
   }
   void add_wire(GroupStep& step, std::size_t index, const Mask& there, const CellNumbers<T>& cell) {
@@ -158,7 +159,8 @@ class ExpectedHits {
     slot.wire = cell_wires<T>(detector_.wires[index], cell);
     for (std::size_t i = 0; i < cell.size(); ++i) slot.hit[i] = static_cast<std::int32_t>(cell[i]);
     if (keeps_)
-      kept_.push_back({step_number(step), View::wire, index, there, cell, T(0.0), T(1.0), T(1.0), T(0.0)});
+      kept_.push_back(
+          {step_number(step), View::wire, index, Mask(false), cell, T(0.0), T(1.0), T(1.0), T(0.0)});
   }
 
   std::size_t step_number(const GroupStep& step) const {
