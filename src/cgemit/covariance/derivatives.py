@@ -167,41 +167,21 @@ def logarithmic_slopes(
     """
     values = np.full((len(keys), len(quantities), *base.p.shape), np.nan)
     problems: dict[str, str] = {}
-<<<<<<< HEAD
-    stencils: list[tuple[int, _Stencil]] = []
-    for number, key in enumerate(keys):
-        stencil = _stencil(detector, key)
-        if isinstance(stencil, str):
-            problems[key] = stencil
-        else:
-            stencils.append((number, stencil))
-    variants = [one for _, stencil in stencils for one in stencil.detectors]
-    found = iter(varied(base, variants if detector is base.detector else [detector, *variants]))
-    own = base if detector is base.detector else next(found)
-    for number, stencil in stencils:
-        others = [next(found) for _ in stencil.detectors]
-        for column, name in enumerate(quantities):
-            logs = [np.log(one.sigma(name)) for one in others]
-            total = sum(weight * one for weight, one in zip(stencil.weights, logs, strict=True))
-            values[number, column] = total + stencil.own * np.log(own.sigma(name))
-    return values, problems
-=======
     neighbours: dict[int, _Neighbour] = {}
-    for number, key in enumerate(wanted):
+    for number, key in enumerate(keys):
         found = _neighbour(detector, key)
         if isinstance(found, str):
             problems[key] = found
         else:
             neighbours[number] = found
-    others = varied(base, [one.detector for one in neighbours.values()])
-    logs = {name: np.log(base.sigma(name)) for name in quantities}
+    variants = [one.detector for one in neighbours.values()]
+    others = iter(varied(base, variants if detector is base.detector else [detector, *variants]))
+    own = base if detector is base.detector else next(others)
+    logs = {name: np.log(own.sigma(name)) for name in quantities}
     for (number, one), other in zip(neighbours.items(), others, strict=True):
         for column, name in enumerate(quantities):
             values[number, column] = (np.log(other.sigma(name)) - logs[name]) / one.step
-    return Sensitivity(
-        detector.name, base.particle, base.p, base.cos_theta, wanted, tuple(quantities), values, problems
-    )  # fmt: skip
->>>>>>> ana
+    return values, problems
 
 
 def varied(base: Covariance, variants: Sequence[Detector]) -> list[Covariance]:
