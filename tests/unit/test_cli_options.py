@@ -318,7 +318,8 @@ def test_a_run_is_repeated_from_its_record(tmp_path: Path) -> None:
     [
         (["--set", "fit.loss=meen"], ['fit.loss: got \'meen\', expected one of', 'did you mean "mean"?']),
         (["--set", "fitt.loss=mean"],
-         ["a setting, which begins with simulate, digitize, cluster", "a value of the detector, which begins with"]),
+         ["a setting, which begins with simulate, digitize, background, cluster",
+          "a value of the detector, which begins with"]),
         (["--set", "fit=3"], ["got 'fit=3', expected KEY=VALUE such as fit.loss=mean or cgem.L2.pitch_x"]),
         (["--set", "fit.loss"], ["expected KEY=VALUE"]),
         (["--no-deltas", "--set", "simulate.deltas=true"], ["--no-deltas: got False, but True from --set"]),
