@@ -9,7 +9,11 @@ GOLDEN = Path(__file__).parents[1] / "golden" / "numbers.json"
 
 #: Hash of the golden numbers for each physics version. When the numbers change, raise `cgemit.version.PHYSICS` and add
 #: a line; lines of released versions stay.
-HASHES = {1: "1849c2212b1724b7", 2: "d0649b4511db3e6c"}
+HASHES = {
+    1: "1849c2212b1724b7",
+    2: "d0649b4511db3e6c",
+    3: "d0649b4511db3e6c",  # covariances near the ends of layers, which the golden numbers do not hold
+}
 
 
 def test_golden_numbers_belong_to_the_physics_version() -> None:
