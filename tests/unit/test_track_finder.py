@@ -228,3 +228,15 @@ def test_wrong_input_is_listed(run):
         cg.find_tracks(run.detector, run.clusters, run.wire_hits, cg.FitSettings())
     with pytest.raises(ValueError, match="expected 'truth', 'ckf' or a function"):
         cg.run("besiii-cgem", PAIR, n=1, finder="hough")
+
+
+def test_of_tracks_that_share_hits_the_best_remains():
+    # Slow pions are never beyond doubt: all their seeds are followed, and compete in the end.
+    slow = cg.Gun("pi-", pt=(0.06, 0.1), cos_theta=(-0.8, 0.8))
+    run = cg.run(
+        "besiii-cgem", slow, n=100, settings=cg.Settings(simulate=cg.SimulateSettings(decays=False)), until="find"
+    )
+    finding = found_of(run)
+    assert finding.rates().efficiency.value > 0.97
+    assert len(finding.candidates.hits) <= 102
+    assert finding.rates().fakes.count == 0
