@@ -154,7 +154,7 @@ def simulated(**change: Any) -> Result:
 
 DISPLAY = {"--detector": ["-d", DESIGN], "--p": ["--p", "0.3"], "--cos-theta": ["--cos-theta", "0.1"]}
 DISPLAY_ROWS = [
-    *(row for row in SIMULATE_ROWS if row.option not in ("--events", "--states", "--threads")
+    *(row for row in SIMULATE_ROWS if row.option not in ("--events", "--states", "--threads", "--keep")
       and row.words != ["--hypothesis", "mu,K"]),
     Row("--event", ["--event", "4"]),
 ]  # fmt: skip

@@ -170,7 +170,7 @@ def test_readout_and_wire_tables() -> None:
 def test_core_takes_it(name: str) -> None:
     detector = load(name)
     core = compiled(detector)
-    assert core.bz == -1
+    assert core.bz == detector.field.bz
     assert core.n_slabs == len(slabs(detector))
     assert core.n_cgem_layers == len(detector.cgem)
     assert core.n_wire_layers == len(detector.drift_chamber.layers)

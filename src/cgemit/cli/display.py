@@ -6,7 +6,7 @@ import argparse
 import sys
 
 from cgemit.cli import changes, common, read
-from cgemit.cli.simulate import add_gun, gun_of
+from cgemit.cli.simulate import add_finder, add_gun, gun_of
 
 _DESCRIPTION = """\
 Draw one event: the detector, true crossings, clusters, ghosts (XV clusters of different crossings), drift circles,
@@ -32,6 +32,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--event", type=read.event, default=0, metavar="N", help="number of the event (default 0)")
     parser.add_argument("--html", action="store_true", help="also write event.html, in three dimensions")
     common.add_output(parser)
+    changes.add_readout(parser)
+    add_finder(parser)
     changes.add_hypothesis(parser)
     changes.add_physics(parser)
     common.add_seed(parser)
@@ -50,7 +52,14 @@ def run(arguments: argparse.Namespace) -> int:
     check_free(arguments.output, overwrite=arguments.overwrite)
     (detector,), settings = common.load_inputs(arguments, one_track=True)
     particles = generate(gun_of(arguments), 1, arguments.seed, arguments.event)
-    result = chain.run(detector, particles, seed=arguments.seed, settings=settings, threads=1)
+    result = chain.run(
+        detector,
+        particles,
+        seed=arguments.seed,
+        settings=settings,
+        threads=1,
+        finder=arguments.finder or "truth",
+    )
     figure = event_3d(result, arguments.event) if arguments.html else None
     with new_folder(arguments.output, overwrite=arguments.overwrite) as folder:
         event(result, arguments.event).save(folder / "event")

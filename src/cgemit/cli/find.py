@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cgemit.cli import changes, common, read
-from cgemit.cli.simulate import add_gun
+from cgemit.cli.simulate import add_gun, gun_of
 from cgemit.version import VERSION
 
 if TYPE_CHECKING:
@@ -63,16 +63,14 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 def run(arguments: argparse.Namespace) -> int:
     """Find and compare."""
     from cgemit import chain
-    from cgemit.gun import Gun, Guns
+    from cgemit.gun import Guns
     from cgemit.io.folders import check_free
     from cgemit.study import finding
 
     if arguments.output:
         check_free(arguments.output, overwrite=arguments.overwrite)
     (detector,), settings = common.load_inputs(arguments)
-    names = ("particle", "p", "pt", "theta", "cos_theta", "phi", "vertex", "vertex_sigma")
-    given = {name: getattr(arguments, name) for name in names}
-    gun = Gun(**{name: value for name, value in given.items() if value is not None})
+    gun = gun_of(arguments)
     with common.Progress("find", quiet=arguments.quiet) as progress:
         result = chain.run(
             detector, gun if arguments.tracks == 1 else Guns((gun,) * arguments.tracks), arguments.events,

@@ -58,10 +58,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         help="fit too: candidates, tracks and their matches with particles "
         "(so do --finder, --states, --hypothesis, --set fit.*, --set find.*)",
     )
-    parser.add_argument(
-        "--finder", choices=("truth", "ckf"), default=None,
-        help="assigns the hits to tracks: truth (default), or ckf, which sees measurements only; implies --fit",
-    )  # fmt: skip
+    add_finder(parser, more="; implies --fit")
     parser.add_argument(
         "--states", type=read.surfaces, metavar="SURFACE,...",
         help="also write the states of the fitted tracks: radii (mm), origin, beam_line, beam_pipe, hits",
@@ -81,6 +78,14 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     common.add_run(parser)
     common.add_common(parser)
     parser.set_defaults(run=run)
+
+
+def add_finder(parser: argparse.ArgumentParser, *, more: str = "") -> None:
+    """Add the option of the finder, with `more` help."""
+    parser.add_argument(
+        "--finder", choices=("truth", "ckf"), default=None,
+        help=f"assigns the hits to tracks: truth (default), or ckf, which sees measurements only{more}",
+    )  # fmt: skip
 
 
 def add_gun(parser: argparse.ArgumentParser, *, files: bool = False) -> None:
