@@ -119,11 +119,16 @@ def shown(value: object) -> str:
 
 
 def meanings(cls: type[Any]) -> dict[str, str]:
-    """Return the description of each attribute from the docstring of a class."""
-    section = re.search(r"Attributes\n-+\n(.*?)(?:\n\n|\Z)", inspect.getdoc(cls) or "", re.DOTALL)
-    entries = re.split(r"^(\w+) : .*\n?", section[1] if section else "", flags=re.MULTILINE)[1:]
-    texts = [" ".join(text.split()).replace("``", "`") for text in entries[1::2]]
-    return dict(zip(entries[::2], texts, strict=True))
+    """Return the description of each attribute from the docstrings of a class and those it is made from."""
+    found: dict[str, str] = {}
+    for one in reversed(cls.__mro__):
+        section = re.search(
+            r"Attributes\n-+\n(.*?)(?:\n\n|\Z)", inspect.cleandoc(vars(one).get("__doc__") or ""), re.DOTALL
+        )
+        entries = re.split(r"^(\w+(?:, \w+)*) : .*\n?", section[1] if section else "", flags=re.MULTILINE)[1:]
+        for names, text in zip(entries[::2], entries[1::2], strict=True):
+            found |= dict.fromkeys(names.split(", "), " ".join(text.split()).replace("``", "`"))
+    return found
 
 
 if __name__ == "__main__":

@@ -10,6 +10,7 @@ from types import ModuleType
 
 import pytest
 
+from cgemit.digitize import READOUTS
 from cgemit.kinds import kinds_of
 from cgemit.result import Settings
 
@@ -31,7 +32,7 @@ def test_the_page_is_up_to_date(script: ModuleType) -> None:
 
 
 def test_every_setting_has_a_meaning(script: ModuleType) -> None:
-    for cls in kinds_of(Settings).values():
+    for cls in [*kinds_of(Settings).values(), *READOUTS.values()]:
         assert script.meanings(cls).keys() == kinds_of(cls).keys(), cls.__name__
         assert all(script.meanings(cls).values()), cls.__name__
 
