@@ -27,19 +27,18 @@ if TYPE_CHECKING:
         ProjectionReadout,
         TigerReadout,
     )
-    from cgemit.find_settings import FindSettings
+    from cgemit.find import FindSettings, find_tracks
     from cgemit.fit import FitSettings, FitStatus
     from cgemit.gun import Gun
     from cgemit.matter import slab
-    from cgemit.opened import open
     from cgemit.own_hits import fit_hits
     from cgemit.progress import ProgressBar
     from cgemit.result import Result, Settings
     from cgemit.simulate import SimulateSettings, TransportStatus
     from cgemit.states import StateStatus, Surface, extrapolate
     from cgemit.statistics.resolutions import resolution
+    from cgemit.stored_run import open
     from cgemit.tables import Table
-    from cgemit.track_finder import find_tracks
 
 __all__ = [
     "Apv25Readout",
@@ -92,7 +91,7 @@ _MODULES = {
     "Detector": "detector",
     "DetectorError": "detector",
     "DigitizeSettings": "digitize",
-    "FindSettings": "find_settings",
+    "FindSettings": "find",
     "FitSettings": "fit",
     "FitStatus": "fit",
     "GaussianReadout": "digitize",
@@ -110,11 +109,11 @@ _MODULES = {
     "analytic": "covariance",
     "detectors": "detector",
     "extrapolate": "states",
-    "find_tracks": "track_finder",
+    "find_tracks": "find",
     "fit_hits": "own_hits",
     "label_candidates": "candidates",
     "load": "detector",
-    "open": "opened",
+    "open": "stored_run",
     "resolution": "statistics.resolutions",
     "run": "chain",
     "sensitivity": "covariance",

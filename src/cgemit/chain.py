@@ -16,22 +16,22 @@ from cgemit.candidates import Finder, by_finder, finder_name
 from cgemit.chunks import MANY, Answer, Totals, answers
 from cgemit.detector import Detector, load
 from cgemit.digitize import DigitizeSettings, Readout, cluster_digis, digitize
+from cgemit.find.tracks import find_tracks
 from cgemit.fit import FitSettings, fit
 from cgemit.gun import Gun, Guns, generate
 from cgemit.io.folders import new_folder
 from cgemit.match import match
 from cgemit.memory import check_disk
-from cgemit.opened import open as open_run
 from cgemit.particles import particles_from
 from cgemit.problems import did_you_mean
 from cgemit.record import configuration_of, gun_data, write_about
 from cgemit.result import TABLES, Result, Settings, detectors_of, transport_counts
 from cgemit.simulate import simulate
+from cgemit.stored_run import open as open_run
 from cgemit.tables import Table, concatenate
 from cgemit.tables.formats import check_format
 from cgemit.tables.links import without_links
 from cgemit.tables.stored import PartsWriter, StoredTables
-from cgemit.track_finder import find_tracks
 from cgemit.values import check_numbers
 from cgemit.version import VERSION
 

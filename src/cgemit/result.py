@@ -13,7 +13,7 @@ from cgemit.background import BackgroundSettings
 from cgemit.cluster import ClusterSettings
 from cgemit.detector import Detector
 from cgemit.digitize import DigitizeSettings
-from cgemit.find_settings import FindSettings
+from cgemit.find.settings import FindSettings
 from cgemit.fit import FitSettings, FitStatus
 from cgemit.gun import Gun, Guns
 from cgemit.io.folders import new_folder

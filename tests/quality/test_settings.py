@@ -12,7 +12,7 @@ from sources import CORE
 from cgemit import _core
 from cgemit.detector import Screening
 from cgemit.digitize import BinaryReadout, DigitizeSettings, GaussianReadout, ProjectionReadout
-from cgemit.find_settings import FindSettings
+from cgemit.find.settings import FindSettings
 from cgemit.fit import FitSettings
 from cgemit.fit_settings import Loss
 from cgemit.simulate import Fluctuations, SimulateSettings

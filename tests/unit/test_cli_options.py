@@ -21,7 +21,7 @@ from cgemit.cluster import ClusterSettings
 from cgemit.detector import load
 from cgemit.detector.read import TOP_LEVEL
 from cgemit.digitize import BinaryReadout, DigitizeSettings, GaussianReadout
-from cgemit.find_settings import FindSettings
+from cgemit.find.settings import FindSettings
 from cgemit.fit import FitSettings
 from cgemit.gun import Gun
 from cgemit.result import Result, Settings

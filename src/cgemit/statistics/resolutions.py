@@ -11,12 +11,12 @@ import numpy as np
 import numpy.typing as npt
 
 from cgemit import _core
-from cgemit.opened import TrackColumns, track_columns
 from cgemit.problems import did_you_mean
 from cgemit.result import Result
 from cgemit.statistics.estimate import HEAD, Floats, Resolution, measure
 from cgemit.statistics.formatting import Comparable, Tabular, html_table, text_table
 from cgemit.statistics.widths import Pulls, Resolutions, stacked
+from cgemit.stored_run import TrackColumns, track_columns
 from cgemit.tables import PARAMETERS, Table
 
 #: Unit in which the resolution of each parameter is quoted, and how many of them make the native unit.

@@ -37,7 +37,7 @@ py::dict run(const Detector& detector, const Array<std::int64_t>& event_offsets,
 
 void bind_find(py::module_& module) {
   py::class_<FindSettings>(module, "FindSettings",
-                           "Settings of the finder; the values live in cgemit.find_settings.FindSettings.")
+                           "Settings of the finder; the values live in cgemit.find.settings.FindSettings.")
       .def(py::init([](bool segments, bool chamber, double mass, double efficiency, double gate, int branches,
                        int passes, int holes_in_row, double max_d, double max_z, double min_pt,
                        int least_axial, double min_score, int max_seeds, double least_width,

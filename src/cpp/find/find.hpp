@@ -10,7 +10,7 @@
 
 namespace cgemit {
 
-// Default values are in `cgemit.find_settings.FindSettings`.
+// Default values are in `cgemit.find.settings.FindSettings`.
 struct FindSettings {
   bool segments, chamber;  // the sources of seeds
   double mass;             // GeV

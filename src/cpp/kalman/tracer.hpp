@@ -9,7 +9,7 @@
 #include "kalman/group.hpp"
 #include "kalman/helix_motion.hpp"
 #include "kalman/slab_crossing.hpp"
-#include "motion/seen.hpp"
+#include "motion/displaced.hpp"
 
 namespace cgemit {
 

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from cgemit import _core
 from cgemit.candidates import HIT_V, HIT_WIRE, HIT_X, HIT_XV, XV_CLUSTER
 from cgemit.detector import Detector, compiled, load
-from cgemit.find_settings import FindSettings as FindSettings
+from cgemit.find.settings import FindSettings as FindSettings
 from cgemit.fit_settings import FitSettings
 from cgemit.species import HYPOTHESES
 from cgemit.tables import Table
