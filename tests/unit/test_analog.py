@@ -190,7 +190,7 @@ def test_calibrations_of_the_presets() -> None:
     assert key_of(DESIGN, tilted) == key_of(DESIGN, TigerReadout())
     changed = DESIGN.with_overrides({"cgem.L1.drift_field": "2 kV/cm"})
     for detector, readout in ((changed, TigerReadout()), (DESIGN, TigerReadout(gain=9_000.0))):
-        with pytest.raises(CalibrationError, match="cgemit readout --calibrate"):
+        with pytest.raises(CalibrationError, match="cgemit readout --readout NAME -d DETECTOR --calibrate"):
             readout.cluster(detector, run(DESIGN, GUN, 1, readout=readout, until="digitize").digis, ClusterSettings())
 
 
@@ -207,3 +207,9 @@ def test_a_wrong_calibration_lists_its_problems(tmp_path: Path) -> None:
     file.write_text(calibration_of(DESIGN, Apv25Readout()).to_json())
     with pytest.raises(CalibrationError, match="got a calibration of apv25"):
         calibration_of(DESIGN, TigerReadout(calibration=str(file)))
+
+
+def test_a_detector_without_layers_needs_no_calibration():
+    found = run("besiii-idc", Gun("mu-", p=1.0, cos_theta=0.1), 5, seed=1, readout="tiger")
+    assert len(found.clusters) == 0
+    assert (found.tracks["status"] == 0).all()

@@ -62,11 +62,15 @@ def test_command_scans_and_calibrates(tmp_path: Path, capsys: pytest.CaptureFixt
     assert float(rows[1]["centroid_um"]) > 4 * float(rows[0]["centroid_um"])
     assert (out / "readout.png").stat().st_size > 10_000
     assert main(["readout", "--readout", "binary", "--bz", "0"]) == 2
+    assert main(["readout", "--calibrate", str(file), "-d", "besiii-idc"]) == 2
+    assert "without CGEM layers" in capsys.readouterr().err
     assert main(["readout", "--calibrate", str(file)]) == 2
     assert main([*scan, "--bz", "1.5"]) == 2
     assert "expected 0 to 1.2 T" in capsys.readouterr().err
     calibrate = ["readout", "--readout", "analog-projection", "--set", "digitize.readout.sigma=0.4"]
     assert main([*calibrate, "-d", "besiii-cgem", "--calibrate", str(file), "--quiet"]) == 0
+    assert main([*calibrate, "-d", "besiii-cgem", "--calibrate", str(file), "--quiet"]) == 2
+    assert "expected another file, or --overwrite" in capsys.readouterr().err
     own = calibration_of(load("besiii-cgem"), ProjectionReadout(sigma=0.4, calibration=str(file)))
     assert own.typical("centroid")[0].shape == (3,)
     run_it = [

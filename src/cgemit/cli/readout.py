@@ -45,8 +45,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--particle", default="pi-", help="PDG name or number (default pi-)")
     parser.add_argument("--p", type=float, default=150.0, metavar="P", help="momentum, GeV/c (default 150)")
     parser.add_argument(
-        "-n", "--events", type=read.positive, default=4000, metavar="N",
-        help="particles at each angle, or muons of a calibration, which needs 20000 (default 4000)",
+        "-n", "--events", type=read.positive, default=None, metavar="N",
+        help="particles at each angle (default 4000), or muons of a calibration (default 20000)",
     )  # fmt: skip
     parser.add_argument("--calibrate", metavar="FILE", help="write the errors of a detector's clusters instead")
     parser.add_argument("-d", "--detector", metavar="NAME|FILE", help="of the calibration")
@@ -76,11 +76,14 @@ def _calibrate(arguments: argparse.Namespace, readout: Any) -> int:
     from cgemit.io import new_file
     from cgemit.study.readout.calibrate import calibrate
 
+    target = Path(arguments.calibrate)
+    if target.exists() and not arguments.overwrite:
+        raise changes.InputError(f"--calibrate: got {target}, which exists; expected another file, or --overwrite")
     detector = load(arguments.detector)
-    found = calibrate(
-        detector, readout, n=max(arguments.events, 20_000), seed=arguments.seed, threads=arguments.threads
-    )
-    with new_file(Path(arguments.calibrate), overwrite=arguments.overwrite) as temporary:
+    if not detector.cgem:
+        raise changes.InputError(f"--detector: got {detector.name} without CGEM layers, expected one with clusters")
+    found = calibrate(detector, readout, n=arguments.events or 20_000, seed=arguments.seed, threads=arguments.threads)
+    with new_file(target, overwrite=arguments.overwrite) as temporary:
         temporary.write_text(found.to_json(), encoding="utf-8")
     x, v = found.typical(readout.estimator)
     print(f"{found.about}\nerrors of X and V over all clusters, um, by layer:")
@@ -101,8 +104,8 @@ def _scan(arguments: argparse.Namespace, readout: Any) -> int:
         check_free(arguments.output, overwrite=arguments.overwrite)
     with common.Progress("readout", quiet=arguments.quiet) as progress:
         scan = scan_angles(
-            readout, angles, bz=arguments.bz, n=arguments.events, seed=arguments.seed, particle=arguments.particle,
-            p=arguments.p, threads=arguments.threads, progress=progress,
+            readout, angles, bz=arguments.bz, n=arguments.events or 4000, seed=arguments.seed,
+            particle=arguments.particle, p=arguments.p, threads=arguments.threads, progress=progress,
         )  # fmt: skip
     print(scan)
     if arguments.output:

@@ -162,4 +162,7 @@ class Covariance:
         ]
         more = [f"  ... {len(rows) - 12} more"] if len(rows) > 12 else []
         head = f"<{self.detector.name}, {self.particle}, read-out {self.readout.name}"
+        radii = np.unique(self.radius[~np.isnan(self.radius)])
+        if len(radii):
+            head += f", on cylinders of {', '.join(f'{radius:g}' for radius in radii)} mm"
         return "\n".join([head, *rows[:12], *more]) + ">"

@@ -34,7 +34,8 @@ MODEL = 1
 _SPEED_OF_LIGHT = 299.792458  # mm/ns
 _MISSING = (
     "got no calibration for this detector, field and read-out, "
-    "expected digitize.readout.calibration = a file written by: cgemit readout --calibrate FILE"
+    "expected digitize.readout.calibration = a file written by: "
+    "cgemit readout --readout NAME -d DETECTOR --calibrate FILE (cgemit.study.readout.calibrate)"
 )
 #: Keys of a layer that calibrations depend on, with those of the gaps' gas.
 _LAYER = (
@@ -148,16 +149,15 @@ def calibration_of(detector: Detector, readout: Any) -> Calibration:
     CalibrationError
         If there is none, or the file belongs to another detector, field or read-out.
     """
+    if not detector.cgem:
+        return neutral(0)
     key = key_of(detector, readout)
     if readout.calibration:
         found = read_calibration(Path(readout.calibration).read_text(encoding="utf-8"), readout.calibration)
     else:
         file = resources.files("cgemit.data") / _FOLDER / f"{key}.json"
         if not file.is_file():
-            raise CalibrationError(
-                f"read-out {readout.name} of {detector.name}",
-                [_MISSING],
-            )
+            raise CalibrationError(f"read-out {readout.name} of {detector.name}", [_MISSING])
         found = read_calibration(file.read_text(encoding="utf-8"), file.name)
     if found.key != key:
         raise CalibrationError(

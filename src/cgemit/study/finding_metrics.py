@@ -186,7 +186,8 @@ def finding(result: Result) -> Finding:
         If the run ended before.
     """
     if result.candidates is None:
-        raise ValueError("finding: got a result without candidates; expected a run with until='find' or 'fit'")
+        expected = "a run with until='find' or 'fit' that keeps all tables"
+        raise ValueError(f"finding: got a result without candidates; expected {expected}")
     of_candidate, of_particle = count_candidates(result), count_particles(result)
     particles = result.particles
     charged = np.asarray(particles["charge"] != 0)
