@@ -12,13 +12,14 @@ from cgemit.detector import Detector
 from cgemit.detector.parts import CgemLayer
 from cgemit.detector.strips import local_v, strips_of_v
 from cgemit.digitize import XT_DISTANCE, XT_TIME
-from cgemit.kinds import Check, NotNegative
+from cgemit.kinds import Check
 from cgemit.settings import SettingsData
 from cgemit.tables import Table
 
 Floats = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.int64]
 Level = Literal["off", "bes2009", "bes2026"]
+Factor = Annotated[float, Check(lambda value: 0 <= value <= 100, "a number from 0 to 100")]
 Share = Annotated[float, Check(lambda value: 0 <= value <= 0.6, "a share from 0 to 0.6")]
 
 #: Hits of wires against radius (mm, kHz/cm^2): random triggers of BESIII in 2009, of events published with pybes3,
@@ -51,7 +52,7 @@ class BackgroundSettings(SettingsData):
         ``"off"``, or the rates measured at BESIII: ``"bes2009"``, cells of the drift chamber from random triggers, and
         clusters of the CGEM at rates extrapolated from them; ``"bes2026"``, with noise of single strips as well.
     factor : float
-        All rates are multiplied by it.
+        All rates are multiplied by it, up to 100. Times `cells` it is a share, up to 0.6.
     cells : float
         If above 0: share of the cells of every layer that fire within the drift time, instead of the level's rates.
     clumps : bool
@@ -64,9 +65,16 @@ class BackgroundSettings(SettingsData):
     """
 
     level: Level = "off"
-    factor: NotNegative = 1.0
+    factor: Factor = 1.0
     cells: Share = 0.0
     clumps: bool = True
+
+    def contradictions(self) -> list[str]:
+        """Return what does not go together."""
+        numbers = [value for value in (self.factor, self.cells) if isinstance(value, int | float)]
+        if len(numbers) == 2 and self.cells * self.factor > 0.6:
+            return [f"cells: got {self.cells:g}, times factor {self.factor:g}, expected a product up to 0.6"]
+        return []
 
     @property
     def is_off(self) -> bool:

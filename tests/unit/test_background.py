@@ -127,3 +127,9 @@ def test_background_is_part_of_the_chain():
     result = cg.run("besiii-cgem", MUON, n=5, settings=settings)
     assert np.count_nonzero(result.wire_hits["wire_truth"] < 0) > 100
     assert (result.matches["purity"] == 1).all()
+
+
+def test_rates_that_cannot_be_are_refused():
+    for wrong in ({"factor": 200.0}, {"cells": 0.5, "factor": 2.0}):
+        with pytest.raises(ValueError, match=r"expected a (number from 0 to 100|product up to 0\.6)"):
+            cg.BackgroundSettings(**wrong)

@@ -117,7 +117,7 @@ def test_what_a_radius_cannot_have() -> None:
         lost.budget("p")
     with pytest.raises(ValueError, match="sensitivity: got covariances at a radius"):
         cg.sensitivity(DESIGN, "mu-", 1.0, keys=["field.bz"], radius=100.0, samples=2)
-    with pytest.raises(ValueError, match=r"radius: expected positive lengths"):
+    with pytest.raises(ValueError, match=r"radius: got .*, expected positive lengths"):
         cg.analytic(DESIGN, "mu-", 1.0, radius=-1.0)
 
 
@@ -302,9 +302,25 @@ def test_the_field_scales_the_momentum_resolution() -> None:
     assert float(found.of("field.bz", "p")) == pytest.approx(-1, abs=0.01)
 
 
+@pytest.mark.parametrize("readout", ["tiger", "apv25", "analog-projection"])
+def test_derivatives_by_numbers_that_calibrated_errors_do_not_follow_are_refused(readout: str) -> None:
+    how: dict[str, object] = {"readout": readout, "samples": 2}
+    expected = f"sensitivity: got read-out '{readout}', .* do not follow cgem.L1.pitch_v; expected 'binary' or"
+    with pytest.raises(ValueError, match=expected):
+        cg.sensitivity(DESIGN, "mu-", 1.0, keys=["drift_chamber.sigma", "cgem.L1.pitch_v"], **how)
+    found = cg.sensitivity(DESIGN, "mu-", 1.0, keys=["drift_chamber.sigma"], quantities=("p",), **how)
+    assert float(found.of("drift_chamber.sigma", "p")) > 0.1
+
+
 def test_numbers_that_cannot_move_say_why() -> None:
     found = cg.sensitivity(DESIGN, "mu-", 1.0, 0.0, keys=["drift_chamber.sigma", "cgem.L1.sheets"], samples=4)
     assert "sheets" in found.problems["cgem.L1.sheets"]
     assert np.isnan(found.of("cgem.L1.sheets", "p"))
     assert found.ordered()[0] == "drift_chamber.sigma"
     assert "drift_chamber.sigma" in repr(found)
+
+
+def test_empty_arguments_are_refused():
+    for name in ("p", "cos_theta", "radius"):
+        with pytest.raises(ValueError, match=f"{name}: got no number"):
+            cg.analytic("besiii-cgem-design", "mu-", **{"p": 1.0, name: []})

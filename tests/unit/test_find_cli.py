@@ -2,6 +2,9 @@
 
 import csv
 import json
+import os
+import subprocess
+import sys
 
 import pytest
 
@@ -41,3 +44,26 @@ def test_finder_and_settings(words, fakes, capsys):
     numbers = json.loads(capsys.readouterr().out)
     assert numbers["belle2"]["fakes"]["count"] == fakes
     assert numbers["belle2"]["efficiency"]["count"] == (20 if "truth" in words else 0)
+
+
+def test_memory_is_bounded():
+    """Fifty times the background of 2026, with 3 GB of address space for all of the program."""
+    line = [
+        "find",
+        "-d",
+        "besiii-cgem-design",
+        "--p",
+        "1",
+        "--cos-theta",
+        "0.2",
+        "-n",
+        "1",
+        "--threads",
+        "1",
+        "--quiet",
+    ]
+    background = ["--set", "background.level=bes2026", "--set", "background.factor=50"]
+    program = "import resource, sys; resource.setrlimit(resource.RLIMIT_AS, (3 << 30, 3 << 30)); "
+    program += f"from cgemit.cli.main import main; sys.exit(main({[*line, *background]!r}))"
+    environment = os.environ | {"OPENBLAS_NUM_THREADS": "1"}
+    subprocess.run([sys.executable, "-c", program], check=True, capture_output=True, env=environment)

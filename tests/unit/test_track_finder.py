@@ -240,3 +240,11 @@ def test_of_tracks_that_share_hits_the_best_remains():
     assert finding.rates().efficiency.value > 0.97
     assert len(finding.candidates.hits) <= 102
     assert finding.rates().fakes.count == 0
+
+
+def test_unknown_views_are_refused():
+    clusters = cg.run("besiii-cgem", PAIR, n=2, settings=QUIET, until="cluster").clusters
+    view = clusters["view"].copy()
+    view[3] = 100
+    with pytest.raises(ValueError, match="clusters row 3: view: got 100, expected 0, 1 or 2"):
+        cg.find_tracks("besiii-cgem", clusters.with_columns(view=view), cg.Table.empty("wire_hits", **clusters.cover))

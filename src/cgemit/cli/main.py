@@ -88,7 +88,7 @@ def _run(argv: list[str]) -> int:
     except KeyboardInterrupt:
         print("cgemit: interrupted", file=sys.stderr)
         return INTERRUPTED
-    except (ValueError, FileNotFoundError) as error:
+    except (ValueError, FileNotFoundError, FileExistsError, IsADirectoryError, NotADirectoryError) as error:
         return _report(error, BAD_INPUT, getattr(arguments, "debug", False))
     except Exception as error:
         return _report(error, RUN_FAILED, getattr(arguments, "debug", False))

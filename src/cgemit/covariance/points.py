@@ -99,10 +99,13 @@ def analytic(
     azimuth = None if phi is None else _limits("phi", phi, "angle", problems)
     at = np.array(math.nan) if radius is None else _numbers("radius", radius, "length", problems)
     if radius is not None and not (np.all(at > 0) and np.all(np.isfinite(at))):
-        problems.append("radius: expected positive lengths in mm")
+        problems.append(f"radius: got {radius!r:.60}, expected positive lengths in mm")
     charges = np.asarray(kind.charge if charge is None else charge, np.float64)
     masses = np.asarray(kind.mass if mass is None else mass, np.float64)
     problems += _problems(p_low, p_high, c_low, c_high, charges, masses, at, samples)
+    for name, numbers in (("p", p_low), ("cos_theta", c_low), ("radius", at)):
+        if np.size(numbers) == 0:
+            problems.append(f"{name}: got no number, expected one or more")
     if problems:
         raise ValueError("analytic:\n  " + "\n  ".join(problems))
     sigma_x, sigma_v = _errors(digitize.readout, detector)

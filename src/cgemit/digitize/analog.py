@@ -24,6 +24,7 @@ SURVIVAL = 0.957 * 0.962
 
 Probability = Annotated[float, Check(lambda value: 0 < value <= 1, "a number above 0 and up to 1")]
 Share = Annotated[float, Check(lambda value: 0 <= value < 1, "a number from 0 to 1, 1 excluded")]
+Factor = Annotated[float, Check(lambda value: 0 <= value <= 10, "a number from 0 to 10")]
 Missing = Annotated[int, Check(lambda value: 0 <= value <= 10, "a whole number from 0 to 10")]
 
 
@@ -44,7 +45,7 @@ class AnalogReadout(SettingsData):
     first_gain : float
         Electrons behind the first foil per electron that entered it.
     diffusion : float
-        Factor on all diffusion widths; 0 switches diffusion off.
+        Factor on all diffusion widths, up to 10; 0 switches diffusion off.
     lorentz : bool
         Whether the Lorentz angle acts.
     holes : bool
@@ -83,7 +84,7 @@ class AnalogReadout(SettingsData):
     gain_fluctuation: bool = True
     survival: Probability = SURVIVAL
     first_gain: Positive = 15.0
-    diffusion: NotNegative = 1.0
+    diffusion: Factor = 1.0
     lorentz: bool = True
     holes: bool = True
     share_spread: NotNegative = 0.1

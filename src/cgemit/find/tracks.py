@@ -93,6 +93,10 @@ def _measurements(clusters: Table, wire_hits: Table) -> tuple[Column, Column, di
 
     An XV cluster is left out if its X and V clusters are in the table, and otherwise gives two measurements.
     """
+    unknown = np.flatnonzero(~np.isin(clusters["view"], (HIT_X, HIT_V, XV_CLUSTER)))
+    if len(unknown):
+        view = clusters["view"][unknown[0]]
+        raise ValueError(f"find_tracks: clusters row {unknown[0]}: view: got {view}, expected 0, 1 or 2")
     points = (clusters["view"] == XV_CLUSTER) & (clusters["x_cluster"] < 0)
     x = np.flatnonzero((clusters["view"] == HIT_X) | points)
     v = np.flatnonzero((clusters["view"] == HIT_V) | points)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from cgemit.statistics.formatting import text_table, with_error
 from cgemit.study.analytic_scan import AnalyticScan
-from cgemit.study.samples import momentum_name
-from cgemit.study.scan_table import shot_text
+from cgemit.study.samples import fitted, momentum_name
+from cgemit.study.scan_table import counts_text, shot_text
 from cgemit.study.scans import QUOTED_PARAMETERS, Scan
 
 _HEAD = ("sigma(d_rho) [um]", "sigma(d_z) [mm]", "sigma(p) [MeV/c]")
@@ -30,6 +30,9 @@ def compared(simulated: Scan, line: AnalyticScan) -> str:
         cells.append([with_error(value, 0.0) for value in expected])
         ratios = zip(points.y / expected, points.y_error / expected, strict=True)
         cells.append([with_error(*pair) for pair in ratios])
+    head += ["fitted", "not fitted"]
+    cells.append([f"{fitted(sample)}/{sample.n_events}" for sample in simulated.samples])
+    cells.append([counts_text(sample.removed) for sample in simulated.samples])
     title = (
         f"{first.detector.name}, {shot_text(first)}: core widths, simulated "
         f"({simulated.samples[0].n_events} events at each momentum) and analytic, ratio simulated/analytic"

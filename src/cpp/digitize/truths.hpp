@@ -95,8 +95,10 @@ inline void check(const StepColumns& steps, const TruthColumns& truths, const De
     if (steps.parent[i] != 0 && steps.parent[i] != 1) {
       fail("parent " + std::to_string(steps.parent[i]) + ", expected 0 or 1");
     }
-    if (steps.n_electrons[i] < 0) {
-      fail("n_electrons " + std::to_string(steps.n_electrons[i]) + ", expected 0 or more");
+    constexpr std::int32_t most_electrons = 1'000'000;
+    if (steps.n_electrons[i] < 0 || steps.n_electrons[i] > most_electrons) {
+      fail("n_electrons " + std::to_string(steps.n_electrons[i]) + ", expected 0 to " +
+           std::to_string(most_electrons));
     }
     double sum = steps.energy[i];
     for (std::size_t k = 0; k < 3; ++k) sum += steps.middle[k][i] + steps.d[k][i];

@@ -44,6 +44,7 @@ SegmentFinder::SegmentFinder(const Detector& detector, const FindSettings& setti
 void SegmentFinder::load(const EventHits& hits, bool all) {
   seeds_.clear();
   ranks_.clear();
+  work_ = 0;
   for (std::size_t layer = 0; layer < points_.size(); ++layer) {
     points_[layer].clear();
     const CgemLayer& cgem = detector_.cgem[layer];
@@ -57,9 +58,10 @@ void SegmentFinder::load(const EventHits& hits, bool all) {
 
 // z of the crossings of an X cluster with the V clusters of its sheet.
 void SegmentFinder::heights(const EventHits& hits, std::size_t layer, const Point& point,
-                            std::vector<Height>& out, bool all) const {
+                            std::vector<Height>& out, bool all) {
   out.clear();
   const CgemLayer& cgem = detector_.cgem[layer];
+  work_ += hits.last(layer, View::v) - hits.first(layer, View::v);
   for (std::int32_t id = hits.first(layer, View::v); id < hits.last(layer, View::v); ++id) {
     if (hits[id].channel != hits[point.id].channel || (!all && hits.is_taken(id))) continue;
     const double z = crossing_z(cgem, hits[point.id].value, hits[id].value);
@@ -77,8 +79,11 @@ const std::vector<FindSeed>& SegmentFinder::three_layers(const EventHits& hits) 
     const double window = bend + std::min(0.5, settings_.max_d * (1 / r_in - 1 / r_out));
     for (const Point& a : points_[inner]) {
       for (const Point& c : points_[inner + 2]) {
+        if (too_much()) return ranked();
+        ++work_;
         const double turn = wrap_angle(c.phi - a.phi);
         if (std::abs(turn) > window) continue;
+        work_ += static_cast<std::int64_t>(points_[inner + 1].size());
         for (const Point& b : points_[inner + 1]) {
           const double part = wrap_angle(b.phi - a.phi);
           if (std::abs(part - 0.5 * turn) > 0.5 * std::abs(turn) + 0.1) continue;
@@ -105,6 +110,8 @@ void SegmentFinder::three(std::size_t inner, const Point& a, const Point& b, con
   const double pt = 1 / std::max(std::abs(kappa), 1e-3);
   for (const Height& low : low_) {
     for (const Height& high : high_) {
+      if (too_much()) return;
+      work_ += 1 + static_cast<std::int64_t>(middle_.size());
       const double tanl = (high.z - low.z) / (s_c - s_a), z0 = low.z - tanl * s_a;
       if (std::abs(z0) > settings_.max_z) continue;
       const double p = pt * std::sqrt(1 + tanl * tanl), beta = p / std::hypot(p, settings_.mass);
@@ -129,7 +136,11 @@ const std::vector<FindSeed>& SegmentFinder::two_layers(const EventHits& hits) {
   for (std::size_t inner = 0; inner < points_.size(); ++inner)
     for (std::size_t outer = inner + 1; outer < std::min(points_.size(), inner + 3); ++outer)
       for (const Point& a : points_[inner])
-        for (const Point& c : points_[outer]) two(inner, outer, a, c, hits);
+        for (const Point& c : points_[outer]) {
+          if (too_much()) return ranked();
+          ++work_;
+          two(inner, outer, a, c, hits);
+        }
   return ranked();
 }
 
@@ -143,6 +154,7 @@ void SegmentFinder::two(std::size_t inner, std::size_t outer, const Point& a, co
   const double s_a = arc(at.w, std::hypot(a.x, a.y)), s_c = arc(at.w, std::hypot(c.x, c.y));
   const double kappa = at.w / curvature(detector_.bz, 1.0);
   for (const Height& low : low_) {
+    work_ += static_cast<std::int64_t>(high_.size());
     for (const Height& high : high_) {
       const double tanl = (high.z - low.z) / (s_c - s_a), z0 = low.z - tanl * s_a;
       if (std::abs(z0) > usual_z) continue;
@@ -161,15 +173,24 @@ void SegmentFinder::add(const Perigee& helix, double sigma_d, std::initializer_l
   if (seed.helix.kappa == 0) seed.helix.kappa = 1e-9;
   ranks_.push_back({rank, seeds_.size()});
   seeds_.push_back(std::move(seed));
+  if (seeds_.size() > 8 * static_cast<std::size_t>(settings_.max_seeds) + 1000) keep_best();
+}
+
+// Leaves the best seeds, in their order; of equal ones the first found.
+void SegmentFinder::keep_best() {
+  std::ranges::stable_sort(ranks_, [](const Ranked& a, const Ranked& b) { return a.rank < b.rank; });
+  ranks_.resize(std::min(static_cast<std::size_t>(settings_.max_seeds), ranks_.size()));
+  sorted_.clear();
+  for (Ranked& one : ranks_) {
+    sorted_.push_back(std::move(seeds_[one.seed]));
+    one.seed = sorted_.size() - 1;
+  }
+  seeds_.swap(sorted_);
 }
 
 const std::vector<FindSeed>& SegmentFinder::ranked() {
-  std::ranges::stable_sort(ranks_, [](const Ranked& a, const Ranked& b) { return a.rank < b.rank; });
-  sorted_.clear();
-  const auto most = static_cast<std::size_t>(settings_.max_seeds);
-  for (std::size_t i = 0; i < std::min(most, ranks_.size()); ++i)
-    sorted_.push_back(std::move(seeds_[ranks_[i].seed]));
-  return sorted_;
+  keep_best();
+  return seeds_;
 }
 
 }  // namespace cgemit

@@ -34,11 +34,13 @@ class SegmentFinder {
 
   void load(const EventHits& hits, bool all);
   void heights(const EventHits& hits, std::size_t layer, const Point& point, std::vector<Height>& out,
-               bool all) const;
+               bool all);
   void three(std::size_t inner, const Point& a, const Point& b, const Point& c, const EventHits& hits);
   void two(std::size_t inner, std::size_t outer, const Point& a, const Point& c, const EventHits& hits);
   void add(const Perigee& helix, double sigma_d, std::initializer_list<std::int32_t> hits, double rank);
+  void keep_best();
   const std::vector<FindSeed>& ranked();
+  bool too_much() const { return work_ > most_work; }
 
   const Detector& detector_;
   const FindSettings& settings_;
@@ -47,6 +49,9 @@ class SegmentFinder {
   std::vector<Height> low_, middle_, high_;
   std::vector<FindSeed> seeds_, sorted_;
   std::vector<Ranked> ranks_;
+  // Combinations that have been looked at in this event; no more than a second's worth.
+  static constexpr std::int64_t most_work = 100'000'000;
+  std::int64_t work_ = 0;
 };
 
 }  // namespace cgemit

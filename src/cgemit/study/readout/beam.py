@@ -147,6 +147,11 @@ def beam_point(
     calibration = calibration_from(other, readout, "beam")
     widths: dict[str, Resolution] = {}
     charge, size, found = float("nan"), float("nan"), 0
+    if not len(result.truths) or not len(result.digis):
+        raise ValueError(
+            f"readout: got no {'charge on strips' if len(result.truths) else 'crossing of the layer'} at "
+            f"{angle:g} degrees; expected charged particles that cross it, and a lower threshold"
+        )
     for estimator in ESTIMATORS:
         clusters = replace(readout, estimator=estimator).cluster_with(detector, result.digis, calibration)
         sample = measurements(detector, clusters, result.truths, lorentz=readout.lorentz)
