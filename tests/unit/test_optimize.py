@@ -16,9 +16,10 @@ from cgemit.cli.main import main
 from cgemit.study import Background, Optimization, OptimizeError, optimize, sobol, sweep
 from cgemit.study.optimizer import geometry
 from cgemit.study.optimizer.descent import Descent
-from cgemit.study.optimizer.evaluator import Evaluator
+from cgemit.study.optimizer.evaluator import Design, Evaluator
 from cgemit.study.optimizer.goals import Goals, goal_of, limits_of
 from cgemit.study.optimizer.plan import KEYS, read_optimize_plan
+from cgemit.study.optimizer.single import with_failures
 from cgemit.study.optimizer.variables import variables_of
 from cgemit.study.sweeps.evaluate import Evaluation
 
@@ -155,7 +156,12 @@ def test_an_optimum_without_an_allowed_design_says_so() -> None:
 
 
 def test_every_problem_is_listed_at_once() -> None:
-    space = {"cgem.L9.pitch_x": ("1 um", "2 um"), "cgem.*.foils": [1, 2], "cgem.L1.pitch_x": ("600 um", "1 mm"), "a": 3}
+    space = {
+        "cgem.L9.pitch_x": ("1 um", "2 um"),
+        "cgem.*.foils": [1, 2],
+        "cgem.L1.pitch_x": ("600 um", "1 rad"),
+        "a": 3,
+    }
     with pytest.raises(OptimizeError) as error:
         optimize(
             DESIGN, space, minimize=["dr", "drr", "dz @ 0.7"], constraints={"occupancy": (None, 1), "x0": (2, 1)},
@@ -163,11 +169,74 @@ def test_every_problem_is_listed_at_once() -> None:
         )  # fmt: skip
     text = str(error.value)
     for part in (
-        "cgem.L9", "cgem.*.foils, which is a choice", "cgem.L1.pitch_x: got ('600 um', '1 mm')", "a: got 3",
+        "cgem.L9", "cgem.*.foils, which is a choice", "cgem.L1.pitch_x: got ('600 um', '1 rad')", "a: got 3",
         "'drr'", 'did you mean "dr"?', "'dz @ 0.7', expected one of p: 0.3", "background: got none",
         "constraints.x0: got (2, 1)", "for 3 objectives", "calls: got -1", "events", "tolerance: got 2",
     ):  # fmt: skip
         assert part in text, part
+
+
+@pytest.mark.parametrize("readout", ["tiger", "apv25", "analog-projection"])
+def test_a_readout_whose_errors_do_not_follow_the_design_is_refused(readout: str) -> None:
+    settings = cg.Settings(digitize=cg.DigitizeSettings(readout=readout))
+    space = {"drift_chamber.sigma": ("x0.9", "x1.1"), "cgem.*.pitch_x": ("600 um", "700 um"), "cgem.L1.foils": [2, 3]}
+    expected = f"got read-out '{readout}', .* do not follow cgem.*.pitch_x, cgem.L1.foils; expected 'binary'"
+    with pytest.raises(OptimizeError, match=expected):
+        optimize(DESIGN, space, method="nsga2", settings=settings)
+
+
+def test_a_readout_with_calibrated_errors_is_accepted_where_they_stay() -> None:
+    settings = cg.Settings(digitize=cg.DigitizeSettings(readout="tiger"))
+    best = optimize(DESIGN, {"drift_chamber.sigma": ("x0.9", "x1.1")}, minimize="p", samples=2, settings=settings)
+    assert best["drift_chamber.sigma (times)"][best.front[0]] == pytest.approx(0.9)
+    only = optimize(DESIGN, {"cgem.*.pitch_x": ("600 um", "700 um")}, minimize="channels", settings=settings)
+    assert only["cgem.*.pitch_x (um)"][only.front[0]] == pytest.approx(700, rel=1e-3)
+
+
+def test_a_search_with_failed_evaluations_says_how_many() -> None:
+    settings = cg.Settings(digitize=cg.DigitizeSettings(readout="tiger"))
+    space = {"cgem.*.pitch_x": ("600 um", "700 um")}
+    found = optimize(
+        DESIGN, space, evaluate="mc", events=40, method="nsga2", population=4, calls=0, settings=settings
+    )  # fmt: skip
+    assert found.message.startswith("0 calls; 4 of 4 evaluations failed, the first with CalibrationError: ")
+    row = {"status": "failed", "problems": ["ValueError: never"]}
+    designs = [Design(1, "value", (1.0,), {"status": "ok"}), Design(2, "value", (2.0,), row)]
+    ended = "Optimization terminated; 1 of 2 evaluations failed, the first with ValueError: never"
+    assert with_failures("Optimization terminated successfully", designs) == ended
+    assert with_failures("Optimization terminated successfully", designs[:1]) == "Optimization terminated successfully"
+
+
+def test_a_search_counts_its_failed_evaluations(monkeypatch: pytest.MonkeyPatch) -> None:
+    own = Goals.__call__
+
+    def fails(self: Goals, detector: cg.Detector) -> dict[str, Any]:
+        if detector.cgem[0].pitch_x > 0.8:
+            raise ValueError("too wide")
+        return own(self, detector)
+
+    monkeypatch.setattr(Goals, "__call__", fails)
+    found = optimize(DESIGN, {"cgem.*.pitch_x": ("600 um", "1 mm")}, minimize="channels", method="cobyla", samples=2)
+    failed = found.columns["status"].count("failed")
+    assert failed > 0
+    assert f"; {failed} of {found.evaluations} evaluations failed, the first with ValueError: too wide" in found.message
+    assert "successfully" not in found.message
+
+
+def test_ends_of_a_range_may_have_different_units() -> None:
+    problems: list[str] = []
+    (one, same) = (
+        variables_of(DESIGN, {"cgem.*.pitch_x": ends}, problems)[0]
+        for ends in (("400 um", "1 mm"), ("400 um", "1000 um"))
+    )
+    assert (problems, one) == ([], same)
+    assert sobol({"a": ("400 um", "1 mm")}, 4) == sobol({"a": ("400 um", "1000 um")}, 4)
+    for wrong in (("400 um", "1 rad"), ("400 um", 1000), ("400 um", "x2"), ("1 mm", "400 um")):
+        assert variables_of(DESIGN, {"cgem.*.pitch_x": wrong}, problems) == ()
+    assert len(problems) == 4
+    assert variables_of(DESIGN, {"cgem.*.pitch_x": ("1 rad", "2 rad")}, problems) == ()
+    assert "cgem.L1.pitch_x: got" in problems[4]
+    assert "expected a length" in problems[4]
 
 
 def test_wrong_types_are_problems_of_their_arguments() -> None:

@@ -20,6 +20,7 @@ from cgemit.fit import FitStatus
 from cgemit.study import grid, latin_hypercube, sobol, sweep
 from cgemit.study.samples import seed_of
 from cgemit.study.sweeps.evaluate import GROUPS, error_of_difference
+from cgemit.study.sweeps.keys import key_problems
 from cgemit.study.sweeps.plan import PlanError, read_plan
 from cgemit.study.sweeps.space import SpaceError
 
@@ -125,6 +126,40 @@ def test_problems_of_spaces_and_arguments_are_all_listed() -> None:
         assert text in str(wrong.value)
     with pytest.raises(ValueError, match="expected a charged particle"):
         sweep(DESIGN, PITCHES, particle="gamma")
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ({"cgem.*.ptich_x": "400 um"}, ["cgem.*.ptich_x: got an unknown key", 'did you mean "pitch_x"?']),
+        ({"cgem.L1.ptich_x": "x1.1"}, ["cgem.L1.ptich_x: ", 'did you mean "pitch_x"?']),
+        ({"cgem.L9.pitch_x": "400 um"}, ["cgem.L9.pitch_x: got 'L9'", "expected one of L1, L2, L3"]),
+        ({"cgem.L9.pitch_x": "x1.1"}, ["cgem.L9.pitch_x: got 'L9'", "expected one of L1, L2, L3"]),
+        ({"cgem.*.foil.Kaptn.thickness": "60 um"}, ["cgem.*.foil.Kaptn.thickness: "]),
+        ({"cgem.L1": {"ptich_x": "400 um"}}, ["cgem.L1: got an unknown key", 'did you mean "pitch_x"?']),
+        ({"cgem.L[89].foils": 2}, ["cgem.L[89].foils: ", "matches nothing"]),
+        ({"cgm.L1.foils": 2, "cgem.L1.foil": 2}, ["cgm.L1.foils: ", 'did you mean "cgem"?']),
+    ],
+)
+def test_keys_that_name_nothing_are_refused_at_once(changes: dict[str, Any], expected: list[str]) -> None:
+    def never(detector: Detector) -> dict[str, Any]:
+        raise AssertionError
+
+    with pytest.raises(SpaceError) as caught:
+        sweep(DESIGN, [{"cgem.L1.foils": 2}, changes], evaluate=never)
+    (text,) = str(caught.value).splitlines()[1:]
+    assert text.strip().startswith(expected[0])
+    assert all(part in text for part in expected)
+
+
+def test_keys_of_new_parts_and_of_other_bases_are_no_mistakes() -> None:
+    added = {"cgem.L4": {"like": "L3"}, "cgem.L4.anode_radius": "x1.3", "remove": ["walls"]}
+    assert key_problems([(DESIGN, {}), (DESIGN, {**added, "cgem.L4.anode_radius": "230 mm"})]) == []
+    assert key_problems([(DESIGN, {"cgem.L2.anode_radius": "160 mm"})]) == []  # a wrong value, not a wrong key
+    fewer = DESIGN.with_overrides({"remove": ["cgem.L1"]})
+    change = {"cgem.L1.foils": 2}
+    assert key_problems([(fewer, change), (DESIGN, change)]) == []
+    assert len(key_problems([(fewer, change)])) == 1
 
 
 def test_a_function_that_fails_is_a_row_and_is_tried_again(tmp_path: Path) -> None:
@@ -381,6 +416,33 @@ def test_problems_of_a_plan_are_all_listed(tmp_path: Path, capsys: pytest.Captur
     assert main(["sweep", str(tmp_path / "none.toml"), "-o", str(tmp_path / "out")]) == 2
     assert main(["sweep", str(path)]) == 2
     assert "-o: missing" in capsys.readouterr().err
+
+
+def test_the_quantity_of_the_picture_is_checked_before_the_sweep(tmp_path: Path) -> None:
+    path = tmp_path / "plan.toml"
+    text = 'base = "besiii-cgem-design"\n[vary]\n"cgem.L1.foils" = [2]\n[draw]\nquantity = "sigma_dr"\n[evaluate]\n'
+    path.write_text(text + 'quantities = ["dr", "p"]\n')
+    with pytest.raises(PlanError, match=r'draw.quantity: got .*sigma_dr \(um\), .*did you mean "sigma_dr \(um\)"'):
+        read_plan(path)
+    for method in ("analytic", "mc"):
+        path.write_text(f'{text}method = "{method}"\nevents = 40\nsamples = 2\n'.replace('"sigma_dr"', '"nothing"'))
+        with pytest.raises(PlanError) as caught:
+            read_plan(path)
+        known = caught.value.problems[0].partition("expected one of ")[2].split(", ")
+        found = sweep(DESIGN, [{"cgem.L1.foils": 2}], evaluate=method, events=40, samples=2)  # type: ignore[arg-type]
+        assert set(known) == {name for name in found.results if name != "tracks"}  # which is a word
+
+
+@pytest.mark.parametrize("value", ["[400, 500]", '["1 rad"]'])
+def test_a_sweep_of_impossible_variants_has_failed_though_the_base_has_not(
+    value: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = f'base = "besiii-cgem-design"\n[vary]\n"cgem.*.pitch_x" = {value}\n[evaluate]\nsamples = 2\n'
+    (tmp_path / "plan.toml").write_text(text)
+    assert main(["sweep", str(tmp_path / "plan.toml"), "-o", str(tmp_path / "out"), "--quiet"]) == 3
+    error = capsys.readouterr().err
+    assert "no variant could be evaluated" in error
+    assert "cgem.L1.pitch_x: got" in error
 
 
 def test_a_sweep_without_a_possible_variant_has_failed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

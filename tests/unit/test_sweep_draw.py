@@ -90,6 +90,23 @@ def test_labels_and_mistakes() -> None:
         draw_sweep(nothing, found.parameters, "all")
 
 
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_a_table_with_the_base_alone_has_nothing_to_draw(count: int) -> None:
+    keys = ("cgem.L1.anode_radius", "cgem.L1.pitch_x", "cgem.L1.foils")[:count]
+    found = sweep(DESIGN, [dict(zip(keys, ("160 mm", "400 um", 2), strict=False))], evaluate=strips)
+    assert found.columns["status"] == ["ok", "impossible"]
+    with pytest.raises(ValueError, match="first: got no number to draw, expected at least one variant"):
+        found.draw("first")
+
+
+def test_parallel_coordinates_are_of_the_first_point_with_a_variant() -> None:
+    keys = ("cgem.*.foils", "cgem.*.pitch_x", "cgem.*.pitch_v")
+    found = sweep(DESIGN, [dict(zip(keys, (2, "400 um", "400 um"), strict=True))], p=[0.3, 1.0], samples=2)
+    columns = {**found.columns, "sigma_dr (um)": [300.0, 150.0, float("nan"), 140.0]}
+    axes = draw_sweep(columns, found.parameters, "sigma_dr (um)").axes[0]
+    assert axes.get_title() == "p = 1 GeV/c, cos θ = 0"
+
+
 def test_budgets_of_variants_are_bars_that_add_up_to_the_variance() -> None:
     found = sweep(DESIGN, {"cgem.L2.anode_radius": ["120 mm", "165 mm", "145 mm"]}, p=[0.3, 1.0], samples=16)
     picture = found.draw_budgets("dr", "cause", point=1)

@@ -112,9 +112,11 @@ def _places(arguments: argparse.Namespace) -> tuple[str, str]:
 
 
 def _report(result: Sweep, draw: Any, output: Path, arguments: argparse.Namespace) -> None:
-    if "ok" not in result.columns["status"]:
-        problems = dict.fromkeys(filter(None, result.columns["problems"]))
-        raise common.RunFailedError("\n  ".join(["no variant could be evaluated", *list(problems)[:10]]))
+    rows = zip(*(result.columns[name] for name in ("variant", "status", "problems")), strict=True)
+    varied = [(status, problems) for number, status, problems in rows if number > 0]
+    if all(status != "ok" for status, _ in varied):
+        reasons = dict.fromkeys(problems for _, problems in varied if problems)
+        raise common.RunFailedError("\n  ".join(["no variant could be evaluated", *list(reasons)[:10]]))
     if arguments.parquet:
         result.write_parquet(output / "sweep.parquet", overwrite=True)
     result.draw(**draw).save(output / "sweep", overwrite=True)

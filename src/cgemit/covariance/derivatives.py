@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -15,6 +15,8 @@ from cgemit.covariance.points import analytic
 from cgemit.covariance.result import Covariance
 from cgemit.detector import Detector, DetectorError, load
 from cgemit.detector.parts import CgemLayer, Contents
+from cgemit.digitize import Readout
+from cgemit.digitize.analog_cluster import key_of
 from cgemit.fit import compiled_for_fit
 from cgemit.statistics.formatting import html_table, text_table
 from cgemit.tables.frames import data_frame
@@ -126,7 +128,8 @@ def sensitivity(
     Raises
     ------
     DetectorError, ValueError
-        As for `analytic`; if a key or quantity is not known.
+        As for `analytic`; if a key or quantity is not known; if the read-out has calibrated errors that do not follow
+        a key.
 
     Notes
     -----
@@ -141,6 +144,11 @@ def sensitivity(
     for name in quantities:
         base.variances(name)  # refuses an unknown name
     wanted = tuple(keys) if keys is not None else tuple(design_keys(detector))
+    fixed = [key for key in wanted if calibrated_apart(base.readout, detector, _changed(detector, key))]
+    if fixed:
+        raise ValueError(
+            f"sensitivity: {errors_do_not_follow(base.readout, fixed)}; expected 'binary' or 'gaussian', or other keys"
+        )
     values, problems = logarithmic_slopes(base, detector, wanted, quantities)
     return Sensitivity(
         detector.name, base.particle, base.p, base.cos_theta, wanted, tuple(quantities), values, problems
@@ -199,6 +207,26 @@ def varied(base: Covariance, variants: Sequence[Detector]) -> list[Covariance]:
     return [dataclasses.replace(base, detector=one, _samples=row) for one, row in zip(variants, rows[1:], strict=True)]
 
 
+def calibrated_apart(readout: Readout, detector: Detector, variants: Iterable[Detector]) -> bool:
+    """Return whether a read-out has calibrated errors, and a calibration of the detector is none of some variant.
+
+    Parameters
+    ----------
+    readout : Readout
+    detector : Detector
+    variants : iterable of Detector
+    """
+    if not hasattr(readout, "calibration"):
+        return False
+    own = key_of(detector, readout)
+    return any(key_of(one, readout) != own for one in variants)
+
+
+def errors_do_not_follow(readout: Readout, keys: Sequence[str]) -> str:
+    """Return the message about a read-out whose calibrated errors do not follow some keys."""
+    return f"got read-out {readout.name!r}, which has calibrated errors that do not follow {', '.join(keys)}"
+
+
 class _Neighbour(NamedTuple):
     """A variant of the detector, and by how much ln(number) differs."""
 
@@ -216,6 +244,13 @@ def _neighbour(detector: Detector, key: str) -> _Neighbour | str:
             except DetectorError as error:
                 problem = str(error.problems[0])
     return problem
+
+
+def _changed(detector: Detector, key: str) -> Iterator[Detector]:
+    """Yield the variant of `_neighbour`, if there is one."""
+    found = _neighbour(detector, key)
+    if not isinstance(found, str):
+        yield found.detector
 
 
 def _with_stereo(variant: Detector, base: Detector) -> Detector:

@@ -51,7 +51,7 @@ def draw_sweep(columns: Columns, parameters: Sequence[str], quantity: str, *, ki
         raise ValueError(f"kind: got {kind!r} for {len(parameters)} keys, expected {count}")
     values = np.array([value if isinstance(value, int | float) else np.nan for value in columns[quantity]], np.float64)
     drawn = np.isfinite(values) & (np.array(columns["status"]) == "ok")
-    if not drawn.any():
+    if not (drawn & (np.array(columns["variant"]) > 0)).any():  # the base alone shows no dependence
         raise ValueError(f"{quantity}: got no number to draw, expected at least one variant that could be evaluated")
     with style():
         return draw(columns, tuple(parameters), quantity, values, drawn)
@@ -159,9 +159,11 @@ def _cells(axes: Axes, all_x: Any, all_y: Any, x: Any, y: Any, values: Any, text
 
 
 def _parallel(columns: Columns, parameters: tuple[str, ...], quantity: str, values: Any, drawn: Any) -> Picture:
-    """Draw a line for each variant through an axis for each key and one for the quantity at the first point."""
-    text, here = points(columns)[0]
-    rows = np.flatnonzero(here & drawn & (np.array(columns["variant"]) > 0))
+    """Draw a line for each variant through an axis for each key and one for the quantity, at one point."""
+    # The first point with a number of any variant.
+    varied = drawn & (np.array(columns["variant"]) > 0)
+    text, here = next(one for one in points(columns) if (one[1] & varied).any())
+    rows = np.flatnonzero(here & varied)
     names = [*parameters, quantity]
     picture, (axes,) = new_picture(1, 1, (max(6.0, 1.9 * len(names)), 4.6))
     scaled, ends = zip(*(unit_scaled(columns[name], rows) for name in names), strict=True)

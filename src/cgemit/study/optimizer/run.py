@@ -23,8 +23,8 @@ from cgemit.study.optimizer.geometry import Background
 from cgemit.study.optimizer.goals import OCCUPANCY, Goal, Goals, Limit, goal_of, limits_of
 from cgemit.study.optimizer.journal import MissingPackageError, optuna
 from cgemit.study.optimizer.result import Optimization
-from cgemit.study.optimizer.single import Found, search
-from cgemit.study.optimizer.variables import Variable, variables_of
+from cgemit.study.optimizer.single import Found, search, with_failures
+from cgemit.study.optimizer.variables import Variable, calibration_problems, variables_of
 from cgemit.study.samples import ShowProgress
 from cgemit.study.sweeps.evaluate import CosTheta, Evaluation
 from cgemit.study.sweeps.run import as_tuple, chunk_folder, number_problems
@@ -86,7 +86,7 @@ def optimize(
     ----------
     base : Detector, or what `load` accepts
     space : mapping of str to (low, high), "bounds" or list
-        By dotted key of the detector file, which may be a pattern: a range in one unit (``("105 mm", "155 mm")``,
+        By dotted key of the detector file, which may be a pattern: a range (``("105 mm", "155 mm")``,
         ``("x0.8", "x1.2")``), the allowed range, or values to choose from.
     minimize : str or sequence of str
         Objectives: resolutions (p, pt, dr, dz, phi0, theta, tanl), as the geometric mean of all points or at one
@@ -144,7 +144,7 @@ def optimize(
                 evaluator, task.variables, task.objectives, population=population, offspring=offspring, calls=calls,
                 seed=seed, journal=journal, progress=progress,
             )  # fmt: skip
-            found = Found(designs, 0, f"{calls} calls")
+            found = Found(designs, 0, with_failures(f"{calls} calls", designs))
         else:
             how: dict[str, Any] = {"tolerance": tolerance or _TOLERANCE[task.method], "steps": steps}
             try:
@@ -211,6 +211,9 @@ def _checked(
         if name != "seed" and not is_whole(value, least[name], 1_000_000):
             problems.append(f"{name}: got {value!r}, expected a whole number from {least[name]} to 1000000")
     names = tuple(dict.fromkeys(one.name for one in goals if one.resolution))
+    if names and evaluation.method == "analytic":
+        readout = (evaluation.settings or Settings()).digitize.readout
+        problems += calibration_problems(base, variables, readout)
     full = Evaluation(**{one.name: getattr(evaluation, one.name) for one in fields(evaluation)} | {"quantities": names})
     problems += number_problems("optimize", full)
     if problems:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -79,13 +79,30 @@ def search(
     message = (_with_gradients if method == "gradient" else _without)(descent, first, tolerance, steps)
     best = _best(descent)
     if best is None:
-        return Found(tuple(descent.designs), descent.gradients, f"{message}; no design keeps all limits")
+        message = with_failures(f"{message}; no design keeps all limits", descent.designs)
+        return Found(tuple(descent.designs), descent.gradients, message)
     values = rounded(evaluator.base, variables, best.values)
     row = evaluator.rows([changes_of(variables, values)])[0]
     if not evaluator.allowed(row):  # filling the sheet went over a limit
         values, row = best.values, best.row
     designs = (*descent.designs, Design(len(descent.designs) + 1, "optimum", values, row))
-    return Found(designs, descent.gradients, message)
+    return Found(designs, descent.gradients, with_failures(message, designs))
+
+
+def with_failures(message: str, designs: Sequence[Design]) -> str:
+    """Return how a search ended: if evaluations failed, how many and why the first one did, and no success.
+
+    Parameters
+    ----------
+    message : str
+        Of the search.
+    designs : sequence of Design
+    """
+    failed = [one.row for one in designs if one.row["status"] == "failed"]
+    if not failed:
+        return message
+    ended = message.replace(" successfully", "")
+    return f"{ended}; {len(failed)} of {len(designs)} evaluations failed, the first with {failed[0]['problems'][0]}"
 
 
 def _with_gradients(descent: Descent, u: Any, tolerance: float, steps: int) -> str:

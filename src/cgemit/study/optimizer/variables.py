@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from cgemit.covariance.derivatives import calibrated_apart, errors_do_not_follow
 from cgemit.detector import Detector, DetectorError
 from cgemit.detector.variants import matching, value_at
+from cgemit.digitize import Readout
 from cgemit.study.sweeps.axes import own_value
-from cgemit.study.sweeps.space import Changes, split_quantity
+from cgemit.study.sweeps.space import Changes, split_range
 from cgemit.units import NATIVE
 from cgemit.values import is_whole
 
 #: Text that stands for the allowed range of a number.
 BOUNDS = "bounds"
-_EXPECTED = f"(low, high) in the same unit, a list to choose from, or {BOUNDS!r}"
+_EXPECTED = f"(low, high) of one dimension, a list to choose from, or {BOUNDS!r}"
 
 
 @dataclass(frozen=True)
@@ -128,11 +130,38 @@ def _parsed(base: Detector, key: str, given: Any) -> Variable | None:
         return Variable(key, choices=tuple(given))
     if not isinstance(given, tuple) or len(given) != 2:
         return None
-    one, other = split_quantity(given[0]), split_quantity(given[1])
-    if not one or not other or one[::2] != other[::2] or one[1] >= other[1]:
+    ends = split_range(*given)
+    if ends is None or ends[1] >= ends[2]:
         return None
+    before, low, high, unit = ends
     whole = all(is_whole(end, -(10**9), 10**9) for end in given) and _is_integer(base, key)
-    return Variable(key, one[1], other[1], one[0], one[2], whole)
+    return Variable(key, low, high, before, unit, whole)
+
+
+def calibration_problems(base: Detector, variables: Sequence[Variable], readout: Readout) -> list[str]:
+    """Return the problem of a read-out whose calibrated errors do not follow what is varied, if there is one.
+
+    Parameters
+    ----------
+    base : Detector
+    variables : sequence of Variable
+    readout : Readout
+    """
+    keys = [one.key for one in variables if calibrated_apart(readout, base, _sample(base, one))]
+    if not keys:
+        return []
+    expected = "expected 'binary' or 'gaussian', or evaluate 'mc' with own calibrations"
+    return [f"settings.digitize.readout: {errors_do_not_follow(readout, keys)}; {expected}"]
+
+
+def _sample(base: Detector, one: Variable) -> Iterator[Detector]:
+    """Yield some possible designs with different values of a variable."""
+    values = one.choices or (one.low, 0.5 * (one.low + one.high), one.high, one.start(base))
+    for value in values:
+        try:
+            yield base.with_overrides({one.key: one.change(value)})
+        except DetectorError:
+            continue
 
 
 def _is_integer(base: Detector, key: str) -> bool:

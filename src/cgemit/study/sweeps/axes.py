@@ -10,7 +10,7 @@ from typing import Any
 from cgemit.detector import Detector
 from cgemit.detector.variants import matching, value_at
 from cgemit.study.sweeps.space import split_quantity
-from cgemit.units import NATIVE, format_quantity
+from cgemit.units import NATIVE, format_quantity, units_of
 
 
 def axis_of(key: str, base: Detector, values: Sequence[Any]) -> tuple[str, list[Any]]:
@@ -39,13 +39,15 @@ def _values(key: str, base: Detector) -> list[tuple[Any, Any]]:
 
 
 def own_value(key: str, base: Detector, unit: str) -> float:
-    """Return the base's value of a key in a unit; NaN if it has none, or several."""
+    """Return the base's value of a key in a unit; NaN if it has none, several, or one of another dimension."""
     numbers = {(value, one.kind) for value, one in _values(key, base) if isinstance(value, int | float)}
     if len(numbers) != 1:
         return math.nan
     value, kind = numbers.pop()
     if kind not in NATIVE or not unit:
         return float(value)
+    if unit not in units_of(kind):  # of a value that is wrong for this key
+        return math.nan
     return float(format_quantity(value, kind, unit).split()[0])
 
 

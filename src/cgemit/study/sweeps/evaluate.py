@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import inspect
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Literal
@@ -118,6 +118,19 @@ def _text(cos_theta: CosTheta) -> str:
 def column(name: str, quantity: str) -> str:
     """Return the header of a column, such as ``sigma_p (MeV/c)``."""
     return f"{name} ({QUANTITIES[quantity][0]})"
+
+
+def result_columns(method: str, quantities: Sequence[str]) -> tuple[str, ...]:
+    """Return the columns of numbers that "analytic" or "mc" makes of some resolutions."""
+    sigmas = [column(f"sigma_{name}", name) for name in quantities]
+    if method == "analytic":
+        return (*sigmas, "reached")
+    more = [
+        column(f"{before}sigma_{name}{after}", name)
+        for name in quantities
+        for before, after in (("", "_error"), ("delta_", ""), ("delta_", "_error"))
+    ]
+    return ("fitted", "events", *sigmas, *more)
 
 
 def covariances(detector: Detector, evaluation: Evaluation) -> list[Covariance]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib.util
 import os
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,7 @@ from cgemit.io.toml import toml_text
 from cgemit.problems import ProblemsError, did_you_mean
 from cgemit.result import Settings
 from cgemit.settings import SettingsError
+from cgemit.study.sweeps.evaluate import QUANTITIES, result_columns
 from cgemit.study.sweeps.result import Sweep
 from cgemit.study.sweeps.run import sweep
 from cgemit.study.sweeps.space import Space, SpaceError, grid, latin_hypercube, listed, sobol
@@ -121,6 +122,7 @@ def read_plan(path: str | os.PathLike[str], changes: Mapping[str, Any] | None = 
     arguments = {"base": tables.get("base"), **_evaluate(tables.get("evaluate", {}), problems)}
     arguments["space"] = _space(tables, problems)
     arguments["settings"] = settings_of(tables.get("settings"), problems)
+    problems += _draw_problems(tables.get("draw", {}), arguments)
     if not isinstance(arguments["base"], str):
         problems.append(f"base: got {arguments['base']!r}, expected a preset or a detector file")
     if problems:
@@ -199,6 +201,17 @@ def numbers(path: str, given: Any, dimension: str, problems: list[str]) -> Any:
         problems.append(f"{path}: got {error}")
         return 0.0
     return ends[0] if len(ends) == 1 else tuple(ends)
+
+
+def _draw_problems(table: Mapping[str, Any], arguments: Mapping[str, Any]) -> list[str]:
+    """Return the problem of a quantity that is no column; columns of a function are not known before it runs."""
+    method, names = arguments.get("evaluate", "analytic"), arguments.get("quantities", tuple(QUANTITIES))
+    if "quantity" not in table or method not in ("analytic", "mc") or not isinstance(names, Sequence):
+        return []
+    quantity, known = table["quantity"], result_columns(method, [one for one in names if one in QUANTITIES])
+    if quantity in known:
+        return []
+    return [f"draw.quantity: got {quantity!r}, expected one of {', '.join(known)}{did_you_mean(quantity, known, '; ')}"]
 
 
 def _is_number(text: str) -> bool:

@@ -17,8 +17,9 @@ from cgemit.study.samples import ShowProgress
 from cgemit.study.sweeps.chunks import CHUNKS
 from cgemit.study.sweeps.compute import Task, compute_rows
 from cgemit.study.sweeps.evaluate import QUANTITIES, CosTheta, Evaluation, Function
+from cgemit.study.sweeps.keys import key_problems
 from cgemit.study.sweeps.result import Sweep
-from cgemit.study.sweeps.space import Changes, Space, grid, listed
+from cgemit.study.sweeps.space import Changes, Space, SpaceError, grid, listed
 from cgemit.values import check_numbers, is_whole
 
 #: Variants in one chunk: simulated ones and functions take long, analytic ones do not.
@@ -98,7 +99,7 @@ def sweep(
     Raises
     ------
     ValueError
-        Listing every problem of the arguments.
+        Listing every problem of the arguments, among them keys that name nothing in the base.
     OutputExistsError
         If the folder holds files that are none of a sweep.
     """
@@ -110,6 +111,9 @@ def sweep(
     start = load(base) if not isinstance(base, Detector) else base
     chosen = _space(space)
     bases = [(start, {}), *_with_bases(start, chosen.variants)]
+    problems = key_problems(bases)
+    if problems:
+        raise SpaceError(problems)
     size = chunk or CHUNK[evaluation.method]
     tasks = [_task(bases[i : i + size], evaluation) for i in range(0, len(bases), size)]
     folder = chunk_folder(output, resume=resume, overwrite=overwrite)

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.stats import qmc
 
 from cgemit.detector.variants import factor_of
-from cgemit.units import units_of
+from cgemit.units import parse_quantity, units_of
 from cgemit.values import is_whole
 
 #: One variant: what it changes, by dotted key of the detector file.
@@ -102,8 +102,8 @@ def sobol(ranges: Mapping[str, Any], n: int, *, seed: int = 1) -> Space:
     Parameters
     ----------
     ranges : mapping of str to (low, high) or list
-        Two texts with the same unit, ``("300 um", "800 um")``; two relative values, ``("x0.8", "x1.2")``; two numbers;
-        or a list of values to choose from. Whole numbers give whole numbers, both ends included.
+        Two texts with units of one dimension, ``("300 um", "800 um")``; two relative values, ``("x0.8", "x1.2")``; two
+        numbers; or a list of values to choose from. Whole numbers give whole numbers, both ends included.
     n : int
         Number of variants.
     seed : int
@@ -169,12 +169,12 @@ def _maker(key: str, given: Any, problems: list[str]) -> Callable[[float], Any]:
         low, high = given
         if all(is_whole(end, -_MOST, _MOST) for end in given) and low <= high:
             return lambda u: min(low + int(u * (high - low + 1)), high)
-        one, other = split_quantity(low), split_quantity(high)
-        if one and other and one[::2] == other[::2] and one[1] <= other[1]:
-            before, _, unit = one
+        ends = split_range(low, high)
+        if ends and ends[1] <= ends[2]:
+            before, first, last, unit = ends
             number = not isinstance(low, str)
-            return lambda u: _joined(before, one[1] + u * (other[1] - one[1]), unit, number)
-    problems.append(f"{key}: got {given!r}, expected (low, high) in the same unit, or a list to choose from")
+            return lambda u: _joined(before, first + u * (last - first), unit, number)
+    problems.append(f"{key}: got {given!r}, expected (low, high) of one dimension, or a list to choose from")
     return lambda u: None
 
 
@@ -199,6 +199,21 @@ def split_quantity(value: Any) -> tuple[str, float, str] | None:
         return ("%", float(number), "")
     known = {name for dimension in _DIMENSIONS for name in units_of(dimension)}
     return ("", float(number), unit) if unit in known else None
+
+
+def split_range(low: Any, high: Any) -> tuple[str, float, float, str] | None:
+    """Return ("x" or "", low, high, unit of low) of two values of one dimension; None if they are none."""
+    one, other = split_quantity(low), split_quantity(high)
+    if one is None or other is None or one[0] != other[0]:
+        return None
+    before, first, unit = one
+    if unit == other[2]:
+        return before, first, other[1], unit
+    both = next((name for name in _DIMENSIONS if {unit, other[2]} <= set(units_of(name))), None)
+    if both is None or not unit or not other[2]:
+        return None
+    last = parse_quantity(high, both) / parse_quantity(f"1 {unit}", both)
+    return before, first, float(f"{last:.12g}"), unit
 
 
 _DIMENSIONS = ("length", "angle", "field", "density", "energy", "momentum", "slope", "inverse area",
