@@ -45,7 +45,8 @@ tables. `Result.load` and
 `cgemit.run(..., keep=("tracks",))` keeps only the tables named (`tracks` brings `matches`), with links to other
 tables set to -1. With `output=folder` (on the command line `--keep tracks`, or `--keep all` for every table) tables
 are written while the run goes on, in parts `tracks/part-000000.npz` (with `--format parquet` `.parquet`), ... of 32 MB.
-The memory does not depend on the number of events: 154 MB for 10^5 muons, 162 MB for 3·10^5 and 175 MB for 10^6, at 0.5 kB of disk an event, with
+The memory does not depend on the number of events: 154 MB for 10^5 muons, 162 MB for 3·10^5 and 175 MB for 10^6, at
+0.5 kB of disk an event, with
 
     cgemit simulate -d besiii-cgem-design --p 1 --cos-theta -0.93:0.93 -n 300000 --keep tracks --threads 1 -o many
 
