@@ -211,6 +211,7 @@ def budget_of(
     sums = tracks.run(budget=True)["budget"]  # (points, terms, 6)
     variance = np.einsum("pi,pti->pt", weights**2, sums[..., :5])
     variance += 2 * (weights[:, 2] * weights[:, 4])[:, None] * sums[..., 5]
+    variance = np.maximum(variance, 0)  # a term is a square; where its parts cancel, rounding may leave -1e-16 of all
     names = sources(detector)
     with np.errstate(invalid="ignore", divide="ignore"):
         variance = variance / np.round(reached.reshape(-1, 1) * tracks.samples)
