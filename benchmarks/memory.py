@@ -13,7 +13,7 @@ import sys
 from cgemit.bench import DETECTOR, GUN, SEED
 from cgemit.chain import run
 from cgemit.fit import FitSettings
-from cgemit.result import Settings
+from cgemit.stages import Settings
 from rows import write_rows
 
 COUNTS = (10_000, 40_000)

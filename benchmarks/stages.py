@@ -18,7 +18,7 @@ from cgemit.chain import run_chunk
 from cgemit.detector import load
 from cgemit.fit import FitSettings
 from cgemit.gun import generate
-from cgemit.result import Settings
+from cgemit.stages import Settings
 
 HERE = Path(__file__).resolve().parent
 COUNTS = (100, 1000, 10_000, 100_000, 1_000_000)

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from cgemit.kinds import Choice, classes_in, expected, kinds_of
-from cgemit.result import Settings
+from cgemit.stages import Settings
 
 PAGE = Path(__file__).with_name("settings.md")
 

@@ -8,8 +8,8 @@ from scipy.stats import chi2, kstest
 
 from cgemit.digitize import DigitizeSettings
 from cgemit.fit import PARAMETERS
-from cgemit.result import Settings
 from cgemit.simulate import SimulateSettings
+from cgemit.stages import Settings
 from cgemit.tables import Table
 from stats import assert_within
 

@@ -21,8 +21,8 @@ import numpy as np
 import cgemit as cg
 from cgemit.detector import CgemLayer, Detector, SubLayer, slabs
 from cgemit.detector.slabs import Holes
-from cgemit.result import Settings
 from cgemit.simulate import SimulateSettings
+from cgemit.stages import Settings
 from cgemit.statistics.curves import windowed_resolution
 from cgemit.study.cluster_residuals import cluster_residuals, v_fit, x_widths
 from cgemit.study.paper import COS_THETA

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 import cgemit as cg
-from cgemit.result import Settings
 from cgemit.simulate import SimulateSettings
+from cgemit.stages import Settings
 from cgemit.study.cluster_residuals import X_WINDOWS, ClusterResiduals, cluster_residuals, x_beyond, x_widths
 from cgemit.study.paper import COS_THETA
 from cgemit.study.samples import seed_of

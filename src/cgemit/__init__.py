@@ -33,8 +33,9 @@ if TYPE_CHECKING:
     from cgemit.matter import slab
     from cgemit.own_hits import fit_hits
     from cgemit.progress import ProgressBar
-    from cgemit.result import Result, Settings
+    from cgemit.result import Result
     from cgemit.simulate import SimulateSettings, TransportStatus
+    from cgemit.stages import Settings
     from cgemit.states import StateStatus, Surface, extrapolate
     from cgemit.statistics.resolutions import resolution
     from cgemit.stored_run import open
@@ -99,7 +100,7 @@ _MODULES = {
     "Gun": "gun",
     "ProgressBar": "progress",
     "Result": "result",
-    "Settings": "result",
+    "Settings": "stages",
     "SimulateSettings": "simulate",
     "StateStatus": "states",
     "Surface": "states",

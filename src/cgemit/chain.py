@@ -3,30 +3,28 @@
 from __future__ import annotations
 
 import os
-import pickle
 import time
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import Executor, ProcessPoolExecutor
-from dataclasses import fields, replace
+from concurrent.futures import Executor
 from typing import Any, Literal
 
 from cgemit import find
 from cgemit.background import add_background
-from cgemit.candidates import Finder, by_finder, finder_name
+from cgemit.candidates import Finder, by_finder
 from cgemit.chunks import MANY, Answer, Totals, answers
 from cgemit.detector import Detector, load
-from cgemit.digitize import DigitizeSettings, Readout, cluster_digis, digitize
+from cgemit.digitize import Readout, cluster_digis, digitize
 from cgemit.find.tracks import find_tracks
-from cgemit.fit import FitSettings, fit
+from cgemit.fit import fit
 from cgemit.gun import Gun, Guns, generate
 from cgemit.io.folders import new_folder
 from cgemit.match import match
 from cgemit.memory import check_disk
 from cgemit.particles import particles_from
-from cgemit.problems import did_you_mean
 from cgemit.record import configuration_of, gun_data, write_about
-from cgemit.result import TABLES, Result, Settings, detectors_of, transport_counts
-from cgemit.simulate import simulate
+from cgemit.result import Result, detectors_of
+from cgemit.simulate import simulate, transport_counts
+from cgemit.stages import TABLES, FinderName, Settings, check_request, expected_settings, fit_settings, with_readout
 from cgemit.stored_run import open as open_run
 from cgemit.tables import Table, concatenate
 from cgemit.tables.formats import check_format
@@ -34,11 +32,6 @@ from cgemit.tables.links import without_links
 from cgemit.tables.stored import PartsWriter, StoredTables
 from cgemit.values import check_numbers
 from cgemit.version import VERSION
-
-FinderName = Literal["truth", "ckf"]
-
-FINDERS = ("truth", "ckf")  # by name; any function of (detector, clusters, wire_hits) is a finder, too
-STAGES = ("simulate", "digitize", "cluster", "find", "fit")  # where a run can end
 
 
 def run_chunk(
@@ -109,16 +102,6 @@ def run_chunk(
         if stage == until != "fit":
             break
     return tables, seconds
-
-
-def fit_settings(settings: Settings) -> FitSettings:
-    """Return the settings of the fit; a screening of None becomes the simulated one.
-
-    Parameters
-    ----------
-    settings : Settings
-    """
-    return settings.fit if settings.fit.screening else replace(settings.fit, screening=settings.simulate.screening)
 
 
 def run(
@@ -208,13 +191,13 @@ def run(
     """
     start = time.perf_counter()
     if not isinstance(settings, Settings | None):
-        raise TypeError(f"settings: got {type(settings).__name__}, expected {_expected(settings)}")
+        raise TypeError(f"settings: got {type(settings).__name__}, expected {expected_settings(settings)}")
     detector, settings = load(detector), with_readout(settings or Settings(), readout)
     believed = detector if fit_detector is None else load(fit_detector)
     other = None if believed == detector else believed
     most = 2**31 - 1
     check_numbers("run", seed, threads, n=(n, 0, most), chunk=(chunk, 1, most))
-    kept = _check_stages(finder, until, executor, keep)
+    kept = check_request(finder, until, executor, keep)
     shooter, n_events, table = _source(gun, n)
 
     def task(first: int) -> tuple[Any, ...]:
@@ -247,68 +230,6 @@ def run(
         writer.close()
         write_about(folder, result(StoredTables(folder), totals).entries(command))
     return open_run(output)
-
-
-def with_readout(settings: Settings, readout: Readout | str | None) -> Settings:
-    """Return settings with another read-out, and with the ionization clusters that it needs.
-
-    Parameters
-    ----------
-    settings : Settings
-    readout : Readout, str or None
-        None: that of the settings.
-
-    Raises
-    ------
-    ValueError
-        If the read-out is unknown, or the simulation cannot make what it needs.
-    """
-    if readout is not None:
-        digitized = DigitizeSettings(readout=readout, reveal_sides=settings.digitize.reveal_sides)
-        settings = replace(settings, digitize=digitized)
-    if getattr(settings.digitize.readout, "needs_clusters", False) and not settings.simulate.steps:
-        settings = replace(settings, simulate=replace(settings.simulate, steps=True))
-    return settings
-
-
-def _check_stages(finder: object, until: object, executor: Executor | None, keep: Any) -> tuple[str, ...] | None:
-    """Raise an error if a run cannot be as asked for; return the tables to be kept, None for all."""
-    problems = []
-    names = [keep] if isinstance(keep, str) else [] if keep is None else list(keep)
-    problems += [
-        f"keep: got {name!r:.50}, expected some of {', '.join(TABLES)}{did_you_mean(str(name), TABLES, '; ')}"
-        for name in names
-        if name not in TABLES
-    ]
-    if keep is not None and not names:
-        problems.append("keep: got no table, expected at least one")
-    if not callable(finder) and finder not in FINDERS:
-        problems.append(
-            f"finder: got {finder!r}, expected 'truth', 'ckf' or a function of (detector, clusters, wire_hits)"
-        )
-    if until not in STAGES:
-        problems.append(f"until: got {until!r}, expected one of {', '.join(map(repr, STAGES))}")
-    if problems:
-        raise ValueError("run:\n  " + "\n  ".join(problems))
-    if callable(finder) and isinstance(executor, ProcessPoolExecutor):
-        try:
-            pickle.dumps(finder)
-        except (pickle.PicklingError, AttributeError, TypeError) as error:
-            raise TypeError(
-                f"finder: got {finder_name(finder)}, which cannot be sent to other processes ({error}); "
-                "expected a function of a module, or an executor of threads"
-            ) from error
-    return None if keep is None else (*names, *(["matches"] if "tracks" in names else []))
-
-
-def _expected(given: object) -> str:
-    """Return the expected form of settings; those of one stage go into `Settings`."""
-    stage = next((f.name for f in fields(Settings) if type(given) is f.default_factory), "")
-    return (
-        f"Settings({stage}=...)"
-        if stage
-        else "Settings(simulate=..., digitize=..., background=..., cluster=..., find=..., fit=...)"
-    )
 
 
 def _source(gun: Any, n: int | None) -> tuple[Gun | Guns | None, int, Table | None]:

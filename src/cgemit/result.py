@@ -1,59 +1,28 @@
-"""The settings and the result of a run."""
+"""The result of a run."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from html import escape
 from pathlib import Path
 from typing import Any
 
-from cgemit.background import BackgroundSettings
-from cgemit.cluster import ClusterSettings
 from cgemit.detector import Detector
-from cgemit.digitize import DigitizeSettings
-from cgemit.find.settings import FindSettings
-from cgemit.fit import FitSettings, FitStatus
+from cgemit.fit import FitStatus
 from cgemit.gun import Gun, Guns
 from cgemit.io.folders import new_folder
 from cgemit.match import joined
 from cgemit.record import Run, gun_data, read_run, record, write_run
-from cgemit.settings import SettingsData
-from cgemit.simulate import SimulateSettings, TransportStatus
+from cgemit.simulate import transport_counts
+from cgemit.stages import EVERY_RUN, TABLES, Settings, finder_in, hits_by
 from cgemit.tables import SCHEMAS, Table, select_events
 from cgemit.tables.formats import check_format
 from cgemit.tables.stored import StoredTables, about_of, column_of
-from cgemit.tables.table import what
-
-TABLES = (
-    *("particles", "decays", "truths", "steps", "wire_truths", "digis", "wire_hits", "clusters"),
-    *("candidates", "candidate_hits", "tracks", "residuals", "states", "matches"),
-)
-
-#: Tables of every run, wherever it ends.
-EVERY_RUN = ("particles", "decays", "truths", "steps", "wire_truths")
 
 #: Columns that `Result.tracks` takes from the matches.
 _MATCHED = {column.name for column in SCHEMAS["matches"]} - {"event", "track"}
-
-
-@dataclass(frozen=True, kw_only=True)
-class Settings(SettingsData):
-    """Settings of all stages.
-
-    Raises
-    ------
-    SettingsError
-        A ValueError that lists every stage whose settings are of another class.
-    """
-
-    simulate: SimulateSettings = field(default_factory=SimulateSettings)
-    digitize: DigitizeSettings = field(default_factory=DigitizeSettings)
-    background: BackgroundSettings = field(default_factory=BackgroundSettings)
-    cluster: ClusterSettings = field(default_factory=ClusterSettings)
-    find: FindSettings = field(default_factory=FindSettings)
-    fit: FitSettings = field(default_factory=FitSettings)
 
 
 class _Stored:
@@ -173,7 +142,7 @@ class Result:
     def finder(self) -> str | None:
         """Name of the finder that assigned the hits to candidates; None where the run did not."""
         name = next((name for name in ("candidates", "tracks") if name in self.tables), None)
-        return None if name is None else _finder(about_of(self.tables, name)["meta"])
+        return None if name is None else finder_in(about_of(self.tables, name)["meta"])
 
     def __eq__(self, other: object) -> bool:
         """Compare everything but the timings."""
@@ -303,7 +272,7 @@ class Result:
             rows.append(("tracks", f"{self.rows['tracks']:,} (not fitted: {removed})"))
         rows.append(("rows", ", ".join(f"{name} {number:,}" for name, number in self.rows.items())))
         if self.finder is not None:
-            rows.append(("hits", _hits_text(self.finder)))
+            rows.append(("hits", hits_by(self.finder)))
         rows.append(("time", f"{self.timings['wall']:.2f} s"))
         return rows
 
@@ -324,66 +293,6 @@ def result_of(run: Run[Settings], tables: Mapping[str, Table]) -> Result:
     )
 
 
-def transport_counts(status: Any) -> dict[str, int]:
-    """Return the number of particles of each transport status, from the column (n,) of these."""
-    return {s.name: n for s in TransportStatus if (n := int((status == s).sum()))}
-
-
 def detectors_of(detector: Detector, fit_detector: Detector | None) -> dict[str, Detector]:
     """Return the detectors of a run by their role, as run.json names them."""
     return {"detector": detector} | ({} if fit_detector is None else {"fit_detector": fit_detector})
-
-
-def finder_of(table: Table) -> str:
-    """Return the name of the finder of the candidates or tracks of a table; ``"given"`` if it has none.
-
-    Parameters
-    ----------
-    table : Table
-        Of candidates, of their hits, or of fitted tracks.
-    """
-    return _finder(table.meta)
-
-
-def _finder(meta: Mapping[str, Any]) -> str:
-    return str(meta.get("finder", "given"))
-
-
-def hits_text(table: Table) -> str:
-    """Return how hits came to their tracks, for reports.
-
-    Parameters
-    ----------
-    table : Table
-        As in `finder_of`.
-    """
-    return _hits_text(finder_of(table))
-
-
-def _hits_text(name: str) -> str:
-    return {"truth": "assigned by truth", "given": "given with their candidates"}.get(name, f"found by {name}")
-
-
-def tracks_of(given: Result | Table) -> Table:
-    """Return the tracks of a result, or the table of tracks itself.
-
-    Parameters
-    ----------
-    given : Result or Table of kind "tracks"
-
-    Raises
-    ------
-    TypeError
-        If it is neither a result nor a table.
-    ValueError
-        If it is a table of another kind, or a result without tracks.
-    """
-    if isinstance(given, Result):
-        if "tracks" not in given.tables:
-            raise ValueError("tracks: the result has none, since the run ended before the fit")
-        tracks: Table = given.tracks
-        return tracks
-    if not isinstance(given, Table) or given.kind != "tracks":
-        kind = ValueError if isinstance(given, Table) else TypeError
-        raise kind(f"tracks: got {what(given)}, expected a table of kind 'tracks', or a Result")
-    return given

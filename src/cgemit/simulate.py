@@ -143,3 +143,14 @@ def core_arguments(detector: Detector, particles: Table, settings: SimulateSetti
 
 
 _COLUMNS = ("event", "particle", "pdg", "charge", "mass", "x", "y", "z", "px", "py", "pz")
+
+
+def transport_counts(status: Any) -> dict[str, int]:
+    """Return the number of particles of each transport status that occurs, by its name.
+
+    Parameters
+    ----------
+    status : (n,) array of int
+        Column ``status`` of the particles (TransportStatus).
+    """
+    return {s.name: n for s in TransportStatus if (n := int((status == s).sum()))}

@@ -7,8 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from cgemit.record import read_run
-from cgemit.result import EVERY_RUN, TABLES, Result, Settings, result_of, tracks_of
+from cgemit.result import Result, result_of
+from cgemit.stages import EVERY_RUN, TABLES, Settings
 from cgemit.tables import Table
+from cgemit.tables.table import what
 
 
 def open(folder: str | os.PathLike[str]) -> Result:
@@ -61,3 +63,28 @@ def track_columns(given: Result | Table) -> Table | TrackColumns:
     if isinstance(given, Result) and "tracks" in given.tables:
         return TrackColumns(given)
     return tracks_of(given)
+
+
+def tracks_of(given: Result | Table) -> Table:
+    """Return the tracks of a result, or the table of tracks itself.
+
+    Parameters
+    ----------
+    given : Result or Table of kind "tracks"
+
+    Raises
+    ------
+    TypeError
+        If it is neither a result nor a table.
+    ValueError
+        If it is a table of another kind, or a result without tracks.
+    """
+    if isinstance(given, Result):
+        if "tracks" not in given.tables:
+            raise ValueError("tracks: the result has none, since the run ended before the fit")
+        tracks: Table = given.tracks
+        return tracks
+    if not isinstance(given, Table) or given.kind != "tracks":
+        kind = ValueError if isinstance(given, Table) else TypeError
+        raise kind(f"tracks: got {what(given)}, expected a table of kind 'tracks', or a Result")
+    return given

@@ -13,7 +13,8 @@ from cgemit.detector import Detector, load
 from cgemit.digitize import DigitizeSettings
 from cgemit.fit import PARAMETERS
 from cgemit.gun import Gun
-from cgemit.result import Result, Settings
+from cgemit.result import Result
+from cgemit.stages import Settings
 from cgemit.study import measure, pulls
 from exact import EXACT, assert_no_bias, assert_probability_is_flat, assert_pulls_are_standard_normal
 from stats import assert_within

@@ -8,8 +8,8 @@ import pytest
 from cgemit.chain import run
 from cgemit.detector import compile as compiling
 from cgemit.gun import Gun
-from cgemit.result import Settings
 from cgemit.simulate import SimulateSettings
+from cgemit.stages import Settings
 from cgemit.study import Pulls, pulls
 
 N = 4000  # a standard error of 0.011 of the width

@@ -15,7 +15,7 @@ from cgemit.chain import run
 from cgemit.detector import compiled, load
 from cgemit.fit import FitSettings
 from cgemit.gun import Gun
-from cgemit.result import Settings
+from cgemit.stages import Settings
 from cgemit.study import pulls
 from slabs import BERYLLIUM, bethe, slab_detector
 from stats import assert_within

@@ -43,6 +43,7 @@ PYTHON_LAYERS = [
     {"background"},
     {"match", "own_hits"},
     {"record"},
+    {"stages"},
     {"result"},
     {"memory", "stored_run"},
     {"chunks"},

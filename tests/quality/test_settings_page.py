@@ -12,7 +12,7 @@ import pytest
 
 from cgemit.digitize import READOUTS
 from cgemit.kinds import kinds_of
-from cgemit.result import Settings
+from cgemit.stages import Settings
 
 SCRIPT = Path(__file__).parents[2] / "docs" / "settings_page.py"
 

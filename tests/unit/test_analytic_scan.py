@@ -13,7 +13,7 @@ from cgemit.covariance.mixture import core_width
 from cgemit.digitize import DigitizeSettings
 from cgemit.draw.curves import draw_resolutions
 from cgemit.fit import FitSettings
-from cgemit.result import Settings
+from cgemit.stages import Settings
 from cgemit.study import fit_form, scan, scan_analytic
 from cgemit.study.analytic_scan import line_momenta
 from cgemit.study.compared import compared

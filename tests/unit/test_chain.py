@@ -15,8 +15,9 @@ from cgemit.digitize import DigitizeSettings
 from cgemit.fit import FitSettings, FitStatus
 from cgemit.gun import Gun
 from cgemit.particles import particles_from
-from cgemit.result import Result, Settings
+from cgemit.result import Result
 from cgemit.simulate import SimulateSettings
+from cgemit.stages import Settings
 from cgemit.tables import Table, load_tables
 
 GUN = Gun("mu-", p=(0.2, 1.5), cos_theta=(-0.9, 0.9), vertex_sigma=(0.3, 0.01, 8.0)) + Gun("pi+", pt=0.3, theta=1.2)

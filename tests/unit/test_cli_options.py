@@ -24,9 +24,10 @@ from cgemit.digitize import BinaryReadout, DigitizeSettings, GaussianReadout
 from cgemit.find.settings import FindSettings
 from cgemit.fit import FitSettings
 from cgemit.gun import Gun
-from cgemit.result import Result, Settings
+from cgemit.result import Result
 from cgemit.settings import SettingsError
 from cgemit.simulate import SimulateSettings
+from cgemit.stages import Settings
 from cgemit.study.scans import Scan, scan
 from cgemit.tables import Table
 

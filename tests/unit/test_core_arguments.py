@@ -10,7 +10,7 @@ from cgemit.detector import load, slab_table, slabs
 from cgemit.fit import FitSettings
 from cgemit.gun import Gun
 from cgemit.own_hits import fit_hits
-from cgemit.result import Settings
+from cgemit.stages import Settings
 
 DETECTOR = load("besiii-cgem-design")
 

@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 
 from cgemit import _core
 from cgemit.detector import Detector, DetectorError, compiled, load, slabs
-from cgemit.detector.slabs import hole_table
+from cgemit.detector.holes import hole_table
 from cgemit.gun import Gun, generate
 from cgemit.simulate import SimulateSettings, simulate
 from cgemit.tables import Table

@@ -16,8 +16,9 @@ from cgemit.detector import load
 from cgemit.fit import FitSettings
 from cgemit.gun import Gun, Guns, generate
 from cgemit.record import RecordError, gun_data, gun_from, versions
-from cgemit.result import Result, Settings
+from cgemit.result import Result
 from cgemit.simulate import SimulateSettings
+from cgemit.stages import Settings
 from cgemit.tables import Table
 
 GUN = Gun("pi-", p=(0.4, 0.6), cos_theta=[-0.3, 0.3], vertex=(0.1, (-1.0, 1.0), [1.0, 2.0])) + Gun("mu+", p=1, theta=1)

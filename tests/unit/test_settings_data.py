@@ -16,9 +16,9 @@ from cgemit.cluster import ClusterSettings
 from cgemit.digitize import DigitizeSettings
 from cgemit.fit import FitSettings
 from cgemit.kinds import NO, Positive, expected, kinds_of, matched, one_of
-from cgemit.result import Settings
 from cgemit.settings import SettingsData, SettingsError
 from cgemit.simulate import SimulateSettings
+from cgemit.stages import Settings
 from cgemit.states import SurfaceName
 
 STAGES = (SimulateSettings, DigitizeSettings, ClusterSettings, FitSettings)

@@ -9,8 +9,8 @@ from cgemit import _core, chain
 from cgemit.detector import compiled, load
 from cgemit.digitize import DigitizeSettings
 from cgemit.gun import Gun, generate
-from cgemit.result import Settings
 from cgemit.simulate import SimulateSettings, TransportStatus, simulate
+from cgemit.stages import Settings
 from oracles import LIGHT, integrate
 from tracks import MUON, hits_on, on_helix, particles, transport, without_matter
 

@@ -11,7 +11,7 @@ from cgemit.cli.main import main
 from cgemit.detector import compiled, load, slabs
 from cgemit.fit import PARAMETERS, FitSettings, FitStatus
 from cgemit.gun import Gun
-from cgemit.result import Settings
+from cgemit.stages import Settings
 from cgemit.states import StateStatus, Surface, extrapolate
 from cgemit.tables import Table
 from exact import EXACT

@@ -21,7 +21,8 @@ from cgemit import memory
 from cgemit.cli import simulate as simulate_command
 from cgemit.cli.main import main
 from cgemit.io.folders import OutputExistsError
-from cgemit.result import Result, Settings
+from cgemit.result import Result
+from cgemit.stages import Settings
 from cgemit.statistics.resolutions import pulls, resolution_against
 from cgemit.tables import SCHEMAS, Table, files, formats, load_tables, save_tables, stored
 from cgemit.tables.formats import FORMATS

@@ -9,8 +9,8 @@ from cgemit.chain import run
 from cgemit.digitize import DigitizeSettings
 from cgemit.fit import FitSettings
 from cgemit.gun import Gun
-from cgemit.result import Settings
 from cgemit.simulate import SimulateSettings
+from cgemit.stages import Settings
 
 GUN = Gun("mu-", p=(0.15, 1.5), cos_theta=(-0.9, 0.9)) + Gun("e+", p=0.3, cos_theta=(-0.5, 0.5))
 KINDS = {

@@ -12,7 +12,7 @@ from cgemit import Gun, run
 from cgemit.draw import curves
 from cgemit.draw.style import new_picture
 from cgemit.statistics.curves import SYMBOLS, Line, Spectrum, track_spectrum
-from cgemit.statistics.estimate import gaussian_fit
+from cgemit.statistics.widths import gaussian_fit
 from cgemit.statistics.formatting import shown, with_error
 from cgemit.statistics.resolutions import QUOTED
 from cgemit.study import measure, reproduce, scan

@@ -12,7 +12,7 @@ from cgemit.cli import read
 from cgemit.problems import did_you_mean
 
 if TYPE_CHECKING:
-    from cgemit.result import Settings
+    from cgemit.stages import Settings
 
 
 class InputError(ValueError):
@@ -72,7 +72,7 @@ def add_readout(parser: argparse.ArgumentParser, default: str | None = None) -> 
 
 def stages() -> tuple[str, ...]:
     """Return the stages that have settings."""
-    from cgemit.result import Settings
+    from cgemit.stages import Settings
 
     return tuple(field.name for field in fields(Settings))
 
@@ -160,8 +160,8 @@ def read_settings(
         Whether the fit can assume one mass only.
     """
     from cgemit.io.toml import nested
-    from cgemit.result import Settings
     from cgemit.settings import SettingsError
+    from cgemit.stages import Settings
 
     layers: list[tuple[str, Mapping[str, Any]]] = []
     if arguments.settings is not None:

@@ -14,7 +14,7 @@ from cgemit.cli.changes import InputError as InputError
 
 if TYPE_CHECKING:
     from cgemit.detector import Detector
-    from cgemit.result import Settings
+    from cgemit.stages import Settings
 
 P = ParamSpec("P")
 T = TypeVar("T")

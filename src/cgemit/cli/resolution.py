@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from cgemit.detector import Detector
-    from cgemit.result import Settings
+    from cgemit.stages import Settings
     from cgemit.study.analytic_scan import AnalyticScan
     from cgemit.study.scans import Scan
 

@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 from cgemit import _core, isa
 from cgemit.detector.field.core import compiled_field
 from cgemit.detector.gaps import gap_columns, gap_table
+from cgemit.detector.holes import hole_table
 from cgemit.detector.material import Element, Material
 from cgemit.detector.model import Detector
 from cgemit.detector.parts import CgemLayer, DriftChamber, Shell
 from cgemit.detector.placement import IN_PLACE
-from cgemit.detector.slabs import ENDLESS, Slab, hole_table, slabs
+from cgemit.detector.slabs import ENDLESS, Slab, slabs
 
 #: Screening of nuclei by their electrons in multiple scattering (docs/methods/matter.md); the first is the default.
 Screening = Literal["wentzel", "moliere"]

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from itertools import cycle
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -11,20 +10,23 @@ import numpy.typing as npt
 from matplotlib.axes import Axes
 
 from cgemit.draw.shots import shot_text
-from cgemit.draw.style import COLORS, Picture, grid, mathematical, new_picture, plain, statistics_box, style
-from cgemit.result import Result, tracks_of
+from cgemit.draw.style import (
+    COLORS,
+    Picture,
+    grid,
+    legend_below,
+    looks,
+    mathematical,
+    new_picture,
+    plain,
+    statistics_box,
+    style,
+)
+from cgemit.result import Result
 from cgemit.statistics.curves import Line, Spectrum, track_spectrum
 from cgemit.statistics.formatting import shown
+from cgemit.stored_run import tracks_of
 from cgemit.tables import Table
-
-# One more marker than colours, so that only the 43rd curve looks like the first.
-_MARKERS = ("o", "s", "D", "^", "v", "P", "X")
-_COLOURS = (COLORS["cgem"], COLORS["idc"], COLORS["truth"], "#7A3E9D", "#666666", COLORS["multi"])
-
-
-def _looks() -> Iterator[tuple[str, str]]:
-    """Yield marker and colour of each curve."""
-    return zip(cycle(_MARKERS), cycle(_COLOURS), strict=False)
 
 
 def residual(result: Result | Table, quantity: str = "p") -> Picture:
@@ -141,12 +143,12 @@ def draw_curves(
     paper : (float, float), optional
         A published point.
     """
-    looks = dict(zip(dict.fromkeys(curve.detector for curve in curves), _looks(), strict=False))
+    look_of = dict(zip(dict.fromkeys(curve.detector for curve in curves), looks(), strict=False))
     methods = {curve.method for curve in curves}
     for curve in curves:
         if not np.isfinite(curve.y).any():
             continue  # a legend must not name a curve that is not there
-        (marker, colour), label = looks[curve.detector], plain(curve.detector)
+        (marker, colour), label = look_of[curve.detector], plain(curve.detector)
         if curve.method == "analytic":
             # A single momentum is no line.
             kind = "_" if len(curve.x) == 1 else "-"
@@ -226,7 +228,7 @@ def draw_pulls(
     with style():
         picture, axes = new_picture(2, 3, (13.0, 7.4))
         for plot, name in zip(axes, names, strict=True):
-            for (detector, pulls), (marker, colour) in zip(samples.items(), _looks(), strict=False):
+            for (detector, pulls), (marker, colour) in zip(samples.items(), looks(), strict=False):
                 counts, _ = np.histogram(pulls[name], edges)
                 density = counts / max(1, len(pulls[name])) / (edges[1] - edges[0])
                 plot.plot(centres, density, marker, ms=3.6, color=colour, label=plain(texts[detector][name]))
@@ -235,7 +237,7 @@ def draw_pulls(
             plot.set(xlim=(-5, 5), ylim=(0, 0.62), xlabel=f"pull of {mathematical(name)}", ylabel="density")
             plot.legend(loc="upper center", fontsize=8.2, handletextpad=0.2)
             grid(plot)
-        _legend_below(picture, list(samples))
+        legend_below(picture, list(samples))
         picture.subplots_adjust(left=0.055, right=0.99, top=0.98, bottom=0.12, wspace=0.2, hspace=0.24)
     return picture
 
@@ -245,7 +247,7 @@ def draw_probabilities(samples: Mapping[str, npt.NDArray[np.float64]]) -> Pictur
     edges = np.linspace(0, 1, 41)
     with style():
         picture, (axes,) = new_picture(1, 1, (6.4, 4.4))
-        for (detector, values), (_, colour) in zip(samples.items(), _looks(), strict=False):
+        for (detector, values), (_, colour) in zip(samples.items(), looks(), strict=False):
             counts, _ = np.histogram(values, edges)
             mean = max(1, len(values)) / (len(edges) - 1)
             text = f"{plain(detector)}: n = {len(values):,}, mean = {np.mean(values):.3f}"
@@ -280,7 +282,7 @@ def draw_grid(
             if row in unity_rows:
                 plot.axhline(1, color=COLORS["data"], lw=1, ls="--", zorder=1)
                 plot.set_ylim(*_around_one(curves))
-        _legend_below(picture, [curve.detector for curve in rows[0][0][1]])
+        legend_below(picture, [curve.detector for curve in rows[0][0][1]])
         picture.subplots_adjust(left=0.06, right=0.99, top=0.975, bottom=0.135, wspace=0.23, hspace=0.23)
     return picture
 
@@ -289,14 +291,3 @@ def _around_one(curves: Sequence[Line]) -> tuple[float, float]:
     away = np.concatenate([np.abs(curve.y - 1) + np.nan_to_num(curve.y_error) for curve in curves])
     reach = max(0.25, 1.1 * float(np.max(away, initial=0.0, where=np.isfinite(away))))
     return max(0.0, 1 - reach), 1 + reach
-
-
-def _legend_below(picture: Picture, labels: Sequence[str]) -> None:
-    from matplotlib.lines import Line2D
-
-    options: dict[str, Any] = {"ls": "", "ms": 6}
-    handles = [
-        Line2D([], [], marker=marker, color=colour, label=plain(label), **options)
-        for label, (marker, colour) in zip(labels, _looks(), strict=False)
-    ]
-    picture.legend(handles=handles, loc="lower center", ncols=len(labels), fontsize=9.5)

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from cgemit.chain import fit_settings
 from cgemit.detector.strips import crossing_z, v_of_strips
 from cgemit.draw.geometry import Array, helix_points, smooth_curve, wire_layers, wire_positions
 from cgemit.fit import FitStatus, fit
 from cgemit.helix import PARAMETERS, RADIUS_PER_KAPPA
 from cgemit.species import species
+from cgemit.stages import fit_settings
 from cgemit.states import StateStatus, Surface
 from cgemit.tables import Table
 

@@ -6,6 +6,7 @@ import io
 import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from itertools import cycle
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +32,10 @@ COLORS = {
     "text": "#333333",
     "grid": "#E3E6EA",
 }
+
+# One more marker than colours, so that only the 43rd curve looks like the first.
+_MARKERS = ("o", "s", "D", "^", "v", "P", "X")
+_COLOURS = (COLORS["cgem"], COLORS["idc"], COLORS["truth"], "#7A3E9D", "#666666", COLORS["multi"])
 
 _STYLE = {
     "font.size": 9.5,
@@ -139,3 +144,20 @@ def statistics_box(axes: Axes, lines: Sequence[str], *, right: bool = True, top:
 def grid(axes: Axes) -> None:
     """Draw a faint grid behind the data."""
     axes.grid(True, color=COLORS["grid"], linewidth=0.7)
+
+
+def legend_below(picture: Picture, labels: Sequence[str]) -> None:
+    """Draw the legend of all curves of a picture below its panels."""
+    from matplotlib.lines import Line2D
+
+    options: dict[str, Any] = {"ls": "", "ms": 6}
+    handles = [
+        Line2D([], [], marker=marker, color=colour, label=plain(label), **options)
+        for label, (marker, colour) in zip(labels, looks(), strict=False)
+    ]
+    picture.legend(handles=handles, loc="lower center", ncols=len(labels), fontsize=9.5)
+
+
+def looks() -> Iterator[tuple[str, str]]:
+    """Yield marker and colour of each curve."""
+    return zip(cycle(_MARKERS), cycle(_COLOURS), strict=False)

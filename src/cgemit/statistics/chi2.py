@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 from scipy import special
 
-from cgemit.result import Result, tracks_of
+from cgemit.result import Result
 from cgemit.statistics.estimate import Floats
 from cgemit.statistics.formatting import Comparable, Tabular, html_table, with_error
 from cgemit.statistics.resolutions import removed_rows
+from cgemit.stored_run import tracks_of
 from cgemit.tables import Table
 
 

@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from cgemit.statistics.estimate import FEWEST, GaussianFit, Resolution
+from cgemit.statistics.estimate import FEWEST, Resolution
 from cgemit.statistics.formatting import shown, with_error
 from cgemit.statistics.resolutions import QUOTED, resolution
+from cgemit.statistics.widths import GaussianFit
 from cgemit.tables import Table
 
 Floats = npt.NDArray[np.float64]

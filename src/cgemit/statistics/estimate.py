@@ -137,7 +137,7 @@ def measure(
     low, high = _window(window)
     first, last = np.searchsorted(x, [low, high], side="left")
     inside = x[first:last]
-    rms, rms_error, mean, mean_error = _moments(inside)
+    rms, rms_error, mean, mean_error = moments(inside)
     core, core_error, core_mean, core_mean_error = _core(x)
     tail, tail_error = _tail(x, core, core_mean)
     q68, q68_error = _q68(x)
@@ -163,7 +163,7 @@ def _window(given: object) -> tuple[float, float]:
     return ends[0], ends[1]
 
 
-def _moments(x: Floats) -> tuple[float, float, float, float]:
+def moments(x: Floats) -> tuple[float, float, float, float]:
     """Return standard deviation, its error, mean, its error.
 
     The variance of a sample variance is (m4 - s^4 (n - 3)/(n - 1))/n with the fourth central moment m4
@@ -263,45 +263,3 @@ def _q68(x: Floats) -> tuple[float, float]:
     one, other = (above_a - at_a) / (2 * step), (above_b - at_b) / (2 * step)  # 1/f
     variance = (a * (1 - a) * one**2 + b * (1 - b) * other**2 - 2 * a * (1 - b) * one * other) / (4 * n)
     return _half_width(x), math.sqrt(max(0.0, float(variance)))
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class GaussianFit(Comparable, Tabular):
-    """A Gaussian fitted to a sample: number of rows, mean and sigma with errors."""
-
-    n: int
-    mean: float
-    mean_error: float
-    sigma: float
-    sigma_error: float
-
-    def __repr__(self) -> str:
-        mean, sigma = with_error(self.mean, self.mean_error), with_error(self.sigma, self.sigma_error)
-        return f"<Gaussian: mean {mean}, sigma {sigma}, {self.n} rows>"
-
-    def _repr_html_(self) -> str:
-        cells = [with_error(self.mean, self.mean_error), with_error(self.sigma, self.sigma_error), str(self.n)]
-        return html_table("Gaussian", ("mean", "sigma", "rows"), [cells])
-
-
-def gaussian_fit(sample: npt.ArrayLike) -> GaussianFit:
-    """Fit a Gaussian to all rows of a sample by maximum likelihood, without a histogram.
-
-    The maximum is at the sample's mean and standard deviation (divisor n); the error of sigma allows for a shape that
-    is not Gaussian (fourth moment).
-
-    Parameters
-    ----------
-    sample : (n,) array_like
-
-    Raises
-    ------
-    ValueError
-        If the sample is not a list of finite numbers.
-    """
-    x = np.asarray(sample, np.float64)
-    if x.ndim != 1 or not np.isfinite(x).all():
-        raise ValueError(f"sample: expected a list of finite numbers, got shape {x.shape}")
-    rms, rms_error, mean, mean_error = _moments(x)
-    shrink = math.sqrt(1 - 1 / len(x)) if len(x) else 1.0
-    return GaussianFit(len(x), mean, mean_error, rms * shrink, rms_error)

@@ -1,11 +1,11 @@
 """Studies of the chain's tables: resolutions, pulls and the flatness of the chi-square probability."""
 
 from cgemit.statistics.chi2 import Flatness, chi2_flatness, chi2_probability
-from cgemit.statistics.estimate import GaussianFit, Resolution, gaussian_fit, measure
+from cgemit.statistics.estimate import Resolution, measure
 from cgemit.statistics.forms import FormFit, fit_form
 from cgemit.statistics.fractions import Fraction
 from cgemit.statistics.resolutions import Curve, pulls, resolution, resolution_against, resolutions
-from cgemit.statistics.widths import Pulls, Resolutions
+from cgemit.statistics.widths import GaussianFit, Pulls, Resolutions, gaussian_fit
 from cgemit.study.analytic_scan import AnalyticScan, scan_analytic
 from cgemit.study.cluster_residuals import DeltaFractions, delta_displacements, delta_fractions
 from cgemit.study.finding_metrics import Finding, FindingRates, finding

@@ -18,8 +18,8 @@ from cgemit.covariance import Covariance, analytic
 from cgemit.covariance.mixture import core_width, mean
 from cgemit.detector import Detector, load
 from cgemit.fit import FitStatus
-from cgemit.result import Settings
 from cgemit.species import HYPOTHESES, species
+from cgemit.stages import Settings
 from cgemit.statistics.curves import Line
 from cgemit.statistics.formatting import Tabular, html_table, text_table
 from cgemit.statistics.forms import FORMS, FormFit, fit_form

@@ -21,8 +21,9 @@ import numpy.typing as npt
 from cgemit import find
 from cgemit.result import Result
 from cgemit.statistics.curves import Spectrum, histograms
-from cgemit.statistics.estimate import GaussianFit, Resolution, gaussian_fit, measure, share_error
+from cgemit.statistics.estimate import Resolution, measure, share_error
 from cgemit.statistics.formatting import Comparable, Tabular, html_table, text_table, with_error
+from cgemit.statistics.widths import GaussianFit, gaussian_fit
 from cgemit.tables import Table
 
 Floats = npt.NDArray[np.float64]

@@ -10,7 +10,8 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from cgemit.result import Result, finder_of
+from cgemit.result import Result
+from cgemit.stages import finder_of
 from cgemit.statistics.fractions import Fraction
 from cgemit.study.found_hits import CandidateCounts, ParticleCounts, count_candidates, count_particles
 

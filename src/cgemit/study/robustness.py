@@ -12,8 +12,9 @@ from cgemit.candidates import HIT_V
 from cgemit.detector import Detector, compiled, load
 from cgemit.fit import FitStatus, fit
 from cgemit.match import compare
-from cgemit.result import Result, Settings
+from cgemit.result import Result
 from cgemit.simulate import SimulateSettings
+from cgemit.stages import Settings, fit_settings
 from cgemit.statistics.estimate import Resolution, measure
 from cgemit.study.hits import Hits, Mask
 from cgemit.study.scenarios import Scenario
@@ -114,7 +115,7 @@ def run_scenario(
         return Outcome(scenario, result.tracks, has_enough(detector, hits, result))
     hits = scenario.spoil(detector, hits, np.random.default_rng(seed))
     tables = (hits.clusters, hits.wire_hits, hits.candidates, hits.candidate_hits)
-    tracks = fit(detector, *tables, chain.fit_settings(settings))["tracks"]
+    tracks = fit(detector, *tables, fit_settings(settings))["tracks"]
     # Whatever hits a candidate has been given, it is compared with the particle that it was made of.
     comparison = compare(tracks, result.particles, tracks["candidate"], compiled(detector).field)
     return Outcome(scenario, tracks.with_columns(**comparison), has_enough(detector, hits, result))

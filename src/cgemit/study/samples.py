@@ -15,9 +15,9 @@ from cgemit.detector.field.core import extent
 from cgemit.fit import FitStatus
 from cgemit.gun import Gun
 from cgemit.record import gun_data, record
-from cgemit.result import Settings
 from cgemit.simulate import TransportStatus
 from cgemit.species import species
+from cgemit.stages import Settings
 from cgemit.statistics.estimate import FEWEST
 from cgemit.statistics.formatting import html_table, text_table
 from cgemit.study.cluster_residuals import ClusterResiduals, DeltaFractions, cluster_residuals, delta_fractions

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from cgemit.detector import Detector, load
-from cgemit.result import Settings, hits_text
+from cgemit.stages import Settings, hits_text
 from cgemit.statistics.curves import Line
 from cgemit.statistics.estimate import Resolution
 from cgemit.statistics.formatting import Tabular, html_table, text_table, with_error

@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 
 from cgemit.io.files import new_file
-from cgemit.result import Settings
+from cgemit.stages import Settings
 from cgemit.statistics.formatting import html_table, text_table, with_error, write_csv
 from cgemit.study.optimizer.evaluator import Evaluator
 from cgemit.study.optimizer.goals import Goals, jackknife

@@ -15,7 +15,7 @@ from typing import Any, Literal, get_args
 from cgemit.detector import Detector, load
 from cgemit.io.folders import SUMMARY, OutputExistsError, check_free
 from cgemit.problems import ProblemsError, did_you_mean
-from cgemit.result import Settings
+from cgemit.stages import Settings
 from cgemit.study.optimizer.descent import NoStartError
 from cgemit.study.optimizer.evaluator import Design, Evaluator
 from cgemit.study.optimizer.evolution import evolve

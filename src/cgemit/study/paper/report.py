@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from cgemit.io.folders import RECORD
-from cgemit.result import Settings, finder_of, hits_text
 from cgemit.simulate import SimulateSettings
+from cgemit.stages import Settings, finder_of, hits_text
 from cgemit.statistics.curves import SYMBOLS, WINDOW, windowed_resolution
 from cgemit.statistics.estimate import HEAD
 from cgemit.statistics.formatting import shown, with_error

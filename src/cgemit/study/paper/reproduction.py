@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from cgemit.record import versions
-from cgemit.result import Result, Settings, hits_text
+from cgemit.result import Result
+from cgemit.stages import Settings, hits_text
 from cgemit.statistics.curves import Line
 from cgemit.statistics.formatting import Tabular, html_table, text_table, with_error
 from cgemit.study.paper.published import paper_values

@@ -14,7 +14,7 @@ from cgemit.detector import Detector, load
 from cgemit.gun import Gun
 from cgemit.io.folders import SUMMARY, check_free, new_folder
 from cgemit.record import write_record
-from cgemit.result import Settings
+from cgemit.stages import Settings
 from cgemit.study.paper.reproduction import COS_THETA, DETECTORS, MOMENTA, THIN_GAP, Inputs, Reproduction
 from cgemit.study.paper.rows import make_rows
 from cgemit.study.samples import (

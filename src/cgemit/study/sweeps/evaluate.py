@@ -17,7 +17,7 @@ from cgemit.covariance import Budget, Covariance, analytic
 from cgemit.detector import Detector
 from cgemit.fit import FitStatus
 from cgemit.gun import Gun
-from cgemit.result import Settings
+from cgemit.stages import Settings, fit_settings
 from cgemit.statistics.estimate import Floats, core_sigma, measure
 from cgemit.study.samples import seed_of
 from cgemit.tables import Table
@@ -97,7 +97,7 @@ class Evaluation:
         settings = self.settings or Settings()
         return {
             "readout": settings.digitize.readout, "reveal_sides": settings.digitize.reveal_sides,
-            "fit": chain.fit_settings(settings), "threads": 1, "samples": self.samples,
+            "fit": fit_settings(settings), "threads": 1, "samples": self.samples,
         }  # fmt: skip
 
     def __call__(self, detector: Detector) -> dict[str, Any]:

@@ -13,8 +13,8 @@ from typing import Any
 from cgemit.io import new_file
 from cgemit.io.toml import toml_text
 from cgemit.problems import ProblemsError, did_you_mean
-from cgemit.result import Settings
 from cgemit.settings import SettingsError
+from cgemit.stages import Settings
 from cgemit.study.sweeps.evaluate import QUANTITIES, result_columns
 from cgemit.study.sweeps.result import Sweep
 from cgemit.study.sweeps.run import sweep

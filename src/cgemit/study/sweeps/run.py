@@ -11,8 +11,8 @@ from typing import Any, Literal
 from cgemit.detector import Detector, load
 from cgemit.gun import Gun
 from cgemit.io.folders import OutputExistsError, check_free
-from cgemit.result import Settings
 from cgemit.species import species
+from cgemit.stages import Settings
 from cgemit.study.samples import ShowProgress
 from cgemit.study.sweeps.chunks import CHUNKS
 from cgemit.study.sweeps.compute import Task, compute_rows
