@@ -17,6 +17,7 @@ from cgemit.draw.optimizer import label
 from cgemit.study import Optimization, OptimizeError, optimize
 from cgemit.study.optimizer.front import by_noise, growth, hypervolume, nondominated, within_errors
 from cgemit.study.sweeps.evaluate import GROUPS
+from kill_sweeps import executor
 
 DESIGN = cg.load("besiii-cgem-design")
 SPACE = {
@@ -127,6 +128,15 @@ def test_an_interrupted_search_continues_to_the_same_end(found: tuple[Optimizati
     before = journal.read_bytes()
     optimize(DESIGN, SPACE, calls=6, output=tmp_path, **HOW)
     assert journal.read_bytes() == before
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore")  # of dask, about the cluster that is taken apart
+def test_dask_finds_what_one_process_finds(found: tuple[Optimization, Path], tmp_path: Path) -> None:
+    with executor("dask") as workers:
+        other = optimize(DESIGN, SPACE, calls=6, output=tmp_path / "dask", executor=workers, **HOW)
+    assert (tmp_path / "dask" / "optimize.csv").read_bytes() == (found[1] / "optimize.csv").read_bytes()
+    assert other.columns == found[0].columns
 
 
 def test_a_file_that_is_no_journal_is_a_problem(tmp_path: Path) -> None:

@@ -12,9 +12,9 @@ from cgemit import Gun, run
 from cgemit.draw import curves
 from cgemit.draw.style import new_picture
 from cgemit.statistics.curves import SYMBOLS, Line, Spectrum, track_spectrum
-from cgemit.statistics.widths import gaussian_fit
 from cgemit.statistics.formatting import shown, with_error
 from cgemit.statistics.resolutions import QUOTED
+from cgemit.statistics.widths import gaussian_fit
 from cgemit.study import measure, reproduce, scan
 from cgemit.study.cluster_residuals import geant4_runs
 from cgemit.study.paper.published import paper_values
