@@ -50,8 +50,8 @@ The memory does not depend on the number of events: 154 MB for 10^5 muons, 162 M
 
     cgemit simulate -d besiii-cgem-design --p 1 --cos-theta -0.93:0.93 -n 300000 --keep tracks --threads 1 -o many
 
-With `-n 1e7 --format parquet` the same command takes six minutes of processor time, 334 MB of memory (10^6 muons: 327 MB; pyarrow
-and its buffers are the difference to `.npz`) and 5.2 GB of disk.
+With `-n 1e7 --format parquet` the same command takes six minutes of processor time, 334 MB of memory (10^6 muons:
+327 MB; pyarrow and its buffers are the difference to `.npz`) and 5.2 GB of disk.
 
 Links count rows of the whole table, so that other programs can read the parts as one data set
 (of Parquet files with `pandas.read_parquet("many/tracks")`). The folder appears under its name when it is complete; an
