@@ -132,7 +132,8 @@ _HEAD = """# The covariance against simulated tracks
 
 `python validation/covariance.py` writes this page. It compares the core widths of [the covariance without
 events](covariance.md) with those of simulated and fitted tracks: {points} points (preset, particle, momentum, angle),
-with {tracks} tracks each, azimuth uniform, sides of the wires unknown; {samples} tracks of the covariance average a point.
+with {tracks} tracks each, azimuth uniform, sides of the wires unknown. {samples} tracks of the covariance average a
+point.
 A ratio fails if it differs from 1 by more than the limit and by more than three standard errors of the simulation.
 One value in 370 differs by more than three errors by chance.
 

@@ -14,7 +14,7 @@ from cgemit.detector import Detector
 from cgemit.detector.parts import CgemLayer
 from cgemit.detector.slabs import slabs
 from cgemit.statistics.formatting import html_table, text_table
-from cgemit.tables.frames import data_frame
+from cgemit.tables.convert import data_frame
 
 Floats = npt.NDArray[np.float64]
 

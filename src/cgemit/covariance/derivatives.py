@@ -19,7 +19,7 @@ from cgemit.digitize import Readout
 from cgemit.digitize.analog_cluster import key_of
 from cgemit.fit import compiled_for_fit
 from cgemit.statistics.formatting import html_table, text_table
-from cgemit.tables.frames import data_frame
+from cgemit.tables.convert import data_frame
 
 Floats = npt.NDArray[np.float64]
 

@@ -14,7 +14,7 @@ from cgemit.covariance.tracks import QUANTITIES, Tracks
 from cgemit.detector import Detector
 from cgemit.digitize.readout import Readout
 from cgemit.fit import FitStatus
-from cgemit.tables.frames import data_frame
+from cgemit.tables.convert import data_frame
 
 Floats = npt.NDArray[np.float64]
 

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from cgemit import _core
 from cgemit.matter.widths import ANGLES, LOSSES
-from cgemit.tables.frames import data_frame
+from cgemit.tables.convert import data_frame
 
 Floats = npt.NDArray[np.float64]
 Row = tuple[str, ...]

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy.typing as npt
 
-from cgemit.tables.frames import data_frame
+from cgemit.tables.convert import data_frame
 
 
 class Comparable:

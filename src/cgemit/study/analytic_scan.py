@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from html import escape
-from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
@@ -21,12 +18,11 @@ from cgemit.fit import FitStatus
 from cgemit.species import HYPOTHESES, species
 from cgemit.stages import Settings
 from cgemit.statistics.curves import Line
-from cgemit.statistics.formatting import Tabular, html_table, text_table
 from cgemit.statistics.forms import FORMS, FormFit, fit_form
 from cgemit.study import samples
 from cgemit.study.quantities import QUANTITIES, column
 from cgemit.study.samples import Order, cosines_of, momentum_name, momentum_of, transverse
-from cgemit.study.scan_files import save_scans, summary_of
+from cgemit.study.scan_files import ScanBase
 from cgemit.study.scan_table import angle_text, leading_columns, shot_text
 from cgemit.study.scans import QUOTED_PARAMETERS
 from cgemit.study.sweeps.evaluate import QUANTITIES as OF_SWEEPS
@@ -39,7 +35,7 @@ LINE_POINTS = 60
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class AnalyticScan(Tabular):
+class AnalyticScan(ScanBase):
     """Resolutions of one detector against momentum from the covariance, without events.
 
     Attributes
@@ -151,25 +147,6 @@ class AnalyticScan(Tabular):
             columns[column("rms", name)] = self.sigma(name, rms=True).tolist()
         return columns | {"reached": self.reached.tolist()}
 
-    def summary(self) -> dict[str, Any]:
-        """Return what `summary.json` holds."""
-        return summary_of([self])
-
-    def save(self, folder: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
-        """Write the files that `Scan.save` writes.
-
-        Parameters
-        ----------
-        folder : path
-        overwrite : bool
-
-        Raises
-        ------
-        OutputExistsError
-            If the folder holds files and `overwrite` is false.
-        """
-        return save_scans([self], folder, overwrite=overwrite)
-
     def empty(self) -> bool:
         """Tell whether no track at any momentum has a covariance."""
         return not self.reached.any()
@@ -184,11 +161,9 @@ class AnalyticScan(Tabular):
         momenta = ", ".join(f"{p:g}" for p in self.p[without])
         return f"at {momenta} GeV/c: no track has a covariance ({why})"
 
-    def _title(self) -> str:
-        return f"{self.detector.name}, {shot_text(self.orders[0])}: core widths, analytic"
-
-    def _head(self) -> tuple[str, ...]:
-        return (f"{momentum_name(self.orders[0])} [GeV/c]", *_HEAD)
+    def _table(self) -> tuple[str, Sequence[str], list[list[str]]]:
+        title = f"{self.detector.name}, {shot_text(self.orders[0])}: core widths, analytic"
+        return title, (f"{momentum_name(self.orders[0])} [GeV/c]", *_HEAD), self._rows()
 
     def _rows(self) -> list[list[str]]:
         values = [self.at(name) for name in QUOTED_PARAMETERS]
@@ -197,13 +172,6 @@ class AnalyticScan(Tabular):
             [f"{p:g}", *("-" if np.isnan(one) else f"{one:.4g}" for one in row), f"{100 * share:.4g} %"]
             for p, row, share in zip(self.momenta, zip(*values, strict=True), shares, strict=True)
         ]
-
-    def __repr__(self) -> str:
-        return "\n".join([text_table(self._title(), self._head(), self._rows()), *filter(None, [self.note()])])
-
-    def _repr_html_(self) -> str:
-        note = f"<p>{escape(self.note())}</p>" if self.note() else ""
-        return html_table(self._title(), self._head(), self._rows()) + note
 
 
 _HEAD = ("sigma(d_rho) [um]", "sigma(d_z) [mm]", "sigma(p) [MeV/c]", "with covariance")

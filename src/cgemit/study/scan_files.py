@@ -6,6 +6,7 @@ import json
 import os
 import re
 from collections.abc import Mapping, Sequence
+from html import escape
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -13,7 +14,7 @@ from cgemit.detector import Detector
 from cgemit.io.folders import SUMMARY, new_folder
 from cgemit.record import gun_data, record, write_record
 from cgemit.statistics.curves import Line
-from cgemit.statistics.formatting import write_csv
+from cgemit.statistics.formatting import Tabular, html_table, text_table, write_csv
 from cgemit.statistics.forms import FormFit
 from cgemit.study.samples import Order, angle_of, momentum_name, momentum_of
 from cgemit.study.scan_table import difference_columns
@@ -66,6 +67,44 @@ class AnyScan(Protocol):
 
     def columns(self) -> dict[str, list[Any]]:
         """Return the columns of the CSV table."""
+
+
+class ScanBase(Tabular):
+    """What simulated and analytic scans share: their text, their summary and their files."""
+
+    def summary(self: AnyScan) -> dict[str, Any]:
+        """Return what `summary.json` holds."""
+        return summary_of([self])
+
+    def save(self: AnyScan, folder: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
+        """Write resolution.csv, summary.json, run.json, the detector and the curves as PNG and PDF.
+
+        Parameters
+        ----------
+        folder : path
+        overwrite : bool
+
+        Raises
+        ------
+        OutputExistsError
+            If the folder holds files and `overwrite` is false.
+        """
+        return save_scans([self], folder, overwrite=overwrite)
+
+    def note(self) -> str:
+        """Return the momenta at which there are hardly any tracks, and why; empty if there are enough everywhere."""
+        raise NotImplementedError
+
+    def _table(self) -> tuple[str, Sequence[str], list[list[str]]]:
+        """Return title, head and rows of the text."""
+        raise NotImplementedError
+
+    def __repr__(self) -> str:
+        return "\n".join([text_table(*self._table()), *filter(None, [self.note()])])
+
+    def _repr_html_(self) -> str:
+        note = f"<p>{escape(self.note())}</p>" if self.note() else ""
+        return html_table(*self._table()) + note
 
 
 def summary_of(scans: Sequence[AnyScan]) -> dict[str, Any]:

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from html import escape
-from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
@@ -18,7 +15,7 @@ from cgemit.detector import Detector, load
 from cgemit.stages import Settings, hits_text
 from cgemit.statistics.curves import Line
 from cgemit.statistics.estimate import Resolution
-from cgemit.statistics.formatting import Tabular, html_table, text_table, with_error
+from cgemit.statistics.formatting import with_error
 from cgemit.statistics.forms import FORMS, FormFit, fit_form
 from cgemit.statistics.resolutions import QUOTED, pulls, resolution, resolution_against
 from cgemit.study.quantities import QUANTITIES, median_error, width
@@ -37,7 +34,7 @@ from cgemit.study.samples import (
     transverse,
     why_unfitted,
 )
-from cgemit.study.scan_files import save_scans, summary_of
+from cgemit.study.scan_files import ScanBase
 from cgemit.study.scan_table import Differences, angle_text, counts_text, differences, scan_columns, shot_text
 from cgemit.tables import Table
 from cgemit.values import check_numbers
@@ -82,7 +79,7 @@ def angle_lines(tracks: Table, detector: str, parameter: str, edges: npt.ArrayLi
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Scan(Tabular):
+class Scan(ScanBase):
     """Resolutions of one detector against momentum.
 
     Attributes
@@ -175,25 +172,6 @@ class Scan(Tabular):
         """Tell whether no track was fitted."""
         return not any(map(fitted, self.samples))
 
-    def summary(self) -> dict[str, Any]:
-        """Return what `summary.json` holds."""
-        return summary_of([self])
-
-    def save(self, folder: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
-        """Write resolution.csv, summary.json, run.json, the detector and the curves as PNG and PDF.
-
-        Parameters
-        ----------
-        folder : path
-        overwrite : bool
-
-        Raises
-        ------
-        OutputExistsError
-            If the folder holds files and `overwrite` is false.
-        """
-        return save_scans([self], folder, overwrite=overwrite)
-
     def _rows(self) -> list[list[str]]:
         widths = {name: quantity_line(self.samples, name) for name in QUOTED_PARAMETERS}
         rows = []
@@ -207,27 +185,17 @@ class Scan(Tabular):
             rows.append([f"{momentum_of(sample):g}", *cells, *end])
         return rows
 
-    def _title(self) -> str:
+    def _table(self) -> tuple[str, Sequence[str], list[list[str]]]:
         first = self.samples[0]
         shot = f"{first.detector.name}, {shot_text(first)}"
-        return f"{shot}: core widths, and medians of the fit's own errors; hits {hits_text(first.tracks)}"
-
-    def _head(self) -> tuple[str, ...]:
-        return (f"{momentum_name(self.samples[0])} [GeV/c]", *_HEAD)
+        title = f"{shot}: core widths, and medians of the fit's own errors; hits {hits_text(first.tracks)}"
+        return title, (f"{momentum_name(first)} [GeV/c]", *_HEAD), self._rows()
 
     def note(self) -> str:
         """Return how the tracks ended where hardly any was fitted; empty if there are enough everywhere."""
         few = hardly_fitted(self.samples)
         momenta = ", ".join(f"{momentum_of(s):g}" for s in few)
         return f"at {momenta} GeV/c: {why_unfitted(few)}" if few else ""
-
-    def __repr__(self) -> str:
-        return "\n".join([text_table(self._title(), self._head(), self._rows()), *filter(None, [self.note()])])
-
-    def _repr_html_(self) -> str:
-        return html_table(self._title(), self._head(), self._rows()) + (
-            f"<p>{escape(note)}</p>" if (note := self.note()) else ""
-        )
 
 
 _HEAD = (

@@ -2,16 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from cgemit.io.packages import package
 from cgemit.tables.check import Array, Rows
 from cgemit.tables.formats import plain_columns
 from cgemit.tables.schemas import SCHEMAS
+
+
+def data_frame(columns: Mapping[str, Sequence[Any] | npt.NDArray[Any]]) -> Any:
+    """Return columns of any origin as a `pandas.DataFrame`.
+
+    Raises
+    ------
+    ImportError
+        If pandas is not installed; says which extra installs it.
+    """
+    return package("pandas").DataFrame(dict(columns))
 
 
 def columns_of(source: Any) -> dict[str, Array] | None:

@@ -22,7 +22,7 @@ from cgemit.statistics.formatting import html_table, text_table, write_csv
 from cgemit.study.sweeps.axes import axis_of
 from cgemit.study.sweeps.evaluate import QUANTITIES, Evaluation, budgets, column, error_of_difference
 from cgemit.study.sweeps.space import Space
-from cgemit.tables.frames import data_frame
+from cgemit.tables.convert import data_frame
 from cgemit.version import PHYSICS
 
 if TYPE_CHECKING:
