@@ -2,7 +2,6 @@
 
 import base64
 import re
-import tomllib
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -12,8 +11,7 @@ import pytest
 from cgemit.statistics.estimate import measure
 from cgemit.study.paper import rows
 from cgemit.study.paper.published import paper_values
-from cgemit.study.report import Code, Image, Note, Section, TableOf, html_report
-from cgemit.version import DOCS
+from cgemit.study.report import Code, Image, Note, Section, TableOf, html_report, write_report
 
 ROOT = Path(__file__).parents[2]
 PNG = b"\x89PNG\r\n\x1a\n not really"
@@ -54,7 +52,7 @@ class Outline(HTMLParser):
 def outline(page, folder=None):
     """Parse a page; make sure that it is complete, that it loads nothing from outside, and that its links lead there.
 
-    Links lead to places in the page, files of the folder, the documentation or arXiv.
+    Links lead to places in the page, files of the folder or arXiv.
     """
     parsed = Outline()
     parsed.feed(page)
@@ -67,9 +65,6 @@ def outline(page, folder=None):
     for value in parsed.values("href"):
         if value.startswith("#"):
             assert value[1:] in places
-        elif value.startswith(DOCS):
-            page_name = value.removeprefix(DOCS).removesuffix(".html")
-            assert (ROOT / f"docs{page_name}.md").is_file(), value
         elif not value.startswith("https://arxiv.org/abs/"):
             assert folder is not None
             assert (folder / value).is_file(), value
@@ -99,8 +94,11 @@ def test_text_gets_links_contents_and_one_spelling_of_micrometres(tmp_path):
     text = "650 um of arXiv:1504.02570, drums; docs/methods/fit.md says why; summary.json holds <all>"
     parts = [text, Image(tmp_path / "a.png", "T", "30 um", ["a.pdf", "a.csv"]), Code("x --pitch '30 um'")]
     page = html_report("A", "lead", [Section("Pulls at 1 GeV/c", parts), Section("Rest", [])])
+    write_report(tmp_path, page)
+    assert (tmp_path / "report.html").read_text(encoding="utf-8") == page
+    assert (tmp_path / "docs/methods/fit.md").read_bytes() == (ROOT / "docs/methods/fit.md").read_bytes()
     parsed = outline(page, tmp_path)
-    links = ["#pulls-at-1-gev-c", "#rest", "https://arxiv.org/abs/1504.02570", f"{DOCS}/methods/fit.html"]
+    links = ["#pulls-at-1-gev-c", "#rest", "https://arxiv.org/abs/1504.02570", "docs/methods/fit.md"]
     assert parsed.values("href") == [*links, "summary.json", "a.pdf", "a.csv"]
     assert "650 µm of" in parsed.text
     assert "drums" in parsed.text
@@ -111,11 +109,6 @@ def test_text_gets_links_contents_and_one_spelling_of_micrometres(tmp_path):
 def test_wide_tables_say_that_they_scroll():
     tables = {n: html_report("A", "l", [Section("s", [TableOf(["x"] * n, [["1"] * n])])]) for n in (7, 8)}
     assert [outline(page).text.count("scroll sideways") for page in tables.values()] == [0, 1]
-
-
-def test_address_of_the_documentation_is_that_of_the_project():
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    assert project["urls"]["Documentation"] + "/docs" == DOCS
 
 
 def test_missing_picture_is_an_error(tmp_path):

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import base64
 import re
+import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 
+from cgemit import _core
 from cgemit.statistics.formatting import shown
-from cgemit.version import DOCS
 
 # A picture opens at its full size when it is clicked, without a script: its check box covers the page with it.
 # A table of many columns is at least 64rem wide, which 1063px with the padding do not hold: then the hint is shown.
@@ -147,6 +148,22 @@ def html_report(title: str, lead: str, sections: Sequence[Section]) -> str:
     return f'<!DOCTYPE html>\n<html lang="en">\n<head>\n{head}\n</head>\n<body>\n{page}\n</body>\n</html>\n'
 
 
+def write_report(folder: Path, page: str) -> None:
+    """Write a page as report.html, and beside it the pages of the documentation to which it links.
+
+    Parameters
+    ----------
+    folder : Path
+    page : str
+        Of `html_report`.
+    """
+    (folder / "report.html").write_text(page, encoding="utf-8")
+    installed = Path(_core.__file__).parent
+    for name in sorted(set(re.findall(r'href="(docs/[\w/]+\.md)"', page))):
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(installed / name, folder / name)
+
+
 def _anchor(title: str) -> str:
     """Return a heading as the name of its place in the page."""
     return re.sub(r"[^a-z0-9]+", "-", title.lower()).strip("-")
@@ -164,7 +181,7 @@ def _text(text: str) -> str:
     """Return a text as HTML, with links and one spelling of the micrometre."""
 
     def link(found: re.Match[str]) -> str:
-        places = {"arxiv": "https://arxiv.org/abs/{}", "docs": DOCS + "/{}.html", "file": "{}"}
+        places = {"arxiv": "https://arxiv.org/abs/{}", "docs": "docs/{}.md", "file": "{}"}
         kind = found.lastgroup or "file"
         return f'<a href="{places[kind].format(found[kind])}">{found[0]}</a>'
 
