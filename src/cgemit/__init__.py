@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from cgemit.own_hits import fit_hits
     from cgemit.progress import ProgressBar
     from cgemit.result import Result, Settings
+    from cgemit.samples import EventSample, sample
     from cgemit.simulate import SimulateSettings, TransportStatus
     from cgemit.states import StateStatus, Surface, extrapolate
     from cgemit.statistics.resolutions import resolution
@@ -48,6 +49,7 @@ __all__ = [
     "Detector",
     "DetectorError",
     "DigitizeSettings",
+    "EventSample",
     "FindSettings",
     "FitSettings",
     "FitStatus",
@@ -76,6 +78,7 @@ __all__ = [
     "open",
     "resolution",
     "run",
+    "sample",
     "sensitivity",
     "slab",
     "study",
@@ -91,6 +94,7 @@ _MODULES = {
     "Detector": "detector",
     "DetectorError": "detector",
     "DigitizeSettings": "digitize",
+    "EventSample": "samples",
     "FindSettings": "find",
     "FitSettings": "fit",
     "FitStatus": "fit",
@@ -116,6 +120,7 @@ _MODULES = {
     "open": "stored_run",
     "resolution": "statistics.resolutions",
     "run": "chain",
+    "sample": "samples",
     "sensitivity": "covariance",
     "slab": "matter",
 }
