@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from cgemit.own_hits import fit_hits
     from cgemit.progress import ProgressBar
     from cgemit.result import Result
+    from cgemit.samples import EventSample, sample
     from cgemit.simulate import SimulateSettings, TransportStatus
     from cgemit.stages import Settings
     from cgemit.states import StateStatus, Surface, extrapolate
@@ -49,6 +50,7 @@ __all__ = [
     "Detector",
     "DetectorError",
     "DigitizeSettings",
+    "EventSample",
     "FindSettings",
     "FitSettings",
     "FitStatus",
@@ -77,6 +79,7 @@ __all__ = [
     "open",
     "resolution",
     "run",
+    "sample",
     "sensitivity",
     "slab",
     "study",
@@ -92,6 +95,7 @@ _MODULES = {
     "Detector": "detector",
     "DetectorError": "detector",
     "DigitizeSettings": "digitize",
+    "EventSample": "samples",
     "FindSettings": "find",
     "FitSettings": "fit",
     "FitStatus": "fit",
@@ -117,6 +121,7 @@ _MODULES = {
     "open": "stored_run",
     "resolution": "statistics.resolutions",
     "run": "chain",
+    "sample": "samples",
     "sensitivity": "covariance",
     "slab": "matter",
 }

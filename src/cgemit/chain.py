@@ -16,7 +16,7 @@ from cgemit.detector import Detector, load
 from cgemit.digitize import Readout, cluster_digis, digitize
 from cgemit.find.tracks import find_tracks
 from cgemit.fit import fit
-from cgemit.gun import Gun, Guns, generate
+from cgemit.gun import Guns, Source, generate
 from cgemit.io.folders import new_folder
 from cgemit.match import match
 from cgemit.memory import check_disk
@@ -106,7 +106,7 @@ def run_chunk(
 
 def run(
     detector: Detector | str | Mapping[str, Any],
-    gun: Gun | Guns | Any,
+    gun: Source | Guns | Any,
     n: int | None = None,
     seed: int = 1,
     *,
@@ -133,9 +133,9 @@ def run(
     Parameters
     ----------
     detector : Detector, or what `load` accepts
-    gun : Gun, or particles in any form that `cgemit.particles.particles_from` takes
-        A table, data frame, dict of arrays, structured or awkward array, or the path of a file, such as
-        ``"events.hepmc"``.
+    gun : Gun, sample, or particles in any form that `cgemit.particles.particles_from` takes
+        A sample is what `cgemit.sample` returns. Particles are a table, data frame, dict of arrays, structured or
+        awkward array, or the path of a file, such as ``"events.hepmc"``.
     n : int or None
         Number of events; 1000 for a gun if not given. Must be left out when `gun` is no gun.
     seed : int
@@ -232,8 +232,8 @@ def run(
     return open_run(output)
 
 
-def _source(gun: Any, n: int | None) -> tuple[Gun | Guns | None, int, Table | None]:
-    if isinstance(gun, Gun | Guns):
+def _source(gun: Any, n: int | None) -> tuple[Source | Guns | None, int, Table | None]:
+    if isinstance(gun, Source | Guns):
         return gun, 1000 if n is None else n, None
     table = particles_from(gun)
     if n is not None and n != table.n_events:
@@ -244,7 +244,7 @@ def _source(gun: Any, n: int | None) -> tuple[Gun | Guns | None, int, Table | No
 def _work(
     detector: Detector,
     believed: Detector,
-    gun: Gun | Guns | None,
+    gun: Source | Guns | None,
     table: Table | None,
     first: int,
     count: int,
@@ -273,7 +273,7 @@ def _work(
 
 
 def _meta(
-    detector: Detector, fit_detector: Detector | None, gun: Gun | Guns | None, settings: Settings, seed: int
+    detector: Detector, fit_detector: Detector | None, gun: Source | Guns | None, settings: Settings, seed: int
 ) -> dict[str, Any]:
     texts = {name: one.to_toml() for name, one in detectors_of(detector, fit_detector).items()}
     return {

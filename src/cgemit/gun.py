@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields
-from html import escape
 from typing import Any, cast
 
 import numpy as np
 import numpy.typing as npt
 
 from cgemit import _core
+from cgemit.guns import Guns as Guns
+from cgemit.guns import Source as Source
 from cgemit.particles import FARTHEST, FASTEST, ParticleError
 from cgemit.species import species
 from cgemit.tables import Table
@@ -19,7 +20,7 @@ from cgemit.values import InTurn, Limit, Value, ValueLike, is_whole, parse_three
 
 
 @dataclass(frozen=True, repr=False)
-class Gun:
+class Gun(Source):
     """A source of equal particles; ``gun + other`` shoots both in every event.
 
     For every quantity a number is fixed, a tuple ``(low, high)`` a uniform range, and a list or array the values
@@ -67,9 +68,19 @@ class Gun:
         for name, value in clean.items():
             object.__setattr__(self, name, value)
 
-    def __add__(self, other: Gun | Guns) -> Guns:
-        """Return the guns that shoot together in every event."""
-        return Guns((self,)) + other
+    def shoot(self, seed: int, events: npt.NDArray[np.int64], number: int) -> dict[str, Array]:
+        """Return the columns of a particles table.
+
+        Parameters
+        ----------
+        seed : int
+        events : ndarray, (n,) int64
+        number : int
+            Of its first particle in each event.
+        """
+        event = np.repeat(events, self.multiplicity)
+        particle = np.tile(np.arange(number, number + self.multiplicity, dtype=np.int32), len(events))
+        return _shoot(self, _Draws(seed, event, particle))
 
     def __repr__(self) -> str:
         given = [f"{f.name}={getattr(self, f.name)!r}" for f in fields(self)[1:] if getattr(self, f.name) != f.default]
@@ -79,51 +90,7 @@ class Gun:
         return Guns((self,))._repr_html_()
 
 
-@dataclass(frozen=True, repr=False)
-class Guns:
-    """Several guns that shoot in every event, numbered in the order in which they were added."""
-
-    guns: tuple[Gun, ...]
-
-    def __add__(self, other: Gun | Guns) -> Guns:
-        """Return these guns and another one, or others, together."""
-        if not isinstance(other, Gun | Guns):
-            return NotImplemented
-        return Guns((*self.guns, *((other,) if isinstance(other, Gun) else other.guns)))
-
-    def __repr__(self) -> str:
-        return " + ".join(map(repr, self.guns))
-
-    def _repr_html_(self) -> str:
-        names = [f.name for f in fields(Gun) if any(getattr(gun, f.name) is not None for gun in self.guns)]
-        left = 'style="text-align:left"'
-        rows = "".join(
-            f"<tr><th {left}>{name} {_UNITS[name]}</th>"
-            + "".join(f"<td {left}>{escape(_shown(getattr(gun, name)))}</td>" for gun in self.guns)
-            + "</tr>"
-            for name in names
-        )
-        return f"<p><b>Gun</b></p><table>{rows}</table>"
-
-
-_UNITS = dict.fromkeys(("particle", "cos_theta", "multiplicity"), "") | {
-    "p": "[GeV/c]", "pt": "[GeV/c]", "theta": "[rad]", "phi": "[rad]", "vertex": "[mm]", "vertex_sigma": "[mm]",
-}  # fmt: skip
-
-
-def _shown(value: object) -> str:
-    """Return a quantity as text: a fixed value, a range, or values in turn."""
-    if isinstance(value, InTurn):
-        shown = ", ".join(f"{one:g}" for one in value.values[:6])
-        return f"in turn {shown}" + (f" ... ({len(value.values)})" if len(value.values) > 6 else "")
-    if isinstance(value, tuple) and len(value) == 2:
-        return f"{value[0]:g} to {value[1]:g}"
-    if isinstance(value, tuple):
-        return ", ".join(map(_shown, value))
-    return f"{value:g}" if isinstance(value, float) else str(value)
-
-
-def generate(gun: Gun | Guns, n_events: int, seed: int, first_event: int = 0) -> Table:
+def generate(gun: Source | Guns, n_events: int, seed: int, first_event: int = 0) -> Table:
     """Draw the particles of some events.
 
     A particle depends on the gun, the seed, its event and its number in the event only, so that events can be
@@ -131,7 +98,8 @@ def generate(gun: Gun | Guns, n_events: int, seed: int, first_event: int = 0) ->
 
     Parameters
     ----------
-    gun : Gun or Guns
+    gun : Source or Guns
+        A `Gun`, a sample (`cgemit.sample`), or several of them.
     n_events : int
     seed : int
         0 to 2^64 - 1.
@@ -153,9 +121,7 @@ def generate(gun: Gun | Guns, n_events: int, seed: int, first_event: int = 0) ->
     events = np.arange(first_event, first_event + n_events, dtype=np.int64)
     parts, number = [], 0
     for one in guns:
-        event = np.repeat(events, one.multiplicity)
-        particle = np.tile(np.arange(number, number + one.multiplicity, dtype=np.int32), n_events)
-        parts.append(_shoot(one, _Draws(seed, event, particle)))
+        parts.append(one.shoot(seed, events, number))
         number += one.multiplicity
     joined = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     order = np.lexsort((joined["particle"], joined["event"]))
@@ -223,7 +189,7 @@ def _shoot(gun: Gun, draws: _Draws) -> dict[str, Array]:
     }
 
 
-def _check_arguments(guns: tuple[Gun, ...], n_events: int, seed: int, first_event: int) -> None:
+def _check_arguments(guns: tuple[Source, ...], n_events: int, seed: int, first_event: int) -> None:
     problems = [
         f"{name}: got {value!r}; expected a whole number from 0 to {most}"
         for name, value, most in (
@@ -233,7 +199,7 @@ def _check_arguments(guns: tuple[Gun, ...], n_events: int, seed: int, first_even
         )
         if not is_whole(value, 0, most)
     ]
-    problems += [f"gun: got {type(one).__name__}; expected a Gun" for one in guns if not isinstance(one, Gun)]
+    problems += [f"gun: got {type(one).__name__}; expected a Gun" for one in guns if not isinstance(one, Source)]
     if problems:
         raise ParticleError("generate", problems)
 

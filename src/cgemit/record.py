@@ -13,11 +13,12 @@ from typing import Any, Generic, NamedTuple, TypeVar
 import numpy as np
 
 from cgemit.detector import Detector, load
-from cgemit.gun import Gun, Guns
+from cgemit.gun import Gun, Guns, Source
 from cgemit.io.files import read_text
 from cgemit.io.folders import RECORD
 from cgemit.io.toml import parse_toml
 from cgemit.problems import ProblemsError
+from cgemit.samples import EventSample
 from cgemit.settings import SettingsData, SettingsError
 from cgemit.tables import Table, save_tables
 from cgemit.tables.stored import StoredTables, about_of
@@ -118,7 +119,7 @@ class Run(NamedTuple, Generic[S]):
 
     entries: Mapping[str, Any]
     detectors: Mapping[str, Detector]
-    gun: Gun | Guns | None
+    gun: Source | Guns | None
     settings: S
     tables: Mapping[str, Table]
 
@@ -182,7 +183,7 @@ def _read_record(folder: Path, problems: list[str]) -> dict[str, Any]:
 
 def _read_entries(
     entries: Mapping[str, Any], kind: type[S], problems: list[str]
-) -> tuple[dict[str, Detector], Gun | Guns | None, S]:
+) -> tuple[dict[str, Detector], Source | Guns | None, S]:
     """Return what the entries of a record describe; problems are added."""
     if not entries:
         return {}, None, kind()
@@ -255,7 +256,7 @@ def _detector(text: str, name: str, problems: list[str]) -> Detector | None:
     return None
 
 
-def gun_data(gun: Gun | Guns | None) -> list[dict[str, Any]] | None:
+def gun_data(gun: Source | Guns | None) -> list[dict[str, Any]] | None:
     """Return the particle source as JSON: one object per gun, a range as ``{"from": low, "to": high}``.
 
     None stands for given particles.
@@ -263,19 +264,31 @@ def gun_data(gun: Gun | Guns | None) -> list[dict[str, Any]] | None:
     if gun is None:
         return None
     guns = gun.guns if isinstance(gun, Guns) else (gun,)
-    return [{name: _value_data(name, getattr(one, name)) for name in _GUN} for one in guns]
+    return [_data_of(one) for one in guns]
 
 
-def gun_from(data: Any, problems: list[str]) -> Gun | Guns | None:
+def _data_of(one: Source) -> dict[str, Any]:
+    """Return one source as JSON; the key ``sample`` tells samples from guns."""
+    named = (
+        {"sample": one.name, **one.options()} if isinstance(one, EventSample) else {n: getattr(one, n) for n in _GUN}
+    )
+    return {name: _value_data(name, value) for name, value in named.items()}
+
+
+def gun_from(data: Any, problems: list[str]) -> Source | Guns | None:
     """Return the source that `gun_data` was made from; None, with problems added, if there are any."""
     if data is None:
         return None
     try:
-        guns = [Gun(**{name: _value(name, value) for name, value in one.items()}) for one in data]
+        guns = [_source_from({name: _value(name, value) for name, value in one.items()}) for one in data]
         return guns[0] if len(guns) == 1 else Guns(tuple(guns))
     except (ValueError, TypeError, KeyError, IndexError, AttributeError) as error:
         problems += [f"{RECORD}: source: {one}" for one in getattr(error, "problems", [error])]
     return None
+
+
+def _source_from(given: dict[str, Any]) -> Source:
+    return EventSample(given.pop("sample"), **given) if "sample" in given else Gun(**given)
 
 
 _GUN = [f.name for f in fields(Gun)]

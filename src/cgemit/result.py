@@ -11,7 +11,7 @@ from typing import Any
 
 from cgemit.detector import Detector
 from cgemit.fit import FitStatus
-from cgemit.gun import Gun, Guns
+from cgemit.gun import Guns, Source
 from cgemit.io.folders import new_folder
 from cgemit.match import joined
 from cgemit.record import Run, gun_data, read_run, record, write_run
@@ -45,7 +45,7 @@ class Result:
     Attributes
     ----------
     detector : Detector
-    gun : Gun, Guns or None
+    gun : Gun, EventSample, Guns or None
         None: the particles were given.
     seed : int
     settings : Settings
@@ -59,7 +59,7 @@ class Result:
     """
 
     detector: Detector
-    gun: Gun | Guns | None
+    gun: Source | Guns | None
     seed: int
     settings: Settings
     fit_detector: Detector | None = None

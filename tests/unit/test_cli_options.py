@@ -303,7 +303,7 @@ def test_options_of_study(row: Row, monkeypatch: pytest.MonkeyPatch) -> None:
 )
 def test_every_option_is_tried(command: str, rows: list[Row]) -> None:
     tried = {row.option for row in rows} | SHOWN
-    tried |= {"display": {"--html"}, "simulate": {"--fit", "--particles"}}.get(command, set())
+    tried |= {"display": {"--html", "--sample"}, "simulate": {"--fit", "--particles", "--sample"}}.get(command, set())
     assert options_of(command) - tried == set()
 
 

@@ -28,6 +28,7 @@ examples:
   cgemit find -d besiii-cgem --particle pi+ --pt 0.05:0.3 --cos-theta -0.9:0.9 -n 5000 -o slow-pions
   cgemit find -d besiii-idc --tracks 4 --p 0.2:1.5 --cos-theta -0.93:0.93 -n 500 --set background.level=bes2009 -o four
   cgemit find -d besiii-cgem --set find.method=chamber --p 0.5 --cos-theta -0.9:0.9 -n 1000
+  cgemit find -d besiii-cgem --sample d0-d0bar -n 1000
   cgemit find -d besiii-cgem --finder truth --p 0.5 --cos-theta -0.9:0.9 -n 1000         the perfect finder"""
 
 #: Bins of the efficiency.

@@ -12,7 +12,7 @@ from cgemit.cli import changes, common, read
 from cgemit.version import VERSION
 
 if TYPE_CHECKING:
-    from cgemit.gun import Gun
+    from cgemit.gun import Source
     from cgemit.result import Result
 
 _DESCRIPTION = """\
@@ -35,7 +35,8 @@ examples:
   cgemit simulate -d besiii-cgem --settings mine.toml --set fit.loss=mean --p 1 --cos-theta 0 -n 1000 -o mine
   cgemit simulate -d besiii-cgem --field my-map.npz --p 1 --cos-theta 0 -n 1000 -o mapped
   cgemit simulate -d besiii-cgem --p 1 --cos-theta -0.93:0.93 -n 1e7 --keep tracks --format parquet -o many
-  cgemit simulate -d besiii-cgem --particles events.hepmc --fit -o generated"""
+  cgemit simulate -d besiii-cgem --particles events.hepmc --fit -o generated
+  cgemit simulate -d besiii-cgem --sample jpsi-rhopi -n 1000 --finder ckf -o rhopi"""
 
 #: As `cgemit.tables.formats.FORMATS`, which would need numpy.
 FORMATS = ("npz", "npz-compressed", "parquet", "root", "csv")
@@ -91,6 +92,11 @@ def add_finder(parser: argparse.ArgumentParser, *, more: str = "") -> None:
 def add_gun(parser: argparse.ArgumentParser, *, files: bool = False) -> None:
     """Add the options of the gun, and with `files` that of a file of particles."""
     gun = parser.add_argument_group("gun")
+    gun.add_argument(
+        "--sample", metavar="NAME",
+        help="events of a sample instead of a gun: jpsi-rhopi, pipi-jpsi, d0-d0bar, ks-pipi, lambda-ppi, slow-pions or "
+        "cosmic; of the options below, those that it has",
+    )  # fmt: skip
     gun.add_argument("--particle", help="PDG name or number (default mu-)")
     momentum = gun.add_mutually_exclusive_group()
     momentum.add_argument("--p", type=read.momenta, metavar="VALUES", help="momentum, GeV/c")
@@ -115,8 +121,8 @@ def add_gun(parser: argparse.ArgumentParser, *, files: bool = False) -> None:
 _GUN = ("particle", "p", "pt", "theta", "cos_theta", "phi", "vertex", "vertex_sigma")
 
 
-def gun_of(arguments: argparse.Namespace, *others: tuple[str, object]) -> Gun:
-    """Return the gun of the options.
+def gun_of(arguments: argparse.Namespace, *others: tuple[str, object]) -> Source:
+    """Return the gun, or the sample, of the options.
 
     Parameters
     ----------
@@ -130,14 +136,21 @@ def gun_of(arguments: argparse.Namespace, *others: tuple[str, object]) -> Gun:
         Listing every option that is missing.
     """
     from cgemit.gun import Gun
+    from cgemit.samples import sample
 
     given = {name: getattr(arguments, name) for name in _GUN if getattr(arguments, name) is not None}
     missing = [name for name, value in others if value is None]
+    if arguments.sample is not None:
+        if missing:
+            raise common.InputError(f"got no {', no '.join(missing)}; expected all of them")
+        return sample(arguments.sample, **given)
     for options in (("--p", "--pt"), ("--theta", "--cos-theta")):
         if not any(one[2:].replace("-", "_") in given for one in options):
             missing.append(" or ".join(options))
     if missing:
-        raise common.InputError(f"got no {', no '.join(missing)}; expected all of them{_or_file(arguments)}")
+        raise common.InputError(
+            f"got no {', no '.join(missing)}; expected all of them, or --sample NAME{_or_file(arguments)}"
+        )
     return Gun(**{"particle": "mu-", **given})
 
 
@@ -157,7 +170,7 @@ def _source(arguments: argparse.Namespace) -> Any:
 
     if arguments.particles is None:
         return gun_of(arguments, ("-n", arguments.events))
-    given = [name for name in _GUN if getattr(arguments, name) is not None]
+    given = [name for name in ("sample", *_GUN) if getattr(arguments, name) is not None]
     if given:
         options = ", ".join("--" + name.replace("_", "-") for name in given)
         raise common.InputError(f"--particles: got {options}, too; expected particles of a file or of a gun")

@@ -5,23 +5,26 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from cgemit.gun import Gun, Guns
+from cgemit.gun import Gun, Guns, Source
 from cgemit.values import InTurn
 
 _NAMES = {"p": "p = {} GeV/c", "pt": "pT = {} GeV/c", "theta": "θ = {} rad", "cos_theta": "cos θ = {}"}
 
 
-def shot_text(source: Gun | Guns | None) -> str:
+def shot_text(source: Source | Guns | None) -> str:
     """Return particle, momentum and angle of a gun, or of several, as text.
 
     Parameters
     ----------
-    source : Gun, Guns or None
+    source : Gun, EventSample, Guns or None
         None: particles were given.
     """
-    guns: Sequence[Gun] = () if source is None else source.guns if isinstance(source, Guns) else (source,)
+    guns: Sequence[Source] = () if source is None else source.guns if isinstance(source, Guns) else (source,)
     texts = []
     for gun in guns:
+        if not isinstance(gun, Gun):
+            texts.append(repr(gun))
+            continue
         given = {name: text for name, text in _NAMES.items() if getattr(gun, name) is not None}
         texts.append(", ".join([str(gun.particle), *(t.format(_value(getattr(gun, n))) for n, t in given.items())]))
     return "; ".join(texts) or "given particles"

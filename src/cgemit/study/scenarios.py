@@ -10,7 +10,7 @@ import numpy as np
 
 from cgemit.candidates import HIT_V
 from cgemit.detector import Detector
-from cgemit.gun import Gun, Guns, generate
+from cgemit.gun import Gun, Guns, Source, generate
 from cgemit.particles import particles_from
 from cgemit.species import species
 from cgemit.study.hits import Hits, add_noise, exchange_clusters, keep, lose_layers
@@ -37,7 +37,7 @@ class Scenario:
 
     name: str
     text: str
-    source: Gun | Guns | Callable[[int, int], Table]
+    source: Source | Guns | Callable[[int, int], Table]
     spoil: Spoil | None = None
 
     def particles(self, n_events: int, seed: int) -> Table:
@@ -50,7 +50,7 @@ class Scenario:
         """
         return (
             generate(self.source, n_events, seed)
-            if isinstance(self.source, Gun | Guns)
+            if isinstance(self.source, Source | Guns)
             else self.source(n_events, seed)
         )
 

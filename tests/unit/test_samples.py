@@ -1,0 +1,248 @@
+"""Samples have the kinematics of their decays, whatever the chunks, and list every mistake."""
+
+from __future__ import annotations
+
+import math
+import pickle
+
+import numpy as np
+import pytest
+
+import cgemit as cg
+from cgemit.cli.main import main
+from cgemit.gun import generate
+from cgemit.particles import ParticleError
+from cgemit.record import gun_data, gun_from
+from cgemit.samples import NAMES
+from cgemit.samples.catalogue import DEFINITIONS, Mode
+from cgemit.samples.chains import Draws, Particles, decay_all
+from cgemit.samples.phase_space import boost, breakup_momentum, largest_weight, phase_space
+from cgemit.species import species
+from stats import assert_within, fraction_error, mean_error
+
+N = 4000
+
+
+def uniforms(rows: int, n: int, seed: int = 1) -> np.ndarray:
+    return np.random.default_rng(seed).uniform(size=(rows, 3 * n - 4))
+
+
+def mass(momenta: np.ndarray) -> np.ndarray:
+    return np.sqrt(momenta[..., 3] ** 2 - np.sum(momenta[..., :3] ** 2, axis=-1))
+
+
+def four_momenta(particles: cg.Table) -> np.ndarray:
+    p = np.stack([particles[name] for name in ("px", "py", "pz")], axis=1)
+    energy = np.sqrt(np.sum(p * p, axis=1) + particles["mass"] ** 2)
+    return np.concatenate([p, energy[:, None]], axis=1)
+
+
+def event_sums(particles: cg.Table, values: np.ndarray) -> np.ndarray:
+    total = np.zeros((particles.n_events, *values.shape[1:]))
+    np.add.at(total, particles["event"] - particles.first_event, values)
+    return total
+
+
+def test_two_bodies_have_the_momentum_of_the_closed_form() -> None:
+    """E1 = (M^2 + m1^2 - m2^2) / 2M, back to back, isotropic."""
+    found, weight = phase_space(1.115683, [0.93827208943, 0.13957039], uniforms(5000, 2))
+    first = (1.115683**2 + 0.93827208943**2 - 0.13957039**2) / (2 * 1.115683)
+    assert np.allclose(found[:, 0, 3], first, rtol=0, atol=1e-14)
+    assert np.allclose(np.sum(found[..., :3], axis=1), 0, atol=1e-15)
+    p = math.sqrt(first**2 - 0.93827208943**2)
+    assert np.allclose(weight, p)
+    assert float(breakup_momentum(1.115683, 0.93827208943, 0.13957039)) == pytest.approx(p, rel=1e-13)
+    cos = found[:, 1, 2] / p
+    assert_within(np.mean(cos**2), 1 / 3, mean_error(cos**2))
+
+
+def test_the_dalitz_plot_is_flat() -> None:
+    """Weighted three-body events fill the Dalitz plot in proportion to its area: moments of the invariant masses."""
+    parent, masses = 1.86484, (0.493677, 0.13957039, 0.1349768)
+    found, weight = phase_space(parent, masses, uniforms(60_000, 3, seed=2))
+    s12, s23 = (mass(found[:, i] + found[:, i + 1]) ** 2 for i in (0, 1))
+    # The area by brute force: a fine grid in both masses squared, inside the boundary of the PDG's Kinematics.
+    x = np.linspace((masses[0] + masses[1]) ** 2, (parent - masses[2]) ** 2, 2001)
+    m12 = np.sqrt(0.5 * (x[1:] + x[:-1]))
+    e2 = (m12**2 - masses[0] ** 2 + masses[1] ** 2) / (2 * m12)
+    e3 = (parent**2 - m12**2 - masses[2] ** 2) / (2 * m12)
+    p2, p3 = np.sqrt(e2**2 - masses[1] ** 2), np.sqrt(e3**2 - masses[2] ** 2)
+    width, middle = 4 * p2 * p3, masses[1] ** 2 + masses[2] ** 2 + 2 * e2 * e3
+    area = width / width.sum()
+    for power in (1, 2):
+        expected = np.sum(area * m12 ** (2 * power))
+        error = math.sqrt(np.sum(weight**2 * (s12**power - expected) ** 2)) / weight.sum()
+        assert_within(np.sum(weight * s12**power) / weight.sum(), expected, error, what=f"s12^{power}")
+    expected = np.sum(area * middle)
+    error = math.sqrt(np.sum(weight**2 * (s23 - expected) ** 2)) / weight.sum()
+    assert_within(np.sum(weight * s23) / weight.sum(), expected, error, what="s23")
+    # Without the weight the plot is not flat.
+    assert abs(np.mean(s12) - np.sum(area * m12**2)) > 5 * mean_error(s12)
+
+
+@pytest.mark.parametrize("n", [3, 4, 5])
+def test_groups_have_the_mean_mass_of_symmetric_phase_space(n: int) -> None:
+    """Sum of all pairs' masses squared is fixed by energy and momentum, and equal masses share it equally."""
+    masses = [0.14] * n
+    found, weight = phase_space(1.9, masses, uniforms(40_000, n, seed=n))
+    total = 1.9**2 + n * (n - 2) * 0.14**2
+    pairs = np.stack([mass(found[:, i] + found[:, j]) ** 2 for j in range(n) for i in range(j)], axis=1)
+    assert np.allclose(pairs.sum(axis=1), total)
+    share = total / pairs.shape[1]
+    error = np.sqrt(np.sum(weight[:, None] ** 2 * (pairs - share) ** 2, axis=0)) / weight.sum()
+    assert_within(np.sum(weight[:, None] * pairs, axis=0) / weight.sum(), share, error)
+    assert weight.max() <= largest_weight(1.9, tuple(masses))
+    assert weight.max() > 0.98 * largest_weight(1.9, tuple(masses))
+
+
+def test_a_boost_there_and_back_changes_nothing() -> None:
+    parent = np.array([0.3, -0.2, 1.5, 2.1])
+    one = np.array([0.1, 0.5, -0.3, 0.9])
+    back = parent * [-1, -1, -1, 1]
+    assert np.allclose(boost(boost(one, parent), back), one, atol=1e-14)
+    assert mass(boost(one, parent)) == pytest.approx(mass(one))
+
+
+@pytest.mark.parametrize(
+    ("name", "parent", "charged"), [("jpsi-rhopi", 3.0969, 2), ("pipi-jpsi", 3.6861, 4), ("d0-d0bar", 3.7737, None)]
+)
+def test_collisions_have_energy_momentum_and_charge_of_the_beams(name: str, parent: float, charged: int | None) -> None:
+    particles = generate(cg.sample(name), N, seed=3)
+    total = event_sums(particles, four_momenta(particles))
+    assert np.allclose(mass(total), parent)
+    assert np.allclose(total[:, 0], parent * math.tan(0.011))
+    assert np.allclose(total[:, 1:3], 0, atol=1e-12)
+    assert not event_sums(particles, particles["charge"].astype(float)).any()
+    number = event_sums(particles, (particles["charge"] != 0).astype(float))
+    assert set(number) == ({charged} if charged else {2, 4, 6, 8})
+    for event in range(3):
+        mine = particles["particle"][particles["event"] == event]
+        assert list(mine) == list(range(len(mine)))
+
+
+def test_the_rho_has_its_line_and_its_angle() -> None:
+    """The mass has a Breit-Wigner line in s times the momentum of the rho; J/psi -> V P has 1 + cos^2(theta)."""
+    n = 3 * N
+    rest = np.tile([0, 0, 0, 3.0969], (n, 1))
+    parents = Particles(np.arange(n), np.ones(n, np.int64), np.full(n, 3.0969), rest, np.zeros((n, 3)))
+    found = decay_all({"J/psi": parents}, {"J/psi": (Mode(1, ("rho0", "pi0"), 1.0),)}, Draws(4, 0))
+    (rho,), (pion,) = found["rho0"], found["pi0"]
+    assert np.allclose(mass(rho.momentum), rho.mass)
+    m = np.linspace(2 * 0.13957039, 3.0969 - 0.1349768, 20_001)
+    line = 2 * m / ((m**2 - 0.77526**2) ** 2 + (0.77526 * 0.1491) ** 2) * breakup_momentum(3.0969, m, 0.1349768)
+    assert_within(rho.mass.mean(), np.sum(line * m) / line.sum(), mean_error(rho.mass))
+    cos2 = pion.momentum[:, 2] ** 2 / np.sum(pion.momentum[:, :3] ** 2, axis=1)
+    assert_within(cos2.mean(), 0.4, mean_error(cos2))
+    charged = generate(cg.sample("jpsi-rhopi"), n, seed=4)
+    assert sorted(np.unique(charged["pdg"])) == [-211, 111, 211]
+
+
+def test_the_muons_have_the_mass_of_the_jpsi() -> None:
+    particles = generate(cg.sample("pipi-jpsi"), 300, seed=5)
+    muons = four_momenta(particles)[np.abs(particles["pdg"]) == 13].reshape(-1, 2, 4)
+    assert np.allclose(mass(muons.sum(axis=1)), 3.0969)
+
+
+@pytest.mark.parametrize(("name", "parent"), [("ks-pipi", "K0_S"), ("lambda-ppi", "Lambda")])
+def test_decays_are_displaced_by_the_lifetime(name: str, parent: str) -> None:
+    """Flight over p/m is exponential with c tau of the particle table, along the momentum of the pair."""
+    particles = generate(cg.sample(name, vertex=(1, 2, 3)), N, seed=6)
+    pair = four_momenta(particles).reshape(-1, 2, 4).sum(axis=1)
+    kind = species(parent)
+    assert np.allclose(mass(pair), kind.mass)
+    places = np.stack([particles[axis] for axis in "xyz"], axis=1).reshape(-1, 2, 3)
+    assert np.array_equal(places[:, 0], places[:, 1])
+    flight = places[:, 0] - [1, 2, 3]
+    p = np.linalg.norm(pair[:, :3], axis=1)
+    length = np.linalg.norm(flight, axis=1)
+    assert np.allclose(np.sum(flight * pair[:, :3], axis=1), length * p)
+    proper = length * kind.mass / p
+    ctau = kind.lifetime * 299.792458
+    assert_within(proper.mean(), ctau, ctau / math.sqrt(N))
+    assert_within(np.mean(proper > ctau), math.exp(-1), fraction_error(math.exp(-1), N))
+
+
+def test_cosmic_muons_come_from_above_in_two_halves() -> None:
+    """Halves are the same muon flown both ways; y is up, and the zenith angle has the density cos^2."""
+    particles = generate(cg.sample("cosmic"), N, seed=7)
+    p = four_momenta(particles)[:, :3].reshape(-1, 2, 3)
+    assert np.array_equal(p[:, 0], -p[:, 1])
+    assert np.all(p[:, 0, 1] > 0)  # the first half is the upper one
+    charge = particles["charge"].reshape(-1, 2)
+    assert np.all(charge.sum(axis=1) == 0)
+    cos = p[:, 0, 1] / np.linalg.norm(p[:, 0], axis=1)
+    assert_within(cos.mean(), 0.75, mean_error(cos))
+    share = np.mean(charge[:, 1] > 0)
+    assert_within(share, 0.561, fraction_error(0.561, N))
+    z = particles["z"].reshape(-1, 2)
+    assert np.array_equal(z[:, 0], z[:, 1])
+    assert_within(z[:, 0].std(), 100, 100 / math.sqrt(2 * N))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_events_do_not_depend_on_chunks_or_on_the_guns_before(name: str) -> None:
+    one = cg.sample(name)
+    whole = generate(one, 60, seed=8)
+    part = generate(one, 7, seed=8, first_event=41)
+    assert whole.select_events(41, 48) == part
+    behind = generate(cg.Gun("mu-", p=1, theta=1) + one + cg.Gun("e-", p=1, theta=1), 20, seed=8)
+    assert np.bincount(behind["event"]).min() >= 2
+    assert behind["particle"].max() == 1 + one.multiplicity
+    assert not np.array_equal(generate(one, 60, seed=9)["px"], whole["px"])
+
+
+def test_a_pair_of_samples_is_not_the_same_twice() -> None:
+    twice = generate(cg.sample("ks-pipi") + cg.sample("ks-pipi"), 50, seed=1)
+    px = twice["px"].reshape(-1, 4)
+    assert not np.any(px[:, :2] == px[:, 2:])
+
+
+def test_options_shift_the_events() -> None:
+    particles = generate(cg.sample("ks-pipi", p=[0.5, 1.0], cos_theta=0, vertex_sigma=("1 mm", 0, 0)), 6, seed=1)
+    pair = four_momenta(particles).reshape(-1, 2, 4).sum(axis=1)
+    assert np.allclose(np.linalg.norm(pair[:, :3], axis=1), [0.5, 1.0] * 3)
+    assert np.allclose(pair[:, 2], 0, atol=1e-15)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_samples_are_shown_copied_and_recorded(name: str) -> None:
+    one = cg.sample(name)
+    assert repr(one) == f"sample({name!r})"
+    assert name in one._repr_html_()
+    assert pickle.loads(pickle.dumps(one)) == one
+    moved = cg.sample(name, vertex=(0, (1, 2), [3, 4])) + cg.Gun("mu-", p=1, theta=1)
+    problems: list[str] = []
+    assert gun_from(gun_data(moved), problems) == moved
+    assert not problems
+    assert DEFINITIONS[name].text == one.text
+
+
+def test_mistakes_are_listed_together() -> None:
+    with pytest.raises(ParticleError, match='"jpsi-rhopi"'):
+        cg.sample("jpsi-rhop")
+    with pytest.raises(ParticleError) as error:
+        cg.sample("jpsi-rhopi", p=1, cos_theta=0, crossing="1 mm")
+    assert len(error.value.problems) == 3
+    with pytest.raises(ParticleError, match="mass: got an unknown option"):
+        cg.sample("ks-pipi", mass=1)
+
+
+def test_samples_run_through_the_chain(tmp_path, capsys) -> None:
+    """From Python and the command line, with the same tables; a saved run is read back equal."""
+    result = cg.run("besiii-cgem-design", cg.sample("pipi-jpsi"), 20, seed=2, finder="ckf")
+    assert len(result.tracks) > 60
+    result.save(tmp_path / "python")
+    assert cg.Result.load(tmp_path / "python") == result
+    assert "pipi-jpsi" in repr(result)
+    command = ["--sample", "pipi-jpsi", "-n", "20", "--seed", "2", "--finder", "ckf", "--quiet"]
+    assert main(["simulate", "-d", "besiii-cgem-design", *command, "-o", str(tmp_path / "command")]) == 0
+    assert cg.Result.load(tmp_path / "command") == result
+    capsys.readouterr()
+    assert main(["find", "-d", "besiii-cgem-design", *command]) == 0
+    assert "efficiency" in capsys.readouterr().out
+    command = ["--sample", "cosmic", "--event", "3", "--quiet", "-o", str(tmp_path / "event")]
+    assert main(["display", "-d", "besiii-cgem-design", *command]) == 0
+    assert "sample('cosmic')" not in capsys.readouterr().out  # the particles of one event are given
+    assert (tmp_path / "event" / "event.png").is_file()
+    assert main(["find", "-d", "besiii-cgem-design", "--sample", "nothing", "-n", "3"]) == 2
+    assert "jpsi-rhopi" in capsys.readouterr().err
