@@ -257,6 +257,7 @@ def read_out_strips(
     gain: float,
     w_values: npt.ArrayLike,
     threshold: float,
+    gains: _Columns = {},
 ) -> dict[str, _Array]: ...
 def smear_positions(
     detector: Detector,
@@ -280,6 +281,7 @@ def read_out_analog(
     neighbour: float,
     second_neighbour: float,
     seed: int,
+    gains: _Columns = {},
 ) -> dict[str, _Array]: ...
 def shaped(terms: npt.ArrayLike, dt: float, steps: npt.ArrayLike) -> npt.NDArray[np.float64]: ...
 def polya_gains(theta: float, seed: int, n: int) -> npt.NDArray[np.float64]: ...
@@ -300,6 +302,7 @@ def read_out_profiles(
     threshold: float,
     noise: float,
     seed: int,
+    gains: _Columns = {},
 ) -> dict[str, _Array]: ...
 def profile_below(edge: float, a: float, b: float, sigma: float) -> float: ...
 def read_out_wires(
@@ -312,7 +315,14 @@ def read_out_wires(
     seed: int,
 ) -> dict[str, _Array]: ...
 def find_clusters(
-    detector: Detector, digis: _Columns, *, err_x: npt.ArrayLike, err_v: npt.ArrayLike, by_charge: bool
+    detector: Detector,
+    digis: _Columns,
+    *,
+    err_x: npt.ArrayLike,
+    err_v: npt.ArrayLike,
+    by_charge: bool,
+    masked: npt.ArrayLike = ...,
+    bridge: int = 0,
 ) -> dict[str, _Array]: ...
 def find_charge_time_clusters(
     detector: Detector,
@@ -328,6 +338,9 @@ def find_charge_time_clusters(
     estimator: str,
     missing: int,
     edge: float,
+    masked: npt.ArrayLike = ...,
+    bridge: int = 0,
+    gain: npt.ArrayLike = ...,
 ) -> dict[str, _Array]: ...
 def fit_line(position: npt.ArrayLike, charge: npt.ArrayLike, height: npt.ArrayLike) -> tuple[float, float, bool]: ...
 def clusters_of_positions(detector: Detector, digis: _Columns, *, err_x: float, err_v: float) -> dict[str, _Array]: ...

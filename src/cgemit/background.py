@@ -10,8 +10,9 @@ import numpy.typing as npt
 
 from cgemit.detector import Detector
 from cgemit.detector.parts import CgemLayer
+from cgemit.detector.strip_maps import strip_lists
 from cgemit.detector.strips import local_v, strips_of_v
-from cgemit.digitize import XT_DISTANCE, XT_TIME
+from cgemit.digitize import XT_DISTANCE, XT_TIME, without_dead
 from cgemit.kinds import Check
 from cgemit.settings import SettingsData
 from cgemit.tables import Table
@@ -39,7 +40,7 @@ STRESS_WINDOW = 400.0  # ns, of a given share of cells: all of them look like hi
 MOST_STRIPS = 6  # of a cluster; from 1, as probable as each other
 CHARGE = (10.0, 50.0)  # fC, of a strip
 
-_CELLS, _STRIPS = 1, 2  # purposes of random numbers
+_CELLS, _STRIPS, _HOT = 1, 2, 3  # purposes of random numbers
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,7 +88,8 @@ def add_background(
 ) -> dict[str, Table]:
     """Return digis and wire hits with background; of several hits of a cell, the earliest is kept.
 
-    A strip that has fired already stays as it is. Read-outs without strips get background on wires only.
+    Hot strips of the detector file fire in every event, whatever the settings. A strip that has fired already stays as
+    it is. Read-outs without strips get background on wires only.
 
     Parameters
     ----------
@@ -103,16 +105,21 @@ def add_background(
     dict of str to Table
         ``digis`` and ``wire_hits``; rows of the background link to no truth.
     """
+    has_strips = not len(digis) or bool((digis["strip"] >= 0).all())
+    if has_strips and len(strip_lists(detector).hot):
+        hot = [_hot(detector, seed, int(event)) for event in digis.events]
+        digis = _joined(digis, hot, ("layer", "sheet", "view", "strip"), keep="given")
     if settings.is_off:
         return {"digis": digis, "wire_hits": wire_hits}
-    has_strips = not len(digis) or bool((digis["strip"] >= 0).all())
     cells, strips = [], []
     for event in wire_hits.events:
         cells.append(_cells(detector, settings, seed, int(event)))
         if has_strips and settings.level != "off":
             strips.append(_strips(detector, settings, seed, int(event)))
     return {
-        "digis": _joined(digis, strips, ("layer", "sheet", "view", "strip"), keep="given") if strips else digis,
+        "digis": without_dead(detector, _joined(digis, strips, ("layer", "sheet", "view", "strip"), keep="given"))
+        if strips
+        else digis,
         "wire_hits": _joined(wire_hits, cells, ("layer", "wire"), keep="earliest"),
     }
 
@@ -202,6 +209,29 @@ def _strips(detector: Detector, settings: BackgroundSettings, seed: int, event: 
         "charge": CHARGE[0] + charge * (CHARGE[1] - CHARGE[0]), "time": time * STRIP_WINDOW,
         "truth": np.full(n, -1), "n_truths": np.zeros(n),
     }  # fmt: skip
+
+
+def _hot(detector: Detector, seed: int, event: int) -> dict[str, Any]:
+    """Return the hot strips as columns of digis of one event."""
+    gid = strip_lists(detector).hot
+    found = _addresses(detector, gid)
+    charge, time = _Random(seed, event, _HOT).uniform(2 * len(gid)).reshape(2, len(gid))
+    return found | {
+        "event": np.full(len(gid), event), "gid": gid, "position": np.full(len(gid), np.nan),
+        "charge": CHARGE[0] + charge * (CHARGE[1] - CHARGE[0]), "time": time * STRIP_WINDOW,
+        "truth": np.full(len(gid), -1), "n_truths": np.zeros(len(gid)),
+    }  # fmt: skip
+
+
+def _addresses(detector: Detector, gid: npt.NDArray[np.int32]) -> dict[str, Any]:
+    """Return layer, sheet, view and strip of running numbers."""
+    per_sheet = np.array([layer.strips_x + layer.strips_v for layer in detector.cgem])
+    strips_x = np.array([layer.strips_x for layer in detector.cgem])
+    first = np.cumsum([0, *(per_sheet * [layer.sheets for layer in detector.cgem])])
+    layer = np.searchsorted(first, gid, side="right") - 1
+    sheet, in_sheet = np.divmod(gid - first[layer], per_sheet[layer])
+    view = (in_sheet >= strips_x[layer]).astype(np.int64)
+    return {"layer": layer, "sheet": sheet, "view": view, "strip": in_sheet - view * strips_x[layer]}
 
 
 def _layer_strips(

@@ -13,6 +13,7 @@ import numpy.typing as npt
 from cgemit import _core
 from cgemit.detector import Detector, compiled, load
 from cgemit.detector.compile import cgem_table
+from cgemit.detector.strip_maps import strip_lists
 from cgemit.helix import RADIUS_PER_KAPPA
 from cgemit.kinds import Check, Positive
 from cgemit.settings import SettingsData
@@ -26,6 +27,8 @@ MAX_SIZE = 64
 Position = Literal["centre", "charge"]
 Fraction = Annotated[float, Check(lambda value: 0 < value < 1, "a number between 0 and 1")]
 
+Bridge = Annotated[int, Check(lambda value: 0 <= value <= 10, "a whole number from 0 to 10")]
+
 _POINTS = 2000  # of the reference sample in cos(theta); ten times as many move no error by more than 0.2 %
 
 
@@ -38,6 +41,8 @@ class ClusterSettings(SettingsData):
     position : str
         ``"centre"``: geometric centre of the fired strips, for a binary read-out. ``"charge"``: mean of the strip
         centres weighted by charge, for a read-out whose charges measure the position.
+    bridge : int
+        Dead and hot strips in a row that a cluster may bridge; the error of its position grows.
     reference_p : float
         GeV/c.
     reference_cos_theta : float
@@ -50,6 +55,7 @@ class ClusterSettings(SettingsData):
     """
 
     position: Position = "centre"
+    bridge: Bridge = 1
     reference_p: Positive = 1.0
     reference_cos_theta: Fraction = 0.93
 
@@ -79,7 +85,10 @@ def cluster(
     detector, settings = load(detector), settings or ClusterSettings()
     err_x, err_v = cluster_errors(detector, settings)
     by_charge = settings.position == "charge"
-    found = _core.find_clusters(compiled(detector), dict(digis.columns), err_x=err_x, err_v=err_v, by_charge=by_charge)
+    found = _core.find_clusters(
+        compiled(detector), dict(digis.columns), err_x=err_x, err_v=err_v, by_charge=by_charge,
+        masked=strip_lists(detector).masked, bridge=settings.bridge,
+    )  # fmt: skip
     return Table("clusters", found, **digis.cover)
 
 

@@ -9,7 +9,7 @@ from typing import Any
 from cgemit.detector.field import Field
 from cgemit.detector.field.core import extent
 from cgemit.detector.keys import keys_of
-from cgemit.detector.parts import CgemLayer, Contents, Cylinder, DriftChamber
+from cgemit.detector.parts import CgemLayer, Contents, Cylinder, DriftChamber, strip_text
 from cgemit.problems import Problem
 from cgemit.units import NATIVE, format_quantity
 
@@ -82,7 +82,7 @@ def geometry_problems(
             problems += wrong
             spans += [] if wrong else [(part.r_in, part.r_out, f"{group}.{part.label}")]
     for layer in cgem:
-        problems += _strip_problems(layer) + _hole_problems(layer)
+        problems += _strip_problems(layer) + _hole_problems(layer) + _map_problems(layer)
         if layer.r_in <= 0:
             given = f"an inner face at {layer.r_in:g} mm"
             problems.append(Problem(f"cgem.{layer.label}", given, "gaps and electrodes that fit inside anode_radius"))
@@ -125,6 +125,22 @@ def _strip_problems(layer: CgemLayer) -> list[Problem]:
     if abs(layer.stereo) < math.radians(1):
         given = f"{math.degrees(layer.stereo):g} deg"
         problems.append(Problem(f"{path}.stereo", given, "at least 1 deg, either sign: otherwise z is not measured"))
+    return problems
+
+
+def _map_problems(layer: CgemLayer) -> list[Problem]:
+    """Return strips that the layer does not have, and gains of sheets that it does not have."""
+    problems = []
+    for view, strips in (("x", layer.strips_x), ("v", layer.strips_v)):
+        for name in (f"dead_{view}", f"hot_{view}"):
+            for i, (sheet, first, last) in enumerate(getattr(layer, name)):
+                if sheet >= layer.sheets or not first <= last or last >= strips:
+                    expected = f"sheet 0 to {layer.sheets - 1} and strips 0 to {strips - 1}, first to last"
+                    path = f"cgem.{layer.label}.{name}[{i}]"
+                    problems.append(Problem(path, strip_text(sheet, first, last), expected))
+    if layer.gain_map and len(layer.gain_map) != layer.sheets:
+        given = f"gains of {len(layer.gain_map)} sheets"
+        problems.append(Problem(f"cgem.{layer.label}.gain_map", given, f"those of {layer.sheets}"))
     return problems
 
 

@@ -8,7 +8,7 @@ from cgemit.detector.field import field_text
 from cgemit.detector.keys import keys_of, opened
 from cgemit.detector.material import DensityEffect, Material
 from cgemit.detector.materials import library
-from cgemit.detector.parts import CgemLayer, Contents, SubLayer, WireLayer
+from cgemit.detector.parts import CgemLayer, Contents, SubLayer, WireLayer, strip_text
 from cgemit.detector.placement import PLACEMENT
 from cgemit.detector.slabs import Slab, slabs
 from cgemit.io.toml import toml_text
@@ -184,7 +184,7 @@ def _table(part: Any) -> dict[str, Any]:
     kind: Any = type(part)
     keys = {name: key for name, key in keys_of(kind).items() if name not in PLACEMENT or getattr(part, name) != 0}
     found = {name: _value(getattr(part, name), key.kind) for name, key in keys.items()}
-    return {name: value for name, value in found.items() if value not in ({}, "")}
+    return {name: value for name, value in found.items() if value not in ({}, "", [])}
 
 
 def _value(value: Any, kind: str) -> Any:
@@ -196,6 +196,10 @@ def _value(value: Any, kind: str) -> Any:
         return dict(value)
     if kind == "stack":
         return [_sub_layer(part) for part in value]
+    if kind == "strips":
+        return [strip_text(*one) for one in value]
+    if kind == "gains":
+        return [grid[0][0] if len(grid) == len(grid[0]) == 1 else [list(row) for row in grid] for grid in value]
     if kind in NATIVE and kind != "dimensionless":
         return format_quantity(value, kind)
     return value

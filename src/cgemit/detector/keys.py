@@ -46,6 +46,8 @@ class Key:
             "composition": 'a formula such as "CO2" or a table of mass fractions such as { Ar = 0.7, C = 0.3 }',
             "numbers": "a table of numbers c, x0, x1, a, k",
             "offset": '"centred", or a number',
+            "strips": 'a list such as ["0:17", "1:100-120"]: sheet, and strip or first and last strip, from 0',
+            "gains": "a list with a number for each sheet, or rows along z of numbers along X; numbers",
         }
         text = texts.get(self.kind) or describe(self.kind)
         if self.low == -float("inf"):

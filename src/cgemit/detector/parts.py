@@ -40,6 +40,14 @@ class SubLayer:
     thickness: float = field(metadata=key("length", "thickness", 1e-5, 50.0))  # mm
 
 
+StripRanges = tuple[tuple[int, int, int], ...]
+
+
+def strip_text(sheet: int, first: int, last: int) -> str:
+    """Return a range of strips as a file has it, such as ``0:17`` or ``1:100-120``."""
+    return f"{sheet}:{first}" if first == last else f"{sheet}:{first}-{last}"
+
+
 class Shell(NamedTuple):
     """A placed sub-layer; `group` is pipe, wall, air, cathode, drift, foils, anode or gas."""
 
@@ -108,6 +116,15 @@ class CgemLayer(Placed):
     strips_v: int = field(metadata=key("integer", "V strips of a sheet", 1, 100_000, derived=True))
     offset_v: float = field(
         metadata=key("offset", "V of the edge where V strip 0 begins, in units of pitch_v", 0.0, 100_000.0), default=0.0
+    )
+    # (sheet, first strip, last strip) each.
+    dead_x: StripRanges = field(metadata=key("strips", "X strips that never fire"), default=())
+    dead_v: StripRanges = field(metadata=key("strips", "V strips that never fire"), default=())
+    hot_x: StripRanges = field(metadata=key("strips", "X strips that fire in every event"), default=())
+    hot_v: StripRanges = field(metadata=key("strips", "V strips that fire in every event"), default=())
+    # Of each sheet: rows along z from -length/2, each with numbers along X.
+    gain_map: tuple[tuple[tuple[float, ...], ...], ...] = field(
+        metadata=key("gains", "gain of each sheet, relative to that of the read-out", 0.01, 100.0), default=()
     )
 
     def __repr__(self) -> str:

@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache
@@ -34,6 +35,9 @@ NAME = rf"(?=.{{1,100}}$)[^{_NOT_IN_NAMES}]*[^{_NOT_IN_NAMES}\s.][^{_NOT_IN_NAME
 
 #: What the label of a wire layer must match, and its largest number.
 WIRE_NUMBER, LAST_WIRE_LAYER = "0|[1-9][0-9]{0,4}", 65535
+
+#: Sheet and strips of a list of strips.
+STRIPS = r"([0-9]{1,2}):([0-9]{1,6})(?:-([0-9]{1,6}))?"
 
 #: Characters of a value that messages show.
 LONGEST_SHOWN = 80
@@ -221,6 +225,38 @@ class Reader:
         if not isinstance(raw, int | float) or isinstance(raw, bool) or not key.admits(raw):
             return self.note(path, shown(raw), key.expected())
         return float(raw)
+
+    def _strips(self, path: str, raw: object, key: Key) -> Any:
+        if not isinstance(raw, list):
+            self.note(path, shown(raw), key.expected())
+            return ()
+        found = []
+        for i, one in enumerate(raw):
+            match = re.fullmatch(STRIPS, one) if isinstance(one, str) else None
+            if match is None:
+                self.note(f"{path}[{i}]", shown(one), key.expected())
+                continue
+            sheet, first, last = match.groups()
+            found.append((int(sheet), int(first), int(last or first)))
+        return tuple(found)
+
+    def _gains(self, path: str, raw: object, key: Key) -> Any:
+        if not isinstance(raw, list):
+            self.note(path, shown(raw), key.expected())
+            return ()
+        return tuple(self._gain_grid(f"{path}[{i}]", sheet, key) for i, sheet in enumerate(raw))
+
+    def _gain_grid(self, path: str, raw: object, key: Key) -> Any:
+        rows = raw if isinstance(raw, list) else [[raw]]
+        if not rows or not all(isinstance(row, list) and row and len(row) == len(rows[0]) for row in rows):
+            self.note(path, shown(raw), key.expected() + ", rows of equal length")
+            return ((1.0,),)
+        for row in rows:
+            for number in row:
+                if not isinstance(number, int | float) or isinstance(number, bool) or not key.admits(number):
+                    self.note(path, shown(number), key.expected())
+                    return ((1.0,),)
+        return tuple(tuple(map(float, row)) for row in rows)
 
     def _numbers(self, path: str, raw: object, key: Key) -> Any:
         names = DensityEffect._fields

@@ -9,7 +9,7 @@ from cgemit.detector.keys import CENTRED, Key, keys_of, required_of
 from cgemit.detector.material import DensityEffect, Material
 from cgemit.detector.merge import FOR_ALL_LAYERS
 from cgemit.detector.parts import CgemLayer, Cylinder, DriftChamber, SubLayer, WireLayer
-from cgemit.detector.read import EXTRA, NAME, TOP_LEVEL, WIRE_NUMBER
+from cgemit.detector.read import EXTRA, NAME, STRIPS, TOP_LEVEL, WIRE_NUMBER
 from cgemit.units import NATIVE, format_quantity, units_of
 
 _NUMBER = r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?"
@@ -138,6 +138,8 @@ def _value(key: Key) -> dict[str, Any]:
             ]
         },
         "offset": {"anyOf": [{"const": CENTRED}, {"type": "number", **limits}]},
+        "strips": {"type": "array", "items": {"type": "string", "pattern": f"^{STRIPS}$"}},
+        "gains": {"type": "array", "items": {"anyOf": [{"type": "number", **limits}, _grid(limits)]}},
         "numbers": {
             "type": "object",
             "properties": {name: {"type": "number"} for name in DensityEffect._fields},
@@ -146,6 +148,11 @@ def _value(key: Key) -> dict[str, Any]:
         },
     }
     return {"description": key.doc, **kinds[key.kind]}
+
+
+def _grid(limits: dict[str, float]) -> dict[str, Any]:
+    row = {"type": "array", "minItems": 1, "items": {"type": "number", **limits}}
+    return {"type": "array", "minItems": 1, "items": row}
 
 
 def _quantity(key: Key, limits: dict[str, float]) -> dict[str, Any]:

@@ -198,7 +198,7 @@ def _digest(part: Any) -> str:
     kind: Any = type(part)
     values = [f"{kind.__name__} {getattr(part, 'label', '')} {getattr(part, 'number', '')}"]
     for name in keys_of(kind):
-        if name != "file":  # of a map, whose checksum tells more
+        if name != "file" and getattr(part, name) != ():  # a map's checksum tells more; no list, as before lists
             values.append(f"{name}={_text(getattr(part, name))}")
     return hashlib.sha256("\n".join(values).encode()).hexdigest()
 

@@ -11,6 +11,7 @@ import numpy as np
 from cgemit import _core
 from cgemit.cluster import ClusterSettings
 from cgemit.detector import Detector, compiled, load
+from cgemit.detector.strip_maps import strip_lists
 from cgemit.digitize.apv25 import Apv25Readout as Apv25Readout
 from cgemit.digitize.binary import BinaryReadout as BinaryReadout
 from cgemit.digitize.gaussian import GaussianReadout as GaussianReadout
@@ -73,7 +74,7 @@ def digitize(
     *,
     steps: Table | None = None,
 ) -> dict[str, Table]:
-    """Read out the CGEM layers and the wires.
+    """Read out the CGEM layers and the wires; dead strips give no digis.
 
     Parameters
     ----------
@@ -104,10 +105,28 @@ def digitize(
     if steps is None:
         steps = Table.empty("steps", **truths.cover)
     truths, steps = in_layer_axes(detector, truths, steps)
+    digis = made("digis", settings.readout.digitize(detector, truths, steps, seed), settings.readout, truths)
     return {
         "wire_hits": read_out_wires(detector, wire_truths, reveal_sides=settings.reveal_sides, seed=seed),
-        "digis": made("digis", settings.readout.digitize(detector, truths, steps, seed), settings.readout, truths),
+        "digis": without_dead(detector, digis),
     }
+
+
+def without_dead(detector: Detector, digis: Table) -> Table:
+    """Return digis without those of dead strips.
+
+    Parameters
+    ----------
+    detector : Detector
+    digis : Table
+    """
+    dead = strip_lists(detector).dead
+    if not len(dead):
+        return digis
+    alive = ~np.isin(digis["gid"], dead)
+    return Table(
+        "digis", {name: column[alive] for name, column in digis.columns.items()}, meta=digis.meta, **digis.cover
+    )
 
 
 def read_out_wires(detector: Detector, wire_truths: Table, *, reveal_sides: bool, seed: int) -> Table:

@@ -11,6 +11,7 @@ from cgemit import _core
 from cgemit.cluster import ClusterSettings
 from cgemit.detector import Detector, compiled
 from cgemit.detector.gaps import w_values
+from cgemit.detector.strip_maps import gain_table
 from cgemit.digitize.analog_cluster import Calibration, Estimator, calibration_of, find_clusters, neutral
 from cgemit.digitize.readout import GAIN, Floats
 from cgemit.digitize.shapers import Shaper
@@ -111,8 +112,9 @@ class AnalogReadout(SettingsData):
             Key of the random numbers.
         """
         digis = _core.read_out_analog(
-            compiled(detector), dict(truths.columns), dict(steps.columns), **self.core_arguments(detector), seed=seed
-        )
+            compiled(detector), dict(truths.columns), dict(steps.columns), **self.core_arguments(detector), seed=seed,
+            gains=gain_table(detector),
+        )  # fmt: skip
         return Table("digis", digis, **truths.cover)
 
     def core_arguments(self, detector: Detector) -> dict[str, Any]:
@@ -156,16 +158,18 @@ class AnalogReadout(SettingsData):
         detector : Detector
         digis : Table
         settings : ClusterSettings
-            Not used: positions and errors are those of the read-out.
+            Only `bridge` is used: positions and errors are those of the read-out.
 
         Raises
         ------
         CalibrationError
             If there is no calibration for this detector, field and read-out.
         """
-        return self.cluster_with(detector, digis, calibration_of(detector, self))
+        return self.cluster_with(detector, digis, calibration_of(detector, self), bridge=settings.bridge)
 
-    def cluster_with(self, detector: Detector, digis: Table, calibration: Calibration | None = None) -> Table:
+    def cluster_with(
+        self, detector: Detector, digis: Table, calibration: Calibration | None = None, *, bridge: int = 0
+    ) -> Table:
         """Return clusters with the errors of a calibration; without one, errors of 1 mm.
 
         Parameters
@@ -173,10 +177,12 @@ class AnalogReadout(SettingsData):
         detector : Detector
         digis : Table
         calibration : Calibration or None
+        bridge : int
+            See `ClusterSettings`.
         """
         return find_clusters(
             detector, digis, self.delays, calibration=calibration or neutral(len(detector.cgem)),
-            estimator=self.estimator, lorentz=self.lorentz, missing=self.missing, edge=self.edge,
+            estimator=self.estimator, lorentz=self.lorentz, missing=self.missing, edge=self.edge, bridge=bridge,
         )  # fmt: skip
 
     def expected_errors(self, detector: Detector) -> tuple[Floats, Floats]:

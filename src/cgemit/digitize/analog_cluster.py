@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from cgemit import _core
 from cgemit.detector import Detector, compiled
+from cgemit.detector.strip_maps import strip_gains, strip_lists
 from cgemit.digitize.transport import drift_columns
 from cgemit.problems import ProblemsError
 from cgemit.tables import Table
@@ -208,6 +209,7 @@ def find_clusters(
     lorentz: bool,
     missing: int,
     edge: float,
+    bridge: int = 0,
 ) -> Table:
     """Return the clusters of strips with charge and time.
 
@@ -226,6 +228,8 @@ def find_clusters(
         Strips that may be missing within a cluster.
     edge : float
         Outermost strips with a smaller share of their neighbour's charge do not enter line fits.
+    bridge : int
+        Dead and hot strips in a row that a cluster may bridge.
     """
     drift = drift_columns(detector)
     flight = np.array([layer.r_mid for layer in detector.cgem]) / _SPEED_OF_LIGHT
@@ -238,7 +242,7 @@ def find_clusters(
     }
     return clusters_at(
         detector, digis, timing, delays(drift["induction"]),
-        calibration=calibration, estimator=estimator, missing=missing, edge=edge,
+        calibration=calibration, estimator=estimator, missing=missing, edge=edge, bridge=bridge,
     )  # fmt: skip
 
 
@@ -252,6 +256,7 @@ def clusters_at(
     estimator: Estimator,
     missing: int,
     edge: float,
+    bridge: int = 0,
 ) -> Table:
     """Return the clusters of strips for given drift and delays.
 
@@ -263,7 +268,7 @@ def clusters_at(
         velocity (mm/ns), tan_lorentz, shift (rad), delay (ns).
     delays : (ndarray, ndarray), (2 layers, n) float64
         Charge (fC) and delay (ns) of the chip by layer and view.
-    calibration, estimator, missing, edge
+    calibration, estimator, missing, edge, bridge
         See `find_clusters`.
     """
     found = _core.find_charge_time_clusters(
@@ -271,5 +276,6 @@ def clusters_at(
         errors=calibration.errors.reshape(-1, SIZES), depth=calibration.depth.reshape(-1, CHARGES),
         height=calibration.height.reshape(-1, CHARGES), edges=calibration.edges.reshape(-1, CHARGES - 1),
         estimator=estimator, missing=missing, edge=edge,
+        masked=strip_lists(detector).masked, bridge=bridge, gain=strip_gains(detector),
     )  # fmt: skip
     return Table("clusters", found, **digis.cover)

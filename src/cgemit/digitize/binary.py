@@ -11,6 +11,7 @@ from cgemit import _core
 from cgemit.cluster import ClusterSettings, cluster
 from cgemit.detector import Detector, compiled
 from cgemit.detector.gaps import w_values
+from cgemit.detector.strip_maps import gain_table
 from cgemit.digitize.readout import GAIN, Floats
 from cgemit.kinds import NotNegative, Positive
 from cgemit.settings import SettingsData
@@ -51,7 +52,7 @@ class BinaryReadout(SettingsData):
         """
         digis = _core.read_out_strips(
             compiled(detector), dict(truths.columns), dict(steps.columns),
-            gain=self.gain, w_values=w_values(detector), threshold=self.threshold,
+            gain=self.gain, w_values=w_values(detector), threshold=self.threshold, gains=gain_table(detector),
         )  # fmt: skip
         return Table("digis", digis, **truths.cover)
 

@@ -11,6 +11,7 @@ from cgemit import _core
 from cgemit.cluster import ClusterSettings
 from cgemit.detector import Detector, compiled
 from cgemit.detector.gaps import w_values
+from cgemit.detector.strip_maps import gain_table
 from cgemit.digitize.analog_cluster import Calibration, Estimator, calibration_of, clusters_at, neutral
 from cgemit.digitize.readout import GAIN, Floats
 from cgemit.kinds import NotNegative, Positive
@@ -66,7 +67,7 @@ class ProjectionReadout(SettingsData):
         """
         digis = _core.read_out_profiles(
             compiled(detector), dict(truths.columns), dict(steps.columns), gain=self.gain, w_values=w_values(detector),
-            sigma=self.sigma, threshold=self.threshold, noise=self.noise, seed=seed,
+            sigma=self.sigma, threshold=self.threshold, noise=self.noise, seed=seed, gains=gain_table(detector),
         )  # fmt: skip
         return Table("digis", digis, **truths.cover)
 
@@ -78,11 +79,13 @@ class ProjectionReadout(SettingsData):
         detector : Detector
         digis : Table
         settings : ClusterSettings
-            Not used: positions and errors are those of the read-out.
+            Only `bridge` is used: positions and errors are those of the read-out.
         """
-        return self.cluster_with(detector, digis, calibration_of(detector, self))
+        return self.cluster_with(detector, digis, calibration_of(detector, self), bridge=settings.bridge)
 
-    def cluster_with(self, detector: Detector, digis: Table, calibration: Calibration | None = None) -> Table:
+    def cluster_with(
+        self, detector: Detector, digis: Table, calibration: Calibration | None = None, *, bridge: int = 0
+    ) -> Table:
         """Return clusters with the errors of a calibration; without one, errors of 1 mm.
 
         Parameters
@@ -90,12 +93,14 @@ class ProjectionReadout(SettingsData):
         detector : Detector
         digis : Table
         calibration : Calibration or None
+        bridge : int
+            See `ClusterSettings`.
         """
         layers = len(detector.cgem)
         return clusters_at(
             detector, digis, {name: np.zeros(layers) for name in ("tan_lorentz", "shift", "delay")}
             | {"velocity": np.ones(layers)}, (np.zeros((2 * layers, 1)), np.zeros((2 * layers, 1))),
-            calibration=calibration or neutral(layers), estimator="centroid", missing=0, edge=0.0,
+            calibration=calibration or neutral(layers), estimator="centroid", missing=0, edge=0.0, bridge=bridge,
         )  # fmt: skip
 
     def expected_errors(self, detector: Detector) -> tuple[Floats, Floats]:

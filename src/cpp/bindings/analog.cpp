@@ -4,6 +4,7 @@
 
 #include "bindings/arrays.hpp"
 #include "bindings/digi_tables.hpp"
+#include "bindings/gain_maps.hpp"
 #include "bindings/inputs.hpp"
 
 namespace py = pybind11;
@@ -68,7 +69,8 @@ Chip chip(const py::dict& values) {
 
 py::dict analog(const Detector& detector, const py::dict& table, const py::dict& step_table,
                 const py::dict& drift, const py::dict& physics, const py::dict& chip_values,
-                double share_spread, double neighbour, double second_neighbour, std::uint64_t seed) {
+                double share_spread, double neighbour, double second_neighbour, std::uint64_t seed,
+                const py::dict& gain_table) {
   Inputs in(table, "event"), step_in(step_table, "event");
   const TruthColumns truths = truth_columns(in);
   const StepColumns steps = step_columns(step_in);
@@ -80,10 +82,11 @@ py::dict analog(const Detector& detector, const py::dict& table, const py::dict&
                             .neighbour = neighbour,
                             .second = second_neighbour,
                             .seed = seed};
+  const GainMaps gains = gain_maps(detector, gain_table);
   DigiColumns digis;
   {
     py::gil_scoped_release release;
-    digis = read_out_analog(detector, truths, steps, readout);
+    digis = read_out_analog(detector, truths, steps, readout, gains);
   }
   return to_dict(std::move(digis));
 }
@@ -136,6 +139,7 @@ void bind_analog(py::module_& module) {
   module.def("read_out_analog", &analog, py::arg("detector"), py::arg("truths"), py::arg("steps"),
              py::kw_only(), py::arg("drift"), py::arg("physics"), py::arg("chip"), py::arg("share_spread"),
              py::arg("neighbour"), py::arg("second_neighbour"), py::arg("seed"),
+             py::arg("gains") = py::dict(),
              "Columns of digis from columns of truths and steps: electrons, avalanches, currents, chip.");
   module.def("shaped", &amplitudes, py::arg("terms"), py::arg("dt"), py::arg("steps"),
              "Amplitude behind a shaper of terms (n, 3) for steps of the current at times dt apart.");

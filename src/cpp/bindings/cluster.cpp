@@ -29,7 +29,8 @@ DigiView digi_view(Inputs& in) {
 }
 
 py::dict of_strips(const Detector& detector, const py::dict& table, const Array<double>& err_x,
-                   const Array<double>& err_v, bool by_charge) {
+                   const Array<double>& err_v, bool by_charge, const Array<std::int32_t>& masked,
+                   std::int32_t bridge) {
   Inputs in(table, "event");
   const DigiView digis = digi_view(in);
   const auto layers = static_cast<py::ssize_t>(detector.cgem.size());
@@ -37,10 +38,11 @@ py::dict of_strips(const Detector& detector, const py::dict& table, const Array<
   if (sizes < 1) throw std::invalid_argument("err_x: expected shape (layers, sizes)");
   const ErrorTable errors{matrix(err_x, "err_x", layers, sizes), matrix(err_v, "err_v", layers, sizes),
                           static_cast<std::size_t>(sizes)};
+  const StripMask mask(detector, column(masked, "masked"), bridge);
   ClusterColumns found;
   {
     py::gil_scoped_release release;
-    found = find_clusters(detector, digis, errors, by_charge ? Position::charge : Position::centre);
+    found = find_clusters(detector, digis, errors, by_charge ? Position::charge : Position::centre, mask);
   }
   return to_dict(std::move(found));
 }
@@ -83,7 +85,8 @@ py::dict with_times(const Detector& detector, const py::dict& table, const py::d
                     const Array<double>& delay_charge, const Array<double>& delay,
                     const Array<double>& errors, const Array<double>& depth, const Array<double>& height,
                     const Array<double>& edges, const std::string& estimator, std::int32_t missing,
-                    double edge) {
+                    double edge, const Array<std::int32_t>& masked, std::int32_t bridge,
+                    const Array<double>& gain) {
   Inputs in(table, "event");
   const DigiView digis = digi_view(in);
   const std::vector<LayerTiming> layers = layer_timing(timing, detector);
@@ -107,6 +110,8 @@ py::dict with_times(const Detector& detector, const py::dict& table, const py::d
                    : estimator == "centroid" ? Estimator::centroid
                                              : Estimator::micro_tpc,
       .missing = missing,
+      .mask = StripMask(detector, column(masked, "masked"), bridge),
+      .gain = column(gain, "gain", gain.size() == 0 ? 0 : strips_of(detector)),
       .edge = edge};
   ClusterColumns found;
   {
@@ -134,6 +139,7 @@ py::array_t<double> errors_of_sizes(const Array<double>& extents, double pitch, 
 void bind_cluster(py::module_& module) {
   module.def("find_clusters", &of_strips, py::arg("detector"), py::arg("digis"), py::kw_only(),
              py::arg("err_x"), py::arg("err_v"), py::arg("by_charge"),
+             py::arg_v("masked", Array<std::int32_t>(0), "..."), py::arg("bridge") = 0,
              "Columns of clusters from columns of digis: contiguous strips.");
   module.def("clusters_of_positions", &of_positions, py::arg("detector"), py::arg("digis"), py::kw_only(),
              py::arg("err_x"), py::arg("err_v"),
@@ -141,7 +147,9 @@ void bind_cluster(py::module_& module) {
   module.def("find_charge_time_clusters", &with_times, py::arg("detector"), py::arg("digis"), py::kw_only(),
              py::arg("timing"), py::arg("delay_charge"), py::arg("delay"), py::arg("errors"),
              py::arg("depth"), py::arg("height"), py::arg("edges"), py::arg("estimator"), py::arg("missing"),
-             py::arg("edge"), "Columns of clusters from columns of digis: charge centroid and line fit.");
+             py::arg("edge"), py::arg_v("masked", Array<std::int32_t>(0), "..."), py::arg("bridge") = 0,
+             py::arg_v("gain", Array<double>(0), "..."),
+             "Columns of clusters from columns of digis: charge centroid and line fit.");
   module.def("fit_line", &line_of, py::arg("position"), py::arg("charge"), py::arg("height"),
              "Position at height 0, slope, and whether there is a line, of strips with charge and height.");
   module.def(

@@ -2,6 +2,7 @@
 
 #include "bindings/arrays.hpp"
 #include "bindings/digi_tables.hpp"
+#include "bindings/gain_maps.hpp"
 #include "bindings/inputs.hpp"
 #include "digitize/binary.hpp"
 #include "digitize/gaussian.hpp"
@@ -20,16 +21,17 @@ std::span<const double> per_layer(const Array<double>& w_values, const Detector&
 }
 
 py::dict strips(const Detector& detector, const py::dict& table, const py::dict& step_table, double gain,
-                const Array<double>& w_values, double threshold) {
+                const Array<double>& w_values, double threshold, const py::dict& gain_table) {
   Inputs in(table, "event"), step_in(step_table, "event");
   const TruthColumns truths = truth_columns(in);
   const StepColumns steps = step_columns(step_in);
   const BinaryReadout readout{
       .gain = gain, .w_values = per_layer(w_values, detector), .threshold = threshold};
+  const GainMaps gains = gain_maps(detector, gain_table);
   DigiColumns digis;
   {
     py::gil_scoped_release release;
-    digis = read_out_strips(detector, truths, steps, readout);
+    digis = read_out_strips(detector, truths, steps, readout, gains);
   }
   return to_dict(std::move(digis));
 }
@@ -53,7 +55,7 @@ py::dict smeared(const Detector& detector, const py::dict& table, double gain, c
 
 py::dict profiles(const Detector& detector, const py::dict& table, const py::dict& step_table, double gain,
                   const Array<double>& w_values, double sigma, double threshold, double noise,
-                  std::uint64_t seed) {
+                  std::uint64_t seed, const py::dict& gain_table) {
   Inputs in(table, "event"), step_in(step_table, "event");
   const TruthColumns truths = truth_columns(in);
   const StepColumns steps = step_columns(step_in);
@@ -63,10 +65,11 @@ py::dict profiles(const Detector& detector, const py::dict& table, const py::dic
                                   .threshold = threshold,
                                   .noise = noise,
                                   .seed = seed};
+  const GainMaps gains = gain_maps(detector, gain_table);
   DigiColumns digis;
   {
     py::gil_scoped_release release;
-    digis = read_out_profiles(detector, truths, steps, readout);
+    digis = read_out_profiles(detector, truths, steps, readout, gains);
   }
   return to_dict(std::move(digis));
 }
@@ -107,13 +110,14 @@ py::dict wires(const Detector& detector, const py::dict& table, const Array<doub
 void bind_digitize(py::module_& module) {
   module.def("read_out_strips", &strips, py::arg("detector"), py::arg("truths"), py::arg("steps"),
              py::kw_only(), py::arg("gain"), py::arg("w_values"), py::arg("threshold"),
+             py::arg("gains") = py::dict(),
              "Columns of digis from columns of truths and steps: binary read-out.");
   module.def("smear_positions", &smeared, py::arg("detector"), py::arg("truths"), py::kw_only(),
              py::arg("gain"), py::arg("w_values"), py::arg("sigma_x"), py::arg("sigma_v"), py::arg("seed"),
              "Columns of digis from columns of truths: read-out without strips.");
   module.def("read_out_profiles", &profiles, py::arg("detector"), py::arg("truths"), py::arg("steps"),
              py::kw_only(), py::arg("gain"), py::arg("w_values"), py::arg("sigma"), py::arg("threshold"),
-             py::arg("noise"), py::arg("seed"),
+             py::arg("noise"), py::arg("seed"), py::arg("gains") = py::dict(),
              "Columns of digis from columns of truths and steps: charge profiles integrated over strips.");
   module.def("profile_below", &profile_below, py::arg("edge"), py::arg("a"), py::arg("b"), py::arg("sigma"),
              "Part up to an edge of a charge that is uniform from a to b, smeared by a Gaussian.");

@@ -67,6 +67,11 @@ class ViewReconstruction {
     const double from = std::clamp(layer_.r_mid() + height, layer_.r_gap_in, layer_.r_gap_out);
     return across_ * (timing_.tan_lorentz * std::log(layer_.r_gap_out / from) + timing_.shift);
   }
+  // Relative gain at the strip of a digi.
+  double gain(const DigiView& digis, std::size_t row) const {
+    if (model_.gain.empty()) return 1;
+    return model_.gain[static_cast<std::size_t>(gid_of(layer_, digis.sheet[row], view_, digis.strip[row]))];
+  }
   // `depth` is added to the heights.
   std::vector<StripPoint> points(const DigiView& digis, StripRun rows, double depth) const {
     const double start = layer_.r_gap_out - layer_.r_mid() + depth;
@@ -74,8 +79,8 @@ class ViewReconstruction {
     for (const std::size_t row : rows) {
       const double strip = digis.strip[row] + 0.5, charge = std::max(digis.charge[row], least_charge);
       const double drift = digis.time[row] - timing_.delay - model_.delays.at(number_, view_, charge);
-      found.push_back({view_ == 0 ? x_of_strips(layer_, strip) : v_of_strips(layer_, strip), charge,
-                       start - drift * timing_.velocity});
+      found.push_back({view_ == 0 ? x_of_strips(layer_, strip) : v_of_strips(layer_, strip),
+                       charge / gain(digis, row), start - drift * timing_.velocity});
     }
     return found;
   }
@@ -143,25 +148,28 @@ Position position_of(const ViewReconstruction& view, const Calibration& calibrat
 
 ClusterColumns find_charge_time_clusters(const Detector& detector, const DigiView& digis,
                                          const ChargeTimeModel& model) {
-  return clusters_of_runs(detector, digis, model.missing, [&](const CgemLayer& layer, StripRun rows) {
-    ClusterRow cluster = row_of_run(layer, digis, rows);
-    const ViewReconstruction view(layer, static_cast<std::size_t>(cluster.layer),
-                                  static_cast<int>(cluster.view), model);
-    const std::size_t row = model.calibration.row(static_cast<int>(cluster.view),
-                                                  static_cast<std::size_t>(cluster.layer), cluster.charge);
-    const auto points = view.points(digis, rows, model.calibration.depth[row]);
-    const Position at = position_of(view, model.calibration, row, cluster.size, points, model.estimator);
-    cluster.method = ClusterMethod::positions;
-    if (cluster.view == ClusterView::x) {
-      cluster.x = at.value;
-      cluster.err_x = at.error;
-      set_azimuth(layer, cluster);
-    } else {
-      cluster.v = at.value;
-      cluster.err_v = at.error;
-    }
-    return cluster;
-  });
+  return clusters_of_runs(
+      detector, digis, {model.missing, model.mask}, [&](const CgemLayer& layer, StripRun rows) {
+        ClusterRow cluster = row_of_run(layer, digis, rows);
+        const ViewReconstruction view(layer, static_cast<std::size_t>(cluster.layer),
+                                      static_cast<int>(cluster.view), model);
+        double charge = 0;
+        for (const std::size_t digi : rows) charge += digis.charge[digi] / view.gain(digis, digi);
+        const std::size_t row = model.calibration.row(static_cast<int>(cluster.view),
+                                                      static_cast<std::size_t>(cluster.layer), charge);
+        const auto points = view.points(digis, rows, model.calibration.depth[row]);
+        const Position at = position_of(view, model.calibration, row, cluster.size, points, model.estimator);
+        cluster.method = ClusterMethod::positions;
+        if (cluster.view == ClusterView::x) {
+          cluster.x = at.value;
+          cluster.err_x = at.error;
+          set_azimuth(layer, cluster);
+        } else {
+          cluster.v = at.value;
+          cluster.err_v = at.error;
+        }
+        return cluster;
+      });
 }
 
 }  // namespace cgemit

@@ -8,6 +8,7 @@
 
 #include "cluster/digis.hpp"
 #include "detector/cluster_rows.hpp"
+#include "detector/strip_maps.hpp"
 
 namespace cgemit {
 
@@ -49,7 +50,9 @@ struct ChargeTimeModel {
   DelayTable delays;
   Calibration calibration;
   Estimator estimator;
-  std::int32_t missing;  // strips that may be missing within a cluster
+  std::int32_t missing;          // strips that may be missing within a cluster
+  StripMask mask;                // strips that count as not there
+  std::span<const double> gain;  // relative gain of each strip by gid; empty: 1
   double
       edge;  // outermost strips with less than this share of their neighbour's charge do not enter line fits
 };

@@ -39,8 +39,8 @@ ClusterRow make_cluster(const CgemLayer& layer, const DigiView& digis, StripRun 
 }  // namespace
 
 ClusterColumns find_clusters(const Detector& detector, const DigiView& digis, const ErrorTable& errors,
-                             Position position) {
-  return clusters_of_runs(detector, digis, 0, [&](const CgemLayer& layer, StripRun rows) {
+                             Position position, const StripMask& mask) {
+  return clusters_of_runs(detector, digis, {0, mask}, [&](const CgemLayer& layer, StripRun rows) {
     return make_cluster(layer, digis, rows, errors, position);
   });
 }

@@ -7,6 +7,7 @@
 
 #include "cluster/digis.hpp"
 #include "detector/cluster_rows.hpp"
+#include "detector/strip_maps.hpp"
 
 namespace cgemit {
 
@@ -26,8 +27,8 @@ struct ErrorTable {
 enum class Position { centre, charge };
 
 // Rows ordered by event, layer, sheet, then X, V and XV clusters. Within an event the digis may come in any
-// order.
+// order. Strips of the mask count as not there.
 ClusterColumns find_clusters(const Detector& detector, const DigiView& digis, const ErrorTable& errors,
-                             Position position);
+                             Position position, const StripMask& mask);
 
 }  // namespace cgemit

@@ -9,6 +9,7 @@
 
 #include "cluster/digis.hpp"
 #include "detector/cluster_rows.hpp"
+#include "detector/strip_maps.hpp"
 
 namespace cgemit {
 
@@ -83,20 +84,50 @@ inline void write_sheet(const CgemLayer& layer, std::span<const ClusterRow> view
   }
 }
 
-// Neighbouring strips (or the same one twice) of one view and sheet belong together, even with up to
-// `missing` strips between them.
-inline bool adjacent(const DigiView& digis, std::size_t a, std::size_t b, std::int32_t missing) {
-  return digis.strip[b] <= digis.strip[a] + 1 + missing && digis.view[a] == digis.view[b] &&
-         digis.sheet_of(a) == digis.sheet_of(b);
+// What joins strips to clusters: how many strips may be missing within one, and which never fire usefully.
+struct Joining {
+  std::int32_t missing = 0;
+  StripMask mask = {};
+};
+
+inline int gid_of_row(const Detector& detector, const DigiView& digis, std::size_t row) {
+  return gid_of(detector.cgem[static_cast<std::size_t>(digis.layer[row])], digis.sheet[row], digis.view[row],
+                digis.strip[row]);
+}
+
+// Whether strips (or the same one twice) of one view and sheet belong together.
+inline bool adjacent(const Detector& detector, const DigiView& digis, std::size_t a, std::size_t b,
+                     const Joining& joining) {
+  return digis.view[a] == digis.view[b] && digis.sheet_of(a) == digis.sheet_of(b) &&
+         joining.mask.joins(gid_of_row(detector, digis, a), gid_of_row(detector, digis, b), joining.missing);
+}
+
+// Grows the error of a cluster that masked strips have truncated or interrupted: each masked strip within it
+// or next to it may have had charge, which adds the variance of a position anywhere on that strip.
+inline void widen(const CgemLayer& layer, const StripMask& mask, ClusterRow& cluster) {
+  if (mask.is_empty()) return;
+  const bool is_x = cluster.view == ClusterView::x;
+  const int view = is_x ? 0 : 1, strips = is_x ? layer.strips_x : layer.strips_v;
+  const int masked = mask.count(gid_of(layer, cluster.sheet, view, std::max(cluster.first - 1, 0)),
+                                gid_of(layer, cluster.sheet, view, std::min(cluster.last + 1, strips - 1)));
+  if (masked == 0) return;
+  const double more = (is_x ? layer.pitch_x : layer.pitch_v) * std::sqrt(masked / 12.0);
+  double& error = is_x ? cluster.err_x : cluster.err_v;
+  error = std::hypot(error, more);
+  if (is_x) set_azimuth(layer, cluster);
+  cluster.method = ClusterMethod::positions;  // the fit keeps this error
 }
 
 // Clusters of all digis: `make` gives that of a run of strips. Rows ordered by event, layer, sheet, then X, V
-// and XV clusters.
+// and XV clusters. Digis of masked strips are left out.
 template <class Make>
-ClusterColumns clusters_of_runs(const Detector& detector, const DigiView& digis, std::int32_t missing,
+ClusterColumns clusters_of_runs(const Detector& detector, const DigiView& digis, const Joining& joining,
                                 Make&& make) {
   check(digis, detector);
-  const std::vector<std::size_t> order = by_place(digis);
+  std::vector<std::size_t> order = by_place(digis);
+  if (!joining.mask.is_empty()) {
+    std::erase_if(order, [&](std::size_t row) { return joining.mask(gid_of_row(detector, digis, row)); });
+  }
   ClusterColumns clusters;
   clusters.reserve(digis.size());
   std::vector<ClusterRow> sheet;
@@ -107,9 +138,10 @@ ClusterColumns clusters_of_runs(const Detector& detector, const DigiView& digis,
   };
   for (std::size_t begin = 0, end; begin < order.size(); begin = end) {
     end = begin + 1;
-    while (end < order.size() && adjacent(digis, order[end - 1], order[end], missing)) ++end;
+    while (end < order.size() && adjacent(detector, digis, order[end - 1], order[end], joining)) ++end;
     const CgemLayer& layer = detector.cgem[static_cast<std::size_t>(digis.layer[order[begin]])];
     ClusterRow cluster = make(layer, StripRun(order).subspan(begin, end - begin));
+    widen(layer, joining.mask, cluster);
     const auto on = [](const ClusterRow& c) { return std::tuple(c.event, c.layer, c.sheet); };
     if (!sheet.empty() && on(sheet.front()) != on(cluster)) flush();
     sheet.push_back(cluster);

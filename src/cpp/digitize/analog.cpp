@@ -44,12 +44,13 @@ std::uint32_t earlier(const TruthColumns& truths, std::size_t event_begin, std::
 class EventReadout {
  public:
   EventReadout(const Detector& detector, const TruthColumns& truths, const StepColumns& steps,
-               const AnalogModel& readout)
+               const AnalogModel& readout, const GainMaps& gains)
       : detector_(detector),
         truths_(truths),
         steps_(steps),
         first_(first_steps(truths, steps)),
-        readout_(readout) {
+        readout_(readout),
+        gains_(gains) {
     for (const CgemLayer& layer : detector.cgem) signals_.emplace_back(layer);
   }
 
@@ -115,7 +116,8 @@ class EventReadout {
     const double sigma_x =
         layer.r_readout * std::max(std::hypot(factor * gas.cloud_phi, cloud.spread_phi), least_phi);
     const double sigma_z = std::max(std::hypot(factor * gas.cloud_z, cloud.spread_z), least_z);
-    const double charge = cloud.charge * elementary_charge_fC;
+    const double charge =
+        cloud.charge * elementary_charge_fC * gains_.at(detector_, number, cloud.phi, cloud.z);
     StripSignals& signals = signals_[number];
     const StripSignals::Transit transit = signals.transit(truths_.time[row] + cloud.time);
     share_on_layer(
@@ -133,8 +135,7 @@ class EventReadout {
       const double threshold = readout_.chip.threshold[static_cast<std::size_t>(view)];
       if (source.total < threshold - hopeless * readout_.chip.noise) return;
       DigiRow digi{event, static_cast<std::int32_t>(number), sheet, static_cast<std::int8_t>(view), strip};
-      digi.gid = layer.gid_first + sheet * (layer.strips_x + layer.strips_v) +
-                 (view == 0 ? 0 : layer.strips_x) + strip;
+      digi.gid = gid_of(layer, sheet, view, strip);
       const auto measured = measure(readout_.chip, view, signals_[number].start(), steps, stream,
                                     static_cast<std::uint32_t>(digi.gid));
       if (!measured) return;
@@ -153,16 +154,17 @@ class EventReadout {
   const StepColumns& steps_;
   std::vector<std::size_t> first_;
   const AnalogModel& readout_;
+  const GainMaps& gains_;
   std::vector<StripSignals> signals_;
 };
 
 }  // namespace
 
 DigiColumns read_out_analog(const Detector& detector, const TruthColumns& truths, const StepColumns& steps,
-                            const AnalogModel& readout) {
+                            const AnalogModel& readout, const GainMaps& gains) {
   check(truths, detector);
   check(steps, truths, detector);
-  EventReadout event(detector, truths, steps, readout);
+  EventReadout event(detector, truths, steps, readout, gains);
   for (std::size_t begin = 0, end; begin < truths.size(); begin = end) {
     end = event_end(truths.event, begin);
     event.read(begin, end);

@@ -6,6 +6,7 @@
 #include <span>
 
 #include "detector/detector.hpp"
+#include "detector/strip_maps.hpp"
 #include "digitize/avalanche.hpp"
 #include "digitize/chips.hpp"
 #include "digitize/digis.hpp"
@@ -24,8 +25,8 @@ struct AnalogModel {
 
 // One row per strip above threshold, ordered by event, layer, sheet, view, strip. Every truth needs all its
 // deposits as steps, ionization clusters included: throws std::invalid_argument naming the first one that
-// lacks some.
+// lacks some. `gains` act where an avalanche reaches the anode.
 DigiColumns read_out_analog(const Detector& detector, const TruthColumns& truths, const StepColumns& steps,
-                            const AnalogModel& readout);
+                            const AnalogModel& readout, const GainMaps& gains = {});
 
 }  // namespace cgemit

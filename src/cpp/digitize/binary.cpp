@@ -63,7 +63,7 @@ void read_out(const CgemLayer& layer, const TruthColumns& truths, std::size_t ro
 }  // namespace
 
 DigiColumns read_out_strips(const Detector& detector, const TruthColumns& truths, const StepColumns& steps,
-                            const BinaryReadout& readout) {
+                            const BinaryReadout& readout, const GainMaps& gains) {
   check(truths, detector);
   check(steps, truths, detector);
   DigiColumns digis;
@@ -76,7 +76,8 @@ DigiColumns read_out_strips(const Detector& detector, const TruthColumns& truths
       const std::size_t first = step;
       while (step < steps.size() && steps.truth[step] == static_cast<std::int64_t>(row)) ++step;
       const auto layer = static_cast<std::size_t>(truths.layer[row]);
-      const double per_energy = charge_per_energy(readout.gain, readout.w_values[layer]);
+      const double per_energy = charge_per_energy(readout.gain, readout.w_values[layer]) *
+                                gains.at(detector, layer, truths.phi[row], truths.z[row]);
       if (truths.energy[row] * per_energy < readout.threshold) continue;
       read_out(detector.cgem[layer], truths, row, steps, first, step, per_energy, parts);
     }

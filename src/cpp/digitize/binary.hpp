@@ -4,6 +4,7 @@
 #include <span>
 
 #include "detector/detector.hpp"
+#include "detector/strip_maps.hpp"
 #include "digitize/digis.hpp"
 #include "digitize/truths.hpp"
 
@@ -20,8 +21,8 @@ struct BinaryReadout {
 // No Lorentz angle, no diffusion, no drift time. X and V view collect half of the charge each. Every step of
 // a delta electron shares its charge equally among the strips of a view that its own projection touches. The
 // rest of the truth's energy belongs to the particle and is shared by the strips between entry and exit.
-// Steps of the particle itself have no effect.
+// Steps of the particle itself have no effect. `gains` act where the truth crosses the middle of the gap.
 DigiColumns read_out_strips(const Detector& detector, const TruthColumns& truths, const StepColumns& steps,
-                            const BinaryReadout& readout);
+                            const BinaryReadout& readout, const GainMaps& gains = {});
 
 }  // namespace cgemit

@@ -62,7 +62,7 @@ void share(const CgemLayer& layer, const Point& from, const Point& to, double ch
 }  // namespace
 
 DigiColumns read_out_profiles(const Detector& detector, const TruthColumns& truths, const StepColumns& steps,
-                              const ProjectionReadout& readout) {
+                              const ProjectionReadout& readout, const GainMaps& gains) {
   check(truths, detector);
   check(steps, truths, detector);
   DigiColumns digis;
@@ -82,11 +82,14 @@ DigiColumns read_out_profiles(const Detector& detector, const TruthColumns& trut
       for (; step < steps.size() && steps.truth[step] == static_cast<std::int64_t>(row); ++step) {
         if (!steps.is_delta(step)) continue;
         of_particle -= steps.energy[step];
+        const Point at = steps.end(step, 0);
+        const double gain = gains.at(detector, number, std::atan2(at.y, at.x), at.z);
         share(detector.cgem[number], steps.end(step, -0.5), steps.end(step, 0.5),
-              steps.energy[step] * per_energy, readout.sigma, strip, parts);
+              gain * steps.energy[step] * per_energy, readout.sigma, strip, parts);
       }
+      const double gain = gains.at(detector, number, truths.phi[row], truths.z[row]);
       share(detector.cgem[number], truths.entry_point(row), truths.exit_point(row),
-            std::max(of_particle, 0.0) * per_energy, readout.sigma, strip, parts);
+            gain * std::max(of_particle, 0.0) * per_energy, readout.sigma, strip, parts);
     }
     const Stream stream(readout.seed, static_cast<std::uint64_t>(truths.event[begin]), 0);
     write_digis(truths.event[begin], parts, digis, [&](DigiRow& digi) {

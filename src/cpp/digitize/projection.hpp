@@ -6,6 +6,7 @@
 #include <span>
 
 #include "detector/detector.hpp"
+#include "detector/strip_maps.hpp"
 #include "digitize/digis.hpp"
 #include "digitize/truths.hpp"
 
@@ -24,8 +25,8 @@ struct ProjectionReadout {
 double profile_below(double edge, double a, double b, double sigma);
 
 // One row per strip above threshold, ordered by event, layer, sheet, view, strip. Steps count as in
-// `read_out_strips`.
+// `read_out_strips`. `gains` act in the middle of each step and where a truth crosses the middle of the gap.
 DigiColumns read_out_profiles(const Detector& detector, const TruthColumns& truths, const StepColumns& steps,
-                              const ProjectionReadout& readout);
+                              const ProjectionReadout& readout, const GainMaps& gains = {});
 
 }  // namespace cgemit
