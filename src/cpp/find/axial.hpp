@@ -49,7 +49,9 @@ class AxialSearch {
           cos_high(std::cos(psi + width)),
           sin_high(std::sin(psi + width)) {}
     // Whether the point is on the half turn that leaves the beam line.
-    bool outward(const AxialPoint& p) const { return p.x * (cos_low + cos_high) + p.y * (sin_low + sin_high) > 0; }
+    bool outward(const AxialPoint& p) const {
+      return p.x * (cos_low + cos_high) + p.y * (sin_low + sin_high) > 0;
+    }
     double at_low(const AxialPoint& p) const { return p.y * cos_low - p.x * sin_low; }
     double at_high(const AxialPoint& p) const { return p.y * cos_high - p.x * sin_high; }
   };

@@ -56,8 +56,8 @@ class EventFinder {
     ++seeds_;
     FoundTrack track;
     if (!follower_.follow(seed, hits_, track) || !is_track(track)) return false;
-    const bool solid = track.wires >= 14 && track.along >= 4 && track.wires > 4 * track.holes && !track.has_gaps() &&
-                       track.chi2 < 4 * static_cast<double>(track.hits.size());
+    const bool solid = track.wires >= 14 && track.along >= 4 && track.wires > 4 * track.holes &&
+                       !track.has_gaps() && track.chi2 < 4 * static_cast<double>(track.hits.size());
     if (solid)
       for (const std::int32_t id : track.hits) hits_.take(id);
     tracks_.push_back(std::move(track));
