@@ -68,9 +68,9 @@ class FindSettings(SettingsData):
     efficiency: Efficiency = 0.97
     gate: Gate = 4.5
     branches: Few = 5
-    passes: Few = 4
+    passes: Few = 8
     holes_in_row: Few = 5
-    max_d: Length = 60.0
+    max_d: Length = 200.0
     max_z: Length = 400.0
     min_pt: Positive = 0.03
     least_axial: Layers = 6

@@ -14,36 +14,22 @@
 #include <tuple>
 #include <vector>
 
-#include "find/event_hits.hpp"
-#include "find/find.hpp"
+#include "find/axial_hits.hpp"
 
 namespace cgemit {
 
-// A circle with the covariance of (d, psi, w).
-struct FoundCircle {
-  double d, psi, w;
-  std::array<double, 6> covariance;  // upper triangle
-  std::vector<std::int32_t> hits;
-};
-
 class AxialSearch {
  public:
-  AxialSearch(const Detector& detector, const FindSettings& settings);
+  AxialSearch(const Detector& detector, AxialHits& hits);
 
-  // Takes over the axial hits that are not taken.
-  void load(const EventHits& hits);
+  // Begins with the hits of another event.
+  void start();
   // The circle with the most layers; its hits are left out afterwards. None: too few layers.
   std::optional<FoundCircle> next();
 
  private:
   static constexpr int columns = 64, rows = 64;
 
-  struct Point {
-    double x, y, drift, per;  // per: 2/(r^2 - l^2)
-    std::uint64_t layer;      // one bit
-    std::int32_t id;
-    bool left_out;
-  };
   struct Box {
     int layers, depth;
     double psi, w;             // lowest corner
@@ -63,32 +49,30 @@ class AxialSearch {
           cos_high(std::cos(psi + width)),
           sin_high(std::sin(psi + width)) {}
     // Whether the point is on the half turn that leaves the beam line.
-    bool outward(const Point& p) const { return p.x * (cos_low + cos_high) + p.y * (sin_low + sin_high) > 0; }
-    double at_low(const Point& p) const { return p.y * cos_low - p.x * sin_low; }
-    double at_high(const Point& p) const { return p.y * cos_high - p.x * sin_high; }
+    bool outward(const AxialPoint& p) const {
+      return p.x * (cos_low + cos_high) + p.y * (sin_low + sin_high) > 0;
+    }
+    double at_low(const AxialPoint& p) const { return p.y * cos_low - p.x * sin_low; }
+    double at_high(const AxialPoint& p) const { return p.y * cos_high - p.x * sin_high; }
   };
 
-  void add(double x, double y, double drift, std::size_t layer, std::int32_t id);
-  void coarse();
-  static bool touches(const Point& point, const Column& column, double w, double height);
+  static bool touches(const AxialPoint& point, const Column& column, double w, double height);
   void collect(Box& box);
   void divide(const Box& box);
   void push(const Box& box);
   int layers_in(const Box& box) const;
-  std::optional<FoundCircle> circle(double psi, double w);
   int deepest(double w) const;
-  double residual(const FoundCircle& c, const Point& p) const;
 
   const Detector& detector_;
-  const FindSettings& settings_;
+  AxialHits& hits_;
+  std::vector<AxialPoint>& points_;
   double largest_w_;
-  std::vector<Point> points_;
   std::vector<std::uint64_t> grid_;   // layers of each box of the first grid, one bit each
   std::vector<std::uint8_t> counts_;  // their number
   std::vector<Box> heap_;
   std::vector<std::int32_t> arena_;
   std::vector<Column> columns_;
-  int least_ = 0, divided_ = 0;
+  int divided_ = 0;
 };
 
 }  // namespace cgemit

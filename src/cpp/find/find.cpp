@@ -4,6 +4,7 @@
 
 #include "find/axial.hpp"
 #include "find/compete.hpp"
+#include "find/local.hpp"
 #include "find/segments.hpp"
 #include "find/stereo.hpp"
 
@@ -19,7 +20,9 @@ class EventFinder {
         hits_(detector),
         follower_(detector, settings),
         segments_(detector, settings),
-        axial_(detector, settings),
+        axial_hits_(detector, settings),
+        axial_(detector, axial_hits_),
+        local_(detector, axial_hits_),
         stereo_(detector, settings),
         competition_(detector) {}
 
@@ -54,7 +57,7 @@ class EventFinder {
     FoundTrack track;
     if (!follower_.follow(seed, hits_, track) || !is_track(track)) return false;
     const bool solid = track.wires >= 14 && track.along >= 4 && track.wires > 4 * track.holes &&
-                       track.chi2 < 4 * static_cast<double>(track.hits.size());
+                       !track.has_gaps() && track.chi2 < 4 * static_cast<double>(track.hits.size());
     if (solid)
       for (const std::int32_t id : track.hits) hits_.take(id);
     tracks_.push_back(std::move(track));
@@ -62,10 +65,19 @@ class EventFinder {
   }
 
   void from_chamber() {
-    axial_.load(hits_);
+    axial_hits_.load(hits_);
+    axial_.start();
+    follow_circles(axial_);
+    axial_hits_.load(hits_);
+    local_.start(hits_);
+    follow_circles(local_);
+  }
+
+  template <class Search>
+  void follow_circles(Search& search) {
     int failures = 0;
     for (int n = 0; n < settings_.max_seeds && failures < most_failures; ++n) {
-      const auto circle = axial_.next();
+      const auto circle = search.next();
       if (!circle) return;
       ++failures;
       for (const FoundLine& line : stereo_.find(*circle, hits_, 2)) {
@@ -100,7 +112,9 @@ class EventFinder {
   EventHits hits_;
   Follower follower_;
   SegmentFinder segments_;
+  AxialHits axial_hits_;
   AxialSearch axial_;
+  LocalSearch local_;
   StereoSearch stereo_;
   Competition competition_;
   std::vector<FoundTrack> tracks_;

@@ -37,7 +37,7 @@ bool Follower::follow(const FindSeed& seed, const EventHits& hits, FoundTrack& t
     collect(best, track);
     // The reference was good enough if a second pass has changed next to nothing.
     const auto more = static_cast<int>(track.hits.size()) - static_cast<int>(last_found_.size());
-    if (track.hits == last_found_ || (number > 0 && std::abs(more) <= few_hits)) break;
+    if (track.hits == last_found_ || (number > 0 && std::abs(more) <= few_hits && !track.has_gaps())) break;
     last_found_ = track.hits;
     start = track.helix;
     prior = track.covariance;
@@ -185,6 +185,7 @@ void Follower::wire(Slot<double>& cell) {
 }
 
 void Follower::hole(Branch& branch, double penalty) const {
+  if (branch.hits == 0) return;  // the particle may come from here
   branch.score += std::max(penalty, std::log1p(-settings_.efficiency));
   ++branch.holes;
   branch.ended = ++branch.in_row > settings_.holes_in_row;
@@ -248,18 +249,27 @@ bool Follower::refit(const Branch& best) {
 
 void Follower::collect(const Branch& best, FoundTrack& track) const {
   track.hits.clear();
-  track.across = track.along = track.wires = 0;
+  track.across = track.along = track.wires = track.layers = 0;
+  std::int32_t lowest = 0, highest = -1, last = -1;  // layers of wires
   track.score = best.score;
   track.holes = best.holes;
   track.chi2 = fitted_.chi2;
   for (std::int32_t at = best.chain; at >= 0; at = links_[static_cast<std::size_t>(at)].before) {
     const Slot<double>& s = group_.slots[static_cast<std::size_t>(links_[static_cast<std::size_t>(at)].slot)];
     track.hits.push_back(s.hit[0]);
-    if (s.view == View::wire) ++track.wires;
+    if (s.view == View::wire) {
+      ++track.wires;
+      if (s.layer != last) ++track.layers;
+      lowest = last = s.layer;
+      highest = std::max(highest, last);
+    } else {
+      lowest = 0;
+    }
     const bool tilted = s.view == View::v || (s.view == View::wire &&
                                               detector_.wires[static_cast<std::size_t>(s.layer)].twist != 0);
     ++(tilted ? track.along : track.across);
   }
+  track.spanned = highest - lowest + 1;
   std::ranges::reverse(track.hits);
   const Five<double>& x = fitted_.x;
   track.helix = {reference_.d + x[0], wrap_angle(reference_.psi + x[1]), reference_.kappa + x[2],

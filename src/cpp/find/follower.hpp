@@ -32,6 +32,10 @@ struct FoundTrack {
   double score = 0, chi2 = 0;
   int across = 0, along = 0;  // measured coordinates across the beam and along it
   int wires = 0, holes = 0;
+  // Layers of wires with a hit, and those from the first to the last; from the first one of the chamber if
+  // there are clusters.
+  int layers = 0, spanned = 0;
+  bool has_gaps() const { return layers < 0.85 * spanned; }
 };
 
 class Follower {
