@@ -110,7 +110,10 @@ def compiled_for_fit(detector: Detector, settings: FitSettings) -> _core.Detecto
     settings : FitSettings
     """
     screening = settings.screening or SCREENINGS[0]
-    return compiled(detector, screening=screening, loss=settings.loss, radiation=settings.radiation, gaps=False)
+    return compiled(
+        detector, screening=screening, loss=settings.loss, radiation=settings.radiation, gaps=False,
+        matter=settings.matter,
+    )  # fmt: skip
 
 
 def core_arguments(

@@ -46,6 +46,9 @@ class FitSettings(SettingsData):
     radiation : bool
         Whether the energy loss of electrons and positrons includes bremsstrahlung, mean and variance. False: collisions
         only, as in fits with the electron hypothesis elsewhere (docs/methods/matter.md).
+    matter : bool
+        Whether tracks scatter and lose energy in the fit. False: helices or tracks in the field alone, as the first
+        fits of many experiments assume (BES3's MdcTrack).
     residuals : bool
         Whether the fit makes the residuals table: every hit, outliers included, against the track fitted without it.
     states : tuple of float or str
@@ -84,6 +87,7 @@ class FitSettings(SettingsData):
     screening: Screening | None = None
     loss: Loss = "truncated"
     radiation: bool = True
+    matter: bool = True
     residuals: bool = False
     states: tuple[Radius | SurfaceName, ...] = ()
     hypothesis: MassHypothesis | tuple[MassHypothesis, ...] | None = None

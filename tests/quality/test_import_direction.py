@@ -42,6 +42,8 @@ PYTHON_LAYERS = [
     {"simulate", "digitize", "find", "fit"},
     {"background"},
     {"match", "own_hits"},
+    {"bes3"},
+    {"refit"},
     {"record"},
     {"result"},
     {"memory", "stored_run"},

@@ -62,6 +62,19 @@ def slab_table(found: Sequence[Slab]) -> SlabTable:
     return SlabTable(columns, terms, {"first": first, **composition})
 
 
+def without_matter(found: Sequence[Slab]) -> SlabTable:
+    """Return the drift gaps of some slabs as vacuum: the core measures clusters there.
+
+    Parameters
+    ----------
+    found : sequence of Slab
+    """
+    table = slab_table([slab for slab in found if slab.gap >= 0])
+    empty = {name: np.zeros_like(table.slabs[name]) for name in ("x0", "xi")}
+    composition = {**table.composition, "moles": np.zeros_like(table.composition["moles"])}
+    return SlabTable(table.slabs | empty, table.log_terms, composition)
+
+
 _NUMBERS = ("half_length", "r_in", "r_out", "radius", "spread", "x0", "xi")
 
 
@@ -110,6 +123,7 @@ def compiled(
     radiation: bool = True,
     *,
     gaps: bool = True,
+    matter: bool = True,
 ) -> _core.Detector:
     """Return the detector of the compiled core; equal descriptions share one.
 
@@ -128,13 +142,15 @@ def compiled(
     gaps : bool
         Whether to make the tables of ionization and electrons in the drift gaps, which only the simulation reads and
         which take most of the time.
+    matter : bool
+        Whether there is matter.
 
     Raises
     ------
     ValueError
         If ``CGEMIT_ISA`` names an instruction set that is not available.
     """
-    return _compiled(detector, merge, screening, foil, loss, radiation, gaps)
+    return _compiled(detector, merge, screening, foil, loss, radiation, gaps, matter)
 
 
 def forget() -> None:
@@ -145,14 +161,14 @@ def forget() -> None:
 
 @lru_cache(maxsize=64)
 def _compiled(
-    detector: Detector, merge: bool, screening: str, foil: str, loss: str, radiation: bool, gaps: bool
+    detector: Detector, merge: bool, screening: str, foil: str, loss: str, radiation: bool, gaps: bool, matter: bool
 ) -> _core.Detector:
     isa.choose()
     found = slabs(detector, merge, foil)
     groups = [slab.shells[0].group for slab in found]
     return _core.Detector(
         bz=detector.field.bz,
-        **slab_table(found)._asdict(),
+        **(slab_table(found) if matter else without_matter(found))._asdict(),
         cgem=cgem_table(detector.cgem),
         wires=wire_table(detector.drift_chamber),
         screening=getattr(_core.Screening, screening),
