@@ -38,6 +38,7 @@ PYTHON_LAYERS = [
     {"candidates"},
     {"gun", "hit_columns", "states"},
     {"fit_settings"},
+    {"fit_begins"},
     {"cluster"},
     {"simulate", "digitize", "find", "fit"},
     {"background"},
