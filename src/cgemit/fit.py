@@ -11,6 +11,7 @@ import numpy.typing as npt
 from cgemit import _core, helix
 from cgemit.candidates import FitHits, collect_hits
 from cgemit.detector import SCREENINGS, Detector, compiled, load
+from cgemit.fit_begins import BEGIN, begins_of, fit_by_begin, slabs_inside
 from cgemit.fit_settings import FitSettings as FitSettings
 from cgemit.species import HYPOTHESES
 from cgemit.states import state_columns
@@ -43,7 +44,8 @@ def fit(
         Field and material that the fit assumes.
     clusters, wire_hits : Table
     candidates, candidate_hits : Table
-        Hits in any order: the fit takes them from the beam line outward.
+        Hits in any order: the fit takes them from the beam line outward. A column `start_radius`, mm, of the candidates
+        comes before the setting.
     settings : FitSettings or None
     start : array_like or None
         Starting helices, (candidates, 5) float64: dr mm, phi0 rad, kappa (GeV/c)^-1, dz mm, tanl. None: the hits
@@ -66,6 +68,14 @@ def fit(
     detector, settings = load(detector), FitSettings() if settings is None else settings
     if not isinstance(settings, FitSettings):
         raise TypeError(f"settings: got {type(settings).__name__}, expected FitSettings")
+    if BEGIN in candidates and len(candidates):
+        given = _start(start, len(candidates))
+
+        def fit_rows(some: Table, their_hits: Table, radius: FitSettings, rows: Column) -> dict[str, Table]:
+            helices = given[rows] if len(given) else None
+            return fit(detector, clusters, wire_hits, some, their_hits, radius, start=helices)
+
+        return fit_by_begin(fit_rows, begins_of(candidates, detector), candidates, candidate_hits, settings)
     core = compiled_for_fit(detector, settings)
     hits = collect_hits(core, candidates, candidate_hits, clusters, wire_hits)
     names = settings.hypotheses()
@@ -110,7 +120,10 @@ def compiled_for_fit(detector: Detector, settings: FitSettings) -> _core.Detecto
     settings : FitSettings
     """
     screening = settings.screening or SCREENINGS[0]
-    return compiled(detector, screening=screening, loss=settings.loss, radiation=settings.radiation, gaps=False)
+    return compiled(
+        detector, screening=screening, loss=settings.loss, radiation=settings.radiation, gaps=False,
+        matter=settings.matter, inside=slabs_inside(detector, settings.start_radius),
+    )  # fmt: skip
 
 
 def core_arguments(

@@ -24,6 +24,8 @@ Share = Annotated[float, Check(lambda value: 0 <= value < 1, "0 or a probability
 Pull = Annotated[float, Check(lambda value: value == 0 or 2 <= value < math.inf, "0 or at least 2 standard deviations")]
 Spread = Annotated[float, Check(lambda value: 1e-12 <= value < math.inf, "a number not below 1e-12")]
 FiveSpreads = tuple[Spread, Spread, Spread, Spread, Spread]
+_FARTHEST = 1e5  # mm
+Start = Annotated[float, Check(lambda value: abs(value) <= _FARTHEST, f"a radius in mm, within +-{_FARTHEST:g}")]
 Radius = Annotated[float, Check(lambda value: 0 < value < math.inf, "a positive radius in mm")]
 
 
@@ -46,6 +48,14 @@ class FitSettings(SettingsData):
     radiation : bool
         Whether the energy loss of electrons and positrons includes bremsstrahlung, mean and variance. False: collisions
         only, as in fits with the electron hypothesis elsewhere (docs/methods/matter.md).
+    matter : bool
+        Whether tracks scatter and lose energy in the fit. False: helices or tracks in the field alone, as the first
+        fits of many experiments assume (BES3's MdcTrack).
+    start_radius : float
+        Distance from the beam line, mm, at which the particles begin: they have not crossed the matter inside of it,
+        unless they flew inward first, which a negative value says; it then counts twice. The helix at the origin
+        describes the flight at the begin, continued in vacuum. A column `start_radius` of the candidates, where there
+        is one, comes before (`cgemit.helix.start_radius` makes it from vertices; docs/methods/robustness.md).
     residuals : bool
         Whether the fit makes the residuals table: every hit, outliers included, against the track fitted without it.
     states : tuple of float or str
@@ -84,6 +94,8 @@ class FitSettings(SettingsData):
     screening: Screening | None = None
     loss: Loss = "truncated"
     radiation: bool = True
+    matter: bool = True
+    start_radius: Start = 0.0
     residuals: bool = False
     states: tuple[Radius | SurfaceName, ...] = ()
     hypothesis: MassHypothesis | tuple[MassHypothesis, ...] | None = None

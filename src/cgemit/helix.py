@@ -201,6 +201,32 @@ def change_pivot(
     return moved.reshape(given.shape), with_errors.reshape(covariance.shape)
 
 
+def start_radius(parameters: npt.ArrayLike, vertex: npt.ArrayLike, bz: npt.ArrayLike) -> Floats:
+    """Return where helices begin, for fits that leave out matter not crossed (`FitSettings.start_radius`).
+
+    Parameters
+    ----------
+    parameters : array_like, (n, 5) or (5,) float64
+        dr mm, phi0 rad, kappa (GeV/c)^-1, dz mm, tanl, pivot at the origin.
+    vertex : array_like, (n, 3) or (3,) float64
+        Point where each begins, x, y, z, mm.
+    bz : array_like, () or (n,) float64
+        T, signed.
+
+    Returns
+    -------
+    ndarray, (n,) or () float64, mm
+        Distance of the vertex from the beam line; negative where the particle flew towards the beam line first.
+    """
+    given, point = _parameters(parameters), np.asarray(vertex, np.float64)
+    if point.shape[-1:] != (3,) or point.ndim > given.ndim:
+        raise ValueError(f"vertex: got shape {point.shape}, expected (3,) or {(*given.shape[:-1], 3)}")
+    there, _ = change_pivot(given, np.zeros((*given.shape, 5)), np.zeros(3), point, bz)
+    turn = np.remainder(there[..., 1] - given[..., 1] + np.pi, 2 * np.pi) - np.pi
+    outward = np.asarray(bz, np.float64) * given[..., 2] * turn < 0  # the azimuth changes by -s/R along the flight
+    return np.where(outward, 1.0, -1.0) * np.hypot(point[..., 0], point[..., 1])
+
+
 def momentum_error(parameters: npt.ArrayLike, cov: npt.ArrayLike) -> Floats:
     """Standard deviation of the momentum.
 

@@ -62,14 +62,54 @@ def fit_hits(
     problems: list[str] = []
     if not isinstance(hypothesis, str) or hypothesis not in HYPOTHESES:
         problems.append(f"hypothesis: got {hypothesis!r}, expected one of {', '.join(map(repr, HYPOTHESES))}")
+    hits = hit_tables(detector, clusters, wire_hits, problems, labelled=candidates is None)
+    events = hits[0].events
+    if callable(candidates):
+        found = by_finder(candidates, detector, *hits)
+    elif candidates is not None:
+        found = check_found(candidates, "given", events)
+    else:
+        labels = [part["candidate"] if "candidate" in part else np.zeros(len(part), np.int64) for part in hits]
+        found = check_found(label_candidates(*hits, labels[0], labels[1], hypothesis), "given", events)
+    fitted = fit(detector, *hits, found["candidates"], found["candidate_hits"], settings)
+    return {"clusters": hits[0], "wire_hits": hits[1], **found, **fitted}
+
+
+def hit_tables(
+    detector: Detector,
+    clusters: Any,
+    wire_hits: Any,
+    problems: list[str],
+    *,
+    labelled: bool = True,
+    events: Column | None = None,
+) -> tuple[Table, Table]:
+    """Return the tables of clusters and wire hits given as columns, as for `fit_hits`.
+
+    Parameters
+    ----------
+    detector : Detector
+    clusters, wire_hits : Table, mapping of arrays, pandas.DataFrame, structured ndarray or None
+    problems : list of str
+        What is wrong already.
+    labelled : bool
+        Whether the column `candidate`, or else the event, says which hits belong together.
+    events : ndarray, (n,) int64, or None
+        Events that the tables cover; None: those with hits.
+
+    Raises
+    ------
+    ValueError
+        Listing everything that is wrong.
+    """
     given = {
         "clusters": read("clusters", clusters, ("layer",), problems),
         "wire_hits": read("wire_hits", wire_hits, ("layer", "wire", "drift"), problems),
     }
-    labelled = [name for name, columns in given.items() if "candidate" in columns]
-    bare = [name for name, columns in given.items() if len(columns["layer"]) and name not in labelled]
-    if candidates is None and labelled and bare:
-        problems.append(f"{bare[0]}: have no column 'candidate', as the {labelled[0]} have; expected both or none")
+    named = [name for name, columns in given.items() if "candidate" in columns]
+    bare = [name for name, columns in given.items() if len(columns["layer"]) and name not in named]
+    if labelled and named and bare:
+        problems.append(f"{bare[0]}: have no column 'candidate', as the {named[0]} have; expected both or none")
     _raise(problems)
     with np.errstate(invalid="ignore"):  # infinite numbers are listed below
         columns = _cluster_columns(detector, given["clusters"], problems), _wire_columns(detector, given["wire_hits"])
@@ -84,21 +124,13 @@ def fit_hits(
         if not lines:  # not a list of problems
             raise
         problems += [line for line in lines if line.partition(":")[0] not in rows]
-    if candidates is None:  # else a finder may tell equal hits apart
+    if labelled:  # else a finder may tell equal hits apart
         problems += repeated("clusters", columns[0], ("layer", "sheet", "view", "x", "v"))
         problems += repeated("wire_hits", columns[1], ("layer", "wire", "drift"))
     _raise(problems)
-    events = np.unique(np.concatenate([part["event"] for part in columns]))
-    hits = _table("clusters", columns[0], events), _table("wire_hits", columns[1], events)
-    if callable(candidates):
-        found = by_finder(candidates, detector, *hits)
-    elif candidates is not None:
-        found = check_found(candidates, "given", events)
-    else:
-        labels = [part["candidate"] if "candidate" in part else np.zeros(len(part), np.int64) for part in hits]
-        found = check_found(label_candidates(*hits, labels[0], labels[1], hypothesis), "given", events)
-    fitted = fit(detector, *hits, found["candidates"], found["candidate_hits"], settings)
-    return {"clusters": hits[0], "wire_hits": hits[1], **found, **fitted}
+    if events is None:
+        events = np.unique(np.concatenate([part["event"] for part in columns]))
+    return _table("clusters", columns[0], events), _table("wire_hits", columns[1], events)
 
 
 def _raise(problems: list[str]) -> None:

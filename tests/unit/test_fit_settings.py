@@ -109,7 +109,17 @@ def test_core_settings_have_the_same_names():
     text = _core.FitSettings.__init__.__doc__
     names = set(re.findall(r"(\w+): ", text.split("->")[0])) - {"self"}
     ours = {field.name for field in dataclasses.fields(FitSettings)}
-    elsewhere = {"cluster_errors", "residuals", "states", "hypothesis", "screening", "loss", "radiation"}
+    elsewhere = {
+        "cluster_errors",
+        "residuals",
+        "states",
+        "hypothesis",
+        "screening",
+        "loss",
+        "radiation",
+        "matter",
+        "start_radius",
+    }
     assert names - {"errors_from_track"} == ours - elsewhere
     assert "=" not in text.split("->")[0]
     assert "settings" in inspect.signature(fit).parameters

@@ -31,6 +31,7 @@ COMMANDS = {
     "find": "find",
     "display": "display",
     "readout": "readout",
+    "refit": "refit",
     "slab": "slab",
     "detectors": "detector",
     "show": "detector",

@@ -85,6 +85,14 @@ def _from_scientific(text: str) -> int:
     return int(value)
 
 
+def length(text: str) -> float:
+    """Read a positive length, in mm; `160 um` or `0.16 mm`."""
+    value = _number(text, "length")
+    if not value > 0:
+        raise argparse.ArgumentTypeError(f"got {text!r}, expected a length above 0")
+    return value
+
+
 def _values(text: str, dimension: str) -> Values:
     try:
         if "," in text:

@@ -63,6 +63,34 @@ def slab_table(found: Sequence[Slab]) -> SlabTable:
     return SlabTable(columns, terms, {"first": first, **composition})
 
 
+def weighted(table: SlabTable, weights: NDArray[np.float64]) -> SlabTable:
+    """Return slabs with other amounts of matter; 0 leaves vacuum.
+
+    Parameters
+    ----------
+    table : SlabTable
+    weights : ndarray, (n,) float64
+    """
+    scaled = {name: np.asarray(table.slabs[name], np.float64) * weights for name in ("x0", "xi")}
+    moles = np.asarray(table.composition["moles"], np.float64) * np.repeat(weights, np.diff(table.composition["first"]))
+    return SlabTable(table.slabs | scaled, table.log_terms, table.composition | {"moles": moles})
+
+
+def slab_weights(found: Sequence[Slab], matter: bool, inside: int) -> NDArray[np.float64]:
+    """Return how often the matter of each slab counts; arguments as for `compiled`.
+
+    Parameters
+    ----------
+    found : sequence of Slab
+    matter : bool
+    inside : int
+    """
+    weights = np.full(len(found), float(matter))
+    nearest = np.argsort([slab.radius for slab in found], kind="stable")[: abs(inside)]
+    weights[nearest] *= 0.0 if inside > 0 else 2.0
+    return weights
+
+
 _NUMBERS = ("half_length", "r_in", "r_out", "radius", "spread", "x0", "xi")
 
 
@@ -111,6 +139,8 @@ def compiled(
     radiation: bool = True,
     *,
     gaps: bool = True,
+    matter: bool = True,
+    inside: int = 0,
 ) -> _core.Detector:
     """Return the detector of the compiled core; equal descriptions share one.
 
@@ -129,13 +159,17 @@ def compiled(
     gaps : bool
         Whether to make the tables of ionization and electrons in the drift gaps, which only the simulation reads and
         which take most of the time.
+    matter : bool
+        Whether there is matter.
+    inside : int
+        This number of innermost slabs are vacuum; if negative, they count twice (`FitSettings.start_radius`).
 
     Raises
     ------
     ValueError
         If ``CGEMIT_ISA`` names an instruction set that is not available.
     """
-    return _compiled(detector, merge, screening, foil, loss, radiation, gaps)
+    return _compiled(detector, merge, screening, foil, loss, radiation, gaps, matter, inside)
 
 
 def forget() -> None:
@@ -146,14 +180,18 @@ def forget() -> None:
 
 @lru_cache(maxsize=64)
 def _compiled(
-    detector: Detector, merge: bool, screening: str, foil: str, loss: str, radiation: bool, gaps: bool
-) -> _core.Detector:
+    detector: Detector, merge: bool, screening: str, foil: str, loss: str, radiation: bool, gaps: bool, matter: bool,
+    inside: int,
+) -> _core.Detector:  # fmt: skip
     isa.choose()
     found = slabs(detector, merge, foil)
     groups = [slab.shells[0].group for slab in found]
+    table = slab_table(found)
+    if inside or not matter:
+        table = weighted(table, slab_weights(found, matter, inside))
     return _core.Detector(
         bz=detector.field.bz,
-        **slab_table(found)._asdict(),
+        **table._asdict(),
         cgem=cgem_table(detector.cgem),
         wires=wire_table(detector.drift_chamber),
         screening=getattr(_core.Screening, screening),

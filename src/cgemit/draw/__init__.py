@@ -10,6 +10,7 @@ from cgemit.draw.display3d import event_3d, save_page
 from cgemit.draw.finding import draw_finding
 from cgemit.draw.matter import draw_slab
 from cgemit.draw.readout import draw_readout
+from cgemit.draw.refit import draw_refit
 from cgemit.draw.scans import resolutions
 from cgemit.draw.style import Picture
 
@@ -26,6 +27,7 @@ __all__ = [
     "draw_finding",
     "draw_projection",
     "draw_readout",
+    "draw_refit",
     "draw_sensitivity",
     "draw_sides",
     "draw_slab",

@@ -1,0 +1,108 @@
+"""`cgemit refit`: tracks of the experiment fitted again, beside its own fit."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cgemit.cli import changes, common, read
+from cgemit.version import VERSION
+
+if TYPE_CHECKING:
+    from cgemit.refit import Refit
+
+_DESCRIPTION = """\
+Read the hits of BESIII tracks from a .rec file of the experiment's software (pybes3, extra [bes3]), fit them, and put
+the result beside the experiment's own fits of the same hits: MdcKalTrack with matter, MdcTrack without.
+With -o also a line for each track (kal.csv, mdc.csv), pictures (kal.png, mdc.png) and summary.json."""
+
+_EXAMPLES = """\
+The detector needs the layers of the hits: besiii-idc before 2024, besiii-cgem since. The experiment's fits use its
+field map, which --field besiii describes.
+
+examples:
+  cgemit refit run.rec -d besiii-idc --field besiii
+  cgemit refit muons.rec -d besiii-cgem --field besiii --hypothesis mu -o beside
+  cgemit refit muons.rec -d besiii-cgem --tracks kal --clusters all
+                                         with the clusters of events of one track, which the file gives to no track"""
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the sub-command."""
+    parser = subparsers.add_parser(
+        "refit", help="fit tracks of BESIII again, beside its own fit", description=_DESCRIPTION, epilog=_EXAMPLES,
+        formatter_class=common.HelpFormatter,
+    )  # fmt: skip
+    parser.add_argument("file", metavar="FILE", help="a .rec file")
+    common.add_detector(parser)
+    parser.add_argument("--tracks", choices=("kal", "mdc", "both"), default="both", help="whose fit (default both)")
+    parser.add_argument(
+        "--clusters", choices=("tracks", "all"), default="tracks",
+        help="clusters to fit: those of the tracks (default), or in events of one track all of them",
+    )  # fmt: skip
+    parser.add_argument(
+        "--cluster-errors", type=read.length, nargs=2, metavar=("X", "V"),
+        help="errors of clusters, which the file does not hold (default 160 um and 150 um)",
+    )  # fmt: skip
+    changes.add_hypothesis(parser)
+    parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
+    parser.add_argument("-o", "--output", metavar="DIR", default=None, help="folder for tables, pictures, summary.json")
+    parser.add_argument(
+        "--overwrite", action="store_true", help="write into a folder that already holds files, replacing results"
+    )
+    common.add_common(parser)
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Read, fit and compare."""
+    from cgemit.bes3 import CLUSTER_ERRORS, read_events
+    from cgemit.io.folders import check_free
+    from cgemit.refit import KINDS, refit
+
+    if arguments.output:
+        check_free(arguments.output, overwrite=arguments.overwrite)
+    (detector,), settings = common.load_inputs(arguments)
+    errors = CLUSTER_ERRORS if arguments.cluster_errors is None else tuple(arguments.cluster_errors)
+    events = read_events(arguments.file, detector, errors=errors, every_cluster=arguments.clusters == "all")
+    kinds = KINDS if arguments.tracks == "both" else (arguments.tracks,)
+    found = {kind: refit(events, kind, settings.fit) for kind in kinds}
+    about: dict[str, Any] = {
+        "version": VERSION, "command": arguments.line, "file": str(arguments.file), "detector": detector.name,
+        "events": len(events.run), "settings": settings.to_dict(),
+    }  # fmt: skip
+    for kind, one in found.items():
+        about[kind] = {"tracks": len(one.ours), "fitted": int(one.good.sum()), **one.summary()}
+    text = json.dumps(_without_nan(about), indent=2, allow_nan=False)
+    if arguments.output:
+        _write(found, text, arguments.output, overwrite=arguments.overwrite)
+    print(text if arguments.json else "\n".join([repr(events), *map(repr, found.values())]))
+    if not any(one.good.any() for one in found.values()):
+        raise common.RunFailedError("no track was fitted by both")
+    if arguments.output and not arguments.quiet:
+        print(f"tables and pictures: {arguments.output}", file=sys.stderr)
+    return common.OK
+
+
+def _without_nan(value: Any) -> Any:
+    """Return the same with None for what is not a number, as JSON has none."""
+    if isinstance(value, dict):
+        return {name: _without_nan(one) for name, one in value.items()}
+    return None if value != value else value
+
+
+def _write(found: dict[str, Refit], text: str, folder: str, *, overwrite: bool) -> None:
+    from cgemit.draw.refit import draw_refit
+    from cgemit.io.folders import SUMMARY, new_folder
+    from cgemit.io.text import write_csv
+
+    pictures = {kind: draw_refit(one) for kind, one in found.items() if one.good.any()}
+    with new_folder(Path(folder), overwrite=overwrite) as made:
+        for kind, one in found.items():
+            write_csv(made / f"{kind}.csv", one.columns)
+        for kind, picture in pictures.items():
+            picture.save(made / kind)
+        (made / SUMMARY).write_text(text + "\n", encoding="utf-8")
