@@ -44,6 +44,7 @@ PYTHON_LAYERS = [
     {"simulate", "digitize", "find", "fit"},
     {"background"},
     {"match", "own_hits"},
+    {"vertex"},
     {"record"},
     {"result"},
     {"memory", "stored_run"},
