@@ -36,6 +36,7 @@ from cgemit.values import check_numbers
 from cgemit.version import VERSION
 
 FinderName = Literal["truth", "ckf"]
+FinderLike = Finder | FinderName
 
 FINDERS = ("truth", "ckf")  # by name; any function of (detector, clusters, wire_hits) is a finder, too
 STAGES = ("simulate", "digitize", "cluster", "find", "fit")  # where a run can end

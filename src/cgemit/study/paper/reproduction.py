@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from cgemit.chain import FinderLike
 from cgemit.record import versions
 from cgemit.result import Result, Settings, hits_text
 from cgemit.statistics.curves import Line
@@ -71,6 +72,7 @@ class Inputs:
     quick: bool
     settings: Settings
     field: str | None = None  # None: the detectors' own
+    finder: FinderLike = "truth"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
