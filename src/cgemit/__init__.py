@@ -41,10 +41,12 @@ if TYPE_CHECKING:
     from cgemit.statistics.resolutions import resolution
     from cgemit.stored_run import open
     from cgemit.tables import Table
+    from cgemit.vertex import BeamSpot, VertexStatus, fit_vertices, pair_tracks
 
 __all__ = [
     "Apv25Readout",
     "BackgroundSettings",
+    "BeamSpot",
     "BinaryReadout",
     "ClusterSettings",
     "Detector",
@@ -66,6 +68,7 @@ __all__ = [
     "Table",
     "TigerReadout",
     "TransportStatus",
+    "VertexStatus",
     "__version__",
     "analytic",
     "detectors",
@@ -73,10 +76,12 @@ __all__ = [
     "extrapolate",
     "find_tracks",
     "fit_hits",
+    "fit_vertices",
     "isa",
     "label_candidates",
     "load",
     "open",
+    "pair_tracks",
     "resolution",
     "run",
     "sample",
@@ -90,6 +95,7 @@ __all__ = [
 _MODULES = {
     "Apv25Readout": "digitize",
     "BackgroundSettings": "background",
+    "BeamSpot": "vertex",
     "BinaryReadout": "digitize",
     "ClusterSettings": "cluster",
     "Detector": "detector",
@@ -111,14 +117,17 @@ _MODULES = {
     "Table": "tables",
     "TigerReadout": "digitize",
     "TransportStatus": "simulate",
+    "VertexStatus": "vertex",
     "analytic": "covariance",
     "detectors": "detector",
     "extrapolate": "states",
     "find_tracks": "find",
     "fit_hits": "own_hits",
+    "fit_vertices": "vertex",
     "label_candidates": "candidates",
     "load": "detector",
     "open": "stored_run",
+    "pair_tracks": "vertex",
     "resolution": "statistics.resolutions",
     "run": "chain",
     "sample": "samples",

@@ -261,8 +261,11 @@ def finder_name(finder: object) -> str:
 
     Parameters
     ----------
-    finder : callable
+    finder : callable, or str
+        A name is returned as it is.
     """
+    if isinstance(finder, str):
+        return finder
     function = getattr(finder, "func", finder)
     return str(getattr(function, "__name__", type(function).__name__))
 

@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 from cgemit import find
 from cgemit.background import add_background
-from cgemit.candidates import Finder, by_finder
+from cgemit.candidates import by_finder
 from cgemit.chunks import MANY, Answer, Totals, answers
 from cgemit.detector import Detector, load
 from cgemit.digitize import Readout, cluster_digis, digitize
@@ -24,7 +24,7 @@ from cgemit.particles import particles_from
 from cgemit.record import configuration_of, gun_data, write_about
 from cgemit.result import Result, detectors_of
 from cgemit.simulate import simulate, transport_counts
-from cgemit.stages import TABLES, FinderName, Settings, check_request, expected_settings, fit_settings, with_readout
+from cgemit.stages import TABLES, Settings, check_request, expected_settings, fit_settings, with_readout
 from cgemit.stored_run import open as open_run
 from cgemit.tables import Table, concatenate
 from cgemit.tables.formats import check_format
@@ -40,7 +40,7 @@ def run_chunk(
     particles: Table,
     settings: Settings,
     seed: int,
-    finder: Finder | FinderName = "truth",
+    finder: FinderLike = "truth",
     until: str = "fit",
 ) -> tuple[dict[str, Table], dict[str, float]]:
     """Run the stages on the events of one table of particles.
@@ -113,7 +113,7 @@ def run(
     settings: Settings | None = None,
     readout: Readout | str | None = None,
     fit_detector: Detector | str | Mapping[str, Any] | None = None,
-    finder: Finder | FinderName = "truth",
+    finder: FinderLike = "truth",
     until: Literal["simulate", "digitize", "cluster", "find", "fit"] = "fit",
     threads: int | None = None,
     executor: Executor | None = None,
@@ -250,7 +250,7 @@ def _work(
     count: int,
     settings: Settings,
     seed: int,
-    finder: Finder | FinderName,
+    finder: FinderLike,
     until: str,
     keep: tuple[str, ...] | None,
 ) -> Answer:

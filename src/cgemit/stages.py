@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, fields, replace
 from typing import Any, Literal
 
 from cgemit.background import BackgroundSettings
-from cgemit.candidates import finder_name
+from cgemit.candidates import Finder, finder_name
 from cgemit.cluster import ClusterSettings
 from cgemit.digitize import DigitizeSettings, Readout
 from cgemit.find.settings import FindSettings
@@ -20,6 +20,7 @@ from cgemit.simulate import SimulateSettings
 from cgemit.tables import Table
 
 FinderName = Literal["truth", "ckf"]
+FinderLike = Finder | FinderName
 
 FINDERS = ("truth", "ckf")  # by name; any function of (detector, clusters, wire_hits) is a finder, too
 STAGES = ("simulate", "digitize", "cluster", "find", "fit")  # where a run can end

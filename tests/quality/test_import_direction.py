@@ -47,6 +47,7 @@ PYTHON_LAYERS = [
     {"match", "own_hits"},
     {"bes3"},
     {"refit"},
+    {"vertex"},
     {"record"},
     {"stages"},
     {"result"},

@@ -237,7 +237,9 @@ RESOLUTION_ROWS = [
     Row("--events", ["--events", "31"], {"events": 31}),
     Row("--pt", ["--pt", "0.3"], {"p": None, "pt": [0.3]}, "--p"),
     Row("--theta", ["--theta", "60 deg:70 deg"], {"cos_theta": None, "theta": ("60 deg", "70 deg")}, "--cos-theta"),
-]
+    Row("--finder", ["--finder", "ckf", "--set", "find.hypothesis=pi"],
+        {"finder": "ckf", **with_settings(find=FindSettings(hypothesis="pi"))}),
+]  # fmt: skip
 
 
 def scanned(**change: Any) -> Scan:
@@ -269,6 +271,7 @@ STUDY_ROWS = [
     Row("--events", ["--events", "500"], {"events": 500}),
     Row("--quick", ["--quick"], {"quick": True}),
     Row("--seed", ["--seed", "7"], {"seed": 7}),
+    Row("--finder", ["--finder", "ckf"], {"finder": "ckf"}),
     Row("--threads", ["--threads", "1"], {"threads": 1}),
     Row("--field", ["--field", "finite-solenoid"], {"field": "finite-solenoid"}),
     Row("--settings", ["--settings", "mine.toml"], {"settings": OF_FILE}),

@@ -1,11 +1,13 @@
 """Links between rows of tables: as lists per event, and after events were selected."""
 
+from dataclasses import replace
+
 import awkward as ak
 import numpy as np
 import pandas as pd
 import pytest
 
-from cgemit import Gun, Settings, run
+from cgemit import Gun, Settings, fit_vertices, run
 from cgemit.fit import FitSettings
 from cgemit.tables import SCHEMAS, concatenate, select_events
 from cgemit.tables.links import linked, targets
@@ -15,7 +17,9 @@ FIT = FitSettings(residuals=True, states=("hits",))
 
 @pytest.fixture(scope="module")
 def result():
-    return run("besiii-cgem-design", Gun("mu-", p=0.5, theta=1, multiplicity=2), n=12, settings=Settings(fit=FIT))
+    found = run("besiii-cgem-design", Gun("mu-", p=0.5, theta=1, multiplicity=2), n=12, settings=Settings(fit=FIT))
+    vertices = fit_vertices(found.detector, found.tracks, np.arange(24).reshape(-1, 2), particles=("mu", "mu"))
+    return replace(found, tables={**found.tables, "vertices": vertices})
 
 
 def links():

@@ -22,7 +22,8 @@ from cgemit.study import reproduce
 from cgemit.study.cluster_residuals import cluster_residuals, v_spectrum, x_spectrum
 from cgemit.study.paper import DETECTORS, MOMENTA
 from cgemit.study.paper.figures import good_event
-from cgemit.study.samples import seed_of
+from cgemit.study.paper.report import paper_report
+from cgemit.study.samples import record_of, seed_of
 from cgemit.study.scans import scan
 
 FIGURES = (
@@ -147,6 +148,44 @@ def test_study_depends_on_the_seed_and_not_on_threads():
     assert one != other
     assert one.results == two.results
     assert all(a.value != b.value for a, b in zip(one.results, other.results, strict=True) if "fraction" not in a.id)
+
+
+@pytest.fixture(scope="module")
+def found():
+    """Return a small reproduction with found tracks."""
+    return reproduce(events=400, seed=3, finder="ckf")
+
+
+@pytest.mark.slow
+def test_a_finder_changes_the_tracks_and_is_named(study, found, tmp_path):
+    """Clusters are the same; resolutions move by less than their errors; every output says who found the hits."""
+    assert found != study
+    assert "found by ckf" in repr(found)
+    assert found.summary()["inputs"]["hits"] == "found by ckf"
+    for row in study.results:
+        same = not row.id.startswith("sigma")
+        moved = abs(found[row.id].value - row.value)
+        assert moved == 0 if same else 0 < moved < row.error, row.id
+    page = paper_report(found, study.folder)
+    share = re.search(r"Hits are found by ckf\. Muons of 1 GeV/c with a track: ([\d.]+) % in besiii-cgem-design", page)
+    assert float(share[1]) > 99.5
+    assert "--finder ckf" in page
+    assert "assigned by truth, which no finder" in paper_report(study, study.folder)
+    entries = record_of(found.every_sample, 3)
+    assert {one["finder"] for one in entries["source"]} == {"ckf"}
+    assert not any("finder" in one for one in record_of(study.every_sample, 3)["source"])
+
+
+def test_scans_take_a_finder_and_compare_with_fakes():
+    """Differences of detectors hold where some tracks belong to no particle."""
+    noisy = cgemit.Settings(background=cgemit.BackgroundSettings(level="bes2009", factor=2))
+    how = {"events": 150, "seed": 2, "finder": "ckf", "settings": noisy}
+    one, base = (scan(name, [0.5], **how) for name in ("besiii-cgem", "besiii-idc"))
+    assert one.hits == "found by ckf"
+    assert (one.samples[0].tracks["particle"] < 0).any()
+    assert np.isfinite(one.minus(base).columns()["delta_sigma_dr_error (um)"]).all()
+    with pytest.raises(ValueError, match="finder: got 'nothing'"):
+        scan("besiii-cgem", [0.5], events=10, finder="nothing")
 
 
 @pytest.mark.slow

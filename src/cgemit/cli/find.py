@@ -55,6 +55,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument(
         "--overwrite", action="store_true", help="write into a folder that already holds files, replacing results"
     )
+    changes.add_readout(parser)
     changes.add_physics(parser)
     common.add_run(parser)
     common.add_common(parser)

@@ -8,6 +8,7 @@ import sys
 from typing import TYPE_CHECKING
 
 from cgemit.cli import changes, common, read
+from cgemit.cli.simulate import add_finder
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -73,6 +74,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     common.add_output(parser)
     changes.add_hypothesis(parser)
     changes.add_readout(parser)
+    add_finder(parser, more=" (--set find.hypothesis=pi: the mass in their fit)")
     changes.add_physics(parser)
     common.add_run(parser)
     common.add_common(parser)
@@ -120,7 +122,8 @@ def _scans(
         if arguments.method != "mc":  # first, since it is quick to find what is wrong
             lines = [scan_analytic(one, particle=particle, **how) for particle in particles for one in detectors]
         if arguments.method != "analytic":
-            points = scan_detectors(detectors, particles, events=arguments.events, progress=progress, **how)
+            how |= {"events": arguments.events, "finder": arguments.finder or "truth"}
+            points = scan_detectors(detectors, particles, progress=progress, **how)
     return points, lines
 
 

@@ -9,6 +9,7 @@ import sys
 from cgemit.cli import changes, common
 from cgemit.cli.common import HelpFormatter, add_common, add_field, add_output, add_run
 from cgemit.cli.read import positive
+from cgemit.cli.simulate import add_finder
 
 _DESCRIPTION = """\
 Reproduce arXiv:1504.02570: mu- of 1 GeV/c, cos(theta) uniform in +-0.93, in the CGEM tracker of the paper and in the
@@ -23,6 +24,7 @@ examples:
   cgemit study --quick --json -o look     summary.json on stdout too
   cgemit study --no-deltas -o projected   without delta electrons: the pure projection
   cgemit study --set digitize.readout.threshold=5 -o coarse   any setting of any stage (cgemit settings lists them)
+  cgemit study --finder ckf -o found       with tracks that are found, not assigned by truth
   cgemit study --field besiii -o uneven    the field of BESIII; or a map of your own, --field map.npz
 
 Ctrl-C leaves no results: the folder appears when everything is in it."""
@@ -45,6 +47,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     changes.add_set(parser, "change one setting, such as fit.loss=mean; may be repeated")
     changes.add_settings(parser)
     changes.add_readout(parser)
+    add_finder(parser)
     changes.add_physics(parser)
     add_run(parser)
     add_common(parser)
@@ -59,8 +62,8 @@ def run(arguments: argparse.Namespace) -> int:
     with common.Progress("study", quiet=arguments.quiet) as progress:
         study = reproduce(
             arguments.output, events=arguments.events, seed=arguments.seed, threads=arguments.threads,
-            quick=arguments.quick, settings=settings, field=arguments.field, overwrite=arguments.overwrite,
-            command=arguments.line, progress=progress,
+            quick=arguments.quick, settings=settings, field=arguments.field, finder=arguments.finder or "truth",
+            overwrite=arguments.overwrite, command=arguments.line, progress=progress,
         )  # fmt: skip
     if arguments.json:
         json.dump(study.summary(), sys.stdout, indent=2)

@@ -8,6 +8,7 @@ from cgemit.statistics.resolutions import Curve, pulls, resolution, resolution_a
 from cgemit.statistics.widths import GaussianFit, Pulls, Resolutions, gaussian_fit
 from cgemit.study.analytic_scan import AnalyticScan, scan_analytic
 from cgemit.study.cluster_residuals import DeltaFractions, delta_displacements, delta_fractions
+from cgemit.study.cosmic_halves import Cosmics, cosmics
 from cgemit.study.finding_metrics import Finding, FindingRates, finding
 from cgemit.study.optimizer import Background, Confirmation, Optimization, OptimizeError, optimize
 from cgemit.study.paper import Reproduction, reproduce
@@ -21,6 +22,7 @@ __all__ = [
     "AnalyticScan",
     "Background",
     "Confirmation",
+    "Cosmics",
     "Curve",
     "DeltaFractions",
     "Finding",
@@ -42,6 +44,7 @@ __all__ = [
     "Sweep",
     "chi2_flatness",
     "chi2_probability",
+    "cosmics",
     "delta_displacements",
     "delta_fractions",
     "finding",

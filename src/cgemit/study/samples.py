@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from cgemit import chain
+from cgemit.candidates import finder_name
 from cgemit.detector import Detector, MapField
 from cgemit.detector.field.core import extent
 from cgemit.fit import FitStatus
@@ -17,7 +18,7 @@ from cgemit.gun import Gun
 from cgemit.record import gun_data, record
 from cgemit.simulate import TransportStatus
 from cgemit.species import species
-from cgemit.stages import Settings
+from cgemit.stages import FinderLike, Settings
 from cgemit.statistics.estimate import FEWEST
 from cgemit.statistics.formatting import html_table, text_table
 from cgemit.study.cluster_residuals import ClusterResiduals, DeltaFractions, cluster_residuals, delta_fractions
@@ -30,7 +31,7 @@ ShowProgress = Callable[[float, str], None]
 
 @dataclass(frozen=True)
 class Order:
-    """A sample to be run."""
+    """A sample to be run; `finder` as of `cgemit.run`."""
 
     label: str
     detector: Detector
@@ -38,6 +39,7 @@ class Order:
     n_events: int
     seed: int
     settings: Settings
+    finder: FinderLike = field(default="truth", kw_only=True)
 
 
 @dataclass(frozen=True, repr=False)
@@ -51,6 +53,7 @@ class Sample(Order):
     gun : Gun
     n_events, seed : int
     settings : Settings
+    finder : "truth", "ckf" or callable
     tracks : Table
     clusters : ClusterResiduals
     deltas : DeltaFractions
@@ -120,8 +123,8 @@ def _part_of(progress: ShowProgress | None, before: int, order: Order, total: in
 
 def _run(order: Order, threads: int | None, progress: Callable[[float], None] | None) -> Sample:
     result = chain.run(
-        order.detector, order.gun, order.n_events, order.seed, settings=order.settings, threads=threads,
-        progress=progress,
+        order.detector, order.gun, order.n_events, order.seed, settings=order.settings, finder=order.finder,
+        threads=threads, progress=progress,
     )  # fmt: skip
     return Sample(
         **vars(order), tracks=result.tracks, clusters=cluster_residuals(result), deltas=delta_fractions(result),
@@ -145,6 +148,7 @@ def momentum_orders(
     events: int,
     seed: int,
     settings: Settings | None = None,
+    finder: FinderLike = "truth",
 ) -> list[Order]:
     """Return the samples of a momentum scan; each momentum has a seed of its own, the same for every detector."""
     orders = []
@@ -154,7 +158,8 @@ def momentum_orders(
         if species(gun.particle).charge == 0:
             raise ValueError(f"particle: got {particle!r}; expected a charged particle")
         label = f"{detector.name}, {gun.particle}, {p:g} GeV/c"
-        orders.append(Order(label, detector, gun, events, seed_of(seed, number), settings or Settings()))
+        seed_here = seed_of(seed, number)
+        orders.append(Order(label, detector, gun, events, seed_here, settings or Settings(), finder=finder))
     return orders
 
 
@@ -285,6 +290,7 @@ def record_of(samples: Sequence[Sample], seed: int, command: str = "") -> dict[s
     """
     source = [
         {"label": s.label, "detector": s.detector.name, "gun": gun_data(s.gun), "events": s.n_events, "seed": s.seed}
+        | ({} if s.finder == "truth" else {"finder": finder_name(s.finder)})
         for s in samples
     ]
     detectors = {s.detector.name: s.detector for s in samples}

@@ -10,6 +10,7 @@ from html import escape
 from pathlib import Path
 from typing import Any, Protocol
 
+from cgemit.candidates import finder_name
 from cgemit.detector import Detector
 from cgemit.io.folders import SUMMARY, new_folder
 from cgemit.record import gun_data, record, write_record
@@ -224,6 +225,7 @@ def _record(scans: Sequence[AnyScan], command: str) -> dict[str, Any]:
         for order in scan.orders:
             about: dict[str, Any] = {"label": order.label, "detector": order.detector.name, "gun": gun_data(order.gun)}
             about |= {"events": order.n_events, "seed": order.seed}
+            about |= {} if order.finder == "truth" else {"finder": finder_name(order.finder)}
             source.append(about if scan.method == "mc" else about | {"method": scan.method})
     return record(
         detectors=_detectors(scans), settings=scans[0].orders[0].settings, seed=scans[0].seed, source=source,

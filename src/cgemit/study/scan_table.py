@@ -7,6 +7,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from cgemit.fit import FitStatus
 from cgemit.statistics.estimate import core_sigma
 from cgemit.statistics.formatting import Tabular, html_table, text_table, with_error
@@ -70,7 +72,9 @@ def difference(sample: Sample, base: Sample, quantity: str) -> tuple[float, floa
     widths, replicas = [], []
     for one in (sample, base):
         residuals = sample_of(one.tracks, quantity)
-        group = one.tracks["event"][one.tracks["status"] == FitStatus.ok] % GROUPS
+        known = np.isfinite(residuals)  # tracks of no particle have no residual
+        group = one.tracks["event"][one.tracks["status"] == FitStatus.ok][known] % GROUPS
+        residuals = residuals[known]
         widths.append(width(one.tracks, quantity).core)
         replicas.append([core_sigma(residuals[group != left_out]) for left_out in range(GROUPS)])
     return widths[0] - widths[1], error_of_difference(*replicas)

@@ -9,15 +9,14 @@ from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
-import numpy.typing as npt
 
 from cgemit.detector import Detector, load
-from cgemit.stages import Settings, hits_text
+from cgemit.stages import FinderLike, Settings, hits_text
 from cgemit.statistics.curves import Line
 from cgemit.statistics.estimate import Resolution
 from cgemit.statistics.formatting import with_error
 from cgemit.statistics.forms import FORMS, FormFit, fit_form
-from cgemit.statistics.resolutions import QUOTED, pulls, resolution, resolution_against
+from cgemit.statistics.resolutions import QUOTED, pulls, resolution
 from cgemit.study.quantities import QUANTITIES, median_error, width
 from cgemit.study.samples import (
     Sample,
@@ -36,7 +35,6 @@ from cgemit.study.samples import (
 )
 from cgemit.study.scan_files import ScanBase
 from cgemit.study.scan_table import Differences, angle_text, counts_text, differences, scan_columns, shot_text
-from cgemit.tables import Table
 from cgemit.values import check_numbers
 
 #: Parameters whose resolution is quoted.
@@ -65,17 +63,6 @@ def _line(samples: Sequence[Sample], name: str, widths: Sequence[Resolution], un
         name, samples[0].detector.name, np.array([momentum_of(s) for s in samples]), "GeV/c",
         np.array([w.core for w in widths]), np.array([w.core_error for w in widths]), unit,
     )  # fmt: skip
-
-
-def angle_lines(tracks: Table, detector: str, parameter: str, edges: npt.ArrayLike) -> tuple[Line, Line]:
-    """Return the core resolution and the core width of the pull of a parameter against cos(theta)."""
-    lines = []
-    for kind, name in (("residual", "sigma"), ("pull", "pull")):
-        curve = resolution_against(tracks, parameter, "cos_theta", edges, kind=kind)  # type: ignore[arg-type]
-        unit = curve.unit
-        core, error = curve.column("core"), curve.column("core_error")
-        lines.append(Line(f"{name}_{parameter}_cos_theta", detector, np.array(curve.x), "", core, error, unit))
-    return lines[0], lines[1]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -215,6 +202,7 @@ def scan(
     events: int = 5000,
     seed: int = 1,
     settings: Settings | None = None,
+    finder: FinderLike = "truth",
     threads: int | None = None,
     progress: ShowProgress | None = None,
 ) -> Scan:
@@ -235,6 +223,8 @@ def scan(
     seed : int
     settings : Settings, optional
         Of all stages.
+    finder : "truth", "ckf" or callable
+        As of `cgemit.run`. Found tracks are fitted with the mass of ``settings.find.hypothesis``.
     threads : int, optional
         Default: all cores.
     progress : callable, optional
@@ -248,7 +238,7 @@ def scan(
     start = time.perf_counter()
     check_numbers("scan", seed, threads, events=(events, 1, 2**31 - 1))
     gun = gun_arguments(momenta, pt, particle, cos_theta, theta)
-    orders = momentum_orders(load(detector), **gun, events=events, seed=seed, settings=settings)
+    orders = momentum_orders(load(detector), **gun, events=events, seed=seed, settings=settings, finder=finder)
     samples = run_samples(orders, threads=threads, progress=progress)
     return Scan(tuple(samples), seed, time.perf_counter() - start)
 

@@ -252,6 +252,23 @@ _STATES = (
     _column("i1", "status", "", "whether there is a state (StateStatus; 0 is good)"),
 )
 
+_VERTICES = (
+    _EVENT,
+    _link("first", "first track of the pair", "tracks"),
+    _link("second", "second track of the pair", "tracks"),
+    *(_i4(f"{name}_pdg", f"particle whose mass the {name} track has, unsigned") for name in ("first", "second")),
+    *_point("", "vertex"),
+    Column("cov", np.dtype("f8"), "mm2", "covariance of x, y, z", shape=(3, 3)),
+    *(_f8(f"err_{axis}", "mm", f"standard deviation of {axis}") for axis in "xyz"),
+    *_momentum("momentum of the pair at the vertex"),
+    _f8("mass", "GeV/c2", "invariant mass of the pair"),
+    _f8("err_mass", "GeV/c2", "its standard deviation"),
+    _f8("chi2", "", "chi-square of the fit"),
+    _i4("ndf", "number of degrees of freedom"),
+    _i4("iterations", "number of iterations"),
+    _column("i1", "status", "", "how the fit ended (VertexStatus; 0 is good)"),
+)
+
 _KINDS = (
     ("particles", _PARTICLES, "one generated particle"),
     ("decays", _DECAYS, "one charged daughter of a decay in flight"),
@@ -267,6 +284,7 @@ _KINDS = (
     ("matches", _MATCHES, "one track and its particle"),
     ("residuals", _RESIDUALS, "one hit of a fitted track"),
     ("states", _STATES, "one track at one surface"),
+    ("vertices", _VERTICES, "one pair of tracks and their vertex"),
 )
 
 #: All tables by name.

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from cgemit.draw import chain_diagram, cluster, curves, display
 from cgemit.draw.style import COLORS, Picture, new_picture, style
@@ -15,13 +16,14 @@ from cgemit.statistics.chi2 import chi2_probability
 from cgemit.statistics.curves import SYMBOLS, Line, Spectrum, track_spectrum
 from cgemit.statistics.estimate import Resolution
 from cgemit.statistics.formatting import with_error, write_csv
-from cgemit.statistics.resolutions import pulls
+from cgemit.statistics.resolutions import pulls, resolution_against
 from cgemit.study.cluster_residuals import X_WINDOWS, ClusterResiduals, v_spectrum, x_spectrum, x_widths
 from cgemit.study.paper.published import FIGURES, paper_values
 from cgemit.study.paper.reproduction import Reproduction
 from cgemit.study.samples import ShowProgress
 from cgemit.study.scan_table import scan_columns
-from cgemit.study.scans import QUOTED_PARAMETERS, angle_lines, momentum_line, pull_line
+from cgemit.study.scans import QUOTED_PARAMETERS, momentum_line, pull_line
+from cgemit.tables import Table
 
 _ANGLE_BINS = 10
 _TAIL_REACH = 8000.0  # um
@@ -171,7 +173,7 @@ def _pulls_against_momentum(study: Reproduction, path: Path) -> Picture:
 def _against_angle(study: Reproduction, path: Path) -> Picture:
     edges = np.linspace(-0.93, 0.93, _ANGLE_BINS + 1)
     samples = [study.samples["cgem"], study.samples["idc"]]
-    pairs = {p: [angle_lines(s.tracks, s.detector.name, p, edges) for s in samples] for p in QUOTED_PARAMETERS}
+    pairs = {p: [_angle_lines(s.tracks, s.detector.name, p, edges) for s in samples] for p in QUOTED_PARAMETERS}
     widths = [(_SIGMAS[p], [pair[0] for pair in group]) for p, group in pairs.items()]
     ratios = [(f"core width, pull of {SYMBOLS[p]}", [pair[1] for pair in group]) for p, group in pairs.items()]
     _write_lines(_table(path), [line for _, group in (*widths, *ratios) for line in group])
@@ -200,3 +202,14 @@ def _write_lines(path: Path, lines: Sequence[Line]) -> None:
     ]
     headers = ("curve", "detector", "x", "x unit", "y", "y error", "y unit")
     write_csv(path, dict(zip(headers, zip(*rows, strict=True), strict=True)))
+
+
+def _angle_lines(tracks: Table, detector: str, parameter: str, edges: npt.ArrayLike) -> tuple[Line, Line]:
+    """Return the core resolution and the core width of the pull of a parameter against cos(theta)."""
+    lines = []
+    for kind, name in (("residual", "sigma"), ("pull", "pull")):
+        curve = resolution_against(tracks, parameter, "cos_theta", edges, kind=kind)  # type: ignore[arg-type]
+        unit = curve.unit
+        core, error = curve.column("core"), curve.column("core_error")
+        lines.append(Line(f"{name}_{parameter}_cos_theta", detector, np.array(curve.x), "", core, error, unit))
+    return lines[0], lines[1]

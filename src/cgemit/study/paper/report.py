@@ -4,6 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
+
+from cgemit.candidates import finder_name
+from cgemit.fit import FitStatus
 from cgemit.io.folders import RECORD
 from cgemit.simulate import SimulateSettings
 from cgemit.stages import Settings, finder_of, hits_text
@@ -24,7 +28,16 @@ _PURE = ", which no finder without truth can do: the resolutions contain no wron
 
 def _hits_note(study: Reproduction) -> str:
     tracks = next(iter(study.samples.values())).tracks
-    return f"Hits are {hits_text(tracks)}{_PURE if finder_of(tracks) == 'truth' else ''}."
+    if finder_of(tracks) == "truth":
+        return f"Hits are {hits_text(tracks)}{_PURE}."
+    shares = ", ".join(f"{100 * _found(s) / s.n_events:.2f} % in {s.detector.name}" for s in _main(study))
+    return f"Hits are {hits_text(tracks)}. Muons of 1 GeV/c with a track: {shares}."
+
+
+def _found(sample: Sample) -> int:
+    """Return how many muons have a track."""
+    good = (sample.tracks["status"] == FitStatus.ok) & (sample.tracks["particle"] >= 0)
+    return len(np.unique(sample.tracks["event"][good]))
 
 
 def paper_report(study: Reproduction, folder: Path) -> str:
@@ -151,7 +164,9 @@ def _repeat(study: Reproduction) -> list[Part]:
     in_words = {Settings(): "", Settings(simulate=SimulateSettings(deltas=False)): " --no-deltas"}
     settings = in_words.get(study.inputs.settings, f" --settings {RECORD}")
     field = f" --field {study.inputs.field}" if study.inputs.field else ""
-    command = f"cgemit study --events {study.inputs.events} --seed {study.inputs.seed}{settings}{field} -o DIR"
+    finder = study.inputs.finder
+    how = "" if finder == "truth" else f" --finder {finder_name(finder)}"
+    command = f"cgemit study --events {study.inputs.events} --seed {study.inputs.seed}{how}{settings}{field} -o DIR"
     seconds = ", ".join(f"{name} {value:.1f}" for name, value in study.timings.items())
     return [
         "The numbers depend on version, events and seed, not on threads.",

@@ -9,7 +9,7 @@ from typing import Any
 
 from cgemit.record import versions
 from cgemit.result import Result
-from cgemit.stages import Settings, hits_text
+from cgemit.stages import FinderLike, Settings, hits_text
 from cgemit.statistics.curves import Line
 from cgemit.statistics.formatting import Tabular, html_table, text_table, with_error
 from cgemit.study.paper.published import paper_values
@@ -72,6 +72,7 @@ class Inputs:
     quick: bool
     settings: Settings
     field: str | None = None  # None: the detectors' own
+    finder: FinderLike = "truth"
 
 
 @dataclass(frozen=True, eq=False, repr=False)

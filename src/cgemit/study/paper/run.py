@@ -14,7 +14,7 @@ from cgemit.detector import Detector, load
 from cgemit.gun import Gun
 from cgemit.io.folders import SUMMARY, check_free, new_folder
 from cgemit.record import write_record
-from cgemit.stages import Settings
+from cgemit.stages import FinderLike, Settings
 from cgemit.study.paper.reproduction import COS_THETA, DETECTORS, MOMENTA, THIN_GAP, Inputs, Reproduction
 from cgemit.study.paper.rows import make_rows
 from cgemit.study.samples import (
@@ -44,6 +44,7 @@ def reproduce(
     quick: bool = False,
     settings: Settings | None = None,
     field: str | os.PathLike[str] | None = None,
+    finder: FinderLike = "truth",
     overwrite: bool = False,
     command: str = "",
     progress: ShowProgress | None = None,
@@ -66,6 +67,8 @@ def reproduce(
         Of all stages, to try another model of matter or another read-out.
     field : str or path, optional
         Another magnetic field than the detectors' own (see `Detector.with_field`).
+    finder : "truth", "ckf" or callable
+        How hits come to their tracks, as of `cgemit.run`.
     overwrite : bool
         Write into a folder that holds files.
     command : str
@@ -89,8 +92,9 @@ def reproduce(
     if output is not None:
         check_free(output, overwrite=overwrite)
     inputs = Inputs(
-        events, events // _SHARE, seed, threads, quick, settings or Settings(), None if field is None else str(field)
-    )
+        events, events // _SHARE, seed, threads, quick, settings or Settings(), None if field is None else str(field),
+        finder,
+    )  # fmt: skip
     study = _measure(inputs, progress)
     return study if output is None else _write(study, Path(output), overwrite, command, progress)
 
@@ -101,7 +105,9 @@ def _measure(inputs: Inputs, progress: ShowProgress | None) -> Reproduction:
     thin = cgem.with_overrides({f"cgem.{layer.label}.drift_gap": f"{THIN_GAP:g} mm" for layer in cgem.cgem})
     gun = Gun("mu-", p=1.0, cos_theta=COS_THETA)
     main = [
-        Order(f"{name}, 1 GeV/c sample", detector, gun, inputs.events, inputs.seed, inputs.settings)
+        Order(
+            f"{name}, 1 GeV/c sample", detector, gun, inputs.events, inputs.seed, inputs.settings, finder=inputs.finder
+        )
         for name, detector in ((cgem.name, cgem), (idc.name, idc), (f"{cgem.name} with a {THIN_GAP:g} mm gap", thin))
     ]
     scans = [_scan_orders(detector, inputs) for detector in (cgem, idc)]
@@ -116,7 +122,7 @@ def _measure(inputs: Inputs, progress: ShowProgress | None) -> Reproduction:
     lines = [momentum_line(scan, name) for name in QUOTED_PARAMETERS for scan in curve_samples.values()]
     # Events have the same random numbers however many are run: these are the first ones of the sample.
     display = chain.run(
-        cgem, gun, _DISPLAY_EVENTS, inputs.seed, settings=inputs.settings, threads=inputs.threads
+        cgem, gun, _DISPLAY_EVENTS, inputs.seed, settings=inputs.settings, finder=inputs.finder, threads=inputs.threads
     )  # fmt: skip
     timings = {"run_s": time.perf_counter() - start, **_stage_seconds(samples)}
     rows = make_rows(named)
@@ -131,7 +137,7 @@ def _load(name: str, field: str | None) -> Detector:
 def _scan_orders(detector: Detector, inputs: Inputs) -> list[Order]:
     return momentum_orders(
         detector, MOMENTA, cos_theta=COS_THETA, events=inputs.events_per_momentum, seed=inputs.seed,
-        settings=inputs.settings,
+        settings=inputs.settings, finder=inputs.finder,
     )  # fmt: skip
 
 

@@ -1,0 +1,244 @@
+"""Vertices and masses of pairs of tracks: exact helices, Gaussian-smeared ones, and mistakes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+from scipy.stats import chi2 as chi2_law
+from scipy.stats import kstest
+
+import cgemit as cg
+from cgemit import helix
+from cgemit.fit import FitStatus
+from cgemit.gun import generate
+from cgemit.match import compare
+from cgemit.species import species
+from cgemit.tables import SCHEMAS
+from cgemit.vertex import with_truth
+from stats import assert_within, mean_error
+
+DETECTOR = cg.load("besiii-cgem-design")
+BZ = -1.0
+#: Errors of dr mm, phi0 rad, kappa, dz mm, tanl, with correlations as of a tracker.
+ERRORS = np.array([0.12, 1e-3, 5e-3, 0.25, 2e-3])
+
+
+def covariance(n: int) -> np.ndarray:
+    correlation = np.eye(5)
+    for i, j, value in ((0, 1, -0.8), (0, 2, 0.4), (1, 2, -0.6), (3, 4, -0.7)):
+        correlation[i, j] = correlation[j, i] = value
+    return np.tile(ERRORS[:, None] * correlation * ERRORS, (n, 1, 1))
+
+
+def tracks_of(particles: cg.Table, *, smear: int | None = None) -> tuple[cg.Table, cg.Table]:
+    """Return tracks with the helices of the particles, smeared with a seed, and their matches."""
+    parameters = helix.at_origin(particles, BZ)
+    cov = covariance(len(particles))
+    if smear is not None:
+        normal = np.random.default_rng(smear).normal(size=parameters.shape)
+        parameters = parameters + np.einsum("nij,nj->ni", np.linalg.cholesky(cov), normal)
+    n = len(particles)
+    columns = {column.name: np.zeros((n, *column.shape), column.dtype) for column in SCHEMAS["tracks"]}
+    columns |= dict(zip(helix.PARAMETERS, parameters.T, strict=True)) | {"cov": cov, "event": particles["event"]}
+    columns |= {f"err_{name}": np.sqrt(cov[:, i, i]) for i, name in enumerate(helix.PARAMETERS)}
+    columns |= {"hypothesis": np.abs(particles["pdg"]), "candidate": np.arange(n), "p": helix.momentum(parameters)}
+    columns["err_p"] = helix.momentum_error(parameters, cov)
+    tracks = cg.Table("tracks", columns, **particles.cover)
+    same = {"event": particles["event"], "track": np.arange(n), "particle": particles["particle"]}
+    same |= {"purity": np.ones(n), "efficiency": np.ones(n), "decayed": np.zeros(n, np.int8)}
+    from cgemit.detector import compiled
+
+    same |= compare(tracks, particles, np.arange(n), compiled(DETECTOR).field)
+    return tracks, cg.Table("matches", same, **particles.cover)
+
+
+@pytest.mark.parametrize(
+    ("name", "of"), [("ks-pipi", ("pi", "pi")), ("lambda-ppi", ("p", "pi")), ("jpsi", ("mu", "mu"))]
+)
+def test_exact_helices_meet_at_their_vertex(name: str, of: tuple[str, str]) -> None:
+    """Without errors of the parameters, vertex, momentum and mass are those of the decay."""
+    particles = decays(name, 300)
+    tracks, matches = tracks_of(particles)
+    found = with_truth(cg.fit_vertices(DETECTOR, tracks, particles=of), tracks, matches, particles)
+    pt = np.hypot(particles["px"], particles["py"]).reshape(-1, 2).min(axis=1)
+    plain = pt > 0.05  # slower ones may have turned by more than half a turn at the vertex
+    assert np.mean(plain) > 0.8
+    assert np.all(found["status"][plain] == 0)
+    for axis in "xyz":
+        assert np.allclose(found[f"res_{axis}"][plain], 0, atol=1e-6)
+    assert np.allclose(found["res_mass"][plain], 0, atol=1e-9)
+    assert np.allclose(found["chi2"][plain], 0, atol=1e-9)
+    for one in ("px", "py", "pz"):
+        assert np.allclose(found[one][plain], particles[one].reshape(-1, 2).sum(axis=1)[plain], atol=1e-9)
+
+
+def decays(name: str, n: int, seed: int = 1) -> cg.Table:
+    """Return pairs of particles from one vertex, the positive one first."""
+    if name == "jpsi":
+        given = generate(cg.sample("pipi-jpsi"), n, seed)
+        given = given[np.abs(given["pdg"]) == 13]
+    else:
+        given = generate(cg.sample(name), n, seed)
+    order = np.lexsort((-given["charge"], given["event"]))
+    columns = {key: value[order] for key, value in given.columns.items()}
+    return cg.Table("particles", columns, given.n_events)
+
+
+@pytest.mark.parametrize("spot", [None, cg.BeamSpot(sigma=(0.4, 0.01, 10.0))], ids=["free", "beam spot"])
+def test_smeared_helices_have_pulls_of_unit_width(spot: cg.BeamSpot | None) -> None:
+    """Vertex, mass and chi-square of helices with exactly the errors that the covariances state."""
+    n = 3000
+    sigma = (0.0, 0.0, 0.0) if spot is None else spot.sigma
+    gun = cg.Gun("mu+", p=(0.8, 1.5), cos_theta=(-0.8, 0.8), vertex_sigma=sigma)
+    first = generate(gun, n, seed=5)
+    second = generate(cg.Gun("mu-", p=(0.8, 1.5), cos_theta=(-0.8, 0.8)), n, seed=6)
+    both = {name: np.stack([first[name], second[name]], axis=1).ravel() for name in first}
+    for axis in "xyz":
+        both[axis] = np.repeat(first[axis], 2)
+    both["particle"] = np.tile([0, 1], n)
+    particles = cg.Table("particles", both, n)
+    tracks, matches = tracks_of(particles, smear=7)
+    pairs = np.arange(2 * n).reshape(-1, 2)
+    apart = np.abs(
+        np.sin(first["px"] * 0 + np.arctan2(first["py"], first["px"]) - np.arctan2(second["py"], second["px"]))
+    )
+    found = with_truth(
+        cg.fit_vertices(DETECTOR, tracks, pairs, particles=("mu", "mu"), beam_spot=spot), tracks, matches, particles
+    )
+    assert np.all(found["status"] == 0)
+    assert np.all(found["ndf"] == (1 if spot is None else 4))
+    wide = apart > 0.3  # tracks that cross at an angle; others are along a line, and not linear
+    for name in ("x", "y", "z", "mass"):
+        pull = found[f"pull_{name}"][wide]
+        assert_within(pull.std(), 1, 1 / np.sqrt(2 * wide.sum()), 5, name)
+        assert_within(pull.mean(), 0, mean_error(pull), 5, name)
+    probability = chi2_law.sf(found["chi2"], found["ndf"])[wide]
+    assert kstest(probability, "uniform").pvalue > 1e-4
+    if spot is not None:  # the constraint makes the vertex better than the free fit and better than the beam spot
+        free = cg.fit_vertices(DETECTOR, tracks, pairs, particles=("mu", "mu"))
+        assert np.all(found["err_x"] < np.minimum(free["err_x"], 0.4))
+
+
+def test_the_fit_is_the_least_squares_of_all_parameters() -> None:
+    """A general minimiser over the nine parameters finds the same vertex and chi-square."""
+    particles = decays("ks-pipi", 6, seed=3)
+    tracks, _ = tracks_of(particles, smear=1)
+    found = cg.fit_vertices(DETECTOR, tracks)
+    for row in range(len(found)):
+        pair = [found["first"][row], found["second"][row]]
+        measured = np.stack([[tracks[name][one] for name in helix.PARAMETERS] for one in pair])
+        half = np.linalg.cholesky(np.linalg.inv(covariance(1)[0])).T
+
+        def distance(values: np.ndarray, measured: np.ndarray = measured, half: np.ndarray = half) -> np.ndarray:
+            vertex, directions = values[:3], values[3:].reshape(2, 3)
+            pt = 1 / np.abs(directions[:, 1])
+            flight = [pt * np.cos(directions[:, 0]), pt * np.sin(directions[:, 0]), pt * directions[:, 2]]
+            columns = {"event": [0, 0], "pdg": [211, -211], **dict(zip(("px", "py", "pz"), flight, strict=True))}
+            columns |= {axis: [value, value] for axis, value in zip("xyz", vertex, strict=True)}
+            from cgemit.particles import particles_from
+
+            difference = helix.at_origin(particles_from(columns), BZ) - measured
+            difference[:, 1] = np.remainder(difference[:, 1] + np.pi, 2 * np.pi) - np.pi
+            return (difference @ half.T).ravel()
+
+        start = [found[axis][row] + 0.3 for axis in "xyz"]
+        for k in range(2):
+            start += [measured[k, 1] + np.pi / 2, measured[k, 2], measured[k, 4]]
+        best = least_squares(distance, start, x_scale="jac", xtol=1e-14, ftol=1e-14, gtol=1e-14)
+        errors = np.array([found[f"err_{axis}"][row] for axis in "xyz"])
+        assert np.allclose((best.x[:3] - [found[axis][row] for axis in "xyz"]) / errors, 0, atol=2e-2)
+        assert 2 * best.cost == pytest.approx(found["chi2"][row], abs=2e-2)
+        cov = np.linalg.inv(best.jac.T @ best.jac)[:3, :3]
+        assert np.allclose(cov / np.outer(errors, errors), found["cov"][row] / np.outer(errors, errors), atol=2e-2)
+
+
+def test_rotations_and_order_change_nothing() -> None:
+    particles = decays("ks-pipi", 40, seed=4)
+    tracks, _ = tracks_of(particles, smear=2)
+    found = cg.fit_vertices(DETECTOR, tracks)
+    turned = tracks.with_columns(phi0=np.remainder(tracks["phi0"] + 1.0 + np.pi, 2 * np.pi) - np.pi)
+    other = cg.fit_vertices(DETECTOR, turned)
+    assert np.allclose(other["mass"], found["mass"], rtol=1e-9)
+    assert np.allclose(other["x"], found["x"] * np.cos(1) - found["y"] * np.sin(1), atol=1e-5)
+    back = cg.fit_vertices(DETECTOR, tracks, np.stack([found["second"], found["first"]], axis=1)[::-1])
+    assert np.array_equal(back["event"], found["event"])
+    for name in ("x", "z", "mass", "err_mass", "chi2"):
+        assert np.allclose(back[name], found[name], rtol=1e-7, atol=1e-9)
+
+
+def test_pairs_are_of_opposite_charge_and_one_event() -> None:
+    particles = generate(cg.sample("d0-d0bar"), 50, seed=5)
+    particles = cg.Table("particles", {k: v[particles["charge"] != 0] for k, v in particles.columns.items()}, 50)
+    tracks, _ = tracks_of(particles)
+    pairs = cg.pair_tracks(tracks)
+    expected = [
+        (i, j)
+        for i in range(len(tracks))
+        for j in range(len(tracks))
+        if tracks["event"][i] == tracks["event"][j] and tracks["kappa"][i] > 0 > tracks["kappa"][j]
+    ]
+    assert sorted(map(tuple, pairs)) == expected
+    bad = tracks["status"].copy()
+    bad[pairs[0, 0]] = FitStatus.too_few_hits
+    rest = cg.pair_tracks(tracks.with_columns(status=bad))
+    assert len(rest) == len(pairs) - np.count_nonzero(pairs[:, 0] == pairs[0, 0])
+
+
+def test_tracks_without_a_fit_and_parallel_ones_say_so() -> None:
+    particles = decays("ks-pipi", 3)
+    tracks, _ = tracks_of(particles)
+    status = np.array([FitStatus.too_few_hits, 0, 0, 0, 0, 0])
+    cov = tracks["cov"].copy()
+    cov[3] = np.nan
+    found = cg.fit_vertices(DETECTOR, tracks.with_columns(status=status, cov=cov), [[0, 1], [2, 3], [4, 5]])
+    expected = [cg.VertexStatus.no_track, cg.VertexStatus.no_track, cg.VertexStatus.ok]
+    assert list(found["status"]) == expected
+    assert np.isnan(found["mass"][:2]).all()
+    assert np.isfinite(found["mass"][2])
+    same = {name: column[[0, 0]] for name, column in tracks.columns.items()}
+    twice = cg.fit_vertices(DETECTOR, cg.Table("tracks", same, 1), [[0, 1]])
+    assert twice["status"][0] == cg.VertexStatus.singular
+    empty = cg.fit_vertices(DETECTOR, cg.Table.empty("tracks", 4))
+    assert len(empty) == 0
+    assert empty.n_events == 4
+
+
+def test_mistakes_are_listed_together() -> None:
+    tracks, _ = tracks_of(decays("ks-pipi", 2))
+    with pytest.raises(ValueError, match="particles: got") as error:
+        cg.fit_vertices(DETECTOR, tracks, [[0, 9]], particles=("pi", "tau"), beam_spot=0.1)  # type: ignore[arg-type]
+    assert str(error.value).count("\n") == 3
+    with pytest.raises(ValueError, match="two tracks of one event"):
+        cg.fit_vertices(DETECTOR, tracks, [[0, 2]])
+    with pytest.raises(ValueError, match="one track twice"):
+        cg.fit_vertices(DETECTOR, tracks, [[0, 0]])
+    with pytest.raises(ValueError, match="sigma"):
+        cg.BeamSpot(sigma=(0.1, 0, 1))
+
+
+def test_hypotheses_are_told_apart() -> None:
+    """Where tracks were fitted with several masses, each side of the pair takes its own."""
+    settings = cg.Settings(fit=cg.FitSettings(hypothesis=("pi", "p")))
+    result = cg.run(DETECTOR, cg.sample("lambda-ppi", p=1.0, cos_theta=0), 30, settings=settings)
+    found = cg.fit_vertices(DETECTOR, result.tracks, particles=("p", "pi"))
+    good = found["status"] == 0
+    assert good.sum() > 15
+    assert np.all(result.tracks["hypothesis"][found["first"]] == 2212)
+    assert np.all(result.tracks["hypothesis"][found["second"]] == 211)
+    assert abs(np.median(found["mass"][good]) - species("Lambda").mass) < 1e-3
+
+
+def test_fitted_tracks_give_the_mass_and_its_error() -> None:
+    """The real fit: K_S that decay inside the beam pipe; pulls are those of the tracks, within 10 %."""
+    result = cg.run(DETECTOR, cg.sample("ks-pipi", p=(0.3, 1.0), cos_theta=(-0.7, 0.7)), 700, seed=3)
+    found = cg.fit_vertices(DETECTOR, result.tracks)
+    found = with_truth(found, result.fitted, result.matches, result.particles)
+    inside = (found["status"] == 0) & (np.hypot(found["truth_x"], found["truth_y"]) < 28)
+    n = np.count_nonzero(inside)
+    assert n > 350
+    for name in ("x", "y", "z", "mass"):
+        core = cg.study.measure(found[f"pull_{name}"][inside]).core
+        assert_within(core, 1, 0.035, what=name)  # 1.5 / sqrt(2 n)
+    assert_within(np.median(found["mass"][inside]), species("K0_S").mass, 1.25 * 0.003 / np.sqrt(n))
+    assert cg.study.measure(found["res_mass"][inside]).core < 0.003
