@@ -70,7 +70,9 @@ bool Follower::pass(const Perigee& start, const Symmetric<double>& prior,
   for (int time = 0; time < most_speed_ups; ++time) {
     nearby_.begin(*hits_, wide);
     trace(reference_);
-    if (!group_.stopped) break;
+    // A particle that stops behind its last hit may do so.
+    if (!group_.stopped || meets_all(forced.empty() ? std::span<const std::int32_t>(last_found_) : forced))
+      break;
     reference_.kappa *= speed_up;
   }
   for (Slot<double>& s : group_.slots) s.met = s.met && s.there;
@@ -97,6 +99,14 @@ bool Follower::pass(const Perigee& start, const Symmetric<double>& prior,
   }
   std::ranges::stable_sort(branches_, [](const Branch& a, const Branch& b) { return a.score > b.score; });
   return branches_.front().hits >= least_hits;
+}
+
+// Whether the reference passes all of some hits; false without any.
+bool Follower::meets_all(std::span<const std::int32_t> wanted) const {
+  std::size_t met = 0;
+  for (const Slot<double>& s : group_.slots)
+    if (s.met && s.hit[0] >= 0 && std::ranges::find(wanted, s.hit[0]) != wanted.end()) ++met;
+  return met > 0 && met >= wanted.size();
 }
 
 double Follower::variance_of(const Slot<double>& s) const {

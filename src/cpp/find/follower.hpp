@@ -62,6 +62,7 @@ class Follower {
   bool pass(const Perigee& start, const Symmetric<double>& prior, std::span<const std::int32_t> forced,
             bool wide);
   void trace(const Perigee& start);
+  bool meets_all(std::span<const std::int32_t> wanted) const;
   void gap_view(const GroupStep& step, View view, std::span<const std::int32_t> forced);
   void wires(const GroupStep& step);
   void wire(Slot<double>& slot);

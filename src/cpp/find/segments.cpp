@@ -5,6 +5,7 @@
 
 #include "common/angles.hpp"
 #include "detector/strip_plane.hpp"
+#include "find/trace_back.hpp"
 #include "motion/helix.hpp"
 
 namespace cgemit {
@@ -16,6 +17,8 @@ constexpr double height_error = 1.5;  // mm, of a crossing of X and V, with the 
 constexpr double gate = 4;            // standard deviations
 constexpr double usual_z = 100;       // mm, of vertices: only orders the seeds
 constexpr double thickness = 0.008;   // radiation lengths of a layer; of the beam pipe, too
+constexpr double slowed = 1.6;        // momentum at the origin over that in the segment
+constexpr double slow_kappa = 8;      // c/GeV; above it, the loss up to the segment matters
 constexpr double highland = 13.6 * MeV;
 
 // A circle through three points, flown through from the first to the last.
@@ -98,7 +101,7 @@ const std::vector<FindSeed>& SegmentFinder::three_layers(const EventHits& hits) 
 void SegmentFinder::three(std::size_t inner, const Point& a, const Point& b, const Point& c,
                           const EventHits& hits) {
   HelixPoint at = through(a.x, a.y, b.x, b.y, c.x, c.y);
-  if (std::abs(at.w) > 1.15 * largest_w_ || at.outward() < 0) return;
+  if (std::abs(at.w) > slowed * largest_w_ || at.outward() < 0) return;
   const PivotApproach line = approach_pivot(at, 0, 0);
   if (!line.exists || std::abs(line.d) > settings_.max_d) return;
   heights(hits, inner, a, low_, true);
@@ -123,12 +126,23 @@ void SegmentFinder::three(std::size_t inner, const Point& a, const Point& b, con
         const double off = (middle.z - low.z - tanl * (s_b - s_a)) / sigma_z;
         if (std::abs(off) > gate) continue;
         const double beside = line.d / sigma_d, far = z0 / usual_z;
-        add({line.d, wrap_angle(std::atan2(at.uy, at.ux) + line.turn), kappa, z0, tanl}, settings_.max_d,
-            {a.id, low.id, b.id, middle.id, c.id, high.id},
+        Perigee helix{line.d, wrap_angle(std::atan2(at.uy, at.ux) + line.turn), kappa, z0, tanl};
+        if (std::abs(kappa) > slow_kappa) helix = before_loss(at, b, low.z, tanl, s_b - s_a);
+        add(helix, settings_.max_d, {a.id, low.id, b.id, middle.id, c.id, high.id},
             off * off + std::min(beside * beside, 30.0) + far * far);
       }
     }
   }
+}
+
+// The circle has the momentum at its middle layer.
+Perigee SegmentFinder::before_loss(const HelixPoint& first, const Point& middle, double z, double tanl,
+                                   double arc) const {
+  const double turned = arc * first.w, cosine = std::cos(turned), sine = std::sin(turned);
+  return trace_back(detector_,
+                    {middle.x, middle.y, z + tanl * arc, cosine * first.ux - sine * first.uy,
+                     cosine * first.uy + sine * first.ux, tanl, first.w},
+                    settings_.mass);
 }
 
 const std::vector<FindSeed>& SegmentFinder::two_layers(const EventHits& hits) {
