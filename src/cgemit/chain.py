@@ -24,7 +24,7 @@ from cgemit.particles import particles_from
 from cgemit.record import configuration_of, gun_data, write_about
 from cgemit.result import Result, detectors_of
 from cgemit.simulate import simulate, transport_counts
-from cgemit.stages import TABLES, Settings, check_request, expected_settings, fit_settings, with_readout
+from cgemit.stages import TABLES, FinderLike, Settings, check_request, expected_settings, fit_settings, with_readout
 from cgemit.stored_run import open as open_run
 from cgemit.tables import Table, concatenate
 from cgemit.tables.formats import check_format
