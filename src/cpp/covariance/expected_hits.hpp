@@ -77,7 +77,7 @@ class ExpectedHits {
       add_cluster(step, view, index, there, edge, phi, at.z).hit = channel;
   }
 
-  void passes(GroupStep& step, const HelixPointOf<T>& at, const Mask& alive) {
+  CGEMIT_FLATTEN void passes(GroupStep& step, const HelixPointOf<T>& at, const Mask& alive) {
     step.first = step.last = next_;
     const std::size_t index = layer_++;
     if (again_) return repeat(step, at);
@@ -184,9 +184,8 @@ class ExpectedHits {
     group_.slots = std::span(group_.storage).first(used + 1);
     step.last = ++next_;
     Slot<T>& slot = group_.storage[used];
-    empty(slot);
+    slot.k = 0.0;
     slot.variance = 1.0;
-    slot.residual = 0.0;
     slot.view = view;
     slot.layer = static_cast<std::int32_t>(layer);
     return slot;

@@ -15,7 +15,7 @@ namespace cgemit {
 // Velocity-dependent properties of a slab are tabulated against ln(beta gamma), on one grid for all slabs.
 inline constexpr int loss_points = 161;
 inline constexpr double loss_grid_first = -3.0;  // ln(beta gamma)
-inline constexpr double loss_grid_step = 0.1;
+inline constexpr double loss_grid_step = 0.1, loss_grid_per_step = 10;
 
 // One chemical element of a slab.
 struct Component {

@@ -28,6 +28,7 @@ T wire_radius(const WireLayer& layer, const T& z) {
 // Azimuth of a wire at z, minus that at z = 0.
 template <class T>
 T wire_azimuth(const WireLayer& layer, const T& z) {
+  if (layer.twist_per_z == 0) return T(0.0);
   const T t = z * layer.twist_per_z;
   return t * atan_over(t);
 }

@@ -44,7 +44,7 @@ class HelixMotion {
   const T& kappa() const { return kappa_; }
 
   // Moves the lanes `who`; false where the cylinder is not reached.
-  CGEMIT_FLATTEN mask_of<T> go_to(double radius, mask_of<T> who) {
+  CGEMIT_FLATTEN mask_of<T> go_to(const T& radius, mask_of<T> who) {
     const HelixPointOf<T> from = point_;
     T step(0.0);
     const mask_of<T> reached = step_to_cylinder(point_, radius, step, true, who);
@@ -116,8 +116,9 @@ class HelixMotion {
       psi_psi_ = 1.0 - w_ * r.sideways;
       psi_kappa_ = m.turn_kappa_ - w_ * r.forward_kappa;
       psi_tanl_ = m.turn_tanl_ - w_ * r.forward_tanl;
-      per_determinant_ = 1.0 / (r.across[0] * psi_psi_ - r.across[1] * psi_d_);
-      const T per_both = 1.0 / (m.d_kappa_ * m.d_dip_);
+      const T determinant = r.across[0] * psi_psi_ - r.across[1] * psi_d_, both = m.d_kappa_ * m.d_dip_;
+      const T per_all = 1.0 / (determinant * both), per_both = determinant * per_all;
+      per_determinant_ = both * per_all;
       per_d_kappa_ = per_both * m.d_dip_;
       per_d_dip_ = per_both * m.d_kappa_;
     }

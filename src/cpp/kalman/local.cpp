@@ -156,16 +156,16 @@ StateStatus LocalMotion::integrate(LocalState& state, const Move& move) const {
 bool cross(LocalState& state, const Slab& slab, double part, const PropagationContext& context, bool outward,
            bool noise) {
   Perigee& h = state.helix;
-  const double tanl = h.tanl, sec_lambda = std::sqrt(1 + tanl * tanl);
+  const Dip<double> dip(h.tanl);
   const HelixPoint point = point_of(state, 0);
-  const double path = part * path_factor(slab, sec_lambda, std::abs(point.outward()));
-  const Kinematics here(sec_lambda / std::abs(h.kappa), context.mass, projectile_of(context.mass, h.kappa));
+  const double path = part * path_factor(slab, dip.sec, std::abs(point.outward()));
+  const Kinematics here(dip.sec / std::abs(h.kappa), context.mass, projectile_of(context.mass, h.kappa));
   const LossMoments loss = core_loss(slab, path, here, context.matter);
   if (outward && stops(here, loss)) return false;
   const SlabCrossing<double> crossing = outward ? cross_outward(slab, path, here, loss, context.matter)
                                                 : cross_inward(slab, path, here, context.matter);
   const double kappa = outward ? h.kappa : h.kappa * crossing.after.p / crossing.before.p;
-  const LossJacobian<double> by = crossing.jacobian(kappa, tanl, sec_lambda);
+  const LossJacobian<double> by = crossing.jacobian(kappa, dip);
   Matrix5 j = Matrix5::Identity();
   j(2, 2) = by.gain;
   j(2, 4) = by.mixed;
@@ -175,8 +175,7 @@ bool cross(LocalState& state, const Slab& slab, double part, const PropagationCo
     state.c = (j * state.c * j.transpose()).eval();
   }
   if (noise)
-    state.c +=
-        covariance(slab, crossing.noise(slab, kappa, tanl, sec_lambda, context.motion.turning(point, kappa)));
+    state.c += covariance(slab, crossing.noise(slab, kappa, dip, context.motion.turning(point, kappa)));
   if (outward) state.c = (j * state.c * j.transpose()).eval();
   h.kappa = outward ? h.kappa * by.ratio : kappa;
   return true;

@@ -24,6 +24,16 @@ struct LocalNoise {
   T shift_z, shift_psi;   // shift in dip: also along the flight, where the azimuth differs
 };
 
+// The dip angle of a track.
+template <class T>
+struct Dip {
+  T tanl, sec;  // tan(lambda), 1/cos(lambda)
+  T slope;      // d(ln(sec))/d(tanl)
+
+  explicit Dip(const T& tan_lambda)
+      : tanl(tan_lambda), sec(sqrt(1.0 + tanl * tanl)), slope(tanl / (sec * sec)) {}
+};
+
 template <class T>
 struct SlabCrossing {
   KinematicsOf<T> before, after;
@@ -32,25 +42,24 @@ struct SlabCrossing {
   T theta;  // rad, standard deviation of each angle
 
   // Jacobian of p' = p(E(p) - loss(p, tanl)): dp'/dp at fixed tanl and dp'/dtanl at fixed p.
-  LossJacobian<T> jacobian(const T& kappa, const T& tanl, const T& sec_lambda) const {
-    const T ratio = before.p * after.per_p, slope = tanl / (sec_lambda * sec_lambda);
-    const T by_p = after.per_beta * (before.p / before.energy - loss.slope);
-    const T by_tanl = -after.per_beta * loss.loss * slope;
+  LossJacobian<T> jacobian(const T& kappa, const Dip<T>& dip) const {
+    const T ratio = before.p * after.per_p;
+    const T by_p = after.per_beta * (before.beta() - loss.slope);
+    const T by_tanl = -after.per_beta * loss.loss;
     return {ratio, by_p * ratio * ratio,
-            kappa * ratio * (slope - by_p * ratio * slope - by_tanl * after.per_p)};
+            kappa * ratio * dip.slope * (1.0 - by_p * ratio - by_tanl * after.per_p)};
   }
 
   // `w`: curvature of the flight.
-  LocalNoise<T> noise(const Slab& slab, const T& kappa, const T& tanl, const T& sec_lambda,
-                      const T& w) const {
+  LocalNoise<T> noise(const Slab& slab, const T& kappa, const Dip<T>& dip, const T& w) const {
     const T shift = theta * slab.spread * path;
-    return {theta * sec_lambda,
-            kappa * tanl * theta,
-            sec_lambda * sec_lambda * theta,
+    return {theta * dip.sec,
+            kappa * dip.tanl * theta,
+            dip.sec * dip.sec * theta,
             kappa * sqrt(loss.variance) * before.energy * before.per_p * before.per_p,
             shift,
-            shift * sec_lambda,
-            w * shift * tanl / sec_lambda};
+            shift * dip.sec,
+            w * shift * dip.slope * dip.sec};
   }
 };
 

@@ -38,9 +38,8 @@ class Tracer {
       : detector_(detector),
         group_(group),
         motion_(detector, start),
-        tanl_(start.tanl),
-        sec_lambda_(sqrt(1.0 + tanl_ * tanl_)),
-        now_(sec_lambda_ / abs(start.kappa), mass, projectile),
+        dip_(start.tanl),
+        now_(dip_.sec / abs(start.kappa), mass, projectile),
         track_(total_matter(detector, start.tanl)),
         observer_(observer) {
     set_cut(track_, now_);
@@ -105,7 +104,7 @@ class Tracer {
     const T tan_a = r.sideways / outward, per_cos = radius / outward;
     const T scale = layer.r_readout / radius;
     const double gap = layer.r_gap_out - layer.r_gap_in, around = 2 * pi * layer.r_readout;
-    const T x_extent = scale * gap * tan_a, z_extent = gap * per_cos * tanl_;
+    const T x_extent = scale * gap * tan_a, z_extent = gap * per_cos * dip_.tanl;
     const Five<T> row_x = (scale * per_cos) * r.across;
     HelixPointOf<T> shifted;
     if (layer.placement.moved) shifted = seen_by(layer.placement, at);
@@ -125,7 +124,7 @@ class Tracer {
     const mask_of<T> take_other = near_edge & (abs(other - slot.drift) < abs(v - slot.drift));
     slot.extent = abs(x_extent * cosine - z_extent * sine);
     T predicted = select(take_other, other, v);
-    Five<T> row = T(cosine) * row_x - T(sine) * (r.along_z + (tanl_ * tan_a) * r.across);
+    Five<T> row = T(cosine) * row_x - T(sine) * (r.along_z + (dip_.tanl * tan_a) * r.across);
     if (any(slot.k != 0.0)) {  // in the same turn as the measured X
       const T turns = around * nearest((slot.x - x) * (1 / around));
       predicted = select(slot.k != 0.0, v + cosine * turns - slot.k * (x + turns), predicted);
@@ -169,7 +168,7 @@ class Tracer {
       return;
     }
     const HelixPointOf<T>& at = motion_.point();
-    const T whole = path_factor(slab, sec_lambda_, abs(at.outward()));
+    const T whole = path_factor(slab, dip_.sec, abs(at.outward()));
     T path = all(crosses) ? whole : select(crosses, whole, T(0.0));
     LossMomentsOf<T> loss = core_loss(slab, path, now_, track_);
     const mask_of<T> ends = crosses & stops(now_, loss);
@@ -200,7 +199,7 @@ class Tracer {
   CGEMIT_NOINLINE void scatter(Kink<T>& kink, mask_of<T> who) {
     kink.aside = select(who, kink.aside, T(0.0));
     kink.up = select(who, kink.up, T(0.0));
-    const T ahead = 1.0 - kink.up * tanl_, turned = kink.aside * tanl_;
+    const T ahead = 1.0 - kink.up * dip_.tanl, turned = kink.aside * dip_.tanl;
     const T scale = 1.0 / sqrt(ahead * ahead + turned * turned);
     kink.cosine = ahead * scale;
     kink.sine = turned * scale;
@@ -208,16 +207,13 @@ class Tracer {
     set_dip();
   }
 
-  void set_dip() {
-    tanl_ = motion_.point().tanl;
-    sec_lambda_ = sqrt(1.0 + tanl_ * tanl_);
-  }
+  void set_dip() { dip_ = Dip<T>(motion_.point().tanl); }
 
   template <class Noise>
   void make_noise(const Slab& slab, const SlabCrossing<T>& crossing, Noise& noise) const {
     const Rows<T> r = motion_.rows();
     const typename Motion::Backward origin(motion_, r);
-    const LocalNoise<T> here = crossing.noise(slab, motion_.kappa(), tanl_, sec_lambda_, motion_.point().w);
+    const LocalNoise<T> here = crossing.noise(slab, motion_.kappa(), dip_, motion_.point().w);
     noise.turn = origin.turned(here.turn_psi);
     noise.dip = origin.changed(here.dip_kappa, here.dip_tanl);
     noise.straggling = origin.slowed(here.straggling_kappa);
@@ -247,7 +243,7 @@ class Tracer {
   }
 
   void lose(const SlabCrossing<T>& crossing, mask_of<T> crosses) {
-    const LossJacobian<T> j = crossing.jacobian(motion_.kappa(), tanl_, sec_lambda_);
+    const LossJacobian<T> j = crossing.jacobian(motion_.kappa(), dip_);
     if (all(crosses)) {
       motion_.lose(j.ratio, j.gain, j.mixed);
       now_ = crossing.after;
@@ -261,7 +257,7 @@ class Tracer {
   const Detector& detector_;
   Group<T>& group_;
   Motion motion_;
-  T tanl_, sec_lambda_;
+  Dip<T> dip_;
   KinematicsOf<T> now_;
   TrackMatterOf<T> track_;
   T reached_{0.0};             // hits

@@ -31,7 +31,7 @@ T log_ratio(const T& a, const T& b, const T& per_b) {
 template <class T>
 struct KinematicsOf {
   T p, energy, mass;
-  T per_p, per_mass, per_beta, per_beta2, beta2, gamma;
+  T per_p, per_energy, per_mass, per_beta, per_beta2, beta2, gamma;
   T log_bg, log_gamma;  // ln(beta gamma), ln(gamma)
   T has_spin;           // 1 for spin 1/2, else 0; it affects the collision spectrum of heavy particles
   Projectile projectile;
@@ -54,18 +54,20 @@ struct KinematicsOf {
     k.p = sqrt((k.energy - mass) * (k.energy + mass));
     k.follow();
     k.log_bg += log_ratio(k.p, p, per_p);
-    k.log_gamma += log_ratio<T>(k.energy, energy, per_p / per_beta);
+    k.log_gamma += log_ratio(k.energy, energy, per_energy);
     return k;
   }
   // Takes a in the lanes of `m` and b in the others.
   friend KinematicsOf select(mask_of<T> m, KinematicsOf a, const KinematicsOf& b) {
-    for (T KinematicsOf::* x : {&KinematicsOf::p, &KinematicsOf::energy, &KinematicsOf::per_p,
-                                &KinematicsOf::per_beta, &KinematicsOf::per_beta2, &KinematicsOf::beta2,
-                                &KinematicsOf::gamma, &KinematicsOf::log_bg, &KinematicsOf::log_gamma})
+    for (T KinematicsOf::* x :
+         {&KinematicsOf::p, &KinematicsOf::energy, &KinematicsOf::per_p, &KinematicsOf::per_energy,
+          &KinematicsOf::per_beta, &KinematicsOf::per_beta2, &KinematicsOf::beta2, &KinematicsOf::gamma,
+          &KinematicsOf::log_bg, &KinematicsOf::log_gamma})
       a.*x = select(m, a.*x, b.*x);
     return a;
   }
   bool is_light() const { return projectile >= Projectile::electron; }
+  T beta() const { return p * per_energy; }
   T kinetic() const { return energy - mass; }
   T log_beta2() const { return 2.0 * (log_bg - log_gamma); }
   // Largest energy transfer of one collision to an electron at rest; PDG 2024 eq. 34.4. Of two electrons the
@@ -79,10 +81,12 @@ struct KinematicsOf {
 
  private:
   void follow() {
-    per_p = 1.0 / p;
+    const T per_both = 1.0 / (p * energy);
+    per_p = energy * per_both;
+    per_energy = p * per_both;
     per_beta = energy * per_p;
     per_beta2 = per_beta * per_beta;
-    beta2 = 1.0 / per_beta2;
+    beta2 = beta() * beta();
     gamma = energy * per_mass;
   }
 };

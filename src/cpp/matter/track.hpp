@@ -81,7 +81,7 @@ struct GridPlace {
   double fraction;
 
   explicit GridPlace(double log_bg) {
-    const double position = (log_bg - loss_grid_first) / loss_grid_step;
+    const double position = (log_bg - loss_grid_first) * loss_grid_per_step;
     const int bin = std::clamp(static_cast<int>(position), 0, loss_points - 2);
     i = static_cast<std::size_t>(bin);
     fraction = position - bin;
@@ -94,6 +94,7 @@ template <class T>
 struct GridPlaces {
   std::array<std::size_t, lanes_of<T>> i;
   T fraction;
+  bool together = true;  // whether all lanes are in the same bin
 
   explicit GridPlaces(const T& log_bg) {
     if constexpr (lanes_of<T> == 1) {
@@ -101,10 +102,11 @@ struct GridPlaces {
       i = {place.i};
       fraction = place.fraction;
     } else {
-      const T position = (log_bg - loss_grid_first) / loss_grid_step;
+      const T position = (log_bg - loss_grid_first) * loss_grid_per_step;
       const T bin = nearest(smaller(larger(position - 0.5, 0.0), loss_points - 2.0));
       fraction = position - bin;
       i = std::bit_cast<decltype(i)>(whole(bin));
+      together = all(bin == lane(bin, 0));
     }
   }
 };
@@ -116,10 +118,15 @@ struct Read {
 };
 template <double SlabPoint::* column, class T>
 Read<T> read(const Slab& slab, const GridPlaces<T>& at) {
-  const T here = gathered<T>([&](int k) { return slab.table[at.i[static_cast<std::size_t>(k)]].*column; });
-  const T next =
-      gathered<T>([&](int k) { return slab.table[at.i[static_cast<std::size_t>(k)] + 1].*column; });
-  return {here + at.fraction * (next - here), (next - here) / loss_grid_step};
+  T here, next;
+  if (at.together) {
+    here = slab.table[at.i[0]].*column;
+    next = slab.table[at.i[0] + 1].*column;
+  } else {
+    here = gathered<T>([&](int k) { return slab.table[at.i[static_cast<std::size_t>(k)]].*column; });
+    next = gathered<T>([&](int k) { return slab.table[at.i[static_cast<std::size_t>(k)] + 1].*column; });
+  }
+  return {here + at.fraction * (next - here), (next - here) * loss_grid_per_step};
 }
 template <double SlabPoint::* column, class T>
 Read<T> read(const Slab& slab, const T& log_bg) {

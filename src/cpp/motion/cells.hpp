@@ -53,7 +53,7 @@ using CellNumbers = std::array<std::int64_t, static_cast<std::size_t>(lanes_of<T
 template <class T>
 CellNumbers<T> cell_numbers(const WireLayer& layer, const T& count) {
   const T cells(layer.cells);
-  T cell = count - cells * nearest(count / cells);
+  T cell = count - cells * nearest(count * (1.0 / layer.cells));
   cell = select(cell < 0.0, cell + cells, cell);
   return std::bit_cast<CellNumbers<T>>(whole(cell));
 }
@@ -89,7 +89,8 @@ class CellFinder {
       range.arc = select(turns, arc, range.arc);
     }
     const CellBorders<T> borders(wires_, index, range.at_wires.z);
-    const Mask found = any(reached) ? by_slope(layer, borders, cylinder, reached, range) : reached;
+    const Mask found =
+        any(reached) ? by_slope(layer, borders, cylinder, reached, range.at_wires, range) : reached;
     const Mask others = who & !found & !left_;
     return any(others) ? found | step_by_step(layer, from, borders, others, range) : found;
   }
@@ -100,10 +101,9 @@ class CellFinder {
   // Cells from the slope of the track at the wires; false if the curvature of the track could change the
   // result.
   Mask by_slope(const WireLayer& layer, const CellBorders<T>& borders, const T& radius, const Mask& who,
-                CellRange<T, Point>& range) {
-    const HelixPointOf<T>& middle = range.at_wires;
-    const T p = middle.outward(), per_p = 1.0 / p, per_radius = 1.0 / radius;
-    const T tan_a = middle.sideways() * per_p, per_cos = radius * per_p;
+                const HelixPointOf<T>& middle, CellRange<T, Point>& range) {
+    const T p = middle.outward(), per_both = 1.0 / (p * radius), per_radius = p * per_both;
+    const T per_cos = radius * radius * per_both, tan_a = middle.sideways() * radius * per_both;
     const T twist_tanl = layer.twist_per_z * middle.tanl;
     const T at = cell_coordinate(layer, azimuth_of(middle, who), middle.z);
     const T slope = (tan_a * per_radius - twist_tanl * per_cos) * layer.per_radian;
