@@ -14,10 +14,12 @@ inline bool is_track(const FoundTrack& track) {
   return track.across >= 3 && track.along >= 2 && track.across + track.along >= 6;
 }
 
-// Chance finds hits wherever it looks: each hit must add to the likelihood on average, and fit.
+// Chance finds hits wherever it looks: each hit must add to the likelihood on average, and fit; and where a
+// track is so uncertain that no cell must fire, half of the layers must have a hit all the same.
 inline bool is_likely(const FoundTrack& track, double min_score) {
   constexpr double per_hit = 2.5, chi2_per_hit = 15;
   const auto n = static_cast<double>(track.hits.size());
+  if (2 * track.layers < track.spanned) return false;
   return track.score > min_score + per_hit * n && track.chi2 < chi2_per_hit * n;
 }
 

@@ -72,7 +72,7 @@ class EventHits {
   bool is_taken(std::int32_t id) const { return taken_[static_cast<std::size_t>(id)] != 0; }
   void take(std::int32_t id) { taken_[static_cast<std::size_t>(id)] = 1; }
 
-  // Expected number of foreign hits per mm of the measured coordinate, from the hits of this event.
+  // Expected number of foreign hits per mm of the measured coordinate, from the other hits of this event.
   double density(std::size_t layer, View view) const {
     if (view == View::wire) {
       const WireLayer& wires = detector_.wires[layer];
@@ -80,7 +80,7 @@ class EventHits {
     }
     const CgemLayer& cgem = detector_.cgem[layer];
     const double width = view == View::x ? cgem.strips_x * cgem.pitch_x : cgem.strips_v * cgem.pitch_v;
-    return (last(layer, view) - first(layer, view) + 0.5) / (cgem.sheets * width);
+    return std::max(last(layer, view) - first(layer, view) - 0.5, 0.5) / (cgem.sheets * width);
   }
   // Share of the cells of a layer that have a hit.
   double occupancy(std::size_t layer) const { return (fired_[layer] + 0.5) / detector_.wires[layer].cells; }

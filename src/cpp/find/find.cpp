@@ -1,5 +1,6 @@
 #include "find/find.hpp"
 
+#include <algorithm>
 #include <cmath>
 
 #include "find/axial.hpp"
@@ -44,12 +45,18 @@ class EventFinder {
  private:
   static constexpr int most_failures = 8;  // circles in a row that led to no track beyond doubt
 
-  // A seed of which two clusters belong to a track beyond doubt is not followed.
+  // A seed of which two clusters belong to a track beyond doubt is not followed, nor one that is part of a
+  // track.
   void try_segment(const FindSeed& seed) {
     int taken = 0;
     for (const std::int32_t id : seed.hits) taken += hits_.is_taken(id) ? 1 : 0;
-    if (taken >= 2) return;
+    if (taken >= 2 || std::ranges::any_of(tracks_, [&](const FoundTrack& t) { return holds(t, seed); }))
+      return;
     try_seed(seed);
+  }
+  static bool holds(const FoundTrack& track, const FindSeed& seed) {
+    return std::ranges::all_of(
+        seed.hits, [&](std::int32_t id) { return std::ranges::find(track.hits, id) != track.hits.end(); });
   }
 
   bool try_seed(const FindSeed& seed) {

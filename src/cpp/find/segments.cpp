@@ -18,6 +18,7 @@ constexpr double gate = 4;            // standard deviations
 constexpr double usual_z = 100;       // mm, of vertices: only orders the seeds
 constexpr double thickness = 0.008;   // radiation lengths of a layer; of the beam pipe, too
 constexpr double slowed = 1.6;        // momentum at the origin over that in the segment
+constexpr double slow_d = 15;         // mm, of slower particles from the beam line
 constexpr double slow_kappa = 8;      // c/GeV; above it, the loss up to the segment matters
 constexpr double highland = 13.6 * MeV;
 
@@ -103,7 +104,8 @@ void SegmentFinder::three(std::size_t inner, const Point& a, const Point& b, con
   HelixPoint at = through(a.x, a.y, b.x, b.y, c.x, c.y);
   if (std::abs(at.w) > slowed * largest_w_ || at.outward() < 0) return;
   const PivotApproach line = approach_pivot(at, 0, 0);
-  if (!line.exists || std::abs(line.d) > settings_.max_d) return;
+  const bool slow = std::abs(at.w) > 1.15 * largest_w_;
+  if (!line.exists || std::abs(line.d) > (slow ? slow_d : settings_.max_d)) return;
   heights(hits, inner, a, low_, true);
   heights(hits, inner + 1, b, middle_, true);
   heights(hits, inner + 2, c, high_, true);
@@ -116,7 +118,7 @@ void SegmentFinder::three(std::size_t inner, const Point& a, const Point& b, con
       if (too_much()) return;
       work_ += 1 + static_cast<std::int64_t>(middle_.size());
       const double tanl = (high.z - low.z) / (s_c - s_a), z0 = low.z - tanl * s_a;
-      if (std::abs(z0) > settings_.max_z) continue;
+      if (std::abs(z0) > (slow ? usual_z : settings_.max_z)) continue;
       const double p = pt * std::sqrt(1 + tanl * tanl), beta = p / std::hypot(p, settings_.mass);
       const double theta = highland / (p * beta) * std::sqrt(thickness * std::sqrt(1 + tanl * tanl));
       const double scattered = theta * (s_c - s_b) * (1 + tanl * tanl);
