@@ -13,7 +13,7 @@ from typing import Any, Literal
 from cgemit import find
 from cgemit.background import add_background
 from cgemit.candidates import Finder, by_finder, finder_name
-from cgemit.chunks import MANY, Answer, Totals, answers
+from cgemit.chunks import MANY, Answer, Totals, answers, workers_of
 from cgemit.detector import Detector, load
 from cgemit.digitize import DigitizeSettings, Readout, cluster_digis, digitize
 from cgemit.find.tracks import find_tracks
@@ -21,11 +21,11 @@ from cgemit.fit import FitSettings, fit
 from cgemit.gun import Gun, Guns, generate
 from cgemit.io.folders import new_folder
 from cgemit.match import match
-from cgemit.memory import check_disk
+from cgemit.memory import PROBE, PROBED, check_chunk, check_disk
 from cgemit.particles import particles_from
-from cgemit.problems import did_you_mean
+from cgemit.problems import Problems, did_you_mean
 from cgemit.record import configuration_of, gun_data, write_about
-from cgemit.result import TABLES, Result, Settings, detectors_of, transport_counts
+from cgemit.result import EVERY_RUN, TABLES, Result, Settings, detectors_of, transport_counts
 from cgemit.simulate import simulate
 from cgemit.stored_run import open as open_run
 from cgemit.tables import Table, concatenate
@@ -209,13 +209,25 @@ def run(
     start = time.perf_counter()
     if not isinstance(settings, Settings | None):
         raise TypeError(f"settings: got {type(settings).__name__}, expected {_expected(settings)}")
-    detector, settings = load(detector), with_readout(settings or Settings(), readout)
-    believed = detector if fit_detector is None else load(fit_detector)
-    other = None if believed == detector else believed
+    found = Problems("run")
+    simulated = found.collect(load, detector)
+    settings = found.collect(with_readout, settings or Settings(), readout)
+    assumed = simulated if fit_detector is None else found.collect(load, fit_detector)
     most = 2**31 - 1
-    check_numbers("run", seed, threads, n=(n, 0, most), chunk=(chunk, 1, most))
-    kept = _check_stages(finder, until, executor, keep)
-    shooter, n_events, table = _source(gun, n)
+    found.collect(check_numbers, "run", seed, threads, n=(n, 0, most), chunk=(chunk, 1, most))
+    kept = found.collect(_check_stages, finder, until, executor, keep, settings)
+    found.collect(_check_calibration, simulated, settings, until)
+    source = found.collect(_source, gun, n)
+    if output is not None:
+        found.collect(check_format, format)
+    found.report()
+    assert simulated is not None
+    assert settings is not None
+    assert assumed is not None
+    assert source is not None
+    detector, believed = simulated, assumed
+    other = None if believed == detector else believed
+    shooter, n_events, table = source
 
     def task(first: int) -> tuple[Any, ...]:
         count = min(chunk, n_events - first)
@@ -232,12 +244,14 @@ def run(
             timings=timings, transported=transported,
         )  # fmt: skip
 
+    if min(chunk, n_events) > PROBED:
+        sample = _work(detector, believed, shooter, table, 0, PROBE, settings, seed, finder, until, kept)
+        check_chunk(sample.sizes, sample.events, min(chunk, n_events), min(len(tasks), workers_of(threads, executor)))
     totals = Totals(progress, len(tasks))
     if output is None:
         parts = answers(_work, tasks, threads, executor, None if len(tasks) <= MANY else n_events)
         joined = concatenate([totals.add(answer) for answer in parts], gaps=table is not None)
         return result({name: joined[name].with_meta(**meta) for name in TABLES if name in joined}, totals)
-    check_format(format)
     with new_folder(output, overwrite=overwrite) as folder:
         writer = PartsWriter(folder, format, gaps=table is not None)
         for answer in answers(_work, tasks, threads, executor, None, pending=True):
@@ -271,7 +285,32 @@ def with_readout(settings: Settings, readout: Readout | str | None) -> Settings:
     return settings
 
 
-def _check_stages(finder: object, until: object, executor: Executor | None, keep: Any) -> tuple[str, ...] | None:
+def tables_made(until: str, settings: Settings) -> tuple[str, ...]:
+    """Return the tables that a run makes.
+
+    Parameters
+    ----------
+    until : str
+        Its last stage.
+    settings : Settings
+    """
+    fitted = ("tracks", *(name for name in ("residuals", "states") if getattr(settings.fit, name)), "matches")
+    by_stage = (EVERY_RUN, ("digis", "wire_hits"), ("clusters",), ("candidates", "candidate_hits"), fitted)
+    return tuple(name for names in by_stage[: STAGES.index(until) + 1] for name in names)
+
+
+def _check_calibration(detector: Detector | None, settings: Settings | None, until: object) -> None:
+    """Raise an error if the read-out needs a calibration that there is not, before anything is simulated."""
+    if detector is None or settings is None or until not in STAGES[2:]:
+        return
+    readout = settings.digitize.readout
+    if hasattr(readout, "calibration"):
+        readout.expected_errors(detector)
+
+
+def _check_stages(
+    finder: object, until: object, executor: Executor | None, keep: Any, settings: Settings | None
+) -> tuple[str, ...] | None:
     """Raise an error if a run cannot be as asked for; return the tables to be kept, None for all."""
     problems = []
     names = [keep] if isinstance(keep, str) else [] if keep is None else list(keep)
@@ -288,6 +327,13 @@ def _check_stages(finder: object, until: object, executor: Executor | None, keep
         )
     if until not in STAGES:
         problems.append(f"until: got {until!r}, expected one of {', '.join(map(repr, STAGES))}")
+    elif settings is not None:
+        made = tables_made(str(until), settings)
+        missing = [name for name in names if name in TABLES and name not in made]
+        if missing:
+            problems.append(
+                f"keep: got {', '.join(missing)}, which this run does not make, only {', '.join(made)}"
+            )
     if problems:
         raise ValueError("run:\n  " + "\n  ".join(problems))
     if callable(finder) and isinstance(executor, ProcessPoolExecutor):
@@ -343,9 +389,6 @@ def _work(
     transport = transport_counts(tables["particles"]["status"])
     sizes = {name: sum(column.nbytes for column in one.columns.values()) for name, one in tables.items()}
     if keep is not None:
-        missing = [name for name in keep if name not in tables and name != "matches"]
-        if missing:
-            raise ValueError(f"keep: got {', '.join(missing)}, which this run does not make, only {', '.join(tables)}")
         kept = {name: tables[name] for name in TABLES if name in tables and name in keep}
         tables = {name: one.with_columns(**without_links(one, kept)) for name, one in kept.items()}
     return Answer(tables, seconds, transport, count, sizes)
