@@ -11,20 +11,29 @@ from typing import Any, Literal
 from cgemit import find
 from cgemit.background import add_background
 from cgemit.candidates import by_finder
-from cgemit.chunks import MANY, Answer, Totals, answers
+from cgemit.chunks import MANY, Answer, Totals, answers, workers_of
 from cgemit.detector import Detector, load
 from cgemit.digitize import Readout, cluster_digis, digitize
 from cgemit.find.tracks import find_tracks
 from cgemit.fit import fit
-from cgemit.gun import Guns, Source, generate
+from cgemit.gun import Guns, Source, generate, source_of
 from cgemit.io.folders import new_folder
 from cgemit.match import match
-from cgemit.memory import check_disk
-from cgemit.particles import particles_from
+from cgemit.memory import PROBE, PROBED, check_chunk, check_disk
+from cgemit.problems import Problems
 from cgemit.record import configuration_of, gun_data, write_about
 from cgemit.result import Result, detectors_of
 from cgemit.simulate import simulate, transport_counts
-from cgemit.stages import TABLES, FinderLike, Settings, check_request, expected_settings, fit_settings, with_readout
+from cgemit.stages import (
+    TABLES,
+    FinderLike,
+    Settings,
+    check_calibration,
+    check_request,
+    expected_settings,
+    fit_settings,
+    with_readout,
+)
 from cgemit.stored_run import open as open_run
 from cgemit.tables import Table, concatenate
 from cgemit.tables.formats import check_format
@@ -192,13 +201,25 @@ def run(
     start = time.perf_counter()
     if not isinstance(settings, Settings | None):
         raise TypeError(f"settings: got {type(settings).__name__}, expected {expected_settings(settings)}")
-    detector, settings = load(detector), with_readout(settings or Settings(), readout)
-    believed = detector if fit_detector is None else load(fit_detector)
-    other = None if believed == detector else believed
+    found = Problems("run")
+    simulated = found.collect(load, detector)
+    settings = found.collect(with_readout, settings or Settings(), readout)
+    assumed = simulated if fit_detector is None else found.collect(load, fit_detector)
     most = 2**31 - 1
-    check_numbers("run", seed, threads, n=(n, 0, most), chunk=(chunk, 1, most))
-    kept = check_request(finder, until, executor, keep)
-    shooter, n_events, table = _source(gun, n)
+    found.collect(check_numbers, "run", seed, threads, n=(n, 0, most), chunk=(chunk, 1, most))
+    kept = found.collect(check_request, finder, until, executor, keep, settings)
+    found.collect(check_calibration, simulated, settings, until)
+    source = found.collect(source_of, gun, n)
+    if output is not None:
+        found.collect(check_format, format)
+    found.report()
+    assert simulated is not None
+    assert settings is not None
+    assert assumed is not None
+    assert source is not None
+    detector, believed = simulated, assumed
+    other = None if believed == detector else believed
+    shooter, n_events, table = source
 
     def task(first: int) -> tuple[Any, ...]:
         count = min(chunk, n_events - first)
@@ -215,12 +236,14 @@ def run(
             timings=timings, transported=transported,
         )  # fmt: skip
 
+    if min(chunk, n_events) > PROBED:
+        sample = _work(detector, believed, shooter, table, 0, PROBE, settings, seed, finder, until, kept)
+        check_chunk(sample.sizes, sample.events, min(chunk, n_events), min(len(tasks), workers_of(threads, executor)))
     totals = Totals(progress, len(tasks))
     if output is None:
         parts = answers(_work, tasks, threads, executor, None if len(tasks) <= MANY else n_events)
         joined = concatenate([totals.add(answer) for answer in parts], gaps=table is not None)
         return result({name: joined[name].with_meta(**meta) for name in TABLES if name in joined}, totals)
-    check_format(format)
     with new_folder(output, overwrite=overwrite) as folder:
         writer = PartsWriter(folder, format, gaps=table is not None)
         for answer in answers(_work, tasks, threads, executor, None, pending=True):
@@ -230,15 +253,6 @@ def run(
         writer.close()
         write_about(folder, result(StoredTables(folder), totals).entries(command))
     return open_run(output)
-
-
-def _source(gun: Any, n: int | None) -> tuple[Source | Guns | None, int, Table | None]:
-    if isinstance(gun, Source | Guns):
-        return gun, 1000 if n is None else n, None
-    table = particles_from(gun)
-    if n is not None and n != table.n_events:
-        raise ValueError(f"n: {n}, but the table of particles holds {table.n_events} events; leave n out")
-    return None, table.n_events, table
 
 
 def _work(
@@ -264,9 +278,6 @@ def _work(
     transport = transport_counts(tables["particles"]["status"])
     sizes = {name: sum(column.nbytes for column in one.columns.values()) for name, one in tables.items()}
     if keep is not None:
-        missing = [name for name in keep if name not in tables and name != "matches"]
-        if missing:
-            raise ValueError(f"keep: got {', '.join(missing)}, which this run does not make, only {', '.join(tables)}")
         kept = {name: tables[name] for name in TABLES if name in tables and name in keep}
         tables = {name: one.with_columns(**without_links(one, kept)) for name, one in kept.items()}
     return Answer(tables, seconds, transport, count, sizes)

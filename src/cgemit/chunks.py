@@ -51,6 +51,18 @@ class Totals:
         return answer.tables
 
 
+def workers_of(threads: int | None, executor: Executor | None) -> int:
+    """Return how many chunks run at a time.
+
+    Parameters
+    ----------
+    threads : int or None
+    executor : concurrent.futures.Executor or None
+    """
+    workers = threads or os.cpu_count() or 1
+    return int(max(workers, getattr(executor, "_max_workers", workers)))
+
+
 def answers(
     work: Callable[..., Answer],
     tasks: list[tuple[Any, ...]],
@@ -66,8 +78,7 @@ def answers(
     more chunks are begun than the executor needs to stay busy, so that answers do not pile up.
     """
     pool = executor or ThreadPoolExecutor(threads or os.cpu_count())
-    workers = threads or os.cpu_count() or 1
-    most = 2 * max(workers, getattr(executor, "_max_workers", workers)) if pending else len(tasks)
+    most = 2 * workers_of(threads, executor) if pending else len(tasks)
     futures: deque[Future[Answer]] = deque()
     try:
         if n_events is not None:

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from cgemit import _core
 from cgemit.guns import Guns as Guns
 from cgemit.guns import Source as Source
-from cgemit.particles import FARTHEST, FASTEST, ParticleError
+from cgemit.particles import FARTHEST, FASTEST, ParticleError, particles_from
 from cgemit.species import species
 from cgemit.tables import Table
 from cgemit.tables.check import Array
@@ -244,3 +244,25 @@ def _limits(*, along_z: bool) -> dict[str, Limit]:
         cosine = Limit("dimensionless", lambda value: abs(value) < 1, cos + ", ends excluded with pt")
     azimuth = Limit("angle", lambda _: True, "an angle in rad")
     return {"p": momentum, "pt": momentum, "theta": polar, "cos_theta": cosine, "phi": azimuth}
+
+
+def source_of(gun: Any, n: int | None) -> tuple[Source | Guns | None, int, Table | None]:
+    """Return the source of the particles, or None, with the number of events; and the particles, if they are given.
+
+    Parameters
+    ----------
+    gun : Source, Guns, or what `particles_from` takes
+    n : int or None
+        Number of events; 1000 for a source if None.
+
+    Raises
+    ------
+    ValueError
+        If `n` is not that of the particles.
+    """
+    if isinstance(gun, Source | Guns):
+        return gun, 1000 if n is None else n, None
+    table = particles_from(gun)
+    if n is not None and n != table.n_events:
+        raise ValueError(f"n: {n}, but the table of particles holds {table.n_events} events; leave n out")
+    return None, table.n_events, table

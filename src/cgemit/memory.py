@@ -57,6 +57,38 @@ def check_memory(sizes: Mapping[str, int], kept: Collection[str], done: int, n_e
     )
 
 
+#: Chunks of more events than this are judged by as many events as `PROBE`, before they are begun.
+PROBED = 10_000
+PROBE = 100
+
+
+def check_chunk(sizes: Mapping[str, int], done: int, chunk: int, workers: int) -> None:
+    """Raise an error if the chunks that run at a time do not fit into memory, judged by some events.
+
+    Parameters
+    ----------
+    sizes : mapping of str to int, bytes
+        Of all tables of these events: a chunk holds each of them until it is complete.
+    done : int
+        Number of these events.
+    chunk, workers : int
+        Events of a chunk, and chunks at a time.
+
+    Raises
+    ------
+    ValueError
+        With what the chunks need, what there is, and a chunk that fits.
+    """
+    size = sum(sizes.values()) / done
+    needed, free = size * chunk * workers, available()
+    if needed > free:
+        most = max(1, int(free / size / workers))
+        raise ValueError(
+            f"chunk: {workers} of {chunk} events at a time need about {_gigabytes(needed)} of memory "
+            f"({size / 1000:.1f} kB an event), and {_gigabytes(free)} are free; expected at most {most:,} events"
+        )
+
+
 #: What ``keep=("tracks",)`` keeps.
 _TRACKS = ("tracks", "matches")
 

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, Generic, NamedTuple, TypeVar
 
 P = TypeVar("P")
+R = TypeVar("R")
 
 
 class Problem(NamedTuple):
@@ -41,6 +42,37 @@ class ProblemsError(ValueError, Generic[P]):
     # Exceptions are pickled with their message alone, which is not what the constructor takes.
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), (self.source, self.problems)
+
+
+class Problems:
+    """Errors of several checks, reported together.
+
+    Parameters
+    ----------
+    where : str
+        The beginning of the message.
+    """
+
+    def __init__(self, where: str) -> None:
+        self._where = where
+        self._errors: list[ValueError] = []
+
+    def collect(self, check: Callable[..., R], *given: Any, **named: Any) -> R | None:
+        """Return what a check returns; keep its ValueError and return None."""
+        try:
+            return check(*given, **named)
+        except ValueError as error:
+            self._errors.append(error)
+        return None
+
+    def report(self) -> None:
+        """Raise the error of the only check that failed as it is, or one that lists those of several."""
+        if len(self._errors) == 1:
+            raise self._errors[0]
+        if self._errors:
+            first = f"{self._where}:\n  "
+            lines = [str(error).removeprefix(first) for error in self._errors]
+            raise ValueError(first + "\n  ".join(lines))
 
 
 class DetectorError(ProblemsError[Problem]):

@@ -11,6 +11,7 @@ from typing import Any, Literal
 from cgemit.background import BackgroundSettings
 from cgemit.candidates import Finder, finder_name
 from cgemit.cluster import ClusterSettings
+from cgemit.detector import Detector
 from cgemit.digitize import DigitizeSettings, Readout
 from cgemit.find.settings import FindSettings
 from cgemit.fit import FitSettings
@@ -84,7 +85,32 @@ def with_readout(settings: Settings, readout: Readout | str | None) -> Settings:
     return settings
 
 
-def check_request(finder: object, until: object, executor: Executor | None, keep: Any) -> tuple[str, ...] | None:
+def tables_made(until: str, settings: Settings) -> tuple[str, ...]:
+    """Return the tables that a run makes.
+
+    Parameters
+    ----------
+    until : str
+        Its last stage.
+    settings : Settings
+    """
+    fitted = ("tracks", *(name for name in ("residuals", "states") if getattr(settings.fit, name)), "matches")
+    by_stage = (EVERY_RUN, ("digis", "wire_hits"), ("clusters",), ("candidates", "candidate_hits"), fitted)
+    return tuple(name for names in by_stage[: STAGES.index(until) + 1] for name in names)
+
+
+def check_calibration(detector: Detector | None, settings: Settings | None, until: object) -> None:
+    """Raise an error if the read-out needs a calibration that there is not, before anything is simulated."""
+    if detector is None or settings is None or until not in STAGES[2:]:
+        return
+    readout = settings.digitize.readout
+    if hasattr(readout, "calibration"):
+        readout.expected_errors(detector)
+
+
+def check_request(
+    finder: object, until: object, executor: Executor | None, keep: Any, settings: Settings | None
+) -> tuple[str, ...] | None:
     """Raise an error if a run cannot be as asked for; return the tables to be kept, None for all."""
     problems = []
     names = [keep] if isinstance(keep, str) else [] if keep is None else list(keep)
@@ -101,6 +127,11 @@ def check_request(finder: object, until: object, executor: Executor | None, keep
         )
     if until not in STAGES:
         problems.append(f"until: got {until!r}, expected one of {', '.join(map(repr, STAGES))}")
+    elif settings is not None:
+        made = tables_made(str(until), settings)
+        missing = [name for name in names if name in TABLES and name not in made]
+        if missing:
+            problems.append(f"keep: got {', '.join(missing)}, which this run does not make, only {', '.join(made)}")
     if problems:
         raise ValueError("run:\n  " + "\n  ".join(problems))
     if callable(finder) and isinstance(executor, ProcessPoolExecutor):

@@ -8,7 +8,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib import resources
-from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -18,6 +17,7 @@ from cgemit import _core
 from cgemit.detector import Detector, compiled
 from cgemit.detector.strip_maps import strip_gains, strip_lists
 from cgemit.digitize.transport import drift_columns
+from cgemit.io.files import read_text
 from cgemit.problems import ProblemsError
 from cgemit.tables import Table
 
@@ -55,6 +55,13 @@ class CalibrationError(ProblemsError[str]):
 _SHAPES = {
     "edges": (2, -1, CHARGES - 1), "depth": (2, -1, CHARGES), "height": (2, -1, CHARGES), "typical_errors": (3, 2, -1),
     "errors": (3, 2, -1, CHARGES, SIZES),
+}  # fmt: skip
+
+
+#: Least and largest value of each: far beyond any layer, so that a wrong unit is seen.
+_LIMITS = {
+    "edges": (0.0, 1e6, "fC"), "depth": (-50.0, 50.0, "mm"), "height": (-50.0, 50.0, "mm"),
+    "typical_errors": (1e-4, 100.0, "mm"), "errors": (1e-4, 100.0, "mm"),
 }  # fmt: skip
 
 
@@ -154,17 +161,30 @@ def calibration_of(detector: Detector, readout: Any) -> Calibration:
         return neutral(0)
     key = key_of(detector, readout)
     if readout.calibration:
-        found = read_calibration(Path(readout.calibration).read_text(encoding="utf-8"), readout.calibration)
+        try:
+            text = read_text(readout.calibration)
+        except (OSError, ValueError) as error:
+            reason = getattr(error, "strerror", None) or error
+            raise CalibrationError(
+                "digitize.readout.calibration",
+                [f"got {readout.calibration[:80]!r} ({reason}), expected a file that `cgemit readout` has written"],
+            ) from error
+        found = read_calibration(text, readout.calibration)
     else:
         file = resources.files("cgemit.data") / _FOLDER / f"{key}.json"
         if not file.is_file():
             raise CalibrationError(f"read-out {readout.name} of {detector.name}", [_MISSING])
         found = read_calibration(file.read_text(encoding="utf-8"), file.name)
+    problems = []
     if found.key != key:
-        raise CalibrationError(
-            readout.calibration or key,
-            [f"got a calibration of {found.about}, expected one of this detector, field and read-out ({key})"],
+        problems.append(
+            f"got a calibration of {found.about}, expected one of the layers and field of {detector.name} and of these "
+            f"settings of {readout.name}: cgemit readout --readout {readout.name} -d DETECTOR --calibrate FILE"
         )
+    if found.depth.shape[1] != len(detector.cgem):
+        problems.append(f"got {found.depth.shape[1]} layers, expected {len(detector.cgem)}")
+    if problems:
+        raise CalibrationError(readout.calibration or key, problems)
     return found
 
 
@@ -185,15 +205,19 @@ def read_calibration(text: str, source: str) -> Calibration:
         data = json.loads(text)
         values = {name: np.array(data[name], np.float64) for name in _SHAPES}
         key, about = str(data["key"]), str(data["about"])
-    except (ValueError, KeyError, TypeError) as error:
-        raise CalibrationError(source, [f"got {error!r}, expected a calibration file"]) from error
+    except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
+        raise CalibrationError(source, [f"got {error!r:.200}, expected a calibration file"]) from error
     problems = []
     layers = values["depth"].shape[1] if values["depth"].ndim == 3 else 0
     for name, array in values.items():
         if array.shape != _shape(name, layers):
             problems.append(f"{name}: got shape {array.shape}, expected {_shape(name, layers)}")
-        if not np.isfinite(array).all() or ("errors" in name and not (array > 0).all()):
-            problems.append(f"{name}: got numbers that are not finite or not positive, expected lengths or charges")
+        low, high, unit = _LIMITS[name]
+        wrong = array[~((array >= low) & (array <= high))]
+        if wrong.size:
+            problems.append(f"{name}: got {wrong[0]:g}, expected numbers from {low:g} to {high:g} {unit}")
+        elif name == "edges" and array.ndim and (np.diff(array) < 0).any():
+            problems.append(f"{name}: got charges that fall, expected rising ones")
     if problems:
         raise CalibrationError(source, problems)
     return Calibration(**values, key=key, about=about)
