@@ -46,6 +46,8 @@ class Key:
             "composition": 'a formula such as "CO2" or a table of mass fractions such as { Ar = 0.7, C = 0.3 }',
             "numbers": "a table of numbers c, x0, x1, a, k",
             "offset": '"centred", or a number',
+            "profile": "a list of { r, rate } with increasing r",
+            "counts": "a list of at most 100 numbers from 0, not all 0",
         }
         text = texts.get(self.kind) or describe(self.kind)
         if self.low == -float("inf"):
