@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import runpy
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
@@ -173,9 +174,16 @@ def readme() -> None:
             os.chdir(before)
 
 
+def masses() -> None:
+    """The K_S peak of the notebook on track finding."""
+    made = runpy.run_path(str(HERE.parent / "notebooks" / "08_finding.py"))
+    made["spectrum"](made["mass"], made["peak"]).savefig(IMAGES / "kshort-mass.png", dpi=85)
+
+
 if __name__ == "__main__":
     IMAGES.mkdir(exist_ok=True)
     helices()
     strips()
     foils()
     readme()
+    masses()

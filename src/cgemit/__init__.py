@@ -13,7 +13,7 @@ from cgemit.version import VERSION as __version__
 
 if TYPE_CHECKING:
     from cgemit import draw, isa, study
-    from cgemit.background import BackgroundSettings
+    from cgemit.background import BackgroundSettings, mix_events
     from cgemit.candidates import label_candidates
     from cgemit.chain import run
     from cgemit.cluster import ClusterSettings
@@ -80,6 +80,7 @@ __all__ = [
     "isa",
     "label_candidates",
     "load",
+    "mix_events",
     "open",
     "pair_tracks",
     "resolution",
@@ -126,6 +127,7 @@ _MODULES = {
     "fit_vertices": "vertex",
     "label_candidates": "candidates",
     "load": "detector",
+    "mix_events": "background",
     "open": "stored_run",
     "pair_tracks": "vertex",
     "resolution": "statistics.resolutions",

@@ -20,6 +20,8 @@ NATIVE = {
     "slope": "mm/mm",
     "inverse area": "/mm2",
     "inverse area squared": "/mm4",
+    "rate": "kHz",
+    "rate density": "kHz/cm2",
     "dimensionless": "",
 }
 
@@ -39,6 +41,8 @@ _UNITS: dict[str, dict[str, Decimal]] = {
     "slope": {"mm/mm": Decimal(1), "um/mm": Decimal("1e-3")},
     "inverse area": {"/mm2": Decimal(1), "/cm2": Decimal("1e-2"), "/m2": Decimal("1e-6")},
     "inverse area squared": {"/mm4": Decimal(1), "/cm4": Decimal("1e-4"), "/m4": Decimal("1e-12")},
+    "rate": {"kHz": Decimal(1), "Hz": Decimal("1e-3"), "MHz": Decimal(1000)},
+    "rate density": {"kHz/cm2": Decimal(1), "Hz/cm2": Decimal("1e-3"), "Hz/mm2": Decimal("0.1")},
     "dimensionless": {"": Decimal(1), "%": Decimal("1e-2")},
 }  # fmt: skip
 

@@ -4,7 +4,12 @@ import numpy as np
 import pytest
 
 import cgemit as cg
-from cgemit.background import RUNS, STRIP_RATE, add_background
+from cgemit.background import add_background, mix_events
+from cgemit.background.cells import cell_numbers, dead_cells
+from cgemit.cli import changes
+from cgemit.digitize import XT_DISTANCE, XT_TIME
+from cgemit.io.toml import parse_toml
+from cgemit.problems import DetectorError
 from cgemit.tables import Table
 
 MUON = cg.Gun("mu-", p=1.0, cos_theta=(-0.5, 0.5))
@@ -54,7 +59,8 @@ def test_a_given_share_of_cells_fires_within_the_drift_time(run):
     pairs = [np.mean(np.diff(table["gid"]) == 1) for table in (wires, clumped)]
     assert pairs[0] == pytest.approx(0.2, abs=0.02)
     assert pairs[1] > 0.4
-    assert RUNS[0] / RUNS.sum() == pytest.approx(0.645, abs=0.001)
+    runs = run.detector.background[0].wire_runs
+    assert runs[0] / sum(runs) == pytest.approx(0.645, abs=0.001)
 
 
 def test_the_earliest_hit_of_a_cell_is_kept(run):
@@ -98,7 +104,9 @@ def test_clusters_and_noise_of_strips_have_their_rates(run):
         for level in ("bes2009", "bes2026")
     )
     layer = run.detector.cgem[0]
-    expected = layer.sheets * layer.strips_v * STRIP_RATE[1] * 1e-3 * 150
+    noise = run.detector.background[1].noise_v
+    assert noise == 3.6
+    expected = layer.sheets * layer.strips_v * noise * 1e-3 * 150
     more = np.count_nonzero((noisy["layer"] == 0) & (noisy["view"] == 1)) - np.count_nonzero(
         (quiet["layer"] == 0) & (quiet["view"] == 1)
     )
@@ -133,3 +141,172 @@ def test_rates_that_cannot_be_are_refused():
     for wrong in ({"factor": 200.0}, {"cells": 0.5, "factor": 2.0}):
         with pytest.raises(ValueError, match=r"expected a (number from 0 to 100|product up to 0\.6)"):
             cg.BackgroundSettings(**wrong)
+
+
+def test_levels_are_part_of_the_detector_file(run):
+    detector = run.detector
+    assert [level.label for level in detector.background] == ["bes2009", "bes2026"]
+    assert cg.load(parse_toml(detector.to_toml())) == detector
+    double = detector.with_overrides(
+        {"background.bes2009.cluster_rate": "x2", "background.bes2009.strip_window": "1 us"}
+    )
+    assert double.background[0].cluster_rate == 2 * detector.background[0].cluster_rate
+    assert double.background[1] == detector.background[1]
+    assert double.content_hash != detector.content_hash
+    settings = cg.BackgroundSettings(level="bes2009")
+    few, many = (add_background(one, *empty(run, 60), settings, seed=1)["digis"] for one in (detector, double))
+    assert len(many) / len(few) == pytest.approx(2, rel=0.15)
+    tables = parse_toml(detector.to_toml())
+    tables["background"] = {"mine": {"wire_rate": [{"r": "500 mm", "rate": "100 Hz/cm2"}]}}
+    own = cg.load(tables)
+    wires = add_background(own, *empty(run, 40), cg.BackgroundSettings(level="mine", clumps=False), 1)["wire_hits"]
+    area = sum(2 * np.pi * layer.r_mid * 2 * layer.half_length for layer in own.drift_chamber.layers) / 100
+    assert len(wires) / 40 == pytest.approx(0.1 * area * 2e-3, rel=0.05)
+
+
+def test_a_detector_without_the_level_says_so():
+    for detector, level, text in (
+        ("stcf-like", "bes2009", r"expected one of off; stcf-like has no table \[background.bes2009\]"),
+        ("besiii-cgem", "bes209", 'expected one of off, bes2009, bes2026; did you mean "bes2009"'),
+    ):
+        settings = cg.Settings(background=cg.BackgroundSettings(level=level))
+        with pytest.raises(ValueError, match=text):
+            cg.run(detector, MUON, n=2, settings=settings)
+    stress = cg.Settings(background=cg.BackgroundSettings(cells=0.1))
+    assert len(cg.run("stcf-like", MUON, n=2, settings=stress, until="digitize").wire_hits) > 1000
+
+
+def test_wrong_levels_are_listed_together(run):
+    tables = parse_toml(run.detector.to_toml())
+    wrong = {
+        "wire_rate": [{"r": "90 mm", "rate": "1 kHz"}, {"r": "80 mm", "rate": "1 kHz/cm2"}],
+        "wire_runs": [0, 0], "cluster_rate": "-1 kHz/cm2", "hot_wires": "120 %", "nois_v": "1 kHz",
+    }  # fmt: skip
+    tables["background"] = {"mine": wrong}
+    with pytest.raises(DetectorError) as error:
+        cg.load(tables)
+    paths = {problem.path.removeprefix("background.mine.") for problem in error.value.problems}
+    assert paths == {"wire_rate[0].rate", "wire_rate", "wire_runs", "cluster_rate", "hot_wires", "nois_v"}
+
+
+def test_dead_channels_never_fire_and_are_always_the_same(run):
+    keys = {"background.bes2009.dead_wires": 0.1, "background.bes2009.dead_strips": "20 %"}
+    spoiled = run.detector.with_overrides(keys)
+    settings = cg.BackgroundSettings(level="bes2009")
+    for seed in (1, 2):
+        whole = add_background(run.detector, run.digis, run.wire_hits, settings, seed)
+        left = add_background(spoiled, run.digis, run.wire_hits, settings, seed)
+        for name, share in (("digis", 0.2), ("wire_hits", 0.1)):
+            gone = set(whole[name]["gid"]) - set(left[name]["gid"])
+            assert 0.5 * share < 1 - len(left[name]) / len(whole[name]) < 2 * share
+            assert not gone & set(left[name]["gid"])
+            assert set(left[name]["gid"]) <= set(whole[name]["gid"])
+        mine = left["wire_hits"]
+        dead = dead_cells(spoiled, spoiled.background[0])
+        assert not dead[cell_numbers(spoiled, mine["layer"], mine["wire"])].any()
+        assert dead.mean() == pytest.approx(0.1, abs=0.02)
+
+
+def test_hot_channels_fire_at_their_rate(run):
+    keys = {
+        "background.bes2009.hot_wires": 0.01, "background.bes2009.hot_wire_rate": "1 MHz",
+        "background.bes2009.hot_strips": 0.005, "background.bes2009.hot_strip_rate": "200 kHz",
+    }  # fmt: skip
+    spoiled = run.detector.with_overrides(keys)
+    settings = cg.BackgroundSettings(level="bes2009")
+    n = 100
+    before, after = (add_background(one, *empty(run, n), settings, seed=1) for one in (run.detector, spoiled))
+    channels = {
+        "wire_hits": (sum(layer.cells for layer in spoiled.drift_chamber.layers), 0.01, 1 - np.exp(-2.0)),
+        "digis": (
+            sum(layer.sheets * (layer.strips_x + layer.strips_v) for layer in spoiled.cgem),
+            0.005,
+            1 - np.exp(-0.2),
+        ),
+    }
+    for name, (total, share, fires) in channels.items():
+        counts = [
+            np.bincount(table[name]["gid"] - 484 * (name == "wire_hits"), minlength=total) for table in (before, after)
+        ]
+        hot = counts[1] > counts[0]
+        assert np.count_nonzero(hot) == pytest.approx(share * total, rel=0.5)
+        assert counts[1][hot].sum() / n / hot.sum() == pytest.approx(fires, rel=0.1)
+
+
+def test_levels_on_the_command_line():
+    found = changes.split(["background.level=bes2009", "background.bes2009.noise_v=2 kHz"], [])
+    assert found.settings == [("background.level", "bes2009")]
+    assert found.detector == {"background.bes2009.noise_v": "2 kHz"}
+
+
+@pytest.fixture(scope="module")
+def other():
+    return cg.run(
+        "besiii-cgem", cg.Gun("pi+", pt=(0.1, 0.5), cos_theta=(-0.8, 0.8), multiplicity=3), n=7, seed=9, until="cluster"
+    )
+
+
+def test_mixed_events_are_those_of_the_other_run(run, other):
+    """Without a shift, each event holds its own first hits and all hits of one other event."""
+    mixed = mix_events(run.detector, run.digis, run.wire_hits, other.tables, seed=4)
+    whole = mix_events(
+        run.detector, *(Table.empty(k, n_events=100) for k in ("digis", "wire_hits")), other.tables, seed=4
+    )
+    events = set()
+    for event in range(100):
+        alone = {name: table[table["event"] == event] for name, table in whole.items()}
+        gids = [np.unique(other.wire_hits["gid"][other.wire_hits["event"] == i]) for i in range(7)]
+        same = [i for i in range(7) if np.array_equal(alone["wire_hits"]["gid"], gids[i])]
+        assert len(same) == 1
+        events |= set(same)
+        mine = run.wire_hits["gid"][run.wire_hits["event"] == event]
+        both = mixed["wire_hits"]["gid"][mixed["wire_hits"]["event"] == event]
+        assert set(both) == set(mine) | set(alone["wire_hits"]["gid"])
+    assert events == set(range(7))
+    assert (whole["wire_hits"]["wire_truth"] == -1).all()
+    total = run.digis["charge"].sum() + whole["digis"]["charge"].sum()
+    assert mixed["digis"]["charge"].sum() == pytest.approx(total)
+    assert len(mixed["digis"]) < len(run.digis) + len(whole["digis"])
+    key = np.stack([mixed["digis"]["event"], mixed["digis"]["gid"]])
+    assert len(np.unique(key, axis=1).T) == len(mixed["digis"])
+
+
+def test_the_earlier_of_two_mixed_hits_wins(run):
+    """Mixed with themselves, hits stay if the other event is later, and are replaced if it is earlier."""
+    one = run.select_events(0, 1)
+    tables = {"digis": one.digis, "wire_hits": one.wire_hits}
+    later = mix_events(run.detector, **tables, other=tables, offset=(30.0, 30.0))["wire_hits"]
+    unique = np.unique(one.wire_hits["gid"])
+    assert np.array_equal(later["gid"], unique)
+    assert (later["wire_truth"] >= 0).all()
+    earlier = mix_events(run.detector, **tables, other=tables, offset=(-30.0, -30.0))["wire_hits"]
+    assert np.array_equal(earlier["gid"], unique)
+    before = {g: min(one.wire_hits["drift_time"][one.wire_hits["gid"] == g]) for g in unique}
+    for gid, time, link, drift in zip(*(earlier[n] for n in ("gid", "drift_time", "wire_truth", "drift")), strict=True):
+        lost = before[gid] < 10  # outside of the window after the shift
+        assert time == pytest.approx(before[gid] if lost else before[gid] - 30)
+        assert (link >= 0) == lost
+        assert lost or not 0 < time < 350 or drift == pytest.approx(np.interp(time, XT_TIME, XT_DISTANCE))
+
+
+def test_events_are_mixed_from_files_in_the_chain(run, other, tmp_path):
+    other.save(tmp_path / "other")
+    given = cg.BackgroundSettings(events=str(tmp_path / "other"), offset=(-100.0, 100.0))
+    settings = cg.Settings(background=given)
+    found = cg.run("besiii-cgem", MUON, n=100, settings=settings, until="digitize")
+    direct = mix_events(run.detector, run.digis, run.wire_hits, other.tables, offset=(-100.0, 100.0), seed=1)
+    assert all(np.array_equal(found.wire_hits[name], direct["wire_hits"][name]) for name in found.wire_hits)
+    assert all(np.array_equal(found.digis[n], direct["digis"][n], equal_nan=True) for n in found.digis)
+    parts = cg.run("besiii-cgem", MUON, n=100, settings=settings, until="digitize", chunk=17, threads=2)
+    assert parts.wire_hits == found.wire_hits
+
+
+def test_what_cannot_be_mixed_is_refused(run, other, tmp_path):
+    with pytest.raises(ValueError, match="channel in row 0 that besiii-cgem does not have"):
+        mix_events(run.detector, run.digis, run.wire_hits, cg.run("besiii-idc", MUON, n=2).tables)
+    with pytest.raises(ValueError, match="digis: missing"):
+        mix_events(run.detector, run.digis, run.wire_hits, {"wire_hits": other.wire_hits})
+    with pytest.raises(FileNotFoundError, match=r"nothing holds no tables"):
+        mix_events(run.detector, run.digis, run.wire_hits, tmp_path / "nothing")
+    with pytest.raises(ValueError, match="expected a range from low to high"):
+        cg.BackgroundSettings(offset=(2.0, 1.0))

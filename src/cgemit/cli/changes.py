@@ -92,13 +92,15 @@ def split(texts: Sequence[str], problems: list[str], *, settings: bool = True, d
     from cgemit.detector.read import TOP_LEVEL
 
     known = dict.fromkeys(stages(), "settings") if settings else {}
-    known |= dict.fromkeys(TOP_LEVEL, "detector") if detector else {}
+    known |= {name: "detector" for name in TOP_LEVEL if name not in known} if detector else {}
     examples = " or ".join(["fit.loss=mean"] * settings + ['cgem.L2.pitch_x="500 um"'] * detector)
     found = Changes([], {})
     for text in texts:
         name, equals, value = (part.strip() for part in text.partition("="))
-        first, dot, _ = name.partition(".")
+        first, dot, rest = name.partition(".")
         kind = known.get(first)
+        if detector and first == "background" and "." in rest:  # the detector's levels have labels
+            kind = "detector"
         if not equals or not name or (kind == "settings" and not dot):
             problems.append(f"--set: got {text!r}, expected KEY=VALUE such as {examples}")
         elif kind == "settings":

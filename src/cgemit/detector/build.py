@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from cgemit.detector import check
+from cgemit.detector.background import BackgroundLevel
 from cgemit.detector.field import KINDS, Field, MapField, kind_key
 from cgemit.detector.field.files import read_field_map
 from cgemit.detector.files import map_path
@@ -38,6 +39,7 @@ def read_contents(source: str, tables: Mapping[str, Any], problems: list[Problem
     cgem = _cgem(reader, tables.get("cgem", {}))
     walls = _cylinders(reader, "walls", tables.get("walls", {}))
     chamber = _chamber(reader, tables["drift_chamber"]) if "drift_chamber" in tables else None
+    levels = _background(reader, tables.get("background", {}))
     if not cgem and not chamber and not reader.baseless:
         reader.note("", "no detector", "at least one [cgem.<label>] or a [drift_chamber]")
     if problems:
@@ -45,11 +47,13 @@ def read_contents(source: str, tables: Mapping[str, Any], problems: list[Problem
         raise DetectorError(source, problems + more)
     air = reader.materials["Air"]
     assert air is not None  # otherwise there was a problem
-    return Contents(**texts, field=field, beam_pipe=pipe, cgem=cgem, walls=walls, drift_chamber=chamber, air=air)
+    return Contents(
+        **texts, field=field, beam_pipe=pipe, cgem=cgem, walls=walls, drift_chamber=chamber, background=levels, air=air
+    )  # fmt: skip
 
 
 # More parts than any detector has: a mistake, or meant to exhaust the memory.
-_MOST_PARTS = {"beam_pipe": 100, "cgem": 100, "walls": 100, "materials": 1000}
+_MOST_PARTS = {"beam_pipe": 100, "cgem": 100, "walls": 100, "background": 100, "materials": 1000}
 _MOST_WIRE_LAYERS, _MOST_CELLS = 1000, 1_000_000
 
 
@@ -133,6 +137,18 @@ def _cylinders(reader: Reader, group: str, raw: object) -> tuple[Cylinder, ...]:
         for label, table in tables.items()
     ]
     return tuple(sorted(found, key=lambda part: part.r_in))
+
+
+def _background(reader: Reader, raw: object) -> tuple[BackgroundLevel, ...]:
+    tables = reader.mapping("background", raw)
+    return tuple(
+        table
+        if isinstance(table, BackgroundLevel)
+        else BackgroundLevel(
+            label=label, **reader.table(f"background.{label}", table, BackgroundLevel, siblings=tables)
+        )
+        for label, table in sorted(tables.items())
+    )
 
 
 def _cgem(reader: Reader, raw: object) -> tuple[CgemLayer, ...]:

@@ -23,6 +23,7 @@ def value_problems(detector: Contents) -> list[Problem]:
     parts: list[tuple[str, Any]] = [("field", detector.field)]
     parts += [(f"beam_pipe.{part.label}", part) for part in detector.beam_pipe]
     parts += [(f"walls.{part.label}", part) for part in detector.walls]
+    parts += [(f"background.{level.label}", level) for level in detector.background]
     for layer in detector.cgem:
         parts.append((f"cgem.{layer.label}", layer))
         for name in ("cathode", "foil", "anode"):

@@ -22,6 +22,8 @@ def lines(detector: Contents) -> list[str]:
         found.append(f"cgem {layer.label}: {layer.text()}")
     if detector.drift_chamber:
         found.append(f"drift chamber: {detector.drift_chamber.text()}")
+    if detector.background:
+        found.append("background: " + ", ".join(level.label for level in detector.background))
     return found
 
 
@@ -142,6 +144,7 @@ def to_dict(detector: Contents) -> dict[str, Any]:
         tables["drift_chamber"] = _table(detector.drift_chamber)
         layers = {str(layer.number): _table(layer) for layer in detector.drift_chamber.layers}
         tables["drift_chamber"]["layers"] = layers
+    tables["background"] = {level.label: _table(level) for level in detector.background}
     tables["materials"] = {m.name: _table(m) for m in own_materials(detector)}
     return {name: value for name, value in tables.items() if value != {}}
 
@@ -156,7 +159,7 @@ def tables_of(detector: Contents) -> dict[str, Any]:
     return tables | {"materials": {material.name: material for material in own_materials(detector)}}
 
 
-_GROUPS = ("beam_pipe", "cgem", "walls")
+_GROUPS = ("beam_pipe", "cgem", "walls", "background")
 
 
 def own_materials(detector: Contents) -> list[Material]:
@@ -194,6 +197,10 @@ def _value(value: Any, kind: str) -> Any:
         return value._asdict()
     if kind == "composition":
         return dict(value)
+    if kind == "profile":
+        return [_table(point) for point in value]
+    if kind == "counts":
+        return list(value)
     if kind == "stack":
         return [_sub_layer(part) for part in value]
     if kind == "strips":

@@ -48,6 +48,8 @@ class Key:
             "offset": '"centred", or a number',
             "strips": 'a list such as ["0:17", "1:100-120"]: sheet, and strip or first and last strip, from 0',
             "gains": "a list with a number for each sheet, or rows along z of numbers along X; numbers",
+            "profile": "a list of { r, rate } with increasing r",
+            "counts": "a list of at most 100 numbers from 0, not all 0",
         }
         text = texts.get(self.kind) or describe(self.kind)
         if self.low == -float("inf"):

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from html import escape
 from typing import NamedTuple
 
+from cgemit.detector.background import BackgroundLevel
 from cgemit.detector.field import Field
 from cgemit.detector.keys import key
 from cgemit.detector.material import Material
@@ -299,4 +300,5 @@ class Contents:
     cgem: tuple[CgemLayer, ...]
     walls: tuple[Cylinder, ...]
     drift_chamber: DriftChamber | None
+    background: tuple[BackgroundLevel, ...] = ()  # by label
     air: Material  # fills the space between parts inside the drift chamber

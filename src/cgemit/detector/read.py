@@ -6,8 +6,10 @@ import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache
+from itertools import pairwise
 from typing import Any
 
+from cgemit.detector.background import RatePoint
 from cgemit.detector.keys import CENTRED, Key, Known, keys_of, required_of
 from cgemit.detector.material import DensityEffect, Material, elements, fractions_of_formula
 from cgemit.detector.parts import CgemLayer, SubLayer
@@ -24,6 +26,7 @@ TOP_LEVEL = {
     "cgem": "CGEM layers by label",
     "walls": "further cylinders by label",
     "drift_chamber": "drift chamber; sigma, sigma_slope, efficiency, wire_x0 hold for layers without their own",
+    "background": "levels of background by label",
     "materials": "materials by name",
 }
 
@@ -38,6 +41,8 @@ WIRE_NUMBER, LAST_WIRE_LAYER = "0|[1-9][0-9]{0,4}", 65535
 
 #: Sheet and strips of a list of strips.
 STRIPS = r"([0-9]{1,2}):([0-9]{1,6})(?:-([0-9]{1,6}))?"
+#: Most entries of a list of rates.
+MOST_POINTS = 100
 
 #: Characters of a value that messages show.
 LONGEST_SHOWN = 80
@@ -196,6 +201,23 @@ class Reader:
             values.setdefault("label", getattr(values["material"], "name", ""))
             parts.append(SubLayer(**values))
         return tuple(parts)
+
+    def _profile(self, path: str, raw: object, key: Key) -> Any:
+        if not isinstance(raw, list) or len(raw) > MOST_POINTS:
+            self.note(path, shown(raw), key.expected())
+            return ()
+        points = [RatePoint(**self.table(f"{path}[{i}]", row, RatePoint)) for i, row in enumerate(raw)]
+        if any(second.r <= first.r for first, second in pairwise(points)):
+            self.note(path, f"a list of {len(raw)}", key.expected())
+        return tuple(points)
+
+    def _counts(self, path: str, raw: object, key: Key) -> Any:
+        numbers = raw if isinstance(raw, list) and 0 < len(raw) <= MOST_POINTS else []
+        good = all(isinstance(one, int | float) and not isinstance(one, bool) and 0 <= one < 1e15 for one in numbers)
+        if not good or not any(numbers):
+            self.note(path, shown(raw), key.expected())
+            return (1,)
+        return tuple(numbers)
 
     def _composition(self, path: str, raw: object, key: Key) -> Any:
         if isinstance(raw, str):

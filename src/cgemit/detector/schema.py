@@ -4,12 +4,13 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
+from cgemit.detector.background import BackgroundLevel, RatePoint
 from cgemit.detector.field import KINDS, kind_key
 from cgemit.detector.keys import CENTRED, Key, keys_of, required_of
 from cgemit.detector.material import DensityEffect, Material
 from cgemit.detector.merge import FOR_ALL_LAYERS
 from cgemit.detector.parts import CgemLayer, Cylinder, DriftChamber, SubLayer, WireLayer
-from cgemit.detector.read import EXTRA, NAME, STRIPS, TOP_LEVEL, WIRE_NUMBER
+from cgemit.detector.read import EXTRA, MOST_POINTS, NAME, STRIPS, TOP_LEVEL, WIRE_NUMBER
 from cgemit.units import NATIVE, format_quantity, units_of
 
 _NUMBER = r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?"
@@ -25,6 +26,7 @@ def schema() -> dict[str, Any]:
         "partial": _top(complete=False),
         "complete": _top(complete=True),
         "sub_layer": _table(SubLayer, complete=True),
+        "rate_point": _table(RatePoint, complete=True),
     }
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
@@ -45,6 +47,7 @@ def _top(complete: bool) -> dict[str, Any]:
         "cgem": _labelled(_layer(complete)),
         "walls": _labelled(_table(Cylinder, complete)),
         "drift_chamber": _chamber(complete),
+        "background": _labelled(_table(BackgroundLevel, complete=False)),
         "materials": _labelled(_material()),
         "name": {"pattern": f"^{NAME}$"},
         "remove": {"type": "array", "items": {"type": "string"}},
@@ -137,6 +140,8 @@ def _value(key: Key) -> dict[str, Any]:
                 {"type": "object", "additionalProperties": {"type": "number", "exclusiveMinimum": 0, "maximum": 1}},
             ]
         },
+        "profile": {"type": "array", "maxItems": MOST_POINTS, "items": {"$ref": "#/$defs/rate_point"}},
+        "counts": {"type": "array", "minItems": 1, "maxItems": MOST_POINTS, "items": {"type": "number", "minimum": 0}},
         "offset": {"anyOf": [{"const": CENTRED}, {"type": "number", **limits}]},
         "strips": {"type": "array", "items": {"type": "string", "pattern": f"^{STRIPS}$"}},
         "gains": {"type": "array", "items": {"anyOf": [{"type": "number", **limits}, _grid(limits)]}},

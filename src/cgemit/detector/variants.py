@@ -83,7 +83,10 @@ def _is_pattern(text: str) -> bool:
 
 
 def _root(detector: Contents) -> dict[str, Any]:
-    groups = {name: {part.label: part for part in getattr(detector, name)} for name in ("beam_pipe", "cgem", "walls")}
+    groups = {
+        name: {part.label: part for part in getattr(detector, name)}
+        for name in ("beam_pipe", "cgem", "walls", "background")
+    }
     return {"field": detector.field, "drift_chamber": detector.drift_chamber, **groups}
 
 
@@ -190,6 +193,7 @@ def content_hash(detector: Contents) -> str:
     chamber = detector.drift_chamber
     parts = [detector.field, *detector.beam_pipe, *detector.cgem, *detector.walls, detector.air]
     parts += [chamber, *chamber.layers] if chamber else []
+    parts += detector.background
     return hashlib.sha256(" ".join(map(_digest, parts)).encode()).hexdigest()[:16]
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import textwrap
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +15,8 @@ from matplotlib.patches import Rectangle, Wedge
 from cgemit.draw.event_view import EventView, strip_line, view_of
 from cgemit.draw.geometry import Array, wire_layers, wire_positions, wire_profile
 from cgemit.draw.style import COLORS, Picture, legend_entries, plain, style
+
+_TITLE_WIDTH = 105  # characters in the width of the picture
 
 if TYPE_CHECKING:
     from cgemit.detector import CgemLayer, Detector
@@ -64,7 +67,8 @@ def event(result: Result, number: int = 0) -> Picture:
         _tracks(axes, view)
         for layer, plot in enumerate(anodes):
             _anode(plot, view, layer)
-        picture.suptitle(f"{plain(detector.name)}, event {number}: {view.shot()}", x=0.075, ha="left", fontsize=11.5)
+        title = textwrap.fill(f"{plain(detector.name)}, event {number}: {view.shot()}", _TITLE_WIDTH)
+        picture.suptitle(title, x=0.075, ha="left", fontsize=11.5)
         titles = ("across the beam", "inner layers", "side view")
         for plot, title in zip(axes, titles, strict=True):
             plot.set_title(title, loc="left")
