@@ -26,6 +26,7 @@ from cgemit.particles import particles_from
 from cgemit.problems import did_you_mean
 from cgemit.record import configuration_of, gun_data, write_about
 from cgemit.result import TABLES, Result, Settings, detectors_of, transport_counts
+from cgemit.second_pass import along_tracks
 from cgemit.simulate import simulate
 from cgemit.stored_run import open as open_run
 from cgemit.tables import Table, concatenate
@@ -75,6 +76,17 @@ def run_chunk(
         return tuple(tables[name] for name in names)
 
     hits, truth, found = ("clusters", "wire_hits"), ("truths", "wire_truths"), ("candidates", "candidate_hits")
+
+    def fit_clusters(clusters: Table) -> Mapping[str, Table]:
+        candidates, candidate_hits = pick(*found)
+        return fit(fit_detector, clusters, tables["wire_hits"], candidates, candidate_hits, fit_settings(settings))
+
+    def second_pass() -> Mapping[str, Table]:
+        readout, hits = settings.digitize.readout, tables["candidate_hits"]
+        digis, clusters, tracks = pick("digis", "clusters", "tracks")
+        again = along_tracks(detector, readout, digis, clusters, hits, tracks, settings.cluster)
+        return {"clusters": again, **fit_clusters(again)}
+
     stages: dict[str, Callable[[], Mapping[str, Table]]] = {
         "simulate": lambda: simulate(detector, particles, settings.simulate, seed),
         "digitize": lambda: add_background(
@@ -95,12 +107,12 @@ def run_chunk(
             if finder == "ckf"
             else find.by_truth(detector, *pick("particles", *hits, *truth))
         ),
-        "fit": lambda: fit(
-            fit_detector, tables["clusters"], tables["wire_hits"], tables["candidates"], tables["candidate_hits"],
-            fit_settings(settings),
-        ),
+        "fit": lambda: fit_clusters(tables["clusters"]),
         "match": lambda: match(*pick("tracks", *found, *hits, "particles", *truth), detector=detector),
     }  # fmt: skip
+    if getattr(settings.digitize.readout, "second_pass", False):
+        last = stages.pop("match")
+        stages |= {"second pass": second_pass, "match": last}
     seconds = {}
     for stage, work in stages.items():
         start = time.perf_counter()

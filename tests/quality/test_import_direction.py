@@ -40,7 +40,7 @@ PYTHON_LAYERS = [
     {"fit_settings"},
     {"cluster"},
     {"simulate", "digitize", "find", "fit"},
-    {"background"},
+    {"background", "second_pass"},
     {"match", "own_hits"},
     {"record"},
     {"result"},
