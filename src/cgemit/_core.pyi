@@ -332,6 +332,7 @@ def find_charge_time_clusters(
     delay_charge: npt.ArrayLike,
     delay: npt.ArrayLike,
     errors: npt.ArrayLike,
+    shares: npt.ArrayLike,
     depth: npt.ArrayLike,
     height: npt.ArrayLike,
     edges: npt.ArrayLike,
@@ -341,6 +342,12 @@ def find_charge_time_clusters(
     masked: npt.ArrayLike = ...,
     bridge: int = 0,
     gain: npt.ArrayLike = ...,
+    valley: float = 0.0,
+    pairs: npt.ArrayLike = ...,
+    slope_errors: npt.ArrayLike,
+    slope_shares: npt.ArrayLike,
+    slope_edges: npt.ArrayLike,
+    slopes: npt.ArrayLike = ...,
 ) -> dict[str, _Array]: ...
 def fit_line(position: npt.ArrayLike, charge: npt.ArrayLike, height: npt.ArrayLike) -> tuple[float, float, bool]: ...
 def clusters_of_positions(detector: Detector, digis: _Columns, *, err_x: float, err_v: float) -> dict[str, _Array]: ...
@@ -368,6 +375,7 @@ def find_tracks(
     event_offsets: npt.ArrayLike,
     hits: _Columns,
     settings: FindSettings,
+    pairs: _Columns = {},
 ) -> dict[str, _Array]: ...
 def covariances(
     detector: Detector,

@@ -23,6 +23,7 @@ from cgemit.memory import PROBE, PROBED, check_chunk, check_disk
 from cgemit.problems import Problems
 from cgemit.record import configuration_of, gun_data, write_about
 from cgemit.result import Result, detectors_of
+from cgemit.second_pass import along_tracks
 from cgemit.simulate import simulate, transport_counts
 from cgemit.stages import (
     TABLES,
@@ -77,6 +78,17 @@ def run_chunk(
         return tuple(tables[name] for name in names)
 
     hits, truth, found = ("clusters", "wire_hits"), ("truths", "wire_truths"), ("candidates", "candidate_hits")
+
+    def fit_clusters(clusters: Table) -> Mapping[str, Table]:
+        candidates, candidate_hits = pick(*found)
+        return fit(fit_detector, clusters, tables["wire_hits"], candidates, candidate_hits, fit_settings(settings))
+
+    def second_pass() -> Mapping[str, Table]:
+        readout, hits = settings.digitize.readout, tables["candidate_hits"]
+        digis, clusters, tracks = pick("digis", "clusters", "tracks")
+        again = along_tracks(detector, readout, digis, clusters, hits, tracks, settings.cluster)
+        return {"clusters": again, **fit_clusters(again)}
+
     stages: dict[str, Callable[[], Mapping[str, Table]]] = {
         "simulate": lambda: simulate(detector, particles, settings.simulate, seed),
         "digitize": lambda: add_background(
@@ -97,12 +109,12 @@ def run_chunk(
             if finder == "ckf"
             else find.by_truth(detector, *pick("particles", *hits, *truth))
         ),
-        "fit": lambda: fit(
-            fit_detector, tables["clusters"], tables["wire_hits"], tables["candidates"], tables["candidate_hits"],
-            fit_settings(settings),
-        ),
+        "fit": lambda: fit_clusters(tables["clusters"]),
         "match": lambda: match(*pick("tracks", *found, *hits, "particles", *truth), detector=detector),
     }  # fmt: skip
+    if getattr(settings.digitize.readout, "second_pass", False):
+        last = stages.pop("match")
+        stages |= {"second pass": second_pass, "match": last}
     seconds = {}
     for stage, work in stages.items():
         start = time.perf_counter()
@@ -202,42 +214,37 @@ def run(
     if not isinstance(settings, Settings | None):
         raise TypeError(f"settings: got {type(settings).__name__}, expected {expected_settings(settings)}")
     found = Problems("run")
-    simulated = found.collect(load, detector)
-    settings = found.collect(with_readout, settings or Settings(), readout)
-    assumed = simulated if fit_detector is None else found.collect(load, fit_detector)
+    simulated: Any = found.collect(load, detector)
+    given: Any = found.collect(with_readout, settings or Settings(), readout)
+    assumed: Any = simulated if fit_detector is None else found.collect(load, fit_detector)
     most = 2**31 - 1
     found.collect(check_numbers, "run", seed, threads, n=(n, 0, most), chunk=(chunk, 1, most))
-    kept = found.collect(check_request, finder, until, executor, keep, settings)
-    found.collect(check_calibration, simulated, settings, until)
-    source = found.collect(source_of, gun, n)
+    kept = found.collect(check_request, finder, until, executor, keep, given)
+    found.collect(check_calibration, simulated, given, until)
+    source: Any = found.collect(source_of, gun, n)
     if output is not None:
         found.collect(check_format, format)
     found.report()
-    assert simulated is not None
-    assert settings is not None
-    assert assumed is not None
-    assert source is not None
-    detector, believed = simulated, assumed
-    other = None if believed == detector else believed
+    other = None if assumed == simulated else assumed
     shooter, n_events, table = source
 
     def task(first: int) -> tuple[Any, ...]:
         count = min(chunk, n_events - first)
-        return (detector, believed, shooter, table, first, count, settings, seed, finder, until, kept)
+        return (simulated, assumed, shooter, table, first, count, given, seed, finder, until, kept)
 
     tasks = [task(first) for first in range(0, n_events, chunk)] or [task(0)]
-    meta = _meta(detector, other, shooter, settings, seed)
+    meta = _meta(simulated, other, shooter, given, seed)
 
     def result(tables: Mapping[str, Table], totals: Totals) -> Result:
         transported = None if "particles" in tables else dict(totals.transport)
         timings = {**totals.timings, "wall": time.perf_counter() - start}
         return Result(
-            detector=detector, fit_detector=other, gun=shooter, seed=seed, settings=settings, tables=tables,
+            detector=simulated, fit_detector=other, gun=shooter, seed=seed, settings=given, tables=tables,
             timings=timings, transported=transported,
         )  # fmt: skip
 
     if min(chunk, n_events) > PROBED:
-        sample = _work(detector, believed, shooter, table, 0, PROBE, settings, seed, finder, until, kept)
+        sample = _work(simulated, assumed, shooter, table, 0, PROBE, given, seed, finder, until, kept)
         check_chunk(sample.sizes, sample.events, min(chunk, n_events), min(len(tasks), workers_of(threads, executor)))
     totals = Totals(progress, len(tasks))
     if output is None:

@@ -43,7 +43,7 @@ PYTHON_LAYERS = [
     {"fit_begins"},
     {"cluster"},
     {"simulate", "digitize", "find", "fit"},
-    {"background"},
+    {"background", "second_pass"},
     {"match", "own_hits"},
     {"bes3"},
     {"refit"},

@@ -13,6 +13,7 @@ HASHES = {
     1: "1849c2212b1724b7",
     2: "d0649b4511db3e6c",
     3: "d0649b4511db3e6c",  # covariances near the ends of layers, which the golden numbers do not hold
+    4: "d0649b4511db3e6c",  # clusters of tiger, apv25 and analog-projection
 }
 
 

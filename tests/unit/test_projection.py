@@ -58,8 +58,10 @@ def test_command_scans_and_calibrates(tmp_path: Path, capsys: pytest.CaptureFixt
     scan = ["readout", "--readout", "apv25", "--bz", "0", "--angles", "0 deg,30 deg", "-n", "400", "--quiet"]
     assert main([*scan, "--set", "digitize.readout.gain=39000", "-o", str(out)]) == 0
     rows = list(csv.DictReader((out / "readout.csv").read_text().splitlines()))
-    assert [float(row["angle_deg"]) for row in rows] == [0, 30]
-    assert float(rows[1]["centroid_um"]) > 4 * float(rows[0]["centroid_um"])
+    assert [(float(row["angle_deg"]), row["view"]) for row in rows] == [(0, "X"), (0, "V"), (30, "X"), (30, "V")]
+    assert float(rows[2]["centroid_um"]) > 4 * float(rows[0]["centroid_um"])
+    assert float(rows[2]["track_um"]) < 0.6 * float(rows[2]["centroid_um"])
+    assert float(rows[1]["efficiency"]) > 0.99
     assert (out / "readout.png").stat().st_size > 10_000
     assert main(["readout", "--readout", "binary", "--bz", "0"]) == 2
     assert main(["readout", "--calibrate", str(file), "-d", "besiii-idc"]) == 2

@@ -23,6 +23,11 @@ def cosines(text: str) -> Values:
     return _values(text, "dimensionless")
 
 
+def numbers(text: str) -> Values:
+    """Read numbers without a unit, as `momenta`."""
+    return _values(text, "dimensionless")
+
+
 def angles(text: str) -> Values:
     """Read angles in rad or with a unit, as `momenta`."""
     return _values(text, "angle")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,20 +16,33 @@ if TYPE_CHECKING:
     from cgemit.study.readout.scan import BeamScan
 
 _DESCRIPTION = """\
-Position resolution of a read-out against the angle of incidence, in one layer of 2 m radius with the gas, gaps and
-strips of besiii-cgem-design, for the charge centroid, the micro-TPC fit and their weighted mean. Angles count from
-the radius, in the plane across the beam line; electrons are bent towards positive angles if the field is positive.
+Position resolution, number of strips and efficiency of a read-out in both views, in one layer of 2 m radius with the
+gas, gaps and strips of besiii-cgem-design, for the charge centroid, the micro-TPC fit, their weighted mean, and with
+the angle of the track. --scan selects what varies: the angle of incidence, the magnetic field (T), the drift field
+(kV/cm), the gain or the threshold (fC). Angles count from the radius, in the plane across the beam line; electrons are
+bent towards positive angles if the field is positive.
 
 With --calibrate FILE: errors of the clusters of a detector, from 1 GeV/c muons with |cos(theta)| < 0.93. A run with
---set digitize.readout.calibration=FILE uses them. Presets with the default settings of a read-out need none."""
+--set digitize.readout.calibration=FILE uses them. Presets with the default settings of a read-out need none.
+
+With --ghosts: how often X and V clusters of different tracks are paired, at 2, 4 and 6 muons on a sheet, by geometry
+alone, with charge, and with charge and time.
+
+With --formation FILE: a picture of one simulated track on its way to the strips, with and without Lorentz angle and
+diffusion."""
 
 _EXAMPLES = """\
 examples:
   cgemit readout --readout apv25 --bz 0 -o test-beam
   cgemit readout --readout tiger --bz 1 --angles "-30 deg:30 deg:7" --set digitize.readout.gain=20000 -o one-tesla
+  cgemit readout --readout tiger --scan drift_field --values 1:3:5 -o fields
+  cgemit readout --readout tiger --ghosts
+  cgemit readout --readout tiger --formation formation.png
   cgemit readout --readout tiger -d my-detector.toml --calibrate my-tiger.json"""
 
 _ANGLES = "0 deg:40 deg:9"
+#: Values of a scan if none are given.
+_VALUES = {"bz": "0:1:5", "drift_field": "1:3:5", "gain": "5000,8000,12000,20000,40000", "threshold": "1:5:5"}
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -39,6 +53,17 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     )  # fmt: skip
     changes.add_readout(parser, default="tiger")
     parser.add_argument("--bz", type=float, default=1.0, metavar="T", help="magnetic field, T (default 1)")
+    parser.add_argument("--scan", choices=("angle", *_VALUES), default="angle", help="what varies (default angle)")
+    parser.add_argument(
+        "--values",
+        type=read.numbers,
+        default=None,
+        metavar="A:B:N",
+        help="values of what varies, unless it is the angle",
+    )
+    parser.add_argument(
+        "--angle", type=read.angles, default=0.0, metavar="A", help="angle of the other scans (default 0)"
+    )
     parser.add_argument(
         "--angles", type=read.angles, default=None, metavar="A:B:N", help=f'angles of incidence (default "{_ANGLES}")'
     )
@@ -49,7 +74,9 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         help="particles at each angle (default 4000), or muons of a calibration (default 20000)",
     )  # fmt: skip
     parser.add_argument("--calibrate", metavar="FILE", help="write the errors of a detector's clusters instead")
-    parser.add_argument("-d", "--detector", metavar="NAME|FILE", help="of the calibration")
+    parser.add_argument("--ghosts", action="store_true", help="wrong pairs of X and V at 2, 4 and 6 tracks instead")
+    parser.add_argument("--formation", metavar="FILE", help="draw how a track's charge reaches the strips instead")
+    parser.add_argument("-d", "--detector", metavar="NAME|FILE", help="of the calibration, or of --ghosts")
     changes.add_set(parser, "change one setting, such as digitize.readout.gain=20000; may be repeated")
     changes.add_settings(parser)
     parser.add_argument("-o", "--output", metavar="DIR", default=None, help="folder for readout.csv, .png and .pdf")
@@ -64,10 +91,16 @@ def run(arguments: argparse.Namespace) -> int:
     readout = changes.settings_of(arguments).digitize.readout
     if not hasattr(readout, "cluster_with"):
         raise changes.InputError(f"--readout: got {readout.name}, expected tiger, apv25 or analog-projection")
-    if (arguments.calibrate is None) != (arguments.detector is None):
-        raise changes.InputError("--calibrate, --detector: got one of them, expected both or none")
+    if arguments.calibrate is not None and arguments.detector is None:
+        raise changes.InputError("--calibrate: got no --detector, expected the one whose clusters are calibrated")
+    if arguments.detector is not None and arguments.calibrate is None and not arguments.ghosts:
+        raise changes.InputError("--detector: got it without --calibrate or --ghosts, expected it with one of them")
     if arguments.calibrate is not None:
         return _calibrate(arguments, readout)
+    if arguments.ghosts:
+        return _ghosts(arguments, readout)
+    if arguments.formation is not None:
+        return _formation(arguments, readout)
     return _scan(arguments, readout)
 
 
@@ -92,33 +125,93 @@ def _calibrate(arguments: argparse.Namespace, readout: Any) -> int:
     return common.OK
 
 
-def _scan(arguments: argparse.Namespace, readout: Any) -> int:
-    from cgemit.io.folders import check_free
-    from cgemit.study.readout.scan import scan_angles
+def _ghosts(arguments: argparse.Namespace, readout: Any) -> int:
+    from cgemit.detector import load
+    from cgemit.study.readout.ghosts import scan_ghosts
 
-    given = read.angles(_ANGLES) if arguments.angles is None else arguments.angles
-    if isinstance(given, tuple):
-        raise changes.InputError("--angles: got a range, expected values such as 20 deg, or A:B:N")
-    angles = [float(angle) for angle in np.atleast_1d(given)]
+    detector = load(arguments.detector or "besiii-cgem-design")
+    if not detector.cgem:
+        raise changes.InputError(f"--detector: got {detector.name} without CGEM layers, expected one with clusters")
+    found = scan_ghosts(detector, readout, n=arguments.events or 1000, seed=arguments.seed, threads=arguments.threads)
+    print(found)
     if arguments.output:
-        check_free(arguments.output, overwrite=arguments.overwrite)
-    with common.Progress("readout", quiet=arguments.quiet) as progress:
-        scan = scan_angles(
-            readout, angles, bz=arguments.bz, n=arguments.events or 4000, seed=arguments.seed,
-            particle=arguments.particle, p=arguments.p, threads=arguments.threads, progress=progress,
-        )  # fmt: skip
-    print(scan)
-    if arguments.output:
-        _write(scan, arguments)
+        with _folder(arguments) as place:
+            (place / "ghosts.csv").write_text(found.to_csv(), encoding="utf-8")
     return common.OK
 
 
-def _write(scan: BeamScan, arguments: argparse.Namespace) -> None:
-    from cgemit.draw import draw_readout
+def _formation(arguments: argparse.Namespace, readout: Any) -> int:
+    from cgemit.draw import draw_formation
+    from cgemit.study.readout.formation import formation
+
+    target = Path(arguments.formation)
+    if target.exists() and not arguments.overwrite:
+        raise changes.InputError(f"--formation: got {target}, which exists; expected another file, or --overwrite")
+    angle = _one_angle(arguments)
+    panels = formation(readout, angle=angle, bz=arguments.bz, seed=arguments.seed)
+    draw_formation(panels).savefig(target, dpi=150)
+    return common.OK
+
+
+def _one_angle(arguments: argparse.Namespace) -> float:
+    """Return the angle of incidence, deg."""
+    if not isinstance(arguments.angle, float):
+        raise changes.InputError("--angle: got several values, expected one such as 20 deg")
+    return float(np.degrees(arguments.angle))
+
+
+def _values(arguments: argparse.Namespace) -> list[float]:
+    """Return the values of the scan in its unit."""
+    if arguments.scan == "angle":
+        option, given = "--angles", read.angles(_ANGLES) if arguments.angles is None else arguments.angles
+    else:
+        option, given = (
+            "--values",
+            read.numbers(_VALUES[arguments.scan]) if arguments.values is None else arguments.values,
+        )
+    if isinstance(given, tuple):
+        raise changes.InputError(f"{option}: got a range, expected values, or A:B:N")
+    wrong = "--values" if arguments.scan == "angle" else "--angles"
+    if (arguments.values if arguments.scan == "angle" else arguments.angles) is not None:
+        raise changes.InputError(f"{wrong}: got it with --scan {arguments.scan}, expected {option}")
+    values = [float(value) for value in np.atleast_1d(given)]
+    return [float(value) for value in np.degrees(values)] if arguments.scan == "angle" else values
+
+
+def _scan(arguments: argparse.Namespace, readout: Any) -> int:
+    from cgemit.io.folders import check_free
+    from cgemit.study.readout.scan import scan
+
+    values, angle = _values(arguments), _one_angle(arguments)
+    if arguments.output:
+        check_free(arguments.output, overwrite=arguments.overwrite)
+    with common.Progress("readout", quiet=arguments.quiet) as progress:
+        found = scan(
+            readout, arguments.scan, values, angle=angle, bz=arguments.bz, n=arguments.events or 4000,
+            seed=arguments.seed, particle=arguments.particle, p=arguments.p, threads=arguments.threads,
+            progress=progress,
+        )  # fmt: skip
+    print(found)
+    if arguments.output:
+        _write(found, arguments)
+    return common.OK
+
+
+def _folder(arguments: argparse.Namespace) -> AbstractContextManager[Path]:
     from cgemit.io.folders import new_folder
 
-    with new_folder(arguments.output, overwrite=arguments.overwrite) as place:
-        (place / "readout.csv").write_text(scan.to_csv(), encoding="utf-8")
-        draw_readout(scan.angle, scan.curves(), scan.size, scan.title).save(place / "readout")
+    return new_folder(arguments.output, overwrite=arguments.overwrite)
+
+
+def _write(found: BeamScan, arguments: argparse.Namespace) -> None:
+    from cgemit.draw import ViewCurves, draw_readout
+
+    views = [
+        ViewCurves(name, found.curves(view), found.of_view(view, "size"), found.of_view(view, "efficiency"))
+        for view, name in enumerate(("X", "V"))
+    ]
+    with _folder(arguments) as place:
+        (place / "readout.csv").write_text(found.to_csv(), encoding="utf-8")
+        draw_readout(found.values, found.label, views, found.title).save(place / "readout")
     if not arguments.quiet:
         print(f"picture: {arguments.output}/readout.png", file=sys.stderr)

@@ -13,7 +13,7 @@ from cgemit.detector import Detector, compiled
 from cgemit.detector.gaps import w_values
 from cgemit.detector.strip_maps import gain_table
 from cgemit.digitize.analog_cluster import Calibration, Estimator, calibration_of, find_clusters, neutral
-from cgemit.digitize.readout import GAIN, Floats
+from cgemit.digitize.readout import GAIN, Floats, Share
 from cgemit.digitize.shapers import Shaper
 from cgemit.digitize.transport import drift_columns
 from cgemit.kinds import Check, NotNegative, Positive
@@ -24,7 +24,6 @@ SURVIVAL = 0.957 * 0.962
 """An electron enters a hole of the first foil, and its gain is not zero (PARSIFAL, at the nominal voltage)."""
 
 Probability = Annotated[float, Check(lambda value: 0 < value <= 1, "a number above 0 and up to 1")]
-Share = Annotated[float, Check(lambda value: 0 <= value < 1, "a number from 0 to 1, 1 excluded")]
 Factor = Annotated[float, Check(lambda value: 0 <= value <= 10, "a number from 0 to 10")]
 Missing = Annotated[int, Check(lambda value: 0 <= value <= 10, "a whole number from 0 to 10")]
 
@@ -65,9 +64,13 @@ class AnalogReadout(SettingsData):
         Strips that may be missing within a cluster.
     edge : float
         Outermost strips with a smaller share of their neighbour's charge do not enter line fits.
+    valley : float
+        A strip with less than this share of the charge of both maxima beside it divides a cluster; 0: none does.
     estimator : str
         Position of a cluster: ``"centroid"`` of the charge, ``"micro-tpc"``, a line fit through the drift gap (clusters
         without one have their centroid), or ``"merged"``, the mean of both with the weights of their errors.
+    second_pass : bool
+        Whether clusters on fitted tracks are made again with the angle of the track, and the tracks are fitted again.
     calibration : str
         File that ``cgemit readout`` has written; empty: the one that comes with the program.
 
@@ -97,7 +100,9 @@ class AnalogReadout(SettingsData):
     jitter: NotNegative = 2.0
     missing: Missing = 1
     edge: Share = 0.1
+    valley: Share = 0.2
     estimator: Estimator = "merged"
+    second_pass: bool = False
     calibration: str = ""
 
     def digitize(self, detector: Detector, truths: Table, steps: Table, seed: int) -> Table:
@@ -167,8 +172,28 @@ class AnalogReadout(SettingsData):
         """
         return self.cluster_with(detector, digis, calibration_of(detector, self), bridge=settings.bridge)
 
+    def cluster_along(self, detector: Detector, digis: Table, settings: ClusterSettings, slopes: Floats) -> Table:
+        """Return the clusters of `cluster`, those with a slope with positions and errors for it.
+
+        Parameters
+        ----------
+        detector : Detector
+        digis : Table
+        settings : ClusterSettings
+        slopes : (clusters,) float64
+            See `cgemit.digitize.analog_cluster.find_clusters`.
+        """
+        calibration = calibration_of(detector, self)
+        return self.cluster_with(detector, digis, calibration, bridge=settings.bridge, slopes=slopes)
+
     def cluster_with(
-        self, detector: Detector, digis: Table, calibration: Calibration | None = None, *, bridge: int = 0
+        self,
+        detector: Detector,
+        digis: Table,
+        calibration: Calibration | None = None,
+        *,
+        bridge: int = 0,
+        slopes: Floats | None = None,
     ) -> Table:
         """Return clusters with the errors of a calibration; without one, errors of 1 mm.
 
@@ -179,10 +204,13 @@ class AnalogReadout(SettingsData):
         calibration : Calibration or None
         bridge : int
             See `ClusterSettings`.
+        slopes : (clusters,) float64 or None
+            See `find_clusters`.
         """
         return find_clusters(
             detector, digis, self.delays, calibration=calibration or neutral(len(detector.cgem)),
-            estimator=self.estimator, lorentz=self.lorentz, missing=self.missing, edge=self.edge, bridge=bridge,
+            estimator=self.estimator, lorentz=self.lorentz, missing=self.missing, edge=self.edge, valley=self.valley,
+            bridge=bridge, slopes=slopes,
         )  # fmt: skip
 
     def expected_errors(self, detector: Detector) -> tuple[Floats, Floats]:

@@ -29,9 +29,13 @@ SIZES = 24
 """Numbers of strips with errors of their own; larger clusters have the error of this number."""
 CHARGES = 6
 """Ranges of the charge of clusters with errors of their own."""
+SLOPE_EDGES = np.array([0.1, 0.2, 0.3, 0.45, 0.6, 0.8, 1.1])
+"""Where ranges of the slope of electrons' places of origin at the anode begin, each with errors of its own."""
+PAIR = 6
+"""Numbers of the likelihood of a pair of X and V."""
 
 #: Changes with everything that makes stored calibrations wrong.
-MODEL = 1
+MODEL = 2
 _SPEED_OF_LIGHT = 299.792458  # mm/ns
 _MISSING = (
     "got no calibration for this detector, field and read-out, "
@@ -54,7 +58,8 @@ class CalibrationError(ProblemsError[str]):
 #: Shapes of the arrays of a calibration; -1 stands for the number of layers.
 _SHAPES = {
     "edges": (2, -1, CHARGES - 1), "depth": (2, -1, CHARGES), "height": (2, -1, CHARGES), "typical_errors": (3, 2, -1),
-    "errors": (3, 2, -1, CHARGES, SIZES),
+    "errors": (3, 2, -1, CHARGES, SIZES), "slope_errors": (3, 2, -1, len(SLOPE_EDGES) + 1), "pairs": (-1, PAIR),
+    "shares": (2, -1, CHARGES, SIZES), "slope_shares": (2, -1, len(SLOPE_EDGES) + 1),
 }  # fmt: skip
 
 
@@ -86,6 +91,15 @@ class Calibration:
         Charges of clusters where the next range begins.
     typical_errors : (3, 2, layers) float64, mm
         Over all charges and sizes of the sample.
+    slope_errors : (3, 2, layers, len(SLOPE_EDGES) + 1) float64, mm
+        Errors of positions that use the angle of the track, by estimator, view, layer and range of the slope.
+    shares : (2, layers, CHARGES, SIZES) float64
+        Weight of the centroid in the merged position, 0 to 1.
+    slope_shares : (2, layers, len(SLOPE_EDGES) + 1) float64
+        The same for positions that use the angle of the track.
+    pairs : (layers, PAIR) float64
+        Mean and width of ln(charge of X / charge of V) and of the difference of their times (ns) for one particle, and
+        the widths of both for two particles.
     key : str
         Hash of what the calibration belongs to, see `key_of`.
     about : str
@@ -97,6 +111,10 @@ class Calibration:
     height: Floats
     edges: Floats
     typical_errors: Floats
+    slope_errors: Floats
+    shares: Floats
+    slope_shares: Floats
+    pairs: Floats
     key: str
     about: str
 
@@ -116,8 +134,8 @@ class Calibration:
 
 def neutral(layers: int) -> Calibration:
     """Return the calibration with which calibrations are made: equal errors, no correction."""
-    values = {name: np.ones(_shape(name, layers)) for name in ("errors", "typical_errors")}
-    values |= {name: np.zeros(_shape(name, layers)) for name in ("depth", "height", "edges")}
+    values = {name: np.ones(_shape(name, layers)) for name in ("errors", "typical_errors", "slope_errors", "pairs")}
+    values |= {name: np.zeros(_shape(name, layers)) for name in ("depth", "height", "edges", "shares", "slope_shares")}
     return Calibration(**values, key="", about="none")
 
 
@@ -128,7 +146,7 @@ def key_of(detector: Detector, readout: Any) -> str:
     ----------
     detector : Detector
     readout : AnalogReadout or ProjectionReadout
-        Its `calibration` and `estimator` do not count.
+        Its `calibration`, `estimator` and `second_pass` do not count.
 
     Returns
     -------
@@ -136,7 +154,7 @@ def key_of(detector: Detector, readout: Any) -> str:
         16 hexadecimal digits.
     """
     settings = readout.to_dict()
-    for name in ("calibration", "estimator"):
+    for name in ("calibration", "estimator", "second_pass"):
         settings.pop(name, None)
     layers = [[getattr(layer, name) for name in _LAYER] + [layer.gas.ionization] for layer in detector.cgem]
     text = json.dumps([MODEL, readout.name, settings, layers, detector.field.bz], sort_keys=True)
@@ -233,7 +251,9 @@ def find_clusters(
     lorentz: bool,
     missing: int,
     edge: float,
+    valley: float,
     bridge: int = 0,
+    slopes: Floats | None = None,
 ) -> Table:
     """Return the clusters of strips with charge and time.
 
@@ -252,8 +272,12 @@ def find_clusters(
         Strips that may be missing within a cluster.
     edge : float
         Outermost strips with a smaller share of their neighbour's charge do not enter line fits.
+    valley : float
+        A strip with less than this share of the charge of both maxima beside it divides a cluster; 0: none does.
     bridge : int
         Dead and hot strips in a row that a cluster may bridge.
+    slopes : (clusters,) float64 or None
+        dX/dr of X clusters and dV/dr of V clusters at the anode, by row of the result; NaN where no track tells.
     """
     drift = drift_columns(detector)
     flight = np.array([layer.r_mid for layer in detector.cgem]) / _SPEED_OF_LIGHT
@@ -266,7 +290,8 @@ def find_clusters(
     }
     return clusters_at(
         detector, digis, timing, delays(drift["induction"]),
-        calibration=calibration, estimator=estimator, missing=missing, edge=edge, bridge=bridge,
+        calibration=calibration, estimator=estimator, missing=missing, edge=edge, valley=valley,
+        bridge=bridge, slopes=slopes,
     )  # fmt: skip
 
 
@@ -280,7 +305,9 @@ def clusters_at(
     estimator: Estimator,
     missing: int,
     edge: float,
+    valley: float,
     bridge: int = 0,
+    slopes: Floats | None = None,
 ) -> Table:
     """Return the clusters of strips for given drift and delays.
 
@@ -292,14 +319,18 @@ def clusters_at(
         velocity (mm/ns), tan_lorentz, shift (rad), delay (ns).
     delays : (ndarray, ndarray), (2 layers, n) float64
         Charge (fC) and delay (ns) of the chip by layer and view.
-    calibration, estimator, missing, edge, bridge
+    calibration, estimator, missing, edge, valley, bridge, slopes
         See `find_clusters`.
     """
     found = _core.find_charge_time_clusters(
         compiled(detector), dict(digis.columns), timing=timing, delay_charge=delays[0], delay=delays[1],
-        errors=calibration.errors.reshape(-1, SIZES), depth=calibration.depth.reshape(-1, CHARGES),
+        errors=calibration.errors.reshape(-1, SIZES), shares=calibration.shares.reshape(-1, SIZES),
+        depth=calibration.depth.reshape(-1, CHARGES),
         height=calibration.height.reshape(-1, CHARGES), edges=calibration.edges.reshape(-1, CHARGES - 1),
-        estimator=estimator, missing=missing, edge=edge,
-        masked=strip_lists(detector).masked, bridge=bridge, gain=strip_gains(detector),
+        estimator=estimator, missing=missing, edge=edge, masked=strip_lists(detector).masked, bridge=bridge,
+        gain=strip_gains(detector), valley=valley, pairs=calibration.pairs.ravel(),
+        slope_errors=calibration.slope_errors.ravel(), slope_shares=calibration.slope_shares.ravel(),
+        slope_edges=SLOPE_EDGES,
+        slopes=np.empty(0) if slopes is None else slopes,
     )  # fmt: skip
     return Table("clusters", found, **digis.cover)

@@ -13,7 +13,7 @@ from cgemit.detector import Detector, compiled
 from cgemit.detector.gaps import w_values
 from cgemit.detector.strip_maps import gain_table
 from cgemit.digitize.analog_cluster import Calibration, Estimator, calibration_of, clusters_at, neutral
-from cgemit.digitize.readout import GAIN, Floats
+from cgemit.digitize.readout import GAIN, Floats, Share
 from cgemit.kinds import NotNegative, Positive
 from cgemit.settings import SettingsData
 from cgemit.tables import Table
@@ -33,6 +33,8 @@ class ProjectionReadout(SettingsData):
         fC, of a strip.
     noise : float
         fC, of a strip.
+    valley : float
+        A strip with less than this share of the charge of both maxima beside it divides a cluster; 0: none does.
     estimator : str
         Position of a cluster, always ``"centroid"``.
     calibration : str
@@ -52,6 +54,7 @@ class ProjectionReadout(SettingsData):
     sigma: Positive = 0.29
     threshold: Positive = 1.7
     noise: NotNegative = 0.5
+    valley: Share = 0.4
     estimator: Literal["centroid"] = "centroid"
     calibration: str = ""
 
@@ -84,7 +87,13 @@ class ProjectionReadout(SettingsData):
         return self.cluster_with(detector, digis, calibration_of(detector, self), bridge=settings.bridge)
 
     def cluster_with(
-        self, detector: Detector, digis: Table, calibration: Calibration | None = None, *, bridge: int = 0
+        self,
+        detector: Detector,
+        digis: Table,
+        calibration: Calibration | None = None,
+        *,
+        bridge: int = 0,
+        slopes: Floats | None = None,
     ) -> Table:
         """Return clusters with the errors of a calibration; without one, errors of 1 mm.
 
@@ -95,12 +104,15 @@ class ProjectionReadout(SettingsData):
         calibration : Calibration or None
         bridge : int
             See `ClusterSettings`.
+        slopes : (clusters,) float64 or None
+            See `find_clusters`.
         """
         layers = len(detector.cgem)
         return clusters_at(
             detector, digis, {name: np.zeros(layers) for name in ("tan_lorentz", "shift", "delay")}
             | {"velocity": np.ones(layers)}, (np.zeros((2 * layers, 1)), np.zeros((2 * layers, 1))),
-            calibration=calibration or neutral(layers), estimator="centroid", missing=0, edge=0.0, bridge=bridge,
+            calibration=calibration or neutral(layers), estimator="centroid", missing=0, edge=0.0, valley=self.valley,
+            bridge=bridge, slopes=slopes,
         )  # fmt: skip
 
     def expected_errors(self, detector: Detector) -> tuple[Floats, Floats]:

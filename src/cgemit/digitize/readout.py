@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, Protocol
+from typing import Annotated, ClassVar, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from cgemit.cluster import ClusterSettings
 from cgemit.detector import Detector
+from cgemit.kinds import Check
 from cgemit.tables import Table
 
 Floats = npt.NDArray[np.float64]
+
+Share = Annotated[float, Check(lambda value: 0 <= value < 1, "a number from 0 to 1, 1 excluded")]
 
 #: Electrons on the anode per electron of ionization: effective gain of a triple GEM.
 GAIN = 12_000.0

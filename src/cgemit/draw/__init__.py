@@ -8,8 +8,9 @@ from cgemit.draw.detector import draw_detector, draw_sides
 from cgemit.draw.display import event
 from cgemit.draw.display3d import event_3d, save_page
 from cgemit.draw.finding import draw_finding
+from cgemit.draw.formation import FormationPanel, draw_formation
 from cgemit.draw.matter import draw_slab
-from cgemit.draw.readout import draw_readout
+from cgemit.draw.readout import ViewCurves, draw_readout
 from cgemit.draw.refit import draw_refit
 from cgemit.draw.scans import resolutions
 from cgemit.draw.style import Picture
@@ -17,7 +18,9 @@ from cgemit.draw.style import Picture
 draw_event = event  # its former name
 
 __all__ = [
+    "FormationPanel",
     "Picture",
+    "ViewCurves",
     "draw_budget",
     "draw_budgets",
     "draw_chain",
@@ -25,6 +28,7 @@ __all__ = [
     "draw_detector",
     "draw_event",
     "draw_finding",
+    "draw_formation",
     "draw_projection",
     "draw_readout",
     "draw_refit",

@@ -65,7 +65,7 @@ def find_tracks(
     found = _core.find_tracks(
         compiled(detector, gaps=False), event_offsets=offsets,
         hits={name: np.ascontiguousarray(column[order]) for name, column in hits.items()},
-        settings=_core_settings(settings),
+        settings=_core_settings(settings), pairs=_pairs(clusters, view[order], hits["row"][order]),
     )  # fmt: skip
     return _tables(found, clusters, view[order], hits["row"][order], settings)
 
@@ -119,6 +119,18 @@ def _measurements(clusters: Table, wire_hits: Table) -> tuple[Column, Column, di
     }
     view = both(np.where(points[strips], HIT_XV, kind), np.full(n, HIT_WIRE), "i1")
     return both(clusters["event"][strips], wire_hits["event"], "i8"), view, hits
+
+
+def _pairs(clusters: Table, view: Column, row: Column) -> dict[str, Column]:
+    """Return the scores of XV clusters with the numbers of their X and V among the measurements, if there are any."""
+    pairs = np.flatnonzero(np.nan_to_num(clusters["score"]) * (clusters["x_cluster"] >= 0))
+    if not len(pairs):
+        return {}
+    number = np.full(len(clusters), -1, np.int64)
+    of_clusters = np.flatnonzero(view < HIT_WIRE)
+    number[row[of_clusters]] = of_clusters
+    x, v = (number[clusters[name][pairs]] for name in ("x_cluster", "v_cluster"))
+    return {"x": x, "v": v, "score": clusters["score"][pairs]}
 
 
 def _tables(

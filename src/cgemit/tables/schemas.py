@@ -145,6 +145,7 @@ _CLUSTERS = (
     _link("truth", "crossing with the largest contribution", "truths"),
     _i4("n_truths", "number of crossings that contributed"),
     _column("i1", "method", "", "0 position of the strips, 1 position with an error that holds at any incidence"),
+    _f8("score", "", "ln(likelihood ratio) that X and V of an XV cluster are of one particle, from charge and time"),
 )
 
 

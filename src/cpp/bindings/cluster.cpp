@@ -83,10 +83,12 @@ std::span<const double> rows_of(const Array<double>& array, const char* name, st
 
 py::dict with_times(const Detector& detector, const py::dict& table, const py::dict& timing,
                     const Array<double>& delay_charge, const Array<double>& delay,
-                    const Array<double>& errors, const Array<double>& depth, const Array<double>& height,
-                    const Array<double>& edges, const std::string& estimator, std::int32_t missing,
-                    double edge, const Array<std::int32_t>& masked, std::int32_t bridge,
-                    const Array<double>& gain) {
+                    const Array<double>& errors, const Array<double>& shares, const Array<double>& depth,
+                    const Array<double>& height, const Array<double>& edges, const std::string& estimator,
+                    std::int32_t missing, double edge, const Array<std::int32_t>& masked, std::int32_t bridge,
+                    const Array<double>& gain, double valley, const Array<double>& pairs,
+                    const Array<double>& slope_errors, const Array<double>& slope_shares,
+                    const Array<double>& slope_edges, const Array<double>& slopes) {
   Inputs in(table, "event");
   const DigiView digis = digi_view(in);
   const std::vector<LayerTiming> layers = layer_timing(timing, detector);
@@ -102,7 +104,8 @@ py::dict with_times(const Detector& detector, const py::dict& table, const py::d
       .layers = layers,
       .delays = {rows_of(delay_charge, "delay_charge", 2 * n, points), rows_of(delay, "delay", 2 * n, points),
                  static_cast<std::size_t>(points)},
-      .calibration = {rows_of(errors, "errors", 6 * n * rows, sizes), rows_of(depth, "depth", 2 * n, charges),
+      .calibration = {rows_of(errors, "errors", 6 * n * rows, sizes),
+                      rows_of(shares, "shares", 2 * n * rows, sizes), rows_of(depth, "depth", 2 * n, charges),
                       rows_of(height, "height", 2 * n, charges),
                       matrix(edges, "edges", static_cast<py::ssize_t>(2 * n), charges - 1), n, rows,
                       static_cast<std::size_t>(sizes)},
@@ -112,7 +115,16 @@ py::dict with_times(const Detector& detector, const py::dict& table, const py::d
       .missing = missing,
       .mask = StripMask(detector, column(masked, "masked"), bridge),
       .gain = column(gain, "gain", gain.size() == 0 ? 0 : strips_of(detector)),
-      .edge = edge};
+      .edge = edge,
+      .valley = valley,
+      .pairs = {column(pairs, "pairs",
+                       pairs.size() == 0 ? 0 : static_cast<py::ssize_t>(n * PairTable::entries))},
+      .slope_errors = {column(slope_errors, "slope_errors",
+                              static_cast<py::ssize_t>(6 * n) * (slope_edges.size() + 1)),
+                       column(slope_shares, "slope_shares",
+                              static_cast<py::ssize_t>(2 * n) * (slope_edges.size() + 1)),
+                       column(slope_edges, "slope_edges"), n},
+      .slopes = column(slopes, "slopes", slopes.size())};
   ClusterColumns found;
   {
     py::gil_scoped_release release;
@@ -146,9 +158,11 @@ void bind_cluster(py::module_& module) {
              "Columns of clusters from columns of digis: read-out without strips.");
   module.def("find_charge_time_clusters", &with_times, py::arg("detector"), py::arg("digis"), py::kw_only(),
              py::arg("timing"), py::arg("delay_charge"), py::arg("delay"), py::arg("errors"),
-             py::arg("depth"), py::arg("height"), py::arg("edges"), py::arg("estimator"), py::arg("missing"),
-             py::arg("edge"), py::arg_v("masked", Array<std::int32_t>(0), "..."), py::arg("bridge") = 0,
-             py::arg_v("gain", Array<double>(0), "..."),
+             py::arg("shares"), py::arg("depth"), py::arg("height"), py::arg("edges"), py::arg("estimator"),
+             py::arg("missing"), py::arg("edge"), py::arg_v("masked", Array<std::int32_t>(0), "..."),
+             py::arg("bridge") = 0, py::arg_v("gain", Array<double>(0), "..."), py::arg("valley") = 0.0,
+             py::arg_v("pairs", Array<double>(0), "..."), py::arg("slope_errors"), py::arg("slope_shares"),
+             py::arg("slope_edges"), py::arg_v("slopes", Array<double>(0), "..."),
              "Columns of clusters from columns of digis: charge centroid and line fit.");
   module.def("fit_line", &line_of, py::arg("position"), py::arg("charge"), py::arg("height"),
              "Position at height 0, slope, and whether there is a line, of strips with charge and height.");

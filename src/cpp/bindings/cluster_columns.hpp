@@ -31,6 +31,7 @@ inline py::dict to_dict(ClusterColumns&& clusters) {
   out["truth"] = to_numpy(std::move(clusters.truth));
   out["n_truths"] = to_numpy(std::move(clusters.n_truths));
   out["method"] = to_numpy(std::move(clusters.method));
+  out["score"] = to_numpy(std::move(clusters.score));
   return out;
 }
 

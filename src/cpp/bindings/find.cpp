@@ -4,6 +4,7 @@
 
 #include "bindings/arrays.hpp"
 #include "bindings/hits.hpp"
+#include "bindings/inputs.hpp"
 
 namespace py = pybind11;
 using namespace cgemit;
@@ -12,15 +13,20 @@ using namespace cgemit::bindings;
 namespace {
 
 py::dict run(const Detector& detector, const Array<std::int64_t>& event_offsets, const py::dict& hit_columns,
-             const FindSettings& settings) {
+             const FindSettings& settings, const py::dict& pair_table) {
   const auto offsets = hit_offsets_of(event_offsets);
   const HitColumns columns(detector, hit_columns, static_cast<py::ssize_t>(offsets.back()));
+  PairScores pairs;
+  if (!pair_table.empty()) {
+    Inputs in(pair_table, "score");
+    pairs = PairScores(in.get<std::int64_t>("x"), in.get<std::int64_t>("v"), in.get<double>("score"));
+  }
   FindOutput found;
   {
     py::gil_scoped_release release;
     std::vector<Hit> hits;
     columns.take(0, static_cast<std::size_t>(offsets.back()), hits);
-    found = find_tracks(detector, {offsets, hits}, settings);
+    found = find_tracks(detector, {offsets, hits, std::move(pairs)}, settings);
   }
   py::dict out;
   out["event"] = to_numpy(std::move(found.event));
@@ -52,7 +58,7 @@ void bind_find(py::module_& module) {
            py::arg("max_seeds"), py::arg("least_width"), py::arg("delta_strips"));
   module.def(
       "find_tracks", &run, py::arg("detector"), py::kw_only(), py::arg("event_offsets"), py::arg("hits"),
-      py::arg("settings"),
+      py::arg("settings"), py::arg("pairs") = py::dict(),
       "Tracks of each event: event, offsets of their hits, numbers of the hits, score; and how many seeds "
       "each event had.");
 }

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <optional>
 
 #include "cluster/strip_runs.hpp"
 #include "detector/strip_plane.hpp"
@@ -28,13 +29,71 @@ double Calibration::error(Estimator which, std::size_t row, std::int32_t size) c
   return errors[(static_cast<std::size_t>(which) * 2 * layers * charges + row) * sizes + at];
 }
 
-Line fit_line(std::span<const StripPoint> points) {
+double Calibration::share(std::size_t row, std::int32_t size) const {
+  return shares[row * sizes + std::min(static_cast<std::size_t>(size), sizes) - 1];
+}
+
+double PairTable::score(const ClusterRow& x, const ClusterRow& v) const {
+  constexpr double tail = 0.02, reach = 20;  // share of the pairs in a flat tail, and its length in widths
+  const double* row = &values[static_cast<std::size_t>(x.layer) * entries];
+  const auto ratio = [](double value, double mean, double width, double apart) {
+    const double near = (value - mean) / width, far = value / apart;
+    const auto density = [](double u, double sigma) {
+      return (1 - tail) * std::exp(-0.5 * u * u) / (std::sqrt(2 * pi) * sigma) + tail / (reach * sigma);
+    };
+    return std::log(density(near, width) / density(far, apart));
+  };
+  const double least = 1e-3;  // fC
+  return ratio(std::log(std::max(x.charge, least) / std::max(v.charge, least)), row[0], row[1], row[4]) +
+         ratio(x.time - v.time, row[2], row[3], row[5]);
+}
+
+std::size_t SlopeErrors::row(int view, std::size_t layer, double slope) const {
+  const auto range = std::ranges::upper_bound(edges, std::abs(slope)) - edges.begin();
+  return (static_cast<std::size_t>(view) * layers + layer) * (edges.size() + 1) +
+         static_cast<std::size_t>(range);
+}
+
+double SlopeErrors::error(Estimator which, int view, std::size_t layer, double slope) const {
+  const std::size_t planes = 2 * layers * (edges.size() + 1);
+  return values[static_cast<std::size_t>(which) * planes + row(view, layer, slope)];
+}
+
+double SlopeErrors::share(int view, std::size_t layer, double slope) const {
+  return shares[row(view, layer, slope)];
+}
+
+namespace {
+
+double mean_charge(std::span<const StripPoint> points) {
   double total = 0;
   for (const StripPoint& point : points) total += point.charge;
-  const double mean = total / static_cast<double>(points.size());
+  return total / static_cast<double>(points.size());
+}
+
+double weight_of(const StripPoint& point, double mean) {
+  const double ratio = mean / point.charge;
+  return 1 / (1 + ratio * ratio);
+}
+
+}  // namespace
+
+Line fit_line_along(std::span<const StripPoint> points, double slope) {
+  const double mean = mean_charge(points);
+  double s = 0, sum = 0;
+  for (const StripPoint& point : points) {
+    const double weight = weight_of(point, mean);
+    s += weight;
+    sum += weight * (point.position - slope * point.height);
+  }
+  return {sum / s, slope, true};
+}
+
+Line fit_line(std::span<const StripPoint> points) {
+  const double mean = mean_charge(points);
   double s = 0, sw = 0, sx = 0, sww = 0, swx = 0;
   for (const StripPoint& point : points) {
-    const double ratio = mean / point.charge, weight = 1 / (1 + ratio * ratio);
+    const double weight = weight_of(point, mean);
     s += weight;
     sw += weight * point.height;
     sx += weight * point.position;
@@ -76,14 +135,28 @@ class ViewReconstruction {
   std::vector<StripPoint> points(const DigiView& digis, StripRun rows, double depth) const {
     const double start = layer_.r_gap_out - layer_.r_mid() + depth;
     std::vector<StripPoint> found;
-    for (const std::size_t row : rows) {
-      const double strip = digis.strip[row] + 0.5, charge = std::max(digis.charge[row], least_charge);
-      const double drift = digis.time[row] - timing_.delay - model_.delays.at(number_, view_, charge);
+    for (std::size_t i = 0; i < rows.size(); ++i) {
+      const std::size_t row = rows.rows[i];
+      const double strip = digis.strip[row] + 0.5, charge = std::max(rows.charge(digis, i), least_charge);
+      const double measured = std::max(digis.charge[row], least_charge);
+      const double drift = digis.time[row] - timing_.delay - model_.delays.at(number_, view_, measured);
       found.push_back({view_ == 0 ? x_of_strips(layer_, strip) : v_of_strips(layer_, strip),
                        charge / gain(digis, row), start - drift * timing_.velocity});
     }
     return found;
   }
+  // Mean time of the charge, ns, without the delay of the chip; `depth` as for `points`.
+  double time(std::span<const StripPoint> points, double depth) const {
+    const double start = layer_.r_gap_out - layer_.r_mid() + depth;
+    double charge = 0, sum = 0;
+    for (const StripPoint& point : points) {
+      charge += point.charge;
+      sum += point.charge * (start - point.height);
+    }
+    return timing_.delay + sum / charge / timing_.velocity;
+  }
+  // Slope of the electrons' places of origin as the anode sees them, for a slope of the track.
+  double slope_at_anode(double slope) const { return slope - across_ * timing_.tan_lorentz / layer_.r_mid(); }
   // `height`: mean one of the charge.
   double centroid(std::span<const StripPoint> all, double height) const {
     double charge = 0, sum = 0;
@@ -93,8 +166,9 @@ class ViewReconstruction {
     }
     return all.front().position + sum / charge - lorentz(height);
   }
-  // Line through the strips inside the gap, each moved back by its own Lorentz shift.
-  Line line(std::span<const StripPoint> all) const {
+  // Line through the strips inside the gap, each moved back by its own Lorentz shift. With a slope it only
+  // needs one strip.
+  Line line(std::span<const StripPoint> all, std::optional<double> slope) const {
     const double half = layer_.r_gap_out - layer_.r_mid() + outside;
     std::vector<StripPoint> used;
     for (std::size_t i = 0; i < all.size(); ++i) {
@@ -102,10 +176,10 @@ class ViewReconstruction {
       used.push_back(all[i]);
       used.back().position -= lorentz(all[i].height);
     }
-    if (used.size() < 3) return {0, 0, false};
+    if (used.size() < (slope ? 1 : 3)) return {0, 0, false};
     const double origin = used.front().position;
     for (StripPoint& point : used) point.position -= origin;
-    Line found = fit_line(used);
+    Line found = slope ? fit_line_along(used, *slope) : fit_line(used);
     found.at_middle += origin;
     return found;
   }
@@ -130,46 +204,101 @@ struct Position {
   double value, error;
 };
 
-Position position_of(const ViewReconstruction& view, const Calibration& calibration, std::size_t row,
-                     std::int32_t size, std::span<const StripPoint> points, Estimator estimator) {
-  const auto error = [&](Estimator which) { return calibration.error(which, row, size); };
-  const double centroid = view.centroid(points, calibration.height[row]);
-  const double centroid_error = error(Estimator::centroid);
-  if (estimator == Estimator::centroid) return {centroid, centroid_error};
-  const Line line = view.line(points);
-  if (!line.good) return {centroid, centroid_error};
-  const double line_error = error(Estimator::micro_tpc);
-  if (estimator == Estimator::micro_tpc) return {line.at_middle, line_error};
-  const double a = 1 / (centroid_error * centroid_error), b = 1 / (line_error * line_error);
-  return {(a * centroid + b * line.at_middle) / (a + b), error(Estimator::merged)};
-}
+class ChargeTimeClusters {
+ public:
+  ChargeTimeClusters(const DigiView& digis, const ChargeTimeModel& model) : digis_(digis), model_(model) {}
+
+  // Lowest strips between two larger maxima.
+  void cuts(const CgemLayer&, std::span<const std::size_t> rows, std::vector<std::size_t>& cuts) const {
+    if (!(model_.valley > 0)) return;
+    const auto charge = [&](std::size_t i) { return digis_.charge[rows[i]]; };
+    std::size_t peak = 0, lowest = 0;  // since the last cut; the lowest one behind the peak
+    for (std::size_t i = 1; i < rows.size(); ++i) {
+      if (charge(lowest) < model_.valley * std::min(charge(peak), charge(i))) {
+        cuts.push_back(lowest);
+        peak = lowest = i;
+      } else if (charge(i) > charge(peak)) {
+        peak = lowest = i;
+      } else if (charge(i) < charge(lowest)) {
+        lowest = i;
+      }
+    }
+  }
+
+  ClusterRow make(const CgemLayer& layer, StripRun run, std::size_t row) const {
+    ClusterRow cluster = row_of_run(layer, digis_, run);
+    const int view = static_cast<int>(cluster.view);
+    const auto number = static_cast<std::size_t>(cluster.layer);
+    const ViewReconstruction plane(layer, number, view, model_);
+    double charge = 0;
+    for (std::size_t i = 0; i < run.size(); ++i) {
+      charge += run.charge(digis_, i) / plane.gain(digis_, run.rows[i]);
+    }
+    const std::size_t of_charge = model_.calibration.row(view, number, charge);
+    const auto points = plane.points(digis_, run, model_.calibration.depth[of_charge]);
+    if (!model_.slopes.empty() && row >= model_.slopes.size()) {
+      throw std::invalid_argument("slopes: expected one for each cluster");
+    }
+    const double slope = model_.slopes.empty() ? not_measured : model_.slopes[row];
+    Position at = alone(plane, of_charge, cluster.size, points);
+    if (std::isfinite(slope)) {
+      const Position along = along_track(plane, view, number, of_charge, points, slope);
+      cluster.shift = along.value - at.value;
+      at = along;
+    }
+    cluster.time = plane.time(points, model_.calibration.depth[of_charge]);
+    cluster.method = ClusterMethod::positions;
+    if (cluster.view == ClusterView::x) {
+      cluster.x = at.value;
+      cluster.err_x = at.error;
+      set_azimuth(layer, cluster);
+    } else {
+      cluster.v = at.value;
+      cluster.err_v = at.error;
+    }
+    return cluster;
+  }
+
+  double score(const ClusterRow& x, const ClusterRow& v) const {
+    return model_.pairs.values.empty() ? 0 : model_.pairs.score(x, v);
+  }
+
+ private:
+  // From the cluster alone.
+  Position alone(const ViewReconstruction& plane, std::size_t row, std::int32_t size,
+                 std::span<const StripPoint> points) const {
+    const Calibration& from = model_.calibration;
+    return merged(plane.centroid(points, from.height[row]), plane.line(points, std::nullopt),
+                  from.share(row, size), [&](Estimator which) { return from.error(which, row, size); });
+  }
+
+  // With the slope of the track that has the cluster.
+  Position along_track(const ViewReconstruction& plane, int view, std::size_t layer, std::size_t row,
+                       std::span<const StripPoint> points, double slope) const {
+    const SlopeErrors& from = model_.slope_errors;
+    const double at_anode = plane.slope_at_anode(slope);
+    return merged(plane.centroid(points, model_.calibration.height[row]), plane.line(points, slope),
+                  from.share(view, layer, at_anode),
+                  [&](Estimator which) { return from.error(which, view, layer, at_anode); });
+  }
+
+  // The position that the estimator selects; the centroid where there is no line.
+  template <class Error>
+  Position merged(double centroid, const Line& line, double share, Error&& error) const {
+    if (model_.estimator == Estimator::centroid || !line.good) return {centroid, error(Estimator::centroid)};
+    if (model_.estimator == Estimator::micro_tpc) return {line.at_middle, error(Estimator::micro_tpc)};
+    return {share * centroid + (1 - share) * line.at_middle, error(Estimator::merged)};
+  }
+
+  const DigiView& digis_;
+  const ChargeTimeModel& model_;
+};
 
 }  // namespace
 
 ClusterColumns find_charge_time_clusters(const Detector& detector, const DigiView& digis,
                                          const ChargeTimeModel& model) {
-  return clusters_of_runs(
-      detector, digis, {model.missing, model.mask}, [&](const CgemLayer& layer, StripRun rows) {
-        ClusterRow cluster = row_of_run(layer, digis, rows);
-        const ViewReconstruction view(layer, static_cast<std::size_t>(cluster.layer),
-                                      static_cast<int>(cluster.view), model);
-        double charge = 0;
-        for (const std::size_t digi : rows) charge += digis.charge[digi] / view.gain(digis, digi);
-        const std::size_t row = model.calibration.row(static_cast<int>(cluster.view),
-                                                      static_cast<std::size_t>(cluster.layer), charge);
-        const auto points = view.points(digis, rows, model.calibration.depth[row]);
-        const Position at = position_of(view, model.calibration, row, cluster.size, points, model.estimator);
-        cluster.method = ClusterMethod::positions;
-        if (cluster.view == ClusterView::x) {
-          cluster.x = at.value;
-          cluster.err_x = at.error;
-          set_azimuth(layer, cluster);
-        } else {
-          cluster.v = at.value;
-          cluster.err_v = at.error;
-        }
-        return cluster;
-      });
+  return clusters_of_runs(detector, digis, {model.missing, model.mask}, ChargeTimeClusters(digis, model));
 }
 
 }  // namespace cgemit

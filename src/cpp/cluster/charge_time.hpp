@@ -35,6 +35,7 @@ struct DelayTable {
 // error of the largest size.
 struct Calibration {
   std::span<const double> errors;  // mm; (3, 2, layers, charges, sizes)
+  std::span<const double> shares;  // of the centroid in the merged position; (2, layers, charges, sizes)
   std::span<const double> depth;   // mm, outward, added to heights; (2, layers, charges)
   std::span<const double> height;  // mm, mean height of the charge of a centroid; (2, layers, charges)
   std::span<const double> edges;   // fC, growing; (2, layers, charges - 1)
@@ -43,6 +44,32 @@ struct Calibration {
   // Row of a cluster in `depth` and `height`.
   std::size_t row(int view, std::size_t layer, double charge) const;
   double error(Estimator which, std::size_t row, std::int32_t size) const;
+  double share(std::size_t row, std::int32_t size) const;
+};
+
+// Likelihood of a pair of X and V clusters, by layer: mean and width of ln(charge of X / charge of V) and of
+// the difference of their times (ns), and the widths of both for clusters of different tracks.
+struct PairTable {
+  static constexpr std::size_t entries = 6;
+  std::span<const double> values;  // (layers, entries)
+
+  // Logarithm of the ratio of likelihoods, of one track over two tracks; the tails of either are flat.
+  double score(const ClusterRow& x, const ClusterRow& v) const;
+};
+
+// Errors of positions of which the track's angle is known, by estimator, view, layer and |slope| of the
+// electrons' places of origin at the anode.
+struct SlopeErrors {
+  std::span<const double> values;  // mm; (3, 2, layers, ranges)
+  std::span<const double> shares;  // of the centroid in the merged position; (2, layers, ranges)
+  std::span<const double> edges;   // (ranges - 1), growing
+  std::size_t layers;
+
+  double error(Estimator which, int view, std::size_t layer, double slope) const;
+  double share(int view, std::size_t layer, double slope) const;
+
+ private:
+  std::size_t row(int view, std::size_t layer, double slope) const;
 };
 
 struct ChargeTimeModel {
@@ -55,6 +82,11 @@ struct ChargeTimeModel {
   std::span<const double> gain;  // relative gain of each strip by gid; empty: 1
   double
       edge;  // outermost strips with less than this share of their neighbour's charge do not enter line fits
+  double valley;  // a strip with less than this share of both maxima beside it divides a cluster
+  PairTable pairs;
+  SlopeErrors slope_errors;
+  // By row of the result: dX/dr or dV/dr of the track at the anode; NaN: unknown. Empty: none is known.
+  std::span<const double> slopes;
 };
 
 // Position of a strip and where in the gap its charge comes from.
@@ -72,6 +104,9 @@ struct Line {
   bool good;
 };
 Line fit_line(std::span<const StripPoint> points);
+
+// The same with a given slope: good for any number of points.
+Line fit_line_along(std::span<const StripPoint> points, double slope);
 
 // Rows ordered by event, layer, sheet, then X, V and XV clusters, with positions at mid-gap.
 ClusterColumns find_charge_time_clusters(const Detector& detector, const DigiView& digis,

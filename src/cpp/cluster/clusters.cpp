@@ -36,13 +36,23 @@ ClusterRow make_cluster(const CgemLayer& layer, const DigiView& digis, StripRun 
   return cluster;
 }
 
+struct BinaryClusters {
+  const DigiView& digis;
+  const ErrorTable& errors;
+  Position position;
+
+  void cuts(const CgemLayer&, std::span<const std::size_t>, std::vector<std::size_t>&) const {}
+  ClusterRow make(const CgemLayer& layer, StripRun rows, std::size_t) const {
+    return make_cluster(layer, digis, rows, errors, position);
+  }
+  double score(const ClusterRow&, const ClusterRow&) const { return 0; }
+};
+
 }  // namespace
 
 ClusterColumns find_clusters(const Detector& detector, const DigiView& digis, const ErrorTable& errors,
                              Position position, const StripMask& mask) {
-  return clusters_of_runs(detector, digis, {0, mask}, [&](const CgemLayer& layer, StripRun rows) {
-    return make_cluster(layer, digis, rows, errors, position);
-  });
+  return clusters_of_runs(detector, digis, {0, mask}, BinaryClusters{digis, errors, position});
 }
 
 }  // namespace cgemit

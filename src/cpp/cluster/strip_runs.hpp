@@ -13,8 +13,22 @@
 
 namespace cgemit {
 
-// Rows of the digis of one cluster, ordered by strip.
-using StripRun = std::span<const std::size_t>;
+// Rows of the digis of one cluster, ordered by strip. A strip in the valley between two clusters gives half
+// of its charge to each.
+struct StripRun {
+  std::span<const std::size_t> rows;
+  bool shares_first = false, shares_last = false;
+
+  std::size_t size() const { return rows.size(); }
+  std::size_t front() const { return rows.front(); }
+  std::size_t back() const { return rows.back(); }
+  auto begin() const { return rows.begin(); }
+  auto end() const { return rows.end(); }
+  double charge(const DigiView& digis, std::size_t i) const {
+    const bool shared = (shares_first && i == 0) || (shares_last && i + 1 == rows.size());
+    return (shared ? 0.5 : 1.0) * digis.charge[rows[i]];
+  }
+};
 
 inline void check(const DigiView& digis, const Detector& detector) {
   for (std::size_t i = 0; i < digis.size(); ++i) {
@@ -28,12 +42,13 @@ inline std::int64_t largest_truth(const DigiView& digis, StripRun rows) {
   std::int64_t largest = digis.truth[rows.front()];
   double most = -1;
   for (std::size_t i = 0; i < rows.size(); ++i) {
+    const std::int64_t truth = digis.truth[rows.rows[i]];
     double charge = 0;
-    for (const std::size_t row : rows)
-      charge += digis.truth[row] == digis.truth[rows[i]] ? digis.charge[row] : 0;
+    for (std::size_t k = 0; k < rows.size(); ++k)
+      charge += digis.truth[rows.rows[k]] == truth ? rows.charge(digis, k) : 0;
     if (charge > most) {
       most = charge;
-      largest = digis.truth[rows[i]];
+      largest = truth;
     }
   }
   return largest;
@@ -43,8 +58,8 @@ inline std::int64_t largest_truth(const DigiView& digis, StripRun rows) {
 inline std::int32_t count_truths(const DigiView& digis, StripRun rows) {
   std::int32_t most = 0, distinct = 0;
   for (std::size_t i = 0; i < rows.size(); ++i) {
-    const auto same = [&](std::size_t row) { return digis.truth[row] == digis.truth[rows[i]]; };
-    most = std::max(most, digis.n_truths[rows[i]]);
+    const auto same = [&](std::size_t row) { return digis.truth[row] == digis.truth[rows.rows[i]]; };
+    most = std::max(most, digis.n_truths[rows.rows[i]]);
     distinct += std::none_of(rows.begin(), rows.begin() + static_cast<std::ptrdiff_t>(i), same);
   }
   return std::max(most, distinct);
@@ -59,9 +74,9 @@ inline ClusterRow row_of_run(const CgemLayer& layer, const DigiView& digis, Stri
   cluster.last = digis.strip[rows.back()];
   cluster.size = cluster.last - cluster.first + 1;
   cluster.time = digis.time[front];
-  for (const std::size_t row : rows) {
-    cluster.charge += digis.charge[row];
-    cluster.time = std::min(cluster.time, digis.time[row]);
+  for (std::size_t i = 0; i < rows.size(); ++i) {
+    cluster.charge += rows.charge(digis, i);
+    cluster.time = std::min(cluster.time, digis.time[rows.rows[i]]);
   }
   cluster.r = layer.r_mid();
   cluster.truth = largest_truth(digis, rows);
@@ -69,17 +84,21 @@ inline ClusterRow row_of_run(const CgemLayer& layer, const DigiView& digis, Stri
   return cluster;
 }
 
-// Writes the clusters of one sheet: `views` holds its X clusters, then its V clusters.
-inline void write_sheet(const CgemLayer& layer, std::span<const ClusterRow> views, ClusterColumns& clusters) {
+// Writes the clusters of one sheet: `views` holds its X clusters, then its V clusters. All pairs that cross
+// on the sheet are kept, with what `score` gives for them.
+template <class Score>
+void write_sheet(const CgemLayer& layer, std::span<const ClusterRow> views, ClusterColumns& clusters,
+                 Score&& score) {
   const std::int64_t first = clusters.rows();
   for (const ClusterRow& cluster : views) clusters.push_back(cluster);
   for (std::size_t i = 0; i < views.size() && views[i].view == ClusterView::x; ++i) {
     for (std::size_t k = i + 1; k < views.size(); ++k) {
       if (views[k].view != ClusterView::v ||
-          std::abs(crossing_z(layer, views[i].x, views[k].v)) > layer.half_length)
+          std::abs(crossing_z(layer, views[i].x - views[i].shift, views[k].v - views[k].shift)) >
+              layer.half_length)
         continue;
       clusters.push_back(join_views(layer, views[i], views[k], first + static_cast<std::int64_t>(i),
-                                    first + static_cast<std::int64_t>(k)));
+                                    first + static_cast<std::int64_t>(k), score(views[i], views[k])));
     }
   }
 }
@@ -118,13 +137,16 @@ inline void widen(const CgemLayer& layer, const StripMask& mask, ClusterRow& clu
   cluster.method = ClusterMethod::positions;  // the fit keeps this error
 }
 
-// Clusters of all digis: `make` gives that of a run of strips. Rows ordered by event, layer, sheet, then X, V
-// and XV clusters. Digis of masked strips are left out.
-template <class Make>
+// Clusters of all digis. A model has
+//   cuts(layer, rows, cuts): appends the numbers, within a run of strips, of those at which it falls apart;
+//   make(layer, run, row): the cluster of a run, which will be this row of the table;
+//   score(x, v): how well two clusters fit each other.
+// Rows ordered by event, layer, sheet, then X, V and XV clusters. Digis of masked strips are left out.
+template <class Model>
 ClusterColumns clusters_of_runs(const Detector& detector, const DigiView& digis, const Joining& joining,
-                                Make&& make) {
+                                Model&& model) {
   check(digis, detector);
-  std::vector<std::size_t> order = by_place(digis);
+  std::vector<std::size_t> order = by_place(digis), cuts;
   if (!joining.mask.is_empty()) {
     std::erase_if(order, [&](std::size_t row) { return joining.mask(gid_of_row(detector, digis, row)); });
   }
@@ -133,18 +155,25 @@ ClusterColumns clusters_of_runs(const Detector& detector, const DigiView& digis,
   std::vector<ClusterRow> sheet;
   const auto flush = [&] {
     if (sheet.empty()) return;
-    write_sheet(detector.cgem[static_cast<std::size_t>(sheet.front().layer)], sheet, clusters);
+    write_sheet(detector.cgem[static_cast<std::size_t>(sheet.front().layer)], sheet, clusters,
+                [&](const ClusterRow& x, const ClusterRow& v) { return model.score(x, v); });
     sheet.clear();
   };
   for (std::size_t begin = 0, end; begin < order.size(); begin = end) {
     end = begin + 1;
     while (end < order.size() && adjacent(detector, digis, order[end - 1], order[end], joining)) ++end;
     const CgemLayer& layer = detector.cgem[static_cast<std::size_t>(digis.layer[order[begin]])];
-    ClusterRow cluster = make(layer, StripRun(order).subspan(begin, end - begin));
-    widen(layer, joining.mask, cluster);
-    const auto on = [](const ClusterRow& c) { return std::tuple(c.event, c.layer, c.sheet); };
-    if (!sheet.empty() && on(sheet.front()) != on(cluster)) flush();
-    sheet.push_back(cluster);
+    if (begin > 0 && digis.sheet_of(order[begin]) != digis.sheet_of(order[begin - 1])) flush();
+    const std::span<const std::size_t> rows(&order[begin], end - begin);
+    cuts.assign(1, 0);
+    model.cuts(layer, rows, cuts);
+    cuts.push_back(rows.size() - 1);
+    for (std::size_t k = 1; k < cuts.size(); ++k) {
+      const StripRun run{rows.subspan(cuts[k - 1], cuts[k] - cuts[k - 1] + 1), k > 1, k + 1 < cuts.size()};
+      ClusterRow cluster = model.make(layer, run, static_cast<std::size_t>(clusters.rows()) + sheet.size());
+      widen(layer, joining.mask, cluster);
+      sheet.push_back(cluster);
+    }
   }
   flush();
   return clusters;

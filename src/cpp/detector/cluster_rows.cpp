@@ -6,7 +6,7 @@ void ClusterColumns::reserve(std::size_t n) {
   event.reserve(n);
   for (auto* values : {&layer, &sheet, &first, &last, &size, &n_truths}) values->reserve(n);
   for (auto* values : {&view, &method}) values->reserve(n);
-  for (auto* values : {&charge, &time, &x, &v, &phi, &z, &r, &err_x, &err_v, &err_phi, &err_z}) {
+  for (auto* values : {&charge, &time, &x, &v, &phi, &z, &r, &err_x, &err_v, &err_phi, &err_z, &score}) {
     values->reserve(n);
   }
   for (auto* values : {&x_cluster, &v_cluster, &truth}) values->reserve(n);
@@ -36,6 +36,7 @@ void ClusterColumns::push_back(const ClusterRow& row) {
   truth.push_back(row.truth);
   n_truths.push_back(row.n_truths);
   method.push_back(static_cast<std::int8_t>(row.method));
+  score.push_back(row.score);
 }
 
 }  // namespace cgemit

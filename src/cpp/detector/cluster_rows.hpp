@@ -34,6 +34,8 @@ struct ClusterRow {
   std::int64_t truth = -1;
   std::int32_t n_truths = 0;
   ClusterMethod method = ClusterMethod::strips;
+  double score = not_measured;  // of a pair: logarithm of a likelihood ratio
+  double shift = 0;             // mm, of X or V by the angle of a track; not a column
 };
 
 // Sets the azimuth of a row from its x and err_x. The azimuth is also valid at mid-gap: charge is projected
@@ -45,7 +47,7 @@ inline void set_azimuth(const CgemLayer& layer, ClusterRow& row) {
 
 // The XV row of an X and a V row of one sheet; z from V = X cos + (z_ref - z) sin, errors uncorrelated.
 inline ClusterRow join_views(const CgemLayer& layer, const ClusterRow& x, const ClusterRow& v,
-                             std::int64_t x_row, std::int64_t v_row) {
+                             std::int64_t x_row, std::int64_t v_row, double score = 0) {
   ClusterRow joined = x;
   joined.view = ClusterView::xv;
   joined.first = joined.last = -1;
@@ -58,6 +60,7 @@ inline ClusterRow join_views(const CgemLayer& layer, const ClusterRow& x, const 
   joined.err_z = std::hypot(v.err_v, layer.cos_stereo * x.err_x) / std::abs(layer.sin_stereo);
   joined.x_cluster = x_row;
   joined.v_cluster = v_row;
+  joined.score = score;
   joined.truth = x.truth == v.truth ? x.truth : -1;
   joined.n_truths = std::max(x.n_truths, v.n_truths);
   return joined;
@@ -73,6 +76,7 @@ struct ClusterColumns {
   std::vector<std::int64_t> x_cluster, v_cluster, truth;
   std::vector<std::int32_t> n_truths;
   std::vector<std::int8_t> method;
+  std::vector<double> score;
 
   std::int64_t rows() const { return static_cast<std::int64_t>(event.size()); }
   void reserve(std::size_t n);

@@ -8,13 +8,15 @@
 #include <vector>
 
 #include "detector/wires.hpp"
+#include "find/pair_scores.hpp"
 #include "kalman/group.hpp"
 
 namespace cgemit {
 
 class EventHits {
  public:
-  explicit EventHits(const Detector& detector) : detector_(detector), cells_(detector.wires.size()) {
+  EventHits(const Detector& detector, const PairScores& pairs)
+      : detector_(detector), pairs_(pairs), cells_(detector.wires.size()) {
     for (std::size_t i = 0; i < cells_.size(); ++i)
       cells_[i].assign(static_cast<std::size_t>(detector.wires[i].cells), -1);
     begin_.resize(2 * detector.cgem.size() + 1);
@@ -68,6 +70,9 @@ class EventHits {
     return cells_[layer][static_cast<std::size_t>(number)];
   }
 
+  // How well an X and a V cluster fit each other, by charge and time.
+  double pair_score(std::int32_t x, std::int32_t v) const { return pairs_.of(source(x), source(v)); }
+
   // Whether a track that is beyond doubt has the hit.
   bool is_taken(std::int32_t id) const { return taken_[static_cast<std::size_t>(id)] != 0; }
   void take(std::int32_t id) { taken_[static_cast<std::size_t>(id)] = 1; }
@@ -96,6 +101,7 @@ class EventHits {
   }
 
   const Detector& detector_;
+  const PairScores& pairs_;
   std::vector<Hit> hits_;
   std::vector<std::int64_t> sources_;
   std::vector<std::int32_t> order_, begin_, fired_;

@@ -15,10 +15,10 @@ namespace {
 
 class EventFinder {
  public:
-  EventFinder(const Detector& detector, const FindSettings& settings)
+  EventFinder(const Detector& detector, const FindSettings& settings, const PairScores& pairs)
       : detector_(detector),
         settings_(settings),
-        hits_(detector),
+        hits_(detector, pairs),
         follower_(detector, settings),
         segments_(detector, settings),
         axial_hits_(detector, settings),
@@ -133,7 +133,7 @@ class EventFinder {
 FindOutput find_tracks(const Detector& detector, const FindInput& input, const FindSettings& settings) {
   FindOutput out;
   out.offsets.push_back(0);
-  EventFinder finder(detector, settings);
+  EventFinder finder(detector, settings, input.pairs);
   for (std::size_t event = 0; event + 1 < input.offsets.size(); ++event) {
     const auto first = static_cast<std::size_t>(input.offsets[event]),
                last = static_cast<std::size_t>(input.offsets[event + 1]);

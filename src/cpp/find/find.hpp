@@ -6,6 +6,7 @@
 #include <span>
 #include <vector>
 
+#include "find/pair_scores.hpp"
 #include "kalman/group.hpp"
 
 namespace cgemit {
@@ -31,6 +32,7 @@ struct FindSettings {
 struct FindInput {
   std::span<const std::int64_t> offsets;
   std::span<const Hit> hits;
+  PairScores pairs = {};
 };
 
 // Hits `offsets[i]` to `offsets[i + 1]` of track i, as numbers of the input's hits, from the beam line

@@ -116,6 +116,13 @@ double Follower::variance_of(const Slot<double>& s) const {
   return cluster_variance(s.size, s.extent, pitch, settings_.least_width, settings_.delta_strips);
 }
 
+// How well a V cluster fits the X cluster that the branch has in the same layer.
+double Follower::pair_score(const Branch& branch, const Slot<double>& v) {
+  if (branch.chain < 0) return 0;
+  const Slot<double>& x = slot(links_[static_cast<std::size_t>(branch.chain)].slot);
+  return x.view == View::x && x.layer == v.layer ? hits_->pair_score(x.hit[0], v.hit[0]) : 0;
+}
+
 // Each branch takes one of the clusters of a view, or none.
 void Follower::gap_view(const GroupStep& step, View view, std::span<const std::int32_t> forced) {
   std::int32_t only = -1;
@@ -135,8 +142,10 @@ void Follower::gap_view(const GroupStep& step, View view, std::span<const std::i
       const double residual = there.drift - there.predicted - dot(there.row, branch.state.x);
       const double chi2 = residual * residual / total;
       if (only < 0 && !(chi2 < settings_.gate * settings_.gate)) continue;
+      const double pair = view == View::v ? pair_score(branch, there) : 0;
       next_.push_back(branch);
-      take(next_.back(), s, residual, total, ch, log_found + log_gaussian(chi2, total) - log_density, 0);
+      take(next_.back(), s, residual, total, ch, log_found + log_gaussian(chi2, total) - log_density + pair,
+           0);
     }
     if (only >= 0 && tries) continue;
     next_.push_back(branch);

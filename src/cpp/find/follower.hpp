@@ -64,6 +64,7 @@ class Follower {
   void trace(const Perigee& start);
   bool meets_all(std::span<const std::int32_t> wanted) const;
   void gap_view(const GroupStep& step, View view, std::span<const std::int32_t> forced);
+  double pair_score(const Branch& branch, const Slot<double>& v);
   void wires(const GroupStep& step);
   void wire(Slot<double>& slot);
   void hole(Branch& branch, double penalty) const;

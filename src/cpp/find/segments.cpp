@@ -68,6 +68,7 @@ void SegmentFinder::heights(const EventHits& hits, std::size_t layer, const Poin
   work_ += hits.last(layer, View::v) - hits.first(layer, View::v);
   for (std::int32_t id = hits.first(layer, View::v); id < hits.last(layer, View::v); ++id) {
     if (hits[id].channel != hits[point.id].channel || (!all && hits.is_taken(id))) continue;
+    if (hits.pair_score(point.id, id) < PairScores::implausible) continue;
     const double z = crossing_z(cgem, hits[point.id].value, hits[id].value);
     if (std::abs(z) < cgem.half_length + 5) out.push_back({z, id});
   }

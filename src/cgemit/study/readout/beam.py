@@ -9,12 +9,11 @@ import numpy as np
 
 from cgemit.chain import run
 from cgemit.detector import Detector, load
-from cgemit.digitize.analog_cluster import ESTIMATORS
 from cgemit.particles import particles_from
 from cgemit.result import Result
 from cgemit.species import species
 from cgemit.statistics.estimate import Resolution, measure
-from cgemit.study.readout.calibrate import calibration_from, measurements
+from cgemit.study.readout.calibrate import Measurements, calibration_from, measurements, true_slopes
 from cgemit.tables import Table
 
 RADIUS = 2000.0
@@ -74,19 +73,19 @@ def beam_particles(detector: Detector, particle: str, p: float, angle: float, n:
 
 @dataclass(frozen=True)
 class BeamPoint:
-    """What a read-out measures at one angle, across the X strips.
+    """What a read-out measures of a beam, in one view.
 
     Attributes
     ----------
     angle : float, deg
     charge : float, fC
-        Mean of the X clusters, without the largest 2 %.
+        Mean of the clusters, without the largest 2 %.
     size : float
         Mean number of strips.
     efficiency : float
-        Share of crossings with an X cluster.
+        Share of crossings with a cluster.
     widths : dict of str to Resolution
-        Residuals in um by estimator.
+        Residuals in um by estimator; ``"track"`` uses the angle of the track (`AnalogReadout.second_pass`).
     """
 
     angle: float
@@ -123,13 +122,27 @@ def beam_point(
     detector: Detector, readout: Any, angle: float, *, n: int = 4000, seed: int = 1, particle: str = "pi-",
     p: float = 150.0, threads: int | None = None,
 ) -> BeamPoint:  # fmt: skip
-    """Return what a read-out resolves at one angle; another sample at the same angle gives the errors for merging.
+    """Return what a read-out resolves in X at one angle, see `beam_views`.
+
+    Parameters
+    ----------
+    detector, readout, angle, n, seed, particle, p, threads
+        See `beam_views`.
+    """
+    return beam_views(detector, readout, angle, n=n, seed=seed, particle=particle, p=p, threads=threads)[0]
+
+
+def beam_views(
+    detector: Detector, readout: Any, angle: float, *, n: int = 4000, seed: int = 1, particle: str = "pi-",
+    p: float = 150.0, threads: int | None = None,
+) -> tuple[BeamPoint, BeamPoint]:  # fmt: skip
+    """Return what a read-out resolves in X and V at one angle; another sample at the same angle calibrates it.
 
     Parameters
     ----------
     detector : Detector
         As `beam_detector` makes it.
-    readout : AnalogReadout
+    readout : AnalogReadout or ProjectionReadout
     angle : float
         deg, positive towards larger phi.
     n : int
@@ -145,19 +158,33 @@ def beam_point(
         for one in (seed + 1, seed)
     )
     calibration = calibration_from(other, readout, "beam")
-    widths: dict[str, Resolution] = {}
-    charge, size, found = float("nan"), float("nan"), 0
     if not len(result.truths) or not len(result.digis):
         raise ValueError(
             f"readout: got no {'charge on strips' if len(result.truths) else 'crossing of the layer'} at "
             f"{angle:g} degrees; expected charged particles that cross it, and a lower threshold"
         )
-    for estimator in ESTIMATORS:
-        clusters = replace(readout, estimator=estimator).cluster_with(detector, result.digis, calibration)
-        sample = measurements(detector, clusters, result.truths, lorentz=readout.lorentz)
-        across = sample.view == 0
-        widths[estimator] = measure(1e3 * sample.residual[across], parameter=estimator, unit="um")
-        charges = np.sort(sample.charge[across])
-        charge = float(np.mean(charges[: int(0.98 * len(charges))]))
-        size, found = float(np.mean(sample.size[across])), int(np.count_nonzero(across))
-    return BeamPoint(angle, charge, size, found / len(result.truths), widths)
+    samples = {}
+    for name in readout.estimators:
+        clusters = replace(readout, estimator=name).cluster_with(detector, result.digis, calibration)
+        samples[name] = measurements(detector, clusters, result.truths, lorentz=readout.lorentz)
+    if "micro-tpc" in readout.estimators:
+        slopes = true_slopes(detector, clusters, result.truths)
+        clusters = replace(readout, estimator="merged").cluster_with(detector, result.digis, calibration, slopes=slopes)
+        samples["track"] = measurements(detector, clusters, result.truths, lorentz=readout.lorentz)
+    x, v = (_view_point(samples, view, angle, len(result.truths)) for view in (0, 1))
+    return x, v
+
+
+def _view_point(samples: dict[str, Measurements], view: int, angle: float, crossings: int) -> BeamPoint:
+    """Return what is measured in one view."""
+    widths = {
+        name: measure(1e3 * sample.residual[sample.view == view], parameter=name, unit="um")
+        for name, sample in samples.items()
+    }
+    sample = next(iter(samples.values()))
+    across = sample.view == view
+    charges = np.sort(sample.charge[across])
+    charge = float(np.mean(charges[: int(0.98 * len(charges))]))
+    return BeamPoint(
+        angle, charge, float(np.mean(sample.size[across])), int(np.count_nonzero(across)) / crossings, widths
+    )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -12,7 +13,16 @@ from cgemit import find
 from cgemit.chain import run
 from cgemit.detector import Detector
 from cgemit.detector.strips import local_v
-from cgemit.digitize.analog_cluster import CHARGES, ESTIMATORS, SIZES, Calibration, key_of, neutral
+from cgemit.digitize.analog_cluster import (
+    CHARGES,
+    ESTIMATORS,
+    PAIR,
+    SIZES,
+    SLOPE_EDGES,
+    Calibration,
+    key_of,
+    neutral,
+)
 from cgemit.digitize.transport import drift_columns
 from cgemit.gun import Gun
 from cgemit.result import Result
@@ -39,6 +49,8 @@ class Measurements(NamedTuple):
     charge: Floats  # (n,) fC
     view: Ints  # (n,)
     layer: Ints  # (n,)
+    truth: Ints  # (n,)
+    first: Ints  # (n,), first strip
 
 
 def measurements(detector: Detector, clusters: Table, truths: Table, *, lorentz: bool = True) -> Measurements:
@@ -55,22 +67,94 @@ def measurements(detector: Detector, clusters: Table, truths: Table, *, lorentz:
     rows = clusters["truth"][own]
     view, layer = clusters["view"][own].astype(np.int64), clusters["layer"][own].astype(np.int64)
     residual = find.residuals(detector, clusters, truths, own)
-    slope, tangent = (
-        np.zeros(len(own)),
-        drift_columns(detector)["tan_lorentz"] if lorentz else np.zeros(len(detector.cgem)),
-    )
+    slope = crossing_slopes(detector, truths)[rows, view]
+    tangent = drift_columns(detector)["tan_lorentz"] if lorentz else np.zeros(len(detector.cgem))
+    bend = np.array([[tan, tan * np.cos(one.stereo)] for tan, one in zip(tangent, detector.cgem, strict=True)])
+    scale = np.array([one.r_readout / one.r_mid for one in detector.cgem])
+    slope = slope - bend[layer, view] * scale[layer]
+    size, first = (clusters[name][own].astype(np.int64) for name in ("size", "first"))
+    return Measurements(residual, slope, size, clusters["charge"][own], view, layer, rows, first)
+
+
+def common(one: Measurements, other: Measurements) -> tuple[Measurements, Measurements]:
+    """Return the measurements of the clusters that are in both samples, in the same order.
+
+    Parameters
+    ----------
+    one, other : Measurements
+        Of the same digis; of a crossing with several clusters they may have different ones.
+    """
+    key, other_key = ((2 * sample.truth + sample.view) * (1 << 20) + sample.first for sample in (one, other))
+    _, rows, other_rows = np.intersect1d(key, other_key, return_indices=True)
+    first = Measurements._make(values[rows] for values in one)
+    return first, Measurements._make(values[other_rows] for values in other)
+
+
+def crossing_slopes(detector: Detector, truths: Table) -> Floats:
+    """Return dX/dr and dV/dr at the anode of true crossings, (n, 2) float64.
+
+    Parameters
+    ----------
+    detector : Detector
+    truths : Table
+    """
     ends = []
     for end in ("entry", "exit"):
-        x, y, z = (truths[f"{end}_{axis}"][rows] for axis in "xyz")
+        x, y, z = (truths[f"{end}_{axis}"] for axis in "xyz")
         ends.append((np.hypot(x, y), np.arctan2(y, x), z))
     turn = np.angle(np.exp(1j * (ends[1][1] - ends[0][1])))
+    slopes = np.zeros((len(truths), 2))
     for number, one in enumerate(detector.cgem):
-        here = layer == number
+        here = truths["layer"] == number
         dx, dz = one.r_readout * turn[here], (ends[1][2] - ends[0][2])[here]
-        dv = local_v(one, dx, one.z_ref + dz)
-        bend = tangent[number] * one.r_readout / one.r_mid * np.where(view[here] == 0, 1.0, np.cos(one.stereo))
-        slope[here] = np.where(view[here] == 0, dx, dv) / (ends[1][0] - ends[0][0])[here] - bend
-    return Measurements(residual, slope, clusters["size"][own].astype(np.int64), clusters["charge"][own], view, layer)
+        across = np.column_stack([dx, local_v(one, dx, one.z_ref + dz)])
+        slopes[here] = across / (ends[1][0] - ends[0][0])[here, None]
+    return slopes
+
+
+def true_slopes(detector: Detector, clusters: Table, truths: Table) -> Floats:
+    """Return the slope of the crossing of each cluster as `find_clusters` takes it, NaN where there is none.
+
+    Parameters
+    ----------
+    detector : Detector
+    clusters, truths : Table
+    """
+    slopes = np.full(len(clusters), np.nan)
+    own = find.own_clusters(detector, clusters, truths)
+    slopes[own] = crossing_slopes(detector, truths)[clusters["truth"][own], clusters["view"][own].astype(np.int64)]
+    return slopes
+
+
+def pair_numbers(detector: Detector, clusters: Table, truths: Table) -> Floats:
+    """Return the likelihood of pairs of X and V, see `Calibration.pairs`; pairs of two particles are of two events.
+
+    Parameters
+    ----------
+    detector : Detector
+    clusters, truths : Table
+    """
+    own = find.own_clusters(detector, clusters, truths)
+    found = np.ones((len(detector.cgem), PAIR))
+    rows = np.full((2, len(truths)), -1, np.int64)
+    rows[clusters["view"][own], clusters["truth"][own]] = own
+    for number in range(len(detector.cgem)):
+        x, v = rows[:, (rows >= 0).all(axis=0) & (truths["layer"] == number)]
+        if len(x) < _FEWEST:
+            continue
+        log_charge = [np.log(np.maximum(clusters["charge"][view], 1e-3)) for view in (x, v)]
+        time = [clusters["time"][view] for view in (x, v)]
+        for at, (of_x, of_v), least in ((0, log_charge, 0.02), (2, time, 0.5)):
+            mean, width = _middle(of_x - of_v)
+            found[number, at : at + 2] = mean, max(width, least)
+            found[number, 4 + at // 2] = max(_middle(of_x - np.roll(of_v, 1))[1], least)
+    return found
+
+
+def _middle(values: Floats) -> tuple[float, float]:
+    """Return median and half of the central 68.3 %."""
+    low, middle, high = np.quantile(values, (0.1587, 0.5, 0.8413))
+    return float(middle), float(0.5 * (high - low))
 
 
 def calibrate(
@@ -114,13 +198,18 @@ def calibration_from(result: Result, readout: Any, about: str) -> Calibration:
     """
     detector, digis, truths = result.detector, result.digis, result.truths
 
-    def measured(estimator: str, calibration: Calibration) -> Measurements:
+    def measured(estimator: str, calibration: Calibration, along: bool = False) -> Measurements:
         one = replace(readout, estimator=estimator)
-        return measurements(detector, one.cluster_with(detector, digis, calibration), truths, lorentz=readout.lorentz)
+        clusters = one.cluster_with(detector, digis, calibration)
+        if along:
+            slopes = true_slopes(detector, clusters, truths)
+            clusters = one.cluster_with(detector, digis, calibration, slopes=slopes)
+        return measurements(detector, clusters, truths, lorentz=readout.lorentz)
 
     layers = len(detector.cgem)
     found = replace(neutral(layers), key=key_of(detector, readout), about=about)
-    first = measured("centroid", found)
+    first_table = replace(readout, estimator="centroid").cluster_with(detector, digis, found)
+    first = measurements(detector, first_table, truths, lorentz=readout.lorentz)
     for view, layer in np.ndindex(2, layers):
         charge = first.charge[(first.view == view) & (first.layer == layer)]
         if len(charge) >= _FEWEST:
@@ -131,15 +220,58 @@ def calibration_from(result: Result, readout: Any, about: str) -> Calibration:
         lines = measured("micro-tpc", found)
         for at in np.ndindex(found.depth.shape):
             found.depth[at] += _depth(_select(lines, found, at))
+    found.pairs[:] = pair_numbers(detector, first_table, truths)
+    for along in (False, True) if "micro-tpc" in readout.estimators else ():
+        centroid, line = common(*(measured(estimator, found, along) for estimator in ("centroid", "micro-tpc")))
+        (_set_slope_shares if along else _set_shares)(found, centroid, line)
     for estimator in readout.estimators:
-        which, sample = ESTIMATORS.index(estimator), measured(estimator, found)
-        for view, layer in np.ndindex(2, layers):
-            plane = sample.residual[(sample.view == view) & (sample.layer == layer)]
-            if len(plane) >= _FEWEST:
-                found.typical_errors[which, view, layer] = _width(plane)
-                for charge in range(CHARGES):
-                    found.errors[which, view, layer, charge] = _errors(_select(sample, found, (view, layer, charge)))
+        which = ESTIMATORS.index(estimator)
+        _set_errors(found, which, measured(estimator, found))
+        found.slope_errors[which] = _by_slope(measured(estimator, found, along=True), found, _width)
     return found
+
+
+def _set_errors(found: Calibration, which: int, sample: Measurements) -> None:
+    """Set the errors of one estimator."""
+    for view, layer in np.ndindex(found.errors.shape[1:3]):
+        plane = sample.residual[(sample.view == view) & (sample.layer == layer)]
+        if len(plane) < _FEWEST:
+            continue
+        found.typical_errors[which, view, layer] = _width(plane)
+        for charge in range(CHARGES):
+            found.errors[which, view, layer, charge] = _errors(_select(sample, found, (view, layer, charge)))
+
+
+def _set_shares(found: Calibration, centroid: Measurements, line: Measurements) -> None:
+    """Set the weights of centroids in merged positions, by charge and size."""
+    for at in np.ndindex(*found.depth.shape):
+        own, other = _select(centroid, found, at), _select(line, found, at)
+        for first, last in _groups(np.minimum(own.size, SIZES)):
+            here = (own.size >= first) & (np.minimum(own.size, SIZES) <= last)
+            found.shares[(*at, slice(first - 1, last))] = _share(own.residual[here], other.residual[here])
+
+
+def _set_slope_shares(found: Calibration, centroid: Measurements, line: Measurements) -> None:
+    """Set the weights of centroids in merged positions, by slope."""
+    at = np.searchsorted(SLOPE_EDGES, np.abs(centroid.slope), side="right")
+    for view, layer, number in np.ndindex(*found.slope_shares.shape):
+        here = (centroid.view == view) & (centroid.layer == layer) & (at == number)
+        if np.count_nonzero(here) >= _FEWEST:
+            found.slope_shares[view, layer, number] = _share(centroid.residual[here], line.residual[here])
+
+
+def _share(centroid: Floats, line: Floats) -> float:
+    """Return the weight of the centroid with which the mean of both has the least variance, from 0 to 1.
+
+    Both follow the same electrons: their covariance counts. Tails do not.
+    """
+    use = np.ones(len(centroid), np.bool_)
+    for _ in range(_ROUNDS):
+        spread = [max(3 * float(np.std(values[use])), 1e-9) for values in (centroid, line)]
+        use = (np.abs(centroid) < spread[0]) & (np.abs(line) < spread[1])
+    apart = centroid[use] - line[use]
+    square = float(apart @ apart)
+    return float(np.clip(-(line[use] @ apart) / square, 0, 1)) if square > 0 else 0.5
 
 
 def _select(sample: Measurements, calibration: Calibration, at: tuple[int, ...]) -> Measurements:
@@ -175,6 +307,20 @@ def _errors(sample: Measurements) -> Floats:
             sample.residual[(sample.size >= first) & (np.minimum(sample.size, SIZES) <= last)]
         )
     return errors
+
+
+def _by_slope(sample: Measurements, found: Calibration, width: Callable[[Floats], float]) -> Floats:
+    """Return the width of residuals by view, layer and range of the slope; of neighbours where clusters are few."""
+    values = np.ones(found.slope_shares.shape)
+    at = np.searchsorted(SLOPE_EDGES, np.abs(sample.slope), side="right")
+    layers, ranges = found.slope_shares.shape[1:]
+    for view, layer in np.ndindex(2, layers):
+        here = (sample.view == view) & (sample.layer == layer)
+        numbers = [k for k in range(ranges) if np.count_nonzero(here & (at == k)) >= _FEWEST]
+        if numbers:
+            widths = [width(sample.residual[here & (at == k)]) for k in numbers]
+            values[view, layer] = np.interp(np.arange(ranges), numbers, widths)
+    return values
 
 
 def _groups(size: Ints) -> list[tuple[int, int]]:

@@ -1,0 +1,37 @@
+// How well X and V clusters fit each other by charge and time: logarithms of likelihood ratios, of one
+// particle over two (docs/methods/readout.md).
+#pragma once
+
+#include <cstdint>
+#include <span>
+#include <unordered_map>
+
+namespace cgemit {
+
+// Pairs by the numbers of their hits in the input; 0 for pairs that are not listed, such as those of a binary
+// read-out.
+class PairScores {
+ public:
+  static constexpr double implausible = -5;  // pairs with less start no track
+
+  PairScores() = default;
+  PairScores(std::span<const std::int64_t> x, std::span<const std::int64_t> v,
+             std::span<const double> scores) {
+    scores_.reserve(x.size());
+    for (std::size_t i = 0; i < x.size(); ++i)
+      if (scores[i] != 0) scores_.emplace(key(x[i], v[i]), scores[i]);
+  }
+  double of(std::int64_t x, std::int64_t v) const {
+    if (scores_.empty()) return 0;
+    const auto found = scores_.find(key(x, v));
+    return found == scores_.end() ? 0 : found->second;
+  }
+
+ private:
+  static std::uint64_t key(std::int64_t x, std::int64_t v) {
+    return (static_cast<std::uint64_t>(x) << 32) | (static_cast<std::uint64_t>(v) & 0xFFFFFFFFU);
+  }
+  std::unordered_map<std::uint64_t, double> scores_;
+};
+
+}  // namespace cgemit

@@ -1,0 +1,225 @@
+"""Clusters with two maxima, pairs of X and V by charge and time, and positions that use the angle of a track."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import cgemit as cg
+from cgemit import find
+from cgemit.digitize.analog_cluster import calibration_of, neutral
+from cgemit.digitize.transport import drift_columns
+from cgemit.find.tracks import find_tracks
+from cgemit.second_pass import gap_crossing, track_slopes
+from cgemit.study.readout.calibrate import crossing_slopes
+
+DESIGN = cg.load("besiii-cgem-design")
+L1 = DESIGN.cgem[0]
+TIGER = cg.TigerReadout()
+
+
+def digis_of(strips, charge, time=150.0, view=0):
+    """Return digis of strips of the first layer."""
+    n = len(strips)
+    gid = np.asarray(strips) + view * L1.strips_x
+    return cg.Table(
+        "digis",
+        {
+            **{name: np.zeros(n, np.int32) for name in ("layer", "sheet")}, "event": np.zeros(n, np.int64),
+            "view": np.full(n, view, np.int8), "strip": np.asarray(strips, np.int32), "gid": gid.astype(np.int32),
+            "position": np.full(n, np.nan), "charge": np.asarray(charge, np.float64), "time": np.full(n, time),
+            "truth": np.zeros(n, np.int64), "n_truths": np.ones(n, np.int32),
+        },
+        n_events=1,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("charges", "expected"),
+    [
+        ([10, 20, 10, 2, 12, 18, 5], [(0, 3, 41.0), (3, 6, 36.0)]),
+        ([10, 20, 10, 4, 12, 18, 5], [(0, 6, 79.0)]),  # 4 is more than a fifth of 18
+        ([20, 1, 3, 1, 20], [(0, 1, 20.5), (1, 4, 24.5)]),  # of equal strips, the first
+        ([20, 2, 30, 3, 20], [(0, 1, 21.0), (1, 3, 32.5), (3, 4, 21.5)]),
+        ([1, 2, 3, 20, 3, 2, 1], [(0, 6, 32.0)]),
+        ([9], [(0, 0, 9.0)]),
+    ],
+)
+def test_valleys(charges, expected):
+    """A strip below a share of both maxima divides a cluster and gives half of its charge to each part."""
+    readout = dataclasses.replace(TIGER, valley=0.2)
+    found = readout.cluster_with(DESIGN, digis_of(np.arange(len(charges)), charges))
+    assert list(zip(found["first"], found["last"], found["charge"], strict=True)) == expected
+    whole = dataclasses.replace(TIGER, valley=0.0).cluster_with(DESIGN, digis_of(np.arange(len(charges)), charges))
+    assert whole["charge"].tolist() == [sum(charges)]
+
+
+def test_score_of_pairs():
+    """The score is the logarithm of the ratio of two densities, each with a flat tail, in charge and in time."""
+    calibration = calibration_of(DESIGN, TIGER)
+    mean, width, mean_time, width_time, apart, apart_time = calibration.pairs[0]
+    x, v = digis_of([100], [20.0], 160.0), digis_of([300, 900], [16.0, 2.5], 171.0, view=1)
+    both = cg.Table("digis", {name: np.concatenate([x[name], v[name]]) for name in x}, n_events=1)
+    found = TIGER.cluster_with(DESIGN, both, calibration)
+    pairs = np.flatnonzero(found["view"] == 2)
+    assert len(pairs) > 0
+    assert np.isnan(found["score"][found["view"] < 2]).all()
+
+    def density(value, sigma):
+        return 0.98 * np.exp(-0.5 * (value / sigma) ** 2) / np.sqrt(2 * np.pi) / sigma + 0.02 / (20 * sigma)
+
+    for row in pairs:
+        one, other = found["x_cluster"][row], found["v_cluster"][row]
+        ratio = np.log(found["charge"][one] / found["charge"][other])
+        late = found["time"][one] - found["time"][other]
+        expected = density(ratio - mean, width) / density(ratio, apart)
+        expected *= density(late - mean_time, width_time) / density(late, apart_time)
+        assert found["score"][row] == pytest.approx(np.log(expected), abs=1e-9)
+
+
+def test_time_of_a_cluster():
+    """The time is the mean of the strips', weighted with charge, without the chip's delay for each charge."""
+    charge, delay = TIGER.delays(drift_columns(DESIGN)["induction"])
+    found = TIGER.cluster_with(DESIGN, digis_of([10, 11], [4.0, 12.0], 180.0))
+    walk = np.interp([4.0, 12.0], charge[0], delay[0])
+    assert found["time"][0] == pytest.approx(180 - (4 * walk[0] + 12 * walk[1]) / 16, abs=1e-9)
+
+
+def test_scores_separate_ghosts():
+    """Of pairs that geometry allows, those of one particle have the larger scores."""
+    gun = cg.Gun("mu-", p=1.0, cos_theta=(-0.6, 0.6))
+    result = cg.run(DESIGN, gun + gun, 250, 3, readout=TIGER, until="cluster")
+    clusters = result.clusters
+    pairs = clusters["view"] == 2
+    true = pairs & (clusters["truth"] >= 0)
+    score = clusters["score"]
+    assert np.isfinite(score[pairs]).all()
+    ghosts = np.sort(score[pairs & ~true])
+    assert len(ghosts) > 600
+    assert np.mean(np.searchsorted(ghosts, score[true])) > 0.8 * len(ghosts)
+    binary = cg.run(DESIGN, gun, 5, 3, until="cluster").clusters
+    assert set(binary["score"][binary["view"] == 2]) == {0.0}
+
+
+def test_finder_takes_the_pair_that_fits():
+    """Of two V clusters at one place, the finder takes that whose score is better; without scores it cannot know."""
+    gun = cg.Gun("mu-", p=1.0, cos_theta=(-0.5, 0.5))
+    result = cg.run(DESIGN, gun, 40, 3, readout=TIGER, until="cluster")
+    clusters = result.clusters
+    twin = {name: np.repeat(clusters[name], 2) for name in clusters}
+    second = np.tile([False, True], len(clusters))
+    keep = ~second | (twin["view"] == 1) | (twin["view"] == 2)
+    number = np.cumsum(keep) - 1
+    new_row = {which: number[np.arange(len(clusters)) * 2 + which] for which in (0, 1)}
+    columns = {name: column[keep] for name, column in twin.items()}
+    of_second, is_pair = second[keep], columns["view"] == 2
+    x, v = columns["x_cluster"][is_pair], columns["v_cluster"][is_pair]
+    columns["x_cluster"][is_pair] = new_row[0][x]
+    columns["v_cluster"][is_pair] = np.where(of_second[is_pair], new_row[1][v], new_row[0][v])
+    # Both copies of a V cluster are measured alike; the second one is the better partner of each X.
+    columns["score"][is_pair] = np.where(of_second[is_pair], 3.0, -3.0)
+    twins = cg.Table("clusters", columns, **clusters.cover)
+
+    def share_of_second(table):
+        hits = find_tracks(DESIGN, table, result.wire_hits)["candidate_hits"]
+        rows = hits["row"][hits["view"] == 1]
+        assert len(rows) > 60
+        return np.mean(of_second[rows])
+
+    assert share_of_second(twins) > 0.95
+    assert share_of_second(twins.with_columns(score=-columns["score"])) < 0.05
+
+
+def test_pairs_that_do_not_fit_start_no_track():
+    """Without hits of the chamber, tracks need pairs; implausible ones give none."""
+    result = cg.run(DESIGN, cg.Gun("mu-", p=1.0, cos_theta=(-0.5, 0.5)), 30, 3, readout=TIGER, until="cluster")
+    settings = cg.FindSettings(method="segments")
+    plain = find_tracks(DESIGN, result.clusters, result.wire_hits, settings)["candidates"]
+    spoilt = result.clusters.with_columns(score=np.full(len(result.clusters), -20.0))
+    assert len(plain) > 25
+    assert len(find_tracks(DESIGN, spoilt, result.wire_hits, settings)["candidates"]) == 0
+
+
+def test_gap_crossing_of_a_circle():
+    """Azimuth and path between two radii against points of the circle, both charges and fields, and off the axis."""
+    for bz, kappa, dr in ((-1.0, 1.3, 0.0), (-1.0, -2.0, 5.0), (1.0, 0.7, -3.0), (0.5, -4.0, 2.0)):
+        radius = 3335.6409519815204 / (bz * kappa)
+        tracks = cg.Table.empty("tracks", n_events=1)
+        columns = {name: np.zeros((1, *tracks[name].shape[1:]), tracks[name].dtype) for name in tracks}
+        columns |= {"dr": np.array([dr]), "kappa": np.array([kappa]), "phi0": np.array([0.3])}
+        turn, path = gap_crossing(cg.Table("tracks", columns, n_events=1), np.zeros(1, np.int64), bz, (80.0, 85.0))
+        angle = np.linspace(0, 0.2, 200_001)  # about the centre, from the closest point, in the sense of flight
+        flown = -np.sign(radius) * angle
+        x = (dr + radius) - radius * np.cos(flown)
+        y = -radius * np.sin(flown)
+        r = np.hypot(x, y)
+        azimuth = np.interp([80.0, 85.0], r, np.unwrap(np.arctan2(y, x)))
+        arc = np.interp([80.0, 85.0], r, np.abs(radius) * angle)
+        assert turn[0] == pytest.approx(azimuth[1] - azimuth[0], abs=1e-8)
+        assert path[0] == pytest.approx(arc[1] - arc[0], abs=2e-3)
+
+
+def test_slopes_of_tracks():
+    """Slopes of fitted tracks are those of the crossings."""
+    gun = cg.Gun("mu-", p=2.0, cos_theta=(-0.8, 0.8))
+    result = cg.run(DESIGN, gun, 200, 3, settings=cg.Settings(simulate=cg.SimulateSettings(deltas=False)))
+    slopes = track_slopes(DESIGN, result.clusters, result.candidate_hits, result.tracks)
+    own = find.own_clusters(DESIGN, result.clusters, result.truths)
+    own = own[np.isfinite(slopes[own])]
+    true = crossing_slopes(DESIGN, result.truths)[result.clusters["truth"][own], result.clusters["view"][own]]
+    assert len(own) > 1000
+    apart = slopes[own] - true
+    assert np.median(np.abs(apart)) < 0.01
+    assert np.std(true[result.clusters["view"][own] == 1]) > 0.3  # it is not only near 0
+
+
+def test_positions_along_a_track():
+    """Strips of a line through the gap, with exact times, give its position at any angle, from few strips too."""
+    calibration = neutral(3)
+    timing = {name: np.array([column[0]] * 3) for name, column in drift_columns(DESIGN).items()}
+    charge, delay = TIGER.delays(drift_columns(DESIGN)["induction"])
+    readout = dataclasses.replace(TIGER, estimator="micro-tpc", lorentz=False)
+    flight = L1.r_mid / 299.792458
+    for slope in (-0.8, 0.0, 0.4, 1.2):
+        for strips in ([100], [100, 101], [100, 101, 102, 103]):
+            strips = np.array(strips)
+            centre = (strips.mean() + 0.5) * L1.pitch_x + 0.05
+            position = (strips + 0.5) * L1.pitch_x
+            height = (position - centre) / slope if slope else np.zeros(len(strips))
+            if np.abs(height).max() > 2.5:
+                continue
+            time = flight + timing["delay"][0] + (0.5 * L1.drift_gap - height) / timing["velocity"][0]
+            digis = digis_of(strips, np.full(len(strips), 10.0)).with_columns(
+                time=time + np.interp(10.0, charge[0], delay[0])
+            )
+            found = readout.cluster_with(DESIGN, digis, calibration, slopes=np.array([slope]))
+            expected = centre if slope else position.mean()
+            assert found["x"][0] == pytest.approx(expected, abs=1e-9)
+
+
+def test_second_pass_improves_positions():
+    """With the angle of the track, X and V are measured better and errors fit; rows stay the same."""
+    gun = cg.Gun("mu-", p=1.0, cos_theta=(-0.93, 0.93))
+    runs = [
+        cg.run(DESIGN, gun, 500, 7, readout=dataclasses.replace(TIGER, second_pass=second)) for second in (False, True)
+    ]
+    first, second = (one.clusters for one in runs)
+    for name in ("event", "first", "last", "charge", "x_cluster", "v_cluster"):
+        assert np.array_equal(first[name], second[name])
+    own = find.own_clusters(DESIGN, first, runs[0].truths)
+    spread = []
+    for clusters in (first, second):
+        residual = np.abs(find.residuals(DESIGN, clusters, runs[0].truths, own))
+        spread.append([np.quantile(residual[clusters["view"][own] == view], 0.6) for view in (0, 1)])
+    assert spread[1][0] < 0.92 * spread[0][0]
+    assert spread[1][1] < 0.92 * spread[0][1]
+    pull = residual / np.where(second["view"] == 0, second["err_x"], second["err_v"])[own]
+    assert 0.9 < np.quantile(pull, 0.683) < 1.25
+    widths = [np.quantile(np.abs(one.tracks["res_dr"]), 0.683) for one in runs]
+    assert widths[1] < 0.98 * widths[0]
+
+
+def test_slopes_must_fit():
+    """The core refuses fewer slopes than clusters."""
+    with pytest.raises(ValueError, match="one for each cluster"):
+        TIGER.cluster_with(DESIGN, digis_of([1, 5], [5.0, 5.0]), slopes=np.zeros(1))

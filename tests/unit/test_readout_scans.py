@@ -1,0 +1,115 @@
+"""Scans of a read-out, wrong pairs, and the picture of the signal's formation."""
+
+import csv
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import cgemit as cg
+from cgemit.cli.main import main
+from cgemit.digitize.analog_cluster import calibration_of
+from cgemit.digitize.transport import transport
+from cgemit.study.readout.formation import formation
+from cgemit.study.readout.ghosts import WAYS, pair_scores, scan_ghosts
+from cgemit.study.readout.scan import QUANTITIES, scan
+
+DESIGN = cg.load("besiii-cgem-design")
+TIGER = cg.TigerReadout()
+
+
+def test_quantities_change_what_they_should() -> None:
+    """Gain multiplies the charge, the threshold removes strips, the drift field bends less at 1 T, the field more."""
+    gain = scan(cg.TigerReadout(saturation=1e4), "gain", [6000, 12_000], n=500)
+    charge = gain.of_view(0, "charge")
+    assert 1.9 < charge[1] / charge[0] < 2.3  # strips below the threshold come in
+    threshold = scan(TIGER, "threshold", [1.5, 6.0], n=500)
+    assert (np.diff(threshold.of_view(0, "size")) < -0.5).all()
+    assert (np.diff(threshold.of_view(1, "efficiency")) < 0).all()
+    drift = scan(TIGER, "drift_field", [1.0, 3.0], n=500)
+    assert drift.curves()["centroid"][0][0] > 3 * drift.curves()["centroid"][0][1]
+    field = scan(TIGER, "bz", [0.0, 1.0], n=500)
+    assert field.curves(1)["centroid"][0][1] > 2 * field.curves(1)["centroid"][0][0]
+    assert set(field.curves()) == {"centroid", "micro-tpc", "merged", "track"}
+    assert "bz [T]" in repr(field)
+
+
+def test_track_angle_helps_where_the_angle_spreads_the_charge() -> None:
+    """With the angle of the track, positions are better than merged ones without it, and never much worse."""
+    curves = scan(TIGER, "angle", [0.0, -20.0], n=1000).curves()
+    ratio = curves["track"][0] / curves["merged"][0]
+    assert ratio[0] < 0.9
+    assert ratio[1] < 1.0
+
+
+def test_scores_of_charge_and_time_add_up() -> None:
+    """The study's scores of charge and of time add up to the score of the clusters."""
+    gun = cg.Gun("mu-", p=1.0, cos_theta=(-0.6, 0.6))
+    clusters = cg.run(DESIGN, gun + gun, 30, 3, readout=TIGER, until="cluster").clusters
+    numbers = calibration_of(DESIGN, TIGER).pairs
+    for layer in range(3):
+        rows = np.flatnonzero((clusters["view"] == 2) & (clusters["layer"] == layer))
+        parts = pair_scores(numbers[layer], clusters, clusters["x_cluster"][rows], clusters["v_cluster"][rows])
+        np.testing.assert_allclose(sum(parts), clusters["score"][rows], atol=1e-9)
+
+
+def test_ghosts() -> None:
+    """By geometry alone about half of the crossings of two tracks are as good; charge and time each separate them."""
+    found = scan_ghosts(DESIGN, TIGER, (1, 3), n=250)
+    one, three = found.points
+    assert all(share < 0.05 for share, _ in one.wrong.values())  # apart from delta electrons
+    shares = [three.wrong[way][0] for way in WAYS]
+    assert 0.4 < shares[0] < 0.65  # of three pairs two thirds would be wrong if all crossed on the sheet
+    assert shares[1] < 0.4 * shares[0]
+    assert shares[2] < 0.8 * shares[1]
+    assert [row["tracks"] for row in csv.DictReader(found.to_csv().splitlines())] == ["1", "3"]
+
+
+def test_formation() -> None:
+    """Without diffusion electrons end where the Lorentz angle of each gap takes them; strips lie where they end."""
+    panels = {panel.title: panel for panel in formation(TIGER, angle=10.0, bz=1.0, seed=3)}
+    assert len(panels) == 4
+    straight = panels["without Lorentz angle, without diffusion"]
+    bent = panels["with Lorentz angle, without diffusion"]
+    assert all(np.ptp(line[:, 0]) < 1e-9 for line in straight.drift)
+    first = [line for line in bent.drift if line[-1, 1] == pytest.approx(bent.foils[0])]
+    tangent = transport("ar-ic4h10-90-10", 1.5, 1.0).tan_lorentz
+    assert len(first) > 5
+    for line in first:
+        assert np.ptp(line[:, 0]) == pytest.approx(tangent * np.ptp(line[:, 1]), abs=1e-9)
+    for panel in panels.values():
+        ends = [line[-1, 0] for line in panel.drift if line[-1, 1] == pytest.approx(panel.anode)]
+        assert abs(np.average(panel.strips, weights=panel.charge) - np.mean(ends)) < 0.35
+        assert panel.track[:, 1] == pytest.approx([0, 5], abs=0.01)
+    spread = [np.std([line[-1, 0] for line in panels[f"with Lorentz angle, {way} diffusion"].drift])
+              for way in ("without", "with")]  # fmt: skip
+    assert spread[1] > spread[0] + 0.1
+    with pytest.raises(ValueError, match="expected one with drift"):
+        formation(cg.ProjectionReadout())
+
+
+def test_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Scans, wrong pairs and the picture from the command line; contradictory options are refused."""
+    common = ["readout", "--readout", "tiger", "--quiet"]
+    out = tmp_path / "scan"
+    assert main([*common, "--scan", "threshold", "--values", "2,4", "-n", "300", "-o", str(out)]) == 0
+    rows = list(csv.DictReader((out / "readout.csv").read_text().splitlines()))
+    assert [row["threshold_fC"] for row in rows] == ["2", "2", "4", "4"]
+    assert (out / "readout.png").stat().st_size > 10_000
+    assert main([*common, "--ghosts", "-n", "40", "-o", str(tmp_path / "ghosts")]) == 0
+    assert (tmp_path / "ghosts" / "ghosts.csv").exists()
+    assert "wrong by charge and time" in capsys.readouterr().out
+    picture = tmp_path / "formation.png"
+    assert main([*common, "--formation", str(picture), "--angle", "10 deg"]) == 0
+    assert picture.stat().st_size > 50_000
+    assert main([*common, "--formation", str(picture)]) == 2
+    assert main([*common, "--values", "2,4"]) == 2
+    assert main([*common, "--scan", "gain", "--angles", "0 deg"]) == 2
+    assert main([*common, "--scan", "gain", "--values", "1:2"]) == 2
+    assert main([*common, "-d", "besiii-cgem"]) == 2
+    assert main([*common, "--ghosts", "-d", "besiii-idc"]) == 2
+    errors = capsys.readouterr().err
+    for text in ("--formation: got", "--values: got it with --scan angle", "--angles: got it with --scan gain",
+                 "got a range", "--detector: got it without", "without CGEM layers"):  # fmt: skip
+        assert text in errors
+    assert set(QUANTITIES) == {"angle", "bz", "drift_field", "gain", "threshold"}
