@@ -8,6 +8,7 @@
 #include "find/local.hpp"
 #include "find/segments.hpp"
 #include "find/stereo.hpp"
+#include "find/trace_back.hpp"
 
 namespace cgemit {
 
@@ -95,12 +96,12 @@ class EventFinder {
     }
   }
 
+  // The search has seen the hits already, and neglects scattering and loss.
   FindSeed seed_of(const FoundCircle& circle, const FoundLine& line) const {
     const double per_kappa = curvature(detector_.bz, 1.0), kappa = circle.w / per_kappa;
     FindSeed seed{{circle.d, circle.psi, kappa == 0 ? 1e-9 : kappa, line.z0, line.tanl}, {}, {}};
     Symmetric<double>& c = seed.covariance;
     c = Symmetric<double>::diagonal(Five<double>::zero());
-    // The search has seen the hits already, and neglects scattering and loss.
     constexpr double caution = 6;
     c(0, 0) = caution * circle.covariance[0] + 0.1;
     c(0, 1) = caution * circle.covariance[1];
@@ -111,7 +112,26 @@ class EventFinder {
     c(3, 3) = caution * line.covariance[0] + 4;
     c(3, 4) = caution * line.covariance[1];
     c(4, 4) = caution * line.covariance[2] + 1e-6 * (1 + kappa * kappa);
+    if (std::abs(kappa) > slow_kappa) before_loss(circle, seed);
     return seed;
+  }
+
+  // The circle of a slow particle in the chamber is that after the loss in front of it.
+  void before_loss(const FoundCircle& circle, FindSeed& seed) const {
+    const auto on_wire = std::ranges::find_if(
+        circle.hits, [this](std::int32_t id) { return hits_[id].view == View::wire; });
+    if (on_wire == circle.hits.end()) return;
+    HelixPoint at = closest_point(seed.helix, curvature(detector_.bz, 1.0));
+    double arc = 0;
+    const WireLayer& layer = detector_.wires[static_cast<std::size_t>(hits_[*on_wire].layer)];
+    if (!step_to_cylinder(at, layer.r_end, arc)) return;
+    const double kappa = seed.helix.kappa;
+    seed.helix = trace_back(detector_, at, settings_.mass);
+    const double lost = seed.helix.kappa - kappa;
+    // How much, depends on the particle.
+    seed.covariance(0, 0) += 9;
+    seed.covariance(1, 1) += 1e-3;
+    seed.covariance(2, 2) += lost * lost;
   }
 
   const Detector& detector_;

@@ -19,7 +19,6 @@ constexpr double usual_z = 100;       // mm, of vertices: only orders the seeds
 constexpr double thickness = 0.008;   // radiation lengths of a layer; of the beam pipe, too
 constexpr double slowed = 1.6;        // momentum at the origin over that in the segment
 constexpr double slow_d = 15;         // mm, of slower particles from the beam line
-constexpr double slow_kappa = 8;      // c/GeV; above it, the loss up to the segment matters
 constexpr double highland = 13.6 * MeV;
 
 // A circle through three points, flown through from the first to the last.

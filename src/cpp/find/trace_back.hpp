@@ -6,6 +6,9 @@
 
 namespace cgemit {
 
+// c/GeV; of slower particles, the loss matters.
+inline constexpr double slow_kappa = 8;
+
 Perigee trace_back(const Detector& detector, HelixPoint at, double mass);
 
 }  // namespace cgemit
