@@ -118,8 +118,8 @@ class EventFinder {
 
   // The circle of a slow particle in the chamber is that after the loss in front of it.
   void before_loss(const FoundCircle& circle, FindSeed& seed) const {
-    const auto on_wire = std::ranges::find_if(
-        circle.hits, [this](std::int32_t id) { return hits_[id].view == View::wire; });
+    const auto on_wire =
+        std::ranges::find_if(circle.hits, [this](std::int32_t id) { return hits_[id].view == View::wire; });
     if (on_wire == circle.hits.end()) return;
     HelixPoint at = closest_point(seed.helix, curvature(detector_.bz, 1.0));
     double arc = 0;
