@@ -45,7 +45,7 @@ class Competition {
   }
 
  private:
-  static constexpr double most_shared = 0.3;
+  static constexpr double most_shared = 0.34;
 
   bool keeps(FoundTrack& track, const EventHits& hits) const {
     const auto is_used = [&](std::int32_t hit) { return used_[static_cast<std::size_t>(hit)] != 0; };

@@ -36,7 +36,8 @@ class EventFinder {
       for (const FindSeed& seed : segments_.three_layers(hits_)) try_segment(seed);
     if (settings_.chamber) from_chamber();
     if (settings_.segments && detector_.cgem.size() >= 2)
-      for (const FindSeed& seed : segments_.two_layers(hits_)) try_segment(seed);
+      for (const FindSeed& seed : segments_.two_layers(hits_))
+        if (!is_found(seed)) try_segment(seed);
     competition_.settle(tracks_, hits_, settings_.min_score);
     return tracks_;
   }
@@ -54,6 +55,14 @@ class EventFinder {
     if (taken >= 2 || std::ranges::any_of(tracks_, [&](const FoundTrack& t) { return holds(t, seed); }))
       return;
     try_seed(seed);
+  }
+  // Whether two clusters belong to likely tracks.
+  bool is_found(const FindSeed& seed) const {
+    return std::ranges::count_if(seed.hits, [this](std::int32_t id) {
+      return std::ranges::any_of(tracks_, [&](const FoundTrack& t) {
+        return is_likely(t, settings_.min_score) && std::ranges::find(t.hits, id) != t.hits.end();
+      });
+    }) >= 2;
   }
   static bool holds(const FoundTrack& track, const FindSeed& seed) {
     return std::ranges::all_of(

@@ -24,6 +24,13 @@ double log_gaussian(double chi2, double variance) { return -0.5 * (chi2 + std::l
 
 }  // namespace
 
+// Most tracks come from the beam line, while chance has no such preference.
+double Follower::log_prompt(double d, double variance) const {
+  constexpr double prompt = 0.9, beam = 0.5;  // share of the tracks; mm
+  const double density = std::exp(log_gaussian(d * d / (variance + beam * beam), variance + beam * beam));
+  return std::log(prompt * density * 2 * settings_.max_d + 1 - prompt);
+}
+
 bool Follower::follow(const FindSeed& seed, const EventHits& hits, FoundTrack& track) {
   hits_ = &hits;
   last_found_.clear();
@@ -286,6 +293,7 @@ void Follower::collect(const Branch& best, FoundTrack& track) const {
                  reference_.z0 + x[3], reference_.tanl + x[4]};
   if (track.helix.kappa == 0) track.helix.kappa = 1e-9;
   track.covariance = fitted_.c;
+  track.score += log_prompt(track.helix.d, track.covariance(0, 0));
 }
 
 }  // namespace cgemit
