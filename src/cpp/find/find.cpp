@@ -59,10 +59,10 @@ class EventFinder {
   // Whether two clusters belong to likely tracks.
   bool is_found(const FindSeed& seed) const {
     return std::ranges::count_if(seed.hits, [this](std::int32_t id) {
-      return std::ranges::any_of(tracks_, [&](const FoundTrack& t) {
-        return is_likely(t, settings_.min_score) && std::ranges::find(t.hits, id) != t.hits.end();
-      });
-    }) >= 2;
+             return std::ranges::any_of(tracks_, [&](const FoundTrack& t) {
+               return is_likely(t, settings_.min_score) && std::ranges::find(t.hits, id) != t.hits.end();
+             });
+           }) >= 2;
   }
   static bool holds(const FoundTrack& track, const FindSeed& seed) {
     return std::ranges::all_of(

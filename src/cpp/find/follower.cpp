@@ -217,7 +217,7 @@ void Follower::take(Branch& branch, std::int32_t number, double residual, double
   branch.score += gain;
   branch.in_row = 0;
   ++branch.hits;
-  links_.push_back({number, branch.chain, weight});
+  links_.push_back({number, branch.chain, weight, gain});
   branch.chain = static_cast<std::int32_t>(links_.size()) - 1;
 }
 
@@ -266,14 +266,17 @@ bool Follower::refit(const Branch& best) {
 
 void Follower::collect(const Branch& best, FoundTrack& track) const {
   track.hits.clear();
+  track.gains.clear();
   track.across = track.along = track.wires = track.layers = 0;
   std::int32_t lowest = 0, highest = -1, last = -1;  // layers of wires
   track.score = best.score;
   track.holes = best.holes;
   track.chi2 = fitted_.chi2;
   for (std::int32_t at = best.chain; at >= 0; at = links_[static_cast<std::size_t>(at)].before) {
-    const Slot<double>& s = group_.slots[static_cast<std::size_t>(links_[static_cast<std::size_t>(at)].slot)];
+    const Link& link = links_[static_cast<std::size_t>(at)];
+    const Slot<double>& s = group_.slots[static_cast<std::size_t>(link.slot)];
     track.hits.push_back(s.hit[0]);
+    track.gains.push_back(link.gain);
     if (s.view == View::wire) {
       ++track.wires;
       if (s.layer != last) ++track.layers;
@@ -288,6 +291,7 @@ void Follower::collect(const Branch& best, FoundTrack& track) const {
   }
   track.spanned = highest - lowest + 1;
   std::ranges::reverse(track.hits);
+  std::ranges::reverse(track.gains);
   const Five<double>& x = fitted_.x;
   track.helix = {reference_.d + x[0], wrap_angle(reference_.psi + x[1]), reference_.kappa + x[2],
                  reference_.z0 + x[3], reference_.tanl + x[4]};
