@@ -9,12 +9,10 @@
 
 namespace cgemit {
 
-// Enough measurements for a helix and a degree of freedom.
-inline bool is_track(const FoundTrack& track) {
-  return track.across >= 3 && track.along >= 2 && track.across + track.along >= 6;
-}
+// Enough measurements for a helix; the beam line is another one.
+inline bool is_track(const FoundTrack& track) { return track.across >= 3 && track.along >= 2; }
 
-inline constexpr double per_hit = 2.5;
+inline constexpr double per_hit = 2.5, doubt = 4;
 
 // Chance finds hits wherever it looks: each hit must add to the likelihood on average, and fit; and where a
 // track is so uncertain that no cell must fire, half of the layers must have a hit all the same.
@@ -22,7 +20,8 @@ inline bool is_likely(const FoundTrack& track, double min_score) {
   constexpr double chi2_per_hit = 15;
   const auto n = static_cast<double>(track.hits.size());
   if (2 * track.layers < track.spanned) return false;
-  return track.score > min_score + per_hit * n && track.chi2 < chi2_per_hit * n;
+  const double more = track.hits.size() < 6 ? doubt : 0;
+  return track.score > min_score + more + per_hit * n && track.chi2 < chi2_per_hit * n;
 }
 
 class Competition {
@@ -47,7 +46,7 @@ class Competition {
   }
 
  private:
-  static constexpr double most_shared = 0.3, most_shared_clusters = 0.5, doubt = 4;
+  static constexpr double most_shared = 0.3, most_shared_clusters = 0.5;
 
   bool keeps(FoundTrack& track, const EventHits& hits, double min_score) const {
     const auto is_used = [&](std::int32_t hit) { return used_[static_cast<std::size_t>(hit)] != 0; };
