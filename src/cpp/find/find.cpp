@@ -130,12 +130,9 @@ class EventFinder {
     const auto on_wire =
         std::ranges::find_if(circle.hits, [this](std::int32_t id) { return hits_[id].view == View::wire; });
     if (on_wire == circle.hits.end()) return;
-    HelixPoint at = closest_point(seed.helix, curvature(detector_.bz, 1.0));
-    double arc = 0;
-    const WireLayer& layer = detector_.wires[static_cast<std::size_t>(hits_[*on_wire].layer)];
-    if (!step_to_cylinder(at, layer.r_end, arc)) return;
+    const double radius = detector_.wires[static_cast<std::size_t>(hits_[*on_wire].layer)].r_end;
     const double kappa = seed.helix.kappa;
-    seed.helix = trace_back(detector_, at, settings_.mass);
+    seed.helix = trace_back(detector_, seed.helix, radius, settings_.mass);
     const double lost = seed.helix.kappa - kappa;
     // How much, depends on the particle.
     seed.covariance(0, 0) += 9;
