@@ -54,7 +54,8 @@ int AxialSearch::layers_in(const Box& box) const {
 }
 
 void AxialSearch::push(const Box& box) {
-  if (box.layers < hits_.least()) return;
+  const double middle = box.w + largest_w_ / rows / (1 << box.depth);
+  if (box.layers < hits_.least(middle)) return;
   heap_.push_back(box);
   std::ranges::push_heap(heap_, std::less<>());
 }
@@ -66,7 +67,7 @@ void AxialSearch::start() {
   divided_ = 0;
   std::uint64_t layers = 0;
   for (const AxialPoint& p : points_) layers |= p.layer;
-  if (std::popcount(layers) < hits_.least()) return;
+  if (std::popcount(layers) < hits_.least(largest_w_)) return;
   std::ranges::fill(grid_, 0);
   std::ranges::fill(counts_, 0);
   const double height = 2 * largest_w_ / rows, per_height = 1 / height;
@@ -143,8 +144,8 @@ std::optional<FoundCircle> AxialSearch::next() {
       divide(box);
     } else {
       const double scale = 1.0 / (1 << box.depth);
-      auto found = hits_.fit(0, box.psi + 0.5 * cell_psi * scale, box.w + largest_w_ / rows * scale,
-                             beam_line, hits_.least());
+      auto found =
+          hits_.fit(0, box.psi + 0.5 * cell_psi * scale, box.w + largest_w_ / rows * scale, beam_line, 0);
       // Whatever comes of it, the next search must find something else.
       for (std::int32_t i = box.first; i < box.last; ++i)
         points_[static_cast<std::size_t>(arena_[static_cast<std::size_t>(i)])].left_out = true;

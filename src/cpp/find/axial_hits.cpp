@@ -15,6 +15,9 @@ namespace {
 
 constexpr double hit_error = 0.3;     // mm, with the effects that a circle neglects
 constexpr double least_squares = 10;  // mm^2, r^2 - l^2 of a usable hit
+constexpr double slow_pt = 0.06;      // GeV/c
+constexpr int slow_layers = 4;
+constexpr double per_occupancy_slow = 100;
 constexpr double per_occupancy = 12;  // layers that a seed needs in addition, per share of fired cells
 
 // Drift distance with the side of the circle, minus the distance to the circle.
@@ -31,7 +34,8 @@ double residual(const FoundCircle& c, const AxialPoint& p) {
 AxialHits::AxialHits(const Detector& detector, const FindSettings& settings)
     : detector_(detector),
       settings_(settings),
-      largest_w_(std::abs(curvature(detector.bz, 1 / settings.min_pt))) {}
+      largest_w_(std::abs(curvature(detector.bz, 1 / settings.min_pt))),
+      slow_w_(std::abs(curvature(detector.bz, 1 / slow_pt))) {}
 
 void AxialHits::add(double x, double y, double drift, std::size_t layer, std::int32_t id) {
   const double squares = x * x + y * y - drift * drift;
@@ -49,7 +53,9 @@ void AxialHits::load(const EventHits& hits) {
     occupancy += hits.occupancy(i);
     ++layers;
   }
-  least_ = settings_.least_axial + (layers > 0 ? static_cast<int>(per_occupancy * occupancy / layers) : 0);
+  const double share = layers > 0 ? occupancy / layers : 0;
+  least_ = settings_.least_axial + static_cast<int>(per_occupancy * share);
+  least_slow_ = std::min(least_, slow_layers + static_cast<int>(per_occupancy_slow * share));
   for (std::int32_t id = 0; id < hits.size(); ++id) {
     if (hits.is_taken(id)) continue;
     const Hit& hit = hits[id];
@@ -65,7 +71,7 @@ void AxialHits::load(const EventHits& hits) {
   }
 }
 
-std::optional<FoundCircle> AxialHits::fit(double d, double psi, double w, double sigma_d, int least) {
+std::optional<FoundCircle> AxialHits::fit(double d, double psi, double w, double sigma_d, int more) {
   FoundCircle c{d, psi, w, {}, {}};
   Eigen::Matrix3d normal;
   for (const double window : {4.0, 2.5, 1.6, 1.2, 1.2}) {
@@ -88,7 +94,8 @@ std::optional<FoundCircle> AxialHits::fit(double d, double psi, double w, double
       c.hits.push_back(p.id);
       layers |= p.layer;
     }
-    if (std::popcount(layers) < least) return std::nullopt;
+    if (std::popcount(layers) < least(c.w) + more || c.hits.size() < static_cast<std::size_t>(least_))
+      return std::nullopt;
     const Eigen::Vector3d step = normal.ldlt().solve(right);
     if (!step.allFinite()) return std::nullopt;
     c.d += step[0];

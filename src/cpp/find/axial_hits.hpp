@@ -3,6 +3,7 @@
 #pragma once
 
 #include <array>
+#include <cmath>
 #include <cstdint>
 #include <optional>
 #include <vector>
@@ -34,15 +35,16 @@ class AxialHits {
 
   std::vector<AxialPoint>& points() { return points_; }
   const std::vector<AxialPoint>& points() const { return points_; }
-  // Layers that a circle needs: more where many cells fire by chance.
-  int least() const { return least_; }
+  // Layers that a circle needs: more where many cells fire by chance. A slow particle turns back after a few,
+  // with several cells in each.
+  int least(double w) const { return std::abs(w) > slow_w_ ? least_slow_ : least_; }
   // 1/mm, of the smallest transverse momentum.
   double largest_w() const { return largest_w_; }
 
   // Fits a circle to the hits near a first one that is at most `window` mm away from them; the hits of the
-  // circle are left out afterwards. `sigma_d`: mm, distance from the beam line that the fit expects. None:
-  // too few layers, or a circle outside of the limits of the settings.
-  std::optional<FoundCircle> fit(double d, double psi, double w, double sigma_d, int least);
+  // circle are left out afterwards. `sigma_d`: mm, distance from the beam line that the fit expects; `more`:
+  // layers beyond the least number. None: too few layers, or a circle outside of the limits of the settings.
+  std::optional<FoundCircle> fit(double d, double psi, double w, double sigma_d, int more);
 
  private:
   void add(double x, double y, double drift, std::size_t layer, std::int32_t id);
@@ -51,7 +53,8 @@ class AxialHits {
   const FindSettings& settings_;
   double largest_w_;
   std::vector<AxialPoint> points_;
-  int least_ = 0;
+  double slow_w_;
+  int least_ = 0, least_slow_ = 0;
 };
 
 }  // namespace cgemit

@@ -9,18 +9,19 @@
 
 namespace cgemit {
 
-// Enough measurements for a helix and a degree of freedom.
-inline bool is_track(const FoundTrack& track) {
-  return track.across >= 3 && track.along >= 2 && track.across + track.along >= 6;
-}
+// Enough measurements for a helix; the beam line is another one.
+inline bool is_track(const FoundTrack& track) { return track.across >= 3 && track.along >= 2; }
+
+inline constexpr double per_hit = 2.5, doubt = 4;
 
 // Chance finds hits wherever it looks: each hit must add to the likelihood on average, and fit; and where a
 // track is so uncertain that no cell must fire, half of the layers must have a hit all the same.
 inline bool is_likely(const FoundTrack& track, double min_score) {
-  constexpr double per_hit = 2.5, chi2_per_hit = 15;
+  constexpr double chi2_per_hit = 15;
   const auto n = static_cast<double>(track.hits.size());
   if (2 * track.layers < track.spanned) return false;
-  return track.score > min_score + per_hit * n && track.chi2 < chi2_per_hit * n;
+  const double more = track.hits.size() < 6 ? doubt : 0;
+  return track.score > min_score + more + per_hit * n && track.chi2 < chi2_per_hit * n;
 }
 
 class Competition {
@@ -36,7 +37,7 @@ class Competition {
     std::size_t kept = 0;
     for (std::size_t i = 0; i < tracks.size(); ++i) {
       FoundTrack& track = tracks[i];
-      if (!is_likely(track, min_score) || !keeps(track, hits)) continue;
+      if (!is_likely(track, min_score) || !keeps(track, hits, min_score)) continue;
       for (const std::int32_t hit : track.hits) used_[static_cast<std::size_t>(hit)] = 1;
       if (kept != i) tracks[kept] = std::move(track);
       ++kept;
@@ -45,12 +46,15 @@ class Competition {
   }
 
  private:
-  static constexpr double most_shared = 0.3;
+  static constexpr double most_shared = 0.3, most_shared_clusters = 0.5;
 
-  bool keeps(FoundTrack& track, const EventHits& hits) const {
+  bool keeps(FoundTrack& track, const EventHits& hits, double min_score) const {
     const auto is_used = [&](std::int32_t hit) { return used_[static_cast<std::size_t>(hit)] != 0; };
     const auto shared = static_cast<double>(std::ranges::count_if(track.hits, is_used));
-    if (shared > most_shared * static_cast<double>(track.hits.size())) return false;
+    const auto n = static_cast<double>(track.hits.size());
+    if (shared > most_shared * n &&
+        !(shared <= most_shared_clusters * n && is_likely_alone(track, min_score)))
+      return false;
     if (shared == 0) return is_track(track);
     std::erase_if(track.hits, [&](std::int32_t hit) { return hits[hit].view == View::wire && is_used(hit); });
     track.across = track.along = track.wires = 0;
@@ -63,6 +67,19 @@ class Competition {
       ++(tilted ? track.along : track.across);
     }
     return is_track(track);
+  }
+
+  // Whether the hits that no better track has are likely by themselves; one cluster may be of two tracks.
+  bool is_likely_alone(const FoundTrack& track, double min_score) const {
+    double score = track.score;
+    int own = 0;
+    for (std::size_t i = 0; i < track.hits.size(); ++i) {
+      if (used_[static_cast<std::size_t>(track.hits[i])] != 0)
+        score -= track.gains[i];
+      else
+        ++own;
+    }
+    return track.wires == 0 && score > min_score + doubt + per_hit * own;
   }
 
   const Detector& detector_;

@@ -8,6 +8,7 @@
 #include "find/local.hpp"
 #include "find/segments.hpp"
 #include "find/stereo.hpp"
+#include "find/trace_back.hpp"
 
 namespace cgemit {
 
@@ -35,7 +36,8 @@ class EventFinder {
       for (const FindSeed& seed : segments_.three_layers(hits_)) try_segment(seed);
     if (settings_.chamber) from_chamber();
     if (settings_.segments && detector_.cgem.size() >= 2)
-      for (const FindSeed& seed : segments_.two_layers(hits_)) try_segment(seed);
+      for (const FindSeed& seed : segments_.two_layers(hits_))
+        if (!is_found(seed)) try_segment(seed);
     competition_.settle(tracks_, hits_, settings_.min_score);
     return tracks_;
   }
@@ -53,6 +55,14 @@ class EventFinder {
     if (taken >= 2 || std::ranges::any_of(tracks_, [&](const FoundTrack& t) { return holds(t, seed); }))
       return;
     try_seed(seed);
+  }
+  // Whether two clusters belong to likely tracks.
+  bool is_found(const FindSeed& seed) const {
+    return std::ranges::count_if(seed.hits, [this](std::int32_t id) {
+             return std::ranges::any_of(tracks_, [&](const FoundTrack& t) {
+               return is_likely(t, settings_.min_score) && std::ranges::find(t.hits, id) != t.hits.end();
+             });
+           }) >= 2;
   }
   static bool holds(const FoundTrack& track, const FindSeed& seed) {
     return std::ranges::all_of(
@@ -95,12 +105,12 @@ class EventFinder {
     }
   }
 
+  // The search has seen the hits already, and neglects scattering and loss.
   FindSeed seed_of(const FoundCircle& circle, const FoundLine& line) const {
     const double per_kappa = curvature(detector_.bz, 1.0), kappa = circle.w / per_kappa;
     FindSeed seed{{circle.d, circle.psi, kappa == 0 ? 1e-9 : kappa, line.z0, line.tanl}, {}, {}};
     Symmetric<double>& c = seed.covariance;
     c = Symmetric<double>::diagonal(Five<double>::zero());
-    // The search has seen the hits already, and neglects scattering and loss.
     constexpr double caution = 6;
     c(0, 0) = caution * circle.covariance[0] + 0.1;
     c(0, 1) = caution * circle.covariance[1];
@@ -111,7 +121,23 @@ class EventFinder {
     c(3, 3) = caution * line.covariance[0] + 4;
     c(3, 4) = caution * line.covariance[1];
     c(4, 4) = caution * line.covariance[2] + 1e-6 * (1 + kappa * kappa);
+    if (std::abs(kappa) > slow_kappa) before_loss(circle, seed);
     return seed;
+  }
+
+  // The circle of a slow particle in the chamber is that after the loss in front of it.
+  void before_loss(const FoundCircle& circle, FindSeed& seed) const {
+    const auto on_wire =
+        std::ranges::find_if(circle.hits, [this](std::int32_t id) { return hits_[id].view == View::wire; });
+    if (on_wire == circle.hits.end()) return;
+    const double radius = detector_.wires[static_cast<std::size_t>(hits_[*on_wire].layer)].r_end;
+    const double kappa = seed.helix.kappa;
+    seed.helix = trace_back(detector_, seed.helix, radius, settings_.mass);
+    const double lost = seed.helix.kappa - kappa;
+    // How much, depends on the particle.
+    seed.covariance(0, 0) += 9;
+    seed.covariance(1, 1) += 1e-3;
+    seed.covariance(2, 2) += lost * lost;
   }
 
   const Detector& detector_;

@@ -15,6 +15,7 @@ constexpr double sure = 4;        // a hit with a larger likelihood ratio is tak
 constexpr double rim = 0.5;       // mm, of a cell; a track in it need not fire the cell
 constexpr double inflation = 10;  // of a covariance that the same hits have made
 constexpr int few_hits = 2;
+constexpr double hopeless = 0;  // score: chance explains the hits as well
 constexpr int most_speed_ups = 8;
 constexpr double speed_up = 0.92;  // of kappa
 constexpr int least_hits = 3;
@@ -23,6 +24,13 @@ constexpr double close_to_edge = 0.85;  // of half a cell
 double log_gaussian(double chi2, double variance) { return -0.5 * (chi2 + std::log(2 * pi * variance)); }
 
 }  // namespace
+
+// Most tracks come from the beam line, while chance has no such preference.
+double Follower::log_prompt(double d, double variance) const {
+  constexpr double prompt = 0.9, beam = 0.5;  // share of the tracks; mm
+  const double density = std::exp(log_gaussian(d * d / (variance + beam * beam), variance + beam * beam));
+  return std::log(prompt * density * 2 * settings_.max_d + 1 - prompt);
+}
 
 bool Follower::follow(const FindSeed& seed, const EventHits& hits, FoundTrack& track) {
   hits_ = &hits;
@@ -35,6 +43,7 @@ bool Follower::follow(const FindSeed& seed, const EventHits& hits, FoundTrack& t
     const Branch& best = branches_.front();
     if (!refit(best)) return false;
     collect(best, track);
+    if (track.score < hopeless) return false;
     // The reference was good enough if a second pass has changed next to nothing.
     const auto more = static_cast<int>(track.hits.size()) - static_cast<int>(last_found_.size());
     if (track.hits == last_found_ || (number > 0 && std::abs(more) <= few_hits && !track.has_gaps())) break;
@@ -219,7 +228,7 @@ void Follower::take(Branch& branch, std::int32_t number, double residual, double
   branch.score += gain;
   branch.in_row = 0;
   ++branch.hits;
-  links_.push_back({number, branch.chain, weight});
+  links_.push_back({number, branch.chain, weight, gain});
   branch.chain = static_cast<std::int32_t>(links_.size()) - 1;
 }
 
@@ -268,14 +277,17 @@ bool Follower::refit(const Branch& best) {
 
 void Follower::collect(const Branch& best, FoundTrack& track) const {
   track.hits.clear();
+  track.gains.clear();
   track.across = track.along = track.wires = track.layers = 0;
   std::int32_t lowest = 0, highest = -1, last = -1;  // layers of wires
   track.score = best.score;
   track.holes = best.holes;
   track.chi2 = fitted_.chi2;
   for (std::int32_t at = best.chain; at >= 0; at = links_[static_cast<std::size_t>(at)].before) {
-    const Slot<double>& s = group_.slots[static_cast<std::size_t>(links_[static_cast<std::size_t>(at)].slot)];
+    const Link& link = links_[static_cast<std::size_t>(at)];
+    const Slot<double>& s = group_.slots[static_cast<std::size_t>(link.slot)];
     track.hits.push_back(s.hit[0]);
+    track.gains.push_back(link.gain);
     if (s.view == View::wire) {
       ++track.wires;
       if (s.layer != last) ++track.layers;
@@ -290,11 +302,13 @@ void Follower::collect(const Branch& best, FoundTrack& track) const {
   }
   track.spanned = highest - lowest + 1;
   std::ranges::reverse(track.hits);
+  std::ranges::reverse(track.gains);
   const Five<double>& x = fitted_.x;
   track.helix = {reference_.d + x[0], wrap_angle(reference_.psi + x[1]), reference_.kappa + x[2],
                  reference_.z0 + x[3], reference_.tanl + x[4]};
   if (track.helix.kappa == 0) track.helix.kappa = 1e-9;
   track.covariance = fitted_.c;
+  track.score += log_prompt(track.helix.d, track.covariance(0, 0));
 }
 
 }  // namespace cgemit

@@ -29,6 +29,7 @@ struct FoundTrack {
   Perigee helix;  // at the origin
   Symmetric<double> covariance;
   std::vector<std::int32_t> hits;  // from the beam line outward
+  std::vector<double> gains;       // of each hit, to the score
   double score = 0, chi2 = 0;
   int across = 0, along = 0;  // measured coordinates across the beam and along it
   int wires = 0, holes = 0;
@@ -57,6 +58,7 @@ class Follower {
   struct Link {
     std::int32_t slot, before;
     double weight;  // right minus left probability of a wire
+    double gain;
   };
 
   bool pass(const Perigee& start, const Symmetric<double>& prior, std::span<const std::int32_t> forced,
@@ -73,6 +75,7 @@ class Follower {
   void keep_best();
   bool refit(const Branch& best);
   void collect(const Branch& best, FoundTrack& track) const;
+  double log_prompt(double d, double variance) const;
   double variance_of(const Slot<double>& slot) const;
   Slot<double>& slot(std::int32_t number) { return group_.slots[static_cast<std::size_t>(number)]; }
 

@@ -165,8 +165,9 @@ void LocalSearch::continued(const Segment& segment) {
       count = n;
     }
   }
-  if (count < axial_.least() + more_layers) return;
+
   const double middle = (best + 0.5) / per_bin - largest;
+  if (count < axial_.least(middle) + more_layers) return;
   double sum = 0, weights = 0;
   for (const auto& [w, error] : ranges_) {
     if (std::abs(w - middle) > error + 0.5 / per_bin) continue;
@@ -187,7 +188,7 @@ void LocalSearch::continued(const Segment& segment) {
 std::optional<FoundCircle> LocalSearch::next() {
   while (next_ < curves_.size()) {
     const Curve& curve = curves_[next_++];
-    auto found = axial_.fit(curve.d, curve.psi, curve.w, anywhere, axial_.least() + more_layers);
+    auto found = axial_.fit(curve.d, curve.psi, curve.w, anywhere, more_layers);
     if (found) return found;
   }
   return std::nullopt;

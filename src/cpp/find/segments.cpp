@@ -5,7 +5,6 @@
 
 #include "common/angles.hpp"
 #include "detector/strip_plane.hpp"
-#include "find/trace_back.hpp"
 #include "motion/helix.hpp"
 
 namespace cgemit {
@@ -19,7 +18,6 @@ constexpr double usual_z = 100;       // mm, of vertices: only orders the seeds
 constexpr double thickness = 0.008;   // radiation lengths of a layer; of the beam pipe, too
 constexpr double slowed = 1.6;        // momentum at the origin over that in the segment
 constexpr double slow_d = 15;         // mm, of slower particles from the beam line
-constexpr double slow_kappa = 8;      // c/GeV; above it, the loss up to the segment matters
 constexpr double highland = 13.6 * MeV;
 
 // A circle through three points, flown through from the first to the last.
@@ -113,7 +111,8 @@ void SegmentFinder::three(std::size_t inner, const Point& a, const Point& b, con
   const double s_a = -line.arc, s_b = s_a + arc(at.w, std::hypot(b.x - a.x, b.y - a.y)),
                s_c = s_a + arc(at.w, std::hypot(c.x - a.x, c.y - a.y));
   const double kappa = at.w / curvature(detector_.bz, 1.0);
-  const double pt = 1 / std::max(std::abs(kappa), 1e-3);
+  const double pt = 1 / std::max(std::abs(kappa), 1e-3),
+               psi = wrap_angle(std::atan2(at.uy, at.ux) + line.turn);
   for (const Height& low : low_) {
     for (const Height& high : high_) {
       if (too_much()) return;
@@ -129,23 +128,11 @@ void SegmentFinder::three(std::size_t inner, const Point& a, const Point& b, con
         const double off = (middle.z - low.z - tanl * (s_b - s_a)) / sigma_z;
         if (std::abs(off) > gate) continue;
         const double beside = line.d / sigma_d, far = z0 / usual_z;
-        Perigee helix{line.d, wrap_angle(std::atan2(at.uy, at.ux) + line.turn), kappa, z0, tanl};
-        if (std::abs(kappa) > slow_kappa) helix = before_loss(at, b, low.z, tanl, s_b - s_a);
-        add(helix, settings_.max_d, {a.id, low.id, b.id, middle.id, c.id, high.id},
+        add({line.d, psi, kappa, z0, tanl}, settings_.max_d, {a.id, low.id, b.id, middle.id, c.id, high.id},
             off * off + std::min(beside * beside, 30.0) + far * far);
       }
     }
   }
-}
-
-// The circle has the momentum at its middle layer.
-Perigee SegmentFinder::before_loss(const HelixPoint& first, const Point& middle, double z, double tanl,
-                                   double arc) const {
-  const double turned = arc * first.w, cosine = std::cos(turned), sine = std::sin(turned);
-  return trace_back(detector_,
-                    {middle.x, middle.y, z + tanl * arc, cosine * first.ux - sine * first.uy,
-                     cosine * first.uy + sine * first.ux, tanl, first.w},
-                    settings_.mass);
 }
 
 const std::vector<FindSeed>& SegmentFinder::two_layers(const EventHits& hits) {

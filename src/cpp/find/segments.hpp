@@ -37,7 +37,6 @@ class SegmentFinder {
                bool all);
   void three(std::size_t inner, const Point& a, const Point& b, const Point& c, const EventHits& hits);
   void two(std::size_t inner, std::size_t outer, const Point& a, const Point& c, const EventHits& hits);
-  Perigee before_loss(const HelixPoint& first, const Point& middle, double z, double tanl, double arc) const;
   void add(const Perigee& helix, double sigma_d, std::initializer_list<std::int32_t> hits, double rank);
   void keep_best();
   const std::vector<FindSeed>& ranked();

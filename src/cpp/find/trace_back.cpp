@@ -6,13 +6,14 @@
 
 namespace cgemit {
 
-Perigee trace_back(const Detector& detector, HelixPoint at, double mass) {
-  const double per_kappa = curvature(detector.bz, 1.0), sec_lambda = std::sqrt(1 + at.tanl * at.tanl);
-  const double kappa = at.w / per_kappa;
-  Kinematics now(sec_lambda / std::abs(kappa), mass, projectile_of(mass, kappa));
+Perigee trace_back(const Detector& detector, const Perigee& helix, double radius, double mass) {
+  const double per_kappa = curvature(detector.bz, 1.0), sec_lambda = std::sqrt(1 + helix.tanl * helix.tanl);
+  HelixPoint at = closest_point(helix, per_kappa);
+  double arc = 0;
+  if (!step_to_cylinder(at, radius, arc)) return helix;
+  Kinematics now(sec_lambda / std::abs(helix.kappa), mass, projectile_of(mass, helix.kappa));
   TrackMatter track = total_matter(detector, at.tanl);
   set_cut(track, now);
-  double arc = 0;
   for (std::size_t i = detector.slabs.size(); i-- > 0;) {
     const Slab& slab = detector.slabs[i];
     if (slab.radius >= at.radius()) continue;

@@ -1,4 +1,4 @@
-// A helix at the origin from a point of the track farther out: the particle was faster before the matter.
+// The helix at the origin of a particle that has another one farther out: it was faster before the matter.
 #pragma once
 
 #include "detector/detector.hpp"
@@ -6,6 +6,10 @@
 
 namespace cgemit {
 
-Perigee trace_back(const Detector& detector, HelixPoint at, double mass);
+// c/GeV; of slower particles, the loss matters.
+inline constexpr double slow_kappa = 8;
+
+// `helix`: that of the particle at `radius` mm, as if it had lost nothing.
+Perigee trace_back(const Detector& detector, const Perigee& helix, double radius, double mass);
 
 }  // namespace cgemit
