@@ -21,7 +21,7 @@ from cgemit.io.folders import new_folder
 from cgemit.match import match
 from cgemit.memory import PROBE, PROBED, check_chunk, check_disk
 from cgemit.problems import Problems
-from cgemit.record import configuration_of, gun_data, write_about
+from cgemit.record import table_meta, write_about
 from cgemit.result import Result, detectors_of
 from cgemit.second_pass import along_tracks
 from cgemit.simulate import simulate, transport_counts
@@ -41,7 +41,6 @@ from cgemit.tables.formats import check_format
 from cgemit.tables.links import without_links
 from cgemit.tables.stored import PartsWriter, StoredTables
 from cgemit.values import check_numbers
-from cgemit.version import VERSION
 
 
 def run_chunk(
@@ -233,7 +232,7 @@ def run(
         return (simulated, assumed, shooter, table, first, count, given, seed, finder, until, kept)
 
     tasks = [task(first) for first in range(0, n_events, chunk)] or [task(0)]
-    meta = _meta(simulated, other, shooter, given, seed)
+    meta = table_meta(detectors_of(simulated, other), given, seed, shooter)
 
     def result(tables: Mapping[str, Table], totals: Totals) -> Result:
         transported = None if "particles" in tables else dict(totals.transport)
@@ -288,15 +287,3 @@ def _work(
         kept = {name: tables[name] for name in TABLES if name in tables and name in keep}
         tables = {name: one.with_columns(**without_links(one, kept)) for name, one in kept.items()}
     return Answer(tables, seconds, transport, count, sizes)
-
-
-def _meta(
-    detector: Detector, fit_detector: Detector | None, gun: Source | Guns | None, settings: Settings, seed: int
-) -> dict[str, Any]:
-    texts = {name: one.to_toml() for name, one in detectors_of(detector, fit_detector).items()}
-    return {
-        "version": VERSION,
-        "configuration": configuration_of(texts, settings.to_dict(), gun_data(gun)),
-        "detector": detector.name,
-        "seed": seed,
-    }

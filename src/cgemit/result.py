@@ -12,9 +12,10 @@ from typing import Any
 from cgemit.detector import Detector
 from cgemit.fit import FitStatus
 from cgemit.gun import Guns, Source
+from cgemit.gun_data import gun_data
 from cgemit.io.folders import new_folder
 from cgemit.match import joined
-from cgemit.record import Run, gun_data, read_run, record, write_run
+from cgemit.record import Run, read_run, record, write_run
 from cgemit.simulate import transport_counts
 from cgemit.stages import EVERY_RUN, TABLES, Settings, finder_in, hits_by
 from cgemit.tables import SCHEMAS, Table, select_events

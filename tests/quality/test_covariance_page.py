@@ -7,9 +7,11 @@ from __future__ import annotations
 
 import dataclasses
 
+import pytest
 from sources import ROOT
 
 import covariance
+from cgemit.statistics.formatting import with_error
 from covariance import MODES, QUANTITIES, Ratio, page, points
 from results import FOLDER, read_rows
 
@@ -37,12 +39,11 @@ def test_a_ratio_that_is_off_is_named() -> None:
         assert off.fails
         assert not dataclasses.replace(off, simulated_error=limit * row.analytic).fails
         text = page([off, *good[1:]], ABOUT)
-        assert (
-            f"| {row.detector} | {row.particle} | {row.p:g} | {row.cos_theta:g} | {row.quantity} | {off.ratio:.4f}"
-            in text
-        )
+        place = f"| {row.detector} | {row.particle} | {row.p:g} | {row.cos_theta:g} | {row.quantity} |"
+        assert f"{place} {with_error(off.ratio, off.error)} |" in text
 
 
+@pytest.mark.slow
 def test_the_picture_shows_every_gaussian_ratio() -> None:
     axes = covariance.draw(ROWS).get_axes()
     assert [plot.get_title() for plot in axes] == list(QUANTITIES)

@@ -48,6 +48,7 @@ PYTHON_LAYERS = [
     {"bes3"},
     {"refit"},
     {"vertex"},
+    {"gun_data"},
     {"record"},
     {"stages"},
     {"result"},

@@ -15,7 +15,8 @@ from cgemit.chain import run
 from cgemit.detector import load
 from cgemit.fit import FitSettings
 from cgemit.gun import Gun, Guns, generate
-from cgemit.record import RecordError, gun_data, gun_from, versions
+from cgemit.gun_data import gun_data, gun_from
+from cgemit.record import RecordError, versions
 from cgemit.result import Result
 from cgemit.simulate import SimulateSettings
 from cgemit.stages import Settings

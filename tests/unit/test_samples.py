@@ -11,8 +11,8 @@ import pytest
 import cgemit as cg
 from cgemit.cli.main import main
 from cgemit.gun import generate
+from cgemit.gun_data import gun_data, gun_from
 from cgemit.particles import ParticleError
-from cgemit.record import gun_data, gun_from
 from cgemit.samples import NAMES
 from cgemit.samples.catalogue import DEFINITIONS, Mode
 from cgemit.samples.chains import Draws, Particles, decay_all

@@ -14,7 +14,8 @@ from cgemit.detector.keys import CENTRED, keys_of, plain
 from cgemit.detector.materials import library, read_materials
 from cgemit.detector.merge import FOR_ALL_LAYERS
 from cgemit.detector.parts import CgemLayer, Contents, Cylinder, DriftChamber, WireLayer
-from cgemit.detector.read import LAST_WIRE_LAYER, NAME, TOP_LEVEL, UNUSABLE, WIRE_NUMBER, Reader, shown
+from cgemit.detector.read import LAST_WIRE_LAYER, NAME, TOP_LEVEL, UNUSABLE, WIRE_NUMBER, Reader
+from cgemit.detector.read_lists import shown
 from cgemit.problems import DetectorError, Problem, did_you_mean
 
 

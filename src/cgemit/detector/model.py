@@ -13,7 +13,7 @@ from cgemit.detector.files import field_tables, is_preset, open_source, place_ma
 from cgemit.detector.keys import Known
 from cgemit.detector.merge import merged, set_path
 from cgemit.detector.parts import CgemLayer, Contents, Cylinder
-from cgemit.detector.read import shown
+from cgemit.detector.read_lists import shown
 from cgemit.problems import DetectorError, Problem
 from cgemit.units import NATIVE
 

@@ -1,8 +1,6 @@
 """Reading one table of a detector file: every value is checked against its key, every problem is noted."""
 
-import json
 import math
-import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache
@@ -13,6 +11,7 @@ from cgemit.detector.background import RatePoint
 from cgemit.detector.keys import CENTRED, Key, Known, keys_of, required_of
 from cgemit.detector.material import DensityEffect, Material, elements, fractions_of_formula
 from cgemit.detector.parts import CgemLayer, SubLayer
+from cgemit.detector.read_lists import MOST_POINTS, ListReader, shown
 from cgemit.problems import Problem, did_you_mean
 from cgemit.units import NATIVE, QuantityError, parse_quantity
 
@@ -39,13 +38,6 @@ NAME = rf"(?=.{{1,100}}$)[^{_NOT_IN_NAMES}]*[^{_NOT_IN_NAMES}\s.][^{_NOT_IN_NAME
 #: What the label of a wire layer must match, and its largest number.
 WIRE_NUMBER, LAST_WIRE_LAYER = "0|[1-9][0-9]{0,4}", 65535
 
-#: Sheet and strips of a list of strips.
-STRIPS = r"([0-9]{1,2}):([0-9]{1,6})(?:-([0-9]{1,6}))?"
-#: Most entries of a list of rates.
-MOST_POINTS = 100
-
-#: Characters of a value that messages show.
-LONGEST_SHOWN = 80
 
 #: Keys that a file may hold beside those of the dataclass.
 EXTRA: dict[type, dict[str, Key]] = {
@@ -63,7 +55,7 @@ UNUSABLE: Any = math.nan
 
 
 @dataclass
-class Reader:
+class Reader(ListReader):
     """Reads tables and notes problems.
 
     `materials` holds None for a material with problems of its own. If the base could not be read (`baseless`), missing
@@ -211,14 +203,6 @@ class Reader:
             self.note(path, f"a list of {len(raw)}", key.expected())
         return tuple(points)
 
-    def _counts(self, path: str, raw: object, key: Key) -> Any:
-        numbers = raw if isinstance(raw, list) and 0 < len(raw) <= MOST_POINTS else []
-        good = all(isinstance(one, int | float) and not isinstance(one, bool) and 0 <= one < 1e15 for one in numbers)
-        if not good or not any(numbers):
-            self.note(path, shown(raw), key.expected())
-            return (1,)
-        return tuple(numbers)
-
     def _composition(self, path: str, raw: object, key: Key) -> Any:
         if isinstance(raw, str):
             try:
@@ -247,38 +231,6 @@ class Reader:
         if not isinstance(raw, int | float) or isinstance(raw, bool) or not key.admits(raw):
             return self.note(path, shown(raw), key.expected())
         return float(raw)
-
-    def _strips(self, path: str, raw: object, key: Key) -> Any:
-        if not isinstance(raw, list):
-            self.note(path, shown(raw), key.expected())
-            return ()
-        found = []
-        for i, one in enumerate(raw):
-            match = re.fullmatch(STRIPS, one) if isinstance(one, str) else None
-            if match is None:
-                self.note(f"{path}[{i}]", shown(one), key.expected())
-                continue
-            sheet, first, last = match.groups()
-            found.append((int(sheet), int(first), int(last or first)))
-        return tuple(found)
-
-    def _gains(self, path: str, raw: object, key: Key) -> Any:
-        if not isinstance(raw, list):
-            self.note(path, shown(raw), key.expected())
-            return ()
-        return tuple(self._gain_grid(f"{path}[{i}]", sheet, key) for i, sheet in enumerate(raw))
-
-    def _gain_grid(self, path: str, raw: object, key: Key) -> Any:
-        rows = raw if isinstance(raw, list) else [[raw]]
-        if not rows or not all(isinstance(row, list) and row and len(row) == len(rows[0]) for row in rows):
-            self.note(path, shown(raw), key.expected() + ", rows of equal length")
-            return ((1.0,),)
-        for row in rows:
-            for number in row:
-                if not isinstance(number, int | float) or isinstance(number, bool) or not key.admits(number):
-                    self.note(path, shown(number), key.expected())
-                    return ((1.0,),)
-        return tuple(tuple(map(float, row)) for row in rows)
 
     def _numbers(self, path: str, raw: object, key: Key) -> Any:
         names = DensityEffect._fields
@@ -311,18 +263,3 @@ def _label_hint(path: str, siblings: Iterable[str]) -> str:
     label = path.rpartition(".")[2]
     hint = did_you_mean(label, [other for other in others if other != label])
     return hint or ("a part that the base does not have must be complete" if others else "")
-
-
-def shown(raw: object) -> str:
-    """Return a value of a file in short form, as TOML would write it."""
-    if isinstance(raw, Mapping):
-        return "a table"
-    if isinstance(raw, list):
-        return f"a list of {len(raw)}"
-    if isinstance(raw, bool):
-        return str(raw).lower()
-    try:
-        text = json.dumps(raw, ensure_ascii=False) if isinstance(raw, str) else repr(raw)
-    except ValueError:  # a whole number of thousands of digits
-        return "a number too large to write"
-    return text if len(text) <= LONGEST_SHOWN else text[:LONGEST_SHOWN] + "..."

@@ -10,7 +10,8 @@ from cgemit.detector.keys import CENTRED, Key, keys_of, required_of
 from cgemit.detector.material import DensityEffect, Material
 from cgemit.detector.merge import FOR_ALL_LAYERS
 from cgemit.detector.parts import CgemLayer, Cylinder, DriftChamber, SubLayer, WireLayer
-from cgemit.detector.read import EXTRA, MOST_POINTS, NAME, STRIPS, TOP_LEVEL, WIRE_NUMBER
+from cgemit.detector.read import EXTRA, NAME, TOP_LEVEL, WIRE_NUMBER
+from cgemit.detector.read_lists import MOST_POINTS, STRIPS
 from cgemit.units import NATIVE, format_quantity, units_of
 
 _NUMBER = r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?"

@@ -13,7 +13,8 @@ from cgemit.detector.keys import Key, Known, keys_of
 from cgemit.detector.material import Material
 from cgemit.detector.merge import FOR_ALL_LAYERS
 from cgemit.detector.parts import Contents, DriftChamber, SubLayer
-from cgemit.detector.read import TOP_LEVEL, shown
+from cgemit.detector.read import TOP_LEVEL
+from cgemit.detector.read_lists import shown
 from cgemit.problems import Problem, did_you_mean
 from cgemit.units import NATIVE
 

@@ -15,7 +15,8 @@ from cgemit.detector import Detector, MapField
 from cgemit.detector.field.core import extent
 from cgemit.fit import FitStatus
 from cgemit.gun import Gun
-from cgemit.record import gun_data, record
+from cgemit.gun_data import gun_data
+from cgemit.record import record
 from cgemit.simulate import TransportStatus
 from cgemit.species import species
 from cgemit.stages import FinderLike, Settings

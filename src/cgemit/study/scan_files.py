@@ -12,8 +12,9 @@ from typing import Any, Protocol
 
 from cgemit.candidates import finder_name
 from cgemit.detector import Detector
+from cgemit.gun_data import gun_data
 from cgemit.io.folders import SUMMARY, new_folder
-from cgemit.record import gun_data, record, write_record
+from cgemit.record import record, write_record
 from cgemit.statistics.curves import Line
 from cgemit.statistics.formatting import Tabular, html_table, text_table, write_csv
 from cgemit.statistics.forms import FormFit
