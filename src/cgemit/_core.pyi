@@ -356,6 +356,7 @@ def find_tracks(
     hits: _Columns,
     settings: FindSettings,
 ) -> dict[str, _Array]: ...
+def same_surfaces(detector: Detector, other: Detector) -> bool: ...
 def covariances(
     detector: Detector,
     *,
