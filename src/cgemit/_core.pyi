@@ -377,6 +377,7 @@ def find_tracks(
     settings: FindSettings,
     pairs: _Columns = {},
 ) -> dict[str, _Array]: ...
+def same_surfaces(detector: Detector, other: Detector) -> bool: ...
 def covariances(
     detector: Detector,
     *,

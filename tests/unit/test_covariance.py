@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 from scipy.special import erf
@@ -12,6 +14,7 @@ from cgemit.covariance import QUANTITIES
 from cgemit.covariance.budget import sources
 from cgemit.covariance.derivatives import varied
 from cgemit.covariance.mixture import core_width
+from cgemit.detector import compiled
 from cgemit.statistics.estimate import SECOND_INSIDE, measure
 from fields import HARMONIC
 
@@ -154,6 +157,30 @@ def test_a_track_does_not_know_its_neighbours() -> None:
         assert np.array_equal(many, np.array(one), equal_nan=True)
 
 
+@pytest.mark.parametrize("detector", ["besiii-cgem-design", "besiii-idc"])
+def test_tracks_of_one_point_are_those_traced_one_by_one(detector: str) -> None:
+    """Tracks that differ by a turn share one reference, unless they turn back; with variants, these do too."""
+    base = cg.load(detector)
+    p, cos_theta = [[0.06], [0.09], [0.15], [0.4], [2.0]], [0.0, -0.5, 0.88]
+    together = cg.analytic(base, "pi+", p, cos_theta, readout="gaussian", samples=32)._tracks
+    together = dataclasses.replace(together, scatters=np.zeros(len(together.phi)))
+    alone = dataclasses.replace(together, samples=1, phases=together.phases[:1])
+    cores = [compiled(base.with_overrides({"field.bz": "x1.001"}), gaps=False)]
+    for name in ("scalar", isa.available()[-1]):
+        isa.use(name)
+        try:
+            one, other = (tracks.run(budget=False, variants=cores) for tracks in (together, alone))
+        finally:
+            isa.use(isa.available()[-1])
+        for column in ("status", "n_wires", "n_clusters"):
+            assert np.array_equal(one[column], other[column]), column
+        assert 0.5 < np.mean(one["status"] == 0) < 1
+        scale = np.sqrt(np.abs(other["covariance"][..., [0, 5, 9, 12, 14]]))
+        size = np.stack([scale[..., i] * scale[..., j] for i in range(5) for j in range(i, 5)], axis=-1)
+        differences = np.abs(one["covariance"] - other["covariance"]) / size
+        assert np.nanmax(differences) < 1e-7
+
+
 def test_lanes_give_what_scalar_code_gives() -> None:
     p, cos_theta = np.linspace(0.15, 2, 33), np.linspace(-0.9, 0.9, 33)
     found = {}
@@ -272,6 +299,16 @@ def test_a_variant_without_a_change_has_the_same_covariance(cos_theta: float, sa
     base = cg.analytic(DESIGN, "mu-", [0.3, 1.0], cos_theta, samples=samples)
     (same,) = varied(base, [DESIGN])
     np.testing.assert_allclose(same.sigma("p"), base.sigma("p"), rtol=1e-8)
+
+
+def test_a_derivative_that_cannot_keep_the_hits_is_named() -> None:
+    """At its bound a layer touches the next one: the gas between them would come or go with any change."""
+    key = "cgem.L2.anode_radius"
+    touching = DESIGN.with_overrides({key: f"{DESIGN.bounds(key)[1]!r} mm"})
+    found = cg.sensitivity(touching, "mu-", 1.0, 0.0, keys=[key, "field.bz"], quantities=("p",), samples=4)
+    assert np.isnan(found.of(key, "p"))
+    assert np.isfinite(found.of("field.bz", "p"))
+    assert "in another order" in found.problems[key]
 
 
 @pytest.mark.parametrize("layer", ["L1", "L2", "L3"])

@@ -94,6 +94,30 @@ def test_gradients_are_the_slopes_of_what_is_minimized() -> None:
     assert (errors[1] < np.maximum(errors[0] / 3.5, 1e-6)).all()
 
 
+def test_a_step_that_closes_the_gap_between_parts_is_cut() -> None:
+    """There the gas between the layers is gone, so that the hits of the design before cannot be kept."""
+    problems: list[str] = []
+    goal = goal_of("", "dr @ 0.3", (0.3,), problems)
+    evaluation = Evaluation("analytic", "mu-", (0.3,), (0.0,), 1, 1, None, None, ("dr",), 64)
+    evaluator = Evaluator(DESIGN, Goals((goal,), evaluation, None), (), None, None)
+    variables = variables_of(DESIGN, {"cgem.L3.anode_radius": "bounds"}, problems)
+    descent = Descent(evaluator, variables, goal, fixed_hits=True)
+    assert not problems
+    descent.renew(np.array([0.5]))
+    closed = np.array([0.0])
+    assert np.isfinite(descent.value(closed))
+    assert np.isfinite(descent.slope(closed)).all()
+    refused = [one for one in descent.designs if one.row["status"] == "impossible"]
+    assert "in another order" in refused[0].row["problems"][0]
+    inside = [one.values[0] for one in descent.designs if one.kind == "step" and one.row["status"] == "ok"]
+    assert inside[-1] == pytest.approx(variables[0].low + 0.125 * (variables[0].high - variables[0].low))
+
+
+def test_a_search_within_the_bounds_ends_at_a_possible_design() -> None:
+    found = optimize(DESIGN, {"cgem.L3.anode_radius": "bounds"}, minimize="dz", p=0.3, samples=16)
+    assert [found.columns["kind"][i] for i in found.front] == ["optimum"]
+
+
 def test_the_free_space_between_parts_is_linear(found: Optimization) -> None:
     descent = Descent(found.evaluator, found.variables, found.objectives[0])
     descent.start(np.full(4, 0.5))

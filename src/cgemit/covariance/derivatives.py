@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -11,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from cgemit import _core
 from cgemit.covariance.points import analytic
 from cgemit.covariance.result import Covariance
 from cgemit.detector import Detector, DetectorError, load
@@ -26,6 +28,12 @@ Floats = npt.NDArray[np.float64]
 #: Relative steps of differences, tried in turn, outward and inward, where parts are so close that a larger one is
 #: impossible. The hits are kept, so that nothing steps: what is left of the second order is as small as the step.
 STEPS = (2e-5, 4e-6)
+
+_OTHER_ORDER = "got slabs and wires in another order than in the detector whose hits are kept, expected the same"
+
+
+class SurfacesError(ValueError):
+    """A variant that cannot have the hits of another one, since its slabs and wires are in another order."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -177,14 +185,16 @@ def logarithmic_slopes(
     problems: dict[str, str] = {}
     neighbours: dict[int, _Neighbour] = {}
     for number, key in enumerate(keys):
-        found = _neighbour(detector, key)
+        found = _neighbour(base, detector, key)
         if isinstance(found, str):
             problems[key] = found
         else:
             neighbours[number] = found
-    variants = [one.detector for one in neighbours.values()]
-    others = iter(varied(base, variants if detector is base.detector else [detector, *variants]))
-    own = base if detector is base.detector else next(others)
+    variants = [(one.detector, one.core) for one in neighbours.values()]
+    if detector is base.detector:
+        own, others = base, _with_cores(base, variants)
+    else:
+        own, *others = _with_cores(base, [(detector, _core_of(base, detector)), *variants])
     logs = {name: np.log(own.sigma(name)) for name in quantities}
     for (number, one), other in zip(neighbours.items(), others, strict=True):
         for column, name in enumerate(quantities):
@@ -200,11 +210,35 @@ def varied(base: Covariance, variants: Sequence[Detector]) -> list[Covariance]:
     base : Covariance
     variants : sequence of Detector
         Which differ so little that their surfaces keep their order.
+
+    Raises
+    ------
+    SurfacesError
+        If they do not.
     """
-    tracks = base._tracks
-    cores = [compiled_for_fit(_with_stereo(one, base.detector), tracks.fit) for one in variants]
-    rows = tracks.run(budget=False, variants=cores)["covariance"].reshape(1 + len(variants), *base._samples.shape)
-    return [dataclasses.replace(base, detector=one, _samples=row) for one, row in zip(variants, rows[1:], strict=True)]
+    cores = [_core_of(base, one) for one in variants]
+    if not all(_keeps_order(base, core) for core in cores):
+        raise SurfacesError(_OTHER_ORDER)
+    return _with_cores(base, list(zip(variants, cores, strict=True)))
+
+
+def _with_cores(base: Covariance, variants: Sequence[tuple[Detector, _core.Detector]]) -> list[Covariance]:
+    """Return the covariances in variants and their compiled detectors."""
+    if not variants:
+        return []
+    rows = base._tracks.run(budget=False, variants=[core for _, core in variants])["covariance"]
+    samples = rows.reshape(1 + len(variants), *base._samples.shape)[1:]
+    return [
+        dataclasses.replace(base, detector=one, _samples=row) for (one, _), row in zip(variants, samples, strict=True)
+    ]
+
+
+def _core_of(base: Covariance, variant: Detector) -> _core.Detector:
+    return compiled_for_fit(_with_stereo(variant, base.detector), base._tracks.fit)
+
+
+def _keeps_order(base: Covariance, core: _core.Detector) -> bool:
+    return _core.same_surfaces(compiled_for_fit(base.detector, base._tracks.fit), core)
 
 
 def calibrated_apart(readout: Readout, detector: Detector, variants: Iterable[Detector]) -> bool:
@@ -228,29 +262,37 @@ def errors_do_not_follow(readout: Readout, keys: Sequence[str]) -> str:
 
 
 class _Neighbour(NamedTuple):
-    """A variant of the detector, and by how much ln(number) differs."""
+    """A variant of the detector, compiled, and by how much ln(number) differs."""
 
     detector: Detector
+    core: _core.Detector
     step: float
 
 
-def _neighbour(detector: Detector, key: str) -> _Neighbour | str:
+def _neighbour(base: Covariance, detector: Detector, key: str) -> _Neighbour | str:
     """Return the variant whose difference to the detector gives the derivative by a key, or why there is none."""
-    problem = ""
+    problems: list[str] = []
+    for variant, side in _variants(detector, key, problems):
+        core = _core_of(base, variant)
+        if _keeps_order(base, core):
+            return _Neighbour(variant, core, math.log1p(side))
+        problems.append(f"{key}: {_OTHER_ORDER}")
+    return problems[-1]
+
+
+def _variants(detector: Detector, key: str, problems: list[str]) -> Iterator[tuple[Detector, float]]:
+    """Yield possible variants by relative steps of a key, the wanted one first; `problems` receives the others'."""
     for step in STEPS:
         for side in (step, -step):
             try:
-                return _Neighbour(detector.with_overrides({key: f"x{1 + side!r}"}), math.log1p(side))
+                yield detector.with_overrides({key: f"x{1 + side!r}"}), side
             except DetectorError as error:
-                problem = str(error.problems[0])
-    return problem
+                problems.append(str(error.problems[0]))
 
 
 def _changed(detector: Detector, key: str) -> Iterator[Detector]:
-    """Yield the variant of `_neighbour`, if there is one."""
-    found = _neighbour(detector, key)
-    if not isinstance(found, str):
-        yield found.detector
+    """Yield one variant, if there is one."""
+    yield from (variant for variant, _ in itertools.islice(_variants(detector, key, []), 1))
 
 
 def _with_stereo(variant: Detector, base: Detector) -> Detector:

@@ -101,6 +101,9 @@ py::dict run(const Detector& detector, const Array<double>& phi, const Array<dou
 }  // namespace
 
 void bind_covariance(py::module_& module) {
+  module.def("same_surfaces", &same_surfaces, py::arg("detector"), py::arg("other"),
+             "Whether the surfaces of two detectors have the same order, so that one can be a variant of the "
+             "other in `covariances`.");
   py::class_<HitModel>(module, "HitModel",
                        "Errors of the hits that cgemit.covariance expects, and the prior of the filter.")
       .def(py::init([](std::vector<double> sigma_x, std::vector<double> sigma_v, double least_width,

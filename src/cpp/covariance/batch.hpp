@@ -6,73 +6,143 @@
 #include <vector>
 
 #include "covariance/budget.hpp"
-#include "covariance/expected_hits.hpp"
+#include "covariance/expectation.hpp"
 #include "kalman/field_reference.hpp"
 #include "kalman/filter.hpp"
 #include "kalman/tracer.hpp"
 
 namespace cgemit {
 
+// The steps of a detector, without hits.
+template <class T>
+Group<T> empty_group(const Detector& detector) {
+  Group<T> group;
+  std::int32_t slabs = 0;
+  for (const Surface& surface : detector.surfaces)
+    group.steps.push_back(
+        {surface.is_slab, surface.is_slab ? surface.index : -1, surface.is_slab ? slabs++ : -1, 0, 0});
+  const auto n = static_cast<std::size_t>(slabs);
+  group.noise.resize(n);
+  group.dense_noise.resize(detector.field.is_uniform() ? 0 : n);
+  group.kinks.resize(n);
+  return group;
+}
+
 template <class T>
 class CovarianceBatch {
  public:
   CovarianceBatch(const Detector& detector, const CovarianceInput& input, const HitModel& model,
                   const CovarianceOutput& output)
-      : detector_(detector), input_(input), model_(model), out_(output), names_(detector) {
-    std::int32_t slabs = 0;
-    for (const Surface& surface : detector.surfaces)
-      group_.steps.push_back(
-          {surface.is_slab, surface.is_slab ? surface.index : -1, surface.is_slab ? slabs++ : -1, 0, 0});
-    const auto n = static_cast<std::size_t>(slabs);
-    group_.noise.resize(n);
-    group_.dense_noise.resize(detector.field.is_uniform() ? 0 : n);
-    group_.kinks.resize(n);
+      : detector_(detector),
+        input_(input),
+        model_(model),
+        out_(output),
+        names_(detector),
+        group_(empty_group<T>(detector)) {
     if (out_.budget != nullptr) terms_.resize(names_.size());
   }
 
   void run() {
     for (std::size_t first = 0; first < input_.tracks();) {
       std::size_t n = 1;
-      while (n < width && first + n < input_.tracks() && kind(first + n) == kind(first)) ++n;
-      run_group(first, n);
+      if (first % input_.samples == 0 && turned_only(first) && run_point(first)) {
+        n = input_.samples;
+      } else {
+        const std::size_t end = std::min(input_.tracks(), next_turned(first));
+        while (n < width && first + n < end && kind(first + n) == kind(first)) ++n;
+        run_group(first, n);
+      }
       first += n;
     }
   }
 
  private:
   static constexpr std::size_t width = lanes_of<T>;
+  using UniformTracer = Tracer<T, HelixMotion<T>, Expectation<T>>;
 
   Projectile kind(std::size_t track) const { return projectile_of(input_.mass[track], input_.kappa[track]); }
   std::size_t point(std::size_t track) const { return track / input_.samples; }
 
+  // Whether the tracks of a point, of which this is the first, are the same but for a turn about the beam
+  // line, and enough to record one of them.
+  bool turned_only(std::size_t first) const {
+    if (!detector_.field.is_uniform() || input_.samples < std::max<std::size_t>(width, 2)) return false;
+    for (std::size_t i = first; i < first + input_.samples; ++i)
+      if (input_.kappa[i] != input_.kappa[first] || input_.tanl[i] != input_.tanl[first] ||
+          input_.mass[i] != input_.mass[first] || input_.scatters[i] != 0)
+        return false;
+    return true;
+  }
+  // The next point that `run_point` may take.
+  std::size_t next_turned(std::size_t track) const {
+    const std::size_t samples = input_.samples;
+    std::size_t next = (track / samples + 1) * samples;
+    while (next < track + width && next < input_.tracks() && !turned_only(next)) next += samples;
+    return next;
+  }
+
+  // Computes all tracks of a point from one that is recorded for each detector; false if they do not go
+  // straight on in all of them.
+  bool run_point(std::size_t first) {
+    const double mass = input_.mass[first];
+    const Perigee start{0, 0, input_.kappa[first], 0, input_.tanl[first]};
+    std::vector<RecordedTrack> recorded;
+    recorded.reserve(1 + input_.variants.size());
+    for (std::size_t v = 0; v <= input_.variants.size(); ++v) {
+      recorded.emplace_back(detector_of(v), empty_group<double>(detector_of(v)), start, mass);
+      if (!recorded.back().straight_on()) return false;
+    }
+    const std::size_t end = first + input_.samples;
+    std::vector<std::vector<KeptHit<T>>> kept((input_.samples + width - 1) / width);
+    for (std::size_t v = 0; v < recorded.size(); ++v) {
+      recorded[v].give(group_);
+      UniformTracer tracer(detector_of(v), perigee(first, 1), T(mass), kind(first), group_, Expectation<T>());
+      for (std::size_t i = first; i < end; i += width) {
+        const std::size_t n = std::min(width, end - i);
+        ExpectedHits<T> hits(detector_of(v), model_, input_, i, group_, kept[(i - first) / width], v > 0);
+        tracer.observe(Expectation<T>(hits));
+        const T psi = column(input_.psi, i, n);
+        tracer.replay(recorded[v].steps(), sine_cosine(psi), psi);
+        finish(detector_of(v), v, i, n);
+        if (v == 0 && out_.hits != nullptr) write_hits(n);
+      }
+      if (v == 0) flush(first, width);
+    }
+    return true;
+  }
+
   void run_group(std::size_t first, std::size_t n) {
-    const auto column = [&](std::span<const double> values) {
-      return gathered<T>(
-          [&](int i) { return values[std::min(first + static_cast<std::size_t>(i), first + n - 1)]; });
-    };
-    const PerigeeOf<T> start{T(0.0), column(input_.psi), column(input_.kappa), T(0.0), column(input_.tanl)};
-    const T mass = column(input_.mass);
-    group_.kinked = column(input_.scatters) != 0.0;
-    compute(detector_, first, start, mass, false, terms_.data(), &out_.rows[first], n);
-    if (out_.hits != nullptr) write_hits(n);
-    for (std::size_t v = 0; v < input_.variants.size(); ++v) {
-      CovarianceRow* rows = &out_.rows[(v + 1) * input_.tracks() + first];
-      compute(*input_.variants[v], first, start, mass, true, nullptr, rows, n);
+    group_.kinked = column(input_.scatters, first, n) != 0.0;
+    for (std::size_t v = 0; v <= input_.variants.size(); ++v) {
+      ExpectedHits<T> hits(detector_of(v), model_, input_, first, group_, kept_, v > 0);
+      // Whether hits lie beyond a slab is not known before.
+      group_.ahead.assign(group_.noise.size(), mask_of<T>(true));
+      trace(detector_of(v), first, n, Expectation<T>(hits));
+      finish(detector_of(v), v, first, n);
+      if (v == 0 && out_.hits != nullptr) write_hits(n);
     }
     // The sums stay in lanes as long as all lanes belong to one point and the next group fills all of them.
     const std::size_t next_end = first + n + width;
     const bool next_is_same =
         n == width && next_end <= input_.tracks() && point(first) == point(next_end - 1);
-    if (out_.budget != nullptr && !next_is_same) flush(first, n);
+    if (!next_is_same) flush(first, n);
   }
 
-  // Traces and filters n tracks and writes their rows. `again`: with the hits of the first detector.
-  void compute(const Detector& detector, std::size_t first, const PerigeeOf<T>& start, const T& mass,
-               bool again, TermOf<T>* terms, CovarianceRow* rows, std::size_t n) {
-    ExpectedHits<T> hits(detector, model_, input_, first, group_, kept_, again);
-    // Whether hits lie beyond a slab is not known before.
-    group_.ahead.assign(group_.noise.size(), mask_of<T>(true));
-    trace(detector, start, mass, kind(first), Expectation<T>(hits));
+  // The detector, or one of its variants.
+  const Detector& detector_of(std::size_t v) const { return v == 0 ? detector_ : *input_.variants[v - 1]; }
+
+  T column(std::span<const double> values, std::size_t first, std::size_t n) const {
+    return gathered<T>(
+        [&](int i) { return values[std::min(first + static_cast<std::size_t>(i), first + n - 1)]; });
+  }
+  PerigeeOf<T> perigee(std::size_t first, std::size_t n) const {
+    return {T(0.0), column(input_.psi, first, n), column(input_.kappa, first, n), T(0.0),
+            column(input_.tanl, first, n)};
+  }
+
+  // Filters n tracks whose hits are known, and writes their rows.
+  void finish(const Detector& detector, std::size_t variant, std::size_t first, std::size_t n) {
+    CovarianceRow* rows = &out_.rows[variant * input_.tracks() + first];
     for (Slot<T>& slot : group_.slots) slot.used = slot.met;
     Five<T> prior;
     unroll<parameters>([&](auto i) { prior[i] = model_.prior_sigma[i] * model_.prior_sigma[i]; });
@@ -88,17 +158,19 @@ class CovarianceBatch {
       rows[k].status = status(static_cast<int>(k), valid);
       set_lane(ok, static_cast<int>(k), rows[k].status == FitStatus::ok);
     }
-    Budget<T>(detector, group_, terms, ok).split(model_.prior_sigma, state.c);
+    Budget<T>(detector, group_, variant == 0 ? terms_.data() : nullptr, ok)
+        .split(model_.prior_sigma, state.c);
     write(state.c, rows, n);
   }
 
-  void trace(const Detector& detector, const PerigeeOf<T>& start, const T& mass, Projectile projectile,
-             Expectation<T> hits) {
+  void trace(const Detector& detector, std::size_t first, std::size_t n, Expectation<T> hits) {
+    const PerigeeOf<T> start = perigee(first, n);
+    const T mass = column(input_.mass, first, n);
     const mask_of<T> all(true);
     if (detector.field.is_uniform()) {
-      Tracer<T, HelixMotion<T>, Expectation<T>>(detector, start, mass, projectile, group_, hits).run(all);
+      UniformTracer(detector, start, mass, kind(first), group_, hits).run(all);
     } else {
-      Tracer<T, FieldReference<T>, Expectation<T>>(detector, start, mass, projectile, group_, hits).run(all);
+      Tracer<T, FieldReference<T>, Expectation<T>>(detector, start, mass, kind(first), group_, hits).run(all);
     }
   }
 
@@ -125,7 +197,7 @@ class CovarianceBatch {
                                 lane(slot.predicted, k), lane(slot.variance, k)});
   }
 
-  // Adds the sums of the lanes to the budgets of their points.
+  // Adds the sums of the lanes to the budgets of their points: of n tracks, or of lanes of one point.
   void flush(std::size_t first, std::size_t n) {
     for (std::size_t term = 0; term < terms_.size(); ++term) {
       for (std::size_t e = 0; e < budget_entries; ++e) {

@@ -6,6 +6,7 @@
 
 #include "common/rng.hpp"
 #include "covariance/covariance.hpp"
+#include "covariance/recorded.hpp"
 #include "detector/cluster_errors.hpp"
 #include "detector/strip_plane.hpp"
 #include "matter/draws.hpp"
@@ -81,17 +82,27 @@ class ExpectedHits {
     step.first = step.last = next_;
     const std::size_t index = layer_++;
     if (again_) return repeat(step, at);
-    const WireLayer& layer = detector_.wires[index];
     const Mask outward = alive & inside_ & (at.outward() >= 0.0);
     if (!any(outward)) return;
     CellRange<T, HelixPointOf<T>> range;
-    Mask left = cells_.find(index, at, outward, range);
-    for (; any(left); left = left & (range.first <= range.last)) {
-      const CellNumbers<T> cell = cell_numbers(layer, select(left, range.first, T(0.0)));
-      const Mask fired = layer.efficiency < 1 ? left & is_efficient(layer, cell) : left;
-      range.first += T(1.0);
-      if (any(fired)) add_wire(step, index, fired, cell);
+    const Mask found = cells_.find(index, at, outward, range);
+    add_wires(step, index, found, range.first, range.last);
+  }
+  // The same for a recorded step.
+  CGEMIT_FLATTEN void passes(GroupStep& step, const RecordedStep& recorded, const HelixPointOf<T>& at,
+                             const T& azimuth) {
+    step.first = step.last = next_;
+    const std::size_t index = recorded.layer;
+    if (again_) return repeat(step, at);
+    T first(0.0), last(0.0);
+    Mask found = recorded.cells.cells(azimuth * detector_.wires[index].per_radian, first, last);
+    if (const Mask others = !found; any(others)) {
+      CellRange<T, HelixPointOf<T>> range;
+      found = found | cells_.find(index, at, others, range);
+      first = select(others, range.first, first);
+      last = select(others, range.last, last);
     }
+    add_wires(step, index, found, first, last);
   }
 
   // Where its samples scatter, the trajectory turns in each slab by two angles with the standard deviation of
@@ -152,6 +163,16 @@ class ExpectedHits {
     if (keeps_)
       kept_.push_back({step_number(step), view, index, Mask(false), {}, edge, T(1.0), T(1.0), T(0.0)});
     return slot;
+  }
+  // The wires of cells from first to last.
+  void add_wires(GroupStep& step, std::size_t index, Mask left, T first, const T& last) {
+    const WireLayer& layer = detector_.wires[index];
+    for (; any(left); left = left & (first <= last)) {
+      const CellNumbers<T> cell = cell_numbers(layer, select(left, first, T(0.0)));
+      const Mask fired = layer.efficiency < 1 ? left & is_efficient(layer, cell) : left;
+      first += T(1.0);
+      if (any(fired)) add_wire(step, index, fired, cell);
+    }
   }
   void add_wire(GroupStep& step, std::size_t index, const Mask& there, const CellNumbers<T>& cell) {
     Slot<T>& slot = add(step, View::wire, index);
@@ -264,42 +285,6 @@ class ExpectedHits {
   Mask inside_{true};  // not yet beyond an end
   std::size_t layer_ = 0;
   std::int32_t next_ = 0;
-};
-
-// The observer of a trace that asks for the expected hits.
-template <class T>
-class Expectation {
- public:
-  static constexpr bool provides_hits = true;
-
-  explicit Expectation(ExpectedHits<T>& hits) : hits_(&hits) {}
-
-  template <class Motion>
-  void reaches(GroupStep& step, const Slab& slab, const Motion& motion, const mask_of<T>& reached) {
-    step_ = &step;
-    hits_->reaches(step, slab, motion.point(), reached);
-  }
-  template <class Motion>
-  void passes(GroupStep& step, const Motion& motion, const mask_of<T>& alive) {
-    hits_->passes(step, motion.point(), alive);
-  }
-  template <class Motion>
-  void meets(Slot<T>& slot, const Motion&) {
-    hits_->measure(slot, slot.met);
-  }
-  mask_of<T> on_wire(const Slot<T>& slot, const T& z) const { return hits_->on_wire(slot, z); }
-  template <class Motion>
-  void arrives(const Slab& slab, const Motion&) {
-    hits_->scatters(*step_, slab);
-  }
-  template <class Noise>
-  void crosses(const Slab&, const Noise&, const Kink<T>&) {}
-  template <class Motion>
-  void ends(const Motion&) {}
-
- private:
-  ExpectedHits<T>* hits_;
-  const GroupStep* step_ = nullptr;  // of the slab reached last
 };
 
 }  // namespace cgemit

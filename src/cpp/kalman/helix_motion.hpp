@@ -40,6 +40,30 @@ class HelixMotion {
         u0y_(point_.uy),
         kappa_(start.kappa) {}
 
+  // The same motion in all lanes, turned about the beam line.
+  HelixMotion(const HelixMotion<double>& m, const SineCosine<T>& by)
+      : per_kappa_(m.per_kappa_),
+        kappa_(m.kappa_),
+        d_kappa_(m.d_kappa_),
+        d_tanl_(m.d_tanl_),
+        d_dip_(m.d_dip_),
+        turn_kappa_(m.turn_kappa_),
+        turn_tanl_(m.turn_tanl_),
+        rise_(m.rise_) {
+    const auto turn = [&by](double x, double y, T& to_x, T& to_y) {
+      to_x = by.cosine * x - by.sine * y;
+      to_y = by.sine * x + by.cosine * y;
+    };
+    turn(m.point_.x, m.point_.y, point_.x, point_.y);
+    turn(m.point_.ux, m.point_.uy, point_.ux, point_.uy);
+    turn(m.u0x_, m.u0y_, u0x_, u0y_);
+    turn(m.turn_kappa_x_, m.turn_kappa_y_, turn_kappa_x_, turn_kappa_y_);
+    turn(m.turn_tanl_x_, m.turn_tanl_y_, turn_tanl_x_, turn_tanl_y_);
+    point_.z = m.point_.z;
+    point_.tanl = m.point_.tanl;
+    point_.w = m.point_.w;
+  }
+
   const HelixPointOf<T>& point() const { return point_; }
   const T& kappa() const { return kappa_; }
 
@@ -170,6 +194,9 @@ class HelixMotion {
     turn_tanl_y_ += by_tanl * iy;
     rise_ += d_dip_ * step;
   }
+
+  template <class>
+  friend class HelixMotion;
 
   double per_kappa_;  // 1/mm, curvature of kappa = 1
   HelixPointOf<T> point_;

@@ -70,14 +70,44 @@ class Tracer {
       for (std::int32_t s = step.first; s < step.last; ++s) meet_gap(slot(s), reached);
       cross(slab, noise, reached & beyond & (abs(motion_.point().z) <= slab.half_length));
     }
-    for (int k = 0; k < lanes_of<T>; ++k)
-      group_.reached[static_cast<std::size_t>(k)] = static_cast<std::int32_t>(lane(reached_, k));
+    count_reached();
     observer_.ends(motion_);
   }
+
+  // Meets the hits of tracks that were recorded (`covariance/recorded.hpp`), but for a turn about the beam
+  // line.
+  template <class Steps>
+  void replay(const Steps& steps, const SineCosine<T>& turn, const T& azimuth) {
+    reached_ = 0.0;
+    alive_ = mask_of<T>(true);
+    for (std::size_t i = 0; i < steps.size(); ++i) {
+      if (!steps[i].has_hits) continue;
+      GroupStep& step = group_.steps[i];
+      motion_ = Motion(steps[i].motion, turn);
+      if (step.is_slab) {
+        observer_.reaches(step, detector_.slabs[static_cast<std::size_t>(step.slab)], motion_, alive_);
+        for (std::int32_t s = step.first; s < step.last; ++s) meet_gap(slot(s), alive_);
+        continue;
+      }
+      observer_.passes(step, steps[i], motion_, azimuth);
+      for (std::int32_t s = step.first; s < step.last; ++s) {
+        Motion to_wire = motion_;
+        meet_wire(to_wire, slot(s));
+      }
+    }
+    count_reached();
+  }
+  // The next tracks to be replayed, with the same momentum.
+  void observe(const Observer& observer) { observer_ = observer; }
 
  private:
   static constexpr double seam_margin =
       50;  // mm, more than the distance of a first helix from its hits at any CGEM layer
+
+  void count_reached() {
+    for (int k = 0; k < lanes_of<T>; ++k)
+      group_.reached[static_cast<std::size_t>(k)] = static_cast<std::int32_t>(lane(reached_, k));
+  }
 
   Slot<T>& slot(std::int32_t s) { return group_.slots[static_cast<std::size_t>(s)]; }
 
@@ -135,7 +165,9 @@ class Tracer {
 
   static T positive(T angle) { return select(angle < 0.0, angle + 2 * pi, angle); }
 
-  CGEMIT_FLATTEN void meet_wire(Slot<T>& slot) {
+  CGEMIT_FLATTEN void meet_wire(Slot<T>& slot) { meet_wire(motion_, slot); }
+
+  CGEMIT_FLATTEN void meet_wire(Motion& motion, Slot<T>& slot) {
     const mask_of<T> wanted = alive_ & slot.there;
     if (!any(wanted)) {
       slot.met = mask_of<T>(false);
@@ -143,12 +175,12 @@ class Tracer {
       return;
     }
     ApproachOf<T> approach;
-    const mask_of<T> met = motion_.approach(slot.wire, approach, wanted);
+    const mask_of<T> met = motion.approach(slot.wire, approach, wanted);
     follow_dip();
     alive_ = alive_ & (met | !wanted);
-    const HelixPointOf<T>& at = motion_.point();
+    const HelixPointOf<T>& at = motion.point();
     curled_ = (wanted & (at.outward() < 0.0)) | (curled_ & !wanted);
-    const Rows<T> r = motion_.rows();
+    const Rows<T> r = motion.rows();
     const T across = approach.ny * at.ux - approach.nx * at.uy;
     slot.extent = 0.0;
     mask_of<T> hit = met;

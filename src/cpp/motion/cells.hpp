@@ -67,6 +67,25 @@ WireOf<T> cell_wires(const WireLayer& layer, const CellNumbers<T>& number) {
   return {placed(&Wire::x), placed(&Wire::y), placed(&Wire::ex), placed(&Wire::ey), placed(&Wire::ez)};
 }
 
+// Cells of a layer, as real numbers: where a track crosses the borders, from its slope at the wires.
+template <class T>
+struct CellSpan {
+  T low, high;
+  T unsure;        // bound of what the curvature of the track changes
+  mask_of<T> few;  // lanes for which this is a bound
+
+  // The cells that a track crosses which is turned about the beam line by a number of cells, and the lanes
+  // for which they are certain.
+  template <class U>
+  mask_of<U> cells(const U& turn, U& first, U& last) const {
+    if (!any(few)) return mask_of<U>(false);
+    const U from = low + turn, to = high + turn;
+    first = nearest_cell(from);
+    last = nearest_cell(to);
+    return mask_of<U>(few) & (0.5 - abs(from - first) > unsure) & (0.5 - abs(to - last) > unsure);
+  }
+};
+
 // Called layer by layer, outward. `Motion`: motion in the field.
 template <class T, class Motion>
 class CellFinder {
@@ -89,19 +108,23 @@ class CellFinder {
       range.arc = select(turns, arc, range.arc);
     }
     const CellBorders<T> borders(wires_, index, range.at_wires.z);
-    const Mask found =
-        any(reached) ? by_slope(layer, borders, cylinder, reached, range.at_wires, range) : reached;
+    Mask found = reached;
+    if (any(reached))
+      found =
+          by_slope(layer, borders, cylinder, reached, range.at_wires).cells(T(0.0), range.first, range.last);
     const Mask others = who & !found & !left_;
     return any(others) ? found | step_by_step(layer, from, borders, others, range) : found;
+  }
+  // The borders' crossings by tracks that are at the wires' distance from the beam line, `radius`.
+  CellSpan<T> span(std::size_t index, const HelixPointOf<T>& at, const T& radius, const Mask& who) {
+    return by_slope(wires_[index], CellBorders<T>(wires_, index, at.z), radius, who, at);
   }
   // Tracks that left the field map instead.
   const Mask& left() const { return left_; }
 
  private:
-  // Cells from the slope of the track at the wires; false if the curvature of the track could change the
-  // result.
-  Mask by_slope(const WireLayer& layer, const CellBorders<T>& borders, const T& radius, const Mask& who,
-                const HelixPointOf<T>& middle, CellRange<T, Point>& range) {
+  CellSpan<T> by_slope(const WireLayer& layer, const CellBorders<T>& borders, const T& radius,
+                       const Mask& who, const HelixPointOf<T>& middle) {
     const T p = middle.outward(), per_both = 1.0 / (p * radius), per_radius = p * per_both;
     const T per_cos = radius * radius * per_both, tan_a = middle.sideways() * radius * per_both;
     const T twist_tanl = layer.twist_per_z * middle.tanl;
@@ -113,11 +136,7 @@ class CellFinder {
     const T unsure = 1e-9 + bend * height * height * layer.per_radian;
     const T one = at + (borders.inner - radius) * slope, other = at + (borders.outer - radius) * slope;
     const T low = smaller(one, other), high = larger(one, other);
-    const Mask few = who & (p > 0.0) & (abs(low) < many_cells) & (high - low < most_cells);
-    if (!any(few)) return few;
-    range.first = nearest_cell(low);
-    range.last = nearest_cell(high);
-    return few & (0.5 - abs(low - range.first) > unsure) & (0.5 - abs(high - range.last) > unsure);
+    return {low, high, unsure, who & (p > 0.0) & (abs(low) < many_cells) & (high - low < most_cells)};
   }
 
   // Azimuth continued from the previous point: between wire layers the turn is small.

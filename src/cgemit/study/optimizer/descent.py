@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from cgemit.covariance import Covariance
-from cgemit.covariance.derivatives import logarithmic_slopes, varied
+from cgemit.covariance.derivatives import SurfacesError, logarithmic_slopes, varied
 from cgemit.detector import Detector, DetectorError
 from cgemit.statistics.estimate import Floats
 from cgemit.study.optimizer.evaluator import Design, Evaluator
@@ -39,8 +39,9 @@ class Descent:
 
     With `fixed_hits`, resolutions are those of the same tracks with the same hits in every design (`varied`), so that
     they are smooth functions of the design and have gradients; without, every design has its own hits. Strip counts
-    are real numbers in limits, never smaller than the whole ones. A step onto an impossible design is cut until the
-    design is possible, and costs what was cut.
+    are real numbers in limits, never smaller than the whole ones. A step onto an impossible design, or onto one whose
+    slabs and wires are in another order so that it cannot have the same hits, is cut until the design is possible, and
+    costs what was cut.
 
     Attributes
     ----------
@@ -174,13 +175,13 @@ class Descent:
     def _with_fixed_hits(self, u: Floats) -> dict[str, float] | None:
         try:
             detector = self.detector(u)
-        except DetectorError as error:
-            problems = [str(one) for one in error.problems]
+            found = [varied(one, [detector])[0] for one in self._anchors]
+        except (DetectorError, SurfacesError) as error:
+            problems = [str(one) for one in getattr(error, "problems", [error])]
             self._keep("step", self.numbers(u), {"status": "impossible", "problems": problems})
             return None
         goals = self.evaluator.goals
         values = {one.header: goals.number(one, detector) for one in goals.goals if not one.resolution}
-        found = [varied(one, [detector])[0] for one in self._anchors]
         for goal in goals.goals:
             if goal.resolution:
                 logs = [np.log(one.sigma(goal.name)[self._points(goal)]) for one in found]
