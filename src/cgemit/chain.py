@@ -25,7 +25,7 @@ from cgemit.memory import PROBE, PROBED, check_chunk, check_disk
 from cgemit.particles import particles_from
 from cgemit.problems import Problems, did_you_mean
 from cgemit.record import configuration_of, gun_data, write_about
-from cgemit.result import EVERY_RUN, TABLES, Result, Settings, detectors_of, transport_counts
+from cgemit.result import BY_STAGE, TABLES, Result, Settings, detectors_of, transport_counts
 from cgemit.simulate import simulate
 from cgemit.stored_run import open as open_run
 from cgemit.tables import Table, concatenate
@@ -294,9 +294,10 @@ def tables_made(until: str, settings: Settings) -> tuple[str, ...]:
         Its last stage.
     settings : Settings
     """
-    fitted = ("tracks", *(name for name in ("residuals", "states") if getattr(settings.fit, name)), "matches")
-    by_stage = (EVERY_RUN, ("digis", "wire_hits"), ("clusters",), ("candidates", "candidate_hits"), fitted)
-    return tuple(name for names in by_stage[: STAGES.index(until) + 1] for name in names)
+    made = {name for names in BY_STAGE[: STAGES.index(until) + 1] for name in names}
+    if until == "fit":
+        made |= {name for name in ("residuals", "states") if getattr(settings.fit, name)}
+    return tuple(name for name in TABLES if name in made)
 
 
 def _check_calibration(detector: Detector | None, settings: Settings | None, until: object) -> None:
@@ -331,9 +332,7 @@ def _check_stages(
         made = tables_made(str(until), settings)
         missing = [name for name in names if name in TABLES and name not in made]
         if missing:
-            problems.append(
-                f"keep: got {', '.join(missing)}, which this run does not make, only {', '.join(made)}"
-            )
+            problems.append(f"keep: got {', '.join(missing)}, which this run does not make, only {', '.join(made)}")
     if problems:
         raise ValueError("run:\n  " + "\n  ".join(problems))
     if callable(finder) and isinstance(executor, ProcessPoolExecutor):

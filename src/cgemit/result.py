@@ -34,6 +34,11 @@ TABLES = (
 #: Tables of every run, wherever it ends.
 EVERY_RUN = ("particles", "decays", "truths", "steps", "wire_truths")
 
+#: Tables of each stage in order, but residuals and states, which a fit makes only if its settings say so.
+BY_STAGE = (
+    EVERY_RUN, ("digis", "wire_hits"), ("clusters",), ("candidates", "candidate_hits"), ("tracks", "matches"),
+)  # fmt: skip
+
 #: Columns that `Result.tracks` takes from the matches.
 _MATCHED = {column.name for column in SCHEMAS["matches"]} - {"event", "track"}
 
@@ -56,6 +61,17 @@ class Settings(SettingsData):
     fit: FitSettings = field(default_factory=FitSettings)
 
 
+class NotKeptError(AttributeError, ValueError):
+    """A table that a run has made, but not kept."""
+
+
+def _left_out(tables: Mapping[str, Table]) -> set[str]:
+    """Return the tables that a run made and did not keep: a run makes all of its stages up to the last."""
+    rank = {name: stage for stage, names in enumerate(BY_STAGE) for name in names}
+    last = max((rank[name] for name in tables if name in rank), default=-1)
+    return {name for name, stage in rank.items() if stage <= last and name not in tables}
+
+
 class _Stored:
     """One of the tables of a result; None where the run ended before it, or did not ask for it."""
 
@@ -66,7 +82,12 @@ class _Stored:
         self._name = self._name or name
 
     def __get__(self, result: Result | None, owner: type | None = None) -> Any:
-        return self if result is None else result.tables.get(self._name)
+        if result is None:
+            return self
+        if self._name in _left_out(result.tables):
+            kept = ", ".join(result.tables)
+            raise NotKeptError(f"the run made the table {self._name!r}, but kept only {kept} (keep=)")
+        return result.tables.get(self._name)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -81,8 +102,9 @@ class Result:
     seed : int
     settings : Settings
     tables : mapping of str to Table
-        By name, in the order of `TABLES`; each is also an attribute, None where the run did not make it. ``tracks``
-        holds the fitted tracks without the comparison with truth: the attribute `fitted`.
+        By name, in the order of `TABLES`; each is also an attribute, None where the run did not make it, and an
+        AttributeError where the run did not keep it. ``tracks`` holds the fitted tracks without the comparison with
+        truth: the attribute `fitted`.
     timings : mapping of str to float
         Seconds of each stage, summed over chunks, and `wall`, from start to end.
     transported : mapping of str to int, or None
@@ -116,7 +138,7 @@ class Result:
     @property
     def tracks(self) -> Any:
         """The fitted tracks with the columns of their matches; None where the run did not fit."""
-        if self.fitted is None or self.matches is None:
+        if "tracks" not in self.tables or "matches" not in self.tables:
             return self.fitted
         return joined(self.fitted, self.matches)
 
@@ -201,12 +223,12 @@ class Result:
 
         ``tracks`` holds the columns of the matches, too.
         """
-        tracks = {} if self.tracks is None else {"tracks": self.tracks}
+        tracks = {} if "tracks" not in self.tables else {"tracks": self.tracks}
         return {name: table.to_awkward(self.tables) for name, table in {**self.tables, **tracks}.items()}
 
     def to_pandas(self) -> dict[str, Any]:
         """Return every table as a `pandas.DataFrame`; ``tracks`` holds the columns of the matches, too."""
-        tracks = {} if self.tracks is None else {"tracks": self.tracks}
+        tracks = {} if "tracks" not in self.tables else {"tracks": self.tracks}
         return {name: table.to_pandas() for name, table in {**self.tables, **tracks}.items()}
 
     def removed(self) -> dict[str, int]:

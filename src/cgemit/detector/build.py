@@ -13,7 +13,7 @@ from cgemit.detector.keys import CENTRED, keys_of, plain
 from cgemit.detector.materials import library, read_materials
 from cgemit.detector.merge import FOR_ALL_LAYERS
 from cgemit.detector.parts import CgemLayer, Contents, Cylinder, DriftChamber, WireLayer
-from cgemit.detector.read import LAST_WIRE_LAYER, NAME, TOP_LEVEL, UNUSABLE, WIRE_NUMBER, Reader, shown
+from cgemit.detector.read import LAST_WIRE_LAYER, NAME, TOP_LEVEL, UNUSABLE, WIRE_NUMBER, Reader, shown, writable
 from cgemit.problems import DetectorError, Problem, did_you_mean
 
 
@@ -75,6 +75,8 @@ def _check_names(reader: Reader, tables: Mapping[str, Any], name: str) -> Mappin
 def _text(reader: Reader, name: str, raw: object) -> str:
     if not isinstance(raw, str):
         reader.note(name, shown(raw), "text")
+    elif not writable(raw) and name != "name":  # whose own check says so
+        reader.note(name, shown(raw), "text that a file can hold")
     return str(raw)
 
 

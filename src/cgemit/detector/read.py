@@ -26,8 +26,9 @@ TOP_LEVEL = {
     "materials": "materials by name",
 }
 
-# Separators of paths, control characters, and marks that change the direction of text.
-_NOT_IN_NAMES = r"/\\\x00-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069"
+# Separators of paths, control characters, marks that change the direction of text, and halves of surrogate pairs, which
+# no file can hold.
+_NOT_IN_NAMES = r"/\\\x00-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff"
 
 #: What a name must match: one line of at most 100 characters, not only blanks and dots, without separators of paths.
 NAME = rf"(?=.{{1,100}}$)[^{_NOT_IN_NAMES}]*[^{_NOT_IN_NAMES}\s.][^{_NOT_IN_NAMES}]*"
@@ -51,6 +52,20 @@ EXTRA: dict[type, dict[str, Key]] = {
 #: A value whose problem has been noted. Arithmetic with it stays unusable and no check of it fails, so the rest of the
 #: part can still be checked.
 UNUSABLE: Any = math.nan
+
+
+def writable(text: str) -> bool:
+    """Return whether a file can hold a text: not with halves of surrogate pairs.
+
+    Parameters
+    ----------
+    text : str
+    """
+    try:
+        text.encode()
+    except UnicodeEncodeError:
+        return False
+    return True
 
 
 @dataclass
@@ -155,6 +170,7 @@ class Reader:
     def _plain(self, path: str, raw: object, key: Key) -> Any:
         kinds: dict[str, type] = {"text": str, "boolean": bool, "integer": int, "sign": int}
         good = isinstance(raw, kinds[key.kind]) and (key.kind == "boolean") == isinstance(raw, bool)
+        good = good and (not isinstance(raw, str) or writable(raw))
         if good and isinstance(raw, int) and key.kind != "boolean":
             good = raw in (-1, 1) if key.kind == "sign" else key.admits(raw)
         if not good or (key.choices and raw not in key.choices):

@@ -12,8 +12,8 @@ from cgemit.cluster import ClusterSettings
 from cgemit.detector import Detector, compiled
 from cgemit.detector.gaps import w_values
 from cgemit.digitize.analog_cluster import Calibration, Estimator, calibration_of, clusters_at, neutral
-from cgemit.digitize.readout import GAIN, Floats
-from cgemit.kinds import NotNegative, Positive
+from cgemit.digitize.readout import GAIN, Floats, Noise
+from cgemit.kinds import Positive
 from cgemit.settings import SettingsData
 from cgemit.tables import Table
 
@@ -50,7 +50,7 @@ class ProjectionReadout(SettingsData):
     gain: Positive = GAIN
     sigma: Positive = 0.29
     threshold: Positive = 1.7
-    noise: NotNegative = 0.5
+    noise: Noise = 0.5
     estimator: Literal["centroid"] = "centroid"
     calibration: str = ""
 

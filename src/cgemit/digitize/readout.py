@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, Protocol
+from typing import Annotated, ClassVar, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from cgemit.cluster import ClusterSettings
 from cgemit.detector import Detector
+from cgemit.kinds import Check
 from cgemit.tables import Table
 
 Floats = npt.NDArray[np.float64]
+
+# Of a strip and of a time, to far beyond any chip.
+Noise = Annotated[float, Check(lambda value: 0 <= value <= 1000, "0 to 1000 fC")]
+Jitter = Annotated[float, Check(lambda value: 0 <= value <= 10_000, "0 to 10000 ns")]
 
 #: Electrons on the anode per electron of ionization: effective gain of a triple GEM.
 GAIN = 12_000.0
