@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import os
-import pickle
 import time
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import Executor, ProcessPoolExecutor
+from concurrent.futures import Executor
 from dataclasses import fields, replace
 from typing import Any, Literal
 
 from cgemit import find
 from cgemit.background import add_background
-from cgemit.candidates import Finder, by_finder, finder_name
+from cgemit.candidates import Finder, by_finder
 from cgemit.chunks import MANY, Answer, Totals, answers, workers_of
 from cgemit.detector import Detector, load
 from cgemit.digitize import DigitizeSettings, Readout, cluster_digis, digitize
@@ -23,9 +22,10 @@ from cgemit.io.folders import new_folder
 from cgemit.match import match
 from cgemit.memory import PROBE, PROBED, check_chunk, check_disk
 from cgemit.particles import particles_from
-from cgemit.problems import Problems, did_you_mean
+from cgemit.problems import Problems
 from cgemit.record import configuration_of, gun_data, write_about
-from cgemit.result import BY_STAGE, TABLES, Result, Settings, detectors_of, transport_counts
+from cgemit.result import TABLES, Result, Settings, detectors_of, transport_counts
+from cgemit.run_checks import FinderName, check_calibration, check_stages
 from cgemit.simulate import simulate
 from cgemit.stored_run import open as open_run
 from cgemit.tables import Table, concatenate
@@ -34,11 +34,6 @@ from cgemit.tables.links import without_links
 from cgemit.tables.stored import PartsWriter, StoredTables
 from cgemit.values import check_numbers
 from cgemit.version import VERSION
-
-FinderName = Literal["truth", "ckf"]
-
-FINDERS = ("truth", "ckf")  # by name; any function of (detector, clusters, wire_hits) is a finder, too
-STAGES = ("simulate", "digitize", "cluster", "find", "fit")  # where a run can end
 
 
 def run_chunk(
@@ -61,7 +56,7 @@ def run_chunk(
     seed : int
     finder : "truth", "ckf" or callable
     until : str
-        The last stage, one of `STAGES`. After the fit, tracks are matched with particles.
+        The last stage, one of `cgemit.run_checks.STAGES`. After the fit, tracks are matched with particles.
 
     Returns
     -------
@@ -215,8 +210,8 @@ def run(
     assumed = simulated if fit_detector is None else found.collect(load, fit_detector)
     most = 2**31 - 1
     found.collect(check_numbers, "run", seed, threads, n=(n, 0, most), chunk=(chunk, 1, most))
-    kept = found.collect(_check_stages, finder, until, executor, keep, settings)
-    found.collect(_check_calibration, simulated, settings, until)
+    kept = found.collect(check_stages, finder, until, executor, keep, settings)
+    found.collect(check_calibration, simulated, settings, until)
     source = found.collect(_source, gun, n)
     if output is not None:
         found.collect(check_format, format)
@@ -283,67 +278,6 @@ def with_readout(settings: Settings, readout: Readout | str | None) -> Settings:
     if getattr(settings.digitize.readout, "needs_clusters", False) and not settings.simulate.steps:
         settings = replace(settings, simulate=replace(settings.simulate, steps=True))
     return settings
-
-
-def tables_made(until: str, settings: Settings) -> tuple[str, ...]:
-    """Return the tables that a run makes.
-
-    Parameters
-    ----------
-    until : str
-        Its last stage.
-    settings : Settings
-    """
-    made = {name for names in BY_STAGE[: STAGES.index(until) + 1] for name in names}
-    if until == "fit":
-        made |= {name for name in ("residuals", "states") if getattr(settings.fit, name)}
-    return tuple(name for name in TABLES if name in made)
-
-
-def _check_calibration(detector: Detector | None, settings: Settings | None, until: object) -> None:
-    """Raise an error if the read-out needs a calibration that there is not, before anything is simulated."""
-    if detector is None or settings is None or until not in STAGES[2:]:
-        return
-    readout = settings.digitize.readout
-    if hasattr(readout, "calibration"):
-        readout.expected_errors(detector)
-
-
-def _check_stages(
-    finder: object, until: object, executor: Executor | None, keep: Any, settings: Settings | None
-) -> tuple[str, ...] | None:
-    """Raise an error if a run cannot be as asked for; return the tables to be kept, None for all."""
-    problems = []
-    names = [keep] if isinstance(keep, str) else [] if keep is None else list(keep)
-    problems += [
-        f"keep: got {name!r:.50}, expected some of {', '.join(TABLES)}{did_you_mean(str(name), TABLES, '; ')}"
-        for name in names
-        if name not in TABLES
-    ]
-    if keep is not None and not names:
-        problems.append("keep: got no table, expected at least one")
-    if not callable(finder) and finder not in FINDERS:
-        problems.append(
-            f"finder: got {finder!r}, expected 'truth', 'ckf' or a function of (detector, clusters, wire_hits)"
-        )
-    if until not in STAGES:
-        problems.append(f"until: got {until!r}, expected one of {', '.join(map(repr, STAGES))}")
-    elif settings is not None:
-        made = tables_made(str(until), settings)
-        missing = [name for name in names if name in TABLES and name not in made]
-        if missing:
-            problems.append(f"keep: got {', '.join(missing)}, which this run does not make, only {', '.join(made)}")
-    if problems:
-        raise ValueError("run:\n  " + "\n  ".join(problems))
-    if callable(finder) and isinstance(executor, ProcessPoolExecutor):
-        try:
-            pickle.dumps(finder)
-        except (pickle.PicklingError, AttributeError, TypeError) as error:
-            raise TypeError(
-                f"finder: got {finder_name(finder)}, which cannot be sent to other processes ({error}); "
-                "expected a function of a module, or an executor of threads"
-            ) from error
-    return None if keep is None else (*names, *(["matches"] if "tracks" in names else []))
 
 
 def _expected(given: object) -> str:

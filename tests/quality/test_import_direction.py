@@ -47,7 +47,7 @@ PYTHON_LAYERS = [
     {"refit"},
     {"record"},
     {"result"},
-    {"memory", "stored_run"},
+    {"memory", "run_checks", "stored_run"},
     {"chunks"},
     {"chain"},
     {"bench", "matter", "statistics"},

@@ -10,6 +10,7 @@ import cgemit as cg
 from cgemit import chain, memory
 from cgemit.digitize.analog_cluster import CalibrationError, calibration_of, read_calibration
 from cgemit.result import Settings
+from cgemit.run_checks import STAGES, tables_made
 
 GUN = cg.Gun("mu-", p=1, cos_theta=(-0.5, 0.5))
 
@@ -43,13 +44,11 @@ def test_tables_to_keep_are_checked_first(nothing_runs):
         cg.run("besiii-cgem", GUN, n=2, keep="states")
 
 
-@pytest.mark.parametrize("until", chain.STAGES)
+@pytest.mark.parametrize("until", STAGES)
 def test_the_tables_that_a_run_makes(until):
     settings = Settings(fit=cg.FitSettings(residuals=True))
     result = cg.run("besiii-idc", GUN, n=2, until=until, settings=settings)
-    assert tuple(result.tables) == tuple(
-        name for name in cg.result.TABLES if name in chain.tables_made(until, settings)
-    )
+    assert tuple(result.tables) == tuple(name for name in cg.result.TABLES if name in tables_made(until, settings))
 
 
 def test_a_missing_calibration_is_said_first(nothing_runs):

@@ -41,7 +41,7 @@ def read_hepmc(path: Path) -> tuple[dict[str, np.ndarray[Any, Any]], int]:
     FileNotFoundError
         If there is no such file.
     ValueError
-        If it is damaged or no HepMC file.
+        If it is damaged or no HepMC file, or does not name its units.
     """
     check_regular(path)
     pyhepmc = package("pyhepmc")
