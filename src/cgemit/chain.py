@@ -23,14 +23,13 @@ from cgemit.memory import PROBE, PROBED, check_chunk, check_disk
 from cgemit.problems import Problems
 from cgemit.record import table_meta, write_about
 from cgemit.result import Result, detectors_of
+from cgemit.run_checks import check_calibration, check_stages
 from cgemit.second_pass import along_tracks
 from cgemit.simulate import simulate, transport_counts
 from cgemit.stages import (
     TABLES,
     FinderLike,
     Settings,
-    check_calibration,
-    check_request,
     expected_settings,
     fit_settings,
     with_readout,
@@ -63,7 +62,7 @@ def run_chunk(
     seed : int
     finder : "truth", "ckf" or callable
     until : str
-        The last stage, one of `STAGES`. After the fit, tracks are matched with particles.
+        The last stage, one of `cgemit.run_checks.STAGES`. After the fit, tracks are matched with particles.
 
     Returns
     -------
@@ -218,7 +217,7 @@ def run(
     assumed: Any = simulated if fit_detector is None else found.collect(load, fit_detector)
     most = 2**31 - 1
     found.collect(check_numbers, "run", seed, threads, n=(n, 0, most), chunk=(chunk, 1, most))
-    kept = found.collect(check_request, finder, until, executor, keep, given)
+    kept = found.collect(check_stages, finder, until, executor, keep, given)
     found.collect(check_calibration, simulated, given, until)
     source: Any = found.collect(source_of, gun, n)
     if output is not None:

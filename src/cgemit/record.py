@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import platform
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 from typing import Any, Generic, NamedTuple, TypeVar
 
@@ -34,6 +34,19 @@ _KINDS = {
     "versions": dict, "configuration": str, "seed": int, "events": int, "first_event": int, "timings": dict,
     "settings": dict, "detectors": dict,
 }  # fmt: skip
+
+
+def _numbers(given: object) -> bool:
+    """Return whether something maps names to numbers that are not negative."""
+    return isinstance(given, dict) and all(type(value) in (int, float) and value >= 0 for value in given.values())
+
+
+#: What entries hold beside their type: a check, and what it expects.
+_VALUES: Mapping[str, tuple[Callable[[Any], bool], str]] = {
+    "timings": (lambda given: _numbers(given) and "wall" in given, "seconds by stage, with 'wall' for all"),
+    "transported": (_numbers, "numbers of particles by status"),
+    "tables": (lambda given: isinstance(given, list) and set(map(type, given)) <= {str}, "a list of names"),
+}
 
 
 class RecordError(ProblemsError[str]):
@@ -176,7 +189,13 @@ def _read_record(folder: Path, problems: list[str]) -> dict[str, Any]:
     if wrong or "source" not in entries:
         problems.append(f"{RECORD}: got no entry, or a wrong one, for {', '.join(wrong or ['source'])}")
         return {}
-    return entries
+    wrong_values = [
+        f"{RECORD}: {name}: got {entries[name]!r:.60}, expected {expected}"
+        for name, (good, expected) in _VALUES.items()
+        if name in entries and not good(entries[name])
+    ]
+    problems += wrong_values
+    return {} if wrong_values else entries
 
 
 def _read_entries(

@@ -17,7 +17,7 @@ from cgemit.io.folders import new_folder
 from cgemit.match import joined
 from cgemit.record import Run, read_run, record, write_run
 from cgemit.simulate import transport_counts
-from cgemit.stages import EVERY_RUN, TABLES, Settings, finder_in, hits_by
+from cgemit.stages import EVERY_RUN, TABLES, NotKeptError, Settings, finder_in, hits_by, left_out
 from cgemit.tables import SCHEMAS, Table, select_events
 from cgemit.tables.formats import check_format
 from cgemit.tables.stored import StoredTables, about_of, column_of
@@ -36,7 +36,12 @@ class _Stored:
         self._name = self._name or name
 
     def __get__(self, result: Result | None, owner: type | None = None) -> Any:
-        return self if result is None else result.tables.get(self._name)
+        if result is None:
+            return self
+        if self._name in left_out(result.tables):
+            kept = ", ".join(result.tables)
+            raise NotKeptError(f"the run made the table {self._name!r}, but kept only {kept} (keep=)")
+        return result.tables.get(self._name)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -51,8 +56,9 @@ class Result:
     seed : int
     settings : Settings
     tables : mapping of str to Table
-        By name, in the order of `TABLES`; each is also an attribute, None where the run did not make it. ``tracks``
-        holds the fitted tracks without the comparison with truth: the attribute `fitted`.
+        By name, in the order of `TABLES`; each is also an attribute, None where the run did not make it, and an
+        AttributeError where the run did not keep it. ``tracks`` holds the fitted tracks without the comparison with
+        truth: the attribute `fitted`.
     timings : mapping of str to float
         Seconds of each stage, summed over chunks, and `wall`, from start to end.
     transported : mapping of str to int, or None
@@ -86,7 +92,7 @@ class Result:
     @property
     def tracks(self) -> Any:
         """The fitted tracks with the columns of their matches; None where the run did not fit."""
-        if self.fitted is None or self.matches is None:
+        if "tracks" not in self.tables or "matches" not in self.tables:
             return self.fitted
         return joined(self.fitted, self.matches)
 
@@ -171,12 +177,12 @@ class Result:
 
         ``tracks`` holds the columns of the matches, too.
         """
-        tracks = {} if self.tracks is None else {"tracks": self.tracks}
+        tracks = {} if "tracks" not in self.tables else {"tracks": self.tracks}
         return {name: table.to_awkward(self.tables) for name, table in {**self.tables, **tracks}.items()}
 
     def to_pandas(self) -> dict[str, Any]:
         """Return every table as a `pandas.DataFrame`; ``tracks`` holds the columns of the matches, too."""
-        tracks = {} if self.tracks is None else {"tracks": self.tracks}
+        tracks = {} if "tracks" not in self.tables else {"tracks": self.tracks}
         return {name: table.to_pandas() for name, table in {**self.tables, **tracks}.items()}
 
     def removed(self) -> dict[str, int]:

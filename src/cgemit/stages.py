@@ -1,21 +1,17 @@
-"""The stages of a run: their names, their tables, their settings, and what a run may be asked for."""
+"""The stages of a run: their names, their tables, and their settings."""
 
 from __future__ import annotations
 
-import pickle
-from collections.abc import Mapping
-from concurrent.futures import Executor, ProcessPoolExecutor
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, Literal
 
 from cgemit.background import BackgroundSettings
-from cgemit.candidates import Finder, finder_name
+from cgemit.candidates import Finder
 from cgemit.cluster import ClusterSettings
-from cgemit.detector import Detector
 from cgemit.digitize import DigitizeSettings, Readout
 from cgemit.find.settings import FindSettings
 from cgemit.fit import FitSettings
-from cgemit.problems import did_you_mean
 from cgemit.settings import SettingsData
 from cgemit.simulate import SimulateSettings
 from cgemit.tables import Table
@@ -33,6 +29,11 @@ TABLES = (
 
 #: Tables of every run, wherever it ends.
 EVERY_RUN = ("particles", "decays", "truths", "steps", "wire_truths")
+
+#: Tables of each stage in order, but residuals and states, which a fit makes only if its settings say so.
+BY_STAGE = (
+    EVERY_RUN, ("digis", "wire_hits"), ("clusters",), ("candidates", "candidate_hits"), ("tracks", "matches"),
+)  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,66 +86,6 @@ def with_readout(settings: Settings, readout: Readout | str | None) -> Settings:
     return settings
 
 
-def tables_made(until: str, settings: Settings) -> tuple[str, ...]:
-    """Return the tables that a run makes.
-
-    Parameters
-    ----------
-    until : str
-        Its last stage.
-    settings : Settings
-    """
-    fitted = ("tracks", *(name for name in ("residuals", "states") if getattr(settings.fit, name)), "matches")
-    by_stage = (EVERY_RUN, ("digis", "wire_hits"), ("clusters",), ("candidates", "candidate_hits"), fitted)
-    return tuple(name for names in by_stage[: STAGES.index(until) + 1] for name in names)
-
-
-def check_calibration(detector: Detector | None, settings: Settings | None, until: object) -> None:
-    """Raise an error if the read-out needs a calibration that there is not, before anything is simulated."""
-    if detector is None or settings is None or until not in STAGES[2:]:
-        return
-    readout = settings.digitize.readout
-    if hasattr(readout, "calibration"):
-        readout.expected_errors(detector)
-
-
-def check_request(
-    finder: object, until: object, executor: Executor | None, keep: Any, settings: Settings | None
-) -> tuple[str, ...] | None:
-    """Raise an error if a run cannot be as asked for; return the tables to be kept, None for all."""
-    problems = []
-    names = [keep] if isinstance(keep, str) else [] if keep is None else list(keep)
-    problems += [
-        f"keep: got {name!r:.50}, expected some of {', '.join(TABLES)}{did_you_mean(str(name), TABLES, '; ')}"
-        for name in names
-        if name not in TABLES
-    ]
-    if keep is not None and not names:
-        problems.append("keep: got no table, expected at least one")
-    if not callable(finder) and finder not in FINDERS:
-        problems.append(
-            f"finder: got {finder!r}, expected 'truth', 'ckf' or a function of (detector, clusters, wire_hits)"
-        )
-    if until not in STAGES:
-        problems.append(f"until: got {until!r}, expected one of {', '.join(map(repr, STAGES))}")
-    elif settings is not None:
-        made = tables_made(str(until), settings)
-        missing = [name for name in names if name in TABLES and name not in made]
-        if missing:
-            problems.append(f"keep: got {', '.join(missing)}, which this run does not make, only {', '.join(made)}")
-    if problems:
-        raise ValueError("run:\n  " + "\n  ".join(problems))
-    if callable(finder) and isinstance(executor, ProcessPoolExecutor):
-        try:
-            pickle.dumps(finder)
-        except (pickle.PicklingError, AttributeError, TypeError) as error:
-            raise TypeError(
-                f"finder: got {finder_name(finder)}, which cannot be sent to other processes ({error}); "
-                "expected a function of a module, or an executor of threads"
-            ) from error
-    return None if keep is None else (*names, *(["matches"] if "tracks" in names else []))
-
-
 def expected_settings(given: object) -> str:
     """Return the expected form of settings; those of one stage go into `Settings`."""
     stage = next((f.name for f in fields(Settings) if type(given) is f.default_factory), "")
@@ -185,3 +126,20 @@ def hits_text(table: Table) -> str:
 def hits_by(name: str) -> str:
     """Return how the hits of a finder of this name came to their tracks, as `hits_text`."""
     return {"truth": "assigned by truth", "given": "given with their candidates"}.get(name, f"found by {name}")
+
+
+class NotKeptError(AttributeError, ValueError):
+    """A table that a run has made, but not kept."""
+
+
+def left_out(tables: Collection[str]) -> set[str]:
+    """Return the names of tables that a run made and did not keep: a run makes all of its stages up to the last.
+
+    Parameters
+    ----------
+    tables : collection of str
+        Names of those that it kept.
+    """
+    rank = {name: stage for stage, names in enumerate(BY_STAGE) for name in names}
+    last = max((rank[name] for name in tables if name in rank), default=-1)
+    return {name for name, stage in rank.items() if stage <= last and name not in tables}

@@ -52,7 +52,7 @@ PYTHON_LAYERS = [
     {"record"},
     {"stages"},
     {"result"},
-    {"memory", "stored_run"},
+    {"memory", "run_checks", "stored_run"},
     {"chunks"},
     {"chain"},
     {"bench", "matter", "statistics"},

@@ -20,6 +20,7 @@ from cgemit.cli.main import join_negative_values, main
 from cgemit.detector import load, write_field_map
 from cgemit.study.quantities import QUANTITIES
 from cgemit.tables import Table
+from interrupts import interruptible
 
 RESOLUTION = ["resolution", "-d", "besiii-cgem-design", "--p", "0.5,1", "--events", "60", "--quiet"]
 SIMULATE = ["simulate", "-d", "besiii-cgem-design", "--p", "1", "--cos-theta", "-0.5:0.5", "-n", "50", "--quiet"]
@@ -146,7 +147,7 @@ def test_ctrl_c_during_a_study_leaves_nothing(moment, tmp_path):
     # Without a terminal the progress is a line for every tenth of the work.
     command = [sys.executable, "-u", "-m", "cgemit", "study", "--events", "1200", "-o", str(tmp_path / "out")]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
-    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=environment) as process:
+    with interruptible(command, stderr=subprocess.PIPE, text=True, env=environment) as process:
         assert process.stderr is not None
         seen = next((line for line in process.stderr if moment in line), "")
         process.send_signal(signal.SIGINT)

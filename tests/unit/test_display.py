@@ -230,5 +230,10 @@ class _Nothing:
 def test_the_command_writes_pictures(tmp_path: Path) -> None:
     words = ["display", "-d", "besiii-cgem", "--p", "1", "--cos-theta", "0", "--quiet", "-o", str(tmp_path / "out")]
     assert main(words) == 0
-    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["event.pdf", "event.png"]
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [
+        "detector.toml",
+        "event.pdf",
+        "event.png",
+        "run.json",
+    ]
     assert main(words) == 2

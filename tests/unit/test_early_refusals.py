@@ -7,7 +7,7 @@ import time
 import pytest
 
 import cgemit as cg
-from cgemit import chain, memory, stages
+from cgemit import chain, memory, run_checks, stages
 from cgemit.digitize.analog_cluster import CalibrationError, calibration_of, read_calibration
 from cgemit.stages import Settings
 
@@ -43,11 +43,13 @@ def test_tables_to_keep_are_checked_first(nothing_runs):
         cg.run("besiii-cgem", GUN, n=2, keep="states")
 
 
-@pytest.mark.parametrize("until", chain.STAGES)
+@pytest.mark.parametrize("until", stages.STAGES)
 def test_the_tables_that_a_run_makes(until):
     settings = Settings(fit=cg.FitSettings(residuals=True))
     result = cg.run("besiii-idc", GUN, n=2, until=until, settings=settings)
-    assert tuple(result.tables) == tuple(name for name in stages.TABLES if name in stages.tables_made(until, settings))
+    assert tuple(result.tables) == tuple(
+        name for name in stages.TABLES if name in run_checks.tables_made(until, settings)
+    )
 
 
 def test_a_missing_calibration_is_said_first(nothing_runs):

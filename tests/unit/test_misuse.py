@@ -23,6 +23,7 @@ from cgemit.io.folders import OutputExistsError, check_free
 from cgemit.particles import ParticleError, particles_from
 from cgemit.simulate import simulate
 from cgemit.tables import Table
+from interrupts import interruptible, interrupts_taken
 
 SIMULATE = ["simulate", "-d", "besiii-cgem-design", "--p", "1", "--theta", "1", "--quiet"]
 ROW = {"event": [0], "pdg": [13], "px": [1.0], "py": [0.0], "pz": [0.0]}
@@ -181,7 +182,7 @@ def take_down_and_work():
 
 def test_interrupt_dropped_by_a_finalizer_comes_again():
     begin = time.monotonic()
-    with pytest.raises(KeyboardInterrupt), interrupts_kept():
+    with interrupts_taken(), pytest.raises(KeyboardInterrupt), interrupts_kept():
         take_down_and_work()
     assert time.monotonic() - begin < 2
 
@@ -237,7 +238,7 @@ def run(arguments):
 detector.run_detectors = run
 sys.exit(main.main(["detectors"]))
 """
-    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+    with interruptible([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
         assert process.stdout.readline() == b"ready\n"
         process.send_signal(signal.SIGINT)
         assert process.wait(8) == 130

@@ -183,7 +183,10 @@ def test_only_kept_tables_are_there(whole: Result, tmp_path: Path, small_parts: 
     streamed = cg.run(DESIGN, GUN, keep=("clusters", "tracks"), output=tmp_path / "run", **HOW)
     assert list(kept.tables) == list(streamed.tables) == ["clusters", "tracks", "matches"]
     assert kept == streamed == Result.load(tmp_path / "run")
-    assert kept.digis is kept.particles is None
+    for name in ("digis", "particles", "candidates"):
+        with pytest.raises(AttributeError, match=f"made the table '{name}', but kept only clusters, tracks, matches"):
+            getattr(streamed, name)
+    assert kept.residuals is kept.states is None  # which it did not make
     for name, table in kept.tables.items():
         gone = {c.name for c in SCHEMAS[name] if targets(c) and not set(targets(c)) <= kept.tables.keys()}
         assert gone == {"clusters": {"truth"}, "tracks": {"candidate"}, "matches": set()}[name]

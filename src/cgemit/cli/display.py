@@ -11,7 +11,8 @@ from cgemit.cli.simulate import add_finder, add_gun, gun_of
 _DESCRIPTION = """\
 Draw one event: the detector, true crossings, clusters, ghosts (XV clusters of different crossings), drift circles,
 fired strips on the unrolled anodes, and the fitted tracks. event.png and event.pdf go to the folder, with --html also
-event.html, which turns in three dimensions and needs no network (extra [notebook])."""
+event.html, which turns in three dimensions and needs no network (extra [notebook]). run.json and detector.toml say what
+was drawn."""
 
 _EXAMPLES = """\
 Options of the gun are those of `cgemit simulate`. Event N is event N of a run with the same options and seed.
@@ -48,6 +49,7 @@ def run(arguments: argparse.Namespace) -> int:
     from cgemit.draw.display3d import event_3d, save_page
     from cgemit.gun import generate
     from cgemit.io.folders import check_free, new_folder
+    from cgemit.record import write_about
 
     check_free(arguments.output, overwrite=arguments.overwrite)
     (detector,), settings = common.load_inputs(arguments, one_track=True)
@@ -65,6 +67,7 @@ def run(arguments: argparse.Namespace) -> int:
         event(result, arguments.event).save(folder / "event")
         if figure is not None:
             save_page(figure, folder / "event.html", overwrite=True)
+        write_about(folder, result.entries(arguments.line))
     print(result)
     if not arguments.quiet:
         print(f"event: {arguments.output}/event.{'html' if arguments.html else 'png'}", file=sys.stderr)

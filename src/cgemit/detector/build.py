@@ -15,7 +15,7 @@ from cgemit.detector.materials import library, read_materials
 from cgemit.detector.merge import FOR_ALL_LAYERS
 from cgemit.detector.parts import CgemLayer, Contents, Cylinder, DriftChamber, WireLayer
 from cgemit.detector.read import LAST_WIRE_LAYER, NAME, TOP_LEVEL, UNUSABLE, WIRE_NUMBER, Reader
-from cgemit.detector.read_lists import shown
+from cgemit.detector.read_lists import shown, writable
 from cgemit.problems import DetectorError, Problem, did_you_mean
 
 
@@ -80,6 +80,8 @@ def _check_names(reader: Reader, tables: Mapping[str, Any], name: str) -> Mappin
 def _text(reader: Reader, name: str, raw: object) -> str:
     if not isinstance(raw, str):
         reader.note(name, shown(raw), "text")
+    elif not writable(raw) and name != "name":  # whose own check says so
+        reader.note(name, shown(raw), "text that a file can hold")
     return str(raw)
 
 

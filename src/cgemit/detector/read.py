@@ -11,7 +11,7 @@ from cgemit.detector.background import RatePoint
 from cgemit.detector.keys import CENTRED, Key, Known, keys_of, required_of
 from cgemit.detector.material import DensityEffect, Material, elements, fractions_of_formula
 from cgemit.detector.parts import CgemLayer, SubLayer
-from cgemit.detector.read_lists import MOST_POINTS, ListReader, shown
+from cgemit.detector.read_lists import MOST_POINTS, ListReader, shown, writable
 from cgemit.problems import Problem, did_you_mean
 from cgemit.units import NATIVE, QuantityError, parse_quantity
 
@@ -29,8 +29,9 @@ TOP_LEVEL = {
     "materials": "materials by name",
 }
 
-# Separators of paths, control characters, and marks that change the direction of text.
-_NOT_IN_NAMES = r"/\\\x00-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069"
+# Separators of paths, control characters, marks that change the direction of text, and halves of surrogate pairs, which
+# no file can hold.
+_NOT_IN_NAMES = r"/\\\x00-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff"
 
 #: What a name must match: one line of at most 100 characters, not only blanks and dots, without separators of paths.
 NAME = rf"(?=.{{1,100}}$)[^{_NOT_IN_NAMES}]*[^{_NOT_IN_NAMES}\s.][^{_NOT_IN_NAMES}]*"
@@ -156,6 +157,7 @@ class Reader(ListReader):
     def _plain(self, path: str, raw: object, key: Key) -> Any:
         kinds: dict[str, type] = {"text": str, "boolean": bool, "integer": int, "sign": int}
         good = isinstance(raw, kinds[key.kind]) and (key.kind == "boolean") == isinstance(raw, bool)
+        good = good and (not isinstance(raw, str) or writable(raw))
         if good and isinstance(raw, int) and key.kind != "boolean":
             good = raw in (-1, 1) if key.kind == "sign" else key.admits(raw)
         if not good or (key.choices and raw not in key.choices):

@@ -78,3 +78,17 @@ def shown(raw: object) -> str:
     except ValueError:  # a whole number of thousands of digits
         return "a number too large to write"
     return text if len(text) <= LONGEST_SHOWN else text[:LONGEST_SHOWN] + "..."
+
+
+def writable(text: str) -> bool:
+    """Return whether a file can hold a text: not with halves of surrogate pairs.
+
+    Parameters
+    ----------
+    text : str
+    """
+    try:
+        text.encode()
+    except UnicodeEncodeError:
+        return False
+    return True

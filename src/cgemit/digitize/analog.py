@@ -13,7 +13,7 @@ from cgemit.detector import Detector, compiled
 from cgemit.detector.gaps import w_values
 from cgemit.detector.strip_maps import gain_table
 from cgemit.digitize.analog_cluster import Calibration, Estimator, calibration_of, find_clusters, neutral
-from cgemit.digitize.readout import GAIN, Floats, Share
+from cgemit.digitize.readout import GAIN, Floats, Jitter, Noise, Share
 from cgemit.digitize.shapers import Shaper
 from cgemit.digitize.transport import drift_columns
 from cgemit.kinds import Check, NotNegative, Positive
@@ -96,8 +96,8 @@ class AnalogReadout(SettingsData):
     second_neighbour: Share = 0.0
     threshold_x: Positive = 2.0
     threshold_v: Positive = 2.0
-    noise: NotNegative = 0.5
-    jitter: NotNegative = 2.0
+    noise: Noise = 0.5
+    jitter: Jitter = 2.0
     missing: Missing = 1
     edge: Share = 0.1
     valley: Share = 0.2

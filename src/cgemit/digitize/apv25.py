@@ -8,9 +8,9 @@ from typing import Any, ClassVar
 import numpy as np
 
 from cgemit.digitize.analog import AnalogReadout
-from cgemit.digitize.readout import Floats
+from cgemit.digitize.readout import Floats, Jitter
 from cgemit.digitize.shapers import APV25
-from cgemit.kinds import NotNegative, Positive
+from cgemit.kinds import Positive
 
 CLOCK = 25.0  # ns, between samples
 SAMPLES = 27
@@ -37,7 +37,7 @@ class Apv25Readout(AnalogReadout):
 
     threshold_x: Positive = 1.67
     threshold_v: Positive = 1.67
-    jitter: NotNegative = 7.12
+    jitter: Jitter = 7.12
     saturation: Positive = 60.0
 
     def chip(self) -> dict[str, Any]:

@@ -13,8 +13,8 @@ from cgemit.detector import Detector, compiled
 from cgemit.detector.gaps import w_values
 from cgemit.detector.strip_maps import gain_table
 from cgemit.digitize.analog_cluster import Calibration, Estimator, calibration_of, clusters_at, neutral
-from cgemit.digitize.readout import GAIN, Floats, Share
-from cgemit.kinds import NotNegative, Positive
+from cgemit.digitize.readout import GAIN, Floats, Noise, Share
+from cgemit.kinds import Positive
 from cgemit.settings import SettingsData
 from cgemit.tables import Table
 
@@ -53,7 +53,7 @@ class ProjectionReadout(SettingsData):
     gain: Positive = GAIN
     sigma: Positive = 0.29
     threshold: Positive = 1.7
-    noise: NotNegative = 0.5
+    noise: Noise = 0.5
     valley: Share = 0.4
     estimator: Literal["centroid"] = "centroid"
     calibration: str = ""

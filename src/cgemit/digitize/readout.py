@@ -15,6 +15,9 @@ from cgemit.tables import Table
 Floats = npt.NDArray[np.float64]
 
 Share = Annotated[float, Check(lambda value: 0 <= value < 1, "a number from 0 to 1, 1 excluded")]
+# Of a strip and of a time, to far beyond any chip.
+Noise = Annotated[float, Check(lambda value: 0 <= value <= 1000, "0 to 1000 fC")]
+Jitter = Annotated[float, Check(lambda value: 0 <= value <= 10_000, "0 to 10000 ns")]
 
 #: Electrons on the anode per electron of ionization: effective gain of a triple GEM.
 GAIN = 12_000.0

@@ -114,9 +114,13 @@ def view_of(result: Result, event: int) -> EventView:
         If the result has no such event.
     """
     whole = next(iter(result.tables.values()))  # any of them covers all events
-    first, n = whole.first_event, whole.n_events
-    if not first <= event < first + n:
-        raise ValueError(f"event: got {event}; expected a number from {first} to {first + n - 1}")
+    events = whole.events
+    if event not in events:
+        few = ", ".join(map(str, events[:5])) + (", ..." if len(events) > 5 else "")
+        gaps = whole.cover["events"] is not None
+        expected = f"one of {few}" if gaps else f"a number from {events[0]} to {events[-1]}" if len(events) else "none"
+        raise ValueError(f"event: got {event}; expected {expected}")
+    event = int(event)
     part = result.select_events(event, event + 1)
     rows = {name: part.tables.get(name, Table.empty(name, 1, event)) for name in _TABLES}  # a run may end early
     r, z = _reach(result.detector)

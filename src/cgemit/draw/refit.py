@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.ticker import MaxNLocator
 
 from cgemit.draw.style import COLORS, Picture, grid, mathematical, new_picture, plain, style
 from cgemit.refit import FITS, Refit
@@ -44,12 +45,15 @@ def draw_refit(result: Refit) -> Picture:
             plot.set_title(f"median {row['pull']:.2f}, 68 % within ±{row['pull_width']:.2f}", loc="left")
             plot.set_xlabel(f"{mathematical(SYMBOLS[name])}: (ours − BOSS) / error of BOSS")
             plot.set_ylabel("tracks")
+            plot.yaxis.set_major_locator(MaxNLocator(integer=True))
             plot.set_xlim(-_EDGE, _EDGE)
             plot.axvline(0, color=COLORS["text"], linewidth=0.8)
             grid(plot)
         _chi_square(axes[6], result)
         _errors(axes[7], summary)
-        tracks = f"{int(good.sum())} tracks of one mass each, ours with {result.detector}"
+        tracks = (
+            f"{int(good.sum())} tracks of one mass each, ours with {result.detector}; last bins: all beyond ±{_EDGE:g}"
+        )
         picture.suptitle(plain(f"{FITS[result.kind]}: {tracks}"), x=0.05, ha="left", fontsize=11)
         picture.subplots_adjust(left=0.05, right=0.99, top=0.9, bottom=0.09, wspace=0.26, hspace=0.36)
     return picture

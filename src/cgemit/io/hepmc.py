@@ -14,6 +14,9 @@ from cgemit.io.packages import package
 #: Endings of the names of HepMC files.
 ENDINGS = (".hepmc", ".hepmc2", ".hepmc3", ".hepmc.gz", ".hepmc2.gz", ".hepmc3.gz")
 
+# Of momentum and length, as in a line "U GEV MM".
+_UNITS = {(momentum, length) for momentum in (b"GEV", b"MEV") for length in (b"MM", b"CM")}
+
 _FINAL = 1  # status of a particle that the generator did not let decay
 _COLUMNS = {"pdg": np.int64, "hepmc_id": np.int64} | dict.fromkeys(("x", "y", "z", "px", "py", "pz"), np.float64)
 
@@ -38,7 +41,7 @@ def read_hepmc(path: Path) -> tuple[dict[str, np.ndarray[Any, Any]], int]:
     FileNotFoundError
         If there is no such file.
     ValueError
-        If it is damaged or no HepMC file.
+        If it is damaged or no HepMC file, or does not name its units.
     """
     check_regular(path)
     pyhepmc = package("pyhepmc")
@@ -71,12 +74,18 @@ def _row(particle: Any) -> tuple[float, ...]:
 
 
 def _events_of(path: Path) -> int:
-    """Return the number of events that a file begins; pyhepmc ends in silence where it cannot go on."""
+    """Return the number of events that a file begins, each with units that are known.
+
+    pyhepmc ends in silence where it cannot go on, and takes GeV and mm where a file says nothing, or something else.
+    """
     try:
         begun, ended, marked = 0, False, False
+        units: list[bytes] = []
         with gzip.open(path, "rb") if path.suffix == ".gz" else path.open("rb") as stream:
             for line in stream:
                 begun += line.startswith(b"E ")
+                if line.startswith(b"U "):
+                    units.append(line)
                 marked = marked or (line.startswith(b"HepMC::") and b"START_EVENT_LISTING" in line)
                 ended = (line.startswith(b"HepMC::") and b"END_EVENT_LISTING" in line) or (ended and not line.strip())
     except (OSError, EOFError, ValueError) as error:
@@ -84,4 +93,12 @@ def _events_of(path: Path) -> int:
     if not marked or not ended:
         what = "its last line does not end the list of events" if marked else "it does not begin a list of events"
         raise ValueError(f"{path} is not a complete HepMC file: {what}")
+    wrong = sorted({line for line in units if tuple(line.split()[1:]) not in _UNITS})
+    if wrong:
+        text = wrong[0].decode("ascii", "replace").strip()
+        raise ValueError(f"{path}: got the units {text!r:.50}; expected GEV or MEV, then MM or CM")
+    if len(units) < begun:
+        raise ValueError(
+            f"{path}: {begun - len(units)} of its {begun} events do not name their units; expected U lines"
+        )
     return begun

@@ -19,6 +19,10 @@ Floats = npt.NDArray[np.float64]
 #: A cosine of the polar angle, the limits of a uniform range, or values of equal weight.
 CosTheta = float | tuple[float, float] | Sequence[float] | InTurn
 
+# A term is printed as 0 if it is below a thousandth of the largest that the curve allows, anywhere: its square below
+# this, in units of that one.
+_NOTHING = 1e-6
+
 #: Fewest momenta for a fit of two parameters.
 FEWEST_POINTS = 3
 
@@ -218,6 +222,8 @@ def _sum_in_quadrature(x: Floats, y: Floats, error: Floats) -> tuple[tuple[float
     start, tolerances = np.full(2, 0.25), {"xtol": 1e-14, "ftol": 1e-14, "gtol": 1e-14}
     found = least_squares(residuals, start, jac=jacobian, bounds=(0, np.inf), max_nfev=1000, **tolerances)
     spread = np.sqrt(np.diag(np.linalg.inv(found.jac.T @ found.jac)))
+    # At the bound the square is zero but for rounding.
+    found.x[found.x < _NOTHING] = 0.0
     low, high = np.sqrt(found.x * scale), np.sqrt((found.x + spread) * scale)
     (c, s), (c_error, s_error) = low.tolist(), (high - low).tolist()
     return (c, c_error), (s, s_error), residuals(found.x)

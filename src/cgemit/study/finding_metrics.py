@@ -186,7 +186,7 @@ def finding(result: Result) -> Finding:
     ValueError
         If the run ended before.
     """
-    if result.candidates is None:
+    if "candidates" not in result.tables:
         expected = "a run with until='find' or 'fit' that keeps all tables"
         raise ValueError(f"finding: got a result without candidates; expected {expected}")
     of_candidate, of_particle = count_candidates(result), count_particles(result)

@@ -101,7 +101,7 @@ def _entry_problem(about: Mapping[str, Any]) -> str:
     if suffix not in FORMATS.values():
         return f"suffix: got {suffix!r:.40}, expected one of {', '.join(dict.fromkeys(FORMATS.values()))}"
     parts = about.get("parts")
-    if parts is None:
+    if "parts" not in about:
         return ""
     if not isinstance(parts, list) or not parts or not all(isinstance(part, dict) for part in parts):
         return f"parts: got {parts!r:.40}, expected a list of parts"

@@ -11,10 +11,18 @@ from typing import Any
 
 from cgemit.io import new_file
 from cgemit.io.toml import toml_text
-from cgemit.problems import did_you_mean
 from cgemit.study.optimizer.result import Optimization
 from cgemit.study.optimizer.run import optimize
-from cgemit.study.sweeps.plan import PLAN, PlanError, change_table, numbers, placed, range_of, settings_of
+from cgemit.study.sweeps.plan import (
+    PLAN,
+    PlanError,
+    change_table,
+    numbers,
+    placed,
+    range_of,
+    settings_of,
+    without_unknown,
+)
 
 #: Keys of each table of a plan, with what they mean; docs/optimize.md shows them.
 KEYS: dict[str, dict[str, str]] = {
@@ -106,9 +114,12 @@ def read_optimize_plan(path: str | os.PathLike[str], changes: Mapping[str, Any] 
     problems: list[str] = []
     for key, value in (changes or {}).items():
         change_table(tables, key, value, problems)
-    _check_keys(tables, problems)
+    _check_forms(tables, problems)
     if problems:
         raise PlanError(str(path), problems)
+    tables = without_unknown(tables, KEYS, problems)
+    if "vary" not in tables:
+        problems.append("vary: missing, expected a table of keys of the detector file")
     tables = placed(tables, file.resolve().parent)
     evaluate, search = dict(tables.get("evaluate", {})), dict(tables.get("search", {}))
     arguments: dict[str, Any] = {"base": tables.get("base"), "minimize": tables.get("minimize", "dr")}
@@ -129,23 +140,14 @@ def read_optimize_plan(path: str | os.PathLike[str], changes: Mapping[str, Any] 
     return OptimizePlan(tables, arguments)
 
 
-def _check_keys(tables: Mapping[str, Any], problems: list[str]) -> None:
-    for name, known in KEYS.items():
-        table = tables.get(name, {}) if name else tables
-        if not isinstance(table, Mapping):
-            problems.append(f"{name}: got {table!r}, expected a table [{name}]")
-            continue
-        before = f"{name}." if name else ""
-        problems += [
-            f"{before}{key}: an unknown key; expected one of {', '.join(known)}{did_you_mean(key, known, '; ')}"
-            for key in table
-            if key not in known
-        ]
+def _check_forms(tables: Mapping[str, Any], problems: list[str]) -> None:
+    """Add what is no table, or missing: nothing else can be checked then."""
+    for name in filter(None, KEYS):
+        if not isinstance(tables.get(name, {}), Mapping):
+            problems.append(f"{name}: got {tables[name]!r}, expected a table [{name}]")
     for name in ("vary", "constraints", "settings"):
         if not isinstance(tables.get(name, {}), Mapping):
             problems.append(f"{name}: got {tables[name]!r}, expected a table [{name}]")
-    if "vary" not in tables:
-        problems.append("vary: missing, expected a table of keys of the detector file")
 
 
 def _limits(tables: Mapping[str, Any], problems: list[str]) -> dict[str, tuple[Any, Any]]:

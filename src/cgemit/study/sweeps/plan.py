@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib.util
 import os
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -115,9 +115,13 @@ def read_plan(path: str | os.PathLike[str], changes: Mapping[str, Any] | None = 
     problems: list[str] = []
     for key, value in (changes or {}).items():
         change_table(tables, key, value, problems)
-    _check_keys(tables, problems)
+    _check_forms(tables, problems)
     if problems:
         raise PlanError(str(path), problems)
+    tables = without_unknown(tables, KEYS, problems)
+    if ("vary" in tables) == ("variants" in tables):
+        given = "both" if "vary" in tables else "none"
+        raise PlanError(str(path), [*problems, f"vary, variants: got {given}, expected one of them"])
     tables = placed(tables, file.resolve().parent)
     arguments = {"base": tables.get("base"), **_evaluate(tables.get("evaluate", {}), problems)}
     arguments["space"] = _space(tables, problems)
@@ -144,26 +148,34 @@ def change_table(tables: dict[str, Any], key: str, value: Any, problems: list[st
         tables[first][rest] = value
 
 
-def _check_keys(tables: Mapping[str, Any], problems: list[str]) -> None:
-    for name, known in KEYS.items():
-        table = tables.get(name, {}) if name else tables
-        if not isinstance(table, Mapping):
-            problems.append(f"{name}: got {table!r}, expected a table [{name}]")
-            continue
-        before = f"{name}." if name else ""
-        problems += [
-            f"{before}{key}: an unknown key; expected one of {', '.join(known)}{did_you_mean(key, known, '; ')}"
-            for key in table
-            if key not in known
-        ]
+def _check_forms(tables: Mapping[str, Any], problems: list[str]) -> None:
+    """Add what is no table, or missing: nothing else can be checked then."""
+    for name in filter(None, KEYS):
+        if not isinstance(tables.get(name, {}), Mapping):
+            problems.append(f"{name}: got {tables[name]!r}, expected a table [{name}]")
     for name in ("vary", "settings"):
         if not isinstance(tables.get(name, {}), Mapping):
             problems.append(f"{name}: got {tables[name]!r}, expected a table [{name}]")
     if not isinstance(tables.get("variants", []), list):
         problems.append(f"variants: got {tables['variants']!r}, expected tables [[variants]]")
-    if ("vary" in tables) == ("variants" in tables):
-        given = "both" if "vary" in tables else "none"
-        problems.append(f"vary, variants: got {given}, expected one of them")
+
+
+def without_unknown(
+    tables: Mapping[str, Any], keys: Mapping[str, Collection[str]], problems: list[str]
+) -> dict[str, Any]:
+    """Return the tables of a plan without keys that are not known; these are added to the problems."""
+    found = dict(tables)
+    for name, known in keys.items():
+        table = tables.get(name, {}) if name else tables
+        before = f"{name}." if name else ""
+        for key in table:
+            if key not in known:
+                problems.append(
+                    f"{before}{key}: an unknown key; expected one of {', '.join(known)}{did_you_mean(key, known, '; ')}"
+                )
+        if name in tables:
+            found[name] = {key: value for key, value in table.items() if key in known}
+    return {key: value for key, value in found.items() if key in keys[""]}
 
 
 def placed(tables: dict[str, Any], folder: Path) -> dict[str, Any]:

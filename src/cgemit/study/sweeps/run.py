@@ -11,6 +11,7 @@ from typing import Any, Literal
 from cgemit.detector import Detector, load
 from cgemit.gun import Gun
 from cgemit.io.folders import OutputExistsError, check_free
+from cgemit.problems import Problems
 from cgemit.species import species
 from cgemit.stages import Settings
 from cgemit.study.samples import ShowProgress
@@ -107,13 +108,15 @@ def sweep(
         evaluate, particle=particle, p=as_tuple(p), cos_theta=as_tuple(cos_theta), events=events, seed=seed,
         settings=settings, quantities=tuple(quantities), samples=samples,
     )  # fmt: skip
-    _check(evaluation, part, chunk)
-    start = load(base) if not isinstance(base, Detector) else base
-    chosen = _space(space)
-    bases = [(start, {}), *_with_bases(start, chosen.variants)]
-    problems = key_problems(bases)
-    if problems:
-        raise SpaceError(problems)
+    wrong = Problems("sweep")
+    wrong.collect(_check, evaluation, part, chunk)
+    start = wrong.collect(load, base)
+    chosen = wrong.collect(_space, space)
+    named = wrong.collect(_named, start, chosen.variants) if start is not None and chosen is not None else None
+    wrong.report()
+    assert chosen is not None
+    assert named is not None
+    bases = named
     size = chunk or CHUNK[evaluation.method]
     tasks = [_task(bases[i : i + size], evaluation) for i in range(0, len(bases), size)]
     folder = chunk_folder(output, resume=resume, overwrite=overwrite)
@@ -123,6 +126,15 @@ def sweep(
     if output is not None and part is None and not result.missing():
         result.write(Path(output))
     return result
+
+
+def _named(start: Detector, variants: Sequence[Changes]) -> list[tuple[Detector, Changes]]:
+    """Return base and variants with the detector that each changes; raise an error for keys that name nothing."""
+    bases = [(start, {}), *_with_bases(start, variants)]
+    problems = key_problems(bases)
+    if problems:
+        raise SpaceError(problems)
+    return bases
 
 
 def _evaluation(evaluate: Any, **how: Any) -> Evaluation:
