@@ -15,7 +15,7 @@ from cgemit.particles import ParticleError
 from cgemit.record import gun_data, gun_from
 from cgemit.samples import NAMES
 from cgemit.samples.catalogue import DEFINITIONS, Mode
-from cgemit.samples.chains import Draws, Particles, decay_all
+from cgemit.samples.chains import ATTEMPTS, MODE, SHAPE, Draws, Particles, decay_all
 from cgemit.samples.phase_space import boost, breakup_momentum, largest_weight, phase_space
 from cgemit.species import species
 from stats import assert_within, fraction_error, mean_error
@@ -124,8 +124,8 @@ def test_the_rho_has_its_line_and_its_angle() -> None:
     """The mass has a Breit-Wigner line in s times the momentum of the rho; J/psi -> V P has 1 + cos^2(theta)."""
     n = 3 * N
     rest = np.tile([0, 0, 0, 3.0969], (n, 1))
-    parents = Particles(np.arange(n), np.ones(n, np.int64), np.full(n, 3.0969), rest, np.zeros((n, 3)))
-    found = decay_all({"J/psi": parents}, {"J/psi": (Mode(1, ("rho0", "pi0"), 1.0),)}, Draws(4, 0))
+    parents = Particles(np.arange(n), 1, np.full(n, 3.0969), rest, np.zeros((n, 3)))
+    found = decay_all([("J/psi", parents)], {"J/psi": (Mode(1, ("rho0", "pi0"), 1.0),)}, Draws(4, 0))
     (rho,), (pion,) = found["rho0"], found["pi0"]
     assert np.allclose(mass(rho.momentum), rho.mass)
     m = np.linspace(2 * 0.13957039, 3.0969 - 0.1349768, 20_001)
@@ -177,6 +177,40 @@ def test_cosmic_muons_come_from_above_in_two_halves() -> None:
     z = particles["z"].reshape(-1, 2)
     assert np.array_equal(z[:, 0], z[:, 1])
     assert_within(z[:, 0].std(), 100, 100 / math.sqrt(2 * N))
+
+
+def test_background_particles_start_where_they_should() -> None:
+    """Electrons all over the radius, isotropic; beam-gas tracks from one point, z uniform in 600 mm."""
+    n = 200
+    electrons = generate(cg.sample("electrons"), n, seed=1)
+    assert len(electrons) == 20 * n
+    r, p = np.hypot(electrons["x"], electrons["y"]), np.linalg.norm(four_momenta(electrons)[:, :3], axis=1)
+    for value, low, high in ((r, 30, 700), (electrons["z"], -400, 400), (p, 0.001, 0.03)):
+        assert value.min() >= low
+        assert value.max() <= high
+        assert_within(value.mean(), 0.5 * (low + high), mean_error(value))
+    turn = np.arctan2(electrons["y"], electrons["x"])
+    assert_within(np.mean(np.cos(turn)), 0, mean_error(np.cos(turn)))
+    assert len(np.unique(electrons["x"])) == 20 * n
+    gas = generate(cg.sample("beam-gas"), n, seed=1)
+    z = gas["z"].reshape(-1, 2)
+    assert np.array_equal(z[:, 0], z[:, 1])
+    assert_within(z[:, 0].std(), 600 / np.sqrt(12), 0.03 * 600 / np.sqrt(12))
+    assert set(gas["pdg"]) == {2212, -211}
+    result = cg.run("besiii-cgem", cg.sample("ks-pipi") + cg.sample("electrons") + cg.sample("touschek"), 10)
+    assert len(result.particles) == 230
+
+
+def test_every_place_of_a_chain_has_random_numbers_of_its_own() -> None:
+    """Nodes, purposes, attempts and sources never share a stream; guns neither."""
+    one, empty = np.array([7]), np.zeros((1, 4))
+    found = [
+        Draws(3, number).uniforms(Particles(one, node, one, empty, empty[:, :3]), place, 17, attempt)
+        for node in range(0, 4000, 7)
+        for place, attempt, number in ((MODE, 0, 0), (SHAPE, 0, 0), (SHAPE, ATTEMPTS - 1, 0), (SHAPE, 0, 2))
+    ]
+    assert len(np.unique(found)) > 0.9999 * np.size(found)  # 32 bits: equal by chance in one of a hundred thousand
+    assert 17 / 4 * ATTEMPTS < 4096
 
 
 @pytest.mark.parametrize("name", NAMES)

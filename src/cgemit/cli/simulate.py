@@ -94,8 +94,8 @@ def add_gun(parser: argparse.ArgumentParser, *, files: bool = False) -> None:
     gun = parser.add_argument_group("gun")
     gun.add_argument(
         "--sample", metavar="NAME",
-        help="events of a sample instead of a gun: jpsi-rhopi, pipi-jpsi, d0-d0bar, ks-pipi, lambda-ppi, slow-pions or "
-        "cosmic; of the options below, those that it has",
+        help="events of a sample instead of a gun: jpsi-rhopi, pipi-jpsi, d0-d0bar, ks-pipi, lambda-ppi, slow-pions, "
+        "cosmic, beam-gas, touschek or electrons; of the options below, those that it has",
     )  # fmt: skip
     gun.add_argument("--particle", help="PDG name or number (default mu-)")
     momentum = gun.add_mutually_exclusive_group()
