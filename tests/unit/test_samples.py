@@ -56,19 +56,41 @@ def test_two_bodies_have_the_momentum_of_the_closed_form() -> None:
     assert_within(np.mean(cos**2), 1 / 3, mean_error(cos**2))
 
 
-def test_the_dalitz_plot_is_flat() -> None:
-    """Weighted three-body events fill the Dalitz plot in proportion to its area: moments of the invariant masses."""
-    parent, masses = 1.86484, (0.493677, 0.13957039, 0.1349768)
-    found, weight = phase_space(parent, masses, uniforms(60_000, 3, seed=2))
-    s12, s23 = (mass(found[:, i] + found[:, i + 1]) ** 2 for i in (0, 1))
-    # The area by brute force: a fine grid in both masses squared, inside the boundary of the PDG's Kinematics.
+def dalitz(parent: float, masses: tuple[float, float, float]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return m12, the mean of m23^2 there, and the share of the area, on a fine grid (PDG, Kinematics)."""
     x = np.linspace((masses[0] + masses[1]) ** 2, (parent - masses[2]) ** 2, 2001)
     m12 = np.sqrt(0.5 * (x[1:] + x[:-1]))
     e2 = (m12**2 - masses[0] ** 2 + masses[1] ** 2) / (2 * m12)
     e3 = (parent**2 - m12**2 - masses[2] ** 2) / (2 * m12)
     p2, p3 = np.sqrt(e2**2 - masses[1] ** 2), np.sqrt(e3**2 - masses[2] ** 2)
-    width, middle = 4 * p2 * p3, masses[1] ** 2 + masses[2] ** 2 + 2 * e2 * e3
-    area = width / width.sum()
+    width = 4 * p2 * p3
+    return m12, masses[1] ** 2 + masses[2] ** 2 + 2 * e2 * e3, width / width.sum()
+
+
+def test_decays_are_unweighted_events() -> None:
+    """Events of a chain fill the Dalitz plot of the moving parent evenly, and the parent's lifetime is exponential."""
+    n = 6000
+    flight = np.tile([0.3, -0.4, 1.2], (n, 1))
+    momentum = np.concatenate([flight, np.full((n, 1), math.sqrt(1.69 + 1.86484**2))], axis=1)
+    parents = Particles(np.arange(n), 1, np.full(n, 1.86484), momentum, np.zeros((n, 3)))
+    found = decay_all([("D0", parents)], {"D0": (Mode(1, ("K-", "pi+", "pi0")),)}, Draws(2, 0))
+    (kaon,), (pion,), (neutral,) = (found[name] for name in ("K-", "pi+", "pi0"))
+    assert np.allclose(kaon.momentum + pion.momentum + neutral.momentum, momentum)
+    m12, middle, area = dalitz(1.86484, (0.493677, 0.13957039, 0.1349768))
+    s12, s23 = mass(kaon.momentum + pion.momentum) ** 2, mass(pion.momentum + neutral.momentum) ** 2
+    for value, expected in ((s12, m12**2), (s23, middle), (s12**2, m12**4)):
+        assert_within(value.mean(), np.sum(area * expected), mean_error(value))
+    length = np.linalg.norm(pion.vertex, axis=1)
+    expected_length = species("D0").lifetime * 299.792458 * 1.3 / 1.86484
+    assert_within(length.mean(), expected_length, expected_length / math.sqrt(n))
+
+
+def test_the_dalitz_plot_is_flat() -> None:
+    """Weighted three-body events fill the Dalitz plot in proportion to its area: moments of the invariant masses."""
+    parent, masses = 1.86484, (0.493677, 0.13957039, 0.1349768)
+    found, weight = phase_space(parent, masses, uniforms(60_000, 3, seed=2))
+    s12, s23 = (mass(found[:, i] + found[:, i + 1]) ** 2 for i in (0, 1))
+    m12, middle, area = dalitz(parent, masses)
     for power in (1, 2):
         expected = np.sum(area * m12 ** (2 * power))
         error = math.sqrt(np.sum(weight**2 * (s12**power - expected) ** 2)) / weight.sum()
