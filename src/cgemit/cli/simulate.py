@@ -149,7 +149,7 @@ def gun_of(arguments: argparse.Namespace, *others: tuple[str, object]) -> Source
             missing.append(" or ".join(options))
     if missing:
         raise common.InputError(
-            f"got no {', no '.join(missing)}; expected all of them, or --sample NAME{_or_file(arguments)}"
+            f"got no {', no '.join(missing)}; expected all of them{_or_file(arguments)}, or --sample NAME"
         )
     return Gun(**{"particle": "mu-", **given})
 
