@@ -69,7 +69,7 @@ class Guns:
 
 _UNITS = {
     "name": "", "particle": "", "p": "[GeV/c]", "pt": "[GeV/c]", "theta": "[rad]", "cos_theta": "", "phi": "[rad]",
-    "vertex": "[mm]", "vertex_sigma": "[mm]", "crossing": "[rad]", "multiplicity": "",
+    "vertex": "[mm]", "vertex_sigma": "[mm]", "radius": "[mm]", "crossing": "[rad]", "multiplicity": "",
 }  # fmt: skip
 
 

@@ -310,3 +310,29 @@ def test_what_cannot_be_mixed_is_refused(run, other, tmp_path):
         mix_events(run.detector, run.digis, run.wire_hits, tmp_path / "nothing")
     with pytest.raises(ValueError, match="expected a range from low to high"):
         cg.BackgroundSettings(offset=(2.0, 1.0))
+
+
+def test_the_start_time_shifts_all_cells_of_an_event(run):
+    """Times of an event move by one number of the stated width, and distances by the drift velocity."""
+    found = added(run, start_time=3.0)["wire_hits"]
+    shift = found["drift_time"] - run.wire_hits["drift_time"]
+    event = run.wire_hits["event"]
+    first = np.array([shift[event == i][0] for i in range(100)])
+    assert np.allclose(shift, first[event])
+    assert first.std() == pytest.approx(3.0, abs=4 * 3.0 / np.sqrt(200))
+    assert abs(first.mean()) < 4 * 3.0 / 10
+    middle = (found["drift_time"] > 30) & (run.wire_hits["drift_time"] > 30) & (found["drift_time"] < 45)
+    middle &= run.wire_hits["drift_time"] < 45
+    moved = found["drift"] - run.wire_hits["drift"]
+    assert np.allclose(moved[middle], shift[middle] * 0.8 / 25)
+    assert np.array_equal(found["sigma"], run.wire_hits["sigma"])
+    assert added(run, start_time=3.0)["digis"] is run.digis
+
+
+def test_a_wrong_start_time_costs_momentum_resolution():
+    gun = cg.Gun("mu-", p=1.0, cos_theta=(-0.5, 0.5))
+    widths = []
+    for sigma in (0.0, 10.0):
+        settings = cg.Settings(background=cg.BackgroundSettings(start_time=sigma))
+        widths.append(cg.resolution(cg.run("besiii-cgem", gun, n=400, settings=settings).tracks, "p"))
+    assert widths[1].core > widths[0].core + 4 * widths[1].core_error

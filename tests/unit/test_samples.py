@@ -15,7 +15,7 @@ from cgemit.gun_data import gun_data, gun_from
 from cgemit.particles import ParticleError
 from cgemit.samples import NAMES
 from cgemit.samples.catalogue import DEFINITIONS, Mode
-from cgemit.samples.chains import Draws, Particles, decay_all
+from cgemit.samples.chains import ATTEMPTS, MODE, SHAPE, Draws, Particles, decay_all
 from cgemit.samples.phase_space import boost, breakup_momentum, largest_weight, phase_space
 from cgemit.species import species
 from stats import assert_within, fraction_error, mean_error
@@ -56,19 +56,41 @@ def test_two_bodies_have_the_momentum_of_the_closed_form() -> None:
     assert_within(np.mean(cos**2), 1 / 3, mean_error(cos**2))
 
 
-def test_the_dalitz_plot_is_flat() -> None:
-    """Weighted three-body events fill the Dalitz plot in proportion to its area: moments of the invariant masses."""
-    parent, masses = 1.86484, (0.493677, 0.13957039, 0.1349768)
-    found, weight = phase_space(parent, masses, uniforms(60_000, 3, seed=2))
-    s12, s23 = (mass(found[:, i] + found[:, i + 1]) ** 2 for i in (0, 1))
-    # The area by brute force: a fine grid in both masses squared, inside the boundary of the PDG's Kinematics.
+def dalitz(parent: float, masses: tuple[float, float, float]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return m12, the mean of m23^2 there, and the share of the area, on a fine grid (PDG, Kinematics)."""
     x = np.linspace((masses[0] + masses[1]) ** 2, (parent - masses[2]) ** 2, 2001)
     m12 = np.sqrt(0.5 * (x[1:] + x[:-1]))
     e2 = (m12**2 - masses[0] ** 2 + masses[1] ** 2) / (2 * m12)
     e3 = (parent**2 - m12**2 - masses[2] ** 2) / (2 * m12)
     p2, p3 = np.sqrt(e2**2 - masses[1] ** 2), np.sqrt(e3**2 - masses[2] ** 2)
-    width, middle = 4 * p2 * p3, masses[1] ** 2 + masses[2] ** 2 + 2 * e2 * e3
-    area = width / width.sum()
+    width = 4 * p2 * p3
+    return m12, masses[1] ** 2 + masses[2] ** 2 + 2 * e2 * e3, width / width.sum()
+
+
+def test_decays_are_unweighted_events() -> None:
+    """Events of a chain fill the Dalitz plot of the moving parent evenly, and the parent's lifetime is exponential."""
+    n = 6000
+    flight = np.tile([0.3, -0.4, 1.2], (n, 1))
+    momentum = np.concatenate([flight, np.full((n, 1), math.sqrt(1.69 + 1.86484**2))], axis=1)
+    parents = Particles(np.arange(n), 1, np.full(n, 1.86484), momentum, np.zeros((n, 3)))
+    found = decay_all([("D0", parents)], {"D0": (Mode(1, ("K-", "pi+", "pi0")),)}, Draws(2, 0))
+    (kaon,), (pion,), (neutral,) = (found[name] for name in ("K-", "pi+", "pi0"))
+    assert np.allclose(kaon.momentum + pion.momentum + neutral.momentum, momentum)
+    m12, middle, area = dalitz(1.86484, (0.493677, 0.13957039, 0.1349768))
+    s12, s23 = mass(kaon.momentum + pion.momentum) ** 2, mass(pion.momentum + neutral.momentum) ** 2
+    for value, expected in ((s12, m12**2), (s23, middle), (s12**2, m12**4)):
+        assert_within(value.mean(), np.sum(area * expected), mean_error(value))
+    length = np.linalg.norm(pion.vertex, axis=1)
+    expected_length = species("D0").lifetime * 299.792458 * 1.3 / 1.86484
+    assert_within(length.mean(), expected_length, expected_length / math.sqrt(n))
+
+
+def test_the_dalitz_plot_is_flat() -> None:
+    """Weighted three-body events fill the Dalitz plot in proportion to its area: moments of the invariant masses."""
+    parent, masses = 1.86484, (0.493677, 0.13957039, 0.1349768)
+    found, weight = phase_space(parent, masses, uniforms(60_000, 3, seed=2))
+    s12, s23 = (mass(found[:, i] + found[:, i + 1]) ** 2 for i in (0, 1))
+    m12, middle, area = dalitz(parent, masses)
     for power in (1, 2):
         expected = np.sum(area * m12 ** (2 * power))
         error = math.sqrt(np.sum(weight**2 * (s12**power - expected) ** 2)) / weight.sum()
@@ -124,8 +146,8 @@ def test_the_rho_has_its_line_and_its_angle() -> None:
     """The mass has a Breit-Wigner line in s times the momentum of the rho; J/psi -> V P has 1 + cos^2(theta)."""
     n = 3 * N
     rest = np.tile([0, 0, 0, 3.0969], (n, 1))
-    parents = Particles(np.arange(n), np.ones(n, np.int64), np.full(n, 3.0969), rest, np.zeros((n, 3)))
-    found = decay_all({"J/psi": parents}, {"J/psi": (Mode(1, ("rho0", "pi0"), 1.0),)}, Draws(4, 0))
+    parents = Particles(np.arange(n), 1, np.full(n, 3.0969), rest, np.zeros((n, 3)))
+    found = decay_all([("J/psi", parents)], {"J/psi": (Mode(1, ("rho0", "pi0"), 1.0),)}, Draws(4, 0))
     (rho,), (pion,) = found["rho0"], found["pi0"]
     assert np.allclose(mass(rho.momentum), rho.mass)
     m = np.linspace(2 * 0.13957039, 3.0969 - 0.1349768, 20_001)
@@ -177,6 +199,40 @@ def test_cosmic_muons_come_from_above_in_two_halves() -> None:
     z = particles["z"].reshape(-1, 2)
     assert np.array_equal(z[:, 0], z[:, 1])
     assert_within(z[:, 0].std(), 100, 100 / math.sqrt(2 * N))
+
+
+def test_background_particles_start_where_they_should() -> None:
+    """Electrons all over the radius, isotropic; beam-gas tracks from one point, z uniform in 600 mm."""
+    n = 200
+    electrons = generate(cg.sample("electrons"), n, seed=1)
+    assert len(electrons) == 20 * n
+    r, p = np.hypot(electrons["x"], electrons["y"]), np.linalg.norm(four_momenta(electrons)[:, :3], axis=1)
+    for value, low, high in ((r, 30, 700), (electrons["z"], -400, 400), (p, 0.001, 0.03)):
+        assert value.min() >= low
+        assert value.max() <= high
+        assert_within(value.mean(), 0.5 * (low + high), mean_error(value))
+    turn = np.arctan2(electrons["y"], electrons["x"])
+    assert_within(np.mean(np.cos(turn)), 0, mean_error(np.cos(turn)))
+    assert len(np.unique(electrons["x"])) == 20 * n
+    gas = generate(cg.sample("beam-gas"), n, seed=1)
+    z = gas["z"].reshape(-1, 2)
+    assert np.array_equal(z[:, 0], z[:, 1])
+    assert_within(z[:, 0].std(), 600 / np.sqrt(12), 0.03 * 600 / np.sqrt(12))
+    assert set(gas["pdg"]) == {2212, -211}
+    result = cg.run("besiii-cgem", cg.sample("ks-pipi") + cg.sample("electrons") + cg.sample("touschek"), 10)
+    assert len(result.particles) == 230
+
+
+def test_every_place_of_a_chain_has_random_numbers_of_its_own() -> None:
+    """Nodes, purposes, attempts and sources never share a stream; guns neither."""
+    one, empty = np.array([7]), np.zeros((1, 4))
+    found = [
+        Draws(3, number).uniforms(Particles(one, node, one, empty, empty[:, :3]), place, 17, attempt)
+        for node in range(0, 4000, 7)
+        for place, attempt, number in ((MODE, 0, 0), (SHAPE, 0, 0), (SHAPE, ATTEMPTS - 1, 0), (SHAPE, 0, 2))
+    ]
+    assert len(np.unique(found)) > 0.9999 * np.size(found)  # 32 bits: equal by chance in one of a hundred thousand
+    assert 17 / 4 * ATTEMPTS < 4096
 
 
 @pytest.mark.parametrize("name", NAMES)

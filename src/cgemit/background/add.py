@@ -9,8 +9,10 @@ import numpy as np
 from cgemit.background.cells import background_cells, cell_numbers, dead_cells
 from cgemit.background.level import BackgroundSettings, level_of
 from cgemit.background.mix import mix_events
+from cgemit.background.start_time import with_start_time
 from cgemit.background.strips import background_strips, dead_strips, listed_hot_strips
 from cgemit.detector import Detector
+from cgemit.detector.background import BackgroundLevel
 from cgemit.detector.strip_maps import strip_lists
 from cgemit.digitize import without_dead
 from cgemit.tables import Table
@@ -49,12 +51,26 @@ def add_background(
     if settings.events:
         mixed = mix_events(detector, digis, wire_hits, settings.events, offset=settings.offset, seed=seed)
         digis, wire_hits = mixed["digis"], mixed["wire_hits"]
-    has_strips = not len(digis) or bool((digis["strip"] >= 0).all())
-    if has_strips and len(strip_lists(detector).hot):
+    if _has_strips(digis) and len(strip_lists(detector).hot):
         hot = [listed_hot_strips(detector, level, seed, int(event)) for event in digis.events]
         digis = joined(digis, hot, _STRIP, keep="given")
-    if settings.is_off:
-        return {"digis": digis, "wire_hits": wire_hits}
+    if not settings.is_off:
+        digis, wire_hits = _with_level(detector, level, digis, wire_hits, settings, seed)
+    if settings.start_time > 0:
+        wire_hits = with_start_time(wire_hits, settings.start_time, seed)
+    return {"digis": digis, "wire_hits": wire_hits}
+
+
+def _has_strips(digis: Table) -> bool:
+    return not len(digis) or bool((digis["strip"] >= 0).all())
+
+
+def _with_level(
+    detector: Detector, level: BackgroundLevel | None, digis: Table, wire_hits: Table, settings: BackgroundSettings,
+    seed: int,
+) -> tuple[Table, Table]:  # fmt: skip
+    """Return digis and wire hits with the cells and strips of a level, without dead channels."""
+    has_strips = _has_strips(digis)
     cells, strips = [], []
     for event in wire_hits.events:
         cells.append(background_cells(detector, level, settings, seed, int(event)))
@@ -68,7 +84,7 @@ def add_background(
         wire_hits = wire_hits[~dead]
     if level is not None and level.dead_strips > 0 and has_strips:
         digis = digis[~dead_strips(detector, level)[digis["gid"]]]
-    return {"digis": digis, "wire_hits": wire_hits}
+    return digis, wire_hits
 
 
 def joined(table: Table, parts: list[dict[str, Any]], place: tuple[str, ...], keep: str) -> Table:

@@ -14,6 +14,7 @@ from cgemit.settings import SettingsData
 Level = Annotated[str, Check(lambda value: 0 < len(value) <= 100, "off, or the label of a level of the detector")]
 Factor = Annotated[float, Check(lambda value: 0 <= value <= 100, "a number from 0 to 100")]
 Time = Annotated[float, Check(lambda value: abs(value) <= 1e6, "a time in ns, within +-1e6")]
+StartTime = Annotated[float, Check(lambda value: 0 <= value <= 1e3, "a time in ns from 0 to 1000")]
 Offset = tuple[Time, Time]
 Share = Annotated[float, Check(lambda value: 0 <= value <= 0.6, "a share from 0 to 0.6")]
 
@@ -38,6 +39,8 @@ class BackgroundSettings(SettingsData):
         Folder of a run whose digis and wire hits are mixed in, a random event of it in each event; empty: none.
     offset : (float, float)
         ns, range of the time of these events, uniform.
+    start_time : float
+        ns, standard deviation of the start time of the event: all drift times of an event are wrong by the same number.
 
     Raises
     ------
@@ -51,6 +54,7 @@ class BackgroundSettings(SettingsData):
     clumps: bool = True
     events: str = ""
     offset: Offset = (0.0, 0.0)
+    start_time: StartTime = 0.0
 
     def contradictions(self) -> list[str]:
         """Return what does not go together."""
@@ -64,7 +68,7 @@ class BackgroundSettings(SettingsData):
 
     @property
     def is_off(self) -> bool:
-        """Whether no cell and no strip is added; events may still be mixed in."""
+        """Whether no cell and no strip is added; events may still be mixed in, and the start time be wrong."""
         return (self.level == "off" and self.cells == 0) or self.factor == 0
 
 

@@ -94,8 +94,8 @@ def add_gun(parser: argparse.ArgumentParser, *, files: bool = False) -> None:
     gun = parser.add_argument_group("gun")
     gun.add_argument(
         "--sample", metavar="NAME",
-        help="events of a sample instead of a gun: jpsi-rhopi, pipi-jpsi, d0-d0bar, ks-pipi, lambda-ppi, slow-pions or "
-        "cosmic; of the options below, those that it has",
+        help="events of a sample instead of a gun: jpsi-rhopi, pipi-jpsi, d0-d0bar, ks-pipi, lambda-ppi, slow-pions, "
+        "cosmic, beam-gas, touschek or electrons; of the options below, those that it has",
     )  # fmt: skip
     gun.add_argument("--particle", help="PDG name or number (default mu-)")
     momentum = gun.add_mutually_exclusive_group()
@@ -149,7 +149,7 @@ def gun_of(arguments: argparse.Namespace, *others: tuple[str, object]) -> Source
             missing.append(" or ".join(options))
     if missing:
         raise common.InputError(
-            f"got no {', no '.join(missing)}; expected all of them, or --sample NAME{_or_file(arguments)}"
+            f"got no {', no '.join(missing)}; expected all of them{_or_file(arguments)}, or --sample NAME"
         )
     return Gun(**{"particle": "mu-", **given})
 

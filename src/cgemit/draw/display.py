@@ -67,7 +67,11 @@ def event(result: Result, number: int = 0) -> Picture:
         _tracks(axes, view)
         for layer, plot in enumerate(anodes):
             _anode(plot, view, layer)
-        title = textwrap.fill(f"{plain(detector.name)}, event {number}: {view.shot()}", _TITLE_WIDTH)
+        whole = f"{plain(detector.name)}, event {number}: {view.shot()}"
+        # Lines end behind a particle only.
+        title = textwrap.fill(whole.replace(" ", "\u00a0").replace(";\u00a0", "; "), _TITLE_WIDTH).replace(
+            "\u00a0", " "
+        )
         picture.suptitle(title, x=0.075, ha="left", fontsize=11.5)
         titles = ("across the beam", "inner layers", "side view")
         for plot, title in zip(axes, titles, strict=True):

@@ -130,6 +130,18 @@ DEFINITIONS: Mapping[str, Definition] = MappingProxyType(
             "muons from above through the beam line, as two halves that leave the point nearest to it",
             ("mu-",), {}, 2, {"p": (1.0, 5.0), "vertex": (0.0, 0.0, 0.0), "vertex_sigma": (8.0, 8.0, 100.0)},
         ),
+        "beam-gas": Definition(
+            "p and pi- from one point on the beam line, of a nucleus of the rest gas", ("p", "pi-"), {}, 2,
+            _shot((0.05, 1.0), 0.95) | {"vertex": (0.0, 0.0, (-300.0, 300.0))},
+        ),
+        "touschek": Definition(
+            "an electron from the beam pipe, up to 30 mm from the beam line", ("e-",), {}, 1,
+            _shot((0.05, 1.0), 0.95) | {"vertex": (0.0, 0.0, (-300.0, 300.0)), "radius": (0.0, 30.0)},
+        ),
+        "electrons": Definition(
+            "20 electrons of 1 to 30 MeV/c from pipe, gas and walls, each from its own point", ("e-",) * 20, {}, 20,
+            _shot((0.001, 0.03), 0.99) | {"vertex": (0.0, 0.0, (-400.0, 400.0)), "radius": (30.0, 700.0)},
+        ),
     }
 )  # fmt: skip
 

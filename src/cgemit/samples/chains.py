@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,11 +19,11 @@ Rows = npt.NDArray[np.int64]
 #: Speed of light, mm/ns.
 LIGHT = 299.792458
 #: Attempts at one decay before it is an error; five bodies of the catalogue take 6 on average.
-ATTEMPTS = 2000
+ATTEMPTS = 500
 
 # What random numbers are for; part of every stream, so new ones go to the end. A gun's have the places 0 to 9.
 MODE, FLIGHT, SHAPE, SHOT = 16, 17, 18, 32
-_NODE_BITS = 17  # of the particle number in a stream; the node of the chain is above it
+_NODE = 256  # places of one node of the chain; a stream has 2^26 places and 4096 blocks
 _MOST_PRODUCTS = 6
 
 
@@ -34,8 +34,8 @@ class Particles:
     Attributes
     ----------
     event : ndarray, (n,) int64
-    node : ndarray, (n,) int64
-        Place in the chain: part of the random streams.
+    node : int
+        Their place in the chain: part of the random streams.
     mass : ndarray, (n,) float64, GeV/c2
     momentum : ndarray, (n, 4) float64, GeV/c
         px, py, pz, E.
@@ -43,14 +43,14 @@ class Particles:
     """
 
     event: Rows
-    node: Rows
+    node: int
     mass: Floats
     momentum: Floats
     vertex: Floats
 
     def take(self, rows: npt.NDArray[np.intp]) -> Particles:
         """Return some of the particles."""
-        return Particles(*(getattr(self, name)[rows] for name in ("event", "node", "mass", "momentum", "vertex")))
+        return Particles(self.event[rows], self.node, self.mass[rows], self.momentum[rows], self.vertex[rows])
 
 
 class Draws:
@@ -61,7 +61,8 @@ class Draws:
 
     def uniforms(self, of: Particles, place: int, n: int, attempt: int = 0) -> Floats:
         """Return n numbers in (0, 1) for each particle, (particles, n) float64."""
-        particle = (self._number + (of.node << _NODE_BITS)).astype(np.int32)
+        particle = np.full(len(of.event), self._number, np.int32)
+        place += _NODE * of.node
         blocks = -(-n // 4)
         words = [
             _core.uniforms(self._seed, of.event, particle, _core.Purpose.gun, place, blocks * attempt + block)
@@ -76,14 +77,14 @@ def mass_of(name: str) -> float:
 
 
 def decay_all(
-    first: Mapping[str, Particles], modes: Mapping[str, tuple[Mode, ...]], draws: Draws
+    first: Sequence[tuple[str, Particles]], modes: Mapping[str, tuple[Mode, ...]], draws: Draws
 ) -> dict[str, list[Particles]]:
     """Let particles decay until no mode is left; those that live long enough fly before.
 
     Parameters
     ----------
-    first : mapping of str to Particles
-        By name.
+    first : sequence of (str, Particles)
+        By name; several may have the same one.
     modes : mapping of str to tuple of Mode
     draws : Draws
 
@@ -92,7 +93,7 @@ def decay_all(
     dict of str to list of Particles
         Those that do not decay, by name.
     """
-    waiting, last = list(first.items()), dict[str, list[Particles]]()
+    waiting, last = list(first), dict[str, list[Particles]]()
     while waiting:
         name, particles = waiting.pop()
         if name in modes:

@@ -37,6 +37,9 @@ class EventSample(Source):
         Of the particles that are shot; None for samples of colliding beams.
     vertex, vertex_sigma : tuple of three, mm
         Where they start, and its Gaussian spread.
+    radius : mm
+        Distance from `vertex` across the beam, in a random direction, for each particle; None for samples whose
+        particles start together.
     crossing : rad
         Angle at which the beams cross, in the x-z plane; None for samples that are shot.
 
@@ -52,6 +55,7 @@ class EventSample(Source):
     phi: ValueLike | None = None
     vertex: _Triple | None = None
     vertex_sigma: _Triple | None = None
+    radius: ValueLike | None = None
     crossing: ValueLike | None = None
 
     def __post_init__(self) -> None:
@@ -92,13 +96,15 @@ class EventSample(Source):
         if self.name == "cosmic":
             return _columns(_cosmic(self, events, draws), number)
         definition = DEFINITIONS[self.name]
-        first = {name: self._first(name, place, events, draws) for place, name in enumerate(definition.first, start=1)}
+        first = [
+            (name, self._first(name, place, events, draws)) for place, name in enumerate(definition.first, start=1)
+        ]
         return _columns(decay_all(first, definition.modes, draws), number)
 
     def _first(self, name: str, place: int, events: npt.NDArray[np.int64], draws: Draws) -> Particles:
         """Return the first particles of the events, one each."""
         n, mass = len(events), mass_of(name)
-        start = Particles(events, np.full(n, place), np.full(n, mass), np.zeros((n, 4)), np.zeros((n, 3)))
+        start = Particles(events, place, np.full(n, mass), np.zeros((n, 4)), np.zeros((n, 3)))
         vertex, u = _vertex(self, start, draws), draws.uniforms(start, SHOT, 3)
         if self.crossing is not None:
             # Two beams of equal energy E: px = 2 E sin(angle/2), M = 2 E cos(angle/2).
@@ -127,10 +133,10 @@ def sample(name: str, **options: Any) -> EventSample:
     name : str
         ``"jpsi-rhopi"``, ``"pipi-jpsi"``, ``"d0-d0bar"``: colliding beams at the mass of a resonance.
         ``"ks-pipi"``, ``"lambda-ppi"``: decays with flight. ``"slow-pions"``: a pair. ``"cosmic"``: two halves of a
-        muon from above.
+        muon from above. ``"beam-gas"``, ``"touschek"``, ``"electrons"``: particles of the background, to be added.
     **options
-        `vertex`, `vertex_sigma` (mm); `crossing` (rad) of the beams; `p` (GeV/c), `cos_theta` and `phi` (rad) of
-        particles that are shot. Numbers, ranges and values in turn as of `Gun`.
+        `vertex`, `vertex_sigma`, `radius` (mm); `crossing` (rad) of the beams; `p` (GeV/c), `cos_theta` and
+        `phi` (rad) of particles that are shot. Numbers, ranges and values in turn as of `Gun`.
 
     Returns
     -------
@@ -179,7 +185,7 @@ def _cosmic(of: EventSample, events: npt.NDArray[np.int64], draws: Draws) -> dic
     The zenith angle has the density cos^2. The upper half is the muon flown backward: the opposite charge and momentum.
     """
     n = len(events)
-    lower = Particles(events, np.full(n, 2), np.full(n, mass_of("mu-")), np.zeros((n, 4)), np.zeros((n, 3)))
+    lower = Particles(events, 2, np.full(n, mass_of("mu-")), np.zeros((n, 4)), np.zeros((n, 3)))
     u = draws.uniforms(lower, SHOT, 4)
     p = _one(of.p, events, u[:, 0])
     across = directions(u[:, 1] ** (1 / 3), 2 * np.pi * u[:, 2])
@@ -191,15 +197,16 @@ def _cosmic(of: EventSample, events: npt.NDArray[np.int64], draws: Draws) -> dic
     for name, is_lower in (("mu+", positive), ("mu-", ~positive)):
         rows, others = np.flatnonzero(is_lower), np.flatnonzero(~is_lower)
         found[name] = [
-            Particles(events[rows], np.full(len(rows), 2), lower.mass[rows], down[rows], vertex[rows]),
-            Particles(events[others], np.full(len(others), 1), lower.mass[others], up[others], vertex[others]),
+            Particles(events[rows], 2, lower.mass[rows], down[rows], vertex[rows]),
+            Particles(events[others], 1, lower.mass[others], up[others], vertex[others]),
         ]
     return found
 
 
 def _vertex(of: EventSample, start: Particles, draws: Draws) -> Floats:
     """Return where the first particles start, (n, 3) mm: the same for all of an event."""
-    same = replace(start, node=np.zeros(len(start.event), np.int64))
+    apart = of.radius is not None
+    same = start if apart else replace(start, node=0)
     u = draws.uniforms(same, SHOT + 1, 10)
     radius, turn = np.sqrt(-2 * np.log(u[:, :2])), 2 * np.pi * u[:, 2:4]
     normal = np.stack(
@@ -210,6 +217,10 @@ def _vertex(of: EventSample, start: Particles, draws: Draws) -> Floats:
         _one(middle[i], start.event, u[:, 4 + i]) + _one(sigma[i], start.event, u[:, 7 + i]) * normal[i]
         for i in range(3)
     ]
+    if apart:
+        u = draws.uniforms(same, SHOT + 4, 2)
+        r, turn = _one(of.radius, start.event, u[:, 0]), 2 * np.pi * u[:, 1]
+        along[0], along[1] = along[0] + r * np.cos(turn), along[1] + r * np.sin(turn)
     return np.stack(along, axis=1)
 
 
@@ -227,6 +238,7 @@ _LIMITS = {
     "p": Limit("momentum", lambda value: 0 < value <= FASTEST, f"a momentum in GeV/c above 0, up to {FASTEST:g}"),
     "cos_theta": Limit("dimensionless", lambda value: abs(value) <= 1, "a number from -1 to 1"),
     "phi": Limit("angle", lambda _: True, "an angle in rad"),
+    "radius": Limit("length", lambda value: 0 <= value <= FARTHEST, f"a length in mm from 0 to {FARTHEST:g}"),
     "crossing": Limit("angle", lambda value: abs(value) <= 1, "an angle in rad from -1 to 1"),
 }
 _PLACES = {
