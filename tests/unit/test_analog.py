@@ -117,11 +117,16 @@ def test_line_fit_against_least_squares() -> None:
     random = np.random.default_rng(2)
     height, charge = random.uniform(-2, 2, 6), random.uniform(1, 30, 6)
     position = 3 + 0.4 * height + random.normal(0, 0.1, 6)
-    weight = 1 / (1 + (charge.mean() / charge) ** 2)
+    weight = 1 / (1 + charge.mean() / charge)
     slope, middle = np.polyfit(height, position, 1, w=np.sqrt(weight))
     np.testing.assert_allclose(_core.fit_line(position, charge, height), (middle, slope, True), rtol=1e-9)
     assert _core.fit_line(position[:2], charge[:2], height[:2])[2] is False
     assert _core.fit_line(position, charge, np.ones(6))[2] is False
+    stiff = np.sqrt(np.append(weight, 0.7))  # one more point: slope 0, weight of the stiffness
+    rows = np.column_stack([np.append(np.ones(6), 0), np.append(height, 1)])
+    expected = np.linalg.lstsq(rows * stiff[:, None], np.append(position, 0) * stiff, rcond=None)[0]
+    np.testing.assert_allclose(_core.fit_line(position, charge, height, 0.7)[:2], expected, rtol=1e-9)
+    assert _core.fit_line(position, charge, np.ones(6), 0.1)[1:] == (0.0, True)
     upright = _core.fit_line(np.full(6, 5.0), charge, height)  # normal incidence
     np.testing.assert_allclose(upright[:2], (5.0, 0.0), atol=1e-12)
 

@@ -31,6 +31,8 @@ CHARGES = 6
 """Ranges of the charge of clusters with errors of their own."""
 SLOPE_EDGES = np.array([0.1, 0.2, 0.3, 0.45, 0.6, 0.8, 1.1])
 """Where ranges of the slope of electrons' places of origin at the anode begin, each with errors of its own."""
+SLOPE_SIZES = 6
+"""Numbers of strips with such errors of their own."""
 PAIR = 6
 """Numbers of the likelihood of a pair of X and V."""
 
@@ -58,8 +60,9 @@ class CalibrationError(ProblemsError[str]):
 #: Shapes of the arrays of a calibration; -1 stands for the number of layers.
 _SHAPES = {
     "edges": (2, -1, CHARGES - 1), "depth": (2, -1, CHARGES), "height": (2, -1, CHARGES), "typical_errors": (3, 2, -1),
-    "errors": (3, 2, -1, CHARGES, SIZES), "slope_errors": (3, 2, -1, len(SLOPE_EDGES) + 1), "pairs": (-1, PAIR),
-    "shares": (2, -1, CHARGES, SIZES), "slope_shares": (2, -1, len(SLOPE_EDGES) + 1),
+    "errors": (3, 2, -1, CHARGES, SIZES), "pairs": (-1, PAIR),
+    "shares": (2, -1, CHARGES, SIZES), "slope_errors": (3, 2, -1, len(SLOPE_EDGES) + 1, SLOPE_SIZES),
+    "slope_shares": (2, -1, len(SLOPE_EDGES) + 1, SLOPE_SIZES),
 }  # fmt: skip
 
 
@@ -91,11 +94,12 @@ class Calibration:
         Charges of clusters where the next range begins.
     typical_errors : (3, 2, layers) float64, mm
         Over all charges and sizes of the sample.
-    slope_errors : (3, 2, layers, len(SLOPE_EDGES) + 1) float64, mm
-        Errors of positions that use the angle of the track, by estimator, view, layer and range of the slope.
+    slope_errors : (3, 2, layers, len(SLOPE_EDGES) + 1, SLOPE_SIZES) float64, mm
+        Errors of positions that use the angle of the track, by estimator, view, layer, range of the slope and number of
+        strips.
     shares : (2, layers, CHARGES, SIZES) float64
         Weight of the centroid in the merged position, 0 to 1.
-    slope_shares : (2, layers, len(SLOPE_EDGES) + 1) float64
+    slope_shares : (2, layers, len(SLOPE_EDGES) + 1, SLOPE_SIZES) float64
         The same for positions that use the angle of the track.
     pairs : (layers, PAIR) float64
         Mean and width of ln(charge of X / charge of V) and of the difference of their times (ns) for one particle, and

@@ -100,6 +100,9 @@ py::dict with_times(const Detector& detector, const py::dict& table, const py::d
   if (estimator != "merged" && estimator != "centroid" && estimator != "micro-tpc") {
     throw std::invalid_argument("estimator: got " + estimator + ", expected merged, centroid or micro-tpc");
   }
+  const auto slope_rows = static_cast<py::ssize_t>(2 * n) * (slope_edges.size() + 1);
+  const py::ssize_t slope_sizes =
+      std::max<py::ssize_t>(1, slope_shares.size() / std::max<py::ssize_t>(slope_rows, 1));
   const ChargeTimeModel model{
       .layers = layers,
       .delays = {rows_of(delay_charge, "delay_charge", 2 * n, points), rows_of(delay, "delay", 2 * n, points),
@@ -119,11 +122,9 @@ py::dict with_times(const Detector& detector, const py::dict& table, const py::d
       .valley = valley,
       .pairs = {column(pairs, "pairs",
                        pairs.size() == 0 ? 0 : static_cast<py::ssize_t>(n * PairTable::entries))},
-      .slope_errors = {column(slope_errors, "slope_errors",
-                              static_cast<py::ssize_t>(6 * n) * (slope_edges.size() + 1)),
-                       column(slope_shares, "slope_shares",
-                              static_cast<py::ssize_t>(2 * n) * (slope_edges.size() + 1)),
-                       column(slope_edges, "slope_edges"), n},
+      .slope_errors = {column(slope_errors, "slope_errors", 3 * slope_shares.size()),
+                       column(slope_shares, "slope_shares", slope_rows * slope_sizes),
+                       column(slope_edges, "slope_edges"), n, static_cast<std::size_t>(slope_sizes)},
       .slopes = column(slopes, "slopes", slopes.size())};
   ClusterColumns found;
   {
@@ -133,12 +134,13 @@ py::dict with_times(const Detector& detector, const py::dict& table, const py::d
   return to_dict(std::move(found));
 }
 
-py::tuple line_of(const Array<double>& position, const Array<double>& charge, const Array<double>& height) {
+py::tuple line_of(const Array<double>& position, const Array<double>& charge, const Array<double>& height,
+                  double stiffness) {
   const auto x = column(position, "position"), q = column(charge, "charge", position.size()),
              w = column(height, "height", position.size());
   std::vector<StripPoint> points;
   for (std::size_t i = 0; i < x.size(); ++i) points.push_back({x[i], q[i], w[i]});
-  const Line line = fit_line(points);
+  const Line line = fit_line(points, stiffness);
   return py::make_tuple(line.at_middle, line.slope, line.good);
 }
 
@@ -165,6 +167,7 @@ void bind_cluster(py::module_& module) {
              py::arg("slope_edges"), py::arg_v("slopes", Array<double>(0), "..."),
              "Columns of clusters from columns of digis: charge centroid and line fit.");
   module.def("fit_line", &line_of, py::arg("position"), py::arg("charge"), py::arg("height"),
+             py::arg("stiffness") = 0.0,
              "Position at height 0, slope, and whether there is a line, of strips with charge and height.");
   module.def(
       "size_errors", &errors_of_sizes, py::arg("extents"), py::arg("pitch"), py::arg("sizes"),

@@ -48,19 +48,15 @@ double PairTable::score(const ClusterRow& x, const ClusterRow& v) const {
          ratio(x.time - v.time, row[2], row[3], row[5]);
 }
 
-std::size_t SlopeErrors::row(int view, std::size_t layer, double slope) const {
+std::size_t SlopeErrors::row(int view, std::size_t layer, double slope, std::int32_t size) const {
   const auto range = std::ranges::upper_bound(edges, std::abs(slope)) - edges.begin();
-  return (static_cast<std::size_t>(view) * layers + layer) * (edges.size() + 1) +
-         static_cast<std::size_t>(range);
+  const std::size_t plane = static_cast<std::size_t>(view) * layers + layer;
+  return (plane * (edges.size() + 1) + static_cast<std::size_t>(range)) * sizes +
+         std::min(static_cast<std::size_t>(size), sizes) - 1;
 }
 
-double SlopeErrors::error(Estimator which, int view, std::size_t layer, double slope) const {
-  const std::size_t planes = 2 * layers * (edges.size() + 1);
-  return values[static_cast<std::size_t>(which) * planes + row(view, layer, slope)];
-}
-
-double SlopeErrors::share(int view, std::size_t layer, double slope) const {
-  return shares[row(view, layer, slope)];
+double SlopeErrors::error(Estimator which, std::size_t row) const {
+  return values[static_cast<std::size_t>(which) * shares.size() + row];
 }
 
 namespace {
@@ -71,10 +67,8 @@ double mean_charge(std::span<const StripPoint> points) {
   return total / static_cast<double>(points.size());
 }
 
-double weight_of(const StripPoint& point, double mean) {
-  const double ratio = mean / point.charge;
-  return 1 / (1 + ratio * ratio);
-}
+// Variance of a position: one part of all strips, one that falls with the number of electrons.
+double weight_of(const StripPoint& point, double mean) { return 1 / (1 + mean / point.charge); }
 
 }  // namespace
 
@@ -89,7 +83,7 @@ Line fit_line_along(std::span<const StripPoint> points, double slope) {
   return {sum / s, slope, true};
 }
 
-Line fit_line(std::span<const StripPoint> points) {
+Line fit_line(std::span<const StripPoint> points, double stiffness) {
   const double mean = mean_charge(points);
   double s = 0, sw = 0, sx = 0, sww = 0, swx = 0;
   for (const StripPoint& point : points) {
@@ -100,7 +94,7 @@ Line fit_line(std::span<const StripPoint> points) {
     sww += weight * point.height * point.height;
     swx += weight * point.height * point.position;
   }
-  const double determinant = s * sww - sw * sw;
+  const double determinant = s * (sww + stiffness) - sw * sw;
   if (points.size() < 3 || !(determinant > 1e-9 * s * s)) return {0, 0, false};
   const double slope = (s * swx - sw * sx) / determinant;
   return {(sx - slope * sw) / s, slope, true};
@@ -174,17 +168,30 @@ class ViewReconstruction {
     for (std::size_t i = 0; i < all.size(); ++i) {
       if (std::abs(all[i].height) > half || induced(all, i)) continue;
       used.push_back(all[i]);
-      used.back().position -= lorentz(all[i].height);
+      used.back().position += to_border(all, i) - lorentz(all[i].height);
     }
     if (used.size() < (slope ? 1 : 3)) return {0, 0, false};
     const double origin = used.front().position;
     for (StripPoint& point : used) point.position -= origin;
-    Line found = slope ? fit_line_along(used, *slope) : fit_line(used);
+    Line found = slope ? fit_line_along(used, *slope) : fit_line(used, stiffness());
     found.at_middle += origin;
     return found;
   }
 
  private:
+  // Where on an outermost strip its charge is, from the middle: a cloud that hardly reaches the strip has its
+  // charge at the border to the neighbour, one with as much charge as the neighbour in the middle.
+  double to_border(std::span<const StripPoint> all, std::size_t i) const {
+    if (all.size() < 2 || (i != 0 && i + 1 != all.size())) return 0;
+    const double pitch = view_ == 0 ? layer_.pitch_x : layer_.pitch_v;
+    const double far = 0.5 * pitch * std::max(0.0, 1 - all[i].charge / all[i == 0 ? 1 : i - 1].charge);
+    return i == 0 ? far : -far;
+  }
+  // Slopes of tracks are of the order of 1: a line through strips at nearly one height has none of its own.
+  double stiffness() const {
+    const double pitch = view_ == 0 ? layer_.pitch_x : layer_.pitch_v;
+    return pitch * pitch / 12 / (usual_slope * usual_slope);
+  }
   // Whether a strip at the edge has so little charge that its neighbour may have induced it.
   bool induced(std::span<const StripPoint> all, std::size_t i) const {
     if (all.size() < 4 || (i != 0 && i + 1 != all.size())) return false;
@@ -192,6 +199,7 @@ class ViewReconstruction {
   }
 
   static constexpr double least_charge = 1e-3;  // fC
+  static constexpr double usual_slope = 1;
   const CgemLayer& layer_;
   std::size_t number_;
   int view_;
@@ -242,7 +250,7 @@ class ChargeTimeClusters {
     const double slope = model_.slopes.empty() ? not_measured : model_.slopes[row];
     Position at = alone(plane, of_charge, cluster.size, points);
     if (std::isfinite(slope)) {
-      const Position along = along_track(plane, view, number, of_charge, points, slope);
+      const Position along = along_track(plane, cluster, of_charge, points, slope);
       cluster.shift = along.value - at.value;
       at = along;
     }
@@ -273,13 +281,13 @@ class ChargeTimeClusters {
   }
 
   // With the slope of the track that has the cluster.
-  Position along_track(const ViewReconstruction& plane, int view, std::size_t layer, std::size_t row,
+  Position along_track(const ViewReconstruction& plane, const ClusterRow& cluster, std::size_t of_charge,
                        std::span<const StripPoint> points, double slope) const {
     const SlopeErrors& from = model_.slope_errors;
-    const double at_anode = plane.slope_at_anode(slope);
-    return merged(plane.centroid(points, model_.calibration.height[row]), plane.line(points, slope),
-                  from.share(view, layer, at_anode),
-                  [&](Estimator which) { return from.error(which, view, layer, at_anode); });
+    const std::size_t row = from.row(static_cast<int>(cluster.view), static_cast<std::size_t>(cluster.layer),
+                                     plane.slope_at_anode(slope), cluster.size);
+    return merged(plane.centroid(points, model_.calibration.height[of_charge]), plane.line(points, slope),
+                  from.shares[row], [&](Estimator which) { return from.error(which, row); });
   }
 
   // The position that the estimator selects; the centroid where there is no line.

@@ -57,19 +57,17 @@ struct PairTable {
   double score(const ClusterRow& x, const ClusterRow& v) const;
 };
 
-// Errors of positions of which the track's angle is known, by estimator, view, layer and |slope| of the
-// electrons' places of origin at the anode.
+// Errors of positions of which the track's angle is known, by estimator, view, layer, |slope| of the
+// electrons' places of origin at the anode, and number of strips.
 struct SlopeErrors {
-  std::span<const double> values;  // mm; (3, 2, layers, ranges)
-  std::span<const double> shares;  // of the centroid in the merged position; (2, layers, ranges)
+  std::span<const double> values;  // mm; (3, 2, layers, ranges, sizes)
+  std::span<const double> shares;  // of the centroid in the merged position; (2, layers, ranges, sizes)
   std::span<const double> edges;   // (ranges - 1), growing
-  std::size_t layers;
+  std::size_t layers, sizes;       // larger clusters have the error of the largest size
 
-  double error(Estimator which, int view, std::size_t layer, double slope) const;
-  double share(int view, std::size_t layer, double slope) const;
-
- private:
-  std::size_t row(int view, std::size_t layer, double slope) const;
+  // Entry in `shares`, and in `values` for one estimator.
+  std::size_t row(int view, std::size_t layer, double slope, std::int32_t size) const;
+  double error(Estimator which, std::size_t row) const;
 };
 
 struct ChargeTimeModel {
@@ -96,14 +94,14 @@ struct StripPoint {
   double height;    // mm, outward from mid-gap; of the start of its electrons
 };
 
-// Line x = a + b w through points at heights w: least squares in x with weights 1/(1 + (mean
-// charge/charge)^2), the errors of PARSIFAL up to a factor. Finite at any incidence. `good` is false for
-// fewer than three points, or if all are at one height.
+// Line x = a + b w through points at heights w: least squares in x with weights 1/(1 + mean
+// charge/charge), and with `stiffness` (mm^2) times the square of the slope. Finite at any incidence. `good`
+// is false for fewer than three points, or if all are at one height and nothing is stiff.
 struct Line {
   double at_middle, slope;
   bool good;
 };
-Line fit_line(std::span<const StripPoint> points);
+Line fit_line(std::span<const StripPoint> points, double stiffness);
 
 // The same with a given slope: good for any number of points.
 Line fit_line_along(std::span<const StripPoint> points, double slope);

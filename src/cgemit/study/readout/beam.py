@@ -13,7 +13,7 @@ from cgemit.particles import particles_from
 from cgemit.result import Result
 from cgemit.species import species
 from cgemit.statistics.estimate import Resolution, measure
-from cgemit.study.readout.calibrate import Measurements, calibration_from, measurements, true_slopes
+from cgemit.study.readout.calibrate import Measurements, calibration_from, common, measurements, true_slopes
 from cgemit.tables import Table
 
 RADIUS = 2000.0
@@ -85,7 +85,8 @@ class BeamPoint:
     efficiency : float
         Share of crossings with a cluster.
     widths : dict of str to Resolution
-        Residuals in um by estimator; ``"track"`` uses the angle of the track (`AnalogReadout.second_pass`).
+        Residuals in um by estimator: ``"micro-tpc"`` only of clusters with a line fit; ``"track"`` uses the angle of
+        the track (`AnalogReadout.second_pass`).
     """
 
     angle: float
@@ -163,13 +164,16 @@ def beam_views(
             f"readout: got no {'charge on strips' if len(result.truths) else 'crossing of the layer'} at "
             f"{angle:g} degrees; expected charged particles that cross it, and a lower threshold"
         )
-    samples = {}
+    samples: dict[str, Measurements] = {}
     for name in readout.estimators:
         clusters = replace(readout, estimator=name).cluster_with(detector, result.digis, calibration)
         samples[name] = measurements(detector, clusters, result.truths, lorentz=readout.lorentz)
     if "micro-tpc" in readout.estimators:
         slopes = true_slopes(detector, clusters, result.truths)
         clusters = replace(readout, estimator="merged").cluster_with(detector, result.digis, calibration, slopes=slopes)
+        # Clusters without a line have the centroid, which would be a second population.
+        line, centroid = common(samples["micro-tpc"], samples["centroid"])
+        samples["micro-tpc"] = Measurements._make(values[line.residual != centroid.residual] for values in line)
         samples["track"] = measurements(detector, clusters, result.truths, lorentz=readout.lorentz)
     x, v = (_view_point(samples, view, angle, len(result.truths)) for view in (0, 1))
     return x, v

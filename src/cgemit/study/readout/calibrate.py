@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -19,6 +18,7 @@ from cgemit.digitize.analog_cluster import (
     PAIR,
     SIZES,
     SLOPE_EDGES,
+    SLOPE_SIZES,
     Calibration,
     key_of,
     neutral,
@@ -227,7 +227,7 @@ def calibration_from(result: Result, readout: Any, about: str) -> Calibration:
     for estimator in readout.estimators:
         which = ESTIMATORS.index(estimator)
         _set_errors(found, which, measured(estimator, found))
-        found.slope_errors[which] = _by_slope(measured(estimator, found, along=True), found, _width)
+        found.slope_errors[which] = _by_slope(measured(estimator, found, along=True), found)
     return found
 
 
@@ -252,12 +252,23 @@ def _set_shares(found: Calibration, centroid: Measurements, line: Measurements) 
 
 
 def _set_slope_shares(found: Calibration, centroid: Measurements, line: Measurements) -> None:
-    """Set the weights of centroids in merged positions, by slope."""
-    at = np.searchsorted(SLOPE_EDGES, np.abs(centroid.slope), side="right")
-    for view, layer, number in np.ndindex(*found.slope_shares.shape):
-        here = (centroid.view == view) & (centroid.layer == layer) & (at == number)
+    """Set the weights of centroids in merged positions, by slope and size."""
+    at, size = _slope_cells(centroid)
+    for cell in np.ndindex(*found.slope_shares.shape):
+        here = _in_cell(centroid, at, size, cell)
         if np.count_nonzero(here) >= _FEWEST:
-            found.slope_shares[view, layer, number] = _share(centroid.residual[here], line.residual[here])
+            found.slope_shares[cell] = _share(centroid.residual[here], line.residual[here])
+
+
+def _slope_cells(sample: Measurements) -> tuple[Ints, Ints]:
+    """Return range of the slope and size, less 1, of each cluster as indices."""
+    at = np.searchsorted(SLOPE_EDGES, np.abs(sample.slope), side="right")
+    return at, np.minimum(sample.size, SLOPE_SIZES) - 1
+
+
+def _in_cell(sample: Measurements, at: Ints, size: Ints, cell: tuple[int, ...]) -> npt.NDArray[np.bool_]:
+    view, layer, number, strips = cell
+    return np.asarray((sample.view == view) & (sample.layer == layer) & (at == number) & (size == strips))
 
 
 def _share(centroid: Floats, line: Floats) -> float:
@@ -267,6 +278,8 @@ def _share(centroid: Floats, line: Floats) -> float:
     """
     use = np.ones(len(centroid), np.bool_)
     for _ in range(_ROUNDS):
+        if not use.any():
+            return 0.5
         spread = [max(3 * float(np.std(values[use])), 1e-9) for values in (centroid, line)]
         use = (np.abs(centroid) < spread[0]) & (np.abs(line) < spread[1])
     apart = centroid[use] - line[use]
@@ -309,17 +322,21 @@ def _errors(sample: Measurements) -> Floats:
     return errors
 
 
-def _by_slope(sample: Measurements, found: Calibration, width: Callable[[Floats], float]) -> Floats:
-    """Return the width of residuals by view, layer and range of the slope; of neighbours where clusters are few."""
+def _by_slope(sample: Measurements, found: Calibration) -> Floats:
+    """Return the width of residuals by view, layer, range of the slope and size; of all sizes where these are few."""
     values = np.ones(found.slope_shares.shape)
-    at = np.searchsorted(SLOPE_EDGES, np.abs(sample.slope), side="right")
-    layers, ranges = found.slope_shares.shape[1:]
+    at, size = _slope_cells(sample)
+    layers, ranges = found.slope_shares.shape[1:3]
     for view, layer in np.ndindex(2, layers):
         here = (sample.view == view) & (sample.layer == layer)
         numbers = [k for k in range(ranges) if np.count_nonzero(here & (at == k)) >= _FEWEST]
         if numbers:
-            widths = [width(sample.residual[here & (at == k)]) for k in numbers]
-            values[view, layer] = np.interp(np.arange(ranges), numbers, widths)
+            widths = [_width(sample.residual[here & (at == k)]) for k in numbers]
+            values[view, layer] = np.interp(np.arange(ranges), numbers, widths)[:, None]
+        for number, strips in np.ndindex(ranges, SLOPE_SIZES):
+            mine = _in_cell(sample, at, size, (view, layer, number, strips))
+            if np.count_nonzero(mine) >= _FEWEST:
+                values[view, layer, number, strips] = _width(sample.residual[mine])
     return values
 
 
