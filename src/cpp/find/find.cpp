@@ -45,7 +45,7 @@ class EventFinder {
   std::int64_t seeds() const { return seeds_; }
 
  private:
-  static constexpr int most_failures = 8;  // circles in a row that led to no track beyond doubt
+  static constexpr int most_failures = 5;  // circles in a row that led to no track beyond doubt
 
   // A seed of which two clusters belong to a track beyond doubt is not followed, nor one that is part of a
   // track.
