@@ -45,7 +45,7 @@ class EventFinder {
   std::int64_t seeds() const { return seeds_; }
 
  private:
-  static constexpr int most_failures = 8;  // circles in a row that led to no track beyond doubt
+  static constexpr int most_failures = 5;  // circles in a row that led to no track beyond doubt
 
   // A seed of which two clusters belong to a track beyond doubt is not followed, nor one that is part of a
   // track.
@@ -54,7 +54,16 @@ class EventFinder {
     for (const std::int32_t id : seed.hits) taken += hits_.is_taken(id) ? 1 : 0;
     if (taken >= 2 || std::ranges::any_of(tracks_, [&](const FoundTrack& t) { return holds(t, seed); }))
       return;
-    try_seed(seed);
+    if (seed.hits.size() < 6 || std::abs(seed.helix.kappa) <= slow_kappa) {
+      try_seed(seed);
+      return;
+    }
+    // The circle through three layers has the momentum in the middle one.
+    FindSeed slow = seed;
+    const auto middle = static_cast<std::size_t>(hits_[seed.hits[2]].layer);
+    slow.helix = trace_back(detector_, seed.helix, detector_.cgem[middle].r_mid(), settings_.mass);
+    slow.covariance(2, 2) = variance_of_kappa(slow.helix.kappa);
+    try_seed(slow);
   }
   // Whether two clusters belong to likely tracks.
   bool is_found(const FindSeed& seed) const {

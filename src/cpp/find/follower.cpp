@@ -15,7 +15,8 @@ constexpr double sure = 4;        // a hit with a larger likelihood ratio is tak
 constexpr double rim = 0.5;       // mm, of a cell; a track in it need not fire the cell
 constexpr double inflation = 10;  // of a covariance that the same hits have made
 constexpr int few_hits = 2;
-constexpr double hopeless = 0;  // score: chance explains the hits as well
+constexpr double most_prompt = 7;  // about the largest `log_prompt`
+constexpr double hopeless = 0;     // score: chance explains the hits as well
 constexpr int most_speed_ups = 8;
 constexpr double speed_up = 0.92;  // of kappa
 constexpr int least_hits = 3;
@@ -41,7 +42,7 @@ bool Follower::follow(const FindSeed& seed, const EventHits& hits, FoundTrack& t
   for (int number = 0; number < settings_.passes; ++number) {
     if (!pass(start, prior, forced, number == 0)) return false;
     const Branch& best = branches_.front();
-    if (!refit(best)) return false;
+    if (best.score < hopeless - most_prompt || !refit(best)) return false;
     collect(best, track);
     if (track.score < hopeless) return false;
     // The reference was good enough if a second pass has changed next to nothing.

@@ -14,7 +14,7 @@ namespace cgemit {
 namespace {
 
 constexpr std::size_t ring_layers = 4;
-constexpr std::size_t many_segments = 100;
+constexpr std::size_t many_segments = 200;
 constexpr double steepest = 2;         // tangent of the angle between a segment and the radius
 constexpr double beside = 0.6;         // mm, of a hit between the ends of a segment, without curvature
 constexpr double drift_error = 0.3;    // mm
@@ -52,9 +52,12 @@ void LocalSearch::start(const EventHits& hits) {
     pairs({ring, ring, ring + 2}, hits);
     pairs({ring, ring + 1, ring + 3}, hits);
   }
-  // Where cells fire by chance, segments without a missing layer must do.
-  if (segments_.size() > many_segments)
+  // Where cells fire by chance, segments without a missing layer must do, the straightest ones.
+  if (segments_.size() > many_segments) {
     std::erase_if(segments_, [](const Segment& s) { return std::popcount(s.layers) < int{ring_layers}; });
+    std::ranges::stable_sort(segments_, [](const Segment& a, const Segment& b) { return a.off < b.off; });
+    segments_.resize(std::min(segments_.size(), many_segments));
+  }
   for (const Segment& segment : segments_) continued(segment);
   std::ranges::sort(curves_, [](const Curve& a, const Curve& b) {
     return std::tuple(-a.layers, a.psi, a.w, a.d) < std::tuple(-b.layers, b.psi, b.w, b.d);
@@ -99,40 +102,47 @@ void LocalSearch::tangents(const Ends& ends, const Circle& a, const Circle& b, c
                       ux,
                       uy,
                       std::hypot(bx - ax, by - ay),
-                      bit(detector_, ends.inner) | bit(detector_, ends.outer)};
+                      bit(detector_, ends.inner) | bit(detector_, ends.outer),
+                      0};
       if (segment.x * ux + segment.y * uy <= 0) continue;
       for (std::size_t layer = ends.inner + 1; layer < ends.outer; ++layer)
-        if (supports(segment, layer, hits)) segment.layers |= bit(detector_, layer);
+        if (const auto off = closest(segment, layer, hits)) {
+          segment.layers |= bit(detector_, layer);
+          segment.off += *off;
+        }
       if (std::popcount(segment.layers) < int{ring_layers} - 1) continue;
       // Another pair of layers has it, with all four.
       const std::size_t last = ends.ring + ring_layers - 1;
-      if (ends.outer < last && supports(segment, last, hits)) continue;
-      if (ends.inner > ends.ring && supports(segment, ends.ring, hits)) continue;
+      if (ends.outer < last && closest(segment, last, hits)) continue;
+      if (ends.inner > ends.ring && closest(segment, ends.ring, hits)) continue;
       segments_.push_back(segment);
     }
   }
 }
 
-// Whether a hit of a layer lies on the segment, or beside it as far as curvature allows.
-bool LocalSearch::supports(const Segment& segment, std::size_t layer, const EventHits& hits) const {
+// The distance of a hit of a layer from the segment, if curvature allows it.
+std::optional<double> LocalSearch::closest(const Segment& segment, std::size_t layer,
+                                           const EventHits& hits) const {
   const WireLayer& wires = detector_.wires[layer];
   const double along_0 = segment.x * segment.ux + segment.y * segment.uy,
                across_0 = segment.x * segment.uy - segment.y * segment.ux;
   const double root = wires.r_end * wires.r_end - across_0 * across_0;
-  if (!(root > 0)) return false;
+  if (!(root > 0)) return std::nullopt;
   const double step = std::sqrt(root) - along_0;
   const double px = segment.x + step * segment.ux, py = segment.y + step * segment.uy;
   const double at = cell_coordinate(wires, std::atan2(py, px), 0.0);
   const double bend = 0.5 * axial_.largest_w() * std::abs(0.25 * segment.chord * segment.chord - step * step);
+  std::optional<double> nearest;
   for (double c = std::ceil(at - 1.5); c <= at + 1.5; c += 1) {
     const std::int64_t cell = number_of(wires, c);
     const std::int32_t id = hits.at(layer, cell);
     if (id < 0 || hits.is_taken(id)) continue;
     const Wire& wire = wires.placed[static_cast<std::size_t>(cell)];
     const double left = (wire.y - segment.y) * segment.ux - (wire.x - segment.x) * segment.uy;
-    if (std::abs(std::abs(left) - hits[id].value) < beside + bend) return true;
+    const double off = std::abs(std::abs(left) - hits[id].value);
+    if (off < beside + bend && !(nearest && *nearest <= off)) nearest = off;
   }
-  return false;
+  return nearest;
 }
 
 // The curvature that most layers agree with.

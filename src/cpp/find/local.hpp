@@ -39,6 +39,7 @@ class LocalSearch {
   struct Segment {
     double x, y, ux, uy, chord;  // its middle and direction, outward
     std::uint64_t layers;
+    double off;  // mm, of the hits between its ends
   };
   struct Range {
     double w, error;
@@ -50,7 +51,7 @@ class LocalSearch {
 
   void pairs(const Ends& ends, const EventHits& hits);
   void tangents(const Ends& ends, const Circle& a, const Circle& b, const EventHits& hits);
-  bool supports(const Segment& segment, std::size_t layer, const EventHits& hits) const;
+  std::optional<double> closest(const Segment& segment, std::size_t layer, const EventHits& hits) const;
   void continued(const Segment& segment);
 
   const Detector& detector_;

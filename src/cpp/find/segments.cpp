@@ -171,8 +171,7 @@ void SegmentFinder::two(std::size_t inner, std::size_t outer, const Point& a, co
 
 void SegmentFinder::add(const Perigee& helix, double sigma_d, std::initializer_list<std::int32_t> hits,
                         double rank) {
-  const double sigma_kappa = 2 + 0.3 * std::abs(helix.kappa);
-  const Five<double> variance{{sigma_d * sigma_d, 0.04, sigma_kappa * sigma_kappa, 2500, 0.25}};
+  const Five<double> variance{{sigma_d * sigma_d, 0.04, variance_of_kappa(helix.kappa), 2500, 0.25}};
   FindSeed seed{helix, Symmetric<double>::diagonal(variance), hits};
   if (seed.helix.kappa == 0) seed.helix.kappa = 1e-9;
   ranks_.push_back({rank, seeds_.size()});

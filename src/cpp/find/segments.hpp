@@ -1,6 +1,7 @@
 // Seeds from the CGEM alone: pairs of X and V clusters in three layers, or in two and the beam line.
 #pragma once
 
+#include <cmath>
 #include <vector>
 
 #include "find/event_hits.hpp"
@@ -8,6 +9,12 @@
 #include "find/follower.hpp"
 
 namespace cgemit {
+
+// Of a seed from clusters.
+inline double variance_of_kappa(double kappa) {
+  const double sigma = 2 + 0.3 * std::abs(kappa);
+  return sigma * sigma;
+}
 
 class SegmentFinder {
  public:
