@@ -10,11 +10,11 @@ from typing import Any, Literal
 
 from cgemit import find
 from cgemit.background import add_background
-from cgemit.candidates import by_finder
 from cgemit.chunks import MANY, Answer, Totals, answers, workers_of
 from cgemit.detector import Detector, load
 from cgemit.digitize import Readout, cluster_digis, digitize
 from cgemit.find.tracks import find_tracks
+from cgemit.finders import by_finder
 from cgemit.fit import fit
 from cgemit.gun import Guns, Source, generate, source_of
 from cgemit.io.folders import new_folder
@@ -22,7 +22,7 @@ from cgemit.match import match
 from cgemit.memory import PROBE, PROBED, check_chunk, check_disk
 from cgemit.problems import Problems
 from cgemit.record import table_meta, write_about
-from cgemit.result import Result, detectors_of
+from cgemit.result import Result
 from cgemit.run_checks import check_calibration, check_stages
 from cgemit.second_pass import along_tracks
 from cgemit.simulate import simulate, transport_counts
@@ -30,6 +30,7 @@ from cgemit.stages import (
     TABLES,
     FinderLike,
     Settings,
+    detectors_of,
     expected_settings,
     fit_settings,
     with_readout,

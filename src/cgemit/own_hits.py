@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 
 from cgemit import _core
-from cgemit.candidates import HIT_V, HIT_WIRE, HIT_X, XV_CLUSTER, Finder, by_finder, check_found, label_candidates
+from cgemit.candidates import HIT_V, HIT_WIRE, HIT_X, XV_CLUSTER, label_candidates
 from cgemit.cluster import ClusterSettings, cluster_errors
 from cgemit.detector import Detector, compiled, load
 from cgemit.detector.strips import crossing_z, local_v
+from cgemit.finders import Finder, by_finder, check_found
 from cgemit.fit import FitSettings, fit
 from cgemit.hit_columns import Column, Columns, drift_problems, read, repeated, value_problems
 from cgemit.species import HYPOTHESES

@@ -17,7 +17,7 @@ from cgemit.io.folders import new_folder
 from cgemit.match import joined
 from cgemit.record import Run, read_run, record, write_run
 from cgemit.simulate import transport_counts
-from cgemit.stages import EVERY_RUN, TABLES, NotKeptError, Settings, finder_in, hits_by, left_out
+from cgemit.stages import EVERY_RUN, TABLES, NotKeptError, Settings, detectors_of, finder_in, hits_by, left_out
 from cgemit.tables import SCHEMAS, Table, select_events
 from cgemit.tables.formats import check_format
 from cgemit.tables.stored import StoredTables, about_of, column_of
@@ -177,13 +177,14 @@ class Result:
 
         ``tracks`` holds the columns of the matches, too.
         """
-        tracks = {} if "tracks" not in self.tables else {"tracks": self.tracks}
-        return {name: table.to_awkward(self.tables) for name, table in {**self.tables, **tracks}.items()}
+        return {name: table.to_awkward(self.tables) for name, table in self._matched().items()}
 
     def to_pandas(self) -> dict[str, Any]:
         """Return every table as a `pandas.DataFrame`; ``tracks`` holds the columns of the matches, too."""
-        tracks = {} if "tracks" not in self.tables else {"tracks": self.tracks}
-        return {name: table.to_pandas() for name, table in {**self.tables, **tracks}.items()}
+        return {name: table.to_pandas() for name, table in self._matched().items()}
+
+    def _matched(self) -> dict[str, Table]:
+        return {**self.tables, **({"tracks": self.tracks} if "tracks" in self.tables else {})}
 
     def removed(self) -> dict[str, int]:
         """Count the tracks of each status other than ok."""
@@ -298,8 +299,3 @@ def result_of(run: Run[Settings], tables: Mapping[str, Table]) -> Result:
     return Result(
         seed=entries["seed"], tables=tables, timings=entries["timings"], transported=entries.get("transported"), **about
     )
-
-
-def detectors_of(detector: Detector, fit_detector: Detector | None) -> dict[str, Detector]:
-    """Return the detectors of a run by their role, as run.json names them."""
-    return {"detector": detector} | ({} if fit_detector is None else {"fit_detector": fit_detector})

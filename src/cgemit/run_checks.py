@@ -6,8 +6,8 @@ import pickle
 from concurrent.futures import Executor, ProcessPoolExecutor
 from typing import Any
 
-from cgemit.candidates import finder_name
 from cgemit.detector import Detector
+from cgemit.finders import finder_name
 from cgemit.problems import did_you_mean
 from cgemit.stages import BY_STAGE, FINDERS, STAGES, TABLES, Settings
 

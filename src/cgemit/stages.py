@@ -7,10 +7,11 @@ from dataclasses import dataclass, field, fields, replace
 from typing import Any, Literal
 
 from cgemit.background import BackgroundSettings
-from cgemit.candidates import Finder
 from cgemit.cluster import ClusterSettings
+from cgemit.detector import Detector
 from cgemit.digitize import DigitizeSettings, Readout
 from cgemit.find.settings import FindSettings
+from cgemit.finders import Finder
 from cgemit.fit import FitSettings
 from cgemit.settings import SettingsData
 from cgemit.simulate import SimulateSettings
@@ -143,3 +144,8 @@ def left_out(tables: Collection[str]) -> set[str]:
     rank = {name: stage for stage, names in enumerate(BY_STAGE) for name in names}
     last = max((rank[name] for name in tables if name in rank), default=-1)
     return {name for name, stage in rank.items() if stage <= last and name not in tables}
+
+
+def detectors_of(detector: Detector, fit_detector: Detector | None) -> dict[str, Detector]:
+    """Return the detectors of a run by their role, as run.json names them."""
+    return {"detector": detector} | ({} if fit_detector is None else {"fit_detector": fit_detector})

@@ -35,7 +35,7 @@ PYTHON_LAYERS = [
     {"species"},
     {"decays", "settings"},
     {"detector", "helix", "particles"},
-    {"candidates"},
+    {"candidates", "finders"},
     {"guns"},
     {"gun", "hit_columns", "states"},
     {"samples"},

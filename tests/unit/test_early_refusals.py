@@ -4,6 +4,7 @@ import json
 import os
 import time
 
+import numpy as np
 import pytest
 
 import cgemit as cg
@@ -75,6 +76,7 @@ def test_a_calibration_is_read_from_files_only(name, tmp_path, monkeypatch):
     [
         ("errors", 1e9, "errors: got 1e"), ("errors", 0.0, "errors: got 0, expected numbers from 0.0001 to 100 mm"),
         ("depth", -1e4, "depth: got -10000"), ("height", float("nan"), "height: got nan"),
+        ("shares", 1.1, "shares: got 1.1, expected numbers from 0 to 1"), ("pairs", 1e5, "pairs: got 100000"),
         ("edges", -1.0, "edges: got -1"), ("edges", 1e5, "edges: got charges that fall"),
         ("typical_errors", "wide", "expected a calibration file"), ("depth", 10**400, "expected a calibration file"),
     ],
@@ -93,9 +95,9 @@ def test_a_calibration_of_other_layers(tmp_path):
     """One that claims the right key, but holds two of three layers."""
     detector, readout = cg.load("besiii-cgem"), cg.TigerReadout()
     data = json.loads(calibration_of(detector, readout).to_json())
-    for name in ("edges", "depth", "height", "typical_errors", "errors"):
-        outer = 1 if name in ("edges", "depth", "height") else 2
-        data[name] = [part[:2] if outer == 1 else [view[:2] for view in part] for part in data[name]]
+    axis = {"typical_errors": 2, "errors": 2, "slope_errors": 2, "pairs": 0}
+    for name in set(data) - {"about", "key"}:
+        data[name] = np.take(data[name], [0, 1], axis=axis.get(name, 1)).tolist()
     file = tmp_path / "two.json"
     file.write_text(json.dumps(data))
     with pytest.raises(CalibrationError, match="got 2 layers, expected 3"):

@@ -9,7 +9,8 @@ from typing import Any
 from cgemit.detector.field import Field
 from cgemit.detector.field.core import extent
 from cgemit.detector.keys import keys_of
-from cgemit.detector.parts import CgemLayer, Contents, Cylinder, DriftChamber, strip_text
+from cgemit.detector.parts import CgemLayer, Contents, Cylinder, DriftChamber
+from cgemit.detector.read_lists import strip_text
 from cgemit.problems import Problem
 from cgemit.units import NATIVE, format_quantity
 

@@ -8,8 +8,9 @@ from cgemit.detector.field import field_text
 from cgemit.detector.keys import keys_of, opened
 from cgemit.detector.material import DensityEffect, Material
 from cgemit.detector.materials import library
-from cgemit.detector.parts import CgemLayer, Contents, SubLayer, WireLayer, strip_text
+from cgemit.detector.parts import CgemLayer, Contents, SubLayer, WireLayer
 from cgemit.detector.placement import PLACEMENT
+from cgemit.detector.read_lists import strip_text
 from cgemit.detector.slabs import Slab, slabs
 from cgemit.io.toml import toml_text
 from cgemit.units import NATIVE, format_quantity

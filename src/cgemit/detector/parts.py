@@ -44,11 +44,6 @@ class SubLayer:
 StripRanges = tuple[tuple[int, int, int], ...]
 
 
-def strip_text(sheet: int, first: int, last: int) -> str:
-    """Return a range of strips as a file has it, such as ``0:17`` or ``1:100-120``."""
-    return f"{sheet}:{first}" if first == last else f"{sheet}:{first}-{last}"
-
-
 class Shell(NamedTuple):
     """A placed sub-layer; `group` is pipe, wall, air, cathode, drift, foils, anode or gas."""
 

@@ -92,3 +92,8 @@ def writable(text: str) -> bool:
     except UnicodeEncodeError:
         return False
     return True
+
+
+def strip_text(sheet: int, first: int, last: int) -> str:
+    """Return a range of strips as a file has it, such as ``0:17`` or ``1:100-120``."""
+    return f"{sheet}:{first}" if first == last else f"{sheet}:{first}-{last}"

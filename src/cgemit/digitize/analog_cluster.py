@@ -69,7 +69,8 @@ _SHAPES = {
 #: Least and largest value of each: far beyond any layer, so that a wrong unit is seen.
 _LIMITS = {
     "edges": (0.0, 1e6, "fC"), "depth": (-50.0, 50.0, "mm"), "height": (-50.0, 50.0, "mm"),
-    "typical_errors": (1e-4, 100.0, "mm"), "errors": (1e-4, 100.0, "mm"),
+    "typical_errors": (1e-4, 100.0, "mm"), "errors": (1e-4, 100.0, "mm"), "slope_errors": (1e-4, 100.0, "mm"),
+    "shares": (0.0, 1.0, ""), "slope_shares": (0.0, 1.0, ""), "pairs": (-1e4, 1e4, "(ns)"),
 }  # fmt: skip
 
 
@@ -237,7 +238,7 @@ def read_calibration(text: str, source: str) -> Calibration:
         low, high, unit = _LIMITS[name]
         wrong = array[~((array >= low) & (array <= high))]
         if wrong.size:
-            problems.append(f"{name}: got {wrong[0]:g}, expected numbers from {low:g} to {high:g} {unit}")
+            problems.append(f"{name}: got {wrong[0]:g}, expected numbers from {low:g} to {high:g} {unit}".rstrip())
         elif name == "edges" and array.ndim and (np.diff(array) < 0).any():
             problems.append(f"{name}: got charges that fall, expected rising ones")
     if problems:

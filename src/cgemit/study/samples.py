@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from cgemit import chain
-from cgemit.candidates import finder_name
 from cgemit.detector import Detector, MapField
 from cgemit.detector.field.core import extent
+from cgemit.finders import finder_name
 from cgemit.fit import FitStatus
 from cgemit.gun import Gun
 from cgemit.gun_data import gun_data

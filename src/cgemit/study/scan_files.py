@@ -10,8 +10,8 @@ from html import escape
 from pathlib import Path
 from typing import Any, Protocol
 
-from cgemit.candidates import finder_name
 from cgemit.detector import Detector
+from cgemit.finders import finder_name
 from cgemit.gun_data import gun_data
 from cgemit.io.folders import SUMMARY, new_folder
 from cgemit.record import record, write_record

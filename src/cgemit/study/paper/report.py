@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cgemit.candidates import finder_name
+from cgemit.finders import finder_name
 from cgemit.fit import FitStatus
 from cgemit.io.folders import RECORD
 from cgemit.simulate import SimulateSettings
