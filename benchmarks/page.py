@@ -198,8 +198,15 @@ def draw_tracks() -> None:
 
 def covariance() -> str:
     """Return the table of one covariance beside one fit."""
-    head = ["us per track", "covariance", "with the budget", "fit, two iterations", "fit / with the budget"]
-    columns = ("isa", "covariance_us", "with_budget_us", "fit_us", "fit_over_covariance")
+    head = [
+        "us per track",
+        "single track",
+        "of a point",
+        "gradient / of a point",
+        "fit, two iterations",
+        "fit / of a point",
+    ]
+    columns = ("isa", "alone_us", "of_a_point_us", "gradient", "fit_us", "fit_over_covariance")
     return table(head, ([r[name] for name in columns] for r in read("covariance")))
 
 

@@ -141,6 +141,7 @@ class Detector:
         loss: CoreLoss = CoreLoss.truncated,
         radiation: bool = True,
         field: Field | None = None,
+        simulated: bool = True,
     ) -> None: ...
     @property
     def bz(self) -> float: ...  # T, at the origin

@@ -157,8 +157,8 @@ def compiled(
     radiation : bool
         Whether it includes the bremsstrahlung of electrons and positrons.
     gaps : bool
-        Whether to make the tables of ionization and electrons in the drift gaps, which only the simulation reads and
-        which take most of the time.
+        Whether to make the tables that only the simulation reads, which take most of the time: of scatters that are
+        drawn, and of ionization and electrons in the drift gaps.
     matter : bool
         Whether there is matter.
     inside : int
@@ -200,6 +200,7 @@ def _compiled(
         loss=getattr(_core.CoreLoss, loss),
         radiation=radiation,
         field=compiled_field(detector),
+        simulated=gaps,
     )
 
 

@@ -257,7 +257,7 @@ void bind_detector(py::module_& module) {
       .def(py::init([](double bz, const py::dict& slabs, const Array<double>& log_terms,
                        const py::dict& composition, const py::dict& cgem, const py::dict& wires,
                        Screening screening, const py::dict& lattice, const py::list& gaps, CoreLoss loss,
-                       bool radiation, const std::optional<FieldMap>& field) {
+                       bool radiation, const std::optional<FieldMap>& field, bool simulated) {
              std::vector<Slab> made = make_slabs(slabs, log_terms, composition);
              add_holes(lattice, made);
              std::vector<CgemLayer> layers = make_cgem(cgem);
@@ -268,14 +268,14 @@ void bind_detector(py::module_& module) {
              Detector detector =
                  make_detector(field ? *field : uniform_field(bz), std::move(made), std::move(layers),
                                std::move(wire_layers), std::move(matter), chamber);
-             prepare_scattering(detector, screening);
+             prepare_scattering(detector, screening, simulated);
              prepare_loss(detector, loss, radiation);
              return detector;
            }),
            py::kw_only(), py::arg("bz"), py::arg("slabs"), py::arg("log_terms"), py::arg("composition"),
            py::arg("cgem"), py::arg("wires"), py::arg("screening"), py::arg("lattice") = py::dict(),
            py::arg("gaps") = py::list(), py::arg_v("loss", CoreLoss::truncated, "CoreLoss.truncated"),
-           py::arg("radiation") = true, py::arg("field") = py::none())
+           py::arg("radiation") = true, py::arg("field") = py::none(), py::arg("simulated") = true)
       .def_readonly("bz", &Detector::bz)
       .def_readonly("field", &Detector::field)
       .def_property_readonly("n_slabs", [](const Detector& d) { return d.slabs.size(); })

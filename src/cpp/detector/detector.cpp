@@ -10,6 +10,28 @@
 
 namespace cgemit {
 
+namespace {
+
+// Every wire is the first one, turned about the beam line. The sine and cosine of the turn follow from those
+// of the wire before: thousands of wires are placed for every variant of a detector.
+void place_wires(WireLayer& layer, const Placement& chamber) {
+  const Wire first = place_wire(layer, 0);
+  const double step = 2 * pi / layer.cells, cosine = std::cos(step), sine = std::sin(step);
+  layer.placed.clear();
+  layer.placed.reserve(static_cast<std::size_t>(layer.cells));
+  double c = 1, s = 0;
+  for (int i = 0; i < layer.cells; ++i) {
+    const Wire wire{c * first.x - s * first.y, s * first.x + c * first.y, c * first.ex - s * first.ey,
+                    s * first.ex + c * first.ey, first.ez};
+    layer.placed.push_back(chamber.moved ? moved(chamber, wire) : wire);
+    const double turned = cosine * c - sine * s;
+    s = sine * c + cosine * s;
+    c = turned;
+  }
+}
+
+}  // namespace
+
 Detector make_detector(FieldMap field, std::vector<Slab> slabs, std::vector<CgemLayer> cgem,
                        std::vector<WireLayer> wires, std::vector<GapMatter> gaps, const Placement& chamber) {
   const double bz = field.bz;
@@ -22,11 +44,7 @@ Detector make_detector(FieldMap field, std::vector<Slab> slabs, std::vector<Cgem
     layer.tan_half_twist = s / c;
     layer.per_radian = layer.cells / (2 * pi);
     layer.twist_per_z = layer.tan_half_twist / layer.half_length;
-    layer.placed.clear();
-    for (int i = 0; i < layer.cells; ++i) {
-      const Wire wire = place_wire(layer, i);
-      layer.placed.push_back(chamber.moved ? moved(chamber, wire) : wire);
-    }
+    place_wires(layer, chamber);
   }
   for (Slab& slab : detector.slabs) {
     slab.least_outward = std::sqrt(0.5 * (slab.r_out - slab.r_in) * slab.radius);

@@ -11,7 +11,9 @@ namespace cgemit {
 namespace {
 
 // Momentum before a slab, from the momentum after it: the mean of two estimates, one too large, one too
-// small.
+// small. Loss and kinematics are those of `SlabCrossing`, but not its exact inversion, `cross_inward`: that
+// starts wrong masses at momenta from which more of them converge. Of pions of 0.08 GeV/c fitted as protons,
+// which would not leave the beam pipe, 1.8 % get status ok with it and 0.9 % with this mean (8000 tracks).
 Kinematics before(const Slab& slab, double path, const Kinematics& after, const TrackMatter& track) {
   const double most = core_loss(slab, path, after, track).loss;
   const double least = core_loss(slab, path, after.after_loss(-most), track).loss;

@@ -149,9 +149,8 @@ CGEMIT_FLATTEN void smooth(Group<T>& group, mask_of<T> who) {
       const T information = weight * (1.0 + weight * known);
       const T u = weight * away;
       lambda = lambda - u * slot.row;
-      big_lambda.add([&](auto i, auto j) {
-        return information * slot.row[i] * slot.row[j] - weight * (slot.row[i] * lk[j] + lk[i] * slot.row[j]);
-      });
+      const Five<T> part = weight * lk, rest = information * slot.row - part;
+      big_lambda.add([&](auto i, auto j) { return slot.row[i] * rest[j] - part[i] * slot.row[j]; });
     }
     if (!step.is_slab || !any(who)) continue;
     const auto noise = static_cast<std::size_t>(step.noise);

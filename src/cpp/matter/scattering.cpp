@@ -1,6 +1,8 @@
 #include "matter/scattering.hpp"
 
 #include <algorithm>
+#include <array>
+#include <deque>
 #include <utility>
 #include <vector>
 
@@ -67,22 +69,55 @@ void prepare_hard(Slab& slab, Screening screening) {
   for (HardScatterer& h : slab.hard) h.up_to /= slab.hard_rate;
 }
 
-void prepare_table(Slab& slab, Screening screening) {
-  std::vector<std::pair<double, ScreeningOf>> elements;  // chi_c^2 and screening
-  for (const Component& c : slab.components)
-    elements.emplace_back(bethe_constant * electron_mass * c.z * (c.z + 1) * c.moles,
-                          ScreeningOf(c.z, screening));
-  for (int i = 0; i < loss_points; ++i) {
-    const double bg = std::exp(loss_grid_first + i * loss_grid_step), per_beta2 = 1 + 1 / (bg * bg);
-    double logs = 0, soft = 0;
-    for (const auto& [chi_c2, screening_at] : elements) {
-      const double a2 = screening_at(per_beta2), ratio = slab.hard_from / a2;
-      logs += chi_c2 * std::log(a2);
-      soft += 0.5 * chi_c2 * (std::log1p(ratio) - ratio / (1 + ratio));
+// The screening of an element on the grid of the tables. Slabs share elements.
+struct ScreeningGrid {
+  double z;
+  std::array<double, loss_points> a2, log_a2;
+};
+
+class ScreeningGrids {
+ public:
+  explicit ScreeningGrids(Screening screening) : screening_(screening) {
+    for (int i = 0; i < loss_points; ++i) {
+      const double bg = std::exp(loss_grid_first + i * loss_grid_step);
+      per_beta2_[static_cast<std::size_t>(i)] = 1 + 1 / (bg * bg);
     }
-    slab.table[static_cast<std::size_t>(i)].log_screening = logs / slab.chi_c2;
-    slab.table[static_cast<std::size_t>(i)].soft = soft;
   }
+  const ScreeningGrid& of(double z) {
+    const auto known = std::ranges::find(grids_, z, &ScreeningGrid::z);
+    if (known != grids_.end()) return *known;
+    ScreeningGrid& grid = grids_.emplace_back();
+    const ScreeningOf at(z, screening_);
+    grid.z = z;
+    for (std::size_t i = 0; i < grid.a2.size(); ++i) {
+      grid.a2[i] = at(per_beta2_[i]);
+      grid.log_a2[i] = std::log(grid.a2[i]);
+    }
+    return grid;
+  }
+
+ private:
+  Screening screening_;
+  std::array<double, loss_points> per_beta2_;
+  std::deque<ScreeningGrid> grids_;  // references stay valid
+};
+
+void prepare_table(Slab& slab, bool drawn, ScreeningGrids& grids) {
+  for (SlabPoint& point : slab.table) {
+    point.log_screening = 0;
+    point.soft = drawn ? 0 : std::nan("");
+  }
+  for (const Component& c : slab.components) {
+    const double chi_c2 = bethe_constant * electron_mass * c.z * (c.z + 1) * c.moles;
+    const ScreeningGrid& grid = grids.of(c.z);
+    for (std::size_t i = 0; i < grid.a2.size(); ++i) {
+      slab.table[i].log_screening += chi_c2 * grid.log_a2[i];
+      if (!drawn) continue;
+      const double ratio = slab.hard_from / grid.a2[i];
+      slab.table[i].soft += 0.5 * chi_c2 * (std::log1p(ratio) - ratio / (1 + ratio));
+    }
+  }
+  for (SlabPoint& point : slab.table) point.log_screening /= slab.chi_c2;
 }
 
 // One hard scatter, as a space angle; 0 if the proposed scatter is rejected.
@@ -108,7 +143,8 @@ double hard_angle(const Slab& slab, double p, double per_beta2, double recoil, D
 
 }  // namespace
 
-void prepare_scattering(Detector& detector, Screening screening) {
+void prepare_scattering(Detector& detector, Screening screening, bool drawn) {
+  ScreeningGrids grids(screening);
   double total = 0;
   for (Slab& slab : detector.slabs) {
     slab.chi_c2 = slab.chi_c2_electrons = 1e-30;  // logarithms must also exist for a slab of no matter
@@ -120,10 +156,13 @@ void prepare_scattering(Detector& detector, Screening screening) {
     total += slab.chi_c2;
   }
   for (Slab& slab : detector.slabs) {
-    const double wanted = std::clamp(hard_in_all * slab.chi_c2 / total, least_hard, most_hard);
-    slab.hard_from = transfer_for(slab, wanted, screening);
-    prepare_hard(slab, screening);
-    prepare_table(slab, screening);
+    slab.hard_from = slab.hard_rate = 0;
+    if (drawn) {
+      const double wanted = std::clamp(hard_in_all * slab.chi_c2 / total, least_hard, most_hard);
+      slab.hard_from = transfer_for(slab, wanted, screening);
+      prepare_hard(slab, screening);
+    }
+    prepare_table(slab, drawn, grids);
   }
 }
 

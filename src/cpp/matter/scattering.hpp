@@ -19,8 +19,9 @@ namespace cgemit {
 // exp(-Z^2/1000), as in the Wentzel-VI model of Geant4.
 enum class Screening { wentzel, moliere };
 
-// Fills in the scattering tables of all slabs.
-void prepare_scattering(Detector& detector, Screening screening);
+// Fills in the scattering tables of all slabs. `drawn`: also those for the simulation, which draws scatters;
+// without, its variances of soft scatters are NaN.
+void prepare_scattering(Detector& detector, Screening screening, bool drawn);
 
 // Gaussian core of the angular distribution: variance of all scatters below a transfer q_F, with a fraction 1
 // - F cut off on either side; Lynch and Dahl, Nucl. Instrum. Methods B 58 (1991) 6, eq. 7, F = 0.98. q_F is
