@@ -252,12 +252,16 @@ def _set_shares(found: Calibration, centroid: Measurements, line: Measurements) 
 
 
 def _set_slope_shares(found: Calibration, centroid: Measurements, line: Measurements) -> None:
-    """Set the weights of centroids in merged positions, by slope and size."""
+    """Set the weights of centroids in merged positions, by slope and size; of all sizes where these are few."""
     at, size = _slope_cells(centroid)
-    for cell in np.ndindex(*found.slope_shares.shape):
-        here = _in_cell(centroid, at, size, cell)
-        if np.count_nonzero(here) >= _FEWEST:
-            found.slope_shares[cell] = _share(centroid.residual[here], line.residual[here])
+    layers, ranges = found.slope_shares.shape[1:3]
+    for view, layer, number in np.ndindex(2, layers, ranges):
+        plane = (centroid.view == view) & (centroid.layer == layer) & (at == number)
+        found.slope_shares[view, layer, number] = _share(centroid.residual[plane], line.residual[plane])
+        for strips in range(SLOPE_SIZES):
+            here = plane & (size == strips)
+            if np.count_nonzero(here) >= _FEWEST:
+                found.slope_shares[view, layer, number, strips] = _share(centroid.residual[here], line.residual[here])
 
 
 def _slope_cells(sample: Measurements) -> tuple[Ints, Ints]:
