@@ -32,6 +32,7 @@ from cgemit.tables import Table
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
 
+_TAILS = 5.0  # core widths, within which residuals make the spread that tracks see
 _FEWEST = 200  # clusters that give an error of their own
 _WINDOW = 1.0  # mm, of residuals from which the depth is found
 _ROUNDS = 5  # of outlier removal
@@ -227,7 +228,12 @@ def calibration_from(result: Result, readout: Any, about: str) -> Calibration:
     for estimator in readout.estimators:
         which = ESTIMATORS.index(estimator)
         _set_errors(found, which, measured(estimator, found))
-        found.slope_errors[which] = _by_slope(measured(estimator, found, along=True), found)
+        sample = measured(estimator, found, along=True)
+        found.slope_errors[which] = _by_slope(sample, found)
+        for view, layer in np.ndindex(2, layers):
+            plane = sample.residual[(sample.view == view) & (sample.layer == layer)]
+            if len(plane) >= _FEWEST:
+                found.typical_errors[1, which, view, layer] = _spread(plane)
     return found
 
 
@@ -237,7 +243,7 @@ def _set_errors(found: Calibration, which: int, sample: Measurements) -> None:
         plane = sample.residual[(sample.view == view) & (sample.layer == layer)]
         if len(plane) < _FEWEST:
             continue
-        found.typical_errors[which, view, layer] = _width(plane)
+        found.typical_errors[0, which, view, layer] = _spread(plane)
         for charge in range(CHARGES):
             found.errors[which, view, layer, charge] = _errors(_select(sample, found, (view, layer, charge)))
 
@@ -354,6 +360,11 @@ def _groups(size: Ints) -> list[tuple[int, int]]:
     if groups and first <= SIZES:  # what is left joins the last group
         groups[-1] = (groups[-1][0], SIZES)
     return groups or [(1, SIZES)]
+
+
+def _spread(residual: Floats) -> float:
+    """Return the RMS of residuals within five core widths, mm."""
+    return float(np.sqrt(np.mean(residual[np.abs(residual) < _TAILS * _width(residual)] ** 2)))
 
 
 def _width(residual: Floats) -> float:
