@@ -190,7 +190,8 @@ def test_calibrations_of_the_presets() -> None:
         for readout in (TigerReadout(), Apv25Readout()):
             found = calibration_of(load(name), readout)
             assert found.errors.shape == (3, 2, 3, CHARGES, SIZES)
-            assert np.all((found.typical_errors[0] > 0.09) & (found.typical_errors[0] < 0.19))
+            assert np.all((found.typical_errors[:, 0] > 0.09) & (found.typical_errors[:, 0] < 0.19))
+            assert (found.typical_errors[1, 0] < 0.9 * found.typical_errors[0, 0]).all()  # the track's angle helps
     tilted = TigerReadout(estimator="centroid")
     assert key_of(DESIGN, tilted) == key_of(DESIGN, TigerReadout())
     changed = DESIGN.with_overrides({"cgem.L1.drift_field": "2 kV/cm"})

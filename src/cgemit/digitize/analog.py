@@ -225,7 +225,7 @@ class AnalogReadout(SettingsData):
         CalibrationError
             If there is no calibration for this detector, field and read-out.
         """
-        return calibration_of(detector, self).typical(self.estimator)
+        return calibration_of(detector, self).typical(self.estimator, self.second_pass)
 
     def delays(self, induction: Floats) -> tuple[Floats, Floats]:
         """Return measured charge and delay of the chip by layer and view, see `find_clusters`.

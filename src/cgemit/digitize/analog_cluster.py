@@ -59,7 +59,8 @@ class CalibrationError(ProblemsError[str]):
 
 #: Shapes of the arrays of a calibration; -1 stands for the number of layers.
 _SHAPES = {
-    "edges": (2, -1, CHARGES - 1), "depth": (2, -1, CHARGES), "height": (2, -1, CHARGES), "typical_errors": (3, 2, -1),
+    "edges": (2, -1, CHARGES - 1), "depth": (2, -1, CHARGES), "height": (2, -1, CHARGES),
+    "typical_errors": (2, 3, 2, -1),
     "errors": (3, 2, -1, CHARGES, SIZES), "pairs": (-1, PAIR),
     "shares": (2, -1, CHARGES, SIZES), "slope_errors": (3, 2, -1, len(SLOPE_EDGES) + 1, SLOPE_SIZES),
     "slope_shares": (2, -1, len(SLOPE_EDGES) + 1, SLOPE_SIZES),
@@ -93,8 +94,9 @@ class Calibration:
         shift.
     edges : (2, layers, CHARGES - 1) float64, fC
         Charges of clusters where the next range begins.
-    typical_errors : (3, 2, layers) float64, mm
-        Over all charges and sizes of the sample.
+    typical_errors : (2, 3, 2, layers) float64, mm
+        Over all charges, sizes and slopes of the sample, without and with the angle of the track: RMS of the residuals
+        within five core widths, which is what tracks see of them.
     slope_errors : (3, 2, layers, len(SLOPE_EDGES) + 1, SLOPE_SIZES) float64, mm
         Errors of positions that use the angle of the track, by estimator, view, layer, range of the slope and number of
         strips.
@@ -123,9 +125,9 @@ class Calibration:
     key: str
     about: str
 
-    def typical(self, estimator: str) -> tuple[Floats, Floats]:
+    def typical(self, estimator: str, second_pass: bool = False) -> tuple[Floats, Floats]:
         """Return the errors of X and V, each (layers,) float64 mm, over all sizes."""
-        x, v = self.typical_errors[ESTIMATORS.index(estimator)]
+        x, v = self.typical_errors[int(second_pass), ESTIMATORS.index(estimator)]
         return x, v
 
     def to_json(self) -> str:

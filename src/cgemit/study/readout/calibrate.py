@@ -32,6 +32,7 @@ from cgemit.tables import Table
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
 
+_TAILS = 5.0  # core widths, within which residuals make the spread that tracks see
 _FEWEST = 200  # clusters that give an error of their own
 _WINDOW = 1.0  # mm, of residuals from which the depth is found
 _ROUNDS = 5  # of outlier removal
@@ -227,7 +228,12 @@ def calibration_from(result: Result, readout: Any, about: str) -> Calibration:
     for estimator in readout.estimators:
         which = ESTIMATORS.index(estimator)
         _set_errors(found, which, measured(estimator, found))
-        found.slope_errors[which] = _by_slope(measured(estimator, found, along=True), found)
+        sample = measured(estimator, found, along=True)
+        found.slope_errors[which] = _by_slope(sample, found)
+        for view, layer in np.ndindex(2, layers):
+            plane = sample.residual[(sample.view == view) & (sample.layer == layer)]
+            if len(plane) >= _FEWEST:
+                found.typical_errors[1, which, view, layer] = _spread(plane)
     return found
 
 
@@ -237,7 +243,7 @@ def _set_errors(found: Calibration, which: int, sample: Measurements) -> None:
         plane = sample.residual[(sample.view == view) & (sample.layer == layer)]
         if len(plane) < _FEWEST:
             continue
-        found.typical_errors[which, view, layer] = _width(plane)
+        found.typical_errors[0, which, view, layer] = _spread(plane)
         for charge in range(CHARGES):
             found.errors[which, view, layer, charge] = _errors(_select(sample, found, (view, layer, charge)))
 
@@ -252,12 +258,16 @@ def _set_shares(found: Calibration, centroid: Measurements, line: Measurements) 
 
 
 def _set_slope_shares(found: Calibration, centroid: Measurements, line: Measurements) -> None:
-    """Set the weights of centroids in merged positions, by slope and size."""
+    """Set the weights of centroids in merged positions, by slope and size; of all sizes where these are few."""
     at, size = _slope_cells(centroid)
-    for cell in np.ndindex(*found.slope_shares.shape):
-        here = _in_cell(centroid, at, size, cell)
-        if np.count_nonzero(here) >= _FEWEST:
-            found.slope_shares[cell] = _share(centroid.residual[here], line.residual[here])
+    layers, ranges = found.slope_shares.shape[1:3]
+    for view, layer, number in np.ndindex(2, layers, ranges):
+        plane = (centroid.view == view) & (centroid.layer == layer) & (at == number)
+        found.slope_shares[view, layer, number] = _share(centroid.residual[plane], line.residual[plane])
+        for strips in range(SLOPE_SIZES):
+            here = plane & (size == strips)
+            if np.count_nonzero(here) >= _FEWEST:
+                found.slope_shares[view, layer, number, strips] = _share(centroid.residual[here], line.residual[here])
 
 
 def _slope_cells(sample: Measurements) -> tuple[Ints, Ints]:
@@ -350,6 +360,11 @@ def _groups(size: Ints) -> list[tuple[int, int]]:
     if groups and first <= SIZES:  # what is left joins the last group
         groups[-1] = (groups[-1][0], SIZES)
     return groups or [(1, SIZES)]
+
+
+def _spread(residual: Floats) -> float:
+    """Return the RMS of residuals within five core widths, mm."""
+    return float(np.sqrt(np.mean(residual[np.abs(residual) < _TAILS * _width(residual)] ** 2)))
 
 
 def _width(residual: Floats) -> float:
