@@ -173,6 +173,7 @@ class FindSettings:
         *,
         segments: bool,
         chamber: bool,
+        wires_first: bool,
         mass: float,
         efficiency: float,
         gate: float,
