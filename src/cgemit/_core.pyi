@@ -174,6 +174,7 @@ class FindSettings:
         *,
         segments: bool,
         chamber: bool,
+        wires_first: bool,
         mass: float,
         efficiency: float,
         gate: float,

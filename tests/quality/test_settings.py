@@ -25,7 +25,8 @@ STRUCTS = [
         "FindSettings",
         "find/find.hpp",
         FindSettings,
-        {"segments": "method", "chamber": "method", "mass": "hypothesis", "least_width": None, "delta_strips": None},
+        {"segments": "method", "chamber": "method", "wires_first": "method", "mass": "hypothesis"}
+        | {"least_width": None, "delta_strips": None},
     ),
     ("SimulateSettings", "simulate/simulate.hpp", SimulateSettings, {}),
     ("BinaryReadout", "digitize/binary.hpp", BinaryReadout, {"w_values": None}),

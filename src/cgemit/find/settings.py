@@ -10,7 +10,7 @@ from cgemit.kinds import Check, Positive
 from cgemit.settings import SettingsData
 from cgemit.species import Hypothesis
 
-Method = Literal["combined", "segments", "chamber"]
+Method = Literal["combined", "segments", "chamber", "wires-first"]
 
 _COUNT = "a whole number from {} to {}"
 Count = Annotated[int, Check(lambda value: 1 <= value <= 1000, _COUNT.format(1, 1000))]
@@ -31,7 +31,8 @@ class FindSettings(SettingsData):
     method : str
         Source of the seeds. ``"combined"``: CGEM segments, then circles in the drift chamber from the hits that are
         left. ``"segments"``: CGEM segments alone. ``"chamber"``: circles in the drift chamber alone; CGEM clusters
-        join by the prediction of the track. In each case a track may have hits of all layers.
+        join by the prediction of the track. ``"wires-first"``: the same with circles and lines of wires alone. In
+        each case a track may have hits of all layers.
     hypothesis : str
         Particle whose mass the finder assumes, and which the candidates name for the fit.
     efficiency : float

@@ -73,8 +73,9 @@ def find_tracks(
 def _core_settings(settings: FindSettings) -> _core.FindSettings:
     fit = FitSettings()
     return _core.FindSettings(
-        segments=settings.method != "chamber",
+        segments=settings.method in ("combined", "segments"),
         chamber=settings.method != "segments",
+        wires_first=settings.method == "wires-first",
         mass=HYPOTHESES[settings.hypothesis].mass,
         least_width=fit.least_width,
         delta_strips=fit.delta_strips,

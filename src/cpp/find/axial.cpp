@@ -14,8 +14,8 @@ namespace cgemit {
 namespace {
 
 constexpr double cell_psi = 2 * pi / 64;
-constexpr int most_boxes = 1500;  // divided in one event
-constexpr double beam_line = 5;   // mm, distance of tracks from the beam line that the fit expects
+constexpr int most_boxes = 600;  // divided in one event
+constexpr double beam_line = 5;  // mm, distance of tracks from the beam line that the fit expects
 
 }  // namespace
 

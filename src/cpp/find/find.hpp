@@ -14,6 +14,7 @@ namespace cgemit {
 // Default values are in `cgemit.find.settings.FindSettings`.
 struct FindSettings {
   bool segments, chamber;  // the sources of seeds
+  bool wires_first;        // circles and lines of the chamber without clusters
   double mass;             // GeV
   double efficiency;       // of a layer or cell that a track crosses
   double gate;             // standard deviations

@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "detector/cluster_errors.hpp"
+#include "find/score.hpp"
 #include "kalman/field_reference.hpp"
 #include "kalman/tracer.hpp"
 
@@ -15,23 +16,13 @@ constexpr double sure = 4;        // a hit with a larger likelihood ratio is tak
 constexpr double rim = 0.5;       // mm, of a cell; a track in it need not fire the cell
 constexpr double inflation = 10;  // of a covariance that the same hits have made
 constexpr int few_hits = 2;
-constexpr double most_prompt = 7;  // about the largest `log_prompt`
-constexpr double hopeless = 0;     // score: chance explains the hits as well
+constexpr double hopeless = 0;  // score: chance explains the hits as well
 constexpr int most_speed_ups = 8;
 constexpr double speed_up = 0.92;  // of kappa
 constexpr int least_hits = 3;
 constexpr double close_to_edge = 0.85;  // of half a cell
 
-double log_gaussian(double chi2, double variance) { return -0.5 * (chi2 + std::log(2 * pi * variance)); }
-
 }  // namespace
-
-// Most tracks come from the beam line, while chance has no such preference.
-double Follower::log_prompt(double d, double variance) const {
-  constexpr double prompt = 0.9, beam = 0.5;  // share of the tracks; mm
-  const double density = std::exp(log_gaussian(d * d / (variance + beam * beam), variance + beam * beam));
-  return std::log(prompt * density * 2 * settings_.max_d + 1 - prompt);
-}
 
 bool Follower::follow(const FindSeed& seed, const EventHits& hits, FoundTrack& track) {
   hits_ = &hits;
@@ -309,7 +300,7 @@ void Follower::collect(const Branch& best, FoundTrack& track) const {
                  reference_.z0 + x[3], reference_.tanl + x[4]};
   if (track.helix.kappa == 0) track.helix.kappa = 1e-9;
   track.covariance = fitted_.c;
-  track.score += log_prompt(track.helix.d, track.covariance(0, 0));
+  track.score += log_prompt(track.helix.d, track.covariance(0, 0), settings_.max_d);
 }
 
 }  // namespace cgemit

@@ -75,7 +75,6 @@ class Follower {
   void keep_best();
   bool refit(const Branch& best);
   void collect(const Branch& best, FoundTrack& track) const;
-  double log_prompt(double d, double variance) const;
   double variance_of(const Slot<double>& slot) const;
   Slot<double>& slot(std::int32_t number) { return group_.slots[static_cast<std::size_t>(number)]; }
 
