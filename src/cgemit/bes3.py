@@ -221,7 +221,8 @@ def _tracks(given: Columns | None, named: Mapping[str, Table], cover: dict[str, 
     wire = of_hits["view"] == HIT_WIRE
     counts = [np.bincount(of_hits["candidate"][mine], minlength=len(candidates) + 1) for mine in (~wire, wire)]
     fitted, cov = given["helix"], given["cov"]
-    error = np.sqrt(np.diagonal(cov, axis1=1, axis2=2))
+    with np.errstate(invalid="ignore"):  # fits that failed
+        error = np.sqrt(np.diagonal(cov, axis1=1, axis2=2))
     columns: dict[str, npt.ArrayLike] = {name: given[name] for name in ("event", "hypothesis", "chi2", "ndf", "cov")}
     columns |= {"candidate": candidate, "track": given["candidate"], "p": helix.momentum(fitted)}
     columns |= {name: fitted[:, i] for i, name in enumerate(helix.PARAMETERS)}

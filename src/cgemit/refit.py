@@ -162,7 +162,8 @@ def _columns(events: Bes3Events, ours: Table, boss: Table) -> Columns:
             diff = np.remainder(diff + np.pi, 2 * np.pi) - np.pi
         columns |= {name: ours[name], f"err_{name}": ours[f"err_{name}"]}
         columns |= {f"boss_{name}": boss[name], f"boss_err_{name}": boss[f"err_{name}"]}
-        columns |= {f"diff_{name}": diff, f"pull_{name}": diff / boss[f"err_{name}"], f"truth_{name}": truth[name]}
+        with np.errstate(divide="ignore", invalid="ignore"):  # fits that failed have errors of 0
+            columns |= {f"diff_{name}": diff, f"pull_{name}": diff / boss[f"err_{name}"], f"truth_{name}": truth[name]}
     return columns
 
 

@@ -190,6 +190,31 @@ def test_all_clusters_of_events_with_one_track(run, arrays):
     assert np.median(refit(every).ours["err_dz"] / refit(none).ours["err_dz"]) < 0.3
 
 
+def test_fits_of_the_experiment_that_failed(run, arrays):
+    """No covariance, or none that is one: the row stays, with a status."""
+    changed = {"kal_tracks": {"m_stat": 1, "m_zerror": 0.0}, "mdc_tracks": {"m_err": np.nan}}
+    for collection, values in changed.items():
+        lists = arrays[collection]
+        for name, value in values.items():
+            column = ak.to_numpy(ak.flatten(lists[name])).copy()
+            column[0] = value
+            lists = ak.with_field(lists, ak.unflatten(column, ak.num(lists)), name)
+        arrays = {**arrays, collection: lists}
+    events = events_of(arrays, "besiii-cgem")
+    assert (events.kal_tracks["status"][:5] == cg.FitStatus.not_converged).all()
+    found = refit(events, "kal", cg.FitSettings(hypothesis="pi"))
+    assert found.good.tolist() == [False] + [True] * (len(run.tracks) - 1)
+    assert np.isfinite(list(found.summary()["dr"].values())).all()
+    assert np.isnan(events.mdc_tracks["err_dr"][0])
+    np.testing.assert_allclose(events.mdc_tracks["cov"][1:], run.tracks["cov"][1:], rtol=1e-9)
+
+
+def test_a_missing_field(arrays):
+    hits = arrays["hits"][[name for name in arrays["hits"].fields if name != "m_lr"]]
+    with pytest.raises(ValueError, match="TRecEvent/m_recMdcHitCol: has no field 'm_lr'"):
+        events_of(arrays | {"hits": hits}, "besiii-cgem")
+
+
 def test_event_numbers(events):
     assert events.run.tolist() == [-9989] * 30
     assert events.number.tolist() == list(range(100, 130))

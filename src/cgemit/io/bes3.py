@@ -103,6 +103,11 @@ def columns_of_events(arrays: Mapping[str, Any]) -> dict[str, Columns]:
         ``events`` (run, number), ``clusters``, ``wire_hits``, ``mdc_tracks``, ``kal_tracks``, ``particles``,
         ``truths``, ``wire_truths`` and ``digis``, those that there are; ``event`` is the number of the event in the
         file.
+
+    Raises
+    ------
+    ValueError
+        If a collection lacks a field that is read.
     """
     found: dict[str, Columns] = {}
     if {"run", "number"} <= arrays.keys():
@@ -115,8 +120,14 @@ def columns_of_events(arrays: Mapping[str, Any]) -> dict[str, Columns]:
     }  # fmt: skip
     for name, (table, make) in makers.items():
         flat = _flat(arrays[name]) if name in arrays else {}
-        if flat:
+        if not flat:
+            continue
+        try:
             found[table] = {"event": flat["event"], **make(flat)}
+        except KeyError as error:
+            raise ValueError(
+                f"{COLLECTIONS[name][0]}: has no field {error}; expected the classes of 7.0 to 7.2"
+            ) from error
     return found
 
 

@@ -55,6 +55,7 @@ def upper_triangles(given: npt.ArrayLike) -> Floats:
 
 def _positive(matrices: Floats) -> int:
     """Return the number of positive definite matrices, whatever the units of their rows."""
+    matrices = np.where(np.isfinite(matrices), matrices, 0.0)  # of fits that failed
     size = np.sqrt(np.abs(np.diagonal(matrices, axis1=1, axis2=2)))
     size = np.where(size > 0, size, 1.0)
     return int(np.count_nonzero(np.linalg.eigvalsh(matrices / (size[:, :, None] * size[:, None, :])).min(axis=1) > 0))
