@@ -95,7 +95,7 @@ def test_a_calibration_of_other_layers(tmp_path):
     """One that claims the right key, but holds two of three layers."""
     detector, readout = cg.load("besiii-cgem"), cg.TigerReadout()
     data = json.loads(calibration_of(detector, readout).to_json())
-    axis = {"typical_errors": 2, "errors": 2, "slope_errors": 2, "pairs": 0}
+    axis = {"typical_errors": 3, "errors": 2, "slope_errors": 2, "pairs": 0}
     for name in set(data) - {"about", "key"}:
         data[name] = np.take(data[name], [0, 1], axis=axis.get(name, 1)).tolist()
     file = tmp_path / "two.json"

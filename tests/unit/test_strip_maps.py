@@ -212,7 +212,7 @@ def test_file_and_hash(tmp_path):
     assert cg.load(file) == mapped
     assert 'dead_x = ["0:17", "0:20-22"]' in file.read_text(encoding="utf-8")
     assert mapped.content_hash != DESIGN.content_hash
-    assert not any(name in DESIGN.to_toml() for name in ("dead_", "hot_", "gain_map"))
+    assert not any(name in DESIGN.to_toml() for name in ("dead_x", "dead_v", "hot_x", "hot_v", "gain_map"))
     grid = grid_of(mapped.cgem[2])
     assert grid.tolist() == [[[0.5, 0.5], [0.5, 0.5]], [[1.0, 2.0], [1.5, 1.0]]]
 

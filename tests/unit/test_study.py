@@ -178,8 +178,9 @@ def test_a_finder_changes_the_tracks_and_is_named(study, found, tmp_path):
 
 def test_scans_take_a_finder_and_compare_with_fakes():
     """Differences of detectors hold where some tracks belong to no particle."""
-    noisy = cgemit.Settings(background=cgemit.BackgroundSettings(level="bes2009", factor=2))
-    how = {"events": 150, "seed": 2, "finder": "ckf", "settings": noisy}
+    background = cgemit.BackgroundSettings(level="bes2026", factor=2)
+    noisy = cgemit.Settings(background=background, find=cgemit.FindSettings(min_score=-20.0))
+    how = {"events": 100, "seed": 2, "finder": "ckf", "settings": noisy}
     one, base = (scan(name, [0.5], **how) for name in ("besiii-cgem", "besiii-idc"))
     assert one.hits == "found by ckf"
     assert (one.samples[0].tracks["particle"] < 0).any()
