@@ -17,7 +17,7 @@ from cgemit.detector.gaps import ionization
 from cgemit.digitize.transport import mean_shift
 from cgemit.statistics.estimate import measure
 from cgemit.study.readout.beam import beam_detector, beam_point, beam_run
-from cgemit.study.readout.calibrate import measurements
+from cgemit.study.readout.measure import measurements
 from cgemit.tables import Table
 
 PLANE = beam_detector(0.0)

@@ -14,8 +14,8 @@ from cgemit import Apv25Readout, Gun, Settings, SimulateSettings, TigerReadout, 
 from cgemit.cluster import ClusterSettings
 from cgemit.detector import compiled
 from cgemit.detector.strips import local_v, strips_of_v
-from cgemit.digitize.analog_cluster import CHARGES, SIZES, CalibrationError, calibration_of, key_of, read_calibration
 from cgemit.digitize.apv25 import half_height
+from cgemit.digitize.calibration import CHARGES, SIZES, CalibrationError, calibration_of, key_of, read_calibration
 from cgemit.digitize.shapers import APV25, TIGER_E, TIGER_T, Shaper
 from cgemit.digitize.tiger import SAMPLE_DELAY, leading_edges
 from stats import assert_within

@@ -12,7 +12,7 @@ import cgemit as cg
 from cgemit import isa
 from cgemit.covariance import QUANTITIES
 from cgemit.covariance.budget import sources
-from cgemit.covariance.derivatives import varied
+from cgemit.covariance.kept_hits import varied
 from cgemit.covariance.mixture import core_width
 from cgemit.detector import compiled
 from cgemit.statistics.estimate import SECOND_INSIDE, measure

@@ -9,7 +9,7 @@ import pytest
 
 import cgemit as cg
 from cgemit import chain, memory, run_checks, stages
-from cgemit.digitize.analog_cluster import CalibrationError, calibration_of, read_calibration
+from cgemit.digitize.calibration import CalibrationError, calibration_of, read_calibration
 from cgemit.stages import Settings
 
 GUN = cg.Gun("mu-", p=1, cos_theta=(-0.5, 0.5))

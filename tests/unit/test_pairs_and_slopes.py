@@ -7,11 +7,11 @@ import pytest
 
 import cgemit as cg
 from cgemit import find
-from cgemit.digitize.analog_cluster import calibration_of, neutral
+from cgemit.digitize.calibration import calibration_of, neutral
 from cgemit.digitize.transport import drift_columns
 from cgemit.find.tracks import find_tracks
 from cgemit.second_pass import gap_crossing, track_slopes
-from cgemit.study.readout.calibrate import crossing_slopes
+from cgemit.study.readout.measure import crossing_slopes
 
 DESIGN = cg.load("besiii-cgem-design")
 L1 = DESIGN.cgem[0]

@@ -8,7 +8,7 @@ import pytest
 
 import cgemit as cg
 from cgemit.cli.main import main
-from cgemit.digitize.analog_cluster import calibration_of
+from cgemit.digitize.calibration import calibration_of
 from cgemit.digitize.transport import transport
 from cgemit.study.readout.formation import formation
 from cgemit.study.readout.ghosts import WAYS, pair_scores, scan_ghosts

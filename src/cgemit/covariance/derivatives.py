@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import dataclasses
 import itertools
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -13,13 +12,18 @@ import numpy as np
 import numpy.typing as npt
 
 from cgemit import _core
+from cgemit.covariance.kept_hits import (
+    OTHER_ORDER,
+    calibrated_apart,
+    core_of,
+    errors_do_not_follow,
+    keeps_order,
+    with_cores,
+)
 from cgemit.covariance.points import analytic
 from cgemit.covariance.result import Covariance
 from cgemit.detector import Detector, DetectorError, load
-from cgemit.detector.parts import CgemLayer, Contents
-from cgemit.digitize import Readout
-from cgemit.digitize.analog_cluster import key_of
-from cgemit.fit import compiled_for_fit
+from cgemit.detector.parts import Contents
 from cgemit.statistics.formatting import html_table, text_table
 from cgemit.tables.convert import data_frame
 
@@ -28,12 +32,6 @@ Floats = npt.NDArray[np.float64]
 #: Relative steps of differences, tried in turn, outward and inward, where parts are so close that a larger one is
 #: impossible. The hits are kept, so that nothing steps: what is left of the second order is as small as the step.
 STEPS = (2e-5, 4e-6)
-
-_OTHER_ORDER = "got slabs and wires in another order than in the detector whose hits are kept, expected the same"
-
-
-class SurfacesError(ValueError):
-    """A variant that cannot have the hits of another one, since its slabs and wires are in another order."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -192,73 +190,14 @@ def logarithmic_slopes(
             neighbours[number] = found
     variants = [(one.detector, one.core) for one in neighbours.values()]
     if detector is base.detector:
-        own, others = base, _with_cores(base, variants)
+        own, others = base, with_cores(base, variants)
     else:
-        own, *others = _with_cores(base, [(detector, _core_of(base, detector)), *variants])
+        own, *others = with_cores(base, [(detector, core_of(base, detector)), *variants])
     logs = {name: np.log(own.sigma(name)) for name in quantities}
     for (number, one), other in zip(neighbours.items(), others, strict=True):
         for column, name in enumerate(quantities):
             values[number, column] = (np.log(other.sigma(name)) - logs[name]) / one.step
     return values, problems
-
-
-def varied(base: Covariance, variants: Sequence[Detector]) -> list[Covariance]:
-    """Return the covariances of the same tracks with the same hits in variants of the detector.
-
-    Parameters
-    ----------
-    base : Covariance
-    variants : sequence of Detector
-        Which differ so little that their surfaces keep their order.
-
-    Raises
-    ------
-    SurfacesError
-        If they do not.
-    """
-    cores = [_core_of(base, one) for one in variants]
-    if not all(_keeps_order(base, core) for core in cores):
-        raise SurfacesError(_OTHER_ORDER)
-    return _with_cores(base, list(zip(variants, cores, strict=True)))
-
-
-def _with_cores(base: Covariance, variants: Sequence[tuple[Detector, _core.Detector]]) -> list[Covariance]:
-    """Return the covariances in variants and their compiled detectors."""
-    if not variants:
-        return []
-    rows = base._tracks.run(budget=False, variants=[core for _, core in variants])["covariance"]
-    samples = rows.reshape(1 + len(variants), *base._samples.shape)[1:]
-    return [
-        dataclasses.replace(base, detector=one, _samples=row) for (one, _), row in zip(variants, samples, strict=True)
-    ]
-
-
-def _core_of(base: Covariance, variant: Detector) -> _core.Detector:
-    return compiled_for_fit(_with_stereo(variant, base.detector), base._tracks.fit)
-
-
-def _keeps_order(base: Covariance, core: _core.Detector) -> bool:
-    return _core.same_surfaces(compiled_for_fit(base.detector, base._tracks.fit), core)
-
-
-def calibrated_apart(readout: Readout, detector: Detector, variants: Iterable[Detector]) -> bool:
-    """Return whether a read-out has calibrated errors, and a calibration of the detector is none of some variant.
-
-    Parameters
-    ----------
-    readout : Readout
-    detector : Detector
-    variants : iterable of Detector
-    """
-    if not hasattr(readout, "calibration"):
-        return False
-    own = key_of(detector, readout)
-    return any(key_of(one, readout) != own for one in variants)
-
-
-def errors_do_not_follow(readout: Readout, keys: Sequence[str]) -> str:
-    """Return the message about a read-out whose calibrated errors do not follow some keys."""
-    return f"got read-out {readout.name!r}, which has calibrated errors that do not follow {', '.join(keys)}"
 
 
 class _Neighbour(NamedTuple):
@@ -273,10 +212,10 @@ def _neighbour(base: Covariance, detector: Detector, key: str) -> _Neighbour | s
     """Return the variant whose difference to the detector gives the derivative by a key, or why there is none."""
     problems: list[str] = []
     for variant, side in _variants(detector, key, problems):
-        core = _core_of(base, variant)
-        if _keeps_order(base, core):
+        core = core_of(base, variant)
+        if keeps_order(base, core):
             return _Neighbour(variant, core, math.log1p(side))
-        problems.append(f"{key}: {_OTHER_ORDER}")
+        problems.append(f"{key}: {OTHER_ORDER}")
     return problems[-1]
 
 
@@ -293,23 +232,6 @@ def _variants(detector: Detector, key: str, problems: list[str]) -> Iterator[tup
 def _changed(detector: Detector, key: str) -> Iterator[Detector]:
     """Yield one variant, if there is one."""
     yield from (variant for variant, _ in itertools.islice(_variants(detector, key, []), 1))
-
-
-def _with_stereo(variant: Detector, base: Detector) -> Detector:
-    """Return a variant whose derived stereo angles follow radius and length continuously, not in whole strips."""
-    layers = []
-    for layer, old in zip(variant.cgem, base.cgem, strict=True):
-        derived = abs(abs(layer.stereo) - math.atan2((layer.strips_x - 1) * layer.pitch_x, layer.length)) < 1e-12
-        if derived:
-            angle = abs(old.stereo) + _diagonal(layer) - _diagonal(old)
-            # The hits are given: one V strip fits at any angle.
-            layer = dataclasses.replace(layer, stereo=math.copysign(angle, old.stereo), strips_v=1)
-        layers.append(layer)
-    return dataclasses.replace(variant, cgem=tuple(layers))
-
-
-def _diagonal(layer: CgemLayer) -> float:
-    return math.atan2(2 * math.pi * layer.r_readout / layer.sheets, layer.length)
 
 
 def design_keys(detector: Contents) -> Iterator[str]:

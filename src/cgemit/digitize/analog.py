@@ -12,7 +12,8 @@ from cgemit.cluster import ClusterSettings
 from cgemit.detector import Detector, compiled
 from cgemit.detector.gaps import w_values
 from cgemit.detector.strip_maps import gain_table
-from cgemit.digitize.analog_cluster import Calibration, Estimator, calibration_of, find_clusters, neutral
+from cgemit.digitize.analog_cluster import find_clusters
+from cgemit.digitize.calibration import Calibration, Estimator, calibration_of, neutral
 from cgemit.digitize.readout import GAIN, Floats, Jitter, Noise, Share
 from cgemit.digitize.shapers import Shaper
 from cgemit.digitize.transport import drift_columns

@@ -12,7 +12,8 @@ from cgemit.cluster import ClusterSettings
 from cgemit.detector import Detector, compiled
 from cgemit.detector.gaps import w_values
 from cgemit.detector.strip_maps import gain_table
-from cgemit.digitize.analog_cluster import Calibration, Estimator, calibration_of, clusters_at, neutral
+from cgemit.digitize.analog_cluster import clusters_at
+from cgemit.digitize.calibration import Calibration, Estimator, calibration_of, neutral
 from cgemit.digitize.readout import GAIN, Floats, Noise, Share
 from cgemit.kinds import Positive
 from cgemit.settings import SettingsData

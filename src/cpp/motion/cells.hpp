@@ -136,7 +136,8 @@ class CellFinder {
     const T unsure = 1e-9 + bend * height * height * layer.per_radian;
     const T one = at + (borders.inner - radius) * slope, other = at + (borders.outer - radius) * slope;
     const T low = smaller(one, other), high = larger(one, other);
-    return {low, high, unsure, who & (p > 0.0) & (abs(low) < many_cells) & (high - low < most_cells)};
+    return {low, high, unsure,
+            mask_of<T>(who & (p > 0.0) & (abs(low) < many_cells) & (high - low < most_cells))};
   }
 
   // Azimuth continued from the previous point: between wire layers the turn is small.

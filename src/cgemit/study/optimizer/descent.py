@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from cgemit.covariance import Covariance
-from cgemit.covariance.derivatives import SurfacesError, logarithmic_slopes, varied
+from cgemit.covariance.derivatives import logarithmic_slopes
+from cgemit.covariance.kept_hits import SurfacesError, varied
 from cgemit.detector import Detector, DetectorError
 from cgemit.statistics.estimate import Floats
 from cgemit.study.optimizer.evaluator import Design, Evaluator

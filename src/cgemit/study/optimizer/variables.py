@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from cgemit.covariance.derivatives import calibrated_apart, errors_do_not_follow
+from cgemit.covariance.kept_hits import calibrated_apart, errors_do_not_follow
 from cgemit.detector import Detector, DetectorError
 from cgemit.detector.variants import matching, value_at
 from cgemit.digitize import Readout

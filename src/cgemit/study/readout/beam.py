@@ -13,7 +13,8 @@ from cgemit.particles import particles_from
 from cgemit.result import Result
 from cgemit.species import species
 from cgemit.statistics.estimate import Resolution, measure
-from cgemit.study.readout.calibrate import Measurements, calibration_from, common, measurements, true_slopes
+from cgemit.study.readout.calibrate import calibration_from
+from cgemit.study.readout.measure import Measurements, common, measurements, true_slopes
 from cgemit.tables import Table
 
 RADIUS = 2000.0

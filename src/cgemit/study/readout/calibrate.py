@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from cgemit import find
 from cgemit.chain import run
 from cgemit.detector import Detector
-from cgemit.detector.strips import local_v
-from cgemit.digitize.analog_cluster import (
+from cgemit.digitize.calibration import (
     CHARGES,
     ESTIMATORS,
-    PAIR,
     SIZES,
     SLOPE_EDGES,
     SLOPE_SIZES,
@@ -23,139 +20,20 @@ from cgemit.digitize.analog_cluster import (
     key_of,
     neutral,
 )
-from cgemit.digitize.transport import drift_columns
 from cgemit.gun import Gun
 from cgemit.result import Result
 from cgemit.statistics.estimate import measure
-from cgemit.tables import Table
+from cgemit.study.readout.measure import FEWEST, Measurements, common, measurements, pair_numbers, true_slopes
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
 
 _TAILS = 5.0  # core widths, within which residuals make the spread that tracks see
-_FEWEST = 200  # clusters that give an error of their own
 _WINDOW = 1.0  # mm, of residuals from which the depth is found
 _ROUNDS = 5  # of outlier removal
 _LEAST_SLOPE = 0.05  # below, heights do not matter and cannot be measured
 _STEPS = 3  # of the depth: strips enter and leave the gap as it changes
 _QUANTILES = (0.1, 0.25, 0.5, 0.75, 0.9)  # of the charge, where ranges begin
-
-
-class Measurements(NamedTuple):
-    """Clusters of true crossings."""
-
-    residual: Floats  # (n,) mm
-    slope: Floats  # (n,), of the electrons' places of origin at the anode, across the strips per radius
-    size: Ints  # (n,)
-    charge: Floats  # (n,) fC
-    view: Ints  # (n,)
-    layer: Ints  # (n,)
-    truth: Ints  # (n,)
-    first: Ints  # (n,), first strip
-
-
-def measurements(detector: Detector, clusters: Table, truths: Table, *, lorentz: bool = True) -> Measurements:
-    """Return residual, slope and size of the clusters of true crossings, see `cgemit.find.own_clusters`.
-
-    Parameters
-    ----------
-    detector : Detector
-    clusters, truths : Table
-    lorentz : bool
-        Whether electrons drift at the Lorentz angle, which then is part of the slope.
-    """
-    own = find.own_clusters(detector, clusters, truths)
-    rows = clusters["truth"][own]
-    view, layer = clusters["view"][own].astype(np.int64), clusters["layer"][own].astype(np.int64)
-    residual = find.residuals(detector, clusters, truths, own)
-    slope = crossing_slopes(detector, truths)[rows, view]
-    tangent = drift_columns(detector)["tan_lorentz"] if lorentz else np.zeros(len(detector.cgem))
-    bend = np.array([[tan, tan * np.cos(one.stereo)] for tan, one in zip(tangent, detector.cgem, strict=True)])
-    scale = np.array([one.r_readout / one.r_mid for one in detector.cgem])
-    slope = slope - bend[layer, view] * scale[layer]
-    size, first = (clusters[name][own].astype(np.int64) for name in ("size", "first"))
-    return Measurements(residual, slope, size, clusters["charge"][own], view, layer, rows, first)
-
-
-def common(one: Measurements, other: Measurements) -> tuple[Measurements, Measurements]:
-    """Return the measurements of the clusters that are in both samples, in the same order.
-
-    Parameters
-    ----------
-    one, other : Measurements
-        Of the same digis; of a crossing with several clusters they may have different ones.
-    """
-    key, other_key = ((2 * sample.truth + sample.view) * (1 << 20) + sample.first for sample in (one, other))
-    _, rows, other_rows = np.intersect1d(key, other_key, return_indices=True)
-    first = Measurements._make(values[rows] for values in one)
-    return first, Measurements._make(values[other_rows] for values in other)
-
-
-def crossing_slopes(detector: Detector, truths: Table) -> Floats:
-    """Return dX/dr and dV/dr at the anode of true crossings, (n, 2) float64.
-
-    Parameters
-    ----------
-    detector : Detector
-    truths : Table
-    """
-    ends = []
-    for end in ("entry", "exit"):
-        x, y, z = (truths[f"{end}_{axis}"] for axis in "xyz")
-        ends.append((np.hypot(x, y), np.arctan2(y, x), z))
-    turn = np.angle(np.exp(1j * (ends[1][1] - ends[0][1])))
-    slopes = np.zeros((len(truths), 2))
-    for number, one in enumerate(detector.cgem):
-        here = truths["layer"] == number
-        dx, dz = one.r_readout * turn[here], (ends[1][2] - ends[0][2])[here]
-        across = np.column_stack([dx, local_v(one, dx, one.z_ref + dz)])
-        slopes[here] = across / (ends[1][0] - ends[0][0])[here, None]
-    return slopes
-
-
-def true_slopes(detector: Detector, clusters: Table, truths: Table) -> Floats:
-    """Return the slope of the crossing of each cluster as `find_clusters` takes it, NaN where there is none.
-
-    Parameters
-    ----------
-    detector : Detector
-    clusters, truths : Table
-    """
-    slopes = np.full(len(clusters), np.nan)
-    own = find.own_clusters(detector, clusters, truths)
-    slopes[own] = crossing_slopes(detector, truths)[clusters["truth"][own], clusters["view"][own].astype(np.int64)]
-    return slopes
-
-
-def pair_numbers(detector: Detector, clusters: Table, truths: Table) -> Floats:
-    """Return the likelihood of pairs of X and V, see `Calibration.pairs`; pairs of two particles are of two events.
-
-    Parameters
-    ----------
-    detector : Detector
-    clusters, truths : Table
-    """
-    own = find.own_clusters(detector, clusters, truths)
-    found = np.ones((len(detector.cgem), PAIR))
-    rows = np.full((2, len(truths)), -1, np.int64)
-    rows[clusters["view"][own], clusters["truth"][own]] = own
-    for number in range(len(detector.cgem)):
-        x, v = rows[:, (rows >= 0).all(axis=0) & (truths["layer"] == number)]
-        if len(x) < _FEWEST:
-            continue
-        log_charge = [np.log(np.maximum(clusters["charge"][view], 1e-3)) for view in (x, v)]
-        time = [clusters["time"][view] for view in (x, v)]
-        for at, (of_x, of_v), least in ((0, log_charge, 0.02), (2, time, 0.5)):
-            mean, width = _middle(of_x - of_v)
-            found[number, at : at + 2] = mean, max(width, least)
-            found[number, 4 + at // 2] = max(_middle(of_x - np.roll(of_v, 1))[1], least)
-    return found
-
-
-def _middle(values: Floats) -> tuple[float, float]:
-    """Return median and half of the central 68.3 %."""
-    low, middle, high = np.quantile(values, (0.1587, 0.5, 0.8413))
-    return float(middle), float(0.5 * (high - low))
 
 
 def calibrate(
@@ -213,7 +91,7 @@ def calibration_from(result: Result, readout: Any, about: str) -> Calibration:
     first = measurements(detector, first_table, truths, lorentz=readout.lorentz)
     for view, layer in np.ndindex(2, layers):
         charge = first.charge[(first.view == view) & (first.layer == layer)]
-        if len(charge) >= _FEWEST:
+        if len(charge) >= FEWEST:
             found.edges[view, layer] = np.quantile(charge, _QUANTILES)
     for at in np.ndindex(found.depth.shape):
         found.height[at] = _depth(_select(first, found, at)) if readout.lorentz else 0.0
@@ -232,7 +110,7 @@ def calibration_from(result: Result, readout: Any, about: str) -> Calibration:
         found.slope_errors[which] = _by_slope(sample, found)
         for view, layer in np.ndindex(2, layers):
             plane = sample.residual[(sample.view == view) & (sample.layer == layer)]
-            if len(plane) >= _FEWEST:
+            if len(plane) >= FEWEST:
                 found.typical_errors[1, which, view, layer] = _spread(plane)
     return found
 
@@ -241,7 +119,7 @@ def _set_errors(found: Calibration, which: int, sample: Measurements) -> None:
     """Set the errors of one estimator."""
     for view, layer in np.ndindex(found.errors.shape[1:3]):
         plane = sample.residual[(sample.view == view) & (sample.layer == layer)]
-        if len(plane) < _FEWEST:
+        if len(plane) < FEWEST:
             continue
         found.typical_errors[0, which, view, layer] = _spread(plane)
         for charge in range(CHARGES):
@@ -266,7 +144,7 @@ def _set_slope_shares(found: Calibration, centroid: Measurements, line: Measurem
         found.slope_shares[view, layer, number] = _share(centroid.residual[plane], line.residual[plane])
         for strips in range(SLOPE_SIZES):
             here = plane & (size == strips)
-            if np.count_nonzero(here) >= _FEWEST:
+            if np.count_nonzero(here) >= FEWEST:
                 found.slope_shares[view, layer, number, strips] = _share(centroid.residual[here], line.residual[here])
 
 
@@ -314,7 +192,7 @@ def _depth(sample: Measurements) -> float:
     use, depth = (np.abs(sample.residual) < _WINDOW) & (sample.size > 2), 0.0
     for _ in range(_ROUNDS):
         slope, residual = sample.slope[use], sample.residual[use]
-        if len(slope) < _FEWEST // 2 or np.sqrt(np.mean(slope**2)) < _LEAST_SLOPE:
+        if len(slope) < FEWEST // 2 or np.sqrt(np.mean(slope**2)) < _LEAST_SLOPE:
             return 0.0
         depth = float(slope @ residual / (slope @ slope))
         left = sample.residual - depth * sample.slope
@@ -339,13 +217,13 @@ def _by_slope(sample: Measurements, found: Calibration) -> Floats:
     layers, ranges = found.slope_shares.shape[1:3]
     for view, layer in np.ndindex(2, layers):
         here = (sample.view == view) & (sample.layer == layer)
-        numbers = [k for k in range(ranges) if np.count_nonzero(here & (at == k)) >= _FEWEST]
+        numbers = [k for k in range(ranges) if np.count_nonzero(here & (at == k)) >= FEWEST]
         if numbers:
             widths = [_width(sample.residual[here & (at == k)]) for k in numbers]
             values[view, layer] = np.interp(np.arange(ranges), numbers, widths)[:, None]
         for number, strips in np.ndindex(ranges, SLOPE_SIZES):
             mine = _in_cell(sample, at, size, (view, layer, number, strips))
-            if np.count_nonzero(mine) >= _FEWEST:
+            if np.count_nonzero(mine) >= FEWEST:
                 values[view, layer, number, strips] = _width(sample.residual[mine])
     return values
 
@@ -354,7 +232,7 @@ def _groups(size: Ints) -> list[tuple[int, int]]:
     """Return ranges of sizes that cover all, each with enough clusters."""
     groups, first = [], 1
     for last in range(1, SIZES + 1):
-        if np.count_nonzero((size >= first) & (size <= last)) >= _FEWEST:
+        if np.count_nonzero((size >= first) & (size <= last)) >= FEWEST:
             groups.append((first, last))
             first = last + 1
     if groups and first <= SIZES:  # what is left joins the last group

@@ -17,7 +17,7 @@ from scipy.optimize import linear_sum_assignment
 
 from cgemit.chain import run
 from cgemit.detector import Detector
-from cgemit.digitize.analog_cluster import calibration_of
+from cgemit.digitize.calibration import calibration_of
 from cgemit.gun import Gun
 from cgemit.statistics.formatting import text_table, with_error
 from cgemit.tables import Table

@@ -1,0 +1,242 @@
+"""Calibration of clusters of charge and time: errors and pairs of a reference sample (docs/methods/readout.md)."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib import resources
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from cgemit.detector import Detector
+from cgemit.io.files import read_text
+from cgemit.problems import ProblemsError
+
+Floats = npt.NDArray[np.float64]
+
+Estimator = Literal["merged", "centroid", "micro-tpc"]
+ESTIMATORS: tuple[Estimator, ...] = ("merged", "centroid", "micro-tpc")
+SIZES = 24
+"""Numbers of strips with errors of their own; larger clusters have the error of this number."""
+CHARGES = 6
+"""Ranges of the charge of clusters with errors of their own."""
+SLOPE_EDGES = np.array([0.1, 0.2, 0.3, 0.45, 0.6, 0.8, 1.1])
+"""Where ranges of the slope of electrons' places of origin at the anode begin, each with errors of its own."""
+SLOPE_SIZES = 6
+"""Numbers of strips with such errors of their own."""
+PAIR = 6
+"""Numbers of the likelihood of a pair of X and V."""
+
+#: Changes with everything that makes stored calibrations wrong.
+MODEL = 2
+_MISSING = (
+    "got no calibration for this detector, field and read-out, "
+    "expected digitize.readout.calibration = a file written by: "
+    "cgemit readout --readout NAME -d DETECTOR --calibrate FILE (cgemit.study.readout.calibrate)"
+)
+#: Keys of a layer that calibrations depend on, with those of the gaps' gas.
+_LAYER = (
+    "anode_radius", "readout_offset", "length", "sheets", "pitch_x", "pitch_v", "stereo", "strips_x", "strips_v",
+    "offset_v", "drift_gap", "transfer_gap", "induction_gap", "drift_field", "transfer_field", "induction_field",
+    "foils", "hole_pitch",
+)  # fmt: skip
+_FOLDER = "readout"  # of the package's data
+
+
+class CalibrationError(ProblemsError[str]):
+    """A calibration that is missing or wrong; `problems` lists every problem."""
+
+
+#: Shapes of the arrays of a calibration; -1 stands for the number of layers.
+_SHAPES = {
+    "edges": (2, -1, CHARGES - 1), "depth": (2, -1, CHARGES), "height": (2, -1, CHARGES),
+    "typical_errors": (2, 3, 2, -1),
+    "errors": (3, 2, -1, CHARGES, SIZES), "pairs": (-1, PAIR),
+    "shares": (2, -1, CHARGES, SIZES), "slope_errors": (3, 2, -1, len(SLOPE_EDGES) + 1, SLOPE_SIZES),
+    "slope_shares": (2, -1, len(SLOPE_EDGES) + 1, SLOPE_SIZES),
+}  # fmt: skip
+
+
+#: Least and largest value of each: far beyond any layer, so that a wrong unit is seen.
+_LIMITS = {
+    "edges": (0.0, 1e6, "fC"), "depth": (-50.0, 50.0, "mm"), "height": (-50.0, 50.0, "mm"),
+    "typical_errors": (1e-4, 100.0, "mm"), "errors": (1e-4, 100.0, "mm"), "slope_errors": (1e-4, 100.0, "mm"),
+    "shares": (0.0, 1.0, ""), "slope_shares": (0.0, 1.0, ""), "pairs": (-1e4, 1e4, "(ns)"),
+}  # fmt: skip
+
+
+def _shape(name: str, layers: int) -> tuple[int, ...]:
+    return tuple(layers if n < 0 else n for n in _SHAPES[name])
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """Errors of clusters by estimator, view, layer, charge and number of strips.
+
+    Attributes
+    ----------
+    errors : (3, 2, layers, CHARGES, SIZES) float64, mm
+        In the order of `ESTIMATORS`; views X and V.
+    depth : (2, layers, CHARGES) float64, mm
+        Outward; what to add to the heights in the gap that times give, so that line fits do not depend on the slope.
+    height : (2, layers, CHARGES) float64, mm
+        Outward from mid-gap; mean height of the charge in the gap, at which centroids are corrected for the Lorentz
+        shift.
+    edges : (2, layers, CHARGES - 1) float64, fC
+        Charges of clusters where the next range begins.
+    typical_errors : (2, 3, 2, layers) float64, mm
+        Over all charges, sizes and slopes of the sample, without and with the angle of the track: RMS of the residuals
+        within five core widths, which is what tracks see of them.
+    slope_errors : (3, 2, layers, len(SLOPE_EDGES) + 1, SLOPE_SIZES) float64, mm
+        Errors of positions that use the angle of the track, by estimator, view, layer, range of the slope and number of
+        strips.
+    shares : (2, layers, CHARGES, SIZES) float64
+        Weight of the centroid in the merged position, 0 to 1.
+    slope_shares : (2, layers, len(SLOPE_EDGES) + 1, SLOPE_SIZES) float64
+        The same for positions that use the angle of the track.
+    pairs : (layers, PAIR) float64
+        Mean and width of ln(charge of X / charge of V) and of the difference of their times (ns) for one particle, and
+        the widths of both for two particles.
+    key : str
+        Hash of what the calibration belongs to, see `key_of`.
+    about : str
+        Detector, read-out and sample, for people.
+    """
+
+    errors: Floats
+    depth: Floats
+    height: Floats
+    edges: Floats
+    typical_errors: Floats
+    slope_errors: Floats
+    shares: Floats
+    slope_shares: Floats
+    pairs: Floats
+    key: str
+    about: str
+
+    def typical(self, estimator: str, second_pass: bool = False) -> tuple[Floats, Floats]:
+        """Return the errors of X and V, each (layers,) float64 mm, over all sizes."""
+        x, v = self.typical_errors[int(second_pass), ESTIMATORS.index(estimator)]
+        return x, v
+
+    def to_json(self) -> str:
+        """Return the text of a calibration file."""
+        data = {
+            "about": self.about, "key": self.key,
+            **{name: np.round(getattr(self, name), 6).tolist() for name in _SHAPES},
+        }  # fmt: skip
+        return json.dumps(data) + "\n"
+
+
+def neutral(layers: int) -> Calibration:
+    """Return the calibration with which calibrations are made: equal errors, no correction."""
+    values = {name: np.ones(_shape(name, layers)) for name in ("errors", "typical_errors", "slope_errors", "pairs")}
+    values |= {name: np.zeros(_shape(name, layers)) for name in ("depth", "height", "edges", "shares", "slope_shares")}
+    return Calibration(**values, key="", about="none")
+
+
+def key_of(detector: Detector, readout: Any) -> str:
+    """Return the hash of what a calibration depends on: CGEM layers, field, settings of the read-out.
+
+    Parameters
+    ----------
+    detector : Detector
+    readout : AnalogReadout or ProjectionReadout
+        Its `calibration`, `estimator` and `second_pass` do not count.
+
+    Returns
+    -------
+    str
+        16 hexadecimal digits.
+    """
+    settings = readout.to_dict()
+    for name in ("calibration", "estimator", "second_pass"):
+        settings.pop(name, None)
+    layers = [[getattr(layer, name) for name in _LAYER] + [layer.gas.ionization] for layer in detector.cgem]
+    text = json.dumps([MODEL, readout.name, settings, layers, detector.field.bz], sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+@lru_cache(maxsize=64)
+def calibration_of(detector: Detector, readout: Any) -> Calibration:
+    """Return the calibration of a read-out: its file, or the one that comes with the program.
+
+    Parameters
+    ----------
+    detector : Detector
+    readout : AnalogReadout or ProjectionReadout
+
+    Raises
+    ------
+    CalibrationError
+        If there is none, or the file belongs to another detector, field or read-out.
+    """
+    if not detector.cgem:
+        return neutral(0)
+    key = key_of(detector, readout)
+    if readout.calibration:
+        try:
+            text = read_text(readout.calibration)
+        except (OSError, ValueError) as error:
+            reason = getattr(error, "strerror", None) or error
+            raise CalibrationError(
+                "digitize.readout.calibration",
+                [f"got {readout.calibration[:80]!r} ({reason}), expected a file that `cgemit readout` has written"],
+            ) from error
+        found = read_calibration(text, readout.calibration)
+    else:
+        file = resources.files("cgemit.data") / _FOLDER / f"{key}.json"
+        if not file.is_file():
+            raise CalibrationError(f"read-out {readout.name} of {detector.name}", [_MISSING])
+        found = read_calibration(file.read_text(encoding="utf-8"), file.name)
+    problems = []
+    if found.key != key:
+        problems.append(
+            f"got a calibration of {found.about}, expected one of the layers and field of {detector.name} and of these "
+            f"settings of {readout.name}: cgemit readout --readout {readout.name} -d DETECTOR --calibrate FILE"
+        )
+    if found.depth.shape[1] != len(detector.cgem):
+        problems.append(f"got {found.depth.shape[1]} layers, expected {len(detector.cgem)}")
+    if problems:
+        raise CalibrationError(readout.calibration or key, problems)
+    return found
+
+
+def read_calibration(text: str, source: str) -> Calibration:
+    """Return the calibration of a file.
+
+    Parameters
+    ----------
+    text, source : str
+        Its content and its name, for messages.
+
+    Raises
+    ------
+    CalibrationError
+        Listing every problem of the file.
+    """
+    try:
+        data = json.loads(text)
+        values = {name: np.array(data[name], np.float64) for name in _SHAPES}
+        key, about = str(data["key"]), str(data["about"])
+    except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
+        raise CalibrationError(source, [f"got {error!r:.200}, expected a calibration file"]) from error
+    problems = []
+    layers = values["depth"].shape[1] if values["depth"].ndim == 3 else 0
+    for name, array in values.items():
+        if array.shape != _shape(name, layers):
+            problems.append(f"{name}: got shape {array.shape}, expected {_shape(name, layers)}")
+        low, high, unit = _LIMITS[name]
+        wrong = array[~((array >= low) & (array <= high))]
+        if wrong.size:
+            problems.append(f"{name}: got {wrong[0]:g}, expected numbers from {low:g} to {high:g} {unit}".rstrip())
+        elif name == "edges" and array.ndim and (np.diff(array) < 0).any():
+            problems.append(f"{name}: got charges that fall, expected rising ones")
+    if problems:
+        raise CalibrationError(source, problems)
+    return Calibration(**values, key=key, about=about)

@@ -1,0 +1,59 @@
+// What a calibration says of a cluster: delays, errors, shares of the estimators, scores of pairs.
+#include <algorithm>
+#include <cmath>
+
+#include "cluster/charge_time.hpp"
+
+namespace cgemit {
+
+double DelayTable::at(std::size_t layer, int view, double strip_charge) const {
+  const std::size_t first = (2 * layer + static_cast<std::size_t>(view)) * points;
+  const std::span<const double> q = charge.subspan(first, points), t = delay.subspan(first, points);
+  if (strip_charge <= q.front()) return t.front();
+  if (strip_charge >= q.back()) return t.back();
+  const auto i = static_cast<std::size_t>(std::ranges::upper_bound(q, strip_charge) - q.begin());
+  return t[i - 1] + (strip_charge - q[i - 1]) / (q[i] - q[i - 1]) * (t[i] - t[i - 1]);
+}
+
+std::size_t Calibration::row(int view, std::size_t layer, double charge) const {
+  const std::size_t plane = static_cast<std::size_t>(view) * layers + layer;
+  const auto own = edges.subspan(plane * (charges - 1), charges - 1);
+  return plane * charges + static_cast<std::size_t>(std::ranges::upper_bound(own, charge) - own.begin());
+}
+
+double Calibration::error(Estimator which, std::size_t row, std::int32_t size) const {
+  const std::size_t at = std::min(static_cast<std::size_t>(size), sizes) - 1;
+  return errors[(static_cast<std::size_t>(which) * 2 * layers * charges + row) * sizes + at];
+}
+
+double Calibration::share(std::size_t row, std::int32_t size) const {
+  return shares[row * sizes + std::min(static_cast<std::size_t>(size), sizes) - 1];
+}
+
+double PairTable::score(const ClusterRow& x, const ClusterRow& v) const {
+  constexpr double tail = 0.02, reach = 20;  // share of the pairs in a flat tail, and its length in widths
+  const double* row = &values[static_cast<std::size_t>(x.layer) * entries];
+  const auto ratio = [](double value, double mean, double width, double apart) {
+    const double near = (value - mean) / width, far = value / apart;
+    const auto density = [](double u, double sigma) {
+      return (1 - tail) * std::exp(-0.5 * u * u) / (std::sqrt(2 * pi) * sigma) + tail / (reach * sigma);
+    };
+    return std::log(density(near, width) / density(far, apart));
+  };
+  const double least = 1e-3;  // fC
+  return ratio(std::log(std::max(x.charge, least) / std::max(v.charge, least)), row[0], row[1], row[4]) +
+         ratio(x.time - v.time, row[2], row[3], row[5]);
+}
+
+std::size_t SlopeErrors::row(int view, std::size_t layer, double slope, std::int32_t size) const {
+  const auto range = std::ranges::upper_bound(edges, std::abs(slope)) - edges.begin();
+  const std::size_t plane = static_cast<std::size_t>(view) * layers + layer;
+  return (plane * (edges.size() + 1) + static_cast<std::size_t>(range)) * sizes +
+         std::min(static_cast<std::size_t>(size), sizes) - 1;
+}
+
+double SlopeErrors::error(Estimator which, std::size_t row) const {
+  return values[static_cast<std::size_t>(which) * shares.size() + row];
+}
+
+}  // namespace cgemit

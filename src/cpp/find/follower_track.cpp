@@ -1,0 +1,85 @@
+// From the best branch of a follower to the track: its hits are filtered once more, and collected.
+#include <algorithm>
+#include <cmath>
+
+#include "detector/cluster_errors.hpp"
+#include "find/follower.hpp"
+#include "find/score.hpp"
+#include "kalman/field_reference.hpp"
+#include "kalman/tracer.hpp"
+
+namespace cgemit {
+
+// The track at the origin from all hits of a branch: the filter inward, twice, with the sides of wires from
+// the first time.
+bool Follower::refit(const Branch& best) {
+  for (std::int32_t at = best.chain; at >= 0; at = links_[static_cast<std::size_t>(at)].before) {
+    const Link& link = links_[static_cast<std::size_t>(at)];
+    slot(link.slot).used = true;
+    slot(link.slot).weight = link.weight;
+  }
+  const Five<double> prior{{1e4, 1, 100, 1e6, 25}};
+  for (int time = 0; time < 2; ++time) {
+    for (Slot<double>& s : group_.slots) {
+      if (!s.used) continue;
+      if (s.view == View::wire) {
+        s.value = s.weight * s.drift;
+        s.variance = s.noise + (1 - s.weight * s.weight) * s.drift * s.drift;
+      } else {
+        s.value = s.drift;
+        s.variance = variance_of(s);
+      }
+      s.residual = s.value - s.predicted;
+    }
+    for (Slot<double>& s : group_.slots)
+      if (!s.met) s.row = Five<double>::zero();
+    fitted_ = filter(detector_, group_, Symmetric<double>::diagonal(prior));
+    if (!(sound(fitted_) && positive_definite(fitted_.c))) return false;
+    if (time == 1) break;
+    smooth(group_, false);
+    for (Slot<double>& s : group_.slots) {
+      if (!s.used || s.view != View::wire) continue;
+      const double spread = std::max(s.unbiased_variance - s.variance, 0.0);
+      s.weight = std::tanh(s.drift * (s.value - s.unbiased) / (s.noise + spread));
+    }
+  }
+  return true;
+}
+
+void Follower::collect(const Branch& best, FoundTrack& track) const {
+  track.hits.clear();
+  track.gains.clear();
+  track.across = track.along = track.wires = track.layers = 0;
+  std::int32_t lowest = 0, highest = -1, last = -1;  // layers of wires
+  track.score = best.score;
+  track.holes = best.holes;
+  track.chi2 = fitted_.chi2;
+  for (std::int32_t at = best.chain; at >= 0; at = links_[static_cast<std::size_t>(at)].before) {
+    const Link& link = links_[static_cast<std::size_t>(at)];
+    const Slot<double>& s = group_.slots[static_cast<std::size_t>(link.slot)];
+    track.hits.push_back(s.hit[0]);
+    track.gains.push_back(link.gain);
+    if (s.view == View::wire) {
+      ++track.wires;
+      if (s.layer != last) ++track.layers;
+      lowest = last = s.layer;
+      highest = std::max(highest, last);
+    } else {
+      lowest = 0;
+    }
+    const bool tilted = s.view == View::v || (s.view == View::wire &&
+                                              detector_.wires[static_cast<std::size_t>(s.layer)].twist != 0);
+    ++(tilted ? track.along : track.across);
+  }
+  track.spanned = highest - lowest + 1;
+  std::ranges::reverse(track.hits);
+  std::ranges::reverse(track.gains);
+  const Five<double>& x = fitted_.x;
+  track.helix = {reference_.d + x[0], wrap_angle(reference_.psi + x[1]), reference_.kappa + x[2],
+                 reference_.z0 + x[3], reference_.tanl + x[4]};
+  if (track.helix.kappa == 0) track.helix.kappa = 1e-9;
+  track.covariance = fitted_.c;
+  track.score += log_prompt(track.helix.d, track.covariance(0, 0), settings_.max_d);
+}
+
+}  // namespace cgemit
