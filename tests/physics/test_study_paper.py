@@ -54,6 +54,7 @@ def ratios(detector, name, p, events=40_000):
     return found, max(w.core_error / w.core for w in widths)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "p"), POINTS)
 def test_resolutions_agree_with_the_linear_covariance(name, p):
     """d_rho and d_z to 3 % and two standard errors; p is smaller: 38 cells for 35 wires, narrower angles, losses."""

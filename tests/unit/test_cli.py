@@ -157,6 +157,7 @@ def test_ctrl_c_during_a_study_leaves_nothing(moment, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", [["validate", "--schema"], [*RESOLUTION, "-o", "out"]])
 def test_an_encoding_without_all_signs(command, tmp_path):
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path), "PYTHONIOENCODING": "ascii"}
@@ -168,6 +169,7 @@ def test_an_encoding_without_all_signs(command, tmp_path):
     assert done.stdout.isascii()
 
 
+@pytest.mark.slow
 def test_output_folders_are_not_overwritten_unasked(tmp_path, capsys):
     folder = tmp_path / "out"
     folder.mkdir()  # an empty one is free
@@ -213,6 +215,7 @@ def test_variants_from_the_shell(tmp_path):
     assert (detector.cgem[1].pitch_x, detector.field.bz) == (0.5, 1.5)
 
 
+@pytest.mark.slow
 def test_several_detectors_give_one_table_each_and_one_file_of_all(tmp_path, capsys):
     thin = tmp_path / "thin.toml"
     thin.write_text('base = "besiii-cgem-design"\n[cgem.L1]\ndrift_gap = "3 mm"\n', encoding="utf-8")
@@ -267,6 +270,7 @@ def test_resolutions_in_a_map_that_is_too_small_say_so(narrow_map, tmp_path, cap
     assert list(tmp_path.iterdir()) == [Path(narrow_map)]
 
 
+@pytest.mark.slow
 def test_slow_tracks_that_curl_are_no_matter_of_the_map(narrow_map, tmp_path, capsys):
     slow = ["resolution", "-d", "besiii-idc", "--p", "0.02,1", "--events", "60", "--quiet", "-o", str(tmp_path / "out")]
     assert main(slow) == 0

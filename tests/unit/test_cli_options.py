@@ -402,6 +402,7 @@ def closed(words: list[str], stream: str, folder: Path) -> int:
         os.close(write)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stream", ["stdout", "stderr"])
 def test_a_closed_pipe_leaves_no_files_out(stream: str, tmp_path: Path) -> None:
     assert closed(["show", DESIGN, "-o", "pictures"], stream, tmp_path) == 0

@@ -39,6 +39,7 @@ def test_detectors(capsys: pytest.CaptureFixture[str]) -> None:
     assert list(json.loads(capsys.readouterr().out)) == [line.split()[0] for line in lines]
 
 
+@pytest.mark.slow
 def test_show_prints_tables_and_draws(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     folder = tmp_path / "out"
     assert call("show", "besiii-cgem", "-o", str(folder)) == 0
@@ -55,6 +56,7 @@ def test_show_prints_tables_and_draws(capsys: pytest.CaptureFixture[str], tmp_pa
     assert load(folder / "detector.toml") == load("besiii-cgem")
 
 
+@pytest.mark.slow
 def test_show_never_overwrites_unasked(tmp_path: Path) -> None:
     folder = tmp_path / "out"
     call("show", "besiii-idc", "-o", str(folder))

@@ -46,6 +46,7 @@ def test_finder_and_settings(words, fakes, capsys):
     assert numbers["belle2"]["efficiency"]["count"] == (20 if "truth" in words else 0)
 
 
+@pytest.mark.slow
 def test_memory_is_bounded():
     """Fifty times the background of 2026, with 3 GB of address space for all of the program."""
     line = [

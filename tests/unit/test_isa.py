@@ -202,6 +202,7 @@ def test_fit_through_a_map_is_that_of_scalar_code(field: str, name: str) -> None
     assert np.quantile(apart, 0.99) < 1e-4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", LANES)
 @pytest.mark.parametrize("field", ["uniform", *MAPS])
 @pytest.mark.parametrize(

@@ -154,6 +154,7 @@ def test_a_thin_gas_can_be_written():
     assert half.drift_chamber.gas.composition == (("He", 1.0),)
 
 
+@pytest.mark.slow
 def test_dollars_are_drawn_as_they_are(tmp_path, capsys):
     """Formulas of matplotlib begin with a dollar; a name with one must neither fail nor vanish."""
     tables = tomllib.loads(load(DESIGN).to_toml()) | {"name": "a$^$b$"}

@@ -162,6 +162,7 @@ def test_the_optimum_has_sheets_full_of_whole_strips(found: Optimization) -> Non
     assert geometry.channels(found.detector()) == found["channels"][-1]
 
 
+@pytest.mark.slow
 def test_an_objective_without_tracks_ends_at_its_limit() -> None:
     best = optimize(
         DESIGN, {"cgem.*.pitch_x": ("300 um", "900 um"), "cgem.*.pitch_v": ("300 um", "900 um")}, minimize="channels",
@@ -171,6 +172,7 @@ def test_an_objective_without_tracks_ends_at_its_limit() -> None:
     assert best["channels"][best.front[0]] < best["channels"][0]
 
 
+@pytest.mark.slow
 def test_an_optimum_without_an_allowed_design_says_so() -> None:
     none = optimize(DESIGN, {"cgem.*.pitch_x": ("500 um", "700 um")}, constraints={"channels": (None, 100)}, samples=64)
     assert none.front == []

@@ -100,6 +100,7 @@ def test_the_front_of_a_search_keeps_the_limits_and_is_dominated_by_nothing(foun
     assert 0 < result.hypervolume_error < 0.2 * result.growth[-1][2]
 
 
+@pytest.mark.slow
 def test_evolution_beats_random_designs() -> None:
     how = HOW | {"minimize": ["dr @ 0.3", "channels"], "constraints": {}}
     evolved = optimize(DESIGN, SPACE, calls=12, **how)

@@ -75,6 +75,7 @@ def assert_brute_force(columns, entry, exit_):
     assert result <= sampled(columns, entry, exit_, -2 * length / SAMPLES - ROUNDING)
 
 
+@pytest.mark.slow
 @settings(max_examples=150, deadline=None)
 @given(
     index=st.integers(0, 2),
@@ -93,6 +94,7 @@ def test_any_segment_fires_the_strips_under_it(index, phi, z, turn, rise, mirror
     assert_brute_force(columns, (phi, z), (phi + turn, z + rise))
 
 
+@pytest.mark.slow
 @settings(max_examples=100, deadline=None)
 @given(
     sheet=st.integers(0, 1),

@@ -218,6 +218,7 @@ def test_damaged_chunks_are_found_and_computed_anew(tmp_path: Path, damage: str)
     assert (tmp_path / "sweep.csv").read_bytes() == before
 
 
+@pytest.mark.slow
 def test_chunks_depend_on_all_that_results_depend_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def computed(**how: Any) -> int:
         counted = Counting()
@@ -336,6 +337,7 @@ def plan(tmp_path: Path) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_a_plan_is_the_same_call_in_python(plan: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["sweep", str(plan), "-o", str(tmp_path / "a"), "--parquet", "--quiet", "--threads", "1"]) == 0
     assert "2 variants, 12 rows" in capsys.readouterr().out
@@ -375,6 +377,7 @@ def test_set_changes_one_value_of_the_plan(plan: Path, change: str, named: dict[
     assert after == expected != before
 
 
+@pytest.mark.slow
 def test_parts_of_an_array_are_merged(plan: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     whole, parts = tmp_path / "whole", tmp_path / "parts"
     assert main(["sweep", str(plan), "-o", str(whole), "--quiet"]) == 0

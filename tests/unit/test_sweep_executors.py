@@ -20,6 +20,7 @@ def serial(tmp_path_factory: pytest.TempPathFactory) -> list[bytes]:
         return swept(tmp_path_factory.mktemp("serial") / "out", executor=one)
 
 
+@pytest.mark.slow
 def test_every_executor_makes_the_same_files(serial: list[bytes], tmp_path: Path) -> None:
     assert swept(tmp_path / "threads") == serial
     assert swept(tmp_path / "large chunks", chunk=4) == serial

@@ -160,6 +160,7 @@ def test_points_that_are_only_in_xv_clusters(run):
     assert (tracks["status"] == cg.FitStatus.ok).mean() > 0.9
 
 
+@pytest.mark.slow
 def test_tracks_are_found_in_a_field_map():
     detector = cg.load("besiii-cgem").with_field("besiii")
     run = cg.run(detector, PAIR, n=3, settings=QUIET, finder="ckf")

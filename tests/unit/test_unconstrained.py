@@ -10,6 +10,7 @@ from cgemit.fit import FitStatus
 STOPPING = cg.Gun("p", p=(0.20, 0.26), cos_theta=(-0.3, 0.3))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", isa.available())
 def test_protons_that_stop_behind_the_cgem_are_unconstrained(name: str) -> None:
     before = isa.name()

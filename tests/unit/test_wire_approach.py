@@ -76,6 +76,7 @@ def passages(draw):
     return start[0][0], layer, wire
 
 
+@pytest.mark.slow
 @settings(max_examples=60)
 @given(passages())
 def test_distance_is_the_smallest(passage):
