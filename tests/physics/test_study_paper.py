@@ -66,6 +66,7 @@ def test_resolutions_agree_with_the_linear_covariance(name, p):
     assert 0.88 < momentum < 1
 
 
+@pytest.mark.slow
 def test_linear_covariance_gate_fails_for_other_foils():
     """Foils of 5 um of copper, as built, for those of 2 um, and wires of 160 um."""
     (dr, _, _), _ = ratios("besiii-cgem", DESIGN, 1.0)

@@ -72,6 +72,7 @@ def test_ranges_and_lists_of_angles():
     np.testing.assert_allclose(of_list.sigma("dz"), core_width(np.concatenate(each, axis=1)), rtol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("words", "settings", "change"),
     [

@@ -190,6 +190,7 @@ def test_output_folders_are_not_overwritten_unasked(tmp_path, capsys):
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
 
 
+@pytest.mark.slow
 def test_resolution_writes_table_curves_and_json(tmp_path, capsys):
     assert main([*RESOLUTION, "-o", str(tmp_path / "a"), "--threads", "1"]) == 0
     table = capsys.readouterr().out
@@ -279,6 +280,7 @@ def test_slow_tracks_that_curl_are_no_matter_of_the_map(narrow_map, tmp_path, ca
     assert "map" not in note
 
 
+@pytest.mark.slow
 def test_changes_apply_to_every_detector(tmp_path):
     arguments = [*RESOLUTION, "-d", "besiii-idc", "--set", "field.bz=1.5 T", "-o", str(tmp_path / "out")]
     assert main(arguments) == 0

@@ -67,6 +67,7 @@ def test_show_never_overwrites_unasked(tmp_path: Path) -> None:
     assert not (folder / "layers.png").exists()
 
 
+@pytest.mark.slow
 def test_show_json_with_changes(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -111,6 +111,7 @@ variants = st.fixed_dictionaries(
 )
 
 
+@pytest.mark.slow
 @given(variants)
 def test_any_variant_reads_back_equal(tables: dict[str, Any]) -> None:
     if tables.get("remove") == ["cgem.L1"]:

@@ -112,6 +112,7 @@ def test_another_field_moves_the_hits(flights, detector):
     assert np.abs(one["exit_x"] - other["exit_x"]).max() > 2e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("p", [(0.05, 0.15), (0.3, 2.0)])
 def test_constant_map_simulates_what_the_uniform_field_does(p):
     """Loopers, scatters and losses included: the same rows, within what steps cost."""

@@ -88,6 +88,7 @@ def test_formation() -> None:
         formation(cg.ProjectionReadout())
 
 
+@pytest.mark.slow
 def test_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Scans, wrong pairs and the picture from the command line; contradictory options are refused."""
     common = ["readout", "--readout", "tiger", "--quiet"]

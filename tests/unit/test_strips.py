@@ -110,6 +110,7 @@ def test_segments_at_the_seams(sheet, before, turn, z, rise):
     assert_brute_force(columns, (phi, z), (phi + turn, z + rise))
 
 
+@pytest.mark.slow
 @settings(max_examples=50, deadline=None)
 @given(side=st.sampled_from([-1, 1]), z=st.floats(-3.0, 3.0), rise=st.floats(-6.0, 6.0), phi=st.floats(-3.0, 3.0))
 def test_segments_at_the_ends(side, z, rise, phi):

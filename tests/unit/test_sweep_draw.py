@@ -24,6 +24,7 @@ def simulated() -> Sweep:
     return sweep(DESIGN, {"cgem.*.pitch_x": ["900 um", "400 um"]}, evaluate="mc", p=[0.3, 1.0], events=100)
 
 
+@pytest.mark.slow
 def test_a_scan_is_a_line_for_each_point_in_order_of_the_key() -> None:
     found = simulated()
     axes = found.draw("sigma_dz (mm)").axes[0]
@@ -107,6 +108,7 @@ def test_parallel_coordinates_are_of_the_first_point_with_a_variant() -> None:
     assert axes.get_title() == "p = 1 GeV/c, cos θ = 0"
 
 
+@pytest.mark.slow
 def test_budgets_of_variants_are_bars_that_add_up_to_the_variance() -> None:
     found = sweep(DESIGN, {"cgem.L2.anode_radius": ["120 mm", "165 mm", "145 mm"]}, p=[0.3, 1.0], samples=16)
     picture = found.draw_budgets("dr", "cause", point=1)

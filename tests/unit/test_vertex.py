@@ -10,12 +10,12 @@ from scipy.stats import kstest
 
 import cgemit as cg
 from cgemit import helix
-from cgemit.fit import FitStatus
+from cgemit.fit import FitStatus, fit
 from cgemit.gun import generate
 from cgemit.match import compare
 from cgemit.species import species
 from cgemit.tables import SCHEMAS
-from cgemit.vertex import with_truth
+from cgemit.vertex import begin_at_vertices, with_truth
 from stats import assert_within, mean_error
 
 DETECTOR = cg.load("besiii-cgem-design")
@@ -120,6 +120,7 @@ def test_smeared_helices_have_pulls_of_unit_width(spot: cg.BeamSpot | None) -> N
         assert np.all(found["err_x"] < np.minimum(free["err_x"], 0.4))
 
 
+@pytest.mark.slow
 def test_the_fit_is_the_least_squares_of_all_parameters() -> None:
     """A general minimiser over the nine parameters finds the same vertex and chi-square."""
     particles = decays("ks-pipi", 6, seed=3)
@@ -242,3 +243,47 @@ def test_fitted_tracks_give_the_mass_and_its_error() -> None:
         assert_within(core, 1, 0.035, what=name)  # 1.5 / sqrt(2 n)
     assert_within(np.median(found["mass"][inside]), species("K0_S").mass, 1.25 * 0.003 / np.sqrt(n))
     assert cg.study.measure(found["res_mass"][inside]).core < 0.003
+
+
+@pytest.mark.slow
+def test_tracks_that_begin_at_their_vertex_have_unit_pulls() -> None:
+    """K_S that decay beyond the beam pipe: the second fit leaves out the pipe, and mass and vertex get their errors."""
+    detector = cg.load("besiii-cgem")
+    result = cg.run(detector, cg.sample("ks-pipi"), n=3000, seed=3)
+    before = cg.fit_vertices(detector, result.tracks)
+    begun = begin_at_vertices(detector, result.candidates, result.tracks, before)
+    again = fit(detector, result.clusters, result.wire_hits, begun, result.candidate_hits, result.settings.fit)[
+        "tracks"
+    ]
+    after = cg.fit_vertices(detector, again)
+    widths = []
+    for vertices, tracks in ((before, result.tracks), (after, again)):
+        pulls = with_truth(vertices, tracks, result.matches, result.particles)
+        radius = np.hypot(pulls["truth_x"], pulls["truth_y"])
+        beyond = (pulls["status"] == 0) & (radius > 34) & (radius < 110)
+        widths.append([cg.study.measure(pulls[f"pull_{name}"][beyond]) for name in ("mass", "x")])
+        assert beyond.sum() > 500
+    for old, new in zip(*widths, strict=True):
+        assert abs(new.core - 1) < 0.05 + 3 * new.core_error
+        assert abs(old.core - 1) > 0.05 + 1.5 * old.core_error  # the fit through the pipe fails
+    assert abs(widths[1][0].mean) < 0.15 < widths[0][0].mean
+
+
+def test_a_track_of_two_vertices_begins_at_the_better_one() -> None:
+    detector = cg.load("besiii-cgem")
+    result = cg.run(detector, cg.sample("ks-pipi"), n=20, seed=4)
+    found = cg.fit_vertices(detector, result.tracks)
+    rows = np.flatnonzero(found["status"] == 0)[[0, 0]]
+    worse = {name: column[rows].copy() for name, column in found.columns.items()}
+    worse["chi2"] = np.array([1.0, 9.0])
+    worse["x"][1] += 30.0
+    worse["first"], worse["second"] = (
+        np.array([worse[a][0], worse[b][1]]) for a, b in (("first", "second"), ("second", "first"))
+    )
+    both = cg.Table("vertices", worse, **found.cover)
+    begun = begin_at_vertices(detector, result.candidates, result.tracks, both)
+    radius = np.hypot(worse["x"][0], worse["y"][0])
+    assert np.count_nonzero(begun["start_radius"]) == 2
+    assert np.abs(begun["start_radius"][begun["start_radius"] != 0]) == pytest.approx([radius, radius])
+    with pytest.raises(ValueError, match="begin_at_vertices"):
+        begin_at_vertices(detector, result.tracks, result.tracks, both)

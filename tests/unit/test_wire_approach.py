@@ -92,6 +92,7 @@ def test_distance_is_the_smallest(passage):
     np.testing.assert_allclose(moved[0, :3], helix_at(start, arcs[0])[0], rtol=0, atol=1e-6)
 
 
+@pytest.mark.slow
 @settings(max_examples=300)
 @given(passages())
 def test_sign_and_right_angles(passage):

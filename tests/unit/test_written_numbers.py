@@ -50,6 +50,7 @@ def test_units_are_those_that_are_quoted():
     assert {name: scale for name, (_, scale) in QUOTED.items()} == UNITS
 
 
+@pytest.mark.slow
 def test_numbers_of_a_scan(scanned, tmp_path):
     """Table, curves, summary and print-out of a scan hold the width that they name."""
     save_scans([scanned], tmp_path / "out")

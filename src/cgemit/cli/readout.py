@@ -149,7 +149,8 @@ def _formation(arguments: argparse.Namespace, readout: Any) -> int:
         raise changes.InputError(f"--formation: got {target}, which exists; expected another file, or --overwrite")
     angle = _one_angle(arguments)
     panels = formation(readout, angle=angle, bz=arguments.bz, seed=arguments.seed)
-    draw_formation(panels).savefig(target, dpi=150)
+    for path in draw_formation(panels).save(target, overwrite=arguments.overwrite):
+        print(f"picture: {path}", file=sys.stderr)
     return common.OK
 
 

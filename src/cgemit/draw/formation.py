@@ -57,7 +57,8 @@ def draw_formation(panels: Sequence[FormationPanel]) -> Picture:
             )  # fmt: skip
             axes.set(xlim=(low, high), ylim=(panel.anode + 1.15 * _DEPTH, -0.8), title=panel.title)
             axes.set(xlabel="X − X of the muon at mid-gap  (mm)", ylabel="depth from the cathode  (mm)")
-            total = f"{panel.charge.sum():.0f} fC on {len(panel.charge)} strips"
+            n = len(panel.charge)
+            total = f"{panel.charge.sum():.0f} fC on {n} strip{'s' * (n != 1)}"
             axes.text(0.02, 0.02, total, transform=axes.transAxes, ha="left", va="bottom", fontsize=9)
             names = [(0, "cathode"), *((depth, f"GEM {i + 1}") for i, depth in enumerate(panel.foils))]
             for depth, name in [*names, (panel.anode, "anode")]:
