@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from cgemit.io.files import check_unpacked
+from cgemit.io.files import check_unpacked, new_file
 from cgemit.io.packages import package
 
 _KEY = b"cgemit"  # of the JSON text
@@ -20,6 +21,14 @@ def write_parquet(path: Path, columns: Mapping[str, np.ndarray[Any, Any]], about
     pyarrow, parquet = package("pyarrow"), package("pyarrow.parquet")
     table = pyarrow.table(dict(columns))
     parquet.write_table(table.replace_schema_metadata({_KEY: json.dumps(dict(about), allow_nan=False)}), path)
+
+
+def write_columns(path: str | os.PathLike[str], columns: Mapping[str, Any], *, overwrite: bool = False) -> Path:
+    """Write columns of any origin as a Parquet file for other programs."""
+    pyarrow, parquet = package("pyarrow"), package("pyarrow.parquet")
+    with new_file(path, overwrite=overwrite) as temporary:
+        parquet.write_table(pyarrow.table(dict(columns)), temporary)
+    return Path(path)
 
 
 def read_parquet(

@@ -3,25 +3,22 @@
 from __future__ import annotations
 
 import os
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from cgemit.io import new_file
-from cgemit.io.toml import toml_text
 from cgemit.study.optimizer.result import Optimization
 from cgemit.study.optimizer.run import optimize
 from cgemit.study.sweeps.plan import (
-    PLAN,
     PlanError,
-    change_table,
     numbers,
     placed,
+    plan_tables,
     range_of,
     settings_of,
     without_unknown,
+    write_plan,
 )
 
 #: Keys of each table of a plan, with what they mean; docs/optimize.md shows them.
@@ -84,10 +81,7 @@ class OptimizePlan:
 
     def write(self, folder: str | os.PathLike[str]) -> Path:
         """Write the plan to the folder of its output."""
-        path = Path(folder) / PLAN
-        with new_file(path, overwrite=True) as temporary:
-            temporary.write_text(toml_text(self.tables), encoding="utf-8")
-        return path
+        return write_plan(folder, self.tables)
 
 
 def read_optimize_plan(path: str | os.PathLike[str], changes: Mapping[str, Any] | None = None) -> OptimizePlan:
@@ -106,21 +100,15 @@ def read_optimize_plan(path: str | os.PathLike[str], changes: Mapping[str, Any] 
     PlanError
         With every problem of the plan's form; `optimize` lists those of its values.
     """
-    file = Path(path)
-    try:
-        tables = tomllib.loads(file.read_text(encoding="utf-8-sig"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise PlanError(str(path), [f"got {error}; expected a TOML file"]) from error
     problems: list[str] = []
-    for key, value in (changes or {}).items():
-        change_table(tables, key, value, problems)
+    tables = plan_tables(path, changes or {}, problems)
     _check_forms(tables, problems)
     if problems:
         raise PlanError(str(path), problems)
     tables = without_unknown(tables, KEYS, problems)
     if "vary" not in tables:
         problems.append("vary: missing, expected a table of keys of the detector file")
-    tables = placed(tables, file.resolve().parent)
+    tables = placed(tables, Path(path).resolve().parent)
     evaluate, search = dict(tables.get("evaluate", {})), dict(tables.get("search", {}))
     arguments: dict[str, Any] = {"base": tables.get("base"), "minimize": tables.get("minimize", "dr")}
     if "method" in evaluate:

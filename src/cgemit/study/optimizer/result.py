@@ -15,6 +15,7 @@ import numpy as np
 from cgemit.detector import Detector
 from cgemit.io.files import new_file
 from cgemit.io.folders import SUMMARY
+from cgemit.io.parquet import write_columns
 from cgemit.record import versions
 from cgemit.statistics.formatting import html_table, text_table, write_csv
 from cgemit.study.optimizer.confirm import Confirmation, confirm
@@ -198,12 +199,7 @@ class Optimization:
         FileExistsError
             If the file exists and `overwrite` is false.
         """
-        import pyarrow
-        import pyarrow.parquet
-
-        with new_file(path, overwrite=overwrite) as temporary:
-            pyarrow.parquet.write_table(pyarrow.table(self.columns), temporary)
-        return Path(path)
+        return write_columns(path, self.columns, overwrite=overwrite)
 
     def summary(self) -> dict[str, Any]:
         """Return what `summary.json` holds: what was varied and minimized, how it ended, and the best designs."""

@@ -85,10 +85,7 @@ class Plan:
 
     def write(self, folder: str | os.PathLike[str]) -> Path:
         """Write the plan to the folder of its output, from where it can be merged."""
-        path = Path(folder) / PLAN
-        with new_file(path, overwrite=True) as temporary:
-            temporary.write_text(toml_text(self.tables), encoding="utf-8")
-        return path
+        return write_plan(folder, self.tables)
 
 
 def read_plan(path: str | os.PathLike[str], changes: Mapping[str, Any] | None = None) -> Plan:
@@ -107,14 +104,8 @@ def read_plan(path: str | os.PathLike[str], changes: Mapping[str, Any] | None = 
     PlanError
         With every problem of the plan.
     """
-    file = Path(path)
-    try:
-        tables = tomllib.loads(file.read_text(encoding="utf-8-sig"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise PlanError(str(path), [f"got {error}; expected a TOML file"]) from error
     problems: list[str] = []
-    for key, value in (changes or {}).items():
-        change_table(tables, key, value, problems)
+    tables = plan_tables(path, changes or {}, problems)
     _check_forms(tables, problems)
     if problems:
         raise PlanError(str(path), problems)
@@ -122,7 +113,7 @@ def read_plan(path: str | os.PathLike[str], changes: Mapping[str, Any] | None = 
     if ("vary" in tables) == ("variants" in tables):
         given = "both" if "vary" in tables else "none"
         raise PlanError(str(path), [*problems, f"vary, variants: got {given}, expected one of them"])
-    tables = placed(tables, file.resolve().parent)
+    tables = placed(tables, Path(path).resolve().parent)
     arguments = {"base": tables.get("base"), **_evaluate(tables.get("evaluate", {}), problems)}
     arguments["space"] = _space(tables, problems)
     arguments["settings"] = settings_of(tables.get("settings"), problems)
@@ -132,6 +123,47 @@ def read_plan(path: str | os.PathLike[str], changes: Mapping[str, Any] | None = 
     if problems:
         raise PlanError(str(path), problems)
     return Plan(tables, arguments, tables.get("draw", {}))
+
+
+def write_plan(folder: str | os.PathLike[str], tables: Mapping[str, Any]) -> Path:
+    """Write the tables of a plan to the folder of its output.
+
+    Parameters
+    ----------
+    folder : path
+    tables : mapping
+    """
+    path = Path(folder) / PLAN
+    with new_file(path, overwrite=True) as temporary:
+        temporary.write_text(toml_text(tables), encoding="utf-8")
+    return path
+
+
+def plan_tables(path: str | os.PathLike[str], changes: Mapping[str, Any], problems: list[str]) -> dict[str, Any]:
+    """Return the tables of the file of a plan, with changes.
+
+    Parameters
+    ----------
+    path : path
+    changes : mapping of str to object
+        Values by dotted key.
+    problems : list of str
+        Problems of the changes are added.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    PlanError
+        If it is no TOML file.
+    """
+    try:
+        tables = tomllib.loads(Path(path).read_text(encoding="utf-8-sig"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise PlanError(str(path), [f"got {error}; expected a TOML file"]) from error
+    for key, value in changes.items():
+        change_table(tables, key, value, problems)
+    return tables
 
 
 def change_table(tables: dict[str, Any], key: str, value: Any, problems: list[str]) -> None:

@@ -17,6 +17,7 @@ from cgemit.detector import Detector
 from cgemit.detector.variants import variant_name
 from cgemit.io.files import new_file
 from cgemit.io.folders import SUMMARY
+from cgemit.io.parquet import write_columns
 from cgemit.record import versions
 from cgemit.statistics.formatting import html_table, text_table, write_csv
 from cgemit.study.sweeps.axes import axis_of
@@ -155,12 +156,7 @@ class Sweep:
         FileExistsError
             If the file exists and `overwrite` is false.
         """
-        import pyarrow
-        import pyarrow.parquet
-
-        with new_file(path, overwrite=overwrite) as temporary:
-            pyarrow.parquet.write_table(pyarrow.table(self.columns), temporary)
-        return Path(path)
+        return write_columns(path, self.columns, overwrite=overwrite)
 
     def summary(self) -> dict[str, Any]:
         """Return what `summary.json` holds: what was varied and evaluated, and how the variants ended."""
