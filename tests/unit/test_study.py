@@ -397,3 +397,17 @@ def test_numbers_that_are_none(study, numbers):
 def test_all_wrong_numbers_of_a_study_at_once():
     with pytest.raises(ValueError, match=r"study:\n  events: 399, .* 400 to .*\n  seed: -1, .*\n  threads: 0, "):
         reproduce(quick=True, events=399, seed=-1, threads=0)
+
+
+@pytest.mark.slow
+def test_notes_of_other_readouts_do_not_speak_of_projected_strips():
+    """Rows of clusters name the read-out; numbers of tracks keep their notes."""
+    analog = cgemit.Settings(digitize=cgemit.DigitizeSettings(readout="tiger"))
+    study = reproduce(events=400, settings=analog)
+    for row in study.results:
+        if row.id.startswith(("x_", "v_")):
+            assert "binary" in row.note or "tiger" in row.note or "nominal gap" in row.note, row
+            assert "sqrt" not in row.note
+            assert "Geant4" not in row.note
+    assert any("Read-out tiger" in row.note for row in study.results)
+    assert not any("Read-out" in row.note for row in reproduce(events=400).results)

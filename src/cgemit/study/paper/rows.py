@@ -52,6 +52,8 @@ def _x_numbers(sample: Sample) -> dict[str, tuple[float, float]]:
 def _x_rows(sample: Sample) -> list[Row]:
     numbers = _x_numbers(sample)
     (rms, error), (core, _) = numbers["x_residual_rms"], numbers["x_residual_core"]
+    if _readout(sample) != "binary":
+        return [_other_readout(name, sample, *pair) for name, pair in numbers.items()]
     notes = {
         "x_residual_rms": explain_x_rms(rms, error, _published("x_residual_rms"), x_beyond(sample.clusters)[0]),
         "x_residual_core": explain_x_core(core, rms),
@@ -63,7 +65,7 @@ def _x_rows(sample: Sample) -> list[Row]:
 def _gap_rows(sample: Sample, nominal: Mapping[str, float]) -> list[Row]:
     gap = sample.detector.cgem[0].drift_gap
     return [
-        _row(f"{name}_gap3mm", sample, *pair, explain_gap_variant(gap, pair[0], nominal[name]))
+        _row(f"{name}_gap3mm", sample, *pair, explain_gap_variant(gap, pair[0], nominal[name], _readout(sample)))
         for name, pair in _x_numbers(sample).items()
     ]
 
@@ -72,7 +74,7 @@ def _window_rows(sample: Sample) -> list[Row]:
     rows = []
     for number, (name, window) in enumerate(X_WINDOWS.items()):
         widths = x_widths(sample.clusters, window)
-        note = explain_x_window(window, widths.outside, widths.n, number)
+        note = explain_x_window(window, widths.outside, widths.n, number, _readout(sample))
         rows.append(_row(f"x_residual_rms_{name}", sample, widths.rms, widths.rms_error, note))
     return rows
 
@@ -89,6 +91,8 @@ def _delta_rows(sample: Sample) -> list[Row]:
 
 def _v_row(sample: Sample) -> Row:
     fit = v_fit(sample.clusters)
+    if _readout(sample) != "binary":
+        return _other_readout("v_residual_sigma", sample, fit.sigma, fit.sigma_error)
     note = explain_v_width(fit.sigma, fit.sigma_error, _published("v_residual_sigma"))
     return _row("v_residual_sigma", sample, fit.sigma, fit.sigma_error, note)
 
@@ -103,6 +107,18 @@ def _idc_row(sample: Sample, parameter: str, cgem: float) -> Row:
     widths = windowed_resolution(sample.tracks, parameter)
     note = explain_idc(parameter, widths.core, cgem)
     return _row(f"sigma_{parameter}_idc", sample, widths.core, widths.core_error, note)
+
+
+def _readout(sample: Sample) -> str:
+    return str(sample.settings.digitize.readout.name)
+
+
+def _other_readout(name: str, sample: Sample, value: float, error: float) -> Row:
+    """Return the row of a number of clusters whose read-out is not that of the paper."""
+    paper = paper_values()[name].value
+    text = "" if paper is None else f"{deviation(value, error, paper).capitalize()}. "
+    note = f"{text}Read-out {_readout(sample)}; the paper's clusters are binary. docs/methods/readout.md says more."
+    return _row(name, sample, value, error, note)
 
 
 def _published(name: str) -> float:
@@ -138,9 +154,11 @@ def explain_x_rms(value: float, error: float, paper: float, beyond: float) -> st
     )  # fmt: skip
 
 
-def explain_x_window(window: float, outside: int, n: int, number: int) -> str:
+def explain_x_window(window: float, outside: int, n: int, number: int, readout: str = "binary") -> str:
     """Explain the RMS of the X residual in one window, the `number`-th of `X_WINDOWS`."""
     where = f"{outside:,} of {n:,} residuals are outside" if np.isfinite(window) else "A few clusters decide it"
+    if readout != "binary":
+        return f"{where}. Read-out {readout}."
     geant4 = ", ".join(f"{run.rms[number]} um ({run.title})" for run in geant4_runs())
     return f"{where}. Geant4: {geant4}."
 
@@ -171,14 +189,18 @@ def explain_single_strips(gap: float) -> str:
     )
 
 
-def explain_gap_variant(gap: float, value: float, nominal: float) -> str:
+def explain_gap_variant(gap: float, value: float, nominal: float, readout: str = "binary") -> str:
     """Explain the numbers of a thinner drift gap."""
     change = value / nominal - 1
     more = "more" if change > 0 else "less"
     return (
         "A variant of ours, since the paper does not state its drift gap. "
-        f"{100 * abs(change):.1f} % {more} than with the nominal gap: in a {gap:g} mm gap crossings are shorter and "
-        "fire one strip more often."
+        f"{100 * abs(change):.1f} % {more} than with the nominal gap"
+        + (
+            f": in a {gap:g} mm gap crossings are shorter and fire one strip more often."
+            if readout == "binary"
+            else "."
+        )
     )
 
 
