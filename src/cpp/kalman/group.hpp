@@ -126,12 +126,12 @@ struct Group {
   std::vector<SlabNoise<T>> noise;         // one per slab of `steps`, all zero where it was not crossed
   std::vector<DenseNoise<T>> dense_noise;  // instead of `noise` in a field map; else empty
   std::vector<mask_of<T>> ahead;           // the same: lanes with measurements beyond
-  mask_of<T> kinked;                       // lanes whose reference has kinks
+  mask_of<T> kinked{false};                // lanes whose reference has kinks
   std::vector<Kink<T>> kinks;              // one per slab of `steps`; unused in other lanes
   // After a trace: hits met; whether the particle ran out of momentum before the next one.
-  std::array<std::int32_t, lanes_of<T>> reached;
-  mask_of<T> stopped;
-  mask_of<T> left;  // whether it left the field map
+  std::array<std::int32_t, lanes_of<T>> reached{};
+  mask_of<T> stopped{false};
+  mask_of<T> left{false};  // whether it left the field map
 };
 
 // Kinks for a single track: two angles for every slab of the detector, or none at all.
