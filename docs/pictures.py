@@ -16,7 +16,7 @@ from matplotlib.axes import Axes
 import cgemit as cg
 from cgemit import _core, helix
 from cgemit.detector import compiled, slabs
-from cgemit.detector.slabs import Holes
+from cgemit.detector.holes import Holes
 from cgemit.draw.geometry import helix_points
 from cgemit.particles import particles_from
 
