@@ -12,6 +12,13 @@ double beyond_the_end(int n) {
 
 int overflow(int n) { return std::numeric_limits<int>::max() + n; }
 
+// Read before it is written.
+int undefined(int n) {
+  bool values[8];
+  for (int i = n; i < 8; ++i) values[i] = true;
+  return values[0];
+}
+
 // From two threads with the same counter.
 void race(int* counter) {
   for (int i = 0; i < 20000000; ++i) ++*const_cast<volatile int*>(counter);
