@@ -45,7 +45,7 @@ radius = np.array([part["radius_mm"] for part in parts])
 total = np.cumsum([part["x0_percent"] for part in parts])
 fig, axes = plt.subplots(figsize=(6, 3.2))
 axes.step(radius, total, where="post")
-axes.set(xlabel="radius [mm]", ylabel="matter crossed [% X0]", title=detector.name)
+axes.set(xlabel="radius  (mm)", ylabel="matter crossed  (% X0)", title=detector.name)
 axes.grid(alpha=0.3)
 
 # %% [markdown]
@@ -83,7 +83,7 @@ for particle, p in (("mu-", 1.0), ("mu-", 0.2), ("K-", 0.5), ("p+", 0.8)):
     loss = cg.slab(layer, particle=particle, p=p, n=50_000).loss
     label = f"{particle} {p:g} GeV/c: median {np.median(loss):.0f}, mean {loss.mean():.0f} keV"
     axes.hist(loss, np.linspace(0, 900, 181), histtype="step", density=True, label=label)
-axes.set(xlabel="energy loss [keV]", ylabel="density [1/keV]", yscale="log")
+axes.set(xlabel="energy loss  (keV)", ylabel="density  (1/keV)", yscale="log")
 fig.legend(fontsize=8, loc="outside upper center", ncols=2)
 axes.grid(alpha=0.3)
 
@@ -107,7 +107,7 @@ print(f"{clusters:.1f} clusters and {others:.2f} steps of delta electrons in a c
 sizes = np.bincount(np.minimum(steps["n_electrons"][own], 40))[1:] / own.sum()
 fig, axes = plt.subplots(figsize=(6, 3.2))
 axes.step(np.arange(1, len(sizes) + 1), 100 * sizes, where="mid")
-axes.set(xlabel="electrons in a cluster", ylabel="clusters [%]", yscale="log", title="Ar/iC4H10 90/10")
+axes.set(xlabel="electrons in a cluster", ylabel="clusters  (%)", yscale="log", title="Ar/iC4H10 90/10")
 axes.grid(alpha=0.3)
 
 # %% [markdown]
@@ -123,7 +123,7 @@ far = cg.study.delta_displacements(result.truths, result.steps)
 fig, axes = plt.subplots(figsize=(6, 3.4))
 for distance, name in zip(far, ("r-phi", "z"), strict=True):
     axes.step(np.sort(distance)[::-1], 100 * np.arange(1, len(distance) + 1) / len(distance), label=name)
-axes.set(xlabel="farthest deposit from the track [mm]", ylabel="crossings beyond [%]", xscale="log", yscale="log")
+axes.set(xlabel="farthest deposit from the track  (mm)", ylabel="crossings beyond  (%)", xscale="log", yscale="log")
 axes.set(xlim=(0.05, 50), ylim=(0.01, 20))
 axes.legend(title=f"{len(far[0]):,} crossings")
 axes.grid(alpha=0.3)

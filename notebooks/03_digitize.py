@@ -49,10 +49,10 @@ fields = np.linspace(1.0, 3.0, 21)
 drift = [transport("ar-ic4h10-90-10", field, 1.0) for field in fields]
 fig, (left, right) = plt.subplots(1, 2, figsize=(8, 3.2))
 left.plot(fields, [np.degrees(np.arctan(one.tan_lorentz)) for one in drift])
-left.set(xlabel="drift field [kV/cm]", ylabel="Lorentz angle [deg]", title="1 T")
+left.set(xlabel="drift field  (kV/cm)", ylabel="Lorentz angle  (deg)", title="1 T")
 right.plot(fields, [1000 * np.sqrt(10) * one.sigma_x for one in drift], label="across B")
 right.plot(fields, [1000 * np.sqrt(10) * one.sigma_par for one in drift], label="along B")
-right.set(xlabel="drift field [kV/cm]", ylabel="diffusion [µm/√cm]", title="1 T")
+right.set(xlabel="drift field  (kV/cm)", ylabel="diffusion  (µm/√cm)", title="1 T")
 right.legend()
 fig.tight_layout()
 
@@ -84,7 +84,7 @@ fig, axes = plt.subplots(figsize=(6, 3.4))
 for name in ("tiger", "apv25"):
     digis = runs[name].digis
     axes.hist(digis["charge"], np.linspace(0, 62, 63), histtype="step", label=f"{name}, {len(digis)} strips")
-axes.set(xlabel="charge of a strip [fC]", ylabel="strips per fC", yscale="log", title="500 muons of 1 GeV/c")
+axes.set(xlabel="charge of a strip  (fC)", ylabel="strips per fC", yscale="log", title="500 muons of 1 GeV/c")
 axes.legend()
 axes.grid(alpha=0.3)
 
@@ -99,7 +99,7 @@ fig, axes = plt.subplots(figsize=(6, 3.4))
 for name in ("tiger", "apv25"):
     digis = runs[name].digis
     axes.hist(digis["time"][digis["layer"] == 0], np.linspace(100, 420, 65), histtype="step", label=name)
-axes.set(xlabel="time of a strip [ns]", ylabel="strips per 5 ns", title="innermost layer")
+axes.set(xlabel="time of a strip  (ns)", ylabel="strips per 5 ns", title="innermost layer")
 axes.legend()
 axes.grid(alpha=0.3)
 
@@ -131,6 +131,6 @@ for name, one in (("as designed", detector), ("dead strips 200 to 260, gain 0.6 
     digis = cg.run(one, muon, n=3000, seed=1, readout="analog-projection", until="digitize").digis
     here = (digis["layer"] == 0) & (digis["view"] == 0)
     axes.hist(digis["strip"][here], strips, weights=digis["charge"][here] / 1000, histtype="step", label=name)
-axes.set(xlabel="X strip of the innermost layer", ylabel="charge per 13 strips [pC]", ylim=(0, None))
+axes.set(xlabel="X strip of the innermost layer", ylabel="charge per 13 strips  (pC)", ylim=(0, None))
 axes.legend(loc="lower right", fontsize=8)
 axes.grid(alpha=0.3)

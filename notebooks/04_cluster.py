@@ -64,7 +64,7 @@ for estimator in ("centroid", "micro-tpc", "merged"):
     residual = x_residuals(run)
     label = f"{estimator}: 68 % within {np.quantile(np.abs(residual), 0.683):.0f} µm"
     axes.hist(residual, np.linspace(-1000, 1000, 81), histtype="step", label=label)
-axes.set(xlabel="X residual [µm]", ylabel="clusters per 25 µm", title="TIGER, 2000 muons of 1 GeV/c, 1 T")
+axes.set(xlabel="X residual  (µm)", ylabel="clusters per 25 µm", title="TIGER, 2000 muons of 1 GeV/c, 1 T")
 axes.legend(fontsize=8)
 axes.grid(alpha=0.3)
 
@@ -110,7 +110,7 @@ angles = scan(tiger, "angle", np.linspace(-30, 30, 7), bz=1.0, n=600)
 fig, axes = plt.subplots(figsize=(6, 3.6))
 for name, (width, error) in angles.curves().items():
     axes.errorbar(angles.values, width, error, marker="o", ms=4, capsize=2, label=name)
-axes.set(xlabel="angle of incidence [deg]", ylabel="core width of X [µm]", ylim=(0, 700), title=angles.title)
+axes.set(xlabel="angle of incidence  (deg)", ylabel="core width of X  (µm)", ylim=(0, 700), title=angles.title)
 axes.legend(fontsize=8)
 axes.grid(alpha=0.3)
 

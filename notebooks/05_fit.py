@@ -135,7 +135,7 @@ for view, name, marker in ((0, "X", "o"), (1, "V", "s"), (2, "wires", ".")):
     rows = residuals["view"] == view
     axes.plot(np.array(place)[rows], residuals["pull"][rows], marker, label=name)
 axes.axhspan(-1, 1, color="0.9", zorder=0)
-axes.set(xlabel="radius [mm]", ylabel="pull of the residual")
+axes.set(xlabel="radius  (mm)", ylabel="pull of the residual")
 axes.legend(ncols=3)
 
 # %% [markdown]

@@ -43,14 +43,14 @@ for p, dr, dz, sp in zip(momenta, covariance.sigma_dr, covariance.sigma_dz, cova
 
 
 # %%
-def curves(*designs, quantity="dr", scale=1000, label="σ(d_ρ) [µm]"):
+def curves(*designs, quantity="dr", scale=1000, label="σ(d_ρ)  (µm)"):
     """Draw a resolution against momentum for some designs."""
     picture = cg.draw.Picture(figsize=(6.4, 4.0))
     axes = picture.subplots()
     for design in designs:
         found = cg.analytic(design, "mu-", p=momenta, cos_theta=0.0)
         axes.plot(momenta, scale * found.sigma(quantity), label=design.name.replace("+", "\n+"))
-    axes.set(xlabel="p [GeV/c]", ylabel=label, ylim=(0, None))
+    axes.set(xlabel="p  (GeV/c)", ylabel=label, ylim=(0, None))
     axes.grid(alpha=0.3)
     axes.legend(fontsize=8)
     return picture
@@ -59,7 +59,7 @@ def curves(*designs, quantity="dr", scale=1000, label="σ(d_ρ) [µm]"):
 curves(detector, cg.load("besiii-idc"))
 
 # %%
-curves(detector, cg.load("besiii-idc"), quantity="dz", scale=1, label="σ(d_z) [mm]")
+curves(detector, cg.load("besiii-idc"), quantity="dz", scale=1, label="σ(d_z)  (mm)")
 
 # %% [markdown]
 # The CGEM inner tracker measures z with strips at a large stereo angle: its $\sigma(d_z)$ is less than half of that of

@@ -120,7 +120,7 @@ def spectrum(mass, peak):
     axes.plot(x, law, color="#c44e52", label=f"core: {peak.core_mean:.2f} ± {peak.core_mean_error:.2f}, "
               f"σ = {peak.core:.2f} ± {peak.core_error:.2f} MeV/c²")  # fmt: skip
     axes.axvline(497.611, color="0.4", linestyle=":", ymax=0.7, label="K_S, 497.611 MeV/c²")
-    axes.set(xlabel="m(π⁺π⁻) [MeV/c²]", ylabel="pairs in 1 MeV/c²", ylim=(0, 1.45 * axes.get_ylim()[1]))
+    axes.set(xlabel="m(π⁺π⁻)  (MeV/c²)", ylabel="pairs in 1 MeV/c²", ylim=(0, 1.45 * axes.get_ylim()[1]))
     axes.legend(fontsize=8, loc="upper left")
     return picture
 

@@ -305,7 +305,7 @@ def test_the_picture_shows_every_allowed_design_and_the_best_so_far(found: Optim
     assert container.lines[0].get_ydata().tolist() == allowed["sigma_dr (um)"][allowed["kind"] != "step"].tolist()
     (best,) = [one for one in axes.lines if one.get_drawstyle() == "steps-post"]
     assert best.get_ydata()[-1] == allowed["sigma_dr (um)"].min()
-    assert axes.get_ylabel() == r"σ($d_\rho$) [µm]"
+    assert axes.get_ylabel() == r"σ($d_\rho$)  (µm)"
 
 
 def test_the_result_is_the_same_after_an_interruption(tmp_path: Path) -> None:

@@ -185,11 +185,11 @@ def test_pictures_show_the_table(found: tuple[Optimization, Path]) -> None:
 @pytest.mark.parametrize(
     ("header", "text"),
     [
-        ("sigma_dr at 0.3 GeV/c (um)", r"σ($d_\rho$) at 0.3 GeV/c [µm]"),
-        ("sigma_p (MeV/c)", "σ(p) [MeV/c]"),
+        ("sigma_dr at 0.3 GeV/c (um)", r"σ($d_\rho$) at 0.3 GeV/c  (µm)"),
+        ("sigma_p (MeV/c)", "σ(p)  (MeV/c)"),
         ("channels", "channels"),
-        ("cgem.*.pitch_x (um)", "cgem.*.pitch_x [µm]"),
-        ("x0 (%)", "X/X₀ of the CGEM [%]"),
+        ("cgem.*.pitch_x (um)", "cgem.*.pitch_x  (µm)"),
+        ("x0 (%)", "X/X₀ of the CGEM  (%)"),
     ],
 )
 def test_labels_have_units_and_symbols(header: str, text: str) -> None:

@@ -34,6 +34,26 @@ def test_quantities_change_what_they_should() -> None:
     assert "bz [T]" in repr(field)
 
 
+def test_picture_shows_the_scan() -> None:
+    """Lines and points of every panel are the numbers of the scan; axes name the quantity with its unit."""
+    field = scan(TIGER, "bz", [0.0, 0.5, 1.0], n=200)
+    panels = field.draw().axes
+    assert [axes.get_xlabel() for axes in panels[4:]] == ["magnetic field  (T)"] * 2
+    for view, name in enumerate("XV"):
+        widths, strips, efficiency = panels[view::2]
+        assert widths.get_ylabel() == f"core width of the {name} residual  (µm)"
+        for drawn, (core, error) in zip(widths.containers, field.curves(view).values(), strict=True):
+            np.testing.assert_array_equal(drawn[0].get_xydata(), np.column_stack([field.values, core]))
+            segments = np.array(drawn[2][0].get_segments())
+            np.testing.assert_allclose(np.diff(segments[:, :, 1])[:, 0], 2 * error)
+        np.testing.assert_array_equal(strips.lines[0].get_ydata(), field.of_view(view, "size"))
+        np.testing.assert_array_equal(efficiency.lines[0].get_ydata(), 100 * field.of_view(view, "efficiency"))
+    legend = [text.get_text() for text in panels[0].figure.legends[0].get_texts()]
+    assert legend == ["charge centroid", "micro-TPC", "merged", "with the track's angle"]
+    drift = scan(TIGER, "drift_field", [1.0, 2.0], n=50)
+    assert drift.draw().axes[4].get_xlabel() == "drift field  (kV/cm)"
+
+
 def test_track_angle_helps_where_the_angle_spreads_the_charge() -> None:
     """With the angle of the track, positions are better than merged ones without it, and never much worse."""
     curves = scan(TIGER, "angle", [0.0, -20.0], n=1000).curves()

@@ -28,7 +28,7 @@ def simulated() -> Sweep:
 def test_a_scan_is_a_line_for_each_point_in_order_of_the_key() -> None:
     found = simulated()
     axes = found.draw("sigma_dz (mm)").axes[0]
-    assert (axes.get_xlabel(), axes.get_ylabel()) == (r"cgem.*.pitch_x [µm]", r"σ($d_z$) [mm]")
+    assert (axes.get_xlabel(), axes.get_ylabel()) == (r"cgem.*.pitch_x  (µm)", r"σ($d_z$)  (mm)")
     table = found.to_pandas()
     for container, p in zip(axes.containers, (0.3, 1.0), strict=True):
         rows = table[(table["p (GeV/c)"] == p) & (table["variant"] > 0)].sort_values("cgem.*.pitch_x (um)")
@@ -52,7 +52,7 @@ def test_a_map_holds_the_value_of_each_cell_and_crosses() -> None:
     expected = np.array(found.columns["all"][1:]).reshape(3, 2).T
     np.testing.assert_array_equal(mesh.get_array().filled(np.nan), expected)
     assert [text.get_text() for text in axes.get_yticklabels()] == ["CgemGas", "MdcGas"]
-    assert (axes.get_xlabel(), axes.get_ylabel()) == ("cgem.L2.anode_radius [mm]", "cgem.*.gas")
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("cgem.L2.anode_radius  (mm)", "cgem.*.gas")
     crosses = next(line for line in axes.lines if line.get_marker() == "x")
     assert (crosses.get_xdata().tolist(), crosses.get_ydata().tolist()) == ([160, 160], [0, 1])
     base = next(line for line in axes.lines if line.get_marker() == "o")
@@ -70,14 +70,14 @@ def test_parallel_coordinates_run_through_every_value() -> None:
         scaled = (values - values.min()) / (values.max() - values.min())
         np.testing.assert_allclose(lines[:, i if i < 2 else 3], scaled, atol=1e-12)
     ticks = [text.get_text() for text in axes.get_xticklabels()]
-    assert ticks == ["cgem.*.pitch_x\n[µm]", "cgem.*.foils", "cgem.*.gas", "first"]
+    assert ticks == ["cgem.*.pitch_x\n(µm)", "cgem.*.foils", "cgem.*.gas", "first"]
     shown = {text.get_text() for text in axes.texts}
     assert {f"{min(found.columns['first'][1:])}", "1", "3", "CgemGas", "MdcGas"} <= shown
 
 
 def test_labels_and_mistakes() -> None:
-    assert label("delta_sigma_p (MeV/c)") == "σ(p) − base [MeV/c]"
-    assert label("cost ($)") == r"cost [$]"
+    assert label("delta_sigma_p (MeV/c)") == "σ(p) − base  (MeV/c)"
+    assert label("cost ($)") == r"cost  ($)"
     assert label("a$b") == r"a\$b"
     found = sweep(DESIGN, {"cgem.*.foils": [2]}, evaluate=strips)
     with pytest.raises(ValueError, match="expected one of first, all"):

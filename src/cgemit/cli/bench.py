@@ -46,7 +46,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         formatter_class=HelpFormatter,
     )  # fmt: skip
     parser.add_argument(
-        "--events", type=positive, default=2000, metavar="N", help="tracks of each thread and run (default 2000)"
+        "-n", "--events", type=positive, default=2000, metavar="N", help="tracks of each thread and run (default 2000)"
     )
     parser.add_argument(
         "--threads", type=positive, nargs="+", default=[1], metavar="N", help="threads at the same time (default 1)"

@@ -205,14 +205,8 @@ def _folder(arguments: argparse.Namespace) -> AbstractContextManager[Path]:
 
 
 def _write(found: BeamScan, arguments: argparse.Namespace) -> None:
-    from cgemit.draw import ViewCurves, draw_readout
-
-    views = [
-        ViewCurves(name, found.curves(view), found.of_view(view, "size"), found.of_view(view, "efficiency"))
-        for view, name in enumerate(("X", "V"))
-    ]
     with _folder(arguments) as place:
         (place / "readout.csv").write_text(found.to_csv(), encoding="utf-8")
-        draw_readout(found.values, found.label, views, found.title).save(place / "readout")
+        found.draw().save(place / "readout")
     if not arguments.quiet:
         print(f"picture: {arguments.output}/readout.png", file=sys.stderr)

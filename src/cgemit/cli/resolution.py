@@ -62,7 +62,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "--theta", type=read.angles, metavar="LO:HI|VALUE", help="polar angle, rad: a value, or a range drawn uniformly"
     )
     parser.add_argument(
-        "--events", type=read.positive, default=5000, metavar="N",
+        "-n", "--events", type=read.positive, default=5000, metavar="N",
         help="at each momentum (default 5000); not used by the analytic method",
     )  # fmt: skip
     parser.add_argument(

@@ -39,7 +39,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     )  # fmt: skip
     add_output(parser, default="cgemit-study")
     parser.add_argument(
-        "--events", type=positive, metavar="N",
+        "-n", "--events", type=positive, metavar="N",
         help="events at 1 GeV/c for each detector (default 20000); each of the ten momenta gets a quarter of it",
     )  # fmt: skip
     parser.add_argument("--quick", action="store_true", help="1500 events, unless --events says otherwise")

@@ -10,10 +10,10 @@ import numpy as np
 from cgemit.draw.style import COLORS, Picture, grid, new_picture, plain, style
 
 _LABELS = {
-    "pt": r"$p_T$ [GeV/c]",
+    "pt": r"$p_T$  (GeV/c)",
     "cos_theta": r"$\cos\theta$",
-    "phi": r"$\phi$ [rad]",
-    "distance": "vertex to beam line [mm]",
+    "phi": r"$\phi$  (rad)",
+    "distance": "vertex to beam line  (mm)",
 }
 
 
@@ -54,7 +54,7 @@ def draw_finding(curves: Mapping[str, Mapping[str, Any]], title: str, lines: Seq
                 max(0.0, 100 * least - 0.25 * (100 - 100 * least) - 0.2), 100 + 0.06 * (100 - 100 * least) + 0.1
             )
             grid(one)
-        axes[0].set_ylabel("efficiency [%]")
+        axes[0].set_ylabel("efficiency  (%)")
         picture.suptitle(plain(title), fontsize=10.5, y=0.98)
         picture.text(0.5, 0.015, plain("   ".join(lines)), ha="center", fontsize=9, color=COLORS["text"])
         picture.subplots_adjust(left=0.075, right=0.985, top=0.9, bottom=0.22, wspace=0.2)

@@ -24,7 +24,7 @@ _LINES = 300
 
 
 def label(header: str) -> str:
-    """Return the header of a column as an axis label: ``sigma_dr at 1 GeV/c (um)`` as ``σ(d_ρ) at 1 GeV/c [µm]``."""
+    """Return the header of a column as an axis label: ``sigma_dr at 1 GeV/c (um)`` as ``σ(d_ρ) at 1 GeV/c  (µm)``."""
     name, bracket, unit = header.partition(" (")
     quantity, at, point = name.partition(" at ")
     symbol = quantity.removeprefix("sigma_")
@@ -32,7 +32,7 @@ def label(header: str) -> str:
         text = mathematical(f"σ({GREEK[symbol]})") + at + point
     else:
         text = _NAMES.get(name) or escaped(name)
-    return text + (f" [{shown(unit[:-1])}]" if bracket else "")
+    return text + (f"  ({shown(unit)}" if bracket else "")
 
 
 def draw_convergence(columns: Columns, objective: str, error: str | None, title: str) -> Picture:
@@ -219,8 +219,8 @@ def draw_parallel(
 
 def _broken(text: str) -> str:
     """Return a label on several lines: keys break at their last dot, units and points of a resolution follow below."""
-    name, bracket, unit = text.partition(" [")
+    name, bracket, unit = text.partition("  (")
     if "." in name and "$" not in name:
         first, _, last = name.rpartition(".")
         name = f"{first}.\n{last}"
-    return name.replace(" at ", "\nat ") + (f"\n[{unit}" if bracket else "")
+    return name.replace(" at ", "\nat ") + (f"\n({unit}" if bracket else "")

@@ -48,17 +48,18 @@ def draw_readout(values: Floats, label: str, views: Sequence[ViewCurves], title:
             for name, (width, error) in view.widths.items():
                 text, colour, marker = _LOOKS[name]
                 top.errorbar(values, width, error, label=text, color=colour, marker=marker, ms=4, lw=1.2, capsize=2)
-            top.set_ylabel(f"core width of the {view.name} residual [µm]")
+            top.set_ylabel(f"core width of the {view.name} residual  (µm)")
             top.set_ylim(0, 1.1 * float(np.nanmax(view.widths["centroid"][0])))  # line fits may be far worse
             middle.plot(values, view.size, color=COLORS["data"], marker="o", ms=4, lw=1.2)
             middle.set_ylim(0, 1.15 * float(view.size.max()))
             middle.set_ylabel(f"{view.name} strips")
             bottom.plot(values, 100 * view.efficiency, color=COLORS["data"], marker="o", ms=4, lw=1.2)
             bottom.set_ylim(min(95.0, 100 * float(view.efficiency.min()) - 1), 100.5)
-            bottom.set_ylabel("efficiency [%]")
+            bottom.set_ylabel("efficiency  (%)")
             bottom.set_xlabel(label)
             for axes in (top, middle, bottom):
                 grid(axes)
+                axes.locator_params(axis="x", nbins=5)
         handles, labels = rows[0][0].get_legend_handles_labels()
         picture.legend(handles, labels, loc="upper center", bbox_to_anchor=(0.5, 0.955), ncols=len(labels), fontsize=9)
         picture.suptitle(plain(title), fontsize=10)

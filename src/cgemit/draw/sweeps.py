@@ -58,13 +58,13 @@ def draw_sweep(columns: Columns, parameters: Sequence[str], quantity: str, *, ki
 
 
 def label(header: str) -> str:
-    """Return the header of a column as an axis label: ``cgem.L2.pitch_x (um)`` as ``cgem.L2.pitch_x [µm]``."""
+    """Return the header of a column as an axis label: ``cgem.L2.pitch_x (um)`` as ``cgem.L2.pitch_x  (µm)``."""
     name, bracket, unit = header.partition(" (")
     for before in ("delta_sigma_", "sigma_"):
         if name.startswith(before) and name.removeprefix(before) in GREEK:
             inner = f"σ({GREEK[name.removeprefix(before)]})"
             name = mathematical(inner if before == "sigma_" else f"{inner} − base")
-    return escaped(name) + (f" [{shown(unit[:-1])}]" if bracket else "")
+    return escaped(name) + (f"  ({shown(unit)}" if bracket else "")
 
 
 def escaped(text: str) -> str:
@@ -175,7 +175,7 @@ def _parallel(columns: Columns, parameters: tuple[str, ...], quantity: str, valu
         axes.axvline(i, color=COLORS["wire"], lw=0.9)
         for height, end, side in ((0, low, "top"), (1, high, "bottom")):
             axes.text(i, height + (0.03 if height else -0.03), escaped(end), ha="center", va=side, fontsize=8.4)
-    axes.set_xticks(range(len(names)), [label(name).replace(" [", "\n[") for name in names], fontsize=8.4)
+    axes.set_xticks(range(len(names)), [label(name).replace("  (", "\n(") for name in names], fontsize=8.4)
     axes.set(ylim=(-0.12, 1.12), xlim=(-0.4, len(names) - 0.6), yticks=[], title=text)
     axes.tick_params(top=False, bottom=False)
     for spine in axes.spines.values():

@@ -6,7 +6,7 @@ import csv
 import io
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -15,10 +15,14 @@ from cgemit.detector import Detector
 from cgemit.statistics.formatting import text_table, with_error
 from cgemit.study.readout.beam import BeamPoint, beam_detector, beam_views
 
+if TYPE_CHECKING:
+    from cgemit.draw import Picture
+
 Floats = npt.NDArray[np.float64]
 
 #: What can be scanned, with the unit of its values.
 QUANTITIES = {"angle": "deg", "bz": "T", "drift_field": "kV/cm", "gain": "", "threshold": "fC"}
+WORDS = {"angle": "angle of incidence", "bz": "magnetic field"}  # others are what they are called
 VIEWS = ("X", "V")
 
 _ABOUT = ("charge_fC", "strips", "efficiency")
@@ -47,9 +51,9 @@ class BeamScan:
 
     @property
     def label(self) -> str:
-        """The quantity with its unit."""
+        """The quantity with its unit, such as ``"drift field  (kV/cm)"``, for an axis."""
         unit = QUANTITIES[self.quantity]
-        return self.quantity.replace("_", " ") + (f" [{unit}]" if unit else "")
+        return WORDS.get(self.quantity, self.quantity.replace("_", " ")) + (f"  ({unit})" if unit else "")
 
     def of_view(self, view: int, name: str) -> Floats:
         """Return an attribute of `BeamPoint`, such as ``"size"``, in X (0) or V (1), (n,) float64."""
@@ -80,6 +84,16 @@ class BeamScan:
                 writer.writerow([f"{value:.6g}", view, *(f"{number:.6g}" for number in numbers)])
         return text.getvalue()
 
+    def draw(self) -> Picture:
+        """Draw core widths of the estimators, number of strips and efficiency in both views."""
+        from cgemit.draw import ViewCurves, draw_readout
+
+        views = [
+            ViewCurves(name, self.curves(view), self.of_view(view, "size"), self.of_view(view, "efficiency"))
+            for view, name in enumerate(VIEWS)
+        ]
+        return draw_readout(self.values, self.label, views, self.title)
+
     def __repr__(self) -> str:
         names = list(self.points[0][0].widths)
         rows = [
@@ -88,7 +102,9 @@ class BeamScan:
             for view, one in zip(VIEWS, range(2), strict=True)
             for value, point in zip(self.values, (views[one] for views in self.points), strict=True)
         ]
-        head = (self.label, "view", "Q [fC]", "strips", "eff. [%]", *(f"{name} [um]" for name in names))
+        unit = QUANTITIES[self.quantity]
+        first = self.quantity.replace("_", " ") + (f" [{unit}]" if unit else "")
+        head = (first, "view", "Q [fC]", "strips", "eff. [%]", *(f"{name} [um]" for name in names))
         return text_table(self.title, head, rows)
 
 
