@@ -103,7 +103,7 @@ def test_every_mistake_of_a_detector_file_is_listed(tmp_path, capsys):
     lines = [
         'base = "besiii-cgem-design"', "nonsense = 1", "[field]", 'bz = "1 mm"', 'kinds = "uniform"',
         "[cgem.L1]", 'pitch_x = "-3 mm"', 'pich_v = "1 mm"', "drift_gap = 5", 'gas = "Unobtainium"',
-        "[cgem.L2]", "sheets = 7", 'length = "inf mm"', "[drift_chamber]", 'sigma = "130 smoots"',
+        "[cgem.L2]", "sheets = 9", 'length = "inf mm"', "[drift_chamber]", 'sigma = "130 smoots"',
     ]  # fmt: skip
     file.write_text("\n".join(lines), encoding="utf-8")
     options = ["--p", "1", "--cos-theta", "0", "-n", "1", "-o", str(tmp_path / "out")]

@@ -50,7 +50,7 @@ def test_the_arguments_are_right_unchanged():
         ("wires", "efficiency", 2.0, "efficiency: got 2"),
         ("cgem", "pitch_x", 0.0, r"cgem\[0\] pitch_x: got 0"),
         ("cgem", "strips_v", 0, "strips_v: got 0"),
-        ("cgem", "sheets", 3, "sheets: expected 1 or 2"),
+        ("cgem", "sheets", 3, "sheets: expected 1 to 2, the columns of phi_first, 8 at most"),
         ("cgem", "stereo", 0.0, "stereo: got 0"),
         ("cgem", "r_gap_out", 1.0, "r_gap_out: got 1"),
         ("slabs", "gap", 3, r"slab\[0\] gap: got 3, expected -1 to 2"),

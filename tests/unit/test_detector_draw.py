@@ -60,6 +60,18 @@ def test_rz() -> None:
     assert stereo[20] == pytest.approx([0, 396.98], abs=0.01)
 
 
+def test_labels_of_close_layers_stand_where_there_is_room() -> None:
+    """Layers 25 mm apart have labels in the magnified view along the beam only; across the beam no edge is hidden."""
+    detector = load("kloe2-like")
+    along = [[text.get_text() for text in axes.texts if "L" in text.get_text()] for axes in draw_sides(detector).axes]
+    assert along == [[], ["L1", "L2", "L3", "L4"]]
+    inner = draw_detector(detector).axes[1]
+    assert inner.get_xlim()[1] == pytest.approx(1.2 * 250.5)
+    edges = [line.get_xydata()[0] for line in inner.lines if len(line.get_xydata()) == 2]
+    assert len(edges) == 3 + 3 + 4 + 4
+    assert min(math.dist(edge, text.get_position()) for edge in edges for text in inner.texts) > 15
+
+
 def test_layer_is_to_scale() -> None:
     layer = load("besiii-cgem").cgem[0]
     axes = draw_layer(layer)

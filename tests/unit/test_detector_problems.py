@@ -79,7 +79,7 @@ def test_ten_mistakes_give_ten_messages(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "path", "given"),
     [
-        ({"cgem": {"L1": {"sheets": 3}}}, "cgem.L1.sheets", "3"),
+        ({"cgem": {"L1": {"sheets": 9}}}, "cgem.L1.sheets", "9"),
         ({"cgem": {"L1": {"sheets": 1.0}}}, "cgem.L1.sheets", "1.0"),
         ({"cgem": {"L1": {"sheets": True}}}, "cgem.L1.sheets", "true"),
         ({"cgem": {"L1": {"stereo_sign": 0}}}, "cgem.L1.stereo_sign", "0"),

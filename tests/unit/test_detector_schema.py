@@ -43,7 +43,7 @@ def test_complete_files(name: str) -> None:
         ({"cgem": {"L1": {"pitch_x": 650}}}, "$.cgem.L1.pitch_x"),
         ({"cgem": {"L1": {"pitch_x": "650 T"}}}, "$.cgem.L1.pitch_x"),
         ({"cgem": {"L1": {"ptich_x": "650 um"}}}, "$.cgem.L1"),
-        ({"cgem": {"L1": {"sheets": 3}}}, "$.cgem.L1.sheets"),
+        ({"cgem": {"L1": {"sheets": 9}}}, "$.cgem.L1.sheets"),
         ({"cgem": {"L1": {"foil": [{"material": "Cu"}]}}}, "$.cgem.L1.foil[0]"),
         ({"drift_chamber": {"wires": "thick"}}, "$.drift_chamber.wires"),
         ({"drift_chamber": {"layers": {"nine": {}}}}, "$.drift_chamber.layers"),

@@ -14,7 +14,7 @@ from cgemit.detector import describe
 from cgemit.detector.gdml import write_gdml
 from cgemit.detector.slabs import slabs
 
-NAMES = ["besiii-cgem-design", "besiii-cgem", "besiii-idc"]
+NAMES = ["besiii-cgem-design", "besiii-cgem", "besiii-idc", "kloe2-like"]
 
 
 def tsai(z: float, a: float) -> float:

@@ -28,7 +28,7 @@ def rows(name: str) -> list[dict[str, str]]:
 
 
 def test_names_and_descriptions() -> None:
-    assert tuple(detectors()) == (*NAMES, "stcf-like")
+    assert tuple(detectors()) == (*NAMES, "kloe2-like", "stcf-like")
     for name, description in detectors().items():
         assert len(description) > 20
         assert load(name).name == name
@@ -235,3 +235,42 @@ def test_a_tracker_that_is_not_besiii() -> None:
         assert tilt == 0 if layer.number // 6 in (0, 3, 6, 7) else tilt == pytest.approx(0.05, rel=0.1)
         cosine = layer.half_length / math.hypot(layer.half_length, layer.r_end)
         assert cosine == pytest.approx(0.93, abs=1e-3) if layer.half_length < 1400 else cosine < 0.93
+
+
+def test_a_tracker_without_axial_wires() -> None:
+    """Field, matter, foils, size and wires of the sources; cells about as wide as high, layers at equal distances."""
+    detector = load("kloe2-like")
+    assert detector.field.bz == 0.52
+    assert len(detector.cgem) == 4
+    x0 = sum(shell.x0 for layer in detector.cgem for shell in layer.shells())
+    assert 0.018 < x0 < 0.02
+    for layer in detector.cgem:
+        assert (layer.length, layer.transfer_gap) == (700, 2)
+        assert 2 * math.pi * layer.r_readout / layer.sheets == pytest.approx(300, rel=0.1)
+    chamber = detector.drift_chamber
+    wires = chamber.layers
+    assert len(wires) == 58
+    cells = sum(layer.cells for layer in wires)
+    assert cells == 13_032
+    assert 4 * cells == pytest.approx(52_000, rel=0.01)
+    assert {2 * layer.half_length for layer in wires} == {3300}
+    assert 1800 < wires[-1].r_end < 1980
+    assert detector.walls[-1].r_in < wires[0].r_mid
+    for inner, layer in itertools.pairwise(wires):
+        assert layer.twist * inner.twist < 0
+        high = {12: 25}.get(layer.number, 20 if layer.number < 12 else 30)
+        assert layer.r_end - inner.r_end == pytest.approx(high)
+        assert layer.r_mid - inner.r_mid == pytest.approx(high, abs=0.2)
+        assert 2 * math.pi * layer.r_mid / layer.cells == pytest.approx(20 if layer.number < 12 else 30, rel=0.01)
+    tilts = [math.atan(layer.r_end * math.sin(0.5 * abs(layer.twist)) / layer.half_length) for layer in wires]
+    assert (min(tilts), max(tilts)) == pytest.approx((0.0562, 0.1430), abs=1e-4)
+
+
+def test_gas_of_the_chamber_without_axial_wires() -> None:
+    """Nine atoms of helium for each molecule of isobutane, as ideal gases at 20 C and 1 atm."""
+    gas = load("kloe2-like").drift_chamber.gas
+    moles = {"He": 0.9 * 4.0026, "C": 0.4 * 12.011, "H": 1.0 * 1.008}
+    total = sum(moles.values())
+    assert gas.density == pytest.approx(total / 24_055, rel=1e-3)
+    expected = sum(moles[name] / total / x0 for name, x0 in (("He", 94.32), ("C", 42.70), ("H", 63.04)))
+    assert 10 / (expected * gas.density) == pytest.approx(gas.x0, rel=0.005)  # mm; g/cm2 of the PDG

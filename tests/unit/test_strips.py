@@ -120,6 +120,21 @@ def test_segments_at_the_ends(side, z, rise, phi):
     assert_brute_force(columns, (phi, z), (phi + 0.001, z + rise))
 
 
+@pytest.mark.parametrize("sheets", [3, 8])
+@pytest.mark.parametrize("turn", [-3.0, 0.004, 2.9])
+def test_layers_of_more_sheets(sheets, turn):
+    """Segments that begin in the last sheet and go over up to five of them, either way round."""
+    strips = int(2 * np.pi * gem_toy.design_layers()["r_readout"][0] / (sheets * 0.65))
+    edges = 2 + 2 * np.pi / sheets * np.arange(sheets)
+    columns = layer_columns(0, sheets=sheets, strips_x=strips, phi_first=edges)
+    entry, exit_ = (edges[-1] + 0.3, -40.0), (edges[-1] + 0.3 + turn, 8.0)
+    assert_brute_force(columns, entry, exit_)
+    passed = len({sheet for sheet, _, _ in fired(columns, entry, exit_)})
+    assert passed == {(3, -3.0): 3, (3, 0.004): 1, (3, 2.9): 2, (8, -3.0): 5, (8, 0.004): 1, (8, 2.9): 5}[sheets, turn]
+    with pytest.raises(ValueError, match=f"sheets: expected 1 to {sheets - 1}, the columns of phi_first"):
+        gem_toy.core_detector(cgem=columns | {"phi_first": columns["phi_first"][:, :-1].copy()})
+
+
 def test_brute_force_sees_a_wrong_stereo_sign():
     """The comparison fails when the kernel works with another angle than the brute force."""
     columns = layer_columns(0)

@@ -235,14 +235,15 @@ def compiled_stack(parts: Sequence[tuple[Material, float]], screening: str = "we
 
 
 def cgem_table(layers: Sequence[CgemLayer]) -> Columns:
-    """Return the read-out of layers as columns: mm, rad, strips. phi_first (n, 2), placement (n, 12), others (n,)."""
+    """Return the read-out of layers as columns (n,): mm, rad, strips. phi_first is (n, most), placement (n, 12)."""
     names = ("r_readout", "r_gap_in", "r_gap_out", "half_length", "pitch_x", "pitch_v", "stereo", "offset_v")
     columns: Columns = {name: np.array([getattr(layer, name) for layer in layers], dtype=np.float64) for name in names}
     for name in ("sheets", "strips_x", "strips_v"):
         columns[name] = np.array([getattr(layer, name) for layer in layers], dtype=np.int32)
-    # A layer of one sheet repeats the first azimuth as the second: the core reads `sheets` of them.
-    edges = [(*layer.sheet_phi, *layer.sheet_phi)[:2] for layer in layers]
-    columns["phi_first"] = np.array(edges, dtype=np.float64).reshape(-1, 2)
+    # A layer of fewer sheets than others repeats its azimuths: the core reads `sheets` of them.
+    most = max((layer.sheets for layer in layers), default=1)
+    edges = [(most * layer.sheet_phi)[:most] for layer in layers]
+    columns["phi_first"] = np.array(edges, dtype=np.float64).reshape(-1, most)
     columns["placement"] = np.array([layer.placement for layer in layers], dtype=np.float64).reshape(-1, 12)
     strips = [layer.sheets * (layer.strips_x + layer.strips_v) for layer in layers]
     columns["gid_first"] = np.cumsum([0, *strips])[:-1].astype(np.int32)

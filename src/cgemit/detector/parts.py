@@ -85,7 +85,7 @@ class CgemLayer(Placed):
         metadata=key("length", "radius at which X is measured, minus anode_radius", -5.0, 5.0), default=0.0
     )
     length: float = field(metadata=key("length", "active length along the beam", 10.0, 5000.0))  # mm
-    sheets: int = field(metadata=key("integer", "number of read-out sheets around the layer", 1, 2))
+    sheets: int = field(metadata=key("integer", "number of read-out sheets around the layer", 1, 8))
     phi_first: float = field(metadata=key("angle", "azimuth of X = 0 of the first sheet", -2 * math.pi, 2 * math.pi))
     pitch_x: float = field(metadata=key("length", "pitch of the X strips", 0.01, 20.0))  # mm
     pitch_v: float = field(metadata=key("length", "pitch of the V strips", 0.01, 20.0))  # mm

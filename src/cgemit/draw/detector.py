@@ -31,6 +31,7 @@ _MATERIALS = {
 _OTHERS = ("#8F6BB3", "#009E73", "#CC3311", "#4477AA", "#AA7799")
 _GAS = "#EAF4FB"
 _COSINES = (0.0, 0.5, 0.8, 0.93)  # of the polar angles drawn; the paper's tracks reach 0.93
+_LABEL = 0.03  # height of a label, as a part of the view along the beam
 
 
 class _Ring(NamedTuple):
@@ -144,7 +145,9 @@ def draw_rz(detector: Detector | str | Mapping[str, Any], ax: Axes | None = None
             ax.add_patch(Rectangle(corner, *size, facecolor=color, edgecolor=color, linewidth=0.5))
         for layer in layers:
             ax.plot(*wire_profile(layer), color=_WIRES[_kind(layer)], linewidth=0.6)
-        for cgem in detector.cgem:
+        heights = [cgem.r_mid for cgem in detector.cgem]
+        room = min(np.diff(heights), default=edge) > _LABEL * edge
+        for cgem in detector.cgem if room else ():
             place = (cgem.half_length + 0.008 * reach, cgem.r_mid)
             ax.annotate(plain(cgem.label), place, va="center", fontsize=8.5, fontweight="bold", color=COLORS["text"])
         _polar_angles(ax, edge, reach)
@@ -215,8 +218,8 @@ def _outer_edge(detector: Detector) -> float:
 
 def _inner_edge(detector: Detector) -> float:
     """Return the radius of a view of the part inside the outer drift chamber, mm."""
-    rings = max([ring.r_out for ring in _rings(detector)], default=0.0)
-    return min(max(1.2 * rings, 0.28 * _outer_edge(detector)), _outer_edge(detector))
+    rings = 1.2 * max([ring.r_out for ring in _rings(detector)], default=0.0)
+    return min(rings if detector.cgem else max(rings, 0.28 * _outer_edge(detector)), _outer_edge(detector))
 
 
 def _wires_xy(ax: Axes, detector: Detector, edge: float) -> set[str]:
@@ -238,7 +241,7 @@ def _mark_layer(ax: Axes, layer: CgemLayer) -> Line2D:
     for phi in layer.sheet_phi:
         ends = np.array([layer.r_gap_out, 1.02 * layer.r_out])
         ax.plot(ends * math.cos(phi), ends * math.sin(phi), color=COLORS["fit"], linewidth=1.6)
-    phi = math.radians(60)
+    phi = math.radians(50)  # seldom the edge of a sheet
     place = (layer.r_mid * math.cos(phi), layer.r_mid * math.sin(phi))
     box = {"boxstyle": "round,pad=0.15", "facecolor": "white", "edgecolor": "none", "alpha": 0.85}
     ax.text(*place, plain(layer.label), ha="center", va="center", fontsize=9, fontweight="bold", bbox=box)

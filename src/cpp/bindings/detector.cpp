@@ -106,11 +106,15 @@ std::vector<CgemLayer> make_cgem(const py::dict& columns) {
              strips_v = take<std::int32_t>(columns, "strips_v"),
              gid_first = take<std::int32_t>(columns, "gid_first");
   const auto n = static_cast<std::size_t>(r_readout.size());
-  const auto edges = matrix(phi_first, "phi_first", r_readout.size(), 2);
+  const auto width = phi_first.ndim() == 2 ? phi_first.shape(1) : 0;
+  const int most = static_cast<int>(std::min<py::ssize_t>(width, most_sheets));
+  const auto edges = matrix(phi_first, "phi_first", r_readout.size(), width);
   const auto placements = placements_of(columns, n);
   std::vector<CgemLayer> layers(n);
   for (std::size_t i = 0; i < n; ++i) {
-    if (sheets.at(i) < 1 || sheets.at(i) > 2) throw std::invalid_argument("cgem sheets: expected 1 or 2");
+    if (sheets.at(i) < 1 || sheets.at(i) > most)
+      throw std::invalid_argument("cgem sheets: expected 1 to " + std::to_string(most) +
+                                  ", the columns of phi_first, " + std::to_string(most_sheets) + " at most");
     layers[i] = {r_readout.at(i),
                  r_gap_in.at(i),
                  r_gap_out.at(i),
@@ -122,11 +126,13 @@ std::vector<CgemLayer> make_cgem(const py::dict& columns) {
                  sheets.at(i),
                  strips_x.at(i),
                  strips_v.at(i),
-                 {edges[2 * i], edges[2 * i + 1]},
+                 {},
                  gid_first.at(i),
                  0,
                  0,
                  placements[i]};
+    std::ranges::copy(edges.subspan(i * static_cast<std::size_t>(width), static_cast<std::size_t>(most)),
+                      layers[i].phi_first.begin());
   }
   return layers;
 }

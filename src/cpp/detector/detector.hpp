@@ -84,6 +84,8 @@ struct Placement {
   std::array<double, 9> turn{1, 0, 0, 0, 1, 0, 0, 0, 1};  // rows of a rotation
 };
 
+inline constexpr int most_sheets = 8;  // of a layer
+
 // One cylindrical GEM layer with its two-view read-out.
 struct CgemLayer {
   double r_readout;    // mm, radius of X = r_readout (phi - phi_first)
@@ -95,11 +97,11 @@ struct CgemLayer {
   double stereo;       // rad, signed
   double offset_v;     // V of the edge where V strip 0 begins, in units of pitch_v
   int sheets;
-  int strips_x;                     // per sheet
-  int strips_v;                     // per sheet
-  std::array<double, 2> phi_first;  // rad, edge of each sheet (X = 0)
-  int gid_first;                    // running number of the layer's first strip: sheet by sheet, X then V
-  double cos_stereo, sin_stereo;    // of the stereo angle
+  int strips_x;                               // per sheet
+  int strips_v;                               // per sheet
+  std::array<double, most_sheets> phi_first;  // rad, edge of each sheet (X = 0)
+  int gid_first;                  // running number of the layer's first strip: sheet by sheet, X then V
+  double cos_stereo, sin_stereo;  // of the stereo angle
   Placement placement = {};
 
   double r_mid() const { return 0.5 * (r_gap_in + r_gap_out); }

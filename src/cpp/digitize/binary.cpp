@@ -20,7 +20,7 @@ struct Fired {
 void share(const CgemLayer& layer, const Point& from, const Point& to, double charge, Contribution strip,
            std::vector<Contribution>& out) {
   const Pieces pieces = unroll(layer, from, to);
-  std::array<Fired, 4> fired;
+  std::array<Fired, most_sheets + 1> fired;
   int n_x = 0, n_v = 0;
   for (int k = 0; k < pieces.n; ++k) {
     const Piece& piece = pieces.list[k];

@@ -19,10 +19,10 @@ struct Piece {
   double x1, z1, x2, z2;  // mm, 0 <= x <= sheet_width(), |z| <= half_length
 };
 
-// At most two pieces per sheet: a segment spans at most half a turn, and a sheet at most a full one.
+// A segment spans at most half a turn: only its first sheet can hold its end, too.
 struct Pieces {
   int n = 0;
-  std::array<Piece, 4> list;
+  std::array<Piece, most_sheets + 1> list;
 };
 
 // Strips first to last, both included; none if last < first.

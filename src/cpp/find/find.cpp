@@ -26,7 +26,9 @@ class EventFinder {
         axial_(detector, axial_hits_),
         local_(detector, axial_hits_),
         stereo_(detector, settings),
-        competition_(detector) {}
+        competition_(detector),
+        stereo_only_(!detector.wires.empty() &&
+                     std::ranges::all_of(detector.wires, [](const auto& w) { return w.twist != 0; })) {}
 
   const std::vector<FoundTrack>& find(std::span<const Hit> hits, std::int64_t first) {
     hits_.load(hits, first);
@@ -46,13 +48,15 @@ class EventFinder {
 
  private:
   static constexpr int most_failures = 5;  // circles in a row that led to no track beyond doubt
+  static constexpr int few_wires = 5;
 
   // A seed of which two clusters belong to a track beyond doubt is not followed, nor one that is part of a
   // track.
   void try_segment(const FindSeed& seed) {
     int taken = 0;
     for (const std::int32_t id : seed.hits) taken += hits_.is_taken(id) ? 1 : 0;
-    if (taken >= 2 || std::ranges::any_of(tracks_, [&](const FoundTrack& t) { return holds(t, seed); }))
+    if (taken >= 2 ||
+        std::ranges::any_of(tracks_, [&](const FoundTrack& t) { return is_enough(t) && holds(t, seed); }))
       return;
     if (seed.hits.size() < 6 || std::abs(seed.helix.kappa) <= slow_kappa) {
       try_seed(seed);
@@ -65,11 +69,15 @@ class EventFinder {
     slow.covariance(2, 2) = variance_of_kappa(slow.helix.kappa);
     try_seed(slow);
   }
+  // Where no circle in the chamber leads to the wires, a track without them does not keep its clusters from
+  // other seeds: the beam line gives the curvature that the clusters leave open.
+  bool is_enough(const FoundTrack& track) const { return !stereo_only_ || track.wires >= few_wires; }
   // Whether two clusters belong to likely tracks.
   bool is_found(const FindSeed& seed) const {
     return std::ranges::count_if(seed.hits, [this](std::int32_t id) {
              return std::ranges::any_of(tracks_, [&](const FoundTrack& t) {
-               return is_likely(t, settings_.min_score) && std::ranges::find(t.hits, id) != t.hits.end();
+               return is_likely(t, settings_.min_score) && is_enough(t) &&
+                      std::ranges::find(t.hits, id) != t.hits.end();
              });
            }) >= 2;
   }
@@ -159,6 +167,7 @@ class EventFinder {
   LocalSearch local_;
   StereoSearch stereo_;
   Competition competition_;
+  bool stereo_only_;
   std::vector<FoundTrack> tracks_;
   std::int64_t seeds_ = 0;
 };

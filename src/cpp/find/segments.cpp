@@ -74,40 +74,49 @@ void SegmentFinder::heights(const EventHits& hits, std::size_t layer, const Poin
 
 const std::vector<FindSeed>& SegmentFinder::three_layers(const EventHits& hits) {
   load(hits, true);
-  for (std::size_t inner = 0; inner + 2 < points_.size(); ++inner) {
-    // No track turns by more between two layers, if it comes from near the beam line.
-    const double r_in = detector_.cgem[inner].r_mid(), r_out = detector_.cgem[inner + 2].r_mid();
-    const double bend = std::asin(std::min(1.0, 0.5 * largest_w_ * r_out)) -
-                        std::asin(std::min(1.0, 0.5 * largest_w_ * r_in));
-    const double window = bend + std::min(0.5, settings_.max_d * (1 / r_in - 1 / r_out));
-    for (const Point& a : points_[inner]) {
-      for (const Point& c : points_[inner + 2]) {
-        if (too_much()) return ranked();
-        ++work_;
-        const double turn = wrap_angle(c.phi - a.phi);
-        if (std::abs(turn) > window) continue;
-        work_ += static_cast<std::int64_t>(points_[inner + 1].size());
-        for (const Point& b : points_[inner + 1]) {
-          const double part = wrap_angle(b.phi - a.phi);
-          if (std::abs(part - 0.5 * turn) > 0.5 * std::abs(turn) + 0.1) continue;
-          three(inner, a, b, c, hits);
-        }
-      }
-    }
-  }
+  const std::size_t layers = points_.size();
+  for (std::size_t inner = 0; inner + 2 < layers; ++inner)
+    for (std::size_t outer = inner + 2; outer < std::min(layers, inner + 4); ++outer)
+      for (std::size_t middle = inner + 1; middle < outer; ++middle)
+        if (!three_of({inner, middle, outer}, hits)) return ranked();
   return ranked();
 }
 
-void SegmentFinder::three(std::size_t inner, const Point& a, const Point& b, const Point& c,
+// Whether there is work left for other layers.
+bool SegmentFinder::three_of(const Layers& layers, const EventHits& hits) {
+  const auto [inner, middle, outer] = layers;
+  // No track turns by more between two layers, if it comes from near the beam line.
+  const double r_in = detector_.cgem[inner].r_mid(), r_out = detector_.cgem[outer].r_mid();
+  const double bend =
+      std::asin(std::min(1.0, 0.5 * largest_w_ * r_out)) - std::asin(std::min(1.0, 0.5 * largest_w_ * r_in));
+  const double window = bend + std::min(0.5, settings_.max_d * (1 / r_in - 1 / r_out));
+  for (const Point& a : points_[inner]) {
+    for (const Point& c : points_[outer]) {
+      if (too_much()) return false;
+      ++work_;
+      const double turn = wrap_angle(c.phi - a.phi);
+      if (std::abs(turn) > window) continue;
+      work_ += static_cast<std::int64_t>(points_[middle].size());
+      for (const Point& b : points_[middle]) {
+        const double part = wrap_angle(b.phi - a.phi);
+        if (std::abs(part - 0.5 * turn) > 0.5 * std::abs(turn) + 0.1) continue;
+        three(layers, a, b, c, hits);
+      }
+    }
+  }
+  return true;
+}
+
+void SegmentFinder::three(const Layers& layers, const Point& a, const Point& b, const Point& c,
                           const EventHits& hits) {
   HelixPoint at = through(a.x, a.y, b.x, b.y, c.x, c.y);
   if (std::abs(at.w) > slowed * largest_w_ || at.outward() < 0) return;
   const PivotApproach line = approach_pivot(at, 0, 0);
   const bool slow = std::abs(at.w) > 1.15 * largest_w_;
   if (!line.exists || std::abs(line.d) > (slow ? slow_d : settings_.max_d)) return;
-  heights(hits, inner, a, low_, true);
-  heights(hits, inner + 1, b, middle_, true);
-  heights(hits, inner + 2, c, high_, true);
+  heights(hits, layers[0], a, low_, true);
+  heights(hits, layers[1], b, middle_, true);
+  heights(hits, layers[2], c, high_, true);
   const double s_a = -line.arc, s_b = s_a + arc(at.w, std::hypot(b.x - a.x, b.y - a.y)),
                s_c = s_a + arc(at.w, std::hypot(c.x - a.x, c.y - a.y));
   const double kappa = at.w / curvature(detector_.bz, 1.0);

@@ -1,6 +1,7 @@
 // Seeds from the CGEM alone: pairs of X and V clusters in three layers, or in two and the beam line.
 #pragma once
 
+#include <array>
 #include <cmath>
 #include <vector>
 
@@ -20,12 +21,13 @@ class SegmentFinder {
  public:
   SegmentFinder(const Detector& detector, const FindSettings& settings);
 
-  // Seeds of three neighbouring layers, or of two with the beam line as a third point; the best ones first.
-  // Taken clusters are left out of those of two layers.
+  // Seeds of three layers, neighbours but for one between them at most, or of two with the beam line as a
+  // third point; the best ones first. Taken clusters are left out of those of two layers.
   const std::vector<FindSeed>& three_layers(const EventHits& hits);
   const std::vector<FindSeed>& two_layers(const EventHits& hits);
 
  private:
+  using Layers = std::array<std::size_t, 3>;  // from the beam line outward
   struct Point {
     double x, y, phi;
     std::int32_t id;
@@ -42,7 +44,8 @@ class SegmentFinder {
   void load(const EventHits& hits, bool all);
   void heights(const EventHits& hits, std::size_t layer, const Point& point, std::vector<Height>& out,
                bool all);
-  void three(std::size_t inner, const Point& a, const Point& b, const Point& c, const EventHits& hits);
+  bool three_of(const Layers& layers, const EventHits& hits);
+  void three(const Layers& layers, const Point& a, const Point& b, const Point& c, const EventHits& hits);
   void two(std::size_t inner, std::size_t outer, const Point& a, const Point& c, const EventHits& hits);
   void add(const Perigee& helix, double sigma_d, std::initializer_list<std::int32_t> hits, double rank);
   void keep_best();
