@@ -6,6 +6,7 @@
 #include <cmath>
 #include <optional>
 
+#include "common/compiler.hpp"
 #include "detector/strip_plane.hpp"
 #include "find/event_hits.hpp"
 #include "motion/cells.hpp"
@@ -74,7 +75,7 @@ class NearbyHits {
     }
   }
 
-  void passes(GroupStep& step, const HelixPoint& at, bool alive) {
+  CGEMIT_FLATTEN void passes(GroupStep& step, const HelixPoint& at, bool alive) {
     step.first = step.last = next_;
     const std::size_t index = layer_++;
     if (!alive || !inside_ || at.outward() < 0) return;
