@@ -60,23 +60,29 @@ void AxialSearch::start() {
   if (std::popcount(layers) < hits_.least(largest_w_)) return;
   std::ranges::fill(grid_, 0);
   std::ranges::fill(counts_, 0);
-  crossed_.assign(static_cast<std::size_t>(columns) * points_.size(), {});
-  for (int column = 0; column < columns; ++column)
-    for (std::size_t i = 0; i < points_.size(); ++i)
-      if (columns_[static_cast<std::size_t>(column)].outward(points_[i]))
-        fill(column, points_[i], crossed_[static_cast<std::size_t>(column) * points_.size() + i]);
+  crossed_.clear();
+  const auto points = static_cast<std::int32_t>(points_.size());
+  for (int column = 0; column < columns; ++column) {
+    for (std::int32_t i = 0; i < points; ++i) fill(column, i);
+    of_column_[static_cast<std::size_t>(column) + 1] = crossed_.size();
+  }
   const double height = 2 * largest_w_ / rows;
   for (int column = 0; column < columns; ++column)
     for (int row = 0; row < rows; ++row) {
       const int at = column * rows + row;
+      if (counts_[static_cast<std::size_t>(at)] < hits_.least(largest_w_)) continue;
       push({counts_[static_cast<std::size_t>(at)], 0, -pi + column * cell_psi, -largest_w_ + row * height, -1,
             at, 0});
     }
 }
 
 // Counts the layer of a point in the boxes of a column that its curves cross.
-void AxialSearch::fill(int column, const AxialPoint& point, Rows& crossed) {
-  const Curves curves(point, columns_[static_cast<std::size_t>(column)]);
+void AxialSearch::fill(int column, std::int32_t number) {
+  const AxialPoint& point = points_[static_cast<std::size_t>(number)];
+  const Column& edges = columns_[static_cast<std::size_t>(column)];
+  if (!edges.outward(point)) return;
+  const Curves curves(point, edges);
+  Crossed crossed{number};
   const double per_height = rows / (2 * largest_w_);
   for (std::size_t side = 0; side < 2; ++side) {
     const double low = (curves.low[side] + largest_w_) * per_height,
@@ -92,15 +98,19 @@ void AxialSearch::fill(int column, const AxialPoint& point, Rows& crossed) {
       grid_[at] |= point.layer;
     }
   }
+  if (crossed.first[0] <= crossed.last[0] || crossed.first[1] <= crossed.last[1]) crossed_.push_back(crossed);
 }
 
 // The points of a box of the first grid.
 void AxialSearch::collect(Box& box) {
   const int row = box.last % rows;
-  const Rows* const crossed = &crossed_[static_cast<std::size_t>(box.last / rows) * points_.size()];
+  const auto column = static_cast<std::size_t>(box.last / rows);
   box.first = static_cast<std::int32_t>(arena_.size());
-  for (std::size_t i = 0; i < points_.size(); ++i)
-    if (crossed[i].hold(row) && !points_[i].left_out) arena_.push_back(static_cast<std::int32_t>(i));
+  for (std::size_t i = of_column_[column]; i < of_column_[column + 1]; ++i) {
+    const Crossed& crossed = crossed_[i];
+    if (crossed.has(row) && !points_[static_cast<std::size_t>(crossed.point)].left_out)
+      arena_.push_back(crossed.point);
+  }
   box.last = static_cast<std::int32_t>(arena_.size());
 }
 

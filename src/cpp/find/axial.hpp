@@ -70,15 +70,16 @@ class AxialSearch {
       return (high[0] >= from && low[0] <= to) || (high[1] >= from && low[1] <= to);
     }
   };
-  // Rows of the first grid that these curves cross; none if first > last.
-  struct Rows {
+  // Rows of a column of the first grid that the curves of a point cross; none of a curve if first > last.
+  struct Crossed {
+    std::int32_t point;
     std::array<std::uint8_t, 2> first{1, 1}, last{0, 0};
-    bool hold(int row) const {
+    bool has(int row) const {
       return (row >= first[0] && row <= last[0]) || (row >= first[1] && row <= last[1]);
     }
   };
 
-  void fill(int column, const AxialPoint& point, Rows& rows_crossed);
+  void fill(int column, std::int32_t number);
   void collect(Box& box);
   void divide(const Box& box);
   void push(const Box& box);
@@ -89,9 +90,10 @@ class AxialSearch {
   AxialHits& hits_;
   std::vector<AxialPoint>& points_;
   double largest_w_;
-  std::vector<std::uint64_t> grid_;   // layers of each box of the first grid, one bit each
-  std::vector<std::uint8_t> counts_;  // their number
-  std::vector<Rows> crossed_;         // of each column and point
+  std::vector<std::uint64_t> grid_;                   // layers of each box of the first grid, one bit each
+  std::vector<std::uint8_t> counts_;                  // their number
+  std::vector<Crossed> crossed_;                      // column by column
+  std::array<std::size_t, columns + 1> of_column_{};  // where a column begins in `crossed_`
   std::vector<Box> heap_;
   std::vector<std::int32_t> arena_, upper_;
   std::vector<Column> columns_;
