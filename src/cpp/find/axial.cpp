@@ -34,16 +34,6 @@ int AxialSearch::deepest(double w) const {
   return pt > 0.15 ? 5 : pt > 0.08 ? 4 : 3;  // slow tracks lose curvature on their way
 }
 
-// Whether one of the two curves of a hit crosses a box.
-bool AxialSearch::touches(const AxialPoint& point, const Column& column, double w, double height) {
-  if (!column.outward(point)) return false;
-  const double one = column.at_low(point), other = column.at_high(point);
-  const double low = std::min(one, other), high = std::max(one, other);
-  for (const double side : {-point.drift, point.drift})
-    if ((high + side) * point.per >= w && (low + side) * point.per <= w + height) return true;
-  return false;
-}
-
 int AxialSearch::layers_in(const Box& box) const {
   std::uint64_t layers = 0;
   for (std::int32_t i = box.first; i < box.last; ++i) {
@@ -64,47 +54,63 @@ void AxialSearch::push(const Box& box) {
 void AxialSearch::start() {
   heap_.clear();
   arena_.clear();
-  divided_ = 0;
+  divided_ = circles_ = 0;
   std::uint64_t layers = 0;
   for (const AxialPoint& p : points_) layers |= p.layer;
   if (std::popcount(layers) < hits_.least(largest_w_)) return;
   std::ranges::fill(grid_, 0);
   std::ranges::fill(counts_, 0);
-  const double height = 2 * largest_w_ / rows, per_height = 1 / height;
-  const auto row_of = [&](double w) {
-    return static_cast<int>(
-        std::floor((std::clamp(w, -2 * largest_w_, 2 * largest_w_) + largest_w_) * per_height));
-  };
-  for (const AxialPoint& p : points_) {
-    for (int column = 0; column < columns; ++column) {
-      const Column& edges = columns_[static_cast<std::size_t>(column)];
-      if (!edges.outward(p)) continue;
-      const double one = edges.at_low(p), other = edges.at_high(p);
-      for (const double side : {-p.drift, p.drift}) {
-        const int first = std::max(0, row_of((std::min(one, other) + side) * p.per));
-        const int last = std::min(rows - 1, row_of((std::max(one, other) + side) * p.per));
-        for (int row = first; row <= last; ++row) {
-          const auto at = static_cast<std::size_t>(column * rows + row);
-          counts_[at] = static_cast<std::uint8_t>(counts_[at] + ((grid_[at] & p.layer) == 0 ? 1 : 0));
-          grid_[at] |= p.layer;
-        }
-      }
+  crossed_.clear();
+  const auto points = static_cast<std::int32_t>(points_.size());
+  for (int column = 0; column < columns; ++column) {
+    for (std::int32_t i = 0; i < points; ++i) fill(column, i);
+    of_column_[static_cast<std::size_t>(column) + 1] = crossed_.size();
+  }
+  const double height = 2 * largest_w_ / rows;
+  for (int column = 0; column < columns; ++column)
+    for (int row = 0; row < rows; ++row) {
+      const int at = column * rows + row;
+      if (counts_[static_cast<std::size_t>(at)] < hits_.least(largest_w_)) continue;
+      push({counts_[static_cast<std::size_t>(at)], 0, -pi + column * cell_psi, -largest_w_ + row * height, -1,
+            at, 0});
+    }
+}
+
+// Counts the layer of a point in the boxes of a column that its curves cross.
+void AxialSearch::fill(int column, std::int32_t number) {
+  const AxialPoint& point = points_[static_cast<std::size_t>(number)];
+  const Column& edges = columns_[static_cast<std::size_t>(column)];
+  if (!edges.outward(point)) return;
+  const Curves curves(point, edges);
+  Crossed crossed{number};
+  const double per_height = rows / (2 * largest_w_);
+  for (std::size_t side = 0; side < 2; ++side) {
+    const double low = (curves.low[side] + largest_w_) * per_height,
+                 high = (curves.high[side] + largest_w_) * per_height;
+    if (!(high >= 0 && low < rows)) continue;
+    const int first = low > 0 ? static_cast<int>(low) : 0,
+              last = high < rows ? static_cast<int>(high) : rows - 1;
+    crossed.first[side] = static_cast<std::uint8_t>(first);
+    crossed.last[side] = static_cast<std::uint8_t>(last);
+    for (int row = first; row <= last; ++row) {
+      const auto at = static_cast<std::size_t>(column * rows + row);
+      counts_[at] = static_cast<std::uint8_t>(counts_[at] + ((grid_[at] & point.layer) == 0 ? 1 : 0));
+      grid_[at] |= point.layer;
     }
   }
-  for (int column = 0; column < columns; ++column)
-    for (int row = 0; row < rows; ++row)
-      push({counts_[static_cast<std::size_t>(column * rows + row)], 0, -pi + column * cell_psi,
-            -largest_w_ + row * height, -1, -1});
+  if (crossed.first[0] <= crossed.last[0] || crossed.first[1] <= crossed.last[1]) crossed_.push_back(crossed);
 }
 
 // The points of a box of the first grid.
 void AxialSearch::collect(Box& box) {
-  const Column column(box.psi, cell_psi);
-  const double height = 2 * largest_w_ / rows;
+  const int row = box.last % rows;
+  const auto column = static_cast<std::size_t>(box.last / rows);
   box.first = static_cast<std::int32_t>(arena_.size());
-  for (std::size_t i = 0; i < points_.size(); ++i)
-    if (!points_[i].left_out && touches(points_[i], column, box.w, height))
-      arena_.push_back(static_cast<std::int32_t>(i));
+  for (std::size_t i = of_column_[column]; i < of_column_[column + 1]; ++i) {
+    const Crossed& crossed = crossed_[i];
+    if (crossed.has(row) && !points_[static_cast<std::size_t>(crossed.point)].left_out)
+      arena_.push_back(crossed.point);
+  }
   box.last = static_cast<std::int32_t>(arena_.size());
 }
 
@@ -112,16 +118,23 @@ void AxialSearch::divide(const Box& box) {
   const int depth = box.depth + 1;
   const double width = cell_psi / (1 << depth), height = 2 * largest_w_ / rows / (1 << depth);
   for (int i = 0; i < 2; ++i) {
-    const double psi = box.psi + i * width;
+    const double psi = box.psi + i * width, middle = box.w + height;
     const Column column(psi, width);
-    for (int j = 0; j < 2; ++j) {
-      Box child{0, depth, psi, box.w + j * height, static_cast<std::int32_t>(arena_.size()), 0};
-      for (std::int32_t k = box.first; k < box.last; ++k) {
-        const std::int32_t point = arena_[static_cast<std::size_t>(k)];
-        if (touches(points_[static_cast<std::size_t>(point)], column, child.w, height))
-          arena_.push_back(point);
-      }
-      child.last = static_cast<std::int32_t>(arena_.size());
+    const auto begin = static_cast<std::int32_t>(arena_.size());
+    upper_.clear();
+    for (std::int32_t k = box.first; k < box.last; ++k) {
+      const std::int32_t number = arena_[static_cast<std::size_t>(k)];
+      const AxialPoint& point = points_[static_cast<std::size_t>(number)];
+      if (!column.outward(point)) continue;
+      const Curves curves(point, column);
+      if (curves.cross(box.w, box.w + height)) arena_.push_back(number);
+      if (curves.cross(middle, middle + height)) upper_.push_back(number);
+    }
+    const auto border = static_cast<std::int32_t>(arena_.size());
+    arena_.insert(arena_.end(), upper_.begin(), upper_.end());
+    const auto end = static_cast<std::int32_t>(arena_.size());
+    for (Box child : {Box{0, depth, psi, box.w, begin, border, circles_},
+                      Box{0, depth, psi, middle, border, end, circles_}}) {
       child.layers = layers_in(child);
       push(child);
     }
@@ -135,7 +148,8 @@ std::optional<FoundCircle> AxialSearch::next() {
     Box box = heap_.back();
     heap_.pop_back();
     if (box.first < 0) collect(box);
-    const int now = layers_in(box);
+    const int now = box.counted == circles_ ? box.layers : layers_in(box);
+    box.counted = circles_;
     if (now < box.layers) {
       box.layers = now;
       push(box);
@@ -147,6 +161,7 @@ std::optional<FoundCircle> AxialSearch::next() {
       auto found =
           hits_.fit(0, box.psi + 0.5 * cell_psi * scale, box.w + largest_w_ / rows * scale, beam_line, 0);
       // Whatever comes of it, the next search must find something else.
+      ++circles_;
       for (std::int32_t i = box.first; i < box.last; ++i)
         points_[static_cast<std::size_t>(arena_[static_cast<std::size_t>(i)])].left_out = true;
       if (found) return found;

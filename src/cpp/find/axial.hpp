@@ -7,6 +7,7 @@
 // beam line counts.
 #pragma once
 
+#include <algorithm>
 #include <array>
 #include <cmath>
 #include <cstdint>
@@ -33,7 +34,8 @@ class AxialSearch {
   struct Box {
     int layers, depth;
     double psi, w;             // lowest corner
-    std::int32_t first, last;  // its points in the arena; not yet collected if first < 0
+    std::int32_t first, last;  // its points in the arena; if first < 0, last is its place in the first grid
+    int counted;               // circles that had been found when its layers were counted
 
     bool operator<(const Box& other) const {
       return std::tuple(layers, depth, -psi, -w) <
@@ -55,8 +57,29 @@ class AxialSearch {
     double at_low(const AxialPoint& p) const { return p.y * cos_low - p.x * sin_low; }
     double at_high(const AxialPoint& p) const { return p.y * cos_high - p.x * sin_high; }
   };
+  // The curvatures that the two curves of a hit have within a column.
+  struct Curves {
+    std::array<double, 2> low, high;
+    Curves(const AxialPoint& p, const Column& column) {
+      const double one = column.at_low(p), other = column.at_high(p);
+      const double least = std::min(one, other), most = std::max(one, other);
+      low = {(least - p.drift) * p.per, (least + p.drift) * p.per};
+      high = {(most - p.drift) * p.per, (most + p.drift) * p.per};
+    }
+    bool cross(double from, double to) const {
+      return (high[0] >= from && low[0] <= to) || (high[1] >= from && low[1] <= to);
+    }
+  };
+  // Rows of a column of the first grid that the curves of a point cross; none of a curve if first > last.
+  struct Crossed {
+    std::int32_t point;
+    std::array<std::uint8_t, 2> first{1, 1}, last{0, 0};
+    bool has(int row) const {
+      return (row >= first[0] && row <= last[0]) || (row >= first[1] && row <= last[1]);
+    }
+  };
 
-  static bool touches(const AxialPoint& point, const Column& column, double w, double height);
+  void fill(int column, std::int32_t number);
   void collect(Box& box);
   void divide(const Box& box);
   void push(const Box& box);
@@ -67,12 +90,14 @@ class AxialSearch {
   AxialHits& hits_;
   std::vector<AxialPoint>& points_;
   double largest_w_;
-  std::vector<std::uint64_t> grid_;   // layers of each box of the first grid, one bit each
-  std::vector<std::uint8_t> counts_;  // their number
+  std::vector<std::uint64_t> grid_;                   // layers of each box of the first grid, one bit each
+  std::vector<std::uint8_t> counts_;                  // their number
+  std::vector<Crossed> crossed_;                      // column by column
+  std::array<std::size_t, columns + 1> of_column_{};  // where a column begins in `crossed_`
   std::vector<Box> heap_;
-  std::vector<std::int32_t> arena_;
+  std::vector<std::int32_t> arena_, upper_;
   std::vector<Column> columns_;
-  int divided_ = 0;
+  int divided_ = 0, circles_ = 0;
 };
 
 }  // namespace cgemit

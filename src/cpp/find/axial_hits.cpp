@@ -20,9 +20,8 @@ constexpr int slow_layers = 4;
 constexpr double per_occupancy_slow = 100;
 constexpr double per_occupancy = 12;  // layers that a seed needs in addition, per share of fired cells
 
-// Drift distance with the side of the circle, minus the distance to the circle.
-double residual(const FoundCircle& c, const AxialPoint& p) {
-  const double ux = std::cos(c.psi), uy = std::sin(c.psi);
+// Drift distance with the side of the circle, minus the distance to the circle with the direction (ux, uy).
+double residual(const FoundCircle& c, double ux, double uy, const AxialPoint& p) {
   const double g = (1 - c.w * c.d) * (p.y * ux - p.x * uy) + c.d * (1 - 0.5 * c.w * c.d) -
                    0.5 * c.w * (p.x * p.x + p.y * p.y);
   const double left = g / (1 - 0.5 * c.w * g);
@@ -84,7 +83,7 @@ std::optional<FoundCircle> AxialHits::fit(double d, double psi, double w, double
     std::uint64_t layers = 0;
     for (AxialPoint& p : points_) {
       if (p.left_out || p.x * ux + p.y * uy < 0) continue;
-      const double off = residual(c, p);
+      const double off = residual(c, ux, uy, p);
       if (std::abs(off) > window) continue;
       const double across = p.y * ux - p.x * uy, along = p.x * ux + p.y * uy;
       const Eigen::Vector3d row(1 - c.w * (across + c.d), -(1 - c.w * c.d) * along,
@@ -106,9 +105,9 @@ std::optional<FoundCircle> AxialHits::fit(double d, double psi, double w, double
   if (std::abs(c.d) > settings_.max_d || std::abs(c.w) > 1.15 * largest_w_) return std::nullopt;
   const Eigen::Matrix3d inverse = normal.inverse();
   c.covariance = {inverse(0, 0), inverse(0, 1), inverse(0, 2), inverse(1, 1), inverse(1, 2), inverse(2, 2)};
+  const double ux = std::cos(c.psi), uy = std::sin(c.psi);
   for (AxialPoint& p : points_)
-    if (!p.left_out && std::abs(residual(c, p)) < 1.2 && p.x * std::cos(c.psi) + p.y * std::sin(c.psi) > 0)
-      p.left_out = true;
+    if (!p.left_out && p.x * ux + p.y * uy > 0 && std::abs(residual(c, ux, uy, p)) < 1.2) p.left_out = true;
   return c;
 }
 

@@ -21,24 +21,18 @@ class EventHits {
       cells_[i].assign(static_cast<std::size_t>(detector.wires[i].cells), -1);
     begin_.resize(2 * detector.cgem.size() + 1);
     fired_.resize(cells_.size());
+    begin_wires_.resize(cells_.size() + 1);
   }
 
   void load(std::span<const Hit> hits, std::int64_t first) {
     for (const Hit& hit : hits_)
       if (hit.view == View::wire) cell(hit) = -1;
-    order_.clear();
-    for (std::size_t i = 0; i < hits.size(); ++i) order_.push_back(static_cast<std::int32_t>(i));
-    const auto key = [&](std::int32_t i) {
-      const Hit& hit = hits[static_cast<std::size_t>(i)];
-      return std::tuple(hit.view == View::wire, hit.layer, hit.view, hit.channel, hit.value, hit.sigma,
-                        hit.size, i);
-    };
-    std::ranges::sort(order_, [&](std::int32_t a, std::int32_t b) { return key(a) < key(b); });
+    sort(hits);
     hits_.clear();
     sources_.clear();
     std::ranges::fill(fired_, 0);
     std::ranges::fill(begin_, 0);
-    for (const std::int32_t i : order_) {
+    for (const auto& [where, i] : order_) {
       const Hit& hit = hits[static_cast<std::size_t>(i)];
       if (hit.view != View::wire) {
         ++begin_[place(static_cast<std::size_t>(hit.layer), hit.view) + 1];
@@ -53,6 +47,8 @@ class EventHits {
       sources_.push_back(first + i);
     }
     for (std::size_t i = 1; i < begin_.size(); ++i) begin_[i] += begin_[i - 1];
+    begin_wires_[0] = begin_.back();
+    for (std::size_t i = 0; i < fired_.size(); ++i) begin_wires_[i + 1] = begin_wires_[i] + fired_[i];
     taken_.assign(hits_.size(), 0);
   }
 
@@ -65,6 +61,10 @@ class EventHits {
   std::int32_t last(std::size_t layer, View view) const { return begin_[place(layer, view) + 1]; }
   // Hits on wires follow the clusters.
   std::int32_t first_wire() const { return begin_.back(); }
+  // Those of a layer have the numbers first_wire(...) to last_wire(...), the latter excluded, in the order of
+  // their cells.
+  std::int32_t first_wire(std::size_t layer) const { return begin_wires_[layer]; }
+  std::int32_t last_wire(std::size_t layer) const { return begin_wires_[layer + 1]; }
   // The hit of a cell, or -1.
   std::int32_t at(std::size_t layer, std::int64_t number) const {
     return cells_[layer][static_cast<std::size_t>(number)];
@@ -91,6 +91,30 @@ class EventHits {
   double occupancy(std::size_t layer) const { return (fired_[layer] + 0.5) / detector_.wires[layer].cells; }
 
  private:
+  // A hit of the input by its place: kind, layer, view and channel in one number.
+  struct Placed {
+    std::uint64_t where;
+    std::int32_t number;
+  };
+
+  void sort(std::span<const Hit> hits) {
+    order_.clear();
+    for (std::size_t i = 0; i < hits.size(); ++i) {
+      const Hit& hit = hits[i];
+      const std::uint64_t kind = hit.view == View::wire ? 1 : 0, view = hit.view == View::v ? 1 : 0;
+      const auto layer = static_cast<std::uint64_t>(hit.layer),
+                 channel = static_cast<std::uint64_t>(hit.channel);
+      order_.push_back({(kind << 60) | (layer << 40) | (view << 36) | channel, static_cast<std::int32_t>(i)});
+    }
+    const auto key = [&](const Placed& placed) {
+      const Hit& hit = hits[static_cast<std::size_t>(placed.number)];
+      return std::tuple(hit.value, hit.sigma, hit.size, placed.number);
+    };
+    std::ranges::sort(order_, [&](const Placed& a, const Placed& b) {
+      return a.where != b.where ? a.where < b.where : key(a) < key(b);
+    });
+  }
+
   static std::size_t place(std::size_t layer, View view) { return 2 * layer + (view == View::v ? 1 : 0); }
   double reach(const Hit& hit) const {
     const WireLayer& layer = detector_.wires[static_cast<std::size_t>(hit.layer)];
@@ -104,7 +128,8 @@ class EventHits {
   const PairScores& pairs_;
   std::vector<Hit> hits_;
   std::vector<std::int64_t> sources_;
-  std::vector<std::int32_t> order_, begin_, fired_;
+  std::vector<Placed> order_;
+  std::vector<std::int32_t> begin_, fired_, begin_wires_;
   std::vector<std::vector<std::int32_t>> cells_;
   std::vector<std::uint8_t> taken_;
 };

@@ -32,6 +32,7 @@ class EventFinder {
 
   const std::vector<FoundTrack>& find(std::span<const Hit> hits, std::int64_t first) {
     hits_.load(hits, first);
+    follower_.start(hits_);
     tracks_.clear();
     seeds_ = 0;
     if (settings_.segments && detector_.cgem.size() >= 3)
@@ -89,7 +90,7 @@ class EventFinder {
   bool try_seed(const FindSeed& seed) {
     ++seeds_;
     FoundTrack track;
-    if (!follower_.follow(seed, hits_, track) || !is_track(track)) return false;
+    if (!follower_.follow(seed, track) || !is_track(track)) return false;
     const bool solid = track.wires >= 14 && track.along >= 4 && track.wires > 4 * track.holes &&
                        !track.has_gaps() && track.chi2 < 4 * static_cast<double>(track.hits.size());
     if (solid)

@@ -2,7 +2,9 @@
 
 #include <algorithm>
 #include <cmath>
+#include <functional>
 
+#include "common/compiler.hpp"
 #include "detector/cluster_errors.hpp"
 #include "find/score.hpp"
 #include "kalman/field_reference.hpp"
@@ -21,20 +23,36 @@ constexpr int most_speed_ups = 8;
 constexpr double speed_up = 0.92;  // of kappa
 constexpr int least_hits = 3;
 constexpr double close_to_edge = 0.85;  // of half a cell
+constexpr double negligible = -60;      // logarithm of the likelihood of the other side of a wire
 
 }  // namespace
 
-bool Follower::follow(const FindSeed& seed, const EventHits& hits, FoundTrack& track) {
+Follower::Follower(const Detector& detector, const FindSettings& settings)
+    : detector_(detector),
+      settings_(settings),
+      nearby_(detector, group_),
+      log_found_(std::log(settings.efficiency)),
+      log_missed_(std::log1p(-settings.efficiency)),
+      gap_density_(detector.cgem.size()),
+      wire_ratio_(detector.wires.size()) {}
+
+void Follower::start(const EventHits& hits) {
   hits_ = &hits;
+  for (std::size_t i = 0; i < gap_density_.size(); ++i)
+    gap_density_[i] = {std::log(hits.density(i, View::x)), std::log(hits.density(i, View::v))};
+  for (std::size_t i = 0; i < wire_ratio_.size(); ++i)
+    wire_ratio_[i] = std::log(settings_.efficiency / hits.density(i, View::wire));
+}
+
+bool Follower::follow(const FindSeed& seed, FoundTrack& track) {
   last_found_.clear();
   Perigee start = seed.helix;
   Symmetric<double> prior = seed.covariance;
   std::span<const std::int32_t> forced = seed.hits;
   for (int number = 0; number < settings_.passes; ++number) {
-    if (!pass(start, prior, forced, number == 0)) return false;
-    const Branch& best = branches_.front();
-    if (best.score < hopeless - most_prompt || !refit(best)) return false;
-    collect(best, track);
+    const Branch* const best = pass(start, prior, forced, number == 0);
+    if (best == nullptr || best->score < hopeless - most_prompt || !refit(*best)) return false;
+    collect(*best, track);
     if (track.score < hopeless) return false;
     // The reference was good enough if a second pass has changed next to nothing.
     const auto more = static_cast<int>(track.hits.size()) - static_cast<int>(last_found_.size());
@@ -62,9 +80,9 @@ void Follower::trace(const Perigee& start) {
   }
 }
 
-// One pass outward about `start`. Returns whether a branch has enough hits; the best one is the first.
-bool Follower::pass(const Perigee& start, const Symmetric<double>& prior,
-                    std::span<const std::int32_t> forced, bool wide) {
+// One pass outward about `start`.
+auto Follower::pass(const Perigee& start, const Symmetric<double>& prior,
+                    std::span<const std::int32_t> forced, bool wide) -> const Branch* {
   reference_ = start;
   // A circle through the hits has the momentum after some of the loss; with that at the origin, the particle
   // may stop before its last hits.
@@ -98,8 +116,8 @@ bool Follower::pass(const Perigee& start, const Symmetric<double>& prior,
         add_noise(branch.state.c, group_.dense_noise[noise], slab.shifts);
     }
   }
-  std::ranges::stable_sort(branches_, [](const Branch& a, const Branch& b) { return a.score > b.score; });
-  return branches_.front().hits >= least_hits;
+  const auto best = std::ranges::max_element(branches_, {}, &Branch::score);
+  return best->hits >= least_hits ? &*best : nullptr;
 }
 
 // Whether the reference passes all of some hits; false without any.
@@ -125,13 +143,16 @@ double Follower::pair_score(const Branch& branch, const Slot<double>& v) {
 }
 
 // Each branch takes one of the clusters of a view, or none.
-void Follower::gap_view(const GroupStep& step, View view, std::span<const std::int32_t> forced) {
+CGEMIT_FLATTEN void Follower::gap_view(const GroupStep& step, View view,
+                                       std::span<const std::int32_t> forced) {
   std::int32_t only = -1;
-  for (std::int32_t s = step.first; s < step.last; ++s)
-    if (slot(s).view == view && std::ranges::find(forced, slot(s).hit[0]) != forced.end()) only = s;
+  for (std::int32_t s = step.first; s < step.last; ++s) {
+    if (slot(s).view != view) continue;
+    slot(s).variance = variance_of(slot(s));
+    if (std::ranges::find(forced, slot(s).hit[0]) != forced.end()) only = s;
+  }
   const auto layer = static_cast<std::size_t>(detector_.slabs[static_cast<std::size_t>(step.slab)].gap);
-  const double log_density = std::log(hits_->density(layer, view)),
-               log_found = std::log(settings_.efficiency);
+  const double log_density = gap_density_[layer][view == View::x ? 0 : 1];
   next_.clear();
   for (const Branch& branch : branches_) {
     const bool tries = !branch.ended;
@@ -139,18 +160,18 @@ void Follower::gap_view(const GroupStep& step, View view, std::span<const std::i
       const Slot<double>& there = slot(s);
       if (there.view != view || !there.met || (only >= 0 && s != only)) continue;
       const Five<double> ch = branch.state.c * there.row;
-      const double total = dot(there.row, ch) + variance_of(there);
+      const double total = dot(there.row, ch) + there.variance;
       const double residual = there.drift - there.predicted - dot(there.row, branch.state.x);
       const double chi2 = residual * residual / total;
       if (only < 0 && !(chi2 < settings_.gate * settings_.gate)) continue;
       const double pair = view == View::v ? pair_score(branch, there) : 0;
       next_.push_back(branch);
-      take(next_.back(), s, residual, total, ch, log_found + log_gaussian(chi2, total) - log_density + pair,
+      take(next_.back(), s, residual, total, ch, log_found_ + log_gaussian(chi2, total) - log_density + pair,
            0);
     }
     if (only >= 0 && tries) continue;
     next_.push_back(branch);
-    if (tries && nearby_.expects(step)) hole(next_.back(), std::log1p(-settings_.efficiency));
+    if (tries && nearby_.expects(step)) hole(next_.back(), log_missed_);
   }
   if (next_.empty()) next_ = branches_;
   branches_.swap(next_);
@@ -162,13 +183,13 @@ void Follower::wires(const GroupStep& step) {
     if (slot(s).met) wire(slot(s));
 }
 
-void Follower::wire(Slot<double>& cell) {
+CGEMIT_FLATTEN void Follower::wire(Slot<double>& cell) {
   const auto layer = static_cast<std::size_t>(cell.layer);
   const WireLayer& wires = detector_.wires[layer];
   const double half = pi * wires.r_end / wires.cells;
   const bool fired = cell.hit[0] >= 0;
   const auto number = static_cast<std::int32_t>(&cell - group_.slots.data());
-  const double gate = settings_.gate, background = hits_->density(layer, View::wire);
+  const double gate = settings_.gate;
   const std::size_t branches = branches_.size();
   for (std::size_t i = 0; i < branches; ++i) {
     if (branches_[i].ended) continue;
@@ -178,7 +199,7 @@ void Follower::wire(Slot<double>& cell) {
                  distance = std::abs(predicted);
     const bool crosses = distance + 2 * spread < close_to_edge * half - rim;
     if (!fired) {
-      if (crosses) hole(branches_[i], std::log1p(-settings_.efficiency));
+      if (crosses) hole(branches_[i], log_missed_);
       continue;
     }
     if (distance - gate * spread > 1.6 * half) continue;
@@ -188,13 +209,13 @@ void Follower::wire(Slot<double>& cell) {
     if (!(chi2 < gate * gate)) {
       // An earlier hit of something else hides the track's own; a later one does not.
       if (crosses)
-        hole(branches_[i],
-             cell.drift < distance ? std::log(hits_->occupancy(layer)) : std::log1p(-settings_.efficiency));
+        hole(branches_[i], cell.drift < distance ? std::log(hits_->occupancy(layer)) : log_missed_);
       continue;
     }
     const double other = std::max(std::abs(right), std::abs(left));
-    const double both = std::log1p(std::exp(0.5 * (chi2 - other * other / variance)));
-    const double ratio = std::log(settings_.efficiency / background) + log_gaussian(chi2, variance) + both;
+    const double log_other = 0.5 * (chi2 - other * other / variance);
+    const double both = log_other < negligible ? 0 : std::log1p(std::exp(log_other));
+    const double ratio = wire_ratio_[layer] + log_gaussian(chi2, variance) + both;
     if (ratio < 0) continue;
     if (ratio < sure) branches_.push_back(branches_[i]);  // without the hit
     const double weight = std::tanh(cell.drift * predicted / variance);
@@ -206,7 +227,7 @@ void Follower::wire(Slot<double>& cell) {
 
 void Follower::hole(Branch& branch, double penalty) const {
   if (branch.hits == 0) return;  // the particle may come from here
-  branch.score += std::max(penalty, std::log1p(-settings_.efficiency));
+  branch.score += std::max(penalty, log_missed_);
   ++branch.holes;
   branch.ended = ++branch.in_row > settings_.holes_in_row;
 }
@@ -224,11 +245,19 @@ void Follower::take(Branch& branch, std::int32_t number, double residual, double
   branch.chain = static_cast<std::int32_t>(links_.size()) - 1;
 }
 
+// Leaves the best branches, in their order; of equal ones the first.
 void Follower::keep_best() {
   const auto most = static_cast<std::size_t>(settings_.branches);
   if (branches_.size() <= most) return;
-  std::ranges::stable_sort(branches_, [](const Branch& a, const Branch& b) { return a.score > b.score; });
-  branches_.resize(most);
+  const auto score = [this](std::int32_t i) { return branches_[static_cast<std::size_t>(i)].score; };
+  order_.clear();
+  for (std::int32_t i = 0; i < static_cast<std::int32_t>(branches_.size()); ++i) {
+    order_.insert(std::ranges::upper_bound(order_, score(i), std::greater<>(), score), i);
+    if (order_.size() > most) order_.pop_back();
+  }
+  next_.clear();
+  for (const std::int32_t i : order_) next_.push_back(branches_[static_cast<std::size_t>(i)]);
+  branches_.swap(next_);
 }
 
 }  // namespace cgemit

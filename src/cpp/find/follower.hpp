@@ -7,6 +7,7 @@
 //   hit:  ln(efficiency N(residual; 0, S) / density of foreign hits),   hole:  ln(1 - efficiency).
 #pragma once
 
+#include <array>
 #include <cstdint>
 #include <span>
 #include <vector>
@@ -41,11 +42,12 @@ struct FoundTrack {
 
 class Follower {
  public:
-  Follower(const Detector& detector, const FindSettings& settings)
-      : detector_(detector), settings_(settings), nearby_(detector, group_) {}
+  Follower(const Detector& detector, const FindSettings& settings);
 
+  // Begins with the hits of another event.
+  void start(const EventHits& hits);
   // Returns false where the seed leads nowhere.
-  bool follow(const FindSeed& seed, const EventHits& hits, FoundTrack& track);
+  bool follow(const FindSeed& seed, FoundTrack& track);
 
  private:
   struct Branch {
@@ -61,8 +63,9 @@ class Follower {
     double gain;
   };
 
-  bool pass(const Perigee& start, const Symmetric<double>& prior, std::span<const std::int32_t> forced,
-            bool wide);
+  // The best branch, or none if it has too few hits.
+  const Branch* pass(const Perigee& start, const Symmetric<double>& prior,
+                     std::span<const std::int32_t> forced, bool wide);
   void trace(const Perigee& start);
   bool meets_all(std::span<const std::int32_t> wanted) const;
   void gap_view(const GroupStep& step, View view, std::span<const std::int32_t> forced);
@@ -73,6 +76,7 @@ class Follower {
   void take(Branch& branch, std::int32_t slot, double residual, double total, const Five<double>& ch,
             double gain, double weight);
   void keep_best();
+  void keep_used(const Branch& best);
   bool refit(const Branch& best);
   void collect(const Branch& best, FoundTrack& track) const;
   double variance_of(const Slot<double>& slot) const;
@@ -83,9 +87,15 @@ class Follower {
   Group<double> group_;
   NearbyHits nearby_;
   const EventHits* hits_ = nullptr;
+  const double log_found_, log_missed_;  // probabilities that a layer has its hit, or not
+  // Logarithms of the density of foreign hits, in the two views of each gap, and of the efficiency over it,
+  // in each layer of wires.
+  std::vector<std::array<double, 2>> gap_density_;
+  std::vector<double> wire_ratio_;
   std::vector<Branch> branches_, next_;
+  std::vector<std::int32_t> order_;  // of branches, the best one first
   std::vector<Link> links_;
-  std::vector<std::int32_t> found_, last_found_;
+  std::vector<std::int32_t> last_found_;
   FilteredState<double> fitted_{};
   Perigee reference_{};
 };

@@ -1,6 +1,7 @@
 // From the best branch of a follower to the track: its hits are filtered once more, and collected.
 #include <algorithm>
 #include <cmath>
+#include <ranges>
 
 #include "detector/cluster_errors.hpp"
 #include "find/follower.hpp"
@@ -10,18 +11,34 @@
 
 namespace cgemit {
 
-// The track at the origin from all hits of a branch: the filter inward, twice, with the sides of wires from
-// the first time.
-bool Follower::refit(const Branch& best) {
+// Removes the slots of measurements that the branch does not have.
+void Follower::keep_used(const Branch& best) {
   for (std::int32_t at = best.chain; at >= 0; at = links_[static_cast<std::size_t>(at)].before) {
     const Link& link = links_[static_cast<std::size_t>(at)];
     slot(link.slot).used = true;
     slot(link.slot).weight = link.weight;
   }
+  std::int32_t kept = 0;
+  for (GroupStep& step : group_.steps) {
+    const std::int32_t first = kept;
+    for (std::int32_t s = step.first; s < step.last; ++s) {
+      if (!slot(s).used) continue;
+      if (s != kept) slot(kept) = slot(s);
+      ++kept;
+    }
+    step.first = first;
+    step.last = kept;
+  }
+  group_.slots = group_.slots.first(static_cast<std::size_t>(kept));
+}
+
+// The track at the origin from all hits of a branch: the filter inward, twice, with the sides of wires from
+// the first time.
+bool Follower::refit(const Branch& best) {
+  keep_used(best);
   const Five<double> prior{{1e4, 1, 100, 1e6, 25}};
   for (int time = 0; time < 2; ++time) {
     for (Slot<double>& s : group_.slots) {
-      if (!s.used) continue;
       if (s.view == View::wire) {
         s.value = s.weight * s.drift;
         s.variance = s.noise + (1 - s.weight * s.weight) * s.drift * s.drift;
@@ -31,14 +48,12 @@ bool Follower::refit(const Branch& best) {
       }
       s.residual = s.value - s.predicted;
     }
-    for (Slot<double>& s : group_.slots)
-      if (!s.met) s.row = Five<double>::zero();
     fitted_ = filter(detector_, group_, Symmetric<double>::diagonal(prior));
     if (!(sound(fitted_) && positive_definite(fitted_.c))) return false;
     if (time == 1) break;
     smooth(group_, false);
     for (Slot<double>& s : group_.slots) {
-      if (!s.used || s.view != View::wire) continue;
+      if (s.view != View::wire) continue;
       const double spread = std::max(s.unbiased_variance - s.variance, 0.0);
       s.weight = std::tanh(s.drift * (s.value - s.unbiased) / (s.noise + spread));
     }
@@ -46,6 +61,7 @@ bool Follower::refit(const Branch& best) {
   return true;
 }
 
+// The slots are those of the branch, one for each of its hits.
 void Follower::collect(const Branch& best, FoundTrack& track) const {
   track.hits.clear();
   track.gains.clear();
@@ -54,11 +70,10 @@ void Follower::collect(const Branch& best, FoundTrack& track) const {
   track.score = best.score;
   track.holes = best.holes;
   track.chi2 = fitted_.chi2;
-  for (std::int32_t at = best.chain; at >= 0; at = links_[static_cast<std::size_t>(at)].before) {
-    const Link& link = links_[static_cast<std::size_t>(at)];
-    const Slot<double>& s = group_.slots[static_cast<std::size_t>(link.slot)];
+  for (std::int32_t at = best.chain; at >= 0; at = links_[static_cast<std::size_t>(at)].before)
+    track.gains.push_back(links_[static_cast<std::size_t>(at)].gain);
+  for (const Slot<double>& s : group_.slots | std::views::reverse) {
     track.hits.push_back(s.hit[0]);
-    track.gains.push_back(link.gain);
     if (s.view == View::wire) {
       ++track.wires;
       if (s.layer != last) ++track.layers;

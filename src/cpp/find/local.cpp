@@ -68,10 +68,9 @@ void LocalSearch::start(const EventHits& hits) {
 void LocalSearch::pairs(const Ends& ends, const EventHits& hits) {
   const WireLayer &low = detector_.wires[ends.inner], &high = detector_.wires[ends.outer];
   const double reach = steepest * (high.r_end - low.r_end) / high.r_end * high.per_radian + 1;
-  for (std::int64_t cell = 0; cell < low.cells; ++cell) {
-    const std::int32_t a = hits.at(ends.inner, cell);
-    if (a < 0 || hits.is_taken(a)) continue;
-    const Wire& from = low.placed[static_cast<std::size_t>(cell)];
+  for (std::int32_t a = hits.first_wire(ends.inner); a < hits.last_wire(ends.inner); ++a) {
+    if (hits.is_taken(a)) continue;
+    const Wire& from = low.placed[static_cast<std::size_t>(hits[a].channel)];
     const double at = cell_coordinate(high, std::atan2(from.y, from.x), 0.0);
     for (double c = std::ceil(at - reach); c <= at + reach; c += 1) {
       const std::int64_t other = number_of(high, c);
@@ -150,12 +149,14 @@ void LocalSearch::continued(const Segment& segment) {
   const double largest = axial_.largest_w(), per_bin = bins / (2 * largest);
   const double quarter = 0.25 * segment.chord * segment.chord, turn = 2 * drift_error / segment.chord;
   grid_.fill(segment.layers);
+  counts_.fill(static_cast<std::uint8_t>(std::popcount(segment.layers)));
   ranges_.clear();
   for (const AxialPoint& p : axial_.points()) {
+    if ((p.layer & segment.layers) != 0) continue;
     const double x = p.x - segment.x, y = p.y - segment.y;
     const double along = x * segment.ux + y * segment.uy, left = y * segment.ux - x * segment.uy;
     const double squares = x * x + y * y - p.drift * p.drift - quarter;
-    if (squares < least_squares || (p.layer & segment.layers) != 0) continue;
+    if (squares < least_squares) continue;
     const double per = 2 / squares, error = per * (turn * std::abs(along) + drift_error);
     for (const double side : {-p.drift, p.drift}) {
       const double w = per * (left + side);
@@ -163,12 +164,15 @@ void LocalSearch::continued(const Segment& segment) {
       ranges_.push_back({w, error});
       const int first = static_cast<int>(std::max((w - error + largest) * per_bin, 0.0)),
                 last = static_cast<int>(std::min((w + error + largest) * per_bin, bins - 1.0));
-      for (int i = first; i <= last; ++i) grid_[static_cast<std::size_t>(i)] |= p.layer;
+      for (auto i = static_cast<std::size_t>(first); i <= static_cast<std::size_t>(last); ++i) {
+        counts_[i] = static_cast<std::uint8_t>(counts_[i] + ((grid_[i] & p.layer) == 0 ? 1 : 0));
+        grid_[i] |= p.layer;
+      }
     }
   }
   int best = 0, count = 0;
   for (int i = 0; i < bins; ++i) {
-    const int n = std::popcount(grid_[static_cast<std::size_t>(i)]);
+    const int n = counts_[static_cast<std::size_t>(i)];
     // Of equal ones the straightest.
     if (n > count || (n == count && std::abs(2 * i + 1 - bins) < std::abs(2 * best + 1 - bins))) {
       best = i;

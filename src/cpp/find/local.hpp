@@ -60,7 +60,8 @@ class LocalSearch {
   std::vector<Segment> segments_;
   std::vector<Range> ranges_;
   std::vector<Curve> curves_;
-  std::array<std::uint64_t, bins> grid_{};
+  std::array<std::uint64_t, bins> grid_{};   // layers of each bin of w, one bit each
+  std::array<std::uint8_t, bins> counts_{};  // their number
   std::size_t next_ = 0;
 };
 

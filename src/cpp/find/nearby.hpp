@@ -6,6 +6,7 @@
 #include <cmath>
 #include <optional>
 
+#include "common/compiler.hpp"
 #include "detector/strip_plane.hpp"
 #include "find/event_hits.hpp"
 #include "motion/cells.hpp"
@@ -38,6 +39,7 @@ class NearbyHits {
     window_ = wide ? 25 : 8;
     beside_ = wide ? 2 : 1;
     inside_ = true;
+    turned_ = false;
     next_ = 0;
     layer_ = 0;
     group_.slots = {};
@@ -74,13 +76,14 @@ class NearbyHits {
     }
   }
 
-  void passes(GroupStep& step, const HelixPoint& at, bool alive) {
+  CGEMIT_FLATTEN void passes(GroupStep& step, const HelixPoint& at, bool alive) {
     step.first = step.last = next_;
     const std::size_t index = layer_++;
-    if (!alive || !inside_ || at.outward() < 0) return;
+    if (!alive || !inside_ || turned_ || at.outward() < 0) return;
     const WireLayer& layer = detector_.wires[index];
     CellRange<double, HelixPoint> range;
-    if (!cells_->find(index, at, true, range)) return;
+    turned_ = !cells_->find(index, at, true, range);
+    if (turned_) return;
     const double last = std::min(range.last, range.first + most_cells);
     for (double c = range.first - beside_; c <= last + beside_; c += 1) {
       const std::int64_t cell = cell_numbers(layer, c)[0];
@@ -143,9 +146,10 @@ class NearbyHits {
       steps_;  // to the next layer of wires; short, so that the field is as at the last one
   std::optional<CellFinder<double, UniformMotionOf<double>>> cells_;
   std::vector<std::uint8_t> expected_;
-  double window_ = 0;  // mm, about the reference
-  double beside_ = 0;  // cells beside those that the reference crosses
-  bool inside_ = true;
+  double window_ = 0;    // mm, about the reference
+  double beside_ = 0;    // cells beside those that the reference crosses
+  bool inside_ = true;   // so far between the end plates
+  bool turned_ = false;  // back below a layer of wires; it meets no other one
   std::size_t layer_ = 0;
   std::int32_t next_ = 0;
 };
