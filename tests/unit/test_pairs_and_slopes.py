@@ -252,3 +252,26 @@ def test_slopes_must_fit():
     """The core refuses fewer slopes than clusters."""
     with pytest.raises(ValueError, match="one for each cluster"):
         TIGER.cluster_with(DESIGN, digis_of([1, 5], [5.0, 5.0]), slopes=np.zeros(1))
+
+
+def test_strips_out_of_time_are_left_out():
+    """Strips count whose drift times lie within those of the gap, or at most the margin beside them."""
+    columns = drift_columns(LAYERS)
+    charge, delay = TIGER.delays(columns["induction"])
+    longest = L1.drift_gap / columns["velocity"][0]
+    arrival = columns["delay"][0] + L1.r_mid / 299.792458 + np.interp(10.0, charge[0], delay[0])
+    drift = np.array([-51.0, -49.0, 20.0, longest + 51.0, longest + 49.0, 400.0])
+    digis = digis_of(np.arange(10, 16), np.full(6, 10.0), arrival + drift)
+    found = TIGER.cluster_with(LAYERS, digis)
+    assert list(zip(found["first"], found["last"], found["charge"], strict=True)) == [(11, 14, 30.0)]
+    every = dataclasses.replace(TIGER, time_margin=1000.0).cluster_with(LAYERS, digis)
+    assert list(zip(every["first"], every["last"], every["charge"], strict=True)) == [(10, 15, 60.0)]
+
+
+def test_strips_of_particles_are_in_time():
+    """Hardly any strip of a particle is out of time, and its cluster is the same with such strips."""
+    result = cg.run(LAYERS, cg.Gun("pi-", p=0.2, cos_theta=(-0.9, 0.9)), 60, 3, readout=TIGER, until="cluster")
+    wide = dataclasses.replace(TIGER, time_margin=1e6)
+    every = wide.cluster_with(LAYERS, result.digis, calibration_of(LAYERS, wide))
+    assert len(every) > 500
+    assert every["charge"].sum() == pytest.approx(result.clusters["charge"].sum(), rel=1e-3)

@@ -85,6 +85,7 @@ struct ChargeTimeModel {
   double
       edge;  // outermost strips with less than this share of their neighbour's charge do not enter line fits
   double valley;  // a strip with less than this share of both maxima beside it divides a cluster
+  double margin;  // ns; strips whose drift time lies farther outside that of the gap do not count
   PairTable pairs;
   SlopeErrors slope_errors;
   // By row of the result: dX/dr or dV/dr of the track at the anode; NaN: unknown. Empty: none is known.
