@@ -245,7 +245,7 @@ def test_of_tracks_that_share_hits_the_best_remains():
 
 
 def test_of_lines_in_z_the_one_from_the_origin_is_likelier():
-    """X clusters of a muon, its V clusters and those of the same muon from 150 mm along the beam: the first ones win."""
+    """Of the V clusters of a muon and of the same muon from 150 mm along the beam, the first ones win."""
     layers = dataclasses.replace(cg.load("besiii-cgem-design"), drift_chamber=None)
     near, far = (
         cg.run(layers, cg.Gun("mu-", p=0.6, cos_theta=(-0.2, 0.2), vertex=(0, 0, z)), 40, settings=QUIET, until="find")
