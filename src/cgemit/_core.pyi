@@ -345,6 +345,7 @@ def find_charge_time_clusters(
     bridge: int = 0,
     gain: npt.ArrayLike = ...,
     valley: float = 0.0,
+    margin: float,
     pairs: npt.ArrayLike = ...,
     slope_errors: npt.ArrayLike,
     slope_shares: npt.ArrayLike,

@@ -14,6 +14,7 @@ from cgemit.second_pass import gap_crossing, track_slopes
 from cgemit.study.readout.measure import crossing_slopes
 
 DESIGN = cg.load("besiii-cgem-design")
+LAYERS = dataclasses.replace(DESIGN, drift_chamber=None)
 L1 = DESIGN.cgem[0]
 TIGER = cg.TigerReadout()
 
@@ -55,7 +56,7 @@ def test_valleys(charges, expected):
 
 
 def test_score_of_pairs():
-    """The score is the logarithm of the ratio of two densities, each with a flat tail, in charge and in time."""
+    """The score is the logarithm of the ratio of two densities; a tenth of the pairs is as those of two particles."""
     calibration = calibration_of(DESIGN, TIGER)
     mean, width, mean_time, width_time, apart, apart_time = calibration.pairs[0]
     x, v = digis_of([100], [20.0], 160.0), digis_of([300, 900], [16.0, 2.5], 171.0, view=1)
@@ -66,15 +67,23 @@ def test_score_of_pairs():
     assert np.isnan(found["score"][found["view"] < 2]).all()
 
     def density(value, sigma):
-        return 0.98 * np.exp(-0.5 * (value / sigma) ** 2) / np.sqrt(2 * np.pi) / sigma + 0.02 / (20 * sigma)
+        return np.exp(-0.5 * (value / sigma) ** 2) / np.sqrt(2 * np.pi) / sigma
 
     for row in pairs:
         one, other = found["x_cluster"][row], found["v_cluster"][row]
         ratio = np.log(found["charge"][one] / found["charge"][other])
         late = found["time"][one] - found["time"][other]
-        expected = density(ratio - mean, width) / density(ratio, apart)
-        expected *= density(late - mean_time, width_time) / density(late, apart_time)
-        assert found["score"][row] == pytest.approx(np.log(expected), abs=1e-9)
+        of_two = density(ratio, apart) * density(late, apart_time)
+        of_one = 0.9 * density(ratio - mean, width) * density(late - mean_time, width_time) + 0.1 * of_two
+        assert found["score"][row] == pytest.approx(np.log(of_one / of_two), abs=1e-9)
+
+
+def test_score_of_pairs_that_differ_in_everything():
+    """No charge and no time makes the score worse than that of a touched cluster, ln 0.1, or less than finite."""
+    x, v = digis_of([100], [1e5], 0.0), digis_of([300, 900], [0.0, 1e-9], 1e6, view=1)
+    both = cg.Table("digis", {name: np.concatenate([x[name], v[name]]) for name in x}, n_events=1)
+    found = TIGER.cluster_with(DESIGN, both, calibration_of(DESIGN, TIGER))
+    assert found["score"][found["view"] == 2] == pytest.approx(np.log(0.1), abs=1e-9)
 
 
 def test_time_of_a_cluster():
@@ -97,6 +106,11 @@ def test_scores_separate_ghosts():
     ghosts = np.sort(score[pairs & ~true])
     assert len(ghosts) > 600
     assert np.mean(np.searchsorted(ghosts, score[true])) > 0.8 * len(ghosts)
+    # Pairs that differ in charge or time are as rare as their scores say.
+    low = score < -2
+    assert np.count_nonzero(low & true) > 50
+    share = np.mean(low[true]) / np.mean(low[pairs & ~true])
+    assert np.log(share) == pytest.approx(score[low & true].mean(), abs=0.5)
     binary = cg.run(DESIGN, gun, 5, 3, until="cluster").clusters
     assert set(binary["score"][binary["view"] == 2]) == {0.0}
 
@@ -130,14 +144,29 @@ def test_finder_takes_the_pair_that_fits():
     assert share_of_second(twins.with_columns(score=-columns["score"])) < 0.05
 
 
-def test_pairs_that_do_not_fit_start_no_track():
-    """Without hits of the chamber, tracks need pairs; implausible ones give none."""
-    result = cg.run(DESIGN, cg.Gun("mu-", p=1.0, cos_theta=(-0.5, 0.5)), 30, 3, readout=TIGER, until="cluster")
-    settings = cg.FindSettings(method="segments")
-    plain = find_tracks(DESIGN, result.clusters, result.wire_hits, settings)["candidates"]
+def test_a_touched_cluster_starts_a_track_all_the_same():
+    """Charge of something else on the V strips of one layer does not cost the track its seed of three layers."""
+    result = cg.run(LAYERS, cg.Gun("mu-", p=1.0, cos_theta=(-0.5, 0.5)), 30, 3, readout=TIGER, until="cluster")
+    plain = find_tracks(LAYERS, result.clusters, result.wire_hits)["candidates"]
+    touched = (result.digis["layer"] == 0) & (result.digis["view"] == 1)
+    digis = result.digis.with_columns(
+        charge=result.digis["charge"] * np.where(touched, 4.0, 1.0),
+        time=result.digis["time"] - np.where(touched, 60.0, 0.0),
+    )
+    clusters = TIGER.cluster_with(LAYERS, digis, calibration_of(LAYERS, TIGER))
+    assert np.median(clusters["score"][(clusters["view"] == 2) & (clusters["layer"] == 0)]) < -2
+    found = find_tracks(LAYERS, clusters, result.wire_hits)["candidates"]
+    assert len(plain) >= 27
+    assert len(found) >= len(plain) - 2
+
+
+def test_pairs_that_do_not_fit_make_no_track():
+    """Without a chamber, tracks need pairs; implausible ones give none."""
+    result = cg.run(LAYERS, cg.Gun("mu-", p=1.0, cos_theta=(-0.5, 0.5)), 30, 3, readout=TIGER, until="cluster")
+    plain = find_tracks(LAYERS, result.clusters, result.wire_hits)["candidates"]
     spoilt = result.clusters.with_columns(score=np.full(len(result.clusters), -20.0))
     assert len(plain) > 25
-    assert len(find_tracks(DESIGN, spoilt, result.wire_hits, settings)["candidates"]) == 0
+    assert len(find_tracks(LAYERS, spoilt, result.wire_hits)["candidates"]) == 0
 
 
 def test_gap_crossing_of_a_circle():
@@ -223,3 +252,26 @@ def test_slopes_must_fit():
     """The core refuses fewer slopes than clusters."""
     with pytest.raises(ValueError, match="one for each cluster"):
         TIGER.cluster_with(DESIGN, digis_of([1, 5], [5.0, 5.0]), slopes=np.zeros(1))
+
+
+def test_strips_out_of_time_are_left_out():
+    """Strips count whose drift times lie within those of the gap, or at most the margin beside them."""
+    columns = drift_columns(LAYERS)
+    charge, delay = TIGER.delays(columns["induction"])
+    longest = L1.drift_gap / columns["velocity"][0]
+    arrival = columns["delay"][0] + L1.r_mid / 299.792458 + np.interp(10.0, charge[0], delay[0])
+    drift = np.array([-51.0, -49.0, 20.0, longest + 51.0, longest + 49.0, 400.0])
+    digis = digis_of(np.arange(10, 16), np.full(6, 10.0), arrival + drift)
+    found = TIGER.cluster_with(LAYERS, digis)
+    assert list(zip(found["first"], found["last"], found["charge"], strict=True)) == [(11, 14, 30.0)]
+    every = dataclasses.replace(TIGER, time_margin=1000.0).cluster_with(LAYERS, digis)
+    assert list(zip(every["first"], every["last"], every["charge"], strict=True)) == [(10, 15, 60.0)]
+
+
+def test_strips_of_particles_are_in_time():
+    """Hardly any strip of a particle is out of time, and its cluster is the same with such strips."""
+    result = cg.run(LAYERS, cg.Gun("pi-", p=0.2, cos_theta=(-0.9, 0.9)), 60, 3, readout=TIGER, until="cluster")
+    wide = dataclasses.replace(TIGER, time_margin=1e6)
+    every = wide.cluster_with(LAYERS, result.digis, calibration_of(LAYERS, wide))
+    assert len(every) > 500
+    assert every["charge"].sum() == pytest.approx(result.clusters["charge"].sum(), rel=1e-3)

@@ -1,5 +1,6 @@
 """The finder without truth: events with known answers, symmetries, bounds."""
 
+import dataclasses
 import time
 from math import gcd
 
@@ -241,6 +242,25 @@ def test_of_tracks_that_share_hits_the_best_remains():
     assert finding.rates().efficiency.value > 0.97
     assert len(finding.candidates.hits) <= 102
     assert finding.rates().fakes.count == 0
+
+
+def test_of_lines_in_z_the_one_from_the_origin_is_likelier():
+    """Of the V clusters of a muon and of the same muon from 150 mm along the beam, the first ones win."""
+    layers = dataclasses.replace(cg.load("besiii-cgem-design"), drift_chamber=None)
+    near, far = (
+        cg.run(layers, cg.Gun("mu-", p=0.6, cos_theta=(-0.2, 0.2), vertex=(0, 0, z)), 40, settings=QUIET, until="find")
+        for z in (0.0, 150.0)
+    )
+    parts = [near.clusters[near.clusters["view"] < 2], far.clusters[far.clusters["view"] == 1]]
+    both = {name: np.concatenate([part[name] for part in parts]) for name in near.clusters}
+    both["truth"][len(parts[0]) :] = -1
+    order = np.argsort(both["event"], kind="stable")
+    clusters = Table("clusters", {name: column[order] for name, column in both.items()}, **near.clusters.cover)
+    found = cg.find_tracks(layers, clusters, near.wire_hits)
+    first = found["candidates"]["candidate"][found["candidate_hits"]["candidate"]] == 0
+    rows = found["candidate_hits"]["row"][first & (found["candidate_hits"]["view"] == 1)]
+    assert len(rows) > 100
+    assert np.mean(clusters["truth"][rows] >= 0) > 0.97
 
 
 def test_unknown_views_are_refused():

@@ -67,6 +67,8 @@ class AnalogReadout(SettingsData):
         Outermost strips with a smaller share of their neighbour's charge do not enter line fits.
     valley : float
         A strip with less than this share of the charge of both maxima beside it divides a cluster; 0: none does.
+    time_margin : float
+        ns; strips whose drift time is below 0 or above that of the drift gap by more than this are left out.
     estimator : str
         Position of a cluster: ``"centroid"`` of the charge, ``"micro-tpc"``, a line fit through the drift gap (clusters
         without one have their centroid), or ``"merged"``, the mean of both with the weights of their errors.
@@ -102,6 +104,7 @@ class AnalogReadout(SettingsData):
     missing: Missing = 1
     edge: Share = 0.1
     valley: Share = 0.2
+    time_margin: Positive = 50.0
     estimator: Estimator = "merged"
     second_pass: bool = False
     calibration: str = ""
@@ -211,7 +214,7 @@ class AnalogReadout(SettingsData):
         return find_clusters(
             detector, digis, self.delays, calibration=calibration or neutral(len(detector.cgem)),
             estimator=self.estimator, lorentz=self.lorentz, missing=self.missing, edge=self.edge, valley=self.valley,
-            bridge=bridge, slopes=slopes,
+            margin=self.time_margin, bridge=bridge, slopes=slopes,
         )  # fmt: skip
 
     def expected_errors(self, detector: Detector) -> tuple[Floats, Floats]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -30,6 +31,7 @@ def find_clusters(
     missing: int,
     edge: float,
     valley: float,
+    margin: float,
     bridge: int = 0,
     slopes: Floats | None = None,
 ) -> Table:
@@ -52,6 +54,8 @@ def find_clusters(
         Outermost strips with a smaller share of their neighbour's charge do not enter line fits.
     valley : float
         A strip with less than this share of the charge of both maxima beside it divides a cluster; 0: none does.
+    margin : float
+        ns; strips whose drift time is below 0 or above that of the drift gap by more than this are left out.
     bridge : int
         Dead and hot strips in a row that a cluster may bridge.
     slopes : (clusters,) float64 or None
@@ -69,7 +73,7 @@ def find_clusters(
     return clusters_at(
         detector, digis, timing, delays(drift["induction"]),
         calibration=calibration, estimator=estimator, missing=missing, edge=edge, valley=valley,
-        bridge=bridge, slopes=slopes,
+        margin=margin, bridge=bridge, slopes=slopes,
     )  # fmt: skip
 
 
@@ -84,6 +88,7 @@ def clusters_at(
     missing: int,
     edge: float,
     valley: float,
+    margin: float = math.inf,
     bridge: int = 0,
     slopes: Floats | None = None,
 ) -> Table:
@@ -97,7 +102,7 @@ def clusters_at(
         velocity (mm/ns), tan_lorentz, shift (rad), delay (ns).
     delays : (ndarray, ndarray), (2 layers, n) float64
         Charge (fC) and delay (ns) of the chip by layer and view.
-    calibration, estimator, missing, edge, valley, bridge, slopes
+    calibration, estimator, missing, edge, valley, margin, bridge, slopes
         See `find_clusters`.
     """
     found = _core.find_charge_time_clusters(
@@ -106,7 +111,7 @@ def clusters_at(
         depth=calibration.depth.reshape(-1, CHARGES),
         height=calibration.height.reshape(-1, CHARGES), edges=calibration.edges.reshape(-1, CHARGES - 1),
         estimator=estimator, missing=missing, edge=edge, masked=strip_lists(detector).masked, bridge=bridge,
-        gain=strip_gains(detector), valley=valley, pairs=calibration.pairs.ravel(),
+        gain=strip_gains(detector), valley=valley, margin=margin, pairs=calibration.pairs.ravel(),
         slope_errors=calibration.slope_errors.ravel(), slope_shares=calibration.slope_shares.ravel(),
         slope_edges=SLOPE_EDGES,
         slopes=np.empty(0) if slopes is None else slopes,

@@ -38,6 +38,7 @@ class Apv25Readout(AnalogReadout):
     threshold_x: Positive = 1.67
     threshold_v: Positive = 1.67
     jitter: Jitter = 7.12
+    time_margin: Positive = 100.0
     saturation: Positive = 60.0
 
     def chip(self) -> dict[str, Any]:

@@ -147,7 +147,8 @@ def key_of(detector: Detector, readout: Any) -> str:
     ----------
     detector : Detector
     readout : AnalogReadout or ProjectionReadout
-        Its `calibration`, `estimator` and `second_pass` do not count.
+        Its `calibration`, `estimator` and `second_pass` do not count; nor does `time_margin`, since hardly any strip of
+        the particles of a calibration is out of time.
 
     Returns
     -------
@@ -155,7 +156,7 @@ def key_of(detector: Detector, readout: Any) -> str:
         16 hexadecimal digits.
     """
     settings = readout.to_dict()
-    for name in ("calibration", "estimator", "second_pass"):
+    for name in ("calibration", "estimator", "second_pass", "time_margin"):
         settings.pop(name, None)
     layers = [[getattr(layer, name) for name in _LAYER] + [layer.gas.ionization] for layer in detector.cgem]
     text = json.dumps([MODEL, readout.name, settings, layers, detector.field.bz], sort_keys=True)

@@ -86,7 +86,7 @@ py::dict with_times(const Detector& detector, const py::dict& table, const py::d
                     const Array<double>& errors, const Array<double>& shares, const Array<double>& depth,
                     const Array<double>& height, const Array<double>& edges, const std::string& estimator,
                     std::int32_t missing, double edge, const Array<std::int32_t>& masked, std::int32_t bridge,
-                    const Array<double>& gain, double valley, const Array<double>& pairs,
+                    const Array<double>& gain, double valley, double margin, const Array<double>& pairs,
                     const Array<double>& slope_errors, const Array<double>& slope_shares,
                     const Array<double>& slope_edges, const Array<double>& slopes) {
   Inputs in(table, "event");
@@ -120,6 +120,7 @@ py::dict with_times(const Detector& detector, const py::dict& table, const py::d
       .gain = column(gain, "gain", gain.size() == 0 ? 0 : strips_of(detector)),
       .edge = edge,
       .valley = valley,
+      .margin = margin,
       .pairs = {column(pairs, "pairs",
                        pairs.size() == 0 ? 0 : static_cast<py::ssize_t>(n * PairTable::entries))},
       .slope_errors = {column(slope_errors, "slope_errors", 3 * slope_shares.size()),
@@ -163,8 +164,8 @@ void bind_cluster(py::module_& module) {
              py::arg("shares"), py::arg("depth"), py::arg("height"), py::arg("edges"), py::arg("estimator"),
              py::arg("missing"), py::arg("edge"), py::arg_v("masked", Array<std::int32_t>(0), "..."),
              py::arg("bridge") = 0, py::arg_v("gain", Array<double>(0), "..."), py::arg("valley") = 0.0,
-             py::arg_v("pairs", Array<double>(0), "..."), py::arg("slope_errors"), py::arg("slope_shares"),
-             py::arg("slope_edges"), py::arg_v("slopes", Array<double>(0), "..."),
+             py::arg("margin"), py::arg_v("pairs", Array<double>(0), "..."), py::arg("slope_errors"),
+             py::arg("slope_shares"), py::arg("slope_edges"), py::arg_v("slopes", Array<double>(0), "..."),
              "Columns of clusters from columns of digis: charge centroid and line fit.");
   module.def("fit_line", &line_of, py::arg("position"), py::arg("charge"), py::arg("height"),
              py::arg("stiffness") = 0.0,

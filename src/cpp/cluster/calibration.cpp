@@ -31,18 +31,18 @@ double Calibration::share(std::size_t row, std::int32_t size) const {
 }
 
 double PairTable::score(const ClusterRow& x, const ClusterRow& v) const {
-  constexpr double tail = 0.02, reach = 20;  // share of the pairs in a flat tail, and its length in widths
   const double* row = &values[static_cast<std::size_t>(x.layer) * entries];
   const auto ratio = [](double value, double mean, double width, double apart) {
     const double near = (value - mean) / width, far = value / apart;
-    const auto density = [](double u, double sigma) {
-      return (1 - tail) * std::exp(-0.5 * u * u) / (std::sqrt(2 * pi) * sigma) + tail / (reach * sigma);
-    };
-    return std::log(density(near, width) / density(far, apart));
+    return 0.5 * (far * far - near * near) + std::log(apart / width);
   };
   const double least = 1e-3;  // fC
-  return ratio(std::log(std::max(x.charge, least) / std::max(v.charge, least)), row[0], row[1], row[4]) +
-         ratio(x.time - v.time, row[2], row[3], row[5]);
+  const double clean =
+      ratio(std::log(std::max(x.charge, least) / std::max(v.charge, least)), row[0], row[1], row[4]) +
+      ratio(x.time - v.time, row[2], row[3], row[5]) + std::log1p(-touched);
+  // ln(exp(clean) + touched), for any size of `clean`.
+  const double floor = std::log(touched);
+  return std::max(clean, floor) + std::log1p(std::exp(-std::abs(clean - floor)));
 }
 
 std::size_t SlopeErrors::row(int view, std::size_t layer, double slope, std::int32_t size) const {

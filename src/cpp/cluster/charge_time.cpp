@@ -52,7 +52,8 @@ Line fit_line(std::span<const StripPoint> points, double stiffness) {
 
 namespace {
 
-constexpr double outside = 0.2;  // mm, by which a strip's height may lie outside the gap
+constexpr double outside = 0.2;        // mm, by which a strip's height may lie outside the gap
+constexpr double least_charge = 1e-3;  // fC
 
 // One view of one layer.
 class ViewReconstruction {
@@ -148,7 +149,6 @@ class ViewReconstruction {
     return all[i].charge < model_.edge * all[i == 0 ? 1 : i - 1].charge;
   }
 
-  static constexpr double least_charge = 1e-3;  // fC
   static constexpr double usual_slope = 1;
   const CgemLayer& layer_;
   std::size_t number_;
@@ -165,6 +165,16 @@ struct Position {
 class ChargeTimeClusters {
  public:
   ChargeTimeClusters(const DigiView& digis, const ChargeTimeModel& model) : digis_(digis), model_(model) {}
+
+  // Whether the strip fired while electrons of the event may have arrived.
+  bool keeps(const CgemLayer& layer, std::size_t row) const {
+    const auto number = static_cast<std::size_t>(digis_.layer[row]);
+    const LayerTiming& timing = model_.layers[number];
+    const double charge = std::max(digis_.charge[row], least_charge),
+                 drift = digis_.time[row] - timing.delay - model_.delays.at(number, digis_.view[row], charge);
+    const double longest = (layer.r_gap_out - layer.r_gap_in) / timing.velocity;
+    return drift >= -model_.margin && drift <= longest + model_.margin;
+  }
 
   // Lowest strips between two larger maxima.
   void cuts(const CgemLayer&, std::span<const std::size_t> rows, std::vector<std::size_t>& cuts) const {

@@ -51,9 +51,13 @@ struct Calibration {
 // the difference of their times (ns), and the widths of both for clusters of different tracks.
 struct PairTable {
   static constexpr std::size_t entries = 6;
+  // Share of the pairs of one particle of which a cluster has charge of something else, such as a delta
+  // electron or another track, or has lost a part: their charges and times differ as those of two particles.
+  static constexpr double touched = 0.1;
   std::span<const double> values;  // (layers, entries)
 
-  // Logarithm of the ratio of likelihoods, of one track over two tracks; the tails of either are flat.
+  // Logarithm of the ratio of likelihoods, of one track over two tracks; never below that of a pair of which
+  // a cluster is touched.
   double score(const ClusterRow& x, const ClusterRow& v) const;
 };
 
@@ -81,6 +85,7 @@ struct ChargeTimeModel {
   double
       edge;  // outermost strips with less than this share of their neighbour's charge do not enter line fits
   double valley;  // a strip with less than this share of both maxima beside it divides a cluster
+  double margin;  // ns; strips whose drift time lies farther outside that of the gap do not count
   PairTable pairs;
   SlopeErrors slope_errors;
   // By row of the result: dX/dr or dV/dr of the track at the anode; NaN: unknown. Empty: none is known.

@@ -140,7 +140,8 @@ inline void widen(const CgemLayer& layer, const StripMask& mask, ClusterRow& clu
 // Clusters of all digis. A model has
 //   cuts(layer, rows, cuts): appends the numbers, within a run of strips, of those at which it falls apart;
 //   make(layer, run, row): the cluster of a run, which will be this row of the table;
-//   score(x, v): how well two clusters fit each other.
+//   score(x, v): how well two clusters fit each other;
+//   keeps(layer, row): whether a digi may be of a particle (without it, all may).
 // Rows ordered by event, layer, sheet, then X, V and XV clusters. Digis of masked strips are left out.
 template <class Model>
 ClusterColumns clusters_of_runs(const Detector& detector, const DigiView& digis, const Joining& joining,
@@ -149,6 +150,11 @@ ClusterColumns clusters_of_runs(const Detector& detector, const DigiView& digis,
   std::vector<std::size_t> order = by_place(digis), cuts;
   if (!joining.mask.is_empty()) {
     std::erase_if(order, [&](std::size_t row) { return joining.mask(gid_of_row(detector, digis, row)); });
+  }
+  if constexpr (requires(std::size_t row) { model.keeps(detector.cgem.front(), row); }) {
+    std::erase_if(order, [&](std::size_t row) {
+      return !model.keeps(detector.cgem[static_cast<std::size_t>(digis.layer[row])], row);
+    });
   }
   ClusterColumns clusters;
   clusters.reserve(digis.size());

@@ -94,7 +94,7 @@ void Follower::collect(const Branch& best, FoundTrack& track) const {
                  reference_.z0 + x[3], reference_.tanl + x[4]};
   if (track.helix.kappa == 0) track.helix.kappa = 1e-9;
   track.covariance = fitted_.c;
-  track.score += log_prompt(track.helix.d, track.covariance(0, 0), settings_.max_d);
+  track.score += log_prompt(track.helix, track.covariance, settings_.max_d, settings_.max_z);
 }
 
 }  // namespace cgemit

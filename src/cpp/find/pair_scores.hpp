@@ -12,8 +12,6 @@ namespace cgemit {
 // read-out.
 class PairScores {
  public:
-  static constexpr double implausible = -5;  // pairs with less start no track
-
   PairScores() = default;
   PairScores(std::span<const std::int64_t> x, std::span<const std::int64_t> v,
              std::span<const double> scores) {

@@ -4,20 +4,24 @@
 #include <cmath>
 
 #include "common/units.hpp"
+#include "kalman/filter.hpp"
 
 namespace cgemit {
 
-inline constexpr double most_prompt = 7;  // about the largest `log_prompt`
+inline constexpr double most_prompt = 8;  // about the largest `log_prompt`
 
 inline double log_gaussian(double chi2, double variance) {
   return -0.5 * (chi2 + std::log(2 * pi * variance));
 }
 
-// Most tracks come from the beam line, while chance has no such preference: it spreads d up to `max_d`.
-inline double log_prompt(double d, double variance, double max_d) {
-  constexpr double prompt = 0.9, beam = 0.5;  // share of the tracks; mm
-  const double total = variance + beam * beam;
-  return std::log(prompt * std::exp(log_gaussian(d * d / total, total)) * 2 * max_d + 1 - prompt);
+// Most tracks come from the beams' crossing, while chance has no such preference: it spreads d up to `max_d`
+// and z0 up to `max_z`.
+inline double log_prompt(const Perigee& helix, const Symmetric<double>& covariance, double max_d,
+                         double max_z) {
+  constexpr double prompt = 0.9, beam = 0.5, along = 30;  // share of the tracks; mm
+  const double d = covariance(0, 0) + beam * beam, z = covariance(3, 3) + along * along;
+  const double near = log_gaussian(helix.d * helix.d / d, d) + log_gaussian(helix.z0 * helix.z0 / z, z);
+  return std::log(prompt * std::exp(near) * 4 * max_d * max_z + 1 - prompt);
 }
 
 }  // namespace cgemit

@@ -66,9 +66,8 @@ void SegmentFinder::heights(const EventHits& hits, std::size_t layer, const Poin
   work_ += hits.last(layer, View::v) - hits.first(layer, View::v);
   for (std::int32_t id = hits.first(layer, View::v); id < hits.last(layer, View::v); ++id) {
     if (hits[id].channel != hits[point.id].channel || (!all && hits.is_taken(id))) continue;
-    if (hits.pair_score(point.id, id) < PairScores::implausible) continue;
     const double z = crossing_z(cgem, hits[point.id].value, hits[id].value);
-    if (std::abs(z) < cgem.half_length + 5) out.push_back({z, id});
+    if (std::abs(z) < cgem.half_length + 5) out.push_back({z, hits.pair_score(point.id, id), id});
   }
 }
 
@@ -138,7 +137,8 @@ void SegmentFinder::three(const Layers& layers, const Point& a, const Point& b, 
         if (std::abs(off) > gate) continue;
         const double beside = line.d / sigma_d, far = z0 / usual_z;
         add({line.d, psi, kappa, z0, tanl}, settings_.max_d, {a.id, low.id, b.id, middle.id, c.id, high.id},
-            off * off + std::min(beside * beside, 30.0) + far * far);
+            off * off + std::min(beside * beside, 30.0) + far * far -
+                2 * (low.score + middle.score + high.score));
       }
     }
   }
@@ -173,7 +173,7 @@ void SegmentFinder::two(std::size_t inner, std::size_t outer, const Point& a, co
       if (std::abs(z0) > usual_z) continue;
       const double far = z0 / (0.2 * usual_z);
       add({0, wrap_angle(std::atan2(at.uy, at.ux)), kappa, z0, tanl}, 1, {a.id, low.id, c.id, high.id},
-          far * far);
+          far * far - 2 * (low.score + high.score));
     }
   }
 }

@@ -33,7 +33,7 @@ class SegmentFinder {
     std::int32_t id;
   };
   struct Height {
-    double z;
+    double z, score;  // of the pair
     std::int32_t id;
   };
   struct Ranked {

@@ -66,7 +66,7 @@ void StereoSearch::strips(const FoundCircle& circle, const EventHits& hits) {
     double s = 0;
     if (!step_to_cylinder(at, cgem.r_mid(), s)) continue;
     for (std::int32_t v = hits.first(layer, View::v); v < hits.last(layer, View::v); ++v) {
-      if (hits[v].channel != hits[x].channel || hits.pair_score(x, v) < PairScores::implausible) continue;
+      if (hits[v].channel != hits[x].channel) continue;
       const double z = crossing_z(cgem, hits[x].value, hits[v].value);
       if (std::abs(z) > cgem.half_length + 5) continue;
       heights_.push_back({s, z, strip_height_error, std::uint64_t{1} << (63 - layer % 32)});

@@ -25,7 +25,7 @@ from cgemit.tables import Table
 Floats = npt.NDArray[np.float64]
 
 WAYS = ("geometry", "charge", "charge and time")
-_TAIL, _REACH = 0.02, 20.0  # as in the kernel
+_TOUCHED = 0.1  # as in the kernel
 _APART = 1e6  # of the score of pairs that do not cross on the sheet
 _HEAD = ("tracks", "crossings of clusters per track", *(f"wrong by {way} [%]" for way in WAYS))
 
@@ -122,7 +122,9 @@ def scan_ghosts(
 
 
 def pair_scores(numbers: Floats, clusters: Table, x: npt.ArrayLike, v: npt.ArrayLike) -> tuple[Floats, Floats]:
-    """Return the scores of pairs of clusters from charge and from time; their sum is the column ``score``.
+    """Return the logarithms of likelihood ratios of pairs of clusters from charge and from time.
+
+    The column ``score`` is ln(0.9 exp(sum of both) + 0.1), which has the same order.
 
     Parameters
     ----------
@@ -138,11 +140,12 @@ def pair_scores(numbers: Floats, clusters: Table, x: npt.ArrayLike, v: npt.Array
 
 
 def _log_ratio(value: Floats, mean: float, width: float, apart: float) -> Floats:
-    near, far = (
-        (1 - _TAIL) * np.exp(-0.5 * u * u) / (math.sqrt(2 * math.pi) * sigma) + _TAIL / (_REACH * sigma)
-        for u, sigma in (((value - mean) / width, width), (value / apart, apart))
-    )
-    return np.asarray(np.log(near / far))
+    near, far = (value - mean) / width, value / apart
+    return np.asarray(0.5 * (far**2 - near**2) + math.log(apart / width))
+
+
+def _with_touched(ratio: Floats) -> Floats:
+    return np.logaddexp(math.log1p(-_TOUCHED) + ratio, math.log(_TOUCHED))
 
 
 def _point(clusters: Table, numbers: Floats, layer: int, tracks: int, seed: int) -> GhostPoint:
@@ -151,7 +154,10 @@ def _point(clusters: Table, numbers: Floats, layer: int, tracks: int, seed: int)
     pairs = np.flatnonzero((clusters["view"] == 2) & (clusters["layer"] == layer) & (clusters["sheet"] == 0))
     x, v = clusters["x_cluster"][pairs], clusters["v_cluster"][pairs]
     by_charge, by_time = pair_scores(numbers, clusters, x, v)
-    scores = {"geometry": np.zeros(len(pairs)), "charge": by_charge, "charge and time": by_charge + by_time}
+    scores = {
+        "geometry": np.zeros(len(pairs)), "charge": _with_touched(by_charge),
+        "charge and time": _with_touched(by_charge + by_time),
+    }  # fmt: skip
     # Equal scores are decided by lot.
     scores = {way: values + 1e-9 * random.uniform(size=len(pairs)) for way, values in scores.items()}
     same = (clusters["truth"][x] == clusters["truth"][v]) & (clusters["truth"][x] >= 0)
