@@ -1,4 +1,4 @@
-"""Hold the covariance without events beside simulated tracks: ``python validation/covariance.py`` (three quarters of an hour).
+"""Hold the covariance without events beside simulated tracks: ``python validation/covariance.py`` (40 minutes).
 
 Every preset, four particles, their momenta and angles; once all Gaussian, where the model of the fit holds, and once
 with the default simulation and binary clusters. Writes covariance.csv in validation/results, the picture and the page
