@@ -26,6 +26,8 @@ HEAD = (
     "outward %",
     "inward first %",
     "68 % of pulls of kappa",
+    "displaced %",
+    "of those beyond 8, %",
 )
 
 
@@ -80,7 +82,10 @@ def rows(n: int) -> list[tuple[str, ...]]:
             ]
             shares[0] = f"{100 * far[good].mean():.1f}"
             half = 0.5 * np.subtract(*np.quantile(pull[good, 2], [0.8413, 0.1587]))
-            found.append((f"{radius:g}", name, str(int(good.sum())), *(shares + ["–"] * 3)[:3], f"±{half:.2f}"))
+            marked = tracks["displaced"] == 1
+            shares = [*(shares + ["–"] * 3)[:3], f"±{half:.2f}"]
+            shares += [f"{100 * marked[good & mine].mean():.1f}" for mine in (good, far)]
+            found.append((f"{radius:g}", name, str(int(good.sum())), *shares))
     return found
 
 

@@ -15,6 +15,7 @@ from cgemit import helix
 from cgemit.candidates import HIT_WIRE, HIT_X, XV_CLUSTER, label_candidates
 from cgemit.detector import Detector, load
 from cgemit.fit import FitStatus
+from cgemit.fit_begins import displaced
 from cgemit.io.bes3 import ENDINGS, Columns, columns_of_events, read_bes3
 from cgemit.own_hits import hit_tables
 from cgemit.particles import particles_from
@@ -145,7 +146,7 @@ def tables_of(
     named = label_candidates(hits[0], hits[1], numbers[0], numbers[1])
     cover = {"n_events": n_events, "events": hits[0].cover["events"]}
     events = found.get("events", dict.fromkeys(("run", "number"), np.zeros(n_events, np.int64)))
-    tracks = {name: _tracks(found.get(name), named, cover) for name in ("mdc_tracks", "kal_tracks")}
+    tracks = {name: _tracks(found.get(name), named, detector, cover) for name in ("mdc_tracks", "kal_tracks")}
     simulated = {name: _filled(name, found.get(name), detector, cover) for name in ("truths", "wire_truths", "digis")}
     return Bes3Events(
         detector=detector,
@@ -210,7 +211,7 @@ def _track_numbers(table: Table, given: Columns | None) -> Column:
     return np.zeros(0, np.int64) if given is None else given["candidate"][table["given_row"]].astype(np.int64)
 
 
-def _tracks(given: Columns | None, named: Mapping[str, Table], cover: dict[str, Any]) -> Table:
+def _tracks(given: Columns | None, named: Mapping[str, Table], detector: Detector, cover: dict[str, Any]) -> Table:
     """Return tracks with the rows of the candidates that have their hits."""
     if given is None:
         return Table.empty("tracks", **cover)
@@ -231,6 +232,7 @@ def _tracks(given: Columns | None, named: Mapping[str, Table], cover: dict[str, 
         "n_clusters": counts[0][candidate],
         "n_wires": counts[1][candidate],
         "err_p": helix.momentum_error(fitted, cov),
+        "displaced": displaced(fitted[:, 0], error[:, 0], detector),
     }
     columns["status"] = np.where(given["ok"], FitStatus.ok, FitStatus.not_converged)
     return Table(

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from cgemit import _core, helix
 from cgemit.candidates import FitHits, collect_hits
 from cgemit.detector import SCREENINGS, Detector, compiled, load
-from cgemit.fit_begins import BEGIN, begins_of, fit_by_begin, slabs_inside
+from cgemit.fit_begins import BEGIN, begins_of, displaced, fit_by_begin, slabs_inside
 from cgemit.fit_settings import FitSettings as FitSettings
 from cgemit.species import HYPOTHESES
 from cgemit.states import state_columns
@@ -88,7 +88,9 @@ def fit(
     about = candidates.cover | {
         "meta": {name: candidates.meta[name] for name in ("finder",) if name in candidates.meta}
     }
-    tables = {"tracks": Table("tracks", _track_columns(out, event, candidate, pdg), **about)}
+    columns = _track_columns(out, event, candidate, pdg)
+    columns["displaced"] = displaced(out["helix"][:, 0], np.asarray(columns["err_dr"]), detector)
+    tables = {"tracks": Table("tracks", columns, **about)}
     if settings.residuals:
         tables["residuals"] = Table("residuals", _residual_columns(out, hits, event), **about)
     if settings.states:

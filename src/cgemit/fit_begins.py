@@ -19,8 +19,25 @@ Column = npt.NDArray[Any]
 #: Column of the candidates that comes before the setting of this name.
 BEGIN = "start_radius"
 
+#: A track is displaced if |dr| is more than this number of its errors, and than this share of the radius of the
+#: innermost matter: for fast tracks the size of the beam counts, not their errors.
+FAR, SHARE = 5.0, 0.1
+
 #: Fits some rows of the candidates with the settings given: the tables that the fit makes.
 FitRows = Callable[[Table, Table, FitSettings, Column], Mapping[str, Table]]
+
+
+def displaced(dr: Floats, err_dr: Floats, detector: Detector) -> npt.NDArray[np.int8]:
+    """Return whether tracks begin beside the beam line, (n,) int8; 0 without an error.
+
+    Parameters
+    ----------
+    dr, err_dr : ndarray, (n,) float64, mm
+        Closest approach to the beam line, and its standard deviation.
+    detector : Detector
+    """
+    inner = slabs(detector)[0].shells[0].r_in
+    return np.asarray(np.abs(dr) > np.maximum(FAR * err_dr, SHARE * inner), np.int8)
 
 
 def slabs_inside(detector: Detector, radius: float) -> int:

@@ -7,7 +7,7 @@ import begins
 import cgemit as cg
 from cgemit import helix
 from cgemit.fit import fit
-from cgemit.fit_begins import slabs_inside
+from cgemit.fit_begins import FAR, displaced, slabs_inside
 
 BZ = -1.0
 
@@ -35,6 +35,29 @@ def test_slow_pions_from_outside_the_beam_pipe(samples):
     assert far["after"][0] < 0.01
     assert far["after"][1] < far["before"][1]
     assert far["after"][2:] == pytest.approx([1.0, 1.1], abs=0.2)  # 230 tracks each: 0.07 at one standard deviation
+
+
+def test_displaced_tracks_are_marked(samples):
+    """94 of 100 with a wrong correction, four of five of all, whatever matter is left out; few from the line."""
+    run, again, _ = samples
+    for tracks in (run.tracks, again):
+        assert 0.7 < tracks["displaced"][tracks["status"] == 0].mean() < 0.9
+    far = (np.abs(begins.pulls(run, run.tracks)) > begins.FAR).any(axis=1) & (run.tracks["status"] == 0)
+    assert far.sum() > 20
+    assert run.tracks["displaced"][far].mean() > 0.8
+    line = cg.run("besiii-cgem-design", begins.pions(0.0, 500), seed=1).tracks
+    assert line["displaced"].sum() <= 8  # five are expected
+
+
+def test_displaced_is_beyond_five_errors_and_a_tenth_of_the_beam_pipe():
+    """Fast tracks 2 mm from the beam line are of the beam, 4 mm from it they are not; without a fit none is marked."""
+    for x, expected in ((2.0, 0), (4.0, 1)):
+        gun = cg.Gun("mu-", p=1.5, cos_theta=0.0, phi=np.pi / 2, vertex=(x, 0.0, 0.0))
+        tracks = cg.run("besiii-cgem-design", gun, n=20, seed=4).tracks
+        assert (np.abs(tracks["dr"]) > FAR * tracks["err_dr"]).all()
+        assert (tracks["displaced"] == expected).all()
+    given = np.array([[9.0, 1.0], [9.0, 2.0], [-9.0, 1.0], [9.0, np.nan], [np.nan, np.nan], [3.0, 0.1], [-3.2, 0.1]])
+    assert displaced(*given.T, cg.load("besiii-cgem-design")).tolist() == [1, 0, 1, 0, 0, 0, 1]
 
 
 def test_tracks_from_the_beam_line_do_not_change():

@@ -205,6 +205,7 @@ _TRACKS = (
     _i4("iterations", "number of iterations"),
     _column("i1", "status", "", "how the fit ended (FitStatus; 0 is good)"),
     *(_f8(f"err_{name}", unit, f"standard deviation of {name}") for name, unit in PARAMETERS.items()),
+    _column("i1", "displaced", "", "1 if it misses the beam line: the fit may correct for matter not crossed"),
 )
 
 _MATCHES = (
