@@ -23,7 +23,7 @@ the angle of the track. --scan selects what varies: the angle of incidence, the 
 bent towards positive angles if the field is positive.
 
 With --calibrate FILE: errors of the clusters of a detector, from 1 GeV/c muons with |cos(theta)| < 0.93. A run with
---set digitize.readout.calibration=FILE uses them. BESIII presets with the default settings of a read-out need none.
+--set digitize.readout.calibration=FILE uses them. Presets with the default settings of a read-out need none.
 
 With --ghosts: how often X and V clusters of different tracks are paired, at 2, 4 and 6 muons on a sheet, by geometry
 alone, with charge, and with charge and time.
