@@ -23,6 +23,7 @@ constexpr int most_speed_ups = 8;
 constexpr double speed_up = 0.92;  // of kappa
 constexpr int least_hits = 3;
 constexpr double close_to_edge = 0.85;  // of half a cell
+constexpr int settled_after = 10;       // hits; a worse branch does not become the best one later
 constexpr double negligible = -60;      // logarithm of the likelihood of the other side of a wire
 
 }  // namespace
@@ -96,7 +97,7 @@ auto Follower::pass(const Perigee& start, const Symmetric<double>& prior,
   }
   for (Slot<double>& s : group_.slots) s.met = s.met && s.there;
   links_.clear();
-  branches_.assign(1, {{Five<double>::zero(), prior, 0}, 0, -1, 0, 0, 0, false});
+  branches_.assign(1, {{Five<double>::zero(), prior, 0}, 0, -1, 0, 0, 0, 0, false});
   for (const GroupStep& step : group_.steps) {
     if (!step.is_slab) {
       wires(step);
@@ -166,6 +167,7 @@ CGEMIT_FLATTEN void Follower::gap_view(const GroupStep& step, View view,
       if (only < 0 && !(chi2 < settings_.gate * settings_.gate)) continue;
       const double pair = view == View::v ? pair_score(branch, there) : 0;
       next_.push_back(branch);
+      if (only < 0) next_.back().settled = 0;
       take(next_.back(), s, residual, total, ch, log_found_ + log_gaussian(chi2, total) - log_density + pair,
            0);
     }
@@ -181,6 +183,14 @@ CGEMIT_FLATTEN void Follower::gap_view(const GroupStep& step, View view,
 void Follower::wires(const GroupStep& step) {
   for (std::int32_t s = step.first; s < step.last; ++s)
     if (slot(s).met) wire(slot(s));
+  settle();
+}
+
+// An alternative that is still worse after a number of hits is given up: later hits prefer neither.
+void Follower::settle() {
+  if (branches_.size() < 2) return;
+  const double best = std::ranges::max_element(branches_, {}, &Branch::score)->score;
+  std::erase_if(branches_, [&](const Branch& b) { return b.score < best && b.settled >= settled_after; });
 }
 
 CGEMIT_FLATTEN void Follower::wire(Slot<double>& cell) {
@@ -217,7 +227,10 @@ CGEMIT_FLATTEN void Follower::wire(Slot<double>& cell) {
     const double both = log_other < negligible ? 0 : std::log1p(std::exp(log_other));
     const double ratio = wire_ratio_[layer] + log_gaussian(chi2, variance) + both;
     if (ratio < 0) continue;
-    if (ratio < sure) branches_.push_back(branches_[i]);  // without the hit
+    if (ratio < sure) {
+      branches_[i].settled = 0;
+      branches_.push_back(branches_[i]);  // without the hit
+    }
     const double weight = std::tanh(cell.drift * predicted / variance);
     const double total = known + cell.noise + (1 - weight * weight) * cell.drift * cell.drift;
     take(branches_[i], number, weight * cell.drift - predicted, total, ch, ratio, weight);
@@ -241,6 +254,7 @@ void Follower::take(Branch& branch, std::int32_t number, double residual, double
   branch.score += gain;
   branch.in_row = 0;
   ++branch.hits;
+  ++branch.settled;
   links_.push_back({number, branch.chain, weight, gain});
   branch.chain = static_cast<std::int32_t>(links_.size()) - 1;
 }
