@@ -6,6 +6,7 @@
 
 #include "common/compiler.hpp"
 #include "detector/cluster_errors.hpp"
+#include "find/compete.hpp"
 #include "find/score.hpp"
 #include "kalman/field_reference.hpp"
 #include "kalman/tracer.hpp"
@@ -17,7 +18,7 @@ namespace {
 constexpr double sure = 4;        // a hit with a larger likelihood ratio is taken without another branch
 constexpr double rim = 0.5;       // mm, of a cell; a track in it need not fire the cell
 constexpr double inflation = 10;  // of a covariance that the same hits have made
-constexpr int few_hits = 2;
+constexpr int few_hits = 2, many_hits = 10;
 constexpr double hopeless = 0;  // score: chance explains the hits as well
 constexpr int most_speed_ups = 8;
 constexpr double speed_up = 0.92;  // of kappa
@@ -55,9 +56,11 @@ bool Follower::follow(const FindSeed& seed, FoundTrack& track) {
     if (best == nullptr || best->score < hopeless - most_prompt || !refit(*best)) return false;
     collect(*best, track);
     if (track.score < hopeless) return false;
-    // The reference was good enough if a second pass has changed next to nothing.
-    const auto more = static_cast<int>(track.hits.size()) - static_cast<int>(last_found_.size());
-    if (track.hits == last_found_ || (number > 0 && std::abs(more) <= few_hits && !track.has_gaps())) break;
+    // The reference was good enough if a second pass has changed next to nothing. Gaps may close with a
+    // better one; those of a few hits that chance explains are not worth it.
+    const auto n = static_cast<int>(track.hits.size()), more = n - static_cast<int>(last_found_.size());
+    const bool is_open = track.has_gaps() && (n >= many_hits || track.score > per_hit * n);
+    if (track.hits == last_found_ || (number > 0 && std::abs(more) <= few_hits && !is_open)) break;
     last_found_ = track.hits;
     start = track.helix;
     prior = track.covariance;
