@@ -6,6 +6,7 @@
 
 #include "common/compiler.hpp"
 #include "detector/cluster_errors.hpp"
+#include "find/compete.hpp"
 #include "find/score.hpp"
 #include "kalman/field_reference.hpp"
 #include "kalman/tracer.hpp"
@@ -17,12 +18,13 @@ namespace {
 constexpr double sure = 4;        // a hit with a larger likelihood ratio is taken without another branch
 constexpr double rim = 0.5;       // mm, of a cell; a track in it need not fire the cell
 constexpr double inflation = 10;  // of a covariance that the same hits have made
-constexpr int few_hits = 2;
+constexpr int few_hits = 2, many_hits = 10;
 constexpr double hopeless = 0;  // score: chance explains the hits as well
 constexpr int most_speed_ups = 8;
 constexpr double speed_up = 0.92;  // of kappa
 constexpr int least_hits = 3;
 constexpr double close_to_edge = 0.85;  // of half a cell
+constexpr int settled_after = 10;       // hits; a worse branch does not become the best one later
 constexpr double negligible = -60;      // logarithm of the likelihood of the other side of a wire
 
 }  // namespace
@@ -54,9 +56,11 @@ bool Follower::follow(const FindSeed& seed, FoundTrack& track) {
     if (best == nullptr || best->score < hopeless - most_prompt || !refit(*best)) return false;
     collect(*best, track);
     if (track.score < hopeless) return false;
-    // The reference was good enough if a second pass has changed next to nothing.
-    const auto more = static_cast<int>(track.hits.size()) - static_cast<int>(last_found_.size());
-    if (track.hits == last_found_ || (number > 0 && std::abs(more) <= few_hits && !track.has_gaps())) break;
+    // The reference was good enough if a second pass has changed next to nothing. Gaps may close with a
+    // better one; those of a few hits that chance explains are not worth it.
+    const auto n = static_cast<int>(track.hits.size()), more = n - static_cast<int>(last_found_.size());
+    const bool is_open = track.has_gaps() && (n >= many_hits || track.score > per_hit * n);
+    if (track.hits == last_found_ || (number > 0 && std::abs(more) <= few_hits && !is_open)) break;
     last_found_ = track.hits;
     start = track.helix;
     prior = track.covariance;
@@ -96,7 +100,7 @@ auto Follower::pass(const Perigee& start, const Symmetric<double>& prior,
   }
   for (Slot<double>& s : group_.slots) s.met = s.met && s.there;
   links_.clear();
-  branches_.assign(1, {{Five<double>::zero(), prior, 0}, 0, -1, 0, 0, 0, false});
+  branches_.assign(1, {{Five<double>::zero(), prior, 0}, 0, -1, 0, 0, 0, 0, false});
   for (const GroupStep& step : group_.steps) {
     if (!step.is_slab) {
       wires(step);
@@ -166,6 +170,7 @@ CGEMIT_FLATTEN void Follower::gap_view(const GroupStep& step, View view,
       if (only < 0 && !(chi2 < settings_.gate * settings_.gate)) continue;
       const double pair = view == View::v ? pair_score(branch, there) : 0;
       next_.push_back(branch);
+      if (only < 0) next_.back().settled = 0;
       take(next_.back(), s, residual, total, ch, log_found_ + log_gaussian(chi2, total) - log_density + pair,
            0);
     }
@@ -181,6 +186,14 @@ CGEMIT_FLATTEN void Follower::gap_view(const GroupStep& step, View view,
 void Follower::wires(const GroupStep& step) {
   for (std::int32_t s = step.first; s < step.last; ++s)
     if (slot(s).met) wire(slot(s));
+  settle();
+}
+
+// An alternative that is still worse after a number of hits is given up: later hits prefer neither.
+void Follower::settle() {
+  if (branches_.size() < 2) return;
+  const double best = std::ranges::max_element(branches_, {}, &Branch::score)->score;
+  std::erase_if(branches_, [&](const Branch& b) { return b.score < best && b.settled >= settled_after; });
 }
 
 CGEMIT_FLATTEN void Follower::wire(Slot<double>& cell) {
@@ -217,7 +230,10 @@ CGEMIT_FLATTEN void Follower::wire(Slot<double>& cell) {
     const double both = log_other < negligible ? 0 : std::log1p(std::exp(log_other));
     const double ratio = wire_ratio_[layer] + log_gaussian(chi2, variance) + both;
     if (ratio < 0) continue;
-    if (ratio < sure) branches_.push_back(branches_[i]);  // without the hit
+    if (ratio < sure) {
+      branches_[i].settled = 0;
+      branches_.push_back(branches_[i]);  // without the hit
+    }
     const double weight = std::tanh(cell.drift * predicted / variance);
     const double total = known + cell.noise + (1 - weight * weight) * cell.drift * cell.drift;
     take(branches_[i], number, weight * cell.drift - predicted, total, ch, ratio, weight);
@@ -241,6 +257,7 @@ void Follower::take(Branch& branch, std::int32_t number, double residual, double
   branch.score += gain;
   branch.in_row = 0;
   ++branch.hits;
+  ++branch.settled;
   links_.push_back({number, branch.chain, weight, gain});
   branch.chain = static_cast<std::int32_t>(links_.size()) - 1;
 }

@@ -55,6 +55,7 @@ class Follower {
     double score;
     std::int32_t chain;  // its last hit; -1: none
     std::int32_t hits, holes, in_row;
+    std::int32_t settled;  // hits since it last had an alternative
     bool ended;
   };
   struct Link {
@@ -75,6 +76,7 @@ class Follower {
   void hole(Branch& branch, double penalty) const;
   void take(Branch& branch, std::int32_t slot, double residual, double total, const Five<double>& ch,
             double gain, double weight);
+  void settle();
   void keep_best();
   void keep_used(const Branch& best);
   bool refit(const Branch& best);

@@ -152,7 +152,8 @@ void LocalSearch::continued(const Segment& segment) {
   counts_.fill(static_cast<std::uint8_t>(std::popcount(segment.layers)));
   ranges_.clear();
   for (const AxialPoint& p : axial_.points()) {
-    if ((p.layer & segment.layers) != 0) continue;
+    // Particles of half a turn do not come to the other side of the beam line.
+    if ((p.layer & segment.layers) != 0 || p.x * segment.x + p.y * segment.y < 0) continue;
     const double x = p.x - segment.x, y = p.y - segment.y;
     const double along = x * segment.ux + y * segment.uy, left = y * segment.ux - x * segment.uy;
     const double squares = x * x + y * y - p.drift * p.drift - quarter;
