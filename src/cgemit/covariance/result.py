@@ -105,7 +105,7 @@ class Covariance:
         """Return the variance of every sample, shape + (samples,); NaN without a covariance."""
         weights = self._tracks.gradients(quantity)
         entries = self._samples.reshape(-1, 15)
-        used = weights.any(axis=0)  # one to three of the five parameters
+        used = np.any(weights != 0, axis=0)  # one to three of the five parameters
         found = np.zeros(len(weights))
         for entry, (i, j) in enumerate(zip(*UPPER, strict=True)):
             if used[i] and used[j]:  # entries beside the diagonal stand for two
