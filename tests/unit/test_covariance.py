@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 
 import numpy as np
 import pytest
@@ -361,3 +362,23 @@ def test_empty_arguments_are_refused():
     for name in ("p", "cos_theta", "radius"):
         with pytest.raises(ValueError, match=f"{name}: got no number"):
             cg.analytic("besiii-cgem-design", "mu-", **{"p": 1.0, name: []})
+
+
+def test_core_of_a_mixture_is_the_fixed_point_of_its_window():
+    """As in iterations that take the variance found in the window for the next one, for each mixture alone."""
+    rng = np.random.default_rng(1)
+    variances = np.exp(rng.normal(0.0, np.linspace(0.01, 0.7, 20)[:, None], (20, 64)))
+    variances[3, 5:] = np.nan
+    variances[4] = np.nan
+    found = core_width(variances)
+    assert np.isnan(found[4])
+    for i in np.delete(np.arange(20), 4):
+        v = variances[i][~np.isnan(variances[i])]
+        square = v.mean()
+        for _ in range(200):
+            u = 3 * np.sqrt(square / v)
+            inside = erf(u / math.sqrt(2))
+            square = np.sum(v * (inside - u * math.sqrt(2 / math.pi) * np.exp(-u * u / 2))) / inside.sum()
+            square /= SECOND_INSIDE
+        assert found[i] == pytest.approx(math.sqrt(square), rel=1e-14)
+        assert core_width(variances[i : i + 1])[0] == found[i]

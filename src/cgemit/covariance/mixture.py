@@ -40,8 +40,6 @@ def core_width(variances: Floats) -> Floats:
     `cgemit.statistics.estimate`). With u = 3 s/sqrt(v), a Gaussian of variance v has the fraction erf(u/sqrt 2) inside
     and the second moment v (erf(u/sqrt 2) - u sqrt(2/pi) exp(-u^2/2)) there.
     """
-    from scipy.special import erf
-
     good = ~np.isnan(variances)
     v = np.where(good, variances, 1.0)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -49,21 +47,31 @@ def core_width(variances: Floats) -> Floats:
         if v.shape[1] == 1:
             return np.asarray(np.sqrt(square))
         weight = good.astype(np.float64)
-
-        def narrowed(square: Floats) -> Floats:
-            """Return the variance of the Gaussian that a window of 3 sigma of this variance finds."""
-            u = 3 * np.sqrt(square[:, None] / v)
-            inside = weight * erf(u / math.sqrt(2))
-            second = v * (inside - weight * u * math.sqrt(2 / math.pi) * np.exp(-0.5 * u * u))
-            return np.asarray(second.sum(axis=1) / inside.sum(axis=1) / SECOND_INSIDE)
-
-        for _ in range(100):
-            one = narrowed(square)
-            two = narrowed(one)
-            if not np.any(np.abs(two - one) > 1e-13 * one):
+        left = np.flatnonzero(~np.isnan(square))
+        for _ in range(1000):
+            if len(left) == 0:
                 break
-            # Steffensen's step to the fixed point; where rounding decides it, the last value.
-            curved, step = two - 2 * one + square, one - square
-            better = square - step * step / curved
-            square = np.where((np.abs(curved) > 1e-9 * square) & (better > 0), better, two)
-        return np.asarray(np.sqrt(two))
+            now = square[left]
+            found, slope = _narrowed(now, v[left], weight[left])
+            # Newton's step to the fixed point, where the slope is not too close to 1.
+            better = now + (found - now) / (1 - slope)
+            newton = (slope < 0.5) & (better > 0)
+            square[left] = np.where(newton, better, found)
+            # The error after a step of Newton is of second order in the step.
+            left = left[np.abs(square[left] - now) > np.where(newton, 1e-8, 1e-13) * now]
+        return np.asarray(np.sqrt(square))
+
+
+def _narrowed(square: Floats, v: Floats, weight: Floats) -> tuple[Floats, Floats]:
+    """Return the variance of the Gaussian that a window of 3 sigma of this variance finds, and its derivative."""
+    from scipy.special import erf
+
+    u = 3 * np.sqrt(square[:, None] / v)
+    inside = weight * erf(u / math.sqrt(2))
+    edge = weight * u * math.sqrt(2 / math.pi) * np.exp(-0.5 * u * u)
+    total = inside.sum(axis=1)
+    found = (v * (inside - edge)).sum(axis=1) / total / SECOND_INSIDE
+    # d(inside)/du = edge/u, d(second)/du = v u edge, du/d(square) = u/(2 square), and v u^2 = 9 square.
+    edges = edge.sum(axis=1)
+    slope = (4.5 / SECOND_INSIDE - 0.5 * found / square) * edges / total
+    return found, slope

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -86,7 +87,13 @@ class Covariance:
         ValueError
             If the quantity is not known.
         """
-        return core_width(self.variances(quantity).reshape(-1, self._tracks.samples)).reshape(self.p.shape)
+        return self.sigmas([quantity])[quantity]
+
+    def sigmas(self, quantities: Sequence[str]) -> dict[str, Floats]:
+        """Return the core resolutions of several quantities by name, faster than one by one; see `sigma`."""
+        variances = np.array([self.variances(name) for name in quantities])
+        widths = core_width(variances.reshape(-1, self._tracks.samples)).reshape(-1, *self.p.shape)
+        return dict(zip(quantities, widths, strict=True))
 
     def rms(self, quantity: str) -> Floats:
         """Return the root of the mean variance; see `sigma`."""
@@ -97,10 +104,12 @@ class Covariance:
     def variances(self, quantity: str) -> Floats:
         """Return the variance of every sample, shape + (samples,); NaN without a covariance."""
         weights = self._tracks.gradients(quantity)
-        # Of a b^T + b a^T the entries beside the diagonal count twice.
-        outer = weights[:, UPPER[0]] * weights[:, UPPER[1]] * np.where(UPPER[0] == UPPER[1], 1.0, 2.0)
         entries = self._samples.reshape(-1, 15)
-        found: Floats = np.einsum("ti,ti->t", outer, entries)
+        used = np.any(weights != 0, axis=0)  # one to three of the five parameters
+        found = np.zeros(len(weights))
+        for entry, (i, j) in enumerate(zip(*UPPER, strict=True)):
+            if used[i] and used[j]:  # entries beside the diagonal stand for two
+                found += (1 if i == j else 2) * weights[:, i] * weights[:, j] * entries[:, entry]
         return found.reshape(*self.p.shape, self._tracks.samples)
 
     def budget(self, quantity: str) -> Budget:

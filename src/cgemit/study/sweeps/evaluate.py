@@ -146,7 +146,10 @@ def analytic_points(detector: Detector, evaluation: Evaluation) -> list[dict[str
     """
     found = covariances(detector, evaluation)
     columns = {column(f"sigma_{name}", name): (name, QUANTITIES[name][1]) for name in evaluation.quantities}
-    sigmas = [{header: scale * one.sigma(name) for header, (name, scale) in columns.items()} for one in found]
+    sigmas = []
+    for one in found:
+        widths = one.sigmas(evaluation.quantities)
+        sigmas.append({header: scale * widths[name] for header, (name, scale) in columns.items()})
     return [
         {header: float(values[i]) for header, values in sigma.items()}
         | {"reached": float(one.reached[i]), "tracks": FitStatus(int(one.status[i])).name}
