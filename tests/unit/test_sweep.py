@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import math
 from collections.abc import Callable
-from concurrent.futures import Executor, Future
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +17,7 @@ import pytest
 
 import cgemit as cg
 from cgemit.cli.main import main
+from cgemit.cli.workers import add_workers, executor
 from cgemit.detector import Detector
 from cgemit.fit import FitStatus
 from cgemit.study import grid, latin_hypercube, sobol, sweep
@@ -337,6 +340,23 @@ def plan(tmp_path: Path) -> Path:
     return path
 
 
+def test_options_choose_the_executor() -> None:
+    """Threads, processes or the default; both at once are refused."""
+    parser = argparse.ArgumentParser(exit_on_error=False)
+    add_workers(parser)
+    for words, kind, workers in (
+        ([], type(None), None),
+        (["--threads", "3"], ThreadPoolExecutor, 3),
+        (["--processes", "2"], ProcessPoolExecutor, 2),
+    ):
+        with ExitStack() as stack:
+            pool = executor(parser.parse_args(words), stack)
+            assert type(pool) is kind
+            assert getattr(pool, "_max_workers", None) == workers
+    with pytest.raises(argparse.ArgumentError, match="not allowed with argument"):
+        parser.parse_args(["--threads", "1", "--processes", "1"])
+
+
 @pytest.mark.slow
 def test_a_plan_is_the_same_call_in_python(plan: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["sweep", str(plan), "-o", str(tmp_path / "a"), "--parquet", "--quiet", "--threads", "1"]) == 0
@@ -349,6 +369,8 @@ def test_a_plan_is_the_same_call_in_python(plan: Path, tmp_path: Path, capsys: p
         assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
     pd.testing.assert_frame_equal(pd.read_parquet(tmp_path / "a" / "sweep.parquet"), found.to_pandas())
     assert (tmp_path / "a" / "sweep.png").stat().st_size > 5000
+    assert main(["sweep", str(plan), "-o", str(tmp_path / "c"), "--quiet", "--processes", "2"]) == 0
+    assert (tmp_path / "c/sweep.csv").read_bytes() == (tmp_path / "a/sweep.csv").read_bytes()
 
 
 @pytest.mark.parametrize(

@@ -7,9 +7,9 @@ import json
 import sys
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from cgemit.cli import changes, common, read
+from cgemit.cli import changes, common, read, workers
 
 if TYPE_CHECKING:
     from cgemit.study.optimizer import Optimization
@@ -54,14 +54,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     )
     parser.add_argument("--parquet", action="store_true", help="write optimize.parquet too (needs pyarrow)")
     parser.add_argument("--json", action="store_true", help="write summary.json to stdout instead of the table")
-    where = parser.add_mutually_exclusive_group()
-    where.add_argument(
-        "--threads", type=read.positive, metavar="N",
-        help="number of threads (default: all cores); results do not depend on it",
-    )  # fmt: skip
-    where.add_argument(
-        "--processes", type=read.positive, metavar="N", help="processes instead of threads, faster for many designs"
-    )
+    workers.add_workers(parser)
     common.add_common(parser)
     parser.set_defaults(run=run)
 
@@ -75,20 +68,11 @@ def run(arguments: argparse.Namespace) -> int:
     with ExitStack() as stack:
         progress = stack.enter_context(common.Progress("optimize", quiet=arguments.quiet))
         result = plan.run(
-            output=output, overwrite=arguments.overwrite, progress=progress, executor=_executor(arguments, stack)
+            output=output, overwrite=arguments.overwrite, progress=progress, executor=workers.executor(arguments, stack)
         )
     plan.write(output)
     _report(result, output, arguments)
     return 0
-
-
-def _executor(arguments: argparse.Namespace, stack: ExitStack) -> Any:
-    from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
-    from multiprocessing import get_context
-
-    if arguments.processes:
-        return stack.enter_context(ProcessPoolExecutor(arguments.processes, mp_context=get_context("spawn")))
-    return stack.enter_context(ThreadPoolExecutor(arguments.threads)) if arguments.threads else None
 
 
 def _report(result: Optimization, output: Path, arguments: argparse.Namespace) -> None:

@@ -5,12 +5,11 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cgemit.cli import changes, common, read
+from cgemit.cli import changes, common, workers
 
 if TYPE_CHECKING:
     from cgemit.study.sweeps import Sweep
@@ -52,10 +51,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--merge", metavar="DIR", help="write the table of a folder whose parts are complete")
     parser.add_argument("--parquet", action="store_true", help="write sweep.parquet too (needs pyarrow)")
     parser.add_argument("--json", action="store_true", help="write summary.json to stdout instead of the table")
-    parser.add_argument(
-        "--threads", type=read.positive, default=None, metavar="N",
-        help="number of threads (default: all cores); results do not depend on it",
-    )  # fmt: skip
+    workers.add_workers(parser)
     common.add_common(parser)
     parser.set_defaults(run=run)
 
@@ -78,8 +74,7 @@ def run(arguments: argparse.Namespace) -> int:
         how["compute"] = False
     with ExitStack() as stack:
         progress = stack.enter_context(common.Progress("sweep", quiet=arguments.quiet))
-        if arguments.threads is not None:
-            how["executor"] = stack.enter_context(ThreadPoolExecutor(arguments.threads))
+        how["executor"] = workers.executor(arguments, stack)
         result = plan.run(output=output, progress=progress, **how)
     missing = result.missing()
     if arguments.merge is not None and missing:
