@@ -295,7 +295,5 @@ class Result:
 def result_of(run: Run[Settings], tables: Mapping[str, Table]) -> Result:
     """Return the result of a run that was read, with tables of its own or some others."""
     about: dict[str, Any] = {"gun": run.gun, "settings": run.settings, **run.detectors}
-    entries = run.entries
-    return Result(
-        seed=entries["seed"], tables=tables, timings=entries["timings"], transported=entries.get("transported"), **about
-    )
+    about |= {name: run.entries[name] for name in ("seed", "timings")} | {"transported": run.entries.get("transported")}
+    return Result(tables=tables, **about)

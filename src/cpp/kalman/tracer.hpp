@@ -80,7 +80,6 @@ class Tracer {
   void replay(const Steps& steps, const SineCosine<T>& turn, const T& azimuth) {
     reached_ = 0.0;
     alive_ = mask_of<T>(true);
-    curled_ = mask_of<T>(false);
     for (std::size_t i = 0; i < steps.size(); ++i) {
       if (!steps[i].has_hits) continue;
       GroupStep& step = group_.steps[i];
@@ -293,9 +292,8 @@ class Tracer {
   Dip<T> dip_;
   KinematicsOf<T> now_;
   TrackMatterOf<T> track_;
-  T reached_{0.0};  // hits
-  mask_of<T> alive_{false};
-  mask_of<T> curled_{false};  // past the outermost point, no cylinder ahead
+  T reached_{0.0};                           // hits
+  mask_of<T> alive_{false}, curled_{false};  // curled: past the outermost point, no cylinder ahead
   [[no_unique_address]] Observer observer_;
 };
 

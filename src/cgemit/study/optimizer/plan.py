@@ -15,11 +15,11 @@ from cgemit.study.sweeps.plan import (
     numbers,
     placed,
     plan_tables,
-    range_of,
     settings_of,
     without_unknown,
     write_plan,
 )
+from cgemit.study.sweeps.space import range_of
 
 #: Keys of each table of a plan, with what they mean; docs/optimize.md shows them.
 KEYS: dict[str, dict[str, str]] = {

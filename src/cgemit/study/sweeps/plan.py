@@ -18,7 +18,7 @@ from cgemit.stages import Settings
 from cgemit.study.sweeps.evaluate import QUANTITIES, result_columns
 from cgemit.study.sweeps.result import Sweep
 from cgemit.study.sweeps.run import sweep
-from cgemit.study.sweeps.space import Space, SpaceError, grid, latin_hypercube, listed, sobol
+from cgemit.study.sweeps.space import space_of
 from cgemit.units import QuantityError, parse_quantity
 
 #: Keys of each table of a plan, with what they mean; docs/sweeps.md shows them.
@@ -54,7 +54,6 @@ KEYS: dict[str, dict[str, str]] = {
     },
 }
 PLAN = "plan.toml"
-_SAMPLES = {"sobol": sobol, "latin_hypercube": latin_hypercube}
 
 
 class PlanError(ProblemsError[str]):
@@ -115,7 +114,7 @@ def read_plan(path: str | os.PathLike[str], changes: Mapping[str, Any] | None = 
         raise PlanError(str(path), [*problems, f"vary, variants: got {given}, expected one of them"])
     tables = placed(tables, Path(path).resolve().parent)
     arguments = {"base": tables.get("base"), **_evaluate(tables.get("evaluate", {}), problems)}
-    arguments["space"] = _space(tables, problems)
+    arguments["space"] = space_of(tables, problems)
     arguments["settings"] = settings_of(tables.get("settings"), problems)
     problems += _draw_problems(tables.get("draw", {}), arguments)
     if not isinstance(arguments["base"], str):
@@ -280,29 +279,6 @@ def _method(method: Any, problems: list[str]) -> Any:
     if not callable(function):
         problems.append(f"evaluate.method: got {method!r}, expected a function of that file")
     return function
-
-
-def _space(tables: Mapping[str, Any], problems: list[str]) -> Space | None:
-    sample = tables.get("sample", {})
-    kind = sample.get("kind", "grid")
-    try:
-        if "variants" in tables:
-            return listed(tables["variants"])
-        if kind == "grid":
-            return grid(tables["vary"])
-        if kind not in _SAMPLES:
-            problems.append(f"sample.kind: got {kind!r}, expected one of grid, {', '.join(_SAMPLES)}")
-            return None
-        ranges = {key: range_of(value) for key, value in tables["vary"].items()}
-        return _SAMPLES[kind](ranges, sample.get("n", 0), seed=sample.get("seed", 1))
-    except SpaceError as error:
-        problems += str(error).split("\n  ")[1:]
-    return None
-
-
-def range_of(value: Any) -> Any:
-    """Return ``{ from, to }`` of a plan as (low, high); other values as they are."""
-    return (value["from"], value["to"]) if isinstance(value, Mapping) and value.keys() == {"from", "to"} else value
 
 
 def settings_of(table: Mapping[str, Any] | None, problems: list[str]) -> Settings | None:

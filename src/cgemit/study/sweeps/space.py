@@ -218,3 +218,30 @@ def split_range(low: Any, high: Any) -> tuple[str, float, float, str] | None:
 
 _DIMENSIONS = ("length", "angle", "field", "density", "energy", "momentum", "slope", "inverse area",
                "inverse area squared", "dimensionless")  # fmt: skip
+
+
+_SAMPLES = {"sobol": sobol, "latin_hypercube": latin_hypercube}
+
+
+def space_of(tables: Mapping[str, Any], problems: list[str]) -> Space | None:
+    """Return the space of a plan's tables; every problem is added to `problems`."""
+    sample = tables.get("sample", {})
+    kind = sample.get("kind", "grid")
+    try:
+        if "variants" in tables:
+            return listed(tables["variants"])
+        if kind == "grid":
+            return grid(tables["vary"])
+        if kind not in _SAMPLES:
+            problems.append(f"sample.kind: got {kind!r}, expected one of grid, {', '.join(_SAMPLES)}")
+            return None
+        ranges = {key: range_of(value) for key, value in tables["vary"].items()}
+        return _SAMPLES[kind](ranges, sample.get("n", 0), seed=sample.get("seed", 1))
+    except SpaceError as error:
+        problems += str(error).split("\n  ")[1:]
+    return None
+
+
+def range_of(value: Any) -> Any:
+    """Return ``{ from, to }`` of a plan as (low, high); other values as they are."""
+    return (value["from"], value["to"]) if isinstance(value, Mapping) and value.keys() == {"from", "to"} else value
