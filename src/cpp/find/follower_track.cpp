@@ -1,7 +1,6 @@
 // From the best branch of a follower to the track: its hits are filtered once more, and collected.
 #include <algorithm>
 #include <cmath>
-#include <ranges>
 
 #include "detector/cluster_errors.hpp"
 #include "find/follower.hpp"
@@ -74,7 +73,8 @@ void Follower::collect(const Branch& best, FoundTrack& track) const {
   track.chi2 = fitted_.chi2;
   for (std::int32_t at = best.chain; at >= 0; at = links_[static_cast<std::size_t>(at)].before)
     track.gains.push_back(links_[static_cast<std::size_t>(at)].gain);
-  for (const Slot<double>& s : group_.slots | std::views::reverse) {
+  for (std::size_t i = group_.slots.size(); i-- > 0;) {
+    const Slot<double>& s = group_.slots[i];
     track.hits.push_back(s.hit[0]);
     if (s.view == View::wire) {
       ++track.wires;
