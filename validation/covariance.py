@@ -102,7 +102,7 @@ def measure(point: Point, tracks: int, seed: int) -> list[Ratio]:
 def draw(rows: Sequence[Ratio]) -> Picture:
     """Draw the ratios of the Gaussian mode, a panel for each quantity; grey is what is allowed."""
     names = list(dict.fromkeys(row.detector for row in rows))
-    looks = dict(zip(names, ("o", "s", "^", "v", "D", "P"), strict=False))
+    looks = dict(zip(names, ("o", "s", "^", "v", "D", "x"), strict=False))
     colours = dict(zip(MOMENTA, (COLORS["x"], COLORS["fit"], COLORS["truth"], COLORS["single"]), strict=True))
     with style():
         picture, axes = new_picture(2, 3, (13.5, 7.6))
@@ -118,7 +118,7 @@ def draw(rows: Sequence[Ratio]) -> Picture:
                     ms=3, lw=0.8, label=f"{row.particle}, {row.detector}",
                 )  # fmt: skip
             plot.axhline(1, color=COLORS["data"], lw=0.8)
-            plot.set(title=quantity, xscale="log", xlabel="p [GeV/c]", ylabel="covariance / simulation")
+            plot.set(title=quantity, xscale="log", xlabel="p  (GeV/c)", ylabel="covariance / simulation")
             plot.set_xticks([0.2, 0.5, 1.0, 2.0], ["0.2", "0.5", "1", "2"])
             plot.minorticks_off()
             grid(plot)

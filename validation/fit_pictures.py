@@ -50,7 +50,7 @@ def _points(plot: Axes, rows: Sequence[Pull], quantity: str) -> None:
         plot.errorbar(x, value, error, fmt=_MARKERS[row.particle], color=colour, ms=2.5, lw=0.8, label=label)
     plot.axhline(centre, color=COLORS["data"], lw=0.8)
     plot.set_xticks(range(len(MOMENTA)), [f"{p:g}" for p in MOMENTA])
-    plot.set_xlabel("p [GeV/c]")
+    plot.set_xlabel("p  (GeV/c)")
     grid(plot)
 
 
@@ -100,7 +100,7 @@ def _draw_losses(left: Axes, right: Axes, results: FitResults) -> None:
             plot.errorbar([row.p for row in rows], y, error, fmt="o-", ms=4, lw=1, color=colour, label=loss)
         plot.axhline(1 if quantity == "width" else 0, color=COLORS["data"], lw=0.8)
         plot.set(
-            xscale="log", xlabel="p [GeV/c]", ylabel=f"core {quantity} of the pull of kappa", title="loss subtracted"
+            xscale="log", xlabel="p  (GeV/c)", ylabel=f"core {quantity} of the pull of kappa", title="loss subtracted"
         )
         grid(plot)
     left.legend()
@@ -114,7 +114,7 @@ def _draw_sides(plot: Axes, results: FitResults) -> None:
         error = np.sqrt([row.wrong for row in rows]) / [row.n for row in rows]
         plot.errorbar(middle, share, error, fmt="o", ms=4, lw=1, color=colour, label=f"{p:g} GeV/c")
     plot.axhline(1e-3, color=COLORS["data"], lw=0.8, ls="--", xmin=0.35)
-    plot.set(xscale="log", yscale="log", ylim=(1e-6, 1), xlabel="drift distance [mm]", ylabel="wrong sides")
+    plot.set(xscale="log", yscale="log", ylim=(1e-6, 1), xlabel="drift distance  (mm)", ylabel="wrong sides")
     plot.set_title("sides found by the fit")
     plot.legend()
     grid(plot)
