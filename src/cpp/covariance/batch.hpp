@@ -2,6 +2,7 @@
 #pragma once
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <vector>
 
@@ -199,13 +200,14 @@ class CovarianceBatch {
 
   // Adds the sums of the lanes to the budgets of their points: of n tracks, or of lanes of one point.
   void flush(std::size_t first, std::size_t n) {
+    if (terms_.empty()) return;
+    std::array<BudgetTerm*, width> to{};
+    for (std::size_t k = 0; k < n; ++k) to[k] = out_.budget + point(first + k) * terms_.size();
     for (std::size_t term = 0; term < terms_.size(); ++term) {
-      for (std::size_t e = 0; e < budget_entries; ++e) {
-        for (std::size_t k = 0; k < n; ++k)
-          out_.budget[point(first + k) * terms_.size() + term][e] +=
-              lane(terms_[term][e], static_cast<int>(k));
-        terms_[term][e] = 0.0;
-      }
+      for (std::size_t k = 0; k < n; ++k)
+        for (std::size_t e = 0; e < budget_entries; ++e)
+          to[k][term][e] += lane(terms_[term][e], static_cast<int>(k));
+      terms_[term].fill(T(0.0));
     }
   }
 
