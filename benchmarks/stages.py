@@ -23,7 +23,7 @@ from cgemit.stages import Settings
 HERE = Path(__file__).resolve().parent
 COUNTS = (100, 1000, 10_000, 100_000, 1_000_000)
 CHUNK = 1000
-STAGES = ("simulate", "digitize", "cluster", "find", "fit")
+STAGES = ("simulate", "digitize", "cluster", "find", "fit", "match")
 
 
 def product_us() -> float:

@@ -56,7 +56,7 @@ def program(monkeypatch: pytest.MonkeyPatch) -> Any:
     """Import a program of the folder."""
     monkeypatch.syspath_prepend(str(BENCHMARKS))
     yield importlib.import_module
-    for name in ("operations", "page"):
+    for name in ("operations", "page", "stages"):
         sys.modules.pop(name, None)
 
 
@@ -107,3 +107,12 @@ def test_page_is_renewed_block_by_block(
     assert "old memory" not in text
     assert "old peers" in text
     assert "peers: left as it is, there is no peers.csv" in capsys.readouterr().err
+
+
+def test_the_chain_is_timed_stage_by_stage(program: Any) -> None:
+    """Every stage of the chain has its time, and together they take no longer than the whole."""
+    stages = program("stages")
+    cost = stages.cost(20)
+    assert list(cost) == [*stages.STAGES, "all"]
+    assert all(value > 0 for value in cost.values())
+    assert sum(cost[name] for name in stages.STAGES) < cost["all"]
