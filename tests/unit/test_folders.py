@@ -1,5 +1,6 @@
 """Output folders of runs at the same time, of killed runs, and in places that cannot be replaced."""
 
+import os
 import signal
 import subprocess
 import sys
@@ -60,6 +61,23 @@ def test_runs_at_the_same_time_never_mix(tmp_path):
     assert (folder / f"{last}.txt").exists()
     assert (folder / "deep" / "mine.txt").read_text() == "mine"
     assert not list(tmp_path.glob(".*.tmp"))
+
+
+def test_a_folder_that_another_run_removes_before_it_is_locked_is_made_again(tmp_path, monkeypatch):
+    opened = os.open
+    removed = []
+
+    def remove_first(path, flags, *args, **kwargs):
+        if not removed and str(path).endswith(".tmp"):
+            removed.append(path)
+            Path(path).rmdir()
+        return opened(path, flags, *args, **kwargs)
+
+    monkeypatch.setattr(os, "open", remove_first)
+    write(tmp_path / "out", "1")
+    assert removed
+    assert names(tmp_path) == ["out"]
+    assert names(tmp_path / "out") == ["1.txt", "run.json"]
 
 
 def test_overwriting_replaces_the_tables_as_a_set(tmp_path):

@@ -92,11 +92,13 @@ def _locked(target: Path) -> tuple[Path, int]:
     while True:
         temporary = target.with_name(f".{target.name}-{secrets.token_hex(4)}.tmp")
         temporary.mkdir()
-        lock = os.open(temporary, os.O_RDONLY)
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        if temporary.exists():  # else another run took it for an abandoned one
-            return temporary, lock
-        os.close(lock)
+        # Before it is locked another run may take it for an abandoned one, and remove it.
+        with contextlib.suppress(FileNotFoundError):
+            lock = os.open(temporary, os.O_RDONLY)
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            if temporary.exists():
+                return temporary, lock
+            os.close(lock)
 
 
 @contextmanager
