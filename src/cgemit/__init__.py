@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from cgemit.chain import run
     from cgemit.cluster import ClusterSettings
     from cgemit.covariance import analytic, sensitivity
-    from cgemit.detector import Detector, DetectorError, detectors, load
+    from cgemit.detector import Detector, DetectorError, detectors, like, load
     from cgemit.digitize import (
         Apv25Readout,
         BinaryReadout,
@@ -79,6 +79,7 @@ __all__ = [
     "fit_vertices",
     "isa",
     "label_candidates",
+    "like",
     "load",
     "mix_events",
     "open",
@@ -126,6 +127,7 @@ _MODULES = {
     "fit_hits": "own_hits",
     "fit_vertices": "vertex",
     "label_candidates": "candidates",
+    "like": "detector",
     "load": "detector",
     "mix_events": "background",
     "open": "stored_run",

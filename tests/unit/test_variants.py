@@ -76,6 +76,40 @@ def test_a_copied_layer_recomputes_its_strips() -> None:
     ]
 
 
+def test_like_is_the_table_of_a_further_layer() -> None:
+    """As `[cgem.L0] like = "L1"` in a file; its strips follow, and the layer that it copies stays."""
+    copy = cg.like("L1", anode_radius="62 mm", foil={"Kapton": {"thickness": "25 um"}})
+    assert copy == {"like": "L1", "anode_radius": "62 mm", "foil": {"Kapton": {"thickness": "25 um"}}}
+    found = DESIGN.with_overrides({"cgem.L0": copy, "remove": ["cgem.L3"]})
+    assert [layer.label for layer in found.cgem] == ["L0", "L1", "L2"]
+    inner, model = found.cgem[:2]
+    assert model == DESIGN.cgem[0]
+    assert (inner.anode_radius, inner.strips_x) == (62.0, math.floor(2 * math.pi * 62 / 0.65))
+    assert inner.stereo == pytest.approx(math.atan2((inner.strips_x - 1) * 0.65, inner.length), rel=1e-15)
+    assert [part.thickness for part in inner.foil] == [
+        0.025 if p.label == "Kapton" else p.thickness for p in model.foil
+    ]
+    text = 'base = "besiii-cgem-design"\nremove = ["cgem.L3"]\n[cgem.L0]\nlike = "L1"\nanode_radius = "62 mm"\n'
+    text += '[cgem.L0.foil.Kapton]\nthickness = "25 um"\n'
+    assert cg.load(tomllib.loads(text)).cgem == found.cgem
+    assert cg.load({"base": "besiii-cgem-design", "cgem": {"L0": copy}, "remove": ["cgem.L3"]}).cgem == found.cgem
+    plain = DESIGN.with_overrides({"cgem.L0": cg.like("L1", anode_radius="62 mm")})
+    assert plain.name == "besiii-cgem-design+cgem.L0=like=L1,anode_radius=62mm"
+
+
+def test_like_lists_what_is_no_key_of_a_layer() -> None:
+    with pytest.raises(cg.DetectorError) as info:
+        cg.like("", anode_radus="62 mm", like="L2")
+    assert [str(problem) for problem in info.value.problems] == [
+        'label: got ""; expected the label of another layer',
+        'anode_radus: got "62 mm"; expected a key of a CGEM layer (did you mean "anode_radius"?)',
+        'like: got "L2"; expected a key of a CGEM layer',
+    ]
+    assert problems({"cgem.L0": cg.like("L9")}) == [
+        'cgem.L0.like: got "L9"; expected the label of another layer: L1, L2, L3'
+    ]
+
+
 def test_tables_single_values_and_removal_go_together() -> None:
     table = {"pitch_x": "500 um"}
     for changes in ({"cgem.L1": table, "cgem.L1.foils": 2}, {"cgem.L1.foils": 2, "cgem.L1": table}):

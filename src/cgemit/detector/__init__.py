@@ -12,6 +12,7 @@ from cgemit.detector.model import Detector, load
 from cgemit.detector.parts import CgemLayer, Cylinder, DriftChamber, Shell, SubLayer, WireLayer
 from cgemit.detector.schema import schema
 from cgemit.detector.slabs import Slab, slabs
+from cgemit.detector.variants import like
 from cgemit.problems import DetectorError, Problem
 
 __all__ = [
@@ -38,6 +39,7 @@ __all__ = [
     "detectors",
     "field_at",
     "fields",
+    "like",
     "load",
     "read_field_map",
     "schema",

@@ -12,16 +12,54 @@ from typing import Any
 from cgemit.detector.keys import Key, Known, keys_of
 from cgemit.detector.material import Material
 from cgemit.detector.merge import FOR_ALL_LAYERS
-from cgemit.detector.parts import Contents, DriftChamber, SubLayer
-from cgemit.detector.read import TOP_LEVEL
+from cgemit.detector.parts import CgemLayer, Contents, DriftChamber, SubLayer
+from cgemit.detector.read import EXTRA, TOP_LEVEL
 from cgemit.detector.read_lists import shown
-from cgemit.problems import Problem, did_you_mean
+from cgemit.problems import DetectorError, Problem, did_you_mean
 from cgemit.units import NATIVE
 
 _NUMBER = r"(\d+\.?\d*(?:[eE][+-]?\d+)?|\.\d+)"
 _FACTOR = re.compile(rf"\s*[x×]\s*{_NUMBER}\s*")
 _PERCENT = re.compile(rf"\s*([+-]{_NUMBER})\s*%\s*")
 _LONGEST_NAME = 100
+
+
+def like(label: str, **changes: object) -> dict[str, object]:
+    """Return a CGEM layer, for `load` and `Detector.with_overrides`, that is a copy with some values changed.
+
+    ``detector.with_overrides({"cgem.L0": cg.like("L1", anode_radius="62 mm")})`` adds the layer L0. Strip counts and
+    stereo angles that depend on changed values are computed anew.
+
+    Parameters
+    ----------
+    label : str
+        Label of the layer that is copied.
+    **changes : object
+        Keys of a CGEM layer with values as in a detector file, ``"62 mm"``.
+
+    Returns
+    -------
+    dict of str to object
+        The table ``{"like": label, **changes}`` of a detector file. Values, and the layer of that label, are checked
+        where the table is used.
+
+    Raises
+    ------
+    DetectorError
+        With every name that is no key of a CGEM layer, and if `label` is no text.
+
+    """
+    known = [*keys_of(CgemLayer), *EXTRA.get(CgemLayer, ())]
+    problems = [
+        Problem(name, shown(value), "a key of a CGEM layer", did_you_mean(name, known))
+        for name, value in changes.items()
+        if name not in known
+    ]
+    if not isinstance(label, str) or not label:
+        problems.insert(0, Problem("label", shown(label), "the label of another layer"))
+    if problems:
+        raise DetectorError(f"like({shown(label)})", problems)
+    return {"like": label, **changes}
 
 
 def factor_of(value: object) -> float | None:
@@ -183,6 +221,8 @@ def _short(value: object) -> str:
         value = value.value
     if isinstance(value, list) and all(isinstance(one, str) for one in value):
         value = ",".join(value)
+    if isinstance(value, Mapping) and "like" in value:
+        value = ",".join(f"{key}={_short(one)}" for key, one in value.items())
     if not isinstance(value, str | int | float):
         return hashlib.sha256(json.dumps(value, sort_keys=True, default=str).encode()).hexdigest()[:8]
     text = str(value).lower() if isinstance(value, bool) else str(value)
