@@ -52,7 +52,7 @@ def assert_rate(particle: str, p: float, bz: str, longer: float = 1.0) -> None:
 
 
 @pytest.mark.parametrize("bz", [WEAK, "-1 T"])
-@pytest.mark.parametrize("p", [0.1, 0.2, 0.5, 1.0])
+@pytest.mark.parametrize("p", [0.1, *(pytest.param(p, marks=pytest.mark.slow) for p in (0.2, 0.5)), 1.0])
 @pytest.mark.parametrize("particle", ["pi+", "pi-", "K+", "K-", "mu-"])
 def test_rate(particle: str, p: float, bz: str) -> None:
     """Without energy loss the survivors fall exponentially with the path; particles that turn back are left out."""

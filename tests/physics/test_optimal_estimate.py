@@ -35,7 +35,7 @@ def track(name: str, p: float, cos_theta: float):
 
 
 @pytest.mark.parametrize("cos_theta", [0.0, 0.5, 0.8])
-@pytest.mark.parametrize("p", [0.2, 0.5, 1.0, 2.0])
+@pytest.mark.parametrize("p", [0.2, *(pytest.param(p, marks=pytest.mark.slow) for p in (0.5, 1.0)), 2.0])
 @pytest.mark.parametrize("name", ["besiii-cgem-design", "besiii-idc"])
 def test_errors_are_optimal(name: str, p: float, cos_theta: float) -> None:
     """Errors of the fit equal those of generalised least squares with explicit scattering to 1 %.

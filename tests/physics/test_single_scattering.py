@@ -47,7 +47,7 @@ def widths(angles):
     return np.quantile(both, FRACTIONS), np.sqrt(2 * FRACTIONS * (1 - FRACTIONS) / len(both)) / density
 
 
-@pytest.mark.parametrize("screening", ["wentzel", "moliere"])
+@pytest.mark.parametrize("screening", ["wentzel", pytest.param("moliere", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("name", SLABS)
 def test_angles_of_single_scatters(name, screening):
     """The 68 and 98 % half widths are within 1.5 % of single scatters drawn one by one, the 99.9 % within errors."""

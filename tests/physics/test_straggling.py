@@ -76,7 +76,7 @@ def test_the_convolution_is_a_collision_sum():
         pytest.param(COPPER, 0.014, 0.3, PROTON, id="0.3 GeV/c proton, 14 um Cu"),
     ],
 )
-@pytest.mark.parametrize("pieces", [1, 10])
+@pytest.mark.parametrize("pieces", [1, pytest.param(10, marks=pytest.mark.slow)])
 def test_quantiles_of_the_loss(matter, thickness, p, mass, pieces):
     """The median is within 1 % and the 99 % quantile within 5 % of the convolution, in one piece or ten."""
     expected = vavilov_quantiles(*straggling(matter, thickness, p, mass))
