@@ -62,7 +62,10 @@ def test_angles_of_single_scatters(name, screening):
     assert_within(found, expected, np.hypot(np.hypot(error, expected_error), 0.02 / 4 * expected), what="half widths")
 
 
-@pytest.mark.parametrize(("p", "screening"), [(0.05, "wentzel"), (0.2, "wentzel"), (0.2, "moliere")])
+@pytest.mark.parametrize(
+    ("p", "screening"),
+    [(0.05, "wentzel"), (0.2, "wentzel"), pytest.param(0.2, "moliere", marks=pytest.mark.slow)],
+)
 @pytest.mark.parametrize("name", SLABS)
 def test_angles_of_the_characteristic_function(name, screening, p):
     """The same cross-section summed without samples gives 68 and 98 % within 1.5 %, 99.9 % within 3 %."""
