@@ -24,6 +24,7 @@ struct FindSeed {
   Symmetric<double> covariance;
   std::vector<std::int32_t>
       hits;  // clusters that the track must have; others of their layer and view are not tried
+  double score = 0;  // of a segment that is a track
 };
 
 struct FoundTrack {

@@ -5,6 +5,7 @@
 
 #include "common/angles.hpp"
 #include "detector/strip_plane.hpp"
+#include "find/compete.hpp"
 #include "motion/helix.hpp"
 
 namespace cgemit {
@@ -41,7 +42,8 @@ SegmentFinder::SegmentFinder(const Detector& detector, const FindSettings& setti
     : detector_(detector),
       settings_(settings),
       largest_w_(std::abs(curvature(detector.bz, 1 / settings.min_pt))),
-      points_(detector.cgem.size()) {}
+      points_(detector.cgem.size()),
+      score_(detector, settings) {}
 
 void SegmentFinder::load(const EventHits& hits, bool all) {
   seeds_.clear();
@@ -113,35 +115,114 @@ void SegmentFinder::three(const Layers& layers, const Point& a, const Point& b, 
   const PivotApproach line = approach_pivot(at, 0, 0);
   const bool slow = std::abs(at.w) > 1.15 * largest_w_;
   if (!line.exists || std::abs(line.d) > (slow ? slow_d : settings_.max_d)) return;
-  heights(hits, layers[0], a, low_, true);
-  heights(hits, layers[1], b, middle_, true);
-  heights(hits, layers[2], c, high_, true);
+  heights(hits, layers[0], a, heights_[0], true);
+  heights(hits, layers[1], b, heights_[1], true);
+  heights(hits, layers[2], c, heights_[2], true);
   const double s_a = -line.arc, s_b = s_a + arc(at.w, std::hypot(b.x - a.x, b.y - a.y)),
                s_c = s_a + arc(at.w, std::hypot(c.x - a.x, c.y - a.y));
-  const double kappa = at.w / curvature(detector_.bz, 1.0);
-  const double pt = 1 / std::max(std::abs(kappa), 1e-3),
-               psi = wrap_angle(std::atan2(at.uy, at.ux) + line.turn);
-  for (const Height& low : low_) {
-    for (const Height& high : high_) {
+  const Circle circle{{a.id, b.id, c.id},
+                      {s_a, s_b, s_c},
+                      line.d,
+                      wrap_angle(std::atan2(at.uy, at.ux) + line.turn),
+                      at.w / curvature(detector_.bz, 1.0),
+                      slow ? usual_z : settings_.max_z};
+  if (!alone_) {
+    seeds_of(circle);
+    return;
+  }
+  score_.circle(layers, circle.x, circle.s, circle.d, circle.kappa);
+  tracks_of_three(circle);
+  for (std::size_t first = 0; first < 2; ++first)
+    for (std::size_t second = first + 1; second < 3; ++second) tracks_of_two(circle, first, second);
+}
+
+// Lines through heights in three layers.
+void SegmentFinder::seeds_of(const Circle& circle) {
+  const auto& [low_of, middle_of, high_of] = heights_;
+  const auto& [s_a, s_b, s_c] = circle.s;
+  const auto& [a, b, c] = circle.x;
+  const double pt = 1 / std::max(std::abs(circle.kappa), 1e-3);
+  for (const Height& low : low_of) {
+    for (const Height& high : high_of) {
       if (too_much()) return;
-      work_ += 1 + static_cast<std::int64_t>(middle_.size());
+      work_ += 1 + static_cast<std::int64_t>(middle_of.size());
       const double tanl = (high.z - low.z) / (s_c - s_a), z0 = low.z - tanl * s_a;
-      if (std::abs(z0) > (slow ? usual_z : settings_.max_z)) continue;
+      if (std::abs(z0) > circle.most_z) continue;
       const double p = pt * std::sqrt(1 + tanl * tanl), beta = p / std::hypot(p, settings_.mass);
       const double theta = highland / (p * beta) * std::sqrt(thickness * std::sqrt(1 + tanl * tanl));
       const double scattered = theta * (s_c - s_b) * (1 + tanl * tanl);
       const double sigma_z = std::hypot(height_error, scattered);
       const double sigma_d = std::hypot(near_line, 1.5 * theta * s_a);
-      for (const Height& middle : middle_) {
+      for (const Height& middle : middle_of) {
         const double off = (middle.z - low.z - tanl * (s_b - s_a)) / sigma_z;
         if (std::abs(off) > gate) continue;
-        const double beside = line.d / sigma_d, far = z0 / usual_z;
-        add({line.d, psi, kappa, z0, tanl}, settings_.max_d, {a.id, low.id, b.id, middle.id, c.id, high.id},
+        const double beside = circle.d / sigma_d, far = z0 / usual_z;
+        add({circle.d, circle.psi, circle.kappa, z0, tanl}, settings_.max_d,
+            {a, low.id, b, middle.id, c, high.id},
             off * off + std::min(beside * beside, 30.0) + far * far -
                 2 * (low.score + middle.score + high.score));
       }
     }
   }
+}
+
+void SegmentFinder::tracks_of_three(const Circle& circle) {
+  const auto& [low_of, middle_of, high_of] = heights_;
+  const auto& [s_a, s_b, s_c] = circle.s;
+  const auto& [a, b, c] = circle.x;
+  for (const Height& low : low_of) {
+    for (const Height& high : high_of) {
+      if (too_much()) return;
+      work_ += 1 + static_cast<std::int64_t>(middle_of.size());
+      const double tanl = (high.z - low.z) / (s_c - s_a), z0 = low.z - tanl * s_a;
+      if (std::abs(z0) > circle.most_z) continue;
+      const SegmentScore::Line line = score_.line(z0, tanl);
+      for (const Height& middle : middle_of) {
+        const double off = middle.z - low.z - tanl * (s_b - s_a);
+        if (score_.is_far(line, off)) continue;
+        const double score = score_.of_three(line, {low.id, middle.id, high.id}, off) + low.score +
+                             middle.score + high.score;
+        add_track(score, {a, low.id, b, middle.id, c, high.id});
+      }
+    }
+  }
+}
+
+// Lines through heights in two layers, without one in the third.
+void SegmentFinder::tracks_of_two(const Circle& circle, std::size_t first, std::size_t second) {
+  for (const Height& low : heights_[first]) {
+    if (too_much()) return;
+    work_ += static_cast<std::int64_t>(heights_[second].size());
+    for (const Height& high : heights_[second]) {
+      const double tanl = (high.z - low.z) / (circle.s[second] - circle.s[first]),
+                   z0 = low.z - tanl * circle.s[first];
+      if (std::abs(z0) > circle.most_z) continue;
+      const double score =
+          score_.of_two(score_.line(z0, tanl), first, second) + low.score + high.score - doubt;
+      const auto& [a, b, c] = circle.x;
+      if (first == 1)
+        add_track(score, {a, b, low.id, c, high.id});
+      else if (second == 1)
+        add_track(score, {a, low.id, b, high.id, c});
+      else
+        add_track(score, {a, low.id, b, c, high.id});
+    }
+  }
+}
+
+void SegmentFinder::add_track(double score, std::initializer_list<std::int32_t> hits) {
+  if (score <= settings_.min_score) return;
+  ranks_.push_back({-score, seeds_.size()});
+  seeds_.push_back({{}, {}, hits, score});
+  limit();
+}
+
+const std::vector<FindSeed>& SegmentFinder::tracks(const EventHits& hits) {
+  score_.start(hits);
+  alone_ = true;
+  three_layers(hits);
+  alone_ = false;
+  return seeds_;
 }
 
 const std::vector<FindSeed>& SegmentFinder::two_layers(const EventHits& hits) {
@@ -162,13 +243,13 @@ void SegmentFinder::two(std::size_t inner, std::size_t outer, const Point& a, co
   if (a.x * c.x + a.y * c.y < 0) return;
   const HelixPoint at = through(0, 0, a.x, a.y, c.x, c.y);
   if (std::abs(at.w) > 1.15 * largest_w_) return;
-  heights(hits, inner, a, low_, false);
-  heights(hits, outer, c, high_, false);
+  heights(hits, inner, a, heights_[0], false);
+  heights(hits, outer, c, heights_[1], false);
   const double s_a = arc(at.w, std::hypot(a.x, a.y)), s_c = arc(at.w, std::hypot(c.x, c.y));
   const double kappa = at.w / curvature(detector_.bz, 1.0);
-  for (const Height& low : low_) {
-    work_ += static_cast<std::int64_t>(high_.size());
-    for (const Height& high : high_) {
+  for (const Height& low : heights_[0]) {
+    work_ += static_cast<std::int64_t>(heights_[1].size());
+    for (const Height& high : heights_[1]) {
       const double tanl = (high.z - low.z) / (s_c - s_a), z0 = low.z - tanl * s_a;
       if (std::abs(z0) > usual_z) continue;
       const double far = z0 / (0.2 * usual_z);
@@ -185,6 +266,10 @@ void SegmentFinder::add(const Perigee& helix, double sigma_d, std::initializer_l
   if (seed.helix.kappa == 0) seed.helix.kappa = 1e-9;
   ranks_.push_back({rank, seeds_.size()});
   seeds_.push_back(std::move(seed));
+  limit();
+}
+
+void SegmentFinder::limit() {
   if (seeds_.size() > 8 * static_cast<std::size_t>(settings_.max_seeds) + 1000) keep_best();
 }
 
