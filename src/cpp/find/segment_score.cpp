@@ -20,9 +20,7 @@ constexpr double farthest = 4, usual_error = 1.5;  // standard deviations; mm
 constexpr double spread_tanl = 1;
 constexpr double prompt_share = 0.9, beam = 0.5, along = 30;  // of the tracks; mm
 
-double log_sum(double a, double b) {
-  return std::max(a, b) + std::log1p(std::exp(-std::abs(a - b)));
-}
+double log_sum(double a, double b) { return std::max(a, b) + std::log1p(std::exp(-std::abs(a - b))); }
 
 // Gaussian with tails.
 double log_residual(double off, double variance) {
@@ -41,6 +39,8 @@ SegmentScore::SegmentScore(const Detector& detector, const FindSettings& setting
       settings_(settings),
       log_found_(std::log(settings.efficiency)),
       log_missed_(std::log1p(-settings.efficiency)),
+      log_prompt_(std::log(prompt_share) - 0.5 * std::log(2 * pi * along * along)),
+      log_elsewhere_(std::log((1 - prompt_share) / (4 * settings.max_d * settings.max_z))),
       gain_(detector.cgem.size()) {}
 
 void SegmentScore::start(const EventHits& hits) {
@@ -68,8 +68,16 @@ void SegmentScore::circle(const std::array<std::size_t, 3>& layers, const std::a
       square(weight[1] * ab + weight[2] * ac) + square(weight[2] * bc) + square(0.5 * s[0]);  // and the pipe
   // The density of three points is that of (d, psi, kappa) over the determinant of their derivatives.
   const double sigma = 2 + 0.3 * std::abs(kappa), per_kappa = std::abs(curvature(detector_.bz, 1.0));
-  of_x_ = -std::log(2 * pi * sigma * std::sqrt(2 * pi)) - std::log(0.5 * per_kappa * ab * bc * ac);
-  for (const std::size_t layer : layers) of_x_ += gain_[layer][0];
+  double of_x = -std::log(2 * pi * sigma * std::sqrt(2 * pi) * 0.5 * per_kappa * ab * bc * ac);
+  for (const std::size_t layer : layers) of_x += gain_[layer][0];
+  // The same of two heights, (z0, tanl), and s.
+  const Three of_v{gain_[layers[0]][1], gain_[layers[1]][1], gain_[layers[2]][1]};
+  const double per_arc = std::log(std::sqrt(2 * pi) * spread_tanl);
+  of_three_ = of_x + of_v[0] + of_v[1] + of_v[2] - per_arc - std::log(ac);
+  of_two_ = {of_x + of_v[1] + of_v[2] + log_missed_ - per_arc - std::log(bc),
+             of_x + of_v[0] + of_v[2] + log_missed_ - per_arc - std::log(ac),
+             of_x + of_v[0] + of_v[1] + log_missed_ - per_arc - std::log(ab)};
+  most_near_d_ = -std::log(std::sqrt(2 * pi) * std::max(std::abs(d), beam));
 }
 
 double SegmentScore::height_variance(std::size_t i, std::int32_t v) const {
@@ -79,44 +87,47 @@ double SegmentScore::height_variance(std::size_t i, std::int32_t v) const {
          least_error * least_error;
 }
 
+SegmentScore::Scatter SegmentScore::scatter(double tanl) const {
+  const double stretch = 1 + tanl * tanl, p2 = pt_ * pt_ * stretch;
+  const double angle = highland * highland * thickness * std::sqrt(stretch) *
+                       (p2 + settings_.mass * settings_.mass) / (p2 * p2);
+  return {angle, angle * square((s_[2] - s_[1]) * stretch)};
+}
+
+bool SegmentScore::is_far(const Scatter& scatter, double off) const {
+  return off * off > square(farthest) * (scatter.middle + square(usual_error));
+}
+
 // Most tracks come from the beams' crossing, chance has no such preference.
-double SegmentScore::near(double variance_d, double z0) const {
-  constexpr double z = along * along;
-  const double off = log_residual(d_, variance_d + beam * beam) + log_gaussian(z0 * z0 / z, z);
-  return log_sum(std::log(prompt_share) + off,
-                 std::log((1 - prompt_share) / (4 * settings_.max_d * settings_.max_z)));
+double SegmentScore::near(const Scatter& scatter, double z0) const {
+  const double variance = measured_d_ + scatter.angle * scattered_d_ + beam * beam;
+  return log_sum(log_prompt_ + log_residual(d_, variance) - 0.5 * square(z0 / along), log_elsewhere_);
 }
 
-SegmentScore::Line SegmentScore::line(double z0, double tanl) const {
-  const double stretch = 1 + tanl * tanl, p = pt_ * std::sqrt(stretch),
-               beta = p / std::hypot(p, settings_.mass), angle = highland / (p * beta);
-  const double scatter = angle * angle * thickness * std::sqrt(stretch);
-  return {scatter * square((s_[2] - s_[1]) * stretch), near(measured_d_ + scatter * scattered_d_, z0), tanl};
+double SegmentScore::most_near(double z0) const {
+  return std::max(log_prompt_ + most_near_d_ - 0.5 * square(z0 / along), log_elsewhere_) + std::log(2.0);
 }
 
-bool SegmentScore::is_far(const Line& line, double off) const {
-  return off * off > square(farthest) * (line.scattered_z + square(usual_error));
-}
-
-double SegmentScore::of_three(const Line& line, const std::array<std::int32_t, 3>& v, double off) const {
+double SegmentScore::of_three(const Scatter& scatter, const std::array<std::int32_t, 3>& v, double off,
+                              double z0) const {
   const double part = (s_[1] - s_[0]) / (s_[2] - s_[0]);
   const Three weight{1 - part, 1, part};
-  double variance = line.scattered_z, score = of_x_ + line.near - along_line(0, 2);
-  for (std::size_t i = 0; i < 3; ++i) {
-    variance += square(weight[i]) * height_variance(i, v[i]);
-    score += gain_[layers_[i]][1];
-  }
-  return score + log_residual(off, variance);
+  double variance = scatter.middle;
+  for (std::size_t i = 0; i < 3; ++i) variance += square(weight[i]) * height_variance(i, v[i]);
+  return of_three_ + log_residual(off, variance) + near(scatter, z0);
 }
 
-double SegmentScore::of_two(const Line& line, std::size_t first, std::size_t second) const {
-  return of_x_ + line.near - along_line(first, second) + log_missed_ + gain_[layers_[first]][1] +
-         gain_[layers_[second]][1];
+double SegmentScore::of_two(const Scatter& scatter, std::size_t first, std::size_t second, double z0) const {
+  return of_two_[3 - first - second] + near(scatter, z0);
 }
 
-// The density of two heights is that of (z0, tanl) over their determinant.
-double SegmentScore::along_line(std::size_t first, std::size_t second) const {
-  return std::log(std::sqrt(2 * pi) * spread_tanl * (s_[second] - s_[first]));
+double SegmentScore::most_of_three(double z0) const {
+  static const double residual = -std::log(std::sqrt(2 * pi) * least_error);
+  return of_three_ + residual + most_near(z0);
+}
+
+double SegmentScore::most_of_two(std::size_t first, std::size_t second, double z0) const {
+  return of_two_[3 - first - second] + most_near(z0);
 }
 
 }  // namespace cgemit

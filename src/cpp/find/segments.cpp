@@ -176,13 +176,14 @@ void SegmentFinder::tracks_of_three(const Circle& circle) {
       work_ += 1 + static_cast<std::int64_t>(middle_of.size());
       const double tanl = (high.z - low.z) / (s_c - s_a), z0 = low.z - tanl * s_a;
       if (std::abs(z0) > circle.most_z) continue;
-      const SegmentScore::Line line = score_.line(z0, tanl);
+      const double least = settings_.min_score - score_.most_of_three(z0);
+      const SegmentScore::Scatter scatter = score_.scatter(tanl);
       for (const Height& middle : middle_of) {
-        const double off = middle.z - low.z - tanl * (s_b - s_a);
-        if (score_.is_far(line, off)) continue;
-        const double score = score_.of_three(line, {low.id, middle.id, high.id}, off) + low.score +
-                             middle.score + high.score;
-        add_track(score, {a, low.id, b, middle.id, c, high.id});
+        const double off = middle.z - low.z - tanl * (s_b - s_a),
+                     pairs = low.score + middle.score + high.score;
+        if (pairs < least || score_.is_far(scatter, off)) continue;
+        add_track(pairs + score_.of_three(scatter, {low.id, middle.id, high.id}, off, z0),
+                  {a, low.id, b, middle.id, c, high.id});
       }
     }
   }
@@ -197,8 +198,9 @@ void SegmentFinder::tracks_of_two(const Circle& circle, std::size_t first, std::
       const double tanl = (high.z - low.z) / (circle.s[second] - circle.s[first]),
                    z0 = low.z - tanl * circle.s[first];
       if (std::abs(z0) > circle.most_z) continue;
-      const double score =
-          score_.of_two(score_.line(z0, tanl), first, second) + low.score + high.score - doubt;
+      const double pairs = low.score + high.score - doubt;
+      if (pairs + score_.most_of_two(first, second, z0) < settings_.min_score) continue;
+      const double score = pairs + score_.of_two(score_.scatter(tanl), first, second, z0);
       const auto& [a, b, c] = circle.x;
       if (first == 1)
         add_track(score, {a, b, low.id, c, high.id});
