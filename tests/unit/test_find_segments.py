@@ -7,6 +7,7 @@ import pytest
 
 import cgemit as cg
 from cgemit.candidates import HIT_V, HIT_X
+from cgemit.digitize.calibration import calibration_of
 from cgemit.tables import Table
 
 QUIET = cg.Settings(simulate=cg.SimulateSettings(decays=False, fluctuations="gaussian"))
@@ -120,6 +121,40 @@ def test_the_order_of_clusters_does_not_matter(layers, single):
     straight, mixed = find(layers, single), find(layers, single[order])
     assert straight["candidates"] == mixed["candidates"]
     assert np.array_equal(straight["candidate_hits"]["row"], order[mixed["candidate_hits"]["row"]])
+
+
+def test_seeds_may_leave_out_a_layer():
+    """Particles that begin behind the beam pipe, in four layers of which the second is dead."""
+    detector = dataclasses.replace(cg.load("kloe2-like"), drift_chamber=None)
+    gun = cg.Gun("mu-", p=(0.3, 0.6), cos_theta=(-0.5, 0.5), vertex=(80.0, 0.0, 0.0), phi=(0.6, 1.0))
+    result = cg.run(detector, gun, N, settings=QUIET, until="cluster")
+    for dead in (1, 2):
+        clusters = result.clusters[(result.clusters["layer"] != dead) & (result.clusters["view"] < 2)]
+        hits = sizes(find(detector, clusters))
+        assert (hits[:, 0] == 6).mean() > 0.9
+
+
+@pytest.mark.parametrize(("margin", "of_six"), [(50.0, (0.9, 1.0)), (1e4, (0.0, 0.1))])
+def test_strips_out_of_time_do_not_move_a_track(layers, margin, of_six):
+    """Noise on 24 strips beside a V cluster, 600 ns late, would move its centre of charge off the track."""
+    tiger = cg.TigerReadout(time_margin=margin, estimator="centroid")
+    gun = cg.Gun("mu-", p=0.6, cos_theta=(-0.3, 0.3))
+    run = cg.run(layers, gun, N, readout=tiger, until="cluster")
+    digis = run.digis
+    last = np.flatnonzero(on(digis, 1, HIT_V) & np.append(np.diff(digis["strip"]) != 1, True))
+    rows = np.repeat(last, 25)
+    beside = np.tile(np.arange(25), len(last))
+    noise = digis[rows].with_columns(
+        strip=(digis["strip"][rows] + beside).astype("i4"),
+        charge=digis["charge"][rows] * 0.98**beside,  # no valley, at which clusters are split
+        time=digis["time"][rows] + 600.0,
+    )[beside > 0]
+    columns = {name: np.concatenate([digis[name], noise[name]]) for name in digis}
+    order = np.lexsort([columns[name] for name in ("strip", "view", "sheet", "layer", "event")])
+    noisy = Table("digis", {name: column[order] for name, column in columns.items()}, **digis.cover)
+    clusters = tiger.cluster_with(layers, noisy, calibration_of(layers, tiger))
+    share = (sizes(find(layers, clusters)) == 6).any(axis=1).mean()
+    assert of_six[0] <= share <= of_six[1]
 
 
 def test_with_background_and_charge_and_time():
