@@ -6,6 +6,7 @@
 #include "common/angles.hpp"
 #include "detector/strip_plane.hpp"
 #include "find/compete.hpp"
+#include "find/score.hpp"
 #include "motion/helix.hpp"
 
 namespace cgemit {
@@ -75,6 +76,7 @@ void SegmentFinder::heights(const EventHits& hits, std::size_t layer, const Poin
 
 const std::vector<FindSeed>& SegmentFinder::three_layers(const EventHits& hits) {
   load(hits, true);
+  score_.start(hits);
   const std::size_t layers = points_.size();
   for (std::size_t inner = 0; inner + 2 < layers; ++inner)
     for (std::size_t outer = inner + 2; outer < std::min(layers, inner + 4); ++outer)
@@ -126,11 +128,11 @@ void SegmentFinder::three(const Layers& layers, const Point& a, const Point& b, 
                       wrap_angle(std::atan2(at.uy, at.ux) + line.turn),
                       at.w / curvature(detector_.bz, 1.0),
                       slow ? usual_z : settings_.max_z};
+  score_.circle(layers, circle.x, circle.s, circle.d, circle.kappa);
   if (!alone_) {
     seeds_of(circle);
     return;
   }
-  score_.circle(layers, circle.x, circle.s, circle.d, circle.kappa);
   tracks_of_three(circle);
   for (std::size_t first = 0; first < 2; ++first)
     for (std::size_t second = first + 1; second < 3; ++second) tracks_of_two(circle, first, second);
@@ -153,14 +155,19 @@ void SegmentFinder::seeds_of(const Circle& circle) {
       const double scattered = theta * (s_c - s_b) * (1 + tanl * tanl);
       const double sigma_z = std::hypot(height_error, scattered);
       const double sigma_d = std::hypot(near_line, 1.5 * theta * s_a);
+      const double least = hopeless - score_.most_of_three(z0);
+      const SegmentScore::Scatter scatter = score_.scatter(tanl);
       for (const Height& middle : middle_of) {
+        const double pairs = low.score + middle.score + high.score;
+        if (pairs < least) continue;
         const double off = (middle.z - low.z - tanl * (s_b - s_a)) / sigma_z;
-        if (std::abs(off) > gate) continue;
+        if (std::abs(off) > gate ||
+            pairs + score_.of_three(scatter, {low.id, middle.id, high.id}, off * sigma_z, z0) < hopeless)
+          continue;
         const double beside = circle.d / sigma_d, far = z0 / usual_z;
         add({circle.d, circle.psi, circle.kappa, z0, tanl}, settings_.max_d,
             {a, low.id, b, middle.id, c, high.id},
-            off * off + std::min(beside * beside, 30.0) + far * far -
-                2 * (low.score + middle.score + high.score));
+            off * off + std::min(beside * beside, 30.0) + far * far - 2 * pairs);
       }
     }
   }
