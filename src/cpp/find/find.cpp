@@ -63,7 +63,7 @@ class EventFinder {
       for (const std::int32_t id : seed.hits) hits_.take(id);
       FoundTrack& track = tracks_.emplace_back();
       track.hits = seed.hits;
-      track.score = seed.score;
+      track.score = -seed.rank;
       track.holes = static_cast<int>(6 - seed.hits.size());
     }
   }

@@ -23,8 +23,8 @@ struct FindSeed {
   Perigee helix;
   Symmetric<double> covariance;
   std::vector<std::int32_t>
-      hits;  // clusters that the track must have; others of their layer and view are not tried
-  double score = 0;  // of a segment that is a track
+      hits;         // clusters that the track must have; others of their layer and view are not tried
+  double rank = 0;  // better ones are lower
 };
 
 struct FoundTrack {

@@ -13,14 +13,9 @@ namespace cgemit {
 
 namespace {
 
-constexpr double near_line = 0.3;     // mm, error of the closest approach of three points without scattering
-constexpr double height_error = 1.5;  // mm, of a crossing of X and V, with the delta electrons of both
-constexpr double gate = 4;            // standard deviations
-constexpr double usual_z = 100;       // mm, of vertices: only orders the seeds
-constexpr double thickness = 0.008;   // radiation lengths of a layer; of the beam pipe, too
-constexpr double slowed = 1.6;        // momentum at the origin over that in the segment
-constexpr double slow_d = 15;         // mm, of slower particles from the beam line
-constexpr double highland = 13.6 * MeV;
+constexpr double usual_z = 100;  // mm, of vertices of slow particles and of pairs
+constexpr double slowed = 1.6;   // momentum at the origin over that in the segment
+constexpr double slow_d = 15;    // mm, of slower particles from the beam line
 
 // A circle through three points, flown through from the first to the last.
 HelixPoint through(double ax, double ay, double bx, double by, double cx, double cy) {
@@ -129,75 +124,39 @@ void SegmentFinder::three(const Layers& layers, const Point& a, const Point& b, 
                       at.w / curvature(detector_.bz, 1.0),
                       slow ? usual_z : settings_.max_z};
   score_.circle(layers, circle.x, circle.s, circle.d, circle.kappa);
-  if (!alone_) {
-    seeds_of(circle);
-    return;
-  }
-  tracks_of_three(circle);
+  lines_of_three(circle);
+  if (!alone_) return;
   for (std::size_t first = 0; first < 2; ++first)
-    for (std::size_t second = first + 1; second < 3; ++second) tracks_of_two(circle, first, second);
+    for (std::size_t second = first + 1; second < 3; ++second) lines_of_two(circle, first, second);
 }
 
-// Lines through heights in three layers.
-void SegmentFinder::seeds_of(const Circle& circle) {
+void SegmentFinder::lines_of_three(const Circle& circle) {
   const auto& [low_of, middle_of, high_of] = heights_;
   const auto& [s_a, s_b, s_c] = circle.s;
   const auto& [a, b, c] = circle.x;
-  const double pt = 1 / std::max(std::abs(circle.kappa), 1e-3);
   for (const Height& low : low_of) {
     for (const Height& high : high_of) {
       if (too_much()) return;
       work_ += 1 + static_cast<std::int64_t>(middle_of.size());
       const double tanl = (high.z - low.z) / (s_c - s_a), z0 = low.z - tanl * s_a;
       if (std::abs(z0) > circle.most_z) continue;
-      const double p = pt * std::sqrt(1 + tanl * tanl), beta = p / std::hypot(p, settings_.mass);
-      const double theta = highland / (p * beta) * std::sqrt(thickness * std::sqrt(1 + tanl * tanl));
-      const double scattered = theta * (s_c - s_b) * (1 + tanl * tanl);
-      const double sigma_z = std::hypot(height_error, scattered);
-      const double sigma_d = std::hypot(near_line, 1.5 * theta * s_a);
-      const double least = hopeless - score_.most_of_three(z0);
+      const double least = least_score() - score_.most_of_three(z0);
       const SegmentScore::Scatter scatter = score_.scatter(tanl);
       for (const Height& middle : middle_of) {
         const double pairs = low.score + middle.score + high.score;
-        if (pairs < least) continue;
-        const double off = (middle.z - low.z - tanl * (s_b - s_a)) / sigma_z;
-        if (std::abs(off) > gate ||
-            pairs + score_.of_three(scatter, {low.id, middle.id, high.id}, off * sigma_z, z0) < hopeless)
-          continue;
-        const double beside = circle.d / sigma_d, far = z0 / usual_z;
-        add({circle.d, circle.psi, circle.kappa, z0, tanl}, settings_.max_d,
-            {a, low.id, b, middle.id, c, high.id},
-            off * off + std::min(beside * beside, 30.0) + far * far - 2 * pairs);
-      }
-    }
-  }
-}
-
-void SegmentFinder::tracks_of_three(const Circle& circle) {
-  const auto& [low_of, middle_of, high_of] = heights_;
-  const auto& [s_a, s_b, s_c] = circle.s;
-  const auto& [a, b, c] = circle.x;
-  for (const Height& low : low_of) {
-    for (const Height& high : high_of) {
-      if (too_much()) return;
-      work_ += 1 + static_cast<std::int64_t>(middle_of.size());
-      const double tanl = (high.z - low.z) / (s_c - s_a), z0 = low.z - tanl * s_a;
-      if (std::abs(z0) > circle.most_z) continue;
-      const double least = settings_.min_score - score_.most_of_three(z0);
-      const SegmentScore::Scatter scatter = score_.scatter(tanl);
-      for (const Height& middle : middle_of) {
-        const double off = middle.z - low.z - tanl * (s_b - s_a),
-                     pairs = low.score + middle.score + high.score;
+        const double off = middle.z - low.z - tanl * (s_b - s_a);
         if (pairs < least || score_.is_far(scatter, off)) continue;
-        add_track(pairs + score_.of_three(scatter, {low.id, middle.id, high.id}, off, z0),
-                  {a, low.id, b, middle.id, c, high.id});
+        const double score = pairs + score_.of_three(scatter, {low.id, middle.id, high.id}, off, z0);
+        if (score > least_score())
+          add({circle.d, circle.psi, circle.kappa, z0, tanl}, settings_.max_d,
+              {a, low.id, b, middle.id, c, high.id}, -score);
       }
     }
   }
 }
 
 // Lines through heights in two layers, without one in the third.
-void SegmentFinder::tracks_of_two(const Circle& circle, std::size_t first, std::size_t second) {
+void SegmentFinder::lines_of_two(const Circle& circle, std::size_t first, std::size_t second) {
   for (const Height& low : heights_[first]) {
     if (too_much()) return;
     work_ += static_cast<std::int64_t>(heights_[second].size());
@@ -208,22 +167,14 @@ void SegmentFinder::tracks_of_two(const Circle& circle, std::size_t first, std::
       const double pairs = low.score + high.score - doubt;
       if (pairs + score_.most_of_two(first, second, z0) < settings_.min_score) continue;
       const double score = pairs + score_.of_two(score_.scatter(tanl), first, second, z0);
+      if (score <= settings_.min_score) continue;
       const auto& [a, b, c] = circle.x;
-      if (first == 1)
-        add_track(score, {a, b, low.id, c, high.id});
-      else if (second == 1)
-        add_track(score, {a, low.id, b, high.id, c});
-      else
-        add_track(score, {a, low.id, b, c, high.id});
+      std::vector<std::int32_t> hits{a, b, c};
+      hits.insert(hits.begin() + static_cast<std::ptrdiff_t>(second) + 1, high.id);
+      hits.insert(hits.begin() + static_cast<std::ptrdiff_t>(first) + 1, low.id);
+      add({circle.d, circle.psi, circle.kappa, z0, tanl}, settings_.max_d, std::move(hits), -score);
     }
   }
-}
-
-void SegmentFinder::add_track(double score, std::initializer_list<std::int32_t> hits) {
-  if (score <= settings_.min_score) return;
-  ranks_.push_back({-score, seeds_.size()});
-  seeds_.push_back({{}, {}, hits, score});
-  limit();
 }
 
 const std::vector<FindSeed>& SegmentFinder::tracks(const EventHits& hits) {
@@ -268,17 +219,12 @@ void SegmentFinder::two(std::size_t inner, std::size_t outer, const Point& a, co
   }
 }
 
-void SegmentFinder::add(const Perigee& helix, double sigma_d, std::initializer_list<std::int32_t> hits,
-                        double rank) {
+void SegmentFinder::add(const Perigee& helix, double sigma_d, std::vector<std::int32_t> hits, double rank) {
   const Five<double> variance{{sigma_d * sigma_d, 0.04, variance_of_kappa(helix.kappa), 2500, 0.25}};
-  FindSeed seed{helix, Symmetric<double>::diagonal(variance), hits};
+  FindSeed seed{helix, Symmetric<double>::diagonal(variance), std::move(hits), rank};
   if (seed.helix.kappa == 0) seed.helix.kappa = 1e-9;
   ranks_.push_back({rank, seeds_.size()});
   seeds_.push_back(std::move(seed));
-  limit();
-}
-
-void SegmentFinder::limit() {
   if (seeds_.size() > 8 * static_cast<std::size_t>(settings_.max_seeds) + 1000) keep_best();
 }
 

@@ -8,6 +8,7 @@
 #include "find/event_hits.hpp"
 #include "find/find.hpp"
 #include "find/follower.hpp"
+#include "find/score.hpp"
 #include "find/segment_score.hpp"
 
 namespace cgemit {
@@ -57,15 +58,14 @@ class SegmentFinder {
                bool all);
   bool three_of(const Layers& layers, const EventHits& hits);
   void three(const Layers& layers, const Point& a, const Point& b, const Point& c, const EventHits& hits);
-  void seeds_of(const Circle& circle);
-  void tracks_of_three(const Circle& circle);
-  void tracks_of_two(const Circle& circle, std::size_t first, std::size_t second);
-  void add_track(double score, std::initializer_list<std::int32_t> hits);
+  void lines_of_three(const Circle& circle);
+  // Through heights in two layers, without one in the third.
+  void lines_of_two(const Circle& circle, std::size_t first, std::size_t second);
   void two(std::size_t inner, std::size_t outer, const Point& a, const Point& c, const EventHits& hits);
-  void add(const Perigee& helix, double sigma_d, std::initializer_list<std::int32_t> hits, double rank);
-  void limit();
+  void add(const Perigee& helix, double sigma_d, std::vector<std::int32_t> hits, double rank);
   void keep_best();
   const std::vector<FindSeed>& ranked();
+  double least_score() const { return alone_ ? settings_.min_score : hopeless; }
   bool too_much() const { return work_ > most_work; }
 
   const Detector& detector_;
