@@ -75,6 +75,62 @@ def test_displaced_tracks_with_background():
     assert rates.clones.count == 0
 
 
+def one_vertex(x, opening, n=10):
+    """Two pions of 0.4 GeV/c from (x, 0, 0), whose paths cross 2.7 m sin(opening) behind it; truth finds."""
+    plus, minus = (
+        cg.Gun(name, p=0.4, cos_theta=0.1, phi=side * opening, vertex=(x, 0.0, 0.0))
+        for name, side in (("pi+", -1), ("pi-", 1))
+    )
+    return cg.run("besiii-cgem", plus + minus, n=n, settings=cg.Settings(simulate=QUIET), until="find", finder="truth")
+
+
+def found_in(run, clusters=None, wire_hits=None):
+    """The metrics of what is found in the hits of a run, or in some of them."""
+    tables = run.tables | {"clusters": clusters or run.clusters, "wire_hits": wire_hits or run.wire_hits}
+    tables |= cg.find_tracks(run.detector, tables["clusters"], tables["wire_hits"])
+    return cg.study.finding(cg.Result(**(vars(run) | {"tables": tables})))
+
+
+@pytest.mark.parametrize("x", [60.0, 150.0])
+@pytest.mark.parametrize("opening", [0.1, 0.6])
+def test_two_tracks_of_a_vertex_beside_the_beam_line(x, opening):
+    run = one_vertex(x, opening)
+    wires = run.wire_truths
+    cells = [
+        set(zip(wires["event"][on], wires["layer"][on], wires["wire"][on], strict=True))
+        for p in (0, 1)
+        for on in [wires["particle"] == p]
+    ]
+    shared = np.bincount([event for event, *_ in cells[0] & cells[1]], minlength=10)
+    assert (shared > 0).all() == (opening == 0.1)  # those of the smaller angle cross in the chamber
+    finding = found_in(run)
+    assert (finding.rates().efficiency.count, len(finding.candidates.hits)) == (20, 20)
+    # A cell of both has the hit of one of them; all others belong to the particle.
+    of = finding.candidates
+    assert (of.hits - of.of_particle <= shared[of.particle // 2] + 1).all()
+    assert (of.found >= 0.9 * finding.particles.hits[of.particle]).all()
+
+
+@pytest.mark.parametrize("dead", [(12, 13), (8, 17, 20, 30), (9, 10, 11)])
+def test_displaced_tracks_across_dead_layers(dead):
+    run = one_vertex(150.0, 0.6)
+    finding = found_in(run, wire_hits=run.wire_hits[~np.isin(run.wire_hits["layer"], dead)])
+    assert (finding.rates().efficiency.count, len(finding.candidates.hits)) == (20, 20)
+    assert finding.hit_efficiency > 0.97
+    assert finding.purity > 0.99
+
+
+@pytest.mark.parametrize("dead", [1, 2])
+def test_displaced_tracks_across_a_dead_cgem_layer(dead):
+    run = one_vertex(60.0, 0.6)
+    single = run.clusters["view"] < 2
+    none = np.full(len(single), -1)
+    clusters = run.clusters.with_columns(x_cluster=none, v_cluster=none)[single & (run.clusters["layer"] != dead)]
+    finding = found_in(run, clusters)
+    assert (finding.rates().efficiency.count, len(finding.candidates.hits)) == (20, 20)
+    assert finding.hit_efficiency > 0.97
+
+
 def test_displaced_tracks_turn_with_the_cells_and_with_charge_and_field(behind_all_layers):
     run = behind_all_layers
     straight = hits_of(cg.find_tracks(run.detector, run.clusters[:0], run.wire_hits))

@@ -244,9 +244,13 @@ def test_of_tracks_that_share_hits_the_best_remains():
     assert finding.rates().fakes.count == 0
 
 
-def test_of_lines_in_z_the_one_from_the_origin_is_likelier():
-    """Of the V clusters of a muon and of the same muon from 150 mm along the beam, the first ones win."""
-    layers = dataclasses.replace(cg.load("besiii-cgem-design"), drift_chamber=None)
+@pytest.mark.parametrize("name", ["besiii-cgem-design", "kloe2-like"])
+def test_of_lines_in_z_the_one_from_the_origin_is_likelier(name):
+    """Of the V clusters of a muon and of the same muon from 150 mm along the beam, the first ones win.
+
+    The score of segments decides in three layers, that of followed tracks in four.
+    """
+    layers = dataclasses.replace(cg.load(name), drift_chamber=None)
     near, far = (
         cg.run(layers, cg.Gun("mu-", p=0.6, cos_theta=(-0.2, 0.2), vertex=(0, 0, z)), 40, settings=QUIET, until="find")
         for z in (0.0, 150.0)

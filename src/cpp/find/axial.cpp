@@ -121,23 +121,28 @@ void AxialSearch::divide(const Box& box) {
     const double psi = box.psi + i * width, middle = box.w + height;
     const Column column(psi, width);
     const auto begin = static_cast<std::int32_t>(arena_.size());
+    std::uint64_t lower_layers = 0, upper_layers = 0;
     upper_.clear();
+    // By index: the arena grows.
     for (std::int32_t k = box.first; k < box.last; ++k) {
       const std::int32_t number = arena_[static_cast<std::size_t>(k)];
       const AxialPoint& point = points_[static_cast<std::size_t>(number)];
-      if (!column.outward(point)) continue;
+      if (point.left_out || !column.outward(point)) continue;
       const Curves curves(point, column);
-      if (curves.cross(box.w, box.w + height)) arena_.push_back(number);
-      if (curves.cross(middle, middle + height)) upper_.push_back(number);
+      if (curves.cross(box.w, middle)) {
+        arena_.push_back(number);
+        lower_layers |= point.layer;
+      }
+      if (curves.cross(middle, middle + height)) {
+        upper_.push_back(number);
+        upper_layers |= point.layer;
+      }
     }
     const auto border = static_cast<std::int32_t>(arena_.size());
     arena_.insert(arena_.end(), upper_.begin(), upper_.end());
     const auto end = static_cast<std::int32_t>(arena_.size());
-    for (Box child : {Box{0, depth, psi, box.w, begin, border, circles_},
-                      Box{0, depth, psi, middle, border, end, circles_}}) {
-      child.layers = layers_in(child);
-      push(child);
-    }
+    push({std::popcount(lower_layers), depth, psi, box.w, begin, border, circles_});
+    push({std::popcount(upper_layers), depth, psi, middle, border, end, circles_});
   }
 }
 

@@ -35,6 +35,10 @@ class EventFinder {
     follower_.start(hits_);
     tracks_.clear();
     seeds_ = 0;
+    if (detector_.wires.empty() && detector_.cgem.size() == 3) {
+      if (settings_.segments) from_segments();
+      return tracks_;
+    }
     if (settings_.segments && detector_.cgem.size() >= 3)
       for (const FindSeed& seed : segments_.three_layers(hits_)) try_segment(seed);
     if (settings_.chamber) from_chamber();
@@ -48,6 +52,22 @@ class EventFinder {
   std::int64_t seeds() const { return seeds_; }
 
  private:
+  // Segments of three layers and nothing else are tracks, the better ones first.
+  void from_segments() {
+    constexpr std::size_t shared_parts = 3;  // a third of the clusters may belong to better tracks
+    for (const FindSeed& seed : segments_.tracks(hits_)) {
+      ++seeds_;
+      std::size_t shared = 0;
+      for (const std::int32_t id : seed.hits) shared += hits_.is_taken(id) ? 1 : 0;
+      if (shared_parts * shared > seed.hits.size()) continue;
+      for (const std::int32_t id : seed.hits) hits_.take(id);
+      FoundTrack& track = tracks_.emplace_back();
+      track.hits = seed.hits;
+      track.score = -seed.rank;
+      track.holes = static_cast<int>(6 - seed.hits.size());
+    }
+  }
+
   static constexpr int most_failures = 5;  // circles in a row that led to no track beyond doubt
   static constexpr int few_wires = 5;
 

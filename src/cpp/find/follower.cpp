@@ -19,7 +19,6 @@ constexpr double sure = 4;        // a hit with a larger likelihood ratio is tak
 constexpr double rim = 0.5;       // mm, of a cell; a track in it need not fire the cell
 constexpr double inflation = 10;  // of a covariance that the same hits have made
 constexpr int few_hits = 2, many_hits = 10;
-constexpr double hopeless = 0;  // score: chance explains the hits as well
 constexpr int most_speed_ups = 8;
 constexpr double speed_up = 0.92;  // of kappa
 constexpr int least_hits = 3;

@@ -23,7 +23,8 @@ struct FindSeed {
   Perigee helix;
   Symmetric<double> covariance;
   std::vector<std::int32_t>
-      hits;  // clusters that the track must have; others of their layer and view are not tried
+      hits;         // clusters that the track must have; others of their layer and view are not tried
+  double rank = 0;  // better ones are lower
 };
 
 struct FoundTrack {

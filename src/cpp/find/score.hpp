@@ -8,6 +8,7 @@
 
 namespace cgemit {
 
+inline constexpr double hopeless = 0;     // score: chance explains the hits as well
 inline constexpr double most_prompt = 8;  // about the largest `log_prompt`
 
 inline double log_gaussian(double chi2, double variance) {

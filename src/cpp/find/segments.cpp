@@ -5,20 +5,17 @@
 
 #include "common/angles.hpp"
 #include "detector/strip_plane.hpp"
+#include "find/compete.hpp"
+#include "find/score.hpp"
 #include "motion/helix.hpp"
 
 namespace cgemit {
 
 namespace {
 
-constexpr double near_line = 0.3;     // mm, error of the closest approach of three points without scattering
-constexpr double height_error = 1.5;  // mm, of a crossing of X and V, with the delta electrons of both
-constexpr double gate = 4;            // standard deviations
-constexpr double usual_z = 100;       // mm, of vertices: only orders the seeds
-constexpr double thickness = 0.008;   // radiation lengths of a layer; of the beam pipe, too
-constexpr double slowed = 1.6;        // momentum at the origin over that in the segment
-constexpr double slow_d = 15;         // mm, of slower particles from the beam line
-constexpr double highland = 13.6 * MeV;
+constexpr double usual_z = 100;  // mm, of vertices of slow particles and of pairs
+constexpr double slowed = 1.6;   // momentum at the origin over that in the segment
+constexpr double slow_d = 15;    // mm, of slower particles from the beam line
 
 // A circle through three points, flown through from the first to the last.
 HelixPoint through(double ax, double ay, double bx, double by, double cx, double cy) {
@@ -41,7 +38,8 @@ SegmentFinder::SegmentFinder(const Detector& detector, const FindSettings& setti
     : detector_(detector),
       settings_(settings),
       largest_w_(std::abs(curvature(detector.bz, 1 / settings.min_pt))),
-      points_(detector.cgem.size()) {}
+      points_(detector.cgem.size()),
+      score_(detector, settings) {}
 
 void SegmentFinder::load(const EventHits& hits, bool all) {
   seeds_.clear();
@@ -73,6 +71,7 @@ void SegmentFinder::heights(const EventHits& hits, std::size_t layer, const Poin
 
 const std::vector<FindSeed>& SegmentFinder::three_layers(const EventHits& hits) {
   load(hits, true);
+  score_.start(hits);
   const std::size_t layers = points_.size();
   for (std::size_t inner = 0; inner + 2 < layers; ++inner)
     for (std::size_t outer = inner + 2; outer < std::min(layers, inner + 4); ++outer)
@@ -113,35 +112,77 @@ void SegmentFinder::three(const Layers& layers, const Point& a, const Point& b, 
   const PivotApproach line = approach_pivot(at, 0, 0);
   const bool slow = std::abs(at.w) > 1.15 * largest_w_;
   if (!line.exists || std::abs(line.d) > (slow ? slow_d : settings_.max_d)) return;
-  heights(hits, layers[0], a, low_, true);
-  heights(hits, layers[1], b, middle_, true);
-  heights(hits, layers[2], c, high_, true);
+  heights(hits, layers[0], a, heights_[0], true);
+  heights(hits, layers[1], b, heights_[1], true);
+  heights(hits, layers[2], c, heights_[2], true);
   const double s_a = -line.arc, s_b = s_a + arc(at.w, std::hypot(b.x - a.x, b.y - a.y)),
                s_c = s_a + arc(at.w, std::hypot(c.x - a.x, c.y - a.y));
-  const double kappa = at.w / curvature(detector_.bz, 1.0);
-  const double pt = 1 / std::max(std::abs(kappa), 1e-3),
-               psi = wrap_angle(std::atan2(at.uy, at.ux) + line.turn);
-  for (const Height& low : low_) {
-    for (const Height& high : high_) {
+  const Circle circle{{a.id, b.id, c.id},
+                      {s_a, s_b, s_c},
+                      line.d,
+                      wrap_angle(std::atan2(at.uy, at.ux) + line.turn),
+                      at.w / curvature(detector_.bz, 1.0),
+                      slow ? usual_z : settings_.max_z};
+  score_.circle(layers, circle.x, circle.s, circle.d, circle.kappa);
+  lines_of_three(circle);
+  if (!alone_) return;
+  for (std::size_t first = 0; first < 2; ++first)
+    for (std::size_t second = first + 1; second < 3; ++second) lines_of_two(circle, first, second);
+}
+
+void SegmentFinder::lines_of_three(const Circle& circle) {
+  const auto& [low_of, middle_of, high_of] = heights_;
+  const auto& [s_a, s_b, s_c] = circle.s;
+  const auto& [a, b, c] = circle.x;
+  for (const Height& low : low_of) {
+    for (const Height& high : high_of) {
       if (too_much()) return;
-      work_ += 1 + static_cast<std::int64_t>(middle_.size());
+      work_ += 1 + static_cast<std::int64_t>(middle_of.size());
       const double tanl = (high.z - low.z) / (s_c - s_a), z0 = low.z - tanl * s_a;
-      if (std::abs(z0) > (slow ? usual_z : settings_.max_z)) continue;
-      const double p = pt * std::sqrt(1 + tanl * tanl), beta = p / std::hypot(p, settings_.mass);
-      const double theta = highland / (p * beta) * std::sqrt(thickness * std::sqrt(1 + tanl * tanl));
-      const double scattered = theta * (s_c - s_b) * (1 + tanl * tanl);
-      const double sigma_z = std::hypot(height_error, scattered);
-      const double sigma_d = std::hypot(near_line, 1.5 * theta * s_a);
-      for (const Height& middle : middle_) {
-        const double off = (middle.z - low.z - tanl * (s_b - s_a)) / sigma_z;
-        if (std::abs(off) > gate) continue;
-        const double beside = line.d / sigma_d, far = z0 / usual_z;
-        add({line.d, psi, kappa, z0, tanl}, settings_.max_d, {a.id, low.id, b.id, middle.id, c.id, high.id},
-            off * off + std::min(beside * beside, 30.0) + far * far -
-                2 * (low.score + middle.score + high.score));
+      if (std::abs(z0) > circle.most_z) continue;
+      const double least = least_score() - score_.most_of_three(z0);
+      const SegmentScore::Scatter scatter = score_.scatter(tanl);
+      for (const Height& middle : middle_of) {
+        const double pairs = low.score + middle.score + high.score;
+        const double off = middle.z - low.z - tanl * (s_b - s_a);
+        if (pairs < least || score_.is_far(scatter, off)) continue;
+        const double score = pairs + score_.of_three(scatter, {low.id, middle.id, high.id}, off, z0);
+        if (score > least_score())
+          add({circle.d, circle.psi, circle.kappa, z0, tanl}, settings_.max_d,
+              {a, low.id, b, middle.id, c, high.id}, -score);
       }
     }
   }
+}
+
+// Lines through heights in two layers, without one in the third.
+void SegmentFinder::lines_of_two(const Circle& circle, std::size_t first, std::size_t second) {
+  for (const Height& low : heights_[first]) {
+    if (too_much()) return;
+    work_ += static_cast<std::int64_t>(heights_[second].size());
+    for (const Height& high : heights_[second]) {
+      const double tanl = (high.z - low.z) / (circle.s[second] - circle.s[first]),
+                   z0 = low.z - tanl * circle.s[first];
+      if (std::abs(z0) > circle.most_z) continue;
+      const double pairs = low.score + high.score - doubt;
+      if (pairs + score_.most_of_two(first, second, z0) < settings_.min_score) continue;
+      const double score = pairs + score_.of_two(score_.scatter(tanl), first, second, z0);
+      if (score <= settings_.min_score) continue;
+      const auto& [a, b, c] = circle.x;
+      std::vector<std::int32_t> hits{a, b, c};
+      hits.insert(hits.begin() + static_cast<std::ptrdiff_t>(second) + 1, high.id);
+      hits.insert(hits.begin() + static_cast<std::ptrdiff_t>(first) + 1, low.id);
+      add({circle.d, circle.psi, circle.kappa, z0, tanl}, settings_.max_d, std::move(hits), -score);
+    }
+  }
+}
+
+const std::vector<FindSeed>& SegmentFinder::tracks(const EventHits& hits) {
+  score_.start(hits);
+  alone_ = true;
+  three_layers(hits);
+  alone_ = false;
+  return seeds_;
 }
 
 const std::vector<FindSeed>& SegmentFinder::two_layers(const EventHits& hits) {
@@ -162,13 +203,13 @@ void SegmentFinder::two(std::size_t inner, std::size_t outer, const Point& a, co
   if (a.x * c.x + a.y * c.y < 0) return;
   const HelixPoint at = through(0, 0, a.x, a.y, c.x, c.y);
   if (std::abs(at.w) > 1.15 * largest_w_) return;
-  heights(hits, inner, a, low_, false);
-  heights(hits, outer, c, high_, false);
+  heights(hits, inner, a, heights_[0], false);
+  heights(hits, outer, c, heights_[1], false);
   const double s_a = arc(at.w, std::hypot(a.x, a.y)), s_c = arc(at.w, std::hypot(c.x, c.y));
   const double kappa = at.w / curvature(detector_.bz, 1.0);
-  for (const Height& low : low_) {
-    work_ += static_cast<std::int64_t>(high_.size());
-    for (const Height& high : high_) {
+  for (const Height& low : heights_[0]) {
+    work_ += static_cast<std::int64_t>(heights_[1].size());
+    for (const Height& high : heights_[1]) {
       const double tanl = (high.z - low.z) / (s_c - s_a), z0 = low.z - tanl * s_a;
       if (std::abs(z0) > usual_z) continue;
       const double far = z0 / (0.2 * usual_z);
@@ -178,10 +219,9 @@ void SegmentFinder::two(std::size_t inner, std::size_t outer, const Point& a, co
   }
 }
 
-void SegmentFinder::add(const Perigee& helix, double sigma_d, std::initializer_list<std::int32_t> hits,
-                        double rank) {
+void SegmentFinder::add(const Perigee& helix, double sigma_d, std::vector<std::int32_t> hits, double rank) {
   const Five<double> variance{{sigma_d * sigma_d, 0.04, variance_of_kappa(helix.kappa), 2500, 0.25}};
-  FindSeed seed{helix, Symmetric<double>::diagonal(variance), hits};
+  FindSeed seed{helix, Symmetric<double>::diagonal(variance), std::move(hits), rank};
   if (seed.helix.kappa == 0) seed.helix.kappa = 1e-9;
   ranks_.push_back({rank, seeds_.size()});
   seeds_.push_back(std::move(seed));
