@@ -51,6 +51,9 @@ def _below(path: str, problems: Sequence[Problem]) -> list[Problem]:
     return [problem._replace(path=f"{path}.{problem.path}") for problem in problems]
 
 
+_NUMBERS = (int, float)
+
+
 @once
 def _part_problems(part: Part) -> list[Problem]:
     """Return the problems of a part and of the parts in it, with paths that begin inside the part."""
@@ -58,7 +61,7 @@ def _part_problems(part: Part) -> list[Problem]:
     kind: Any = type(part)
     for name, key in keys_of(kind).items():
         value = getattr(part, name)
-        if isinstance(value, int | float) and not isinstance(value, bool) and not key.admits(value):
+        if isinstance(value, _NUMBERS) and not isinstance(value, bool) and not key.admits(value):
             shown = format_quantity(value, key.kind) if key.kind in NATIVE else str(value)
             problems.append(Problem(name, shown, key.expected()))
         elif key.kind == "gas" and not value.gas:

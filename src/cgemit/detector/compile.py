@@ -105,7 +105,7 @@ def compiled(
     matter: bool = True,
     inside: int = 0,
 ) -> _core.Detector:
-    """Return the detector of the compiled core; equal descriptions share one.
+    """Return the detector of the compiled core; equal descriptions share one with gaps.
 
     Parameters
     ----------
@@ -132,17 +132,18 @@ def compiled(
     ValueError
         If ``CGEMIT_ISA`` names an instruction set that is not available.
     """
-    return _compiled(detector, merge, screening, foil, loss, radiation, gaps, matter, inside)
+    choice = (merge, screening, foil, loss, radiation, gaps, matter, inside)
+    # A sweep has thousands of variants, each of which is fitted once: what is made for it goes when it goes.
+    return _shared(detector, *choice) if gaps else _kept(detector, *choice)
 
 
 def forget() -> None:
     """Forget all compiled detectors and their gaps, for tests that replace what they are made with."""
-    _compiled.cache_clear()
+    _shared.cache_clear()
     gap_columns.cache_clear()
 
 
-@lru_cache(maxsize=64)
-def _compiled(
+def _made(
     detector: Detector, merge: bool, screening: str, foil: str, loss: str, radiation: bool, gaps: bool, matter: bool,
     inside: int,
 ) -> _core.Detector:  # fmt: skip
@@ -165,6 +166,9 @@ def _compiled(
         field=compiled_field(detector),
         simulated=gaps,
     )
+
+
+_kept, _shared = once(_made), lru_cache(maxsize=64)(_made)
 
 
 def compiled_stack(parts: Sequence[tuple[Material, float]], screening: str = "wentzel") -> _core.Detector:

@@ -89,9 +89,10 @@ def row_of(shells: Sequence[Shell]) -> Row:
                 moles[number] = per_mm * width
                 found.append(element)
     total = sum(xi)
-    terms = np.add.reduce(np.array(log_terms) * np.array(xi)[:, None], axis=0) / total
+    weighted = np.array(log_terms) * np.array(xi)[:, None] if len(xi) > 1 else None
+    terms = log_terms[0] * total if weighted is None else np.add.reduce(weighted, axis=0)
     x0, radius, spread = moments(shells)
     half_length, r_out = max([shell.half_length for shell in shells]), max([shell.r_out for shell in shells])
     numbers = (half_length, shells[0].r_in, r_out, radius, spread, x0, total)
     elements = tuple([(one.z, one.a, amount) for one, amount in zip(found, moles.values(), strict=True)])
-    return Row(numbers, terms, elements)
+    return Row(numbers, terms / total, elements)
