@@ -51,7 +51,7 @@ class Points(Part):
 
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """The tracks of points: `p` and `cos_theta` (points, samples), the others (tracks,) float64 in native units.
+    """The tracks of points, (tracks,) float64 in native units, and their mean `p` and `cos_theta`, shape of the points.
 
     `phases` (samples, 2 layers) are the positions of the strips of each view.
     """
@@ -129,7 +129,10 @@ def sample_of(points: Points, number: int, layers: int) -> Sample:
     sine = np.sqrt(1 - cosine * cosine)
     kappa, tanl = (points.charge.reshape(-1, 1) / (momentum * sine)).ravel(), (cosine / sine).ravel()
     mass = np.repeat(points.mass.ravel(), number)
-    return Sample(momentum, cosine, psi.ravel(), kappa, tanl, mass, np.ascontiguousarray(drawn[:, 3:]))
+    shape = points.charge.shape
+    mean_p, mean_cosine = momentum.mean(axis=1).reshape(shape), cosine.mean(axis=1).reshape(shape)
+    phases = np.ascontiguousarray(drawn[:, 3:])
+    return Sample(mean_p, mean_cosine, psi.ravel(), kappa, tanl, mass, phases)
 
 
 def _limits(name: str, given: Any, dimension: str, problems: list[str]) -> tuple[Floats, Floats]:

@@ -158,9 +158,8 @@ def _result(
     for i in np.flatnonzero(~ok.any(axis=1)):
         worst[i] = np.bincount(status[i]).argmax()
     return Covariance(
-        tracks.detector, points.particle, readout, sample.p.mean(axis=1).reshape(shape),
-        sample.cos_theta.mean(axis=1).reshape(shape), points.phi[0], points.radius, worst.reshape(shape),
-        ok.mean(axis=1).reshape(shape), mean(by_point(out["n_clusters"]), ok).reshape(shape),
+        tracks.detector, points.particle, readout, sample.p, sample.cos_theta, points.phi[0], points.radius,
+        worst.reshape(shape), ok.mean(axis=1).reshape(shape), mean(by_point(out["n_clusters"]), ok).reshape(shape),
         mean(by_point(out["n_wires"]), ok).reshape(shape), cov.reshape(*shape, 5, 5), tracks, entries,
     )  # fmt: skip
 

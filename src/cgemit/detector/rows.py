@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from functools import cache
 from typing import NamedTuple
@@ -27,45 +26,20 @@ class Row(NamedTuple):
     elements: tuple[tuple[float, float, float], ...]
 
 
-class _Matter(NamedTuple):
-    """What a millimetre of a material adds to a slab."""
-
-    xi: float  # GeV/mm
-    log_term: NDArray[np.float64]
-    elements: tuple[tuple[Element, int, float], ...]  # with a number that only equal ones share, and mol/(cm2 mm)
+@once
+def _compiled(material: Material) -> _core.Material:
+    grid = _core.LOSS_GRID_FIRST + _core.LOSS_GRID_STEP * np.arange(_core.LOSS_POINTS, dtype=np.float64)
+    elements = [(_first(one), moles * material.density * 0.1) for one, moles in material.elements()]
+    return _core.Material(
+        x0=material.x0, xi=material.xi_per_mm, log_term=material.log_term(grid),
+        elements=[(id(one), one.z, one.a, per_mm) for one, per_mm in elements],
+    )  # fmt: skip
 
 
 @cache
 def _first(element: Element) -> Element:
     """Return the first element that was equal, so that equal ones are the same object."""
     return element
-
-
-@once
-def _matter(material: Material) -> _Matter:
-    grid = _core.LOSS_GRID_FIRST + _core.LOSS_GRID_STEP * np.arange(_core.LOSS_POINTS, dtype=np.float64)
-    elements = [(_first(element), moles * material.density * 0.1) for element, moles in material.elements()]
-    numbered = tuple((element, id(element), per_mm) for element, per_mm in elements)
-    return _Matter(material.xi_per_mm, material.log_term(grid), numbered)
-
-
-def moments(shells: Sequence[Shell]) -> tuple[float, float, float]:
-    """Return X/X0 of shells at normal incidence, and centroid and standard deviation of their scattering power, mm.
-
-    Each shell counts with its own width.
-
-    Parameters
-    ----------
-    shells : sequence of Shell
-    """
-    parts = []
-    for _, _, r_in, r_out, _, material in shells:
-        width = r_out - r_in
-        parts.append((width / material.x0, 0.5 * (r_in + r_out), width))
-    x0 = sum([part for part, _, _ in parts])
-    radius = sum([part * middle for part, middle, _ in parts]) / x0
-    total = sum([part * ((middle - radius) ** 2 + width**2 / 12) for part, middle, width in parts])
-    return x0, radius, math.sqrt(total / x0)
 
 
 def row_of(shells: Sequence[Shell]) -> Row:
@@ -75,24 +49,9 @@ def row_of(shells: Sequence[Shell]) -> Row:
     ----------
     shells : sequence of Shell
     """
-    xi, log_terms = [], []
-    found: list[Element] = []
-    moles: dict[int, float] = {}
-    for _, _, r_in, r_out, _, material in shells:
-        width, matter = r_out - r_in, _matter(material)
-        xi.append(matter.xi * width)
-        log_terms.append(matter.log_term)
-        for element, number, per_mm in matter.elements:
-            if number in moles:
-                moles[number] += per_mm * width
-            else:
-                moles[number] = per_mm * width
-                found.append(element)
-    total = sum(xi)
-    weighted = np.array(log_terms) * np.array(xi)[:, None] if len(xi) > 1 else None
-    terms = log_terms[0] * total if weighted is None else np.add.reduce(weighted, axis=0)
-    x0, radius, spread = moments(shells)
-    half_length, r_out = max([shell.half_length for shell in shells]), max([shell.r_out for shell in shells])
-    numbers = (half_length, shells[0].r_in, r_out, radius, spread, x0, total)
-    elements = tuple([(one.z, one.a, amount) for one, amount in zip(found, moles.values(), strict=True)])
-    return Row(numbers, terms / total, elements)
+    _, _, r_in, r_out, half_lengths, materials = zip(*shells, strict=True)
+    radius, spread, x0, xi, log_terms, elements = _core.sum_shells(
+        materials=[_compiled(material) for material in materials], r_in=r_in, r_out=r_out
+    )
+    numbers = (max(half_lengths), r_in[0], max(r_out), radius, spread, x0, xi)
+    return Row(numbers, log_terms, elements)

@@ -17,7 +17,7 @@ from cgemit.detector.holes import Holes, perforated
 from cgemit.detector.kept import once
 from cgemit.detector.material import Material
 from cgemit.detector.parts import CgemLayer, Contents, Cylinder, DriftChamber, Shell
-from cgemit.detector.rows import Row, moments, row_of
+from cgemit.detector.rows import Row, row_of
 
 ENDLESS = 1e9  # mm, half length of air
 _LUMP = 70.0  # mm of chamber gas that act as one scatterer: about four wire layers
@@ -55,12 +55,12 @@ class Slab:
     @property
     def radius(self) -> float:
         """Centroid of the scattering power, mm."""
-        return moments(self.shells)[1]
+        return self.row.numbers[3]
 
     @property
     def spread(self) -> float:
         """Standard deviation of the scattering power about `radius`, mm; each shell counts with its own width."""
-        return moments(self.shells)[2]
+        return self.row.numbers[4]
 
     @cached_property
     def row(self) -> Row:
