@@ -125,6 +125,15 @@ class Field:
     # points (n, 7): x y z ux uy tanl, charge/pT; out (n, 6) of the first six, whether inside the map (n,).
     def to_perigee(self, points: npt.ArrayLike) -> tuple[_Floats, _Bytes]: ...
 
+class Material:
+    def __init__(
+        self, *, x0: float, xi: float, log_term: npt.ArrayLike, elements: Sequence[tuple[int, float, float, float]]
+    ) -> None: ...
+
+def sum_shells(
+    *, materials: Sequence[Material], r_in: Sequence[float], r_out: Sequence[float]
+) -> tuple[float, float, float, float, _Floats, tuple[tuple[float, float, float], ...]]: ...
+
 class Detector:
     def __init__(
         self,

@@ -7,6 +7,7 @@ from cgemit import _core
 from cgemit.chain import run
 from cgemit.detector import compile as compiling
 from cgemit.detector import load, slab_table, slabs
+from cgemit.detector.rows import _compiled
 from cgemit.fit import FitSettings
 from cgemit.gun import Gun
 from cgemit.own_hits import fit_hits
@@ -192,3 +193,13 @@ def test_a_drift_is_not_longer_than_a_cell():
     fit_hits(DETECTOR, wire_hits=wires | {"drift": [1.6 * width]})  # as of tracks that turn back in the cell
     with pytest.raises(ValueError, match="three diagonals"):
         fit_hits(DETECTOR, wire_hits=wires | {"drift": [-100.0]})
+
+
+def test_shells_need_a_material_and_radii_each() -> None:
+    with pytest.raises(ValueError, match="sum_shells: expected at least one material, with r_in and r_out for each"):
+        _core.sum_shells(materials=[], r_in=[], r_out=[])
+    air = _compiled(DETECTOR.air)
+    with pytest.raises(ValueError, match="with r_in and r_out for each"):
+        _core.sum_shells(materials=[air], r_in=[1.0, 2.0], r_out=[2.0])
+    with pytest.raises(ValueError, match="got None, expected a Material"):
+        _core.sum_shells(materials=[None], r_in=[1.0], r_out=[2.0])  # type: ignore[list-item]

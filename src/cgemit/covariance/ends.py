@@ -6,12 +6,19 @@ import numpy as np
 import numpy.typing as npt
 
 from cgemit.detector import Detector
+from cgemit.detector.kept import once
+from cgemit.detector.parts import DriftChamber
 from cgemit.helix import RADIUS_PER_KAPPA
 
 Floats = npt.NDArray[np.float64]
 
 #: Of the half length: scatters move tracks by less than a fifth of it.
 _NEAR = 0.8
+
+
+@once
+def _wire_layers(chamber: DriftChamber) -> list[tuple[float, float]]:
+    return [(layer.r_mid, layer.half_length) for layer in chamber.layers]
 
 
 def near_ends(detector: Detector, kappa: Floats, tanl: Floats) -> npt.NDArray[np.bool_]:
@@ -23,8 +30,7 @@ def near_ends(detector: Detector, kappa: Floats, tanl: Floats) -> npt.NDArray[np
     kappa, tanl : ndarray, (tracks,) float64, (GeV/c)^-1 and 1
     """
     layers = [(layer.r_mid, layer.half_length) for layer in detector.cgem]
-    if detector.drift_chamber is not None:
-        layers += [(layer.r_mid, layer.half_length) for layer in detector.drift_chamber.layers]
+    layers += _wire_layers(detector.drift_chamber) if detector.drift_chamber is not None else []
     found = np.zeros(len(kappa), bool)
     if not layers:
         return found

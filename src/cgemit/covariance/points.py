@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -10,20 +9,20 @@ import numpy as np
 import numpy.typing as npt
 
 from cgemit import _core
+from cgemit.covariance.asked import Points, Quantity, Sample, points_of, sample_of
 from cgemit.covariance.ends import near_ends
-from cgemit.covariance.mixture import draws, mean
+from cgemit.covariance.mixture import mean
 from cgemit.covariance.result import UPPER, Covariance
 from cgemit.covariance.surfaces import at_cylinders
 from cgemit.covariance.tracks import Tracks
 from cgemit.detector import Detector, load
+from cgemit.detector.kept import once
+from cgemit.detector.parts import DriftChamber
 from cgemit.digitize import DigitizeSettings
 from cgemit.digitize.readout import Readout
 from cgemit.fit import FitSettings
-from cgemit.species import species
-from cgemit.units import QuantityError, parse_quantity
 
 Floats = npt.NDArray[np.float64]
-Quantity = float | str | tuple[float | str, float | str] | npt.ArrayLike
 
 
 def analytic(
@@ -92,58 +91,60 @@ def analytic(
     """
     detector, fit = load(detector), fit or FitSettings()
     digitize = DigitizeSettings(readout=readout, reveal_sides=reveal_sides)
-    kind = species(particle)
-    problems: list[str] = []
-    p_low, p_high = _limits("p", p, "momentum", problems)
-    c_low, c_high = _limits("cos_theta", cos_theta, "", problems)
-    azimuth = None if phi is None else _limits("phi", phi, "angle", problems)
-    at = np.array(math.nan) if radius is None else _numbers("radius", radius, "length", problems)
-    if radius is not None and not (np.all(at > 0) and np.all(np.isfinite(at))):
-        problems.append(f"radius: got {radius!r:.60}, expected positive lengths in mm")
-    charges = np.asarray(kind.charge if charge is None else charge, np.float64)
-    masses = np.asarray(kind.mass if mass is None else mass, np.float64)
-    problems += _problems(p_low, p_high, c_low, c_high, charges, masses, at, samples)
-    for name, numbers in (("p", p_low), ("cos_theta", c_low), ("radius", at)):
-        if np.size(numbers) == 0:
-            problems.append(f"{name}: got no number, expected one or more")
-    if problems:
-        raise ValueError("analytic:\n  " + "\n  ".join(problems))
-    sigma_x, sigma_v = _errors(digitize.readout, detector)
-    varies = azimuth is None or not (np.all(sigma_x > 0) and np.all(sigma_v > 0))
-    varies = varies or bool(np.any(p_low != p_high) or np.any(c_low != c_high)) or _inefficient(detector)
-    number = samples or (128 if varies else 1)
-    given = [p_low, p_high, c_low, c_high, charges, masses, at, *(azimuth or (np.array(math.nan),) * 2)]
-    p_low, p_high, c_low, c_high, charges, masses, at, phi_low, _ = np.broadcast_arrays(*given)
-    shape = p_low.shape
-    drawn = draws(number, 3 + 2 * len(detector.cgem))
-    momentum = _sampled(p_low, p_high, drawn[:, 1])
-    cosine = _sampled(c_low, c_high, drawn[:, 2])
-    turned = 2 * np.pi * drawn[:, 0] - np.pi
-    psi = np.where(np.isnan(phi_low).reshape(-1, 1), turned, phi_low.reshape(-1, 1))
-    sine = np.sqrt(1 - cosine * cosine)
-    model = _core.HitModel(
-        sigma_x=list(sigma_x), sigma_v=list(sigma_v), least_width=fit.least_width, delta_strips=fit.delta_strips,
-        sides_known=reveal_sides, seed=0, prior_sigma=fit.prior_sigma,
-    )  # fmt: skip
-    kappa, tanl = (charges.reshape(-1, 1) / (momentum * sine)).ravel(), (cosine / sine).ravel()
-    sampled = number > 1 and radius is None
-    scatters = near_ends(detector, kappa, tanl).astype(np.float64) if sampled else np.zeros(len(kappa))
+    points = points_of(particle, p, cos_theta, phi, radius, charge, mass, samples)
+    return covariance_at(points, detector, digitize, fit, threads)
+
+
+def covariance_at(
+    points: Points, detector: Detector, digitize: DigitizeSettings, fit: FitSettings, threads: int | None = None
+) -> Covariance:
+    """Return the covariances of a detector at points, which serve any number of detectors; see `analytic`.
+
+    Parameters
+    ----------
+    points : Points
+    detector : Detector
+    digitize : DigitizeSettings
+    fit : FitSettings
+    threads : int or None
+
+    Raises
+    ------
+    ValueError
+        If the read-out has no expected errors.
+    """
+    model, varies = _hit_model(detector, digitize, fit)
+    number = points.samples or (128 if varies or points.vary else 1)
+    sample = sample_of(points, number, len(detector.cgem))
+    at_origin = bool(np.all(np.isnan(points.radius)))
+    scatter = number > 1 and at_origin
+    scatters = near_ends(detector, sample.kappa, sample.tanl) if scatter else np.zeros(len(sample.kappa))
     tracks = Tracks(
-        detector, fit, model, psi.ravel(), kappa, tanl, np.repeat(masses.ravel(), number), scatters, number,
-        np.ascontiguousarray(drawn[:, 3:]), threads,
+        detector, fit, model, sample.psi, sample.kappa, sample.tanl, sample.mass, scatters.astype(np.float64), number,
+        sample.phases, threads,
     )  # fmt: skip
-    if radius is None:
+    if at_origin:
         out = tracks.run(budget=False)
     else:
-        tracks, out = at_cylinders(tracks, np.repeat(at.ravel(), number))
-    return _result(detector, kind.name, digitize.readout, tracks, out, shape, momentum, cosine, phi_low, at)
+        tracks, out = at_cylinders(tracks, np.repeat(points.radius.ravel(), number))
+    return _result(points, sample, digitize.readout, tracks, out)
+
+
+def _hit_model(detector: Detector, digitize: DigitizeSettings, fit: FitSettings) -> tuple[_core.HitModel, bool]:
+    """Return how hits are expected, and whether they vary among tracks of the same direction."""
+    sigma_x, sigma_v = _errors(digitize.readout, detector)
+    model = _core.HitModel(
+        sigma_x=list(sigma_x), sigma_v=list(sigma_v), least_width=fit.least_width, delta_strips=fit.delta_strips,
+        sides_known=digitize.reveal_sides, seed=0, prior_sigma=fit.prior_sigma,
+    )  # fmt: skip
+    return model, not (np.all(sigma_x > 0) and np.all(sigma_v > 0)) or _inefficient(detector)
 
 
 def _result(
-    detector: Detector, particle: str, readout: Readout, tracks: Tracks, out: dict[str, npt.NDArray[Any]],
-    shape: tuple[int, ...], momentum: Floats, cosine: Floats, phi: Floats, radius: Floats,
-) -> Covariance:  # fmt: skip
+    points: Points, sample: Sample, readout: Readout, tracks: Tracks, out: dict[str, npt.NDArray[Any]]
+) -> Covariance:
     """Return the result of the core's columns."""
+    shape = points.charge.shape
 
     def by_point(column: npt.NDArray[Any]) -> npt.NDArray[Any]:
         return column.reshape(-1, tracks.samples, *column.shape[1:])
@@ -153,59 +154,14 @@ def _result(
     entries = by_point(out["covariance"])
     cov = np.empty((len(entries), 5, 5))
     cov[:, UPPER[0], UPPER[1]] = cov[:, UPPER[1], UPPER[0]] = mean(np.moveaxis(entries, 1, -1), ok[:, None, :])
-    worst = np.array([0 if good.any() else np.bincount(row).argmax() for row, good in zip(status, ok, strict=True)])
+    worst = np.zeros(len(ok), np.int8)
+    for i in np.flatnonzero(~ok.any(axis=1)):
+        worst[i] = np.bincount(status[i]).argmax()
     return Covariance(
-        detector, particle, readout, momentum.mean(axis=1).reshape(shape), cosine.mean(axis=1).reshape(shape),
-        phi.reshape(shape), radius.reshape(shape), worst.astype(np.int8).reshape(shape), ok.mean(axis=1).reshape(shape),
-        mean(by_point(out["n_clusters"]), ok).reshape(shape), mean(by_point(out["n_wires"]), ok).reshape(shape),
-        cov.reshape(*shape, 5, 5), tracks, entries,
+        tracks.detector, points.particle, readout, sample.p, sample.cos_theta, points.phi[0], points.radius,
+        worst.reshape(shape), ok.mean(axis=1).reshape(shape), mean(by_point(out["n_clusters"]), ok).reshape(shape),
+        mean(by_point(out["n_wires"]), ok).reshape(shape), cov.reshape(*shape, 5, 5), tracks, entries,
     )  # fmt: skip
-
-
-def _limits(name: str, given: Any, dimension: str, problems: list[str]) -> tuple[Floats, Floats]:
-    """Return the lower and upper limits of a range, or the same values twice."""
-    if isinstance(given, tuple) and len(given) == 2:
-        low, high = (_numbers(f"{name}[{i}]", one, dimension, problems) for i, one in enumerate(given))
-        if low.shape or high.shape or low > high:
-            problems.append(f"{name}: got {given!r}; expected a range (low, high) of numbers")
-        return low, high
-    values = _numbers(name, given, dimension, problems)
-    return values, values
-
-
-def _numbers(name: str, given: Any, dimension: str, problems: list[str]) -> Floats:
-    try:
-        if dimension and isinstance(given, str):
-            return np.asarray(parse_quantity(given, dimension), np.float64)
-        if dimension and isinstance(given, list):
-            given = [parse_quantity(one, dimension) if isinstance(one, str) else one for one in given]
-        return np.asarray(given, np.float64)
-    except (QuantityError, TypeError, ValueError) as error:
-        problems.append(f"{name}: got {error}")
-        return np.array(0.5)
-
-
-def _problems(
-    p_low: Floats, p_high: Floats, c_low: Floats, c_high: Floats, charge: Floats, mass: Floats, radius: Floats,
-    samples: int | None,
-) -> list[str]:  # fmt: skip
-    found = []
-    if not (np.all(p_low > 0) and np.all(np.isfinite(p_high))):
-        found.append("p: expected positive momenta in GeV/c")
-    if not (np.all(np.abs(c_low) < 1) and np.all(np.abs(c_high) < 1)):
-        found.append("cos_theta: expected numbers between -1 and 1")
-    if not (np.all(np.isfinite(charge)) and np.all(charge != 0)):
-        found.append("charge: expected charged particles, since others leave no track")
-    if not np.all((mass > 0) & np.isfinite(mass)):
-        found.append("mass: expected positive masses in GeV/c2")
-    if samples is not None and not (isinstance(samples, int | np.integer) and 1 <= samples <= 2**20):
-        found.append(f"samples: got {samples!r}; expected a whole number from 1 to {2**20}")
-    try:
-        np.broadcast_shapes(p_low.shape, c_low.shape, charge.shape, mass.shape, radius.shape)
-    except ValueError:
-        shapes = ", ".join(map(str, (p_low.shape, c_low.shape, charge.shape, mass.shape, radius.shape)))
-        found.append(f"p, cos_theta, charge, mass, radius: got shapes {shapes}; expected shapes that can be broadcast")
-    return found
 
 
 def _errors(readout: Readout, detector: Detector) -> tuple[Floats, Floats]:
@@ -218,9 +174,9 @@ def _errors(readout: Readout, detector: Detector) -> tuple[Floats, Floats]:
 
 def _inefficient(detector: Detector) -> bool:
     chamber = detector.drift_chamber
-    return chamber is not None and any(layer.efficiency < 1 for layer in chamber.layers)
+    return chamber is not None and _loses_hits(chamber)
 
 
-def _sampled(low: Floats, high: Floats, draws: Floats) -> Floats:
-    """Return (points, samples) values between the limits of each point."""
-    return np.asarray(low.reshape(-1, 1) + (high - low).reshape(-1, 1) * draws)
+@once
+def _loses_hits(chamber: DriftChamber) -> bool:
+    return any(layer.efficiency < 1 for layer in chamber.layers)

@@ -15,12 +15,14 @@ from cgemit.covariance.tracks import QUANTITIES, Tracks
 from cgemit.detector import Detector
 from cgemit.digitize.readout import Readout
 from cgemit.fit import FitStatus
+from cgemit.helix import PARAMETERS
 from cgemit.tables.convert import data_frame
 
 Floats = npt.NDArray[np.float64]
 
 #: Places of the core's 15 entries in a covariance.
 UPPER = np.triu_indices(5)
+_DIAGONAL = np.equal(*UPPER)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -103,8 +105,11 @@ class Covariance:
 
     def variances(self, quantity: str) -> Floats:
         """Return the variance of every sample, shape + (samples,); NaN without a covariance."""
-        weights = self._tracks.gradients(quantity)
         entries = self._samples.reshape(-1, 15)
+        if quantity in PARAMETERS:
+            own = int(np.flatnonzero(_DIAGONAL)[PARAMETERS.index(quantity)])
+            return entries[:, own].copy().reshape(*self.p.shape, self._tracks.samples)
+        weights = self._tracks.gradients(quantity)
         used = np.any(weights != 0, axis=0)  # one to three of the five parameters
         found = np.zeros(len(weights))
         for entry, (i, j) in enumerate(zip(*UPPER, strict=True)):

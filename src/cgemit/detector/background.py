@@ -2,11 +2,12 @@
 
 from dataclasses import dataclass, field
 
+from cgemit.detector.kept import Part
 from cgemit.detector.keys import key
 
 
 @dataclass(frozen=True, kw_only=True)
-class RatePoint:
+class RatePoint(Part):
     """Rate of hits at a radius."""
 
     r: float = field(metadata=key("length", "distance from the beam line", 1e-3, 1e6))
@@ -14,7 +15,7 @@ class RatePoint:
 
 
 @dataclass(frozen=True, kw_only=True)
-class BackgroundLevel:
+class BackgroundLevel(Part):
     """Cells and strips that fire without a particle of the event (docs/methods/background.md)."""
 
     label: str

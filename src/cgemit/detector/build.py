@@ -3,6 +3,7 @@
 import math
 import re
 from collections.abc import Mapping
+from functools import lru_cache
 from typing import Any
 
 from cgemit.detector import check
@@ -60,7 +61,7 @@ _MOST_WIRE_LAYERS, _MOST_CELLS = 1000, 1_000_000
 
 def _check_names(reader: Reader, tables: Mapping[str, Any], name: str) -> Mapping[str, Any]:
     """Note names that cannot be names of files, and groups of too many parts; return the tables without these."""
-    if not re.fullmatch(NAME, name):
+    if not _is_name(name):
         expected = "one line of text, up to 100 characters, without / and \\, since files are called by it"
         reader.note("name", shown(name), expected)
     for group, most in _MOST_PARTS.items():
@@ -71,10 +72,15 @@ def _check_names(reader: Reader, tables: Mapping[str, Any], name: str) -> Mappin
             reader.note(group, f"{len(parts)} tables", f"at most {most}")
             tables, parts = {**tables, group: {}}, {}
         for label in parts:
-            if not re.fullmatch(NAME, str(label)):
+            if not _is_name(str(label)):
                 expected = "one line of text, up to 100 characters, without / and \\"
                 reader.note(f"{group}.{shown(str(label))}", "as a label", expected)
     return tables
+
+
+@lru_cache(maxsize=4096)
+def _is_name(text: str) -> bool:
+    return re.fullmatch(NAME, text) is not None
 
 
 def _text(reader: Reader, name: str, raw: object) -> str:
@@ -168,6 +174,8 @@ def _cgem(reader: Reader, raw: object) -> tuple[CgemLayer, ...]:
 
 
 def _chamber(reader: Reader, raw: object) -> DriftChamber | None:
+    if isinstance(raw, DriftChamber):
+        return raw
     if not isinstance(raw, Mapping):
         reader.mapping("drift_chamber", raw)
         return None

@@ -1,13 +1,13 @@
 """Checks of a detector's values and geometry; each returns all problems it finds."""
 
 import math
-from collections.abc import Sequence
-from functools import lru_cache
+from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from typing import Any
 
 from cgemit.detector.field import Field
 from cgemit.detector.field.core import extent
+from cgemit.detector.kept import Part, once
 from cgemit.detector.keys import keys_of
 from cgemit.detector.parts import CgemLayer, Contents, Cylinder, DriftChamber
 from cgemit.detector.read_lists import strip_text
@@ -21,18 +21,12 @@ _THICK = 100.0  # mm; no single piece of solid matter in a tracker is thicker
 
 def value_problems(detector: Contents) -> list[Problem]:
     """Return the values that lie outside the range of their key, for detectors made in Python."""
-    parts: list[tuple[str, Any]] = [("field", detector.field)]
-    parts += [(f"beam_pipe.{part.label}", part) for part in detector.beam_pipe]
-    parts += [(f"walls.{part.label}", part) for part in detector.walls]
-    parts += [(f"background.{level.label}", level) for level in detector.background]
-    for layer in detector.cgem:
-        parts.append((f"cgem.{layer.label}", layer))
-        for name in ("cathode", "foil", "anode"):
-            parts += [(f"cgem.{layer.label}.{name}[{i}]", part) for i, part in enumerate(getattr(layer, name))]
+    problems = _below("field", _part_problems(detector.field))
+    for group in ("beam_pipe", "walls", "background", "cgem"):
+        for part in getattr(detector, group):
+            problems += _below(f"{group}.{part.label}", _part_problems(part))
     if detector.drift_chamber:
-        parts.append(("drift_chamber", detector.drift_chamber))
-        parts += [(f"drift_chamber.layers.{part.number}", part) for part in detector.drift_chamber.layers]
-    problems = [problem for path, part in parts for problem in _part_problems(path, part)]
+        problems += _below("drift_chamber", _part_problems(detector.drift_chamber))
     return problems + field_problems(detector.field) + _coil_problems(detector)
 
 
@@ -45,28 +39,47 @@ def field_problems(field: Field) -> list[Problem]:
 
 def _coil_problems(detector: Contents) -> list[Problem]:
     """Return whether the coil is not well outside the detector: close to it no grid follows its field."""
-    radius, least = getattr(detector.field, "coil_radius", math.inf), _COIL * extent(detector)[0]
-    if radius >= least:
+    radius = getattr(detector.field, "coil_radius", math.inf)
+    if radius == math.inf or radius >= (least := _COIL * extent(detector)[0]):
         return []
     return [
         Problem("field.coil_radius", f"{radius:g} mm", f"at least {least:g} mm, {_COIL} times the detector's radius")
     ]
 
 
-@lru_cache(maxsize=4096)
-def _part_problems(path: str, part: Any) -> tuple[Problem, ...]:
+def _below(path: str, problems: Sequence[Problem]) -> list[Problem]:
+    return [problem._replace(path=f"{path}.{problem.path}") for problem in problems]
+
+
+_NUMBERS = (int, float)
+
+
+@once
+def _part_problems(part: Part) -> list[Problem]:
+    """Return the problems of a part and of the parts in it, with paths that begin inside the part."""
     problems = []
     kind: Any = type(part)
     for name, key in keys_of(kind).items():
         value = getattr(part, name)
-        if isinstance(value, int | float) and not isinstance(value, bool) and not key.admits(value):
+        if isinstance(value, _NUMBERS) and not isinstance(value, bool) and not key.admits(value):
             shown = format_quantity(value, key.kind) if key.kind in NATIVE else str(value)
-            problems.append(Problem(f"{path}.{name}", shown, key.expected()))
+            problems.append(Problem(name, shown, key.expected()))
         elif key.kind == "gas" and not value.gas:
-            problems.append(Problem(f"{path}.{name}", f'"{value.name}", which is no gas', key.expected()))
+            problems.append(Problem(name, f'"{value.name}", which is no gas', key.expected()))
         elif key.choices and value not in key.choices:
-            problems.append(Problem(f"{path}.{name}", repr(value), key.expected()))
-    return tuple(problems)
+            problems.append(Problem(name, repr(value), key.expected()))
+    for path, inner in _inside(part):
+        problems += _below(path, _part_problems(inner))
+    return problems
+
+
+def _inside(part: Part) -> Iterator[tuple[str, Part]]:
+    """Yield the parts in a part with their paths."""
+    if isinstance(part, CgemLayer):
+        for name in ("cathode", "foil", "anode"):
+            yield from ((f"{name}[{i}]", one) for i, one in enumerate(getattr(part, name)))
+    if isinstance(part, DriftChamber):
+        yield from ((f"layers.{layer.number}", layer) for layer in part.layers)
 
 
 def geometry_problems(
@@ -84,17 +97,14 @@ def geometry_problems(
             problems += wrong
             spans += [] if wrong else [(part.r_in, part.r_out, f"{group}.{part.label}")]
     for layer in cgem:
-        problems += _strip_problems(layer) + _hole_problems(layer) + _map_problems(layer)
+        problems += _read_out_problems(layer)
         if layer.r_in <= 0:
             given = f"an inner face at {layer.r_in:g} mm"
             problems.append(Problem(f"cgem.{layer.label}", given, "gaps and electrodes that fit inside anode_radius"))
         spans.append((layer.r_in, layer.r_out, f"cgem.{layer.label}"))
     if chamber:
-        wrong = _chamber_problems(chamber)
-        problems += wrong
-        # A layer with a problem of its own would only repeat it as an overlap.
-        sound = [w for w in chamber.layers if not any(str(w.number) in problem.path.split(".") for problem in wrong)]
-        spans += [(w.r_mid, w.r_end, f"drift_chamber.layers.{w.number}") for w in sound]
+        problems += _chamber_problems(chamber)
+        spans += _wire_spans(chamber)
     return problems + _overlaps(spans)
 
 
@@ -104,6 +114,11 @@ def _cylinder_problem(path: str, part: Cylinder) -> list[Problem]:
     if part.thickness > _THICK:
         return [Problem(f"{path}.r_out", f"a thickness of {part.thickness:g} mm", f"at most {_THICK:g} mm")]
     return []
+
+
+@once
+def _read_out_problems(layer: CgemLayer) -> list[Problem]:
+    return _strip_problems(layer) + _hole_problems(layer) + _map_problems(layer)
 
 
 def _strip_problems(layer: CgemLayer) -> list[Problem]:
@@ -159,6 +174,15 @@ def _hole_problems(layer: CgemLayer) -> list[Problem]:
     return problems
 
 
+@once
+def _wire_spans(chamber: DriftChamber) -> list[tuple[float, float, str]]:
+    """Return the layers of wires without problems of their own, which they would only repeat as overlaps."""
+    wrong = {name for problem in _chamber_problems(chamber) for name in problem.path.split(".")}
+    sound = [layer for layer in chamber.layers if str(layer.number) not in wrong]
+    return [(layer.r_mid, layer.r_end, f"drift_chamber.layers.{layer.number}") for layer in sound]
+
+
+@once
 def _chamber_problems(chamber: DriftChamber) -> list[Problem]:
     if not chamber.layers:
         return [Problem("drift_chamber.layers", "no wire layer", "at least one [drift_chamber.layers.<number>]")]
@@ -188,7 +212,7 @@ def _overlaps(spans: list[tuple[float, float, str]]) -> list[Problem]:
     for span in sorted(known):
         if span[0] < before[1] - TOUCH:
             covered.setdefault(before, []).append(span)
-        before = max(before, span, key=lambda part: part[1])
+        before = span if span[1] > before[1] else before
     return [_overlap(part, inside) for part, inside in covered.items()]
 
 

@@ -11,10 +11,12 @@ from cgemit import _core, isa
 from cgemit.detector.field.core import compiled_field
 from cgemit.detector.gaps import gap_columns, gap_table
 from cgemit.detector.holes import hole_table
-from cgemit.detector.material import Element, Material
+from cgemit.detector.kept import once
+from cgemit.detector.material import Material
 from cgemit.detector.model import Detector
-from cgemit.detector.parts import CgemLayer, DriftChamber, Shell
+from cgemit.detector.parts import CgemLayer, DriftChamber, Shell, WireLayer
 from cgemit.detector.placement import IN_PLACE
+from cgemit.detector.rows import NUMBERS
 from cgemit.detector.slabs import ENDLESS, Slab, slabs
 
 #: Screening of nuclei by their electrons in multiple scattering (docs/methods/matter.md); the first is the default.
@@ -51,12 +53,12 @@ def slab_table(found: Sequence[Slab]) -> SlabTable:
         first (n + 1,) int32.
 
     """
-    rows = [_row(slab) for slab in found]
-    numbers = np.array([row.numbers for row in rows], dtype=np.float64).reshape(-1, len(_NUMBERS)).T
-    columns: Columns = dict(zip(_NUMBERS, numbers.copy(), strict=True))
+    rows = [slab.row for slab in found]
+    numbers = np.array([row.numbers for row in rows], dtype=np.float64).reshape(-1, len(NUMBERS)).T
+    columns: Columns = dict(zip(NUMBERS, numbers.copy(), strict=True))
     columns["gap"] = np.array([slab.gap for slab in found], dtype=np.int32)
     columns["ends"] = np.array([slab.ends for slab in found], dtype=np.uint8)
-    terms = np.array([row.log_terms for row in rows]).reshape(-1, _core.LOSS_POINTS)
+    terms = np.concatenate([np.empty(0), *(row.log_terms for row in rows)]).reshape(-1, _core.LOSS_POINTS)
     elements = np.array([element for row in rows for element in row.elements], dtype=np.float64).reshape(-1, 3).T
     first = np.cumsum([0, *(len(row.elements) for row in rows)]).astype(np.int32)
     composition: Columns = dict(zip(("z", "a", "moles"), elements.copy(), strict=True))
@@ -91,45 +93,6 @@ def slab_weights(found: Sequence[Slab], matter: bool, inside: int) -> NDArray[np
     return weights
 
 
-_NUMBERS = ("half_length", "r_in", "r_out", "radius", "spread", "x0", "xi")
-
-
-class _Row(NamedTuple):
-    """What the core needs of a slab: the columns `_NUMBERS`, the Bethe logarithm, (Z, A, mol/cm2) of its elements."""
-
-    numbers: tuple[float, ...]
-    log_terms: NDArray[np.float64]
-    elements: tuple[tuple[float, float, float], ...]
-
-
-@lru_cache(maxsize=4096)
-def _row(slab: Slab) -> _Row:
-    """Return the row of a slab; most slabs of a variant are those of its base."""
-    half_length = max(shell.half_length for shell in slab.shells)
-    x0, radius, spread = slab.moments()
-    xi = [shell.xi for shell in slab.shells]
-    numbers = (half_length, slab.r_in, slab.r_out, radius, spread, x0, sum(xi))
-    moles: dict[Element, float] = {}
-    for shell in slab.shells:
-        for element, per_gram in _elements(shell.material):
-            part = per_gram * shell.material.density * 0.1 * shell.thickness
-            moles[element] = moles.get(element, 0.0) + part
-    terms = [part * _log_term(shell.material) for part, shell in zip(xi, slab.shells, strict=True)]
-    log_terms = np.asarray(np.sum(terms, axis=0) / numbers[-1], dtype=np.float64)  # xi, the last of _NUMBERS
-    return _Row(numbers, log_terms, tuple((element.z, element.a, amount) for element, amount in moles.items()))
-
-
-@lru_cache(maxsize=512)
-def _log_term(material: Material) -> NDArray[np.float64]:
-    grid = _core.LOSS_GRID_FIRST + _core.LOSS_GRID_STEP * np.arange(_core.LOSS_POINTS, dtype=np.float64)
-    return material.log_term(grid)
-
-
-@lru_cache(maxsize=512)
-def _elements(material: Material) -> tuple[tuple[Element, float], ...]:
-    return tuple(material.elements())
-
-
 def compiled(
     detector: Detector,
     merge: bool = True,
@@ -142,7 +105,7 @@ def compiled(
     matter: bool = True,
     inside: int = 0,
 ) -> _core.Detector:
-    """Return the detector of the compiled core; equal descriptions share one.
+    """Return the detector of the compiled core; equal descriptions share one with gaps.
 
     Parameters
     ----------
@@ -169,17 +132,18 @@ def compiled(
     ValueError
         If ``CGEMIT_ISA`` names an instruction set that is not available.
     """
-    return _compiled(detector, merge, screening, foil, loss, radiation, gaps, matter, inside)
+    choice = (merge, screening, foil, loss, radiation, gaps, matter, inside)
+    # A sweep has thousands of variants, each of which is fitted once: what is made for it goes when it goes.
+    return _shared(detector, *choice) if gaps else _kept(detector, *choice)
 
 
 def forget() -> None:
-    """Forget all compiled detectors and tables, for tests that replace what they are made with."""
-    for cache in (_compiled, _row, _log_term, _elements, gap_columns):
-        cache.cache_clear()
+    """Forget all compiled detectors and their gaps, for tests that replace what they are made with."""
+    _shared.cache_clear()
+    gap_columns.cache_clear()
 
 
-@lru_cache(maxsize=64)
-def _compiled(
+def _made(
     detector: Detector, merge: bool, screening: str, foil: str, loss: str, radiation: bool, gaps: bool, matter: bool,
     inside: int,
 ) -> _core.Detector:  # fmt: skip
@@ -202,6 +166,9 @@ def _compiled(
         field=compiled_field(detector),
         simulated=gaps,
     )
+
+
+_kept, _shared = once(_made), lru_cache(maxsize=64)(_made)
 
 
 def compiled_stack(parts: Sequence[tuple[Material, float]], screening: str = "wentzel") -> _core.Detector:
@@ -237,14 +204,16 @@ def compiled_stack(parts: Sequence[tuple[Material, float]], screening: str = "we
 def cgem_table(layers: Sequence[CgemLayer]) -> Columns:
     """Return the read-out of layers as columns (n,): mm, rad, strips. phi_first is (n, most), placement (n, 12)."""
     names = ("r_readout", "r_gap_in", "r_gap_out", "half_length", "pitch_x", "pitch_v", "stereo", "offset_v")
-    columns: Columns = {name: np.array([getattr(layer, name) for layer in layers], dtype=np.float64) for name in names}
+    numbers = np.array([[getattr(layer, name) for name in names] for layer in layers], dtype=np.float64)
+    columns: Columns = dict(zip(names, numbers.reshape(-1, len(names)).T.copy(), strict=True))
     for name in ("sheets", "strips_x", "strips_v"):
         columns[name] = np.array([getattr(layer, name) for layer in layers], dtype=np.int32)
     # A layer of fewer sheets than others repeats its azimuths: the core reads `sheets` of them.
     most = max((layer.sheets for layer in layers), default=1)
     edges = [(most * layer.sheet_phi)[:most] for layer in layers]
     columns["phi_first"] = np.array(edges, dtype=np.float64).reshape(-1, most)
-    columns["placement"] = np.array([layer.placement for layer in layers], dtype=np.float64).reshape(-1, 12)
+    placements = [layer.placement if layer.is_moved else IN_PLACE for layer in layers]
+    columns["placement"] = np.array(placements, dtype=np.float64).reshape(-1, 12)
     strips = [layer.sheets * (layer.strips_x + layer.strips_v) for layer in layers]
     columns["gid_first"] = np.cumsum([0, *strips])[:-1].astype(np.int32)
     return columns
@@ -252,11 +221,19 @@ def cgem_table(layers: Sequence[CgemLayer]) -> Columns:
 
 def wire_table(chamber: DriftChamber | None) -> Columns:
     """Return the wire layers of a chamber as columns (n,): mm, rad; placement is (1, 12)."""
-    layers = chamber.layers if chamber else ()
+    return dict(_wires_of(chamber)) if chamber else _wire_columns((), (), IN_PLACE)
+
+
+@once
+def _wires_of(chamber: DriftChamber) -> Columns:
+    return _wire_columns(chamber.layers, chamber.gid_first, chamber.placement)
+
+
+def _wire_columns(layers: Sequence[WireLayer], gid_first: Sequence[int], placement: NDArray[np.float64]) -> Columns:
     names = ("r_end", "half_length", "twist", "phi_east", "sigma", "sigma_slope", "efficiency")
     columns: Columns = {name: np.array([getattr(layer, name) for layer in layers], dtype=np.float64) for name in names}
     for name in ("number", "cells"):
         columns[name] = np.array([getattr(layer, name) for layer in layers], dtype=np.int32)
-    columns["gid_first"] = np.array(chamber.gid_first if chamber else (), dtype=np.int32)
-    columns["placement"] = (chamber.placement if chamber else IN_PLACE).reshape(1, 12)
+    columns["gid_first"] = np.array(gid_first, dtype=np.int32)
+    columns["placement"] = placement.reshape(1, 12)
     return columns

@@ -2,9 +2,11 @@
 
 import html
 import math
+from collections.abc import Container
 from typing import Any
 
 from cgemit.detector.field import field_text
+from cgemit.detector.kept import once
 from cgemit.detector.keys import keys_of, opened
 from cgemit.detector.material import DensityEffect, Material
 from cgemit.detector.materials import library
@@ -150,19 +152,26 @@ def to_dict(detector: Contents) -> dict[str, Any]:
     return {name: value for name, value in tables.items() if value != {}}
 
 
-def tables_of(detector: Contents) -> dict[str, Any]:
-    """Return the tables of a complete detector file with its parts as they are, for variants (`files.merged`)."""
+def tables_of(detector: Contents, changed: Container[str] = ()) -> dict[str, Any]:
+    """Return the tables of a complete detector file with its parts as they are, for variants (`merge.merged`).
+
+    The drift chamber is a table of layers if `changed` names a group that changes it, otherwise one part.
+    """
     tables: dict[str, Any] = {"name": detector.name, "description": detector.description, "field": detector.field}
     tables |= {group: {part.label: part for part in getattr(detector, group)} for group in _GROUPS}
-    if detector.drift_chamber:
-        layers = {str(layer.number): layer for layer in detector.drift_chamber.layers}
-        tables["drift_chamber"] = opened(detector.drift_chamber) | {"layers": layers}
+    chamber = detector.drift_chamber
+    if chamber and any(group in changed for group in ("drift_chamber", "materials", "remove")):
+        layers = {str(layer.number): layer for layer in chamber.layers}
+        tables["drift_chamber"] = opened(chamber) | {"layers": layers}
+    elif chamber:
+        tables["drift_chamber"] = chamber
     return tables | {"materials": {material.name: material for material in own_materials(detector)}}
 
 
 _GROUPS = ("beam_pipe", "cgem", "walls", "background")
 
 
+@once
 def own_materials(detector: Contents) -> list[Material]:
     """Return the materials of a detector that differ from those that come with the program."""
     used = {m.name: m for m in materials_of(detector)}

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any, NamedTuple
 
+from cgemit.detector.kept import Part, once
 from cgemit.units import NATIVE, describe
 
 #: Name of an `offset_v` that follows from the other values of a layer.
@@ -77,9 +78,13 @@ def plain(value: Any) -> Any:
 
 def opened(part: Any) -> Any:
     """Return a part that was read before as a table of `Known` values; anything else as it is."""
-    if not dataclasses.is_dataclass(part) or isinstance(part, type):
-        return part
-    return {name: Known(getattr(part, name)) for name in keys_of(type(part))}
+    return dict(_opened(part)) if isinstance(part, Part) else part
+
+
+@once
+def _opened(part: Part) -> dict[str, Known]:
+    kind: Any = type(part)
+    return {name: Known(getattr(part, name)) for name in keys_of(kind)}
 
 
 @cache

@@ -4,13 +4,14 @@ import csv
 import math
 import re
 from dataclasses import dataclass, field, replace
-from functools import cache
+from functools import cache, cached_property
 from importlib import resources
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cgemit.detector.kept import Part
 from cgemit.detector.keys import key
 
 FINE_STRUCTURE = 1 / 137.035999084
@@ -49,7 +50,7 @@ class DensityEffect(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Material:
+class Material(Part):
     """A homogeneous material.
 
     `composition` holds (element, mass fraction) pairs; it is empty where only bulk properties are known.
@@ -92,7 +93,12 @@ class Material:
 
     def xi(self, thickness: float) -> float:
         """Return (K/2) (Z/A) density thickness, GeV, for a thickness in mm."""
-        return 0.5 * K * self.z_over_a * self.density * 0.1 * thickness
+        return self.xi_per_mm * thickness
+
+    @cached_property
+    def xi_per_mm(self) -> float:
+        """(K/2) (Z/A) density, GeV/mm."""
+        return 0.5 * K * self.z_over_a * self.density * 0.1
 
     def log_term(self, ln_betagamma: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return -2 ln(I/GeV) - delta - 2 C/Z, (n,) float64: the material's part of the Bethe logarithm."""

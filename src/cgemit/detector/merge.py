@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from cgemit.detector.keys import CENTRED, Known, opened, plain
+from cgemit.detector.parts import SubLayer
 from cgemit.problems import Problem, did_you_mean
 
 #: Key of the material that a material of a variant replaces.
@@ -151,10 +152,8 @@ def _lay_over(base: dict[str, Any], variant: Mapping[str, Any], path: str) -> No
 
 
 def _stack_of(value: Any) -> Any:
-    """Return the sub-layers of a part that was read before as rows of a file; anything else as it is."""
-    if not isinstance(value, Known) or not isinstance(value.value, tuple):
-        return value
-    return [{"label": part.label, **opened(part)} for part in value.value]
+    """Return the sub-layers of a part that was read before as a list; anything else as it is."""
+    return list(value.value) if isinstance(value, Known) and isinstance(value.value, tuple) else value
 
 
 def _changed_stack(rows: list[Any], changes: Mapping[str, Any]) -> list[Any]:
@@ -164,11 +163,17 @@ def _changed_stack(rows: list[Any], changes: Mapping[str, Any]) -> list[Any]:
     """
     found, left = [], dict(changes)
     for row in rows:
-        label = row.get("label", row.get("material")) if isinstance(row, Mapping) else None
+        label = _label(row)
         change = changes.get(str(label))
         left.pop(str(label), None)
-        found.append({"label": label, **row, **change} if isinstance(change, Mapping) else row)
+        found.append({"label": label, **opened(row), **change} if isinstance(change, Mapping) else row)
     return found + [{"label": label, **change} for label, change in left.items() if isinstance(change, Mapping)]
+
+
+def _label(row: Any) -> Any:
+    if isinstance(row, SubLayer):
+        return row.label
+    return row.get("label", row.get("material")) if isinstance(row, Mapping) else None
 
 
 def _remove(tree: dict[str, Any], paths: object, problems: list[Problem]) -> None:

@@ -173,7 +173,7 @@ def override(detector: Detector, overrides: Mapping[str, object]) -> Detector:
             problems.append(Problem(path, shown(value), "a value of the detector; load another base instead"))
         elif not set_path(variant, path, value):
             problems.append(Problem(path, shown(value), "a value whose table is not itself overridden by a value"))
-    tables = merged(describe.tables_of(detector), place_map(variant, None), problems)
+    tables = merged(describe.tables_of(detector, variant), place_map(variant, None), problems)
     if "name" not in variant:
         tables["name"] = variants.variant_name(detector.name, overrides)
     return build(detector.name, tables, problems)
@@ -240,6 +240,6 @@ def build(source: str, tables: Mapping[str, Any], problems: list[Problem]) -> De
     """
     contents = read_contents(source, tables, problems)
     try:
-        return Detector(**vars(contents))
+        return Detector(**contents.__getstate__())
     except DetectorError as error:
         raise DetectorError(source, error.problems) from None

@@ -6,18 +6,20 @@ The metadata of each field (`keys.Key`) states what a detector file may hold the
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import cached_property
 from html import escape
 from typing import NamedTuple
 
 from cgemit.detector.background import BackgroundLevel
 from cgemit.detector.field import Field
+from cgemit.detector.kept import Part
 from cgemit.detector.keys import key
 from cgemit.detector.material import Material
 from cgemit.detector.placement import Placed
 
 
 @dataclass(frozen=True, kw_only=True)
-class Cylinder:
+class Cylinder(Part):
     """A cylindrical shell of one material: a layer of the beam pipe or of a wall."""
 
     label: str
@@ -33,12 +35,16 @@ class Cylinder:
 
 
 @dataclass(frozen=True, kw_only=True)
-class SubLayer:
+class SubLayer(Part):
     """One material of an electrode of a CGEM layer."""
 
     label: str
     material: Material = field(metadata=key("material", "name of the material"))
     thickness: float = field(metadata=key("length", "thickness", 1e-5, 50.0))  # mm
+
+    def __hash__(self) -> int:
+        # As for materials: caches look up stacks often.
+        return hash((self.label, self.thickness))
 
 
 StripRanges = tuple[tuple[int, int, int], ...]
@@ -158,7 +164,7 @@ class CgemLayer(Placed):
         turns = (self.phi_first + 2 * math.pi * i / self.sheets for i in range(self.sheets))
         return tuple(math.pi - (math.pi - phi) % (2 * math.pi) for phi in turns)
 
-    @property
+    @cached_property
     def r_gap_out(self) -> float:
         """Outer radius of the drift gap, the inner face of the first foil, mm."""
         foils = self.foils * sum(part.thickness for part in self.foil)
@@ -174,12 +180,12 @@ class CgemLayer(Placed):
         """Radius of the middle of the drift gap, mm."""
         return 0.5 * (self.r_gap_in + self.r_gap_out)
 
-    @property
+    @cached_property
     def r_in(self) -> float:
         """Inner face of the cathode, mm."""
         return self.r_gap_in - sum(part.thickness for part in self.cathode)
 
-    @property
+    @cached_property
     def r_out(self) -> float:
         """Outer face of the anode, mm."""
         return self.anode_radius + sum(part.thickness for part in self.anode)
@@ -200,7 +206,7 @@ class CgemLayer(Placed):
 
 
 @dataclass(frozen=True, kw_only=True)
-class WireLayer:
+class WireLayer(Part):
     """One layer of drift cells.
 
     Wire i starts at z = +half_length at azimuth phi_east + 2 pi i/cells and ends at z = -half_length at that azimuth
@@ -226,12 +232,12 @@ class WireLayer:
         metadata=key("dimensionless", "mean X/X0 of the layer's wires, used if smeared", 0.0, 0.01), default=0.0
     )
 
-    @property
+    @cached_property
     def twist(self) -> float:
         """Azimuth at the +z end minus azimuth at the -z end, rad."""
         return self.twist_cells * 2 * math.pi / self.cells
 
-    @property
+    @cached_property
     def r_mid(self) -> float:
         """Radius of the wires at z = 0, mm."""
         return self.r_end * math.cos(0.5 * self.twist)
@@ -285,7 +291,7 @@ class DriftChamber(Placed):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Contents:
+class Contents(Part):
     """What a detector consists of, parts ordered from the beam line outward; a `Detector` is this, checked."""
 
     name: str

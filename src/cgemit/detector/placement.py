@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
+from cgemit.detector.kept import Part
 from cgemit.detector.keys import key
 
 Floats = npt.NDArray[np.float64]
@@ -14,7 +15,7 @@ _FAR, _TILT, _ROTATION = 2.0, 2e-3, 1e-2  # mm, rad: beyond, hits would be sough
 
 
 @dataclass(frozen=True, kw_only=True)
-class Placed:
+class Placed(Part):
     """A part with six degrees of freedom: it is turned about the x, then y, then z axis, and then shifted."""
 
     shift_x: float = field(metadata=key("length", "shift of the part along x", -_FAR, _FAR), default=0.0)  # mm

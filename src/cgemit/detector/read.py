@@ -112,7 +112,9 @@ class Reader(ListReader):
         values = dict(defaults or {})
         tables = self.mapping(path, raw)
         for name, value in tables.items():
-            if name in keys:
+            if type(value) is Known and name in keys:
+                values[name] = self._known(value.value)
+            elif name in keys:
                 values[name] = self.value(f"{path}.{name}", value, keys[name])
             else:
                 known = [*keys, *elsewhere]
@@ -191,6 +193,9 @@ class Reader(ListReader):
             return _unusable(key)
         parts = []
         for i, row in enumerate(raw):
+            if isinstance(row, SubLayer):  # read before
+                parts += self._known((row,))
+                continue
             values = self.table(f"{path}[{i}]", row, SubLayer)
             values.setdefault("label", getattr(values["material"], "name", ""))
             parts.append(SubLayer(**values))

@@ -3,8 +3,10 @@
 import dataclasses
 import math
 from collections.abc import Iterable, Sequence
-from functools import lru_cache
-from itertools import pairwise
+from dataclasses import dataclass, field
+from functools import cached_property, lru_cache
+from itertools import groupby, pairwise
+from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -12,14 +14,17 @@ from numpy.typing import NDArray
 
 from cgemit.detector.check import TOUCH
 from cgemit.detector.holes import Holes, perforated
+from cgemit.detector.kept import once
 from cgemit.detector.material import Material
 from cgemit.detector.parts import CgemLayer, Contents, Cylinder, DriftChamber, Shell
+from cgemit.detector.rows import Row, row_of
 
 ENDLESS = 1e9  # mm, half length of air
 _LUMP = 70.0  # mm of chamber gas that act as one scatterer: about four wire layers
 
 
-class Slab(NamedTuple):
+@dataclass(frozen=True)
+class Slab:
     """Neighbouring shells that act as one scatterer; `gap` is the CGEM layer whose drift gap this is, or -1."""
 
     shells: tuple[Shell, ...]
@@ -32,7 +37,7 @@ class Slab(NamedTuple):
         """Inner radius, mm."""
         return self.shells[0].r_in
 
-    @property
+    @cached_property
     def r_out(self) -> float:
         """Outer radius, mm."""
         return max(shell.r_out for shell in self.shells)
@@ -50,29 +55,22 @@ class Slab(NamedTuple):
     @property
     def radius(self) -> float:
         """Centroid of the scattering power, mm."""
-        return self.moments()[1]
+        return self.row.numbers[3]
 
     @property
     def spread(self) -> float:
         """Standard deviation of the scattering power about `radius`, mm; each shell counts with its own width."""
-        return self.moments()[2]
+        return self.row.numbers[4]
 
-    def moments(self) -> tuple[float, float, float]:
-        """Return `x0`, `radius` and `spread`."""
-        parts = [(s.x0, _middle(s), s.r_out - s.r_in) for s in self.shells]
-        x0 = sum(part for part, _, _ in parts)
-        radius = sum(part * middle for part, middle, _ in parts) / x0
-        total = sum(part * ((middle - radius) ** 2 + width**2 / 12) for part, middle, width in parts)
-        return x0, radius, math.sqrt(total / x0)
+    @cached_property
+    def row(self) -> Row:
+        """What the core needs of it; a variant shares most slabs with its base."""
+        return row_of(self.shells)
 
     def log_term(self, ln_betagamma: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return -2 ln(I/GeV) - delta - 2 C/Z, (n,) float64, averaged over the shells with their xi."""
         terms = [shell.xi * shell.material.log_term(ln_betagamma) for shell in self.shells]
         return np.asarray(np.sum(terms, axis=0) / self.xi, dtype=np.float64)
-
-
-def _middle(shell: Shell) -> float:
-    return 0.5 * (shell.r_in + shell.r_out)
 
 
 def slabs(detector: Contents, merge: bool = True, foil: str = "effective") -> list[Slab]:
@@ -91,7 +89,7 @@ def slabs(detector: Contents, merge: bool = True, foil: str = "effective") -> li
         slabs of solid matter with holes, whatever `merge` (docs/methods/foils.md).
 
     """
-    solid = _cylinders("pipe", detector.beam_pipe, merge) + _cylinders("wall", detector.walls, merge)
+    solid = [*_cylinders("pipe", detector.beam_pipe, merge), *_cylinders("wall", detector.walls, merge)]
     foils = 0
     for number, layer in enumerate(detector.cgem):
         solid += _layer(layer, number, foils, merge, foil == "lattice")
@@ -100,24 +98,41 @@ def slabs(detector: Contents, merge: bool = True, foil: str = "effective") -> li
     return sorted(solid + _fillers(detector, solid, merge), key=lambda slab: slab.r_in)
 
 
-@lru_cache(maxsize=1024)
+#: The keys of a CGEM layer that its matter depends on.
+_MATTER = ("anode_radius", "length", "drift_gap", "transfer_gap", "induction_gap", "foils", "hole_outer", "hole_inner",
+           "hole_pitch", "gas", "cathode", "foil", "anode")  # fmt: skip
+
+
+@dataclass(frozen=True)
+class _Matter:
+    """A CGEM layer that is equal to others of the same matter, whatever their strips are."""
+
+    values: tuple[object, ...]
+    layer: CgemLayer = field(compare=False)
+
+
+@once
 def _layer(layer: CgemLayer, number: int, first_foil: int, merge: bool, lattice: bool) -> tuple[Slab, ...]:
     """Return the slabs of a CGEM layer; `number` is its own, `first_foil` that of its first foil in the detector."""
-    found = []
+    matter = _Matter(tuple([getattr(layer, name) for name in _MATTER]), layer)
+    return _same_matter(matter, number, first_foil, merge, lattice)
+
+
+@lru_cache(maxsize=256)
+def _same_matter(matter: _Matter, number: int, first_foil: int, merge: bool, lattice: bool) -> tuple[Slab, ...]:
+    found, layer = [], matter.layer
     if lattice:
         found += [Slab((shell,), holes=holes) for shell, holes in perforated(layer, first_foil)]
-    every = list(layer.shells())
-    for group in ("cathode", "drift", "anode") if lattice else ("cathode", "drift", "foils", "anode"):
-        shells = [shell for shell in every if shell.group == group]
-        found += [Slab(tuple(part), number if group == "drift" else -1) for part in _parts(shells, merge)]
+    for group, members in groupby(layer.shells(), key=attrgetter("group")):
+        shells = tuple(members)
+        if not lattice or group != "foils":
+            gap = number if group == "drift" else -1
+            found += [Slab(part, gap) for part in ([shells] if merge else [(shell,) for shell in shells])]
     return tuple(found)
 
 
-def _parts(shells: Sequence[Shell], merge: bool) -> list[list[Shell]]:
-    return [list(shells)] if merge else [[shell] for shell in shells]
-
-
-def _cylinders(group: str, cylinders: Iterable[Cylinder], merge: bool) -> list[Slab]:
+@lru_cache(maxsize=256)
+def _cylinders(group: str, cylinders: tuple[Cylinder, ...], merge: bool) -> tuple[Slab, ...]:
     """Return cylinders as slabs; touching ones are joined and reach as far along the beam as the longest of them."""
     runs: list[list[Shell]] = []
     for part in cylinders:
@@ -126,7 +141,7 @@ def _cylinders(group: str, cylinders: Iterable[Cylinder], merge: bool) -> list[S
             runs[-1].append(shell)
         else:
             runs.append([shell])
-    return [Slab(tuple(run)) for run in runs]
+    return tuple(Slab(tuple(run)) for run in runs)
 
 
 def _fillers(detector: Contents, solid: Sequence[Slab], merge: bool) -> list[Slab]:
@@ -138,13 +153,18 @@ def _fillers(detector: Contents, solid: Sequence[Slab], merge: bool) -> list[Sla
     for inner, outer in pairwise(inside):
         end, begin = inner.r_out, outer.r_in
         if begin - end > TOUCH:
-            found.append(Slab((Shell("air", "air", end, begin, ENDLESS, detector.air),)))
+            found.append(_air(end, begin, detector.air))
     if chamber:
         # Without a part inside, the chamber begins at its first wire layer.
         start = inside[-1].r_out if inside else first_wire
         walls = tuple((slab.r_in, slab.r_out) for slab in solid if slab.r_in > start - TOUCH)
-        found += _chamber_gas(_Gas.of(chamber), start, walls, merge)
+        found += _chamber_gas(_gas(chamber), start, walls, merge)
     return found
+
+
+@lru_cache(maxsize=256)
+def _air(r_in: float, r_out: float, air: Material) -> Slab:
+    return Slab((Shell("air", "air", r_in, r_out, ENDLESS, air),))
 
 
 class _Gas(NamedTuple):
@@ -155,10 +175,11 @@ class _Gas(NamedTuple):
     metal: Material
     layers: tuple[tuple[int, float, float, float], ...]  # number, r_mid and half_length (mm), wire_x0
 
-    @classmethod
-    def of(cls, chamber: DriftChamber) -> "_Gas":
-        layers = tuple((one.number, one.r_mid, one.half_length, one.wire_x0) for one in chamber.layers)
-        return cls(chamber.gas, chamber.wires, chamber.wire_material, layers)
+
+@once
+def _gas(chamber: DriftChamber) -> _Gas:
+    layers = tuple((one.number, one.r_mid, one.half_length, one.wire_x0) for one in chamber.layers)
+    return _Gas(chamber.gas, chamber.wires, chamber.wire_material, layers)
 
 
 def _lumps(gas: Sequence[Slab]) -> list[Slab]:

@@ -6,9 +6,9 @@ import json
 import re
 from collections.abc import Iterator, Mapping
 from fnmatch import fnmatchcase
-from functools import lru_cache
 from typing import Any
 
+from cgemit.detector.kept import Part, once
 from cgemit.detector.keys import Key, Known, keys_of
 from cgemit.detector.material import Material
 from cgemit.detector.merge import FOR_ALL_LAYERS
@@ -121,6 +121,7 @@ def _is_pattern(text: str) -> bool:
     return any(mark in text for mark in "*?[")
 
 
+@once
 def _root(detector: Contents) -> dict[str, Any]:
     groups = {
         name: {part.label: part for part in getattr(detector, name)}
@@ -135,13 +136,16 @@ def _children(node: Any) -> Mapping[str, Any]:
         return node
     if isinstance(node, tuple) and node and isinstance(node[0], SubLayer):
         return {part.label: part for part in node}
-    if not dataclasses.is_dataclass(node) or isinstance(node, type | Material):
-        return {}
-    kind: Any = type(node)
-    children = {name: getattr(node, name) for name in keys_of(kind)}
-    if isinstance(node, DriftChamber):
-        children["layers"] = {str(layer.number): layer for layer in node.layers}
-    return children
+    return _values(node) if isinstance(node, Part) and not isinstance(node, Material) else {}
+
+
+@once
+def _values(part: Part) -> dict[str, Any]:
+    kind: Any = type(part)
+    values = {name: getattr(part, name) for name in keys_of(kind)}
+    if isinstance(part, DriftChamber):
+        values["layers"] = {str(layer.number): layer for layer in part.layers}
+    return values
 
 
 def value_at(detector: Contents, path: str) -> tuple[Any, Key] | None:
@@ -238,8 +242,8 @@ def content_hash(detector: Contents) -> str:
     return hashlib.sha256(" ".join(map(_digest, parts)).encode()).hexdigest()[:16]
 
 
-@lru_cache(maxsize=4096)
-def _digest(part: Any) -> str:
+@once
+def _digest(part: Part) -> str:
     kind: Any = type(part)
     values = [f"{kind.__name__} {getattr(part, 'label', '')} {getattr(part, 'number', '')}"]
     for name in keys_of(kind):

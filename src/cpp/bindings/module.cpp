@@ -5,6 +5,7 @@ void bind_status(pybind11::module_& module);
 void bind_rng(pybind11::module_& module);
 void bind_field(pybind11::module_& module);
 void bind_detector(pybind11::module_& module);
+void bind_shells(pybind11::module_& module);
 void bind_motion(pybind11::module_& module);
 void bind_matter(pybind11::module_& module);
 void bind_foil(pybind11::module_& module);
@@ -28,6 +29,7 @@ PYBIND11_MODULE(_core, module, pybind11::mod_gil_not_used()) {
   bind_rng(module);
   bind_field(module);
   bind_detector(module);
+  bind_shells(module);
   bind_motion(module);
   bind_matter(module);
   bind_foil(module);

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 
 from cgemit.detector.field.grid import FieldGrid
+from cgemit.detector.kept import Part
 from cgemit.detector.keys import Key, key
 
 _TOLERANCE = key("length", "error allowed to one step of a track through the field", 1e-9, 1.0)
@@ -12,7 +13,7 @@ EVERYWHERE = 1e6  # mm, farther than any detector
 
 
 @dataclass(frozen=True, kw_only=True)
-class Field:
+class Field(Part):
     """Uniform magnetic field along the beam."""
 
     kind: str = field(

@@ -4,21 +4,12 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from cgemit.study.optimizer.result import Optimization
 from cgemit.study.optimizer.run import optimize
-from cgemit.study.sweeps.plan import (
-    PlanError,
-    numbers,
-    placed,
-    plan_tables,
-    settings_of,
-    without_unknown,
-    write_plan,
-)
+from cgemit.study.sweeps.plan import numbers, settings_of
+from cgemit.study.sweeps.plan_file import PlanError, PlanFile, base_problems, read_tables
 from cgemit.study.sweeps.space import range_of
 
 #: Keys of each table of a plan, with what they mean; docs/optimize.md shows them.
@@ -60,28 +51,12 @@ KEYS: dict[str, dict[str, str]] = {
 }
 
 
-@dataclass(frozen=True)
-class OptimizePlan:
-    """A plan that was read.
-
-    Attributes
-    ----------
-    tables : mapping
-        As in the file, with changes.
-    arguments : mapping
-        Of `optimize`.
-    """
-
-    tables: Mapping[str, Any]
-    arguments: Mapping[str, Any]
+class OptimizePlan(PlanFile):
+    """The plan of an optimization."""
 
     def run(self, **how: Any) -> Optimization:
         """Run the optimization with further arguments of `optimize`: `output`, `executor`, `progress` ..."""
         return optimize(**self.arguments, **how)
-
-    def write(self, folder: str | os.PathLike[str]) -> Path:
-        """Write the plan to the folder of its output."""
-        return write_plan(folder, self.tables)
 
 
 def read_optimize_plan(path: str | os.PathLike[str], changes: Mapping[str, Any] | None = None) -> OptimizePlan:
@@ -101,14 +76,9 @@ def read_optimize_plan(path: str | os.PathLike[str], changes: Mapping[str, Any] 
         With every problem of the plan's form; `optimize` lists those of its values.
     """
     problems: list[str] = []
-    tables = plan_tables(path, changes or {}, problems)
-    _check_forms(tables, problems)
-    if problems:
-        raise PlanError(str(path), problems)
-    tables = without_unknown(tables, KEYS, problems)
+    tables = read_tables(path, changes or {}, KEYS, ("vary", "constraints", "settings"), problems)
     if "vary" not in tables:
         problems.append("vary: missing, expected a table of keys of the detector file")
-    tables = placed(tables, Path(path).resolve().parent)
     evaluate, search = dict(tables.get("evaluate", {})), dict(tables.get("search", {}))
     arguments: dict[str, Any] = {"base": tables.get("base"), "minimize": tables.get("minimize", "dr")}
     if "method" in evaluate:
@@ -121,21 +91,10 @@ def read_optimize_plan(path: str | os.PathLike[str], changes: Mapping[str, Any] 
     arguments["constraints"] = _limits(tables.get("constraints", {}), problems)
     arguments["background"] = tables.get("background")
     arguments["settings"] = settings_of(tables.get("settings"), problems)
-    if not isinstance(arguments["base"], str):
-        problems.append(f"base: got {arguments['base']!r}, expected a preset or a detector file")
+    problems += base_problems(tables)
     if problems:
         raise PlanError(str(path), problems)
     return OptimizePlan(tables, arguments)
-
-
-def _check_forms(tables: Mapping[str, Any], problems: list[str]) -> None:
-    """Add what is no table, or missing: nothing else can be checked then."""
-    for name in filter(None, KEYS):
-        if not isinstance(tables.get(name, {}), Mapping):
-            problems.append(f"{name}: got {tables[name]!r}, expected a table [{name}]")
-    for name in ("vary", "constraints", "settings"):
-        if not isinstance(tables.get(name, {}), Mapping):
-            problems.append(f"{name}: got {tables[name]!r}, expected a table [{name}]")
 
 
 def _limits(tables: Mapping[str, Any], problems: list[str]) -> dict[str, tuple[Any, Any]]:

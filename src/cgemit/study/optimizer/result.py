@@ -13,11 +13,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cgemit.detector import Detector
-from cgemit.io.files import new_file
-from cgemit.io.folders import SUMMARY
-from cgemit.io.parquet import write_columns
 from cgemit.record import versions
-from cgemit.statistics.formatting import html_table, text_table, write_csv
+from cgemit.statistics.formatting import html_table, text_table
 from cgemit.study.optimizer.confirm import Confirmation, confirm
 from cgemit.study.optimizer.evaluator import Design, Evaluator
 from cgemit.study.optimizer.front import SIGMAS, growth, hypervolume
@@ -26,6 +23,7 @@ from cgemit.study.optimizer.single import Found
 from cgemit.study.optimizer.table import FRONT, LOOSE, TIED, columns_of, front_of, replicas_of
 from cgemit.study.optimizer.variables import Variable, changes_of
 from cgemit.study.sweeps.evaluate import GROUPS
+from cgemit.study.sweeps.tidy import TidyResult
 from cgemit.version import PHYSICS
 
 if TYPE_CHECKING:
@@ -35,7 +33,7 @@ _SHOWN_ROWS = 20
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Optimization:
+class Optimization(TidyResult):
     """The result of an optimization.
 
     Attributes
@@ -149,12 +147,6 @@ class Optimization:
             return []
         return [rows[i] for i in np.linspace(0, len(rows) - 1, min(count, len(rows))).round().astype(int)]
 
-    def to_pandas(self) -> Any:
-        """Return the table as a `pandas.DataFrame`."""
-        import pandas
-
-        return pandas.DataFrame(self.columns)
-
     def confirm(self, designs: Sequence[int] | None = None, **how: Any) -> Confirmation:
         """Return the resolutions of some designs beside those of simulated tracks.
 
@@ -174,32 +166,8 @@ class Optimization:
 
         Files of an earlier optimization are replaced.
         """
-        place = Path(folder)
-        texts = {"detector.toml": self.evaluator.base.to_toml(), SUMMARY: json.dumps(self.summary(), indent=2) + "\n"}
-        if len(self.objectives) == 1 and self.front:
-            texts = {"optimum.toml": self.detector().to_toml()} | texts
-        table = place / "optimize.csv"
-        with new_file(table, overwrite=True) as temporary:
-            write_csv(temporary, self.columns)
-        for name, text in texts.items():
-            with new_file(place / name, overwrite=True) as temporary:
-                temporary.write_text(text, encoding="utf-8")
-        return [table, *(place / name for name in texts)]
-
-    def write_parquet(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
-        """Write the table as a Parquet file (needs pyarrow, extra ``[io]``).
-
-        Parameters
-        ----------
-        path : path
-        overwrite : bool
-
-        Raises
-        ------
-        FileExistsError
-            If the file exists and `overwrite` is false.
-        """
-        return write_columns(path, self.columns, overwrite=overwrite)
+        detectors = {"optimum.toml": self.detector()} if len(self.objectives) == 1 and self.front else {}
+        return self._write(folder, "optimize.csv", detectors | {"detector.toml": self.evaluator.base}, self.summary())
 
     def summary(self) -> dict[str, Any]:
         """Return what `summary.json` holds: what was varied and minimized, how it ended, and the best designs."""

@@ -139,24 +139,27 @@ def optimize(
     with ExitStack() as stack:
         evaluator = Evaluator(start, task.goals, task.limits, folder, executor or _pool(stack))
         first = Design(0, "base", tuple(one.start(start) for one in task.variables), evaluator.rows([{}])[0])
-        if task.method == "nsga2":
-            designs = evolve(
-                evaluator, task.variables, task.objectives, population=population, offspring=offspring, calls=calls,
-                seed=seed, journal=journal, progress=progress,
-            )  # fmt: skip
-            found = Found(designs, 0, with_failures(f"{calls} calls", designs))
-        else:
-            how: dict[str, Any] = {"tolerance": tolerance or _TOLERANCE[task.method], "steps": steps}
-            try:
-                found = search(
-                    evaluator, task.variables, task.objectives[0], method=task.method, progress=progress, **how
-                )
-            except NoStartError as error:
-                raise OptimizeError("optimize", [f"start: {one}" for one in str(error).split("\n")]) from None
+        found = _searched(evaluator, task, tolerance, numbers, journal, progress)
     result = Optimization.of(evaluator, task.variables, task.objectives, task.method, (first, *found.designs), found)
     if output is not None:
         result.write(Path(output))
     return result
+
+
+def _searched(
+    evaluator: Evaluator, task: _Task, tolerance: float | None, numbers: Mapping[str, int], journal: Path | None,
+    progress: ShowProgress | None,
+) -> Found:  # fmt: skip
+    """Return what the search of a task finds."""
+    if task.method == "nsga2":
+        sizes = {name: value for name, value in numbers.items() if name != "steps"}
+        designs = evolve(evaluator, task.variables, task.objectives, journal=journal, progress=progress, **sizes)
+        return Found(designs, 0, with_failures(f"{numbers['calls']} calls", designs))
+    how: Any = {"method": task.method, "tolerance": tolerance or _TOLERANCE[task.method], "steps": numbers["steps"]}
+    try:
+        return search(evaluator, task.variables, task.objectives[0], progress=progress, **how)
+    except NoStartError as error:
+        raise OptimizeError("optimize", [f"start: {one}" for one in str(error).split("\n")]) from None
 
 
 def _momenta(given: Any, problems: list[str]) -> tuple[float, ...]:

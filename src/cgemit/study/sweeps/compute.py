@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -44,7 +45,15 @@ class Task:
 
 def work(task: Task) -> list[dict[str, Any]]:
     """Build and evaluate the variants of a task; one that cannot be is a row with its problems."""
-    return [_row(*pair, task.evaluation) for pair in zip(task.detectors, task.changes, strict=True)]
+    bases = {id(base): _first(base) for base in task.detectors}
+    pairs = zip(task.detectors, task.changes, strict=True)
+    return [_row(bases[id(base)], changes, task.evaluation) for base, changes in pairs]
+
+
+@lru_cache(maxsize=16)
+def _first(base: Detector) -> Detector:
+    """Return the first detector that was equal: a process that is sent many tasks computes its parts' numbers once."""
+    return base
 
 
 def _row(base: Detector, changes: Changes, evaluation: Evaluates) -> dict[str, Any]:

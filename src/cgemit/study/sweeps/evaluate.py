@@ -13,9 +13,12 @@ from typing import Any, Literal
 import numpy as np
 
 from cgemit import chain
-from cgemit.covariance import Budget, Covariance, analytic
+from cgemit.covariance import Budget, Covariance
+from cgemit.covariance.asked import Points, points_of
+from cgemit.covariance.points import covariance_at
 from cgemit.detector import Detector
-from cgemit.fit import FitStatus
+from cgemit.digitize import DigitizeSettings
+from cgemit.fit import FitSettings, FitStatus
 from cgemit.gun import Gun
 from cgemit.stages import Settings, fit_settings
 from cgemit.statistics.estimate import Floats, core_sigma, measure
@@ -92,13 +95,16 @@ class Evaluation:
         return [{"p (GeV/c)": float(p), "cos_theta": one} for p in self.p for one in angles]
 
     @cached_property
-    def arguments(self) -> dict[str, Any]:
-        """Arguments of `analytic` beside detector, particle, momenta and angle."""
+    def points_by_angle(self) -> list[Points]:
+        """Return all momenta at each cos(theta), for `covariance_at`."""
+        p = np.array(self.p, np.float64)
+        return [points_of(self.particle, p, one, samples=self.samples) for one in self.cos_theta]
+
+    @cached_property
+    def digitize_and_fit(self) -> tuple[DigitizeSettings, FitSettings]:
+        """Return the read-out and what the fit assumes."""
         settings = self.settings or Settings()
-        return {
-            "readout": settings.digitize.readout, "reveal_sides": settings.digitize.reveal_sides,
-            "fit": fit_settings(settings), "threads": 1, "samples": self.samples,
-        }  # fmt: skip
+        return settings.digitize, fit_settings(settings)
 
     def __call__(self, detector: Detector) -> dict[str, Any]:
         """Return the numbers of every point, and of "mc" what errors of differences follow from."""
@@ -135,8 +141,8 @@ def result_columns(method: str, quantities: Sequence[str]) -> tuple[str, ...]:
 
 def covariances(detector: Detector, evaluation: Evaluation) -> list[Covariance]:
     """Return the covariances at all momenta for each cos(theta)."""
-    p = np.array(evaluation.p, np.float64)
-    return [analytic(detector, evaluation.particle, p, one, **evaluation.arguments) for one in evaluation.cos_theta]
+    digitize, fit = evaluation.digitize_and_fit
+    return [covariance_at(points, detector, digitize, fit, threads=1) for points in evaluation.points_by_angle]
 
 
 def analytic_points(detector: Detector, evaluation: Evaluation) -> list[dict[str, Any]]:
@@ -172,10 +178,10 @@ def budgets(evaluation: Evaluation, detectors: Mapping[str, Detector], quantity:
             f"budgets: got {quantity!r} at point {point} of evaluation {evaluation.method!r}; expected one of "
             f"{', '.join(QUANTITIES)}, a point below {len(points)}, and an evaluation of resolutions"
         )
-    how = (evaluation.particle, *points[point])
-    return {
-        name: analytic(detector, *how, **evaluation.arguments).budget(quantity) for name, detector in detectors.items()
-    }
+    p, cos_theta = points[point]
+    asked = points_of(evaluation.particle, p, cos_theta, samples=evaluation.samples)
+    how = (*evaluation.digitize_and_fit, 1)
+    return {name: covariance_at(asked, one, *how).budget(quantity) for name, one in detectors.items()}
 
 
 def _simulated(

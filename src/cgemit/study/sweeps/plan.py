@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import importlib.util
 import os
-import tomllib
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from cgemit.io import new_file
-from cgemit.io.toml import toml_text
-from cgemit.problems import ProblemsError, did_you_mean
+from cgemit.problems import did_you_mean
 from cgemit.settings import SettingsError
 from cgemit.stages import Settings
 from cgemit.study.sweeps.evaluate import QUANTITIES, result_columns
+from cgemit.study.sweeps.plan_file import PlanError, PlanFile, base_problems, read_tables
 from cgemit.study.sweeps.result import Sweep
 from cgemit.study.sweeps.run import sweep
 from cgemit.study.sweeps.space import space_of
@@ -53,38 +51,23 @@ KEYS: dict[str, dict[str, str]] = {
         "kind": '"scan", "map", "parallel" or "budget"',
     },
 }
-PLAN = "plan.toml"
-
-
-class PlanError(ProblemsError[str]):
-    """A plan with mistakes; `problems` lists them all."""
 
 
 @dataclass(frozen=True)
-class Plan:
-    """A plan that was read.
+class Plan(PlanFile):
+    """The plan of a sweep.
 
     Attributes
     ----------
-    tables : mapping
-        As in the file, with changes.
-    arguments : mapping
-        Of `sweep`.
     draw : mapping
-        Of `Sweep.draw`.
+        Arguments of `Sweep.draw`.
     """
 
-    tables: Mapping[str, Any]
-    arguments: Mapping[str, Any]
     draw: Mapping[str, Any]
 
     def run(self, **how: Any) -> Sweep:
         """Run the sweep with further arguments of `sweep`: `output`, `executor`, `part`, `progress` ..."""
         return sweep(**self.arguments, **how)
-
-    def write(self, folder: str | os.PathLike[str]) -> Path:
-        """Write the plan to the folder of its output, from where it can be merged."""
-        return write_plan(folder, self.tables)
 
 
 def read_plan(path: str | os.PathLike[str], changes: Mapping[str, Any] | None = None) -> Plan:
@@ -104,120 +87,18 @@ def read_plan(path: str | os.PathLike[str], changes: Mapping[str, Any] | None = 
         With every problem of the plan.
     """
     problems: list[str] = []
-    tables = plan_tables(path, changes or {}, problems)
-    _check_forms(tables, problems)
-    if problems:
-        raise PlanError(str(path), problems)
-    tables = without_unknown(tables, KEYS, problems)
+    tables = read_tables(path, changes or {}, KEYS, ("vary", "settings"), problems)
     if ("vary" in tables) == ("variants" in tables):
         given = "both" if "vary" in tables else "none"
         raise PlanError(str(path), [*problems, f"vary, variants: got {given}, expected one of them"])
-    tables = placed(tables, Path(path).resolve().parent)
     arguments = {"base": tables.get("base"), **_evaluate(tables.get("evaluate", {}), problems)}
     arguments["space"] = space_of(tables, problems)
     arguments["settings"] = settings_of(tables.get("settings"), problems)
     problems += _draw_problems(tables.get("draw", {}), arguments)
-    if not isinstance(arguments["base"], str):
-        problems.append(f"base: got {arguments['base']!r}, expected a preset or a detector file")
+    problems += base_problems(tables)
     if problems:
         raise PlanError(str(path), problems)
     return Plan(tables, arguments, tables.get("draw", {}))
-
-
-def write_plan(folder: str | os.PathLike[str], tables: Mapping[str, Any]) -> Path:
-    """Write the tables of a plan to the folder of its output.
-
-    Parameters
-    ----------
-    folder : path
-    tables : mapping
-    """
-    path = Path(folder) / PLAN
-    with new_file(path, overwrite=True) as temporary:
-        temporary.write_text(toml_text(tables), encoding="utf-8")
-    return path
-
-
-def plan_tables(path: str | os.PathLike[str], changes: Mapping[str, Any], problems: list[str]) -> dict[str, Any]:
-    """Return the tables of the file of a plan, with changes.
-
-    Parameters
-    ----------
-    path : path
-    changes : mapping of str to object
-        Values by dotted key.
-    problems : list of str
-        Problems of the changes are added.
-
-    Raises
-    ------
-    FileNotFoundError
-        If there is no such file.
-    PlanError
-        If it is no TOML file.
-    """
-    try:
-        tables = tomllib.loads(Path(path).read_text(encoding="utf-8-sig"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise PlanError(str(path), [f"got {error}; expected a TOML file"]) from error
-    for key, value in changes.items():
-        change_table(tables, key, value, problems)
-    return tables
-
-
-def change_table(tables: dict[str, Any], key: str, value: Any, problems: list[str]) -> None:
-    """Replace one value of a plan's tables, by dotted key."""
-    first, _, rest = key.partition(".")
-    if not rest:
-        tables[first] = value
-    elif not isinstance(tables.setdefault(first, {}), dict):
-        problems.append(f"{key}: got {value!r}, expected a value of a table; {first} is none")
-    elif first == "settings":
-        stage, _, name = rest.partition(".")
-        tables[first].setdefault(stage, {})[name] = value
-    else:
-        tables[first][rest] = value
-
-
-def _check_forms(tables: Mapping[str, Any], problems: list[str]) -> None:
-    """Add what is no table, or missing: nothing else can be checked then."""
-    for name in filter(None, KEYS):
-        if not isinstance(tables.get(name, {}), Mapping):
-            problems.append(f"{name}: got {tables[name]!r}, expected a table [{name}]")
-    for name in ("vary", "settings"):
-        if not isinstance(tables.get(name, {}), Mapping):
-            problems.append(f"{name}: got {tables[name]!r}, expected a table [{name}]")
-    if not isinstance(tables.get("variants", []), list):
-        problems.append(f"variants: got {tables['variants']!r}, expected tables [[variants]]")
-
-
-def without_unknown(
-    tables: Mapping[str, Any], keys: Mapping[str, Collection[str]], problems: list[str]
-) -> dict[str, Any]:
-    """Return the tables of a plan without keys that are not known; these are added to the problems."""
-    found = dict(tables)
-    for name, known in keys.items():
-        table = tables.get(name, {}) if name else tables
-        before = f"{name}." if name else ""
-        for key in table:
-            if key not in known:
-                problems.append(
-                    f"{before}{key}: an unknown key; expected one of {', '.join(known)}{did_you_mean(key, known, '; ')}"
-                )
-        if name in tables:
-            found[name] = {key: value for key, value in table.items() if key in known}
-    return {key: value for key, value in found.items() if key in keys[""]}
-
-
-def placed(tables: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """Return the tables with paths of files beside the plan made absolute."""
-    found = dict(tables)
-    if isinstance(found.get("base"), str) and (folder / found["base"]).is_file():
-        found["base"] = str(folder / found["base"])
-    method = found.get("evaluate", {}).get("method")
-    if isinstance(method, str) and ":" in method:
-        found["evaluate"] = {**found["evaluate"], "method": str(folder / method)}
-    return found
 
 
 def _evaluate(table: Mapping[str, Any], problems: list[str]) -> dict[str, Any]:

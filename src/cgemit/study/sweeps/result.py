@@ -15,15 +15,12 @@ import numpy as np
 from cgemit.covariance.budget import By
 from cgemit.detector import Detector
 from cgemit.detector.variants import variant_name
-from cgemit.io.files import new_file
-from cgemit.io.folders import SUMMARY
-from cgemit.io.parquet import write_columns
 from cgemit.record import versions
-from cgemit.statistics.formatting import html_table, text_table, write_csv
+from cgemit.statistics.formatting import html_table, text_table
 from cgemit.study.sweeps.axes import axis_of
 from cgemit.study.sweeps.evaluate import QUANTITIES, Evaluation, budgets, column, error_of_difference
 from cgemit.study.sweeps.space import Space
-from cgemit.tables.convert import data_frame
+from cgemit.study.sweeps.tidy import TidyResult
 from cgemit.version import PHYSICS
 
 if TYPE_CHECKING:
@@ -36,7 +33,7 @@ _SHOWN_ROWS = 40
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Sweep:
+class Sweep(TidyResult):
     """The result of a sweep.
 
     Attributes
@@ -105,10 +102,6 @@ class Sweep:
         changes = _without_base(self.space.variants[variant - 1]) if variant else {}
         return self.bases[variant].with_overrides(dict(changes)) if changes else self.bases[variant]
 
-    def to_pandas(self) -> Any:
-        """Return the table as a `pandas.DataFrame`."""
-        return data_frame(self.columns)
-
     def to_xarray(self) -> Any:
         """Return the results of a grid as an `xarray.Dataset` with one dimension for each key, momentum and angle.
 
@@ -133,30 +126,7 @@ class Sweep:
 
         Files of an earlier sweep are replaced.
         """
-        place = Path(folder)
-        paths = [place / "sweep.csv", place / "detector.toml", place / SUMMARY]
-        with new_file(paths[0], overwrite=True) as temporary:
-            write_csv(temporary, self.columns)
-        with new_file(paths[1], overwrite=True) as temporary:
-            temporary.write_text(self.bases[0].to_toml(), encoding="utf-8")
-        with new_file(paths[2], overwrite=True) as temporary:
-            temporary.write_text(json.dumps(self.summary(), indent=2) + "\n", encoding="utf-8")
-        return paths
-
-    def write_parquet(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
-        """Write the table as a Parquet file (needs pyarrow, extra ``[io]``).
-
-        Parameters
-        ----------
-        path : path
-        overwrite : bool
-
-        Raises
-        ------
-        FileExistsError
-            If the file exists and `overwrite` is false.
-        """
-        return write_columns(path, self.columns, overwrite=overwrite)
+        return self._write(folder, "sweep.csv", {"detector.toml": self.bases[0]}, self.summary())
 
     def summary(self) -> dict[str, Any]:
         """Return what `summary.json` holds: what was varied and evaluated, and how the variants ended."""
