@@ -111,6 +111,15 @@ def test_two_tracks_of_a_vertex_beside_the_beam_line(x, opening):
     assert (of.found >= 0.9 * finding.particles.hits[of.particle]).all()
 
 
+def test_displaced_tracks_within_the_inner_chamber():
+    """Layers below the closest approach to the beam line do not end the search for hits in those beyond it."""
+    gun = cg.Gun("pi+", p=(0.3, 0.8), cos_theta=(-0.6, 0.6), phi=(1.2, 1.9), vertex=(130.0, 0.0, 0.0))
+    run = cg.run("besiii-idc", gun, n=30, settings=cg.Settings(simulate=QUIET), until="find", finder="ckf")
+    finding = cg.study.finding(run)
+    assert finding.rates().efficiency.count >= 29
+    assert finding.purity > 0.99
+
+
 @pytest.mark.parametrize("dead", [(12, 13), (8, 17, 20, 30), (9, 10, 11)])
 def test_displaced_tracks_across_dead_layers(dead):
     run = one_vertex(150.0, 0.6)

@@ -54,7 +54,8 @@ class FindSettings(SettingsData):
     least_axial : int
         Layers of axial wires and X clusters that a seed of the chamber needs.
     min_score : float
-        Smallest logarithm of the likelihood ratio of a track to foreign hits, beyond 2.5 for each hit.
+        Smallest logarithm of the likelihood ratio of a track to foreign hits, beyond 2.5 for each hit of a track that
+        is followed. In a detector of three CGEM layers and nothing else, where no track is followed, without these 2.5.
     max_seeds : int
         Seeds of an event that are followed, of each source; the best ones come first.
 

@@ -39,7 +39,6 @@ class NearbyHits {
     window_ = wide ? 25 : 8;
     beside_ = wide ? 2 : 1;
     inside_ = true;
-    turned_ = false;
     next_ = 0;
     layer_ = 0;
     group_.slots = {};
@@ -79,11 +78,11 @@ class NearbyHits {
   CGEMIT_FLATTEN void passes(GroupStep& step, const HelixPoint& at, bool alive) {
     step.first = step.last = next_;
     const std::size_t index = layer_++;
-    if (!alive || !inside_ || turned_ || at.outward() < 0) return;
+    if (!alive || !inside_ || at.outward() < 0) return;
     const WireLayer& layer = detector_.wires[index];
     CellRange<double, HelixPoint> range;
-    turned_ = !cells_->find(index, at, true, range);
-    if (turned_) return;
+    // Not met are layers below the closest approach and those that the track does not reach.
+    if (!cells_->find(index, at, true, range)) return;
     const double last = std::min(range.last, range.first + most_cells);
     for (double c = range.first - beside_; c <= last + beside_; c += 1) {
       const std::int64_t cell = cell_numbers(layer, c)[0];
@@ -146,10 +145,9 @@ class NearbyHits {
       steps_;  // to the next layer of wires; short, so that the field is as at the last one
   std::optional<CellFinder<double, UniformMotionOf<double>>> cells_;
   std::vector<std::uint8_t> expected_;
-  double window_ = 0;    // mm, about the reference
-  double beside_ = 0;    // cells beside those that the reference crosses
-  bool inside_ = true;   // so far between the end plates
-  bool turned_ = false;  // back below a layer of wires; it meets no other one
+  double window_ = 0;   // mm, about the reference
+  double beside_ = 0;   // cells beside those that the reference crosses
+  bool inside_ = true;  // so far between the end plates
   std::size_t layer_ = 0;
   std::int32_t next_ = 0;
 };
