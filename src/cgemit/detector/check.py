@@ -1,7 +1,7 @@
 """Checks of a detector's values and geometry; each returns all problems it finds."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any
 
@@ -24,9 +24,10 @@ def value_problems(detector: Contents) -> list[Problem]:
     problems = _below("field", _part_problems(detector.field))
     for group in ("beam_pipe", "walls", "background", "cgem"):
         for part in getattr(detector, group):
-            problems += _below(f"{group}.{part.label}", _part_problems(part))
-    if detector.drift_chamber:
-        problems += _below("drift_chamber", _part_problems(detector.drift_chamber))
+            if found := _part_problems(part):
+                problems += _below(f"{group}.{part.label}", found)
+    chamber = detector.drift_chamber
+    problems += _below("drift_chamber", _part_problems(chamber)) if chamber else []
     return problems + field_problems(detector.field) + _coil_problems(detector)
 
 
@@ -68,18 +69,15 @@ def _part_problems(part: Part) -> list[Problem]:
             problems.append(Problem(name, f'"{value.name}", which is no gas', key.expected()))
         elif key.choices and value not in key.choices:
             problems.append(Problem(name, repr(value), key.expected()))
-    for path, inner in _inside(part):
-        problems += _below(path, _part_problems(inner))
-    return problems
-
-
-def _inside(part: Part) -> Iterator[tuple[str, Part]]:
-    """Yield the parts in a part with their paths."""
     if isinstance(part, CgemLayer):
         for name in ("cathode", "foil", "anode"):
-            yield from ((f"{name}[{i}]", one) for i, one in enumerate(getattr(part, name)))
+            for i, one in enumerate(getattr(part, name)):
+                if found := _part_problems(one):
+                    problems += _below(f"{name}[{i}]", found)
     if isinstance(part, DriftChamber):
-        yield from ((f"layers.{layer.number}", layer) for layer in part.layers)
+        for layer in part.layers:
+            problems += _below(f"layers.{layer.number}", _part_problems(layer))
+    return problems
 
 
 def geometry_problems(

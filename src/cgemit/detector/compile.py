@@ -13,7 +13,7 @@ from cgemit.detector.gaps import gap_columns, gap_table
 from cgemit.detector.holes import hole_table
 from cgemit.detector.kept import once
 from cgemit.detector.material import Material
-from cgemit.detector.model import Detector
+from cgemit.detector.model import Detector, preset
 from cgemit.detector.parts import CgemLayer, DriftChamber, Shell, WireLayer
 from cgemit.detector.placement import IN_PLACE
 from cgemit.detector.rows import NUMBERS
@@ -138,8 +138,9 @@ def compiled(
 
 
 def forget() -> None:
-    """Forget all compiled detectors and their gaps, for tests that replace what they are made with."""
+    """Forget compiled detectors, their gaps, and presets, for tests that replace what they are made with."""
     _shared.cache_clear()
+    preset.cache_clear()
     gap_columns.cache_clear()
 
 

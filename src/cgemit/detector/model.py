@@ -138,13 +138,18 @@ def load(source: str | Path | Mapping[str, Any] | Detector) -> Detector:
     if isinstance(source, Detector):
         return source
     if not isinstance(source, Mapping) and is_preset(str(source)):
-        return _preset(str(source))
+        return preset(str(source))
     return _loaded(source)
 
 
 @cache
-def _preset(name: str) -> Detector:
-    """Return a preset; its file does not change while the program runs."""
+def preset(name: str) -> Detector:
+    """Return a preset; its file does not change while the program runs.
+
+    Parameters
+    ----------
+    name : str
+    """
     return _loaded(name)
 
 
