@@ -50,7 +50,8 @@ class EventReadout {
         steps_(steps),
         first_(first_steps(truths, steps)),
         readout_(readout),
-        gains_(gains) {
+        gains_(gains),
+        response_(readout.chip.charge, time_step) {
     for (const CgemLayer& layer : detector.cgem) signals_.emplace_back(layer);
   }
 
@@ -132,12 +133,10 @@ class EventReadout {
     const Stream stream(readout_.seed, static_cast<std::uint64_t>(event), 0);
     signals_[number].each([&](int sheet, int view, int strip, const StripSignals::Source& source,
                               std::span<const double> steps) {
-      const double threshold = readout_.chip.threshold[static_cast<std::size_t>(view)];
-      if (source.total < threshold - hopeless * readout_.chip.noise) return;
       DigiRow digi{event, static_cast<std::int32_t>(number), sheet, static_cast<std::int8_t>(view), strip};
       digi.gid = gid_of(layer, sheet, view, strip);
-      const auto measured = measure(readout_.chip, view, signals_[number].start(), steps, stream,
-                                    static_cast<std::uint32_t>(digi.gid));
+      const auto measured = measure(readout_.chip, response_, view, signals_[number].start(),
+                                    {steps, source.total}, stream, static_cast<std::uint32_t>(digi.gid));
       if (!measured) return;
       digi.charge = measured->charge;
       digi.time = measured->time;
@@ -147,7 +146,6 @@ class EventReadout {
     });
   }
 
-  static constexpr double hopeless = 6;  // times the noise below threshold: such strips never fire
   static constexpr double least_phi = 1e-9, least_z = 1e-6;  // rad, mm: a cloud without diffusion
   const Detector& detector_;
   const TruthColumns& truths_;
@@ -155,6 +153,7 @@ class EventReadout {
   std::vector<std::size_t> first_;
   const AnalogModel& readout_;
   const GainMaps& gains_;
+  StepResponse response_;
   std::vector<StripSignals> signals_;
 };
 

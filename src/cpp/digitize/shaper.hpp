@@ -7,6 +7,7 @@
 #include <cstddef>
 #include <span>
 #include <stdexcept>
+#include <vector>
 
 namespace cgemit {
 
@@ -66,6 +67,21 @@ class StepFilter {
   std::size_t n_;
   double dt_, level_ = 0, current_ = 0;
   std::array<double, Shaper::most> constant_{}, slope_{}, decay_{}, plain_{}, linear_{};
+};
+
+// Amplitudes k steps of the grid after a step of the current of 1 fC/ns, computed as far as they are needed.
+class StepResponse {
+ public:
+  StepResponse(const Shaper& shaper, double dt) : filter_(shaper, dt), amplitudes_{filter_.next(1.0)} {}
+  // The amplitudes, at least up to number `last`; valid until the next call.
+  const double* up_to(std::size_t last) {
+    while (amplitudes_.size() <= last) amplitudes_.push_back(filter_.next(0.0));
+    return amplitudes_.data();
+  }
+
+ private:
+  StepFilter filter_;
+  std::vector<double> amplitudes_;
 };
 
 }  // namespace cgemit
