@@ -43,8 +43,8 @@ bool may_exceed(double charge, double level) { return charge * (1 + 1e-6) > leve
 
 // Time from the start, in steps of the grid, at which the amplitude first exceeds a threshold; negative if
 // never.
-double crossing(const Shaper& shaper, std::span<const double> steps, double threshold) {
-  StepFilter filter(shaper, time_step);
+template <class Filter>
+double crossing(Filter filter, std::span<const double> steps, double threshold) {
   const std::size_t end = steps.size() + static_cast<std::size_t>(after / time_step);
   double before = 0;
   for (std::size_t i = first_step(steps); i < end; ++i) {
@@ -73,51 +73,59 @@ double amplitude_at(StepResponse& response, std::span<const double> steps, doubl
 
 // Branch T gives the time of the leading edge, and the amplitude of branch E is sampled a fixed time later.
 // Noise moves the threshold, and with it the time as far as the slope makes it.
-std::optional<Measured> tiger(const Chip& chip, StepResponse& response, int view, double start,
-                              const Current& current, StripNoise noise) {
+std::optional<StripReading> tiger(const Chip& chip, StepResponse& response, int view, double start,
+                                  const Current& current, StripNoise noise) {
   const double threshold =
       std::max(chip.threshold[static_cast<std::size_t>(view)] - chip.noise * noise.next(), 0.0);
   if (!may_exceed(current.charge, threshold)) return std::nullopt;
-  const double crossed = crossing(chip.timing, current.steps, threshold);
+  const double crossed = filtered(chip.timing, time_step,
+                                  [&](auto filter) { return crossing(filter, current.steps, threshold); });
   if (crossed < 0) return std::nullopt;
   const double fired = crossed * time_step + chip.timing.delay;  // ns after the start
   const double sampled = (fired + chip.sample_delay - chip.charge.delay) / time_step;
   const double charge = amplitude_at(response, current.steps, sampled) + chip.noise * noise.next();
-  return Measured{std::clamp(charge, 0.0, chip.saturation), start + fired + chip.jitter * noise.next()};
+  return StripReading{std::clamp(charge, 0.0, chip.saturation), start + fired + chip.jitter * noise.next()};
 }
 
-// Samples at fixed times: the charge is the largest one, the time that of half of it on the leading edge.
-std::optional<Measured> apv25(const Chip& chip, int view, double start, const Current& current,
-                              StripNoise noise) {
-  const double threshold = chip.threshold[static_cast<std::size_t>(view)];
-  std::vector<double> samples(static_cast<std::size_t>(chip.samples));
-  for (double& sample : samples) sample = chip.noise * noise.next();
-  if (!may_exceed(current.charge, threshold - *std::ranges::max_element(samples))) return std::nullopt;
-  StepFilter filter(chip.timing, time_step);
-  double low = 0, high = filter.next(step_at(current.steps, 0));
+// Adds the amplitudes at the times of the samples.
+template <class Filter>
+void add_amplitudes(Filter filter, const Chip& chip, double start, std::span<const double> steps,
+                    std::span<double> samples) {
+  double low = 0, high = filter.next(step_at(steps, 0));
   std::size_t i = 0;  // `high` is the amplitude at this time of the grid
   for (std::size_t k = 0; k < samples.size(); ++k) {
     const double at = (static_cast<double>(k) * chip.clock - start - chip.timing.delay) / time_step;
     if (!(at > 0)) continue;
     while (static_cast<double>(i) < at) {
       low = high;
-      high = filter.next(step_at(current.steps, ++i));
+      high = filter.next(step_at(steps, ++i));
     }
     samples[k] += high + (static_cast<double>(i) - at) * (low - high);
   }
+}
+
+// Samples at fixed times: the charge is the largest one, the time that of half of it on the leading edge.
+std::optional<StripReading> apv25(const Chip& chip, int view, double start, const Current& current,
+                                  StripNoise noise) {
+  const double threshold = chip.threshold[static_cast<std::size_t>(view)];
+  std::vector<double> samples(static_cast<std::size_t>(chip.samples));
+  for (double& sample : samples) sample = chip.noise * noise.next();
+  if (!may_exceed(current.charge, threshold - *std::ranges::max_element(samples))) return std::nullopt;
+  filtered(chip.timing, time_step,
+           [&](auto filter) { add_amplitudes(filter, chip, start, current.steps, samples); });
   const auto peak = std::ranges::max_element(samples);
   if (*peak <= threshold) return std::nullopt;
   auto above = peak;
   while (above != samples.begin() && *(above - 1) > 0.5 * *peak) --above;
   double at = static_cast<double>(above - samples.begin());
   if (above != samples.begin()) at -= (*above - 0.5 * *peak) / (*above - *(above - 1));
-  return Measured{std::min(*peak, chip.saturation), at * chip.clock + chip.jitter * noise.next()};
+  return StripReading{std::min(*peak, chip.saturation), at * chip.clock + chip.jitter * noise.next()};
 }
 
 }  // namespace
 
-std::optional<Measured> measure(const Chip& chip, StepResponse& response, int view, double start,
-                                const Current& current, const Stream& stream, std::uint32_t gid) {
+std::optional<StripReading> measure(const Chip& chip, StepResponse& response, int view, double start,
+                                    const Current& current, const Stream& stream, std::uint32_t gid) {
   const StripNoise noise(stream, gid);
   return chip.kind == ChipKind::tiger ? tiger(chip, response, view, start, current, noise)
                                       : apv25(chip, view, start, current, noise);

@@ -25,7 +25,7 @@ struct Chip {
   int samples;          // APV25
 };
 
-struct Measured {
+struct StripReading {
   double charge, time;  // fC, ns
 };
 
@@ -37,7 +37,7 @@ struct Current {
 
 // What the chip makes of a current that begins at `start` (ns); nothing below the threshold. `response`: of
 // the branch of the charge. Noise is that of (stream, gid).
-std::optional<Measured> measure(const Chip& chip, StepResponse& response, int view, double start,
-                                const Current& current, const Stream& stream, std::uint32_t gid);
+std::optional<StripReading> measure(const Chip& chip, StepResponse& response, int view, double start,
+                                    const Current& current, const Stream& stream, std::uint32_t gid);
 
 }  // namespace cgemit
