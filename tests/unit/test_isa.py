@@ -202,6 +202,43 @@ def test_fit_through_a_map_is_that_of_scalar_code(field: str, name: str) -> None
     assert np.quantile(apart, 0.99) < 1e-4
 
 
+@pytest.mark.parametrize("name", LANES)
+@pytest.mark.parametrize("readout", ["tiger", "apv25"])
+def test_analog_strips_agree_with_scalar(readout: str, name: str) -> None:
+    """The same draws: charges and times to rounding, but for an electron on the border between two holes."""
+    isa.use("scalar")
+    design = load("besiii-cgem-design")
+    made = run(design, GUNS["pi- 0.15-0.4 GeV/c"], 100, seed=3, readout=readout, until="digitize", threads=1)
+    model = made.settings.digitize.readout
+
+    def strips() -> dict[str, np.ndarray]:
+        return dict(model.digitize(design, made.truths, made.steps, 5).columns)
+
+    one = strips()
+    isa.use(name)
+    many = strips()
+    both = np.isin(one["gid"] + 1e6 * one["event"], many["gid"] + 1e6 * many["event"])
+    assert both.sum() > 1500
+    assert len(one["gid"]) - both.sum() <= 2
+    assert len(many["gid"]) - both.sum() <= 2
+    there = np.isin(many["gid"] + 1e6 * many["event"], one["gid"] + 1e6 * one["event"])
+    for column, width in (("charge", 0.5), ("time", 2.0)):
+        apart = np.abs(one[column][both] - many[column][there]) / width
+        assert np.quantile(apart, 0.99) < 1e-7, column
+
+
+@pytest.mark.parametrize("name", isa.available())
+def test_analog_strips_do_not_depend_on_the_chunks(name: str) -> None:
+    isa.use(name)
+    together, alone = (
+        run("besiii-cgem-design", GUNS["mu- 1 GeV/c"], 30, seed=4, readout="tiger", until="cluster", threads=1, chunk=n)
+        for n in (30, 1)
+    )
+    for table in ("digis", "clusters"):
+        for column, values in getattr(together, table).columns.items():
+            assert values.tobytes() == getattr(alone, table)[column].tobytes(), column
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", LANES)
 @pytest.mark.parametrize("field", ["uniform", *MAPS])

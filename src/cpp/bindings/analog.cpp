@@ -6,6 +6,7 @@
 #include "bindings/digi_tables.hpp"
 #include "bindings/gain_maps.hpp"
 #include "bindings/inputs.hpp"
+#include "kernels/kernels.hpp"
 
 namespace py = pybind11;
 using namespace cgemit;
@@ -86,13 +87,14 @@ py::dict analog(const Detector& detector, const py::dict& table, const py::dict&
   DigiColumns digis;
   {
     py::gil_scoped_release release;
-    digis = read_out_analog(detector, truths, steps, readout, gains);
+    kernels().read_out_analog(detector, truths, steps, readout, gains, digis);
   }
   return to_dict(std::move(digis));
 }
 
 py::array_t<double> amplitudes(const Array<double>& terms, double dt, const Array<double>& steps) {
-  StepFilter filter(Shaper(matrix(terms, "terms", terms.ndim() == 2 ? terms.shape(0) : 0, 3), 0.0), dt);
+  StepFilter<Shaper::most> filter(
+      Shaper(matrix(terms, "terms", terms.ndim() == 2 ? terms.shape(0) : 0, 3), 0.0), dt);
   std::vector<double> found;
   for (const double step : column(steps, "steps")) found.push_back(filter.next(step));
   return to_numpy(std::move(found));
@@ -102,7 +104,7 @@ py::array_t<double> polya(double theta, std::uint64_t seed, std::uint32_t n) {
   const Stream stream(seed, 0, 0);
   std::vector<double> found;
   for (std::uint32_t i = 0; i < n; ++i) {
-    ElectronDraws draws(stream, 0, i);
+    ElectronDraws<double> draws(stream, 0, i);
     found.push_back(polya_gain(theta, draws));
   }
   return to_numpy(std::move(found));

@@ -25,8 +25,9 @@ struct AnalogModel {
 
 // One row per strip above threshold, ordered by event, layer, sheet, view, strip. Every truth needs all its
 // deposits as steps, ionization clusters included: throws std::invalid_argument naming the first one that
-// lacks some. `gains` act where an avalanche reaches the anode.
-DigiColumns read_out_analog(const Detector& detector, const TruthColumns& truths, const StepColumns& steps,
-                            const AnalogModel& readout, const GainMaps& gains = {});
+// lacks some. `gains` act where an avalanche reaches the anode. One electron at a time: the reference of the
+// kernels (kernels/kernels.hpp), which have several side by side.
+void read_out_analog(const Detector& detector, const TruthColumns& truths, const StepColumns& steps,
+                     const AnalogModel& readout, const GainMaps& gains, DigiColumns& digis);
 
 }  // namespace cgemit

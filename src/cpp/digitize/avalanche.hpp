@@ -1,6 +1,6 @@
-// One electron of ionization on its way to the anode: drift, hole of the first foil, gain, and the
-// avalanche's cloud on the strips (docs/methods/readout.md). Sources: PARSIFAL (github.com/Hilldar/PARSIFAL)
-// and Magboltz.
+// Electrons of ionization on their way to the anode, one or several side by side: drift, hole of the first
+// foil, gain, and the avalanche's cloud on the strips (docs/methods/readout.md). Sources: PARSIFAL
+// (github.com/Hilldar/PARSIFAL) and Magboltz.
 #pragma once
 
 #include <algorithm>
@@ -12,6 +12,7 @@
 #include "common/rng.hpp"
 #include "detector/strip_plane.hpp"
 #include "digitize/strips.hpp"
+#include "lanes/philox.hpp"
 
 namespace cgemit {
 
@@ -40,88 +41,115 @@ struct ElectronPhysics {
   bool correlated;    // drift diffusion moves an avalanche as a whole, as it does in nature
 };
 
-// Uniform numbers of one electron: consecutive blocks of a counter that no other electron uses. 64 blocks
-// each.
+// Uniform numbers of one electron, or of one in each lane: consecutive blocks of a counter that no other
+// electron uses. 64 blocks each.
+template <class T>
 class ElectronDraws {
  public:
   static constexpr std::uint32_t blocks = 64, per_place = 4096 / blocks;
 
-  // `place`: of the truth, with the lower 16 bits free; `electron`: its number in the truth.
-  ElectronDraws(const Stream& stream, std::uint32_t place, std::uint32_t electron)
-      : stream_(stream),
-        place_(place | ((electron / per_place) & 0xFFFFU)),
-        block_((electron % per_place) * blocks) {}
-  double uniform() {
+  // `place`: of the truth, with the lower 16 bits free; `electron`: number in the truth of the first lane's.
+  ElectronDraws(const Stream& stream, std::uint32_t place, std::uint32_t electron) {
+    for (int i = 0; i < lanes_of<T>; ++i) {
+      const std::uint32_t own = electron + static_cast<std::uint32_t>(i);
+      series_.set(i, stream, Purpose::readout_electron, place | ((own / per_place) & 0xFFFFU),
+                  (own % per_place) * blocks);
+    }
+  }
+  T uniform() {
     if (used_ == 4) {
-      words_ = stream_.block(Purpose::readout_electron, place_, block_++);
+      words_ = series_.next();
       used_ = 0;
     }
     return open_unit(words_[used_++]);
   }
-  double normal() { return normal_quantile(uniform()); }
+  T normal() { return normal_quantile(uniform()); }
 
  private:
-  const Stream& stream_;
-  std::uint32_t place_, block_;
+  BlockSeries<T> series_;
   std::size_t used_ = 4;
-  Block words_{};
+  BlockOf<T> words_{};
 };
 
 // Gain relative to its mean: Polya distribution, a gamma distribution of shape 1 + theta and mean 1, by the
-// method of G. Marsaglia and W. W. Tsang, ACM Trans. Math. Softw. 26 (2000) 363. `theta` is not negative.
-inline double polya_gain(double theta, ElectronDraws& draws) {
+// method of G. Marsaglia and W. W. Tsang, ACM Trans. Math. Softw. 26 (2000) 363. `theta` is not negative. 1
+// in lanes that are not wanted.
+template <class T>
+T polya_gain(double theta, ElectronDraws<T>& draws, mask_of<T> wanted = true) {
   const double d = 1 + theta - 1.0 / 3, c = 1 / std::sqrt(9 * d);
-  for (;;) {
-    const double x = draws.normal(), root = 1 + c * x;
-    const double u = draws.uniform();
-    if (root <= 0) continue;
-    const double v = root * root * root;
-    if (std::log(u) < 0.5 * x * x + d - d * v + d * std::log(v)) return d * v / (1 + theta);
+  T gain(1.0);
+  while (any(wanted)) {
+    const T x = draws.normal(), root = 1.0 + c * x;
+    const T u = draws.uniform();
+    const T v = root * root * root;
+    // A bound of theirs that implies the condition and spares the logarithms.
+    mask_of<T> taken = wanted & (root > 0.0) & (u < 1.0 - 0.0331 * (x * x) * (x * x));
+    const mask_of<T> open = wanted & (root > 0.0) & !taken;
+    if (any(open)) {
+      const T positive = select(open, v, 1.0);
+      taken = taken | (open & (log(u) < 0.5 * x * x + d - d * v + d * log(positive)));
+    }
+    gain = select(taken, d * v / (1 + theta), gain);
+    wanted = wanted & !taken;
   }
+  return gain;
+}
+
+// Largest whole number that is not larger, |x| < 2^51.
+template <class T>
+T whole_below(T x) {
+  const T n = nearest(x);
+  return n - select(n > x, T(1.0), T(0.0));
 }
 
 // The hole nearest to a point (mm) of a hexagonal lattice, holes at (i + j/2, j sqrt(3)/2) pitches.
-inline void to_nearest_hole(double pitch, double& u, double& v) {
+template <class T>
+void to_nearest_hole(double pitch, T& u, T& v) {
   constexpr double row = 0.86602540378443864676;  // sqrt(3)/2
-  const auto [i0, j0] = std::pair(u / pitch - v / (2 * row * pitch), v / (row * pitch));
-  double best = std::numeric_limits<double>::infinity(), at_u = u, at_v = v;
+  const T i0 = whole_below(u / pitch - v / (2 * row * pitch)), j0 = whole_below(v / (row * pitch));
+  T best(std::numeric_limits<double>::infinity()), at_u = u, at_v = v;
   for (int corner = 0; corner < 4; ++corner) {  // the nearest hole is a corner of the lattice's cell
-    const double i = std::floor(i0) + corner % 2, j = std::floor(j0) + corner / 2;
-    const double hole_u = (i + 0.5 * j) * pitch, hole_v = j * row * pitch;
-    const double square = (u - hole_u) * (u - hole_u) + (v - hole_v) * (v - hole_v);
-    if (square < best) best = square, at_u = hole_u, at_v = hole_v;
+    const T i = i0 + static_cast<double>(corner % 2), j = j0 + static_cast<double>(corner / 2);
+    const T hole_u = (i + 0.5 * j) * pitch, hole_v = j * row * pitch;
+    const T square = (u - hole_u) * (u - hole_u) + (v - hole_v) * (v - hole_v);
+    const mask_of<T> nearer = square < best;
+    best = select(nearer, square, best);
+    at_u = select(nearer, hole_u, at_u);
+    at_v = select(nearer, hole_v, at_v);
   }
   u = at_u;
   v = at_v;
 }
 
-// An electron where its avalanche reaches the anode.
+// Electrons where their avalanches reach the anode.
+template <class T>
 struct Arrival {
-  double phi, z;  // rad, mm, centre of the cloud
-  double spread_phi,
-      spread_z;   // rad, mm, width that the drift gap adds to the cloud; 0 where it moves all of it
-  double time;    // ns after the particle, when the cloud enters the induction gap
-  double charge;  // electrons
+  T phi, z;  // rad, mm, centre of the cloud
+  T spread_phi,
+      spread_z;  // rad, mm, width that the drift gap adds to the cloud; 0 where it moves all of it
+  T time;        // ns after the particle, when the cloud enters the induction gap
+  T charge;      // electrons
 };
 
-// Drift of an electron from (r, phi, z) in the drift gap. Diffusion is drawn once for the electron: its
-// avalanche keeps the place where the electron arrived at the first foil.
-inline Arrival drift(const CgemLayer& layer, const LayerDrift& gas, const ElectronPhysics& physics, double r,
-                     double phi, double z, ElectronDraws& draws) {
-  const double inside = std::clamp(r, layer.r_gap_in, layer.r_gap_out);
-  const double length = layer.r_gap_out - inside, root = physics.diffusion * std::sqrt(length);
+// Drift of electrons from (x, y, z) in the drift gap, of those `wanted`. Diffusion is drawn once for an
+// electron: its avalanche keeps the place where the electron arrived at the first foil.
+template <class T>
+Arrival<T> drift(const CgemLayer& layer, const LayerDrift& gas, const ElectronPhysics& physics, T x, T y, T z,
+                 ElectronDraws<T>& draws, mask_of<T> wanted) {
+  const T inside = smaller(larger(sqrt(x * x + y * y), layer.r_gap_in), layer.r_gap_out);
+  const T length = layer.r_gap_out - inside, root = physics.diffusion * sqrt(length);
   const double bend = physics.lorentz ? 1 : 0;
-  double at_phi = phi + bend * gas.tan_lorentz * std::log(layer.r_gap_out / inside);
-  double at_z = z;
-  const double n_phi = draws.normal(), n_z = draws.normal(), n_time = draws.normal();
-  double spread_phi = root * gas.sigma_x / layer.r_gap_out, spread_z = root * gas.sigma_par;
+  T at_phi = atan2(y, x) + bend * gas.tan_lorentz * log(layer.r_gap_out / inside);
+  T at_z = z;
+  const T n_phi = draws.normal(), n_z = draws.normal(), n_time = draws.normal();
+  T spread_phi = root * gas.sigma_x / layer.r_gap_out, spread_z = root * gas.sigma_par;
   if (physics.correlated) {
     at_phi += spread_phi * n_phi;
     at_z += spread_z * n_z;
-    spread_phi = spread_z = 0;
+    spread_phi = spread_z = T(0.0);
   }
   if (gas.hole_pitch > 0) {
-    double u = layer.r_gap_out * at_phi;
+    T u = layer.r_gap_out * at_phi;
     to_nearest_hole(gas.hole_pitch, u, at_z);
     at_phi = u / layer.r_gap_out;
   }
@@ -129,8 +157,8 @@ inline Arrival drift(const CgemLayer& layer, const LayerDrift& gas, const Electr
       physics.diffusion / std::sqrt(physics.first_gain);  // mean of the electrons behind the foil
   at_phi += few * gas.first_phi * draws.normal() + bend * gas.shift;
   at_z += few * gas.first_z * draws.normal();
-  const double time = length / gas.velocity + root * gas.sigma_l * n_time / gas.velocity + gas.delay;
-  const double gain = std::isinf(physics.polya) ? 1.0 : polya_gain(physics.polya, draws);
+  const T time = length / gas.velocity + root * gas.sigma_l * n_time / gas.velocity + gas.delay;
+  const T gain = std::isinf(physics.polya) ? T(1.0) : polya_gain(physics.polya, draws, wanted);
   return {at_phi, at_z, spread_phi, spread_z, time, gain * physics.gain};
 }
 
@@ -143,23 +171,24 @@ class NormalTable {
   NormalTable() {
     for (int i = 0; i <= points; ++i) {
       const double x = i * step - reach;
-      integral_[static_cast<std::size_t>(i)] = below(x);
-      density_[static_cast<std::size_t>(i)] = 0.39894228040143267794 * std::exp(-0.5 * x * x);
+      points_[static_cast<std::size_t>(i)] = {below(x), 0.39894228040143267794 * std::exp(-0.5 * x * x)};
     }
   }
   double below_at(double x) const {
-    if (x <= -reach) return 0;
-    if (x >= reach) return 1;
+    if (!(std::abs(x) < reach)) return x < 0 ? 0 : 1;
     const int i = static_cast<int>((x + reach) / step + 0.5);
-    const double at = i * step - reach, d = x - at, density = density_[static_cast<std::size_t>(i)];
-    return integral_[static_cast<std::size_t>(i)] +
-           density * d * (1 - d * (0.5 * at - d * (at * at - 1) / 6));
+    const auto [integral, density] = points_[static_cast<std::size_t>(i)];
+    const double at = i * step - reach, d = x - at;
+    return integral + density * d * (1 - d * (0.5 * at - d * (at * at - 1) / 6));
   }
 
  private:
+  struct Tabulated {
+    double integral, density;
+  };
   static constexpr double reach = 6.5, step = 1.0 / 64;
   static constexpr int points = 832;
-  std::array<double, points + 1> integral_, density_;
+  std::array<Tabulated, points + 1> points_;
 };
 inline const NormalTable& normal_table() {
   static const NormalTable table;
@@ -182,9 +211,10 @@ void share_cloud(double position, double sigma, int strips, double inside, Give&
   const int last = std::min(static_cast<int>(std::floor(position + reach * sigma)), strips - 1);
   if (first > last) return;
   const NormalTable& table = normal_table();
-  double before = table.below_at((first - position) / sigma);
+  const double per_sigma = 1 / sigma;
+  double before = table.below_at((first - position) * per_sigma);
   for (int strip = first; strip <= last; ++strip) {
-    const double up_to = table.below_at((strip + 1 - position) / sigma);
+    const double up_to = table.below_at((strip + 1 - position) * per_sigma);
     give(strip, inside * (up_to - before));
     before = up_to;
   }
@@ -206,7 +236,7 @@ void share_at_edge(const CgemLayer& layer, double x, double z, double sigma_x, d
   const int last =
       std::min(static_cast<int>(std::floor(strips_of_v(layer, v + reach * sigma_v))), layer.strips_v - 1);
   for (int strip = first; strip <= last; ++strip) {
-    double part = 0;
+    double part = 0, before = below((v_of_strips(layer, strip) - v) / sigma_v);
     for (int i = 0; i < parts; ++i) {
       const double low = v_of_strips(layer, strip + static_cast<double>(i) / parts) - v;
       const double high = low + layer.pitch_v / parts, middle = 0.5 * (low + high);
@@ -214,9 +244,9 @@ void share_at_edge(const CgemLayer& layer, double x, double z, double sigma_x, d
       double from = -std::numeric_limits<double>::infinity(), to = -from;
       narrow(x + x_per_v * middle, 1, 0, layer.sheet_width(), from, to);
       narrow(z + z_per_v * middle, cos / sin, -layer.half_length, layer.half_length, from, to);
-      if (from < to) {
-        part += (below(high / sigma_v) - below(low / sigma_v)) * (below(to / rest_x) - below(from / rest_x));
-      }
+      const double up_to = below(high / sigma_v);
+      if (from < to) part += (up_to - before) * (below(to / rest_x) - below(from / rest_x));
+      before = up_to;
     }
     give(strip, part);
   }

@@ -23,7 +23,7 @@ void share(const CgemLayer& layer, const Point& from, const Point& to, double ch
   std::array<Fired, most_sheets + 1> fired;
   int n_x = 0, n_v = 0;
   for (int k = 0; k < pieces.n; ++k) {
-    const Piece& piece = pieces.list[k];
+    const SheetPiece& piece = pieces.list[k];
     fired[k] = {piece.sheet, x_strips(layer, piece), v_strips(layer, piece)};
     n_x += fired[k].x.count();
     n_v += fired[k].v.count();

@@ -31,13 +31,23 @@ class StripNoise {
 
 double step_at(std::span<const double> steps, std::size_t i) { return i < steps.size() ? steps[i] : 0.0; }
 
+// The first time of the grid with a current; the amplitude is 0 up to it.
+std::size_t first_step(std::span<const double> steps) {
+  std::size_t i = 0;
+  while (i < steps.size() && steps[i] == 0) ++i;
+  return i;
+}
+
+// Whether an amplitude may exceed a level: responses to 1 fC are at most 1, up to the rounding of their peak.
+bool may_exceed(double charge, double level) { return charge * (1 + 1e-6) > level; }
+
 // Time from the start, in steps of the grid, at which the amplitude first exceeds a threshold; negative if
 // never.
-double crossing(const Shaper& shaper, std::span<const double> steps, double threshold) {
-  StepFilter filter(shaper, time_step);
+template <class Filter>
+double crossing(Filter filter, std::span<const double> steps, double threshold) {
   const std::size_t end = steps.size() + static_cast<std::size_t>(after / time_step);
   double before = 0;
-  for (std::size_t i = 0; i < end; ++i) {
+  for (std::size_t i = first_step(steps); i < end; ++i) {
     const double amplitude = filter.next(step_at(steps, i));
     if (amplitude > threshold) {
       return i == 0 ? 0 : static_cast<double>(i) - (amplitude - threshold) / (amplitude - before);
@@ -47,68 +57,78 @@ double crossing(const Shaper& shaper, std::span<const double> steps, double thre
   return -1;
 }
 
-// Amplitude at a time in steps of the grid, linear between them.
-double amplitude_at(const Shaper& shaper, std::span<const double> steps, double time) {
-  StepFilter filter(shaper, time_step);
+// Amplitude at a time in steps of the grid, linear between them. `response`: to a step of the current.
+double amplitude_at(StepResponse& response, std::span<const double> steps, double time) {
   const double place = std::max(time, 0.0);
   const auto whole = static_cast<std::size_t>(place);
+  const double* unit = response.up_to(whole + 1);
+  const std::size_t end = std::min(steps.size(), whole + 1);
   double low = 0, high = 0;
-  for (std::size_t i = 0; i <= whole + 1; ++i) {
-    low = high;
-    high = filter.next(step_at(steps, i));
+  for (std::size_t i = first_step(steps); i < end; ++i) {
+    low += steps[i] * unit[whole - i];
+    high += steps[i] * unit[whole + 1 - i];
   }
   return low + (place - static_cast<double>(whole)) * (high - low);
 }
 
 // Branch T gives the time of the leading edge, and the amplitude of branch E is sampled a fixed time later.
 // Noise moves the threshold, and with it the time as far as the slope makes it.
-std::optional<Measured> tiger(const Chip& chip, int view, double start, std::span<const double> steps,
-                              StripNoise noise) {
+std::optional<StripReading> tiger(const Chip& chip, StepResponse& response, int view, double start,
+                                  const Current& current, StripNoise noise) {
   const double threshold =
       std::max(chip.threshold[static_cast<std::size_t>(view)] - chip.noise * noise.next(), 0.0);
-  const double crossed = crossing(chip.timing, steps, threshold);
+  if (!may_exceed(current.charge, threshold)) return std::nullopt;
+  const double crossed = filtered(chip.timing, time_step,
+                                  [&](auto filter) { return crossing(filter, current.steps, threshold); });
   if (crossed < 0) return std::nullopt;
   const double fired = crossed * time_step + chip.timing.delay;  // ns after the start
   const double sampled = (fired + chip.sample_delay - chip.charge.delay) / time_step;
-  const double charge = amplitude_at(chip.charge, steps, sampled) + chip.noise * noise.next();
-  return Measured{std::clamp(charge, 0.0, chip.saturation), start + fired + chip.jitter * noise.next()};
+  const double charge = amplitude_at(response, current.steps, sampled) + chip.noise * noise.next();
+  return StripReading{std::clamp(charge, 0.0, chip.saturation), start + fired + chip.jitter * noise.next()};
+}
+
+// Adds the amplitudes at the times of the samples.
+template <class Filter>
+void add_amplitudes(Filter filter, const Chip& chip, double start, std::span<const double> steps,
+                    std::span<double> samples) {
+  double low = 0, high = filter.next(step_at(steps, 0));
+  std::size_t i = 0;  // `high` is the amplitude at this time of the grid
+  for (std::size_t k = 0; k < samples.size(); ++k) {
+    const double at = (static_cast<double>(k) * chip.clock - start - chip.timing.delay) / time_step;
+    if (!(at > 0)) continue;
+    while (static_cast<double>(i) < at) {
+      low = high;
+      high = filter.next(step_at(steps, ++i));
+    }
+    samples[k] += high + (static_cast<double>(i) - at) * (low - high);
+  }
 }
 
 // Samples at fixed times: the charge is the largest one, the time that of half of it on the leading edge.
-std::optional<Measured> apv25(const Chip& chip, int view, double start, std::span<const double> steps,
-                              StripNoise noise) {
-  StepFilter filter(chip.timing, time_step);
-  std::vector<double> samples;
-  double low = 0, high = filter.next(step_at(steps, 0));
-  std::size_t i = 0;  // `high` is the amplitude at this time of the grid
-  for (int k = 0; k < chip.samples; ++k) {
-    const double at = (k * chip.clock - start - chip.timing.delay) / time_step;
-    double amplitude = 0;
-    if (at > 0) {
-      while (static_cast<double>(i) < at) {
-        low = high;
-        high = filter.next(step_at(steps, ++i));
-      }
-      amplitude = high + (static_cast<double>(i) - at) * (low - high);
-    }
-    samples.push_back(amplitude + chip.noise * noise.next());
-  }
+std::optional<StripReading> apv25(const Chip& chip, int view, double start, const Current& current,
+                                  StripNoise noise) {
+  const double threshold = chip.threshold[static_cast<std::size_t>(view)];
+  std::vector<double> samples(static_cast<std::size_t>(chip.samples));
+  for (double& sample : samples) sample = chip.noise * noise.next();
+  if (!may_exceed(current.charge, threshold - *std::ranges::max_element(samples))) return std::nullopt;
+  filtered(chip.timing, time_step,
+           [&](auto filter) { add_amplitudes(filter, chip, start, current.steps, samples); });
   const auto peak = std::ranges::max_element(samples);
-  if (*peak <= chip.threshold[static_cast<std::size_t>(view)]) return std::nullopt;
+  if (*peak <= threshold) return std::nullopt;
   auto above = peak;
   while (above != samples.begin() && *(above - 1) > 0.5 * *peak) --above;
   double at = static_cast<double>(above - samples.begin());
   if (above != samples.begin()) at -= (*above - 0.5 * *peak) / (*above - *(above - 1));
-  return Measured{std::min(*peak, chip.saturation), at * chip.clock + chip.jitter * noise.next()};
+  return StripReading{std::min(*peak, chip.saturation), at * chip.clock + chip.jitter * noise.next()};
 }
 
 }  // namespace
 
-std::optional<Measured> measure(const Chip& chip, int view, double start, std::span<const double> steps,
-                                const Stream& stream, std::uint32_t gid) {
+std::optional<StripReading> measure(const Chip& chip, StepResponse& response, int view, double start,
+                                    const Current& current, const Stream& stream, std::uint32_t gid) {
   const StripNoise noise(stream, gid);
-  return chip.kind == ChipKind::tiger ? tiger(chip, view, start, steps, noise)
-                                      : apv25(chip, view, start, steps, noise);
+  return chip.kind == ChipKind::tiger ? tiger(chip, response, view, start, current, noise)
+                                      : apv25(chip, view, start, current, noise);
 }
 
 }  // namespace cgemit

@@ -25,13 +25,19 @@ struct Chip {
   int samples;          // APV25
 };
 
-struct Measured {
+struct StripReading {
   double charge, time;  // fC, ns
 };
 
-// What the chip makes of a current that begins at `start` (ns), given by its steps (fC/ns) on the grid of
-// `strip_signals.hpp`; nothing below the threshold. Noise is that of (stream, gid).
-std::optional<Measured> measure(const Chip& chip, int view, double start, std::span<const double> steps,
-                                const Stream& stream, std::uint32_t gid);
+// Current of one strip.
+struct Current {
+  std::span<const double> steps;  // fC/ns, on the grid of `strip_signals.hpp`
+  double charge;                  // fC, its integral
+};
+
+// What the chip makes of a current that begins at `start` (ns); nothing below the threshold. `response`: of
+// the branch of the charge. Noise is that of (stream, gid).
+std::optional<StripReading> measure(const Chip& chip, StepResponse& response, int view, double start,
+                                    const Current& current, const Stream& stream, std::uint32_t gid);
 
 }  // namespace cgemit

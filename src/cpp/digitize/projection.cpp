@@ -42,7 +42,7 @@ void share(const CgemLayer& layer, const Point& from, const Point& to, double ch
   const double whole = std::hypot(
       layer.r_readout * wrap_angle(std::atan2(to.y, to.x) - std::atan2(from.y, from.x)), to.z - from.z);
   for (int k = 0; k < pieces.n; ++k) {
-    const Piece& piece = pieces.list[static_cast<std::size_t>(k)];
+    const SheetPiece& piece = pieces.list[static_cast<std::size_t>(k)];
     const double part = whole > 0 ? std::hypot(piece.x2 - piece.x1, piece.z2 - piece.z1) / whole : 1.0;
     strip.sheet = piece.sheet;
     const auto give = [&](int number, double share_of_strip) {

@@ -2,11 +2,13 @@
 // pass.
 #pragma once
 
+#include <algorithm>
 #include <array>
 #include <cmath>
 #include <cstddef>
 #include <span>
 #include <stdexcept>
+#include <vector>
 
 namespace cgemit {
 
@@ -36,10 +38,13 @@ struct Shaper {
 // Amplitude at equidistant times for a current that is constant between them, filtered from one time to the
 // next. The response to a step of the current is the integral of the response to a charge,
 //   a/rate + b/rate^2 - exp(-rate u) (a/rate + b/rate^2 + b u/rate).
+//
+// `n`: number of terms; more than the shaper has do nothing.
+template <std::size_t n>
 class StepFilter {
  public:
-  StepFilter(const Shaper& shaper, double dt) : n_(shaper.n), dt_(dt) {
-    for (std::size_t k = 0; k < n_; ++k) {
+  StepFilter(const Shaper& shaper, double dt) : dt_(dt) {
+    for (std::size_t k = 0; k < std::min(n, shaper.n); ++k) {
       const ShaperTerm& term = shaper.terms[k];
       const double constant = term.a / term.rate + term.b / (term.rate * term.rate);
       level_ += constant;
@@ -52,7 +57,7 @@ class StepFilter {
   // without the shaper's delay.
   double next(double step) {
     double amplitude = level_ * current_;
-    for (std::size_t k = 0; k < n_; ++k) {
+    for (std::size_t k = 0; k < n; ++k) {
       linear_[k] = decay_[k] * (linear_[k] + dt_ * plain_[k]);
       plain_[k] *= decay_[k];
       amplitude -= constant_[k] * plain_[k] + slope_[k] * linear_[k];
@@ -63,9 +68,32 @@ class StepFilter {
   }
 
  private:
-  std::size_t n_;
   double dt_, level_ = 0, current_ = 0;
-  std::array<double, Shaper::most> constant_{}, slope_{}, decay_{}, plain_{}, linear_{};
+  std::array<double, n> constant_{}, slope_{}, decay_{}, plain_{}, linear_{};
+};
+
+// Calls f with a filter that has as many terms as the shaper.
+template <class F>
+auto filtered(const Shaper& shaper, double dt, F&& f) {
+  if (shaper.n == 1) return f(StepFilter<1>(shaper, dt));
+  if (shaper.n == 2) return f(StepFilter<2>(shaper, dt));
+  if (shaper.n == 3) return f(StepFilter<3>(shaper, dt));
+  return f(StepFilter<Shaper::most>(shaper, dt));
+}
+
+// Amplitudes k steps of the grid after a step of the current of 1 fC/ns, computed as far as they are needed.
+class StepResponse {
+ public:
+  StepResponse(const Shaper& shaper, double dt) : filter_(shaper, dt), amplitudes_{filter_.next(1.0)} {}
+  // The amplitudes, at least up to number `last`; valid until the next call.
+  const double* up_to(std::size_t last) {
+    while (amplitudes_.size() <= last) amplitudes_.push_back(filter_.next(0.0));
+    return amplitudes_.data();
+  }
+
+ private:
+  StepFilter<Shaper::most> filter_;
+  std::vector<double> amplitudes_;
 };
 
 }  // namespace cgemit

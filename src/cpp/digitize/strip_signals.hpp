@@ -22,6 +22,17 @@ class StripSignals {
     std::int64_t truth = -1, largest_truth = -1;
     double charge = 0, largest = -1, total = 0;  // fC; of the current truth, of the largest one, of all
     std::int32_t n = 0;
+
+    // Ends the current truth.
+    void close() {
+      if (n == 0) return;
+      total += charge;
+      if (charge > largest) {
+        largest = charge;
+        largest_truth = truth;
+      }
+      charge = 0;
+    }
   };
 
   explicit StripSignals(const CgemLayer& layer)
@@ -60,22 +71,22 @@ class StripSignals {
     const std::size_t slot = slot_of(local(sheet, view, strip));
     Source& source = sources_[slot];
     if (source.truth != truth) {
+      source.close();
       source.truth = truth;
-      source.charge = 0;
       ++source.n;
     }
     source.charge += charge;
-    source.total += charge;
-    if (source.charge > source.largest) {
-      source.largest = source.charge;
-      source.largest_truth = truth;
-    }
     const double rate = charge * per_time_, late = rate * at.after_enters, late_end = rate * at.after_leaves;
     double* steps = &steps_[slot * bins_];
     steps[at.enters] += rate - late;
     steps[at.enters + 1] += late;
     steps[at.leaves] -= rate - late_end;
     steps[at.leaves + 1] -= late_end;
+  }
+
+  // Ends the last truth of every strip.
+  void close() {
+    for (Source& source : sources_) source.close();
   }
 
   // Adds a share of every strip's current to its neighbours at a distance of one and of two strips.

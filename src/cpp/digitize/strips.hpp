@@ -14,7 +14,7 @@ struct Point {
 };
 
 // The part of a segment that lies on one sheet, in local coordinates.
-struct Piece {
+struct SheetPiece {
   int sheet;
   double x1, z1, x2, z2;  // mm, 0 <= x <= sheet_width(), |z| <= half_length
 };
@@ -22,7 +22,7 @@ struct Piece {
 // A segment spans at most half a turn: only its first sheet can hold its end, too.
 struct Pieces {
   int n = 0;
-  std::array<Piece, most_sheets + 1> list;
+  std::array<SheetPiece, most_sheets + 1> list;
 };
 
 // Strips first to last, both included; none if last < first.
@@ -82,7 +82,7 @@ inline StripRange strips_between(double a, double b, int strips) {
 }
 
 // X strips of a piece. A piece lies on the sheet: its far edge belongs to the last strip.
-inline StripRange x_strips(const CgemLayer& layer, const Piece& piece) {
+inline StripRange x_strips(const CgemLayer& layer, const SheetPiece& piece) {
   StripRange range =
       strips_between(strips_of_x(layer, piece.x1), strips_of_x(layer, piece.x2), layer.strips_x);
   range.first = std::min(range.first, range.last);
@@ -90,7 +90,7 @@ inline StripRange x_strips(const CgemLayer& layer, const Piece& piece) {
 }
 
 // V strips of a piece; none in the corners of the sheet before the first and beyond the last V strip.
-inline StripRange v_strips(const CgemLayer& layer, const Piece& piece) {
+inline StripRange v_strips(const CgemLayer& layer, const SheetPiece& piece) {
   const double v1 = std::max(0.0, local_v(layer, piece.x1, piece.z1));  // rounding at the corner where V = 0
   const double v2 = std::max(0.0, local_v(layer, piece.x2, piece.z2));
   return strips_between(strips_of_v(layer, v1), strips_of_v(layer, v2), layer.strips_v);

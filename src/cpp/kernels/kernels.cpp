@@ -13,7 +13,8 @@ namespace cgemit {
 
 namespace {
 
-constexpr Kernels scalar{"scalar", 1, &function_of_lanes<double>, &simulate, &fit_tracks, &covariances};
+constexpr Kernels scalar{"scalar",        1, &function_of_lanes<double>, &simulate, &fit_tracks, &covariances,
+                         &read_out_analog};
 std::atomic<const Kernels*> in_use{&scalar};
 
 }  // namespace

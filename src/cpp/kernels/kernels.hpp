@@ -8,6 +8,7 @@
 #include <string>
 
 #include "covariance/covariance.hpp"
+#include "digitize/analog.hpp"
 #include "fit/fit.hpp"
 #include "simulate/simulate.hpp"
 
@@ -22,6 +23,8 @@ struct Kernels {
                    Simulated&);
   void (*fit)(const Detector&, const FitInput&, const FitSettings&, const FitOutput&);
   void (*covariances)(const Detector&, const CovarianceInput&, const HitModel&, const CovarianceOutput&);
+  void (*read_out_analog)(const Detector&, const TruthColumns&, const StepColumns&, const AnalogModel&,
+                          const GainMaps&, DigiColumns&);
 };
 
 // The kernels in use: scalar ones until others are opened.

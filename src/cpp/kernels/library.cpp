@@ -1,6 +1,7 @@
 // Compiled once per instruction set, with CGEMIT_ISA its name and CGEMIT_LANES the width of its registers.
 #include "common/compiler.hpp"
 #include "covariance/batch.hpp"
+#include "digitize/analog_batch.hpp"
 #include "fit/batch.hpp"
 #include "kernels/function.hpp"
 #include "kernels/kernels.hpp"
@@ -22,8 +23,9 @@ void covariances_of_lanes(const Detector& detector, const CovarianceInput& input
   CovarianceBatch<Number>(detector, input, model, output).run();
 }
 
-constexpr Kernels these{CGEMIT_ISA, CGEMIT_LANES,         &function_of_lanes<Number>, &simulate_lanes<Number>,
-                        &fit,       &covariances_of_lanes};
+constexpr Kernels these{
+    CGEMIT_ISA, CGEMIT_LANES,          &function_of_lanes<Number>,    &simulate_lanes<Number>,
+    &fit,       &covariances_of_lanes, &read_out_analog_lanes<Number>};
 
 }  // namespace
 

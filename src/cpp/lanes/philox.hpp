@@ -160,9 +160,9 @@ class BlocksAhead {
 template <class T>
 class BlockSeries {
  public:
-  void set(int lane, const Stream& stream, Purpose purpose, std::uint32_t place) {
+  void set(int lane, const Stream& stream, Purpose purpose, std::uint32_t place, std::uint32_t first = 0) {
     key_ = stream.key();
-    const Block start = stream.counter(purpose, place, 0);
+    const Block start = stream.counter(purpose, place, first);
     for (std::size_t k = 0; k < 4; ++k) set_word(next_[k], lane, start[k]);
   }
   BlockOf<T> next() {
