@@ -22,6 +22,7 @@ PROGRAMS = (
     "operations",
     "peers",
     "variants",
+    "sweep",
     "page",
 )
 
