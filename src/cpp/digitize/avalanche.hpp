@@ -228,6 +228,7 @@ void share_at_edge(const CgemLayer& layer, double x, double z, double sigma_x, d
                    Give&& give) {
   constexpr double reach = 4;
   constexpr int parts = 16;
+  const NormalTable& table = normal_table();
   const double v = local_v(layer, x, z), cos = layer.cos_stereo, sin = layer.sin_stereo;
   const double x_per_v = cos * sigma_x * sigma_x / (sigma_v * sigma_v);
   const double z_per_v = -sin * sigma_z * sigma_z / (sigma_v * sigma_v);
@@ -236,7 +237,7 @@ void share_at_edge(const CgemLayer& layer, double x, double z, double sigma_x, d
   const int last =
       std::min(static_cast<int>(std::floor(strips_of_v(layer, v + reach * sigma_v))), layer.strips_v - 1);
   for (int strip = first; strip <= last; ++strip) {
-    double part = 0, before = below((v_of_strips(layer, strip) - v) / sigma_v);
+    double part = 0, before = table.below_at((v_of_strips(layer, strip) - v) / sigma_v);
     for (int i = 0; i < parts; ++i) {
       const double low = v_of_strips(layer, strip + static_cast<double>(i) / parts) - v;
       const double high = low + layer.pitch_v / parts, middle = 0.5 * (low + high);
@@ -244,8 +245,8 @@ void share_at_edge(const CgemLayer& layer, double x, double z, double sigma_x, d
       double from = -std::numeric_limits<double>::infinity(), to = -from;
       narrow(x + x_per_v * middle, 1, 0, layer.sheet_width(), from, to);
       narrow(z + z_per_v * middle, cos / sin, -layer.half_length, layer.half_length, from, to);
-      const double up_to = below(high / sigma_v);
-      if (from < to) part += (up_to - before) * (below(to / rest_x) - below(from / rest_x));
+      const double up_to = table.below_at(high / sigma_v);
+      if (from < to) part += (up_to - before) * (table.below_at(to / rest_x) - table.below_at(from / rest_x));
       before = up_to;
     }
     give(strip, part);
