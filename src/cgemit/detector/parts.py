@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 from html import escape
+from itertools import accumulate
 from typing import NamedTuple
 
 from cgemit.detector.background import BackgroundLevel
@@ -43,8 +44,7 @@ class SubLayer(Part):
     thickness: float = field(metadata=key("length", "thickness", 1e-5, 50.0))  # mm
 
     def __hash__(self) -> int:
-        # As for materials: caches look up stacks often.
-        return hash((self.label, self.thickness))
+        return hash((self.label, self.thickness))  # as for materials: caches look up stacks often
 
 
 StripRanges = tuple[tuple[int, int, int], ...]
@@ -225,9 +225,7 @@ class WireLayer(Part):
     sigma_slope: float = field(
         metadata=key("slope", "change of that error with drift distance", -0.1, 0.1), default=0.0
     )
-    efficiency: float = field(
-        metadata=key("dimensionless", "probability that a cell which is passed fires", 0.0, 1.0), default=1.0
-    )
+    efficiency: float = field(metadata=key("dimensionless", "probability that a cell fires", 0.0, 1.0), default=1.0)
     wire_x0: float = field(
         metadata=key("dimensionless", "mean X/X0 of the layer's wires, used if smeared", 0.0, 0.01), default=0.0
     )
@@ -284,10 +282,7 @@ class DriftChamber(Placed):
     @property
     def gid_first(self) -> tuple[int, ...]:
         """Running number of wire 0 of each layer."""
-        starts = [self.first_gid]
-        for layer in self.layers[:-1]:
-            starts.append(starts[-1] + layer.cells)
-        return tuple(starts)
+        return tuple(accumulate((layer.cells for layer in self.layers[:-1]), initial=self.first_gid))
 
 
 @dataclass(frozen=True, kw_only=True)
