@@ -15,6 +15,7 @@ HASHES = {
     3: "d0649b4511db3e6c",  # covariances near the ends of layers, which the golden numbers do not hold
     4: "d0649b4511db3e6c",  # clusters of tiger, apv25 and analog-projection
     5: "d0649b4511db3e6c",  # strips out of time and pairs of tiger and apv25; tracks of the finder
+    6: "d0649b4511db3e6c",  # tracks in the CGEM alone; rounding of tiger and apv25
 }
 
 
