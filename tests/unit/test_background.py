@@ -336,3 +336,19 @@ def test_a_wrong_start_time_costs_momentum_resolution():
         settings = cg.Settings(background=cg.BackgroundSettings(start_time=sigma))
         widths.append(cg.resolution(cg.run("besiii-cgem", gun, n=400, settings=settings).tracks, "p"))
     assert widths[1].core > widths[0].core + 4 * widths[1].core_error
+
+
+def test_mix_events_lists_every_wrong_argument_and_takes_a_name(run, other):
+    tables = {"digis": run.digis, "wire_hits": run.wire_hits}
+    with pytest.raises(ValueError, match="mix_events:") as error:
+        mix_events(run.detector, **tables, other=3, offset=(float("nan"), 1.0), seed=-1)
+    assert [line.split(":")[0].strip() for line in str(error.value).splitlines()[1:]] == ["other", "offset", "seed"]
+    for offset in (3, "ab", (1.0,), (2.0, 1.0), (None, 1.0), (0.0, float("inf"))):
+        with pytest.raises(ValueError, match=r"offset: got .*, expected a range \(low, high\) of two numbers, ns"):
+            mix_events(run.detector, **tables, other=other.tables, offset=offset)
+    with pytest.raises(ValueError, match="digis: got dict, expected a table of kind 'digis'"):
+        mix_events(run.detector, {}, run.wire_hits, other.tables)
+    with pytest.raises(ValueError, match="digis: got other events than those of wire_hits"):
+        mix_events(run.detector, other.digis, run.wire_hits, other.tables)
+    named = mix_events("besiii-cgem", **tables, other=other.tables, seed=4)
+    assert named["digis"] == mix_events(run.detector, **tables, other=other.tables, seed=4)["digis"]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -12,12 +12,13 @@ import numpy as np
 import numpy.typing as npt
 
 from cgemit.background.random import MIXED, Floats, Random
-from cgemit.detector import Detector
+from cgemit.detector import Detector, load
 from cgemit.digitize import XT_DISTANCE, XT_TIME
 from cgemit.tables import Table
 from cgemit.tables.files import INDEX
 from cgemit.tables.stored import StoredTables
 from cgemit.tables.table import kind_problems
+from cgemit.values import is_whole, number
 
 Rows = npt.NDArray[np.int64]
 
@@ -27,7 +28,7 @@ _STRIP = ("layer", "sheet", "view", "strip")
 
 
 def mix_events(
-    detector: Detector,
+    detector: Detector | str | Mapping[str, Any],
     digis: Table,
     wire_hits: Table,
     other: Mapping[str, Table] | str | os.PathLike[str],
@@ -44,15 +45,16 @@ def mix_events(
 
     Parameters
     ----------
-    detector : Detector
+    detector : Detector, or what `load` accepts
         Of both.
     digis, wire_hits : Table
         Of the same events.
     other : mapping of str to Table, or path
         ``digis`` and ``wire_hits``, such as `Result.tables`, or the folder of a run.
     offset : (float, float), ns
-        Range of the shift.
+        Range of the shift, from low to high.
     seed : int
+        From 0 to 2^64 - 1.
 
     Returns
     -------
@@ -62,10 +64,13 @@ def mix_events(
     Raises
     ------
     ValueError
-        Listing what is wrong with the other tables.
+        Listing what is wrong with the tables, the range and the seed.
     FileNotFoundError
         If there is no such folder.
     """
+    detector = load(detector)
+    problems = _argument_problems(digis, wire_hits, other, offset, seed)
+    _raise(problems)
     tables = _stored(*_identity(other)) if isinstance(other, str | os.PathLike) else dict(other)
     _check(detector, tables)
     n = tables["wire_hits"].n_events
@@ -152,11 +157,24 @@ def _stored(folder: str, _: int) -> dict[str, Table]:
     return {name: stored[name] for name in ("digis", "wire_hits") if name in stored}
 
 
+def _argument_problems(digis: object, wire_hits: object, other: object, offset: object, seed: object) -> list[str]:
+    """Return what is wrong with the arguments themselves."""
+    problems = kind_problems(digis=digis, wire_hits=wire_hits)
+    if not problems and not np.array_equal(digis.events, wire_hits.events):  # type: ignore[attr-defined]
+        problems.append("digis: got other events than those of wire_hits, expected the same")
+    if not isinstance(other, Mapping | str | os.PathLike):
+        problems.append(f"other: got {type(other).__name__}, expected tables by their names or the folder of a run")
+    ends = [number(end) for end in offset] if isinstance(offset, Sequence | np.ndarray) else []
+    if isinstance(offset, str) or len(ends) != 2 or not np.isfinite(ends).all() or ends[0] > ends[1]:
+        problems.append(f"offset: got {offset!r:.50}, expected a range (low, high) of two numbers, ns")
+    if not is_whole(seed, 0, 2**64 - 1):
+        problems.append(f"seed: got {seed!r:.50}, expected a whole number from 0 to {2**64 - 1}")
+    return problems
+
+
 def _check(detector: Detector, tables: Mapping[str, Table]) -> None:
     """Raise an error for tables of another kind or detector."""
-    missing = [f"{name}: missing" for name in ("digis", "wire_hits") if name not in tables]
-    if missing:
-        raise ValueError("mix_events:\n  " + "\n  ".join(missing))
+    _raise([f"{name}: missing" for name in ("digis", "wire_hits") if name not in tables])
     digis, wires = tables["digis"], tables["wire_hits"]
     problems = kind_problems(digis=digis, wire_hits=wires)
     if not problems:
@@ -174,6 +192,10 @@ def _check(detector: Detector, tables: Mapping[str, Table]) -> None:
             problems.append(f"digis: got {digis.n_events} events, expected {wires.n_events}, as wire_hits has")
         elif not wires.n_events:
             problems.append("wire_hits: got no events, expected at least one")
+    _raise(problems)
+
+
+def _raise(problems: list[str]) -> None:
     if problems:
         raise ValueError("mix_events:\n  " + "\n  ".join(problems))
 
