@@ -41,7 +41,8 @@ def read(kind: str, source: Any, needed: tuple[str, ...], problems: list[str]) -
     for name in missing:
         problems.append(f"{kind}: {name}: missing, expected columns {', '.join(needed)}")
     for name, column in columns.items():
-        if column.ndim == 0 or len(column) != rows or column.dtype.kind not in "iufb":
+        depth = 3 if name == "cov" else 1
+        if column.ndim == 0 or len(column) != rows or column.ndim > depth or column.dtype.kind not in "iufb":
             if not missing:
                 problems.append(f"{kind}: {name}: got {column.dtype}, shape {column.shape}; expected {rows} numbers")
         elif name in _WHOLE:
@@ -69,6 +70,18 @@ def _whole(kind: str, name: str, column: Column, problems: list[str]) -> Column:
     return column.astype(np.int64)
 
 
+_RANGES = {
+    "phi": "an azimuth in rad, within -2 pi and 2 pi",
+    "z": "a position in mm, at most a tenth of its half length beyond the end of the layer",
+}
+
+
+def _reach(detector: Detector, layer: Column) -> Column:
+    """Return the largest abs(z) of a point on each layer, mm; no limit for layers that are not there."""
+    lengths = np.array([*(1.1 * one.half_length for one in detector.cgem), np.inf])
+    return lengths[np.where((layer >= 0) & (layer < len(detector.cgem)), layer, -1)]
+
+
 def value_problems(detector: Detector, clusters: Columns) -> list[str]:
     """Say which layers, coordinates, errors and strips of clusters cannot be, by the names that they were given under.
 
@@ -92,9 +105,15 @@ def value_problems(detector: Detector, clusters: Columns) -> list[str]:
         if name in clusters:
             by_position = np.isnan(clusters[name]) & np.isfinite(clusters.get(other, np.full(len(layer), np.nan)))
             refuse(name, point & ~np.isfinite(clusters[name]) & ~by_position, f"expected a finite number, {unit}")
-    for name in ("err_phi", "err_z"):  # only their squares reach the fit
+        if name in clusters:  # in another unit, a position may still lie somewhere on the layer
+            most = 2 * np.pi * np.ones(len(layer)) if name == "phi" else _reach(detector, layer)
+            by_other = np.isfinite(clusters.get(other, np.full(len(layer), np.nan)))
+            far = point & ~by_other & np.isfinite(clusters[name]) & (np.abs(clusters[name]) > most)
+            refuse(name, far, f"expected {_RANGES[name]}")
+    for name, largest in (("err_phi", np.pi), ("err_z", 1e5)):  # only their squares reach the fit
         if name in clusters:
             refuse(name, clusters[name] <= 0, "expected a number above 0")
+            refuse(name, clusters[name] > largest, f"expected at most {largest:.6g}")
     if {"cov_phi_z", "err_phi", "err_z"} <= clusters.keys():
         limit = np.abs(clusters["err_phi"] * clusters["err_z"])
         large = (limit > 0) & ~(np.abs(clusters["cov_phi_z"]) < limit)

@@ -33,12 +33,12 @@ def fit_hits(
     Parameters
     ----------
     detector : Detector, or what `load` accepts
-    clusters : Table, mapping of arrays, pandas.DataFrame, structured ndarray or None
+    clusters : Table, mapping of arrays, pandas.DataFrame, pyarrow.Table, structured ndarray or None
         Rows with `layer` and one of: `phi` rad and `z` mm, a point; `view` (0 X, 1 V) with `x` or `v`, mm on the sheet;
         `view` with `first` and `last` strip. Errors of points: `err_phi` rad and `err_z` mm, with `cov_phi_z` rad mm
         if they are correlated, or `cov`, (n, 2, 2) of phi and z, or `err_x` and `err_v` mm. Errors of `x` and `v`:
         `err`, or `err_x` and `err_v`, mm. Strips need none. `sheet` is needed where a layer has two, but for points.
-    wire_hits : Table, mapping of arrays, pandas.DataFrame, structured ndarray or None
+    wire_hits : Table, mapping of arrays, pandas.DataFrame, pyarrow.Table, structured ndarray or None
         Rows with `layer`, `wire`, `drift` mm; `sigma` mm (default: the detector's), `side` (+1, -1; 0 unknown).
     candidates : callable, mapping of str to Table, or None
         A finder as for `run`, or the tables ``candidates`` and ``candidate_hits`` for hits that are tables. None: the
@@ -90,7 +90,7 @@ def hit_tables(
     Parameters
     ----------
     detector : Detector
-    clusters, wire_hits : Table, mapping of arrays, pandas.DataFrame, structured ndarray or None
+    clusters, wire_hits : Table, mapping of arrays, pandas.DataFrame, pyarrow.Table, structured ndarray or None
     problems : list of str
         What is wrong already.
     labelled : bool
@@ -252,11 +252,12 @@ def _wire_columns(detector: Detector, given: Columns) -> Columns:
     """Return the columns of wire hits with those that were left out."""
     n, columns = len(given["layer"]), dict(given)
     columns["drift"] = np.asarray(given["drift"], np.float64)
-    sigma, gid = np.full(n, np.nan), np.full(n, -1)
+    distance = np.where(np.isfinite(columns["drift"]), np.maximum(columns["drift"], 0), 0)
+    sigma, gid = np.ones(n), np.full(n, -1)  # layers that are not there are refused
     if detector.drift_chamber:
         for layer, first in zip(detector.drift_chamber.layers, detector.drift_chamber.gid_first, strict=True):
             mine = given["layer"] == layer.number
-            sigma[mine] = layer.sigma + layer.sigma_slope * np.maximum(columns["drift"][mine], 0)
+            sigma[mine] = layer.sigma + layer.sigma_slope * distance[mine]
             gid[mine] = first + given["wire"][mine]
     defaults = {"sigma": sigma, "gid": gid, "side": np.zeros(n, np.int64), "drift_time": np.full(n, np.nan)}
     return {**defaults, **columns}

@@ -102,6 +102,8 @@ def test_data_frames_structured_arrays_and_tables(run):
     for name, column in wires.items():
         structured[name] = column
     assert_tracks_of(cg.fit_hits("besiii-cgem-design", pandas.DataFrame(strips), structured), run)
+    arrow = pytest.importorskip("pyarrow")
+    assert_tracks_of(cg.fit_hits(DETECTOR, arrow.table(strips), arrow.table(wires)), run)
     of_tables = cg.fit_hits(DETECTOR, run.clusters[run.clusters["view"] < 2], run.wire_hits)
     np.testing.assert_array_equal(of_tables["tracks"]["dr"], run.fitted["dr"])
 
@@ -280,6 +282,21 @@ def test_one_kind_of_hits_alone(run):
             [f"clusters row {row}: first, last: got {pair}; expected strips from 0 to 844, the first not above the last"
              for row, pair in enumerate(("5, 3", "-2, 4", "10, 1000000"))],
         ),
+        (  # degrees, micrometres
+            {"layer": [0, 1, 2], "phi": [57.3, 6.2, -6.2], "z": [-293.0, 380.0, 1000.0], "err_phi": [4.0, 1e-3, 1e-3],
+             "err_z": [1e6, 1.0, 1.0]},
+            {"layer": [8], "wire": [1], "drift": [np.inf]},
+            [
+                "clusters row 0: phi: got 57.3, expected an azimuth in rad, within -2 pi and 2 pi",
+                "clusters row 0: z: got -293, expected a position in mm",
+                "clusters row 1: z: got 380, expected a position in mm",
+                "clusters row 2: z: got 1000, expected a position in mm",
+                "clusters row 0: err_phi: got 4, expected at most 3.14159",
+                "clusters row 0: err_z: got 1e+06, expected at most 100000",
+                "wire_hits row 0: drift: got inf",
+            ],
+        ),
+        ({"layer": [0], "phi": [[1.0, 2.0]], "z": [0.0]}, None, ["clusters: phi: got float64, shape (1, 2); expected"]),
         (
             {"layer": [0], "phi": [1.0], "z": [0.0], "err_phi": [1e-3], "err_z": [1.0], "candidate": [1]},
             {"layer": [8], "wire": [1], "drift": [1.0]},
@@ -293,6 +310,7 @@ def test_mistakes_are_listed_by_the_rows_given(clusters, wires, messages):
         cg.fit_hits(DETECTOR, clusters, wires)
     assert [text for text in messages if text not in str(error.value)] == []
     assert len(set(lines := str(error.value).splitlines())) == len(lines)
+    assert "sigma: got" not in str(error.value)  # which was not given
 
 
 def test_hits_given_twice(run):

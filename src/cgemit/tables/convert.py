@@ -30,6 +30,8 @@ def columns_of(source: Any) -> dict[str, Array] | None:
     """Return the columns of a table, mapping, data frame or structured array; None for anything else."""
     if isinstance(source, np.ndarray):
         return {name: source[name] for name in source.dtype.names} if source.dtype.names else None
+    if hasattr(source, "column_names"):  # pyarrow
+        return {str(name): np.asarray(source[name]) for name in source.column_names}
     if isinstance(source, Mapping) or hasattr(source, "columns"):
         return {str(name): np.asarray(source[name]) for name in source.keys()}  # noqa: SIM118  (tables, data frames)
     return None
