@@ -167,7 +167,7 @@ class EventReadout {
                       static_cast<std::int64_t>(row));
         });
   }
-  static double wider(double width, double more) { return more == 0 ? width : std::hypot(width, more); }
+  static double wider(double sigma, double added) { return added == 0 ? sigma : std::hypot(sigma, added); }
 
   void write(std::size_t number, std::int64_t event) {
     const CgemLayer& layer = detector_.cgem[number];
