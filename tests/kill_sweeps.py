@@ -23,7 +23,7 @@ from cgemit.study import sweep
 SPACE = {"cgem.*.pitch_x": ["400 um", "500 um", "600 um", "700 um"], "cgem.L2.anode_radius": ["132.5 mm", "160 mm"]}
 HOW: dict[str, Any] = {"evaluate": "mc", "p": [0.5], "events": 60}
 FILES = ("sweep.csv", "summary.json", "detector.toml")
-EVENTS = 12_000  # of the twenty kills: some seconds for each of nine chunks
+EVENTS = 40_000  # of the twenty kills: a chunk takes longer than most delays, so that all twenty hit a sweep at work
 WAYS = ("serial", "threads", "processes", "dask")
 
 

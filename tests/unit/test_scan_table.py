@@ -155,7 +155,8 @@ def test_wrong_momenta_and_angles_are_listed() -> None:
 
 def test_the_picture_shows_every_quantity_of_every_scan(pair: list[Any]) -> None:
     picture = resolutions(pair)
-    assert picture.get_suptitle() == "core widths: mu-, cos θ = -0.5 to 0.5, 400 simulated events at each momentum"
+    title = "core widths: mu-, cos θ = -0.5 to 0.5, 400 simulated events at each momentum"
+    assert picture.get_suptitle() == title + ", read-out binary, hits assigned by truth"
     for axes, (name, label) in zip(picture.axes, PANELS.items(), strict=True):
         lines = {bar.get_label(): bar.lines[0] for bar in axes.containers}
         assert list(lines) == [DESIGN, "wide"]
@@ -193,3 +194,15 @@ def test_several_particles_and_detectors_from_the_shell(tmp_path: Path, capsys: 
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert summary["inputs"]["particles"] == ["pi+", "K+"]
     assert (summary["inputs"]["pt"], summary["inputs"]["theta"]) == ([0.5], [1.0, 2.0])
+
+
+def test_titles_name_readout_and_finder() -> None:
+    settings = cg.Settings(digitize=cg.DigitizeSettings(readout="gaussian"))
+    one = scan(DESIGN, [1.0], events=60, settings=settings, finder="ckf")
+    assert str(one).splitlines()[0].endswith("errors; read-out gaussian, hits found by ckf")
+    assert resolutions([one]).get_suptitle().endswith("momentum, read-out gaussian, hits found by ckf")
+    line = scan_analytic(DESIGN, [1.0], cos_theta=0.0, settings=settings)
+    assert str(line).splitlines()[0].endswith("core widths, analytic; read-out gaussian")
+    assert resolutions([line]).get_suptitle().endswith("read-out gaussian")
+    chamber = scan("besiii-idc", [1.0], events=60)
+    assert "read-out" not in str(chamber) + resolutions([chamber]).get_suptitle()  # it has no CGEM layers

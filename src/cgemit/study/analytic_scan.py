@@ -21,7 +21,7 @@ from cgemit.statistics.curves import Line
 from cgemit.statistics.forms import FORMS, FormFit, fit_form
 from cgemit.study import samples
 from cgemit.study.quantities import QUANTITIES, column
-from cgemit.study.samples import Order, cosines_of, momentum_name, momentum_of, transverse
+from cgemit.study.samples import Order, cosines_of, momentum_name, momentum_of, readout_name, transverse
 from cgemit.study.scan_files import ScanBase
 from cgemit.study.scan_table import angle_text, leading_columns, shot_text
 from cgemit.study.scans import QUOTED_PARAMETERS
@@ -63,6 +63,11 @@ class AnalyticScan(ScanBase):
     def detector(self) -> Detector:
         """The detector."""
         return self.orders[0].detector
+
+    @property
+    def readout(self) -> str:
+        """The read-out of the CGEM layers; empty for a detector without them."""
+        return readout_name(self.orders[0])
 
     @property
     def momenta(self) -> list[float]:
@@ -163,6 +168,7 @@ class AnalyticScan(ScanBase):
 
     def _table(self) -> tuple[str, Sequence[str], list[list[str]]]:
         title = f"{self.detector.name}, {shot_text(self.orders[0])}: core widths, analytic"
+        title += f"; read-out {self.readout}" if self.readout else ""
         return title, (f"{momentum_name(self.orders[0])} [GeV/c]", *_HEAD), self._rows()
 
     def _rows(self) -> list[list[str]]:

@@ -64,6 +64,10 @@ class AnyScan(Protocol):
         """How hits came to their tracks; empty without events."""
 
     @property
+    def readout(self) -> str:
+        """The read-out of the CGEM layers; empty for a detector without them."""
+
+    @property
     def removed(self) -> Mapping[str, Mapping[str, int]]:
         """Tracks that did not fit, by sample and status."""
 

@@ -29,6 +29,7 @@ from cgemit.study.samples import (
     momentum_name,
     momentum_of,
     momentum_orders,
+    readout_name,
     run_samples,
     transverse,
     why_unfitted,
@@ -116,6 +117,11 @@ class Scan(ScanBase):
         return hits_text(self.samples[0].tracks)
 
     @property
+    def readout(self) -> str:
+        """The read-out of the CGEM layers; empty for a detector without them."""
+        return readout_name(self.samples[0])
+
+    @property
     def removed(self) -> dict[str, Mapping[str, int]]:
         """Tracks that did not fit, by sample and status."""
         return {s.label: s.removed for s in self.samples}
@@ -175,7 +181,8 @@ class Scan(ScanBase):
     def _table(self) -> tuple[str, Sequence[str], list[list[str]]]:
         first = self.samples[0]
         shot = f"{first.detector.name}, {shot_text(first)}"
-        title = f"{shot}: core widths, and medians of the fit's own errors; hits {hits_text(first.tracks)}"
+        made = ", ".join(filter(None, [self.readout and f"read-out {self.readout}", f"hits {self.hits}"]))
+        title = f"{shot}: core widths, and medians of the fit's own errors; {made}"
         return title, (f"{momentum_name(first)} [GeV/c]", *_HEAD), self._rows()
 
     def note(self) -> str:
