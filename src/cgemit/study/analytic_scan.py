@@ -21,7 +21,7 @@ from cgemit.statistics.curves import Line
 from cgemit.statistics.forms import FORMS, FormFit, fit_form
 from cgemit.study import samples
 from cgemit.study.quantities import QUANTITIES, column
-from cgemit.study.samples import Order, cosines_of, momentum_name, momentum_of, readout_name, transverse
+from cgemit.study.samples import Order, cosines_of, momentum_name, momentum_of, transverse
 from cgemit.study.scan_files import ScanBase
 from cgemit.study.scan_table import angle_text, leading_columns, shot_text
 from cgemit.study.scans import QUOTED_PARAMETERS
@@ -63,11 +63,6 @@ class AnalyticScan(ScanBase):
     def detector(self) -> Detector:
         """The detector."""
         return self.orders[0].detector
-
-    @property
-    def readout(self) -> str:
-        """The read-out of the CGEM layers; empty for a detector without them."""
-        return readout_name(self.orders[0])
 
     @property
     def momenta(self) -> list[float]:

@@ -18,7 +18,7 @@ from cgemit.record import record, write_record
 from cgemit.statistics.curves import Line
 from cgemit.statistics.formatting import Tabular, html_table, text_table, write_csv
 from cgemit.statistics.forms import FormFit
-from cgemit.study.samples import Order, angle_of, momentum_name, momentum_of
+from cgemit.study.samples import Order, angle_of, momentum_name, momentum_of, readout_name
 from cgemit.study.scan_table import difference_columns
 from cgemit.values import InTurn
 from cgemit.version import VERSION
@@ -77,6 +77,11 @@ class AnyScan(Protocol):
 
 class ScanBase(Tabular):
     """What simulated and analytic scans share: their text, their summary and their files."""
+
+    @property
+    def readout(self: AnyScan) -> str:
+        """The read-out of the CGEM layers; empty for a detector without them."""
+        return readout_name(self.orders[0])
 
     def summary(self: AnyScan) -> dict[str, Any]:
         """Return what `summary.json` holds."""

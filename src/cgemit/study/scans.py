@@ -29,7 +29,6 @@ from cgemit.study.samples import (
     momentum_name,
     momentum_of,
     momentum_orders,
-    readout_name,
     run_samples,
     transverse,
     why_unfitted,
@@ -115,11 +114,6 @@ class Scan(ScanBase):
     def hits(self) -> str:
         """How hits came to their tracks."""
         return hits_text(self.samples[0].tracks)
-
-    @property
-    def readout(self) -> str:
-        """The read-out of the CGEM layers; empty for a detector without them."""
-        return readout_name(self.samples[0])
 
     @property
     def removed(self) -> dict[str, Mapping[str, int]]:
