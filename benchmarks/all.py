@@ -23,6 +23,7 @@ PROGRAMS = (
     "peers",
     "variants",
     "sweep",
+    "readout",
     "page",
 )
 

@@ -210,13 +210,19 @@ def covariance() -> str:
     return table(head, ([r[name] for name in columns] for r in read("covariance")))
 
 
+def readout() -> str:
+    """Return the table of analog read-outs against the number of electrons."""
+    rows = read("readout")
+    return table(rows[0], (row.values() for row in rows))
+
+
 BLOCKS = {
     "about": ((), about), "stages": (("matrix",), stages),
     "design_muon": (("design_muon",), design_muon), "covariance": (("covariance",), covariance),
     "tracks": (("stages",), tracks),
     "memory": (("memory",), memory), "operations": (("operations", "matrix"), operations),
     "peers": (("peers",), peers), "simulation": (("simulation",), simulation),
-    "simulation_fields": (("simulation_fields",), simulation_fields),
+    "simulation_fields": (("simulation_fields",), simulation_fields), "readout": (("readout",), readout),
 }  # fmt: skip
 
 

@@ -56,7 +56,7 @@ def program(monkeypatch: pytest.MonkeyPatch) -> Any:
     """Import a program of the folder."""
     monkeypatch.syspath_prepend(str(BENCHMARKS))
     yield importlib.import_module
-    for name in ("operations", "page", "stages"):
+    for name in ("operations", "page", "readout", "rows", "stages"):
         sys.modules.pop(name, None)
 
 
@@ -116,3 +116,15 @@ def test_the_chain_is_timed_stage_by_stage(program: Any) -> None:
     assert list(cost) == [*stages.STAGES, "all"]
     assert all(value > 0 for value in cost.values())
     assert sum(cost[name] for name in stages.STAGES) < cost["all"]
+
+
+def test_electrons_of_the_readout_are_multiplied(program: Any) -> None:
+    """A step has so many times the electrons, and the strips so many times the charge."""
+    readout = program("readout")
+    muons = readout.muons(30)
+    more = readout.with_electrons(muons.steps, 4)
+    assert more["n_electrons"].sum() == 4 * muons.steps["n_electrons"].sum() > 0
+    for one in (readout.TigerReadout(), readout.Apv25Readout()):
+        charge = [one.digitize(muons.detector, muons.truths, s, 1)["charge"].sum() for s in (muons.steps, more)]
+        assert 2.5 < charge[1] / charge[0] < 6  # thresholds and saturation change the factor
+        assert readout.seconds(muons, one, muons.steps) > 0
