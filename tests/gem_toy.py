@@ -84,7 +84,7 @@ def truth_columns(event, layer, entry, exit_, middle=None, particle=None, energy
     columns["z"] = middle[:, 2].copy()
     columns |= {name: full(0.0, "f8") for name in ("px", "py", "pz", "path")}
     columns |= {"time": full(time, "f8"), "energy": full(energy, "f8")}
-    return columns | {"secondaries": full(0, "u1"), "daughter": full(0, "i4")}
+    return columns | {"secondaries": full(0, "u1"), "daughter": full(0, "i4"), "half_turn": full(0, "i1")}
 
 
 def step_columns(truths, truth, middle, vector, energy=1.0, parent=1, delta=1):
@@ -115,7 +115,7 @@ def wire_truth_columns(event, layer, wire, doca, particle=0):
     numbers = {"event": event, "particle": particle, "layer": layer, "wire": wire}
     columns = {name: values.astype("i8" if name == "event" else "i4") for name, values in numbers.items()}
     columns |= {name: np.zeros(len(doca)) for name in ("x", "y", "z", "time")}
-    columns["daughter"] = np.zeros(len(doca), "i4")
+    columns |= {"daughter": np.zeros(len(doca), "i4"), "half_turn": np.zeros(len(doca), "i1")}
     return columns | {"doca": doca.astype(float), "side": np.where(doca < 0, -1, 1).astype("i1")}
 
 

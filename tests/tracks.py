@@ -64,12 +64,12 @@ def without_matter(detector: Detector, density=0.0):
     )  # fmt: skip
 
 
-def transport(core, table, fluctuations="off", seed=1, decays=None):
+def transport(core, table, fluctuations="off", seed=1, decays=None, half_turns=1):
     """Run the compiled simulation alone; nothing decays unless a table of decays is given."""
     names = ("event", "particle", "pdg", "charge", "mass", "x", "y", "z", "px", "py", "pz")
     columns = {name: table[name] for name in names}
     fluctuations = getattr(_core.Fluctuations, fluctuations)
-    return _core.simulate(core, columns, fluctuations=fluctuations, decays=decays, seed=seed)
+    return _core.simulate(core, columns, fluctuations=fluctuations, decays=decays, half_turns=half_turns, seed=seed)
 
 
 def hits_of(detector: Detector, out):

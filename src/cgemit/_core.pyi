@@ -72,6 +72,7 @@ class Purpose(enum.IntEnum):
     readout_electron = 12
     readout_truth = 13
     readout_strip = 14
+    half_turn = 15
 
 class Screening(enum.IntEnum):
     wentzel = 0
@@ -258,6 +259,7 @@ def simulate(
     deltas: bool = True,
     steps: bool = False,
     decays: DecayTable | None = None,
+    half_turns: int = 1,
     seed: int,
 ) -> _Simulated: ...
 def read_out_strips(

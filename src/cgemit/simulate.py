@@ -4,17 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from cgemit import _core
 from cgemit.decays import compiled_decays
 from cgemit.detector import Detector, Screening, compiled, load
+from cgemit.kinds import Check
 from cgemit.particles import check_particles
 from cgemit.settings import SettingsData
 from cgemit.tables import Table
 
 Fluctuations = Literal["full", "gaussian", "off"]
 Foil = Literal["effective", "lattice"]
+HalfTurns = Annotated[int, Check(lambda value: 1 <= value <= 15, "a whole number from 1 to 15")]
 
 TransportStatus = _core.TransportStatus
 
@@ -44,6 +46,9 @@ class SimulateSettings(SettingsData):
         Whether the steps table holds the ionization clusters of the particles, too, not only delta electrons.
     decays : bool
         Whether muons, charged pions and charged kaons decay in flight. Their charged daughters leave hits, too.
+    half_turns : int
+        Half turns of a particle that turns back in the field: from its closest approach to the beam line to its
+        outermost point, or back. 1: it is followed to its outermost point, and leaves no hits on the way inward.
 
     Raises
     ------
@@ -58,6 +63,7 @@ class SimulateSettings(SettingsData):
     deltas: bool = True
     steps: bool = False
     decays: bool = True
+    half_turns: HalfTurns = 1
 
     def contradictions(self) -> list[str]:
         """Return the settings that need fluctuations ``"full"``."""
@@ -76,14 +82,15 @@ def simulate(
     settings: SimulateSettings | None = None,
     seed: int = 0,
 ) -> dict[str, Table]:
-    """Transport particles outward until they leave, curl back, stop or decay.
+    """Transport particles until they leave, stop, decay, or have made their half turns.
 
     Uniform field: exact helices between scatterers; field maps: Runge-Kutta-Nystrom steps (docs/methods/field.md).
     Scattering from the elements of the matter, soft as a Gaussian with lateral displacement, hard ones one by one;
     energy loss with Bethe's mean and collisions up to the largest transfer (docs/methods/matter.md), valid for
     beta gamma > 0.13; ionization clusters and delta electrons in the drift gaps (docs/methods/deltas.md).
     Random numbers are those of (seed, event, particle, place), so results do not depend on how events are cut into
-    chunks. Hits are recorded on the outward path; a particle that first moves inward only meets the matter there.
+    chunks. With one half turn, hits are recorded on the outward path; a particle that first moves inward only meets the
+    matter there.
     The charged daughters of decays are transported in the same way, and their hits carry the number of the particle.
 
     Parameters
@@ -138,6 +145,7 @@ def core_arguments(detector: Detector, particles: Table, settings: SimulateSetti
         "deltas": settings.deltas,
         "steps": settings.steps,
         "decays": compiled_decays() if settings.decays else None,
+        "half_turns": settings.half_turns,
         "seed": seed,
     }
 

@@ -2,7 +2,8 @@
 
 Every charged particle gets its wire hits and one cluster per view of each of its crossings, and no hit of another
 particle. A cluster or cell that two particles share goes to the one that left more (or was closer). Hits of the
-daughters of a decay in flight are not the particle's own: its candidate ends at the decay.
+daughters of a decay in flight are not the particle's own: its candidate ends at the decay. Of a particle that makes
+several half turns in the field, it takes the hits of the first one.
 """
 
 from __future__ import annotations
@@ -34,8 +35,8 @@ def by_truth(
     """Give each charged particle the X clusters, V clusters and wire hits that its truths link to.
 
     Of several clusters of one crossing in one view, `own_clusters` selects one. XV clusters are left out, since they
-    repeat their X and V clusters. Hits without a truth, of a particle that is not in the table, or of the daughters of
-    a decay are not assigned.
+    repeat their X and V clusters. Hits without a truth, of a particle that is not in the table, of the daughters of a
+    decay, or of half turns other than the first are not assigned.
 
     Parameters
     ----------
@@ -66,7 +67,9 @@ def by_truth(
     candidate_of = np.full(len(particles) + 1, -1)
     candidate_of[charged] = np.arange(len(charged))
     of_truth, of_passage = (
-        np.where(table["daughter"] == 0, candidate_of[particle_rows(particles, table)], -1)
+        np.where(
+            (table["daughter"] == 0) & (table["half_turn"] == 0), candidate_of[particle_rows(particles, table)], -1
+        )
         for table in (truths, wire_truths)
     )
     owner = np.concatenate(

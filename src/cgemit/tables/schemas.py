@@ -37,6 +37,9 @@ _PARTICLES = (
 )
 
 _DAUGHTER = _i4("daughter", "who left it: 0 the particle itself, k the k-th charged daughter of its decays")
+_HALF_TURN = _column(
+    "i1", "half_turn", "", "half turn: 0 the first outward one, odd ones inward; -1 the inward path before it"
+)
 
 _DECAYS = (
     _EVENT,
@@ -67,6 +70,7 @@ _TRUTHS = (
     _f8("energy", "keV", "energy deposited in the gap, by the particle and its delta electrons"),
     _column("u1", "secondaries", "", "delta electrons of this crossing that left deposits in the gap"),
     _DAUGHTER,
+    _HALF_TURN,
 )
 
 _STEPS = (
@@ -92,6 +96,7 @@ _WIRE_TRUTHS = (
     *_point("", "point of the track closest to the wire"),
     _f8("time", "ns", "time of flight from the vertex"),
     _DAUGHTER,
+    _HALF_TURN,
 )
 
 _DIGIS = (

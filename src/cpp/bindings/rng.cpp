@@ -56,6 +56,7 @@ void bind_rng(py::module_& module) {
       .value("readout_electron", Purpose::readout_electron)
       .value("readout_truth", Purpose::readout_truth)
       .value("readout_strip", Purpose::readout_strip)
+      .value("half_turn", Purpose::half_turn)
       .finalize();
   testing(module).def(
       "philox4x32",

@@ -50,7 +50,10 @@ DecayTable make_decays(const py::dict& species, const py::dict& modes, const py:
 }
 
 py::dict run(const Detector& detector, const py::dict& particles, Fluctuations fluctuations, bool deltas,
-             bool steps, const std::optional<DecayTable>& decays, std::uint64_t seed) {
+             bool steps, const std::optional<DecayTable>& decays, int half_turns, std::uint64_t seed) {
+  if (half_turns < 1 || half_turns > most_half_turns)
+    throw std::invalid_argument("half_turns: got " + std::to_string(half_turns) + ", expected 1 to " +
+                                std::to_string(most_half_turns));
   const auto event = take<std::int64_t>(particles, "event");
   const auto particle = take<std::int32_t>(particles, "particle"), pdg = take<std::int32_t>(particles, "pdg");
   const auto charge = take<std::int8_t>(particles, "charge");
@@ -70,8 +73,11 @@ py::dict run(const Detector& detector, const py::dict& particles, Fluctuations f
                            .px = column(px, "px", n),
                            .py = column(py_, "py", n),
                            .pz = column(pz, "pz", n)};
-  const SimulateSettings settings{
-      .fluctuations = fluctuations, .deltas = deltas, .steps = steps, .decays = decays ? &*decays : nullptr};
+  const SimulateSettings settings{.fluctuations = fluctuations,
+                                  .deltas = deltas,
+                                  .steps = steps,
+                                  .decays = decays ? &*decays : nullptr,
+                                  .half_turns = half_turns};
   Simulated out;
   {
     py::gil_scoped_release release;
@@ -108,7 +114,7 @@ void bind_simulate(py::module_& module) {
       .def(py::init(&make_decays), py::arg("species"), py::arg("modes"), py::arg("products"));
   module.def("simulate", &run, py::arg("detector"), py::arg("particles"), py::kw_only(),
              py::arg("fluctuations"), py::arg("deltas") = true, py::arg("steps") = false,
-             py::arg("decays") = py::none(), py::arg("seed"),
+             py::arg("decays") = py::none(), py::arg("half_turns") = 1, py::arg("seed"),
              "Transport particles through the detector; columns of `truths`, `steps`, `wire_truths` and "
              "`decays`, and `status`.");
 }

@@ -44,6 +44,7 @@ enum class Purpose : std::uint32_t {
   readout_electron = 12,
   readout_truth = 13,
   readout_strip = 14,
+  half_turn = 15,
 };
 
 // Uniform in (0, 1), never 0 and never 1: 32 bits, centred.

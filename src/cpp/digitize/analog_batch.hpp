@@ -103,10 +103,10 @@ class EventReadout {
   // Drifts all electrons of a truth to the strips.
   void collect(std::size_t row, std::size_t event_begin) {
     const auto number = static_cast<std::size_t>(truths_.layer[row]);
-    const std::uint32_t place =
-        (static_cast<std::uint32_t>(number) << 19) | ((earlier(truths_, event_begin, row) & 7U) << 16);
+    const std::uint32_t before = earlier(truths_, event_begin, row);
+    const std::uint32_t place = (static_cast<std::uint32_t>(number) << 19) | ((before & 7U) << 16);
     const Stream stream(readout_.seed, static_cast<std::uint64_t>(truths_.event[row]),
-                        static_cast<std::uint32_t>(truths_.particle[row]));
+                        static_cast<std::uint32_t>(truths_.particle[row]) | ((before & 8U) << 16));
     const double ratio = readout_.share_spread * stream.normals(Purpose::readout_truth, place)[0];
     const std::array<double, 2> share = {1 / (1 + std::exp(-ratio)), 1 / (1 + std::exp(ratio))};
     Group group;

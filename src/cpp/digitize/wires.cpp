@@ -13,10 +13,10 @@ namespace {
 
 struct FiredCell {
   std::int32_t gid;
-  double drift, sigma;
+  double drift, sigma, time;  // time: ns
   std::size_t row;
 
-  auto order() const { return std::tuple(gid, drift, row); }
+  auto order() const { return std::tuple(gid, time, drift, row); }
 };
 
 // Index in the detector of each layer number of the experiment; -1 if there is no such layer.
@@ -44,6 +44,7 @@ void check(const WireTruthColumns& truths, const Detector& detector, const std::
       fail(i, "wire " + std::to_string(truths.wire[i]) + ", expected 0 to " + std::to_string(cells - 1));
     }
     if (!std::isfinite(truths.doca[i])) fail(i, "doca is not finite");
+    if (!std::isfinite(truths.time[i])) fail(i, "time is not finite");
   }
 }
 
@@ -55,9 +56,9 @@ double drift_time(const WireReadout& readout, double drift) {
   return readout.xt_time[above - 1] + share * (readout.xt_time[above] - readout.xt_time[above - 1]);
 }
 
-void fire(const WireLayer& layer, const WireTruthColumns& truths, std::size_t row, std::uint64_t seed,
+void fire(const WireLayer& layer, const WireTruthColumns& truths, std::size_t row, const WireReadout& readout,
           std::vector<FiredCell>& out) {
-  const Stream stream(seed, static_cast<std::uint64_t>(truths.event[row]),
+  const Stream stream(readout.seed, static_cast<std::uint64_t>(truths.event[row]),
                       static_cast<std::uint32_t>(truths.particle[row]));
   const auto place =
       static_cast<std::uint32_t>(layer.number) << 16 | static_cast<std::uint32_t>(truths.wire[row]);
@@ -68,8 +69,11 @@ void fire(const WireLayer& layer, const WireTruthColumns& truths, std::size_t ro
   };
   const double distance = std::abs(truths.doca[row]);
   const double drift = distance + sigma(distance) * normal_quantile(open_unit(words[0]));
+  // First half turns are all as late, since their times of flight are taken as known.
+  const double late = truths.half_turn[row] > 0 ? truths.time[row] : 0.0;
   // The error is evaluated at the measured drift distance, the only one that the hit has.
-  out.push_back({layer.gid_first + truths.wire[row], drift, sigma(drift), row});
+  out.push_back(
+      {layer.gid_first + truths.wire[row], drift, sigma(drift), drift_time(readout, drift) + late, row});
 }
 
 void write(const WireTruthColumns& truths, const WireReadout& readout, const FiredCell& hit,
@@ -104,7 +108,7 @@ WireHitColumns read_out_wires(const Detector& detector, const WireTruthColumns& 
   for (std::size_t begin = 0, end; begin < truths.size(); begin = end) {
     fired.clear();
     for (end = begin; end < truths.size() && truths.event[end] == truths.event[begin]; ++end) {
-      fire(detector.wires[index[truths.layer[end]]], truths, end, readout.seed, fired);
+      fire(detector.wires[index[truths.layer[end]]], truths, end, readout, fired);
     }
     std::sort(fired.begin(), fired.end(), [](const auto& a, const auto& b) { return a.order() < b.order(); });
     for (std::size_t i = 0; i < fired.size(); ++i) {

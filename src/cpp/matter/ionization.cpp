@@ -124,7 +124,8 @@ class GapIonization {
   }
   Start solid_point(double w) const {
     const HelixPoint& edge = w < 0 ? crossing_.entry : crossing_.exit;
-    const double outward = std::max(edge.outward() / edge.radius(), steepest);
+    const double slope = edge.outward() / edge.radius();
+    const double outward = slope < 0 ? std::min(slope, -steepest) : std::max(slope, steepest);
     const double arc = (w < 0 ? w : w - matter_.width()) / outward;
     return start(edge, edge.x + arc * edge.ux, edge.y + arc * edge.uy, edge.z + arc * edge.tanl, w);
   }

@@ -14,7 +14,7 @@
 namespace cgemit {
 
 struct GapCrossing {
-  HelixPoint entry, exit;  // at the inner and outer edge of the gap
+  HelixPoint entry, exit;  // at the inner and outer edge of the gap, in the direction of flight
   double bz;               // T
   double length;           // mm, along the track
 };

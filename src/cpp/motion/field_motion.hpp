@@ -49,6 +49,11 @@ class FieldMotionOf {
   }
   // To be called after a change of direction at the same position and momentum.
   void turned(Point& point) const { point.w = curvature<T>(point, point.field.b, bend_); }
+  // Flies the same path in the opposite direction from here on.
+  void reverse(Point& point) {
+    static_cast<HelixPointOf<T>&>(point) = reversed<T>(point);
+    bend_ = -bend_;
+  }
   // Evaluates the field at a point that was set directly.
   void look(Point& point) const { point.field = field_at(point); }
   // Derivatives to be propagated with every move; null: none.

@@ -130,6 +130,12 @@ template <class T>
   return reached;
 }
 
+// The same helix flown in the opposite direction.
+template <class T>
+HelixPointOf<T> reversed(const HelixPointOf<T>& p) {
+  return {p.x, p.y, p.z, -p.ux, -p.uy, -p.tanl, -p.w};
+}
+
 // Moves by a transverse arc, forward or backward.
 template <class T>
 void advance(HelixPointOf<T>& point, std::type_identity_t<T> arc) {

@@ -18,6 +18,8 @@ class UniformMotionOf {
   explicit UniformMotionOf(const Detector& detector) : bz_(detector.bz) {}
 
   void look(Point&) const {}
+  // Flies the same helix in the opposite direction from here on.
+  void reverse(Point& point) const { point = reversed(point); }
   // Sets the curvature of points from kappa = charge/pT.
   void bend(Point& point, const T& kappa, const Mask& who) const {
     point.w = select(who, curvature(bz_, kappa), point.w);

@@ -11,6 +11,7 @@
 #include "motion/field_motion.hpp"
 #include "motion/uniform.hpp"
 #include "simulate/flight.hpp"
+#include "simulate/half_turns.hpp"
 #include "simulate/simulate.hpp"
 
 namespace cgemit {
@@ -33,7 +34,7 @@ class Batch {
     for (std::size_t g = 0; g * width < side_by_side_; ++g) {
       std::vector<CellRecord<T>>& cells = cells_at_once ? groups_[0].cells : groups_[g].cells;
       fly(groups_[g], cells);
-      fly_decayed(g);
+      fly_again(g);
       if (cells_at_once) write_cells_of_group(g, cells);
     }
     ionize();
@@ -70,6 +71,11 @@ class Batch {
   };
 
   bool flies(std::size_t row) const { return in_.charge[row] != 0 && (in_.px[row] != 0 || in_.py[row] != 0); }
+  // Whether a particle leaves hits before or after its first half turn.
+  bool loops(std::size_t row, TransportStatus status) const {
+    const bool inward = in_.x[row] * in_.px[row] + in_.y[row] * in_.py[row] < 0;
+    return settings_.half_turns > 1 && (inward || status == TransportStatus::curled);
+  }
   ParticleNumber who(std::size_t row) const { return {in_.event[row], in_.particle[row]}; }
   bool ionizes() const { return settings_.fluctuations == Fluctuations::full && !detector_.gaps.empty(); }
 
@@ -105,13 +111,13 @@ class Batch {
     each_lane(group.used, [&](int i) { group.status[static_cast<std::size_t>(i)] = flight.status(i); });
   }
 
-  // Particles of a group that decay are flown again on their own, with their daughters.
-  void fly_decayed(std::size_t g) {
-    const auto decayed = [&](int i) {
-      return groups_[g].status[static_cast<std::size_t>(i)] == TransportStatus::decayed;
-    };
+  // Particles of a group that decay are flown again on their own, with their daughters, and so are those with
+  // further half turns.
+  void fly_again(std::size_t g) {
     for (Seat& seat : seats_) {
-      if (seat.alone || seat.group != g || !decayed(seat.lane)) continue;
+      if (seat.alone || seat.group != g) continue;
+      const TransportStatus status = groups_[g].status[static_cast<std::size_t>(seat.lane)];
+      if (status != TransportStatus::decayed && !loops(seat.row, status)) continue;
       seat = {seat.row, true, alone_used_++, 0};
       alone_[seat.group].rows = {seat.row};
       alone_[seat.group].used = true;
@@ -143,8 +149,7 @@ class Batch {
   // Adds the records of the particle `number` (0: the particle itself), and its daughters.
   TransportStatus fly_alone(Group<double>& group, const ParticleColumns& in, std::size_t row,
                             std::int32_t number) {
-    Flight<double, MotionOf<double>> flight(detector_, settings_, in, seed_, {row}, true, group.gaps,
-                                            group.cells);
+    LoopingFlight<MotionOf<double>> flight(detector_, settings_, in, seed_, {row}, group.gaps, group.cells);
     flight.run();
     if (flight.status(0) == TransportStatus::decayed) {
       const double start = number == 0 ? 0.0 : group.daughters[static_cast<std::size_t>(number - 1)].time;
@@ -174,7 +179,7 @@ class Batch {
           if (!lane(gap.filled, seat.lane)) continue;
           const auto k = static_cast<std::size_t>(gap.daughter);
           const ParticleColumns in = k == 0 ? in_ : columns_of(group.daughters[k - 1]);
-          fill(gap, seat.lane, stream_of(in, k == 0 ? seat.row : 0, seed_));
+          fill(gap, seat.lane, stream_of_half_turn(in, k == 0 ? seat.row : 0, seed_, gap.half_turn));
         }
       });
     }
@@ -187,7 +192,9 @@ class Batch {
 
   template <class N>
   void fill(const GapRecord<N>& gap, int i, const Stream& stream) {
-    const GapCrossing crossing{lane(gap.entry, i), lane(gap.exit, i), lane(gap.bz, i), lane(gap.path, i)};
+    const bool inward = gap.half_turn % 2 != 0;
+    const GapCrossing crossing{lane(inward ? gap.exit : gap.entry, i), lane(inward ? gap.entry : gap.exit, i),
+                               lane(gap.bz, i), lane(gap.path, i)};
     const std::size_t before = clusters_.size();
     const Ionized ionized = set_free(matter(gap), crossing, lane(gap.inside, i), stream, gap.slab->place,
                                      settings_.deltas, settings_.steps, electrons_, clusters_);
@@ -234,8 +241,8 @@ class Batch {
   void write_gap(const GapRecord<N>& gap, int i, const ParticleNumber& of) {
     const GapResult left = ionizes() ? write_steps(gap, of) : GapResult{lane(gap.deposit, i) / keV, 0, 0};
     out_.truths.append(
-        of, {gap.slab->gap, gap.daughter, lane(gap.entry, i), lane(gap.middle, i), lane(gap.exit, i),
-             lane(gap.inside.p, i), lane(gap.path, i), lane(gap.time, i), left});
+        of, {gap.slab->gap, gap.daughter, gap.half_turn, lane(gap.entry, i), lane(gap.middle, i),
+             lane(gap.exit, i), lane(gap.inside.p, i), lane(gap.path, i), lane(gap.time, i), left});
   }
 
   template <class N>

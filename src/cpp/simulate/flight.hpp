@@ -57,19 +57,7 @@ class Flight {
 
   void run() {
     fly_in();
-    for (std::size_t i = 0; i < detector_.surfaces.size() && any(flying_); ++i) {
-      const Surface& surface = detector_.surfaces[i];
-      const Mask passes = flying_ & (ahead_ <= static_cast<double>(i));
-      if (!any(passes)) continue;
-      const auto index = static_cast<std::size_t>(surface.index);
-      if (!surface.is_slab) {
-        pass_cells(index, passes);
-      } else if (const Mask meets = passes & !curled_; any(meets)) {
-        const Slab& slab = detector_.slabs[index];
-        slab.gap >= 0 ? cross_gap(slab, meets) : cross(slab, reach(slab.radius, meets));
-      }
-    }
-    decay_before_apex();
+    fly_out();
   }
 
   TransportStatus status(int i) const {
@@ -92,7 +80,24 @@ class Flight {
             .mass = now_.mass};
   }
 
- private:
+ protected:
+  // Outward, until the particles leave or turn back.
+  void fly_out() {
+    for (std::size_t i = 0; i < detector_.surfaces.size() && any(flying_); ++i) {
+      const Surface& surface = detector_.surfaces[i];
+      const Mask passes = flying_ & (ahead_ <= static_cast<double>(i));
+      if (!any(passes)) continue;
+      const auto index = static_cast<std::size_t>(surface.index);
+      if (!surface.is_slab) {
+        pass_cells(index, passes);
+      } else if (const Mask meets = passes & !curled_; any(meets)) {
+        const Slab& slab = detector_.slabs[index];
+        slab.gap >= 0 ? cross_gap(slab, meets) : cross(slab, reach(slab.radius, meets));
+      }
+    }
+    decay_before_apex();
+  }
+
   HelixPointOf<T>& helix() { return point_; }
 
   // Index of the first surface beyond a radius.
@@ -232,7 +237,8 @@ class Flight {
   }
 
   // A track that turns back below a slab may still pass the next wires, until it turns back below those.
-  CGEMIT_FLATTEN void pass_cells(std::size_t index, const Mask& who) {
+  // Returns the lanes that reach the layer.
+  CGEMIT_FLATTEN Mask pass_cells(std::size_t index, const Mask& who) {
     CellRange<T, Point> range;
     const Mask found = cell_finder_.find(index, point_, who, range);
     stop_at_edge(cell_finder_.left());
@@ -241,6 +247,7 @@ class Flight {
       record_cell(detector_.wires[index], left, range);
       range.first += T(1.0);
     }
+    return found;
   }
 
   void record_cell(const WireLayer& layer, const Mask& who, const CellRange<T, Point>& range) {
@@ -264,7 +271,7 @@ class Flight {
   StreamOf<T> stream_;
   T charge_, time_{0.0}, arc_{0.0}, deposit_{0.0};
   Point point_;
-  T sec_lambda_{1.0};  // path per transverse arc
+  T sec_lambda_{1.0};  // path per transverse arc; below 0 back in time
   T ahead_;            // index of the first surface ahead
   KinematicsOf<T> now_;
   T decay_time_;  // ns, of the decay if the particle loses no more energy

@@ -33,6 +33,7 @@ struct GapRecord {
   T path, time, deposit;      // mm, ns, GeV
   T bz;                       // T, at the entry
   std::int32_t daughter = 0;  // 0: the particle itself, k: its k-th daughter
+  std::int8_t half_turn = 0;  // odd: inward
 };
 
 // One cell of each particle in one layer of wires.
@@ -43,6 +44,7 @@ struct CellRecord {
   std::array<std::int64_t, lanes_of<T>> wire;
   T doca, x, y, z, time;
   std::int32_t daughter = 0;
+  std::int8_t half_turn = 0;
 };
 
 // Appends the cells of one lane.
@@ -66,6 +68,7 @@ void append_cells(const std::vector<CellRecord<T>>& cells, int i, const Particle
     out.z[row] = lane(c.z, i);
     out.time[row] = lane(c.time, i);
     out.daughter[row] = c.daughter;
+    out.half_turn[row] = c.half_turn;
     ++row;
   }
 }

@@ -10,6 +10,7 @@ void Truths::append(const ParticleNumber& who, const GapRow& row) {
   particle.push_back(who.particle);
   layer.push_back(row.layer);
   daughter.push_back(row.daughter);
+  half_turn.push_back(row.half_turn);
   entry_x.push_back(row.entry.x);
   entry_y.push_back(row.entry.y);
   entry_z.push_back(row.entry.z);

@@ -15,6 +15,7 @@ namespace cgemit {
 // A crossing of a drift gap.
 struct GapRow {
   std::int32_t layer, daughter;
+  std::int8_t half_turn;
   HelixPoint entry, middle, exit;
   double momentum;    // GeV/c
   double path, time;  // mm, ns
@@ -30,6 +31,7 @@ struct Truths {
   std::vector<double> px, py, pz;                                         // GeV/c, there
   std::vector<double> path, time, energy;                                 // mm, ns, keV
   std::vector<std::uint8_t> secondaries;
+  std::vector<std::int8_t> half_turn;
 
   void append(const ParticleNumber& who, const GapRow& row);
   template <class F>
@@ -39,7 +41,7 @@ struct Truths {
     f("exit_x", exit_x), f("exit_y", exit_y), f("exit_z", exit_z);
     f("r", r), f("phi", phi), f("z", z), f("px", px), f("py", py), f("pz", pz);
     f("path", path), f("time", time), f("energy", energy), f("secondaries", secondaries);
-    f("daughter", daughter);
+    f("daughter", daughter), f("half_turn", half_turn);
   }
 };
 
@@ -69,13 +71,14 @@ struct WireTruths {
   std::vector<std::int64_t> event;
   std::vector<std::int32_t> particle, layer, wire, daughter;
   std::vector<double> doca;  // mm, signed
-  std::vector<std::int8_t> side;
+  std::vector<std::int8_t> side, half_turn;
   std::vector<double> x, y, z, time;  // closest point on the track
 
   template <class F>
   void each_column(F&& f) {
     f("event", event), f("particle", particle), f("layer", layer), f("wire", wire), f("doca", doca);
     f("side", side), f("x", x), f("y", y), f("z", z), f("time", time), f("daughter", daughter);
+    f("half_turn", half_turn);
   }
 };
 

@@ -15,11 +15,14 @@ namespace cgemit {
 
 enum class Fluctuations { full, gaussian, off };
 
+inline constexpr int most_half_turns = 15;  // the read-out knows 16 crossings of a layer apart
+
 struct SimulateSettings {
   Fluctuations fluctuations;
   bool deltas;               // electrons that leave the particle's track
   bool steps;                // also the particle's own ionization clusters
   const DecayTable* decays;  // null: nothing decays
+  int half_turns;            // most of a particle: from perigee to apex, or back; 1 to most_half_turns
 };
 
 // One row per generated particle; all columns of one length.
@@ -38,8 +41,8 @@ struct Simulated {
   std::vector<TransportStatus> status;  // one per particle
 };
 
-// Appends to `out`. Hits are recorded on the outward path only; a particle that starts inward first crosses
-// the matter there.
+// Appends to `out`. With one half turn, hits are recorded on the outward path only; a particle that starts
+// inward first crosses the matter there.
 void simulate(const Detector& detector, const ParticleColumns& particles, const SimulateSettings& settings,
               std::uint64_t seed, Simulated& out);
 

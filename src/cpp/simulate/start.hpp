@@ -18,6 +18,17 @@ inline Stream stream_of(const ParticleColumns& in, std::size_t row, std::uint64_
           static_cast<std::uint32_t>(in.particle[row]) | leg};
 }
 
+// Of a half turn. Number 0 is the first outward one, -1 the inward path before it. Later ones have the random
+// numbers of an event of their own.
+inline Stream stream_of_half_turn(const ParticleColumns& in, std::size_t row, std::uint64_t seed,
+                                  int half_turn) {
+  const Stream first = stream_of(in, row, seed, half_turn < 0 ? inward_leg : 0);
+  if (half_turn <= 0) return first;
+  const Block words = first.block(Purpose::half_turn, static_cast<std::uint32_t>(half_turn));
+  return {seed, 1ULL << 63 | std::uint64_t{words[0]} << 32 | words[1],
+          static_cast<std::uint32_t>(in.particle[row])};
+}
+
 // A table with one particle; it refers to the daughter. Its random numbers are those of an event of its own.
 inline ParticleColumns columns_of(const Daughter& one) {
   const auto of = [](const auto& value) { return std::span(&value, 1); };
