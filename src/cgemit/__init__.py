@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from cgemit.samples import EventSample, sample
     from cgemit.simulate import SimulateSettings, TransportStatus
     from cgemit.stages import Settings
+    from cgemit.start_times import StartTimeStatus
     from cgemit.states import StateStatus, Surface, extrapolate
     from cgemit.statistics.resolutions import resolution
     from cgemit.stored_run import open
@@ -63,6 +64,7 @@ __all__ = [
     "Result",
     "Settings",
     "SimulateSettings",
+    "StartTimeStatus",
     "StateStatus",
     "Surface",
     "Table",
@@ -114,6 +116,7 @@ _MODULES = {
     "Result": "result",
     "Settings": "stages",
     "SimulateSettings": "simulate",
+    "StartTimeStatus": "start_times",
     "StateStatus": "states",
     "Surface": "states",
     "Table": "tables",

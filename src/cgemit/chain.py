@@ -35,6 +35,7 @@ from cgemit.stages import (
     fit_settings,
     with_readout,
 )
+from cgemit.start_times import corrected
 from cgemit.stored_run import open as open_run
 from cgemit.tables import Table, concatenate
 from cgemit.tables.formats import check_format
@@ -78,6 +79,16 @@ def run_chunk(
 
     hits, truth, found = ("clusters", "wire_hits"), ("truths", "wire_truths"), ("candidates", "candidate_hits")
 
+    def find_in(wire_hits: Table) -> Mapping[str, Table]:
+        if callable(finder):
+            return by_finder(finder, fit_detector, tables["clusters"], wire_hits)
+        if finder == "ckf":
+            return find_tracks(fit_detector, tables["clusters"], wire_hits, settings.find)
+        return find.by_truth(detector, *pick("particles", *hits, *truth))
+
+    def find_again() -> Mapping[str, Table]:
+        return find_in(corrected(tables["wire_hits"], fit_clusters(tables["clusters"])["start_times"]))
+
     def fit_clusters(clusters: Table) -> Mapping[str, Table]:
         candidates, candidate_hits = pick(*found)
         return fit(fit_detector, clusters, tables["wire_hits"], candidates, candidate_hits, fit_settings(settings))
@@ -101,16 +112,13 @@ def run_chunk(
         "cluster": lambda: {
             "clusters": cluster_digis(detector, tables["digis"], settings.digitize, settings.cluster)
         },
-        "find": lambda: (
-            by_finder(finder, fit_detector, tables["clusters"], tables["wire_hits"])
-            if callable(finder)
-            else find_tracks(fit_detector, tables["clusters"], tables["wire_hits"], settings.find)
-            if finder == "ckf"
-            else find.by_truth(detector, *pick("particles", *hits, *truth))
-        ),
+        "find": lambda: find_in(tables["wire_hits"]),
         "fit": lambda: fit_clusters(tables["clusters"]),
         "match": lambda: match(*pick("tracks", *found, *hits, "particles", *truth), detector=detector),
     }  # fmt: skip
+    if settings.fit.start_time == "fitted" and finder != "truth" and until == "fit":
+        rest = {name: stages.pop(name) for name in ("fit", "match")}
+        stages |= {"find again": find_again, **rest}
     if getattr(settings.digitize.readout, "second_pass", False):
         last = stages.pop("match")
         stages |= {"second pass": second_pass, "match": last}

@@ -14,6 +14,7 @@ from cgemit.detector import SCREENINGS, Detector, compiled, load
 from cgemit.fit_begins import BEGIN, begins_of, displaced, fit_by_begin, slabs_inside
 from cgemit.fit_settings import FitSettings as FitSettings
 from cgemit.species import HYPOTHESES
+from cgemit.start_times import fit_with_start_times
 from cgemit.states import state_columns
 from cgemit.tables import Table
 
@@ -54,9 +55,9 @@ def fit(
     Returns
     -------
     dict of str to Table
-        ``tracks``, one row per candidate and mass hypothesis, with ``settings.residuals`` also ``residuals``, and with
-        ``settings.states`` also ``states``. Rows whose `status` is not ok hold the last helix tried, and NaN where
-        there is no helix, covariance or chi-square.
+        ``tracks``, one row per candidate and mass hypothesis, with ``settings.residuals`` also ``residuals``, with
+        ``settings.states`` also ``states``, and with a fitted start time also ``start_times``. Rows whose `status` is
+        not ok hold the last helix tried, and NaN where there is no helix, covariance or chi-square.
 
     Raises
     ------
@@ -68,6 +69,15 @@ def fit(
     detector, settings = load(detector), FitSettings() if settings is None else settings
     if not isinstance(settings, FitSettings):
         raise TypeError(f"settings: got {type(settings).__name__}, expected FitSettings")
+    if settings.start_time == "fitted":
+
+        def fit_shifted(hits: Table, some: Table, theirs: Table, how: FitSettings, begin: Floats) -> dict[str, Table]:
+            return fit(detector, clusters, hits, some, theirs, how, start=begin if len(begin) else None)
+
+        begin = _start(start, len(candidates))
+        found = fit_with_start_times(fit_shifted, wire_hits, candidates, candidate_hits, settings, begin)
+        tracks = found["tracks"]
+        return found | {"tracks": tracks.with_columns(displaced=displaced(tracks["dr"], tracks["err_dr"], detector))}
     if BEGIN in candidates and len(candidates):
         given = _start(start, len(candidates))
 

@@ -24,6 +24,7 @@ Share = Annotated[float, Check(lambda value: 0 <= value < 1, "0 or a probability
 Pull = Annotated[float, Check(lambda value: value == 0 or 2 <= value < math.inf, "0 or at least 2 standard deviations")]
 Spread = Annotated[float, Check(lambda value: 1e-12 <= value < math.inf, "a number not below 1e-12")]
 FiveSpreads = tuple[Spread, Spread, Spread, Spread, Spread]
+TimeError = Annotated[float, Check(lambda value: 1e-3 <= value <= 1e3, "a time in ns from 0.001 to 1000")]
 _FARTHEST = 1e5  # mm
 Start = Annotated[float, Check(lambda value: abs(value) <= _FARTHEST, f"a radius in mm, within +-{_FARTHEST:g}")]
 Radius = Annotated[float, Check(lambda value: 0 < value < math.inf, "a positive radius in mm")]
@@ -83,6 +84,11 @@ class FitSettings(SettingsData):
         back once it is closer. 0: every hit is used.
     prior_sigma : tuple of float
         Standard deviations of (dr mm, phi0 rad, kappa (GeV/c)^-1, dz mm, tanl) of the filter's prior.
+    start_time : str
+        ``"given"``: drift times count from the start of the event. ``"fitted"``: they are wrong by one number for each
+        event, which its tracks give; the fit then makes the table ``start_times`` (docs/methods/fit.md).
+    start_time_error : float or None
+        ns, standard deviation of the given start time, which a fitted one takes into account. None: it counts nothing.
 
     Raises
     ------
@@ -106,9 +112,19 @@ class FitSettings(SettingsData):
     kinks: bool = True
     outlier_pull: Pull = 5.0
     prior_sigma: FiveSpreads = (200.0, 0.5, 5.0, 1000.0, 2.0)
+    start_time: Literal["given", "fitted"] = "given"
+    start_time_error: TimeError | None = None
 
     def contradictions(self) -> list[str]:
-        """Return what is wrong with several hypotheses together."""
+        """Return what is wrong with several hypotheses together, and with an error of the start time."""
+        return self._of_hypotheses() + self._of_start_time()
+
+    def _of_start_time(self) -> list[str]:
+        if not isinstance(self.start_time_error, int | float) or self.start_time != "given":
+            return []
+        return [f"start_time_error: got {self.start_time_error}, expected none unless start_time is 'fitted'"]
+
+    def _of_hypotheses(self) -> list[str]:
         given = self.hypothesis
         if not isinstance(given, tuple) or len(given) == 1:
             return []

@@ -87,6 +87,7 @@ class Result:
     fitted = _Stored("tracks")
     residuals = _Stored()
     states = _Stored()
+    start_times = _Stored()
     matches = _Stored()
 
     @property

@@ -24,6 +24,7 @@ def tables_made(until: str, settings: Settings) -> tuple[str, ...]:
     made = {name for names in BY_STAGE[: STAGES.index(until) + 1] for name in names}
     if until == "fit":
         made |= {name for name in ("residuals", "states") if getattr(settings.fit, name)}
+        made |= {"start_times"} if settings.fit.start_time == "fitted" else set()
     return tuple(name for name in TABLES if name in made)
 
 

@@ -25,13 +25,13 @@ STAGES = ("simulate", "digitize", "cluster", "find", "fit")  # where a run can e
 
 TABLES = (
     *("particles", "decays", "truths", "steps", "wire_truths", "digis", "wire_hits", "clusters"),
-    *("candidates", "candidate_hits", "tracks", "residuals", "states", "matches"),
+    *("candidates", "candidate_hits", "tracks", "residuals", "states", "start_times", "matches"),
 )
 
 #: Tables of every run, wherever it ends.
 EVERY_RUN = ("particles", "decays", "truths", "steps", "wire_truths")
 
-#: Tables of each stage in order, but residuals and states, which a fit makes only if its settings say so.
+#: Tables of each stage in order, but residuals, states and start times: a fit makes them only if its settings say so.
 BY_STAGE = (
     EVERY_RUN, ("digis", "wire_hits"), ("clusters",), ("candidates", "candidate_hits"), ("tracks", "matches"),
 )  # fmt: skip

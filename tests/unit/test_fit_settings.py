@@ -119,6 +119,8 @@ def test_core_settings_have_the_same_names():
         "radiation",
         "matter",
         "start_radius",
+        "start_time",
+        "start_time_error",
     }
     assert names - {"errors_from_track"} == ours - elsewhere
     assert "=" not in text.split("->")[0]

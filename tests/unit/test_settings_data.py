@@ -34,6 +34,7 @@ CHANGED = Settings(
         cluster_errors="cluster", screening="moliere", loss="most_probable", residuals=True,
         states=(90.5, "origin", "hits"), hypothesis=("mu", "K"), max_iterations=7, tolerance=1e-07, least_width=2,
         delta_strips=0.0, kinks=False, outlier_pull=0, prior_sigma=(1, 2, 3, 4, 1 / 7),
+        start_time="fitted", start_time_error=2.5,
     ),
 )  # fmt: skip
 

@@ -12,7 +12,7 @@ from cgemit.background.random import CELLS, HOT_CELLS, WIRE_CHANNELS, Floats, Ra
 from cgemit.detector import Detector
 from cgemit.detector.background import BackgroundLevel
 from cgemit.detector.parts import WireLayer
-from cgemit.digitize import XT_DISTANCE, XT_TIME
+from cgemit.drift_times import XT_DISTANCE, XT_TIME
 
 Rows = npt.NDArray[np.int64]
 

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from cgemit.background.random import MIXED, Floats, Random
 from cgemit.detector import Detector, load
-from cgemit.digitize import XT_DISTANCE, XT_TIME
+from cgemit.drift_times import XT_DISTANCE, XT_TIME
 from cgemit.tables import Table
 from cgemit.tables.files import INDEX
 from cgemit.tables.stored import StoredTables

@@ -213,7 +213,8 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _fits(arguments: argparse.Namespace) -> bool:
     """Tell whether the command line asks for fitted tracks, by `--fit` or something that only the fit can give."""
-    kept = set(arguments.keep or ()) & {"candidates", "candidate_hits", "tracks", "residuals", "states", "matches"}
+    fitted = {"candidates", "candidate_hits", "tracks", "residuals", "states", "start_times", "matches"}
+    kept = set(arguments.keep or ()) & fitted
     asked = (
         arguments.fit, arguments.finder is not None, arguments.states is not None, arguments.hypothesis is not None,
         bool(kept),

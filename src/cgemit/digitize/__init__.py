@@ -19,16 +19,13 @@ from cgemit.digitize.placed import in_layer_axes
 from cgemit.digitize.projection import ProjectionReadout as ProjectionReadout
 from cgemit.digitize.readout import Readout as Readout
 from cgemit.digitize.tiger import TigerReadout as TigerReadout
+from cgemit.drift_times import XT_DISTANCE as XT_DISTANCE
+from cgemit.drift_times import XT_TIME as XT_TIME
 from cgemit.kinds import one_of
 from cgemit.settings import SettingsData
 from cgemit.tables import Table
 from cgemit.tables.table import kind_problems
 
-#: Drift distance (mm) against drift time (ns) of the outer drift chamber's cells: medians of reconstructed hits of
-#: BESIII (BOSS 7.2.0 files published with pybes3), with the wire itself put at time 0. Straight lines between the
-#: points; the outermost ones are continued.
-XT_DISTANCE = np.array([0.0, 0.5, 1.2, 2.0, 2.8, 3.45, 4.7, 5.75, 6.9, 7.9, 8.3])
-XT_TIME = np.array([0.0, 10.0, 25.0, 50.0, 75.0, 100.0, 150.0, 200.0, 250.0, 300.0, 350.0])
 #: Read-outs of CGEM layers by name.
 READOUTS: dict[str, type[Readout]] = {
     BinaryReadout.name: BinaryReadout,

@@ -236,6 +236,14 @@ _RESIDUALS = (
     _column("u1", "used", "", "1 used, 0 left out as an outlier"),
 )
 
+_START_TIMES = (
+    _EVENT,
+    _f8("start_time", "ns", "by how much the drift times of the event are too long; 0 where no track gives it"),
+    _f8("err_start_time", "ns", "its standard deviation; where no track gives it, that of the given one, or NaN"),
+    _i4("n_tracks", "number of candidates that gave it"),
+    _column("i1", "status", "", "how the fit ended (StartTimeStatus; 0 is good)"),
+)
+
 _STATES = (
     _EVENT,
     _link("track", "the track", "tracks"),
@@ -291,6 +299,7 @@ _KINDS = (
     ("matches", _MATCHES, "one track and its particle"),
     ("residuals", _RESIDUALS, "one hit of a fitted track"),
     ("states", _STATES, "one track at one surface"),
+    ("start_times", _START_TIMES, "one event and its start time, fitted from its tracks"),
     ("vertices", _VERTICES, "one pair of tracks and their vertex"),
 )
 
