@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy import stats
+from scipy.special import erfc
 
 from cgemit import (
     Apv25Readout,
@@ -73,6 +74,20 @@ def test_cloud_on_the_strips_against_points(x: float, z: float) -> None:
         strips = np.floor(place[inside]).astype(int)
         expected = np.bincount(strips[(strips >= 0) & (strips < len(part))], minlength=len(part)) / n
         np.testing.assert_allclose(part, expected, atol=5 * np.sqrt(0.25 / n))
+
+
+@pytest.mark.parametrize("sigma", [1e-6, 0.28, 1.0, 3.0])
+def test_cloud_on_the_strips_against_the_error_function(sigma: float) -> None:
+    """Narrow and wide clouds in the middle of a sheet; what is beyond four widths is left out."""
+    layer, x = DESIGN.cgem[1], 200.3
+    found = _core.share_cloud(compiled(DESIGN), 1, layer.sheet_phi[1] + x / layer.r_readout, 20.0, sigma, sigma)
+    places = x / layer.pitch_x, float(strips_of_v(layer, local_v(layer, x, 20.0)))
+    for view, place in enumerate(places):
+        here = found["view"] == view
+        strip, width = found["strip"][here], sigma / (layer.pitch_x, layer.pitch_v)[view]
+        np.testing.assert_array_equal(strip, np.arange(np.floor(place - 4 * width), np.floor(place + 4 * width) + 1))
+        below = [0.5 * erfc((place - edge) / width / np.sqrt(2)) for edge in np.append(strip, strip[-1] + 1)]
+        np.testing.assert_allclose(found["part"][here], np.diff(below), atol=2e-9)
 
 
 @pytest.mark.parametrize(

@@ -121,12 +121,15 @@ py::dict cloud(const Detector& detector, std::size_t layer, double phi, double z
                double sigma_z) {
   std::vector<std::int32_t> sheet, view, strip;
   std::vector<double> part;
-  share_on_layer(detector.cgem.at(layer), phi, z, sigma_x, sigma_z, [&](int s, int w, int i, double p) {
-    sheet.push_back(s);
-    view.push_back(w);
-    strip.push_back(i);
-    part.push_back(p);
-  });
+  const auto give = [&](int s, int w, int i, Parts parts) {
+    for (const double p : parts) {
+      sheet.push_back(s);
+      view.push_back(w);
+      strip.push_back(i++);
+      part.push_back(p);
+    }
+  };
+  share_on_layer<Widest>(detector.cgem.at(layer), phi, z, sigma_x, sigma_z, give);
   py::dict out;
   out["sheet"] = to_numpy(std::move(sheet));
   out["view"] = to_numpy(std::move(view));

@@ -161,9 +161,9 @@ class EventReadout {
         cloud.charge * elementary_charge_fC * gains_.at(detector_, number, cloud.phi, cloud.z);
     StripSignals& signals = signals_[number];
     const StripSignals::Transit transit = signals.transit(truths_.time[row] + cloud.time);
-    share_on_layer(
-        layer, cloud.phi, cloud.z, sigma_x, sigma_z, [&](int sheet, int view, int strip, double part) {
-          signals.add(sheet, view, strip, transit, part * share[static_cast<std::size_t>(view)] * charge,
+    share_on_layer<T>(
+        layer, cloud.phi, cloud.z, sigma_x, sigma_z, [&](int sheet, int view, int strip, Parts parts) {
+          signals.add(sheet, view, strip, parts, transit, share[static_cast<std::size_t>(view)] * charge,
                       static_cast<std::int64_t>(row));
         });
   }

@@ -7,6 +7,7 @@
 #include <array>
 #include <cmath>
 #include <limits>
+#include <span>
 #include <utility>
 
 #include "common/rng.hpp"
@@ -165,21 +166,28 @@ Arrival<T> drift(const CgemLayer& layer, const LayerDrift& gas, const ElectronPh
 // Part of a Gaussian below `x`, in units of its width.
 inline double below(double x) { return 0.5 * std::erfc(-x * 0.70710678118654752440); }
 
-// The same from a table, within 1e-9: the function and three derivatives at the nearest of its points.
+// The same from a table, within 1e-9, for one number or several side by side: the function and three
+// derivatives at the nearest of its points.
 class NormalTable {
  public:
   NormalTable() {
-    for (int i = 0; i <= points; ++i) {
+    for (int i = 1; i < points; ++i) {
       const double x = i * step - reach;
       points_[static_cast<std::size_t>(i)] = {below(x), 0.39894228040143267794 * std::exp(-0.5 * x * x)};
     }
+    points_.back() = {1, 0};
   }
-  double below_at(double x) const {
-    if (!(std::abs(x) < reach)) return x < 0 ? 0 : 1;
-    const int i = static_cast<int>((x + reach) / step + 0.5);
-    const auto [integral, density] = points_[static_cast<std::size_t>(i)];
-    const double at = i * step - reach, d = x - at;
-    return integral + density * d * (1 - d * (0.5 * at - d * (at * at - 1) / 6));
+  template <class T>
+  T below_at(T x) const {
+    const T inside = smaller(larger(x, -reach), reach), nth = nearest((inside + reach) * (1 / step));
+    const auto number = whole(nth);
+    const auto entry = [&](int i) -> const Tabulated& {
+      return points_[static_cast<std::size_t>(whole_lane(number, i))];
+    };
+    const T integral = gathered<T>([&](int i) { return entry(i).integral; });
+    const T density = gathered<T>([&](int i) { return entry(i).density; });
+    const T at = nth * step - reach, d = inside - at;
+    return integral + density * d * (1.0 - d * (0.5 * at - d * (at * at - 1.0) * (1.0 / 6)));
   }
 
  private:
@@ -188,7 +196,7 @@ class NormalTable {
   };
   static constexpr double reach = 6.5, step = 1.0 / 64;
   static constexpr int points = 832;
-  std::array<Tabulated, points + 1> points_;
+  std::array<Tabulated, points + 1> points_{};
 };
 inline const NormalTable& normal_table() {
   static const NormalTable table;
@@ -202,21 +210,31 @@ inline double part_within(double mean, double sigma, double low, double high) {
   return below((high - mean) / sigma) - below((low - mean) / sigma);
 }
 
-// Calls give(strip, part) for each of the `strips` strips, counted from `position` in strips, that holds a
-// part of a Gaussian cloud of width `sigma` strips.
-template <class Give>
+// Parts of a cloud on consecutive strips.
+using Parts = std::span<const double>;
+
+// Calls give(strip, parts) with the parts of a Gaussian cloud of width `sigma` strips on consecutive strips
+// from `strip` on, of `strips` strips, counted from `position` in strips. The edges of strips are side by
+// side in the lanes of T.
+template <class T, class Give>
 void share_cloud(double position, double sigma, int strips, double inside, Give&& give) {
   constexpr double reach = 4;
+  constexpr int edges = 8, width = lanes_of<T>;
   const int first = std::max(static_cast<int>(std::floor(position - reach * sigma)), 0);
   const int last = std::min(static_cast<int>(std::floor(position + reach * sigma)), strips - 1);
-  if (first > last) return;
   const NormalTable& table = normal_table();
-  const double per_sigma = 1 / sigma;
-  double before = table.below_at((first - position) * per_sigma);
-  for (int strip = first; strip <= last; ++strip) {
-    const double up_to = table.below_at((strip + 1 - position) * per_sigma);
-    give(strip, inside * (up_to - before));
-    before = up_to;
+  const T per_sigma(1 / sigma), ramp = gathered<T>([](int i) { return static_cast<double>(i); });
+  std::array<double, edges> below_edge;
+  for (int strip = first; strip <= last; strip += edges - 1) {
+    const int n = std::min(last - strip + 1, edges - 1);
+    for (int edge = 0; edge <= n; edge += width) {
+      const T part = inside * table.below_at<T>((ramp + (strip + edge - position)) * per_sigma);
+      for (int i = 0; i < width; ++i) below_edge[static_cast<std::size_t>(edge + i)] = lane(part, i);
+    }
+    for (std::size_t i = 0; i < static_cast<std::size_t>(n); ++i) {
+      below_edge[i] = below_edge[i + 1] - below_edge[i];
+    }
+    give(strip, Parts(below_edge.data(), static_cast<std::size_t>(n)));
   }
 }
 
@@ -249,32 +267,33 @@ void share_at_edge(const CgemLayer& layer, double x, double z, double sigma_x, d
       if (from < to) part += (up_to - before) * (table.below_at(to / rest_x) - table.below_at(from / rest_x));
       before = up_to;
     }
-    give(strip, part);
+    give(strip, Parts(&part, 1));
   }
 }
 
-// Calls give(sheet, view, strip, part) for the parts of a cloud at (phi, z) on the strips of both views; the
-// parts of a view add up to what of the cloud is on the active area.
-template <class Give>
+// Calls give(sheet, view, strip, parts) for the parts of a cloud at (phi, z) on consecutive strips, of both
+// views; the parts of a view add up to what of the cloud is on the active area.
+template <class T, class Give>
 void share_on_layer(const CgemLayer& layer, double phi, double z, double sigma_x, double sigma_z,
                     Give&& give) {
   constexpr double reach = 6;
   const double turn = 2 * pi * layer.r_readout, width = layer.sheet_width();
   const double in_z = part_within(z, sigma_z, -layer.half_length, layer.half_length);
   if (in_z <= 0) return;
-  const double sigma_v = std::hypot(layer.cos_stereo * sigma_x, layer.sin_stereo * sigma_z);
+  const double across_x = layer.cos_stereo * sigma_x, across_z = layer.sin_stereo * sigma_z;
+  const double sigma_v = std::sqrt(across_x * across_x + across_z * across_z);
   for (int sheet = 0; sheet < layer.sheets; ++sheet) {
     double x = local_x(layer, sheet, phi);
     if (x > width + reach * sigma_x) x -= turn;
     if (x < -reach * sigma_x) continue;
-    const auto on_x = [&](int strip, double part) { give(sheet, 0, strip, part); };
-    const auto on_v = [&](int strip, double part) { give(sheet, 1, strip, part); };
-    share_cloud(strips_of_x(layer, x), sigma_x / layer.pitch_x, layer.strips_x, in_z, on_x);
+    const auto on_x = [&](int strip, Parts parts) { give(sheet, 0, strip, parts); };
+    const auto on_v = [&](int strip, Parts parts) { give(sheet, 1, strip, parts); };
+    share_cloud<T>(strips_of_x(layer, x), sigma_x / layer.pitch_x, layer.strips_x, in_z, on_x);
     if (in_z < 1 || part_within(x, sigma_x, 0, width) < 1) {
       share_at_edge(layer, x, z, sigma_x, sigma_z, sigma_v, on_v);
     } else {
-      share_cloud(strips_of_v(layer, local_v(layer, x, z)), sigma_v / layer.pitch_v, layer.strips_v, 1.0,
-                  on_v);
+      share_cloud<T>(strips_of_v(layer, local_v(layer, x, z)), sigma_v / layer.pitch_v, layer.strips_v, 1.0,
+                     on_v);
     }
   }
 }

@@ -1,6 +1,7 @@
 #include "digitize/chips.hpp"
 
 #include <algorithm>
+#include <array>
 #include <vector>
 
 #include "digitize/strip_signals.hpp"
@@ -16,17 +17,17 @@ class StripNoise {
   StripNoise(const Stream& stream, std::uint32_t gid) : stream_(stream), gid_(gid) {}
   double next() {
     if (used_ == 4) {
-      numbers_ = stream_.normals(Purpose::readout_strip, gid_, block_++);
+      words_ = stream_.block(Purpose::readout_strip, gid_, block_++);
       used_ = 0;
     }
-    return numbers_[used_++];
+    return normal_quantile(open_unit(words_[used_++]));
   }
 
  private:
   const Stream& stream_;
   std::uint32_t gid_, block_ = 0;
   std::size_t used_ = 4;
-  std::array<double, 4> numbers_{};
+  Block words_{};
 };
 
 double step_at(std::span<const double> steps, std::size_t i) { return i < steps.size() ? steps[i] : 0.0; }
@@ -63,12 +64,21 @@ double amplitude_at(StepResponse& response, std::span<const double> steps, doubl
   const auto whole = static_cast<std::size_t>(place);
   const double* unit = response.up_to(whole + 1);
   const std::size_t end = std::min(steps.size(), whole + 1);
-  double low = 0, high = 0;
-  for (std::size_t i = first_step(steps); i < end; ++i) {
-    low += steps[i] * unit[whole - i];
-    high += steps[i] * unit[whole + 1 - i];
+  // Every other step in a sum of its own: sums do not wait for each other.
+  std::array<double, 2> low{}, high{};
+  std::size_t i = first_step(steps);
+  for (; i + 1 < end; i += 2) {
+    for (std::size_t k = 0; k < 2; ++k) {
+      low[k] += steps[i + k] * unit[whole - i - k];
+      high[k] += steps[i + k] * unit[whole + 1 - i - k];
+    }
   }
-  return low + (place - static_cast<double>(whole)) * (high - low);
+  if (i < end) {
+    low[0] += steps[i] * unit[whole - i];
+    high[0] += steps[i] * unit[whole + 1 - i];
+  }
+  const double before = low[0] + low[1], after_it = high[0] + high[1];
+  return before + (place - static_cast<double>(whole)) * (after_it - before);
 }
 
 // Branch T gives the time of the leading edge, and the amplitude of branch E is sampled a fixed time later.

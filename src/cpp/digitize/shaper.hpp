@@ -43,7 +43,7 @@ struct Shaper {
 template <std::size_t n>
 class StepFilter {
  public:
-  StepFilter(const Shaper& shaper, double dt) : dt_(dt) {
+  StepFilter(const Shaper& shaper, double dt) {
     for (std::size_t k = 0; k < std::min(n, shaper.n); ++k) {
       const ShaperTerm& term = shaper.terms[k];
       const double constant = term.a / term.rate + term.b / (term.rate * term.rate);
@@ -51,6 +51,7 @@ class StepFilter {
       constant_[k] = constant;
       slope_[k] = term.b / term.rate;
       decay_[k] = std::exp(-term.rate * dt);
+      fading_[k] = decay_[k] * dt;
     }
   }
   // Goes on to the next time and adds a step of the current (fC/ns) there; returns the amplitude (fC),
@@ -58,18 +59,19 @@ class StepFilter {
   double next(double step) {
     double amplitude = level_ * current_;
     for (std::size_t k = 0; k < n; ++k) {
-      linear_[k] = decay_[k] * (linear_[k] + dt_ * plain_[k]);
-      plain_[k] *= decay_[k];
       amplitude -= constant_[k] * plain_[k] + slope_[k] * linear_[k];
-      plain_[k] += step;
+      // One product waits for the number before it, not two.
+      linear_[k] = decay_[k] * linear_[k] + fading_[k] * (plain_[k] + step);
+      plain_[k] = decay_[k] * plain_[k] + decay_[k] * step;
     }
     current_ += step;
     return amplitude;
   }
 
  private:
-  double dt_, level_ = 0, current_ = 0;
-  std::array<double, n> constant_{}, slope_{}, decay_{}, plain_{}, linear_{};
+  double level_ = 0, current_ = 0;
+  std::array<double, n> constant_{}, slope_{}, decay_{}, fading_{};  // 1, 1/ns, 1, ns
+  std::array<double, n> plain_{}, linear_{};  // sums of exp(-rate u) and of u exp(-rate u) at the next time
 };
 
 // Calls f with a filter that has as many terms as the shaper.

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <cstdint>
 #include <span>
@@ -23,6 +24,12 @@ class StripSignals {
     double charge = 0, largest = -1, total = 0;  // fC; of the current truth, of the largest one, of all
     std::int32_t n = 0;
 
+    // Ends the current truth and begins another one.
+    void open(std::int64_t next) {
+      close();
+      truth = next;
+      ++n;
+    }
     // Ends the current truth.
     void close() {
       if (n == 0) return;
@@ -65,23 +72,27 @@ class StripSignals {
     return {enters, leaves, at - static_cast<double>(enters), end - static_cast<double>(leaves)};
   }
 
-  // A charge (fC) that crosses the induction gap at constant velocity: a rectangular current. Its steps are
-  // shared between neighbouring times, so that their mean time is exact.
-  void add(int sheet, int view, int strip, const Transit& at, double charge, std::int64_t truth) {
-    const std::size_t slot = slot_of(local(sheet, view, strip));
-    Source& source = sources_[slot];
-    if (source.truth != truth) {
-      source.close();
-      source.truth = truth;
-      ++source.n;
+  // Charges that cross the induction gap at constant velocity, rectangular currents: `parts` of `charge` (fC)
+  // on consecutive strips. Steps are shared between neighbouring times, so that their mean time is exact.
+  void add(int sheet, int view, int strip, std::span<const double> parts, const Transit& at, double charge,
+           std::int64_t truth) {
+    const double rate = charge * per_time_;
+    const std::array<double, 2> enter = {rate * (1 - at.after_enters), rate * at.after_enters};
+    const std::array<double, 2> leave = {rate * (1 - at.after_leaves), rate * at.after_leaves};
+    const std::int32_t first = local(sheet, view, strip);
+    for (std::size_t i = 0; i < parts.size(); ++i) {
+      const std::size_t slot = slot_of(first + static_cast<std::int32_t>(i));
+      const double part = parts[i];
+      Source& source = sources_[slot];
+      if (source.truth != truth) source.open(truth);
+      source.charge += part * charge;
+      double* entering = &steps_[slot * bins_ + at.enters];
+      double* leaving = &steps_[slot * bins_ + at.leaves];
+      entering[0] += part * enter[0];
+      entering[1] += part * enter[1];
+      leaving[0] -= part * leave[0];
+      leaving[1] -= part * leave[1];
     }
-    source.charge += charge;
-    const double rate = charge * per_time_, late = rate * at.after_enters, late_end = rate * at.after_leaves;
-    double* steps = &steps_[slot * bins_];
-    steps[at.enters] += rate - late;
-    steps[at.enters + 1] += late;
-    steps[at.leaves] -= rate - late_end;
-    steps[at.leaves + 1] -= late_end;
   }
 
   // Ends the last truth of every strip.
