@@ -17,6 +17,27 @@ constexpr double cell_psi = 2 * pi / 64;
 constexpr int most_boxes = 600;  // divided in one event
 constexpr double beam_line = 5;  // mm, distance of tracks from the beam line that the fit expects
 
+// 64 counters side by side, up to 127 each: bit i of plane k is bit k of counter i.
+class BitCounts {
+ public:
+  // Adds 1 to the counters whose bit is set.
+  void add(std::uint64_t which) {
+    for (std::uint64_t& plane : planes_) {
+      const std::uint64_t carry = plane & which;
+      plane ^= which;
+      which = carry;
+    }
+  }
+  std::uint8_t at(int i) const {
+    unsigned count = 0;
+    for (std::size_t k = 0; k < planes_.size(); ++k) count |= static_cast<unsigned>(planes_[k] >> i & 1) << k;
+    return static_cast<std::uint8_t>(count);
+  }
+
+ private:
+  std::array<std::uint64_t, 7> planes_{};
+};
+
 }  // namespace
 
 AxialSearch::AxialSearch(const Detector& detector, AxialHits& hits)
@@ -24,8 +45,7 @@ AxialSearch::AxialSearch(const Detector& detector, AxialHits& hits)
       hits_(hits),
       points_(hits.points()),
       largest_w_(hits.largest_w()),
-      grid_(static_cast<std::size_t>(columns * rows)),
-      counts_(grid_.size()) {
+      counts_(static_cast<std::size_t>(columns * rows)) {
   for (int i = 0; i < columns; ++i) columns_.emplace_back(-pi + i * cell_psi, cell_psi);
 }
 
@@ -58,12 +78,9 @@ void AxialSearch::start() {
   std::uint64_t layers = 0;
   for (const AxialPoint& p : points_) layers |= p.layer;
   if (std::popcount(layers) < hits_.least(largest_w_)) return;
-  std::ranges::fill(grid_, 0);
-  std::ranges::fill(counts_, 0);
   crossed_.clear();
-  const auto points = static_cast<std::int32_t>(points_.size());
   for (int column = 0; column < columns; ++column) {
-    for (std::int32_t i = 0; i < points; ++i) fill(column, i);
+    fill(column);
     of_column_[static_cast<std::size_t>(column) + 1] = crossed_.size();
   }
   const double height = 2 * largest_w_ / rows;
@@ -76,29 +93,42 @@ void AxialSearch::start() {
     }
 }
 
-// Counts the layer of a point in the boxes of a column that its curves cross.
-void AxialSearch::fill(int column, std::int32_t number) {
-  const AxialPoint& point = points_[static_cast<std::size_t>(number)];
-  const Column& edges = columns_[static_cast<std::size_t>(column)];
-  if (!edges.outward(point)) return;
+std::uint64_t AxialSearch::crossed_rows(const AxialPoint& point, const Column& edges) const {
   const Curves curves(point, edges);
-  Crossed crossed{number};
   const double per_height = rows / (2 * largest_w_);
+  std::uint64_t crossed = 0;
   for (std::size_t side = 0; side < 2; ++side) {
     const double low = (curves.low[side] + largest_w_) * per_height,
                  high = (curves.high[side] + largest_w_) * per_height;
     if (!(high >= 0 && low < rows)) continue;
     const int first = low > 0 ? static_cast<int>(low) : 0,
               last = high < rows ? static_cast<int>(high) : rows - 1;
-    crossed.first[side] = static_cast<std::uint8_t>(first);
-    crossed.last[side] = static_cast<std::uint8_t>(last);
-    for (int row = first; row <= last; ++row) {
-      const auto at = static_cast<std::size_t>(column * rows + row);
-      counts_[at] = static_cast<std::uint8_t>(counts_[at] + ((grid_[at] & point.layer) == 0 ? 1 : 0));
-      grid_[at] |= point.layer;
-    }
+    crossed |= (~std::uint64_t{0} >> (rows - 1 - last + first)) << first;
   }
-  if (crossed.first[0] <= crossed.last[0] || crossed.first[1] <= crossed.last[1]) crossed_.push_back(crossed);
+  return crossed;
+}
+
+// Counts the layers in the boxes of a column that curves of their points cross.
+void AxialSearch::fill(int column) {
+  const Column& edges = columns_[static_cast<std::size_t>(column)];
+  BitCounts counts;
+  std::uint64_t layer = 0, in_layer = 0;
+  for (std::size_t i = 0; i < points_.size(); ++i) {
+    const AxialPoint& point = points_[i];
+    if (!edges.outward(point)) continue;
+    const std::uint64_t crossed = crossed_rows(point, edges);
+    if (crossed == 0) continue;
+    crossed_.push_back({static_cast<std::int32_t>(i), crossed});
+    if (point.layer != layer) {  // points of a layer follow each other
+      counts.add(in_layer);
+      layer = point.layer;
+      in_layer = 0;
+    }
+    in_layer |= crossed;
+  }
+  counts.add(in_layer);
+  for (int row = 0; row < rows; ++row)
+    counts_[static_cast<std::size_t>(column * rows + row)] = counts.at(row);
 }
 
 // The points of a box of the first grid.
@@ -108,7 +138,7 @@ void AxialSearch::collect(Box& box) {
   box.first = static_cast<std::int32_t>(arena_.size());
   for (std::size_t i = of_column_[column]; i < of_column_[column + 1]; ++i) {
     const Crossed& crossed = crossed_[i];
-    if (crossed.has(row) && !points_[static_cast<std::size_t>(crossed.point)].left_out)
+    if ((crossed.rows >> row & 1) != 0 && !points_[static_cast<std::size_t>(crossed.point)].left_out)
       arena_.push_back(crossed.point);
   }
   box.last = static_cast<std::int32_t>(arena_.size());

@@ -70,16 +70,14 @@ class AxialSearch {
       return (high[0] >= from && low[0] <= to) || (high[1] >= from && low[1] <= to);
     }
   };
-  // Rows of a column of the first grid that the curves of a point cross; none of a curve if first > last.
+  // The rows of a column of the first grid that the curves of a point cross, one bit each.
   struct Crossed {
     std::int32_t point;
-    std::array<std::uint8_t, 2> first{1, 1}, last{0, 0};
-    bool has(int row) const {
-      return (row >= first[0] && row <= last[0]) || (row >= first[1] && row <= last[1]);
-    }
+    std::uint64_t rows;
   };
 
-  void fill(int column, std::int32_t number);
+  void fill(int column);
+  std::uint64_t crossed_rows(const AxialPoint& point, const Column& edges) const;
   void collect(Box& box);
   void divide(const Box& box);
   void push(const Box& box);
@@ -90,8 +88,7 @@ class AxialSearch {
   AxialHits& hits_;
   std::vector<AxialPoint>& points_;
   double largest_w_;
-  std::vector<std::uint64_t> grid_;                   // layers of each box of the first grid, one bit each
-  std::vector<std::uint8_t> counts_;                  // their number
+  std::vector<std::uint8_t> counts_;                  // layers of each box of the first grid
   std::vector<Crossed> crossed_;                      // column by column
   std::array<std::size_t, columns + 1> of_column_{};  // where a column begins in `crossed_`
   std::vector<Box> heap_;

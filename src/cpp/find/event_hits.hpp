@@ -87,7 +87,8 @@ class EventHits {
     const double width = view == View::x ? cgem.strips_x * cgem.pitch_x : cgem.strips_v * cgem.pitch_v;
     return std::max(last(layer, view) - first(layer, view) - 0.5, 0.5) / (cgem.sheets * width);
   }
-  // Share of the cells of a layer that have a hit.
+  // The cells of a layer that have a hit, and their share.
+  std::int32_t fired(std::size_t layer) const { return fired_[layer]; }
   double occupancy(std::size_t layer) const { return (fired_[layer] + 0.5) / detector_.wires[layer].cells; }
 
  private:

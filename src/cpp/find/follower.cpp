@@ -35,14 +35,18 @@ Follower::Follower(const Detector& detector, const FindSettings& settings)
       log_found_(std::log(settings.efficiency)),
       log_missed_(std::log1p(-settings.efficiency)),
       gap_density_(detector.cgem.size()),
-      wire_ratio_(detector.wires.size()) {}
+      wire_ratio_(detector.wires.size()),
+      fired_(detector.wires.size(), -1) {}
 
 void Follower::start(const EventHits& hits) {
   hits_ = &hits;
   for (std::size_t i = 0; i < gap_density_.size(); ++i)
     gap_density_[i] = {std::log(hits.density(i, View::x)), std::log(hits.density(i, View::v))};
-  for (std::size_t i = 0; i < wire_ratio_.size(); ++i)
+  for (std::size_t i = 0; i < wire_ratio_.size(); ++i) {
+    if (hits.fired(i) == fired_[i]) continue;  // as in the last event
+    fired_[i] = hits.fired(i);
     wire_ratio_[i] = std::log(settings_.efficiency / hits.density(i, View::wire));
+  }
 }
 
 bool Follower::follow(const FindSeed& seed, FoundTrack& track) {
@@ -52,7 +56,9 @@ bool Follower::follow(const FindSeed& seed, FoundTrack& track) {
   std::span<const std::int32_t> forced = seed.hits;
   for (int number = 0; number < settings_.passes; ++number) {
     const Branch* const best = pass(start, prior, forced, number == 0);
-    if (best == nullptr || best->score < hopeless - most_prompt || !refit(*best)) return false;
+    if (best == nullptr || best->score < hopeless - most_prompt ||
+        !refit(*best, number == 0 && !forced.empty() ? 1 : 2))
+      return false;
     collect(*best, track);
     if (track.score < hopeless) return false;
     // The reference was good enough if a second pass has changed next to nothing. Gaps may close with a
@@ -205,10 +211,11 @@ CGEMIT_FLATTEN void Follower::wire(Slot<double>& cell) {
   const std::size_t branches = branches_.size();
   for (std::size_t i = 0; i < branches; ++i) {
     if (branches_[i].ended) continue;
-    const Five<double> ch = branches_[i].state.c * cell.row;
-    const double known = dot(cell.row, ch), spread = std::sqrt(known);
     const double predicted = cell.predicted + dot(cell.row, branches_[i].state.x),
                  distance = std::abs(predicted);
+    if (!fired && distance >= close_to_edge * half - rim) continue;
+    const Five<double> ch = branches_[i].state.c * cell.row;
+    const double known = dot(cell.row, ch), spread = std::sqrt(known);
     const bool crosses = distance + 2 * spread < close_to_edge * half - rim;
     if (!fired) {
       if (crosses) hole(branches_[i], log_missed_);

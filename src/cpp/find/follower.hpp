@@ -80,7 +80,7 @@ class Follower {
   void settle();
   void keep_best();
   void keep_used(const Branch& best);
-  bool refit(const Branch& best);
+  bool refit(const Branch& best, int times);
   void collect(const Branch& best, FoundTrack& track) const;
   double variance_of(const Slot<double>& slot) const;
   Slot<double>& slot(std::int32_t number) { return group_.slots[static_cast<std::size_t>(number)]; }
@@ -95,6 +95,7 @@ class Follower {
   // in each layer of wires.
   std::vector<std::array<double, 2>> gap_density_;
   std::vector<double> wire_ratio_;
+  std::vector<std::int32_t> fired_;  // cells of each layer when its ratio was computed
   std::vector<Branch> branches_, next_;
   std::vector<std::int32_t> order_;  // of branches, the best one first
   std::vector<Link> links_;

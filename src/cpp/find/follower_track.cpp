@@ -31,14 +31,14 @@ void Follower::keep_used(const Branch& best) {
   group_.slots = group_.slots.first(static_cast<std::size_t>(kept));
 }
 
-// The track at the origin from all hits of a branch: the filter inward; if there are wires, twice, with their
-// sides from the first time.
-bool Follower::refit(const Branch& best) {
+// The track at the origin from all hits of a branch: the filter inward; if there are wires, as often as told,
+// with their sides from the time before.
+bool Follower::refit(const Branch& best, int times) {
   keep_used(best);
   const Five<double> prior{{1e4, 1, 100, 1e6, 25}};
   const bool on_wires =
       std::ranges::any_of(group_.slots, [](const Slot<double>& s) { return s.view == View::wire; });
-  for (int time = 0; time < 2; ++time) {
+  for (int time = 1; time <= times; ++time) {
     for (Slot<double>& s : group_.slots) {
       if (s.view == View::wire) {
         s.value = s.weight * s.drift;
@@ -51,7 +51,7 @@ bool Follower::refit(const Branch& best) {
     }
     fitted_ = filter(detector_, group_, Symmetric<double>::diagonal(prior));
     if (!(sound(fitted_) && positive_definite(fitted_.c))) return false;
-    if (time == 1 || !on_wires) break;
+    if (time == times || !on_wires) break;
     smooth(group_, false);
     for (Slot<double>& s : group_.slots) {
       if (s.view != View::wire) continue;
