@@ -110,7 +110,7 @@ def numbers_of(found: Finding) -> dict[str, Any]:
     for definition in ("belle2", "acts"):
         rates = found.rates(definition)
         numbers[definition] = {
-            name: plain(getattr(rates, name)) for name in ("efficiency", "fakes", "clones", "decays")
+            name: plain(getattr(rates, name)) for name in ("efficiency", "fakes", "clones", "decays", "loops")
         }
     for name in ("purity", "hit_efficiency"):
         value = getattr(found, name)
