@@ -38,7 +38,7 @@ def match(
     A track belongs to the particle that most hits of its candidate come from. If several particles have as many hits,
     it belongs to the first one in the table of particles. An XV point counts as two hits, its X and its V cluster.
     Noise belongs to no particle. Hits of the charged daughters of a decay count as hits of the particle here, but
-    neither in purity nor in efficiency.
+    neither in purity nor in efficiency. The efficiency is that of the first half turn.
 
     Parameters
     ----------
@@ -77,11 +77,14 @@ def match(
     row, own, hits = _most_common(owner, weight, candidate_hits["candidate"], len(candidates))
     late = _pick(candidate_hits, late_cluster, late_wire) & (owner == row[candidate_hits["candidate"]])
     own = own - np.bincount(candidate_hits["candidate"], weight * late, minlength=len(candidates)).astype(np.int64)
+    other_cluster, other_wire = _other(clusters["truth"], truths), _other(wire_hits["wire_truth"], wire_truths)
     left = _hits_left(
-        clusters, np.where(late_cluster, -1, of_cluster), np.where(late_wire, -1, of_wire), len(particles)
+        clusters, np.where(other_cluster, -1, of_cluster), np.where(other_wire, -1, of_wire), len(particles)
     )
+    first = (owner == row[candidate_hits["candidate"]]) & ~_pick(candidate_hits, other_cluster, other_wire)
+    found = np.bincount(candidate_hits["candidate"], weight * first, minlength=len(candidates)).astype(np.int64)
     candidate = tracks["candidate"]
-    row, own, hits = row[candidate], own[candidate], hits[candidate]
+    row, own, hits, found = row[candidate], own[candidate], hits[candidate], found[candidate]
     known = row >= 0
     of = np.where(known, row, 0)
     none = np.full(len(tracks), np.nan)
@@ -90,7 +93,7 @@ def match(
         "track": np.arange(len(tracks)),
         "particle": np.where(known, particles["particle"].take(of), -1) if len(particles) else np.full(len(tracks), -1),
         "purity": np.divide(own, hits, out=none.copy(), where=hits > 0),
-        "efficiency": np.divide(own, left.take(of), out=none.copy(), where=known) if len(particles) else none,
+        "efficiency": np.divide(found, left.take(of), out=none.copy(), where=known) if len(particles) else none,
     }
     decayed = np.append(particles["status"] == _core.TransportStatus.decayed, False)
     columns["decayed"] = np.where(known, decayed.take(of), -1)
@@ -164,6 +167,14 @@ def _owners(particles: Table, link: Rows, truths: Table) -> tuple[Rows, Flags]:
     owner: Rows = np.append(particle_rows(particles, truths), -1).take(position)
     late: Flags = np.append(truths["daughter"] > 0, False).take(position)
     return owner, late
+
+
+def _other(link: Rows, truths: Table) -> Flags:
+    """Whether a daughter, or another half turn than the first, is behind each row of a table that links to truths."""
+    other = (truths["daughter"] > 0) | (truths["half_turn"] != 0)
+    position = np.where(link >= 0, link, -1)
+    flags: Flags = np.append(other, False).take(position)
+    return flags
 
 
 def _pick(candidate_hits: Table, of_cluster: npt.NDArray[Scalar], of_wire: npt.NDArray[Scalar]) -> npt.NDArray[Scalar]:

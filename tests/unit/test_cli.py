@@ -64,7 +64,7 @@ def test_settings_in_the_examples_exist(capsys):
     stages = {key: value for key, value in keys if key.partition(".")[0] in Settings().to_dict()}
     assert {"fit.loss", "digitize.readout.threshold"} <= stages.keys()
     changed = Settings().with_overrides(
-        {key: float(value) if value.isdigit() else value for key, value in stages.items()}
+        {key: int(value) if value.isdigit() else value for key, value in stages.items()}
     )
     assert changed.digitize.readout.threshold == 5
 

@@ -13,11 +13,12 @@ from cgemit.cli.simulate import add_gun, gun_of
 from cgemit.version import VERSION
 
 if TYPE_CHECKING:
-    from cgemit.study import Finding
+    from cgemit.study import Finding, Fraction, LoopLinks
 
 _DESCRIPTION = """\
 Simulate events, find their tracks, and compare them with the particles: efficiency, fakes and clones as Belle II and
 ACTS define them, hit purity and hit efficiency, the share of findable particles and what each condition removes.
+With simulate.half_turns above 1, tracks are also fitted, and half turns of one particle linked.
 With -o also the efficiency against pT, cos(theta) and phi, as picture (efficiency.png) and table (efficiency.csv)."""
 
 _EXAMPLES = """\
@@ -29,6 +30,7 @@ examples:
   cgemit find -d besiii-idc --tracks 4 --p 0.2:1.5 --cos-theta -0.93:0.93 -n 500 --set background.level=bes2009 -o four
   cgemit find -d besiii-cgem --set find.method=chamber --p 0.5 --cos-theta -0.9:0.9 -n 1000
   cgemit find -d besiii-cgem --sample d0-d0bar -n 1000
+  cgemit find -d besiii-cgem --particle e- --p 0.03:0.11 --cos-theta -0.9:0.9 -n 500 --set simulate.half_turns=4
   cgemit find -d besiii-cgem --finder truth --p 0.5 --cos-theta -0.9:0.9 -n 1000         the perfect finder"""
 
 #: Bins of the efficiency.
@@ -67,30 +69,35 @@ def run(arguments: argparse.Namespace) -> int:
     from cgemit import chain
     from cgemit.gun import Guns
     from cgemit.io.folders import check_free
-    from cgemit.study import finding
+    from cgemit.study import finding, loop_links
 
     if arguments.output:
         check_free(arguments.output, overwrite=arguments.overwrite)
     (detector,), settings = common.load_inputs(arguments)
     gun = gun_of(arguments)
+    # Half turns are linked by their fitted helices, with one mass hypothesis.
+    links = settings.simulate.half_turns > 1 and not isinstance(settings.fit.hypothesis, tuple)
     with common.Progress("find", quiet=arguments.quiet) as progress:
         result = chain.run(
             detector, gun if arguments.tracks == 1 else Guns((gun,) * arguments.tracks), arguments.events,
-            arguments.seed, settings=settings, finder=arguments.finder, until="find", threads=arguments.threads,
-            progress=progress,
+            arguments.seed, settings=settings, finder=arguments.finder,
+            until="fit" if links else "find", threads=arguments.threads, progress=progress,
         )  # fmt: skip
     found = finding(result)
+    linked = loop_links(result) if links else None
     seconds = result.timings["find"]
     about = {
         "version": VERSION, "command": arguments.line, "detector": detector.name, "events": arguments.events,
         "seed": arguments.seed, "settings": settings.to_dict(),
         "time_per_event": {"value": 1e3 * seconds / arguments.events, "unit": "ms"},
-        **numbers_of(found),
+        **numbers_of(found), **({} if linked is None else {"loops": loop_numbers(linked)}),
     }  # fmt: skip
     text = json.dumps(about, indent=2, allow_nan=False)
     if arguments.output:
         _write(found, text, arguments.output, overwrite=arguments.overwrite)
-    print(text if arguments.json else f"{found!r}\n  {'time of an event':<48}{1e3 * seconds / arguments.events:.2f} ms")
+    rows = [] if linked is None else linked.rows()
+    rows.append(("time of an event", f"{1e3 * seconds / arguments.events:.2f} ms"))
+    print(text if arguments.json else "\n".join([repr(found), *(f"  {name:<48}{value}" for name, value in rows)]))
     if arguments.output and not arguments.quiet:
         print(f"picture: {arguments.output}/efficiency.png", file=sys.stderr)
     return common.OK
@@ -100,22 +107,28 @@ def numbers_of(found: Finding) -> dict[str, Any]:
     """Return the results as plain numbers; fractions with their Wilson intervals."""
     from cgemit.statistics.fractions import Fraction
 
-    def plain(fraction: Fraction) -> dict[str, Any]:
-        low, high = fraction.interval()
-        value = {"value": fraction.value, "low": low, "high": high} if fraction.n else {}
-        return {"count": fraction.count, "n": fraction.n, **value}
-
     findable = Fraction(int(found.findable.sum()), int(found.charged.sum()))
-    numbers: dict[str, Any] = {"finder": found.finder, "findable": plain(findable), "removed": dict(found.removed)}
+    numbers: dict[str, Any] = {"finder": found.finder, "findable": _plain(findable), "removed": dict(found.removed)}
     for definition in ("belle2", "acts"):
         rates = found.rates(definition)
         numbers[definition] = {
-            name: plain(getattr(rates, name)) for name in ("efficiency", "fakes", "clones", "decays")
+            name: _plain(getattr(rates, name)) for name in ("efficiency", "fakes", "clones", "decays", "loops")
         }
     for name in ("purity", "hit_efficiency"):
         value = getattr(found, name)
         numbers[name] = value if value == value else None
     return numbers
+
+
+def loop_numbers(linked: LoopLinks) -> dict[str, Any]:
+    """Return the results of linking as plain numbers."""
+    return {name: _plain(getattr(linked, name)) for name in ("before", "after", "wrong", "lost")}
+
+
+def _plain(fraction: Fraction) -> dict[str, Any]:
+    low, high = fraction.interval()
+    value = {"value": fraction.value, "low": low, "high": high} if fraction.n else {}
+    return {"count": fraction.count, "n": fraction.n, **value}
 
 
 def _write(found: Finding, text: str, folder: str, *, overwrite: bool) -> None:

@@ -10,6 +10,7 @@ from cgemit.study.analytic_scan import AnalyticScan, scan_analytic
 from cgemit.study.cluster_residuals import DeltaFractions, delta_displacements, delta_fractions
 from cgemit.study.cosmic_halves import Cosmics, cosmics
 from cgemit.study.finding_metrics import Finding, FindingRates, finding
+from cgemit.study.loop_links import LoopLinks, loop_links
 from cgemit.study.optimizer import Background, Confirmation, Optimization, OptimizeError, optimize
 from cgemit.study.paper import Reproduction, reproduce
 from cgemit.study.robustness import Outcome, run_scenario
@@ -31,6 +32,7 @@ __all__ = [
     "FormFit",
     "Fraction",
     "GaussianFit",
+    "LoopLinks",
     "Optimization",
     "OptimizeError",
     "Outcome",
@@ -52,6 +54,7 @@ __all__ = [
     "gaussian_fit",
     "grid",
     "latin_hypercube",
+    "loop_links",
     "measure",
     "optimize",
     "pulls",

@@ -20,9 +20,10 @@ Flags = npt.NDArray[np.bool_]
 Floats = npt.NDArray[np.float64]
 Definition = Literal["belle2", "acts"]
 
-#: Classes of candidates; "decay": of the daughter of a particle that has a track of its own.
-CLASSES = ("matched", "clone", "decay", "fake")
-MATCHED, CLONE, DECAY, FAKE = range(4)
+#: Classes of candidates; "decay": of the daughter of a particle that has a track of its own; "loop": of another half
+#: turn of a particle than the first one.
+CLASSES = ("matched", "clone", "decay", "loop", "fake")
+MATCHED, CLONE, DECAY, LOOP, FAKE = range(5)
 
 
 @dataclass(frozen=True)
@@ -39,12 +40,15 @@ class FindingRates:
         Further candidates of a particle, among those of a particle.
     decays : Fraction
         Candidates of the daughters of a decay, the parent having its own, among all.
+    loops : Fraction
+        Loop clones, that is candidates whose own hits are mostly of other half turns than the first, among all.
     """
 
     efficiency: Fraction
     fakes: Fraction
     clones: Fraction
     decays: Fraction
+    loops: Fraction
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,6 +118,7 @@ class Finding:
             fakes=Fraction(n[FAKE], sum(n)),
             clones=Fraction(n[CLONE], n[MATCHED] + n[CLONE]),
             decays=Fraction(n[DECAY], sum(n)),
+            loops=Fraction(n[LOOP], sum(n)),
         )
 
     @property
@@ -124,7 +129,7 @@ class Finding:
 
     @property
     def hit_efficiency(self) -> float:
-        """Mean share of a matched particle's measurements that its track has; Belle II."""
+        """Mean share of a matched particle's measurements on its first half turn that its track has; Belle II."""
         counts, matched = self.candidates, self.classes["belle2"] == MATCHED
         left = np.maximum(self.particles.hits[counts.particle[matched]], 1)
         return float(np.mean(counts.found[matched] / left)) if matched.any() else float("nan")
@@ -158,6 +163,7 @@ class Finding:
             rows += [(f"efficiency ({name})", str(of.efficiency)), (f"fakes ({name})", str(of.fakes))]
             rows += [(f"clones ({name})", str(of.clones))]
         rows.append(("tracks of decay products", str(self.rates().decays)))
+        rows.append(("loop clones", str(self.rates().loops)))
         rows += [("hit purity", f"{100 * self.purity:.2f} %"), ("hit efficiency", f"{100 * self.hit_efficiency:.2f} %")]
         return rows
 
@@ -232,8 +238,14 @@ def _findable(of: ParticleCounts, charged: Flags) -> tuple[Flags, dict[str, int]
 
 def _belle2(of: CandidateCounts, particles: ParticleCounts) -> npt.NDArray[np.int8]:
     left = np.append(particles.hits, 0)[of.particle]
-    good = (of.particle >= 0) & (3 * of.of_particle >= 2 * of.hits) & (20 * of.found >= left) & (of.hits > 0)
+    enough = (20 * of.found >= left) | _loops(of)
+    good = (of.particle >= 0) & (3 * of.of_particle >= 2 * of.hits) & enough & (of.hits > 0)
     return _classes(of, good)
+
+
+def _loops(of: CandidateCounts) -> Flags:
+    """Tell which candidates have more hits of other half turns of their particle than of the first one."""
+    return 2 * of.of_loops > of.of_particle
 
 
 def _acts(of: CandidateCounts) -> npt.NDArray[np.int8]:
@@ -243,7 +255,8 @@ def _acts(of: CandidateCounts) -> npt.NDArray[np.int8]:
 def _classes(of: CandidateCounts, good: Flags) -> npt.NDArray[np.int8]:
     """Return the class of each candidate; of several of a particle the one with most of its hits is matched."""
     classes = np.where(of.hits > 0, FAKE, -1).astype(np.int8)
-    rows = np.flatnonzero(good)
+    classes[good & _loops(of)] = LOOP
+    rows = np.flatnonzero(good & ~_loops(of))
     order = rows[np.lexsort((rows, -of.found[rows], of.particle[rows]))]
     first = np.diff(of.particle[order], prepend=-1) != 0
     classes[order] = np.where(2 * of.of_daughters[order] > of.of_particle[order], DECAY, CLONE)

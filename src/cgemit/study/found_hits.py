@@ -31,20 +31,23 @@ class CandidateCounts(NamedTuple):
         Hits of that particle and of its daughters, with clusters that it shares.
     of_daughters : ndarray, (candidates,) int64
         Those of its daughters.
+    of_loops : ndarray, (candidates,) int64
+        Those that the particle itself left on other half turns than the first one.
     found : ndarray, (candidates,) int64
-        Measurements of that particle itself: crossings of a gap, counted per view, and cells; without the clusters
-        that it shares, which are measurements of the particle with the larger part.
+        Measurements of that particle itself on its first half turn: crossings of a gap, counted per view, and cells;
+        without the clusters that it shares, which are measurements of the particle with the larger part.
     """
 
     particle: Rows
     hits: Rows
     of_particle: Rows
     of_daughters: Rows
+    of_loops: Rows
     found: Rows
 
 
 class ParticleCounts(NamedTuple):
-    """Measurements that each particle left itself, before any decay; all of shape (particles,).
+    """Measurements that each particle left on its first half turn, before any decay; all of shape (particles,).
 
     Attributes
     ----------
@@ -74,22 +77,22 @@ def count_particles(result: Result) -> ParticleCounts:
     particles, clusters, wire_hits = result.particles, result.clusters, result.wire_hits
     n = len(particles)
     rows = own_clusters(result.detector, clusters, result.truths)
-    of_truth, late = _owners(particles, result.truths)
+    of_truth = _origins(particles, result.truths)
     truth = clusters["truth"][rows]
-    mine = (of_truth[truth] >= 0) & ~late[truth]
+    mine = of_truth.first[truth]
     rows, truth = rows[mine], truth[mine]
     views = len(result.detector.cgem) * 2
     seen = np.zeros((n, views), np.bool_)
-    seen[of_truth[truth], clusters["layer"][rows] * 2 + clusters["view"][rows]] = True
+    seen[of_truth.owner[truth], clusters["layer"][rows] * 2 + clusters["view"][rows]] = True
     x, v = seen[:, HIT_X::2], seen[:, HIT_V::2]
-    of_wire, late = _linked(wire_hits["wire_truth"], *_owners(particles, result.wire_truths))
-    on = (of_wire >= 0) & ~late
+    of_wire = _origins(particles, result.wire_truths).linked(wire_hits["wire_truth"])
+    on = of_wire.first
     chamber = result.detector.drift_chamber
     tilted = [layer.number for layer in chamber.layers if layer.twist != 0] if chamber else []
     wires, stereo = (
-        np.bincount(of_wire[which], minlength=n) for which in (on, on & np.isin(wire_hits["layer"], tilted))
+        np.bincount(of_wire.owner[which], minlength=n) for which in (on, on & np.isin(wire_hits["layer"], tilted))
     )
-    crossings = np.bincount(of_truth[truth], minlength=n)
+    crossings = np.bincount(of_truth.owner[truth], minlength=n)
     return ParticleCounts(
         x.sum(axis=1), v.sum(axis=1), (x & v).sum(axis=1), wires, stereo, (crossings + wires).astype(np.int64)
     )
@@ -106,11 +109,10 @@ def count_candidates(result: Result) -> CandidateCounts:
     n, view, row = len(result.candidates), result.candidate_hits["view"], result.candidate_hits["row"]
     candidate = result.candidate_hits["candidate"]
     wire = view == HIT_WIRE
-    of_cluster, late_cluster = _linked(clusters["truth"], *_owners(particles, result.truths))
-    of_wire, late_wire = _linked(wire_hits["wire_truth"], *_owners(particles, result.wire_truths))
+    of_cluster = _origins(particles, result.truths).linked(clusters["truth"])
+    of_wire = _origins(particles, result.wire_truths).linked(wire_hits["wire_truth"])
     place = row + np.where(wire, len(clusters), 0)
-    owner = np.concatenate([of_cluster, of_wire]).take(place)
-    late = np.concatenate([late_cluster, late_wire]).take(place)
+    owner, late, looped = (np.concatenate(pair).take(place) for pair in zip(of_cluster, of_wire, strict=True))
     weight = np.where(view == HIT_XV, 2, 1)
     best = _most_common(owner, weight, candidate, n)
     shared = _shared(result, np.flatnonzero(~wire), best)
@@ -120,25 +122,44 @@ def count_candidates(result: Result) -> CandidateCounts:
         return np.bincount(candidate[which], weight[which], minlength=n).astype(np.int64)
 
     # A crossing counts once per view, however many of its clusters the candidate has.
-    strips = np.flatnonzero(own & ~shared & ~late & ~wire)
+    first = own & ~late & ~looped
+    strips = np.flatnonzero(first & ~shared & ~wire)
     crossing = clusters["truth"][row[strips]]
-    found = np.bincount(candidate[own & ~late & wire], minlength=n)
+    found = np.bincount(candidate[first & wire], minlength=n)
     for axis in (HIT_X, HIT_V):
         on = (view[strips] == axis) | (view[strips] == HIT_XV)
         pairs = np.unique(np.stack([candidate[strips[on]], crossing[on]]), axis=1)
         found = found + np.bincount(pairs[0], minlength=n)
     every = np.ones(len(row), np.bool_)
-    return CandidateCounts(best, total(every), total(own), total(own & late), found.astype(np.int64))
+    loops = total(own & looped & ~late & ~shared)
+    return CandidateCounts(best, total(every), total(own), total(own & late), loops, found.astype(np.int64))
 
 
-def _owners(particles: Table, truths: Table) -> tuple[Rows, Flags]:
-    """Row of the particle of each truth (-1: none), and whether a daughter of its decay left it."""
-    return particle_rows(particles, truths), truths["daughter"] > 0
+class _Origins(NamedTuple):
+    """Row of the particle of each truth (-1: none), and whether a daughter or another half turn left it."""
+
+    owner: Rows
+    late: Flags
+    looped: Flags
+
+    @property
+    def first(self) -> Flags:
+        """Whether a particle left it on its first half turn."""
+        return (self.owner >= 0) & ~self.late & ~self.looped
+
+    def linked(self, link: Rows) -> _Origins:
+        """Return the same for rows that link to truths."""
+        position = np.where(link >= 0, link, -1)
+        return _Origins(
+            *(
+                np.append(values, values.dtype.type(none)).take(position)
+                for values, none in zip(self, (-1, 0, 0), strict=True)
+            )
+        )
 
 
-def _linked(link: Rows, owner: Rows, late: Flags) -> tuple[Rows, Flags]:
-    position = np.where(link >= 0, link, -1)
-    return np.append(owner, -1).take(position), np.append(late, False).take(position)
+def _origins(particles: Table, truths: Table) -> _Origins:
+    return _Origins(particle_rows(particles, truths), truths["daughter"] > 0, truths["half_turn"] != 0)
 
 
 def _most_common(owner: Rows, weight: Rows, candidate: Rows, n: int) -> Rows:
@@ -170,7 +191,8 @@ def _shared(result: Result, strips: Rows, best: Rows) -> Flags:
     strips, row, particle = strips[several], row[several], particle[several]
     if not len(strips):
         return shared
-    of_truth = np.where(truths["daughter"] == 0, particle_rows(particles, truths), -1)
+    own = (truths["daughter"] == 0) & (truths["half_turn"] == 0)
+    of_truth = np.where(own, particle_rows(particles, truths), -1)
     layers = len(result.detector.cgem)
     key = of_truth * layers + truths["layer"]
     order = np.argsort(key, kind="stable")

@@ -218,7 +218,11 @@ _MATCHES = (
     _link("track", "the track", "tracks"),
     _i4("particle", "number of the particle within its event that it and its daughters left most hits of; -1 none"),
     _f8("purity", "", "share of the candidate's hits that it left itself, before any decay; NaN without hits"),
-    _f8("efficiency", "", "share of its own clusters and wire hits that the candidate has; NaN without a particle"),
+    _f8(
+        "efficiency",
+        "",
+        "share of its clusters and wire hits of the first half turn that the candidate has; NaN without one",
+    ),
     _column("i1", "decayed", "", "1 if it decayed in flight, 0 if not; -1 without a particle"),
     *_comparison(),
 )

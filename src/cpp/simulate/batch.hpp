@@ -1,6 +1,5 @@
-// Simulates a table of particles, W of them side by side. For each chunk the particles are transported,
-// ionize the gas of the drift gaps, their delta electrons are followed, and the rows are written in the order
-// of the input.
+// Simulates a table of particles, W of them side by side. For each chunk the particles are transported, they
+// ionize the gas of the drift gaps, delta electrons are followed, and rows are written in the input's order.
 #pragma once
 
 #include <algorithm>
@@ -111,8 +110,7 @@ class Batch {
     each_lane(group.used, [&](int i) { group.status[static_cast<std::size_t>(i)] = flight.status(i); });
   }
 
-  // Particles of a group that decay are flown again on their own, with their daughters, and so are those with
-  // further half turns.
+  // Particles of a group that decay, or make further half turns, are flown again on their own.
   void fly_again(std::size_t g) {
     for (Seat& seat : seats_) {
       if (seat.alone || seat.group != g) continue;
