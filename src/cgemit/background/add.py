@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from cgemit.background.cells import background_cells, cell_numbers, dead_cells
+from cgemit.background.efficiency import read_out
 from cgemit.background.level import BackgroundSettings, level_of
 from cgemit.background.mix import mix_events
 from cgemit.background.start_time import with_start_time
@@ -71,6 +72,8 @@ def _with_level(
 ) -> tuple[Table, Table]:  # fmt: skip
     """Return digis and wire hits with the cells and strips of a level, without dead channels."""
     has_strips = _has_strips(digis)
+    if level is not None:
+        digis, wire_hits = read_out(detector, level, digis, wire_hits, seed)
     cells, strips = [], []
     for event in wire_hits.events:
         cells.append(background_cells(detector, level, settings, seed, int(event)))

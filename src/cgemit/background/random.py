@@ -9,6 +9,7 @@ Floats = npt.NDArray[np.float64]
 
 #: Purposes; part of every stream, so new ones go to the end.
 CELLS, STRIPS, HOT_CELLS, HOT_STRIPS, MIXED, START_TIME, LISTED_STRIPS = 1, 2, 3, 4, 5, 6, 7
+READ_CELLS, READ_STRIPS = 8, 9
 #: Purposes of the choice of channels, which is the same in every event and run.
 WIRE_CHANNELS, STRIP_CHANNELS = 1, 2
 _CHANNELS = 0x6368616E6E656C73  # key of the channels, instead of a seed

@@ -12,7 +12,7 @@ from cgemit.background.random import HOT_STRIPS, LISTED_STRIPS, STRIP_CHANNELS, 
 from cgemit.detector import Detector
 from cgemit.detector.background import BackgroundLevel
 from cgemit.detector.parts import CgemLayer
-from cgemit.detector.strip_maps import strip_lists
+from cgemit.detector.strip_maps import in_dead_area, strip_lists
 from cgemit.detector.strips import local_v, strips_of_v
 
 Rows = npt.NDArray[np.int64]
@@ -130,8 +130,10 @@ def _of_layer(
     n = poisson(rate * window, float(random.uniform(1)[0]))
     for across, along, size_x, size_v in random.uniform(4 * n).reshape(n, 4).tolist():
         sheet = int(across * layer.sheets)
-        x = (across * layer.sheets - sheet) * width
-        v = float(strips_of_v(layer, local_v(layer, x, (2 * along - 1) * layer.half_length)))
+        x, z = (across * layer.sheets - sheet) * width, (2 * along - 1) * layer.half_length
+        if in_dead_area(layer, np.array(x), np.array(z)):
+            continue
+        v = float(strips_of_v(layer, local_v(layer, x, z)))
         for view, middle, size in ((0, x / layer.pitch_x, size_x), (1, v, size_v)):
             strips = 1 + int(size * level.cluster_strips)
             parts.append((sheet, view, np.arange(strips) + int(np.floor(middle - 0.5 * (strips - 1)))))

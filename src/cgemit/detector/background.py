@@ -29,6 +29,9 @@ class BackgroundLevel(Part):
     hot_wires: float = field(metadata=key("dimensionless", "share of the wires that are hot", 0, 1), default=0.0)
     hot_wire_rate: float = field(metadata=key("rate", "hits of a hot wire", 0, 1e6), default=0.0)
     dead_wires: float = field(metadata=key("dimensionless", "share of the wires that never fire", 0, 1), default=0.0)
+    efficiency_wires: float = field(
+        metadata=key("dimensionless", "share of the cells fired by particles that are read out", 0, 1), default=1.0
+    )
     cluster_rate: float = field(
         metadata=key("rate density", "clusters of the CGEM at cluster_radius", 0, 1e6), default=0.0
     )
@@ -44,6 +47,12 @@ class BackgroundLevel(Part):
     charge_low: float = field(metadata=key("charge", "smallest charge of a strip", 0, 1e6), default=10.0)
     charge_high: float = field(metadata=key("charge", "largest charge of a strip", 0, 1e6), default=50.0)
     strip_window: float = field(metadata=key("time", "read-out window of the strips", 1, 1e6), default=1000.0)
+    efficiency_x: float = field(
+        metadata=key("dimensionless", "share of the X strips fired by particles that are read out", 0, 1), default=1.0
+    )
+    efficiency_v: float = field(
+        metadata=key("dimensionless", "share of the V strips fired by particles that are read out", 0, 1), default=1.0
+    )
     noise_x: float = field(metadata=key("rate", "noise of an X strip of the innermost layer", 0, 1e6), default=0.0)
     noise_v: float = field(metadata=key("rate", "noise of a V strip of the innermost layer", 0, 1e6), default=0.0)
     hot_strips: float = field(metadata=key("dimensionless", "share of the strips that are hot", 0, 1), default=0.0)

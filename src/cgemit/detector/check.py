@@ -116,7 +116,7 @@ def _cylinder_problem(path: str, part: Cylinder) -> list[Problem]:
 
 @once
 def _read_out_problems(layer: CgemLayer) -> list[Problem]:
-    return _strip_problems(layer) + _hole_problems(layer) + _map_problems(layer)
+    return _strip_problems(layer) + _hole_problems(layer) + _map_problems(layer) + _dead_problems(layer)
 
 
 def _strip_problems(layer: CgemLayer) -> list[Problem]:
@@ -157,6 +157,19 @@ def _map_problems(layer: CgemLayer) -> list[Problem]:
         given = f"gains of {len(layer.gain_map)} sheets"
         problems.append(Problem(f"cgem.{layer.label}.gain_map", given, f"those of {layer.sheets}"))
     return problems
+
+
+def _dead_problems(layer: CgemLayer) -> list[Problem]:
+    """Return dead seams and ends that leave nothing of a sheet."""
+    sizes = (
+        ("dead_seam", layer.dead_seam, layer.strips_x * layer.pitch_x),
+        ("dead_ends", layer.dead_ends, layer.half_length),
+    )
+    return [
+        Problem(f"cgem.{layer.label}.{name}", f"{given:g} mm", f"less than {most:g} mm, which leaves a part of a sheet")
+        for name, given, most in sizes
+        if given > 0 and given >= most
+    ]
 
 
 def _hole_problems(layer: CgemLayer) -> list[Problem]:

@@ -204,7 +204,10 @@ def compiled_stack(parts: Sequence[tuple[Material, float]], screening: str = "we
 
 def cgem_table(layers: Sequence[CgemLayer]) -> Columns:
     """Return the read-out of layers as columns (n,): mm, rad, strips. phi_first is (n, most), placement (n, 12)."""
-    names = ("r_readout", "r_gap_in", "r_gap_out", "half_length", "pitch_x", "pitch_v", "stereo", "offset_v")
+    names = (
+        *("r_readout", "r_gap_in", "r_gap_out", "half_length", "pitch_x", "pitch_v", "stereo", "offset_v"),
+        *("dead_seam", "dead_ends"),
+    )
     numbers = np.array([[getattr(layer, name) for name in names] for layer in layers], dtype=np.float64)
     columns: Columns = dict(zip(names, numbers.reshape(-1, len(names)).T.copy(), strict=True))
     for name in ("sheets", "strips_x", "strips_v"):

@@ -122,6 +122,12 @@ class CgemLayer(Placed):
     # (sheet, first strip, last strip) each.
     dead_x: StripRanges = field(metadata=key("strips", "X strips that never fire"), default=())
     dead_v: StripRanges = field(metadata=key("strips", "V strips that never fire"), default=())
+    dead_seam: float = field(
+        metadata=key("length", "width about each edge of a sheet where nothing is measured", 0.0, 1000.0), default=0.0
+    )
+    dead_ends: float = field(
+        metadata=key("length", "length at each end of the layer where nothing is measured", 0.0, 2500.0), default=0.0
+    )
     hot_x: StripRanges = field(metadata=key("strips", "X strips that fire in every event"), default=())
     hot_v: StripRanges = field(metadata=key("strips", "V strips that fire in every event"), default=())
     # Of each sheet: rows along z from -length/2, each with numbers along X.

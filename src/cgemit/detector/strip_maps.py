@@ -29,7 +29,7 @@ class StripLists(NamedTuple):
 
 @lru_cache(maxsize=64)
 def strip_lists(detector: Detector) -> StripLists:
-    """Return the dead and the hot strips of a detector; a strip in both lists is dead.
+    """Return the dead and the hot strips of a detector; a strip in both lists is dead, as is an X strip in a dead seam.
 
     Parameters
     ----------
@@ -39,6 +39,8 @@ def strip_lists(detector: Detector) -> StripLists:
     first = 0
     for layer in detector.cgem:
         per_sheet = layer.strips_x + layer.strips_v
+        for sheet in range(layer.sheets):
+            found["dead"].append(seam_strips(layer) + first + sheet * per_sheet)
         for kind, parts in found.items():
             for view, offset in (("x", 0), ("v", layer.strips_x)):
                 for sheet, low, high in getattr(layer, f"{kind}_{view}"):
@@ -46,6 +48,29 @@ def strip_lists(detector: Detector) -> StripLists:
         first += layer.sheets * per_sheet
     dead, hot = (np.unique(np.concatenate([*parts, np.empty(0, np.int32)])) for parts in found.values())
     return StripLists(dead.astype(np.int32), np.setdiff1d(hot, dead).astype(np.int32))
+
+
+def seam_strips(layer: CgemLayer) -> Ints:
+    """Return the X strips of a sheet whose middle is in the dead part of a seam, (n,) int32."""
+    middle = (np.arange(layer.strips_x) + 0.5) * layer.pitch_x
+    beside = np.minimum(middle, layer.strips_x * layer.pitch_x - middle)
+    return np.flatnonzero(beside < 0.5 * layer.dead_seam).astype(np.int32)
+
+
+def in_dead_area(layer: CgemLayer, x: Floats, z: Floats) -> npt.NDArray[np.bool_]:
+    """Return whether points of a sheet are in the dead part of a seam or of an end, (n,) bool.
+
+    Parameters
+    ----------
+    layer : CgemLayer
+    x : ndarray, (n,) float64, mm
+        From the edge of the sheet.
+    z : ndarray, (n,) float64, mm
+    """
+    beside = np.minimum(x, layer.strips_x * layer.pitch_x - x)
+    # Nothing is dead by default, not even at the edge: strips end there by themselves.
+    at_seam = (beside < 0.5 * layer.dead_seam) & (layer.dead_seam > 0)
+    return np.asarray(at_seam | ((np.abs(z) > layer.half_length - layer.dead_ends) & (layer.dead_ends > 0)))
 
 
 @lru_cache(maxsize=64)

@@ -11,7 +11,7 @@ import numpy as np
 from cgemit import _core
 from cgemit.cluster import ClusterSettings
 from cgemit.detector import Detector, compiled, load
-from cgemit.detector.strip_maps import strip_lists
+from cgemit.detector.strip_maps import in_dead_area, strip_lists
 from cgemit.digitize.apv25 import Apv25Readout as Apv25Readout
 from cgemit.digitize.binary import BinaryReadout as BinaryReadout
 from cgemit.digitize.gaussian import GaussianReadout as GaussianReadout
@@ -105,8 +105,27 @@ def digitize(
     digis = made("digis", settings.readout.digitize(detector, truths, steps, seed), settings.readout, truths)
     return {
         "wire_hits": read_out_wires(detector, wire_truths, reveal_sides=settings.reveal_sides, seed=seed),
-        "digis": without_dead(detector, digis),
+        "digis": without_dead(detector, outside_dead_areas(detector, digis, truths)),
     }
+
+
+def outside_dead_areas(detector: Detector, digis: Table, truths: Table) -> Table:
+    """Return digis without those of crossings in the dead part of a seam or of an end.
+
+    Parameters
+    ----------
+    detector : Detector
+    digis : Table
+    truths : Table
+        In the axes of the layers; where a crossing is at mid-gap counts for all of it.
+    """
+    dead = np.zeros(len(truths), np.bool_)
+    for number, layer in enumerate(detector.cgem):
+        if layer.dead_seam > 0 or layer.dead_ends > 0:
+            rows = np.flatnonzero(truths["layer"] == number)
+            turn = np.remainder(truths["phi"][rows] - layer.phi_first, 2 * np.pi / layer.sheets)
+            dead[rows] = in_dead_area(layer, layer.r_readout * turn, truths["z"][rows])
+    return digis[~dead[digis["truth"]] | (digis["truth"] < 0)] if dead.any() else digis
 
 
 def without_dead(detector: Detector, digis: Table) -> Table:

@@ -60,15 +60,17 @@ class ExpectedHits {
     const auto index = static_cast<std::size_t>(slab.gap);
     if (again_) return repeat(step, at);
     const CgemLayer& layer = detector_.cgem[index];
-    const Mask within = reached & inside_ & (abs(at.z) <= layer.half_length);
+    const Mask within = reached & inside_ & (abs(at.z) <= layer.half_length - layer.dead_ends);
     if (!any(within)) return;
+    const double dead = 0.5 * layer.dead_seam;
     const T phi = atan2(at.y, at.x);
     Mask there(false);
     T edge(0.0);
     std::array<std::int32_t, lanes_of<T>> channel{};
     for (int sheet = 0; sheet < layer.sheets; ++sheet) {
       const T begins(wrap_angle(layer.phi_first[static_cast<std::size_t>(sheet)]));
-      const Mask on = within & (along_sheet(layer, phi, begins) < layer.sheet_width());
+      const T along = along_sheet(layer, phi, begins);
+      const Mask on = within & (along >= dead) & (along < layer.sheet_width() - dead);
       edge = select(on, begins, edge);
       there = there | on;
       each_lane(on, [&](int i) { channel[static_cast<std::size_t>(i)] = sheet; });

@@ -55,9 +55,11 @@ class NearbyHits {
     if (std::abs(at.z) > layer.half_length + 2 * window_) return;
     const double phi = std::atan2(at.y, at.x), around = 2 * pi * layer.r_readout;
     for (int sheet = 0; sheet < layer.sheets; ++sheet) {
-      const double x = local_x(layer, sheet, phi), edge = seam;
-      const bool on = layer.sheets == 1 || (x > edge && x < layer.sheet_width() - edge);
-      if (on && std::abs(at.z) < layer.half_length - edge) expected_[number(step)] = true;
+      const double x = local_x(layer, sheet, phi);
+      const double edge = layer.dead_seam > 0 ? seam + 0.5 * layer.dead_seam : seam;
+      const bool whole = layer.sheets == 1 && layer.dead_seam == 0;
+      const bool on = whole || (x > edge && x < layer.sheet_width() - edge);
+      if (on && std::abs(at.z) < layer.half_length - layer.dead_ends - seam) expected_[number(step)] = true;
     }
     for (const View view : {View::x, View::v}) {
       for (std::int32_t id = hits_->first(index, view); id < hits_->last(index, view); ++id) {
