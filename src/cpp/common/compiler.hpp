@@ -12,12 +12,12 @@
 #endif
 #endif
 
-// CGEMIT_FLATTEN: all calls of the function are inlined into it. A build may define it as empty
-// (CMakeLists.txt does for the sanitizers). CGEMIT_NOINLINE: the function is never inlined. CGEMIT_EXPORT:
-// visible outside the library.
+// CGEMIT_FLATTEN: all calls of the function are inlined into it, and such functions lie side by side. A build
+// may define it as empty (CMakeLists.txt does for the sanitizers). CGEMIT_NOINLINE: the function is never
+// inlined. CGEMIT_EXPORT: visible outside the library.
 #if defined(__GNUC__) || defined(__clang__)
 #if !defined(CGEMIT_FLATTEN)
-#define CGEMIT_FLATTEN [[gnu::flatten]]
+#define CGEMIT_FLATTEN [[gnu::flatten, gnu::hot]]
 #endif
 #define CGEMIT_NOINLINE [[gnu::noinline]]
 #define CGEMIT_EXPORT [[gnu::visibility("default")]]

@@ -51,28 +51,32 @@ struct Holes {
 };
 
 // A cylindrical shell of matter, or several neighbouring shells merged to one scatterer, acting at `radius`.
-struct Slab {
-  double r_in;         // mm
-  double r_out;        // mm
+// What every crossing reads comes first, in one cache line.
+struct alignas(64) Slab {
   double radius;       // mm, centroid of the scattering power
   double spread;       // mm, standard deviation of the scattering power about `radius`, along the radius
   double half_length;  // mm; no matter beyond
-  double x0;           // thickness in radiation lengths at normal incidence
-  double xi;    // GeV, (K/2) sum of Z/A times mass thickness at normal incidence; Landau's xi is xi/beta^2
-  int gap;      // index of the CGEM layer whose drift gap this is, or -1
-  bool ends;    // a track that crosses beyond half_length leaves the detector (end plate)
-  Holes holes;  // pitch 0: none
+  double xi;  // GeV, (K/2) sum of Z/A times mass thickness at normal incidence; Landau's xi is xi/beta^2
+  // Derived (`matter/scattering.hpp`), at normal incidence:
+  double chi_c2;            // GeV^2, (chi_c p beta)^2 of nuclei and electrons
+  double chi_c2_electrons;  // GeV^2, the electrons' part of it
+  // Derived from the shell:
+  double least_outward;  // mm, P of a track that grazes the shell
+  int gap;               // index of the CGEM layer whose drift gap this is, or -1
+  bool ends;             // a track that crosses beyond half_length leaves the detector (end plate)
+  bool shifts;  // derived: whether shifts inside the slab matter: below 5 um at 1 GeV/c any hit error exceeds
+                // them
+
+  double x0;            // thickness in radiation lengths at normal incidence
+  double r_in;          // mm
+  double r_out;         // mm
+  Holes holes;          // pitch 0: none
   std::uint32_t place;  // RNG counter `place`
   std::vector<Component> components;
   std::array<SlabPoint, loss_points> table;
-  // Derived from the above:
-  double least_outward;  // mm, P of a track that grazes the shell
-  bool shifts;  // whether shifts inside the slab matter: below 5 um at 1 GeV/c any hit error exceeds them
-  // Scattering (`matter/scattering.hpp`), at normal incidence:
-  double chi_c2;            // GeV^2, (chi_c p beta)^2 of nuclei and electrons
-  double chi_c2_electrons;  // GeV^2, the electrons' part of it
-  double hard_from;         // (GeV/c)^2, scatters with a larger transfer are drawn one by one
-  double hard_rate;         // times 1/beta^2: the expected number of those
+  // Derived, of scatters with a larger transfer, which are drawn one by one:
+  double hard_from;  // (GeV/c)^2
+  double hard_rate;  // times 1/beta^2: their expected number
   std::vector<HardScatterer> hard;
 };
 

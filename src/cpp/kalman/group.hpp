@@ -8,6 +8,7 @@
 #include <array>
 #include <cstdint>
 #include <span>
+#include <type_traits>
 #include <vector>
 
 #include "common/angles.hpp"
@@ -118,6 +119,10 @@ struct GroupStep {
   std::int32_t first, last;  // slots
 };
 
+// A mask in a vector. For one track std::vector<bool> would pack it to single bits.
+template <class T>
+using StoredMask = std::conditional_t<lanes_of<T> == 1, std::uint8_t, mask_of<T>>;
+
 template <class T>
 struct Group {
   std::vector<GroupStep> steps;
@@ -125,7 +130,7 @@ struct Group {
   std::vector<Slot<T>> storage;            // of the slots; grows to the size of the largest group
   std::vector<SlabNoise<T>> noise;         // one per slab of `steps`, all zero where it was not crossed
   std::vector<DenseNoise<T>> dense_noise;  // instead of `noise` in a field map; else empty
-  std::vector<mask_of<T>> ahead;           // the same: lanes with measurements beyond
+  std::vector<StoredMask<T>> ahead;        // the same: lanes with measurements beyond
   mask_of<T> kinked{false};                // lanes whose reference has kinks
   std::vector<Kink<T>> kinks;              // one per slab of `steps`; unused in other lanes
   // After a trace: hits met; whether the particle ran out of momentum before the next one.

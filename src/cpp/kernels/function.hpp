@@ -14,6 +14,8 @@ T function_by_name(const std::string& name, T x) {
   if (name == "exp") return exp(x);
   if (name == "sine") return sine_cosine(x).sine;
   if (name == "cosine") return sine_cosine(x).cosine;
+  if (name == "sine_over") return SineOver<T>(x).sine_over;
+  if (name == "cosine_beside") return SineOver<T>(x).cosine;
   if (name == "atan") return atan(x);
   if (name == "azimuth") return atan2(sine_cosine(x).sine, sine_cosine(x).cosine);
   if (name == "nearest") return nearest(x);

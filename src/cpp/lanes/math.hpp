@@ -147,12 +147,14 @@ Pack<W> atan2(Pack<W> y, Pack<W> x) {
 
 using std::atan2;
 
+// The series are summed by twos (Estrin), since the next step waits for the result.
+
 // atan(t)/t, exact also for t = 0.
 template <class T>
 T atan_over(T t) {
-  const T q = t * t;
-  const auto brief = [&q] {
-    return 1.0 + q * (-1.0 / 3 + q * (1.0 / 5 + q * (-1.0 / 7 + q * (1.0 / 9 - q * (1.0 / 11)))));
+  const T q = t * t, q2 = q * q;
+  const auto brief = [&q, &q2] {
+    return (1.0 - q * (1.0 / 3)) + q2 * ((1.0 / 5 - q * (1.0 / 7)) + q2 * (1.0 / 9 - q * (1.0 / 11)));
   };
   const auto series = [&q] {
     const T tail = -1.0 / 11 + q * (1.0 / 13 + q * (-1.0 / 15 + q * (1.0 / 17 - q * (1.0 / 19))));
@@ -160,6 +162,23 @@ T atan_over(T t) {
   };
   return choose(q < 1e-3, brief, [&] { return choose(q < 0.02, series, [&t] { return atan(t) / t; }); });
 }
+
+// sin(f)/f and cos(f), exact to rounding also for f = 0.
+template <class T>
+struct SineOver {
+  T sine_over, cosine;
+
+  explicit SineOver(T f) {
+    const T q = f * f, q2 = q * q;
+    const mask_of<T> small = q < 1e-3;
+    sine_over = (1.0 - q * (1.0 / 6)) + q2 * (1.0 / 120 - q * (1.0 / 5040));
+    cosine = (1.0 - q * 0.5) + q2 * (1.0 / 24 - q * (1.0 / 720));
+    if (all(small)) return;
+    const SineCosine<T> whole = sine_cosine(f);
+    sine_over = select(small, sine_over, whole.sine / f);
+    cosine = select(small, cosine, whole.cosine);
+  }
+};
 
 // tan(f)/f, exact to rounding; by its series for small f.
 template <class T>

@@ -79,7 +79,11 @@ template <class T>
 void turn(HelixPointOf<T>& point, T h, T t) {
   const T q = t * t;
   const T scale = choose(
-      q < 1e-4, [&q] { return 1.0 - q * (1.0 - q * (1.0 - q * (1.0 - q))); },
+      q < 1e-4,
+      [&q] {
+        const T brief = 1.0 - q, q2 = q * q;
+        return brief + q2 * (brief + q2);
+      },
       [&q] { return 1.0 / (1.0 + q); });
   const T chord = 2.0 * h * scale;
   point.x += chord * (point.ux - t * point.uy);
@@ -136,12 +140,19 @@ HelixPointOf<T> reversed(const HelixPointOf<T>& p) {
   return {p.x, p.y, p.z, -p.ux, -p.uy, -p.tanl, -p.w};
 }
 
-// Moves by a transverse arc, forward or backward.
+// Moves by a transverse arc, forward or backward: along its chord, which points half of the turn ahead.
 template <class T>
 void advance(HelixPointOf<T>& point, std::type_identity_t<T> arc) {
-  const T h = 0.5 * arc * tangent_over(0.5 * point.w * arc);
-  turn(point, h, point.w * h);
+  const T half_turn = 0.5 * point.w * arc;
+  const SineOver<T> half(half_turn);
+  const T s = half_turn * half.sine_over, c = half.cosine, chord = arc * half.sine_over;
+  point.x += chord * (c * point.ux - s * point.uy);
+  point.y += chord * (c * point.uy + s * point.ux);
   point.z += arc * point.tanl;
+  const T cosine = 1.0 - 2.0 * s * s, sine = 2.0 * s * c;
+  const T ux = cosine * point.ux - sine * point.uy;
+  point.uy = cosine * point.uy + sine * point.ux;
+  point.ux = ux;
 }
 
 // (1 - cos f)/f^2 and (f - sin f)/f^2: the integral of the position over a helix step.

@@ -36,20 +36,22 @@ struct WireStep {
     constexpr double accuracy = 1e-5;  // mm along the track; the distance changes with the square of it
     const T dx = point.x - wire.x, dy = point.y - wire.y, dz = point.z;
     const T along = dx * wire.ex + dy * wire.ey + dz * wire.ez;
-    const T px = dx - along * wire.ex, py = dy - along * wire.ey, pz = dz - along * wire.ez;
     const T ue = point.ux * wire.ex + point.uy * wire.ey, te = ue + point.tanl * wire.ez;
-    const T forward = px * point.ux + py * point.uy, f = forward + pz * point.tanl;
-    const T bend = point.w * (py * point.ux - px * point.uy);
+    const T ne = point.ux * wire.ey - point.uy * wire.ex;
+    const T ahead = dx * point.ux + dy * point.uy;
+    const T forward = ahead - along * ue, f = (ahead + dz * point.tanl) - along * te;
+    const T bend = point.w * ((dy * point.ux - dx * point.uy) - along * ne);
     const mask_of<T> far = first_step & (abs(bend) > 0.1);
     const T slope = 1.0 + point.tanl * point.tanl - te * te + select(far, T(0.0), bend);
     possible = slope > 0.0;
-    const T ne = point.ux * wire.ey - point.uy * wire.ex;
     const T second = -point.w * (3.0 * te * ne + point.w * forward);
     const T third = -point.w * point.w * (1.0 + 3.0 * ne * ne - 4.0 * te * ue + bend);
+    // The terms are grouped so that few of them wait for the division.
     const T per_slope = 1.0 / slope, first = -f * per_slope;
-    const T curve = 0.5 * second * first * per_slope, twist = third * first * first * per_slope * (1.0 / 6);
+    const T curve = (0.5 * second * per_slope) * first,
+            twist = (third * (1.0 / 6) * per_slope) * (first * first);
     const mask_of<T> near = (abs(curve) < 0.1) & !far;
-    arc = select(near, first * (1.0 - curve + 2.0 * curve * curve - twist), first);
+    arc = select(near, first * ((1.0 - curve) + (2.0 * curve * curve - twist)), first);
     // The remaining error is of third order in these.
     const T order = abs(curve) + abs(point.w * arc);
     last = near & (abs(arc) * order * order * order < accuracy);
