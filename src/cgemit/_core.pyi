@@ -196,6 +196,7 @@ class FindSettings:
         least_axial: int,
         min_score: float,
         max_seeds: int,
+        annealing: bool,
         least_width: float,
         delta_strips: float,
     ) -> None: ...
