@@ -197,6 +197,7 @@ class FindSettings:
         least_axial: int,
         min_score: float,
         max_seeds: int,
+        annealing: bool,
         least_width: float,
         delta_strips: float,
     ) -> None: ...

@@ -110,6 +110,15 @@ def test_two_tracks_may_share_a_third_of_their_clusters(layers, single, turned, 
     assert ((hits > 0).sum(axis=1) == tracks).mean() > 0.9
 
 
+def test_two_tracks_may_not_share_half_of_their_clusters(layers, single):
+    """A second line in z through the same X clusters, 10 mm along the beam."""
+    sine = np.sin([layer.stereo for layer in layers.cgem])[single["layer"]]
+    copy = single.with_columns(v=single["v"] + 10.0 * sine)[single["view"] == HIT_V]
+    hits = sizes(find(layers, joined(single, copy)))
+    assert (hits[:, 0] == 6).mean() > 0.9
+    assert not hits[:, 1:].any()
+
+
 def test_the_score_asked_for_decides(layers, single):
     assert len(find(layers, single, min_score=60.0)["candidates"]) == 0
     assert len(find(layers, single, method="chamber")["candidates"]) == 0

@@ -58,6 +58,8 @@ class FindSettings(SettingsData):
         is followed. In a detector of three CGEM layers and nothing else, where no track is followed, without these 2.5.
     max_seeds : int
         Seeds of an event that are followed, of each source; the best ones come first.
+    annealing : bool
+        Whether a wire hit near several tracks is given to the one that it fits best, whichever was found first.
 
     Raises
     ------
@@ -78,3 +80,4 @@ class FindSettings(SettingsData):
     least_axial: Layers = 6
     min_score: Score = 2.0
     max_seeds: Count = 200
+    annealing: bool = True

@@ -83,7 +83,7 @@ def _core_settings(settings: FindSettings) -> _core.FindSettings:
             name: getattr(settings, name)
             for name in (
                 *("efficiency", "gate", "branches", "passes", "holes_in_row", "max_d", "max_z", "min_pt"),
-                *("least_axial", "min_score", "max_seeds"),
+                *("least_axial", "min_score", "max_seeds", "annealing"),
             )
         },
     )

@@ -46,17 +46,17 @@ void bind_find(py::module_& module) {
                            "Settings of the finder; the values live in cgemit.find.settings.FindSettings.")
       .def(py::init([](bool segments, bool chamber, bool wires_first, double mass, double efficiency,
                        double gate, int branches, int passes, int holes_in_row, double max_d, double max_z,
-                       double min_pt, int least_axial, double min_score, int max_seeds, double least_width,
-                       double delta_strips) {
-             return FindSettings{segments,    chamber,   wires_first,  mass,        efficiency,  gate,
-                                 branches,    passes,    holes_in_row, max_d,       max_z,       min_pt,
-                                 least_axial, min_score, max_seeds,    least_width, delta_strips};
+                       double min_pt, int least_axial, double min_score, int max_seeds, bool annealing,
+                       double least_width, double delta_strips) {
+             return FindSettings{segments,    chamber,   wires_first,  mass,      efficiency,  gate,
+                                 branches,    passes,    holes_in_row, max_d,     max_z,       min_pt,
+                                 least_axial, min_score, max_seeds,    annealing, least_width, delta_strips};
            }),
            py::kw_only(), py::arg("segments"), py::arg("chamber"), py::arg("wires_first"), py::arg("mass"),
            py::arg("efficiency"), py::arg("gate"), py::arg("branches"), py::arg("passes"),
            py::arg("holes_in_row"), py::arg("max_d"), py::arg("max_z"), py::arg("min_pt"),
-           py::arg("least_axial"), py::arg("min_score"), py::arg("max_seeds"), py::arg("least_width"),
-           py::arg("delta_strips"));
+           py::arg("least_axial"), py::arg("min_score"), py::arg("max_seeds"), py::arg("annealing"),
+           py::arg("least_width"), py::arg("delta_strips"));
   module.def(
       "find_tracks", &run, py::arg("detector"), py::kw_only(), py::arg("event_offsets"), py::arg("hits"),
       py::arg("settings"), py::arg("pairs") = py::dict(),

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "find/anneal.hpp"
 #include "find/axial.hpp"
 #include "find/compete.hpp"
 #include "find/local.hpp"
@@ -27,6 +28,7 @@ class EventFinder {
         local_(detector, axial_hits_),
         stereo_(detector, settings),
         competition_(detector),
+        annealing_(detector, settings),
         stereo_only_(!detector.wires.empty() &&
                      std::ranges::all_of(detector.wires, [](const auto& w) { return w.twist != 0; })) {}
 
@@ -46,6 +48,7 @@ class EventFinder {
       for (const FindSeed& seed : segments_.two_layers(hits_))
         if (!is_found(seed)) try_segment(seed);
     competition_.settle(tracks_, hits_, settings_.min_score);
+    if (settings_.annealing) annealing_.share(tracks_, hits_);
     return tracks_;
   }
   const EventHits& hits() const { return hits_; }
@@ -188,6 +191,7 @@ class EventFinder {
   LocalSearch local_;
   StereoSearch stereo_;
   Competition competition_;
+  Annealing annealing_;
   bool stereo_only_;
   std::vector<FoundTrack> tracks_;
   std::int64_t seeds_ = 0;

@@ -26,6 +26,7 @@ struct FindSettings {
   int least_axial;         // layers of a seed of the chamber
   double min_score;        // of a track, logarithm of a likelihood ratio
   int max_seeds;           // per event and source
+  bool annealing;          // of wire hits near several tracks
   double least_width, delta_strips;  // cluster errors, as in the fit
 };
 

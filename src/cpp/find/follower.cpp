@@ -5,11 +5,9 @@
 #include <functional>
 
 #include "common/compiler.hpp"
-#include "detector/cluster_errors.hpp"
 #include "find/compete.hpp"
+#include "find/reference_slots.hpp"
 #include "find/score.hpp"
-#include "kalman/field_reference.hpp"
-#include "kalman/tracer.hpp"
 
 namespace cgemit {
 
@@ -75,20 +73,6 @@ bool Follower::follow(const FindSeed& seed, FoundTrack& track) {
   return std::abs(track.helix.d) <= settings_.max_d && std::abs(track.helix.z0) <= settings_.max_z;
 }
 
-void Follower::trace(const Perigee& start) {
-  const Projectile projectile = projectile_of(settings_.mass, start.kappa);
-  const NearbyObserver observer(nearby_);
-  if (detector_.field.is_uniform()) {
-    Tracer<double, HelixMotion<double>, NearbyObserver>(detector_, start, settings_.mass, projectile, group_,
-                                                        observer)
-        .run(true);
-  } else {
-    Tracer<double, FieldReference<double>, NearbyObserver>(detector_, start, settings_.mass, projectile,
-                                                           group_, observer)
-        .run(true);
-  }
-}
-
 // One pass outward about `start`.
 auto Follower::pass(const Perigee& start, const Symmetric<double>& prior,
                     std::span<const std::int32_t> forced, bool wide) -> const Branch* {
@@ -97,7 +81,7 @@ auto Follower::pass(const Perigee& start, const Symmetric<double>& prior,
   // may stop before its last hits.
   for (int time = 0; time < most_speed_ups; ++time) {
     nearby_.begin(*hits_, wide);
-    trace(reference_);
+    trace_nearby(detector_, reference_, settings_.mass, group_, nearby_);
     // A particle that stops behind its last hit may do so.
     if (!group_.stopped || meets_all(forced.empty() ? std::span<const std::int32_t>(last_found_) : forced))
       break;
@@ -137,13 +121,6 @@ bool Follower::meets_all(std::span<const std::int32_t> wanted) const {
   return met > 0 && met >= wanted.size();
 }
 
-double Follower::variance_of(const Slot<double>& s) const {
-  if (s.size <= 0) return s.noise;
-  const CgemLayer& layer = detector_.cgem[static_cast<std::size_t>(s.layer)];
-  const double pitch = s.view == View::x ? layer.pitch_x : layer.pitch_v;
-  return cluster_variance(s.size, s.extent, pitch, settings_.least_width, settings_.delta_strips);
-}
-
 // How well a V cluster fits the X cluster that the branch has in the same layer.
 double Follower::pair_score(const Branch& branch, const Slot<double>& v) {
   if (branch.chain < 0) return 0;
@@ -157,7 +134,7 @@ CGEMIT_FLATTEN void Follower::gap_view(const GroupStep& step, View view,
   std::int32_t only = -1;
   for (std::int32_t s = step.first; s < step.last; ++s) {
     if (slot(s).view != view) continue;
-    slot(s).variance = variance_of(slot(s));
+    slot(s).variance = variance_of(detector_, settings_, slot(s));
     if (std::ranges::find(forced, slot(s).hit[0]) != forced.end()) only = s;
   }
   const auto layer = static_cast<std::size_t>(detector_.slabs[static_cast<std::size_t>(step.slab)].gap);

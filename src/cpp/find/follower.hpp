@@ -68,7 +68,6 @@ class Follower {
   // The best branch, or none if it has too few hits.
   const Branch* pass(const Perigee& start, const Symmetric<double>& prior,
                      std::span<const std::int32_t> forced, bool wide);
-  void trace(const Perigee& start);
   bool meets_all(std::span<const std::int32_t> wanted) const;
   void gap_view(const GroupStep& step, View view, std::span<const std::int32_t> forced);
   double pair_score(const Branch& branch, const Slot<double>& v);
@@ -82,7 +81,6 @@ class Follower {
   void keep_used(const Branch& best);
   bool refit(const Branch& best, int times);
   void collect(const Branch& best, FoundTrack& track) const;
-  double variance_of(const Slot<double>& slot) const;
   Slot<double>& slot(std::int32_t number) { return group_.slots[static_cast<std::size_t>(number)]; }
 
   const Detector& detector_;

@@ -2,11 +2,9 @@
 #include <algorithm>
 #include <cmath>
 
-#include "detector/cluster_errors.hpp"
 #include "find/follower.hpp"
+#include "find/reference_slots.hpp"
 #include "find/score.hpp"
-#include "kalman/field_reference.hpp"
-#include "kalman/tracer.hpp"
 
 namespace cgemit {
 
@@ -39,25 +37,13 @@ bool Follower::refit(const Branch& best, int times) {
   const bool on_wires =
       std::ranges::any_of(group_.slots, [](const Slot<double>& s) { return s.view == View::wire; });
   for (int time = 1; time <= times; ++time) {
-    for (Slot<double>& s : group_.slots) {
-      if (s.view == View::wire) {
-        s.value = s.weight * s.drift;
-        s.variance = s.noise + (1 - s.weight * s.weight) * s.drift * s.drift;
-      } else {
-        s.value = s.drift;
-        s.variance = variance_of(s);
-      }
-      s.residual = s.value - s.predicted;
-    }
+    for (Slot<double>& s : group_.slots) measure(detector_, settings_, s);
     fitted_ = filter(detector_, group_, Symmetric<double>::diagonal(prior));
     if (!(sound(fitted_) && positive_definite(fitted_.c))) return false;
     if (time == times || !on_wires) break;
     smooth(group_, false);
-    for (Slot<double>& s : group_.slots) {
-      if (s.view != View::wire) continue;
-      const double spread = std::max(s.unbiased_variance - s.variance, 0.0);
-      s.weight = std::tanh(s.drift * (s.value - s.unbiased) / (s.noise + spread));
-    }
+    for (Slot<double>& s : group_.slots)
+      if (s.view == View::wire) choose_side(s);
   }
   return true;
 }

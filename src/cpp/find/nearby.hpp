@@ -32,9 +32,11 @@ class NearbyHits {
   NearbyHits(const NearbyHits&) = delete;  // `cells_` refers to `steps_`
   NearbyHits& operator=(const NearbyHits&) = delete;
 
-  // Before each trace. `wide`: whether the reference may be some cells away from the track.
-  void begin(const EventHits& hits, bool wide) {
+  // Before each trace. `wide`: whether the reference may be some cells away from the track; `taken`: whether
+  // wire hits of tracks beyond doubt count.
+  void begin(const EventHits& hits, bool wide, bool taken = false) {
     hits_ = &hits;
+    taken_ = taken;
     cells_.emplace(detector_, steps_);  // anew: it counts azimuths from one layer to the next
     window_ = wide ? 25 : 8;
     beside_ = wide ? 2 : 1;
@@ -90,7 +92,7 @@ class NearbyHits {
       const std::int64_t cell = cell_numbers(layer, c)[0];
       const std::int32_t id = hits_->at(index, cell);
       const bool crossed = c >= range.first && c <= last;
-      if (id < 0 ? !crossed : hits_->is_taken(id)) continue;
+      if (id < 0 ? !crossed : !taken_ && hits_->is_taken(id)) continue;
       Slot<double>& slot = add(step, View::wire, index, id);
       slot.wire = layer.placed[static_cast<std::size_t>(cell)];
       if (id < 0) continue;
@@ -147,8 +149,9 @@ class NearbyHits {
       steps_;  // to the next layer of wires; short, so that the field is as at the last one
   std::optional<CellFinder<double, UniformMotionOf<double>>> cells_;
   std::vector<std::uint8_t> expected_;
-  double window_ = 0;   // mm, about the reference
-  double beside_ = 0;   // cells beside those that the reference crosses
+  double window_ = 0;  // mm, about the reference
+  double beside_ = 0;  // cells beside those that the reference crosses
+  bool taken_ = false;
   bool inside_ = true;  // so far between the end plates
   std::size_t layer_ = 0;
   std::int32_t next_ = 0;
