@@ -362,6 +362,9 @@ def find_charge_time_clusters(
     slope_errors: npt.ArrayLike,
     slope_shares: npt.ArrayLike,
     slope_edges: npt.ArrayLike,
+    charge_factors: npt.ArrayLike,
+    distance_edges: npt.ArrayLike,
+    distance_factors: npt.ArrayLike,
     slopes: npt.ArrayLike = ...,
 ) -> dict[str, _Array]: ...
 def fit_line(

@@ -78,6 +78,8 @@ def test_a_calibration_is_read_from_files_only(name, tmp_path, monkeypatch):
         ("depth", -1e4, "depth: got -10000"), ("height", float("nan"), "height: got nan"),
         ("shares", 1.1, "shares: got 1.1, expected numbers from 0 to 1"), ("pairs", 1e5, "pairs: got 100000"),
         ("edges", -1.0, "edges: got -1"), ("edges", 1e5, "edges: got charges that fall"),
+        ("distance_edges", 1e3, "distance_edges: got distances that fall"),
+        ("charge_factors", 0.0, "charge_factors: got 0, expected numbers from 0.001 to 10000$"),
         ("typical_errors", "wide", "expected a calibration file"), ("depth", 10**400, "expected a calibration file"),
     ],
 )  # fmt: skip
@@ -95,7 +97,8 @@ def test_a_calibration_of_other_layers(tmp_path):
     """One that claims the right key, but holds two of three layers."""
     detector, readout = cg.load("besiii-cgem"), cg.TigerReadout()
     data = json.loads(calibration_of(detector, readout).to_json())
-    axis = {"typical_errors": 3, "errors": 2, "slope_errors": 2, "pairs": 0}
+    axis = {"typical_errors": 3, "errors": 2, "slope_errors": 2, "charge_factors": 2, "distance_edges": 2,
+            "distance_factors": 3, "pairs": 0}  # fmt: skip
     for name in set(data) - {"about", "key"}:
         data[name] = np.take(data[name], [0, 1], axis=axis.get(name, 1)).tolist()
     file = tmp_path / "two.json"

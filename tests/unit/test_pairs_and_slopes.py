@@ -7,7 +7,7 @@ import pytest
 
 import cgemit as cg
 from cgemit import find
-from cgemit.digitize.calibration import calibration_of, neutral
+from cgemit.digitize.calibration import CHARGES, DISTANCES, SIZES, calibration_of, neutral
 from cgemit.digitize.transport import drift_columns
 from cgemit.find.tracks import find_tracks
 from cgemit.second_pass import gap_crossing, track_slopes
@@ -247,6 +247,33 @@ def test_second_pass_improves_positions():
     assert 0.9 < np.quantile(pull, 0.683) < 1.25
     widths = [np.quantile(np.abs(one.tracks["res_dr"]), 0.683) for one in runs]
     assert widths[1] < 0.98 * widths[0]
+
+
+@pytest.mark.parametrize("along", [False, True])
+def test_errors_follow_the_distance_of_centroid_and_line(along):
+    """The factor is that of the range of the distance; along a track there is another one for charge and size."""
+    digis = cg.run(DESIGN, cg.Gun("mu-", p=1.0, cos_theta=(-0.9, 0.9)), 30, 5, readout=TIGER, until="digitize").digis
+    calibration = neutral(3)
+    calibration.shares[:], calibration.slope_shares[:], calibration.edges[:] = 0.5, 0.5, 30 * np.arange(1, CHARGES)
+    edges = 0.05 * np.arange(1, DISTANCES)
+    calibration.distance_edges[int(along)] = edges
+    calibration.distance_factors[int(along)] = np.arange(1, DISTANCES + 1)
+    calibration.charge_factors[:] = np.arange(1, CHARGES + 1)[:, None] * (1 + 0.1 * np.arange(SIZES))
+    place, clusters = {}, None
+    for estimator in ("centroid", "micro-tpc", "merged"):
+        readout = dataclasses.replace(TIGER, estimator=estimator)
+        slopes = np.full(10_000, 0.1) if along else None
+        clusters = readout.cluster_with(DESIGN, digis, calibration, slopes=slopes)
+        strips = clusters["view"] < 2
+        place[estimator] = np.where(clusters["view"] == 0, clusters["x"], clusters["v"])[strips]
+    distance = np.abs(place["centroid"] - place["micro-tpc"])
+    expected = 1 + np.searchsorted(edges, distance, side="right")
+    if along:
+        charge = np.searchsorted(calibration.edges[0, 0], clusters["charge"][strips], side="right")
+        expected = expected * (1 + charge) * (1 + 0.1 * (np.minimum(clusters["size"][strips], SIZES) - 1))
+    error = np.where(clusters["view"] == 0, clusters["err_x"], clusters["err_v"])[strips]
+    assert len(np.unique(np.searchsorted(edges, distance))) == DISTANCES
+    np.testing.assert_allclose(error, expected)
 
 
 def test_slopes_must_fit():

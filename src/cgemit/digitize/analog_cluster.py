@@ -11,7 +11,7 @@ import numpy.typing as npt
 from cgemit import _core
 from cgemit.detector import Detector, compiled
 from cgemit.detector.strip_maps import strip_gains, strip_lists
-from cgemit.digitize.calibration import CHARGES, SIZES, SLOPE_EDGES, Calibration, Estimator
+from cgemit.digitize.calibration import CHARGES, DISTANCES, SIZES, SLOPE_EDGES, Calibration, Estimator
 from cgemit.digitize.transport import drift_columns
 from cgemit.tables import Table
 
@@ -113,7 +113,9 @@ def clusters_at(
         estimator=estimator, missing=missing, edge=edge, masked=strip_lists(detector).masked, bridge=bridge,
         gain=strip_gains(detector), valley=valley, margin=margin, pairs=calibration.pairs.ravel(),
         slope_errors=calibration.slope_errors.ravel(), slope_shares=calibration.slope_shares.ravel(),
-        slope_edges=SLOPE_EDGES,
+        slope_edges=SLOPE_EDGES, charge_factors=calibration.charge_factors.ravel(),
+        distance_edges=calibration.distance_edges.reshape(-1, DISTANCES - 1),
+        distance_factors=calibration.distance_factors.reshape(-1, DISTANCES),
         slopes=np.empty(0) if slopes is None else slopes,
     )  # fmt: skip
     return Table("clusters", found, **digis.cover)

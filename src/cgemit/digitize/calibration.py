@@ -22,17 +22,19 @@ Estimator = Literal["merged", "centroid", "micro-tpc"]
 ESTIMATORS: tuple[Estimator, ...] = ("merged", "centroid", "micro-tpc")
 SIZES = 24
 """Numbers of strips with errors of their own; larger clusters have the error of this number."""
-CHARGES = 6
+CHARGES = 7
 """Ranges of the charge of clusters with errors of their own."""
 SLOPE_EDGES = np.array([0.1, 0.2, 0.3, 0.45, 0.6, 0.8, 1.1])
 """Where ranges of the slope of electrons' places of origin at the anode begin, each with errors of its own."""
 SLOPE_SIZES = 6
 """Numbers of strips with such errors of their own."""
+DISTANCES = 7
+"""Ranges of the distance of centroid and line, each with a factor on the error."""
 PAIR = 6
 """Numbers of the likelihood of a pair of X and V."""
 
 #: Changes with everything that makes stored calibrations wrong.
-MODEL = 2
+MODEL = 3
 _MISSING = (
     "got no calibration for this detector, field and read-out, "
     "expected digitize.readout.calibration = a file written by: "
@@ -57,7 +59,8 @@ _SHAPES = {
     "typical_errors": (2, 3, 2, -1),
     "errors": (3, 2, -1, CHARGES, SIZES), "pairs": (-1, PAIR),
     "shares": (2, -1, CHARGES, SIZES), "slope_errors": (3, 2, -1, len(SLOPE_EDGES) + 1, SLOPE_SIZES),
-    "slope_shares": (2, -1, len(SLOPE_EDGES) + 1, SLOPE_SIZES),
+    "slope_shares": (2, -1, len(SLOPE_EDGES) + 1, SLOPE_SIZES), "charge_factors": (3, 2, -1, CHARGES, SIZES),
+    "distance_edges": (2, 2, -1, DISTANCES - 1), "distance_factors": (2, 3, 2, -1, DISTANCES),
 }  # fmt: skip
 
 
@@ -65,6 +68,7 @@ _SHAPES = {
 _LIMITS = {
     "edges": (0.0, 1e6, "fC"), "depth": (-50.0, 50.0, "mm"), "height": (-50.0, 50.0, "mm"),
     "typical_errors": (1e-4, 100.0, "mm"), "errors": (1e-4, 100.0, "mm"), "slope_errors": (1e-4, 100.0, "mm"),
+    "charge_factors": (1e-3, 1e4, ""), "distance_edges": (0.0, 1e4, "mm"), "distance_factors": (1e-3, 1e4, ""),
     "shares": (0.0, 1.0, ""), "slope_shares": (0.0, 1.0, ""), "pairs": (-1e4, 1e4, "(ns)"),
 }  # fmt: skip
 
@@ -98,6 +102,12 @@ class Calibration:
         Weight of the centroid in the merged position, 0 to 1.
     slope_shares : (2, layers, len(SLOPE_EDGES) + 1, SLOPE_SIZES) float64
         The same for positions that use the angle of the track.
+    charge_factors : (3, 2, layers, CHARGES, SIZES) float64
+        On `slope_errors`, by charge and number of strips.
+    distance_edges : (2, 2, layers, DISTANCES - 1) float64, mm
+        Distances of centroid and line where the next range begins, without and with the angle of the track.
+    distance_factors : (2, 3, 2, layers, DISTANCES) float64
+        On all errors, by that distance; clusters without a line are in the first range.
     pairs : (layers, PAIR) float64
         Mean and width of ln(charge of X / charge of V) and of the difference of their times (ns) for one particle, and
         the widths of both for two particles.
@@ -115,6 +125,9 @@ class Calibration:
     slope_errors: Floats
     shares: Floats
     slope_shares: Floats
+    charge_factors: Floats
+    distance_edges: Floats
+    distance_factors: Floats
     pairs: Floats
     key: str
     about: str
@@ -135,8 +148,8 @@ class Calibration:
 
 def neutral(layers: int) -> Calibration:
     """Return the calibration with which calibrations are made: equal errors, no correction."""
-    values = {name: np.ones(_shape(name, layers)) for name in ("errors", "typical_errors", "slope_errors", "pairs")}
-    values |= {name: np.zeros(_shape(name, layers)) for name in ("depth", "height", "edges", "shares", "slope_shares")}
+    zero = ("depth", "height", "edges", "shares", "slope_shares", "distance_edges")
+    values = {name: (np.zeros if name in zero else np.ones)(_shape(name, layers)) for name in _SHAPES}
     return Calibration(**values, key="", about="none")
 
 
@@ -236,8 +249,10 @@ def read_calibration(text: str, source: str) -> Calibration:
         wrong = array[~((array >= low) & (array <= high))]
         if wrong.size:
             problems.append(f"{name}: got {wrong[0]:g}, expected numbers from {low:g} to {high:g} {unit}".rstrip())
-        elif name == "edges" and array.ndim and (np.diff(array) < 0).any():
-            problems.append(f"{name}: got charges that fall, expected rising ones")
+        elif name.endswith("edges") and array.ndim and (np.diff(array) < 0).any():
+            problems.append(
+                f"{name}: got {'distances' if name != 'edges' else 'charges'} that fall, expected rising ones"
+            )
     if problems:
         raise CalibrationError(source, problems)
     return Calibration(**values, key=key, about=about)

@@ -88,7 +88,9 @@ py::dict with_times(const Detector& detector, const py::dict& table, const py::d
                     std::int32_t missing, double edge, const Array<std::int32_t>& masked, std::int32_t bridge,
                     const Array<double>& gain, double valley, double margin, const Array<double>& pairs,
                     const Array<double>& slope_errors, const Array<double>& slope_shares,
-                    const Array<double>& slope_edges, const Array<double>& slopes) {
+                    const Array<double>& slope_edges, const Array<double>& charge_factors,
+                    const Array<double>& distance_edges, const Array<double>& distance_factors,
+                    const Array<double>& slopes) {
   Inputs in(table, "event");
   const DigiView digis = digi_view(in);
   const std::vector<LayerTiming> layers = layer_timing(timing, detector);
@@ -103,6 +105,8 @@ py::dict with_times(const Detector& detector, const py::dict& table, const py::d
   const auto slope_rows = static_cast<py::ssize_t>(2 * n) * (slope_edges.size() + 1);
   const py::ssize_t slope_sizes =
       std::max<py::ssize_t>(1, slope_shares.size() / std::max<py::ssize_t>(slope_rows, 1));
+  const py::ssize_t distances = distance_factors.ndim() == 2 ? distance_factors.shape(1) : 0;
+  if (distances < 1) throw std::invalid_argument("distance_factors: expected rows with entries");
   const ChargeTimeModel model{
       .layers = layers,
       .delays = {rows_of(delay_charge, "delay_charge", 2 * n, points), rows_of(delay, "delay", 2 * n, points),
@@ -126,6 +130,10 @@ py::dict with_times(const Detector& detector, const py::dict& table, const py::d
       .slope_errors = {column(slope_errors, "slope_errors", 3 * slope_shares.size()),
                        column(slope_shares, "slope_shares", slope_rows * slope_sizes),
                        column(slope_edges, "slope_edges"), n, static_cast<std::size_t>(slope_sizes)},
+      .factors = {column(charge_factors, "charge_factors", errors.size()),
+                  matrix(distance_edges, "distance_edges", static_cast<py::ssize_t>(4 * n), distances - 1),
+                  matrix(distance_factors, "distance_factors", static_cast<py::ssize_t>(12 * n), distances),
+                  2 * n, static_cast<std::size_t>(distances)},
       .slopes = column(slopes, "slopes", slopes.size())};
   ClusterColumns found;
   {
@@ -165,7 +173,9 @@ void bind_cluster(py::module_& module) {
              py::arg("missing"), py::arg("edge"), py::arg_v("masked", Array<std::int32_t>(0), "..."),
              py::arg("bridge") = 0, py::arg_v("gain", Array<double>(0), "..."), py::arg("valley") = 0.0,
              py::arg("margin"), py::arg_v("pairs", Array<double>(0), "..."), py::arg("slope_errors"),
-             py::arg("slope_shares"), py::arg("slope_edges"), py::arg_v("slopes", Array<double>(0), "..."),
+             py::arg("slope_shares"), py::arg("slope_edges"), py::arg("charge_factors"),
+             py::arg("distance_edges"), py::arg("distance_factors"),
+             py::arg_v("slopes", Array<double>(0), "..."),
              "Columns of clusters from columns of digis: charge centroid and line fit.");
   module.def("fit_line", &line_of, py::arg("position"), py::arg("charge"), py::arg("height"),
              py::arg("stiffness") = 0.0,

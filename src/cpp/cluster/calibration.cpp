@@ -21,9 +21,13 @@ std::size_t Calibration::row(int view, std::size_t layer, double charge) const {
   return plane * charges + static_cast<std::size_t>(std::ranges::upper_bound(own, charge) - own.begin());
 }
 
-double Calibration::error(Estimator which, std::size_t row, std::int32_t size) const {
+std::size_t Calibration::entry(Estimator which, std::size_t row, std::int32_t size) const {
   const std::size_t at = std::min(static_cast<std::size_t>(size), sizes) - 1;
-  return errors[(static_cast<std::size_t>(which) * 2 * layers * charges + row) * sizes + at];
+  return (static_cast<std::size_t>(which) * 2 * layers * charges + row) * sizes + at;
+}
+
+double Calibration::error(Estimator which, std::size_t row, std::int32_t size) const {
+  return errors[entry(which, row, size)];
 }
 
 double Calibration::share(std::size_t row, std::int32_t size) const {
@@ -54,6 +58,14 @@ std::size_t SlopeErrors::row(int view, std::size_t layer, double slope, std::int
 
 double SlopeErrors::error(Estimator which, std::size_t row) const {
   return values[static_cast<std::size_t>(which) * shares.size() + row];
+}
+
+double ErrorFactors::of_distance(bool with_angle, Estimator which, std::size_t plane, double distance) const {
+  const std::size_t pass = with_angle ? 1 : 0;
+  const auto own = edges.subspan((pass * planes + plane) * (ranges - 1), ranges - 1);
+  const auto range = distance > 0 ? std::ranges::upper_bound(own, distance) - own.begin() : 0;
+  const std::size_t row = (pass * 3 + static_cast<std::size_t>(which)) * planes + plane;
+  return apart[row * ranges + static_cast<std::size_t>(range)];
 }
 
 }  // namespace cgemit

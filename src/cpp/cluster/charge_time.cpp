@@ -208,7 +208,7 @@ class ChargeTimeClusters {
       throw std::invalid_argument("slopes: expected one for each cluster");
     }
     const double slope = model_.slopes.empty() ? not_measured : model_.slopes[row];
-    Position at = alone(plane, of_charge, cluster.size, points);
+    Position at = alone(plane, cluster, of_charge, points);
     if (std::isfinite(slope)) {
       const Position along = along_track(plane, cluster, of_charge, points, slope);
       cluster.shift = along.value - at.value;
@@ -233,11 +233,15 @@ class ChargeTimeClusters {
 
  private:
   // From the cluster alone.
-  Position alone(const ViewReconstruction& plane, std::size_t row, std::int32_t size,
+  Position alone(const ViewReconstruction& plane, const ClusterRow& cluster, std::size_t row,
                  std::span<const StripPoint> points) const {
     const Calibration& from = model_.calibration;
-    return merged(plane.centroid(points, from.height[row]), plane.line(points, std::nullopt),
-                  from.share(row, size), [&](Estimator which) { return from.error(which, row, size); });
+    const double centroid = plane.centroid(points, from.height[row]);
+    const Line line = plane.line(points, std::nullopt);
+    return merged(centroid, line, from.share(row, cluster.size), [&](Estimator which) {
+      return from.error(which, row, cluster.size) *
+             model_.factors.of_distance(false, which, number_of(cluster), distance(centroid, line));
+    });
   }
 
   // With the slope of the track that has the cluster.
@@ -246,8 +250,20 @@ class ChargeTimeClusters {
     const SlopeErrors& from = model_.slope_errors;
     const std::size_t row = from.row(static_cast<int>(cluster.view), static_cast<std::size_t>(cluster.layer),
                                      plane.slope_at_anode(slope), cluster.size);
-    return merged(plane.centroid(points, model_.calibration.height[of_charge]), plane.line(points, slope),
-                  from.shares[row], [&](Estimator which) { return from.error(which, row); });
+    const double centroid = plane.centroid(points, model_.calibration.height[of_charge]);
+    const Line line = plane.line(points, slope);
+    return merged(centroid, line, from.shares[row], [&](Estimator which) {
+      return from.error(which, row) *
+             model_.factors.along[model_.calibration.entry(which, of_charge, cluster.size)] *
+             model_.factors.of_distance(true, which, number_of(cluster), distance(centroid, line));
+    });
+  }
+  std::size_t number_of(const ClusterRow& cluster) const {
+    return static_cast<std::size_t>(cluster.view) * model_.calibration.layers +
+           static_cast<std::size_t>(cluster.layer);
+  }
+  static double distance(double centroid, const Line& line) {
+    return line.good ? std::abs(centroid - line.at_middle) : 0;
   }
 
   // The position that the estimator selects; the centroid where there is no line.

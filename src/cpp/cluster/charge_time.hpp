@@ -43,6 +43,8 @@ struct Calibration {
 
   // Row of a cluster in `depth` and `height`.
   std::size_t row(int view, std::size_t layer, double charge) const;
+  // Entry in `errors`.
+  std::size_t entry(Estimator which, std::size_t row, std::int32_t size) const;
   double error(Estimator which, std::size_t row, std::int32_t size) const;
   double share(std::size_t row, std::int32_t size) const;
 };
@@ -74,6 +76,19 @@ struct SlopeErrors {
   double error(Estimator which, std::size_t row) const;
 };
 
+// Factors on the errors: by charge and number of strips of positions that use the track's angle, and by the
+// distance of centroid and line of all that have both. They are far apart where a delta electron or the
+// fluctuation of the charge has moved one of them.
+struct ErrorFactors {
+  std::span<const double> along;  // as `Calibration::errors`
+  std::span<const double> edges;  // mm, growing; (without, with the track's angle; 2, layers, ranges - 1)
+  std::span<const double> apart;  // (without, with the track's angle; 3, 2, layers, ranges)
+  std::size_t planes, ranges;     // planes: 2 layers
+
+  // `plane`: view * layers + layer; `distance`: 0 without a line.
+  double of_distance(bool with_angle, Estimator which, std::size_t plane, double distance) const;
+};
+
 struct ChargeTimeModel {
   std::span<const LayerTiming> layers;
   DelayTable delays;
@@ -88,6 +103,7 @@ struct ChargeTimeModel {
   double margin;  // ns; strips whose drift time lies farther outside that of the gap do not count
   PairTable pairs;
   SlopeErrors slope_errors;
+  ErrorFactors factors;
   // By row of the result: dX/dr or dV/dr of the track at the anode; NaN: unknown. Empty: none is known.
   std::span<const double> slopes;
 };

@@ -12,6 +12,7 @@ from cgemit.chain import run
 from cgemit.detector import Detector
 from cgemit.digitize.calibration import (
     CHARGES,
+    DISTANCES,
     ESTIMATORS,
     SIZES,
     SLOPE_EDGES,
@@ -23,7 +24,15 @@ from cgemit.digitize.calibration import (
 from cgemit.gun import Gun
 from cgemit.result import Result
 from cgemit.statistics.estimate import measure
-from cgemit.study.readout.measure import FEWEST, Measurements, common, measurements, pair_numbers, true_slopes
+from cgemit.study.readout.measure import (
+    FEWEST,
+    Measurements,
+    common,
+    distances,
+    measurements,
+    pair_numbers,
+    true_slopes,
+)
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
@@ -33,7 +42,10 @@ _WINDOW = 1.0  # mm, of residuals from which the depth is found
 _ROUNDS = 5  # of outlier removal
 _LEAST_SLOPE = 0.05  # below, heights do not matter and cannot be measured
 _STEPS = 3  # of the depth: strips enter and leave the gap as it changes
-_QUANTILES = (0.1, 0.25, 0.5, 0.75, 0.9)  # of the charge, where ranges begin
+_QUANTILES = (0.1, 0.25, 0.5, 0.75, 0.9, 0.97)  # of the charge, where ranges begin
+_APART = (0.4, 0.7, 0.85, 0.93, 0.97, 0.985)  # quantiles of the distance of centroid and line, the same
+_FEWEST_SIZES = 100  # clusters of one charge that give a group of sizes an error of its own
+_REFINED = 3  # times that the widths of pulls go into each of the factors
 
 
 def calibrate(
@@ -103,27 +115,84 @@ def calibration_from(result: Result, readout: Any, about: str) -> Calibration:
     for along in (False, True) if "micro-tpc" in readout.estimators else ():
         centroid, line = common(*(measured(estimator, found, along) for estimator in ("centroid", "micro-tpc")))
         (_set_slope_shares if along else _set_shares)(found, centroid, line)
+        _set_distance_edges(found, int(along), *common(centroid, line))
     for estimator in readout.estimators:
         which = ESTIMATORS.index(estimator)
-        _set_errors(found, which, measured(estimator, found))
-        sample = measured(estimator, found, along=True)
-        found.slope_errors[which] = _by_slope(sample, found)
-        for view, layer in np.ndindex(2, layers):
-            plane = sample.residual[(sample.view == view) & (sample.layer == layer)]
-            if len(plane) >= FEWEST:
-                found.typical_errors[1, which, view, layer] = _spread(plane)
+        for along in (False, True):
+            sample = measured(estimator, found, along)
+            if along:
+                found.slope_errors[which] = _by_slope(sample, found)
+            else:
+                _set_errors(found, which, sample)
+            _set_typical(found, int(along), which, sample)
+            apart = np.zeros(len(sample.residual))
+            if "micro-tpc" in readout.estimators:
+                apart = distances(sample, *(measured(one, found, along) for one in ("centroid", "micro-tpc")))
+            _refine(found, int(along), which, sample, apart)
     return found
+
+
+def _set_distance_edges(found: Calibration, along: int, centroid: Measurements, line: Measurements) -> None:
+    """Set the ranges of the distance of centroid and line."""
+    apart = np.abs(centroid.residual - line.residual)
+    for view, layer in np.ndindex(found.distance_edges.shape[1:3]):
+        plane = apart[(centroid.view == view) & (centroid.layer == layer) & (apart > 0)]
+        if len(plane) >= FEWEST:
+            found.distance_edges[along, view, layer] = np.quantile(plane, _APART)
+
+
+def _set_typical(found: Calibration, along: int, which: int, sample: Measurements) -> None:
+    """Set the errors over all clusters of a view and layer."""
+    for view, layer in np.ndindex(found.errors.shape[1:3]):
+        plane = sample.residual[(sample.view == view) & (sample.layer == layer)]
+        if len(plane) >= FEWEST:
+            found.typical_errors[along, which, view, layer] = _spread(plane)
+
+
+def _refine(found: Calibration, along: int, which: int, sample: Measurements, apart: Floats) -> None:
+    """Make pulls of unit width in every range of distance, charge, size and, with the track's angle, slope.
+
+    The error is a product of factors; each takes the widths that the others leave, in turns.
+    """
+    slope, strips = _slope_cells(sample)
+    for view, layer in np.ndindex(found.errors.shape[1:3]):
+        mine = np.flatnonzero((sample.view == view) & (sample.layer == layer))
+        size = np.minimum(sample.size[mine], SIZES) - 1
+        charge = np.searchsorted(found.edges[view, layer], sample.charge[mine], side="right")
+        edges = found.distance_edges[along, view, layer]
+        near = np.where(apart[mine] > 0, np.searchsorted(edges, apart[mine], side="right"), 0)
+        factors = found.distance_factors[along, which, view, layer]
+        by_charge = (found.charge_factors if along else found.errors)[which, view, layer]
+        pull = sample.residual[mine] / by_charge[charge, size]
+        if along:
+            by_slope = found.slope_errors[which, view, layer]
+            pull /= by_slope[slope[mine], strips[mine]]
+        for _ in range(_REFINED):
+            for number in range(DISTANCES):
+                _unit_width(pull, near == number, factors, (number,))
+            for number in range(CHARGES):
+                for first, last in _groups(size[charge == number] + 1):
+                    here = (charge == number) & (size >= first - 1) & (size < last)
+                    _unit_width(pull, here, by_charge, (number, slice(first - 1, last)))
+            if along:
+                for cell in np.ndindex(*by_slope.shape):
+                    _unit_width(pull, (slope[mine] == cell[0]) & (strips[mine] == cell[1]), by_slope, cell)
+
+
+def _unit_width(pull: Floats, here: npt.NDArray[np.bool_], errors: Floats, cell: tuple[int | slice, ...]) -> None:
+    """Multiply the errors of a cell with the width of its pulls, which then is 1; of few clusters nothing changes."""
+    if np.count_nonzero(here) >= _FEWEST_SIZES:
+        width = _width(pull[here])
+        errors[cell] *= width
+        pull[here] /= width
 
 
 def _set_errors(found: Calibration, which: int, sample: Measurements) -> None:
     """Set the errors of one estimator."""
-    for view, layer in np.ndindex(found.errors.shape[1:3]):
-        plane = sample.residual[(sample.view == view) & (sample.layer == layer)]
-        if len(plane) < FEWEST:
-            continue
-        found.typical_errors[0, which, view, layer] = _spread(plane)
-        for charge in range(CHARGES):
-            found.errors[which, view, layer, charge] = _errors(_select(sample, found, (view, layer, charge)))
+    for view, layer, charge in np.ndindex(found.errors.shape[1:4]):
+        own = _select(sample, found, (view, layer, charge))
+        if len(own.residual) >= FEWEST // 2:
+            found.errors[which, view, layer, charge] = _errors(own)
 
 
 def _set_shares(found: Calibration, centroid: Measurements, line: Measurements) -> None:
@@ -232,7 +301,7 @@ def _groups(size: Ints) -> list[tuple[int, int]]:
     """Return ranges of sizes that cover all, each with enough clusters."""
     groups, first = [], 1
     for last in range(1, SIZES + 1):
-        if np.count_nonzero((size >= first) & (size <= last)) >= FEWEST:
+        if np.count_nonzero((size >= first) & (size <= last)) >= _FEWEST_SIZES:
             groups.append((first, last))
             first = last + 1
     if groups and first <= SIZES:  # what is left joins the last group

@@ -66,10 +66,28 @@ def common(one: Measurements, other: Measurements) -> tuple[Measurements, Measur
     one, other : Measurements
         Of the same digis; of a crossing with several clusters they may have different ones.
     """
-    key, other_key = ((2 * sample.truth + sample.view) * (1 << 20) + sample.first for sample in (one, other))
-    _, rows, other_rows = np.intersect1d(key, other_key, return_indices=True)
+    _, rows, other_rows = np.intersect1d(_keys(one), _keys(other), return_indices=True)
     first = Measurements._make(values[rows] for values in one)
     return first, Measurements._make(values[other_rows] for values in other)
+
+
+def distances(sample: Measurements, centroid: Measurements, line: Measurements) -> Floats:
+    """Return how far centroid and line of each cluster are apart, (n,) float64 mm; 0 where one of them is missing.
+
+    Parameters
+    ----------
+    sample, centroid, line : Measurements
+        Of the same digis; of a crossing with several clusters they may have different ones.
+    """
+    centroid, line = common(centroid, line)
+    key, known = _keys(sample), _keys(centroid)
+    at = np.minimum(np.searchsorted(known, key), len(known) - 1)
+    return np.where(known[at] == key, np.abs(centroid.residual - line.residual)[at], 0.0)
+
+
+def _keys(sample: Measurements) -> Ints:
+    """Return a number for each cluster, the same in all samples of the same digis."""
+    return np.asarray((2 * sample.truth + sample.view) * (1 << 20) + sample.first)
 
 
 def crossing_slopes(detector: Detector, truths: Table) -> Floats:
