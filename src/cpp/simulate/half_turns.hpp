@@ -54,6 +54,7 @@ class LoopingFlight : public Flight<double, Motion> {
     stream_ = stream_of_half_turn(start.in, start.rows[0], start.seed, turn);
     flying_ = true;
     curled_ = false;
+    begun_ = time_;
   }
 
   void go_out(int turn) {
@@ -152,6 +153,7 @@ class LoopingFlight : public Flight<double, Motion> {
   // Marks the records of a half turn. A cell at the apex or the perigee may have been found in the half turn
   // before.
   void mark(int turn) {
+    if (turn != 0 && time_ < begun_ - one_approach) return abandon();
     const auto number = static_cast<std::int8_t>(turn);
     const auto first = cells_.begin() + static_cast<std::ptrdiff_t>(old_cells_);
     const auto begin = cells_.begin() + static_cast<std::ptrdiff_t>(new_cells_);
@@ -172,6 +174,15 @@ class LoopingFlight : public Flight<double, Motion> {
     new_gaps_ = gaps_.size();
   }
 
+  // A map that does not bend the particle back, far outside of its magnet: the search for an apex or a
+  // perigee has led back in time. The half turn leaves no records.
+  void abandon() {
+    cells_.erase(cells_.begin() + static_cast<std::ptrdiff_t>(new_cells_), cells_.end());
+    gaps_.erase(gaps_.begin() + static_cast<std::ptrdiff_t>(new_gaps_), gaps_.end());
+    this->stop_at_edge(true);
+  }
+
+  double begun_ = 0;                              // ns
   std::size_t old_cells_, new_cells_, new_gaps_;  // first records of the half turn before, and of this one
 };
 
