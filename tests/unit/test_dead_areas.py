@@ -1,11 +1,14 @@
 """Dead seams and ends of CGEM layers, and efficiencies of strips and wires: what they remove, and nothing else."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
 import cgemit as cg
 from cgemit import _core
 from cgemit.background import add_background
+from cgemit.background.efficiency import read_out
 from cgemit.detector.strip_maps import in_dead_area, seam_strips, strip_lists
 from cgemit.problems import DetectorError
 from cgemit.tables import Table
@@ -18,7 +21,7 @@ DEAD = {"cgem.*.dead_seam": "20 mm", "cgem.*.dead_ends": "15 mm"}
 
 @pytest.fixture(scope="module")
 def run():
-    return cg.run(CGEM, MUON, n=300, seed=5, until="cluster")
+    return cg.run(CGEM, MUON, n=120, seed=5, until="cluster")
 
 
 def rows(digis, where=slice(None)):
@@ -48,9 +51,9 @@ def test_strips_of_the_seam_and_points_of_the_dead_area():
 
 @pytest.mark.parametrize("readout", ["binary", "gaussian", "tiger"])
 def test_digis_of_crossings_in_dead_areas_are_gone_and_no_others(readout):
-    plain = cg.run(CGEM, MUON, n=120, seed=5, readout=readout, until="digitize")
+    plain = cg.run(CGEM, MUON, n=160, seed=5, readout=readout, until="digitize")
     spoiled = CGEM.with_overrides(DEAD)
-    left = cg.run(spoiled, MUON, n=120, seed=5, readout=readout, until="digitize")
+    left = cg.run(spoiled, MUON, n=160, seed=5, readout=readout, until="digitize")
     dead = np.zeros(len(plain.truths), np.bool_)
     for number, layer in enumerate(CGEM.cgem):
         mine = plain.truths["layer"] == number
@@ -109,6 +112,16 @@ def test_efficiencies_remove_their_share_of_what_particles_fire(run):
     again = add_background(spoiled, run.digis, run.wire_hits, settings, 3)
     assert again["digis"] == left["digis"]
     assert again["wire_hits"] == left["wire_hits"]
+
+
+def test_efficiencies_are_those_of_particles(run):
+    """Hits without truth, such as those of other events, stay."""
+    level = dataclasses.replace(CGEM.background[0], efficiency_x=0.0, efficiency_v=0.0, efficiency_wires=0.0)
+    digis = run.digis.with_columns(truth=np.where(run.digis["event"] % 2, -1, run.digis["truth"]))
+    wires = run.wire_hits.with_columns(wire_truth=np.where(run.wire_hits["event"] % 3, -1, 0))
+    left = read_out(CGEM, level, digis, wires, 1)
+    assert left[0]["gid"].tolist() == digis["gid"][digis["event"] % 2 == 1].tolist()
+    assert left[1]["gid"].tolist() == wires["gid"][wires["event"] % 3 > 0].tolist()
 
 
 @pytest.mark.parametrize("readout", ["binary", "gaussian"])
