@@ -21,6 +21,7 @@ PROGRAMS = (
     "simulation",
     "operations",
     "peers",
+    "readout",
     "variants",
     "sweep",
     "page",
