@@ -75,15 +75,9 @@ struct KinematicsOf {
   T w_max() const {
     if (projectile == Projectile::electron) return 0.5 * kinetic();
     if (projectile == Projectile::positron) return kinetic();
-    const T bg = p * per_mass;
-    return 2 * electron_mass * bg * bg * per_recoil();
+    const T ratio = electron_mass * per_mass, bg = p * per_mass;
+    return 2 * electron_mass * bg * bg / (1.0 + 2.0 * gamma * ratio + ratio * ratio);
   }
-  // The factor by which the electron's recoil lowers that transfer, for heavy particles, is 1/recoil().
-  T recoil() const {
-    const T ratio = electron_mass * per_mass;
-    return 1.0 + 2.0 * gamma * ratio + ratio * ratio;
-  }
-  T per_recoil() const { return 1.0 / recoil(); }
 
  private:
   void follow() {

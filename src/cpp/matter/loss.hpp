@@ -67,15 +67,23 @@ struct CoreCut {
   T below, resolved;  // Landau's width and the resolution
   T wanted, w_max;    // their sum; the largest transfer
   T share;            // beta^2/w_max
+  T per_recoil;       // 1/(1 + 2 gamma m_e/m + (m_e/m)^2)
+  T per_wanted;
   T value;
 
   CoreCut(const KinematicsOf<T>& k, const TrackMatterOf<T>& track)
       : below(track.loss.mean * (track.xi * k.per_beta2)),
         resolved(track.loss.share * k.p * k.beta2 * k.per_beta),
-        wanted(below + resolved),
-        w_max(k.w_max()),
-        share((1.0 - k.beta2) * k.recoil() * (1 / (2 * electron_mass))),
-        value(smaller(wanted, w_max)) {}
+        wanted(below + resolved) {
+    const T ratio = electron_mass * k.per_mass, recoil = 1.0 + 2.0 * k.gamma * ratio + ratio * ratio,
+            bg = k.p * k.per_mass;
+    const T per_both = 1.0 / (recoil * wanted);
+    per_recoil = wanted * per_both;
+    per_wanted = recoil * per_both;
+    w_max = 2 * electron_mass * bg * bg * per_recoil;
+    share = (1.0 - k.beta2) * recoil * (1 / (2 * electron_mass));
+    value = smaller(wanted, w_max);
+  }
 };
 
 // Stores the cut at the start of a track.
@@ -100,8 +108,8 @@ LossMomentsOf<T> heavy_core_loss(const Slab& slab, T path, const KinematicsOf<T>
   // Derivatives by ln(p), with 1/gamma^2 = 1 - beta^2: 1/beta^2 falls by 2/gamma^2, (beta gamma)^2 grows by
   // 2, beta^2 by 2 beta^2/gamma^2, p beta by 1 + 1/gamma^2; the cut follows 1/beta^2 and p beta, or w_max.
   const T per_gamma2 = 1.0 - k.beta2;
-  const T grow_w_max = 2.0 - 2.0 * electron_mass * k.per_mass * k.gamma * k.beta2 * k.per_recoil();
-  const T grow_wanted = ((1.0 + per_gamma2) * cut.resolved - 2.0 * per_gamma2 * cut.below) / cut.wanted;
+  const T grow_w_max = 2.0 - 2.0 * electron_mass * k.per_mass * k.gamma * k.beta2 * cut.per_recoil;
+  const T grow_wanted = ((1.0 + per_gamma2) * cut.resolved - 2.0 * per_gamma2 * cut.below) * cut.per_wanted;
   const T grow_cut = select(cut.wanted < cut.w_max, grow_wanted, grow_w_max);
   const T grow_bracket =
       2.0 + grow_cut - 2.0 * k.beta2 * per_gamma2 - spin * (2.0 * per_gamma2 + grow_cut - grow_w_max);
