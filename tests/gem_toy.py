@@ -27,6 +27,8 @@ def design_layers(drift_gap=5.0):
         "pitch_v": np.full(3, 0.65),
         "stereo": sign * stereo,
         "offset_v": np.zeros(3),
+        "dead_seam": np.zeros(3),
+        "dead_ends": np.zeros(3),
         "phi_first": np.array([[np.pi, 0.0]] * 3),
         "sheets": sheets,
         "strips_x": strips_x,

@@ -13,7 +13,7 @@ from cgemit.bes3 import Bes3Events
 from cgemit.detector import compiled
 from cgemit.fit import FitSettings, FitStatus, fit
 from cgemit.tables import Table
-from cgemit.tables.schemas import PARAMETERS
+from cgemit.tables.track_schemas import PARAMETERS
 
 Column = npt.NDArray[Any]
 Columns = dict[str, Column]

@@ -122,12 +122,8 @@ class CgemLayer(Placed):
     # (sheet, first strip, last strip) each.
     dead_x: StripRanges = field(metadata=key("strips", "X strips that never fire"), default=())
     dead_v: StripRanges = field(metadata=key("strips", "V strips that never fire"), default=())
-    dead_seam: float = field(
-        metadata=key("length", "width about each edge of a sheet where nothing is measured", 0.0, 1000.0), default=0.0
-    )
-    dead_ends: float = field(
-        metadata=key("length", "length at each end of the layer where nothing is measured", 0.0, 2500.0), default=0.0
-    )
+    dead_seam: float = field(metadata=key("length", "dead width about edges of sheets", 0.0, 1000.0), default=0.0)
+    dead_ends: float = field(metadata=key("length", "dead length at each end", 0.0, 2500.0), default=0.0)
     hot_x: StripRanges = field(metadata=key("strips", "X strips that fire in every event"), default=())
     hot_v: StripRanges = field(metadata=key("strips", "V strips that fire in every event"), default=())
     # Of each sheet: rows along z from -length/2, each with numbers along X.
@@ -223,9 +219,7 @@ class WireLayer(Part):
     cells: int = field(metadata=key("integer", "number of drift cells", 3, 10_000))
     r_end: float = field(metadata=key("length", "radius of the wires at the end plates", 1.0, 3000.0))  # mm
     half_length: float = field(metadata=key("length", "half length of the wires along the beam", 1.0, 5000.0))  # mm
-    twist_cells: float = field(
-        metadata=key("dimensionless", "azimuth at +z minus azimuth at -z, in cells", -500.0, 500.0)
-    )
+    twist_cells: float = field(metadata=key("dimensionless", "azimuth at +z minus at -z, in cells", -500.0, 500.0))
     phi_east: float = field(metadata=key("angle", "azimuth of wire 0 at +z", -2 * math.pi, 2 * math.pi))  # rad
     sigma: float = field(metadata=key("length", "error of the drift distance at the wire", 1e-3, 10.0))  # mm
     sigma_slope: float = field(

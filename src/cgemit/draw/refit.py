@@ -9,7 +9,7 @@ from matplotlib.ticker import MaxNLocator
 from cgemit.draw.style import COLORS, Picture, grid, mathematical, new_picture, plain, style
 from cgemit.refit import FITS, Refit
 from cgemit.statistics.curves import SYMBOLS
-from cgemit.tables.schemas import PARAMETERS
+from cgemit.tables.track_schemas import PARAMETERS
 
 _BINS = 24
 _EDGE = 4.0  # of the histograms, errors; what is farther counts in the last bins

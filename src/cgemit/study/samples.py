@@ -206,11 +206,6 @@ def momentum_name(sample: Order) -> str:
     return "pt" if transverse(sample) else "p"
 
 
-def readout_name(order: Order) -> str:
-    """Return the name of the read-out of the CGEM layers; empty for a detector without them."""
-    return str(order.settings.digitize.readout.name) if order.detector.cgem else ""
-
-
 def angle_of(order: Order) -> tuple[str, Any]:
     """Return ``"cos_theta"`` or ``"theta"`` and the value of the gun as a number or as text, LO:HI or A,B,C."""
     name = "cos_theta" if order.gun.theta is None else "theta"

@@ -18,7 +18,7 @@ from cgemit.record import record, write_record
 from cgemit.statistics.curves import Line
 from cgemit.statistics.formatting import Tabular, html_table, text_table, write_csv
 from cgemit.statistics.forms import FormFit
-from cgemit.study.samples import Order, angle_of, momentum_name, momentum_of, readout_name
+from cgemit.study.samples import Order, angle_of, momentum_name, momentum_of
 from cgemit.study.scan_table import difference_columns
 from cgemit.values import InTurn
 from cgemit.version import VERSION
@@ -81,7 +81,8 @@ class ScanBase(Tabular):
     @property
     def readout(self: AnyScan) -> str:
         """The read-out of the CGEM layers; empty for a detector without them."""
-        return readout_name(self.orders[0])
+        first = self.orders[0]
+        return str(first.settings.digitize.readout.name) if first.detector.cgem else ""
 
     def summary(self: AnyScan) -> dict[str, Any]:
         """Return what `summary.json` holds."""

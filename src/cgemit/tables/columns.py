@@ -60,3 +60,7 @@ def point(prefix: str, doc: str) -> tuple[Column, ...]:
 def momentum(doc: str) -> tuple[Column, ...]:
     """Return the columns of the three components of a momentum."""
     return tuple(real("p" + axis, "GeV/c", f"{doc}, {axis}") for axis in "xyz")
+
+
+#: The first column of every table.
+EVENT = column_of("i8", "event", "", "event number")

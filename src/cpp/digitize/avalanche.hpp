@@ -1,6 +1,5 @@
-// Electrons of ionization on their way to the anode, one or several side by side: drift, hole of the first
-// foil, gain, and the avalanche's cloud on the strips (docs/methods/readout.md). Sources: PARSIFAL
-// (github.com/Hilldar/PARSIFAL) and Magboltz.
+// Electrons of ionization on their way to the anode, one or several side by side: drift, hole, gain, cloud
+// (docs/methods/readout.md). Sources: PARSIFAL (github.com/Hilldar/PARSIFAL) and Magboltz.
 #pragma once
 
 #include <algorithm>

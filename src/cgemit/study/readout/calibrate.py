@@ -11,11 +11,8 @@ import numpy.typing as npt
 from cgemit.chain import run
 from cgemit.detector import Detector
 from cgemit.digitize.calibration import (
-    CHARGES,
-    DISTANCES,
     ESTIMATORS,
     SIZES,
-    SLOPE_EDGES,
     SLOPE_SIZES,
     Calibration,
     key_of,
@@ -23,7 +20,7 @@ from cgemit.digitize.calibration import (
 )
 from cgemit.gun import Gun
 from cgemit.result import Result
-from cgemit.statistics.estimate import measure
+from cgemit.study.readout.errors import by_slope, groups, refine, select, set_errors, set_typical, slope_cells
 from cgemit.study.readout.measure import (
     FEWEST,
     Measurements,
@@ -37,15 +34,12 @@ from cgemit.study.readout.measure import (
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
 
-_TAILS = 5.0  # core widths, within which residuals make the spread that tracks see
 _WINDOW = 1.0  # mm, of residuals from which the depth is found
 _ROUNDS = 5  # of outlier removal
 _LEAST_SLOPE = 0.05  # below, heights do not matter and cannot be measured
 _STEPS = 3  # of the depth: strips enter and leave the gap as it changes
 _QUANTILES = (0.1, 0.25, 0.5, 0.75, 0.9, 0.97)  # of the charge, where ranges begin
 _APART = (0.4, 0.7, 0.85, 0.93, 0.97, 0.985)  # quantiles of the distance of centroid and line, the same
-_FEWEST_SIZES = 100  # clusters of one charge that give a group of sizes an error of its own
-_REFINED = 3  # times that the widths of pulls go into each of the factors
 
 
 def calibrate(
@@ -106,11 +100,11 @@ def calibration_from(result: Result, readout: Any, about: str) -> Calibration:
         if len(charge) >= FEWEST:
             found.edges[view, layer] = np.quantile(charge, _QUANTILES)
     for at in np.ndindex(found.depth.shape):
-        found.height[at] = _depth(_select(first, found, at)) if readout.lorentz else 0.0
+        found.height[at] = _depth(select(first, found, at)) if readout.lorentz else 0.0
     for _ in range(_STEPS if "micro-tpc" in readout.estimators else 0):
         lines = measured("micro-tpc", found)
         for at in np.ndindex(found.depth.shape):
-            found.depth[at] += _depth(_select(lines, found, at))
+            found.depth[at] += _depth(select(lines, found, at))
     found.pairs[:] = pair_numbers(detector, first_table, truths)
     for along in (False, True) if "micro-tpc" in readout.estimators else ():
         centroid, line = common(*(measured(estimator, found, along) for estimator in ("centroid", "micro-tpc")))
@@ -121,14 +115,14 @@ def calibration_from(result: Result, readout: Any, about: str) -> Calibration:
         for along in (False, True):
             sample = measured(estimator, found, along)
             if along:
-                found.slope_errors[which] = _by_slope(sample, found)
+                found.slope_errors[which] = by_slope(sample, found)
             else:
-                _set_errors(found, which, sample)
-            _set_typical(found, int(along), which, sample)
+                set_errors(found, which, sample)
+            set_typical(found, int(along), which, sample)
             apart = np.zeros(len(sample.residual))
             if "micro-tpc" in readout.estimators:
                 apart = distances(sample, *(measured(one, found, along) for one in ("centroid", "micro-tpc")))
-            _refine(found, int(along), which, sample, apart)
+            refine(found, int(along), which, sample, apart)
     return found
 
 
@@ -141,72 +135,18 @@ def _set_distance_edges(found: Calibration, along: int, centroid: Measurements, 
             found.distance_edges[along, view, layer] = np.quantile(plane, _APART)
 
 
-def _set_typical(found: Calibration, along: int, which: int, sample: Measurements) -> None:
-    """Set the errors over all clusters of a view and layer."""
-    for view, layer in np.ndindex(found.errors.shape[1:3]):
-        plane = sample.residual[(sample.view == view) & (sample.layer == layer)]
-        if len(plane) >= FEWEST:
-            found.typical_errors[along, which, view, layer] = _spread(plane)
-
-
-def _refine(found: Calibration, along: int, which: int, sample: Measurements, apart: Floats) -> None:
-    """Make pulls of unit width in every range of distance, charge, size and, with the track's angle, slope.
-
-    The error is a product of factors; each takes the widths that the others leave, in turns.
-    """
-    slope, strips = _slope_cells(sample)
-    for view, layer in np.ndindex(found.errors.shape[1:3]):
-        mine = np.flatnonzero((sample.view == view) & (sample.layer == layer))
-        size = np.minimum(sample.size[mine], SIZES) - 1
-        charge = np.searchsorted(found.edges[view, layer], sample.charge[mine], side="right")
-        edges = found.distance_edges[along, view, layer]
-        near = np.where(apart[mine] > 0, np.searchsorted(edges, apart[mine], side="right"), 0)
-        factors = found.distance_factors[along, which, view, layer]
-        by_charge = (found.charge_factors if along else found.errors)[which, view, layer]
-        pull = sample.residual[mine] / by_charge[charge, size]
-        if along:
-            by_slope = found.slope_errors[which, view, layer]
-            pull /= by_slope[slope[mine], strips[mine]]
-        for _ in range(_REFINED):
-            for number in range(DISTANCES):
-                _unit_width(pull, near == number, factors, (number,))
-            for number in range(CHARGES):
-                for first, last in _groups(size[charge == number] + 1):
-                    here = (charge == number) & (size >= first - 1) & (size < last)
-                    _unit_width(pull, here, by_charge, (number, slice(first - 1, last)))
-            if along:
-                for cell in np.ndindex(*by_slope.shape):
-                    _unit_width(pull, (slope[mine] == cell[0]) & (strips[mine] == cell[1]), by_slope, cell)
-
-
-def _unit_width(pull: Floats, here: npt.NDArray[np.bool_], errors: Floats, cell: tuple[int | slice, ...]) -> None:
-    """Multiply the errors of a cell with the width of its pulls, which then is 1; of few clusters nothing changes."""
-    if np.count_nonzero(here) >= _FEWEST_SIZES:
-        width = _width(pull[here])
-        errors[cell] *= width
-        pull[here] /= width
-
-
-def _set_errors(found: Calibration, which: int, sample: Measurements) -> None:
-    """Set the errors of one estimator."""
-    for view, layer, charge in np.ndindex(found.errors.shape[1:4]):
-        own = _select(sample, found, (view, layer, charge))
-        if len(own.residual) >= FEWEST // 2:
-            found.errors[which, view, layer, charge] = _errors(own)
-
-
 def _set_shares(found: Calibration, centroid: Measurements, line: Measurements) -> None:
     """Set the weights of centroids in merged positions, by charge and size."""
     for at in np.ndindex(*found.depth.shape):
-        own, other = _select(centroid, found, at), _select(line, found, at)
-        for first, last in _groups(np.minimum(own.size, SIZES)):
+        own, other = select(centroid, found, at), select(line, found, at)
+        for first, last in groups(np.minimum(own.size, SIZES)):
             here = (own.size >= first) & (np.minimum(own.size, SIZES) <= last)
             found.shares[(*at, slice(first - 1, last))] = _share(own.residual[here], other.residual[here])
 
 
 def _set_slope_shares(found: Calibration, centroid: Measurements, line: Measurements) -> None:
     """Set the weights of centroids in merged positions, by slope and size; of all sizes where these are few."""
-    at, size = _slope_cells(centroid)
+    at, size = slope_cells(centroid)
     layers, ranges = found.slope_shares.shape[1:3]
     for view, layer, number in np.ndindex(2, layers, ranges):
         plane = (centroid.view == view) & (centroid.layer == layer) & (at == number)
@@ -215,17 +155,6 @@ def _set_slope_shares(found: Calibration, centroid: Measurements, line: Measurem
             here = plane & (size == strips)
             if np.count_nonzero(here) >= FEWEST:
                 found.slope_shares[view, layer, number, strips] = _share(centroid.residual[here], line.residual[here])
-
-
-def _slope_cells(sample: Measurements) -> tuple[Ints, Ints]:
-    """Return range of the slope and size, less 1, of each cluster as indices."""
-    at = np.searchsorted(SLOPE_EDGES, np.abs(sample.slope), side="right")
-    return at, np.minimum(sample.size, SLOPE_SIZES) - 1
-
-
-def _in_cell(sample: Measurements, at: Ints, size: Ints, cell: tuple[int, ...]) -> npt.NDArray[np.bool_]:
-    view, layer, number, strips = cell
-    return np.asarray((sample.view == view) & (sample.layer == layer) & (at == number) & (size == strips))
 
 
 def _share(centroid: Floats, line: Floats) -> float:
@@ -244,15 +173,6 @@ def _share(centroid: Floats, line: Floats) -> float:
     return float(np.clip(-(line[use] @ apart) / square, 0, 1)) if square > 0 else 0.5
 
 
-def _select(sample: Measurements, calibration: Calibration, at: tuple[int, ...]) -> Measurements:
-    """Return the clusters of one view, layer and range of the charge."""
-    view, layer, charge = at
-    edges = calibration.edges[view, layer]
-    here = (sample.view == view) & (sample.layer == layer)
-    here &= np.searchsorted(edges, sample.charge, side="right") == charge
-    return Measurements(*(values[here] for values in sample))
-
-
 def _depth(sample: Measurements) -> float:
     """Return the height, mm, that times the slope gives the residual.
 
@@ -267,53 +187,3 @@ def _depth(sample: Measurements) -> float:
         left = sample.residual - depth * sample.slope
         use &= np.abs(left) < 3 * np.std(left[use])
     return depth
-
-
-def _errors(sample: Measurements) -> Floats:
-    """Return the errors by number of strips, (SIZES,) mm."""
-    errors = np.ones(SIZES)
-    for first, last in _groups(np.minimum(sample.size, SIZES)):
-        errors[first - 1 : last] = _width(
-            sample.residual[(sample.size >= first) & (np.minimum(sample.size, SIZES) <= last)]
-        )
-    return errors
-
-
-def _by_slope(sample: Measurements, found: Calibration) -> Floats:
-    """Return the width of residuals by view, layer, range of the slope and size; of all sizes where these are few."""
-    values = np.ones(found.slope_shares.shape)
-    at, size = _slope_cells(sample)
-    layers, ranges = found.slope_shares.shape[1:3]
-    for view, layer in np.ndindex(2, layers):
-        here = (sample.view == view) & (sample.layer == layer)
-        numbers = [k for k in range(ranges) if np.count_nonzero(here & (at == k)) >= FEWEST]
-        if numbers:
-            widths = [_width(sample.residual[here & (at == k)]) for k in numbers]
-            values[view, layer] = np.interp(np.arange(ranges), numbers, widths)[:, None]
-        for number, strips in np.ndindex(ranges, SLOPE_SIZES):
-            mine = _in_cell(sample, at, size, (view, layer, number, strips))
-            if np.count_nonzero(mine) >= FEWEST:
-                values[view, layer, number, strips] = _width(sample.residual[mine])
-    return values
-
-
-def _groups(size: Ints) -> list[tuple[int, int]]:
-    """Return ranges of sizes that cover all, each with enough clusters."""
-    groups, first = [], 1
-    for last in range(1, SIZES + 1):
-        if np.count_nonzero((size >= first) & (size <= last)) >= _FEWEST_SIZES:
-            groups.append((first, last))
-            first = last + 1
-    if groups and first <= SIZES:  # what is left joins the last group
-        groups[-1] = (groups[-1][0], SIZES)
-    return groups or [(1, SIZES)]
-
-
-def _spread(residual: Floats) -> float:
-    """Return the RMS of residuals within five core widths, mm."""
-    return float(np.sqrt(np.mean(residual[np.abs(residual) < _TAILS * _width(residual)] ** 2)))
-
-
-def _width(residual: Floats) -> float:
-    """Return the core width of residuals about 0, mm."""
-    return float(measure(residual, parameter="position", unit="mm").core)
