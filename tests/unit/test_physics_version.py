@@ -16,7 +16,7 @@ HASHES = {
     4: "d0649b4511db3e6c",  # clusters of tiger, apv25 and analog-projection
     5: "d0649b4511db3e6c",  # strips out of time and pairs of tiger and apv25; tracks of the finder
     6: "d0649b4511db3e6c",  # tracks in the CGEM alone; rounding of tiger and apv25
-    7: "d0649b4511db3e6c",  # errors of clusters of tiger and apv25
+    7: "d0649b4511db3e6c",  # errors of clusters of tiger and apv25; annealed tracks of the finder; rounding of helices
 }
 
 
