@@ -13,10 +13,13 @@ namespace {
 
 struct FiredCell {
   std::int32_t gid;
-  double drift, sigma, time;  // time: ns
+  double drift, sigma, drift_time, arrival;  // arrival: ns, later than the drift time on later half turns
   std::size_t row;
 
-  auto order() const { return std::tuple(gid, time, drift, row); }
+  bool operator<(const FiredCell& other) const {
+    if (gid != other.gid) return gid < other.gid;
+    return std::tuple(arrival, drift, row) < std::tuple(other.arrival, other.drift, other.row);
+  }
 };
 
 // Index in the detector of each layer number of the experiment; -1 if there is no such layer.
@@ -71,21 +74,20 @@ void fire(const WireLayer& layer, const WireTruthColumns& truths, std::size_t ro
   const double drift = distance + sigma(distance) * normal_quantile(open_unit(words[0]));
   // First half turns are all as late, since their times of flight are taken as known.
   const double late = truths.half_turn[row] > 0 ? truths.time[row] : 0.0;
+  const double time = drift_time(readout, drift);
   // The error is evaluated at the measured drift distance, the only one that the hit has.
-  out.push_back(
-      {layer.gid_first + truths.wire[row], drift, sigma(drift), drift_time(readout, drift) + late, row});
+  out.push_back({layer.gid_first + truths.wire[row], drift, sigma(drift), time, time + late, row});
 }
 
-void write(const WireTruthColumns& truths, const WireReadout& readout, const FiredCell& hit,
-           WireHitColumns& hits) {
+void write(const WireTruthColumns& truths, bool reveal_sides, const FiredCell& hit, WireHitColumns& hits) {
   hits.event.push_back(truths.event[hit.row]);
   hits.layer.push_back(truths.layer[hit.row]);
   hits.wire.push_back(truths.wire[hit.row]);
   hits.gid.push_back(hit.gid);
   hits.drift.push_back(hit.drift);
   hits.sigma.push_back(hit.sigma);
-  hits.drift_time.push_back(drift_time(readout, hit.drift));
-  hits.side.push_back(readout.reveal_sides ? truths.side[hit.row] : std::int8_t{0});
+  hits.drift_time.push_back(hit.drift_time);
+  hits.side.push_back(reveal_sides ? truths.side[hit.row] : std::int8_t{0});
   hits.wire_truth.push_back(static_cast<std::int64_t>(hit.row));
 }
 
@@ -110,9 +112,9 @@ WireHitColumns read_out_wires(const Detector& detector, const WireTruthColumns& 
     for (end = begin; end < truths.size() && truths.event[end] == truths.event[begin]; ++end) {
       fire(detector.wires[index[truths.layer[end]]], truths, end, readout, fired);
     }
-    std::sort(fired.begin(), fired.end(), [](const auto& a, const auto& b) { return a.order() < b.order(); });
+    std::sort(fired.begin(), fired.end());
     for (std::size_t i = 0; i < fired.size(); ++i) {
-      if (i == 0 || fired[i].gid != fired[i - 1].gid) write(truths, readout, fired[i], hits);
+      if (i == 0 || fired[i].gid != fired[i - 1].gid) write(truths, readout.reveal_sides, fired[i], hits);
     }
   }
   return hits;
