@@ -5,16 +5,25 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from cgemit.digitize.calibration import CHARGES, DISTANCES, SIZES, SLOPE_EDGES, SLOPE_SIZES, Calibration
+from cgemit.digitize.calibration import (
+    CHARGES,
+    DISTANCES,
+    PATH_KNOTS,
+    SIZES,
+    SLOPE_EDGES,
+    SLOPE_KNOTS,
+    SLOPE_SIZES,
+    Calibration,
+)
 from cgemit.statistics.estimate import measure
 from cgemit.study.readout.measure import FEWEST, Measurements
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
 
-_TAILS = 5.0  # core widths, within which residuals make the spread that tracks see
+_TAILS = 5.0  # errors, beyond which the fit drops hits
 _FEWEST_SIZES = 100  # clusters of one charge that give a group of sizes an error of its own
-_REFINED = 3  # times that the widths of pulls go into each of the factors
+_REFINED = 5  # times that the widths of pulls go into each of the factors
 
 
 def set_errors(found: Calibration, which: int, sample: Measurements) -> None:
@@ -53,34 +62,57 @@ def by_slope(sample: Measurements, found: Calibration) -> Floats:
     return values
 
 
-def refine(found: Calibration, along: int, which: int, sample: Measurements, apart: Floats) -> None:
-    """Make pulls of unit width in every range of distance, charge, size and, with the track's angle, slope.
+def refine(
+    found: Calibration, along: int, which: int, sample: Measurements, apart: Floats, direction: tuple[Floats, Floats]
+) -> None:
+    """Make pulls of unit width in every range of distance, charge, size, slope and path.
 
-    The error is a product of factors; each takes the widths that the others leave, in turns.
+    The error is a product of factors; each takes the widths that the others leave, in turns. With the track's angle,
+    slope and size have one together.
     """
+    slopes = np.searchsorted(SLOPE_KNOTS, np.abs(direction[0]), side="right") - 1
+    paths = np.searchsorted(PATH_KNOTS, direction[1], side="right") - 1
     slope, strips = slope_cells(sample)
     for view, layer in np.ndindex(found.errors.shape[1:3]):
         mine = np.flatnonzero((sample.view == view) & (sample.layer == layer))
         size = np.minimum(sample.size[mine], SIZES) - 1
         charge = np.searchsorted(found.edges[view, layer], sample.charge[mine], side="right")
         edges = found.distance_edges[along, view, layer]
-        near = np.where(apart[mine] > 0, np.searchsorted(edges, apart[mine], side="right"), 0)
+        near = np.where(apart[mine] > 0, 1 + np.searchsorted(edges, apart[mine], side="right"), 0)
+        by_slope, by_path = np.split(found.direction_factors[along, which, view, layer], [len(SLOPE_KNOTS)])
         factors = found.distance_factors[along, which, view, layer]
         by_charge = (found.charge_factors if along else found.errors)[which, view, layer]
         pull = sample.residual[mine] / by_charge[charge, size]
         if along:
-            by_slope = found.slope_errors[which, view, layer]
-            pull /= by_slope[slope[mine], strips[mine]]
+            by_cell = found.slope_errors[which, view, layer]
+            pull /= by_cell[slope[mine], strips[mine]]
         for _ in range(_REFINED):
-            for number in range(DISTANCES):
+            for number in range(DISTANCES if apart.any() else 0):
                 _unit_width(pull, near == number, factors, (number,))
             for number in range(CHARGES):
                 for first, last in groups(size[charge == number] + 1):
                     here = (charge == number) & (size >= first - 1) & (size < last)
                     _unit_width(pull, here, by_charge, (number, slice(first - 1, last)))
             if along:
-                for cell in np.ndindex(*by_slope.shape):
-                    _unit_width(pull, (slope[mine] == cell[0]) & (strips[mine] == cell[1]), by_slope, cell)
+                for cell in np.ndindex(*by_cell.shape):
+                    _unit_width(pull, (slope[mine] == cell[0]) & (strips[mine] == cell[1]), by_cell, cell)
+            else:
+                for number in range(len(SLOPE_KNOTS)):
+                    _unit_width(pull, slopes[mine] == number, by_slope, (number,))
+            for number in range(len(PATH_KNOTS)):
+                _unit_width(pull, paths[mine] == number, by_path, (number,))
+        if len(mine) >= FEWEST:
+            by_charge *= _width_of_means(pull, sample.residual[mine] / pull)
+
+
+def _width_of_means(pull: Floats, error: Floats) -> float:
+    """Return the width of the pulls of weighted means of two clusters of different events.
+
+    Of several clusters together, tails of pulls widen the core. Tracks have some more clusters than two, the pulls of
+    single ones shall not be far from 1 either.
+    """
+    weighted, weight = ((values[:-1:2], values[1::2]) for values in (pull / error, error**-2))
+    return _width(sum(weighted) / np.sqrt(sum(weight)))
 
 
 def _unit_width(pull: Floats, here: npt.NDArray[np.bool_], errors: Floats, cell: tuple[int | slice, ...]) -> None:
@@ -94,9 +126,9 @@ def _unit_width(pull: Floats, here: npt.NDArray[np.bool_], errors: Floats, cell:
 def set_typical(found: Calibration, along: int, which: int, sample: Measurements) -> None:
     """Set the errors over all clusters of a view and layer."""
     for view, layer in np.ndindex(found.errors.shape[1:3]):
-        plane = sample.residual[(sample.view == view) & (sample.layer == layer)]
-        if len(plane) >= FEWEST:
-            found.typical_errors[along, which, view, layer] = _spread(plane)
+        mine = (sample.view == view) & (sample.layer == layer)
+        if np.count_nonzero(mine) >= FEWEST:
+            found.typical_errors[along, which, view, layer] = _typical(sample.residual[mine], sample.error[mine])
 
 
 def select(sample: Measurements, calibration: Calibration, at: tuple[int, ...]) -> Measurements:
@@ -131,9 +163,16 @@ def groups(size: Ints) -> list[tuple[int, int]]:
     return groups or [(1, SIZES)]
 
 
-def _spread(residual: Floats) -> float:
-    """Return the RMS of residuals within five core widths, mm."""
-    return float(np.sqrt(np.mean(residual[np.abs(residual) < _TAILS * _width(residual)] ** 2)))
+def _typical(residual: Floats, error: Floats) -> float:
+    """Return the error, the same for all clusters, with which tracks are as precise as with these, mm.
+
+    Errors differ from cluster to cluster, and few clusters decide about a track: the core of tracks is that of the
+    mixture, as is the core of the residuals. Pulls of several clusters add up, and their tails join the core: it
+    becomes as wide as the RMS of the pulls that the fit keeps.
+    """
+    pull = residual / error
+    spread = float(np.sqrt(np.mean(pull[np.abs(pull) < _TAILS] ** 2)))
+    return _width(residual) * spread / _width(pull)
 
 
 def _width(residual: Floats) -> float:
