@@ -100,8 +100,8 @@ class Calibration:
     edges : (2, layers, CHARGES - 1) float64, fC
         Charges of clusters where the next range begins.
     typical_errors : (2, 3, 2, layers) float64, mm
-        Over all charges, sizes and slopes of the sample, without and with the angle of the track: RMS of the residuals
-        within five core widths, which is what tracks see of them.
+        Over all charges, sizes and slopes of the sample, without and with the angle of the track: equal errors with
+        which straight lines through the layers are as precise at the beam line.
     slope_errors : (3, 2, layers, len(SLOPE_EDGES) + 1, SLOPE_SIZES) float64, mm
         Errors of positions that use the angle of the track, by estimator, view, layer, range of the slope and number of
         strips.

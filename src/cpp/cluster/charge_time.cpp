@@ -60,7 +60,10 @@ struct Position {
 double slope_at(const CgemLayer& layer, ClusterView view, double z) {
   return view == ClusterView::x ? 0 : -layer.sin_stereo * z / layer.r_mid();
 }
-double path_at(const CgemLayer& layer, double z) { return std::hypot(1.0, z / layer.r_mid()); }
+double path_at(const CgemLayer& layer, double z) {
+  const double rise = z / layer.r_mid();
+  return std::sqrt(1 + rise * rise);
+}
 
 class ChargeTimeClusters {
  public:

@@ -40,6 +40,7 @@ class ViewReconstruction {
   std::vector<StripPoint> points(const DigiView& digis, StripRun rows, double depth) const {
     const double start = layer_.r_gap_out - layer_.r_mid() + depth;
     std::vector<StripPoint> found;
+    found.reserve(rows.size());
     for (std::size_t i = 0; i < rows.size(); ++i) {
       const std::size_t row = rows.rows[i];
       const double strip = digis.strip[row] + 0.5, charge = std::max(rows.charge(digis, i), least_charge);
@@ -76,6 +77,7 @@ class ViewReconstruction {
   Line line(std::span<const StripPoint> all, std::optional<double> slope) const {
     const double half = layer_.r_gap_out - layer_.r_mid() + outside;
     std::vector<StripPoint> used;
+    used.reserve(all.size());
     for (std::size_t i = 0; i < all.size(); ++i) {
       if (std::abs(all[i].height) > half || induced(all, i)) continue;
       used.push_back(all[i]);

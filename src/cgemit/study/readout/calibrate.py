@@ -117,6 +117,7 @@ def calibration_from(result: Result, readout: Any, about: str) -> Calibration:
             found.edges[view, layer] = np.quantile(charge, _QUANTILES)
     for at in np.ndindex(found.depth.shape):
         found.height[at] = _depth(select(first, found, at)) if readout.lorentz else 0.0
+    radii = np.array([one.r_mid for one in detector.cgem])
     has_lines = "micro-tpc" in readout.estimators
     for _ in range(_STEPS if has_lines else 0):
         lines = measured("micro-tpc", found)
@@ -144,7 +145,8 @@ def calibration_from(result: Result, readout: Any, about: str) -> Calibration:
                 set_errors(found, which, sample)
             refine(found, int(of_track), which, sample, apart(sample), known(sample, of_track))
         for name in readout.estimators:
-            set_typical(found, int(of_track), ESTIMATORS.index(name), measured(name, found, of_track))
+            sample = measured(name, found, of_track)
+            set_typical(found, int(of_track), ESTIMATORS.index(name), sample, truths["event"][sample.truth], radii)
     return found
 
 

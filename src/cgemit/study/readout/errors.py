@@ -101,18 +101,6 @@ def refine(
                     _unit_width(pull, slopes[mine] == number, by_slope, (number,))
             for number in range(len(PATH_KNOTS)):
                 _unit_width(pull, paths[mine] == number, by_path, (number,))
-        if len(mine) >= FEWEST:
-            by_charge *= _width_of_means(pull, sample.residual[mine] / pull)
-
-
-def _width_of_means(pull: Floats, error: Floats) -> float:
-    """Return the width of the pulls of weighted means of two clusters of different events.
-
-    Of several clusters together, tails of pulls widen the core. Tracks have some more clusters than two, the pulls of
-    single ones shall not be far from 1 either.
-    """
-    weighted, weight = ((values[:-1:2], values[1::2]) for values in (pull / error, error**-2))
-    return _width(sum(weighted) / np.sqrt(sum(weight)))
 
 
 def _unit_width(pull: Floats, here: npt.NDArray[np.bool_], errors: Floats, cell: tuple[int | slice, ...]) -> None:
@@ -123,12 +111,45 @@ def _unit_width(pull: Floats, here: npt.NDArray[np.bool_], errors: Floats, cell:
         pull[here] /= width
 
 
-def set_typical(found: Calibration, along: int, which: int, sample: Measurements) -> None:
-    """Set the errors over all clusters of a view and layer."""
-    for view, layer in np.ndindex(found.errors.shape[1:3]):
-        mine = (sample.view == view) & (sample.layer == layer)
-        if np.count_nonzero(mine) >= FEWEST:
-            found.typical_errors[along, which, view, layer] = _typical(sample.residual[mine], sample.error[mine])
+def set_typical(found: Calibration, along: int, which: int, sample: Measurements, event: Ints, radii: Floats) -> None:
+    """Set the errors, equal for all clusters of a view and layer, with which tracks are as precise as with these.
+
+    They are the core widths of the residuals, times a factor: a straight line is fitted to the clusters of each track
+    with their own errors. The core of its intercepts at the beam line over that for equal Gaussian errors is the
+    factor. It holds what a fit gains from errors that differ, and loses by the tails of several clusters together.
+
+    Parameters
+    ----------
+    found : Calibration
+        Changed.
+    along, which : int
+    sample : Measurements
+    event : (n,) int64
+        Of each cluster.
+    radii : (layers,) float64, mm
+    """
+    for view in range(2):
+        widths = found.typical_errors[along, which, view]
+        residual = np.zeros((int(event.max(initial=0)) + 1, len(radii)))
+        weight = np.zeros(residual.shape)
+        for layer in range(len(radii)):
+            mine = (sample.view == view) & (sample.layer == layer)
+            if np.count_nonzero(mine) >= FEWEST:
+                widths[layer] = _width(sample.residual[mine])
+            mine &= np.abs(sample.residual) < _TAILS * sample.error
+            residual[event[mine], layer] = sample.residual[mine]
+            weight[event[mine], layer] = sample.error[mine] ** -2
+        whole = (weight > 0).all(axis=1)
+        if len(radii) > 1 and np.count_nonzero(whole) >= FEWEST:
+            intercepts = (_at_beam_line(weight[whole], radii) * residual[whole]).sum(axis=1)
+            equal = _at_beam_line(widths[None] ** -2, radii)[0]
+            widths *= _width(intercepts) / float(np.sqrt(np.sum((equal * widths) ** 2)))
+
+
+def _at_beam_line(weight: Floats, radii: Floats) -> Floats:
+    """Return what each layer adds to the intercept at radius 0 of a straight line, (tracks, layers) float64."""
+    s, x, xx = ((weight * radii**power).sum(axis=1, keepdims=True) for power in range(3))
+    return np.asarray(weight * (xx - x * radii) / (s * xx - x * x))
 
 
 def select(sample: Measurements, calibration: Calibration, at: tuple[int, ...]) -> Measurements:
@@ -161,18 +182,6 @@ def groups(size: Ints) -> list[tuple[int, int]]:
     if groups and first <= SIZES:  # what is left joins the last group
         groups[-1] = (groups[-1][0], SIZES)
     return groups or [(1, SIZES)]
-
-
-def _typical(residual: Floats, error: Floats) -> float:
-    """Return the error, the same for all clusters, with which tracks are as precise as with these, mm.
-
-    Errors differ from cluster to cluster, and few clusters decide about a track: the core of tracks is that of the
-    mixture, as is the core of the residuals. Pulls of several clusters add up, and their tails join the core: it
-    becomes as wide as the RMS of the pulls that the fit keeps.
-    """
-    pull = residual / error
-    spread = float(np.sqrt(np.mean(pull[np.abs(pull) < _TAILS] ** 2)))
-    return _width(residual) * spread / _width(pull)
 
 
 def _width(residual: Floats) -> float:
