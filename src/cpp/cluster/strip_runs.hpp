@@ -182,6 +182,7 @@ ClusterColumns clusters_of_runs(const Detector& detector, const DigiView& digis,
     if constexpr (requires { model.place(layer, sheet, pairs, std::size_t{}); }) {
       model.place(layer, sheet, pairs, static_cast<std::size_t>(clusters.rows()));
     }
+    for (ClusterRow& cluster : sheet) widen(layer, joining.mask, cluster);
     write_sheet(layer, sheet, pairs, clusters);
     sheet.clear();
   };
@@ -196,9 +197,7 @@ ClusterColumns clusters_of_runs(const Detector& detector, const DigiView& digis,
     cuts.push_back(rows.size() - 1);
     for (std::size_t k = 1; k < cuts.size(); ++k) {
       const StripRun run{rows.subspan(cuts[k - 1], cuts[k] - cuts[k - 1] + 1), k > 1, k + 1 < cuts.size()};
-      ClusterRow cluster = model.make(layer, run, static_cast<std::size_t>(clusters.rows()) + sheet.size());
-      widen(layer, joining.mask, cluster);
-      sheet.push_back(cluster);
+      sheet.push_back(model.make(layer, run, static_cast<std::size_t>(clusters.rows()) + sheet.size()));
     }
   }
   flush();
