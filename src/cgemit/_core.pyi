@@ -365,7 +365,12 @@ def find_charge_time_clusters(
     charge_factors: npt.ArrayLike,
     distance_edges: npt.ArrayLike,
     distance_factors: npt.ArrayLike,
+    direction_slopes: npt.ArrayLike,
+    direction_paths: npt.ArrayLike,
+    direction_depths: npt.ArrayLike,
+    direction_factors: npt.ArrayLike,
     slopes: npt.ArrayLike = ...,
+    paths: npt.ArrayLike = ...,
 ) -> dict[str, _Array]: ...
 def fit_line(
     position: npt.ArrayLike, charge: npt.ArrayLike, height: npt.ArrayLike, stiffness: float = 0.0

@@ -36,14 +36,14 @@ def along_tracks(
     tracks : Table
     settings : ClusterSettings
     """
-    slopes = track_slopes(detector, clusters, hits, tracks)
-    return Table("clusters", readout.cluster_along(detector, digis, settings, slopes).columns, **clusters.cover)
+    directions = track_directions(detector, clusters, hits, tracks)
+    return Table("clusters", readout.cluster_along(detector, digis, settings, directions).columns, **clusters.cover)
 
 
-def track_slopes(detector: Detector, clusters: Table, hits: Table, tracks: Table) -> Floats:
-    """Return dX/dr or dV/dr at the anode of the track of each cluster, (clusters,) float64.
+def track_directions(detector: Detector, clusters: Table, hits: Table, tracks: Table) -> Floats:
+    """Return dX/dr or dV/dr at the anode, and the path per radius, of the track of each cluster, (clusters, 2) float64.
 
-    It is NaN for clusters on no good track, or on a track that does not cross the whole gap.
+    They are NaN for clusters on no good track, or on a track that does not cross the whole gap.
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ def track_slopes(detector: Detector, clusters: Table, hits: Table, tracks: Table
     clusters, hits, tracks : Table
         See `along_tracks`.
     """
-    slopes = np.full(len(clusters), np.nan)
+    directions = np.full((len(clusters), 2), np.nan)
     good = np.full(int(hits["candidate"].max(initial=-1)) + 1, -1, np.int64)
     fitted = np.flatnonzero(tracks["status"] == 0)
     fitted = fitted[tracks["candidate"][fitted] < len(good)]  # others have no hits
@@ -65,8 +65,8 @@ def track_slopes(detector: Detector, clusters: Table, hits: Table, tracks: Table
         dx, dz = layer.r_readout * turn, path * tracks["tanl"][track[here]]
         dv = local_v(layer, dx, layer.z_ref + dz)
         across = np.where(clusters["view"][row[here]] == 0, dx, dv)
-        slopes[row[here]] = across / layer.drift_gap
-    return slopes
+        directions[row[here]] = np.column_stack([across, np.hypot(path, dz)]) / layer.drift_gap
+    return directions
 
 
 def gap_crossing(

@@ -10,8 +10,8 @@ from cgemit import find
 from cgemit.digitize.calibration import CHARGES, DISTANCES, SIZES, calibration_of, neutral
 from cgemit.digitize.transport import drift_columns
 from cgemit.find.tracks import find_tracks
-from cgemit.second_pass import gap_crossing, track_slopes
-from cgemit.study.readout.measure import crossing_slopes
+from cgemit.second_pass import gap_crossing, track_directions
+from cgemit.study.readout.measure import crossing_paths, crossing_slopes
 
 DESIGN = cg.load("besiii-cgem-design")
 LAYERS = dataclasses.replace(DESIGN, drift_chamber=None)
@@ -189,11 +189,11 @@ def test_gap_crossing_of_a_circle():
         assert path[0] == pytest.approx(arc[1] - arc[0], abs=2e-3)
 
 
-def test_slopes_of_tracks():
-    """Slopes of fitted tracks are those of the crossings."""
+def test_directions_of_tracks():
+    """Slopes and paths of fitted tracks are those of the crossings."""
     gun = cg.Gun("mu-", p=2.0, cos_theta=(-0.8, 0.8))
     result = cg.run(DESIGN, gun, 200, 3, settings=cg.Settings(simulate=cg.SimulateSettings(deltas=False)))
-    slopes = track_slopes(DESIGN, result.clusters, result.candidate_hits, result.tracks)
+    slopes, paths = track_directions(DESIGN, result.clusters, result.candidate_hits, result.tracks).T
     own = find.own_clusters(DESIGN, result.clusters, result.truths)
     own = own[np.isfinite(slopes[own])]
     true = crossing_slopes(DESIGN, result.truths)[result.clusters["truth"][own], result.clusters["view"][own]]
@@ -201,6 +201,9 @@ def test_slopes_of_tracks():
     apart = slopes[own] - true
     assert np.median(np.abs(apart)) < 0.01
     assert np.std(true[result.clusters["view"][own] == 1]) > 0.3  # it is not only near 0
+    path = crossing_paths(result.truths)[result.clusters["truth"][own]]
+    assert np.median(np.abs(paths[own] - path)) < 0.01
+    assert path.max() > 1.5
 
 
 def test_positions_along_a_track():
@@ -222,7 +225,7 @@ def test_positions_along_a_track():
             digis = digis_of(strips, np.full(len(strips), 10.0)).with_columns(
                 time=time + np.interp(10.0, charge[0], delay[0])
             )
-            found = readout.cluster_with(DESIGN, digis, calibration, slopes=np.array([slope]))
+            found = readout.cluster_with(DESIGN, digis, calibration, directions=np.array([[slope, 1.0]]))
             expected = centre if slope else position.mean()
             assert found["x"][0] == pytest.approx(expected, abs=1e-9)
 
@@ -255,31 +258,31 @@ def test_errors_follow_the_distance_of_centroid_and_line(along):
     digis = cg.run(DESIGN, cg.Gun("mu-", p=1.0, cos_theta=(-0.9, 0.9)), 30, 5, readout=TIGER, until="digitize").digis
     calibration = neutral(3)
     calibration.shares[:], calibration.slope_shares[:], calibration.edges[:] = 0.5, 0.5, 30 * np.arange(1, CHARGES)
-    edges = 0.05 * np.arange(1, DISTANCES)
+    edges = 0.05 * np.arange(1, DISTANCES - 1)
     calibration.distance_edges[int(along)] = edges
     calibration.distance_factors[int(along)] = np.arange(1, DISTANCES + 1)
     calibration.charge_factors[:] = np.arange(1, CHARGES + 1)[:, None] * (1 + 0.1 * np.arange(SIZES))
     place, clusters = {}, None
     for estimator in ("centroid", "micro-tpc", "merged"):
         readout = dataclasses.replace(TIGER, estimator=estimator)
-        slopes = np.full(10_000, 0.1) if along else None
-        clusters = readout.cluster_with(DESIGN, digis, calibration, slopes=slopes)
+        directions = np.tile([0.1, 1.0], (10_000, 1)) if along else None
+        clusters = readout.cluster_with(DESIGN, digis, calibration, directions=directions)
         strips = clusters["view"] < 2
         place[estimator] = np.where(clusters["view"] == 0, clusters["x"], clusters["v"])[strips]
     distance = np.abs(place["centroid"] - place["micro-tpc"])
-    expected = 1 + np.searchsorted(edges, distance, side="right")
+    expected = np.where(distance > 0, 2 + np.searchsorted(edges, distance, side="right"), 1)
     if along:
         charge = np.searchsorted(calibration.edges[0, 0], clusters["charge"][strips], side="right")
         expected = expected * (1 + charge) * (1 + 0.1 * (np.minimum(clusters["size"][strips], SIZES) - 1))
     error = np.where(clusters["view"] == 0, clusters["err_x"], clusters["err_v"])[strips]
-    assert len(np.unique(np.searchsorted(edges, distance))) == DISTANCES
+    assert len(np.unique(expected if not along else np.searchsorted(edges, distance))) == DISTANCES - along
     np.testing.assert_allclose(error, expected)
 
 
 def test_slopes_must_fit():
     """The core refuses fewer slopes than clusters."""
     with pytest.raises(ValueError, match="one for each cluster"):
-        TIGER.cluster_with(DESIGN, digis_of([1, 5], [5.0, 5.0]), slopes=np.zeros(1))
+        TIGER.cluster_with(DESIGN, digis_of([1, 5], [5.0, 5.0]), directions=np.zeros((1, 2)))
 
 
 def test_strips_out_of_time_are_left_out():

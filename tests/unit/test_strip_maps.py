@@ -165,8 +165,9 @@ def test_pulls_beside_dead_strips(readout):
     touched = (first + 3) % 9 >= 9 - (last - first + 2)
     assert np.count_nonzero(touched) > 1000
     pull = (residual / error)[touched & (np.abs(residual) < 2)]
-    # 3 % for the delta electrons within 2 mm; errors are those of a dead strip with any charge, so no lower limit of 1
-    assert 0.85 < np.sqrt(np.mean(pull**2)) < 1.15
+    # 3 % for the delta electrons within 2 mm; errors are those of a dead strip with any charge, so no lower limit of 1:
+    # a line through the other strips hardly moves
+    assert 0.8 < np.sqrt(np.mean(pull**2)) < 1.15
 
 
 def test_hot_strips():

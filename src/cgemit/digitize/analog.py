@@ -176,19 +176,19 @@ class AnalogReadout(SettingsData):
         """
         return self.cluster_with(detector, digis, calibration_of(detector, self), bridge=settings.bridge)
 
-    def cluster_along(self, detector: Detector, digis: Table, settings: ClusterSettings, slopes: Floats) -> Table:
-        """Return the clusters of `cluster`, those with a slope with positions and errors for it.
+    def cluster_along(self, detector: Detector, digis: Table, settings: ClusterSettings, directions: Floats) -> Table:
+        """Return the clusters of `cluster`, those with a direction with positions and errors for it.
 
         Parameters
         ----------
         detector : Detector
         digis : Table
         settings : ClusterSettings
-        slopes : (clusters,) float64
+        directions : (clusters, 2) float64
             See `cgemit.digitize.analog_cluster.find_clusters`.
         """
         calibration = calibration_of(detector, self)
-        return self.cluster_with(detector, digis, calibration, bridge=settings.bridge, slopes=slopes)
+        return self.cluster_with(detector, digis, calibration, bridge=settings.bridge, directions=directions)
 
     def cluster_with(
         self,
@@ -197,7 +197,7 @@ class AnalogReadout(SettingsData):
         calibration: Calibration | None = None,
         *,
         bridge: int = 0,
-        slopes: Floats | None = None,
+        directions: Floats | None = None,
     ) -> Table:
         """Return clusters with the errors of a calibration; without one, errors of 1 mm.
 
@@ -208,13 +208,13 @@ class AnalogReadout(SettingsData):
         calibration : Calibration or None
         bridge : int
             See `ClusterSettings`.
-        slopes : (clusters,) float64 or None
+        directions : (clusters, 2) float64 or None
             See `find_clusters`.
         """
         return find_clusters(
             detector, digis, self.delays, calibration=calibration or neutral(len(detector.cgem)),
             estimator=self.estimator, lorentz=self.lorentz, missing=self.missing, edge=self.edge, valley=self.valley,
-            margin=self.time_margin, bridge=bridge, slopes=slopes,
+            margin=self.time_margin, bridge=bridge, directions=directions,
         )  # fmt: skip
 
     def expected_errors(self, detector: Detector) -> tuple[Floats, Floats]:

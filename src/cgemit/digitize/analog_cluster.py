@@ -11,7 +11,16 @@ import numpy.typing as npt
 from cgemit import _core
 from cgemit.detector import Detector, compiled
 from cgemit.detector.strip_maps import strip_gains, strip_lists
-from cgemit.digitize.calibration import CHARGES, DISTANCES, SIZES, SLOPE_EDGES, Calibration, Estimator
+from cgemit.digitize.calibration import (
+    CHARGES,
+    DISTANCES,
+    PATH_KNOTS,
+    SIZES,
+    SLOPE_EDGES,
+    SLOPE_KNOTS,
+    Calibration,
+    Estimator,
+)
 from cgemit.digitize.transport import drift_columns
 from cgemit.tables import Table
 
@@ -33,7 +42,7 @@ def find_clusters(
     valley: float,
     margin: float,
     bridge: int = 0,
-    slopes: Floats | None = None,
+    directions: Floats | None = None,
 ) -> Table:
     """Return the clusters of strips with charge and time.
 
@@ -59,7 +68,8 @@ def find_clusters(
     bridge : int
         Dead and hot strips in a row that a cluster may bridge.
     slopes : (clusters,) float64 or None
-        dX/dr of X clusters and dV/dr of V clusters at the anode, by row of the result; NaN where no track tells.
+        Of the track, by row of the result: dX/dr of X clusters and dV/dr of V clusters at the anode, and its path per
+        radius; NaN where no track tells.
     """
     drift = drift_columns(detector)
     flight = np.array([layer.r_mid for layer in detector.cgem]) / _SPEED_OF_LIGHT
@@ -73,7 +83,7 @@ def find_clusters(
     return clusters_at(
         detector, digis, timing, delays(drift["induction"]),
         calibration=calibration, estimator=estimator, missing=missing, edge=edge, valley=valley,
-        margin=margin, bridge=bridge, slopes=slopes,
+        margin=margin, bridge=bridge, directions=directions,
     )  # fmt: skip
 
 
@@ -90,7 +100,7 @@ def clusters_at(
     valley: float,
     margin: float = math.inf,
     bridge: int = 0,
-    slopes: Floats | None = None,
+    directions: Floats | None = None,
 ) -> Table:
     """Return the clusters of strips for given drift and delays.
 
@@ -102,9 +112,10 @@ def clusters_at(
         velocity (mm/ns), tan_lorentz, shift (rad), delay (ns).
     delays : (ndarray, ndarray), (2 layers, n) float64
         Charge (fC) and delay (ns) of the chip by layer and view.
-    calibration, estimator, missing, edge, valley, margin, bridge, slopes
+    calibration, estimator, missing, edge, valley, margin, bridge, directions
         See `find_clusters`.
     """
+    tracks = np.empty((0, 2)) if directions is None else directions
     found = _core.find_charge_time_clusters(
         compiled(detector), dict(digis.columns), timing=timing, delay_charge=delays[0], delay=delays[1],
         errors=calibration.errors.reshape(-1, SIZES), shares=calibration.shares.reshape(-1, SIZES),
@@ -114,8 +125,10 @@ def clusters_at(
         gain=strip_gains(detector), valley=valley, margin=margin, pairs=calibration.pairs.ravel(),
         slope_errors=calibration.slope_errors.ravel(), slope_shares=calibration.slope_shares.ravel(),
         slope_edges=SLOPE_EDGES, charge_factors=calibration.charge_factors.ravel(),
-        distance_edges=calibration.distance_edges.reshape(-1, DISTANCES - 1),
+        distance_edges=calibration.distance_edges.reshape(-1, DISTANCES - 2),
         distance_factors=calibration.distance_factors.reshape(-1, DISTANCES),
-        slopes=np.empty(0) if slopes is None else slopes,
+        direction_slopes=SLOPE_KNOTS, direction_paths=PATH_KNOTS,
+        direction_depths=calibration.direction_depths.ravel(), direction_factors=calibration.direction_factors.ravel(),
+        slopes=tracks[:, 0], paths=tracks[:, 1],
     )  # fmt: skip
     return Table("clusters", found, **digis.cover)

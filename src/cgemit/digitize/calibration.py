@@ -28,13 +28,18 @@ SLOPE_EDGES = np.array([0.1, 0.2, 0.3, 0.45, 0.6, 0.8, 1.1])
 """Where ranges of the slope of electrons' places of origin at the anode begin, each with errors of its own."""
 SLOPE_SIZES = 6
 """Numbers of strips with such errors of their own."""
-DISTANCES = 7
-"""Ranges of the distance of centroid and line, each with a factor on the error."""
+DISTANCES = 8
+"""Ranges of the distance of centroid and line, each with a factor on the error; the first: there is no line."""
+SLOPE_KNOTS = np.array([0.0, *SLOPE_EDGES, 1.5])
+"""Of the slope at the anode, for `Calibration.direction_depths`."""
+PATH_KNOTS = np.array([1.0, 1.04, 1.1, 1.2, 1.4, 1.7, 2.2])
+"""Of the path of a track per radius, for the same."""
+DIRECTIONS = len(SLOPE_KNOTS) + len(PATH_KNOTS)
 PAIR = 6
 """Numbers of the likelihood of a pair of X and V."""
 
 #: Changes with everything that makes stored calibrations wrong.
-MODEL = 3
+MODEL = 4
 _MISSING = (
     "got no calibration for this detector, field and read-out, "
     "expected digitize.readout.calibration = a file written by: "
@@ -60,7 +65,8 @@ _SHAPES = {
     "errors": (3, 2, -1, CHARGES, SIZES), "pairs": (-1, PAIR),
     "shares": (2, -1, CHARGES, SIZES), "slope_errors": (3, 2, -1, len(SLOPE_EDGES) + 1, SLOPE_SIZES),
     "slope_shares": (2, -1, len(SLOPE_EDGES) + 1, SLOPE_SIZES), "charge_factors": (3, 2, -1, CHARGES, SIZES),
-    "distance_edges": (2, 2, -1, DISTANCES - 1), "distance_factors": (2, 3, 2, -1, DISTANCES),
+    "distance_edges": (2, 2, -1, DISTANCES - 2), "distance_factors": (2, 3, 2, -1, DISTANCES),
+    "direction_depths": (2, 3, 2, -1, DIRECTIONS), "direction_factors": (2, 3, 2, -1, DIRECTIONS),
 }  # fmt: skip
 
 
@@ -70,6 +76,7 @@ _LIMITS = {
     "typical_errors": (1e-4, 100.0, "mm"), "errors": (1e-4, 100.0, "mm"), "slope_errors": (1e-4, 100.0, "mm"),
     "charge_factors": (1e-3, 1e4, ""), "distance_edges": (0.0, 1e4, "mm"), "distance_factors": (1e-3, 1e4, ""),
     "shares": (0.0, 1.0, ""), "slope_shares": (0.0, 1.0, ""), "pairs": (-1e4, 1e4, "(ns)"),
+    "direction_depths": (-50.0, 50.0, "mm"), "direction_factors": (1e-3, 1e4, ""),
 }  # fmt: skip
 
 
@@ -93,8 +100,8 @@ class Calibration:
     edges : (2, layers, CHARGES - 1) float64, fC
         Charges of clusters where the next range begins.
     typical_errors : (2, 3, 2, layers) float64, mm
-        Over all charges, sizes and slopes of the sample, without and with the angle of the track: RMS of the residuals
-        within five core widths, which is what tracks see of them.
+        Over all charges, sizes and slopes of the sample, without and with the angle of the track: equal errors with
+        which straight lines through the layers are as precise at the beam line.
     slope_errors : (3, 2, layers, len(SLOPE_EDGES) + 1, SLOPE_SIZES) float64, mm
         Errors of positions that use the angle of the track, by estimator, view, layer, range of the slope and number of
         strips.
@@ -104,10 +111,15 @@ class Calibration:
         The same for positions that use the angle of the track.
     charge_factors : (3, 2, layers, CHARGES, SIZES) float64
         On `slope_errors`, by charge and number of strips.
-    distance_edges : (2, 2, layers, DISTANCES - 1) float64, mm
+    distance_edges : (2, 2, layers, DISTANCES - 2) float64, mm
         Distances of centroid and line where the next range begins, without and with the angle of the track.
     distance_factors : (2, 3, 2, layers, DISTANCES) float64
         On all errors, by that distance; clusters without a line are in the first range.
+    direction_depths : (2, 3, 2, layers, DIRECTIONS) float64, mm
+        Height by which positions are wrong along the slope, at `SLOPE_KNOTS` and at `PATH_KNOTS`, to be added up; for
+        the direction of a straight track from the beam line, and with the angle of the track.
+    direction_factors : (2, 3, 2, layers, DIRECTIONS) float64
+        On the errors, by range of the same.
     pairs : (layers, PAIR) float64
         Mean and width of ln(charge of X / charge of V) and of the difference of their times (ns) for one particle, and
         the widths of both for two particles.
@@ -128,6 +140,8 @@ class Calibration:
     charge_factors: Floats
     distance_edges: Floats
     distance_factors: Floats
+    direction_depths: Floats
+    direction_factors: Floats
     pairs: Floats
     key: str
     about: str
@@ -148,7 +162,7 @@ class Calibration:
 
 def neutral(layers: int) -> Calibration:
     """Return the calibration with which calibrations are made: equal errors, no correction."""
-    zero = ("depth", "height", "edges", "shares", "slope_shares", "distance_edges")
+    zero = ("depth", "height", "edges", "shares", "slope_shares", "distance_edges", "direction_depths")
     values = {name: (np.zeros if name in zero else np.ones)(_shape(name, layers)) for name in _SHAPES}
     return Calibration(**values, key="", about="none")
 

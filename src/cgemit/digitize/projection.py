@@ -94,7 +94,7 @@ class ProjectionReadout(SettingsData):
         calibration: Calibration | None = None,
         *,
         bridge: int = 0,
-        slopes: Floats | None = None,
+        directions: Floats | None = None,
     ) -> Table:
         """Return clusters with the errors of a calibration; without one, errors of 1 mm.
 
@@ -105,7 +105,7 @@ class ProjectionReadout(SettingsData):
         calibration : Calibration or None
         bridge : int
             See `ClusterSettings`.
-        slopes : (clusters,) float64 or None
+        directions : (clusters, 2) float64 or None
             See `find_clusters`.
         """
         layers = len(detector.cgem)
@@ -113,7 +113,7 @@ class ProjectionReadout(SettingsData):
             detector, digis, {name: np.zeros(layers) for name in ("tan_lorentz", "shift", "delay")}
             | {"velocity": np.ones(layers)}, (np.zeros((2 * layers, 1)), np.zeros((2 * layers, 1))),
             calibration=calibration or neutral(layers), estimator="centroid", missing=0, edge=0.0, valley=self.valley,
-            bridge=bridge, slopes=slopes,
+            bridge=bridge, directions=directions,
         )  # fmt: skip
 
     def expected_errors(self, detector: Detector) -> tuple[Floats, Floats]:

@@ -23,6 +23,9 @@ from cgemit.tables.table import kind_problems
 Floats = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.intp]
 
+_OF_STRIPS = 0  # `method` of clusters whose position is that of their strips
+_NEARER = 1e-6  # orders crossings inside several clusters
+
 
 def by_truth(
     detector: Detector | str | Mapping[str, Any],
@@ -233,10 +236,12 @@ def _distances(detector: Detector, clusters: Table, truths: Table, rows: Rows) -
     begins = np.array([(0.0, cgem.offset_v) for cgem in detector.cgem]).reshape(-1, 2)
     pitch = pitches[layer, view]
     position = np.where(view == HIT_X, clusters["x"][rows], clusters["v"][rows])
-    # A position weighted by charge is not the middle of the strips.
-    middle = np.where(size > 0, (first + begins[layer, view] + 0.5 * size) * pitch, position)
+    # A position weighted by charge is not the middle of the strips; one of charge and time is corrected for the Lorentz
+    # shift, which strips are not. Of two parts of such a cluster at the crossing, the nearer one counts.
+    strips = clusters["method"][rows] == _OF_STRIPS
+    middle = np.where(strips, (first + begins[layer, view] + 0.5 * size) * pitch, position)
     beside = np.abs(residuals(detector, clusters, truths, rows) - (position - middle))
-    return np.asarray(np.maximum(beside - 0.5 * size * pitch, 0.0))
+    return np.asarray(np.maximum(beside - 0.5 * size * pitch, np.where(strips, 0.0, _NEARER * beside)))
 
 
 def particle_rows(particles: Table, truths: Table) -> npt.NDArray[np.int64]:

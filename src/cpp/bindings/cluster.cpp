@@ -90,7 +90,9 @@ py::dict with_times(const Detector& detector, const py::dict& table, const py::d
                     const Array<double>& slope_errors, const Array<double>& slope_shares,
                     const Array<double>& slope_edges, const Array<double>& charge_factors,
                     const Array<double>& distance_edges, const Array<double>& distance_factors,
-                    const Array<double>& slopes) {
+                    const Array<double>& direction_slopes, const Array<double>& direction_paths,
+                    const Array<double>& direction_depths, const Array<double>& direction_factors,
+                    const Array<double>& slopes, const Array<double>& paths) {
   Inputs in(table, "event");
   const DigiView digis = digi_view(in);
   const std::vector<LayerTiming> layers = layer_timing(timing, detector);
@@ -106,7 +108,12 @@ py::dict with_times(const Detector& detector, const py::dict& table, const py::d
   const py::ssize_t slope_sizes =
       std::max<py::ssize_t>(1, slope_shares.size() / std::max<py::ssize_t>(slope_rows, 1));
   const py::ssize_t distances = distance_factors.ndim() == 2 ? distance_factors.shape(1) : 0;
-  if (distances < 1) throw std::invalid_argument("distance_factors: expected rows with entries");
+  if (distances < 2) throw std::invalid_argument("distance_factors: expected rows with entries");
+  if (direction_slopes.size() < 1 || direction_paths.size() < 1) {
+    throw std::invalid_argument("direction_slopes, direction_paths: expected at least one");
+  }
+  const auto direction_entries =
+      static_cast<py::ssize_t>(12 * n) * (direction_slopes.size() + direction_paths.size());
   const ChargeTimeModel model{
       .layers = layers,
       .delays = {rows_of(delay_charge, "delay_charge", 2 * n, points), rows_of(delay, "delay", 2 * n, points),
@@ -131,10 +138,14 @@ py::dict with_times(const Detector& detector, const py::dict& table, const py::d
                        column(slope_shares, "slope_shares", slope_rows * slope_sizes),
                        column(slope_edges, "slope_edges"), n, static_cast<std::size_t>(slope_sizes)},
       .factors = {column(charge_factors, "charge_factors", errors.size()),
-                  matrix(distance_edges, "distance_edges", static_cast<py::ssize_t>(4 * n), distances - 1),
+                  matrix(distance_edges, "distance_edges", static_cast<py::ssize_t>(4 * n), distances - 2),
                   matrix(distance_factors, "distance_factors", static_cast<py::ssize_t>(12 * n), distances),
                   2 * n, static_cast<std::size_t>(distances)},
-      .slopes = column(slopes, "slopes", slopes.size())};
+      .directions = {column(direction_slopes, "direction_slopes"), column(direction_paths, "direction_paths"),
+                     column(direction_depths, "direction_depths", direction_entries),
+                     column(direction_factors, "direction_factors", direction_entries), 2 * n},
+      .slopes = column(slopes, "slopes", slopes.size()),
+      .paths = column(paths, "paths", slopes.size())};
   ClusterColumns found;
   {
     py::gil_scoped_release release;
@@ -174,8 +185,9 @@ void bind_cluster(py::module_& module) {
              py::arg("bridge") = 0, py::arg_v("gain", Array<double>(0), "..."), py::arg("valley") = 0.0,
              py::arg("margin"), py::arg_v("pairs", Array<double>(0), "..."), py::arg("slope_errors"),
              py::arg("slope_shares"), py::arg("slope_edges"), py::arg("charge_factors"),
-             py::arg("distance_edges"), py::arg("distance_factors"),
-             py::arg_v("slopes", Array<double>(0), "..."),
+             py::arg("distance_edges"), py::arg("distance_factors"), py::arg("direction_slopes"),
+             py::arg("direction_paths"), py::arg("direction_depths"), py::arg("direction_factors"),
+             py::arg_v("slopes", Array<double>(0), "..."), py::arg_v("paths", Array<double>(0), "..."),
              "Columns of clusters from columns of digis: charge centroid and line fit.");
   module.def("fit_line", &line_of, py::arg("position"), py::arg("charge"), py::arg("height"),
              py::arg("stiffness") = 0.0,

@@ -62,10 +62,42 @@ double SlopeErrors::error(Estimator which, std::size_t row) const {
 
 double ErrorFactors::of_distance(bool with_angle, Estimator which, std::size_t plane, double distance) const {
   const std::size_t pass = with_angle ? 1 : 0;
-  const auto own = edges.subspan((pass * planes + plane) * (ranges - 1), ranges - 1);
-  const auto range = distance > 0 ? std::ranges::upper_bound(own, distance) - own.begin() : 0;
+  const auto own = edges.subspan((pass * planes + plane) * (ranges - 2), ranges - 2);
+  const auto range = distance > 0 ? 1 + (std::ranges::upper_bound(own, distance) - own.begin()) : 0;
   const std::size_t row = (pass * 3 + static_cast<std::size_t>(which)) * planes + plane;
   return apart[row * ranges + static_cast<std::size_t>(range)];
+}
+
+namespace {
+
+// Number of the last knot that is not beyond `x`.
+std::size_t last_knot(std::span<const double> knots, double x) {
+  const auto beyond = static_cast<std::size_t>(std::ranges::upper_bound(knots, x) - knots.begin());
+  return beyond > 0 ? beyond - 1 : 0;
+}
+
+double between(std::span<const double> knots, std::span<const double> values, double x) {
+  const std::size_t i = last_knot(knots, x);
+  if (i + 1 == knots.size() || x <= knots[i]) return values[i];
+  return values[i] + (x - knots[i]) / (knots[i + 1] - knots[i]) * (values[i + 1] - values[i]);
+}
+
+}  // namespace
+
+std::size_t DirectionTable::row(bool of_track, Estimator which, std::size_t plane) const {
+  const std::size_t table = (of_track ? 3 : 0) + static_cast<std::size_t>(which);
+  return (table * planes + plane) * (slopes.size() + paths.size());
+}
+
+double DirectionTable::shift(std::size_t row, Direction direction) const {
+  const auto own = depths.subspan(row, slopes.size() + paths.size());
+  return direction.slope * (between(slopes, own.first(slopes.size()), std::abs(direction.slope)) +
+                            between(paths, own.last(paths.size()), direction.path));
+}
+
+double DirectionTable::factor(std::size_t row, Direction direction) const {
+  return factors[row + last_knot(slopes, std::abs(direction.slope))] *
+         factors[row + slopes.size() + last_knot(paths, direction.path)];
 }
 
 }  // namespace cgemit

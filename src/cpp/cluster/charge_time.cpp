@@ -2,10 +2,9 @@
 
 #include <algorithm>
 #include <cmath>
-#include <optional>
 
 #include "cluster/strip_runs.hpp"
-#include "detector/strip_plane.hpp"
+#include "cluster/view_reconstruction.hpp"
 
 namespace cgemit {
 
@@ -52,115 +51,19 @@ Line fit_line(std::span<const StripPoint> points, double stiffness) {
 
 namespace {
 
-constexpr double outside = 0.2;        // mm, by which a strip's height may lie outside the gap
-constexpr double least_charge = 1e-3;  // fC
-
-// One view of one layer.
-class ViewReconstruction {
- public:
-  ViewReconstruction(const CgemLayer& layer, std::size_t number, int view, const ChargeTimeModel& model)
-      : layer_(layer),
-        number_(number),
-        view_(view),
-        model_(model),
-        timing_(model.layers[number]),
-        across_(layer.r_readout * (view == 0 ? 1.0 : layer.cos_stereo)) {}
-
-  // Lorentz shift of electrons from a height above mid-gap to the anode.
-  double lorentz(double height) const {
-    const double from = std::clamp(layer_.r_mid() + height, layer_.r_gap_in, layer_.r_gap_out);
-    return across_ * (timing_.tan_lorentz * std::log(layer_.r_gap_out / from) + timing_.shift);
-  }
-  // Relative gain at the strip of a digi.
-  double gain(const DigiView& digis, std::size_t row) const {
-    if (model_.gain.empty()) return 1;
-    return model_.gain[static_cast<std::size_t>(gid_of(layer_, digis.sheet[row], view_, digis.strip[row]))];
-  }
-  // `depth` is added to the heights.
-  std::vector<StripPoint> points(const DigiView& digis, StripRun rows, double depth) const {
-    const double start = layer_.r_gap_out - layer_.r_mid() + depth;
-    std::vector<StripPoint> found;
-    for (std::size_t i = 0; i < rows.size(); ++i) {
-      const std::size_t row = rows.rows[i];
-      const double strip = digis.strip[row] + 0.5, charge = std::max(rows.charge(digis, i), least_charge);
-      const double measured = std::max(digis.charge[row], least_charge);
-      const double drift = digis.time[row] - timing_.delay - model_.delays.at(number_, view_, measured);
-      found.push_back({view_ == 0 ? x_of_strips(layer_, strip) : v_of_strips(layer_, strip),
-                       charge / gain(digis, row), start - drift * timing_.velocity});
-    }
-    return found;
-  }
-  // Mean time of the charge, ns, without the delay of the chip; `depth` as for `points`.
-  double time(std::span<const StripPoint> points, double depth) const {
-    const double start = layer_.r_gap_out - layer_.r_mid() + depth;
-    double charge = 0, sum = 0;
-    for (const StripPoint& point : points) {
-      charge += point.charge;
-      sum += point.charge * (start - point.height);
-    }
-    return timing_.delay + sum / charge / timing_.velocity;
-  }
-  // Slope of the electrons' places of origin as the anode sees them, for a slope of the track.
-  double slope_at_anode(double slope) const { return slope - across_ * timing_.tan_lorentz / layer_.r_mid(); }
-  // `height`: mean one of the charge.
-  double centroid(std::span<const StripPoint> all, double height) const {
-    double charge = 0, sum = 0;
-    for (const StripPoint& point : all) {
-      charge += point.charge;
-      sum += point.charge * (point.position - all.front().position);
-    }
-    return all.front().position + sum / charge - lorentz(height);
-  }
-  // Line through the strips inside the gap, each moved back by its own Lorentz shift. With a slope it only
-  // needs one strip.
-  Line line(std::span<const StripPoint> all, std::optional<double> slope) const {
-    const double half = layer_.r_gap_out - layer_.r_mid() + outside;
-    std::vector<StripPoint> used;
-    for (std::size_t i = 0; i < all.size(); ++i) {
-      if (std::abs(all[i].height) > half || induced(all, i)) continue;
-      used.push_back(all[i]);
-      used.back().position += to_border(all, i) - lorentz(all[i].height);
-    }
-    if (used.size() < (slope ? 1 : 3)) return {0, 0, false};
-    const double origin = used.front().position;
-    for (StripPoint& point : used) point.position -= origin;
-    Line found = slope ? fit_line_along(used, *slope) : fit_line(used, stiffness());
-    found.at_middle += origin;
-    return found;
-  }
-
- private:
-  // Where on an outermost strip its charge is, from the middle: a cloud that hardly reaches the strip has its
-  // charge at the border to the neighbour, one with as much charge as the neighbour in the middle.
-  double to_border(std::span<const StripPoint> all, std::size_t i) const {
-    if (all.size() < 2 || (i != 0 && i + 1 != all.size())) return 0;
-    const double pitch = view_ == 0 ? layer_.pitch_x : layer_.pitch_v;
-    const double far = 0.5 * pitch * std::max(0.0, 1 - all[i].charge / all[i == 0 ? 1 : i - 1].charge);
-    return i == 0 ? far : -far;
-  }
-  // Slopes of tracks are of the order of 1: a line through strips at nearly one height has none of its own.
-  double stiffness() const {
-    const double pitch = view_ == 0 ? layer_.pitch_x : layer_.pitch_v;
-    return pitch * pitch / 12 / (usual_slope * usual_slope);
-  }
-  // Whether a strip at the edge has so little charge that its neighbour may have induced it.
-  bool induced(std::span<const StripPoint> all, std::size_t i) const {
-    if (all.size() < 4 || (i != 0 && i + 1 != all.size())) return false;
-    return all[i].charge < model_.edge * all[i == 0 ? 1 : i - 1].charge;
-  }
-
-  static constexpr double usual_slope = 1;
-  const CgemLayer& layer_;
-  std::size_t number_;
-  int view_;
-  const ChargeTimeModel& model_;
-  const LayerTiming& timing_;
-  double across_;
-};
-
 struct Position {
   double value, error;
+  Estimator estimator;  // of the value; the error is that of the read-out's one
 };
+
+// Of a straight track from the beam line through a place at z.
+double slope_at(const CgemLayer& layer, ClusterView view, double z) {
+  return view == ClusterView::x ? 0 : -layer.sin_stereo * z / layer.r_mid();
+}
+double path_at(const CgemLayer& layer, double z) {
+  const double rise = z / layer.r_mid();
+  return std::sqrt(1 + rise * rise);
+}
 
 class ChargeTimeClusters {
  public:
@@ -207,13 +110,14 @@ class ChargeTimeClusters {
     if (!model_.slopes.empty() && row >= model_.slopes.size()) {
       throw std::invalid_argument("slopes: expected one for each cluster");
     }
-    const double slope = model_.slopes.empty() ? not_measured : model_.slopes[row];
     Position at = alone(plane, cluster, of_charge, points);
-    if (std::isfinite(slope)) {
-      const Position along = along_track(plane, cluster, of_charge, points, slope);
+    if (has_track(row)) {
+      const Position along =
+          along_track(plane, cluster, of_charge, points, {model_.slopes[row], model_.paths[row]});
       cluster.shift = along.value - at.value;
       at = along;
     }
+    cluster.estimator = static_cast<int>(at.estimator);
     cluster.time = plane.time(points, model_.calibration.depth[of_charge]);
     cluster.method = ClusterMethod::positions;
     if (cluster.view == ClusterView::x) {
@@ -231,32 +135,79 @@ class ChargeTimeClusters {
     return model_.pairs.values.empty() ? 0 : model_.pairs.score(x, v);
   }
 
+  // Clusters of no known track have the direction of a straight one from the beam line through the place of
+  // their best pair.
+  void place(const CgemLayer& layer, std::span<ClusterRow> views, std::span<const CrossingPair> pairs,
+             std::size_t first) const {
+    std::vector<const CrossingPair*> best(views.size(), nullptr);
+    for (const CrossingPair& pair : pairs) {
+      for (const std::size_t i : {pair.x, pair.v}) {
+        if (!best[i] || pair.score > best[i]->score) best[i] = &pair;
+      }
+    }
+    for (std::size_t i = 0; i < views.size(); ++i) {
+      if (best[i] && !has_track(first + i)) correct(layer, views[i], best[i]->z);
+    }
+  }
+
  private:
+  bool has_track(std::size_t row) const {
+    return !model_.slopes.empty() && std::isfinite(model_.slopes[row]);
+  }
+
+  // For the direction of a track from the beam line.
+  void correct(const CgemLayer& layer, ClusterRow& cluster, double z) const {
+    const auto number = static_cast<std::size_t>(cluster.layer);
+    const ViewReconstruction plane(layer, number, static_cast<int>(cluster.view), model_);
+    const double slope = slope_at(layer, cluster.view, z);
+    const Direction direction{plane.slope_at_anode(slope), path_at(layer, z)};
+    const DirectionTable& from = model_.directions;
+    const std::size_t plane_number = number_of(cluster);
+    const double shift =
+        from.shift(from.row(false, static_cast<Estimator>(cluster.estimator), plane_number), direction);
+    const double factor = from.factor(from.row(false, model_.estimator, plane_number), direction);
+    cluster.shift -= shift;
+    if (cluster.view == ClusterView::x) {
+      cluster.x -= shift;
+      cluster.err_x *= factor;
+      set_azimuth(layer, cluster);
+    } else {
+      cluster.v -= shift;
+      cluster.err_v *= factor;
+    }
+  }
+
   // From the cluster alone.
   Position alone(const ViewReconstruction& plane, const ClusterRow& cluster, std::size_t row,
                  std::span<const StripPoint> points) const {
     const Calibration& from = model_.calibration;
     const double centroid = plane.centroid(points, from.height[row]);
     const Line line = plane.line(points, std::nullopt);
-    return merged(centroid, line, from.share(row, cluster.size), [&](Estimator which) {
-      return from.error(which, row, cluster.size) *
-             model_.factors.of_distance(false, which, number_of(cluster), distance(centroid, line));
-    });
+    Position found = merged(centroid, line, from.share(row, cluster.size));
+    found.error =
+        from.error(model_.estimator, row, cluster.size) *
+        model_.factors.of_distance(false, model_.estimator, number_of(cluster), distance(centroid, line));
+    return found;
   }
 
-  // With the slope of the track that has the cluster.
+  // With the direction of the track that has the cluster.
   Position along_track(const ViewReconstruction& plane, const ClusterRow& cluster, std::size_t of_charge,
-                       std::span<const StripPoint> points, double slope) const {
+                       std::span<const StripPoint> points, Direction track) const {
     const SlopeErrors& from = model_.slope_errors;
+    const Direction direction{plane.slope_at_anode(track.slope), track.path};
     const std::size_t row = from.row(static_cast<int>(cluster.view), static_cast<std::size_t>(cluster.layer),
-                                     plane.slope_at_anode(slope), cluster.size);
+                                     direction.slope, cluster.size);
     const double centroid = plane.centroid(points, model_.calibration.height[of_charge]);
-    const Line line = plane.line(points, slope);
-    return merged(centroid, line, from.shares[row], [&](Estimator which) {
-      return from.error(which, row) *
-             model_.factors.along[model_.calibration.entry(which, of_charge, cluster.size)] *
-             model_.factors.of_distance(true, which, number_of(cluster), distance(centroid, line));
-    });
+    const Line line = plane.line(points, track.slope);
+    const std::size_t number = number_of(cluster);
+    const DirectionTable& directions = model_.directions;
+    Position found = merged(centroid, line, from.shares[row]);
+    found.value -= directions.shift(directions.row(true, found.estimator, number), direction);
+    found.error = from.error(model_.estimator, row) *
+                  model_.factors.along[model_.calibration.entry(model_.estimator, of_charge, cluster.size)] *
+                  model_.factors.of_distance(true, model_.estimator, number, distance(centroid, line)) *
+                  directions.factor(directions.row(true, model_.estimator, number), direction);
+    return found;
   }
   std::size_t number_of(const ClusterRow& cluster) const {
     return static_cast<std::size_t>(cluster.view) * model_.calibration.layers +
@@ -266,12 +217,14 @@ class ChargeTimeClusters {
     return line.good ? std::abs(centroid - line.at_middle) : 0;
   }
 
-  // The position that the estimator selects; the centroid where there is no line.
-  template <class Error>
-  Position merged(double centroid, const Line& line, double share, Error&& error) const {
-    if (model_.estimator == Estimator::centroid || !line.good) return {centroid, error(Estimator::centroid)};
-    if (model_.estimator == Estimator::micro_tpc) return {line.at_middle, error(Estimator::micro_tpc)};
-    return {share * centroid + (1 - share) * line.at_middle, error(Estimator::merged)};
+  // The position that the estimator selects, without its error; the centroid where there is no line.
+  Position merged(double centroid, const Line& line, double share) const {
+    const Estimator which = line.good ? model_.estimator : Estimator::centroid;
+    const double line_share = which == Estimator::centroid    ? 0
+                              : which == Estimator::micro_tpc ? 1
+                                                              : 1 - share;
+    const double value = line_share > 0 ? centroid + line_share * (line.at_middle - centroid) : centroid;
+    return {value, not_measured, which};
   }
 
   const DigiView& digis_;

@@ -77,16 +77,39 @@ struct SlopeErrors {
 };
 
 // Factors on the errors: by charge and number of strips of positions that use the track's angle, and by the
-// distance of centroid and line of all that have both. They are far apart where a delta electron or the
-// fluctuation of the charge has moved one of them.
+// distance of centroid and line; the first one is for clusters without a line, which have the centroid. They
+// are far apart where a delta electron or the fluctuation of the charge has moved one of them.
 struct ErrorFactors {
   std::span<const double> along;  // as `Calibration::errors`
-  std::span<const double> edges;  // mm, growing; (without, with the track's angle; 2, layers, ranges - 1)
+  std::span<const double> edges;  // mm, growing; (without, with the track's angle; 2, layers, ranges - 2)
   std::span<const double> apart;  // (without, with the track's angle; 3, 2, layers, ranges)
   std::size_t planes, ranges;     // planes: 2 layers
 
   // `plane`: view * layers + layer; `distance`: 0 without a line.
   double of_distance(bool with_angle, Estimator which, std::size_t plane, double distance) const;
+};
+
+// What is known of the direction of a cluster's track: from the track itself, or from the place where X and V
+// cross, for a straight track from the beam line.
+struct Direction {
+  double slope;  // of the electrons' places of origin at the anode
+  double path;   // path per radius
+};
+
+// What the direction does to a position. The time of a strip is that of its first electrons, and its heights
+// are wrong by an amount that depends on how many it has and from how much of the gap they come.
+struct DirectionTable {
+  std::span<const double> slopes, paths;  // growing, from 0 and from 1
+  // Both by what knows the direction (place, track), estimator, view and layer, then at all `slopes` and
+  // `paths`: the height (mm) that times the slope is too much in the position, linear between them, and
+  // factors on the error, equal from each one to the next. Both are for the slope and for the path, and join.
+  std::span<const double> depths, factors;
+  std::size_t planes;  // 2 layers
+
+  // First entry of a cluster; `plane`: view * layers + layer.
+  std::size_t row(bool of_track, Estimator which, std::size_t plane) const;
+  double shift(std::size_t row, Direction direction) const;
+  double factor(std::size_t row, Direction direction) const;
 };
 
 struct ChargeTimeModel {
@@ -104,8 +127,10 @@ struct ChargeTimeModel {
   PairTable pairs;
   SlopeErrors slope_errors;
   ErrorFactors factors;
-  // By row of the result: dX/dr or dV/dr of the track at the anode; NaN: unknown. Empty: none is known.
-  std::span<const double> slopes;
+  DirectionTable directions;
+  // By row of the result: dX/dr or dV/dr of the track at the anode, and its path per radius; NaN: unknown.
+  // Empty: none is known.
+  std::span<const double> slopes, paths;
 };
 
 // Position of a strip and where in the gap its charge comes from.

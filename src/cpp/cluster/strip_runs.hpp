@@ -84,22 +84,35 @@ inline ClusterRow row_of_run(const CgemLayer& layer, const DigiView& digis, Stri
   return cluster;
 }
 
-// Writes the clusters of one sheet: `views` holds its X clusters, then its V clusters. All pairs that cross
-// on the sheet are kept, with what `score` gives for them.
-template <class Score>
-void write_sheet(const CgemLayer& layer, std::span<const ClusterRow> views, ClusterColumns& clusters,
-                 Score&& score) {
-  const std::int64_t first = clusters.rows();
-  for (const ClusterRow& cluster : views) clusters.push_back(cluster);
+// X and V clusters of a sheet that cross on it: their numbers, where, and how well they fit each other.
+struct CrossingPair {
+  std::size_t x, v;
+  double z, score;
+};
+
+// All pairs of one sheet: `views` holds its X clusters, then its V clusters.
+template <class Model>
+void find_pairs(const CgemLayer& layer, std::span<const ClusterRow> views, const Model& model,
+                std::vector<CrossingPair>& pairs) {
+  pairs.clear();
   for (std::size_t i = 0; i < views.size() && views[i].view == ClusterView::x; ++i) {
     for (std::size_t k = i + 1; k < views.size(); ++k) {
-      if (views[k].view != ClusterView::v ||
-          std::abs(crossing_z(layer, views[i].x - views[i].shift, views[k].v - views[k].shift)) >
-              layer.half_length)
-        continue;
-      clusters.push_back(join_views(layer, views[i], views[k], first + static_cast<std::int64_t>(i),
-                                    first + static_cast<std::int64_t>(k), score(views[i], views[k])));
+      if (views[k].view != ClusterView::v) continue;
+      const double z = crossing_z(layer, views[i].x - views[i].shift, views[k].v - views[k].shift);
+      if (!(std::abs(z) > layer.half_length)) pairs.push_back({i, k, z, model.score(views[i], views[k])});
     }
+  }
+}
+
+// Writes the clusters of one sheet and their pairs.
+inline void write_sheet(const CgemLayer& layer, std::span<const ClusterRow> views,
+                        std::span<const CrossingPair> pairs, ClusterColumns& clusters) {
+  const std::int64_t first = clusters.rows();
+  for (const ClusterRow& cluster : views) clusters.push_back(cluster);
+  for (const CrossingPair& pair : pairs) {
+    clusters.push_back(join_views(layer, views[pair.x], views[pair.v],
+                                  first + static_cast<std::int64_t>(pair.x),
+                                  first + static_cast<std::int64_t>(pair.v), pair.score));
   }
 }
 
@@ -141,7 +154,9 @@ inline void widen(const CgemLayer& layer, const StripMask& mask, ClusterRow& clu
 //   cuts(layer, rows, cuts): appends the numbers, within a run of strips, of those at which it falls apart;
 //   make(layer, run, row): the cluster of a run, which will be this row of the table;
 //   score(x, v): how well two clusters fit each other;
-//   keeps(layer, row): whether a digi may be of a particle (without it, all may).
+//   place(layer, views, pairs, first): changes clusters of a sheet, of which the first will be this row of
+//   the table, for where their pairs cross (without it, they stay); keeps(layer, row): whether a digi may be
+//   of a particle (without it, all may).
 // Rows ordered by event, layer, sheet, then X, V and XV clusters. Digis of masked strips are left out.
 template <class Model>
 ClusterColumns clusters_of_runs(const Detector& detector, const DigiView& digis, const Joining& joining,
@@ -159,10 +174,16 @@ ClusterColumns clusters_of_runs(const Detector& detector, const DigiView& digis,
   ClusterColumns clusters;
   clusters.reserve(digis.size());
   std::vector<ClusterRow> sheet;
+  std::vector<CrossingPair> pairs;
   const auto flush = [&] {
     if (sheet.empty()) return;
-    write_sheet(detector.cgem[static_cast<std::size_t>(sheet.front().layer)], sheet, clusters,
-                [&](const ClusterRow& x, const ClusterRow& v) { return model.score(x, v); });
+    const CgemLayer& layer = detector.cgem[static_cast<std::size_t>(sheet.front().layer)];
+    find_pairs(layer, sheet, model, pairs);
+    if constexpr (requires { model.place(layer, sheet, pairs, std::size_t{}); }) {
+      model.place(layer, sheet, pairs, static_cast<std::size_t>(clusters.rows()));
+    }
+    for (ClusterRow& cluster : sheet) widen(layer, joining.mask, cluster);
+    write_sheet(layer, sheet, pairs, clusters);
     sheet.clear();
   };
   for (std::size_t begin = 0, end; begin < order.size(); begin = end) {
@@ -176,9 +197,7 @@ ClusterColumns clusters_of_runs(const Detector& detector, const DigiView& digis,
     cuts.push_back(rows.size() - 1);
     for (std::size_t k = 1; k < cuts.size(); ++k) {
       const StripRun run{rows.subspan(cuts[k - 1], cuts[k] - cuts[k - 1] + 1), k > 1, k + 1 < cuts.size()};
-      ClusterRow cluster = model.make(layer, run, static_cast<std::size_t>(clusters.rows()) + sheet.size());
-      widen(layer, joining.mask, cluster);
-      sheet.push_back(cluster);
+      sheet.push_back(model.make(layer, run, static_cast<std::size_t>(clusters.rows()) + sheet.size()));
     }
   }
   flush();

@@ -14,7 +14,7 @@ from cgemit.result import Result
 from cgemit.species import species
 from cgemit.statistics.estimate import Resolution, measure
 from cgemit.study.readout.calibrate import calibration_from
-from cgemit.study.readout.measure import Measurements, common, measurements, true_slopes
+from cgemit.study.readout.measure import Measurements, common, measurements, true_directions
 from cgemit.tables import Table
 
 RADIUS = 2000.0
@@ -170,8 +170,9 @@ def beam_views(
         clusters = replace(readout, estimator=name).cluster_with(detector, result.digis, calibration)
         samples[name] = measurements(detector, clusters, result.truths, lorentz=readout.lorentz)
     if "micro-tpc" in readout.estimators:
-        slopes = true_slopes(detector, clusters, result.truths)
-        clusters = replace(readout, estimator="merged").cluster_with(detector, result.digis, calibration, slopes=slopes)
+        directions = true_directions(detector, clusters, result.truths)
+        merged = replace(readout, estimator="merged")
+        clusters = merged.cluster_with(detector, result.digis, calibration, directions=directions)
         # Clusters without a line have the centroid, which would be a second population.
         line, centroid = common(samples["micro-tpc"], samples["centroid"])
         samples["micro-tpc"] = Measurements._make(values[line.residual != centroid.residual] for values in line)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -20,7 +21,16 @@ from cgemit.digitize.calibration import (
 )
 from cgemit.gun import Gun
 from cgemit.result import Result
-from cgemit.study.readout.errors import by_slope, groups, refine, select, set_errors, set_typical, slope_cells
+from cgemit.study.readout.direction import known_directions, set_depths
+from cgemit.study.readout.errors import (
+    by_slope,
+    groups,
+    refine,
+    select,
+    set_errors,
+    set_typical,
+    slope_cells,
+)
 from cgemit.study.readout.measure import (
     FEWEST,
     Measurements,
@@ -28,7 +38,7 @@ from cgemit.study.readout.measure import (
     distances,
     measurements,
     pair_numbers,
-    true_slopes,
+    true_directions,
 )
 
 Floats = npt.NDArray[np.float64]
@@ -83,13 +93,19 @@ def calibration_from(result: Result, readout: Any, about: str) -> Calibration:
     """
     detector, digis, truths = result.detector, result.digis, result.truths
 
-    def measured(estimator: str, calibration: Calibration, along: bool = False) -> Measurements:
+    def measured(estimator: str, calibration: Calibration, of_track: bool = False) -> Measurements:
         one = replace(readout, estimator=estimator)
         clusters = one.cluster_with(detector, digis, calibration)
-        if along:
-            slopes = true_slopes(detector, clusters, truths)
-            clusters = one.cluster_with(detector, digis, calibration, slopes=slopes)
+        if of_track:
+            directions = true_directions(detector, clusters, truths)
+            clusters = one.cluster_with(detector, digis, calibration, directions=directions)
         return measurements(detector, clusters, truths, lorentz=readout.lorentz)
+
+    def lined(name: str, sample: Measurements, apart: Callable[[Measurements], Floats]) -> Measurements:
+        return sample if name == "centroid" else _rows(sample, apart(sample) > 0)  # others have its position
+
+    def known(sample: Measurements, of_track: bool) -> tuple[Floats, Floats]:
+        return known_directions(detector, truths, sample, of_track=of_track, lorentz=readout.lorentz)
 
     layers = len(detector.cgem)
     found = replace(neutral(layers), key=key_of(detector, readout), about=about)
@@ -101,29 +117,48 @@ def calibration_from(result: Result, readout: Any, about: str) -> Calibration:
             found.edges[view, layer] = np.quantile(charge, _QUANTILES)
     for at in np.ndindex(found.depth.shape):
         found.height[at] = _depth(select(first, found, at)) if readout.lorentz else 0.0
-    for _ in range(_STEPS if "micro-tpc" in readout.estimators else 0):
+    radii = np.array([one.r_mid for one in detector.cgem])
+    has_lines = "micro-tpc" in readout.estimators
+    for _ in range(_STEPS if has_lines else 0):
         lines = measured("micro-tpc", found)
         for at in np.ndindex(found.depth.shape):
             found.depth[at] += _depth(select(lines, found, at))
     found.pairs[:] = pair_numbers(detector, first_table, truths)
-    for along in (False, True) if "micro-tpc" in readout.estimators else ():
-        centroid, line = common(*(measured(estimator, found, along) for estimator in ("centroid", "micro-tpc")))
-        (_set_slope_shares if along else _set_shares)(found, centroid, line)
-        _set_distance_edges(found, int(along), *common(centroid, line))
-    for estimator in readout.estimators:
-        which = ESTIMATORS.index(estimator)
-        for along in (False, True):
-            sample = measured(estimator, found, along)
-            if along:
+    for of_track in (False, True):
+        pure = {name: measured(name, found, of_track) for name in readout.estimators if name != "merged"}
+        apart = _apart(pure)
+        for name in pure:
+            mine = lined(name, pure[name], apart)
+            set_depths(found, of_track, ESTIMATORS.index(name), mine, known(mine, of_track))
+        if has_lines:
+            _set_distance_edges(found, int(of_track), *common(pure["centroid"], pure["micro-tpc"]))
+            centroid, line = common(*(measured(name, found, of_track) for name in ("centroid", "micro-tpc")))
+            (_set_slope_shares if of_track else _set_shares)(found, centroid, line)
+            sample = lined("merged", measured("merged", found, of_track), apart)
+            set_depths(found, of_track, ESTIMATORS.index("merged"), sample, known(sample, of_track))
+        for name in readout.estimators:
+            which = ESTIMATORS.index(name)
+            sample = measured(name, found, of_track)
+            if of_track:
                 found.slope_errors[which] = by_slope(sample, found)
             else:
                 set_errors(found, which, sample)
-            set_typical(found, int(along), which, sample)
-            apart = np.zeros(len(sample.residual))
-            if "micro-tpc" in readout.estimators:
-                apart = distances(sample, *(measured(one, found, along) for one in ("centroid", "micro-tpc")))
-            refine(found, int(along), which, sample, apart)
+            refine(found, int(of_track), which, sample, apart(sample), known(sample, of_track))
+        for name in readout.estimators:
+            sample = measured(name, found, of_track)
+            set_typical(found, int(of_track), ESTIMATORS.index(name), sample, truths["event"][sample.truth], radii)
     return found
+
+
+def _apart(pure: dict[str, Measurements]) -> Callable[[Measurements], Floats]:
+    """Return what gives the distance of centroid and line of clusters, 0 without a line."""
+    if "micro-tpc" not in pure:
+        return lambda sample: np.zeros(len(sample.residual))
+    return lambda sample: distances(sample, pure["centroid"], pure["micro-tpc"])
+
+
+def _rows(sample: Measurements, rows: npt.NDArray[np.bool_]) -> Measurements:
+    return Measurements._make(values[rows] for values in sample)
 
 
 def _set_distance_edges(found: Calibration, along: int, centroid: Measurements, line: Measurements) -> None:

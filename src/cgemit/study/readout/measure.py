@@ -26,6 +26,7 @@ class Measurements(NamedTuple):
     """Clusters of true crossings."""
 
     residual: Floats  # (n,) mm
+    error: Floats  # (n,) mm
     slope: Floats  # (n,), of the electrons' places of origin at the anode, across the strips per radius
     size: Ints  # (n,)
     charge: Floats  # (n,) fC
@@ -49,13 +50,28 @@ def measurements(detector: Detector, clusters: Table, truths: Table, *, lorentz:
     rows = clusters["truth"][own]
     view, layer = clusters["view"][own].astype(np.int64), clusters["layer"][own].astype(np.int64)
     residual = find.residuals(detector, clusters, truths, own)
-    slope = crossing_slopes(detector, truths)[rows, view]
-    tangent = drift_columns(detector)["tan_lorentz"] if lorentz else np.zeros(len(detector.cgem))
-    bend = np.array([[tan, tan * np.cos(one.stereo)] for tan, one in zip(tangent, detector.cgem, strict=True)])
-    scale = np.array([one.r_readout / one.r_mid for one in detector.cgem])
-    slope = slope - bend[layer, view] * scale[layer]
+    error = np.where(view == 0, clusters["err_x"][own], clusters["err_v"][own])
+    slope = crossing_slopes(detector, truths)[rows, view] - lorentz_slopes(detector, lorentz)[layer, view]
     size, first = (clusters[name][own].astype(np.int64) for name in ("size", "first"))
-    return Measurements(residual, slope, size, clusters["charge"][own], view, layer, rows, first)
+    return Measurements(residual, error, slope, size, clusters["charge"][own], view, layer, rows, first)
+
+
+def lorentz_slopes(detector: Detector, lorentz: bool) -> Floats:
+    """Return what the Lorentz angle takes from the slopes of X and V at the anode, (layers, 2) float64.
+
+    Parameters
+    ----------
+    detector : Detector
+    lorentz : bool
+        Whether electrons drift at it.
+    """
+    tangent = drift_columns(detector)["tan_lorentz"] if lorentz else np.zeros(len(detector.cgem))
+    return np.array(
+        [
+            np.array([tan, tan * np.cos(one.stereo)]) * (one.r_readout / one.r_mid)
+            for tan, one in zip(tangent, detector.cgem, strict=True)
+        ]
+    )
 
 
 def common(one: Measurements, other: Measurements) -> tuple[Measurements, Measurements]:
@@ -98,32 +114,52 @@ def crossing_slopes(detector: Detector, truths: Table) -> Floats:
     detector : Detector
     truths : Table
     """
+    (inner, first, below), (outer, last, above) = _ends(truths)
+    turn = np.angle(np.exp(1j * (last - first)))
+    slopes = np.zeros((len(truths), 2))
+    for number, one in enumerate(detector.cgem):
+        here = truths["layer"] == number
+        dx, dz = one.r_readout * turn[here], (above - below)[here]
+        across = np.column_stack([dx, local_v(one, dx, one.z_ref + dz)])
+        slopes[here] = across / (outer - inner)[here, None]
+    return slopes
+
+
+def crossing_paths(truths: Table) -> Floats:
+    """Return the path per radius of true crossings, (n,) float64.
+
+    Parameters
+    ----------
+    truths : Table
+    """
+    (inner, *_), (outer, *_) = _ends(truths)
+    path = np.sqrt(sum((truths[f"exit_{axis}"] - truths[f"entry_{axis}"]) ** 2 for axis in "xyz"))
+    return np.asarray(path / np.abs(outer - inner))
+
+
+def _ends(truths: Table) -> list[tuple[Floats, Floats, Floats]]:
+    """Return radius, azimuth and z where crossings enter and leave the gap."""
     ends = []
     for end in ("entry", "exit"):
         x, y, z = (truths[f"{end}_{axis}"] for axis in "xyz")
         ends.append((np.hypot(x, y), np.arctan2(y, x), z))
-    turn = np.angle(np.exp(1j * (ends[1][1] - ends[0][1])))
-    slopes = np.zeros((len(truths), 2))
-    for number, one in enumerate(detector.cgem):
-        here = truths["layer"] == number
-        dx, dz = one.r_readout * turn[here], (ends[1][2] - ends[0][2])[here]
-        across = np.column_stack([dx, local_v(one, dx, one.z_ref + dz)])
-        slopes[here] = across / (ends[1][0] - ends[0][0])[here, None]
-    return slopes
+    return ends
 
 
-def true_slopes(detector: Detector, clusters: Table, truths: Table) -> Floats:
-    """Return the slope of the crossing of each cluster as `find_clusters` takes it, NaN where there is none.
+def true_directions(detector: Detector, clusters: Table, truths: Table) -> Floats:
+    """Return the direction of the crossing of each cluster as `find_clusters` takes it, NaN where there is none.
 
     Parameters
     ----------
     detector : Detector
     clusters, truths : Table
     """
-    slopes = np.full(len(clusters), np.nan)
+    directions = np.full((len(clusters), 2), np.nan)
     own = find.own_clusters(detector, clusters, truths)
-    slopes[own] = crossing_slopes(detector, truths)[clusters["truth"][own], clusters["view"][own].astype(np.int64)]
-    return slopes
+    rows = clusters["truth"][own]
+    directions[own, 0] = crossing_slopes(detector, truths)[rows, clusters["view"][own].astype(np.int64)]
+    directions[own, 1] = crossing_paths(truths)[rows]
+    return directions
 
 
 def pair_numbers(detector: Detector, clusters: Table, truths: Table) -> Floats:
