@@ -146,6 +146,10 @@ class Goals:
             errors[goal.header] = jackknife(mean[1:])
         return {"values": values, "errors": errors, "replicas": replicas}
 
+    def results(self, found: Sequence[Any]) -> list[dict[str, Any]]:
+        """Return what was found for each detector."""
+        return list(found)
+
     def number(self, goal: Goal, detector: Detector, *, smooth: bool = False) -> float:
         """Return a goal that is no resolution; `smooth`: without rounding to whole strips."""
         if goal.name == OCCUPANCY:

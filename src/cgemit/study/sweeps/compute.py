@@ -24,8 +24,11 @@ class Evaluates(Protocol):
     def described(self) -> dict[str, Any]:
         """Return all that results depend on, beside the detector, as JSON."""
 
-    def __call__(self, detector: Detector) -> dict[str, Any]:
-        """Return the results as JSON."""
+    def __call__(self, detector: Detector) -> Any:
+        """Return what the results of a detector follow from."""
+
+    def results(self, found: Sequence[Any]) -> list[dict[str, Any]]:
+        """Return the results of some detectors as JSON, from what was found for each."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +50,11 @@ def work(task: Task) -> str:
     """Build and evaluate the variants of a task; return a row of each as text, its problems if it cannot be."""
     bases = {number: _first(base) for number, base in {id(base): base for base in task.detectors}.items()}
     pairs = zip(task.detectors, task.changes, strict=True)
-    return text_of_rows([_row(bases[id(base)], changes, task.evaluation) for base, changes in pairs])
+    rows = [_row(bases[id(base)], changes, task.evaluation) for base, changes in pairs]
+    good = [row for row in rows if row["status"] == "ok"]
+    for row, results in zip(good, task.evaluation.results([row.pop("found") for row in good]), strict=True):
+        row |= results
+    return text_of_rows(rows)
 
 
 @lru_cache(maxsize=16)
@@ -57,15 +64,16 @@ def _first(base: Detector) -> Detector:
 
 
 def _row(base: Detector, changes: Changes, evaluation: Evaluates) -> dict[str, Any]:
+    """Return the row of a variant with what was `found` instead of the results, unless it could not be evaluated."""
     try:
         detector = base.with_overrides(dict(changes)) if changes else base
     except DetectorError as error:
         return {"status": "impossible", "problems": [str(problem) for problem in error.problems]}
-    found: dict[str, Any] = {"status": "ok", "problems": [], "hash": detector.content_hash}
+    row: dict[str, Any] = {"status": "ok", "problems": [], "hash": detector.content_hash}
     try:
-        return found | evaluation(detector)
+        return row | {"found": evaluation(detector)}
     except Exception as error:  # the sweep goes on: the row says what happened
-        return found | {"status": "failed", "problems": [f"{type(error).__name__}: {error}"]}
+        return row | {"status": "failed", "problems": [f"{type(error).__name__}: {error}"]}
 
 
 def compute_rows(

@@ -16,7 +16,8 @@ import numpy.typing as npt
 from cgemit import chain
 from cgemit.covariance import Budget, Covariance
 from cgemit.covariance.asked import Points, points_of
-from cgemit.covariance.points import covariance_at
+from cgemit.covariance.points import covariance_at, entries_at
+from cgemit.covariance.widths import Entries, Widths, core_widths
 from cgemit.detector import Detector
 from cgemit.digitize import DigitizeSettings
 from cgemit.fit import FitSettings, FitStatus
@@ -107,16 +108,20 @@ class Evaluation:
         settings = self.settings or Settings()
         return settings.digitize, fit_settings(settings)
 
-    def __call__(self, detector: Detector) -> dict[str, Any]:
-        """Return `columns` with a value for every point, and of "mc" what errors of differences follow from."""
+    def __call__(self, detector: Detector) -> Any:
+        """Return what `results` takes: of "analytic" the covariances for each cos(theta), else the results."""
         if self.function is not None:
             return {"columns": {name: [value] for name, value in numbers_of(self.function(detector)).items()}}
         if self.method == "analytic":
-            return {"columns": analytic_columns(detector, self)}
+            return [entries_at(points, detector, *self.digitize_and_fit) for points in self.points_by_angle]
         pairs = [(p, c) for p in self.p for c in self.cos_theta]
         found = [_simulated(detector, self, number, p, c) for number, (p, c) in enumerate(pairs, start=1)]
         columns = {name: [point[name] for point, _ in found] for name in found[0][0]}
         return {"columns": columns, "replicas": [replicas for _, replicas in found]}
+
+    def results(self, found: Sequence[Any]) -> list[dict[str, Any]]:
+        """Return `columns` with a value for every point, and of "mc" what errors of differences follow from."""
+        return _analytic_results(found, self) if self.method == "analytic" else list(found)
 
 
 def _text(cos_theta: CosTheta) -> str:
@@ -147,19 +152,23 @@ def covariances(detector: Detector, evaluation: Evaluation) -> list[Covariance]:
     return [covariance_at(points, detector, digitize, fit, threads=1) for points in evaluation.points_by_angle]
 
 
-def analytic_columns(detector: Detector, evaluation: Evaluation) -> dict[str, list[Any]]:
-    """Return the core resolutions from the covariance, without events; each column has a value for every point.
+def _analytic_results(found: Sequence[Sequence[Entries]], evaluation: Evaluation) -> list[dict[str, Any]]:
+    """Return the core resolutions of every point from the covariances of each detector, without events.
 
     `reached` is the fraction of tracks with a covariance; `tracks` says how most of the others ended.
     """
-    found = covariances(detector, evaluation)
-    widths = [one.sigmas(evaluation.quantities) for one in found]
+    by_angle = [core_widths(at_angle, evaluation.quantities) for at_angle in zip(*found, strict=True)]
+    return [{"columns": _columns(widths, evaluation.quantities)} for widths in zip(*by_angle, strict=True)]
+
+
+def _columns(widths: Sequence[Widths], quantities: Sequence[str]) -> dict[str, list[Any]]:
+    """Return the columns of one detector from its resolutions for each cos(theta)."""
     columns: dict[str, list[Any]] = {}
-    for name in evaluation.quantities:
+    for name in quantities:
         scale = QUANTITIES[name][1]
-        columns[column(f"sigma_{name}", name)] = _by_point([scale * one[name] for one in widths])
-    columns["reached"] = _by_point([one.reached for one in found])
-    columns["tracks"] = [FitStatus(status).name for status in _by_point([one.status for one in found])]
+        columns[column(f"sigma_{name}", name)] = _by_point([scale * one.sigma[name] for one in widths])
+    columns["reached"] = _by_point([one.reached for one in widths])
+    columns["tracks"] = [FitStatus(status).name for status in _by_point([one.status for one in widths])]
     return columns
 
 
