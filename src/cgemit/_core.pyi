@@ -133,7 +133,7 @@ class Material:
 
 def sum_shells(
     *, materials: Sequence[Material], r_in: Sequence[float], r_out: Sequence[float]
-) -> tuple[float, float, float, float, _Floats, tuple[tuple[float, float, float], ...]]: ...
+) -> tuple[float, float, float, float, _Floats, _Floats]: ...
 
 class Detector:
     def __init__(

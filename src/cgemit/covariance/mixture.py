@@ -20,6 +20,26 @@ def mean(values: npt.NDArray[Any], good: npt.NDArray[np.bool_]) -> Floats:
         return np.asarray(np.where(good, values, 0.0).sum(axis=-1) / good.sum(axis=-1), np.float64)
 
 
+def status_of(status: npt.NDArray[np.int8]) -> tuple[npt.NDArray[np.int8], Floats]:
+    """Return the status of points, and their fraction of samples that are ok, from those of samples.
+
+    Parameters
+    ----------
+    status : ndarray, (points, samples) int8
+
+    Returns
+    -------
+    status : ndarray, (points,) int8
+        0 (ok) if any sample is, else that of most samples.
+    reached : ndarray, (points,) float64
+    """
+    ok = status == 0
+    worst = np.zeros(len(ok), np.int8)
+    for i in np.flatnonzero(~ok.any(axis=1)):
+        worst[i] = np.bincount(status[i]).argmax()
+    return worst, ok.mean(axis=1)
+
+
 @functools.lru_cache(maxsize=16)
 def draws(number: int, dimensions: int) -> Floats:
     """Return (number, dimensions) numbers from 0 to 1: azimuths in equal steps, the others from a Sobol sequence."""

@@ -11,10 +11,11 @@ import numpy.typing as npt
 from cgemit import _core
 from cgemit.covariance.asked import Points, Quantity, Sample, points_of, sample_of
 from cgemit.covariance.ends import near_ends
-from cgemit.covariance.mixture import mean
-from cgemit.covariance.result import UPPER, Covariance
+from cgemit.covariance.mixture import mean, status_of
+from cgemit.covariance.result import Covariance
 from cgemit.covariance.surfaces import at_cylinders
-from cgemit.covariance.tracks import Tracks
+from cgemit.covariance.tracks import UPPER, Tracks
+from cgemit.covariance.widths import Entries
 from cgemit.detector import Detector, load
 from cgemit.detector.kept import once
 from cgemit.detector.parts import DriftChamber
@@ -113,21 +114,37 @@ def covariance_at(
     ValueError
         If the read-out has no expected errors.
     """
+    at_origin = bool(np.all(np.isnan(points.radius)))
+    sample, tracks = _tracks(points, detector, digitize, fit, threads, at_origin)
+    if at_origin:
+        out = tracks.run(budget=False)
+    else:
+        tracks, out = at_cylinders(tracks, np.repeat(points.radius.ravel(), tracks.samples))
+    return _result(points, sample, digitize.readout, tracks, out)
+
+
+def entries_at(points: Points, detector: Detector, digitize: DigitizeSettings, fit: FitSettings) -> Entries:
+    """Return what `core_widths` needs of a detector at points at the origin, on one core; see `covariance_at`."""
+    sample, tracks = _tracks(points, detector, digitize, fit, 1, True)
+    out = tracks.run(budget=False)
+    return Entries(sample, out["covariance"], out["status"])
+
+
+def _tracks(
+    points: Points, detector: Detector, digitize: DigitizeSettings, fit: FitSettings, threads: int | None,
+    at_origin: bool,
+) -> tuple[Sample, Tracks]:  # fmt: skip
+    """Return the sample of points, and its tracks in a detector; arguments as of `covariance_at`."""
     model, varies = _hit_model(detector, digitize, fit)
     number = points.samples or (128 if varies or points.vary else 1)
     sample = sample_of(points, number, len(detector.cgem))
-    at_origin = bool(np.all(np.isnan(points.radius)))
     scatter = number > 1 and at_origin
     scatters = near_ends(detector, sample.kappa, sample.tanl) if scatter else np.zeros(len(sample.kappa))
     tracks = Tracks(
         detector, fit, model, sample.psi, sample.kappa, sample.tanl, sample.mass, scatters.astype(np.float64), number,
         sample.phases, threads,
     )  # fmt: skip
-    if at_origin:
-        out = tracks.run(budget=False)
-    else:
-        tracks, out = at_cylinders(tracks, np.repeat(points.radius.ravel(), number))
-    return _result(points, sample, digitize.readout, tracks, out)
+    return sample, tracks
 
 
 def _hit_model(detector: Detector, digitize: DigitizeSettings, fit: FitSettings) -> tuple[_core.HitModel, bool]:
@@ -154,12 +171,10 @@ def _result(
     entries = by_point(out["covariance"])
     cov = np.empty((len(entries), 5, 5))
     cov[:, UPPER[0], UPPER[1]] = cov[:, UPPER[1], UPPER[0]] = mean(np.moveaxis(entries, 1, -1), ok[:, None, :])
-    worst = np.zeros(len(ok), np.int8)
-    for i in np.flatnonzero(~ok.any(axis=1)):
-        worst[i] = np.bincount(status[i]).argmax()
+    worst, reached = status_of(status)
     return Covariance(
         tracks.detector, points.particle, readout, sample.p, sample.cos_theta, points.phi[0], points.radius,
-        worst.reshape(shape), ok.mean(axis=1).reshape(shape), mean(by_point(out["n_clusters"]), ok).reshape(shape),
+        worst.reshape(shape), reached.reshape(shape), mean(by_point(out["n_clusters"]), ok).reshape(shape),
         mean(by_point(out["n_wires"]), ok).reshape(shape), cov.reshape(*shape, 5, 5), tracks, entries,
     )  # fmt: skip
 

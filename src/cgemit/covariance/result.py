@@ -11,18 +11,13 @@ import numpy.typing as npt
 
 from cgemit.covariance.budget import Budget, budget_of
 from cgemit.covariance.mixture import core_width, mean
-from cgemit.covariance.tracks import QUANTITIES, Tracks
+from cgemit.covariance.tracks import QUANTITIES, Tracks, variances
 from cgemit.detector import Detector
 from cgemit.digitize.readout import Readout
 from cgemit.fit import FitStatus
-from cgemit.helix import PARAMETERS
 from cgemit.tables.convert import data_frame
 
 Floats = npt.NDArray[np.float64]
-
-#: Places of the core's 15 entries in a covariance.
-UPPER = np.triu_indices(5)
-_DIAGONAL = np.equal(*UPPER)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -105,17 +100,9 @@ class Covariance:
 
     def variances(self, quantity: str) -> Floats:
         """Return the variance of every sample, shape + (samples,); NaN without a covariance."""
-        entries = self._samples.reshape(-1, 15)
-        if quantity in PARAMETERS:
-            own = int(np.flatnonzero(_DIAGONAL)[PARAMETERS.index(quantity)])
-            return entries[:, own].copy().reshape(*self.p.shape, self._tracks.samples)
-        weights = self._tracks.gradients(quantity)
-        used = np.any(weights != 0, axis=0)  # one to three of the five parameters
-        found = np.zeros(len(weights))
-        for entry, (i, j) in enumerate(zip(*UPPER, strict=True)):
-            if used[i] and used[j]:  # entries beside the diagonal stand for two
-                found += (1 if i == j else 2) * weights[:, i] * weights[:, j] * entries[:, entry]
-        return found.reshape(*self.p.shape, self._tracks.samples)
+        tracks = self._tracks
+        found = variances(self._samples.reshape(-1, 15), tracks.kappa, tracks.tanl, quantity)
+        return found.reshape(*self.p.shape, tracks.samples)
 
     def budget(self, quantity: str) -> Budget:
         """Return the exact split of the mean variance by measurement and scatterer.

@@ -32,6 +32,10 @@ QUANTITIES = {
 
 _CHUNK = 4096  # tracks of one task
 
+#: Places of the core's 15 entries in a covariance.
+UPPER = np.triu_indices(5)
+_DIAGONAL = np.equal(*UPPER)
+
 
 @dataclass(frozen=True, eq=False)
 class Tracks:
@@ -92,18 +96,48 @@ class Tracks:
 
     def gradients(self, quantity: str) -> Floats:
         """Return the derivatives of a quantity by (dr, phi0, kappa, dz, tanl), (tracks, 5)."""
-        rows = np.zeros((len(self.phi), 5))
-        square = 1 + self.tanl * self.tanl
-        pt = 1 / np.abs(self.kappa)
-        if quantity in PARAMETERS:
-            rows[:, PARAMETERS.index(quantity)] = 1
-        elif quantity == "theta":
-            rows[:, 4] = -1 / square
-        elif quantity == "pt":
-            rows[:, 2] = -pt / self.kappa
-        elif quantity == "p":
-            p = pt * np.sqrt(square)
-            rows[:, 2], rows[:, 4] = -p / self.kappa, p * self.tanl / square
-        else:
-            raise ValueError(f"quantity: got {quantity!r}; expected one of {', '.join(QUANTITIES)}")
-        return rows
+        return gradients(self.kappa, self.tanl, quantity)
+
+
+def gradients(kappa: Floats, tanl: Floats, quantity: str) -> Floats:
+    """Return the derivatives of a quantity of tracks by (dr, phi0, kappa, dz, tanl), (tracks, 5)."""
+    rows = np.zeros((len(kappa), 5))
+    square = 1 + tanl * tanl
+    pt = 1 / np.abs(kappa)
+    if quantity in PARAMETERS:
+        rows[:, PARAMETERS.index(quantity)] = 1
+    elif quantity == "theta":
+        rows[:, 4] = -1 / square
+    elif quantity == "pt":
+        rows[:, 2] = -pt / kappa
+    elif quantity == "p":
+        p = pt * np.sqrt(square)
+        rows[:, 2], rows[:, 4] = -p / kappa, p * tanl / square
+    else:
+        raise ValueError(f"quantity: got {quantity!r}; expected one of {', '.join(QUANTITIES)}")
+    return rows
+
+
+def variances(entries: Floats, kappa: Floats, tanl: Floats, quantity: str) -> Floats:
+    """Return the variance of a quantity for each covariance.
+
+    Parameters
+    ----------
+    entries : ndarray, (..., tracks, 15) float64
+        Upper triangles of covariances of (dr, phi0, kappa, dz, tanl); further axes are those of detectors.
+    kappa, tanl : ndarray, (tracks,) float64, (GeV/c)^-1 and 1
+    quantity : str
+
+    Returns
+    -------
+    ndarray, (..., tracks) float64
+    """
+    if quantity in PARAMETERS:
+        return entries[..., int(np.flatnonzero(_DIAGONAL)[PARAMETERS.index(quantity)])].copy()
+    weights = gradients(kappa, tanl, quantity)
+    used = np.any(weights != 0, axis=0)  # one to three of the five parameters
+    found = np.zeros(entries.shape[:-1])
+    for entry, (i, j) in enumerate(zip(*UPPER, strict=True)):
+        if used[i] and used[j]:  # entries beside the diagonal stand for two
+            found += (1 if i == j else 2) * weights[:, i] * weights[:, j] * entries[..., entry]
+    return found

@@ -59,7 +59,7 @@ def slab_table(found: Sequence[Slab]) -> SlabTable:
     columns["gap"] = np.array([slab.gap for slab in found], dtype=np.int32)
     columns["ends"] = np.array([slab.ends for slab in found], dtype=np.uint8)
     terms = np.concatenate([np.empty(0), *(row.log_terms for row in rows)]).reshape(-1, _core.LOSS_POINTS)
-    elements = np.array([element for row in rows for element in row.elements], dtype=np.float64).reshape(-1, 3).T
+    elements = np.concatenate([np.empty((0, 3)), *(row.elements for row in rows)]).T
     first = np.cumsum([0, *(len(row.elements) for row in rows)]).astype(np.int32)
     composition: Columns = dict(zip(("z", "a", "moles"), elements.copy(), strict=True))
     return SlabTable(columns, terms, {"first": first, **composition})

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 from html import escape
-from itertools import accumulate
+from itertools import accumulate, chain
 from typing import NamedTuple
 
 from cgemit.detector.background import BackgroundLevel
@@ -194,17 +194,31 @@ class CgemLayer(Placed):
 
     def shells(self) -> Iterator[Shell]:
         """Yield every sub-layer, gaps included, from inside."""
+        return chain.from_iterable(self.stacks())
+
+    def stacks(self) -> tuple[tuple[Shell, ...], ...]:
+        """Return the sub-layers, gaps included, from inside: cathode, drift gap, foils and gaps behind them, anode."""
         gaps = [("transfer gap", self.transfer_gap)] * (self.foils - 1) + [("induction gap", self.induction_gap)]
-        stack = [("cathode", part.label, part.thickness, part.material) for part in self.cathode]
-        stack.append(("drift", "drift gap", self.drift_gap, self.gas))
+        foil = [(part.label, part.thickness, part.material) for part in self.foil]
+        foils: list[tuple[str, float, Material]] = []
         for number, (gap, width) in enumerate(gaps, start=1):
-            stack += [("foils", f"foil {number} {part.label}", part.thickness, part.material) for part in self.foil]
-            stack.append(("foils", gap, width, self.gas))
-        stack += [("anode", part.label, part.thickness, part.material) for part in self.anode]
-        radius = self.r_in
-        for group, label, thickness, material in stack:
-            yield Shell(group, label, radius, radius + thickness, self.half_length, material)
-            radius += thickness
+            foils += [(f"foil {number} {label}", thickness, material) for label, thickness, material in foil]
+            foils.append((gap, width, self.gas))
+        parts = (
+            ("cathode", [(part.label, part.thickness, part.material) for part in self.cathode]),
+            ("drift", [("drift gap", self.drift_gap, self.gas)]),
+            ("foils", foils),
+            ("anode", [(part.label, part.thickness, part.material) for part in self.anode]),
+        )
+        radius, half_length, make = self.r_in, self.half_length, tuple.__new__  # half the time of Shell(...)
+        found = []
+        for group, part in parts:
+            shells = []
+            for label, thickness, material in part:
+                r_in, radius = radius, radius + thickness
+                shells.append(make(Shell, (group, label, r_in, radius, half_length, material)))
+            found.append(tuple(shells))
+        return tuple(shells for shells in found if shells)
 
 
 @dataclass(frozen=True, kw_only=True)

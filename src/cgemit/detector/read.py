@@ -55,6 +55,10 @@ EXTRA: dict[type, dict[str, Key]] = {
 UNUSABLE: Any = math.nan
 
 
+#: Values that were read before and may have changed: materials, and stacks of them.
+_CHANGES = (Material, tuple)
+
+
 @dataclass
 class Reader(ListReader):
     """Reads tables and notes problems.
@@ -113,12 +117,13 @@ class Reader(ListReader):
         tables = self.mapping(path, raw)
         for name, value in tables.items():
             if type(value) is Known and name in keys:
-                values[name] = self._known(value.value)
+                known = value.value
+                values[name] = self._known(known) if isinstance(known, _CHANGES) else known
             elif name in keys:
                 values[name] = self.value(f"{path}.{name}", value, keys[name])
             else:
-                known = [*keys, *elsewhere]
-                self.note(f"{path}.{name}", "an unknown key", "one of " + ", ".join(known), did_you_mean(name, known))
+                names = [*keys, *elsewhere]
+                self.note(f"{path}.{name}", "an unknown key", "one of " + ", ".join(names), did_you_mean(name, names))
         left = required_of(kind) - values.keys()
         missing = [name for name in keys if name in left] if left else []
         if missing and not self.baseless and isinstance(raw, Mapping):

@@ -22,8 +22,8 @@ class Row(NamedTuple):
     """What the core needs of a slab: the columns `NUMBERS`, the Bethe logarithm, (Z, A, mol/cm2) of its elements."""
 
     numbers: tuple[float, ...]
-    log_terms: NDArray[np.float64]
-    elements: tuple[tuple[float, float, float], ...]
+    log_terms: NDArray[np.float64]  # (LOSS_POINTS,)
+    elements: NDArray[np.float64]  # (elements, 3)
 
 
 @once
@@ -50,8 +50,9 @@ def row_of(shells: Sequence[Shell]) -> Row:
     shells : sequence of Shell
     """
     _, _, r_in, r_out, half_lengths, materials = zip(*shells, strict=True)
+    made = {id(material): _compiled(material) for material in {id(one): one for one in materials}.values()}
     radius, spread, x0, xi, log_terms, elements = _core.sum_shells(
-        materials=[_compiled(material) for material in materials], r_in=r_in, r_out=r_out
+        materials=[made[id(material)] for material in materials], r_in=r_in, r_out=r_out
     )
     numbers = (max(half_lengths), r_in[0], max(r_out), radius, spread, x0, xi)
     return Row(numbers, log_terms, elements)

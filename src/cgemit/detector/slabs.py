@@ -5,8 +5,7 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
-from itertools import groupby, pairwise
-from operator import attrgetter
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -123,8 +122,8 @@ def _same_matter(matter: _Matter, number: int, first_foil: int, merge: bool, lat
     found, layer = [], matter.layer
     if lattice:
         found += [Slab((shell,), holes=holes) for shell, holes in perforated(layer, first_foil)]
-    for group, members in groupby(layer.shells(), key=attrgetter("group")):
-        shells = tuple(members)
+    for shells in layer.stacks():
+        group = shells[0].group
         if not lattice or group != "foils":
             gap = number if group == "drift" else -1
             found += [Slab(part, gap) for part in ([shells] if merge else [(shell,) for shell in shells])]

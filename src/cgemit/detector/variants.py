@@ -102,6 +102,14 @@ def matching(detector: Contents, pattern: str, problems: list[Problem]) -> Itera
     if not _is_pattern(pattern):
         yield pattern
         return
+    found, problem = _matched(detector, pattern)
+    problems += [problem] if problem else []
+    yield from found
+
+
+@once
+def _matched(detector: Contents, pattern: str) -> tuple[tuple[str, ...], Problem | None]:
+    """Return the dotted keys that a pattern matches, or why there is none."""
     paths: list[tuple[str, Any]] = [("", _root(detector))]
     for name in pattern.split("."):
         found = []
@@ -111,10 +119,9 @@ def matching(detector: Contents, pattern: str, problems: list[Problem]) -> Itera
             found += [(f"{path}.{child}".lstrip("."), children.get(child)) for child in names]
         if not found:
             known = ", ".join(dict.fromkeys(child for _, node in paths for child in _children(node)))
-            problems.append(Problem(pattern, f'"{name}", which matches nothing', f"a pattern for {known or 'a part'}"))
-            return
+            return (), Problem(pattern, f'"{name}", which matches nothing', f"a pattern for {known or 'a part'}")
         paths = found
-    yield from (path for path, _ in paths)
+    return tuple(path for path, _ in paths), None
 
 
 def _is_pattern(text: str) -> bool:
@@ -237,9 +244,14 @@ def content_hash(detector: Contents) -> str:
     """Return 16 hexadecimal digits that name the content of a detector, whatever its name and description are."""
     chamber = detector.drift_chamber
     parts = [detector.field, *detector.beam_pipe, *detector.cgem, *detector.walls, detector.air]
-    parts += [chamber, *chamber.layers] if chamber else []
-    parts += detector.background
-    return hashlib.sha256(" ".join(map(_digest, parts)).encode()).hexdigest()[:16]
+    digests = [*map(_digest, parts), *([_digest_of_all(chamber)] if chamber else [])]
+    digests += map(_digest, detector.background)
+    return hashlib.sha256(" ".join(digests).encode()).hexdigest()[:16]
+
+
+@once
+def _digest_of_all(chamber: DriftChamber) -> str:
+    return " ".join(map(_digest, (chamber, *chamber.layers)))
 
 
 @once
@@ -247,8 +259,11 @@ def _digest(part: Part) -> str:
     kind: Any = type(part)
     values = [f"{kind.__name__} {getattr(part, 'label', '')} {getattr(part, 'number', '')}"]
     for name in keys_of(kind):
-        if name != "file" and getattr(part, name) != ():  # a map's checksum tells more; no list, as before lists
-            values.append(f"{name}={_text(getattr(part, name))}")
+        value = getattr(part, name)
+        if type(value) is float:
+            values.append(f"{name}={value!r}")
+        elif name != "file" and value != ():  # a map's checksum tells more; no list, as before lists
+            values.append(f"{name}={_text(value)}")
     return hashlib.sha256("\n".join(values).encode()).hexdigest()
 
 

@@ -37,13 +37,11 @@ py::tuple sum_of(const std::vector<const Material*>& materials, const std::vecto
     shells.push_back({materials[i], r_in[i], r_out[i]});
   }
   ShellSums sums = sum_shells(shells);
-  py::tuple elements(sums.components.size());
-  for (std::size_t i = 0; i < sums.components.size(); ++i) {
-    const Component& one = sums.components[i];
-    elements[i] = py::make_tuple(one.z, one.a, one.moles);
-  }
+  std::vector<double> elements;
+  for (const Component& one : sums.components) elements.insert(elements.end(), {one.z, one.a, one.moles});
+  const auto n = static_cast<py::ssize_t>(sums.components.size());
   return py::make_tuple(sums.radius, sums.spread, sums.x0, sums.xi, to_numpy(std::move(sums.log_terms)),
-                        elements);
+                        to_numpy(std::move(elements), {n, 3}));
 }
 
 }  // namespace
@@ -55,5 +53,5 @@ void bind_shells(py::module_& module) {
   module.def(
       "sum_shells", &sum_of, py::kw_only(), py::arg("materials"), py::arg("r_in"), py::arg("r_out"),
       "Neighbouring shells as one slab: radius and spread (mm), X/X0, xi (GeV), log_terms, and Z, A and "
-      "mol/cm2 of each element.");
+      "mol/cm2 of each element, a row of three.");
 }

@@ -146,6 +146,10 @@ class Goals:
             errors[goal.header] = jackknife(mean[1:])
         return {"values": values, "errors": errors, "replicas": replicas}
 
+    def results(self, found: Sequence[Any]) -> list[dict[str, Any]]:
+        """Return what was found for each detector."""
+        return list(found)
+
     def number(self, goal: Goal, detector: Detector, *, smooth: bool = False) -> float:
         """Return a goal that is no resolution; `smooth`: without rounding to whole strips."""
         if goal.name == OCCUPANCY:
@@ -173,11 +177,11 @@ class Goals:
 
     def _simulated(self, detector: Detector) -> dict[str, Floats]:
         found = self.evaluation(detector)
-        pairs = list(zip(found["points"], found["replicas"], strict=True))
-        return {
-            name: np.array([[point[column(f"sigma_{name}", name)], *replicas[name]] for point, replicas in pairs])
-            for name in self.evaluation.quantities
-        }
+        resolutions = {}
+        for name in self.evaluation.quantities:
+            pairs = zip(found["columns"][column(f"sigma_{name}", name)], found["replicas"], strict=True)
+            resolutions[name] = np.array([[sigma, *replicas[name]] for sigma, replicas in pairs])
+        return resolutions
 
 
 def _replicas(sigma: float, variances: Floats) -> Floats:

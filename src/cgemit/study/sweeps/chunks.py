@@ -12,7 +12,7 @@ from typing import Any
 from cgemit.io.files import new_file
 from cgemit.version import PHYSICS
 
-FORMAT = "cgemit-sweep-1"
+FORMAT = "cgemit-sweep-2"
 #: Folder of the chunks in the output of a sweep.
 CHUNKS = "chunks"
 
@@ -31,9 +31,8 @@ def address(evaluation: Mapping[str, Any], variants: Sequence[tuple[str, Mapping
     return hashlib.sha256(text.encode()).hexdigest()[:32]
 
 
-def write_chunk(folder: Path, name: str, rows: Sequence[Mapping[str, Any]]) -> None:
-    """Write the results of a chunk under a temporary name, which becomes the chunk's when all is written."""
-    payload = _text(rows)
+def write_chunk(folder: Path, name: str, payload: str) -> None:
+    """Write rows (`text_of_rows`) of a chunk under a temporary name, which becomes the chunk's when all is written."""
     record = {"format": FORMAT, "chunk": name, "sha256": _checksum(payload), "rows": payload}
     with new_file(folder / f"{name}.json", overwrite=True) as temporary:
         temporary.write_text(json.dumps(record) + "\n", encoding="utf-8")
@@ -45,15 +44,10 @@ def read_chunk(folder: Path, name: str, count: int) -> list[dict[str, Any]] | No
         record = json.loads((folder / f"{name}.json").read_text(encoding="utf-8"))
         payload = record["rows"]
         good = record["format"] == FORMAT and record["chunk"] == name and record["sha256"] == _checksum(payload)
-        rows = _rows(payload)
+        rows = rows_of_text(payload)
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         return None
     return rows if good and len(rows) == count else None
-
-
-def same_after_writing(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """Return rows as they are read back, so that results do not depend on whether they were written."""
-    return _rows(_text(rows))
 
 
 def clean(folder: Path, names: Sequence[str]) -> None:
@@ -67,14 +61,16 @@ def _checksum(text: str) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def _text(rows: Sequence[Mapping[str, Any]]) -> str:
+def text_of_rows(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Return rows as JSON: how workers send them and files hold them, so that results do not depend on files."""
     try:
         return json.dumps(rows, allow_nan=False)
     except (TypeError, ValueError):  # some number that JSON cannot hold
         return json.dumps([_without_nan(row) for row in rows], allow_nan=False)
 
 
-def _rows(text: str) -> list[dict[str, Any]]:
+def rows_of_text(text: str) -> list[dict[str, Any]]:
+    """Return the rows of `text_of_rows`."""
     rows = json.loads(text)
     return [_with_nan(row) for row in rows] if '{"float":' in text else rows
 

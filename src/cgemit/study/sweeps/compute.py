@@ -14,7 +14,7 @@ from typing import Any, Protocol
 
 from cgemit.detector import Detector, DetectorError
 from cgemit.study.samples import ShowProgress
-from cgemit.study.sweeps.chunks import address, clean, read_chunk, same_after_writing, write_chunk
+from cgemit.study.sweeps.chunks import address, clean, read_chunk, rows_of_text, text_of_rows, write_chunk
 from cgemit.study.sweeps.space import Changes
 
 
@@ -24,8 +24,11 @@ class Evaluates(Protocol):
     def described(self) -> dict[str, Any]:
         """Return all that results depend on, beside the detector, as JSON."""
 
-    def __call__(self, detector: Detector) -> dict[str, Any]:
-        """Return the results as JSON."""
+    def __call__(self, detector: Detector) -> Any:
+        """Return what the results of a detector follow from."""
+
+    def results(self, found: Sequence[Any]) -> list[dict[str, Any]]:
+        """Return the results of some detectors as JSON, from what was found for each."""
 
 
 @dataclass(frozen=True)
@@ -43,11 +46,15 @@ class Task:
         return address(self.evaluation.described(), [(base.content_hash, changes) for base, changes in pairs])
 
 
-def work(task: Task) -> list[dict[str, Any]]:
-    """Build and evaluate the variants of a task; one that cannot be is a row with its problems."""
-    bases = {id(base): _first(base) for base in task.detectors}
+def work(task: Task) -> str:
+    """Build and evaluate the variants of a task; return a row of each as text, its problems if it cannot be."""
+    bases = {number: _first(base) for number, base in {id(base): base for base in task.detectors}.items()}
     pairs = zip(task.detectors, task.changes, strict=True)
-    return [_row(bases[id(base)], changes, task.evaluation) for base, changes in pairs]
+    rows = [_row(bases[id(base)], changes, task.evaluation) for base, changes in pairs]
+    good = [row for row in rows if row["status"] == "ok"]
+    for row, results in zip(good, task.evaluation.results([row.pop("found") for row in good]), strict=True):
+        row |= results
+    return text_of_rows(rows)
 
 
 @lru_cache(maxsize=16)
@@ -57,15 +64,16 @@ def _first(base: Detector) -> Detector:
 
 
 def _row(base: Detector, changes: Changes, evaluation: Evaluates) -> dict[str, Any]:
+    """Return the row of a variant with what was `found` instead of the results, unless it could not be evaluated."""
     try:
         detector = base.with_overrides(dict(changes)) if changes else base
     except DetectorError as error:
         return {"status": "impossible", "problems": [str(problem) for problem in error.problems]}
-    found: dict[str, Any] = {"status": "ok", "problems": [], "hash": detector.content_hash}
+    row: dict[str, Any] = {"status": "ok", "problems": [], "hash": detector.content_hash}
     try:
-        return found | evaluation(detector)
+        return row | {"found": evaluation(detector)}
     except Exception as error:  # the sweep goes on: the row says what happened
-        return found | {"status": "failed", "problems": [f"{type(error).__name__}: {error}"]}
+        return row | {"status": "failed", "problems": [f"{type(error).__name__}: {error}"]}
 
 
 def compute_rows(
@@ -76,20 +84,21 @@ def compute_rows(
     progress: ShowProgress | None,
 ) -> list[list[dict[str, Any]]]:
     """Return the rows of every task: those on disk, and those that are computed now and written as they come."""
-    names = [task.address for task in tasks]
+    names = [task.address if folder else "" for task in tasks]
     counts = [len(task.changes) for task in tasks]
     pairs = zip(names, counts, strict=True)
     rows = [read_chunk(folder, name, count) if folder else None for name, count in pairs]
     mine = range(len(tasks)) if part is None else range(len(tasks))[part[0] :: part[1]] if part[1] else range(0)
     waiting = [i for i in mine if rows[i] is None]
     show = _remaining(progress, len(mine), len(waiting))
-    futures: dict[Future[list[dict[str, Any]]], int] = {}
+    futures: dict[Future[str], int] = {}
 
-    def keep(future: Future[list[dict[str, Any]]]) -> None:
-        i, found = futures.pop(future), future.result()
+    def keep(future: Future[str]) -> None:
+        i, text = futures.pop(future), future.result()
+        found = rows_of_text(text)
         if folder and all(row["status"] != "failed" for row in found):
-            write_chunk(folder, names[i], found)
-        rows[i] = same_after_writing(found)
+            write_chunk(folder, names[i], text)
+        rows[i] = found
 
     try:
         with _pool(executor, len(waiting)) as pool:

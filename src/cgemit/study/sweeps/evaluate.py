@@ -11,11 +11,13 @@ from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
+import numpy.typing as npt
 
 from cgemit import chain
 from cgemit.covariance import Budget, Covariance
 from cgemit.covariance.asked import Points, points_of
-from cgemit.covariance.points import covariance_at
+from cgemit.covariance.points import covariance_at, entries_at
+from cgemit.covariance.widths import Entries, Widths, core_widths
 from cgemit.detector import Detector
 from cgemit.digitize import DigitizeSettings
 from cgemit.fit import FitSettings, FitStatus
@@ -106,15 +108,20 @@ class Evaluation:
         settings = self.settings or Settings()
         return settings.digitize, fit_settings(settings)
 
-    def __call__(self, detector: Detector) -> dict[str, Any]:
-        """Return the numbers of every point, and of "mc" what errors of differences follow from."""
+    def __call__(self, detector: Detector) -> Any:
+        """Return what `results` takes: of "analytic" the covariances for each cos(theta), else the results."""
         if self.function is not None:
-            return {"points": [numbers_of(self.function(detector))]}
+            return {"columns": {name: [value] for name, value in numbers_of(self.function(detector)).items()}}
         if self.method == "analytic":
-            return {"points": analytic_points(detector, self)}
+            return [entries_at(points, detector, *self.digitize_and_fit) for points in self.points_by_angle]
         pairs = [(p, c) for p in self.p for c in self.cos_theta]
         found = [_simulated(detector, self, number, p, c) for number, (p, c) in enumerate(pairs, start=1)]
-        return {"points": [point for point, _ in found], "replicas": [replicas for _, replicas in found]}
+        columns = {name: [point[name] for point, _ in found] for name in found[0][0]}
+        return {"columns": columns, "replicas": [replicas for _, replicas in found]}
+
+    def results(self, found: Sequence[Any]) -> list[dict[str, Any]]:
+        """Return `columns` with a value for every point, and of "mc" what errors of differences follow from."""
+        return _analytic_results(found, self) if self.method == "analytic" else list(found)
 
 
 def _text(cos_theta: CosTheta) -> str:
@@ -145,23 +152,29 @@ def covariances(detector: Detector, evaluation: Evaluation) -> list[Covariance]:
     return [covariance_at(points, detector, digitize, fit, threads=1) for points in evaluation.points_by_angle]
 
 
-def analytic_points(detector: Detector, evaluation: Evaluation) -> list[dict[str, Any]]:
-    """Return the core resolutions of every point from the covariance, without events.
+def _analytic_results(found: Sequence[Sequence[Entries]], evaluation: Evaluation) -> list[dict[str, Any]]:
+    """Return the core resolutions of every point from the covariances of each detector, without events.
 
     `reached` is the fraction of tracks with a covariance; `tracks` says how most of the others ended.
     """
-    found = covariances(detector, evaluation)
-    columns = {column(f"sigma_{name}", name): (name, QUANTITIES[name][1]) for name in evaluation.quantities}
-    sigmas = []
-    for one in found:
-        widths = one.sigmas(evaluation.quantities)
-        sigmas.append({header: scale * widths[name] for header, (name, scale) in columns.items()})
-    return [
-        {header: float(values[i]) for header, values in sigma.items()}
-        | {"reached": float(one.reached[i]), "tracks": FitStatus(int(one.status[i])).name}
-        for i in range(len(evaluation.p))
-        for sigma, one in zip(sigmas, found, strict=True)
-    ]
+    by_angle = [core_widths(at_angle, evaluation.quantities) for at_angle in zip(*found, strict=True)]
+    return [{"columns": _columns(widths, evaluation.quantities)} for widths in zip(*by_angle, strict=True)]
+
+
+def _columns(widths: Sequence[Widths], quantities: Sequence[str]) -> dict[str, list[Any]]:
+    """Return the columns of one detector from its resolutions for each cos(theta)."""
+    columns: dict[str, list[Any]] = {}
+    for name in quantities:
+        scale = QUANTITIES[name][1]
+        columns[column(f"sigma_{name}", name)] = _by_point([scale * one.sigma[name] for one in widths])
+    columns["reached"] = _by_point([one.reached for one in widths])
+    columns["tracks"] = [FitStatus(status).name for status in _by_point([one.status for one in widths])]
+    return columns
+
+
+def _by_point(by_angle: Sequence[npt.NDArray[Any]]) -> list[Any]:
+    """Return values at all momenta for each angle, (momenta,) each, in the order of `Evaluation.points`."""
+    return [value for values in zip(*[one.tolist() for one in by_angle], strict=True) for value in values]
 
 
 def budgets(evaluation: Evaluation, detectors: Mapping[str, Detector], quantity: str, point: int) -> dict[str, Budget]:

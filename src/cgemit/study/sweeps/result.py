@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -63,25 +63,21 @@ class Sweep(TidyResult):
         space: Space, evaluation: Evaluation, bases: Sequence[Detector], rows: Sequence[Mapping[str, Any]]
     ) -> Sweep:
         """Return the table of the base and its variants, from one row each."""
-        changes: list[Mapping[str, Any]] = [{}, *space.variants]
-        axes = {key: axis_of(key, bases[0], [one.get(key) for one in space.variants]) for key in space.keys}
+        axes = [axis_of(key, bases[0], [one.get(key) for one in space.variants]) for key in space.keys]
         points = evaluation.points()
-        kept: list[dict[str, Any]] = []
-        for number, (row, changed, base) in enumerate(zip(rows, changes, bases, strict=True)):
-            name = str(changed.get("name") or variant_name(base.name, _without_base(changed)))
-            leading = {"variant": number, "name": name, "hash": row.get("hash", ""), "status": row["status"],
-                       "problems": "; ".join(row["problems"])}  # fmt: skip
-            varied = {header: values[number] for header, values in axes.values()}
-            for i, point in enumerate(points):
-                results = row["points"][i] if "points" in row else {}
-                kept.append(leading | varied | point | results | _differences(row, rows[0], i))
-        parameters = tuple(header for header, _ in axes.values())
-        known = (*LEADING, *parameters, *_POINT)
-        results = tuple(dict.fromkeys(name for row in kept for name in row if name not in known))
-        names = [*LEADING, *parameters, *(name for name in _POINT if name in points[0]), *results]
-        empty = {name: _empty([row[name] for row in kept if name in row]) for name in names}
-        table = {name: _of_one_kind([row.get(name, empty[name]) for row in kept]) for name in names}
-        return Sweep(table, parameters, results, space, evaluation, tuple(bases))
+        by_variant = dict(zip(LEADING, _leading(space, bases, rows), strict=True)) | dict(axes)
+        table = {name: [value for value in values for _ in points] for name, values in by_variant.items()}
+        table |= {name: [point[name] for point in points] * len(rows) for name in points[0]}
+        known = tuple(table)
+        for number, row in enumerate(rows):
+            first = number * len(points)
+            for name, values in (row.get("columns", {}) | _differences(row, rows[0])).items():
+                if name not in table:
+                    table[name] = [None] * (len(rows) * len(points))
+                table[name][first : first + len(points)] = values
+        results = tuple(name for name in table if name not in (*known, *_POINT))
+        table = {name: _of_one_kind(table[name]) for name in (*known, *results)}
+        return Sweep(table, tuple(header for header, _ in axes), results, space, evaluation, tuple(bases))
 
     def __len__(self) -> int:
         return len(self.columns["variant"])
@@ -212,29 +208,45 @@ def _cell(value: Any) -> str:
     return f"{value:.5g}" if isinstance(value, float) else str(value)
 
 
-def _empty(values: Sequence[Any]) -> Any:
-    """Return what stands where a column has no value: an empty text among texts, else NaN."""
-    return "" if values and all(isinstance(value, str) for value in values) else math.nan
+def _leading(space: Space, bases: Sequence[Detector], rows: Sequence[Mapping[str, Any]]) -> Iterator[list[Any]]:
+    """Yield the columns `LEADING` of the base and its variants."""
+    changes: list[Mapping[str, Any]] = [{}, *space.variants]
+    yield list(range(len(rows)))
+    yield [
+        str(changed.get("name") or variant_name(base.name, _without_base(changed)))
+        for changed, base in zip(changes, bases, strict=True)
+    ]
+    yield [row.get("hash", "") for row in rows]
+    yield [row["status"] for row in rows]
+    yield ["; ".join(row["problems"]) for row in rows]
 
 
 def _of_one_kind(values: list[Any]) -> list[Any]:
-    """Return a column with whole numbers and truth values as floats if it has any float, or NaN."""
-    numbers = all(isinstance(value, int | float) for value in values)
-    return [float(value) for value in values] if numbers and any(isinstance(v, float) for v in values) else values
+    """Return a column with one kind of values.
+
+    None becomes an empty text among texts, else NaN. Whole numbers and truth values become floats beside any float.
+    """
+    kinds = set(map(type, values))
+    if type(None) in kinds:
+        empty = "" if kinds == {str, type(None)} else math.nan
+        values = [empty if value is None else value for value in values]
+        kinds = set(map(type, values))
+    return list(map(float, values)) if float in kinds and kinds <= {int, bool, float} else values
 
 
 def _without_base(changes: Mapping[str, Any]) -> dict[str, Any]:
     return {key: value for key, value in changes.items() if key not in ("base", "field")}
 
 
-def _differences(row: Mapping[str, Any], base: Mapping[str, Any], point: int) -> dict[str, float]:
-    """Return the differences of simulated resolutions to the base's at one point, with their paired errors."""
+def _differences(row: Mapping[str, Any], base: Mapping[str, Any]) -> dict[str, list[float]]:
+    """Return the differences of simulated resolutions to the base's at all points, with their paired errors."""
     if "replicas" not in row or "replicas" not in base:
         return {}
     found = {}
-    for name in base["replicas"][point]:
-        sigma = column(f"sigma_{name}", name)
-        found[column(f"delta_sigma_{name}", name)] = row["points"][point][sigma] - base["points"][point][sigma]
-        pair = row["replicas"][point][name], base["replicas"][point][name]
-        found[column(f"delta_sigma_{name}_error", name)] = error_of_difference(*pair)
+    pairs = list(zip(row["replicas"], base["replicas"], strict=True))
+    for name in base["replicas"][0]:
+        sigmas = zip(*(one["columns"][column(f"sigma_{name}", name)] for one in (row, base)), strict=True)
+        found[column(f"delta_sigma_{name}", name)] = [mine - other for mine, other in sigmas]
+        errors = [error_of_difference(mine[name], other[name]) for mine, other in pairs]
+        found[column(f"delta_sigma_{name}_error", name)] = errors
     return found

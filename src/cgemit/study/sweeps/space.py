@@ -197,8 +197,7 @@ def split_quantity(value: Any) -> tuple[str, float, str] | None:
         return ("x", float(number), "") if not unit else None
     if factor_of(value) is not None:
         return ("%", float(number), "")
-    known = {name for dimension in _DIMENSIONS for name in units_of(dimension)}
-    return ("", float(number), unit) if unit in known else None
+    return ("", float(number), unit) if unit in _UNITS else None
 
 
 def split_range(low: Any, high: Any) -> tuple[str, float, float, str] | None:
@@ -218,6 +217,7 @@ def split_range(low: Any, high: Any) -> tuple[str, float, float, str] | None:
 
 _DIMENSIONS = ("length", "angle", "field", "density", "energy", "momentum", "slope", "inverse area",
                "inverse area squared", "dimensionless")  # fmt: skip
+_UNITS = frozenset(name for dimension in _DIMENSIONS for name in units_of(dimension))
 
 
 _SAMPLES = {"sobol": sobol, "latin_hypercube": latin_hypercube}
