@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cgemit import Apv25Readout, Gun, TigerReadout, _core, find, load, run
+from cgemit import Apv25Readout, Gun, TigerReadout, _core, analytic, find, load, run
 from cgemit.detector import compiled
 from cgemit.detector.gaps import ionization
 from cgemit.digitize.transport import mean_shift
@@ -142,6 +142,22 @@ def test_clusters_and_tracks_with_tiger() -> None:
         pull = measure(result.tracks[f"pull_{name}"][good], parameter=name, unit="")
         assert 0.95 < pull.core < 1.1, name
         assert abs(pull.core_mean) < 0.2, name
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("second_pass", [False, True])
+@pytest.mark.parametrize("kind", [TigerReadout, Apv25Readout])
+def test_analytic_errors_are_those_of_tracks(kind: type, second_pass: bool) -> None:
+    """The covariance with the calibration's typical errors expects d_rho and d_z within 5 %, X and V decide of each."""
+    readout, angles = kind(second_pass=second_pass), (-0.93, 0.93)
+    tracks = run(
+        load("besiii-cgem-design"), Gun("mu-", p=1.0, cos_theta=angles), 20_000, seed=9, readout=readout
+    ).tracks
+    expected = analytic("besiii-cgem-design", "mu-", p=1.0, cos_theta=angles, readout=readout)
+    for name in ("dr", "dz"):
+        found = measure(tracks[f"res_{name}"][tracks["status"] == 0])
+        ratio = float(np.squeeze(getattr(expected, f"sigma_{name}"))) / found.core
+        assert abs(ratio - 1) < 0.05 + 1.5 * found.core_error / found.core, (name, ratio)
 
 
 @pytest.mark.parametrize("second_pass", [False, True])
