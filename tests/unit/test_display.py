@@ -6,9 +6,11 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import matplotlib
 import numpy as np
 import pytest
 from matplotlib.collections import EllipseCollection, LineCollection
+from matplotlib.colors import Normalize
 
 import cgemit as cg
 from cgemit.cli.main import main
@@ -127,7 +129,7 @@ def test_a_smooth_curve_through_points_of_a_helix_is_the_helix() -> None:
 
 def test_strips_on_the_unrolled_anode_are_the_fired_ones(result: cg.Result, pair: Any) -> None:
     digis = result.digis.select_events(0, 1)
-    for number, axes in enumerate(pair.axes[3:]):
+    for number, axes in enumerate(pair.axes[3:6]):
         layer = result.detector.cgem[number]
         drawn = {one.get_label(): one for one in axes.collections if isinstance(one, LineCollection)}
         fired = (digis["layer"] == number) & (digis["view"] == 0)
@@ -135,10 +137,13 @@ def test_strips_on_the_unrolled_anode_are_the_fired_ones(result: cg.Result, pair
             np.array(layer.sheet_phi)[digis["sheet"][fired]]
             + (digis["strip"][fired] + 0.5) * layer.pitch_x / layer.r_readout
         )
-        x = [line[:, 0].tolist() for line in drawn["fired X strips"].get_segments()]
+        x = [line[:, 0].tolist() for line in drawn["fired X strips (width: charge)"].get_segments()]
         expected = (np.degrees(phi) + 180) % 360 - 180
         np.testing.assert_allclose(x, np.stack([expected, expected], 1), rtol=0, atol=1e-9)
-        for line in drawn["fired V strips"].get_segments():
+        widths = drawn["fired X strips (width: charge)"].get_linewidths()
+        share = digis["charge"][fired] / digis["charge"].max()
+        np.testing.assert_allclose(widths, 0.4 + 2.4 * share, rtol=1e-12)
+        for line in drawn["fired V strips (width: charge)"].get_segments():
             assert np.abs(line[:, 0]).max() <= 180
             assert np.abs(line[:, 1]).max() <= layer.half_length + 1e-9
         truths = lines(axes)["true crossing"].get_data()
@@ -237,3 +242,35 @@ def test_the_command_writes_pictures(tmp_path: Path) -> None:
         "run.json",
     ]
     assert main(words) == 2
+
+
+@pytest.mark.parametrize("readout", ["tiger", "binary"])
+def test_charges_of_the_strips_are_those_of_the_tables(readout: str) -> None:
+    result = cg.run("besiii-cgem-design", cg.Gun("mu-", p=1.0, cos_theta=0.4), n=1, seed=2, readout=readout)
+    picture = cg.draw.event(result, 0)
+    assert picture.get_suptitle().startswith(f"besiii-cgem-design, read-out {readout}, event 0")
+    digis, clusters = result.digis, result.clusters
+    with_truth = np.flatnonzero((clusters["view"] < 2) & (clusters["truth"] >= 0))
+    residuals = cg.find.residuals(result.detector, clusters, result.truths, with_truth)
+    off = dict(zip(with_truth.tolist(), residuals.tolist(), strict=True))
+    (scale,) = picture.axes[8].child_axes
+    assert scale.get_ylabel() == "time of the strip  (ns)"
+    times = scale.get_ylim()
+    for number, axes in enumerate(picture.axes[6:9]):
+        layer = result.detector.cgem[number]
+        for code, sign in ((0, 1.0), (1, -1.0)):
+            rows = np.flatnonzero((clusters["layer"] == number) & (clusters["view"] == code))
+            row = rows[np.argmax(clusters["charge"][rows])]
+            near = (digis["layer"] == number) & (digis["view"] == code) & (digis["sheet"] == clusters["sheet"][row])
+            near &= (digis["strip"] >= clusters["first"][row] - 6) & (digis["strip"] <= clusters["last"][row] + 6)
+            bars = next(one for one in axes.containers if one.get_label() == f"_{'XV'[code]}")
+            np.testing.assert_array_equal([bar.get_height() for bar in bars], sign * digis["charge"][near])
+            strips = digis["strip"][near] + 0.5
+            middle = strips * layer.pitch_x if code == 0 else v_of_strips(layer, strips)
+            drawn = [bar.get_x() + 0.5 * bar.get_width() for bar in bars]
+            np.testing.assert_allclose(drawn, middle - clusters["xv"[code]][row], rtol=0, atol=1e-9)
+            colours = matplotlib.colormaps["viridis"](Normalize(*times)(digis["time"][near]))
+            np.testing.assert_allclose([bar.get_facecolor() for bar in bars], colours, rtol=0, atol=1e-12)
+            text = next(one.get_text() for one in axes.texts if one.get_text().startswith("XV"[code]))
+            assert f"{clusters['charge'][row]:.1f} fC, {clusters['size'][row]} strip" in text
+            assert f"residual {1000 * off[int(row)]:+.0f} µm" in text

@@ -67,7 +67,7 @@ def find_clusters(
         ns; strips whose drift time is below 0 or above that of the drift gap by more than this are left out.
     bridge : int
         Dead and hot strips in a row that a cluster may bridge.
-    slopes : (clusters,) float64 or None
+    directions : (clusters, 2) float64 or None
         Of the track, by row of the result: dX/dr of X clusters and dV/dr of V clusters at the anode, and its path per
         radius; NaN where no track tells.
     """

@@ -14,9 +14,10 @@ from matplotlib.patches import Rectangle, Wedge
 
 from cgemit.draw.event_view import EventView, strip_line, view_of
 from cgemit.draw.geometry import Array, wire_layers, wire_positions, wire_profile
+from cgemit.draw.strips import draw_cluster_strips, line_widths
 from cgemit.draw.style import COLORS, Picture, legend_entries, plain, style
 
-_TITLE_WIDTH = 105  # characters in the width of the picture
+_TITLE_WIDTH = 98  # characters in the width of the picture
 
 if TYPE_CHECKING:
     from cgemit.detector import CgemLayer, Detector
@@ -42,7 +43,8 @@ def event(result: Result, number: int = 0) -> Picture:
     Returns
     -------
     Picture
-        r-phi, r-phi around the CGEM, r-z, and the unrolled anode of every CGEM layer with its fired strips.
+        r-phi, r-phi around the CGEM, r-z; for every CGEM layer the unrolled anode with its fired strips, wider with
+        more charge, and charge and time of the strips of the largest X and V cluster.
 
     Raises
     ------
@@ -52,7 +54,7 @@ def event(result: Result, number: int = 0) -> Picture:
     view = view_of(result, number)
     detector = view.detector
     with style():
-        picture, axes, anodes = _layout(len(detector.cgem))
+        picture, axes, anodes, charges = _layout(len(detector.cgem))
         for plot in axes[:2]:
             _transverse_detector(plot, detector)
             _transverse_hits(plot, view, magnified=plot is axes[1])
@@ -67,7 +69,10 @@ def event(result: Result, number: int = 0) -> Picture:
         _tracks(axes, view)
         for layer, plot in enumerate(anodes):
             _anode(plot, view, layer)
-        whole = f"{plain(detector.name)}, event {number}: {view.shot()}"
+        if charges:
+            draw_cluster_strips(charges, view)
+        readout = f", read-out {result.settings.digitize.readout.name}" if charges else ""
+        whole = f"{plain(detector.name)}{readout}, event {number}: {view.shot()}"
         # Lines end behind a particle only.
         title = textwrap.fill(whole.replace(" ", "\u00a0").replace(";\u00a0", "; "), _TITLE_WIDTH).replace(
             "\u00a0", " "
@@ -76,22 +81,23 @@ def event(result: Result, number: int = 0) -> Picture:
         titles = ("across the beam", "inner layers", "side view")
         for plot, title in zip(axes, titles, strict=True):
             plot.set_title(title, loc="left")
-        entries = legend_entries([*axes, *anodes])
+        entries = legend_entries([*axes, *anodes, *charges])
         picture.legend(entries.values(), entries.keys(), loc="lower center", ncols=4)
     return picture
 
 
-def _layout(layers: int) -> tuple[Picture, list[Axes], list[Axes]]:
-    """Return a picture with axes across the beam, magnified, along it; and one for each unrolled anode."""
-    heights = [4.7, 2.6, 3.0] if layers else [4.7, 2.6]
+def _layout(layers: int) -> tuple[Picture, list[Axes], list[Axes], list[Axes]]:
+    """Return a picture with axes across the beam, magnified, along it; for each unrolled anode; for charges of each."""
+    heights = [4.7, 2.6, 3.0, 2.4] if layers else [4.7, 2.6]
     height = sum(heights) + 0.75 * len(heights) + 1.0
     picture = Picture(figsize=(10.0, height))
-    edges = {"left": 0.075, "right": 0.985, "top": 1 - 0.65 / height, "bottom": 1.3 / height}
+    edges = {"left": 0.075, "right": 0.925 if layers else 0.985, "top": 1 - 0.65 / height, "bottom": 1.3 / height}
     grid = picture.add_gridspec(len(heights), 1, height_ratios=heights, hspace=0.22, **edges)
     across = grid[0].subgridspec(1, 2, wspace=0.2)
     axes = [picture.add_subplot(place) for place in (across[0], across[1], grid[1])]
-    unrolled = grid[2].subgridspec(1, layers, wspace=0.28) if layers else None
-    return picture, axes, [picture.add_subplot(unrolled[i]) for i in range(layers)] if unrolled is not None else []
+    rows = [grid[row].subgridspec(1, layers, wspace=0.28) for row in (2, 3)] if layers else []
+    anodes, charges = ([picture.add_subplot(row[i]) for i in range(layers)] for row in rows) if rows else ([], [])
+    return picture, axes, anodes, charges
 
 
 def _limit(axes: Axes, centre: tuple[float, float], half: float) -> None:
@@ -203,10 +209,12 @@ def _anode(axes: Axes, view: EventView, number: int) -> None:
     for name, code in (("x", 0), ("v", 1)):
         fired = (digis["layer"] == number) & (digis["view"] == code) & (digis["strip"] >= 0)
         pairs = zip(digis["sheet"][fired].tolist(), digis["strip"][fired].tolist(), strict=True)
-        lines = [line for sheet, strip in pairs for line in _unrolled(layer, sheet, code, strip)]
-        if lines:
-            color, label = COLORS[name], f"fired {name.upper()} strips"
-            axes.add_collection(LineCollection(lines, colors=color, linewidths=0.8, alpha=0.75, label=label))
+        parts = [_unrolled(layer, sheet, code, strip) for sheet, strip in pairs]
+        if parts:
+            lines = [line for part in parts for line in part]
+            widths = np.repeat(line_widths(view, fired), [len(part) for part in parts])
+            color, label = COLORS[name], f"fired {name.upper()} strips (width: charge)"
+            axes.add_collection(LineCollection(lines, colors=color, linewidths=widths, alpha=0.75, label=label))
     inside, truths = view.clusters["layer"] == number, view.truths["layer"] == number
     _crossings(axes, np.degrees(view.truths["phi"][truths]), view.truths["z"][truths], 9)
     phi, z = (np.where(inside, view.clusters[name], np.nan) for name in ("phi", "z"))
