@@ -135,6 +135,9 @@ def sum_shells(
     *, materials: Sequence[Material], r_in: Sequence[float], r_out: Sequence[float]
 ) -> tuple[float, float, float, float, _Floats, _Floats]: ...
 
+class Chamber:
+    def __init__(self, wires: _Columns) -> None: ...
+
 class Detector:
     def __init__(
         self,
@@ -144,7 +147,7 @@ class Detector:
         log_terms: npt.ArrayLike,
         composition: _Columns,
         cgem: _Columns,
-        wires: _Columns,
+        wires: _Columns | Chamber,
         screening: Screening,
         lattice: _Columns = {},
         gaps: list[dict[str, Any]] = [],

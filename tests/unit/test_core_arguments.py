@@ -203,3 +203,9 @@ def test_shells_need_a_material_and_radii_each() -> None:
         _core.sum_shells(materials=[air], r_in=[1.0, 2.0], r_out=[2.0])
     with pytest.raises(ValueError, match="got None, expected a Material"):
         _core.sum_shells(materials=[None], r_in=[1.0], r_out=[2.0])  # type: ignore[list-item]
+
+
+def test_wires_of_a_chamber_are_checked_before_they_are_placed() -> None:
+    wires = compiling.wire_table(DETECTOR.drift_chamber)
+    with pytest.raises(ValueError, match=r"wires\[0\] cells: got 0, expected 1 to"):
+        _core.Chamber(wires | {"cells": np.zeros_like(wires["cells"])})

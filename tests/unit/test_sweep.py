@@ -183,6 +183,36 @@ def test_a_function_that_fails_is_a_row_and_is_tried_again(tmp_path: Path) -> No
     assert (again.submitted, second.columns["foils"]) == (1, [3, 1, 2])
 
 
+def test_columns_that_only_some_variants_have() -> None:
+    """What is missing is NaN among numbers, which are then floats, and an empty text among texts."""
+
+    def own(detector: Detector) -> dict[str, Any]:
+        more = {"few": True, "word": "two", "mixed": "two"} if detector.cgem[0].foils == 2 else {"mixed": 1}
+        return {"foils": detector.cgem[0].foils, **more}
+
+    found = sweep(DESIGN, {"cgem.L1.foils": [1, 2]}, evaluate=own, chunk=2)
+    assert found.results == ("foils", "mixed", "few", "word")
+    assert found.columns["foils"] == [3, 1, 2]
+    assert all(type(value) is int for value in found.columns["foils"])
+    np.testing.assert_array_equal(found.columns["few"], [math.nan, math.nan, 1.0])
+    assert found.columns["word"] == ["", "", "two"]
+    assert found.columns["mixed"] == [1, 1, "two"]
+
+
+def test_neighbours_in_a_chunk_do_not_matter(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Widths of a chunk are computed together, in parts if they are many; samples of its detectors may differ."""
+    space = [{"cgem.*.pitch_x": "900 um"}, {"remove": ["cgem.L2"]}, {"drift_chamber.efficiency": 0.9},
+             {"cgem.L2.anode_radius": "30 mm"}, {"base": "kloe2-like"},
+             {"field": {"kind": "uniform", "bz": "0.5 T"}}]  # fmt: skip
+    alone, together = (
+        sweep(DESIGN, space, p=[0.05, 0.5], cos_theta=[0.2, (-0.9, 0.9)], chunk=chunk) for chunk in (1, 7)
+    )
+    monkeypatch.setattr("cgemit.covariance.widths._MOST_TRACKS", 512)
+    split = sweep(DESIGN, space, p=[0.05, 0.5], cos_theta=[0.2, (-0.9, 0.9)], chunk=7)
+    assert repr(together.columns) == repr(alone.columns) == repr(split.columns)
+    assert alone.columns["status"].count("ok") == 24
+
+
 def test_a_sweep_goes_on_where_it_was_interrupted(tmp_path: Path) -> None:
     whole = sweep(DESIGN, PITCHES, evaluate=channels, output=tmp_path / "whole")
     with pytest.raises(KeyboardInterrupt):

@@ -158,7 +158,7 @@ def _made(
         bz=detector.field.bz,
         **table._asdict(),
         cgem=cgem_table(detector.cgem),
-        wires=wire_table(detector.drift_chamber),
+        wires=_placed(detector.drift_chamber) if detector.drift_chamber else wire_table(None),
         screening=getattr(_core.Screening, screening),
         lattice=hole_table([slab.holes for slab in found], groups, merge) if foil == "lattice" else {},
         gaps=gap_table(detector) if gaps else [],
@@ -225,12 +225,14 @@ def cgem_table(layers: Sequence[CgemLayer]) -> Columns:
 
 def wire_table(chamber: DriftChamber | None) -> Columns:
     """Return the wire layers of a chamber as columns (n,): mm, rad; placement is (1, 12)."""
-    return dict(_wires_of(chamber)) if chamber else _wire_columns((), (), IN_PLACE)
+    if not chamber:
+        return _wire_columns((), (), IN_PLACE)
+    return _wire_columns(chamber.layers, chamber.gid_first, chamber.placement)
 
 
 @once
-def _wires_of(chamber: DriftChamber) -> Columns:
-    return _wire_columns(chamber.layers, chamber.gid_first, chamber.placement)
+def _placed(chamber: DriftChamber) -> _core.Chamber:
+    return _core.Chamber(wire_table(chamber))
 
 
 def _wire_columns(layers: Sequence[WireLayer], gid_first: Sequence[int], placement: NDArray[np.float64]) -> Columns:

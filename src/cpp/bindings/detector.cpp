@@ -7,6 +7,8 @@
 #include <algorithm>
 #include <cmath>
 #include <optional>
+#include <utility>
+#include <variant>
 
 #include "bindings/arrays.hpp"
 #include "bindings/gap.hpp"
@@ -140,6 +142,11 @@ std::vector<CgemLayer> make_cgem(const py::dict& columns) {
   return layers;
 }
 
+// The wire layers of a drift chamber, in place.
+struct Chamber {
+  std::vector<WireLayer> layers;
+};
+
 std::vector<WireLayer> make_wires(const py::dict& columns) {
   const auto number = take<std::int32_t>(columns, "number"), cells = take<std::int32_t>(columns, "cells"),
              gid_first = take<std::int32_t>(columns, "gid_first");
@@ -188,11 +195,15 @@ class Part {
 
 // What the kernels divide by, index with and allocate; the description in Python has its own, narrower
 // limits.
-void check(double bz, const std::vector<Slab>& slabs, const std::vector<CgemLayer>& cgem,
-           const std::vector<WireLayer>& wires, std::size_t gaps) {
-  constexpr double far = 1e12, tiny = 1e-12, most_strips = 1e9, most_cells = 1e6, most_layers = 65535;
-  Problems problems;
+constexpr double far = 1e12, tiny = 1e-12;
+
+void check(Problems& problems, double bz, const std::vector<Slab>& slabs, const std::vector<CgemLayer>& cgem,
+           std::size_t gaps) {
+  constexpr double most_strips = 1e9;
   if (!std::isfinite(bz)) problems.add("bz: got " + to_text(bz) + ", expected a finite number");
+  if (gaps != 0 && gaps != cgem.size())
+    problems.add("gaps: got " + std::to_string(gaps) + ", expected one for each of " +
+                 std::to_string(cgem.size()) + " CGEM layers");
   for (std::size_t i = 0; i < slabs.size(); ++i) {
     const Part part(problems, "slab", i);
     part.within("r_in", slabs[i].r_in, 0, far);
@@ -228,6 +239,10 @@ void check(double bz, const std::vector<Slab>& slabs, const std::vector<CgemLaye
     for (const double shift : cgem[i].placement.shift) part.within("placement", shift, -far, far);
     for (const double one : cgem[i].placement.turn) part.within("placement", one, -1, 1);
   }
+}
+
+void check(Problems& problems, const std::vector<WireLayer>& wires) {
+  constexpr double most_cells = 1e6, most_layers = 65535;
   for (std::size_t i = 0; i < wires.size(); ++i) {
     const Part part(problems, "wires", i);
     part.within("number", wires[i].number, 0, most_layers);
@@ -240,10 +255,20 @@ void check(double bz, const std::vector<Slab>& slabs, const std::vector<CgemLaye
     part.within("sigma_slope", wires[i].sigma_slope, -far, far);
     part.within("efficiency", wires[i].efficiency, 0, 1);
   }
-  if (gaps != 0 && gaps != cgem.size())
-    problems.add("gaps: got " + std::to_string(gaps) + ", expected one for each of " +
-                 std::to_string(cgem.size()) + " CGEM layers");
+}
+
+// Wire layers that are checked with the rest of a detector; those of a chamber were when it was made.
+Chamber in_place(std::vector<WireLayer>&& layers, const py::dict& columns) {
+  place_wires(layers, placements_of(columns, 1).front());
+  return {std::move(layers)};
+}
+
+Chamber make_chamber(const py::dict& columns) {
+  std::vector<WireLayer> layers = make_wires(columns);
+  Problems problems;
+  check(problems, layers);
   problems.raise("detector");
+  return in_place(std::move(layers), columns);
 }
 
 }  // namespace
@@ -263,22 +288,32 @@ void bind_detector(py::module_& module) {
   module.attr("LOSS_GRID_FIRST") = loss_grid_first;
   module.attr("LOSS_GRID_STEP") = loss_grid_step;
   module.attr("LOSS_POINTS") = loss_points;
+  py::class_<Chamber>(module, "Chamber",
+                      "The wire layers of a drift chamber in place, for any number of detectors.")
+      .def(py::init(&make_chamber), py::arg("wires"));
   py::class_<Detector>(module, "Detector",
                        "The detector as plain numbers, ordered from the beam line outward.")
       .def(py::init([](double bz, const py::dict& slabs, const Array<double>& log_terms,
-                       const py::dict& composition, const py::dict& cgem, const py::dict& wires,
-                       Screening screening, const py::dict& lattice, const py::list& gaps, CoreLoss loss,
-                       bool radiation, const std::optional<FieldMap>& field, bool simulated) {
+                       const py::dict& composition, const py::dict& cgem,
+                       const std::variant<Chamber, py::dict>& wires, Screening screening,
+                       const py::dict& lattice, const py::list& gaps, CoreLoss loss, bool radiation,
+                       const std::optional<FieldMap>& field, bool simulated) {
              std::vector<Slab> made = make_slabs(slabs, log_terms, composition);
              add_holes(lattice, made);
              std::vector<CgemLayer> layers = make_cgem(cgem);
-             std::vector<WireLayer> wire_layers = make_wires(wires);
+             const py::dict* columns = std::get_if<py::dict>(&wires);
+             std::vector<WireLayer> unplaced =
+                 columns != nullptr ? make_wires(*columns) : std::vector<WireLayer>();
              std::vector<GapMatter> matter = make_gaps(gaps);
-             check(bz, made, layers, wire_layers, matter.size());
-             const Placement chamber = placements_of(wires, 1).front();
+             Problems problems;
+             check(problems, bz, made, layers, matter.size());
+             check(problems, unplaced);
+             problems.raise("detector");
+             Chamber chamber =
+                 columns != nullptr ? in_place(std::move(unplaced), *columns) : std::get<Chamber>(wires);
              Detector detector =
                  make_detector(field ? *field : uniform_field(bz), std::move(made), std::move(layers),
-                               std::move(wire_layers), std::move(matter), chamber);
+                               std::move(chamber.layers), std::move(matter));
              prepare_scattering(detector, screening, simulated);
              prepare_loss(detector, loss, radiation);
              return detector;

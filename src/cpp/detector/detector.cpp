@@ -13,39 +13,43 @@ namespace cgemit {
 namespace {
 
 // Every wire is the first one, turned about the beam line. The sine and cosine of the turn follow from those
-// of the wire before: thousands of wires are placed for every variant of a detector.
-void place_wires(WireLayer& layer, const Placement& chamber) {
+// of the wire before.
+PlacedWires wires_of(const WireLayer& layer, const Placement& chamber) {
   const Wire first = place_wire(layer, 0);
   const double step = 2 * pi / layer.cells, cosine = std::cos(step), sine = std::sin(step);
-  layer.placed.clear();
-  layer.placed.reserve(static_cast<std::size_t>(layer.cells));
+  std::vector<Wire> placed;
+  placed.reserve(static_cast<std::size_t>(layer.cells));
   double c = 1, s = 0;
   for (int i = 0; i < layer.cells; ++i) {
     const Wire wire{c * first.x - s * first.y, s * first.x + c * first.y, c * first.ex - s * first.ey,
                     s * first.ex + c * first.ey, first.ez};
-    layer.placed.push_back(chamber.moved ? moved(chamber, wire) : wire);
+    placed.push_back(chamber.moved ? moved(chamber, wire) : wire);
     const double turned = cosine * c - sine * s;
     s = sine * c + cosine * s;
     c = turned;
   }
+  return PlacedWires(std::move(placed));
 }
 
 }  // namespace
 
-Detector make_detector(FieldMap field, std::vector<Slab> slabs, std::vector<CgemLayer> cgem,
-                       std::vector<WireLayer> wires, std::vector<GapMatter> gaps, const Placement& chamber) {
-  const double bz = field.bz;
-  Detector detector{
-      bz, std::move(field), std::move(slabs), std::move(cgem), std::move(wires), std::move(gaps), {}, {}};
-  for (WireLayer& layer : detector.wires) {
+void place_wires(std::vector<WireLayer>& layers, const Placement& chamber) {
+  for (WireLayer& layer : layers) {
     const double c = std::cos(0.5 * layer.twist), s = std::sin(0.5 * layer.twist), r = layer.r_end;
     layer.waist = r * r * c * c;
     layer.flare = r * r * s * s / (layer.half_length * layer.half_length);
     layer.tan_half_twist = s / c;
     layer.per_radian = layer.cells / (2 * pi);
     layer.twist_per_z = layer.tan_half_twist / layer.half_length;
-    place_wires(layer, chamber);
+    layer.placed = wires_of(layer, chamber);
   }
+}
+
+Detector make_detector(FieldMap field, std::vector<Slab> slabs, std::vector<CgemLayer> cgem,
+                       std::vector<WireLayer> wires, std::vector<GapMatter> gaps) {
+  const double bz = field.bz;
+  Detector detector{
+      bz, std::move(field), std::move(slabs), std::move(cgem), std::move(wires), std::move(gaps), {}, {}};
   for (Slab& slab : detector.slabs) {
     slab.least_outward = std::sqrt(0.5 * (slab.r_out - slab.r_in) * slab.radius);
     slab.shifts = slab.spread * 13.6 * MeV * std::sqrt(slab.x0) > 5 * um;

@@ -5,6 +5,8 @@
 #include <array>
 #include <cmath>
 #include <cstdint>
+#include <memory>
+#include <utility>
 #include <vector>
 
 #include "detector/gap.hpp"
@@ -123,6 +125,22 @@ struct WireOf {
 };
 using Wire = WireOf<double>;
 
+// The wires of a layer, one per cell, shared by detectors with the same chamber: variants are many, wires
+// thousands.
+class PlacedWires {
+ public:
+  PlacedWires() = default;
+  explicit PlacedWires(std::vector<Wire> wires)
+      : wires_(std::make_shared<const std::vector<Wire>>(std::move(wires))), first_(wires_->data()) {}
+
+  const Wire& operator[](std::size_t wire) const { return first_[wire]; }
+  const Wire& at(std::size_t wire) const { return wires_->at(wire); }
+
+ private:
+  std::shared_ptr<const std::vector<Wire>> wires_;
+  const Wire* first_ = nullptr;
+};
+
 // One layer of drift cells around straight, possibly stereo, wires.
 struct WireLayer {
   int number;  // layer number of the experiment
@@ -136,7 +154,7 @@ struct WireLayer {
   double efficiency;
   int gid_first;  // running number of the layer's wire 0
   // Derived from the above: one wire per cell; distance from the beam line is sqrt(waist + flare z^2).
-  std::vector<Wire> placed;
+  PlacedWires placed;
   double waist, flare, tan_half_twist;
   double per_radian;   // cells per radian
   double twist_per_z;  // 1/mm, tan_half_twist/half_length
@@ -168,9 +186,11 @@ struct Detector {
   LossCuts loss;
 };
 
-// Computes the quantities that follow from the rest of the description.
+// Computes the quantities of wire layers that follow from the rest of their description.
+void place_wires(std::vector<WireLayer>& layers, const Placement& chamber);
+
+// Computes the quantities that follow from the rest of the description; `wires` are in place.
 Detector make_detector(FieldMap field, std::vector<Slab> slabs, std::vector<CgemLayer> cgem,
-                       std::vector<WireLayer> wires, std::vector<GapMatter> gaps,
-                       const Placement& chamber = {});
+                       std::vector<WireLayer> wires, std::vector<GapMatter> gaps);
 
 }  // namespace cgemit
