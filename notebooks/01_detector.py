@@ -83,7 +83,7 @@ except cg.DetectorError as error:
 # ## What the numbers do
 #
 # `sensitivity` gives the change of each resolution for 1 % more of each number of the design, `budget` splits the
-# variance of one by its causes ([how](../docs/methods/covariance.md)).
+# variance of one by its causes ([how](../docs/methods/analytic.md)).
 
 # %%
 cg.sensitivity(detector, "mu-", p=1.0)

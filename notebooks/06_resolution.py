@@ -17,7 +17,7 @@
 #
 # `cg.analytic` returns the covariance of a track in microseconds: which resolution a tracker reaches, what makes it,
 # and what a change of each number of the design does to it. Where a kernel runs, sliders change the design; elsewhere
-# the figures show the preset. Formulas are in `docs/methods/covariance.md`.
+# the figures show the preset. Formulas are in `docs/methods/analytic.md`.
 
 # %%
 import numpy as np

@@ -162,7 +162,7 @@ five
 
 # %% [markdown]
 # Simulation agrees with $\sigma(d_\rho)$ and $\sigma(d_z)$ within its errors. $\sigma(p)$ is 1 to 2 % smaller in
-# simulation, within the 2 % of `docs/methods/covariance.md`.
+# simulation, within the 2 % of `docs/methods/analytic.md`.
 #
 # ## The answer
 

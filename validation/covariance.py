@@ -131,7 +131,7 @@ def draw(rows: Sequence[Ratio]) -> Picture:
 _HEAD = """# The covariance against simulated tracks
 
 `python validation/covariance.py` writes this page. It compares the core widths of [the covariance without
-events](covariance.md) with those of simulated and fitted tracks: {points} points (preset, particle, momentum, angle),
+events](analytic.md) with those of simulated and fitted tracks: {points} points (preset, particle, momentum, angle),
 with {tracks} tracks each, azimuth uniform, sides of the wires unknown. {samples} tracks of the covariance average a
 point.
 A ratio fails if it differs from 1 by more than the limit and by more than three standard errors of the simulation.

@@ -1,7 +1,7 @@
 """Resolutions without events: the covariance of a track's helix, and its exact split by cause.
 
 The compiled stage ``covariance/`` traces a track from the origin with the fit's own kernels, expects a hit wherever the
-track crosses a read-out, and runs the filter (docs/methods/covariance.md).
+track crosses a read-out, and runs the filter (docs/methods/analytic.md).
 """
 
 from cgemit.covariance.budget import Budget as Budget
