@@ -147,7 +147,7 @@ class Detector:
         log_terms: npt.ArrayLike,
         composition: _Columns,
         cgem: _Columns,
-        wires: _Columns | Chamber,
+        wires: Chamber | _Columns,
         screening: Screening,
         lattice: _Columns = {},
         gaps: list[dict[str, Any]] = [],

@@ -53,6 +53,9 @@ def spelled(annotation: ast.expr | None) -> str:
         "SupportsInt": "int", "_Floats": "array", "_Bytes": "array", "_Array": "array", "_Columns": "dict",
         "_Simulated": "dict", "_Reference": "dict", "list": "sequence",
     }  # fmt: skip
+    other, either, last = text.rpartition(" | ")
+    if either and last in ("dict", "_Columns"):
+        return f"{other.removeprefix('cgemit._core.')} | dict"
     outer = text.removeprefix("typing.Annotated[")
     for container in ("tuple", "dict"):
         if outer.startswith(container):
