@@ -7,6 +7,7 @@
 #include <functional>
 
 #include "common/angles.hpp"
+#include "find/bit_counts.hpp"
 #include "motion/helix.hpp"
 
 namespace cgemit {
@@ -16,27 +17,6 @@ namespace {
 constexpr double cell_psi = 2 * pi / 64;
 constexpr int most_boxes = 600;  // divided in one event
 constexpr double beam_line = 5;  // mm, distance of tracks from the beam line that the fit expects
-
-// 64 counters side by side, up to 127 each: bit i of plane k is bit k of counter i.
-class BitCounts {
- public:
-  // Adds 1 to the counters whose bit is set.
-  void add(std::uint64_t which) {
-    for (std::uint64_t& plane : planes_) {
-      const std::uint64_t carry = plane & which;
-      plane ^= which;
-      which = carry;
-    }
-  }
-  std::uint8_t at(int i) const {
-    unsigned count = 0;
-    for (std::size_t k = 0; k < planes_.size(); ++k) count |= static_cast<unsigned>(planes_[k] >> i & 1) << k;
-    return static_cast<std::uint8_t>(count);
-  }
-
- private:
-  std::array<std::uint64_t, 7> planes_{};
-};
 
 }  // namespace
 
@@ -111,7 +91,7 @@ std::uint64_t AxialSearch::crossed_rows(const AxialPoint& point, const Column& e
 // Counts the layers in the boxes of a column that curves of their points cross.
 void AxialSearch::fill(int column) {
   const Column& edges = columns_[static_cast<std::size_t>(column)];
-  BitCounts counts;
+  BitCounts<1> counts;
   std::uint64_t layer = 0, in_layer = 0;
   for (std::size_t i = 0; i < points_.size(); ++i) {
     const AxialPoint& point = points_[i];
@@ -120,15 +100,15 @@ void AxialSearch::fill(int column) {
     if (crossed == 0) continue;
     crossed_.push_back({static_cast<std::int32_t>(i), crossed});
     if (point.layer != layer) {  // points of a layer follow each other
-      counts.add(in_layer);
+      counts.add({in_layer});
       layer = point.layer;
       in_layer = 0;
     }
     in_layer |= crossed;
   }
-  counts.add(in_layer);
+  counts.add({in_layer});
   for (int row = 0; row < rows; ++row)
-    counts_[static_cast<std::size_t>(column * rows + row)] = counts.at(row);
+    counts_[static_cast<std::size_t>(column * rows + row)] = counts.at(static_cast<std::size_t>(row));
 }
 
 // The points of a box of the first grid.
@@ -144,36 +124,39 @@ void AxialSearch::collect(Box& box) {
   box.last = static_cast<std::int32_t>(arena_.size());
 }
 
+// The four boxes in the place of one. Its points are read once, and written without branches.
 void AxialSearch::divide(const Box& box) {
   const int depth = box.depth + 1;
   const double width = cell_psi / (1 << depth), height = 2 * largest_w_ / rows / (1 << depth);
-  for (int i = 0; i < 2; ++i) {
-    const double psi = box.psi + i * width, middle = box.w + height;
-    const Column column(psi, width);
-    const auto begin = static_cast<std::int32_t>(arena_.size());
-    std::uint64_t lower_layers = 0, upper_layers = 0;
-    upper_.clear();
-    // By index: the arena grows.
-    for (std::int32_t k = box.first; k < box.last; ++k) {
-      const std::int32_t number = arena_[static_cast<std::size_t>(k)];
-      const AxialPoint& point = points_[static_cast<std::size_t>(number)];
-      if (point.left_out || !column.outward(point)) continue;
-      const Curves curves(point, column);
-      if (curves.cross(box.w, middle)) {
-        arena_.push_back(number);
-        lower_layers |= point.layer;
-      }
-      if (curves.cross(middle, middle + height)) {
-        upper_.push_back(number);
-        upper_layers |= point.layer;
-      }
-    }
-    const auto border = static_cast<std::int32_t>(arena_.size());
-    arena_.insert(arena_.end(), upper_.begin(), upper_.end());
-    const auto end = static_cast<std::int32_t>(arena_.size());
-    push({std::popcount(lower_layers), depth, psi, box.w, begin, border, circles_});
-    push({std::popcount(upper_layers), depth, psi, middle, border, end, circles_});
+  const double middle = box.w + height;
+  const std::array<double, 2> psi{box.psi, box.psi + width}, bottom{box.w, middle},
+      top{middle, middle + height};
+  const Column left(psi[0], width), right(left, psi[1] + width);
+  const auto begin = arena_.size(), most = static_cast<std::size_t>(box.last - box.first);
+  arena_.resize(begin + 4 * most);
+  std::array<std::size_t, 4> end{begin, begin + most, begin + 2 * most, begin + 3 * most};
+  std::array<std::uint64_t, 4> layers{};
+  for (std::int32_t k = box.first; k < box.last; ++k) {
+    const std::int32_t number = arena_[static_cast<std::size_t>(k)];
+    const AxialPoint& point = points_[static_cast<std::size_t>(number)];
+    if (point.left_out) continue;
+    const auto enter = [&](std::size_t which, bool inside) {
+      arena_[end[which]] = number;
+      end[which] += inside ? 1 : 0;
+      layers[which] |= inside ? point.layer : 0;
+    };
+    const auto both = [&](std::size_t column, const Column& edges) {
+      const bool outward = edges.outward(point);
+      const Curves curves(point, edges);
+      for (std::size_t half = 0; half < 2; ++half)
+        enter(2 * column + half, outward & curves.cross(bottom[half], top[half]));
+    };
+    both(0, left);
+    both(1, right);
   }
+  for (std::size_t i = 0; i < 4; ++i)
+    push({std::popcount(layers[i]), depth, psi[i / 2], bottom[i % 2],
+          static_cast<std::int32_t>(begin + i * most), static_cast<std::int32_t>(end[i]), circles_});
 }
 
 // The count of a box is that of all its points when it was made; points left out since then lower it.

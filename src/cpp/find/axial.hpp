@@ -50,6 +50,12 @@ class AxialSearch {
           sin_low(std::sin(psi)),
           cos_high(std::cos(psi + width)),
           sin_high(std::sin(psi + width)) {}
+    // Up to `end`, beginning where another one ends.
+    Column(const Column& before, double end)
+        : cos_low(before.cos_high),
+          sin_low(before.sin_high),
+          cos_high(std::cos(end)),
+          sin_high(std::sin(end)) {}
     // Whether the point is on the half turn that leaves the beam line.
     bool outward(const AxialPoint& p) const {
       return p.x * (cos_low + cos_high) + p.y * (sin_low + sin_high) > 0;
@@ -67,7 +73,7 @@ class AxialSearch {
       high = {(most - p.drift) * p.per, (most + p.drift) * p.per};
     }
     bool cross(double from, double to) const {
-      return (high[0] >= from && low[0] <= to) || (high[1] >= from && low[1] <= to);
+      return ((high[0] >= from) & (low[0] <= to)) | ((high[1] >= from) & (low[1] <= to));
     }
   };
   // The rows of a column of the first grid that the curves of a point cross, one bit each.
@@ -92,7 +98,7 @@ class AxialSearch {
   std::vector<Crossed> crossed_;                      // column by column
   std::array<std::size_t, columns + 1> of_column_{};  // where a column begins in `crossed_`
   std::vector<Box> heap_;
-  std::vector<std::int32_t> arena_, upper_;
+  std::vector<std::int32_t> arena_;
   std::vector<Column> columns_;
   int divided_ = 0, circles_ = 0;
 };

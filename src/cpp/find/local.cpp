@@ -144,13 +144,30 @@ std::optional<double> LocalSearch::closest(const Segment& segment, std::size_t l
   return nearest;
 }
 
-// The curvature that most layers agree with.
-void LocalSearch::continued(const Segment& segment) {
+// Adds the layers of the axial hits to the bins of curvature at which the circle touches them.
+void LocalSearch::count(const Segment& segment) {
+  counts_.clear();
   const double largest = axial_.largest_w(), per_bin = bins / (2 * largest);
+  std::uint64_t layer = 0;
+  BitCounts<words>::Bits in_layer{};
+  touching(segment, [&](std::uint64_t of, double w, double error) {
+    if (of != layer) {  // points of a layer follow each other
+      counts_.add(in_layer);
+      layer = of;
+      in_layer = {};
+    }
+    const int first = static_cast<int>(std::max((w - error + largest) * per_bin, 0.0)),
+              last = static_cast<int>(std::min((w + error + largest) * per_bin, bins - 1.0));
+    if (first <= last) set_bits(in_layer, static_cast<unsigned>(first), static_cast<unsigned>(last));
+  });
+  counts_.add(in_layer);
+}
+
+// Calls `act(layer, w, error)` with each curvature at which the circle touches a hit of another layer.
+template <class Act>
+void LocalSearch::touching(const Segment& segment, const Act& act) const {
+  const double largest = axial_.largest_w();
   const double quarter = 0.25 * segment.chord * segment.chord, turn = 2 * drift_error / segment.chord;
-  grid_.fill(segment.layers);
-  counts_.fill(static_cast<std::uint8_t>(std::popcount(segment.layers)));
-  ranges_.clear();
   for (const AxialPoint& p : axial_.points()) {
     // Particles of half a turn do not come to the other side of the beam line.
     if ((p.layer & segment.layers) != 0 || p.x * segment.x + p.y * segment.y < 0) continue;
@@ -161,43 +178,45 @@ void LocalSearch::continued(const Segment& segment) {
     const double per = 2 / squares, error = per * (turn * std::abs(along) + drift_error);
     for (const double side : {-p.drift, p.drift}) {
       const double w = per * (left + side);
-      if (std::abs(w) > largest) continue;
-      ranges_.push_back({w, error});
-      const int first = static_cast<int>(std::max((w - error + largest) * per_bin, 0.0)),
-                last = static_cast<int>(std::min((w + error + largest) * per_bin, bins - 1.0));
-      for (auto i = static_cast<std::size_t>(first); i <= static_cast<std::size_t>(last); ++i) {
-        counts_[i] = static_cast<std::uint8_t>(counts_[i] + ((grid_[i] & p.layer) == 0 ? 1 : 0));
-        grid_[i] |= p.layer;
-      }
+      if (std::abs(w) <= largest) act(p.layer, w, error);
     }
   }
-  int best = 0, count = 0;
-  for (int i = 0; i < bins; ++i) {
-    const int n = counts_[static_cast<std::size_t>(i)];
-    // Of equal ones the straightest.
-    if (n > count || (n == count && std::abs(2 * i + 1 - bins) < std::abs(2 * best + 1 - bins))) {
-      best = i;
-      count = n;
-    }
-  }
+}
 
+// The bin closest to the middle, the lower one of two.
+int LocalSearch::straightest(const BitCounts<words>::Bits& among) {
+  int best = -1;
+  for (int i = 0; i < bins; ++i) {
+    const auto at = static_cast<unsigned>(i);
+    if ((among[at / 64] >> at % 64 & 1) == 0) continue;
+    if (best < 0 || std::abs(2 * i + 1 - bins) < std::abs(2 * best + 1 - bins)) best = i;
+  }
+  return best;
+}
+
+// The curvature that most layers agree with.
+void LocalSearch::continued(const Segment& segment) {
+  count(segment);
+  const auto [others, where] = counts_.most();
+  const int layers = std::popcount(segment.layers) + others, best = straightest(where);
+  const double largest = axial_.largest_w(), per_bin = bins / (2 * largest);
   const double middle = (best + 0.5) / per_bin - largest;
-  if (count < axial_.least(middle) + more_layers) return;
+  if (layers < axial_.least(middle) + more_layers) return;
   double sum = 0, weights = 0;
-  for (const auto& [w, error] : ranges_) {
-    if (std::abs(w - middle) > error + 0.5 / per_bin) continue;
+  touching(segment, [&](std::uint64_t, double w, double error) {
+    if (std::abs(w - middle) > error + 0.5 / per_bin) return;
     const double weight = 1 / (error * error);
     sum += weight * w;
     weights += weight;
-  }
+  });
   const double w = weights > 0 ? sum / weights : middle;
   // The circle passes beside the middle of its chord.
-  const double sagitta = 0.5 * w * quarter;
+  const double sagitta = 0.5 * w * (0.25 * segment.chord * segment.chord);
   const HelixPoint at{
       segment.x + sagitta * segment.uy, segment.y - sagitta * segment.ux, 0, segment.ux, segment.uy, 0, w};
   const PivotApproach line = approach_pivot(at, 0, 0);
   if (!line.exists) return;
-  curves_.push_back({count, line.d, wrap_angle(std::atan2(at.uy, at.ux) + line.turn), w});
+  curves_.push_back({layers, line.d, wrap_angle(std::atan2(at.uy, at.ux) + line.turn), w});
 }
 
 std::optional<FoundCircle> LocalSearch::next() {

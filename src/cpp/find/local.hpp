@@ -7,12 +7,12 @@
 // origin.
 #pragma once
 
-#include <array>
 #include <cstdint>
 #include <optional>
 #include <vector>
 
 #include "find/axial_hits.hpp"
+#include "find/bit_counts.hpp"
 
 namespace cgemit {
 
@@ -27,6 +27,7 @@ class LocalSearch {
 
  private:
   static constexpr int bins = 200;
+  static constexpr std::size_t words = (bins + 63) / 64;
   static constexpr std::size_t most_segments = 2000;
 
   // Two layers of a ring, four neighbouring axial layers from `ring` on.
@@ -41,9 +42,6 @@ class LocalSearch {
     std::uint64_t layers;
     double off;  // mm, of the hits between its ends
   };
-  struct Range {
-    double w, error;
-  };
   struct Curve {
     int layers;
     double d, psi, w;
@@ -52,16 +50,18 @@ class LocalSearch {
   void pairs(const Ends& ends, const EventHits& hits);
   void tangents(const Ends& ends, const Circle& a, const Circle& b, const EventHits& hits);
   std::optional<double> closest(const Segment& segment, std::size_t layer, const EventHits& hits) const;
+  void count(const Segment& segment);
+  template <class Act>
+  void touching(const Segment& segment, const Act& act) const;
+  static int straightest(const BitCounts<words>::Bits& among);
   void continued(const Segment& segment);
 
   const Detector& detector_;
   AxialHits& axial_;
   std::vector<std::size_t> rings_;  // the first layer of each
   std::vector<Segment> segments_;
-  std::vector<Range> ranges_;
   std::vector<Curve> curves_;
-  std::array<std::uint64_t, bins> grid_{};   // layers of each bin of w, one bit each
-  std::array<std::uint8_t, bins> counts_{};  // their number
+  BitCounts<words> counts_;  // layers of each bin of w
   std::size_t next_ = 0;
 };
 
