@@ -9,8 +9,9 @@ from cgemit.detector.field.grid import FieldGrid
 from cgemit.detector.files import detectors, fields
 from cgemit.detector.material import Material
 from cgemit.detector.model import Detector, load
-from cgemit.detector.parts import CgemLayer, Cylinder, DriftChamber, Shell, SubLayer, WireLayer
+from cgemit.detector.parts import CgemLayer, Cylinder, DriftChamber, SubLayer, WireLayer
 from cgemit.detector.schema import schema
+from cgemit.detector.shell import Shell
 from cgemit.detector.slabs import Slab, slabs
 from cgemit.detector.variants import like
 from cgemit.problems import DetectorError, Problem

@@ -14,9 +14,10 @@ from cgemit.detector.holes import hole_table
 from cgemit.detector.kept import once
 from cgemit.detector.material import Material
 from cgemit.detector.model import Detector, preset
-from cgemit.detector.parts import CgemLayer, DriftChamber, Shell, WireLayer
+from cgemit.detector.parts import CgemLayer, DriftChamber, WireLayer
 from cgemit.detector.placement import IN_PLACE
 from cgemit.detector.rows import NUMBERS
+from cgemit.detector.shell import Shell
 from cgemit.detector.slabs import ENDLESS, Slab, slabs
 
 #: Screening of nuclei by their electrons in multiple scattering (docs/methods/matter.md); the first is the default.

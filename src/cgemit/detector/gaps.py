@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from cgemit import _core
 from cgemit.detector.material import Material
-from cgemit.detector.parts import CgemLayer, Contents, Shell
+from cgemit.detector.parts import CgemLayer, Contents
+from cgemit.detector.shell import Shell
 
 Floats = NDArray[np.float64]
 

@@ -10,7 +10,8 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 from cgemit.detector.material import Material, elements
-from cgemit.detector.parts import Contents, Shell
+from cgemit.detector.parts import Contents
+from cgemit.detector.shell import Shell
 from cgemit.detector.slabs import ENDLESS, slabs
 from cgemit.io.files import new_file
 

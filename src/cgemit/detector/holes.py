@@ -7,7 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cgemit.detector.parts import CgemLayer, Shell
+from cgemit.detector.parts import CgemLayer
+from cgemit.detector.shell import Shell
 
 #: RNG places of slabs that only a lattice has count from here, so that other slabs keep theirs.
 _FIRST_PLACE = 1 << 16

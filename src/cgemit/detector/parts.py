@@ -9,7 +9,6 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from html import escape
 from itertools import accumulate, chain
-from typing import NamedTuple
 
 from cgemit.detector.background import BackgroundLevel
 from cgemit.detector.field import Field
@@ -17,6 +16,7 @@ from cgemit.detector.kept import Part
 from cgemit.detector.keys import key
 from cgemit.detector.material import Material
 from cgemit.detector.placement import Placed
+from cgemit.detector.shell import Shell
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,32 +48,6 @@ class SubLayer(Part):
 
 
 StripRanges = tuple[tuple[int, int, int], ...]
-
-
-class Shell(NamedTuple):
-    """A placed sub-layer; `group` is pipe, wall, air, cathode, drift, foils, anode or gas."""
-
-    group: str
-    label: str
-    r_in: float  # mm
-    r_out: float  # mm
-    half_length: float  # mm
-    material: Material
-
-    @property
-    def thickness(self) -> float:
-        """Thickness in mm."""
-        return self.r_out - self.r_in
-
-    @property
-    def x0(self) -> float:
-        """Thickness in radiation lengths at normal incidence."""
-        return self.thickness / self.material.x0
-
-    @property
-    def xi(self) -> float:
-        """(K/2) (Z/A) times the mass thickness at normal incidence, GeV."""
-        return self.material.xi(self.thickness)
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from cgemit import _core
 from cgemit.detector.kept import once
 from cgemit.detector.material import Element, Material
-from cgemit.detector.parts import Shell
+from cgemit.detector.shell import Shell
 
 #: Numbers of a slab, in the order of `Row.numbers`: mm, but `x0` dimensionless and `xi` in GeV.
 NUMBERS = ("half_length", "r_in", "r_out", "radius", "spread", "x0", "xi")

@@ -15,8 +15,9 @@ from cgemit.detector.check import TOUCH
 from cgemit.detector.holes import Holes, perforated
 from cgemit.detector.kept import once
 from cgemit.detector.material import Material
-from cgemit.detector.parts import CgemLayer, Contents, Cylinder, DriftChamber, Shell
+from cgemit.detector.parts import CgemLayer, Contents, Cylinder, DriftChamber
 from cgemit.detector.rows import Row, row_of
+from cgemit.detector.shell import Shell
 
 ENDLESS = 1e9  # mm, half length of air
 _LUMP = 70.0  # mm of chamber gas that act as one scatterer: about four wire layers

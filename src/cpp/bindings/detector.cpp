@@ -11,6 +11,7 @@
 #include <variant>
 
 #include "bindings/arrays.hpp"
+#include "bindings/chamber.hpp"
 #include "bindings/gap.hpp"
 #include "common/angles.hpp"
 #include "common/problems.hpp"
@@ -82,21 +83,6 @@ void add_holes(const py::dict& columns, std::vector<Slab>& slabs) {
   }
 }
 
-// Column `placement` of n parts: shift, then the rows of the rotation. Without it the parts are in place.
-std::vector<Placement> placements_of(const py::dict& columns, std::size_t n) {
-  std::vector<Placement> found(n);
-  if (!columns.contains("placement")) return found;
-  const auto column = take<double>(columns, "placement");
-  const auto rows = matrix(column, "placement", static_cast<py::ssize_t>(n), 12);
-  for (std::size_t i = 0; i < n; ++i) {
-    const auto row = rows.subspan(12 * i, 12);
-    std::ranges::copy(row.first(3), found[i].shift.begin());
-    std::ranges::copy(row.last(9), found[i].turn.begin());
-    found[i].moved = found[i].shift != Placement().shift || found[i].turn != Placement().turn;
-  }
-  return found;
-}
-
 std::vector<CgemLayer> make_cgem(const py::dict& columns) {
   const auto r_readout = take<double>(columns, "r_readout"), r_gap_in = take<double>(columns, "r_gap_in"),
              r_gap_out = take<double>(columns, "r_gap_out"),
@@ -142,61 +128,6 @@ std::vector<CgemLayer> make_cgem(const py::dict& columns) {
   return layers;
 }
 
-// The wire layers of a drift chamber, in place.
-struct Chamber {
-  std::vector<WireLayer> layers;
-};
-
-std::vector<WireLayer> make_wires(const py::dict& columns) {
-  const auto number = take<std::int32_t>(columns, "number"), cells = take<std::int32_t>(columns, "cells"),
-             gid_first = take<std::int32_t>(columns, "gid_first");
-  const auto r_end = take<double>(columns, "r_end"), half_length = take<double>(columns, "half_length"),
-             twist = take<double>(columns, "twist"), phi_east = take<double>(columns, "phi_east"),
-             sigma = take<double>(columns, "sigma"), sigma_slope = take<double>(columns, "sigma_slope"),
-             efficiency = take<double>(columns, "efficiency");
-  const auto n = static_cast<std::size_t>(number.size());
-  std::vector<WireLayer> layers(n);
-  for (std::size_t i = 0; i < n; ++i) {
-    layers[i] = {number.at(i),
-                 cells.at(i),
-                 r_end.at(i),
-                 half_length.at(i),
-                 twist.at(i),
-                 phi_east.at(i),
-                 sigma.at(i),
-                 sigma_slope.at(i),
-                 efficiency.at(i),
-                 gid_first.at(i),
-                 {},
-                 0,
-                 0,
-                 0,
-                 0,
-                 0};
-  }
-  return layers;
-}
-
-// Adds a problem for every number of a part that is not in its range, ends included.
-class Part {
- public:
-  Part(Problems& problems, const char* name, std::size_t number)
-      : problems_(problems), where_(name + ("[" + std::to_string(number) + "]")) {}
-  void within(const char* name, double value, double low, double high) const {
-    if (value >= low && value <= high) return;
-    problems_.add(where_ + " " + name + ": got " + to_text(value) + ", expected " + to_text(low) + " to " +
-                  to_text(high));
-  }
-
- private:
-  Problems& problems_;
-  std::string where_;
-};
-
-// What the kernels divide by, index with and allocate; the description in Python has its own, narrower
-// limits.
-constexpr double far = 1e12, tiny = 1e-12;
-
 void check(Problems& problems, double bz, const std::vector<Slab>& slabs, const std::vector<CgemLayer>& cgem,
            std::size_t gaps) {
   constexpr double most_strips = 1e9;
@@ -239,36 +170,6 @@ void check(Problems& problems, double bz, const std::vector<Slab>& slabs, const 
     for (const double shift : cgem[i].placement.shift) part.within("placement", shift, -far, far);
     for (const double one : cgem[i].placement.turn) part.within("placement", one, -1, 1);
   }
-}
-
-void check(Problems& problems, const std::vector<WireLayer>& wires) {
-  constexpr double most_cells = 1e6, most_layers = 65535;
-  for (std::size_t i = 0; i < wires.size(); ++i) {
-    const Part part(problems, "wires", i);
-    part.within("number", wires[i].number, 0, most_layers);
-    part.within("cells", wires[i].cells, 1, most_cells);
-    part.within("r_end", wires[i].r_end, tiny, far);
-    part.within("half_length", wires[i].half_length, tiny, far);
-    part.within("twist", std::abs(wires[i].twist), 0, pi);
-    part.within("phi_east", wires[i].phi_east, -far, far);
-    part.within("sigma", wires[i].sigma, 0, far);
-    part.within("sigma_slope", wires[i].sigma_slope, -far, far);
-    part.within("efficiency", wires[i].efficiency, 0, 1);
-  }
-}
-
-// Wire layers that are checked with the rest of a detector; those of a chamber were when it was made.
-Chamber in_place(std::vector<WireLayer>&& layers, const py::dict& columns) {
-  place_wires(layers, placements_of(columns, 1).front());
-  return {std::move(layers)};
-}
-
-Chamber make_chamber(const py::dict& columns) {
-  std::vector<WireLayer> layers = make_wires(columns);
-  Problems problems;
-  check(problems, layers);
-  problems.raise("detector");
-  return in_place(std::move(layers), columns);
 }
 
 }  // namespace
