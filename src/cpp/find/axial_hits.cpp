@@ -82,10 +82,11 @@ std::optional<FoundCircle> AxialHits::fit(double d, double psi, double w, double
     c.hits.clear();
     std::uint64_t layers = 0;
     for (AxialPoint& p : points_) {
-      if (p.left_out || p.x * ux + p.y * uy < 0) continue;
+      const double along = p.x * ux + p.y * uy;
+      if (p.left_out || along < 0) continue;
       const double off = residual(c, ux, uy, p);
       if (std::abs(off) > window) continue;
-      const double across = p.y * ux - p.x * uy, along = p.x * ux + p.y * uy;
+      const double across = p.y * ux - p.x * uy;
       const Eigen::Vector3d row(1 - c.w * (across + c.d), -(1 - c.w * c.d) * along,
                                 -c.d * across - 0.5 * c.d * c.d - 0.5 * (p.x * p.x + p.y * p.y));
       constexpr double weight = 1 / (hit_error * hit_error);

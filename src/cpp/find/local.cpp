@@ -144,30 +144,15 @@ std::optional<double> LocalSearch::closest(const Segment& segment, std::size_t l
   return nearest;
 }
 
-// Adds the layers of the axial hits to the bins of curvature at which the circle touches them.
+// Counts the layers of other hits in each bin of the curvature at which the circle touches them.
 void LocalSearch::count(const Segment& segment) {
   counts_.clear();
   const double largest = axial_.largest_w(), per_bin = bins / (2 * largest);
+  const double quarter = 0.25 * segment.chord * segment.chord, turn = 2 * drift_error / segment.chord;
   std::uint64_t layer = 0;
   BitCounts<words>::Bits in_layer{};
-  touching(segment, [&](std::uint64_t of, double w, double error) {
-    if (of != layer) {  // points of a layer follow each other
-      counts_.add(in_layer);
-      layer = of;
-      in_layer = {};
-    }
-    const int first = static_cast<int>(std::max((w - error + largest) * per_bin, 0.0)),
-              last = static_cast<int>(std::min((w + error + largest) * per_bin, bins - 1.0));
-    if (first <= last) set_bits(in_layer, static_cast<unsigned>(first), static_cast<unsigned>(last));
-  });
-  counts_.add(in_layer);
-}
-
-// Calls `act(layer, w, error)` with each curvature at which the circle touches a hit of another layer.
-template <class Act>
-void LocalSearch::touching(const Segment& segment, const Act& act) const {
-  const double largest = axial_.largest_w();
-  const double quarter = 0.25 * segment.chord * segment.chord, turn = 2 * drift_error / segment.chord;
+  ranges_.resize(2 * axial_.points().size());
+  std::size_t used = 0;
   for (const AxialPoint& p : axial_.points()) {
     // Particles of half a turn do not come to the other side of the beam line.
     if ((p.layer & segment.layers) != 0 || p.x * segment.x + p.y * segment.y < 0) continue;
@@ -175,12 +160,23 @@ void LocalSearch::touching(const Segment& segment, const Act& act) const {
     const double along = x * segment.ux + y * segment.uy, left = y * segment.ux - x * segment.uy;
     const double squares = x * x + y * y - p.drift * p.drift - quarter;
     if (squares < least_squares) continue;
+    if (p.layer != layer) {  // points of a layer follow each other
+      counts_.add(in_layer);
+      layer = p.layer;
+      in_layer = {};
+    }
     const double per = 2 / squares, error = per * (turn * std::abs(along) + drift_error);
     for (const double side : {-p.drift, p.drift}) {
       const double w = per * (left + side);
-      if (std::abs(w) <= largest) act(p.layer, w, error);
+      if (std::abs(w) > largest) continue;
+      ranges_[used++] = {w, error};
+      const int first = static_cast<int>(std::max((w - error + largest) * per_bin, 0.0)),
+                last = static_cast<int>(std::min((w + error + largest) * per_bin, bins - 1.0));
+      if (first <= last) set_bits(in_layer, static_cast<unsigned>(first), static_cast<unsigned>(last));
     }
   }
+  counts_.add(in_layer);
+  ranges_.resize(used);
 }
 
 // The bin closest to the middle, the lower one of two.
@@ -203,12 +199,13 @@ void LocalSearch::continued(const Segment& segment) {
   const double middle = (best + 0.5) / per_bin - largest;
   if (layers < axial_.least(middle) + more_layers) return;
   double sum = 0, weights = 0;
-  touching(segment, [&](std::uint64_t, double w, double error) {
-    if (std::abs(w - middle) > error + 0.5 / per_bin) return;
+  const double half_bin = 0.5 / per_bin;
+  for (const auto& [w, error] : ranges_) {
+    if (std::abs(w - middle) > error + half_bin) continue;
     const double weight = 1 / (error * error);
     sum += weight * w;
     weights += weight;
-  });
+  }
   const double w = weights > 0 ? sum / weights : middle;
   // The circle passes beside the middle of its chord.
   const double sagitta = 0.5 * w * (0.25 * segment.chord * segment.chord);

@@ -42,6 +42,9 @@ class LocalSearch {
     std::uint64_t layers;
     double off;  // mm, of the hits between its ends
   };
+  struct Range {
+    double w, error;
+  };
   struct Curve {
     int layers;
     double d, psi, w;
@@ -51,8 +54,6 @@ class LocalSearch {
   void tangents(const Ends& ends, const Circle& a, const Circle& b, const EventHits& hits);
   std::optional<double> closest(const Segment& segment, std::size_t layer, const EventHits& hits) const;
   void count(const Segment& segment);
-  template <class Act>
-  void touching(const Segment& segment, const Act& act) const;
   static int straightest(const BitCounts<words>::Bits& among);
   void continued(const Segment& segment);
 
@@ -60,6 +61,7 @@ class LocalSearch {
   AxialHits& axial_;
   std::vector<std::size_t> rings_;  // the first layer of each
   std::vector<Segment> segments_;
+  std::vector<Range> ranges_;
   std::vector<Curve> curves_;
   BitCounts<words> counts_;  // layers of each bin of w
   std::size_t next_ = 0;
