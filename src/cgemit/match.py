@@ -1,4 +1,4 @@
-"""The particle of each track: purity, efficiency, true parameters, residuals and pulls (docs/methods/find.md)."""
+"""The particle of each track: purity, efficiency, true parameters, residuals and pulls (docs/methods/match.md)."""
 
 from __future__ import annotations
 

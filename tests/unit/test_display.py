@@ -10,7 +10,7 @@ import matplotlib
 import numpy as np
 import pytest
 from matplotlib.collections import EllipseCollection, LineCollection
-from matplotlib.colors import Normalize
+from matplotlib.colors import Normalize, to_hex
 
 import cgemit as cg
 from cgemit.cli.main import main
@@ -274,3 +274,19 @@ def test_charges_of_the_strips_are_those_of_the_tables(readout: str) -> None:
             text = next(one.get_text() for one in axes.texts if one.get_text().startswith("XV"[code]))
             assert f"{clusters['charge'][row]:.1f} fC, {clusters['size'][row]} strip" in text
             assert f"residual {1000 * off[int(row)]:+.0f} µm" in text
+
+
+def test_noise_has_circles_of_its_own_and_the_title_names_the_finder() -> None:
+    settings = cg.Settings().with_overrides({"background.level": "bes2009"})
+    gun = cg.Gun("mu-", p=0.5, cos_theta=0.2)
+    result = cg.run("besiii-cgem", gun, n=1, seed=2, settings=settings, finder="ckf")
+    picture = cg.draw.event(result, 0)
+    assert picture.get_suptitle().startswith("besiii-cgem, read-out binary, finder ckf, event 0")
+    truth = result.wire_hits["wire_truth"]
+    circles = [one for one in picture.axes[0].collections if isinstance(one, EllipseCollection)]
+    for one, label, rows in zip(
+        circles, ("drift circle", "drift circle of no particle"), (truth >= 0, truth < 0), strict=True
+    ):
+        assert rows.sum() > 10
+        np.testing.assert_allclose(one.get_widths(), 2 * np.abs(result.wire_hits["drift"][rows]), rtol=1e-12)
+        assert lines(picture.axes[0])[label].get_markeredgecolor() == to_hex(one.get_edgecolor()[0]).upper()

@@ -134,3 +134,28 @@ def test_wilson_intervals():
     assert Fraction(0, 10).interval()[0] == 0
     assert Fraction(10, 10).interval()[1] == 1
     assert 0 < Fraction(0, 10).interval()[1] < 0.1
+
+
+def test_the_efficiency_against_what_the_event_holds():
+    """Number of findable particles, share of hit cells and place of the vertex are those of the tables."""
+    gun = cg.Gun("mu-", p=0.5, cos_theta=(-0.99, 0.99))
+    result = cg.run("besiii-cgem", gun + gun + gun, n=40, seed=2, finder="ckf", until="find")
+    finding = cg.study.finding(result)
+    event = result.particles["event"]
+    tracks = np.array([np.count_nonzero(finding.findable & (event == one)) for one in event])
+    np.testing.assert_array_equal(finding.tracks, tracks)
+    assert len(np.unique(tracks)) > 1
+    cells = sum(layer.cells for layer in result.detector.drift_chamber.layers)
+    hits = np.array([np.count_nonzero(result.wire_hits["event"] == one) for one in event])
+    np.testing.assert_allclose(finding.occupancy, 100 * hits / cells, rtol=1e-14)
+    bins = finding.against("tracks", [0.5, 2.5, 3.5])
+    assert bins[1].n == np.count_nonzero(finding.findable & (tracks == 3))
+
+
+def test_occupancy_without_a_chamber_is_that_of_the_strips():
+    design = cg.load("besiii-cgem-design")
+    detector = replace(design, drift_chamber=None)
+    result = cg.run(detector, cg.Gun("mu-", p=0.5, cos_theta=0.2), n=5, finder="ckf", until="find")
+    strips = sum(layer.sheets * (layer.strips_x + layer.strips_v) for layer in detector.cgem)
+    fired = np.array([np.count_nonzero(result.digis["event"] == one) for one in range(5)])
+    np.testing.assert_allclose(cg.study.finding(result).occupancy, 100 * fired / strips, rtol=1e-14)

@@ -19,7 +19,9 @@ _DESCRIPTION = """\
 Simulate events, find their tracks, and compare them with the particles: efficiency, fakes and clones as Belle II and
 ACTS define them, hit purity and hit efficiency, the share of findable particles and what each condition removes.
 With simulate.half_turns above 1, tracks are also fitted, and half turns of one particle linked.
-With -o also the efficiency against pT, cos(theta) and phi, as picture (efficiency.png) and table (efficiency.csv)."""
+With -o also the efficiency against pT, cos(theta), phi and, where they vary, the number of findable particles in the
+event, the occupancy of the cells (without a chamber of the strips) and the distance of the vertex from the beam line,
+as picture (efficiency.png) and table (efficiency.csv)."""
 
 _EXAMPLES = """\
 A quantity is a number (fixed), A:B (uniform range), A:B:N (N values from A to B in turn) or A,B,C (values in turn).
@@ -139,17 +141,9 @@ def _write(found: Finding, text: str, folder: str, *, overwrite: bool) -> None:
     from cgemit.statistics.formatting import write_csv
     from cgemit.study.finding_metrics import curve
 
-    ranges = {
-        "pt": found.pt[found.charged],
-        "cos_theta": found.cos_theta[found.charged],
-        "phi": np.array([-np.pi, np.pi]),
-    }
-    curves = {}
-    for name, values in ranges.items():
-        low, high = (float(values.min()), float(values.max())) if len(values) else (0.0, 1.0)
-        wide = max(high - low, 1e-6 * max(abs(high), 1.0))
-        curves[name] = curve(found, name, np.linspace(low, low + wide * (1 + 1e-9), _BINS + 1))
-    columns = {"quantity": np.repeat(list(curves), _BINS)}
+    curves = {name: curve(found, name, edges) for name, edges in _edges(found).items()}
+    bins = [len(one["low"]) for one in curves.values()]
+    columns = {"quantity": np.repeat(list(curves), bins)}
     columns |= {name: np.concatenate([one[name] for one in curves.values()]) for name in next(iter(curves.values()))}
     rates = found.rates()
     lines = [f"efficiency {rates.efficiency}", f"fakes {rates.fakes.count}", f"clones {rates.clones.count}"]
@@ -159,3 +153,26 @@ def _write(found: Finding, text: str, folder: str, *, overwrite: bool) -> None:
         draw_finding(curves, title, lines).save(Path(place) / "efficiency")
         write_csv(Path(place) / "efficiency.csv", columns)
         (Path(place) / SUMMARY).write_text(text + "\n", encoding="utf-8")
+
+
+def _edges(found: Finding) -> dict[str, Any]:
+    """Return the edges of bins of each quantity: the first three always, the others where they vary."""
+    import numpy as np
+
+    values = {name: getattr(found, name)[found.charged] for name in ("pt", "cos_theta", "occupancy", "distance")}
+    edges = {name: _equal_bins(one) for name, one in values.items()}
+    edges["phi"] = _equal_bins(np.array([-np.pi, np.pi]))
+    tracks = found.tracks[found.findable]
+    if len(np.unique(tracks)) > 1:
+        step = -(-int(np.ptp(tracks) + 1) // _BINS)  # whole numbers in each bin
+        edges["tracks"] = np.arange(tracks.min() - 0.5, tracks.max() + 0.5 + step, step)
+    vary = ["tracks", *(name for name in ("occupancy", "distance") if len(np.unique(values[name])) > 1)]
+    return {name: edges[name] for name in ("pt", "cos_theta", "phi", *vary) if name in edges}
+
+
+def _equal_bins(values: Any) -> Any:
+    import numpy as np
+
+    low, high = (float(values.min()), float(values.max())) if len(values) else (0.0, 1.0)
+    wide = max(high - low, 1e-6 * max(abs(high), 1.0))
+    return np.linspace(low, low + wide * (1 + 1e-9), _BINS + 1)

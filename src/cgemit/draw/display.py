@@ -72,7 +72,8 @@ def event(result: Result, number: int = 0) -> Picture:
         if charges:
             draw_cluster_strips(charges, view)
         readout = f", read-out {result.settings.digitize.readout.name}" if charges else ""
-        whole = f"{plain(detector.name)}{readout}, event {number}: {view.shot()}"
+        finder = f", finder {result.finder}" if result.finder not in (None, "truth") else ""
+        whole = f"{plain(detector.name)}{readout}{finder}, event {number}: {view.shot()}"
         # Lines end behind a particle only.
         title = textwrap.fill(whole.replace(" ", "\u00a0").replace(";\u00a0", "; "), _TITLE_WIDTH).replace(
             "\u00a0", " "
@@ -167,16 +168,20 @@ def _across(r: Array, phi: Array) -> tuple[Array, Array]:
 
 
 def _drift_circles(axes: Axes, view: EventView) -> None:
-    n = len(view.wire_hits)
-    if not n:
-        return
-    size = 2 * np.abs(view.wire_hits["drift"])
-    circles = EllipseCollection(
-        size, size, np.zeros(n), units="xy", offsets=view.centres, offset_transform=axes.transData,
-        facecolors="none", edgecolors=COLORS["idc"], linewidths=1.1, zorder=2.5,
-    )  # fmt: skip
-    axes.add_collection(circles)
-    axes.plot([], [], "o", ms=8, mfc="none", mec=COLORS["idc"], label="drift circle")
+    noise = view.wire_hits["wire_truth"] < 0
+    for rows, color, label in (
+        (~noise, COLORS["idc"], "drift circle"),
+        (noise, GHOST, "drift circle of no particle"),
+    ):
+        if not rows.any():
+            continue
+        size = 2 * np.abs(view.wire_hits["drift"][rows])
+        circles = EllipseCollection(
+            size, size, np.zeros(len(size)), units="xy", offsets=view.centres[rows], offset_transform=axes.transData,
+            facecolors="none", edgecolors=color, linewidths=1.1, zorder=2.5,
+        )  # fmt: skip
+        axes.add_collection(circles)
+        axes.plot([], [], "o", ms=8, mfc="none", mec=color, label=label)
 
 
 def _longitudinal_hits(axes: Axes, view: EventView) -> None:

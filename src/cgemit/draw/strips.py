@@ -23,7 +23,7 @@ _WIDEST = 2.8  # points, of the line of the strip with the largest charge
 
 @dataclass(frozen=True, eq=False)
 class ClusterStrips:
-    """The cluster with the largest charge of a layer and view, and the fired strips about it."""
+    """The cluster of a particle with the largest charge in a layer and view, and the fired strips about it."""
 
     name: str
     """"X" or "V"."""
@@ -44,7 +44,7 @@ class ClusterStrips:
 
 
 def cluster_strips(view: EventView, number: int) -> list[ClusterStrips]:
-    """Return the strips of the largest X and of the largest V cluster of a layer.
+    """Return the strips of the largest X and V cluster of a layer; noise counts where there is nothing else.
 
     Parameters
     ----------
@@ -60,6 +60,8 @@ def _of_view(view: EventView, number: int, code: int) -> ClusterStrips | None:
     rows = np.flatnonzero((clusters["layer"] == number) & (clusters["view"] == code) & (clusters["first"] >= 0))
     if not len(rows):
         return None
+    true = rows[clusters["truth"][rows] >= 0]
+    rows = true if len(true) else rows
     row = rows[[int(np.argmax(clusters["charge"][rows]))]]
     first, last, sheet = (int(clusters[name][row[0]]) for name in ("first", "last", "sheet"))
     near = (digis["layer"] == number) & (digis["view"] == code) & (digis["sheet"] == sheet)

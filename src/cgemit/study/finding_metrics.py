@@ -1,4 +1,4 @@
-"""How well a finder finds: efficiency, fakes, clones and purity (docs/methods/find.md)."""
+"""How well a finder finds: efficiency, fakes, clones and purity (docs/methods/match.md)."""
 
 from __future__ import annotations
 
@@ -14,11 +14,14 @@ from cgemit.result import Result
 from cgemit.stages import finder_of
 from cgemit.statistics.fractions import Fraction
 from cgemit.study.found_hits import CandidateCounts, ParticleCounts, count_candidates, count_particles
+from cgemit.study.optimizer.geometry import channels as strips
+from cgemit.tables import Table
 
 Rows = npt.NDArray[np.int64]
 Flags = npt.NDArray[np.bool_]
 Floats = npt.NDArray[np.float64]
 Definition = Literal["belle2", "acts"]
+Quantity = Literal["pt", "cos_theta", "phi", "distance", "tracks", "occupancy"]
 
 #: Classes of candidates; "decay": of the daughter of a particle that has a track of its own; "loop": of another half
 #: turn of a particle than the first one.
@@ -70,6 +73,10 @@ class Finding:
     pt, cos_theta, phi, distance : ndarray, (particles,) float64
         GeV/c, 1, rad, and mm: true transverse momentum, polar angle, azimuth of the flight, and distance of the vertex
         from the beam line.
+    tracks : ndarray, (particles,) int64
+        Findable particles in the event.
+    occupancy : ndarray, (particles,) float64
+        Share of the cells, without a chamber of the strips, that are hit in the event, in %.
     """
 
     finder: str
@@ -84,6 +91,8 @@ class Finding:
     cos_theta: Floats
     phi: Floats
     distance: Floats
+    tracks: Rows
+    occupancy: Floats
 
     def found(self, definition: Definition = "belle2") -> Flags:
         """Return which particles have a track.
@@ -134,7 +143,7 @@ class Finding:
         left = np.maximum(self.particles.hits[counts.particle[matched]], 1)
         return float(np.mean(counts.found[matched] / left)) if matched.any() else float("nan")
 
-    def against(self, quantity: Literal["pt", "cos_theta", "phi", "distance"], edges: npt.ArrayLike) -> list[Fraction]:
+    def against(self, quantity: Quantity, edges: npt.ArrayLike) -> list[Fraction]:
         """Return the efficiency in bins of a true quantity.
 
         Parameters
@@ -214,7 +223,32 @@ def finding(result: Result) -> Finding:
         cos_theta=pz / np.maximum(np.hypot(pt, pz), 1e-300),
         phi=np.arctan2(py, px),
         distance=np.hypot(particles["x"], particles["y"]),
+        tracks=_of_event(particles, particles["event"][findable]),
+        occupancy=_occupancy(result),
     )
+
+
+def _of_event(particles: Table, rows: Rows) -> Rows:
+    """Return how many of some rows, given by their events, are in the event of each particle, (particles,) int64."""
+    events, counts = np.unique(rows, return_counts=True)
+    place = np.minimum(np.searchsorted(events, particles["event"]), max(len(events) - 1, 0))
+    return (
+        np.where(events[place] == particles["event"], counts[place], 0)
+        if len(events)
+        else np.zeros(len(particles), np.int64)
+    )
+
+
+def _occupancy(result: Result) -> Floats:
+    """Return the share of cells, or of strips, hit in the event of each particle, (particles,) float64 in %."""
+    detector = result.detector
+    chamber = detector.drift_chamber
+    if chamber:
+        channels, hits = sum(layer.cells for layer in chamber.layers), result.wire_hits["event"]
+    else:
+        channels = int(strips(detector))
+        hits = result.digis["event"][result.digis["strip"] >= 0]
+    return 100 * _of_event(result.particles, hits) / max(channels, 1)
 
 
 def _findable(of: ParticleCounts, charged: Flags) -> tuple[Flags, dict[str, int]]:

@@ -1,4 +1,4 @@
-"""Hits of candidates and of particles, counted for the metrics of track finding (docs/methods/find.md)."""
+"""Hits of candidates and of particles, counted for the metrics of track finding (docs/methods/match.md)."""
 
 from __future__ import annotations
 
