@@ -7,7 +7,7 @@ import pytest
 
 import cgemit as cg
 from cgemit.statistics.fractions import Fraction
-from cgemit.study.finding_metrics import CLASSES
+from cgemit.study.finding_definitions import CLASSES
 
 
 @pytest.fixture(scope="module")

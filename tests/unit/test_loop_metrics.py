@@ -9,7 +9,7 @@ import cgemit as cg
 from cgemit.candidates import label_candidates
 from cgemit.fit import fit
 from cgemit.match import match
-from cgemit.study.finding_metrics import CLASSES
+from cgemit.study.finding_definitions import CLASSES
 
 
 @pytest.fixture(scope="module")

@@ -13,6 +13,7 @@ import numpy.typing as npt
 from cgemit.result import Result
 from cgemit.stages import finder_of
 from cgemit.statistics.fractions import Fraction
+from cgemit.study.finding_definitions import CLASSES, CLONE, DECAY, FAKE, LOOP, MATCHED, acts, belle2, findable_of
 from cgemit.study.found_hits import CandidateCounts, ParticleCounts, count_candidates, count_particles
 from cgemit.study.optimizer.geometry import channels as strips
 from cgemit.tables import Table
@@ -22,11 +23,6 @@ Flags = npt.NDArray[np.bool_]
 Floats = npt.NDArray[np.float64]
 Definition = Literal["belle2", "acts"]
 Quantity = Literal["pt", "cos_theta", "phi", "distance", "tracks", "occupancy"]
-
-#: Classes of candidates; "decay": of the daughter of a particle that has a track of its own; "loop": of another half
-#: turn of a particle than the first one.
-CLASSES = ("matched", "clone", "decay", "loop", "fake")
-MATCHED, CLONE, DECAY, LOOP, FAKE = range(5)
 
 
 @dataclass(frozen=True)
@@ -207,7 +203,7 @@ def finding(result: Result) -> Finding:
     of_candidate, of_particle = count_candidates(result), count_particles(result)
     particles = result.particles
     charged = np.asarray(particles["charge"] != 0)
-    findable, removed = _findable(of_particle, charged)
+    findable, removed = findable_of(of_particle, charged)
     px, py, pz = (particles[f"p{axis}"] for axis in "xyz")
     pt = np.hypot(px, py)
     return Finding(
@@ -215,7 +211,7 @@ def finding(result: Result) -> Finding:
         detector=result.detector.name,
         candidates=of_candidate,
         particles=of_particle,
-        classes={"belle2": _belle2(of_candidate, of_particle), "acts": _acts(of_candidate)},
+        classes={"belle2": belle2(of_candidate, of_particle), "acts": acts(of_candidate)},
         charged=charged,
         findable=findable,
         removed=removed,
@@ -249,53 +245,6 @@ def _occupancy(result: Result) -> Floats:
         channels = int(strips(detector))
         hits = result.digis["event"][result.digis["strip"] >= 0]
     return 100 * _of_event(result.particles, hits) / max(channels, 1)
-
-
-def _findable(of: ParticleCounts, charged: Flags) -> tuple[Flags, dict[str, int]]:
-    """Return which particles are findable, and how many charged ones each condition removes."""
-    three, mixed = of.points >= 3, (of.points >= 2) & (of.wires >= 3)
-    chamber = (of.wires >= 10) & (of.stereo >= 3)
-    findable = charged & (three | mixed | chamber)
-    rest = charged & ~findable
-    reasons: dict[str, Flags] = {
-        "no hit at all": of.hits == 0,
-        "3 stereo wires among 10 or more": of.wires >= 10,
-        "3 wires beside 2 layers with X and V": of.points >= 2,
-        "10 wires, or 2 layers with X and V": np.ones(len(rest), np.bool_),
-    }
-    removed: dict[str, int] = {}
-    for name, which in reasons.items():
-        removed[name] = int(np.count_nonzero(rest & which))
-        rest = rest & ~which
-    return findable, removed
-
-
-def _belle2(of: CandidateCounts, particles: ParticleCounts) -> npt.NDArray[np.int8]:
-    left = np.append(particles.hits, 0)[of.particle]
-    enough = (20 * of.found >= left) | _loops(of)
-    good = (of.particle >= 0) & (3 * of.of_particle >= 2 * of.hits) & enough & (of.hits > 0)
-    return _classes(of, good)
-
-
-def _loops(of: CandidateCounts) -> Flags:
-    """Tell which candidates have more hits of other half turns of their particle than of the first one."""
-    return 2 * of.of_loops > of.of_particle
-
-
-def _acts(of: CandidateCounts) -> npt.NDArray[np.int8]:
-    return _classes(of, (of.particle >= 0) & (2 * of.of_particle >= of.hits) & (of.hits > 0))
-
-
-def _classes(of: CandidateCounts, good: Flags) -> npt.NDArray[np.int8]:
-    """Return the class of each candidate; of several of a particle the one with most of its hits is matched."""
-    classes = np.where(of.hits > 0, FAKE, -1).astype(np.int8)
-    classes[good & _loops(of)] = LOOP
-    rows = np.flatnonzero(good & ~_loops(of))
-    order = rows[np.lexsort((rows, -of.found[rows], of.particle[rows]))]
-    first = np.diff(of.particle[order], prepend=-1) != 0
-    classes[order] = np.where(2 * of.of_daughters[order] > of.of_particle[order], DECAY, CLONE)
-    classes[order[first]] = MATCHED
-    return classes
 
 
 def curve(of: Finding, quantity: str, edges: Floats) -> dict[str, Any]:

@@ -10,7 +10,8 @@ import numpy as np
 from cgemit.find.loops import Rows, link_loops
 from cgemit.result import Result
 from cgemit.statistics.fractions import Fraction
-from cgemit.study.finding_metrics import FAKE, LOOP, Finding, finding
+from cgemit.study.finding_definitions import FAKE, LOOP
+from cgemit.study.finding_metrics import Finding, finding
 
 
 @dataclass(frozen=True, eq=False)
