@@ -5,6 +5,7 @@
 #include "bindings/arrays.hpp"
 #include "bindings/hits.hpp"
 #include "bindings/inputs.hpp"
+#include "find/compete.hpp"
 
 namespace py = pybind11;
 using namespace cgemit;
@@ -39,6 +40,44 @@ py::dict run(const Detector& detector, const Array<std::int64_t>& event_offsets,
   return out;
 }
 
+// For tests: tracks with nothing but hits compete.
+py::dict settle(const py::dict& track_columns, const py::dict& entry_columns, const py::dict& hit_columns,
+                double min_score) {
+  Inputs of_track(track_columns, "score"), of_entry(entry_columns, "hit"), of_hit(hit_columns, "wire");
+  const auto score = of_track.get<double>("score");
+  const auto count = of_track.get<std::int64_t>("hits");
+  const auto hit = of_entry.get<std::int64_t>("hit");
+  const auto gain = of_entry.get<double>("gain");
+  const auto wire = of_hit.get<bool>("wire"), along = of_hit.get<bool>("along");
+  std::vector<HitKind> kinds;
+  for (std::size_t i = 0; i < wire.size(); ++i) kinds.push_back({wire[i], along[i]});
+  std::vector<FoundTrack> tracks(score.size());
+  std::size_t entry = 0;
+  for (std::size_t i = 0; i < tracks.size(); ++i) {
+    tracks[i].score = score[i];
+    tracks[i].holes = static_cast<int>(i);  // the competition does not read it
+    for (std::int64_t k = 0; k < count[i]; ++k, ++entry) {
+      if (entry >= hit.size() || hit[entry] < 0 || static_cast<std::size_t>(hit[entry]) >= kinds.size())
+        throw py::value_error("hit: expected the number of a hit for each hit of a track");
+      tracks[i].hits.push_back(static_cast<std::int32_t>(hit[entry]));
+      tracks[i].gains.push_back(gain[entry]);
+      tracks[i].wires += kinds[static_cast<std::size_t>(hit[entry])].wire ? 1 : 0;
+    }
+  }
+  Competition().settle(tracks, kinds, min_score);
+  std::vector<std::int64_t> kept, left, hits;
+  for (const FoundTrack& track : tracks) {
+    kept.push_back(track.holes);
+    left.push_back(static_cast<std::int64_t>(track.hits.size()));
+    hits.insert(hits.end(), track.hits.begin(), track.hits.end());
+  }
+  py::dict out;
+  out["track"] = to_numpy(std::move(kept));
+  out["hits"] = to_numpy(std::move(left));
+  out["hit"] = to_numpy(std::move(hits));
+  return out;
+}
+
 }  // namespace
 
 void bind_find(py::module_& module) {
@@ -62,4 +101,10 @@ void bind_find(py::module_& module) {
       py::arg("settings"), py::arg("pairs") = py::dict(),
       "Tracks of each event: event, offsets of their hits, numbers of the hits, score; and how many seeds "
       "each event had.");
+  module.def(
+      "settle_tracks", &settle, py::kw_only(), py::arg("tracks"), py::arg("entries"), py::arg("hits"),
+      py::arg("min_score"),
+      "Competition of tracks (score, number of hits) for hits (on a wire, along the beam); entries are "
+      "the hits of the tracks, one after the other, and their gains. Returns the numbers of the tracks "
+      "that remain, the best first, and their hits.");
 }

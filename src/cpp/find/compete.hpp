@@ -1,10 +1,10 @@
-// Of tracks that share hits, the better ones keep them.
+// Of tracks that share hits, the likeliest ones keep them.
 #pragma once
 
-#include <algorithm>
+#include <cstdint>
+#include <span>
 #include <vector>
 
-#include "find/event_hits.hpp"
 #include "find/follower.hpp"
 
 namespace cgemit {
@@ -24,66 +24,65 @@ inline bool is_likely(const FoundTrack& track, double min_score) {
   return track.score > min_score + more + per_hit * n && track.chi2 < chi2_per_hit * n;
 }
 
+// What a hit is to the tracks that compete for it.
+struct HitKind {
+  bool wire;   // a cell is of one track, a cluster may be of two
+  bool along;  // measures along the beam, too
+};
+
 class Competition {
  public:
-  explicit Competition(const Detector& detector) : detector_(detector) {}
+  // Groups of more tracks are settled one by one, the best first.
+  static constexpr std::size_t most_exact = 12;
 
-  // Removes tracks that share too many of their hits with better ones, and shared wires of the others.
-  void settle(std::vector<FoundTrack>& tracks, const EventHits& hits, double min_score) {
-    std::ranges::sort(tracks, [](const FoundTrack& a, const FoundTrack& b) {
-      return a.score != b.score ? a.score > b.score : a.hits < b.hits;
-    });
-    used_.assign(static_cast<std::size_t>(hits.size()), 0);
-    std::size_t kept = 0;
-    for (std::size_t i = 0; i < tracks.size(); ++i) {
-      FoundTrack& track = tracks[i];
-      if (!is_likely(track, min_score) || !keeps(track, hits, min_score)) continue;
-      for (const std::int32_t hit : track.hits) used_[static_cast<std::size_t>(hit)] = 1;
-      if (kept != i) tracks[kept] = std::move(track);
-      ++kept;
-    }
-    tracks.resize(kept);
-  }
+  // Removes tracks that share too many of their hits with others, and shared wires of those that are worse.
+  // Hits of tracks are numbers of `kinds`.
+  void settle(std::vector<FoundTrack>& tracks, std::span<const HitKind> kinds, double min_score);
 
  private:
   static constexpr double most_shared = 0.3, most_shared_clusters = 0.5;
 
-  bool keeps(FoundTrack& track, const EventHits& hits, double min_score) const {
-    const auto is_used = [&](std::int32_t hit) { return used_[static_cast<std::size_t>(hit)] != 0; };
-    const auto shared = static_cast<double>(std::ranges::count_if(track.hits, is_used));
-    const auto n = static_cast<double>(track.hits.size());
-    if (shared > most_shared * n &&
-        !(shared <= most_shared_clusters * n && is_likely_alone(track, min_score)))
-      return false;
-    if (shared == 0) return is_track(track);
-    std::erase_if(track.hits, [&](std::int32_t hit) { return hits[hit].view == View::wire && is_used(hit); });
-    track.across = track.along = track.wires = 0;
-    for (const std::int32_t id : track.hits) {
-      const Hit& hit = hits[id];
-      const bool wire = hit.view == View::wire;
-      track.wires += wire ? 1 : 0;
-      const bool tilted =
-          wire ? detector_.wires[static_cast<std::size_t>(hit.layer)].twist != 0 : hit.view == View::v;
-      ++(tilted ? track.along : track.across);
-    }
-    return is_track(track);
-  }
+  // What a track has by itself.
+  struct Own {
+    double score;
+    int hits = 0;               // that no better track has
+    int across = 0, along = 0;  // with shared clusters
+  };
 
-  // Whether the hits that no better track has are likely by themselves; one cluster may be of two tracks.
-  bool is_likely_alone(const FoundTrack& track, double min_score) const {
-    double score = track.score;
-    int own = 0;
-    for (std::size_t i = 0; i < track.hits.size(); ++i) {
-      if (used_[static_cast<std::size_t>(track.hits[i])] != 0)
-        score -= track.gains[i];
-      else
-        ++own;
-    }
-    return track.wires == 0 && score > min_score + doubt + per_hit * own;
+  void one_by_one(std::vector<FoundTrack>& tracks);
+  void drop_losers(std::vector<FoundTrack>& tracks);
+  void find_groups(const std::vector<FoundTrack>& tracks);
+  void search(const std::vector<FoundTrack>& tracks, std::size_t place, double sum);
+  double add(const FoundTrack& track);
+  void remove(const FoundTrack& track, std::size_t before);
+  Own own(const FoundTrack& track) const;
+  bool keeps(const FoundTrack& track, const Own& own) const;
+  double cost(const FoundTrack& track) const;
+  bool is_used(std::int32_t hit) const { return used_[static_cast<std::size_t>(hit)] != 0; }
+  void use(const FoundTrack& track, int change) {
+    for (const std::int32_t hit : track.hits) used_[static_cast<std::size_t>(hit)] += change;
   }
+  std::size_t root(std::size_t track) const;
 
-  const Detector& detector_;
-  std::vector<std::uint8_t> used_;
+  std::span<const HitKind> kinds_;
+  double min_score_ = 0;
+  std::vector<std::int32_t> used_;  // tracks with each hit, of those chosen so far
+
+  // Tracks with a hit: `last_of_` is the entry of the last one, each entry knows the one before.
+  struct Entry {
+    std::size_t track;
+    std::int32_t before;
+  };
+  std::vector<Entry> entries_;
+  std::vector<std::int32_t> last_of_;
+  std::vector<int> shared_;              // hits with each better track
+  std::vector<std::size_t> leader_;      // a track of the same group, the leader of the group its own
+  std::vector<std::size_t> group_;       // numbers of its tracks, the best first
+  std::vector<double> rest_;             // the most that tracks of the group from here on are worth
+  std::vector<std::uint8_t> loses_;      // tracks that are not in the best set of their group
+  std::uint32_t chosen_ = 0, best_ = 0;  // tracks of the group, as bits
+  double best_sum_ = 0;
+  std::vector<double> gain_, replaced_;  // of each hit that is used; those that a track has replaced
 };
 
 }  // namespace cgemit

@@ -27,7 +27,6 @@ class EventFinder {
         axial_(detector, axial_hits_),
         local_(detector, axial_hits_),
         stereo_(detector, settings),
-        competition_(detector),
         annealing_(detector, settings),
         stereo_only_(!detector.wires.empty() &&
                      std::ranges::all_of(detector.wires, [](const auto& w) { return w.twist != 0; })) {}
@@ -47,7 +46,7 @@ class EventFinder {
     if (settings_.segments && detector_.cgem.size() >= 2)
       for (const FindSeed& seed : segments_.two_layers(hits_))
         if (!is_found(seed)) try_segment(seed);
-    competition_.settle(tracks_, hits_, settings_.min_score);
+    settle();
     if (settings_.annealing) annealing_.share(tracks_, hits_);
     return tracks_;
   }
@@ -55,6 +54,17 @@ class EventFinder {
   std::int64_t seeds() const { return seeds_; }
 
  private:
+  void settle() {
+    kinds_.clear();
+    for (std::int32_t id = 0; id < hits_.size(); ++id) {
+      const Hit& hit = hits_[id];
+      const bool wire = hit.view == View::wire;
+      kinds_.push_back({wire, wire ? detector_.wires[static_cast<std::size_t>(hit.layer)].twist != 0
+                                   : hit.view == View::v});
+    }
+    competition_.settle(tracks_, kinds_, settings_.min_score);
+  }
+
   // Segments of three layers and nothing else are tracks, the better ones first.
   void from_segments() {
     constexpr std::size_t shared_parts = 3;  // a third of the clusters may belong to better tracks
@@ -190,6 +200,7 @@ class EventFinder {
   AxialSearch axial_;
   LocalSearch local_;
   StereoSearch stereo_;
+  std::vector<HitKind> kinds_;
   Competition competition_;
   Annealing annealing_;
   bool stereo_only_;
