@@ -283,7 +283,7 @@ def _work(
     keep: tuple[str, ...] | None,
 ) -> Answer:
     if gun is not None:
-        particles = generate(gun, count, seed, first)
+        particles = generate(gun, count, seed, first, detector)
     else:
         assert table is not None
         numbers = table.events[first : first + count]

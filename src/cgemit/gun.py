@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +17,9 @@ from cgemit.species import species
 from cgemit.tables import Table
 from cgemit.tables.check import Array
 from cgemit.values import InTurn, Limit, Value, ValueLike, is_whole, parse_three, parse_value
+
+if TYPE_CHECKING:
+    from cgemit.detector import Detector
 
 
 @dataclass(frozen=True, repr=False)
@@ -90,7 +93,9 @@ class Gun(Source):
         return Guns((self,))._repr_html_()
 
 
-def generate(gun: Source | Guns, n_events: int, seed: int, first_event: int = 0) -> Table:
+def generate(
+    gun: Source | Guns, n_events: int, seed: int, first_event: int = 0, detector: Detector | None = None
+) -> Table:
     """Draw the particles of some events.
 
     A particle depends on the gun, the seed, its event and its number in the event only, so that events can be
@@ -105,6 +110,8 @@ def generate(gun: Source | Guns, n_events: int, seed: int, first_event: int = 0)
         0 to 2^64 - 1.
     first_event : int
         Number of the first event.
+    detector : Detector or None
+        In whose matter particles start that do so; None: such a sample is an error.
 
     Returns
     -------
@@ -114,13 +121,14 @@ def generate(gun: Source | Guns, n_events: int, seed: int, first_event: int = 0)
     Raises
     ------
     ParticleError
-        If an argument is out of range.
+        If an argument is out of range, or a sample needs a detector.
     """
     guns = gun.guns if isinstance(gun, Guns) else (gun,)
     _check_arguments(guns, n_events, seed, first_event)
     events = np.arange(first_event, first_event + n_events, dtype=np.int64)
     parts, number = [], 0
     for one in guns:
+        one = one if detector is None else one.within(detector)
         parts.append(one.shoot(seed, events, number))
         number += one.multiplicity
     joined = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}

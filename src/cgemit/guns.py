@@ -4,12 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from html import escape
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from cgemit.tables.check import Array
 from cgemit.values import InTurn
+
+if TYPE_CHECKING:
+    from cgemit.detector import Detector
 
 
 class Source:
@@ -34,6 +38,10 @@ class Source:
             Of its first particle in each event.
         """
         raise NotImplementedError
+
+    def within(self, detector: Detector) -> Source:
+        """Return the source as it shoots in a detector: itself, unless its particles start in matter."""
+        return self
 
     def __add__(self, other: Source | Guns) -> Guns:
         """Return the sources that shoot together in every event."""

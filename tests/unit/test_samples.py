@@ -10,6 +10,7 @@ import pytest
 
 import cgemit as cg
 from cgemit.cli.main import main
+from cgemit.detector.slabs import slabs
 from cgemit.gun import generate
 from cgemit.gun_data import gun_data, gun_from
 from cgemit.particles import ParticleError
@@ -201,19 +202,49 @@ def test_cosmic_muons_come_from_above_in_two_halves() -> None:
     assert_within(z[:, 0].std(), 100, 100 / math.sqrt(2 * N))
 
 
-def test_background_particles_start_where_they_should() -> None:
-    """Electrons all over the radius, isotropic; beam-gas tracks from one point, z uniform in 600 mm."""
-    n = 200
-    electrons = generate(cg.sample("electrons"), n, seed=1)
+@pytest.mark.parametrize("name", ["besiii-cgem", "besiii-idc", "kloe2-like"])
+def test_electrons_start_in_matter(name: str) -> None:
+    """In the shells of the detector, in proportion to X/X0, length, and radius to the power -1.2; isotropic."""
+    n, detector = 500, cg.load(name)
+    electrons = generate(cg.sample("electrons"), n, seed=1, detector=detector)
     assert len(electrons) == 20 * n
-    r, p = np.hypot(electrons["x"], electrons["y"]), np.linalg.norm(four_momenta(electrons)[:, :3], axis=1)
-    for value, low, high in ((r, 30, 700), (electrons["z"], -400, 400), (p, 0.001, 0.03)):
-        assert value.min() >= low
-        assert value.max() <= high
-        assert_within(value.mean(), 0.5 * (low + high), mean_error(value))
+    r, z = np.hypot(electrons["x"], electrons["y"]), electrons["z"]
+    shells = [shell for slab in slabs(detector, merge=False) for shell in slab.shells]
+    inside = [
+        (shell.r_in - 1e-9 <= r) & (r <= shell.r_out + 1e-9) & (np.abs(z) <= min(shell.half_length, 400))
+        for shell in shells
+    ]
+    assert np.all(np.any(inside, axis=0))
+    middle = np.array([0.5 * (shell.r_in + shell.r_out) for shell in shells])
+    weight = np.array([shell.x0 * min(shell.half_length, 400) for shell in shells]) * middle**-1.2
+    wall = detector.walls[0]
+    for low, high in ((0, detector.beam_pipe[-1].r_out), (wall.r_in, wall.r_out), (wall.r_out, 1000)):
+        share = weight[(low < middle) & (middle < high)].sum() / weight.sum()
+        assert_within(np.mean((low <= r) & (r <= high)), share, fraction_error(share, len(r)))
+    p = np.linalg.norm(four_momenta(electrons)[:, :3], axis=1)
+    assert p.min() >= 0.001
+    assert p.max() <= 0.03
+    assert_within(p.mean(), 0.0155, mean_error(p))
     turn = np.arctan2(electrons["y"], electrons["x"])
     assert_within(np.mean(np.cos(turn)), 0, mean_error(np.cos(turn)))
     assert len(np.unique(electrons["x"])) == 20 * n
+
+    run = cg.run(detector, cg.sample("electrons"), 3, until="simulate")
+    assert np.array_equal(run.particles["x"], electrons["x"][:60])
+    saved = gun_from(gun_data(run.gun), [])
+    assert repr(saved) == "sample('electrons')"
+
+
+def test_electrons_need_a_detector() -> None:
+    with pytest.raises(ParticleError, match="detector: got none; expected one, since its particles start in matter"):
+        generate(cg.sample("electrons"), 1, seed=1)
+    with pytest.raises(ParticleError, match="radius: got 30; expected none, this sample has p, cos_theta"):
+        cg.sample("electrons", radius=30)
+
+
+def test_background_particles_start_where_they_should() -> None:
+    """Beam-gas tracks from one point, z uniform in 600 mm."""
+    n = 200
     gas = generate(cg.sample("beam-gas"), n, seed=1)
     z = gas["z"].reshape(-1, 2)
     assert np.array_equal(z[:, 0], z[:, 1])
@@ -238,13 +269,14 @@ def test_every_place_of_a_chain_has_random_numbers_of_its_own() -> None:
 @pytest.mark.parametrize("name", NAMES)
 def test_events_do_not_depend_on_chunks_or_on_the_guns_before(name: str) -> None:
     one = cg.sample(name)
-    whole = generate(one, 60, seed=8)
-    part = generate(one, 7, seed=8, first_event=41)
+    detector = cg.load("besiii-cgem")
+    whole = generate(one, 60, seed=8, detector=detector)
+    part = generate(one, 7, seed=8, first_event=41, detector=detector)
     assert whole.select_events(41, 48) == part
-    behind = generate(cg.Gun("mu-", p=1, theta=1) + one + cg.Gun("e-", p=1, theta=1), 20, seed=8)
+    behind = generate(cg.Gun("mu-", p=1, theta=1) + one + cg.Gun("e-", p=1, theta=1), 20, seed=8, detector=detector)
     assert np.bincount(behind["event"]).min() >= 2
     assert behind["particle"].max() == 1 + one.multiplicity
-    assert not np.array_equal(generate(one, 60, seed=9)["px"], whole["px"])
+    assert not np.array_equal(generate(one, 60, seed=9, detector=detector)["px"], whole["px"])
 
 
 def test_a_pair_of_samples_is_not_the_same_twice() -> None:

@@ -53,7 +53,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     check_free(arguments.output, overwrite=arguments.overwrite)
     (detector,), settings = common.load_inputs(arguments, one_track=True)
-    particles = generate(gun_of(arguments), 1, arguments.seed, arguments.event)
+    particles = generate(gun_of(arguments), 1, arguments.seed, arguments.event, detector)
     result = chain.run(
         detector,
         particles,

@@ -45,6 +45,8 @@ class Definition:
         Most particles of an event.
     options : mapping of str to Any
         Options that the sample has, and their defaults.
+    in_matter : bool
+        Whether each particle starts in the matter of the detector.
     """
 
     text: str
@@ -52,6 +54,7 @@ class Definition:
     modes: Mapping[str, tuple[Mode, ...]]
     multiplicity: int
     options: Mapping[str, Any] = field(default_factory=dict)
+    in_matter: bool = False
 
 
 #: Particles that do not fly: mass and width, GeV/c2.
@@ -140,7 +143,7 @@ DEFINITIONS: Mapping[str, Definition] = MappingProxyType(
         ),
         "electrons": Definition(
             "20 electrons of 1 to 30 MeV/c from pipe, gas and walls, each from its own point", ("e-",) * 20, {}, 20,
-            _shot((0.001, 0.03), 0.99) | {"vertex": (0.0, 0.0, (-400.0, 400.0)), "radius": (30.0, 700.0)},
+            _shot((0.001, 0.03), 0.99), in_matter=True,
         ),
     }
 )  # fmt: skip

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +17,10 @@ from cgemit.samples.phase_space import directions
 from cgemit.species import species
 from cgemit.tables.check import Array
 from cgemit.values import InTurn, Limit, Value, ValueLike, parse_three, parse_value
+
+if TYPE_CHECKING:
+    from cgemit.detector import Detector
+    from cgemit.samples.matter import Matter
 
 Floats = npt.NDArray[np.float64]
 _Triple = tuple[ValueLike, ValueLike, ValueLike]
@@ -92,20 +96,37 @@ class EventSample(Source):
         number : int
             Of its first particle in each event.
         """
+        return self._shoot(seed, events, number, None)
+
+    def within(self, detector: Detector) -> Source:
+        """Return the sample as it shoots in a detector."""
+        from cgemit.samples.matter import matter_of
+
+        return _Within(self, matter_of(detector)) if DEFINITIONS[self.name].in_matter else self
+
+    def _shoot(self, seed: int, events: npt.NDArray[np.int64], number: int, matter: Matter | None) -> dict[str, Array]:
+        if matter is None and DEFINITIONS[self.name].in_matter:
+            problem = "detector: got none; expected one, since its particles start in matter"
+            raise ParticleError(f"sample {self.name}", [problem])
         draws = Draws(seed, number)
         if self.name == "cosmic":
             return _columns(_cosmic(self, events, draws), number)
         definition = DEFINITIONS[self.name]
         first = [
-            (name, self._first(name, place, events, draws)) for place, name in enumerate(definition.first, start=1)
+            (name, self._first(name, place, events, draws, matter))
+            for place, name in enumerate(definition.first, start=1)
         ]
         return _columns(decay_all(first, definition.modes, draws), number)
 
-    def _first(self, name: str, place: int, events: npt.NDArray[np.int64], draws: Draws) -> Particles:
+    def _first(
+        self, name: str, place: int, events: npt.NDArray[np.int64], draws: Draws, matter: Matter | None
+    ) -> Particles:
         """Return the first particles of the events, one each."""
         n, mass = len(events), mass_of(name)
         start = Particles(events, place, np.full(n, mass), np.zeros((n, 4)), np.zeros((n, 3)))
         vertex, u = _vertex(self, start, draws), draws.uniforms(start, SHOT, 3)
+        if matter is not None:
+            vertex = vertex + matter.points(draws.uniforms(start, SHOT + 4, 4))
         if self.crossing is not None:
             # Two beams of equal energy E: px = 2 E sin(angle/2), M = 2 E cos(angle/2).
             half = 0.5 * _one(self.crossing, events, u[:, 0])
@@ -125,6 +146,21 @@ class EventSample(Source):
         return Guns((self,))._repr_html_()
 
 
+@dataclass(frozen=True)
+class _Within(Source):
+    """A sample whose particles start in the matter of a detector."""
+
+    sample: EventSample
+    matter: Matter
+
+    @property
+    def multiplicity(self) -> int:  # type: ignore[override]
+        return self.sample.multiplicity
+
+    def shoot(self, seed: int, events: npt.NDArray[np.int64], number: int) -> dict[str, Array]:
+        return self.sample._shoot(seed, events, number, self.matter)
+
+
 def sample(name: str, **options: Any) -> EventSample:
     """Return events of a sample, for `cgemit.run` in place of a gun; ``sample + gun`` shoots both.
 
@@ -133,7 +169,8 @@ def sample(name: str, **options: Any) -> EventSample:
     name : str
         ``"jpsi-rhopi"``, ``"pipi-jpsi"``, ``"d0-d0bar"``: colliding beams at the mass of a resonance.
         ``"ks-pipi"``, ``"lambda-ppi"``: decays with flight. ``"slow-pions"``: a pair. ``"cosmic"``: two halves of a
-        muon from above. ``"beam-gas"``, ``"touschek"``, ``"electrons"``: particles of the background, to be added.
+        muon from above. ``"beam-gas"``, ``"touschek"``, ``"electrons"``: particles of the background, to be added;
+        electrons start in the matter of the detector.
     **options
         `vertex`, `vertex_sigma`, `radius` (mm); `crossing` (rad) of the beams; `p` (GeV/c), `cos_theta` and
         `phi` (rad) of particles that are shot. Numbers, ranges and values in turn as of `Gun`.
