@@ -25,6 +25,8 @@ FOR_ALL_LAYERS = {
     "sigma_slope": ("sigma_slope",),
     "efficiency": ("efficiency",),
     "wire_x0": ("wire_x0",),
+    "signal_speed": ("signal_speed",),
+    "readout_end": ("readout_end",),
 }
 
 

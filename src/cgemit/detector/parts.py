@@ -217,6 +217,16 @@ class WireLayer(Part):
     wire_x0: float = field(
         metadata=key("dimensionless", "mean X/X0 of the layer's wires, used if smeared", 0.0, 0.01), default=0.0
     )
+    signal_speed: float = field(  # mm/ns
+        metadata=key("speed", "speed of signals along the wire; 0: unknown", 0.0, 300.0), default=0.0
+    )
+    readout_end: str = field(
+        metadata=key(
+            "text", "end of the wires that is read out; alternating: -z in even layers, +z in odd ones",
+            choices=("unknown", "-z", "+z", "alternating"),
+        ),
+        default="unknown",
+    )  # fmt: skip
 
     @cached_property
     def twist(self) -> float:
@@ -227,6 +237,12 @@ class WireLayer(Part):
     def r_mid(self) -> float:
         """Radius of the wires at z = 0, mm."""
         return self.r_end * math.cos(0.5 * self.twist)
+
+    @property
+    def z_readout(self) -> float:
+        """Z of the end of the wires that is read out, mm; NaN if unknown."""
+        ends = {"-z": -1.0, "+z": 1.0, "alternating": 1.0 if self.number % 2 else -1.0}
+        return ends.get(self.readout_end, math.nan) * self.half_length
 
     def end_points(self, wire: int) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
         """Return the ends of a wire, (x, y, z) in mm: first the one at +z, then the one at -z."""

@@ -24,7 +24,8 @@ TOP_LEVEL = {
     "beam_pipe": "cylinders of the beam pipe by label",
     "cgem": "CGEM layers by label",
     "walls": "further cylinders by label",
-    "drift_chamber": "drift chamber; sigma, sigma_slope, efficiency, wire_x0 hold for layers without their own",
+    "drift_chamber": "drift chamber; sigma, sigma_slope, efficiency, wire_x0, signal_speed, readout_end hold for "
+    "layers without their own",
     "background": "levels of background by label",
     "materials": "materials by name",
 }
