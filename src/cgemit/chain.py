@@ -1,4 +1,4 @@
-"""The chain: particles -> truths -> digis -> clusters -> candidates -> tracks, chunk by chunk, on one screen."""
+"""Runs: the chain (`run_chunk`) on all chunks of events."""
 
 from __future__ import annotations
 
@@ -8,128 +8,32 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from typing import Any, Literal
 
-from cgemit import find
-from cgemit.background import add_background
 from cgemit.chunks import MANY, Answer, Totals, answers, workers_of
 from cgemit.detector import Detector, load
-from cgemit.digitize import Readout, cluster_digis, digitize
-from cgemit.find.tracks import find_tracks
-from cgemit.finders import by_finder
-from cgemit.fit import fit
+from cgemit.digitize import Readout
 from cgemit.gun import Guns, Source, generate, source_of
 from cgemit.io.folders import new_folder
-from cgemit.match import match
 from cgemit.memory import PROBE, PROBED, check_chunk, check_disk
 from cgemit.problems import Problems
 from cgemit.record import table_meta, write_about
 from cgemit.result import Result
-from cgemit.run_checks import check_calibration, check_stages
-from cgemit.second_pass import along_tracks
-from cgemit.simulate import simulate, transport_counts
+from cgemit.run_checks import check_calibration, check_raw_times, check_stages
+from cgemit.run_chunk import run_chunk
+from cgemit.simulate import transport_counts
 from cgemit.stages import (
     TABLES,
     FinderLike,
     Settings,
     detectors_of,
     expected_settings,
-    fit_settings,
     with_readout,
 )
-from cgemit.start_times import corrected
 from cgemit.stored_run import open as open_run
 from cgemit.tables import Table, concatenate
 from cgemit.tables.formats import check_format
 from cgemit.tables.links import without_links
 from cgemit.tables.stored import PartsWriter, StoredTables
 from cgemit.values import check_numbers
-
-
-def run_chunk(
-    detector: Detector,
-    fit_detector: Detector,
-    particles: Table,
-    settings: Settings,
-    seed: int,
-    finder: FinderLike = "truth",
-    until: str = "fit",
-) -> tuple[dict[str, Table], dict[str, float]]:
-    """Run the stages on the events of one table of particles.
-
-    Parameters
-    ----------
-    detector, fit_detector : Detector
-        The detector that is simulated and digitized, and the one that finder and fit assume.
-    particles : Table of kind "particles"
-    settings : Settings
-    seed : int
-    finder : "truth", "ckf" or callable
-    until : str
-        The last stage, one of `cgemit.run_checks.STAGES`. After the fit, tracks are matched with particles.
-
-    Returns
-    -------
-    tables : dict of str to Table
-    timings : dict of str to float, s
-        Wall time of each stage.
-    """
-    tables: dict[str, Table] = {}
-
-    def pick(*names: str) -> tuple[Any, ...]:
-        return tuple(tables[name] for name in names)
-
-    hits, truth, found = ("clusters", "wire_hits"), ("truths", "wire_truths"), ("candidates", "candidate_hits")
-
-    def find_in(wire_hits: Table) -> Mapping[str, Table]:
-        if callable(finder):
-            return by_finder(finder, fit_detector, tables["clusters"], wire_hits)
-        if finder == "ckf":
-            return find_tracks(fit_detector, tables["clusters"], wire_hits, settings.find)
-        return find.by_truth(detector, *pick("particles", *hits, *truth))
-
-    def find_again() -> Mapping[str, Table]:
-        return find_in(corrected(tables["wire_hits"], fit_clusters(tables["clusters"])["start_times"]))
-
-    def fit_clusters(clusters: Table) -> Mapping[str, Table]:
-        candidates, candidate_hits = pick(*found)
-        return fit(fit_detector, clusters, tables["wire_hits"], candidates, candidate_hits, fit_settings(settings))
-
-    def second_pass() -> Mapping[str, Table]:
-        readout, hits = settings.digitize.readout, tables["candidate_hits"]
-        digis, clusters, tracks = pick("digis", "clusters", "tracks")
-        again = along_tracks(detector, readout, digis, clusters, hits, tracks, settings.cluster)
-        return {"clusters": again, **fit_clusters(again)}
-
-    stages: dict[str, Callable[[], Mapping[str, Table]]] = {
-        "simulate": lambda: simulate(detector, particles, settings.simulate, seed),
-        "digitize": lambda: add_background(
-            detector,
-            **digitize(
-                detector, tables["truths"], tables["wire_truths"], settings.digitize, seed, steps=tables["steps"]
-            ),
-            settings=settings.background,
-            seed=seed,
-        ),
-        "cluster": lambda: {
-            "clusters": cluster_digis(detector, tables["digis"], settings.digitize, settings.cluster)
-        },
-        "find": lambda: find_in(tables["wire_hits"]),
-        "fit": lambda: fit_clusters(tables["clusters"]),
-        "match": lambda: match(*pick("tracks", *found, *hits, "particles", *truth), detector=detector),
-    }  # fmt: skip
-    if settings.fit.start_time == "fitted" and finder != "truth" and until == "fit":
-        rest = {name: stages.pop(name) for name in ("fit", "match")}
-        stages |= {"find again": find_again, **rest}
-    if getattr(settings.digitize.readout, "second_pass", False):
-        last = stages.pop("match")
-        stages |= {"second pass": second_pass, "match": last}
-    seconds = {}
-    for stage, work in stages.items():
-        start = time.perf_counter()
-        tables |= work()
-        seconds[stage] = time.perf_counter() - start
-        if stage == until != "fit":
-            break
-    return tables, seconds
 
 
 def run(
@@ -228,6 +132,8 @@ def run(
     found.collect(check_numbers, "run", seed, threads, n=(n, 0, most), chunk=(chunk, 1, most))
     kept = found.collect(check_stages, finder, until, executor, keep, given)
     found.collect(check_calibration, simulated, given, until)
+    for one in (simulated, assumed) if assumed is not simulated else (simulated,):
+        found.collect(check_raw_times, one, given, until)
     source: Any = found.collect(source_of, gun, n)
     if output is not None:
         found.collect(check_format, format)

@@ -10,6 +10,7 @@ from cgemit.detector import Detector
 from cgemit.finders import finder_name
 from cgemit.problems import did_you_mean
 from cgemit.stages import BY_STAGE, FINDERS, STAGES, TABLES, Settings
+from cgemit.wire_times import check_wire_times
 
 
 def tables_made(until: str, settings: Settings) -> tuple[str, ...]:
@@ -35,6 +36,12 @@ def check_calibration(detector: Detector | None, settings: Settings | None, unti
     readout = settings.digitize.readout
     if hasattr(readout, "calibration"):
         readout.expected_errors(detector)
+
+
+def check_raw_times(detector: Detector | None, settings: Settings | None, until: object) -> None:
+    """Raise an error if raw drift times are asked for and the detector does not say how signals run along its wires."""
+    if detector is not None and settings is not None and settings.digitize.wire_times == "raw" and until in STAGES[1:]:
+        check_wire_times(detector)
 
 
 def check_stages(

@@ -80,7 +80,8 @@ def with_readout(settings: Settings, readout: Readout | str | None) -> Settings:
         If the read-out is unknown, or the simulation cannot make what it needs.
     """
     if readout is not None:
-        digitized = DigitizeSettings(readout=readout, reveal_sides=settings.digitize.reveal_sides)
+        given = settings.digitize
+        digitized = DigitizeSettings(readout=readout, reveal_sides=given.reveal_sides, wire_times=given.wire_times)
         settings = replace(settings, digitize=digitized)
     if getattr(settings.digitize.readout, "needs_clusters", False) and not settings.simulate.steps:
         settings = replace(settings, simulate=replace(settings.simulate, steps=True))

@@ -292,7 +292,12 @@ def test_drift_distance_has_the_layers_error():
 def wire_hits(detector, truths, reveal_sides=False, seed=1):
     """Columns of wire hits from the kernel."""
     return _core.read_out_wires(
-        detector, truths, xt_distance=XT_DISTANCE, xt_time=XT_TIME, reveal_sides=reveal_sides, seed=seed
+        detector,
+        truths | {"delay": np.zeros(len(truths["event"]))},
+        xt_distance=XT_DISTANCE,
+        xt_time=XT_TIME,
+        reveal_sides=reveal_sides,
+        seed=seed,
     )
 
 

@@ -67,12 +67,15 @@ def test_the_page_runs(tmp_path, monkeypatch, capsys):
     """All programs, one after the other; the comparison has at most 30 lines and finds what was put in."""
     monkeypatch.chdir(tmp_path)
     programs = blocks()
-    assert len(programs) == 3
+    assert len(programs) == 4
     assert len(programs[0].splitlines()) <= 10
-    assert len(programs[2].splitlines()) <= 30
+    assert len(programs[3].splitlines()) <= 30
     for program in programs:
         exec(compile(program, str(PAGE), "exec"), {})
     text = capsys.readouterr().out
+    chi2 = {name: float(value) for name, value in re.findall(r"^(\w[\w ]*?) +chi2/ndf (\S+)$", text, re.MULTILINE)}
+    assert chi2["raw"] > 1.5
+    assert 0.9 < chi2["along tracks"] < 1.1
     assert "200 of 200 tracks fitted" in text
     pulls = [float(found) for found in re.findall(r"residual (\S+) of the error", text)]
     assert len(pulls) == 5

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -21,10 +21,12 @@ from cgemit.digitize.readout import Readout as Readout
 from cgemit.digitize.tiger import TigerReadout as TigerReadout
 from cgemit.drift_times import XT_DISTANCE as XT_DISTANCE
 from cgemit.drift_times import XT_TIME as XT_TIME
+from cgemit.drift_times import shifted
 from cgemit.kinds import one_of
 from cgemit.settings import SettingsData
 from cgemit.tables import Table
 from cgemit.tables.table import kind_problems
+from cgemit.wire_times import true_delay
 
 #: Read-outs of CGEM layers by name.
 READOUTS: dict[str, type[Readout]] = {
@@ -47,6 +49,9 @@ class DigitizeSettings(SettingsData):
         the read-out with its defaults.
     reveal_sides : bool
         Whether wire hits tell on which side of the wire the particle passed.
+    wire_times : str
+        ``"corrected"``: drift times hold the drift alone. ``"raw"``: also time of flight and propagation along the
+        wire, for which the reconstruction corrects (docs/methods/digitize.md).
 
     Raises
     ------
@@ -56,10 +61,13 @@ class DigitizeSettings(SettingsData):
 
     readout: Readout = field(default_factory=BinaryReadout, metadata=one_of(READOUTS, "cgemit.digitize.READOUTS"))
     reveal_sides: bool = False
+    wire_times: Literal["corrected", "raw"] = "corrected"
 
     if TYPE_CHECKING:  # a name is accepted, too, and never kept
 
-        def __init__(self, *, readout: Readout | str = ..., reveal_sides: bool = ...) -> None: ...
+        def __init__(
+            self, *, readout: Readout | str = ..., reveal_sides: bool = ..., wire_times: str = ...
+        ) -> None: ...
 
 
 def digitize(
@@ -95,8 +103,8 @@ def digitize(
     Raises
     ------
     ValueError
-        If a layer or wire is not in the detector, a value is not finite, or a step does not belong to its truth or has
-        invalid values.
+        If a layer or wire is not in the detector, a value is not finite, a step does not belong to its truth or has
+        invalid values, or raw drift times are asked for and the detector does not say how signals run along its wires.
     """
     detector, settings = load(detector), settings or DigitizeSettings()
     if steps is None:
@@ -104,7 +112,9 @@ def digitize(
     truths, steps = in_layer_axes(detector, truths, steps)
     digis = made("digis", settings.readout.digitize(detector, truths, steps, seed), settings.readout, truths)
     return {
-        "wire_hits": read_out_wires(detector, wire_truths, reveal_sides=settings.reveal_sides, seed=seed),
+        "wire_hits": read_out_wires(
+            detector, wire_truths, reveal_sides=settings.reveal_sides, seed=seed, raw=settings.wire_times == "raw"
+        ),
         "digis": without_dead(detector, outside_dead_areas(detector, digis, truths)),
     }
 
@@ -145,7 +155,9 @@ def without_dead(detector: Detector, digis: Table) -> Table:
     )
 
 
-def read_out_wires(detector: Detector, wire_truths: Table, *, reveal_sides: bool, seed: int) -> Table:
+def read_out_wires(
+    detector: Detector, wire_truths: Table, *, reveal_sides: bool, seed: int, raw: bool = False
+) -> Table:
     """Return the table ``wire_hits`` of a table ``wire_truths``.
 
     Parameters
@@ -155,17 +167,29 @@ def read_out_wires(detector: Detector, wire_truths: Table, *, reveal_sides: bool
     reveal_sides : bool
         Whether wire hits tell on which side of the wire the particle passed.
     seed : int
+    raw : bool
+        Whether drift times hold flight and propagation. Without them, only later half turns are later by their flight
+        when a cell is hit twice: the flight of first ones is taken as corrected.
 
     Raises
     ------
     ValueError
-        If a wire is not in the detector, or a value is not finite.
+        If a wire is not in the detector, a value is not finite, or the detector does not say how signals run.
     """
+    if raw:
+        delay = true_delay(detector, wire_truths)
+    else:  # times that are not finite stay, for the check
+        time = wire_truths["time"]
+        delay = np.where((wire_truths["half_turn"] > 0) | ~np.isfinite(time), time, 0.0)
     hits = _core.read_out_wires(
-        compiled(detector), dict(wire_truths.columns), xt_distance=XT_DISTANCE, xt_time=XT_TIME,
+        compiled(detector), {**wire_truths.columns, "delay": delay}, xt_distance=XT_DISTANCE, xt_time=XT_TIME,
         reveal_sides=reveal_sides, seed=seed,
     )  # fmt: skip
-    return Table("wire_hits", hits, **wire_truths.cover)
+    table = Table("wire_hits", hits, **wire_truths.cover)
+    if not raw:
+        return table
+    late, drift_time = delay[table["wire_truth"]], table["drift_time"]
+    return table.with_columns(drift_time=drift_time + late, drift=shifted(table["drift"], drift_time, late))
 
 
 def cluster_digis(

@@ -84,8 +84,7 @@ py::dict wires(const Detector& detector, const py::dict& table, const Array<doub
   truths.wire = in.get<std::int32_t>("wire");
   truths.doca = in.get<double>("doca");
   truths.side = in.get<std::int8_t>("side");
-  truths.time = in.get<double>("time");
-  truths.half_turn = in.get<std::int8_t>("half_turn");
+  truths.delay = in.get<double>("delay");
   const auto distance = column(xt_distance, "xt_distance");
   if (distance.size() < 2) throw std::invalid_argument("xt_distance: expected at least two points");
   const auto time = column(xt_time, "xt_time", xt_distance.size());

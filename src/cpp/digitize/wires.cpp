@@ -13,7 +13,7 @@ namespace {
 
 struct FiredCell {
   std::int32_t gid;
-  double drift, sigma, drift_time, arrival;  // arrival: ns, later than the drift time on later half turns
+  double drift, sigma, drift_time, arrival;  // arrival: ns, delay included
   std::size_t row;
 
   bool operator<(const FiredCell& other) const {
@@ -47,7 +47,7 @@ void check(const WireTruthColumns& truths, const Detector& detector, const std::
       fail(i, "wire " + std::to_string(truths.wire[i]) + ", expected 0 to " + std::to_string(cells - 1));
     }
     if (!std::isfinite(truths.doca[i])) fail(i, "doca is not finite");
-    if (!std::isfinite(truths.time[i])) fail(i, "time is not finite");
+    if (!std::isfinite(truths.delay[i])) fail(i, "time is not finite");
   }
 }
 
@@ -72,11 +72,10 @@ void fire(const WireLayer& layer, const WireTruthColumns& truths, std::size_t ro
   };
   const double distance = std::abs(truths.doca[row]);
   const double drift = distance + sigma(distance) * normal_quantile(open_unit(words[0]));
-  // First half turns are all as late, since their times of flight are taken as known.
-  const double late = truths.half_turn[row] > 0 ? truths.time[row] : 0.0;
   const double time = drift_time(readout, drift);
   // The error is evaluated at the measured drift distance, the only one that the hit has.
-  out.push_back({layer.gid_first + truths.wire[row], drift, sigma(drift), time, time + late, row});
+  out.push_back(
+      {layer.gid_first + truths.wire[row], drift, sigma(drift), time, time + truths.delay[row], row});
 }
 
 void write(const WireTruthColumns& truths, bool reveal_sides, const FiredCell& hit, WireHitColumns& hits) {

@@ -15,8 +15,7 @@ struct WireTruthColumns {
   std::span<const std::int32_t> layer, wire;  // layer: the experiment's number
   std::span<const double> doca;               // mm, signed
   std::span<const std::int8_t> side;          // +1 or -1
-  std::span<const double> time;               // ns, of flight
-  std::span<const std::int8_t> half_turn;
+  std::span<const double> delay;              // ns, by which the signal is later than the drift
 
   std::size_t size() const { return event.size(); }
 };
@@ -40,7 +39,8 @@ struct WireHitColumns {
 
 // The drift distance is |doca| plus a Gaussian error sigma(|doca|), not cut at zero. Near the wire it may be
 // slightly negative; side times drift is then exactly Gaussian about doca. A cell fired by several particles
-// gives one hit, with the smallest drift time; on later half turns the time of flight is added here.
+// gives one hit, that with the smallest sum of delay and drift time; the drift time of the hit is without
+// delay.
 WireHitColumns read_out_wires(const Detector& detector, const WireTruthColumns& truths,
                               const WireReadout& readout);
 
