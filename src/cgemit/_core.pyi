@@ -211,6 +211,7 @@ class HitModel:
         *,
         sigma_x: Sequence[float],
         sigma_v: Sequence[float],
+        corr_xv: Sequence[float],
         least_width: float,
         delta_strips: float,
         sides_known: bool,

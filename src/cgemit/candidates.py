@@ -113,7 +113,7 @@ def collect_hits(
 _READ = {
     "candidates": ("event", "mass"),
     "candidate_hits": ("event", "candidate", "view", "row"),
-    "clusters": ("event", "layer", "sheet", "size", "view", "x", "v", "err_x", "err_v", "cov_xv"),
+    "clusters": ("event", "layer", "sheet", "size", "view", "x", "v", "err_x", "err_v", "cov_xv", "corr_xv"),
     "wire_hits": ("event", "layer", "wire", "drift", "sigma", "side"),
 }
 

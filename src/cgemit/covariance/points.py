@@ -150,9 +150,11 @@ def _tracks(
 def _hit_model(detector: Detector, digitize: DigitizeSettings, fit: FitSettings) -> tuple[_core.HitModel, bool]:
     """Return how hits are expected, and whether they vary among tracks of the same direction."""
     sigma_x, sigma_v = _errors(digitize.readout, detector)
+    correlations = getattr(digitize.readout, "expected_correlations", None)
+    corr_xv = np.zeros(len(sigma_x)) if correlations is None else correlations(detector)
     model = _core.HitModel(
-        sigma_x=list(sigma_x), sigma_v=list(sigma_v), least_width=fit.least_width, delta_strips=fit.delta_strips,
-        sides_known=digitize.reveal_sides, seed=0, prior_sigma=fit.prior_sigma,
+        sigma_x=list(sigma_x), sigma_v=list(sigma_v), corr_xv=list(corr_xv), least_width=fit.least_width,
+        delta_strips=fit.delta_strips, sides_known=digitize.reveal_sides, seed=0, prior_sigma=fit.prior_sigma,
     )  # fmt: skip
     return model, not (np.all(sigma_x > 0) and np.all(sigma_v > 0)) or _inefficient(detector)
 

@@ -36,7 +36,7 @@ def at_cylinders(tracks: Tracks, radius: Floats) -> tuple[Tracks, Columns]:
     radius : ndarray, (tracks,) float64, mm
     """
     out = tracks.run(budget=False, hits=True)
-    hits = {name: out.pop(f"hit_{name}") for name in ("kind", "layer", "channel", "value", "variance")}
+    hits = {name: out.pop(f"hit_{name}") for name in ("kind", "layer", "channel", "value", "variance", "k", "x")}
     ends = np.cumsum(out["n_clusters"].astype(np.int64) + out["n_wires"])
     offsets = np.concatenate([[0], ends])
     kappa, tanl = np.full(len(radius), np.nan), np.full(len(radius), np.nan)
@@ -71,7 +71,7 @@ def _states(
             "kind": taken["kind"], "layer": taken["layer"], "channel": taken["channel"],
             "size": np.zeros(len(wire), np.int32), "value": np.where(wire, np.abs(taken["value"]), taken["value"]),
             "sigma": np.sqrt(taken["variance"]), "used": np.ones(len(wire), np.uint8),
-            "used_value": taken["value"], "used_variance": taken["variance"],
+            "used_value": taken["value"], "used_variance": taken["variance"], "k": taken["k"], "x": taken["x"],
         },
         reference=np.stack([zero, tracks.phi[rows], tracks.kappa[rows], zero, tracks.tanl[rows]], axis=1),
         kinks=np.zeros((n, 2 * core.n_slabs)),

@@ -64,5 +64,9 @@ class Readout(Protocol):
         -------
         sigma_x, sigma_v : ndarray, (layers,) float64, mm
             0: strips fire where the projected path touches them, so that the error follows from their number.
+
+        Notes
+        -----
+        A method ``expected_correlations(detector)`` may give the correlation of both, (layers,) float64; else it is 0.
         """
         ...

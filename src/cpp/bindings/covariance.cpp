@@ -35,7 +35,7 @@ py::dict columns_of(const std::vector<CovarianceRow>& rows) {
 py::dict columns_of(const std::vector<ExpectedHit>& hits, const Detector& detector) {
   Filled<std::uint8_t> kind(hits.size());
   Filled<std::int32_t> layer(hits.size()), channel(hits.size());
-  Filled<double> value(hits.size()), variance(hits.size());
+  Filled<double> value(hits.size()), variance(hits.size()), k(hits.size()), x(hits.size());
   for (const ExpectedHit& hit : hits) {
     const bool wire = hit.view == View::wire;
     kind.append(static_cast<std::uint8_t>(hit.view));
@@ -43,6 +43,8 @@ py::dict columns_of(const std::vector<ExpectedHit>& hits, const Detector& detect
     channel.append(hit.channel);
     value.append(hit.value);
     variance.append(hit.variance);
+    k.append(hit.k);
+    x.append(hit.x);
   }
   py::dict out;
   out["kind"] = kind.array();
@@ -50,6 +52,8 @@ py::dict columns_of(const std::vector<ExpectedHit>& hits, const Detector& detect
   out["channel"] = channel.array();
   out["value"] = value.array();
   out["variance"] = variance.array();
+  out["k"] = k.array();
+  out["x"] = x.array();
   return out;
 }
 
@@ -61,9 +65,9 @@ py::dict run(const Detector& detector, const Array<double>& phi, const Array<dou
   const auto views = static_cast<py::ssize_t>(2 * detector.cgem.size());
   if (samples == 0 || n % static_cast<py::ssize_t>(samples) != 0)
     throw std::invalid_argument("samples: expected a divisor of the number of tracks");
-  for (const auto* sigma : {&model.sigma_x, &model.sigma_v})
-    if (sigma->size() != detector.cgem.size())
-      throw std::invalid_argument("sigma_x, sigma_v: expected a number for each CGEM layer");
+  for (const auto* number : {&model.sigma_x, &model.sigma_v, &model.corr_xv})
+    if (number->size() != detector.cgem.size())
+      throw std::invalid_argument("sigma_x, sigma_v, corr_xv: expected a number for each CGEM layer");
   for (const Detector* variant : variants)
     if (variant == nullptr || !same_surfaces(detector, *variant))
       throw std::invalid_argument("variants: expected the surfaces of the detector in the same order");
@@ -106,18 +110,19 @@ void bind_covariance(py::module_& module) {
              "other in `covariances`.");
   py::class_<HitModel>(module, "HitModel",
                        "Errors of the hits that cgemit.covariance expects, and the prior of the filter.")
-      .def(py::init([](std::vector<double> sigma_x, std::vector<double> sigma_v, double least_width,
-                       double delta_strips, bool sides_known, std::uint64_t seed,
+      .def(py::init([](std::vector<double> sigma_x, std::vector<double> sigma_v, std::vector<double> corr_xv,
+                       double least_width, double delta_strips, bool sides_known, std::uint64_t seed,
                        const std::array<double, 5>& prior_sigma) {
              return HitModel{.sigma_x = std::move(sigma_x),
                              .sigma_v = std::move(sigma_v),
+                             .corr_xv = std::move(corr_xv),
                              .least_width = least_width,
                              .delta_strips = delta_strips,
                              .sides_known = sides_known,
                              .seed = seed,
                              .prior_sigma = prior_sigma};
            }),
-           py::kw_only(), py::arg("sigma_x"), py::arg("sigma_v"), py::arg("least_width"),
+           py::kw_only(), py::arg("sigma_x"), py::arg("sigma_v"), py::arg("corr_xv"), py::arg("least_width"),
            py::arg("delta_strips"), py::arg("sides_known"), py::arg("seed"), py::arg("prior_sigma"));
   module.def(
       "covariances", &run, py::arg("detector"), py::kw_only(), py::arg("phi"), py::arg("kappa"),
@@ -126,6 +131,6 @@ void bind_covariance(py::module_& module) {
       py::arg("variants") = std::vector<const Detector*>(),
       "Covariances of (dr, phi0, kappa, dz, tanl) of tracks from the origin, without events: columns of "
       "the tracks, and if requested the sums of the budget's terms over the samples of each point, and the "
-      "expected hits of all tracks (X, V, or signed distance from a wire, mm; variance, mm2). Rows of "
+      "expected hits of all tracks (X, V - k x, or signed distance from a wire, mm; variance, mm2). Rows of "
       "`variants` of the detector, which keep the hits of the first one, follow those of the detector.");
 }

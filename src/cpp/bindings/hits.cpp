@@ -96,8 +96,10 @@ py::dict collect(const Detector& detector, const py::dict& candidates, const py:
                            .v = cluster.get<double>("v"),
                            .err_x = cluster.get<double>("err_x"),
                            .err_v = cluster.get<double>("err_v"),
-                           .cov_xv = {}};
+                           .cov_xv = {},
+                           .corr_xv = {}};
   if (clusters.contains("cov_xv")) of_clusters.cov_xv = cluster.get<double>("cov_xv");
+  if (clusters.contains("corr_xv")) of_clusters.corr_xv = cluster.get<double>("corr_xv");
   const WireInput of_wires{.event = wire.get<std::int64_t>("event"),
                            .layer = wire.get<std::int32_t>("layer"),
                            .wire = wire.get<std::int32_t>("wire"),

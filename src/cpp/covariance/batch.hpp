@@ -195,7 +195,8 @@ class CovarianceBatch {
       for (const Slot<T>& slot : group_.slots)
         if (lane(slot.met, k))
           out_.hits->push_back({slot.view, slot.layer, slot.hit[static_cast<std::size_t>(k)],
-                                lane(slot.predicted, k), lane(slot.variance, k)});
+                                lane(slot.predicted, k), lane(slot.variance, k), lane(slot.k, k),
+                                lane(slot.x, k)});
   }
 
   // Adds the sums of the lanes to the budgets of their points: of n tracks, or of lanes of one point.

@@ -17,6 +17,7 @@ struct HitModel {
   // Errors of X and V of each CGEM layer, mm; 0: strips fire where the path touches them, and the error
   // follows from the number of strips, as in the fit.
   std::vector<double> sigma_x, sigma_v;
+  std::vector<double> corr_xv;       // of the errors of X and V of each CGEM layer, where these are given
   double least_width, delta_strips;  // as in the fit
   bool sides_known;                  // whether a wire hit tells its side
   std::uint64_t seed;                // of wire efficiencies
@@ -70,8 +71,9 @@ struct ExpectedHit {
   View view;
   std::int32_t layer;    // index into the detector's cgem or wires
   std::int32_t channel;  // sheet or wire
-  double value;          // mm, X, V or signed distance from the wire
+  double value;          // mm, X, V - k x or signed distance from the wire
   double variance;       // mm^2
+  double k, x;           // x in mm
 };
 
 // One row per track, then one per track for each variant. `budget` may be null; otherwise it holds

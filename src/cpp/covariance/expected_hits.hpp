@@ -162,6 +162,10 @@ class ExpectedHits {
     slot.edge = edge;
     // Tells the trace on which side of a seam the hit is.
     slot.drift = view == View::x ? x : x * layer.cos_stereo + (layer.z_ref() - z) * layer.sin_stereo;
+    if (view == View::v && model_.sigma_x[index] > 0) {  // uncorrelated with X, as in the fit
+      slot.k = model_.corr_xv[index] * model_.sigma_v[index] / model_.sigma_x[index];
+      slot.x = x;
+    }
     if (keeps_)
       kept_.push_back({step_number(step), view, index, Mask(false), {}, edge, T(1.0), T(1.0), T(0.0)});
     return slot;
@@ -239,7 +243,7 @@ class ExpectedHits {
   T cluster_error(const Slot<T>& slot) const {
     const auto index = static_cast<std::size_t>(slot.layer);
     const bool is_x = slot.view == View::x;
-    if (const double sigma = given_error(slot); sigma > 0) return T(sigma * sigma);
+    if (const double given = given_variance(slot); given > 0) return T(given);
     const std::size_t views = 2 * detector_.cgem.size(), view = 2 * index + (is_x ? 0 : 1);
     const T phase = gathered<T>([&](int i) { return input_.phases[views * sample(i) + view]; });
     const auto [whole, part] = touched(slot.extent, pitch(slot));
@@ -247,15 +251,19 @@ class ExpectedHits {
   }
   // The same, averaged over the positions of the strips.
   T mean_error(const Slot<T>& slot) const {
-    if (const double sigma = given_error(slot); sigma > 0) return T(sigma * sigma);
+    if (const double given = given_variance(slot); given > 0) return T(given);
     const auto [whole, part] = touched(slot.extent, pitch(slot));
     return (1.0 - part) * error_of_size(slot, whole + 1.0) + part * error_of_size(slot, whole + 2.0);
   }
   T error_of_size(const Slot<T>& slot, const T& size) const {
     return cluster_variance(size, slot.extent, pitch(slot), model_.least_width, model_.delta_strips);
   }
-  double given_error(const Slot<T>& slot) const {
-    return (slot.view == View::x ? model_.sigma_x : model_.sigma_v)[static_cast<std::size_t>(slot.layer)];
+  // Of V, the variance of what is uncorrelated with X.
+  double given_variance(const Slot<T>& slot) const {
+    const auto index = static_cast<std::size_t>(slot.layer);
+    if (slot.view == View::x) return model_.sigma_x[index] * model_.sigma_x[index];
+    return model_.sigma_v[index] * model_.sigma_v[index] *
+           (1 - model_.corr_xv[index] * model_.corr_xv[index]);
   }
   double pitch(const Slot<T>& slot) const {
     const CgemLayer& layer = detector_.cgem[static_cast<std::size_t>(slot.layer)];

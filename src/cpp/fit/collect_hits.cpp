@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <bit>
+#include <cmath>
 #include <tuple>
 
 namespace cgemit {
@@ -44,6 +45,7 @@ class Collector {
       add(i, at);
     }
     sort();
+    if (!clusters_.corr_xv.empty() && problems_.empty()) part_views();
     CollectedHits hits = columns();
     if (!problems_.empty()) {
       const HitView view{hits.kind,  hits.layer, hits.channel, hits.size, hits.value,
@@ -160,6 +162,35 @@ class Collector {
         problems_.add("candidates row " + std::to_string(i) + ": got " +
                       (mine[j].kind == 2 ? "wire_hits" : "clusters") + " row " + std::to_string(mine[j].row) +
                       " twice, expected once");
+      }
+    }
+  }
+
+  // Takes from each V cluster what it has in common with the X cluster of the same crossing: one with no
+  // other cluster of the sheet in the candidate.
+  void part_views() {
+    for (std::size_t i = 0; i + 1 < offsets_.size(); ++i) {
+      const auto mine = std::span(entries_).subspan(static_cast<std::size_t>(offsets_[i]),
+                                                    static_cast<std::size_t>(offsets_[i + 1] - offsets_[i]));
+      const auto alike = [&](std::size_t a, std::size_t b) {
+        return mine[a].surface == mine[b].surface && mine[a].channel == mine[b].channel;
+      };
+      for (std::size_t j = 1; j < mine.size(); ++j) {
+        const Entry& x = mine[j - 1];
+        Entry& v = mine[j];
+        const bool pair = x.kind == 0 && v.kind == 1 && alike(j - 1, j) && (j < 2 || !alike(j - 2, j)) &&
+                          (j + 1 == mine.size() || !alike(j, j + 1));
+        if (!pair || x.row == v.row) continue;  // of one row: an XV point
+        const double rho = clusters_.corr_xv[static_cast<std::size_t>(v.row)];
+        if (!(std::abs(rho) < 1)) {
+          problems_.add("clusters row " + std::to_string(v.row) + ": corr_xv: got " + to_text(rho) +
+                        ", expected a number between -1 and 1");
+        } else if (rho != 0 && x.sigma > 0) {
+          v.k = rho * v.sigma / x.sigma;
+          v.x = x.value;
+          v.value -= v.k * x.value;
+          v.sigma *= std::sqrt(1 - rho * rho);
+        }
       }
     }
   }

@@ -23,7 +23,9 @@ struct ClusterInput {
   std::span<const std::int32_t> layer, sheet, size;
   std::span<const std::int8_t> view;  // 0 X, 1 V, 2 XV
   std::span<const double> x, v, err_x, err_v;
-  std::span<const double> cov_xv;  // mm^2, covariance of x and v; may be empty
+  std::span<const double> cov_xv;  // mm^2, of XV points: covariance of x and v; may be empty
+  std::span<const double>
+      corr_xv;  // correlation of x and v of X and V clusters of one particle; may be empty
 };
 
 struct WireInput {
@@ -34,7 +36,7 @@ struct WireInput {
 };
 
 // Flat columns; hits `offsets[i]` to `offsets[i + 1]` belong to candidate i. An XV point becomes two hits: X,
-// and the part of V that is uncorrelated with X.
+// and the part of V that is uncorrelated with X. So do an X and a V cluster of a layer with a correlation.
 struct CollectedHits {
   std::vector<std::int64_t> offsets;
   std::vector<std::uint8_t> kind;
