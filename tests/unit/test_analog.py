@@ -222,11 +222,11 @@ def test_calibrations_of_the_presets() -> None:
         layers = len(detector.cgem)
         projection = calibration_of(detector, ProjectionReadout())
         assert projection.errors.shape == (3, 2, layers, CHARGES, SIZES)
-        assert projection.about.startswith(f"analog-projection, {name}, 20000 mu-")
+        assert projection.about.startswith(f"analog-projection, {name}, 40000 mu-")
         for readout in (TigerReadout(), Apv25Readout()):
             found = calibration_of(detector, readout)
             assert found.errors.shape == (3, 2, layers, CHARGES, SIZES)
-            assert found.about.startswith(f"{readout.name}, {name}, 20000 mu-")
+            assert found.about.startswith(f"{readout.name}, {name}, 40000 mu-")
             assert np.all((found.typical_errors[:, 0] > least) & (found.typical_errors[:, 0] < most))
             assert (found.typical_errors[1, 0] < 0.9 * found.typical_errors[0, 0]).all()  # the track's angle helps
     tilted = TigerReadout(estimator="centroid")

@@ -98,7 +98,8 @@ def test_a_calibration_of_other_layers(tmp_path):
     detector, readout = cg.load("besiii-cgem"), cg.TigerReadout()
     data = json.loads(calibration_of(detector, readout).to_json())
     axis = {"typical_errors": 3, "errors": 2, "slope_errors": 2, "charge_factors": 2, "distance_edges": 2,
-            "distance_factors": 3, "direction_depths": 3, "direction_factors": 3, "pairs": 0}  # fmt: skip
+            "distance_factors": 3, "direction_depths": 3, "direction_factors": 3, "correlations": 2,
+            "pairs": 0}  # fmt: skip
     for name in set(data) - {"about", "key"}:
         data[name] = np.take(data[name], [0, 1], axis=axis.get(name, 1)).tolist()
     file = tmp_path / "two.json"

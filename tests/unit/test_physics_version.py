@@ -19,6 +19,7 @@ HASHES = {
     7: "d0649b4511db3e6c",  # errors of clusters of tiger and apv25; annealed tracks of the finder; rounding of helices
     8: "d0649b4511db3e6c",  # clusters of tiger, apv25 and analog-projection by the direction of their tracks
     9: "d0649b4511db3e6c",  # tracks of the finder that share hits
+    10: "d0649b4511db3e6c",  # calibrations of tiger, apv25 and analog-projection; correlated X and V clusters
 }
 
 

@@ -115,7 +115,7 @@ def _calibrate(arguments: argparse.Namespace, readout: Any) -> int:
     detector = load(arguments.detector)
     if not detector.cgem:
         raise changes.InputError(f"--detector: got {detector.name} without CGEM layers, expected one with clusters")
-    found = calibrate(detector, readout, n=arguments.events or 20_000, seed=arguments.seed, threads=arguments.threads)
+    found = calibrate(detector, readout, n=arguments.events or 40_000, seed=arguments.seed, threads=arguments.threads)
     with new_file(target, overwrite=arguments.overwrite) as temporary:
         temporary.write_text(found.to_json(), encoding="utf-8")
     x, v = found.typical(readout.estimator)

@@ -231,6 +231,15 @@ class AnalogReadout(SettingsData):
         """
         return calibration_of(detector, self).typical(self.estimator, self.second_pass)
 
+    def expected_correlations(self, detector: Detector) -> Floats:
+        """Return the correlation of the errors of X and V of one crossing, (layers,) float64.
+
+        Parameters
+        ----------
+        detector : Detector
+        """
+        return calibration_of(detector, self).correlation(self.estimator, self.second_pass)
+
     def delays(self, induction: Floats) -> tuple[Floats, Floats]:
         """Return measured charge and delay of the chip by layer and view, see `find_clusters`.
 

@@ -131,4 +131,9 @@ def clusters_at(
         direction_depths=calibration.direction_depths.ravel(), direction_factors=calibration.direction_factors.ravel(),
         slopes=tracks[:, 0], paths=tracks[:, 1],
     )  # fmt: skip
+    # X and V of a crossing come from the same electrons.
+    alone, tracked = (calibration.correlation(estimator, of_track)[found["layer"]] for of_track in (False, True))
+    along = np.zeros(len(alone), np.bool_)
+    along[: len(tracks)] = np.isfinite(tracks[: len(along), 0])
+    found["corr_xv"] = np.where(along, tracked, alone)
     return Table("clusters", found, **digis.cover)

@@ -26,7 +26,7 @@ CHARGES = 7
 """Ranges of the charge of clusters with errors of their own."""
 SLOPE_EDGES = np.array([0.1, 0.2, 0.3, 0.45, 0.6, 0.8, 1.1])
 """Where ranges of the slope of electrons' places of origin at the anode begin, each with errors of its own."""
-SLOPE_SIZES = 6
+SLOPE_SIZES = 8
 """Numbers of strips with such errors of their own."""
 DISTANCES = 8
 """Ranges of the distance of centroid and line, each with a factor on the error; the first: there is no line."""
@@ -39,7 +39,7 @@ PAIR = 6
 """Numbers of the likelihood of a pair of X and V."""
 
 #: Changes with everything that makes stored calibrations wrong.
-MODEL = 4
+MODEL = 5
 _MISSING = (
     "got no calibration for this detector, field and read-out, "
     "expected digitize.readout.calibration = a file written by: "
@@ -67,6 +67,7 @@ _SHAPES = {
     "slope_shares": (2, -1, len(SLOPE_EDGES) + 1, SLOPE_SIZES), "charge_factors": (3, 2, -1, CHARGES, SIZES),
     "distance_edges": (2, 2, -1, DISTANCES - 2), "distance_factors": (2, 3, 2, -1, DISTANCES),
     "direction_depths": (2, 3, 2, -1, DIRECTIONS), "direction_factors": (2, 3, 2, -1, DIRECTIONS),
+    "correlations": (2, 3, -1),
 }  # fmt: skip
 
 
@@ -77,6 +78,7 @@ _LIMITS = {
     "charge_factors": (1e-3, 1e4, ""), "distance_edges": (0.0, 1e4, "mm"), "distance_factors": (1e-3, 1e4, ""),
     "shares": (0.0, 1.0, ""), "slope_shares": (0.0, 1.0, ""), "pairs": (-1e4, 1e4, "(ns)"),
     "direction_depths": (-50.0, 50.0, "mm"), "direction_factors": (1e-3, 1e4, ""),
+    "correlations": (-0.99, 0.99, ""),
 }  # fmt: skip
 
 
@@ -120,6 +122,8 @@ class Calibration:
         the direction of a straight track from the beam line, and with the angle of the track.
     direction_factors : (2, 3, 2, layers, DIRECTIONS) float64
         On the errors, by range of the same.
+    correlations : (2, 3, layers) float64
+        Of the errors of X and V of one crossing, without and with the angle of the track.
     pairs : (layers, PAIR) float64
         Mean and width of ln(charge of X / charge of V) and of the difference of their times (ns) for one particle, and
         the widths of both for two particles.
@@ -142,6 +146,7 @@ class Calibration:
     distance_factors: Floats
     direction_depths: Floats
     direction_factors: Floats
+    correlations: Floats
     pairs: Floats
     key: str
     about: str
@@ -150,6 +155,11 @@ class Calibration:
         """Return the errors of X and V, each (layers,) float64 mm, over all sizes."""
         x, v = self.typical_errors[int(second_pass), ESTIMATORS.index(estimator)]
         return x, v
+
+    def correlation(self, estimator: str, second_pass: bool = False) -> Floats:
+        """Return the correlation of the errors of X and V of one crossing, (layers,) float64."""
+        found: Floats = self.correlations[int(second_pass), ESTIMATORS.index(estimator)]
+        return found
 
     def to_json(self) -> str:
         """Return the text of a calibration file."""
@@ -162,7 +172,8 @@ class Calibration:
 
 def neutral(layers: int) -> Calibration:
     """Return the calibration with which calibrations are made: equal errors, no correction."""
-    zero = ("depth", "height", "edges", "shares", "slope_shares", "distance_edges", "direction_depths")
+    zero = ("depth", "height", "edges", "shares", "slope_shares", "distance_edges", "direction_depths",
+            "correlations")  # fmt: skip
     values = {name: (np.zeros if name in zero else np.ones)(_shape(name, layers)) for name in _SHAPES}
     return Calibration(**values, key="", about="none")
 

@@ -124,3 +124,12 @@ class ProjectionReadout(SettingsData):
         detector : Detector
         """
         return calibration_of(detector, self).typical(self.estimator)
+
+    def expected_correlations(self, detector: Detector) -> Floats:
+        """Return the correlation of the errors of X and V of one crossing, (layers,) float64.
+
+        Parameters
+        ----------
+        detector : Detector
+        """
+        return calibration_of(detector, self).correlation(self.estimator)

@@ -19,7 +19,7 @@ from cgemit.digitize.calibration import (
     key_of,
     neutral,
 )
-from cgemit.gun import Gun
+from cgemit.gun import Gun, generate
 from cgemit.result import Result
 from cgemit.study.readout.direction import known_directions, set_depths
 from cgemit.study.readout.errors import (
@@ -27,6 +27,7 @@ from cgemit.study.readout.errors import (
     groups,
     refine,
     select,
+    set_correlations,
     set_errors,
     set_typical,
     slope_cells,
@@ -40,6 +41,7 @@ from cgemit.study.readout.measure import (
     pair_numbers,
     true_directions,
 )
+from cgemit.tables import Table
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
@@ -48,39 +50,58 @@ _WINDOW = 1.0  # mm, of residuals from which the depth is found
 _ROUNDS = 5  # of outlier removal
 _LEAST_SLOPE = 0.05  # below, heights do not matter and cannot be measured
 _STEPS = 3  # of the depth: strips enter and leave the gap as it changes
+_LOWEST, _HIGHEST = 0.2, 10.0  # GeV/c, of the muons of known tracks
+_MOMENTA = 41  # odd: every charge has all of them
 _QUANTILES = (0.1, 0.25, 0.5, 0.75, 0.9, 0.97)  # of the charge, where ranges begin
 _APART = (0.4, 0.7, 0.85, 0.93, 0.97, 0.985)  # quantiles of the distance of centroid and line, the same
 
 
 def calibrate(
-    detector: Detector, readout: Any, *, n: int = 20_000, seed: int = 101, p: float = 1.0, cos_theta: float = 0.93,
+    detector: Detector, readout: Any, *, n: int = 40_000, seed: int = 101, p: float = 1.0, cos_theta: float = 0.93,
     threads: int | None = None,
 ) -> Calibration:  # fmt: skip
-    """Return the calibration of a read-out from muons of one momentum.
+    """Return the calibration of a read-out from muons of both charges.
+
+    Clusters alone are calibrated with muons of one momentum, clusters of known tracks with as many of all curvatures,
+    since the slope of a track in X comes from its curvature.
 
     Parameters
     ----------
     detector : Detector
     readout : AnalogReadout or ProjectionReadout
     n : int
-        Muons.
+        Muons of one momentum, half of them of each charge.
     seed : int
     p : float
         GeV/c.
     cos_theta : float
-        The sample covers cos(theta) from minus to plus this, uniformly.
+        The samples cover cos(theta) from minus to plus this, uniformly.
     threads : int or None
     """
-    result = run(
-        detector, Gun("mu-", p=p, cos_theta=(-cos_theta, cos_theta)), n, seed, readout=readout, until="digitize",
-        threads=threads,
-    )  # fmt: skip
-    about = f"{readout.name}, {detector.name}, {n} mu- of {p:g} GeV/c, |cos(theta)| < {cos_theta:g}, seed {seed}"
-    return calibration_from(result, readout, about)
+
+    def digitized(momenta: list[float], seed: int) -> Result:
+        muons = _muons(momenta, n, seed, cos_theta)
+        return run(detector, muons, seed=seed, readout=readout, until="digitize", threads=threads)
+
+    lowest = min(p, _LOWEST)
+    momenta = (1 / np.linspace(1 / lowest, 1 / max(p, _HIGHEST), _MOMENTA)).tolist()
+    about = (
+        f"{readout.name}, {detector.name}, {n} mu- and mu+ of {p:g} GeV/c, with the track {n} of {lowest:g} to "
+        f"{max(p, _HIGHEST):g} GeV/c, |cos(theta)| < {cos_theta:g}, seed {seed}"
+    )
+    return calibration_from(digitized([p], seed), readout, about, digitized(momenta, seed + 1))
 
 
-def calibration_from(result: Result, readout: Any, about: str) -> Calibration:
-    """Return the calibration from the digis of a run.
+def _muons(momenta: list[float], n: int, seed: int, cos_theta: float) -> Table:
+    """Return the particles table of `n` events with one muon each, charges and momenta in turn."""
+    both = [generate(Gun(name, p=momenta, cos_theta=(-cos_theta, cos_theta)), n, seed) for name in ("mu-", "mu+")]
+    positive = both[0]["event"] % 2 == 1
+    columns = {name: np.where(positive, both[1][name], both[0][name]) for name in both[0].columns}
+    return Table("particles", columns, n)
+
+
+def calibration_from(result: Result, readout: Any, about: str, tracked: Result | None = None) -> Calibration:
+    """Return the calibration from the digis of runs.
 
     Parameters
     ----------
@@ -90,11 +111,15 @@ def calibration_from(result: Result, readout: Any, about: str) -> Calibration:
         With which they were made.
     about : str
         What the calibration belongs to, for people.
+    tracked : Result or None
+        Of the clusters that know the angle of their track; None: `result`.
     """
     detector, digis, truths = result.detector, result.digis, result.truths
+    runs = result, result if tracked is None else tracked
 
     def measured(estimator: str, calibration: Calibration, of_track: bool = False) -> Measurements:
         one = replace(readout, estimator=estimator)
+        digis, truths = runs[of_track].digis, runs[of_track].truths
         clusters = one.cluster_with(detector, digis, calibration)
         if of_track:
             directions = true_directions(detector, clusters, truths)
@@ -105,7 +130,7 @@ def calibration_from(result: Result, readout: Any, about: str) -> Calibration:
         return sample if name == "centroid" else _rows(sample, apart(sample) > 0)  # others have its position
 
     def known(sample: Measurements, of_track: bool) -> tuple[Floats, Floats]:
-        return known_directions(detector, truths, sample, of_track=of_track, lorentz=readout.lorentz)
+        return known_directions(detector, runs[of_track].truths, sample, of_track=of_track, lorentz=readout.lorentz)
 
     layers = len(detector.cgem)
     found = replace(neutral(layers), key=key_of(detector, readout), about=about)
@@ -144,9 +169,13 @@ def calibration_from(result: Result, readout: Any, about: str) -> Calibration:
             else:
                 set_errors(found, which, sample)
             refine(found, int(of_track), which, sample, apart(sample), known(sample, of_track))
+    runs = result, result  # of one momentum: curvature spreads the errors
+    for of_track in (False, True):
         for name in readout.estimators:
             sample = measured(name, found, of_track)
-            set_typical(found, int(of_track), ESTIMATORS.index(name), sample, truths["event"][sample.truth], radii)
+            which = ESTIMATORS.index(name)
+            set_typical(found, int(of_track), which, sample, truths["event"][sample.truth], radii)
+            set_correlations(found, int(of_track), which, sample)
     return found
 
 

@@ -21,6 +21,7 @@ from cgemit.study.readout.measure import FEWEST, Measurements
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
 
+_CORE = 3.0  # errors, within which clusters count in correlations
 _TAILS = 5.0  # errors, beyond which the fit drops hits
 _FEWEST_SIZES = 100  # clusters of one charge that give a group of sizes an error of its own
 _REFINED = 5  # times that the widths of pulls go into each of the factors
@@ -93,6 +94,8 @@ def refine(
                 for first, last in groups(size[charge == number] + 1):
                     here = (charge == number) & (size >= first - 1) & (size < last)
                     _unit_width(pull, here, by_charge, (number, slice(first - 1, last)))
+            for first, last in groups(size + 1):  # sizes that are few at each charge
+                _unit_width(pull, (size >= first - 1) & (size < last), by_charge, (slice(None), slice(first - 1, last)))
             if along:
                 for cell in np.ndindex(*by_cell.shape):
                     _unit_width(pull, (slope[mine] == cell[0]) & (strips[mine] == cell[1]), by_cell, cell)
@@ -150,6 +153,17 @@ def _at_beam_line(weight: Floats, radii: Floats) -> Floats:
     """Return what each layer adds to the intercept at radius 0 of a straight line, (tracks, layers) float64."""
     s, x, xx = ((weight * radii**power).sum(axis=1, keepdims=True) for power in range(3))
     return np.asarray(weight * (xx - x * radii) / (s * xx - x * x))
+
+
+def set_correlations(found: Calibration, along: int, which: int, sample: Measurements) -> None:
+    """Set the correlations of the errors of X and V of one crossing, those beyond three errors left out."""
+    pull = sample.residual / sample.error
+    for layer in range(found.correlations.shape[2]):
+        here = (sample.layer == layer) & (np.abs(pull) < _CORE)
+        x, v = (np.flatnonzero(here & (sample.view == view)) for view in (0, 1))
+        _, of_x, of_v = np.intersect1d(sample.truth[x], sample.truth[v], return_indices=True)
+        if len(of_x) >= FEWEST:
+            found.correlations[along, which, layer] = np.corrcoef(pull[x[of_x]], pull[v[of_v]])[0, 1]
 
 
 def select(sample: Measurements, calibration: Calibration, at: tuple[int, ...]) -> Measurements:
