@@ -127,10 +127,13 @@ def test_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main([*common, "--values", "2,4"]) == 2
     assert main([*common, "--scan", "gain", "--angles", "0 deg"]) == 2
     assert main([*common, "--scan", "gain", "--values", "1:2"]) == 2
+    assert main([*common, "--angles=-25:25:3"]) == 2
+    assert main([*common, "--scan", "gain", "--angle", "80 deg"]) == 2
     assert main([*common, "-d", "besiii-cgem"]) == 2
     assert main([*common, "--ghosts", "-d", "besiii-idc"]) == 2
     errors = capsys.readouterr().err
     for text in ("--formation: got", "--values: got it with --scan angle", "--angles: got it with --scan gain",
-                 "got a range", "--detector: got it without", "without CGEM layers"):  # fmt: skip
+                 "got a range", "--detector: got it without", "without CGEM layers",
+                 "--angles: got -1432.39 deg, expected", "--angle: got 80 deg, expected -80 to 80 deg"):  # fmt: skip
         assert text in errors
     assert set(QUANTITIES) == {"angle", "bz", "drift_field", "gain", "threshold"}

@@ -41,6 +41,7 @@ examples:
   cgemit readout --readout tiger -d my-detector.toml --calibrate my-tiger.json"""
 
 _ANGLES = "0 deg:40 deg:9"
+_GRAZING = 80  # deg, beyond which a beam does not cross the layer
 #: Values of a scan if none are given.
 _VALUES = {"bz": "0:1:5", "drift_field": "1:3:5", "gain": "5000,8000,12000,20000,40000", "threshold": "1:5:5"}
 
@@ -158,7 +159,19 @@ def _one_angle(arguments: argparse.Namespace) -> float:
     """Return the angle of incidence, deg."""
     if not isinstance(arguments.angle, float):
         raise changes.InputError("--angle: got several values, expected one such as 20 deg")
-    return float(np.degrees(arguments.angle))
+    return _incidence("--angle", [arguments.angle])[0]
+
+
+def _incidence(option: str, angles: list[float]) -> list[float]:
+    """Return angles of incidence in deg, from rad."""
+    degrees = [float(value) for value in np.degrees(angles)]
+    wrong = [value for value in degrees if not abs(value) < _GRAZING]
+    if wrong:
+        raise changes.InputError(
+            f"{option}: got {wrong[0]:g} deg, expected -{_GRAZING} to {_GRAZING} deg; numbers without unit "
+            'are rad ("25 deg" has one)'
+        )
+    return degrees
 
 
 def _values(arguments: argparse.Namespace) -> list[float]:
@@ -176,7 +189,7 @@ def _values(arguments: argparse.Namespace) -> list[float]:
     if (arguments.values if arguments.scan == "angle" else arguments.angles) is not None:
         raise changes.InputError(f"{wrong}: got it with --scan {arguments.scan}, expected {option}")
     values = [float(value) for value in np.atleast_1d(given)]
-    return [float(value) for value in np.degrees(values)] if arguments.scan == "angle" else values
+    return _incidence(option, values) if arguments.scan == "angle" else values
 
 
 def _scan(arguments: argparse.Namespace, readout: Any) -> int:
