@@ -218,7 +218,7 @@ class AnalogReadout(SettingsData):
         )  # fmt: skip
 
     def expected_errors(self, detector: Detector) -> tuple[Floats, Floats]:
-        """Return the errors of clusters of the most frequent size, see `Readout.expected_errors`.
+        """Return the errors of clusters of all sizes and angles, see `Readout.expected_errors`.
 
         Parameters
         ----------
