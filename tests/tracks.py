@@ -40,6 +40,15 @@ def hits_of_result(result) -> FitHits:
     return collect_hits(result.detector, result.candidates, result.candidate_hits, result.clusters, result.wire_hits)
 
 
+def true_views(detector: Detector, layer, sheet, phi, z):
+    """Return X and V, (n,) float64 mm, of points on sheets; one sheet stands for two."""
+    cgem = detector.cgem
+    start = np.array([(one.sheet_phi * 2)[:2] for one in cgem])[layer, sheet]
+    radius, stereo, z_ref = np.array([(one.r_readout, one.stereo, one.z_ref) for one in cgem])[layer].T
+    x = radius * np.remainder(phi - start, 2 * np.pi)
+    return x, x * np.cos(stereo) + (z_ref - z) * np.sin(stereo)
+
+
 def on_helix(helix, pdg=13):
     """Return particles that start at the closest points of helices, rows of (dr, phi0, kappa, dz, tanl).
 

@@ -209,6 +209,7 @@ class HitModel:
     def __init__(
         self,
         *,
+        cos_theta: Sequence[float],
         sigma_x: Sequence[float],
         sigma_v: Sequence[float],
         corr_xv: Sequence[float],

@@ -174,6 +174,23 @@ def test_analytic_errors_are_those_of_tracks(kind: type, second_pass: bool) -> N
         assert abs(ratio - 1) < 0.05 + 1.5 * found.core_error / found.core, (name, ratio)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("cos_theta", [-0.8, -0.4, 0.0, 0.4, 0.8])
+@pytest.mark.parametrize("second_pass", [False, True])
+@pytest.mark.parametrize("kind", [TigerReadout, Apv25Readout])
+def test_analytic_errors_at_one_angle(kind: type, second_pass: bool, cos_theta: float) -> None:
+    """They agree within 5 % at every angle, too; with errors of all angles d_rho and d_z are up to 16 % off."""
+    readout = kind(second_pass=second_pass)
+    tracks = run(
+        load("besiii-cgem-design"), Gun("mu-", p=1.0, cos_theta=cos_theta), 8000, seed=9, readout=readout
+    ).tracks
+    expected = analytic("besiii-cgem-design", "mu-", p=1.0, cos_theta=cos_theta, readout=readout)
+    for name in ("dr", "dz", "p"):
+        found = measure(tracks[f"res_{name}"][tracks["status"] == 0])
+        ratio = float(np.squeeze(getattr(expected, f"sigma_{name}"))) / found.core
+        assert abs(ratio - 1) < 0.05 + 1.5 * found.core_error / found.core, (name, ratio)
+
+
 @pytest.mark.parametrize("second_pass", [False, True])
 def test_pulls_of_clusters_by_charge_and_size(second_pass: bool) -> None:
     """Errors hold for little and much charge and up to six strips; X clusters of more are those of delta electrons.

@@ -10,9 +10,10 @@ import pytest
 import cgemit as cg
 from cgemit.candidates import HIT_WIRE
 from cgemit.digitize.calibration import ESTIMATORS, calibration_of, neutral
+from cgemit.digitize.readout import COS_THETA
 from cgemit.study.readout.calibrate import _muons
-from cgemit.study.readout.errors import set_correlations
 from cgemit.study.readout.measure import Measurements, measurements, true_directions
+from cgemit.study.readout.typical import set_correlations
 
 DESIGN = cg.load("besiii-cgem-design")
 RHO = np.array([0.6, -0.5, 0.7])
@@ -33,8 +34,8 @@ def test_correlation_of_a_sample() -> None:
     flat = np.zeros(2 * n, np.int64)
     sample = Measurements(residual, error, flat.astype(float), flat, error, view, layer[truth], truth, flat)
     found = neutral(3)
-    set_correlations(found, 1, 2, sample)
-    np.testing.assert_allclose(found.correlations[1, 2], RHO, atol=0.03)
+    set_correlations(found, 1, 2, sample, np.zeros(n))
+    np.testing.assert_allclose(found.correlations[1, 2], np.tile(RHO[:, None], 17), atol=0.03)
     assert not found.correlations[0].any()
 
 
@@ -46,11 +47,15 @@ def test_clusters_of_a_chip_have_the_correlation_of_its_calibration(second_pass:
     clusters, hits = result.clusters, result.candidate_hits
     used = np.zeros(len(clusters), np.bool_)
     used[hits["row"][hits["view"] < HIT_WIRE]] = True
-    alone, tracked = calibration.correlations[:, ESTIMATORS.index("merged")]
-    np.testing.assert_array_equal(clusters["corr_xv"][~used], alone[clusters["layer"][~used]])
+    by_angle = calibration.correlations[:, ESTIMATORS.index("merged")]
+    angles = np.linspace(COS_THETA[0], COS_THETA[-1], 20_001)
+    alone, tracked = (
+        np.array([np.interp(angles, COS_THETA, layer).mean() for layer in of_pass]) for of_pass in by_angle
+    )
+    np.testing.assert_allclose(clusters["corr_xv"][~used], alone[clusters["layer"][~used]], atol=1e-5)
     expected = tracked if second_pass else alone
-    np.testing.assert_array_equal(clusters["corr_xv"][used], expected[clusters["layer"][used]])
-    np.testing.assert_array_equal(readout.expected_correlations(DESIGN), expected)
+    np.testing.assert_allclose(clusters["corr_xv"][used], expected[clusters["layer"][used]], atol=1e-5)
+    np.testing.assert_array_equal(readout.expected_correlations(DESIGN), by_angle[int(second_pass)])
     assert (expected > 0.1).all()
 
 

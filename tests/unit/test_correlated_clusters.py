@@ -13,6 +13,7 @@ from cgemit.fit import fit
 from cgemit.match import compare
 from cgemit.tables import Table
 from exact import EXACT, assert_pulls_are_standard_normal
+from tracks import true_views
 
 DESIGN = cg.load("besiii-cgem-design")
 RHO = np.array([0.6, -0.5, 0.7])
@@ -31,14 +32,9 @@ def correlated(result: cg.Result, rho: npt.NDArray[np.float64] | None = None) ->
     v = clusters["v"].copy()
     xv = np.flatnonzero(view == 2)
     of_x, of_v = clusters["x_cluster"][xv], clusters["v_cluster"][xv]
-    turn = np.array([one.r_readout for one in result.detector.cgem])[layer[xv]]
-    start = np.array([(one.sheet_phi * 2)[:2] for one in result.detector.cgem])[layer[xv], clusters["sheet"][xv]]
-    stereo, z_ref = (
-        np.array([getattr(one, name) for one in result.detector.cgem])[layer[xv]] for name in ("stereo", "z_ref")
-    )
     truth = clusters["truth"][xv]
-    x_true = turn * np.remainder(result.truths["phi"][truth] - start, 2 * np.pi)
-    v_true = x_true * np.cos(stereo) + (z_ref - result.truths["z"][truth]) * np.sin(stereo)
+    phi, z = (result.truths[name][truth] for name in ("phi", "z"))
+    x_true, v_true = true_views(result.detector, layer[xv], clusters["sheet"][xv], phi, z)
     pulls = (clusters["x"][of_x] - x_true) / clusters["err_x"][of_x], (v[of_v] - v_true) / clusters["err_v"][of_v]
     mine = RHO[layer[xv]]
     v[of_v] = v_true + clusters["err_v"][of_v] * (mine * pulls[0] + np.sqrt(1 - mine**2) * pulls[1])

@@ -12,7 +12,6 @@ from cgemit.digitize.calibration import PATH_KNOTS, SLOPE_KNOTS, calibration_of,
 from cgemit.statistics.estimate import measure
 from cgemit.study.readout.calibrate import _muons
 from cgemit.study.readout.direction import known_directions, set_depths
-from cgemit.study.readout.errors import set_typical
 from cgemit.study.readout.measure import Measurements, lorentz_slopes, measurements, true_directions
 
 DESIGN = cg.load("besiii-cgem-design")
@@ -213,31 +212,6 @@ def test_known_directions_are_those_of_muons():
     for one, other in zip(place, track, strict=True):
         assert np.quantile(np.abs(one - other), 0.9) < 0.02
     assert np.ptp(track[0]) > 2
-
-
-def typical_of(residual, error):
-    """Return the typical errors of clusters of tracks through layers at 80, 120 and 160 mm, (tracks, 3) each."""
-    n = len(residual)
-    layer, event = np.tile(np.arange(3), n), np.repeat(np.arange(n), 3)
-    flat = np.zeros(3 * n, np.int64)
-    sample = Measurements(residual.ravel(), error.ravel(), flat, flat, flat, flat, layer, flat, flat)
-    found = neutral(3)
-    set_typical(found, 0, 0, sample, event, np.array([80.0, 120.0, 160.0]))
-    return found.typical_errors[0, 0, 0]
-
-
-def test_typical_errors():
-    """Of equal Gaussian clusters they are their errors; tails add to them, known errors that differ take away."""
-    random = np.random.default_rng(1)
-    unit = random.normal(size=(40_000, 3))
-    error = np.broadcast_to([0.1, 0.2, 0.15], unit.shape)
-    np.testing.assert_allclose(typical_of(unit * error, error), error[0], rtol=0.02)
-    tails = unit * np.where(random.random(unit.shape) < 0.05, 3.5, 1)
-    core = measure(tails[:, 0]).core
-    assert (typical_of(tails * error, error) > 1.02 * core * error[0]).all()
-    differ = np.where(random.random(unit.shape) < 0.5, 0.1, 0.2)
-    known, unknown = (typical_of(unit * differ, one) for one in (differ, np.full(unit.shape, 0.15)))
-    assert (known < 0.97 * unknown).all()
 
 
 def test_own_part_of_a_divided_cluster():

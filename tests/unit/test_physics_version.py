@@ -20,6 +20,7 @@ HASHES = {
     8: "d0649b4511db3e6c",  # clusters of tiger, apv25 and analog-projection by the direction of their tracks
     9: "d0649b4511db3e6c",  # tracks of the finder that share hits
     10: "d0649b4511db3e6c",  # calibrations of tiger, apv25 and analog-projection; correlated X and V clusters
+    11: "d0649b4511db3e6c",  # expected errors of tiger, apv25 and analog-projection by cos(theta)
 }
 
 

@@ -11,7 +11,7 @@ from cgemit.candidates import HIT_WIRE, HIT_XV, collect_hits
 from cgemit.fit import PARAMETERS, FitSettings, core_arguments, fit
 from cgemit.tables import Table
 from exact import EXACT
-from tracks import order_of_matter
+from tracks import order_of_matter, true_views
 
 DETECTOR = cg.load("besiii-cgem-design")
 FIT = FitSettings(residuals=True, states=("origin",), tolerance=1e-9, max_iterations=40, outlier_pull=0, kinks=False)
@@ -28,13 +28,9 @@ def points():
     a, b = random.standard_normal((2, n))
     xv = clusters["view"] == 2
     truth = clusters["truth"]
-    turn = np.array([layer.r_readout for layer in DETECTOR.cgem])[clusters["layer"]]
-    edges = np.array([(layer.sheet_phi * 2)[:2] for layer in DETECTOR.cgem])  # one sheet stands for two
-    start = edges[clusters["layer"], clusters["sheet"]]
-    x = turn * np.remainder(result.truths["phi"][truth] - start, 2 * np.pi)
-    stereo = np.array([layer.stereo for layer in DETECTOR.cgem])[clusters["layer"]]
-    z_ref = np.array([layer.z_ref for layer in DETECTOR.cgem])[clusters["layer"]]
-    v = x * np.cos(stereo) + (z_ref - result.truths["z"][truth]) * np.sin(stereo)
+    x, v = true_views(
+        DETECTOR, clusters["layer"], clusters["sheet"], result.truths["phi"][truth], result.truths["z"][truth]
+    )
     smeared = clusters.with_columns(
         x=np.where(xv, x + ERR_X * a, clusters["x"]),
         v=np.where(xv, v + ERR_V * (RHO * a + np.sqrt(1 - RHO**2) * b), clusters["v"]),

@@ -72,9 +72,18 @@ def test_command_scans_and_calibrates(tmp_path: Path, capsys: pytest.CaptureFixt
     calibrate = ["readout", "--readout", "analog-projection", "--set", "digitize.readout.sigma=0.4"]
     assert main([*calibrate, "-d", "besiii-cgem", "--calibrate", str(file), "--quiet"]) == 0
     assert main([*calibrate, "-d", "besiii-cgem", "--calibrate", str(file), "--quiet"]) == 2
-    assert "expected another file, or --overwrite" in capsys.readouterr().err
+    printed = capsys.readouterr()
+    assert "expected another file, or --overwrite" in printed.err
     own = calibration_of(load("besiii-cgem"), ProjectionReadout(sigma=0.4, calibration=str(file)))
-    assert own.typical("centroid")[0].shape == (3,)
+    assert own.typical("centroid")[0].shape == (3, 17)
+    lines = printed.out.splitlines()
+    at = next(i for i, line in enumerate(lines) if line.startswith("errors over all clusters, um"))
+    assert [float(one) for one in lines[at + 1].split()] == [-0.9, -0.58, 0.0, 0.58, 0.9]
+    for view, errors in zip("XV", own.typical("centroid"), strict=True):
+        for number, layer in enumerate(errors):
+            label, name, *shown = lines[at + 2 + 3 * "XV".index(view) + number].split()
+            assert (label, name) == (f"L{number + 1}", view)
+            assert [float(one) for one in shown] == [float(f"{1e3 * one:.1f}") for one in layer[::4]]
     run_it = [
         "simulate",
         "-d",

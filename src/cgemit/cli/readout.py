@@ -107,6 +107,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _calibrate(arguments: argparse.Namespace, readout: Any) -> int:
     from cgemit.detector import load
+    from cgemit.digitize.readout import COS_THETA
     from cgemit.io import new_file
     from cgemit.study.readout.calibrate import calibrate
 
@@ -119,10 +120,12 @@ def _calibrate(arguments: argparse.Namespace, readout: Any) -> int:
     found = calibrate(detector, readout, n=arguments.events or 40_000, seed=arguments.seed, threads=arguments.threads)
     with new_file(target, overwrite=arguments.overwrite) as temporary:
         temporary.write_text(found.to_json(), encoding="utf-8")
-    x, v = found.typical(readout.estimator)
-    print(f"{found.about}\nerrors of X and V over all clusters, um, by layer:")
-    for layer, *errors in zip(detector.cgem, x, v, strict=True):
-        print(f"  {layer.label}  {1e3 * errors[0]:6.1f}  {1e3 * errors[1]:6.1f}")
+    shown = slice(None, None, 4)
+    angles = "".join(f"{cos_theta:8.2f}" for cos_theta in COS_THETA[shown])
+    print(f"{found.about}\nerrors over all clusters, um, by layer, view and cos(theta):\n        {angles}")
+    for view, errors in zip("XV", found.typical(readout.estimator), strict=True):
+        for layer, own in zip(detector.cgem, errors, strict=True):
+            print(f"  {layer.label:>4} {view}" + "".join(f"{1e3 * error:8.1f}" for error in own[shown]))
     return common.OK
 
 

@@ -20,7 +20,7 @@ from cgemit.detector import Detector, load
 from cgemit.detector.kept import once
 from cgemit.detector.parts import DriftChamber
 from cgemit.digitize import DigitizeSettings
-from cgemit.digitize.readout import Readout
+from cgemit.digitize.readout import COS_THETA, Readout
 from cgemit.fit import FitSettings
 
 Floats = npt.NDArray[np.float64]
@@ -149,11 +149,15 @@ def _tracks(
 
 def _hit_model(detector: Detector, digitize: DigitizeSettings, fit: FitSettings) -> tuple[_core.HitModel, bool]:
     """Return how hits are expected, and whether they vary among tracks of the same direction."""
-    sigma_x, sigma_v = _errors(digitize.readout, detector)
-    correlations = getattr(digitize.readout, "expected_correlations", None)
-    corr_xv = np.zeros(len(sigma_x)) if correlations is None else correlations(detector)
+    sigma_x, sigma_v, corr_xv = _errors(digitize.readout, detector)
+    by_angle = max(one.shape[1] for one in (sigma_x, sigma_v, corr_xv)) > 1
+    cos_theta = COS_THETA if by_angle else np.zeros(1)
+    sigma_x, sigma_v, corr_xv = (
+        np.broadcast_to(one, (len(one), len(cos_theta))) for one in (sigma_x, sigma_v, corr_xv)
+    )
     model = _core.HitModel(
-        sigma_x=list(sigma_x), sigma_v=list(sigma_v), corr_xv=list(corr_xv), least_width=fit.least_width,
+        cos_theta=cos_theta.tolist(), sigma_x=sigma_x.ravel().tolist(), sigma_v=sigma_v.ravel().tolist(),
+        corr_xv=corr_xv.ravel().tolist(), least_width=fit.least_width,
         delta_strips=fit.delta_strips, sides_known=digitize.reveal_sides, seed=0, prior_sigma=fit.prior_sigma,
     )  # fmt: skip
     return model, not (np.all(sigma_x > 0) and np.all(sigma_v > 0)) or _inefficient(detector)
@@ -181,12 +185,26 @@ def _result(
     )  # fmt: skip
 
 
-def _errors(readout: Readout, detector: Detector) -> tuple[Floats, Floats]:
+def _errors(readout: Readout, detector: Detector) -> tuple[Floats, Floats, Floats]:
+    """Return errors of X and V, mm, and their correlations, each (layers, 1) or (layers, len(COS_THETA))."""
     expected = getattr(readout, "expected_errors", None)
     if expected is None:
         raise ValueError(f"read-out {readout.name}: expected a method expected_errors(detector), see Readout")
     sigma_x, sigma_v = expected(detector)
-    return np.asarray(sigma_x, np.float64), np.asarray(sigma_v, np.float64)
+    correlations = getattr(readout, "expected_correlations", lambda detector: np.zeros(len(detector.cgem)))
+    given = {"sigma_x": sigma_x, "sigma_v": sigma_v, "correlations": correlations(detector)}
+    x, v, xv = (_by_angle(f"read-out {readout.name}: {name}", one, len(detector.cgem)) for name, one in given.items())
+    for name, values in (("sigma_x", x), ("sigma_v", v)):
+        if not ((values >= 0) & ((values > 0) == (values[:, :1] > 0))).all():
+            raise ValueError(f"read-out {readout.name}: {name}: expected errors above 0, or 0 for all of a layer")
+    return x, v, xv
+
+
+def _by_angle(name: str, given: npt.ArrayLike, layers: int) -> Floats:
+    values = np.asarray(given, np.float64)
+    if values.shape not in ((layers,), (layers, len(COS_THETA))):
+        raise ValueError(f"{name}: got shape {values.shape}, expected ({layers},) or ({layers}, {len(COS_THETA)})")
+    return values.reshape(layers, -1) if layers else np.zeros((0, 1))
 
 
 def _inefficient(detector: Detector) -> bool:

@@ -132,7 +132,7 @@ def clusters_at(
         slopes=tracks[:, 0], paths=tracks[:, 1],
     )  # fmt: skip
     # X and V of a crossing come from the same electrons.
-    alone, tracked = (calibration.correlation(estimator, of_track)[found["layer"]] for of_track in (False, True))
+    alone, tracked = (calibration.mean_correlation(estimator, of_track)[found["layer"]] for of_track in (False, True))
     along = np.zeros(len(alone), np.bool_)
     along[: len(tracks)] = np.isfinite(tracks[: len(along), 0])
     found["corr_xv"] = np.where(along, tracked, alone)

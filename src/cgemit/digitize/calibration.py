@@ -11,8 +11,10 @@ from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
+from scipy.integrate import trapezoid
 
 from cgemit.detector import Detector
+from cgemit.digitize.readout import COS_THETA
 from cgemit.io.files import read_text
 from cgemit.problems import ProblemsError
 
@@ -39,7 +41,7 @@ PAIR = 6
 """Numbers of the likelihood of a pair of X and V."""
 
 #: Changes with everything that makes stored calibrations wrong.
-MODEL = 5
+MODEL = 6
 _MISSING = (
     "got no calibration for this detector, field and read-out, "
     "expected digitize.readout.calibration = a file written by: "
@@ -61,13 +63,13 @@ class CalibrationError(ProblemsError[str]):
 #: Shapes of the arrays of a calibration; -1 stands for the number of layers.
 _SHAPES = {
     "edges": (2, -1, CHARGES - 1), "depth": (2, -1, CHARGES), "height": (2, -1, CHARGES),
-    "typical_errors": (2, 3, 2, -1),
+    "typical_errors": (2, 3, 2, -1, len(COS_THETA)),
     "errors": (3, 2, -1, CHARGES, SIZES), "pairs": (-1, PAIR),
     "shares": (2, -1, CHARGES, SIZES), "slope_errors": (3, 2, -1, len(SLOPE_EDGES) + 1, SLOPE_SIZES),
     "slope_shares": (2, -1, len(SLOPE_EDGES) + 1, SLOPE_SIZES), "charge_factors": (3, 2, -1, CHARGES, SIZES),
     "distance_edges": (2, 2, -1, DISTANCES - 2), "distance_factors": (2, 3, 2, -1, DISTANCES),
     "direction_depths": (2, 3, 2, -1, DIRECTIONS), "direction_factors": (2, 3, 2, -1, DIRECTIONS),
-    "correlations": (2, 3, -1),
+    "correlations": (2, 3, -1, len(COS_THETA)),
 }  # fmt: skip
 
 
@@ -101,9 +103,9 @@ class Calibration:
         shift.
     edges : (2, layers, CHARGES - 1) float64, fC
         Charges of clusters where the next range begins.
-    typical_errors : (2, 3, 2, layers) float64, mm
-        Over all charges, sizes and slopes of the sample, without and with the angle of the track: equal errors with
-        which straight lines through the layers are as precise at the beam line.
+    typical_errors : (2, 3, 2, layers, len(COS_THETA)) float64, mm
+        Over all charges and sizes, by cos(theta) of the track, for clusters without and with its angle: equal errors
+        with which straight lines through the layers are as precise at the beam line.
     slope_errors : (3, 2, layers, len(SLOPE_EDGES) + 1, SLOPE_SIZES) float64, mm
         Errors of positions that use the angle of the track, by estimator, view, layer, range of the slope and number of
         strips.
@@ -122,8 +124,8 @@ class Calibration:
         the direction of a straight track from the beam line, and with the angle of the track.
     direction_factors : (2, 3, 2, layers, DIRECTIONS) float64
         On the errors, by range of the same.
-    correlations : (2, 3, layers) float64
-        Of the errors of X and V of one crossing, without and with the angle of the track.
+    correlations : (2, 3, layers, len(COS_THETA)) float64
+        Of the errors of X and V of one crossing, by cos(theta) of the track, for clusters without and with its angle.
     pairs : (layers, PAIR) float64
         Mean and width of ln(charge of X / charge of V) and of the difference of their times (ns) for one particle, and
         the widths of both for two particles.
@@ -152,14 +154,19 @@ class Calibration:
     about: str
 
     def typical(self, estimator: str, second_pass: bool = False) -> tuple[Floats, Floats]:
-        """Return the errors of X and V, each (layers,) float64 mm, over all sizes."""
+        """Return the errors of X and V over all sizes, each (layers, len(COS_THETA)) float64 mm."""
         x, v = self.typical_errors[int(second_pass), ESTIMATORS.index(estimator)]
         return x, v
 
     def correlation(self, estimator: str, second_pass: bool = False) -> Floats:
-        """Return the correlation of the errors of X and V of one crossing, (layers,) float64."""
+        """Return the correlation of the errors of X and V of one crossing, (layers, len(COS_THETA)) float64."""
         found: Floats = self.correlations[int(second_pass), ESTIMATORS.index(estimator)]
         return found
+
+    def mean_correlation(self, estimator: str, second_pass: bool = False) -> Floats:
+        """Return the mean of `correlation` over cos(theta), (layers,) float64, for clusters of unknown tracks."""
+        values = self.correlation(estimator, second_pass)
+        return np.asarray(trapezoid(values, COS_THETA) / (COS_THETA[-1] - COS_THETA[0]))
 
     def to_json(self) -> str:
         """Return the text of a calibration file."""

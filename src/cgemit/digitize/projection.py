@@ -117,7 +117,7 @@ class ProjectionReadout(SettingsData):
         )  # fmt: skip
 
     def expected_errors(self, detector: Detector) -> tuple[Floats, Floats]:
-        """Return the errors of clusters of all sizes, see `Readout.expected_errors`.
+        """Return the errors of clusters of all sizes by cos(theta), see `Readout.expected_errors`.
 
         Parameters
         ----------
@@ -126,7 +126,7 @@ class ProjectionReadout(SettingsData):
         return calibration_of(detector, self).typical(self.estimator)
 
     def expected_correlations(self, detector: Detector) -> Floats:
-        """Return the correlation of the errors of X and V of one crossing, (layers,) float64.
+        """Return the correlation of the errors of X and V of one crossing, in the shape of `expected_errors`.
 
         Parameters
         ----------

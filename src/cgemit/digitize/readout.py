@@ -21,6 +21,9 @@ Jitter = Annotated[float, Check(lambda value: 0 <= value <= 10_000, "0 to 10000 
 
 #: Electrons on the anode per electron of ionization: effective gain of a triple GEM.
 GAIN = 12_000.0
+#: cos(theta) of tracks for which errors are expected, where these depend on it; linear between, constant beyond.
+COS_THETA = np.array([-0.9, -0.85, -0.78, -0.69, -0.58, -0.45, -0.3, -0.15, 0.0,
+                      0.15, 0.3, 0.45, 0.58, 0.69, 0.78, 0.85, 0.9])  # fmt: skip
 
 
 class Readout(Protocol):
@@ -62,11 +65,12 @@ class Readout(Protocol):
 
         Returns
         -------
-        sigma_x, sigma_v : ndarray, (layers,) float64, mm
-            0: strips fire where the projected path touches them, so that the error follows from their number.
+        sigma_x, sigma_v : ndarray, (layers,) or (layers, 17) float64, mm
+            For all tracks, or for those of `COS_THETA`. 0 for all: strips fire where the projected path touches them,
+            so that the error follows from their number.
 
         Notes
         -----
-        A method ``expected_correlations(detector)`` may give the correlation of both, (layers,) float64; else it is 0.
+        A method ``expected_correlations(detector)`` may give the correlation of both in the same shapes; else it is 0.
         """
         ...

@@ -66,8 +66,9 @@ py::dict run(const Detector& detector, const Array<double>& phi, const Array<dou
   if (samples == 0 || n % static_cast<py::ssize_t>(samples) != 0)
     throw std::invalid_argument("samples: expected a divisor of the number of tracks");
   for (const auto* number : {&model.sigma_x, &model.sigma_v, &model.corr_xv})
-    if (number->size() != detector.cgem.size())
-      throw std::invalid_argument("sigma_x, sigma_v, corr_xv: expected a number for each CGEM layer");
+    if (model.cos_theta.empty() || number->size() != detector.cgem.size() * model.cos_theta.size())
+      throw std::invalid_argument(
+          "sigma_x, sigma_v, corr_xv: expected a number for each CGEM layer and cos_theta");
   for (const Detector* variant : variants)
     if (variant == nullptr || !same_surfaces(detector, *variant))
       throw std::invalid_argument("variants: expected the surfaces of the detector in the same order");
@@ -110,20 +111,23 @@ void bind_covariance(py::module_& module) {
              "other in `covariances`.");
   py::class_<HitModel>(module, "HitModel",
                        "Errors of the hits that cgemit.covariance expects, and the prior of the filter.")
-      .def(py::init([](std::vector<double> sigma_x, std::vector<double> sigma_v, std::vector<double> corr_xv,
-                       double least_width, double delta_strips, bool sides_known, std::uint64_t seed,
-                       const std::array<double, 5>& prior_sigma) {
-             return HitModel{.sigma_x = std::move(sigma_x),
-                             .sigma_v = std::move(sigma_v),
-                             .corr_xv = std::move(corr_xv),
-                             .least_width = least_width,
-                             .delta_strips = delta_strips,
-                             .sides_known = sides_known,
-                             .seed = seed,
-                             .prior_sigma = prior_sigma};
-           }),
-           py::kw_only(), py::arg("sigma_x"), py::arg("sigma_v"), py::arg("corr_xv"), py::arg("least_width"),
-           py::arg("delta_strips"), py::arg("sides_known"), py::arg("seed"), py::arg("prior_sigma"));
+      .def(
+          py::init([](std::vector<double> cos_theta, std::vector<double> sigma_x, std::vector<double> sigma_v,
+                      std::vector<double> corr_xv, double least_width, double delta_strips, bool sides_known,
+                      std::uint64_t seed, const std::array<double, 5>& prior_sigma) {
+            return HitModel{.cos_theta = std::move(cos_theta),
+                            .sigma_x = std::move(sigma_x),
+                            .sigma_v = std::move(sigma_v),
+                            .corr_xv = std::move(corr_xv),
+                            .least_width = least_width,
+                            .delta_strips = delta_strips,
+                            .sides_known = sides_known,
+                            .seed = seed,
+                            .prior_sigma = prior_sigma};
+          }),
+          py::kw_only(), py::arg("cos_theta"), py::arg("sigma_x"), py::arg("sigma_v"), py::arg("corr_xv"),
+          py::arg("least_width"), py::arg("delta_strips"), py::arg("sides_known"), py::arg("seed"),
+          py::arg("prior_sigma"));
   module.def(
       "covariances", &run, py::arg("detector"), py::kw_only(), py::arg("phi"), py::arg("kappa"),
       py::arg("tanl"), py::arg("mass"), py::arg("scatters"), py::arg("samples"), py::arg("phases"),

@@ -14,8 +14,11 @@ namespace cgemit {
 
 // Errors of the expected hits, and the prior of the filter.
 struct HitModel {
-  // Errors of X and V of each CGEM layer, mm; 0: strips fire where the path touches them, and the error
-  // follows from the number of strips, as in the fit.
+  // Rising; the errors of layer l for them begin at l * cos_theta.size(), linear between them and constant
+  // beyond.
+  std::vector<double> cos_theta;
+  // Errors of X and V of each CGEM layer, mm; 0 for all: strips fire where the path touches them, and the
+  // error follows from the number of strips, as in the fit.
   std::vector<double> sigma_x, sigma_v;
   std::vector<double> corr_xv;       // of the errors of X and V of each CGEM layer, where these are given
   double least_width, delta_strips;  // as in the fit

@@ -6,6 +6,7 @@
 
 #include "common/rng.hpp"
 #include "covariance/covariance.hpp"
+#include "covariance/given_errors.hpp"
 #include "covariance/recorded.hpp"
 #include "detector/cluster_errors.hpp"
 #include "detector/strip_plane.hpp"
@@ -42,6 +43,7 @@ class ExpectedHits {
         group_(group),
         kept_(kept),
         streams_(streams()),
+        given_(model, gathered<T>([&](int i) { return input.tanl[track(i)]; })),
         again_(again),
         keeps_(!again && !input.variants.empty()),
         steps_(detector),
@@ -162,8 +164,8 @@ class ExpectedHits {
     slot.edge = edge;
     // Tells the trace on which side of a seam the hit is.
     slot.drift = view == View::x ? x : x * layer.cos_stereo + (layer.z_ref() - z) * layer.sin_stereo;
-    if (view == View::v && model_.sigma_x[index] > 0) {  // uncorrelated with X, as in the fit
-      slot.k = model_.corr_xv[index] * model_.sigma_v[index] / model_.sigma_x[index];
+    if (view == View::v) {  // uncorrelated with X, as in the fit
+      slot.k = given_.k(index);
       slot.x = x;
     }
     if (keeps_)
@@ -242,8 +244,8 @@ class ExpectedHits {
 
   T cluster_error(const Slot<T>& slot) const {
     const auto index = static_cast<std::size_t>(slot.layer);
+    if (given_.has(slot.view, index)) return given_.variance(slot.view, index);
     const bool is_x = slot.view == View::x;
-    if (const double given = given_variance(slot); given > 0) return T(given);
     const std::size_t views = 2 * detector_.cgem.size(), view = 2 * index + (is_x ? 0 : 1);
     const T phase = gathered<T>([&](int i) { return input_.phases[views * sample(i) + view]; });
     const auto [whole, part] = touched(slot.extent, pitch(slot));
@@ -251,19 +253,13 @@ class ExpectedHits {
   }
   // The same, averaged over the positions of the strips.
   T mean_error(const Slot<T>& slot) const {
-    if (const double given = given_variance(slot); given > 0) return T(given);
+    const auto index = static_cast<std::size_t>(slot.layer);
+    if (given_.has(slot.view, index)) return given_.variance(slot.view, index);
     const auto [whole, part] = touched(slot.extent, pitch(slot));
     return (1.0 - part) * error_of_size(slot, whole + 1.0) + part * error_of_size(slot, whole + 2.0);
   }
   T error_of_size(const Slot<T>& slot, const T& size) const {
     return cluster_variance(size, slot.extent, pitch(slot), model_.least_width, model_.delta_strips);
-  }
-  // Of V, the variance of what is uncorrelated with X.
-  double given_variance(const Slot<T>& slot) const {
-    const auto index = static_cast<std::size_t>(slot.layer);
-    if (slot.view == View::x) return model_.sigma_x[index] * model_.sigma_x[index];
-    return model_.sigma_v[index] * model_.sigma_v[index] *
-           (1 - model_.corr_xv[index] * model_.corr_xv[index]);
   }
   double pitch(const Slot<T>& slot) const {
     const CgemLayer& layer = detector_.cgem[static_cast<std::size_t>(slot.layer)];
@@ -288,7 +284,8 @@ class ExpectedHits {
   Group<T>& group_;
   std::vector<KeptHit<T>>& kept_;  // one per slot
   StreamOf<T> streams_;            // of the sample of each lane
-  bool again_, keeps_;             // whether the kept hits are used, or made
+  GivenErrors<T> given_;
+  bool again_, keeps_;  // whether the kept hits are used, or made
   UniformMotionOf<T>
       steps_;  // to the next layer of wires; short, so that the field is as at the last surface
   CellFinder<T, UniformMotionOf<T>> cells_;

@@ -27,9 +27,7 @@ from cgemit.study.readout.errors import (
     groups,
     refine,
     select,
-    set_correlations,
     set_errors,
-    set_typical,
     slope_cells,
 )
 from cgemit.study.readout.measure import (
@@ -41,6 +39,7 @@ from cgemit.study.readout.measure import (
     pair_numbers,
     true_directions,
 )
+from cgemit.study.readout.typical import set_correlations, set_typical
 from cgemit.tables import Table
 
 Floats = npt.NDArray[np.float64]
@@ -170,13 +169,21 @@ def calibration_from(result: Result, readout: Any, about: str, tracked: Result |
                 set_errors(found, which, sample)
             refine(found, int(of_track), which, sample, apart(sample), known(sample, of_track))
     runs = result, result  # of one momentum: curvature spreads the errors
+    cos_theta = _cos_theta(result)
+    of_truth = np.searchsorted(result.particles["event"], truths["event"])
     for of_track in (False, True):
         for name in readout.estimators:
             sample = measured(name, found, of_track)
             which = ESTIMATORS.index(name)
-            set_typical(found, int(of_track), which, sample, truths["event"][sample.truth], radii)
-            set_correlations(found, int(of_track), which, sample)
+            set_typical(found, int(of_track), which, sample, of_truth[sample.truth], cos_theta, radii)
+            set_correlations(found, int(of_track), which, sample, cos_theta[of_truth])
     return found
+
+
+def _cos_theta(result: Result) -> Floats:
+    """Return cos(theta) of the particles of a run, one an event, (n,) float64."""
+    px, py, pz = (result.particles[name] for name in ("px", "py", "pz"))
+    return np.asarray(pz / np.sqrt(px**2 + py**2 + pz**2))
 
 
 def _apart(pure: dict[str, Measurements]) -> Callable[[Measurements], Floats]:

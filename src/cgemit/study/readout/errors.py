@@ -21,8 +21,6 @@ from cgemit.study.readout.measure import FEWEST, Measurements
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
 
-_CORE = 3.0  # errors, within which clusters count in correlations
-_TAILS = 5.0  # errors, beyond which the fit drops hits
 _FEWEST_SIZES = 100  # clusters of one charge that give a group of sizes an error of its own
 _REFINED = 5  # times that the widths of pulls go into each of the factors
 
@@ -39,7 +37,7 @@ def _errors(sample: Measurements) -> Floats:
     """Return the errors by number of strips, (SIZES,) mm."""
     errors = np.ones(SIZES)
     for first, last in groups(np.minimum(sample.size, SIZES)):
-        errors[first - 1 : last] = _width(
+        errors[first - 1 : last] = core_width(
             sample.residual[(sample.size >= first) & (np.minimum(sample.size, SIZES) <= last)]
         )
     return errors
@@ -54,12 +52,12 @@ def by_slope(sample: Measurements, found: Calibration) -> Floats:
         here = (sample.view == view) & (sample.layer == layer)
         numbers = [k for k in range(ranges) if np.count_nonzero(here & (at == k)) >= FEWEST]
         if numbers:
-            widths = [_width(sample.residual[here & (at == k)]) for k in numbers]
+            widths = [core_width(sample.residual[here & (at == k)]) for k in numbers]
             values[view, layer] = np.interp(np.arange(ranges), numbers, widths)[:, None]
         for number, strips in np.ndindex(ranges, SLOPE_SIZES):
             mine = _in_cell(sample, at, size, (view, layer, number, strips))
             if np.count_nonzero(mine) >= FEWEST:
-                values[view, layer, number, strips] = _width(sample.residual[mine])
+                values[view, layer, number, strips] = core_width(sample.residual[mine])
     return values
 
 
@@ -109,61 +107,9 @@ def refine(
 def _unit_width(pull: Floats, here: npt.NDArray[np.bool_], errors: Floats, cell: tuple[int | slice, ...]) -> None:
     """Multiply the errors of a cell with the width of its pulls, which then is 1; of few clusters nothing changes."""
     if np.count_nonzero(here) >= _FEWEST_SIZES:
-        width = _width(pull[here])
+        width = core_width(pull[here])
         errors[cell] *= width
         pull[here] /= width
-
-
-def set_typical(found: Calibration, along: int, which: int, sample: Measurements, event: Ints, radii: Floats) -> None:
-    """Set the errors, equal for all clusters of a view and layer, with which tracks are as precise as with these.
-
-    They are the core widths of the residuals, times a factor: a straight line is fitted to the clusters of each track
-    with their own errors. The core of its intercepts at the beam line over that for equal Gaussian errors is the
-    factor. It holds what a fit gains from errors that differ, and loses by the tails of several clusters together.
-
-    Parameters
-    ----------
-    found : Calibration
-        Changed.
-    along, which : int
-    sample : Measurements
-    event : (n,) int64
-        Of each cluster.
-    radii : (layers,) float64, mm
-    """
-    for view in range(2):
-        widths = found.typical_errors[along, which, view]
-        residual = np.zeros((int(event.max(initial=0)) + 1, len(radii)))
-        weight = np.zeros(residual.shape)
-        for layer in range(len(radii)):
-            mine = (sample.view == view) & (sample.layer == layer)
-            if np.count_nonzero(mine) >= FEWEST:
-                widths[layer] = _width(sample.residual[mine])
-            mine &= np.abs(sample.residual) < _TAILS * sample.error
-            residual[event[mine], layer] = sample.residual[mine]
-            weight[event[mine], layer] = sample.error[mine] ** -2
-        whole = (weight > 0).all(axis=1)
-        if len(radii) > 1 and np.count_nonzero(whole) >= FEWEST:
-            intercepts = (_at_beam_line(weight[whole], radii) * residual[whole]).sum(axis=1)
-            equal = _at_beam_line(widths[None] ** -2, radii)[0]
-            widths *= _width(intercepts) / float(np.sqrt(np.sum((equal * widths) ** 2)))
-
-
-def _at_beam_line(weight: Floats, radii: Floats) -> Floats:
-    """Return what each layer adds to the intercept at radius 0 of a straight line, (tracks, layers) float64."""
-    s, x, xx = ((weight * radii**power).sum(axis=1, keepdims=True) for power in range(3))
-    return np.asarray(weight * (xx - x * radii) / (s * xx - x * x))
-
-
-def set_correlations(found: Calibration, along: int, which: int, sample: Measurements) -> None:
-    """Set the correlations of the errors of X and V of one crossing, those beyond three errors left out."""
-    pull = sample.residual / sample.error
-    for layer in range(found.correlations.shape[2]):
-        here = (sample.layer == layer) & (np.abs(pull) < _CORE)
-        x, v = (np.flatnonzero(here & (sample.view == view)) for view in (0, 1))
-        _, of_x, of_v = np.intersect1d(sample.truth[x], sample.truth[v], return_indices=True)
-        if len(of_x) >= FEWEST:
-            found.correlations[along, which, layer] = np.corrcoef(pull[x[of_x]], pull[v[of_v]])[0, 1]
 
 
 def select(sample: Measurements, calibration: Calibration, at: tuple[int, ...]) -> Measurements:
@@ -198,6 +144,6 @@ def groups(size: Ints) -> list[tuple[int, int]]:
     return groups or [(1, SIZES)]
 
 
-def _width(residual: Floats) -> float:
+def core_width(residual: Floats) -> float:
     """Return the core width of residuals about 0, mm."""
     return float(measure(residual, parameter="position", unit="mm").core)

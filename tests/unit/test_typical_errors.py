@@ -1,0 +1,173 @@
+"""Errors that stand for all clusters of a layer at an angle: from samples, and in covariances without events."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+import cgemit as cg
+from cgemit import isa
+from cgemit.digitize.calibration import neutral
+from cgemit.digitize.readout import COS_THETA
+from cgemit.statistics.estimate import measure
+from cgemit.study.readout.measure import Measurements
+from cgemit.study.readout.typical import nearest_cos_theta, set_correlations, set_typical
+
+Floats = npt.NDArray[np.float64]
+
+RADII = np.array([80.0, 120.0, 160.0])
+TRACK = ("besiii-cgem-design", "mu-", 1.0)
+ANGLES = np.array([-0.97, -0.9, -0.8, -0.3, 0.0, 0.07, 0.45, 0.6, 0.85, 0.93])
+
+
+def typical_of(residual: Floats, error: Floats, cos_theta: Floats | float = 0.0) -> Floats:
+    """Return the typical errors of X clusters of tracks, (tracks, 3) each; NaN: no cluster."""
+    n = len(residual)
+    layer, event = np.tile(np.arange(3), n), np.repeat(np.arange(n), 3)
+    there = np.isfinite(residual.ravel())
+    flat = np.zeros(np.count_nonzero(there), np.int64)
+    sample = Measurements(
+        residual.ravel()[there], error.ravel()[there], flat.astype(float), flat, flat.astype(float), flat, layer[there],
+        flat, flat,
+    )  # fmt: skip
+    found = neutral(3)
+    set_typical(found, 0, 0, sample, event[there], np.broadcast_to(cos_theta, n), RADII)
+    assert (found.typical_errors[0, 0, 1] == 1).all()  # no V clusters
+    assert (found.typical_errors[1] == 1).all()
+    errors: Floats = found.typical_errors[0, 0, 0]
+    return errors
+
+
+def test_of_samples() -> None:
+    """Of equal Gaussian clusters they are their errors; tails add to them, known errors that differ take away."""
+    random = np.random.default_rng(1)
+    unit = random.normal(size=(40_000, 3))
+    error = np.broadcast_to([0.1, 0.2, 0.15], unit.shape)
+    np.testing.assert_allclose(typical_of(unit * error, error), np.tile(error[0], (17, 1)).T, rtol=0.02)
+    tails = unit * np.where(random.random(unit.shape) < 0.05, 3.5, 1)
+    core = measure(tails[:, 0]).core
+    assert (typical_of(tails * error, error) > 1.02 * core * error[0][:, None]).all()
+    differ = np.where(random.random(unit.shape) < 0.5, 0.1, 0.2)
+    known, unknown = (typical_of(unit * differ, one) for one in (differ, np.full(unit.shape, 0.15)))
+    assert (known < 0.97 * unknown).all()
+
+
+def test_clusters_that_are_left_out_count() -> None:
+    """Tracks without a cluster of a layer know less; so do those with one beyond five errors."""
+    random = np.random.default_rng(2)
+    residual = 0.1 * random.normal(size=(40_000, 3))
+    error = np.full(residual.shape, 0.1)
+    inner = np.arange(3) == 0
+    none = np.where((random.random(len(residual)) < 0.3)[:, None] & inner, np.nan, residual)
+    assert (typical_of(none, error) > 1.05 * typical_of(residual, error)).all()
+    rare = (random.random(len(residual)) < 0.03)[:, None] & inner
+    far = np.where(rare, random.uniform(1, 5, residual.shape), residual)
+    expected = typical_of(np.where(rare, np.nan, residual), error)
+    np.testing.assert_allclose(typical_of(far, error), expected, rtol=0.02)
+
+
+def test_by_angle() -> None:
+    """Each range of cos(theta) has its own errors, not symmetric; one with few tracks has those of all."""
+    random = np.random.default_rng(3)
+    cos_theta = random.uniform(-0.93, 0.93, 200_000)
+    near = nearest_cos_theta(cos_theta)
+    np.testing.assert_array_equal(near, np.abs(cos_theta[:, None] - COS_THETA).argmin(axis=1))
+    true = 0.1 + 0.05 * np.arange(17) / 16
+    error = np.repeat(true[near][:, None], 3, axis=1)
+    residual = error * random.normal(size=error.shape)
+    np.testing.assert_allclose(typical_of(residual, error, cos_theta), np.tile(true, (3, 1)), rtol=0.05)
+    few = near != 4
+    few[np.flatnonzero(~few)[:150]] = True
+    found = typical_of(residual[few], error[few], cos_theta[few])
+    overall = typical_of(residual[few], error[few])[:, 0]
+    np.testing.assert_allclose(found[:, 4], overall, rtol=1e-12)
+    assert (np.abs(found[:, 12] / overall - 1) > 0.05).all()
+
+
+def test_correlations_by_angle() -> None:
+    random = np.random.default_rng(4)
+    n = 60_000
+    cos_theta = random.uniform(-0.93, 0.93, n)
+    rho = np.linspace(-0.5, 0.7, 17)
+    mine = rho[nearest_cos_theta(cos_theta)]
+    x, other = random.standard_normal((2, n))
+    residual = np.concatenate([x, mine * x + np.sqrt(1 - mine**2) * other])
+    flat, truth = np.zeros(2 * n, np.int64), np.tile(np.arange(n), 2)
+    view = np.repeat([0, 1], n)
+    sample = Measurements(residual, np.ones(2 * n), flat.astype(float), flat, np.ones(2 * n), view, flat, truth, flat)
+    found = neutral(1)
+    set_correlations(found, 1, 2, sample, cos_theta)
+    np.testing.assert_allclose(found.correlations[1, 2, 0], rho, atol=0.06)
+    assert not found.correlations[0].any()
+
+
+@pytest.fixture
+def angular(monkeypatch: pytest.MonkeyPatch) -> dict[str, Floats]:
+    """Make the Gaussian read-out's errors and correlations depend on the angle; return them."""
+    random = np.random.default_rng(5)
+    x, v = random.uniform(0.08, 0.3, (2, 3, 17))
+    given = {"x": x, "v": v, "xv": random.uniform(-0.6, 0.6, (3, 17))}
+    monkeypatch.setattr(cg.GaussianReadout, "expected_errors", lambda *_: (given["x"], given["v"]))
+    monkeypatch.setattr(cg.GaussianReadout, "expected_correlations", lambda *_: given["xv"], raising=False)
+    return given
+
+
+def at(given: dict[str, Floats], cos_theta: float) -> dict[str, Floats]:
+    return {name: np.array([np.interp(cos_theta, COS_THETA, one) for one in rows]) for name, rows in given.items()}
+
+
+@pytest.mark.parametrize("radius", [None, 121.0])
+def test_covariance_takes_the_errors_of_the_angle(
+    radius: float | None, angular: dict[str, Floats], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """At every angle of one call it is the covariance with the errors of that angle for all tracks."""
+    how = {"readout": "gaussian", "phi": 0.3} | ({} if radius is None else {"radius": radius})
+    found = cg.analytic(*TRACK, ANGLES, **how).cov
+    ends = cg.analytic(*TRACK, ANGLES[[0, -1]], **how).cov
+    for number, cos_theta in enumerate(ANGLES):
+        one = at(angular, cos_theta)
+        monkeypatch.setattr(cg.GaussianReadout, "expected_errors", lambda *_, one=one: (one["x"], one["v"]))
+        monkeypatch.setattr(cg.GaussianReadout, "expected_correlations", lambda *_, one=one: one["xv"])
+        expected = cg.analytic(*TRACK, cos_theta, **how).cov
+        scale = np.sqrt(np.diagonal(np.squeeze(expected)))
+        np.testing.assert_allclose(
+            np.squeeze(found[number]) / np.outer(scale, scale), np.squeeze(expected) / np.outer(scale, scale), atol=1e-9
+        )
+    np.testing.assert_allclose(np.squeeze(ends), np.squeeze(found)[[0, -1]], rtol=1e-12)
+
+
+def test_scalar_code_takes_the_errors_of_the_angle(angular: dict[str, Floats]) -> None:
+    assert (angular["x"] > 0).all()
+    found = {}
+    for name in isa.available():
+        isa.use(name)
+        try:
+            found[name] = cg.analytic(*TRACK, ANGLES, readout="gaussian", phi=0.3)
+        finally:
+            isa.use(isa.available()[-1])
+    for other in found.values():
+        for quantity in ("dr", "dz", "p"):
+            np.testing.assert_allclose(other.sigma(quantity), found["scalar"].sigma(quantity), rtol=1e-8)
+
+
+@pytest.mark.usefixtures("angular")
+def test_budget_adds_up() -> None:
+    found = cg.analytic(*TRACK, ANGLES, phi=0.3, readout="gaussian")
+    np.testing.assert_allclose(found.budget("dz").total, found.sigma_dz**2, rtol=1e-10)
+
+
+@pytest.mark.parametrize(
+    ("errors", "message"),
+    [
+        (np.full((3, 5), 0.1), r"sigma_v: got shape \(3, 5\), expected \(3,\) or \(3, 17\)"),
+        (np.full(2, 0.1), r"sigma_v: got shape \(2,\), expected"),
+        (np.array([0.1, -0.1, 0.1]), "sigma_v: expected errors above 0, or 0 for all of a layer"),
+        (np.array([0.1, np.nan, 0.1]), "sigma_v: expected errors above 0"),
+        (np.repeat([[0.1], [0.1], [0.1]], 17, axis=1) * (np.arange(17) > 3), "sigma_v: expected errors above 0"),
+    ],
+)
+def test_impossible_errors(errors: Floats, message: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cg.GaussianReadout, "expected_errors", lambda *_: (np.full(3, 0.1), errors))
+    with pytest.raises(ValueError, match=f"read-out gaussian: {message}"):
+        cg.analytic(*TRACK, 0.2, readout="gaussian")
