@@ -23,10 +23,10 @@ from cgemit.tables import Table
 
 PLANE = beam_detector(0.0)
 FIELD = beam_detector(1.0)
-#: Gain that gives the charges of the test beam's APV25 data, nothing else is adjusted.
+#: Nothing but the gain is adjusted.
 BEAM = Apv25Readout(gain=39_000.0)
 #: Chosen with its rows at 0 and 20 degrees.
-TUNED = Apv25Readout(gain=45_000.0, diffusion=1.1, jitter=8.5)
+TUNED = Apv25Readout(gain=54_000.0, jitter=8.5, random_neighbours=True)
 
 
 def centroid_width(digis: Table, run_of: Any, readout: Any) -> float:
@@ -94,22 +94,34 @@ def test_lorentz_shift_before_and_after_the_correction() -> None:
 @pytest.mark.parametrize(
     ("angle", "strips", "centroid", "line", "merged"),
     [
-        (10, 5.20, 173, None, 125), (15, 5.85, 228, 130, None), (20, 6.54, 280, 110, 105), (30, 7.90, 380, 110, 105),
-        (40, 9.00, 460, 120, 115),
+        (0, 4.67, 50, None, 50), (5, 4.75, None, None, 110), (10, 5.20, 173, None, 125), (15, 5.85, 228, 130, None),
+        (20, 6.54, 280, 110, 105), (30, 7.90, 380, 110, 105), (40, 9.00, 460, 120, 115),
     ],
 )  # fmt: skip
 def test_angles_without_field(
-    angle: float, strips: float, centroid: float, line: float | None, merged: float | None
+    angle: float, strips: float, centroid: float | None, line: float | None, merged: float | None
 ) -> None:
-    """Published rows of a test beam: strips within 20 %, centroid and merged within 25 %, line fits within 30 %."""
-    point = beam_point(PLANE, TUNED, angle, n=3000, threads=1)
+    """Published rows of a test beam: strips within 20 %, centroid and merged within 25 %, line fits within 30 %.
+
+    The centroid at 5 degrees is at the limit, the merged position at 15 degrees better (docs/methods/readout.md).
+    """
+    point = beam_point(PLANE, TUNED, angle, n=4000, threads=1)
     assert point.size == pytest.approx(strips, rel=0.2)
-    assert point.widths["centroid"].core == pytest.approx(centroid, rel=0.25)
+    if centroid is not None:
+        assert point.widths["centroid"].core == pytest.approx(centroid, rel=0.25)
     if line is not None:
         assert point.widths["micro-tpc"].core == pytest.approx(line, rel=0.3)
     if merged is not None:
         assert point.widths["merged"].core == pytest.approx(merged, rel=0.25)
     assert point.efficiency > 0.999
+
+
+@pytest.mark.slow
+def test_charge_at_the_angles_that_were_tuned() -> None:
+    """Published: 128 fC at 0 and 170 fC at 20 degrees; with the gain of 39 000 a quarter less."""
+    for angle, published in ((0.0, 128.0), (20.0, 170.0)):
+        assert beam_point(PLANE, TUNED, angle, n=1500, threads=1).charge == pytest.approx(published, rel=0.1)
+        assert beam_point(PLANE, BEAM, angle, n=1500, threads=1).charge < 0.8 * published
 
 
 @pytest.mark.slow

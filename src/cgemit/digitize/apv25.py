@@ -7,6 +7,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from cgemit.detector import Detector
 from cgemit.digitize.analog import AnalogReadout
 from cgemit.digitize.readout import Floats, Jitter
 from cgemit.digitize.shapers import APV25
@@ -26,6 +27,9 @@ class Apv25Readout(AnalogReadout):
     ----------
     saturation : float
         fC, largest charge that the chip measures.
+    random_neighbours : bool
+        Whether strips induce charge on their neighbours at random, with probability, share and time that depend on
+        their charge, as PARSIFAL has them for a triple GEM; beside `neighbour`.
 
     Raises
     ------
@@ -40,6 +44,16 @@ class Apv25Readout(AnalogReadout):
     jitter: Jitter = 7.12
     time_margin: Positive = 100.0
     saturation: Positive = 60.0
+    random_neighbours: bool = False
+
+    def core_arguments(self, detector: Detector) -> dict[str, Any]:
+        """Return the arguments of the compiled digitization, see `AnalogReadout.core_arguments`.
+
+        Parameters
+        ----------
+        detector : Detector
+        """
+        return super().core_arguments(detector) | {"induced": self.random_neighbours}
 
     def chip(self) -> dict[str, Any]:
         """Return the chip as the core takes it."""

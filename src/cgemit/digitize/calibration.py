@@ -203,6 +203,8 @@ def key_of(detector: Detector, readout: Any) -> str:
     settings = readout.to_dict()
     for name in ("calibration", "estimator", "second_pass", "time_margin"):
         settings.pop(name, None)
+    if not settings.get("random_neighbours", True):  # as in calibrations made before this could be switched on
+        settings.pop("random_neighbours")
     layers = [[getattr(layer, name) for name in _LAYER] + [layer.gas.ionization] for layer in detector.cgem]
     text = json.dumps([MODEL, readout.name, settings, layers, detector.field.bz], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:16]

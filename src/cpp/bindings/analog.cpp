@@ -6,6 +6,7 @@
 #include "bindings/digi_tables.hpp"
 #include "bindings/gain_maps.hpp"
 #include "bindings/inputs.hpp"
+#include "digitize/induced.hpp"
 #include "kernels/kernels.hpp"
 
 namespace py = pybind11;
@@ -71,7 +72,7 @@ Chip chip(const py::dict& values) {
 py::dict analog(const Detector& detector, const py::dict& table, const py::dict& step_table,
                 const py::dict& drift, const py::dict& physics, const py::dict& chip_values,
                 double share_spread, double neighbour, double second_neighbour, std::uint64_t seed,
-                const py::dict& gain_table) {
+                const py::dict& gain_table, bool induced) {
   Inputs in(table, "event"), step_in(step_table, "event");
   const TruthColumns truths = truth_columns(in);
   const StepColumns steps = step_columns(step_in);
@@ -88,6 +89,8 @@ py::dict analog(const Detector& detector, const py::dict& table, const py::dict&
   {
     py::gil_scoped_release release;
     kernels().read_out_analog(detector, truths, steps, readout, gains, digis);
+    if (induced)
+      digis = with_induced(detector, digis, {readout.chip.threshold, readout.chip.saturation, seed});
   }
   return to_dict(std::move(digis));
 }
@@ -144,8 +147,14 @@ void bind_analog(py::module_& module) {
   module.def("read_out_analog", &analog, py::arg("detector"), py::arg("truths"), py::arg("steps"),
              py::kw_only(), py::arg("drift"), py::arg("physics"), py::arg("chip"), py::arg("share_spread"),
              py::arg("neighbour"), py::arg("second_neighbour"), py::arg("seed"),
-             py::arg("gains") = py::dict(),
+             py::arg("gains") = py::dict(), py::arg("induced") = false,
              "Columns of digis from columns of truths and steps: electrons, avalanches, currents, chip.");
+  module.def(
+      "induced_by",
+      [](double charge) {
+        return py::make_tuple(induced_probability(charge), induced_share(charge), induced_delay(charge));
+      },
+      py::arg("charge"), "Probability, share and mean delay (ns) of what a strip induces on a neighbour.");
   module.def("shaped", &amplitudes, py::arg("terms"), py::arg("dt"), py::arg("steps"),
              "Amplitude behind a shaper of terms (n, 3) for steps of the current at times dt apart.");
   module.def("polya_gains", &polya, py::arg("theta"), py::arg("seed"), py::arg("n"),
