@@ -13,7 +13,7 @@ from cgemit.digitize.calibration import ESTIMATORS, calibration_of, neutral
 from cgemit.digitize.readout import COS_THETA
 from cgemit.study.readout.calibrate import _muons
 from cgemit.study.readout.measure import Measurements, measurements, true_directions
-from cgemit.study.readout.typical import set_correlations
+from cgemit.study.readout.typical import Tracks, set_correlations
 
 DESIGN = cg.load("besiii-cgem-design")
 RHO = np.array([0.6, -0.5, 0.7])
@@ -34,7 +34,8 @@ def test_correlation_of_a_sample() -> None:
     flat = np.zeros(2 * n, np.int64)
     sample = Measurements(residual, error, flat.astype(float), flat, error, view, layer[truth], truth, flat)
     found = neutral(3)
-    set_correlations(found, 1, 2, sample, np.zeros(n))
+    tracks = Tracks(np.zeros(n), np.arange(n), np.ones((n, 3), np.bool_))
+    set_correlations(found, 1, 2, sample, tracks)
     np.testing.assert_allclose(found.correlations[1, 2], np.tile(RHO[:, None], 17), atol=0.03)
     assert not found.correlations[0].any()
 

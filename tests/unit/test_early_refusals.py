@@ -93,6 +93,16 @@ def test_impossible_values_of_a_calibration(name, value, message):
         read_calibration(json.dumps(data), "file")
 
 
+def test_a_calibration_of_another_version():
+    """Its arrays have other shapes: what to do is said."""
+    data = json.loads(calibration_of(cg.load("besiii-cgem"), cg.TigerReadout()).to_json())
+    data["typical_errors"] = np.array(data["typical_errors"])[..., 0].tolist()
+    shapes = r"got shape \(2, 3, 2, 3\), expected \(2, 3, 2, 3, 17\)"
+    message = rf"typical_errors: {shapes}; made by another version\? Make it again: cgemit"
+    with pytest.raises(CalibrationError, match=message):
+        read_calibration(json.dumps(data), "file")
+
+
 def test_a_calibration_of_other_layers(tmp_path):
     """One that claims the right key, but holds two of three layers."""
     detector, readout = cg.load("besiii-cgem"), cg.TigerReadout()

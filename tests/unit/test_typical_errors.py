@@ -12,7 +12,8 @@ from cgemit.digitize.calibration import neutral
 from cgemit.digitize.readout import COS_THETA
 from cgemit.statistics.estimate import measure
 from cgemit.study.readout.measure import Measurements
-from cgemit.study.readout.typical import nearest_cos_theta, set_correlations, set_typical
+from cgemit.study.readout.typical import Tracks, nearest_cos_theta, set_correlations, set_typical, tracks_of
+from cgemit.tables import Table
 
 Floats = npt.NDArray[np.float64]
 
@@ -21,7 +22,9 @@ TRACK = ("besiii-cgem-design", "mu-", 1.0)
 ANGLES = np.array([-0.97, -0.9, -0.8, -0.3, 0.0, 0.07, 0.45, 0.6, 0.85, 0.93])
 
 
-def typical_of(residual: Floats, error: Floats, cos_theta: Floats | float = 0.0) -> Floats:
+def typical_of(
+    residual: Floats, error: Floats, cos_theta: Floats | float = 0.0, crossed: npt.NDArray[np.bool_] | None = None
+) -> Floats:
     """Return the typical errors of X clusters of tracks, (tracks, 3) each; NaN: no cluster."""
     n = len(residual)
     layer, event = np.tile(np.arange(3), n), np.repeat(np.arange(n), 3)
@@ -29,10 +32,11 @@ def typical_of(residual: Floats, error: Floats, cos_theta: Floats | float = 0.0)
     flat = np.zeros(np.count_nonzero(there), np.int64)
     sample = Measurements(
         residual.ravel()[there], error.ravel()[there], flat.astype(float), flat, flat.astype(float), flat, layer[there],
-        flat, flat,
+        np.arange(len(flat)), flat,
     )  # fmt: skip
     found = neutral(3)
-    set_typical(found, 0, 0, sample, event[there], np.broadcast_to(cos_theta, n), RADII)
+    whole = np.ones((n, 3), np.bool_) if crossed is None else crossed
+    set_typical(found, 0, 0, sample, Tracks(np.broadcast_to(cos_theta, n), event[there], whole), RADII)
     assert (found.typical_errors[0, 0, 1] == 1).all()  # no V clusters
     assert (found.typical_errors[1] == 1).all()
     errors: Floats = found.typical_errors[0, 0, 0]
@@ -68,7 +72,7 @@ def test_clusters_that_are_left_out_count() -> None:
 
 
 def test_by_angle() -> None:
-    """Each range of cos(theta) has its own errors, not symmetric; one with few tracks has those of all."""
+    """Each range of cos(theta) has its own errors, not symmetric; one with few tracks has those between others."""
     random = np.random.default_rng(3)
     cos_theta = random.uniform(-0.93, 0.93, 200_000)
     near = nearest_cos_theta(cos_theta)
@@ -80,9 +84,28 @@ def test_by_angle() -> None:
     few = near != 4
     few[np.flatnonzero(~few)[:150]] = True
     found = typical_of(residual[few], error[few], cos_theta[few])
-    overall = typical_of(residual[few], error[few])[:, 0]
-    np.testing.assert_allclose(found[:, 4], overall, rtol=1e-12)
-    assert (np.abs(found[:, 12] / overall - 1) > 0.05).all()
+    between = np.interp(COS_THETA[4], COS_THETA[[3, 5]], [0.0, 1.0])
+    np.testing.assert_allclose(found[:, 4], found[:, 3] + between * (found[:, 5] - found[:, 3]), rtol=1e-12)
+
+
+def test_layers_that_end() -> None:
+    """Beyond the end of a layer the others keep their factor, and its own errors are those of the last range."""
+    random = np.random.default_rng(6)
+    cos_theta = random.uniform(-0.93, 0.93, 200_000)
+    short = np.abs(cos_theta) < 0.7  # within the range of 0.69
+    residual = 0.1 * random.normal(size=(len(cos_theta), 3))
+    residual *= np.where(random.random(residual.shape) < 0.05, 3.5, 1)  # factors above 1
+    error = np.full(residual.shape, 0.1)
+    crossed = np.column_stack([np.ones((len(short), 2), np.bool_), short])
+    there = np.where(crossed, residual, np.nan)
+    found, whole = typical_of(there, error, cos_theta, crossed), typical_of(residual, error, cos_theta)
+    inside = np.abs(COS_THETA) < 0.65
+    np.testing.assert_array_equal(found[:, inside], whole[:, inside])
+    np.testing.assert_allclose(found[:2], whole[:2], rtol=0.05)
+    np.testing.assert_allclose(found[2, -3:], found[2, -4], rtol=1e-12)
+    counted = typical_of(there, error, cos_theta)  # as if they had lost their clusters
+    edge = np.flatnonzero(COS_THETA == 0.69)[0]
+    assert (counted[:, edge] > 1.1 * found[:, edge]).all()
 
 
 def test_correlations_by_angle() -> None:
@@ -97,7 +120,7 @@ def test_correlations_by_angle() -> None:
     view = np.repeat([0, 1], n)
     sample = Measurements(residual, np.ones(2 * n), flat.astype(float), flat, np.ones(2 * n), view, flat, truth, flat)
     found = neutral(1)
-    set_correlations(found, 1, 2, sample, cos_theta)
+    set_correlations(found, 1, 2, sample, Tracks(cos_theta, np.arange(n), np.ones((n, 1), np.bool_)))
     np.testing.assert_allclose(found.correlations[1, 2, 0], rho, atol=0.06)
     assert not found.correlations[0].any()
 
@@ -117,12 +140,14 @@ def at(given: dict[str, Floats], cos_theta: float) -> dict[str, Floats]:
     return {name: np.array([np.interp(cos_theta, COS_THETA, one) for one in rows]) for name, rows in given.items()}
 
 
-@pytest.mark.parametrize("radius", [None, 121.0])
+@pytest.mark.parametrize(
+    "where", [{"phi": 0.3}, {"phi": 0.3, "radius": 121.0}, {}, {"samples": 16}], ids=["phi", "radius", "all", "samples"]
+)
 def test_covariance_takes_the_errors_of_the_angle(
-    radius: float | None, angular: dict[str, Floats], monkeypatch: pytest.MonkeyPatch
+    where: dict[str, float], angular: dict[str, Floats], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """At every angle of one call it is the covariance with the errors of that angle for all tracks."""
-    how = {"readout": "gaussian", "phi": 0.3} | ({} if radius is None else {"radius": radius})
+    how = {"readout": "gaussian", **where}
     found = cg.analytic(*TRACK, ANGLES, **how).cov
     ends = cg.analytic(*TRACK, ANGLES[[0, -1]], **how).cov
     for number, cos_theta in enumerate(ANGLES):
@@ -137,15 +162,15 @@ def test_covariance_takes_the_errors_of_the_angle(
     np.testing.assert_allclose(np.squeeze(ends), np.squeeze(found)[[0, -1]], rtol=1e-12)
 
 
-def test_scalar_code_takes_the_errors_of_the_angle(angular: dict[str, Floats]) -> None:
-    assert (angular["x"] > 0).all()
-    found = {}
+@pytest.mark.usefixtures("angular")
+def test_scalar_code_takes_the_errors_of_the_angle() -> None:
+    found, before = {}, isa.name()
     for name in isa.available():
         isa.use(name)
         try:
             found[name] = cg.analytic(*TRACK, ANGLES, readout="gaussian", phi=0.3)
         finally:
-            isa.use(isa.available()[-1])
+            isa.use(before)
     for other in found.values():
         for quantity in ("dr", "dz", "p"):
             np.testing.assert_allclose(other.sigma(quantity), found["scalar"].sigma(quantity), rtol=1e-8)
@@ -157,6 +182,46 @@ def test_budget_adds_up() -> None:
     np.testing.assert_allclose(found.budget("dz").total, found.sigma_dz**2, rtol=1e-10)
 
 
+@pytest.mark.usefixtures("angular")
+def test_variants_take_the_errors_of_the_angle(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Derivatives, for which hits are kept, are those with the errors of the angle for all tracks."""
+    given = dict(zip("xv", cg.GaussianReadout().expected_errors(cg.load(TRACK[0])), strict=True))
+    given["xv"] = cg.GaussianReadout().expected_correlations(cg.load(TRACK[0]))  # type: ignore[attr-defined]
+
+    def derivatives() -> Floats:
+        found = cg.sensitivity(*TRACK, 0.5, readout="gaussian", keys=["cgem.L1.anode_radius"], quantities=["dr", "dz"])
+        return np.asarray(found.values, np.float64).ravel()
+
+    found, one = derivatives(), at(given, 0.5)
+    monkeypatch.setattr(cg.GaussianReadout, "expected_errors", lambda *_: (one["x"], one["v"]))
+    monkeypatch.setattr(cg.GaussianReadout, "expected_correlations", lambda *_: one["xv"])
+    np.testing.assert_allclose(found, derivatives(), rtol=1e-6)
+    assert np.abs(found).max() > 0
+
+
+def test_particles_of_one_event_have_one_track() -> None:
+    result = cg.run(TRACK[0], cg.Gun("mu-", p=1.0, cos_theta=0.2), 3, until="simulate")
+    particles = result.particles
+    columns = {name: np.repeat(particles[name], 2) for name in particles.columns}
+    with pytest.raises(ValueError, match="events with several particles"):
+        tracks_of(Table("particles", columns, 3), result.truths, 3)
+
+
+@pytest.mark.parametrize("rho", [1.0, -1.2, np.nan])
+def test_impossible_correlations(rho: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cg.GaussianReadout, "expected_correlations", lambda *_: np.full(3, rho), raising=False)
+    with pytest.raises(ValueError, match="read-out gaussian: correlations: expected numbers between -1 and 1"):
+        cg.analytic(*TRACK, 0.2, readout="gaussian")
+
+
+def test_a_correlation_needs_both_errors(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where only V has a given error, it has no part of X."""
+    monkeypatch.setattr(cg.GaussianReadout, "expected_errors", lambda *_: (np.zeros(3), np.full(3, 0.1)))
+    expected = cg.analytic(*TRACK, 0.2, readout="gaussian").cov
+    monkeypatch.setattr(cg.GaussianReadout, "expected_correlations", lambda *_: np.full(3, 0.5), raising=False)
+    np.testing.assert_array_equal(cg.analytic(*TRACK, 0.2, readout="gaussian").cov, expected)
+
+
 @pytest.mark.parametrize(
     ("errors", "message"),
     [
@@ -164,6 +229,7 @@ def test_budget_adds_up() -> None:
         (np.full(2, 0.1), r"sigma_v: got shape \(2,\), expected"),
         (np.array([0.1, -0.1, 0.1]), "sigma_v: expected errors above 0, or 0 for all of a layer"),
         (np.array([0.1, np.nan, 0.1]), "sigma_v: expected errors above 0"),
+        (np.array([0.1, np.inf, 0.1]), "sigma_v: expected errors above 0"),
         (np.repeat([[0.1], [0.1], [0.1]], 17, axis=1) * (np.arange(17) > 3), "sigma_v: expected errors above 0"),
     ],
 )

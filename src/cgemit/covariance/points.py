@@ -195,9 +195,11 @@ def _errors(readout: Readout, detector: Detector) -> tuple[Floats, Floats, Float
     given = {"sigma_x": sigma_x, "sigma_v": sigma_v, "correlations": correlations(detector)}
     x, v, xv = (_by_angle(f"read-out {readout.name}: {name}", one, len(detector.cgem)) for name, one in given.items())
     for name, values in (("sigma_x", x), ("sigma_v", v)):
-        if not ((values >= 0) & ((values > 0) == (values[:, :1] > 0))).all():
+        if not (np.isfinite(values) & (values >= 0) & ((values > 0) == (values[:, :1] > 0))).all():
             raise ValueError(f"read-out {readout.name}: {name}: expected errors above 0, or 0 for all of a layer")
-    return x, v, xv
+    if not (np.abs(xv) < 1).all():
+        raise ValueError(f"read-out {readout.name}: correlations: expected numbers between -1 and 1")
+    return x, v, np.where((x[:, :1] > 0) & (v[:, :1] > 0), xv, 0.0)  # others are not given
 
 
 def _by_angle(name: str, given: npt.ArrayLike, layers: int) -> Floats:

@@ -278,7 +278,10 @@ def read_calibration(text: str, source: str) -> Calibration:
     layers = values["depth"].shape[1] if values["depth"].ndim == 3 else 0
     for name, array in values.items():
         if array.shape != _shape(name, layers):
-            problems.append(f"{name}: got shape {array.shape}, expected {_shape(name, layers)}")
+            problems.append(
+                f"{name}: got shape {array.shape}, expected {_shape(name, layers)}; made by another version? Make it "
+                "again: cgemit readout --readout NAME -d DETECTOR --calibrate FILE"
+            )
         low, high, unit = _LIMITS[name]
         wrong = array[~((array >= low) & (array <= high))]
         if wrong.size:

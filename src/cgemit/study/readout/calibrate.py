@@ -39,7 +39,7 @@ from cgemit.study.readout.measure import (
     pair_numbers,
     true_directions,
 )
-from cgemit.study.readout.typical import set_correlations, set_typical
+from cgemit.study.readout.typical import set_correlations, set_typical, tracks_of
 from cgemit.tables import Table
 
 Floats = npt.NDArray[np.float64]
@@ -105,7 +105,7 @@ def calibration_from(result: Result, readout: Any, about: str, tracked: Result |
     Parameters
     ----------
     result : Result
-        Up to ``digis`` at least.
+        Up to ``digis`` at least, with one particle in each event.
     readout : AnalogReadout or ProjectionReadout
         With which they were made.
     about : str
@@ -169,21 +169,14 @@ def calibration_from(result: Result, readout: Any, about: str, tracked: Result |
                 set_errors(found, which, sample)
             refine(found, int(of_track), which, sample, apart(sample), known(sample, of_track))
     runs = result, result  # of one momentum: curvature spreads the errors
-    cos_theta = _cos_theta(result)
-    of_truth = np.searchsorted(result.particles["event"], truths["event"])
+    tracks = tracks_of(result.particles, truths, layers)
     for of_track in (False, True):
         for name in readout.estimators:
             sample = measured(name, found, of_track)
             which = ESTIMATORS.index(name)
-            set_typical(found, int(of_track), which, sample, of_truth[sample.truth], cos_theta, radii)
-            set_correlations(found, int(of_track), which, sample, cos_theta[of_truth])
+            set_typical(found, int(of_track), which, sample, tracks, radii)
+            set_correlations(found, int(of_track), which, sample, tracks)
     return found
-
-
-def _cos_theta(result: Result) -> Floats:
-    """Return cos(theta) of the particles of a run, one an event, (n,) float64."""
-    px, py, pz = (result.particles[name] for name in ("px", "py", "pz"))
-    return np.asarray(pz / np.sqrt(px**2 + py**2 + pz**2))
 
 
 def _apart(pure: dict[str, Measurements]) -> Callable[[Measurements], Floats]:
