@@ -39,7 +39,7 @@ GUN = Gun("mu-", p=1.0, cos_theta=(-0.8, 0.8))
 
 @pytest.mark.parametrize("theta", [0.0, 0.36, 5.0])
 def test_gain_is_a_gamma_distribution(theta: float) -> None:
-    gains = _core.polya_gains(theta, 5, 20_000)
+    gains = _core._testing.polya_gains(theta, 5, 20_000)
     law = stats.gamma(1 + theta, scale=1 / (1 + theta))
     assert stats.kstest(gains, law.cdf).pvalue > 1e-4
     assert_within(gains.mean(), 1, law.std() / np.sqrt(len(gains)))
@@ -52,7 +52,7 @@ def test_nearest_hole_is_that_of_all_holes() -> None:
     i, j = (a.ravel() for a in np.meshgrid(np.arange(-20, 21), np.arange(-12, 13)))
     holes = np.column_stack([pitch * (i + 0.5 * j), pitch * j * np.sqrt(0.75)])
     distance = np.hypot(u[:, None] - holes[:, 0], v[:, None] - holes[:, 1])
-    found = _core.nearest_holes(pitch, u, v)
+    found = _core._testing.nearest_holes(pitch, u, v)
     np.testing.assert_allclose(np.column_stack(found), holes[distance.argmin(axis=1)], atol=1e-12)
     assert_within(np.mean((u - found[0]) ** 2), 5 / 72 * pitch**2, 5 / 72 * pitch**2 / np.sqrt(len(u)))
 
@@ -64,7 +64,9 @@ def test_cloud_on_the_strips_against_points(x: float, z: float) -> None:
     layer, n = DESIGN.cgem[1], 200_000
     sheet, sigma_x, sigma_z = 1, 0.28, 0.31
     z = z - 265.9 + layer.half_length - 0.1 if z > 100 else z
-    found = _core.share_cloud(compiled(DESIGN), 1, layer.sheet_phi[sheet] + x / layer.r_readout, z, sigma_x, sigma_z)
+    found = _core._testing.share_cloud(
+        compiled(DESIGN), 1, layer.sheet_phi[sheet] + x / layer.r_readout, z, sigma_x, sigma_z
+    )
     random = np.random.default_rng(7)
     points, along = random.normal(x, sigma_x, n), random.normal(z, sigma_z, n)
     inside = (points >= 0) & (points < layer.strips_x * layer.pitch_x) & (np.abs(along) <= layer.half_length)
@@ -81,7 +83,9 @@ def test_cloud_on_the_strips_against_points(x: float, z: float) -> None:
 def test_cloud_on_the_strips_against_the_error_function(sigma: float) -> None:
     """Narrow and wide clouds in the middle of a sheet; what is beyond four widths is left out."""
     layer, x = DESIGN.cgem[1], 200.3
-    found = _core.share_cloud(compiled(DESIGN), 1, layer.sheet_phi[1] + x / layer.r_readout, 20.0, sigma, sigma)
+    found = _core._testing.share_cloud(
+        compiled(DESIGN), 1, layer.sheet_phi[1] + x / layer.r_readout, 20.0, sigma, sigma
+    )
     places = x / layer.pitch_x, float(strips_of_v(layer, local_v(layer, x, 20.0)))
     for view, place in enumerate(places):
         here = found["view"] == view
@@ -122,9 +126,9 @@ def test_filter_against_a_convolution(shaper: Shaper) -> None:
     lag = times[:, None] - times[None, :]
     undelayed = Shaper(shaper.terms)
     response = np.array([undelayed._step(row) for row in np.maximum(lag, 0.0)])
-    found = _core.shaped(shaper.normalised, dt, steps)
+    found = _core._testing.shaped(shaper.normalised, dt, steps)
     np.testing.assert_allclose(found, response @ steps, atol=1e-9)
-    assert np.abs(found - _core.shaped(shaper.normalised, 2.1, steps)).max() > 0.1  # the gate can fail
+    assert np.abs(found - _core._testing.shaped(shaper.normalised, 2.1, steps)).max() > 0.1  # the gate can fail
 
 
 def test_delays_of_the_chips() -> None:
@@ -146,15 +150,15 @@ def test_line_fit_against_least_squares() -> None:
     position = 3 + 0.4 * height + random.normal(0, 0.1, 6)
     weight = 1 / (1 + charge.mean() / charge)
     slope, middle = np.polyfit(height, position, 1, w=np.sqrt(weight))
-    np.testing.assert_allclose(_core.fit_line(position, charge, height), (middle, slope, True), rtol=1e-9)
-    assert _core.fit_line(position[:2], charge[:2], height[:2])[2] is False
-    assert _core.fit_line(position, charge, np.ones(6))[2] is False
+    np.testing.assert_allclose(_core._testing.fit_line(position, charge, height), (middle, slope, True), rtol=1e-9)
+    assert _core._testing.fit_line(position[:2], charge[:2], height[:2])[2] is False
+    assert _core._testing.fit_line(position, charge, np.ones(6))[2] is False
     stiff = np.sqrt(np.append(weight, 0.7))  # one more point: slope 0, weight of the stiffness
     rows = np.column_stack([np.append(np.ones(6), 0), np.append(height, 1)])
     expected = np.linalg.lstsq(rows * stiff[:, None], np.append(position, 0) * stiff, rcond=None)[0]
-    np.testing.assert_allclose(_core.fit_line(position, charge, height, 0.7)[:2], expected, rtol=1e-9)
-    assert _core.fit_line(position, charge, np.ones(6), 0.1)[1:] == (0.0, True)
-    upright = _core.fit_line(np.full(6, 5.0), charge, height)  # normal incidence
+    np.testing.assert_allclose(_core._testing.fit_line(position, charge, height, 0.7)[:2], expected, rtol=1e-9)
+    assert _core._testing.fit_line(position, charge, np.ones(6), 0.1)[1:] == (0.0, True)
+    upright = _core._testing.fit_line(np.full(6, 5.0), charge, height)  # normal incidence
     np.testing.assert_allclose(upright[:2], (5.0, 0.0), atol=1e-12)
 
 

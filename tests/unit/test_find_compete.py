@@ -13,7 +13,7 @@ MIN_SCORE = 2.0
 
 def settle(tracks, wire, along):
     """Return the numbers of the tracks that remain and their hits; a track is (score, hits, gains)."""
-    out = _core.settle_tracks(
+    out = _core._testing.settle_tracks(
         tracks={"score": np.array([t[0] for t in tracks]), "hits": np.array([len(t[1]) for t in tracks])},
         entries={
             "hit": np.concatenate([t[1] for t in tracks]).astype("i8"),

@@ -24,7 +24,7 @@ def test_profile_is_a_smeared_line(a: float, b: float, sigma: float) -> None:
         exact = norm.cdf((edge - a) / sigma)
         if b - a > 1e-3:
             exact = quad(lambda x, e=edge: norm.cdf((e - x) / sigma), a, b)[0] / (b - a)
-        assert _core.profile_below(edge, a, b, sigma) == pytest.approx(exact, abs=1e-6)
+        assert _core._testing.profile_below(edge, a, b, sigma) == pytest.approx(exact, abs=1e-6)
 
 
 def test_strips_hold_the_deposit() -> None:

@@ -55,7 +55,7 @@ def strips(table: Table) -> np.ndarray:
     ],
 )
 def test_functions(charge: float, probability: float, share: float, delay: float | None) -> None:
-    found = _core.induced_by(charge)
+    found = _core._testing.induced_by(charge)
     assert found[0] == pytest.approx(probability, abs=1e-9)
     assert found[1] == pytest.approx(share, rel=1e-9)
     if delay is not None:
@@ -93,7 +93,7 @@ def test_rate_charge_and_time_of_new_strips(digis: tuple[Table, Table]) -> None:
         inside = (off["strip"] > 0) & (off["strip"] < strips(off) - 1)
         sources = np.flatnonzero(alone & inside & (off["charge"] > 12))
         charge = off["charge"][sources]
-        probability, share, delay = np.array([_core.induced_by(one) for one in charge]).T
+        probability, share, delay = np.array([_core._testing.induced_by(one) for one in charge]).T
         place = np.searchsorted(after, before[sources] + side)
         there = after[np.minimum(place, len(after) - 1)] == before[sources] + side
         spread = math.sqrt(np.sum(probability * (1 - probability)))
@@ -113,7 +113,7 @@ def test_both_sides_and_strips_are_independent(digis: tuple[Table, Table]) -> No
     single = ~np.isin(before - 1, before) & ~np.isin(before + 1, before) & (off["charge"] > 12)
     single &= ~np.isin(before - 2, before) & ~np.isin(before + 2, before)
     left, right = (np.isin(before[single] + side, after) for side in (-1, 1))
-    probability = np.array([_core.induced_by(one)[0] for one in off["charge"][single]])
+    probability = np.array([_core._testing.induced_by(one)[0] for one in off["charge"][single]])
     expected = probability**2
     assert abs(np.count_nonzero(left & right) - expected.sum()) < 4 * math.sqrt(expected.sum()) + 1
 

@@ -149,18 +149,20 @@ void bind_analog(py::module_& module) {
              py::arg("neighbour"), py::arg("second_neighbour"), py::arg("seed"),
              py::arg("gains") = py::dict(), py::arg("induced") = false,
              "Columns of digis from columns of truths and steps: electrons, avalanches, currents, chip.");
-  module.def(
+  testing(module).def(
       "induced_by",
       [](double charge) {
         return py::make_tuple(induced_probability(charge), induced_share(charge), induced_delay(charge));
       },
       py::arg("charge"), "Probability, share and mean delay (ns) of what a strip induces on a neighbour.");
-  module.def("shaped", &amplitudes, py::arg("terms"), py::arg("dt"), py::arg("steps"),
-             "Amplitude behind a shaper of terms (n, 3) for steps of the current at times dt apart.");
-  module.def("polya_gains", &polya, py::arg("theta"), py::arg("seed"), py::arg("n"),
-             "Gains of electrons relative to their mean.");
-  module.def("nearest_holes", &holes, py::arg("pitch"), py::arg("u"), py::arg("v"),
-             "Holes of a hexagonal lattice that are nearest to points (mm).");
-  module.def("share_cloud", &cloud, py::arg("detector"), py::arg("layer"), py::arg("phi"), py::arg("z"),
-             py::arg("sigma_x"), py::arg("sigma_z"), "Parts of a cloud on the strips of both views.");
+  testing(module).def(
+      "shaped", &amplitudes, py::arg("terms"), py::arg("dt"), py::arg("steps"),
+      "Amplitude behind a shaper of terms (n, 3) for steps of the current at times dt apart.");
+  testing(module).def("polya_gains", &polya, py::arg("theta"), py::arg("seed"), py::arg("n"),
+                      "Gains of electrons relative to their mean.");
+  testing(module).def("nearest_holes", &holes, py::arg("pitch"), py::arg("u"), py::arg("v"),
+                      "Holes of a hexagonal lattice that are nearest to points (mm).");
+  testing(module).def("share_cloud", &cloud, py::arg("detector"), py::arg("layer"), py::arg("phi"),
+                      py::arg("z"), py::arg("sigma_x"), py::arg("sigma_z"),
+                      "Parts of a cloud on the strips of both views.");
 }

@@ -189,9 +189,10 @@ void bind_cluster(py::module_& module) {
              py::arg("direction_paths"), py::arg("direction_depths"), py::arg("direction_factors"),
              py::arg_v("slopes", Array<double>(0), "..."), py::arg_v("paths", Array<double>(0), "..."),
              "Columns of clusters from columns of digis: charge centroid and line fit.");
-  module.def("fit_line", &line_of, py::arg("position"), py::arg("charge"), py::arg("height"),
-             py::arg("stiffness") = 0.0,
-             "Position at height 0, slope, and whether there is a line, of strips with charge and height.");
+  testing(module).def(
+      "fit_line", &line_of, py::arg("position"), py::arg("charge"), py::arg("height"),
+      py::arg("stiffness") = 0.0,
+      "Position at height 0, slope, and whether there is a line, of strips with charge and height.");
   module.def(
       "size_errors", &errors_of_sizes, py::arg("extents"), py::arg("pitch"), py::arg("sizes"),
       "RMS of the position error (mm) of clusters of 1 to `sizes` strips for a sample of extents (mm).");

@@ -101,7 +101,7 @@ void bind_find(py::module_& module) {
       py::arg("settings"), py::arg("pairs") = py::dict(),
       "Tracks of each event: event, offsets of their hits, numbers of the hits, score; and how many seeds "
       "each event had.");
-  module.def(
+  testing(module).def(
       "settle_tracks", &settle, py::kw_only(), py::arg("tracks"), py::arg("entries"), py::arg("hits"),
       py::arg("min_score"),
       "Competition of tracks (score, number of hits) for hits (on a wire, along the beam); entries are "
