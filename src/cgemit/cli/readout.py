@@ -22,8 +22,9 @@ the angle of the track. --scan selects what varies: the angle of incidence, the 
 (kV/cm), the gain or the threshold (fC). Angles count from the radius, in the plane across the beam line; electrons are
 bent towards positive angles if the field is positive.
 
-With --calibrate FILE: errors of the clusters of a detector, from 1 GeV/c muons with |cos(theta)| < 0.93. A run with
---set digitize.readout.calibration=FILE uses them. Presets with the default settings of a read-out need none.
+With --calibrate FILE: errors of the clusters of a detector, from muons of both charges with |cos(theta)| < 0.93: of
+1 GeV/c, and of 0.2 to 10 GeV/c for clusters of known tracks. A run with --set digitize.readout.calibration=FILE uses
+them. Presets with the default settings of a read-out need none.
 
 With --ghosts: how often X and V clusters of different tracks are paired, at 2, 4 and 6 muons on a sheet, by geometry
 alone, with charge, and with charge and time.
@@ -72,7 +73,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--p", type=float, default=150.0, metavar="P", help="momentum, GeV/c (default 150)")
     parser.add_argument(
         "-n", "--events", type=read.positive, default=None, metavar="N",
-        help="particles at each angle (default 4000), or muons of a calibration (default 20000)",
+        help="particles at each angle (default 4000), muons of a calibration (40000), or events of --ghosts (1000)",
     )  # fmt: skip
     parser.add_argument("--calibrate", metavar="FILE", help="write the errors of a detector's clusters instead")
     parser.add_argument("--ghosts", action="store_true", help="wrong pairs of X and V at 2, 4 and 6 tracks instead")
@@ -107,6 +108,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _calibrate(arguments: argparse.Namespace, readout: Any) -> int:
     from cgemit.detector import load
+    from cgemit.digitize.calibration import read_calibration
     from cgemit.digitize.readout import COS_THETA
     from cgemit.io import new_file
     from cgemit.study.readout.calibrate import calibrate
@@ -118,8 +120,10 @@ def _calibrate(arguments: argparse.Namespace, readout: Any) -> int:
     if not detector.cgem:
         raise changes.InputError(f"--detector: got {detector.name} without CGEM layers, expected one with clusters")
     found = calibrate(detector, readout, n=arguments.events or 40_000, seed=arguments.seed, threads=arguments.threads)
+    text = found.to_json()
     with new_file(target, overwrite=arguments.overwrite) as temporary:
-        temporary.write_text(found.to_json(), encoding="utf-8")
+        temporary.write_text(text, encoding="utf-8")
+    found = read_calibration(text, target.name)  # which rounds
     shown = slice(None, None, 4)
     angles = "".join(f"{cos_theta:8.2f}" for cos_theta in COS_THETA[shown])
     print(f"{found.about}\nerrors over all clusters, um, by layer, view and cos(theta):\n        {angles}")
