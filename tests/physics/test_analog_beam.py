@@ -12,9 +12,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cgemit import Apv25Readout, Gun, TigerReadout, _core, analytic, find, load, run
+from cgemit import Apv25Readout, Gun, ProjectionReadout, TigerReadout, _core, analytic, find, load, run
+from cgemit.covariance import Covariance
 from cgemit.detector import compiled
 from cgemit.detector.gaps import ionization
+from cgemit.digitize.analog import AnalogReadout
 from cgemit.digitize.transport import mean_shift
 from cgemit.statistics.estimate import measure
 from cgemit.study.readout.beam import beam_detector, beam_point, beam_run
@@ -27,6 +29,9 @@ FIELD = beam_detector(1.0)
 BEAM = Apv25Readout(gain=39_000.0)
 #: Chosen with its rows at 0 and 20 degrees.
 TUNED = Apv25Readout(gain=54_000.0, jitter=8.5, random_neighbours=True)
+CALIBRATED = [
+    TigerReadout(), TigerReadout(second_pass=True), Apv25Readout(), Apv25Readout(second_pass=True), ProjectionReadout()
+]  # fmt: skip
 
 
 def centroid_width(digis: Table, run_of: Any, readout: Any) -> float:
@@ -170,42 +175,38 @@ def test_pulls_of_tracks_of_both_charges(kind: type, second_pass: bool, particle
         assert abs(pull.core_mean) < 0.1 + 1.5 * pull.core_mean_error, (name, pull.core_mean)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("second_pass", [False, True])
-@pytest.mark.parametrize("kind", [TigerReadout, Apv25Readout])
-def test_analytic_errors_are_those_of_tracks(kind: type, second_pass: bool) -> None:
-    """The covariance with the calibration's typical errors expects d_rho, d_z and p within 5 %."""
-    readout, angles = kind(second_pass=second_pass), (-0.93, 0.93)
-    tracks = run(
-        load("besiii-cgem-design"), Gun("mu-", p=1.0, cos_theta=angles), 20_000, seed=9, readout=readout
-    ).tracks
-    expected = analytic("besiii-cgem-design", "mu-", p=1.0, cos_theta=angles, readout=readout)
+def as_expected(
+    readout: AnalogReadout | ProjectionReadout, cos_theta: float | tuple[float, float], n: int
+) -> Covariance:
+    """Return what `analytic` expects of muons, after asserting that d_rho, d_z and p of n of them are within 5 %."""
+    design = load("besiii-cgem-design")
+    tracks = run(design, Gun("mu-", p=1.0, cos_theta=cos_theta), n, seed=9, readout=readout).tracks
+    expected = analytic(design, "mu-", p=1.0, cos_theta=cos_theta, readout=readout)
     for name in ("dr", "dz", "p"):
         found = measure(tracks[f"res_{name}"][tracks["status"] == 0])
         ratio = float(np.squeeze(getattr(expected, f"sigma_{name}"))) / found.core
         assert abs(ratio - 1) < 0.05 + 1.5 * found.core_error / found.core, (name, ratio)
+    return expected
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("readout", CALIBRATED, ids=["tiger", "tiger-second", "apv25", "apv25-second", "projection"])
+def test_analytic_errors_are_those_of_tracks(readout: AnalogReadout | ProjectionReadout) -> None:
+    """The covariance takes the typical errors of the calibration."""
+    as_expected(readout, (-0.93, 0.93), 20_000)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("cos_theta", [-0.8, -0.4, 0.0, 0.4, 0.8])
-@pytest.mark.parametrize("second_pass", [False, True])
-@pytest.mark.parametrize("kind", [TigerReadout, Apv25Readout])
+@pytest.mark.parametrize("readout", CALIBRATED, ids=["tiger", "tiger-second", "apv25", "apv25-second", "projection"])
 def test_analytic_errors_at_one_angle(
-    kind: type, second_pass: bool, cos_theta: float, monkeypatch: pytest.MonkeyPatch
+    readout: AnalogReadout | ProjectionReadout, cos_theta: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """They agree within 5 % at every angle, too; with errors of all angles d_z is up to 16 % off."""
-    readout = kind(second_pass=second_pass)
-    tracks = run(
-        load("besiii-cgem-design"), Gun("mu-", p=1.0, cos_theta=cos_theta), 8000, seed=9, readout=readout
-    ).tracks
-    expected = analytic("besiii-cgem-design", "mu-", p=1.0, cos_theta=cos_theta, readout=readout)
-    for name in ("dr", "dz", "p"):
-        found = measure(tracks[f"res_{name}"][tracks["status"] == 0])
-        ratio = float(np.squeeze(getattr(expected, f"sigma_{name}"))) / found.core
-        assert abs(ratio - 1) < 0.05 + 1.5 * found.core_error / found.core, (name, ratio)
-    if cos_theta == -0.8:
+    """They hold at every angle, too; with errors of all angles d_z is up to 16 % off."""
+    expected = as_expected(readout, cos_theta, 8000)
+    if cos_theta == -0.8 and isinstance(readout, AnalogReadout):
         of_all = [one.mean(axis=1) for one in readout.expected_errors(load("besiii-cgem-design"))]
-        monkeypatch.setattr(kind, "expected_errors", lambda *_: of_all)
+        monkeypatch.setattr(type(readout), "expected_errors", lambda *_: of_all)
         wrong = analytic("besiii-cgem-design", "mu-", p=1.0, cos_theta=cos_theta, readout=readout)
         assert float(np.squeeze(wrong.sigma_dz)) < 0.93 * float(np.squeeze(expected.sigma_dz))
 

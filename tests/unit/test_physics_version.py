@@ -21,6 +21,7 @@ HASHES = {
     9: "d0649b4511db3e6c",  # tracks of the finder that share hits
     10: "d0649b4511db3e6c",  # calibrations of tiger, apv25 and analog-projection; correlated X and V clusters
     11: "d0649b4511db3e6c",  # expected errors of tiger, apv25 and analog-projection by cos(theta)
+    12: "d0649b4511db3e6c",  # the same from fits with scattering and the other hits
 }
 
 

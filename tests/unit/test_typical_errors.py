@@ -11,7 +11,10 @@ from cgemit import isa
 from cgemit.digitize.calibration import neutral
 from cgemit.digitize.readout import COS_THETA
 from cgemit.statistics.estimate import measure
+from cgemit.study.readout import typical
+from cgemit.study.readout.beam import beam_detector
 from cgemit.study.readout.measure import Measurements
+from cgemit.study.readout.rest_of_track import rest_of_tracks, variance_at_origin
 from cgemit.study.readout.typical import Tracks, nearest_cos_theta, set_correlations, set_typical, tracks_of
 from cgemit.tables import Table
 
@@ -22,8 +25,21 @@ TRACK = ("besiii-cgem-design", "mu-", 1.0)
 ANGLES = np.array([-0.97, -0.9, -0.8, -0.3, 0.0, 0.07, 0.45, 0.6, 0.85, 0.93])
 
 
+def line_rest() -> Floats:
+    """Return the covariance of hardly known straight lines at radius 0 and in the layers, (4, 4) mm2."""
+    radii = np.append(0.0, RADII)
+    return 100.0 + 0.01 * np.outer(radii, radii) + 1e-6 * np.eye(4)
+
+
+REST = np.broadcast_to(line_rest(), (2, 17, 4, 4))
+
+
 def typical_of(
-    residual: Floats, error: Floats, cos_theta: Floats | float = 0.0, crossed: npt.NDArray[np.bool_] | None = None
+    residual: Floats,
+    error: Floats,
+    cos_theta: Floats | float = 0.0,
+    crossed: npt.NDArray[np.bool_] | None = None,
+    rest: Floats | None = None,
 ) -> Floats:
     """Return the typical errors of X clusters of tracks, (tracks, 3) each; NaN: no cluster."""
     n = len(residual)
@@ -36,7 +52,9 @@ def typical_of(
     )  # fmt: skip
     found = neutral(3)
     whole = np.ones((n, 3), np.bool_) if crossed is None else crossed
-    set_typical(found, 0, 0, sample, Tracks(np.broadcast_to(cos_theta, n), event[there], whole), RADII)
+    set_typical(
+        found, 0, 0, sample, Tracks(np.broadcast_to(cos_theta, n), event[there], whole), REST if rest is None else rest
+    )
     assert (found.typical_errors[0, 0, 1] == 1).all()  # no V clusters
     assert (found.typical_errors[1] == 1).all()
     errors: Floats = found.typical_errors[0, 0, 0]
@@ -66,7 +84,7 @@ def test_clusters_that_are_left_out_count() -> None:
     none = np.where((random.random(len(residual)) < 0.3)[:, None] & inner, np.nan, residual)
     assert (typical_of(none, error) > 1.05 * typical_of(residual, error)).all()
     rare = (random.random(len(residual)) < 0.03)[:, None] & inner
-    far = np.where(rare, random.uniform(1, 5, residual.shape), residual)
+    far = np.where(rare, random.uniform(3, 8, residual.shape), residual)
     expected = typical_of(np.where(rare, np.nan, residual), error)
     np.testing.assert_allclose(typical_of(far, error), expected, rtol=0.02)
 
@@ -123,6 +141,75 @@ def test_correlations_by_angle() -> None:
     set_correlations(found, 1, 2, sample, Tracks(cos_theta, np.arange(n), np.ones((n, 1), np.bool_)))
     np.testing.assert_allclose(found.correlations[1, 2, 0], rho, atol=0.06)
     assert not found.correlations[0].any()
+
+
+@pytest.mark.parametrize("name", ["besiii-cgem-design", "kloe2-like"])
+def test_rest_of_tracks_gives_covariances(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With the errors of all clusters it has the variances of the covariance without events."""
+    detector = cg.load(name)
+    layers = len(detector.cgem)
+    x, v = 0.05 + 0.03 * np.arange(layers), 0.25 - 0.04 * np.arange(layers)
+    rest = rest_of_tracks(detector, 0.7, np.array([x, v]))
+    monkeypatch.setattr(cg.GaussianReadout, "expected_errors", lambda *_: (x, v))
+    expected = cg.analytic(detector, "mu-", 0.7, COS_THETA, phi=0.3, readout="gaussian")
+    for view, (errors, sigma) in enumerate([(x, expected.sigma_dr), (v, expected.sigma_dz)]):
+        found = [variance_at_origin(one, errors[None])[0] for one in rest[view]]
+        np.testing.assert_allclose(np.sqrt(found), np.ravel(sigma), rtol=1e-6)
+
+
+def test_tracks_of_clusters_alone_have_no_rest() -> None:
+    """A track needs hits beside the clusters of one view; without, typical errors are core widths."""
+    assert np.isnan(rest_of_tracks(beam_detector(1.0), 1.0, np.full((2, 1), 0.1))).all()
+    random = np.random.default_rng(7)
+    residual = random.normal(size=(9000, 3)) * [0.1, 0.2, 0.15]
+    found = typical_of(residual, np.full(residual.shape, 0.3), rest=np.full(REST.shape, np.nan))
+    cores = np.array([measure(one).core for one in residual.T])
+    np.testing.assert_allclose(found, np.repeat(cores[:, None], 17, axis=1), rtol=1e-12)
+
+
+def fit_one(rest: Floats, place: Floats, error: Floats, used: list[int]) -> tuple[float, Floats, Floats]:
+    """Return what some clusters tell: the place at the origin, those in all layers and their variances."""
+    at = [1 + one for one in used]
+    gain = rest[:, at] @ np.linalg.inv(rest[np.ix_(at, at)] + np.diag(error[used] ** 2))
+    fitted, variance = gain @ place[used], np.diag(rest - gain @ rest[at])
+    return float(fitted[0]), fitted[1:], variance[1:]
+
+
+def test_misses_are_those_of_tracks_fitted_one_by_one() -> None:
+    """Each cluster against a fit without it; the farthest is left out until none is far."""
+    random = np.random.default_rng(8)
+    rest = rest_of_tracks(cg.load(TRACK[0]), 1.0, np.full((2, 3), 0.1))[1, 4]
+    n, lost = 200, 0
+    error = random.uniform(0.03, 0.2, (n, 3))
+    residual = error * random.standard_t(1.5, size=(n, 3))
+    residual[random.random((n, 3)) < 0.1] = np.nan
+    found = typical.misses(residual, error, rest)
+    states = typical.drawn(rest, len(found))
+    for number, (miss, state) in enumerate(zip(found, states, strict=True)):
+        own, errors = residual[number % n], error[number % n]
+        place, used = state[1:] + np.nan_to_num(own), list(np.flatnonzero(np.isfinite(own)))
+        while used:
+            pulls = []
+            for one in used:
+                _, fitted, variance = fit_one(rest, place, errors, [other for other in used if other != one])
+                pulls.append(abs(place[one] - fitted[one]) / np.sqrt(variance[one] + errors[one] ** 2))
+            if max(pulls) <= 5:
+                break
+            del used[int(np.argmax(pulls))]
+            lost += 1
+        assert miss == pytest.approx(fit_one(rest, place, errors, used)[0] - state[0], abs=1e-6)
+    assert 20 < lost < len(found)
+
+
+@pytest.mark.parametrize("name", ["besiii-cgem-design", "kloe2-like"])
+def test_misses_of_equal_gaussian_clusters(name: str) -> None:
+    detector = cg.load(name)
+    errors = np.array([0.1, 0.2, 0.05, 0.15])[: len(detector.cgem)]
+    rest = rest_of_tracks(detector, 1.0, np.full((2, len(errors)), 0.1))
+    random = np.random.default_rng(9)
+    for one in (*rest[0], *rest[1]):
+        found = typical.misses(errors * random.normal(size=(20_000, len(errors))), np.tile(errors, (20_000, 1)), one)
+        assert found.std() == pytest.approx(np.sqrt(variance_at_origin(one, errors[None])[0]), rel=0.02)
 
 
 @pytest.fixture

@@ -115,7 +115,8 @@ def covariance_at(
         If the read-out has no expected errors.
     """
     at_origin = bool(np.all(np.isnan(points.radius)))
-    sample, tracks = _tracks(points, detector, digitize, fit, threads, at_origin)
+    hits = _hit_model(detector, digitize.readout, digitize.reveal_sides, fit)
+    sample, tracks = _tracks(points, detector, hits, fit, threads, at_origin)
     if at_origin:
         out = tracks.run(budget=False)
     else:
@@ -125,17 +126,28 @@ def covariance_at(
 
 def entries_at(points: Points, detector: Detector, digitize: DigitizeSettings, fit: FitSettings) -> Entries:
     """Return what `core_widths` needs of a detector at points at the origin, on one core; see `covariance_at`."""
-    sample, tracks = _tracks(points, detector, digitize, fit, 1, True)
+    return _entries(points, detector, _hit_model(detector, digitize.readout, digitize.reveal_sides, fit), fit)
+
+
+def entries_with(points: Points, detector: Detector, sigma_x: Floats, sigma_v: Floats) -> Entries:
+    """Return the same for clusters with given errors, (layers,) mm each, and the default fit."""
+    fit, uncorrelated = FitSettings(), np.zeros((len(sigma_x), 1))
+    hits = _with_errors(detector, (sigma_x[:, None], sigma_v[:, None], uncorrelated), False, fit)
+    return _entries(points, detector, hits, fit)
+
+
+def _entries(points: Points, detector: Detector, hits: tuple[_core.HitModel, bool], fit: FitSettings) -> Entries:
+    sample, tracks = _tracks(points, detector, hits, fit, 1, True)
     out = tracks.run(budget=False)
     return Entries(sample, out["covariance"], out["status"])
 
 
 def _tracks(
-    points: Points, detector: Detector, digitize: DigitizeSettings, fit: FitSettings, threads: int | None,
+    points: Points, detector: Detector, hits: tuple[_core.HitModel, bool], fit: FitSettings, threads: int | None,
     at_origin: bool,
 ) -> tuple[Sample, Tracks]:  # fmt: skip
-    """Return the sample of points, and its tracks in a detector; arguments as of `covariance_at`."""
-    model, varies = _hit_model(detector, digitize, fit)
+    """Return the sample of points, and its tracks in a detector; arguments as of `covariance_at` and `_hit_model`."""
+    model, varies = hits
     number = points.samples or (128 if varies or points.vary else 1)
     sample = sample_of(points, number, len(detector.cgem))
     scatter = number > 1 and at_origin
@@ -147,9 +159,18 @@ def _tracks(
     return sample, tracks
 
 
-def _hit_model(detector: Detector, digitize: DigitizeSettings, fit: FitSettings) -> tuple[_core.HitModel, bool]:
+def _hit_model(
+    detector: Detector, readout: Readout, sides_known: bool, fit: FitSettings
+) -> tuple[_core.HitModel, bool]:
     """Return how hits are expected, and whether they vary among tracks of the same direction."""
-    sigma_x, sigma_v, corr_xv = _errors(digitize.readout, detector)
+    return _with_errors(detector, _errors(readout, detector), sides_known, fit)
+
+
+def _with_errors(
+    detector: Detector, errors: tuple[Floats, Floats, Floats], sides_known: bool, fit: FitSettings
+) -> tuple[_core.HitModel, bool]:
+    """Return the same for clusters with errors as of `_errors`."""
+    sigma_x, sigma_v, corr_xv = errors
     by_angle = max(one.shape[1] for one in (sigma_x, sigma_v, corr_xv)) > 1
     cos_theta = COS_THETA if by_angle else np.zeros(1)
     sigma_x, sigma_v, corr_xv = (
@@ -158,7 +179,7 @@ def _hit_model(detector: Detector, digitize: DigitizeSettings, fit: FitSettings)
     model = _core.HitModel(
         cos_theta=cos_theta.tolist(), sigma_x=sigma_x.ravel().tolist(), sigma_v=sigma_v.ravel().tolist(),
         corr_xv=corr_xv.ravel().tolist(), least_width=fit.least_width,
-        delta_strips=fit.delta_strips, sides_known=digitize.reveal_sides, seed=0, prior_sigma=fit.prior_sigma,
+        delta_strips=fit.delta_strips, sides_known=sides_known, seed=0, prior_sigma=fit.prior_sigma,
     )  # fmt: skip
     return model, not (np.all(sigma_x > 0) and np.all(sigma_v > 0)) or _inefficient(detector)
 

@@ -41,7 +41,7 @@ PAIR = 6
 """Numbers of the likelihood of a pair of X and V."""
 
 #: Changes with everything that makes stored calibrations wrong.
-MODEL = 6
+MODEL = 7
 _MISSING = (
     "got no calibration for this detector, field and read-out, "
     "expected digitize.readout.calibration = a file written by: "

@@ -39,7 +39,8 @@ from cgemit.study.readout.measure import (
     pair_numbers,
     true_directions,
 )
-from cgemit.study.readout.typical import set_correlations, set_typical, tracks_of
+from cgemit.study.readout.rest_of_track import rest_of_tracks
+from cgemit.study.readout.typical import cores, set_correlations, set_typical, tracks_of
 from cgemit.tables import Table
 
 Floats = npt.NDArray[np.float64]
@@ -141,7 +142,6 @@ def calibration_from(result: Result, readout: Any, about: str, tracked: Result |
             found.edges[view, layer] = np.quantile(charge, _QUANTILES)
     for at in np.ndindex(found.depth.shape):
         found.height[at] = _depth(select(first, found, at)) if readout.lorentz else 0.0
-    radii = np.array([one.r_mid for one in detector.cgem])
     has_lines = "micro-tpc" in readout.estimators
     for _ in range(_STEPS if has_lines else 0):
         lines = measured("micro-tpc", found)
@@ -170,11 +170,13 @@ def calibration_from(result: Result, readout: Any, about: str, tracked: Result |
             refine(found, int(of_track), which, sample, apart(sample), known(sample, of_track))
     runs = result, result  # of one momentum: curvature spreads the errors
     tracks = tracks_of(result.particles, truths, layers)
+    p = float(np.median(np.sqrt(sum(result.particles[name] ** 2 for name in ("px", "py", "pz")))))
     for of_track in (False, True):
         for name in readout.estimators:
             sample = measured(name, found, of_track)
             which = ESTIMATORS.index(name)
-            set_typical(found, int(of_track), which, sample, tracks, radii)
+            rest = rest_of_tracks(detector, p, cores(sample, tracks))
+            set_typical(found, int(of_track), which, sample, tracks, rest)
             set_correlations(found, int(of_track), which, sample, tracks)
     return found
 

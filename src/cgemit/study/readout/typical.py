@@ -6,18 +6,23 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from scipy.optimize import brentq
 
 from cgemit.digitize.calibration import Calibration
 from cgemit.digitize.readout import COS_THETA
+from cgemit.fit import FitSettings
 from cgemit.study.readout.errors import core_width
 from cgemit.study.readout.measure import FEWEST, Measurements
+from cgemit.study.readout.rest_of_track import variance_at_origin
 from cgemit.tables import Table
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
 
 _CORE = 3.0  # errors, within which clusters count in correlations
-_TAILS = 5.0  # errors, beyond which the fit drops hits
+_FAR = FitSettings().outlier_pull
+_DRAWS = 4  # of the rest of each track
+_FACTORS = (0.2, 20.0)  # of typical errors, over core widths
 
 
 class Tracks(NamedTuple):
@@ -51,16 +56,14 @@ def tracks_of(particles: Table, truths: Table, layers: int) -> Tracks:
     return Tracks(np.asarray(pz / np.sqrt(px**2 + py**2 + pz**2)), of_truth, crossed)
 
 
-def set_typical(
-    found: Calibration, along: int, which: int, sample: Measurements, tracks: Tracks, radii: Floats
-) -> None:
+def set_typical(found: Calibration, along: int, which: int, sample: Measurements, tracks: Tracks, rest: Floats) -> None:
     """Set the errors, equal for all clusters of a view and layer, with which tracks are as precise as with these.
 
-    They are the core widths of the residuals, times a factor: a straight line is fitted to the clusters of each track
-    with their own errors; clusters beyond five errors are left out, as in the fit. The core of its intercepts at the
-    beam line over that for equal Gaussian errors is the factor. It holds what a fit gains from errors that differ, and
-    loses by tails and by clusters that are left out. Tracks of a range of cos(theta) have their own errors; ranges with
-    few have those of the nearest others.
+    They are the core widths of the residuals, times a factor: tracks are fitted with the residuals of their clusters
+    and the errors of these, and clusters far from the rest of their track are left out, as in the fit. The factor is
+    the one with which equal Gaussian errors give the core width at the origin. It holds what a fit gains from errors
+    that differ, and loses by tails and by clusters that are left out. Tracks of a range of cos(theta) have their own
+    errors; ranges with few have those of the nearest others.
 
     Parameters
     ----------
@@ -69,23 +72,32 @@ def set_typical(
     along, which : int
     sample : Measurements
     tracks : Tracks
-    radii : (layers,) float64, mm
+    rest : (2, len(COS_THETA), 1 + layers, 1 + layers) float64, mm2
+        Of both views, see `rest_of_tracks`. Where it is NaN the factor is 1.
     """
     near = nearest_cos_theta(tracks.cos_theta)
     for view in range(2):
-        residual = np.full((len(near), len(radii)), np.nan)
-        error = np.full(residual.shape, np.nan)
-        for layer in range(len(radii)):
-            mine = (sample.view == view) & (sample.layer == layer)
-            row = tracks.of_truth[sample.truth[mine]]
-            residual[row, layer] = sample.residual[mine]
-            error[row, layer] = sample.error[mine]
-        errors = np.full((len(radii), 1 + len(COS_THETA)), np.nan)  # of all tracks, and by cos(theta)
-        for number in range(errors.shape[1]):
-            rows = near == number - 1 if number else np.ones(len(near), np.bool_)
-            layers, own = _equal_errors(residual[rows], error[rows], tracks.crossed[rows], radii)
-            errors[layers, number] = own
+        residual, error = _by_track(sample, view, tracks)
+        errors = np.full((residual.shape[1], 1 + len(COS_THETA)), np.nan)  # of all tracks, and by cos(theta)
+        errors[:, 0] = _cores(residual)
+        for number in range(len(COS_THETA)):
+            mine = near == number
+            errors[:, 1 + number] = _equal_errors(residual[mine], error[mine], tracks.crossed[mine], rest[view, number])
         _fill(found.typical_errors[along, which, view], errors)
+
+
+def cores(sample: Measurements, tracks: Tracks) -> Floats:
+    """Return the core widths of the residuals of X and V, (2, layers) float64 mm; NaN of layers with few clusters."""
+    return np.array([_cores(_by_track(sample, view, tracks)[0]) for view in range(2)])
+
+
+def _by_track(sample: Measurements, view: int, tracks: Tracks) -> tuple[Floats, Floats]:
+    """Return residuals and errors of a view, (tracks, layers) mm each, NaN: no cluster."""
+    found = np.full((2, *tracks.crossed.shape), np.nan)
+    mine = sample.view == view
+    place = tracks.of_truth[sample.truth[mine]], sample.layer[mine]
+    found[0][place], found[1][place] = sample.residual[mine], sample.error[mine]
+    return found[0], found[1]
 
 
 def _fill(values: Floats, measured: Floats) -> None:
@@ -98,27 +110,83 @@ def _fill(values: Floats, measured: Floats) -> None:
             own[:] = of_all
 
 
-def _equal_errors(
-    residual: Floats, error: Floats, crossed: npt.NDArray[np.bool_], radii: Floats
-) -> tuple[Ints, Floats]:
-    """Return the layers with enough clusters, and their typical errors, mm; of (tracks, layers), NaN: no cluster."""
-    layers = np.flatnonzero(np.count_nonzero(np.isfinite(residual), axis=0) >= FEWEST)
-    residual, error, radii = residual[:, layers], error[:, layers], radii[layers]
-    core = np.array([core_width(one[np.isfinite(one)]) for one in residual.T])
-    good = np.abs(residual) < _TAILS * error
-    used = (np.count_nonzero(good, axis=1) >= 2) & crossed[:, layers].all(axis=1)
-    if len(layers) < 2 or np.count_nonzero(used) < FEWEST:
-        return layers, core
-    weight = np.where(good, error, np.inf)[used] ** -2
-    intercepts = (_at_beam_line(weight, radii) * np.where(good, residual, 0.0)[used]).sum(axis=1)
-    equal = _at_beam_line(core[None] ** -2, radii)[0]
-    return layers, core * (core_width(intercepts) / float(np.sqrt(np.sum((equal * core) ** 2))))
+def _cores(residual: Floats) -> Floats:
+    """Return the core widths of (tracks, layers) residuals, mm; NaN of layers with few clusters."""
+    widths = np.full(residual.shape[1], np.nan)
+    for layer, own in enumerate(residual.T):
+        there = own[np.isfinite(own)]
+        if len(there) >= FEWEST:
+            widths[layer] = core_width(there)
+    return widths
 
 
-def _at_beam_line(weight: Floats, radii: Floats) -> Floats:
-    """Return what each layer adds to the intercept at radius 0 of a straight line, (tracks, layers) float64."""
-    s, x, xx = ((weight * radii**power).sum(axis=1, keepdims=True) for power in range(3))
-    return np.asarray(weight * (xx - x * radii) / (s * xx - x * x))
+def _equal_errors(residual: Floats, error: Floats, crossed: npt.NDArray[np.bool_], rest: Floats) -> Floats:
+    """Return the typical errors of layers, mm, NaN of layers with few clusters; of (tracks, layers), NaN: no cluster.
+
+    `rest` is the covariance of the tracks at the origin and in the layers without these clusters.
+    """
+    core = _cores(residual)
+    layers = np.flatnonzero(np.isfinite(core))
+    used = crossed[:, layers].all(axis=1)
+    if not len(layers) or np.count_nonzero(used) < FEWEST or not np.isfinite(rest).all():
+        return core
+    places = np.append(0, 1 + layers)
+    rest = rest[np.ix_(places, places)]
+    width = core_width(misses(residual[used][:, layers], error[used][:, layers], rest))
+
+    def excess(factor: float) -> float:
+        return float(np.sqrt(variance_at_origin(rest, factor * core[None, layers])[0])) - width
+
+    low, high = _FACTORS
+    if excess(low) >= 0 or excess(high) <= 0:  # clusters do not matter at the origin
+        return core
+    return np.asarray(core * brentq(excess, low, high))
+
+
+def misses(residual: Floats, error: Floats, rest: Floats) -> Floats:
+    """Return by how much fits miss tracks at the origin, some for each track.
+
+    Tracks are drawn from `rest`. Their clusters are at the residuals from them. Those far from the track without them
+    are left out, the farthest first.
+
+    Parameters
+    ----------
+    residual, error : (tracks, layers) float64, mm
+        NaN: no cluster.
+    rest : (1 + layers, 1 + layers) float64, mm2
+        See `rest_of_tracks`.
+
+    Returns
+    -------
+    ndarray, (4 tracks,) float64, mm
+        Of all tracks in order, four times.
+    """
+    residual, error = np.tile(residual, (_DRAWS, 1)), np.tile(error, (_DRAWS, 1))
+    states = drawn(rest, len(residual))
+    there = np.isfinite(residual)
+    weight = np.where(there, error, np.inf) ** -2
+    place = states[:, 1:] + np.where(there, residual, 0.0)
+    diagonal, rows = np.arange(1, len(rest)), np.arange(len(residual))
+    while True:
+        smaller = np.tile(np.eye(len(rest)), (len(residual), 1, 1))  # 1 + rest * weights, for rest may be singular
+        smaller[:, :, 1:] += rest[:, 1:] * weight[:, None, :]
+        covariance = np.linalg.solve(smaller, np.broadcast_to(rest, smaller.shape))
+        fitted = (covariance[:, :, 1:] @ (weight * place)[:, :, None])[:, :, 0]
+        shares = 1 - weight * covariance[:, diagonal, diagonal]  # of a residual to the track without the cluster
+        pulls = weight * (place - fitted[:, 1:]) ** 2 / shares
+        worst = pulls.argmax(axis=1)
+        far = pulls[rows, worst] > _FAR**2
+        if not far.any():
+            return np.asarray(fitted[:, 0] - states[:, 0])
+        weight[rows[far], worst[far]] = 0
+
+
+def drawn(covariance: Floats, n: int) -> Floats:
+    """Return vectors of a covariance, always the same, (n, its size) float64."""
+    values, vectors = np.linalg.eigh(covariance)
+    return np.asarray(
+        np.random.default_rng(0).standard_normal((n, len(values))) * np.sqrt(np.maximum(values, 0)) @ vectors.T
+    )
 
 
 def set_correlations(found: Calibration, along: int, which: int, sample: Measurements, tracks: Tracks) -> None:
