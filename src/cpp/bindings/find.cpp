@@ -5,6 +5,7 @@
 #include "bindings/arrays.hpp"
 #include "bindings/hits.hpp"
 #include "bindings/inputs.hpp"
+#include "find/bit_counts.hpp"
 #include "find/compete.hpp"
 
 namespace py = pybind11;
@@ -38,6 +39,29 @@ py::dict run(const Detector& detector, const Array<std::int64_t>& event_offsets,
   out["holes"] = to_numpy(std::move(found.holes));
   out["seeds"] = to_numpy(std::move(found.seeds));
   return out;
+}
+
+// Counts of 192 counters after ranges of them, from `first` to `last`, were added; the largest and those that
+// have it.
+py::tuple count_ranges(const Array<std::int32_t>& firsts, const Array<std::int32_t>& lasts) {
+  constexpr std::size_t words = 3;
+  const auto first = column(firsts, "first"), last = column(lasts, "last", firsts.size());
+  BitCounts<words> counts;
+  for (std::size_t i = 0; i < first.size(); ++i) {
+    if (first[i] < 0 || last[i] < first[i] || last[i] >= static_cast<std::int32_t>(64 * words)) {
+      throw std::invalid_argument("first, last: expected ranges within 0 and 191");
+    }
+    BitCounts<words>::Bits bits{};
+    set_bits(bits, static_cast<unsigned>(first[i]), static_cast<unsigned>(last[i]));
+    counts.add(bits);
+  }
+  const auto [most, which] = counts.most();
+  std::vector<std::uint8_t> found, largest;
+  for (std::size_t i = 0; i < 64 * words; ++i) {
+    found.push_back(counts.at(i));
+    largest.push_back(static_cast<std::uint8_t>(which[i / 64] >> i % 64 & 1));
+  }
+  return py::make_tuple(to_numpy(std::move(found)), most, to_numpy(std::move(largest)));
 }
 
 // For tests: tracks with nothing but hits compete.
@@ -101,6 +125,8 @@ void bind_find(py::module_& module) {
       py::arg("settings"), py::arg("pairs") = py::dict(),
       "Tracks of each event: event, offsets of their hits, numbers of the hits, score; and how many seeds "
       "each event had.");
+  testing(module).def("count_ranges", &count_ranges, py::arg("first"), py::arg("last"),
+                      "Counts of 192 counters of ranges, the largest count, and where it is.");
   testing(module).def(
       "settle_tracks", &settle, py::kw_only(), py::arg("tracks"), py::arg("entries"), py::arg("hits"),
       py::arg("min_score"),
