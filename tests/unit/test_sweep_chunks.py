@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, Future
 from pathlib import Path
 from typing import Any
@@ -12,6 +12,8 @@ import pytest
 import cgemit as cg
 from cgemit.detector import Detector
 from cgemit.study import sweep
+from cgemit.study.sweeps.chunks import rows_of_text
+from cgemit.study.sweeps.compute import Task, work
 
 DESIGN = cg.load("besiii-cgem-design")
 PITCHES = {"cgem.*.pitch_x": ["400 um", "900 um"], "cgem.L2.anode_radius": ["132.5 mm", "160 mm"]}
@@ -38,6 +40,53 @@ class Counting(Executor):
         else:
             future.set_result(function(*given, **named))
         return future
+
+
+class Losing(Counting):
+    """Loses the first tasks, as Dask's executor may if a worker dies while its result is fetched."""
+
+    def __init__(self, lost: int) -> None:
+        super().__init__()
+        self.lost = lost
+
+    def submit(self, function: Callable[..., Any], /, *given: Any, **named: Any) -> Future[Any]:
+        """Return a future that is done, with an error of the executor's own if the task is lost."""
+        future = super().submit(function, *given, **named)
+        if self.submitted <= self.lost:
+            future = Future()
+            future.set_exception(ValueError("too many values to unpack (expected 3)"))
+        return future
+
+
+def test_what_an_executor_loses_is_computed_once_more(tmp_path: Path) -> None:
+    expected = sweep(DESIGN, PITCHES, evaluate=channels, chunk=1)
+    tasks = len(expected)
+    found = sweep(DESIGN, PITCHES, evaluate=channels, chunk=1, output=tmp_path / "out", executor=(losing := Losing(2)))
+    assert losing.submitted == tasks + 2
+    assert found.columns == expected.columns
+    with pytest.raises(ValueError, match="too many values to unpack"):
+        sweep(DESIGN, PITCHES, evaluate=channels, chunk=1, executor=Losing(tasks + 1))
+
+
+class Unfinished:
+    """An evaluation whose last step fails."""
+
+    def described(self) -> dict[str, Any]:
+        """Return nothing that results depend on."""
+        return {}
+
+    def __call__(self, detector: Detector) -> str:
+        """Return something."""
+        return detector.name
+
+    def results(self, found: Sequence[Any]) -> list[dict[str, Any]]:
+        """Fail."""
+        raise RuntimeError(f"no results of {found}")
+
+
+def test_results_that_fail_are_rows() -> None:
+    (row,) = rows_of_text(work(Task((DESIGN,), ({},), Unfinished())))
+    assert (row["status"], row["problems"]) == ("failed", [f"RuntimeError: no results of ['{DESIGN.name}']"])
 
 
 def test_a_function_that_fails_is_a_row_and_is_tried_again(tmp_path: Path) -> None:

@@ -52,8 +52,13 @@ def work(task: Task) -> str:
     pairs = zip(task.detectors, task.changes, strict=True)
     rows = [_row(bases[id(base)], changes, task.evaluation) for base, changes in pairs]
     good = [row for row in rows if row["status"] == "ok"]
-    for row, results in zip(good, task.evaluation.results([row.pop("found") for row in good]), strict=True):
-        row |= results
+    found = [row.pop("found") for row in good]
+    try:
+        for row, results in zip(good, task.evaluation.results(found), strict=True):
+            row |= results
+    except Exception as error:
+        for row in good:
+            row |= _failed(error)
     return text_of_rows(rows)
 
 
@@ -73,7 +78,11 @@ def _row(base: Detector, changes: Changes, evaluation: Evaluates) -> dict[str, A
     try:
         return row | {"found": evaluation(detector)}
     except Exception as error:  # the sweep goes on: the row says what happened
-        return row | {"status": "failed", "problems": [f"{type(error).__name__}: {error}"]}
+        return row | _failed(error)
+
+
+def _failed(error: Exception) -> dict[str, Any]:
+    return {"status": "failed", "problems": [f"{type(error).__name__}: {error}"]}
 
 
 def compute_rows(
@@ -104,7 +113,17 @@ def compute_rows(
         with _pool(executor, len(waiting)) as pool:
             for i in waiting:
                 futures[pool.submit(work, tasks[i])] = i
+            lost = []
             for future in as_completed(list(futures)):
+                # `work` tells errors in its rows: with one here, the executor lost the task, as when a worker dies.
+                if isinstance(future.exception(), Exception):
+                    again = pool.submit(work, tasks[futures[future]])
+                    futures[again] = futures.pop(future)
+                    lost.append(again)
+                else:
+                    keep(future)
+                    show()
+            for future in as_completed(lost):
                 keep(future)
                 show()
     finally:  # interrupted: keep what is complete
