@@ -17,11 +17,11 @@ import numpy as np
 
 from cgemit import FitSettings, Gun, Settings, _core, helix, isa, run
 from cgemit.bench import DETECTOR, SEED, instruction_set, smeared
-from cgemit.candidates import FitHits, collect_hits
+from cgemit.chain.result import Result
 from cgemit.detector import compiled
-from cgemit.digitize import DigitizeSettings
-from cgemit.fit import core_arguments
-from cgemit.result import Result
+from cgemit.reconstruction.candidates import FitHits, collect_hits
+from cgemit.reconstruction.fit import core_arguments
+from cgemit.simulation.digitize import DigitizeSettings
 from rows import write_rows
 
 GUN = Gun("mu-", p=1.0, cos_theta=(-0.7, 0.7))

@@ -17,9 +17,9 @@ import numpy as np
 
 from cgemit import FitSettings, Gun, _core, helix, isa, load, run
 from cgemit.bench import DETECTOR, SEED, instruction_set, smeared
-from cgemit.candidates import collect_hits
 from cgemit.detector import compiled
-from cgemit.fit import core_arguments
+from cgemit.reconstruction.candidates import collect_hits
+from cgemit.reconstruction.fit import core_arguments
 from rows import write_rows
 
 GUN = Gun("mu-", p=1.0, cos_theta=(-0.93, 0.93))

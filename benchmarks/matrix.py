@@ -10,8 +10,8 @@ import os
 import subprocess
 import sys
 
+from cgemit.base.isa import available
 from cgemit.bench import machine, measure
-from cgemit.isa import available
 from rows import write_rows
 
 THREADS = (1, 2)

@@ -11,9 +11,9 @@ import subprocess
 import sys
 
 from cgemit.bench import DETECTOR, GUN, SEED
-from cgemit.chain import run
-from cgemit.fit import FitSettings
-from cgemit.stages import Settings
+from cgemit.chain.run import run
+from cgemit.chain.settings import Settings
+from cgemit.reconstruction.fit import FitSettings
 from rows import write_rows
 
 COUNTS = (10_000, 40_000)

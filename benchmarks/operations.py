@@ -18,9 +18,9 @@ from collections import Counter, defaultdict
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+from cgemit.base.isa import available
 from cgemit.bench import DETECTOR, GUN, stage_calls
 from cgemit.detector import load
-from cgemit.isa import available
 from rows import write_rows
 
 TRACKS = 128  # whole packs of any width

@@ -16,8 +16,8 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 
+from cgemit.base.version import __version__
 from cgemit.bench import machine
-from cgemit.version import VERSION
 
 HERE = Path(__file__).resolve().parent
 PAGE = HERE.parent / "docs" / "performance.md"
@@ -55,7 +55,9 @@ def table(head: Iterable[str], rows: Iterable[Iterable[object]]) -> str:
 
 def about() -> str:
     """Return machine and versions."""
-    return f"{machine()}, numpy {np.__version__}, {platform.libc_ver()[0]} {platform.libc_ver()[1]}; cgemit {VERSION}."
+    return (
+        f"{machine()}, numpy {np.__version__}, {platform.libc_ver()[0]} {platform.libc_ver()[1]}; cgemit {__version__}."
+    )
 
 
 def stages() -> str:

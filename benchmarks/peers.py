@@ -20,11 +20,11 @@ from typing import Any
 
 import numpy as np
 
+from cgemit.base.isa import available
 from cgemit.bench import DETECTOR, instruction_set, machine, stage_calls
 from cgemit.detector import Detector, load
-from cgemit.detector.slabs import slabs
-from cgemit.gun import Gun
-from cgemit.isa import available
+from cgemit.detector.matter import slabs
+from cgemit.particles.gun import Gun
 from cgemit.study import measure
 from rows import write_rows
 

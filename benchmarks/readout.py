@@ -13,8 +13,9 @@ import numpy as np
 
 import cgemit as cg
 from cgemit import isa
-from cgemit.cluster import ClusterSettings
-from cgemit.digitize import Apv25Readout, TigerReadout
+from cgemit.reconstruction.cluster import ClusterSettings
+from cgemit.simulation.readouts.apv25 import Apv25Readout
+from cgemit.simulation.readouts.tiger import TigerReadout
 from cgemit.tables import Table
 from rows import write_rows
 

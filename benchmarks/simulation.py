@@ -16,8 +16,8 @@ import numpy as np
 from cgemit import isa
 from cgemit.bench import DETECTOR, GUN, SEED, instruction_set, machine
 from cgemit.detector import Detector, load
-from cgemit.gun import generate
-from cgemit.simulate import SimulateSettings, simulate
+from cgemit.particles.gun import generate
+from cgemit.simulation.transport import SimulateSettings, simulate
 from rows import write_rows
 
 EVENTS = 4000

@@ -14,11 +14,11 @@ from pathlib import Path
 import numpy as np
 
 from cgemit.bench import DETECTOR, GUN, SEED, machine
-from cgemit.chain import run_chunk
+from cgemit.chain.run import run_chunk
+from cgemit.chain.settings import Settings
 from cgemit.detector import load
-from cgemit.fit import FitSettings
-from cgemit.gun import generate
-from cgemit.stages import Settings
+from cgemit.particles.gun import generate
+from cgemit.reconstruction.fit import FitSettings
 
 HERE = Path(__file__).resolve().parent
 COUNTS = (100, 1000, 10_000, 100_000, 1_000_000)

@@ -12,8 +12,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import cgemit as cg
-from cgemit.background import add_background
-from cgemit.cluster import cluster
+from cgemit.reconstruction.cluster import cluster
+from cgemit.simulation.background import add_background
 
 HERE = Path(__file__).resolve().parent
 PAGE = HERE / "methods" / "background.md"

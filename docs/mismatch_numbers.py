@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 import cgemit as cg
-from cgemit.statistics.formatting import with_error
+from cgemit.tables.show import with_error
 
 PAGE = Path(__file__).resolve().parent / "methods" / "mismatch.md"
 DETECTOR, SEED, SHIFT = "besiii-cgem-design", 21, 0.05  # mm

@@ -17,11 +17,11 @@ from pathlib import Path
 import numpy as np
 
 import cgemit as cg
-from cgemit.statistics.curves import windowed_resolution
-from cgemit.statistics.formatting import with_error
-from cgemit.study.cluster_residuals import cluster_residuals, x_beyond, x_widths
+from cgemit.analysis.clusters import cluster_residuals, x_beyond, x_widths
+from cgemit.analysis.curves import windowed_resolution
 from cgemit.study.paper import COS_THETA, DETECTORS, THIN_GAP, Reproduction
 from cgemit.study.samples import seed_of
+from cgemit.tables.show import with_error
 
 PAGE = Path(__file__).resolve().parent / "paper.md"
 SEED, BATCH = 11, 5000

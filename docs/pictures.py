@@ -16,9 +16,9 @@ from matplotlib.axes import Axes
 import cgemit as cg
 from cgemit import _core, helix
 from cgemit.detector import compiled, slabs
-from cgemit.detector.holes import Holes
-from cgemit.draw.geometry import helix_points
-from cgemit.particles import particles_from
+from cgemit.detector.matter import Holes
+from cgemit.draw.event import helix_points
+from cgemit.particles.table import particles_from
 
 HERE = Path(__file__).resolve().parent
 IMAGES = HERE / "images"

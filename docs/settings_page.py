@@ -11,8 +11,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from cgemit.kinds import Choice, classes_in, expected, kinds_of
-from cgemit.stages import Settings
+from cgemit.base.settings import Choice, classes_in, expected, kinds_of
+from cgemit.chain.settings import Settings
 
 PAGE = Path(__file__).with_name("settings.md")
 

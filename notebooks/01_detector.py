@@ -19,6 +19,7 @@
 
 # %%
 import cgemit as cg
+from cgemit.detector.export import describe
 
 detector = cg.load("besiii-cgem-design")
 detector
@@ -49,7 +50,7 @@ first
 # incidence.
 
 # %%
-rows = cg.detector.describe(detector)["material"]
+rows = describe(detector)["material"]
 parts = [row for row in rows if row["part"] != "chamber gas"]
 {row["part"]: round(row["x0_percent"], 4) for row in parts}
 

@@ -23,7 +23,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import cgemit as cg
-from cgemit.study.cluster_residuals import cluster_residuals, x_widths
+from cgemit.analysis.clusters import cluster_residuals, x_widths
+from cgemit.detector.export import describe
 
 detector = cg.load("besiii-cgem-design")
 
@@ -35,7 +36,7 @@ detector = cg.load("besiii-cgem-design")
 # twenty-sixth of the whole.
 
 # %%
-parts = cg.detector.describe(detector)["material"]
+parts = describe(detector)["material"]
 for part in parts:
     if part["x0_percent"] > 0.02:
         print(f"{part['part']:14} r = {part['radius_mm']:6.1f} mm   {part['x0_percent']:.3f} % X0")

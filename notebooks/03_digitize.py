@@ -22,8 +22,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import cgemit as cg
-from cgemit.digitize.transport import transport
-from cgemit.study.readout.formation import formation
+from cgemit.detector.gas import transport
+from cgemit.study.readout.scan import formation
 
 detector = cg.load("besiii-cgem-design")
 muon = cg.Gun("mu-", p=1.0, cos_theta=(-0.93, 0.93))

@@ -24,9 +24,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import cgemit as cg
-from cgemit import find
-from cgemit.study.readout.ghosts import scan_ghosts
-from cgemit.study.readout.scan import scan
+from cgemit.reconstruction.find import truth
+from cgemit.study.readout.scan import scan, scan_ghosts
 
 detector = cg.load("besiii-cgem-design")
 muon = cg.Gun("mu-", p=1.0, cos_theta=(-0.93, 0.93))
@@ -52,9 +51,9 @@ cg.draw.draw_cluster(result, event=9)
 # %%
 def x_residuals(run):
     """Residuals of X clusters of true crossings, in um."""
-    own = find.own_clusters(detector, run.clusters, run.truths)
+    own = truth.own_clusters(detector, run.clusters, run.truths)
     own = own[run.clusters["view"][own] == 0]
-    return 1000 * find.residuals(detector, run.clusters, run.truths, own)
+    return 1000 * truth.residuals(detector, run.clusters, run.truths, own)
 
 
 # %%
@@ -90,9 +89,9 @@ for name, run in (("first pass", result), ("second pass", second)):
 fig, axes = plt.subplots(figsize=(6, 3.4))
 grid = np.linspace(-6, 6, 61)
 for name, run in (("first pass", result), ("second pass", second)):
-    own = find.own_clusters(detector, run.clusters, run.truths)
+    own = truth.own_clusters(detector, run.clusters, run.truths)
     own = own[run.clusters["view"][own] == 0]
-    pull = find.residuals(detector, run.clusters, run.truths, own) / run.clusters["err_x"][own]
+    pull = truth.residuals(detector, run.clusters, run.truths, own) / run.clusters["err_x"][own]
     axes.hist(pull, grid, histtype="step", label=f"{name}: 68 % within {np.quantile(np.abs(pull), 0.683):.2f}")
 axes.plot(grid, len(pull) * 0.2 * np.exp(-0.5 * grid**2) / np.sqrt(2 * np.pi), "k:", label="unit Gaussian")
 axes.set(xlabel="X residual / error", ylabel="clusters per 0.2")

@@ -26,8 +26,8 @@ import numpy as np
 from matplotlib.patches import Ellipse
 
 import cgemit as cg
-from cgemit.candidates import HIT_WIRE, collect_hits
-from cgemit.fit import PARAMETERS, FitSettings, fit
+from cgemit.reconstruction.candidates import HIT_WIRE, collect_hits
+from cgemit.reconstruction.fit import PARAMETERS, FitSettings, fit
 
 detector = cg.load("besiii-cgem-design")
 settings = cg.Settings(fit=FitSettings(residuals=True))

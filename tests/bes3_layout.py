@@ -10,7 +10,7 @@ import awkward as ak
 import numpy as np
 
 from cgemit import helix
-from cgemit.io.bes3 import HYPOTHESES
+from cgemit.analysis.bes3 import HYPOTHESES
 
 _I, _U, _F = "i4", "u4", "f8"
 _POINTS = ("e", "mu", "k", "p")

@@ -6,10 +6,10 @@ import numpy as np
 import numpy.typing as npt
 from scipy.stats import chi2, kstest
 
-from cgemit.digitize import DigitizeSettings
-from cgemit.fit import PARAMETERS
-from cgemit.simulate import SimulateSettings
-from cgemit.stages import Settings
+from cgemit.chain.settings import Settings
+from cgemit.reconstruction.fit import PARAMETERS
+from cgemit.simulation.digitize import DigitizeSettings
+from cgemit.simulation.transport import SimulateSettings
 from cgemit.tables import Table
 from stats import assert_within
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from cgemit import _core
 from cgemit.detector import write_field_map
-from cgemit.detector.field.grid import Axis, FieldGrid
+from cgemit.detector.field import Axis, FieldGrid
 
 #: The preset besiii-harmonic without its limits in r and z: an uneven field that steep tracks do not leave.
 HARMONIC = {"kind": "harmonic", "bz": "-0.980 T", "b": "0.175 /m2", "q": "-0.251 /m4"}

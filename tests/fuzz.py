@@ -13,15 +13,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cgemit import find, helix, simulate
+from cgemit import helix
 from cgemit.bench import SMEARING, smeared
-from cgemit.candidates import HIT_WIRE
-from cgemit.cluster import cluster
 from cgemit.detector import load
-from cgemit.digitize import DigitizeSettings, digitize
-from cgemit.fit import PARAMETERS, FitSettings, FitStatus, fit, has_cov
-from cgemit.particles import particles_from
-from cgemit.study.hits import Hits, add_noise, exchange_clusters, keep, lose_layers
+from cgemit.particles.table import particles_from
+from cgemit.reconstruction.candidates import HIT_WIRE
+from cgemit.reconstruction.cluster import cluster
+from cgemit.reconstruction.find import truth
+from cgemit.reconstruction.fit import PARAMETERS, FitSettings, FitStatus, fit, has_cov
+from cgemit.simulation import transport
+from cgemit.simulation.digitize import DigitizeSettings, digitize
+from cgemit.study.robustness import Hits, add_noise, exchange_clusters, keep, lose_layers
 from cgemit.tables import SCHEMAS, Table
 
 PRESETS = ("besiii-cgem-design", "besiii-cgem", "besiii-idc", "besiii-idc-boss")
@@ -52,12 +54,12 @@ def random_particles(n, random):
 def tracks(n, random):
     """Return simulated tracks with hits that are lost, added, exchanged or out of order."""
     detector = load(random.choice(PRESETS))
-    tables = simulate.simulate(detector, random_particles(n, random), seed=int(random.integers(2**32)))
+    tables = transport.simulate(detector, random_particles(n, random), seed=int(random.integers(2**32)))
     settings = DigitizeSettings(reveal_sides=bool(random.integers(2)))
     tables |= digitize(detector, tables["truths"], tables["wire_truths"], settings, 1, steps=tables["steps"])
     tables["clusters"] = cluster(detector, tables["digis"])
     names = ("particles", "clusters", "wire_hits", "truths", "wire_truths")
-    found = find.by_truth(detector, *(tables[name] for name in names))
+    found = truth.by_truth(detector, *(tables[name] for name in names))
     hits = Hits(*found.values(), tables["clusters"], tables["wire_hits"])
     hits = lose_layers(hits, random.choice([0.0, 0.0, 0.3, 0.8]), random)
     hits = add_noise(detector, hits, random.choice([0.0, 0.1, 0.5]), random)

@@ -33,7 +33,7 @@ def folded(w_max, beta2, sigma, points=2**17):
 
 
 def core(x, density):
-    """Return mean and sigma of the Gaussian within 3 of its sigmas, as `cgemit.study.measure` has them."""
+    """Return mean and sigma of the Gaussian within 3 of its sigmas, as `cgemit.analysis.widths.measure` has them."""
     inside = math.erf(3 / math.sqrt(2))
     shrink = 1 - 6 * math.exp(-4.5) / math.sqrt(2 * math.pi) / inside
     edges = np.concatenate([[x[0]], 0.5 * (x[1:] + x[:-1]), [x[-1]]])

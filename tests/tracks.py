@@ -7,11 +7,10 @@ import math
 import numpy as np
 
 from cgemit import _core
-from cgemit.candidates import FitHits, collect_hits
 from cgemit.detector import Detector, compiled, slab_table, slabs
-from cgemit.detector.compile import cgem_table, wire_table
-from cgemit.detector.field.core import compiled_field
-from cgemit.species import species
+from cgemit.detector.core import cgem_table, compiled_field, wire_table
+from cgemit.particles.species import species
+from cgemit.reconstruction.candidates import FitHits, collect_hits
 from cgemit.tables import Table
 
 MUON = 0.1056583755

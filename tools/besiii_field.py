@@ -14,7 +14,7 @@ import numpy.typing as npt
 from scipy.special import i0, i1, k0, k1
 
 from cgemit.detector import write_field_map
-from cgemit.detector.field.core import solenoid_field
+from cgemit.detector.core import solenoid_field
 
 Floats = npt.NDArray[np.float64]
 
@@ -96,7 +96,7 @@ def besiii_field(r: npt.ArrayLike, z: npt.ArrayLike) -> tuple[Floats, Floats]:
 def main() -> None:
     """Write the map."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("path", type=Path, help="map file to write, such as src/cgemit/data/fields/besiii.npz")
+    parser.add_argument("path", type=Path, help="map file to write, such as src/cgemit/detector/fields/besiii.npz")
     parser.add_argument("--overwrite", action="store_true", help="replace the file")
     arguments = parser.parse_args()
     r, z = np.arange(0.0, R_LAST + 1, STEP), np.arange(-Z_LAST, Z_LAST + 1, STEP)

@@ -1,4 +1,4 @@
-"""Write src/cgemit/data/particles.csv: stable and long-lived particles, from the package `particle` of PyPI.
+"""Write src/cgemit/particles/particles.csv: stable and long-lived particles, from the package `particle` of PyPI.
 
 Long-lived is what flies farther than 10 nm in its lifetime (c tau), which keeps the neutral pion and leaves out what
 decays by the strong interaction.
@@ -44,7 +44,7 @@ def rows() -> list[tuple[int, str, int, float, float, float]]:
 def main() -> None:
     """Write the table."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("path", type=Path, help="file to write, such as src/cgemit/data/particles.csv")
+    parser.add_argument("path", type=Path, help="file to write, such as src/cgemit/particles/particles.csv")
     path = parser.parse_args().path
     with path.open("w", newline="", encoding="utf-8") as file:
         file.write(

@@ -12,8 +12,7 @@ import sys
 from pathlib import Path
 
 import cgemit as cg
-from cgemit.bes3 import read_events
-from cgemit.refit import refit
+from cgemit.analysis.bes3 import read_events, refit
 
 #: File, detector, particle.
 SAMPLES = (("test_full_mc_evt_1.rec", "besiii-idc", "pi"), ("test_cgem.rec", "besiii-cgem", "mu"))

@@ -11,8 +11,8 @@ import numpy as np
 
 import cgemit as cg
 from cgemit import helix
-from cgemit.fit import FitStatus, fit
 from cgemit.helix import PARAMETERS
+from cgemit.reconstruction.fit import FitStatus, fit
 from cgemit.tables import Table
 
 DETECTOR = "besiii-cgem-design"

@@ -18,7 +18,7 @@ import matplotlib as mpl
 
 import cgemit as cg
 from cgemit.draw.style import COLORS, Picture, grid, legend_entries, new_picture, style
-from cgemit.statistics.formatting import with_error
+from cgemit.tables.show import with_error
 from program import options, say, verdict
 from results import FOLDER, IMAGES, ROOT, read_rows, versions, write_rows
 

@@ -12,7 +12,7 @@ import numpy as np
 import cgemit as cg
 from cgemit import _core
 from cgemit.detector import Detector, compiled
-from cgemit.detector.gaps import LARGEST_SIZE, ionization
+from cgemit.detector.gas import LARGEST_SIZE, ionization
 from geant4_reference import read
 
 MUON, P = 0.1056583755, 1.0  # GeV/c2, GeV/c

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from cgemit.statistics.formatting import with_error
-from cgemit.study.cluster_residuals import X_WINDOWS, geant4_runs
+from cgemit.analysis.clusters import X_WINDOWS, geant4_runs
 from cgemit.study.paper.published import paper_values
+from cgemit.tables.show import with_error
 from delta_fractions import CUTS, DISTANCES, GATED_CUT, ORIGINS, VIEWS, Born, Fraction, reference_fractions
 from results import table
 from x_residual import Number

@@ -8,8 +8,8 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
+from cgemit.analysis.clusters import X_WINDOWS, geant4_runs
 from cgemit.draw.style import COLORS, Picture, grid, new_picture, style
-from cgemit.study.cluster_residuals import X_WINDOWS, geant4_runs
 from cgemit.study.paper.published import paper_values
 from delta_fractions import DISTANCES, GATED_CUT, Born, Fraction, reference_fractions
 from x_residual import Number

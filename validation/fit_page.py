@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterable, Sequence
 
-from cgemit.fit_settings import LOSSES
+from cgemit.reconstruction.fit import LOSSES
 from fit_results import ANGLES, DETECTORS, MOMENTA, PARTICLES, Chi2, FitResults, Pull, Width
 from results import table
 

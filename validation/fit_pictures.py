@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from cgemit.draw.style import COLORS, Picture, grid, legend_entries, new_picture, style
-from cgemit.fit_settings import LOSSES
+from cgemit.reconstruction.fit import LOSSES
 from fit_results import ANGLES, DETECTORS, MOMENTA, PARTICLES, FitResults, Pull
 from optimal import QUANTITIES
 

@@ -15,13 +15,12 @@ from scipy.stats import chi2, kstest
 
 import cgemit as cg
 from cgemit import _core
-from cgemit.candidates import collect_hits
-from cgemit.digitize import DigitizeSettings
-from cgemit.fit import PARAMETERS, FitSettings
-from cgemit.fit_settings import LOSSES
-from cgemit.result import Result
-from cgemit.simulate import SimulateSettings
-from cgemit.statistics.estimate import measure
+from cgemit.analysis.widths import measure
+from cgemit.chain.result import Result
+from cgemit.reconstruction.candidates import collect_hits
+from cgemit.reconstruction.fit import LOSSES, PARAMETERS, FitSettings
+from cgemit.simulation.digitize import DigitizeSettings
+from cgemit.simulation.transport import SimulateSettings
 from fit_results import ANGLES, DETECTORS, FAR, MOMENTA, PARTICLES, Chi2, Choice, Known, Point, Pull, Side, Width
 from optimal import QUANTITIES, Optimum, errors, optimum
 from plain_tracks import Hit, TurnsBackError

@@ -19,12 +19,12 @@ from pathlib import Path
 import numpy as np
 
 import cgemit as cg
+from cgemit.analysis.clusters import cluster_residuals, v_fit, x_widths
+from cgemit.analysis.curves import windowed_resolution
+from cgemit.chain.settings import Settings
 from cgemit.detector import CgemLayer, Detector, SubLayer, slabs
-from cgemit.detector.slabs import Holes
-from cgemit.simulate import SimulateSettings
-from cgemit.stages import Settings
-from cgemit.statistics.curves import windowed_resolution
-from cgemit.study.cluster_residuals import cluster_residuals, v_fit, x_widths
+from cgemit.detector.matter import Holes
+from cgemit.simulation.transport import SimulateSettings
 from cgemit.study.paper import COS_THETA
 from cgemit.study.samples import seed_of
 

@@ -14,7 +14,7 @@ import matplotlib as mpl
 import cgemit as cg
 import delta_fractions
 import x_residual
-from cgemit.matter import SlabResult
+from cgemit.simulation.slab import SlabResult
 from delta_pictures import draw_deltas
 from geant4_page import read_results
 from geant4_pictures import draw_distributions, draw_loss_ratios, draw_scattering_ratios

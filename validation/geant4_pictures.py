@@ -10,7 +10,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import NullFormatter
 
 from cgemit.draw.style import COLORS, Picture, grid, legend_entries, new_picture, style
-from cgemit.matter import SlabResult
+from cgemit.simulation.slab import SlabResult
 from geant4_reference import ANGLES, TITLES, Comparison, references
 
 _MOMENTA = {0.1: COLORS["single"], 0.2: COLORS["x"], 1.0: COLORS["fit"]}

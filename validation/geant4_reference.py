@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from cgemit.matter import SlabResult
+    from cgemit.simulation.slab import SlabResult
 
 DATA = Path(__file__).resolve().parent / "data"
 

@@ -11,9 +11,10 @@ import numpy as np
 import cgemit as cg
 from cgemit import _core
 from cgemit.detector import Slab
-from cgemit.digitize import DigitizeSettings, GaussianReadout
-from cgemit.fit import PARAMETERS, FitSettings
-from cgemit.simulate import SimulateSettings
+from cgemit.reconstruction.fit import PARAMETERS, FitSettings
+from cgemit.simulation.digitize import DigitizeSettings
+from cgemit.simulation.readouts.gaussian import GaussianReadout
+from cgemit.simulation.transport import SimulateSettings
 from cgemit.study import resolution
 from optimal import Stack, errors, optimum
 from plain_tracks import WIRE, Floats, Hit, TracedSlab, V, X, stack_of

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 import cgemit as cg
-from cgemit.fit import PARAMETERS
+from cgemit.reconstruction.fit import PARAMETERS
 from plain_tracks import Hit, TracedSlab, follow, stack_of
 
 Floats = npt.NDArray[np.float64]

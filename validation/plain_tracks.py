@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 import cgemit as cg
 from cgemit.detector import Slab, slabs
+from cgemit.detector.parts import CgemLayer, WireLayer
 
 Floats = npt.NDArray[np.float64]
 
@@ -127,7 +128,7 @@ def follow(
     return np.array(seen)
 
 
-def _strip(flight: Flight, layer: cg.detector.CgemLayer, hit: Hit) -> Floats:
+def _strip(flight: Flight, layer: CgemLayer, hit: Hit) -> Floats:
     """X or V where the track is in the middle of a drift gap; unrolled about the first track."""
     azimuth = np.arctan2(flight.at[1], flight.at[0])
     first = (azimuth[0] - layer.sheet_phi[hit.channel]) % (2 * np.pi)
@@ -138,7 +139,7 @@ def _strip(flight: Flight, layer: cg.detector.CgemLayer, hit: Hit) -> Floats:
     return np.asarray(v, np.float64)
 
 
-def _distance(flight: Flight, layer: cg.detector.WireLayer, wire: int) -> Floats:
+def _distance(flight: Flight, layer: WireLayer, wire: int) -> Floats:
     """Signed distance to a wire, with the track moved there: Newton's method for the right angle between them."""
     east, west = (np.array(end) for end in layer.end_points(wire))
     along = ((east - west) / np.linalg.norm(east - west))[:, None]

@@ -8,11 +8,10 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 import begins
-from cgemit.statistics.estimate import share_error
-from cgemit.statistics.formatting import with_error
-from cgemit.study.robustness import ACROSS, ALONG, HITS, LEVER, Outcome, run_scenario
-from cgemit.study.scenarios import SCENARIOS
+from cgemit.analysis.widths import share_error
+from cgemit.study.robustness import ACROSS, ALONG, HITS, LEVER, SCENARIOS, Outcome, run_scenario
 from cgemit.tables import PARAMETERS
+from cgemit.tables.show import with_error
 
 HEAD = ("tracks", "what is difficult", "fitted %", "not fitted", "p %", "dr um", "dz mm", "pulls", "iterations")
 

@@ -1,4 +1,4 @@
-"""The paper's X residual by window, beside Geant4 (src/cgemit/data/geant4_x_residual.toml)."""
+"""The paper's X residual by window, beside Geant4 (src/cgemit/analysis/geant4_x_residual.toml)."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 import cgemit as cg
-from cgemit.simulate import SimulateSettings
-from cgemit.stages import Settings
-from cgemit.study.cluster_residuals import X_WINDOWS, ClusterResiduals, cluster_residuals, x_beyond, x_widths
+from cgemit.analysis.clusters import X_WINDOWS, ClusterResiduals, cluster_residuals, x_beyond, x_widths
+from cgemit.chain.settings import Settings
+from cgemit.simulation.transport import SimulateSettings
 from cgemit.study.paper import COS_THETA
 from cgemit.study.samples import seed_of
 

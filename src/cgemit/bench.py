@@ -15,17 +15,18 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from cgemit import _core, find, helix
-from cgemit import isa as kernels
-from cgemit.candidates import collect_hits
-from cgemit.cluster import cluster
+from cgemit import _core, helix
+from cgemit.base import isa as kernels
 from cgemit.detector import Detector, compiled, load
-from cgemit.digitize import DigitizeSettings, digitize
-from cgemit.fit import FitSettings, fit
-from cgemit.fit import core_arguments as fit_arguments
-from cgemit.gun import Gun, generate
-from cgemit.simulate import SimulateSettings, simulate
-from cgemit.simulate import core_arguments as simulate_arguments
+from cgemit.particles.gun import Gun, generate
+from cgemit.reconstruction.candidates import collect_hits
+from cgemit.reconstruction.cluster import cluster
+from cgemit.reconstruction.find import truth
+from cgemit.reconstruction.fit import FitSettings, fit
+from cgemit.reconstruction.fit import core_arguments as fit_arguments
+from cgemit.simulation.digitize import DigitizeSettings, digitize
+from cgemit.simulation.transport import SimulateSettings, simulate
+from cgemit.simulation.transport import core_arguments as simulate_arguments
 from cgemit.tables import Table
 
 Floats = npt.NDArray[np.float64]
@@ -180,7 +181,7 @@ def stage_calls(detector: Detector, gun: Gun, events: int, first_event: int = 0)
     }
 
     def candidates() -> dict[str, Table]:
-        return find.by_truth(detector, particles, clusters, wire_hits[hidden], truths, wire_truths)
+        return truth.by_truth(detector, particles, clusters, wire_hits[hidden], truths, wire_truths)
 
     found = candidates()
     chosen = found["candidates"], found["candidate_hits"]

@@ -1,10 +1,12 @@
 """Quantities as strings with units, such as ``"87.5 mm"``; inside the program every quantity has one native unit."""
 
+from __future__ import annotations
+
 import math
 import re
 from decimal import Decimal
 
-from cgemit.problems import did_you_mean
+from cgemit.base.errors import did_you_mean
 
 #: Native unit of each dimension: the unit of every number inside the program.
 NATIVE = {
@@ -58,7 +60,7 @@ class QuantityError(ValueError):
         self.given, self.expected, self.hint = given, expected, hint
         super().__init__(f"{given}: expected {expected}" + (f" ({hint})" if hint else ""))
 
-    def __reduce__(self) -> tuple[type["QuantityError"], tuple[str, str, str]]:
+    def __reduce__(self) -> tuple[type[QuantityError], tuple[str, str, str]]:
         return QuantityError, (self.given, self.expected, self.hint)
 
 

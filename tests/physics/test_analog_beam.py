@@ -12,15 +12,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cgemit import Apv25Readout, Gun, ProjectionReadout, TigerReadout, _core, analytic, find, load, run
-from cgemit.covariance import Covariance
+from cgemit import Apv25Readout, Gun, ProjectionReadout, TigerReadout, _core, analytic, load, run
+from cgemit.analysis.widths import measure
+from cgemit.covariance.result import Covariance
 from cgemit.detector import compiled
-from cgemit.detector.gaps import ionization
-from cgemit.digitize.analog import AnalogReadout
-from cgemit.digitize.transport import mean_shift
-from cgemit.statistics.estimate import measure
-from cgemit.study.readout.beam import beam_detector, beam_point, beam_run
-from cgemit.study.readout.measure import measurements
+from cgemit.detector.gas import ionization, mean_shift
+from cgemit.reconstruction.find import truth
+from cgemit.simulation.readouts.analog import AnalogReadout
+from cgemit.study.readout.calibrate import measurements
+from cgemit.study.readout.scan import beam_detector, beam_point, beam_run
 from cgemit.tables import Table
 
 PLANE = beam_detector(0.0)
@@ -222,8 +222,8 @@ def test_pulls_of_clusters_by_charge_and_size(second_pass: bool) -> None:
         load("besiii-cgem-design"), Gun("mu-", p=1.0, cos_theta=(-0.93, 0.93)), 12_000, seed=8, readout=readout
     )
     clusters = result.clusters
-    own = find.own_clusters(result.detector, clusters, result.truths)
-    pull = find.residuals(result.detector, clusters, result.truths, own)
+    own = truth.own_clusters(result.detector, clusters, result.truths)
+    pull = truth.residuals(result.detector, clusters, result.truths, own)
     pull /= np.where(clusters["view"] == 0, clusters["err_x"], clusters["err_v"])[own]
     charge, size = clusters["charge"][own], clusters["size"][own]
     for view in (0, 1):

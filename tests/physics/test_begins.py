@@ -6,8 +6,7 @@ import pytest
 import begins
 import cgemit as cg
 from cgemit import helix
-from cgemit.fit import fit
-from cgemit.fit_begins import FAR, displaced, slabs_inside
+from cgemit.reconstruction.fit import FAR, displaced, fit, slabs_inside
 
 BZ = -1.0
 

@@ -8,13 +8,13 @@ from functools import cache
 import numpy as np
 import pytest
 
-from cgemit.chain import run
+from cgemit.chain.result import Result
+from cgemit.chain.run import run
+from cgemit.chain.settings import Settings
 from cgemit.detector import Detector, load
-from cgemit.digitize import DigitizeSettings
-from cgemit.fit import PARAMETERS
-from cgemit.gun import Gun
-from cgemit.result import Result
-from cgemit.stages import Settings
+from cgemit.particles.gun import Gun
+from cgemit.reconstruction.fit import PARAMETERS
+from cgemit.simulation.digitize import DigitizeSettings
 from cgemit.study import measure, pulls
 from exact import EXACT, assert_no_bias, assert_probability_is_flat, assert_pulls_are_standard_normal
 from stats import assert_within

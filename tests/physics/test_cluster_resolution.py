@@ -5,7 +5,7 @@ import pytest
 
 import gem_toy
 from cgemit import _core
-from cgemit.cluster import ClusterSettings, error_table
+from cgemit.reconstruction.cluster import ClusterSettings, error_table
 from stats import assert_within, fraction_error
 
 PITCH = 0.65

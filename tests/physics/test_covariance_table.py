@@ -19,9 +19,9 @@ import pytest
 import cgemit as cg
 from cgemit import _core
 from cgemit.covariance import tracks
-from cgemit.covariance.mixture import core_width
-from cgemit.detector.compile import Columns, cgem_table, slab_table, wire_table
-from cgemit.detector.slabs import Slab, slabs
+from cgemit.covariance.tracks import core_width
+from cgemit.detector.core import Columns, cgem_table, slab_table, wire_table
+from cgemit.detector.matter import Slab, slabs
 from cgemit.helix import RADIUS_PER_KAPPA
 from slabs import MUON
 

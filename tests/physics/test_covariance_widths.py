@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import cgemit as cg
-from cgemit.fit import fit
 from cgemit.helix import RADIUS_PER_KAPPA
+from cgemit.reconstruction.fit import fit
 
 VACUUM = {"density": "1e-6 g/cm3", "composition": "He", "gas": True}
 

@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 from scipy.stats import chisquare, kstest
 
-from cgemit.decays import DECAYS, decay_table
 from cgemit.detector import load
-from cgemit.gun import Gun, generate
-from cgemit.simulate import SimulateSettings, TransportStatus, simulate
-from cgemit.species import KNOWN
+from cgemit.particles.gun import Gun, generate
+from cgemit.particles.species import DECAYS, KNOWN, decay_table
+from cgemit.simulation.transport import SimulateSettings, TransportStatus, simulate
 from cgemit.tables import Table
 from stats import assert_within, fraction_error, mean_error
 from tracks import transport, without_matter

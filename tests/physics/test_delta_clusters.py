@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 import gem_toy
-from cgemit.cluster import cluster
+from cgemit.chain.match import joined, match
 from cgemit.detector import load
-from cgemit.digitize import digitize
-from cgemit.find import by_truth
-from cgemit.fit import FitSettings, fit
-from cgemit.gun import Gun, generate
-from cgemit.match import joined, match
-from cgemit.simulate import SimulateSettings, simulate
+from cgemit.particles.gun import Gun, generate
+from cgemit.reconstruction.cluster import cluster
+from cgemit.reconstruction.find import by_truth
+from cgemit.reconstruction.fit import FitSettings, fit
+from cgemit.simulation.digitize import digitize
+from cgemit.simulation.transport import SimulateSettings, simulate
 from cgemit.study import pulls, resolution
 from cgemit.tables import Table
 

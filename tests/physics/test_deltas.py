@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from cgemit import _core
-from cgemit.detector import compiled, load, slabs
-from cgemit.detector.compile import forget
+from cgemit.detector import compiled, gas, load, slabs
+from cgemit.detector.core import forget
 from delta_fractions import Fraction, born, failures, measure, reference_stack
 from slabs import MUON
 from stats import assert_within
@@ -102,11 +102,9 @@ def test_electrons_that_come_in_nearly_replace_those_that_leave() -> None:
 
 def test_finer_steps_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     """With steps of half the length the fractions agree within 3 % and 3 standard errors."""
-    from cgemit.detector import gaps
-
     usual = [row for row in fractions() if row.gated]
-    share = gaps.step_share
-    monkeypatch.setattr(gaps, "step_share", lambda energy: 0.5 * share(energy))
+    share = gas.step_share
+    monkeypatch.setattr(gas, "step_share", lambda energy: 0.5 * share(energy))
     forget()
     try:
         finer = [row for row in fractions() if row.gated]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import stats
-from cgemit.fit import FitSettings
+from cgemit.reconstruction.fit import FitSettings
 from cgemit.study import SCENARIOS, run_scenario
 from cgemit.study.robustness import WITHOUT_DECAYS
 

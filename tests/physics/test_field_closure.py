@@ -7,9 +7,9 @@ from functools import cache
 import pytest
 
 import cgemit as cg
+from cgemit.chain.result import Result
 from cgemit.detector import load
-from cgemit.fit import PARAMETERS
-from cgemit.result import Result
+from cgemit.reconstruction.fit import PARAMETERS
 from exact import EXACT, assert_no_bias, assert_probability_is_flat, assert_pulls_are_standard_normal
 from fields import HARMONIC
 

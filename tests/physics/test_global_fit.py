@@ -10,7 +10,7 @@ import pytest
 
 import cgemit as cg
 from cgemit import _core
-from cgemit.fit import PARAMETERS, FitSettings, core_arguments
+from cgemit.reconstruction.fit import PARAMETERS, FitSettings, core_arguments
 from exact import EXACT
 from tracks import hits_of_result, order_of_matter
 

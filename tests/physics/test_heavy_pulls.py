@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cgemit.chain import run
-from cgemit.detector import compile as compiling
-from cgemit.gun import Gun
-from cgemit.simulate import SimulateSettings
-from cgemit.stages import Settings
+from cgemit.chain.run import run
+from cgemit.chain.settings import Settings
+from cgemit.detector import core, matter
+from cgemit.particles.gun import Gun
+from cgemit.simulation.transport import SimulateSettings
 from cgemit.study import Pulls, pulls
 
 N = 4000  # a standard error of 0.011 of the width
@@ -35,18 +35,18 @@ def test_momentum_pulls(detector: str, particle: str, p: float) -> None:
 @pytest.mark.parametrize("particle", ["K-", "proton"])
 def test_one_logarithm_for_all_matter_fails(particle: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """With the chamber gas in the group of all other matter the errors are 9 % too large."""
-    slab_table = compiling.slab_table
+    slab_table = core.slab_table
 
-    def one_group(found: list[compiling.Slab]) -> compiling.SlabTable:
+    def one_group(found: list[matter.Slab]) -> core.SlabTable:
         table = slab_table(found)
         table.slabs["ends"] = np.zeros_like(table.slabs["ends"])
         return table
 
-    monkeypatch.setattr(compiling, "slab_table", one_group)
-    compiling.forget()
+    monkeypatch.setattr(core, "slab_table", one_group)
+    core.forget()
     try:
         found = pulls_of("besiii-cgem-design", particle, 0.5)
     finally:
-        compiling.forget()
+        core.forget()
     assert found["p"].core < 1 - WIDTH
     assert found["kappa"].core < 1 - WIDTH

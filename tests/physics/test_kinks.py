@@ -13,7 +13,7 @@ from scipy.stats import chi2, kstest
 
 import cgemit as cg
 from cgemit import _core
-from cgemit.fit import PARAMETERS, FitSettings
+from cgemit.reconstruction.fit import PARAMETERS, FitSettings
 from exact import EXACT
 from fields import HARMONIC
 from optimal import Optimum, optimum

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 from cgemit import _core
-from cgemit.chain import run
+from cgemit.chain.run import run
+from cgemit.chain.settings import Settings
 from cgemit.detector import compiled, load
-from cgemit.fit import FitSettings
-from cgemit.gun import Gun
-from cgemit.stages import Settings
+from cgemit.particles.gun import Gun
+from cgemit.reconstruction.fit import FitSettings
 from cgemit.study import pulls
 from slabs import BERYLLIUM, bethe, slab_detector
 from stats import assert_within

@@ -7,10 +7,10 @@ import pytest
 
 import plain_tracks
 from cgemit import _core
-from cgemit.chain import run
+from cgemit.chain.run import run
 from cgemit.detector import compiled, load
-from cgemit.fit import FitSettings
-from cgemit.gun import Gun
+from cgemit.particles.gun import Gun
+from cgemit.reconstruction.fit import FitSettings
 from exact import EXACT
 from fit_results import N_SIGMA, Point
 from fit_samples import measure_point

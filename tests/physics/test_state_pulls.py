@@ -9,16 +9,17 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from cgemit import find, helix
-from cgemit.candidates import HIT_WIRE
-from cgemit.chain import run
+from cgemit import helix
+from cgemit.chain.match import joined, match
+from cgemit.chain.run import run
 from cgemit.detector import Detector, field_at, load
-from cgemit.digitize import digitize
-from cgemit.fit import PARAMETERS, FitSettings, FitStatus, fit
-from cgemit.gun import Gun, generate
-from cgemit.match import joined, match
-from cgemit.simulate import simulate
-from cgemit.states import StateStatus, Surface
+from cgemit.particles.gun import Gun, generate
+from cgemit.reconstruction.candidates import HIT_WIRE
+from cgemit.reconstruction.find import truth
+from cgemit.reconstruction.fit import PARAMETERS, FitSettings, FitStatus, fit
+from cgemit.reconstruction.states import StateStatus, Surface
+from cgemit.simulation.digitize import digitize
+from cgemit.simulation.transport import simulate
 from cgemit.tables import Table
 from exact import EXACT, assert_standard_normal
 from fields import HARMONIC
@@ -51,7 +52,7 @@ def sample(
     tables |= digitize(detector, tables["truths"], tables["wire_truths"], EXACT.digitize, 21, steps=tables["steps"])
     tables["clusters"] = EXACT.digitize.readout.cluster(detector, tables["digis"], EXACT.cluster)
     names = ("particles", "clusters", "wire_hits", "truths", "wire_truths")
-    found = find.by_truth(detector, *(tables[name] for name in names))
+    found = truth.by_truth(detector, *(tables[name] for name in names))
     hits = found["candidate_hits"]
     layer = tables["wire_hits"]["layer"][np.where(hits["view"] == HIT_WIRE, hits["row"], 0)]
     hits = hits[(hits["view"] != HIT_WIRE) | (layer <= LAST_LAYER)]

@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 import cgemit
+from cgemit.analysis.clusters import X_WINDOWS, cluster_residuals, geant4_runs, v_fit, x_beyond, x_widths
 from cgemit.study import measure, resolution
-from cgemit.study.cluster_residuals import X_WINDOWS, cluster_residuals, geant4_runs, v_fit, x_beyond, x_widths
 from linear_table import GAUSSIAN, TABLE, expected
 from plain_tracks import stack_of
 from stats import assert_within, fraction_error
@@ -153,7 +153,7 @@ def test_documented_numbers_are_those_of_the_program():
     text = (Path(__file__).parents[2] / "docs" / "paper.md").read_text(encoding="utf-8")
     pattern = r"\| `(\w+)` \| ([\d.]+|–) \| ([\d.]+) ± ([\d.]+) \|"
     documented = {name: (paper, float(value), float(error)) for name, paper, value, error in re.findall(pattern, text)}
-    study = cgemit.study.reproduce(events=6000, seed=4)
+    study = cgemit.study.paper.run.reproduce(events=6000, seed=4)
     assert documented.keys() == {row.id for row in study.results}
     for row in study.results:
         paper, value, error = documented[row.id]

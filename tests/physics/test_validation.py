@@ -8,7 +8,7 @@ import dataclasses
 import pytest
 
 import cgemit as cg
-from cgemit.matter import SlabResult
+from cgemit.simulation.slab import SlabResult
 from geant4_reference import ANGLES, SLABS, Comparison, cases, compare, read
 
 N = 100_000

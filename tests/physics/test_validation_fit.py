@@ -12,7 +12,7 @@ import pytest
 
 import cgemit as cg
 import fit_samples
-from cgemit.result import Result
+from cgemit.chain.result import Result
 from fit_results import ANGLES, DETECTORS, MOMENTA, PARTICLES, FitResults, Point, failures, wrong_sides
 from fit_samples import MODES, grid, measure_losses, measure_point, measure_sides
 

@@ -7,8 +7,8 @@ import pytest
 
 from cgemit import _core
 from cgemit.detector import compiled, load, slab_table, slabs
-from cgemit.detector.compile import cgem_table, wire_table
-from cgemit.fit import FitSettings
+from cgemit.detector.core import cgem_table, wire_table
+from cgemit.reconstruction.fit import FitSettings
 from stats import assert_within
 from tracks import MUON, hits_on
 

@@ -11,7 +11,7 @@ import pytest
 from sources import ROOT
 
 import covariance
-from cgemit.statistics.formatting import with_error
+from cgemit.tables.show import with_error
 from covariance import MODES, QUANTITIES, Ratio, page, points
 from results import FOLDER, read_rows
 

@@ -12,20 +12,18 @@ from typing import Any
 
 import pytest
 
-PACKAGES = ("cgemit", "cgemit.detector", "cgemit.tables", "cgemit.study", "cgemit.draw", "cgemit.io")
+PACKAGES = ("cgemit", "cgemit.detector", "cgemit.tables", "cgemit.study", "cgemit.draw")
 MODULES = (
-    "bench",
-    "candidates",
-    "chain",
-    "cluster",
-    "digitize",
-    "find",
-    "fit",
-    "gun",
+    "chain.match",
     "helix",
-    "matter",
-    "particles",
-    "simulate",
+    "particles.table",
+    "reconstruction.candidates",
+    "reconstruction.cluster",
+    "reconstruction.find.ckf",
+    "reconstruction.find.loops",
+    "reconstruction.find.truth",
+    "simulation.digitize",
+    "simulation.transport",
 )
 
 

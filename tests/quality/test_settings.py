@@ -11,11 +11,13 @@ from sources import CORE
 
 from cgemit import _core
 from cgemit.detector import Screening
-from cgemit.digitize import BinaryReadout, DigitizeSettings, GaussianReadout, ProjectionReadout
-from cgemit.find.settings import FindSettings
-from cgemit.fit import FitSettings
-from cgemit.fit_settings import Loss
-from cgemit.simulate import Fluctuations, SimulateSettings
+from cgemit.reconstruction.find.ckf import FindSettings
+from cgemit.reconstruction.fit import FitSettings, Loss
+from cgemit.simulation.digitize import DigitizeSettings
+from cgemit.simulation.readouts.binary import BinaryReadout
+from cgemit.simulation.readouts.gaussian import GaussianReadout
+from cgemit.simulation.readouts.projection import ProjectionReadout
+from cgemit.simulation.transport import Fluctuations, SimulateSettings
 
 # Struct, its header, its dataclass, and the fields of the core that are made from a setting of another name, or from
 # none: seeds and tables come with the call.

@@ -10,9 +10,9 @@ from types import ModuleType
 
 import pytest
 
-from cgemit.digitize import READOUTS
-from cgemit.kinds import kinds_of
-from cgemit.stages import Settings
+from cgemit.base.settings import kinds_of
+from cgemit.chain.settings import Settings
+from cgemit.simulation.digitize import READOUTS
 
 SCRIPT = Path(__file__).parents[2] / "docs" / "settings_page.py"
 

@@ -22,7 +22,7 @@ METHODS = [
     if page.name not in ("farm.md", "own_hits.md") and "```python" in page.read_text(encoding="utf-8")
 ]
 #: Modules whose names are public.
-MODULES = ("cgemit", *(f"cgemit.{name}" for name in ("study", "draw", "detector", "tables", "helix", "isa")))
+MODULES = ("cgemit", *(f"cgemit.{name}" for name in ("study", "draw", "detector", "tables", "helix", "base.isa")))
 
 
 def documented(page: str) -> tuple[str, set[str]]:

@@ -11,7 +11,7 @@ from sources import PACKAGE
 
 from cgemit import _core
 from cgemit.detector import compiled, load
-from cgemit.gun import Gun, generate
+from cgemit.particles.gun import Gun, generate
 
 STUB = ast.parse((PACKAGE / "_core.pyi").read_text())
 FUNCTIONS = {node.name: node for node in STUB.body if isinstance(node, ast.FunctionDef)}

@@ -12,8 +12,8 @@ import re
 
 from sources import ROOT
 
-from cgemit.species import species
-from cgemit.study.cluster_residuals import X_WINDOWS
+from cgemit.analysis.clusters import X_WINDOWS
+from cgemit.particles.species import species
 from delta_fractions import ARRANGEMENTS, DISTANCES, failures
 from fit_page import fit_section
 from fit_results import ANGLES as FIT_ANGLES

@@ -11,26 +11,23 @@ import pytest
 from scipy import stats
 from scipy.special import erfc
 
-from cgemit import (
-    Apv25Readout,
-    Gun,
-    ProjectionReadout,
-    Settings,
-    SimulateSettings,
-    TigerReadout,
-    _core,
-    digitize,
-    load,
-    run,
-)
-from cgemit.cluster import ClusterSettings
+from cgemit import Apv25Readout, Gun, ProjectionReadout, Settings, SimulateSettings, TigerReadout, _core, load, run
 from cgemit.detector import compiled
-from cgemit.detector.strips import local_v, strips_of_v
-from cgemit.digitize.apv25 import half_height
-from cgemit.digitize.calibration import CHARGES, SIZES, CalibrationError, calibration_of, key_of, read_calibration
-from cgemit.digitize.readout import COS_THETA
-from cgemit.digitize.shapers import APV25, TIGER_E, TIGER_T, Shaper
-from cgemit.digitize.tiger import SAMPLE_DELAY, leading_edges
+from cgemit.detector.parts import local_v, strips_of_v
+from cgemit.reconstruction.cluster import ClusterSettings
+from cgemit.reconstruction.cluster_errors import (
+    CHARGES,
+    COS_THETA,
+    SIZES,
+    CalibrationError,
+    calibration_of,
+    key_of,
+    read_calibration,
+)
+from cgemit.simulation import digitize
+from cgemit.simulation.readouts.analog import APV25, TIGER_E, TIGER_T, Shaper
+from cgemit.simulation.readouts.apv25 import half_height
+from cgemit.simulation.readouts.tiger import SAMPLE_DELAY, leading_edges
 from stats import assert_within
 
 DESIGN = load("besiii-cgem-design")

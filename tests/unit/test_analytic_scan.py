@@ -8,17 +8,15 @@ import numpy as np
 import pytest
 
 import cgemit as cg
+from cgemit.analysis.quantities import QUANTITIES
+from cgemit.chain.settings import Settings
 from cgemit.cli.main import main
-from cgemit.covariance.mixture import core_width
-from cgemit.digitize import DigitizeSettings
+from cgemit.covariance.tracks import core_width
 from cgemit.draw.curves import draw_resolutions
-from cgemit.fit import FitSettings
-from cgemit.stages import Settings
+from cgemit.reconstruction.fit import FitSettings
+from cgemit.simulation.digitize import DigitizeSettings
 from cgemit.study import fit_form, scan, scan_analytic
-from cgemit.study.analytic_scan import line_momenta
-from cgemit.study.compared import compared
-from cgemit.study.quantities import QUANTITIES
-from cgemit.study.scan_files import fits_text, save_scans
+from cgemit.study.scan import compared, fits_text, line_momenta, save_scans
 
 DESIGN, IDC = "besiii-cgem-design", "besiii-idc"
 MOMENTA = [0.3, 1.0, 0.5]
@@ -116,7 +114,7 @@ def test_no_event_is_simulated(monkeypatch, tmp_path, capsys):
     def forbidden(*_, **__):
         raise AssertionError("events simulated")
 
-    monkeypatch.setattr("cgemit.chain.run", forbidden)
+    monkeypatch.setattr("cgemit.chain.run.run", forbidden)
     usual = ["resolution", "-d", DESIGN, "--p", "0.5", "--quiet", "-o", str(tmp_path / "out")]
     assert main([*usual, "--method", "analytic"]) == 0
     assert main([*usual, "--method", "both", "--overwrite"]) == 3

@@ -4,12 +4,11 @@ import numpy as np
 import pytest
 
 import cgemit as cg
-from cgemit.background import add_background, mix_events
-from cgemit.background.cells import cell_numbers, dead_cells
-from cgemit.cli import changes
-from cgemit.digitize import XT_DISTANCE, XT_TIME
-from cgemit.io.toml import parse_toml
-from cgemit.problems import DetectorError
+from cgemit.base.errors import DetectorError
+from cgemit.base.files import parse_toml
+from cgemit.cli import options
+from cgemit.detector.drift import XT_DISTANCE, XT_TIME
+from cgemit.simulation.background import add_background, cell_numbers, dead_cells, mix_events
 from cgemit.tables import Table
 
 MUON = cg.Gun("mu-", p=1.0, cos_theta=(-0.5, 0.5))
@@ -235,7 +234,7 @@ def test_hot_channels_fire_at_their_rate(run):
 
 
 def test_levels_on_the_command_line():
-    found = changes.split(["background.level=bes2009", "background.bes2009.noise_v=2 kHz"], [])
+    found = options.split(["background.level=bes2009", "background.bes2009.noise_v=2 kHz"], [])
     assert found.settings == [("background.level", "bes2009")]
     assert found.detector == {"background.bes2009.noise_v": "2 kHz"}
 

@@ -7,10 +7,10 @@ import json
 import numpy as np
 import pytest
 
+from cgemit.base.isa import available
 from cgemit.bench import DETECTOR, GUN, STAGES, instruction_set, machine, measure, stage_calls
 from cgemit.cli.main import main
 from cgemit.detector import load
-from cgemit.isa import available
 
 KEYS = [
     "isa", "threads", "simulate_us", "digitize_us", "cluster_us", "fit_us", "fit_lr_us",

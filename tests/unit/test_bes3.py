@@ -7,11 +7,9 @@ import pytest
 import bes3_layout
 import cgemit as cg
 from cgemit import helix
-from cgemit.bes3 import CLUSTER_ERRORS, events_of, read_events
-from cgemit.fit import fit
-from cgemit.io import bes3_repairs
-from cgemit.io.bes3 import columns_of_events
-from cgemit.refit import refit
+from cgemit.analysis import bes3
+from cgemit.analysis.bes3 import CLUSTER_ERRORS, columns_of_events, events_of, read_events, refit
+from cgemit.reconstruction.fit import fit
 
 BZ = -1.0
 
@@ -131,23 +129,23 @@ def test_records_of_clusters_are_shifted_back():
         "m_recZ": np.array([[2, -1], [2, -1], [2, 0]], ">i4").view(">f8")[:, 0],
         "m_clusterflag": np.array([[-1, 4], [-1, 4], [1, 4]]),
     }  # fmt: skip
-    back = bes3_repairs.clusters(given)
+    back = bes3.clusters(given)
     assert "m_recpositiony" not in back
     assert back["m_recv"].tolist() == [-99.0, 423.58, 423.58]
     assert back["m_recZ"].tolist() == [-99.0, -99.0, 134.04]
     assert back["m_clusterflag"].tolist() == [[-1, -1], [-1, -1], [0, 1]]
     right = {**given, "m_recZ": np.array([-99.0, -99.0, 134.04]), "m_clusterflag": back["m_clusterflag"]}
-    assert bes3_repairs.clusters(right) is right  # a record that has the field, and one without
+    assert bes3.clusters(right) is right  # a record that has the field, and one without
     short = {name: one for name, one in right.items() if name != "m_recpositiony"}
-    assert bes3_repairs.clusters(short) is short
+    assert bes3.clusters(short) is short
 
 
 def test_covariances_of_the_first_fit_are_put_in_order(run):
     cov = run.tracks["cov"]
     mixed = bes3_layout.as_pybes3_fills(cov)
     assert np.linalg.eigvalsh(mixed).min() < 0
-    np.testing.assert_array_equal(bes3_repairs.upper_triangles(mixed), cov)
-    np.testing.assert_array_equal(bes3_repairs.upper_triangles(cov), cov)  # once pybes3 does it right
+    np.testing.assert_array_equal(bes3.upper_triangles(mixed), cov)
+    np.testing.assert_array_equal(bes3.upper_triangles(cov), cov)  # once pybes3 does it right
 
 
 @pytest.mark.parametrize("charge", [-1, 1])

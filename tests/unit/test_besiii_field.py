@@ -7,7 +7,7 @@ from scipy.integrate import trapezoid
 import cgemit as cg
 from besiii_field import besiii_field
 from cgemit.detector import field_at
-from cgemit.detector.field.core import compiled_field
+from cgemit.detector.core import compiled_field
 
 DETECTOR = cg.load("besiii-cgem-design").with_field("besiii")
 # z, then Bz at r = 0, 200, 400, 600, 800 mm and Br at 200, 400, 800 mm (T; the sign for a field along +z) of the closed

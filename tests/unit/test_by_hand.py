@@ -7,9 +7,9 @@ import pytest
 from test_cluster import PITCH, crossing_strip, digi_table, v_strips, x_strips
 
 from cgemit import FitSettings, GaussianReadout, Gun, Settings, _core, extrapolate, load, run
-from cgemit.cluster import cluster
 from cgemit.detector import write_field_map
-from cgemit.digitize import DigitizeSettings
+from cgemit.reconstruction.cluster import cluster
+from cgemit.simulation.digitize import DigitizeSettings
 
 DESIGN = "besiii-cgem-design"
 N = 1500

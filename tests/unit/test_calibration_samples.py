@@ -8,12 +8,9 @@ import numpy as np
 import pytest
 
 import cgemit as cg
-from cgemit.candidates import HIT_WIRE
-from cgemit.digitize.calibration import ESTIMATORS, calibration_of, neutral
-from cgemit.digitize.readout import COS_THETA
-from cgemit.study.readout.calibrate import _muons
-from cgemit.study.readout.measure import Measurements, measurements, true_directions
-from cgemit.study.readout.typical import Tracks, set_correlations
+from cgemit.reconstruction.candidates import HIT_WIRE
+from cgemit.reconstruction.cluster_errors import COS_THETA, ESTIMATORS, calibration_of, neutral
+from cgemit.study.readout.calibrate import Measurements, Tracks, _muons, measurements, set_correlations, true_directions
 
 DESIGN = cg.load("besiii-cgem-design")
 RHO = np.array([0.6, -0.5, 0.7])

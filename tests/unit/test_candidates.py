@@ -10,10 +10,10 @@ import pytest
 
 import cgemit as cg
 from cgemit import _core
-from cgemit.candidates import HIT_V, HIT_WIRE, HIT_X, HIT_XV, collect_hits
+from cgemit.chain.match import joined, match
 from cgemit.detector import compiled
-from cgemit.fit import fit
-from cgemit.match import joined, match
+from cgemit.reconstruction.candidates import HIT_V, HIT_WIRE, HIT_X, HIT_XV, collect_hits
+from cgemit.reconstruction.fit import fit
 from cgemit.tables import Table
 
 DETECTOR = cg.load("besiii-cgem-design")

@@ -9,15 +9,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cgemit.chain import run
+from cgemit.chain.result import Result
+from cgemit.chain.run import run
+from cgemit.chain.settings import Settings
 from cgemit.detector import load
-from cgemit.digitize import DigitizeSettings
-from cgemit.fit import FitSettings, FitStatus
-from cgemit.gun import Gun
-from cgemit.particles import particles_from
-from cgemit.result import Result
-from cgemit.simulate import SimulateSettings
-from cgemit.stages import Settings
+from cgemit.particles.gun import Gun
+from cgemit.particles.table import particles_from
+from cgemit.reconstruction.fit import FitSettings, FitStatus
+from cgemit.simulation.digitize import DigitizeSettings
+from cgemit.simulation.transport import SimulateSettings
 from cgemit.tables import Table, load_tables
 
 GUN = Gun("mu-", p=(0.2, 1.5), cos_theta=(-0.9, 0.9), vertex_sigma=(0.3, 0.01, 8.0)) + Gun("pi+", pt=0.3, theta=1.2)

@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 
 import cgemit as cg
+from cgemit.analysis.resolutions import fit_form
+from cgemit.chain.record import RecordError
+from cgemit.chain.settings import NotKeptError
 from cgemit.cli.main import main
-from cgemit.io.hepmc import read_hepmc
-from cgemit.result import NotKeptError
-from cgemit.statistics.forms import fit_form
+from cgemit.particles.table import read_hepmc
 from cgemit.study import sweep
-from cgemit.study.optimizer.plan import read_optimize_plan
-from cgemit.study.sweeps.plan import PlanError, read_plan
+from cgemit.study.optimize.run import read_optimize_plan
+from cgemit.study.sweep.plan import PlanError, read_plan
 from cgemit.tables import Table
 
 GUN = cg.Gun("mu-", p=1, cos_theta=(-0.5, 0.5))
@@ -101,7 +102,7 @@ def test_a_damaged_run(stored, file, path, value, message):
     (stored / file).write_text(json.dumps(data))
     try:
         for read in (cg.open, cg.Result.load):
-            with pytest.raises(cg.record.RecordError) as refused:
+            with pytest.raises(RecordError) as refused:
                 read(stored)
             assert message in str(refused.value)
     finally:

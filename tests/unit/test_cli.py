@@ -14,11 +14,11 @@ import numpy as np
 import pytest
 
 from cgemit import Settings
-from cgemit.cli import common, read
-from cgemit.cli.common import Progress
+from cgemit.analysis.quantities import QUANTITIES
+from cgemit.cli import options
 from cgemit.cli.main import join_negative_values, main
+from cgemit.cli.options import Progress
 from cgemit.detector import load, write_field_map
-from cgemit.study.quantities import QUANTITIES
 from cgemit.tables import Table
 from interrupts import interruptible
 
@@ -47,10 +47,10 @@ class Terminal:
 def test_help_and_version(capsys):
     assert main(["--help"]) == 0
     text = capsys.readouterr().out
-    assert all(name in text for name in common.COMMANDS)
+    assert all(name in text for name in options.COMMANDS)
     assert main(["--version"]) == 0
     assert capsys.readouterr().out.startswith("cgemit ")
-    for name in common.COMMANDS:
+    for name in options.COMMANDS:
         assert main([name, "--help"]) == 0, name
         assert "examples:" in capsys.readouterr().out, name
 
@@ -58,7 +58,7 @@ def test_help_and_version(capsys):
 def test_settings_in_the_examples_exist(capsys):
     """What the help of the commands sets can be set."""
     keys = []
-    for name in common.COMMANDS:
+    for name in options.COMMANDS:
         main([name, "--help"])
         keys += re.findall(r"--set (\S+)=(\S+)", capsys.readouterr().out.partition("examples:")[2])
     stages = {key: value for key, value in keys if key.partition(".")[0] in Settings().to_dict()}
@@ -122,7 +122,7 @@ def test_failures_of_the_run_have_exit_code_3(monkeypatch, capsys, tmp_path):
     def fail(*_, **__):
         raise RuntimeError("the sky fell")
 
-    monkeypatch.setattr("cgemit.study.paper.reproduce", fail)
+    monkeypatch.setattr("cgemit.study.paper.run.reproduce", fail)
     arguments = ["study", "-o", str(tmp_path / "out")]
     assert main(arguments) == 3
     text = capsys.readouterr().err
@@ -136,7 +136,7 @@ def test_interruption_has_exit_code_130(monkeypatch, capsys, tmp_path):
     def interrupt(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("cgemit.study.paper.reproduce", interrupt)
+    monkeypatch.setattr("cgemit.study.paper.run.reproduce", interrupt)
     assert main(["study", "-o", str(tmp_path / "out")]) == 130
     assert "interrupted" in capsys.readouterr().err
 
@@ -350,7 +350,7 @@ def test_simulate_writes_tables(tmp_path, capsys):
     ],
 )
 def test_values(text, values):
-    assert read.momenta(text) == values
+    assert options.momenta(text) == values
 
 
 def test_negative_values_are_not_options():

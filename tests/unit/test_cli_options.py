@@ -14,21 +14,23 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cgemit.chain import run
-from cgemit.cli import changes
+from cgemit.base.settings import SettingsError
+from cgemit.chain.result import Result
+from cgemit.chain.run import run
+from cgemit.chain.settings import Settings
+from cgemit.cli import options
 from cgemit.cli.main import build_parser, main
-from cgemit.cluster import ClusterSettings
 from cgemit.detector import load
-from cgemit.detector.read import TOP_LEVEL
-from cgemit.digitize import BinaryReadout, DigitizeSettings, GaussianReadout
-from cgemit.find.settings import FindSettings
-from cgemit.fit import FitSettings
-from cgemit.gun import Gun
-from cgemit.result import Result
-from cgemit.settings import SettingsError
-from cgemit.simulate import SimulateSettings
-from cgemit.stages import Settings
-from cgemit.study.scans import Scan, scan
+from cgemit.detector.reader import TOP_LEVEL
+from cgemit.particles.gun import Gun
+from cgemit.reconstruction.cluster import ClusterSettings
+from cgemit.reconstruction.find.ckf import FindSettings
+from cgemit.reconstruction.fit import FitSettings
+from cgemit.simulation.digitize import DigitizeSettings
+from cgemit.simulation.readouts.binary import BinaryReadout
+from cgemit.simulation.readouts.gaussian import GaussianReadout
+from cgemit.simulation.transport import SimulateSettings
+from cgemit.study.scan import Scan, scan
 from cgemit.tables import Table
 
 DESIGN = "besiii-cgem-design"
@@ -261,7 +263,7 @@ def usual_scan() -> Scan:
 @pytest.mark.parametrize("row", RESOLUTION_ROWS, ids=name)
 def test_options_of_resolution(row: Row, usual_scan: Scan, monkeypatch: pytest.MonkeyPatch) -> None:
     saved: list[Any] = []
-    monkeypatch.setattr("cgemit.study.scan_files.save_scans", lambda scans, *_, **__: saved.extend(scans))
+    monkeypatch.setattr(sys.modules["cgemit.study.scan"], "save_scans", lambda scans, *_, **__: saved.extend(scans))
     assert main([*command_line(["resolution"], RESOLUTION, row), "--quiet", "-o", "out"]) == 0
     assert tracks_of(saved[0]) == tracks_of(scanned(**row.same))
     assert (tracks_of(saved[0]) == tracks_of(usual_scan)) is row.idle
@@ -292,7 +294,7 @@ def test_options_of_study(row: Row, monkeypatch: pytest.MonkeyPatch) -> None:
         calls.append(given)
         raise Reached
 
-    monkeypatch.setattr("cgemit.study.paper.reproduce", begin)
+    monkeypatch.setattr("cgemit.study.paper.run.reproduce", begin)
     for words in ([], row.words):
         assert main(["study", *words]) == 3
     shown = {"progress", "command"}
@@ -368,7 +370,7 @@ def test_equal_values_are_no_contradiction() -> None:
 
 
 def test_the_first_word_tells_settings_and_detector_apart() -> None:
-    assert set(changes.stages()) & set(TOP_LEVEL) == {"background"}  # whose levels in the detector have labels
+    assert set(options.stages()) & set(TOP_LEVEL) == {"background"}  # whose levels in the detector have labels
 
 
 def printed(words: list[str], capsys: pytest.CaptureFixture[str]) -> str:

@@ -5,11 +5,11 @@ import pytest
 
 import gem_toy
 from cgemit import Gun, _core, run
-from cgemit.cluster import MAX_SIZE, ClusterSettings, cluster, cluster_errors, error_table
 from cgemit.detector import load
-from cgemit.detector.strips import strips_of_v
-from cgemit.digitize import digitize
+from cgemit.detector.parts import strips_of_v
 from cgemit.draw.cluster import crossing
+from cgemit.reconstruction.cluster import MAX_SIZE, ClusterSettings, cluster, cluster_errors, error_table
+from cgemit.simulation.digitize import digitize
 from cgemit.tables import Table
 from stats import assert_within
 

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 from cgemit import _core
-from cgemit.chain import run
-from cgemit.detector import compile as compiling
+from cgemit.chain.run import run
+from cgemit.chain.settings import Settings
+from cgemit.detector import core as compiling
 from cgemit.detector import load, slab_table, slabs
-from cgemit.detector.rows import _compiled
-from cgemit.fit import FitSettings
-from cgemit.gun import Gun
-from cgemit.own_hits import fit_hits
-from cgemit.stages import Settings
+from cgemit.detector.matter import _compiled
+from cgemit.particles.gun import Gun
+from cgemit.reconstruction.fit import FitSettings
+from cgemit.reconstruction.given_hits import fit_hits
 
 DETECTOR = load("besiii-cgem-design")
 

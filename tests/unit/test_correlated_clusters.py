@@ -7,10 +7,10 @@ import numpy.typing as npt
 import pytest
 
 import cgemit as cg
-from cgemit.candidates import HIT_V, HIT_WIRE, HIT_X, HIT_XV, collect_hits
+from cgemit.chain.match import compare
 from cgemit.detector import compiled
-from cgemit.fit import fit
-from cgemit.match import compare
+from cgemit.reconstruction.candidates import HIT_V, HIT_WIRE, HIT_X, HIT_XV, collect_hits
+from cgemit.reconstruction.fit import fit
 from cgemit.tables import Table
 from exact import EXACT, assert_pulls_are_standard_normal
 from tracks import true_views

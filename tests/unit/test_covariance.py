@@ -11,12 +11,11 @@ from scipy.special import erf
 
 import cgemit as cg
 from cgemit import isa
-from cgemit.covariance import QUANTITIES
-from cgemit.covariance.budget import sources
-from cgemit.covariance.kept_hits import varied
-from cgemit.covariance.mixture import core_width
+from cgemit.analysis.widths import SECOND_INSIDE, measure
+from cgemit.covariance.result import sources
+from cgemit.covariance.sensitivity import varied
+from cgemit.covariance.tracks import QUANTITIES, core_width
 from cgemit.detector import compiled
-from cgemit.statistics.estimate import SECOND_INSIDE, measure
 from fields import HARMONIC
 
 DESIGN, CHAMBER = cg.load("besiii-cgem-design"), cg.load("besiii-idc")

@@ -8,12 +8,11 @@ import zipfile
 import numpy as np
 import pytest
 
+from cgemit.base.files import read_npz, write_arrays
+from cgemit.base.settings import SettingsError
 from cgemit.detector import DetectorError, load, read_field_map, write_field_map
-from cgemit.fit_settings import FitSettings
-from cgemit.gun import Gun, generate
-from cgemit.io import write_arrays
-from cgemit.io.files import read_npz
-from cgemit.settings import SettingsError
+from cgemit.particles.gun import Gun, generate
+from cgemit.reconstruction.fit import FitSettings
 from cgemit.tables import Table
 
 

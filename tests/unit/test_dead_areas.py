@@ -7,10 +7,9 @@ import pytest
 
 import cgemit as cg
 from cgemit import _core
-from cgemit.background import add_background
-from cgemit.background.efficiency import read_out
-from cgemit.detector.strip_maps import in_dead_area, seam_strips, strip_lists
-from cgemit.problems import DetectorError
+from cgemit.base.errors import DetectorError
+from cgemit.detector.core import in_dead_area, seam_strips, strip_lists
+from cgemit.simulation.background import add_background, read_out
 from cgemit.tables import Table
 
 CGEM = cg.load("besiii-cgem")

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 import cgemit as cg
-from cgemit import _core, find
-from cgemit.decays import DECAYS, DecayMode, decay_table
+from cgemit import _core
 from cgemit.detector import load
-from cgemit.gun import Gun, generate
-from cgemit.simulate import SimulateSettings, TransportStatus, simulate
-from cgemit.species import KNOWN
+from cgemit.particles.gun import Gun, generate
+from cgemit.particles.species import DECAYS, KNOWN, DecayMode, decay_table
+from cgemit.reconstruction.find import truth
+from cgemit.simulation.transport import SimulateSettings, TransportStatus, simulate
 from cgemit.tables import Table
 
 DETECTOR = load("besiii-cgem-design")
@@ -50,7 +50,7 @@ def test_up_to_the_decay_nothing_changes(fluctuations, kernels):
     np.testing.assert_array_equal(on["particles"]["status"][~gone], off["particles"]["status"][~gone])
 
     def whose(table):
-        return find.particle_rows(on["particles"], table)
+        return truth.particle_rows(on["particles"], table)
 
     def places(table):
         return (whose(table) * 100 + table["layer"]) * 1000 + table.columns.get("wire", 0)
@@ -79,7 +79,7 @@ def test_each_decay_is_told():
     out = simulated()
     first = out["decays"][out["decays"]["daughter"] == 1]
     assert not first["parent"].any()
-    rows = find.particle_rows(out["particles"], first)
+    rows = truth.particle_rows(out["particles"], first)
     np.testing.assert_array_equal(rows, np.flatnonzero(out["particles"]["status"] == TransportStatus.decayed))
     for row, pdg, mode in zip(rows, first["pdg"], first["mode"], strict=True):
         assert DECAYS[int(out["particles"]["pdg"][row])][mode].charged[0].pdg == pdg

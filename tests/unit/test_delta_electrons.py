@@ -9,15 +9,8 @@ import pytest
 
 from cgemit import _core
 from cgemit.detector import compiled, load
-from cgemit.detector.gaps import (
-    REST_ENERGY,
-    elastic,
-    electron_energies,
-    practical_range,
-    slices,
-    stopping_power,
-)
-from cgemit.detector.materials import library
+from cgemit.detector.build import library
+from cgemit.detector.gas import REST_ENERGY, elastic, electron_energies, practical_range, slices, stopping_power
 from stats import assert_within, fraction_error, mean_error
 
 # NIST ESTAR (ICRU Report 37): collision stopping power, MeV cm2/g. Water (and its ranges) compared with copies of the

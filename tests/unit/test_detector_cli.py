@@ -7,7 +7,7 @@ from pathlib import Path
 import jsonschema
 import pytest
 
-from cgemit.cli import common, detector
+from cgemit.cli import detector, options
 from cgemit.detector import DetectorError, load
 
 MATTER = """\
@@ -86,7 +86,7 @@ def test_show_json_with_changes(
 def test_show_reports_problems() -> None:
     with pytest.raises(DetectorError, match="did you mean"):
         call("show", "besiii-cgem-design", "--set", "cgem.L2.ptich_x=500 um")
-    with pytest.raises(common.InputError, match="KEY=VALUE"):
+    with pytest.raises(options.InputError, match="KEY=VALUE"):
         call("show", "besiii-cgem-design", "--set", "cgem.L2.pitch_x")
 
 
@@ -101,7 +101,7 @@ def test_validate(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     assert len(streams.err.splitlines()) == 3
     assert all(word in streams.err for word in ("bad.toml: 2 problems", "nmae", "field.bz"))
     assert call("validate", str(tmp_path / "none.toml")) == 2
-    with pytest.raises(common.InputError, match="FILE"):
+    with pytest.raises(options.InputError, match="FILE"):
         call("validate")
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from cgemit.detector import DetectorError, load
+from cgemit.detector.build import library
 from cgemit.detector.material import (
     K,
     elements,
@@ -15,7 +16,6 @@ from cgemit.detector.material import (
     radiation_length,
     shell_correction,
 )
-from cgemit.detector.materials import library
 
 MUON, ELECTRON = 0.1056583755, 0.51099895e-3  # GeV
 

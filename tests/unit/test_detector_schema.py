@@ -11,7 +11,7 @@ from cgemit.detector import detectors, load, schema
 
 VALIDATOR = jsonschema.Draft202012Validator(schema())
 FILES = sorted(
-    entry.name for entry in (resources.files("cgemit.data") / "detectors").iterdir() if entry.name.endswith(".toml")
+    entry.name for entry in (resources.files("cgemit.detector") / "presets").iterdir() if entry.name.endswith(".toml")
 )
 
 
@@ -21,7 +21,7 @@ def test_it_is_a_schema() -> None:
 
 @pytest.mark.parametrize("name", FILES)
 def test_presets_and_their_parts(name: str) -> None:
-    text = (resources.files("cgemit.data") / "detectors" / name).read_text(encoding="utf-8")
+    text = (resources.files("cgemit.detector") / "presets" / name).read_text(encoding="utf-8")
     tables = tomllib.loads(text)
     if name == "_materials.toml":
         tables["base"] = "besiii-cgem"  # materials alone are not a detector

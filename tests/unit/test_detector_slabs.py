@@ -8,7 +8,7 @@ import pytest
 
 from cgemit import _core
 from cgemit.detector import CgemLayer, Detector, compiled, detectors, load, slab_table, slabs
-from cgemit.detector.compile import cgem_table, wire_table
+from cgemit.detector.core import cgem_table, wire_table
 
 DESIGN = load("besiii-cgem-design")
 

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cgemit.detector import Detector, DetectorError, detectors, load
-from cgemit.detector.read import NAME
+from cgemit.detector.reader import NAME
 
 SAMPLE = """
 base = "besiii-cgem-design"          # everything not said here comes from the base

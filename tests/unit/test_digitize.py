@@ -5,9 +5,12 @@ import pytest
 
 import gem_toy
 from cgemit import _core
-from cgemit.cluster import ClusterSettings
-from cgemit.detector import compiled, gaps, load
-from cgemit.digitize import XT_DISTANCE, XT_TIME, BinaryReadout, DigitizeSettings, GaussianReadout, digitize
+from cgemit.detector import compiled, gas, load
+from cgemit.detector.drift import XT_DISTANCE, XT_TIME
+from cgemit.reconstruction.cluster import ClusterSettings
+from cgemit.simulation.digitize import DigitizeSettings, digitize
+from cgemit.simulation.readouts.binary import BinaryReadout
+from cgemit.simulation.readouts.gaussian import GaussianReadout
 from cgemit.tables import Table
 from stats import assert_within, fraction_error
 
@@ -74,10 +77,10 @@ def test_a_gas_table_without_its_energy_per_electron_is_refused(monkeypatch, tmp
     """The message names the file and what it lacks."""
     (tmp_path / "gases").mkdir()
     (tmp_path / "gases" / "ar-co2-70-30.csv").write_text("quantity,at,value\ndensity,,1e-3\n")
-    monkeypatch.setattr(gaps.resources, "files", lambda package: tmp_path)
-    gaps.ionization.cache_clear()
+    monkeypatch.setattr(gas.resources, "files", lambda package: tmp_path)
+    gas.ionization.cache_clear()
     with pytest.raises(ValueError, match=r"ar-co2-70-30.csv: got no w_value, expected"):
-        gaps.ionization("ar-co2-70-30")
+        gas.ionization("ar-co2-70-30")
 
 
 def test_truths_on_one_strip_add_up(design):

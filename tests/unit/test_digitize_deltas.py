@@ -5,7 +5,8 @@ import pytest
 
 import gem_toy
 from cgemit.detector import load
-from cgemit.digitize import BinaryReadout, DigitizeSettings, digitize
+from cgemit.simulation.digitize import DigitizeSettings, digitize
+from cgemit.simulation.readouts.binary import BinaryReadout
 from cgemit.tables import Table
 
 DETECTOR = load("besiii-cgem-design")

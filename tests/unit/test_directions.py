@@ -7,12 +7,18 @@ import numpy as np
 import pytest
 
 import cgemit as cg
-from cgemit import find
-from cgemit.digitize.calibration import PATH_KNOTS, SLOPE_KNOTS, calibration_of, neutral
-from cgemit.statistics.estimate import measure
-from cgemit.study.readout.calibrate import _muons
-from cgemit.study.readout.direction import known_directions, set_depths
-from cgemit.study.readout.measure import Measurements, lorentz_slopes, measurements, true_directions
+from cgemit.analysis.widths import measure
+from cgemit.reconstruction.cluster_errors import PATH_KNOTS, SLOPE_KNOTS, calibration_of, neutral
+from cgemit.reconstruction.find import truth
+from cgemit.study.readout.calibrate import (
+    Measurements,
+    _muons,
+    known_directions,
+    lorentz_slopes,
+    measurements,
+    set_depths,
+    true_directions,
+)
 
 DESIGN = cg.load("besiii-cgem-design")
 LAYERS = dataclasses.replace(DESIGN, drift_chamber=None)
@@ -220,12 +226,12 @@ def test_own_part_of_a_divided_cluster():
     result = cg.run(LAYERS, gun, 300, 5, readout=TIGER, until="cluster")
     clusters, truths = result.clusters, result.truths
     rows = np.flatnonzero((clusters["view"] < 2) & (clusters["truth"] >= 0))
-    apart = np.abs(find.residuals(LAYERS, clusters, truths, rows))
+    apart = np.abs(truth.residuals(LAYERS, clusters, truths, rows))
     pitch = np.array([(layer.pitch_x, layer.pitch_v) for layer in LAYERS.cgem])
     outside = apart - 0.5 * clusters["size"][rows] * pitch[clusters["layer"][rows], clusters["view"][rows]]
     least = np.full(2 * len(truths), np.inf)
     place = 2 * clusters["truth"][rows] + clusters["view"][rows]
     np.minimum.at(least, place, np.maximum(outside, 0))
-    own = np.isin(rows, find.own_clusters(LAYERS, clusters, truths))
+    own = np.isin(rows, truth.own_clusters(LAYERS, clusters, truths))
     assert np.count_nonzero(~own) > 100
     np.testing.assert_allclose(np.maximum(outside, 0)[own], least[place[own]], atol=1e-5)

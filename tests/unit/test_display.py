@@ -14,11 +14,11 @@ from matplotlib.colors import Normalize, to_hex
 
 import cgemit as cg
 from cgemit.cli.main import main
-from cgemit.detector.strips import crossing_z, v_of_strips
+from cgemit.detector.parts import crossing_z, v_of_strips
 from cgemit.draw.display import TRACK_COLORS
-from cgemit.draw.event_view import strip_line, view_of
-from cgemit.draw.geometry import helix_points, smooth_curve, wire_positions
+from cgemit.draw.event import helix_points, smooth_curve, strip_line, view_of, wire_positions
 from cgemit.draw.style import COLORS
+from cgemit.reconstruction.find.truth import residuals
 
 # Two particles a few degrees apart, so that X and V strips pair wrongly; and a slow one.
 PAIR: dict[str, Any] = {
@@ -251,8 +251,8 @@ def test_charges_of_the_strips_are_those_of_the_tables(readout: str) -> None:
     assert picture.get_suptitle().startswith(f"besiii-cgem-design, read-out {readout}, event 0")
     digis, clusters = result.digis, result.clusters
     with_truth = np.flatnonzero((clusters["view"] < 2) & (clusters["truth"] >= 0))
-    residuals = cg.find.residuals(result.detector, clusters, result.truths, with_truth)
-    off = dict(zip(with_truth.tolist(), residuals.tolist(), strict=True))
+    off_truth = residuals(result.detector, clusters, result.truths, with_truth)
+    off = dict(zip(with_truth.tolist(), off_truth.tolist(), strict=True))
     (scale,) = picture.axes[8].child_axes
     assert scale.get_ylabel() == "time of the strip  (ns)"
     times = scale.get_ylim()

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import cgemit as cg
-from cgemit import chain, memory, run_checks, stages
-from cgemit.digitize.calibration import CalibrationError, calibration_of, read_calibration
-from cgemit.stages import Settings
+from cgemit.chain import executor, run
+from cgemit.chain.settings import STAGES, TABLES, Settings
+from cgemit.reconstruction.cluster_errors import CalibrationError, calibration_of, read_calibration
 
 GUN = cg.Gun("mu-", p=1, cos_theta=(-0.5, 0.5))
 
@@ -20,7 +20,7 @@ def nothing_runs(monkeypatch):
     def never(*_, **__):
         raise AssertionError("a chunk was begun")
 
-    monkeypatch.setattr(chain, "run_chunk", never)
+    monkeypatch.setattr(run, "run_chunk", never)
 
 
 def test_all_problems_of_a_run_at_once(nothing_runs):
@@ -44,13 +44,11 @@ def test_tables_to_keep_are_checked_first(nothing_runs):
         cg.run("besiii-cgem", GUN, n=2, keep="states")
 
 
-@pytest.mark.parametrize("until", stages.STAGES)
+@pytest.mark.parametrize("until", STAGES)
 def test_the_tables_that_a_run_makes(until):
     settings = Settings(fit=cg.FitSettings(residuals=True))
     result = cg.run("besiii-idc", GUN, n=2, until=until, settings=settings)
-    assert tuple(result.tables) == tuple(
-        name for name in stages.TABLES if name in run_checks.tables_made(until, settings)
-    )
+    assert tuple(result.tables) == tuple(name for name in TABLES if name in run.tables_made(until, settings))
 
 
 def test_a_missing_calibration_is_said_first(nothing_runs):
@@ -119,11 +117,11 @@ def test_a_calibration_of_other_layers(tmp_path):
 
 
 def test_chunks_that_do_not_fit_into_memory(tmp_path, monkeypatch):
-    monkeypatch.setattr(memory, "available", lambda: 1 << 30)
+    monkeypatch.setattr(executor, "available", lambda: 1 << 30)
     for output in ({"output": tmp_path / "out"}, {}):
         with pytest.raises(ValueError, match=r"chunk: \d of 10000000 events at a time need about .* GB"):
             cg.run("besiii-cgem", GUN, n=10**7, chunk=10**7, keep=["tracks"], threads=1, **output)
     assert not (tmp_path / "out").exists()
-    memory.check_chunk({"tracks": 1000}, 1, 1000, 4)
+    executor.check_chunk({"tracks": 1000}, 1, 1000, 4)
     with pytest.raises(ValueError, match="expected at most 268,435 events"):
-        memory.check_chunk({"tracks": 1000}, 1, 300_000, 4)
+        executor.check_chunk({"tracks": 1000}, 1, 300_000, 4)

@@ -5,7 +5,7 @@ import pytest
 
 import cgemit as cg
 from cgemit.detector import Detector, field_at, fields
-from cgemit.detector.field.core import compiled_field, solenoid_field
+from cgemit.detector.core import compiled_field, solenoid_field
 from fields import HARMONIC, box_grid, harmonic_by_hand, on_core
 
 RNG = np.random.default_rng(1)

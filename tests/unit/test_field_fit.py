@@ -8,8 +8,8 @@ import pytest
 import cgemit as cg
 from cgemit import _core
 from cgemit.detector import compiled, load, slabs
-from cgemit.fit import FitStatus
-from cgemit.states import StateStatus
+from cgemit.reconstruction.fit import FitStatus
+from cgemit.reconstruction.states import StateStatus
 from fields import HARMONIC, small_map
 from tracks import MUON, hits_on, particles, without_matter
 

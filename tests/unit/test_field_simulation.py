@@ -10,7 +10,7 @@ from scipy.optimize import brentq, minimize_scalar
 import cgemit as cg
 from cgemit import helix
 from cgemit.detector import Detector, compiled, write_field_map
-from cgemit.simulate import TransportStatus
+from cgemit.simulation.transport import TransportStatus
 from fields import harmonic_by_hand
 from oracles import LIGHT
 from tracks import particles, transport, without_matter

@@ -8,7 +8,7 @@ import pytest
 
 from cgemit import _core
 from cgemit.detector import compiled, load
-from cgemit.fit import FitSettings
+from cgemit.reconstruction.fit import FitSettings
 from tracks import MUON, hits_of, on_helix, order_of_matter, transport
 
 PRIOR = np.array(FitSettings().prior_sigma)

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 import gem_toy
-from cgemit.candidates import HIT_V, HIT_WIRE, HIT_X, collect_hits
-from cgemit.cluster import ClusterSettings, cluster
 from cgemit.detector import load
-from cgemit.digitize import DigitizeSettings, digitize
-from cgemit.find import by_truth, own_clusters
-from cgemit.fit import fit
+from cgemit.reconstruction.candidates import HIT_V, HIT_WIRE, HIT_X, collect_hits
+from cgemit.reconstruction.cluster import ClusterSettings, cluster
+from cgemit.reconstruction.find import by_truth, own_clusters
+from cgemit.reconstruction.fit import fit
+from cgemit.simulation.digitize import DigitizeSettings, digitize
 from cgemit.tables import SCHEMAS, Table
 
 EVENTS = 30

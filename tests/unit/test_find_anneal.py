@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import cgemit as cg
-from cgemit.candidates import HIT_WIRE
+from cgemit.reconstruction.candidates import HIT_WIRE
 
 QUIET = cg.Settings(simulate=cg.SimulateSettings(decays=False, fluctuations="gaussian"))
 NEAR, FAR = 0.4, 1.2  # mm, between the distances of both tracks from the wire: both pass within the gate of a fit

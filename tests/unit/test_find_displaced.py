@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import cgemit as cg
-from cgemit.background import BackgroundSettings
-from cgemit.candidates import HIT_WIRE
+from cgemit.reconstruction.candidates import HIT_WIRE
+from cgemit.simulation.background import BackgroundSettings
 
 QUIET = cg.SimulateSettings(decays=False, fluctuations="gaussian")
 

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 import cgemit as cg
-from cgemit.candidates import HIT_V, HIT_X
-from cgemit.digitize.calibration import calibration_of
+from cgemit.reconstruction.candidates import HIT_V, HIT_X
+from cgemit.reconstruction.cluster_errors import calibration_of
+from cgemit.reconstruction.find.truth import own_clusters
 from cgemit.tables import Table
 
 QUIET = cg.Settings(simulate=cg.SimulateSettings(decays=False, fluctuations="gaussian"))
@@ -28,7 +29,7 @@ def run(layers):
 @pytest.fixture(scope="module")
 def single(run):
     """The X and V clusters of one muon an event, without points."""
-    rows = cg.find.own_clusters(run.detector, run.clusters, run.truths)
+    rows = own_clusters(run.detector, run.clusters, run.truths)
     clusters = run.clusters[np.sort(rows)]
     none = np.full(len(clusters), -1)
     return clusters.with_columns(x_cluster=none, v_cluster=none)[clusters["view"] < 2]

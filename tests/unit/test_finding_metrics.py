@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import cgemit as cg
-from cgemit.statistics.fractions import Fraction
-from cgemit.study.finding_definitions import CLASSES
+from cgemit.analysis.finding import CLASSES
+from cgemit.analysis.widths import Fraction
 
 
 @pytest.fixture(scope="module")

@@ -9,17 +9,17 @@ from typing import get_args
 import numpy as np
 import pytest
 
-from cgemit import _core, chain, helix
+from cgemit import _core, helix
 from cgemit.bench import smeared
-from cgemit.cluster import cluster
+from cgemit.chain import run, settings
+from cgemit.chain.match import joined, match
 from cgemit.detector import load
-from cgemit.digitize import DigitizeSettings, digitize
-from cgemit.find import by_truth
-from cgemit.fit import PARAMETERS, FitSettings, FitStatus, fit
-from cgemit.fit_settings import ClusterErrors
-from cgemit.gun import Gun, generate
-from cgemit.match import joined, match
-from cgemit.simulate import SimulateSettings, simulate
+from cgemit.particles.gun import Gun, generate
+from cgemit.reconstruction.cluster import cluster
+from cgemit.reconstruction.find import by_truth
+from cgemit.reconstruction.fit import PARAMETERS, ClusterErrors, FitSettings, FitStatus, fit
+from cgemit.simulation.digitize import DigitizeSettings, digitize
+from cgemit.simulation.transport import SimulateSettings, simulate
 
 DETECTOR = load("besiii-cgem-design")
 
@@ -163,15 +163,15 @@ def test_too_few_iterations_is_a_status(event):
 def test_slow_particles_are_fitted_with_the_momentum_they_started_with():
     """Protons of 0.25 GeV/c lose so much on the way that the momentum they end with would not take them there."""
     gun = Gun("proton", pt=0.25, cos_theta=0.0)
-    tracks = chain.run("besiii-cgem-design", gun, 200).tracks
+    tracks = run.run("besiii-cgem-design", gun, 200).tracks
     assert np.count_nonzero(tracks["status"] == FitStatus.ok) > 195
     assert abs(np.median(tracks["p"]) - 0.25) < 0.002
 
 
 def test_a_particle_that_cannot_get_there_has_a_status():
     """A proton of 0.08 GeV/c does not leave the beam pipe, so a pion's hits beyond are not those of a proton."""
-    wrong = chain.Settings(simulate=SimulateSettings(decays=False), fit=FitSettings(hypothesis="p"))
-    tracks = chain.run("besiii-cgem-design", Gun("pi+", p=0.08, cos_theta=0.0), 200, settings=wrong).tracks
+    wrong = settings.Settings(simulate=SimulateSettings(decays=False), fit=FitSettings(hypothesis="p"))
+    tracks = run.run("besiii-cgem-design", Gun("pi+", p=0.08, cos_theta=0.0), 200, settings=wrong).tracks
     short = np.isin(tracks["status"], (FitStatus.stopped, FitStatus.does_not_reach))
     assert np.mean(short) > 0.9
     assert np.mean(tracks["status"] == FitStatus.ok) < 0.02  # few hits that fit a much faster proton
@@ -243,7 +243,7 @@ def test_wide_priors_change_nothing(event):
 def test_rows_without_hits_keep_their_place():
     """Charged particles that leave nothing to fit have a row that says so, with NaN where there is no covariance."""
     guns = Gun("mu-", p=1.0, cos_theta=0.2) + Gun("gamma", p=1.0, cos_theta=0.2) + Gun("pi+", pt=0.02, cos_theta=0.0)
-    tracks = chain.run(DETECTOR, guns, 3, seed=1).tracks
+    tracks = run.run(DETECTOR, guns, 3, seed=1).tracks
     assert len(tracks) == 6
     assert tracks["particle"].tolist() == [0, -1] * 3  # no hit says of which particle the second one is
     status = tracks["status"].reshape(3, 2)

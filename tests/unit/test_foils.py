@@ -11,9 +11,9 @@ from scipy.spatial import cKDTree
 
 from cgemit import _core
 from cgemit.detector import Detector, DetectorError, compiled, load, slabs
-from cgemit.detector.holes import hole_table
-from cgemit.gun import Gun, generate
-from cgemit.simulate import SimulateSettings, simulate
+from cgemit.detector.matter import hole_table
+from cgemit.particles.gun import Gun, generate
+from cgemit.simulation.transport import SimulateSettings, simulate
 from cgemit.tables import Table
 from stats import assert_within, fraction_error, mean_error
 

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pytest
 
-from cgemit.chain import run
+from cgemit.base.files import OutputExistsError, new_folder
+from cgemit.chain.result import Result
+from cgemit.chain.run import run
 from cgemit.cli.main import main
-from cgemit.gun import Gun
-from cgemit.io.folders import OutputExistsError, new_folder
-from cgemit.result import Result
+from cgemit.particles.gun import Gun
 from cgemit.tables import load_tables
 
 GUN = Gun("mu-", p=1, theta=1)
@@ -110,7 +110,7 @@ def test_names_of_tables_are_no_paths(name, tmp_path):
 def test_a_killed_run_is_cleaned_up_by_the_next(tmp_path):
     code = """
 import sys, time
-from cgemit.io.folders import new_folder
+from cgemit.base.files import new_folder
 with new_folder(sys.argv[1]) as place:
     (place / "part").touch()
     print(place, flush=True)

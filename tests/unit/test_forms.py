@@ -6,8 +6,8 @@ import math
 import numpy as np
 import pytest
 
-from cgemit.species import species
-from cgemit.statistics.forms import FORMS, fit_form, mean_sine
+from cgemit.analysis.resolutions import FORMS, fit_form, mean_sine
+from cgemit.particles.species import species
 
 P = np.linspace(0.2, 2.0, 19)
 COSINE = 0.6

@@ -5,7 +5,7 @@ import pytest
 
 import fuzz
 from cgemit import isa
-from cgemit.fit import FitStatus
+from cgemit.reconstruction.fit import FitStatus
 
 
 def test_twenty_thousand_tracks_and_garbage():

@@ -11,8 +11,8 @@ import pytest
 import cgemit as cg
 from cgemit.cli.main import main
 from cgemit.detector import describe
-from cgemit.detector.gdml import write_gdml
-from cgemit.detector.slabs import slabs
+from cgemit.detector.export import write_gdml
+from cgemit.detector.matter import slabs
 
 NAMES = ["besiii-cgem-design", "besiii-cgem", "besiii-idc", "kloe2-like"]
 

@@ -12,8 +12,8 @@ import pytest
 
 import cgemit as cg
 from cgemit.cli.main import main
-from cgemit.gun import generate
-from cgemit.particles import ParticleError, particles_from
+from cgemit.particles.gun import generate
+from cgemit.particles.table import ParticleError, particles_from
 
 DESIGN = "besiii-cgem-design"
 

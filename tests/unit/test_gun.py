@@ -8,9 +8,9 @@ import pandas as pd
 import pytest
 
 from cgemit import run
-from cgemit.gun import Gun, Guns, generate
-from cgemit.particles import ParticleError, particles_from
-from cgemit.species import species
+from cgemit.particles.gun import Gun, Guns, generate
+from cgemit.particles.species import species
+from cgemit.particles.table import ParticleError, particles_from
 from stats import assert_within
 
 PLAIN = Gun("mu-", p=1.0, cos_theta=(-0.93, 0.93))

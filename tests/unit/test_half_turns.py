@@ -10,11 +10,11 @@ from scipy.integrate import solve_ivp
 
 import cgemit as cg
 import gem_toy
-from cgemit import find
 from cgemit.detector import compiled, load
-from cgemit.digitize import digitize
-from cgemit.gun import Gun, generate
-from cgemit.simulate import SimulateSettings, TransportStatus, simulate
+from cgemit.particles.gun import Gun, generate
+from cgemit.reconstruction.find import truth
+from cgemit.simulation.digitize import digitize
+from cgemit.simulation.transport import SimulateSettings, TransportStatus, simulate
 from cgemit.tables import Table
 from fields import harmonic_by_hand
 from oracles import LIGHT
@@ -214,11 +214,11 @@ def test_decays_of_later_half_turns():
     out = simulate(DESIGN, table, SimulateSettings(half_turns=8), 4)
     first = out["decays"][out["decays"]["daughter"] == 1]
     end = np.full(len(table), np.inf)
-    end[find.particle_rows(table, first)] = first["time"]
+    end[truth.particle_rows(table, first)] = first["time"]
     np.testing.assert_array_equal(np.isfinite(end), out["particles"]["status"] == TransportStatus.decayed)
     late_decays = 0
     for kind in ("truths", "wire_truths"):
-        rows, whose = out[kind], find.particle_rows(table, out[kind])
+        rows, whose = out[kind], truth.particle_rows(table, out[kind])
         own = rows["daughter"] == 0
         assert np.all(rows["time"][own] <= end[whose[own]])
         assert np.all(rows["time"][~own] >= end[whose[~own]])

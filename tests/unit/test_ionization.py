@@ -10,7 +10,7 @@ import pytest
 
 from cgemit import _core
 from cgemit.detector import compiled, load
-from cgemit.detector.gaps import clusters_per_mm, gap_columns, ionization
+from cgemit.detector.gas import clusters_per_mm, gap_columns, ionization
 from slabs import ELECTRON, MUON, PROTON
 from stats import assert_within, fraction_error, mean_error
 
@@ -185,6 +185,6 @@ def test_fast_electrons_have_the_spectrum_of_free_ones() -> None:
 
 def test_a_size_table_that_ends_elsewhere_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     table = ionization("ar-ic4h10-90-10")
-    monkeypatch.setattr("cgemit.detector.gaps.ionization", lambda _: table._replace(sizes=table.sizes[1:]))
+    monkeypatch.setattr("cgemit.detector.gas.ionization", lambda _: table._replace(sizes=table.sizes[1:]))
     with pytest.raises(ValueError, match="sizes"):
         compiled(DETECTOR.with_overrides({"cgem.L1.drift_gap": "4.9 mm"}))

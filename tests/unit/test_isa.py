@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from cgemit import DigitizeSettings, FitSettings, Gun, Result, Settings, _core, isa, load, run
-from cgemit.fit import core_arguments
+from cgemit.reconstruction.fit import core_arguments
 from fields import HARMONIC
 from tracks import hits_of_result
 
@@ -74,7 +74,7 @@ def test_environment_chooses(value: str, ends: int) -> None:
     [
         "cgemit.isa.lanes()",
         "cgemit.run('besiii-idc', cgemit.Gun('mu-', p=1, theta=1), 1)",
-        "cgemit.detector.compiled(cgemit.load('besiii-idc'))",  # which all kernels take
+        "__import__('cgemit.detector').detector.core.compiled(cgemit.load('besiii-idc'))",  # which all kernels take
         "cgemit.slab('Al 1 mm', 'mu-', p=1, n=1000)",
     ],
 )

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from matplotlib.text import Text
 
+from cgemit.analysis.curves import Line
 from cgemit.cli.main import main
 from cgemit.detector import DetectorError, load, schema, write_field_map
-from cgemit.detector.materials import library
+from cgemit.detector.build import library
 from cgemit.draw.curves import draw_probabilities, draw_pulls, draw_resolutions
 from cgemit.draw.detector import draw_detector, draw_layers, draw_sides
-from cgemit.statistics.curves import Line
 
 IDC = "besiii-idc"
 DESIGN = "besiii-cgem-design"

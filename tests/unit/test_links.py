@@ -8,9 +8,9 @@ import pandas as pd
 import pytest
 
 from cgemit import Gun, Settings, fit_vertices, run
-from cgemit.fit import FitSettings
+from cgemit.reconstruction.fit import FitSettings
 from cgemit.tables import SCHEMAS, concatenate, select_events
-from cgemit.tables.links import linked, targets
+from cgemit.tables.table import linked, targets
 
 FIT = FitSettings(residuals=True, states=("hits",))
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 import cgemit as cg
-from cgemit.candidates import label_candidates
-from cgemit.fit import fit
-from cgemit.match import match
-from cgemit.study.finding_definitions import CLASSES
+from cgemit.analysis.finding import CLASSES
+from cgemit.chain.match import match
+from cgemit.reconstruction.candidates import label_candidates
+from cgemit.reconstruction.fit import fit
 
 
 @pytest.fixture(scope="module")

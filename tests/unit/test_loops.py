@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 import cgemit as cg
-from cgemit import find
 from cgemit.cli.main import main
-from cgemit.find.loops import pair_chi2
-from cgemit.simulate import SimulateSettings
+from cgemit.reconstruction.find import loops
+from cgemit.reconstruction.find.loops import pair_chi2
+from cgemit.simulation.transport import SimulateSettings
 from cgemit.tables import Table
 from fitted import make_tracks
 
@@ -52,7 +52,7 @@ def test_they_are_linked_to_the_first_in_any_order(seed):
     helices = np.concatenate([half_turns(helix, n) for helix, n in zip([ONE, *others], (5, 3, 4), strict=True)])
     owner = np.repeat(range(3), (5, 3, 4))
     order = np.random.default_rng(seed).permutation(12)
-    first = find.link_loops(table(helices[order]), BZ)
+    first = loops.link_loops(table(helices[order]), BZ)
     start = np.array([0, 5, 8])
     np.testing.assert_array_equal(order[first], start[owner[order]])
 
@@ -72,7 +72,7 @@ def test_what_differs_too_much_is_not_linked(place, change, linked):
     helices = half_turns(ONE, 2)
     helices[1, ("dr", "phi0", "kappa", "dz", "tanl").index(place)] += change
     helices[1, 3] = 2 + 2 * math.pi * RADIUS * 0.5 * (TANL - helices[1, 4])  # a whole turn at the mean slope
-    assert find.link_loops(table(helices), BZ).tolist() == ([0, 0] if linked else [0, 1])
+    assert loops.link_loops(table(helices), BZ).tolist() == ([0, 0] if linked else [0, 1])
 
 
 def test_momentum_and_height_count():
@@ -82,13 +82,13 @@ def test_momentum_and_height_count():
     lost[0][1, 2] *= 1.2
     lost[1][1, 2] *= 2.0
     lost[2][1, 3] -= math.pi * RADIUS * TANL
-    assert [find.link_loops(table(one), BZ).tolist() for one in lost] == [[0, 0], [0, 1], [0, 1]]
+    assert [loops.link_loops(table(one), BZ).tolist() for one in lost] == [[0, 0], [0, 1], [0, 1]]
 
 
 @pytest.mark.parametrize("columns", [{"event": np.arange(2)}, {"hypothesis": [11, 13]}, {"status": [0, 3]}])
 def test_only_fitted_tracks_of_one_event_and_mass_are_linked(columns):
     columns = {name: np.array(values) for name, values in columns.items()}
-    assert find.link_loops(table(half_turns(ONE, 2), **columns), BZ).tolist() == [0, 1]
+    assert loops.link_loops(table(half_turns(ONE, 2), **columns), BZ).tolist() == [0, 1]
 
 
 def test_a_group_never_joins_tracks_that_disagree():
@@ -98,8 +98,8 @@ def test_a_group_never_joins_tracks_that_disagree():
     helices[2, 1] += 0.85
     chi2 = pair_chi2(table(helices), np.array([0, 0]), np.array([1, 2]), BZ)
     assert chi2[0] < 20 < chi2[1]
-    assert find.link_loops(table(helices), BZ).tolist()[:2] == [0, 0]
-    assert find.link_loops(table(helices), BZ)[2] == 2
+    assert loops.link_loops(table(helices), BZ).tolist()[:2] == [0, 0]
+    assert loops.link_loops(table(helices), BZ)[2] == 2
 
 
 def test_found_electrons():
@@ -132,9 +132,9 @@ def test_the_command_links(capsys):
 
 def test_wrong_input_is_refused():
     with pytest.raises(ValueError, match=r"bz: got 0.*expected a field"):
-        find.link_loops(table(half_turns(ONE, 2)), 0.0)
+        loops.link_loops(table(half_turns(ONE, 2)), 0.0)
     with pytest.raises(ValueError, match="expected a table of kind 'tracks'"):
-        find.link_loops(Table.empty("candidates", 1), BZ)
+        loops.link_loops(Table.empty("candidates", 1), BZ)
     with pytest.raises(ValueError, match="expected a run with until='fit'"):
         cg.study.loop_links(cg.run("besiii-cgem", cg.Gun("mu-", p=0.5, cos_theta=0.1), n=1, until="find"))
-    assert find.link_loops(make_tracks(0), BZ).tolist() == []
+    assert loops.link_loops(make_tracks(0), BZ).tolist() == []

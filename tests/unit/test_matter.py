@@ -8,7 +8,7 @@ import pytest
 
 from cgemit import _core
 from cgemit.detector import compiled, load, slab_table, slabs
-from cgemit.detector.compile import cgem_table, wire_table
+from cgemit.detector.core import cgem_table, wire_table
 from coulomb import core_angle, screening_squared, strength
 from slabs import BERYLLIUM, COPPER, ELECTRON, KAPTON, MUON, PION, PROTON, bethe, composition, slab_detector
 from tracks import hits_on

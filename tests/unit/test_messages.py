@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 
 import cgemit as cg
-from cgemit import memory
+from cgemit.analysis.curves import Line
+from cgemit.base.settings import SettingsError
+from cgemit.chain import executor
 from cgemit.cli.main import main
-from cgemit.cli.read import whole
+from cgemit.cli.options import whole
 from cgemit.draw.curves import draw_curves
 from cgemit.draw.style import new_picture
-from cgemit.particles import ParticleError
-from cgemit.settings import SettingsError
-from cgemit.statistics.curves import Line
-from cgemit.statistics.formatting import html_table, text_table
+from cgemit.particles.table import ParticleError
 from cgemit.study import chi2_flatness, gaussian_fit, pulls, scan
+from cgemit.tables.show import html_table, text_table
 from cgemit.units import QuantityError, parse_quantity
 from fitted import make_tracks
 
@@ -83,7 +83,8 @@ class Toy:
 
 def test_read_outs_that_are_not_registered():
     with pytest.raises(
-        SettingsError, match=r"'binary', 'gaussian', .*; cgemit.digitize.READOUTS\['toy'\] = Toy registers it"
+        SettingsError,
+        match=r"'binary', 'gaussian', .*; cgemit.simulation.digitize.READOUTS\['toy'\] = Toy registers it",
     ):
         cg.DigitizeSettings(readout=Toy())
 
@@ -108,8 +109,8 @@ def test_runs_larger_than_the_memory_are_refused(monkeypatch, capsys):
     arguments = ["simulate", "-d", DESIGN, "--p", "1", "--theta", "1", "-n", "1e8", "-o", "never", "--quiet"]
     assert main(arguments) == 2
     assert "GB are free; expected at most" in capsys.readouterr().err
-    monkeypatch.setattr(memory, "available", lambda: 10**18)
-    memory.check_memory({"tracks": 10**9}, {"tracks"}, 1000, 100_000_000)
+    monkeypatch.setattr(executor, "available", lambda: 10**18)
+    executor.check_memory({"tracks": 10**9}, {"tracks"}, 1000, 100_000_000)
 
 
 def test_import_takes_no_numpy():

@@ -9,19 +9,18 @@ import numpy as np
 import pytest
 
 from cgemit import study
+from cgemit.base.files import OutputExistsError, check_free
 from cgemit.cli.main import interrupts_kept, main
-from cgemit.cluster import ClusterSettings, cluster
 from cgemit.detector import DetectorError, load, write_field_map
-from cgemit.digitize import DigitizeSettings, cluster_digis, digitize
 from cgemit.draw.detector import draw_detector, draw_layers, draw_sides
 from cgemit.draw.style import new_picture
-from cgemit.find import by_truth
-from cgemit.fit import fit
-from cgemit.fit_settings import FitSettings
-from cgemit.gun import Gun, generate
-from cgemit.io.folders import OutputExistsError, check_free
-from cgemit.particles import ParticleError, particles_from
-from cgemit.simulate import simulate
+from cgemit.particles.gun import Gun, generate
+from cgemit.particles.table import ParticleError, particles_from
+from cgemit.reconstruction.cluster import ClusterSettings, cluster
+from cgemit.reconstruction.find import by_truth
+from cgemit.reconstruction.fit import FitSettings, fit
+from cgemit.simulation.digitize import DigitizeSettings, cluster_digis, digitize
+from cgemit.simulation.transport import simulate
 from cgemit.tables import Table
 from interrupts import interruptible, interrupts_taken
 
@@ -55,7 +54,7 @@ def test_output_folder_that_cannot_be_written(tmp_path, monkeypatch):
     def refuse(*_, **__):
         raise PermissionError(13, "Permission denied")
 
-    monkeypatch.setattr("cgemit.io.folders.tempfile.TemporaryDirectory", refuse)
+    monkeypatch.setattr("cgemit.base.files.tempfile.TemporaryDirectory", refuse)
     with pytest.raises(ValueError, match=r"nothing can be written in .*Permission denied"):
         check_free(tmp_path / "a" / "b")
 

@@ -7,7 +7,7 @@ import pytest
 
 from cgemit import _core, helix
 from cgemit.detector import compiled, load, slab_table, slabs
-from cgemit.detector.compile import cgem_table, wire_table
+from cgemit.detector.core import cgem_table, wire_table
 from oracles import helix_point
 from slabs import composition
 from tracks import MUON, hits_on, on_helix, particles, transport

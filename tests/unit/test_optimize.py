@@ -13,15 +13,12 @@ import pytest
 
 import cgemit as cg
 from cgemit.cli.main import main
+from cgemit.detector import inventory
 from cgemit.study import Background, Optimization, OptimizeError, optimize, sobol, sweep
-from cgemit.study.optimizer import geometry
-from cgemit.study.optimizer.descent import Descent
-from cgemit.study.optimizer.evaluator import Design, Evaluator
-from cgemit.study.optimizer.goals import Goals, goal_of, limits_of
-from cgemit.study.optimizer.plan import KEYS, read_optimize_plan
-from cgemit.study.optimizer.single import with_failures
-from cgemit.study.optimizer.variables import variables_of
-from cgemit.study.sweeps.evaluate import Evaluation
+from cgemit.study.optimize.goals import Goals, goal_of, limits_of, variables_of
+from cgemit.study.optimize.run import KEYS, read_optimize_plan
+from cgemit.study.optimize.search import Descent, Design, Evaluator, with_failures
+from cgemit.study.sweep.evaluate import Evaluation
 
 DESIGN = cg.load("besiii-cgem-design")
 SPACE = {
@@ -41,29 +38,29 @@ def found() -> Optimization:
 
 def test_numbers_of_a_design_by_hand() -> None:
     radii, lengths = (87.5, 132.5, 175), (532, 690, 847)
-    assert geometry.channels(DESIGN) == 845 + 1175 + 2 * (640 + 1094) + 2 * (845 + 1416)
+    assert inventory.channels(DESIGN) == 845 + 1175 + 2 * (640 + 1094) + 2 * (845 + 1416)
     area = sum(2 * math.pi * r * length for r, length in zip(radii, lengths, strict=True))
-    assert geometry.area(DESIGN) == pytest.approx(area / 1e6, rel=1e-12)
-    assert geometry.radiation_lengths(DESIGN) == pytest.approx(0.43079 + 0.36687 + 0.51079, abs=2e-5)
-    assert (geometry.inner_radius(DESIGN), geometry.outer_radius(DESIGN)) == pytest.approx((74.262, 179.365))
+    assert inventory.area(DESIGN) == pytest.approx(area / 1e6, rel=1e-12)
+    assert inventory.radiation_lengths(DESIGN) == pytest.approx(0.43079 + 0.36687 + 0.51079, abs=2e-5)
+    assert (inventory.inner_radius(DESIGN), inventory.outer_radius(DESIGN)) == pytest.approx((74.262, 179.365))
     # Beam pipe ends at 33.7 mm, the layers lie from 74.262, 119.198 and 161.69 mm, the wall begins at 182.6 mm.
     gaps = [74.262 - 33.7, 119.198 - 91.745, 161.69 - 136.7375, 182.6 - 179.365]
-    assert geometry.gaps(DESIGN) == pytest.approx(gaps, abs=1e-9)
-    assert geometry.smallest_gap(DESIGN) == pytest.approx(3.235)
-    assert geometry.pt_threshold(DESIGN) == pytest.approx(0.299792458 * 1.0 * 166.34 / 2, rel=1e-4)
+    assert inventory.gaps(DESIGN) == pytest.approx(gaps, abs=1e-9)
+    assert inventory.smallest_gap(DESIGN) == pytest.approx(3.235)
+    assert inventory.pt_threshold(DESIGN) == pytest.approx(0.299792458 * 1.0 * 166.34 / 2, rel=1e-4)
 
 
 def test_occupancy_by_hand() -> None:
     background = Background(rate=10, radius=78.84, power=0, window=1000, strips=3)
     sheets = [2 * math.pi * 8.75 * 53.2 / 845, 2 * math.pi * 13.25 * 69 / 2 / 640, 2 * math.pi * 17.5 * 84.7 / 2 / 845]
     mean = 10e3 * max(sheets) * 3 * 1e-6
-    assert geometry.occupancy(DESIGN, background) == pytest.approx(100 * (1 - math.exp(-mean)), rel=1e-9)
+    assert inventory.occupancy(DESIGN, background) == pytest.approx(100 * (1 - math.exp(-mean)), rel=1e-9)
 
 
 def test_strips_without_rounding_are_never_fewer() -> None:
     for variant in sobol({"cgem.*.pitch_x": ("300 um", "900 um"), "cgem.*.pitch_v": ("300 um", "900 um")}, 16).variants:
         detector = DESIGN.with_overrides(dict(variant))
-        whole, real = geometry.channels(detector), geometry.smooth_channels(detector)
+        whole, real = inventory.channels(detector), inventory.smooth_channels(detector)
         # At most one strip of each view and sheet, and some V strips because the diagonal is that of whole X strips.
         assert whole <= real < whole + 30
 
@@ -122,7 +119,7 @@ def test_the_free_space_between_parts_is_linear(found: Optimization) -> None:
     descent = Descent(found.evaluator, found.variables, found.objectives[0])
     descent.start(np.full(4, 0.5))
     for u in ([0.0, 0.9, 0.2, 0.1], [1.0, 0.3, 0.8, 0.9]):
-        gaps = geometry.gaps(descent.detector(np.array(u)))
+        gaps = inventory.gaps(descent.detector(np.array(u)))
         # The first three change with the two radii, the last one does not.
         assert descent.margins(np.array(u))[1:] == pytest.approx((np.array(gaps[:3]) - 3) / 10, abs=1e-5)
 
@@ -143,7 +140,7 @@ def test_both_searches_find_the_same_optimum_and_keep_all_limits(found: Optimiza
 
 def test_no_allowed_design_of_a_sample_is_better(found: Optimization) -> None:
     def numbers(detector: cg.Detector) -> dict[str, float]:
-        return {"channels": geometry.channels(detector), "gap": geometry.smallest_gap(detector)}
+        return {"channels": inventory.channels(detector), "gap": inventory.smallest_gap(detector)}
 
     space = sobol(SPACE, 64)
     table = sweep(DESIGN, space, p=0.3, samples=64, quantities=["dr"]).to_pandas()
@@ -159,7 +156,7 @@ def test_the_optimum_has_sheets_full_of_whole_strips(found: Optimization) -> Non
     assert layer.strips_x * layer.pitch_x == pytest.approx(2 * math.pi * layer.r_readout, rel=1e-7)
     before = found.detector(len(found) - 2).cgem[0]
     assert 2 * math.pi * before.r_readout - before.strips_x * before.pitch_x > 1e-3
-    assert geometry.channels(found.detector()) == found["channels"][-1]
+    assert inventory.channels(found.detector()) == found["channels"][-1]
 
 
 @pytest.mark.slow

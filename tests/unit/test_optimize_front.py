@@ -13,10 +13,10 @@ from optuna.storages import JournalStorage
 from optuna.storages.journal import JournalFileBackend
 
 import cgemit as cg
-from cgemit.draw.optimizer import label
+from cgemit.analysis.quantities import GROUPS
+from cgemit.draw.design import optimum_label as label
 from cgemit.study import Optimization, OptimizeError, optimize
-from cgemit.study.optimizer.front import by_noise, growth, hypervolume, nondominated, within_errors
-from cgemit.study.sweeps.evaluate import GROUPS
+from cgemit.study.optimize.pareto import by_noise, growth, hypervolume, nondominated, within_errors
 from kill_sweeps import executor
 
 DESIGN = cg.load("besiii-cgem-design")

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import cgemit as cg
-from cgemit.detector.strips import crossing_z
-from cgemit.fit import PARAMETERS
+from cgemit.detector.parts import crossing_z
+from cgemit.reconstruction.fit import PARAMETERS
 
 PAGE = Path(__file__).parents[2] / "docs" / "own_hits.md"
 DETECTOR = cg.load("besiii-cgem-design")

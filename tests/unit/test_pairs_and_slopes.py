@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 import cgemit as cg
-from cgemit import find
-from cgemit.digitize.calibration import CHARGES, DISTANCES, SIZES, calibration_of, neutral
-from cgemit.digitize.transport import drift_columns
-from cgemit.find.tracks import find_tracks
-from cgemit.second_pass import gap_crossing, track_directions
-from cgemit.study.readout.measure import crossing_paths, crossing_slopes
+from cgemit.detector.gas import drift_columns
+from cgemit.reconstruction.cluster_errors import CHARGES, DISTANCES, SIZES, calibration_of, neutral
+from cgemit.reconstruction.find import truth
+from cgemit.reconstruction.find.ckf import find_tracks
+from cgemit.reconstruction.refine import gap_crossing, track_directions
+from cgemit.study.readout.calibrate import crossing_paths, crossing_slopes
 
 DESIGN = cg.load("besiii-cgem-design")
 LAYERS = dataclasses.replace(DESIGN, drift_chamber=None)
@@ -194,7 +194,7 @@ def test_directions_of_tracks():
     gun = cg.Gun("mu-", p=2.0, cos_theta=(-0.8, 0.8))
     result = cg.run(DESIGN, gun, 200, 3, settings=cg.Settings(simulate=cg.SimulateSettings(deltas=False)))
     slopes, paths = track_directions(DESIGN, result.clusters, result.candidate_hits, result.tracks).T
-    own = find.own_clusters(DESIGN, result.clusters, result.truths)
+    own = truth.own_clusters(DESIGN, result.clusters, result.truths)
     own = own[np.isfinite(slopes[own])]
     true = crossing_slopes(DESIGN, result.truths)[result.clusters["truth"][own], result.clusters["view"][own]]
     assert len(own) > 1000
@@ -239,10 +239,10 @@ def test_second_pass_improves_positions():
     first, second = (one.clusters for one in runs)
     for name in ("event", "first", "last", "charge", "x_cluster", "v_cluster"):
         assert np.array_equal(first[name], second[name])
-    own = find.own_clusters(DESIGN, first, runs[0].truths)
+    own = truth.own_clusters(DESIGN, first, runs[0].truths)
     spread = []
     for clusters in (first, second):
-        residual = np.abs(find.residuals(DESIGN, clusters, runs[0].truths, own))
+        residual = np.abs(truth.residuals(DESIGN, clusters, runs[0].truths, own))
         spread.append([np.quantile(residual[clusters["view"][own] == view], 0.6) for view in (0, 1)])
     assert spread[1][0] < 0.92 * spread[0][0]
     assert spread[1][1] < 0.92 * spread[0][1]

@@ -9,8 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from cgemit import Gun, Settings, _core, helix, load, run
 from cgemit.detector import DetectorError, compiled
-from cgemit.detector.placement import PLACEMENT, Placed, seen_by
-from cgemit.detector.strips import local_v
+from cgemit.detector.parts import PLACEMENT, Placed, local_v, seen_by
 
 DESIGN = load("besiii-cgem-design")
 DISPLACED = {"shift_x": 0.3, "shift_y": -0.2, "shift_z": 0.4, "tilt_x": 1e-3, "tilt_y": -0.7e-3, "rotation": 2e-3}

@@ -7,8 +7,8 @@ import pytest
 
 import cgemit as cg
 from cgemit import _core
-from cgemit.candidates import HIT_WIRE, HIT_XV, collect_hits
-from cgemit.fit import PARAMETERS, FitSettings, core_arguments, fit
+from cgemit.reconstruction.candidates import HIT_WIRE, HIT_XV, collect_hits
+from cgemit.reconstruction.fit import PARAMETERS, FitSettings, core_arguments, fit
 from cgemit.tables import Table
 from exact import EXACT
 from tracks import order_of_matter, true_views

@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 
 from cgemit.detector import CgemLayer, DetectorError, detectors, load
-from cgemit.detector.compile import cgem_table
-from cgemit.detector.describe import to_dict
-from cgemit.detector.slabs import slabs
-from cgemit.detector.strips import crossing_z, v_of_strips
+from cgemit.detector.core import cgem_table
+from cgemit.detector.export import to_dict
+from cgemit.detector.matter import slabs
+from cgemit.detector.parts import crossing_z, v_of_strips
 
 DATA = Path(__file__).parent.parent / "data"
 NAMES = ("besiii-cgem", "besiii-cgem-design", "besiii-idc", "besiii-idc-boss")

@@ -12,8 +12,8 @@ from scipy.stats import norm
 
 from cgemit import Gun, ProjectionReadout, _core, load, run
 from cgemit.cli.main import main
-from cgemit.digitize.calibration import calibration_of
-from cgemit.study.readout.measure import measurements
+from cgemit.reconstruction.cluster_errors import calibration_of
+from cgemit.study.readout.calibrate import measurements
 
 DESIGN = load("besiii-cgem-design")
 

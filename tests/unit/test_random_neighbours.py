@@ -10,7 +10,7 @@ import pytest
 
 import cgemit as cg
 from cgemit import _core
-from cgemit.digitize.calibration import CalibrationError, calibration_of, key_of
+from cgemit.reconstruction.cluster_errors import CalibrationError, calibration_of, key_of
 from cgemit.tables import Table
 
 DESIGN = cg.load("besiii-cgem-design")

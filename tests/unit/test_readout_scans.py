@@ -8,11 +8,9 @@ import pytest
 
 import cgemit as cg
 from cgemit.cli.main import main
-from cgemit.digitize.calibration import calibration_of
-from cgemit.digitize.transport import transport
-from cgemit.study.readout.formation import formation
-from cgemit.study.readout.ghosts import WAYS, pair_scores, scan_ghosts
-from cgemit.study.readout.scan import QUANTITIES, scan
+from cgemit.detector.gas import transport
+from cgemit.reconstruction.cluster_errors import calibration_of
+from cgemit.study.readout.scan import QUANTITIES, WAYS, formation, pair_scores, scan, scan_ghosts
 
 DESIGN = cg.load("besiii-cgem-design")
 TIGER = cg.TigerReadout()

@@ -8,11 +8,12 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
-from cgemit import DigitizeSettings, FitSettings, Gun, Result, Settings, digitize, load, run
-from cgemit.cluster import ClusterSettings, cluster
+from cgemit import DigitizeSettings, FitSettings, Gun, Result, Settings, load, run
 from cgemit.detector import Detector
-from cgemit.detector.strips import local_v, strips_of_v
-from cgemit.simulate import simulate
+from cgemit.detector.parts import local_v, strips_of_v
+from cgemit.reconstruction.cluster import ClusterSettings, cluster
+from cgemit.simulation import digitize
+from cgemit.simulation.transport import simulate
 from cgemit.tables import Table
 from stats import assert_within
 

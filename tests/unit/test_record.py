@@ -11,15 +11,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cgemit.chain import run
+from cgemit.chain.record import RecordError, gun_data, gun_from, versions
+from cgemit.chain.result import Result
+from cgemit.chain.run import run
+from cgemit.chain.settings import Settings
 from cgemit.detector import load
-from cgemit.fit import FitSettings
-from cgemit.gun import Gun, Guns, generate
-from cgemit.gun_data import gun_data, gun_from
-from cgemit.record import RecordError, versions
-from cgemit.result import Result
-from cgemit.simulate import SimulateSettings
-from cgemit.stages import Settings
+from cgemit.particles.gun import Gun, Guns, generate
+from cgemit.reconstruction.fit import FitSettings
+from cgemit.simulation.transport import SimulateSettings
 from cgemit.tables import Table
 
 GUN = Gun("pi-", p=(0.4, 0.6), cos_theta=[-0.3, 0.3], vertex=(0.1, (-1.0, 1.0), [1.0, 2.0])) + Gun("mu+", p=1, theta=1)

@@ -8,10 +8,11 @@ import pytest
 
 import bes3_layout
 import cgemit as cg
-from cgemit import bes3, helix
+from cgemit import helix
+from cgemit.analysis import bes3
+from cgemit.analysis.bes3 import Refit, refit
 from cgemit.cli.main import main
 from cgemit.draw import draw_refit
-from cgemit.refit import Refit, refit
 
 NAMES = (*helix.PARAMETERS, "p")
 

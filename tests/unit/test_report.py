@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cgemit.statistics.estimate import measure
-from cgemit.study.paper import rows
+from cgemit.analysis.widths import measure
+from cgemit.study.paper import results
 from cgemit.study.paper.published import paper_values
 from cgemit.study.report import Code, Image, Note, Section, TableOf, html_report, write_report
 
@@ -117,13 +117,16 @@ def test_missing_picture_is_an_error(tmp_path):
 
 
 def test_deviation_says_how_far_and_in_which_direction():
-    assert rows.deviation(190.0, 4.0, 200.0) == "5.0 % below the paper (2.5 standard errors)"
-    assert rows.deviation(210.0, 4.0, 200.0) == "5.0 % above the paper (2.5 standard errors)"
-    assert rows.deviation(100.0, 1.0, 200.0) == "50.0 % below the paper"
+    assert results.deviation(190.0, 4.0, 200.0) == "5.0 % below the paper (2.5 standard errors)"
+    assert results.deviation(210.0, 4.0, 200.0) == "5.0 % above the paper (2.5 standard errors)"
+    assert results.deviation(100.0, 1.0, 200.0) == "50.0 % below the paper"
 
 
 def test_x_rms_is_explained_by_missing_deltas_only_where_that_holds():
-    projected, with_deltas = rows.explain_x_rms(138.7, 0.3, 217.1, 0.0), rows.explain_x_rms(215.0, 3.0, 217.1, 0.0035)
+    projected, with_deltas = (
+        results.explain_x_rms(138.7, 0.3, 217.1, 0.0),
+        results.explain_x_rms(215.0, 3.0, 217.1, 0.0035),
+    )
     for text in (projected, with_deltas):
         assert "187.6 um" in text
         assert "within ±3 mm" in text
@@ -134,19 +137,19 @@ def test_x_rms_is_explained_by_missing_deltas_only_where_that_holds():
 
 def test_track_widths_agree_only_within_errors():
     widths = measure(np.random.default_rng(1).normal(size=1000), parameter="dr", unit="um")
-    assert "Agrees" in rows.explain_track("dr", widths, widths.core)
-    assert "Agrees" not in rows.explain_track("dr", widths, 1.2 * widths.core)
-    assert "20.0 % above" in rows.explain_track("dr", widths, widths.core / 1.2)
+    assert "Agrees" in results.explain_track("dr", widths, widths.core)
+    assert "Agrees" not in results.explain_track("dr", widths, 1.2 * widths.core)
+    assert "20.0 % above" in results.explain_track("dr", widths, widths.core / 1.2)
 
 
 def test_variant_and_idc_sentences_follow_the_numbers():
-    assert "13.0 % more" in rows.explain_gap_variant(3.0, 113.0, 100.0)
-    assert "1.0 % less" in rows.explain_gap_variant(3.0, 99.0, 100.0)
-    assert rows.explain_gap_variant(3.0, 99.0, 100.0, "tiger").endswith("1.0 % less than with the nominal gap.")
-    assert rows.explain_x_window(1.0, 3, 100, 0, "tiger") == "3 of 100 residuals are outside. Read-out tiger."
-    assert "3.00 times" in rows.explain_idc("dz", 0.9, 0.3)
-    assert "no tails" in rows.explain_x_core(140.0, 138.0)
-    assert "no tails" not in rows.explain_x_core(140.0, 217.0)
+    assert "13.0 % more" in results.explain_gap_variant(3.0, 113.0, 100.0)
+    assert "1.0 % less" in results.explain_gap_variant(3.0, 99.0, 100.0)
+    assert results.explain_gap_variant(3.0, 99.0, 100.0, "tiger").endswith("1.0 % less than with the nominal gap.")
+    assert results.explain_x_window(1.0, 3, 100, 0, "tiger") == "3 of 100 residuals are outside. Read-out tiger."
+    assert "3.00 times" in results.explain_idc("dz", 0.9, 0.3)
+    assert "no tails" in results.explain_x_core(140.0, 138.0)
+    assert "no tails" not in results.explain_x_core(140.0, 217.0)
 
 
 def test_published_numbers():

@@ -6,9 +6,9 @@ import pickle
 import numpy as np
 import pytest
 
-from cgemit import chain
 from cgemit._core import FitStatus
-from cgemit.gun import Gun
+from cgemit.chain import run
+from cgemit.particles.gun import Gun
 from cgemit.study import chi2_flatness, gaussian_fit, measure, pulls, resolution, resolution_against
 from cgemit.tables import PARAMETERS
 from fitted import N, make_tracks, rng
@@ -62,7 +62,7 @@ def test_misspelt_names_get_a_hint():
 
 def test_tracks_are_those_of_a_result_or_of_a_table():
     """A result stands for its tracks; other tables and other things are refused in words."""
-    result = chain.run("besiii-cgem-design", Gun("mu-", p=1.0, cos_theta=(-0.8, 0.8)), 120)
+    result = run.run("besiii-cgem-design", Gun("mu-", p=1.0, cos_theta=(-0.8, 0.8)), 120)
     for study in (pulls, chi2_flatness, lambda tracks: resolution(tracks, "p"), lambda t: resolution_against(t, "p")):
         assert study(result) == study(result.tracks)
         with pytest.raises(
@@ -136,7 +136,7 @@ def test_results_compare_pickle_and_print():
 
 @pytest.mark.parametrize("by", ["p", "cos_theta", "pt"])
 def test_tracks_of_one_angle_and_momentum_are_one_bin(by):
-    result = chain.run("besiii-cgem-design", Gun("mu-", p=1.0, theta=1), 40)
+    result = run.run("besiii-cgem-design", Gun("mu-", p=1.0, theta=1), 40)
     curve = resolution_against(result, "p", by)
     assert curve.values == (resolution(result, "p"),)
     assert curve.outside == 0

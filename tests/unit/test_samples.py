@@ -9,16 +9,27 @@ import numpy as np
 import pytest
 
 import cgemit as cg
+from cgemit.chain.record import gun_data, gun_from
 from cgemit.cli.main import main
-from cgemit.detector.slabs import slabs
-from cgemit.gun import generate
-from cgemit.gun_data import gun_data, gun_from
-from cgemit.particles import ParticleError
-from cgemit.samples import NAMES
-from cgemit.samples.catalogue import DEFINITIONS, Mode
-from cgemit.samples.chains import ATTEMPTS, MODE, SHAPE, Draws, Particles, decay_all
-from cgemit.samples.phase_space import boost, breakup_momentum, largest_weight, phase_space
-from cgemit.species import species
+from cgemit.detector.matter import slabs
+from cgemit.particles.decay_chains import (
+    ATTEMPTS,
+    DEFINITIONS,
+    MODE,
+    NAMES,
+    SHAPE,
+    Draws,
+    Mode,
+    Particles,
+    boost,
+    breakup_momentum,
+    decay_all,
+    largest_weight,
+    phase_space,
+)
+from cgemit.particles.gun import generate
+from cgemit.particles.species import species
+from cgemit.particles.table import ParticleError
 from stats import assert_within, fraction_error, mean_error
 
 N = 4000

@@ -11,12 +11,11 @@ import numpy as np
 import pytest
 
 import cgemit as cg
+from cgemit.analysis.quantities import QUANTITIES
 from cgemit.cli.main import main
-from cgemit.draw.scans import PANELS, resolutions
+from cgemit.draw.curves import PANELS, resolutions
 from cgemit.study import measure, scan, scan_analytic
-from cgemit.study.quantities import QUANTITIES
-from cgemit.study.scan_files import columns_of, save_scans
-from cgemit.study.scan_table import difference
+from cgemit.study.scan import columns_of, difference, save_scans
 
 DESIGN = "besiii-cgem-design"
 

@@ -3,14 +3,12 @@
 import numpy as np
 import pytest
 
-from cgemit import chain
-from cgemit.candidates import HIT_V, HIT_WIRE, HIT_X
+from cgemit.chain import run
 from cgemit.detector import load
-from cgemit.gun import Gun
+from cgemit.particles.gun import Gun
+from cgemit.reconstruction.candidates import HIT_V, HIT_WIRE, HIT_X
 from cgemit.study import SCENARIOS, run_scenario
-from cgemit.study.hits import Hits, add_noise, exchange_clusters, keep, lose_layers
-from cgemit.study.robustness import own_hits
-from cgemit.study.scenarios import kaon_decays
+from cgemit.study.robustness import Hits, add_noise, exchange_clusters, kaon_decays, keep, lose_layers, own_hits
 from robustness_page import HEAD, cells, page
 
 DETECTOR = load("besiii-cgem-design")
@@ -19,7 +17,7 @@ DETECTOR = load("besiii-cgem-design")
 @pytest.fixture(scope="module")
 def result():
     """Return a run of 300 muons."""
-    return chain.run(DETECTOR, Gun("mu-", p=(0.5, 1.0), cos_theta=(-0.8, 0.8)), 300, seed=5)
+    return run.run(DETECTOR, Gun("mu-", p=(0.5, 1.0), cos_theta=(-0.8, 0.8)), 300, seed=5)
 
 
 @pytest.fixture(scope="module")

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 import tracks
-from cgemit import _core, chain, helix
-from cgemit.candidates import collect_hits
+from cgemit import _core, helix
+from cgemit.chain import run
 from cgemit.detector import compiled, load
-from cgemit.study.hits import Hits, exchange_clusters
-from cgemit.study.scenarios import SCENARIOS
+from cgemit.reconstruction.candidates import collect_hits
+from cgemit.study.robustness import SCENARIOS, Hits, exchange_clusters
 
 DETECTOR = load("besiii-cgem-design")
 ALL = _core._testing.SeedFrom.wires_and_clusters
@@ -36,7 +36,7 @@ def distance(found, true):
 def of_scenario(name, events=400, spoil=None, mass=None):
     """Return how far the first helices of a scenario are off; infinite where there is none."""
     scenario = next(one for one in SCENARIOS if one.name == name)
-    result = chain.run(DETECTOR, scenario.particles(events, 1), seed=1)
+    result = run.run(DETECTOR, scenario.particles(events, 1), seed=1)
     hits = Hits(result.candidates, result.candidate_hits, result.clusters, result.wire_hits)
     spoil = spoil or scenario.spoil
     hits = spoil(DETECTOR, hits, np.random.default_rng(1)) if spoil else hits

@@ -7,11 +7,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from cgemit.cluster import ClusterSettings
-from cgemit.digitize import DigitizeSettings
-from cgemit.fit import FitSettings
-from cgemit.settings import SettingsError
-from cgemit.simulate import SimulateSettings
+from cgemit.base.settings import SettingsError
+from cgemit.reconstruction.cluster import ClusterSettings
+from cgemit.reconstruction.fit import FitSettings
+from cgemit.simulation.digitize import DigitizeSettings
+from cgemit.simulation.transport import SimulateSettings
 
 WRONG: dict[str, Callable[[], object]] = {
     "fluctuations": lambda: SimulateSettings(fluctuations="some"),  # type: ignore[arg-type]

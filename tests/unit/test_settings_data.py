@@ -12,14 +12,13 @@ from typing import Any, ClassVar, Literal, get_args
 import numpy as np
 import pytest
 
-from cgemit.cluster import ClusterSettings
-from cgemit.digitize import DigitizeSettings
-from cgemit.fit import FitSettings
-from cgemit.kinds import NO, Positive, expected, kinds_of, matched, one_of
-from cgemit.settings import SettingsData, SettingsError
-from cgemit.simulate import SimulateSettings
-from cgemit.stages import Settings
-from cgemit.states import SurfaceName
+from cgemit.base.settings import NO, Positive, SettingsData, SettingsError, expected, kinds_of, matched, one_of
+from cgemit.chain.settings import Settings
+from cgemit.reconstruction.cluster import ClusterSettings
+from cgemit.reconstruction.fit import FitSettings
+from cgemit.reconstruction.states import SurfaceName
+from cgemit.simulation.digitize import DigitizeSettings
+from cgemit.simulation.transport import SimulateSettings
 
 STAGES = (SimulateSettings, DigitizeSettings, ClusterSettings, FitSettings)
 

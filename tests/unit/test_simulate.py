@@ -5,12 +5,13 @@ import math
 import numpy as np
 import pytest
 
-from cgemit import _core, chain
+from cgemit import _core
+from cgemit.chain import run
+from cgemit.chain.settings import Settings
 from cgemit.detector import compiled, load
-from cgemit.digitize import DigitizeSettings
-from cgemit.gun import Gun, generate
-from cgemit.simulate import SimulateSettings, TransportStatus, simulate
-from cgemit.stages import Settings
+from cgemit.particles.gun import Gun, generate
+from cgemit.simulation.digitize import DigitizeSettings
+from cgemit.simulation.transport import SimulateSettings, TransportStatus, simulate
 from oracles import LIGHT, integrate
 from tracks import MUON, hits_on, on_helix, particles, transport, without_matter
 
@@ -233,7 +234,7 @@ def test_particles_that_are_nowhere_are_refused(name, value):
     column = table[name].copy()
     column[1] = value
     messages = []
-    for stage in (simulate, chain.run):
+    for stage in (simulate, run.run):
         with pytest.raises(ValueError, match=rf"{name}: is .* in row 1$") as error:
             stage(DESIGN, table.with_columns(**{name: column}))
         messages.append(str(error.value))
@@ -264,15 +265,15 @@ def test_chain_does_not_depend_on_threads_and_chunks(readout):
     gun = Gun("mu-", p=(0.2, 1.0), cos_theta=(-0.9, 0.9))
     settings = Settings(digitize=DigitizeSettings(readout=readout))
     results = [
-        chain.run(DESIGN, gun, 30, seed=6, settings=settings, threads=threads, chunk=chunk)
+        run.run(DESIGN, gun, 30, seed=6, settings=settings, threads=threads, chunk=chunk)
         for threads, chunk in ((1, 1000), (2, 7), (2, 1))
     ]
     assert results[1] == results[0]
     assert results[2] == results[0]
-    alone = chain.run(DESIGN, results[0].particles.select_events(17, 18), seed=6, settings=settings)
+    alone = run.run(DESIGN, results[0].particles.select_events(17, 18), seed=6, settings=settings)
     for name in ("dr", "phi0", "kappa", "dz", "tanl", "cov", "chi2"):
         np.testing.assert_array_equal(alone.tracks[name][0], results[0].tracks[name][17])
-    other = chain.run(DESIGN, gun, 30, seed=7, settings=settings)
+    other = run.run(DESIGN, gun, 30, seed=7, settings=settings)
     assert not np.any(other.tracks["dr"] == results[0].tracks["dr"])
 
 

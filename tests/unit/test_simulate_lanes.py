@@ -7,8 +7,8 @@ import pytest
 
 from cgemit import isa
 from cgemit.detector import Detector, load, write_field_map
-from cgemit.gun import Gun, generate
-from cgemit.simulate import SimulateSettings, TransportStatus, simulate
+from cgemit.particles.gun import Gun, generate
+from cgemit.simulation.transport import SimulateSettings, TransportStatus, simulate
 from cgemit.tables import Table
 from fields import HARMONIC, harmonic_by_hand, small_map
 from tracks import particles

@@ -10,10 +10,8 @@ from scipy import stats as distributions
 
 import cgemit as cg
 from cgemit.cli.main import main
-from cgemit.detector.materials import library, material_named
-from cgemit.matter import SlabError
-from cgemit.matter.layers import parse_stack
-from cgemit.matter.widths import angle_estimates, loss_estimates
+from cgemit.detector.build import library, material_named
+from cgemit.simulation.slab import SlabError, angle_estimates, loss_estimates, parse_stack
 from stats import assert_within
 
 KEYS = [

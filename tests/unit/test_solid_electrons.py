@@ -9,7 +9,7 @@ import pytest
 
 from cgemit import _core
 from cgemit.detector import compiled, load
-from cgemit.detector.gaps import REST_ENERGY
+from cgemit.detector.gas import REST_ENERGY
 from slabs import ELECTRON, PROTON
 
 P = 0.2  # GeV/c, of protons: slow ones set more electrons free

@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 import cgemit as cg
-from cgemit.background.start_time import start_times
-from cgemit.drift_times import XT_DISTANCE, XT_TIME, distance_at, shifted, velocity_at
-from cgemit.fit import fit
-from cgemit.start_times import StartTimeStatus, corrected
+from cgemit.detector.drift import XT_DISTANCE, XT_TIME, distance_at, shifted, velocity_at
+from cgemit.reconstruction.fit import StartTimeStatus, corrected, fit
+from cgemit.simulation.background import start_times
 from stats import assert_within, mean_error
 
 PAIR = cg.Gun("mu-", p=1.0, cos_theta=(-0.8, 0.8)) + cg.Gun("mu+", p=0.5, cos_theta=(-0.8, 0.8))
@@ -48,7 +47,7 @@ def test_the_pull_of_the_start_time_has_width_one(fitted):
 
 def test_chi_square_is_least_at_the_fitted_time_and_grows_with_its_error(pairs, monkeypatch):
     """Sides known and nothing left out: chi2 is a parabola, which three other fits of the same hits give."""
-    monkeypatch.setattr("cgemit.start_times.CERTAIN", 0.0)
+    monkeypatch.setattr("cgemit.reconstruction.fit.CERTAIN", 0.0)
     sides = np.sign(pairs.wire_truths["doca"])[pairs.wire_hits["wire_truth"]].astype(np.int8)
     hits = pairs.wire_hits.with_columns(side=sides)
     plain = {"outlier_pull": 0.0, "kinks": False, "tolerance": 1e-4}

@@ -6,13 +6,14 @@ import re
 import numpy as np
 import pytest
 
-from cgemit import chain, helix
+import cgemit as cg
+from cgemit import helix
+from cgemit.chain.settings import Settings
 from cgemit.cli.main import main
 from cgemit.detector import compiled, load, slabs
-from cgemit.fit import PARAMETERS, FitSettings, FitStatus
-from cgemit.gun import Gun
-from cgemit.stages import Settings
-from cgemit.states import StateStatus, Surface, extrapolate
+from cgemit.particles.gun import Gun
+from cgemit.reconstruction.fit import PARAMETERS, FitSettings, FitStatus
+from cgemit.reconstruction.states import StateStatus, Surface, extrapolate
 from cgemit.tables import Table
 from exact import EXACT
 from tracks import on_helix, transport
@@ -27,7 +28,7 @@ def states_of(surfaces, gun=None, n=40, **changes):
     """Return the result of a run in which everything is Gaussian, and its states."""
     settings = dataclasses.replace(EXACT, fit=FitSettings(states=surfaces, residuals=True, **changes))
     gun = gun or Gun("mu-", p=(0.3, 1.0), cos_theta=(-0.6, 0.6), vertex_sigma=(1.0, 1.0, 5.0))
-    result = chain.run(DETECTOR, gun, n, seed=5, settings=settings)
+    result = cg.run(DETECTOR, gun, n, seed=5, settings=settings)
     return result, result.states
 
 
@@ -205,7 +206,7 @@ def test_outside_the_last_hit_states_are_extrapolated(run):
 def test_tracks_that_have_not_settled_have_no_states():
     """The last iteration of such a fit may have begun far from where it ended."""
     settings = Settings(fit=FitSettings(states=("origin", "hits"), max_iterations=1))
-    result = chain.run("besiii-cgem-design", Gun("mu-", p=0.3, cos_theta=0.2), 5, seed=3, settings=settings)
+    result = cg.run("besiii-cgem-design", Gun("mu-", p=0.3, cos_theta=0.2), 5, seed=3, settings=settings)
     assert np.all(result.tracks["status"] == FitStatus.not_converged)
     assert np.all(result.states["status"] == StateStatus.not_fitted)
     assert np.isnan(result.states["dr"]).all()
@@ -235,7 +236,7 @@ def test_asking_for_states_changes_no_track(run):
     """Tracks are the same with and without."""
     result, _ = run
     settings = dataclasses.replace(result.settings, fit=FitSettings())
-    bare = chain.run(DETECTOR, result.gun, 40, seed=5, settings=settings)
+    bare = cg.run(DETECTOR, result.gun, 40, seed=5, settings=settings)
     assert bare.tracks == result.tracks.with_columns()
     assert bare.states is None
     assert "states" not in bare.tables
@@ -245,7 +246,7 @@ def test_chunks_join():
     """Rows link to the same tracks, clusters and wires however the events were cut."""
     settings = Settings(fit=FitSettings(states=("hits", 700.0)))
     gun = Gun("mu-", p=1.0, cos_theta=(-0.5, 0.5))
-    whole, parts = (chain.run(DETECTOR, gun, 12, seed=2, settings=settings, chunk=size) for size in (12, 5))
+    whole, parts = (cg.run(DETECTOR, gun, 12, seed=2, settings=settings, chunk=size) for size in (12, 5))
     assert whole.states == parts.states
 
 
@@ -272,7 +273,7 @@ def test_every_mistake_is_listed():
         extrapolate("besii-cgem", result.tracks, 10.0)
     bare = dataclasses.replace(DETECTOR, beam_pipe=())
     with pytest.raises(ValueError, match="'beam_pipe', but the detector has none"):
-        chain.run(bare, Gun("mu-", p=1.0, cos_theta=0.0), 1, settings=Settings(fit=FitSettings(states=("beam_pipe",))))
+        cg.run(bare, Gun("mu-", p=1.0, cos_theta=0.0), 1, settings=Settings(fit=FitSettings(states=("beam_pipe",))))
 
 
 def test_states_and_hypotheses_from_the_shell(tmp_path, capsys):

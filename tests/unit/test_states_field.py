@@ -7,8 +7,8 @@ from scipy.integrate import solve_ivp
 import cgemit as cg
 from cgemit import _core
 from cgemit.detector import compiled, load, slabs
-from cgemit.fit import FitStatus
-from cgemit.states import StateStatus, Surface
+from cgemit.reconstruction.fit import FitStatus
+from cgemit.reconstruction.states import StateStatus, Surface
 from fields import HARMONIC, harmonic_by_hand, small_map
 from oracles import LIGHT
 from tracks import MUON, hits_on, without_matter

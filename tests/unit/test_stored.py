@@ -17,16 +17,16 @@ import numpy as np
 import pytest
 
 import cgemit as cg
-from cgemit import memory
+from cgemit.analysis.resolutions import pulls, resolution_against
+from cgemit.base.files import OutputExistsError
+from cgemit.chain import executor
+from cgemit.chain.result import Result
+from cgemit.chain.settings import Settings
 from cgemit.cli import simulate as simulate_command
 from cgemit.cli.main import main
-from cgemit.io.folders import OutputExistsError
-from cgemit.result import Result
-from cgemit.stages import Settings
-from cgemit.statistics.resolutions import pulls, resolution_against
-from cgemit.tables import SCHEMAS, Table, files, formats, load_tables, save_tables, stored
+from cgemit.tables import SCHEMAS, Table, formats, load_tables, save_tables, store
 from cgemit.tables.formats import FORMATS
-from cgemit.tables.links import targets
+from cgemit.tables.table import targets
 
 GUN = cg.Gun("pi-", p=(0.3, 1.0), cos_theta=(-0.9, 0.9)) + cg.Gun("mu+", p=1.0, theta=1.0)
 SETTINGS = Settings(simulate=cg.SimulateSettings(steps=True), fit=cg.FitSettings(residuals=True, states=("origin",)))
@@ -42,7 +42,7 @@ def whole() -> Result:
 @pytest.fixture
 def small_parts(monkeypatch: pytest.MonkeyPatch) -> None:
     """Parts of few events."""
-    monkeypatch.setattr(stored, "PART_BYTES", 10_000)
+    monkeypatch.setattr(store, "PART_BYTES", 10_000)
 
 
 def same(one: Table, other: Table) -> bool:
@@ -140,7 +140,7 @@ def test_another_number_in_a_file_is_seen(
     z[3] = np.nextafter(z[3], 0)
     sums = formats.describe_fully(whole.truths)["crc32"]
     describe_fully = formats.describe_fully
-    for module in (formats, files):
+    for module in (formats, store):
         monkeypatch.setattr(module, "describe_fully", lambda table: describe_fully(table) | {"crc32": sums})
     save_tables({"truths": whole.truths}, tmp_path / "good", format=form)
     save_tables({"truths": whole.truths.with_columns(z=z)}, tmp_path / "wrong", format=form)
@@ -148,7 +148,7 @@ def test_another_number_in_a_file_is_seen(
     with pytest.raises(ValueError, match=rf"truths.{form} is damaged: the checksum of z is another one"):
         load_tables(tmp_path / "wrong")
     with pytest.raises(ValueError, match="the checksum of z"):
-        stored.StoredTables(tmp_path / "wrong").column("truths", "z")
+        store.StoredTables(tmp_path / "wrong").column("truths", "z")
 
 
 @pytest.mark.parametrize("form", ["npz", "parquet", pytest.param("root", marks=pytest.mark.slow), "csv"])
@@ -309,11 +309,12 @@ def test_a_killed_run_is_no_result(tmp_path: Path) -> None:
 
 def test_answers_do_not_pile_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """With `output` no more than twice as many chunks as threads are begun and not yet written."""
-    from cgemit import chain
+    from cgemit.chain import run
+    from cgemit.tables import store
 
     waiting: Counter[str] = Counter()
     most = []
-    work, add = chain._work, chain.PartsWriter.add
+    work, add = run._work, store.PartsWriter.add
 
     def counted(*arguments: Any) -> Any:
         waiting["begun"] += 1
@@ -325,23 +326,23 @@ def test_answers_do_not_pile_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
         most.append(waiting["begun"] - waiting["written"])
         return add(self, tables)
 
-    monkeypatch.setattr(chain, "_work", counted)
-    monkeypatch.setattr(chain.PartsWriter, "add", added)
+    monkeypatch.setattr(run, "_work", counted)
+    monkeypatch.setattr(store.PartsWriter, "add", added)
     cg.run(DESIGN, cg.Gun("mu-", p=1, theta=1), 60, chunk=1, threads=2, keep="tracks", output=tmp_path / "run")
     assert max(most) <= 4
 
 
 def test_what_does_not_fit_says_what_would(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, small_parts: None) -> None:
     sizes = {"digis": 6_000, "tracks": 700, "matches": 300}
-    monkeypatch.setattr(memory, "available", lambda: 3 * 10**9)
+    monkeypatch.setattr(executor, "available", lambda: 3 * 10**9)
     with pytest.raises(ValueError, match=r"n: 1000000 events need about 14 GB of memory \(7.0 kB an event, 2 times\), "
                        r"and 3 GB are free; expected at most 214,285 events at a time, or less of each: "
                        r"keep=\('tracks',\) needs 2 GB; output=FOLDER \(on the command line --keep\) needs no more "
                        r"memory than a few chunks, and 7 GB on disk, or 1 GB with keep=\('tracks',\)"):  # fmt: skip
-        memory.check_memory(sizes, set(sizes), 1, 10**6)
+        executor.check_memory(sizes, set(sizes), 1, 10**6)
     with pytest.raises(ValueError, match=r"expected at most 1,500,000 events at a time, or less of each: output="):
-        memory.check_memory(sizes, {"tracks", "matches"}, 1, 10**7)
-    memory.check_memory(sizes, {"tracks", "matches"}, 1, 10**6)
+        executor.check_memory(sizes, {"tracks", "matches"}, 1, 10**7)
+    executor.check_memory(sizes, {"tracks", "matches"}, 1, 10**6)
     monkeypatch.setattr("shutil.disk_usage", lambda _: type("Usage", (), {"free": 1000}))
     with pytest.raises(ValueError, match=r"n: 16 events need about 0.0\d+ GB on disk \(\d+.\d+ kB an event\), and "):
         cg.run(DESIGN, GUN, output=tmp_path / "run", **HOW)

@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 
 import cgemit as cg
-from cgemit import _core, find
+from cgemit import _core
 from cgemit.detector import compiled
-from cgemit.detector.strip_maps import grid_of, strip_gains, strip_lists
+from cgemit.detector.core import grid_of, strip_gains, strip_lists
+from cgemit.reconstruction.cluster import cluster, cluster_errors
+from cgemit.reconstruction.find import truth
 
 DESIGN = cg.load("besiii-cgem-design")
 READOUTS = ("binary", "analog-projection", "tiger", "apv25")
@@ -124,11 +126,11 @@ def test_bridges(bridge, runs):
     """A cluster bridges as many dead strips in a row as allowed, and no live strip; hot strips count as dead."""
     holes = DESIGN.with_overrides({"cgem.L1.dead_x": ["0:10", "0:16"], "cgem.L1.hot_x": ["0:17"]})
     digis = digis_of([9, 11, 15, 17, 18], np.full(5, 10.0))
-    found = cg.cluster.cluster(holes, digis, cg.ClusterSettings(bridge=bridge))
+    found = cluster(holes, digis, cg.ClusterSettings(bridge=bridge))
     assert list(zip(found["first"], found["last"], strict=True)) == runs
     charge_time = cg.TigerReadout(missing=0).cluster_with(holes, digis, bridge=bridge)
     assert list(zip(charge_time["first"], charge_time["last"], strict=True)) == runs
-    apart = cg.cluster.cluster(DESIGN, digis_of([9, 11], [10.0, 10.0]), cg.ClusterSettings(bridge=bridge))
+    apart = cluster(DESIGN, digis_of([9, 11], [10.0, 10.0]), cg.ClusterSettings(bridge=bridge))
     assert len(apart) == 2
 
 
@@ -136,8 +138,8 @@ def test_error_beside_dead_strips():
     """Each masked strip within or beside a cluster adds pitch^2/12 to the variance; other clusters are as before."""
     holes = DESIGN.with_overrides({"cgem.L1.dead_x": ["0:10", "0:20"]})
     digis = digis_of([9, 11, 21, 22, 40, 41], np.full(6, 10.0))
-    found, plain = (cg.cluster.cluster(one, digis) for one in (holes, DESIGN))
-    errors = cg.cluster.cluster_errors(DESIGN, cg.ClusterSettings())[0][0]
+    found, plain = (cluster(one, digis) for one in (holes, DESIGN))
+    errors = cluster_errors(DESIGN, cg.ClusterSettings())[0][0]
     more = L1.pitch_x**2 / 12
     expected = [np.hypot(errors[2], more**0.5), np.hypot(errors[1], more**0.5), errors[1]]
     np.testing.assert_allclose(found["err_x"], expected, rtol=1e-12)
@@ -158,8 +160,8 @@ def test_pulls_beside_dead_strips(readout):
     holes = DESIGN.with_overrides(dead)
     result = run(holes, readout, 800)
     clusters = result.clusters
-    own = find.own_clusters(holes, clusters, result.truths)
-    residual = find.residuals(holes, clusters, result.truths, own)
+    own = truth.own_clusters(holes, clusters, result.truths)
+    residual = truth.residuals(holes, clusters, result.truths, own)
     error = np.where(clusters["view"] == 0, clusters["err_x"], clusters["err_v"])[own]
     first, last = clusters["first"][own], clusters["last"][own]
     touched = (first + 3) % 9 >= 9 - (last - first + 2)

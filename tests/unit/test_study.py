@@ -14,17 +14,17 @@ from test_report import outline
 
 import cgemit
 from cgemit import draw
+from cgemit.analysis.clusters import cluster_residuals, v_spectrum, x_spectrum
+from cgemit.analysis.curves import Line, track_spectrum, windowed_resolution
 from cgemit.draw.curves import draw_grid, draw_resolutions
-from cgemit.draw.geometry import helix_points, near
-from cgemit.statistics.curves import Line, track_spectrum, windowed_resolution
-from cgemit.statistics.formatting import with_error, write_csv
+from cgemit.draw.event import helix_points, near
 from cgemit.study import reproduce
-from cgemit.study.cluster_residuals import cluster_residuals, v_spectrum, x_spectrum
 from cgemit.study.paper import DETECTORS, MOMENTA
 from cgemit.study.paper.figures import good_event
 from cgemit.study.paper.report import paper_report
 from cgemit.study.samples import record_of, seed_of
-from cgemit.study.scans import scan
+from cgemit.study.scan import scan
+from cgemit.tables.show import with_error, write_csv
 
 FIGURES = (
     "figure1_layer", "figure2_chain", "figure3_cluster", "figure4_x_residual", "figure4_x_tails",

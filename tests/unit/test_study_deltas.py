@@ -8,9 +8,7 @@ import pytest
 
 import cgemit
 import gem_toy
-from cgemit.cli.main import main
-from cgemit.study import delta_displacements, delta_fractions, reproduce
-from cgemit.study.cluster_residuals import (
+from cgemit.analysis.clusters import (
     X_WINDOW,
     X_WINDOWS,
     ClusterResiduals,
@@ -21,6 +19,8 @@ from cgemit.study.cluster_residuals import (
     x_spectrum,
     x_widths,
 )
+from cgemit.cli.main import main
+from cgemit.study import delta_displacements, delta_fractions, reproduce
 from cgemit.study.paper import report
 from cgemit.tables import Table
 from stats import assert_within, fraction_error
@@ -141,7 +141,7 @@ def test_switch_of_the_shell(options, deltas, tmp_path, monkeypatch):
         summary = json.loads((tmp_path / command[0] / "summary.json").read_text())
         assert summary.get("inputs", summary)["settings"]["simulate"]["deltas"] is deltas
     given = []
-    monkeypatch.setattr("cgemit.study.paper.reproduce", lambda *_, settings, **__: given.append(settings))
+    monkeypatch.setattr("cgemit.study.paper.run.reproduce", lambda *_, settings, **__: given.append(settings))
     main(["study", "-o", str(tmp_path / "out"), "--quiet", *options])
     assert given[0] == cgemit.Settings(simulate=cgemit.SimulateSettings(deltas=deltas))
 

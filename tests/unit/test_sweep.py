@@ -13,13 +13,12 @@ import pandas as pd
 import pytest
 
 import cgemit as cg
+from cgemit.analysis.quantities import GROUPS, error_of_difference
 from cgemit.detector import Detector
-from cgemit.fit import FitStatus
+from cgemit.reconstruction.fit import FitStatus
 from cgemit.study import grid, latin_hypercube, sobol, sweep
 from cgemit.study.samples import seed_of
-from cgemit.study.sweeps.evaluate import GROUPS, error_of_difference
-from cgemit.study.sweeps.keys import key_problems
-from cgemit.study.sweeps.space import SpaceError
+from cgemit.study.sweep.space import SpaceError, key_problems
 
 DESIGN = cg.load("besiii-cgem-design")
 PITCHES = {"cgem.*.pitch_x": ["400 um", "900 um"], "cgem.L2.anode_radius": ["132.5 mm", "160 mm"]}
@@ -166,7 +165,7 @@ def test_neighbours_in_a_chunk_do_not_matter(monkeypatch: pytest.MonkeyPatch) ->
     alone, together = (
         sweep(DESIGN, space, p=[0.05, 0.5], cos_theta=[0.2, (-0.9, 0.9)], chunk=chunk) for chunk in (1, 7)
     )
-    monkeypatch.setattr("cgemit.covariance.widths._MOST_TRACKS", 512)
+    monkeypatch.setattr("cgemit.covariance.result._MOST_TRACKS", 512)
     split = sweep(DESIGN, space, p=[0.05, 0.5], cos_theta=[0.2, (-0.9, 0.9)], chunk=7)
     assert repr(together.columns) == repr(alone.columns) == repr(split.columns)
     assert alone.columns["status"].count("ok") == 24

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, Future
 from pathlib import Path
@@ -12,8 +13,7 @@ import pytest
 import cgemit as cg
 from cgemit.detector import Detector
 from cgemit.study import sweep
-from cgemit.study.sweeps.chunks import rows_of_text
-from cgemit.study.sweeps.compute import Task, work
+from cgemit.study.sweep.run import Task, rows_of_text, work
 
 DESIGN = cg.load("besiii-cgem-design")
 PITCHES = {"cgem.*.pitch_x": ["400 um", "900 um"], "cgem.L2.anode_radius": ["132.5 mm", "160 mm"]}
@@ -160,7 +160,7 @@ def test_chunks_depend_on_all_that_results_depend_on(tmp_path: Path, monkeypatch
                    {"quantities": ["dr"]}, {"base": DESIGN.with_overrides({"field.bz": "0.9 T"})},
                    {"settings": cg.Settings(simulate=cg.SimulateSettings(deltas=False))}):  # fmt: skip
         assert computed(**change) == 2, change
-    monkeypatch.setattr("cgemit.study.sweeps.chunks.PHYSICS", 10**6)
+    monkeypatch.setattr(sys.modules["cgemit.study.sweep.run"], "PHYSICS", 10**6)
     assert computed() == 2
 
 

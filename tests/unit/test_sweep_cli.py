@@ -14,9 +14,9 @@ import pytest
 
 import cgemit as cg
 from cgemit.cli.main import main
-from cgemit.cli.workers import add_workers, executor
+from cgemit.cli.sweep import add_workers, executor
 from cgemit.study import grid, sweep
-from cgemit.study.sweeps.plan import PlanError, read_plan
+from cgemit.study.sweep.plan import PlanError, read_plan
 
 DESIGN = cg.load("besiii-cgem-design")
 
@@ -94,7 +94,7 @@ def test_a_plan_is_the_same_call_in_python(plan: Path, tmp_path: Path, capsys: p
     ],
 )
 def test_set_changes_one_value_of_the_plan(plan: Path, change: str, named: dict[str, Any]) -> None:
-    from cgemit.cli.changes import plan_changes
+    from cgemit.cli.options import plan_changes
 
     before, after = dict(read_plan(plan).arguments), dict(read_plan(plan, plan_changes([change])).arguments)
     expected = before | named

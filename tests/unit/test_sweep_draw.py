@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import cgemit as cg
-from cgemit.draw.sweeps import draw_sweep, label
+from cgemit.draw.design import draw_sweep, label
 from cgemit.study import Sweep, latin_hypercube, sweep
 
 DESIGN = cg.load("besiii-cgem-design")

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cgemit.io import new_file
+from cgemit.base.files import new_file
 from cgemit.tables import ROWS, SCHEMAS, Table, concatenate, load_tables, save_tables
 from cgemit.tables.document import data_model
 
@@ -283,7 +283,7 @@ def test_missing_extra_is_named(method, monkeypatch):
             raise ImportError(name)
         return import_module(name, *args, **kwargs)
 
-    monkeypatch.setattr("cgemit.io.packages.importlib.import_module", without)
+    monkeypatch.setattr("cgemit.base.files.importlib.import_module", without)
     with pytest.raises(ImportError, match=r"pip install 'cgemit\[io\]'"):
         getattr(make("digis", [0], 1), method)()
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cgemit.chain import run
-from cgemit.digitize import DigitizeSettings
-from cgemit.fit import FitSettings
-from cgemit.gun import Gun
-from cgemit.simulate import SimulateSettings
-from cgemit.stages import Settings
+from cgemit.chain.run import run
+from cgemit.chain.settings import Settings
+from cgemit.particles.gun import Gun
+from cgemit.reconstruction.fit import FitSettings
+from cgemit.simulation.digitize import DigitizeSettings
+from cgemit.simulation.transport import SimulateSettings
 
 GUN = Gun("mu-", p=(0.15, 1.5), cos_theta=(-0.9, 0.9)) + Gun("e+", p=0.3, cos_theta=(-0.5, 0.5))
 KINDS = {

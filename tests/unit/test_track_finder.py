@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 import cgemit as cg
-from cgemit.background import BackgroundSettings
-from cgemit.candidates import HIT_WIRE, HIT_XV
+from cgemit.reconstruction.candidates import HIT_WIRE, HIT_XV
+from cgemit.reconstruction.fit import fit
+from cgemit.simulation.background import BackgroundSettings
 from cgemit.tables import Table
 
 QUIET = cg.Settings(simulate=cg.SimulateSettings(decays=False, fluctuations="gaussian"))
@@ -157,7 +158,7 @@ def test_points_that_are_only_in_xv_clusters(run):
     found = cg.find_tracks(run.detector, alone, run.wire_hits)
     views = found["candidate_hits"]["view"]
     assert set(views.tolist()) == {HIT_WIRE, HIT_XV}
-    tracks = cg.fit.fit(run.detector, alone, run.wire_hits, **found)["tracks"]
+    tracks = fit(run.detector, alone, run.wire_hits, **found)["tracks"]
     assert (tracks["status"] == cg.FitStatus.ok).mean() > 0.9
 
 

@@ -9,7 +9,7 @@ import pytest
 from scipy.integrate import quad
 
 from cgemit import load
-from cgemit.digitize.transport import MAX_B, drift_columns, layer_drift, mean_shift, transport
+from cgemit.detector.gas import MAX_B, drift_columns, layer_drift, mean_shift, transport
 
 DESIGN = load("besiii-cgem-design")
 ISOBUTANE, CO2 = "ar-ic4h10-90-10", "ar-co2-70-30"

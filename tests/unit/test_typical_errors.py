@@ -8,14 +8,20 @@ import pytest
 
 import cgemit as cg
 from cgemit import isa
-from cgemit.digitize.calibration import neutral
-from cgemit.digitize.readout import COS_THETA
-from cgemit.statistics.estimate import measure
-from cgemit.study.readout import typical
-from cgemit.study.readout.beam import beam_detector
-from cgemit.study.readout.measure import Measurements
-from cgemit.study.readout.rest_of_track import rest_of_tracks, variance_at_origin
-from cgemit.study.readout.typical import Tracks, nearest_cos_theta, set_correlations, set_typical, tracks_of
+from cgemit.analysis.widths import measure
+from cgemit.reconstruction.cluster_errors import COS_THETA, neutral
+from cgemit.study.readout import calibrate
+from cgemit.study.readout.calibrate import (
+    Measurements,
+    Tracks,
+    nearest_cos_theta,
+    rest_of_tracks,
+    set_correlations,
+    set_typical,
+    tracks_of,
+    variance_at_origin,
+)
+from cgemit.study.readout.scan import beam_detector
 from cgemit.tables import Table
 
 Floats = npt.NDArray[np.float64]
@@ -183,8 +189,8 @@ def test_misses_are_those_of_tracks_fitted_one_by_one() -> None:
     error = random.uniform(0.03, 0.2, (n, 3))
     residual = error * random.standard_t(1.5, size=(n, 3))
     residual[random.random((n, 3)) < 0.1] = np.nan
-    found = typical.misses(residual, error, rest)
-    states = typical.drawn(rest, len(found))
+    found = calibrate.misses(residual, error, rest)
+    states = calibrate.drawn(rest, len(found))
     for number, (miss, state) in enumerate(zip(found, states, strict=True)):
         own, errors = residual[number % n], error[number % n]
         place, used = state[1:] + np.nan_to_num(own), list(np.flatnonzero(np.isfinite(own)))
@@ -208,7 +214,7 @@ def test_misses_of_equal_gaussian_clusters(name: str) -> None:
     rest = rest_of_tracks(detector, 1.0, np.full((2, len(errors)), 0.1))
     random = np.random.default_rng(9)
     for one in (*rest[0], *rest[1]):
-        found = typical.misses(errors * random.normal(size=(20_000, len(errors))), np.tile(errors, (20_000, 1)), one)
+        found = calibrate.misses(errors * random.normal(size=(20_000, len(errors))), np.tile(errors, (20_000, 1)), one)
         assert found.std() == pytest.approx(np.sqrt(variance_at_origin(one, errors[None])[0]), rel=0.02)
 
 

@@ -5,7 +5,7 @@ import pytest
 
 import cgemit as cg
 from cgemit import isa
-from cgemit.fit import FitStatus
+from cgemit.reconstruction.fit import FitStatus
 
 STOPPING = cg.Gun("p", p=(0.20, 0.26), cos_theta=(-0.3, 0.3))
 

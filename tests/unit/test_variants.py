@@ -9,8 +9,8 @@ import pytest
 
 import cgemit as cg
 from cgemit import _core
+from cgemit.base.errors import DetectorError
 from cgemit.detector import compiled
-from cgemit.problems import DetectorError
 
 DESIGN = cg.load("besiii-cgem-design")
 

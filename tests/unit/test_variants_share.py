@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import cgemit as cg
-from cgemit.detector.compile import cgem_table, slab_table, wire_table
-from cgemit.detector.slabs import _air, _chamber_gas, _cylinders, _same_matter, slabs
+from cgemit.detector.core import cgem_table, slab_table, wire_table
+from cgemit.detector.matter import _air, _chamber_gas, _cylinders, _same_matter, slabs
 
 
 @pytest.mark.parametrize(

@@ -10,12 +10,13 @@ from scipy.stats import kstest
 
 import cgemit as cg
 from cgemit import helix
-from cgemit.fit import FitStatus, fit
-from cgemit.gun import generate
-from cgemit.match import compare
-from cgemit.species import species
+from cgemit.analysis.vertices import with_truth
+from cgemit.chain.match import compare
+from cgemit.particles.gun import generate
+from cgemit.particles.species import species
+from cgemit.reconstruction.fit import FitStatus, fit
+from cgemit.reconstruction.vertex import begin_at_vertices
 from cgemit.tables import SCHEMAS
-from cgemit.vertex import begin_at_vertices, with_truth
 from stats import assert_within, mean_error
 
 DETECTOR = cg.load("besiii-cgem-design")
@@ -137,7 +138,7 @@ def test_the_fit_is_the_least_squares_of_all_parameters() -> None:
             flight = [pt * np.cos(directions[:, 0]), pt * np.sin(directions[:, 0]), pt * directions[:, 2]]
             columns = {"event": [0, 0], "pdg": [211, -211], **dict(zip(("px", "py", "pz"), flight, strict=True))}
             columns |= {axis: [value, value] for axis, value in zip("xyz", vertex, strict=True)}
-            from cgemit.particles import particles_from
+            from cgemit.particles.table import particles_from
 
             difference = helix.at_origin(particles_from(columns), BZ) - measured
             difference[:, 1] = np.remainder(difference[:, 1] + np.pi, 2 * np.pi) - np.pi

@@ -6,11 +6,12 @@ from scipy.integrate import solve_ivp
 
 import cgemit as cg
 import gem_toy
-from cgemit.background.start_time import start_times
-from cgemit.digitize import digitize
-from cgemit.drift_times import distance_at, shifted, velocity_at
-from cgemit.fit import fit
-from cgemit.wire_times import along_tracks, expected, propagation_time, true_delay
+from cgemit.detector.drift import distance_at, propagation_time, shifted, velocity_at
+from cgemit.reconstruction.fit import fit
+from cgemit.reconstruction.refine import expected
+from cgemit.reconstruction.refine import times_along_tracks as along_tracks
+from cgemit.simulation.background import start_times
+from cgemit.simulation.digitize import digitize, true_delay
 from stats import assert_within, mean_error
 
 IDC = cg.load("besiii-idc")

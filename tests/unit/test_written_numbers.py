@@ -9,17 +9,16 @@ import numpy as np
 import pytest
 
 from cgemit import Gun, run
+from cgemit.analysis.clusters import geant4_runs
+from cgemit.analysis.curves import SYMBOLS, Line, Spectrum, track_spectrum
+from cgemit.analysis.resolutions import QUOTED
+from cgemit.analysis.widths import gaussian_fit
 from cgemit.draw import curves
 from cgemit.draw.style import new_picture
-from cgemit.statistics.curves import SYMBOLS, Line, Spectrum, track_spectrum
-from cgemit.statistics.formatting import shown, with_error
-from cgemit.statistics.resolutions import QUOTED
-from cgemit.statistics.widths import gaussian_fit
 from cgemit.study import measure, reproduce, scan
-from cgemit.study.cluster_residuals import geant4_runs
 from cgemit.study.paper.published import paper_values
-from cgemit.study.scan_files import save_scans
-from cgemit.study.scan_table import scan_columns
+from cgemit.study.scan import save_scans, scan_columns
+from cgemit.tables.show import shown, with_error
 
 UNITS = {"dr": 1e3, "phi0": 1e3, "kappa": 1.0, "dz": 1.0, "tanl": 1e3, "p": 1e3}
 

@@ -1,1 +1,1 @@
-"""The command line: modules with the sub-commands; results to stdout or files, progress and log to stderr."""
+"""The command line: one module for each command. Results go to stdout or files, progress and log to stderr."""

@@ -8,8 +8,7 @@ import sys
 from collections.abc import Sequence
 from typing import Any
 
-from cgemit.cli.common import HelpFormatter, add_common
-from cgemit.cli.read import positive
+from cgemit.cli.options import HelpFormatter, add_common, positive
 
 _DESCRIPTION = """\
 Microseconds per track of each stage: mu- of 1 GeV/c, cos(theta) uniform in +-0.93, in besiii-cgem-design (CGEM and
@@ -39,7 +38,7 @@ _TEXT = {
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add the sub-command."""
-    from cgemit.isa import available
+    from cgemit.base.isa import available
 
     parser = subparsers.add_parser(
         "bench", help="time each stage per track", description=_DESCRIPTION, epilog=_EXAMPLES,
@@ -63,8 +62,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the benchmark."""
+    from cgemit.base.isa import available
     from cgemit.bench import machine, measure
-    from cgemit.isa import available
 
     sets = available() if arguments.isa == "all" else [arguments.isa]
     if not arguments.quiet:

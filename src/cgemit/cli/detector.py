@@ -11,10 +11,11 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cgemit.cli import changes, common
+from cgemit.cli import options
 
 if TYPE_CHECKING:
     from cgemit.detector import Detector
+
 
 _SHOW = """\
 Print what a detector is made of (radii and X/X0 at normal incidence, per scatterer and per sub-layer) and its read-out
@@ -81,7 +82,7 @@ def _add_detectors(subparsers: argparse._SubParsersAction[argparse.ArgumentParse
     parser = subparsers.add_parser(
         "detectors", help="list the detectors that come with cgemit", epilog=_DETECTORS_EXAMPLES,
         description="List the names of the presets, each with one line about it.",
-        formatter_class=common.HelpFormatter,
+        formatter_class=options.HelpFormatter,
     )  # fmt: skip
     parser.add_argument("--json", action="store_true", help="write {name: description} as JSON")
     parser.set_defaults(run=run_detectors)
@@ -90,14 +91,14 @@ def _add_detectors(subparsers: argparse._SubParsersAction[argparse.ArgumentParse
 def _add_show(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     parser = subparsers.add_parser(
         "show", help="tables of material and read-out, pictures", description=_SHOW, epilog=_SHOW_EXAMPLES,
-        formatter_class=common.HelpFormatter,
+        formatter_class=options.HelpFormatter,
     )  # fmt: skip
     detector = parser.add_argument(
         "detector", metavar="DETECTOR", help="a preset (see: cgemit detectors) or a detector file in TOML"
     )
-    detector.completer = common.preset_names  # type: ignore[attr-defined]
-    changes.add_set(parser, 'change one value, such as cgem.L2.pitch_x="500 um"; may be repeated')
-    common.add_field(parser)
+    detector.completer = options.preset_names  # type: ignore[attr-defined]
+    options.add_set(parser, 'change one value, such as cgem.L2.pitch_x="500 um"; may be repeated')
+    options.add_field(parser)
     parser.add_argument("--json", action="store_true", help="print the numbers as JSON instead of tables")
     parser.add_argument("--gdml", action="store_true", help="write detector.gdml too")
     parser.add_argument(
@@ -112,7 +113,7 @@ def _add_show(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -
 def _add_validate(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     parser = subparsers.add_parser(
         "validate", help="check detector files, listing every problem", description=_VALIDATE,
-        epilog=_VALIDATE_EXAMPLES, formatter_class=common.HelpFormatter,
+        epilog=_VALIDATE_EXAMPLES, formatter_class=options.HelpFormatter,
     )  # fmt: skip
     parser.add_argument("files", nargs="*", metavar="FILE", help="detector files (or names of presets)")
     parser.add_argument("--schema", action="store_true", help="write the JSON Schema of detector files to stdout")
@@ -126,11 +127,11 @@ def run_detectors(arguments: argparse.Namespace) -> int:
     presets = detectors()
     if arguments.json:
         print(json.dumps(presets, indent=2))
-        return common.OK
+        return options.OK
     width = max(map(len, presets))
     for name, description in presets.items():
         print(f"{name:{width}}  {description}")
-    return common.OK
+    return options.OK
 
 
 def run_show(arguments: argparse.Namespace) -> int:
@@ -138,17 +139,17 @@ def run_show(arguments: argparse.Namespace) -> int:
     from cgemit.detector import describe
 
     problems: list[str] = []
-    overrides = changes.split(arguments.overrides, problems, settings=False).detector
+    overrides = options.split(arguments.overrides, problems, settings=False).detector
     if problems:
-        raise common.InputError("\n".join(problems))
-    detector = common.load_detector(arguments.detector, overrides, arguments.field)
+        raise options.InputError("\n".join(problems))
+    detector = options.load_detector(arguments.detector, overrides, arguments.field)
     numbers = describe(detector)
     folder = arguments.output or "cgemit-show-" + re.sub(r"[^\w.-]+", "-", detector.name)
     print(json.dumps(numbers, indent=2, ensure_ascii=False) if arguments.json else text(numbers))
     _write(detector, numbers, folder, overwrite=arguments.overwrite, gdml=arguments.gdml)
     if not arguments.json:
         print(f"\npictures in {folder}")
-    return common.OK
+    return options.OK
 
 
 def text(numbers: Mapping[str, Any]) -> str:
@@ -195,8 +196,8 @@ def _rows(columns: Sequence[tuple[str, str, str]], rows: Iterable[Mapping[str, A
 
 
 def _write(detector: Detector, numbers: Mapping[str, Any], folder: str, *, overwrite: bool, gdml: bool) -> None:
+    from cgemit.base.files import SUMMARY, new_folder
     from cgemit.draw.detector import draw_detector, draw_layers, draw_sides
-    from cgemit.io.folders import SUMMARY, new_folder
 
     with new_folder(folder, overwrite=overwrite) as place:
         draw_detector(detector).save(place / "r-phi")
@@ -211,19 +212,20 @@ def _write(detector: Detector, numbers: Mapping[str, Any], folder: str, *, overw
 
 def run_validate(arguments: argparse.Namespace) -> int:
     """Check the files; print the schema."""
-    from cgemit.detector import DetectorError, load, schema
+    from cgemit.base.errors import DetectorError
+    from cgemit.detector import load, schema
 
     if not arguments.files and not arguments.schema:
-        raise common.InputError("validate: got no file; expected at least one FILE, or --schema")
+        raise options.InputError("validate: got no file; expected at least one FILE, or --schema")
     if arguments.schema:
         print(json.dumps(schema(), indent=2, ensure_ascii=False))
-    code = common.OK
+    code = options.OK
     for file in arguments.files:
         try:
             detector = load(file)
         except DetectorError as error:
             print(error, file=sys.stderr)
-            code = common.BAD_INPUT
+            code = options.BAD_INPUT
         else:
             # The schema on stdout must stay clean JSON.
             print(f"{file}: good (detector {detector.name!r})", file=sys.stderr if arguments.schema else sys.stdout)

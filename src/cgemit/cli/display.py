@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 
-from cgemit.cli import changes, common, read
+from cgemit.cli import options
 from cgemit.cli.simulate import add_finder, add_gun, gun_of
 
 _DESCRIPTION = """\
@@ -26,35 +26,34 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     """Add the sub-command."""
     parser = subparsers.add_parser(
         "display", help="draw one event", description=_DESCRIPTION, epilog=_EXAMPLES,
-        formatter_class=common.HelpFormatter,
+        formatter_class=options.HelpFormatter,
     )  # fmt: skip
-    common.add_detector(parser)
+    options.add_detector(parser)
     add_gun(parser)
-    parser.add_argument("--event", type=read.event, default=0, metavar="N", help="number of the event (default 0)")
+    parser.add_argument("--event", type=options.event, default=0, metavar="N", help="number of the event (default 0)")
     parser.add_argument("--html", action="store_true", help="also write event.html, in three dimensions")
-    common.add_output(parser)
-    changes.add_readout(parser)
+    options.add_output(parser)
+    options.add_readout(parser)
     add_finder(parser)
-    changes.add_hypothesis(parser)
-    changes.add_physics(parser)
-    common.add_seed(parser)
-    common.add_common(parser)
+    options.add_hypothesis(parser)
+    options.add_physics(parser)
+    options.add_seed(parser)
+    options.add_common(parser)
     parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Simulate the event and draw it."""
-    from cgemit import chain
-    from cgemit.draw.display import event
-    from cgemit.draw.display3d import event_3d, save_page
-    from cgemit.gun import generate
-    from cgemit.io.folders import check_free, new_folder
-    from cgemit.record import write_about
+    from cgemit.base.files import check_free, new_folder
+    from cgemit.chain import run
+    from cgemit.chain.record import write_about
+    from cgemit.draw.display import event, event_3d, save_page
+    from cgemit.particles.gun import generate
 
     check_free(arguments.output, overwrite=arguments.overwrite)
-    (detector,), settings = common.load_inputs(arguments, one_track=True)
+    (detector,), settings = options.load_inputs(arguments, one_track=True)
     particles = generate(gun_of(arguments), 1, arguments.seed, arguments.event, detector)
-    result = chain.run(
+    result = run.run(
         detector,
         particles,
         seed=arguments.seed,

@@ -8,12 +8,14 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cgemit.cli import changes, common, read
+from cgemit.base.version import __version__
+from cgemit.cli import options
 from cgemit.cli.simulate import add_gun, gun_of
-from cgemit.version import VERSION
 
 if TYPE_CHECKING:
-    from cgemit.study import Finding, Fraction, LoopLinks
+    from cgemit.analysis.finding import Finding, LoopLinks
+    from cgemit.analysis.widths import Fraction
+
 
 _DESCRIPTION = """\
 Simulate events, find their tracks, and compare them with the particles: efficiency, fakes and clones as Belle II and
@@ -43,14 +45,14 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     """Add the sub-command."""
     parser = subparsers.add_parser(
         "find", help="efficiency, fakes and clones of track finding", description=_DESCRIPTION, epilog=_EXAMPLES,
-        formatter_class=common.HelpFormatter,
+        formatter_class=options.HelpFormatter,
     )  # fmt: skip
-    common.add_detector(parser)
+    options.add_detector(parser)
     add_gun(parser)
     parser.add_argument(
-        "--tracks", type=read.positive, default=1, metavar="N", help="such particles in every event (default 1)"
+        "--tracks", type=options.positive, default=1, metavar="N", help="such particles in every event (default 1)"
     )
-    parser.add_argument("-n", "--events", type=read.positive, required=True, metavar="N", help="number of events")
+    parser.add_argument("-n", "--events", type=options.positive, required=True, metavar="N", help="number of events")
     parser.add_argument("--finder", choices=("truth", "ckf"), default="ckf", help="the finder (default ckf)")
     parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
     parser.add_argument(
@@ -59,28 +61,28 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument(
         "--overwrite", action="store_true", help="write into a folder that already holds files, replacing results"
     )
-    changes.add_readout(parser)
-    changes.add_physics(parser)
-    common.add_run(parser)
-    common.add_common(parser)
+    options.add_readout(parser)
+    options.add_physics(parser)
+    options.add_run(parser)
+    options.add_common(parser)
     parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Find and compare."""
-    from cgemit import chain
-    from cgemit.gun import Guns
-    from cgemit.io.folders import check_free
-    from cgemit.study import finding, loop_links
+    from cgemit.analysis.finding import finding, loop_links
+    from cgemit.base.files import check_free
+    from cgemit.chain import run
+    from cgemit.particles.gun import Guns
 
     if arguments.output:
         check_free(arguments.output, overwrite=arguments.overwrite)
-    (detector,), settings = common.load_inputs(arguments)
+    (detector,), settings = options.load_inputs(arguments)
     gun = gun_of(arguments)
     # Half turns are linked by their fitted helices, with one mass hypothesis.
     links = settings.simulate.half_turns > 1 and not isinstance(settings.fit.hypothesis, tuple)
-    with common.Progress("find", quiet=arguments.quiet) as progress:
-        result = chain.run(
+    with options.Progress("find", quiet=arguments.quiet) as progress:
+        result = run.run(
             detector, gun if arguments.tracks == 1 else Guns((gun,) * arguments.tracks), arguments.events,
             arguments.seed, settings=settings, finder=arguments.finder,
             until="fit" if links else "find", threads=arguments.threads, progress=progress,
@@ -89,7 +91,7 @@ def run(arguments: argparse.Namespace) -> int:
     linked = loop_links(result) if links else None
     seconds = result.timings["find"]
     about = {
-        "version": VERSION, "command": arguments.line, "detector": detector.name, "events": arguments.events,
+        "version": __version__, "command": arguments.line, "detector": detector.name, "events": arguments.events,
         "seed": arguments.seed, "settings": settings.to_dict(),
         "time_per_event": {"value": 1e3 * seconds / arguments.events, "unit": "ms"},
         **numbers_of(found), **({} if linked is None else {"loops": loop_numbers(linked)}),
@@ -102,12 +104,12 @@ def run(arguments: argparse.Namespace) -> int:
     print(text if arguments.json else "\n".join([repr(found), *(f"  {name:<48}{value}" for name, value in rows)]))
     if arguments.output and not arguments.quiet:
         print(f"picture: {arguments.output}/efficiency.png", file=sys.stderr)
-    return common.OK
+    return options.OK
 
 
 def numbers_of(found: Finding) -> dict[str, Any]:
     """Return the results as plain numbers; fractions with their Wilson intervals."""
-    from cgemit.statistics.fractions import Fraction
+    from cgemit.analysis.widths import Fraction
 
     findable = Fraction(int(found.findable.sum()), int(found.charged.sum()))
     numbers: dict[str, Any] = {"finder": found.finder, "findable": _plain(findable), "removed": dict(found.removed)}
@@ -136,10 +138,10 @@ def _plain(fraction: Fraction) -> dict[str, Any]:
 def _write(found: Finding, text: str, folder: str, *, overwrite: bool) -> None:
     import numpy as np
 
-    from cgemit.draw import draw_finding
-    from cgemit.io.folders import SUMMARY, new_folder
-    from cgemit.statistics.formatting import write_csv
-    from cgemit.study.finding_metrics import curve
+    from cgemit.analysis.finding import curve
+    from cgemit.base.files import SUMMARY, new_folder
+    from cgemit.draw.curves import draw_finding
+    from cgemit.tables.show import write_csv
 
     curves = {name: curve(found, name, edges) for name, edges in _edges(found).items()}
     bins = [len(one["low"]) for one in curves.values()]

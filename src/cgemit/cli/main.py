@@ -18,9 +18,9 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any, TextIO, cast
 
-from cgemit.cli.common import BAD_INPUT, COMMANDS, INTERRUPTED, OK, RUN_FAILED, HelpFormatter, Parser, RunFailedError
-from cgemit.problems import did_you_mean
-from cgemit.version import VERSION
+from cgemit.base.errors import did_you_mean
+from cgemit.base.version import __version__
+from cgemit.cli.options import BAD_INPUT, COMMANDS, INTERRUPTED, OK, RUN_FAILED, HelpFormatter, Parser, RunFailedError
 
 _DESCRIPTION = """\
 Which resolution does a tracker of cylindrical GEM layers and drift chambers reach, and why?
@@ -47,7 +47,7 @@ Problems of a detector, a gun or layers of matter are all listed at once; a malf
 def build_parser() -> argparse.ArgumentParser:
     """Return the parser with all sub-commands."""
     parser = Parser(prog="cgemit", description=_DESCRIPTION, epilog=_EXAMPLES, formatter_class=HelpFormatter)
-    parser.add_argument("--version", action="version", version=f"cgemit {VERSION}")
+    parser.add_argument("--version", action="version", version=f"cgemit {__version__}")
     subparsers = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     for module in dict.fromkeys(COMMANDS.values()):
         importlib.import_module(f"cgemit.cli.{module}").add_parser(subparsers)
@@ -81,7 +81,7 @@ def _run(argv: list[str]) -> int:
         with interrupts_kept():
             _parse(join_negative_values(argv), arguments)
             arguments.line = shlex.join(["cgemit", *argv])
-            importlib.import_module("cgemit.isa").choose()  # a wrong CGEMIT_ISA is a mistake, whatever is run
+            importlib.import_module("cgemit.base.isa").choose()  # a wrong CGEMIT_ISA is a mistake, whatever is run
             return int(arguments.run(arguments) or OK)
     except SystemExit as stop:  # --help, --version, or arguments that argparse has complained about
         return int(stop.code or OK)

@@ -9,10 +9,11 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cgemit.cli import changes, common, read, workers
+from cgemit.cli import options, sweep
 
 if TYPE_CHECKING:
-    from cgemit.study.optimizer import Optimization
+    from cgemit.study.optimize.result import Optimization
+
 
 _DESCRIPTION = """\
 Find the best variants of a detector, as a plan in TOML says (docs/optimize.md): the best one of one objective, or the
@@ -41,34 +42,37 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     """Add the sub-command."""
     parser = subparsers.add_parser(
         "optimize", help="find the best variants of a detector", description=_DESCRIPTION, epilog=_EXAMPLES,
-        formatter_class=common.HelpFormatter,
+        formatter_class=options.HelpFormatter,
     )  # fmt: skip
     parser.add_argument("plan", metavar="PLAN", help="what is varied, minimized and limited: a TOML file")
     parser.add_argument(
         "-o", "--output", required=True, metavar="DIR", help="folder for the results; designs that it holds are kept"
     )
     parser.add_argument("--overwrite", action="store_true", help="compute everything anew")
-    changes.add_set(parser, "change one value of the plan, such as search.calls=50; may be repeated")
+    options.add_set(parser, "change one value of the plan, such as search.calls=50; may be repeated")
     parser.add_argument(
-        "--confirm", type=read.positive, metavar="N", help="simulate N tracks for the base and up to five best designs"
+        "--confirm",
+        type=options.positive,
+        metavar="N",
+        help="simulate N tracks for the base and up to five best designs",
     )
     parser.add_argument("--parquet", action="store_true", help="write optimize.parquet too (needs pyarrow)")
     parser.add_argument("--json", action="store_true", help="write summary.json to stdout instead of the table")
-    workers.add_workers(parser)
-    common.add_common(parser)
+    sweep.add_workers(parser)
+    options.add_common(parser)
     parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the optimization."""
-    from cgemit.study.optimizer.plan import read_optimize_plan
+    from cgemit.study.optimize.run import read_optimize_plan
 
-    plan = read_optimize_plan(arguments.plan, changes.plan_changes(arguments.overrides))
+    plan = read_optimize_plan(arguments.plan, options.plan_changes(arguments.overrides))
     output = Path(arguments.output)
     with ExitStack() as stack:
-        progress = stack.enter_context(common.Progress("optimize", quiet=arguments.quiet))
+        progress = stack.enter_context(options.Progress("optimize", quiet=arguments.quiet))
         result = plan.run(
-            output=output, overwrite=arguments.overwrite, progress=progress, executor=workers.executor(arguments, stack)
+            output=output, overwrite=arguments.overwrite, progress=progress, executor=sweep.executor(arguments, stack)
         )
     plan.write(output)
     _report(result, output, arguments)
@@ -78,7 +82,7 @@ def run(arguments: argparse.Namespace) -> int:
 def _report(result: Optimization, output: Path, arguments: argparse.Namespace) -> None:
     if not result.front:
         problems = dict.fromkeys(filter(None, result.columns["problems"]))
-        raise common.RunFailedError("\n  ".join(["no design keeps all limits", *list(problems)[:10]]))
+        raise options.RunFailedError("\n  ".join(["no design keeps all limits", *list(problems)[:10]]))
     if arguments.parquet:
         result.write_parquet(output / "optimize.parquet", overwrite=True)
     kinds = ["convergence", *(["front"] if len(result.objectives) > 1 else []), "parallel"]

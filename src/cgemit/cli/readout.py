@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cgemit.cli import changes, common, read
+from cgemit.cli import options
 
 if TYPE_CHECKING:
     from cgemit.study.readout.scan import BeamScan
+
 
 _DESCRIPTION = """\
 Position resolution, number of strips and efficiency of a read-out in both views, in one layer of 2 m radius with the
@@ -51,52 +52,56 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     """Add the sub-command."""
     parser = subparsers.add_parser(
         "readout", help="resolution of an analog read-out against the incidence; calibrations",
-        description=_DESCRIPTION, epilog=_EXAMPLES, formatter_class=common.HelpFormatter,
+        description=_DESCRIPTION, epilog=_EXAMPLES, formatter_class=options.HelpFormatter,
     )  # fmt: skip
-    changes.add_readout(parser, default="tiger")
+    options.add_readout(parser, default="tiger")
     parser.add_argument("--bz", type=float, default=1.0, metavar="T", help="magnetic field, T (default 1)")
     parser.add_argument("--scan", choices=("angle", *_VALUES), default="angle", help="what varies (default angle)")
     parser.add_argument(
         "--values",
-        type=read.numbers,
+        type=options.numbers,
         default=None,
         metavar="A:B:N",
         help="values of what varies, unless it is the angle",
     )
     parser.add_argument(
-        "--angle", type=read.angles, default=0.0, metavar="A", help="angle of the other scans (default 0)"
+        "--angle", type=options.angles, default=0.0, metavar="A", help="angle of the other scans (default 0)"
     )
     parser.add_argument(
-        "--angles", type=read.angles, default=None, metavar="A:B:N", help=f'angles of incidence (default "{_ANGLES}")'
+        "--angles",
+        type=options.angles,
+        default=None,
+        metavar="A:B:N",
+        help=f'angles of incidence (default "{_ANGLES}")',
     )
     parser.add_argument("--particle", default="pi-", help="PDG name or number (default pi-)")
     parser.add_argument("--p", type=float, default=150.0, metavar="P", help="momentum, GeV/c (default 150)")
     parser.add_argument(
-        "-n", "--events", type=read.positive, default=None, metavar="N",
+        "-n", "--events", type=options.positive, default=None, metavar="N",
         help="particles at each angle (default 4000), muons of a calibration (40000), or events of --ghosts (1000)",
     )  # fmt: skip
     parser.add_argument("--calibrate", metavar="FILE", help="write the errors of a detector's clusters instead")
     parser.add_argument("--ghosts", action="store_true", help="wrong pairs of X and V at 2, 4 and 6 tracks instead")
     parser.add_argument("--formation", metavar="FILE", help="draw how a track's charge reaches the strips instead")
     parser.add_argument("-d", "--detector", metavar="NAME|FILE", help="of the calibration, or of --ghosts")
-    changes.add_set(parser, "change one setting, such as digitize.readout.gain=20000; may be repeated")
-    changes.add_settings(parser)
+    options.add_set(parser, "change one setting, such as digitize.readout.gain=20000; may be repeated")
+    options.add_settings(parser)
     parser.add_argument("-o", "--output", metavar="DIR", default=None, help="folder for readout.csv, .png and .pdf")
     parser.add_argument("--overwrite", action="store_true", help="write over files that exist")
-    common.add_run(parser)
-    common.add_common(parser)
+    options.add_run(parser)
+    options.add_common(parser)
     parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Scan the angles, or calibrate."""
-    readout = changes.settings_of(arguments).digitize.readout
+    readout = options.settings_of(arguments).digitize.readout
     if not hasattr(readout, "cluster_with"):
-        raise changes.InputError(f"--readout: got {readout.name}, expected tiger, apv25 or analog-projection")
+        raise options.InputError(f"--readout: got {readout.name}, expected tiger, apv25 or analog-projection")
     if arguments.calibrate is not None and arguments.detector is None:
-        raise changes.InputError("--calibrate: got no --detector, expected the one whose clusters are calibrated")
+        raise options.InputError("--calibrate: got no --detector, expected the one whose clusters are calibrated")
     if arguments.detector is not None and arguments.calibrate is None and not arguments.ghosts:
-        raise changes.InputError("--detector: got it without --calibrate or --ghosts, expected it with one of them")
+        raise options.InputError("--detector: got it without --calibrate or --ghosts, expected it with one of them")
     if arguments.calibrate is not None:
         return _calibrate(arguments, readout)
     if arguments.ghosts:
@@ -107,18 +112,17 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _calibrate(arguments: argparse.Namespace, readout: Any) -> int:
+    from cgemit.base.files import new_file
     from cgemit.detector import load
-    from cgemit.digitize.calibration import read_calibration
-    from cgemit.digitize.readout import COS_THETA
-    from cgemit.io import new_file
+    from cgemit.reconstruction.cluster_errors import COS_THETA, read_calibration
     from cgemit.study.readout.calibrate import calibrate
 
     target = Path(arguments.calibrate)
     if target.exists() and not arguments.overwrite:
-        raise changes.InputError(f"--calibrate: got {target}, which exists; expected another file, or --overwrite")
+        raise options.InputError(f"--calibrate: got {target}, which exists; expected another file, or --overwrite")
     detector = load(arguments.detector)
     if not detector.cgem:
-        raise changes.InputError(f"--detector: got {detector.name} without CGEM layers, expected one with clusters")
+        raise options.InputError(f"--detector: got {detector.name} without CGEM layers, expected one with clusters")
     found = calibrate(detector, readout, n=arguments.events or 40_000, seed=arguments.seed, threads=arguments.threads)
     text = found.to_json()
     with new_file(target, overwrite=arguments.overwrite) as temporary:
@@ -130,42 +134,42 @@ def _calibrate(arguments: argparse.Namespace, readout: Any) -> int:
     for view, errors in zip("XV", found.typical(readout.estimator), strict=True):
         for layer, own in zip(detector.cgem, errors, strict=True):
             print(f"  {layer.label:>4} {view}" + "".join(f"{1e3 * error:8.1f}" for error in own[shown]))
-    return common.OK
+    return options.OK
 
 
 def _ghosts(arguments: argparse.Namespace, readout: Any) -> int:
     from cgemit.detector import load
-    from cgemit.study.readout.ghosts import scan_ghosts
+    from cgemit.study.readout.scan import scan_ghosts
 
     detector = load(arguments.detector or "besiii-cgem-design")
     if not detector.cgem:
-        raise changes.InputError(f"--detector: got {detector.name} without CGEM layers, expected one with clusters")
+        raise options.InputError(f"--detector: got {detector.name} without CGEM layers, expected one with clusters")
     found = scan_ghosts(detector, readout, n=arguments.events or 1000, seed=arguments.seed, threads=arguments.threads)
     print(found)
     if arguments.output:
         with _folder(arguments) as place:
             (place / "ghosts.csv").write_text(found.to_csv(), encoding="utf-8")
-    return common.OK
+    return options.OK
 
 
 def _formation(arguments: argparse.Namespace, readout: Any) -> int:
-    from cgemit.draw import draw_formation
-    from cgemit.study.readout.formation import formation
+    from cgemit.draw.cluster import draw_formation
+    from cgemit.study.readout.scan import formation
 
     target = Path(arguments.formation)
     if target.exists() and not arguments.overwrite:
-        raise changes.InputError(f"--formation: got {target}, which exists; expected another file, or --overwrite")
+        raise options.InputError(f"--formation: got {target}, which exists; expected another file, or --overwrite")
     angle = _one_angle(arguments)
     panels = formation(readout, angle=angle, bz=arguments.bz, seed=arguments.seed)
     for path in draw_formation(panels).save(target, overwrite=arguments.overwrite):
         print(f"picture: {path}", file=sys.stderr)
-    return common.OK
+    return options.OK
 
 
 def _one_angle(arguments: argparse.Namespace) -> float:
     """Return the angle of incidence, deg."""
     if not isinstance(arguments.angle, float):
-        raise changes.InputError("--angle: got several values, expected one such as 20 deg")
+        raise options.InputError("--angle: got several values, expected one such as 20 deg")
     return _incidence("--angle", [arguments.angle])[0]
 
 
@@ -174,7 +178,7 @@ def _incidence(option: str, angles: list[float]) -> list[float]:
     degrees = [float(value) for value in np.degrees(angles)]
     wrong = [value for value in degrees if not abs(value) < _GRAZING]
     if wrong:
-        raise changes.InputError(
+        raise options.InputError(
             f"{option}: got {wrong[0]:g} deg, expected -{_GRAZING} to {_GRAZING} deg; numbers without unit "
             'are rad ("25 deg" has one)'
         )
@@ -184,29 +188,29 @@ def _incidence(option: str, angles: list[float]) -> list[float]:
 def _values(arguments: argparse.Namespace) -> list[float]:
     """Return the values of the scan in its unit."""
     if arguments.scan == "angle":
-        option, given = "--angles", read.angles(_ANGLES) if arguments.angles is None else arguments.angles
+        option, given = "--angles", options.angles(_ANGLES) if arguments.angles is None else arguments.angles
     else:
         option, given = (
             "--values",
-            read.numbers(_VALUES[arguments.scan]) if arguments.values is None else arguments.values,
+            options.numbers(_VALUES[arguments.scan]) if arguments.values is None else arguments.values,
         )
     if isinstance(given, tuple):
-        raise changes.InputError(f"{option}: got a range, expected values, or A:B:N")
+        raise options.InputError(f"{option}: got a range, expected values, or A:B:N")
     wrong = "--values" if arguments.scan == "angle" else "--angles"
     if (arguments.values if arguments.scan == "angle" else arguments.angles) is not None:
-        raise changes.InputError(f"{wrong}: got it with --scan {arguments.scan}, expected {option}")
+        raise options.InputError(f"{wrong}: got it with --scan {arguments.scan}, expected {option}")
     values = [float(value) for value in np.atleast_1d(given)]
     return _incidence(option, values) if arguments.scan == "angle" else values
 
 
 def _scan(arguments: argparse.Namespace, readout: Any) -> int:
-    from cgemit.io.folders import check_free
+    from cgemit.base.files import check_free
     from cgemit.study.readout.scan import scan
 
     values, angle = _values(arguments), _one_angle(arguments)
     if arguments.output:
         check_free(arguments.output, overwrite=arguments.overwrite)
-    with common.Progress("readout", quiet=arguments.quiet) as progress:
+    with options.Progress("readout", quiet=arguments.quiet) as progress:
         found = scan(
             readout, arguments.scan, values, angle=angle, bz=arguments.bz, n=arguments.events or 4000,
             seed=arguments.seed, particle=arguments.particle, p=arguments.p, threads=arguments.threads,
@@ -215,11 +219,11 @@ def _scan(arguments: argparse.Namespace, readout: Any) -> int:
     print(found)
     if arguments.output:
         _write(found, arguments)
-    return common.OK
+    return options.OK
 
 
 def _folder(arguments: argparse.Namespace) -> AbstractContextManager[Path]:
-    from cgemit.io.folders import new_folder
+    from cgemit.base.files import new_folder
 
     return new_folder(arguments.output, overwrite=arguments.overwrite)
 

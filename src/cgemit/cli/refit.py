@@ -8,11 +8,12 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cgemit.cli import changes, common, read
-from cgemit.version import VERSION
+from cgemit.base.version import __version__
+from cgemit.cli import options
 
 if TYPE_CHECKING:
-    from cgemit.refit import Refit
+    from cgemit.analysis.bes3 import Refit
+
 
 _DESCRIPTION = """\
 Read the hits of BESIII tracks from a .rec file of the experiment's software (pybes3, extra [bes3]), fit them, and put
@@ -34,44 +35,43 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     """Add the sub-command."""
     parser = subparsers.add_parser(
         "refit", help="fit tracks of BESIII again, beside its own fit", description=_DESCRIPTION, epilog=_EXAMPLES,
-        formatter_class=common.HelpFormatter,
+        formatter_class=options.HelpFormatter,
     )  # fmt: skip
     parser.add_argument("file", metavar="FILE", help="a .rec file")
-    common.add_detector(parser)
+    options.add_detector(parser)
     parser.add_argument("--tracks", choices=("kal", "mdc", "both"), default="both", help="whose fit (default both)")
     parser.add_argument(
         "--clusters", choices=("tracks", "all"), default="tracks",
         help="clusters to fit: those of the tracks (default), or in events of one track all of them",
     )  # fmt: skip
     parser.add_argument(
-        "--cluster-errors", type=read.length, nargs=2, metavar=("X", "V"),
+        "--cluster-errors", type=options.length, nargs=2, metavar=("X", "V"),
         help="errors of clusters, which the file does not hold (default 160 um and 150 um)",
     )  # fmt: skip
-    changes.add_hypothesis(parser)
+    options.add_hypothesis(parser)
     parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
     parser.add_argument("-o", "--output", metavar="DIR", default=None, help="folder for tables, pictures, summary.json")
     parser.add_argument(
         "--overwrite", action="store_true", help="write into a folder that already holds files, replacing results"
     )
-    common.add_common(parser)
+    options.add_common(parser)
     parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Read, fit and compare."""
-    from cgemit.bes3 import CLUSTER_ERRORS, read_events
-    from cgemit.io.folders import check_free
-    from cgemit.refit import KINDS, refit
+    from cgemit.analysis.bes3 import CLUSTER_ERRORS, KINDS, read_events, refit
+    from cgemit.base.files import check_free
 
     if arguments.output:
         check_free(arguments.output, overwrite=arguments.overwrite)
-    (detector,), settings = common.load_inputs(arguments)
+    (detector,), settings = options.load_inputs(arguments)
     errors = CLUSTER_ERRORS if arguments.cluster_errors is None else tuple(arguments.cluster_errors)
     events = read_events(arguments.file, detector, errors=errors, every_cluster=arguments.clusters == "all")
     kinds = KINDS if arguments.tracks == "both" else (arguments.tracks,)
     found = {kind: refit(events, kind, settings.fit) for kind in kinds}
     about: dict[str, Any] = {
-        "version": VERSION, "command": arguments.line, "file": str(arguments.file), "detector": detector.name,
+        "version": __version__, "command": arguments.line, "file": str(arguments.file), "detector": detector.name,
         "events": len(events.run), "settings": settings.to_dict(),
     }  # fmt: skip
     for kind, one in found.items():
@@ -81,10 +81,10 @@ def run(arguments: argparse.Namespace) -> int:
         _write(found, text, arguments.output, overwrite=arguments.overwrite)
     print(text if arguments.json else "\n".join([repr(events), *map(repr, found.values())]))
     if not any(one.good.any() for one in found.values()):
-        raise common.RunFailedError("no track was fitted by both")
+        raise options.RunFailedError("no track was fitted by both")
     if arguments.output and not arguments.quiet:
         print(f"tables and pictures: {arguments.output}", file=sys.stderr)
-    return common.OK
+    return options.OK
 
 
 def _without_nan(value: Any) -> Any:
@@ -95,9 +95,9 @@ def _without_nan(value: Any) -> Any:
 
 
 def _write(found: dict[str, Refit], text: str, folder: str, *, overwrite: bool) -> None:
-    from cgemit.draw.refit import draw_refit
-    from cgemit.io.folders import SUMMARY, new_folder
-    from cgemit.io.text import write_csv
+    from cgemit.base.files import SUMMARY, new_folder
+    from cgemit.draw.curves import draw_refit
+    from cgemit.tables.formats import write_csv
 
     pictures = {kind: draw_refit(one) for kind, one in found.items() if one.good.any()}
     with new_folder(Path(folder), overwrite=overwrite) as made:

@@ -7,16 +7,16 @@ import json
 import sys
 from typing import TYPE_CHECKING
 
-from cgemit.cli import changes, common, read
+from cgemit.cli import options
 from cgemit.cli.simulate import add_finder
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from cgemit.chain.settings import Settings
     from cgemit.detector import Detector
-    from cgemit.stages import Settings
-    from cgemit.study.analytic_scan import AnalyticScan
-    from cgemit.study.scans import Scan
+    from cgemit.study.scan import AnalyticScan, Scan
+
 
 _DESCRIPTION = """\
 Resolutions sigma(d_rho), sigma(d_z) and sigma(p) of one or several detectors against momentum: points from simulated
@@ -43,26 +43,29 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     """Add the sub-command."""
     parser = subparsers.add_parser(
         "resolution", help="resolutions of a detector against momentum", description=_DESCRIPTION, epilog=_EXAMPLES,
-        formatter_class=common.HelpFormatter,
+        formatter_class=options.HelpFormatter,
     )  # fmt: skip
-    common.add_detector(parser, several=True)
+    options.add_detector(parser, several=True)
     parser.add_argument(
         "--particle", action="append", metavar="PARTICLE",
         help="PDG name or number (default mu-); repeat it to compare particles",
     )  # fmt: skip
     momentum = parser.add_mutually_exclusive_group(required=True)
-    momentum.add_argument("--p", type=read.momenta, metavar="VALUES", help="momenta, GeV/c")
-    momentum.add_argument("--pt", type=read.momenta, metavar="VALUES", help="transverse momenta, GeV/c")
+    momentum.add_argument("--p", type=options.momenta, metavar="VALUES", help="momenta, GeV/c")
+    momentum.add_argument("--pt", type=options.momenta, metavar="VALUES", help="transverse momenta, GeV/c")
     polar = parser.add_mutually_exclusive_group()
     polar.add_argument(
-        "--cos-theta", type=read.cosines, metavar="LO:HI|VALUE",
+        "--cos-theta", type=options.cosines, metavar="LO:HI|VALUE",
         help="cosine of the polar angle: a value, or a range drawn uniformly (default -0.93:0.93)",
     )  # fmt: skip
     polar.add_argument(
-        "--theta", type=read.angles, metavar="LO:HI|VALUE", help="polar angle, rad: a value, or a range drawn uniformly"
+        "--theta",
+        type=options.angles,
+        metavar="LO:HI|VALUE",
+        help="polar angle, rad: a value, or a range drawn uniformly",
     )
     parser.add_argument(
-        "-n", "--events", type=read.positive, default=5000, metavar="N",
+        "-n", "--events", type=options.positive, default=5000, metavar="N",
         help="at each momentum (default 5000); not used by the analytic method",
     )  # fmt: skip
     parser.add_argument(
@@ -71,32 +74,32 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "first and the last, without events; both: lines and points",
     )  # fmt: skip
     parser.add_argument("--json", action="store_true", help="write summary.json to stdout instead of the table")
-    common.add_output(parser)
-    changes.add_hypothesis(parser)
-    changes.add_readout(parser)
+    options.add_output(parser)
+    options.add_hypothesis(parser)
+    options.add_readout(parser)
     add_finder(parser, more=" (--set find.hypothesis=pi: the mass in their fit)")
-    changes.add_physics(parser)
-    common.add_run(parser)
-    common.add_common(parser)
+    options.add_physics(parser)
+    options.add_run(parser)
+    options.add_common(parser)
     parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the scan."""
-    from cgemit.io.folders import check_free
-    from cgemit.study.scan_files import save_scans, summary_of
+    from cgemit.base.files import check_free
+    from cgemit.study.scan import save_scans, summary_of
 
     for name in ("p", "pt"):
         if isinstance(getattr(arguments, name), tuple):
-            raise common.InputError(
+            raise options.InputError(
                 f"--{name}: got a range of two numbers; expected momenta, as START:STOP:COUNT or A,B,C"
             )
     check_free(arguments.output, overwrite=arguments.overwrite)
-    detectors, settings = common.load_inputs(arguments, one_track=True)
+    detectors, settings = options.load_inputs(arguments, one_track=True)
     points, lines = _scans(arguments, detectors, settings)
     scans: list[Scan | AnalyticScan] = [*points, *lines]
     if failed := [f"{scan.detector.name}: {scan.note()}" for scan in scans if scan.empty()]:
-        raise common.RunFailedError("\n".join(failed))
+        raise options.RunFailedError("\n".join(failed))
     save_scans(scans, arguments.output, overwrite=arguments.overwrite, command=arguments.line)
     print(json.dumps(summary_of(scans), indent=2) if arguments.json else _text(points, lines))
     if not arguments.quiet:
@@ -108,8 +111,7 @@ def _scans(
     arguments: argparse.Namespace, detectors: Sequence[Detector], settings: Settings
 ) -> tuple[list[Scan], list[AnalyticScan]]:
     """Return the scans of all detectors by simulation and by the covariance, as far as they are asked for."""
-    from cgemit.study.analytic_scan import scan_analytic
-    from cgemit.study.scans import scan_detectors
+    from cgemit.study.scan import scan_analytic, scan_detectors
 
     given = {name: getattr(arguments, name) for name in ("p", "pt")}
     momenta, pt = (value if isinstance(value, list | None) else [value] for value in given.values())
@@ -118,7 +120,7 @@ def _scans(
     particles = arguments.particle or ["mu-"]
     points: list[Scan] = []
     lines: list[AnalyticScan] = []
-    with common.Progress("resolution", quiet=arguments.quiet) as progress:
+    with options.Progress("resolution", quiet=arguments.quiet) as progress:
         if arguments.method != "mc":  # first, since it is quick to find what is wrong
             lines = [scan_analytic(one, particle=particle, **how) for particle in particles for one in detectors]
         if arguments.method != "analytic":
@@ -129,9 +131,7 @@ def _scans(
 
 def _text(points: Sequence[Scan], lines: Sequence[AnalyticScan]) -> str:
     """Return a table and the fits of each detector and particle, and the differences to the first detector."""
-    from cgemit.study.compared import compared
-    from cgemit.study.scan_files import base_of, fits_text
-    from cgemit.study.scan_table import differences
+    from cgemit.study.scan import base_of, compared, differences, fits_text
 
     if points and lines:
         pairs = list(zip(points, lines, strict=True))

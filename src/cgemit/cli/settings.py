@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 
-from cgemit.cli import changes, common
+from cgemit.cli import options
 
 _DESCRIPTION = """\
 Print the settings of all stages as TOML, each with what it may be: the defaults, or what --settings and --set make of
@@ -23,16 +23,16 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     """Add the sub-command."""
     parser = subparsers.add_parser(
         "settings", help="print the settings of all stages as a file", description=_DESCRIPTION, epilog=_EXAMPLES,
-        formatter_class=common.HelpFormatter,
+        formatter_class=options.HelpFormatter,
     )  # fmt: skip
-    changes.add_settings(parser)
-    changes.add_set(parser, "change one setting, such as fit.loss=mean; may be repeated")
+    options.add_settings(parser)
+    options.add_set(parser, "change one setting, such as fit.loss=mean; may be repeated")
     parser.add_argument("--json", action="store_true", help="print JSON instead of TOML")
     parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Print the settings."""
-    settings = changes.settings_of(arguments)
+    settings = options.settings_of(arguments)
     sys.stdout.write(settings.to_json() if arguments.json else settings.to_toml(comments=True))
-    return common.OK
+    return options.OK

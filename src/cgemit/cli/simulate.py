@@ -8,12 +8,13 @@ import shutil
 import sys
 from typing import TYPE_CHECKING, Any
 
-from cgemit.cli import changes, common, read
-from cgemit.version import VERSION
+from cgemit.base.version import __version__
+from cgemit.cli import options
 
 if TYPE_CHECKING:
-    from cgemit.gun import Source
-    from cgemit.result import Result
+    from cgemit.chain.result import Result
+    from cgemit.particles.gun import Source
+
 
 _DESCRIPTION = """\
 Shoot particles through a detector and write the tables of the chain: particles, truths, steps, wire_truths, digis,
@@ -46,12 +47,16 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     """Add the sub-command."""
     parser = subparsers.add_parser(
         "simulate", help="shoot particles and write hits, clusters and tracks as tables", description=_DESCRIPTION,
-        epilog=_EXAMPLES, formatter_class=common.HelpFormatter,
+        epilog=_EXAMPLES, formatter_class=options.HelpFormatter,
     )  # fmt: skip
-    common.add_detector(parser)
+    options.add_detector(parser)
     add_gun(parser, files=True)
     parser.add_argument(
-        "-n", "--events", type=read.positive, metavar="N", help="number of events (with --particles: those of the file)"
+        "-n",
+        "--events",
+        type=options.positive,
+        metavar="N",
+        help="number of events (with --particles: those of the file)",
     )
     parser.add_argument(
         "--fit",
@@ -61,23 +66,23 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     )
     add_finder(parser, more="; implies --fit")
     parser.add_argument(
-        "--states", type=read.surfaces, metavar="SURFACE,...",
+        "--states", type=options.surfaces, metavar="SURFACE,...",
         help="also write the states of the fitted tracks: radii (mm), origin, beam_line, beam_pipe, hits",
     )  # fmt: skip
-    changes.add_hypothesis(parser, several=True)
+    options.add_hypothesis(parser, several=True)
     parser.add_argument("--json", action="store_true", help="write the summary to stdout as JSON")
-    common.add_output(parser)
+    options.add_output(parser)
     parser.add_argument(
         "--format", choices=FORMATS, default="npz", help="of the tables' files (default npz); root: a TTree a file"
     )
     parser.add_argument(
-        "--keep", type=read.names, metavar="TABLE,...",
+        "--keep", type=options.names, metavar="TABLE,...",
         help="write only these tables (all: every one), in parts while the run goes on, without holding them in memory",
     )  # fmt: skip
-    changes.add_readout(parser)
-    changes.add_physics(parser)
-    common.add_run(parser)
-    common.add_common(parser)
+    options.add_readout(parser)
+    options.add_physics(parser)
+    options.add_run(parser)
+    options.add_common(parser)
     parser.set_defaults(run=run)
 
 
@@ -99,15 +104,15 @@ def add_gun(parser: argparse.ArgumentParser, *, files: bool = False) -> None:
     )  # fmt: skip
     gun.add_argument("--particle", help="PDG name or number (default mu-)")
     momentum = gun.add_mutually_exclusive_group()
-    momentum.add_argument("--p", type=read.momenta, metavar="VALUES", help="momentum, GeV/c")
-    momentum.add_argument("--pt", type=read.momenta, metavar="VALUES", help="transverse momentum, GeV/c")
+    momentum.add_argument("--p", type=options.momenta, metavar="VALUES", help="momentum, GeV/c")
+    momentum.add_argument("--pt", type=options.momenta, metavar="VALUES", help="transverse momentum, GeV/c")
     polar = gun.add_mutually_exclusive_group()
-    polar.add_argument("--theta", type=read.angles, metavar="VALUES", help="polar angle, rad")
-    polar.add_argument("--cos-theta", type=read.cosines, metavar="VALUES", help="its cosine")
-    gun.add_argument("--phi", type=read.angles, metavar="VALUES", help="azimuth, rad (default: uniform)")
-    gun.add_argument("--vertex", type=read.triple, metavar="X,Y,Z", help="vertex, mm (default 0,0,0)")
+    polar.add_argument("--theta", type=options.angles, metavar="VALUES", help="polar angle, rad")
+    polar.add_argument("--cos-theta", type=options.cosines, metavar="VALUES", help="its cosine")
+    gun.add_argument("--phi", type=options.angles, metavar="VALUES", help="azimuth, rad (default: uniform)")
+    gun.add_argument("--vertex", type=options.triple, metavar="X,Y,Z", help="vertex, mm (default 0,0,0)")
     gun.add_argument(
-        "--vertex-sigma", type=read.triple, metavar="X,Y,Z", help="its Gaussian spread, mm (default 0,0,0)"
+        "--vertex-sigma", type=options.triple, metavar="X,Y,Z", help="its Gaussian spread, mm (default 0,0,0)"
     )
     if not files:
         return
@@ -135,20 +140,20 @@ def gun_of(arguments: argparse.Namespace, *others: tuple[str, object]) -> Source
     InputError
         Listing every option that is missing.
     """
-    from cgemit.gun import Gun
-    from cgemit.samples import sample
+    from cgemit.particles.gun import Gun
+    from cgemit.particles.samples import sample
 
     given = {name: getattr(arguments, name) for name in _GUN if getattr(arguments, name) is not None}
     missing = [name for name, value in others if value is None]
     if arguments.sample is not None:
         if missing:
-            raise common.InputError(f"got no {', no '.join(missing)}; expected all of them")
+            raise options.InputError(f"got no {', no '.join(missing)}; expected all of them")
         return sample(arguments.sample, **given)
-    for options in (("--p", "--pt"), ("--theta", "--cos-theta")):
-        if not any(one[2:].replace("-", "_") in given for one in options):
-            missing.append(" or ".join(options))
+    for pair in (("--p", "--pt"), ("--theta", "--cos-theta")):
+        if not any(one[2:].replace("-", "_") in given for one in pair):
+            missing.append(" or ".join(pair))
     if missing:
-        raise common.InputError(
+        raise options.InputError(
             f"got no {', no '.join(missing)}; expected all of them{_or_file(arguments)}, or --sample NAME"
         )
     return Gun(**{"particle": "mu-", **given})
@@ -166,24 +171,24 @@ def _source(arguments: argparse.Namespace) -> Any:
     InputError
         Listing every option that is missing, or that says the same as another.
     """
-    from cgemit.particles import particles_from
+    from cgemit.particles.table import particles_from
 
     if arguments.particles is None:
         return gun_of(arguments, ("-n", arguments.events))
     given = [name for name in ("sample", *_GUN) if getattr(arguments, name) is not None]
     if given:
-        options = ", ".join("--" + name.replace("_", "-") for name in given)
-        raise common.InputError(f"--particles: got {options}, too; expected particles of a file or of a gun")
+        wrong = ", ".join("--" + name.replace("_", "-") for name in given)
+        raise options.InputError(f"--particles: got {wrong}, too; expected particles of a file or of a gun")
     return particles_from(arguments.particles)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the chain and write its tables."""
-    from cgemit import chain
-    from cgemit.io.folders import SUMMARY, new_folder
+    from cgemit.base.files import SUMMARY, new_folder
+    from cgemit.chain import run
     from cgemit.tables.formats import check_format
 
-    (detector,), settings = common.load_inputs(arguments)
+    (detector,), settings = options.load_inputs(arguments)
     gun = _source(arguments)
     fits = _fits(arguments)
     how: dict[str, Any] = {"settings": settings, "until": "fit" if fits else "cluster", "threads": arguments.threads}
@@ -194,8 +199,8 @@ def run(arguments: argparse.Namespace) -> int:
         if arguments.keep is not None:
             keep = None if arguments.keep == ("all",) else arguments.keep
             how |= {"keep": keep, "output": parts, "format": arguments.format, "command": arguments.line}
-        with common.Progress("simulate", quiet=arguments.quiet) as progress:
-            result = chain.run(detector, gun, arguments.events, arguments.seed, progress=progress, **how)
+        with options.Progress("simulate", quiet=arguments.quiet) as progress:
+            result = run.run(detector, gun, arguments.events, arguments.seed, progress=progress, **how)
         if arguments.keep is None:
             result.save(folder, command=arguments.line, format=arguments.format)
         summary, text = _summary(result), repr(result)
@@ -225,7 +230,7 @@ def _fits(arguments: argparse.Namespace) -> bool:
 def _summary(result: Result) -> dict[str, Any]:
     """Return what people want to see first; run.json holds everything that the results depend on."""
     summary = {
-        "version": VERSION, "detector": result.detector.name, "gun": repr(result.gun), "events": result.n_events,
+        "version": __version__, "detector": result.detector.name, "gun": repr(result.gun), "events": result.n_events,
         "seed": result.seed, "settings": result.settings.to_dict(), "transport": result.transport(),
         "rows": result.rows,
     }  # fmt: skip

@@ -7,11 +7,12 @@ import json
 import sys
 from typing import TYPE_CHECKING
 
-from cgemit.cli import common, read
-from cgemit.matter.send import FEWEST, MOST
+from cgemit.cli import options
+from cgemit.simulation.slab import FEWEST, MOST
 
 if TYPE_CHECKING:
-    from cgemit.matter import SlabResult
+    from cgemit.simulation.slab import SlabResult
+
 
 _DESCRIPTION = """\
 Send particles through plane layers of matter and print X/X0, scattering angles and energy losses: simulated ones with
@@ -39,7 +40,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     """Add the sub-command."""
     parser = subparsers.add_parser(
         "slab", help="scattering and energy loss in layers of matter", description=_DESCRIPTION, epilog=_EXAMPLES,
-        formatter_class=common.HelpFormatter,
+        formatter_class=options.HelpFormatter,
     )  # fmt: skip
     parser.add_argument("matter", metavar="MATTER", help='layers, such as "Kapton 300 um + Cu 33 um"')
     parser.add_argument("--particle", default="mu-", help="PDG name or number (default mu-)")
@@ -61,19 +62,19 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument(
         "--overwrite", action="store_true", help="write into a folder that already holds files, replacing results"
     )
-    common.add_seed(parser)
-    common.add_common(parser)
+    options.add_seed(parser)
+    options.add_common(parser)
     parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Send the particles, print and draw."""
-    from cgemit.io.folders import check_free
-    from cgemit.matter import slab
+    from cgemit.base.files import check_free
+    from cgemit.simulation.slab import slab
 
     if arguments.output:
         check_free(arguments.output, overwrite=arguments.overwrite)
-    with common.Progress("slab", quiet=arguments.quiet) as progress:
+    with options.Progress("slab", quiet=arguments.quiet) as progress:
         result = slab(
             arguments.matter, arguments.particle, arguments.p, arguments.n, arguments.seed, arguments.screening,
             progress=progress,
@@ -84,12 +85,12 @@ def run(arguments: argparse.Namespace) -> int:
     print(numbers if arguments.json else result)
     if arguments.output and not arguments.quiet:
         print(f"picture: {arguments.output}/slab.png", file=sys.stderr)
-    return common.OK
+    return options.OK
 
 
 def _write(result: SlabResult, numbers: str, folder: str, *, overwrite: bool) -> None:
-    from cgemit.draw import draw_slab
-    from cgemit.io.folders import SUMMARY, new_folder
+    from cgemit.base.files import SUMMARY, new_folder
+    from cgemit.draw.slab import draw_slab
 
     with new_folder(folder, overwrite=overwrite) as place:
         draw_slab(result).save(place / "slab")
@@ -97,7 +98,7 @@ def _write(result: SlabResult, numbers: str, folder: str, *, overwrite: bool) ->
 
 
 def _particles(text: str) -> int:
-    return read.whole(text, FEWEST, MOST)
+    return options.whole(text, FEWEST, MOST)
 
 
 def _momentum(text: str) -> float | str:

@@ -6,9 +6,8 @@ import argparse
 import json
 import sys
 
-from cgemit.cli import changes, common
-from cgemit.cli.common import HelpFormatter, add_common, add_field, add_output, add_run
-from cgemit.cli.read import positive
+from cgemit.cli import options
+from cgemit.cli.options import HelpFormatter, add_common, add_field, add_output, add_run, positive
 from cgemit.cli.simulate import add_finder
 
 _DESCRIPTION = """\
@@ -45,11 +44,11 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--quick", action="store_true", help="1500 events, unless --events says otherwise")
     parser.add_argument("--json", action="store_true", help="write summary.json to stdout too")
     add_field(parser)
-    changes.add_set(parser, "change one setting, such as fit.loss=mean; may be repeated")
-    changes.add_settings(parser)
-    changes.add_readout(parser)
+    options.add_set(parser, "change one setting, such as fit.loss=mean; may be repeated")
+    options.add_settings(parser)
+    options.add_readout(parser)
     add_finder(parser)
-    changes.add_physics(parser)
+    options.add_physics(parser)
     add_run(parser)
     add_common(parser)
     parser.set_defaults(run=run)
@@ -57,10 +56,10 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the study."""
-    from cgemit.study.paper import reproduce
+    from cgemit.study.paper.run import reproduce
 
-    settings = changes.settings_of(arguments, one_track=True)
-    with common.Progress("study", quiet=arguments.quiet) as progress:
+    settings = options.settings_of(arguments, one_track=True)
+    with options.Progress("study", quiet=arguments.quiet) as progress:
         study = reproduce(
             arguments.output, events=arguments.events, seed=arguments.seed, threads=arguments.threads,
             quick=arguments.quick, settings=settings, field=arguments.field, finder=arguments.finder or "truth",

@@ -5,14 +5,38 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from concurrent.futures import Executor
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cgemit.cli import changes, common, workers
+from cgemit.cli import options
 
 if TYPE_CHECKING:
-    from cgemit.study.sweeps import Sweep
+    from cgemit.study.sweep.result import Sweep
+
+
+def add_workers(parser: argparse.ArgumentParser) -> None:
+    """Add the number of threads or processes."""
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument(
+        "--threads", type=options.positive, metavar="N",
+        help="number of threads (default: all cores); results do not depend on it",
+    )  # fmt: skip
+    where.add_argument(
+        "--processes", type=options.positive, metavar="N", help="processes instead of threads, faster for many designs"
+    )
+
+
+def executor(arguments: argparse.Namespace, stack: ExitStack) -> Executor | None:
+    """Return the pool that is asked for, which ends with `stack`; None: the default."""
+    from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+    from multiprocessing import get_context
+
+    if arguments.processes:
+        return stack.enter_context(ProcessPoolExecutor(arguments.processes, mp_context=get_context("spawn")))
+    return stack.enter_context(ThreadPoolExecutor(arguments.threads)) if arguments.threads else None
+
 
 _DESCRIPTION = """\
 Evaluate variants of a detector: a grid, a sample or a list of changes of its file, as a plan in TOML says
@@ -38,12 +62,12 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     """Add the sub-command."""
     parser = subparsers.add_parser(
         "sweep", help="evaluate many variants of a detector", description=_DESCRIPTION, epilog=_EXAMPLES,
-        formatter_class=common.HelpFormatter,
+        formatter_class=options.HelpFormatter,
     )  # fmt: skip
     parser.add_argument("plan", nargs="?", metavar="PLAN", help="what is varied and evaluated: a TOML file")
     parser.add_argument("-o", "--output", metavar="DIR", help="folder for the results; parts that it holds are kept")
     parser.add_argument("--overwrite", action="store_true", help="compute everything anew")
-    changes.add_set(parser, "change one value of the plan, such as evaluate.events=500; may be repeated")
+    options.add_set(parser, "change one value of the plan, such as evaluate.events=500; may be repeated")
     parser.add_argument(
         "--array-index", type=_part, metavar="I/N",
         help="compute part I (0 to N - 1) of N parts only, and write no table",
@@ -51,8 +75,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--merge", metavar="DIR", help="write the table of a folder whose parts are complete")
     parser.add_argument("--parquet", action="store_true", help="write sweep.parquet too (needs pyarrow)")
     parser.add_argument("--json", action="store_true", help="write summary.json to stdout instead of the table")
-    workers.add_workers(parser)
-    common.add_common(parser)
+    add_workers(parser)
+    options.add_common(parser)
     parser.set_defaults(run=run)
 
 
@@ -65,20 +89,20 @@ def _part(text: str) -> tuple[int, int]:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the sweep, or merge one."""
-    from cgemit.study.sweeps.plan import read_plan
+    from cgemit.study.sweep.plan import read_plan
 
     file, output = _places(arguments)
-    plan = read_plan(file, changes.plan_changes(arguments.overrides))
+    plan = read_plan(file, options.plan_changes(arguments.overrides))
     how: dict[str, Any] = {"part": arguments.array_index, "overwrite": arguments.overwrite}
     if arguments.merge is not None:
         how["compute"] = False
     with ExitStack() as stack:
-        progress = stack.enter_context(common.Progress("sweep", quiet=arguments.quiet))
-        how["executor"] = workers.executor(arguments, stack)
+        progress = stack.enter_context(options.Progress("sweep", quiet=arguments.quiet))
+        how["executor"] = executor(arguments, stack)
         result = plan.run(output=output, progress=progress, **how)
     missing = result.missing()
     if arguments.merge is not None and missing:
-        raise common.RunFailedError(
+        raise options.RunFailedError(
             f"{output}: {missing} of {len(plan.arguments['space']) + 1} variants are missing; "
             f"cgemit sweep {Path(output) / 'plan.toml'} -o {output} computes them"
         )
@@ -100,7 +124,7 @@ def _places(arguments: argparse.Namespace) -> tuple[str, str]:
                  "--array-index": arguments.array_index, "--overwrite": arguments.overwrite or None}  # fmt: skip
         problems += [f"{name}: got one, expected none beside --merge" for name, one in given.items() if one is not None]
     if problems:
-        raise common.InputError("\n  ".join(["wrong input", *problems]) if len(problems) > 1 else problems[0])
+        raise options.InputError("\n  ".join(["wrong input", *problems]) if len(problems) > 1 else problems[0])
     if arguments.merge is None:
         return arguments.plan, arguments.output
     return str(Path(arguments.merge) / "plan.toml"), arguments.merge
@@ -111,7 +135,7 @@ def _report(result: Sweep, draw: Any, output: Path, arguments: argparse.Namespac
     varied = [(status, problems) for number, status, problems in rows if number > 0]
     if all(status != "ok" for status, _ in varied):
         reasons = dict.fromkeys(problems for _, problems in varied if problems)
-        raise common.RunFailedError("\n  ".join(["no variant could be evaluated", *list(reasons)[:10]]))
+        raise options.RunFailedError("\n  ".join(["no variant could be evaluated", *list(reasons)[:10]]))
     if arguments.parquet:
         result.write_parquet(output / "sweep.parquet", overwrite=True)
     result.draw(**draw).save(output / "sweep", overwrite=True)

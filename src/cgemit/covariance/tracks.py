@@ -1,7 +1,9 @@
-"""The tracks of a grid of points, and their covariances from the core."""
+"""The tracks of a grid of points: particles, momenta, angles, mixtures over a range."""
 
 from __future__ import annotations
 
+import functools
+import math
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -12,9 +14,14 @@ import numpy as np
 import numpy.typing as npt
 
 from cgemit import _core
+from cgemit.analysis.widths import SECOND_INSIDE
 from cgemit.detector import Detector
-from cgemit.fit import FitSettings, compiled_for_fit
-from cgemit.helix import PARAMETERS
+from cgemit.detector.keys import Part, once
+from cgemit.detector.parts import DriftChamber
+from cgemit.helix import PARAMETERS, RADIUS_PER_KAPPA
+from cgemit.particles.species import species
+from cgemit.reconstruction.fit import FitSettings, compiled_for_fit
+from cgemit.units import QuantityError, parse_quantity
 
 Floats = npt.NDArray[np.float64]
 
@@ -141,3 +148,293 @@ def variances(entries: Floats, kappa: Floats, tanl: Floats, quantity: str) -> Fl
         if used[i] and used[j]:  # entries beside the diagonal stand for two
             found += (1 if i == j else 2) * weights[:, i] * weights[:, j] * entries[..., entry]
     return found
+
+
+#: Of the half length: scatters move tracks by less than a fifth of it.
+_NEAR = 0.8
+
+
+@once
+def _wire_layers(chamber: DriftChamber) -> list[tuple[float, float]]:
+    return [(layer.r_mid, layer.half_length) for layer in chamber.layers]
+
+
+def near_ends(detector: Detector, kappa: Floats, tanl: Floats) -> npt.NDArray[np.bool_]:
+    """Return whether tracks from the origin come near the end of a layer, or pass beyond it.
+
+    Parameters
+    ----------
+    detector : Detector
+    kappa, tanl : ndarray, (tracks,) float64, (GeV/c)^-1 and 1
+    """
+    layers = [(layer.r_mid, layer.half_length) for layer in detector.cgem]
+    layers += _wire_layers(detector.drift_chamber) if detector.drift_chamber is not None else []
+    found = np.zeros(len(kappa), bool)
+    if not layers:
+        return found
+    radius, half_length = np.array(layers).T
+    steep = np.abs(tanl)
+    # The arc to a cylinder is at most half a turn about its radius.
+    maybe = np.flatnonzero(0.5 * np.pi * steep > _NEAR * np.min(half_length / radius))
+    if not len(maybe):
+        return found
+    with np.errstate(divide="ignore"):
+        diameter = 2 * RADIUS_PER_KAPPA / np.abs(detector.field.bz * kappa[maybe, None])
+        ratio = np.minimum(radius / diameter, 1.0)
+    arc = radius * np.where(ratio > 0, np.arcsin(ratio) / np.where(ratio > 0, ratio, 1.0), 1.0)
+    found[maybe] = np.any(steep[maybe, None] * arc > _NEAR * half_length, axis=1)
+    return found
+
+
+def mean(values: npt.NDArray[Any], good: npt.NDArray[np.bool_]) -> Floats:
+    """Return the mean over the last axis of the good values; NaN where there are none."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.asarray(np.where(good, values, 0.0).sum(axis=-1) / good.sum(axis=-1), np.float64)
+
+
+def status_of(status: npt.NDArray[np.int8]) -> tuple[npt.NDArray[np.int8], Floats]:
+    """Return the status of points, and their fraction of samples that are ok, from those of samples.
+
+    Parameters
+    ----------
+    status : ndarray, (points, samples) int8
+
+    Returns
+    -------
+    status : ndarray, (points,) int8
+        0 (ok) if any sample is, else that of most samples.
+    reached : ndarray, (points,) float64
+    """
+    ok = status == 0
+    worst = np.zeros(len(ok), np.int8)
+    for i in np.flatnonzero(~ok.any(axis=1)):
+        worst[i] = np.bincount(status[i]).argmax()
+    return worst, ok.mean(axis=1)
+
+
+@functools.lru_cache(maxsize=16)
+def draws(number: int, dimensions: int) -> Floats:
+    """Return (number, dimensions) numbers from 0 to 1: azimuths in equal steps, the others from a Sobol sequence."""
+    from scipy.stats import qmc
+
+    found = np.empty((number, dimensions))
+    found[:, 0] = (np.arange(number) + 0.5) / number
+    rest = qmc.Sobol(dimensions - 1, scramble=True, rng=np.random.default_rng(1)).random(1 << (number - 1).bit_length())
+    found[:, 1:] = rest[:number]
+    found.flags.writeable = False
+    return found
+
+
+def core_width(variances: Floats) -> Floats:
+    """Return the core of mixtures of centred Gaussians of equal weight, (points, samples) to (points,).
+
+    The core is the Gaussian whose variance, cut at +-3 sigma, equals that of the mixture within the same window (as in
+    `cgemit.analysis.widths`). With u = 3 s/sqrt(v), a Gaussian of variance v has the fraction erf(u/sqrt 2) inside
+    and the second moment v (erf(u/sqrt 2) - u sqrt(2/pi) exp(-u^2/2)) there.
+    """
+    good = ~np.isnan(variances)
+    v = np.where(good, variances, 1.0)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        square = mean(v, good)
+        if v.shape[1] == 1:
+            return np.asarray(np.sqrt(square))
+        weight = good.astype(np.float64)
+        left = np.flatnonzero(~np.isnan(square))
+        for _ in range(1000):
+            if len(left) == 0:
+                break
+            now = square[left]
+            found, slope = _narrowed(now, v[left], weight[left])
+            # Newton's step to the fixed point, where the slope is not too close to 1.
+            better = now + (found - now) / (1 - slope)
+            newton = (slope < 0.5) & (better > 0)
+            square[left] = np.where(newton, better, found)
+            # The error after a step of Newton is of second order in the step.
+            left = left[np.abs(square[left] - now) > np.where(newton, 1e-8, 1e-13) * now]
+        return np.asarray(np.sqrt(square))
+
+
+def _narrowed(square: Floats, v: Floats, weight: Floats) -> tuple[Floats, Floats]:
+    """Return the variance of the Gaussian that a window of 3 sigma of this variance finds, and its derivative."""
+    from scipy.special import erf
+
+    u = 3 * np.sqrt(square[:, None] / v)
+    inside = weight * erf(u / math.sqrt(2))
+    edge = weight * u * math.sqrt(2 / math.pi) * np.exp(-0.5 * u * u)
+    total = inside.sum(axis=1)
+    found = (v * (inside - edge)).sum(axis=1) / total / SECOND_INSIDE
+    # d(inside)/du = edge/u, d(second)/du = v u edge, du/d(square) = u/(2 square), and v u^2 = 9 square.
+    edges = edge.sum(axis=1)
+    slope = (4.5 / SECOND_INSIDE - 0.5 * found / square) * edges / total
+    return found, slope
+
+
+Quantity = float | str | tuple[float | str, float | str] | npt.ArrayLike
+
+
+@dataclass(frozen=True, eq=False)
+class Points(Part):
+    """Particle, momenta and directions, the same for any detector; arrays have the shape of the points.
+
+    Attributes
+    ----------
+    particle : str
+    p, cos_theta, phi : (ndarray, ndarray), float64, GeV/c, 1, rad
+        Lower and upper limits; `phi` is NaN where it is averaged.
+    charge, mass : ndarray, float64, e and GeV/c2
+    radius : ndarray, float64, mm
+        Where the covariance is wanted; NaN: at the origin.
+    samples : int or None
+        Tracks of each point, None for the default.
+    """
+
+    particle: str
+    p: tuple[Floats, Floats]
+    cos_theta: tuple[Floats, Floats]
+    phi: tuple[Floats, Floats]
+    charge: Floats
+    mass: Floats
+    radius: Floats
+    samples: int | None
+
+    @property
+    def vary(self) -> bool:
+        """Whether the tracks of a point differ."""
+        return bool(np.any(np.isnan(self.phi[0]))) or any(np.any(low != high) for low, high in (self.p, self.cos_theta))
+
+
+@dataclass(frozen=True, eq=False)
+class Sample:
+    """The tracks of points, (tracks,) float64 in native units, and their mean `p` and `cos_theta`, shape of the points.
+
+    `phases` (samples, 2 layers) are the positions of the strips of each view.
+    """
+
+    p: Floats
+    cos_theta: Floats
+    psi: Floats
+    kappa: Floats
+    tanl: Floats
+    mass: Floats
+    phases: Floats
+
+
+def points_of(
+    particle: str | int,
+    p: Quantity,
+    cos_theta: Quantity,
+    phi: Quantity | None = None,
+    radius: Quantity | None = None,
+    charge: npt.ArrayLike | None = None,
+    mass: npt.ArrayLike | None = None,
+    samples: int | None = None,
+) -> Points:
+    """Return the points that arguments of `analytic` stand for.
+
+    Parameters
+    ----------
+    particle, p, cos_theta, phi, radius, charge, mass, samples
+        As of `analytic`.
+
+    Raises
+    ------
+    ValueError
+        Listing every problem.
+    """
+    kind = species(particle)
+    problems: list[str] = []
+    p_low, p_high = _limits("p", p, "momentum", problems)
+    c_low, c_high = _limits("cos_theta", cos_theta, "", problems)
+    azimuth = (np.array(math.nan),) * 2 if phi is None else _limits("phi", phi, "angle", problems)
+    at = np.array(math.nan) if radius is None else _numbers("radius", radius, "length", problems)
+    if radius is not None and not (np.all(at > 0) and np.all(np.isfinite(at))):
+        problems.append(f"radius: got {radius!r:.60}, expected positive lengths in mm")
+    charges = np.asarray(kind.charge if charge is None else charge, np.float64)
+    masses = np.asarray(kind.mass if mass is None else mass, np.float64)
+    problems += _problems(p_low, p_high, c_low, c_high, charges, masses, at, samples)
+    for name, numbers in (("p", p_low), ("cos_theta", c_low), ("radius", at)):
+        if np.size(numbers) == 0:
+            problems.append(f"{name}: got no number, expected one or more")
+    if problems:
+        raise ValueError("analytic:\n  " + "\n  ".join(problems))
+    given = np.broadcast_arrays(p_low, p_high, c_low, c_high, *azimuth, charges, masses, at)
+    p_low, p_high, c_low, c_high, phi_low, phi_high, charges, masses, at = given
+    limits = (p_low, p_high), (c_low, c_high), (phi_low, phi_high)
+    return Points(kind.name, *limits, charges, masses, at, samples)
+
+
+@once
+def sample_of(points: Points, number: int, layers: int) -> Sample:
+    """Return the tracks of points, which all detectors with as many CGEM layers share.
+
+    Parameters
+    ----------
+    points : Points
+    number : int
+        Of the tracks of each point.
+    layers : int
+        CGEM layers of the detector.
+    """
+    drawn = draws(number, 3 + 2 * layers)
+    momentum = _sampled(*points.p, drawn[:, 1])
+    cosine = _sampled(*points.cos_theta, drawn[:, 2])
+    azimuth = points.phi[0].reshape(-1, 1)
+    psi = np.where(np.isnan(azimuth), 2 * np.pi * drawn[:, 0] - np.pi, azimuth)
+    sine = np.sqrt(1 - cosine * cosine)
+    kappa, tanl = (points.charge.reshape(-1, 1) / (momentum * sine)).ravel(), (cosine / sine).ravel()
+    mass = np.repeat(points.mass.ravel(), number)
+    shape = points.charge.shape
+    mean_p, mean_cosine = momentum.mean(axis=1).reshape(shape), cosine.mean(axis=1).reshape(shape)
+    phases = np.ascontiguousarray(drawn[:, 3:])
+    return Sample(mean_p, mean_cosine, psi.ravel(), kappa, tanl, mass, phases)
+
+
+def _limits(name: str, given: Any, dimension: str, problems: list[str]) -> tuple[Floats, Floats]:
+    """Return the lower and upper limits of a range, or the same values twice."""
+    if isinstance(given, tuple) and len(given) == 2:
+        low, high = (_numbers(f"{name}[{i}]", one, dimension, problems) for i, one in enumerate(given))
+        if low.shape or high.shape or low > high:
+            problems.append(f"{name}: got {given!r}; expected a range (low, high) of numbers")
+        return low, high
+    values = _numbers(name, given, dimension, problems)
+    return values, values
+
+
+def _numbers(name: str, given: Any, dimension: str, problems: list[str]) -> Floats:
+    try:
+        if dimension and isinstance(given, str):
+            return np.asarray(parse_quantity(given, dimension), np.float64)
+        if dimension and isinstance(given, list):
+            given = [parse_quantity(one, dimension) if isinstance(one, str) else one for one in given]
+        return np.asarray(given, np.float64)
+    except (QuantityError, TypeError, ValueError) as error:
+        problems.append(f"{name}: got {error}")
+        return np.array(0.5)
+
+
+def _problems(
+    p_low: Floats, p_high: Floats, c_low: Floats, c_high: Floats, charge: Floats, mass: Floats, radius: Floats,
+    samples: int | None,
+) -> list[str]:  # fmt: skip
+    found = []
+    if not (np.all(p_low > 0) and np.all(np.isfinite(p_high))):
+        found.append("p: expected positive momenta in GeV/c")
+    if not (np.all(np.abs(c_low) < 1) and np.all(np.abs(c_high) < 1)):
+        found.append("cos_theta: expected numbers between -1 and 1")
+    if not (np.all(np.isfinite(charge)) and np.all(charge != 0)):
+        found.append("charge: expected charged particles, since others leave no track")
+    if not np.all((mass > 0) & np.isfinite(mass)):
+        found.append("mass: expected positive masses in GeV/c2")
+    if samples is not None and not (isinstance(samples, int | np.integer) and 1 <= samples <= 2**20):
+        found.append(f"samples: got {samples!r}; expected a whole number from 1 to {2**20}")
+    try:
+        np.broadcast_shapes(p_low.shape, c_low.shape, charge.shape, mass.shape, radius.shape)
+    except ValueError:
+        shapes = ", ".join(map(str, (p_low.shape, c_low.shape, charge.shape, mass.shape, radius.shape)))
+        found.append(f"p, cos_theta, charge, mass, radius: got shapes {shapes}; expected shapes that can be broadcast")
+    return found
+
+
+def _sampled(low: Floats, high: Floats, draws: Floats) -> Floats:
+    """Return (points, samples) values between the limits of each point."""
+    return np.asarray(low.reshape(-1, 1) + (high - low).reshape(-1, 1) * draws)

@@ -1,20 +1,15 @@
 """Detector descriptions: presets, files, variants, and the form in which the compiled core sees them."""
 
-from cgemit.detector.compile import SCREENINGS, Screening, compiled, slab_table
-from cgemit.detector.describe import describe
-from cgemit.detector.field import Field, HarmonicField, MapField, SolenoidField
-from cgemit.detector.field.core import field_at
-from cgemit.detector.field.files import read_field_map, write_field_map
-from cgemit.detector.field.grid import FieldGrid
-from cgemit.detector.files import detectors, fields
+from cgemit.base.errors import DetectorError, Problem
+from cgemit.detector.core import SCREENINGS, Screening, compiled, field_at, slab_table
+from cgemit.detector.detector import Detector, load
+from cgemit.detector.export import describe, schema
+from cgemit.detector.field import Field, FieldGrid, HarmonicField, MapField, SolenoidField
+from cgemit.detector.files import detectors, fields, read_field_map, write_field_map
 from cgemit.detector.material import Material
-from cgemit.detector.model import Detector, load
-from cgemit.detector.parts import CgemLayer, Cylinder, DriftChamber, SubLayer, WireLayer
-from cgemit.detector.schema import schema
-from cgemit.detector.shell import Shell
-from cgemit.detector.slabs import Slab, slabs
+from cgemit.detector.matter import Slab, slabs
+from cgemit.detector.parts import CgemLayer, Cylinder, DriftChamber, Shell, SubLayer, WireLayer
 from cgemit.detector.variants import like
-from cgemit.problems import DetectorError, Problem
 
 __all__ = [
     "SCREENINGS",

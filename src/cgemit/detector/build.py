@@ -1,23 +1,295 @@
 """Build the parts of a detector from the tables of its file; all problems are collected."""
 
+from __future__ import annotations
+
+import dataclasses
 import math
 import re
 from collections.abc import Mapping
-from functools import lru_cache
+from functools import cache, lru_cache
 from typing import Any
 
+from cgemit.base.errors import DetectorError, Problem, did_you_mean
 from cgemit.detector import check
-from cgemit.detector.background import BackgroundLevel
 from cgemit.detector.field import KINDS, Field, MapField, kind_key
-from cgemit.detector.field.files import read_field_map
-from cgemit.detector.files import map_path
+from cgemit.detector.files import library_materials, map_path, read_field_map
 from cgemit.detector.keys import CENTRED, keys_of, plain
-from cgemit.detector.materials import library, read_materials
-from cgemit.detector.merge import FOR_ALL_LAYERS
-from cgemit.detector.parts import CgemLayer, Contents, Cylinder, DriftChamber, WireLayer
-from cgemit.detector.read import LAST_WIRE_LAYER, NAME, TOP_LEVEL, UNUSABLE, WIRE_NUMBER, Reader
-from cgemit.detector.read_lists import shown, writable
-from cgemit.problems import DetectorError, Problem, did_you_mean
+from cgemit.detector.material import (
+    Material,
+    element_rows,
+    elements,
+    excitation_of_fractions,
+    fractions_of_formula,
+    general_density_effect,
+    x0_of_fractions,
+    z_over_a_of_fractions,
+)
+from cgemit.detector.parts import BackgroundLevel, CgemLayer, Contents, Cylinder, DriftChamber, WireLayer
+from cgemit.detector.reader import (
+    BELOW,
+    FOR_ALL_LAYERS,
+    LAST_WIRE_LAYER,
+    NAME,
+    TOP_LEVEL,
+    UNUSABLE,
+    WIRE_NUMBER,
+    Reader,
+    shown,
+    writable,
+)
+
+#: Volume of a mole of ideal gas at 20 C and 1 atm, cm3: R T/p with CODATA 2018 R = 8.314462618 J/(mol K).
+MOLAR_VOLUME = 8.314462618 * 293.15 / 101325 * 1e6
+
+#: Chemical formulas that mean a gas when no density is given, beside the elements that are gases.
+GASES = ("H2", "N2", "O2", "F2", "Cl2", "CH4", "C2H6", "C3H8", "C4H10", "iC4H10", "CO2", "CF4", "C2H2F4", "SF6")
+
+#: Mixtures that come with the program, by their names without fractions.
+USUAL = {"He/C3H8": ("MdcGas", "60/40"), "Ar/iC4H10": ("CgemGas", "90/10")}
+
+_BULK = ("x0", "z_over_a", "excitation_energy")
+
+
+@cache
+def library() -> dict[str, Material]:
+    """Return the materials that come with the program."""
+    reader = Reader()
+    found = read_materials(reader, {}, library_materials())
+    if reader.problems:
+        raise DetectorError("_materials.toml", reader.problems)
+    return {name: material for name, material in found.items() if material}
+
+
+def read_materials(reader: Reader, known: Mapping[str, Material], raw: Mapping[str, Any]) -> dict[str, Material | None]:
+    """Return `known` materials and those of the tables `raw` by name; None for one with problems, which are noted."""
+    found: dict[str, Material | None] = {name: material for name, material in known.items() if name not in raw}
+    waiting = dict(raw)
+    while waiting:
+        ready = [name for name, table in waiting.items() if _base(table) in (None, *found)]
+        if not ready:
+            # Report those whose base does not exist; if all bases exist, they form a circle.
+            for name in [n for n, table in waiting.items() if _base(table) not in raw] or list(waiting):
+                base = _base(waiting.pop(name)) or ""
+                hint = did_you_mean(base, found)
+                reader.note(f"materials.{name}.base", f'"{base}"', "the name of another material", hint)
+                found[name] = None
+        for name in ready:
+            table = waiting.pop(name)
+            read_before = isinstance(table, Material)
+            found[name] = table if read_before else _material(reader, name, table, found, known.get(name))
+    return found
+
+
+def _base(table: object) -> str | None:
+    base = table.get("base") if isinstance(table, Mapping) else None
+    return base if isinstance(base, str) else None
+
+
+def _material(
+    reader: Reader, name: str, raw: object, found: Mapping[str, Material | None], old: Material | None
+) -> Material | None:
+    """Return the material of a table; what it does not say is that of the `old` material of the same name."""
+    path = f"materials.{name}"
+    if isinstance(raw, Mapping) and BELOW in raw:
+        below = raw[BELOW]
+        old = below if isinstance(below, Material) else _material(Reader(), name, below, found, old) or old
+        raw = {key: value for key, value in raw.items() if key != BELOW}
+    base = found.get(_base(raw) or "")
+    before = len(reader.problems)
+    if base or old is None or not isinstance(raw, Mapping):
+        defaults = {"density": base.density} if base else {}
+    else:
+        defaults = _kept(old, raw)
+    values = reader.table(path, raw, Material, defaults=defaults)
+    if len(reader.problems) > before or (_base(raw) and base is None):
+        return None
+    values.pop("base", None)
+    if base:
+        return _with_base(reader, path, name, base, values)
+    if old and isinstance(raw, Mapping) and raw.keys() <= {"density", "x0"}:
+        same = values["density"] == old.density
+        return _diluted(old, values["density"], values["x0"] if "x0" in raw else old.x0 if same else None)
+    if old and "x0" in defaults and isinstance(raw, Mapping) and "x0" not in raw:
+        values["x0"] *= old.density / values["density"]
+    if "composition" not in values and not all(key in values for key in _BULK):
+        given = "only " + ", ".join(values)
+        reader.note(path, given, "also composition, or all of " + ", ".join(_BULK))
+        return None
+    fractions = dict(values.setdefault("composition", ()))
+    values.setdefault("gas", False)
+    if fractions:
+        values.setdefault("x0", x0_of_fractions(fractions, values["density"]))
+        values.setdefault("z_over_a", z_over_a_of_fractions(fractions))
+        values.setdefault("excitation_energy", excitation_of_fractions(fractions))
+    effect = (values["excitation_energy"], values["z_over_a"], values["density"], values["gas"])
+    values.setdefault("density_effect", general_density_effect(*effect))
+    return Material(name=name, **values)
+
+
+def _kept(old: Material, raw: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the values of a material that a table for it leaves as they are."""
+    if "composition" in raw or all(key in raw for key in _BULK):
+        return {"density": old.density, "gas": old.gas}
+    names = ["density", "gas", *_BULK, *(["composition"] if old.composition else [])]
+    return {name: getattr(old, name) for name in names}
+
+
+def _with_base(reader: Reader, path: str, name: str, base: Material, values: dict[str, Any]) -> Material | None:
+    """Return the material of a table with a base: the base at another density."""
+    for key in values.keys() - {"density", "x0"}:
+        reader.note(f"{path}.{key}", "a value beside base", "only density and x0 beside base")
+        return None
+    return dataclasses.replace(_diluted(base, values["density"], values.get("x0")), name=name)
+
+
+def _diluted(base: Material, density: float, x0: float | None = None) -> Material:
+    """Return a material at another density (g/cm3).
+
+    A solid is diluted by holes. The matter between them is unchanged and keeps its density effect; `filling` is its
+    share of the volume. A gas gets a new density effect for its new pressure.
+    """
+    effect, filling = base.density_effect, base.filling
+    if not base.gas:
+        filling = min(1.0, base.filling * density / base.density)
+    elif density != base.density:
+        effect = general_density_effect(base.excitation_energy, base.z_over_a, density, gas=True)
+    x0 = base.x0 * base.density / density if x0 is None else x0
+    return dataclasses.replace(base, density=density, x0=x0, density_effect=effect, filling=filling)
+
+
+class MaterialNameError(ValueError):
+    """A material that cannot be made from its name; `given`, `expected` and `hint` say why."""
+
+    def __init__(self, given: str, expected: str, hint: str = "") -> None:
+        self.given, self.expected, self.hint = given, expected, hint
+        super().__init__(given, expected, hint)
+
+
+def material_named(
+    name: str, volumes: tuple[float, ...] | None = None, density: float | None = None
+) -> tuple[Material, str]:
+    """Return a material by its name, and what had to be chosen for it (text, may be empty).
+
+    Parameters
+    ----------
+    name : str
+        A material that comes with the program, an element's symbol, a chemical formula, or gases with "/" between
+        them. A mixture without `volumes` is the one that comes with the program (`USUAL`), else of equal parts.
+    volumes : tuple of float or None
+        Fractions of the gases by volume, %.
+    density : float or None
+        g/cm3; of gases by default that of ideal gases at 20 C and 1 atm.
+
+    Raises
+    ------
+    MaterialNameError
+        If there is no such material, or something is missing.
+
+    """
+    usual, text = USUAL.get(name, ("", ""))
+    if usual and volumes is None:
+        material = library()[usual]
+        return _diluted(
+            material, density
+        ) if density else material, f"{name} {text} by volume, as detector files have it"
+    if "/" in name:
+        return _mixture(name, volumes, density)
+    if volumes is not None:
+        raise MaterialNameError(f'fractions for "{name}"', "fractions only after gases such as Ar/CO2")
+    if name in library():
+        material = library()[name]
+        return _diluted(material, density) if density else material, ""
+    return _pure(name, density)
+
+
+def _pure(name: str, density: float | None) -> tuple[Material, str]:
+    row = _rows().get(name)
+    if row and row["gas"]:
+        return _gas(name, [(row["gas"], 1.0)], density), f"{row['gas']} gas"
+    if row:
+        return _made(name, {name: 1.0}, density or float(row["density"]), gas=False), ""
+    fractions = _fractions(name)
+    if density is None and name in GASES:
+        return _gas(name, [(name, 1.0)], None), ""
+    if density is None:
+        expected = 'the density of a compound that is no gas before its thickness, as "CH2 0.94 g/cm3 1 mm"'
+        raise MaterialNameError(f'"{name}" without density', expected)
+    return _made(name, fractions, density, gas=name in GASES), ""
+
+
+def _mixture(name: str, volumes: tuple[float, ...] | None, density: float | None) -> tuple[Material, str]:
+    names = name.split("/")
+    note = "" if volumes else "equal parts by volume"
+    volumes = volumes or (100 / len(names),) * len(names)
+    if len(volumes) != len(names) or abs(sum(volumes) - 100) > 0.1 or min(volumes) <= 0:
+        given = "/".join(f"{part:g}" for part in volumes)
+        raise MaterialNameError(f'{given} for "{name}"', f"{len(names)} fractions above 0 that add up to 100 %")
+    gases = []
+    for one, volume in zip(names, volumes, strict=True):
+        row = _rows().get(one)
+        if not (row["gas"] if row else library()[one].gas if one in library() else True):
+            raise MaterialNameError(f'"{one}" in "{name}"', "a gas", did_you_mean(one, _gas_names()))
+        gases.append((row["gas"] if row else one, volume))
+    full = f"{name} {'/'.join(f'{volume:g}' for volume in volumes)}"
+    return _gas(full if not note else name, gases, density), note
+
+
+def _gas(name: str, gases: list[tuple[str, float]], density: float | None) -> Material:
+    """Return a mixture of gases given by formula and share of the volume, %."""
+    mass: dict[str, float] = {}
+    total = 0.0
+    for formula, volume in gases:
+        fractions = _fractions(formula)
+        moles = volume * _molar_mass(formula)
+        total += moles
+        for symbol, part in fractions.items():
+            mass[symbol] = mass.get(symbol, 0.0) + moles * part
+    fractions = {symbol: value / total for symbol, value in mass.items()}
+    ideal = total / sum(volume for _, volume in gases) / MOLAR_VOLUME
+    return _made(name, fractions, density or ideal, gas=True)
+
+
+def _made(name: str, fractions: dict[str, float], density: float, *, gas: bool) -> Material:
+    excitation, z_over_a = excitation_of_fractions(fractions), z_over_a_of_fractions(fractions)
+    return Material(
+        name=name,
+        density=density,
+        x0=x0_of_fractions(fractions, density),
+        z_over_a=z_over_a,
+        excitation_energy=excitation,
+        gas=gas,
+        composition=tuple(fractions.items()),
+        density_effect=general_density_effect(excitation, z_over_a, density, gas),
+    )
+
+
+def _plain(formula: str) -> str:
+    """Return a formula without the letter of the isomer: iC4H10 is C4H10."""
+    return re.sub(r"^[in](?=C\d)", "", formula)
+
+
+def _molar_mass(formula: str) -> float:
+    counted = re.findall(r"([A-Z][a-z]?)(\d*)", _plain(formula))
+    return sum(elements()[symbol].a * int(count or 1) for symbol, count in counted)
+
+
+def _fractions(formula: str) -> dict[str, float]:
+    try:
+        return fractions_of_formula(_plain(formula))
+    except (KeyError, ValueError, ZeroDivisionError):
+        expected = "a material of detector files, an element's symbol, a chemical formula, or gases as Ar/CO2"
+        hint = did_you_mean(formula, [*library(), *_gas_names(), *elements()])
+        hint = hint or f"materials of detector files: {', '.join(library())}"
+        raise MaterialNameError(f'"{formula}"', expected, hint) from None
+
+
+@cache
+def _rows() -> dict[str, dict[str, str]]:
+    return {row["symbol"]: row for row in element_rows()}
+
+
+def _gas_names() -> list[str]:
+    return [*GASES, *(symbol for symbol, row in _rows().items() if row["gas"])]
 
 
 def read_contents(source: str, tables: Mapping[str, Any], problems: list[Problem]) -> Contents:

@@ -1,17 +1,17 @@
 """Checks of a detector's values and geometry; each returns all problems it finds."""
 
+from __future__ import annotations
+
 import math
 from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any
 
+from cgemit.base.errors import Problem
 from cgemit.detector.field import Field
-from cgemit.detector.field.core import extent
-from cgemit.detector.kept import Part, once
-from cgemit.detector.keys import keys_of
-from cgemit.detector.parts import CgemLayer, Contents, Cylinder, DriftChamber
-from cgemit.detector.read_lists import strip_text
-from cgemit.problems import Problem
+from cgemit.detector.keys import Part, keys_of, once
+from cgemit.detector.parts import CgemLayer, Contents, Cylinder, DriftChamber, extent
+from cgemit.detector.reader import strip_text
 from cgemit.units import NATIVE, format_quantity
 
 TOUCH = 1e-6  # mm; parts closer than this touch

@@ -1,5 +1,7 @@
 """Materials: radiation length, mean excitation energy and density effect from what a file states."""
 
+from __future__ import annotations
+
 import csv
 import math
 import re
@@ -11,8 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cgemit.detector.kept import Part
-from cgemit.detector.keys import key
+from cgemit.detector.keys import Part, key
 
 FINE_STRUCTURE = 1 / 137.035999084
 K = 0.307075e-3  # GeV cm2/mol, 4 pi N_A r_e^2 m_e c^2 (PDG 2024, "Passage of particles through matter")
@@ -84,7 +85,7 @@ class Material(Part):
         # Caches look up materials often; the hash of all fields would slow this down.
         return hash((self.name, self.density, self.x0))
 
-    def solid(self) -> "Material":
+    def solid(self) -> Material:
         """Return the matter between the holes: the same material undiluted."""
         if self.filling == 1:
             return self
@@ -131,7 +132,7 @@ def elements() -> dict[str, Element]:
 @cache
 def element_rows() -> tuple[dict[str, str], ...]:
     """Return the rows of elements.csv as text."""
-    text = (resources.files("cgemit.data") / "detectors" / "elements.csv").read_text(encoding="utf-8")
+    text = (resources.files("cgemit.detector") / "presets" / "elements.csv").read_text(encoding="utf-8")
     return tuple(csv.DictReader(line for line in text.splitlines() if not line.startswith("#")))
 
 

@@ -1,7 +1,9 @@
-"""Parts of a detector as immutable dataclasses. Lengths in mm, angles in rad; numbers are in native units.
+"""Parts of a detector as immutable dataclasses: layers, strips, shells, wires. Lengths in mm, angles in rad.
 
 The metadata of each field (`keys.Key`) states what a detector file may hold there.
 """
+
+from __future__ import annotations
 
 import math
 from collections.abc import Iterator
@@ -9,14 +11,180 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from html import escape
 from itertools import accumulate, chain
+from typing import NamedTuple
 
-from cgemit.detector.background import BackgroundLevel
+import numpy as np
+import numpy.typing as npt
+
 from cgemit.detector.field import Field
-from cgemit.detector.kept import Part
-from cgemit.detector.keys import key
+from cgemit.detector.keys import Part, key
 from cgemit.detector.material import Material
-from cgemit.detector.placement import Placed
-from cgemit.detector.shell import Shell
+
+Floats = npt.NDArray[np.float64]
+
+_FAR, _TILT, _ROTATION = 2.0, 2e-3, 1e-2  # mm, rad: beyond, hits would be sought at other wires and strips
+
+
+@dataclass(frozen=True, kw_only=True)
+class Placed(Part):
+    """A part with six degrees of freedom: it is turned about the x, then y, then z axis, and then shifted."""
+
+    shift_x: float = field(metadata=key("length", "shift of the part along x", -_FAR, _FAR), default=0.0)  # mm
+    shift_y: float = field(metadata=key("length", "shift of the part along y", -_FAR, _FAR), default=0.0)  # mm
+    shift_z: float = field(metadata=key("length", "shift of the part along the beam", -_FAR, _FAR), default=0.0)  # mm
+    tilt_x: float = field(metadata=key("angle", "turn of the part about the x axis", -_TILT, _TILT), default=0.0)
+    tilt_y: float = field(metadata=key("angle", "turn of the part about the y axis", -_TILT, _TILT), default=0.0)
+    rotation: float = field(
+        metadata=key("angle", "turn of the part about the beam axis", -_ROTATION, _ROTATION), default=0.0
+    )
+
+    @property
+    def is_moved(self) -> bool:
+        """Whether the part is anywhere but where the description puts it."""
+        return any(getattr(self, name) != 0 for name in PLACEMENT)
+
+    def moved_text(self) -> str:
+        """Return how the part is displaced, as the end of a line; nothing if it is in place."""
+        if not self.is_moved:
+            return ""
+        shift = ", ".join(f"{1000 * value:g}" for value in self.shift)
+        turn = ", ".join(f"{1000 * value:g}" for value in (self.tilt_x, self.tilt_y, self.rotation))
+        return f", displaced by ({shift}) um and ({turn}) mrad"
+
+    @property
+    def shift(self) -> Floats:
+        """Shift, (3,) float64 mm."""
+        return np.array([self.shift_x, self.shift_y, self.shift_z])
+
+    @property
+    def turn(self) -> Floats:
+        """Rotation from the beam's axes to those of the part, (3, 3) float64."""
+        (cx, sx), (cy, sy), (cz, sz) = (
+            (math.cos(angle), math.sin(angle)) for angle in (self.tilt_x, self.tilt_y, self.rotation)
+        )
+        about_x = np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
+        about_y = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
+        about_z = np.array([[cz, -sz, 0], [sz, cz, 0], [0, 0, 1]])
+        return np.asarray((about_z @ about_y @ about_x).T)
+
+    @property
+    def placement(self) -> Floats:
+        """Shift and the rows of the rotation, (12,) float64, as the core takes them."""
+        return np.concatenate([self.shift, self.turn.ravel()])
+
+
+#: Keys of `Placed`, which a file need not give.
+PLACEMENT = ("shift_x", "shift_y", "shift_z", "tilt_x", "tilt_y", "rotation")
+
+#: Placement of a part that is where the description puts it.
+IN_PLACE = Placed().placement
+
+
+def seen_by(part: Placed, points: Floats, direction: Floats) -> Floats:
+    """Return where straight tracks that cross cylinders of the described part cross those of the real one.
+
+    Parameters
+    ----------
+    part : Placed
+    points : ndarray, (n, 3) float64, mm
+        Points of the tracks, in the beam's axes.
+    direction : ndarray, (n, 3) float64
+        Their directions, of any length.
+
+    Returns
+    -------
+    ndarray, (n, 3) float64, mm
+        In the part's own axes, each at the radius that the point has in the beam's. A track along the surface is left
+        where it is.
+    """
+    radius_2 = np.sum(points[:, :2] ** 2, axis=1)
+    local, along = (points - part.shift) @ part.turn.T, direction @ part.turn.T
+    # |p + t u| = radius, for the solution close to t = 0
+    a, b = np.sum(along[:, :2] ** 2, axis=1), np.sum(local[:, :2] * along[:, :2], axis=1)
+    c = np.sum(local[:, :2] ** 2, axis=1) - radius_2
+    square = b * b - a * c
+    t = np.where(square > 0, -c / (b + np.copysign(np.sqrt(np.maximum(square, 0)), b)), 0.0)
+    return np.asarray(local + t[:, None] * along)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RatePoint(Part):
+    """Rate of hits at a radius."""
+
+    r: float = field(metadata=key("length", "distance from the beam line", 1e-3, 1e6))
+    rate: float = field(metadata=key("rate density", "hits of an area of the layer", 0, 1e6))
+
+
+@dataclass(frozen=True, kw_only=True)
+class BackgroundLevel(Part):
+    """Cells and strips that fire without a particle of the event (docs/methods/background.md)."""
+
+    label: str
+    wire_rate: tuple[RatePoint, ...] = field(
+        metadata=key("profile", "hits of the wires with a time in the read-out window, against the radius"), default=()
+    )
+    wire_runs: tuple[float, ...] = field(
+        metadata=key("counts", "how often 1, 2, 3 ... cells of a layer fire side by side"), default=(1,)
+    )
+    wire_window: float = field(metadata=key("time", "read-out window of the wires", 1, 1e6), default=2000.0)
+    hot_wires: float = field(metadata=key("dimensionless", "share of the wires that are hot", 0, 1), default=0.0)
+    hot_wire_rate: float = field(metadata=key("rate", "hits of a hot wire", 0, 1e6), default=0.0)
+    dead_wires: float = field(metadata=key("dimensionless", "share of the wires that never fire", 0, 1), default=0.0)
+    efficiency_wires: float = field(
+        metadata=key("dimensionless", "share of the cells fired by particles that are read out", 0, 1), default=1.0
+    )
+    cluster_rate: float = field(
+        metadata=key("rate density", "clusters of the CGEM at cluster_radius", 0, 1e6), default=0.0
+    )
+    cluster_radius: float = field(
+        metadata=key("length", "distance from the beam line of that rate", 1e-3, 1e6), default=76.0
+    )
+    cluster_power: float = field(
+        metadata=key("dimensionless", "power of the radius with which it changes", -10, 10), default=0.0
+    )
+    cluster_strips: int = field(
+        metadata=key("integer", "most strips of such a cluster; from 1, as probable as each other", 1, 1000), default=6
+    )
+    charge_low: float = field(metadata=key("charge", "smallest charge of a strip", 0, 1e6), default=10.0)
+    charge_high: float = field(metadata=key("charge", "largest charge of a strip", 0, 1e6), default=50.0)
+    strip_window: float = field(metadata=key("time", "read-out window of the strips", 1, 1e6), default=1000.0)
+    efficiency_x: float = field(
+        metadata=key("dimensionless", "share of the X strips fired by particles that are read out", 0, 1), default=1.0
+    )
+    efficiency_v: float = field(
+        metadata=key("dimensionless", "share of the V strips fired by particles that are read out", 0, 1), default=1.0
+    )
+    noise_x: float = field(metadata=key("rate", "noise of an X strip of the innermost layer", 0, 1e6), default=0.0)
+    noise_v: float = field(metadata=key("rate", "noise of a V strip of the innermost layer", 0, 1e6), default=0.0)
+    hot_strips: float = field(metadata=key("dimensionless", "share of the strips that are hot", 0, 1), default=0.0)
+    hot_strip_rate: float = field(metadata=key("rate", "hits of a hot strip", 0, 1e6), default=0.0)
+    dead_strips: float = field(metadata=key("dimensionless", "share of the strips that never fire", 0, 1), default=0.0)
+
+
+class Shell(NamedTuple):
+    """A placed sub-layer; `group` is pipe, wall, air, cathode, drift, foils, anode or gas."""
+
+    group: str
+    label: str
+    r_in: float  # mm
+    r_out: float  # mm
+    half_length: float  # mm
+    material: Material
+
+    @property
+    def thickness(self) -> float:
+        """Thickness in mm."""
+        return self.r_out - self.r_in
+
+    @property
+    def x0(self) -> float:
+        """Thickness in radiation lengths at normal incidence."""
+        return self.thickness / self.material.x0
+
+    @property
+    def xi(self) -> float:
+        """(K/2) (Z/A) times the mass thickness at normal incidence, GeV."""
+        return self.material.xi(self.thickness)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -302,3 +470,34 @@ class Contents(Part):
     drift_chamber: DriftChamber | None
     background: tuple[BackgroundLevel, ...] = ()  # by label
     air: Material  # fills the space between parts inside the drift chamber
+
+
+def local_v(layer: CgemLayer, x: Floats | float, z: Floats | float) -> Floats:
+    """Return V, (n,) float64 mm, of points with X and z, (n,) float64 mm."""
+    return np.asarray(x * np.cos(layer.stereo) + (layer.z_ref - z) * np.sin(layer.stereo))
+
+
+def strips_of_v(layer: CgemLayer, v: Floats | float) -> Floats:
+    """Return V, (n,) float64 mm, counted in V strips: i is the edge where strip i begins."""
+    return np.asarray(np.divide(v, layer.pitch_v) - layer.offset_v)
+
+
+def v_of_strips(layer: CgemLayer, strips: Floats | float) -> Floats:
+    """Return V, (n,) float64 mm, of positions counted in V strips: i is the edge where strip i begins."""
+    return np.asarray(np.add(strips, layer.offset_v) * layer.pitch_v)
+
+
+def crossing_z(layer: CgemLayer, x: Floats | float, v: Floats | float) -> Floats:
+    """Return z, (n,) float64 mm, at which lines of constant V meet those of constant X, (n,) float64 mm."""
+    return np.asarray(layer.z_ref - (v - x * np.cos(layer.stereo)) / np.sin(layer.stereo))
+
+
+def extent(detector: Contents) -> tuple[float, float]:
+    """Return the outermost radius and |z| of a detector's parts, mm."""
+    cylinders = [*detector.beam_pipe, *detector.walls]
+    radii = [part.r_out for part in cylinders] + [layer.r_out for layer in detector.cgem]
+    lengths = [part.half_length for part in cylinders] + [layer.half_length for layer in detector.cgem]
+    for wire in detector.drift_chamber.layers if detector.drift_chamber else ():
+        radii.append(wire.r_end)
+        lengths.append(wire.half_length)
+    return max(radii, default=0.0), max(lengths, default=0.0)

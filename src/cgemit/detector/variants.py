@@ -1,5 +1,7 @@
 """Changes of a detector by dotted keys: wildcards, relative values, names of variants, hashes, allowed ranges."""
 
+from __future__ import annotations
+
 import dataclasses
 import hashlib
 import json
@@ -8,14 +10,11 @@ from collections.abc import Iterator, Mapping
 from fnmatch import fnmatchcase
 from typing import Any
 
-from cgemit.detector.kept import Part, once
-from cgemit.detector.keys import Key, Known, keys_of
+from cgemit.base.errors import DetectorError, Problem, did_you_mean
+from cgemit.detector.keys import Key, Known, Part, keys_of, once
 from cgemit.detector.material import Material
-from cgemit.detector.merge import FOR_ALL_LAYERS
 from cgemit.detector.parts import CgemLayer, Contents, DriftChamber, SubLayer
-from cgemit.detector.read import EXTRA, TOP_LEVEL
-from cgemit.detector.read_lists import shown
-from cgemit.problems import DetectorError, Problem, did_you_mean
+from cgemit.detector.reader import EXTRA, FOR_ALL_LAYERS, TOP_LEVEL, shown
 from cgemit.units import NATIVE
 
 _NUMBER = r"(\d+\.?\d*(?:[eE][+-]?\d+)?|\.\d+)"

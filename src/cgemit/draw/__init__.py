@@ -1,18 +1,12 @@
 """Pictures; the only part of the package that knows matplotlib."""
 
-from cgemit.draw.budget import draw_budget, draw_budgets, draw_sensitivity
 from cgemit.draw.chain_diagram import draw_chain
-from cgemit.draw.cluster import draw_cluster, draw_projection
-from cgemit.draw.curves import residual
+from cgemit.draw.cluster import FormationPanel, draw_cluster, draw_formation, draw_projection
+from cgemit.draw.curves import ViewCurves, draw_finding, draw_readout, draw_refit, residual, resolutions
+from cgemit.draw.design import draw_budget, draw_budgets, draw_sensitivity
 from cgemit.draw.detector import draw_detector, draw_sides
-from cgemit.draw.display import event
-from cgemit.draw.display3d import event_3d, save_page
-from cgemit.draw.finding import draw_finding
-from cgemit.draw.formation import FormationPanel, draw_formation
-from cgemit.draw.matter import draw_slab
-from cgemit.draw.readout import ViewCurves, draw_readout
-from cgemit.draw.refit import draw_refit
-from cgemit.draw.scans import resolutions
+from cgemit.draw.display import event, event_3d, save_page
+from cgemit.draw.slab import draw_slab
 from cgemit.draw.style import Picture
 
 draw_event = event  # its former name

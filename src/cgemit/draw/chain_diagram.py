@@ -1,4 +1,4 @@
-"""The chain diagram: which stage makes which table."""
+"""Diagram of the chain: stages and their tables."""
 
 from __future__ import annotations
 

@@ -1,22 +1,25 @@
-"""One crossing of one CGEM layer: its projection to the anode, and the cluster it makes there."""
+"""Pictures of one crossing of a CGEM layer: projection to the anode, cluster, and its formation by a chip."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 from matplotlib.axes import Axes
-from matplotlib.collections import PatchCollection, PolyCollection
+from matplotlib.collections import LineCollection, PatchCollection, PolyCollection
 from matplotlib.patches import Rectangle
 
-from cgemit.detector.strips import crossing_z, local_v, strips_of_v, v_of_strips
-from cgemit.draw.geometry import Array, near
+from cgemit.detector.parts import crossing_z, local_v, strips_of_v, v_of_strips
+from cgemit.draw.event import Array, near
 from cgemit.draw.style import COLORS, Picture, legend_entries, new_picture, plain, statistics_box, style
 
 if TYPE_CHECKING:
+    from cgemit.chain.result import Result
     from cgemit.detector import CgemLayer
-    from cgemit.result import Result
+
 
 _COPPER = "#B87333"
 
@@ -260,3 +263,68 @@ def _draw_stack(axes: Axes, layer: CgemLayer, half: float) -> None:
     axes.text(-0.97 * half, layer.r_gap_in - 0.55, "cathode", **text)
     axes.text(-0.97 * half, layer.r_gap_in + 0.4, f"drift gap {layer.drift_gap:g} mm", **text)
     axes.text(-0.97 * half, layer.anode_radius + 1.0, "anode", **text)
+
+
+Floats = npt.NDArray[np.float64]
+
+_DEPTH = 3.0  # mm of the picture for the largest charge
+_MARGIN = 2.0  # mm on either side
+
+
+class FormationPanel(NamedTuple):
+    """One track with one set of switches; lengths in mm, X from the crossing of mid-gap, depth from the cathode."""
+
+    title: str
+    track: Floats  # (2, 2), X and depth where it enters and leaves the drift gap
+    drift: list[Floats]  # lines of electrons, each (m, 2)
+    foils: Floats  # (n,), depth of the foils
+    anode: float  # depth
+    pitch: float
+    strips: Floats  # (n,), X of the middles of fired strips
+    charge: Floats  # (n,) fC
+
+
+def draw_formation(panels: Sequence[FormationPanel]) -> Picture:
+    """Draw the track, electrons through drift gap and foils, and the charges of the strips, one plot a panel.
+
+    Parameters
+    ----------
+    panels : sequence of FormationPanel
+    """
+    low, high = _range(panels)
+    most = max(float(panel.charge.max(initial=0.0)) for panel in panels)
+    with style():
+        picture, plots = new_picture((len(panels) + 1) // 2, 2, (9.6, 4.6 * ((len(panels) + 1) // 2)))
+        for axes, panel in zip(plots, panels, strict=True):
+            axes.add_collection(LineCollection(panel.drift, colors=COLORS["cgem"], lw=0.5, alpha=0.35))
+            axes.plot(*panel.track.T, color=COLORS["truth"], lw=2.0, label="muon")
+            axes.plot([], [], color=COLORS["cgem"], lw=1.0, label="electrons")
+            for depth in panel.foils:
+                axes.plot([low, high], [depth, depth], color=_COPPER, lw=2.0, ls=(0, (2, 1)))
+            axes.axhline(0, color=_COPPER, lw=2.0)
+            axes.axhline(panel.anode, color="black", lw=1.0)
+            height = _DEPTH * panel.charge / most if most > 0 else panel.charge
+            axes.bar(
+                panel.strips, height, 0.85 * panel.pitch, bottom=panel.anode, color=COLORS["data"],
+                label="charge of X strips",
+            )  # fmt: skip
+            axes.set(xlim=(low, high), ylim=(panel.anode + 1.15 * _DEPTH, -0.8), title=panel.title)
+            axes.set(xlabel="X − X of the muon at mid-gap  (mm)", ylabel="depth from the cathode  (mm)")
+            n = len(panel.charge)
+            total = f"{panel.charge.sum():.0f} fC on {n} strip{'s' * (n != 1)}"
+            axes.text(0.02, 0.02, total, transform=axes.transAxes, ha="left", va="bottom", fontsize=9)
+            names = [(0, "cathode"), *((depth, f"GEM {i + 1}") for i, depth in enumerate(panel.foils))]
+            for depth, name in [*names, (panel.anode, "anode")]:
+                axes.text(low + 0.1, depth - 0.08, name, fontsize=8, va="bottom")
+        handles, labels = plots[0].get_legend_handles_labels()
+        picture.legend(handles, labels, loc="upper center", ncols=3)
+        picture.tight_layout(rect=(0, 0, 1, 0.96))
+    return picture
+
+
+def _range(panels: Sequence[FormationPanel]) -> tuple[float, float]:
+    """Return the range of X that shows nearly all electrons and all tracks."""
+    ends = np.concatenate([[line[-1, 0] for line in panel.drift] for panel in panels if panel.drift])
+    tracks = np.concatenate([panel.track[:, 0] for panel in panels])
+    low, high = np.quantile(ends, (0.01, 0.99)) if len(ends) else (0.0, 0.0)
+    return float(min(low, tracks.min()) - _MARGIN), float(max(high, tracks.max()) + _MARGIN)

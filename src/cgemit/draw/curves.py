@@ -1,32 +1,36 @@
-"""Distributions of residuals and pulls, and resolutions against momentum and angle."""
+"""Pictures of distributions, and of resolutions and efficiencies against momentum, angle or incidence."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
+from matplotlib.ticker import MaxNLocator
 
-from cgemit.draw.shots import shot_text
+from cgemit.analysis.bes3 import FITS, Refit
+from cgemit.analysis.curves import SYMBOLS, Line, Spectrum, track_spectrum
+from cgemit.chain.result import Result, tracks_of
 from cgemit.draw.style import (
     COLORS,
     Picture,
     grid,
     legend_below,
+    legend_entries,
     looks,
     mathematical,
     new_picture,
     plain,
+    shot_text,
     statistics_box,
     style,
 )
-from cgemit.result import Result
-from cgemit.statistics.curves import Line, Spectrum, track_spectrum
-from cgemit.statistics.formatting import shown
-from cgemit.stored_run import tracks_of
 from cgemit.tables import Table
+from cgemit.tables.schema import PARAMETERS
+from cgemit.tables.show import shown
 
 
 def residual(result: Result | Table, quantity: str = "p") -> Picture:
@@ -291,3 +295,254 @@ def _around_one(curves: Sequence[Line]) -> tuple[float, float]:
     away = np.concatenate([np.abs(curve.y - 1) + np.nan_to_num(curve.y_error) for curve in curves])
     reach = max(0.25, 1.1 * float(np.max(away, initial=0.0, where=np.isfinite(away))))
     return max(0.0, 1 - reach), 1 + reach
+
+
+_LABELS = {
+    "pt": r"$p_T$  (GeV/c)",
+    "cos_theta": r"$\cos\theta$",
+    "phi": r"$\phi$  (rad)",
+    "distance": "vertex to beam line  (mm)",
+    "tracks": "findable particles in the event",
+    "occupancy": "occupancy of the event  (%)",
+}
+
+
+def draw_finding(curves: Mapping[str, Mapping[str, Any]], title: str, lines: Sequence[str] = ()) -> Picture:
+    """Draw the efficiency in bins, one panel for each quantity.
+
+    Parameters
+    ----------
+    curves : mapping of str to mapping
+        By quantity, ``"pt"``, ``"cos_theta"``, ``"phi"``, ``"distance"``, ``"tracks"`` or ``"occupancy"``: columns low,
+        high, findable, efficiency, efficiency_low and efficiency_high of the bins.
+    title : str
+    lines : sequence of str
+        Numbers that are written below the panels.
+
+    Returns
+    -------
+    Picture
+    """
+    with style():
+        across, rows = min(len(curves), 3), -(-len(curves) // 3)
+        picture, axes = new_picture(rows, across, (3.9 * across, 3.4 * rows + 0.8))
+        for one in axes[len(curves) :]:
+            one.remove()
+        least = min(
+            (np.nanmin(columns["efficiency_low"]) for columns in curves.values() if np.any(columns["findable"])),
+            default=0.0,
+        )
+        for one, (quantity, columns) in zip(axes, curves.items(), strict=False):
+            filled = np.asarray(columns["findable"]) > 0
+            low, high = (np.asarray(columns[name])[filled] for name in ("low", "high"))
+            value, below, above = (
+                100 * np.asarray(columns[name])[filled] for name in ("efficiency", "efficiency_low", "efficiency_high")
+            )
+            one.errorbar(
+                0.5 * (low + high), value, xerr=0.5 * (high - low), yerr=[value - below, above - value],
+                fmt="o", markersize=3.5, linewidth=1.0, color=COLORS["cgem"],
+            )  # fmt: skip
+            one.set_xlabel(_LABELS[quantity])
+            one.set_ylim(
+                max(0.0, 100 * least - 0.25 * (100 - 100 * least) - 0.2), 100 + 0.06 * (100 - 100 * least) + 0.1
+            )
+            grid(one)
+        for one in axes[::across]:
+            one.set_ylabel("efficiency  (%)")
+        height = picture.get_figheight()
+        picture.suptitle(plain(title), fontsize=10.5, y=1 - 0.08 / height)
+        picture.text(0.5, 0.06 / height, plain("   ".join(lines)), ha="center", fontsize=9, color=COLORS["text"])
+        picture.subplots_adjust(
+            left=0.075, right=0.985, top=1 - 0.42 / height, bottom=0.92 / height, wspace=0.2, hspace=0.3
+        )
+    return picture
+
+
+Floats = npt.NDArray[np.float64]
+
+_LOOKS = {
+    "centroid": ("charge centroid", COLORS["cgem"], "o"),
+    "micro-tpc": ("micro-TPC", COLORS["idc"], "s"),
+    "merged": ("merged", COLORS["truth"], "D"),
+    "track": ("with the track's angle", COLORS["data"], "^"),
+}
+
+
+class ViewCurves(NamedTuple):
+    """What is drawn of one view."""
+
+    name: str  # X or V
+    widths: Mapping[str, tuple[Floats, Floats]]  # by estimator: core widths and their errors, (n,) um
+    size: Floats  # (n,), mean number of strips
+    efficiency: Floats  # (n,)
+
+
+def draw_readout(values: Floats, label: str, views: Sequence[ViewCurves], title: str) -> Picture:
+    """Draw core widths of the estimators, number of strips and efficiency, one column a view.
+
+    Parameters
+    ----------
+    values : (n,) float64
+    label : str
+        Of the quantity on the horizontal axes, with its unit.
+    views : sequence of ViewCurves
+    title : str
+    """
+    with style():
+        picture, flat = new_picture(3, len(views), (8.4, 7.0), sharex=True, height_ratios=(3, 1, 1))
+        rows = [flat[k * len(views) : (k + 1) * len(views)] for k in range(3)]
+        for column, view in enumerate(views):
+            top, middle, bottom = (row[column] for row in rows)
+            for name, (width, error) in view.widths.items():
+                text, colour, marker = _LOOKS[name]
+                top.errorbar(values, width, error, label=text, color=colour, marker=marker, ms=4, lw=1.2, capsize=2)
+            top.set_ylabel(f"core width of the {view.name} residual  (µm)")
+            top.set_ylim(0, 1.1 * float(np.nanmax(view.widths["centroid"][0])))  # line fits may be far worse
+            middle.plot(values, view.size, color=COLORS["data"], marker="o", ms=4, lw=1.2)
+            middle.set_ylim(0, 1.15 * float(view.size.max()))
+            middle.set_ylabel(f"{view.name} strips")
+            bottom.plot(values, 100 * view.efficiency, color=COLORS["data"], marker="o", ms=4, lw=1.2)
+            bottom.set_ylim(min(95.0, 100 * float(view.efficiency.min()) - 1), 100.5)
+            bottom.set_ylabel("efficiency  (%)")
+            bottom.set_xlabel(label)
+            for axes in (top, middle, bottom):
+                grid(axes)
+                axes.locator_params(axis="x", nbins=5)
+        handles, labels = rows[0][0].get_legend_handles_labels()
+        picture.legend(handles, labels, loc="upper center", bbox_to_anchor=(0.5, 0.955), ncols=len(labels), fontsize=9)
+        picture.suptitle(plain(title), fontsize=10)
+        picture.tight_layout(rect=(0, 0, 1, 0.95))
+    return picture
+
+
+_BINS = 24
+_EDGE = 4.0  # of the histograms, errors; what is farther counts in the last bins
+
+
+def draw_refit(result: Refit) -> Picture:
+    """Draw differences over the experiment's error, chi-square of both fits, and the ratio of the errors.
+
+    Parameters
+    ----------
+    result : Refit
+        With one or more tracks that both have fitted.
+
+    Returns
+    -------
+    Picture
+
+    Raises
+    ------
+    ValueError
+        If no track was fitted by both.
+    """
+    good = result.good
+    if not good.any():
+        raise ValueError(f"refit: got no track that both have fitted, of {len(good)}; expected one or more")
+    summary = result.summary()
+    with style():
+        picture, axes = new_picture(2, 4, (14.6, 7.2))
+        for plot, name in zip(axes, PARAMETERS, strict=False):
+            values = np.clip(result.columns[f"pull_{name}"][good], -_EDGE, _EDGE)
+            plot.hist(values, bins=_BINS, range=(-_EDGE, _EDGE), color=COLORS["cgem"], histtype="stepfilled")
+            row = summary[name]
+            plot.set_title(f"median {row['pull']:.2f}, 68 % within ±{row['pull_width']:.2f}", loc="left")
+            plot.set_xlabel(f"{mathematical(SYMBOLS[name])}: (ours − BOSS) / error of BOSS")
+            plot.set_ylabel("tracks")
+            plot.yaxis.set_major_locator(MaxNLocator(integer=True))
+            plot.set_xlim(-_EDGE, _EDGE)
+            plot.axvline(0, color=COLORS["text"], linewidth=0.8)
+            grid(plot)
+        _chi_square(axes[6], result)
+        _errors(axes[7], summary)
+        tracks = (
+            f"{int(good.sum())} tracks of one mass each, ours with {result.detector}; last bins: all beyond ±{_EDGE:g}"
+        )
+        picture.suptitle(plain(f"{FITS[result.kind]}: {tracks}"), x=0.05, ha="left", fontsize=11)
+        picture.subplots_adjust(left=0.05, right=0.99, top=0.9, bottom=0.09, wspace=0.26, hspace=0.36)
+    return picture
+
+
+def _chi_square(plot: Axes, result: Refit) -> None:
+    """Draw chi-square over degrees of freedom, ours against theirs."""
+    ours, boss = ((one["chi2"] / np.maximum(one["ndf"], 1))[result.good] for one in (result.ours, result.boss))
+    top = 1.08 * max(ours.max(), boss.max())
+    plot.plot([0, top], [0, top], color=COLORS["text"], linewidth=0.8)
+    plot.plot(boss, ours, "o", markersize=3.5, color=COLORS["cgem"])
+    plot.set(xlabel="χ²/ndf, BOSS", ylabel="χ²/ndf, ours", xlim=(0, top), ylim=(0, top))
+    grid(plot)
+
+
+def _errors(plot: Axes, summary: dict[str, dict[str, float]]) -> None:
+    """Draw the median ratio of the errors, by parameter."""
+    names = list(PARAMETERS)
+    ratios = [summary[name]["error_ratio"] for name in names]
+    plot.axhline(1, color=COLORS["text"], linewidth=0.8)
+    plot.plot(range(len(names)), ratios, "o", color=COLORS["cgem"])
+    plot.set_xticks(range(len(names)), [mathematical(SYMBOLS[name]) for name in names])
+    plot.set(
+        ylabel="median of our error / error of BOSS", xlim=(-0.6, len(names) - 0.4), ylim=(0, 1.15 * max(1.0, *ratios))
+    )
+    grid(plot)
+
+
+#: Quantities in the order of the panels, with the label of the axis.
+PANELS = {
+    "dr": f"σ({SYMBOLS['dr']})", "dz": f"σ({SYMBOLS['dz']})", "p": "σ(p)",
+    "p_rel": "σ(p)/p", "pt_rel": "σ($p_T$)/$p_T$", "pt": "σ($p_T$)",
+    "phi0": "σ(φ₀)", "theta": "σ(θ)", "tanl": "σ(tan λ)",
+}  # fmt: skip
+
+
+def resolutions(scans: Sequence[Any]) -> Picture:
+    """Draw the core resolutions of scans against momentum.
+
+    Parameters
+    ----------
+    scans : sequence of Scan or AnalyticScan
+        Results of `cgemit.study.scan` and `cgemit.study.scan_analytic`: simulated ones are points, analytic ones lines.
+
+    Returns
+    -------
+    Picture
+        d_rho, d_z, p; relative p and pT, pT; phi0, theta, tan(lambda).
+    """
+    scans = [scans] if hasattr(scans, "all_lines") else list(scans)
+    named = _named([scan.all_lines for scan in scans])
+    transverse = scans[0].orders[0].gun.p is None
+    with style():
+        picture, axes = new_picture(3, 3, (13.2, 11.2))
+        for plot, (name, label) in zip(axes, PANELS.items(), strict=True):
+            curves = [line for lines in named for line in lines if line.id == f"sigma_{name}"]
+            draw_curves(plot, curves, label, "$p_T$" if transverse else "p")
+        entries = legend_entries(axes)
+        if entries:
+            picture.legend(entries.values(), entries.keys(), loc="lower center", ncols=min(4, len(entries)))
+        picture.suptitle(plain(about(scans)), x=0.06, ha="left", fontsize=11)
+        picture.subplots_adjust(left=0.06, right=0.99, top=0.95, bottom=0.1, wspace=0.24, hspace=0.24)
+    return picture
+
+
+def about(scans: Sequence[Any]) -> str:
+    """Return particles, angle, number of events, read-out and finder of some scans as text."""
+    particles = ", ".join(dict.fromkeys(str(scan.orders[0].gun.particle) for scan in scans))
+    parts = [f"{particles}, {scans[0].angle}"]
+    events = dict.fromkeys(scan.orders[0].n_events for scan in scans if scan.method == "mc")
+    parts += [f"{n:,} simulated events at each momentum" for n in events]
+    readouts = ", ".join(dict.fromkeys(scan.readout for scan in scans if scan.readout))
+    parts += [f"read-out {readouts}"] if readouts else []
+    parts += [f"hits {hits}" for hits in dict.fromkeys(scan.hits for scan in scans if scan.hits)]
+    return "core widths: " + ", ".join(parts)
+
+
+def _named(groups: Sequence[Sequence[Line]]) -> list[list[Line]]:
+    """Return the lines with what tells them apart as the detector: its name, the particle, or both."""
+    lines = [line for group in groups for line in group]
+    detectors, particles = ({getattr(line, name) for line in lines} for name in ("detector", "particle"))
+    if len(particles) == 1:
+        return [list(group) for group in groups]
+    both = len(detectors) > 1
+    return [
+        [replace(line, detector=f"{line.detector}, {line.particle}" if both else line.particle) for line in group]
+        for group in groups
+    ]

@@ -12,7 +12,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Annulus, Patch, Rectangle
 
 from cgemit.detector import CgemLayer, Detector, Shell, WireLayer, load
-from cgemit.draw.geometry import wire_layers, wire_positions, wire_profile
+from cgemit.draw.event import wire_layers, wire_positions, wire_profile
 from cgemit.draw.style import COLORS, Picture, new_picture, plain, style
 
 _PARTS = {

@@ -14,7 +14,9 @@ import matplotlib as mpl
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from cgemit.io import new_file
+from cgemit.base.files import new_file
+from cgemit.base.settings import InTurn
+from cgemit.particles.gun import Gun, Guns, Source
 
 #: Okabe-Ito colours (distinguishable with colour-blind eyes and in grey), by what they stand for.
 COLORS = {
@@ -161,3 +163,31 @@ def legend_below(picture: Picture, labels: Sequence[str]) -> None:
 def looks() -> Iterator[tuple[str, str]]:
     """Yield marker and colour of each curve."""
     return zip(cycle(_MARKERS), cycle(_COLOURS), strict=False)
+
+
+_NAMES = {"p": "p = {} GeV/c", "pt": "pT = {} GeV/c", "theta": "θ = {} rad", "cos_theta": "cos θ = {}"}
+
+
+def shot_text(source: Source | Guns | None) -> str:
+    """Return particle, momentum and angle of a gun, or of several, as text.
+
+    Parameters
+    ----------
+    source : Gun, EventSample, Guns or None
+        None: particles were given.
+    """
+    guns: Sequence[Source] = () if source is None else source.guns if isinstance(source, Guns) else (source,)
+    texts = []
+    for gun in guns:
+        if not isinstance(gun, Gun):
+            texts.append(repr(gun))
+            continue
+        given = {name: text for name, text in _NAMES.items() if getattr(gun, name) is not None}
+        texts.append(", ".join([str(gun.particle), *(t.format(_value(getattr(gun, n))) for n, t in given.items())]))
+    return "; ".join(texts) or "given particles"
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, InTurn):
+        return ", ".join(f"{one:g}" for one in value.values[:5]) + (", ..." if len(value.values) > 5 else "")
+    return f"{value[0]:g} to {value[1]:g}" if isinstance(value, tuple) else f"{value:g}"

@@ -1,22 +1,31 @@
 """Studies of the chain's tables: resolutions, pulls and the flatness of the chi-square probability."""
 
-from cgemit.statistics.chi2 import Flatness, chi2_flatness, chi2_probability
-from cgemit.statistics.estimate import Resolution, measure
-from cgemit.statistics.forms import FormFit, fit_form
-from cgemit.statistics.fractions import Fraction
-from cgemit.statistics.resolutions import Curve, pulls, resolution, resolution_against, resolutions
-from cgemit.statistics.widths import GaussianFit, Pulls, Resolutions, gaussian_fit
-from cgemit.study.analytic_scan import AnalyticScan, scan_analytic
-from cgemit.study.cluster_residuals import DeltaFractions, delta_displacements, delta_fractions
-from cgemit.study.cosmic_halves import Cosmics, cosmics
-from cgemit.study.finding_metrics import Finding, FindingRates, finding
-from cgemit.study.loop_links import LoopLinks, loop_links
-from cgemit.study.optimizer import Background, Confirmation, Optimization, OptimizeError, optimize
-from cgemit.study.paper import Reproduction, reproduce
-from cgemit.study.robustness import Outcome, run_scenario
-from cgemit.study.scans import Scan, scan
-from cgemit.study.scenarios import SCENARIOS, Scenario
-from cgemit.study.sweeps import Space, Sweep, grid, latin_hypercube, sobol, sweep
+from cgemit.analysis.clusters import DeltaFractions, delta_displacements, delta_fractions
+from cgemit.analysis.cosmics import Cosmics, cosmics
+from cgemit.analysis.finding import Finding, FindingRates, LoopLinks, finding, loop_links
+from cgemit.analysis.resolutions import (
+    Curve,
+    Flatness,
+    FormFit,
+    chi2_flatness,
+    chi2_probability,
+    fit_form,
+    pulls,
+    resolution,
+    resolution_against,
+    resolutions,
+)
+from cgemit.analysis.widths import Fraction, GaussianFit, Pulls, Resolution, Resolutions, gaussian_fit, measure
+from cgemit.detector.inventory import Background
+from cgemit.study.optimize.result import Confirmation, Optimization
+from cgemit.study.optimize.run import OptimizeError, optimize
+from cgemit.study.paper.results import Reproduction
+from cgemit.study.paper.run import reproduce
+from cgemit.study.robustness import SCENARIOS, Outcome, Scenario, run_scenario
+from cgemit.study.scan import AnalyticScan, Scan, scan, scan_analytic
+from cgemit.study.sweep.result import Sweep
+from cgemit.study.sweep.run import sweep
+from cgemit.study.sweep.space import Space, grid, latin_hypercube, sobol
 
 __all__ = [
     "SCENARIOS",

@@ -11,7 +11,7 @@ from html import escape
 from pathlib import Path
 
 from cgemit import _core
-from cgemit.statistics.formatting import shown
+from cgemit.tables.show import shown
 
 # A picture opens at its full size when it is clicked, without a script: its check box covers the page with it.
 # A table of many columns is at least 64rem wide, which 1063px with the padding do not hold: then the hint is shown.

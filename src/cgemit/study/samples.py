@@ -9,22 +9,21 @@ from typing import Any
 
 import numpy as np
 
-from cgemit import chain
+from cgemit.analysis.clusters import ClusterResiduals, DeltaFractions, cluster_residuals, delta_fractions
+from cgemit.analysis.widths import FEWEST
+from cgemit.base.settings import InTurn
+from cgemit.chain import run
+from cgemit.chain.record import gun_data, record
+from cgemit.chain.settings import FinderLike, Settings
 from cgemit.detector import Detector, MapField
-from cgemit.detector.field.core import extent
-from cgemit.finders import finder_name
-from cgemit.fit import FitStatus
-from cgemit.gun import Gun
-from cgemit.gun_data import gun_data
-from cgemit.record import record
-from cgemit.simulate import TransportStatus
-from cgemit.species import species
-from cgemit.stages import FinderLike, Settings
-from cgemit.statistics.estimate import FEWEST
-from cgemit.statistics.formatting import html_table, text_table
-from cgemit.study.cluster_residuals import ClusterResiduals, DeltaFractions, cluster_residuals, delta_fractions
+from cgemit.detector.parts import extent
+from cgemit.particles.gun import Gun
+from cgemit.particles.species import species
+from cgemit.reconstruction.candidates import finder_name
+from cgemit.reconstruction.fit import FitStatus
+from cgemit.simulation.transport import TransportStatus
 from cgemit.tables import Table
-from cgemit.values import InTurn
+from cgemit.tables.show import html_table, text_table
 
 #: Shows progress: share of the work that is done (0 to 1) and what is running.
 ShowProgress = Callable[[float, str], None]
@@ -123,7 +122,7 @@ def _part_of(progress: ShowProgress | None, before: int, order: Order, total: in
 
 
 def _run(order: Order, threads: int | None, progress: Callable[[float], None] | None) -> Sample:
-    result = chain.run(
+    result = run.run(
         order.detector, order.gun, order.n_events, order.seed, settings=order.settings, finder=order.finder,
         threads=threads, progress=progress,
     )  # fmt: skip

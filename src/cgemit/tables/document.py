@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import sys
 
-from cgemit.tables.columns import Column
-from cgemit.tables.schemas import ROWS, SCHEMAS
+from cgemit.tables.schema import ROWS, SCHEMAS, Column
 
 _INTRODUCTION = """# Data model
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import json
 import math
 import os
 import zlib
@@ -12,14 +13,162 @@ from typing import Any
 
 import numpy as np
 
-from cgemit.io import new_file, read_arrays, write_arrays
-from cgemit.io.packages import package
-from cgemit.io.parquet import read_parquet, write_parquet
-from cgemit.io.root import read_root, write_root
-from cgemit.io.text import read_csv, write_csv
-from cgemit.problems import did_you_mean
-from cgemit.tables.check import Array, Rows, schema_of
-from cgemit.version import VERSION
+from cgemit.base.errors import did_you_mean
+from cgemit.base.files import check_regular, check_unpacked, new_file, package, read_arrays, write_arrays
+from cgemit.base.version import __version__
+from cgemit.tables.schema import Array, Rows, schema_of
+
+_KEY = b"cgemit"  # of the JSON text
+
+
+def write_parquet(path: Path, columns: Mapping[str, np.ndarray[Any, Any]], about: Mapping[str, Any]) -> None:
+    """Write columns (n,) and what is said about them."""
+    pyarrow, parquet = package("pyarrow"), package("pyarrow.parquet")
+    table = pyarrow.table(dict(columns))
+    parquet.write_table(table.replace_schema_metadata({_KEY: json.dumps(dict(about), allow_nan=False)}), path)
+
+
+def write_columns(path: str | os.PathLike[str], columns: Mapping[str, Any], *, overwrite: bool = False) -> Path:
+    """Write columns of any origin as a Parquet file for other programs."""
+    pyarrow, parquet = package("pyarrow"), package("pyarrow.parquet")
+    with new_file(path, overwrite=overwrite) as temporary:
+        parquet.write_table(pyarrow.table(dict(columns)), temporary)
+    return Path(path)
+
+
+def read_parquet(
+    path: Path, names: Collection[str] | None = None
+) -> tuple[dict[str, np.ndarray[Any, Any]], dict[str, Any]]:
+    """Read what `write_parquet` wrote: all columns, or those named.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    ValueError
+        If it is damaged or was not written by `write_parquet`.
+    """
+    parquet = package("pyarrow.parquet")
+    try:
+        with parquet.ParquetFile(path) as file:
+            schema = file.schema_arrow
+            about = json.loads(schema.metadata[_KEY])
+            width = sum(field.type.bit_width for field in schema) // 8
+            check_unpacked(path.stat().st_size, file.metadata.num_rows * width)
+            table = file.read(columns=None if names is None else list(names), use_threads=False)
+        if not isinstance(about, dict):
+            raise ValueError(f"its JSON text holds {about!r:.50}, not an object")
+        return {name: table[name].to_numpy() for name in table.column_names}, about
+    except FileNotFoundError:
+        raise
+    except Exception as error:  # of pyarrow and json: a damaged file is bad input, whatever notices it
+        raise ValueError(f"{path} is not a complete Parquet file of cgemit ({error})") from error
+
+
+_ROOT_KEY = "cgemit"  # of the JSON text, a TObjString
+
+
+def write_root(path: Path, tree: str, columns: Mapping[str, np.ndarray[Any, Any]], about: Mapping[str, Any]) -> None:
+    """Write columns (n, ...) as a tree, and what is said about them."""
+    branches = {name: (column.dtype, column.shape[1:]) for name, column in columns.items()}
+    with package("uproot").recreate(path) as file:
+        made = file.mktree(tree, branches)
+        if len(next(iter(columns.values()))):
+            made.extend(dict(columns))
+        file[_ROOT_KEY] = json.dumps(dict(about), allow_nan=False)
+
+
+def read_root(
+    path: Path, names: Collection[str] | None = None
+) -> tuple[dict[str, np.ndarray[Any, Any]], dict[str, Any]]:
+    """Read what `write_root` wrote: all columns, or those named.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    ValueError
+        If it is damaged or was not written by `write_root`.
+    """
+    uproot = package("uproot")
+    try:
+        with uproot.open(path) as file:
+            about = json.loads(str(file[_ROOT_KEY]))
+            if not isinstance(about, dict):
+                raise ValueError(f"its JSON text holds {about!r:.50}, not an object")
+            tree = file[about["kind"]]
+            width = sum(branch.interpretation.numpy_dtype.itemsize for branch in tree.branches)
+            check_unpacked(path.stat().st_size, tree.num_entries * width)
+            wanted = None if names is None else [name for name in names if name in tree]
+            arrays = tree.arrays(wanted, library="np")
+        return {str(name): np.asarray(column) for name, column in arrays.items()}, about
+    except FileNotFoundError:
+        raise
+    except Exception as error:  # of uproot and json: a damaged file is bad input, whatever notices it
+        raise ValueError(f"{path} is not a complete ROOT file of cgemit ({error})") from error
+
+
+_ROWS = 10_000  # that are turned into text at a time
+
+
+def write_csv(path: Path, columns: Mapping[str, np.ndarray[Any, Any]]) -> None:
+    """Write columns of numbers (n,)."""
+    rows = len(next(iter(columns.values())))
+    with path.open("w", encoding="ascii") as stream:
+        stream.write(",".join(columns) + "\n")
+        for first in range(0, rows, _ROWS):
+            texts = [map(repr, column[first : first + _ROWS].tolist()) for column in columns.values()]
+            stream.writelines(",".join(row) + "\n" for row in zip(*texts, strict=True))
+
+
+def read_csv(path: Path, dtypes: Mapping[str, np.dtype[Any]]) -> dict[str, np.ndarray[Any, Any]]:
+    """Read what `write_csv` wrote.
+
+    Parameters
+    ----------
+    path : Path
+    dtypes : mapping of str to dtype
+        Of each column, in their order.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    ValueError
+        If it is damaged, or has other columns.
+    """
+    check_regular(path)
+    try:
+        with path.open(encoding="ascii") as stream:
+            names = stream.readline().rstrip("\n").split(",")
+            if names != list(dtypes):
+                raise ValueError(f"got the columns {', '.join(names)[:200]}, expected {', '.join(dtypes)[:200]}")
+            lines = iter(stream)
+            first = next(lines, None)
+            if first is None:
+                return {name: np.empty(0, dtype) for name, dtype in dtypes.items()}
+            _check_end(path)
+            rows = np.loadtxt(_after(first, stream), dtype=list(dtypes.items()), delimiter=",", ndmin=1, comments=None)
+        return {name: np.ascontiguousarray(rows[name]) for name in dtypes}
+    except FileNotFoundError:
+        raise
+    except Exception as error:  # of numpy and of the decoder: a damaged file is bad input, whatever notices it
+        raise ValueError(f"{path} is not a complete CSV file of cgemit ({error})") from error
+
+
+def _after(first: str, rest: Any) -> Any:
+    """Yield a line, and those that follow it."""
+    yield first
+    yield from rest
+
+
+def _check_end(path: Path) -> None:
+    """Raise a ValueError for a file that ends within a line: its last number may be cut off."""
+    with path.open("rb") as stream:
+        stream.seek(-1, os.SEEK_END)
+        if stream.read() != b"\n":
+            raise ValueError("the last line is cut off")
+
 
 FORMAT = "cgemit-table-1"
 
@@ -53,7 +202,7 @@ def describe(table: Rows) -> dict[str, Any]:
     """Return the description of a table in a file, without its columns."""
     return {
         "format": FORMAT,
-        "version": VERSION,
+        "version": __version__,
         "kind": table.kind,
         "rows": len(table),
         "n_events": table.n_events,

@@ -1,9 +1,9 @@
-"""One table: columns, per-event offsets and their origin."""
+"""The table: read-only numpy columns, event offsets, and links to rows of other tables."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import KeysView, Mapping
+from collections.abc import Callable, Collection, KeysView, Mapping
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -11,10 +11,99 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from cgemit.problems import did_you_mean
-from cgemit.tables import convert, formats
-from cgemit.tables.check import Array, check_columns, event_range, schema_of
-from cgemit.tables.links import local_links
+from cgemit.base.errors import did_you_mean
+from cgemit.tables import formats, show
+from cgemit.tables.schema import SCHEMAS, Array, Column, Rows, check_columns, event_range, schema_of
+
+Origins = npt.NDArray[np.int64] | np.int64
+
+
+def targets(column: Column) -> tuple[str, ...]:
+    """Return the tables that a column links to: none, one, or one for each view."""
+    return (column.links,) if isinstance(column.links, str) else column.links or ()
+
+
+def linked(kind: str) -> set[str]:
+    """Return the tables that a kind of table links to."""
+    return {target for column in SCHEMAS[kind] for target in targets(column)}
+
+
+def lost_links(table: Rows, tables: Collection[str]) -> list[str]:
+    """Return the tables that rows of a table link to and that are missing; links that are all -1 do not count."""
+    lost = set()
+    for column in SCHEMAS[table.kind]:
+        names = targets(column)
+        if names and any(name not in tables for name in names):
+            rows, view = table.columns[column.name], table.columns.get("view", np.zeros(len(table), np.int8))
+            linked_here = rows >= 0
+            lost |= {
+                name
+                for i, name in enumerate(names)
+                if name not in tables and np.any(linked_here & ((view == i) if len(names) > 1 else True))
+            }
+    return sorted(lost)
+
+
+def without_links(table: Rows, tables: Collection[str]) -> dict[str, Array]:
+    """Return the link columns that count rows of tables that are not kept, with -1 in their place."""
+    found = {}
+    for column in SCHEMAS[table.kind]:
+        gone = [i for i, name in enumerate(targets(column)) if name not in tables]
+        if gone:
+            rows = table.columns[column.name]
+            several = len(targets(column)) > 1
+            found[column.name] = np.where(np.isin(table.columns["view"], gone), -1, rows) if several else rows * 0 - 1
+    return found
+
+
+def moved_links(table: Rows, moved: Callable[[str], Origins]) -> dict[str, Array]:
+    """Return the link columns of a table with another origin of the rows they count; -1 stays -1.
+
+    Parameters
+    ----------
+    table : Table
+    moved : callable
+        Returns what is added to links to a table of a name: a number, or (n,) int64, one for each row.
+    """
+    found = {}
+    for column in SCHEMAS[table.kind]:
+        names = targets(column)
+        if not names:
+            continue
+        rows: Array = table.columns[column.name]
+        shift: Origins = moved(names[0])
+        if len(names) > 1:
+            shifts = np.stack([np.broadcast_to(moved(name), len(rows)) for name in names])
+            shift = shifts[table.columns["view"], np.arange(len(rows))]
+        found[column.name] = np.where(rows < 0, rows, rows + shift)
+    return found
+
+
+def local_links(table: Rows, tables: Mapping[str, Rows]) -> dict[str, Array]:
+    """Return the link columns of a table, counting rows within the event.
+
+    Parameters
+    ----------
+    table : Table
+    tables : mapping of str to Table
+        All tables that it links to, of the same events.
+
+    Raises
+    ------
+    ValueError
+        Listing every table that is missing or of other events.
+    """
+    names = linked(table.kind)
+    problems = [f"{name}: missing; {table.kind} links to it" for name in lost_links(table, tables)]
+    problems += [
+        f"{name}: covers other events than {table.kind}; expected the same"
+        for name in sorted(names & tables.keys())
+        if not np.array_equal(tables[name].events, table.events)
+    ]
+    if problems:
+        raise ValueError("tables:\n  " + "\n  ".join(problems))
+    place = np.repeat(np.arange(table.n_events), np.diff(table.offsets))  # of each row's event
+    return moved_links(table, lambda name: -tables[name].offsets[place] if name in tables else np.int64(0))
 
 
 class Table:
@@ -211,17 +300,17 @@ class Table:
         return Table, (self.kind, dict(self.columns), self.n_events, self.first_event, self.meta, self._gaps)
 
     def __repr__(self) -> str:
-        return convert.text(self)
+        return show.text(self)
 
     def _repr_html_(self) -> str:
-        return convert.html(self)
+        return show.html(self)
 
     def _ipython_key_completions_(self) -> list[str]:
         return list(self.columns)
 
     def to_pandas(self) -> Any:
         """Return a pandas data frame, one row per row; a matrix column becomes ``name_0_0, name_0_1, ...``."""
-        return convert.to_pandas(self)
+        return show.to_pandas(self)
 
     def to_awkward(self, tables: Mapping[str, Table] | None = None) -> Any:
         """Return an awkward array with one list of records per event.
@@ -237,7 +326,7 @@ class Table:
         ValueError
             If `tables` lacks a table that is linked to, or holds it for other events.
         """
-        return convert.to_awkward(self if tables is None else self.with_columns(**local_links(self, tables)))
+        return show.to_awkward(self if tables is None else self.with_columns(**local_links(self, tables)))
 
     def save(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
         """Write the table to a file that `Table.load` reads: the columns and a JSON text.

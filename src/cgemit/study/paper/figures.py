@@ -9,21 +9,19 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from cgemit.analysis.clusters import X_WINDOWS, ClusterResiduals, v_spectrum, x_spectrum, x_widths
+from cgemit.analysis.curves import SYMBOLS, Line, Spectrum, track_spectrum
+from cgemit.analysis.resolutions import chi2_probability, pulls, resolution_against
+from cgemit.analysis.widths import Resolution
+from cgemit.chain.result import Result
 from cgemit.draw import chain_diagram, cluster, curves, display
 from cgemit.draw.style import COLORS, Picture, new_picture, style
-from cgemit.result import Result
-from cgemit.statistics.chi2 import chi2_probability
-from cgemit.statistics.curves import SYMBOLS, Line, Spectrum, track_spectrum
-from cgemit.statistics.estimate import Resolution
-from cgemit.statistics.formatting import with_error, write_csv
-from cgemit.statistics.resolutions import pulls, resolution_against
-from cgemit.study.cluster_residuals import X_WINDOWS, ClusterResiduals, v_spectrum, x_spectrum, x_widths
 from cgemit.study.paper.published import FIGURES, paper_values
-from cgemit.study.paper.reproduction import Reproduction
+from cgemit.study.paper.results import Reproduction
 from cgemit.study.samples import ShowProgress
-from cgemit.study.scan_table import scan_columns
-from cgemit.study.scans import QUOTED_PARAMETERS, momentum_line, pull_line
+from cgemit.study.scan import QUOTED_PARAMETERS, momentum_line, pull_line, scan_columns
 from cgemit.tables import Table
+from cgemit.tables.show import with_error, write_csv
 
 _ANGLE_BINS = 10
 _TAIL_REACH = 8000.0  # um

@@ -6,21 +6,21 @@ from pathlib import Path
 
 import numpy as np
 
-from cgemit.finders import finder_name
-from cgemit.fit import FitStatus
-from cgemit.io.folders import RECORD
-from cgemit.simulate import SimulateSettings
-from cgemit.stages import Settings, finder_of, hits_text
-from cgemit.statistics.curves import SYMBOLS, WINDOW, windowed_resolution
-from cgemit.statistics.estimate import HEAD
-from cgemit.statistics.formatting import shown, with_error
-from cgemit.statistics.resolutions import pulls
-from cgemit.study.cluster_residuals import X_WINDOWS, geant4_runs, x_beyond
+from cgemit.analysis.clusters import X_WINDOWS, geant4_runs, x_beyond
+from cgemit.analysis.curves import SYMBOLS, WINDOW, windowed_resolution
+from cgemit.analysis.resolutions import pulls
+from cgemit.analysis.widths import HEAD
+from cgemit.base.files import RECORD
+from cgemit.base.version import __version__
+from cgemit.chain.settings import Settings, finder_of, hits_text
+from cgemit.reconstruction.candidates import finder_name
+from cgemit.reconstruction.fit import FitStatus
+from cgemit.simulation.transport import SimulateSettings
 from cgemit.study.paper.published import FIGURES, Group, PaperFigure, paper_values
-from cgemit.study.paper.reproduction import Reproduction
+from cgemit.study.paper.results import Reproduction
 from cgemit.study.report import Code, Image, Note, Part, Section, TableOf, html_report
 from cgemit.study.samples import Sample
-from cgemit.version import VERSION
+from cgemit.tables.show import shown, with_error
 
 _TITLE = "Cluster reconstruction and track fit of the BESIII CGEM inner tracker"
 _PURE = ", which no finder without truth can do: the resolutions contain no wrong or missed hits"
@@ -43,7 +43,7 @@ def _found(sample: Sample) -> int:
 def paper_report(study: Reproduction, folder: Path) -> str:
     """Return the page with the comparison, the figures in `folder`, and all resolutions and pulls."""
     lead = (
-        f"arXiv:1504.02570 (Chin. Phys. C 40 (2016) 016201) reproduced with cgemit {VERSION}: "
+        f"arXiv:1504.02570 (Chin. Phys. C 40 (2016) 016201) reproduced with cgemit {__version__}: "
         f"{study.inputs.events:,} mu- of 1 GeV/c for each detector and {study.inputs.events_per_momentum:,} at each of "
         f"{len(study.scans['cgem'])} momenta, seed {study.inputs.seed}"
         + (f", in the field {study.inputs.field}." if study.inputs.field else ".")
@@ -171,6 +171,6 @@ def _repeat(study: Reproduction) -> list[Part]:
     return [
         "The numbers depend on version, events and seed, not on threads.",
         Code(command),
-        f"cgemit {VERSION}. Timings in seconds (stages are summed over threads): {seconds}.",
+        f"cgemit {__version__}. Timings in seconds (stages are summed over threads): {seconds}.",
         f"The CSV files beside this page hold the figures' data, summary.json all numbers, {RECORD} all settings.",
     ]

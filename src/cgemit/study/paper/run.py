@@ -9,14 +9,14 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from cgemit import chain
+from cgemit.base.files import SUMMARY, check_free, new_folder
+from cgemit.base.settings import check_numbers
+from cgemit.chain import run
+from cgemit.chain.record import write_record
+from cgemit.chain.settings import FinderLike, Settings
 from cgemit.detector import Detector, load
-from cgemit.gun import Gun
-from cgemit.io.folders import SUMMARY, check_free, new_folder
-from cgemit.record import write_record
-from cgemit.stages import FinderLike, Settings
-from cgemit.study.paper.reproduction import COS_THETA, DETECTORS, MOMENTA, THIN_GAP, Inputs, Reproduction
-from cgemit.study.paper.rows import make_rows
+from cgemit.particles.gun import Gun
+from cgemit.study.paper.results import COS_THETA, DETECTORS, MOMENTA, THIN_GAP, Inputs, Reproduction, make_rows
 from cgemit.study.samples import (
     Order,
     Sample,
@@ -27,8 +27,7 @@ from cgemit.study.samples import (
     run_samples,
     why_unfitted,
 )
-from cgemit.study.scans import QUOTED_PARAMETERS, momentum_line
-from cgemit.values import check_numbers
+from cgemit.study.scan import QUOTED_PARAMETERS, momentum_line
 
 _EVENTS, _QUICK_EVENTS, _FEWEST_EVENTS = 20_000, 1_500, 400
 _SHARE = 4  # each momentum of the curves gets this part of the events
@@ -121,7 +120,7 @@ def _measure(inputs: Inputs, progress: ShowProgress | None) -> Reproduction:
     curve_samples = {"cgem": tuple(samples[3 : 3 + len(MOMENTA)]), "idc": tuple(samples[3 + len(MOMENTA) :])}
     lines = [momentum_line(scan, name) for name in QUOTED_PARAMETERS for scan in curve_samples.values()]
     # Events have the same random numbers however many are run: these are the first ones of the sample.
-    display = chain.run(
+    display = run.run(
         cgem, gun, _DISPLAY_EVENTS, inputs.seed, settings=inputs.settings, finder=inputs.finder, threads=inputs.threads
     )  # fmt: skip
     timings = {"run_s": time.perf_counter() - start, **_stage_seconds(samples)}

@@ -1,1 +1,1 @@
-"""What an analog read-out resolves: calibration of its cluster errors, and scans against the incidence."""
+"""Studies of analog read-outs: calibration of cluster errors, and scans against the incidence."""

@@ -1,22 +1,217 @@
-"""Resolution of a read-out in a beam against incidence, fields, gain or threshold, as a table."""
+"""Resolution of a read-out in a beam against incidence, fields, gain or threshold; ghosts and formation of clusters."""
 
 from __future__ import annotations
 
 import csv
 import io
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import reduce
+from operator import add
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
+from scipy.optimize import linear_sum_assignment
 
-from cgemit.detector import Detector
-from cgemit.statistics.formatting import text_table, with_error
-from cgemit.study.readout.beam import BeamPoint, beam_detector, beam_views
+from cgemit.analysis.widths import Resolution, measure
+from cgemit.chain.result import Result
+from cgemit.chain.run import run
+from cgemit.detector import Detector, load
+from cgemit.detector.gas import transport
+from cgemit.detector.parts import CgemLayer
+from cgemit.draw.cluster import FormationPanel
+from cgemit.particles.gun import Gun
+from cgemit.particles.species import species
+from cgemit.particles.table import particles_from
+from cgemit.reconstruction.cluster_errors import calibration_of
+from cgemit.study.readout.calibrate import Measurements, calibration_from, common, measurements, true_directions
+from cgemit.tables import Table
+from cgemit.tables.show import text_table, with_error
 
 if TYPE_CHECKING:
-    from cgemit.draw import Picture
+    from cgemit.draw.style import Picture
+
+
+RADIUS = 2000.0
+"""Of the anode, mm."""
+LEAST_FIELD = 1e-3  # T
+_SPREAD = 20.0  # mm, half-width of the beam at mid-gap
+_BEFORE = 3.0  # mm, from the layer's inner face to where particles start
+
+
+def beam_detector(bz: float = 0.0, **layer: Any) -> Detector:
+    """Return a detector of one layer with 650 um strips, a 5/2/2/2 mm stack and Ar/iC4H10 90/10.
+
+    Parameters
+    ----------
+    bz : float
+        T; electrons are bent towards larger phi if it is positive. 0 stands for 1 mT, the least field of a detector.
+    **layer
+        Keys of the layer that differ, such as ``drift_field="2 kV/cm"``.
+    """
+    own = {"anode_radius": f"{RADIUS} mm", "length": "400 mm", "sheets": 1, "phi_first": "180 deg", "stereo": "45 deg"}
+    tables = {
+        "base": "besiii-cgem-design",
+        "name": f"beam {bz:g} T",
+        "remove": ["cgem.L2", "cgem.L3", "beam_pipe", "walls", "drift_chamber"],
+        "field": {"kind": "uniform", "bz": f"{bz or LEAST_FIELD!r} T"},
+        "cgem": {"L1": own | layer},
+    }
+    return load(tables)
+
+
+def beam_particles(detector: Detector, particle: str, p: float, angle: float, n: int, seed: int) -> Table:
+    """Return particles that cross the middle of the gap at an angle to the radius.
+
+    Parameters
+    ----------
+    detector : Detector
+    particle : str
+    p : float
+        GeV/c.
+    angle : float
+        rad, in the plane across the beam line, positive towards larger phi.
+    n : int
+    seed : int
+    """
+    layer = detector.cgem[0]
+    random = np.random.default_rng(seed)
+    phi, z = random.uniform(-_SPREAD, _SPREAD, (2, n)) / np.array([[layer.r_mid], [1.0]])
+    back = (layer.r_mid - layer.r_in + _BEFORE) / np.cos(angle)
+    ux, uy = np.cos(phi + angle), np.sin(phi + angle)
+    return particles_from(
+        {
+            "event": np.arange(n), "pdg": np.full(n, species(particle).pdg), "x": layer.r_mid * np.cos(phi) - back * ux,
+            "y": layer.r_mid * np.sin(phi) - back * uy, "z": z, "px": p * ux, "py": p * uy, "pz": np.zeros(n),
+        }
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class BeamPoint:
+    """What a read-out measures of a beam, in one view.
+
+    Attributes
+    ----------
+    angle : float, deg
+    charge : float, fC
+        Mean of the clusters, without the largest 2 %.
+    size : float
+        Mean number of strips.
+    efficiency : float
+        Share of crossings with a cluster.
+    widths : dict of str to Resolution
+        Residuals in um by estimator: ``"micro-tpc"`` only of clusters with a line fit; ``"track"`` uses the angle of
+        the track (`AnalogReadout.second_pass`).
+    """
+
+    angle: float
+    charge: float
+    size: float
+    efficiency: float
+    widths: dict[str, Resolution]
+
+
+def beam_run(
+    detector: Detector, readout: Any, angle: float, *, n: int, seed: int, particle: str = "pi-", p: float = 150.0,
+    threads: int | None = None,
+) -> Result:  # fmt: skip
+    """Return a run of a beam up to its digis.
+
+    Parameters
+    ----------
+    detector : Detector
+    readout : AnalogReadout
+    angle : float
+        deg.
+    n : int
+    seed : int
+    particle : str
+    p : float
+        GeV/c.
+    threads : int or None
+    """
+    particles = beam_particles(detector, particle, p, np.radians(angle), n, seed)
+    return run(detector, particles, seed=seed, readout=readout, until="digitize", threads=threads)
+
+
+def beam_point(
+    detector: Detector, readout: Any, angle: float, *, n: int = 4000, seed: int = 1, particle: str = "pi-",
+    p: float = 150.0, threads: int | None = None,
+) -> BeamPoint:  # fmt: skip
+    """Return what a read-out resolves in X at one angle, see `beam_views`.
+
+    Parameters
+    ----------
+    detector, readout, angle, n, seed, particle, p, threads
+        See `beam_views`.
+    """
+    return beam_views(detector, readout, angle, n=n, seed=seed, particle=particle, p=p, threads=threads)[0]
+
+
+def beam_views(
+    detector: Detector, readout: Any, angle: float, *, n: int = 4000, seed: int = 1, particle: str = "pi-",
+    p: float = 150.0, threads: int | None = None,
+) -> tuple[BeamPoint, BeamPoint]:  # fmt: skip
+    """Return what a read-out resolves in X and V at one angle; another sample at the same angle calibrates it.
+
+    Parameters
+    ----------
+    detector : Detector
+        As `beam_detector` makes it.
+    readout : AnalogReadout or ProjectionReadout
+    angle : float
+        deg, positive towards larger phi.
+    n : int
+        Particles in each of the samples.
+    seed : int
+    particle : str
+    p : float
+        GeV/c.
+    threads : int or None
+    """
+    other, result = (
+        beam_run(detector, readout, angle, n=n, seed=one, particle=particle, p=p, threads=threads)
+        for one in (seed + 1, seed)
+    )
+    calibration = calibration_from(other, readout, "beam")
+    if not len(result.truths) or not len(result.digis):
+        raise ValueError(
+            f"readout: got no {'charge on strips' if len(result.truths) else 'crossing of the layer'} at "
+            f"{angle:g} degrees; expected charged particles that cross it, and a lower threshold"
+        )
+    samples: dict[str, Measurements] = {}
+    for name in readout.estimators:
+        clusters = replace(readout, estimator=name).cluster_with(detector, result.digis, calibration)
+        samples[name] = measurements(detector, clusters, result.truths, lorentz=readout.lorentz)
+    if "micro-tpc" in readout.estimators:
+        directions = true_directions(detector, clusters, result.truths)
+        merged = replace(readout, estimator="merged")
+        clusters = merged.cluster_with(detector, result.digis, calibration, directions=directions)
+        # Clusters without a line have the centroid, which would be a second population.
+        line, centroid = common(samples["micro-tpc"], samples["centroid"])
+        samples["micro-tpc"] = Measurements._make(values[line.residual != centroid.residual] for values in line)
+        samples["track"] = measurements(detector, clusters, result.truths, lorentz=readout.lorentz)
+    x, v = (_view_point(samples, view, angle, len(result.truths)) for view in (0, 1))
+    return x, v
+
+
+def _view_point(samples: dict[str, Measurements], view: int, angle: float, crossings: int) -> BeamPoint:
+    """Return what is measured in one view."""
+    widths = {
+        name: measure(1e3 * sample.residual[sample.view == view], parameter=name, unit="um")
+        for name, sample in samples.items()
+    }
+    sample = next(iter(samples.values()))
+    across = sample.view == view
+    charges = np.sort(sample.charge[across])
+    charge = float(np.mean(charges[: int(0.98 * len(charges))]))
+    return BeamPoint(
+        angle, charge, float(np.mean(sample.size[across])), int(np.count_nonzero(across)) / crossings, widths
+    )
+
 
 Floats = npt.NDArray[np.float64]
 
@@ -86,7 +281,7 @@ class BeamScan:
 
     def draw(self) -> Picture:
         """Draw core widths of the estimators, number of strips and efficiency in both views."""
-        from cgemit.draw import ViewCurves, draw_readout
+        from cgemit.draw.curves import ViewCurves, draw_readout
 
         views = [
             ViewCurves(name, self.curves(view), self.of_view(view, "size"), self.of_view(view, "efficiency"))
@@ -159,3 +354,270 @@ def _setting(readout: Any, quantity: str, value: float, angle: float, bz: float)
         both = {"threshold_x": value, "threshold_v": value}
         readout = replace(readout, **(both if hasattr(readout, "threshold_x") else {"threshold": value}))
     return detector, readout, angle
+
+
+_PIECES = 12  # of a line in a gap
+_AVALANCHE = 6  # lines that stand for an avalanche behind the first foil
+_EVENTS = 20  # of which that with the median charge is drawn
+_SWITCHES = ((False, 0.0), (True, 0.0), (False, 1.0), (True, 1.0))  # Lorentz angle, diffusion
+
+
+def formation(
+    readout: Any, *, angle: float = 20.0, bz: float = 1.0, seed: int = 1, particle: str = "mu-", p: float = 1.0
+) -> list[FormationPanel]:
+    """Return one track's way to the strips without and with Lorentz angle and diffusion.
+
+    The track and its ionization are simulated, and strips and charges are those of the read-out. Lines of electrons
+    have the same drift and diffusion, drawn for the picture.
+
+    Parameters
+    ----------
+    readout : AnalogReadout
+    angle : float
+        deg, of incidence.
+    bz : float
+        T.
+    seed : int
+    particle : str
+    p : float
+        GeV/c.
+
+    Raises
+    ------
+    ValueError
+        If the read-out has no drift.
+    """
+    if not hasattr(readout, "diffusion"):
+        raise ValueError(f"readout: got {readout.name}, expected one with drift: tiger or apv25")
+    detector = beam_detector(bz)
+    layer = detector.cgem[0]
+    particles = beam_particles(detector, particle, p, np.radians(angle), _EVENTS, seed)
+    panels = []
+    for lorentz, diffusion in _SWITCHES:
+        one = replace(readout, lorentz=lorentz, diffusion=diffusion * readout.diffusion)
+        result = run(detector, particles, seed=seed, readout=one, until="digitize", threads=1)
+        event = int(result.truths["event"][np.argsort(result.truths["energy"])[len(result.truths) // 2]])
+        truth = int(np.flatnonzero(result.truths["event"] == event)[0])
+        mine = result.steps["truth"] == truth
+        count = result.steps["n_electrons"][mine]
+        x, y = (np.repeat(result.steps[axis][mine], count) for axis in "xy")
+        middle = float(result.truths["phi"][truth])
+        start = np.column_stack([_across(layer, np.arctan2(y, x), middle), np.hypot(x, y) - layer.r_gap_in])
+        random = np.random.default_rng(seed)  # the same numbers with each switch
+        strips = (result.digis["event"] == event) & (result.digis["view"] == 0)
+        zero = float(layer.r_readout * np.mod(middle - layer.sheet_phi[0], 2 * np.pi))
+        ends = [[result.truths[f"{end}_{axis}"][truth] for axis in "xy"] for end in ("entry", "exit")]
+        end_x, end_y = np.array(ends).T
+        track = [_across(layer, np.arctan2(end_y, end_x), middle), np.hypot(end_x, end_y) - layer.r_gap_in]
+        switches = ((lorentz, "Lorentz angle"), (diffusion, "diffusion"))
+        names = [f"{'with' if on else 'without'} {what}" for on, what in switches]
+        panels.append(
+            FormationPanel(
+                title=", ".join(names),
+                track=np.column_stack(track),
+                drift=_lines(layer, start, bz if lorentz else 0.0, bz, one.diffusion, random),
+                foils=_foils(layer),
+                anode=layer.anode_radius - layer.r_gap_in,
+                pitch=layer.pitch_x,
+                strips=(result.digis["strip"][strips] + 0.5) * layer.pitch_x - zero,
+                charge=result.digis["charge"][strips],
+            )
+        )
+    return panels
+
+
+def _across(layer: CgemLayer, phi: Floats, middle: float) -> Floats:
+    """Return X from the crossing of mid-gap, mm."""
+    return np.asarray(layer.r_readout * np.angle(np.exp(1j * (phi - middle))))
+
+
+def _foils(layer: CgemLayer) -> Floats:
+    """Return the middles of the foils, mm from the cathode."""
+    thickness = sum(part.thickness for part in layer.foil)
+    steps = np.arange(layer.foils, dtype=np.float64) * (layer.transfer_gap + thickness)
+    return np.asarray(layer.drift_gap + thickness / 2 + steps, np.float64)
+
+
+def _lines(
+    layer: CgemLayer, start: Floats, bend: float, bz: float, diffusion: float, random: np.random.Generator
+) -> list[Floats]:
+    """Return lines of electrons from their start to the anode, each (m, 2) mm: X and distance from the cathode."""
+    foils = _foils(layer)
+    anode = layer.anode_radius - layer.r_gap_in
+    stops = [*zip(foils, (layer.drift_field, *([layer.transfer_field] * (layer.foils - 1))), strict=True)]
+    stops.append((anode, layer.induction_field))
+    lines: list[Floats] = []
+    points = start
+    for number, (stop, field) in enumerate(stops):
+        gas = transport(layer.gas.ionization, field, bz)
+        tangent = np.sign(bend) * gas.tan_lorentz if bend else 0.0
+        length = np.maximum(stop - points[:, 1], 0) / _PIECES
+        noise = random.normal(size=(len(points), _PIECES)) * diffusion * gas.sigma_x * np.sqrt(length)[:, None]
+        at = np.arange(1, _PIECES + 1) * length[:, None]
+        x = points[:, :1] + tangent * at + np.cumsum(noise, axis=1)
+        path = np.stack([np.hstack([points[:, :1], x]), np.hstack([points[:, 1:], points[:, 1:] + at])], axis=2)
+        lines += list(path)
+        # Behind the first foil a few lines stand for all electrons of an avalanche.
+        points = np.repeat(path[:, -1], _AVALANCHE if number == 0 else 1, axis=0)
+    return lines
+
+
+WAYS = ("geometry", "charge", "charge and time")
+_TOUCHED = 0.1  # as in the kernel
+_APART = 1e6  # of the score of pairs that do not cross on the sheet
+_HEAD = ("tracks", "crossings of clusters per track", *(f"wrong by {way} [%]" for way in WAYS))
+
+
+@dataclass(frozen=True)
+class GhostPoint:
+    """Pairs at one number of tracks on a sheet.
+
+    Attributes
+    ----------
+    tracks : int
+    crossings : float
+        Pairs that cross on the sheet, per track.
+    wrong : dict of str to (float, float)
+        Share of pairs of different particles and its error, by what selects the pairs (`WAYS`).
+    """
+
+    tracks: int
+    crossings: float
+    wrong: dict[str, tuple[float, float]]
+
+
+@dataclass(frozen=True, repr=False)
+class GhostScan:
+    """Pairs at several numbers of tracks on a sheet.
+
+    Attributes
+    ----------
+    title : str
+    points : tuple of GhostPoint
+    """
+
+    title: str
+    points: tuple[GhostPoint, ...]
+
+    def to_csv(self) -> str:
+        """Return the text of a CSV file, one row a number of tracks."""
+        text = io.StringIO()
+        writer = csv.writer(text, lineterminator="\n")
+        names = [way.replace(" ", "_") for way in WAYS]
+        writer.writerow(["tracks", "crossings", *(f"wrong_{name}{end}" for name in names for end in ("", "_error"))])
+        for point in self.points:
+            values = [value for way in WAYS for value in point.wrong[way]]
+            writer.writerow([point.tracks, *(f"{value:.6g}" for value in (point.crossings, *values))])
+        return text.getvalue()
+
+    def __repr__(self) -> str:
+        rows = [
+            [str(point.tracks), f"{point.crossings:.2f}"]
+            + [with_error(*(100 * value for value in point.wrong[way])) for way in WAYS]
+            for point in self.points
+        ]
+        return text_table(self.title, _HEAD, rows)
+
+
+def scan_ghosts(
+    detector: Detector, readout: Any, tracks: Sequence[int] = (2, 4, 6), *, n: int = 1000, seed: int = 1,
+    layer: int = 0, p: float = 1.0, cos_theta: float = 0.8, threads: int | None = None,
+) -> GhostScan:  # fmt: skip
+    """Return how often pairs are wrong if tracks cross one sheet together.
+
+    Parameters
+    ----------
+    detector : Detector
+    readout : AnalogReadout
+    tracks : sequence of int
+        Numbers of muons on the sheet.
+    n : int
+        Events with each number.
+    seed : int
+    layer : int
+        Index of the CGEM layer; its first sheet counts.
+    p : float
+        GeV/c.
+    cos_theta : float
+        Muons have |cos(theta)| up to this, uniformly, and any azimuth on the sheet.
+    threads : int or None
+    """
+    one = detector.cgem[layer]
+    width = one.strips_x * one.pitch_x / one.r_readout
+    edge = 0.0 if one.sheets == 1 else 0.15  # rad: muons turn on their way
+    phi = (0.0, 2 * math.pi) if one.sheets == 1 else (one.phi_first + edge, one.phi_first + width - edge)
+    gun = Gun("mu-", p=p, cos_theta=(-cos_theta, cos_theta), phi=phi)
+    numbers = calibration_of(detector, readout).pairs[layer]
+    points = []
+    for number in tracks:
+        result = run(
+            detector, reduce(add, [gun] * number), n, seed, readout=readout, until="cluster", threads=threads,
+            keep=["clusters", "truths"],
+        )  # fmt: skip
+        points.append(_point(result.clusters, numbers, layer, number, seed))
+    title = f"{readout.name}, layer {one.label} of {detector.name}, mu- of {p:g} GeV/c, {n} events each"
+    return GhostScan(title, tuple(points))
+
+
+def pair_scores(numbers: Floats, clusters: Table, x: npt.ArrayLike, v: npt.ArrayLike) -> tuple[Floats, Floats]:
+    """Return the logarithms of likelihood ratios of pairs of clusters from charge and from time.
+
+    The column ``score`` is ln(0.9 exp(sum of both) + 0.1), which has the same order.
+
+    Parameters
+    ----------
+    numbers : (PAIR,) float64
+        Of the layer, see `Calibration.pairs`.
+    clusters : Table
+    x, v : (n,) int
+        Rows of X and V clusters.
+    """
+    charge = np.log(np.maximum(clusters["charge"][x], 1e-3) / np.maximum(clusters["charge"][v], 1e-3))
+    late = clusters["time"][x] - clusters["time"][v]
+    return _log_ratio(charge, *numbers[[0, 1, 4]]), _log_ratio(late, *numbers[[2, 3, 5]])
+
+
+def _log_ratio(value: Floats, mean: float, width: float, apart: float) -> Floats:
+    near, far = (value - mean) / width, value / apart
+    return np.asarray(0.5 * (far**2 - near**2) + math.log(apart / width))
+
+
+def _with_touched(ratio: Floats) -> Floats:
+    return np.logaddexp(math.log1p(-_TOUCHED) + ratio, math.log(_TOUCHED))
+
+
+def _point(clusters: Table, numbers: Floats, layer: int, tracks: int, seed: int) -> GhostPoint:
+    """Return what the best assignment of all clusters of a sheet gets wrong."""
+    random = np.random.default_rng(seed)
+    pairs = np.flatnonzero((clusters["view"] == 2) & (clusters["layer"] == layer) & (clusters["sheet"] == 0))
+    x, v = clusters["x_cluster"][pairs], clusters["v_cluster"][pairs]
+    by_charge, by_time = pair_scores(numbers, clusters, x, v)
+    scores = {
+        "geometry": np.zeros(len(pairs)), "charge": _with_touched(by_charge),
+        "charge and time": _with_touched(by_charge + by_time),
+    }  # fmt: skip
+    # Equal scores are decided by lot.
+    scores = {way: values + 1e-9 * random.uniform(size=len(pairs)) for way, values in scores.items()}
+    same = (clusters["truth"][x] == clusters["truth"][v]) & (clusters["truth"][x] >= 0)
+    wrong = dict.fromkeys(WAYS, 0)
+    assigned = dict.fromkeys(WAYS, 0)
+    event = clusters["event"][pairs]
+    for first, last in zip(
+        *(np.searchsorted(event, np.unique(event), side=side) for side in ("left", "right")), strict=True
+    ):
+        here = slice(first, last)
+        rows, row = np.unique(x[here], return_inverse=True)
+        columns, column = np.unique(v[here], return_inverse=True)
+        for way in WAYS:
+            gain = np.full((len(rows), len(columns)), -_APART)
+            gain[row, column] = scores[way][here]
+            is_same = np.zeros(gain.shape, np.bool_)
+            is_same[row, column] = same[here]
+            best = linear_sum_assignment(gain, maximize=True)
+            real = gain[best] > -0.5 * _APART
+            wrong[way] += int(np.count_nonzero(real & ~is_same[best]))
+            assigned[way] += int(np.count_nonzero(real))
+    shares = {way: wrong[way] / max(assigned[way], 1) for way in WAYS}
+    errors = {way: math.sqrt(shares[way] * (1 - shares[way]) / max(assigned[way], 1)) for way in WAYS}
+    crossings = len(pairs) / max(tracks * len(clusters.events), 1)
+    return GhostPoint(tracks, crossings, {way: (shares[way], errors[way]) for way in WAYS})

@@ -1,0 +1,1 @@
+"""Measures of tables: widths, resolutions, pulls, efficiencies, and the curves of figures."""

@@ -1,0 +1,763 @@
+"""Events of the BESIII software as tables, and refits of its tracks beside its own (docs/how-to/real_events.md)."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import numpy as np
+import numpy.typing as npt
+
+from cgemit import helix
+from cgemit.base.files import check_regular, package
+from cgemit.detector import Detector, compiled, load
+from cgemit.particles.species import KNOWN
+from cgemit.particles.table import particles_from
+from cgemit.reconstruction.candidates import HIT_WIRE, HIT_X, XV_CLUSTER, label_candidates
+from cgemit.reconstruction.fit import FitSettings, FitStatus, displaced, fit
+from cgemit.reconstruction.given_hits import hit_tables
+from cgemit.tables import SCHEMAS, Table
+from cgemit.tables.schema import PARAMETERS
+
+Floats = npt.NDArray[np.float64]
+
+_FLAGS, _STRIPS = 2, 4  # numbers in m_clusterflag and m_stripid
+
+
+def clusters(of: dict[str, npt.NDArray[np.generic]]) -> dict[str, npt.NDArray[np.generic]]:
+    """Return the fields of cluster records at their places.
+
+    A record of 96 bytes has two words more than pybes3's fields of the shorter record. They are the lengths in front of
+    `m_clusterflag` (2) and `m_stripid` (4), but pybes3 takes them for a field `m_recpositiony`: V is read as
+    `m_recpositiony`, z as `m_recv`, and `m_recZ` holds a length and a flag. These lengths at their places tell such
+    records apart from others, which stay as they are.
+
+    Parameters
+    ----------
+    of : dict of str to ndarray
+        Fields of pybes3's TRecCgemCluster, each (n, ...).
+    """
+    if "m_recpositiony" not in of or not len(of["m_recZ"]):
+        return of
+    words = np.ascontiguousarray(of["m_recZ"], ">f8").view(">i4").reshape(-1, 2)
+    flags = np.asarray(of["m_clusterflag"])
+    if not (np.all(words[:, 0] == _FLAGS) and np.all(flags[:, 1] == _STRIPS)):
+        return of
+    right = {"m_recv": of["m_recpositiony"], "m_recZ": of["m_recv"]}
+    flag = np.stack([words[:, 1].astype(flags.dtype), flags[:, 0]], axis=1)
+    return {name: one for name, one in of.items() if name != "m_recpositiony"} | right | {"m_clusterflag": flag}
+
+
+def upper_triangles(given: npt.ArrayLike) -> Floats:
+    """Return covariances of MdcTrack, (n, 5, 5).
+
+    The software writes the upper triangle row by row (DstMdcTrack::setError), pybes3 fills the lower one row by row.
+    Whichever order gives more positive definite matrices is right.
+
+    Parameters
+    ----------
+    given : array_like, (n, 5, 5) float64
+        As pybes3 returns them.
+    """
+    filled = np.array(given, np.float64).reshape(-1, 5, 5)
+    below, above = np.tril_indices(5), np.triu_indices(5)
+    moved = np.zeros_like(filled)
+    moved[:, above[0], above[1]] = filled[:, below[0], below[1]]
+    moved[:, above[1], above[0]] = filled[:, below[0], below[1]]
+    return moved if _positive(moved) > _positive(filled) else filled
+
+
+def _positive(matrices: Floats) -> int:
+    """Return the number of positive definite matrices, whatever the units of their rows."""
+    matrices = np.where(np.isfinite(matrices), matrices, 0.0)  # of fits that failed
+    size = np.sqrt(np.abs(np.diagonal(matrices, axis1=1, axis2=2)))
+    size = np.where(size > 0, size, 1.0)
+    return int(np.count_nonzero(np.linalg.eigvalsh(matrices / (size[:, :, None] * size[:, None, :])).min(axis=1) > 0))
+
+
+Column = npt.NDArray[Any]
+Columns = dict[str, Column]
+
+#: Endings of the names of files.
+ENDINGS = (".rec", ".dst", ".rtraw")
+
+#: What is read: our name, and the branches of which a file has one.
+COLLECTIONS: Mapping[str, tuple[str, ...]] = {
+    "run": ("TEvtHeader/m_runId",),
+    "number": ("TEvtHeader/m_eventId",),
+    "hits": ("TRecEvent/m_recMdcHitCol",),
+    "clusters": ("TRecEvent/m_recCgemClusterCol",),
+    "mdc_tracks": ("TRecEvent/m_recMdcTrackCol", "TDstEvent/m_mdcTrackCol"),
+    "kal_tracks": ("TRecEvent/m_recMdcKalTrackCol", "TDstEvent/m_mdcKalTrackCol"),
+    "particles": ("TMcEvent/m_mcParticleCol",),
+    "cgem_truths": ("TMcEvent/m_cgemMcHitCol",),
+    "mdc_truths": ("TMcEvent/m_mdcMcHitCol",),
+    "cgem_digis": ("TDigiEvent/m_cgemDigiCol",),
+}
+
+#: PDG numbers of the masses of a Kalman track, in the order of its arrays, with the ends of the names of its helices.
+HYPOTHESES = {11: "_e", 13: "_mu", 211: "", 321: "_k", 2212: "_p"}
+
+_MM = 10.0  # in a cm
+_GEV = 1e-3  # in MeV
+_KEV = 1e3  # in MeV
+_HELIX = np.array([_MM, 1.0, 1.0, _MM, 1.0])  # dr and dz in cm
+_NOT_SET = -99.0  # of the software
+
+
+def read_bes3(path: Path) -> tuple[dict[str, Columns], int]:
+    """Return what a file holds as columns, and the number of its events.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    tables : dict of str to dict of str to ndarray
+        As `columns_of_events` returns them.
+    n_events : int
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    ValueError
+        If it is damaged or no file of the BESIII software, or pybes3 is not installed.
+    """
+    check_regular(path)
+    package("pybes3", "bes3")  # teaches uproot the classes
+    uproot = package("uproot", "bes3")
+    try:
+        with uproot.open(path) as file:
+            tree = file["Event"]
+            n_events = int(tree.num_entries)
+            known = set(tree.keys())
+            arrays = {
+                name: tree[branch].array()
+                for name, branches in COLLECTIONS.items()
+                for branch in branches
+                if branch in known
+            }
+    except FileNotFoundError:
+        raise
+    except Exception as error:  # of uproot and pybes3: a damaged file is bad input, whatever notices it
+        raise ValueError(f"{path} is not a complete file of the BESIII software ({error})") from error
+    return columns_of_events(arrays), n_events
+
+
+def columns_of_events(arrays: Mapping[str, Any]) -> dict[str, Columns]:
+    """Return the collections of pybes3 as columns with our units, signs and sides; what is wrong in them is repaired.
+
+    Parameters
+    ----------
+    arrays : mapping of str to awkward.Array
+        Collections by the names of `COLLECTIONS`, as pybes3 0.5 returns them: one list of records an event.
+
+    Returns
+    -------
+    dict of str to dict of str to ndarray
+        ``events`` (run, number), ``clusters``, ``wire_hits``, ``mdc_tracks``, ``kal_tracks``, ``particles``,
+        ``truths``, ``wire_truths`` and ``digis``, those that there are; ``event`` is the number of the event in the
+        file.
+
+    Raises
+    ------
+    ValueError
+        If a collection lacks a field that is read.
+    """
+    found: dict[str, Columns] = {}
+    if {"run", "number"} <= arrays.keys():
+        found["events"] = {name: np.asarray(arrays[name], np.int64) for name in ("run", "number")}
+    makers = {
+        "hits": ("wire_hits", _wire_hits), "clusters": ("clusters", _clusters),
+        "mdc_tracks": ("mdc_tracks", _mdc_tracks), "kal_tracks": ("kal_tracks", _kal_tracks),
+        "particles": ("particles", _particles), "cgem_truths": ("truths", _truths),
+        "mdc_truths": ("wire_truths", _wire_truths), "cgem_digis": ("digis", _digis),
+    }  # fmt: skip
+    for name, (table, make) in makers.items():
+        flat = _flat(arrays[name]) if name in arrays else {}
+        if not flat:
+            continue
+        try:
+            found[table] = {"event": flat["event"], **make(flat)}
+        except KeyError as error:
+            raise ValueError(
+                f"{COLLECTIONS[name][0]}: has no field {error}; expected the classes of 7.0 to 7.2"
+            ) from error
+    return found
+
+
+def _flat(lists: Any) -> Columns:
+    """Return the fields of all records in one row each, and `event`; none where no event has a record."""
+    awkward = package("awkward", "bes3")
+    counts = np.asarray(awkward.num(lists, axis=1))
+    records = awkward.flatten(lists, axis=1)
+    if not awkward.fields(records):
+        return {}
+    fields = {}
+    for name in awkward.fields(records):
+        try:
+            fields[name] = np.asarray(awkward.to_numpy(records[name]))
+        except ValueError:  # lists of various lengths: none of them is read
+            continue
+    return {**fields, "event": np.repeat(np.arange(len(counts)), counts)}
+
+
+def _wire(identifier: Column) -> Columns:
+    """Return layer and wire of a MdcID."""
+    bits = identifier.astype(np.int64)
+    return {"layer": (bits >> 9) & 0x3F, "wire": bits & 0x1FF}
+
+
+def _side(flag: Column) -> Column:
+    """Return the sign of our doca: left (0) is to the right of the flight as we count, right (1) to the left."""
+    return np.select([flag == 0, flag == 1], [1, -1], 0)
+
+
+def _wire_hits(of: Columns) -> Columns:
+    left, right = of["m_lr"] == 0, of["m_lr"] == 1
+    both = [(np.abs(of[f"m_{name}l"]), np.abs(of[f"m_{name}r"])) for name in ("dd", "erdd")]
+    drift, sigma = (_MM * np.select([left, right], [l, r], 0.5 * (l + r)) for l, r in both)  # noqa: E741
+    side = _side(of["m_lr"])
+    known = {"drift_time": of["m_driftT"], "candidate": of["m_trkid"]}
+    return {**_wire(of["m_mdcid"]), "drift": drift, "sigma": sigma, "side": side, **known}
+
+
+def _clusters(given: Columns) -> Columns:
+    of = clusters(given)
+    nan = np.full(len(of["m_flag"]), np.nan)
+    has_phi, has_v, point = of["m_flag"] != 1, of["m_flag"] != 0, of["m_flag"] == 2
+    charge = of["m_energydeposit"]
+    parts = np.where(point[:, None], of["m_clusterflag"], -1)
+    return {
+        "layer": of["m_layerid"],
+        "sheet": of["m_sheetid"],
+        "view": of["m_flag"],
+        "phi": np.where(has_phi, _wrapped(of["m_recphi"]), nan),
+        "v": np.where(has_v & ~point, of["m_recv"], nan),
+        "z": np.where(point, of["m_recZ"], nan),
+        "charge": np.where(charge == _NOT_SET, nan, charge),
+        "x_cluster": _row_of(of, parts[:, 0]),
+        "v_cluster": _row_of(of, parts[:, 1]),
+        "candidate": of["m_trkid"],
+    }
+
+
+def _row_of(of: Columns, number: Column) -> Column:
+    """Return the rows of clusters by their numbers in the same event; -1 where there is none."""
+    rows = {key: row for row, key in enumerate(zip(of["event"].tolist(), of["m_clusterid"].tolist(), strict=True))}
+    return np.array([rows.get(key, -1) for key in zip(of["event"].tolist(), number.tolist(), strict=True)], np.int64)
+
+
+def _tracks(helix: Column, cov: Column, number: Column) -> Columns:
+    """Return helices, (n, 5), and covariances, (n, 5, 5), in mm, with the azimuth in (-pi, pi]."""
+    helix = helix * _HELIX
+    helix[:, 1] = _wrapped(helix[:, 1])
+    return {"candidate": number, "helix": helix, "cov": cov * np.outer(_HELIX, _HELIX)}
+
+
+def _mdc_tracks(of: Columns) -> Columns:
+    tracks = _tracks(of["m_helix"], upper_triangles(of["m_err"]), of["m_trackId"])
+    good = np.ones(len(of["m_chi2"]), np.bool_)
+    return {
+        **tracks,
+        "chi2": of["m_chi2"],
+        "ndf": of["m_ndof"],
+        "hypothesis": np.zeros(len(good), np.int64),
+        "ok": good,
+    }
+
+
+def _kal_tracks(of: Columns) -> Columns:
+    """Return a row for each mass of each track; the first of two fits, the filter, where a file has both."""
+    filtered = {name: of[f"m_{name}"] for name in ("chisq", "ndf", "stat")}
+    filtered = {name: one[:, 0] if one.ndim == 3 else one for name, one in filtered.items()}
+    parts = [
+        {
+            "event": of["event"],
+            **_tracks(of[f"m_zhelix{end}"], of[f"m_zerror{end}"], of["m_trackId"]),
+            "chi2": filtered["chisq"][:, i],
+            "ndf": filtered["ndf"][:, i],
+            "hypothesis": np.full(len(of["event"]), pdg),
+            "ok": filtered["stat"][:, i] == 0,
+        }
+        for i, (pdg, end) in enumerate(HYPOTHESES.items())
+    ]
+    return {
+        name: np.stack([part[name] for part in parts], 1).reshape(-1, *parts[0][name].shape[1:]) for name in parts[0]
+    }
+
+
+def _particles(of: Columns) -> Columns:
+    """Return generated particles; lengths are in cm and momenta in GeV/c, other than those of the hits."""
+    point = {axis: _MM * of[f"m_{axis}InitialPosition"] for axis in "xyz"}
+    momentum = {f"p{axis}": of[f"m_{axis}InitialMomentum"] for axis in "xyz"}
+    return {"particle": of["m_trackIndex"], "pdg": of["m_particleID"], **point, **momentum}
+
+
+def _truths(of: Columns) -> Columns:
+    """Return crossings of drift gaps; middle and momentum are the means of entry and exit."""
+    enter, leave, before, after = (
+        np.stack([of[f"m_{kind}_{end}_{axis}"] for axis in "xyz"], 1)
+        for kind in ("XYZ", "P")
+        for end in ("pre", "post")
+    )
+    momentum = 0.5 * _GEV * (before + after)
+    middle = 0.5 * (enter + leave)
+    columns: Columns = {"particle": of["m_ID_track"].astype(np.int64), "layer": of["m_ID_layer"].astype(np.int64)}
+    for i, axis in enumerate("xyz"):
+        columns |= {f"entry_{axis}": enter[:, i], f"exit_{axis}": leave[:, i], f"p{axis}": momentum[:, i]}
+    columns |= {"phi": np.arctan2(middle[:, 1], middle[:, 0]), "z": middle[:, 2]}
+    return columns | {"path": np.linalg.norm(leave - enter, axis=1), "energy": _KEV * of["m_E_deposit"]}
+
+
+def _wire_truths(of: Columns) -> Columns:
+    side = _side(of["m_posFlag"])
+    point = {axis: of[f"m_{axis}Position"] for axis in "xyz"}
+    doca = side * of["m_driftDistance"]
+    return {"particle": of["m_trackIndex"].astype(np.int64), **_wire(of["m_id"]), "doca": doca, "side": side, **point}
+
+
+def _digis(of: Columns) -> Columns:
+    """Return fired strips with charge and time, where a file has them in fC and ns."""
+    if not {"m_charge_fc", "m_time_ns"} <= of.keys():
+        return dict.fromkeys(("event", "layer", "sheet", "view", "strip", "charge", "time"), of["event"][:0])
+    bits = of["m_intId"].astype(np.int64)  # CgemID
+    place = {"layer": bits & 7, "sheet": (bits >> 3) & 7, "view": (bits >> 6) & 1, "strip": (bits >> 7) & 0xFFF}
+    return {**place, "charge": of["m_charge_fc"], "time": of["m_time_ns"]}
+
+
+def _wrapped(angle: Column) -> Column:
+    """Return angles in (-pi, pi]."""
+    return np.asarray(np.pi - np.remainder(np.pi - angle, 2 * np.pi))
+
+
+#: Errors of X and V of clusters, mm, which the files do not hold: the standard deviations of the 30 clusters of the
+#: public simulated events from the truth (docs/how-to/real_events.md).
+CLUSTER_ERRORS = (0.16, 0.15)
+
+
+@dataclass(frozen=True, eq=False)
+class Bes3Events:
+    """Events of one file; all tables cover events 0 to n - 1 of the file, without rows where it has no such records.
+
+    Attributes
+    ----------
+    detector : Detector
+    run, number : ndarray, (n,) int64
+        The experiment's numbers of run and event.
+    clusters, wire_hits : Table
+        Reconstructed clusters, and the hits on tracks; `track` is the number of the track, -1 none.
+    candidates, candidate_hits : Table
+        The hits of each track; the candidate's number is that of the track.
+    mdc_tracks, kal_tracks : Table of kind "tracks"
+        Tracks of the first fit, without matter (`hypothesis` 0), and of the Kalman filter, one row for each mass. Their
+        `candidate` is -1 without hits. Fits that failed have the status not_converged.
+    particles, truths, wire_truths : Table
+        Generated particles of simulated events that are in our table of particles, and crossings of drift gaps and
+        cells (`.rtraw`); their times are not read.
+    digis : Table
+        Fired strips with charge and time.
+    """
+
+    detector: Detector
+    run: Column
+    number: Column
+    clusters: Table
+    wire_hits: Table
+    candidates: Table
+    candidate_hits: Table
+    mdc_tracks: Table
+    kal_tracks: Table
+    particles: Table
+    truths: Table
+    wire_truths: Table
+    digis: Table
+
+    def __repr__(self) -> str:
+        tables = (name for name, one in vars(self).items() if isinstance(one, Table) and len(one))
+        rows = ", ".join(f"{len(getattr(self, name))} {name}" for name in tables)
+        return f"<{len(self.run)} events of the BESIII software for {self.detector.name}: {rows}>"
+
+
+def read_events(
+    path: str | os.PathLike[str],
+    detector: Detector | str | Mapping[str, Any],
+    *,
+    errors: tuple[float, float] = CLUSTER_ERRORS,
+    every_cluster: bool = False,
+) -> Bes3Events:
+    """Read a `.rec`, `.dst` or `.rtraw` file of the BESIII software (extra ``[bes3]``).
+
+    Parameters
+    ----------
+    path : path
+    detector : Detector, or what `load` accepts
+        With the layers that the events have, such as ``"besiii-idc"`` before 2024 and ``"besiii-cgem"`` since.
+    errors : (float, float)
+        Standard deviations of X and V of the clusters, mm.
+    every_cluster : bool
+        Whether clusters that belong to no track count as hits of the track, where an event has one track.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    ValueError
+        If it is damaged or no such file, or its hits are not those of the detector, or pybes3 is not installed.
+    """
+    path = Path(path)
+    if path.suffix not in ENDINGS:
+        raise ValueError(f"{str(path)[:80]!r} is no file of the BESIII software; expected one of {', '.join(ENDINGS)}")
+    found, n_events = read_bes3(path)
+    return tables_of(found, n_events, detector, errors=errors, every_cluster=every_cluster)
+
+
+def events_of(
+    arrays: Mapping[str, Any],
+    detector: Detector | str | Mapping[str, Any],
+    *,
+    errors: tuple[float, float] = CLUSTER_ERRORS,
+    every_cluster: bool = False,
+) -> Bes3Events:
+    """Return the same for collections of pybes3 that are read already.
+
+    Parameters
+    ----------
+    arrays : mapping of str to awkward.Array
+        By the names of `cgemit.analysis.bes3.COLLECTIONS`, such as ``"hits"`` for m_recMdcHitCol.
+    detector, errors, every_cluster
+        As for `read_events`.
+    """
+    n_events = max((len(one) for one in arrays.values()), default=0)
+    found = columns_of_events(arrays)
+    return tables_of(found, n_events, detector, errors=errors, every_cluster=every_cluster)
+
+
+def tables_of(
+    found: Mapping[str, Columns],
+    n_events: int,
+    detector: Detector | str | Mapping[str, Any],
+    *,
+    errors: tuple[float, float],
+    every_cluster: bool,
+) -> Bes3Events:
+    """Return the tables of the columns that `cgemit.analysis.bes3` reads; arguments as for `read_events`."""
+    detector = load(detector)
+    _check(found, detector, errors)
+    clusters = _cluster_columns(detector, found.get("clusters"), errors)
+    wires = found.get("wire_hits")
+    if every_cluster and clusters is not None and wires is not None:
+        clusters["candidate"] = _of_the_only_track(clusters, wires)
+    hits = hit_tables(detector, clusters, wires, [], events=np.arange(n_events))
+    numbers = [_track_numbers(hits[i], given) for i, given in enumerate((clusters, wires))]
+    named = label_candidates(hits[0], hits[1], numbers[0], numbers[1])
+    cover = {"n_events": n_events, "events": hits[0].cover["events"]}
+    events = found.get("events", dict.fromkeys(("run", "number"), np.zeros(n_events, np.int64)))
+    tracks = {name: _track_table(found.get(name), named, detector, cover) for name in ("mdc_tracks", "kal_tracks")}
+    simulated = {name: _filled(name, found.get(name), detector, cover) for name in ("truths", "wire_truths", "digis")}
+    return Bes3Events(
+        detector=detector,
+        run=events["run"],
+        number=events["number"],
+        clusters=hits[0].with_columns(track=numbers[0]),
+        wire_hits=hits[1].with_columns(track=numbers[1]),
+        particles=_particle_table(found.get("particles"), n_events),
+        **named,
+        **tracks,
+        **simulated,
+    )
+
+
+def _check(found: Mapping[str, Columns], detector: Detector, errors: tuple[float, float]) -> None:
+    """Raise an error that lists the layers of hits that the detector does not have, and wrong errors."""
+    chamber = detector.drift_chamber.layers if detector.drift_chamber else ()
+    known = {"wire_hits": [layer.number for layer in chamber], "clusters": list(range(len(detector.cgem)))}
+    problems = []
+    for name, layers in known.items():
+        given = np.unique(found[name]["layer"]) if name in found else np.zeros(0, np.int64)
+        other = sorted(set(given.tolist()) - set(layers))
+        if other:
+            has = f"layers {layers[0]} to {layers[-1]}" if layers else "no such layer"
+            problems.append(
+                f"{name}: got layers {', '.join(map(str, other))}; expected those of {detector.name}: {has}"
+            )
+    if len(errors) != 2 or not all(0 < error < np.inf for error in errors):
+        problems.append(f"errors: got {errors}; expected two positive numbers, X and V in mm")
+    if problems:
+        raise ValueError("events of the BESIII software:\n  " + "\n  ".join(problems))
+
+
+def _cluster_columns(detector: Detector, given: Columns | None, errors: tuple[float, float]) -> Columns | None:
+    """Return clusters with X on the sheet and errors, as `hit_tables` takes them."""
+    if given is None:
+        return None
+    columns = dict(given)
+    starts = np.array([(*layer.sheet_phi, *layer.sheet_phi)[:2] for layer in detector.cgem])
+    radius = np.array([layer.r_readout for layer in detector.cgem])[columns["layer"]]
+    start = starts[columns["layer"], np.clip(columns["sheet"], 0, 1)]
+    x = radius * np.remainder(columns["phi"] - start, 2 * np.pi)
+    only_x = columns["view"] == HIT_X
+    columns["x"] = np.where(only_x, x, np.nan)
+    columns["err_x"] = np.where(np.isnan(columns["phi"]), np.nan, errors[0])
+    columns["err_v"] = np.where(only_x, np.nan, errors[1])
+    return columns
+
+
+def _of_the_only_track(clusters: Columns, wires: Columns) -> Column:
+    """Return the track of each cluster: points of no track belong to the only track of their event."""
+    tracks = np.unique(np.stack([wires["event"], wires["candidate"]])[:, wires["candidate"] >= 0], axis=1)
+    events, first, count = np.unique(tracks[0], return_index=True, return_counts=True)
+    alone = dict(zip(events[count == 1].tolist(), tracks[1][first[count == 1]].tolist(), strict=True))
+    free = (clusters["candidate"] < 0) & (clusters["view"] == XV_CLUSTER)
+    only = np.array([alone.get(event, -1) for event in clusters["event"].tolist()], np.int64)
+    return np.where(free, only, clusters["candidate"])
+
+
+def _track_numbers(table: Table, given: Columns | None) -> Column:
+    """Return the number of the track of each row."""
+    return np.zeros(0, np.int64) if given is None else given["candidate"][table["given_row"]].astype(np.int64)
+
+
+def _track_table(given: Columns | None, named: Mapping[str, Table], detector: Detector, cover: dict[str, Any]) -> Table:
+    """Return tracks with the rows of the candidates that have their hits."""
+    if given is None:
+        return Table.empty("tracks", **cover)
+    candidates, of_hits = named["candidates"], named["candidate_hits"]
+    row = {key: i for i, key in enumerate(zip(candidates["event"], candidates["candidate"], strict=True))}
+    keys = zip(given["event"], given["candidate"], strict=True)
+    candidate = np.array([row.get(key, -1) for key in keys], np.int64).reshape(-1)
+    wire = of_hits["view"] == HIT_WIRE
+    counts = [np.bincount(of_hits["candidate"][mine], minlength=len(candidates) + 1) for mine in (~wire, wire)]
+    fitted, cov = given["helix"], given["cov"]
+    with np.errstate(invalid="ignore"):  # fits that failed
+        error = np.sqrt(np.diagonal(cov, axis1=1, axis2=2))
+    columns: dict[str, npt.ArrayLike] = {name: given[name] for name in ("event", "hypothesis", "chi2", "ndf", "cov")}
+    columns |= {"candidate": candidate, "track": given["candidate"], "p": helix.momentum(fitted)}
+    columns |= {name: fitted[:, i] for i, name in enumerate(helix.PARAMETERS)}
+    columns |= {f"err_{name}": error[:, i] for i, name in enumerate(helix.PARAMETERS)}
+    columns |= {
+        "n_clusters": counts[0][candidate],
+        "n_wires": counts[1][candidate],
+        "err_p": helix.momentum_error(fitted, cov),
+        "displaced": displaced(fitted[:, 0], error[:, 0], detector),
+    }
+    columns["status"] = np.where(given["ok"], FitStatus.ok, FitStatus.not_converged)
+    return Table(
+        "tracks", columns | dict.fromkeys(("n_outliers", "iterations"), np.zeros(len(candidate), np.int64)), **cover
+    )
+
+
+def _particle_table(given: Columns | None, n_events: int) -> Table:
+    """Return the generated particles that we know; quarks and resonances are left out."""
+    if given is None:
+        return Table.empty("particles", n_events)
+    moves = (given["px"] != 0) | (given["py"] != 0) | (given["pz"] != 0)
+    known = np.isin(given["pdg"], list(KNOWN)) & moves
+    return particles_from({name: one[known] for name, one in given.items()}, n_events=n_events, first_event=0)
+
+
+def _filled(kind: str, given: Columns | None, detector: Detector, cover: dict[str, Any]) -> Table:
+    """Return a table of truth or digis, with the columns that follow from others, and none where nothing is known."""
+    if given is None or not len(given["event"]):
+        return Table.empty(kind, **cover)
+    n, columns = len(given["event"]), dict(given)
+    if kind == "truths":
+        columns["r"] = np.array([layer.r_mid for layer in detector.cgem])[columns["layer"]]
+    if kind == "digis":
+        columns["gid"] = _strip_numbers(detector, columns)
+        columns |= {"truth": np.full(n, -1)}
+    for column in SCHEMAS[kind]:
+        columns.setdefault(column.name, np.full(n, np.nan if column.dtype.kind == "f" else 0, column.dtype))
+    return Table(kind, columns, **cover)
+
+
+def _strip_numbers(detector: Detector, of: Columns) -> Column:
+    """Return the numbers of strips in the whole CGEM."""
+    strips = np.array([(layer.strips_x, layer.strips_v) for layer in detector.cgem])
+    first = np.cumsum([0, *(layer.sheets * (layer.strips_x + layer.strips_v) for layer in detector.cgem)])
+    mine = strips[of["layer"]]
+    return np.asarray(first[of["layer"]] + of["sheet"] * mine.sum(axis=1) + of["view"] * mine[:, 0] + of["strip"])
+
+
+Kind = Literal["kal", "mdc"]
+KINDS: tuple[Kind, ...] = get_args(Kind)
+
+#: What the experiment's fits assume.
+FITS = {"kal": "Kalman filter with matter (MdcKalTrack)", "mdc": "first fit, without matter (MdcTrack)"}
+
+_HALF = 0.6827  # of a Gaussian within one standard deviation
+
+
+@dataclass(frozen=True, eq=False)
+class Refit:
+    """Tracks fitted by us and by the experiment from the same hits, one row for each in all of these.
+
+    Attributes
+    ----------
+    kind : str
+        ``"kal"`` or ``"mdc"``.
+    detector : str
+    ours, boss : Table of kind "tracks"
+    columns : dict of str to ndarray
+        ``run``, ``number`` (of the event), ``event`` (in the file), ``track``, ``hypothesis``, ``status``, numbers of
+        hits, chi-square of both, and for each parameter and p: ours, ``boss_``..., errors, ``diff_`` ours minus
+        theirs, ``pull_`` that over their error, and where the events are simulated ``truth_``... (NaN without a
+        particle near the track).
+    """
+
+    kind: str
+    detector: str
+    ours: Table
+    boss: Table
+    columns: Columns
+
+    @property
+    def good(self) -> Column:
+        """Whether both fits have succeeded, (n,) bool."""
+        return np.asarray((self.ours["status"] == FitStatus.ok) & (self.boss["status"] == FitStatus.ok))
+
+    def summary(self) -> dict[str, dict[str, float]]:
+        """Return median and half-width of the central 68 % of the differences, by parameter.
+
+        ``diff`` and ``diff_width`` in the parameter's unit, ``pull`` and ``pull_width`` over the experiment's error,
+        ``error_ratio``: the median of our error over theirs.
+        """
+        of = {name: one[self.good] for name, one in self.columns.items()}
+        found = {}
+        for name in PARAMETERS:
+            ratio = of[f"err_{name}"] / of[f"boss_err_{name}"]
+            found[name] = {
+                "diff": _middle(of[f"diff_{name}"]), "diff_width": _width(of[f"diff_{name}"]),
+                "pull": _middle(of[f"pull_{name}"]), "pull_width": _width(of[f"pull_{name}"]),
+                "error_ratio": _middle(ratio),
+            }  # fmt: skip
+        return found
+
+    def __repr__(self) -> str:
+        n, good = len(self.ours), int(self.good.sum())
+        lines = [f"{FITS[self.kind]}: {n} tracks, {good} fitted by both, with {self.detector}"]
+        if not good:
+            return lines[0]
+        lines.append(f"  {'':8}{'ours - BOSS':>24}{'over the error of BOSS':>26}{'our error':>12}")
+        lines.append(f"  {'':8}{'median':>12}{'68 % within':>12}{'median':>14}{'68 % within':>12}{'/ theirs':>12}")
+        for name, row in self.summary().items():
+            unit, factor = _SHOWN[name]
+            diff, width = (f"{factor * row[key]:.3g}" for key in ("diff", "diff_width"))
+            label = f"{name} {unit}" if unit else name
+            lines.append(
+                f"  {label:<9}{diff:>11}{width:>12}{row['pull']:>14.3f}{row['pull_width']:>12.3f}"
+                f"{row['error_ratio']:>12.3f}"
+            )
+        ours, boss = (_middle((one["chi2"] / np.maximum(one["ndf"], 1))[self.good]) for one in (self.ours, self.boss))
+        lines.append(f"  chi2/ndf, median: ours {ours:.3f}, BOSS {boss:.3f}")
+        return "\n".join(lines)
+
+
+#: Unit of the printed numbers, and its factor.
+_SHOWN = {
+    "dr": ("um", 1e3), "phi0": ("mrad", 1e3), "kappa": ("c/GeV", 1.0), "dz": ("mm", 1.0), "tanl": ("", 1.0),
+    "p": ("MeV/c", 1e3),
+}  # fmt: skip
+
+
+def refit(events: Bes3Events, kind: Kind = "kal", settings: FitSettings | None = None) -> Refit:
+    """Fit the hits of the experiment's tracks, and put the result beside theirs.
+
+    Parameters
+    ----------
+    events : Bes3Events
+    kind : str
+        ``"kal"``: beside the tracks of the Kalman filter, with matter. ``"mdc"``: beside those of the first fit, which
+        knows no matter; our fit then has ``matter=False``.
+    settings : FitSettings or None
+        `hypothesis` tells the masses (None: the pion, the experiment's default); `matter` follows from `kind`.
+
+    Raises
+    ------
+    ValueError
+        If there is no such kind, or no track with hits.
+    """
+    if kind not in KINDS:
+        raise ValueError(f"kind: got {kind!r}, expected one of {', '.join(map(repr, KINDS))}")
+    settings = FitSettings() if settings is None else settings
+    settings = replace(settings, matter=kind == "kal", hypothesis=settings.hypothesis or "pi")
+    if kind == "mdc":  # without matter the mass plays no role
+        settings = replace(settings, hypothesis="pi")
+    boss = events.kal_tracks if kind == "kal" else events.mdc_tracks
+    hits = events.clusters, events.wire_hits, events.candidates, events.candidate_hits
+    if not len(events.candidates) or not len(boss):
+        raise ValueError(
+            f"got {len(events.candidates)} sets of hits and {len(boss)} {FITS[kind]}; expected both, as in a .rec file"
+        )
+    fitted = fit(events.detector, *hits, settings)["tracks"]
+    mine, theirs = _same(fitted, boss, by_mass=kind == "kal")
+    ours, boss = fitted[mine], boss[theirs]
+    return Refit(kind, events.detector.name, ours, boss, _columns(events, ours, boss))
+
+
+def _same(ours: Table, boss: Table, *, by_mass: bool) -> tuple[Column, Column]:
+    """Return the rows of the tracks that both have: of the same candidate and, with matter, mass."""
+    mass = "hypothesis" if by_mass else "candidate"
+    rows = {key: i for i, key in enumerate(zip(boss["candidate"].tolist(), boss[mass].tolist(), strict=True))}
+    found = [rows.get(key, -1) for key in zip(ours["candidate"].tolist(), ours[mass].tolist(), strict=True)]
+    theirs = np.array(found, np.int64)
+    return np.flatnonzero(theirs >= 0), theirs[theirs >= 0]
+
+
+def _columns(events: Bes3Events, ours: Table, boss: Table) -> Columns:
+    event = ours["event"]
+    columns: Columns = {
+        "run": events.run[event],
+        "number": events.number[event],
+        "event": event,
+        "track": boss["track"],
+    }
+    columns |= {
+        name: ours[name] for name in ("hypothesis", "status", "n_clusters", "n_wires", "n_outliers", "chi2", "ndf")
+    }
+    columns |= {f"boss_{name}": boss[name] for name in ("status", "chi2", "ndf")}
+    truth = _truth(events, boss)
+    for name in PARAMETERS:
+        diff = ours[name] - boss[name]
+        if name == "phi0":
+            diff = np.remainder(diff + np.pi, 2 * np.pi) - np.pi
+        columns |= {name: ours[name], f"err_{name}": ours[f"err_{name}"]}
+        columns |= {f"boss_{name}": boss[name], f"boss_err_{name}": boss[f"err_{name}"]}
+        with np.errstate(divide="ignore", invalid="ignore"):  # fits that failed have errors of 0
+            columns |= {f"diff_{name}": diff, f"pull_{name}": diff / boss[f"err_{name}"], f"truth_{name}": truth[name]}
+    return columns
+
+
+#: Largest differences of a track from its generated particle: azimuth (rad), tan(lambda), relative kappa.
+_NEAR = (0.1, 0.1, 0.2)
+
+
+def _truth(events: Bes3Events, boss: Table) -> Columns:
+    """Return the helix of the generated particle nearest to each track, NaN where none is near."""
+    particles = events.particles
+    true = helix.at_origin_in(particles, compiled(events.detector, gaps=False).field)
+    nearest = np.full((len(boss), 5), np.nan)
+    for row in range(len(boss)):
+        mine = true[particles["event"] == boss["event"][row]]
+        turn = np.remainder(mine[:, 1] - boss["phi0"][row] + np.pi, 2 * np.pi) - np.pi
+        off = np.stack([turn, mine[:, 4] - boss["tanl"][row], mine[:, 2] / boss["kappa"][row] - 1], axis=1) / _NEAR
+        far = np.where(np.isnan(off).any(axis=1), np.inf, np.abs(off).max(axis=1, initial=0))
+        if len(far) and far.min() < 1:
+            nearest[row] = mine[np.argmin(far)]
+    with np.errstate(invalid="ignore"):
+        return {**{name: nearest[:, i] for i, name in enumerate(helix.PARAMETERS)}, "p": helix.momentum(nearest)}
+
+
+def _middle(values: Column) -> float:
+    return float(np.median(values)) if len(values) else float("nan")
+
+
+def _width(values: Column) -> float:
+    """Return the half-width of the central 68 %."""
+    low, high = np.quantile(values, [0.5 - _HALF / 2, 0.5 + _HALF / 2]) if len(values) else (np.nan, np.nan)
+    return float(0.5 * (high - low))

@@ -1,0 +1,169 @@
+"""Resolution without truth: halves of cosmic muons, fitted as two tracks and as one (docs/methods/vertex.md)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from cgemit import helix
+from cgemit.analysis.resolutions import QUOTED
+from cgemit.analysis.widths import Resolution, measure
+from cgemit.chain.result import Result
+from cgemit.tables import Table
+from cgemit.tables.show import Tabular, html_table, text_table, with_error
+
+Floats = npt.NDArray[np.float64]
+
+#: Parameters of the same muon flown backward: signs of dr, phi0, kappa, dz, tanl; phi0 also turns by pi.
+_BACKWARD = np.array([-1.0, 1.0, -1.0, 1.0, -1.0])
+_NAMES = (*helix.PARAMETERS, "p")
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Cosmics(Tabular):
+    """Resolutions from the halves of cosmic muons.
+
+    Attributes
+    ----------
+    events : int
+        Events with exactly two fitted tracks, one upward and one downward.
+    halves : mapping of str to Resolution
+        Difference of the halves over sqrt(2), in the quoted unit: the resolution of one half, without truth.
+    pulls : mapping of str to Resolution
+        Difference over its error by both fits.
+    truth : mapping of str to Resolution
+        Residuals of the same halves; None for measured data.
+    one_track : mapping of str to Resolution
+        Residuals of both halves fitted as one track; None for measured data.
+    parameters, cov : ndarray, (events, 5), (events, 5, 5) float64
+        Of the one track: helices of the downward half at the origin.
+    chi2 : ndarray, (events,) float64
+        Of the two halves' being one track; five degrees of freedom.
+    """
+
+    events: int
+    halves: dict[str, Resolution]
+    pulls: dict[str, Resolution]
+    truth: dict[str, Resolution] | None
+    one_track: dict[str, Resolution] | None
+    parameters: Floats
+    cov: Floats
+    chi2: Floats
+
+    def columns(self) -> dict[str, list[object]]:
+        """Return the core widths as columns, one row for each parameter."""
+        found: dict[str, list[object]] = {"parameter": list(_NAMES), "unit": [self.halves[n].unit for n in _NAMES]}
+        for name, widths in (
+            ("halves", self.halves), ("truth", self.truth), ("one_track", self.one_track), ("pull", self.pulls)
+        ):  # fmt: skip
+            if widths is not None:
+                found[name] = [widths[n].core for n in _NAMES]
+                found[f"{name}_error"] = [widths[n].core_error for n in _NAMES]
+        return found
+
+    def _table(self) -> tuple[str, tuple[str, ...], list[list[str]]]:
+        given = (self.halves, self.truth, self.one_track, self.pulls)
+        heads = ("difference/sqrt(2)", "true residual", "one track", "pull of the difference")
+        head = ("parameter", *(text for text, one in zip(heads, given, strict=True) if one is not None))
+        rows = [
+            [self.halves[n].label(), *(with_error(one[n].core, one[n].core_error) for one in given if one is not None)]
+            for n in _NAMES
+        ]
+        return f"halves of {self.events} cosmic muons: core widths", head, rows
+
+    def __repr__(self) -> str:
+        return text_table(*self._table())
+
+    def _repr_html_(self) -> str:
+        return html_table(*self._table())
+
+
+def cosmics(given: Result | Table) -> Cosmics:
+    """Compare both halves of muons that cross the detector, and fit them as one track.
+
+    The fit of a half ends at the origin, with all matter between its hits and the origin. Halves share no hit and no
+    matter, so that their weighted mean is the fit of all hits as one track.
+
+    Parameters
+    ----------
+    given : Result, or Table of kind "tracks"
+        With truth where the tracks hold it.
+
+    Raises
+    ------
+    ValueError
+        If it holds no tracks, or no event has two halves.
+    """
+    tracks = given.tracks if isinstance(given, Result) else given
+    if tracks is None or not isinstance(tracks, Table) or tracks.kind != "tracks":
+        raise ValueError("cosmics: got no table of tracks, expected one, or a run that fits")
+    upper, lower = _halves(tracks)
+    if len(lower) < 2:
+        raise ValueError(f"cosmics: got {len(lower)} events with an upward and a downward track, expected some")
+    down, other = _values(tracks, lower), _backward(_values(tracks, upper))
+    cov, cov_other = tracks["cov"][lower], _BACKWARD[:, None] * tracks["cov"][upper] * _BACKWARD
+    parameters, joint, chi2 = _combined(down, cov, other, cov_other)
+    difference = _differences(down, other)
+    errors = np.sqrt(np.diagonal(cov + cov_other, axis1=1, axis2=2))
+    p_error = np.hypot(helix.momentum_error(down, cov), helix.momentum_error(other, cov_other))
+    error = dict(zip(_NAMES, [*errors.T, p_error], strict=True))
+    truth = one_track = None
+    if "truth_dr" in tracks:
+        rows = np.concatenate([lower, upper])
+        known = np.isfinite(tracks["truth_dr"][rows])
+        truth = {name: _width(name, tracks[f"res_{name}"][rows][known]) for name in _NAMES}
+        true = np.stack([tracks[f"truth_{name}"][lower] for name in helix.PARAMETERS], axis=1)
+        fine = np.isfinite(true).all(axis=1)
+        one_track = {name: _width(name, value[fine]) for name, value in _differences(parameters, true).items()}
+    return Cosmics(
+        len(lower),
+        {name: _width(name, value / np.sqrt(2)) for name, value in difference.items()},
+        {name: measure(value / error[name], parameter=name) for name, value in difference.items()},
+        truth, one_track, parameters, joint, chi2,
+    )  # fmt: skip
+
+
+def _halves(tracks: Table) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+    """Return the rows of the upward and the downward track of the events that have one of each and no other."""
+    good = (tracks["status"] == 0) & np.isfinite(tracks["cov"]).all(axis=(1, 2))
+    number = np.diff(tracks.offsets)
+    begin = tracks.offsets[:-1][number == 2]
+    begin = begin[good[begin] & good[begin + 1]]
+    upward = np.cos(tracks["phi0"]) > 0  # the flight is along (-sin phi0, cos phi0)
+    begin = begin[upward[begin] != upward[begin + 1]]
+    first_up = upward[begin]
+    return np.where(first_up, begin, begin + 1), np.where(first_up, begin + 1, begin)
+
+
+def _values(tracks: Table, rows: npt.NDArray[np.intp]) -> Floats:
+    return np.stack([np.asarray(tracks[name], np.float64)[rows] for name in helix.PARAMETERS], axis=1)
+
+
+def _backward(parameters: Floats) -> Floats:
+    """Return helices of the same points, flown in the other direction."""
+    turned = np.array(parameters * _BACKWARD)
+    turned[:, 1] += np.pi
+    return turned
+
+
+def _differences(first: Floats, second: Floats) -> dict[str, Floats]:
+    """Return the differences of parameters and momentum of helices."""
+    difference = first - second
+    difference[:, 1] = np.remainder(difference[:, 1] + np.pi, 2 * np.pi) - np.pi
+    return dict(zip(_NAMES, [*difference.T, helix.momentum(first) - helix.momentum(second)], strict=True))
+
+
+def _combined(first: Floats, cov: Floats, second: Floats, cov_second: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return weighted means of helices, their covariances, and the chi-square of the differences."""
+    gain = cov @ np.linalg.inv(cov + cov_second)
+    names = helix.PARAMETERS
+    apart = np.stack([_differences(second, first)[name] for name in names], axis=1)
+    chi2 = np.einsum("ni,nij,nj->n", apart, np.linalg.inv(cov + cov_second), apart)
+    return first + np.einsum("nij,nj->ni", gain, apart), cov - gain @ cov, chi2
+
+
+def _width(name: str, sample: Floats) -> Resolution:
+    unit, factor = QUOTED.get(name, ("", 1.0))
+    return measure(sample * factor, parameter=name, unit=unit)

@@ -1,0 +1,625 @@
+"""Efficiency, fakes, clones and purity of a finder (docs/methods/match.md)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from html import escape
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from cgemit.analysis.widths import Fraction
+from cgemit.chain.result import Result
+from cgemit.chain.settings import finder_of
+from cgemit.detector import Detector
+from cgemit.detector.inventory import channels as strips
+from cgemit.reconstruction.candidates import HIT_V, HIT_WIRE, HIT_X, HIT_XV, XV_CLUSTER
+from cgemit.reconstruction.find.loops import link_loops
+from cgemit.reconstruction.find.truth import own_clusters, particle_rows, residuals
+from cgemit.tables import Table
+
+Rows = npt.NDArray[np.int64]
+Flags = npt.NDArray[np.bool_]
+Column = npt.NDArray[Any]
+
+
+class CandidateCounts(NamedTuple):
+    """Hits of each candidate; an XV point counts as two.
+
+    Attributes
+    ----------
+    particle : ndarray, (candidates,) int64
+        Row of the particle with the most hits, daughters of its decays included; -1 without hits of a particle.
+    hits : ndarray, (candidates,) int64
+        All its hits.
+    of_particle : ndarray, (candidates,) int64
+        Hits of that particle and of its daughters, with clusters that it shares.
+    of_daughters : ndarray, (candidates,) int64
+        Those of its daughters.
+    of_loops : ndarray, (candidates,) int64
+        Those that the particle itself left on other half turns than the first one.
+    found : ndarray, (candidates,) int64
+        Measurements of that particle itself on its first half turn: crossings of a gap, counted per view, and cells;
+        without the clusters that it shares, which are measurements of the particle with the larger part.
+    """
+
+    particle: Rows
+    hits: Rows
+    of_particle: Rows
+    of_daughters: Rows
+    of_loops: Rows
+    found: Rows
+
+
+class ParticleCounts(NamedTuple):
+    """Measurements that each particle left on its first half turn, before any decay; all of shape (particles,).
+
+    Attributes
+    ----------
+    x_layers, v_layers, points : ndarray, int64
+        CGEM layers with an X cluster, with a V cluster, with both.
+    wires, stereo : ndarray, int64
+        Cells of the drift chamber, and those of its stereo layers.
+    hits : ndarray, int64
+        Crossings of a gap with a cluster, counted per view, and cells.
+    """
+
+    x_layers: Rows
+    v_layers: Rows
+    points: Rows
+    wires: Rows
+    stereo: Rows
+    hits: Rows
+
+
+def count_particles(result: Result) -> ParticleCounts:
+    """Return the measurements of each particle.
+
+    Parameters
+    ----------
+    result : Result
+    """
+    particles, clusters, wire_hits = result.particles, result.clusters, result.wire_hits
+    n = len(particles)
+    rows = own_clusters(result.detector, clusters, result.truths)
+    of_truth = _origins(particles, result.truths)
+    truth = clusters["truth"][rows]
+    mine = of_truth.first[truth]
+    rows, truth = rows[mine], truth[mine]
+    views = len(result.detector.cgem) * 2
+    seen = np.zeros((n, views), np.bool_)
+    seen[of_truth.owner[truth], clusters["layer"][rows] * 2 + clusters["view"][rows]] = True
+    x, v = seen[:, HIT_X::2], seen[:, HIT_V::2]
+    of_wire = _origins(particles, result.wire_truths).linked(wire_hits["wire_truth"])
+    on = of_wire.first
+    chamber = result.detector.drift_chamber
+    tilted = [layer.number for layer in chamber.layers if layer.twist != 0] if chamber else []
+    wires, stereo = (
+        np.bincount(of_wire.owner[which], minlength=n) for which in (on, on & np.isin(wire_hits["layer"], tilted))
+    )
+    crossings = np.bincount(of_truth.owner[truth], minlength=n)
+    return ParticleCounts(
+        x.sum(axis=1), v.sum(axis=1), (x & v).sum(axis=1), wires, stereo, (crossings + wires).astype(np.int64)
+    )
+
+
+def count_candidates(result: Result) -> CandidateCounts:
+    """Return the hits of each candidate.
+
+    Parameters
+    ----------
+    result : Result
+    """
+    particles, clusters, wire_hits = result.particles, result.clusters, result.wire_hits
+    n, view, row = len(result.candidates), result.candidate_hits["view"], result.candidate_hits["row"]
+    candidate = result.candidate_hits["candidate"]
+    wire = view == HIT_WIRE
+    of_cluster = _origins(particles, result.truths).linked(clusters["truth"])
+    of_wire = _origins(particles, result.wire_truths).linked(wire_hits["wire_truth"])
+    place = row + np.where(wire, len(clusters), 0)
+    owner, late, looped = (np.concatenate(pair).take(place) for pair in zip(of_cluster, of_wire, strict=True))
+    weight = np.where(view == HIT_XV, 2, 1)
+    best = _most_common(owner, weight, candidate, n)
+    shared = _shared(result, np.flatnonzero(~wire), best)
+    own = ((owner >= 0) & (owner == best[candidate])) | shared
+
+    def total(which: Flags) -> Rows:
+        return np.bincount(candidate[which], weight[which], minlength=n).astype(np.int64)
+
+    # A crossing counts once per view, however many of its clusters the candidate has.
+    first = own & ~late & ~looped
+    strips = np.flatnonzero(first & ~shared & ~wire)
+    crossing = clusters["truth"][row[strips]]
+    found = np.bincount(candidate[first & wire], minlength=n)
+    for axis in (HIT_X, HIT_V):
+        on = (view[strips] == axis) | (view[strips] == HIT_XV)
+        pairs = np.unique(np.stack([candidate[strips[on]], crossing[on]]), axis=1)
+        found = found + np.bincount(pairs[0], minlength=n)
+    every = np.ones(len(row), np.bool_)
+    loops = total(own & looped & ~late & ~shared)
+    return CandidateCounts(best, total(every), total(own), total(own & late), loops, found.astype(np.int64))
+
+
+class _Origins(NamedTuple):
+    """Row of the particle of each truth (-1: none), and whether a daughter or another half turn left it."""
+
+    owner: Rows
+    late: Flags
+    looped: Flags
+
+    @property
+    def first(self) -> Flags:
+        """Whether a particle left it on its first half turn."""
+        return (self.owner >= 0) & ~self.late & ~self.looped
+
+    def linked(self, link: Rows) -> _Origins:
+        """Return the same for rows that link to truths."""
+        position = np.where(link >= 0, link, -1)
+        return _Origins(
+            *(
+                np.append(values, values.dtype.type(none)).take(position)
+                for values, none in zip(self, (-1, 0, 0), strict=True)
+            )
+        )
+
+
+def _origins(particles: Table, truths: Table) -> _Origins:
+    return _Origins(particle_rows(particles, truths), truths["daughter"] > 0, truths["half_turn"] != 0)
+
+
+def _most_common(owner: Rows, weight: Rows, candidate: Rows, n: int) -> Rows:
+    """Return the most common owner of the hits of each of n candidates: the first one on a tie; -1: none."""
+    best = np.full(n, -1)
+    known = np.flatnonzero(owner >= 0)
+    if not len(known):
+        return best
+    width = int(owner.max()) + 1
+    pairs, place = np.unique(candidate[known] * width + owner[known], return_inverse=True)
+    counts = np.bincount(place, weight[known], minlength=len(pairs))
+    order = np.lexsort((pairs, -counts, pairs // width))
+    first = order[np.diff(pairs[order] // width, prepend=-1) != 0]
+    best[pairs[first] // width] = pairs[first] % width
+    return best
+
+
+def _shared(result: Result, strips: Rows, best: Rows) -> Flags:
+    """Tell which hits are clusters of several crossings, one of them of the candidate's particle.
+
+    The link of such a cluster names the crossing with the most charge only. Another one belongs to it if its point at
+    mid-gap lies within the strips, or a pitch beside them.
+    """
+    shared = np.zeros(len(result.candidate_hits), np.bool_)
+    clusters, truths, particles = result.clusters, result.truths, result.particles
+    row = result.candidate_hits["row"][strips]
+    particle = best[result.candidate_hits["candidate"][strips]]
+    several = (clusters["n_truths"][row] > 1) & (particle >= 0) & (clusters["view"][row] < XV_CLUSTER)
+    strips, row, particle = strips[several], row[several], particle[several]
+    if not len(strips):
+        return shared
+    own = (truths["daughter"] == 0) & (truths["half_turn"] == 0)
+    of_truth = np.where(own, particle_rows(particles, truths), -1)
+    layers = len(result.detector.cgem)
+    key = of_truth * layers + truths["layer"]
+    order = np.argsort(key, kind="stable")
+    wanted = particle * layers + clusters["layer"][row]
+    at = order[np.minimum(np.searchsorted(key, wanted, sorter=order), len(key) - 1)]
+    other = (key[at] == wanted) & (of_truth[clusters["truth"][row]] != particle)
+    strips, row, at = strips[other], row[other], at[other]
+    if len(strips):
+        shared[strips] = _covers(result.detector, clusters[row].with_columns(truth=at), truths)
+    return shared
+
+
+def _covers(detector: Detector, clusters: Table, truths: Table) -> Flags:
+    """Tell which clusters hold the mid-gap point of the crossing that they link to, or end a pitch before it."""
+    pitches = np.array([(cgem.pitch_x, cgem.pitch_v) for cgem in detector.cgem])
+    pitch = pitches[clusters["layer"], clusters["view"]]
+    off = np.abs(residuals(detector, clusters, truths, np.arange(len(clusters))))
+    return np.asarray(off <= (0.5 * clusters["size"] + 1) * pitch)
+
+
+#: Classes of candidates; "decay": of the daughter of a particle that has a track of its own; "loop": of another half
+#: turn of a particle than the first one.
+CLASSES = ("matched", "clone", "decay", "loop", "fake")
+MATCHED, CLONE, DECAY, LOOP, FAKE = range(5)
+
+
+def findable_of(of: ParticleCounts, charged: Flags) -> tuple[Flags, dict[str, int]]:
+    """Return which particles are findable, (particles,) bool, and how many charged ones each condition removes.
+
+    Parameters
+    ----------
+    of : ParticleCounts
+    charged : ndarray, (particles,) bool
+    """
+    three, mixed = of.points >= 3, (of.points >= 2) & (of.wires >= 3)
+    chamber = (of.wires >= 10) & (of.stereo >= 3)
+    findable = charged & (three | mixed | chamber)
+    rest = charged & ~findable
+    reasons: dict[str, Flags] = {
+        "no hit at all": of.hits == 0,
+        "3 stereo wires among 10 or more": of.wires >= 10,
+        "3 wires beside 2 layers with X and V": of.points >= 2,
+        "10 wires, or 2 layers with X and V": np.ones(len(rest), np.bool_),
+    }
+    removed: dict[str, int] = {}
+    for name, which in reasons.items():
+        removed[name] = int(np.count_nonzero(rest & which))
+        rest = rest & ~which
+    return findable, removed
+
+
+def belle2(of: CandidateCounts, particles: ParticleCounts) -> npt.NDArray[np.int8]:
+    """Return the class of each candidate by the definition of Belle II, (candidates,) int8.
+
+    A candidate is of a particle that left 2/3 of its hits, if it holds 1/20 of the particle's hits.
+
+    Parameters
+    ----------
+    of : CandidateCounts
+    particles : ParticleCounts
+    """
+    left = np.append(particles.hits, 0)[of.particle]
+    enough = (20 * of.found >= left) | _loops(of)
+    good = (of.particle >= 0) & (3 * of.of_particle >= 2 * of.hits) & enough & (of.hits > 0)
+    return _classes(of, good)
+
+
+def _loops(of: CandidateCounts) -> Flags:
+    """Tell which candidates have more hits of other half turns of their particle than of the first one."""
+    return 2 * of.of_loops > of.of_particle
+
+
+def acts(of: CandidateCounts) -> npt.NDArray[np.int8]:
+    """Return the class of each candidate by the definition of ACTS, (candidates,) int8.
+
+    A candidate is of a particle that left half of its hits.
+
+    Parameters
+    ----------
+    of : CandidateCounts
+    """
+    return _classes(of, (of.particle >= 0) & (2 * of.of_particle >= of.hits) & (of.hits > 0))
+
+
+def _classes(of: CandidateCounts, good: Flags) -> npt.NDArray[np.int8]:
+    """Return the class of each candidate; of several of a particle the one with most of its hits is matched."""
+    classes = np.where(of.hits > 0, FAKE, -1).astype(np.int8)
+    classes[good & _loops(of)] = LOOP
+    rows = np.flatnonzero(good & ~_loops(of))
+    order = rows[np.lexsort((rows, -of.found[rows], of.particle[rows]))]
+    first = np.diff(of.particle[order], prepend=-1) != 0
+    classes[order] = np.where(2 * of.of_daughters[order] > of.of_particle[order], DECAY, CLONE)
+    classes[order[first]] = MATCHED
+    return classes
+
+
+Floats = npt.NDArray[np.float64]
+Definition = Literal["belle2", "acts"]
+Quantity = Literal["pt", "cos_theta", "phi", "distance", "tracks", "occupancy"]
+
+
+@dataclass(frozen=True)
+class FindingRates:
+    """Rates by one definition.
+
+    Attributes
+    ----------
+    efficiency : Fraction
+        Findable particles with a track.
+    fakes : Fraction
+        Candidates that belong to no particle.
+    clones : Fraction
+        Further candidates of a particle, among those of a particle.
+    decays : Fraction
+        Candidates of the daughters of a decay, the parent having its own, among all.
+    loops : Fraction
+        Loop clones, that is candidates whose own hits are mostly of other half turns than the first, among all.
+    """
+
+    efficiency: Fraction
+    fakes: Fraction
+    clones: Fraction
+    decays: Fraction
+    loops: Fraction
+
+
+@dataclass(frozen=True, eq=False)
+class Finding:
+    """What a finder found of the particles of a run.
+
+    Attributes
+    ----------
+    finder, detector : str
+    candidates : CandidateCounts
+        Hits of each candidate.
+    particles : ParticleCounts
+        Measurements of each particle.
+    classes : mapping of str to ndarray, (candidates,) int8
+        By definition, ``"belle2"`` or ``"acts"``: index into `CLASSES`; -1 for candidates without hits.
+    charged, findable : ndarray, (particles,) bool
+    removed : mapping of str to int
+        Charged particles that are not findable, by reason.
+    pt, cos_theta, phi, distance : ndarray, (particles,) float64
+        GeV/c, 1, rad, and mm: true transverse momentum, polar angle, azimuth of the flight, and distance of the vertex
+        from the beam line.
+    tracks : ndarray, (particles,) int64
+        Findable particles in the event.
+    occupancy : ndarray, (particles,) float64
+        Share of the cells, without a chamber of the strips, that are hit in the event, in %.
+    """
+
+    finder: str
+    detector: str
+    candidates: CandidateCounts
+    particles: ParticleCounts
+    classes: Mapping[str, npt.NDArray[np.int8]]
+    charged: Flags
+    findable: Flags
+    removed: Mapping[str, int]
+    pt: Floats
+    cos_theta: Floats
+    phi: Floats
+    distance: Floats
+    tracks: Rows
+    occupancy: Floats
+
+    def found(self, definition: Definition = "belle2") -> Flags:
+        """Return which particles have a track.
+
+        Parameters
+        ----------
+        definition : str
+
+        Returns
+        -------
+        ndarray, (particles,) bool
+        """
+        found = np.zeros(len(self.charged), np.bool_)
+        found[self.candidates.particle[self.classes[definition] == MATCHED]] = True
+        return found
+
+    def rates(self, definition: Definition = "belle2", among: npt.ArrayLike | None = None) -> FindingRates:
+        """Return efficiency, fakes and clones.
+
+        Parameters
+        ----------
+        definition : str
+            ``"belle2"`` or ``"acts"``.
+        among : array_like or None
+            (particles,) bool, the particles that count in the efficiency; None: all findable ones. Fakes and clones
+            are of all candidates.
+        """
+        which = self.findable if among is None else self.findable & np.asarray(among, np.bool_)
+        n = [int(np.count_nonzero(self.classes[definition] == number)) for number in range(len(CLASSES))]
+        return FindingRates(
+            efficiency=Fraction(int(np.count_nonzero(self.found(definition) & which)), int(np.count_nonzero(which))),
+            fakes=Fraction(n[FAKE], sum(n)),
+            clones=Fraction(n[CLONE], n[MATCHED] + n[CLONE]),
+            decays=Fraction(n[DECAY], sum(n)),
+            loops=Fraction(n[LOOP], sum(n)),
+        )
+
+    @property
+    def purity(self) -> float:
+        """Mean share of a matched track's hits that its particle left; Belle II."""
+        counts, matched = self.candidates, self.classes["belle2"] == MATCHED
+        return float(np.mean(counts.of_particle[matched] / counts.hits[matched])) if matched.any() else float("nan")
+
+    @property
+    def hit_efficiency(self) -> float:
+        """Mean share of a matched particle's measurements on its first half turn that its track has; Belle II."""
+        counts, matched = self.candidates, self.classes["belle2"] == MATCHED
+        left = np.maximum(self.particles.hits[counts.particle[matched]], 1)
+        return float(np.mean(counts.found[matched] / left)) if matched.any() else float("nan")
+
+    def against(self, quantity: Quantity, edges: npt.ArrayLike) -> list[Fraction]:
+        """Return the efficiency in bins of a true quantity.
+
+        Parameters
+        ----------
+        quantity : str
+        edges : array_like, (bins + 1,)
+            Increasing.
+        """
+        value, bounds, found = getattr(self, quantity), np.asarray(edges, np.float64), self.found()
+        place = np.digitize(value, bounds) - 1
+        return [
+            Fraction(
+                int(np.count_nonzero(found & self.findable & (place == i))),
+                int(np.count_nonzero(self.findable & (place == i))),
+            )
+            for i in range(len(bounds) - 1)
+        ]
+
+    def rows(self) -> list[tuple[str, str]]:
+        """Return the results as text, name and value."""
+        rows = [("finder", self.finder), ("detector", self.detector)]
+        share = Fraction(int(self.findable.sum()), int(self.charged.sum()))
+        rows += [("findable", str(share)), *((f"  without: {name}", f"{n:,}") for name, n in self.removed.items())]
+        for definition, name in (("belle2", "Belle II"), ("acts", "ACTS")):
+            of = self.rates(definition)  # type: ignore[arg-type]
+            rows += [(f"efficiency ({name})", str(of.efficiency)), (f"fakes ({name})", str(of.fakes))]
+            rows += [(f"clones ({name})", str(of.clones))]
+        rows.append(("tracks of decay products", str(self.rates().decays)))
+        rows.append(("loop clones", str(self.rates().loops)))
+        rows += [("hit purity", f"{100 * self.purity:.2f} %"), ("hit efficiency", f"{100 * self.hit_efficiency:.2f} %")]
+        return rows
+
+    def __repr__(self) -> str:
+        return "\n".join(["Finding", *(f"  {name:<48}{text}" for name, text in self.rows())])
+
+    def _repr_html_(self) -> str:
+        rows = "".join(f"<tr><th>{escape(name)}</th><td>{escape(text)}</td></tr>" for name, text in self.rows())
+        return f"<table>{rows}</table>"
+
+
+def finding(result: Result) -> Finding:
+    """Compare the candidates of a simulated run with its particles.
+
+    Parameters
+    ----------
+    result : Result
+        Of a run up to the stage ``"find"`` or later.
+
+    Returns
+    -------
+    Finding
+
+    Raises
+    ------
+    ValueError
+        If the run ended before.
+    """
+    if "candidates" not in result.tables:
+        expected = "a run with until='find' or 'fit' that keeps all tables"
+        raise ValueError(f"finding: got a result without candidates; expected {expected}")
+    of_candidate, of_particle = count_candidates(result), count_particles(result)
+    particles = result.particles
+    charged = np.asarray(particles["charge"] != 0)
+    findable, removed = findable_of(of_particle, charged)
+    px, py, pz = (particles[f"p{axis}"] for axis in "xyz")
+    pt = np.hypot(px, py)
+    return Finding(
+        finder=finder_of(result.candidates),
+        detector=result.detector.name,
+        candidates=of_candidate,
+        particles=of_particle,
+        classes={"belle2": belle2(of_candidate, of_particle), "acts": acts(of_candidate)},
+        charged=charged,
+        findable=findable,
+        removed=removed,
+        pt=pt,
+        cos_theta=pz / np.maximum(np.hypot(pt, pz), 1e-300),
+        phi=np.arctan2(py, px),
+        distance=np.hypot(particles["x"], particles["y"]),
+        tracks=_of_event(particles, particles["event"][findable]),
+        occupancy=_occupancy(result),
+    )
+
+
+def _of_event(particles: Table, rows: Rows) -> Rows:
+    """Return how many of some rows, given by their events, are in the event of each particle, (particles,) int64."""
+    events, counts = np.unique(rows, return_counts=True)
+    place = np.minimum(np.searchsorted(events, particles["event"]), max(len(events) - 1, 0))
+    return (
+        np.where(events[place] == particles["event"], counts[place], 0)
+        if len(events)
+        else np.zeros(len(particles), np.int64)
+    )
+
+
+def _occupancy(result: Result) -> Floats:
+    """Return the share of cells, or of strips, hit in the event of each particle, (particles,) float64 in %."""
+    detector = result.detector
+    chamber = detector.drift_chamber
+    if chamber:
+        channels, hits = sum(layer.cells for layer in chamber.layers), result.wire_hits["event"]
+    else:
+        channels = int(strips(detector))
+        hits = result.digis["event"][result.digis["strip"] >= 0]
+    return 100 * _of_event(result.particles, hits) / max(channels, 1)
+
+
+def curve(of: Finding, quantity: str, edges: Floats) -> dict[str, Any]:
+    """Return the efficiency in bins as columns: low and high edge, found, findable, efficiency and its interval.
+
+    Parameters
+    ----------
+    of : Finding
+    quantity : str
+    edges : ndarray, (bins + 1,) float64
+    """
+    fractions = of.against(quantity, edges)  # type: ignore[arg-type]
+    interval = np.array([fraction.interval() for fraction in fractions]).reshape(-1, 2)
+    return {
+        "low": edges[:-1], "high": edges[1:],
+        "found": np.array([fraction.count for fraction in fractions]),
+        "findable": np.array([fraction.n for fraction in fractions]),
+        "efficiency": np.array([fraction.value for fraction in fractions]),
+        "efficiency_low": interval[:, 0], "efficiency_high": interval[:, 1],
+    }  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class LoopLinks:
+    """Links of a run's fitted tracks to the first half turns of their particles.
+
+    Attributes
+    ----------
+    first : ndarray, (tracks,) int64
+        Row of the track that each track is linked to; its own if none.
+    found : Finding
+        Comparison of the candidates with the particles.
+    before, after : Fraction
+        Loop clones among all candidates, and among those that are not linked to another one.
+    wrong : Fraction
+        Links of tracks of two particles, among all links.
+    lost : Fraction
+        Particles whose matched track is linked to another track and so no longer kept, among those with one.
+    """
+
+    first: Rows
+    found: Finding
+    before: Fraction
+    after: Fraction
+    wrong: Fraction
+    lost: Fraction
+
+    def rows(self) -> list[tuple[str, str]]:
+        """Return the results as text, name and value."""
+        return [
+            ("loop clones after linking", str(self.after)),
+            ("links of two particles", str(self.wrong)),
+            ("first half turns linked to another track", str(self.lost)),
+        ]
+
+    def __repr__(self) -> str:
+        return "\n".join(["LoopLinks", *(f"  {name:<48}{text}" for name, text in self.rows())])
+
+    def _repr_html_(self) -> str:
+        rows = "".join(f"<tr><th>{escape(name)}</th><td>{escape(text)}</td></tr>" for name, text in self.rows())
+        return f"<table>{rows}</table>"
+
+
+def loop_links(result: Result) -> LoopLinks:
+    """Link the fitted tracks of a simulated run, and compare the links with the truth.
+
+    Parameters
+    ----------
+    result : Result
+        Of a run up to the stage ``"fit"``, with one mass hypothesis.
+
+    Raises
+    ------
+    ValueError
+        If the run ended before, or has several hypotheses.
+    """
+    if result.fitted is None or len(result.fitted) != len(result.candidates):
+        raise ValueError("loop_links: expected a run with until='fit' and one mass hypothesis that keeps all tables")
+    detector = result.fit_detector or result.detector
+    found = finding(result)
+    first = link_loops(result.fitted, detector.field.bz)
+    classes, particle = found.classes["belle2"], found.candidates.particle
+    of_track = result.fitted["candidate"]
+    classes, particle = classes[of_track], particle[of_track]
+    known = classes >= 0
+    linked = first != np.arange(len(first))
+    matched = classes == 0
+    foreign = linked & ((particle != particle[first]) | (classes == FAKE) | (classes[first] == FAKE))
+    return LoopLinks(
+        first=first,
+        found=found,
+        before=_fraction(classes == LOOP, known),
+        after=_fraction(classes == LOOP, known & ~linked),
+        wrong=_fraction(foreign, linked),
+        lost=_fraction(linked, matched),
+    )
+
+
+def _fraction(
+    which: np.ndarray[tuple[int], np.dtype[np.bool_]], among: np.ndarray[tuple[int], np.dtype[np.bool_]]
+) -> Fraction:
+    return Fraction(int(np.count_nonzero(which & among)), int(np.count_nonzero(among)))

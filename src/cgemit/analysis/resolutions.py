@@ -1,0 +1,577 @@
+"""Resolutions, pulls and chi-square of fitted tracks, with the rows that each status removed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+from scipy import special
+from scipy.optimize import least_squares
+
+from cgemit import _core
+from cgemit.analysis.widths import HEAD, Floats, Pulls, Resolution, Resolutions, measure, stacked
+from cgemit.base.errors import did_you_mean
+from cgemit.base.settings import InTurn
+from cgemit.chain.result import Result, TrackColumns, track_columns, tracks_of
+from cgemit.particles.species import species
+from cgemit.tables import PARAMETERS, Table
+from cgemit.tables.show import Comparable, Tabular, html_table, text_table, with_error
+
+#: Unit in which the resolution of each parameter is quoted, and how many of them make the native unit.
+QUOTED = {
+    "dr": ("um", 1000.0),
+    "phi0": ("mrad", 1000.0),
+    "kappa": ("1/(GeV/c)", 1.0),
+    "dz": ("mm", 1.0),
+    "tanl": ("1e-3", 1000.0),
+    "p": ("MeV/c", 1000.0),
+}
+#: What tracks can be binned in: a function of the table, and the unit.
+BY: dict[str, tuple[Callable[[Table | TrackColumns], Floats], str]] = {
+    "p": (lambda tracks: tracks["truth_p"], "GeV/c"),
+    "pt": (lambda tracks: 1 / np.abs(tracks["truth_kappa"]), "GeV/c"),
+    "cos_theta": (lambda tracks: tracks["truth_tanl"] / np.sqrt(1 + tracks["truth_tanl"] ** 2), ""),
+    "charge": (lambda tracks: np.sign(tracks["truth_kappa"]), "e"),
+}
+
+
+def resolution(tracks: Table | Result, parameter: str, *, window: tuple[float, float] | None = None) -> Resolution:
+    """Return the widths of the residual (fitted minus true) of one parameter.
+
+    Of a run in files (`cgemit.open`), only the columns that are needed are read, part by part.
+
+    Parameters
+    ----------
+    tracks : Table or Result
+        Of kind "tracks", or with such a table. Rows whose fit ended well are used; the others are counted by status.
+    parameter : str
+        One of dr, phi0, kappa, dz, tanl, p.
+    window : (low, high) or None
+        Range of the RMS, in the quoted unit; None: all rows.
+
+    Returns
+    -------
+    Resolution
+        In um (dr), mrad (phi0), 1/(GeV/c) (kappa), mm (dz), 1e-3 (tanl), MeV/c (p).
+
+    Raises
+    ------
+    TypeError, ValueError
+        If `tracks` is of another kind, the parameter is unknown or the window is empty.
+    """
+    unit, scale = QUOTED[_known(parameter, "parameter", list(QUOTED))]
+    return _measure(track_columns(tracks), f"res_{parameter}", parameter, unit, scale, window)
+
+
+def resolutions(tracks: Table | Result) -> Resolutions:
+    """Return `resolution` of all parameters, shown as one table.
+
+    Parameters
+    ----------
+    tracks : Table or Result
+        Of kind "tracks", or with such a table.
+    """
+    return Resolutions(tuple(resolution(tracks, name) for name in QUOTED))
+
+
+def pulls(tracks: Table | Result) -> Pulls:
+    """Return mean and width of the pulls of dr, phi0, kappa, dz, tanl and p, core and plain, with errors.
+
+    Parameters
+    ----------
+    tracks : Table or Result
+        Of kind "tracks", or with such a table.
+    """
+    columns = track_columns(tracks)
+    return Pulls(tuple(_measure(columns, f"pull_{name}", name, "", 1.0, None) for name in PARAMETERS))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Curve(Comparable, Tabular):
+    """The widths of one parameter in bins of something.
+
+    Attributes
+    ----------
+    parameter, unit, by, by_unit : str
+    edges : tuple of float
+        Limits of the bins, one more than bins.
+    x : tuple of float
+        Mean of `by` in each bin; NaN where it is empty.
+    values : tuple of Resolution
+        One per bin.
+    outside : int
+        Rows in no bin.
+    """
+
+    parameter: str
+    unit: str
+    by: str
+    by_unit: str
+    edges: tuple[float, ...]
+    x: tuple[float, ...]
+    values: tuple[Resolution, ...]
+    outside: int
+
+    def columns(self) -> dict[str, list[Any]]:
+        """Return limits, mean and numbers of the bins as columns, one row for each bin."""
+        bins = {f"{self.by}_low": list(self.edges[:-1]), f"{self.by}_high": list(self.edges[1:]), self.by: list(self.x)}
+        return bins | stacked([value.columns() for value in self.values])
+
+    def column(self, name: str) -> Floats:
+        """Return one number of each bin, such as ``"core"`` or ``"core_error"``, (bins,) float64."""
+        return np.array([getattr(value, name) for value in self.values], np.float64)
+
+    def _head(self) -> tuple[str, ...]:
+        return (f"{self.by} [{self.by_unit}]" if self.by_unit else self.by, *HEAD)
+
+    def _rows(self) -> list[list[str]]:
+        spans = [f"{low:g} to {high:g}" for low, high in zip(self.edges[:-1], self.edges[1:], strict=True)]
+        return [[span, *value.cells()] for span, value in zip(spans, self.values, strict=True)]
+
+    def _title(self) -> str:
+        label = f"{self.parameter} [{self.unit}]" if self.unit else self.parameter
+        return f"{label} against {self.by}, {self.outside} rows in no bin"
+
+    def __repr__(self) -> str:
+        return text_table(self._title(), self._head(), self._rows())
+
+    def _repr_html_(self) -> str:
+        return html_table(self._title(), self._head(), self._rows())
+
+
+def resolution_against(
+    tracks: Table | Result,
+    parameter: str,
+    by: str = "cos_theta",
+    bins: int | npt.ArrayLike = 10,
+    *,
+    kind: Literal["residual", "pull"] = "residual",
+    window: tuple[float, float] | None = None,
+) -> Curve:
+    """Return the widths of a parameter's residual or pull in bins of a true quantity.
+
+    Parameters
+    ----------
+    tracks : Table or Result
+        Of kind "tracks", or with such a table.
+    parameter : str
+        One of dr, phi0, kappa, dz, tanl, p.
+    by : str
+        p, pt (GeV/c), cos_theta or charge (e), all true values.
+    bins : int or (m + 1,) array_like
+        Number of equal bins, or their increasing limits. A bin holds its lower limit, the last one both. Where all
+        tracks have the same value, a number of bins gives a single one.
+    kind : str
+        "residual" (quoted units) or "pull".
+    window : (low, high) or None
+        Range of the RMS.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If `tracks` is of another kind, a name is unknown or the limits do not increase.
+    """
+    unit, scale = QUOTED[_known(parameter, "parameter", list(QUOTED))]
+    quantity, by_unit = BY[_known(by, "by", list(BY))]
+    _known(kind, "kind", ["residual", "pull"])
+    column = f"res_{parameter}" if kind == "residual" else f"pull_{parameter}"
+    unit, scale = (unit, scale) if kind == "residual" else ("", 1.0)
+    columns = track_columns(tracks)
+    x = np.asarray(quantity(columns), np.float64)
+    edges = _edges(x, bins)
+    bin_of = np.searchsorted(edges, x, side="right") - 1
+    bin_of[x == edges[-1]] = len(edges) - 2
+    bin_of[~np.isfinite(x) | (x > edges[-1])] = -1
+    chosen = [bin_of == i for i in range(len(edges) - 1)]
+    values = tuple(_measure(columns, column, parameter, unit, scale, window, rows) for rows in chosen)
+    means = tuple(float(x[rows].mean()) if rows.any() else math.nan for rows in chosen)
+    outside = len(x) - sum(int(np.count_nonzero(rows)) for rows in chosen)
+    return Curve(parameter, unit, by, by_unit, tuple(map(float, edges)), means, values, outside)
+
+
+def _known(name: str, what: str, known: list[str]) -> str:
+    if name not in known:
+        hint = did_you_mean(name, known, "; ")
+        raise ValueError(f"{what}: got {name!r}; expected one of {', '.join(known)}{hint}")
+    return name
+
+
+def _measure(
+    tracks: Table | TrackColumns,
+    column: str,
+    parameter: str,
+    unit: str,
+    scale: float,
+    window: tuple[float, float] | None,
+    rows: npt.NDArray[np.bool_] | slice = slice(None),
+) -> Resolution:
+    """Measure a column of the tracks that are good, of the given rows."""
+    status, values = tracks["status"][rows], tracks[column][rows]
+    good = status == 0
+    usable = good & np.isfinite(values)
+    removed = removed_rows(status, int(np.count_nonzero(good & ~usable)))
+    return measure(scale * values[usable], parameter=parameter, unit=unit, window=window, removed=removed)
+
+
+def _edges(x: Floats, bins: int | npt.ArrayLike) -> Floats:
+    if isinstance(bins, int | np.integer):
+        finite = x[np.isfinite(x)]
+        if bins < 1 or not len(finite):
+            raise ValueError(f"bins: got {bins} for {len(finite)} rows; expected at least one bin and one row")
+        return _equal_bins(finite, int(bins))
+    edges = np.asarray(bins, np.float64)
+    if edges.ndim != 1 or len(edges) < 2 or not np.all(np.diff(edges) > 0):
+        raise ValueError(f"bins: got {bins!r}; expected a number of bins or at least two increasing limits")
+    return edges
+
+
+def _equal_bins(x: Floats, bins: int) -> Floats:
+    """Return the limits of equal bins; of a single one where all values agree, as for a gun of one angle."""
+    low, high = float(x.min()), float(x.max())
+    margin = 1e-6 * max(1.0, abs(low), abs(high))
+    if high - low < margin:
+        return np.array([low - margin, high + margin])
+    return np.linspace(low, high, bins + 1)
+
+
+def removed_rows(status: npt.NDArray[np.int8], no_value: int) -> tuple[tuple[str, int], ...]:
+    """Return how many rows each status removed, and how many good ones had no number."""
+    codes, numbers = np.unique(status[status != 0], return_counts=True)
+    names = {int(one): one.name for one in _core.FitStatus}
+    removed = [(names.get(int(c), f"status {c}"), int(n)) for c, n in zip(codes, numbers, strict=True)]
+    return tuple(removed + ([("without a value", int(no_value))] if no_value else []))
+
+
+#: A cosine of the polar angle, the limits of a uniform range, or values of equal weight.
+CosTheta = float | tuple[float, float] | Sequence[float] | InTurn
+
+# A term is printed as 0 if it is below a thousandth of the largest that the curve allows, anywhere: its square below
+# this, in units of that one.
+_NOTHING = 1e-6
+
+#: Fewest momenta for a fit of two parameters.
+FEWEST_POINTS = 3
+
+
+@dataclass(frozen=True)
+class Form:
+    """A form of a resolution curve.
+
+    Attributes
+    ----------
+    quantity : str
+        ``"pt"`` stands for sigma(pT)/pT.
+    formula : str
+    unit : str
+        Of sigma.
+    a_unit, b_unit : str
+    power : float
+        Of sin(theta) in the term that depends on the momentum.
+    """
+
+    quantity: str
+    formula: str
+    unit: str
+    a_unit: str
+    b_unit: str
+    power: float
+
+    def variable(self, p: Floats, particle: str | int, cos_theta: CosTheta) -> Floats:
+        """Return what multiplies the parameter of the momentum term: pT, or 1/(p beta sin^power theta).
+
+        Over a range of cos(theta), the power of sin(theta) is replaced by its mean.
+        """
+        if self.quantity == "pt":
+            return p * mean_sine(cos_theta, 1.0)
+        beta = p / np.hypot(p, species(particle).mass)
+        return mean_sine(cos_theta, -self.power) / (p * beta)
+
+
+#: The forms by quantity, in the order in which they are printed.
+FORMS = {
+    form.quantity: form
+    for form in (
+        Form("dr", "sigma(d_rho) = a (+) b/(p beta sin^{3/2} theta)", "um", "um", "um GeV/c", 1.5),
+        Form("dz", "sigma(d_z) = a (+) b/(p beta sin^{5/2} theta)", "mm", "mm", "mm GeV/c", 2.5),
+        Form("pt", "sigma(pT)/pT = a pT (+) b", "%", "%/(GeV/c)", "%", 1.0),
+    )
+}
+
+
+@dataclass(frozen=True)
+class FormFit(Tabular):
+    """A form fitted to a curve.
+
+    Attributes
+    ----------
+    quantity, formula : str
+    a, a_error, b, b_error : float
+        Errors are statistical, and NaN where the curve has none. They reach upward to where the square of the parameter
+        is one standard deviation larger, so that they also hold at zero.
+    a_unit, b_unit : str
+    points : int
+        Momenta that were fitted.
+    chi2 : float
+        NaN for a curve without statistical errors.
+    deviation : float
+        Largest relative distance of the form from a fitted point.
+    detector, method : str
+    """
+
+    quantity: str
+    formula: str
+    a: float
+    a_error: float
+    b: float
+    b_error: float
+    a_unit: str
+    b_unit: str
+    points: int
+    chi2: float
+    deviation: float
+    detector: str = ""
+    method: str = ""
+
+    @property
+    def statistical(self) -> bool:
+        """Whether the fitted curve has statistical errors."""
+        return math.isfinite(self.chi2)
+
+    def __str__(self) -> str:
+        a, b = with_error(self.a, self.a_error), with_error(self.b, self.b_error)
+        quality = f"chi2/ndf {self.chi2:.1f}/{self.points - 2}, " if self.statistical else "no statistical error, "
+        return (
+            f"{self.formula}: a = {a} {self.a_unit}, b = {b} {self.b_unit}"
+            f" ({quality}within {100 * self.deviation:.2g} %)"
+        )
+
+    def columns(self) -> dict[str, list[Any]]:
+        """Return all values as columns of one row."""
+        return {name: [value] for name, value in self.as_json().items()}
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the fit as `summary.json` has it: a number that is not finite becomes null."""
+        values = asdict(self) | {"statistical": self.statistical}
+        return {
+            name: None if isinstance(value, float) and not math.isfinite(value) else value
+            for name, value in values.items()
+        }
+
+
+def fit_form(
+    quantity: str,
+    p: npt.ArrayLike,
+    sigma: npt.ArrayLike,
+    error: npt.ArrayLike | None = None,
+    *,
+    particle: str | int = "mu-",
+    cos_theta: CosTheta = 0.0,
+    detector: str = "",
+    method: str = "",
+) -> FormFit | None:
+    """Fit the usual form to a resolution curve by least squares.
+
+    Parameters
+    ----------
+    quantity : str
+        ``"dr"``: a (+) b/(p beta sin^{3/2} theta). ``"dz"``: the same with 5/2. ``"pt"``: sigma(pT)/pT = a pT (+) b.
+    p : (n,) array_like, GeV/c
+    sigma : (n,) array_like
+        um (dr), mm (dz), % (sigma(pT)/pT). Points that are not finite are left out.
+    error : (n,) array_like or None
+        Statistical errors. None: the curve has none, and all points have the same relative weight.
+    particle : str or int
+        Whose beta enters.
+    cos_theta : float, (low, high) or sequence of float
+        Over several angles, the powers of sin(theta) are replaced by their means.
+    detector, method : str
+        Kept in the result.
+
+    Returns
+    -------
+    FormFit or None
+        None if fewer than three momenta have a resolution.
+
+    Raises
+    ------
+    ValueError
+        Listing every problem of the arguments.
+    """
+    x, y = np.asarray(p, np.float64), np.asarray(sigma, np.float64)
+    weight = y if error is None else np.asarray(error, np.float64)
+    if problems := _problems(quantity, x, y, weight):
+        raise ValueError("fit_form:\n  " + "\n  ".join(problems))
+    form = FORMS[quantity]
+    used = np.isfinite(y) & (y > 0) & np.isfinite(weight) & (weight > 0)
+    if len(np.unique(x[used])) < FEWEST_POINTS:
+        return None
+    x, y, weight = form.variable(x[used], particle, cos_theta), y[used], weight[used]
+    (constant, constant_error), (slope, slope_error), residuals = _sum_in_quadrature(x, y, weight)
+    if error is None:
+        constant_error = slope_error = math.nan
+    pairs = [(constant, constant_error), (slope, slope_error)]
+    (a, a_error), (b, b_error) = reversed(pairs) if quantity == "pt" else pairs
+    chi2 = math.nan if error is None else float(residuals @ residuals)
+    deviation = float(np.max(np.abs(residuals * weight / y)))
+    return FormFit(
+        quantity, form.formula, a, a_error, b, b_error, form.a_unit, form.b_unit, len(x), chi2, deviation, detector,
+        method,
+    )  # fmt: skip
+
+
+def _problems(quantity: str, p: Floats, sigma: Floats, error: Floats) -> list[str]:
+    found = []
+    if quantity not in FORMS:
+        found.append(f"quantity: got {quantity!r}; expected one of {', '.join(FORMS)}")
+    if p.ndim != 1 or p.shape != sigma.shape or p.shape != error.shape:
+        found.append(f"p, sigma, error: got shapes {p.shape}, {sigma.shape}, {error.shape}; expected lists of one size")
+    if not np.all(np.isfinite(p) & (p > 0)):
+        found.append("p: expected positive momenta in GeV/c")
+    return found
+
+
+def _sum_in_quadrature(x: Floats, y: Floats, error: Floats) -> tuple[tuple[float, float], tuple[float, float], Floats]:
+    """Fit y = sqrt(c^2 + s^2 x^2); return c and s with their errors, and the residuals in units of the error.
+
+    The parameters are the squares, in units of the largest that they can be: the derivatives by c and s vanish at zero,
+    those by the squares do not.
+    """
+    scale = np.array([np.max(y) ** 2, np.max(y / x) ** 2])
+    terms = np.stack([np.ones_like(x), x * x], axis=1) * scale
+
+    def residuals(squares: Floats) -> Floats:
+        return np.asarray((np.sqrt(terms @ squares) - y) / error)
+
+    def jacobian(squares: Floats) -> Floats:
+        return np.asarray(terms / (2 * np.sqrt(terms @ squares) * error)[:, None])
+
+    start, tolerances = np.full(2, 0.25), {"xtol": 1e-14, "ftol": 1e-14, "gtol": 1e-14}
+    found = least_squares(residuals, start, jac=jacobian, bounds=(0, np.inf), max_nfev=1000, **tolerances)
+    spread = np.sqrt(np.diag(np.linalg.inv(found.jac.T @ found.jac)))
+    # At the bound the square is zero but for rounding.
+    found.x[found.x < _NOTHING] = 0.0
+    low, high = np.sqrt(found.x * scale), np.sqrt((found.x + spread) * scale)
+    (c, s), (c_error, s_error) = low.tolist(), (high - low).tolist()
+    return (c, c_error), (s, s_error), residuals(found.x)
+
+
+def mean_sine(cos_theta: CosTheta, power: float) -> float:
+    """Return the mean of sin(theta)^power over the cosines that tracks have.
+
+    Parameters
+    ----------
+    cos_theta : float, (low, high) or sequence of float
+    power : float
+    """
+    if isinstance(cos_theta, InTurn):
+        cosines = np.array(cos_theta.values)
+    elif isinstance(cos_theta, tuple):
+        nodes, weights = np.polynomial.legendre.leggauss(64)
+        low, high = cos_theta
+        cosines = 0.5 * (low + high) + 0.5 * (high - low) * nodes
+        return float(0.5 * weights @ (1 - cosines * cosines) ** (0.5 * power))
+    else:
+        cosines = np.atleast_1d(np.asarray(cos_theta, np.float64))
+    return float(np.mean((1 - cosines * cosines) ** (0.5 * power)))
+
+
+def chi2_probability(tracks: Table | Result) -> Floats:
+    """Return the probability of a larger chi-square, (n,) float64, for the tracks whose fit ended well.
+
+    It is uniform between 0 and 1 if the errors are right: Q(ndf/2, chi2/2), the regularised incomplete gamma
+    function. Tracks without degrees of freedom have no probability and are left out.
+
+    Parameters
+    ----------
+    tracks : Table or Result
+        Of kind "tracks", or with such a table.
+    """
+    tracks = tracks_of(tracks)
+    rows = (tracks["status"] == 0) & (tracks["ndf"] > 0) & np.isfinite(tracks["chi2"])
+    return np.asarray(special.gammaincc(tracks["ndf"][rows] / 2, tracks["chi2"][rows] / 2), np.float64)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Flatness(Comparable, Tabular):
+    """How well the chi-square probability agrees with a uniform distribution.
+
+    Attributes
+    ----------
+    n : int
+        Tracks used.
+    removed : tuple of (str, int)
+        Why tracks were not used, and how many each.
+    mean, mean_error : float
+        Mean probability, expected 0.5, and its error if uniform.
+    kolmogorov : float
+        Probability of a larger Kolmogorov-Smirnov distance.
+    chi2, ndf, binned : float, int, float
+        Chi-square of equal bins against uniform, its degrees of freedom, probability of a larger one.
+    """
+
+    n: int
+    removed: tuple[tuple[str, int], ...]
+    mean: float
+    mean_error: float
+    kolmogorov: float
+    chi2: float
+    ndf: int
+    binned: float
+
+    def columns(self) -> dict[str, list[Any]]:
+        """Return all numbers as columns of one row; `removed` as text."""
+        removed = ", ".join(f"{number} {reason}" for reason, number in self.removed) or "none"
+        return {name: list(values) for name, values in super().columns().items()} | {"removed": [removed]}
+
+    def _repr_html_(self) -> str:
+        removed = ", ".join(f"{number} {reason}" for reason, number in self.removed) or "none"
+        cells = [with_error(self.mean, self.mean_error), f"{self.kolmogorov:.3g}", f"{self.binned:.3g}",
+                 f"{self.chi2:.1f}/{self.ndf}", str(self.n), removed]  # fmt: skip
+        head = ("mean (0.5 expected)", "flat (Kolmogorov)", "flat (bins)", "chi2/ndf", "rows", "removed")
+        return html_table("chi-square probability", head, [cells])
+
+    def __repr__(self) -> str:
+        removed = ", ".join(f"{number} {reason}" for reason, number in self.removed) or "none"
+        return (
+            f"<chi-square probability: mean {with_error(self.mean, self.mean_error)} (0.5 expected), flat with"
+            f" probability {self.kolmogorov:.3g} (Kolmogorov) and {self.binned:.3g} (chi2 {self.chi2:.1f}/{self.ndf}),"
+            f" rows {self.n}, removed {removed}>"
+        )
+
+
+def chi2_flatness(tracks: Table | Result, bins: int = 20) -> Flatness:
+    """Test whether the chi-square probability of the tracks is uniform.
+
+    Kolmogorov's limiting distribution is taken at D (sqrt(n) + 0.12 + 0.11/sqrt(n)) (Stephens, J. R. Stat. Soc. B 32
+    (1970) 115), good from n = 5 on.
+
+    Parameters
+    ----------
+    tracks : Table or Result
+        Of kind "tracks", or with such a table.
+    bins : int
+        Number of equal bins of the chi-square test.
+
+    Raises
+    ------
+    ValueError
+        If fewer than 5 tracks a bin are left.
+    """
+    tracks = tracks_of(tracks)
+    probability = np.sort(chi2_probability(tracks))
+    n = len(probability)
+    if bins < 2 or n < 5 * bins:
+        raise ValueError(f"bins: got {bins} for {n} tracks; expected at least 2, with 5 tracks each")
+    steps = np.arange(n + 1) / n
+    distance = max(np.max(steps[1:] - probability), np.max(probability - steps[:-1]))
+    kolmogorov = special.kolmogorov(distance * (math.sqrt(n) + 0.12 + 0.11 / math.sqrt(n)))
+    counts = np.histogram(probability, bins, (0.0, 1.0))[0]
+    chi2 = float(np.sum((counts - n / bins) ** 2) / (n / bins))
+    removed = removed_rows(tracks["status"], int(np.count_nonzero(tracks["status"] == 0)) - n)
+    mean, error = float(probability.mean()), math.sqrt(1 / 12 / n)
+    binned = float(special.gammaincc((bins - 1) / 2, chi2 / 2))
+    return Flatness(n, removed, mean, error, float(kolmogorov), chi2, bins - 1, binned)

@@ -1,0 +1,1 @@
+"""Errors, settings, files, progress and instruction sets: what has no physics."""

@@ -1,0 +1,518 @@
+"""Files and folders that are complete or absent, TOML text, and optional packages."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import importlib
+import json
+import math
+import os
+import re
+import secrets
+import shutil
+import stat
+import tempfile
+import tomllib
+import zipfile
+from collections.abc import Callable, Collection, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+
+class MissingPackageError(ImportError, ValueError):
+    """What was asked for needs a package that is not installed."""
+
+
+def package(name: str, extra: str = "io") -> Any:
+    """Return a module of another package.
+
+    Parameters
+    ----------
+    name : str
+        Module, such as ``"pyarrow.parquet"``.
+    extra : str
+        The extra of cgemit that installs the package.
+
+    Raises
+    ------
+    MissingPackageError
+        An ImportError and ValueError that names the extra, if the package is not installed.
+    """
+    try:
+        return importlib.import_module(name)
+    except ImportError as error:
+        needed = name.partition(".")[0]
+        raise MissingPackageError(f"this needs {needed}: pip install 'cgemit[{extra}]'") from error
+
+
+@contextmanager
+def new_file(path: str | os.PathLike[str], *, overwrite: bool = False) -> Iterator[Path]:
+    """Give a temporary path in the folder of `path` that becomes `path` when the block ends well.
+
+    If the block raises (Ctrl-C too), nothing is left behind, so that no half-written file can look complete.
+
+    Raises
+    ------
+    FileNotFoundError
+        If the folder does not exist: a misspelt path must not become a folder.
+    FileExistsError
+        If `path` exists and `overwrite` is false; asked before the block runs, and again at its end.
+    """
+    target = Path(path)
+    _refuse_existing(target, overwrite)
+    if not target.parent.is_dir():
+        raise FileNotFoundError(f"{target}: there is no folder {target.parent}")
+    # The suffix stays, since writers such as matplotlib choose the format by it.
+    temporary = target.with_name(f".{target.stem}-{secrets.token_hex(4)}.tmp{target.suffix}")
+    try:
+        yield temporary
+        _refuse_existing(target, overwrite)
+        temporary.replace(target)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def _refuse_existing(target: Path, overwrite: bool) -> None:
+    if target.exists() and not overwrite:
+        raise FileExistsError(f"{target} exists; pass overwrite=True to replace it")
+
+
+_META = "__meta__"  # the array that holds the JSON text
+
+
+def write_arrays(
+    path: str | os.PathLike[str],
+    arrays: Mapping[str, np.ndarray[Any, Any]],
+    meta: Mapping[str, Any],
+    *,
+    overwrite: bool = False,
+    compressed: bool = False,
+) -> None:
+    """Write arrays and what is said about them to one file, completely or not at all.
+
+    Parameters
+    ----------
+    path : path
+    arrays : mapping of str to ndarray
+    meta : mapping
+        What JSON can hold.
+    overwrite, compressed : bool
+
+    Raises
+    ------
+    FileExistsError
+        If `path` exists and `overwrite` is false.
+    TypeError
+        If `meta` cannot be written as JSON.
+    """
+    text = json.dumps(dict(meta), allow_nan=False)
+    with new_file(path, overwrite=overwrite) as temporary, temporary.open("wb") as stream:
+        write = np.savez_compressed if compressed else np.savez
+        write(stream, **{_META: np.array(text)}, **arrays)  # type: ignore[arg-type]
+
+
+def read_arrays(
+    path: str | os.PathLike[str], names: Collection[str] | None = None
+) -> tuple[dict[str, np.ndarray[Any, Any]], dict[str, Any]]:
+    """Read what `write_arrays` wrote: all arrays, or those named.
+
+    Parameters
+    ----------
+    path : path
+    names : collection of str or None
+
+    Returns
+    -------
+    arrays : dict of str to ndarray
+    meta : dict
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    ValueError
+        If the file is damaged or was not written by `write_arrays`.
+    """
+    try:
+        arrays = read_npz(path, None if names is None else {_META, *names})
+        meta = json.loads(str(arrays.pop(_META)))
+        if not isinstance(meta, dict):
+            raise ValueError(f"{_META} holds {meta!r:.50}, not an object")
+    except (KeyError, ValueError, RecursionError) as error:
+        raise ValueError(f"{path} is not a complete table file of cgemit ({error})") from error
+    return arrays, meta
+
+
+#: An archive that unpacks to more than this many times its size, and to more than this many bytes, is no data.
+MOST_PACKED, FREE_BYTES = 50, 2**26
+
+
+def check_unpacked(size: int, total: int) -> None:
+    """Raise a ValueError if a file of `size` bytes cannot hold `total` bytes of data."""
+    if total > max(FREE_BYTES, MOST_PACKED * size):
+        raise ValueError(f"{size} bytes that unpack to {total}")
+
+
+def read_npz(path: str | os.PathLike[str], names: Collection[str] | None = None) -> dict[str, np.ndarray[Any, Any]]:
+    """Return the arrays of an `.npz` file, or those named; sizes are checked before memory is asked for.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    ValueError
+        If it is damaged, or no file of arrays of numbers and text.
+    """
+    check_regular(path)
+    try:
+        with zipfile.ZipFile(path) as archive:
+            members = archive.infolist()
+            check_unpacked(Path(path).stat().st_size, sum(one.file_size for one in members))
+            chosen = {one.filename.removesuffix(".npy"): one for one in members}
+            return {name: _array(archive, one) for name, one in chosen.items() if names is None or name in names}
+    except FileNotFoundError:
+        raise
+    except Exception as error:  # of zipfile, zlib, struct, numpy: a damaged file is bad input, whatever notices it
+        raise ValueError(f"not a complete .npz file: {error}") from error
+
+
+def _array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> np.ndarray[Any, Any]:
+    """Return one array of an archive; its header must agree with the size that the archive states."""
+    with archive.open(member) as stream:
+        version = np.lib.format.read_magic(stream)
+        read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+        shape, _, dtype = read(stream)
+        stated = math.prod(shape) * dtype.itemsize
+        if dtype.hasobject or min(shape, default=0) < 0 or stated != member.file_size - stream.tell():
+            raise ValueError(f"{member.filename} holds {dtype}, {shape}, in {member.file_size} bytes")
+    with archive.open(member) as stream:
+        found: np.ndarray[Any, Any] = np.lib.format.read_array(stream, allow_pickle=False)
+    return found
+
+
+#: Bytes of the largest text file that is read.
+LARGEST_TEXT = 10_000_000
+
+
+def check_regular(path: str | os.PathLike[str]) -> None:
+    """Raise an error for what is no regular file: reading from a pipe or a device may never end.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    ValueError
+        If it is something else.
+    """
+    try:
+        mode = Path(path).stat().st_mode
+    except FileNotFoundError:
+        raise
+    except (OSError, ValueError) as error:  # too long a name, a circle of links, a null byte
+        raise ValueError(f"{str(path)[:80]!r} is no file ({getattr(error, 'strerror', None) or error})") from error
+    if not stat.S_ISREG(mode):
+        raise ValueError(f"{str(path)[:80]!r} is {'a folder' if stat.S_ISDIR(mode) else 'a pipe or a device'}, no file")
+
+
+def read_text(path: str | os.PathLike[str], largest: int = LARGEST_TEXT) -> str:
+    """Return the text of a file in UTF-8, without its byte-order mark.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    ValueError
+        If it is no file of text, or larger than `largest` bytes.
+    """
+    check_regular(path)
+    size = Path(path).stat().st_size
+    if size > largest:
+        raise ValueError(f"{str(path)[:80]!r} has {size} bytes, expected at most {largest}")
+    return Path(path).read_text(encoding="utf-8-sig")
+
+
+#: The summary of a run's results.
+SUMMARY = "summary.json"
+#: Everything that results depend on.
+RECORD = "run.json"
+# Files that say what a folder holds: they are moved in last, so a folder that has them is complete.
+_INDEXES = (SUMMARY, RECORD, "tables.json")
+
+
+class OutputExistsError(FileExistsError, ValueError):
+    """An output folder that already holds files, given without leave to overwrite them."""
+
+
+@contextmanager
+def new_folder(path: str | os.PathLike[str], *, overwrite: bool = False) -> Iterator[Path]:
+    """Give a temporary folder beside `path` whose files come to `path` when the block ends well.
+
+    If the block raises (Ctrl-C too), the temporary folder is removed and `path` is as it was; folders that killed
+    runs left beside `path` are removed, too. The new folder appears at once, by renaming. With `overwrite`, it takes
+    the files of the old one that are not replaced, except `summary.json`, `run.json` and `tables.json`, with the
+    tables it lists. Of two runs into the same place, one gets an error, or with `overwrite` the last one replaces the
+    other as a whole.
+
+    Raises
+    ------
+    OutputExistsError
+        If `path` is a file, or a folder that is not empty and `overwrite` is false; asked before the block runs, and
+        again at its end.
+    """
+    target = check_free(path, overwrite=overwrite)
+    target.parent.mkdir(parents=True, exist_ok=True)
+    _remove_left(target)
+    temporary, lock = _locked(target)
+    try:
+        yield temporary
+        with _alone(target.parent):
+            _publish(temporary, target, overwrite=overwrite)
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+        os.close(lock)
+
+
+def check_free(path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
+    """Return the path without links; raise an error if results cannot be written there, before anybody waits for them.
+
+    Raises
+    ------
+    OutputExistsError
+        If `path` or a folder above it is a file, or `path` is not empty and `overwrite` is false.
+    ValueError
+        If nothing can be written there.
+    """
+    try:
+        target = Path(path).resolve()
+        exists = target.exists()
+    except (OSError, RuntimeError, ValueError) as error:  # too long a name, a circle of links, a null byte
+        reason = getattr(error, "strerror", None) or error
+        raise ValueError(f"{str(path)[:80]!r} is no folder to write to ({reason})") from error
+    if exists and not target.is_dir():
+        raise OutputExistsError(f"{target} is a file; expected a folder to write results to")
+    if exists and not overwrite and any(target.iterdir()):
+        raise OutputExistsError(
+            f"{target} already holds files; choose another folder or say --overwrite (in Python: overwrite=True)"
+        )
+    above = next(folder for folder in target.parents if folder.exists())
+    if not above.is_dir():
+        raise OutputExistsError(f"{target} cannot be made: {above} is a file; expected a folder")
+    try:  # permissions do not tell everything: the file system decides
+        tempfile.TemporaryDirectory(prefix=".cgemit-", dir=above).cleanup()
+    except OSError as error:
+        raise ValueError(f"{target}: nothing can be written in {above} ({error.strerror})") from error
+    return target
+
+
+def _locked(target: Path) -> tuple[Path, int]:
+    """Make a temporary folder beside the target; return it with its lock, which ends with this process."""
+    while True:
+        temporary = target.with_name(f".{target.name}-{secrets.token_hex(4)}.tmp")
+        temporary.mkdir()
+        # Before it is locked another run may take it for an abandoned one, and remove it.
+        with contextlib.suppress(FileNotFoundError):
+            lock = os.open(temporary, os.O_RDONLY)
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            if temporary.exists():
+                return temporary, lock
+            os.close(lock)
+
+
+@contextmanager
+def _alone(folder: Path) -> Iterator[None]:
+    """Keep other runs from putting results into a folder in the meantime."""
+    lock = os.open(folder, os.O_RDONLY)
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(lock)
+
+
+def _remove_left(target: Path) -> None:
+    """Remove the temporary folders of the target that no running process has locked."""
+    name = re.compile(rf"\.{re.escape(target.name)}-[0-9a-f]{{8}}\.tmp")
+    for folder in target.parent.iterdir():
+        if not name.fullmatch(folder.name) or folder.is_symlink() or not folder.is_dir():
+            continue
+        with contextlib.suppress(OSError):  # locked, or removed by another run
+            lock = os.open(folder, os.O_RDONLY)
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                shutil.rmtree(folder, ignore_errors=True)
+            finally:
+                os.close(lock)
+
+
+def _publish(temporary: Path, target: Path, *, overwrite: bool) -> None:
+    """Put the temporary folder in the place of the target."""
+    check_free(target, overwrite=overwrite)
+    _take_over(temporary, target)
+    if target.exists() and _stays_in_use(target):
+        _replace_files(temporary, target)
+        return
+    old = temporary.with_suffix(".old")
+    if target.exists():
+        target.rename(old)
+    try:
+        temporary.rename(target)
+    except OSError:
+        if old.exists():
+            old.rename(target)
+        raise
+    shutil.rmtree(old, ignore_errors=True)
+
+
+def _stays_in_use(folder: Path) -> bool:
+    """Tell whether a folder cannot be replaced by another one: a mount point, or the current folder, or above it."""
+    return folder.is_mount() or Path.cwd().resolve().is_relative_to(folder)
+
+
+def _take_over(temporary: Path, target: Path) -> None:
+    """Link the files of the target that stay into the temporary folder."""
+    if not target.exists():
+        return
+    gone = {target / name for name in (*_tables_in(target), *_INDEXES)}
+    for source in sorted(target.rglob("*")):
+        place = temporary / source.relative_to(target)
+        if source in gone or (source.is_dir() and not source.is_symlink()) or place.exists():
+            continue
+        place.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            place.hardlink_to(source) if not source.is_symlink() else place.symlink_to(source.readlink())
+        except OSError:
+            shutil.copy2(source, place)
+
+
+def _replace_files(temporary: Path, target: Path) -> None:
+    """Move the files into a folder that stays; the indexes go first and come last."""
+    for name in (*_tables_in(target), *_INDEXES):
+        (target / name).unlink(missing_ok=True)
+    for source in sorted(temporary.rglob("*"), key=lambda file: file.name in _INDEXES):
+        if source.is_file() or source.is_symlink():
+            place = target / source.relative_to(temporary)
+            place.parent.mkdir(parents=True, exist_ok=True)
+            shutil.move(source, place)
+
+
+def _tables_in(folder: Path) -> list[str]:
+    """Return the files of the tables that an earlier run wrote: beside newer ones they would be taken for their own."""
+    try:
+        names = json.loads((folder / "tables.json").read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return []
+    if not isinstance(names, dict):
+        return []
+    found = []
+    for name, about in names.items():
+        suffix = about.get("suffix", ".npz") if isinstance(about, dict) else ".npz"
+        if re.fullmatch(r"\w+", name) and re.fullmatch(r"\.\w+", str(suffix)):
+            found += [f"{name}{suffix}", *(f"{name}/{path.name}" for path in (folder / name).glob(f"part-*{suffix}"))]
+    return found
+
+
+_LARGEST, _LONGEST_LINE = 1_000_000, 4_000  # characters; the time to read dotted keys grows with their square
+
+
+def parse_toml(text: str) -> dict[str, Any]:
+    """Return the tables of a TOML text.
+
+    Raises
+    ------
+    ValueError
+        If it is no TOML, or too large or too deeply nested to be read.
+    """
+    if len(text) > _LARGEST or max(map(len, text.splitlines()), default=0) > _LONGEST_LINE:
+        raise ValueError(f"more than {_LARGEST} characters, or more than {_LONGEST_LINE} in a line")
+    try:
+        return tomllib.loads(text)
+    except RecursionError:
+        raise ValueError("too many levels of nesting") from None
+
+
+def toml_text(
+    tables: Mapping[str, Any],
+    *,
+    in_place: Collection[str] = (),
+    comment: Callable[[str], str] | None = None,
+) -> str:
+    """Return nested tables as the text of a TOML file.
+
+    Parameters
+    ----------
+    tables : mapping
+        Of str to bool, int, float, str, lists and mappings of these. TOML has no null.
+    in_place : collection of str
+        Names of tables that are written as ``name = { ... }`` instead of ``[name]``.
+    comment : callable or None
+        Returns what is written behind a value as a comment, given its dotted path; an empty text for nothing.
+
+    Returns
+    -------
+    str
+        Floats with all digits.
+    """
+    lines: list[str] = []
+    _write_table(lines, "", tables, in_place, comment or (lambda _: ""))
+    return "\n".join(lines).strip() + "\n"
+
+
+def _write_table(
+    lines: list[str], path: str, table: Mapping[str, Any], in_place: Collection[str], comment: Callable[[str], str]
+) -> None:
+    """Append a table: first its values, then its tables."""
+    inner = {name: v for name, v in table.items() if isinstance(v, Mapping) and name not in in_place}
+    values = {name: v for name, v in table.items() if name not in inner}
+    if path and (values or not inner):
+        lines += ["", f"[{path}]"]
+    before = f"{path}." if path else ""
+    for name, value in values.items():
+        about = comment(before + name)
+        lines.append(f"{_name(name)} = {_text(value)}" + (f"  # {about}" if about else ""))
+    for name, sub in inner.items():
+        _write_table(lines, before + _name(name), sub, in_place, comment)
+
+
+def _name(name: str) -> str:
+    bare = name.replace("_", "").replace("-", "")
+    return name if bare.isascii() and bare.isalnum() else _quoted(name)
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, list) and any(isinstance(row, Mapping) for row in value):
+        rows = "".join(f"\n    {_text(row)}," for row in value)
+        return f"[{rows}\n]"
+    if isinstance(value, list):
+        return f"[{', '.join(map(_text, value))}]"
+    if isinstance(value, Mapping):
+        return "{ " + ", ".join(f"{_name(name)} = {_text(v)}" for name, v in value.items()) + " }"
+    if isinstance(value, bool):
+        return str(value).lower()
+    return _quoted(value) if isinstance(value, str) else repr(value)
+
+
+def _quoted(text: str) -> str:
+    # JSON strings are TOML strings except for DEL, which TOML wants escaped.
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
+
+
+def nested(path: str, value: object) -> dict[str, Any]:
+    """Return tables that hold one value at a dotted path."""
+    *parents, last = path.split(".")
+    tables: dict[str, Any] = {last: value}
+    for name in reversed(parents):
+        tables = {name: tables}
+    return tables
+
+
+def flat(path: str, value: object) -> Iterator[tuple[str, object]]:
+    """Yield the dotted path and the value of everything in nested tables."""
+    if not isinstance(value, Mapping):
+        yield path, value
+        return
+    for name, inner in value.items():
+        yield from flat(f"{path}.{name}" if path else str(name), inner)

@@ -1,0 +1,87 @@
+"""Choice of the instruction set of the kernels.
+
+The fastest that the processor has is chosen when it is first needed; the environment variable ``CGEMIT_ISA`` names
+another: ``scalar`` (one track at a time, the reference), ``baseline`` (what every processor of its kind has), ``v3``
+(x86-64-v3: AVX2 and FMA, 4 tracks side by side) or ``v4`` (x86-64-v4: AVX-512, 8 tracks).
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from cgemit import _core
+
+NAMES = ("scalar", "baseline", "v3", "v4")
+VARIABLE = "CGEMIT_ISA"
+
+_chosen = False  # until then the core uses its scalar kernels, whatever was requested
+
+
+def available() -> tuple[str, ...]:
+    """Return the instruction sets that this build has and this processor runs, slowest first.
+
+    Returns
+    -------
+    tuple of str
+        At least ``"scalar"``.
+    """
+    return tuple(name for name in NAMES if name == "scalar" or (_library(name).exists() and _core.processor_runs(name)))
+
+
+def name() -> str:
+    """Return the instruction set in use, chosen now if it was not before (`choose`)."""
+    choose()
+    return _core.isa()
+
+
+def lanes() -> int:
+    """Return how many tracks the kernels in use handle side by side; see `name`."""
+    choose()
+    return _core.lanes()
+
+
+def use(isa: str) -> None:
+    """Use another instruction set from now on, in all threads.
+
+    Parameters
+    ----------
+    isa : str
+        One of `available`.
+
+    Raises
+    ------
+    ValueError
+        If it is not available here.
+    """
+    if isa not in available():
+        raise ValueError(f"instruction set: {isa!r}, expected one of {', '.join(available())}")
+    if isa == "scalar":
+        _core.use_scalar_kernels()
+    else:
+        _core.use_kernels(str(_library(isa)))
+    global _chosen
+    _chosen = True
+
+
+def choose() -> None:
+    """Use what ``CGEMIT_ISA`` names, or else the last of `available`, unless a set has been chosen before.
+
+    Nothing is computed before: every compiled detector, which all kernels take, comes after this.
+
+    Raises
+    ------
+    ValueError
+        If ``CGEMIT_ISA`` names what is not available here.
+    """
+    if _chosen:
+        return
+    wanted = os.environ.get(VARIABLE, "")
+    if wanted and wanted not in available():
+        raise ValueError(f"{VARIABLE}: {wanted!r}, expected one of {', '.join(available())}")
+    use(wanted or available()[-1])
+
+
+def _library(isa: str) -> Path:
+    # Beside the compiled module: an editable installation keeps that apart from the Python files.
+    return Path(_core.__file__).with_name(f"_kernels_{isa}.so")

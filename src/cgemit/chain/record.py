@@ -1,0 +1,349 @@
+"""The record of a run: all inputs of its results, as one JSON file beside them."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import platform
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import fields
+from pathlib import Path
+from typing import Any, Generic, NamedTuple, TypeVar
+
+import numpy as np
+
+from cgemit.base.errors import ProblemsError
+from cgemit.base.files import RECORD, parse_toml, read_text
+from cgemit.base.settings import InTurn, SettingsData, SettingsError
+from cgemit.base.version import __version__
+from cgemit.detector import Detector, load
+from cgemit.particles.gun import Gun, Guns, Source
+from cgemit.particles.samples import EventSample
+from cgemit.tables import Table, save_tables
+from cgemit.tables.store import StoredTables, about_of
+
+
+def gun_data(gun: Source | Guns | None) -> list[dict[str, Any]] | None:
+    """Return the particle source as JSON: one object per gun, a range as ``{"from": low, "to": high}``.
+
+    None stands for given particles.
+    """
+    if gun is None:
+        return None
+    guns = gun.guns if isinstance(gun, Guns) else (gun,)
+    return [_data_of(one) for one in guns]
+
+
+def _data_of(one: Source) -> dict[str, Any]:
+    """Return one source as JSON; the key ``sample`` tells samples from guns."""
+    named = (
+        {"sample": one.name, **one.options()} if isinstance(one, EventSample) else {n: getattr(one, n) for n in _GUN}
+    )
+    return {name: _value_data(name, value) for name, value in named.items()}
+
+
+def gun_from(data: Any, problems: list[str]) -> Source | Guns | None:
+    """Return the source that `gun_data` was made from; None, with problems added, if there are any."""
+    if data is None:
+        return None
+    try:
+        guns = [_source_from({name: _value(name, value) for name, value in one.items()}) for one in data]
+        return guns[0] if len(guns) == 1 else Guns(tuple(guns))
+    except (ValueError, TypeError, KeyError, IndexError, AttributeError) as error:
+        problems += [f"{RECORD}: source: {one}" for one in getattr(error, "problems", [error])]
+    return None
+
+
+def _source_from(given: dict[str, Any]) -> Source:
+    return EventSample(given.pop("sample"), **given) if "sample" in given else Gun(**given)
+
+
+_GUN = [f.name for f in fields(Gun)]
+_TRIPLES = ("vertex", "vertex_sigma")
+
+
+def _value_data(name: str, value: Any) -> Any:
+    if name in _TRIPLES:
+        return [_value_data("", one) for one in value]
+    if isinstance(value, InTurn):
+        return list(value.values)
+    return {"from": value[0], "to": value[1]} if isinstance(value, tuple) else value
+
+
+def _value(name: str, data: Any) -> Any:
+    if name in _TRIPLES:
+        return tuple(_value("", one) for one in data)
+    return (data["from"], data["to"]) if isinstance(data, dict) else data
+
+
+FORMAT = "cgemit-run-1"
+
+S = TypeVar("S", bound=SettingsData)
+
+#: The detector of a run, for other commands; the record holds it, too.
+DETECTOR = "detector.toml"
+
+_KINDS = {
+    "versions": dict, "configuration": str, "seed": int, "events": int, "first_event": int, "timings": dict,
+    "settings": dict, "detectors": dict,
+}  # fmt: skip
+
+
+def _numbers(given: object) -> bool:
+    """Return whether something maps names to numbers that are not negative."""
+    return isinstance(given, dict) and all(type(value) in (int, float) and value >= 0 for value in given.values())
+
+
+#: What entries hold beside their type: a check, and what it expects.
+_VALUES: Mapping[str, tuple[Callable[[Any], bool], str]] = {
+    "timings": (lambda given: _numbers(given) and "wall" in given, "seconds by stage, with 'wall' for all"),
+    "transported": (_numbers, "numbers of particles by status"),
+    "tables": (lambda given: isinstance(given, list) and set(map(type, given)) <= {str}, "a list of names"),
+}
+
+
+class RecordError(ProblemsError[str]):
+    """A folder of results that is damaged or mixes several runs; `problems` lists every problem."""
+
+
+def versions() -> dict[str, str]:
+    """Return the versions that results depend on."""
+    return {"cgemit": __version__, "python": platform.python_version(), "numpy": np.__version__}
+
+
+def configuration_of(detectors: Mapping[str, str], settings: Mapping[str, Any], source: object) -> str:
+    """Return the hash of what a run was configured with: the same after writing and reading.
+
+    Parameters
+    ----------
+    detectors : mapping of str to str
+        The complete TOML files by the role of the detectors.
+    settings : mapping
+        Settings of all stages, as `to_dict` returns them.
+    source : object
+        The particle source as JSON.
+
+    Returns
+    -------
+    str
+        16 hexadecimal digits.
+    """
+    text = json.dumps([dict(detectors), dict(settings), source], sort_keys=True, allow_nan=False)
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def record(
+    *, detectors: Mapping[str, Detector], settings: SettingsData, seed: int, source: object, command: str = "",
+    **more: Any,
+) -> dict[str, Any]:  # fmt: skip
+    """Return what `run.json` holds.
+
+    Parameters
+    ----------
+    detectors : mapping of str to Detector
+        By their role.
+    settings : Settings
+        Of all stages.
+    seed : int
+    source : object
+        The particle source as JSON (`gun_data`).
+    command : str
+        Command line that made the results; empty from Python.
+    **more
+        Further entries.
+    """
+    texts = {name: detector.to_toml() for name, detector in detectors.items()}
+    return {
+        "format": FORMAT, "command": command or None, "versions": versions(),
+        "configuration": configuration_of(texts, settings.to_dict(), source), "seed": int(seed), **more,
+        "source": source, "settings": settings.to_dict(), "detectors": texts,
+    }  # fmt: skip
+
+
+def write_record(entries: Mapping[str, Any], folder: Path) -> Path:
+    """Write `run.json` and return its path."""
+    path = folder / RECORD
+    path.write_text(json.dumps(entries, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    return path
+
+
+def write_run(folder: Path, tables: Mapping[str, Table], entries: Mapping[str, Any], format: str = "npz") -> list[Path]:
+    """Write the tables of a run, its detector and its record to an empty folder; return the files."""
+    return [*save_tables(tables, folder, format=format), *write_about(folder, entries)]
+
+
+def write_about(folder: Path, entries: Mapping[str, Any]) -> list[Path]:
+    """Write the detector of a run and its record beside its tables; return the files."""
+    (folder / DETECTOR).write_text(entries["detectors"]["detector"], encoding="utf-8")
+    return [folder / DETECTOR, write_record(entries, folder)]
+
+
+class Run(NamedTuple, Generic[S]):
+    """The content of a run's folder: entries of the record, and the objects that they describe."""
+
+    entries: Mapping[str, Any]
+    detectors: Mapping[str, Detector]
+    gun: Source | Guns | None
+    settings: S
+    tables: Mapping[str, Table]
+
+
+def read_run(
+    folder: Path, kind: type[S], names: Collection[str], required: Collection[str], *, lazy: bool = False
+) -> Run[S]:
+    """Read what `write_run` wrote.
+
+    Parameters
+    ----------
+    folder : Path
+    kind : type
+        The class of the settings of all stages.
+    names, required : collection of str
+        Tables that a run may hold, and those that it must if the record does not list its tables.
+    lazy : bool
+        Whether tables are read and checked when they are asked for only.
+
+    Raises
+    ------
+    FileNotFoundError
+        If the folder holds no run.
+    RecordError
+        Listing everything that is damaged or does not belong together.
+    """
+    problems: list[str] = []
+    entries = _read_record(folder, problems)
+    tables = _read_tables(folder, names, entries.get("tables", required), problems, lazy=lazy)
+    detectors, gun, settings = _read_entries(entries, kind, problems)
+    if entries:
+        problems += _strangers(tables, entries)
+        copy = folder / DETECTOR
+        if copy.is_file() and read_text(copy) != entries["detectors"].get("detector"):
+            problems.append(f"{DETECTOR}: is not the detector of {RECORD}")
+    if problems:
+        raise RecordError(str(folder), problems)
+    return Run(entries, detectors, gun, settings, tables)
+
+
+def _read_record(folder: Path, problems: list[str]) -> dict[str, Any]:
+    """Return what `run.json` of a folder holds; empty, with problems added, if it is damaged."""
+    path = folder / RECORD
+    if not path.is_file():
+        raise FileNotFoundError(f"{folder} holds no complete run ({RECORD} is missing)")
+    try:
+        entries = json.loads(read_text(path))
+    except (ValueError, RecursionError) as error:
+        problems.append(f"{RECORD}: got {error}, expected a JSON file")
+        return {}
+    if not isinstance(entries, dict) or entries.get("format") != FORMAT:
+        given = entries.get("format") if isinstance(entries, dict) else entries
+        problems.append(f"{RECORD}: got format {given!r:.50}, expected {FORMAT!r}")
+        return {}
+    wrong = [name for name, kind in _KINDS.items() if not isinstance(entries.get(name), kind)]
+    if wrong or "source" not in entries:
+        problems.append(f"{RECORD}: got no entry, or a wrong one, for {', '.join(wrong or ['source'])}")
+        return {}
+    wrong_values = [
+        f"{RECORD}: {name}: got {entries[name]!r:.60}, expected {expected}"
+        for name, (good, expected) in _VALUES.items()
+        if name in entries and not good(entries[name])
+    ]
+    problems += wrong_values
+    return {} if wrong_values else entries
+
+
+def _read_entries(
+    entries: Mapping[str, Any], kind: type[S], problems: list[str]
+) -> tuple[dict[str, Detector], Source | Guns | None, S]:
+    """Return what the entries of a record describe; problems are added."""
+    if not entries:
+        return {}, None, kind()
+    found = configuration_of(entries["detectors"], entries["settings"], entries["source"])
+    if entries["configuration"] != found:
+        expected = f"expected {found!r}, the hash of its detectors, settings and source"
+        problems.append(f"{RECORD}: configuration: got {entries['configuration']!r}, {expected}")
+    if "detector" not in entries["detectors"]:
+        problems.append(f"{RECORD}: detectors.detector: missing")
+    read = {name: _detector(str(text), name, problems) for name, text in entries["detectors"].items()}
+    detectors = {name: detector for name, detector in read.items() if detector is not None}
+    try:
+        settings = kind.from_dict(entries["settings"])
+    except SettingsError as error:
+        problems += [f"{RECORD}: settings.{text}" for text in error.problems]
+        settings = kind()
+    return detectors, gun_from(entries["source"], problems), settings
+
+
+def _read_tables(
+    folder: Path, names: Collection[str], required: Collection[str], problems: list[str], *, lazy: bool
+) -> Mapping[str, Table]:
+    """Return the tables of a folder; problems are added."""
+    try:
+        stored = StoredTables(folder)
+    except (ValueError, FileNotFoundError) as error:
+        problems.append(str(error))
+        return {}
+    problems += [f"{stored.file(name)}: got a table that no run has" for name in stored if name not in names]
+    problems += [f"{name}.npz: missing" for name in required if name not in stored]
+    if lazy:
+        problems += stored.problems()
+        return stored if not problems else {}
+    tables = {}
+    for name in (name for name in stored if name in names):
+        try:
+            tables[name] = stored.read(name, check=False)
+        except (ValueError, FileNotFoundError) as error:
+            problems.append(f"{stored.file(name)}: {error}")
+    return tables
+
+
+def _strangers(tables: Mapping[str, Table], entries: Mapping[str, Any]) -> list[str]:
+    """Return which tables are not of the run that the record describes."""
+    expected = {
+        "events": entries["events"], "first_event": entries["first_event"], "seed": entries["seed"],
+        "configuration": entries["configuration"], "version": entries["versions"].get("cgemit"),
+    }  # fmt: skip
+    problems = []
+    for name in tables:
+        about = about_of(tables, name)
+        meta = about["meta"] if isinstance(about.get("meta"), dict) else {}
+        given = {"events": about["n_events"], "first_event": about["first_event"], **meta}
+        wrong = [key for key, value in expected.items() if given.get(key) != value]
+        problems += [
+            f"{name}.npz: {key}: got {given.get(key)!r}, expected {expected[key]!r}, as {RECORD} says" for key in wrong
+        ]
+        if about["kind"] != name:
+            problems.append(f"{name}.npz: got a table of kind {about['kind']!r}, expected {name!r}")
+    return problems
+
+
+def _detector(text: str, name: str, problems: list[str]) -> Detector | None:
+    """Return the detector of a complete TOML file; None, with problems added, if there are any."""
+    try:
+        return load(parse_toml(text))
+    except ValueError as error:
+        given = getattr(error, "problems", [error])
+        problems += [f"{RECORD}: detectors.{name}: {one}" for one in given]
+    return None
+
+
+def table_meta(
+    detectors: Mapping[str, Detector], settings: SettingsData, seed: int, source: Source | Guns | None
+) -> dict[str, Any]:
+    """Return what every table of a run says about it.
+
+    Parameters
+    ----------
+    detectors : mapping of str to Detector
+        By their role: ``detector``, and ``fit_detector`` if that is another one.
+    settings : SettingsData
+    seed : int
+    source : Source, Guns or None
+        None: the particles were given.
+    """
+    texts = {name: one.to_toml() for name, one in detectors.items()}
+    return {
+        "version": __version__,
+        "configuration": configuration_of(texts, settings.to_dict(), gun_data(source)),
+        "detector": detectors["detector"].name,
+        "seed": seed,
+    }

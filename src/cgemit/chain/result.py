@@ -1,0 +1,377 @@
+"""The result of a run, in memory or in files; tables of files are read on first access."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from html import escape
+from pathlib import Path
+from typing import Any
+
+from cgemit.base.files import new_folder
+from cgemit.chain.match import joined
+from cgemit.chain.record import Run, gun_data, read_run, record, write_run
+from cgemit.chain.settings import EVERY_RUN, TABLES, NotKeptError, Settings, detectors_of, finder_in, hits_by, left_out
+from cgemit.detector import Detector
+from cgemit.particles.gun import Guns, Source
+from cgemit.reconstruction.fit import FitStatus
+from cgemit.simulation.transport import transport_counts
+from cgemit.tables import SCHEMAS, Table, select_events
+from cgemit.tables.formats import check_format
+from cgemit.tables.store import StoredTables, about_of, column_of
+from cgemit.tables.table import what
+
+#: Columns that `Result.tracks` takes from the matches.
+_MATCHED = {column.name for column in SCHEMAS["matches"]} - {"event", "track"}
+
+
+class _Stored:
+    """One of the tables of a result; None where the run ended before it, or did not ask for it."""
+
+    def __init__(self, name: str = "") -> None:
+        self._name = name
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self._name = self._name or name
+
+    def __get__(self, result: Result | None, owner: type | None = None) -> Any:
+        if result is None:
+            return self
+        if self._name in left_out(result.tables):
+            kept = ", ".join(result.tables)
+            raise NotKeptError(f"the run made the table {self._name!r}, but kept only {kept} (keep=)")
+        return result.tables.get(self._name)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Result:
+    """All tables of a run, with its detector, gun, seed and settings.
+
+    Attributes
+    ----------
+    detector : Detector
+    gun : Gun, EventSample, Guns or None
+        None: the particles were given.
+    seed : int
+    settings : Settings
+    tables : mapping of str to Table
+        By name, in the order of `TABLES`; each is also an attribute, None where the run did not make it, and an
+        AttributeError where the run did not keep it. ``tracks`` holds the fitted tracks without the comparison with
+        truth: the attribute `fitted`.
+    timings : mapping of str to float
+        Seconds of each stage, summed over chunks, and `wall`, from start to end.
+    transported : mapping of str to int, or None
+        Particles of each transport status, if the run did not keep their table.
+    """
+
+    detector: Detector
+    gun: Source | Guns | None
+    seed: int
+    settings: Settings
+    fit_detector: Detector | None = None
+    tables: Mapping[str, Table]
+    timings: Mapping[str, float]
+    transported: Mapping[str, int] | None = None
+
+    particles = _Stored()
+    decays = _Stored()
+    truths = _Stored()
+    steps = _Stored()
+    wire_truths = _Stored()
+    digis = _Stored()
+    wire_hits = _Stored()
+    clusters = _Stored()
+    candidates = _Stored()
+    candidate_hits = _Stored()
+    fitted = _Stored("tracks")
+    residuals = _Stored()
+    states = _Stored()
+    start_times = _Stored()
+    matches = _Stored()
+
+    @property
+    def tracks(self) -> Any:
+        """The fitted tracks with the columns of their matches; None where the run did not fit."""
+        if "tracks" not in self.tables or "matches" not in self.tables:
+            return self.fitted
+        return joined(self.fitted, self.matches)
+
+    @property
+    def n_events(self) -> int:
+        """Number of events, with and without rows."""
+        return int(self._cover()["n_events"])
+
+    @property
+    def first_event(self) -> int:
+        """Number of the first event."""
+        return int(self._cover()["first_event"])
+
+    def _cover(self) -> Mapping[str, Any]:
+        return about_of(self.tables, next(iter(self.tables)))
+
+    @property
+    def rows(self) -> dict[str, int]:
+        """Number of rows of each table."""
+        return {name: about_of(self.tables, name)["rows"] for name in self.tables}
+
+    def column(self, table: str, column: str) -> Any:
+        """Return one column of a table, (n,) or (n, ...); of a run in files, the others are not read.
+
+        Parameters
+        ----------
+        table, column : str
+            ``tracks`` has the columns of the matches, too.
+
+        Raises
+        ------
+        KeyError
+            If there is no such table or column.
+        """
+        if table == "tracks" and "matches" in self.tables and column in _MATCHED:
+            table = "matches"
+        if table not in self.tables:
+            raise KeyError(f"the result has no table {table!r}, only {', '.join(self.tables)}")
+        return column_of(self.tables, table, column)
+
+    def parts(self) -> Iterator[Result]:
+        """Yield the results of the parts of a run in files, one after the other; of another run, the result itself.
+
+        Links of a part count rows of its own tables. Each part's tables are read when they are asked for, so that
+        the memory is that of one part.
+        """
+        if not isinstance(self.tables, StoredTables):
+            yield self
+            return
+        for part in self.tables.parts():
+            yield replace(self, tables=part, transported=None if "particles" in part else self.transported)
+
+    @property
+    def finder(self) -> str | None:
+        """Name of the finder that assigned the hits to candidates; None where the run did not."""
+        name = next((name for name in ("candidates", "tracks") if name in self.tables), None)
+        return None if name is None else finder_in(about_of(self.tables, name)["meta"])
+
+    def __eq__(self, other: object) -> bool:
+        """Compare everything but the timings."""
+        if not isinstance(other, Result):
+            return NotImplemented
+        mine, theirs = ((r.detector, r.fit_detector, r.gun, r.seed, r.settings, dict(r.tables)) for r in (self, other))
+        return mine == theirs
+
+    def select_events(self, first: int, stop: int) -> Result:
+        """Return the result of the events ``first ... stop - 1``: all its tables, with links between their rows.
+
+        Parameters
+        ----------
+        first, stop : int
+
+        Raises
+        ------
+        IndexError
+            If the run does not cover them.
+        """
+        return replace(self, tables=select_events(self.tables, first, stop))
+
+    def to_awkward(self) -> dict[str, Any]:
+        """Return every table as an awkward array with one list per event; links count rows within the event.
+
+        ``tracks`` holds the columns of the matches, too.
+        """
+        return {name: table.to_awkward(self.tables) for name, table in self._matched().items()}
+
+    def to_pandas(self) -> dict[str, Any]:
+        """Return every table as a `pandas.DataFrame`; ``tracks`` holds the columns of the matches, too."""
+        return {name: table.to_pandas() for name, table in self._matched().items()}
+
+    def _matched(self) -> dict[str, Table]:
+        return {**self.tables, **({"tracks": self.tracks} if "tracks" in self.tables else {})}
+
+    def removed(self) -> dict[str, int]:
+        """Count the tracks of each status other than ok."""
+        if "tracks" not in self.tables:
+            return {}
+        status = column_of(self.tables, "tracks", "status")
+        return {s.name: n for s in FitStatus if s != FitStatus.ok and (n := int((status == s).sum()))}
+
+    def transport(self) -> dict[str, int]:
+        """Count the particles of each transport status."""
+        if "particles" not in self.tables:
+            return dict(self.transported or {})
+        return transport_counts(column_of(self.tables, "particles", "status"))
+
+    def save(
+        self, folder: str | os.PathLike[str], *, overwrite: bool = False, command: str = "", format: str = "npz"
+    ) -> list[Path]:
+        """Write the run to a folder, from which `load` reads it back.
+
+        Every table in a file of its name, with tables.json beside them; detector.toml; and run.json, which holds what
+        the tables depend on: detectors, gun, seed, settings of all stages, versions, configuration hash.
+
+        Parameters
+        ----------
+        folder : path
+        overwrite : bool
+            Whether the folder may hold files already. Those of the same name are replaced.
+        command : str
+            Command line for run.json, if there was one.
+        format : str
+            Of the tables: "npz", "npz-compressed", "parquet" (needs pyarrow), "root" (one TTree a file; needs
+            uproot) or "csv".
+
+        Returns
+        -------
+        list of Path
+
+        Raises
+        ------
+        OutputExistsError
+            If the folder holds files and `overwrite` is false.
+        ValueError
+            If the format is unknown, or needs a package that is not installed.
+        """
+        check_format(format)
+        entries = self.entries(command)
+        with new_folder(folder, overwrite=overwrite) as place:
+            names = [path.name for path in write_run(place, self.tables, entries, format)]
+        return [Path(folder) / name for name in names]
+
+    def entries(self, command: str = "") -> dict[str, Any]:
+        """Return what run.json holds.
+
+        Parameters
+        ----------
+        command : str
+            Command line, if there was one.
+        """
+        about = {"events": self.n_events, "first_event": self.first_event, "tables": list(self.tables)}
+        if self.transported is not None:
+            about["transported"] = dict(self.transported)
+        return record(
+            detectors=detectors_of(self.detector, self.fit_detector), settings=self.settings, seed=self.seed,
+            source=gun_data(self.gun), command=command, **about, timings=dict(self.timings),
+        )  # fmt: skip
+
+    @classmethod
+    def load(cls, folder: str | os.PathLike[str]) -> Result:
+        """Read what `save`, or ``cgemit simulate``, wrote: an equal result, with all its tables in memory.
+
+        Parameters
+        ----------
+        folder : path
+
+        Raises
+        ------
+        FileNotFoundError
+            If the folder holds no run.
+        RecordError
+            A ValueError that lists every file that is damaged, and every table that is not of the run that run.json
+            describes.
+        """
+        run = read_run(Path(folder), Settings, TABLES, EVERY_RUN)
+        return result_of(run, {name: run.tables[name] for name in TABLES if name in run.tables})
+
+    def _summary(self) -> list[tuple[str, str]]:
+        shots = f"{self.gun!r}" if self.gun is not None else "given particles"
+        rows = [("detector", self.detector.name), ("gun", shots), ("seed", str(self.seed))]
+        rows.append(("events", f"{self.n_events:,}"))
+        rows.append(("transport", ", ".join(f"{n:,} {name}" for name, n in self.transport().items())))
+        if "tracks" in self.tables:
+            removed = ", ".join(f"{n:,} {name}" for name, n in self.removed().items()) or "none"
+            rows.append(("tracks", f"{self.rows['tracks']:,} (not fitted: {removed})"))
+        rows.append(("rows", ", ".join(f"{name} {number:,}" for name, number in self.rows.items())))
+        if self.finder is not None:
+            rows.append(("hits", hits_by(self.finder)))
+        rows.append(("time", f"{self.timings['wall']:.2f} s"))
+        return rows
+
+    def __repr__(self) -> str:
+        return "\n".join(["Result", *(f"  {name:<10}{text}" for name, text in self._summary())])
+
+    def _repr_html_(self) -> str:
+        rows = "".join(f"<tr><th>{escape(name)}</th><td>{escape(text)}</td></tr>" for name, text in self._summary())
+        return f"<table>{rows}</table>"
+
+
+def result_of(run: Run[Settings], tables: Mapping[str, Table]) -> Result:
+    """Return the result of a run that was read, with tables of its own or some others."""
+    about: dict[str, Any] = {"gun": run.gun, "settings": run.settings, **run.detectors}
+    about |= {name: run.entries[name] for name in ("seed", "timings")} | {"transported": run.entries.get("transported")}
+    return Result(tables=tables, **about)
+
+
+def open(folder: str | os.PathLike[str]) -> Result:
+    """Return the run of a folder, without reading its tables: each is read when it is first asked for.
+
+    `Result.parts` and `Result.column` read no more than a part or a column at a time, so that runs larger than the
+    memory can be studied. `cgemit.resolution` and its neighbours use them.
+
+    Parameters
+    ----------
+    folder : path
+        What `Result.save`, ``run(..., output=)`` or ``cgemit simulate`` wrote.
+
+    Returns
+    -------
+    Result
+
+    Raises
+    ------
+    FileNotFoundError
+        If the folder holds no complete run.
+    RecordError
+        A ValueError that lists what is damaged in run.json and tables.json, and which files are missing. A damaged
+        table raises a ValueError when it is read.
+    """
+    run = read_run(Path(folder), Settings, TABLES, EVERY_RUN, lazy=True)
+    return result_of(run, run.tables)
+
+
+class TrackColumns:
+    """Columns of the tracks of a run by name, with those of their matches; of a run in files only these are read."""
+
+    def __init__(self, result: Result) -> None:
+        self._result = result
+        self._columns: dict[str, Any] = {}
+
+    def __getitem__(self, name: str) -> Any:
+        if name not in self._columns:
+            self._columns[name] = self._result.column("tracks", name)
+        return self._columns[name]
+
+
+def track_columns(given: Result | Table) -> Table | TrackColumns:
+    """Return the tracks of a result, or a table of tracks, by columns; raises as `tracks_of`.
+
+    Parameters
+    ----------
+    given : Result or Table of kind "tracks"
+    """
+    if isinstance(given, Result) and "tracks" in given.tables:
+        return TrackColumns(given)
+    return tracks_of(given)
+
+
+def tracks_of(given: Result | Table) -> Table:
+    """Return the tracks of a result, or the table of tracks itself.
+
+    Parameters
+    ----------
+    given : Result or Table of kind "tracks"
+
+    Raises
+    ------
+    TypeError
+        If it is neither a result nor a table.
+    ValueError
+        If it is a table of another kind, or a result without tracks.
+    """
+    if isinstance(given, Result):
+        if "tracks" not in given.tables:
+            raise ValueError("tracks: the result has none, since the run ended before the fit")
+        tracks: Table = given.tracks
+        return tracks
+    if not isinstance(given, Table) or given.kind != "tracks":
+        kind = ValueError if isinstance(given, Table) else TypeError
+        raise kind(f"tracks: got {what(given)}, expected a table of kind 'tracks', or a Result")
+    return given

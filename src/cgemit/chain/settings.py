@@ -1,0 +1,153 @@
+"""Stages of a run: names, tables and settings."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, Literal
+
+from cgemit.base.settings import SettingsData
+from cgemit.detector import Detector
+from cgemit.reconstruction.candidates import Finder
+from cgemit.reconstruction.cluster import ClusterSettings
+from cgemit.reconstruction.find.ckf import FindSettings
+from cgemit.reconstruction.fit import FitSettings
+from cgemit.simulation.background import BackgroundSettings
+from cgemit.simulation.digitize import DigitizeSettings
+from cgemit.simulation.readouts.readout import Readout
+from cgemit.simulation.transport import SimulateSettings
+from cgemit.tables import Table
+
+FinderName = Literal["truth", "ckf"]
+FinderLike = Finder | FinderName
+
+FINDERS = ("truth", "ckf")  # by name; any function of (detector, clusters, wire_hits) is a finder, too
+STAGES = ("simulate", "digitize", "cluster", "find", "fit")  # where a run can end
+
+TABLES = (
+    *("particles", "decays", "truths", "steps", "wire_truths", "digis", "wire_hits", "clusters"),
+    *("candidates", "candidate_hits", "tracks", "residuals", "states", "start_times", "matches"),
+)
+
+#: Tables of every run, wherever it ends.
+EVERY_RUN = ("particles", "decays", "truths", "steps", "wire_truths")
+
+#: Tables of each stage in order, but residuals, states and start times: a fit makes them only if its settings say so.
+BY_STAGE = (
+    EVERY_RUN, ("digis", "wire_hits"), ("clusters",), ("candidates", "candidate_hits"), ("tracks", "matches"),
+)  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings(SettingsData):
+    """Settings of all stages.
+
+    Raises
+    ------
+    SettingsError
+        A ValueError that lists every stage whose settings are of another class.
+    """
+
+    simulate: SimulateSettings = field(default_factory=SimulateSettings)
+    digitize: DigitizeSettings = field(default_factory=DigitizeSettings)
+    background: BackgroundSettings = field(default_factory=BackgroundSettings)
+    cluster: ClusterSettings = field(default_factory=ClusterSettings)
+    find: FindSettings = field(default_factory=FindSettings)
+    fit: FitSettings = field(default_factory=FitSettings)
+
+
+def fit_settings(settings: Settings) -> FitSettings:
+    """Return the settings of the fit; a screening of None becomes the simulated one.
+
+    Parameters
+    ----------
+    settings : Settings
+    """
+    return settings.fit if settings.fit.screening else replace(settings.fit, screening=settings.simulate.screening)
+
+
+def with_readout(settings: Settings, readout: Readout | str | None) -> Settings:
+    """Return settings with another read-out, and with the ionization clusters that it needs.
+
+    Parameters
+    ----------
+    settings : Settings
+    readout : Readout, str or None
+        None: that of the settings.
+
+    Raises
+    ------
+    ValueError
+        If the read-out is unknown, or the simulation cannot make what it needs.
+    """
+    if readout is not None:
+        given = settings.digitize
+        digitized = DigitizeSettings(readout=readout, reveal_sides=given.reveal_sides, wire_times=given.wire_times)
+        settings = replace(settings, digitize=digitized)
+    if getattr(settings.digitize.readout, "needs_clusters", False) and not settings.simulate.steps:
+        settings = replace(settings, simulate=replace(settings.simulate, steps=True))
+    return settings
+
+
+def expected_settings(given: object) -> str:
+    """Return the expected form of settings; those of one stage go into `Settings`."""
+    stage = next((f.name for f in fields(Settings) if type(given) is f.default_factory), "")
+    return (
+        f"Settings({stage}=...)"
+        if stage
+        else "Settings(simulate=..., digitize=..., background=..., cluster=..., find=..., fit=...)"
+    )
+
+
+def finder_of(table: Table) -> str:
+    """Return the name of the finder of the candidates or tracks of a table; ``"given"`` if it has none.
+
+    Parameters
+    ----------
+    table : Table
+        Of candidates, of their hits, or of fitted tracks.
+    """
+    return finder_in(table.meta)
+
+
+def finder_in(meta: Mapping[str, Any]) -> str:
+    """Return the name of the finder in the metadata of a table, as `finder_of`."""
+    return str(meta.get("finder", "given"))
+
+
+def hits_text(table: Table) -> str:
+    """Return how hits came to their tracks, for reports.
+
+    Parameters
+    ----------
+    table : Table
+        As in `finder_of`.
+    """
+    return hits_by(finder_of(table))
+
+
+def hits_by(name: str) -> str:
+    """Return how the hits of a finder of this name came to their tracks, as `hits_text`."""
+    return {"truth": "assigned by truth", "given": "given with their candidates"}.get(name, f"found by {name}")
+
+
+class NotKeptError(AttributeError, ValueError):
+    """A table that a run has made, but not kept."""
+
+
+def left_out(tables: Collection[str]) -> set[str]:
+    """Return the names of tables that a run made and did not keep: a run makes all of its stages up to the last.
+
+    Parameters
+    ----------
+    tables : collection of str
+        Names of those that it kept.
+    """
+    rank = {name: stage for stage, names in enumerate(BY_STAGE) for name in names}
+    last = max((rank[name] for name in tables if name in rank), default=-1)
+    return {name for name, stage in rank.items() if stage <= last and name not in tables}
+
+
+def detectors_of(detector: Detector, fit_detector: Detector | None) -> dict[str, Detector]:
+    """Return the detectors of a run by their role, as run.json names them."""
+    return {"detector": detector} | ({} if fit_detector is None else {"fit_detector": fit_detector})

@@ -1,0 +1,644 @@
+"""Shared parts of the sub-commands: options, the detector, exit codes, the progress bar."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+import time
+import tomllib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import fields
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn, ParamSpec, TextIO, TypeVar
+
+from cgemit.base.errors import did_you_mean
+from cgemit.units import QuantityError, parse_quantity
+
+if TYPE_CHECKING:
+    from cgemit.chain.settings import Settings
+    from cgemit.detector import Detector
+
+
+#: What a gun takes for a quantity: one number, a uniform range, or values in turn.
+Values = float | tuple[float, float] | list[float]
+
+_MOST_STEPS = 10_000  # values of A:B:N; more are a mistake
+
+
+def momenta(text: str) -> Values:
+    """Read momenta in GeV/c or with a unit: a number, ``A:B`` (uniform), ``A:B:N`` (ends included) or ``A,B,C``."""
+    return _values(text, "momentum")
+
+
+def cosines(text: str) -> Values:
+    """Read cosines of the polar angle, as `momenta`."""
+    return _values(text, "dimensionless")
+
+
+def numbers(text: str) -> Values:
+    """Read numbers without a unit, as `momenta`."""
+    return _values(text, "dimensionless")
+
+
+def angles(text: str) -> Values:
+    """Read angles in rad or with a unit, as `momenta`."""
+    return _values(text, "angle")
+
+
+def triple(text: str) -> tuple[float, float, float]:
+    """Read three lengths, ``X,Y,Z``."""
+    found = _values(text, "length")
+    if not isinstance(found, list) or len(found) != 3:
+        raise argparse.ArgumentTypeError(f"got {text!r}; expected three lengths X,Y,Z")
+    return found[0], found[1], found[2]
+
+
+def names(text: str) -> tuple[str, ...]:
+    """Read names, ``A,B,C``."""
+    return tuple(part.strip() for part in text.split(","))
+
+
+def surfaces(text: str) -> tuple[float | str, ...]:
+    """Read the surfaces of states, ``A,B,C``: a length is a radius, a name stays a name."""
+    try:
+        return tuple(part if part.isidentifier() else _number(part, "length") for part in names(text))
+    except QuantityError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
+
+
+def positive(text: str) -> int:
+    """Read a whole number of at least 1."""
+    return whole(text, 1, 2**31 - 1)
+
+
+def event(text: str) -> int:
+    """Read the number of an event."""
+    return whole(text, 0, 2**31 - 1)
+
+
+def seed(text: str) -> int:
+    """Read the seed of the random numbers."""
+    return whole(text, 0, 2**64 - 1)
+
+
+def whole(text: str, least: int, most: int) -> int:
+    """Read a whole number from `least` to `most`."""
+    try:
+        number = int(text) if text.strip().lstrip("+-").isdecimal() else _from_scientific(text)
+    except ValueError:
+        number = least - 1
+    if number < least:
+        raise argparse.ArgumentTypeError(f"got {text!r}; expected a whole number of at least {least}")
+    if number > most:
+        raise argparse.ArgumentTypeError(f"got {text!r}; expected a whole number of at most {most}")
+    return number
+
+
+def _from_scientific(text: str) -> int:
+    """Return the whole number that a text such as ``1e4`` stands for."""
+    value = float(text)
+    if not value.is_integer() or abs(value) > 2**53:  # beyond, a float is not exact
+        raise ValueError(text)
+    return int(value)
+
+
+def length(text: str) -> float:
+    """Read a positive length, in mm; `160 um` or `0.16 mm`."""
+    value = _number(text, "length")
+    if not value > 0:
+        raise argparse.ArgumentTypeError(f"got {text!r}, expected a length above 0")
+    return value
+
+
+def _values(text: str, dimension: str) -> Values:
+    try:
+        if "," in text:
+            return [_number(part, dimension) for part in text.split(",")]
+        parts = text.split(":")
+        if len(parts) == 3:
+            count = whole(parts[2], 1, _MOST_STEPS)
+            return _steps(_number(parts[0], dimension), _number(parts[1], dimension), count)
+        numbers = [_number(part, dimension) for part in parts]
+    except QuantityError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
+    if len(numbers) > 2:
+        raise argparse.ArgumentTypeError(f"got {text!r}; expected a number, A:B, A:B:COUNT or A,B,C")
+    return numbers[0] if len(numbers) == 1 else (numbers[0], numbers[1])
+
+
+def _steps(start: float, stop: float, count: int) -> list[float]:
+    if count == 1:
+        return [start]
+    # Rounded, so that 0.2:2.0:10 is 0.2, 0.4, 0.6 and not 0.6000000000000001.
+    return [round(start + (stop - start) * i / (count - 1), 12) for i in range(count)]
+
+
+def _number(text: str, dimension: str) -> float:
+    try:
+        number = float(text)
+    except ValueError:
+        return parse_quantity(text, dimension)
+    if not math.isfinite(number):
+        raise QuantityError(f"{text!r} (not finite)", "a finite number")
+    return number
+
+
+class InputError(ValueError):
+    """Wrong values on the command line; every problem is a line of the message."""
+
+
+class Changes(NamedTuple):
+    """What `--set` changes: settings and values of the detector, by dotted key, in order."""
+
+    settings: list[tuple[str, object]]
+    detector: dict[str, object]
+
+
+class Option(NamedTuple):
+    """An option that stands for a setting."""
+
+    flag: str
+    key: str
+    value: object
+
+
+def add_set(parser: argparse.ArgumentParser, about: str) -> None:
+    """Add `--set`."""
+    parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", dest="overrides", help=about)
+
+
+def plan_changes(texts: list[str]) -> dict[str, object]:
+    """Return what `--set` changes in a plan, by dotted key."""
+    found: dict[str, object] = {}
+    for text in texts:
+        name, equals, value = (part.strip() for part in text.partition("="))
+        if not equals or not name:
+            raise InputError(f"--set: got {text!r}, expected KEY=VALUE such as evaluate.events=500")
+        found[name] = literal(value)
+    return found
+
+
+def add_settings(parser: argparse.ArgumentParser) -> None:
+    """Add `--settings`."""
+    parser.add_argument(
+        "--settings", metavar="FILE",
+        help="settings of the stages: a TOML or JSON file with tables such as [fit] (see: cgemit settings), or the "
+        "run.json of earlier results; --set comes after it; options that stand for a setting, such as --no-deltas, "
+        "come last, and are an error where --set says otherwise",
+    )  # fmt: skip
+
+
+def add_readout(parser: argparse.ArgumentParser, default: str | None = None) -> None:
+    """Add `--readout`."""
+    usual = f"default {default}; " if default else ""
+    parser.add_argument(
+        "--readout", metavar="NAME", default=default,
+        help="read-out of the CGEM layers: binary, gaussian, tiger, apv25 or analog-projection "
+        f"({usual}digitize.readout; --set digitize.readout.KEY changes its settings)",
+    )  # fmt: skip
+
+
+def stages() -> tuple[str, ...]:
+    """Return the stages that have settings."""
+    from cgemit.chain.settings import Settings
+
+    return tuple(field.name for field in fields(Settings))
+
+
+def split(texts: Sequence[str], problems: list[str], *, settings: bool = True, detector: bool = True) -> Changes:
+    """Return what the texts of `--set` change.
+
+    Parameters
+    ----------
+    texts : sequence of str
+        ``KEY=VALUE``.
+    problems : list of str
+        Receives each text of another form, and each key that is neither a setting nor a value of the detector.
+    settings, detector : bool
+        Whether the command has settings, and a detector, to be changed.
+    """
+    from cgemit.detector.reader import TOP_LEVEL
+
+    known = dict.fromkeys(stages(), "settings") if settings else {}
+    known |= {name: "detector" for name in TOP_LEVEL if name not in known} if detector else {}
+    examples = " or ".join(["fit.loss=mean"] * settings + ['cgem.L2.pitch_x="500 um"'] * detector)
+    found = Changes([], {})
+    for text in texts:
+        name, equals, value = (part.strip() for part in text.partition("="))
+        first, dot, rest = name.partition(".")
+        kind = known.get(first)
+        if detector and first == "background" and "." in rest:  # the detector's levels have labels
+            kind = "detector"
+        if not equals or not name or (kind == "settings" and not dot):
+            problems.append(f"--set: got {text!r}, expected KEY=VALUE such as {examples}")
+        elif kind == "settings":
+            found.settings.append((name, literal(value)))
+        elif kind == "detector":
+            found.detector[name] = literal(value)
+        else:
+            expected = ", or ".join(_kinds_of_keys(known))
+            problems.append(f"--set: got {name!r}, expected {expected}{did_you_mean(first, known, '; ')}")
+    return found
+
+
+def _kinds_of_keys(known: Mapping[str, str]) -> list[str]:
+    texts = {"settings": "a setting, which begins with", "detector": "a value of the detector, which begins with"}
+    keys = {kind: [name for name in known if known[name] == kind] for kind in texts}
+    return [f"{text} {', '.join(keys[kind])}" for kind, text in texts.items() if keys[kind]]
+
+
+def settings_of(arguments: argparse.Namespace, *, one_track: bool = False) -> Settings:
+    """Return the settings of a command that has no detector to be changed.
+
+    Parameters
+    ----------
+    arguments : Namespace
+    one_track : bool
+        Whether the fit can assume one mass only.
+
+    Raises
+    ------
+    InputError
+        Listing every problem.
+    """
+    problems: list[str] = []
+    found = split(arguments.overrides, problems, detector=False)
+    settings = read_settings(arguments, found.settings, problems, one_track=one_track)
+    if problems:
+        raise InputError("\n  ".join(["wrong settings", *problems]))
+    return settings
+
+
+def read_settings(
+    arguments: argparse.Namespace,
+    changed: Sequence[tuple[str, object]],
+    problems: list[str],
+    *,
+    one_track: bool = False,
+) -> Settings:
+    """Return the settings of all stages: the file, then `--set` in order, then the options that stand for a setting.
+
+    Parameters
+    ----------
+    arguments : Namespace
+        With `--settings` and these options, as far as the command has them.
+    changed : sequence of (str, object)
+        The settings that `--set` changes.
+    problems : list of str
+        Receives every problem, and every option that contradicts `--set`.
+    one_track : bool
+        Whether the fit can assume one mass only.
+    """
+    from cgemit.base.files import nested
+    from cgemit.base.settings import SettingsError
+    from cgemit.chain.settings import Settings
+
+    layers: list[tuple[str, Mapping[str, Any]]] = []
+    if arguments.settings is not None:
+        try:
+            layers.append((arguments.settings, _tables(arguments.settings)))
+        except SettingsError as error:
+            problems += [f"{error.source}: {text}" for text in error.problems]
+    if getattr(arguments, "readout", None) is not None:
+        layers.append(("--readout", nested("digitize.readout", arguments.readout)))
+    layers += [("--set", nested(key, value)) for key, value in changed]
+    given = dict(changed)
+    for flag, key, value in _options(arguments):
+        layers.append((flag, nested(key, value)))
+        if key in given and _listed(given[key]) != _listed(value):
+            problems.append(f"{flag}: got {value!r}, but {given[key]!r} from --set {key}; expected one of them")
+    try:
+        settings = Settings.from_layers(layers)
+    except SettingsError as error:
+        problems += error.problems
+        return Settings()
+    names = settings.fit.hypotheses()
+    if one_track and len(names) > 1:
+        problems.append(f"fit.hypothesis: got {', '.join(names)}; this command expects one of them")
+    return settings
+
+
+def _tables(file: str) -> Mapping[str, Any]:
+    """Return the tables of a file of settings, or those that the record of a run holds."""
+    from cgemit.base.settings import read_tables
+    from cgemit.chain.record import FORMAT
+
+    tables = read_tables(file)
+    inner = tables.get("settings")
+    return inner if tables.get("format") == FORMAT and isinstance(inner, Mapping) else tables
+
+
+def _listed(value: object) -> list[object]:
+    return list(value) if isinstance(value, tuple | list) else [value]
+
+
+def literal(text: str) -> object:
+    """Read a value as in a TOML file; strings need no quotes, since the shell removes them."""
+    try:
+        tables = tomllib.loads(f"value = {text}")
+    except tomllib.TOMLDecodeError:
+        return text
+    return tables["value"] if len(tables) == 1 else text  # more than one line: not a value
+
+
+def add_physics(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the simulated processes in matter."""
+    group = parser.add_argument_group("physics")
+    group.add_argument(
+        "--no-deltas",
+        action="store_true",
+        help="no delta electrons in the drift gaps (simulate.deltas=false); the fit's cluster errors are unchanged",
+    )
+
+
+def add_hypothesis(parser: argparse.ArgumentParser, *, several: bool = False) -> None:
+    """Add the particle whose mass the fit assumes, or the `several`."""
+    parser.add_argument(
+        "--hypothesis", metavar="NAME,..." if several else "NAME", type=names,
+        help="fit with the mass of e, mu, pi, K or p instead of the particle's own (fit.hypothesis)"
+        + ("; several, or all: one track for each" if several else ""),
+    )  # fmt: skip
+
+
+def _options(arguments: argparse.Namespace) -> list[Option]:
+    """Return the options that stand for a setting and were given."""
+    options = [Option("--no-deltas", "simulate.deltas", False)] if getattr(arguments, "no_deltas", False) else []
+    for name in ("hypothesis", "states"):
+        value = getattr(arguments, name, None)
+        if value is not None:
+            options.append(Option(f"--{name}", f"fit.{name}", list(value)))
+    return options
+
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+OK, BAD_INPUT, RUN_FAILED, INTERRUPTED = 0, 2, 3, 130
+
+#: The sub-commands in the order of the help text, each with its module, whose `add_parser` adds it.
+COMMANDS = {
+    "study": "study",
+    "resolution": "resolution",
+    "sweep": "sweep",
+    "optimize": "optimize",
+    "simulate": "simulate",
+    "find": "find",
+    "display": "display",
+    "readout": "readout",
+    "refit": "refit",
+    "slab": "slab",
+    "detectors": "detector",
+    "show": "detector",
+    "validate": "detector",
+    "settings": "settings",
+    "bench": "bench",
+}
+
+
+class HelpFormatter(argparse.RawDescriptionHelpFormatter):
+    """Keep the line breaks of descriptions and examples."""
+
+    def __init__(self, prog: str) -> None:
+        super().__init__(prog, max_help_position=30, width=110)
+        # argparse forgets the indent of sub-commands when it computes the width of the first column.
+        self._action_max_length = 14
+
+
+class Parser(argparse.ArgumentParser):
+    """Say what is wrong in one line, with the nearest command or option; --help shows the rest."""
+
+    def error(self, message: str) -> NoReturn:
+        """Write the message and leave with exit code 2."""
+        self.exit(BAD_INPUT, f"{self.prog}: {message} ({self.prog} --help lists the options)\n")
+
+    def options(self) -> list[str]:
+        """Return the options that the command knows."""
+        return [option for action in self._actions for option in action.option_strings]
+
+
+class RunFailedError(RuntimeError):
+    """A run that has no result."""
+
+
+class _Once(argparse.Action):
+    """Store a value; a second one is an error, since it would replace the first."""
+
+    def __call__(
+        self, parser: argparse.ArgumentParser, namespace: argparse.Namespace, values: object, option: str | None = None
+    ) -> None:
+        if getattr(namespace, self.dest) is not None:
+            raise argparse.ArgumentError(self, f"got a second one, {values}; expected one")
+        setattr(namespace, self.dest, values)
+
+
+def add_common(parser: argparse.ArgumentParser) -> None:
+    """Add the options that every sub-command with a run has."""
+    parser.add_argument("--quiet", action="store_true", help="no progress on stderr")
+    parser.add_argument("--debug", action="store_true", help="show where in the program an error arose")
+
+
+def add_detector(parser: argparse.ArgumentParser, *, several: bool = False) -> None:
+    """Add `--detector`, which may be repeated if there are `several`, `--set` and `--name`."""
+    detector = parser.add_argument(
+        "-d", "--detector", action="append" if several else _Once, required=True, metavar="NAME|FILE",
+        help="a preset (see: cgemit detectors) or a detector file in TOML"
+        + ("; repeat it to compare detectors" if several else ""),
+    )  # fmt: skip
+    detector.completer = preset_names  # type: ignore[attr-defined]
+    add_set(
+        parser, f"change one value: of the settings if its key begins with {', '.join(stages())}, such as "
+        'fit.loss=mean, else of the detector, such as cgem.L2.pitch_x="500 um"; may be repeated'
+        + (", and applies to every detector given" if several else ""),
+    )  # fmt: skip
+    add_settings(parser)
+    add_field(parser)
+    parser.add_argument(
+        "--name", metavar="NAME",
+        help=("with one detector: " if several else "") + "what results call it (default: its own name, "
+        "with what --set and --field change)",
+    )  # fmt: skip
+
+
+def preset_names(prefix: str = "", **_: object) -> list[str]:
+    """Return the presets, and the files, that complete a word of the command line."""
+    from argcomplete.completers import FilesCompleter
+
+    from cgemit.detector import detectors
+
+    return [name for name in detectors() if name.startswith(prefix)] + list(FilesCompleter("toml")(prefix))
+
+
+def add_field(parser: argparse.ArgumentParser) -> None:
+    """Add `--field`."""
+    parser.add_argument(
+        "--field", metavar="NAME|FILE",
+        help="another magnetic field: besiii, besiii-harmonic, finite-solenoid, uniform, a map (.npz, .csv) or a TOML "
+        "file with a table [field]",
+    )  # fmt: skip
+
+
+def add_output(parser: argparse.ArgumentParser, *, default: str | None = None) -> None:
+    """Add the output folder and `--overwrite`."""
+    parser.add_argument(
+        "-o", "--output", metavar="DIR", default=default, required=default is None,
+        help="folder for the results" + (f" (default {default})" if default else ""),
+    )  # fmt: skip
+    parser.add_argument(
+        "--overwrite", action="store_true", help="write into a folder that already holds files, replacing results"
+    )
+
+
+def add_run(parser: argparse.ArgumentParser) -> None:
+    """Add seed and threads."""
+    add_seed(parser)
+    parser.add_argument(
+        "--threads", type=positive, default=None, metavar="N",
+        help="number of threads (default: all cores); results do not depend on it",
+    )  # fmt: skip
+
+
+def add_seed(parser: argparse.ArgumentParser) -> None:
+    """Add the seed."""
+    parser.add_argument("--seed", type=seed, default=1, help="seed of the random numbers (default 1)")
+
+
+def load_inputs(arguments: argparse.Namespace, *, one_track: bool = False) -> tuple[list[Detector], Settings]:
+    """Return the detectors of `--detector`, with the changes of `--set`, and the settings of all stages.
+
+    Parameters
+    ----------
+    arguments : Namespace
+    one_track : bool
+        Whether the command needs one track a particle, so that the fit can assume one mass only.
+
+    Raises
+    ------
+    InputError
+        Listing every problem of the settings and of all detectors.
+    """
+    problems: list[str] = []
+    found = split(arguments.overrides, problems)
+    settings = read_settings(arguments, found.settings, problems, one_track=one_track)
+    detectors = collect(problems, load_detectors, arguments, found.detector)
+    if problems or detectors is None:
+        raise InputError("\n  ".join(["wrong input", *problems]) if len(problems) > 1 else problems[0])
+    return detectors, settings
+
+
+def collect(problems: list[str], make: Callable[P, T], *given: P.args, **named: P.kwargs) -> T | None:
+    """Return what a function returns, or None with the message of its error added to `problems`."""
+    try:
+        return make(*given, **named)
+    except ValueError as error:
+        problems.append(str(error))
+    return None
+
+
+def load_detectors(arguments: argparse.Namespace, overrides: dict[str, object]) -> list[Detector]:
+    """Return all detectors of `--detector` with some values changed; their names are distinct.
+
+    Raises
+    ------
+    InputError
+        With all problems of all detectors, or the names that several of them have.
+    """
+    sources = [arguments.detector] if isinstance(arguments.detector, str) else arguments.detector
+    overrides = overrides | _name(arguments.name, overrides, len(sources))
+    problems: list[str] = []
+    loaded = [collect(problems, load_detector, source, overrides, arguments.field) for source in sources]
+    detectors = [detector for detector in loaded if detector is not None]
+    by_name: dict[str, list[str]] = {}
+    for source, detector in zip(sources, detectors, strict=not problems):
+        by_name.setdefault(detector.name, []).append(source)
+    problems = problems or [
+        f"-d: got {len(given)} detectors of the name {name!r} ({', '.join(given)}); expected distinct names, "
+        'as `name = "..."` in a detector file'
+        for name, given in by_name.items()
+        if len(given) > 1
+    ]
+    if problems:
+        raise InputError("\n".join(problems))
+    return detectors
+
+
+def load_detector(source: str, overrides: dict[str, object], field: str | None) -> Detector:
+    """Return the detector of a preset or file in another field, if one is given, and with some values changed."""
+    from cgemit.detector import load
+
+    detector = load(source)
+    if field is not None:
+        detector = detector.with_field(field)
+    return detector.with_overrides(overrides) if overrides else detector
+
+
+def _name(name: str | None, overrides: dict[str, object], detectors: int) -> dict[str, object]:
+    """Return what `--name` changes."""
+    if name is None:
+        return {}
+    if not name.strip():
+        raise InputError(f"--name: got {name!r}; expected a name")
+    if detectors > 1:
+        raise InputError(f"--name: got a name for {detectors} detectors; expected one detector")
+    if overrides.get("name", name.strip()) != name.strip():
+        raise InputError(f"--name: got {name!r}, but {overrides['name']!r} from --set name; expected one of them")
+    return {"name": name.strip()}
+
+
+_WIDTH = 28  # characters of the bar
+_REDRAW = 0.1  # s between two drawings on a terminal
+_STEP = 0.1  # share of the work between two lines in a log file
+
+
+class Progress:
+    """Show how much of a job is done: a moving bar on a terminal, a line every tenth in a log file.
+
+    Parameters
+    ----------
+    label : str
+        What is running.
+    quiet : bool
+        Show nothing.
+    stream : text stream, optional
+        Default: the error stream.
+    """
+
+    def __init__(self, label: str, *, quiet: bool = False, stream: TextIO | None = None) -> None:
+        self.label, self.quiet = label, quiet
+        self._stream = stream or sys.stderr
+        self._terminal = self._stream.isatty()
+        self._start = self._drawn = time.monotonic()
+        self._shown = 0.0
+        self._length = 0
+
+    def __call__(self, fraction: float, label: str = "") -> None:
+        """Show that `fraction` (0 to 1) of the work is done, and what is running now."""
+        if self.quiet:
+            return
+        self.label = label or self.label
+        now = time.monotonic()
+        if self._terminal and (now - self._drawn >= _REDRAW or fraction >= 1):
+            self._drawn = now
+            self._draw(fraction, now - self._start)
+        elif not self._terminal and (fraction - self._shown >= _STEP - 1e-9 or fraction >= 1 > self._shown):
+            self._shown = fraction
+            self._stream.write(f"{self.label}: {fraction:4.0%}, {now - self._start:.1f} s\n")
+            self._stream.flush()
+
+    def _draw(self, fraction: float, seconds: float) -> None:
+        full = round(_WIDTH * min(1.0, fraction))
+        line = f"[{'#' * full}{'.' * (_WIDTH - full)}] {fraction:4.0%} {seconds:5.1f} s  {self.label}"
+        self._stream.write("\r" + line.ljust(self._length))
+        self._length = len(line)
+        self._stream.flush()
+
+    def __enter__(self) -> Progress:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        # Leave the terminal's line free for what is written next.
+        if self._terminal and not self.quiet and self._length:
+            self._stream.write("\r" + " " * self._length + "\r")
+            self._stream.flush()

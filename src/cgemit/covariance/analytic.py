@@ -1,0 +1,319 @@
+"""`analytic`: covariances at given momenta and angles, for one detector or many."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from cgemit import _core
+from cgemit.covariance.result import Covariance, Entries
+from cgemit.covariance.tracks import (
+    UPPER,
+    Points,
+    Quantity,
+    Sample,
+    Tracks,
+    mean,
+    near_ends,
+    points_of,
+    sample_of,
+    status_of,
+)
+from cgemit.detector import Detector, load
+from cgemit.detector.keys import once
+from cgemit.detector.parts import DriftChamber
+from cgemit.reconstruction.candidates import HIT_WIRE
+from cgemit.reconstruction.cluster_errors import COS_THETA
+from cgemit.reconstruction.fit import FitSettings, FitStatus, compiled_for_fit
+from cgemit.reconstruction.states import StateStatus, Surface, shares_inside
+from cgemit.simulation.digitize import DigitizeSettings
+from cgemit.simulation.readouts.readout import Readout
+
+Floats = npt.NDArray[np.float64]
+Columns = dict[str, npt.NDArray[Any]]
+
+_UPPER = np.triu_indices(5)
+#: The status of a track without state at the cylinder.
+_LOST = {
+    StateStatus.does_not_reach: FitStatus.does_not_reach,
+    StateStatus.stopped: FitStatus.stopped,
+    StateStatus.left_field: FitStatus.left_field,
+}
+
+
+def at_cylinders(tracks: Tracks, radius: Floats) -> tuple[Tracks, Columns]:
+    """Return tracks and columns, as of `Tracks.run`, where the tracks leave cylinders.
+
+    Parameters
+    ----------
+    tracks : Tracks
+        From the origin.
+    radius : ndarray, (tracks,) float64, mm
+    """
+    out = tracks.run(budget=False, hits=True)
+    hits = {name: out.pop(f"hit_{name}") for name in ("kind", "layer", "channel", "value", "variance", "k", "x")}
+    ends = np.cumsum(out["n_clusters"].astype(np.int64) + out["n_wires"])
+    offsets = np.concatenate([[0], ends])
+    kappa, tanl = np.full(len(radius), np.nan), np.full(len(radius), np.nan)
+    status, entries = out["status"].copy(), np.full((len(radius), 15), np.nan)
+    for one in np.unique(radius):
+        rows = np.flatnonzero((radius == one) & (out["status"] == FitStatus.ok))
+        found = _states(tracks, hits, offsets, rows, float(one))
+        kappa[rows], tanl[rows] = found["helix"][:, 2], found["helix"][:, 4]
+        entries[rows] = found["cov"][:, _UPPER[0], _UPPER[1]]
+        for lost, instead in _LOST.items():
+            status[rows[found["status"] == lost]] = instead
+    at = dataclasses.replace(tracks, kappa=kappa, tanl=tanl)
+    return at, out | {"covariance": entries, "status": status}
+
+
+def _states(
+    tracks: Tracks, hits: Columns, offsets: npt.NDArray[np.int64], rows: npt.NDArray[np.intp], radius: float
+) -> Columns:
+    """Return the states of some tracks at a cylinder: smoothed as in the fit, with residuals 0."""
+    counts = offsets[rows + 1] - offsets[rows]
+    begin = np.concatenate([[0], np.cumsum(counts)])
+    of_tracks = np.repeat(offsets[rows] - begin[:-1], counts) + np.arange(begin[-1])
+    taken = {name: column[of_tracks] for name, column in hits.items()}
+    wire = taken["kind"] == HIT_WIRE
+    n = len(rows)
+    zero = np.zeros(n)
+    core = compiled_for_fit(tracks.detector, tracks.fit)
+    states: Columns = _core.states(
+        core,
+        hit_offsets=begin,
+        hits={
+            "kind": taken["kind"], "layer": taken["layer"], "channel": taken["channel"],
+            "size": np.zeros(len(wire), np.int32), "value": np.where(wire, np.abs(taken["value"]), taken["value"]),
+            "sigma": np.sqrt(taken["variance"]), "used": np.ones(len(wire), np.uint8),
+            "used_value": taken["value"], "used_variance": taken["variance"], "k": taken["k"], "x": taken["x"],
+        },
+        reference=np.stack([zero, tracks.phi[rows], tracks.kappa[rows], zero, tracks.tanl[rows]], axis=1),
+        kinks=np.zeros((n, 2 * core.n_slabs)),
+        prior=np.tile(np.diag(np.square(tracks.fit.prior_sigma)).ravel(), (n, 1)),
+        mass=tracks.mass[rows],
+        fitted=np.ones(n, np.uint8),
+        targets={
+            "surface": np.array([Surface.cylinder], np.int8), "radius": np.array([radius]),
+            "share": shares_inside(tracks.detector, np.array([radius])),
+        },
+    )  # fmt: skip
+    return states
+
+
+def analytic(
+    detector: Detector | str | Mapping[str, Any],
+    particle: str | int = "mu-",
+    p: Quantity = 1.0,
+    cos_theta: Quantity = 0.0,
+    *,
+    phi: Quantity | None = None,
+    radius: Quantity | None = None,
+    charge: npt.ArrayLike | None = None,
+    mass: npt.ArrayLike | None = None,
+    readout: Readout | str = "binary",
+    reveal_sides: bool = False,
+    fit: FitSettings | None = None,
+    samples: int | None = None,
+    threads: int | None = None,
+) -> Covariance:
+    """Return the covariance of a track's helix at the origin or at any radius, without events.
+
+    Parameters
+    ----------
+    detector : Detector, or what `load` accepts
+    particle : str or int
+        Name or number of the Particle Data Group.
+    p : float, str, array_like or tuple of two, GeV/c
+        Momentum at the origin. A tuple is a range, over which each point is averaged uniformly; an array holds points.
+    cos_theta : float, array_like or tuple of two
+        Cosine of the polar angle, likewise.
+    phi : float, str, array_like or None, rad
+        Azimuth of the momentum; None: averaged over the full circle.
+    radius : float, str, array_like or None, mm
+        Of the cylinder where the covariance is wanted: from all hits, inside and outside, after all matter inside the
+        cylinder and before all outside. None: at the origin.
+    charge, mass : array_like or None
+        e, GeV/c2. None: those of the particle. `p`, `cos_theta`, `phi`, `radius`, `charge` and `mass` are broadcast.
+    readout : Readout or str
+        Of the CGEM layers. Binary clusters have the error that follows from their number of strips; the positions of
+        the strips under the track are sampled.
+    reveal_sides : bool
+        Whether wire hits tell their side. If not, hits close to their wire have the weights of the fit.
+    fit : FitSettings or None
+        Energy loss, screening and cluster errors that the fit assumes.
+    samples : int or None
+        Tracks that are averaged at each point. None: 128, or 1 if nothing varies.
+    threads : int or None
+        None: all cores.
+
+    Returns
+    -------
+    Covariance
+
+    Raises
+    ------
+    DetectorError
+        If the detector is not valid.
+    ValueError
+        Listing every problem of the other arguments.
+
+    Notes
+    -----
+    Scattering and straggling enter with the variances of the fit (docs/methods/matter.md), measurements with the errors
+    of the read-out, so that the result is that of a fit whose assumptions hold: simulation with
+    ``fluctuations="gaussian"``. Near the ends of the layers, where scattering decides which hits a track has, the
+    trajectories of the samples scatter (only at the origin, and if more than one track is averaged).
+    """
+    detector, fit = load(detector), fit or FitSettings()
+    digitize = DigitizeSettings(readout=readout, reveal_sides=reveal_sides)
+    points = points_of(particle, p, cos_theta, phi, radius, charge, mass, samples)
+    return covariance_at(points, detector, digitize, fit, threads)
+
+
+def covariance_at(
+    points: Points, detector: Detector, digitize: DigitizeSettings, fit: FitSettings, threads: int | None = None
+) -> Covariance:
+    """Return the covariances of a detector at points, which serve any number of detectors; see `analytic`.
+
+    Parameters
+    ----------
+    points : Points
+    detector : Detector
+    digitize : DigitizeSettings
+    fit : FitSettings
+    threads : int or None
+
+    Raises
+    ------
+    ValueError
+        If the read-out has no expected errors.
+    """
+    at_origin = bool(np.all(np.isnan(points.radius)))
+    hits = _hit_model(detector, digitize.readout, digitize.reveal_sides, fit)
+    sample, tracks = _tracks(points, detector, hits, fit, threads, at_origin)
+    if at_origin:
+        out = tracks.run(budget=False)
+    else:
+        tracks, out = at_cylinders(tracks, np.repeat(points.radius.ravel(), tracks.samples))
+    return _result(points, sample, digitize.readout, tracks, out)
+
+
+def entries_at(points: Points, detector: Detector, digitize: DigitizeSettings, fit: FitSettings) -> Entries:
+    """Return what `core_widths` needs of a detector at points at the origin, on one core; see `covariance_at`."""
+    return _entries(points, detector, _hit_model(detector, digitize.readout, digitize.reveal_sides, fit), fit)
+
+
+def entries_with(points: Points, detector: Detector, sigma_x: Floats, sigma_v: Floats) -> Entries:
+    """Return the same for clusters with given errors, (layers,) mm each, and the default fit."""
+    fit, uncorrelated = FitSettings(), np.zeros((len(sigma_x), 1))
+    hits = _with_errors(detector, (sigma_x[:, None], sigma_v[:, None], uncorrelated), False, fit)
+    return _entries(points, detector, hits, fit)
+
+
+def _entries(points: Points, detector: Detector, hits: tuple[_core.HitModel, bool], fit: FitSettings) -> Entries:
+    sample, tracks = _tracks(points, detector, hits, fit, 1, True)
+    out = tracks.run(budget=False)
+    return Entries(sample, out["covariance"], out["status"])
+
+
+def _tracks(
+    points: Points, detector: Detector, hits: tuple[_core.HitModel, bool], fit: FitSettings, threads: int | None,
+    at_origin: bool,
+) -> tuple[Sample, Tracks]:  # fmt: skip
+    """Return the sample of points, and its tracks in a detector; arguments as of `covariance_at` and `_hit_model`."""
+    model, varies = hits
+    number = points.samples or (128 if varies or points.vary else 1)
+    sample = sample_of(points, number, len(detector.cgem))
+    scatter = number > 1 and at_origin
+    scatters = near_ends(detector, sample.kappa, sample.tanl) if scatter else np.zeros(len(sample.kappa))
+    tracks = Tracks(
+        detector, fit, model, sample.psi, sample.kappa, sample.tanl, sample.mass, scatters.astype(np.float64), number,
+        sample.phases, threads,
+    )  # fmt: skip
+    return sample, tracks
+
+
+def _hit_model(
+    detector: Detector, readout: Readout, sides_known: bool, fit: FitSettings
+) -> tuple[_core.HitModel, bool]:
+    """Return how hits are expected, and whether they vary among tracks of the same direction."""
+    return _with_errors(detector, _errors(readout, detector), sides_known, fit)
+
+
+def _with_errors(
+    detector: Detector, errors: tuple[Floats, Floats, Floats], sides_known: bool, fit: FitSettings
+) -> tuple[_core.HitModel, bool]:
+    """Return the same for clusters with errors as of `_errors`."""
+    sigma_x, sigma_v, corr_xv = errors
+    by_angle = max(one.shape[1] for one in (sigma_x, sigma_v, corr_xv)) > 1
+    cos_theta = COS_THETA if by_angle else np.zeros(1)
+    sigma_x, sigma_v, corr_xv = (
+        np.broadcast_to(one, (len(one), len(cos_theta))) for one in (sigma_x, sigma_v, corr_xv)
+    )
+    model = _core.HitModel(
+        cos_theta=cos_theta.tolist(), sigma_x=sigma_x.ravel().tolist(), sigma_v=sigma_v.ravel().tolist(),
+        corr_xv=corr_xv.ravel().tolist(), least_width=fit.least_width,
+        delta_strips=fit.delta_strips, sides_known=sides_known, seed=0, prior_sigma=fit.prior_sigma,
+    )  # fmt: skip
+    return model, not (np.all(sigma_x > 0) and np.all(sigma_v > 0)) or _inefficient(detector)
+
+
+def _result(
+    points: Points, sample: Sample, readout: Readout, tracks: Tracks, out: dict[str, npt.NDArray[Any]]
+) -> Covariance:
+    """Return the result of the core's columns."""
+    shape = points.charge.shape
+
+    def by_point(column: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        return column.reshape(-1, tracks.samples, *column.shape[1:])
+
+    status = by_point(out["status"])
+    ok = status == 0
+    entries = by_point(out["covariance"])
+    cov = np.empty((len(entries), 5, 5))
+    cov[:, UPPER[0], UPPER[1]] = cov[:, UPPER[1], UPPER[0]] = mean(np.moveaxis(entries, 1, -1), ok[:, None, :])
+    worst, reached = status_of(status)
+    return Covariance(
+        tracks.detector, points.particle, readout, sample.p, sample.cos_theta, points.phi[0], points.radius,
+        worst.reshape(shape), reached.reshape(shape), mean(by_point(out["n_clusters"]), ok).reshape(shape),
+        mean(by_point(out["n_wires"]), ok).reshape(shape), cov.reshape(*shape, 5, 5), tracks, entries,
+    )  # fmt: skip
+
+
+def _errors(readout: Readout, detector: Detector) -> tuple[Floats, Floats, Floats]:
+    """Return errors of X and V, mm, and their correlations, each (layers, 1) or (layers, len(COS_THETA))."""
+    expected = getattr(readout, "expected_errors", None)
+    if expected is None:
+        raise ValueError(f"read-out {readout.name}: expected a method expected_errors(detector), see Readout")
+    sigma_x, sigma_v = expected(detector)
+    correlations = getattr(readout, "expected_correlations", lambda detector: np.zeros(len(detector.cgem)))
+    given = {"sigma_x": sigma_x, "sigma_v": sigma_v, "correlations": correlations(detector)}
+    x, v, xv = (_by_angle(f"read-out {readout.name}: {name}", one, len(detector.cgem)) for name, one in given.items())
+    for name, values in (("sigma_x", x), ("sigma_v", v)):
+        if not (np.isfinite(values) & (values >= 0) & ((values > 0) == (values[:, :1] > 0))).all():
+            raise ValueError(f"read-out {readout.name}: {name}: expected errors above 0, or 0 for all of a layer")
+    if not (np.abs(xv) < 1).all():
+        raise ValueError(f"read-out {readout.name}: correlations: expected numbers between -1 and 1")
+    return x, v, np.where((x[:, :1] > 0) & (v[:, :1] > 0), xv, 0.0)  # others are not given
+
+
+def _by_angle(name: str, given: npt.ArrayLike, layers: int) -> Floats:
+    values = np.asarray(given, np.float64)
+    if values.shape not in ((layers,), (layers, len(COS_THETA))):
+        raise ValueError(f"{name}: got shape {values.shape}, expected ({layers},) or ({layers}, {len(COS_THETA)})")
+    return values.reshape(layers, -1) if layers else np.zeros((0, 1))
+
+
+def _inefficient(detector: Detector) -> bool:
+    chamber = detector.drift_chamber
+    return chamber is not None and _loses_hits(chamber)
+
+
+@once
+def _loses_hits(chamber: DriftChamber) -> bool:
+    return any(layer.efficiency < 1 for layer in chamber.layers)

@@ -1,0 +1,333 @@
+"""`sensitivity`: derivatives of resolutions with respect to the numbers of a design."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from cgemit import _core
+from cgemit.base.errors import DetectorError
+from cgemit.covariance.analytic import analytic
+from cgemit.covariance.result import Covariance
+from cgemit.detector import Detector, load
+from cgemit.detector.parts import CgemLayer, Contents
+from cgemit.reconstruction.cluster_errors import key_of
+from cgemit.reconstruction.fit import compiled_for_fit
+from cgemit.simulation.readouts.readout import Readout
+from cgemit.tables.show import data_frame, html_table, text_table
+
+Floats = npt.NDArray[np.float64]
+
+OTHER_ORDER = "got slabs and wires in another order than in the detector whose hits are kept, expected the same"
+
+
+class SurfacesError(ValueError):
+    """A variant that cannot have the hits of another one, since its slabs and wires are in another order."""
+
+
+def varied(base: Covariance, variants: Sequence[Detector]) -> list[Covariance]:
+    """Return the covariances of the same tracks with the same hits in variants of the detector.
+
+    Parameters
+    ----------
+    base : Covariance
+    variants : sequence of Detector
+        Which differ so little that their surfaces keep their order.
+
+    Raises
+    ------
+    SurfacesError
+        If they do not.
+    """
+    cores = [core_of(base, one) for one in variants]
+    if not all(keeps_order(base, core) for core in cores):
+        raise SurfacesError(OTHER_ORDER)
+    return with_cores(base, list(zip(variants, cores, strict=True)))
+
+
+def with_cores(base: Covariance, variants: Sequence[tuple[Detector, _core.Detector]]) -> list[Covariance]:
+    """Return the covariances in variants and their compiled detectors."""
+    if not variants:
+        return []
+    rows = base._tracks.run(budget=False, variants=[core for _, core in variants])["covariance"]
+    samples = rows.reshape(1 + len(variants), *base._samples.shape)[1:]
+    return [
+        dataclasses.replace(base, detector=one, _samples=row) for (one, _), row in zip(variants, samples, strict=True)
+    ]
+
+
+def core_of(base: Covariance, variant: Detector) -> _core.Detector:
+    """Return a variant as the fit of a covariance compiles it, with stereo angles that follow continuously."""
+    return compiled_for_fit(_with_stereo(variant, base.detector), base._tracks.fit)
+
+
+def keeps_order(base: Covariance, core: _core.Detector) -> bool:
+    """Return whether a variant has the slabs and wires of the detector of a covariance in the same order."""
+    return _core.same_surfaces(compiled_for_fit(base.detector, base._tracks.fit), core)
+
+
+def calibrated_apart(readout: Readout, detector: Detector, variants: Iterable[Detector]) -> bool:
+    """Return whether a read-out has calibrated errors, and a calibration of the detector is none of some variant.
+
+    Parameters
+    ----------
+    readout : Readout
+    detector : Detector
+    variants : iterable of Detector
+    """
+    if not hasattr(readout, "calibration"):
+        return False
+    own = key_of(detector, readout)
+    return any(key_of(one, readout) != own for one in variants)
+
+
+def errors_do_not_follow(readout: Readout, keys: Sequence[str]) -> str:
+    """Return the message about a read-out whose calibrated errors do not follow some keys."""
+    return f"got read-out {readout.name!r}, which has calibrated errors that do not follow {', '.join(keys)}"
+
+
+def _with_stereo(variant: Detector, base: Detector) -> Detector:
+    """Return a variant whose derived stereo angles follow radius and length continuously, not in whole strips."""
+    layers = []
+    for layer, old in zip(variant.cgem, base.cgem, strict=True):
+        derived = abs(abs(layer.stereo) - math.atan2((layer.strips_x - 1) * layer.pitch_x, layer.length)) < 1e-12
+        if derived:
+            angle = abs(old.stereo) + _diagonal(layer) - _diagonal(old)
+            # The hits are given: one V strip fits at any angle.
+            layer = dataclasses.replace(layer, stereo=math.copysign(angle, old.stereo), strips_v=1)
+        layers.append(layer)
+    return dataclasses.replace(variant, cgem=tuple(layers))
+
+
+def _diagonal(layer: CgemLayer) -> float:
+    return math.atan2(2 * math.pi * layer.r_readout / layer.sheets, layer.length)
+
+
+#: Relative steps of differences, tried in turn, outward and inward, where parts are so close that a larger one is
+#: impossible. The hits are kept, so that nothing steps: what is left of the second order is as small as the step.
+STEPS = (2e-5, 4e-6)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Sensitivity:
+    """Relative derivatives of resolutions by numbers of the design, d ln(sigma)/d ln(number).
+
+    Attributes
+    ----------
+    detector, particle : str
+    p, cos_theta : ndarray, float64
+        Of the points.
+    keys : tuple of str
+        Dotted keys of the detector file.
+    quantities : tuple of str
+    values : ndarray, (keys, quantities) + shape of the points, float64
+        Percent that sigma grows by if the number grows by 1 %; NaN where the number cannot be changed.
+    problems : dict of str to str
+        Keys that cannot be changed, and why.
+    """
+
+    detector: str
+    particle: str
+    p: Floats
+    cos_theta: Floats
+    keys: tuple[str, ...]
+    quantities: tuple[str, ...]
+    values: Floats
+    problems: Mapping[str, str]
+
+    def of(self, key: str, quantity: str) -> Floats:
+        """Return the derivatives of one quantity by one number, for all points."""
+        return np.asarray(self.values[self.keys.index(key), self.quantities.index(quantity)])
+
+    def ordered(self) -> list[str]:
+        """Return the keys by their largest effect on any quantity at any point, largest first."""
+        size = np.nanmax(np.abs(np.nan_to_num(self.values)).reshape(len(self.keys), -1), axis=1, initial=0)
+        return [self.keys[i] for i in np.argsort(-size, kind="stable")]
+
+    def table(self) -> dict[str, npt.NDArray[Any]]:
+        """Return one row per point and key, largest effect first, with a column for each quantity."""
+        rows = [self.keys.index(key) for key in self.ordered()]
+        points = self.p.size
+        columns: dict[str, npt.NDArray[Any]] = {
+            "p": np.repeat(self.p.ravel(), len(rows)), "cos_theta": np.repeat(self.cos_theta.ravel(), len(rows)),
+            "key": np.tile(np.array([self.keys[i] for i in rows], dtype=object), points),
+        }  # fmt: skip
+        flat = self.values.reshape(len(self.keys), len(self.quantities), points)
+        for number, name in enumerate(self.quantities):
+            columns[f"dln_sigma_{name}"] = flat[rows, number].T.ravel()
+        return columns
+
+    def to_pandas(self) -> Any:
+        """Return `table` as a pandas DataFrame."""
+        return data_frame(self.table())
+
+    def _text(self) -> tuple[str, list[str], list[list[str]]]:
+        head = ["1 % more of", *(f"sigma({name}) [%]" for name in self.quantities)]
+        flat = self.values.reshape(len(self.keys), len(self.quantities), -1)[..., 0]
+        rows = [[key, *(f"{x:+.3f}" for x in flat[self.keys.index(key)])] for key in self.ordered()]
+        where = f"p {self.p.ravel()[0]:.4g} GeV/c, cos(theta) {self.cos_theta.ravel()[0]:.3g}"
+        return f"{self.detector}, {self.particle}, {where}", head, rows
+
+    def __repr__(self) -> str:
+        return text_table(*self._text())
+
+    def _repr_html_(self) -> str:
+        return html_table(*self._text())
+
+
+def sensitivity(
+    detector: Detector | str | Mapping[str, Any],
+    particle: str | int = "mu-",
+    p: Any = 1.0,
+    cos_theta: Any = 0.0,
+    *,
+    keys: Sequence[str] | None = None,
+    quantities: Sequence[str] = ("dr", "dz", "p"),
+    **how: Any,
+) -> Sensitivity:
+    """Return what 1 % more of each number of a detector does to its resolutions.
+
+    Parameters
+    ----------
+    detector : Detector, or what `load` accepts
+    particle : str or int
+    p, cos_theta
+        As for `analytic`.
+    keys : sequence of str or None
+        Dotted keys of numbers, also patterns such as ``"cgem.*.pitch_x"``, whose values then change together. None:
+        field, radii, gaps, pitches, stereo angles and thicknesses of all CGEM layers, and the error of the wires.
+    quantities : sequence of str
+        As for `Covariance.sigma`.
+    **how
+        Further arguments of `analytic`.
+
+    Returns
+    -------
+    Sensitivity
+
+    Raises
+    ------
+    DetectorError, ValueError
+        As for `analytic`; if a key or quantity is not known; if the read-out has calibrated errors that do not follow
+        a key.
+
+    Notes
+    -----
+    Differences of the same kernels over small steps, one variant for each key: the hits (crossed cells, fired strips)
+    and the sample of tracks are those of the detector itself, and the error of a cluster changes as its mean over all
+    positions of the strips. Numbers of strips do not matter, and a stereo angle that follows from the diagonal of the
+    sheet changes continuously with radius and length.
+    """
+    detector = load(detector)
+    base = analytic(detector, particle, p, cos_theta, **how)
+    base.only_at_origin("sensitivity")
+    for name in quantities:
+        base.variances(name)  # refuses an unknown name
+    wanted = tuple(keys) if keys is not None else tuple(design_keys(detector))
+    fixed = [key for key in wanted if calibrated_apart(base.readout, detector, _changed(detector, key))]
+    if fixed:
+        raise ValueError(
+            f"sensitivity: {errors_do_not_follow(base.readout, fixed)}; expected 'binary' or 'gaussian', or other keys"
+        )
+    values, problems = logarithmic_slopes(base, detector, wanted, quantities)
+    return Sensitivity(
+        detector.name, base.particle, base.p, base.cos_theta, wanted, tuple(quantities), values, problems
+    )  # fmt: skip
+
+
+def logarithmic_slopes(
+    base: Covariance, detector: Detector, keys: Sequence[str], quantities: Sequence[str]
+) -> tuple[Floats, dict[str, str]]:
+    """Return d ln(sigma)/d ln(number) of a detector with the hits of `base`, and why some numbers cannot be changed.
+
+    Parameters
+    ----------
+    base : Covariance
+        Of this detector, or of a similar one (see `varied`).
+    detector : Detector
+    keys, quantities : sequence of str
+
+    Returns
+    -------
+    values : (keys, quantities) + shape of the points, float64
+        NaN where the number cannot be changed.
+    problems : dict of str to str
+    """
+    values = np.full((len(keys), len(quantities), *base.p.shape), np.nan)
+    problems: dict[str, str] = {}
+    neighbours: dict[int, _Neighbour] = {}
+    for number, key in enumerate(keys):
+        found = _neighbour(base, detector, key)
+        if isinstance(found, str):
+            problems[key] = found
+        else:
+            neighbours[number] = found
+    variants = [(one.detector, one.core) for one in neighbours.values()]
+    if detector is base.detector:
+        own, others = base, with_cores(base, variants)
+    else:
+        own, *others = with_cores(base, [(detector, core_of(base, detector)), *variants])
+    logs = {name: np.log(own.sigma(name)) for name in quantities}
+    for (number, one), other in zip(neighbours.items(), others, strict=True):
+        for column, name in enumerate(quantities):
+            values[number, column] = (np.log(other.sigma(name)) - logs[name]) / one.step
+    return values, problems
+
+
+class _Neighbour(NamedTuple):
+    """A variant of the detector, compiled, and by how much ln(number) differs."""
+
+    detector: Detector
+    core: _core.Detector
+    step: float
+
+
+def _neighbour(base: Covariance, detector: Detector, key: str) -> _Neighbour | str:
+    """Return the variant whose difference to the detector gives the derivative by a key, or why there is none."""
+    problems: list[str] = []
+    for variant, side in _variants(detector, key, problems):
+        core = core_of(base, variant)
+        if keeps_order(base, core):
+            return _Neighbour(variant, core, math.log1p(side))
+        problems.append(f"{key}: {OTHER_ORDER}")
+    return problems[-1]
+
+
+def _variants(detector: Detector, key: str, problems: list[str]) -> Iterator[tuple[Detector, float]]:
+    """Yield possible variants by relative steps of a key, the wanted one first; `problems` receives the others'."""
+    for step in STEPS:
+        for side in (step, -step):
+            try:
+                yield detector.with_overrides({key: f"x{1 + side!r}"}), side
+            except DetectorError as error:
+                problems.append(str(error.problems[0]))
+
+
+def _changed(detector: Detector, key: str) -> Iterator[Detector]:
+    """Yield one variant, if there is one."""
+    yield from (variant for variant, _ in itertools.islice(_variants(detector, key, []), 1))
+
+
+def design_keys(detector: Contents) -> Iterator[str]:
+    """Yield the keys that `sensitivity` varies by default.
+
+    Parameters
+    ----------
+    detector : Detector
+    """
+    yield "field.bz"
+    for layer in detector.cgem:
+        for name in ("anode_radius", "pitch_x", "pitch_v", "stereo", "drift_gap", "transfer_gap", "induction_gap"):
+            yield f"cgem.{layer.label}.{name}"
+        for stack in ("cathode", "foil", "anode"):
+            for part in getattr(layer, stack):
+                yield f"cgem.{layer.label}.{stack}.{part.label}.thickness"
+    if detector.drift_chamber is not None:
+        yield "drift_chamber.sigma"

@@ -1,1 +1,0 @@
-"""Detector presets and constants of matter; every number with its source."""

@@ -1,0 +1,479 @@
+"""The detector in the core's form: slabs of matter, read-out layers, strip maps, wire layers, field."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import Any, Literal, NamedTuple, get_args
+
+import numpy as np
+import numpy.typing as npt
+from numpy.typing import ArrayLike, NDArray
+
+from cgemit import _core
+from cgemit.base import isa
+from cgemit.detector.detector import Detector, preset
+from cgemit.detector.field import Axis, FieldGrid, HarmonicField, MapField, SolenoidField
+from cgemit.detector.gas import gap_columns, gap_table
+from cgemit.detector.keys import once
+from cgemit.detector.material import Material
+from cgemit.detector.matter import ENDLESS, NUMBERS, Slab, hole_table, slabs
+from cgemit.detector.parts import IN_PLACE, CgemLayer, Contents, DriftChamber, Shell, WireLayer, extent
+
+Ints = npt.NDArray[np.int32]
+Floats = npt.NDArray[np.float64]
+
+
+class StripLists(NamedTuple):
+    """Running numbers of strips, each (n,) int32, growing."""
+
+    dead: Ints
+    hot: Ints
+
+    @property
+    def masked(self) -> Ints:
+        """Strips of which clusters are not made, (n,) int32."""
+        return np.union1d(self.dead, self.hot).astype(np.int32)
+
+
+@lru_cache(maxsize=64)
+def strip_lists(detector: Detector) -> StripLists:
+    """Return the dead and the hot strips of a detector; a strip in both lists is dead, as is an X strip in a dead seam.
+
+    Parameters
+    ----------
+    detector : Detector
+    """
+    found: dict[str, list[Ints]] = {"dead": [], "hot": []}
+    first = 0
+    for layer in detector.cgem:
+        per_sheet = layer.strips_x + layer.strips_v
+        for sheet in range(layer.sheets):
+            found["dead"].append(seam_strips(layer) + first + sheet * per_sheet)
+        for kind, parts in found.items():
+            for view, offset in (("x", 0), ("v", layer.strips_x)):
+                for sheet, low, high in getattr(layer, f"{kind}_{view}"):
+                    parts.append(np.arange(low, high + 1, dtype=np.int32) + first + sheet * per_sheet + offset)
+        first += layer.sheets * per_sheet
+    dead, hot = (np.unique(np.concatenate([*parts, np.empty(0, np.int32)])) for parts in found.values())
+    return StripLists(dead.astype(np.int32), np.setdiff1d(hot, dead).astype(np.int32))
+
+
+def seam_strips(layer: CgemLayer) -> Ints:
+    """Return the X strips of a sheet whose middle is in the dead part of a seam, (n,) int32."""
+    middle = (np.arange(layer.strips_x) + 0.5) * layer.pitch_x
+    beside = np.minimum(middle, layer.strips_x * layer.pitch_x - middle)
+    return np.flatnonzero(beside < 0.5 * layer.dead_seam).astype(np.int32)
+
+
+def in_dead_area(layer: CgemLayer, x: Floats, z: Floats) -> npt.NDArray[np.bool_]:
+    """Return whether points of a sheet are in the dead part of a seam or of an end, (n,) bool.
+
+    Parameters
+    ----------
+    layer : CgemLayer
+    x : ndarray, (n,) float64, mm
+        From the edge of the sheet.
+    z : ndarray, (n,) float64, mm
+    """
+    beside = np.minimum(x, layer.strips_x * layer.pitch_x - x)
+    # Nothing is dead by default, not even at the edge: strips end there by themselves.
+    at_seam = (beside < 0.5 * layer.dead_seam) & (layer.dead_seam > 0)
+    return np.asarray(at_seam | ((np.abs(z) > layer.half_length - layer.dead_ends) & (layer.dead_ends > 0)))
+
+
+@lru_cache(maxsize=64)
+def gain_table(detector: Detector) -> dict[str, npt.NDArray[Any]]:
+    """Return the gain maps of all layers as the core takes them; an empty dict if no layer has one.
+
+    Parameters
+    ----------
+    detector : Detector
+
+    Returns
+    -------
+    dict of str to ndarray
+        shape (2 layers,) int32, rows and columns of each layer's grids, 0 for a layer without; values (n,) float64,
+        sheet by sheet, row by row.
+    """
+    if not any(layer.gain_map for layer in detector.cgem):
+        return {}
+    grids = [grid_of(layer) for layer in detector.cgem]
+    return {
+        "shape": np.array([n for grid in grids for n in grid.shape[1:]], dtype=np.int32),
+        "values": np.concatenate([grid.ravel() for grid in grids]),
+    }
+
+
+def grid_of(layer: CgemLayer) -> Floats:
+    """Return the relative gain of a layer, (sheets, rows along z, columns along X) float64.
+
+    Without a map there are no rows and columns. Grids of different shapes are repeated to the least common one.
+
+    Parameters
+    ----------
+    layer : CgemLayer
+    """
+    if not layer.gain_map:
+        return np.ones((layer.sheets, 0, 0))
+    grids = [np.array(sheet, np.float64) for sheet in layer.gain_map]
+    rows, columns = (int(np.lcm.reduce([grid.shape[axis] for grid in grids])) for axis in (0, 1))
+    return np.array([np.kron(grid, np.ones((rows // grid.shape[0], columns // grid.shape[1]))) for grid in grids])
+
+
+@lru_cache(maxsize=64)
+def strip_gains(detector: Detector) -> Floats:
+    """Return the mean relative gain along each strip by its running number, (strips,) float64; (0,) without maps.
+
+    V strips have the mean of their sheet: they cross many cells.
+
+    Parameters
+    ----------
+    detector : Detector
+    """
+    if not any(layer.gain_map for layer in detector.cgem):
+        return np.empty(0)
+    parts = []
+    for layer in detector.cgem:
+        grid = grid_of(layer)
+        for sheet in range(layer.sheets):
+            if not grid.size:
+                parts.append(np.ones(layer.strips_x + layer.strips_v))
+                continue
+            columns = grid[sheet].mean(axis=0)
+            at = (np.arange(layer.strips_x) + 0.5) / layer.strips_x * len(columns)
+            parts += [columns[at.astype(np.int64)], np.full(layer.strips_v, grid[sheet].mean())]
+    return np.concatenate(parts)
+
+
+# mm, of the solenoid's grid; the spline between its points is exact to 1e-7 of the field 0.5 m from the coil
+STEP = 20.0
+_MARGIN_R, _MARGIN_Z = 50.0, 600.0  # mm, beyond the outermost part; steep tracks go on beyond the ends
+
+
+def compiled_field(detector: Contents) -> _core.Field | None:
+    """Return the field that tracks step through, or None where it is uniform."""
+    field = detector.field
+    if isinstance(field, HarmonicField):
+        reach = (field.r_max, field.z_max)
+        return _core.Field(bz=field.bz, b=field.b, q=field.q, tolerance=field.tolerance, reach=reach)
+    if isinstance(field, SolenoidField):
+        r, z = extent(detector)
+        reach = (r + _MARGIN_R, z + _MARGIN_Z)
+        grid = solenoid_grid(field.coil_radius, field.half_length, field.z_offset, reach)
+        return _on_grid(grid, field.bz, field.bz, field.tolerance)
+    if isinstance(field, MapField):
+        return _on_grid(field.grid, field.bz / field.grid.bz_at_origin(), field.bz, field.tolerance)
+    return None
+
+
+def _on_grid(grid: FieldGrid, scale: float, bz: float, tolerance: float) -> _core.Field:
+    axes = [(axis.first, axis.step, axis.points) for axis in grid.axes]
+    return _core.Field(bz=bz, axes=axes, coefficients=scale * grid.coefficients().ravel(), tolerance=tolerance)
+
+
+def field_at(detector: Contents, points: ArrayLike) -> NDArray[np.float64]:
+    """Return the magnetic field of a detector at points.
+
+    Parameters
+    ----------
+    detector : Detector
+    points : array_like, (n, 3) float64
+        x, y, z in mm.
+
+    Returns
+    -------
+    ndarray, (n, 3) float64, T
+        Bx, By, Bz; NaN beyond the range of a map.
+
+    """
+    points = np.asarray(points, dtype=np.float64).reshape(-1, 3)
+    field = compiled_field(detector)
+    if field is None:
+        return np.tile([0.0, 0.0, detector.field.bz], (len(points), 1))
+    values, _, inside = field.values(points)
+    return np.where(inside[:, None] == 1, values, math.nan)
+
+
+def solenoid_field(radius: float, half_length: float, r: ArrayLike, z: ArrayLike) -> tuple[Floats, Floats]:
+    """Return the field of a thin coil around z = 0, for a field of 1 T in its middle.
+
+    N. Derby and S. Olbert, Am. J. Phys. 78 (2010) 229, eqs. 4 and 5, with their generalized complete elliptic integral
+    C written in Carlson's forms: C(k, p, c, s) = c R_F(0, k^2, 1) + (s - p c) R_J(0, k^2, 1, p)/3 (B. C. Carlson,
+    Numer. Algorithms 10 (1995) 13).
+
+    Parameters
+    ----------
+    radius, half_length : float
+        Of the coil, mm.
+    r, z : array_like, (...)
+        Points, mm; not on the coil.
+
+    Returns
+    -------
+    br, bz : ndarray, (...) float64, T
+
+    """
+    from scipy.special import elliprf, elliprj
+
+    def integral(k2: Floats, p: Floats | float, c: float, s: Floats | float) -> Floats:
+        return np.asarray(c * elliprf(0, k2, 1) + (s - p * c) / 3 * elliprj(0, k2, 1, p), dtype=np.float64)
+
+    r, z = np.broadcast_arrays(np.asarray(r, np.float64), np.asarray(z, np.float64))
+    sign, distance = np.where(r < 0, -1.0, 1.0), np.abs(r)
+    gamma = (radius - distance) / (radius + distance)
+    br, bz = np.zeros_like(z), np.zeros_like(z)
+    for end, weight in ((half_length, 1.0), (-half_length, -1.0)):
+        along = z + end
+        far = along**2 + (radius + distance) ** 2
+        k2 = (along**2 + (radius - distance) ** 2) / far
+        br += weight * radius / np.sqrt(far) * integral(k2, 1.0, 1.0, -1.0)
+        bz += weight * along / np.sqrt(far) * integral(k2, gamma**2, 1.0, gamma)
+    middle = np.pi * half_length / np.hypot(half_length, radius)
+    return sign * br / middle, radius / (radius + distance) * bz / middle
+
+
+def solenoid_grid(radius: float, half_length: float, z_offset: float, reach: tuple[float, float]) -> FieldGrid:
+    """Return the field on a grid, with 1 T at the origin.
+
+    Parameters
+    ----------
+    radius, half_length, z_offset : float
+        Of the coil, mm.
+    reach : tuple of float
+        Largest r and |z| that the grid must hold, mm.
+
+    """
+    n_r, n_z = (int(np.ceil(length / STEP)) for length in reach)
+    r, z = STEP * np.arange(n_r + 1), STEP * np.arange(-n_z, n_z + 1)
+    values = np.stack(solenoid_field(radius, half_length, r[:, None], z - z_offset), axis=-1)
+    scale = solenoid_field(radius, half_length, 0.0, -z_offset)[1]
+    axes = (Axis("r", 0.0, STEP, n_r + 1), Axis("z", -n_z * STEP, STEP, 2 * n_z + 1))
+    return FieldGrid(axes, values / scale)
+
+
+#: Screening of nuclei by their electrons in multiple scattering (docs/methods/matter.md); the first is the default.
+Screening = Literal["wentzel", "moliere"]
+SCREENINGS: tuple[Screening, ...] = get_args(Screening)
+
+Columns = dict[str, NDArray[np.generic]]
+
+
+class SlabTable(NamedTuple):
+    """Slabs as the core takes them."""
+
+    slabs: Columns
+    log_terms: NDArray[np.float64]
+    composition: Columns
+
+
+def slab_table(found: Sequence[Slab]) -> SlabTable:
+    """Return slabs as columns.
+
+    Parameters
+    ----------
+    found : sequence of Slab
+
+    Returns
+    -------
+    slabs : dict of ndarray
+        r_in, r_out, radius, spread, half_length (n,) float64 mm; x0 (n,) float64; xi (n,) float64 GeV;
+        gap (n,) int32; ends (n,) uint8.
+    log_terms : (n, LOSS_POINTS) float64
+        -2 ln(I/GeV) - delta - 2 C/Z against ln(beta gamma) on the core's grid.
+    composition : dict of ndarray
+        z, a (g/mol), moles (mol/cm2 at normal incidence) (m,) float64; slab i has the rows first[i] to first[i + 1],
+        first (n + 1,) int32.
+
+    """
+    rows = [slab.row for slab in found]
+    numbers = np.array([row.numbers for row in rows], dtype=np.float64).reshape(-1, len(NUMBERS)).T
+    columns: Columns = dict(zip(NUMBERS, numbers.copy(), strict=True))
+    columns["gap"] = np.array([slab.gap for slab in found], dtype=np.int32)
+    columns["ends"] = np.array([slab.ends for slab in found], dtype=np.uint8)
+    terms = np.concatenate([np.empty(0), *(row.log_terms for row in rows)]).reshape(-1, _core.LOSS_POINTS)
+    elements = np.concatenate([np.empty((0, 3)), *(row.elements for row in rows)]).T
+    first = np.cumsum([0, *(len(row.elements) for row in rows)]).astype(np.int32)
+    composition: Columns = dict(zip(("z", "a", "moles"), elements.copy(), strict=True))
+    return SlabTable(columns, terms, {"first": first, **composition})
+
+
+def weighted(table: SlabTable, weights: NDArray[np.float64]) -> SlabTable:
+    """Return slabs with other amounts of matter; 0 leaves vacuum.
+
+    Parameters
+    ----------
+    table : SlabTable
+    weights : ndarray, (n,) float64
+    """
+    scaled = {name: np.asarray(table.slabs[name], np.float64) * weights for name in ("x0", "xi")}
+    moles = np.asarray(table.composition["moles"], np.float64) * np.repeat(weights, np.diff(table.composition["first"]))
+    return SlabTable(table.slabs | scaled, table.log_terms, table.composition | {"moles": moles})
+
+
+def slab_weights(found: Sequence[Slab], matter: bool, inside: int) -> NDArray[np.float64]:
+    """Return how often the matter of each slab counts; arguments as for `compiled`.
+
+    Parameters
+    ----------
+    found : sequence of Slab
+    matter : bool
+    inside : int
+    """
+    weights = np.full(len(found), float(matter))
+    nearest = np.argsort([slab.radius for slab in found], kind="stable")[: abs(inside)]
+    weights[nearest] *= 0.0 if inside > 0 else 2.0
+    return weights
+
+
+def compiled(
+    detector: Detector,
+    merge: bool = True,
+    screening: str = "wentzel",
+    foil: str = "effective",
+    loss: str = "truncated",
+    radiation: bool = True,
+    *,
+    gaps: bool = True,
+    matter: bool = True,
+    inside: int = 0,
+) -> _core.Detector:
+    """Return the detector of the compiled core; equal descriptions share one with gaps.
+
+    Parameters
+    ----------
+    detector : Detector
+        The description.
+    merge, foil
+        See `slabs`.
+    screening : str
+        Screening of nuclei in multiple scattering, ``"wentzel"`` or ``"moliere"`` (docs/methods/matter.md).
+    loss : str
+        Energy loss that the fit subtracts (``FitSettings.loss``).
+    radiation : bool
+        Whether it includes the bremsstrahlung of electrons and positrons.
+    gaps : bool
+        Whether to make the tables that only the simulation reads, which take most of the time: of scatters that are
+        drawn, and of ionization and electrons in the drift gaps.
+    matter : bool
+        Whether there is matter.
+    inside : int
+        This number of innermost slabs are vacuum; if negative, they count twice (`FitSettings.start_radius`).
+
+    Raises
+    ------
+    ValueError
+        If ``CGEMIT_ISA`` names an instruction set that is not available.
+    """
+    choice = (merge, screening, foil, loss, radiation, gaps, matter, inside)
+    # A sweep has thousands of variants, each of which is fitted once: what is made for it goes when it goes.
+    return _shared(detector, *choice) if gaps else _kept(detector, *choice)
+
+
+def forget() -> None:
+    """Forget compiled detectors, their gaps, and presets, for tests that replace what they are made with."""
+    _shared.cache_clear()
+    preset.cache_clear()
+    gap_columns.cache_clear()
+
+
+def _made(
+    detector: Detector, merge: bool, screening: str, foil: str, loss: str, radiation: bool, gaps: bool, matter: bool,
+    inside: int,
+) -> _core.Detector:  # fmt: skip
+    isa.choose()
+    found = slabs(detector, merge, foil)
+    groups = [slab.shells[0].group for slab in found]
+    table = slab_table(found)
+    if inside or not matter:
+        table = weighted(table, slab_weights(found, matter, inside))
+    return _core.Detector(
+        bz=detector.field.bz,
+        **table._asdict(),
+        cgem=cgem_table(detector.cgem),
+        wires=_placed(detector.drift_chamber) if detector.drift_chamber else wire_table(None),
+        screening=getattr(_core.Screening, screening),
+        lattice=hole_table([slab.holes for slab in found], groups, merge) if foil == "lattice" else {},
+        gaps=gap_table(detector) if gaps else [],
+        loss=getattr(_core.CoreLoss, loss),
+        radiation=radiation,
+        field=compiled_field(detector),
+        simulated=gaps,
+    )
+
+
+_kept, _shared = once(_made), lru_cache(maxsize=64)(_made)
+
+
+def compiled_stack(parts: Sequence[tuple[Material, float]], screening: str = "wentzel") -> _core.Detector:
+    """Return plane layers of matter, one behind the other, as a compiled detector without read-out.
+
+    Parameters
+    ----------
+    parts : sequence of (Material, float)
+        Material and thickness in mm.
+    screening : str
+
+    Raises
+    ------
+    ValueError
+        If ``CGEMIT_ISA`` names an instruction set that is not available.
+
+    """
+    isa.choose()
+    position, found = 1.0, []
+    for material, thickness in parts:
+        shell = Shell("stack", material.name, position, position + thickness, ENDLESS, material)
+        found.append(Slab((shell,)))
+        position += thickness
+    return _core.Detector(
+        bz=0.0,
+        **slab_table(found)._asdict(),
+        cgem=cgem_table(()),
+        wires=wire_table(None),
+        screening=getattr(_core.Screening, screening),
+    )
+
+
+def cgem_table(layers: Sequence[CgemLayer]) -> Columns:
+    """Return the read-out of layers as columns (n,): mm, rad, strips. phi_first is (n, most), placement (n, 12)."""
+    names = (
+        *("r_readout", "r_gap_in", "r_gap_out", "half_length", "pitch_x", "pitch_v", "stereo", "offset_v"),
+        *("dead_seam", "dead_ends"),
+    )
+    numbers = np.array([[getattr(layer, name) for name in names] for layer in layers], dtype=np.float64)
+    columns: Columns = dict(zip(names, numbers.reshape(-1, len(names)).T.copy(), strict=True))
+    for name in ("sheets", "strips_x", "strips_v"):
+        columns[name] = np.array([getattr(layer, name) for layer in layers], dtype=np.int32)
+    # A layer of fewer sheets than others repeats its azimuths: the core reads `sheets` of them.
+    most = max((layer.sheets for layer in layers), default=1)
+    edges = [(most * layer.sheet_phi)[:most] for layer in layers]
+    columns["phi_first"] = np.array(edges, dtype=np.float64).reshape(-1, most)
+    placements = [layer.placement if layer.is_moved else IN_PLACE for layer in layers]
+    columns["placement"] = np.array(placements, dtype=np.float64).reshape(-1, 12)
+    strips = [layer.sheets * (layer.strips_x + layer.strips_v) for layer in layers]
+    columns["gid_first"] = np.cumsum([0, *strips])[:-1].astype(np.int32)
+    return columns
+
+
+def wire_table(chamber: DriftChamber | None) -> Columns:
+    """Return the wire layers of a chamber as columns (n,): mm, rad; placement is (1, 12)."""
+    if not chamber:
+        return _wire_columns((), (), IN_PLACE)
+    return _wire_columns(chamber.layers, chamber.gid_first, chamber.placement)
+
+
+@once
+def _placed(chamber: DriftChamber) -> _core.Chamber:
+    return _core.Chamber(wire_table(chamber))
+
+
+def _wire_columns(layers: Sequence[WireLayer], gid_first: Sequence[int], placement: NDArray[np.float64]) -> Columns:
+    names = ("r_end", "half_length", "twist", "phi_east", "sigma", "sigma_slope", "efficiency")
+    columns: Columns = {name: np.array([getattr(layer, name) for layer in layers], dtype=np.float64) for name in names}
+    for name in ("number", "cells"):
+        columns[name] = np.array([getattr(layer, name) for layer in layers], dtype=np.int32)
+    columns["gid_first"] = np.array(gid_first, dtype=np.int32)
+    columns["placement"] = placement.reshape(1, 12)
+    return columns

@@ -1,0 +1,251 @@
+"""The detector: an immutable, checked dataclass of its parts, loaded from a preset, a file or a dict."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cache, cached_property
+from pathlib import Path
+from typing import Any
+
+from cgemit.base.errors import DetectorError, Problem
+from cgemit.detector import check, export, variants
+from cgemit.detector.build import read_contents
+from cgemit.detector.files import field_tables, is_preset, open_source, place_map, resolve
+from cgemit.detector.keys import Known
+from cgemit.detector.parts import CgemLayer, Contents, Cylinder
+from cgemit.detector.reader import merged, set_path, shown
+from cgemit.units import NATIVE
+
+
+@dataclass(frozen=True, kw_only=True)
+class Detector(Contents):
+    """A complete detector, parts ordered from the beam line outward.
+
+    Raises
+    ------
+    DetectorError
+        With every problem, if parts overlap, strips do not fit, or a value is out of its range.
+
+    """
+
+    def __post_init__(self) -> None:
+        problems = check.value_problems(self) + check.geometry_problems(
+            self.beam_pipe, self.cgem, self.walls, self.drift_chamber
+        )
+        if problems:
+            raise DetectorError(self.name, problems)
+
+    def __hash__(self) -> int:
+        # Caches look up the detector at every call; the hash of all parts would slow this down.
+        return hash((self.name, self.description))
+
+    def __repr__(self) -> str:
+        return export.summary(self)
+
+    def _repr_html_(self) -> str:
+        return export.summary_html(self)
+
+    def to_toml(self) -> str:
+        """Return a complete detector file, without a base, that `load` reads back to an equal detector."""
+        return export.to_toml(self)
+
+    def to_gdml(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
+        """Write volumes and materials as GDML, for Geant4, DD4hep and ROOT.
+
+        The world is air; each sub-layer is a tube of its material at its effective density, with an `auxiliary` that
+        states its radiation length; the gas of the chamber is one tube for each wire layer, smeared wires mixed in.
+        Read-out, wires one by one, and the field are not written.
+
+        Parameters
+        ----------
+        path : path
+        overwrite : bool
+
+        Raises
+        ------
+        FileExistsError
+            If `path` exists and `overwrite` is false.
+
+        """
+        export.write_gdml(self, path, overwrite=overwrite)
+
+    def with_overrides(self, overrides: dict[str, object]) -> Detector:
+        """Return a variant: dotted keys of the detector file and their values.
+
+        For example ``{"cgem.L2.pitch_x": "500 um"}``. Strip counts and stereo angles that depend on a changed value
+        are recomputed. Labels may be patterns (``"cgem.*.pitch_x"``), several keys may stand together, separated by
+        commas, and numbers may be relative (``"x2"``, ``"+5 %"``). The name is made of what changed.
+
+        Raises
+        ------
+        DetectorError
+            With every problem of the result.
+
+        """
+        return override(self, overrides)
+
+    @cached_property
+    def content_hash(self) -> str:
+        """Sixteen hexadecimal digits that name the content, whatever name and description are."""
+        return variants.content_hash(self)
+
+    def bounds(self, key: str) -> tuple[float, float]:
+        """Return the range of a number, in its native unit, for which the detector is possible with all else kept.
+
+        Parameters
+        ----------
+        key : str
+            Dotted key, which may be a pattern if all values that it matches are equal.
+
+        Returns
+        -------
+        (float, float)
+            The lowest and the highest allowed value. Neighbouring parts then touch, or the sensible range of the key
+            ends.
+
+        Raises
+        ------
+        DetectorError
+            If the key does not stand for one number.
+
+        """
+        return bounds(self, key)
+
+    def with_field(self, source: str | Path | Mapping[str, Any]) -> Detector:
+        """Return the same detector in another field: a preset (see `fields`), a map, a TOML file, or a table [field].
+
+        Raises DetectorError with every problem of the field.
+        """
+        return replace_field(self, source)
+
+
+def load(source: str | Path | Mapping[str, Any] | Detector) -> Detector:
+    """Return the detector that a preset, a detector file or a mapping of the same form describes.
+
+    Parameters
+    ----------
+    source : str, Path, mapping or Detector
+        Name of a preset (see `detectors`), path to a TOML file, or tables as `tomllib` returns them; a `Detector`
+        is returned as it is.
+
+    Raises
+    ------
+    DetectorError
+        With all problems of the description.
+
+    """
+    if isinstance(source, Detector):
+        return source
+    if not isinstance(source, Mapping) and is_preset(str(source)):
+        return preset(str(source))
+    return _loaded(source)
+
+
+@cache
+def preset(name: str) -> Detector:
+    """Return a preset; its file does not change while the program runs.
+
+    Parameters
+    ----------
+    name : str
+    """
+    return _loaded(name)
+
+
+def _loaded(source: str | Path | Mapping[str, Any]) -> Detector:
+    """Return the detector of a preset, a file or tables; see `load`."""
+    opened = open_source(source)
+    problems: list[Problem] = []
+    try:
+        tables = resolve(opened, problems)
+    except RecursionError:
+        raise DetectorError(opened.name, [Problem("", "tables in tables in tables ...", "fewer levels")]) from None
+    if "name" not in opened.tables:
+        tables["name"] = Path(opened.name).stem
+    if "description" not in opened.tables:
+        base = opened.tables.get("base")
+        tables["description"] = f"variant of {base}" if base else ""
+    return build(opened.name, tables, problems)
+
+
+def override(detector: Detector, overrides: Mapping[str, object]) -> Detector:
+    """Return the detector with some values changed; see `Detector.with_overrides`."""
+    problems: list[Problem] = []
+    variant: dict[str, Any] = {}
+    for path, value in variants.expanded(detector, overrides, problems).items():
+        if path == "base":
+            problems.append(Problem(path, shown(value), "a value of the detector; load another base instead"))
+        elif not set_path(variant, path, value):
+            problems.append(Problem(path, shown(value), "a value whose table is not itself overridden by a value"))
+    tables = merged(export.tables_of(detector, variant), place_map(variant, None), problems)
+    if "name" not in variant:
+        tables["name"] = variants.variant_name(detector.name, overrides)
+    return build(detector.name, tables, problems)
+
+
+def replace_field(detector: Detector, source: str | Path | Mapping[str, Any]) -> Detector:
+    """Return the detector in another field; see `Detector.with_field`."""
+    tables = export.tables_of(detector) | {"field": field_tables(source)}
+    text = dict(source) if isinstance(source, Mapping) else Path(source).stem
+    return build(detector.name, tables | {"name": variants.variant_name(detector.name, {"field": text})}, [])
+
+
+def bounds(detector: Detector, key: str) -> tuple[float, float]:
+    """Return the allowed range of a number; see `Detector.bounds`."""
+    problems: list[Problem] = []
+    paths = list(variants.matching(detector, key, problems))
+    now = [variants.value_at(detector, path) for path in paths]
+    numbers = [found for found in now if found and (found[1].kind in NATIVE or found[1].kind == "integer")]
+    if not numbers or len(numbers) < len(now) or len({number for number, _ in numbers}) > 1:
+        given = "different values: " + ", ".join(f"{n:g}" for n, _ in numbers) if len(numbers) > 1 else "no number"
+        problems = problems or [Problem(key, given, "the dotted key of one number")]
+        raise DetectorError(detector.name, problems)
+    start, limits = numbers[0]
+    order = _order(detector)
+
+    def allowed(value: float) -> bool:
+        try:  # a part that has jumped over its neighbour is beyond the range
+            return _order(override(detector, dict.fromkeys(paths, Known(value)))) == order
+        except DetectorError:
+            return False
+
+    whole = limits.kind == "integer"
+    low, high = (_edge(allowed, start, end, whole) for end in (limits.low, limits.high))
+    return low, high
+
+
+def _order(detector: Detector) -> list[str]:
+    """Return the parts from inside outward."""
+    parts: list[Cylinder | CgemLayer] = [*detector.beam_pipe, *detector.cgem, *detector.walls]
+    found = [(part.r_in, part.label) for part in parts]
+    if detector.drift_chamber:
+        found += [(layer.r_mid, str(layer.number)) for layer in detector.drift_chamber.layers]
+    return [label for _, label in sorted(found)]
+
+
+def _edge(allowed: Callable[[float], bool], inside: float, outside: float, whole: bool) -> float:
+    """Return the value nearest to `outside` that is allowed, by bisection from `inside`, which is."""
+    if allowed(outside):
+        return outside
+    while abs(outside - inside) > (1 if whole else 1e-9 * max(1.0, abs(inside))):
+        middle = (inside + outside) // 2 if whole else 0.5 * (inside + outside)
+        inside, outside = (middle, outside) if allowed(middle) else (inside, middle)
+    return inside
+
+
+def build(source: str, tables: Mapping[str, Any], problems: list[Problem]) -> Detector:
+    """Return the detector that complete tables describe; `problems` are those found before.
+
+    Raises
+    ------
+    DetectorError
+        With `problems` and all others of the tables.
+
+    """
+    contents = read_contents(source, tables, problems)
+    try:
+        return Detector(**contents.__getstate__())
+    except DetectorError as error:
+        raise DetectorError(source, error.problems) from None

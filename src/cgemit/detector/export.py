@@ -1,0 +1,533 @@
+"""A detector as text, as tables with units, as a detector file, as JSON schema, and as GDML."""
+
+from __future__ import annotations
+
+import html
+import itertools
+import math
+import os
+import re
+from collections.abc import Container, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+from cgemit.base.files import new_file, toml_text
+from cgemit.detector.build import library
+from cgemit.detector.field import KINDS, field_text, kind_key
+from cgemit.detector.keys import CENTRED, Key, keys_of, once, opened, required_of
+from cgemit.detector.material import DensityEffect, Material, elements
+from cgemit.detector.matter import ENDLESS, Slab, slabs
+from cgemit.detector.parts import (
+    PLACEMENT,
+    BackgroundLevel,
+    CgemLayer,
+    Contents,
+    Cylinder,
+    DriftChamber,
+    RatePoint,
+    Shell,
+    SubLayer,
+    WireLayer,
+)
+from cgemit.detector.reader import EXTRA, FOR_ALL_LAYERS, MOST_POINTS, NAME, STRIPS, TOP_LEVEL, WIRE_NUMBER, strip_text
+from cgemit.units import NATIVE, format_quantity, units_of
+
+
+def lines(detector: Contents) -> list[str]:
+    """Return one line for the field and for each part that measures."""
+    found = [f"field {field_text(detector.field)}"]
+    for layer in detector.cgem:
+        found.append(f"cgem {layer.label}: {layer.text()}")
+    if detector.drift_chamber:
+        found.append(f"drift chamber: {detector.drift_chamber.text()}")
+    if detector.background:
+        found.append("background: " + ", ".join(level.label for level in detector.background))
+    return found
+
+
+def summary(detector: Contents) -> str:
+    """Return a few lines for the terminal."""
+    return "\n  ".join([f"Detector {detector.name!r}", *lines(detector)])
+
+
+def summary_html(detector: Contents) -> str:
+    """Return the same for a notebook."""
+    rows = "".join(f"<li>{html.escape(line)}</li>" for line in lines(detector))
+    return f"<b>Detector {html.escape(detector.name)}</b> {html.escape(detector.description)}<ul>{rows}</ul>"
+
+
+def describe(detector: Contents) -> dict[str, Any]:
+    """Return everything that `cgemit show` prints, ready for JSON.
+
+    Parameters
+    ----------
+    detector : Contents
+
+    Returns
+    -------
+    dict
+        name, description, field_t (at the origin), field (text); `material`: one entry per scatterer with its
+        `sub_layers`; `cgem` and `wires`: one entry per layer. Thickness in radiation lengths and energy loss at normal
+        incidence.
+
+    """
+    material = [_scatterer(detector, slab) for slab in slabs(detector)]
+    chamber = detector.drift_chamber
+    wires = zip(chamber.layers, chamber.gid_first, strict=True) if chamber else ()
+    return {
+        "name": detector.name,
+        "description": detector.description,
+        "field_t": detector.field.bz,
+        "field": field_text(detector.field),
+        "material": material,
+        "cgem": [_cgem(layer) for layer in detector.cgem],
+        "wires": [_wires(layer, gid) for layer, gid in wires],
+    }
+
+
+def _scatterer(detector: Contents, slab: Slab) -> dict[str, Any]:
+    first = slab.shells[0]
+    middle = 0.5 * (slab.r_in + slab.r_out)
+    owner = next((layer.label for layer in detector.cgem if layer.r_in < middle < layer.r_out), None)
+    names = {"pipe": "beam pipe", "drift": "drift gap", "gas": "chamber gas"}
+    part = names.get(first.group, first.group)
+    rows = [
+        {
+            "label": shell.label,
+            "material": shell.material.name,
+            "r_in_mm": shell.r_in,
+            "r_out_mm": shell.r_out,
+            "thickness_mm": shell.thickness,
+            "x0_percent": 100 * shell.x0,
+        }
+        for shell in slab.shells
+    ]
+    return {
+        "part": f"{owner} {part}" if owner else part,
+        "r_in_mm": slab.r_in,
+        "r_out_mm": slab.r_out,
+        "radius_mm": slab.radius,
+        "x0_percent": 100 * slab.x0,
+        "sub_layers": rows,
+    }
+
+
+def _cgem(layer: CgemLayer) -> dict[str, Any]:
+    return {
+        "layer": layer.label,
+        "r_mid_gap_mm": layer.r_mid,
+        "r_readout_mm": layer.r_readout,
+        "length_mm": layer.length,
+        "drift_gap_mm": layer.drift_gap,
+        "hole_outer_um": 1000 * layer.hole_outer,
+        "hole_inner_um": 1000 * layer.hole_inner,
+        "hole_pitch_um": 1000 * layer.hole_pitch,
+        "sheets": layer.sheets,
+        "phi_first_deg": math.degrees(layer.phi_first) % 360,
+        "pitch_x_um": 1000 * layer.pitch_x,
+        "pitch_v_um": 1000 * layer.pitch_v,
+        "strips_x": layer.strips_x,
+        "strips_v": layer.strips_v,
+        "offset_v": layer.offset_v,
+        "stereo_deg": math.degrees(layer.stereo),
+    }
+
+
+def _wires(layer: WireLayer, gid_first: int) -> dict[str, Any]:
+    tilt = math.atan(layer.r_end * math.sin(0.5 * layer.twist) / layer.half_length)
+    return {
+        "layer": layer.number,
+        "cells": layer.cells,
+        "gid_first": gid_first,
+        "r_end_mm": layer.r_end,
+        "r_mid_mm": layer.r_mid,
+        "half_length_mm": layer.half_length,
+        "twist_deg": math.degrees(layer.twist),
+        "tilt_mrad": 1000 * tilt,
+        "phi_east_deg": math.degrees(layer.phi_east),
+        "sigma_um": 1000 * layer.sigma,
+        "sigma_slope_um_per_mm": 1000 * layer.sigma_slope,
+        "efficiency": layer.efficiency,
+    }
+
+
+def to_dict(detector: Contents) -> dict[str, Any]:
+    """Return the tables of a complete detector file: quantities as text in native units, all digits kept."""
+    tables: dict[str, Any] = {"name": detector.name, "description": detector.description}
+    tables["field"] = _table(detector.field)
+    tables["beam_pipe"] = {part.label: _table(part) for part in detector.beam_pipe}
+    tables["cgem"] = {layer.label: _table(layer) for layer in detector.cgem}
+    tables["walls"] = {part.label: _table(part) for part in detector.walls}
+    if detector.drift_chamber:
+        tables["drift_chamber"] = _table(detector.drift_chamber)
+        layers = {str(layer.number): _table(layer) for layer in detector.drift_chamber.layers}
+        tables["drift_chamber"]["layers"] = layers
+    tables["background"] = {level.label: _table(level) for level in detector.background}
+    tables["materials"] = {m.name: _table(m) for m in own_materials(detector)}
+    return {name: value for name, value in tables.items() if value != {}}
+
+
+def tables_of(detector: Contents, changed: Container[str] = ()) -> dict[str, Any]:
+    """Return the tables of a complete detector file with its parts as they are, for variants (`merge.merged`).
+
+    The drift chamber is a table of layers if `changed` names a group that changes it, otherwise one part.
+    """
+    tables: dict[str, Any] = {"name": detector.name, "description": detector.description, "field": detector.field}
+    tables |= {group: {part.label: part for part in getattr(detector, group)} for group in _GROUPS}
+    chamber = detector.drift_chamber
+    if chamber and any(group in changed for group in ("drift_chamber", "materials", "remove")):
+        layers = {str(layer.number): layer for layer in chamber.layers}
+        tables["drift_chamber"] = opened(chamber) | {"layers": layers}
+    elif chamber:
+        tables["drift_chamber"] = chamber
+    return tables | {"materials": {material.name: material for material in own_materials(detector)}}
+
+
+_GROUPS = ("beam_pipe", "cgem", "walls", "background")
+
+
+@once
+def own_materials(detector: Contents) -> list[Material]:
+    """Return the materials of a detector that differ from those that come with the program."""
+    used = {m.name: m for m in materials_of(detector)}
+    return [material for name, material in used.items() if library().get(name) != material]
+
+
+def materials_of(detector: Contents) -> list[Material]:
+    """Return every material of a detector."""
+    found = [detector.air, *(part.material for part in (*detector.beam_pipe, *detector.walls))]
+    for layer in detector.cgem:
+        found += [layer.gas, *(part.material for part in (*layer.cathode, *layer.foil, *layer.anode))]
+    if detector.drift_chamber:
+        found += [detector.drift_chamber.gas, detector.drift_chamber.wire_material]
+    return found
+
+
+def to_toml(detector: Contents) -> str:
+    """Return a complete detector file as text."""
+    return toml_text(to_dict(detector), in_place=("composition", "density_effect"))
+
+
+def _table(part: Any) -> dict[str, Any]:
+    kind: Any = type(part)
+    keys = {name: key for name, key in keys_of(kind).items() if name not in PLACEMENT or getattr(part, name) != 0}
+    found = {name: _value(getattr(part, name), key.kind) for name, key in keys.items()}
+    return {name: value for name, value in found.items() if value not in ({}, "", [])}
+
+
+def _value(value: Any, kind: str) -> Any:
+    if isinstance(value, Material):
+        return value.name
+    if isinstance(value, DensityEffect):
+        return value._asdict()
+    if kind == "composition":
+        return dict(value)
+    if kind == "profile":
+        return [_table(point) for point in value]
+    if kind == "counts":
+        return list(value)
+    if kind == "stack":
+        return [_sub_layer(part) for part in value]
+    if kind == "strips":
+        return [strip_text(*one) for one in value]
+    if kind == "gains":
+        return [grid[0][0] if len(grid) == len(grid[0]) == 1 else [list(row) for row in grid] for grid in value]
+    if kind in NATIVE and kind != "dimensionless":
+        return format_quantity(value, kind)
+    return value
+
+
+def _sub_layer(part: SubLayer) -> dict[str, Any]:
+    return {"label": part.label, **_table(part)}
+
+
+_NUMBER = r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?"
+_WIRE_NUMBER = rf"^({WIRE_NUMBER})$"
+
+
+def schema() -> dict[str, Any]:
+    """Return the JSON Schema (draft 2020-12) of a detector file.
+
+    A file with a base may state any part of a table; without a base, tables must be complete.
+    """
+    parts = {
+        "partial": _top(complete=False),
+        "complete": _top(complete=True),
+        "sub_layer": _schema_table(SubLayer, complete=True),
+        "rate_point": _schema_table(RatePoint, complete=True),
+    }
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "title": "cgemit detector",
+        "description": "A tracker of cylindrical GEM layers and drift chambers. Quantities are strings with units.",
+        "type": "object",
+        "if": {"required": ["base"]},
+        "then": {"$ref": "#/$defs/partial"},
+        "else": {"$ref": "#/$defs/complete"},
+        "$defs": parts,
+    }
+
+
+def _top(complete: bool) -> dict[str, Any]:
+    kinds: dict[str, dict[str, Any]] = {
+        "field": _field(complete),
+        "beam_pipe": _labelled(_schema_table(Cylinder, complete)),
+        "cgem": _labelled(_layer(complete)),
+        "walls": _labelled(_schema_table(Cylinder, complete)),
+        "drift_chamber": _chamber(complete),
+        "background": _labelled(_schema_table(BackgroundLevel, complete=False)),
+        "materials": _labelled(_material()),
+        "name": {"pattern": f"^{NAME}$"},
+        "remove": {"type": "array", "items": {"type": "string"}},
+    }
+    properties = {
+        name: {"type": "string", **kinds.get(name, {}), "description": doc} for name, doc in TOP_LEVEL.items()
+    }
+    found = {"type": "object", "properties": properties, "additionalProperties": False}
+    if complete:
+        found |= {"required": ["field"], "anyOf": [{"required": ["cgem"]}, {"required": ["drift_chamber"]}]}
+    return found
+
+
+def _field(complete: bool) -> dict[str, Any]:
+    """Return the field; with a base, the kind may be the base's, and any key may stand alone."""
+    kinds = {name: _schema_table(kind, complete) for name, kind in KINDS.items()}
+    if not complete:
+        properties = {key: value for kind in kinds.values() for key, value in kind["properties"].items()}
+        return {
+            "type": "object",
+            "properties": properties | {"kind": _schema_value(kind_key())},
+            "additionalProperties": False,
+        }
+    for name, kind in kinds.items():
+        kind["properties"]["kind"] = {"const": name}
+        kind["required"] = sorted({*kind["required"], "kind"})
+    return {"type": "object", "oneOf": list(kinds.values())}
+
+
+def _labelled(table: dict[str, Any]) -> dict[str, Any]:
+    return {"type": "object", "additionalProperties": table}
+
+
+_LIKE = "label of the layer that this one is a copy of"
+
+
+def _layer(complete: bool) -> dict[str, Any]:
+    """Return a CGEM layer: a copy of another one states what differs, and sub-layers of its stacks by label."""
+    partial = _schema_table(CgemLayer, complete=False, more={"like": {"type": "string", "description": _LIKE}})
+    rows = _labelled(_schema_table(SubLayer, complete=False))
+    for name, one in keys_of(CgemLayer).items():
+        if one.kind == "stack":
+            whole = partial["properties"][name]
+            about = {"description": whole.pop("description")}
+            partial["properties"][name] = about | {"if": {"type": "object"}, "then": rows, "else": whole}
+    if not complete:
+        return partial
+    return {"if": {"required": ["like"]}, "then": partial, "else": _schema_table(CgemLayer, complete=True)}
+
+
+def _schema_table(kind: type, complete: bool, more: Mapping[str, Any] | None = None) -> dict[str, Any]:
+    keys = {**keys_of(kind), **EXTRA.get(kind, {})}
+    properties = {name: _schema_value(key) for name, key in keys.items()} | dict(more or {})
+    found = {"type": "object", "properties": properties, "additionalProperties": False}
+    return {**found, "required": sorted(required_of(kind))} if complete else found
+
+
+def _chamber(complete: bool) -> dict[str, Any]:
+    """Return the drift chamber: values stated for all layers may be left out in each layer."""
+    layer = _schema_table(WireLayer, complete)
+    common = {name: layer["properties"][name] for name in FOR_ALL_LAYERS}
+    if complete:
+        layer["required"] = [name for name in layer["required"] if name not in common]
+    layers = {"type": "object", "patternProperties": {_WIRE_NUMBER: layer}, "additionalProperties": False}
+    found = _schema_table(DriftChamber, complete, {**common, "layers": layers})
+    return {**found, "required": [*found["required"], "layers"]} if complete else found
+
+
+def _material() -> dict[str, Any]:
+    bulk = ["density", "x0", "z_over_a", "excitation_energy"]
+    ways = [["base"], ["density", "composition"], bulk]
+    return {**_schema_table(Material, complete=False), "anyOf": [{"required": names} for names in ways]}
+
+
+def _schema_value(key: Key) -> dict[str, Any]:
+    limits = {} if key.low == -float("inf") else {"minimum": key.low, "maximum": key.high}
+    if key.kind in NATIVE:
+        return _quantity(key, limits)
+    kinds: dict[str, dict[str, Any]] = {
+        "integer": {"type": "integer", **limits},
+        "sign": {"enum": [-1, 1]},
+        "boolean": {"type": "boolean"},
+        "text": {"enum": list(key.choices)} if key.choices else {"type": "string"},
+        "material": {"type": "string"},
+        "gas": {"type": "string"},
+        "stack": {"type": "array", "minItems": 1, "items": {"$ref": "#/$defs/sub_layer"}},
+        "composition": {
+            "anyOf": [
+                {"type": "string", "pattern": r"^([A-Z][a-z]?([1-9]\d*)?)+$"},
+                {"type": "object", "additionalProperties": {"type": "number", "exclusiveMinimum": 0, "maximum": 1}},
+            ]
+        },
+        "profile": {"type": "array", "maxItems": MOST_POINTS, "items": {"$ref": "#/$defs/rate_point"}},
+        "counts": {"type": "array", "minItems": 1, "maxItems": MOST_POINTS, "items": {"type": "number", "minimum": 0}},
+        "offset": {"anyOf": [{"const": CENTRED}, {"type": "number", **limits}]},
+        "strips": {"type": "array", "items": {"type": "string", "pattern": f"^{STRIPS}$"}},
+        "gains": {"type": "array", "items": {"anyOf": [{"type": "number", **limits}, _grid(limits)]}},
+        "numbers": {
+            "type": "object",
+            "properties": {name: {"type": "number"} for name in DensityEffect._fields},
+            "required": list(DensityEffect._fields),
+            "additionalProperties": False,
+        },
+    }
+    return {"description": key.doc, **kinds[key.kind]}
+
+
+def _grid(limits: dict[str, float]) -> dict[str, Any]:
+    row = {"type": "array", "minItems": 1, "items": {"type": "number", **limits}}
+    return {"type": "array", "minItems": 1, "items": row}
+
+
+def _quantity(key: Key, limits: dict[str, float]) -> dict[str, Any]:
+    units = "|".join(re.escape(unit) for unit in units_of(key.kind) if unit)
+    text = {"type": "string", "pattern": rf"^\s*{_NUMBER}\s*({units})\s*$"}
+    if key.kind == "dimensionless":
+        return {"description": key.doc, "anyOf": [{"type": "number", **limits}, text]}
+    span = f" ({format_quantity(key.low, key.kind)} to {format_quantity(key.high, key.kind)})" if limits else ""
+    return {"description": key.doc + span, **text}
+
+
+_SCHEMA = "http://service-spi.web.cern.ch/service-spi/app/releases/GDML/schema/gdml.xsd"
+_MARGIN = 10.0  # mm, from the detector to the wall of the world
+_VACUUM = 1e-25  # g/cm3, as Geant4's G4_Galactic
+
+
+def write_gdml(detector: Contents, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
+    """Write the volumes and materials of a detector; see `Detector.to_gdml`."""
+    tree = ElementTree.ElementTree(_gdml(detector))
+    ElementTree.indent(tree, "  ")
+    with new_file(path, overwrite=overwrite) as temporary, Path(temporary).open("wb") as stream:
+        tree.write(stream, encoding="UTF-8", xml_declaration=True)
+
+
+def _gdml(detector: Contents) -> ElementTree.Element:
+    """Return the root of the file: a world of air with one tube for each shell, and a tube of vacuum on the axis."""
+    found = [slab.shells for slab in slabs(detector, merge=False)]
+    placed = [shells for shells in found if shells[0].half_length < ENDLESS]
+    length = max(shell.half_length for shells in placed for shell in shells)
+    radius = max(shell.r_out for shells in placed for shell in shells)
+    root = ElementTree.Element("gdml")
+    root.set("xmlns:xsi", "http://www.w3.org/2001/XMLSchema-instance")
+    root.set("xsi:noNamespaceSchemaLocation", _SCHEMA)
+    ElementTree.SubElement(root, "define")
+    materials = _Materials(ElementTree.SubElement(root, "materials"))
+    solids, structure = ElementTree.SubElement(root, "solids"), ElementTree.SubElement(root, "structure")
+    volumes: list[tuple[str, float, float, float, str, float | None]] = [
+        ("beam_vacuum", 0.0, placed[0][0].r_in, length, "vacuum", None)
+    ]
+    for number, shells in enumerate(placed):
+        name = _name(f"tube{number:03d}_{shells[0].group}_{shells[0].label}")
+        shell = shells[0]
+        volumes.append((name, shell.r_in, shell.r_out, shell.half_length, materials.of(shells), _x0(shells)))
+    for name, r_in, r_out, half, material, x0 in volumes:
+        about = {"name": f"{name}_solid", "lunit": "mm", "aunit": "deg", "startphi": "0", "deltaphi": "360"}
+        size = {"rmin": repr(float(r_in)), "rmax": repr(float(r_out)), "z": repr(float(2 * half))}
+        ElementTree.SubElement(solids, "tube", about | size)
+        _volume(structure, name, material, f"{name}_solid", x0)
+    across, along = repr(2 * (radius + _MARGIN)), repr(2 * (length + _MARGIN))
+    ElementTree.SubElement(solids, "box", name="world_solid", lunit="mm", x=across, y=across, z=along)
+    air = Shell("air", "air", 0.0, 1.0, 1.0, detector.air)
+    world = _volume(structure, "world", materials.of((air,)), "world_solid", detector.air.x0)
+    for name, *_ in volumes:
+        physical = ElementTree.SubElement(world, "physvol", name=f"{name}_placed")
+        ElementTree.SubElement(physical, "volumeref", ref=name)
+    materials.write()
+    setup = ElementTree.SubElement(root, "setup", name="Default", version="1.0")
+    ElementTree.SubElement(setup, "world", ref="world")
+    return root
+
+
+def _volume(
+    structure: ElementTree.Element, name: str, material: str, solid: str, x0: float | None
+) -> ElementTree.Element:
+    """Add a volume; the radiation length that cgemit uses stands beside it, since GDML has no place for it."""
+    volume = ElementTree.SubElement(structure, "volume", name=name)
+    ElementTree.SubElement(volume, "materialref", ref=material)
+    ElementTree.SubElement(volume, "solidref", ref=solid)
+    if x0 is not None:
+        ElementTree.SubElement(volume, "auxiliary", auxtype="X0", auxvalue=repr(x0), auxunit="mm")
+    return volume
+
+
+def _x0(shells: Sequence[Shell]) -> float:
+    """Return the radiation length of shells in the same place, mm: gas and the wires spread over it."""
+    return 1 / sum(1 / shell.material.x0 for shell in shells)
+
+
+class _Materials:
+    """The materials of a file; equal ones are written once, under names that differ."""
+
+    def __init__(self, parent: ElementTree.Element) -> None:
+        self._parent = parent
+        self._names: dict[tuple[Material, ...], str] = {}
+        self._elements: set[str] = set()
+        self._mixtures: list[ElementTree.Element] = []
+        vacuum = ElementTree.Element("material", name="vacuum", Z="1")
+        ElementTree.SubElement(vacuum, "D", value=repr(_VACUUM), unit="g/cm3")
+        ElementTree.SubElement(vacuum, "atom", value="1.008")
+        self._mixtures.append(vacuum)
+
+    def of(self, shells: Sequence[Shell]) -> str:
+        """Return the name of the material of shells in the same place."""
+        key = tuple(shell.material for shell in shells)
+        if key not in self._names:
+            wanted = _name("_and_".join(material.name for material in key))
+            taken = {*self._names.values(), "vacuum"}
+            names = itertools.chain([wanted], (f"{wanted}_{i}" for i in itertools.count(2)))
+            self._names[key] = next(name for name in names if name not in taken)
+            self._mixtures.append(self._mixture(self._names[key], key))
+        return self._names[key]
+
+    def write(self) -> None:
+        """Add elements and materials to the file, the elements first."""
+        self._parent.extend(self._mixtures)
+
+    def _mixture(self, name: str, parts: Sequence[Material]) -> ElementTree.Element:
+        """Return a material; that of several parts has the sum of their densities."""
+        density = sum(part.density for part in parts)
+        shares: dict[str, float] = {}
+        for part in parts:
+            for element, share in self._composition(part):
+                shares[element] = shares.get(element, 0.0) + share * part.density / density
+        gas = all(part.gas for part in parts)
+        made = ElementTree.Element("material", name=name, state="gas" if gas else "solid")
+        ElementTree.SubElement(made, "D", value=repr(density), unit="g/cm3")
+        total = sum(shares.values())
+        for element, share in shares.items():
+            ElementTree.SubElement(made, "fraction", n=repr(share / total), ref=element)
+        return made
+
+    def _composition(self, material: Material) -> list[tuple[str, float]]:
+        """Return the elements of a material by mass; one equivalent element where only bulk properties are known."""
+        if not material.composition:
+            ((equivalent, _),) = material.elements()
+            name = _name(f"element_of_{material.name}")
+            self._add(name, name, equivalent.z, equivalent.a)
+            return [(name, 1.0)]
+        for symbol, _ in material.composition:
+            self._add(f"element_{symbol}", symbol, elements()[symbol].z, elements()[symbol].a)
+        return [(f"element_{symbol}", share) for symbol, share in material.composition]
+
+    def _add(self, name: str, formula: str, z: float, a: float) -> None:
+        if name in self._elements:
+            return
+        self._elements.add(name)
+        element = ElementTree.SubElement(self._parent, "element", name=name, formula=formula, Z=f"{z:g}")
+        ElementTree.SubElement(element, "atom", type="A", unit="g/mol", value=repr(a))
+
+
+def _name(text: str) -> str:
+    """Return a name that XML allows as a reference."""
+    plain = re.sub(r"[^A-Za-z0-9_.-]+", "_", text)
+    return plain if re.match(r"[A-Za-z_]", plain) else f"v{plain}"

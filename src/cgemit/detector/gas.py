@@ -1,0 +1,495 @@
+"""Gas of the drift gaps: ionization, electrodes around it, and transport of electrons.
+
+The tables that do not depend on the particle are computed here, once per detector (docs/methods/deltas.md).
+Positions w are mm outward from the inner edge of the gap; energies keV.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Sequence
+from functools import cache, lru_cache
+from importlib import resources
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cgemit import _core
+from cgemit.detector.detector import Detector
+from cgemit.detector.material import Material
+from cgemit.detector.parts import CgemLayer, Contents, Shell
+
+Floats = NDArray[np.float64]
+
+REST_ENERGY = 510.99895  # keV, of the electron (PDG 2024)
+AVOGADRO = 6.02214076e23  # 1/mol
+K_KEV = 307.075  # keV cm2/mol, 4 pi N_A r_e^2 m_e c^2 (PDG 2024)
+LEAST_ENERGY = 1.0  # keV, of electrons that leave a solid
+SLICE_RATIO = 1.15  # least energies of neighbouring slices
+JOY_LUO_LIMIT = 10.0  # keV
+EVEN_DEPTH = 2e-3  # g/cm2, what 30 keV electrons cross: farther from the gap, neighbouring solids count as one
+EVEN_DENSITY = 0.5  # g/cm3: neither gas nor foam
+
+
+class Ionization(NamedTuple):
+    """Primary ionization of a gas, as in ``data/gases``."""
+
+    electron_density: float  # mol/cm3, density times Z/A
+    w_value: float  # keV per electron
+    betagamma: Floats  # (n,)
+    clusters: Floats  # (n,), ionizations per mm at `betagamma`
+    sizes: Floats  # (m,), share of the ionizations with up to 1, 2, ... electrons, then up to each of `tail[1:]`
+    tail: Floats  # (k,), borders of the ranges over which the number of electrons n falls as 1/n^2
+
+
+@cache
+def ionization(name: str) -> Ionization:
+    """Return a table of ``data/gases`` by name."""
+    text = (resources.files("cgemit.detector") / "gases" / f"{name}.csv").read_text(encoding="utf-8")
+    rows = list(csv.DictReader(line for line in text.splitlines() if not line.startswith("#")))
+    single = {row["quantity"]: float(row["value"]) for row in rows if not row["at"]}
+    if "w_value" not in single:
+        raise ValueError(f"data/gases/{name}.csv: got no w_value, expected the mean energy per electron in eV")
+    columns = {}
+    for quantity in ("clusters", "size", "more_than"):
+        found = [(float(row["at"]), float(row["value"])) for row in rows if row["quantity"] == quantity]
+        columns[quantity] = np.array(found).T
+    sizes, tail = _sizes(columns["size"], columns["more_than"])
+    return Ionization(
+        electron_density=single["density"] * single["z_over_a"],
+        w_value=single["w_value"] * 1e-3,
+        betagamma=columns["clusters"][0],
+        clusters=0.1 * columns["clusters"][1],
+        sizes=sizes,
+        tail=tail,
+    )
+
+
+#: Where the size table ends, electrons: beyond, electrons are free ones struck by the particle.
+LARGEST_SIZE = 2000
+
+
+def _sizes(listed: Floats, beyond: Floats) -> tuple[Floats, Floats]:
+    """Return cumulative shares of sizes and ranges, and the borders of the ranges.
+
+    Between listed sizes the logarithm of the share is linear. Beyond the last range border the shares continue as
+    1/n^2; sizes above `LARGEST_SIZE` are left out.
+    """
+    every = np.arange(1, round(listed[0, -1]) + 1)
+    shares = np.exp(np.interp(every, listed[0], np.log(listed[1])))
+    borders = np.append(beyond[0], LARGEST_SIZE) + 0.5
+    last = beyond[1, -1] * (1 - borders[-2] / borders[-1])
+    ranges = np.append(-np.diff(beyond[1]), last)
+    shares *= (100 - beyond[1, 0]) / shares.sum()
+    cumulative = np.cumsum(np.concatenate([shares, ranges]))
+    return cumulative / cumulative[-1], borders
+
+
+def clusters_per_mm(gas: Material, ln_betagamma: Floats) -> Floats:
+    """Return the ionizations per mm, (n,), of a gas for ln(beta gamma), (n,).
+
+    Linear in ln(beta gamma) between the tabulated points, constant above (the plateau of the density effect),
+    1/beta^2 below. In proportion to the density of electrons if that is not the one of the table.
+    """
+    table = ionization_of(gas)
+    inside = np.interp(ln_betagamma, np.log(table.betagamma), table.clusters)
+    lowest = table.betagamma[0]
+    per_beta2 = (1 + np.exp(-2 * ln_betagamma)) / (1 + lowest**-2)
+    return inside * np.where(ln_betagamma < math.log(lowest), per_beta2, 1.0) * _ratio(gas, table)
+
+
+DEFAULT_IONIZATION = "ar-ic4h10-90-10"
+
+
+def ionization_of(gas: Material) -> Ionization:
+    """Return the table that a gas names, or the default one."""
+    return ionization(gas.ionization or DEFAULT_IONIZATION)
+
+
+def w_values(detector: Contents) -> Floats:
+    """Return the mean energy per electron of ionization in each CGEM layer's gas, (layers,), keV."""
+    return np.array([ionization_of(layer.gas).w_value for layer in detector.cgem], np.float64)
+
+
+def _ratio(gas: Material, table: Ionization) -> float:
+    return gas.density * gas.z_over_a / table.electron_density
+
+
+def practical_range(energy: Floats) -> Floats:
+    """Return the practical range, g/cm2, of electrons of some keV; Kobetich and Katz, Phys. Rev. 170 (1968) 391."""
+    return 5.37e-4 * energy * (1 - 0.9815 / (1 + 3.123e-3 * energy))
+
+
+def stopping_power(material: Material, energy: Floats) -> Floats:
+    """Return the collision stopping power of electrons, keV/mm, (n,), for kinetic energies in keV, (n,).
+
+    Above 10 keV M.J. Berger and S.M. Seltzer, NBSIR 82-2550 (ICRU Report 37, eq. 2.11 and 2.12), with the material's
+    density effect; below D.C. Joy and S. Luo, Scanning 11 (1989) 176, whose mean excitation energy falls with the
+    energy.
+    """
+    excitation = material.excitation_energy * 1e6
+    tau = energy / REST_ENERGY
+    beta2 = tau * (tau + 2) / (tau + 1) ** 2
+    delta = material.density_effect.delta(0.5 * np.log(tau * (tau + 2)))
+    high = np.log(tau**2 * (tau + 2) / 2 * (REST_ENERGY / excitation) ** 2) + 1 - beta2 - delta
+    high += (tau**2 / 8 - (2 * tau + 1) * math.log(2)) / (tau + 1) ** 2
+    low = 2 * np.log(1.166 * (energy / excitation + 0.85))
+    per_gram = 0.5 * K_KEV * material.z_over_a * np.where(energy < JOY_LUO_LIMIT, low, high) / beta2
+    return np.asarray(0.1 * material.density * per_gram)
+
+
+def elastic(material: Material, energy: Floats) -> tuple[Floats, Floats]:
+    """Return K (1/mm) and a of the rate of elastic scatters K/(mu + a)^2 d(mu), mu = (1 - cos(angle))/2; (n,) each.
+
+    Screened Rutherford cross-section as in D.C. Joy, Monte Carlo Modeling for Electron Microscopy and Microanalysis
+    (1995), ch. 3: 5.21e-21 cm2 Z^2/E^2 ((E + 511)/(E + 1024))^2 4 pi/(a(1 + a)), a = 3.4e-3 Z^0.67/E, E in keV.
+    In a, E is replaced by p^2/2m. Elements of a mixture share one a: ln(a) is the mean with K.
+    """
+    reduced = energy * (1 + energy / (2 * REST_ENERGY))
+    strength, logarithm = 0.0, 0.0
+    for element, moles in material.elements():
+        weight = AVOGADRO * material.density * moles * element.z**2
+        strength += weight
+        logarithm += weight * math.log(3.4e-3 * element.z**0.67)
+    per_cm = 4 * math.pi * 5.21e-21 * strength * ((energy + 511) / (energy + 1024) / energy) ** 2
+    return 0.1 * per_cm, math.exp(logarithm / strength) / reduced
+
+
+def electron_energies() -> Floats:
+    """Return the core's grid of electron energies, (ELECTRON_POINTS,), keV."""
+    octave, part = np.divmod(np.arange(_core.ELECTRON_POINTS), _core.ELECTRON_STEPS)
+    return np.asarray(_core.ELECTRON_GRID_FIRST * 2.0**octave * (1 + part / _core.ELECTRON_STEPS))
+
+
+def step_share(energy: Floats) -> Floats:
+    """Return the path between hard scatters over transport mean free path or remaining path, (n,); keV, (n,).
+
+    The share is smaller for faster electrons, which go farther. Half of it changes the displacements by less than 2 %.
+    """
+    return np.clip(0.1 * np.sqrt(200 / energy), 0.1, 0.5)
+
+
+def electron_table(shells: Sequence[Shell]) -> Floats:
+    """Return the electron table of sub-layers as one uniform matter, (ELECTRON_POINTS, 6) float64.
+
+    Columns: stopping (keV/mm), mean free path of hard scatters (mm), the mu above which a scatter is hard, screening,
+    mean of mu per mm by soft scatters, 1/momentum ((GeV/c)^-1). The mean free path of hard scatters is
+    `step_share` times the smaller of transport mean free path and energy/stopping; where that of all scatters is
+    longer, all are hard (F. Salvat et al., PENELOPE, class-II simulation).
+    """
+    energy = electron_energies()
+    share = np.array([shell.thickness for shell in shells]) / sum(shell.thickness for shell in shells)
+    stopping = share @ np.array([stopping_power(shell.material, energy) for shell in shells])
+    strengths, screenings = np.swapaxes([elastic(shell.material, energy) for shell in shells], 0, 1)
+    strength = share @ strengths
+    a = np.exp(share @ (strengths * np.log(screenings)) / strength)
+    transport = 2 * strength * (np.log1p(1 / a) - 1 / (1 + a))
+    longest = step_share(energy) * np.minimum(1 / transport, energy / stopping)
+    path = np.maximum(a * (1 + a) / strength, longest)
+    cut = np.maximum(1 / (1 / (path * strength) + 1 / (1 + a)) - a, 0.0)
+    cut[cut < 1e-9 * a] = 0.0
+    soft = strength * (np.log1p(cut / a) - cut / (cut + a))
+    momentum = 1e-6 * np.sqrt(energy * (energy + 2 * REST_ENERGY))  # GeV/c
+    return np.column_stack([stopping, path, cut, a, soft, 1 / momentum])
+
+
+def _groups(shells: Sequence[Shell], gap: int) -> list[list[Shell]]:
+    """Return the sub-layers in groups of uniform matter for electrons: solids side by side far from the gap."""
+    found: list[list[Shell]] = []
+    dense = [depth > EVEN_DEPTH and shell.material.density > EVEN_DENSITY for shell, depth in
+             zip(shells, _depths([[shell] for shell in shells], gap), strict=True)]  # fmt: skip
+    for i, shell in enumerate(shells):
+        if i > 0 and dense[i - 1] and dense[i]:
+            found[-1].append(shell)
+        else:
+            found.append([shell])
+    return found
+
+
+def _depths(groups: Sequence[Sequence[Shell]], gap: int) -> list[float]:
+    """Return the mass thickness, g/cm2, between each group's near face and the gap."""
+    mass = [sum(0.1 * shell.material.density * shell.thickness for shell in group) for group in groups]
+    return [sum(mass[i + 1 : gap]) if i < gap else sum(mass[gap + 1 : i]) for i in range(len(groups))]
+
+
+def slices(layer: CgemLayer) -> NDArray[np.float64]:
+    """Return the matter around a gap cut into slices, one row each from the gap inward, then outward.
+
+    Parameters
+    ----------
+    layer : CgemLayer
+
+    Returns
+    -------
+    (n, 4) float64
+        w of both faces, mm; least energy, keV, of an electron whose practical range brings it from the near face to
+        the gap, at least `LEAST_ENERGY`; (K/2) (Z/A) times mass thickness, keV. Neighbouring slices of a sub-layer
+        differ by a factor `SLICE_RATIO` in the least energy.
+
+    """
+    shells = list(layer.shells())
+    gap = [shell.group for shell in shells].index("drift")
+    energy = np.asarray(LEAST_ENERGY * SLICE_RATIO ** np.arange(120.0), np.float64)
+    borders = practical_range(energy)
+    rows = []
+    for i, depth in enumerate(_depths([[shell] for shell in shells], gap)):
+        if i == gap:
+            continue
+        shell, density = shells[i], 0.1 * shells[i].material.density
+        deepest = depth + density * shell.thickness
+        cuts = [depth, *borders[(borders > depth) & (borders < deepest)], deepest]
+        for near, far in pairwise(cuts):
+            away = (near - depth) / density, (far - depth) / density
+            face = shell.r_out if i < gap else shell.r_in
+            w = sorted(face + (-1 if i < gap else 1) * distance - layer.r_gap_in for distance in away)
+            least = max(LEAST_ENERGY, float(np.interp(near, borders, energy)))
+            rows.append((*w, least, 1e6 * shell.material.xi(away[1] - away[0])))
+    return np.array(rows)
+
+
+@lru_cache(maxsize=64)
+def gap_columns(layer: CgemLayer) -> dict[str, Any]:
+    """Return a gap as the core takes it: dicts of columns (float64) and numbers, see ``detector/gap.hpp``.
+
+    Equal layers share one result, which must not be changed.
+    """
+    shells = list(layer.shells())
+    groups = _groups(shells, [shell.group for shell in shells].index("drift"))
+    gap = [group[0].group for group in groups].index("drift")
+    density = [sum(s.material.density * s.thickness for s in g) / sum(s.thickness for s in g) for g in groups]
+    table = ionization_of(layer.gas)
+    cut = slices(layer)
+    grid = _core.LOSS_GRID_FIRST + _core.LOSS_GRID_STEP * np.arange(_core.LOSS_POINTS, dtype=np.float64)
+    return {
+        "layers": {
+            "w_in": np.array([group[0].r_in - layer.r_gap_in for group in groups]),
+            "w_out": np.array([group[-1].r_out - layer.r_gap_in for group in groups]),
+            "density": 0.1 * np.array(density),
+            "depth": np.array(_depths(groups, gap)),
+            "electrons": np.array([electron_table(group).ravel() for group in groups]),
+        },
+        "gap": gap,
+        "half_length": layer.half_length,
+        "slices": {
+            "w_in": cut[:, 0].copy(),
+            "w_out": cut[:, 1].copy(),
+            "least_energy": cut[:, 2].copy(),
+            "rate": np.cumsum(cut[:, 3] / cut[:, 2]),
+        },
+        "xi": 1e6 * layer.gas.xi(1.0),
+        "w_value": table.w_value,
+        "clusters": clusters_per_mm(layer.gas, grid),
+        "sizes": table.sizes,
+        "tail": table.tail,
+    }
+
+
+def gap_table(detector: Contents) -> list[dict[str, Any]]:
+    """Return the gaps of a detector, one per CGEM layer, as the core takes them."""
+    return [gap_columns(layer) for layer in detector.cgem]
+
+
+#: Largest magnetic field of the tables, T: the line through 0 and 1 T is continued that far.
+MAX_B = 1.2
+
+_COLUMNS = ("velocity", "tan_lorentz", "sigma_x", "sigma_par", "sigma_l")
+#: Units of the tables in those of the program: um/ns to mm/ns, um/sqrt(cm) to mm/sqrt(mm).
+_NATIVE = np.array([1e-3, 1.0, 1e-3 / math.sqrt(10), 1e-3 / math.sqrt(10), 1e-3 / math.sqrt(10)])
+
+
+class Transport(NamedTuple):
+    """Transport of electrons at one electric and magnetic field at right angles."""
+
+    velocity: float  # mm/ns, along the electric field
+    tan_lorentz: float  # not negative
+    sigma_x: float  # mm/sqrt(mm), across both fields
+    sigma_par: float  # mm/sqrt(mm), along the magnetic field
+    sigma_l: float  # mm/sqrt(mm), along the drift
+
+
+@cache
+def table(gas: str) -> dict[float, Floats]:
+    """Return the table of a gas by magnetic field (T): rows of electric field (kV/cm) and the columns as in the file.
+
+    Parameters
+    ----------
+    gas : str
+        Such as ``"ar-ic4h10-90-10"``.
+
+    Returns
+    -------
+    dict of float to ndarray, (n, 6) float64
+    """
+    text = (resources.files("cgemit.detector") / "gases" / f"transport-{gas}.csv").read_text(encoding="utf-8")
+    rows = list(csv.DictReader(line for line in text.splitlines() if not line.startswith("#")))
+    found: dict[float, list[list[float]]] = {}
+    for row in rows:
+        found.setdefault(float(row["b_field"]), []).append([float(row[name]) for name in ("e_field", *_COLUMNS)])
+    return {b: np.array(sorted(values)) for b, values in found.items()}
+
+
+@lru_cache(maxsize=256)
+def transport(gas: str, e_field: float, b_field: float) -> Transport:
+    """Return the transport in a gas.
+
+    Parameters
+    ----------
+    gas : str
+    e_field : float
+        kV/cm.
+    b_field : float
+        T, of either sign.
+
+    Raises
+    ------
+    ValueError
+        If a field is outside the tables; of the electric field the rows of every magnetic field that is needed count.
+    """
+    b = abs(b_field)
+    if not b <= MAX_B:
+        raise ValueError(f"magnetic field: got {b:g} T, expected 0 to {MAX_B:g} T, where {gas} is tabulated")
+    rows = table(gas)
+    needed = (0.0,) if b == 0 else (1.0,) if b == 1 else (0.0, 1.0)
+    low, high = (f(side[0] for side in (rows[i][:, 0][[0, -1]][::s] for i in needed)) for f, s in ((max, 1), (min, -1)))
+    if not low <= e_field <= high:
+        raise ValueError(
+            f"electric field: got {e_field:g} kV/cm, expected {low:g} to {high:g} kV/cm, where {gas} is tabulated "
+            f"at {b:g} T"
+        )
+    at = [[np.interp(e_field, rows[i][:, 0], column) for column in rows[i][:, 1:].T] for i in needed]
+    values = np.array(at[0]) if len(at) == 1 else np.array(at[0]) + b * (np.array(at[1]) - np.array(at[0]))
+    return Transport(*(float(value) for value in values * _NATIVE))
+
+
+class LayerDrift(NamedTuple):
+    """Drift through one CGEM layer as the core takes it: electrons start in the drift gap and end on the anode."""
+
+    velocity: float  # mm/ns, in the drift gap
+    tan_lorentz: float  # in the drift gap, positive towards larger phi
+    sigma_x: float  # mm/sqrt(mm), diffusion in the drift gap along phi
+    sigma_par: float  # mm/sqrt(mm), along z
+    sigma_l: float  # mm/sqrt(mm), along the drift
+    shift: float  # rad, azimuth that the transfer and induction gaps add
+    delay: float  # ns, from the first foil to the last one
+    induction: float  # ns, of the induction gap
+    first_phi: float  # rad, diffusion of one electron in the first transfer gap along phi
+    first_z: float  # mm, along z
+    cloud_phi: float  # rad, width of the avalanche of one electron at the anode along phi
+    cloud_z: float  # mm, along z
+
+
+class _Gap(NamedTuple):
+    r_in: float  # mm
+    r_out: float  # mm
+    transport: Transport
+
+    def width_phi(self) -> float:
+        """Return the diffusion along phi, rad: the radii at which it arises are averaged."""
+        return self.transport.sigma_x * math.sqrt((self.r_out - self.r_in) / (self.r_in * self.r_out))
+
+    def width_z(self) -> float:
+        """Return the diffusion along z, mm."""
+        return self.transport.sigma_par * math.sqrt(self.r_out - self.r_in)
+
+
+def layer_drift(layer: CgemLayer, bz: float) -> LayerDrift:
+    """Return the drift in a layer.
+
+    In a cylinder the azimuth grows by tan(alpha) ln(r2/r1) over a gap, with the angle at the nominal field. Electrons
+    drift outward; in a field along +z they are bent towards larger phi.
+
+    Parameters
+    ----------
+    layer : CgemLayer
+    bz : float
+        T, signed.
+
+    Raises
+    ------
+    ValueError
+        Listing every field that is outside the tables, or that the gas has no table.
+    """
+    gas = layer.gas.ionization
+    if not gas:
+        raise ValueError(
+            f"cgem.{layer.label}.gas: got {layer.gas.name} without a table of electron transport, "
+            'expected a gas with ionization = "ar-ic4h10-90-10" or "ar-co2-70-30"'
+        )
+    problems: list[str] = []
+    found = []
+    for name in ("drift_field", "transfer_field", "induction_field"):
+        try:
+            found.append(transport(gas, getattr(layer, name), bz))
+        except ValueError as error:
+            problems.append(f"cgem.{layer.label}.{name}: {error}")
+    if problems:
+        raise ValueError("\n".join(problems))
+    drift, transfer, induction = found
+    gaps = _gaps_behind(layer, transfer, induction)
+    sign = math.copysign(1.0, bz)
+    return LayerDrift(
+        velocity=drift.velocity,
+        tan_lorentz=sign * drift.tan_lorentz,
+        sigma_x=drift.sigma_x,
+        sigma_par=drift.sigma_par,
+        sigma_l=drift.sigma_l,
+        shift=sign * sum(gap.transport.tan_lorentz * math.log(gap.r_out / gap.r_in) for gap in gaps),
+        delay=sum((gap.r_out - gap.r_in) / gap.transport.velocity for gap in gaps[:-1]),
+        induction=layer.induction_gap / induction.velocity,
+        first_phi=gaps[0].width_phi(),
+        first_z=gaps[0].width_z(),
+        cloud_phi=math.sqrt(sum(gap.width_phi() ** 2 for gap in gaps)),
+        cloud_z=math.sqrt(sum(gap.width_z() ** 2 for gap in gaps)),
+    )
+
+
+def _gaps_behind(layer: CgemLayer, transfer: Transport, induction: Transport) -> list[_Gap]:
+    """Return the gaps behind the first foil, from inside."""
+    foil = sum(part.thickness for part in layer.foil)
+    radius, gaps = layer.r_gap_out, []
+    for _ in range(layer.foils - 1):
+        radius += foil
+        gaps.append(_Gap(radius, radius + layer.transfer_gap, transfer))
+        radius += layer.transfer_gap
+    return [*gaps, _Gap(layer.anode_radius - layer.induction_gap, layer.anode_radius, induction)]
+
+
+@lru_cache(maxsize=64)
+def drift_columns(detector: Detector) -> dict[str, Floats]:
+    """Return the drift of all CGEM layers as columns, each (layers,) float64, see `LayerDrift`.
+
+    Parameters
+    ----------
+    detector : Detector
+
+    Raises
+    ------
+    ValueError
+        Listing the problems of all layers.
+    """
+    problems, found = [], []
+    for layer in detector.cgem:
+        try:
+            found.append(layer_drift(layer, detector.field.bz))
+        except ValueError as error:
+            problems += str(error).splitlines()
+    if problems:
+        raise ValueError("\n  ".join([f"{detector.name}: no electron transport for the read-out", *problems]))
+    columns = np.array(found, np.float64).reshape(-1, len(LayerDrift._fields)).T
+    return dict(zip(LayerDrift._fields, columns.copy(), strict=True))
+
+
+def mean_shift(layer: CgemLayer, bz: float) -> float:
+    """Return the Lorentz shift of electrons from mid-gap to the anode, mm of X.
+
+    Parameters
+    ----------
+    layer : CgemLayer
+    bz : float
+        T, signed.
+    """
+    drift = layer_drift(layer, bz)
+    return layer.r_readout * (drift.tan_lorentz * math.log(layer.r_gap_out / layer.r_mid) + drift.shift)

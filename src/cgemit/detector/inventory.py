@@ -1,0 +1,139 @@
+"""Numbers of a design that need no tracks: channels, area, matter, space between parts, occupancy."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields
+from itertools import pairwise
+
+from cgemit.detector.detector import Detector
+from cgemit.detector.parts import CgemLayer
+
+#: Momentum in GeV/c of unit charge on a circle of 1 mm in 1 T.
+_GEV_PER_T_MM = 0.299792458e-3
+
+
+@dataclass(frozen=True)
+class Background:
+    """Hits that do not belong to tracks, for the occupancy of strips.
+
+    Attributes
+    ----------
+    rate : float
+        Hits per area and time at `radius`, kHz/cm2.
+    radius : float
+        mm.
+    power : float
+        The rate falls with this power of the radius.
+    window : float
+        Time in which a strip counts hits, ns.
+    strips : float
+        Fired strips of a hit in each view.
+    """
+
+    rate: float
+    radius: float = 100.0
+    power: float = 2.0
+    window: float = 1000.0
+    strips: float = 3.0
+
+    def problems(self) -> list[str]:
+        """Return what is wrong with the numbers."""
+        return [
+            f"background.{field.name}: got {value!r}, expected a number of at least 0"
+            for field in fields(self)
+            if not isinstance(value := getattr(self, field.name), int | float) or not 0 <= value < math.inf
+        ]
+
+
+def channels(detector: Detector) -> float:
+    """Return the number of strips."""
+    return float(sum(layer.sheets * (layer.strips_x + layer.strips_v) for layer in detector.cgem))
+
+
+def smooth_channels(detector: Detector) -> float:
+    """Return the number of strips without rounding, which has derivatives and is never smaller."""
+    return sum(_smooth_channels(layer) for layer in detector.cgem)
+
+
+def _smooth_channels(layer: CgemLayer) -> float:
+    width = 2 * math.pi * layer.r_readout / layer.sheets
+    stereo = abs(layer.stereo)
+    # A stereo angle that follows from the diagonal of the X strips does so here from the whole sheet.
+    if abs(stereo - math.atan2((layer.strips_x - 1) * layer.pitch_x, layer.length)) < 1e-12:
+        stereo = math.atan2(width, layer.length)
+    along_v = width * math.cos(stereo) + layer.length * math.sin(stereo)
+    return layer.sheets * (width / layer.pitch_x + along_v / layer.pitch_v)
+
+
+def area(detector: Detector) -> float:
+    """Return the read-out area of all CGEM layers, m2."""
+    return sum(2 * math.pi * layer.r_readout * layer.length for layer in detector.cgem) / 1e6
+
+
+def radiation_lengths(detector: Detector) -> float:
+    """Return X/X0 of all CGEM layers at normal incidence, %."""
+    return 100 * sum(shell.x0 for layer in detector.cgem for shell in layer.shells())
+
+
+def outer_radius(detector: Detector) -> float:
+    """Return the radius within which all CGEM layers lie, mm."""
+    return max(layer.r_out for layer in detector.cgem)
+
+
+def inner_radius(detector: Detector) -> float:
+    """Return the radius outside of which all CGEM layers lie, mm."""
+    return min(layer.r_in for layer in detector.cgem)
+
+
+def gaps(detector: Detector) -> list[float]:
+    """Return the free space inside and outside each CGEM layer up to the next part, mm, from inside outward."""
+    spans = [(part.r_in, part.r_out, False) for part in (*detector.beam_pipe, *detector.walls)]
+    spans += [(layer.r_in, layer.r_out, True) for layer in detector.cgem]
+    if detector.drift_chamber:
+        first = detector.drift_chamber.layers[0]
+        spans.append((first.r_mid, first.r_end, False))
+    spans.sort()
+    return [outer[0] - inner[1] for inner, outer in pairwise(spans) if inner[2] or outer[2]]
+
+
+def smallest_gap(detector: Detector) -> float:
+    """Return the smallest free space inside or outside a CGEM layer, mm."""
+    return min(gaps(detector), default=math.inf)
+
+
+def pt_threshold(detector: Detector) -> float:
+    """Return the pT in MeV/c whose circle through the beam line just reaches the outermost CGEM layer."""
+    radius = max(layer.r_mid for layer in detector.cgem)
+    return 1000 * _GEV_PER_T_MM * abs(detector.field.bz) * 0.5 * radius
+
+
+def occupancy(detector: Detector, background: Background) -> float:
+    """Return the largest probability of a strip to be hit within the window, %.
+
+    Parameters
+    ----------
+    detector : Detector
+    background : Background
+    """
+    worst = 0.0
+    for layer in detector.cgem:
+        rate = background.rate * (background.radius / layer.r_mid) ** background.power  # kHz/cm2
+        sheet = 2 * math.pi * layer.r_readout * layer.length / layer.sheets / 100  # cm2
+        for strips in (layer.strips_x, layer.strips_v):
+            mean = rate * 1e3 * sheet / strips * background.strips * background.window * 1e-9
+            worst = max(worst, -100 * math.expm1(-mean))
+    return worst
+
+
+#: What can be a goal or a limit: unit, the number, and the number without rounding to whole strips.
+GEOMETRY: Mapping[str, tuple[str, Callable[[Detector], float], Callable[[Detector], float]]] = {
+    "channels": ("", channels, smooth_channels),
+    "area": ("m2", area, area),
+    "x0": ("%", radiation_lengths, radiation_lengths),
+    "outer_radius": ("mm", outer_radius, outer_radius),
+    "inner_radius": ("mm", inner_radius, inner_radius),
+    "gap": ("mm", smallest_gap, smallest_gap),
+    "pt_threshold": ("MeV/c", pt_threshold, pt_threshold),
+}

@@ -1,0 +1,558 @@
+"""Reader of a detector file: checks every value against its key, collects problems, merges a file with its base."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cache
+from itertools import pairwise
+from typing import Any
+
+from cgemit.base.errors import Problem, did_you_mean
+from cgemit.detector.keys import CENTRED, Key, Known, keys_of, opened, plain, required_of
+from cgemit.detector.material import DensityEffect, Material, elements, fractions_of_formula
+from cgemit.detector.parts import CgemLayer, RatePoint, SubLayer
+from cgemit.units import NATIVE, QuantityError, parse_quantity
+
+#: Sheet and strips of a list of strips.
+STRIPS = r"([0-9]{1,2}):([0-9]{1,6})(?:-([0-9]{1,6}))?"
+#: Most entries of a list of rates.
+MOST_POINTS = 100
+#: Characters of a value that messages show.
+LONGEST_SHOWN = 80
+
+
+class ListReader:
+    """Reads lists, and notes problems by the method of the `Reader` that it is part of."""
+
+    def note(self, path: str, given: str, expected: str, hint: str = "") -> Any:
+        """Note a problem."""
+        raise NotImplementedError
+
+    def _counts(self, path: str, raw: object, key: Key) -> Any:
+        numbers = raw if isinstance(raw, list) and 0 < len(raw) <= MOST_POINTS else []
+        good = all(isinstance(one, int | float) and not isinstance(one, bool) and 0 <= one < 1e15 for one in numbers)
+        if not good or not any(numbers):
+            self.note(path, shown(raw), key.expected())
+            return (1,)
+        return tuple(numbers)
+
+    def _strips(self, path: str, raw: object, key: Key) -> Any:
+        if not isinstance(raw, list):
+            self.note(path, shown(raw), key.expected())
+            return ()
+        found = []
+        for i, one in enumerate(raw):
+            match = re.fullmatch(STRIPS, one) if isinstance(one, str) else None
+            if match is None:
+                self.note(f"{path}[{i}]", shown(one), key.expected())
+                continue
+            sheet, first, last = match.groups()
+            found.append((int(sheet), int(first), int(last or first)))
+        return tuple(found)
+
+    def _gains(self, path: str, raw: object, key: Key) -> Any:
+        if not isinstance(raw, list):
+            self.note(path, shown(raw), key.expected())
+            return ()
+        return tuple(self._gain_grid(f"{path}[{i}]", sheet, key) for i, sheet in enumerate(raw))
+
+    def _gain_grid(self, path: str, raw: object, key: Key) -> Any:
+        rows = raw if isinstance(raw, list) else [[raw]]
+        if not rows or not all(isinstance(row, list) and row and len(row) == len(rows[0]) for row in rows):
+            self.note(path, shown(raw), key.expected() + ", rows of equal length")
+            return ((1.0,),)
+        for row in rows:
+            for number in row:
+                if not isinstance(number, int | float) or isinstance(number, bool) or not key.admits(number):
+                    self.note(path, shown(number), key.expected())
+                    return ((1.0,),)
+        return tuple(tuple(map(float, row)) for row in rows)
+
+
+def shown(raw: object) -> str:
+    """Return a value of a file in short form, as TOML would write it."""
+    if isinstance(raw, Mapping):
+        return "a table"
+    if isinstance(raw, list):
+        return f"a list of {len(raw)}"
+    if isinstance(raw, bool):
+        return str(raw).lower()
+    try:
+        text = json.dumps(raw, ensure_ascii=False) if isinstance(raw, str) else repr(raw)
+    except ValueError:  # a whole number of thousands of digits
+        return "a number too large to write"
+    return text if len(text) <= LONGEST_SHOWN else text[:LONGEST_SHOWN] + "..."
+
+
+def writable(text: str) -> bool:
+    """Return whether a file can hold a text: not with halves of surrogate pairs.
+
+    Parameters
+    ----------
+    text : str
+    """
+    try:
+        text.encode()
+    except UnicodeEncodeError:
+        return False
+    return True
+
+
+def strip_text(sheet: int, first: int, last: int) -> str:
+    """Return a range of strips as a file has it, such as ``0:17`` or ``1:100-120``."""
+    return f"{sheet}:{first}" if first == last else f"{sheet}:{first}-{last}"
+
+
+TOP_LEVEL = {
+    "base": "the preset or file that this one changes",
+    "name": "name of the detector, used in results",
+    "description": "one line about it",
+    "remove": 'parts of the base to leave out, such as ["cgem.L2", "drift_chamber"]',
+    "field": "magnetic field",
+    "beam_pipe": "cylinders of the beam pipe by label",
+    "cgem": "CGEM layers by label",
+    "walls": "further cylinders by label",
+    "drift_chamber": "drift chamber; sigma, sigma_slope, efficiency, wire_x0, signal_speed, readout_end hold for "
+    "layers without their own",
+    "background": "levels of background by label",
+    "materials": "materials by name",
+}
+
+# Separators of paths, control characters, marks that change the direction of text, and halves of surrogate pairs, which
+# no file can hold.
+_NOT_IN_NAMES = r"/\\\x00-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff"
+
+#: What a name must match: one line of at most 100 characters, not only blanks and dots, without separators of paths.
+NAME = rf"(?=.{{1,100}}$)[^{_NOT_IN_NAMES}]*[^{_NOT_IN_NAMES}\s.][^{_NOT_IN_NAMES}]*"
+
+#: What the label of a wire layer must match, and its largest number.
+WIRE_NUMBER, LAST_WIRE_LAYER = "0|[1-9][0-9]{0,4}", 65535
+
+
+#: Keys that a file may hold beside those of the dataclass.
+EXTRA: dict[type, dict[str, Key]] = {
+    CgemLayer: {"stereo_sign": Key("sign", "sign of the stereo angle where the angle itself is left out")},
+    Material: {"base": Key("text", "the material that this one is, at another density")},
+    SubLayer: {
+        "label": Key("text", "label of the sub-layer; the material's name if left out"),
+    },
+}
+
+
+#: A value whose problem has been noted. Arithmetic with it stays unusable and no check of it fails, so the rest of the
+#: part can still be checked.
+UNUSABLE: Any = math.nan
+
+
+#: Values that were read before and may have changed: materials, and stacks of them.
+_CHANGES = (Material, tuple)
+
+
+@dataclass
+class Reader(ListReader):
+    """Reads tables and notes problems.
+
+    `materials` holds None for a material with problems of its own. If the base could not be read (`baseless`), missing
+    values are not problems of the file.
+    """
+
+    materials: Mapping[str, Material | None] = field(default_factory=dict)
+    problems: list[Problem] = field(default_factory=list)
+    baseless: bool = False
+
+    def note(self, path: str, given: str, expected: str, hint: str = "") -> Any:
+        """Note a problem; return UNUSABLE."""
+        self.problems.append(Problem(path, given, expected, hint))
+        return UNUSABLE
+
+    def mapping(self, path: str, raw: object) -> Mapping[str, Any]:
+        """Return `raw` if it is a table, else note the problem and return an empty one."""
+        if isinstance(raw, Mapping):
+            return raw
+        self.note(path, shown(raw), f"a table [{path}]")
+        return {}
+
+    def table(
+        self,
+        path: str,
+        raw: object,
+        kind: type,
+        *,
+        elsewhere: Iterable[str] = (),
+        defaults: Mapping[str, Any] | None = None,
+        siblings: Iterable[str] = (),
+        keys: Mapping[str, Key] | None = None,
+    ) -> dict[str, Any]:
+        """Return the values of a table in native units; UNUSABLE for wrong or missing values.
+
+        Parameters
+        ----------
+        path, raw : str, object
+            Path of the table in the file, and its content.
+        kind : type
+            The dataclass whose keys are read.
+        elsewhere : iterable of str
+            Further keys of this table, which the caller has read; for the message about unknown keys.
+        defaults : mapping
+            Values, already read, of keys that may be missing.
+        siblings : iterable of str
+            Labels of the tables beside this one, to recognise a misspelt label.
+        keys : mapping, optional
+            What is read instead of the keys of `kind`.
+
+        """
+        keys = keys or _keys(kind)
+        values = dict(defaults or {})
+        tables = self.mapping(path, raw)
+        for name, value in tables.items():
+            if type(value) is Known and name in keys:
+                known = value.value
+                values[name] = self._known(known) if isinstance(known, _CHANGES) else known
+            elif name in keys:
+                values[name] = self.value(f"{path}.{name}", value, keys[name])
+            else:
+                names = [*keys, *elsewhere]
+                self.note(f"{path}.{name}", "an unknown key", "one of " + ", ".join(names), did_you_mean(name, names))
+        left = required_of(kind) - values.keys()
+        missing = [name for name in keys if name in left] if left else []
+        if missing and not self.baseless and isinstance(raw, Mapping):
+            self.note(path, _only(raw), "also " + ", ".join(missing), _label_hint(path, siblings))
+        return {**values, **{name: _unusable(keys[name]) for name in missing}}
+
+    def value(self, path: str, raw: object, key: Key) -> Any:
+        """Return one value in native units, or UNUSABLE after noting what is wrong."""
+        if isinstance(raw, Known):
+            return self._known(raw.value)
+        if key.kind in NATIVE:
+            return self._quantity(path, raw, key)
+        if key.kind in ("text", "boolean", "integer", "sign"):
+            return self._plain(path, raw, key)
+        return getattr(self, f"_{key.kind}")(path, raw, key)
+
+    def _known(self, value: Any) -> Any:
+        """Return a value of a part that was read before; materials of the same name may have changed since."""
+        if isinstance(value, Material):
+            return self.materials.get(value.name) or value
+        if isinstance(value, tuple) and value and isinstance(value[0], SubLayer):
+            materials = [self._known(part.material) for part in value]
+            if any(new is not part.material for new, part in zip(materials, value, strict=True)):
+                return tuple(replace(part, material=new) for new, part in zip(materials, value, strict=True))
+        return value
+
+    def _quantity(self, path: str, raw: object, key: Key) -> Any:
+        try:
+            number = parse_quantity(raw, key.kind)
+        except QuantityError as error:
+            return self.note(path, error.given, error.expected, error.hint)
+        if not key.admits(number):
+            converted = isinstance(raw, str) and NATIVE[key.kind] not in raw
+            native = f" = {number:.6g} {NATIVE[key.kind]}" if converted else ""
+            return self.note(path, shown(raw) + native, key.expected())
+        return number
+
+    def _plain(self, path: str, raw: object, key: Key) -> Any:
+        kinds: dict[str, type] = {"text": str, "boolean": bool, "integer": int, "sign": int}
+        good = isinstance(raw, kinds[key.kind]) and (key.kind == "boolean") == isinstance(raw, bool)
+        good = good and (not isinstance(raw, str) or writable(raw))
+        if good and isinstance(raw, int) and key.kind != "boolean":
+            good = raw in (-1, 1) if key.kind == "sign" else key.admits(raw)
+        if not good or (key.choices and raw not in key.choices):
+            hint = did_you_mean(raw, key.choices) if isinstance(raw, str) and key.choices else ""
+            return self.note(path, shown(raw), key.expected(), hint)
+        return raw
+
+    def _material(self, path: str, raw: object, key: Key) -> Any:
+        if not isinstance(raw, str):
+            return self.note(path, shown(raw), key.expected())
+        if raw not in self.materials:
+            known = ", ".join(self.materials)
+            return self.note(
+                path,
+                f'unknown material "{raw}"',
+                f"one of {known}, or a table [materials.{raw}]",
+                did_you_mean(raw, self.materials),
+            )
+        return self.materials[raw] or UNUSABLE
+
+    def _gas(self, path: str, raw: object, key: Key) -> Any:
+        material = self._material(path, raw, key)
+        if isinstance(material, Material) and not material.gas:
+            gases = ", ".join(name for name, one in self.materials.items() if one and one.gas)
+            return self.note(path, f'"{raw}", which is no gas', f"{key.expected()}, such as {gases}")
+        return material
+
+    def _stack(self, path: str, raw: object, key: Key) -> Any:
+        if not isinstance(raw, list) or not raw:
+            self.note(path, shown(raw), key.expected())
+            return _unusable(key)
+        parts = []
+        for i, row in enumerate(raw):
+            if isinstance(row, SubLayer):  # read before
+                parts += self._known((row,))
+                continue
+            values = self.table(f"{path}[{i}]", row, SubLayer)
+            values.setdefault("label", getattr(values["material"], "name", ""))
+            parts.append(SubLayer(**values))
+        return tuple(parts)
+
+    def _profile(self, path: str, raw: object, key: Key) -> Any:
+        if not isinstance(raw, list) or len(raw) > MOST_POINTS:
+            self.note(path, shown(raw), key.expected())
+            return ()
+        points = [RatePoint(**self.table(f"{path}[{i}]", row, RatePoint)) for i, row in enumerate(raw)]
+        if any(second.r <= first.r for first, second in pairwise(points)):
+            self.note(path, f"a list of {len(raw)}", key.expected())
+        return tuple(points)
+
+    def _composition(self, path: str, raw: object, key: Key) -> Any:
+        if isinstance(raw, str):
+            try:
+                return tuple(fractions_of_formula(raw).items())
+            except KeyError as error:
+                return self.note(path, f'unknown element "{error.args[0]}"', "one of " + ", ".join(elements()))
+            except ValueError:
+                return self.note(path, shown(raw), key.expected())
+        if not isinstance(raw, Mapping):
+            return self.note(path, shown(raw), key.expected())
+        for name, part in raw.items():
+            if name not in elements():
+                return self.note(f"{path}.{name}", "an unknown element", "one of " + ", ".join(elements()))
+            if not isinstance(part, int | float) or isinstance(part, bool) or not 0 < part <= 1:
+                return self.note(f"{path}.{name}", shown(part), "a mass fraction between 0 and 1")
+        total = sum(raw.values())
+        if abs(total - 1) > 0.01:
+            return self.note(path, f"mass fractions with sum {total:g}", "mass fractions with sum 1 (within 0.01)")
+        # A sum that is 1 up to rounding stays untouched, so that files read back exactly.
+        scale = 1.0 if abs(total - 1) < 1e-9 else total
+        return tuple((name, part / scale) for name, part in raw.items())
+
+    def _offset(self, path: str, raw: object, key: Key) -> Any:
+        if raw == CENTRED:
+            return raw
+        if not isinstance(raw, int | float) or isinstance(raw, bool) or not key.admits(raw):
+            return self.note(path, shown(raw), key.expected())
+        return float(raw)
+
+    def _numbers(self, path: str, raw: object, key: Key) -> Any:
+        names = DensityEffect._fields
+        if not isinstance(raw, Mapping) or set(raw) != set(names):
+            return self.note(path, shown(raw), key.expected())
+        number = Key("dimensionless", "", -100.0, 100.0)
+        values = [self._quantity(f"{path}.{name}", raw[name], number) for name in names]
+        return DensityEffect(*values)
+
+
+@cache
+def _keys(kind: Any) -> dict[str, Key]:
+    """Return the keys that the table of a part may have in a file."""
+    return {**keys_of(kind), **EXTRA.get(kind, {})}
+
+
+def _unusable(key: Key) -> Any:
+    if key.kind == "stack":
+        return (SubLayer(label="", material=UNUSABLE, thickness=UNUSABLE),)
+    return UNUSABLE
+
+
+def _only(raw: Mapping[str, Any]) -> str:
+    return "only " + ", ".join(map(str, raw)) if raw else "an empty table"
+
+
+def _label_hint(path: str, siblings: Iterable[str]) -> str:
+    """Return a hint for an incomplete table: a misspelt label, or a new part."""
+    others = list(siblings)
+    label = path.rpartition(".")[2]
+    hint = did_you_mean(label, [other for other in others if other != label])
+    return hint or ("a part that the base does not have must be complete" if others else "")
+
+
+#: Key of the material that a material of a variant replaces.
+BELOW = "<below>"
+
+#: Derived values of a CGEM layer in the order of their computation, each with the values that it depends on.
+DERIVED_FROM = {
+    "strips_x": {"anode_radius", "readout_offset", "sheets", "pitch_x"},
+    "stereo": {"strips_x", "pitch_x", "length", "stereo_sign"},
+    "strips_v": {"stereo", "strips_x", "pitch_x", "pitch_v", "length"},
+    "offset_v": {"strips_v", "stereo", "strips_x", "pitch_x", "pitch_v", "length"},
+}
+
+#: Values of [drift_chamber] that hold for every layer which does not state its own; a new value in a variant
+#: replaces the listed values of the base's layers.
+FOR_ALL_LAYERS = {
+    "sigma": ("sigma", "sigma_slope"),
+    "sigma_slope": ("sigma_slope",),
+    "efficiency": ("efficiency",),
+    "wire_x0": ("wire_x0",),
+    "signal_speed": ("signal_speed",),
+    "readout_end": ("readout_end",),
+}
+
+
+def merged(base: Mapping[str, Any], variant: Mapping[str, Any], problems: list[Problem]) -> dict[str, Any]:
+    """Return `base` with the tables of `variant` laid over it; what `variant["remove"]` names is taken out first.
+
+    The base may hold parts that were read before (`describe.tables_of`); those that the variant does not change are
+    the same objects in the result. CGEM layers with the key `like` are copies of other layers with some values changed.
+    """
+    copies = {label: layer for label, layer in _tables(variant, "cgem").items() if _has_like(layer)}
+    if copies:
+        variant = {**variant, "cgem": {k: v for k, v in variant["cgem"].items() if k not in copies}}
+    result: dict[str, Any] = _copied(base, open_parts="materials" in variant)
+    _remove(result, variant.get("remove", []), problems)
+    for label, layer in _tables(variant, "cgem").items():
+        if isinstance(layer, Mapping):
+            _drop_derived(_open(_tables(result, "cgem"), label), layer)
+    _drop_field(result, _tables(variant, "field"))
+    chamber = variant.get("drift_chamber")
+    if isinstance(chamber, Mapping):
+        for name in FOR_ALL_LAYERS.keys() & chamber.keys():
+            layers = _tables(_tables(result, "drift_chamber"), "layers")
+            for layer in (_open(layers, number) for number in layers):
+                for old in FOR_ALL_LAYERS[name]:
+                    layer.pop(old, None)
+    _lay_over(result, {k: v for k, v in variant.items() if k not in ("remove", "base")}, "")
+    for label, layer in copies.items():
+        _copy_layer(result.setdefault("cgem", {}), label, layer, problems)
+    return result
+
+
+def _copied(tree: Any, *, open_parts: bool = False) -> Any:
+    """Return nested tables whose dicts may be changed; parts that were read before are shared, or opened."""
+    if isinstance(tree, Mapping):
+        return {name: _copied(one, open_parts=open_parts and name != "materials") for name, one in tree.items()}
+    return opened(tree) if open_parts else tree
+
+
+def _open(tables: dict[str, Any], name: str) -> dict[str, Any]:
+    """Return a table of others, opened if it is a part that was read before; an empty one if it is none."""
+    if name in tables:
+        tables[name] = opened(tables[name])
+    return _tables(tables, name)
+
+
+def _has_like(layer: object) -> bool:
+    return isinstance(layer, Mapping) and "like" in layer
+
+
+def _copy_layer(layers: dict[str, Any], label: str, changes: Mapping[str, Any], problems: list[Problem]) -> None:
+    """Add a CGEM layer that is a copy of another one with some values changed; those derived from them are left out."""
+    like = changes["like"]
+    if not isinstance(like, str) or like not in layers:
+        given = f'"{like}"' if isinstance(like, str) else repr(like)
+        expected = "the label of another layer: " + ", ".join(layers)
+        problems.append(Problem(f"cgem.{label}.like", given, expected, did_you_mean(like, layers)))
+        return
+    layer = _copied(opened(layers[like]))
+    own = {name: value for name, value in changes.items() if name != "like"}
+    _drop_derived(layer, own)
+    _lay_over(layer, own, label)
+    layers[label] = layer
+
+
+def set_path(tree: dict[str, Any], dotted: str, value: object) -> bool:
+    """Set a value in nested tables by its dotted path; return False if a part of the path is a value already.
+
+    A table is copied, and what is set inside it by longer paths stays.
+    """
+    *parents, last = dotted.split(".")
+    for name in parents:
+        tree = tree.setdefault(name, {})
+        if not isinstance(tree, dict):
+            return False
+    before = tree.get(last)
+    tree[last] = _copied(value) | before if isinstance(value, Mapping) and isinstance(before, dict) else _copied(value)
+    return True
+
+
+def _tables(tree: Mapping[str, Any], name: str) -> dict[str, Any]:
+    found = tree.get(name)
+    return found if isinstance(found, dict) else {}
+
+
+def _drop_derived(base: dict[str, Any], variant: Mapping[str, Any]) -> None:
+    """Remove the derived values of a layer of the base that depend on changed values."""
+    changed = set(variant)
+    for name, depends in DERIVED_FROM.items():
+        if name not in variant and changed & depends:
+            old = base.pop(name, None)
+            changed.add(name)
+            old = plain(old)
+            if name == "stereo" and isinstance(old, str | float):
+                base["stereo_sign"] = -1 if str(old).lstrip().startswith("-") else 1
+            if name == "offset_v" and old:
+                base["offset_v"] = CENTRED  # strips that were moved off the corner stay on the sheet
+
+
+def _drop_field(base: dict[str, Any], variant: Mapping[str, Any]) -> None:
+    """Keep only the strength of the base's field if the variant has another kind; a map has its own strength."""
+    if not variant:
+        return
+    old, kind = _open(base, "field"), variant.get("kind")
+    if kind is not None and kind != plain(old.get("kind")):
+        base["field"] = {"bz": old["bz"]} if "bz" in old and kind != "map" else {}
+    elif "file" in variant:
+        base["field"] = {name: value for name, value in old.items() if name not in ("bz", "checksum")}
+
+
+def _lay_over(base: dict[str, Any], variant: Mapping[str, Any], path: str) -> None:
+    for name, value in variant.items():
+        if isinstance(value, Mapping) and name in base and path == "materials":
+            # Values of a material depend on each other: the reader decides what of the old one stays.
+            base[name] = {**_copied(value), BELOW: base[name]}
+            continue
+        if isinstance(value, Mapping) and name in base:
+            base[name] = _stack_of(base[name])
+            if isinstance(base[name], list):
+                base[name] = _changed_stack(base[name], value)
+                continue
+            if isinstance(_open(base, name), dict) and isinstance(base[name], dict):
+                _lay_over(base[name], value, name)
+                continue
+        base[name] = _copied(value)
+
+
+def _stack_of(value: Any) -> Any:
+    """Return the sub-layers of a part that was read before as a list; anything else as it is."""
+    return list(value.value) if isinstance(value, Known) and isinstance(value.value, tuple) else value
+
+
+def _changed_stack(rows: list[Any], changes: Mapping[str, Any]) -> list[Any]:
+    """Return the rows of a stack with those changed that `changes` names by label; a new label is a row that is wrong.
+
+    A row without a label has its material's name for one.
+    """
+    found, left = [], dict(changes)
+    for row in rows:
+        label = _label(row)
+        change = changes.get(str(label))
+        left.pop(str(label), None)
+        found.append({"label": label, **opened(row), **change} if isinstance(change, Mapping) else row)
+    return found + [{"label": label, **change} for label, change in left.items() if isinstance(change, Mapping)]
+
+
+def _label(row: Any) -> Any:
+    if isinstance(row, SubLayer):
+        return row.label
+    return row.get("label", row.get("material")) if isinstance(row, Mapping) else None
+
+
+def _remove(tree: dict[str, Any], paths: object, problems: list[Problem]) -> None:
+    if not isinstance(paths, list) or not all(isinstance(path, str) for path in paths):
+        problems.append(Problem("remove", repr(paths), 'a list of paths such as ["cgem.L2", "drift_chamber"]'))
+        return
+    for path in paths:
+        *parents, last = path.split(".")
+        table: Any = tree
+        for name in parents:
+            table = table.get(name, {}) if isinstance(table, dict) else {}
+        if isinstance(table, dict) and last in table:
+            del table[last]
+        else:
+            prefix = "".join(name + "." for name in parents)
+            known = [prefix + name for name in table] if isinstance(table, dict) else []
+            problems.append(Problem("remove", f'"{path}"', "a part of the base", did_you_mean(path, known)))

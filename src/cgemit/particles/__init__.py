@@ -1,0 +1,1 @@
+"""Particles that start an event: species, guns, tables, samples."""

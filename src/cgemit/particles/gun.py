@@ -1,0 +1,352 @@
+"""Particle gun: momenta, angles and vertices of the particles that start an event."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+from html import escape
+from typing import TYPE_CHECKING, Any, cast
+
+import numpy as np
+import numpy.typing as npt
+
+from cgemit import _core
+from cgemit.base.settings import InTurn, Limit, Value, ValueLike, is_whole, parse_three, parse_value
+from cgemit.particles.species import species
+from cgemit.particles.table import FARTHEST, FASTEST, ParticleError, particles_from
+from cgemit.tables import Table
+from cgemit.tables.schema import Array
+
+if TYPE_CHECKING:
+    from cgemit.detector import Detector
+
+
+class Source:
+    """Anything that shoots particles; ``source + other`` shoots both in every event.
+
+    Attributes
+    ----------
+    multiplicity : int
+        Most particles in an event; particle numbers of the next source begin there.
+    """
+
+    multiplicity: int
+
+    def shoot(self, seed: int, events: npt.NDArray[np.int64], number: int) -> dict[str, Array]:
+        """Return the columns of a particles table, rows in any order.
+
+        Parameters
+        ----------
+        seed : int
+        events : ndarray, (n,) int64
+        number : int
+            Of its first particle in each event.
+        """
+        raise NotImplementedError
+
+    def within(self, detector: Detector) -> Source:
+        """Return the source as it shoots in a detector: itself, unless its particles start in matter."""
+        return self
+
+    def __add__(self, other: Source | Guns) -> Guns:
+        """Return the sources that shoot together in every event."""
+        return Guns((self,)) + other
+
+
+@dataclass(frozen=True, repr=False)
+class Guns:
+    """Several sources that shoot in every event, numbered in the order in which they were added."""
+
+    guns: tuple[Source, ...]
+
+    def __add__(self, other: Source | Guns) -> Guns:
+        """Return these sources and another one, or others, together."""
+        if not isinstance(other, Source | Guns):
+            return NotImplemented
+        return Guns((*self.guns, *((other,) if isinstance(other, Source) else other.guns)))
+
+    def __repr__(self) -> str:
+        return " + ".join(map(repr, self.guns))
+
+    def _repr_html_(self) -> str:
+        names = [name for name in _UNITS if any(getattr(gun, name, None) is not None for gun in self.guns)]
+        left = 'style="text-align:left"'
+        rows = "".join(
+            f"<tr><th {left}>{name} {_UNITS[name]}</th>"
+            + "".join(f"<td {left}>{escape(_shown(getattr(gun, name, None)))}</td>" for gun in self.guns)
+            + "</tr>"
+            for name in names
+        )
+        return f"<p><b>Gun</b></p><table>{rows}</table>"
+
+
+_UNITS = {
+    "name": "", "particle": "", "p": "[GeV/c]", "pt": "[GeV/c]", "theta": "[rad]", "cos_theta": "", "phi": "[rad]",
+    "vertex": "[mm]", "vertex_sigma": "[mm]", "radius": "[mm]", "crossing": "[rad]", "multiplicity": "",
+}  # fmt: skip
+
+
+def _shown(value: object) -> str:
+    """Return a quantity as text: a fixed value, a range, or values in turn."""
+    if isinstance(value, InTurn):
+        shown = ", ".join(f"{one:g}" for one in value.values[:6])
+        return f"in turn {shown}" + (f" ... ({len(value.values)})" if len(value.values) > 6 else "")
+    if isinstance(value, tuple) and len(value) == 2:
+        return f"{value[0]:g} to {value[1]:g}"
+    if isinstance(value, tuple):
+        return ", ".join(map(_shown, value))
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+@dataclass(frozen=True, repr=False)
+class Gun(Source):
+    """A source of equal particles; ``gun + other`` shoots both in every event.
+
+    For every quantity a number is fixed, a tuple ``(low, high)`` a uniform range, and a list or array the values
+    to use in turn: event number `i` gets the value at position ``i modulo length``. Strings such as ``"200 MeV/c"``
+    or ``"90 deg"`` are accepted in place of numbers.
+
+    Parameters
+    ----------
+    particle : str or int
+        Name (``"mu-"``, ``"proton"``, ``"K+"``) or number of the Particle Data Group.
+    p, pt : GeV/c
+        Momentum or transverse momentum: exactly one of them.
+    theta, cos_theta : rad, or a pure number
+        Polar angle or its cosine: exactly one of them. A range is uniform in the one given.
+    phi : rad
+        Azimuth of the momentum at the vertex.
+    vertex : tuple of three, mm
+        x, y, z of the vertex.
+    vertex_sigma : tuple of three, mm
+        Standard deviations of the Gaussian spread added to it.
+    multiplicity : int
+        Particles per event, each drawn on its own.
+
+    Raises
+    ------
+    ParticleError
+        Listing every problem.
+    """
+
+    particle: str | int
+    p: ValueLike | None = None
+    pt: ValueLike | None = None
+    theta: ValueLike | None = None
+    cos_theta: ValueLike | None = None
+    phi: ValueLike = (-math.pi, math.pi)
+    vertex: tuple[ValueLike, ValueLike, ValueLike] = (0.0, 0.0, 0.0)
+    vertex_sigma: tuple[ValueLike, ValueLike, ValueLike] = (0.0, 0.0, 0.0)
+    multiplicity: int = 1
+
+    def __post_init__(self) -> None:
+        problems: list[str] = []
+        clean = _clean(self, problems)
+        if problems:
+            raise ParticleError("gun", problems)
+        for name, value in clean.items():
+            object.__setattr__(self, name, value)
+
+    def shoot(self, seed: int, events: npt.NDArray[np.int64], number: int) -> dict[str, Array]:
+        """Return the columns of a particles table.
+
+        Parameters
+        ----------
+        seed : int
+        events : ndarray, (n,) int64
+        number : int
+            Of its first particle in each event.
+        """
+        event = np.repeat(events, self.multiplicity)
+        particle = np.tile(np.arange(number, number + self.multiplicity, dtype=np.int32), len(events))
+        return _shoot(self, _Draws(seed, event, particle))
+
+    def __repr__(self) -> str:
+        given = [f"{f.name}={getattr(self, f.name)!r}" for f in fields(self)[1:] if getattr(self, f.name) != f.default]
+        return f"Gun({', '.join([repr(self.particle), *given])})"
+
+    def _repr_html_(self) -> str:
+        return Guns((self,))._repr_html_()
+
+
+def generate(
+    gun: Source | Guns, n_events: int, seed: int, first_event: int = 0, detector: Detector | None = None
+) -> Table:
+    """Draw the particles of some events.
+
+    A particle depends on the gun, the seed, its event and its number in the event only, so that events can be
+    generated in chunks or one by one.
+
+    Parameters
+    ----------
+    gun : Source or Guns
+        A `Gun`, a sample (`cgemit.sample`), or several of them.
+    n_events : int
+    seed : int
+        0 to 2^64 - 1.
+    first_event : int
+        Number of the first event.
+    detector : Detector or None
+        In whose matter particles start that do so; None: such a sample is an error.
+
+    Returns
+    -------
+    Table
+        Of kind "particles"; status is 0.
+
+    Raises
+    ------
+    ParticleError
+        If an argument is out of range, or a sample needs a detector.
+    """
+    guns = gun.guns if isinstance(gun, Guns) else (gun,)
+    _check_arguments(guns, n_events, seed, first_event)
+    events = np.arange(first_event, first_event + n_events, dtype=np.int64)
+    parts, number = [], 0
+    for one in guns:
+        one = one if detector is None else one.within(detector)
+        parts.append(one.shoot(seed, events, number))
+        number += one.multiplicity
+    joined = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    order = np.lexsort((joined["particle"], joined["event"]))
+    columns = {name: column[order] for name, column in joined.items()}
+    return Table("particles", columns, n_events, first_event, {"gun": repr(gun), "seed": int(seed)})
+
+
+@dataclass(frozen=True)
+class _Draws:
+    """The random numbers of some particles; `place` tells a gun's variables apart."""
+
+    seed: int
+    event: npt.NDArray[np.int64]
+    particle: npt.NDArray[np.int32]
+
+    def uniform(self, place: int, value: ValueLike | None) -> Array:
+        """Return one number per particle: the fixed one, one from the range, or the next in turn."""
+        value = cast(Value, value)
+        if isinstance(value, InTurn):
+            return np.array(value.values)[self.event % len(value.values)]
+        if isinstance(value, tuple):
+            low, high = value
+            u = _core.uniforms(self.seed, self.event, self.particle, _core.Purpose.gun, place)[:, 0]
+            return np.asarray(low + (high - low) * u)
+        return np.full(len(self.event), value)
+
+    def normals(self, place: int) -> Array:
+        """Return four standard normal numbers per particle, (n, 4)."""
+        return np.asarray(_core.normals(self.seed, self.event, self.particle, _core.Purpose.gun, place))
+
+
+# Places of the random streams; part of every stream, so new ones go to the end.
+_MOMENTUM, _POLAR, _AZIMUTH, _SPREAD, _VERTEX, _SIGMA = 0, 1, 2, 3, 4, 7
+
+
+def _shoot(gun: Gun, draws: _Draws) -> dict[str, Array]:
+    """Return the columns of one gun's particles."""
+    kind = species(gun.particle)
+    if gun.cos_theta is not None:
+        cos = draws.uniform(_POLAR, gun.cos_theta)
+        sin = np.sqrt((1 - cos) * (1 + cos))
+    else:
+        theta = draws.uniform(_POLAR, gun.theta)
+        cos, sin = np.cos(theta), np.sin(theta)
+    size = draws.uniform(_MOMENTUM, gun.p if gun.pt is None else gun.pt)
+    p = size if gun.pt is None else size / sin
+    phi = draws.uniform(_AZIMUTH, gun.phi)
+    pt = p * sin
+    rows = len(phi)
+    vertex = [draws.uniform(_VERTEX + i, gun.vertex[i]) for i in range(3)]
+    if any(sigma != 0.0 for sigma in gun.vertex_sigma):
+        normals = draws.normals(_SPREAD)
+        vertex = [v + draws.uniform(_SIGMA + i, gun.vertex_sigma[i]) * normals[:, i] for i, v in enumerate(vertex)]
+    return {
+        "event": draws.event,
+        "particle": draws.particle,
+        "pdg": np.full(rows, kind.pdg, np.int32),
+        "charge": np.full(rows, kind.charge, np.int8),
+        "mass": np.full(rows, kind.mass),
+        **dict(zip("xyz", vertex, strict=True)),
+        "px": pt * np.cos(phi),
+        "py": pt * np.sin(phi),
+        "pz": p * cos,
+        "status": np.zeros(rows, np.int8),
+    }
+
+
+def _check_arguments(guns: tuple[Source, ...], n_events: int, seed: int, first_event: int) -> None:
+    problems = [
+        f"{name}: got {value!r}; expected a whole number from 0 to {most}"
+        for name, value, most in (
+            ("n_events", n_events, 2**31 - 1),
+            ("seed", seed, 2**64 - 1),
+            ("first_event", first_event, 2**62),
+        )
+        if not is_whole(value, 0, most)
+    ]
+    problems += [f"gun: got {type(one).__name__}; expected a Gun" for one in guns if not isinstance(one, Source)]
+    if problems:
+        raise ParticleError("generate", problems)
+
+
+def _clean(gun: Gun, problems: list[str]) -> dict[str, Any]:
+    """Return the gun's fields in their final form; add what is wrong to `problems`."""
+    clean: dict[str, Any] = {}
+    try:
+        clean["particle"] = species(gun.particle).name
+    except ValueError as error:
+        problems.append(f"particle: {error}")
+    for one, other in (("p", "pt"), ("theta", "cos_theta")):
+        if (getattr(gun, one) is None) == (getattr(gun, other) is None):
+            count = "none" if getattr(gun, one) is None else "both"
+            problems.append(f"{one}, {other}: got {count}; expected exactly one of them")
+    for name, limit in _limits(along_z=gun.pt is None).items():
+        given = getattr(gun, name)
+        if given is not None or name == "phi":
+            clean[name] = parse_value(name, given, limit, problems)
+    clean["vertex"] = parse_three("vertex", gun.vertex, _LENGTH, problems)
+    clean["vertex_sigma"] = parse_three("vertex_sigma", gun.vertex_sigma, _SPREAD_LENGTH, problems)
+    if is_whole(gun.multiplicity, 1, 100_000):
+        clean["multiplicity"] = int(gun.multiplicity)
+    else:
+        problems.append(f"multiplicity: got {gun.multiplicity!r}; expected a whole number from 1 to 100000")
+    return clean
+
+
+_LENGTH = Limit("length", lambda value: abs(value) <= FARTHEST, f"a length in mm, within +-{FARTHEST:g}")
+_SPREAD_LENGTH = Limit("length", lambda value: 0 <= value <= FARTHEST, f"a length in mm from 0 to {FARTHEST:g}")
+
+
+def _limits(*, along_z: bool) -> dict[str, Limit]:
+    """Return what each quantity may be; with a given pT the momentum cannot point along z."""
+    momentum = Limit("momentum", lambda value: 0 < value <= FASTEST, f"a momentum in GeV/c above 0, up to {FASTEST:g}")
+    theta, cos = "an angle in rad from 0 to pi", "a number from -1 to 1"
+    if along_z:
+        polar = Limit("angle", lambda value: 0 <= value <= math.pi, theta)
+        cosine = Limit("dimensionless", lambda value: abs(value) <= 1, cos)
+    else:
+        polar = Limit("angle", lambda value: 0 < value < math.pi, theta + ", ends excluded with pt")
+        cosine = Limit("dimensionless", lambda value: abs(value) < 1, cos + ", ends excluded with pt")
+    azimuth = Limit("angle", lambda _: True, "an angle in rad")
+    return {"p": momentum, "pt": momentum, "theta": polar, "cos_theta": cosine, "phi": azimuth}
+
+
+def source_of(gun: Any, n: int | None) -> tuple[Source | Guns | None, int, Table | None]:
+    """Return the source of the particles, or None, with the number of events; and the particles, if they are given.
+
+    Parameters
+    ----------
+    gun : Source, Guns, or what `particles_from` takes
+    n : int or None
+        Number of events; 1000 for a source if None.
+
+    Raises
+    ------
+    ValueError
+        If `n` is not that of the particles.
+    """
+    if isinstance(gun, Source | Guns):
+        return gun, 1000 if n is None else n, None
+    table = particles_from(gun)
+    if n is not None and n != table.n_events:
+        raise ValueError(f"n: {n}, but the table of particles holds {table.n_events} events; leave n out")
+    return None, table.n_events, table

@@ -1,0 +1,305 @@
+"""Track candidates: sets of hits taken as one track. Finders make them, the fit takes them (docs/methods/find.md)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from cgemit import _core
+from cgemit.base.errors import did_you_mean
+from cgemit.detector import Detector, compiled
+from cgemit.particles.species import HYPOTHESES
+from cgemit.tables import Table
+from cgemit.tables.table import kind_problems, what
+
+Column = npt.NDArray[Any]
+
+HIT_X, HIT_V, HIT_WIRE, HIT_XV = 0, 1, 2, 3
+"""Views of hits; a hit of view `HIT_XV` is an XV cluster with both its coordinates."""
+XV_CLUSTER = 2
+"""View of XV clusters in the clusters table."""
+
+
+"""Tables that a finder returns."""
+
+
+@dataclass(frozen=True, eq=False)
+class FitHits:
+    """The measurements of all candidates as flat columns, the input of the compiled fit.
+
+    An XV point is two measurements: X, and V - k X, which is uncorrelated with it, k being the covariance of X and V
+    over the variance of X.
+
+    Attributes
+    ----------
+    hit_offsets : ndarray, (n + 1,) int64
+        Hits ``hit_offsets[i]`` to ``hit_offsets[i + 1]`` belong to row i of the candidates, ordered from the beam line
+        outward; in a layer by sheet or wire, X before V.
+    kind : ndarray, (hits,) uint8
+        `HIT_X`, `HIT_V` or `HIT_WIRE`.
+    layer : ndarray, (hits,) int32
+        CGEM layer, or the experiment's number of the wire layer.
+    channel : ndarray, (hits,) int32
+        Sheet or wire.
+    value : ndarray, (hits,) float64, mm
+        Local X or V on the sheet, or drift distance.
+    sigma : ndarray, (hits,) float64, mm
+    size : ndarray, (hits,) int32
+        Strips of the cluster; 0 for wires, XV points and clusters with a fixed error (`method` 1).
+    side : ndarray, (hits,) int8
+        Side of the wire; 0 where unknown and for clusters.
+    row : ndarray, (hits,) int64
+        Row of the clusters or wire_hits table.
+    k, x : ndarray, (hits,) float64
+        For the V of an XV point: k, and the measured X in mm; otherwise 0.
+    """
+
+    hit_offsets: npt.NDArray[np.int64]
+    kind: npt.NDArray[np.uint8]
+    layer: npt.NDArray[np.int32]
+    channel: npt.NDArray[np.int32]
+    value: npt.NDArray[np.float64]
+    sigma: npt.NDArray[np.float64]
+    size: npt.NDArray[np.int32]
+    side: npt.NDArray[np.int8]
+    row: npt.NDArray[np.int64]
+    k: npt.NDArray[np.float64]
+    x: npt.NDArray[np.float64]
+
+    def columns(self) -> dict[str, Column]:
+        """Return all columns except the offsets, by name."""
+        return {f.name: getattr(self, f.name) for f in fields(self) if f.name != "hit_offsets"}
+
+
+def collect_hits(
+    detector: Detector | _core.Detector, candidates: Table, candidate_hits: Table, clusters: Table, wire_hits: Table
+) -> FitHits:
+    """Collect the measurements of the candidates from the tables that they point into, in the order of the fit.
+
+    Parameters
+    ----------
+    detector : Detector or _core.Detector
+        Gives the order of layers from the beam line outward.
+    candidates, candidate_hits, clusters, wire_hits : Table
+
+    Returns
+    -------
+    FitHits
+
+    Raises
+    ------
+    ValueError
+        Listing every table of another kind; or every hit that does not exist, belongs to another event or is given
+        twice, and every problem of the measurements.
+    """
+    tables = {
+        "candidates": candidates, "candidate_hits": candidate_hits, "clusters": clusters, "wire_hits": wire_hits
+    }  # fmt: skip
+    problems = kind_problems(**tables) or _repeated_points(candidate_hits, clusters)
+    if problems:
+        raise ValueError("hits of candidates:\n  " + "\n  ".join(problems))
+    columns = {
+        name: {column: table[column] for column in _READ[name] if column in table} for name, table in tables.items()
+    }
+    # Clusters with a fixed error are fitted like clusters without strips.
+    columns["clusters"]["size"] = clusters["size"] * (clusters["method"] == 0)
+    core = detector if isinstance(detector, _core.Detector) else compiled(detector)
+    return FitHits(**_core.collect_hits(core, **columns))
+
+
+_READ = {
+    "candidates": ("event", "mass"),
+    "candidate_hits": ("event", "candidate", "view", "row"),
+    "clusters": ("event", "layer", "sheet", "size", "view", "x", "v", "err_x", "err_v", "cov_xv", "corr_xv"),
+    "wire_hits": ("event", "layer", "wire", "drift", "sigma", "side"),
+}
+
+
+def _repeated_points(candidate_hits: Table, clusters: Table) -> list[str]:
+    """Return which XV points repeat X or V clusters of the same candidate."""
+    view, row, candidate = (candidate_hits[name] for name in ("view", "row", "candidate"))
+    points = np.flatnonzero((view == HIT_XV) & (row >= 0) & (row < len(clusters)))
+    if not len(points):
+        return []
+    strips = (view == HIT_X) | (view == HIT_V)
+    given = set(zip(candidate[strips].tolist(), row[strips].tolist(), strict=True))
+    return [
+        f"candidates row {candidate[i]}: got clusters row {row[i]}, an XV point, and row {part}, of which it is made; "
+        "expected one of both"
+        for i in points
+        for name in ("x_cluster", "v_cluster")
+        if (int(candidate[i]), part := int(clusters[name][row[i]])) in given
+    ]
+
+
+def label_candidates(
+    clusters: Table,
+    wire_hits: Table,
+    cluster_label: npt.ArrayLike,
+    wire_label: npt.ArrayLike,
+    hypothesis: str = "mu",
+) -> dict[str, Table]:
+    """Make candidates from one number per hit.
+
+    Parameters
+    ----------
+    clusters, wire_hits : Table
+        Of the same events.
+    cluster_label : array_like, (clusters,) int
+        Number of the candidate, within its event, that each cluster belongs to; negative: none. An XV cluster is a
+        measurement of both coordinates; it is left out where its X or V cluster has the same number.
+    wire_label : array_like, (wire_hits,) int
+        The same for the wire hits.
+    hypothesis : str
+        Particle whose mass the fit assumes: ``"e"``, ``"mu"``, ``"pi"``, ``"K"`` or ``"p"``.
+
+    Returns
+    -------
+    dict of str to Table
+        ``candidates``, by event and number, and ``candidate_hits``.
+
+    Raises
+    ------
+    ValueError
+        If a label is missing, or there is no such particle.
+    """
+    labels = [np.asarray(label) for label in (cluster_label, wire_label)]
+    problems = kind_problems(clusters=clusters, wire_hits=wire_hits)
+    problems = problems or _label_problems(clusters, wire_hits, labels[0], labels[1], hypothesis)
+    if problems:
+        raise ValueError("label_candidates:\n  " + "\n  ".join(problems))
+    of_cluster, of_wire = (label.astype(np.int64) for label in labels)
+    of_cluster = _without_repeats(clusters, of_cluster)
+    rows = [np.flatnonzero(label >= 0) for label in (of_cluster, of_wire)]
+    view = np.where(clusters["view"] == XV_CLUSTER, HIT_XV, clusters["view"])
+    event, number, row = (
+        np.concatenate(pair)
+        for pair in (
+            (clusters["event"][rows[0]], wire_hits["event"][rows[1]]), (of_cluster[rows[0]], of_wire[rows[1]]), rows
+        )
+    )  # fmt: skip
+    order = np.lexsort((number, event))
+    event, number = event[order], number[order]
+    first = np.concatenate([[True], (np.diff(event) != 0) | (np.diff(number) != 0)])[: len(event)]
+    kind = HYPOTHESES[hypothesis]
+    n = int(np.count_nonzero(first))
+    candidates = {
+        "event": event[first], "candidate": number[first], "pdg": np.full(n, kind.pdg), "mass": np.full(n, kind.mass)
+    }  # fmt: skip
+    hits = {
+        "event": event,
+        "candidate": np.cumsum(first) - 1,
+        "view": np.concatenate([view[rows[0]], np.full(len(rows[1]), HIT_WIRE)])[order],
+        "row": row[order],
+    }
+    cover = clusters.cover
+    return {
+        "candidates": Table("candidates", candidates, **cover),
+        "candidate_hits": Table("candidate_hits", hits, **cover),
+    }
+
+
+def _label_problems(
+    clusters: Table, wire_hits: Table, of_cluster: Column, of_wire: Column, hypothesis: object
+) -> list[str]:
+    problems = [
+        f"{name}: got shape {label.shape}, {label.dtype}; expected ({len(table)},), whole numbers below 2**31"
+        for name, label, table in (("cluster_label", of_cluster, clusters), ("wire_label", of_wire, wire_hits))
+        if label.shape != (len(table),) or (label.size and (label.dtype.kind not in "iub" or label.max() >= 2**31))
+    ]
+    if not np.array_equal(clusters.events, wire_hits.events):
+        problems.append("wire_hits: cover other events than the clusters; expected the same")
+    if not isinstance(hypothesis, str) or hypothesis not in HYPOTHESES:
+        known = ", ".join(map(repr, HYPOTHESES))
+        problems.append(
+            f"hypothesis: got {hypothesis!r}, expected one of {known}{did_you_mean(hypothesis, HYPOTHESES, '; ')}"
+        )
+    return problems
+
+
+def _without_repeats(clusters: Table, label: Column) -> Column:
+    """Return the labels with -1 for XV clusters whose X or V cluster has the same."""
+    repeats = np.zeros(len(label), np.bool_)
+    for name in ("x_cluster", "v_cluster"):
+        part = clusters[name]
+        known = np.flatnonzero((clusters["view"] == XV_CLUSTER) & (part >= 0) & (part < len(label)))
+        repeats[known] |= label[part[known]] == label[known]
+    return np.where(repeats, -1, label)
+
+
+#: A finder takes detector, clusters and wire hits, and returns tables of candidates and their hits.
+Finder = Callable[[Detector, Table, Table], Mapping[str, Table]]
+FOUND = ("candidates", "candidate_hits")
+
+
+def by_finder(finder: Finder, detector: Detector, clusters: Table, wire_hits: Table) -> dict[str, Table]:
+    """Return the tables that a finder makes.
+
+    Parameters
+    ----------
+    finder : callable
+    detector : Detector
+    clusters, wire_hits : Table
+
+    Returns
+    -------
+    dict of str to Table
+        ``candidates`` and ``candidate_hits``, with the finder's name in `meta`.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If it returns anything but a mapping with these two tables, of the same events.
+    """
+    return check_found(finder(detector, clusters, wire_hits), finder_name(finder), clusters.events)
+
+
+def finder_name(finder: object) -> str:
+    """Return the name of a finder in tables: the name of the function, also of a partial one, or of the class.
+
+    Parameters
+    ----------
+    finder : callable, or str
+        A name is returned as it is.
+    """
+    if isinstance(finder, str):
+        return finder
+    function = getattr(finder, "func", finder)
+    return str(getattr(function, "__name__", type(function).__name__))
+
+
+def check_found(found: object, finder: str, events: npt.NDArray[Any]) -> dict[str, Table]:
+    """Return the two tables that a finder has made.
+
+    Parameters
+    ----------
+    found : object
+        Its return value.
+    finder : str
+        Its name.
+    events : ndarray, (n,) int64
+        Events that it was given.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If `found` is not a mapping with tables of candidates and their hits, of the same events.
+    """
+    if not isinstance(found, Mapping) or not set(FOUND) <= set(found):
+        given = (
+            f"a mapping with {', '.join(map(repr, found)) or 'nothing'}" if isinstance(found, Mapping) else what(found)
+        )
+        raise TypeError(f"finder {finder}: returned {given}; expected a mapping with 'candidates' and 'candidate_hits'")
+    tables = {name: found[name] for name in FOUND}
+    problems = kind_problems(**tables) or [
+        f"{name}: cover other events than the clusters; expected the same"
+        for name, table in tables.items()
+        if not np.array_equal(table.events, events)
+    ]
+    if problems:
+        raise ValueError(f"finder {finder}:\n  " + "\n  ".join(problems))
+    return {name: table.with_meta(finder=finder) for name, table in tables.items()}

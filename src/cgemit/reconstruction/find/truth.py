@@ -1,0 +1,272 @@
+"""Perfect finder: hits assigned to particles by truth (docs/methods/find.md).
+
+Every charged particle gets its wire hits and one cluster per view of each of its crossings, and no hit of another
+particle. A cluster or cell that two particles share goes to the one that left more (or was closer). Hits of the
+daughters of a decay in flight are not the particle's own: its candidate ends at the decay. Of a particle that makes
+several half turns in the field, it takes the hits of the first one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from cgemit.detector import Detector, load
+from cgemit.detector.parts import local_v
+from cgemit.reconstruction.candidates import HIT_V, HIT_WIRE, HIT_X, XV_CLUSTER
+from cgemit.tables import Table
+from cgemit.tables.table import kind_problems
+
+Floats = npt.NDArray[np.float64]
+Rows = npt.NDArray[np.intp]
+
+_OF_STRIPS = 0  # `method` of clusters whose position is that of their strips
+_NEARER = 1e-6  # orders crossings inside several clusters
+
+
+def by_truth(
+    detector: Detector | str | Mapping[str, Any],
+    particles: Table,
+    clusters: Table,
+    wire_hits: Table,
+    truths: Table,
+    wire_truths: Table,
+) -> dict[str, Table]:
+    """Give each charged particle the X clusters, V clusters and wire hits that its truths link to.
+
+    Of several clusters of one crossing in one view, `own_clusters` selects one. XV clusters are left out, since they
+    repeat their X and V clusters. Hits without a truth, of a particle that is not in the table, of the daughters of a
+    decay, or of half turns other than the first are not assigned.
+
+    Parameters
+    ----------
+    detector : Detector, or what `load` accepts
+        In which the clusters were made.
+    particles, clusters, wire_hits, truths, wire_truths : Table
+        Of the same events; links of `clusters` and `wire_hits` count rows of `truths` and `wire_truths`.
+
+    Returns
+    -------
+    dict of str to Table
+        ``candidates``, one per charged particle and in their order, with the particle's own mass, and
+        ``candidate_hits``, ordered from the beam line outward.
+
+    Raises
+    ------
+    ValueError
+        If the tables do not belong to each other or to the detector.
+    """
+    detector = load(detector)
+    problems = _problems(detector, particles, clusters, wire_hits, truths, wire_truths)
+    if problems:
+        raise ValueError("by_truth:\n  " + "\n  ".join(problems))
+    charged = np.flatnonzero(particles["charge"])
+    in_view = own_clusters(detector, clusters, truths)
+    linked = np.flatnonzero(wire_hits["wire_truth"] >= 0)
+    # The candidate of each particle; -1 for neutral ones and, as the last entry, for hits without a particle.
+    candidate_of = np.full(len(particles) + 1, -1)
+    candidate_of[charged] = np.arange(len(charged))
+    of_truth, of_passage = (
+        np.where(
+            (table["daughter"] == 0) & (table["half_turn"] == 0), candidate_of[particle_rows(particles, table)], -1
+        )
+        for table in (truths, wire_truths)
+    )
+    owner = np.concatenate(
+        [of_truth[clusters["truth"][in_view]], of_passage.take(wire_hits["wire_truth"].take(linked))]
+    )
+    view = np.concatenate([clusters["view"][in_view], np.full(len(linked), HIT_WIRE, "i1")])
+    layer = np.concatenate([clusters["layer"][in_view], wire_hits["layer"].take(linked)])
+    layers = int(layer.max(initial=0)) + 1
+    outward = (owner * 2 + (view == HIT_WIRE)) * layers + layer
+    # Stable: within a layer the order of the tables stays (sheet, then X before V; wire).
+    order = np.argsort(outward, kind="stable")
+    order = order[np.searchsorted(outward.take(order), 0) :]  # drops hits without an owner (-1)
+    owner = owner.take(order)
+    event = particles["event"].take(charged)
+    columns = {
+        "event": event,
+        "candidate": np.arange(len(event)) - np.searchsorted(event, event),
+        "pdg": np.abs(particles["pdg"].take(charged)),
+        "mass": particles["mass"].take(charged),
+    }
+    hits = {
+        "event": event.take(owner),
+        "candidate": owner,
+        "view": view.take(order),
+        "row": np.concatenate([in_view, linked]).take(order),
+    }
+    about = particles.cover | {"meta": {"finder": "truth"}}
+    return {
+        "candidates": Table("candidates", columns, **about),
+        "candidate_hits": Table("candidate_hits", hits, **about),
+    }
+
+
+def _problems(
+    detector: Detector, particles: Table, clusters: Table, wire_hits: Table, truths: Table, wire_truths: Table
+) -> list[str]:
+    """Return which tables are of another kind, link to missing rows, or belong to another detector."""
+    problems = kind_problems(
+        particles=particles, clusters=clusters, wire_hits=wire_hits, truths=truths, wire_truths=wire_truths
+    )
+    if problems:
+        return problems
+    return (
+        link_problems(clusters, "truth", truths)
+        + link_problems(wire_hits, "wire_truth", wire_truths)
+        + _layer_problems(detector, clusters, wire_hits)
+    )
+
+
+def link_problems(table: Table, link: str, target: Table) -> list[str]:
+    """Return whether links of a table lead to missing rows or to rows of another event.
+
+    Parameters
+    ----------
+    table : Table
+    link : str
+        Column of `table` that counts rows of `target`.
+    target : Table
+
+    Returns
+    -------
+    list of str
+    """
+    rows = table[link]
+    if rows.max(initial=-1) >= len(target):
+        return [f"{target.kind}: got {len(target)} rows; expected more, {table.kind} link to row {rows.max()}"]
+    linked = np.flatnonzero(rows >= 0)
+    event, expected = target["event"].take(rows.take(linked)), table["event"].take(linked)
+    if np.array_equal(event, expected):
+        return []
+    first = np.argmax(event != expected)
+    given = f"{table.kind} row {linked[first]}, of event {expected[first]}, links to one of event {event[first]}"
+    return [f"{target.kind}: {given}; expected the rows that {table.kind} were made from"]
+
+
+def _layer_problems(detector: Detector, clusters: Table, wire_hits: Table) -> list[str]:
+    chamber = detector.drift_chamber
+    wires = [layer.number for layer in chamber.layers] if chamber else []
+    problems = []
+    for table, known in ((clusters, range(len(detector.cgem))), (wire_hits, wires)):
+        strange = table["layer"][~np.isin(table["layer"], list(known))]
+        if len(strange):
+            problems.append(f"{table.kind}: got layer {strange[0]}, which {detector.name} does not have")
+    view = clusters["view"]
+    strange = view[(view < HIT_X) | (view > XV_CLUSTER)]
+    if len(strange):
+        problems.append(f"clusters: got view {strange[0]}, expected 0 (X), 1 (V) or 2 (XV)")
+    sheets = np.array([cgem.sheets for cgem in detector.cgem])
+    if problems:
+        return problems
+    wrong = (clusters["sheet"] < 0) | (clusters["sheet"] >= sheets.take(clusters["layer"]))
+    if wrong.any():
+        problems.append(f"clusters: got sheet {clusters['sheet'][wrong][0]}, which {detector.name} does not have")
+    return problems
+
+
+def own_clusters(detector: Detector, clusters: Table, truths: Table) -> Rows:
+    """Return the one cluster of each crossing and view that the particle itself made.
+
+    Delta electrons may fire strips away from the particle's own, and at a seam of the read-out a crossing fires strips
+    of two sheets. The cluster with the strip at the crossing's mid-gap point is selected, otherwise the nearest one.
+
+    Parameters
+    ----------
+    detector : Detector
+    clusters, truths : Table
+        Links of `clusters` count rows of `truths`.
+
+    Returns
+    -------
+    ndarray, (n,) intp
+        Increasing row numbers of X and V clusters; clusters without a truth are left out.
+    """
+    rows = np.flatnonzero((clusters["view"] <= HIT_V) & (clusters["truth"] >= 0))
+    place = clusters["truth"][rows] * 2 + clusters["view"][rows]
+    distance = np.zeros(len(rows))
+    several = np.flatnonzero(np.bincount(place)[place] > 1)
+    distance[several] = _distances(detector, clusters, truths, rows[several])
+    order = np.lexsort((distance, place))
+    first = np.diff(place[order], prepend=-1) != 0
+    return np.sort(rows[order[first]])
+
+
+def residuals(detector: Detector, clusters: Table, truths: Table, rows: Rows) -> Floats:
+    """Return how far clusters are from the crossings they link to, at mid-gap.
+
+    Parameters
+    ----------
+    detector : Detector
+    clusters, truths : Table
+    rows : ndarray, (n,) int
+        X and V clusters that link to a truth.
+
+    Returns
+    -------
+    ndarray, (n,) float64, mm
+        X or V of the cluster minus that of the crossing's phi and z, at the nearest of all turns about the beam line.
+    """
+    layer, sheet, view = (clusters[name][rows] for name in ("layer", "sheet", "view"))
+    truth = clusters["truth"][rows]
+    residual = np.empty(len(rows))
+    for number, cgem in enumerate(detector.cgem):
+        for half_shell, start in enumerate(cgem.sheet_phi):
+            for axis in (HIT_X, HIT_V):
+                mine = (layer == number) & (sheet == half_shell) & (view == axis)
+                phi, z = truths["phi"][truth[mine]], truths["z"][truth[mine]]
+                x, turn = cgem.r_readout * (phi - start), 2 * np.pi * cgem.r_readout
+                if axis == HIT_X:
+                    difference = clusters["x"][rows[mine]] - x
+                else:  # a whole turn changes V by hundreds of mm: the nearest turn is the right one
+                    difference = clusters["v"][rows[mine]] - local_v(cgem, x, z)
+                    turn *= np.cos(cgem.stereo)
+                residual[mine] = difference - turn * np.round(difference / turn)
+    return residual
+
+
+def _distances(detector: Detector, clusters: Table, truths: Table, rows: Rows) -> Floats:
+    """How far crossings lie from the edge of their cluster (mm), 0 if inside."""
+    first, size, layer, view = (clusters[name][rows] for name in ("first", "size", "layer", "view"))
+    pitches = np.array([(cgem.pitch_x, cgem.pitch_v) for cgem in detector.cgem]).reshape(-1, 2)
+    begins = np.array([(0.0, cgem.offset_v) for cgem in detector.cgem]).reshape(-1, 2)
+    pitch = pitches[layer, view]
+    position = np.where(view == HIT_X, clusters["x"][rows], clusters["v"][rows])
+    # A position weighted by charge is not the middle of the strips; one of charge and time is corrected for the Lorentz
+    # shift, which strips are not. Of two parts of such a cluster at the crossing, the nearer one counts.
+    strips = clusters["method"][rows] == _OF_STRIPS
+    middle = np.where(strips, (first + begins[layer, view] + 0.5 * size) * pitch, position)
+    beside = np.abs(residuals(detector, clusters, truths, rows) - (position - middle))
+    return np.asarray(np.maximum(beside - 0.5 * size * pitch, np.where(strips, 0.0, _NEARER * beside)))
+
+
+def particle_rows(particles: Table, truths: Table) -> npt.NDArray[np.int64]:
+    """Return the particle behind each truth.
+
+    Parameters
+    ----------
+    particles : Table
+    truths : Table
+        Of kind "truths" or "wire_truths".
+
+    Returns
+    -------
+    ndarray, (truths,) int64
+        Row of the particles table; -1 where it holds no such particle.
+    """
+    span = int(max(particles["particle"].max(initial=0), truths["particle"].max(initial=0))) + 1
+    first = min(particles.first_event, truths.first_event)
+    known = (particles["event"] - first) * span + particles["particle"]
+    key = (truths["event"] - first) * span + truths["particle"]
+    if not len(known) or not len(key):
+        return np.full(len(key), -1)
+    # The rows of a particle follow each other: one look-up for all of them.
+    begin = np.flatnonzero(np.concatenate([[True], key[1:] != key[:-1]]))
+    wanted = key[begin]
+    order = np.argsort(known, kind="stable")
+    row = order[np.minimum(np.searchsorted(known, wanted, sorter=order), len(known) - 1)]
+    return np.repeat(np.where(known[row] == wanted, row, -1), np.diff(begin, append=len(key)))

@@ -1,0 +1,772 @@
+"""Track fit: Kalman filter from the outermost hit inward to the origin (docs/methods/fit.md)."""
+
+from __future__ import annotations
+
+import enum
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Annotated, Any, Literal, get_args
+
+import numpy as np
+import numpy.typing as npt
+
+from cgemit import _core, helix
+from cgemit.base.settings import Check, Positive, SettingsData
+from cgemit.detector import SCREENINGS, Detector, Screening, compiled, load, slabs
+from cgemit.detector.drift import shifted, velocity_at
+from cgemit.particles.species import HYPOTHESES, Hypothesis
+from cgemit.reconstruction.candidates import HIT_WIRE, FitHits, collect_hits
+from cgemit.reconstruction.states import SurfaceName, state_columns
+from cgemit.tables import Table
+
+MassHypothesis = Literal[Hypothesis, "all"]
+ClusterErrors = Literal["track", "cluster"]
+Loss = Literal["truncated", "mean", "most_probable"]
+LOSSES: tuple[Loss, ...] = get_args(Loss)
+
+_MOST = 2**31 - 1  # iterations, of the core's whole number
+
+Iterations = Annotated[int, Check(lambda value: 1 <= value <= _MOST, f"a whole number from 1 to {_MOST}")]
+Share = Annotated[float, Check(lambda value: 0 <= value < 1, "0 or a probability below 1")]
+Pull = Annotated[float, Check(lambda value: value == 0 or 2 <= value < math.inf, "0 or at least 2 standard deviations")]
+Spread = Annotated[float, Check(lambda value: 1e-12 <= value < math.inf, "a number not below 1e-12")]
+FiveSpreads = tuple[Spread, Spread, Spread, Spread, Spread]
+TimeError = Annotated[float, Check(lambda value: 1e-3 <= value <= 1e3, "a time in ns from 0.001 to 1000")]
+_FARTHEST = 1e5  # mm
+Start = Annotated[float, Check(lambda value: abs(value) <= _FARTHEST, f"a radius in mm, within +-{_FARTHEST:g}")]
+Radius = Annotated[float, Check(lambda value: 0 < value < math.inf, "a positive radius in mm")]
+
+
+@dataclass(frozen=True, kw_only=True)
+class FitSettings(SettingsData):
+    """How tracks are fitted.
+
+    Attributes
+    ----------
+    cluster_errors : str
+        ``"track"``: from the number of strips and the incidence of the track. ``"cluster"``: as in the clusters
+        table, from the number of strips and the layer alone.
+    screening : str or None
+        Screening of nuclei in multiple scattering (``SimulateSettings.screening``). None: the simulated one, or
+        ``"wentzel"`` without a simulation.
+    loss : str
+        Energy loss subtracted, with its variance (docs/methods/matter.md). ``"truncated"``: of the collisions within
+        the core of a momentum measurement. ``"mean"``: of all collisions. ``"most_probable"``: Landau's most probable
+        loss, and the Gaussian as wide as his distribution at half maximum.
+    radiation : bool
+        Whether the energy loss of electrons and positrons includes bremsstrahlung, mean and variance. False: collisions
+        only, as in fits with the electron hypothesis elsewhere (docs/methods/matter.md).
+    matter : bool
+        Whether tracks scatter and lose energy in the fit. False: helices or tracks in the field alone, as the first
+        fits of many experiments assume (BES3's MdcTrack).
+    start_radius : float
+        Distance from the beam line, mm, at which the particles begin: they have not crossed the matter inside of it,
+        unless they flew inward first, which a negative value says; it then counts twice. The helix at the origin
+        describes the flight at the begin, continued in vacuum. A column `start_radius` of the candidates, where there
+        is one, comes before (`cgemit.helix.start_radius` makes it from vertices; docs/methods/robustness.md).
+    residuals : bool
+        Whether the fit makes the residuals table: every hit, outliers included, against the track fitted without it.
+    states : tuple of float or str
+        Surfaces at which the states table gives track and covariance, in any field: radii in mm, ``"origin"``,
+        ``"beam_line"`` (closest approach), ``"beam_pipe"`` (inner surface), ``"hits"`` (every measurement). Empty: no
+        such table.
+    hypothesis : str, tuple of str or None
+        Particles whose masses the fit assumes, ``"e"``, ``"mu"``, ``"pi"``, ``"K"``, ``"p"``, or ``"all"`` five: every
+        candidate gets a track for each, in this order. None: one track, with the candidate's own mass.
+    max_iterations : int
+        A fit that has not converged after this many iterations stops.
+    tolerance : float
+        The fit has converged when no parameter moves by more than this many of its standard deviations.
+    least_width : float
+        Least spread, in strip pitches, of the position that a cluster's size allows; it accounts for the error of the
+        track's incidence. Without it, a narrow allowed interval would count as a perfect measurement.
+    delta_strips : float
+        Probability that a delta electron adds one strip to a cluster; k strips are k times less probable. Sets the
+        weight of clusters that are longer than the incidence predicts. 0: there are no delta electrons.
+    kinks : bool
+        Whether the reference trajectory of a slow track is scattered at every layer as its hits show, instead of a
+        helix that only loses energy. The linearisation then holds around the scattered path.
+    outlier_pull : float
+        A hit this many standard deviations from the track fitted without it is left out, the farthest first, and taken
+        back once it is closer. 0: every hit is used.
+    prior_sigma : tuple of float
+        Standard deviations of (dr mm, phi0 rad, kappa (GeV/c)^-1, dz mm, tanl) of the filter's prior.
+    start_time : str
+        ``"given"``: drift times count from the start of the event. ``"fitted"``: they are wrong by one number for each
+        event, which its tracks give; the fit then makes the table ``start_times`` (docs/methods/fit.md).
+    start_time_error : float or None
+        ns, standard deviation of the given start time, which a fitted one takes into account. None: it counts nothing.
+
+    Raises
+    ------
+    ValueError
+        Listing every invalid value.
+    """
+
+    cluster_errors: ClusterErrors = "track"
+    screening: Screening | None = None
+    loss: Loss = "truncated"
+    radiation: bool = True
+    matter: bool = True
+    start_radius: Start = 0.0
+    residuals: bool = False
+    states: tuple[Radius | SurfaceName, ...] = ()
+    hypothesis: MassHypothesis | tuple[MassHypothesis, ...] | None = None
+    max_iterations: Iterations = 15
+    tolerance: Positive = 0.1
+    least_width: Positive = 0.1
+    delta_strips: Share = 0.008
+    kinks: bool = True
+    outlier_pull: Pull = 5.0
+    prior_sigma: FiveSpreads = (200.0, 0.5, 5.0, 1000.0, 2.0)
+    start_time: Literal["given", "fitted"] = "given"
+    start_time_error: TimeError | None = None
+
+    def contradictions(self) -> list[str]:
+        """Return what is wrong with several hypotheses together, and with an error of the start time."""
+        return self._of_hypotheses() + self._of_start_time()
+
+    def _of_start_time(self) -> list[str]:
+        if not isinstance(self.start_time_error, int | float) or self.start_time != "given":
+            return []
+        return [f"start_time_error: got {self.start_time_error}, expected none unless start_time is 'fitted'"]
+
+    def _of_hypotheses(self) -> list[str]:
+        given = self.hypothesis
+        if not isinstance(given, tuple) or len(given) == 1:
+            return []
+        if "all" in given:
+            return [f"hypothesis: got {given!r}, expected 'all' alone"]
+        once = len(set(map(str, given))) == len(given)
+        return [] if once else [f"hypothesis: got {given!r}, expected each name once"]
+
+    def hypotheses(self) -> tuple[str, ...]:
+        """Return the names of the particles whose masses are assumed; none for that of each candidate itself."""
+        given = () if self.hypothesis is None else self.hypothesis
+        names = given if isinstance(given, tuple) else (given,)
+        return tuple(HYPOTHESES) if names == ("all",) else names
+
+
+Floats = npt.NDArray[np.float64]
+Column = npt.NDArray[Any]
+
+#: Column of the candidates that comes before the setting of this name.
+BEGIN = "start_radius"
+
+#: A track is displaced if |dr| is more than this number of its errors, and than this share of the radius of the
+#: innermost matter: for fast tracks the size of the beam counts, not their errors.
+FAR, SHARE = 5.0, 0.1
+
+#: Fits some rows of the candidates with the settings given: the tables that the fit makes.
+FitRows = Callable[[Table, Table, FitSettings, Column], Mapping[str, Table]]
+
+
+def displaced(dr: Floats, err_dr: Floats, detector: Detector) -> npt.NDArray[np.int8]:
+    """Return whether tracks begin beside the beam line, (n,) int8; 0 without an error.
+
+    Parameters
+    ----------
+    dr, err_dr : ndarray, (n,) float64, mm
+        Closest approach to the beam line, and its standard deviation.
+    detector : Detector
+    """
+    inner = slabs(detector)[0].shells[0].r_in
+    return np.asarray(np.abs(dr) > np.maximum(FAR * err_dr, SHARE * inner), np.int8)
+
+
+def slabs_inside(detector: Detector, radius: float) -> int:
+    """Return the number of slabs of matter inside of a radius, with its sign.
+
+    Parameters
+    ----------
+    detector : Detector
+    radius : float, mm
+    """
+    count = sum(slab.radius < abs(radius) for slab in slabs(detector)) if radius else 0
+    return -count if radius < 0 else count
+
+
+def begins_of(candidates: Table, detector: Detector) -> Floats:
+    """Return the radii at which the candidates begin, (n,) mm, one value for each set of slabs inside.
+
+    Raises
+    ------
+    ValueError
+        Listing each one that is no finite number.
+    """
+    radii = np.asarray(candidates[BEGIN], np.float64)
+    wrong = np.flatnonzero(~np.isfinite(radii))
+    if len(wrong):
+        lines = [f"candidates row {row}: {BEGIN}: got {radii[row]}, expected a radius in mm" for row in wrong]
+        raise ValueError("fit:\n  " + "\n  ".join(lines))
+    places = np.sort([slab.radius for slab in slabs(detector)])
+    between = np.concatenate([[0.0], 0.5 * (places[:-1] + places[1:]), places[-1:] + 1.0])
+    return np.asarray(np.sign(radii) * between[np.searchsorted(places, np.abs(radii))])
+
+
+def fit_by_begin(
+    fit_rows: FitRows, begins: Floats, candidates: Table, candidate_hits: Table, settings: FitSettings
+) -> dict[str, Table]:
+    """Fit candidates that begin at the same radius together, and return the tables of all.
+
+    Parameters
+    ----------
+    fit_rows : callable
+        Takes candidates, their hits, settings and the rows of the candidates.
+    begins : ndarray, (n,) float64, mm
+    candidates, candidate_hits : Table
+    settings : FitSettings
+    """
+    plain = {name: column for name, column in candidates.columns.items() if name != BEGIN}
+    whole = Table("candidates", plain, meta=candidates.meta, **candidates.cover)
+    masses = max(1, len(settings.hypotheses()))
+    parts: dict[str, list[Table]] = {}
+    of_track: list[Column] = []
+    for begin in np.unique(begins):
+        rows = np.flatnonzero(begins == begin)
+        number = np.full(len(candidates), -1)
+        number[rows] = np.arange(len(rows))
+        mine = candidate_hits[number[candidate_hits["candidate"]] >= 0]
+        mine = mine.with_columns(candidate=number[mine["candidate"]])
+        made = fit_rows(whole[rows], mine, replace(settings, start_radius=float(begin)), rows)
+        tracks = (rows[:, None] * masses + np.arange(masses)).ravel()  # their rows in the table of all
+        of_track.append(tracks)
+        for name, table in made.items():
+            link = {"candidate": rows[table["candidate"]]} if name == "tracks" else {"track": tracks[table["track"]]}
+            parts.setdefault(name, []).append(table.with_columns(**link))
+    joined = {}
+    for name, tables in parts.items():
+        columns = {one: np.concatenate([table[one] for table in tables]) for one in tables[0]}
+        order = np.argsort(np.concatenate(of_track) if name == "tracks" else columns["track"], kind="stable")
+        picked = {one: column[order] for one, column in columns.items()}
+        joined[name] = Table(name, picked, meta=tables[0].meta, **candidates.cover)
+    return joined
+
+
+Rows = npt.NDArray[np.signedinteger[Any]]
+
+#: Fits candidates to wire hits with the settings given, from starting helices, (n, 5) or (0, 5) for none.
+FitShifted = Callable[[Table, Table, Table, FitSettings, Floats], Mapping[str, Table]]
+
+#: Errors of the drift times in the first fits, ns: hits far from tracks with a wrong start time stay in.
+FIRST_ERRORS = (20.0, 5.0)
+#: The side of a wire is certain if the track is this number of the hit's errors away from it.
+CERTAIN = 2.0
+#: Longest step, ns; a start time further than five of them from the given one counts as not found.
+MOST_STEP = 30.0
+#: A track whose chi-square is above this number of degrees of freedom at its own best start time does not count.
+MOST_CHI2 = 3.0
+#: A track does not count if its own start time is this number of errors away from the median of the event.
+MOST_PULL = 5.0
+#: The start time has converged when it changes by less than this share of its error. From the fourth step on, steps
+#: are halved: hits that change sides would let them alternate.
+TOLERANCE, WHOLE_STEPS, MOST_STEPS = 0.1, 3, 10
+#: Shift of the fit that gives the second derivative of chi-square, ns.
+PROBE = 2.0
+
+
+class StartTimeStatus(enum.IntEnum):
+    """How the fit of a start time ended; 0 is good."""
+
+    ok = 0
+    no_track = 1
+    not_converged = 2
+
+
+def fit_with_start_times(
+    fit_rows: FitShifted, wire_hits: Table, candidates: Table, candidate_hits: Table, settings: FitSettings,
+    start: Floats,
+) -> dict[str, Table]:  # fmt: skip
+    """Fit the start time of every event, then all candidates with it; errors of tracks include its error.
+
+    Parameters
+    ----------
+    fit_rows : callable
+        See `FitShifted`.
+    wire_hits, candidates, candidate_hits : Table
+    settings : FitSettings
+    start : ndarray, (n, 5) or (0, 5) float64
+
+    Returns
+    -------
+    dict of str to Table
+        Those of the fit, and ``start_times``.
+
+    Raises
+    ------
+    ValueError
+        If wire hits have no drift times.
+    """
+    unknown = int(np.count_nonzero(~np.isfinite(wire_hits["drift_time"])))
+    if unknown:
+        raise ValueError(
+            f"fit: start_time: got 'fitted' and {unknown} of {len(wire_hits)} wire hits without a drift_time, expected "
+            "one for each"
+        )
+    search = _Search(fit_rows, wire_hits, candidates, candidate_hits, settings, start)
+    search.run()
+    given = replace(settings, start_time="given", start_time_error=None)
+    tables = dict(fit_rows(search.hits(), candidates, candidate_hits, given, start))
+    tables["tracks"] = _with_time_error(tables["tracks"], search.slope, search.error[search.event])
+    columns = {
+        "event": candidates.events, "start_time": search.time, "err_start_time": search.error,
+        "n_tracks": search.counted, "status": search.status,
+    }  # fmt: skip
+    return tables | {"start_times": Table("start_times", columns, **candidates.cover)}
+
+
+def corrected(wire_hits: Table, start_times: Table) -> Table:
+    """Return wire hits with drift times counted from the fitted start times, and distances to match.
+
+    Parameters
+    ----------
+    wire_hits : Table
+    start_times : Table of kind "start_times"
+    """
+    return _from(wire_hits, start_times["event"], start_times["start_time"])
+
+
+def _from(wire_hits: Table, events: npt.NDArray[np.int64], start: Floats) -> Table:
+    if not len(events):
+        return wire_hits
+    row = np.searchsorted(events, wire_hits["event"]).clip(max=len(events) - 1)
+    shift = -np.where(events[row] == wire_hits["event"], start[row], 0.0)
+    time = wire_hits["drift_time"]
+    return wire_hits.with_columns(drift_time=time + shift, drift=shifted(wire_hits["drift"], time, shift))
+
+
+@dataclass(eq=False)
+class _Fits:
+    """Fits of candidates at the start times `at`, ns, (n,) or (n, 5); without a good fit, `info` is 0.
+
+    `gradient` is -1/2 d chi2/d start time, 1/ns. `info` is about 1/2 its second derivative, 1/ns2: half the mean if
+    the sides of the wires were random.
+    """
+
+    at: Floats
+    gradient: Floats
+    info: Floats
+    chi2: Floats
+    ndf: Floats
+    helix: Floats
+
+    @classmethod
+    def of(cls, tracks: Table, residuals: Table, wires: Table, rows: Rows, at: Floats) -> _Fits:
+        """Return what tracks and residuals say; row i of the tracks is candidate `rows[i]`, at the time `at[rows[i]]`.
+
+        With W the weight matrix of the measurements m in the fit, chi2 = m W m. The residual of hit i to the track
+        without it is (W m)_i/W_ii, with variance 1/W_ii: both derivatives follow from the residuals, the second one
+        without the terms of two hits, whose signs change with the sides.
+        """
+        side = residuals["side"]
+        wire = np.flatnonzero((residuals["view"] == HIT_WIRE) & (residuals["used"] == 1) & (side != 0))
+        hit, track, side = residuals["hit"][wire], residuals["track"][wire], side[wire]
+        residual, err = residuals["residual"][wire], residuals["err"][wire]
+        # Velocity and cut at the predicted distance, which the error of the hit does not move.
+        predicted = side * wires["drift"][hit] - residual
+        certain = np.abs(predicted) > CERTAIN * wires["sigma"][hit]
+        slope = np.where(certain, side * velocity_at(np.abs(predicted)), 0.0)
+        found = {
+            "at": at[rows], "gradient": np.bincount(track, slope * residual / err**2, len(tracks)),
+            "info": np.bincount(track, (slope / err) ** 2, len(tracks)) * (tracks["status"] == 0),
+            "chi2": tracks["chi2"], "ndf": tracks["ndf"].astype(np.float64),
+            "helix": np.column_stack([tracks[name] for name in helix.PARAMETERS]),
+        }  # fmt: skip
+        made = {name: np.zeros((len(at), *column.shape[1:])) for name, column in found.items()}
+        for name, column in found.items():
+            made[name][rows] = column
+        return cls(**made)
+
+    def with_rows(self, fresh: _Fits) -> _Fits:
+        """Return the fits with those rows of other ones that have a good fit there."""
+        good = fresh.info > 0
+        return _Fits(
+            **{
+                name: np.where(good.reshape(-1, *[1] * (old.ndim - 1)), getattr(fresh, name), old)
+                for name, old in vars(self).items()
+            }
+        )
+
+
+class _Search:
+    """The search for the start times: fits of all candidates at several of them."""
+
+    def __init__(
+        self, fit_rows: FitShifted, wire_hits: Table, candidates: Table, candidate_hits: Table, settings: FitSettings,
+        start: Floats,
+    ) -> None:  # fmt: skip
+        self._fit, self._wires, self._candidates, self._hits = fit_rows, wire_hits, candidates, candidate_hits
+        one = settings.hypothesis if len(settings.hypotheses()) == 1 else None
+        self._settings = replace(
+            settings, start_time="given", start_time_error=None, residuals=True, states=(), hypothesis=one
+        )
+        self._prior = 0.0 if settings.start_time_error is None else settings.start_time_error**-2
+        events = len(candidates.events)
+        self._start = start
+        self.event = np.searchsorted(candidates.events, candidates["event"])
+        self.time, self.counted = np.zeros(events), np.zeros(events, np.int64)
+        self.error = np.full(events, np.nan if settings.start_time_error is None else settings.start_time_error)
+        self.status = np.full(events, StartTimeStatus.no_track, np.int8)
+        self.slope = np.zeros((len(candidates), 5))  # d helix/d start time
+
+    def hits(self, error: float = 0.0) -> Table:
+        """Return the wire hits with drift times counted from the present start times; `error`: of these times, ns."""
+        hits = _from(self._wires, self._candidates.events, self.time)
+        if not error:
+            return hits
+        return hits.with_columns(sigma=np.hypot(hits["sigma"], error * velocity_at(np.abs(hits["drift"]))))
+
+    def run(self) -> None:
+        """Find the start times by Newton's method, then their errors from one more fit."""
+        now = self._fits(np.arange(len(self._candidates)), self._start, FIRST_ERRORS[0])
+        moving = np.ones(len(self.time), np.bool_)
+        for i in range(MOST_STEPS):
+            time, total, self.counted = self._combined(now, bool(i < len(FIRST_ERRORS)))
+            found = (self.counted > 0) & (np.abs(time) <= 5 * MOST_STEP)
+            moved = np.where(found & moving, time - self.time, 0.0).clip(-MOST_STEP, MOST_STEP)
+            self.time = self.time + moved * (1.0 if i < WHOLE_STEPS else 0.5)
+            moving = found & ((np.abs(moved) * np.sqrt(total) > TOLERANCE) | (i < len(FIRST_ERRORS)))
+            rows = np.flatnonzero((now.info > 0) & moving[self.event])
+            if not len(rows):
+                break
+            error = FIRST_ERRORS[i + 1] if i + 1 < len(FIRST_ERRORS) else 0.0
+            now = now.with_rows(self._fits(rows, now.helix, error))
+        self.status = np.where(found, np.where(moving, StartTimeStatus.not_converged, 0), self.status).astype(np.int8)
+        self._errors(now)
+
+    def _errors(self, now: _Fits) -> None:
+        """Set errors and slopes from the change of the gradient, and of the helices, with the start time."""
+        found = self.status != StartTimeStatus.no_track
+        self.counted = np.where(found, self.counted, 0)
+        rows = np.flatnonzero((now.info > 0) & found[self.event])
+        best, self.time = self.time, self.time + PROBE
+        probed = self._fits(rows, now.helix)
+        self.time = np.where(found, best, 0.0)
+        both = probed.info > 0
+        lever = np.where(both, probed.at - now.at, 1.0)
+        info = np.where(both, (now.gradient - probed.gradient) / lever, now.info)
+        info = np.where((info > 0.5 * now.info) & (info < 2 * now.info), info, now.info)
+        self.slope = np.where(both[:, None], _difference(probed.helix, now.helix) / lever[:, None], 0.0)
+        now.info[:] = np.where(now.info > 0, info, 0.0)
+        _, total, _ = self._combined(now, False)
+        self.error[found] = total[found] ** -0.5
+
+    def _combined(self, now: _Fits, early: bool) -> tuple[Floats, Floats, Rows]:
+        """Return the mean start time of the tracks of each event, its 1/variance, and how many tracks count.
+
+        Tracks far from the median do not count, nor do those with a bad chi-square unless it is `early`.
+        """
+        step = np.divide(now.gradient, now.info, out=np.zeros(len(now.info)), where=now.info > 0)
+        best = now.chi2 - step * now.gradient
+        info = np.where(early | (best <= MOST_CHI2 * now.ndf), now.info, 0.0)
+        time, events = now.at + step, len(self.time)
+        median, width = _medians(time, info, self.event, events)
+        far = np.abs(time - median) > MOST_PULL * np.hypot(_spread(info), width)
+        info = np.where(far, 0.0, info)
+        total = np.bincount(self.event, info, events) + self._prior
+        mean = np.bincount(self.event, info * time, events)
+        counted = np.bincount(self.event, info > 0, events).astype(np.int64)
+        return np.divide(mean, total, out=np.zeros(events), where=total > 0), np.asarray(total), counted
+
+    def _fits(self, rows: Rows, begin: Floats, error: float = 0.0) -> _Fits:
+        """Fit some candidates at the present start times."""
+        number = np.full(len(self._candidates), -1)
+        number[rows] = np.arange(len(rows))
+        mine = self._hits[number[self._hits["candidate"]] >= 0]
+        mine = mine.with_columns(candidate=number[mine["candidate"]])
+        wires = self.hits(error)
+        start = begin[rows] if len(begin) else begin
+        made = self._fit(wires, self._candidates[rows], mine, self._settings, start)
+        return _Fits.of(made["tracks"], made["residuals"], wires, rows, self.time[self.event])
+
+
+def _spread(info: Floats) -> Floats:
+    """Return the error of a start time, ns; 0 for what does not count."""
+    return np.where(info > 0, info, np.inf) ** -0.5
+
+
+def _medians(time: Floats, info: Floats, event: Rows, events: int) -> tuple[Floats, Floats]:
+    """Return for each track the median of the start times of its event's tracks, and the error of that one.
+
+    Of two middle ones it is the more precise one. Ranks, not sums: events do not depend on each other.
+    """
+    if not len(time):
+        return time, time
+    order = np.lexsort((time, info <= 0, event))
+    begin = np.searchsorted(event[order], np.arange(events))
+    count = np.bincount(event, info > 0, events).astype(np.int64)
+    low, high = (
+        order[(begin + place).clip(0, len(order) - 1)] for place in (np.maximum(count - 1, 0) // 2, count // 2)
+    )
+    middle = np.where(info[high] > info[low], high, low)
+    return time[middle][event], _spread(info)[middle][event]
+
+
+def _difference(new: Floats, old: Floats) -> Floats:
+    """Return the difference of helices, (n, 5), azimuths by the short way."""
+    difference = new - old
+    difference[:, 1] = np.remainder(difference[:, 1] + np.pi, 2 * np.pi) - np.pi
+    return difference
+
+
+def _with_time_error(tracks: Table, slope: Floats, error: Floats) -> Table:
+    """Return tracks whose covariance includes the error of the start time; `slope`, `error` of each candidate."""
+    rows = tracks["candidate"]
+    moved = slope[rows] * np.where(np.isfinite(error), error, 0.0)[rows, None]
+    cov = tracks["cov"] + moved[:, :, None] * moved[:, None, :]
+    err = np.sqrt(np.diagonal(cov, axis1=1, axis2=2))
+    fitted = np.column_stack([tracks[name] for name in helix.PARAMETERS])
+    columns = {f"err_{name}": err[:, i] for i, name in enumerate(helix.PARAMETERS)}
+    return tracks.with_columns(cov=cov, err_p=helix.momentum_error(fitted, cov), **columns)
+
+
+FitStatus = _core.FitStatus
+Columns = dict[str, npt.ArrayLike]
+Out = dict[str, npt.NDArray[np.generic]]  # what the compiled fit returns
+
+PARAMETERS = helix.PARAMETERS
+
+
+def fit(
+    detector: Detector | str | Mapping[str, Any],
+    clusters: Table,
+    wire_hits: Table,
+    candidates: Table,
+    candidate_hits: Table,
+    settings: FitSettings | None = None,
+    *,
+    start: npt.ArrayLike | None = None,
+) -> dict[str, Table]:
+    """Fit one helix to the hits of every candidate.
+
+    Parameters
+    ----------
+    detector : Detector, or what `load` accepts
+        Field and material that the fit assumes.
+    clusters, wire_hits : Table
+    candidates, candidate_hits : Table
+        Hits in any order: the fit takes them from the beam line outward. A column `start_radius`, mm, of the candidates
+        comes before the setting.
+    settings : FitSettings or None
+    start : array_like or None
+        Starting helices, (candidates, 5) float64: dr mm, phi0 rad, kappa (GeV/c)^-1, dz mm, tanl. None: the hits
+        provide them.
+
+    Returns
+    -------
+    dict of str to Table
+        ``tracks``, one row per candidate and mass hypothesis, with ``settings.residuals`` also ``residuals``, with
+        ``settings.states`` also ``states``, and with a fitted start time also ``start_times``. Rows whose `status` is
+        not ok hold the last helix tried, and NaN where there is no helix, covariance or chi-square.
+
+    Raises
+    ------
+    TypeError
+        If the settings are something else.
+    ValueError
+        Listing every problem of the hits or the start.
+    """
+    detector, settings = load(detector), FitSettings() if settings is None else settings
+    if not isinstance(settings, FitSettings):
+        raise TypeError(f"settings: got {type(settings).__name__}, expected FitSettings")
+    if settings.start_time == "fitted":
+
+        def fit_shifted(hits: Table, some: Table, theirs: Table, how: FitSettings, begin: Floats) -> dict[str, Table]:
+            return fit(detector, clusters, hits, some, theirs, how, start=begin if len(begin) else None)
+
+        begin = _start(start, len(candidates))
+        found = fit_with_start_times(fit_shifted, wire_hits, candidates, candidate_hits, settings, begin)
+        tracks = found["tracks"]
+        return found | {"tracks": tracks.with_columns(displaced=displaced(tracks["dr"], tracks["err_dr"], detector))}
+    if BEGIN in candidates and len(candidates):
+        given = _start(start, len(candidates))
+
+        def fit_rows(some: Table, their_hits: Table, radius: FitSettings, rows: Column) -> dict[str, Table]:
+            helices = given[rows] if len(given) else None
+            return fit(detector, clusters, wire_hits, some, their_hits, radius, start=helices)
+
+        return fit_by_begin(fit_rows, begins_of(candidates, detector), candidates, candidate_hits, settings)
+    core = compiled_for_fit(detector, settings)
+    hits = collect_hits(core, candidates, candidate_hits, clusters, wire_hits)
+    names = settings.hypotheses()
+    candidate, pdg, mass = _with_hypotheses(candidates, names)
+    begin = _start(start, len(candidates))
+    if len(names) > 1:
+        hits, begin = _repeated(hits, candidate), begin[candidate] if len(begin) else begin
+    out = _core.fit(**core_arguments(detector, hits, mass, begin, settings))
+    event = candidates["event"].take(candidate)
+    about = candidates.cover | {
+        "meta": {name: candidates.meta[name] for name in ("finder",) if name in candidates.meta}
+    }
+    columns = _track_columns(out, event, candidate, pdg)
+    columns["displaced"] = displaced(out["helix"][:, 0], np.asarray(columns["err_dr"]), detector)
+    tables = {"tracks": Table("tracks", columns, **about)}
+    if settings.residuals:
+        tables["residuals"] = Table("residuals", _residual_columns(out, hits, event), **about)
+    if settings.states:
+        settled = out["status"] == FitStatus.ok
+        columns = state_columns(detector, core, settings.states, tables["tracks"], mass, hits, out, settled)
+        tables["states"] = Table("states", columns, **about)
+    return tables
+
+
+def _start(given: npt.ArrayLike | None, n: int) -> Floats:
+    """Return the starting helices, (n, 5), or (0, 5) for none."""
+    if given is None:
+        return np.empty((0, 5))
+    start = np.ascontiguousarray(given, np.float64)
+    if start.shape != (n, 5):
+        raise ValueError(f"start: got shape {start.shape}, expected ({n}, 5), a helix for each candidate")
+    wrong = np.flatnonzero(~np.isfinite(start).all(axis=1))
+    if len(wrong):
+        raise ValueError(f"start: got {start[wrong[0]]} in row {wrong[0]}, expected finite numbers")
+    return start
+
+
+def compiled_for_fit(detector: Detector, settings: FitSettings) -> _core.Detector:
+    """Return the compiled detector with the matter that the fit assumes.
+
+    Parameters
+    ----------
+    detector : Detector
+    settings : FitSettings
+    """
+    screening = settings.screening or SCREENINGS[0]
+    return compiled(
+        detector, screening=screening, loss=settings.loss, radiation=settings.radiation, gaps=False,
+        matter=settings.matter, inside=slabs_inside(detector, settings.start_radius),
+    )  # fmt: skip
+
+
+def core_arguments(
+    detector: Detector, hits: FitHits, mass: Floats, start: Floats, settings: FitSettings
+) -> dict[str, Any]:
+    """Return the arguments of the compiled fit.
+
+    Parameters
+    ----------
+    detector : Detector
+    hits : FitHits
+    mass : ndarray, (n,) float64, GeV/c2
+    start : ndarray, (n, 5) float64
+        Starting helices; (0, 5): the hits provide them.
+    settings : FitSettings
+
+    Returns
+    -------
+    dict of str to object
+        Arguments of ``_core.fit`` by name.
+    """
+    return {
+        "detector": compiled_for_fit(detector, settings),
+        "hit_offsets": hits.hit_offsets,
+        "hits": hits.columns(),
+        "mass": mass,
+        "start": start,
+        "settings": _core.FitSettings(
+            max_iterations=settings.max_iterations,
+            tolerance=settings.tolerance,
+            errors_from_track=settings.cluster_errors == "track",
+            least_width=settings.least_width,
+            delta_strips=settings.delta_strips,
+            kinks=settings.kinks,
+            outlier_pull=settings.outlier_pull,
+            prior_sigma=settings.prior_sigma,
+        ),
+        "residuals": settings.residuals,
+        "states": bool(settings.states),
+    }
+
+
+def has_cov(status: npt.NDArray[np.generic]) -> npt.NDArray[np.bool_]:
+    """Return whether fits with these statuses have a covariance and a chi-square.
+
+    Parameters
+    ----------
+    status : ndarray, (n,) int8
+
+    Returns
+    -------
+    ndarray, (n,) bool
+    """
+    return np.isin(status, (FitStatus.ok, FitStatus.not_converged, FitStatus.unconstrained))
+
+
+def _track_columns(out: Out, event: Column, candidate: Column, pdg: Column) -> Columns:
+    """Return the columns of the tracks table; `event`, `candidate` (row) and `pdg` (of the mass) of each track."""
+    no_helix = np.isin(out["status"], (_core.FitStatus.too_few_hits, _core.FitStatus.seed_failed))
+    fitted = np.where(no_helix[:, None], np.nan, out["helix"])
+    known = has_cov(out["status"])
+    cov = np.where(known[:, None, None], out["cov"], np.nan)
+    columns: Columns = {"event": event, "candidate": candidate, "hypothesis": pdg}
+    columns |= {name: fitted[:, i] for i, name in enumerate(helix.PARAMETERS)}
+    columns |= {"cov": cov, "p": helix.momentum(fitted)}
+    columns |= {name: out[name] for name in ("ndf", "n_clusters", "n_wires", "n_outliers", "iterations", "status")}
+    columns["chi2"] = np.where(known, out["chi2"], np.nan)
+    error = np.sqrt(np.diagonal(cov, axis1=1, axis2=2))
+    columns |= {f"err_{name}": error[:, i] for i, name in enumerate(helix.PARAMETERS)}
+    return columns | {"err_p": helix.momentum_error(fitted, cov)}
+
+
+def _residual_columns(out: Out, hits: FitHits, event: Column) -> Columns:
+    """Return the columns of the residuals table: hits that the tracks meet; `event` of each track."""
+    met = np.flatnonzero(np.asarray(out["err"], np.float64) > 0)
+
+    def pick(column: Column) -> Column:  # several times faster than column[met], or a mask
+        return column.take(met)
+
+    track = pick(np.repeat(np.arange(len(event)), np.diff(hits.hit_offsets)))
+    residual, err = pick(out["residual"]), pick(out["err"])
+    return {
+        "event": event.take(track),
+        "track": track,
+        "view": pick(hits.kind),
+        "layer": pick(hits.layer),
+        "hit": pick(hits.row),
+        "residual": residual,
+        "err": err,
+        "pull": residual / err,
+        "side": pick(out["side"]),
+        "used": pick(out["used"]),
+    }
+
+
+def _with_hypotheses(candidates: Table, names: tuple[str, ...]) -> tuple[Column, Column, Column]:
+    """Return the tracks to fit: each candidate once per mass hypothesis.
+
+    Parameters
+    ----------
+    candidates : Table of kind "candidates"
+    names : tuple of str
+        Names of `HYPOTHESES`; none: the candidates' own masses.
+
+    Returns
+    -------
+    candidate : ndarray, (n,) int64
+        Row of the candidate.
+    pdg : ndarray, (n,) int
+        Number of the Particle Data Group, unsigned.
+    mass : ndarray, (n,) float64, GeV/c2
+    """
+    n = len(candidates)
+    if not names:
+        return np.arange(n), candidates["pdg"], candidates["mass"]
+    kinds = [HYPOTHESES[name] for name in names]
+    pdg, mass = ([kind.pdg for kind in kinds], [kind.mass for kind in kinds])
+    return np.repeat(np.arange(n), len(kinds)), np.tile(pdg, n), np.tile(mass, n)
+
+
+def _repeated(hits: FitHits, candidate: Column) -> FitHits:
+    """Return the hits of candidates picked by row, each as often as it is picked.
+
+    Parameters
+    ----------
+    hits : FitHits
+    candidate : ndarray, (n,) int64
+    """
+    counts = np.diff(hits.hit_offsets)[candidate]
+    offsets = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+    # Hit j of a repeated candidate has the same distance to the candidate's first hit as in the original.
+    at = np.arange(offsets[-1]) + np.repeat(hits.hit_offsets[:-1][candidate] - offsets[:-1], counts)
+    return FitHits(offsets, **{name: column[at] for name, column in hits.columns().items()})

@@ -1,0 +1,491 @@
+"""Hits of other programs: columns of any origin become tables, and are fitted (docs/own_hits.md)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from cgemit import _core
+from cgemit.detector import Detector, compiled, load
+from cgemit.detector.parts import crossing_z, local_v
+from cgemit.particles.species import HYPOTHESES
+from cgemit.reconstruction.candidates import (
+    HIT_V,
+    HIT_WIRE,
+    HIT_X,
+    XV_CLUSTER,
+    Finder,
+    by_finder,
+    check_found,
+    label_candidates,
+)
+from cgemit.reconstruction.cluster import ClusterSettings, cluster_errors
+from cgemit.reconstruction.fit import FitSettings, fit
+from cgemit.tables import SCHEMAS, Table
+from cgemit.tables.show import columns_of
+
+Column = npt.NDArray[Any]
+Columns = dict[str, Column]
+
+_WHOLE = ("event", "layer", "sheet", "view", "first", "last", "size", "wire", "side", "candidate", "gid")
+
+
+def read(kind: str, source: Any, needed: tuple[str, ...], problems: list[str]) -> Columns:
+    """Return the columns of a source, whole numbers as integers, with `event`, `given_row` and what is needed.
+
+    Parameters
+    ----------
+    kind : str
+        Name of the argument, for messages.
+    source : Table, mapping of arrays, pandas.DataFrame, structured ndarray or None
+    needed : tuple of str
+    problems : list of str
+        What is wrong is appended.
+    """
+    if source is None:
+        return {name: np.zeros(0, np.int64) for name in ("event", "given_row", *needed)}
+    columns = columns_of(source)
+    if columns is None:
+        expected = "a table, a mapping of arrays, a data frame or a structured array"
+        problems.append(f"{kind}: got {type(source).__name__}, expected {expected}")
+        return read(kind, None, needed, problems)
+    missing = [name for name in needed if name not in columns]
+    rows = len(columns["layer"]) if "layer" in columns and columns["layer"].ndim else 0
+    for name in missing:
+        problems.append(f"{kind}: {name}: missing, expected columns {', '.join(needed)}")
+    for name, column in columns.items():
+        depth = 3 if name == "cov" else 1
+        if column.ndim == 0 or len(column) != rows or column.ndim > depth or column.dtype.kind not in "iufb":
+            if not missing:
+                problems.append(f"{kind}: {name}: got {column.dtype}, shape {column.shape}; expected {rows} numbers")
+        elif name in _WHOLE:
+            columns[name] = _whole(kind, name, column, problems)
+        elif name == "cov" and column.shape != (rows, 2, 2):
+            problems.append(f"{kind}: cov: got shape {column.shape}, expected ({rows}, 2, 2)")
+    if problems:
+        return read(kind, None, needed, problems)
+    columns.setdefault("event", np.zeros(rows, np.int64))
+    return columns | {"given_row": np.arange(rows)}
+
+
+def _whole(kind: str, name: str, column: Column, problems: list[str]) -> Column:
+    """Return the column as integers; say which number is none, or too large for the tables."""
+    if column.dtype.kind == "f":
+        wrong = np.flatnonzero(~(column == np.rint(column)))
+        if len(wrong):
+            problems.append(f"{kind} row {wrong[0]}: {name}: got {column[wrong[0]]}, expected a whole number")
+        column = np.where(np.isfinite(column), column, 0)
+    bits = 62 if name == "event" else 31
+    wrong = np.flatnonzero((column < -(2.0**bits)) | (column >= 2.0**bits))
+    if len(wrong):
+        problems.append(f"{kind} row {wrong[0]}: {name}: got {column[wrong[0]]}, expected a number below 2**{bits}")
+        return np.zeros(len(column), np.int64)
+    return column.astype(np.int64)
+
+
+_RANGES = {
+    "phi": "an azimuth in rad, within -2 pi and 2 pi",
+    "z": "a position in mm, at most a tenth of its half length beyond the end of the layer",
+}
+
+
+def _reach(detector: Detector, layer: Column) -> Column:
+    """Return the largest abs(z) of a point on each layer, mm; no limit for layers that are not there."""
+    lengths = np.array([*(1.1 * one.half_length for one in detector.cgem), np.inf])
+    return lengths[np.where((layer >= 0) & (layer < len(detector.cgem)), layer, -1)]
+
+
+def value_problems(detector: Detector, clusters: Columns) -> list[str]:
+    """Say which layers, coordinates, errors and strips of clusters cannot be, by the names that they were given under.
+
+    Parameters
+    ----------
+    detector : Detector
+    clusters : dict of str to ndarray
+        As given, with `view`.
+    """
+    layers, layer, problems = len(detector.cgem), clusters["layer"], []
+
+    def refuse(name: str, wrong: Column, expected: str) -> None:
+        for row in np.flatnonzero(wrong):
+            value = clusters[name][row]
+            got = f"{value:g}" if value.ndim == 0 else value.tolist()
+            problems.append(f"clusters row {row}: {name}: got {got}, {expected}")
+
+    refuse("layer", (layer < 0) | (layer >= layers), f"expected a CGEM layer of the detector, 0 to {layers - 1}")
+    point = clusters["view"] == XV_CLUSTER
+    for name, other, unit in (("phi", "x", "rad"), ("z", "v", "mm")):
+        if name in clusters:
+            by_position = np.isnan(clusters[name]) & np.isfinite(clusters.get(other, np.full(len(layer), np.nan)))
+            refuse(name, point & ~np.isfinite(clusters[name]) & ~by_position, f"expected a finite number, {unit}")
+        if name in clusters:  # in another unit, a position may still lie somewhere on the layer
+            most = 2 * np.pi * np.ones(len(layer)) if name == "phi" else _reach(detector, layer)
+            by_other = np.isfinite(clusters.get(other, np.full(len(layer), np.nan)))
+            far = point & ~by_other & np.isfinite(clusters[name]) & (np.abs(clusters[name]) > most)
+            refuse(name, far, f"expected {_RANGES[name]}")
+    for name, largest in (("err_phi", np.pi), ("err_z", 1e5)):  # only their squares reach the fit
+        if name in clusters:
+            refuse(name, clusters[name] <= 0, "expected a number above 0")
+            refuse(name, clusters[name] > largest, f"expected at most {largest:.6g}")
+    if {"cov_phi_z", "err_phi", "err_z"} <= clusters.keys():
+        limit = np.abs(clusters["err_phi"] * clusters["err_z"])
+        large = (limit > 0) & ~(np.abs(clusters["cov_phi_z"]) < limit)
+        refuse("cov_phi_z", point & large, "expected less in size than err_phi err_z")
+    if "cov" in clusters:
+        cov = clusters["cov"]
+        lowest = cov[:, 0, 0] * cov[:, 1, 1] - cov[:, 0, 1] ** 2
+        good = (cov[:, 0, 1] == cov[:, 1, 0]) & (cov[:, 0, 0] > 0) & (lowest > 0)
+        refuse(
+            "cov", point & ~(good | np.isnan(cov).any(axis=(1, 2))), "expected a symmetric, positive definite matrix"
+        )
+    return problems + _strip_problems(detector, clusters)
+
+
+def drift_problems(detector: Detector, wires: Columns) -> list[str]:
+    """Say which drift distances are longer than any in their cells: three diagonals, since tracks may turn back there.
+
+    Parameters
+    ----------
+    detector : Detector
+    wires : dict of str to ndarray
+        As given, with `layer` and `drift`.
+    """
+    layers = detector.drift_chamber.layers if detector.drift_chamber else ()
+    problems = []
+    for place, layer in enumerate(layers):
+        width = 2 * np.pi * layer.r_end / layer.cells
+        beside = [abs(other.r_end - layer.r_end) for other in layers[max(0, place - 1) : place + 2]]
+        most = 3 * float(np.hypot(width, max(width, *beside)))
+        for row in np.flatnonzero((wires["layer"] == layer.number) & (np.abs(wires["drift"]) > most)):
+            given, expected = wires["drift"][row], f"expected at most three diagonals of a cell, {most:.4g} mm"
+            if np.isfinite(given):
+                problems.append(f"wire_hits row {row}: drift: got {given:g}, {expected}")
+    return problems
+
+
+def _strip_problems(detector: Detector, clusters: Columns) -> list[str]:
+    """Say which clusters of strips, whose position follows from them, have strips that are not there."""
+    if not {"first", "last"} <= clusters.keys():
+        return []
+    first, last, layer, view = (clusters[name] for name in ("first", "last", "layer", "view"))
+    problems = []
+    for is_view, name in ((HIT_X, "x"), (HIT_V, "v")):
+        position = clusters.get(name, np.full(len(layer), np.nan))
+        for number, one in enumerate(detector.cgem):
+            strips = (one.strips_x, one.strips_v)[is_view]
+            mine = (layer == number) & (view == is_view) & np.isnan(position)
+            for row in np.flatnonzero(mine & ((first < 0) | (last < first) | (last >= strips))):
+                problems.append(
+                    f"clusters row {row}: first, last: got {first[row]}, {last[row]}; expected strips from 0 to "
+                    f"{strips - 1}, the first not above the last"
+                )
+    return problems
+
+
+def repeated(kind: str, columns: Columns, names: tuple[str, ...]) -> list[str]:
+    """Say which hits of a candidate are given twice: they would count double. Hits of none (number below 0) may repeat.
+
+    Parameters
+    ----------
+    kind : str
+        Name of the argument, for messages.
+    columns : dict of str to ndarray
+        With `given_row`.
+    names : tuple of str
+        Columns that tell hits apart; NaN equals NaN.
+    """
+    rows = len(columns["given_row"])
+    keys = [columns[name] for name in ("event", "candidate", *names) if name in columns]
+    order = np.lexsort([columns["given_row"], *keys])
+    same = np.ones(max(rows - 1, 0), np.bool_)
+    for key in keys:
+        before, after = key[order[:-1]], key[order[1:]]
+        same &= (before == after) | ((before != before) & (after != after))
+    same &= columns.get("candidate", np.zeros(rows))[order[1:]] >= 0
+    return [
+        f"{kind} row {order[i + 1]}: got the hit of row {order[i]} again, expected each hit once"
+        for i in sorted(np.flatnonzero(same), key=lambda i: order[i + 1])
+    ]
+
+
+def fit_hits(
+    detector: Detector | str | Mapping[str, Any],
+    clusters: Any = None,
+    wire_hits: Any = None,
+    *,
+    candidates: Finder | Mapping[str, Table] | None = None,
+    hypothesis: str = "mu",
+    settings: FitSettings | None = None,
+) -> dict[str, Table]:
+    """Fit tracks to hits of any origin, given as columns in any order of rows; what is not needed may be left out.
+
+    Parameters
+    ----------
+    detector : Detector, or what `load` accepts
+    clusters : Table, mapping of arrays, pandas.DataFrame, pyarrow.Table, structured ndarray or None
+        Rows with `layer` and one of: `phi` rad and `z` mm, a point; `view` (0 X, 1 V) with `x` or `v`, mm on the sheet;
+        `view` with `first` and `last` strip. Errors of points: `err_phi` rad and `err_z` mm, with `cov_phi_z` rad mm
+        if they are correlated, or `cov`, (n, 2, 2) of phi and z, or `err_x` and `err_v` mm. Errors of `x` and `v`:
+        `err`, or `err_x` and `err_v`, mm. Strips need none. `sheet` is needed where a layer has two, but for points.
+    wire_hits : Table, mapping of arrays, pandas.DataFrame, pyarrow.Table, structured ndarray or None
+        Rows with `layer`, `wire`, `drift` mm; `sigma` mm (default: the detector's), `side` (+1, -1; 0 unknown).
+    candidates : callable, mapping of str to Table, or None
+        A finder as for `run`, or the tables ``candidates`` and ``candidate_hits`` for hits that are tables. None: the
+        column `candidate` of the hits, a number within the event (below 0: none), or all hits of an event together.
+    hypothesis : str
+        Particle whose mass the fit assumes, ``"e"``, ``"mu"``, ``"pi"``, ``"K"`` or ``"p"``.
+    settings : FitSettings or None
+
+    Returns
+    -------
+    dict of str to Table
+        ``tracks`` and what else `fit` makes, and the tables ``clusters``, ``wire_hits``, ``candidates`` and
+        ``candidate_hits``. Their rows are sorted by `event`, a column that may be left out, too: one event. The column
+        `given_row` of the hits says where a row was.
+
+    Raises
+    ------
+    ValueError
+        Listing everything that is wrong with the columns or the hits, by their rows as given.
+    """
+    detector = load(detector)
+    problems: list[str] = []
+    if not isinstance(hypothesis, str) or hypothesis not in HYPOTHESES:
+        problems.append(f"hypothesis: got {hypothesis!r}, expected one of {', '.join(map(repr, HYPOTHESES))}")
+    hits = hit_tables(detector, clusters, wire_hits, problems, labelled=candidates is None)
+    events = hits[0].events
+    if callable(candidates):
+        found = by_finder(candidates, detector, *hits)
+    elif candidates is not None:
+        found = check_found(candidates, "given", events)
+    else:
+        labels = [part["candidate"] if "candidate" in part else np.zeros(len(part), np.int64) for part in hits]
+        found = check_found(label_candidates(*hits, labels[0], labels[1], hypothesis), "given", events)
+    fitted = fit(detector, *hits, found["candidates"], found["candidate_hits"], settings)
+    return {"clusters": hits[0], "wire_hits": hits[1], **found, **fitted}
+
+
+def hit_tables(
+    detector: Detector,
+    clusters: Any,
+    wire_hits: Any,
+    problems: list[str],
+    *,
+    labelled: bool = True,
+    events: Column | None = None,
+) -> tuple[Table, Table]:
+    """Return the tables of clusters and wire hits given as columns, as for `fit_hits`.
+
+    Parameters
+    ----------
+    detector : Detector
+    clusters, wire_hits : Table, mapping of arrays, pandas.DataFrame, pyarrow.Table, structured ndarray or None
+    problems : list of str
+        What is wrong already.
+    labelled : bool
+        Whether the column `candidate`, or else the event, says which hits belong together.
+    events : ndarray, (n,) int64, or None
+        Events that the tables cover; None: those with hits.
+
+    Raises
+    ------
+    ValueError
+        Listing everything that is wrong.
+    """
+    given = {
+        "clusters": read("clusters", clusters, ("layer",), problems),
+        "wire_hits": read("wire_hits", wire_hits, ("layer", "wire", "drift"), problems),
+    }
+    named = [name for name, columns in given.items() if "candidate" in columns]
+    bare = [name for name, columns in given.items() if len(columns["layer"]) and name not in named]
+    if labelled and named and bare:
+        problems.append(f"{bare[0]}: have no column 'candidate', as the {named[0]} have; expected both or none")
+    _raise(problems)
+    with np.errstate(invalid="ignore"):  # infinite numbers are listed below
+        columns = _cluster_columns(detector, given["clusters"], problems), _wire_columns(detector, given["wire_hits"])
+    _raise(problems)
+    problems += value_problems(detector, given["clusters"] | {"view": columns[0]["view"]})
+    problems += drift_problems(detector, given["wire_hits"])
+    rows = {line.partition(":")[0] for line in problems}  # X, V and their errors follow from wrong numbers there
+    try:
+        _core.check_hits(compiled(detector), _measurements(*columns))
+    except ValueError as error:
+        lines = dict.fromkeys(line.strip() for line in str(error).splitlines()[1:])
+        if not lines:  # not a list of problems
+            raise
+        problems += [line for line in lines if line.partition(":")[0] not in rows]
+    if labelled:  # else a finder may tell equal hits apart
+        problems += repeated("clusters", columns[0], ("layer", "sheet", "view", "x", "v"))
+        problems += repeated("wire_hits", columns[1], ("layer", "wire", "drift"))
+    _raise(problems)
+    if events is None:
+        events = np.unique(np.concatenate([part["event"] for part in columns]))
+    return _table("clusters", columns[0], events), _table("wire_hits", columns[1], events)
+
+
+def _raise(problems: list[str]) -> None:
+    if problems:
+        raise ValueError("fit_hits:\n  " + "\n  ".join(problems))
+
+
+def _cluster_columns(detector: Detector, given: Columns, problems: list[str]) -> Columns:
+    """Return X, V and their errors of each row, whichever way they are given, and the other columns."""
+    n = len(given["layer"])
+    has = given.keys()
+    if n and "view" not in has and not {"phi", "z"} <= has:
+        problems.append(
+            "clusters: got neither view nor phi and z; expected points (phi, z) or views with x, v or strips"
+        )
+    columns = dict(given)
+    view = columns["view"] = given.get("view", np.full(n, XV_CLUSTER))
+    wrong = np.flatnonzero((view < HIT_X) | (view > XV_CLUSTER))
+    if len(wrong):
+        problems.append(f"clusters row {wrong[0]}: view: got {view[wrong[0]]}, expected 0 (X), 1 (V) or 2 (XV)")
+    if n and not detector.cgem:
+        problems.append(f"clusters: got {n} rows; expected none, {detector.name} has no CGEM layers")
+    if problems:
+        return columns
+    nan = np.full(n, np.nan)
+    names = ("x", "v", "phi", "z", "err_x", "err_v", "err_phi", "err_z")
+    for name in (*names, "r"):
+        columns[name] = np.asarray(given.get(name, nan), np.float64).copy()
+    columns["cov_xv"] = np.asarray(given.get("cov_xv", np.zeros(n)), np.float64).copy()
+    columns["sheet"] = _sheets(detector, columns, "sheet" in has, problems)
+    for name, value in (("first", -1), ("last", -1), ("size", 0)):
+        columns[name] = given.get(name, np.full(n, value)).copy()
+    errors = cluster_errors(detector, ClusterSettings()) if "first" in has else None
+    for number, layer in enumerate(detector.cgem):
+        rows = np.flatnonzero(given["layer"] == number)
+        mine = {name: columns[name][rows] for name in (*names, "view", "sheet", "first", "last", "size", "cov_xv")}
+        mine |= {name: given[name][rows] for name in ("err", "cov", "cov_phi_z") if name in has}
+        mine["r"] = np.full(len(rows), layer.r_mid)
+        of_strips = None if errors is None else (errors[0][number], errors[1][number])
+        _fill_layer(layer, mine, of_strips, keep_size="size" in has)
+        for name in (*names, "size", "cov_xv", "r"):
+            columns[name][rows] = mine[name]
+    return columns
+
+
+def _sheets(detector: Detector, columns: Columns, given: bool, problems: list[str]) -> Column:
+    """Return the sheet of each cluster: as given, the only one of its layer, or that below its azimuth."""
+    if given:
+        return columns["sheet"]
+    sheet = np.zeros(len(columns["layer"]), np.int64)
+    for number, layer in enumerate(detector.cgem):
+        rows = np.flatnonzero(columns["layer"] == number)
+        around = np.remainder(columns["phi"][rows] - layer.sheet_phi[0], 2 * np.pi)
+        if layer.sheets == 1 or not len(rows):
+            continue
+        if np.any(columns["view"][rows] != XV_CLUSTER):
+            problems.append(
+                f"clusters: sheet: missing; expected it where a layer has {layer.sheets}, as layer {number}"
+            )
+        edge = np.remainder(layer.sheet_phi[1] - layer.sheet_phi[0], 2 * np.pi)
+        sheet[rows] = around >= edge
+    return sheet
+
+
+def _fill_layer(layer: Any, mine: Columns, of_strips: tuple[Column, Column] | None, *, keep_size: bool) -> None:
+    """Fill in positions and errors of the clusters of one layer."""
+    view, start = mine["view"], np.array(layer.sheet_phi)[np.clip(mine["sheet"], 0, layer.sheets - 1)]
+    point = view == XV_CLUSTER
+    given_errors = np.isfinite(np.where(view == HIT_V, mine["err_v"], mine["err_x"])) | ("err" in mine)
+    strips = (mine["first"] >= 0) & (mine["last"] >= mine["first"]) & ~point
+    size = np.where(strips, mine["last"] - mine["first"] + 1, 0)
+    of_views = (HIT_X, "x", layer.pitch_x, 0.0, 0), (HIT_V, "v", layer.pitch_v, layer.offset_v, 1)
+    for is_view, name, pitch, offset, which in of_views:
+        rows, error = view == is_view, mine[f"err_{name}"]
+        centre = (0.5 * (mine["first"] + mine["last"] + 1) + offset) * pitch
+        mine[name] = np.where(rows & strips & np.isnan(mine[name]), centre, mine[name])
+        if "err" in mine:
+            error = np.where(rows & np.isnan(error), mine["err"], error)
+        if of_strips is not None:
+            by_size = of_strips[which][np.clip(size - 1, 0, len(of_strips[which]) - 1)]
+            error = np.where(rows & strips & np.isnan(error), by_size, error)
+        mine[f"err_{name}"] = error
+    if not keep_size:  # the fit takes errors as they are where a cluster has no strips
+        mine["size"] = np.where(given_errors, 0, size)
+    _fill_points(layer, mine, start, point)
+    on_x = (view == HIT_X) & np.isnan(mine["phi"])
+    mine["phi"] = np.where(on_x, _wrapped(start + mine["x"] / layer.r_readout), mine["phi"])
+    mine["err_phi"] = np.where(on_x, mine["err_x"] / layer.r_readout, mine["err_phi"])
+
+
+def _fill_points(layer: Any, mine: Columns, start: Column, point: Column) -> None:
+    """Fill in X and V of points from phi and z with their covariance, or phi and z from X and V."""
+    r, cosine, sine = layer.r_readout, np.cos(layer.stereo), np.sin(layer.stereo)
+    by_phi = point & np.isnan(mine["x"])
+    x = r * np.remainder(mine["phi"] - start, 2 * np.pi)
+    mine["x"] = np.where(by_phi, x, mine["x"])
+    by_z = point & np.isnan(mine["v"])
+    mine["v"] = np.where(by_z, local_v(layer, mine["x"], mine["z"]), mine["v"])
+    mine["phi"] = np.where(point & np.isnan(mine["phi"]), _wrapped(start + mine["x"] / r), mine["phi"])
+    mine["z"] = np.where(point & np.isnan(mine["z"]), crossing_z(layer, mine["x"], mine["v"]), mine["z"])
+    phi2, z2, both = mine["err_phi"] ** 2, mine["err_z"] ** 2, mine.get("cov_phi_z", np.zeros(len(x)))
+    if "cov" in mine:
+        phi2, z2, both = (mine["cov"][:, i, j] for i, j in ((0, 0), (1, 1), (0, 1)))
+    # X = r (phi - start), V = X cos + (z_ref - z) sin.
+    from_phi = point & np.isnan(mine["err_x"]) & np.isnan(mine["err_v"])
+    with np.errstate(invalid="ignore"):
+        err_v = np.sqrt(cosine**2 * r**2 * phi2 + sine**2 * z2 - 2 * cosine * sine * r * both)
+        mine["err_x"] = np.where(from_phi, r * np.sqrt(phi2), mine["err_x"])
+    mine["err_v"] = np.where(from_phi, err_v, mine["err_v"])
+    mine["cov_xv"] = np.where(from_phi, cosine * r**2 * phi2 - sine * r * both, mine["cov_xv"])
+
+
+def _wrapped(angle: Column) -> Column:
+    return np.asarray(np.remainder(angle + np.pi, 2 * np.pi) - np.pi)
+
+
+def _wire_columns(detector: Detector, given: Columns) -> Columns:
+    """Return the columns of wire hits with those that were left out."""
+    n, columns = len(given["layer"]), dict(given)
+    columns["drift"] = np.asarray(given["drift"], np.float64)
+    distance = np.where(np.isfinite(columns["drift"]), np.maximum(columns["drift"], 0), 0)
+    sigma, gid = np.ones(n), np.full(n, -1)  # layers that are not there are refused
+    if detector.drift_chamber:
+        for layer, first in zip(detector.drift_chamber.layers, detector.drift_chamber.gid_first, strict=True):
+            mine = given["layer"] == layer.number
+            sigma[mine] = layer.sigma + layer.sigma_slope * distance[mine]
+            gid[mine] = first + given["wire"][mine]
+    defaults = {"sigma": sigma, "gid": gid, "side": np.zeros(n, np.int64), "drift_time": np.full(n, np.nan)}
+    return {**defaults, **columns}
+
+
+def _measurements(clusters: Columns, wires: Columns) -> Columns:
+    """Return every number that is measured, by its row as given, for the checks of the core."""
+    x, v = (np.flatnonzero((clusters["view"] == view) | (clusters["view"] == XV_CLUSTER)) for view in (HIT_X, HIT_V))
+    parts: list[tuple[Columns, Column, int, str, str, str]] = [
+        (clusters, x, HIT_X, "sheet", "x", "err_x"),
+        (clusters, v, HIT_V, "sheet", "v", "err_v"),
+        (wires, np.arange(len(wires["layer"])), HIT_WIRE, "wire", "drift", "sigma"),
+    ]  # fmt: skip
+    joined: dict[str, list[Column]] = {}
+    for table, rows, kind, channel, value, sigma in parts:
+        layer = table["layer"][rows]
+        of = {"layer": layer, "channel": table[channel][rows], "value": table[value][rows], "sigma": table[sigma][rows]}
+        of |= {"kind": np.full(len(layer), kind), "row": table["given_row"][rows], "size": np.zeros(len(layer))}
+        of["side"] = table["side"][rows] if kind == HIT_WIRE else np.zeros(len(layer))
+        for name, column in of.items():
+            joined.setdefault(name, []).append(column)
+    kinds = {"kind": "u1", "layer": "i4", "channel": "i4", "size": "i4", "side": "i8", "row": "i8"}
+    columns = {name: np.concatenate(column).astype(kinds.get(name, "f8")) for name, column in joined.items()}
+    return columns | {"side": np.clip(columns["side"], -128, 127).astype(np.int8)}
+
+
+def _table(kind: str, columns: Columns, events: Column) -> Table:
+    """Return the table of some columns, sorted by event, with defaults for what is missing."""
+    order = np.argsort(columns["event"], kind="stable")
+    defaults = {"x_cluster": -1, "v_cluster": -1, "truth": -1, "wire_truth": -1}
+    schema = SCHEMAS[kind]
+    filled = {c.name: np.full(len(order), defaults.get(c.name, 0), c.dtype) for c in schema if c.name not in columns}
+    picked = {name: column[order] for name, column in {**filled, **columns}.items()}
+    position = np.append(np.argsort(order), -1)  # of each row as given
+    for name in picked.keys() & {"x_cluster", "v_cluster"}:
+        picked[name] = position[np.clip(picked[name], -1, len(order))]
+    integers = {c.name: c.dtype for c in schema if c.dtype.kind in "iu"}
+    picked = {name: column.astype(integers[name]) if name in integers else column for name, column in picked.items()}
+    return Table(kind, picked, len(events), events=events)

@@ -1,0 +1,230 @@
+"""States of fitted tracks at any surface: smoothed, and extrapolated through matter (docs/methods/states.md)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from cgemit import _core, helix
+from cgemit.base.settings import number
+from cgemit.detector import SCREENINGS, Detector, compiled, load, slabs
+from cgemit.particles.species import HYPOTHESES
+from cgemit.reconstruction.candidates import FitHits
+from cgemit.tables import Table
+from cgemit.tables.table import what
+
+Surface = _core.Surface
+StateStatus = _core.StateStatus
+Floats = npt.NDArray[np.float64]
+Columns = dict[str, npt.ArrayLike]
+
+#: Surfaces of states by name; a number is the radius of a cylinder in mm.
+SurfaceName = Literal["origin", "beam_line", "beam_pipe", "hits"]
+
+_MASSES = {kind.pdg: kind.mass for kind in HYPOTHESES.values()}
+
+
+def state_columns(
+    detector: Detector,
+    core: _core.Detector,
+    surfaces: tuple[float | str, ...],
+    tracks: Table,
+    mass: Floats,
+    hits: FitHits,
+    fitted: dict[str, npt.NDArray[Any]],
+    settled: npt.NDArray[np.bool_],
+) -> Columns:
+    """Columns of the states table.
+
+    Parameters
+    ----------
+    detector : Detector
+        Detector that the fit assumed.
+    core : _core.Detector
+        The same, compiled for it.
+    surfaces : tuple of float or str
+        Radii in mm, and names of `SurfaceName`.
+    tracks : Table of kind "tracks"
+    mass : ndarray, (n,) float64, GeV/c2
+        That the fit assumed for each.
+    hits : FitHits
+        Of each track.
+    fitted : dict of ndarray
+        Of the fit: `reference` (n, 5) float64, the helix of the reference trajectory of its last iteration, with the
+        azimuth of flight for phi0; `kinks` (n slabs, 2) float64, rad, the scattering of that trajectory in every slab;
+        `prior` (n, 25) float64, the covariance of its filter's prior; `used` (hits,) uint8, whether it used a hit;
+        `used_value`, `used_variance` (hits,) float64, mm and mm2, what it measured.
+    settled : ndarray, (n,) bool
+        Whether the fit has settled; otherwise its last iteration may have begun far from its result.
+
+    Returns
+    -------
+    dict of array_like
+    """
+    targets = _targets(detector, surfaces)
+    used = {name: fitted[name] for name in ("used", "used_value", "used_variance")}
+    out = _core.states(
+        core,
+        hit_offsets=hits.hit_offsets,
+        hits=hits.columns() | used,
+        reference=fitted["reference"],
+        kinks=fitted["kinks"].reshape(len(fitted["reference"]), -1),
+        prior=fitted["prior"],
+        mass=mass,
+        fitted=settled.astype(np.uint8),
+        targets=targets,
+    )
+    track, target = out["track"], out["target"]
+    surface = targets["surface"][target]
+    found: Columns = {
+        "event": tracks["event"][track],
+        "track": track,
+        "hypothesis": tracks["hypothesis"][track],
+        "surface": surface,
+    }
+    found |= _hit_columns(hits, out["hit"]) | _at(out)
+    found["r"] = np.where(surface == Surface.cylinder, targets["radius"][target], np.hypot(found["x"], found["y"]))
+    residual, err = out["residual"], out["err"]
+    return found | {"residual": residual, "err": err, "pull": residual / err, "status": out["status"]}
+
+
+def extrapolate(
+    detector: Detector | str | Mapping[str, Any],
+    table: Table,
+    radius: float,
+    *,
+    particle: str | None = None,
+    screening: str = SCREENINGS[0],
+    loss: str = "truncated",
+    radiation: bool = True,
+) -> Table:
+    """Extrapolate fitted tracks to a cylinder, outward or inward, through the matter in between.
+
+    Tracks are helices in a uniform field, Runge-Kutta steps in any other. The energy loss changes the state, and the
+    noise of the matter adds to its covariance. No measurement is added. Between measurements, and from the innermost
+    one to the origin, ``FitSettings(states=...)`` is more precise: its states use all measurements, on either side.
+
+    Parameters
+    ----------
+    detector : Detector, or what `load` accepts
+    table : Table of kind "states" or "tracks"
+        Where to start; tracks start at the origin.
+    radius : float
+        mm. A track that does not reach it, or leaves the field map before, gets a row with such a `status`.
+    particle : str or None
+        Name of the particle (``"e"``, ``"mu"``, ``"pi"``, ``"K"``, ``"p"``); that of the column `hypothesis` if None.
+    screening, loss, radiation : str, str, bool
+        Screening of nuclei in multiple scattering, the energy loss subtracted, and whether electrons and positrons
+        radiate, as in `FitSettings`.
+
+    Returns
+    -------
+    Table of kind "states"
+        One row per row of `table`.
+
+    Raises
+    ------
+    ValueError
+        Listing every invalid argument, or every problem of the detector.
+    """
+    problems = _start_problems(table, radius, particle, screening, loss)
+    if problems:
+        raise ValueError("extrapolate:\n  " + "\n  ".join(problems))
+    detector, of_state = load(detector), table.kind == "states"
+    pivot = np.stack([table[f"pivot_{axis}"] if of_state else np.zeros(len(table)) for axis in "xyz"], axis=1)
+    parameters = np.stack([table[name] for name in helix.PARAMETERS], axis=1)
+    start = np.hypot(*(pivot[:, i] + table["dr"] * f(table["phi0"]) for i, f in enumerate((np.cos, np.sin))))
+    out = _core.extrapolate(
+        compiled(detector, screening=screening, loss=loss, radiation=bool(radiation)), pivot=pivot, helix=parameters,
+        cov=table["cov"].reshape(-1, 25), mass=_masses(table, particle), radius=float(radius),
+        share=shares_inside(detector, start), target_share=float(shares_inside(detector, np.array([radius]))[0]),
+    )  # fmt: skip
+    n = len(table)
+    none, nan = np.full(n, -1), np.full(n, np.nan)
+    columns: Columns = {
+        "event": table["event"], "track": table["track"] if of_state else np.arange(n),
+        "hypothesis": table["hypothesis"], "surface": np.full(n, Surface.cylinder), "r": np.full(n, float(radius)),
+        "view": none, "layer": none, "hit": none, "residual": nan, "err": nan, "pull": nan, "status": out["status"],
+    }  # fmt: skip
+    return Table("states", columns | _at(out), meta=table.meta, **table.cover)
+
+
+def _start_problems(table: Table, radius: object, particle: object, screening: object, loss: object) -> list[str]:
+    """Return the problems of the arguments of `extrapolate`."""
+    problems = []
+    fits = isinstance(table, Table) and table.kind in ("states", "tracks")
+    if not fits:
+        problems.append(f"table: got {what(table)}, expected a table of kind 'states' or 'tracks'")
+    if not 0 < number(radius) < math.inf:
+        problems.append(f"radius: got {radius!r}, expected a positive number, mm")
+    if particle not in (None, *HYPOTHESES):
+        problems.append(f"particle: got {particle!r}, expected one of {', '.join(map(repr, HYPOTHESES))}")
+    if particle is None and fits and np.isnan(_masses(table, None)[np.isfinite(table["cov"][:, 0, 0])]).any():
+        problems.append("particle: none given, and the table's hypothesis is none of e, mu, pi, K, p")
+    if loss not in tuple(_core.CoreLoss.__members__):
+        problems.append(f"loss: got {loss!r}, expected one of {', '.join(_core.CoreLoss.__members__)}")
+    if screening not in SCREENINGS:
+        problems.append(f"screening: got {screening!r}, expected one of {', '.join(map(repr, SCREENINGS))}")
+    return problems
+
+
+def _masses(table: Table, particle: str | None) -> Floats:
+    """Return the mass of each row, GeV/c2; NaN where it is not known."""
+    if particle is not None:
+        return np.full(len(table), HYPOTHESES[particle].mass)
+    numbers, number = np.unique(table["hypothesis"], return_inverse=True)
+    return np.array([_MASSES.get(int(pdg), np.nan) for pdg in numbers])[number]
+
+
+def _at(out: dict[str, npt.NDArray[Any]]) -> dict[str, Any]:
+    """Columns of point, momentum, pivot, helix and covariance."""
+    pivot, (dr, phi0, kappa, dz, tanl) = out["pivot"], out["helix"].T
+    px, py, pz = helix.momentum_vector(out["helix"]).T
+    return {
+        "x": pivot[:, 0] + dr * np.cos(phi0), "y": pivot[:, 1] + dr * np.sin(phi0), "z": pivot[:, 2] + dz,
+        "px": px, "py": py, "pz": pz, "pivot_x": pivot[:, 0], "pivot_y": pivot[:, 1], "pivot_z": pivot[:, 2],
+        "dr": dr, "phi0": phi0, "kappa": kappa, "dz": dz, "tanl": tanl, "cov": out["cov"],
+    }  # fmt: skip
+
+
+def _hit_columns(hits: FitHits, hit: npt.NDArray[Any]) -> Columns:
+    """Columns view, layer and hit of states at hits, by their row in `hits`; -1 for those that are at none."""
+    at_hit = hit >= 0
+    found: Columns = {}
+    for name, kind, values in (("view", "i1", hits.kind), ("layer", "i4", hits.layer), ("hit", "i8", hits.row)):
+        column = np.full(len(hit), -1, kind)
+        column[at_hit] = values[hit[at_hit]]
+        found[name] = column
+    return found
+
+
+def _targets(detector: Detector, surfaces: tuple[float | str, ...]) -> dict[str, npt.NDArray[Any]]:
+    """Columns surface, radius (mm) and share of the requested surfaces, in their order."""
+    kinds = {"origin": Surface.origin, "beam_line": Surface.beam_line, "hits": Surface.hit}
+    if "beam_pipe" in surfaces and not detector.beam_pipe:
+        raise ValueError("states: 'beam_pipe', but the detector has none")
+    given = [detector.beam_pipe[0].r_in if surface == "beam_pipe" else surface for surface in surfaces]
+    kind = [kinds.get(surface, Surface.cylinder) if isinstance(surface, str) else Surface.cylinder for surface in given]
+    radius = np.array([0.0 if isinstance(surface, str) else float(surface) for surface in given])
+    return {"surface": np.array(kind, np.int8), "radius": radius, "share": shares_inside(detector, radius)}
+
+
+def shares_inside(detector: Detector, radii: Floats) -> Floats:
+    """Return which part of X/X0 of the scatterer that a radius cuts lies inside that radius; 0 if it cuts none.
+
+    Parameters
+    ----------
+    detector : Detector
+    radii : ndarray, (n,) float64, mm
+    """
+    shares = np.zeros(len(radii))
+    for slab in slabs(detector):
+        cut = (slab.r_in < radii) & (radii < slab.r_out)
+        if cut.any():
+            inside = [s.x0 * np.clip((radii[cut] - s.r_in) / s.thickness, 0, 1) for s in slab.shells]
+            shares[cut] = np.sum(inside, axis=0) / slab.x0
+    return shares

@@ -1,0 +1,1 @@
+"""Simulation: from particles to digis and wire hits, with their truth."""

@@ -1,0 +1,310 @@
+"""Digitization: truths become digis, crossings of drift cells become drift distances (docs/methods/digitize.md)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from cgemit import _core
+from cgemit.base.settings import SettingsData, one_of
+from cgemit.detector import CgemLayer, Detector, compiled, load
+from cgemit.detector.core import in_dead_area, strip_lists
+from cgemit.detector.drift import (
+    XT_DISTANCE,
+    XT_TIME,
+    propagation_time,
+    shifted,
+)
+from cgemit.detector.parts import seen_by
+from cgemit.reconstruction.cluster import ClusterSettings
+from cgemit.simulation.readouts.apv25 import Apv25Readout
+from cgemit.simulation.readouts.binary import BinaryReadout
+from cgemit.simulation.readouts.gaussian import GaussianReadout
+from cgemit.simulation.readouts.projection import ProjectionReadout
+from cgemit.simulation.readouts.readout import Readout
+from cgemit.simulation.readouts.tiger import TigerReadout
+from cgemit.tables import Table
+from cgemit.tables.table import kind_problems
+
+Floats = npt.NDArray[np.float64]
+
+
+def in_layer_axes(detector: Detector, truths: Table, steps: Table) -> tuple[Table, Table]:
+    """Return truths and steps in the axes of their layers; the same tables where no layer is displaced.
+
+    A straight track through the crossing is continued to the displaced layer. Points of delta electrons keep their
+    places relative to it.
+
+    Parameters
+    ----------
+    detector : Detector
+    truths, steps : Table
+        Of these kinds, steps linked to truths; layers as in the detector.
+
+    Returns
+    -------
+    truths, steps : Table
+        With other `entry`, `exit`, `phi`, `z` of truths, and `x`, `y`, `z`, `dx`, `dy`, `dz` of steps.
+    """
+    if not any(layer.is_moved for layer in detector.cgem):
+        return truths, steps
+    entry, out = _points(truths, "entry_x", "entry_y", "entry_z"), _points(truths, "exit_x", "exit_y", "exit_z")
+    direction = out - entry
+    radius = np.array([layer.r_mid for layer in detector.cgem])[truths["layer"]]
+    middle = np.column_stack([radius * np.cos(truths["phi"]), radius * np.sin(truths["phi"]), truths["z"]])
+    at, length = _points(steps, "x", "y", "z"), _points(steps, "dx", "dy", "dz")
+    along = direction[steps["truth"]]
+    for number, layer in enumerate(detector.cgem):
+        if not layer.is_moved:
+            continue
+        mine, of_mine = truths["layer"] == number, steps["layer"] == number
+        for points in (entry, out, middle):
+            points[mine] = seen_by(layer, points[mine], direction[mine])
+        at[of_mine], length[of_mine] = _steps_seen_by(layer, at[of_mine], length[of_mine], along[of_mine])
+    moved = _columns(("entry_x", "entry_y", "entry_z"), entry) | _columns(("exit_x", "exit_y", "exit_z"), out)
+    moved |= {"phi": np.arctan2(middle[:, 1], middle[:, 0]), "z": middle[:, 2]}
+    of_steps = _columns(("x", "y", "z"), at) | _columns(("dx", "dy", "dz"), length)
+    return truths.with_columns(**moved), steps.with_columns(**of_steps)
+
+
+def _steps_seen_by(layer: CgemLayer, middle: Floats, length: Floats, along: Floats) -> tuple[Floats, Floats]:
+    """Return middles and lengths of steps, (n, 3), of which both ends keep their radius."""
+    begin, end = (seen_by(layer, middle + side * length, along) for side in (-0.5, 0.5))
+    return 0.5 * (begin + end), end - begin
+
+
+def _points(table: Table, *names: str) -> Floats:
+    return np.column_stack([table[name] for name in names]).astype(np.float64)
+
+
+def _columns(names: tuple[str, str, str], points: Floats) -> dict[str, Floats]:
+    return dict(zip(names, points.T.copy(), strict=True))
+
+
+def true_delay(detector: Detector, wire_truths: Table) -> Floats:
+    """Return flight and propagation of crossings of cells, (n,) float64, ns.
+
+    Parameters
+    ----------
+    detector : Detector
+    wire_truths : Table
+    """
+    delay = wire_truths["time"] + propagation_time(detector, wire_truths["layer"], wire_truths["z"])
+    return np.asarray(delay, np.float64)
+
+
+#: Read-outs of CGEM layers by name.
+READOUTS: dict[str, type[Readout]] = {
+    BinaryReadout.name: BinaryReadout,
+    GaussianReadout.name: GaussianReadout,
+    TigerReadout.name: TigerReadout,
+    Apv25Readout.name: Apv25Readout,
+    ProjectionReadout.name: ProjectionReadout,
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class DigitizeSettings(SettingsData):
+    """How CGEM layers and wires are read out.
+
+    Attributes
+    ----------
+    readout : Readout
+        Of the CGEM layers, such as ``BinaryReadout(gain=8000)``. Its name alone, such as ``"gaussian"``, stands for
+        the read-out with its defaults.
+    reveal_sides : bool
+        Whether wire hits tell on which side of the wire the particle passed.
+    wire_times : str
+        ``"corrected"``: drift times hold the drift alone. ``"raw"``: also time of flight and propagation along the
+        wire, for which the reconstruction corrects (docs/methods/digitize.md).
+
+    Raises
+    ------
+    ValueError
+        Listing every invalid value.
+    """
+
+    readout: Readout = field(
+        default_factory=BinaryReadout, metadata=one_of(READOUTS, "cgemit.simulation.digitize.READOUTS")
+    )
+    reveal_sides: bool = False
+    wire_times: Literal["corrected", "raw"] = "corrected"
+
+    if TYPE_CHECKING:  # a name is accepted, too, and never kept
+
+        def __init__(
+            self, *, readout: Readout | str = ..., reveal_sides: bool = ..., wire_times: str = ...
+        ) -> None: ...
+
+
+def digitize(
+    detector: Detector | str | Mapping[str, Any],
+    truths: Table,
+    wire_truths: Table,
+    settings: DigitizeSettings | None = None,
+    seed: int = 0,
+    *,
+    steps: Table | None = None,
+) -> dict[str, Table]:
+    """Read out the CGEM layers and the wires; dead strips give no digis.
+
+    Parameters
+    ----------
+    detector : Detector, or what `load` accepts
+    truths : Table
+        Of kind ``truths``.
+    wire_truths : Table
+        Of kind ``wire_truths``, of the same events.
+    settings : DigitizeSettings or None
+    seed : int
+        Key of the random numbers. They depend only on seed, event, particle, layer and wire.
+    steps : Table or None
+        Of kind ``steps``, linked to `truths` and in their order: delta electrons deposit along their paths (binary).
+        Without it, all energy of a truth lies between entry and exit.
+
+    Returns
+    -------
+    dict of str to Table
+        ``digis`` and ``wire_hits``.
+
+    Raises
+    ------
+    ValueError
+        If a layer or wire is not in the detector, a value is not finite, a step does not belong to its truth or has
+        invalid values, or raw drift times are asked for and the detector does not say how signals run along its wires.
+    """
+    detector, settings = load(detector), settings or DigitizeSettings()
+    if steps is None:
+        steps = Table.empty("steps", **truths.cover)
+    truths, steps = in_layer_axes(detector, truths, steps)
+    digis = made("digis", settings.readout.digitize(detector, truths, steps, seed), settings.readout, truths)
+    return {
+        "wire_hits": read_out_wires(
+            detector, wire_truths, reveal_sides=settings.reveal_sides, seed=seed, raw=settings.wire_times == "raw"
+        ),
+        "digis": without_dead(detector, outside_dead_areas(detector, digis, truths)),
+    }
+
+
+def outside_dead_areas(detector: Detector, digis: Table, truths: Table) -> Table:
+    """Return digis without those of crossings in the dead part of a seam or of an end.
+
+    Parameters
+    ----------
+    detector : Detector
+    digis : Table
+    truths : Table
+        In the axes of the layers; where a crossing is at mid-gap counts for all of it.
+    """
+    dead = np.zeros(len(truths), np.bool_)
+    for number, layer in enumerate(detector.cgem):
+        if layer.dead_seam > 0 or layer.dead_ends > 0:
+            rows = np.flatnonzero(truths["layer"] == number)
+            turn = np.remainder(truths["phi"][rows] - layer.phi_first, 2 * np.pi / layer.sheets)
+            dead[rows] = in_dead_area(layer, layer.r_readout * turn, truths["z"][rows])
+    return digis[~dead[digis["truth"]] | (digis["truth"] < 0)] if dead.any() else digis
+
+
+def without_dead(detector: Detector, digis: Table) -> Table:
+    """Return digis without those of dead strips.
+
+    Parameters
+    ----------
+    detector : Detector
+    digis : Table
+    """
+    dead = strip_lists(detector).dead
+    if not len(dead):
+        return digis
+    alive = ~np.isin(digis["gid"], dead)
+    return Table(
+        "digis", {name: column[alive] for name, column in digis.columns.items()}, meta=digis.meta, **digis.cover
+    )
+
+
+def read_out_wires(
+    detector: Detector, wire_truths: Table, *, reveal_sides: bool, seed: int, raw: bool = False
+) -> Table:
+    """Return the table ``wire_hits`` of a table ``wire_truths``.
+
+    Parameters
+    ----------
+    detector : Detector
+    wire_truths : Table
+    reveal_sides : bool
+        Whether wire hits tell on which side of the wire the particle passed.
+    seed : int
+    raw : bool
+        Whether drift times hold flight and propagation. Without them, only later half turns are later by their flight
+        when a cell is hit twice: the flight of first ones is taken as corrected.
+
+    Raises
+    ------
+    ValueError
+        If a wire is not in the detector, a value is not finite, or the detector does not say how signals run.
+    """
+    if raw:
+        delay = true_delay(detector, wire_truths)
+    else:  # times that are not finite stay, for the check
+        time = wire_truths["time"]
+        delay = np.where((wire_truths["half_turn"] > 0) | ~np.isfinite(time), time, 0.0)
+    hits = _core.read_out_wires(
+        compiled(detector), {**wire_truths.columns, "delay": delay}, xt_distance=XT_DISTANCE, xt_time=XT_TIME,
+        reveal_sides=reveal_sides, seed=seed,
+    )  # fmt: skip
+    table = Table("wire_hits", hits, **wire_truths.cover)
+    if not raw:
+        return table
+    late, drift_time = delay[table["wire_truth"]], table["drift_time"]
+    return table.with_columns(drift_time=drift_time + late, drift=shifted(table["drift"], drift_time, late))
+
+
+def cluster_digis(
+    detector: Detector | str | Mapping[str, Any],
+    digis: Table,
+    settings: DigitizeSettings,
+    cluster_settings: ClusterSettings,
+) -> Table:
+    """Return the table ``clusters`` that the read-out of the settings makes of digis.
+
+    Parameters
+    ----------
+    detector : Detector, or what `load` accepts
+    digis : Table
+    settings : DigitizeSettings
+    cluster_settings : ClusterSettings
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a digi is not in the detector, or the read-out makes anything but clusters of the same events.
+    """
+    return made("clusters", settings.readout.cluster(load(detector), digis, cluster_settings), settings.readout, digis)
+
+
+def made(kind: str, table: object, readout: Readout, source: Table) -> Table:
+    """Return the table that a read-out has made of another one.
+
+    Parameters
+    ----------
+    kind : str
+    table : object
+        What the read-out returned.
+    readout : Readout
+    source : Table
+
+    Raises
+    ------
+    TypeError, ValueError
+        If it is not a table of this kind, of the same events.
+    """
+    problems = kind_problems(**{kind: table})
+    if problems or not isinstance(table, Table):
+        raise TypeError(f"read-out {readout.name}: {problems[0]}")
+    if not np.array_equal(table.events, source.events):
+        raise ValueError(f"read-out {readout.name}: {kind}: cover other events than {source.kind}; expected the same")
+    return table

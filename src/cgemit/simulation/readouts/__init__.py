@@ -1,0 +1,1 @@
+"""Read-outs of CGEM layers, a file each."""

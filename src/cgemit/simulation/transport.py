@@ -1,0 +1,163 @@
+"""Simulation: charged particles through field and matter to crossings of drift gaps and drift cells."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
+
+from cgemit import _core
+from cgemit.base.settings import Check, SettingsData
+from cgemit.detector import Detector, Screening, compiled, load
+from cgemit.particles.species import compiled_decays
+from cgemit.particles.table import check_particles
+from cgemit.tables import Table
+
+Fluctuations = Literal["full", "gaussian", "off"]
+Foil = Literal["effective", "lattice"]
+HalfTurns = Annotated[int, Check(lambda value: 1 <= value <= 15, "a whole number from 1 to 15")]
+
+TransportStatus = _core.TransportStatus
+
+
+@dataclass(frozen=True, kw_only=True)
+class SimulateSettings(SettingsData):
+    """Random processes of the simulation (docs/methods/simulate.md).
+
+    Attributes
+    ----------
+    fluctuations : str
+        ``"full"``: hard scatters and collisions one by one up to the largest transfer, ionization clusters.
+        ``"gaussian"``: exactly the noise that the fit assumes by default. ``"off"``: no scattering, and the loss that
+        the fit subtracts by default.
+    sublayers : bool
+        Whether every sub-layer scatters by itself, instead of groups of neighbours merged to one scatterer.
+    foil : str
+        ``"effective"``: GEM foils are uniform matter. ``"lattice"``: they have holes, and a track crosses the copper
+        and Kapton on its path (docs/methods/foils.md); with fluctuations ``"full"`` only, since the others follow the
+        fit's assumptions.
+    screening : str
+        Screening of nuclei in multiple scattering: ``"wentzel"``, as in Geant4's Wentzel-VI model, or ``"moliere"``.
+        The fit follows it.
+    deltas : bool
+        Whether delta electrons leave deposits of their own in the drift gaps; with fluctuations ``"full"``.
+    steps : bool
+        Whether the steps table holds the ionization clusters of the particles, too, not only delta electrons.
+    decays : bool
+        Whether muons, charged pions and charged kaons decay in flight. Their charged daughters leave hits, too.
+    half_turns : int
+        Half turns of a particle that turns back in the field: from its closest approach to the beam line to its
+        outermost point, or back. 1: it is followed to its outermost point, and leaves no hits on the way inward.
+
+    Raises
+    ------
+    ValueError
+        Listing every value that is not one of these, and values that do not go together.
+    """
+
+    fluctuations: Fluctuations = "full"
+    sublayers: bool = False
+    foil: Foil = "effective"
+    screening: Screening = "wentzel"
+    deltas: bool = True
+    steps: bool = False
+    decays: bool = True
+    half_turns: HalfTurns = 1
+
+    def contradictions(self) -> list[str]:
+        """Return the settings that need fluctuations ``"full"``."""
+        problems = []
+        full = str(self.fluctuations) == "full"
+        if str(self.foil) == "lattice" and not full:
+            problems.append("foil: got 'lattice', expected 'effective' unless fluctuations are 'full'")
+        if self.steps is True and not full:
+            problems.append("steps: got True, expected False unless fluctuations are 'full'")
+        return problems
+
+
+def simulate(
+    detector: Detector | str | Mapping[str, Any],
+    particles: Table,
+    settings: SimulateSettings | None = None,
+    seed: int = 0,
+) -> dict[str, Table]:
+    """Transport particles until they leave, stop, decay, or have made their half turns.
+
+    Uniform field: exact helices between scatterers; field maps: Runge-Kutta-Nystrom steps (docs/methods/field.md).
+    Scattering from the elements of the matter, soft as a Gaussian with lateral displacement, hard ones one by one;
+    energy loss with Bethe's mean and collisions up to the largest transfer (docs/methods/matter.md), valid for
+    beta gamma > 0.13; ionization clusters and delta electrons in the drift gaps (docs/methods/deltas.md).
+    Random numbers are those of (seed, event, particle, place), so results do not depend on how events are cut into
+    chunks. With one half turn, hits are recorded on the outward path; a particle that first moves inward only meets the
+    matter there.
+    The charged daughters of decays are transported in the same way, and their hits carry the number of the particle.
+
+    Parameters
+    ----------
+    detector : Detector, or what `load` accepts
+    particles : Table of kind "particles"
+    settings : SimulateSettings or None
+    seed : int
+        Key of the random streams, 0 to 2**64 - 1.
+
+    Returns
+    -------
+    dict of str to Table
+        ``particles`` with `status` filled in (TransportStatus), ``decays``, ``truths``, ``steps`` and ``wire_truths``.
+
+    Raises
+    ------
+    ParticleError
+        Listing every problem of the particles.
+    """
+    check_particles(particles)
+    out = _core.simulate(**core_arguments(load(detector), particles, settings or SimulateSettings(), seed))
+    cover = particles.cover
+    return {
+        "particles": particles.with_columns(status=out["status"]),
+        "decays": Table("decays", out["decays"], **cover),
+        "truths": Table("truths", out["truths"], **cover),
+        "steps": Table("steps", out["steps"], **cover),
+        "wire_truths": Table("wire_truths", out["wire_truths"], **cover),
+    }
+
+
+def core_arguments(detector: Detector, particles: Table, settings: SimulateSettings, seed: int) -> dict[str, Any]:
+    """Return the arguments of the compiled simulation.
+
+    Parameters
+    ----------
+    detector : Detector
+    particles : Table of kind "particles"
+    settings : SimulateSettings
+    seed : int
+
+    Returns
+    -------
+    dict of str to object
+        Arguments of ``_core.simulate`` by name.
+    """
+    return {
+        "detector": compiled(detector, not settings.sublayers, settings.screening, settings.foil),
+        "particles": {name: particles[name] for name in _COLUMNS},
+        "fluctuations": getattr(_core.Fluctuations, settings.fluctuations),
+        "deltas": settings.deltas,
+        "steps": settings.steps,
+        "decays": compiled_decays() if settings.decays else None,
+        "half_turns": settings.half_turns,
+        "seed": seed,
+    }
+
+
+_COLUMNS = ("event", "particle", "pdg", "charge", "mass", "x", "y", "z", "px", "py", "pz")
+
+
+def transport_counts(status: Any) -> dict[str, int]:
+    """Return the number of particles of each transport status that occurs, by its name.
+
+    Parameters
+    ----------
+    status : (n,) array of int
+        Column ``status`` of the particles (TransportStatus).
+    """
+    return {s.name: n for s in TransportStatus if (n := int((status == s).sum()))}

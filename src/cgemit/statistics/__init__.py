@@ -1,1 +1,0 @@
-"""Widths, pulls and chi-square of fitted tracks, and the curves and histograms of figures."""

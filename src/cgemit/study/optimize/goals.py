@@ -1,0 +1,414 @@
+"""Objectives and limits of an optimization: their values and errors for one detector."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from cgemit.analysis.quantities import GROUPS
+from cgemit.analysis.quantities import SCALES as QUANTITIES
+from cgemit.analysis.quantities import header as column
+from cgemit.analysis.widths import Floats
+from cgemit.base.errors import DetectorError, did_you_mean
+from cgemit.base.settings import is_whole
+from cgemit.covariance.sensitivity import calibrated_apart, errors_do_not_follow
+from cgemit.detector import Detector
+from cgemit.detector.inventory import GEOMETRY, Background, occupancy
+from cgemit.detector.variants import matching, value_at
+from cgemit.simulation.readouts.readout import Readout
+from cgemit.study.sweep.evaluate import Evaluation, covariances
+from cgemit.study.sweep.space import Changes, own_value, split_range
+from cgemit.units import NATIVE, QuantityError, parse_quantity
+
+OCCUPANCY = "occupancy"
+
+
+@dataclass(frozen=True)
+class Goal:
+    """One number of a design.
+
+    Attributes
+    ----------
+    text : str
+        As it was given, such as ``"dr @ 0.3 GeV/c"``.
+    name : str
+        A resolution (p, pt, dr, dz, phi0, theta, tanl), or a number of `GEOMETRY`, or ``"occupancy"``.
+    p : float or None, GeV/c
+        Of a resolution: at this momentum only; None: the geometric mean of all points.
+    """
+
+    text: str
+    name: str
+    p: float | None = None
+
+    @property
+    def resolution(self) -> bool:
+        """Whether it is a resolution."""
+        return self.name in QUANTITIES
+
+    @property
+    def header(self) -> str:
+        """Name of its column, such as ``sigma_dr at 0.3 GeV/c (um)``."""
+        if self.resolution:
+            at = "" if self.p is None else f" at {self.p:g} GeV/c"
+            return column(f"sigma_{self.name}{at}", self.name)
+        unit = "%" if self.name == OCCUPANCY else GEOMETRY[self.name][0]
+        return f"{self.name} ({unit})" if unit else self.name
+
+    @property
+    def error_header(self) -> str:
+        """Name of the column of its error."""
+        name, bracket, unit = self.header.partition(" (")
+        return f"{name}_error{bracket}{unit}"
+
+
+def goal_of(path: str, text: Any, momenta: Sequence[float], problems: list[str]) -> Goal | None:
+    """Return the goal that a text stands for; None with a problem if there is none.
+
+    Parameters
+    ----------
+    path : str
+        Where the text stands.
+    text : str
+        ``"dr"``, ``"dr @ 0.3 GeV/c"``, ``"channels"`` ...
+    momenta : sequence of float, GeV/c
+        At which resolutions are computed.
+    problems : list of str
+    """
+    known = (*QUANTITIES, *GEOMETRY, OCCUPANCY)
+    if not isinstance(text, str):
+        problems.append(f"{path}: got {text!r}, expected one of {', '.join(known)}")
+        return None
+    name, at, where = (part.strip() for part in text.partition("@"))
+    if name not in known:
+        hint = did_you_mean(name, known, "; ")
+        problems.append(f"{path}: got {text!r}, expected one of {', '.join(known)}{hint}")
+        return None
+    if not at:
+        return Goal(text, name)
+    try:
+        p = float(where) if where.replace(".", "", 1).isdecimal() else float(parse_quantity(where, "momentum"))
+    except QuantityError as error:
+        problems.append(f"{path}: got {error}")
+        return None
+    near = [one for one in momenta if math.isclose(one, p, rel_tol=1e-9)]
+    if name not in QUANTITIES or not near:
+        expected = "no momentum" if name not in QUANTITIES else "one of p: " + ", ".join(f"{one:g}" for one in momenta)
+        problems.append(f"{path}: got {text!r}, expected {expected}")
+        return None
+    return Goal(text, name, near[0])
+
+
+@dataclass(frozen=True)
+class Goals:
+    """All goals and limits of an optimization, and how resolutions among them are computed.
+
+    Attributes
+    ----------
+    goals : tuple of Goal
+    evaluation : Evaluation
+        Of the resolutions that they name.
+    background : Background or None
+    """
+
+    goals: tuple[Goal, ...]
+    evaluation: Evaluation
+    background: Background | None
+
+    def described(self) -> dict[str, Any]:
+        """Return all that values depend on, beside the detector, as JSON."""
+        found: dict[str, Any] = {"goals": [[one.name, one.p] for one in self.goals]}
+        found["background"] = asdict(self.background) if self.background else None
+        return found | ({"evaluation": self.evaluation.described()} if self.evaluation.quantities else {})
+
+    def __call__(self, detector: Detector) -> dict[str, Any]:
+        """Return values, errors and the values without each of `GROUPS` groups of tracks, by header.
+
+        Raises
+        ------
+        ValueError
+            If no track reaches the wires or layers that it needs.
+        """
+        names = self.evaluation.quantities
+        resolutions = self._simulated(detector) if self.evaluation.method == "mc" and names else {}
+        if self.evaluation.method == "analytic" and names:
+            resolutions = self._analytic(detector)
+        values: dict[str, float] = {}
+        errors: dict[str, float] = {}
+        replicas: dict[str, list[float]] = {}
+        for goal in self.goals:
+            if not goal.resolution:
+                values[goal.header] = self.number(goal, detector)
+                continue
+            all_points = resolutions[goal.name]
+            rows = [i for i, p in enumerate(self._momenta()) if goal.p in (None, p)]
+            # The first column is the value, the others leave out one group each.
+            mean = np.exp(np.log(all_points[rows]).mean(axis=0))
+            if not np.isfinite(mean).all():
+                raise ValueError(f"{goal.header}: got no covariance, expected momenta that reach the read-out")
+            values[goal.header], replicas[goal.header] = float(mean[0]), [float(one) for one in mean[1:]]
+            errors[goal.header] = jackknife(mean[1:])
+        return {"values": values, "errors": errors, "replicas": replicas}
+
+    def results(self, found: Sequence[Any]) -> list[dict[str, Any]]:
+        """Return what was found for each detector."""
+        return list(found)
+
+    def number(self, goal: Goal, detector: Detector, *, smooth: bool = False) -> float:
+        """Return a goal that is no resolution; `smooth`: without rounding to whole strips."""
+        if goal.name == OCCUPANCY:
+            assert self.background is not None  # checked when the goals are made
+            return occupancy(detector, self.background)
+        _, whole, real = GEOMETRY[goal.name]
+        return (real if smooth else whole)(detector)
+
+    def _momenta(self) -> list[float]:
+        """Return the momentum of every point, in the order of `Evaluation.points`."""
+        return [p for p in self.evaluation.p for _ in self.evaluation.cos_theta]
+
+    def _analytic(self, detector: Detector) -> dict[str, Floats]:
+        """Return (points, 1 + GROUPS) widths of each resolution in quoted units."""
+        found = covariances(detector, self.evaluation)
+        resolutions = {}
+        for name in self.evaluation.quantities:
+            scale = QUANTITIES[name][1]
+            pairs = [(scale * one.sigma(name), one.variances(name)) for one in found]
+            rows = [
+                _replicas(sigma[i], variances[i]) for i in range(len(self.evaluation.p)) for sigma, variances in pairs
+            ]
+            resolutions[name] = np.array(rows)
+        return resolutions
+
+    def _simulated(self, detector: Detector) -> dict[str, Floats]:
+        found = self.evaluation(detector)
+        resolutions = {}
+        for name in self.evaluation.quantities:
+            pairs = zip(found["columns"][column(f"sigma_{name}", name)], found["replicas"], strict=True)
+            resolutions[name] = np.array([[sigma, *replicas[name]] for sigma, replicas in pairs])
+        return resolutions
+
+
+def _replicas(sigma: float, variances: Floats) -> Floats:
+    """Return a core width and its value without each of `GROUPS` groups of samples.
+
+    The change of the RMS stands for the change of the core. Samples are more regular than independent ones, so that
+    errors from these groups are upper limits.
+    """
+    group = np.arange(len(variances)) % GROUPS
+    good = np.isfinite(variances)
+    total, count = np.bincount(group, np.where(good, variances, 0.0), GROUPS), np.bincount(group, good, GROUPS)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        left = (total.sum() - total) / (count.sum() - count) / (total.sum() / count.sum())
+    left = left if len(variances) >= 2 * GROUPS else np.ones(GROUPS)
+    return np.concatenate([[sigma], sigma * np.sqrt(left)])
+
+
+def jackknife(replicas: Any) -> float:
+    """Return the error that values without each group imply."""
+    values = np.asarray(replicas, np.float64)
+    return math.sqrt((GROUPS - 1) / GROUPS * float(np.sum((values - values.mean()) ** 2)))
+
+
+@dataclass(frozen=True)
+class Limit:
+    """The range that a number of the design must lie in; a number within 1e-6 of its limit is allowed."""
+
+    goal: Goal
+    low: float | None
+    high: float | None
+
+    def violation(self, value: float) -> float:
+        """Return by how much a value is outside, relative to the limit; negative inside."""
+        found = []
+        if self.high is not None:
+            found.append((value - self.high) / (abs(self.high) or 1.0))
+        if self.low is not None:
+            found.append((self.low - value) / (abs(self.low) or 1.0))
+        return max(found)
+
+
+TOLERANCE = 1e-6
+
+
+def limits_of(given: Mapping[str, Any], momenta: Sequence[float], problems: list[str]) -> tuple[Limit, ...]:
+    """Return the limits of constraints; see `optimize`."""
+    if not isinstance(given, Mapping):
+        problems.append(f"constraints: got {given!r}, expected a dict of (low, high) by name")
+        return ()
+    found = []
+    for name, ends in given.items():
+        goal = goal_of(f"constraints.{name}", name, momenta, problems)
+        right = isinstance(ends, tuple | list) and len(ends) == 2 and any(end is not None for end in ends)
+        right = right and all(end is None or _is_number(end) for end in ends)
+        if right and None not in ends and ends[0] > ends[1]:
+            right = False
+        if not right:
+            problems.append(
+                f"constraints.{name}: got {ends!r}, expected (low, high), numbers in the unit of the quantity or None"
+            )
+        elif goal is not None:
+            found.append(Limit(goal, ends[0], ends[1]))
+    return tuple(found)
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+
+
+#: Text that stands for the allowed range of a number.
+BOUNDS = "bounds"
+_EXPECTED = f"(low, high) of one dimension, a list to choose from, or {BOUNDS!r}"
+
+
+@dataclass(frozen=True)
+class Variable:
+    """One key of the detector file that is varied.
+
+    Attributes
+    ----------
+    key : str
+        Dotted key, which may be a pattern.
+    low, high : float
+        Its range in `unit`.
+    before : str
+        ``"x"``: a factor; ``"%"``: a change in percent; else an absolute value.
+    unit : str
+    whole : bool
+        Whether it is a whole number.
+    choices : tuple
+        Values to choose from, instead of a range.
+    """
+
+    key: str
+    low: float = 0.0
+    high: float = 0.0
+    before: str = ""
+    unit: str = ""
+    whole: bool = False
+    choices: tuple[Any, ...] = ()
+
+    @property
+    def header(self) -> str:
+        """Return the name of its column, such as ``cgem.L2.pitch_x (um)``."""
+        unit = {"x": "times", "%": "change in %"}.get(self.before, self.unit)
+        return f"{self.key} ({unit})" if unit else self.key
+
+    @property
+    def continuous(self) -> bool:
+        """Whether it has a derivative."""
+        return not self.whole and not self.choices
+
+    def change(self, value: Any) -> Any:
+        """Return a value as the detector file takes it."""
+        if not self.continuous:
+            return int(value) if self.whole else value
+        if self.before == "%":
+            return f"{value:+.8g} %"
+        # Eight digits: enough for any design, short enough for a name.
+        return f"{self.before}{value:.8g} {self.unit}".strip() if self.before or self.unit else float(f"{value:.8g}")
+
+    def relative(self, value: float) -> float:
+        """Return the derivative of the logarithm of the detector's number by the variable."""
+        return 1 / (100 + value) if self.before == "%" else 1 / value
+
+    def start(self, base: Detector) -> Any:
+        """Return the base's own value if it lies in the range, else the middle of the range."""
+        if self.choices:
+            now = own_value(self.key, base, "")
+            return next((one for one in self.choices if one == now), self.choices[0])
+        own = {"x": 1.0, "%": 0.0}[self.before] if self.before else own_value(self.key, base, self.unit)
+        inside = self.low <= own <= self.high
+        value = own if inside else 0.5 * (self.low + self.high)
+        return round(value) if self.whole else float(value)
+
+
+def changes_of(variables: Sequence[Variable], values: Sequence[Any]) -> Changes:
+    """Return what the variables change with some values."""
+    return {one.key: one.change(value) for one, value in zip(variables, values, strict=True)}
+
+
+def variables_of(base: Detector, space: Mapping[str, Any], problems: list[str]) -> tuple[Variable, ...]:
+    """Return the variables of a space.
+
+    Parameters
+    ----------
+    base : Detector
+    space : mapping of str to (low, high), list or "bounds"
+        By dotted key of the detector file.
+    problems : list of str
+        Receives every problem.
+    """
+    if not isinstance(space, Mapping) or not space:
+        problems.append(f"space: got {space!r}, expected keys of the detector file with {_EXPECTED}")
+        return ()
+    found = [_variable(base, key, given, problems) for key, given in space.items()]
+    return tuple(one for one in found if one is not None)
+
+
+def _variable(base: Detector, key: str, given: Any, problems: list[str]) -> Variable | None:
+    try:
+        one = _parsed(base, key, given)
+        if one is None:
+            problems.append(f"{key}: got {given!r}, expected {_EXPECTED}")
+            return None
+        base.with_overrides({key: one.change(one.start(base))})
+        # Several absolute values become one when they are varied; elsewhere a wrong value only shows at the ends.
+        return one
+    except DetectorError as error:
+        problems += [str(problem) for problem in error.problems]
+        return None
+
+
+def _parsed(base: Detector, key: str, given: Any) -> Variable | None:
+    if given == BOUNDS:
+        low, high = base.bounds(key)
+        path = next(iter(matching(base, key, [])))
+        found = value_at(base, path)
+        kind = found[1].kind if found else ""
+        return Variable(key, low, high, unit=NATIVE.get(kind, ""), whole=kind == "integer")
+    if isinstance(given, list) and given:
+        return Variable(key, choices=tuple(given))
+    if not isinstance(given, tuple) or len(given) != 2:
+        return None
+    ends = split_range(*given)
+    if ends is None or ends[1] >= ends[2]:
+        return None
+    before, low, high, unit = ends
+    whole = all(is_whole(end, -(10**9), 10**9) for end in given) and _is_integer(base, key)
+    return Variable(key, low, high, before, unit, whole)
+
+
+def calibration_problems(base: Detector, variables: Sequence[Variable], readout: Readout) -> list[str]:
+    """Return the problem of a read-out whose calibrated errors do not follow what is varied, if there is one.
+
+    Parameters
+    ----------
+    base : Detector
+    variables : sequence of Variable
+    readout : Readout
+    """
+    keys = [one.key for one in variables if calibrated_apart(readout, base, _sample(base, one))]
+    if not keys:
+        return []
+    expected = "expected 'binary' or 'gaussian', or evaluate 'mc' with own calibrations"
+    return [f"settings.digitize.readout: {errors_do_not_follow(readout, keys)}; {expected}"]
+
+
+def _sample(base: Detector, one: Variable) -> Iterator[Detector]:
+    """Yield some possible designs with different values of a variable."""
+    values = one.choices or (one.low, 0.5 * (one.low + one.high), one.high, one.start(base))
+    for value in values:
+        try:
+            yield base.with_overrides({one.key: one.change(value)})
+        except DetectorError:
+            continue
+
+
+def _is_integer(base: Detector, key: str) -> bool:
+    paths = [path for part in key.split(",") for path in matching(base, part.strip(), [])]
+    found = [value_at(base, path) for path in paths]
+    return all(one is not None and one[1].kind == "integer" for one in found)

@@ -1,0 +1,502 @@
+"""Optimization of one objective: scipy's searches on variables scaled to 0 to 1."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from cgemit.analysis.quantities import SCALES as QUANTITIES
+from cgemit.analysis.widths import Floats
+from cgemit.base.errors import DetectorError
+from cgemit.covariance.result import Covariance
+from cgemit.covariance.sensitivity import SurfacesError, logarithmic_slopes, varied
+from cgemit.detector import Detector
+from cgemit.detector.inventory import gaps
+from cgemit.detector.parts import CgemLayer
+from cgemit.detector.variants import matching, value_at
+from cgemit.study.optimize.goals import TOLERANCE, Goal, Goals, Limit, Variable, changes_of
+from cgemit.study.sweep.evaluate import covariances
+from cgemit.study.sweep.run import Task, compute_rows
+from cgemit.study.sweep.space import Changes
+
+#: Designs of one task: analytic ones take milliseconds.
+CHUNK = {"analytic": 5, "mc": 1}
+
+
+@dataclass(frozen=True)
+class Evaluator:
+    """Evaluates designs; what a folder holds is not computed again.
+
+    Attributes
+    ----------
+    base : Detector
+    goals : Goals
+    limits : tuple of Limit
+    folder : Path or None
+        Of the chunks.
+    executor : Executor or None
+    """
+
+    base: Detector
+    goals: Goals
+    limits: tuple[Limit, ...]
+    folder: Path | None
+    executor: Executor | None
+
+    def rows(self, designs: Sequence[Changes]) -> list[dict[str, Any]]:
+        """Return the row of each design: `status`, `problems`, and of possible ones `hash`, `values`, `errors`."""
+        size = CHUNK[self.goals.evaluation.method]
+        parts = [designs[i : i + size] for i in range(0, len(designs), size)]
+        tasks = [Task((self.base,) * len(part), tuple(part), self.goals) for part in parts]
+        return [row for rows in compute_rows(tasks, self.folder, self.executor, None, None) for row in rows]
+
+    def violations(self, row: dict[str, Any]) -> dict[str, float]:
+        """Return by how much a possible design violates each limit, relative to it; negative within."""
+        return {one.goal.header: one.violation(row["values"][one.goal.header]) for one in self.limits}
+
+    def allowed(self, row: dict[str, Any]) -> bool:
+        """Return whether a design is possible and within all limits."""
+        return row["status"] == "ok" and all(one <= TOLERANCE for one in self.violations(row).values())
+
+
+@dataclass(frozen=True)
+class Design:
+    """One evaluated design.
+
+    Attributes
+    ----------
+    call : int
+        Number of the step, or of the group of designs, that it belongs to; 0 is the base or the first population.
+    kind : str
+        ``"base"``, ``"value"`` or ``"optimum"``.
+    values : tuple
+        Of the variables.
+    row : dict
+        Of `Evaluator.rows`.
+    """
+
+    call: int
+    kind: str
+    values: tuple[Any, ...]
+    row: dict[str, Any]
+
+
+#: Step of differences of the geometry, in units of a variable's range.
+_STEP = 1e-4
+_MM = 10.0  # scale of the free space between parts
+#: The search keeps this distance from limits, relative to them: resolutions, other quantities. The first covers what
+#: a resolution changes by when its hits are renewed.
+_KEPT = (3e-4, 1e-5)
+#: Parts of a step that are tried in turn if the whole one is impossible.
+_CUTS = (1.0, 0.75, 0.5, 0.25, 0.1, 0.03, 0.0)
+
+
+class NoStartError(ValueError):
+    """A start from which nothing can be varied."""
+
+
+@dataclass
+class Descent:
+    """One search.
+
+    With `fixed_hits`, resolutions are those of the same tracks with the same hits in every design (`varied`), so that
+    they are smooth functions of the design and have gradients; without, every design has its own hits. Strip counts
+    are real numbers in limits, never smaller than the whole ones. A step onto an impossible design, or onto one whose
+    slabs and wires are in another order so that it cannot have the same hits, is cut until the design is possible, and
+    costs what was cut.
+
+    Attributes
+    ----------
+    evaluator : Evaluator
+    variables : tuple of Variable
+    objective : Goal
+    fixed_hits : bool
+    progress : callable or None
+    designs : list of Design
+        All that were evaluated, in order: of kind "value" with their own hits, "step" with the hits of another one.
+    gradients : int
+        Number of gradients that were computed.
+    """
+
+    evaluator: Evaluator
+    variables: tuple[Variable, ...]
+    objective: Goal
+    fixed_hits: bool = False
+    progress: Callable[[float, str], None] | None = None
+    designs: list[Design] = field(default_factory=list)
+    gradients: int = 0
+    _anchors: list[Covariance] = field(default_factory=list)
+    _found: dict[tuple[float, ...], _Point] = field(default_factory=dict)
+    _slopes: dict[tuple[float, ...], dict[str, Floats]] = field(default_factory=dict)
+    _good: Floats | None = None
+    _lines: tuple[Floats, Floats] = (np.empty((0, 0)), np.empty(0))
+
+    def start(self, u: Floats) -> None:
+        """Prepare the search from a start.
+
+        Raises
+        ------
+        NoStartError
+            With the problems of the detector there.
+        """
+        try:
+            first = gaps(self.detector(u))
+        except DetectorError as error:
+            raise NoStartError("\n".join(map(str, error.problems))) from None
+        # Radii and thicknesses enter linearly, so that one difference is exact everywhere.
+        columns = [self._difference(u, i, gaps) for i in range(len(u))]
+        ends = [one.low for one in self.evaluator.limits if one.goal.name == "gap"]
+        need = max((end * (1 + _KEPT[1]) for end in ends if end is not None), default=0.0)
+        matrix = np.array(columns).T.reshape(-1, len(u))
+        moved = np.abs(matrix).max(axis=1, initial=0) > 0
+        self._lines = matrix[moved] / _MM, (np.array(first) - need - matrix @ u)[moved] / _MM
+
+    def renew(self, u: Floats) -> dict[str, Any]:
+        """Evaluate a design with its own hits, keep these for the next steps, and return its row.
+
+        Raises
+        ------
+        NoStartError
+            If it is impossible, or no track has a covariance.
+        """
+        row = self._row(u)
+        if row["status"] != "ok":
+            raise NoStartError("\n".join(row["problems"]))
+        self._found, self._slopes, self._good = {}, {}, np.array(u)
+        if self.fixed_hits and self.evaluator.goals.evaluation.quantities:
+            self._anchors = covariances(self.detector(u), self.evaluator.goals.evaluation)
+        return row
+
+    def numbers(self, u: Floats) -> list[float]:
+        """Return the values of the variables."""
+        return [one.low + float(x) * (one.high - one.low) for one, x in zip(self.variables, u, strict=True)]
+
+    def detector(self, u: Floats) -> Detector:
+        """Return a design."""
+        return self.evaluator.base.with_overrides(dict(changes_of(self.variables, self.numbers(u))))
+
+    def value(self, u: Floats) -> float:
+        """Return the logarithm of the objective."""
+        point = self._at(u)
+        return math.log(point.values[self.objective.header]) + 10 * point.cut
+
+    def slope(self, u: Floats) -> Floats:
+        """Return the gradient of `value`."""
+        return self._slopes_at(u)[self.objective.header]
+
+    def margins(self, u: Floats) -> Floats:
+        """Return by how much each limit is kept, relative to it, and the free space between parts."""
+        values = self._at(u).values
+        matrix, constant = self._lines
+        kept = [-one.violation(values[one.goal.header]) - _KEPT[not one.goal.resolution] for one in self._limits()]
+        return np.array([*kept, *(matrix @ u + constant)])
+
+    def margin_slopes(self, u: Floats) -> Floats:
+        """Return the derivatives of `margins`, (margins, variables)."""
+        values, slopes = self._at(u).values, self._slopes_at(u)
+        rows = []
+        for one in self._limits():
+            value = values[one.goal.header]
+            step = 1e-6 * abs(value)
+            outward = (one.violation(value + step) - one.violation(value - step)) / (2 * step)
+            rows.append(-outward * value * slopes[one.goal.header])
+        return np.array([*rows, *self._lines[0]]).reshape(-1, len(self.variables))
+
+    def _limits(self) -> list[Limit]:
+        return [one for one in self.evaluator.limits if one.goal.name != "gap"]
+
+    def _goals(self) -> list[Goal]:
+        return list(dict.fromkeys([self.objective, *(one.goal for one in self._limits())]))
+
+    def _at(self, u: Floats) -> _Point:
+        """Return the design at u, or where the step from the last possible one has to end."""
+        name = tuple(float(x) for x in u)
+        if name not in self._found:
+            u = np.clip(np.array(name), 0, 1)
+            start = u if self._good is None else self._good
+            for part in _CUTS:
+                here = start + part * (u - start)
+                values = self._values(here)
+                if values is not None:
+                    break
+            else:
+                raise NoStartError(f"{self.numbers(u)}: got an impossible design, expected a possible start")
+            self._good = here
+            self._found[name] = _Point(here, self.detector(here), values, (1 - part) * float(np.linalg.norm(u - start)))
+        return self._found[name]
+
+    def _values(self, u: Floats) -> dict[str, float] | None:
+        """Return the goals of a design; None if it is impossible."""
+        values = self._with_fixed_hits(u) if self.fixed_hits else self._row(u).get("values")
+        if values is None:
+            return None
+        detector, goals = self.detector(u), self.evaluator.goals
+        real = {one.header: goals.number(one, detector, smooth=True) for one in self._goals() if not one.resolution}
+        return values | real
+
+    def _with_fixed_hits(self, u: Floats) -> dict[str, float] | None:
+        try:
+            detector = self.detector(u)
+            found = [varied(one, [detector])[0] for one in self._anchors]
+        except (DetectorError, SurfacesError) as error:
+            problems = [str(one) for one in getattr(error, "problems", [error])]
+            self._keep("step", self.numbers(u), {"status": "impossible", "problems": problems})
+            return None
+        goals = self.evaluator.goals
+        values = {one.header: goals.number(one, detector) for one in goals.goals if not one.resolution}
+        for goal in goals.goals:
+            if goal.resolution:
+                logs = [np.log(one.sigma(goal.name)[self._points(goal)]) for one in found]
+                values[goal.header] = QUANTITIES[goal.name][1] * math.exp(float(np.mean(logs)))
+        row = {"status": "ok", "problems": [], "hash": detector.content_hash}
+        self._keep("step", self.numbers(u), row | {"values": values})
+        return values if all(map(math.isfinite, values.values())) else None
+
+    def _points(self, goal: Goal) -> list[int]:
+        return [i for i, p in enumerate(self.evaluator.goals.evaluation.p) if goal.p in (None, p)]
+
+    def _row(self, u: Floats) -> dict[str, Any]:
+        values = self.numbers(u)
+        row = self.evaluator.rows([changes_of(self.variables, values)])[0]
+        self._keep("value", values, row)
+        return row
+
+    def _keep(self, kind: str, values: Sequence[float], row: dict[str, Any]) -> None:
+        self.designs.append(Design(len(self.designs) + 1, kind, tuple(values), row))
+        if self.progress:
+            self.progress(min(0.99, len(self.designs) / 200), f"optimize, {len(self.designs)} designs")
+
+    def _slopes_at(self, u: Floats) -> dict[str, Floats]:
+        """Return the derivatives of the logarithm of every goal by the scaled variables."""
+        name = tuple(float(x) for x in u)
+        if name not in self._slopes:
+            point = self._at(u)
+            self._slopes[name] = self._resolution_slopes(point) | {
+                one.header: self._geometry_slope(one, point) for one in self._goals() if not one.resolution
+            }
+            self.gradients += 1
+        return self._slopes[name]
+
+    def _resolution_slopes(self, point: _Point) -> dict[str, Floats]:
+        goals = [one for one in self._goals() if one.resolution]
+        if not goals:
+            return {}
+        names = tuple(dict.fromkeys(one.name for one in goals))
+        keys = [one.key for one in self.variables]
+        found = [logarithmic_slopes(one, point.detector, keys, names)[0] for one in self._anchors]
+        values = np.mean(found, axis=0)  # (keys, quantities, p)
+        pairs = zip(self.variables, self.numbers(point.u), strict=True)
+        chain = np.array([(one.high - one.low) * one.relative(number) for one, number in pairs])
+        means = {one.header: values[:, names.index(one.name), self._points(one)].mean(axis=1) for one in goals}
+        return {header: chain * np.nan_to_num(mean) for header, mean in means.items()}
+
+    def _geometry_slope(self, goal: Goal, point: _Point) -> Floats:
+        def number(one: Detector) -> list[float]:
+            return [self.evaluator.goals.number(goal, one, smooth=True)]
+
+        slope = [self._difference(point.u, i, number)[0] for i in range(len(point.u))]
+        return np.array(slope) / point.values[goal.header]
+
+    def _difference(self, u: Floats, i: int, function: Callable[[Detector], list[float]]) -> Floats:
+        """Return the derivative of some numbers of a design by one variable, between possible neighbours."""
+        for step in (_STEP, 0.1 * _STEP):
+            found = []
+            for side in (1, 0, -1):
+                moved = u.copy()
+                moved[i] += side * step
+                try:
+                    found.append((moved[i], function(self.detector(moved))))
+                except DetectorError:
+                    continue
+            if len(found) > 1:
+                (first, above), (last, below) = found[0], found[-1]
+                return np.asarray((np.array(above) - np.array(below)) / (first - last))
+        return np.zeros(len(function(self.detector(u))))
+
+
+@dataclass(frozen=True)
+class _Point:
+    """Where a step ends: its design, the values of all goals, and how much of the step was cut."""
+
+    u: Floats
+    detector: Detector
+    values: dict[str, float]
+    cut: float
+
+
+#: Most times that hits are renewed, and the step, in units of the ranges, below which they need not be.
+_ROUNDS, _MOVED = 6, 2e-3
+
+
+@dataclass(frozen=True)
+class Found:
+    """What a search found.
+
+    Attributes
+    ----------
+    designs : tuple of Design
+        All that were evaluated, in order; the last one is the optimum if `kind` says so.
+    gradients : int
+        Number of gradients.
+    message : str
+        How the search ended.
+    """
+
+    designs: tuple[Design, ...]
+    gradients: int
+    message: str
+
+
+def search(
+    evaluator: Evaluator,
+    variables: tuple[Variable, ...],
+    objective: Goal,
+    *,
+    method: Literal["gradient", "cobyla"],
+    tolerance: float,
+    steps: int,
+    progress: Callable[[float, str], None] | None,
+) -> Found:
+    """Return the designs of a search from the base's own values.
+
+    Parameters
+    ----------
+    evaluator : Evaluator
+    variables : tuple of Variable
+        All continuous.
+    objective : Goal
+    method : "gradient" or "cobyla"
+    tolerance : float
+        Relative change of the objective at which "gradient" ends, and of the variables, in units of their ranges, at
+        which "cobyla" ends.
+    steps : int
+        Most iterations of "gradient", most designs of "cobyla".
+    progress : callable or None
+
+    Raises
+    ------
+    NoStartError
+        If the start is impossible.
+    """
+    descent = Descent(evaluator, variables, objective, fixed_hits=method == "gradient", progress=progress)
+    own = [one.start(evaluator.base) for one in variables]
+    pairs = zip(own, variables, strict=True)
+    first = np.array([(value - one.low) / (one.high - one.low) for value, one in pairs])
+    descent.start(first)
+    message = (_with_gradients if method == "gradient" else _without)(descent, first, tolerance, steps)
+    best = _best(descent)
+    if best is None:
+        message = with_failures(f"{message}; no design keeps all limits", descent.designs)
+        return Found(tuple(descent.designs), descent.gradients, message)
+    values = rounded(evaluator.base, variables, best.values)
+    row = evaluator.rows([changes_of(variables, values)])[0]
+    if not evaluator.allowed(row):  # filling the sheet went over a limit
+        values, row = best.values, best.row
+    designs = (*descent.designs, Design(len(descent.designs) + 1, "optimum", values, row))
+    return Found(designs, descent.gradients, with_failures(message, designs))
+
+
+def with_failures(message: str, designs: Sequence[Design]) -> str:
+    """Return how a search ended: if evaluations failed, how many and why the first one did, and no success.
+
+    Parameters
+    ----------
+    message : str
+        Of the search.
+    designs : sequence of Design
+    """
+    failed = [one.row for one in designs if one.row["status"] == "failed"]
+    if not failed:
+        return message
+    ended = message.replace(" successfully", "")
+    return f"{ended}; {len(failed)} of {len(designs)} evaluations failed, the first with {failed[0]['problems'][0]}"
+
+
+def _with_gradients(descent: Descent, u: Any, tolerance: float, steps: int) -> str:
+    """Minimize with fixed hits, renew the hits at the minimum, and repeat until this changes nothing."""
+    from scipy.optimize import minimize
+
+    limits = {"type": "ineq", "fun": descent.margins, "jac": descent.margin_slopes}
+    descent.renew(u)
+    message = ""
+    for _ in range(_ROUNDS):
+        found: Any = minimize(
+            descent.value, u, jac=descent.slope, method="SLSQP", bounds=[(0.0, 1.0)] * len(u), constraints=[limits],
+            options={"ftol": tolerance, "maxiter": steps},
+        )  # fmt: skip
+        new = np.clip(found.x, 0, 1)
+        moved, message = float(np.abs(new - u).max()), str(found.message)
+        try:
+            descent.renew(new)
+        except NoStartError as error:  # the last step touched another part
+            return f"{message}; {error}"
+        u = new
+        if moved < _MOVED:
+            break
+    return message
+
+
+def _without(descent: Descent, u: Any, tolerance: float, steps: int) -> str:
+    from scipy.optimize import minimize
+
+    limits = {"type": "ineq", "fun": descent.margins}
+    found: Any = minimize(
+        descent.value, u, method="COBYLA", bounds=[(0.0, 1.0)] * len(u), constraints=[limits],
+        options={"rhobeg": 0.2, "tol": tolerance, "maxiter": steps},
+    )  # fmt: skip
+    return str(found.message)
+
+
+def _best(descent: Descent) -> Design | None:
+    """Return the allowed design with the lowest objective, of those with their own hits."""
+    header = descent.objective.header
+    allowed = [one for one in descent.designs if one.kind == "value" and descent.evaluator.allowed(one.row)]
+    return min(allowed, key=lambda one: float(one.row["values"][header]), default=None)
+
+
+def rounded(base: Detector, variables: tuple[Variable, ...], values: tuple[Any, ...]) -> tuple[Any, ...]:
+    """Return values in which a pitch of one layer is such that whole strips fill the sheet.
+
+    The number of strips stays. X strips fill the sheet around the layer, V strips the sheet across them. A pitch that
+    several layers share, and one that would leave its range, stay as they are.
+
+    Parameters
+    ----------
+    base : Detector
+    variables : tuple of Variable
+    values : tuple
+        Of the variables.
+    """
+    found = list(values)
+    for view in "xv":  # V strips cross the X strips: these come first
+        detector = base.with_overrides(dict(changes_of(variables, found)))
+        for i, one in enumerate(variables):
+            paths = list(matching(base, one.key, [])) if "," not in one.key else []
+            if len(paths) != 1 or not paths[0].endswith(f".pitch_{view}") or one.before:
+                continue
+            layer = next(layer for layer in detector.cgem if paths[0] == f"cgem.{layer.label}.pitch_{view}")
+            now = value_at(detector, paths[0])
+            wanted = found[i] * _filling(layer, view) / now[0] if now else found[i]
+            # Downward in the last of the eight digits, so that the last strip still fits.
+            wanted = math.floor(wanted * 10 ** (7 - _digits(wanted))) / 10 ** (7 - _digits(wanted))
+            found[i] = wanted if one.low <= wanted <= one.high else found[i]
+    return tuple(found)
+
+
+def _digits(value: float) -> int:
+    return math.floor(math.log10(value))
+
+
+def _filling(layer: CgemLayer, view: str) -> float:
+    """Return the pitch with which the strips of a view fill the sheet."""
+    width = 2 * math.pi * layer.r_readout / layer.sheets
+    if view == "x":
+        return width / layer.strips_x
+    across = layer.strips_x * layer.pitch_x * math.cos(layer.stereo) + layer.length * math.sin(abs(layer.stereo))
+    return across / (layer.strips_v + layer.offset_v)

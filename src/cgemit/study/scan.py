@@ -1,0 +1,931 @@
+"""Resolutions against momentum and angle, simulated and analytic, as lines to draw and rows to write."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import re
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from html import escape
+from pathlib import Path
+from typing import Any, ClassVar, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from cgemit.analysis.curves import Line
+from cgemit.analysis.quantities import GROUPS, QUANTITIES, column, error_of_difference, median_error, sample_of, width
+from cgemit.analysis.quantities import SCALES as OF_SWEEPS
+from cgemit.analysis.resolutions import FORMS, QUOTED, FormFit, fit_form, pulls, resolution
+from cgemit.analysis.widths import Resolution, core_sigma
+from cgemit.base.files import SUMMARY, new_folder
+from cgemit.base.settings import InTurn, check_numbers
+from cgemit.base.version import __version__
+from cgemit.chain.record import gun_data, record, write_record
+from cgemit.chain.settings import FinderLike, Settings, hits_text
+from cgemit.covariance.analytic import analytic
+from cgemit.covariance.result import Covariance
+from cgemit.covariance.tracks import core_width, mean
+from cgemit.detector import Detector, load
+from cgemit.particles.species import HYPOTHESES, species
+from cgemit.reconstruction.candidates import finder_name
+from cgemit.reconstruction.fit import FitStatus
+from cgemit.study import samples
+from cgemit.study.samples import (
+    Order,
+    Sample,
+    ShowProgress,
+    angle_of,
+    cosines_of,
+    decayed,
+    fitted,
+    gun_arguments,
+    hardly_fitted,
+    momentum_name,
+    momentum_of,
+    momentum_orders,
+    run_samples,
+    transverse,
+    why_unfitted,
+)
+from cgemit.tables.show import Tabular, html_table, text_table, with_error, write_csv
+
+Columns = dict[str, list[Any]]
+
+
+def leading_columns(orders: Sequence[Order], method: str) -> Columns:
+    """Return the columns that say what a row is about: detector, particle, method, momentum and angle."""
+    columns: Columns = {
+        "name": [order.detector.name for order in orders],
+        "hash": [order.detector.content_hash for order in orders],
+        "particle": [str(order.gun.particle) for order in orders],
+        "method": [method] * len(orders),
+        f"{momentum_name(orders[0])} (GeV/c)": [momentum_of(order) for order in orders],
+    }
+    name = angle_of(orders[0])[0]
+    return columns | {"theta (rad)" if name == "theta" else name: [angle_of(order)[1] for order in orders]}
+
+
+def scan_columns(samples: Sequence[Sample]) -> Columns:
+    """Return the widths of all quantities for each momentum.
+
+    `sigma` is the core width, as in sweeps; `median_error` the median of the fit's own errors.
+    """
+    columns = leading_columns(samples, "mc") | {"events": [s.n_events for s in samples]}
+    for name in QUANTITIES:
+        widths = [width(s.tracks, name) for s in samples]
+        for kind, what in (("sigma", "core"), ("q68", "q68"), ("rms", "rms")):
+            columns[column(kind, name)] = [getattr(w, what) for w in widths]
+            columns[column(kind, name, "_error")] = [getattr(w, f"{what}_error") for w in widths]
+        columns[f"tail_{name}"] = [w.tail for w in widths]
+        columns[column("median_error", name)] = [median_error(s.tracks, name) for s in samples]
+    columns["decayed"] = [decayed(s) for s in samples]
+    columns["fitted"] = [fitted(s) for s in samples]
+    columns["not fitted"] = [counts_text(s.removed) for s in samples]
+    return columns
+
+
+def counts_text(counts: Mapping[str, int]) -> str:
+    """Return counts by name as text."""
+    return "; ".join(f"{number} {name}" for name, number in counts.items()) or "none"
+
+
+def difference(sample: Sample, base: Sample, quantity: str) -> tuple[float, float]:
+    """Return how much wider the core of a quantity is than in another sample of the same events, with its paired error.
+
+    The error follows from leaving out one of 20 groups of events in turn (jackknife), so that the correlation of both
+    samples counts.
+
+    Parameters
+    ----------
+    sample, base : Sample
+        Of the same gun and seed.
+    quantity : str
+        Of `QUANTITIES`.
+    """
+    widths, replicas = [], []
+    for one in (sample, base):
+        residuals = sample_of(one.tracks, quantity)
+        known = np.isfinite(residuals)  # tracks of no particle have no residual
+        group = one.tracks["event"][one.tracks["status"] == FitStatus.ok][known] % GROUPS
+        residuals = residuals[known]
+        widths.append(width(one.tracks, quantity).core)
+        replicas.append([core_sigma(residuals[group != left_out]) for left_out in range(GROUPS)])
+    return widths[0] - widths[1], error_of_difference(*replicas)
+
+
+def median_difference(sample: Sample, base: Sample, quantity: str) -> tuple[float, float]:
+    """Return how much larger the median of the fit's own errors is, with its paired error, as in `difference`."""
+    medians = [median_error(one.tracks, quantity) for one in (sample, base)]
+    replicas = [[_median_without(one, quantity, left_out) for left_out in range(GROUPS)] for one in (sample, base)]
+    return medians[0] - medians[1], error_of_difference(*replicas)
+
+
+def _median_without(sample: Sample, quantity: str, left_out: int) -> float:
+    kept = sample.tracks["event"] % GROUPS != left_out
+    good = {name: sample.tracks[name][kept] for name in ("status", "kappa", "tanl", "p", *_ERRORS)}
+    return median_error(good, quantity)  # type: ignore[arg-type]
+
+
+_ERRORS = ("err_dr", "err_phi0", "err_kappa", "err_dz", "err_tanl", "err_p")
+
+
+def difference_columns(samples: Sequence[Sample], bases: Sequence[Sample]) -> Columns:
+    """Return the columns of the differences to other samples of the same events."""
+    columns: Columns = {}
+    for name in QUANTITIES:
+        for kind, compare in (("delta_sigma", difference), ("delta_median_error", median_difference)):
+            pairs = [compare(*pair, name) for pair in zip(samples, bases, strict=True)]
+            columns[column(kind, name)] = [value for value, _ in pairs]
+            columns[column(kind, name, "_error")] = [error for _, error in pairs]
+    return columns
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Differences(Tabular):
+    """Differences of resolutions of two detectors that saw the same particles.
+
+    Attributes
+    ----------
+    samples, bases : tuple of Sample
+        Of the detector, and of the one that is subtracted.
+    """
+
+    samples: tuple[Sample, ...]
+    bases: tuple[Sample, ...]
+
+    def columns(self) -> Columns:
+        """Return momenta, angles, and the differences of all quantities with their paired errors."""
+        return leading_columns(self.samples, "mc") | difference_columns(self.samples, self.bases)
+
+    def __repr__(self) -> str:
+        return text_table(*differences_table(self.samples, self.bases))
+
+    def _repr_html_(self) -> str:
+        return html_table(*differences_table(self.samples, self.bases))
+
+
+def differences(samples: Sequence[Sample], bases: Sequence[Sample]) -> Differences:
+    """Return the differences to other samples of the same events.
+
+    Raises
+    ------
+    ValueError
+        If guns, events or seeds differ.
+    """
+    shots = [[(one.gun, one.n_events, one.seed) for one in group] for group in (samples, bases)]
+    if shots[0] != shots[1]:
+        raise ValueError("difference of scans: got different particles, expected equal guns, events and seeds")
+    return Differences(tuple(samples), tuple(bases))
+
+
+def differences_table(
+    samples: Sequence[Sample], bases: Sequence[Sample], names: Sequence[str] = ("dr", "dz", "p")
+) -> tuple[str, list[str], list[list[str]]]:
+    """Return title, head and rows of the differences of some quantities to other samples of the same events."""
+    first, base = samples[0], bases[0]
+    title = (
+        f"{first.detector.name} minus {base.detector.name}, {first.gun.particle}: differences of core widths (sigma) "
+        "and of medians of the fit's errors, with paired errors"
+    )
+    head = [f"{momentum_name(first)} [GeV/c]"]
+    head += [f"{what} {name} [{QUANTITIES[name][0]}]" for name in names for what in ("sigma", "median error")]
+    rows = [
+        [f"{momentum_of(pair[0]):g}"]
+        + [signed(*compare(*pair, name)) for name in names for compare in (difference, median_difference)]
+        for pair in zip(samples, bases, strict=True)
+    ]
+    return title, head, rows
+
+
+def signed(value: float, error: float) -> str:
+    """Return a difference with its sign and error."""
+    text = with_error(value, error)
+    return f"+{text}" if math.isfinite(value) and value > 0 else text
+
+
+def shot_text(order: Order) -> str:
+    """Return particle and angle of the tracks as text."""
+    return f"{order.gun.particle}, {angle_text(order)}"
+
+
+def angle_text(order: Order) -> str:
+    """Return the angle of the tracks as text."""
+    name, value = angle_of(order)
+    text = f"{value:g}" if isinstance(value, float) else str(value).replace(":", " to ")
+    unit = " rad" if name == "theta" else ""
+    return f"{'θ' if name == 'theta' else 'cos θ'} = {text}{unit}"
+
+
+class AnyScan(Protocol):
+    """What the files need of a scan, simulated or analytic."""
+
+    @property
+    def method(self) -> str:
+        """``"mc"`` or ``"analytic"``."""
+
+    @property
+    def detector(self) -> Detector:
+        """The detector."""
+
+    @property
+    def orders(self) -> Sequence[Order]:
+        """Detector, gun, settings and number of events at each momentum asked for."""
+
+    @property
+    def lines(self) -> list[Line]:
+        """Resolutions of d_rho, d_z and p against momentum."""
+
+    @property
+    def all_lines(self) -> list[Line]:
+        """Resolutions of all quantities."""
+
+    @property
+    def fits(self) -> list[FormFit]:
+        """The usual forms, fitted to them."""
+
+    @property
+    def seed(self) -> int:
+        """Seed of the events."""
+
+    @property
+    def seconds(self) -> float:
+        """Wall time."""
+
+    @property
+    def hits(self) -> str:
+        """How hits came to their tracks; empty without events."""
+
+    @property
+    def readout(self) -> str:
+        """The read-out of the CGEM layers; empty for a detector without them."""
+
+    @property
+    def removed(self) -> Mapping[str, Mapping[str, int]]:
+        """Tracks that did not fit, by sample and status."""
+
+    def columns(self) -> dict[str, list[Any]]:
+        """Return the columns of the CSV table."""
+
+
+class ScanBase(Tabular):
+    """What simulated and analytic scans share: their text, their summary and their files."""
+
+    @property
+    def readout(self: AnyScan) -> str:
+        """The read-out of the CGEM layers; empty for a detector without them."""
+        first = self.orders[0]
+        return str(first.settings.digitize.readout.name) if first.detector.cgem else ""
+
+    def summary(self: AnyScan) -> dict[str, Any]:
+        """Return what `summary.json` holds."""
+        return summary_of([self])
+
+    def save(self: AnyScan, folder: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
+        """Write resolution.csv, summary.json, run.json, the detector and the curves as PNG and PDF.
+
+        Parameters
+        ----------
+        folder : path
+        overwrite : bool
+
+        Raises
+        ------
+        OutputExistsError
+            If the folder holds files and `overwrite` is false.
+        """
+        return save_scans([self], folder, overwrite=overwrite)
+
+    def note(self) -> str:
+        """Return the momenta at which there are hardly any tracks, and why; empty if there are enough everywhere."""
+        raise NotImplementedError
+
+    def _table(self) -> tuple[str, Sequence[str], list[list[str]]]:
+        """Return title, head and rows of the text."""
+        raise NotImplementedError
+
+    def __repr__(self) -> str:
+        return "\n".join([text_table(*self._table()), *filter(None, [self.note()])])
+
+    def _repr_html_(self) -> str:
+        note = f"<p>{escape(self.note())}</p>" if self.note() else ""
+        return html_table(*self._table()) + note
+
+
+def summary_of(scans: Sequence[AnyScan]) -> dict[str, Any]:
+    """Return what `summary.json` holds: the curves of all detectors and methods, for the same gun."""
+    simulated = [scan for scan in scans if scan.method == "mc"]
+    first = scans[0].orders[0]
+    angle = angle_of(first)[0]
+    value = getattr(first.gun, angle)
+    particles = list(dict.fromkeys(scan.orders[0].gun.particle for scan in scans))
+    inputs: dict[str, Any] = {"detectors": list(_detectors(scans))}
+    inputs |= {"particle": particles[0]} if len(particles) == 1 else {"particles": particles}
+    inputs[angle] = list(value.values) if isinstance(value, InTurn) else value
+    inputs["momenta" if momentum_name(first) == "p" else "pt"] = [momentum_of(order) for order in scans[0].orders]
+    if simulated:
+        inputs["events"] = simulated[0].orders[0].n_events
+    methods = {scan.method for scan in scans}
+    inputs |= {"method": methods.pop() if len(methods) == 1 else "both", "settings": first.settings.to_dict()}
+    if simulated:
+        inputs["hits"] = simulated[0].hits
+    return {
+        "program": "cgemit",
+        "version": __version__,
+        "inputs": inputs,
+        "seed": scans[0].seed,
+        "timings": {"total_s": sum(scan.seconds for scan in scans)},
+        "removed": {label: dict(counts) for scan in scans for label, counts in scan.removed.items()},
+        "curves": [line.as_json() for scan in scans for line in scan.all_lines],
+        "fits": [fit.as_json() for scan in scans for fit in scan.fits],
+    }
+
+
+def save_scans(
+    scans: Sequence[AnyScan], folder: str | os.PathLike[str], *, overwrite: bool = False, command: str = ""
+) -> Path:
+    """Write what `Scan.save` writes, for several detectors and methods: one table and one picture of all.
+
+    Parameters
+    ----------
+    scans : sequence of Scan or AnalyticScan
+        Same angles and momenta; each detector and particle with one scan of a method, detectors of distinct names. Of
+        several detectors, each is written to a file of its own, ``detector-1-NAME.toml``.
+    folder : path
+    overwrite : bool
+    command : str
+        Command line for run.json, if there was one.
+
+    Raises
+    ------
+    OutputExistsError
+        If the folder holds files and `overwrite` is false.
+    """
+    from cgemit.draw.curves import resolutions
+
+    detectors = _detectors(scans)
+    with new_folder(folder, overwrite=overwrite) as place:
+        write_csv(place / "resolution.csv", columns_of(scans))
+        for number, (name, detector) in enumerate(detectors.items(), start=1):
+            which = f"-{number}-" + re.sub(r"[^\w.-]+", "-", name)[:60] if len(detectors) > 1 else ""
+            (place / f"detector{which}.toml").write_text(detector.to_toml(), encoding="utf-8")
+        resolutions(scans).save(place / "resolution")
+        write_record(_record(scans, command), place)
+        (place / SUMMARY).write_text(json.dumps(summary_of(scans), indent=2) + "\n", encoding="utf-8")
+    return Path(folder)
+
+
+def columns_of(scans: Sequence[AnyScan]) -> dict[str, list[Any]]:
+    """Return the columns of the CSV table; cells are empty where a method has no such number.
+
+    Simulated scans beside one of another detector and the same particle have columns of the differences to the first.
+
+    Parameters
+    ----------
+    scans : sequence of Scan or AnalyticScan
+    """
+    pairs = [(scan, base_of(scan, scans)) for scan in scans]
+    tables = [
+        scan.columns() | ({} if base is None else difference_columns(scan.orders, base.orders))  # type: ignore[arg-type]
+        for scan, base in pairs
+    ]
+    names = dict.fromkeys(name for table in tables for name in table)
+    sizes = [len(next(iter(table.values()))) for table in tables]
+    return {
+        name: [cell for table, size in zip(tables, sizes, strict=True) for cell in table.get(name, [""] * size)]
+        for name in names
+    }
+
+
+def base_of(scan: AnyScan, scans: Sequence[AnyScan]) -> AnyScan | None:
+    """Return the simulated scan of the first detector with the same particle and events; None for itself."""
+    if scan.method != "mc":
+        return None
+    particle = scan.orders[0].gun.particle
+    first = next(one for one in scans if one.method == "mc" and one.orders[0].gun.particle == particle)
+    return None if first is scan else first
+
+
+def fits_text(scans: Sequence[AnyScan]) -> str:
+    """Return the fits of the usual forms to some scans, one a line; empty with fewer than three momenta.
+
+    Parameters
+    ----------
+    scans : sequence of Scan or AnalyticScan
+        Of one detector.
+    """
+    kinds = {"mc": "simulated", "analytic": "analytic"}
+    return "\n".join(f"{kinds[scan.method]}: {fit}" for scan in scans for fit in scan.fits)
+
+
+def _detectors(scans: Sequence[AnyScan]) -> dict[str, Detector]:
+    return {scan.detector.name: scan.detector for scan in scans}
+
+
+def _record(scans: Sequence[AnyScan], command: str) -> dict[str, Any]:
+    """Return what `run.json` holds: settings and detectors, and the gun of each sample and line."""
+    source = []
+    for scan in scans:
+        for order in scan.orders:
+            about: dict[str, Any] = {"label": order.label, "detector": order.detector.name, "gun": gun_data(order.gun)}
+            about |= {"events": order.n_events, "seed": order.seed}
+            about |= {} if order.finder == "truth" else {"finder": finder_name(order.finder)}
+            source.append(about if scan.method == "mc" else about | {"method": scan.method})
+    return record(
+        detectors=_detectors(scans), settings=scans[0].orders[0].settings, seed=scans[0].seed, source=source,
+        command=command,
+    )  # fmt: skip
+
+
+#: Parameters whose resolution is quoted.
+QUOTED_PARAMETERS = ("dr", "dz", "p")
+
+
+def momentum_line(samples: Sequence[Sample], parameter: str) -> Line:
+    """Return the core resolution of a parameter against momentum (GeV/c) in the quoted unit."""
+    widths = [resolution(s.tracks, parameter) for s in samples]
+    return _line(samples, f"sigma_{parameter}", widths, QUOTED[parameter][0])
+
+
+def pull_line(samples: Sequence[Sample], parameter: str) -> Line:
+    """Return the core width of a parameter's pull against momentum (GeV/c)."""
+    return _line(samples, f"pull_{parameter}", [pulls(s.tracks)[parameter] for s in samples], "")
+
+
+def quantity_line(samples: Sequence[Sample], quantity: str) -> Line:
+    """Return the core resolution of one of `QUANTITIES` against momentum (GeV/c)."""
+    widths = [width(s.tracks, quantity) for s in samples]
+    return _line(samples, f"sigma_{quantity}", widths, QUANTITIES[quantity][0])
+
+
+def _line(samples: Sequence[Sample], name: str, widths: Sequence[Resolution], unit: str) -> Line:
+    return Line(
+        name, samples[0].detector.name, np.array([momentum_of(s) for s in samples]), "GeV/c",
+        np.array([w.core for w in widths]), np.array([w.core_error for w in widths]), unit,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Scan(ScanBase):
+    """Resolutions of one detector against momentum.
+
+    Attributes
+    ----------
+    samples : tuple of Sample
+        One per momentum.
+    seed : int
+    seconds : float
+        Wall time.
+    """
+
+    samples: tuple[Sample, ...]
+    seed: int
+    seconds: float
+
+    method: ClassVar[str] = "mc"
+
+    @property
+    def angle(self) -> str:
+        """Polar angle of the tracks, as text."""
+        return angle_text(self.samples[0])
+
+    @property
+    def lines(self) -> list[Line]:
+        """Core resolutions of d_rho, d_z and p against momentum."""
+        return [line for line in self.all_lines if line.id.removeprefix("sigma_") in QUOTED_PARAMETERS]
+
+    @cached_property
+    def all_lines(self) -> list[Line]:
+        """Core resolutions of all quantities against momentum, or transverse momentum."""
+        about: dict[str, Any] = {"method": self.method, "particle": str(self.samples[0].gun.particle)}
+        return [replace(quantity_line(self.samples, name), **about) for name in QUANTITIES]
+
+    @property
+    def detector(self) -> Detector:
+        """The detector."""
+        return self.samples[0].detector
+
+    @property
+    def orders(self) -> tuple[Sample, ...]:
+        """The samples: their detector, gun and settings."""
+        return self.samples
+
+    @property
+    def hits(self) -> str:
+        """How hits came to their tracks."""
+        return hits_text(self.samples[0].tracks)
+
+    @property
+    def removed(self) -> dict[str, Mapping[str, int]]:
+        """Tracks that did not fit, by sample and status."""
+        return {s.label: s.removed for s in self.samples}
+
+    @property
+    def fits(self) -> list[FormFit]:
+        """The usual forms, fitted to the resolutions; none with fewer than three momenta, or against pT."""
+        first = self.samples[0]
+        if transverse(first):
+            return []
+        how: dict[str, Any] = {"particle": first.gun.particle, "cos_theta": cosines_of(first)}
+        how |= {"detector": self.detector.name, "method": self.method}
+        p = [momentum_of(s) for s in self.samples]
+        found = []
+        for name in FORMS:
+            widths = [width(s.tracks, "pt_rel" if name == "pt" else name) for s in self.samples]
+            core, error = ([getattr(w, what) for w in widths] for what in ("core", "core_error"))
+            found.append(fit_form(name, p, core, error, **how))
+        return [one for one in found if one is not None]
+
+    def columns(self) -> dict[str, list[Any]]:
+        """Return the columns of the CSV table."""
+        return scan_columns(self.samples)
+
+    def minus(self, base: Scan) -> Differences:
+        """Return the differences to the resolutions of another detector, with their paired errors.
+
+        Parameters
+        ----------
+        base : Scan
+            Of the same particles: equal momenta, angles, events and seed.
+
+        Raises
+        ------
+        ValueError
+            If the particles are not the same.
+        """
+        return differences(self.samples, base.samples)
+
+    def empty(self) -> bool:
+        """Tell whether no track was fitted."""
+        return not any(map(fitted, self.samples))
+
+    def _rows(self) -> list[list[str]]:
+        widths = {name: quantity_line(self.samples, name) for name in QUOTED_PARAMETERS}
+        rows = []
+        for i, sample in enumerate(self.samples):
+            cells = [
+                cell
+                for name, line in widths.items()
+                for cell in (with_error(line.y[i], line.y_error[i]), f"{median_error(sample.tracks, name):.4g}")
+            ]
+            end = [f"{decayed(sample)}", f"{fitted(sample)}/{sample.n_events}", counts_text(sample.removed)]
+            rows.append([f"{momentum_of(sample):g}", *cells, *end])
+        return rows
+
+    def _table(self) -> tuple[str, Sequence[str], list[list[str]]]:
+        first = self.samples[0]
+        shot = f"{first.detector.name}, {shot_text(first)}"
+        made = ", ".join(filter(None, [self.readout and f"read-out {self.readout}", f"hits {self.hits}"]))
+        title = f"{shot}: core widths, and medians of the fit's own errors; {made}"
+        return title, (f"{momentum_name(first)} [GeV/c]", *_HEAD), self._rows()
+
+    def note(self) -> str:
+        """Return how the tracks ended where hardly any was fitted; empty if there are enough everywhere."""
+        few = hardly_fitted(self.samples)
+        momenta = ", ".join(f"{momentum_of(s):g}" for s in few)
+        return f"at {momenta} GeV/c: {why_unfitted(few)}" if few else ""
+
+
+_HEAD = (
+    *("sigma(d_rho) [um]", "median error", "sigma(d_z) [mm]", "median error", "sigma(p) [MeV/c]", "median error"),
+    *("decayed", "fitted", "not fitted"),
+)
+
+
+def scan(
+    detector: Detector | str | Mapping[str, Any],
+    momenta: Sequence[float] | None = None,
+    *,
+    pt: Sequence[float] | None = None,
+    particle: str | int = "mu-",
+    cos_theta: float | tuple[float, float] | list[float] | None = None,
+    theta: Any = None,
+    events: int = 5000,
+    seed: int = 1,
+    settings: Settings | None = None,
+    finder: FinderLike = "truth",
+    threads: int | None = None,
+    progress: ShowProgress | None = None,
+) -> Scan:
+    """Simulate and fit tracks at several momenta.
+
+    Parameters
+    ----------
+    detector : Detector, or what `load` accepts
+    momenta, pt : sequence of float, GeV/c
+        Momenta or transverse momenta: one of them.
+    particle : str or int
+        Name or number of the Particle Data Group.
+    cos_theta, theta : float, (float, float) or list of float
+        Cosine of the polar angle, or the angle in rad or with a unit: fixed, the limits of a uniform range, or values
+        in turn. Default: cos(theta) uniform in (-0.93, 0.93).
+    events : int
+        For each momentum.
+    seed : int
+    settings : Settings, optional
+        Of all stages.
+    finder : "truth", "ckf" or callable
+        As of `cgemit.run`. Found tracks are fitted with the mass of ``settings.find.hypothesis``.
+    threads : int, optional
+        Default: all cores.
+    progress : callable, optional
+        Called with the share that is done and what is running.
+
+    Raises
+    ------
+    ValueError
+        If particle or numbers make no sense, or the particle is neutral.
+    """
+    start = time.perf_counter()
+    check_numbers("scan", seed, threads, events=(events, 1, 2**31 - 1))
+    gun = gun_arguments(momenta, pt, particle, cos_theta, theta)
+    orders = momentum_orders(load(detector), **gun, events=events, seed=seed, settings=settings, finder=finder)
+    samples = run_samples(orders, threads=threads, progress=progress)
+    return Scan(tuple(samples), seed, time.perf_counter() - start)
+
+
+def scan_detectors(
+    detectors: Sequence[Detector], particles: Sequence[str | int], *, progress: ShowProgress | None = None, **how: Any
+) -> list[Scan]:
+    """Run `scan` for each particle and detector, with its other arguments; all detectors see the same particles."""
+    pairs = [(particle, detector) for particle in particles for detector in detectors]
+
+    def part(number: int) -> ShowProgress | None:
+        return progress and (lambda done, label: progress((number + done) / len(pairs), label))
+
+    return [
+        scan(detector, particle=particle, progress=part(number), **how)
+        for number, (particle, detector) in enumerate(pairs)
+    ]
+
+
+Floats = npt.NDArray[np.float64]
+
+#: Momenta of a line, at least; those asked for are added.
+LINE_POINTS = 60
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class AnalyticScan(ScanBase):
+    """Resolutions of one detector against momentum from the covariance, without events.
+
+    Attributes
+    ----------
+    orders : tuple of Order
+        One for each momentum asked for, with detector, gun and settings; no event is simulated.
+    covariance : Covariance
+        At the momenta of the lines (first axis), and the values of a list of cos(theta) (second axis).
+    seed : int
+        Kept for the record; nothing is random.
+    seconds : float
+        Wall time.
+    """
+
+    orders: tuple[Order, ...]
+    covariance: Covariance
+    seed: int
+    seconds: float
+
+    method: ClassVar[str] = "analytic"
+    hits: ClassVar[str] = ""
+    removed: ClassVar[Mapping[str, Mapping[str, int]]] = {}
+
+    @property
+    def detector(self) -> Detector:
+        """The detector."""
+        return self.orders[0].detector
+
+    @property
+    def momenta(self) -> list[float]:
+        """The momenta asked for, GeV/c."""
+        return [momentum_of(order) for order in self.orders]
+
+    @cached_property
+    def p(self) -> Floats:
+        """Momenta of the lines: those asked for, and at least 60 from the first to the last of them."""
+        return line_momenta(self.momenta)
+
+    def sigma(self, name: str, *, rms: bool = False) -> Floats:
+        """Return the core resolution at the momenta of the lines, in the quoted unit.
+
+        Parameters
+        ----------
+        name : str
+            Of `quantities.QUANTITIES`, such as ``"dr"`` um, ``"dz"`` mm, ``"p"`` MeV/c, ``"pt_rel"`` %.
+        rms : bool
+            Whether to return the root of the mean variance instead.
+        """
+        found = self.covariance
+        if name == "pt_rel":  # sigma(pT)/pT = sigma(kappa)/|kappa|, track by track
+            kappa = found._tracks.kappa.reshape(*found.p.shape, -1)
+            variances, scale = found.variances("kappa") / kappa**2, 100.0
+        elif name == "p_rel":
+            variances, scale = found.variances("p") / found.p[..., None] ** 2, 100.0
+        else:
+            variances, scale = found.variances(name), OF_SWEEPS[name][1]
+        rows = variances.reshape(len(self.p), -1)
+        return scale * (np.sqrt(mean(rows, ~np.isnan(rows))) if rms else core_width(rows))
+
+    @property
+    def reached(self) -> Floats:
+        """Fraction of the tracks with a covariance at the momenta of the lines."""
+        return np.asarray(self.covariance.reached.reshape(len(self.p), -1).mean(axis=1))
+
+    @property
+    def angle(self) -> str:
+        """Polar angle of the tracks, as text."""
+        return angle_text(self.orders[0])
+
+    @property
+    def lines(self) -> list[Line]:
+        """Core resolutions of d_rho, d_z and p against momentum; they have no statistical error."""
+        return [line for line in self.all_lines if line.id.removeprefix("sigma_") in QUOTED_PARAMETERS]
+
+    @cached_property
+    def all_lines(self) -> list[Line]:
+        """Core resolutions of all quantities against momentum, or transverse momentum."""
+        none, about = np.full(len(self.p), np.nan), (self.method, str(self.orders[0].gun.particle))
+        return [
+            Line(f"sigma_{name}", self.detector.name, self.p, "GeV/c", self.sigma(name), none, unit, *about)
+            for name, (unit, _) in QUANTITIES.items()
+        ]
+
+    @cached_property
+    def fits(self) -> list[FormFit]:
+        """The usual forms, fitted to the lines with equal relative weights; none against pT."""
+        first = self.orders[0]
+        if transverse(first):
+            return []
+        how: dict[str, Any] = {"particle": first.gun.particle, "cos_theta": cosines_of(first)}
+        how |= {"detector": self.detector.name, "method": self.method}
+        found = [fit_form(name, self.p, self.sigma("pt_rel" if name == "pt" else name), **how) for name in FORMS]
+        return [one for one in found if one is not None]
+
+    def at(self, name: str) -> Floats:
+        """Return the core resolution at the momenta asked for, in the quoted unit."""
+        return self.sigma(name)[self._asked()]
+
+    def _asked(self) -> npt.NDArray[np.intp]:
+        return np.searchsorted(self.p, self.momenta)
+
+    def columns(self) -> dict[str, list[Any]]:
+        """Return the widths for each momentum of the lines: the columns of the CSV table."""
+        first, n = leading_columns(self.orders[:1], self.method), len(self.p)
+        columns = {name: value * n for name, value in first.items()}
+        columns[f"{momentum_name(self.orders[0])} (GeV/c)"] = self.p.tolist()
+        for name in QUANTITIES:
+            columns[column("sigma", name)] = self.sigma(name).tolist()
+            columns[column("rms", name)] = self.sigma(name, rms=True).tolist()
+        return columns | {"reached": self.reached.tolist()}
+
+    def empty(self) -> bool:
+        """Tell whether no track at any momentum has a covariance."""
+        return not self.reached.any()
+
+    def note(self) -> str:
+        """Return the momenta asked for at which no track has a covariance, and why; empty if all have one."""
+        without = self._asked()[self.reached[self._asked()] == 0]
+        if not len(without):
+            return ""
+        status = self.covariance.status.reshape(len(self.p), -1)[without]
+        why = ", ".join(FitStatus(int(one)).name for one in np.unique(status))
+        momenta = ", ".join(f"{p:g}" for p in self.p[without])
+        return f"at {momenta} GeV/c: no track has a covariance ({why})"
+
+    def _table(self) -> tuple[str, Sequence[str], list[list[str]]]:
+        title = f"{self.detector.name}, {shot_text(self.orders[0])}: core widths, analytic"
+        title += f"; read-out {self.readout}" if self.readout else ""
+        return title, (f"{momentum_name(self.orders[0])} [GeV/c]", *_ANALYTIC_HEAD), self._rows()
+
+    def _rows(self) -> list[list[str]]:
+        values = [self.at(name) for name in QUOTED_PARAMETERS]
+        shares = self.reached[self._asked()]
+        return [
+            [f"{p:g}", *("-" if np.isnan(one) else f"{one:.4g}" for one in row), f"{100 * share:.4g} %"]
+            for p, row, share in zip(self.momenta, zip(*values, strict=True), shares, strict=True)
+        ]
+
+
+_ANALYTIC_HEAD = ("sigma(d_rho) [um]", "sigma(d_z) [mm]", "sigma(p) [MeV/c]", "with covariance")
+
+
+def line_momenta(momenta: Sequence[float]) -> Floats:
+    """Return the momenta of a line: those given, in order, and 60 in equal steps between the least and the largest.
+
+    Parameters
+    ----------
+    momenta : sequence of float
+        One is returned as it is.
+    """
+    given = np.unique(np.asarray(momenta, np.float64))
+    if len(given) == 1:
+        return given
+    steps = np.linspace(given[0], given[-1], LINE_POINTS)
+    distance = np.min(np.abs(steps[:, None] - given), axis=1)
+    more = steps[distance > 1e-9 * given[-1]]  # rounding must not make two points of one
+    return np.sort(np.concatenate([given, more]))
+
+
+def scan_analytic(
+    detector: Detector | str | Mapping[str, Any],
+    momenta: Sequence[float] | None = None,
+    *,
+    pt: Sequence[float] | None = None,
+    particle: str | int = "mu-",
+    cos_theta: float | tuple[float, float] | list[float] | None = None,
+    theta: Any = None,
+    seed: int = 1,
+    settings: Settings | None = None,
+    threads: int | None = None,
+) -> AnalyticScan:
+    """Return the resolutions that `scan` measures from the covariance, without events.
+
+    Parameters
+    ----------
+    detector : Detector, or what `load` accepts
+    momenta, pt : sequence of float, GeV/c
+        Momenta or transverse momenta: one of them. The lines also have at least 60 from the first to the last of them.
+    particle : str or int
+        Name or number of the Particle Data Group.
+    cos_theta, theta : float, (float, float) or list of float
+        As in `scan`; averaged over a uniform range, or over some values. Transverse momenta need fixed angles.
+    seed : int
+        Kept for the record; nothing is random.
+    settings : Settings, optional
+        Of all stages; the read-out, the sides of the wires and the fit enter.
+    threads : int, optional
+        Default: all cores.
+
+    Raises
+    ------
+    ValueError
+        If particle or numbers make no sense, the particle is neutral, or the fit assumes the mass of another particle.
+    """
+    start = time.perf_counter()
+    gun = samples.gun_arguments(momenta, pt, particle, cos_theta, theta)
+    orders = samples.momentum_orders(load(detector), **gun, events=0, seed=seed, settings=settings)
+    if not orders:
+        raise ValueError("momenta: got none, expected at least one")
+    first = orders[0]
+    digitize, fit = first.settings.digitize, first.settings.fit
+    if others := [name for name in fit.hypotheses() if HYPOTHESES[name].pdg != abs(species(first.gun.particle).pdg)]:
+        # A covariance does not hold the bias of another mass.
+        raise ValueError(
+            f"fit.hypothesis: got {', '.join(others)} for {first.gun.particle}; "
+            "the analytic method expects the particle's own mass"
+        )
+    p, angles = _grid(line_momenta([momentum_of(order) for order in orders]), first)
+    found = analytic(
+        first.detector, first.gun.particle, p, angles, readout=digitize.readout, reveal_sides=digitize.reveal_sides,
+        fit=fit, threads=threads,
+    )  # fmt: skip
+    return AnalyticScan(tuple(orders), found, seed, time.perf_counter() - start)
+
+
+def _grid(momenta: Floats, order: Order) -> tuple[Floats, Any]:
+    """Return momenta, p or pT, as p; and the cosines to be broadcast with it."""
+    angles = cosines_of(order)
+    if isinstance(angles, InTurn | list):
+        momenta, angles = momenta[:, None], list(angles.values if isinstance(angles, InTurn) else angles)
+    if not transverse(order):
+        return momenta, angles
+    if isinstance(angles, tuple):
+        raise ValueError(f"cos_theta: got a range, {angles}, with pT; the analytic method expects fixed angles")
+    return momenta / np.sqrt(1 - np.square(angles)), angles
+
+
+_COMPARED_HEAD = ("sigma(d_rho) [um]", "sigma(d_z) [mm]", "sigma(p) [MeV/c]")
+
+
+def compared(simulated: Scan, line: AnalyticScan) -> str:
+    """Return a table of simulated and analytic core widths side by side, with their ratio.
+
+    Parameters
+    ----------
+    simulated : Scan
+    line : AnalyticScan
+        Of the same detector and momenta.
+    """
+    first = line.orders[0]
+    cells = [[f"{p:g}" for p in line.momenta]]
+    head = [f"{momentum_name(first)} [GeV/c]"]
+    for name, text, points in zip(QUOTED_PARAMETERS, _COMPARED_HEAD, simulated.lines, strict=True):
+        expected = line.at(name)
+        head += [text, "analytic", "ratio"]
+        cells.append([with_error(*pair) for pair in zip(points.y, points.y_error, strict=True)])
+        cells.append([with_error(value, 0.0) for value in expected])
+        ratios = zip(points.y / expected, points.y_error / expected, strict=True)
+        cells.append([with_error(*pair) for pair in ratios])
+    head += ["fitted", "not fitted"]
+    cells.append([f"{fitted(sample)}/{sample.n_events}" for sample in simulated.samples])
+    cells.append([counts_text(sample.removed) for sample in simulated.samples])
+    title = (
+        f"{first.detector.name}, {shot_text(first)}: core widths, simulated "
+        f"({simulated.samples[0].n_events} events at each momentum) and analytic, ratio simulated/analytic"
+    )
+    table = text_table(title, head, [list(row) for row in zip(*cells, strict=True)])
+    return "\n".join([table, *filter(None, [simulated.note(), line.note()])])

@@ -1,0 +1,7 @@
+"""Sweeps: many variants of a detector evaluated by any executor, kept in files, joined to one table."""
+
+from cgemit.study.sweep.result import Sweep
+from cgemit.study.sweep.run import sweep
+from cgemit.study.sweep.space import Space, grid, latin_hypercube, sobol
+
+__all__ = ["Space", "Sweep", "grid", "latin_hypercube", "sobol", "sweep"]

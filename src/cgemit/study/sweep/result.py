@@ -1,0 +1,295 @@
+"""The table of a sweep: one row for each variant and point; written, printed, converted."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from cgemit.analysis.quantities import SCALES as QUANTITIES
+from cgemit.analysis.quantities import error_of_difference
+from cgemit.analysis.quantities import header as column
+from cgemit.base.files import SUMMARY, new_file
+from cgemit.base.version import PHYSICS
+from cgemit.chain.record import versions
+from cgemit.covariance.result import By
+from cgemit.detector import Detector
+from cgemit.detector.variants import variant_name
+from cgemit.study.sweep.evaluate import Evaluation, budgets
+from cgemit.study.sweep.space import Space, axis_of
+from cgemit.tables.formats import write_columns
+from cgemit.tables.show import data_frame, html_table, text_table, write_csv
+
+if TYPE_CHECKING:
+    from cgemit.draw.style import Picture
+
+
+class TidyResult:
+    """A result that is a table, `columns` by header."""
+
+    columns: dict[str, list[Any]]
+
+    def to_pandas(self) -> Any:
+        """Return the table as a `pandas.DataFrame`."""
+        return data_frame(self.columns)
+
+    def write_parquet(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
+        """Write the table as a Parquet file (needs pyarrow, extra ``[io]``).
+
+        Parameters
+        ----------
+        path : path
+        overwrite : bool
+
+        Raises
+        ------
+        FileExistsError
+            If the file exists and `overwrite` is false.
+        """
+        return write_columns(path, self.columns, overwrite=overwrite)
+
+    def _write(
+        self, folder: str | os.PathLike[str], table: str, detectors: Mapping[str, Detector], summary: Mapping[str, Any]
+    ) -> list[Path]:
+        """Write table, detectors and summary to a folder, in this order; return the files."""
+        place = Path(folder)
+        with new_file(place / table, overwrite=True) as temporary:
+            write_csv(temporary, self.columns)
+        texts = {name: detector.to_toml() for name, detector in detectors.items()}
+        texts[SUMMARY] = json.dumps(summary, indent=2) + "\n"
+        for name, text in texts.items():
+            with new_file(place / name, overwrite=True) as temporary:
+                temporary.write_text(text, encoding="utf-8")
+        return [place / name for name in (table, *texts)]
+
+
+#: Columns that say which variant a row is of and how it ended.
+LEADING = ("variant", "name", "hash", "status", "problems")
+_POINT = ("p (GeV/c)", "cos_theta")
+_SHOWN_ROWS = 40
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Sweep(TidyResult):
+    """The result of a sweep.
+
+    Attributes
+    ----------
+    columns : dict of str to list
+        The tidy table: one row for each variant, momentum and angle; variant 0 is the base. `status` is "ok",
+        "impossible" (`problems` says why the detector cannot be built), "failed" or "missing".
+    parameters : tuple of str
+        Columns of what is varied.
+    results : tuple of str
+        Columns of what was computed.
+    space : Space
+    evaluation : Evaluation
+    bases : tuple of Detector
+        The detector that each row's variant changes, by variant.
+    """
+
+    columns: dict[str, list[Any]]
+    parameters: tuple[str, ...]
+    results: tuple[str, ...]
+    space: Space
+    evaluation: Evaluation
+    bases: tuple[Detector, ...]
+
+    @staticmethod
+    def joined(
+        space: Space, evaluation: Evaluation, bases: Sequence[Detector], rows: Sequence[Mapping[str, Any]]
+    ) -> Sweep:
+        """Return the table of the base and its variants, from one row each."""
+        axes = [axis_of(key, bases[0], [one.get(key) for one in space.variants]) for key in space.keys]
+        points = evaluation.points()
+        by_variant = dict(zip(LEADING, _leading(space, bases, rows), strict=True)) | dict(axes)
+        table = {name: [value for value in values for _ in points] for name, values in by_variant.items()}
+        table |= {name: [point[name] for point in points] * len(rows) for name in points[0]}
+        known = tuple(table)
+        for number, row in enumerate(rows):
+            first = number * len(points)
+            for name, values in (row.get("columns", {}) | _differences(row, rows[0])).items():
+                if name not in table:
+                    table[name] = [None] * (len(rows) * len(points))
+                table[name][first : first + len(points)] = values
+        results = tuple(name for name in table if name not in (*known, *_POINT))
+        table = {name: _of_one_kind(table[name]) for name in (*known, *results)}
+        return Sweep(table, tuple(header for header, _ in axes), results, space, evaluation, tuple(bases))
+
+    def __len__(self) -> int:
+        return len(self.columns["variant"])
+
+    def _ipython_key_completions_(self) -> list[str]:
+        return list(self.columns)
+
+    def __getitem__(self, name: str) -> Any:
+        return np.array(self.columns[name])
+
+    def missing(self) -> int:
+        """Return how many variants were not computed, the base among them."""
+        pairs = zip(self.columns["variant"], self.columns["status"], strict=True)
+        return len({number for number, status in pairs if status == "missing"})
+
+    def detector(self, variant: int) -> Detector:
+        """Return a variant by its number in the table; 0 is the base."""
+        changes = _without_base(self.space.variants[variant - 1]) if variant else {}
+        return self.bases[variant].with_overrides(dict(changes)) if changes else self.bases[variant]
+
+    def to_xarray(self) -> Any:
+        """Return the results of a grid as an `xarray.Dataset` with one dimension for each key, momentum and angle.
+
+        Raises
+        ------
+        ValueError
+            If the space is no grid.
+        """
+        import xarray
+
+        if self.space.kind != "grid":
+            raise ValueError(f"to_xarray: got a space of kind {self.space.kind!r}, expected a grid")
+        here = np.array(self.columns["variant"]) > 0
+        dimensions = [*self.parameters, *(name for name in _POINT if name in self.columns)]
+        coordinates = {name: list(dict.fromkeys(self[name][here].tolist())) for name in dimensions}
+        shape = tuple(len(values) for values in coordinates.values())
+        data = {name: (dimensions, self[name][here].reshape(shape)) for name in (*self.results, "status", "name")}
+        return xarray.Dataset(data, coords=coordinates, attrs={"base": self.bases[0].name})
+
+    def write(self, folder: str | os.PathLike[str]) -> list[Path]:
+        """Write sweep.csv, detector.toml (the base) and summary.json to a folder; return the files.
+
+        Files of an earlier sweep are replaced.
+        """
+        return self._write(folder, "sweep.csv", {"detector.toml": self.bases[0]}, self.summary())
+
+    def summary(self) -> dict[str, Any]:
+        """Return what `summary.json` holds: what was varied and evaluated, and how the variants ended."""
+        statuses = [status for status, point in zip(self.columns["status"], self._is_first(), strict=True) if point]
+        return {
+            "program": "cgemit", "versions": versions(), "physics": PHYSICS,
+            "inputs": {
+                "base": self.bases[0].name, "hash": self.bases[0].content_hash, "space": self.space.kind,
+                "keys": list(self.space.keys), "evaluation": json.loads(json.dumps(self.evaluation.described())),
+            },
+            "variants": len(self.space), "status": {name: statuses.count(name) for name in sorted(set(statuses))},
+            "parameters": list(self.parameters), "results": list(self.results),
+        }  # fmt: skip
+
+    def draw(self, quantity: str | None = None, **options: Any) -> Picture:
+        """Draw one result against what is varied: a scan of one key, a map of two, parallel coordinates of more.
+
+        Parameters
+        ----------
+        quantity : str, optional
+            Column of `results`; default: the first resolution, or the first of all.
+        **options
+            Of `cgemit.draw.design.draw_sweep`; ``kind="budget"`` is `draw_budgets`.
+        """
+        from cgemit.draw.design import draw_sweep
+
+        if quantity is not None and quantity not in self.results:
+            raise ValueError(f"quantity: got {quantity!r}, expected one of {', '.join(self.results)}")
+        first = next((name for name in self.results if name.startswith("sigma_dr")), self.results[0])
+        if options.get("kind") == "budget":
+            return self.draw_budgets((quantity or first).partition(" (")[0].removeprefix("sigma_"))
+        return draw_sweep(self.columns, self.parameters, quantity or first, **options)
+
+    def draw_budgets(self, quantity: str = "dr", by: By = "part", *, point: int = 0, most: int = 12) -> Picture:
+        """Draw what the variance of each variant is made of (`cgemit.draw.draw_budgets`).
+
+        Parameters
+        ----------
+        quantity : str
+            Resolution.
+        by : str
+            "part", "cause", "material" or "source".
+        point : int
+            Momentum and angle: their number among those of a variant.
+        most : int
+            Variants, in the order of the table; variants that cannot be built are left out.
+
+        Raises
+        ------
+        ValueError
+            If the evaluation was a function, or there is no such point or quantity.
+        """
+        from cgemit.draw.design import draw_budgets
+
+        first = [i for i, here in enumerate(self._is_first()) if here and self.columns["status"][i] == "ok"][:most]
+        names = {self.columns["variant"][i]: self.columns["name"][i] for i in first}
+        short = {number: name.removeprefix(f"{self.bases[number].name}+") for number, name in names.items()}
+        detectors = {short[number] if number else "base": self.detector(number) for number in names}
+        return draw_budgets(budgets(self.evaluation, detectors, quantity, point), by, scale=QUANTITIES[quantity][1])
+
+    def _is_first(self) -> list[bool]:
+        numbers = self.columns["variant"]
+        return [i == 0 or numbers[i - 1] != number for i, number in enumerate(numbers)]
+
+    def _cells(self) -> tuple[list[str], list[list[str]], str]:
+        shown = [name for name in self.results if not name.startswith("delta_") and "_error" not in name][:6]
+        head = ["variant", "status", *self.parameters, *(name for name in _POINT if name in self.columns), *shown]
+        count = min(len(self), _SHOWN_ROWS)
+        rows = [[_cell(self.columns[name][i]) for name in head] for i in range(count)]
+        more = f"; {len(self) - count} more rows" if len(self) > count else ""
+        return head, rows, f"{self.bases[0].name}: {len(self.space)} variants, {len(self)} rows{more}"
+
+    def __repr__(self) -> str:
+        head, rows, title = self._cells()
+        return text_table(title, head, rows)
+
+    def _repr_html_(self) -> str:
+        head, rows, title = self._cells()
+        return html_table(title, head, rows)
+
+
+def _cell(value: Any) -> str:
+    return f"{value:.5g}" if isinstance(value, float) else str(value)
+
+
+def _leading(space: Space, bases: Sequence[Detector], rows: Sequence[Mapping[str, Any]]) -> Iterator[list[Any]]:
+    """Yield the columns `LEADING` of the base and its variants."""
+    changes: list[Mapping[str, Any]] = [{}, *space.variants]
+    yield list(range(len(rows)))
+    yield [
+        str(changed.get("name") or variant_name(base.name, _without_base(changed)))
+        for changed, base in zip(changes, bases, strict=True)
+    ]
+    yield [row.get("hash", "") for row in rows]
+    yield [row["status"] for row in rows]
+    yield ["; ".join(row["problems"]) for row in rows]
+
+
+def _of_one_kind(values: list[Any]) -> list[Any]:
+    """Return a column with one kind of values.
+
+    None becomes an empty text among texts, else NaN. Whole numbers and truth values become floats beside any float.
+    """
+    kinds = set(map(type, values))
+    if type(None) in kinds:
+        empty = "" if kinds == {str, type(None)} else math.nan
+        values = [empty if value is None else value for value in values]
+        kinds = set(map(type, values))
+    return list(map(float, values)) if float in kinds and kinds <= {int, bool, float} else values
+
+
+def _without_base(changes: Mapping[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in changes.items() if key not in ("base", "field")}
+
+
+def _differences(row: Mapping[str, Any], base: Mapping[str, Any]) -> dict[str, list[float]]:
+    """Return the differences of simulated resolutions to the base's at all points, with their paired errors."""
+    if "replicas" not in row or "replicas" not in base:
+        return {}
+    found = {}
+    pairs = list(zip(row["replicas"], base["replicas"], strict=True))
+    for name in base["replicas"][0]:
+        sigmas = zip(*(one["columns"][column(f"sigma_{name}", name)] for one in (row, base)), strict=True)
+        found[column(f"delta_sigma_{name}", name)] = [mine - other for mine, other in sigmas]
+        errors = [error_of_difference(mine[name], other[name]) for mine, other in pairs]
+        found[column(f"delta_sigma_{name}_error", name)] = errors
+    return found

@@ -1,0 +1,470 @@
+"""`sweep`: variants built and evaluated in chunks on any executor, kept in files, joined to one table."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import os
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor, Future, ThreadPoolExecutor, as_completed
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, Literal, Protocol
+
+from cgemit.analysis.quantities import SCALES as QUANTITIES
+from cgemit.base.errors import DetectorError, Problems
+from cgemit.base.files import OutputExistsError, check_free, new_file
+from cgemit.base.settings import check_numbers, is_whole
+from cgemit.base.version import PHYSICS
+from cgemit.chain.settings import Settings
+from cgemit.detector import Detector, load
+from cgemit.particles.gun import Gun
+from cgemit.particles.species import species
+from cgemit.study.samples import ShowProgress
+from cgemit.study.sweep.evaluate import CosTheta, Evaluation, Function
+from cgemit.study.sweep.result import Sweep
+from cgemit.study.sweep.space import Changes, Space, SpaceError, grid, key_problems, listed
+
+FORMAT = "cgemit-sweep-2"
+#: Folder of the chunks in the output of a sweep.
+CHUNKS = "chunks"
+
+
+def address(evaluation: Mapping[str, Any], variants: Sequence[tuple[str, Mapping[str, Any]]]) -> str:
+    """Return the name of a chunk: a hash of all that its results depend on.
+
+    Parameters
+    ----------
+    evaluation : mapping
+        Method, seed and the rest of what is evaluated, as JSON.
+    variants : sequence of (str, mapping)
+        Fingerprint of the detector that each variant changes, and its changes.
+    """
+    text = json.dumps([FORMAT, PHYSICS, evaluation, [list(one) for one in variants]], sort_keys=True, default=str)
+    return hashlib.sha256(text.encode()).hexdigest()[:32]
+
+
+def write_chunk(folder: Path, name: str, payload: str) -> None:
+    """Write rows (`text_of_rows`) of a chunk under a temporary name, which becomes the chunk's when all is written."""
+    record = {"format": FORMAT, "chunk": name, "sha256": _checksum(payload), "rows": payload}
+    with new_file(folder / f"{name}.json", overwrite=True) as temporary:
+        temporary.write_text(json.dumps(record) + "\n", encoding="utf-8")
+
+
+def read_chunk(folder: Path, name: str, count: int) -> list[dict[str, Any]] | None:
+    """Return the rows of a chunk with `count` variants; None if there is none, or a damaged one."""
+    try:
+        record = json.loads((folder / f"{name}.json").read_text(encoding="utf-8"))
+        payload = record["rows"]
+        good = record["format"] == FORMAT and record["chunk"] == name and record["sha256"] == _checksum(payload)
+        rows = rows_of_text(payload)
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        return None
+    return rows if good and len(rows) == count else None
+
+
+def clean(folder: Path, names: Sequence[str]) -> None:
+    """Remove what interrupted writers of these chunks left behind; all chunks must be complete."""
+    for name in names:
+        for left in folder.glob(f".{name}-*.tmp.json"):
+            left.unlink(missing_ok=True)
+
+
+def _checksum(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def text_of_rows(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Return rows as JSON: how workers send them and files hold them, so that results do not depend on files."""
+    try:
+        return json.dumps(rows, allow_nan=False)
+    except (TypeError, ValueError):  # some number that JSON cannot hold
+        return json.dumps([_without_nan(row) for row in rows], allow_nan=False)
+
+
+def rows_of_text(text: str) -> list[dict[str, Any]]:
+    """Return the rows of `text_of_rows`."""
+    rows = json.loads(text)
+    return [_with_nan(row) for row in rows] if '{"float":' in text else rows
+
+
+def _without_nan(value: Any) -> Any:
+    """Return a value with numbers that JSON cannot hold as ``{"float": "nan"}``."""
+    if isinstance(value, Mapping):
+        return {key: _without_nan(one) for key, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [_without_nan(one) for one in value]
+    return {"float": repr(value)} if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _with_nan(value: Any) -> Any:
+    if isinstance(value, dict):
+        if value.keys() == {"float"}:
+            return float(value["float"])
+        return {key: _with_nan(one) for key, one in value.items()}
+    return [_with_nan(one) for one in value] if isinstance(value, list) else value
+
+
+class Evaluates(Protocol):
+    """What is computed for a detector; it can be pickled."""
+
+    def described(self) -> dict[str, Any]:
+        """Return all that results depend on, beside the detector, as JSON."""
+
+    def __call__(self, detector: Detector) -> Any:
+        """Return what the results of a detector follow from."""
+
+    def results(self, found: Sequence[Any]) -> list[dict[str, Any]]:
+        """Return the results of some detectors as JSON, from what was found for each."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """Neighbouring variants of a sweep, and what is computed for each."""
+
+    detectors: tuple[Detector, ...]
+    changes: tuple[Changes, ...]
+    evaluation: Evaluates
+
+    @property
+    def address(self) -> str:
+        """Name of the file with the results."""
+        pairs = zip(self.detectors, self.changes, strict=True)
+        return address(self.evaluation.described(), [(base.content_hash, changes) for base, changes in pairs])
+
+
+def work(task: Task) -> str:
+    """Build and evaluate the variants of a task; return a row of each as text, its problems if it cannot be."""
+    bases = {number: _first(base) for number, base in {id(base): base for base in task.detectors}.items()}
+    pairs = zip(task.detectors, task.changes, strict=True)
+    rows = [_row(bases[id(base)], changes, task.evaluation) for base, changes in pairs]
+    good = [row for row in rows if row["status"] == "ok"]
+    found = [row.pop("found") for row in good]
+    try:
+        for row, results in zip(good, task.evaluation.results(found), strict=True):
+            row |= results
+    except Exception as error:
+        for row in good:
+            row |= _failed(error)
+    return text_of_rows(rows)
+
+
+@lru_cache(maxsize=16)
+def _first(base: Detector) -> Detector:
+    """Return the first detector that was equal: a process that is sent many tasks computes its parts' numbers once."""
+    return base
+
+
+def _row(base: Detector, changes: Changes, evaluation: Evaluates) -> dict[str, Any]:
+    """Return the row of a variant with what was `found` instead of the results, unless it could not be evaluated."""
+    try:
+        detector = base.with_overrides(dict(changes)) if changes else base
+    except DetectorError as error:
+        return {"status": "impossible", "problems": [str(problem) for problem in error.problems]}
+    row: dict[str, Any] = {"status": "ok", "problems": [], "hash": detector.content_hash}
+    try:
+        return row | {"found": evaluation(detector)}
+    except Exception as error:  # the sweep goes on: the row says what happened
+        return row | _failed(error)
+
+
+def _failed(error: Exception) -> dict[str, Any]:
+    return {"status": "failed", "problems": [f"{type(error).__name__}: {error}"]}
+
+
+def compute_rows(
+    tasks: Sequence[Task],
+    folder: Path | None,
+    executor: Executor | None,
+    part: tuple[int, int] | None,
+    progress: ShowProgress | None,
+) -> list[list[dict[str, Any]]]:
+    """Return the rows of every task: those on disk, and those that are computed now and written as they come."""
+    names = [task.address if folder else "" for task in tasks]
+    counts = [len(task.changes) for task in tasks]
+    pairs = zip(names, counts, strict=True)
+    rows = [read_chunk(folder, name, count) if folder else None for name, count in pairs]
+    mine = range(len(tasks)) if part is None else range(len(tasks))[part[0] :: part[1]] if part[1] else range(0)
+    waiting = [i for i in mine if rows[i] is None]
+    show = _remaining(progress, len(mine), len(waiting))
+    futures: dict[Future[str], int] = {}
+
+    def keep(future: Future[str]) -> None:
+        i, text = futures.pop(future), future.result()
+        found = rows_of_text(text)
+        if folder and all(row["status"] != "failed" for row in found):
+            write_chunk(folder, names[i], text)
+        rows[i] = found
+
+    try:
+        with _pool(executor, len(waiting)) as pool:
+            for i in waiting:
+                futures[pool.submit(work, tasks[i])] = i
+            lost = []
+            for future in as_completed(list(futures)):
+                # `work` tells errors in its rows: with one here, the executor lost the task, as when a worker dies.
+                if isinstance(future.exception(), Exception):
+                    again = pool.submit(work, tasks[futures[future]])
+                    futures[again] = futures.pop(future)
+                    lost.append(again)
+                else:
+                    keep(future)
+                    show()
+            for future in as_completed(lost):
+                keep(future)
+                show()
+    finally:  # interrupted: keep what is complete
+        for future in [one for one in futures if not one.cancel() and one.done() and not one.exception()]:
+            keep(future)
+    if folder and all(row is not None for row in rows):
+        clean(folder, names)
+    missing: dict[str, Any] = {"status": "missing", "problems": []}
+    return [[missing] * count if found is None else found for found, count in zip(rows, counts, strict=True)]
+
+
+@contextmanager
+def _pool(executor: Executor | None, tasks: int) -> Iterator[Executor]:
+    if executor is not None:
+        yield executor
+        return
+    with ThreadPoolExecutor(max(1, min(tasks, os.cpu_count() or 1))) as pool:
+        try:
+            yield pool
+        finally:
+            pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _remaining(progress: ShowProgress | None, total: int, left: int) -> Callable[[], None]:
+    """Return a function that counts finished tasks and shows the remaining time."""
+    start, before = time.monotonic(), total - left
+    done = before
+
+    def show() -> None:
+        nonlocal done
+        done += 1
+        if progress:
+            seconds = (time.monotonic() - start) / (done - before) * (total - done)
+            progress(done / total, f"sweep, {done} of {total} chunks, {_duration(seconds)} left")
+
+    return show
+
+
+def _duration(seconds: float) -> str:
+    if seconds < 100:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 6000 else f"{seconds / 3600:.1f} h"
+
+
+#: Variants in one chunk: simulated ones and functions take long, analytic ones do not.
+CHUNK = {"analytic": 50, "mc": 1, "function": 1}
+
+
+def sweep(
+    base: Detector | str | Mapping[str, Any],
+    space: Space | Mapping[str, Sequence[Any]] | Sequence[Changes],
+    *,
+    evaluate: Literal["analytic", "mc"] | Function = "analytic",
+    particle: str | int = "mu-",
+    p: float | Sequence[float] = 1.0,
+    cos_theta: CosTheta | Sequence[CosTheta] = 0.0,
+    events: int = 2000,
+    seed: int = 1,
+    settings: Settings | None = None,
+    quantities: Sequence[str] = tuple(QUANTITIES),
+    samples: int | None = None,
+    executor: Executor | None = None,
+    output: str | os.PathLike[str] | None = None,
+    resume: bool = True,
+    overwrite: bool = False,
+    part: tuple[int, int] | None = None,
+    compute: bool = True,
+    chunk: int | None = None,
+    progress: ShowProgress | None = None,
+) -> Sweep:
+    """Evaluate variants of a detector.
+
+    Parameters
+    ----------
+    base : Detector, or what `load` accepts
+    space : Space, dict of lists (a grid), or list of dicts
+        Changes by dotted key of the detector file, as `Detector.with_overrides` takes them; `base` and `field` take
+        names of presets or files. See `grid`, `sobol` and `latin_hypercube`.
+    evaluate : "analytic", "mc" or callable
+        Resolutions from the covariance; resolutions of simulated tracks, with the same random numbers for every
+        variant and the paired error of the difference to the base; or a function of a `Detector` that returns a dict
+        of numbers.
+    particle : str or int
+    p : float or list of float, GeV/c
+    cos_theta : float, (float, float), or list of these
+        A pair is a uniform range.
+    events, seed : int
+        Of "mc", for each variant, momentum and angle.
+    settings : Settings, optional
+        Of all stages; "analytic" uses read-out and fit.
+    quantities : sequence of str
+        Resolutions to be computed: p, pt, dr, dz, phi0, theta, tanl.
+    samples : int, optional
+        Of "analytic": tracks that are averaged at each point (`cgemit.analytic`).
+    executor : concurrent.futures.Executor, optional
+        Default: a thread pool of all cores. Dask: ``client.get_executor()``.
+    output : path, optional
+        Folder for the chunks, the table and its record.
+    resume : bool
+        Whether to use the chunks that the folder holds; otherwise a folder with files is an error.
+    overwrite : bool
+        Whether to remove the chunks that the folder holds.
+    part : (int, int), optional
+        (i, n): compute part i (0 to n - 1) of n parts of the chunks and write no table; a later call without `part`
+        joins them.
+    compute : bool
+        Whether to compute the chunks that the folder does not hold; otherwise their rows are of status "missing".
+    chunk : int, optional
+        Variants in one chunk.
+    progress : callable, optional
+        Called with the share that is done and a text with the remaining time.
+
+    Returns
+    -------
+    Sweep
+        One row for each variant, momentum and angle; variant 0 is the base. With `part`, the rows of other parts are
+        of status "missing". A table with such rows is not written.
+
+    Raises
+    ------
+    ValueError
+        Listing every problem of the arguments, among them keys that name nothing in the base.
+    OutputExistsError
+        If the folder holds files that are none of a sweep.
+    """
+    evaluation = _evaluation(
+        evaluate, particle=particle, p=as_tuple(p), cos_theta=as_tuple(cos_theta), events=events, seed=seed,
+        settings=settings, quantities=tuple(quantities), samples=samples,
+    )  # fmt: skip
+    wrong = Problems("sweep")
+    wrong.collect(_check, evaluation, part, chunk)
+    start = wrong.collect(load, base)
+    chosen = wrong.collect(_space, space)
+    named = wrong.collect(_named, start, chosen.variants) if start is not None and chosen is not None else None
+    wrong.report()
+    assert chosen is not None
+    assert named is not None
+    bases = named
+    size = chunk or CHUNK[evaluation.method]
+    tasks = [_task(bases[i : i + size], evaluation) for i in range(0, len(bases), size)]
+    folder = chunk_folder(output, resume=resume, overwrite=overwrite)
+    rows = compute_rows(tasks, folder, executor, part if compute else (0, 0), progress)
+    found = [row for task_rows in rows for row in task_rows]
+    result = Sweep.joined(chosen, evaluation, [detector for detector, _ in bases], found)
+    if output is not None and part is None and not result.missing():
+        result.write(Path(output))
+    return result
+
+
+def _named(start: Detector, variants: Sequence[Changes]) -> list[tuple[Detector, Changes]]:
+    """Return base and variants with the detector that each changes; raise an error for keys that name nothing."""
+    bases = [(start, {}), *_with_bases(start, variants)]
+    problems = key_problems(bases)
+    if problems:
+        raise SpaceError(problems)
+    return bases
+
+
+def _evaluation(evaluate: Any, **how: Any) -> Evaluation:
+    function = evaluate if callable(evaluate) else None
+    method: Any = "function" if function else evaluate
+    return Evaluation(method=method, function=function, **how)
+
+
+def as_tuple(given: Any) -> tuple[Any, ...]:
+    """Return numbers and (low, high) ranges of a list, or a single one, as a tuple."""
+    if hasattr(given, "tolist"):
+        given = given.tolist()
+    values = given if isinstance(given, list) else [given]
+    return tuple(tuple(map(float, one)) if isinstance(one, tuple) else one for one in values)
+
+
+def _check(evaluation: Evaluation, part: tuple[int, int] | None, chunk: int | None) -> None:
+    """Raise ValueError with every problem of what is to be evaluated."""
+    problems = []
+    if evaluation.method not in CHUNK:
+        problems.append(f"evaluate: got {evaluation.method!r}, expected 'analytic', 'mc' or a function")
+    if not evaluation.quantities or set(evaluation.quantities) - QUANTITIES.keys():
+        expected = ", ".join(QUANTITIES)
+        problems.append(f"quantities: got {', '.join(map(str, evaluation.quantities)) or 'none'}, expected {expected}")
+    if chunk is not None and not is_whole(chunk, 1, 1_000_000):
+        problems.append(f"chunk: got {chunk!r}, expected a whole number from 1 to 1000000")
+    if part is not None and not (is_whole(part[1], 1, 1_000_000) and is_whole(part[0], 0, part[1] - 1)):
+        problems.append(f"part: got {part!r}, expected (i, n) with i from 0 to n - 1")
+    problems += number_problems("sweep", evaluation)
+    if problems:
+        raise ValueError("\n  ".join(["wrong sweep", *dict.fromkeys(problems)]))
+
+
+def number_problems(name: str, evaluation: Evaluation) -> list[str]:
+    """Return what is wrong with samples, events, seed and gun of an evaluation."""
+    problems = []
+    if evaluation.samples is not None and not is_whole(evaluation.samples, 1, 2**20):
+        problems.append(f"samples: got {evaluation.samples!r}, expected a whole number from 1 to {2**20}")
+    try:
+        check_numbers(name, evaluation.seed, None, events=(evaluation.events, 1, 2**31 - 1))
+    except ValueError as error:
+        problems.append(str(error))
+    return problems + _gun_problems(evaluation)
+
+
+def _gun_problems(evaluation: Evaluation) -> list[str]:
+    try:
+        guns = [Gun(evaluation.particle, p=list(evaluation.p), cos_theta=one) for one in evaluation.cos_theta]
+    except ValueError as error:
+        return [str(error)]
+    if species(guns[0].particle).charge == 0:
+        return [f"particle: got {evaluation.particle!r}; expected a charged particle"]
+    return []
+
+
+def _space(space: Any) -> Space:
+    if isinstance(space, Space):
+        return space
+    return grid(space) if isinstance(space, Mapping) else listed(space)
+
+
+def _with_bases(base: Detector, variants: Sequence[Changes]) -> list[tuple[Detector, Changes]]:
+    """Return the detector that each variant changes, in its field, and the rest of the changes."""
+    made: dict[str, Detector] = {}
+
+    def detector_of(source: Any, field: Any) -> Detector:
+        name = repr((source, field))
+        if name not in made:
+            found = base if source is None else load(source)
+            made[name] = found if field is None else found.with_field(field)
+        return made[name]
+
+    pairs: list[tuple[Detector, Changes]] = []
+    for changes in variants:
+        rest = {key: value for key, value in changes.items() if key not in ("base", "field")}
+        pairs.append((detector_of(changes.get("base"), changes.get("field")), rest))
+    return pairs
+
+
+def _task(pairs: Sequence[tuple[Detector, Changes]], evaluation: Evaluation) -> Task:
+    return Task(tuple(detector for detector, _ in pairs), tuple(changes for _, changes in pairs), evaluation)
+
+
+def chunk_folder(output: str | os.PathLike[str] | None, *, resume: bool, overwrite: bool) -> Path | None:
+    """Return the folder of the chunks, made if it is missing; None without an output."""
+    if output is None:
+        return None
+    folder = Path(output) / CHUNKS
+    if folder.is_dir() and not resume and not overwrite:
+        raise OutputExistsError(f"{output} already holds a sweep; choose another folder, or resume or overwrite it")
+    if not folder.is_dir():
+        check_free(output, overwrite=overwrite)
+    folder.mkdir(parents=True, exist_ok=True)
+    if overwrite:
+        for old in folder.glob("*.json"):
+            old.unlink()
+    return folder

@@ -1,0 +1,365 @@
+"""Variants of a sweep: a grid, Sobol points, a Latin hypercube, or a list."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import warnings
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from itertools import product
+from typing import Any
+
+import numpy as np
+from scipy.stats import qmc
+
+from cgemit.base.errors import DetectorError, Problem, did_you_mean
+from cgemit.base.settings import is_whole
+from cgemit.detector import Detector
+from cgemit.detector.variants import factor_of, matching, value_at
+from cgemit.units import NATIVE, format_quantity, parse_quantity, units_of
+
+#: One variant: what it changes, by dotted key of the detector file.
+Changes = Mapping[str, Any]
+
+_MOST = 10_000_000
+_QUANTITY = re.compile(r"\s*(x|×)?\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*")
+
+
+class SpaceError(ValueError):
+    """A space with mistakes; every problem is a line of the message."""
+
+    def __init__(self, problems: Sequence[str]) -> None:
+        super().__init__("\n  ".join(["wrong space of a sweep", *problems]))
+
+
+@dataclass(frozen=True)
+class Space:
+    """The variants of a sweep in order.
+
+    Attributes
+    ----------
+    kind : str
+        ``"grid"``, ``"sobol"``, ``"latin_hypercube"`` or ``"list"``.
+    variants : tuple of mapping
+        What each variant changes.
+    axes : mapping of str to tuple
+        Of a grid: the values of each key; the last key changes fastest.
+    """
+
+    kind: str
+    variants: tuple[Changes, ...]
+    axes: Mapping[str, tuple[Any, ...]]
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """Every key that a variant changes, in order of appearance."""
+        return tuple(dict.fromkeys(key for changes in self.variants for key in changes))
+
+    def __len__(self) -> int:
+        return len(self.variants)
+
+
+def grid(axes: Mapping[str, Sequence[Any]]) -> Space:
+    """Return every combination of some values.
+
+    Parameters
+    ----------
+    axes : mapping of str to list
+        Dotted key of the detector file, or several separated by commas, and its values. The keys ``base`` and
+        ``field`` take names of presets or files.
+
+    Raises
+    ------
+    SpaceError
+        If an axis has no values, or the same value twice.
+    """
+    problems = []
+    for key, values in axes.items():
+        if isinstance(values, str) or not isinstance(values, Sequence | np.ndarray) or len(values) == 0:
+            problems.append(f"{key}: got {values!r}, expected a list of at least one value")
+        elif len({repr(value) for value in values}) < len(values):
+            problems.append(f"{key}: got {list(values)!r}, expected each value once")
+    _raise(problems, axes)
+    plain = {key: tuple(_plain(value) for value in values) for key, values in axes.items()}
+    variants = tuple(dict(zip(plain, values, strict=True)) for values in product(*plain.values()))
+    return Space("grid", variants, plain)
+
+
+def _plain(value: Any) -> Any:
+    return value.item() if isinstance(value, np.generic) else value
+
+
+def listed(variants: Sequence[Changes]) -> Space:
+    """Return given variants as a space."""
+    wrong = [f"[{i}]: got {one!r:.60}, expected a table of changes" for i, one in enumerate(variants)
+             if not isinstance(one, Mapping)]  # fmt: skip
+    _raise(wrong, variants)
+    return Space("list", tuple(dict(one) for one in variants), {})
+
+
+def sobol(ranges: Mapping[str, Any], n: int, *, seed: int = 1) -> Space:
+    """Return points of a scrambled Sobol sequence (`scipy.stats.qmc.Sobol`); powers of 2 are balanced best.
+
+    Parameters
+    ----------
+    ranges : mapping of str to (low, high) or list
+        Two texts with units of one dimension, ``("300 um", "800 um")``; two relative values, ``("x0.8", "x1.2")``; two
+        numbers; or a list of values to choose from. Whole numbers give whole numbers, both ends included.
+    n : int
+        Number of variants.
+    seed : int
+
+    Raises
+    ------
+    SpaceError
+        With every problem of the ranges.
+    """
+
+    def points(dimensions: int) -> Any:
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", "The balance properties", UserWarning)
+            return qmc.Sobol(dimensions, scramble=True, rng=np.random.default_rng(seed)).random(n)
+
+    return _sampled("sobol", ranges, n, points)
+
+
+def latin_hypercube(ranges: Mapping[str, Any], n: int, *, seed: int = 1) -> Space:
+    """Return a Latin hypercube (`scipy.stats.qmc.LatinHypercube`).
+
+    Parameters
+    ----------
+    ranges : mapping of str to (low, high) or list
+        As of `sobol`.
+    n : int
+        Number of variants.
+    seed : int
+
+    Raises
+    ------
+    SpaceError
+        With every problem of the ranges.
+    """
+    return _sampled(
+        "latin_hypercube", ranges, n,
+        lambda dimensions: qmc.LatinHypercube(dimensions, rng=np.random.default_rng(seed)).random(n),
+    )  # fmt: skip
+
+
+def _sampled(kind: str, ranges: Mapping[str, Any], n: int, points: Callable[[int], Any]) -> Space:
+    problems: list[str] = []
+    if not is_whole(n, 1, _MOST):
+        problems.append(f"n: got {n!r}, expected a whole number from 1 to {_MOST}")
+    makers = {key: _maker(key, given, problems) for key, given in ranges.items()}
+    _raise(problems, ranges)
+    rows = points(len(ranges))
+    variants = [{key: make(float(u)) for (key, make), u in zip(makers.items(), row, strict=True)} for row in rows]
+    return Space(kind, tuple(variants), {})
+
+
+def _raise(problems: Sequence[str], given: Any) -> None:
+    problems = problems or ([] if given else ["got nothing to vary, expected at least one key with its values"])
+    if problems:
+        raise SpaceError(problems)
+
+
+def _maker(key: str, given: Any, problems: list[str]) -> Callable[[float], Any]:
+    """Return the value of a key for a number from 0 to 1."""
+    if isinstance(given, list) and given:
+        return lambda u: given[min(int(u * len(given)), len(given) - 1)]
+    if isinstance(given, tuple) and len(given) == 2:
+        low, high = given
+        if all(is_whole(end, -_MOST, _MOST) for end in given) and low <= high:
+            return lambda u: min(low + int(u * (high - low + 1)), high)
+        ends = split_range(low, high)
+        if ends and ends[1] <= ends[2]:
+            before, first, last, unit = ends
+            number = not isinstance(low, str)
+            return lambda u: _joined(before, first + u * (last - first), unit, number)
+    problems.append(f"{key}: got {given!r}, expected (low, high) of one dimension, or a list to choose from")
+    return lambda u: None
+
+
+def _joined(before: str, value: float, unit: str, number: bool) -> Any:
+    # Eight digits: enough for any design, short enough for a name.
+    return float(f"{value:.8g}") if number else f"{before}{value:.8g} {unit}".strip()
+
+
+def split_quantity(value: Any) -> tuple[str, float, str] | None:
+    """Return ("x" of a relative value or "", the number, the unit) of a value; None if it is a word or a table."""
+    if isinstance(value, bool):
+        return None
+    if isinstance(value, int | float):
+        return ("", float(value), "") if math.isfinite(value) else None
+    match = _QUANTITY.fullmatch(value) if isinstance(value, str) else None
+    if not match:
+        return None
+    times, number, unit = match.groups()
+    if times:
+        return ("x", float(number), "") if not unit else None
+    if factor_of(value) is not None:
+        return ("%", float(number), "")
+    return ("", float(number), unit) if unit in _UNITS else None
+
+
+def split_range(low: Any, high: Any) -> tuple[str, float, float, str] | None:
+    """Return ("x" or "", low, high, unit of low) of two values of one dimension; None if they are none."""
+    one, other = split_quantity(low), split_quantity(high)
+    if one is None or other is None or one[0] != other[0]:
+        return None
+    before, first, unit = one
+    if unit == other[2]:
+        return before, first, other[1], unit
+    both = next((name for name in _DIMENSIONS if {unit, other[2]} <= set(units_of(name))), None)
+    if both is None or not unit or not other[2]:
+        return None
+    last = parse_quantity(high, both) / parse_quantity(f"1 {unit}", both)
+    return before, first, float(f"{last:.12g}"), unit
+
+
+_DIMENSIONS = ("length", "angle", "field", "density", "energy", "momentum", "slope", "inverse area",
+               "inverse area squared", "dimensionless")  # fmt: skip
+_UNITS = frozenset(name for dimension in _DIMENSIONS for name in units_of(dimension))
+
+
+_SAMPLES = {"sobol": sobol, "latin_hypercube": latin_hypercube}
+
+
+def space_of(tables: Mapping[str, Any], problems: list[str]) -> Space | None:
+    """Return the space of a plan's tables; every problem is added to `problems`."""
+    sample = tables.get("sample", {})
+    kind = sample.get("kind", "grid")
+    try:
+        if "variants" in tables:
+            return listed(tables["variants"])
+        if kind == "grid":
+            return grid(tables["vary"])
+        if kind not in _SAMPLES:
+            problems.append(f"sample.kind: got {kind!r}, expected one of grid, {', '.join(_SAMPLES)}")
+            return None
+        ranges = {key: range_of(value) for key, value in tables["vary"].items()}
+        return _SAMPLES[kind](ranges, sample.get("n", 0), seed=sample.get("seed", 1))
+    except SpaceError as error:
+        problems += str(error).split("\n  ")[1:]
+    return None
+
+
+def range_of(value: Any) -> Any:
+    """Return ``{ from, to }`` of a plan as (low, high); other values as they are."""
+    return (value["from"], value["to"]) if isinstance(value, Mapping) and value.keys() == {"from", "to"} else value
+
+
+def axis_of(key: str, base: Detector, values: Sequence[Any]) -> tuple[str, list[Any]]:
+    """Return header and column of a key: numbers with the unit in the header where all values have the same one.
+
+    The first entry is the base's own value; where there is none, NaN or an empty text.
+    """
+    parsed = [split_quantity(value) for value in values]
+    kinds = {(one[0], one[2]) for one in parsed if one}
+    if None not in parsed and len(kinds) == 1:
+        times, unit = kinds.pop()
+        header = f"{key} ({'times' if times == 'x' else 'change in %' if times else unit})".replace(" ()", "")
+        neutral = {"x": 1.0, "%": 0.0}
+        first = neutral[times] if times else own_value(key, base, unit)
+        return header, [first, *(one[1] for one in parsed if one)]
+    return key, [_own_text(key, base), *(_text(value) for value in values)]
+
+
+def _text(value: Any) -> str:
+    return "" if value is None else value if isinstance(value, str) else json.dumps(value, default=str)
+
+
+def _values(key: str, base: Detector) -> list[tuple[Any, Any]]:
+    paths = [path for one in key.split(",") for path in matching(base, one.strip(), [])]
+    return [found for path in paths if (found := value_at(base, path)) is not None]
+
+
+def own_value(key: str, base: Detector, unit: str) -> float:
+    """Return the base's value of a key in a unit; NaN if it has none, several, or one of another dimension."""
+    numbers = {(value, one.kind) for value, one in _values(key, base) if isinstance(value, int | float)}
+    if len(numbers) != 1:
+        return math.nan
+    value, kind = numbers.pop()
+    if kind not in NATIVE or not unit:
+        return float(value)
+    if unit not in units_of(kind):  # of a value that is wrong for this key
+        return math.nan
+    return float(format_quantity(value, kind, unit).split()[0])
+
+
+def _own_text(key: str, base: Detector) -> str:
+    if key == "base":
+        return base.name
+    texts = {getattr(value, "name", str(value)) for value, _ in _values(key, base)}
+    return texts.pop() if len(texts) == 1 else ""
+
+
+#: Groups of parts with labels.
+_GROUPS = ("beam_pipe", "cgem", "walls")
+
+
+def key_problems(pairs: Iterable[tuple[Detector, Changes]]) -> list[str]:
+    """Return a problem for each key that names nothing in any detector that it would change.
+
+    Parameters
+    ----------
+    pairs : iterable of (Detector, mapping)
+        Each variant's base and changes. The first variant of each base and key is built.
+
+    Returns
+    -------
+    list of str
+        A value that is wrong is no problem here: another value of the same key may be possible.
+    """
+    tried: set[tuple[str, int]] = set()
+    found: dict[str, str] = {}
+    fine: set[str] = set()
+    for base, changes in pairs:
+        new = [key for key in changes if (key, id(base)) not in tried]
+        if not new:
+            continue
+        tried |= {(key, id(base)) for key in new}
+        problems = _unknown(base, changes)
+        for key in new:
+            own = next((one for one in problems if _is_of(one, key)), None)
+            if own is None:
+                fine.add(key)
+            else:
+                found[key] = _key_text(base, key, own)
+    return [text for key, text in found.items() if key not in fine]
+
+
+def _unknown(base: Detector, changes: Changes) -> list[Problem]:
+    """Return those problems of a variant that tell of names that the base does not have."""
+    try:
+        base.with_overrides(dict(changes))
+    except DetectorError as error:
+        return [one for one in error.problems if _names_nothing(one)]
+    return []
+
+
+def _names_nothing(problem: Problem) -> bool:
+    incomplete = problem.given.startswith("only ") and problem.expected.startswith("also ")  # read as a new part
+    relative = problem.expected == "a number of the detector"
+    return problem.given == "an unknown key" or problem.given.endswith("matches nothing") or incomplete or relative
+
+
+def _is_of(problem: Problem, key: str) -> bool:
+    """Return whether the path of a problem leads to a key, or from it to a value of its table."""
+    names = [re.sub(r"\[\d+\]$", "", name) for name in problem.path.split(".")]
+    for part in (part.strip() for part in key.split(",")):
+        if problem.path == part or all(fnmatchcase(*pair) for pair in zip(names, part.split("."), strict=False)):
+            return True
+    return False
+
+
+def _key_text(base: Detector, key: str, problem: Problem) -> str:
+    group, _, rest = problem.path.partition(".")
+    label = rest.partition(".")[0]
+    labels = [part.label for part in getattr(base, group)] if group in _GROUPS else []
+    if labels and label not in labels and not any(mark in label for mark in "*?["):
+        hint = did_you_mean(label, labels, "; ")
+        return f"{key}: got {label!r}, which the base does not have; expected one of {', '.join(labels)}{hint}"
+    return f"{key}: {str(problem).partition(': ')[2]}"

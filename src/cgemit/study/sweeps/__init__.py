@@ -1,7 +1,0 @@
-"""Sweeps: many variants of a detector evaluated by any executor, kept in files, joined to one table."""
-
-from cgemit.study.sweeps.result import Sweep
-from cgemit.study.sweeps.run import sweep
-from cgemit.study.sweeps.space import Space, grid, latin_hypercube, sobol
-
-__all__ = ["Space", "Sweep", "grid", "latin_hypercube", "sobol", "sweep"]

@@ -1,0 +1,531 @@
+"""Schemas of all tables: every column with dtype, unit and link, and the check against them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from cgemit.base.errors import did_you_mean
+
+
+@dataclass(frozen=True)
+class Column:
+    """One column of a table.
+
+    Parameters
+    ----------
+    name : str
+    dtype : numpy.dtype
+    unit : str
+        Empty for counts, numbers of things and other pure numbers.
+    doc : str
+    links : str, tuple of str or None
+        The table whose rows the column counts (-1: none). A tuple picks the table by the row's `view`.
+    shape : tuple of int
+        Shape of one entry; ``()`` is a plain number.
+    """
+
+    name: str
+    dtype: np.dtype[np.generic]
+    unit: str
+    doc: str
+    links: str | tuple[str, ...] | None = None
+    shape: tuple[int, ...] = ()
+
+
+def column_of(code: str, name: str, unit: str, doc: str, links: str | tuple[str, ...] | None = None) -> Column:
+    """Return a column of a dtype code."""
+    return Column(name, np.dtype(code), unit, doc, links)
+
+
+def real(name: str, unit: str, doc: str) -> Column:
+    """Return a column of numbers, float64."""
+    return column_of("f8", name, unit, doc)
+
+
+def whole(name: str, doc: str) -> Column:
+    """Return a column of counts or numbers of things, int32."""
+    return column_of("i4", name, "", doc)
+
+
+def link(name: str, doc: str, links: str | tuple[str, ...]) -> Column:
+    """Return a column that counts rows of another table, int64."""
+    return column_of("i8", name, "", doc, links)
+
+
+def point(prefix: str, doc: str) -> tuple[Column, ...]:
+    """Return the columns of the three coordinates of a point."""
+    return tuple(real(prefix + axis, "mm", f"{doc}, {axis}") for axis in "xyz")
+
+
+def momentum(doc: str) -> tuple[Column, ...]:
+    """Return the columns of the three components of a momentum."""
+    return tuple(real("p" + axis, "GeV/c", f"{doc}, {axis}") for axis in "xyz")
+
+
+#: The first column of every table.
+EVENT = column_of("i8", "event", "", "event number")
+
+
+#: The fitted quantities, each with its native unit.
+PARAMETERS: Mapping[str, str] = MappingProxyType(
+    {"dr": "mm", "phi0": "rad", "kappa": "1/(GeV/c)", "dz": "mm", "tanl": "", "p": "GeV/c"}
+)
+
+
+def _comparison() -> tuple[Column, ...]:
+    """Truth, residual and pull of each fitted quantity."""
+    return tuple(
+        column
+        for name, unit in PARAMETERS.items()
+        for column in (
+            real(f"truth_{name}", unit, f"true {name}"),
+            real(f"res_{name}", unit, f"fitted minus true {name}"),
+            real(f"pull_{name}", "", f"res_{name} / err_{name}"),
+        )
+    )
+
+
+def _helix(pivot: str) -> tuple[Column, ...]:
+    """Parameters with respect to a pivot, and their covariance."""
+    return (
+        real("dr", "mm", f"signed distance of closest approach to {pivot} (d_rho)"),
+        real("phi0", "rad", "azimuth of the point of closest approach; the flight azimuth is phi0 + pi/2"),
+        real("kappa", "1/(GeV/c)", "charge / pT"),
+        real("dz", "mm", "z at the point of closest approach, from the pivot"),
+        real("tanl", "", "pz / pT"),
+        Column("cov", np.dtype("f8"), "mixed", "covariance of these, products of their units", shape=(5, 5)),
+    )
+
+
+_HYPOTHESIS = whole("hypothesis", "particle whose mass the fit assumed, number of the Particle Data Group, unsigned")
+
+TRACKS = (
+    EVENT,
+    link("candidate", "the candidate", "candidates"),
+    _HYPOTHESIS,
+    *_helix("the z axis"),
+    real("p", "GeV/c", "momentum"),
+    real("chi2", "", "chi-square of the fit"),
+    whole("ndf", "number of degrees of freedom"),
+    whole("n_clusters", "number of clusters used; an XV point counts twice"),
+    whole("n_wires", "number of wire hits used"),
+    whole("n_outliers", "number of hits left out as outliers"),
+    whole("iterations", "number of iterations"),
+    column_of("i1", "status", "", "how the fit ended (FitStatus; 0 is good)"),
+    *(real(f"err_{name}", unit, f"standard deviation of {name}") for name, unit in PARAMETERS.items()),
+    column_of("i1", "displaced", "", "1 if it misses the beam line: the fit may correct for matter not crossed"),
+)
+
+MATCHES = (
+    EVENT,
+    link("track", "the track", "tracks"),
+    whole("particle", "number of the particle within its event that it and its daughters left most hits of; -1 none"),
+    real("purity", "", "share of the candidate's hits that it left itself, before any decay; NaN without hits"),
+    real(
+        "efficiency",
+        "",
+        "share of its clusters and wire hits of the first half turn that the candidate has; NaN without one",
+    ),
+    column_of("i1", "decayed", "", "1 if it decayed in flight, 0 if not; -1 without a particle"),
+    *_comparison(),
+)
+
+RESIDUALS = (
+    EVENT,
+    link("track", "the track", "tracks"),
+    column_of("i1", "view", "", "0 X, 1 V, 2 wire; an XV point has a row for X and one for V given X"),
+    whole("layer", "layer of the cluster or wire"),
+    link("hit", "the cluster (views 0 and 1) or wire hit (view 2)", ("clusters", "clusters", "wire_hits")),
+    real("residual", "mm", "measured minus predicted by the track fitted without this hit"),
+    real("err", "mm", "standard deviation of the residual"),
+    real("pull", "", "residual / err"),
+    column_of("i1", "side", "", "side of the wire the fit chose, +1 or -1; 0 for clusters"),
+    column_of("u1", "used", "", "1 used, 0 left out as an outlier"),
+)
+
+START_TIMES = (
+    EVENT,
+    real("start_time", "ns", "by how much the drift times of the event are too long; 0 where no track gives it"),
+    real("err_start_time", "ns", "its standard deviation; where no track gives it, that of the given one, or NaN"),
+    whole("n_tracks", "number of candidates that gave it"),
+    column_of("i1", "status", "", "how the fit ended (StartTimeStatus; 0 is good)"),
+)
+
+STATES = (
+    EVENT,
+    link("track", "the track", "tracks"),
+    _HYPOTHESIS,
+    column_of(
+        "i1", "surface", "", "surface: 0 origin, 1 closest approach to the beam line, 2 cylinder, 3 hit (Surface)"
+    ),
+    column_of("i1", "view", "", "of a hit: 0 X, 1 V, 2 wire; -1 elsewhere"),
+    whole("layer", "layer of the cluster or wire; -1 elsewhere"),
+    link("hit", "the cluster (views 0 and 1) or wire hit (view 2)", ("clusters", "clusters", "wire_hits")),
+    real("r", "mm", "distance from the beam line"),
+    *point("", "point of the track"),
+    *momentum("momentum there"),
+    *point("pivot_", "pivot of the helix: the point itself, but for surface 0 the origin"),
+    *_helix("the pivot, in the plane across the beam"),
+    real(
+        "residual",
+        "mm",
+        "of a hit: measured minus predicted by the track, fitted with it unless it was left out; NaN elsewhere",
+    ),
+    real("err", "mm", "standard deviation of the residual"),
+    real("pull", "", "residual / err"),
+    column_of("i1", "status", "", "whether there is a state (StateStatus; 0 is good)"),
+)
+
+VERTICES = (
+    EVENT,
+    link("first", "first track of the pair", "tracks"),
+    link("second", "second track of the pair", "tracks"),
+    *(whole(f"{name}_pdg", f"particle whose mass the {name} track has, unsigned") for name in ("first", "second")),
+    *point("", "vertex"),
+    Column("cov", np.dtype("f8"), "mm2", "covariance of x, y, z", shape=(3, 3)),
+    *(real(f"err_{axis}", "mm", f"standard deviation of {axis}") for axis in "xyz"),
+    *momentum("momentum of the pair at the vertex"),
+    real("mass", "GeV/c2", "invariant mass of the pair"),
+    real("err_mass", "GeV/c2", "its standard deviation"),
+    real("chi2", "", "chi-square of the fit"),
+    whole("ndf", "number of degrees of freedom"),
+    whole("iterations", "number of iterations"),
+    column_of("i1", "status", "", "how the fit ended (VertexStatus; 0 is good)"),
+)
+
+
+_PARTICLE = whole("particle", "number of the particle within its event")
+_SHEET = whole("sheet", "sheet of the layer's read-out")
+
+_PARTICLES = (
+    EVENT,
+    _PARTICLE,
+    whole("pdg", "particle number of the Particle Data Group"),
+    column_of("i1", "charge", "e", "electric charge"),
+    real("mass", "GeV/c2", "mass"),
+    *point("", "vertex"),
+    *momentum("momentum at the vertex"),
+    column_of("i1", "status", "", "how its transport ended (TransportStatus; 0 before simulation)"),
+)
+
+_DAUGHTER = whole("daughter", "who left it: 0 the particle itself, k the k-th charged daughter of its decays")
+_HALF_TURN = column_of(
+    "i1", "half_turn", "", "half turn: 0 the first outward one, odd ones inward; -1 the inward path before it"
+)
+
+_DECAYS = (
+    EVENT,
+    _PARTICLE,
+    whole("daughter", "number of this charged daughter among those of the particle, from 1"),
+    whole("parent", "what decayed: 0 the particle itself, k its k-th charged daughter"),
+    whole("pdg", "the daughter's number of the Particle Data Group"),
+    whole("mode", "decay mode of the parent, counted from 0 as in `cgemit.particles.species.DECAYS`"),
+    *point("", "point of the decay"),
+    real("time", "ns", "time of the decay since the particle left its vertex"),
+    *(real(f"parent_p{axis}", "GeV/c", f"momentum of the parent at its decay, {axis}") for axis in "xyz"),
+    *momentum("momentum of the daughter at the decay"),
+    column_of("i1", "status", "", "how the transport of the daughter ended (TransportStatus)"),
+)
+
+_TRUTHS = (
+    EVENT,
+    _PARTICLE,
+    whole("layer", "CGEM layer, 0 innermost"),
+    *point("entry_", "entry into the drift gap"),
+    *point("exit_", "exit from the drift gap"),
+    real("r", "mm", "radius of the middle of the gap"),
+    real("phi", "rad", "azimuth at mid-gap"),
+    real("z", "mm", "z at mid-gap"),
+    *momentum("momentum at mid-gap"),
+    real("path", "mm", "path length in the gap"),
+    real("time", "ns", "time of flight from the vertex"),
+    real("energy", "keV", "energy deposited in the gap, by the particle and its delta electrons"),
+    column_of("u1", "secondaries", "", "delta electrons of this crossing that left deposits in the gap"),
+    _DAUGHTER,
+    _HALF_TURN,
+)
+
+_STEPS = (
+    EVENT,
+    _PARTICLE,
+    whole("layer", "CGEM layer, 0 innermost"),
+    *point("", "middle of the step"),
+    *(real(f"d{axis}", "mm", f"end minus begin of the step, {axis}; 0 for an ionization cluster") for axis in "xyz"),
+    real("energy", "keV", "deposited energy"),
+    whole("n_electrons", "electrons of ionization"),
+    column_of("i1", "parent", "", "source: 0 the particle itself, 1 a delta electron"),
+    whole("delta", "number of the delta electron within the crossing, from 1; 0 for the particle itself"),
+    link("truth", "the crossing", "truths"),
+)
+
+_WIRE_TRUTHS = (
+    EVENT,
+    _PARTICLE,
+    whole("layer", "drift-chamber layer as the experiment numbers it (0..42)"),
+    whole("wire", "cell of the layer"),
+    real("doca", "mm", "signed distance of closest approach to the wire"),
+    column_of("i1", "side", "", "sign of doca, +1 or -1"),
+    *point("", "point of the track closest to the wire"),
+    real("time", "ns", "time of flight from the vertex"),
+    _DAUGHTER,
+    _HALF_TURN,
+)
+
+_DIGIS = (
+    EVENT,
+    whole("layer", "CGEM layer, 0 innermost"),
+    _SHEET,
+    column_of("i1", "view", "", "0 X, 1 V"),
+    whole("strip", "strip of the view and sheet; -1 if a position is measured without strips"),
+    whole("gid", "strip number in the whole CGEM; -1 without strips"),
+    real("position", "mm", "X or V measured without strips; NaN with strips"),
+    real("charge", "fC", "collected charge"),
+    real("time", "ns", "arrival time"),
+    link("truth", "crossing with the largest contribution", "truths"),
+    whole("n_truths", "number of crossings that contributed"),
+)
+
+_WIRE_HITS = (
+    EVENT,
+    whole("layer", "drift-chamber layer as the experiment numbers it (0..42)"),
+    whole("wire", "cell of the layer"),
+    whole("gid", "wire number in the whole drift chamber"),
+    real("drift", "mm", "measured drift distance"),
+    real("sigma", "mm", "its standard deviation"),
+    real("drift_time", "ns", "drift time"),
+    column_of("i1", "side", "", "side of the wire, +1 or -1; 0 hidden"),
+    link("wire_truth", "the cell crossing it comes from", "wire_truths"),
+)
+
+_NOT_MEASURED = "NaN where the cluster's view does not measure it"
+_CLUSTERS = (
+    EVENT,
+    whole("layer", "CGEM layer, 0 innermost"),
+    _SHEET,
+    column_of("i1", "view", "", "0 X, 1 V, 2 XV"),
+    whole("first", "first strip; -1 where there is none"),
+    whole("last", "last strip; -1 where there is none"),
+    whole("size", "number of strips"),
+    real("charge", "fC", "sum of the strips' charges"),
+    real("time", "ns", "arrival time"),
+    real("x", "mm", f"X on the unrolled anode; {_NOT_MEASURED}"),
+    real("v", "mm", f"V on the unrolled anode; {_NOT_MEASURED}"),
+    real("phi", "rad", f"azimuth at mid-gap; {_NOT_MEASURED}"),
+    real("z", "mm", f"z at mid-gap; {_NOT_MEASURED}"),
+    real("r", "mm", "radius of the middle of the gap"),
+    real("err_x", "mm", f"standard deviation of x; {_NOT_MEASURED}"),
+    real("err_v", "mm", f"standard deviation of v; {_NOT_MEASURED}"),
+    real("err_phi", "rad", f"standard deviation of phi; {_NOT_MEASURED}"),
+    real("err_z", "mm", f"standard deviation of z; {_NOT_MEASURED}"),
+    link("x_cluster", "the X cluster of an XV cluster", "clusters"),
+    link("v_cluster", "the V cluster of an XV cluster", "clusters"),
+    link("truth", "crossing with the largest contribution", "truths"),
+    whole("n_truths", "number of crossings that contributed"),
+    column_of("i1", "method", "", "0 position of the strips, 1 position with an error that holds at any incidence"),
+    real("score", "", "ln(likelihood ratio) that X and V of an XV cluster are of one particle, from charge and time"),
+)
+
+
+_CANDIDATES = (
+    EVENT,
+    whole("candidate", "number of the candidate within its event"),
+    whole("pdg", "particle whose mass is assumed, number of the Particle Data Group, unsigned"),
+    real("mass", "GeV/c2", "its mass"),
+)
+
+_CANDIDATE_HITS = (
+    EVENT,
+    link("candidate", "the candidate", "candidates"),
+    column_of("i1", "view", "", "0 X, 1 V, 2 wire, 3 XV: both coordinates of the cluster, with their covariance"),
+    link("row", "the cluster or wire hit", ("clusters", "clusters", "wire_hits", "clusters")),
+)
+
+_KINDS = (
+    ("particles", _PARTICLES, "one generated particle"),
+    ("decays", _DECAYS, "one charged daughter of a decay in flight"),
+    ("truths", _TRUTHS, "one crossing of a CGEM drift gap"),
+    ("steps", _STEPS, "one deposit in a CGEM drift gap: a step of a delta electron, or an ionization cluster"),
+    ("wire_truths", _WIRE_TRUTHS, "one crossing of a drift-chamber cell"),
+    ("digis", _DIGIS, "one fired strip, or one position measured without strips"),
+    ("wire_hits", _WIRE_HITS, "one fired cell"),
+    ("clusters", _CLUSTERS, "one X, V or XV cluster"),
+    ("candidates", _CANDIDATES, "one set of hits that is taken for one track"),
+    ("candidate_hits", _CANDIDATE_HITS, "one hit of a candidate"),
+    ("tracks", TRACKS, "one candidate, with one mass, and the track fitted to it"),
+    ("matches", MATCHES, "one track and its particle"),
+    ("residuals", RESIDUALS, "one hit of a fitted track"),
+    ("states", STATES, "one track at one surface"),
+    ("start_times", START_TIMES, "one event and its start time, fitted from its tracks"),
+    ("vertices", VERTICES, "one pair of tracks and their vertex"),
+)
+
+#: All tables by name.
+SCHEMAS: Mapping[str, tuple[Column, ...]] = MappingProxyType({name: columns for name, columns, _ in _KINDS})
+
+#: What a row of each table is.
+ROWS: Mapping[str, str] = MappingProxyType({name: row for name, _, row in _KINDS})
+
+
+Array = np.ndarray[Any, Any]
+
+#: Further arrays of files.
+RESERVED = {"offsets": "the per-event offsets", "events": "the numbers of the events"}
+
+
+_MOST_EVENTS = 2**31 - 1
+
+
+class Rows(Protocol):
+    """The interface of a `Table` for modules that write, convert or show it."""
+
+    kind: str
+    columns: Mapping[str, Array]
+    n_events: int
+    first_event: int
+    offsets: np.ndarray[tuple[int], np.dtype[np.int64]]
+    meta: Mapping[str, Any]
+
+    def __len__(self) -> int: ...
+    @property
+    def events(self) -> Array:
+        """Numbers of the events covered."""
+        ...
+
+    @property
+    def cover(self) -> dict[str, Any]:
+        """Number, first and, where they have gaps, all numbers of the events covered."""
+        ...
+
+
+def schema_of(kind: str) -> tuple[Column, ...]:
+    """Return the columns of a kind of table.
+
+    Raises
+    ------
+    ValueError
+        If there is no such kind.
+    """
+    if kind not in SCHEMAS:
+        hint = did_you_mean(kind, SCHEMAS, "; ")
+        raise ValueError(f"kind: there is no table {kind!r}, only {', '.join(SCHEMAS)}{hint}")
+    return SCHEMAS[kind]
+
+
+def event_range(n_events: int, first_event: int, events: npt.ArrayLike | None) -> tuple[int, Array | None]:
+    """Return the first event, and the numbers of all where they have gaps, read-only (n_events,) int64.
+
+    Raises
+    ------
+    ValueError
+        If there are too many events, or `events` are not `n_events` whole numbers, each above the one before.
+    """
+    if not 0 <= n_events <= _MOST_EVENTS:
+        raise ValueError(f"n_events: is {n_events}, expected 0 to {_MOST_EVENTS}")
+    if events is None or not n_events:
+        return int(first_event), None
+    given = np.asarray(events)
+    if given.shape != (n_events,) or given.dtype.kind not in "iu":
+        expected = f"({n_events},), whole numbers"
+        raise ValueError(f"events: got shape {given.shape}, {given.dtype}; expected {expected}")
+    if np.any(given[1:] <= given[:-1]):
+        raise ValueError("events: do not increase somewhere; expected each number above the one before")
+    first = int(given[0])
+    if not -(2**62) <= first <= int(given[-1]) <= 2**62:
+        raise ValueError(f"events: got {first} to {given[-1]}, expected numbers within 2**62")
+    if int(given[-1]) - first == n_events - 1:
+        return first, None
+    return first, read_only(given, np.dtype(np.int64))
+
+
+def check_columns(
+    kind: str,
+    columns: Mapping[str, npt.ArrayLike],
+    n_events: int,
+    first_event: int,
+    events: Array | None = None,
+) -> dict[str, Array]:
+    """Return read-only contiguous columns in schema order with the schema's dtypes, extra columns last.
+
+    Arrays that fit already are not copied.
+
+    Raises
+    ------
+    ValueError
+        Listing every missing column, wrong shape, wrong dtype, and events that are unordered or out of range.
+    """
+    schema = schema_of(kind)
+    problems = [f"{column.name}: missing ({column.doc})" for column in schema if column.name not in columns]
+    rows = len(np.atleast_1d(np.asarray(columns["event"]))) if "event" in columns else None
+    problems += [
+        f"{name}: is the name of {what}, not of a column" for name, what in RESERVED.items() if name in columns
+    ]
+    known = {column.name: column for column in schema}
+    order = [name for name in known if name in columns] + [name for name in columns if name not in known]
+    checked = {}
+    for name in order:
+        array, column = np.asarray(columns[name]), known.get(name)
+        # What the core makes fits as it is, column by column and chunk by chunk: said at once.
+        fits = column is not None and array.dtype == column.dtype and array.shape == (rows, *column.shape)
+        problem = "" if fits else _problem(array, rows, column)
+        if problem:
+            problems.append(f"{name}: {problem}")
+        else:
+            checked[name] = read_only(array, column.dtype if column else array.dtype)
+    if "event" in checked:
+        problems += _event_problems(checked["event"], n_events, first_event, events)
+    if problems:
+        raise ValueError(f"the columns do not make a {kind} table:\n  " + "\n  ".join(problems))
+    return checked
+
+
+def read_only(array: Array, dtype: np.dtype[Any]) -> Array:
+    """Return the array as contiguous, of the dtype, and read-only, without changing the caller's own."""
+    flags = array.flags
+    if array.dtype != dtype or not flags.c_contiguous:
+        array = np.ascontiguousarray(array, dtype=dtype)
+    elif not flags.writeable:
+        return array
+    view = array.view()
+    view.setflags(write=False)
+    return view
+
+
+def _problem(array: Array, rows: int | None, column: Column | None) -> str:
+    """Return the problem of one column, or an empty text."""
+    shape = column.shape if column else array.shape[1:]
+    if array.ndim == 0 or array.shape[1:] != shape or (rows is not None and len(array) != rows):
+        expected = ", ".join(str(n) for n in ("n" if rows is None else rows, *shape))
+        return f"has shape {array.shape}, expected ({expected})"
+    if array.dtype.hasobject:
+        return f"has dtype {array.dtype}, expected numbers"
+    if column and array.size and not np.can_cast(array.dtype, column.dtype, "same_kind"):
+        return f"has dtype {array.dtype}, expected {column.dtype}"
+    if column and column.dtype.kind in "iu" and not np.can_cast(array.dtype, column.dtype) and array.size:
+        limits = np.iinfo(column.dtype.str)
+        if array.min() < limits.min or array.max() > limits.max:
+            return f"has values that do not fit into {column.dtype}"
+    return ""
+
+
+def _event_problems(event: Array, n_events: int, first_event: int, events: Array | None) -> list[str]:
+    problems = []
+    if np.any(event[1:] < event[:-1]):
+        problems.append("event: decreases somewhere, expected rows sorted by event")
+    elif not len(event):
+        return problems
+    elif events is not None:
+        place = np.minimum(np.searchsorted(events, event), n_events - 1)
+        strange = event[events[place] != event]
+        if len(strange):
+            problems.append(f"event: holds {strange[0]}, which is none of the {n_events} events covered")
+    elif event[0] < first_event or event[-1] >= first_event + n_events:
+        problems.append(
+            f"event: runs from {event[0]} to {event[-1]}, expected {first_event} to {first_event + n_events - 1}"
+        )
+    return problems
