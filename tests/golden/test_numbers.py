@@ -1,64 +1,173 @@
-"""A few numbers of a small run, kept in a file: a change that nobody meant to make shows here.
+"""Numbers of small runs of every kind, kept in files: an unintended change of a result shows here.
 
-They are those of the scalar code, which is the reference: what they are does not depend on the processor.
+They are numbers of the scalar code, which is the reference and does not depend on the processor. A file holds one case:
+for each table the number of rows and the sum of the absolute values of each column.
 
-After a meant change, ``pytest tests/golden --update-golden`` writes the file anew; the change goes into CHANGELOG.md
-under "Results change".
+After an intended change, ``pytest tests/golden --update-golden`` rewrites the files, and CHANGELOG.md says so under
+"Results change". `cgemit.base.version.PHYSICS` rises, with a new line in `VERSIONS`, and makes stored sweeps stale.
 """
 
 from __future__ import annotations
 
+import hashlib
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 import cgemit as cg
+from cgemit.base.version import PHYSICS
 
-FILE = Path(__file__).with_name("numbers.json")
-DETECTORS = ("besiii-cgem-design", "besiii-cgem", "besiii-idc", "besiii-idc-boss")
+FOLDER = Path(__file__).parent / "numbers"
+#: Hash of the files for each physics version; lines of released versions stay.
+VERSIONS = {12: "629bd08970f4cb64"}
+DESIGN = "besiii-cgem-design"
+MUONS = cg.Gun("mu-", p=(0.3, 1.5), cos_theta=(-0.9, 0.9))
+DIMUONS = cg.Gun("mu-", p=(0.3, 1.5), cos_theta=(-0.9, 0.9)) + cg.Gun("mu+", p=(0.3, 1.5), cos_theta=(-0.9, 0.9))
+SPACE = {"cgem.L1.pitch_x": ("400 um", "1000 um"), "cgem.L2.anode_radius": ("120 mm", "150 mm")}
+
+
+def settings(**stages: Mapping[str, Any]) -> cg.Settings:
+    """Return the settings with these fields of some stages changed."""
+    return cg.Settings.from_dict(stages)
+
+
+def run(
+    detector: Any = DESIGN, gun: Any = MUONS, n: int | None = 40, *, stages: Mapping[str, Any] | None = None, **how: Any
+) -> dict[str, Any]:
+    """Return the tables of a run."""
+    return dict(cg.run(detector, gun, n, 1, settings=settings(**(stages or {})), **how).tables)
+
+
+def decays_in_flight() -> dict[str, Any]:
+    slow: dict[str, Any] = {"p": (0.2, 0.5), "cos_theta": (-0.9, 0.9)}
+    return run(gun=cg.Gun("K+", **slow) + cg.Gun("K-", **slow) + cg.Gun("pi-", **slow))
+
+
+def vertices() -> dict[str, Any]:
+    result = cg.run(DESIGN, cg.sample("ks-pipi"), 40, 1, settings=settings(simulate={"decays": False}))
+    return {"vertices": cg.fit_vertices(DESIGN, result.tracks, particles=("pi", "pi"))}
+
+
+def analytic() -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for name, detector, how in (
+        ("binary", DESIGN, {}),
+        ("map", cg.load(DESIGN).with_field("besiii"), {}),
+        ("tiger", DESIGN, {"readout": "tiger"}),
+        ("layer", DESIGN, {"radius": 120.0}),
+    ):
+        covariance = cg.analytic(detector, "mu-", p=[0.3, 1.0], cos_theta=[0.0, 0.8], **how)
+        found[name] = covariance.table()
+        if "radius" not in how:
+            found[f"budget {name}"] = covariance.budget("dr").table()
+    sensitivity = cg.sensitivity(DESIGN, "mu-", p=1.0)
+    return found | {"sensitivity": sensitivity.to_pandas()}
+
+
+def sweep() -> dict[str, Any]:
+    pitches = {"cgem.*.pitch_x": ["400 um", "650 um"]}
+    analytic, simulated = (
+        cg.study.sweep(DESIGN, pitches, evaluate=how, p=[0.3, 1.0], events=40, samples=16).to_pandas()
+        for how in ("analytic", "mc")
+    )
+    return {"analytic": analytic, "simulated": simulated}
+
+
+def optimize() -> dict[str, Any]:
+    how: dict[str, Any] = {"p": 0.3, "samples": 16, "seed": 1}
+    optimum = cg.study.optimize(DESIGN, SPACE, minimize="dr", constraints={"channels": (None, 10010)}, **how)
+    front = cg.study.optimize(DESIGN, SPACE, minimize=["dr", "channels"], population=8, offspring=4, calls=3, **how)
+    return {"optimum": optimum.to_pandas(), "front": front.to_pandas()}
+
+
+#: Every kind of result. Cases are small: all of them take seconds.
+CASES: dict[str, Callable[[], dict[str, Any]]] = {
+    **{
+        name: lambda name=name: run(name, n=100)
+        for name in ("besiii-cgem-design", "besiii-cgem", "besiii-idc", "besiii-idc-boss")
+    },
+    "gaussian": lambda: run(readout="gaussian"),
+    "tiger": lambda: run(readout="tiger"),
+    "apv25": lambda: run(readout="apv25"),
+    "tiger-second-pass": lambda: run(readout=cg.TigerReadout(second_pass=True)),
+    "analog-projection": lambda: run(readout="analog-projection"),
+    "ckf-background": lambda: run(gun=DIMUONS, finder="ckf", n=10, stages={"background": {"level": "bes2009"}}),
+    "raw-times": lambda: run("besiii-cgem", finder="ckf", stages={"digitize": {"wire_times": "raw"}}),
+    "start-time": lambda: run(
+        gun=DIMUONS, finder="ckf", n=20, stages={"background": {"start_time": 5.0}, "fit": {"start_time": "fitted"}}
+    ),
+    "raw-start-tiger": lambda: run(
+        "besiii-cgem",
+        finder="ckf",
+        readout="tiger",
+        stages={
+            "digitize": {"wire_times": "raw"},
+            "background": {"start_time": 5.0},
+            "fit": {"start_time": "fitted"},
+        },
+    ),
+    "half-turns": lambda: run(
+        gun=cg.Gun("pi-", p=(0.06, 0.12), cos_theta=(-0.3, 0.3)), finder="ckf", stages={"simulate": {"half_turns": 4}}
+    ),
+    "decays": decays_in_flight,
+    "field-map": lambda: run(
+        cg.load(DESIGN).with_field("besiii"), stages={"fit": {"states": ["hits"], "residuals": True}}
+    ),
+    "vertices": vertices,
+    "analytic": analytic,
+    "sweep": sweep,
+    "optimize": optimize,
+}  # fmt: skip
 
 
 @pytest.fixture(autouse=True)
 def scalar() -> Iterator[None]:
-    """Compute with the scalar code, whatever the processor has; afterwards with what was in use before."""
+    """Compute with the scalar code; restore the instruction set afterwards."""
     before = cg.isa.name()
     cg.isa.use("scalar")
     yield
     cg.isa.use(before)
 
 
-def numbers(detector: str) -> dict[str, float]:
-    """Return row counts and sums over 100 events."""
-    result = cg.run(detector, cg.Gun("mu-", p=(0.3, 1.5), cos_theta=(-0.9, 0.9)), n=100, seed=1)
-    found: dict[str, float] = {f"rows of {name}": len(table) for name, table in result.tables.items()}
-    sums = {
-        "energy in the gaps, keV": result.truths["energy"],
-        "distances of closest approach, mm": np.abs(result.wire_truths["doca"]),
-        "strips": result.digis["strip"],
-        "drift distances, mm": result.wire_hits["drift"],
-        "cluster sizes": result.clusters["size"],
-        "chi2": result.tracks["chi2"],
-    }
-    sums |= {f"|{name}|": np.abs(result.tracks[name]) for name in ("dr", "phi0", "kappa", "dz", "tanl")}
-    sums |= {f"error of {name}": result.tracks[f"err_{name}"] for name in ("dr", "phi0", "kappa", "dz", "tanl")}
-    return found | {name: float(np.sum(values)) for name, values in sums.items()}
+def sums(table: Any) -> dict[str, float]:
+    """Return the number of rows, and the sum of the absolute values of each column of numbers."""
+    columns = {name: np.asarray(table[name]) for name in getattr(table, "columns", table)}
+    found = {"rows": float(max((len(values) for values in columns.values()), default=0))}
+    for name, values in columns.items():
+        if values.dtype.kind in "iufb":
+            found[name] = float(np.nansum(np.abs(values.astype(np.float64)), where=np.isfinite(values)))
+    return found
 
 
-@pytest.mark.parametrize("detector", DETECTORS)
-def test_numbers_are_those_on_file(detector: str, request: pytest.FixtureRequest) -> None:
+@pytest.mark.parametrize("case", CASES)
+def test_numbers_are_those_on_file(case: str, request: pytest.FixtureRequest) -> None:
     """Counts are equal and sums agree to one part in a million, which leaves room for compilers."""
-    now = numbers(detector)
-    kept = json.loads(FILE.read_text()) if FILE.exists() else {}
+    now = {name: sums(table) for name, table in CASES[case]().items() if table is not None}
+    file = FOLDER / f"{case}.json"
     if request.config.getoption("--update-golden"):
-        FILE.write_text(json.dumps(kept | {detector: now}, indent=1) + "\n")
+        lines = (f"{json.dumps(name)}: {json.dumps(numbers)}" for name, numbers in now.items())
+        file.write_text("{\n" + ",\n".join(lines) + "\n}\n")
         return
+    kept = json.loads(file.read_text())
+    assert now.keys() == kept.keys()
     changed = {
-        name: f"{kept[detector].get(name)} -> {value}"
-        for name, value in now.items()
-        if kept[detector].get(name) != pytest.approx(value, rel=1e-6, abs=1e-9)
+        f"{table}: {name}": f"{kept[table].get(name)} -> {numbers.get(name)}"
+        for table, numbers in now.items()
+        for name in {**kept[table], **numbers}
+        if numbers.get(name) != pytest.approx(kept[table].get(name), rel=1e-6, abs=1e-9)
     }
     assert not changed
-    assert now.keys() == kept[detector].keys()
+
+
+def test_every_file_belongs_to_a_case() -> None:
+    assert {file.stem for file in FOLDER.glob("*.json")} == set(CASES)
+
+
+def test_physics_version_belongs_to_the_numbers() -> None:
+    texts = (file.name.encode() + file.read_bytes() for file in sorted(FOLDER.glob("*.json")))
+    found = hashlib.sha256(b"".join(texts)).hexdigest()[:16]
+    assert (max(VERSIONS), VERSIONS[PHYSICS]) == (PHYSICS, found)
