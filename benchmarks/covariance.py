@@ -18,8 +18,8 @@ from collections.abc import Callable
 import numpy as np
 
 import cgemit as cg
+from bench import SEED, instruction_set
 from cgemit import isa
-from cgemit.bench import SEED, instruction_set
 from cgemit.detector import compiled
 from design_muon import EVENTS, GUN, TWO_ITERATIONS, arguments, cost_us
 from rows import write_rows

@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
+from bench import DETECTOR, SEED, instruction_set, smeared
 from cgemit import FitSettings, Gun, Settings, _core, helix, isa, run
-from cgemit.bench import DETECTOR, SEED, instruction_set, smeared
 from cgemit.chain.result import Result
 from cgemit.detector import compiled
 from cgemit.reconstruction.candidates import FitHits, collect_hits

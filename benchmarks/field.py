@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
+from bench import DETECTOR, SEED, instruction_set, smeared
 from cgemit import FitSettings, Gun, _core, helix, isa, load, run
-from cgemit.bench import DETECTOR, SEED, instruction_set, smeared
 from cgemit.detector import compiled
 from cgemit.reconstruction.candidates import collect_hits
 from cgemit.reconstruction.fit import core_arguments

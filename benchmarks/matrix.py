@@ -1,7 +1,7 @@
 """Cost per track of each stage for every instruction set, at 1 and 2 threads: ``python benchmarks/matrix.py``.
 
-The same as ``cgemit bench --isa all --threads 1 2``, and the rate of a product of two large matrices (numpy) on one
-core: the arithmetic that the machine is capable of. Writes `matrix.csv`.
+Also the rate of a product of two large matrices (numpy) on one core: the arithmetic that the machine is capable of.
+Writes `matrix.csv`.
 """
 
 from __future__ import annotations
@@ -10,8 +10,8 @@ import os
 import subprocess
 import sys
 
+from bench import machine, measure
 from cgemit.base.isa import available
-from cgemit.bench import machine, measure
 from rows import write_rows
 
 THREADS = (1, 2)

@@ -10,7 +10,7 @@ import resource
 import subprocess
 import sys
 
-from cgemit.bench import DETECTOR, GUN, SEED
+from bench import DETECTOR, GUN, SEED
 from cgemit.chain.run import run
 from cgemit.chain.settings import Settings
 from cgemit.reconstruction.fit import FitSettings

@@ -18,8 +18,8 @@ from collections import Counter, defaultdict
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+from bench import DETECTOR, GUN, stage_calls
 from cgemit.base.isa import available
-from cgemit.bench import DETECTOR, GUN, stage_calls
 from cgemit.detector import load
 from rows import write_rows
 

@@ -20,8 +20,8 @@ from typing import Any
 
 import numpy as np
 
+from bench import DETECTOR, instruction_set, machine, stage_calls
 from cgemit.base.isa import available
-from cgemit.bench import DETECTOR, instruction_set, machine, stage_calls
 from cgemit.detector import Detector, load
 from cgemit.detector.matter import slabs
 from cgemit.particles.gun import Gun

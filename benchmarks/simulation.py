@@ -1,6 +1,6 @@
 """What the parts of the simulation, and field maps, cost per muon: ``python benchmarks/simulation.py`` (a minute).
 
-One thread, the sample of `cgemit bench`, the smallest of several runs in processor time. A product of two 64 by 64
+One thread, the sample of `bench.py`, the smallest of several runs in processor time. A product of two 64 by 64
 matrices (numpy), timed in the same process, makes the numbers comparable between machines. Writes `simulation.csv` and
 `simulation_fields.csv`, with a row for each instruction set, and prints the tables of docs/performance.md.
 """
@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
+from bench import DETECTOR, GUN, SEED, instruction_set, machine
 from cgemit import isa
-from cgemit.bench import DETECTOR, GUN, SEED, instruction_set, machine
 from cgemit.detector import Detector, load
 from cgemit.particles.gun import generate
 from cgemit.simulation.transport import SimulateSettings, simulate

@@ -1,6 +1,6 @@
 """Cost per track of each stage against the number of events: ``python benchmarks/stages.py`` (a minute or two).
 
-One thread, chunks of 1000 events as in `cgemit.run`, the sample of `cgemit bench`. Between the runs a product of two
+One thread, chunks of 1000 events as in `cgemit.run`, the sample of `bench.py`. Between the runs a product of two
 matrices is timed: times divided by it can be compared between machines and between days. Writes `stages.csv`.
 """
 
@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cgemit.bench import DETECTOR, GUN, SEED, machine
+from bench import DETECTOR, GUN, SEED, machine
 from cgemit.chain.run import run_chunk
 from cgemit.chain.settings import Settings
 from cgemit.detector import load

@@ -1,7 +1,7 @@
-"""Tracks and garbage of every kind for the fit: `python tests/fuzz.py 1000000` fits a million and counts statuses.
+"""Tracks and garbage of every kind for the fit.
 
-Whatever comes in, the fit must not raise, must not warn, and every number that it gives out is one or its row's status
-says why it is none.
+`PYTHONPATH=benchmarks python tests/fuzz.py 1000000` fits a million and counts statuses. Whatever comes in, the fit must
+not raise, must not warn, and every number that it gives out is one or its row's status says why it is none.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from bench import SMEARING, smeared
 from cgemit import helix
-from cgemit.bench import SMEARING, smeared
 from cgemit.detector import load
 from cgemit.particles.table import particles_from
 from cgemit.reconstruction.candidates import HIT_WIRE

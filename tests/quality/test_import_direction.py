@@ -39,10 +39,10 @@ PYTHON_LAYERS = [
     {"covariance"},
     {"draw"},
     {"study"},
-    {"bench", "cli"},
+    {"cli"},
     {"__main__", "__init__"},
 ]
-ONE_FOLDER = ({"base", "units"}, {"bench", "cli"})
+ONE_FOLDER = ({"base", "units"}, {"cli"})
 CPP_RANK = {folder: rank for rank, layer in enumerate(CPP_LAYERS) for folder in layer}
 PYTHON_RANK = {module: rank for rank, layer in enumerate(PYTHON_LAYERS) for module in layer}
 
@@ -180,7 +180,7 @@ def test_a_wrong_import_is_seen(module: str, line: str) -> None:
     assert len(python_problems(module, f"cgemit.{module}", line)) == 1
 
 
-@pytest.mark.parametrize("module", ["bench", "cli.main", "detector", "draw", "study", "tables"])
+@pytest.mark.parametrize("module", ["cli.main", "detector", "draw", "study", "tables"])
 def test_each_part_can_be_imported_first(module: str) -> None:
     run = subprocess.run([sys.executable, "-c", f"import cgemit.{module}"], capture_output=True, text=True, check=False)
     assert run.returncode == 0, run.stderr

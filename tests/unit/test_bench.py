@@ -2,46 +2,19 @@
 
 from __future__ import annotations
 
-import json
-
 import numpy as np
 import pytest
 
+from bench import DETECTOR, GUN, STAGES, instruction_set, machine, measure, stage_calls
 from cgemit.base.isa import available
-from cgemit.bench import DETECTOR, GUN, STAGES, instruction_set, machine, measure, stage_calls
-from cgemit.cli.main import main
 from cgemit.detector import load
 
-KEYS = [
-    "isa", "threads", "simulate_us", "digitize_us", "cluster_us", "fit_us", "fit_lr_us",
-    "find_us", "simulate_kernel_us", "fit_kernel_us", "fit_lr_kernel_us",
-]  # fmt: skip
 
-
-def test_json_has_exactly_these_keys(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["bench", "--json", "--events", "50", "--repeat", "1", "--threads", "2"]) == 0
-    out, err = capsys.readouterr()
-    cost = json.loads(out)
-    assert list(cost) == KEYS
-    assert (cost["isa"] in available(), cost["threads"]) == (True, 2)
-    assert all(cost[name] > 0 for name in KEYS[2:])
-    assert "best of 1 runs" in err
-    assert machine() in err
-
-
-def test_table_names_every_stage(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["bench", "--events", "20", "--repeat", "1", "--quiet"]) == 0
-    out, err = capsys.readouterr()
-    assert len(out.splitlines()) == 1 + len(KEYS) - 2
-    assert not err
-
-
-def test_json_of_several_runs_is_a_list(capsys: pytest.CaptureFixture[str]) -> None:
-    arguments = ["--events", "10", "--repeat", "1", "--isa", "all", "--threads", "1", "2"]
-    assert main(["bench", "--json", *arguments]) == 0
-    costs = json.loads(capsys.readouterr().out)
-    assert [(c["isa"], c["threads"]) for c in costs] == [(isa, n) for isa in available() for n in (1, 2)]
-    assert all(list(cost) == KEYS for cost in costs)
+def test_every_stage_has_its_time() -> None:
+    cost = measure(events=50, threads=2, repeat=1)
+    assert (cost.isa in available(), cost.threads) == (True, 2)
+    assert all(cost.to_dict()[f"{stage}_us"] > 0 for stage in STAGES)
+    assert machine()
 
 
 def test_stages_do_the_work_that_is_timed() -> None:

@@ -9,8 +9,8 @@ from typing import get_args
 import numpy as np
 import pytest
 
+from bench import smeared
 from cgemit import _core, helix
-from cgemit.bench import smeared
 from cgemit.chain import run, settings
 from cgemit.chain.match import joined, match
 from cgemit.detector import load

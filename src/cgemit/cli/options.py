@@ -392,7 +392,6 @@ COMMANDS = {
     "show": "detector",
     "validate": "detector",
     "settings": "settings",
-    "bench": "bench",
 }
 
 

@@ -1,4 +1,4 @@
-"""Wall time of each stage per track (benchmarks/README.md)."""
+"""Wall time of each stage per track, for the programs of this folder."""
 
 from __future__ import annotations
 
