@@ -1,7 +1,8 @@
 """Tracks and garbage of every kind for the fit.
 
-`PYTHONPATH=benchmarks python tests/fuzz.py 1000000` fits a million and counts statuses. Whatever comes in, the fit must
-not raise, must not warn, and every number that it gives out is one or its row's status says why it is none.
+`PYTHONPATH=benchmarks:validation python tests/fuzz.py 1000000` fits a million and counts statuses. Whatever comes in,
+the fit must not raise, must not warn, and every number that it gives out is one or its row's status says why it is
+none.
 """
 
 from __future__ import annotations
@@ -23,8 +24,8 @@ from cgemit.reconstruction.find import truth
 from cgemit.reconstruction.fit import PARAMETERS, FitSettings, FitStatus, fit, has_cov
 from cgemit.simulation import transport
 from cgemit.simulation.digitize import DigitizeSettings, digitize
-from cgemit.study.robustness import Hits, add_noise, exchange_clusters, keep, lose_layers
 from cgemit.tables import SCHEMAS, Table
+from robustness import Hits, add_noise, exchange_clusters, keep, lose_layers
 
 PRESETS = ("besiii-cgem-design", "besiii-cgem", "besiii-idc", "besiii-idc-boss")
 FAR = (50.0, 0.5, 1.0, 300.0, 1.0)

@@ -9,9 +9,9 @@ import numpy as np
 
 import begins
 from cgemit.analysis.widths import share_error
-from cgemit.study.robustness import ACROSS, ALONG, HITS, LEVER, SCENARIOS, Outcome, run_scenario
 from cgemit.tables import PARAMETERS
 from cgemit.tables.show import with_error
+from robustness import ACROSS, ALONG, HITS, LEVER, SCENARIOS, Outcome, run_scenario
 
 HEAD = ("tracks", "what is difficult", "fitted %", "not fitted", "p %", "dr um", "dz mm", "pulls", "iterations")
 
@@ -21,8 +21,7 @@ This page shows how the fit performs on tracks that are slow, steep, displaced o
 wrong hits or noise. The detector is the design CGEM with the outer drift chamber. The page is written by
 `python validation/robustness_page.py {n} > docs/methods/robustness.md`, with {n} events of two tracks each. Hits are
 assigned by truth and then changed as the table says; the fit gets no information about the changes.
-`cgemit.study.SCENARIOS` lists the scenarios, `cgemit.study.run_scenario` runs one. Particles do not decay in flight
-here.
+`validation/robustness.py` lists the scenarios. Particles do not decay in flight here.
 
 A track counts if it has at least {hits} hits of its own, {along} of them stereo or V and {across} axial or X, over
 {lever:g} mm of radius. A helix cannot be measured with less. *fitted* is the fraction of these tracks with status `ok`
@@ -88,7 +87,8 @@ although they begin at the origin:
 
 Invalid input does no harm. `tests/fuzz.py` gives the fit tracks with hits lost, added, exchanged, repeated and out of
 order, and hits of any position, size and error. No exception is raised, and if a value is NaN the status of the row
-gives the reason. `python tests/fuzz.py 1000000` repeats this for a million tracks and counts the statuses.
+gives the reason. `PYTHONPATH=benchmarks:validation python tests/fuzz.py 1000000` repeats this for a million tracks and
+counts the statuses.
 """
 
 

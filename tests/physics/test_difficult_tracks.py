@@ -7,8 +7,7 @@ import pytest
 
 import stats
 from cgemit.reconstruction.fit import FitSettings
-from cgemit.study import SCENARIOS, run_scenario
-from cgemit.study.robustness import WITHOUT_DECAYS
+from robustness import SCENARIOS, WITHOUT_DECAYS, run_scenario
 
 EVENTS = 600
 BY_NAME = {scenario.name: scenario for scenario in SCENARIOS}

@@ -7,8 +7,17 @@ from cgemit.chain import run
 from cgemit.detector import load
 from cgemit.particles.gun import Gun
 from cgemit.reconstruction.candidates import HIT_V, HIT_WIRE, HIT_X
-from cgemit.study import SCENARIOS, run_scenario
-from cgemit.study.robustness import Hits, add_noise, exchange_clusters, kaon_decays, keep, lose_layers, own_hits
+from robustness import (
+    SCENARIOS,
+    Hits,
+    add_noise,
+    exchange_clusters,
+    kaon_decays,
+    keep,
+    lose_layers,
+    own_hits,
+    run_scenario,
+)
 from robustness_page import HEAD, cells, page
 
 DETECTOR = load("besiii-cgem-design")

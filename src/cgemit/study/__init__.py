@@ -21,14 +21,12 @@ from cgemit.study.optimize.result import Confirmation, Optimization
 from cgemit.study.optimize.run import OptimizeError, optimize
 from cgemit.study.paper.results import Reproduction
 from cgemit.study.paper.run import reproduce
-from cgemit.study.robustness import SCENARIOS, Outcome, Scenario, run_scenario
 from cgemit.study.scan import AnalyticScan, Scan, scan, scan_analytic
 from cgemit.study.sweep.result import Sweep
 from cgemit.study.sweep.run import sweep
 from cgemit.study.sweep.space import Space, grid, latin_hypercube, sobol
 
 __all__ = [
-    "SCENARIOS",
     "AnalyticScan",
     "Background",
     "Confirmation",
@@ -44,13 +42,11 @@ __all__ = [
     "LoopLinks",
     "Optimization",
     "OptimizeError",
-    "Outcome",
     "Pulls",
     "Reproduction",
     "Resolution",
     "Resolutions",
     "Scan",
-    "Scenario",
     "Space",
     "Sweep",
     "chi2_flatness",
@@ -71,7 +67,6 @@ __all__ = [
     "resolution",
     "resolution_against",
     "resolutions",
-    "run_scenario",
     "scan",
     "scan_analytic",
     "sobol",

@@ -76,13 +76,7 @@ class Hits:
 
 
 def keep(hits: Hits, kept: Mask) -> Hits:
-    """Return the candidates without some of their hits.
-
-    Parameters
-    ----------
-    hits : Hits
-    kept : ndarray, (hits,) bool
-    """
+    """Return the candidates without some of their hits."""
     return _times(hits, kept.astype(np.int64))
 
 
@@ -99,16 +93,7 @@ def _times(hits: Hits, times: Rows) -> Hits:
 
 
 def exchange_clusters(hits: Hits, layer: int, tracks: Mask) -> Hits:
-    """Return the candidates with the X and V cluster of one layer taken from the track four rows on.
-
-    Parameters
-    ----------
-    hits : Hits
-    layer : int
-        CGEM layer.
-    tracks : ndarray, (candidates,) bool
-        Which candidates are changed, where both tracks have the cluster.
-    """
+    """Return the candidates with the X and V cluster of one layer taken from the track four rows on."""
     row, taken = hits.row.copy(), [np.empty(0, np.int64)]
     for view in (HIT_X, HIT_V):
         mine = np.flatnonzero((hits.view == view) & (hits.layer == layer))
@@ -129,14 +114,6 @@ def add_noise(detector: Detector, hits: Hits, share: float, random: np.random.Ge
 
     Noise on a wire lies in a cell at most 3 away, anywhere in it; in the hit's own cell the shorter drift is seen.
     Noise on strips is a cluster like the hit's own, shifted by a whole number of strips, at most 10 mm.
-
-    Parameters
-    ----------
-    detector : Detector
-    hits : Hits
-    share : float
-        Probability of noise for each hit that the track has.
-    random : numpy.random.Generator
     """
     noisy = random.random(len(hits.track)) < share
     spoilt = _times(hits, 1 + noisy.astype(np.int64))
@@ -227,13 +204,7 @@ class Scenario:
     spoil: Spoil | None = None
 
     def particles(self, n_events: int, seed: int) -> Table:
-        """Return the particles of some events.
-
-        Parameters
-        ----------
-        n_events : int
-        seed : int
-        """
+        """Return the particles of some events."""
         return (
             generate(self.source, n_events, seed)
             if isinstance(self.source, Source | Guns)
@@ -242,15 +213,7 @@ class Scenario:
 
 
 def both_charges(name: str, **what: Any) -> Guns:
-    """Return guns that shoot a particle and its antiparticle together.
-
-    Parameters
-    ----------
-    name : str
-        Particle.
-    what : Any
-        As of `Gun`.
-    """
+    """Return guns that shoot a particle and its antiparticle together."""
     return Gun(name, **what) + Gun(-species(name).pdg, **what)
 
 
@@ -263,10 +226,6 @@ def kaon_decays(n_events: int, seed: int) -> Table:
 
     Momenta are uniform from 0.2 to 1.2 GeV/c, cos(theta) within 0.8, decay lengths exponential; the pions fly apart
     isotropically in the rest frame.
-
-    Parameters
-    ----------
-    n_events, seed : int
     """
     random = np.random.default_rng(seed)
     p = random.uniform(0.2, 1.2, n_events)
@@ -421,25 +380,13 @@ class Outcome:
         return {s.name: n for s in FitStatus if s != FitStatus.ok and (n := int((status == s).sum()))}
 
     def resolution(self, parameter: str) -> Resolution:
-        """Return the widths of fitted minus true values; of p relative to the true one.
-
-        Parameters
-        ----------
-        parameter : str
-            A name of `cgemit.tables.PARAMETERS`.
-        """
+        """Return the widths of fitted minus true values; of p relative to the true one."""
         tracks = self.good
         scale = tracks["truth_p"] if parameter == "p" else 1.0
         return measure(tracks[f"res_{parameter}"] / scale, parameter=parameter)
 
     def pull(self, parameter: str) -> Resolution:
-        """Return the widths of the pull.
-
-        Parameters
-        ----------
-        parameter : str
-            A name of `cgemit.tables.PARAMETERS`.
-        """
+        """Return the widths of the pull."""
         return measure(self.good[f"pull_{parameter}"], parameter=f"pull of {parameter}")
 
 
@@ -451,21 +398,7 @@ def run_scenario(
     detector: Detector | str = "besiii-cgem-design",
     settings: Settings | None = None,
 ) -> Outcome:
-    """Simulate, spoil and fit the tracks of one scenario.
-
-    Parameters
-    ----------
-    scenario : Scenario
-    n_events, seed : int
-    detector : Detector or str
-        With CGEM layers and a drift chamber.
-    settings : Settings or None
-        None: `WITHOUT_DECAYS`.
-
-    Returns
-    -------
-    Outcome
-    """
+    """Simulate, spoil and fit the tracks of one scenario."""
     detector, settings = load(detector), settings or WITHOUT_DECAYS
     result = run.run(detector, scenario.particles(n_events, seed), seed=seed, settings=settings)
     hits = Hits(result.candidates, result.candidate_hits, result.clusters, result.wire_hits)
@@ -480,20 +413,7 @@ def run_scenario(
 
 
 def has_enough(detector: Detector, hits: Hits, result: Result) -> Mask:
-    """Return which candidates have enough hits of their own particle to measure a helix.
-
-    Parameters
-    ----------
-    detector : Detector
-    hits : Hits
-        As given to the fit.
-    result : Result
-        The run that they come from.
-
-    Returns
-    -------
-    ndarray, (candidates,) bool
-    """
+    """Return which candidates have enough hits of their own particle to measure a helix."""
     n, own, track = len(result.particles), own_hits(hits, result), hits.track
     layers = detector.drift_chamber.layers if detector.drift_chamber else ()
     radii, tilted = (
