@@ -13,9 +13,8 @@ import numpy as np
 
 import cgemit as cg
 from cgemit import isa
-from cgemit.reconstruction.cluster import ClusterSettings
-from cgemit.simulation.readouts.apv25 import Apv25Readout
-from cgemit.simulation.readouts.tiger import TigerReadout
+from cgemit.detector.readouts import Apv25Readout, Readout, TigerReadout
+from cgemit.simulation.digitize import digitizer_of
 from cgemit.tables import Table
 from rows import write_rows
 
@@ -34,13 +33,13 @@ def with_electrons(steps: Table, factor: int) -> Table:
     return steps.with_columns(n_electrons=(factor * steps["n_electrons"]).astype(steps["n_electrons"].dtype))
 
 
-def seconds(result: cg.Result, readout: Any, steps: Table) -> float:
+def seconds(result: cg.Result, readout: Readout, steps: Table) -> float:
     """Return the processor time of digitization and clustering."""
     best = float("inf")
     for _ in range(REPEATS):
         start = time.process_time()
-        digis = readout.digitize(result.detector, result.truths, steps, SEED)
-        readout.cluster(result.detector, digis, ClusterSettings())
+        digis = digitizer_of(readout).digitize(result.detector, result.truths, steps, SEED)
+        cg.cluster(result.detector, digis, readout=readout)
         best = min(best, time.process_time() - start)
     return best
 

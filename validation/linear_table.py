@@ -11,9 +11,9 @@ import numpy as np
 import cgemit as cg
 from cgemit import _core
 from cgemit.detector import Slab
+from cgemit.detector.readouts import GaussianReadout
 from cgemit.reconstruction.fit import PARAMETERS, FitSettings
 from cgemit.simulation.digitize import DigitizeSettings
-from cgemit.simulation.readouts.gaussian import GaussianReadout
 from cgemit.simulation.transport import SimulateSettings
 from cgemit.study import resolution
 from optimal import Stack, errors, optimum

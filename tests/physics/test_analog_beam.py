@@ -17,8 +17,11 @@ from cgemit.analysis.widths import measure
 from cgemit.covariance.result import Covariance
 from cgemit.detector import compiled
 from cgemit.detector.gas import ionization, mean_shift
+from cgemit.detector.readouts import AnalogReadout
+from cgemit.reconstruction.cluster import calibrated_clusterer, clusterer_of
+from cgemit.reconstruction.clusterers.charge import ChargeTimeClusterer
 from cgemit.reconstruction.find import truth
-from cgemit.simulation.readouts.analog import AnalogReadout
+from cgemit.simulation.readouts.analog import AnalogDigitizer
 from cgemit.study.readout.calibrate import measurements
 from cgemit.study.readout.scan import beam_detector, beam_point, beam_run
 from cgemit.tables import Table
@@ -36,7 +39,7 @@ CALIBRATED = [
 
 def centroid_width(digis: Table, run_of: Any, readout: Any) -> float:
     """Core width of the centroid's residual in X, um."""
-    clusters = replace(readout, estimator="centroid").cluster_with(run_of.detector, digis)
+    clusters = calibrated_clusterer(replace(readout, estimator="centroid")).cluster_with(run_of.detector, digis)
     sample = measurements(run_of.detector, clusters, run_of.truths)
     return measure(1e3 * sample.residual[sample.view == 0], parameter="X", unit="um").core
 
@@ -48,7 +51,7 @@ def test_normal_incidence_without_field() -> None:
     """
     result = beam_run(PLANE, BEAM, 0.0, n=1500, seed=2, threads=1)
     assert 45 < centroid_width(result.digis, result, BEAM) < 60
-    arguments = replace(BEAM, holes=False).core_arguments(PLANE)
+    arguments = AnalogDigitizer(replace(BEAM, holes=False)).core_arguments(PLANE)
     arguments["physics"]["correlated"] = False
     truths, steps = dict(result.truths.columns), dict(result.steps.columns)
     wrong = Table(
@@ -82,8 +85,8 @@ def test_density_and_sizes_of_clusters_are_of_one_source() -> None:
 def test_lorentz_shift_before_and_after_the_correction() -> None:
     """1 T, 1.5 kV/cm: 2.20 mm in a plane stack before, and none after."""
     result = beam_run(FIELD, BEAM, 0.0, n=1500, seed=3, particle="mu-", p=1.0, threads=1)
-    raw = replace(BEAM, estimator="centroid", lorentz=False).cluster_with(FIELD, result.digis)
-    corrected = replace(BEAM, estimator="centroid").cluster_with(FIELD, result.digis)
+    raw = calibrated_clusterer(replace(BEAM, estimator="centroid", lorentz=False)).cluster_with(FIELD, result.digis)
+    corrected = calibrated_clusterer(replace(BEAM, estimator="centroid")).cluster_with(FIELD, result.digis)
     across = raw["view"] == 0
     shift = raw["x"][across] - corrected["x"][across]
     np.testing.assert_allclose(shift, mean_shift(FIELD.cgem[0], FIELD.field.bz))
@@ -205,8 +208,8 @@ def test_analytic_errors_at_one_angle(
     """They hold at every angle, too; with errors of all angles d_z is up to 16 % off."""
     expected = as_expected(readout, cos_theta, 8000)
     if cos_theta == -0.8 and isinstance(readout, AnalogReadout):
-        of_all = [one.mean(axis=1) for one in readout.expected_errors(load("besiii-cgem-design"))]
-        monkeypatch.setattr(type(readout), "expected_errors", lambda *_: of_all)
+        of_all = [one.mean(axis=1) for one in clusterer_of(readout).expected_errors(load("besiii-cgem-design"))]
+        monkeypatch.setattr(ChargeTimeClusterer, "expected_errors", lambda *_: of_all)
         wrong = analytic("besiii-cgem-design", "mu-", p=1.0, cos_theta=cos_theta, readout=readout)
         assert float(np.squeeze(wrong.sigma_dz)) < 0.93 * float(np.squeeze(expected.sigma_dz))
 

@@ -5,7 +5,8 @@ import pytest
 
 import gem_toy
 from cgemit import _core
-from cgemit.reconstruction.cluster import ClusterSettings, error_table
+from cgemit.reconstruction.clusterers.binary import error_table
+from cgemit.reconstruction.clusterers.clusterer import ClusterSettings
 from stats import assert_within, fraction_error
 
 PITCH = 0.65

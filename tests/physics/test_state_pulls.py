@@ -15,6 +15,7 @@ from cgemit.chain.run import run
 from cgemit.detector import Detector, field_at, load
 from cgemit.particles.gun import Gun, generate
 from cgemit.reconstruction.candidates import HIT_WIRE
+from cgemit.reconstruction.cluster import cluster
 from cgemit.reconstruction.find import truth
 from cgemit.reconstruction.fit import PARAMETERS, FitSettings, FitStatus, fit
 from cgemit.reconstruction.states import StateStatus, Surface
@@ -50,7 +51,7 @@ def sample(
     particles = generate(Gun(particle, p=p, cos_theta=(-0.5, 0.5)), N, seed=21)
     tables = simulate(detector, particles, EXACT.simulate, seed=21)
     tables |= digitize(detector, tables["truths"], tables["wire_truths"], EXACT.digitize, 21, steps=tables["steps"])
-    tables["clusters"] = EXACT.digitize.readout.cluster(detector, tables["digis"], EXACT.cluster)
+    tables["clusters"] = cluster(detector, tables["digis"], readout=EXACT.digitize.readout)
     names = ("particles", "clusters", "wire_hits", "truths", "wire_truths")
     found = truth.by_truth(detector, *(tables[name] for name in names))
     hits = found["candidate_hits"]

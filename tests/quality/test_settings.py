@@ -11,12 +11,10 @@ from sources import CORE
 
 from cgemit import _core
 from cgemit.detector import Screening
+from cgemit.detector.readouts import BinaryReadout, GaussianReadout, ProjectionReadout
 from cgemit.reconstruction.find.ckf import FindSettings
 from cgemit.reconstruction.fit import FitSettings, Loss
 from cgemit.simulation.digitize import DigitizeSettings
-from cgemit.simulation.readouts.binary import BinaryReadout
-from cgemit.simulation.readouts.gaussian import GaussianReadout
-from cgemit.simulation.readouts.projection import ProjectionReadout
 from cgemit.simulation.transport import Fluctuations, SimulateSettings
 
 # Struct, its header, its dataclass, and the fields of the core that are made from a setting of another name, or from

@@ -12,7 +12,7 @@ import pytest
 
 from cgemit.base.settings import kinds_of
 from cgemit.chain.settings import Settings
-from cgemit.simulation.digitize import READOUTS
+from cgemit.detector.readouts import READOUTS
 
 SCRIPT = Path(__file__).parents[2] / "docs" / "settings_page.py"
 

@@ -14,7 +14,8 @@ from scipy.special import erfc
 from cgemit import Apv25Readout, Gun, ProjectionReadout, Settings, SimulateSettings, TigerReadout, _core, load, run
 from cgemit.detector import compiled
 from cgemit.detector.parts import local_v, strips_of_v
-from cgemit.reconstruction.cluster import ClusterSettings
+from cgemit.detector.readouts import APV25, TIGER, Shaper
+from cgemit.reconstruction.cluster import cluster
 from cgemit.reconstruction.cluster_errors import (
     CHARGES,
     COS_THETA,
@@ -24,10 +25,8 @@ from cgemit.reconstruction.cluster_errors import (
     key_of,
     read_calibration,
 )
+from cgemit.reconstruction.clusterers.charge import half_height, leading_edges
 from cgemit.simulation import digitize
-from cgemit.simulation.readouts.analog import APV25, TIGER_E, TIGER_T, Shaper
-from cgemit.simulation.readouts.apv25 import half_height
-from cgemit.simulation.readouts.tiger import SAMPLE_DELAY, leading_edges
 from stats import assert_within
 
 DESIGN = load("besiii-cgem-design")
@@ -93,7 +92,8 @@ def test_cloud_on_the_strips_against_the_error_function(sigma: float) -> None:
 
 
 @pytest.mark.parametrize(
-    ("shaper", "peak", "width"), [(TIGER_T, 53.6, 123.0), (TIGER_E, 154.7, 237.0), (APV25, 50.0, 122.3)]
+    ("shaper", "peak", "width"),
+    [(TIGER.timing, 53.6, 123.0), (TIGER.charge, 154.7, 237.0), (APV25.timing, 50.0, 122.3)],
 )
 def test_pulse_shapes(shaper: Shaper, peak: float, width: float) -> None:
     """Peak times and widths at half maximum of the chips' responses."""
@@ -106,7 +106,11 @@ def test_pulse_shapes(shaper: Shaper, peak: float, width: float) -> None:
 
 @pytest.mark.parametrize(
     ("shaper", "factors"),
-    [(APV25, (0.950, 0.768, 0.634)), (TIGER_T, (0.940, 0.757, 0.637)), (TIGER_E, (0.986, 0.924, 0.860))],
+    [
+        (APV25.timing, (0.950, 0.768, 0.634)),
+        (TIGER.timing, (0.940, 0.757, 0.637)),
+        (TIGER.charge, (0.986, 0.924, 0.860)),
+    ],
 )
 def test_ballistic_deficit(shaper: Shaper, factors: tuple[float, ...]) -> None:
     t = np.arange(0.0, 800.0, 0.1)
@@ -114,7 +118,7 @@ def test_ballistic_deficit(shaper: Shaper, factors: tuple[float, ...]) -> None:
     np.testing.assert_allclose(found, factors, atol=1.5e-3)
 
 
-@pytest.mark.parametrize("shaper", [TIGER_T, TIGER_E, APV25])
+@pytest.mark.parametrize("shaper", [TIGER.timing, TIGER.charge, APV25.timing])
 def test_filter_against_a_convolution(shaper: Shaper) -> None:
     """Random steps of a current, filtered in one pass, and summed over all pairs of times."""
     dt, random = 2.0, np.random.default_rng(1)
@@ -130,15 +134,15 @@ def test_filter_against_a_convolution(shaper: Shaper) -> None:
 
 def test_delays_of_the_chips() -> None:
     """Time walk of a leading edge at a fixed threshold; half of the largest sample of a slow pulse."""
-    charge, delay = leading_edges(57.0, 2.0)
+    charge, delay = leading_edges(TIGER, 57.0, 2.0)
     t = np.arange(0, 400, 0.01)
     for i in (3, 30, 60):
-        true = charge[i] / TIGER_E.pulse(np.array([delay[i] + SAMPLE_DELAY]), 57.0)[0]
-        assert t[np.flatnonzero(true * TIGER_T.pulse(t, 57.0) > 2.0)[0]] == pytest.approx(delay[i], abs=0.2)
+        true = charge[i] / TIGER.charge.pulse(np.array([delay[i] + TIGER.sample_delay]), 57.0)[0]
+        assert t[np.flatnonzero(true * TIGER.timing.pulse(t, 57.0) > 2.0)[0]] == pytest.approx(delay[i], abs=0.2)
     assert np.all(np.diff(charge) > 0)
     assert np.all(np.diff(delay) < 0)
-    exact = APV25.pulse(t, 57.0)
-    assert half_height(57.0) == pytest.approx(t[np.flatnonzero(exact > 0.5 * exact.max())[0]], abs=2.0)
+    exact = APV25.timing.pulse(t, 57.0)
+    assert half_height(APV25, 57.0)[1][0] == pytest.approx(t[np.flatnonzero(exact > 0.5 * exact.max())[0]], abs=2.0)
 
 
 def test_line_fit_against_least_squares() -> None:
@@ -239,7 +243,7 @@ def test_calibrations_of_the_presets() -> None:
     changed = DESIGN.with_overrides({"cgem.L1.drift_field": "2 kV/cm"})
     for detector, readout in ((changed, TigerReadout()), (DESIGN, TigerReadout(gain=9_000.0))):
         with pytest.raises(CalibrationError, match="cgemit readout --readout NAME -d DETECTOR --calibrate"):
-            readout.cluster(detector, run(DESIGN, GUN, 1, readout=readout, until="digitize").digis, ClusterSettings())
+            cluster(detector, run(DESIGN, GUN, 1, readout=readout, until="digitize").digis, readout=readout)
 
 
 def test_a_wrong_calibration_lists_its_problems(tmp_path: Path) -> None:

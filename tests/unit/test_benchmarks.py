@@ -125,6 +125,7 @@ def test_electrons_of_the_readout_are_multiplied(program: Any) -> None:
     more = readout.with_electrons(muons.steps, 4)
     assert more["n_electrons"].sum() == 4 * muons.steps["n_electrons"].sum() > 0
     for one in (readout.TigerReadout(), readout.Apv25Readout()):
-        charge = [one.digitize(muons.detector, muons.truths, s, 1)["charge"].sum() for s in (muons.steps, more)]
+        digitizer, samples = readout.digitizer_of(one), (muons.steps, more)
+        charge = [digitizer.digitize(muons.detector, muons.truths, steps, 1)["charge"].sum() for steps in samples]
         assert 2.5 < charge[1] / charge[0] < 6  # thresholds and saturation change the factor
         assert readout.seconds(muons, one, muons.steps) > 0

@@ -9,8 +9,16 @@ import pytest
 
 import cgemit as cg
 from cgemit.reconstruction.candidates import HIT_WIRE
+from cgemit.reconstruction.cluster import calibrated_clusterer, clusterer_of
 from cgemit.reconstruction.cluster_errors import COS_THETA, ESTIMATORS, calibration_of, neutral
-from cgemit.study.readout.calibrate import Measurements, Tracks, _muons, measurements, set_correlations, true_directions
+from cgemit.study.readout.calibrate import (
+    Measurements,
+    Tracks,
+    _muons,
+    measurements,
+    set_correlations,
+    true_directions,
+)
 
 DESIGN = cg.load("besiii-cgem-design")
 RHO = np.array([0.6, -0.5, 0.7])
@@ -53,7 +61,7 @@ def test_clusters_of_a_chip_have_the_correlation_of_its_calibration(second_pass:
     np.testing.assert_allclose(clusters["corr_xv"][~used], alone[clusters["layer"][~used]], atol=1e-5)
     expected = tracked if second_pass else alone
     np.testing.assert_allclose(clusters["corr_xv"][used], expected[clusters["layer"][used]], atol=1e-5)
-    np.testing.assert_array_equal(readout.expected_correlations(DESIGN), by_angle[int(second_pass)])
+    np.testing.assert_array_equal(clusterer_of(readout).expected_correlations(DESIGN), by_angle[int(second_pass)])
     assert (expected > 0.1).all()
 
 
@@ -80,7 +88,7 @@ def test_known_tracks_of_low_momentum(particle: str, p: float) -> None:
     gun = cg.Gun(particle, p=p, cos_theta=(-0.9, 0.9))
     result = cg.run(layers, gun, 3000, 5, readout=readout, until="cluster")
     directions = true_directions(layers, result.clusters, result.truths)
-    clusters = readout.cluster_with(layers, result.digis, calibration, directions=directions)
+    clusters = calibrated_clusterer(readout).cluster_with(layers, result.digis, calibration, directions=directions)
     sample = measurements(layers, clusters, result.truths)
     for view, layer in np.ndindex(2, 3):
         here = (sample.view == view) & (sample.layer == layer)

@@ -22,13 +22,12 @@ from cgemit.cli import options
 from cgemit.cli.main import build_parser, main
 from cgemit.detector import load
 from cgemit.detector.reader import TOP_LEVEL
+from cgemit.detector.readouts import BinaryReadout, GaussianReadout
 from cgemit.particles.gun import Gun
-from cgemit.reconstruction.cluster import ClusterSettings
+from cgemit.reconstruction.clusterers.clusterer import ClusterSettings
 from cgemit.reconstruction.find.ckf import FindSettings
 from cgemit.reconstruction.fit import FitSettings
 from cgemit.simulation.digitize import DigitizeSettings
-from cgemit.simulation.readouts.binary import BinaryReadout
-from cgemit.simulation.readouts.gaussian import GaussianReadout
 from cgemit.simulation.transport import SimulateSettings
 from cgemit.study.scan import Scan, scan
 from cgemit.tables import Table

@@ -8,7 +8,9 @@ from cgemit import Gun, _core, run
 from cgemit.detector import load
 from cgemit.detector.parts import strips_of_v
 from cgemit.draw.cluster import crossing
-from cgemit.reconstruction.cluster import MAX_SIZE, ClusterSettings, cluster, cluster_errors, error_table
+from cgemit.reconstruction.cluster import cluster
+from cgemit.reconstruction.clusterers.binary import MAX_SIZE, cluster_errors, error_table
+from cgemit.reconstruction.clusterers.clusterer import ClusterSettings
 from cgemit.simulation.digitize import digitize
 from cgemit.tables import Table
 from stats import assert_within

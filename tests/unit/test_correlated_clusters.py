@@ -10,6 +10,7 @@ import cgemit as cg
 from cgemit.chain.match import compare
 from cgemit.detector import compiled
 from cgemit.reconstruction.candidates import HIT_V, HIT_WIRE, HIT_X, HIT_XV, collect_hits
+from cgemit.reconstruction.clusterers.gaussian import GaussianClusterer
 from cgemit.reconstruction.fit import fit
 from cgemit.tables import Table
 from exact import EXACT, assert_pulls_are_standard_normal
@@ -22,7 +23,7 @@ RHO = np.array([0.6, -0.5, 0.7])
 @pytest.fixture
 def known(monkeypatch: pytest.MonkeyPatch) -> None:
     """Make the correlation of the Gaussian read-out known."""
-    monkeypatch.setattr(cg.GaussianReadout, "expected_correlations", lambda *_: RHO, raising=False)
+    monkeypatch.setattr(GaussianClusterer, "expected_correlations", lambda *_: RHO)
 
 
 def correlated(result: cg.Result, rho: npt.NDArray[np.float64] | None = None) -> Table:
@@ -152,7 +153,7 @@ def test_covariance_without_events(radius: float | None, monkeypatch: pytest.Mon
     unit = np.outer(scale, scale)
     how = {"phi": 0.3, "reveal_sides": True} | ({} if radius is None else {"radius": radius})
     other = cg.analytic(DESIGN, "mu-", 0.7, 0.4, readout="gaussian", **how).cov
-    monkeypatch.setattr(cg.GaussianReadout, "expected_correlations", lambda *_: RHO, raising=False)
+    monkeypatch.setattr(GaussianClusterer, "expected_correlations", lambda *_: RHO)
     found = cg.analytic(DESIGN, "mu-", 0.7, 0.4, readout="gaussian", **how).cov
     assert np.abs((np.squeeze(found) - mean) / unit).max() < 0.01
     assert np.abs((np.squeeze(other) - mean) / unit).max() > 0.05

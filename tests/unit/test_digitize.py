@@ -7,10 +7,9 @@ import gem_toy
 from cgemit import _core
 from cgemit.detector import compiled, gas, load
 from cgemit.detector.drift import XT_DISTANCE, XT_TIME
-from cgemit.reconstruction.cluster import ClusterSettings
+from cgemit.detector.readouts import BinaryReadout, GaussianReadout
+from cgemit.reconstruction.cluster import cluster
 from cgemit.simulation.digitize import DigitizeSettings, digitize
-from cgemit.simulation.readouts.binary import BinaryReadout
-from cgemit.simulation.readouts.gaussian import GaussianReadout
 from cgemit.tables import Table
 from stats import assert_within, fraction_error
 
@@ -173,7 +172,7 @@ def smeared(detector, truths, n_events=1, seed=1, **settings):
     """Clusters of the gaussian read-out."""
     readout = GaussianReadout(**settings)
     digis = read_out(detector, truths, n_events=n_events, seed=seed, readout=readout)["digis"]
-    return readout.cluster(detector, digis, ClusterSettings())
+    return cluster(detector, digis, readout=readout)
 
 
 def test_gaussian_digis_are_positions(design):
@@ -188,24 +187,23 @@ def test_gaussian_digis_are_positions(design):
     x = layer.r_readout * np.array([1.0, 1.3])  # of sheet 1, which begins at phi = 0
     v = x * np.cos(layer.stereo) + (-345.0 - np.array([12.0, -55.0])) * np.sin(layer.stereo)
     np.testing.assert_allclose(digis["position"], np.concatenate([x, v]))
-    clusters = GaussianReadout().cluster(design, digis, ClusterSettings())
+    clusters = cluster(design, digis, readout="gaussian")
     assert clusters["truth"].tolist() == [0, 1, 0, 1, 0, 1]
     np.testing.assert_allclose(clusters["z"][4:], [12.0, -55.0])
-    mixed = GaussianReadout().cluster(design, digis[np.array([2, 0, 3, 1])], ClusterSettings())
+    mixed = cluster(design, digis[np.array([2, 0, 3, 1])], readout="gaussian")
     assert mixed == clusters
 
 
 def test_positions_without_a_partner_are_refused(design):
     """The n-th X and the n-th V position belong together: one V too few, a position that is none, and strips."""
-    settings = ClusterSettings()
     digis = read_out(design, straight_up(1.0, 10.0, 14.0), readout="gaussian")["digis"]
     with pytest.raises(ValueError, match=r"event 0, layer 1, sheet 1: 1 positions in X and 0 in V"):
-        GaussianReadout().cluster(design, digis[:1], settings)
+        cluster(design, digis[:1], readout="gaussian")
     strips = read_out(design, straight_up(1.0, 10.0, 14.0))["digis"]
     with pytest.raises(ValueError, match=r"digis row 0: the position is not finite"):
-        GaussianReadout().cluster(design, strips, settings)
+        cluster(design, strips, readout="gaussian")
     with pytest.raises(ValueError, match=r"digis row 0: strip -1, expected 0 to 639"):
-        BinaryReadout().cluster(design, digis, settings)
+        cluster(design, digis)
 
 
 def test_gaussian_clusters_have_the_given_errors():

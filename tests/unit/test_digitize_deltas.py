@@ -5,8 +5,8 @@ import pytest
 
 import gem_toy
 from cgemit.detector import load
+from cgemit.detector.readouts import BinaryReadout
 from cgemit.simulation.digitize import DigitizeSettings, digitize
-from cgemit.simulation.readouts.binary import BinaryReadout
 from cgemit.tables import Table
 
 DETECTOR = load("besiii-cgem-design")

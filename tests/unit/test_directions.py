@@ -8,7 +8,9 @@ import pytest
 
 import cgemit as cg
 from cgemit.analysis.widths import measure
+from cgemit.reconstruction.cluster import calibrated_clusterer
 from cgemit.reconstruction.cluster_errors import PATH_KNOTS, SLOPE_KNOTS, calibration_of, neutral
+from cgemit.reconstruction.clusterers.charge import ChargeTimeClusterer
 from cgemit.reconstruction.find import truth
 from cgemit.study.readout.calibrate import (
     Measurements,
@@ -24,6 +26,7 @@ DESIGN = cg.load("besiii-cgem-design")
 LAYERS = dataclasses.replace(DESIGN, drift_chamber=None)
 L1 = DESIGN.cgem[0]
 TIGER = cg.TigerReadout()
+CLUSTERER = ChargeTimeClusterer(TIGER)
 BINS = np.array([-0.93, -0.75, -0.45, -0.15, 0.15, 0.45, 0.75, 0.93])
 READOUTS = {"tiger": TIGER, "apv25": cg.Apv25Readout(), "analog-projection": cg.ProjectionReadout()}
 
@@ -36,10 +39,10 @@ def digitized():
 
 def sample_of(result, readout, calibration, along):
     """Return the measurements, and the polar angle of each."""
-    clusters = readout.cluster_with(LAYERS, result.digis, calibration)
+    clusters = calibrated_clusterer(readout).cluster_with(LAYERS, result.digis, calibration)
     if along:
         directions = true_directions(LAYERS, clusters, result.truths)
-        clusters = readout.cluster_with(LAYERS, result.digis, calibration, directions=directions)
+        clusters = calibrated_clusterer(readout).cluster_with(LAYERS, result.digis, calibration, directions=directions)
     sample = measurements(LAYERS, clusters, result.truths, lorentz=getattr(readout, "lorentz", False))
     z = result.truths["z"][sample.truth]
     return sample, z / np.hypot(z, np.array([layer.r_mid for layer in LAYERS.cgem])[sample.layer])
@@ -152,7 +155,7 @@ def expected(slope, path):
 def test_direction_from_the_place(v_first):
     """X and V that cross have the direction of a straight track from the beam line through their place."""
     digis = crossing(v_first)
-    before, after = (TIGER.cluster_with(DESIGN, digis, one) for one in (neutral(3), changed(False)))
+    before, after = (CLUSTERER.cluster_with(DESIGN, digis, one) for one in (neutral(3), changed(False)))
     assert len(before) == 3  # X, V, and the pair
     rise = before["z"][2] / L1.r_mid
     bend = lorentz_slopes(DESIGN, True)[0]
@@ -169,20 +172,20 @@ def test_direction_of_the_track():
     """With a track, its slope and path count, and not the place; without one, those of the place."""
     digis = crossing(420)
     directions = np.array([[0.9, 1.3], [np.nan, np.nan], [np.nan, np.nan]])
-    found = [TIGER.cluster_with(DESIGN, digis, one, directions=directions) for one in (neutral(3), changed(True))]
+    found = [CLUSTERER.cluster_with(DESIGN, digis, one, directions=directions) for one in (neutral(3), changed(True))]
     shift, factor = expected(0.9 - lorentz_slopes(DESIGN, True)[0, 0], 1.3)
     assert found[0]["x"][0] - found[1]["x"][0] == pytest.approx(shift, abs=1e-9)
     assert found[1]["err_x"][0] == pytest.approx(factor)
     assert found[0]["v"][1] == found[1]["v"][1]
-    alone = TIGER.cluster_with(DESIGN, digis, changed(False), directions=directions)
+    alone = CLUSTERER.cluster_with(DESIGN, digis, changed(False), directions=directions)
     assert alone["x"][0] == found[0]["x"][0]
-    assert alone["v"][1] == TIGER.cluster_with(DESIGN, digis, changed(False))["v"][1]
+    assert alone["v"][1] == CLUSTERER.cluster_with(DESIGN, digis, changed(False))["v"][1]
 
 
 def test_a_cluster_without_pair_has_no_direction():
     """Of an X cluster alone the place is not known."""
     digis = cg.Table("digis", strips_of(0, 100, [200, 180, 160]), n_events=1)
-    before, after = (TIGER.cluster_with(DESIGN, digis, one) for one in (neutral(3), changed(False)))
+    before, after = (CLUSTERER.cluster_with(DESIGN, digis, one) for one in (neutral(3), changed(False)))
     assert before["x"][0] == after["x"][0]
     assert before["err_x"][0] == after["err_x"][0]
 

@@ -6,7 +6,7 @@ import pytest
 import gem_toy
 from cgemit.detector import load
 from cgemit.reconstruction.candidates import HIT_V, HIT_WIRE, HIT_X, collect_hits
-from cgemit.reconstruction.cluster import ClusterSettings, cluster
+from cgemit.reconstruction.cluster import cluster
 from cgemit.reconstruction.find import by_truth, own_clusters
 from cgemit.reconstruction.fit import fit
 from cgemit.simulation.digitize import DigitizeSettings, digitize
@@ -49,7 +49,7 @@ def chain(request):
     wire_truths = Table("wire_truths", wires, EVENTS)
     settings = DigitizeSettings(readout=request.param)
     hits = digitize(DETECTOR, truths, wire_truths, settings, seed=2)
-    clusters = settings.readout.cluster(DETECTOR, hits["digis"], ClusterSettings())
+    clusters = cluster(DETECTOR, hits["digis"], readout=settings.readout)
     return {"truths": truths, "wire_truths": wire_truths, "wire_hits": hits["wire_hits"], "clusters": clusters}
 
 

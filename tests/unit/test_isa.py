@@ -10,6 +10,7 @@ import pytest
 
 from cgemit import DigitizeSettings, FitSettings, Gun, Result, Settings, _core, isa, load, run
 from cgemit.reconstruction.fit import core_arguments
+from cgemit.simulation.digitize import digitizer_of
 from fields import HARMONIC
 from tracks import hits_of_result
 
@@ -214,10 +215,10 @@ def test_analog_strips_agree_with_scalar(readout: str, name: str) -> None:
     isa.use("scalar")
     design = load("besiii-cgem-design")
     made = run(design, GUNS["pi- 0.15-0.4 GeV/c"], 100, seed=3, readout=readout, until="digitize", threads=1)
-    model = made.settings.digitize.readout
+    digitizer = digitizer_of(made.settings.digitize.readout)
 
     def strips() -> dict[str, np.ndarray]:
-        return dict(model.digitize(design, made.truths, made.steps, 5).columns)
+        return dict(digitizer.digitize(design, made.truths, made.steps, 5).columns)
 
     one = strips()
     isa.use(name)

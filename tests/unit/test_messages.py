@@ -84,7 +84,7 @@ class Toy:
 def test_read_outs_that_are_not_registered():
     with pytest.raises(
         SettingsError,
-        match=r"'binary', 'gaussian', .*; cgemit.simulation.digitize.READOUTS\['toy'\] = Toy registers it",
+        match=r"'binary', 'gaussian', .*; cgemit.register_readout\(Toy, ...\) registers it",
     ):
         cg.DigitizeSettings(readout=Toy())
 

@@ -16,10 +16,10 @@ from cgemit.draw.detector import draw_detector, draw_layers, draw_sides
 from cgemit.draw.style import new_picture
 from cgemit.particles.gun import Gun, generate
 from cgemit.particles.table import ParticleError, particles_from
-from cgemit.reconstruction.cluster import ClusterSettings, cluster
+from cgemit.reconstruction.cluster import cluster
 from cgemit.reconstruction.find import by_truth
 from cgemit.reconstruction.fit import FitSettings, fit
-from cgemit.simulation.digitize import DigitizeSettings, cluster_digis, digitize
+from cgemit.simulation.digitize import digitize
 from cgemit.simulation.transport import simulate
 from cgemit.tables import Table
 from interrupts import interruptible, interrupts_taken
@@ -148,13 +148,12 @@ def test_a_file_does_not_make_folders(write, tmp_path):
 
 def test_stages_take_names_of_detectors():
     """Every public function that takes a detector takes what `load` takes."""
-    name, settings = "besiii-cgem-design", DigitizeSettings()
+    name = "besiii-cgem-design"
     found = {}
     for given in (name, load(name)):
         tables = simulate(given, generate(Gun("mu-", p=1, theta=1), 4, seed=1), seed=1)
         tables |= digitize(given, tables["truths"], tables["wire_truths"], seed=1, steps=tables["steps"])
-        tables["clusters"] = cluster_digis(given, tables["digis"], settings, ClusterSettings())
-        assert tables["clusters"] == cluster(given, tables["digis"])
+        tables["clusters"] = cluster(given, tables["digis"])
         order = ("particles", "clusters", "wire_hits", "truths", "wire_truths")
         tables |= by_truth(given, *(tables[one] for one in order))
         hits = (tables[one] for one in ("clusters", "wire_hits", "candidates", "candidate_hits"))

@@ -7,7 +7,9 @@ import pytest
 
 import cgemit as cg
 from cgemit.detector.gas import drift_columns
+from cgemit.reconstruction.cluster import calibrated_clusterer
 from cgemit.reconstruction.cluster_errors import CHARGES, DISTANCES, SIZES, calibration_of, neutral
+from cgemit.reconstruction.clusterers.charge import ChargeTimeClusterer
 from cgemit.reconstruction.find import truth
 from cgemit.reconstruction.find.ckf import find_tracks
 from cgemit.reconstruction.refine import gap_crossing, track_directions
@@ -17,6 +19,7 @@ DESIGN = cg.load("besiii-cgem-design")
 LAYERS = dataclasses.replace(DESIGN, drift_chamber=None)
 L1 = DESIGN.cgem[0]
 TIGER = cg.TigerReadout()
+CLUSTERER = ChargeTimeClusterer(TIGER)
 
 
 def digis_of(strips, charge, time=150.0, view=0):
@@ -49,9 +52,11 @@ def digis_of(strips, charge, time=150.0, view=0):
 def test_valleys(charges, expected):
     """A strip below a share of both maxima divides a cluster and gives half of its charge to each part."""
     readout = dataclasses.replace(TIGER, valley=0.2)
-    found = readout.cluster_with(DESIGN, digis_of(np.arange(len(charges)), charges))
+    found = calibrated_clusterer(readout).cluster_with(DESIGN, digis_of(np.arange(len(charges)), charges))
     assert list(zip(found["first"], found["last"], found["charge"], strict=True)) == expected
-    whole = dataclasses.replace(TIGER, valley=0.0).cluster_with(DESIGN, digis_of(np.arange(len(charges)), charges))
+    whole = calibrated_clusterer(dataclasses.replace(TIGER, valley=0.0)).cluster_with(
+        DESIGN, digis_of(np.arange(len(charges)), charges)
+    )
     assert whole["charge"].tolist() == [sum(charges)]
 
 
@@ -61,7 +66,7 @@ def test_score_of_pairs():
     mean, width, mean_time, width_time, apart, apart_time = calibration.pairs[0]
     x, v = digis_of([100], [20.0], 160.0), digis_of([300, 900], [16.0, 2.5], 171.0, view=1)
     both = cg.Table("digis", {name: np.concatenate([x[name], v[name]]) for name in x}, n_events=1)
-    found = TIGER.cluster_with(DESIGN, both, calibration)
+    found = CLUSTERER.cluster_with(DESIGN, both, calibration)
     pairs = np.flatnonzero(found["view"] == 2)
     assert len(pairs) > 0
     assert np.isnan(found["score"][found["view"] < 2]).all()
@@ -82,14 +87,14 @@ def test_score_of_pairs_that_differ_in_everything():
     """No charge and no time makes the score worse than that of a touched cluster, ln 0.1, or less than finite."""
     x, v = digis_of([100], [1e5], 0.0), digis_of([300, 900], [0.0, 1e-9], 1e6, view=1)
     both = cg.Table("digis", {name: np.concatenate([x[name], v[name]]) for name in x}, n_events=1)
-    found = TIGER.cluster_with(DESIGN, both, calibration_of(DESIGN, TIGER))
+    found = CLUSTERER.cluster_with(DESIGN, both, calibration_of(DESIGN, TIGER))
     assert found["score"][found["view"] == 2] == pytest.approx(np.log(0.1), abs=1e-9)
 
 
 def test_time_of_a_cluster():
     """The time is the mean of the strips', weighted with charge, without the chip's delay for each charge."""
-    charge, delay = TIGER.delays(drift_columns(DESIGN)["induction"])
-    found = TIGER.cluster_with(DESIGN, digis_of([10, 11], [4.0, 12.0], 180.0))
+    charge, delay = CLUSTERER.delays(drift_columns(DESIGN)["induction"])
+    found = CLUSTERER.cluster_with(DESIGN, digis_of([10, 11], [4.0, 12.0], 180.0))
     walk = np.interp([4.0, 12.0], charge[0], delay[0])
     assert found["time"][0] == pytest.approx(180 - (4 * walk[0] + 12 * walk[1]) / 16, abs=1e-9)
 
@@ -153,7 +158,7 @@ def test_a_touched_cluster_starts_a_track_all_the_same():
         charge=result.digis["charge"] * np.where(touched, 4.0, 1.0),
         time=result.digis["time"] - np.where(touched, 60.0, 0.0),
     )
-    clusters = TIGER.cluster_with(LAYERS, digis, calibration_of(LAYERS, TIGER))
+    clusters = CLUSTERER.cluster_with(LAYERS, digis, calibration_of(LAYERS, TIGER))
     assert np.median(clusters["score"][(clusters["view"] == 2) & (clusters["layer"] == 0)]) < -2
     found = find_tracks(LAYERS, clusters, result.wire_hits)
     assert len(plain) >= 27
@@ -210,7 +215,7 @@ def test_positions_along_a_track():
     """Strips of a line through the gap, with exact times, give its position at any angle, from few strips too."""
     calibration = neutral(3)
     timing = {name: np.array([column[0]] * 3) for name, column in drift_columns(DESIGN).items()}
-    charge, delay = TIGER.delays(drift_columns(DESIGN)["induction"])
+    charge, delay = CLUSTERER.delays(drift_columns(DESIGN)["induction"])
     readout = dataclasses.replace(TIGER, estimator="micro-tpc", lorentz=False)
     flight = L1.r_mid / 299.792458
     for slope in (-0.8, 0.0, 0.4, 1.2):
@@ -225,7 +230,9 @@ def test_positions_along_a_track():
             digis = digis_of(strips, np.full(len(strips), 10.0)).with_columns(
                 time=time + np.interp(10.0, charge[0], delay[0])
             )
-            found = readout.cluster_with(DESIGN, digis, calibration, directions=np.array([[slope, 1.0]]))
+            found = calibrated_clusterer(readout).cluster_with(
+                DESIGN, digis, calibration, directions=np.array([[slope, 1.0]])
+            )
             expected = centre if slope else position.mean()
             assert found["x"][0] == pytest.approx(expected, abs=1e-9)
 
@@ -266,7 +273,7 @@ def test_errors_follow_the_distance_of_centroid_and_line(along):
     for estimator in ("centroid", "micro-tpc", "merged"):
         readout = dataclasses.replace(TIGER, estimator=estimator)
         directions = np.tile([0.1, 1.0], (10_000, 1)) if along else None
-        clusters = readout.cluster_with(DESIGN, digis, calibration, directions=directions)
+        clusters = calibrated_clusterer(readout).cluster_with(DESIGN, digis, calibration, directions=directions)
         strips = clusters["view"] < 2
         place[estimator] = np.where(clusters["view"] == 0, clusters["x"], clusters["v"])[strips]
     distance = np.abs(place["centroid"] - place["micro-tpc"])
@@ -282,20 +289,20 @@ def test_errors_follow_the_distance_of_centroid_and_line(along):
 def test_slopes_must_fit():
     """The core refuses fewer slopes than clusters."""
     with pytest.raises(ValueError, match="one for each cluster"):
-        TIGER.cluster_with(DESIGN, digis_of([1, 5], [5.0, 5.0]), directions=np.zeros((1, 2)))
+        CLUSTERER.cluster_with(DESIGN, digis_of([1, 5], [5.0, 5.0]), directions=np.zeros((1, 2)))
 
 
 def test_strips_out_of_time_are_left_out():
     """Strips count whose drift times lie within those of the gap, or at most the margin beside them."""
     columns = drift_columns(LAYERS)
-    charge, delay = TIGER.delays(columns["induction"])
+    charge, delay = CLUSTERER.delays(columns["induction"])
     longest = L1.drift_gap / columns["velocity"][0]
     arrival = columns["delay"][0] + L1.r_mid / 299.792458 + np.interp(10.0, charge[0], delay[0])
     drift = np.array([-51.0, -49.0, 20.0, longest + 51.0, longest + 49.0, 400.0])
     digis = digis_of(np.arange(10, 16), np.full(6, 10.0), arrival + drift)
-    found = TIGER.cluster_with(LAYERS, digis)
+    found = CLUSTERER.cluster_with(LAYERS, digis)
     assert list(zip(found["first"], found["last"], found["charge"], strict=True)) == [(11, 14, 30.0)]
-    every = dataclasses.replace(TIGER, time_margin=1000.0).cluster_with(LAYERS, digis)
+    every = calibrated_clusterer(dataclasses.replace(TIGER, time_margin=1000.0)).cluster_with(LAYERS, digis)
     assert list(zip(every["first"], every["last"], every["charge"], strict=True)) == [(10, 15, 60.0)]
 
 
@@ -303,6 +310,6 @@ def test_strips_of_particles_are_in_time():
     """Hardly any strip of a particle is out of time, and its cluster is the same with such strips."""
     result = cg.run(LAYERS, cg.Gun("pi-", p=0.2, cos_theta=(-0.9, 0.9)), 60, 3, readout=TIGER, until="cluster")
     wide = dataclasses.replace(TIGER, time_margin=1e6)
-    every = wide.cluster_with(LAYERS, result.digis, calibration_of(LAYERS, wide))
+    every = calibrated_clusterer(wide).cluster_with(LAYERS, result.digis, calibration_of(LAYERS, wide))
     assert len(every) > 500
     assert every["charge"].sum() == pytest.approx(result.clusters["charge"].sum(), rel=1e-3)

@@ -1,18 +1,23 @@
-"""A read-out from outside the package: one class with its settings, and one line in the registry."""
+"""A read-out from outside the package: description, digitizer and clusterer, and one line that registers them."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 import pytest
 
-from cgemit import DigitizeSettings, FitSettings, Gun, Result, Settings, load, run
+from cgemit import DigitizeSettings, FitSettings, Gun, Result, Settings, analytic, load, register_readout, run
 from cgemit.detector import Detector
 from cgemit.detector.parts import local_v, strips_of_v
-from cgemit.reconstruction.cluster import ClusterSettings, cluster
+from cgemit.detector.readouts import READOUTS, Readout
+from cgemit.reconstruction.cluster import CLUSTERERS, cluster
+from cgemit.reconstruction.clusterers.binary import BinaryClusterer
+from cgemit.reconstruction.clusterers.clusterer import ClusterSettings, Floats
 from cgemit.simulation import digitize
+from cgemit.simulation.readouts.digitizer import Digitizer
 from cgemit.simulation.transport import simulate
 from cgemit.tables import Table
 from stats import assert_within
@@ -21,12 +26,16 @@ DESIGN = load("besiii-cgem-design")
 
 
 @dataclass(frozen=True, kw_only=True)
-class OneStrip:
+class OneStrip(Readout):
     """One strip a view fires, that under the middle of the crossing; its error is `scale` times pitch/sqrt(12)."""
 
     name: ClassVar[str] = "one-strip"
 
     scale: float = 1.0
+
+
+class OneStripDigitizer(Digitizer):
+    """Fires the strip under the middle of the crossing."""
 
     def digitize(self, detector: Detector, truths: Table, steps: Table, seed: int) -> Table:
         """Return two digis for each crossing of a sheet."""
@@ -51,19 +60,34 @@ class OneStrip:
         columns |= {"position": np.full(len(rows), np.nan), "charge": np.ones(len(rows))}
         return Table("digis", columns, truths.n_events, truths.first_event)
 
-    def cluster(self, detector: Detector, digis: Table, settings: ClusterSettings) -> Table:
-        """Return clusters of contiguous strips with errors that hold at any incidence."""
-        clusters = cluster(detector, digis, settings)
-        pitch = np.array([layer.pitch_x for layer in detector.cgem])[clusters["layer"]]
-        error = self.scale * pitch / np.sqrt(12)
-        own = {name: np.where(np.isnan(clusters[name]), np.nan, error) for name in ("err_x", "err_v")}
+
+class OneStripClusterer(BinaryClusterer):
+    """Joins contiguous strips; the errors hold at any incidence."""
+
+    readout: OneStrip  # type: ignore[assignment]
+
+    def cluster(
+        self, detector: Detector, digis: Table, settings: ClusterSettings, directions: Floats | None = None
+    ) -> Table:
+        """Return clusters with errors of their own."""
+        clusters = super().cluster(detector, digis, settings)
+        errors = self.expected_errors(detector)[0][clusters["layer"]]
+        own = {name: np.where(np.isnan(clusters[name]), np.nan, errors) for name in ("err_x", "err_v")}
         return clusters.with_columns(**own, method=np.ones(len(clusters), "i1"))
+
+    def expected_errors(self, detector: Detector) -> tuple[Floats, Floats]:
+        """Return the error of a strip."""
+        error = self.readout.scale * np.array([layer.pitch_x for layer in detector.cgem]) / np.sqrt(12)
+        return error, error
 
 
 @pytest.fixture(autouse=True)
-def registered(monkeypatch: pytest.MonkeyPatch) -> None:
+def registered() -> Iterator[None]:
     """Make the read-out known: the one line."""
-    monkeypatch.setitem(digitize.READOUTS, OneStrip.name, OneStrip)
+    register_readout(OneStrip, OneStripDigitizer, OneStripClusterer)
+    yield
+    for registry in (READOUTS, digitize.DIGITIZERS, CLUSTERERS):
+        registry.pop(OneStrip.name)
 
 
 def chain(readout: OneStrip | str, n: int = 150) -> Result:
@@ -103,9 +127,15 @@ def test_the_fit_takes_its_errors() -> None:
     assert np.array_equal(good.clusters["x"], bad.clusters["x"], equal_nan=True)
 
 
+def test_the_covariance_expects_its_errors() -> None:
+    """Without events, the error of d_z grows with the scale, too."""
+    good, bad = (float(analytic(DESIGN, readout=OneStrip(scale=scale)).sigma("dz")) for scale in (1.0, 100.0))
+    assert good < 1 < 2 < bad
+
+
 def test_what_it_makes_is_checked(monkeypatch: pytest.MonkeyPatch) -> None:
     """Nothing, another table, or one of other events is refused, and the read-out is named."""
-    stages = {"digis": "digitize", "clusters": "cluster"}
+    stages = {"digis": (OneStripDigitizer, "digitize"), "clusters": (OneStripClusterer, "cluster")}
     for kind, stage in stages.items():
         for wrong, message in (
             (None, "got NoneType, expected a table of kind"),
@@ -113,7 +143,7 @@ def test_what_it_makes_is_checked(monkeypatch: pytest.MonkeyPatch) -> None:
             (Table.empty(kind, 1), "cover other events than"),
         ):  # fmt: skip
             with monkeypatch.context() as patch:
-                patch.setattr(OneStrip, stage, lambda *_, wrong=wrong: wrong)
+                patch.setattr(*stage, lambda *_, wrong=wrong: wrong)
                 with pytest.raises((TypeError, ValueError), match=f"read-out one-strip: {kind}: {message}"):
                     chain("one-strip", 5)
 
@@ -132,8 +162,8 @@ def test_event_numbers_with_gaps(readout: str) -> None:
     assert all(np.array_equal(table.events, numbers) for table in simulated.values())
     made = digitize.digitize(DESIGN, apart(result.truths), apart(result.wire_truths), settings)
     plain = digitize.digitize(DESIGN, result.truths, result.wire_truths, settings)
-    made["clusters"] = settings.readout.cluster(DESIGN, made["digis"], ClusterSettings())
-    plain["clusters"] = settings.readout.cluster(DESIGN, plain["digis"], ClusterSettings())
+    made["clusters"] = cluster(DESIGN, made["digis"], readout=settings.readout)
+    plain["clusters"] = cluster(DESIGN, plain["digis"], readout=settings.readout)
     for name, table in made.items():
         assert np.array_equal(table.events, numbers)
         assert np.array_equal(table["event"], numbers[plain[name]["event"]])

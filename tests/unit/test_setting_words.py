@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from cgemit.base.settings import SettingsError
-from cgemit.reconstruction.cluster import ClusterSettings
+from cgemit.reconstruction.clusterers.clusterer import ClusterSettings
 from cgemit.reconstruction.fit import FitSettings
 from cgemit.simulation.digitize import DigitizeSettings
 from cgemit.simulation.transport import SimulateSettings

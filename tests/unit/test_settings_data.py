@@ -14,7 +14,7 @@ import pytest
 
 from cgemit.base.settings import NO, Positive, SettingsData, SettingsError, expected, kinds_of, matched, one_of
 from cgemit.chain.settings import Settings
-from cgemit.reconstruction.cluster import ClusterSettings
+from cgemit.reconstruction.clusterers.clusterer import ClusterSettings
 from cgemit.reconstruction.fit import FitSettings
 from cgemit.reconstruction.states import SurfaceName
 from cgemit.simulation.digitize import DigitizeSettings

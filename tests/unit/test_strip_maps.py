@@ -7,7 +7,8 @@ import cgemit as cg
 from cgemit import _core
 from cgemit.detector import compiled
 from cgemit.detector.core import grid_of, strip_gains, strip_lists
-from cgemit.reconstruction.cluster import cluster, cluster_errors
+from cgemit.reconstruction.cluster import calibrated_clusterer, cluster
+from cgemit.reconstruction.clusterers.binary import cluster_errors
 from cgemit.reconstruction.find import truth
 
 DESIGN = cg.load("besiii-cgem-design")
@@ -95,9 +96,9 @@ def test_gain_in_clusters():
     strips = np.array([middle - 2, middle - 1, middle, middle + 1, middle + 2])
     readout = cg.TigerReadout(estimator="centroid")
     charges = 4 * gains[strips]
-    found = readout.cluster_with(mapped, digis_of(strips, charges))
-    plain = readout.cluster_with(DESIGN, digis_of(strips, charges))
-    even = readout.cluster_with(DESIGN, digis_of(strips, np.full(5, 4.0)))
+    found = calibrated_clusterer(readout).cluster_with(mapped, digis_of(strips, charges))
+    plain = calibrated_clusterer(readout).cluster_with(DESIGN, digis_of(strips, charges))
+    even = calibrated_clusterer(readout).cluster_with(DESIGN, digis_of(strips, np.full(5, 4.0)))
     assert found["x"][0] == pytest.approx(even["x"][0], abs=1e-9)
     assert abs(plain["x"][0] - even["x"][0]) > 0.3
 
@@ -128,7 +129,7 @@ def test_bridges(bridge, runs):
     digis = digis_of([9, 11, 15, 17, 18], np.full(5, 10.0))
     found = cluster(holes, digis, cg.ClusterSettings(bridge=bridge))
     assert list(zip(found["first"], found["last"], strict=True)) == runs
-    charge_time = cg.TigerReadout(missing=0).cluster_with(holes, digis, bridge=bridge)
+    charge_time = calibrated_clusterer(cg.TigerReadout(missing=0)).cluster_with(holes, digis, bridge=bridge)
     assert list(zip(charge_time["first"], charge_time["last"], strict=True)) == runs
     apart = cluster(DESIGN, digis_of([9, 11], [10.0, 10.0]), cg.ClusterSettings(bridge=bridge))
     assert len(apart) == 2

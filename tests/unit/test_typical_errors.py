@@ -10,6 +10,7 @@ import cgemit as cg
 from cgemit import isa
 from cgemit.analysis.widths import measure
 from cgemit.reconstruction.cluster_errors import COS_THETA, neutral
+from cgemit.reconstruction.clusterers.gaussian import GaussianClusterer
 from cgemit.study.readout import calibrate
 from cgemit.study.readout.calibrate import (
     Measurements,
@@ -156,7 +157,7 @@ def test_rest_of_tracks_gives_covariances(name: str, monkeypatch: pytest.MonkeyP
     layers = len(detector.cgem)
     x, v = 0.05 + 0.03 * np.arange(layers), 0.25 - 0.04 * np.arange(layers)
     rest = rest_of_tracks(detector, 0.7, np.array([x, v]))
-    monkeypatch.setattr(cg.GaussianReadout, "expected_errors", lambda *_: (x, v))
+    monkeypatch.setattr(GaussianClusterer, "expected_errors", lambda *_: (x, v))
     expected = cg.analytic(detector, "mu-", 0.7, COS_THETA, phi=0.3, readout="gaussian")
     for view, (errors, sigma) in enumerate([(x, expected.sigma_dr), (v, expected.sigma_dz)]):
         found = [variance_at_origin(one, errors[None])[0] for one in rest[view]]
@@ -224,8 +225,8 @@ def angular(monkeypatch: pytest.MonkeyPatch) -> dict[str, Floats]:
     random = np.random.default_rng(5)
     x, v = random.uniform(0.08, 0.3, (2, 3, 17))
     given = {"x": x, "v": v, "xv": random.uniform(-0.6, 0.6, (3, 17))}
-    monkeypatch.setattr(cg.GaussianReadout, "expected_errors", lambda *_: (given["x"], given["v"]))
-    monkeypatch.setattr(cg.GaussianReadout, "expected_correlations", lambda *_: given["xv"], raising=False)
+    monkeypatch.setattr(GaussianClusterer, "expected_errors", lambda *_: (given["x"], given["v"]))
+    monkeypatch.setattr(GaussianClusterer, "expected_correlations", lambda *_: given["xv"])
     return given
 
 
@@ -245,8 +246,8 @@ def test_covariance_takes_the_errors_of_the_angle(
     ends = cg.analytic(*TRACK, ANGLES[[0, -1]], **how).cov
     for number, cos_theta in enumerate(ANGLES):
         one = at(angular, cos_theta)
-        monkeypatch.setattr(cg.GaussianReadout, "expected_errors", lambda *_, one=one: (one["x"], one["v"]))
-        monkeypatch.setattr(cg.GaussianReadout, "expected_correlations", lambda *_, one=one: one["xv"])
+        monkeypatch.setattr(GaussianClusterer, "expected_errors", lambda *_, one=one: (one["x"], one["v"]))
+        monkeypatch.setattr(GaussianClusterer, "expected_correlations", lambda *_, one=one: one["xv"])
         expected = cg.analytic(*TRACK, cos_theta, **how).cov
         scale = np.sqrt(np.diagonal(np.squeeze(expected)))
         np.testing.assert_allclose(
@@ -278,16 +279,17 @@ def test_budget_adds_up() -> None:
 @pytest.mark.usefixtures("angular")
 def test_variants_take_the_errors_of_the_angle(monkeypatch: pytest.MonkeyPatch) -> None:
     """Derivatives, for which hits are kept, are those with the errors of the angle for all tracks."""
-    given = dict(zip("xv", cg.GaussianReadout().expected_errors(cg.load(TRACK[0])), strict=True))
-    given["xv"] = cg.GaussianReadout().expected_correlations(cg.load(TRACK[0]))  # type: ignore[attr-defined]
+    clusterer = GaussianClusterer(cg.GaussianReadout())
+    given = dict(zip("xv", clusterer.expected_errors(cg.load(TRACK[0])), strict=True))
+    given["xv"] = clusterer.expected_correlations(cg.load(TRACK[0]))
 
     def derivatives() -> Floats:
         found = cg.sensitivity(*TRACK, 0.5, readout="gaussian", keys=["cgem.L1.anode_radius"], quantities=["dr", "dz"])
         return np.asarray(found.values, np.float64).ravel()
 
     found, one = derivatives(), at(given, 0.5)
-    monkeypatch.setattr(cg.GaussianReadout, "expected_errors", lambda *_: (one["x"], one["v"]))
-    monkeypatch.setattr(cg.GaussianReadout, "expected_correlations", lambda *_: one["xv"])
+    monkeypatch.setattr(GaussianClusterer, "expected_errors", lambda *_: (one["x"], one["v"]))
+    monkeypatch.setattr(GaussianClusterer, "expected_correlations", lambda *_: one["xv"])
     np.testing.assert_allclose(found, derivatives(), rtol=1e-6)
     assert np.abs(found).max() > 0
 
@@ -302,16 +304,16 @@ def test_particles_of_one_event_have_one_track() -> None:
 
 @pytest.mark.parametrize("rho", [1.0, -1.2, np.nan])
 def test_impossible_correlations(rho: float, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cg.GaussianReadout, "expected_correlations", lambda *_: np.full(3, rho), raising=False)
+    monkeypatch.setattr(GaussianClusterer, "expected_correlations", lambda *_: np.full(3, rho))
     with pytest.raises(ValueError, match="read-out gaussian: correlations: expected numbers between -1 and 1"):
         cg.analytic(*TRACK, 0.2, readout="gaussian")
 
 
 def test_a_correlation_needs_both_errors(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where only V has a given error, it has no part of X."""
-    monkeypatch.setattr(cg.GaussianReadout, "expected_errors", lambda *_: (np.zeros(3), np.full(3, 0.1)))
+    monkeypatch.setattr(GaussianClusterer, "expected_errors", lambda *_: (np.zeros(3), np.full(3, 0.1)))
     expected = cg.analytic(*TRACK, 0.2, readout="gaussian").cov
-    monkeypatch.setattr(cg.GaussianReadout, "expected_correlations", lambda *_: np.full(3, 0.5), raising=False)
+    monkeypatch.setattr(GaussianClusterer, "expected_correlations", lambda *_: np.full(3, 0.5))
     np.testing.assert_array_equal(cg.analytic(*TRACK, 0.2, readout="gaussian").cov, expected)
 
 
@@ -327,6 +329,6 @@ def test_a_correlation_needs_both_errors(monkeypatch: pytest.MonkeyPatch) -> Non
     ],
 )
 def test_impossible_errors(errors: Floats, message: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cg.GaussianReadout, "expected_errors", lambda *_: (np.full(3, 0.1), errors))
+    monkeypatch.setattr(GaussianClusterer, "expected_errors", lambda *_: (np.full(3, 0.1), errors))
     with pytest.raises(ValueError, match=f"read-out gaussian: {message}"):
         cg.analytic(*TRACK, 0.2, readout="gaussian")

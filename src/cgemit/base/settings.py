@@ -188,10 +188,10 @@ class Choice(NamedTuple):
     """A field that holds an instance of one of several classes, by their names."""
 
     classes: Mapping[str, type[Any]]
-    registry: str = ""  # where the mapping is, for messages
+    register: str = ""  # the function that adds a class, for messages
 
 
-def one_of(classes: Mapping[str, type[Any]], registry: str = "") -> dict[str, Choice]:
+def one_of(classes: Mapping[str, type[Any]], register: str = "") -> dict[str, Choice]:
     """Return the metadata of a dataclass field that holds an instance of one of some classes.
 
     Without it, the classes are those of the annotation. The mapping is read when a value is checked, so classes may be
@@ -201,10 +201,10 @@ def one_of(classes: Mapping[str, type[Any]], registry: str = "") -> dict[str, Ch
     ----------
     classes : mapping of str to type
         Dataclasses by their names.
-    registry : str
-        Where the mapping is, for the message about a class that is not in it.
+    register : str
+        The function that adds a class, for the message about one that is not in the mapping.
     """
-    return {"choice": Choice(classes, registry)}
+    return {"choice": Choice(classes, register)}
 
 
 class _No:
@@ -315,9 +315,8 @@ def problems_of(kind: Any, given: object) -> list[str]:
 def _problem(kind: Any, given: object) -> str:
     shown = f"{type(given).__name__}(...)" if is_dataclass(given) else repr(given)
     hint = did_you_mean(given, texts_of(kind), "; ")
-    if isinstance(kind, Choice) and kind.registry and is_dataclass(given):
-        name = getattr(given, "name", "name")
-        hint = f"; {kind.registry}[{name!r}] = {type(given).__name__} registers it"
+    if isinstance(kind, Choice) and kind.register and is_dataclass(given):
+        hint = f"; {kind.register}({type(given).__name__}, ...) registers it"
     return f"got {shown}, expected {expected(kind)}{hint}"
 
 

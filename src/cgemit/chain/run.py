@@ -31,15 +31,16 @@ from cgemit.chain.settings import (
 )
 from cgemit.detector import Detector, load
 from cgemit.detector.drift import check_wire_times
+from cgemit.detector.readouts import Readout
 from cgemit.particles.gun import Guns, Source, generate, source_of
 from cgemit.reconstruction.candidates import by_finder, finder_name
+from cgemit.reconstruction.cluster import cluster, clusterer_of
 from cgemit.reconstruction.find.ckf import find_tracks
 from cgemit.reconstruction.find.truth import by_truth
 from cgemit.reconstruction.fit import corrected, fit
 from cgemit.reconstruction.refine import along_tracks, expected, times_along_tracks
 from cgemit.simulation.background import add_background
-from cgemit.simulation.digitize import cluster_digis, digitize
-from cgemit.simulation.readouts.readout import Readout
+from cgemit.simulation.digitize import digitize
 from cgemit.simulation.transport import simulate, transport_counts
 from cgemit.tables import Table, concatenate
 from cgemit.tables.formats import check_format
@@ -65,11 +66,8 @@ def tables_made(until: str, settings: Settings) -> tuple[str, ...]:
 
 def check_calibration(detector: Detector | None, settings: Settings | None, until: object) -> None:
     """Raise an error if the read-out needs a calibration that there is not, before anything is simulated."""
-    if detector is None or settings is None or until not in STAGES[2:]:
-        return
-    readout = settings.digitize.readout
-    if hasattr(readout, "calibration"):
-        readout.expected_errors(detector)
+    if detector is not None and settings is not None and until in STAGES[2:]:
+        clusterer_of(settings.digitize.readout).check(detector)
 
 
 def check_raw_times(detector: Detector | None, settings: Settings | None, until: object) -> None:
@@ -207,7 +205,7 @@ def run_chunk(
             seed=seed,
         ),
         "cluster": lambda: {
-            "clusters": cluster_digis(detector, tables["digis"], settings.digitize, settings.cluster)
+            "clusters": cluster(detector, tables["digis"], settings.cluster, readout=settings.digitize.readout)
         },
         "find": find_first,
         "fit": fit_last,
@@ -216,7 +214,7 @@ def run_chunk(
     if (raw_times or settings.fit.start_time == "fitted") and finder != "truth" and until == "fit":
         rest = {name: stages.pop(name) for name in ("fit", "match")}
         stages |= {"find again": find_again, **rest}
-    if getattr(settings.digitize.readout, "second_pass", False):
+    if clusterer_of(settings.digitize.readout).follows_tracks:
         last = stages.pop("match")
         stages |= {"second pass": second_pass, "match": last}
     seconds = {}

@@ -8,13 +8,15 @@ from typing import Any, Literal
 
 from cgemit.base.settings import SettingsData
 from cgemit.detector import Detector
+from cgemit.detector.readouts import READOUTS, Readout
 from cgemit.reconstruction.candidates import Finder
-from cgemit.reconstruction.cluster import ClusterSettings
+from cgemit.reconstruction.cluster import CLUSTERERS
+from cgemit.reconstruction.clusterers.clusterer import Clusterer, ClusterSettings
 from cgemit.reconstruction.find.ckf import FindSettings
 from cgemit.reconstruction.fit import FitSettings
 from cgemit.simulation.background import BackgroundSettings
-from cgemit.simulation.digitize import DigitizeSettings
-from cgemit.simulation.readouts.readout import Readout
+from cgemit.simulation.digitize import DIGITIZERS, DigitizeSettings, digitizer_of
+from cgemit.simulation.readouts.digitizer import Digitizer
 from cgemit.simulation.transport import SimulateSettings
 from cgemit.tables import Table
 
@@ -66,6 +68,24 @@ def fit_settings(settings: Settings) -> FitSettings:
     return settings.fit if settings.fit.screening else replace(settings.fit, screening=settings.simulate.screening)
 
 
+def register_readout(readout: type[Readout], digitizer: type[Digitizer], clusterer: type[Clusterer]) -> None:
+    """Make a read-out from outside the package known by its name, to settings, simulation and reconstruction.
+
+    Call it where `readout` is defined, so that processes of an executor that import the class know it, too.
+
+    Parameters
+    ----------
+    readout : type of Readout
+        Its description: a frozen dataclass of settings, with a `name`.
+    digitizer : type of Digitizer
+    clusterer : type of Clusterer
+        One of the package, or another one.
+    """
+    READOUTS[readout.name] = readout
+    DIGITIZERS[readout.name] = digitizer
+    CLUSTERERS[readout.name] = clusterer
+
+
 def with_readout(settings: Settings, readout: Readout | str | None) -> Settings:
     """Return settings with another read-out, and with the ionization clusters that it needs.
 
@@ -84,7 +104,7 @@ def with_readout(settings: Settings, readout: Readout | str | None) -> Settings:
         given = settings.digitize
         digitized = DigitizeSettings(readout=readout, reveal_sides=given.reveal_sides, wire_times=given.wire_times)
         settings = replace(settings, digitize=digitized)
-    if getattr(settings.digitize.readout, "needs_clusters", False) and not settings.simulate.steps:
+    if digitizer_of(settings.digitize.readout).needs_steps and not settings.simulate.steps:
         settings = replace(settings, simulate=replace(settings.simulate, steps=True))
     return settings
 

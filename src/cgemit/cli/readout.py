@@ -95,8 +95,10 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 def run(arguments: argparse.Namespace) -> int:
     """Scan the angles, or calibrate."""
+    from cgemit.detector.readouts import CalibratedReadout
+
     readout = options.settings_of(arguments).digitize.readout
-    if not hasattr(readout, "cluster_with"):
+    if not isinstance(readout, CalibratedReadout):
         raise options.InputError(f"--readout: got {readout.name}, expected tiger, apv25 or analog-projection")
     if arguments.calibrate is not None and arguments.detector is None:
         raise options.InputError("--calibrate: got no --detector, expected the one whose clusters are calibrated")

@@ -26,12 +26,13 @@ from cgemit.covariance.tracks import (
 from cgemit.detector import Detector, load
 from cgemit.detector.keys import once
 from cgemit.detector.parts import DriftChamber
+from cgemit.detector.readouts import Readout
 from cgemit.reconstruction.candidates import HIT_WIRE
+from cgemit.reconstruction.cluster import clusterer_of
 from cgemit.reconstruction.cluster_errors import COS_THETA
 from cgemit.reconstruction.fit import FitSettings, FitStatus, compiled_for_fit
 from cgemit.reconstruction.states import StateStatus, Surface, shares_inside
 from cgemit.simulation.digitize import DigitizeSettings
-from cgemit.simulation.readouts.readout import Readout
 
 Floats = npt.NDArray[np.float64]
 Columns = dict[str, npt.NDArray[Any]]
@@ -287,12 +288,9 @@ def _result(
 
 def _errors(readout: Readout, detector: Detector) -> tuple[Floats, Floats, Floats]:
     """Return errors of X and V, mm, and their correlations, each (layers, 1) or (layers, len(COS_THETA))."""
-    expected = getattr(readout, "expected_errors", None)
-    if expected is None:
-        raise ValueError(f"read-out {readout.name}: expected a method expected_errors(detector), see Readout")
-    sigma_x, sigma_v = expected(detector)
-    correlations = getattr(readout, "expected_correlations", lambda detector: np.zeros(len(detector.cgem)))
-    given = {"sigma_x": sigma_x, "sigma_v": sigma_v, "correlations": correlations(detector)}
+    clusterer = clusterer_of(readout)
+    sigma_x, sigma_v = clusterer.expected_errors(detector)
+    given = {"sigma_x": sigma_x, "sigma_v": sigma_v, "correlations": clusterer.expected_correlations(detector)}
     x, v, xv = (_by_angle(f"read-out {readout.name}: {name}", one, len(detector.cgem)) for name, one in given.items())
     for name, values in (("sigma_x", x), ("sigma_v", v)):
         if not (np.isfinite(values) & (values >= 0) & ((values > 0) == (values[:, :1] > 0))).all():

@@ -14,8 +14,8 @@ from cgemit.covariance.tracks import QUANTITIES, Sample, Tracks, core_width, mea
 from cgemit.detector import Detector
 from cgemit.detector.matter import slabs
 from cgemit.detector.parts import CgemLayer
+from cgemit.detector.readouts import Readout
 from cgemit.reconstruction.fit import FitStatus
-from cgemit.simulation.readouts.readout import Readout
 from cgemit.tables.show import data_frame, html_table, text_table
 
 Floats = npt.NDArray[np.float64]

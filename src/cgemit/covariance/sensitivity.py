@@ -18,9 +18,9 @@ from cgemit.covariance.analytic import analytic
 from cgemit.covariance.result import Covariance
 from cgemit.detector import Detector, load
 from cgemit.detector.parts import CgemLayer, Contents
+from cgemit.detector.readouts import CalibratedReadout, Readout
 from cgemit.reconstruction.cluster_errors import key_of
 from cgemit.reconstruction.fit import compiled_for_fit
-from cgemit.simulation.readouts.readout import Readout
 from cgemit.tables.show import data_frame, html_table, text_table
 
 Floats = npt.NDArray[np.float64]
@@ -82,7 +82,7 @@ def calibrated_apart(readout: Readout, detector: Detector, variants: Iterable[De
     detector : Detector
     variants : iterable of Detector
     """
-    if not hasattr(readout, "calibration"):
+    if not isinstance(readout, CalibratedReadout):
         return False
     own = key_of(detector, readout)
     return any(key_of(one, readout) != own for one in variants)

@@ -22,7 +22,8 @@ from cgemit.reconstruction.candidates import (
     check_found,
     label_candidates,
 )
-from cgemit.reconstruction.cluster import ClusterSettings, cluster_errors
+from cgemit.reconstruction.clusterers.binary import cluster_errors
+from cgemit.reconstruction.clusterers.clusterer import ClusterSettings
 from cgemit.reconstruction.fit import FitSettings, fit
 from cgemit.tables import SCHEMAS, Table
 from cgemit.tables.show import columns_of

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import numpy.typing as npt
 
 from cgemit.detector import Detector
 from cgemit.detector.drift import LIGHT, Rows, _of_layers, propagation_time, shifted, velocity_at
 from cgemit.detector.parts import local_v
+from cgemit.detector.readouts import Readout
 from cgemit.helix import RADIUS_PER_KAPPA
 from cgemit.particles.species import HYPOTHESES
 from cgemit.reconstruction.candidates import HIT_WIRE
-from cgemit.reconstruction.cluster import ClusterSettings
+from cgemit.reconstruction.cluster import cluster
+from cgemit.reconstruction.clusterers.clusterer import ClusterSettings
 from cgemit.tables import Table
 
 Floats = npt.NDArray[np.float64]
@@ -22,7 +22,7 @@ _STRIP_VIEWS = 2  # X and V in `candidate_hits`
 
 
 def along_tracks(
-    detector: Detector, readout: Any, digis: Table, clusters: Table, hits: Table, tracks: Table,
+    detector: Detector, readout: Readout, digis: Table, clusters: Table, hits: Table, tracks: Table,
     settings: ClusterSettings,
 ) -> Table:  # fmt: skip
     """Return the same clusters, of which those on a good track have positions and errors for its angle.
@@ -31,8 +31,8 @@ def along_tracks(
     ----------
     detector : Detector
         That the fit assumes.
-    readout : AnalogReadout
-        With which the clusters were made.
+    readout : Readout
+        With which the clusters were made; its clusterer follows tracks.
     digis, clusters : Table
     hits : Table
         Of kind ``candidate_hits``, which were fitted.
@@ -40,7 +40,7 @@ def along_tracks(
     settings : ClusterSettings
     """
     directions = track_directions(detector, clusters, hits, tracks)
-    return Table("clusters", readout.cluster_along(detector, digis, settings, directions).columns, **clusters.cover)
+    return cluster(detector, digis, settings, readout=readout, directions=directions)
 
 
 def track_directions(detector: Detector, clusters: Table, hits: Table, tracks: Table) -> Floats:

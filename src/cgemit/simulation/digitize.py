@@ -20,15 +20,14 @@ from cgemit.detector.drift import (
     shifted,
 )
 from cgemit.detector.parts import seen_by
-from cgemit.reconstruction.cluster import ClusterSettings
-from cgemit.simulation.readouts.apv25 import Apv25Readout
-from cgemit.simulation.readouts.binary import BinaryReadout
-from cgemit.simulation.readouts.gaussian import GaussianReadout
-from cgemit.simulation.readouts.projection import ProjectionReadout
-from cgemit.simulation.readouts.readout import Readout
-from cgemit.simulation.readouts.tiger import TigerReadout
+from cgemit.detector.readouts import READOUTS, BinaryReadout, Readout
+from cgemit.simulation.readouts.analog import AnalogDigitizer, Apv25Digitizer
+from cgemit.simulation.readouts.binary import BinaryDigitizer
+from cgemit.simulation.readouts.digitizer import Digitizer
+from cgemit.simulation.readouts.gaussian import GaussianDigitizer
+from cgemit.simulation.readouts.projection import ProjectionDigitizer
 from cgemit.tables import Table
-from cgemit.tables.table import kind_problems
+from cgemit.tables.table import made_by
 
 Floats = npt.NDArray[np.float64]
 
@@ -97,13 +96,13 @@ def true_delay(detector: Detector, wire_truths: Table) -> Floats:
     return np.asarray(delay, np.float64)
 
 
-#: Read-outs of CGEM layers by name.
-READOUTS: dict[str, type[Readout]] = {
-    BinaryReadout.name: BinaryReadout,
-    GaussianReadout.name: GaussianReadout,
-    TigerReadout.name: TigerReadout,
-    Apv25Readout.name: Apv25Readout,
-    ProjectionReadout.name: ProjectionReadout,
+#: Digitizers by the name of their read-out.
+DIGITIZERS: dict[str, type[Digitizer]] = {
+    "binary": BinaryDigitizer,
+    "gaussian": GaussianDigitizer,
+    "tiger": AnalogDigitizer,
+    "apv25": Apv25Digitizer,
+    "analog-projection": ProjectionDigitizer,
 }
 
 
@@ -128,9 +127,7 @@ class DigitizeSettings(SettingsData):
         Listing every invalid value.
     """
 
-    readout: Readout = field(
-        default_factory=BinaryReadout, metadata=one_of(READOUTS, "cgemit.simulation.digitize.READOUTS")
-    )
+    readout: Readout = field(default_factory=BinaryReadout, metadata=one_of(READOUTS, "cgemit.register_readout"))
     reveal_sides: bool = False
     wire_times: Literal["corrected", "raw"] = "corrected"
 
@@ -139,6 +136,16 @@ class DigitizeSettings(SettingsData):
         def __init__(
             self, *, readout: Readout | str = ..., reveal_sides: bool = ..., wire_times: str = ...
         ) -> None: ...
+
+
+def digitizer_of(readout: Readout) -> Digitizer:
+    """Return the digitizer of a read-out.
+
+    Parameters
+    ----------
+    readout : Readout
+    """
+    return DIGITIZERS[readout.name](readout)
 
 
 def digitize(
@@ -173,15 +180,17 @@ def digitize(
 
     Raises
     ------
-    ValueError
+    TypeError, ValueError
         If a layer or wire is not in the detector, a value is not finite, a step does not belong to its truth or has
-        invalid values, or raw drift times are asked for and the detector does not say how signals run along its wires.
+        invalid values, raw drift times are asked for and the detector does not say how signals run along its wires, or
+        a digitizer from outside the package makes anything but digis of the same events.
     """
     detector, settings = load(detector), settings or DigitizeSettings()
     if steps is None:
         steps = Table.empty("steps", **truths.cover)
     truths, steps = in_layer_axes(detector, truths, steps)
-    digis = made("digis", settings.readout.digitize(detector, truths, steps, seed), settings.readout, truths)
+    digis = digitizer_of(settings.readout).digitize(detector, truths, steps, seed)
+    digis = made_by(f"read-out {settings.readout.name}", "digis", digis, truths)
     return {
         "wire_hits": read_out_wires(
             detector, wire_truths, reveal_sides=settings.reveal_sides, seed=seed, raw=settings.wire_times == "raw"
@@ -261,50 +270,3 @@ def read_out_wires(
         return table
     late, drift_time = delay[table["wire_truth"]], table["drift_time"]
     return table.with_columns(drift_time=drift_time + late, drift=shifted(table["drift"], drift_time, late))
-
-
-def cluster_digis(
-    detector: Detector | str | Mapping[str, Any],
-    digis: Table,
-    settings: DigitizeSettings,
-    cluster_settings: ClusterSettings,
-) -> Table:
-    """Return the table ``clusters`` that the read-out of the settings makes of digis.
-
-    Parameters
-    ----------
-    detector : Detector, or what `load` accepts
-    digis : Table
-    settings : DigitizeSettings
-    cluster_settings : ClusterSettings
-
-    Raises
-    ------
-    TypeError, ValueError
-        If a digi is not in the detector, or the read-out makes anything but clusters of the same events.
-    """
-    return made("clusters", settings.readout.cluster(load(detector), digis, cluster_settings), settings.readout, digis)
-
-
-def made(kind: str, table: object, readout: Readout, source: Table) -> Table:
-    """Return the table that a read-out has made of another one.
-
-    Parameters
-    ----------
-    kind : str
-    table : object
-        What the read-out returned.
-    readout : Readout
-    source : Table
-
-    Raises
-    ------
-    TypeError, ValueError
-        If it is not a table of this kind, of the same events.
-    """
-    problems = kind_problems(**{kind: table})
-    if problems or not isinstance(table, Table):
-        raise TypeError(f"read-out {readout.name}: {problems[0]}")
-    if not np.array_equal(table.events, source.events):
-        raise ValueError(f"read-out {readout.name}: {kind}: cover other events than {source.kind}; expected the same")
-    return table

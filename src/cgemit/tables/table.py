@@ -371,3 +371,28 @@ def kind_problems(**tables: object) -> list[str]:
         for name, table in tables.items()
         if not isinstance(table, Table) or table.kind != name
     ]
+
+
+def made_by(maker: str, kind: str, table: object, source: Table) -> Table:
+    """Return a table that a part from outside the package may have made of another one.
+
+    Parameters
+    ----------
+    maker : str
+        For messages, such as ``"read-out tiger"``.
+    kind : str
+    table : object
+        What it returned.
+    source : Table
+
+    Raises
+    ------
+    TypeError, ValueError
+        If it is not a table of this kind, of the same events.
+    """
+    problems = kind_problems(**{kind: table})
+    if problems or not isinstance(table, Table):
+        raise TypeError(f"{maker}: {problems[0]}")
+    if not np.array_equal(table.events, source.events):
+        raise ValueError(f"{maker}: {kind}: cover other events than {source.kind}; expected the same")
+    return table

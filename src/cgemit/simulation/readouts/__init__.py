@@ -1,1 +1,1 @@
-"""Read-outs of CGEM layers, a file each."""
+"""Digitizers of CGEM layers, a file each."""

@@ -18,8 +18,8 @@ from cgemit.base.settings import is_whole
 from cgemit.covariance.sensitivity import calibrated_apart, errors_do_not_follow
 from cgemit.detector import Detector
 from cgemit.detector.inventory import GEOMETRY, Background, occupancy
+from cgemit.detector.readouts import Readout
 from cgemit.detector.variants import matching, value_at
-from cgemit.simulation.readouts.readout import Readout
 from cgemit.study.sweep.evaluate import Evaluation, covariances
 from cgemit.study.sweep.space import Changes, own_value, split_range
 from cgemit.units import NATIVE, QuantityError, parse_quantity

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import combinations, product
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -19,7 +19,9 @@ from cgemit.covariance.tracks import points_of, variances
 from cgemit.detector import Detector
 from cgemit.detector.gas import drift_columns
 from cgemit.detector.parts import local_v
+from cgemit.detector.readouts import CalibratedReadout, Estimator
 from cgemit.particles.gun import Gun, generate
+from cgemit.reconstruction.cluster import calibrated_clusterer
 from cgemit.reconstruction.cluster_errors import (
     CHARGES,
     COS_THETA,
@@ -170,7 +172,7 @@ def _ends(truths: Table) -> list[tuple[Floats, Floats, Floats]]:
 
 
 def true_directions(detector: Detector, clusters: Table, truths: Table) -> Floats:
-    """Return the direction of the crossing of each cluster as `find_clusters` takes it, NaN where there is none.
+    """Return the direction of the crossing of each cluster as `Clusterer.cluster` takes it, NaN where there is none.
 
     Parameters
     ----------
@@ -737,8 +739,8 @@ _APART = (0.4, 0.7, 0.85, 0.93, 0.97, 0.985)  # quantiles of the distance of cen
 
 
 def calibrate(
-    detector: Detector, readout: Any, *, n: int = 40_000, seed: int = 101, p: float = 1.0, cos_theta: float = 0.93,
-    threads: int | None = None,
+    detector: Detector, readout: CalibratedReadout, *, n: int = 40_000, seed: int = 101, p: float = 1.0,
+    cos_theta: float = 0.93, threads: int | None = None,
 ) -> Calibration:  # fmt: skip
     """Return the calibration of a read-out from muons of both charges.
 
@@ -748,7 +750,7 @@ def calibrate(
     Parameters
     ----------
     detector : Detector
-    readout : AnalogReadout or ProjectionReadout
+    readout : CalibratedReadout
     n : int
         Muons of one momentum, half of them of each charge.
     seed : int
@@ -780,14 +782,16 @@ def _muons(momenta: list[float], n: int, seed: int, cos_theta: float) -> Table:
     return Table("particles", columns, n)
 
 
-def calibration_from(result: Result, readout: Any, about: str, tracked: Result | None = None) -> Calibration:
+def calibration_from(
+    result: Result, readout: CalibratedReadout, about: str, tracked: Result | None = None
+) -> Calibration:
     """Return the calibration from the digis of runs.
 
     Parameters
     ----------
     result : Result
         Up to ``digis`` at least, with one particle in each event.
-    readout : AnalogReadout or ProjectionReadout
+    readout : CalibratedReadout
         With which they were made.
     about : str
         What the calibration belongs to, for people.
@@ -795,41 +799,44 @@ def calibration_from(result: Result, readout: Any, about: str, tracked: Result |
         Of the clusters that know the angle of their track; None: `result`.
     """
     detector, digis, truths = result.detector, result.digis, result.truths
+    clusterer = calibrated_clusterer(readout)
+    lorentz, estimators = clusterer.lorentz, clusterer.estimators
     runs = result, result if tracked is None else tracked
 
-    def measured(estimator: str, calibration: Calibration, of_track: bool = False) -> Measurements:
-        one = replace(readout, estimator=estimator)
+    def measured(estimator: Estimator, calibration: Calibration, of_track: bool = False) -> Measurements:
         digis, truths = runs[of_track].digis, runs[of_track].truths
-        clusters = one.cluster_with(detector, digis, calibration)
+        clusters = clusterer.cluster_with(detector, digis, calibration, estimator=estimator)
         if of_track:
             directions = true_directions(detector, clusters, truths)
-            clusters = one.cluster_with(detector, digis, calibration, directions=directions)
-        return measurements(detector, clusters, truths, lorentz=readout.lorentz)
+            clusters = clusterer.cluster_with(detector, digis, calibration, estimator=estimator, directions=directions)
+        return measurements(detector, clusters, truths, lorentz=lorentz)
 
-    def lined(name: str, sample: Measurements, apart: Callable[[Measurements], Floats]) -> Measurements:
+    def lined(name: Estimator, sample: Measurements, apart: Callable[[Measurements], Floats]) -> Measurements:
         return sample if name == "centroid" else _rows(sample, apart(sample) > 0)  # others have its position
 
     def known(sample: Measurements, of_track: bool) -> tuple[Floats, Floats]:
-        return known_directions(detector, runs[of_track].truths, sample, of_track=of_track, lorentz=readout.lorentz)
+        return known_directions(detector, runs[of_track].truths, sample, of_track=of_track, lorentz=lorentz)
 
     layers = len(detector.cgem)
     found = replace(neutral(layers), key=key_of(detector, readout), about=about)
-    first_table = replace(readout, estimator="centroid").cluster_with(detector, digis, found)
-    first = measurements(detector, first_table, truths, lorentz=readout.lorentz)
+    first_table = clusterer.cluster_with(detector, digis, found, estimator="centroid")
+    first = measurements(detector, first_table, truths, lorentz=lorentz)
     for view, layer in np.ndindex(2, layers):
         charge = first.charge[(first.view == view) & (first.layer == layer)]
         if len(charge) >= FEWEST:
             found.edges[view, layer] = np.quantile(charge, _QUANTILES)
     for at in np.ndindex(found.depth.shape):
-        found.height[at] = _depth(select(first, found, at)) if readout.lorentz else 0.0
-    has_lines = "micro-tpc" in readout.estimators
+        found.height[at] = _depth(select(first, found, at)) if lorentz else 0.0
+    has_lines = "micro-tpc" in estimators
     for _ in range(_STEPS if has_lines else 0):
         lines = measured("micro-tpc", found)
         for at in np.ndindex(found.depth.shape):
             found.depth[at] += _depth(select(lines, found, at))
     found.pairs[:] = pair_numbers(detector, first_table, truths)
     for of_track in (False, True):
-        pure = {name: measured(name, found, of_track) for name in readout.estimators if name != "merged"}
+        pure: dict[Estimator, Measurements] = {
+            name: measured(name, found, of_track) for name in estimators if name != "merged"
+        }
         apart = _apart(pure)
         for name in pure:
             mine = lined(name, pure[name], apart)
@@ -840,7 +847,7 @@ def calibration_from(result: Result, readout: Any, about: str, tracked: Result |
             (_set_slope_shares if of_track else _set_shares)(found, centroid, line)
             sample = lined("merged", measured("merged", found, of_track), apart)
             set_depths(found, of_track, ESTIMATORS.index("merged"), sample, known(sample, of_track))
-        for name in readout.estimators:
+        for name in estimators:
             which = ESTIMATORS.index(name)
             sample = measured(name, found, of_track)
             if of_track:
@@ -852,7 +859,7 @@ def calibration_from(result: Result, readout: Any, about: str, tracked: Result |
     tracks = tracks_of(result.particles, truths, layers)
     p = float(np.median(np.sqrt(sum(result.particles[name] ** 2 for name in ("px", "py", "pz")))))
     for of_track in (False, True):
-        for name in readout.estimators:
+        for name in estimators:
             sample = measured(name, found, of_track)
             which = ESTIMATORS.index(name)
             rest = rest_of_tracks(detector, p, cores(sample, tracks))
@@ -861,7 +868,7 @@ def calibration_from(result: Result, readout: Any, about: str, tracked: Result |
     return found
 
 
-def _apart(pure: dict[str, Measurements]) -> Callable[[Measurements], Floats]:
+def _apart(pure: dict[Estimator, Measurements]) -> Callable[[Measurements], Floats]:
     """Return what gives the distance of centroid and line of clusters, 0 without a line."""
     if "micro-tpc" not in pure:
         return lambda sample: np.zeros(len(sample.residual))

@@ -21,10 +21,12 @@ from cgemit.chain.run import run
 from cgemit.detector import Detector, load
 from cgemit.detector.gas import transport
 from cgemit.detector.parts import CgemLayer
+from cgemit.detector.readouts import AnalogReadout, CalibratedReadout
 from cgemit.draw.cluster import FormationPanel
 from cgemit.particles.gun import Gun
 from cgemit.particles.species import species
 from cgemit.particles.table import particles_from
+from cgemit.reconstruction.cluster import calibrated_clusterer
 from cgemit.reconstruction.cluster_errors import calibration_of
 from cgemit.study.readout.calibrate import Measurements, calibration_from, common, measurements, true_directions
 from cgemit.tables import Table
@@ -115,8 +117,8 @@ class BeamPoint:
 
 
 def beam_run(
-    detector: Detector, readout: Any, angle: float, *, n: int, seed: int, particle: str = "pi-", p: float = 150.0,
-    threads: int | None = None,
+    detector: Detector, readout: CalibratedReadout, angle: float, *, n: int, seed: int, particle: str = "pi-",
+    p: float = 150.0, threads: int | None = None,
 ) -> Result:  # fmt: skip
     """Return a run of a beam up to its digis.
 
@@ -138,8 +140,8 @@ def beam_run(
 
 
 def beam_point(
-    detector: Detector, readout: Any, angle: float, *, n: int = 4000, seed: int = 1, particle: str = "pi-",
-    p: float = 150.0, threads: int | None = None,
+    detector: Detector, readout: CalibratedReadout, angle: float, *, n: int = 4000, seed: int = 1,
+    particle: str = "pi-", p: float = 150.0, threads: int | None = None,
 ) -> BeamPoint:  # fmt: skip
     """Return what a read-out resolves in X at one angle, see `beam_views`.
 
@@ -152,8 +154,8 @@ def beam_point(
 
 
 def beam_views(
-    detector: Detector, readout: Any, angle: float, *, n: int = 4000, seed: int = 1, particle: str = "pi-",
-    p: float = 150.0, threads: int | None = None,
+    detector: Detector, readout: CalibratedReadout, angle: float, *, n: int = 4000, seed: int = 1,
+    particle: str = "pi-", p: float = 150.0, threads: int | None = None,
 ) -> tuple[BeamPoint, BeamPoint]:  # fmt: skip
     """Return what a read-out resolves in X and V at one angle; another sample at the same angle calibrates it.
 
@@ -161,7 +163,7 @@ def beam_views(
     ----------
     detector : Detector
         As `beam_detector` makes it.
-    readout : AnalogReadout or ProjectionReadout
+    readout : CalibratedReadout
     angle : float
         deg, positive towards larger phi.
     n : int
@@ -182,18 +184,20 @@ def beam_views(
             f"readout: got no {'charge on strips' if len(result.truths) else 'crossing of the layer'} at "
             f"{angle:g} degrees; expected charged particles that cross it, and a lower threshold"
         )
+    clusterer = calibrated_clusterer(readout)
     samples: dict[str, Measurements] = {}
-    for name in readout.estimators:
-        clusters = replace(readout, estimator=name).cluster_with(detector, result.digis, calibration)
-        samples[name] = measurements(detector, clusters, result.truths, lorentz=readout.lorentz)
-    if "micro-tpc" in readout.estimators:
+    for name in clusterer.estimators:
+        clusters = clusterer.cluster_with(detector, result.digis, calibration, estimator=name)
+        samples[name] = measurements(detector, clusters, result.truths, lorentz=clusterer.lorentz)
+    if "micro-tpc" in clusterer.estimators:
         directions = true_directions(detector, clusters, result.truths)
-        merged = replace(readout, estimator="merged")
-        clusters = merged.cluster_with(detector, result.digis, calibration, directions=directions)
+        clusters = clusterer.cluster_with(
+            detector, result.digis, calibration, estimator="merged", directions=directions
+        )
         # Clusters without a line have the centroid, which would be a second population.
         line, centroid = common(samples["micro-tpc"], samples["centroid"])
         samples["micro-tpc"] = Measurements._make(values[line.residual != centroid.residual] for values in line)
-        samples["track"] = measurements(detector, clusters, result.truths, lorentz=readout.lorentz)
+        samples["track"] = measurements(detector, clusters, result.truths, lorentz=clusterer.lorentz)
     x, v = (_view_point(samples, view, angle, len(result.truths)) for view in (0, 1))
     return x, v
 
@@ -304,15 +308,15 @@ class BeamScan:
 
 
 def scan(
-    readout: Any, quantity: str, values: Sequence[float], *, angle: float = 0.0, bz: float = 1.0, n: int = 4000,
-    seed: int = 1, particle: str = "pi-", p: float = 150.0, threads: int | None = None,
+    readout: CalibratedReadout, quantity: str, values: Sequence[float], *, angle: float = 0.0, bz: float = 1.0,
+    n: int = 4000, seed: int = 1, particle: str = "pi-", p: float = 150.0, threads: int | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> BeamScan:  # fmt: skip
     """Return what a read-out resolves at several values of one quantity, all else fixed.
 
     Parameters
     ----------
-    readout : AnalogReadout or ProjectionReadout
+    readout : CalibratedReadout
     quantity : str
         One of `QUANTITIES`.
     values : sequence of float
@@ -342,7 +346,9 @@ def scan(
     return BeamScan(title, quantity, np.array(values, np.float64), tuple(points))
 
 
-def _setting(readout: Any, quantity: str, value: float, angle: float, bz: float) -> tuple[Detector, Any, float]:
+def _setting(
+    readout: CalibratedReadout, quantity: str, value: float, angle: float, bz: float
+) -> tuple[Detector, CalibratedReadout, float]:
     """Return detector, read-out and angle (deg) of one value."""
     if quantity == "angle":
         angle = float(np.round(value, 9))
@@ -351,8 +357,10 @@ def _setting(readout: Any, quantity: str, value: float, angle: float, bz: float)
     if quantity == "gain":
         readout = replace(readout, gain=value)
     if quantity == "threshold":
-        both = {"threshold_x": value, "threshold_v": value}
-        readout = replace(readout, **(both if hasattr(readout, "threshold_x") else {"threshold": value}))
+        if isinstance(readout, AnalogReadout):
+            readout = replace(readout, threshold_x=value, threshold_v=value)
+        else:
+            readout = replace(readout, threshold=value)
     return detector, readout, angle
 
 
@@ -363,7 +371,13 @@ _SWITCHES = ((False, 0.0), (True, 0.0), (False, 1.0), (True, 1.0))  # Lorentz an
 
 
 def formation(
-    readout: Any, *, angle: float = 20.0, bz: float = 1.0, seed: int = 1, particle: str = "mu-", p: float = 1.0
+    readout: CalibratedReadout,
+    *,
+    angle: float = 20.0,
+    bz: float = 1.0,
+    seed: int = 1,
+    particle: str = "mu-",
+    p: float = 1.0,
 ) -> list[FormationPanel]:
     """Return one track's way to the strips without and with Lorentz angle and diffusion.
 
@@ -387,7 +401,7 @@ def formation(
     ValueError
         If the read-out has no drift.
     """
-    if not hasattr(readout, "diffusion"):
+    if not isinstance(readout, AnalogReadout):
         raise ValueError(f"readout: got {readout.name}, expected one with drift: tiger or apv25")
     detector = beam_detector(bz)
     layer = detector.cgem[0]
@@ -520,7 +534,7 @@ class GhostScan:
 
 
 def scan_ghosts(
-    detector: Detector, readout: Any, tracks: Sequence[int] = (2, 4, 6), *, n: int = 1000, seed: int = 1,
+    detector: Detector, readout: CalibratedReadout, tracks: Sequence[int] = (2, 4, 6), *, n: int = 1000, seed: int = 1,
     layer: int = 0, p: float = 1.0, cos_theta: float = 0.8, threads: int | None = None,
 ) -> GhostScan:  # fmt: skip
     """Return how often pairs are wrong if tracks cross one sheet together.

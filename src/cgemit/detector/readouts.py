@@ -1,0 +1,337 @@
+"""Read-outs of CGEM layers as hardware: what digitization and clustering both know of them (docs/methods/readout.md).
+
+A read-out is described here, digitized by the digitizer of its name (`cgemit.simulation.digitize.DIGITIZERS`) and
+clustered by the clusterer of its name (`cgemit.reconstruction.cluster.CLUSTERERS`).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Annotated, ClassVar, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from cgemit.base.settings import Check, NotNegative, Positive, SettingsData
+
+Floats = npt.NDArray[np.float64]
+
+Share = Annotated[float, Check(lambda value: 0 <= value < 1, "a number from 0 to 1, 1 excluded")]
+# Of a strip and of a time, to far beyond any chip.
+Noise = Annotated[float, Check(lambda value: 0 <= value <= 1000, "0 to 1000 fC")]
+Jitter = Annotated[float, Check(lambda value: 0 <= value <= 10_000, "0 to 10000 ns")]
+Probability = Annotated[float, Check(lambda value: 0 < value <= 1, "a number above 0 and up to 1")]
+Factor = Annotated[float, Check(lambda value: 0 <= value <= 10, "a number from 0 to 10")]
+Missing = Annotated[int, Check(lambda value: 0 <= value <= 10, "a whole number from 0 to 10")]
+Estimator = Literal["merged", "centroid", "micro-tpc"]
+
+#: Electrons on the anode per electron of ionization: effective gain of a triple GEM.
+GAIN = 12_000.0
+SURVIVAL = 0.957 * 0.962
+"""An electron enters a hole of the first foil, and its gain is not zero (PARSIFAL, at the nominal voltage)."""
+
+_FINE = 0.01  # ns, step in which peaks are searched
+
+
+@dataclass(frozen=True, kw_only=True)
+class Readout(SettingsData):
+    """Description of a read-out: a frozen dataclass of settings. `READOUTS` finds it by its name."""
+
+    name: ClassVar[str]
+
+
+@dataclass(frozen=True, kw_only=True)
+class BinaryReadout(Readout):
+    """Strips that the projected path touches fire; clusters are contiguous fired strips (arXiv:1504.02570).
+
+    Attributes
+    ----------
+    gain : float
+        Electrons on the anode per electron of ionization.
+    threshold : float
+        fC; a truth whose total charge is smaller fires nothing.
+
+    Raises
+    ------
+    ValueError
+        Listing every invalid value.
+    """
+
+    name: ClassVar[str] = "binary"
+
+    gain: Positive = GAIN
+    threshold: NotNegative = 1.7
+
+
+@dataclass(frozen=True, kw_only=True)
+class GaussianReadout(Readout):
+    """No strips: X and V at mid-gap are measured with independent Gaussian errors.
+
+    Attributes
+    ----------
+    sigma_x : float
+        mm, error of X = r_readout dphi. Default: RMS of the binary read-out for 1 GeV/c muons, 5 mm gap.
+    sigma_v : float
+        mm, error of V. Default: the same, pitch/sqrt(24) at 0.65 mm.
+    gain : float
+        Electrons on the anode per electron of ionization.
+
+    Raises
+    ------
+    ValueError
+        Listing every invalid value.
+    """
+
+    name: ClassVar[str] = "gaussian"
+
+    sigma_x: Positive = 0.1387
+    sigma_v: Positive = 0.1327
+    gain: Positive = GAIN
+
+
+@dataclass(frozen=True, kw_only=True)
+class ProjectionReadout(Readout):
+    """Each strip integrates its part of a charge profile along the projected path; position is the charge centroid.
+
+    Attributes
+    ----------
+    gain : float
+        Electrons on the anode per electron of ionization.
+    sigma : float
+        mm, width of the profile across the path: avalanche and diffusion.
+    threshold : float
+        fC, of a strip.
+    noise : float
+        fC, of a strip.
+    valley : float
+        A strip with less than this share of the charge of both maxima beside it divides a cluster; 0: none does.
+    estimator : str
+        Position of a cluster, always ``"centroid"``.
+    calibration : str
+        File that ``cgemit readout`` has written; empty: the one that comes with the program.
+
+    Raises
+    ------
+    ValueError
+        Listing every invalid value.
+    """
+
+    name: ClassVar[str] = "analog-projection"
+
+    gain: Positive = GAIN
+    sigma: Positive = 0.29
+    threshold: Positive = 1.7
+    noise: Noise = 0.5
+    valley: Share = 0.4
+    estimator: Literal["centroid"] = "centroid"
+    calibration: str = ""
+
+
+@dataclass(frozen=True)
+class Shaper:
+    """Response of an amplifier to a charge.
+
+    Attributes
+    ----------
+    terms : tuple of (float, float, float)
+        a, b (1/ns) and rate (1/ns) of each term, of any scale.
+    delay : float
+        ns.
+    """
+
+    terms: tuple[tuple[float, float, float], ...]
+    delay: float = 0.0
+
+    @cached_property
+    def normalised(self) -> Floats:
+        """The terms, (n, 3) float64, scaled so that the peak is 1."""
+        terms = np.array(self.terms)
+        terms[:, :2] /= _sum(terms, np.arange(0.0, 500.0, _FINE)).max()
+        return terms
+
+    def response(self, t: Floats) -> Floats:
+        """Return the amplitude, (n,) float64, at times t, (n,) float64 ns, after a charge of 1."""
+        u = np.asarray(t, np.float64) - self.delay
+        return np.where(u > 0, _sum(self.normalised, np.maximum(u, 0.0)), 0.0)
+
+    def pulse(self, t: Floats, duration: float) -> Floats:
+        """Return the amplitude, (n,), at times t, (n,) ns, for a charge of 1 that flows in evenly for `duration` ns."""
+        u = np.asarray(t, np.float64) - self.delay
+        return (self._step(u) - self._step(u - duration)) / duration
+
+    def _step(self, u: Floats) -> Floats:
+        """Return the integral of the response up to u, (n,), in ns."""
+        a, b, rate = (column[:, None] for column in self.normalised.T)
+        at = np.maximum(u, 0.0)[None, :]
+        level = a / rate + b / rate**2
+        return np.asarray(np.sum(level - np.exp(-rate * at) * (level + b * at / rate), axis=0))
+
+
+def _sum(terms: Floats, u: Floats) -> Floats:
+    a, b, rate = (column[:, None] for column in terms.T)
+    return np.asarray(np.sum((a + b * u) * np.exp(-rate * u), axis=0))
+
+
+@dataclass(frozen=True)
+class Chip:
+    """How a chip measures charge and time of a strip.
+
+    Attributes
+    ----------
+    kind : str
+        ``"tiger"``: the branch for the time crosses the threshold, which is the time. `sample_delay` later the branch
+        for the charge is sampled. ``"apv25"``: one branch is sampled `samples` times. The largest sample is the charge,
+        and the time is where the leading edge reaches half of it.
+    timing, charge : Shaper
+        Of the two branches; the same one if there is one.
+    clock : float
+        ns, of the time stamps or between samples.
+    sample_delay : float
+        ns.
+    samples : int
+    """
+
+    kind: Literal["tiger", "apv25"]
+    timing: Shaper
+    charge: Shaper
+    clock: float
+    sample_delay: float = 0.0
+    samples: int = 1
+
+
+# Shapers and times are those of PARSIFAL (github.com/Hilldar/PARSIFAL).
+_CR_RC = Shaper(((0.0, math.e / 50, 1 / 50),))  # (t/tau) exp(1 - t/tau), 50 ns
+#: Of the BESIII CGEM. Branch T peaks 53.6 ns after a charge, with 13.3 mV/fC; branch E after 154.7 ns, with 12.3 mV/fC.
+TIGER = Chip(
+    kind="tiger",
+    timing=Shaper(((0.00181928, 0.0, 1 / 3), (-0.0147059, 0.0, 1 / 20), (0.0128866, 0.0, 1 / 100)), delay=10.0),
+    charge=Shaper(((100164.0, 1358.7, 0.0385647), (-100164.0, 1358.7, 0.0114353)), delay=5.0),
+    clock=6.25,
+    sample_delay=4 * 6.25 * (6 + 0.5),
+)
+#: Of the test beams.
+APV25 = Chip(kind="apv25", timing=_CR_RC, charge=_CR_RC, clock=25.0, samples=27)
+
+
+@dataclass(frozen=True, kw_only=True)
+class AnalogReadout(Readout):
+    """A chip that measures charge and time of each strip. Gas and fields belong to the detector.
+
+    Attributes
+    ----------
+    gain : float
+        Mean number of electrons on the anode per electron of ionization whose avalanche reaches it.
+    polya : float
+        Parameter theta of the Polya distribution of the gain; its relative variance is 1/(1 + theta).
+    gain_fluctuation : bool
+        Whether the gain fluctuates.
+    survival : float
+        Probability that an electron enters a hole and its avalanche reaches the anode.
+    first_gain : float
+        Electrons behind the first foil per electron that entered it.
+    diffusion : float
+        Factor on all diffusion widths, up to 10; 0 switches diffusion off.
+    lorentz : bool
+        Whether the Lorentz angle acts.
+    holes : bool
+        Whether electrons move to the centre of the nearest hole of the first foil.
+    share_spread : float
+        Standard deviation of ln(charge on X / charge on V) from crossing to crossing; both views have half on average.
+    neighbour, second_neighbour : float
+        Share of a strip's current that its neighbours see, and those beyond them (capacitive coupling).
+    threshold_x, threshold_v : float
+        fC.
+    noise : float
+        fC, of an amplitude.
+    jitter : float
+        ns, of the time, beside what noise makes.
+    missing : int
+        Strips that may be missing within a cluster.
+    edge : float
+        Outermost strips with a smaller share of their neighbour's charge do not enter line fits.
+    valley : float
+        A strip with less than this share of the charge of both maxima beside it divides a cluster; 0: none does.
+    time_margin : float
+        ns; strips whose drift time is below 0 or above that of the drift gap by more than this are left out.
+    estimator : str
+        Position of a cluster: ``"centroid"`` of the charge, ``"micro-tpc"``, a line fit through the drift gap (clusters
+        without one have their centroid), or ``"merged"``, the mean of both with the weights of their errors.
+    second_pass : bool
+        Whether clusters on fitted tracks are made again with the angle of the track, and the tracks are fitted again.
+    calibration : str
+        File that ``cgemit readout`` has written; empty: the one that comes with the program.
+    saturation : float
+        fC, largest charge that the chip measures.
+
+    Raises
+    ------
+    ValueError
+        Listing every invalid value.
+    """
+
+    chip: ClassVar[Chip]
+
+    gain: Positive = GAIN
+    polya: NotNegative = 0.36
+    gain_fluctuation: bool = True
+    survival: Probability = SURVIVAL
+    first_gain: Positive = 15.0
+    diffusion: Factor = 1.0
+    lorentz: bool = True
+    holes: bool = True
+    share_spread: NotNegative = 0.1
+    neighbour: Share = 0.0
+    second_neighbour: Share = 0.0
+    threshold_x: Positive = 2.0
+    threshold_v: Positive = 2.0
+    noise: Noise = 0.5
+    jitter: Jitter = 2.0
+    missing: Missing = 1
+    edge: Share = 0.1
+    valley: Share = 0.2
+    time_margin: Positive = 50.0
+    estimator: Estimator = "merged"
+    second_pass: bool = False
+    calibration: str = ""
+    saturation: Positive = 48.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class TigerReadout(AnalogReadout):
+    """Two branches: the fast one gives the time of the leading edge, the slow one is sampled for the charge."""
+
+    name: ClassVar[str] = "tiger"
+    chip: ClassVar[Chip] = TIGER
+
+
+@dataclass(frozen=True, kw_only=True)
+class Apv25Readout(AnalogReadout):
+    """Samples every 25 ns: the largest is the charge, half of it on the leading edge the time.
+
+    Attributes
+    ----------
+    random_neighbours : bool
+        Whether strips induce charge on their neighbours at random, with probability, share and time that depend on
+        their charge, as PARSIFAL has them for a triple GEM; beside `neighbour`.
+    """
+
+    name: ClassVar[str] = "apv25"
+    chip: ClassVar[Chip] = APV25
+
+    threshold_x: Positive = 1.67
+    threshold_v: Positive = 1.67
+    jitter: Jitter = 7.12
+    time_margin: Positive = 100.0
+    saturation: Positive = 60.0
+    random_neighbours: bool = False
+
+
+#: Those whose clusters have errors from a calibration (`cgemit.reconstruction.cluster_errors`).
+CalibratedReadout = AnalogReadout | ProjectionReadout
+
+#: Read-outs of CGEM layers by name.
+READOUTS: dict[str, type[Readout]] = {
+    one.name: one for one in (BinaryReadout, GaussianReadout, TigerReadout, Apv25Readout, ProjectionReadout)
+}

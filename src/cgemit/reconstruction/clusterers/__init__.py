@@ -1,0 +1,1 @@
+"""Clusterers of CGEM layers, a file each."""

@@ -1,0 +1,118 @@
+"""Interface of a clusterer: the half of a read-out that makes clusters of digis, without truth."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from cgemit.base.settings import Check, Positive, SettingsData
+from cgemit.detector import Detector
+from cgemit.detector.readouts import Readout
+from cgemit.tables import Table
+
+Floats = npt.NDArray[np.float64]
+
+Position = Literal["centre", "charge"]
+Fraction = Annotated[float, Check(lambda value: 0 < value < 1, "a number between 0 and 1")]
+Bridge = Annotated[int, Check(lambda value: 0 <= value <= 10, "a whole number from 0 to 10")]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ClusterSettings(SettingsData):
+    """Position of clusters, and the reference sample of tracks from the origin that gives their errors.
+
+    Attributes
+    ----------
+    position : str
+        ``"centre"``: geometric centre of the fired strips, for a binary read-out. ``"charge"``: mean of the strip
+        centres weighted by charge, for a read-out whose charges measure the position.
+    bridge : int
+        Dead and hot strips in a row that a cluster may bridge; the error of its position grows.
+    reference_p : float
+        GeV/c.
+    reference_cos_theta : float
+        The sample covers cos(theta) from minus to plus this, uniformly.
+
+    Raises
+    ------
+    ValueError
+        Listing every invalid value.
+    """
+
+    position: Position = "centre"
+    bridge: Bridge = 1
+    reference_p: Positive = 1.0
+    reference_cos_theta: Fraction = 0.93
+
+
+@dataclass(frozen=True)
+class Clusterer(ABC):
+    """Makes the clusters of a read-out; `cgemit.reconstruction.cluster.CLUSTERERS` finds it by the read-out's name.
+
+    Attributes
+    ----------
+    readout : Readout
+    """
+
+    readout: Readout
+
+    @property
+    def follows_tracks(self) -> bool:
+        """Whether clusters on fitted tracks are made again with the directions of the tracks."""
+        return False
+
+    def check(self, detector: Detector) -> None:  # noqa: B027, most have nothing to check
+        """Raise an error if clusters of a detector cannot be made, before anything is simulated or read.
+
+        Parameters
+        ----------
+        detector : Detector
+        """
+
+    @abstractmethod
+    def cluster(
+        self, detector: Detector, digis: Table, settings: ClusterSettings, directions: Floats | None = None
+    ) -> Table:
+        """Return the table ``clusters``: the measured positions with their errors.
+
+        Clusters with `method` 1 keep their errors in the fit. With 0 the fit takes errors from the number of strips and
+        the incidence.
+
+        Parameters
+        ----------
+        detector : Detector
+        digis : Table
+            Its columns `truth` and `n_truths` may only be passed on.
+        settings : ClusterSettings
+        directions : (clusters, 2) float64 or None
+            Of the track, by row of the clusters without directions: dX/dr of X clusters and dV/dr of V clusters at the
+            anode, and its path per radius; NaN where no track tells. Given only if the clusterer follows tracks.
+        """
+
+    @abstractmethod
+    def expected_errors(self, detector: Detector) -> tuple[Floats, Floats]:
+        """Return the errors of X and V that `cgemit.covariance` expects.
+
+        Parameters
+        ----------
+        detector : Detector
+
+        Returns
+        -------
+        sigma_x, sigma_v : ndarray, (layers,) or (layers, 17) float64, mm
+            For all tracks, or for those of `COS_THETA`. 0 for all: strips fire where the projected path touches them,
+            so that the error follows from their number.
+        """
+
+    def expected_correlations(self, detector: Detector) -> Floats:
+        """Return the correlation of the errors of X and V of one crossing, in the shape of `expected_errors`.
+
+        Parameters
+        ----------
+        detector : Detector
+        """
+        return np.zeros(len(detector.cgem))
