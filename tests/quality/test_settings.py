@@ -20,21 +20,21 @@ from cgemit.simulation.transport import Fluctuations, SimulateSettings
 # Struct, its header, its dataclass, and the fields of the core that are made from a setting of another name, or from
 # none: seeds and tables come with the call.
 STRUCTS = [
-    ("FitSettings", "fit/fit.hpp", FitSettings, {"errors_from_track": "cluster_errors"}),
+    ("FitSettings", "reconstruction/fit/fit.hpp", FitSettings, {"errors_from_track": "cluster_errors"}),
     (
         "FindSettings",
-        "find/find.hpp",
+        "reconstruction/find/find.hpp",
         FindSettings,
         {"segments": "method", "chamber": "method", "wires_first": "method", "mass": "hypothesis"}
         | {"least_width": None, "delta_strips": None},
     ),
-    ("SimulateSettings", "simulate/simulate.hpp", SimulateSettings, {}),
-    ("BinaryReadout", "digitize/binary.hpp", BinaryReadout, {"w_values": None}),
-    ("GaussianReadout", "digitize/gaussian.hpp", GaussianReadout, {"w_values": None, "seed": None}),
-    ("ProjectionReadout", "digitize/projection.hpp", ProjectionReadout, {"w_values": None, "seed": None}),
+    ("SimulateSettings", "simulation/transport/simulate.hpp", SimulateSettings, {}),
+    ("BinaryReadout", "simulation/digitize/binary.hpp", BinaryReadout, {"w_values": None}),
+    ("GaussianReadout", "simulation/digitize/gaussian.hpp", GaussianReadout, {"w_values": None, "seed": None}),
+    ("ProjectionReadout", "simulation/digitize/projection.hpp", ProjectionReadout, {"w_values": None, "seed": None}),
     (
         "WireReadout",
-        "digitize/wires.hpp",
+        "simulation/digitize/wires.hpp",
         DigitizeSettings,
         {"xt_distance": None, "xt_time": None, "seed": None},
     ),

@@ -1,4 +1,4 @@
-#include "digitize/analog.hpp"
+#include "simulation/digitize/analog.hpp"
 
 #include <pybind11/pybind11.h>
 
@@ -6,8 +6,8 @@
 #include "bindings/digi_tables.hpp"
 #include "bindings/gain_maps.hpp"
 #include "bindings/inputs.hpp"
-#include "digitize/induced.hpp"
 #include "kernels/kernels.hpp"
+#include "simulation/digitize/induced.hpp"
 
 namespace py = pybind11;
 using namespace cgemit;

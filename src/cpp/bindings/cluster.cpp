@@ -3,10 +3,10 @@
 #include "bindings/arrays.hpp"
 #include "bindings/cluster_columns.hpp"
 #include "bindings/inputs.hpp"
-#include "cluster/charge_time.hpp"
-#include "cluster/clusters.hpp"
-#include "cluster/positions.hpp"
-#include "cluster/size_errors.hpp"
+#include "reconstruction/cluster/charge_time.hpp"
+#include "reconstruction/cluster/clusters.hpp"
+#include "reconstruction/cluster/positions.hpp"
+#include "reconstruction/cluster/size_errors.hpp"
 
 namespace py = pybind11;
 using namespace cgemit;

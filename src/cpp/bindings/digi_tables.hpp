@@ -3,8 +3,8 @@
 
 #include "bindings/arrays.hpp"
 #include "bindings/inputs.hpp"
-#include "digitize/digis.hpp"
-#include "digitize/truths.hpp"
+#include "simulation/digitize/digis.hpp"
+#include "simulation/digitize/truths.hpp"
 
 namespace cgemit::bindings {
 

@@ -4,10 +4,10 @@
 #include "bindings/digi_tables.hpp"
 #include "bindings/gain_maps.hpp"
 #include "bindings/inputs.hpp"
-#include "digitize/binary.hpp"
-#include "digitize/gaussian.hpp"
-#include "digitize/projection.hpp"
-#include "digitize/wires.hpp"
+#include "simulation/digitize/binary.hpp"
+#include "simulation/digitize/gaussian.hpp"
+#include "simulation/digitize/projection.hpp"
+#include "simulation/digitize/wires.hpp"
 
 namespace py = pybind11;
 using namespace cgemit;

@@ -1,4 +1,4 @@
-#include "field/field.hpp"
+#include "detector/field/field.hpp"
 
 #include <pybind11/pybind11.h>
 #include <pybind11/stl.h>

@@ -1,12 +1,12 @@
-#include "find/find.hpp"
+#include "reconstruction/find/find.hpp"
 
 #include <pybind11/pybind11.h>
 
 #include "bindings/arrays.hpp"
 #include "bindings/hits.hpp"
 #include "bindings/inputs.hpp"
-#include "find/bit_counts.hpp"
-#include "find/compete.hpp"
+#include "reconstruction/find/bit_counts.hpp"
+#include "reconstruction/find/compete.hpp"
 
 namespace py = pybind11;
 using namespace cgemit;

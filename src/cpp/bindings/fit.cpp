@@ -1,4 +1,4 @@
-#include "fit/fit.hpp"
+#include "reconstruction/fit/fit.hpp"
 
 #include <pybind11/pybind11.h>
 #include <pybind11/stl.h>

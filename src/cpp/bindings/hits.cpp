@@ -1,7 +1,7 @@
 #include "bindings/hits.hpp"
 
 #include "common/angles.hpp"
-#include "fit/collect_hits.hpp"
+#include "reconstruction/fit/collect_hits.hpp"
 
 namespace cgemit::bindings {
 

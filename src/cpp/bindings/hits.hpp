@@ -6,7 +6,7 @@
 #include <vector>
 
 #include "bindings/inputs.hpp"
-#include "fit/hit_rules.hpp"
+#include "reconstruction/fit/hit_rules.hpp"
 
 namespace cgemit::bindings {
 

@@ -4,7 +4,7 @@
 #include "bindings/arrays.hpp"
 #include "matter/loss.hpp"
 #include "matter/scattering.hpp"
-#include "simulate/slabs.hpp"
+#include "simulation/transport/slabs.hpp"
 
 namespace py = pybind11;
 using namespace cgemit;

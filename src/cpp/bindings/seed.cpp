@@ -1,4 +1,4 @@
-#include "fit/seed.hpp"
+#include "reconstruction/fit/seed.hpp"
 
 #include <pybind11/native_enum.h>
 #include <pybind11/pybind11.h>

@@ -1,4 +1,4 @@
-#include "simulate/simulate.hpp"
+#include "simulation/transport/simulate.hpp"
 
 #include <pybind11/native_enum.h>
 #include <pybind11/pybind11.h>

@@ -1,4 +1,4 @@
-#include "fit/states.hpp"
+#include "reconstruction/fit/states.hpp"
 
 #include <pybind11/native_enum.h>
 #include <pybind11/pybind11.h>

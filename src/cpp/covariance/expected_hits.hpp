@@ -233,7 +233,7 @@ class ExpectedHits {
   }
 
   // A hit whose side is unknown is close to its wire a mixture of both, with the weights that the fit gives
-  // them (`fit/measured.hpp`).
+  // them (`reconstruction/fit/measured.hpp`).
   T wire_variance(const Slot<T>& slot, const T& distance) const {
     const WireLayer& layer = detector_.wires[static_cast<std::size_t>(slot.layer)];
     const T sigma = layer.sigma + layer.sigma_slope * distance, own = sigma * sigma;

@@ -6,8 +6,8 @@
 #include <cmath>
 #include <vector>
 
+#include "common/lanes/pack.hpp"
 #include "covariance/covariance.hpp"
-#include "lanes/pack.hpp"
 
 namespace cgemit {
 

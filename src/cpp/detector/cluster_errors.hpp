@@ -1,5 +1,5 @@
 // Position errors of clusters from their strips, for the clusters table (averaged over a sample of tracks,
-// `cluster/size_errors.hpp`) and for the fit (at the incidence of its track).
+// `reconstruction/cluster/size_errors.hpp`) and for the fit (at the incidence of its track).
 //
 // A path of projected length w = (m + f) p, p the pitch and 0 <= f < 1, touches m + 1 strips with probability
 // 1 - f or m + 2 with probability f. Its centre is uniform in an interval of (1 - f) p or f p about the
@@ -9,7 +9,7 @@
 // lies anywhere in the cluster, or was cut off and lies up to half of the missing length beside it.
 #pragma once
 
-#include "lanes/math.hpp"
+#include "common/lanes/math.hpp"
 
 namespace cgemit {
 

@@ -9,8 +9,8 @@
 #include <utility>
 #include <vector>
 
+#include "detector/field/field.hpp"
 #include "detector/gap.hpp"
-#include "field/field.hpp"
 
 namespace cgemit {
 

@@ -4,9 +4,9 @@
 #include <cmath>
 
 #include "common/angles.hpp"
+#include "common/lanes/math.hpp"
 #include "common/units.hpp"
 #include "detector/detector.hpp"
-#include "lanes/math.hpp"
 
 namespace cgemit {
 

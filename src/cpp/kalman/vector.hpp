@@ -4,7 +4,7 @@
 #include <array>
 #include <utility>
 
-#include "lanes/pack.hpp"
+#include "common/lanes/pack.hpp"
 
 namespace cgemit {
 

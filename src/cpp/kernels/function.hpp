@@ -1,10 +1,10 @@
-// The functions of `lanes/math.hpp` by name, for tests.
+// The functions of `common/lanes/math.hpp` by name, for tests.
 #pragma once
 
 #include <stdexcept>
 #include <string>
 
-#include "lanes/math.hpp"
+#include "common/lanes/math.hpp"
 
 namespace cgemit {
 

@@ -8,16 +8,16 @@
 #include <string>
 
 #include "covariance/covariance.hpp"
-#include "digitize/analog.hpp"
-#include "fit/fit.hpp"
-#include "simulate/simulate.hpp"
+#include "reconstruction/fit/fit.hpp"
+#include "simulation/digitize/analog.hpp"
+#include "simulation/transport/simulate.hpp"
 
 namespace cgemit {
 
 struct Kernels {
   const char* isa;
   int lanes;
-  // Applies a function of `lanes/math.hpp` to n numbers, n a multiple of the lanes: for tests.
+  // Applies a function of `common/lanes/math.hpp` to n numbers, n a multiple of the lanes: for tests.
   void (*function)(const std::string& name, const double* in, double* out, std::size_t n);
   void (*simulate)(const Detector&, const ParticleColumns&, const SimulateSettings&, std::uint64_t seed,
                    Simulated&);

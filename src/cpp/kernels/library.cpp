@@ -1,11 +1,11 @@
 // Compiled once per instruction set, with CGEMIT_ISA its name and CGEMIT_LANES the width of its registers.
 #include "common/compiler.hpp"
 #include "covariance/batch.hpp"
-#include "digitize/analog_batch.hpp"
-#include "fit/batch.hpp"
 #include "kernels/function.hpp"
 #include "kernels/kernels.hpp"
-#include "simulate/batch.hpp"
+#include "reconstruction/fit/batch.hpp"
+#include "simulation/digitize/analog_batch.hpp"
+#include "simulation/transport/batch.hpp"
 
 namespace cgemit {
 

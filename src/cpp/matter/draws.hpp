@@ -4,7 +4,7 @@
 #include <algorithm>
 #include <cmath>
 
-#include "lanes/philox.hpp"
+#include "common/lanes/philox.hpp"
 
 namespace cgemit {
 

@@ -4,7 +4,7 @@
 #include <cmath>
 
 #include "common/compiler.hpp"
-#include "lanes/philox.hpp"
+#include "common/lanes/philox.hpp"
 #include "matter/electron_steps.hpp"
 #include "matter/electrons.hpp"
 

@@ -7,8 +7,8 @@
 #include <bit>
 #include <cmath>
 
+#include "common/lanes/philox.hpp"
 #include "common/units.hpp"
-#include "lanes/philox.hpp"
 #include "matter/electrons.hpp"
 
 namespace cgemit {

@@ -7,9 +7,9 @@
 #include <cstdint>
 #include <vector>
 
+#include "common/lanes/math.hpp"
 #include "common/rng.hpp"
 #include "detector/gap.hpp"
-#include "lanes/math.hpp"
 
 namespace cgemit {
 

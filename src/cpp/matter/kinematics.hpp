@@ -3,8 +3,8 @@
 
 #include <cmath>
 
+#include "common/lanes/math.hpp"
 #include "common/units.hpp"
-#include "lanes/math.hpp"
 
 namespace cgemit {
 

@@ -12,8 +12,8 @@
 #include <bit>
 #include <cmath>
 
+#include "common/lanes/integers.hpp"
 #include "detector/detector.hpp"
-#include "lanes/integers.hpp"
 #include "matter/kinematics.hpp"
 
 namespace cgemit {

@@ -8,8 +8,8 @@
 #include <vector>
 
 #include "common/compiler.hpp"
+#include "common/lanes/integers.hpp"
 #include "detector/wires.hpp"
-#include "lanes/integers.hpp"
 #include "motion/helix.hpp"
 
 namespace cgemit {

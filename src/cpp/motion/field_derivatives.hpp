@@ -16,7 +16,7 @@
 #include <optional>
 
 #include "common/compiler.hpp"
-#include "field/field.hpp"
+#include "detector/field/field.hpp"
 #include "motion/helix.hpp"
 
 namespace cgemit {

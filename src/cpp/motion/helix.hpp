@@ -12,8 +12,8 @@
 #include <type_traits>
 
 #include "common/angles.hpp"
+#include "common/lanes/math.hpp"
 #include "common/units.hpp"
-#include "lanes/math.hpp"
 
 namespace cgemit {
 

@@ -10,7 +10,7 @@
 
 #include <cmath>
 
-#include "field/values.hpp"
+#include "detector/field/values.hpp"
 #include "motion/field_derivatives.hpp"
 
 namespace cgemit {

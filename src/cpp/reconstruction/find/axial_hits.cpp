@@ -1,0 +1,115 @@
+#include "reconstruction/find/axial_hits.hpp"
+
+#include <Eigen/Cholesky>
+#include <Eigen/LU>
+#include <bit>
+#include <cmath>
+
+#include "common/angles.hpp"
+#include "detector/strip_plane.hpp"
+#include "motion/helix.hpp"
+
+namespace cgemit {
+
+namespace {
+
+constexpr double hit_error = 0.3;     // mm, with the effects that a circle neglects
+constexpr double least_squares = 10;  // mm^2, r^2 - l^2 of a usable hit
+constexpr double slow_pt = 0.06;      // GeV/c
+constexpr int slow_layers = 4;
+constexpr double per_occupancy_slow = 100;
+constexpr double per_occupancy = 12;  // layers that a seed needs in addition, per share of fired cells
+
+// Drift distance with the side of the circle, minus the distance to the circle with the direction (ux, uy).
+double residual(const FoundCircle& c, double ux, double uy, const AxialPoint& p) {
+  const double g = (1 - c.w * c.d) * (p.y * ux - p.x * uy) + c.d * (1 - 0.5 * c.w * c.d) -
+                   0.5 * c.w * (p.x * p.x + p.y * p.y);
+  const double left = g / (1 - 0.5 * c.w * g);
+  return std::copysign(p.drift, left) - left;
+}
+
+}  // namespace
+
+AxialHits::AxialHits(const Detector& detector, const FindSettings& settings)
+    : detector_(detector),
+      settings_(settings),
+      largest_w_(std::abs(curvature(detector.bz, 1 / settings.min_pt))),
+      slow_w_(std::abs(curvature(detector.bz, 1 / slow_pt))) {}
+
+void AxialHits::add(double x, double y, double drift, std::size_t layer, std::int32_t id) {
+  const double squares = x * x + y * y - drift * drift;
+  if (!(squares > least_squares)) return;
+  points_.push_back({x, y, drift, 2 / squares, std::uint64_t{1} << (layer % 64), id, false});
+}
+
+void AxialHits::load(const EventHits& hits) {
+  points_.clear();
+  const std::size_t gaps = detector_.cgem.size();
+  double occupancy = 0;
+  int layers = 0;
+  for (std::size_t i = 0; i < detector_.wires.size(); ++i) {
+    if (detector_.wires[i].twist != 0) continue;
+    occupancy += hits.occupancy(i);
+    ++layers;
+  }
+  const double share = layers > 0 ? occupancy / layers : 0;
+  least_ = settings_.least_axial + static_cast<int>(per_occupancy * share);
+  least_slow_ = std::min(least_, slow_layers + static_cast<int>(per_occupancy_slow * share));
+  for (std::int32_t id = 0; id < hits.size(); ++id) {
+    if (hits.is_taken(id)) continue;
+    const Hit& hit = hits[id];
+    const auto layer = static_cast<std::size_t>(hit.layer);
+    if (hit.view == View::x) {
+      if (settings_.wires_first) continue;
+      const CgemLayer& cgem = detector_.cgem[layer];
+      const double phi = azimuth(cgem, hit.channel, hit.value), r = cgem.r_mid();
+      add(r * std::cos(phi), r * std::sin(phi), 0, layer, id);
+    } else if (hit.view == View::wire && detector_.wires[layer].twist == 0) {
+      const Wire& wire = detector_.wires[layer].placed[static_cast<std::size_t>(hit.channel)];
+      add(wire.x, wire.y, std::max(hit.value, 0.0), gaps + layer, id);
+    }
+  }
+}
+
+std::optional<FoundCircle> AxialHits::fit(double d, double psi, double w, double sigma_d, int more) {
+  FoundCircle c{d, psi, w, {}, {}};
+  Eigen::Matrix3d normal;
+  for (const double window : {4.0, 2.5, 1.6, 1.2, 1.2}) {
+    normal.setZero();
+    normal(0, 0) = 1 / (sigma_d * sigma_d);
+    Eigen::Vector3d right(-c.d * normal(0, 0), 0, 0);
+    const double ux = std::cos(c.psi), uy = std::sin(c.psi);
+    c.hits.clear();
+    std::uint64_t layers = 0;
+    for (AxialPoint& p : points_) {
+      const double along = p.x * ux + p.y * uy;
+      if (p.left_out || along < 0) continue;
+      const double off = residual(c, ux, uy, p);
+      if (std::abs(off) > window) continue;
+      const double across = p.y * ux - p.x * uy;
+      const Eigen::Vector3d row(1 - c.w * (across + c.d), -(1 - c.w * c.d) * along,
+                                -c.d * across - 0.5 * c.d * c.d - 0.5 * (p.x * p.x + p.y * p.y));
+      constexpr double weight = 1 / (hit_error * hit_error);
+      normal += weight * row * row.transpose();
+      right += weight * off * row;
+      c.hits.push_back(p.id);
+      layers |= p.layer;
+    }
+    if (std::popcount(layers) < least(c.w) + more || c.hits.size() < static_cast<std::size_t>(least_))
+      return std::nullopt;
+    const Eigen::Vector3d step = normal.ldlt().solve(right);
+    if (!step.allFinite()) return std::nullopt;
+    c.d += step[0];
+    c.psi = wrap_angle(c.psi + step[1]);
+    c.w += step[2];
+  }
+  if (std::abs(c.d) > settings_.max_d || std::abs(c.w) > 1.15 * largest_w_) return std::nullopt;
+  const Eigen::Matrix3d inverse = normal.inverse();
+  c.covariance = {inverse(0, 0), inverse(0, 1), inverse(0, 2), inverse(1, 1), inverse(1, 2), inverse(2, 2)};
+  const double ux = std::cos(c.psi), uy = std::sin(c.psi);
+  for (AxialPoint& p : points_)
+    if (!p.left_out && p.x * ux + p.y * uy > 0 && std::abs(residual(c, ux, uy, p)) < 1.2) p.left_out = true;
+  return c;
+}
+
+}  // namespace cgemit

@@ -1,0 +1,60 @@
+// The hits of an event that measure across the beam: axial wires and X clusters that no track has taken; and
+// the fit of a circle to those near it.
+#pragma once
+
+#include <array>
+#include <cmath>
+#include <cstdint>
+#include <optional>
+#include <vector>
+
+#include "reconstruction/find/event_hits.hpp"
+#include "reconstruction/find/find.hpp"
+
+namespace cgemit {
+
+// A circle with the covariance of (d, psi, w).
+struct FoundCircle {
+  double d, psi, w;
+  std::array<double, 6> covariance;  // upper triangle
+  std::vector<std::int32_t> hits;
+};
+
+struct AxialPoint {
+  double x, y, drift, per;  // per: 2/(r^2 - l^2)
+  std::uint64_t layer;      // one bit
+  std::int32_t id;
+  bool left_out;  // it led to a circle already
+};
+
+class AxialHits {
+ public:
+  AxialHits(const Detector& detector, const FindSettings& settings);
+
+  void load(const EventHits& hits);
+
+  std::vector<AxialPoint>& points() { return points_; }
+  const std::vector<AxialPoint>& points() const { return points_; }
+  // Layers that a circle needs: more where many cells fire by chance. A slow particle turns back after a few,
+  // with several cells in each.
+  int least(double w) const { return std::abs(w) > slow_w_ ? least_slow_ : least_; }
+  // 1/mm, of the smallest transverse momentum.
+  double largest_w() const { return largest_w_; }
+
+  // Fits a circle to the hits near a first one that is at most `window` mm away from them; the hits of the
+  // circle are left out afterwards. `sigma_d`: mm, distance from the beam line that the fit expects; `more`:
+  // layers beyond the least number. None: too few layers, or a circle outside of the limits of the settings.
+  std::optional<FoundCircle> fit(double d, double psi, double w, double sigma_d, int more);
+
+ private:
+  void add(double x, double y, double drift, std::size_t layer, std::int32_t id);
+
+  const Detector& detector_;
+  const FindSettings& settings_;
+  double largest_w_;
+  std::vector<AxialPoint> points_;
+  double slow_w_;
+  int least_ = 0, least_slow_ = 0;
+};
+
+}  // namespace cgemit

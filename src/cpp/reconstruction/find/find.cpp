@@ -1,0 +1,234 @@
+#include "reconstruction/find/find.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+#include "reconstruction/find/anneal.hpp"
+#include "reconstruction/find/axial.hpp"
+#include "reconstruction/find/compete.hpp"
+#include "reconstruction/find/local.hpp"
+#include "reconstruction/find/segments.hpp"
+#include "reconstruction/find/stereo.hpp"
+#include "reconstruction/find/trace_back.hpp"
+
+namespace cgemit {
+
+namespace {
+
+class EventFinder {
+ public:
+  EventFinder(const Detector& detector, const FindSettings& settings, const PairScores& pairs)
+      : detector_(detector),
+        settings_(settings),
+        hits_(detector, pairs),
+        follower_(detector, settings),
+        segments_(detector, settings),
+        axial_hits_(detector, settings),
+        axial_(detector, axial_hits_),
+        local_(detector, axial_hits_),
+        stereo_(detector, settings),
+        annealing_(detector, settings),
+        stereo_only_(!detector.wires.empty() &&
+                     std::ranges::all_of(detector.wires, [](const auto& w) { return w.twist != 0; })) {}
+
+  const std::vector<FoundTrack>& find(std::span<const Hit> hits, std::int64_t first) {
+    hits_.load(hits, first);
+    follower_.start(hits_);
+    tracks_.clear();
+    seeds_ = 0;
+    if (detector_.wires.empty() && detector_.cgem.size() == 3) {
+      if (settings_.segments) from_segments();
+      return tracks_;
+    }
+    if (settings_.segments && detector_.cgem.size() >= 3)
+      for (const FindSeed& seed : segments_.three_layers(hits_)) try_segment(seed);
+    if (settings_.chamber) from_chamber();
+    if (settings_.segments && detector_.cgem.size() >= 2)
+      for (const FindSeed& seed : segments_.two_layers(hits_))
+        if (!is_found(seed)) try_segment(seed);
+    settle();
+    if (settings_.annealing) annealing_.share(tracks_, hits_);
+    return tracks_;
+  }
+  const EventHits& hits() const { return hits_; }
+  std::int64_t seeds() const { return seeds_; }
+
+ private:
+  void settle() {
+    kinds_.clear();
+    for (std::int32_t id = 0; id < hits_.size(); ++id) {
+      const Hit& hit = hits_[id];
+      const bool wire = hit.view == View::wire;
+      kinds_.push_back({wire, wire ? detector_.wires[static_cast<std::size_t>(hit.layer)].twist != 0
+                                   : hit.view == View::v});
+    }
+    competition_.settle(tracks_, kinds_, settings_.min_score);
+  }
+
+  // Segments of three layers and nothing else are tracks, the better ones first.
+  void from_segments() {
+    constexpr std::size_t shared_parts = 3;  // a third of the clusters may belong to better tracks
+    for (const FindSeed& seed : segments_.tracks(hits_)) {
+      ++seeds_;
+      std::size_t shared = 0;
+      for (const std::int32_t id : seed.hits) shared += hits_.is_taken(id) ? 1 : 0;
+      if (shared_parts * shared > seed.hits.size()) continue;
+      for (const std::int32_t id : seed.hits) hits_.take(id);
+      FoundTrack& track = tracks_.emplace_back();
+      track.hits = seed.hits;
+      track.score = -seed.rank;
+      track.holes = static_cast<int>(6 - seed.hits.size());
+    }
+  }
+
+  static constexpr int most_failures = 5;  // circles in a row that led to no track beyond doubt
+  static constexpr int few_wires = 5;
+
+  // A seed of which two clusters belong to a track beyond doubt is not followed, nor one that is part of a
+  // track.
+  void try_segment(const FindSeed& seed) {
+    int taken = 0;
+    for (const std::int32_t id : seed.hits) taken += hits_.is_taken(id) ? 1 : 0;
+    if (taken >= 2 ||
+        std::ranges::any_of(tracks_, [&](const FoundTrack& t) { return is_enough(t) && holds(t, seed); }))
+      return;
+    if (seed.hits.size() < 6 || std::abs(seed.helix.kappa) <= slow_kappa) {
+      try_seed(seed);
+      return;
+    }
+    // The circle through three layers has the momentum in the middle one.
+    FindSeed slow = seed;
+    const auto middle = static_cast<std::size_t>(hits_[seed.hits[2]].layer);
+    slow.helix = trace_back(detector_, seed.helix, detector_.cgem[middle].r_mid(), settings_.mass);
+    slow.covariance(2, 2) = variance_of_kappa(slow.helix.kappa);
+    try_seed(slow);
+  }
+  // Where no circle in the chamber leads to the wires, a track without them does not keep its clusters from
+  // other seeds: the beam line gives the curvature that the clusters leave open.
+  bool is_enough(const FoundTrack& track) const { return !stereo_only_ || track.wires >= few_wires; }
+  // Whether two clusters belong to likely tracks.
+  bool is_found(const FindSeed& seed) const {
+    return std::ranges::count_if(seed.hits, [this](std::int32_t id) {
+             return std::ranges::any_of(tracks_, [&](const FoundTrack& t) {
+               return is_likely(t, settings_.min_score) && is_enough(t) &&
+                      std::ranges::find(t.hits, id) != t.hits.end();
+             });
+           }) >= 2;
+  }
+  static bool holds(const FoundTrack& track, const FindSeed& seed) {
+    return std::ranges::all_of(
+        seed.hits, [&](std::int32_t id) { return std::ranges::find(track.hits, id) != track.hits.end(); });
+  }
+
+  bool try_seed(const FindSeed& seed) {
+    ++seeds_;
+    FoundTrack track;
+    if (!follower_.follow(seed, track) || !is_track(track)) return false;
+    const bool solid = track.wires >= 14 && track.along >= 4 && track.wires > 4 * track.holes &&
+                       !track.has_gaps() && track.chi2 < 4 * static_cast<double>(track.hits.size());
+    if (solid)
+      for (const std::int32_t id : track.hits) hits_.take(id);
+    tracks_.push_back(std::move(track));
+    return solid;
+  }
+
+  void from_chamber() {
+    axial_hits_.load(hits_);
+    axial_.start();
+    follow_circles(axial_);
+    axial_hits_.load(hits_);
+    local_.start(hits_);
+    follow_circles(local_);
+  }
+
+  template <class Search>
+  void follow_circles(Search& search) {
+    int failures = 0;
+    for (int n = 0; n < settings_.max_seeds && failures < most_failures; ++n) {
+      const auto circle = search.next();
+      if (!circle) return;
+      ++failures;
+      for (const FoundLine& line : stereo_.find(*circle, hits_, 2)) {
+        if (!try_seed(seed_of(*circle, line))) continue;
+        failures = 0;
+        break;
+      }
+    }
+  }
+
+  // The search has seen the hits already, and neglects scattering and loss.
+  FindSeed seed_of(const FoundCircle& circle, const FoundLine& line) const {
+    const double per_kappa = curvature(detector_.bz, 1.0), kappa = circle.w / per_kappa;
+    FindSeed seed{{circle.d, circle.psi, kappa == 0 ? 1e-9 : kappa, line.z0, line.tanl}, {}, {}};
+    Symmetric<double>& c = seed.covariance;
+    c = Symmetric<double>::diagonal(Five<double>::zero());
+    constexpr double caution = 6;
+    c(0, 0) = caution * circle.covariance[0] + 0.1;
+    c(0, 1) = caution * circle.covariance[1];
+    c(0, 2) = caution * circle.covariance[2] / per_kappa;
+    c(1, 1) = caution * circle.covariance[3] + 1e-6 * (1 + kappa * kappa);
+    c(1, 2) = caution * circle.covariance[4] / per_kappa;
+    c(2, 2) = caution * circle.covariance[5] / (per_kappa * per_kappa) + 4e-4 * kappa * kappa;
+    c(3, 3) = caution * line.covariance[0] + 4;
+    c(3, 4) = caution * line.covariance[1];
+    c(4, 4) = caution * line.covariance[2] + 1e-6 * (1 + kappa * kappa);
+    if (std::abs(kappa) > slow_kappa) before_loss(circle, seed);
+    return seed;
+  }
+
+  // The circle of a slow particle in the chamber is that after the loss in front of it.
+  void before_loss(const FoundCircle& circle, FindSeed& seed) const {
+    const auto on_wire =
+        std::ranges::find_if(circle.hits, [this](std::int32_t id) { return hits_[id].view == View::wire; });
+    if (on_wire == circle.hits.end()) return;
+    const double radius = detector_.wires[static_cast<std::size_t>(hits_[*on_wire].layer)].r_end;
+    const double kappa = seed.helix.kappa;
+    seed.helix = trace_back(detector_, seed.helix, radius, settings_.mass);
+    const double lost = seed.helix.kappa - kappa;
+    // How much, depends on the particle.
+    seed.covariance(0, 0) += 9;
+    seed.covariance(1, 1) += 1e-3;
+    seed.covariance(2, 2) += lost * lost;
+  }
+
+  const Detector& detector_;
+  const FindSettings& settings_;
+  EventHits hits_;
+  Follower follower_;
+  SegmentFinder segments_;
+  AxialHits axial_hits_;
+  AxialSearch axial_;
+  LocalSearch local_;
+  StereoSearch stereo_;
+  std::vector<HitKind> kinds_;
+  Competition competition_;
+  Annealing annealing_;
+  bool stereo_only_;
+  std::vector<FoundTrack> tracks_;
+  std::int64_t seeds_ = 0;
+};
+
+}  // namespace
+
+FindOutput find_tracks(const Detector& detector, const FindInput& input, const FindSettings& settings) {
+  FindOutput out;
+  out.offsets.push_back(0);
+  EventFinder finder(detector, settings, input.pairs);
+  for (std::size_t event = 0; event + 1 < input.offsets.size(); ++event) {
+    const auto first = static_cast<std::size_t>(input.offsets[event]),
+               last = static_cast<std::size_t>(input.offsets[event + 1]);
+    for (const FoundTrack& track :
+         finder.find(input.hits.subspan(first, last - first), input.offsets[event])) {
+      out.event.push_back(static_cast<std::int64_t>(event));
+      for (const std::int32_t hit : track.hits) out.hits.push_back(finder.hits().source(hit));
+      out.offsets.push_back(static_cast<std::int64_t>(out.hits.size()));
+      out.score.push_back(track.score);
+      out.chi2.push_back(track.chi2);
+      out.holes.push_back(track.holes);
+    }
+    out.seeds.push_back(finder.seeds());
+  }
+  return out;
+}
+
+}  // namespace cgemit

@@ -1,0 +1,51 @@
+// Track finding: seeds from CGEM clusters and from the drift chamber, followed outward by a combinatorial
+// Kalman filter. Reads measurements only.
+#pragma once
+
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include "kalman/group.hpp"
+#include "reconstruction/find/pair_scores.hpp"
+
+namespace cgemit {
+
+// Default values are in `cgemit.find.settings.FindSettings`.
+struct FindSettings {
+  bool segments, chamber;  // the sources of seeds
+  bool wires_first;        // circles and lines of the chamber without clusters
+  double mass;             // GeV
+  double efficiency;       // of a layer or cell that a track crosses
+  double gate;             // standard deviations
+  int branches;            // kept at a time
+  int passes;              // of the filter over a track, each about the track that the last one found
+  int holes_in_row;        // a branch ends beyond so many
+  double max_d, max_z;     // mm, from the beam line and from the origin, at the closest approach
+  double min_pt;           // GeV/c
+  int least_axial;         // layers of a seed of the chamber
+  double min_score;        // of a track, logarithm of a likelihood ratio
+  int max_seeds;           // per event and source
+  bool annealing;          // of wire hits near several tracks
+  double least_width, delta_strips;  // cluster errors, as in the fit
+};
+
+// Hits `offsets[i]` to `offsets[i + 1]` belong to event i.
+struct FindInput {
+  std::span<const std::int64_t> offsets;
+  std::span<const Hit> hits;
+  PairScores pairs = {};
+};
+
+// Hits `offsets[i]` to `offsets[i + 1]` of track i, as numbers of the input's hits, from the beam line
+// outward. The tracks of an event follow each other, the best one first.
+struct FindOutput {
+  std::vector<std::int64_t> event, offsets, hits;
+  std::vector<double> score, chi2;
+  std::vector<std::int64_t> holes;
+  std::vector<std::int64_t> seeds;  // of each event: seeds that were followed
+};
+
+FindOutput find_tracks(const Detector& detector, const FindInput& input, const FindSettings& settings);
+
+}  // namespace cgemit

@@ -1,0 +1,70 @@
+// Circles of tracks from anywhere: short segments in neighbouring axial layers, each continued by the
+// curvature that most other axial hits share.
+//
+// A segment touches the drift circles of two wires. A circle through both points of contact, which are
+// `chord` apart, touches a drift circle (x, y, l) if w = 2 (a -+ l)/(x^2 + y^2 - l^2 - chord^2/4), x and y
+// from the middle of the chord and a to the left of it. So a histogram of w is enough, with no point of
+// origin.
+#pragma once
+
+#include <cstdint>
+#include <optional>
+#include <vector>
+
+#include "reconstruction/find/axial_hits.hpp"
+#include "reconstruction/find/bit_counts.hpp"
+
+namespace cgemit {
+
+class LocalSearch {
+ public:
+  LocalSearch(const Detector& detector, AxialHits& axial);
+
+  // Begins with the hits that `axial` holds.
+  void start(const EventHits& hits);
+  // The circle with the most layers; its hits are left out afterwards. None: too few layers.
+  std::optional<FoundCircle> next();
+
+ private:
+  static constexpr int bins = 200;
+  static constexpr std::size_t words = (bins + 63) / 64;
+  static constexpr std::size_t most_segments = 2000;
+
+  // Two layers of a ring, four neighbouring axial layers from `ring` on.
+  struct Ends {
+    std::size_t ring, inner, outer;
+  };
+  struct Circle {
+    double x, y, drift;
+  };
+  struct Segment {
+    double x, y, ux, uy, chord;  // its middle and direction, outward
+    std::uint64_t layers;
+    double off;  // mm, of the hits between its ends
+  };
+  struct Range {
+    double w, error;
+  };
+  struct Curve {
+    int layers;
+    double d, psi, w;
+  };
+
+  void pairs(const Ends& ends, const EventHits& hits);
+  void tangents(const Ends& ends, const Circle& a, const Circle& b, const EventHits& hits);
+  std::optional<double> closest(const Segment& segment, std::size_t layer, const EventHits& hits) const;
+  void count(const Segment& segment);
+  static int straightest(const BitCounts<words>::Bits& among);
+  void continued(const Segment& segment);
+
+  const Detector& detector_;
+  AxialHits& axial_;
+  std::vector<std::size_t> rings_;  // the first layer of each
+  std::vector<Segment> segments_;
+  std::vector<Range> ranges_;
+  std::vector<Curve> curves_;
+  BitCounts<words> counts_;  // layers of each bin of w
+  std::size_t next_ = 0;
+};
+
+}  // namespace cgemit

@@ -1,0 +1,248 @@
+#include "reconstruction/find/segments.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+#include "common/angles.hpp"
+#include "detector/strip_plane.hpp"
+#include "motion/helix.hpp"
+#include "reconstruction/find/compete.hpp"
+#include "reconstruction/find/score.hpp"
+
+namespace cgemit {
+
+namespace {
+
+constexpr double usual_z = 100;  // mm, of vertices of slow particles and of pairs
+constexpr double slowed = 1.6;   // momentum at the origin over that in the segment
+constexpr double slow_d = 15;    // mm, of slower particles from the beam line
+
+// A circle through three points, flown through from the first to the last.
+HelixPoint through(double ax, double ay, double bx, double by, double cx, double cy) {
+  const double abx = bx - ax, aby = by - ay, acx = cx - ax, acy = cy - ay;
+  const double ab = std::hypot(abx, aby), ac = std::hypot(acx, acy), bc = std::hypot(cx - bx, cy - by);
+  const double w = 2 * (abx * acy - aby * acx) / (ab * ac * bc);
+  const double half = std::asin(std::clamp(0.5 * w * ac, -1.0, 1.0));
+  const double psi = std::atan2(acy, acx) - half;
+  return {ax, ay, 0, std::cos(psi), std::sin(psi), 0, w};
+}
+
+double arc(double w, double chord) {
+  const double sine = std::clamp(0.5 * w * chord, -1.0, 1.0);
+  return std::abs(sine) < 1e-6 ? chord : 2 * std::asin(sine) / w;
+}
+
+}  // namespace
+
+SegmentFinder::SegmentFinder(const Detector& detector, const FindSettings& settings)
+    : detector_(detector),
+      settings_(settings),
+      largest_w_(std::abs(curvature(detector.bz, 1 / settings.min_pt))),
+      points_(detector.cgem.size()),
+      score_(detector, settings) {}
+
+void SegmentFinder::load(const EventHits& hits, bool all) {
+  seeds_.clear();
+  ranks_.clear();
+  work_ = 0;
+  for (std::size_t layer = 0; layer < points_.size(); ++layer) {
+    points_[layer].clear();
+    const CgemLayer& cgem = detector_.cgem[layer];
+    for (std::int32_t id = hits.first(layer, View::x); id < hits.last(layer, View::x); ++id) {
+      if (!all && hits.is_taken(id)) continue;
+      const double phi = azimuth(cgem, hits[id].channel, hits[id].value), r = cgem.r_mid();
+      points_[layer].push_back({r * std::cos(phi), r * std::sin(phi), phi, id});
+    }
+  }
+}
+
+// z of the crossings of an X cluster with the V clusters of its sheet.
+void SegmentFinder::heights(const EventHits& hits, std::size_t layer, const Point& point,
+                            std::vector<Height>& out, bool all) {
+  out.clear();
+  const CgemLayer& cgem = detector_.cgem[layer];
+  work_ += hits.last(layer, View::v) - hits.first(layer, View::v);
+  for (std::int32_t id = hits.first(layer, View::v); id < hits.last(layer, View::v); ++id) {
+    if (hits[id].channel != hits[point.id].channel || (!all && hits.is_taken(id))) continue;
+    const double z = crossing_z(cgem, hits[point.id].value, hits[id].value);
+    if (std::abs(z) < cgem.half_length + 5) out.push_back({z, hits.pair_score(point.id, id), id});
+  }
+}
+
+const std::vector<FindSeed>& SegmentFinder::three_layers(const EventHits& hits) {
+  load(hits, true);
+  score_.start(hits);
+  const std::size_t layers = points_.size();
+  for (std::size_t inner = 0; inner + 2 < layers; ++inner)
+    for (std::size_t outer = inner + 2; outer < std::min(layers, inner + 4); ++outer)
+      for (std::size_t middle = inner + 1; middle < outer; ++middle)
+        if (!three_of({inner, middle, outer}, hits)) return ranked();
+  return ranked();
+}
+
+// Whether there is work left for other layers.
+bool SegmentFinder::three_of(const Layers& layers, const EventHits& hits) {
+  const auto [inner, middle, outer] = layers;
+  // No track turns by more between two layers, if it comes from near the beam line.
+  const double r_in = detector_.cgem[inner].r_mid(), r_out = detector_.cgem[outer].r_mid();
+  const double bend =
+      std::asin(std::min(1.0, 0.5 * largest_w_ * r_out)) - std::asin(std::min(1.0, 0.5 * largest_w_ * r_in));
+  const double window = bend + std::min(0.5, settings_.max_d * (1 / r_in - 1 / r_out));
+  for (const Point& a : points_[inner]) {
+    for (const Point& c : points_[outer]) {
+      if (too_much()) return false;
+      ++work_;
+      const double turn = wrap_angle(c.phi - a.phi);
+      if (std::abs(turn) > window) continue;
+      work_ += static_cast<std::int64_t>(points_[middle].size());
+      for (const Point& b : points_[middle]) {
+        const double part = wrap_angle(b.phi - a.phi);
+        if (std::abs(part - 0.5 * turn) > 0.5 * std::abs(turn) + 0.1) continue;
+        three(layers, a, b, c, hits);
+      }
+    }
+  }
+  return true;
+}
+
+void SegmentFinder::three(const Layers& layers, const Point& a, const Point& b, const Point& c,
+                          const EventHits& hits) {
+  HelixPoint at = through(a.x, a.y, b.x, b.y, c.x, c.y);
+  if (std::abs(at.w) > slowed * largest_w_ || at.outward() < 0) return;
+  const PivotApproach line = approach_pivot(at, 0, 0);
+  const bool slow = std::abs(at.w) > 1.15 * largest_w_;
+  if (!line.exists || std::abs(line.d) > (slow ? slow_d : settings_.max_d)) return;
+  heights(hits, layers[0], a, heights_[0], true);
+  heights(hits, layers[1], b, heights_[1], true);
+  heights(hits, layers[2], c, heights_[2], true);
+  const double s_a = -line.arc, s_b = s_a + arc(at.w, std::hypot(b.x - a.x, b.y - a.y)),
+               s_c = s_a + arc(at.w, std::hypot(c.x - a.x, c.y - a.y));
+  const Circle circle{{a.id, b.id, c.id},
+                      {s_a, s_b, s_c},
+                      line.d,
+                      wrap_angle(std::atan2(at.uy, at.ux) + line.turn),
+                      at.w / curvature(detector_.bz, 1.0),
+                      slow ? usual_z : settings_.max_z};
+  score_.circle(layers, circle.x, circle.s, circle.d, circle.kappa);
+  lines_of_three(circle);
+  if (!alone_) return;
+  for (std::size_t first = 0; first < 2; ++first)
+    for (std::size_t second = first + 1; second < 3; ++second) lines_of_two(circle, first, second);
+}
+
+void SegmentFinder::lines_of_three(const Circle& circle) {
+  const auto& [low_of, middle_of, high_of] = heights_;
+  const auto& [s_a, s_b, s_c] = circle.s;
+  const auto& [a, b, c] = circle.x;
+  for (const Height& low : low_of) {
+    for (const Height& high : high_of) {
+      if (too_much()) return;
+      work_ += 1 + static_cast<std::int64_t>(middle_of.size());
+      const double tanl = (high.z - low.z) / (s_c - s_a), z0 = low.z - tanl * s_a;
+      if (std::abs(z0) > circle.most_z) continue;
+      const double least = least_score() - score_.most_of_three(z0);
+      const SegmentScore::Scatter scatter = score_.scatter(tanl);
+      for (const Height& middle : middle_of) {
+        const double pairs = low.score + middle.score + high.score;
+        const double off = middle.z - low.z - tanl * (s_b - s_a);
+        if (pairs < least || score_.is_far(scatter, off)) continue;
+        const double score = pairs + score_.of_three(scatter, {low.id, middle.id, high.id}, off, z0);
+        if (score > least_score())
+          add({circle.d, circle.psi, circle.kappa, z0, tanl}, settings_.max_d,
+              {a, low.id, b, middle.id, c, high.id}, -score);
+      }
+    }
+  }
+}
+
+// Lines through heights in two layers, without one in the third.
+void SegmentFinder::lines_of_two(const Circle& circle, std::size_t first, std::size_t second) {
+  for (const Height& low : heights_[first]) {
+    if (too_much()) return;
+    work_ += static_cast<std::int64_t>(heights_[second].size());
+    for (const Height& high : heights_[second]) {
+      const double tanl = (high.z - low.z) / (circle.s[second] - circle.s[first]),
+                   z0 = low.z - tanl * circle.s[first];
+      if (std::abs(z0) > circle.most_z) continue;
+      const double pairs = low.score + high.score - doubt;
+      if (pairs + score_.most_of_two(first, second, z0) < settings_.min_score) continue;
+      const double score = pairs + score_.of_two(score_.scatter(tanl), first, second, z0);
+      if (score <= settings_.min_score) continue;
+      const auto& [a, b, c] = circle.x;
+      std::vector<std::int32_t> hits{a, b, c};
+      hits.insert(hits.begin() + static_cast<std::ptrdiff_t>(second) + 1, high.id);
+      hits.insert(hits.begin() + static_cast<std::ptrdiff_t>(first) + 1, low.id);
+      add({circle.d, circle.psi, circle.kappa, z0, tanl}, settings_.max_d, std::move(hits), -score);
+    }
+  }
+}
+
+const std::vector<FindSeed>& SegmentFinder::tracks(const EventHits& hits) {
+  score_.start(hits);
+  alone_ = true;
+  three_layers(hits);
+  alone_ = false;
+  return seeds_;
+}
+
+const std::vector<FindSeed>& SegmentFinder::two_layers(const EventHits& hits) {
+  load(hits, false);
+  for (std::size_t inner = 0; inner < points_.size(); ++inner)
+    for (std::size_t outer = inner + 1; outer < std::min(points_.size(), inner + 3); ++outer)
+      for (const Point& a : points_[inner])
+        for (const Point& c : points_[outer]) {
+          if (too_much()) return ranked();
+          ++work_;
+          two(inner, outer, a, c, hits);
+        }
+  return ranked();
+}
+
+void SegmentFinder::two(std::size_t inner, std::size_t outer, const Point& a, const Point& c,
+                        const EventHits& hits) {
+  if (a.x * c.x + a.y * c.y < 0) return;
+  const HelixPoint at = through(0, 0, a.x, a.y, c.x, c.y);
+  if (std::abs(at.w) > 1.15 * largest_w_) return;
+  heights(hits, inner, a, heights_[0], false);
+  heights(hits, outer, c, heights_[1], false);
+  const double s_a = arc(at.w, std::hypot(a.x, a.y)), s_c = arc(at.w, std::hypot(c.x, c.y));
+  const double kappa = at.w / curvature(detector_.bz, 1.0);
+  for (const Height& low : heights_[0]) {
+    work_ += static_cast<std::int64_t>(heights_[1].size());
+    for (const Height& high : heights_[1]) {
+      const double tanl = (high.z - low.z) / (s_c - s_a), z0 = low.z - tanl * s_a;
+      if (std::abs(z0) > usual_z) continue;
+      const double far = z0 / (0.2 * usual_z);
+      add({0, wrap_angle(std::atan2(at.uy, at.ux)), kappa, z0, tanl}, 1, {a.id, low.id, c.id, high.id},
+          far * far - 2 * (low.score + high.score));
+    }
+  }
+}
+
+void SegmentFinder::add(const Perigee& helix, double sigma_d, std::vector<std::int32_t> hits, double rank) {
+  const Five<double> variance{{sigma_d * sigma_d, 0.04, variance_of_kappa(helix.kappa), 2500, 0.25}};
+  FindSeed seed{helix, Symmetric<double>::diagonal(variance), std::move(hits), rank};
+  if (seed.helix.kappa == 0) seed.helix.kappa = 1e-9;
+  ranks_.push_back({rank, seeds_.size()});
+  seeds_.push_back(std::move(seed));
+  if (seeds_.size() > 8 * static_cast<std::size_t>(settings_.max_seeds) + 1000) keep_best();
+}
+
+// Leaves the best seeds, in their order; of equal ones the first found.
+void SegmentFinder::keep_best() {
+  std::ranges::stable_sort(ranks_, [](const Ranked& a, const Ranked& b) { return a.rank < b.rank; });
+  ranks_.resize(std::min(static_cast<std::size_t>(settings_.max_seeds), ranks_.size()));
+  sorted_.clear();
+  for (Ranked& one : ranks_) {
+    sorted_.push_back(std::move(seeds_[one.seed]));
+    one.seed = sorted_.size() - 1;
+  }
+  seeds_.swap(sorted_);
+}
+
+const std::vector<FindSeed>& SegmentFinder::ranked() {
+  keep_best();
+  return seeds_;
+}
+
+}  // namespace cgemit

@@ -1,0 +1,147 @@
+#include "reconstruction/find/stereo.hpp"
+
+#include <algorithm>
+#include <bit>
+#include <cmath>
+
+#include "common/angles.hpp"
+#include "detector/strip_plane.hpp"
+#include "motion/helix.hpp"
+
+namespace cgemit {
+
+namespace {
+
+constexpr double largest_tanl = 3.2;
+constexpr double wire_height_error = 4, strip_height_error = 2;  // mm, with the error of the circle
+constexpr std::size_t most_heights = 400;
+
+}  // namespace
+
+StereoSearch::StereoSearch(const Detector& detector, const FindSettings& settings)
+    : detector_(detector),
+      settings_(settings),
+      grid_(static_cast<std::size_t>(slopes * bins)),
+      counts_(grid_.size()) {}
+
+// A wire lies to the left of the circle by a quadratic in z, and by plus or minus the drift distance where
+// the track passes it.
+void StereoSearch::wires(const FoundCircle& circle, const EventHits& hits) {
+  const double ux = std::cos(circle.psi), uy = std::sin(circle.psi), n = 1 - circle.w * circle.d;
+  const HelixPoint start{circle.d * uy, -circle.d * ux, 0, ux, uy, 0, circle.w};
+  for (std::int32_t id = hits.first_wire(); id < hits.size(); ++id) {
+    const Hit& hit = hits[id];
+    const auto index = static_cast<std::size_t>(hit.layer);
+    const WireLayer& layer = detector_.wires[index];
+    if (layer.twist == 0 || hits.is_taken(id)) continue;
+    const Wire& wire = layer.placed[static_cast<std::size_t>(hit.channel)];
+    if (wire.x * ux + wire.y * uy < 0) continue;
+    const double gx = wire.ex / wire.ez, gy = wire.ey / wire.ez;
+    const double g0 = n * (wire.y * ux - wire.x * uy) + circle.d * (1 - 0.5 * circle.w * circle.d) -
+                      0.5 * circle.w * (wire.x * wire.x + wire.y * wire.y);
+    const double g1 = (-n * uy - circle.w * wire.x) * gx + (n * ux - circle.w * wire.y) * gy;
+    const double g2 = -0.5 * circle.w * (gx * gx + gy * gy);
+    for (const double side : {-hit.value, hit.value}) {
+      const double c = g0 - side, root = g1 * g1 - 4 * g2 * c;
+      if (!(root >= 0)) continue;
+      const double q = -0.5 * (g1 + std::copysign(std::sqrt(root), g1));
+      if (q == 0) continue;
+      const double z = c / q;  // the root that stays finite for a straight track
+      if (std::abs(z) > layer.half_length) continue;
+      const PivotApproach at = approach_pivot(start, wire.x + gx * z, wire.y + gy * z);
+      if (!at.exists || at.arc < 0) continue;
+      heights_.push_back({at.arc, z, wire_height_error, std::uint64_t{1} << (index % 64)});
+    }
+  }
+}
+
+void StereoSearch::strips(const FoundCircle& circle, const EventHits& hits) {
+  const double ux = std::cos(circle.psi), uy = std::sin(circle.psi);
+  const HelixPoint start{circle.d * uy, -circle.d * ux, 0, ux, uy, 0, circle.w};
+  for (const std::int32_t x : circle.hits) {
+    if (hits[x].view != View::x) continue;
+    const auto layer = static_cast<std::size_t>(hits[x].layer);
+    const CgemLayer& cgem = detector_.cgem[layer];
+    HelixPoint at = start;
+    double s = 0;
+    if (!step_to_cylinder(at, cgem.r_mid(), s)) continue;
+    for (std::int32_t v = hits.first(layer, View::v); v < hits.last(layer, View::v); ++v) {
+      if (hits[v].channel != hits[x].channel) continue;
+      const double z = crossing_z(cgem, hits[x].value, hits[v].value);
+      if (std::abs(z) > cgem.half_length + 5) continue;
+      heights_.push_back({s, z, strip_height_error, std::uint64_t{1} << (63 - layer % 32)});
+    }
+  }
+}
+
+const std::vector<FoundLine>& StereoSearch::find(const FoundCircle& circle, const EventHits& hits,
+                                                 std::size_t most) {
+  heights_.clear();
+  lines_.clear();
+  if (!settings_.wires_first) strips(circle, hits);
+  wires(circle, hits);
+  if (heights_.size() > most_heights) heights_.resize(most_heights);
+  std::ranges::fill(grid_, 0);
+  std::ranges::fill(counts_, 0);
+  const double step = 2 * largest_tanl / slopes, bin = 2 * settings_.max_z / bins, per_bin = 1 / bin;
+  for (const Height& height : heights_) {
+    for (int i = 0; i < slopes; ++i) {
+      const double z0 = height.z - (-largest_tanl + (i + 0.5) * step) * height.s;
+      const double place = (z0 + settings_.max_z) * per_bin - 0.5;
+      if (!(place >= 0 && place < bins - 1)) continue;
+      const auto below = static_cast<std::size_t>(i * bins + static_cast<int>(place));
+      for (const std::size_t at : {below, below + 1}) {
+        counts_[at] = static_cast<std::uint8_t>(counts_[at] + ((grid_[at] & height.layer) == 0 ? 1 : 0));
+        grid_[at] |= height.layer;
+      }
+    }
+  }
+  for (std::size_t number = 0; number < most; ++number) {
+    const int best = *std::ranges::max_element(counts_);
+    if (best < 2 || (!lines_.empty() && best < 0.7 * lines_.front().layers)) break;
+    int place = -1;  // of the bins with most layers, the one whose z0 is closest to the origin
+    for (int i = 0; i < slopes * bins; ++i) {
+      if (counts_[static_cast<std::size_t>(i)] != best) continue;
+      if (place < 0 || std::abs(i % bins - bins / 2) < std::abs(place % bins - bins / 2)) place = i;
+    }
+    const auto found =
+        line(-settings_.max_z + (place % bins + 0.5) * bin, -largest_tanl + (place / bins + 0.5) * step);
+    if (found) lines_.push_back(*found);
+    const int slope = place / bins, offset = place % bins;
+    for (int i = std::max(0, slope - 5); i <= std::min(slopes - 1, slope + 5); ++i)
+      for (int j = std::max(0, offset - 5); j <= std::min(bins - 1, offset + 5); ++j)
+        counts_[static_cast<std::size_t>(i * bins + j)] = 0;
+  }
+  return lines_;
+}
+
+// Least squares through the heights near a line, one window after the other.
+std::optional<FoundLine> StereoSearch::line(double z0, double tanl) const {
+  FoundLine found{z0, tanl, {}, 0};
+  for (const double window : {25.0, 15.0, 10.0, 8.0}) {
+    // Weak constraints keep the slope through close points finite.
+    double n = 1 / (settings_.max_z * settings_.max_z), s1 = 0, s2 = 0.1, right_0 = -found.z0 * n,
+           right_1 = -found.tanl * 0.1;
+    std::uint64_t layers = 0;
+    for (const Height& height : heights_) {
+      const double off = height.z - found.z0 - found.tanl * height.s;
+      if (std::abs(off) > window * std::sqrt(1 + 0.3 * found.tanl * found.tanl)) continue;
+      const double weight = 1 / (height.error * height.error);
+      n += weight;
+      s1 += weight * height.s;
+      s2 += weight * height.s * height.s;
+      right_0 += weight * off;
+      right_1 += weight * off * height.s;
+      layers |= height.layer;
+    }
+    found.layers = std::popcount(layers);
+    const double determinant = n * s2 - s1 * s1;
+    if (found.layers < 2 || !(determinant > 0)) return std::nullopt;
+    found.covariance = {s2 / determinant, -s1 / determinant, n / determinant};
+    found.z0 += (s2 * right_0 - s1 * right_1) / determinant;
+    found.tanl += (n * right_1 - s1 * right_0) / determinant;
+  }
+  return found;
+}
+
+}  // namespace cgemit

@@ -1,0 +1,45 @@
+// The line z = z0 + tanl s of a circle: heights at which stereo wires and V strips lie on it.
+#pragma once
+
+#include <cstdint>
+#include <optional>
+#include <vector>
+
+#include "reconstruction/find/axial.hpp"
+
+namespace cgemit {
+
+struct FoundLine {
+  double z0, tanl;
+  std::array<double, 3> covariance;  // of both
+  int layers;
+};
+
+class StereoSearch {
+ public:
+  StereoSearch(const Detector& detector, const FindSettings& settings);
+
+  // Up to `most` lines through measurements of at least two layers that are not taken, the best one first.
+  const std::vector<FoundLine>& find(const FoundCircle& circle, const EventHits& hits, std::size_t most);
+
+ private:
+  static constexpr int slopes = 128, bins = 64;
+
+  struct Height {
+    double s, z, error;
+    std::uint64_t layer;
+  };
+
+  void wires(const FoundCircle& circle, const EventHits& hits);
+  void strips(const FoundCircle& circle, const EventHits& hits);
+  std::optional<FoundLine> line(double z0, double tanl) const;
+
+  const Detector& detector_;
+  const FindSettings& settings_;
+  std::vector<Height> heights_;
+  std::vector<std::uint64_t> grid_;   // layers of each bin, one bit each
+  std::vector<std::uint8_t> counts_;  // their number
+  std::vector<FoundLine> lines_;
+};
+
+}  // namespace cgemit

@@ -1,0 +1,277 @@
+// The fit of a group of tracks, one per lane.
+#pragma once
+
+#include <algorithm>
+#include <cmath>
+
+#include "kalman/field_reference.hpp"
+#include "kalman/filter.hpp"
+#include "kalman/tracer.hpp"
+#include "reconstruction/fit/first_guess.hpp"
+#include "reconstruction/fit/lane_rows.hpp"
+#include "reconstruction/fit/measured.hpp"
+#include "reconstruction/fit/outliers.hpp"
+
+namespace cgemit {
+
+template <class T>
+class GroupFit {
+ public:
+  GroupFit(const Detector& detector, const FitSettings& settings, Group<T>& group)
+      : detector_(detector), settings_(settings), group_(group) {}
+
+  // Fits from `start`; `spread` (mm) is the distance of most hits from it. `wires_first`: the unknown sides
+  // are determined from the wires alone before the clusters join. `kinks`: slow tracks get kinks.
+  void run(const PerigeeOf<T>& start, T spread, T mass, Projectile projectile, std::span<const FitLane> lanes,
+           bool wires_first, bool kinks) {
+    helix_ = start;
+    spread_ = spread;
+    passed_ = T(0.0);
+    lanes_ = lanes;
+    open_ = has_open_sides();
+    wires_only_ = wires_first & open_;
+    kinks_ = kinks;
+    chi2_ = T(0.0);
+    active_ = mask_of<T>(false);
+    for (std::size_t k = 0; k < lanes.size(); ++k) set_lane(active_, static_cast<int>(k), true);
+    Five<T> prior;
+    unroll<parameters>([&](auto i) {
+      const double sigma = settings_.prior_sigma[static_cast<std::size_t>(i)];
+      prior[i] = sigma * sigma;
+    });
+    variance_ = prior;
+    for (iteration_ = 0; iteration_ < settings_.max_iterations && any(active_); ++iteration_)
+      iterate(prior, mass, projectile);
+  }
+
+  // Whether slow tracks may have kinks at all.
+  static bool gives_kinks(const FitSettings& settings) {
+    return settings.kinks && settings.max_iterations > kink_iterations;
+  }
+
+ private:
+  static constexpr int patient_iterations = 6;
+  static constexpr int impatient_iterations =
+      4;                                     // from here on, outliers are looked for even without convergence
+  static constexpr int last_return = 8;      // from this iteration on, outliers do not return
+  static constexpr int kink_iterations = 4;  // iterations that must remain for kinks to converge
+  static constexpr double least_scattering = 5e-5;  // rad^2; smaller variances are linear
+
+  // The results of one iteration.
+  struct Iteration {
+    bool last;
+    mask_of<T> works;        // lanes that are still being fitted
+    FilteredState<T> state;  // at the origin, about the reference
+    T moved;                 // largest step of a parameter, in standard deviations, squared
+    mask_of<T> settled;      // lanes that may have converged
+    mask_of<T> judged;       // lanes that are searched for outliers
+  };
+
+  void iterate(const Five<T>& prior, T mass, Projectile projectile) {
+    Iteration now{};
+    now.last = iteration_ + 1 == settings_.max_iterations;
+    linearise(now, mass, projectile);
+    if (!any(now.works)) return;
+    filter_inward(now, prior);
+    smooth_outward(now);
+    decide(now);
+  }
+
+  // Follows the reference trajectory and computes the measurement of every hit on it.
+  void linearise(Iteration& now, T mass, Projectile projectile) {
+    if (iteration_ > patient_iterations) give_up_hits();
+    trace(mass, projectile);
+    mask_of<T> works = active_;
+    if (any(group_.stopped)) works = works & !speed_up(now.last);
+    passed_ = select(works, helix_.kappa, passed_);
+    const mask_of<T> few = too_few(), hopeless(now.last || iteration_ >= patient_iterations);
+    works = works & !finish(works & group_.left & (few | hopeless), FitStatus::left_field);
+    works = works & !finish(works & few, FitStatus::does_not_reach);
+    now.works = works;
+    if (!any(works)) return;
+    // After radiation, electrons are far from any first helix.
+    if (iteration_ == 0 && projectile < Projectile::electron)
+      first_guess(group_, helix_, mass, spread_, works, settings_.outlier_pull > 0);
+    if (settings_.outlier_pull > 0) keep_enough(group_, works);
+    fill_slots(group_, detector_, settings_, wires_only_);
+  }
+
+  // Computes the state at the origin and the next reference.
+  void filter_inward(Iteration& now, const Five<T>& prior) {
+    reference_.prior = beginning(prior);
+    now.state = filter(detector_, group_, reference_.prior);
+    now.works = now.works & !finish(now.works & !(positive_definite(now.state.c) & sound(now.state)),
+                                    FitStatus::not_positive_definite);
+    now.moved = T(0.0);
+    unroll<parameters>([&](auto i) {
+      now.moved = larger(now.moved, now.state.x[i] * now.state.x[i] / now.state.c(i, i));
+      variance_[i] = select(now.works, now.state.c(i, i), variance_[i]);
+    });
+    reference_.helix = helix_;
+    if (any(group_.kinked)) reference_.kinks = group_.kinks;
+    move(now.state.x, now.works);
+  }
+
+  // Residuals to the track without the hit. They update the weights of sides, outliers and kinks, and are
+  // needed only for tracks close to convergence; the other tracks skip them.
+  void smooth_outward(Iteration& now) {
+    now.settled =
+        now.works & (now.moved < settings_.tolerance * settings_.tolerance) & !wires_only_ & !group_.left;
+    now.judged = iteration_ >= impatient_iterations ? now.works : now.settled;
+    if (!now.last && !any(now.judged) && !any((open_ | group_.kinked) & now.works)) return;
+    smooth(group_, now.works);
+    if (any(open_ & now.works)) now.settled = now.settled & renew_sides(group_, now.works, iteration_ < 2);
+    if (settings_.outlier_pull > 0)
+      now.settled =
+          now.settled & renew_outliers(group_, now.judged, settings_.outlier_pull, iteration_ < last_return);
+  }
+
+  // Decides which lanes have converged; the others continue from the new reference.
+  void decide(Iteration& now) {
+    mask_of<T> ready = now.settled;
+    if (kinks_) {
+      ready = ready & ((abs(now.state.chi2 - chi2_) < settings_.tolerance) | !group_.kinked);
+      ready = ready & !bend(now.judged & !wires_only_);
+      chi2_ = select(now.works, now.state.chi2, chi2_);
+    }
+    wires_only_ = wires_only_ & !now.works;
+    store(ready, now.state, FitStatus::ok);
+    active_ = active_ & !ready;
+    if (now.last) store(now.works & !ready, now.state, FitStatus::not_converged);
+  }
+
+  // Slow tracks get kinks once a linear fit has converged, or fails to: angles, shifts and curvature multiply
+  // where scattering exceeds a few mrad. Returns the lanes that got kinks now.
+  mask_of<T> bend(mask_of<T> who) {
+    who = who & !group_.kinked;
+    if (!any(who) || iteration_ + kink_iterations >= settings_.max_iterations) return mask_of<T>(false);
+    who = who & (scattering() > least_scattering);
+    if (!any(who)) return who;
+    for (Kink<T>& kink : group_.kinks) {
+      kink.aside = select(group_.kinked, kink.aside, T(0.0));
+      kink.up = select(group_.kinked, kink.up, T(0.0));
+      kink.cosine = select(group_.kinked, kink.cosine, T(1.0));
+      kink.sine = select(group_.kinked, kink.sine, T(0.0));
+    }
+    group_.kinked = group_.kinked | who;
+    smooth(group_, who);
+    return who;
+  }
+
+  // Variance of the angle after all matter, rad^2.
+  T scattering() const {
+    T sum(0.0);
+    for (const Kink<T>& kink : group_.kinks) sum += kink.sigma * kink.sigma;
+    return sum;
+  }
+
+  void trace(T mass, Projectile projectile) {
+    if (detector_.field.is_uniform()) {
+      Tracer<T>(detector_, helix_, mass, projectile, group_).run(active_);
+    } else {
+      Tracer<T, FieldReference<T>>(detector_, helix_, mass, projectile, group_).run(active_);
+    }
+  }
+
+  // The covariance of the filter's prior. Rounding error grows with the ratio of prior to posterior, so after
+  // the first iteration the prior is 4000 times the last diagonal variances. Correlations are dropped: they
+  // would leak information of the inner hits into the outer ones. The mean of the prior is the present
+  // reference, so that the prior has no bias after convergence.
+  Symmetric<T> beginning(const Five<T>& prior) const {
+    constexpr double ratio = 4000;
+    Five<T> variance = prior;
+    if (iteration_ > 0)
+      unroll<parameters>([&](auto i) { variance[i] = smaller(ratio * variance_[i], prior[i]); });
+    return Symmetric<T>::diagonal(variance);
+  }
+
+  mask_of<T> has_open_sides() const {
+    mask_of<T> open(false);
+    for (const Slot<T>& slot : group_.slots)
+      if (slot.view == View::wire) open = open | (slot.there & (slot.known_side == 0.0));
+    return open;
+  }
+
+  // If the reference stops before the last hits, its momentum is raised: kappa moves halfway back to that of
+  // the last reference that did not stop, or is reduced by a fixed factor. If that does not help, the hits
+  // beyond are given up.
+  mask_of<T> speed_up(bool last) {
+    const mask_of<T> stopped = active_ & group_.stopped;
+    if (iteration_ > patient_iterations || last) return finish(stopped, FitStatus::stopped);
+    if (iteration_ < patient_iterations)
+      helix_.kappa = select(
+          stopped, select(passed_ != 0.0, 0.5 * (passed_ + helix_.kappa), 0.85 * helix_.kappa), helix_.kappa);
+    return stopped;
+  }
+
+  // Hits that the reference does not reach are given up after some iterations.
+  void give_up_hits() {
+    for (Slot<T>& slot : group_.slots) slot.there = slot.there & (slot.met | !active_);
+    look_ahead(group_);
+  }
+
+  // Any track can meet as many measurements as it has parameters: at least one more is required.
+  mask_of<T> too_few() const {
+    mask_of<T> few(false);
+    for (int k = 0; k < lanes_of<T>; ++k)
+      set_lane(few, k, group_.reached[static_cast<std::size_t>(k)] <= parameters);
+    return few;
+  }
+
+  // Ends the fit of these lanes. Returns the lanes.
+  mask_of<T> finish(mask_of<T> failed, FitStatus status) {
+    if (!any(failed)) return failed;
+    for (std::size_t k = 0; k < lanes_.size(); ++k) {
+      if (!lane(failed, static_cast<int>(k))) continue;
+      write_helix(*lanes_[k].rows, helix_, static_cast<int>(k), iteration_ + 1);
+      lanes_[k].rows->status = status;
+    }
+    active_ = active_ & !failed;
+    return failed;
+  }
+
+  // The new reference. A step that would change the curvature by more than half of it is shortened.
+  void move(const Five<T>& x, mask_of<T> who) {
+    const T limit = larger(0.5 * abs(helix_.kappa), 0.2);
+    const T fraction = select(who, smaller(T(1.0), limit / larger(abs(x[2]), 1e-12)), T(0.0));
+    const auto step = [&](T& parameter, T by) {
+      parameter = select(who, parameter + fraction * by, parameter);
+    };
+    step(helix_.d, x[0]);
+    step(helix_.psi, x[1]);
+    step(helix_.kappa, x[2]);
+    step(helix_.z0, x[3]);
+    step(helix_.tanl, x[4]);
+    helix_.kappa = select(helix_.kappa == 0.0, T(1e-9), helix_.kappa);
+    const T turns = nearest(helix_.psi * (0.5 / pi));
+    helix_.psi = helix_.psi - turns * (2 * pi);
+  }
+
+  void store(mask_of<T> who, const FilteredState<T>& state, FitStatus status) {
+    if (!any(who)) return;
+    for (std::size_t k = 0; k < lanes_.size(); ++k) {
+      const int i = static_cast<int>(k);
+      if (!lane(who, i)) continue;
+      write_helix(*lanes_[k].rows, helix_, i, iteration_ + 1);
+      write_state(*lanes_[k].rows, state, i, status);
+      if (lanes_[k].last != nullptr)
+        write_reference(lanes_[k], reference_, group_, i, detector_.slabs.size());
+    }
+    write_hits(lanes_, group_, who);
+  }
+
+  const Detector& detector_;
+  const FitSettings& settings_;
+  Group<T>& group_;
+  PerigeeOf<T> helix_;            // linearisation point of the next iteration
+  LinearisedAbout<T> reference_;  // linearisation point of this iteration
+  Five<T> variance_;              // of the previous iteration
+  T spread_, passed_;             // of the start; kappa of the last reference that did not stop, 0 if none
+  std::span<const FitLane> lanes_;
+  mask_of<T> active_, open_, wires_only_;
+  T chi2_;  // of the previous iteration
+  bool kinks_ = true;
+  int iteration_ = 0;
+};
+
+}  // namespace cgemit

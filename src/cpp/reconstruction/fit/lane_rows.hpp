@@ -1,0 +1,84 @@
+// Writes the result of a lane into the rows of its track.
+#pragma once
+
+#include <algorithm>
+#include <cmath>
+#include <vector>
+
+#include "kalman/filter.hpp"
+#include "reconstruction/fit/fit.hpp"
+
+namespace cgemit {
+
+// The output rows of the track in a lane and of its hits.
+using FitLane = FitOutput;
+
+// The linearisation point of an iteration, and the covariance of its prior.
+template <class T>
+struct LinearisedAbout {
+  PerigeeOf<T> helix;
+  std::vector<Kink<T>> kinks;
+  Symmetric<T> prior;
+};
+
+template <class T>
+void write_covariance(const Symmetric<T>& c, int i, std::array<double, 25>& out) {
+  for (int k = 0; k < parameters; ++k) {
+    for (int m = 0; m < parameters; ++m) out[static_cast<std::size_t>(parameters * k + m)] = lane(c(k, m), i);
+  }
+}
+
+// Parameters as in the BES3 files.
+template <class T>
+void write_helix(FitRow& row, const PerigeeOf<T>& helix, int i, int iterations) {
+  row.helix = {lane(helix.d, i), wrap_angle(lane(helix.psi, i) - 0.5 * pi), lane(helix.kappa, i),
+               lane(helix.z0, i), lane(helix.tanl, i)};
+  row.iterations = iterations;
+}
+
+template <class T>
+void write_state(FitRow& row, const FilteredState<T>& state, int i, FitStatus status) {
+  row.status = status;
+  row.chi2 = lane(state.chi2, i);
+  row.clusters = row.wires = row.outliers = 0;
+  write_covariance(state.c, i, row.covariance);
+}
+
+template <class T>
+void write_hit(const FitLane& to, const Slot<T>& slot, std::size_t k) {
+  const int i = static_cast<int>(k);
+  const bool used = lane(slot.used, i);
+  ++(!used ? to.rows->outliers : slot.view == View::wire ? to.rows->wires : to.rows->clusters);
+  if (to.hits == nullptr) return;
+  const double weight = lane(slot.weight, i);
+  to.hits[slot.hit[k]] = {lane(slot.unbiased, i), std::sqrt(lane(slot.unbiased_variance, i)),
+                          static_cast<std::int8_t>(weight > 0 ? 1 : (weight < 0 ? -1 : 0)),
+                          static_cast<std::uint8_t>(used)};
+  if (to.measured != nullptr) to.measured[slot.hit[k]] = {lane(slot.value, i), lane(slot.variance, i)};
+}
+
+template <class T>
+void write_hits(std::span<const FitLane> lanes, const Group<T>& group, mask_of<T> who) {
+  for (const Slot<T>& slot : group.slots) {
+    const mask_of<T> met = who & slot.met;
+    for (std::size_t k = 0; k < lanes.size(); ++k)
+      if (lane(met, static_cast<int>(k))) write_hit(lanes[k], slot, k);
+  }
+}
+
+template <class T>
+void write_reference(const FitLane& to, const LinearisedAbout<T>& about, const Group<T>& group, int i,
+                     std::size_t slabs) {
+  const PerigeeOf<T>& helix = about.helix;
+  to.last->reference = {lane(helix.d, i), lane(helix.psi, i), lane(helix.kappa, i), lane(helix.z0, i),
+                        lane(helix.tanl, i)};
+  write_covariance(about.prior, i, to.last->prior);
+  std::fill_n(to.kinks, slabs, KinkRow{0, 0});
+  for (const GroupStep& step : group.steps) {
+    if (!step.is_slab || !lane(group.kinked, i)) continue;
+    const Kink<T>& kink = about.kinks[static_cast<std::size_t>(step.noise)];
+    to.kinks[step.slab] = {lane(kink.aside, i), lane(kink.up, i)};
+  }
+}
+
+}  // namespace cgemit

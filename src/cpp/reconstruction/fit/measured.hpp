@@ -1,0 +1,58 @@
+// The measurement of each hit on the present reference: value, variance, and side of the wire.
+#pragma once
+
+#include "common/compiler.hpp"
+#include "detector/cluster_errors.hpp"
+#include "kalman/group.hpp"
+#include "reconstruction/fit/first_guess.hpp"
+#include "reconstruction/fit/fit.hpp"
+
+namespace cgemit {
+
+// `wires_only`: lanes that do not use their clusters yet.
+template <class T>
+CGEMIT_FLATTEN void fill_slots(Group<T>& group, const Detector& detector, const FitSettings& settings,
+                               mask_of<T> wires_only) {
+  for (Slot<T>& slot : group.slots) {
+    slot.used = slot.met & !slot.outlier;
+    if (slot.view == View::wire) {
+      // A drift distance is a mixture of two sides; its mean and variance follow from the present weight of
+      // each.
+      slot.value = slot.weight * slot.drift;
+      slot.variance = slot.noise + (1.0 - slot.weight * slot.weight) * slot.drift * slot.drift;
+    } else {
+      slot.value = slot.drift;
+      slot.variance = slot.noise;
+      slot.used = slot.used & !wires_only;
+      if (settings.errors_from_track) {
+        const CgemLayer& layer = detector.cgem[static_cast<std::size_t>(slot.layer)];
+        const double pitch = slot.view == View::x ? layer.pitch_x : layer.pitch_v;
+        const T from_track =
+            cluster_variance(slot.size, slot.extent, pitch, settings.least_width, settings.delta_strips);
+        slot.variance = select(slot.met & (slot.size > 0.0), from_track, slot.variance);
+      }
+    }
+    slot.residual = select(slot.met, slot.value - slot.predicted, T(0.0));
+  }
+}
+
+// Probability of each side from the track fitted without the hit. `early`: the errors of the predictions are
+// underestimated. True where no weight changed any more.
+template <class T>
+CGEMIT_FLATTEN mask_of<T> renew_sides(Group<T>& group, mask_of<T> who, bool early) {
+  const double caution = early ? 4.0 : 1.0;
+  T largest(0.0);
+  for (Slot<T>& slot : group.slots) {
+    if (slot.view != View::wire) continue;
+    const mask_of<T> open = who & slot.met & (slot.known_side == 0.0);
+    if (!any(open)) continue;
+    const T predicted = slot.value - slot.unbiased;
+    const T spread = larger(slot.unbiased_variance - slot.variance, 0.0);
+    const T weight = hyperbolic_tangent(slot.drift * predicted / (slot.noise + caution * spread));
+    largest = larger(largest, select(open, abs(weight - slot.weight), T(0.0)));
+    slot.weight = select(open, weight, slot.weight);
+  }
+  return largest < 0.02;
+}
+
+}  // namespace cgemit

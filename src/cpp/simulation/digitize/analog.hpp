@@ -1,0 +1,33 @@
+// Analog read-out of the CGEM layers: electrons of ionization drift, multiply and induce currents on the
+// strips, which a chip turns into charges and times (docs/methods/readout.md).
+#pragma once
+
+#include <cstdint>
+#include <span>
+
+#include "detector/detector.hpp"
+#include "detector/strip_maps.hpp"
+#include "simulation/digitize/avalanche.hpp"
+#include "simulation/digitize/chips.hpp"
+#include "simulation/digitize/digis.hpp"
+#include "simulation/digitize/truths.hpp"
+
+namespace cgemit {
+
+struct AnalogModel {
+  std::span<const LayerDrift> drift;  // of each CGEM layer
+  ElectronPhysics physics;
+  Chip chip;
+  double share_spread;       // standard deviation of ln(charge on X / charge on V) from crossing to crossing
+  double neighbour, second;  // share of a strip's current on its neighbours, and on those beyond
+  std::uint64_t seed;
+};
+
+// One row per strip above threshold, ordered by event, layer, sheet, view, strip. Every truth needs all its
+// deposits as steps, ionization clusters included: throws std::invalid_argument naming the first one that
+// lacks some. `gains` act where an avalanche reaches the anode. One electron at a time: the reference of the
+// kernels (kernels/kernels.hpp), which have several side by side.
+void read_out_analog(const Detector& detector, const TruthColumns& truths, const StepColumns& steps,
+                     const AnalogModel& readout, const GainMaps& gains, DigiColumns& digis);
+
+}  // namespace cgemit

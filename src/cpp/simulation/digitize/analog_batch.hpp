@@ -1,0 +1,214 @@
+// The analog read-out of all events, for one instruction set (kernels/kernels.hpp).
+#pragma once
+
+#include <array>
+#include <cmath>
+#include <limits>
+#include <stdexcept>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "simulation/digitize/analog.hpp"
+#include "simulation/digitize/strip_signals.hpp"
+
+namespace cgemit {
+
+// First step of each truth, and the end of the last one's.
+inline std::vector<std::size_t> first_steps(const TruthColumns& truths, const StepColumns& steps) {
+  std::vector<std::size_t> first(truths.size() + 1, steps.size());
+  std::size_t step = 0;
+  for (std::size_t row = 0; row < truths.size(); ++row) {
+    first[row] = step;
+    double deposited = 0;
+    for (; step < steps.size() && steps.truth[step] == static_cast<std::int64_t>(row); ++step) {
+      deposited += steps.energy[step];
+    }
+    if (std::abs(deposited - truths.energy[row]) > 1e-6 * (truths.energy[row] + 1)) {
+      throw std::invalid_argument("truths row " + std::to_string(row) + ": its steps deposit " +
+                                  std::to_string(deposited) + " keV, expected its energy, " +
+                                  std::to_string(truths.energy[row]) +
+                                  " keV: simulate with SimulateSettings(steps=True)");
+    }
+  }
+  return first;
+}
+
+// Number of earlier rows of the event with the same particle in the same layer; with particle and layer it
+// identifies a truth independently of the chunk.
+inline std::uint32_t earlier(const TruthColumns& truths, std::size_t event_begin, std::size_t row) {
+  std::uint32_t n = 0;
+  for (std::size_t i = event_begin; i < row; ++i) {
+    n += truths.particle[i] == truths.particle[row] && truths.layer[i] == truths.layer[row];
+  }
+  return n;
+}
+
+// Reads out events one after the other, with electrons of one truth side by side in the lanes of T.
+template <class T>
+class EventReadout {
+ public:
+  EventReadout(const Detector& detector, const TruthColumns& truths, const StepColumns& steps,
+               const AnalogModel& readout, const GainMaps& gains)
+      : detector_(detector),
+        truths_(truths),
+        steps_(steps),
+        first_(first_steps(truths, steps)),
+        readout_(readout),
+        gains_(gains),
+        response_(readout.chip.charge, time_step) {
+    for (const CgemLayer& layer : detector.cgem) signals_.emplace_back(layer);
+  }
+
+  // Truths [begin, end) are those of one event.
+  void read(std::size_t begin, std::size_t end) {
+    for (std::size_t layer = 0; layer < detector_.cgem.size(); ++layer) {
+      if (!open(layer, begin, end)) continue;
+      for (std::size_t row = begin; row < end; ++row) {
+        if (truths_.layer[row] == static_cast<std::int32_t>(layer)) collect(row, begin);
+      }
+      signals_[layer].close();
+      signals_[layer].couple(readout_.neighbour, readout_.second);
+      write(layer, truths_.event[begin]);
+    }
+  }
+  DigiColumns digis;
+
+ private:
+  static constexpr std::size_t width = lanes_of<T>;
+  static constexpr double late = 8;  // widths of the drift time beyond which no electron arrives
+  // Electrons of one truth, in order, with the step that each comes from.
+  struct Group {
+    std::array<std::size_t, width> step{};
+    std::size_t n = 0;
+  };
+
+  // Prepares the currents of a layer; false if no truth crosses it.
+  bool open(std::size_t layer, std::size_t begin, std::size_t end) {
+    double first = std::numeric_limits<double>::infinity(), last = -first;
+    for (std::size_t row = begin; row < end; ++row) {
+      if (truths_.layer[row] != static_cast<std::int32_t>(layer)) continue;
+      first = std::min(first, truths_.time[row]);
+      last = std::max(last, truths_.time[row]);
+    }
+    if (first > last) return false;
+    const LayerDrift& drift = readout_.drift[layer];
+    const double gap = detector_.cgem[layer].r_gap_out - detector_.cgem[layer].r_gap_in;
+    const double spread = late * readout_.physics.diffusion * drift.sigma_l * std::sqrt(gap) / drift.velocity;
+    signals_[layer].begin(first + drift.delay - spread, last + drift.delay + gap / drift.velocity + spread,
+                          drift.induction);
+    return true;
+  }
+
+  // Drifts all electrons of a truth to the strips.
+  void collect(std::size_t row, std::size_t event_begin) {
+    const auto number = static_cast<std::size_t>(truths_.layer[row]);
+    const std::uint32_t before = earlier(truths_, event_begin, row);
+    const std::uint32_t place = (static_cast<std::uint32_t>(number) << 19) | ((before & 7U) << 16);
+    const Stream stream(readout_.seed, static_cast<std::uint64_t>(truths_.event[row]),
+                        static_cast<std::uint32_t>(truths_.particle[row]) | ((before & 8U) << 16));
+    const double ratio = readout_.share_spread * stream.normals(Purpose::readout_truth, place)[0];
+    const std::array<double, 2> share = {1 / (1 + std::exp(-ratio)), 1 / (1 + std::exp(ratio))};
+    Group group;
+    std::uint32_t electron = 0;
+    const auto flush = [&] {
+      ElectronDraws<T> draws(stream, place, electron);
+      release(number, group, row, share, draws);
+      electron += width;
+      group.n = 0;
+    };
+    for (std::size_t i = first_[row]; i < first_[row + 1]; ++i) {
+      for (std::int32_t k = 0; k < steps_.n_electrons[i]; ++k) {
+        group.step[group.n++] = i;
+        if (group.n == width) flush();
+      }
+    }
+    if (group.n > 0) flush();
+  }
+
+  // The electrons of a group: their draws, drift and gain side by side, their clouds one after the other.
+  void release(std::size_t number, const Group& group, std::size_t row, const std::array<double, 2>& share,
+               ElectronDraws<T>& draws) {
+    mask_of<T> arrives = draws.uniform() <= T(readout_.physics.survival);
+    for (int i = static_cast<int>(group.n); i < lanes_of<T>; ++i) set_lane(arrives, i, false);
+    if (!any(arrives)) return;
+    const T side = draws.uniform() - 0.5;
+    const auto coordinate = [&](std::size_t axis) {
+      const auto column = [&](std::span<const double> values) {
+        return gathered<T>([&](int i) { return values[group.step[static_cast<std::size_t>(i)]]; });
+      };
+      return column(steps_.middle[axis]) + side * column(steps_.d[axis]);
+    };
+    const Arrival<T> clouds = drift(detector_.cgem[number], readout_.drift[number], readout_.physics,
+                                    coordinate(0), coordinate(1), coordinate(2), draws, arrives);
+    each_lane(arrives, [&](int i) {
+      spread(number, row, share,
+             {lane(clouds.phi, i), lane(clouds.z, i), lane(clouds.spread_phi, i), lane(clouds.spread_z, i),
+              lane(clouds.time, i), lane(clouds.charge, i)});
+    });
+  }
+
+  // One avalanche on the strips of both views.
+  void spread(std::size_t number, std::size_t row, const std::array<double, 2>& share,
+              const Arrival<double>& cloud) {
+    const CgemLayer& layer = detector_.cgem[number];
+    const LayerDrift& gas = readout_.drift[number];
+    const double factor = readout_.physics.diffusion;
+    const double sigma_x =
+        layer.r_readout * std::max(wider(factor * gas.cloud_phi, cloud.spread_phi), least_phi);
+    const double sigma_z = std::max(wider(factor * gas.cloud_z, cloud.spread_z), least_z);
+    const double charge =
+        cloud.charge * elementary_charge_fC * gains_.at(detector_, number, cloud.phi, cloud.z);
+    StripSignals& signals = signals_[number];
+    const StripSignals::Transit transit = signals.transit(truths_.time[row] + cloud.time);
+    share_on_layer<T>(
+        layer, cloud.phi, cloud.z, sigma_x, sigma_z, [&](int sheet, int view, int strip, Parts parts) {
+          signals.add(sheet, view, strip, parts, transit, share[static_cast<std::size_t>(view)] * charge,
+                      static_cast<std::int64_t>(row));
+        });
+  }
+  static double wider(double sigma, double added) { return added == 0 ? sigma : std::hypot(sigma, added); }
+
+  void write(std::size_t number, std::int64_t event) {
+    const CgemLayer& layer = detector_.cgem[number];
+    const Stream stream(readout_.seed, static_cast<std::uint64_t>(event), 0);
+    signals_[number].each([&](int sheet, int view, int strip, const StripSignals::Source& source,
+                              std::span<const double> steps) {
+      DigiRow digi{event, static_cast<std::int32_t>(number), sheet, static_cast<std::int8_t>(view), strip};
+      digi.gid = gid_of(layer, sheet, view, strip);
+      const auto measured = measure(readout_.chip, response_, view, signals_[number].start(),
+                                    {steps, source.total}, stream, static_cast<std::uint32_t>(digi.gid));
+      if (!measured) return;
+      digi.charge = measured->charge;
+      digi.time = measured->time;
+      digi.truth = source.largest_truth;
+      digi.n_truths = source.n;
+      digis.push_back(digi);
+    });
+  }
+
+  static constexpr double least_phi = 1e-9, least_z = 1e-6;  // rad, mm: a cloud without diffusion
+  const Detector& detector_;
+  const TruthColumns& truths_;
+  const StepColumns& steps_;
+  std::vector<std::size_t> first_;
+  const AnalogModel& readout_;
+  const GainMaps& gains_;
+  StepResponse response_;
+  std::vector<StripSignals> signals_;
+};
+
+template <class T>
+void read_out_analog_lanes(const Detector& detector, const TruthColumns& truths, const StepColumns& steps,
+                           const AnalogModel& readout, const GainMaps& gains, DigiColumns& digis) {
+  check(truths, detector);
+  check(steps, truths, detector);
+  EventReadout<T> event(detector, truths, steps, readout, gains);
+  for (std::size_t begin = 0, end; begin < truths.size(); begin = end) {
+    end = event_end(truths.event, begin);
+    event.read(begin, end);
+  }
+  digis = std::move(event.digis);
+}
+
+}  // namespace cgemit

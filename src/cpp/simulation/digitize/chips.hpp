@@ -1,0 +1,43 @@
+// Front-end chips: what a strip's current becomes (docs/methods/readout.md).
+#pragma once
+
+#include <array>
+#include <optional>
+#include <span>
+
+#include "common/rng.hpp"
+#include "simulation/digitize/shaper.hpp"
+
+namespace cgemit {
+
+enum class ChipKind { tiger, apv25 };
+
+// Amplitudes are in fC: 1 fC that arrives at once has a peak of 1 fC behind either shaper.
+struct Chip {
+  ChipKind kind;
+  Shaper timing, charge;            // APV25: the second one is not used
+  std::array<double, 2> threshold;  // fC, of X and V strips
+  double noise;                     // fC, standard deviation of an amplitude
+  double jitter;                    // ns, standard deviation of the time
+  double saturation;                // fC, largest charge
+  double sample_delay;  // ns, TIGER: from the crossing of the threshold to the sample of the charge
+  double clock;         // ns, APV25: between samples, the first one at time 0
+  int samples;          // APV25
+};
+
+struct StripReading {
+  double charge, time;  // fC, ns
+};
+
+// Current of one strip.
+struct Current {
+  std::span<const double> steps;  // fC/ns, on the grid of `strip_signals.hpp`
+  double charge;                  // fC, its integral
+};
+
+// What the chip makes of a current that begins at `start` (ns); nothing below the threshold. `response`: of
+// the branch of the charge. Noise is that of (stream, gid).
+std::optional<StripReading> measure(const Chip& chip, StepResponse& response, int view, double start,
+                                    const Current& current, const Stream& stream, std::uint32_t gid);
+
+}  // namespace cgemit

@@ -1,0 +1,49 @@
+// Simulation of charged particles: from the vertex outward through matter, drift gaps and drift cells.
+#pragma once
+
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include "common/rng.hpp"
+#include "common/status.hpp"
+#include "detector/detector.hpp"
+#include "simulation/transport/decays.hpp"
+#include "simulation/transport/rows.hpp"
+
+namespace cgemit {
+
+enum class Fluctuations { full, gaussian, off };
+
+inline constexpr int most_half_turns = 15;  // the read-out knows 16 crossings of a layer apart
+
+struct SimulateSettings {
+  Fluctuations fluctuations;
+  bool deltas;               // electrons that leave the particle's track
+  bool steps;                // also the particle's own ionization clusters
+  const DecayTable* decays;  // null: nothing decays
+  int half_turns;            // most of a particle: from perigee to apex, or back; 1 to most_half_turns
+};
+
+// One row per generated particle; all columns of one length.
+struct ParticleColumns {
+  std::span<const std::int64_t> event;
+  std::span<const std::int32_t> particle, pdg;
+  std::span<const std::int8_t> charge;
+  std::span<const double> mass, x, y, z, px, py, pz;
+};
+
+struct Simulated {
+  Truths truths;
+  Steps steps;
+  WireTruths wire_truths;
+  Decays decays;
+  std::vector<TransportStatus> status;  // one per particle
+};
+
+// Appends to `out`. With one half turn, hits are recorded on the outward path only; a particle that starts
+// inward first crosses the matter there.
+void simulate(const Detector& detector, const ParticleColumns& particles, const SimulateSettings& settings,
+              std::uint64_t seed, Simulated& out);
+
+}  // namespace cgemit
