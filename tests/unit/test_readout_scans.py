@@ -108,29 +108,22 @@ def test_formation() -> None:
 
 @pytest.mark.slow
 def test_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Scans, wrong pairs and the picture from the command line; contradictory options are refused."""
+    """Scans from the command line; contradictory options are refused."""
     common = ["readout", "--readout", "tiger", "--quiet"]
     out = tmp_path / "scan"
     assert main([*common, "--scan", "threshold", "--values", "2,4", "-n", "300", "-o", str(out)]) == 0
     rows = list(csv.DictReader((out / "readout.csv").read_text().splitlines()))
     assert [row["threshold_fC"] for row in rows] == ["2", "2", "4", "4"]
     assert (out / "readout.png").stat().st_size > 10_000
-    assert main([*common, "--ghosts", "-n", "40", "-o", str(tmp_path / "ghosts")]) == 0
-    assert (tmp_path / "ghosts" / "ghosts.csv").exists()
-    assert "wrong by charge and time" in capsys.readouterr().out
-    picture = tmp_path / "formation.png"
-    assert main([*common, "--formation", str(picture), "--angle", "10 deg"]) == 0
-    assert picture.stat().st_size > 50_000
-    assert main([*common, "--formation", str(picture)]) == 2
     assert main([*common, "--values", "2,4"]) == 2
     assert main([*common, "--scan", "gain", "--angles", "0 deg"]) == 2
     assert main([*common, "--scan", "gain", "--values", "1:2"]) == 2
     assert main([*common, "--angles=-25:25:3"]) == 2
     assert main([*common, "--scan", "gain", "--angle", "80 deg"]) == 2
     assert main([*common, "-d", "besiii-cgem"]) == 2
-    assert main([*common, "--ghosts", "-d", "besiii-idc"]) == 2
+    assert main([*common, "--calibrate", str(tmp_path / "none.json"), "-d", "besiii-idc"]) == 2
     errors = capsys.readouterr().err
-    for text in ("--formation: got", "--values: got it with --scan angle", "--angles: got it with --scan gain",
+    for text in ("--values: got it with --scan angle", "--angles: got it with --scan gain",
                  "got a range", "--detector: got it without", "without CGEM layers",
                  "--angles: got -1432.39 deg, expected", "--angle: got 80 deg, expected -80 to 80 deg"):  # fmt: skip
         assert text in errors

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import sys
-from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -25,21 +24,13 @@ bent towards positive angles if the field is positive.
 
 With --calibrate FILE: errors of the clusters of a detector, from muons of both charges with |cos(theta)| < 0.93: of
 1 GeV/c, and of 0.2 to 10 GeV/c for clusters of known tracks. A run with --set digitize.readout.calibration=FILE uses
-them. Presets with the default settings of a read-out need none.
-
-With --ghosts: how often X and V clusters of different tracks are paired, at 2, 4 and 6 muons on a sheet, by geometry
-alone, with charge, and with charge and time.
-
-With --formation FILE: a picture of one simulated track on its way to the strips, with and without Lorentz angle and
-diffusion."""
+them. Presets with the default settings of a read-out need none."""
 
 _EXAMPLES = """\
 examples:
   cgemit readout --readout apv25 --bz 0 -o test-beam
   cgemit readout --readout tiger --bz 1 --angles "-30 deg:30 deg:7" --set digitize.readout.gain=20000 -o one-tesla
   cgemit readout --readout tiger --scan drift_field --values 1:3:5 -o fields
-  cgemit readout --readout tiger --ghosts
-  cgemit readout --readout tiger --formation formation.png
   cgemit readout --readout tiger -d my-detector.toml --calibrate my-tiger.json"""
 
 _ANGLES = "0 deg:40 deg:9"
@@ -78,12 +69,10 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--p", type=float, default=150.0, metavar="P", help="momentum, GeV/c (default 150)")
     parser.add_argument(
         "-n", "--events", type=options.positive, default=None, metavar="N",
-        help="particles at each angle (default 4000), muons of a calibration (40000), or events of --ghosts (1000)",
+        help="particles at each angle (default 4000), or muons of a calibration (40000)",
     )  # fmt: skip
     parser.add_argument("--calibrate", metavar="FILE", help="write the errors of a detector's clusters instead")
-    parser.add_argument("--ghosts", action="store_true", help="wrong pairs of X and V at 2, 4 and 6 tracks instead")
-    parser.add_argument("--formation", metavar="FILE", help="draw how a track's charge reaches the strips instead")
-    parser.add_argument("-d", "--detector", metavar="NAME|FILE", help="of the calibration, or of --ghosts")
+    parser.add_argument("-d", "--detector", metavar="NAME|FILE", help="of the calibration")
     options.add_set(parser, "change one setting, such as digitize.readout.gain=20000; may be repeated")
     options.add_settings(parser)
     parser.add_argument("-o", "--output", metavar="DIR", default=None, help="folder for readout.csv, .png and .pdf")
@@ -102,14 +91,10 @@ def run(arguments: argparse.Namespace) -> int:
         raise options.InputError(f"--readout: got {readout.name}, expected tiger, apv25 or analog-projection")
     if arguments.calibrate is not None and arguments.detector is None:
         raise options.InputError("--calibrate: got no --detector, expected the one whose clusters are calibrated")
-    if arguments.detector is not None and arguments.calibrate is None and not arguments.ghosts:
-        raise options.InputError("--detector: got it without --calibrate or --ghosts, expected it with one of them")
+    if arguments.detector is not None and arguments.calibrate is None:
+        raise options.InputError("--detector: got it without --calibrate, expected it with it")
     if arguments.calibrate is not None:
         return _calibrate(arguments, readout)
-    if arguments.ghosts:
-        return _ghosts(arguments, readout)
-    if arguments.formation is not None:
-        return _formation(arguments, readout)
     return _scan(arguments, readout)
 
 
@@ -136,35 +121,6 @@ def _calibrate(arguments: argparse.Namespace, readout: Any) -> int:
     for view, errors in zip("XV", found.typical(readout.estimator), strict=True):
         for layer, own in zip(detector.cgem, errors, strict=True):
             print(f"  {layer.label:>4} {view}" + "".join(f"{1e3 * error:8.1f}" for error in own[shown]))
-    return options.OK
-
-
-def _ghosts(arguments: argparse.Namespace, readout: Any) -> int:
-    from cgemit.detector import load
-    from cgemit.study.readout.scan import scan_ghosts
-
-    detector = load(arguments.detector or "besiii-cgem-design")
-    if not detector.cgem:
-        raise options.InputError(f"--detector: got {detector.name} without CGEM layers, expected one with clusters")
-    found = scan_ghosts(detector, readout, n=arguments.events or 1000, seed=arguments.seed, threads=arguments.threads)
-    print(found)
-    if arguments.output:
-        with _folder(arguments) as place:
-            (place / "ghosts.csv").write_text(found.to_csv(), encoding="utf-8")
-    return options.OK
-
-
-def _formation(arguments: argparse.Namespace, readout: Any) -> int:
-    from cgemit.draw.cluster import draw_formation
-    from cgemit.study.readout.scan import formation
-
-    target = Path(arguments.formation)
-    if target.exists() and not arguments.overwrite:
-        raise options.InputError(f"--formation: got {target}, which exists; expected another file, or --overwrite")
-    angle = _one_angle(arguments)
-    panels = formation(readout, angle=angle, bz=arguments.bz, seed=arguments.seed)
-    for path in draw_formation(panels).save(target, overwrite=arguments.overwrite):
-        print(f"picture: {path}", file=sys.stderr)
     return options.OK
 
 
@@ -224,14 +180,10 @@ def _scan(arguments: argparse.Namespace, readout: Any) -> int:
     return options.OK
 
 
-def _folder(arguments: argparse.Namespace) -> AbstractContextManager[Path]:
+def _write(found: BeamScan, arguments: argparse.Namespace) -> None:
     from cgemit.base.files import new_folder
 
-    return new_folder(arguments.output, overwrite=arguments.overwrite)
-
-
-def _write(found: BeamScan, arguments: argparse.Namespace) -> None:
-    with _folder(arguments) as place:
+    with new_folder(arguments.output, overwrite=arguments.overwrite) as place:
         (place / "readout.csv").write_text(found.to_csv(), encoding="utf-8")
         found.draw().save(place / "readout")
     if not arguments.quiet:
