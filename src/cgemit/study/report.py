@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import base64
 import re
-import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 
-from cgemit import _core
 from cgemit.tables.show import shown
 
 # A picture opens at its full size when it is clicked, without a script: its check box covers the page with it.
@@ -122,7 +120,7 @@ class Section:
 def html_report(title: str, lead: str, sections: Sequence[Section]) -> str:
     """Return a whole HTML page that needs no other file and no network.
 
-    In its text, arXiv numbers, pages of the documentation and files beside the page become links, "um" becomes "µm".
+    In its text, arXiv numbers and files beside the page become links, "um" becomes "µm".
 
     Parameters
     ----------
@@ -148,22 +146,6 @@ def html_report(title: str, lead: str, sections: Sequence[Section]) -> str:
     return f'<!DOCTYPE html>\n<html lang="en">\n<head>\n{head}\n</head>\n<body>\n{page}\n</body>\n</html>\n'
 
 
-def write_report(folder: Path, page: str) -> None:
-    """Write a page as report.html, and beside it the pages of the documentation to which it links.
-
-    Parameters
-    ----------
-    folder : Path
-    page : str
-        Of `html_report`.
-    """
-    (folder / "report.html").write_text(page, encoding="utf-8")
-    installed = Path(_core.__file__).parent
-    for name in sorted(set(re.findall(r'href="(docs/[\w/]+\.md)"', page))):
-        (folder / name).parent.mkdir(parents=True, exist_ok=True)
-        shutil.copyfile(installed / name, folder / name)
-
-
 def _anchor(title: str) -> str:
     """Return a heading as the name of its place in the page."""
     return re.sub(r"[^a-z0-9]+", "-", title.lower()).strip("-")
@@ -174,14 +156,14 @@ def _contents(sections: Sequence[Section]) -> str:
     return f'<nav aria-label="Contents"><b>Contents</b><ol>{entries}</ol></nav>'
 
 
-_LINKS = re.compile(r"arXiv:(?P<arxiv>\d{4}\.\d{5})|docs/(?P<docs>[\w/]+)\.md|\b(?P<file>(?:summary|run)\.json)\b")
+_LINKS = re.compile(r"arXiv:(?P<arxiv>\d{4}\.\d{5})|\b(?P<file>(?:summary|run)\.json)\b")
 
 
 def _text(text: str) -> str:
     """Return a text as HTML, with links and one spelling of the micrometre."""
 
     def link(found: re.Match[str]) -> str:
-        places = {"arxiv": "https://arxiv.org/abs/{}", "docs": "docs/{}.md", "file": "{}"}
+        places = {"arxiv": "https://arxiv.org/abs/{}", "file": "{}"}
         kind = found.lastgroup or "file"
         return f'<a href="{places[kind].format(found[kind])}">{found[0]}</a>'
 

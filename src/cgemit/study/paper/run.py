@@ -158,7 +158,6 @@ def _write(
     # matplotlib is loaded only where pictures are drawn; the import takes as long as a thousand events.
     from cgemit.study.paper.figures import write_figures
     from cgemit.study.paper.report import paper_report
-    from cgemit.study.report import write_report
 
     start = time.perf_counter()
     with new_folder(output, overwrite=overwrite) as folder:
@@ -166,7 +165,7 @@ def _write(
         seconds = time.perf_counter() - start
         timings = {**study.timings, "figures_s": seconds, "total_s": study.timings["run_s"] + seconds}
         study = replace(study, timings=timings, folder=output)
-        write_report(folder, paper_report(study, folder))
+        (folder / "report.html").write_text(paper_report(study, folder), encoding="utf-8")
         write_record(record_of(study.every_sample, study.inputs.seed, command), folder)
         (folder / SUMMARY).write_text(json.dumps(study.summary(), indent=2, allow_nan=False) + "\n", encoding="utf-8")
     return study
