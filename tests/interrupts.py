@@ -1,7 +1,10 @@
 """Programs that tests interrupt."""
 
+import os
+import pty
 import signal
 import subprocess
+import termios
 from contextlib import contextmanager
 
 
@@ -15,10 +18,21 @@ def _default():
 
 
 @contextmanager
-def interrupts_taken():
-    """Let this process take interrupts within the block, whatever it was started with."""
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
+def on_terminal(command, **options):
+    """Start such a program with a terminal for stderr; yield it and a function that reads up to a text, or all."""
+    ours, theirs = pty.openpty()
+    termios.tcsetwinsize(theirs, (24, 100))
+
+    def read(text=None):
+        found = ""
+        while text is None or text not in found:
+            try:
+                found += os.read(ours, 4096).decode()
+            except OSError:  # the program has ended
+                break
+        return found
+
+    with interruptible(command, stderr=theirs, **options) as process:
+        os.close(theirs)
+        yield process, read
+    os.close(ours)

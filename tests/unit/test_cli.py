@@ -1,5 +1,6 @@
 """The command line: exit codes, values, output folders, interruption."""
 
+import argparse
 import csv
 import json
 import os
@@ -17,31 +18,12 @@ from cgemit import Settings
 from cgemit.analysis.quantities import QUANTITIES
 from cgemit.cli import options
 from cgemit.cli.main import join_negative_values, main
-from cgemit.cli.options import Progress
 from cgemit.detector import load, write_field_map
 from cgemit.tables import Table
-from interrupts import interruptible
+from interrupts import on_terminal
 
 RESOLUTION = ["resolution", "-d", "besiii-cgem-design", "--p", "0.5,1", "--events", "60", "--quiet"]
 SIMULATE = ["simulate", "-d", "besiii-cgem-design", "--p", "1", "--cos-theta", "-0.5:0.5", "-n", "50", "--quiet"]
-
-
-class Terminal:
-    """A stream that says it is a terminal and keeps what is written."""
-
-    def __init__(self, terminal=True):
-        self.text, self.terminal = "", terminal
-
-    def isatty(self):
-        """Return what was said at the start."""
-        return self.terminal
-
-    def write(self, text):
-        """Keep the text."""
-        self.text += text
-
-    def flush(self):
-        """Do nothing."""
 
 
 def test_help_and_version(capsys):
@@ -144,16 +126,13 @@ def test_interruption_has_exit_code_130(monkeypatch, capsys, tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize("moment", ["besiii-idc", "drawing"])
 def test_ctrl_c_during_a_study_leaves_nothing(moment, tmp_path):
-    # Without a terminal the progress is a line for every tenth of the work.
     command = [sys.executable, "-u", "-m", "cgemit", "study", "--events", "1200", "-o", str(tmp_path / "out")]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
-    with interruptible(command, stderr=subprocess.PIPE, text=True, env=environment) as process:
-        assert process.stderr is not None
-        seen = next((line for line in process.stderr if moment in line), "")
+    with on_terminal(command, env=environment) as (process, read):
+        assert moment in read(moment)
         process.send_signal(signal.SIGINT)
-        rest = process.stderr.read()
+        rest = read()
         assert process.wait(60) == 130, rest
-    assert seen
     assert list(tmp_path.iterdir()) == []
 
 
@@ -358,16 +337,18 @@ def test_negative_values_are_not_options():
     assert join_negative_values(words) == ["--cos-theta=-0.9:0.9", "-n", "-5", "--phi=-.5", "--quiet", "-o", "x"]
 
 
-def test_progress_on_a_terminal_and_in_a_file():
-    terminal, file = Terminal(), Terminal(terminal=False)
-    for stream in (terminal, file):
-        with Progress("work", stream=stream) as progress:
-            for step in range(101):
-                progress(step / 100, "part")
-    assert file.text.count("\n") == 10
-    assert "part: 100%" in file.text
-    assert "[############################] 100%" in terminal.text
-    assert terminal.text.endswith("\r")  # the line is free again
-    silent = Terminal()
-    Progress("work", quiet=True, stream=silent)(1.0)
-    assert silent.text == ""
+def test_progress_is_shown_on_a_terminal_only(capsys):
+    arguments = argparse.Namespace(quiet=False)
+    with options.progress_bar(arguments, "work") as progress:
+        progress(0.5)
+    assert capsys.readouterr().err == ""
+
+
+@pytest.mark.slow
+def test_progress_leaves_the_line_free(tmp_path):
+    for quiet in ([], ["--quiet"]):
+        command = [sys.executable, "-m", "cgemit", "slab", "Be 1 mm", "-n", "1000", *quiet]
+        with on_terminal(command, cwd=tmp_path, stdout=subprocess.DEVNULL) as (process, read):
+            text = read()
+            assert process.wait(60) == 0, text
+        assert text.endswith("\r") if not quiet else not text

@@ -3,14 +3,13 @@
 import signal
 import subprocess
 import sys
-import time
 
 import numpy as np
 import pytest
 
 from cgemit import study
 from cgemit.base.files import OutputExistsError, check_free
-from cgemit.cli.main import interrupts_kept, main
+from cgemit.cli.main import main
 from cgemit.detector import DetectorError, load, write_field_map
 from cgemit.draw.detector import draw_detector, draw_layers, draw_sides
 from cgemit.draw.style import new_picture
@@ -22,7 +21,7 @@ from cgemit.reconstruction.fit import FitSettings, fit
 from cgemit.simulation.digitize import digitize
 from cgemit.simulation.transport import simulate
 from cgemit.tables import Table
-from interrupts import interruptible, interrupts_taken
+from interrupts import on_terminal
 
 SIMULATE = ["simulate", "-d", "besiii-cgem-design", "--p", "1", "--theta", "1", "--quiet"]
 ROW = {"event": [0], "pdg": [13], "px": [1.0], "py": [0.0], "pz": [0.0]}
@@ -164,27 +163,6 @@ def test_stages_take_names_of_detectors():
         assert draw(name).get_axes()
 
 
-class Stubborn:
-    """Interrupted while it is taken down."""
-
-    def __del__(self):
-        raise KeyboardInterrupt
-
-
-def take_down_and_work():
-    """Drop an object; then work for longer than anybody waits."""
-    Stubborn()
-    for _ in range(500):
-        time.sleep(0.01)
-
-
-def test_interrupt_dropped_by_a_finalizer_comes_again():
-    begin = time.monotonic()
-    with interrupts_taken(), pytest.raises(KeyboardInterrupt), interrupts_kept():
-        take_down_and_work()
-    assert time.monotonic() - begin < 2
-
-
 def test_interrupt_during_the_import_ends_without_a_traceback():
     code = """
 import runpy, sys
@@ -204,39 +182,11 @@ runpy.run_module("cgemit", run_name="__main__", alter_sys=True)
 @pytest.mark.skipif(sys.platform == "win32", reason="no SIGTERM to handle")
 def test_sigterm_leaves_nothing(tmp_path):
     command = [sys.executable, "-u", "-m", "cgemit", *SIMULATE[:-1], "-n", "200000", "-o", str(tmp_path / "out")]
-    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
-        assert next(line for line in process.stderr if "%" in line)
+    with on_terminal(command) as (process, read):
+        assert "1%" in read("1%")
         assert list(tmp_path.iterdir())  # in the middle of it
         process.send_signal(signal.SIGTERM)
-        rest = process.stderr.read()
+        rest = read()
         assert process.wait(60) == 130, rest
-    assert rest.endswith("cgemit: interrupted\n")
+    assert rest.endswith("cgemit: interrupted\r\n")
     assert list(tmp_path.iterdir()) == []
-
-
-def test_sigterm_is_that_of_the_caller_afterwards(capsys):
-    before = signal.getsignal(signal.SIGTERM)
-    assert main(["detectors"]) == 0
-    assert signal.getsignal(signal.SIGTERM) == before
-
-
-def test_interrupt_within_a_finalizer_ends_the_program():
-    code = """
-import sys, time
-from cgemit.cli import detector, main
-class Slow:
-    def __del__(self):
-        print("ready", flush=True)
-        for _ in range(1000):
-            time.sleep(0.01)
-def run(arguments):
-    Slow()
-    for _ in range(1000):
-        time.sleep(0.01)
-detector.run_detectors = run
-sys.exit(main.main(["detectors"]))
-"""
-    with interruptible([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
-        assert process.stdout.readline() == b"ready\n"
-        process.send_signal(signal.SIGINT)
-        assert process.wait(8) == 130

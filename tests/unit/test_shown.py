@@ -100,12 +100,6 @@ def test_the_progress_bar_follows_the_work(capsys: pytest.CaptureFixture[str]) -
     assert f"{DESIGN}, mu-, 1 GeV/c: 100%" in capsys.readouterr().err
 
 
-def test_without_tqdm_the_message_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "tqdm.auto", None)
-    with pytest.raises(ImportError, match=r"pip install 'cgemit\[notebook\]'"):
-        cg.ProgressBar()
-
-
 @pytest.mark.parametrize(
     ("line", "found"),
     [

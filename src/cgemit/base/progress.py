@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+from tqdm.auto import tqdm
+
 
 class ProgressBar:
     """A bar of tqdm: a widget in notebooks, a line on a terminal.
@@ -14,20 +16,12 @@ class ProgressBar:
     ----------
     label : str
         What is running; studies replace it.
-
-    Raises
-    ------
-    ImportError
-        If tqdm is not installed.
+    **options : Any
+        Of tqdm, such as ``leave=False``.
     """
 
-    def __init__(self, label: str = "cgemit") -> None:
-        try:
-            from tqdm.auto import tqdm
-        except ImportError as error:
-            raise ImportError("ProgressBar: needs tqdm; pip install 'cgemit[notebook]' installs it") from error
-        shape = "{l_bar}{bar}| {elapsed}<{remaining}"
-        self._bar: Any = tqdm(total=1.0, desc=label, bar_format=shape)
+    def __init__(self, label: str = "cgemit", **options: Any) -> None:
+        self._bar: Any = tqdm(total=1.0, desc=label, bar_format="{l_bar}{bar}| {elapsed}<{remaining}", **options)
 
     def __call__(self, fraction: float, label: str = "") -> None:
         """Show that `fraction` (0 to 1) of the work is done, and what is running now."""
@@ -36,3 +30,9 @@ class ProgressBar:
         self._bar.update(min(fraction, 1.0) - self._bar.n)
         if fraction >= 1:
             self._bar.close()
+
+    def __enter__(self) -> ProgressBar:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._bar.close()

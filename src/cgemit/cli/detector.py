@@ -126,11 +126,11 @@ def run_detectors(arguments: argparse.Namespace) -> int:
 
     presets = detectors()
     if arguments.json:
-        print(json.dumps(presets, indent=2))
+        options.say(json.dumps(presets, indent=2))
         return options.OK
     width = max(map(len, presets))
     for name, description in presets.items():
-        print(f"{name:{width}}  {description}")
+        options.say(f"{name:{width}}  {description}")
     return options.OK
 
 
@@ -145,10 +145,10 @@ def run_show(arguments: argparse.Namespace) -> int:
     detector = options.load_detector(arguments.detector, overrides, arguments.field)
     numbers = describe(detector)
     folder = arguments.output or "cgemit-show-" + re.sub(r"[^\w.-]+", "-", detector.name)
-    print(json.dumps(numbers, indent=2, ensure_ascii=False) if arguments.json else text(numbers))
+    options.say(json.dumps(numbers, indent=2, ensure_ascii=False) if arguments.json else text(numbers))
     _write(detector, numbers, folder, overwrite=arguments.overwrite, gdml=arguments.gdml)
     if not arguments.json:
-        print(f"\npictures in {folder}")
+        options.say(f"\npictures in {folder}")
     return options.OK
 
 
@@ -218,15 +218,15 @@ def run_validate(arguments: argparse.Namespace) -> int:
     if not arguments.files and not arguments.schema:
         raise options.InputError("validate: got no file; expected at least one FILE, or --schema")
     if arguments.schema:
-        print(json.dumps(schema(), indent=2, ensure_ascii=False))
+        options.say(json.dumps(schema(), indent=2, ensure_ascii=False))
     code = options.OK
     for file in arguments.files:
         try:
             detector = load(file)
         except DetectorError as error:
-            print(error, file=sys.stderr)
+            options.say(error, sys.stderr)
             code = options.BAD_INPUT
         else:
             # The schema on stdout must stay clean JSON.
-            print(f"{file}: good (detector {detector.name!r})", file=sys.stderr if arguments.schema else sys.stdout)
+            options.say(f"{file}: good (detector {detector.name!r})", sys.stderr if arguments.schema else sys.stdout)
     return code

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 
 from cgemit.cli import options
 from cgemit.cli.simulate import add_finder, add_gun, gun_of
@@ -67,7 +66,6 @@ def run(arguments: argparse.Namespace) -> int:
         if figure is not None:
             save_page(figure, folder / "event.html", overwrite=True)
         write_about(folder, result.entries(arguments.line))
-    print(result)
-    if not arguments.quiet:
-        print(f"event: {arguments.output}/event.{'html' if arguments.html else 'png'}", file=sys.stderr)
+    options.say(result)
+    options.note(arguments, f"event: {arguments.output}/event.{'html' if arguments.html else 'png'}")
     return 0

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -81,7 +80,7 @@ def run(arguments: argparse.Namespace) -> int:
     gun = gun_of(arguments)
     # Half turns are linked by their fitted helices, with one mass hypothesis.
     links = settings.simulate.half_turns > 1 and not isinstance(settings.fit.hypothesis, tuple)
-    with options.Progress("find", quiet=arguments.quiet) as progress:
+    with options.progress_bar(arguments, "find") as progress:
         result = run.run(
             detector, gun if arguments.tracks == 1 else Guns((gun,) * arguments.tracks), arguments.events,
             arguments.seed, settings=settings, finder=arguments.finder,
@@ -101,9 +100,9 @@ def run(arguments: argparse.Namespace) -> int:
         _write(found, text, arguments.output, overwrite=arguments.overwrite)
     rows = [] if linked is None else linked.rows()
     rows.append(("time of an event", f"{1e3 * seconds / arguments.events:.2f} ms"))
-    print(text if arguments.json else "\n".join([repr(found), *(f"  {name:<48}{value}" for name, value in rows)]))
-    if arguments.output and not arguments.quiet:
-        print(f"picture: {arguments.output}/efficiency.png", file=sys.stderr)
+    options.say(text if arguments.json else "\n".join([repr(found), *(f"  {name:<48}{value}" for name, value in rows)]))
+    if arguments.output:
+        options.note(arguments, f"picture: {arguments.output}/efficiency.png")
     return options.OK
 
 

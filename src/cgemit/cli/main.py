@@ -2,25 +2,30 @@
 
 from __future__ import annotations
 
-import _thread
 import argparse
-import contextlib
 import importlib
 import io
 import os
 import re
 import shlex
-import signal
 import sys
-import threading
 import traceback
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
-from typing import Any, TextIO, cast
+from collections.abc import Sequence
+from typing import cast
 
 from cgemit.base.errors import did_you_mean
 from cgemit.base.version import __version__
-from cgemit.cli.options import BAD_INPUT, COMMANDS, INTERRUPTED, OK, RUN_FAILED, HelpFormatter, Parser, RunFailedError
+from cgemit.cli.options import (
+    BAD_INPUT,
+    COMMANDS,
+    INTERRUPTED,
+    OK,
+    RUN_FAILED,
+    HelpFormatter,
+    Parser,
+    RunFailedError,
+    say,
+)
 
 _DESCRIPTION = """\
 Which resolution does a tracker of cylindrical GEM layers and drift chambers reach, and why?
@@ -71,22 +76,20 @@ def main(argv: Sequence[str] | None = None) -> int:
         sys.stdout.reconfigure(errors="replace")  # "?" where the encoding has no "±", rather than no result
     if "_ARGCOMPLETE" in os.environ:
         complete(build_parser())
-    with pipes_kept():
-        return _run(list(sys.argv[1:] if argv is None else argv))
+    return _run(list(sys.argv[1:] if argv is None else argv))
 
 
 def _run(argv: list[str]) -> int:
     arguments = argparse.Namespace()
     try:
-        with interrupts_kept():
-            _parse(join_negative_values(argv), arguments)
-            arguments.line = shlex.join(["cgemit", *argv])
-            importlib.import_module("cgemit.base.isa").choose()  # a wrong CGEMIT_ISA is a mistake, whatever is run
-            return int(arguments.run(arguments) or OK)
+        _parse(join_negative_values(argv), arguments)
+        arguments.line = shlex.join(["cgemit", *argv])
+        importlib.import_module("cgemit.base.isa").choose()  # a wrong CGEMIT_ISA is a mistake, whatever is run
+        return int(arguments.run(arguments) or OK)
     except SystemExit as stop:  # --help, --version, or arguments that argparse has complained about
         return int(stop.code or OK)
     except KeyboardInterrupt:
-        print("cgemit: interrupted", file=sys.stderr)
+        say("cgemit: interrupted", sys.stderr)
         return INTERRUPTED
     except (ValueError, FileNotFoundError, FileExistsError, IsADirectoryError, NotADirectoryError) as error:
         return _report(error, BAD_INPUT, getattr(arguments, "debug", False))
@@ -121,9 +124,9 @@ def _report(error: Exception, code: int, debug: bool) -> int:
     if debug:
         traceback.print_exception(error)
     foreseen = code == BAD_INPUT or isinstance(error, RunFailedError)
-    print(f"cgemit: {'' if foreseen else f'{type(error).__name__}: '}{error}", file=sys.stderr)
+    say(f"cgemit: {'' if foreseen else f'{type(error).__name__}: '}{error}", sys.stderr)
     if not foreseen and not debug:
-        print("cgemit: the run failed; --debug shows where", file=sys.stderr)
+        say("cgemit: the run failed; --debug shows where", sys.stderr)
     return code
 
 
@@ -136,85 +139,6 @@ def join_negative_values(argv: Sequence[str]) -> list[str]:
         else:
             joined.append(text)
     return joined
-
-
-_AGAIN = 0.02  # s
-
-
-@contextmanager
-def interrupts_kept() -> Iterator[None]:
-    """Repeat an interrupt that Python has dropped; SIGTERM counts as an interrupt.
-
-    By default SIGTERM ends the process at once and leaves unfinished folders behind.
-
-    Python reports and then drops an exception in a finalizer or in the callback of a weak reference. matplotlib has
-    many of these, so Ctrl-C during drawing would sometimes do nothing.
-    """
-    report = sys.unraisablehook
-
-    def repeat(dropped: sys.UnraisableHookArgs) -> None:
-        if dropped.exc_type is KeyboardInterrupt:
-            # Sent later, from outside the finalizer: here it would be dropped again.
-            threading.Timer(_AGAIN, _thread.interrupt_main).start()
-        else:
-            report(dropped)
-
-    sys.unraisablehook = repeat
-    # Python handles signals in its main thread only; a program that calls us may have a handler of its own.
-    takes_over = (
-        threading.current_thread() is threading.main_thread() and signal.getsignal(signal.SIGTERM) == signal.SIG_DFL
-    )
-    if takes_over:
-        signal.signal(signal.SIGTERM, signal.default_int_handler)
-    try:
-        yield
-    finally:
-        sys.unraisablehook = report
-        if takes_over:
-            signal.signal(signal.SIGTERM, signal.SIG_DFL)
-
-
-@contextmanager
-def pipes_kept() -> Iterator[None]:
-    """Let a command continue after its reader has closed the pipe, as `head` does after some lines.
-
-    The files of the command are still written, and its exit code is kept.
-    """
-    streams = sys.stdout, sys.stderr
-    sys.stdout, sys.stderr = (cast(TextIO, _Kept(stream)) for stream in streams)
-    try:
-        yield
-    finally:
-        sys.stdout.flush()
-        sys.stdout, sys.stderr = streams
-
-
-class _Kept:
-    """A text stream that drops its output once the pipe is closed."""
-
-    def __init__(self, stream: TextIO) -> None:
-        self._stream = stream
-
-    def write(self, text: str) -> int:
-        try:
-            return self._stream.write(text)
-        except BrokenPipeError:
-            self._drop()
-            return len(text)
-
-    def flush(self) -> None:
-        try:
-            self._stream.flush()
-        except BrokenPipeError:
-            self._drop()
-
-    def _drop(self) -> None:
-        """Send the buffer and all later output to the null device."""
-        with contextlib.suppress(io.UnsupportedOperation), open(os.devnull, "wb") as nowhere:  # noqa: PTH123
-            os.dup2(nowhere.fileno(), self._stream.fileno())
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._stream, name)
 
 
 if __name__ == "__main__":

@@ -70,7 +70,7 @@ def run(arguments: argparse.Namespace) -> int:
     plan = read_optimize_plan(arguments.plan, options.plan_changes(arguments.overrides))
     output = Path(arguments.output)
     with ExitStack() as stack:
-        progress = stack.enter_context(options.Progress("optimize", quiet=arguments.quiet))
+        progress = stack.enter_context(options.progress_bar(arguments, "optimize"))
         result = plan.run(
             output=output, overwrite=arguments.overwrite, progress=progress, executor=sweep.executor(arguments, stack)
         )
@@ -88,10 +88,9 @@ def _report(result: Optimization, output: Path, arguments: argparse.Namespace) -
     kinds = ["convergence", *(["front"] if len(result.objectives) > 1 else []), "parallel"]
     for kind in kinds:
         result.draw(kind).save(output / kind, overwrite=True)
-    print(json.dumps(result.summary(), indent=2) if arguments.json else result)
+    options.say(json.dumps(result.summary(), indent=2) if arguments.json else result)
     if arguments.confirm:
         confirmation = result.confirm(events=arguments.confirm)
         confirmation.write(output)
-        print(confirmation, file=sys.stderr if arguments.json else sys.stdout)
-    if not arguments.quiet:
-        print(f"table: {output}/optimize.csv, pictures: {', '.join(f'{one}.png' for one in kinds)}", file=sys.stderr)
+        options.say(confirmation, sys.stderr if arguments.json else sys.stdout)
+    options.note(arguments, f"table: {output}/optimize.csv, pictures: {', '.join(f'{one}.png' for one in kinds)}")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -117,10 +116,10 @@ def _calibrate(arguments: argparse.Namespace, readout: Any) -> int:
     found = read_calibration(text, target.name)  # which rounds
     shown = slice(None, None, 4)
     angles = "".join(f"{cos_theta:8.2f}" for cos_theta in COS_THETA[shown])
-    print(f"{found.about}\nerrors over all clusters, um, by layer, view and cos(theta):\n        {angles}")
+    options.say(f"{found.about}\nerrors over all clusters, um, by layer, view and cos(theta):\n        {angles}")
     for view, errors in zip("XV", found.typical(readout.estimator), strict=True):
         for layer, own in zip(detector.cgem, errors, strict=True):
-            print(f"  {layer.label:>4} {view}" + "".join(f"{1e3 * error:8.1f}" for error in own[shown]))
+            options.say(f"  {layer.label:>4} {view}" + "".join(f"{1e3 * error:8.1f}" for error in own[shown]))
     return options.OK
 
 
@@ -168,13 +167,13 @@ def _scan(arguments: argparse.Namespace, readout: Any) -> int:
     values, angle = _values(arguments), _one_angle(arguments)
     if arguments.output:
         check_free(arguments.output, overwrite=arguments.overwrite)
-    with options.Progress("readout", quiet=arguments.quiet) as progress:
+    with options.progress_bar(arguments, "readout") as progress:
         found = scan(
             readout, arguments.scan, values, angle=angle, bz=arguments.bz, n=arguments.events or 4000,
             seed=arguments.seed, particle=arguments.particle, p=arguments.p, threads=arguments.threads,
             progress=progress,
         )  # fmt: skip
-    print(found)
+    options.say(found)
     if arguments.output:
         _write(found, arguments)
     return options.OK
@@ -186,5 +185,4 @@ def _write(found: BeamScan, arguments: argparse.Namespace) -> None:
     with new_folder(arguments.output, overwrite=arguments.overwrite) as place:
         (place / "readout.csv").write_text(found.to_csv(), encoding="utf-8")
         found.draw().save(place / "readout")
-    if not arguments.quiet:
-        print(f"picture: {arguments.output}/readout.png", file=sys.stderr)
+    options.note(arguments, f"picture: {arguments.output}/readout.png")

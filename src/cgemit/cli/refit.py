@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -79,11 +78,11 @@ def run(arguments: argparse.Namespace) -> int:
     text = json.dumps(_without_nan(about), indent=2, allow_nan=False)
     if arguments.output:
         _write(found, text, arguments.output, overwrite=arguments.overwrite)
-    print(text if arguments.json else "\n".join([repr(events), *map(repr, found.values())]))
+    options.say(text if arguments.json else "\n".join([repr(events), *map(repr, found.values())]))
     if not any(one.good.any() for one in found.values()):
         raise options.RunFailedError("no track was fitted by both")
-    if arguments.output and not arguments.quiet:
-        print(f"tables and pictures: {arguments.output}", file=sys.stderr)
+    if arguments.output:
+        options.note(arguments, f"tables and pictures: {arguments.output}")
     return options.OK
 
 

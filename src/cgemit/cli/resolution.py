@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 from typing import TYPE_CHECKING
 
 from cgemit.cli import options
@@ -101,9 +100,8 @@ def run(arguments: argparse.Namespace) -> int:
     if failed := [f"{scan.detector.name}: {scan.note()}" for scan in scans if scan.empty()]:
         raise options.RunFailedError("\n".join(failed))
     save_scans(scans, arguments.output, overwrite=arguments.overwrite, command=arguments.line)
-    print(json.dumps(summary_of(scans), indent=2) if arguments.json else _text(points, lines))
-    if not arguments.quiet:
-        print(f"curves: {arguments.output}/resolution.png", file=sys.stderr)
+    options.say(json.dumps(summary_of(scans), indent=2) if arguments.json else _text(points, lines))
+    options.note(arguments, f"curves: {arguments.output}/resolution.png")
     return 0
 
 
@@ -120,7 +118,7 @@ def _scans(
     particles = arguments.particle or ["mu-"]
     points: list[Scan] = []
     lines: list[AnalyticScan] = []
-    with options.Progress("resolution", quiet=arguments.quiet) as progress:
+    with options.progress_bar(arguments, "resolution") as progress:
         if arguments.method != "mc":  # first, since it is quick to find what is wrong
             lines = [scan_analytic(one, particle=particle, **how) for particle in particles for one in detectors]
         if arguments.method != "analytic":

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 
 from cgemit.cli import options
 
@@ -34,5 +33,5 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 def run(arguments: argparse.Namespace) -> int:
     """Print the settings."""
     settings = options.settings_of(arguments)
-    sys.stdout.write(settings.to_json() if arguments.json else settings.to_toml(comments=True))
+    options.say((settings.to_json() if arguments.json else settings.to_toml(comments=True)).rstrip())
     return options.OK

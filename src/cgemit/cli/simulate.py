@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import json
 import shutil
-import sys
 from typing import TYPE_CHECKING, Any
 
 from cgemit.base.version import __version__
@@ -199,7 +198,7 @@ def run(arguments: argparse.Namespace) -> int:
         if arguments.keep is not None:
             keep = None if arguments.keep == ("all",) else arguments.keep
             how |= {"keep": keep, "output": parts, "format": arguments.format, "command": arguments.line}
-        with options.Progress("simulate", quiet=arguments.quiet) as progress:
+        with options.progress_bar(arguments, "simulate") as progress:
             result = run.run(detector, gun, arguments.events, arguments.seed, progress=progress, **how)
         if arguments.keep is None:
             result.save(folder, command=arguments.line, format=arguments.format)
@@ -209,10 +208,8 @@ def run(arguments: argparse.Namespace) -> int:
                 path.rename(folder / path.name)
             shutil.rmtree(parts.parent)
         (folder / SUMMARY).write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
-    print(json.dumps(summary, indent=2) if arguments.json else text)
-    if not arguments.quiet:
-        rest = "" if fits else " (nothing was fitted: --fit does)"
-        print(f"tables: {arguments.output}{rest}", file=sys.stderr)
+    options.say(json.dumps(summary, indent=2) if arguments.json else text)
+    options.note(arguments, f"tables: {arguments.output}{'' if fits else ' (nothing was fitted: --fit does)'}")
     return 0
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 from typing import TYPE_CHECKING
 
 from cgemit.cli import options
@@ -74,7 +73,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     if arguments.output:
         check_free(arguments.output, overwrite=arguments.overwrite)
-    with options.Progress("slab", quiet=arguments.quiet) as progress:
+    with options.progress_bar(arguments, "slab") as progress:
         result = slab(
             arguments.matter, arguments.particle, arguments.p, arguments.n, arguments.seed, arguments.screening,
             progress=progress,
@@ -82,9 +81,9 @@ def run(arguments: argparse.Namespace) -> int:
     numbers = json.dumps(result.to_dict(), indent=2, ensure_ascii=False, allow_nan=False)
     if arguments.output:
         _write(result, numbers, arguments.output, overwrite=arguments.overwrite)
-    print(numbers if arguments.json else result)
-    if arguments.output and not arguments.quiet:
-        print(f"picture: {arguments.output}/slab.png", file=sys.stderr)
+    options.say(numbers if arguments.json else result)
+    if arguments.output:
+        options.note(arguments, f"picture: {arguments.output}/slab.png")
     return options.OK
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 
 from cgemit.cli import options
 from cgemit.cli.options import HelpFormatter, add_common, add_field, add_output, add_run, positive
@@ -59,17 +58,12 @@ def run(arguments: argparse.Namespace) -> int:
     from cgemit.study.paper.run import reproduce
 
     settings = options.settings_of(arguments, one_track=True)
-    with options.Progress("study", quiet=arguments.quiet) as progress:
+    with options.progress_bar(arguments, "study") as progress:
         study = reproduce(
             arguments.output, events=arguments.events, seed=arguments.seed, threads=arguments.threads,
             quick=arguments.quick, settings=settings, field=arguments.field, finder=arguments.finder or "truth",
             overwrite=arguments.overwrite, command=arguments.line, progress=progress,
         )  # fmt: skip
-    if arguments.json:
-        json.dump(study.summary(), sys.stdout, indent=2)
-        sys.stdout.write("\n")
-    else:
-        print(study)
-    if not arguments.quiet:
-        print(f"report: {study.folder}/report.html", file=sys.stderr)
+    options.say(json.dumps(study.summary(), indent=2) if arguments.json else study)
+    options.note(arguments, f"report: {study.folder}/report.html")
     return 0

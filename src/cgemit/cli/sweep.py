@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 from concurrent.futures import Executor
 from contextlib import ExitStack
 from pathlib import Path
@@ -97,7 +96,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.merge is not None:
         how["compute"] = False
     with ExitStack() as stack:
-        progress = stack.enter_context(options.Progress("sweep", quiet=arguments.quiet))
+        progress = stack.enter_context(options.progress_bar(arguments, "sweep"))
         how["executor"] = executor(arguments, stack)
         result = plan.run(output=output, progress=progress, **how)
     missing = result.missing()
@@ -139,6 +138,5 @@ def _report(result: Sweep, draw: Any, output: Path, arguments: argparse.Namespac
     if arguments.parquet:
         result.write_parquet(output / "sweep.parquet", overwrite=True)
     result.draw(**draw).save(output / "sweep", overwrite=True)
-    print(json.dumps(result.summary(), indent=2) if arguments.json else result)
-    if not arguments.quiet:
-        print(f"table: {output}/sweep.csv, picture: {output}/sweep.png", file=sys.stderr)
+    options.say(json.dumps(result.summary(), indent=2) if arguments.json else result)
+    options.note(arguments, f"table: {output}/sweep.csv, picture: {output}/sweep.png")
