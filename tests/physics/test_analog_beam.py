@@ -23,7 +23,7 @@ from cgemit.reconstruction.clusterers.charge import ChargeTimeClusterer
 from cgemit.reconstruction.find import truth
 from cgemit.simulation.readouts.analog import AnalogDigitizer
 from cgemit.study.readout.calibrate import measurements
-from cgemit.study.readout.scan import beam_detector, beam_point, beam_run
+from cgemit.study.readout.scan import beam_detector, beam_run, beam_views
 from cgemit.tables import Table
 
 PLANE = beam_detector(0.0)
@@ -113,7 +113,7 @@ def test_angles_without_field(
 
     The centroid at 5 degrees is at the limit, the merged position at 15 degrees better (docs/methods/readout.md).
     """
-    point = beam_point(PLANE, TUNED, angle, n=4000, threads=1)
+    point = beam_views(PLANE, TUNED, angle, n=4000, threads=1)[0]
     assert point.size == pytest.approx(strips, rel=0.2)
     if centroid is not None:
         assert point.widths["centroid"].core == pytest.approx(centroid, rel=0.25)
@@ -128,19 +128,19 @@ def test_angles_without_field(
 def test_charge_at_the_angles_that_were_tuned() -> None:
     """Published: 128 fC at 0 and 170 fC at 20 degrees; with the gain of 39 000 a quarter less."""
     for angle, published in ((0.0, 128.0), (20.0, 170.0)):
-        assert beam_point(PLANE, TUNED, angle, n=1500, threads=1).charge == pytest.approx(published, rel=0.1)
-        assert beam_point(PLANE, BEAM, angle, n=1500, threads=1).charge < 0.8 * published
+        assert beam_views(PLANE, TUNED, angle, n=1500, threads=1)[0].charge == pytest.approx(published, rel=0.1)
+        assert beam_views(PLANE, BEAM, angle, n=1500, threads=1)[0].charge < 0.8 * published
 
 
 @pytest.mark.slow
 def test_field_of_one_tesla_at_both_angles() -> None:
     """At +25 degrees the track lies along the drift: a sharp centroid. At -25 degrees the line fit is better."""
-    normal = beam_point(FIELD, Apv25Readout(), 0.0, n=3000, particle="mu-", p=1.0, threads=1)
+    normal = beam_views(FIELD, Apv25Readout(), 0.0, n=3000, particle="mu-", p=1.0, threads=1)[0]
     assert normal.efficiency > 0.99  # at a gain of 12 000
     assert normal.widths["merged"].core < 150
     assert normal.widths["micro-tpc"].core < 160
     assert normal.widths["track"].core < 0.95 * normal.widths["merged"].core
-    along, against = (beam_point(FIELD, BEAM, angle, n=3000, threads=1) for angle in (25.0, -25.0))
+    along, against = (beam_views(FIELD, BEAM, angle, n=3000, threads=1)[0] for angle in (25.0, -25.0))
     assert along.widths["centroid"].core < 70
     assert along.widths["micro-tpc"].core > 500
     assert 500 < against.widths["centroid"].core < 680

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
@@ -12,8 +12,9 @@ import pytest
 from cgemit import DigitizeSettings, FitSettings, Gun, Result, Settings, analytic, load, register_readout, run
 from cgemit.detector import Detector
 from cgemit.detector.parts import local_v, strips_of_v
-from cgemit.detector.readouts import READOUTS, Readout
-from cgemit.reconstruction.cluster import CLUSTERERS, cluster
+from cgemit.detector.readouts import READOUTS, TIGER, AnalogReadout, Chip, Readout, TigerReadout
+from cgemit.reconstruction.cluster import CLUSTERERS, calibrated_clusterer, cluster
+from cgemit.reconstruction.cluster_errors import CalibrationError
 from cgemit.reconstruction.clusterers.binary import BinaryClusterer
 from cgemit.reconstruction.clusterers.clusterer import ClusterSettings, Floats
 from cgemit.simulation import digitize
@@ -146,6 +147,38 @@ def test_what_it_makes_is_checked(monkeypatch: pytest.MonkeyPatch) -> None:
                 patch.setattr(*stage, lambda *_, wrong=wrong: wrong)
                 with pytest.raises((TypeError, ValueError), match=f"read-out one-strip: {kind}: {message}"):
                     chain("one-strip", 5)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SlowChip(AnalogReadout):
+    """A chip like TIGER whose branch for the time is slower: data alone."""
+
+    name: ClassVar[str] = "slow-chip"
+    chip: ClassVar[Chip] = replace(TIGER, timing=TIGER.charge)
+
+
+def test_a_chip_like_tiger_is_one_class() -> None:
+    """Digitizer and clusterer of TIGER serve it: its edges are later, which the clusterer knows."""
+    register_readout(SlowChip, digitize.DIGITIZERS["tiger"], CLUSTERERS["tiger"])
+    gun, times = Gun("mu-", p=1.0, cos_theta=(-0.8, 0.8)), {}
+    try:
+        for readout in (TigerReadout(), SlowChip()):
+            digis = run(DESIGN, gun, 50, seed=3, readout=readout, until="digitize").digis
+            clusters = calibrated_clusterer(readout).cluster_with(DESIGN, digis)
+            times[readout.name] = digis["time"].mean(), clusters["time"].mean()
+        of_digis, of_clusters = np.subtract(times["slow-chip"], times["tiger"])
+        assert of_digis > 20  # ns
+        assert abs(of_clusters) < 0.1 * of_digis
+        with pytest.raises(CalibrationError, match="read-out slow-chip of besiii-cgem-design"):
+            run(DESIGN, gun, 1, readout="slow-chip", until="cluster")
+    finally:
+        for registry in (READOUTS, digitize.DIGITIZERS, CLUSTERERS):
+            registry.pop(SlowChip.name)
+
+
+def test_every_readout_has_both_halves() -> None:
+    """The registries have the same names."""
+    assert [*READOUTS] == [*digitize.DIGITIZERS] == [*CLUSTERERS]
 
 
 @pytest.mark.parametrize("readout", ["binary", "gaussian"])

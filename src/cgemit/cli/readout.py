@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from cgemit.cli import options
 
 if TYPE_CHECKING:
+    from cgemit.detector.readouts import CalibratedReadout
     from cgemit.study.readout.scan import BeamScan
 
 
@@ -97,7 +98,7 @@ def run(arguments: argparse.Namespace) -> int:
     return _scan(arguments, readout)
 
 
-def _calibrate(arguments: argparse.Namespace, readout: Any) -> int:
+def _calibrate(arguments: argparse.Namespace, readout: CalibratedReadout) -> int:
     from cgemit.base.files import new_file
     from cgemit.detector import load
     from cgemit.reconstruction.cluster_errors import COS_THETA, read_calibration
@@ -160,7 +161,7 @@ def _values(arguments: argparse.Namespace) -> list[float]:
     return _incidence(option, values) if arguments.scan == "angle" else values
 
 
-def _scan(arguments: argparse.Namespace, readout: Any) -> int:
+def _scan(arguments: argparse.Namespace, readout: CalibratedReadout) -> int:
     from cgemit.base.files import check_free
     from cgemit.study.readout.scan import scan
 

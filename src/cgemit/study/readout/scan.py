@@ -139,20 +139,6 @@ def beam_run(
     return run(detector, particles, seed=seed, readout=readout, until="digitize", threads=threads)
 
 
-def beam_point(
-    detector: Detector, readout: CalibratedReadout, angle: float, *, n: int = 4000, seed: int = 1,
-    particle: str = "pi-", p: float = 150.0, threads: int | None = None,
-) -> BeamPoint:  # fmt: skip
-    """Return what a read-out resolves in X at one angle, see `beam_views`.
-
-    Parameters
-    ----------
-    detector, readout, angle, n, seed, particle, p, threads
-        See `beam_views`.
-    """
-    return beam_views(detector, readout, angle, n=n, seed=seed, particle=particle, p=p, threads=threads)[0]
-
-
 def beam_views(
     detector: Detector, readout: CalibratedReadout, angle: float, *, n: int = 4000, seed: int = 1,
     particle: str = "pi-", p: float = 150.0, threads: int | None = None,
