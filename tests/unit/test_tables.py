@@ -192,11 +192,11 @@ def test_damaged_and_foreign_files(tmp_path):
     right = {"format": "cgemit-table-1", "kind": "digis", "n_events": 1, "first_event": 0, "meta": {}}
     for about in ([], 5, None, "digis"):
         np.savez(path, __meta__=np.array(json.dumps(about)), event=np.zeros(1, int))
-        with pytest.raises(ValueError, match=r"x\.npz is not a complete table file .*__meta__ holds"):
+        with pytest.raises(ValueError, match=r"x\.npz is not a complete table file .*description holds"):
             Table.load(path)
     for name, value in (("kind", None), ("n_events", "1"), ("first_event", None), ("meta", [])):
         np.savez(path, __meta__=np.array(json.dumps(right | {name: value})), event=np.zeros(1, int))
-        with pytest.raises(ValueError, match=rf"x\.npz is not a complete table file .*missing or wrong: {name}\)"):
+        with pytest.raises(ValueError, match=rf"x\.npz is not a complete table file .*missing or wrong: .*{name}"):
             Table.load(path)
     with pytest.raises(FileNotFoundError, match="nothing"):
         Table.load(tmp_path / "nothing.npz")

@@ -216,8 +216,7 @@ class Result:
         command : str
             Command line for run.json, if there was one.
         format : str
-            Of the tables: "npz", "npz-compressed", "parquet" (needs pyarrow), "root" (one TTree a file; needs
-            uproot) or "csv".
+            Of the tables: "npz", "parquet" (needs pyarrow) or "root" (one TTree a file; needs uproot).
 
         Returns
         -------

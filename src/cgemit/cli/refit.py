@@ -96,7 +96,7 @@ def _without_nan(value: Any) -> Any:
 def _write(found: dict[str, Refit], text: str, folder: str, *, overwrite: bool) -> None:
     from cgemit.base.files import SUMMARY, new_folder
     from cgemit.draw.curves import draw_refit
-    from cgemit.tables.formats import write_csv
+    from cgemit.tables.show import write_csv
 
     pictures = {kind: draw_refit(one) for kind, one in found.items() if one.good.any()}
     with new_folder(Path(folder), overwrite=overwrite) as made:

@@ -38,12 +38,11 @@ examples:
   cgemit simulate -d besiii-cgem --particles events.hepmc --fit -o generated
   cgemit simulate -d besiii-cgem --sample jpsi-rhopi -n 1000 --finder ckf -o rhopi"""
 
-#: As `cgemit.tables.formats.FORMATS`, which would need numpy.
-FORMATS = ("npz", "npz-compressed", "parquet", "root", "csv")
-
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add the sub-command."""
+    from cgemit.tables.formats import FORMATS
+
     parser = subparsers.add_parser(
         "simulate", help="shoot particles and write hits, clusters and tracks as tables", description=_DESCRIPTION,
         epilog=_EXAMPLES, formatter_class=options.HelpFormatter,
@@ -72,7 +71,10 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--json", action="store_true", help="write the summary to stdout as JSON")
     options.add_output(parser)
     parser.add_argument(
-        "--format", choices=FORMATS, default="npz", help="of the tables' files (default npz); root: a TTree a file"
+        "--format",
+        choices=tuple(FORMATS),
+        default="npz",
+        help="of the tables' files (default npz); root: a TTree a file",
     )
     parser.add_argument(
         "--keep", type=options.names, metavar="TABLE,...",

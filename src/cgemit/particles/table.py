@@ -15,6 +15,7 @@ from cgemit.base.errors import ProblemsError, did_you_mean
 from cgemit.base.files import check_regular, package
 from cgemit.particles.species import KNOWN, UNKNOWN
 from cgemit.tables import SCHEMAS, Table
+from cgemit.tables.formats import BY_SUFFIX
 from cgemit.tables.schema import Array
 from cgemit.tables.show import columns_of
 from cgemit.tables.table import kind_problems
@@ -194,8 +195,8 @@ def _from_file(path: Path, n_events: int | None) -> tuple[Any, int | None]:
     if path.name.endswith(ENDINGS):
         columns, found = read_hepmc(path)
         return columns, found if n_events is None else n_events
-    if path.suffix not in (".npz", ".parquet", ".root"):
-        known = ", ".join((".npz", ".parquet", ".root", *ENDINGS))
+    if path.suffix not in BY_SUFFIX:
+        known = ", ".join((*BY_SUFFIX, *ENDINGS))
         raise ParticleError("table of particles", [f"got the file {str(path)[:80]!r}; expected one of {known}"])
     table = Table.load(path)
     if table.kind != "particles":

@@ -28,16 +28,14 @@ Stages meet in tables: plain numpy columns, one row per object, sorted by `event
 
 | format | file | needs | a matrix column is | read by |
 |---|---|---|---|---|
-| `npz`, `npz-compressed` | `tracks.npz`, also with `offsets`; JSON text `__meta__` | | one array | `numpy.load` |
+| `npz` | `tracks.npz`, also with `offsets`; JSON text `__meta__` | | one array | `numpy.load` |
 | `parquet` | `tracks.parquet`; JSON text `cgemit` in the schema | pyarrow | `cov_0_0, cov_0_1, ...` | pandas, dask |
 | `root` | `tracks.root`: a TTree `tracks`, JSON text `cgemit` | uproot | one branch `[5][5]` | ROOT, uproot |
-| `csv` | `tracks.csv`: names, then rows; every digit is kept | | `cov_0_0, cov_0_1, ...` | everything |
 
 `pip install 'cgemit[io]'` installs the packages. The JSON text holds version, units, event range, and the
-configuration hash and seed of the run, and a checksum of each column; for CSV it is in `tables.json`, which lists all
-tables. `Result.load` and
+configuration hash and seed of the run, and a checksum of each column. `tables.json` lists all tables. `Result.load` and
 `cgemit.open` read every format back to equal tables and check that all files belong to the run of `run.json`.
-`Table.load` reads one file of any format but CSV.
+`Table.load` reads one file of any format. `table.to_pandas().to_csv(path)` writes CSV for other programs.
 
 ### More events than memory
 

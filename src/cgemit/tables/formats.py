@@ -1,4 +1,4 @@
-"""One table in one file of any format: `.npz`, Parquet, ROOT, CSV."""
+"""One table in one file, of any of the `FORMATS`: the columns, and a JSON text that describes them."""
 
 from __future__ import annotations
 
@@ -7,179 +7,142 @@ import json
 import math
 import os
 import zlib
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from cgemit.base.errors import did_you_mean
-from cgemit.base.files import check_regular, check_unpacked, new_file, package, read_arrays, write_arrays
+from cgemit.base.files import MissingPackageError, check_unpacked, new_file, package, read_npz
 from cgemit.base.version import __version__
 from cgemit.tables.schema import Array, Rows, schema_of
 
-_KEY = b"cgemit"  # of the JSON text
+#: The columns of a file, or some of them, and their description.
+Stored = tuple[dict[str, Array], dict[str, Any]]
 
 
-def write_parquet(path: Path, columns: Mapping[str, np.ndarray[Any, Any]], about: Mapping[str, Any]) -> None:
-    """Write columns (n,) and what is said about them."""
-    pyarrow, parquet = package("pyarrow"), package("pyarrow.parquet")
-    table = pyarrow.table(dict(columns))
-    parquet.write_table(table.replace_schema_metadata({_KEY: json.dumps(dict(about), allow_nan=False)}), path)
+@dataclass(frozen=True)
+class Format:
+    """How a table is stored in a file.
 
-
-def write_columns(path: str | os.PathLike[str], columns: Mapping[str, Any], *, overwrite: bool = False) -> Path:
-    """Write columns of any origin as a Parquet file for other programs."""
-    pyarrow, parquet = package("pyarrow"), package("pyarrow.parquet")
-    with new_file(path, overwrite=overwrite) as temporary:
-        parquet.write_table(pyarrow.table(dict(columns)), temporary)
-    return Path(path)
-
-
-def read_parquet(
-    path: Path, names: Collection[str] | None = None
-) -> tuple[dict[str, np.ndarray[Any, Any]], dict[str, Any]]:
-    """Read what `write_parquet` wrote: all columns, or those named.
-
-    Raises
-    ------
-    FileNotFoundError
-        If there is no such file.
-    ValueError
-        If it is damaged or was not written by `write_parquet`.
-    """
-    parquet = package("pyarrow.parquet")
-    try:
-        with parquet.ParquetFile(path) as file:
-            schema = file.schema_arrow
-            about = json.loads(schema.metadata[_KEY])
-            width = sum(field.type.bit_width for field in schema) // 8
-            check_unpacked(path.stat().st_size, file.metadata.num_rows * width)
-            table = file.read(columns=None if names is None else list(names), use_threads=False)
-        if not isinstance(about, dict):
-            raise ValueError(f"its JSON text holds {about!r:.50}, not an object")
-        return {name: table[name].to_numpy() for name in table.column_names}, about
-    except FileNotFoundError:
-        raise
-    except Exception as error:  # of pyarrow and json: a damaged file is bad input, whatever notices it
-        raise ValueError(f"{path} is not a complete Parquet file of cgemit ({error})") from error
-
-
-_ROOT_KEY = "cgemit"  # of the JSON text, a TObjString
-
-
-def write_root(path: Path, tree: str, columns: Mapping[str, np.ndarray[Any, Any]], about: Mapping[str, Any]) -> None:
-    """Write columns (n, ...) as a tree, and what is said about them."""
-    branches = {name: (column.dtype, column.shape[1:]) for name, column in columns.items()}
-    with package("uproot").recreate(path) as file:
-        made = file.mktree(tree, branches)
-        if len(next(iter(columns.values()))):
-            made.extend(dict(columns))
-        file[_ROOT_KEY] = json.dumps(dict(about), allow_nan=False)
-
-
-def read_root(
-    path: Path, names: Collection[str] | None = None
-) -> tuple[dict[str, np.ndarray[Any, Any]], dict[str, Any]]:
-    """Read what `write_root` wrote: all columns, or those named.
-
-    Raises
-    ------
-    FileNotFoundError
-        If there is no such file.
-    ValueError
-        If it is damaged or was not written by `write_root`.
-    """
-    uproot = package("uproot")
-    try:
-        with uproot.open(path) as file:
-            about = json.loads(str(file[_ROOT_KEY]))
-            if not isinstance(about, dict):
-                raise ValueError(f"its JSON text holds {about!r:.50}, not an object")
-            tree = file[about["kind"]]
-            width = sum(branch.interpretation.numpy_dtype.itemsize for branch in tree.branches)
-            check_unpacked(path.stat().st_size, tree.num_entries * width)
-            wanted = None if names is None else [name for name in names if name in tree]
-            arrays = tree.arrays(wanted, library="np")
-        return {str(name): np.asarray(column) for name, column in arrays.items()}, about
-    except FileNotFoundError:
-        raise
-    except Exception as error:  # of uproot and json: a damaged file is bad input, whatever notices it
-        raise ValueError(f"{path} is not a complete ROOT file of cgemit ({error})") from error
-
-
-_ROWS = 10_000  # that are turned into text at a time
-
-
-def write_csv(path: Path, columns: Mapping[str, np.ndarray[Any, Any]]) -> None:
-    """Write columns of numbers (n,)."""
-    rows = len(next(iter(columns.values())))
-    with path.open("w", encoding="ascii") as stream:
-        stream.write(",".join(columns) + "\n")
-        for first in range(0, rows, _ROWS):
-            texts = [map(repr, column[first : first + _ROWS].tolist()) for column in columns.values()]
-            stream.writelines(",".join(row) + "\n" for row in zip(*texts, strict=True))
-
-
-def read_csv(path: Path, dtypes: Mapping[str, np.dtype[Any]]) -> dict[str, np.ndarray[Any, Any]]:
-    """Read what `write_csv` wrote.
-
-    Parameters
+    Attributes
     ----------
-    path : Path
-    dtypes : mapping of str to dtype
-        Of each column, in their order.
-
-    Raises
-    ------
-    FileNotFoundError
-        If there is no such file.
-    ValueError
-        If it is damaged, or has other columns.
+    name, suffix : str
+    write : callable
+        Writes a table and its description to a path.
+    read : callable
+        Returns the columns of a file, of which only those of the given names need to be read (None: all), and the
+        description. Any exception but FileNotFoundError tells that the file is damaged.
+    package : str
+        The package that the format needs, if any.
     """
-    check_regular(path)
-    try:
-        with path.open(encoding="ascii") as stream:
-            names = stream.readline().rstrip("\n").split(",")
-            if names != list(dtypes):
-                raise ValueError(f"got the columns {', '.join(names)[:200]}, expected {', '.join(dtypes)[:200]}")
-            lines = iter(stream)
-            first = next(lines, None)
-            if first is None:
-                return {name: np.empty(0, dtype) for name, dtype in dtypes.items()}
-            _check_end(path)
-            rows = np.loadtxt(_after(first, stream), dtype=list(dtypes.items()), delimiter=",", ndmin=1, comments=None)
-        return {name: np.ascontiguousarray(rows[name]) for name in dtypes}
-    except FileNotFoundError:
-        raise
-    except Exception as error:  # of numpy and of the decoder: a damaged file is bad input, whatever notices it
-        raise ValueError(f"{path} is not a complete CSV file of cgemit ({error})") from error
+
+    name: str
+    suffix: str
+    write: Callable[[Path, Rows, dict[str, Any]], None]
+    read: Callable[[Path, Collection[str] | None], Stored]
+    package: str = ""
 
 
-def _after(first: str, rest: Any) -> Any:
-    """Yield a line, and those that follow it."""
-    yield first
-    yield from rest
+_VERSION = "cgemit-table-1"
+_ABOUT = {"kind": str, "rows": int, "n_events": int, "first_event": int, "meta": dict, "crc32": dict}
 
 
-def _check_end(path: Path) -> None:
-    """Raise a ValueError for a file that ends within a line: its last number may be cut off."""
-    with path.open("rb") as stream:
-        stream.seek(-1, os.SEEK_END)
-        if stream.read() != b"\n":
-            raise ValueError("the last line is cut off")
+def _described(text: str | bytes) -> dict[str, Any]:
+    """Return the description that a file holds as a JSON text."""
+    about = json.loads(text)
+    if not isinstance(about, dict):
+        raise ValueError(f"its description holds {about!r:.50}, not an object")
+    if about.get("format") != _VERSION:
+        raise ValueError(f"it has format {about.get('format')!r:.50}, expected {_VERSION!r}")
+    wrong = [name for name, kind in _ABOUT.items() if not isinstance(about.get(name), kind)]
+    if wrong:
+        raise ValueError(f"missing or wrong: {', '.join(wrong)}")
+    return about
 
 
-FORMAT = "cgemit-table-1"
+_META = "__meta__"  # the array that holds the JSON text
 
-#: Formats of files by name, with the ending of the files' names.
-FORMATS = {"npz": ".npz", "npz-compressed": ".npz", "parquet": ".parquet", "root": ".root", "csv": ".csv"}
 
-_PACKAGES = {"parquet": "pyarrow", "root": "uproot"}
-_ABOUT = {"kind": str, "n_events": int, "first_event": int, "meta": dict}  # what `load` takes from `describe`
+def _write_npz(path: Path, table: Rows, about: dict[str, Any]) -> None:
+    events = about.pop("events", None)  # as an array: there may be millions
+    beside = {"offsets": table.offsets} | ({} if events is None else {"events": np.array(events, np.int64)})
+    text = np.array(json.dumps(about, allow_nan=False))
+    with path.open("wb") as stream:
+        np.savez(stream, **{_META: text}, **table.columns, **beside)  # type: ignore[arg-type]
 
-#: Arguments of `Table`: kind, columns, n_events, first_event, meta, events.
-Arguments = tuple[str, dict[str, Array], int, int, dict[str, Any], Any]
+
+def _read_npz(path: Path, names: Collection[str] | None) -> Stored:
+    arrays: dict[str, Array] = read_npz(path, None if names is None else {_META, *names})
+    about = _described(str(arrays.pop(_META)))
+    if names is None:
+        offsets = np.atleast_1d(arrays.pop("offsets", np.empty(0)))  # they follow from the event column
+        if len(offsets) != about["n_events"] + 1:
+            raise ValueError(f"{about['n_events']} events, but {len(offsets)} offsets")
+        if "events" in arrays:
+            about["events"] = arrays.pop("events")
+    return arrays, about
+
+
+_KEY = "cgemit"  # of the JSON text in other files
+
+
+def _write_parquet(path: Path, table: Rows, about: dict[str, Any]) -> None:
+    pyarrow, parquet = package("pyarrow"), package("pyarrow.parquet")
+    _check_numbers(table, "parquet")
+    columns = plain_columns(table.columns)
+    if len(columns) < sum(math.prod(column.shape[1:]) for column in table.columns.values()):
+        raise ValueError(f"{table.kind}: two columns have the same name in a parquet file")
+    arrow = pyarrow.table(columns)
+    parquet.write_table(arrow.replace_schema_metadata({_KEY: json.dumps(about, allow_nan=False)}), path)
+
+
+def _read_parquet(path: Path, names: Collection[str] | None) -> Stored:
+    with package("pyarrow.parquet").ParquetFile(path) as file:
+        schema = file.schema_arrow
+        about = _described(schema.metadata[_KEY.encode()])
+        shapes = _shapes(about)
+        width = sum(field.type.bit_width for field in schema) // 8
+        check_unpacked(path.stat().st_size, file.metadata.num_rows * width)
+        wanted = [plain for name in shapes if names is None or name in names for plain in _plain(name, shapes[name])]
+        found = file.read(columns=wanted, use_threads=False)
+    columns = {name: found[name].to_numpy() for name in found.column_names}
+    return _joined(columns, {name: shapes[name] for name in shapes if names is None or name in names}), about
+
+
+def _write_root(path: Path, table: Rows, about: dict[str, Any]) -> None:
+    _check_numbers(table, "root")
+    branches = {name: (column.dtype, column.shape[1:]) for name, column in table.columns.items()}
+    with package("uproot").recreate(path) as file:
+        tree = file.mktree(table.kind, branches)
+        if len(table):
+            tree.extend(dict(table.columns))
+        file[_KEY] = json.dumps(about, allow_nan=False)
+
+
+def _read_root(path: Path, names: Collection[str] | None) -> Stored:
+    with package("uproot").open(path) as file:
+        about = _described(str(file[_KEY]))
+        tree = file[about["kind"]]
+        width = sum(branch.interpretation.numpy_dtype.itemsize for branch in tree.branches)
+        check_unpacked(path.stat().st_size, tree.num_entries * width)
+        arrays = tree.arrays(None if names is None else [name for name in names if name in tree], library="np")
+    return {str(name): np.asarray(column) for name, column in arrays.items()}, about
+
+
+#: All formats by name; a further one is a line here.
+FORMATS = {
+    one.name: one
+    for one in (
+        Format("npz", ".npz", _write_npz, _read_npz),
+        Format("parquet", ".parquet", _write_parquet, _read_parquet, package="pyarrow"),
+        Format("root", ".root", _write_root, _read_root, package="uproot"),
+    )
+}
+#: The same by the ending of the files' names.
+BY_SUFFIX = {one.suffix: one for one in FORMATS.values()}
 
 
 def check_format(name: object) -> str:
@@ -193,15 +156,27 @@ def check_format(name: object) -> str:
     if not isinstance(name, str) or name not in FORMATS:
         hint = did_you_mean(str(name), FORMATS, "; ")
         raise ValueError(f"format: got {name!r:.50}, expected one of {', '.join(map(repr, FORMATS))}{hint}")
-    if name in _PACKAGES:
-        package(_PACKAGES[name])
+    if FORMATS[name].package:
+        package(FORMATS[name].package)
     return name
 
 
+def write_columns(path: str | os.PathLike[str], columns: Mapping[str, Any], *, overwrite: bool = False) -> Path:
+    """Write columns of any origin as a Parquet file for other programs."""
+    pyarrow, parquet = package("pyarrow"), package("pyarrow.parquet")
+    with new_file(path, overwrite=overwrite) as temporary:
+        parquet.write_table(pyarrow.table(dict(columns)), temporary)
+    return Path(path)
+
+
+#: Arguments of `Table`: kind, columns, n_events, first_event, meta, events.
+Arguments = tuple[str, dict[str, Array], int, int, dict[str, Any], Any]
+
+
 def describe(table: Rows) -> dict[str, Any]:
-    """Return the description of a table in a file, without its columns."""
+    """Return the description of a table, without what only its own file says: columns, checksums, gaps of events."""
     return {
-        "format": FORMAT,
+        "format": _VERSION,
         "version": __version__,
         "kind": table.kind,
         "rows": len(table),
@@ -212,85 +187,24 @@ def describe(table: Rows) -> dict[str, Any]:
     }
 
 
-def describe_fully(table: Rows) -> dict[str, Any]:
-    """Return the description with all that a file of plain columns does not hold.
-
-    These are dtypes, shapes, checksums and gaps of events; `.npz` files hold them already.
-    """
+def save(table: Rows, path: str | os.PathLike[str], *, overwrite: bool = False, form: str | None = None) -> None:
+    """Write one table; see `Table.save`. Without `form` the ending tells the format, any unknown one `npz`."""
+    chosen = FORMATS[check_format(BY_SUFFIX.get(Path(path).suffix, FORMATS["npz"]).name if form is None else form)]
     columns = {name: [column.dtype.str[1:], *column.shape[1:]] for name, column in table.columns.items()}
-    sums = {name: _checksum(column) for name, column in table.columns.items()}
+    sums = {name: checksum(column) for name, column in table.columns.items()}
     gaps = table.cover["events"]
-    return describe(table) | {"columns": columns, "crc32": sums} | ({} if gaps is None else {"events": gaps.tolist()})
-
-
-def _checksum(column: Array) -> int:
-    """Return the checksum of a column; all NaN are the same, since text does not tell them apart."""
-    if column.dtype.kind == "f" and np.isnan(column).any():
-        column = np.where(np.isnan(column), np.array(np.nan, column.dtype), column)
-    return zlib.crc32(np.ascontiguousarray(column).tobytes())
-
-
-def _check_sums(path: str | os.PathLike[str], arrays: Mapping[str, Array], about: Mapping[str, Any]) -> None:
-    """Raise a ValueError if a column is not the one that was written."""
-    sums = about.get("crc32")
-    if not isinstance(sums, dict):
-        raise ValueError(f"{path} is damaged: it has no checksums")
-    wrong = [name for name, array in arrays.items() if sums.get(name) != _checksum(array)]
-    if wrong:
-        raise ValueError(f"{path} is damaged: the checksum of {', '.join(wrong)} is another one")
-
-
-def save(table: Rows, path: str | os.PathLike[str], *, overwrite: bool = False, form: str = "npz") -> None:
-    """Write one table; see `Table.save`."""
-    if form.startswith("npz"):
-        beside = {"offsets": table.offsets}
-        events = table.cover["events"]
-        if events is not None:
-            beside["events"] = events
-        compressed = form == "npz-compressed"
-        arrays = {**table.columns, **beside}
-        write_arrays(path, arrays, describe(table), overwrite=overwrite, compressed=compressed)
-        return
-    _check_dtypes(table, form)
-    about = describe_fully(table)
+    about = describe(table) | {"columns": columns, "crc32": sums} | ({} if gaps is None else {"events": gaps.tolist()})
     with new_file(path, overwrite=overwrite) as temporary:
-        if form == "root":
-            write_root(temporary, table.kind, table.columns, about)
-        elif form == "parquet":
-            write_parquet(temporary, plain_columns(table.columns), about)
-        else:
-            write_csv(temporary, plain_columns(table.columns))
+        chosen.write(temporary, table, about)
 
 
-def load(path: str | os.PathLike[str], about: Mapping[str, Any] | None = None) -> Arguments:
-    """Read the arguments of `Table` from a file; see `Table.load`.
-
-    Parameters
-    ----------
-    path : path
-        Its ending tells the format.
-    about : mapping or None
-        `describe_fully` of the table, which a CSV file does not hold itself.
-    """
-    arrays, found = _read(Path(path), None, about)
-    if found.get("format") != FORMAT:
-        raise ValueError(f"{path} has format {found.get('format')!r}, expected {FORMAT!r}")
-    wrong = [name for name, kind in _ABOUT.items() if not isinstance(found.get(name), kind)]
-    if wrong:
-        raise ValueError(f"{path} is not a complete table file of cgemit (missing or wrong: {', '.join(wrong)})")
-    if Path(path).suffix in _OTHERS:
-        events = found.get("events")
-        _check_rows(path, arrays, found)
-        _check_sums(path, arrays, found)
-    else:
-        offsets = arrays.pop("offsets", np.empty(0))  # they follow from the event column
-        if len(np.atleast_1d(offsets)) != found["n_events"] + 1:
-            raise ValueError(f"{path} is damaged: {found['n_events']} events, but {len(offsets)} offsets")
-        events = arrays.pop("events", None)
-    return found["kind"], arrays, found["n_events"], found["first_event"], found["meta"], events
+def load(path: str | os.PathLike[str]) -> Arguments:
+    """Read the arguments of `Table` from a file, whose ending tells the format; see `Table.load`."""
+    arrays, about = _read(Path(path), None)
+    return about["kind"], arrays, about["n_events"], about["first_event"], about["meta"], about.get("events")
 
 
-def load_columns(path: Path, names: Collection[str], about: Mapping[str, Any]) -> dict[str, Array]:
+def load_columns(path: Path, names: Collection[str]) -> dict[str, Array]:
     """Read some columns (n,) or (n, ...) of a table.
 
     Raises
@@ -300,87 +214,63 @@ def load_columns(path: Path, names: Collection[str], about: Mapping[str, Any]) -
     KeyError
         If it does not hold a column.
     ValueError
-        If it is damaged, or holds another number of rows than `about` says.
+        If it is damaged.
     """
-    arrays, found = _read(path, names, about)
+    arrays, _ = _read(path, names)
     missing = [name for name in names if name not in arrays]
     if missing:
         raise KeyError(f"{path} has no column {', '.join(missing)}")
-    _check_rows(path, arrays, about)
-    if path.suffix in _OTHERS:
-        _check_sums(path, arrays, found)
     return {name: arrays[name] for name in names}
 
 
-_OTHERS = {".parquet", ".root", ".csv"}
-
-
-def _read(
-    path: Path, names: Collection[str] | None, about: Mapping[str, Any] | None
-) -> tuple[dict[str, Array], dict[str, Any]]:
-    """Return columns and description of a file."""
-    if path.suffix == ".root":
-        return read_root(path, names)
-    if path.suffix == ".parquet":
-        wanted = None
-        if names is not None:
-            shapes = _shapes(path, about or {})
-            wanted = [plain for name in names if name in shapes for plain in _plain_names(name, shapes[name])]
-        columns, found = read_parquet(path, wanted)
-        return _joined(columns, _shapes(path, found)), found
-    if path.suffix == ".csv":
-        if about is None:
-            raise ValueError(f"{path}: a CSV file does not say what it covers; expected its folder with tables.json")
-        shapes = _shapes(path, about)
-        dtypes = {
-            plain: np.dtype(about["columns"][name][0])
-            for name, shape in shapes.items()
-            for plain in _plain_names(name, shape)
-        }
-        return _joined(read_csv(path, dtypes), shapes), dict(about)
-    return read_arrays(path, names)
-
-
-def _shapes(path: Path, about: Mapping[str, Any]) -> dict[str, tuple[int, ...]]:
-    """Return the shape of one entry of each column, as a description says."""
-    columns = about.get("columns")
+def _read(path: Path, names: Collection[str] | None) -> Stored:
+    """Return columns and description of a file, which agree."""
+    form = BY_SUFFIX.get(path.suffix, FORMATS["npz"])
     try:
-        shapes = {name: tuple(map(int, shape)) for name, (_, *shape) in columns.items()}  # type: ignore[union-attr]
-        dtypes = [np.dtype(given[0]) for given in columns.values()]  # type: ignore[union-attr]
-        if any(dtype.kind not in "iuf" for dtype in dtypes) or any(min(s, default=1) < 1 for s in shapes.values()):
-            raise ValueError("strange dtypes or shapes")
-        if sum(math.prod(shape) for shape in shapes.values()) > _MOST_COLUMNS:
-            raise ValueError("too many numbers in a row")
-    except (AttributeError, TypeError, ValueError, OverflowError) as error:
-        raise ValueError(f"{path} is damaged: got {columns!r:.100} for its columns ({error})") from error
-    return shapes
+        arrays, about = form.read(path, names)
+    except (FileNotFoundError, MissingPackageError):
+        raise
+    except Exception as error:  # of numpy, pyarrow, uproot, json: a damaged file is bad input, whatever notices it
+        raise ValueError(f"{path} is not a complete table file of cgemit ({error})") from error
+    lengths = {len(array) for array in arrays.values()} - {about["rows"]}
+    if lengths:
+        raise ValueError(f"{path} is damaged: {about['rows']} rows, but {lengths.pop()} in a column")
+    wrong = [name for name, array in arrays.items() if about["crc32"].get(name) != checksum(array)]
+    if wrong:
+        raise ValueError(f"{path} is damaged: the checksum of {', '.join(wrong)} is another one")
+    return arrays, about
 
 
-_MOST_COLUMNS = 100_000  # of a file of plain columns
+def checksum(column: Array) -> int:
+    """Return the checksum of a column."""
+    return zlib.crc32(np.ascontiguousarray(column).data)
 
 
-def _check_rows(path: str | os.PathLike[str], arrays: Mapping[str, Array], about: Mapping[str, Any]) -> None:
-    """Raise a ValueError if a file holds another number of rows than its description says."""
-    found = {len(array) for array in arrays.values()} - {about.get("rows")}
-    if found:
-        raise ValueError(f"{path} is damaged: {about.get('rows')!r:.20} rows, but {found.pop()} in a column")
-
-
-def _check_dtypes(table: Rows, form: str) -> None:
-    """Raise a ValueError for columns that a format cannot hold."""
+def _check_numbers(table: Rows, form: str) -> None:
+    """Raise a ValueError for columns that are no numbers of C."""
     wrong = [
         f"{name}: got {column.dtype}, expected whole numbers, or numbers of 4 or 8 bytes, in a {form} file"
         for name, column in table.columns.items()
         if column.dtype.kind not in "iuf" or (column.dtype.kind == "f" and column.dtype.itemsize not in (4, 8))
     ]
-    plain = [name for name, column in table.columns.items() for name in _plain_names(name, column.shape[1:])]
-    wrong += [f"{name}: two columns have this name in a {form} file" for name in sorted(set(plain)) if
-              form != "root" and plain.count(name) > 1]  # fmt: skip
     if wrong:
         raise ValueError(f"{table.kind}:\n  " + "\n  ".join(wrong))
 
 
-def _plain_names(name: str, shape: tuple[int, ...]) -> list[str]:
+_MOST_COLUMNS = 100_000  # of a file of plain columns
+
+
+def _shapes(about: Mapping[str, Any]) -> dict[str, tuple[int, ...]]:
+    """Return the shape of one entry of each column, as a description says."""
+    shapes = {name: tuple(map(int, shape)) for name, (_, *shape) in about["columns"].items()}
+    if any(min(shape, default=1) < 1 for shape in shapes.values()):
+        raise ValueError("strange shapes")
+    if sum(map(math.prod, shapes.values())) > _MOST_COLUMNS:
+        raise ValueError("too many numbers in a row")
+    return shapes
+
+
+def _plain(name: str, shape: tuple[int, ...]) -> list[str]:
     """Return the names of the plain columns of a column: ``name_0_0, name_0_1, ...`` for a matrix."""
     return ["_".join([name, *map(str, index)]) for index in itertools.product(*map(range, shape))]
 
@@ -389,21 +279,16 @@ def plain_columns(columns: Mapping[str, Array]) -> dict[str, Array]:
     """Return columns (n,) of numbers; a matrix column becomes ``name_0_0, name_0_1, ...``."""
     plain: dict[str, Array] = {}
     for name, column in columns.items():
-        flat = column.reshape(len(column), math.prod(column.shape[1:])) if column.ndim > 1 else column[:, None]
-        plain |= {one: flat[:, i] for i, one in enumerate(_plain_names(name, column.shape[1:]))}
+        flat = column.reshape(len(column), math.prod(column.shape[1:]))
+        plain |= {one: flat[:, i] for i, one in enumerate(_plain(name, column.shape[1:]))}
     return plain
 
 
 def _joined(plain: Mapping[str, Array], shapes: Mapping[str, tuple[int, ...]]) -> dict[str, Array]:
-    """Return the columns that `plain_columns` was made from, as far as they are there."""
-    joined = {}
-    for name, shape in shapes.items():
-        names = _plain_names(name, shape)
-        if not any(one in plain for one in names):
-            continue
-        missing = [one for one in names if one not in plain]
-        if missing:
-            raise ValueError(f"the column {missing[0]} is missing")
-        columns = [plain[one] for one in names]
-        joined[name] = np.stack(columns, axis=1).reshape(-1, *shape) if shape else columns[0]
-    return joined
+    """Return the columns that `plain_columns` was made from."""
+    return {
+        name: np.stack([plain[one] for one in _plain(name, shape)], axis=1).reshape(-1, *shape)
+        if shape
+        else plain[name]
+        for name, shape in shapes.items()
+    }

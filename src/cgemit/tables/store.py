@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from cgemit.base.files import new_file, read_text
-from cgemit.tables.formats import FORMATS, check_format, describe, describe_fully, load, load_columns, save
+from cgemit.tables.formats import BY_SUFFIX, FORMATS, check_format, describe, load, load_columns, save
 from cgemit.tables.schema import Array, Rows
 from cgemit.tables.table import Table, lost_links, moved_links
 
@@ -37,7 +37,7 @@ def save_tables(
     directory : path
     overwrite : bool
     format : str
-        One of "npz", "npz-compressed", "parquet" (pyarrow), "root" (a TTree of the table's name; uproot), "csv".
+        One of `FORMATS`: "npz", "parquet" (pyarrow), "root" (a TTree of the table's name; uproot).
 
     Returns
     -------
@@ -51,7 +51,7 @@ def save_tables(
     ValueError
         If the format is unknown, needs a package that is not installed, or cannot hold a column.
     """
-    folder, suffix = Path(directory), FORMATS[check_format(format)]
+    folder, suffix = Path(directory), FORMATS[check_format(format)].suffix
     paths = {name: folder / f"{name}{suffix}" for name in tables}
     index = folder / INDEX
     existing = [str(path) for path in (*paths.values(), index) if path.exists()]
@@ -66,8 +66,7 @@ def save_tables(
 
 def entry(table: Rows, suffix: str) -> dict[str, Any]:
     """Return what the index says about a table in a file."""
-    found = describe(table) if suffix == ".npz" else describe_fully(table)
-    return found if suffix == ".npz" else found | {"suffix": suffix}
+    return describe(table) | {"suffix": suffix}
 
 
 def write_index(folder: Path, entries: Mapping[str, Mapping[str, Any]]) -> Path:
@@ -101,9 +100,9 @@ def read_index(directory: str | os.PathLike[str]) -> dict[str, dict[str, Any]]:
 
 def _entry_problem(about: Mapping[str, Any]) -> str:
     """Return what is wrong with the entry of a table, or an empty text."""
-    suffix = about.get("suffix", ".npz")
-    if suffix not in FORMATS.values():
-        return f"suffix: got {suffix!r:.40}, expected one of {', '.join(dict.fromkeys(FORMATS.values()))}"
+    suffix = about.get("suffix")
+    if suffix not in tuple(BY_SUFFIX):
+        return f"suffix: got {suffix!r:.40}, expected one of {', '.join(BY_SUFFIX)}"
     parts = about.get("parts")
     if "parts" not in about:
         return ""
@@ -120,7 +119,7 @@ def _entry_problem(about: Mapping[str, Any]) -> str:
 
 def files_of(name: str, about: Mapping[str, Any]) -> list[tuple[str, dict[str, Any]]]:
     """Return the files of a table, relative to the folder, each with the description of what it holds."""
-    suffix = about.get("suffix", ".npz")
+    suffix = about["suffix"]
     if "parts" not in about:
         return [(f"{name}{suffix}", dict(about))]
     common = {key: value for key, value in about.items() if key != "parts"}
@@ -270,10 +269,6 @@ def _join(tables: list[Table], before: Mapping[str, Array]) -> Table:
 PART_BYTES = 2**25
 
 
-#: What the index says about each part of a table.
-_OF_PART = ("n_events", "first_event", "rows", "events", "crc32")
-
-
 class LazyTables(Mapping[str, Table]):
     """Tables that are read when they are asked for."""
 
@@ -363,8 +358,12 @@ class StoredTables(LazyTables):
         """Return one column of a table, (n,) or (n, ...); the others are not read."""
         if name in self._tables:
             return super().column(name, column)
-        files = self._files[name]
-        return np.concatenate([load_columns(self.folder / file, [column], about)[column] for file, about in files])
+        parts = []
+        for file, about in self._files[name]:
+            parts.append(load_columns(self.folder / file, [column])[column])
+            if len(parts[-1]) != about["rows"]:
+                raise ValueError(f"{self.folder / file}: got {len(parts[-1])} rows, expected {about['rows']}")
+        return np.concatenate(parts)
 
     def parts(self) -> list[StoredPart]:
         """Return the tables of each part; links count rows of the part's own tables."""
@@ -384,7 +383,7 @@ class StoredTables(LazyTables):
 
     def _read(self, file: str, about: Mapping[str, Any], *, check: bool = True) -> Table:
         """Return the table of a file, if it is the one that the index describes."""
-        table = Table(*load(self.folder / file, about))
+        table = Table(*load(self.folder / file))
         problems = index_problems(file, table, about) if check else []
         if problems:
             raise ValueError(f"{self.folder} holds tables of several runs:\n  " + "\n  ".join(problems))
@@ -462,17 +461,12 @@ class PartsWriter:
 
     def _write(self) -> None:
         joined = concatenate(self._waiting, gaps=self._gaps)
-        suffix = FORMATS[self._format]
         for name, table in joined.items():
             links = moved_links(table, lambda to: np.int64(self._before[to]))
             table = table.with_columns(**links)
-            about = entry(table, suffix)
-            cover = {key: about.pop(key) for key in _OF_PART if key in about}
-            if suffix != ".csv":  # other files hold them themselves
-                cover = {key: cover[key] for key in _OF_PART[:3]}
-            kept = self._entries.setdefault(name, about | cover | {"n_events": 0, "rows": 0, "parts": []})
-            for key in _OF_PART[3:]:
-                kept.pop(key, None)
+            about = entry(table, FORMATS[self._format].suffix)
+            cover = {key: about[key] for key in COVER}
+            kept = self._entries.setdefault(name, about | {"n_events": 0, "rows": 0, "parts": []})
             kept["parts"].append(cover)
             kept["n_events"] += cover["n_events"]
             kept["rows"] += cover["rows"]

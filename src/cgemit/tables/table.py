@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Collection, KeysView, Mapping
-from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
@@ -333,7 +332,7 @@ class Table:
 
         A name that ends in ``.parquet`` (needs pyarrow) or ``.root`` (a TTree; needs uproot) gives a file of that
         kind, any other an `.npz` file, which holds the offsets, too. The file is complete or absent. The text holds
-        version, units, event range and `meta`.
+        version, units, event range, `meta` and checksums.
 
         Raises
         ------
@@ -342,8 +341,7 @@ class Table:
         ValueError
             If the format needs a package that is not installed, or cannot hold a column.
         """
-        form = {".parquet": "parquet", ".root": "root"}.get(Path(path).suffix, "npz")
-        formats.save(self, path, overwrite=overwrite, form=formats.check_format(form))
+        formats.save(self, path, overwrite=overwrite)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Table:
