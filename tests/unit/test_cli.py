@@ -17,7 +17,7 @@ import pytest
 from cgemit import Settings
 from cgemit.analysis.quantities import QUANTITIES
 from cgemit.cli import options
-from cgemit.cli.main import join_negative_values, main
+from cgemit.cli.main import COMMANDS, join_negative_values, main
 from cgemit.detector import load, write_field_map
 from cgemit.tables import Table
 from interrupts import on_terminal
@@ -29,10 +29,10 @@ SIMULATE = ["simulate", "-d", "besiii-cgem-design", "--p", "1", "--cos-theta", "
 def test_help_and_version(capsys):
     assert main(["--help"]) == 0
     text = capsys.readouterr().out
-    assert all(name in text for name in options.COMMANDS)
+    assert all(name in text for name in COMMANDS)
     assert main(["--version"]) == 0
     assert capsys.readouterr().out.startswith("cgemit ")
-    for name in options.COMMANDS:
+    for name in COMMANDS:
         assert main([name, "--help"]) == 0, name
         assert "examples:" in capsys.readouterr().out, name
 
@@ -40,7 +40,7 @@ def test_help_and_version(capsys):
 def test_settings_in_the_examples_exist(capsys):
     """What the help of the commands sets can be set."""
     keys = []
-    for name in options.COMMANDS:
+    for name in COMMANDS:
         main([name, "--help"])
         keys += re.findall(r"--set (\S+)=(\S+)", capsys.readouterr().out.partition("examples:")[2])
     stages = {key: value for key, value in keys if key.partition(".")[0] in Settings().to_dict()}

@@ -90,7 +90,7 @@ def command_line(start: list[str], usual: dict[str, list[str]], row: Row) -> lis
 
 def options_of(command: str) -> set[str]:
     """Return the long forms of the options of a command."""
-    choices = next(a.choices for a in build_parser()._actions if isinstance(a, argparse._SubParsersAction))
+    choices = next(a.choices for a in build_parser(command)._actions if isinstance(a, argparse._SubParsersAction))
     return {next(o for o in action.option_strings if o.startswith("--")) for action in choices[command]._actions}
 
 

@@ -1,13 +1,13 @@
 """The sub-commands detectors, show and validate."""
 
-import argparse
 import json
 from pathlib import Path
 
 import jsonschema
 import pytest
 
-from cgemit.cli import detector, options
+from cgemit.cli import options
+from cgemit.cli.main import build_parser
 from cgemit.detector import DetectorError, load
 
 MATTER = """\
@@ -22,10 +22,7 @@ L1 drift gap     78.991   84.140  0.0042  1.1041
 
 def call(*words: str) -> int:
     """Run a sub-command as the command line does, without turning errors into exit codes."""
-    parser = argparse.ArgumentParser()
-    subparsers = parser.add_subparsers()
-    detector.add_parser(subparsers)
-    arguments = parser.parse_args(words)
+    arguments = build_parser(words[0]).parse_args(words)
     return int(arguments.run(arguments))
 
 

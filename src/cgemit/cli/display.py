@@ -7,13 +7,13 @@ import argparse
 from cgemit.cli import options
 from cgemit.cli.simulate import add_finder, add_gun, gun_of
 
-_DESCRIPTION = """\
+DESCRIPTION = """\
 Draw one event: the detector, true crossings, clusters, ghosts (XV clusters of different crossings), drift circles,
 fired strips on the unrolled anodes, and the fitted tracks. event.png and event.pdf go to the folder, with --html also
 event.html, which turns in three dimensions and needs no network (extra [notebook]). run.json and detector.toml say what
 was drawn."""
 
-_EXAMPLES = """\
+EXAMPLES = """\
 Options of the gun are those of `cgemit simulate`. Event N is event N of a run with the same options and seed.
 
 examples:
@@ -21,12 +21,8 @@ examples:
   cgemit display -d besiii-cgem --particle pi- --p 0.1 --cos-theta 0.2 --event 3 --html -o slow"""
 
 
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add the sub-command."""
-    parser = subparsers.add_parser(
-        "display", help="draw one event", description=_DESCRIPTION, epilog=_EXAMPLES,
-        formatter_class=options.HelpFormatter,
-    )  # fmt: skip
+def add(parser: argparse.ArgumentParser) -> None:
+    """Add the options."""
     options.add_detector(parser)
     add_gun(parser)
     parser.add_argument("--event", type=options.event, default=0, metavar="N", help="number of the event (default 0)")
@@ -38,7 +34,6 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     options.add_physics(parser)
     options.add_seed(parser)
     options.add_common(parser)
-    parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:

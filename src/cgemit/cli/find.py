@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from cgemit.analysis.widths import Fraction
 
 
-_DESCRIPTION = """\
+DESCRIPTION = """\
 Simulate events, find their tracks, and compare them with the particles: efficiency, fakes and clones as Belle II and
 ACTS define them, hit purity and hit efficiency, the share of findable particles and what each condition removes.
 With simulate.half_turns above 1, tracks are also fitted, and half turns of one particle linked.
@@ -24,7 +24,7 @@ With -o also the efficiency against pT, cos(theta), phi and, where they vary, th
 event, the occupancy of the cells (without a chamber of the strips) and the distance of the vertex from the beam line,
 as picture (efficiency.png) and table (efficiency.csv)."""
 
-_EXAMPLES = """\
+EXAMPLES = """\
 A quantity is a number (fixed), A:B (uniform range), A:B:N (N values from A to B in turn) or A,B,C (values in turn).
 
 examples:
@@ -40,12 +40,8 @@ examples:
 _BINS = 20
 
 
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add the sub-command."""
-    parser = subparsers.add_parser(
-        "find", help="efficiency, fakes and clones of track finding", description=_DESCRIPTION, epilog=_EXAMPLES,
-        formatter_class=options.HelpFormatter,
-    )  # fmt: skip
+def add(parser: argparse.ArgumentParser) -> None:
+    """Add the options."""
     options.add_detector(parser)
     add_gun(parser)
     parser.add_argument(
@@ -64,7 +60,6 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     options.add_physics(parser)
     options.add_run(parser)
     options.add_common(parser)
-    parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -17,7 +17,6 @@ from cgemit.base.errors import did_you_mean
 from cgemit.base.version import __version__
 from cgemit.cli.options import (
     BAD_INPUT,
-    COMMANDS,
     INTERRUPTED,
     OK,
     RUN_FAILED,
@@ -26,6 +25,25 @@ from cgemit.cli.options import (
     RunFailedError,
     say,
 )
+
+#: The sub-commands in the order of the help text. Each is a module of this folder with the texts `DESCRIPTION` and
+#: `EXAMPLES`, `add` for its options, and `run`.
+COMMANDS = {
+    "study": "reproduce the paper: all its figures and numbers",
+    "resolution": "resolutions of a detector against momentum",
+    "sweep": "evaluate many variants of a detector",
+    "optimize": "find the best variants of a detector",
+    "simulate": "shoot particles and write hits, clusters and tracks as tables",
+    "find": "efficiency, fakes and clones of track finding",
+    "display": "draw one event",
+    "readout": "resolution of an analog read-out against the incidence; calibrations",
+    "refit": "fit tracks of BESIII again, beside its own fit",
+    "slab": "scattering and energy loss in layers of matter",
+    "detectors": "list the detectors that come with cgemit",
+    "show": "tables of material and read-out, pictures",
+    "validate": "check detector files, listing every problem",
+    "settings": "print the settings of all stages as a file",
+}
 
 _DESCRIPTION = """\
 Which resolution does a tracker of cylindrical GEM layers and drift chambers reach, and why?
@@ -49,13 +67,18 @@ exit codes: 0 ok, 2 bad input, 3 the run failed, 130 interrupted
 Problems of a detector, a gun or layers of matter are all listed at once; a malformed option is reported alone."""
 
 
-def build_parser() -> argparse.ArgumentParser:
-    """Return the parser with all sub-commands."""
+def build_parser(*chosen: str) -> argparse.ArgumentParser:
+    """Return the parser with all sub-commands; only the `chosen` ones have options, since their modules import much."""
     parser = Parser(prog="cgemit", description=_DESCRIPTION, epilog=_EXAMPLES, formatter_class=HelpFormatter)
     parser.add_argument("--version", action="version", version=f"cgemit {__version__}")
     subparsers = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
-    for module in dict.fromkeys(COMMANDS.values()):
-        importlib.import_module(f"cgemit.cli.{module}").add_parser(subparsers)
+    for name, summary in COMMANDS.items():
+        command = subparsers.add_parser(name, help=summary, formatter_class=HelpFormatter)
+        if name in chosen:
+            module = importlib.import_module(f"cgemit.cli.{name}")
+            command.description, command.epilog = module.DESCRIPTION, module.EXAMPLES
+            command.set_defaults(run=module.run)
+            module.add(command)
     return parser
 
 
@@ -75,7 +98,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="replace")  # "?" where the encoding has no "±", rather than no result
     if "_ARGCOMPLETE" in os.environ:
-        complete(build_parser())
+        complete(build_parser(*os.environ["COMP_LINE"].split()[1:2]))
     return _run(list(sys.argv[1:] if argv is None else argv))
 
 
@@ -99,7 +122,7 @@ def _run(argv: list[str]) -> int:
 
 def _parse(argv: list[str], arguments: argparse.Namespace) -> None:
     """Read the command line; unknown commands and options get the nearest known one as a hint."""
-    parser = build_parser()
+    parser = build_parser(*argv[:1])
     first = next((word for word in argv if not word.startswith("-")), None)
     if first is not None and first not in COMMANDS and argv[0] == first:
         hint = did_you_mean(first, COMMANDS, "; ") or "; expected one of " + ", ".join(COMMANDS)

@@ -15,12 +15,12 @@ if TYPE_CHECKING:
     from cgemit.study.optimize.result import Optimization
 
 
-_DESCRIPTION = """\
+DESCRIPTION = """\
 Find the best variants of a detector, as a plan in TOML says (docs/optimize.md): the best one of one objective, or the
 Pareto front of several. Writes optimize.csv, one row for each design, summary.json, optimum.toml and pictures. The same
 command continues after an interruption."""
 
-_EXAMPLES = """\
+EXAMPLES = """\
 examples:
   cgemit optimize plan.toml -o best
   cgemit optimize plan.toml -o best --set search.method=cobyla
@@ -38,12 +38,8 @@ a plan:
   p = [0.3, 1.0]"""
 
 
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add the sub-command."""
-    parser = subparsers.add_parser(
-        "optimize", help="find the best variants of a detector", description=_DESCRIPTION, epilog=_EXAMPLES,
-        formatter_class=options.HelpFormatter,
-    )  # fmt: skip
+def add(parser: argparse.ArgumentParser) -> None:
+    """Add the options."""
     parser.add_argument("plan", metavar="PLAN", help="what is varied, minimized and limited: a TOML file")
     parser.add_argument(
         "-o", "--output", required=True, metavar="DIR", help="folder for the results; designs that it holds are kept"
@@ -60,7 +56,6 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--json", action="store_true", help="write summary.json to stdout instead of the table")
     sweep.add_workers(parser)
     options.add_common(parser)
-    parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -376,24 +376,6 @@ T = TypeVar("T")
 
 OK, BAD_INPUT, RUN_FAILED, INTERRUPTED = 0, 2, 3, 130
 
-#: The sub-commands in the order of the help text, each with its module, whose `add_parser` adds it.
-COMMANDS = {
-    "study": "study",
-    "resolution": "resolution",
-    "sweep": "sweep",
-    "optimize": "optimize",
-    "simulate": "simulate",
-    "find": "find",
-    "display": "display",
-    "readout": "readout",
-    "refit": "refit",
-    "slab": "slab",
-    "detectors": "detector",
-    "show": "detector",
-    "validate": "detector",
-    "settings": "settings",
-}
-
 
 class HelpFormatter(argparse.RawDescriptionHelpFormatter):
     """Keep the line breaks of descriptions and examples."""

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from cgemit.study.readout.scan import BeamScan
 
 
-_DESCRIPTION = """\
+DESCRIPTION = """\
 Position resolution, number of strips and efficiency of a read-out in both views, in one layer of 2 m radius with the
 gas, gaps and strips of besiii-cgem-design, for the charge centroid, the micro-TPC fit, their weighted mean, and with
 the angle of the track. --scan selects what varies: the angle of incidence, the magnetic field (T), the drift field
@@ -26,7 +26,7 @@ With --calibrate FILE: errors of the clusters of a detector, from muons of both 
 1 GeV/c, and of 0.2 to 10 GeV/c for clusters of known tracks. A run with --set digitize.readout.calibration=FILE uses
 them. Presets with the default settings of a read-out need none."""
 
-_EXAMPLES = """\
+EXAMPLES = """\
 examples:
   cgemit readout --readout apv25 --bz 0 -o test-beam
   cgemit readout --readout tiger --bz 1 --angles "-30 deg:30 deg:7" --set digitize.readout.gain=20000 -o one-tesla
@@ -39,12 +39,8 @@ _GRAZING = 80  # deg, beyond which a beam does not cross the layer
 _VALUES = {"bz": "0:1:5", "drift_field": "1:3:5", "gain": "5000,8000,12000,20000,40000", "threshold": "1:5:5"}
 
 
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add the sub-command."""
-    parser = subparsers.add_parser(
-        "readout", help="resolution of an analog read-out against the incidence; calibrations",
-        description=_DESCRIPTION, epilog=_EXAMPLES, formatter_class=options.HelpFormatter,
-    )  # fmt: skip
+def add(parser: argparse.ArgumentParser) -> None:
+    """Add the options."""
     options.add_readout(parser, default="tiger")
     parser.add_argument("--bz", type=float, default=1.0, metavar="T", help="magnetic field, T (default 1)")
     parser.add_argument("--scan", choices=("angle", *_VALUES), default="angle", help="what varies (default angle)")
@@ -79,7 +75,6 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--overwrite", action="store_true", help="write over files that exist")
     options.add_run(parser)
     options.add_common(parser)
-    parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -14,12 +14,12 @@ if TYPE_CHECKING:
     from cgemit.analysis.bes3 import Refit
 
 
-_DESCRIPTION = """\
+DESCRIPTION = """\
 Read the hits of BESIII tracks from a .rec file of the experiment's software (pybes3, extra [bes3]), fit them, and put
 the result beside the experiment's own fits of the same hits: MdcKalTrack with matter, MdcTrack without.
 With -o also a line for each track (kal.csv, mdc.csv), pictures (kal.png, mdc.png) and summary.json."""
 
-_EXAMPLES = """\
+EXAMPLES = """\
 The detector needs the layers of the hits: besiii-idc before 2024, besiii-cgem since. The experiment's fits use its
 field map, which --field besiii describes.
 
@@ -30,12 +30,8 @@ examples:
                                          with the clusters of events of one track, which the file gives to no track"""
 
 
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add the sub-command."""
-    parser = subparsers.add_parser(
-        "refit", help="fit tracks of BESIII again, beside its own fit", description=_DESCRIPTION, epilog=_EXAMPLES,
-        formatter_class=options.HelpFormatter,
-    )  # fmt: skip
+def add(parser: argparse.ArgumentParser) -> None:
+    """Add the options."""
     parser.add_argument("file", metavar="FILE", help="a .rec file")
     options.add_detector(parser)
     parser.add_argument("--tracks", choices=("kal", "mdc", "both"), default="both", help="whose fit (default both)")
@@ -54,7 +50,6 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "--overwrite", action="store_true", help="write into a folder that already holds files, replacing results"
     )
     options.add_common(parser)
-    parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from cgemit.study.scan import AnalyticScan, Scan
 
 
-_DESCRIPTION = """\
+DESCRIPTION = """\
 Resolutions sigma(d_rho), sigma(d_z) and sigma(p) of one or several detectors against momentum: points from simulated
 and fitted tracks, lines from the covariance of the fit without events, or both. A table for each detector and the
 fits of the usual forms (with three momenta or more) go to stdout; the folder gets resolution.csv, summary.json, the
@@ -25,7 +25,7 @@ detectors as TOML, and the curves of all detectors in one picture as PNG and PDF
 sigma(pT)/pT, pT, phi0, theta and tan(lambda). Several detectors see the same particles: differences
 to the first have paired errors."""
 
-_EXAMPLES = """\
+EXAMPLES = """\
 Momenta are one number, A,B,C, or START:STOP:COUNT with both ends; in GeV/c unless a unit is given.
 
 examples:
@@ -38,12 +38,8 @@ examples:
   cgemit resolution -d besiii-idc --particle pi+ --p 1 --cos-theta -0.8:0.8 --events 20000 -o pions --json"""
 
 
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add the sub-command."""
-    parser = subparsers.add_parser(
-        "resolution", help="resolutions of a detector against momentum", description=_DESCRIPTION, epilog=_EXAMPLES,
-        formatter_class=options.HelpFormatter,
-    )  # fmt: skip
+def add(parser: argparse.ArgumentParser) -> None:
+    """Add the options."""
     options.add_detector(parser, several=True)
     parser.add_argument(
         "--particle", action="append", metavar="PARTICLE",
@@ -80,7 +76,6 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     options.add_physics(parser)
     options.add_run(parser)
     options.add_common(parser)
-    parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:

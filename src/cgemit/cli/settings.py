@@ -6,11 +6,11 @@ import argparse
 
 from cgemit.cli import options
 
-_DESCRIPTION = """\
+DESCRIPTION = """\
 Print the settings of all stages as TOML, each with what it may be: the defaults, or what --settings and --set make of
 them. The text is a file that --settings takes; what is left out of such a file has its default."""
 
-_EXAMPLES = """\
+EXAMPLES = """\
 examples:
   cgemit settings > settings.toml                              a file with all defaults, to be changed
   cgemit settings --settings mine.toml --set fit.loss=mean     what a run with the same options uses
@@ -18,16 +18,11 @@ examples:
   cgemit simulate -d besiii-cgem --settings settings.toml --p 1 --cos-theta 0 -n 1000 -o out"""
 
 
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add the sub-command."""
-    parser = subparsers.add_parser(
-        "settings", help="print the settings of all stages as a file", description=_DESCRIPTION, epilog=_EXAMPLES,
-        formatter_class=options.HelpFormatter,
-    )  # fmt: skip
+def add(parser: argparse.ArgumentParser) -> None:
+    """Add the options."""
     options.add_settings(parser)
     options.add_set(parser, "change one setting, such as fit.loss=mean; may be repeated")
     parser.add_argument("--json", action="store_true", help="print JSON instead of TOML")
-    parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:

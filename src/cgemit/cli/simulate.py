@@ -15,14 +15,14 @@ if TYPE_CHECKING:
     from cgemit.particles.gun import Source
 
 
-_DESCRIPTION = """\
+DESCRIPTION = """\
 Shoot particles through a detector and write the tables of the chain: particles, truths, steps, wire_truths, digis,
 wire_hits, clusters, with --fit tracks, and with --states also states. One file a table (.npz: numpy.load, or
 cgemit.Table.load), tables.json, detector.toml, summary.json, and run.json, which holds everything that the tables
 depend on. cgemit.Result.load(DIR) reads it all back. With --keep the tables are written in parts while the run goes
 on, so that the memory does not depend on the number of events; cgemit.open(DIR) reads them as they are needed."""
 
-_EXAMPLES = """\
+EXAMPLES = """\
 A quantity is a number (fixed), A:B (uniform range), A:B:N (N values from A to B in turn) or A,B,C (values in turn);
 momenta in GeV/c, angles in rad, lengths in mm unless a unit is given, as in "500 MeV/c" or "30 deg".
 
@@ -39,14 +39,10 @@ examples:
   cgemit simulate -d besiii-cgem --sample jpsi-rhopi -n 1000 --finder ckf -o rhopi"""
 
 
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add the sub-command."""
+def add(parser: argparse.ArgumentParser) -> None:
+    """Add the options."""
     from cgemit.tables.formats import FORMATS
 
-    parser = subparsers.add_parser(
-        "simulate", help="shoot particles and write hits, clusters and tracks as tables", description=_DESCRIPTION,
-        epilog=_EXAMPLES, formatter_class=options.HelpFormatter,
-    )  # fmt: skip
     options.add_detector(parser)
     add_gun(parser, files=True)
     parser.add_argument(
@@ -84,7 +80,6 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     options.add_physics(parser)
     options.add_run(parser)
     options.add_common(parser)
-    parser.set_defaults(run=run)
 
 
 def add_finder(parser: argparse.ArgumentParser, *, more: str = "") -> None:

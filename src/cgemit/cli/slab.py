@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from cgemit.simulation.slab import SlabResult
 
 
-_DESCRIPTION = """\
+DESCRIPTION = """\
 Send particles through plane layers of matter and print X/X0, scattering angles and energy losses: simulated ones with
 their statistical errors, and those of Highland's formula, of the track fit and of Bethe's formula.
 
@@ -28,19 +28,15 @@ Plane angles, of both planes together: half width of the central 68.27 % (q68), 
 over 3.291 (q999); for a Gaussian all three are its width. A particle with less than 0.1 MeV of kinetic energy
 counts as stopped. Formulas give no angle above 1 rad ("-")."""
 
-_EXAMPLES = """\
+EXAMPLES = """\
 examples:
   cgemit slab "Kapton 300 um + Cu 33 um" --particle pi- --p 0.5 -n 200000
   cgemit slab "He/C3H8 16 mm" --p "200 MeV/c" --screening moliere --json
   cgemit slab "Be 1.4 mm" --particle K+ --p 0.3 -o beryllium      pictures of both distributions in ./beryllium"""
 
 
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add the sub-command."""
-    parser = subparsers.add_parser(
-        "slab", help="scattering and energy loss in layers of matter", description=_DESCRIPTION, epilog=_EXAMPLES,
-        formatter_class=options.HelpFormatter,
-    )  # fmt: skip
+def add(parser: argparse.ArgumentParser) -> None:
+    """Add the options."""
     parser.add_argument("matter", metavar="MATTER", help='layers, such as "Kapton 300 um + Cu 33 um"')
     parser.add_argument("--particle", default="mu-", help="PDG name or number (default mu-)")
     parser.add_argument(
@@ -63,7 +59,6 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     )
     options.add_seed(parser)
     options.add_common(parser)
-    parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -6,15 +6,15 @@ import argparse
 import json
 
 from cgemit.cli import options
-from cgemit.cli.options import HelpFormatter, add_common, add_field, add_output, add_run, positive
+from cgemit.cli.options import add_common, add_field, add_output, add_run, positive
 from cgemit.cli.simulate import add_finder
 
-_DESCRIPTION = """\
+DESCRIPTION = """\
 Reproduce arXiv:1504.02570: mu- of 1 GeV/c, cos(theta) uniform in +-0.93, in the CGEM tracker of the paper and in the
 inner drift chamber, and both against momentum. Writes report.html (open this first), summary.json, the figures as
 PNG and PDF, and a CSV table behind each of them."""
 
-_EXAMPLES = """\
+EXAMPLES = """\
 examples:
   cgemit study                            20 000 events a detector, 5 000 a momentum; half a minute on two cores
   cgemit study --quick -o look            fewer events, some seconds
@@ -29,12 +29,8 @@ examples:
 Ctrl-C leaves no results: the folder appears when everything is in it."""
 
 
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add the sub-command."""
-    parser = subparsers.add_parser(
-        "study", help="reproduce the paper: all its figures and numbers", description=_DESCRIPTION, epilog=_EXAMPLES,
-        formatter_class=HelpFormatter,
-    )  # fmt: skip
+def add(parser: argparse.ArgumentParser) -> None:
+    """Add the options."""
     add_output(parser, default="cgemit-study")
     parser.add_argument(
         "-n", "--events", type=positive, metavar="N",
@@ -50,7 +46,6 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     options.add_physics(parser)
     add_run(parser)
     add_common(parser)
-    parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -37,12 +37,12 @@ def executor(arguments: argparse.Namespace, stack: ExitStack) -> Executor | None
     return stack.enter_context(ThreadPoolExecutor(arguments.threads)) if arguments.threads else None
 
 
-_DESCRIPTION = """\
+DESCRIPTION = """\
 Evaluate variants of a detector: a grid, a sample or a list of changes of its file, as a plan in TOML says
 (docs/sweeps.md). Writes sweep.csv, one row for each variant, momentum and angle, a picture, and each part of the
 results as soon as it is complete: the same command continues after an interruption."""
 
-_EXAMPLES = """\
+EXAMPLES = """\
 examples:
   cgemit sweep plan.toml -o pitches
   cgemit sweep plan.toml -o pitches --set evaluate.events=500 --set 'vary.cgem.*.pitch_x=["400 um", "600 um"]'
@@ -57,12 +57,8 @@ a plan:
   p = [0.3, 1.0]"""
 
 
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add the sub-command."""
-    parser = subparsers.add_parser(
-        "sweep", help="evaluate many variants of a detector", description=_DESCRIPTION, epilog=_EXAMPLES,
-        formatter_class=options.HelpFormatter,
-    )  # fmt: skip
+def add(parser: argparse.ArgumentParser) -> None:
+    """Add the options."""
     parser.add_argument("plan", nargs="?", metavar="PLAN", help="what is varied and evaluated: a TOML file")
     parser.add_argument("-o", "--output", metavar="DIR", help="folder for the results; parts that it holds are kept")
     parser.add_argument("--overwrite", action="store_true", help="compute everything anew")
@@ -76,7 +72,6 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--json", action="store_true", help="write summary.json to stdout instead of the table")
     add_workers(parser)
     options.add_common(parser)
-    parser.set_defaults(run=run)
 
 
 def _part(text: str) -> tuple[int, int]:

@@ -1,4 +1,4 @@
-"""`cgemit detectors`, `show` and `validate`: the presets, the numbers and pictures of a detector, checks of files."""
+"""`cgemit show`: the numbers and pictures of a detector."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import argparse
 import itertools
 import json
 import re
-import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,34 +16,18 @@ if TYPE_CHECKING:
     from cgemit.detector import Detector
 
 
-_SHOW = """\
+DESCRIPTION = """\
 Print what a detector is made of (radii and X/X0 at normal incidence, per scatterer and per sub-layer) and its read-out
 (strips, pitch, stereo angles, wires), and draw it: r-phi.png, r-z.png, layers.png (and .pdf) in the output folder,
 beside detector.toml (the complete description), summary.json (the printed numbers), and with --gdml detector.gdml
 (volumes and materials for Geant4, DD4hep and ROOT)."""
 
-_SHOW_EXAMPLES = """\
+EXAMPLES = """\
 examples:
   cgemit show besiii-cgem                                            pictures in ./cgemit-show-besiii-cgem
   cgemit show my-detector.toml -o pictures --overwrite
   cgemit show besiii-cgem-design --set cgem.L1.drift_gap="3 mm" --set cgem.L2.pitch_x="500 um"
   cgemit show besiii-idc --set drift_chamber.wires=smeared --json"""
-
-_DETECTORS_EXAMPLES = """\
-examples:
-  cgemit detectors
-  cgemit show besiii-cgem                   look at one
-  cgemit resolution -d besiii-cgem ...      use one"""
-
-_VALIDATE = """\
-Check detector files and list every problem: where it is, what was given, what was expected.
-Exit code 0 if all files are good, 2 otherwise."""
-
-_VALIDATE_EXAMPLES = """\
-examples:
-  cgemit validate my-detector.toml
-  cgemit validate variants/*.toml
-  cgemit validate --schema > detector.schema.json     for editors that complete and check TOML files"""
 
 # Column of `describe`, heading, format.
 _MATERIAL = (
@@ -71,28 +54,8 @@ _WIRES = (
 )  # fmt: skip
 
 
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add the three sub-commands."""
-    _add_detectors(subparsers)
-    _add_show(subparsers)
-    _add_validate(subparsers)
-
-
-def _add_detectors(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    parser = subparsers.add_parser(
-        "detectors", help="list the detectors that come with cgemit", epilog=_DETECTORS_EXAMPLES,
-        description="List the names of the presets, each with one line about it.",
-        formatter_class=options.HelpFormatter,
-    )  # fmt: skip
-    parser.add_argument("--json", action="store_true", help="write {name: description} as JSON")
-    parser.set_defaults(run=run_detectors)
-
-
-def _add_show(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    parser = subparsers.add_parser(
-        "show", help="tables of material and read-out, pictures", description=_SHOW, epilog=_SHOW_EXAMPLES,
-        formatter_class=options.HelpFormatter,
-    )  # fmt: skip
+def add(parser: argparse.ArgumentParser) -> None:
+    """Add the options."""
     detector = parser.add_argument(
         "detector", metavar="DETECTOR", help="a preset (see: cgemit detectors) or a detector file in TOML"
     )
@@ -107,34 +70,9 @@ def _add_show(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -
     parser.add_argument(
         "--overwrite", action="store_true", help="write into a folder that already holds files, replacing pictures"
     )
-    parser.set_defaults(run=run_show)
 
 
-def _add_validate(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    parser = subparsers.add_parser(
-        "validate", help="check detector files, listing every problem", description=_VALIDATE,
-        epilog=_VALIDATE_EXAMPLES, formatter_class=options.HelpFormatter,
-    )  # fmt: skip
-    parser.add_argument("files", nargs="*", metavar="FILE", help="detector files (or names of presets)")
-    parser.add_argument("--schema", action="store_true", help="write the JSON Schema of detector files to stdout")
-    parser.set_defaults(run=run_validate)
-
-
-def run_detectors(arguments: argparse.Namespace) -> int:
-    """Print the presets."""
-    from cgemit.detector import detectors
-
-    presets = detectors()
-    if arguments.json:
-        options.say(json.dumps(presets, indent=2))
-        return options.OK
-    width = max(map(len, presets))
-    for name, description in presets.items():
-        options.say(f"{name:{width}}  {description}")
-    return options.OK
-
-
-def run_show(arguments: argparse.Namespace) -> int:
+def run(arguments: argparse.Namespace) -> int:
     """Print the tables and write the pictures."""
     from cgemit.detector import describe
 
@@ -208,25 +146,3 @@ def _write(detector: Detector, numbers: Mapping[str, Any], folder: str, *, overw
         if gdml:
             detector.to_gdml(place / "detector.gdml")
         Path(place / SUMMARY).write_text(json.dumps(numbers, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
-
-
-def run_validate(arguments: argparse.Namespace) -> int:
-    """Check the files; print the schema."""
-    from cgemit.base.errors import DetectorError
-    from cgemit.detector import load, schema
-
-    if not arguments.files and not arguments.schema:
-        raise options.InputError("validate: got no file; expected at least one FILE, or --schema")
-    if arguments.schema:
-        options.say(json.dumps(schema(), indent=2, ensure_ascii=False))
-    code = options.OK
-    for file in arguments.files:
-        try:
-            detector = load(file)
-        except DetectorError as error:
-            options.say(error, sys.stderr)
-            code = options.BAD_INPUT
-        else:
-            # The schema on stdout must stay clean JSON.
-            options.say(f"{file}: good (detector {detector.name!r})", sys.stderr if arguments.schema else sys.stdout)
-    return code
