@@ -13,7 +13,7 @@ version = release = PROJECT["version"]
 extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.mathjax", "sphinx.ext.napoleon"]
 root_doc = "docs/index"
 include_patterns = [
-    *("README.md", "CHANGELOG.md", "CONTRIBUTING.md", "benchmarks/README.md", "validation/data/README.md"),
+    *("README.md", "CHANGELOG.md", "CONTRIBUTING.md", "pages/README.md", "pages/reference/README.md"),
     *("docs/*.md", "docs/how-to/*.md", "docs/methods/*.md", "docs/reference/*.md", "notebooks/*.py"),
 ]
 exclude_patterns = ["build", "docs/*.py"]

@@ -1,60 +1,78 @@
-"""Write the table of docs/methods/alignment.md: ``python docs/alignment_numbers.py``."""
+"""docs/methods/alignment.md: what a displaced layer or chamber costs."""
 
 from __future__ import annotations
 
-import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
 import cgemit as cg
+from pages.page import Found, Numbers, Page, share_of, table
 
 PARTS = ("cgem.L1", "cgem.L2", "cgem.L3", "drift_chamber")
 NAMES = {"shift_x": "100 um", "shift_z": "100 um", "tilt_x": "1 mrad", "rotation": "1 mrad"}  # ten units of the table
-QUANTITIES = {"dr": 1000, "dz": 1000, "p": 1000}  # from mm, mm, GeV/c to um, um, MeV/c
-PER_UNIT = {"dr": 1, "dz": 1000, "p": 1}  # from the units of `resolution`
+#: Quantity -> heading, factors from mm, GeV/c and from the units of `resolution` to those of the heading.
+QUANTITIES = {"dr": ("d_rho [um]", 1000, 1), "dz": ("d_z [um]", 1000, 1000), "p": ("p [MeV/c]", 1000, 1)}
 EVENTS = 4000
 SETTINGS = cg.Settings.from_dict(
     {"simulate": {"fluctuations": "gaussian", "deltas": False}, "digitize": {"readout": "gaussian"}}
 )
 
 
-def fitted(detector: cg.Detector, nominal: cg.Detector, events: int = EVENTS) -> cg.Table:
+@dataclass(frozen=True)
+class Change:
+    """Change of a fitted quantity by a unit of displacement: mean, RMS, and the per cent by which it widens."""
+
+    part: str
+    key: str
+    quantity: str
+    mean: float
+    rms: float
+    lost: float
+
+
+def fitted(detector: cg.Detector, nominal: cg.Detector, events: int) -> cg.Table:
     """Return the tracks of 1 GeV/c muons in a detector, fitted as if its parts were in place."""
     gun = cg.Gun("mu-", p=1.0, cos_theta=(-0.8, 0.8))
     return cg.run(detector, gun, events, seed=1, settings=SETTINGS, fit_detector=nominal).tracks
 
 
-def rows(events: int = EVENTS) -> list[tuple[str, str, dict[str, tuple[float, float, float]]]]:
-    """Return part, key, and for each quantity the mean and RMS change per unit, and the percent of resolution lost."""
+def changes(events: int) -> Iterator[Change]:
+    """Yield the changes by each key of each part."""
     nominal = cg.load("besiii-cgem-design")
-    plain, found = fitted(nominal, nominal, events), []
+    plain = fitted(nominal, nominal, events)
     for part in PARTS:
-        for name, size in NAMES.items():
-            moved = fitted(nominal.with_overrides({f"{part}.{name}": size}), nominal, events)
+        for key, size in NAMES.items():
+            moved = fitted(nominal.with_overrides({f"{part}.{key}": size}), nominal, events)
             good = (plain["status"] == 0) & (moved["status"] == 0)
-            row = {}
-            for quantity, scale in QUANTITIES.items():
+            for quantity, (_, scale, of_width) in QUANTITIES.items():
                 change = scale * (moved[f"res_{quantity}"] - plain[f"res_{quantity}"])[good] / 10
-                width = cg.resolution(plain, quantity).core * PER_UNIT[quantity]
+                width = cg.resolution(plain, quantity).core * of_width
                 lost = 100 * (np.hypot(1, np.std(change) / width) - 1)
-                row[quantity] = (float(np.mean(change)), float(np.std(change)), float(lost))
-            found.append((part, name, row))
-            print(part, name, file=sys.stderr)
-    return found
+                yield Change(part, key, quantity, float(np.mean(change)), float(np.std(change)), float(lost))
 
 
-def _percent(lost: float) -> str:
+def measure(share: float) -> Numbers:
+    """Measure all changes."""
+    events = share_of(EVENTS, share, 200)
+    return Numbers(list(changes(events)), {"events": f"{events} tracks"})
+
+
+def blocks(found: Found) -> dict[str, str]:
+    """Return the table and the number of tracks."""
+    head = ["part, key", "unit", *(f"{text} | lost" for text, _, _ in QUANTITIES.values())]
+    rows = {(row.part, row.key, row.quantity): row for row in found["changes"].rows}
+    lines = []
+    for part, key in dict.fromkeys((part, key) for part, key, _ in rows):
+        cells = [rows[part, key, quantity] for quantity in QUANTITIES]
+        texts = [f"{row.mean:+.2f}, {row.rms:.2f} | {_per_cent(row.lost)}" for row in cells]
+        lines.append([f"`{part}.{key}`", "10 um" if "shift" in key else "0.1 mrad", *texts])
+    return {"changes": table(head, lines), "events": found["changes"].about["events"]}
+
+
+def _per_cent(lost: float) -> str:
     return f"{lost:.2g} %" if lost >= 0.001 else "< 0.001 %"
 
 
-def main() -> None:
-    """Print the table."""
-    print("| part, key | unit | d_rho [um] | lost | d_z [um] | lost | p [MeV/c] | lost |\n" + "| --- " * 8 + "|")
-    for part, name, row in rows():
-        unit = "10 um" if "shift" in name else "0.1 mrad"
-        cells = [f"{mean:+.2f}, {rms:.2f} | {_percent(lost)}" for mean, rms, lost in row.values()]
-        print(f"| `{part}.{name}` | {unit} | " + " | ".join(cells) + " |")
-
-
-if __name__ == "__main__":
-    main()
+PAGE = Page("alignment", "docs/methods/alignment.md", "10 s", {"changes": (Change, measure)}, blocks)

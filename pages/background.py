@@ -1,22 +1,22 @@
-"""Write the table and the picture of docs/methods/background.md that compare generated and measured background.
+"""docs/methods/background.md: generated background beside that of ten random triggers of 2009.
 
-``python docs/background_numbers.py`` generates the level `bes2009` without particles. The measured numbers are those of
-ten random triggers of 2009 that are published with pybes3: hits with a valid time within 2 us.
+The measured numbers are those of events that are published with pybes3: hits with a valid time within 2 us.
 """
 
 from __future__ import annotations
 
-from pathlib import Path
+from collections.abc import Mapping
+from dataclasses import dataclass
 
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.figure import Figure
 
 import cgemit as cg
 from cgemit.reconstruction.cluster import cluster
 from cgemit.simulation.background import add_background
+from pages.page import Found, Numbers, Page, share_of, table
 
-HERE = Path(__file__).resolve().parent
-PAGE = HERE / "methods" / "background.md"
 EVENTS, SEED = 4000, 1
 #: Layer of wires -> mean share of its cells with a hit, %.
 SHARES = {
@@ -31,8 +31,27 @@ INNER, OUTER, ALONE = 65, 162, 28
 CLUSTERS = (4.9, 3.0, 2.9)
 
 
-def generated(events: int = EVENTS) -> dict[str, np.ndarray]:
-    """Return shares of fired cells (43,) in %, runs (7,), hits of an event (2,), share of lone hits, clusters (3,)."""
+@dataclass(frozen=True)
+class Generated:
+    """A number of the level `bes2009` without particles.
+
+    Attributes
+    ----------
+    quantity : str
+        "shares": cells of a layer with a hit, %; "runs": runs of 1, 2, ... 6 and of 7 or more neighbouring cells;
+        "hits" of an event in layers 0-7 and 8-42; "alone": hits without a neighbour, %; "clusters" in X of an event.
+    index : int
+        Layer or place in the list.
+    value : float
+    """
+
+    quantity: str
+    index: int
+    value: float
+
+
+def generated(events: int) -> dict[str, np.ndarray]:
+    """Return the numbers of all quantities."""
     settings = cg.BackgroundSettings(level="bes2009")
     empty = [cg.Table.empty(kind, n_events=events) for kind in ("digis", "wire_hits")]
     chamber = cg.load("besiii-idc")
@@ -49,12 +68,12 @@ def generated(events: int = EVENTS) -> dict[str, np.ndarray]:
         "shares": 100 * counts / events / cells,
         "runs": np.bincount(np.minimum(lengths, 7), minlength=8)[1:],
         "hits": np.array([inner, len(hits) - inner]) / events,
-        "alone": np.array(100 * np.count_nonzero(lengths == 1) / len(hits)),
+        "alone": np.array([100 * np.count_nonzero(lengths == 1) / len(hits)]),
         "clusters": np.bincount(x["layer"], minlength=3) / events,
     }
 
 
-def runs(hits: cg.Table | dict[str, np.ndarray], cells: np.ndarray) -> np.ndarray:
+def runs(hits: cg.Table | Mapping[str, np.ndarray], cells: np.ndarray) -> np.ndarray:
     """Return the length (n,) of each run of neighbouring cells of a layer; the last cell is beside the first."""
     key = np.unique(np.stack([hits["event"], hits["layer"], hits["wire"]]), axis=1)
     event, layer, wire = key
@@ -73,54 +92,59 @@ def runs(hits: cg.Table | dict[str, np.ndarray], cells: np.ndarray) -> np.ndarra
     return length[length > 0]
 
 
-def table(found: dict[str, np.ndarray]) -> str:
-    """Return the table of the page."""
-    share = 100 * found["runs"] / found["runs"].sum()
+def measure(share: float) -> Numbers:
+    """Generate background and count."""
+    events = share_of(EVENTS, share)
+    rows = [Generated(name, i, float(v)) for name, values in generated(events).items() for i, v in enumerate(values)]
+    return Numbers(rows, {"events": f"{events:,} events"})
+
+
+def values(found: Found) -> dict[str, np.ndarray]:
+    """Return the numbers on file as arrays, by quantity."""
+    rows = found["generated"].rows
+    names = dict.fromkeys(row.quantity for row in rows)
+    return {name: np.array([row.value for row in rows if row.quantity == name]) for name in names}
+
+
+def blocks(found: Found) -> dict[str, str]:
+    """Return the table."""
+    got = values(found)
+    share = 100 * got["runs"] / got["runs"].sum()
     measured = 100 * np.array(RUNS) / sum(RUNS)
     rows = [
-        ("hits an event, layers 0–7 / 8–42", f"{INNER} / {OUTER}", f"{found['hits'][0]:.0f} / {found['hits'][1]:.0f}"),
-        ("hits without a neighbour in their layer", f"{ALONE} %", f"{found['alone']:.0f} %"),
-        (
-            "runs of 1 / 2 / 3 / 4 / 5 / 6 / 7 or more cells, %",
-            " / ".join(f"{value:.0f}" for value in measured),
-            " / ".join(f"{value:.0f}" for value in share),
-        ),
-        *((f"cells of layer {layer} with a hit, %", f"{value:g}", f"{found['shares'][layer]:.1f}")
+        ("hits an event, layers 0–7 / 8–42", f"{INNER} / {OUTER}", _joined(got["hits"], 0)),
+        ("hits without a neighbour in their layer", f"{ALONE} %", f"{got['alone'][0]:.0f} %"),
+        ("runs of 1 / 2 / 3 / 4 / 5 / 6 / 7 or more cells, %", _joined(measured, 0), _joined(share, 0)),
+        *((f"cells of layer {layer} with a hit, %", f"{value:g}", f"{got['shares'][layer]:.1f}")
           for layer, value in SHARES.items() if layer in (0, 3, 7, 8, 9, 16, 20, 28, 36, 42)),
-        (
-            "clusters in X an event, L1 / L2 / L3 (extrapolated)",
-            " / ".join(f"{value:.1f}" for value in CLUSTERS),
-            " / ".join(f"{value:.1f}" for value in found["clusters"]),
-        ),
+        ("clusters in X an event, L1 / L2 / L3 (extrapolated)", _joined(CLUSTERS, 1), _joined(got["clusters"], 1)),
     ]  # fmt: skip
-    return "\n".join(f"| {' | '.join(row)} |" for row in [("", "measured", "generated"), ("---",) * 3, *rows])
+    return {"generated": table(["", "measured", "generated"], rows)}
 
 
-def picture(found: dict[str, np.ndarray]) -> None:
+def _joined(numbers: object, digits: int) -> str:
+    return " / ".join(f"{value:.{digits}f}" for value in np.asarray(numbers))
+
+
+def draw(found: Found) -> Figure:
     """Draw shares of cells by layer and lengths of runs."""
-    figure, (shares, lengths) = plt.subplots(1, 2, figsize=(9.6, 3.6), width_ratios=(1.5, 1))
-    shares.plot(found["shares"], color="#0072B2", drawstyle="steps-mid", label=f"generated, {EVENTS:,} events")
+    got = values(found)
+    figure, (shares, lengths) = plt.subplots(1, 2, figsize=(9.6, 3.6), width_ratios=(1.5, 1), dpi=90)
+    label = f"generated, {found['generated'].about['events']}"
+    shares.plot(got["shares"], color="#0072B2", drawstyle="steps-mid", label=label)
     shares.plot(list(SHARES), list(SHARES.values()), "o", color="#D55E00", ms=5, label="random triggers of 2009, mean")
     shares.set(xlabel="layer of wires", ylabel="cells with a hit (%)", yscale="log", title="within 2 µs")
     n = np.arange(1, 8)
-    lengths.bar(n - 0.2, found["runs"] / found["runs"].sum(), 0.4, color="#0072B2", label="generated")
+    lengths.bar(n - 0.2, got["runs"] / got["runs"].sum(), 0.4, color="#0072B2", label="generated")
     lengths.bar(n + 0.2, np.array(RUNS) / sum(RUNS), 0.4, color="#D55E00", label="measured")
     lengths.set(xlabel="cells side by side (7: or more)", ylabel="share of runs", title="clumps")
     for plot in (shares, lengths):
         plot.legend(fontsize=9, frameon=False)
     figure.tight_layout()
-    figure.savefig(HERE / "images" / "background.png", dpi=90)
+    return figure
 
 
-def main() -> None:
-    """Generate, and renew table and picture."""
-    found = generated()
-    begin, end = "<!-- begin generated -->\n", "<!-- end generated -->"
-    text = PAGE.read_text(encoding="utf-8")
-    (before, _), (_, after) = text.split(begin), text.split(end)
-    PAGE.write_text(f"{before}{begin}{table(found)}\n{end}{after}", encoding="utf-8")
-    picture(found)
-
-
-if __name__ == "__main__":
-    main()
+PAGE = Page(
+    "background", "docs/methods/background.md", "1 min", {"generated": (Generated, measure)}, blocks,
+    {"background.png": draw},
+)  # fmt: skip

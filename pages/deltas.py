@@ -1,4 +1,8 @@
-"""Delta electrons of a drift gap beside Geant4: how far from the track they get, and how many are born there."""
+"""docs/validation.md: delta electrons of a drift gap, and the X residual of the paper, beside Geant4.
+
+How far from the track electrons get, and how many are born in the gap. Geant4's X residuals come with the program
+(src/cgemit/analysis/geant4_x_residual.toml), its other numbers are in pages/reference.
+"""
 
 from __future__ import annotations
 
@@ -8,13 +12,28 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 
 import cgemit as cg
 from cgemit import _core
+from cgemit.analysis.clusters import X_WINDOWS, ClusterResiduals, cluster_residuals, geant4_runs, x_beyond, x_widths
+from cgemit.chain.settings import Settings
 from cgemit.detector import Detector, compiled
 from cgemit.detector.gas import LARGEST_SIZE, ionization
-from geant4_reference import read
+from cgemit.draw.style import COLORS, Picture, grid, new_picture, style
+from cgemit.simulation.transport import SimulateSettings
+from cgemit.study.paper import COS_THETA
+from cgemit.study.paper.published import paper_values
+from cgemit.study.samples import seed_of
+from cgemit.tables.show import with_error
+from pages.geant4 import read
+from pages.page import Found, Numbers, Page, share_of, table
 
+MUONS, TRACKS, SEED = 1_000_000, 200_000, 1
+LAYOUT = "besiii-cgem-design"  # of the X residual
+_BATCH = 20_000
 MUON, P = 0.1056583755, 1.0  # GeV/c2, GeV/c
 #: Everything that can come out of the solids is followed here, as in Geant4 with this range cut and no other.
 GATED_CUT = "1 um"
@@ -126,7 +145,7 @@ class Born:
     pai: float
 
 
-def measure(detector: Detector, n: int, seed: int, arrangement: str = "reference") -> list[Fraction]:
+def displaced(detector: Detector, n: int, seed: int, arrangement: str = "reference") -> list[Fraction]:
     """Return the fractions in the first layer of a detector, of muons of 1 GeV/c at normal incidence."""
     core = compiled(detector)
     beyond: dict[tuple[str, str], Any] = {}
@@ -219,3 +238,260 @@ def failures(rows: Sequence[Fraction]) -> list[str]:
     """Return what has to agree and does not, as text."""
     wrong = [row for row in rows if row.gated and not row.agrees]
     return [f"{row.view}, {row.distance:g} mm: {row.ratio:.3f} of Geant4's" for row in wrong]
+
+
+@dataclass(frozen=True)
+class Number:
+    """A number of the X residual with its standard error.
+
+    Attributes
+    ----------
+    deltas : bool
+        Whether delta electrons were simulated.
+    quantity : str
+        Key of `X_WINDOWS` (RMS within this window, um), "beyond_3mm" or "single_strip" (fractions).
+    value, error : float
+    """
+
+    deltas: bool
+    quantity: str
+    value: float
+    error: float
+
+
+def x_residual(events: int, seed: int, *, deltas: bool) -> list[Number]:
+    """Return the numbers of mu- of 1 GeV/c at the angles of the paper."""
+    settings = Settings(simulate=SimulateSettings(deltas=deltas))
+    gun = cg.Gun("mu-", p=1.0, cos_theta=COS_THETA)
+    parts = []
+    for batch, first in enumerate(range(0, events, _BATCH)):
+        count = min(_BATCH, events - first)
+        parts.append(cluster_residuals(cg.run(LAYOUT, gun, count, seed_of(seed, batch), settings=settings)))
+    residuals = _joined(parts)
+    widths = {name: x_widths(residuals, window) for name, window in X_WINDOWS.items()}
+    pairs = {name: (found.rms, found.rms_error) for name, found in widths.items()}
+    pairs |= {"beyond_3mm": x_beyond(residuals, 3.0), "single_strip": residuals.single_strip_fraction}
+    return [Number(deltas, name, float(value), float(error)) for name, (value, error) in pairs.items()]
+
+
+def _joined(parts: Sequence[ClusterResiduals]) -> ClusterResiduals:
+    columns = [np.concatenate([getattr(part, name) for part in parts]) for name in ("x", "x_size", "v", "v_size")]
+    return ClusterResiduals(*columns, sum(part.without_truth for part in parts), sum(part.beside for part in parts))
+
+
+def measure_fractions(share: float) -> Numbers:
+    """Simulate delta electrons in each arrangement."""
+    n = share_of(MUONS, share, 2000)
+    rows = [row for name, make in ARRANGEMENTS.items() for row in displaced(make(), n, SEED, name)]
+    return Numbers(rows, {"events": f"{n:,} mu- in each arrangement; seed {SEED}"})
+
+
+def measure_spectrum(share: float) -> Numbers:
+    """Count electrons born in the gap."""
+    n = share_of(MUONS, share, 2000)
+    return Numbers(born(n, SEED), {"events": f"{n:,} mu-; seed {SEED}"})
+
+
+def measure_residuals(share: float) -> Numbers:
+    """Simulate the sample of the paper with and without delta electrons."""
+    n = share_of(TRACKS, share, 200)
+    rows = [row for deltas in (True, False) for row in x_residual(n, SEED, deltas=deltas)]
+    return Numbers(rows, {"events": f"{n:,} tracks with and without delta electrons; seed {SEED}"})
+
+
+def blocks(found: Found) -> dict[str, str]:
+    """Return the tables, what was run, and the numbers of the text."""
+    fractions, spectrum, residuals = (found[name].rows for name in ("fractions", "spectrum", "residuals"))
+    return {
+        **{f"{name}-events": numbers.about["events"] for name, numbers in found.items()},
+        "gated": _gated(fractions),
+        "shown": _shown(fractions),
+        "spectrum": _spectrum(spectrum),
+        "residuals": _residual_table(residuals),
+        **_spans(fractions, spectrum, residuals),
+    }
+
+
+def _gated(rows: Sequence[Fraction]) -> str:
+    lines = []
+    for row in (row for row in rows if row.gated):
+        text = f"{row.ratio:.3f} ± {row.allowed:.3f}" + ("" if row.agrees else " **(off)**")
+        lines.append(
+            [row.view, f"{row.distance:g}", f"{row.percent:.3f} ± {row.error:.3f}", f"{row.reference:g}", text]
+        )
+    return table(["view", "more than, mm", "cgemit, %", "Geant4, 1 um, %", "ratio ± allowed"], lines)
+
+
+def _shown(rows: Sequence[Fraction]) -> str:
+    lines = []
+    for origin in ORIGINS:
+        for cut in CUTS:
+            known = reference_fractions(cut)
+            if origin == "all" or (cut == GATED_CUT and ("r-phi", origin, DISTANCES[0]) in known):
+                views = [[known.get((view, origin, distance)) for distance in DISTANCES] for view in VIEWS]
+                lines.append([origin, f"Geant4, {cut}", *map(_series, views)])
+        for name in dict.fromkeys(row.arrangement for row in rows):
+            found = [row for row in rows if (row.arrangement, row.origin) == (name, origin)]
+            views = [[row.percent for row in found if row.view == view] for view in VIEWS]
+            lines.append([origin, f"cgemit, {name}", *map(_series, views)])
+    return table(["origin", "", *(f"{view}, %" for view in VIEWS)], lines)
+
+
+def _series(numbers: Sequence[float | None]) -> str:
+    return " ".join("–" if number is None else f"{number:.2f}" for number in numbers)
+
+
+def _spectrum(rows: Sequence[Born]) -> str:
+    lines = [
+        ["cgemit", *(f"{row.number:.4f}" for row in rows)],
+        ["free electrons", *(f"{row.free:.4f}" for row in rows)],
+        ["Geant4, universal", *(f"{row.universal:.4f}" for row in rows)],
+        ["Geant4, PAI", *(f"{row.pai:.4f}" for row in rows)],
+    ]
+    return table(["above, keV", *(f"{row.energy:g}" for row in rows)], lines)
+
+
+def _residual_table(rows: Sequence[Number]) -> str:
+    found = {(row.deltas, row.quantity): row for row in rows}
+    lines = []
+    for number, window in enumerate(X_WINDOWS):
+        cells = [with_error(found[deltas, window].value, found[deltas, window].error) for deltas in (True, False)]
+        title = "all" if window == "all" else f"±{window.removesuffix('mm')} mm"
+        lines.append([title, *cells, *(run.rms[number] for run in geant4_runs())])
+    for name, title, text in (
+        ("beyond_3mm", "residuals beyond 3 mm", [run.beyond_3mm for run in geant4_runs()]),
+        ("single_strip", "clusters of one strip", [run.single_strip for run in geant4_runs()]),
+    ):
+        scale, unit = (100, " %") if name == "beyond_3mm" else (1, "")
+        pairs = [found[deltas, name] for deltas in (True, False)]
+        cells = [with_error(scale * row.value, scale * row.error) + unit if row.value else "0" for row in pairs]
+        lines.append([title, *cells, *text])
+    head = ["within", "cgemit", "cgemit, no deltas", *(f"Geant4, {run.title}" for run in geant4_runs())]
+    return table(head, lines)
+
+
+def _spans(fractions: Sequence[Fraction], spectrum: Sequence[Born], residuals: Sequence[Number]) -> dict[str, str]:
+    """Return the numbers of the text about differences."""
+
+    def ratio(distance: float, arrangement: str = "reference", origin: str = "all") -> str:
+        wanted = (arrangement, "r-phi", origin, distance)
+        rows = {(row.arrangement, row.view, row.origin, row.distance): row for row in fractions}
+        return f"{rows[wanted].ratio:.2f}"
+
+    softest = spectrum[0]
+    rms = {row.quantity: row.value for row in residuals if row.deltas}
+    finest = dict(zip(X_WINDOWS, geant4_runs()[2].rms, strict=True))
+    quotients = sorted(rms[name] / float(text) for name, text in finest.items())
+    return {
+        "near": ratio(0.2),
+        "far": ratio(5.0),
+        "far_solid": ratio(5.0, "reference, foils without holes"),
+        "far_whole": ratio(5.0, "whole layer"),
+        "behind": ratio(5.0, origin="behind"),
+        "behind_solid": ratio(5.0, "reference, foils without holes", "behind"),
+        "struck": f"{softest.number / softest.free:.2f}",
+        "more": f"{softest.pai - softest.universal:.3f}",
+        "surplus": f"{softest.number - softest.free:.3f}",
+        "x_rms": f"{quotients[0]:.2f} to {quotients[-1]:.2f}",
+    }
+
+
+_CUTS = {"0.7 mm": (":", COLORS["single"]), "30 um": ("--", COLORS["x"]), "1 um": ("-", COLORS["data"])}
+_PANELS = {
+    ("r-phi", "all"): "in r-phi",
+    ("z", "all"): "in z",
+    ("r-phi", "cathode"): "in r-phi, from the cathode",
+    ("r-phi", "behind"): "in r-phi, from behind",
+}
+_PER_CENT = (0.2, 0.5, 1, 2, 5)
+_MARKERS = {"reference": ("o", COLORS["fit"]), "whole layer": ("s", COLORS["truth"])}
+
+
+def draw(found: Found) -> Picture:
+    """Draw fractions against the distance, electrons born in the gap, and the RMS of the X residual by window."""
+    with style():
+        picture, axes = new_picture(2, 3, (13.4, 8.4))
+        for plot, (key, title) in zip(axes, _PANELS.items(), strict=False):
+            _draw_fractions(plot, found["fractions"].rows, *key)
+            plot.set(title=title, xlabel="displaced by more than  (mm)", ylabel="muons  (%)", ylim=(0.2, 5))
+        _draw_spectrum(axes[4], found["spectrum"].rows)
+        _draw_residuals(axes[5], found["residuals"].rows)
+        for plot in axes:
+            grid(plot)
+        picture.legend(handles=_handles(), loc="lower center", ncols=7)
+        picture.subplots_adjust(left=0.055, right=0.99, top=0.95, bottom=0.125, wspace=0.22, hspace=0.3)
+    return picture
+
+
+def _draw_fractions(plot: Axes, rows: Sequence[Fraction], view: str, origin: str) -> None:
+    for cut, (dashes, colour) in _CUTS.items():
+        known = {d: per_cent for (v, o, d), per_cent in reference_fractions(cut).items() if (v, o) == (view, origin)}
+        plot.plot(list(known), list(known.values()), dashes, color=colour)
+    for arrangement, (marker, colour) in _MARKERS.items():
+        found = [row for row in rows if (row.arrangement, row.view, row.origin) == (arrangement, view, origin)]
+        gated = [row for row in found if row.gated]
+        edges = [[(1 + sign * row.allowed) * row.reference for row in gated] for sign in (-1, 1)]
+        plot.fill_between([row.distance for row in gated], *edges, color=COLORS["matter"], alpha=0.6, lw=0)
+        values = [row.percent for row in found], [row.error for row in found]
+        plot.errorbar([row.distance for row in found], *values, fmt=marker, color=colour, ms=5)
+    plot.set(xscale="log", yscale="log")
+    plot.set_xticks(DISTANCES, [f"{distance:g}" for distance in DISTANCES])
+    plot.set_yticks(_PER_CENT, [f"{value:g}" for value in _PER_CENT])
+    plot.minorticks_off()
+
+
+def _draw_spectrum(plot: Axes, rows: Sequence[Born]) -> None:
+    energy = [row.energy for row in rows]
+    dashes, colour = _CUTS[GATED_CUT]
+    plot.plot(energy, [row.universal for row in rows], dashes, color=colour)
+    plot.plot(energy, [row.pai for row in rows], "-.", color=COLORS["multi"])
+    values = [row.number for row in rows], [row.error for row in rows]
+    plot.errorbar(energy, *values, fmt="o", color=COLORS["fit"], ms=5)
+    plot.set(title="born in the gap", xlabel="above  (keV)", ylabel="electrons per muon", xscale="log", yscale="log")
+
+
+def _draw_residuals(plot: Axes, rows: Sequence[Number]) -> None:
+    names = list(X_WINDOWS)
+    for run, (dashes, colour) in zip(geant4_runs(), _CUTS.values(), strict=False):
+        plot.plot(range(len(names)), [_middle(text) for text in run.rms], dashes, color=colour)
+    for deltas in (True, False):
+        found = {row.quantity: row for row in rows if row.deltas is deltas}
+        values = [found[name].value for name in names], [found[name].error for name in names]
+        face = COLORS["fit"] if deltas else "white"
+        plot.errorbar(range(len(names)), *values, fmt="o", color=COLORS["fit"], mfc=face, ms=5)
+    plot.axhline(paper_values()["x_residual_rms"].value, color=COLORS["wire"], lw=1.2)
+    plot.set_xticks(range(len(names)), ["±1 mm", "±2 mm", "±3 mm", "±5 mm", "all"])
+    plot.set(title="X residual", xlabel="within", ylabel="RMS  (um)", ylim=(0, None))
+
+
+def _middle(text: str) -> float:
+    """Return the middle of a number or a range."""
+    ends = [float(part) for part in text.split("–")]
+    return sum(ends) / len(ends)
+
+
+def _handles() -> list[Line2D | Patch]:
+    handles = [Line2D([], [], ls=ls, color=colour, label=f"Geant4, {cut}") for cut, (ls, colour) in _CUTS.items()]
+    handles.append(Line2D([], [], ls="-.", color=COLORS["multi"], label="Geant4, PAI"))
+    labels = {"reference": "cgemit", "whole layer": "whole layer"}
+    handles += [
+        Line2D([], [], ls="", marker=marker, color=colour, label=labels[name])
+        for name, (marker, colour) in _MARKERS.items()
+    ]
+    handles.append(Line2D([], [], ls="", marker="o", color=COLORS["fit"], mfc="white", label="no deltas"))
+    return [*handles, Line2D([], [], color=COLORS["wire"], label="paper"), Patch(fc=COLORS["matter"], label="allowed")]
+
+
+PAGE = Page(
+    "deltas",
+    "docs/validation.md",
+    "2 min",
+    {
+        "fractions": (Fraction, measure_fractions),
+        "spectrum": (Born, measure_spectrum),
+        "residuals": (Number, measure_residuals),
+    },
+    blocks,
+    {"validation-deltas.png": draw},
+    lambda found: failures(found["fractions"].rows),
+)

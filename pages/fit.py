@@ -1,31 +1,50 @@
-"""Samples of tracks for the validation of the fit, and what is measured on them."""
+"""docs/validation.md: pulls, chi-square, residuals and widths of the fit over its grid, and what each has to be.
+
+Simulates and fits tracks over momentum, angle, charge, particle and detector. `pulls`, `chi2`, `residuals` and `widths`
+are of the same tracks: renew them together.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import functools
 import itertools
 import math
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
+from matplotlib.axes import Axes
 from scipy.stats import chi2, kstest
 
 import cgemit as cg
 from cgemit import _core
 from cgemit.analysis.widths import measure
 from cgemit.chain.result import Result
+from cgemit.draw.style import COLORS, Picture, legend_entries, new_picture, style
+from cgemit.draw.style import grid as draw_grid
 from cgemit.reconstruction.candidates import collect_hits
 from cgemit.reconstruction.fit import LOSSES, PARAMETERS, FitSettings
 from cgemit.simulation.digitize import DigitizeSettings
 from cgemit.simulation.transport import SimulateSettings
-from fit_results import ANGLES, DETECTORS, FAR, MOMENTA, PARTICLES, Chi2, Choice, Known, Point, Pull, Side, Width
-from optimal import QUANTITIES, Optimum, errors, optimum
-from plain_tracks import Hit, TurnsBackError
+from pages.optimal import QUANTITIES, Floats, Hit, Optimum, TurnsBackError, errors, optimum
+from pages.page import Found, Numbers, Page, say, share_of, table
 
-Floats = npt.NDArray[np.float64]
+#: Momenta (GeV/c) of each particle, and cos(theta) of the grid. Slower kaons and protons stop on the way.
+_LIGHT, _HEAVY = (0.1, 0.2, 0.5, 1.0, 2.0), (0.35, 0.5, 0.8)
+PARTICLES = {"mu-": _LIGHT, "mu+": _LIGHT, "pi-": _LIGHT, "pi+": _LIGHT, "K-": _HEAVY, "proton": _HEAVY}
+MOMENTA = tuple(sorted({*_LIGHT, *_HEAVY}))
+ANGLES = (0.0, 0.5, 0.8)
+DETECTORS = ("besiii-cgem-design", "besiii-cgem", "besiii-idc", "besiii-idc-boss")
+
+FAR = 8.0  # a pull beyond is another helix, no fluctuation: such tracks are counted, and not in the widths
+N_SIGMA = 4.0  # standard errors of a number that it may be off
+FLAT = 1 / 16_000  # least probability of the Kolmogorov-Smirnov distance: that of 4 standard errors
+#: Tracks of a point: all Gaussian in the reference detector, and every other; of each choice; whose optimum is found.
+TRACKS, OTHERS, CHOICES, OPTIMA = 50_000, 25_000, 20_000, 10
+
 Columns = dict[str, npt.NDArray[np.generic]]
 
 BLOCK = 5000  # events in memory at a time
@@ -46,6 +65,190 @@ MODES = {
     "hidden": replace(EXACT, digitize=DigitizeSettings(readout="gaussian")),
     "default": WITHOUT_DECAYS,
 }
+
+_ANGLE_COLOURS = dict(zip(ANGLES, (COLORS["x"], COLORS["single"], COLORS["fit"]), strict=True))
+_MARKERS = {"mu-": "o", "mu+": "s", "pi-": "^", "pi+": "v", "K-": "P", "proton": "D"}
+_LOSS_COLOURS = dict(zip(LOSSES, (COLORS["fit"], COLORS["x"], COLORS["truth"]), strict=True))
+
+
+@dataclass(frozen=True)
+class Point:
+    """One point of the grid; `mode` is "gaussian", "hidden" (the same with sides to be found) or "default"."""
+
+    mode: str
+    detector: str
+    particle: str
+    p: float  # GeV/c
+    cos_theta: float
+
+    def label(self) -> str:
+        """Return the point in words."""
+        return f"{self.detector}, {self.mode}, {self.particle}, {self.p:g} GeV/c, cos(theta) {self.cos_theta:g}"
+
+
+def point_of(row: Point) -> Point:
+    """Return the point of the grid that a row is about."""
+    return Point(row.mode, row.detector, row.particle, row.p, row.cos_theta)
+
+
+@dataclass(frozen=True)
+class Pull(Point):
+    """Width and mean of a pull: of the core in the default simulation, else of all tracks within `FAR`.
+
+    `parameter` is one of the helix, "p", or a layer of hits ("x0", "v2", "w17"). `tail` is what lies beyond that.
+    `bias` is the mean residual over the root mean square of the errors: where the error changes with what is found, as
+    that of scattering does with tan(lambda), the mean of the pull is another number. Both are expected to be those of
+    the optimal linear estimate (0 where they were not worked out, the mean only where a pull of the point is off).
+    """
+
+    parameter: str
+    n: float
+    width: float
+    width_error: float
+    mean: float
+    mean_error: float
+    bias: float
+    expected_bias: float
+    expected_mean: float
+    tail: float
+
+    @property
+    def tolerances(self) -> tuple[float, float]:
+        """By how much width and mean may be off."""
+        if self.mode == "default":
+            least = (0.15, 0.2) if self.parameter in ("kappa", "p") and self.p <= 0.2 else (0.06, 0.08)
+        else:
+            least = (0.1 if self.p < 0.15 else 0.05 if self.mode == "hidden" else 0.02,) * 2
+        return max(least[0], N_SIGMA * self.width_error), max(least[1], N_SIGMA * self.mean_error)
+
+    @property
+    def agrees(self) -> bool:
+        """Whether width and mean are what they have to be."""
+        width, mean = self.tolerances
+        return abs(self.width - 1) <= width and abs(self.mean) <= mean
+
+
+@dataclass(frozen=True)
+class Chi2(Point):
+    """Chi-square probability: rows, rows lost, mean, and probability of a larger Kolmogorov-Smirnov distance."""
+
+    n: float
+    lost: float
+    mean: float
+    flat: float
+
+    @property
+    def agrees(self) -> bool:
+        """Whether the distribution is flat where all is Gaussian."""
+        return self.mode != "gaussian" or self.flat > FLAT  # strips, tails and hits left two-sided do not make it so
+
+
+@dataclass(frozen=True)
+class Width(Point):
+    """Core width of dr, dz (mm) or p (GeV/c), and that of the optimal linear estimate."""
+
+    quantity: str
+    core: float
+    core_error: float
+    optimal: float
+
+    @property
+    def ratio(self) -> float:
+        """Found over optimal."""
+        return self.core / self.optimal
+
+    @property
+    def ratio_error(self) -> float:
+        """Standard error of the ratio."""
+        return self.core_error / self.optimal
+
+    @property
+    def agrees(self) -> bool:
+        """Whether they agree within 3 %."""
+        return abs(self.ratio - 1) <= max(0.03, N_SIGMA * self.ratio_error)
+
+
+@dataclass(frozen=True)
+class Choice:
+    """Core of the pull of kappa for one choice of the loss subtracted."""
+
+    p: float  # GeV/c
+    loss: str
+    width: float
+    width_error: float
+    mean: float
+    mean_error: float
+
+    @property
+    def agrees(self) -> bool:
+        """Whether the default choice leaves width and mean as they have to be."""
+        width, mean = max(0.06, N_SIGMA * self.width_error), max(0.08, N_SIGMA * self.mean_error)
+        return self.loss != "truncated" or (abs(self.width - 1) < width and abs(self.mean) < mean)
+
+
+@dataclass(frozen=True)
+class Side:
+    """Hits of a range of drift distance (mm), and how many of them are on the wrong side."""
+
+    p: float  # GeV/c
+    first: float
+    last: float
+    n: float
+    wrong: float
+
+
+@dataclass(frozen=True)
+class Known:
+    """Core width of p (GeV/c) with sides given and with sides to be found, of the same tracks."""
+
+    p: float  # GeV/c
+    known: float
+    hidden: float
+    ratio: float
+    ratio_error: float
+
+    @property
+    def agrees(self) -> bool:
+        """Whether finding the sides costs less than 3 %."""
+        return self.ratio < 1 + max(0.03, N_SIGMA * self.ratio_error)
+
+
+def wrong_sides(sides: Sequence[Side], p: float) -> float:
+    """Return the fraction of wrong sides beyond 0.25 mm from the wire; it has to be below 1e-3."""
+    far = [side for side in sides if side.p == p and side.first > 0.25]
+    return sum(side.wrong for side in far) / sum(side.n for side in far)
+
+
+@dataclass(frozen=True)
+class FitResults:
+    """The rows of all files."""
+
+    pulls: list[Pull]
+    chi2: list[Chi2]
+    residuals: list[Pull]
+    widths: list[Width]
+    losses: list[Choice]
+    sides: list[Side]
+    known: list[Known]
+
+    @classmethod
+    def of(cls, found: Found) -> FitResults:
+        """Return the rows of the numbers on file."""
+        return cls(**{name: list(numbers.rows) for name, numbers in found.items()})
+
+
+def failures(results: FitResults) -> list[str]:
+    """Return what is not within its tolerance, in words."""
+    wrong = [
+        f"{row.label()}, {row.parameter}: width {row.width:.3f}, mean {row.mean:+.3f}"
+        for row in (*results.pulls, *results.residuals)
+        if not row.agrees
+    ]
+    curved = [row for row in results.chi2 if not row.agrees]
+    wrong += [f"{row.label()}: chi-square probability, flat with {row.flat:.1g}" for row in curved]
+    wide = [row for row in results.widths if not row.agrees]
+    wrong += [f"{row.label()}: sigma of {row.quantity} {row.ratio:.3f} of the optimum" for row in wide]
+    return wrong
 
 
 def grid() -> Iterator[Point]:
@@ -242,3 +445,309 @@ def _known(p: float, known: Result, hidden: Result, samples: int = 20) -> Known:
     whole = [measure(values).core for values in pairs]
     parts = [measure(pairs[1][i::samples]).core / measure(pairs[0][i::samples]).core for i in range(samples)]
     return Known(p, *whole, whole[1] / whole[0], float(np.std(parts, ddof=1)) / math.sqrt(samples))
+
+
+@functools.cache
+def _grid(share: float) -> dict[str, list[Pull | Chi2 | Width]]:
+    """Measure all points and return the rows of each file."""
+    rows: dict[str, list[Pull | Chi2 | Width]] = {"pulls": [], "chi2": [], "residuals": [], "widths": []}
+    for point in grid():
+        full = TRACKS if (point.mode, point.detector) == ("gaussian", DETECTORS[0]) else OTHERS
+        pulls, one, residuals, widths = measure_point(point, share_of(full, share, 200), None, OPTIMA)
+        # A file of all layers of all points is too long: the page shows those of the reference.
+        kept = residuals if point.detector == DETECTORS[0] else []
+        rows["pulls"] += pulls
+        rows["chi2"] += [one]
+        rows["residuals"] += kept
+        rows["widths"] += widths
+        off = sum(not row.agrees for row in (*pulls, one, *residuals, *widths))
+        say(point.label() + (f": {off} numbers off" if off else ""))
+    return rows
+
+
+def _of_grid(name: str, share: float) -> Numbers:
+    tracks, others = share_of(TRACKS, share, 200), share_of(OTHERS, share, 200)
+    text = f"{tracks:,} tracks a point where all is Gaussian in {DETECTORS[0]}, {others:,} elsewhere"
+    return Numbers(_grid(share)[name], {"events": text})
+
+
+_choice_sides = functools.cache(measure_sides)
+
+
+def _of_choices(name: str, share: float) -> Numbers:
+    """Compare choices of the loss, and sides that are found with those that are known."""
+    n = share_of(CHOICES, share, 500)
+    about = {"events": f"{n:,} mu- a momentum, cos(theta) uniform in ±0.93"}
+    if name == "losses":
+        return Numbers(measure_losses(n, None), about)
+    return Numbers(_choice_sides(n, None)[("sides", "known").index(name)], about)
+
+
+def blocks(found: Found) -> dict[str, str]:
+    """Return the tables, and what was run."""
+    results = FitResults.of(found)
+    return {
+        "fit-versions": found["pulls"].about["versions"],
+        "fit-events": found["pulls"].about["events"],
+        "loss-events": found["losses"].about["events"],
+        "side-events": found["sides"].about["events"],
+        **{f"pulls-{mode}": _pull_table(results, mode) for mode in MODES},
+        "off": _off_table(results, slow=False),
+        "off-slow": _off_table(results, slow=True),
+        "residual-pulls": _residual_text(results),
+        "widths": _width_table(results.widths),
+        "fit-losses": _loss_table(results),
+        "sides": _side_table(results),
+        "known": _known_table(results),
+    }
+
+
+def _groups(results: FitResults, mode: str) -> Iterable[tuple[str, float, list[Pull], list[Chi2]]]:
+    """Return detector and momentum with their pulls and chi-squares."""
+    for name, p in itertools.product(DETECTORS, MOMENTA):
+        pulls = [row for row in results.pulls if (row.mode, row.detector, row.p) == (mode, name, p)]
+        if pulls:
+            yield name, p, pulls, [row for row in results.chi2 if (row.mode, row.detector, row.p) == (mode, name, p)]
+
+
+def _pull_table(results: FitResults, mode: str) -> str:
+    tail = "tail of kappa, %" if mode == "default" else "flat, least | beyond 8, of 10⁴"
+    lines = []
+    for name, p, pulls, curves in _groups(results, mode):
+        off = sum(not row.agrees for row in pulls)
+        lost = sum(row.lost for row in curves) / sum(row.lost + row.n for row in curves)
+        widest = max(pulls, key=lambda row: abs(row.width - 1) / row.tolerances[0])
+        farthest = max(pulls, key=lambda row: abs(row.mean) / row.tolerances[1])
+        cells = [f"{widest.width:.3f} ± {widest.width_error:.3f}", _where(widest)]
+        cells += [f"{farthest.mean:+.3f} ± {farthest.mean_error:.3f}", _where(farthest)]
+        tails = [row.tail for row in pulls if row.parameter == "kappa"]
+        far = 1e4 * max(row.tail for row in pulls)
+        cells.append(f"{100 * sum(tails) / len(tails):.1f}" if mode == "default" else f"{_flat(curves)} | {far:.1f}")
+        lines.append([name, f"{p:g}", *cells, f"{100 * lost:.2f}", f"**{off}** of {len(pulls)}" if off else "0"])
+    head = ["detector", "p, GeV/c", "width", "of", "mean", "of", tail, "lost, %", "off"]
+    return table(head, lines)
+
+
+def _off_table(results: FitResults, slow: bool) -> str:
+    off = [row for row in results.pulls if row.mode == "gaussian" and not row.agrees and (row.p < 0.15) == slow]
+    lines = []
+    for row in off:
+        point = [row.detector, row.particle, f"{row.p:g}", f"{row.cos_theta:g}", row.parameter]
+        numbers = [f"{row.width:.3f}", f"{row.mean:+.4f} ± {row.mean_error:.4f}", f"{row.bias:+.4f}"]
+        expected = [f"{row.expected_mean:+.4f}", f"{row.expected_bias:+.4f}"]
+        lines.append([*point, *numbers] if slow else [*point, *numbers, *expected])
+    head = ["detector", "particle", "p, GeV/c", "cos(theta)", "parameter", "width", "mean", "bias"]
+    return table(head if slow else [*head, "mean, optimal", "bias, optimal"], lines)
+
+
+def _residual_text(results: FitResults) -> str:
+    off = [
+        f"{row.parameter} of {row.particle} at {row.p:g} GeV/c, cos(theta) {row.cos_theta:g} ({row.n:,.0f} hits, "
+        f"width {row.width:.3f}, mean {row.mean:+.4f} ± {row.mean_error:.4f})"
+        for row in results.residuals
+        if not row.agrees
+    ]
+    return f"{len(results.residuals)} pulls, {len(off)} beyond the tolerance" + (f" ({'; '.join(off)})" if off else "")
+
+
+def _where(row: Pull) -> str:
+    return f"{row.parameter}, {row.particle}, {row.cos_theta:g}" + ("" if row.agrees else " **(off)**")
+
+
+def _flat(rows: Sequence[Chi2]) -> str:
+    least = min(rows, key=lambda row: row.flat)
+    return f"{least.flat:.2g}" if least.agrees else f"**{least.flat:.1g} ({least.particle}, {least.cos_theta:g})**"
+
+
+def _width_table(rows: Sequence[Width]) -> str:
+    quoted = {"dr": ("sigma(d_rho), um", 1000.0), "dz": ("sigma(d_z), mm", 1.0), "p": ("sigma(p), MeV/c", 1000.0)}
+    lines = []
+    muons = [row for row in rows if row.particle.startswith("mu")]
+    for name, p, angle in itertools.product(DETECTORS, MOMENTA, ANGLES):
+        cells = []
+        for quantity, (_, scale) in quoted.items():
+            found = [row for row in muons if (row.detector, row.p, row.cos_theta) == (name, p, angle)]
+            found = [row for row in found if row.quantity == quantity]
+            if found:
+                ratio = sum(row.ratio for row in found) / len(found)
+                optimal = scale * sum(row.optimal for row in found) / len(found)
+                cells += [f"{optimal:.4g}", f"{ratio:.3f}" + ("" if all(row.agrees for row in found) else " **(off)**")]
+        if cells:
+            lines.append([name, f"{p:g}", f"{angle:g}", *cells])
+    head = ["detector", "p, GeV/c", "cos(theta)", *(f"optimal {text} | ratio" for text, _ in quoted.values())]
+    return table(head, lines)
+
+
+def _loss_table(results: FitResults) -> str:
+    lines = []
+    for p in dict.fromkeys(row.p for row in results.losses):
+        found = {row.loss: row for row in results.losses if row.p == p}
+        cells = []
+        for loss in LOSSES:
+            row = found[loss]
+            cells += [f"{row.width:.3f} ± {row.width_error:.3f}", f"{row.mean:+.3f} ± {row.mean_error:.3f}"]
+        lines.append([f"{p:g}", *cells])
+    return table(["p, GeV/c", *(f"{loss}: width | mean" for loss in LOSSES)], lines)
+
+
+def _side_table(results: FitResults) -> str:
+    lines = []
+    for row in results.sides:
+        if row.n:
+            share = f"{100 * row.wrong / row.n:.4f}"
+            cells = [f"{row.n:.0f}", f"{row.wrong:.0f}", share]
+            lines.append([f"{row.p:g}", f"{row.first:g} to {row.last:g}", *cells])
+    return table(["p, GeV/c", "drift distance, mm", "hits", "wrong", "wrong, %"], lines)
+
+
+def _known_table(results: FitResults) -> str:
+    lines = []
+    for row in results.known:
+        far = [side for side in results.sides if side.p == row.p and side.first >= 0.259]
+        share = sum(side.wrong for side in far) / sum(side.n for side in far)
+        cells = [f"{1000 * row.known:.4g}", f"{1000 * row.hidden:.4g}", f"{row.ratio:.4f} ± {row.ratio_error:.4f}"]
+        lines.append([f"{row.p:g}", *cells, f"{100 * share:.4f}"])
+    head = ["p, GeV/c", "sigma(p) sides known, MeV/c", "to be found", "ratio", "wrong beyond 0.26 mm, %"]
+    return table(head, lines)
+
+
+def draw_pulls(found: Found) -> Picture:
+    """Draw widths and means of the pulls of the reference detector against momentum; grey is what is allowed."""
+    results = FitResults.of(found)
+    rows = [row for row in results.pulls if row.detector == DETECTORS[0]]
+    with style():
+        picture, axes = new_picture(4, 6, (16.8, 9.4))
+        panels = [("gaussian", "width"), ("gaussian", "mean"), ("default", "width"), ("default", "mean")]
+        plots = iter(axes)
+        for mode, quantity in panels:
+            for name in QUANTITIES:
+                plot = next(plots)
+                _points(plot, [row for row in rows if (row.mode, row.parameter) == (mode, name)], quantity)
+                low, high = (0.85, 1.15) if quantity == "width" else (-0.2, 0.2)  # what fails by far is in the table
+                plot.set(title=f"{name}, {mode}", ylabel=f"{quantity} of the pull", ylim=(low, high))
+        entries = legend_entries(axes)
+        picture.legend(entries.values(), entries.keys(), loc="lower center", ncols=6)
+        picture.subplots_adjust(left=0.05, right=0.99, top=0.96, bottom=0.11, wspace=0.38, hspace=0.45)
+    return picture
+
+
+def _points(plot: Axes, rows: Sequence[Pull], quantity: str) -> None:
+    which = ("width", "mean").index(quantity)
+    centre = 1.0 - which
+    for row in rows:
+        shift = 0.16 * ANGLES.index(row.cos_theta) - 0.22 + 0.025 * list(_MARKERS).index(row.particle)
+        x = MOMENTA.index(row.p) + shift
+        allowed = row.tolerances[which]
+        plot.fill_between((x - 0.02, x + 0.02), centre - allowed, centre + allowed, color=COLORS["matter"], lw=0)
+        value, error = getattr(row, quantity), getattr(row, f"{quantity}_error")
+        colour = _ANGLE_COLOURS[row.cos_theta]
+        label = f"{row.particle}, cos θ = {row.cos_theta:g}"
+        plot.errorbar(x, value, error, fmt=_MARKERS[row.particle], color=colour, ms=2.5, lw=0.8, label=label)
+    plot.axhline(centre, color=COLORS["data"], lw=0.8)
+    plot.set_xticks(range(len(MOMENTA)), [f"{p:g}" for p in MOMENTA])
+    plot.set_xlabel("p  (GeV/c)")
+    draw_grid(plot)
+
+
+def draw_residuals(found: Found) -> Picture:
+    """Draw width and mean of the pull of every hit against the track without it, layer by layer, mu-."""
+    results = FitResults.of(found)
+    rows = [row for row in results.residuals if row.particle == "mu-" and row.cos_theta == 0 and row.p > 0.15]
+    names = list(dict.fromkeys(row.parameter for row in rows))
+    names.sort(key=lambda name: ("xvw".index(name[0]) == 2, int(name[1:]), name[0]))
+    with style():
+        picture, axes = new_picture(2, 1, (13.0, 6.0))
+        for plot, quantity in zip(axes, ("width", "mean"), strict=True):
+            for number, p in enumerate(PARTICLES["mu-"][1:]):
+                by_layer = {row.parameter: row for row in rows if row.p == p}
+                x = [i + 0.15 * number - 0.22 for i, name in enumerate(names) if name in by_layer]
+                y = [getattr(by_layer[name], quantity) for name in names if name in by_layer]
+                error = [getattr(by_layer[name], f"{quantity}_error") for name in names if name in by_layer]
+                colour = list(COLORS.values())[number]
+                plot.errorbar(x, y, error, fmt="o", ms=2.5, lw=0.8, color=colour, label=f"{p:g} GeV/c")
+            centre = 1.0 if quantity == "width" else 0.0
+            plot.axhspan(centre - 0.02, centre + 0.02, color=COLORS["matter"], lw=0, zorder=0)
+            plot.set(ylabel=f"{quantity} of the residual's pull", xlim=(-0.7, len(names) - 0.3))
+            plot.set_xticks(range(len(names)), names, rotation=90, fontsize=7)
+            draw_grid(plot)
+        axes[0].set_title(f"{DETECTORS[0]}, mu-, cos θ = 0, all Gaussian: each hit against the track without it")
+        axes[1].set_xlabel("layer: X and V of the CGEM, wires")
+        axes[0].legend(ncols=4, loc="upper right")
+        picture.subplots_adjust(left=0.06, right=0.99, top=0.95, bottom=0.11, hspace=0.25)
+    return picture
+
+
+def draw_choices(found: Found) -> Picture:
+    """Draw the core of the pull of kappa for each loss, wrong sides, and widths over the optimum."""
+    results = FitResults.of(found)
+    with style():
+        picture, axes = new_picture(1, 4, (14.0, 4.0))
+        _draw_losses(axes[0], axes[1], results)
+        _draw_sides(axes[2], results)
+        _draw_widths(axes[3], results)
+        picture.subplots_adjust(left=0.05, right=0.99, top=0.92, bottom=0.14, wspace=0.3)
+    return picture
+
+
+def _draw_losses(left: Axes, right: Axes, results: FitResults) -> None:
+    for plot, quantity in ((left, "width"), (right, "mean")):
+        for loss, colour in _LOSS_COLOURS.items():
+            rows = [row for row in results.losses if row.loss == loss]
+            y, error = ([getattr(row, name) for row in rows] for name in (quantity, f"{quantity}_error"))
+            plot.errorbar([row.p for row in rows], y, error, fmt="o-", ms=4, lw=1, color=colour, label=loss)
+        plot.axhline(1 if quantity == "width" else 0, color=COLORS["data"], lw=0.8)
+        plot.set(
+            xscale="log", xlabel="p  (GeV/c)", ylabel=f"core {quantity} of the pull of kappa", title="loss subtracted"
+        )
+        draw_grid(plot)
+    left.legend()
+
+
+def _draw_sides(plot: Axes, results: FitResults) -> None:
+    for p, colour in zip(dict.fromkeys(row.p for row in results.sides), (COLORS["x"], COLORS["fit"]), strict=False):
+        rows = [row for row in results.sides if row.p == p and row.wrong > 0]
+        middle = [0.5 * (row.first + row.last) for row in rows]
+        share = np.array([row.wrong / row.n for row in rows])
+        error = np.sqrt([row.wrong for row in rows]) / [row.n for row in rows]
+        plot.errorbar(middle, share, error, fmt="o", ms=4, lw=1, color=colour, label=f"{p:g} GeV/c")
+    plot.axhline(1e-3, color=COLORS["data"], lw=0.8, ls="--", xmin=0.35)
+    plot.set(xscale="log", yscale="log", ylim=(1e-6, 1), xlabel="drift distance  (mm)", ylabel="wrong sides")
+    plot.set_title("sides found by the fit")
+    plot.legend()
+    draw_grid(plot)
+
+
+def _draw_widths(plot: Axes, results: FitResults) -> None:
+    for name, colour in (("dr", COLORS["x"]), ("dz", COLORS["single"]), ("p", COLORS["fit"])):
+        rows = [row for row in results.widths if row.quantity == name]
+        plot.errorbar(range(len(rows)), [row.ratio for row in rows], [row.ratio_error for row in rows], fmt="o", ms=2.5,
+                      lw=0.7, color=colour, label=name)  # fmt: skip
+    plot.axhspan(0.97, 1.03, color=COLORS["matter"], lw=0, zorder=0)
+    plot.axhline(1, color=COLORS["data"], lw=0.8)
+    plot.set(xlabel="point of the grid", ylabel="core width over optimum", title="against the optimal estimate")
+    plot.set_ylim(0.94, 1.06)
+    plot.legend(ncols=3)
+    draw_grid(plot)
+
+
+PAGE = Page(
+    "fit",
+    "docs/validation.md",
+    "20 min",
+    {
+        "pulls": (Pull, functools.partial(_of_grid, "pulls")),
+        "chi2": (Chi2, functools.partial(_of_grid, "chi2")),
+        "residuals": (Pull, functools.partial(_of_grid, "residuals")),
+        "widths": (Width, functools.partial(_of_grid, "widths")),
+        "losses": (Choice, functools.partial(_of_choices, "losses")),
+        "sides": (Side, functools.partial(_of_choices, "sides")),
+        "known": (Known, functools.partial(_of_choices, "known")),
+    },
+    blocks,
+    {
+        "validation-fit-pulls.png": draw_pulls,
+        "validation-fit-residuals.png": draw_residuals,
+        "validation-fit-choices.png": draw_choices,
+    },
+    lambda found: failures(FitResults.of(found)),
+)

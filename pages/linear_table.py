@@ -1,10 +1,12 @@
-"""The table of linear covariances that docs/paper.md compares with: ``python validation/linear_table.py``.
+"""docs/paper.md: the table of linear covariances of an independent program, beside the optimal estimate and the fit.
 
-An independent program made the table. This prints the optimal linear covariance at 90 degrees step by step, from the
-table's model to that of the fit, beside the table and the widths of simulated tracks where all is Gaussian.
+An independent program made the table. The optimal linear covariance at 90 degrees goes step by step from the table's
+model to that of the fit; the last line has the widths of simulated tracks where all is Gaussian.
 """
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -16,10 +18,8 @@ from cgemit.reconstruction.fit import PARAMETERS, FitSettings
 from cgemit.simulation.digitize import DigitizeSettings
 from cgemit.simulation.transport import SimulateSettings
 from cgemit.study import resolution
-from optimal import Stack, errors, optimum
-from plain_tracks import WIRE, Floats, Hit, TracedSlab, V, X, stack_of
-from program import say
-from results import table
+from pages.optimal import WIRE, Floats, Hit, Stack, TracedSlab, V, X, errors, optimum, stack_of
+from pages.page import Found, Numbers, Page, share_of, table
 
 DESIGN, AS_BUILT, IDC = "besiii-cgem-design", "besiii-cgem", "besiii-idc"
 #: p (GeV/c) and cos(theta): sigma(d_rho) um, sigma(d_z) mm, sigma(p) MeV/c of mu-. Exact helix; Highland's formula with
@@ -85,6 +85,7 @@ def lossless_stack(detector: cg.Detector, tanl: float, cut: tuple[float, float])
     return [LosslessSlab(one.slab, one.whole_xi, one.group_chi_c2, cut) for one in found]
 
 
+SIMULATED = "simulated, 20 000 tracks"
 STEPS: dict[str, tuple[Stack, bool]] = {
     "the table's model": (table_stack, True),
     "scattering from elements, pipe of the preset": (lossless_stack, True),
@@ -138,21 +139,49 @@ def simulated(detector: cg.Detector, p: float, n: int) -> Floats:
     return np.array([resolution(tracks, name).core for name in ("dr", "dz", "p")])
 
 
-def main() -> None:
-    """Print the steps for each detector and momentum as Markdown."""
-    lines = []
+@dataclass(frozen=True)
+class Step:
+    """Widths of a detector at 90 degrees in one step, and the mean number of cells of a track."""
+
+    detector: str
+    p: float  # GeV/c
+    step: str
+    wires: float
+    dr: float  # um
+    dz: float  # mm
+    sigma_p: float  # MeV/c
+
+
+def measure(share: float) -> Numbers:
+    """Work out all steps for each detector and momentum."""
+    events, rows = share_of(20_000, share, 200), []
+    tracks = share_of(12, share, 1)
     for name, points in TABLE.items():
         detector = cg.load(name)
         for p in [p for p, angle in points if angle == 0]:
-            rows = {step: expected(detector, p, *choice) for step, choice in STEPS.items()}
-            rows = {"the table": (np.array(points[p, 0.0]), rows["the table's model"][1]), **rows}
-            rows["simulated, 20 000 tracks"] = simulated(detector, p, 20_000), rows["all cells that fire"][1]
-            for step, (values, cells) in rows.items():
-                lines.append([name, f"{p:g}", step, f"{cells:.1f}", *(f"{value:.4g}" for value in values)])
-            say(f"{name}, {p:g} GeV/c")
+            found = {step: expected(detector, p, *choice, tracks) for step, choice in STEPS.items()}
+            found = {"the table": (np.array(points[p, 0.0]), found["the table's model"][1]), **found}
+            found[SIMULATED] = simulated(detector, p, events), found["all cells that fire"][1]
+            rows += [Step(name, p, step, cells, *map(float, values)) for step, (values, cells) in found.items()]
+    return Numbers(rows, {"events": f"{events} simulated tracks, hits of {tracks}"})
+
+
+def blocks(found: Found) -> dict[str, str]:
+    """Return the table of all steps."""
     head = ["detector", "p, GeV/c", "", "wires", "sigma(d_rho), um", "sigma(d_z), mm", "sigma(p), MeV/c"]
-    print(table(head, lines))
+    lines = [
+        [
+            row.detector,
+            f"{row.p:g}",
+            row.step,
+            f"{row.wires:.1f}",
+            f"{row.dr:.4g}",
+            f"{row.dz:.4g}",
+            f"{row.sigma_p:.4g}",
+        ]
+        for row in found["steps"].rows
+    ]
+    return {"steps": table(head, lines)}
 
 
-if __name__ == "__main__":
-    main()
+PAGE = Page("linear_table", "docs/paper.md", "5 min", {"steps": (Step, measure)}, blocks)

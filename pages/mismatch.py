@@ -1,4 +1,4 @@
-"""Renew the tables of docs/methods/mismatch.md: ``python docs/mismatch_numbers.py [--events N] [--threads N]``.
+"""docs/methods/mismatch.md: results of fits with a wrong description of the detector.
 
 The same hits are fitted twice, by a description that is right and by one that is not; differences are taken track by
 track, so that all noise of the hits cancels.
@@ -6,19 +6,18 @@ track, so that all noise of the hits cancels.
 
 from __future__ import annotations
 
-import argparse
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 import cgemit as cg
 from cgemit.tables.show import with_error
+from pages.page import Found, Numbers, Page, sample, share_of, table
 
-PAGE = Path(__file__).resolve().parent / "methods" / "mismatch.md"
+EVENTS, PARTICLES = 10_000, ("mu-", "mu+")
 DETECTOR, SEED, SHIFT = "besiii-cgem-design", 21, 0.05  # mm
 #: Quantity, heading, factor to the unit of the heading.
 QUANTITIES = (
@@ -27,6 +26,26 @@ QUANTITIES = (
     ("dz", "d_z (um)", 1e3),
     ("phi0", "phi_0 (mrad)", 1e3),
 )
+
+
+@dataclass(frozen=True)
+class Effect:
+    """A wrong description: mean changes in the units of `QUANTITIES`, of widths in %, chi2/ndf of both fits."""
+
+    particle: str
+    title: str
+    p: float
+    p_error: float
+    dr: float
+    dr_error: float
+    dz: float
+    dz_error: float
+    phi0: float
+    phi0_error: float
+    width_p: float
+    width_dr: float
+    chi2_right: float
+    chi2_wrong: float
 
 
 @dataclass(frozen=True)
@@ -67,24 +86,23 @@ def cases() -> list[Case]:
     return found
 
 
-def row(case: Case, particle: str, events: int, threads: int | None) -> str:
-    """Return the line of a table: mean differences, and core widths and pulls of p and d_rho."""
+def effect(case: Case, particle: str, events: int) -> Effect:
+    """Fit the same tracks with both descriptions."""
     gun = cg.Gun(particle, p=1.0, cos_theta=(-0.6, 0.6))
     right, wrong = (
-        cg.run(case.flown, gun, events, SEED, fit_detector=believed, threads=threads).tracks
-        for believed in (case.flown, case.believed)
+        cg.run(case.flown, gun, events, SEED, fit_detector=believed).tracks for believed in (case.flown, case.believed)
     )
     both = (right["status"] == cg.FitStatus.ok) & (wrong["status"] == cg.FitStatus.ok)
-    cells = [case.title]
+    numbers = {}
     for name, _, scale in QUANTITIES:
         change = np.asarray(wrong[f"res_{name}"] - right[f"res_{name}"])[both] * scale
-        cells.append(with_error(float(np.median(change)), _median_error(change)))
+        numbers |= {name: float(np.median(change)), f"{name}_error": _median_error(change)}
     for name in ("p", "dr"):
         widths = [cg.resolution(tracks[both], name).core for tracks in (right, wrong)]
-        cells.append(f"{100 * (widths[1] / widths[0] - 1):+.1f} %")
-    chi2 = [float(np.median(tracks["chi2"][both] / tracks["ndf"][both])) for tracks in (right, wrong)]
-    cells.append(f"{chi2[0]:.3f} → {chi2[1]:.3f}")
-    return "| " + " | ".join(cells) + " |"
+        numbers[f"width_{name}"] = 100 * (widths[1] / widths[0] - 1)
+    for name, tracks in (("right", right), ("wrong", wrong)):
+        numbers[f"chi2_{name}"] = float(np.median(tracks["chi2"][both] / tracks["ndf"][both]))
+    return Effect(particle, case.title, **numbers)
 
 
 def _median_error(values: np.ndarray[Any, np.dtype[np.float64]]) -> float:
@@ -93,32 +111,26 @@ def _median_error(values: np.ndarray[Any, np.dtype[np.float64]]) -> float:
     return float(1.2533 * (high - low) / 2 / math.sqrt(len(values)))
 
 
-def table(particle: str, events: int, threads: int | None) -> str:
-    """Return one table."""
-    head = ("the fit assumes", *(heading for _, heading, _ in QUANTITIES), "width of p", "width of d_rho", "chi²/ndf")
-    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
-    for case in cases():
-        lines.append(row(case, particle, events, threads))
-        print(lines[-1], flush=True)
-    return "\n".join(lines)
+def measure(share: float) -> Numbers:
+    """Measure every mistake with both charges."""
+    events = share_of(EVENTS, share, 200)
+    rows = [effect(case, particle, events) for particle in PARTICLES for case in cases()]
+    return Numbers(rows, {"events": f"{events:,} tracks of each charge, seed {SEED}"})
 
 
-def main() -> None:
-    """Measure, and write the tables into the page."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--events", type=int, default=10_000, help="tracks of each charge")
-    parser.add_argument("--threads", type=int, default=None)
-    given = parser.parse_args()
-    text = PAGE.read_text(encoding="utf-8")
-    for particle in ("mu-", "mu+"):
-        begin, end = f"<!-- begin {particle} -->\n", f"<!-- end {particle} -->"
-        (before, _), (_, after) = text.split(begin), text.split(end)
-        text = f"{before}{begin}{table(particle, given.events, given.threads)}\n{end}{after}"
-    note = f"{given.events:,} tracks of each charge, seed {SEED}, cgemit {cg.__version__}"
-    begin, end = "<!-- begin sample -->", "<!-- end sample -->"
-    (before, _), (_, after) = text.split(begin), text.split(end)
-    PAGE.write_text(f"{before}{begin}{note}{end}{after}", encoding="utf-8")
+def blocks(found: Found) -> dict[str, str]:
+    """Return a table for each charge, and what was run."""
+    head = ["the fit assumes", *(heading for _, heading, _ in QUANTITIES), "width of p", "width of d_rho", "chi²/ndf"]
+    tables = {}
+    for particle in PARTICLES:
+        lines = []
+        for row in (row for row in found["effects"].rows if row.particle == particle):
+            pairs = ((row.p, row.p_error), (row.dr, row.dr_error), (row.dz, row.dz_error), (row.phi0, row.phi0_error))
+            widths = [f"{width:+.1f} %" for width in (row.width_p, row.width_dr)]
+            chi2 = f"{row.chi2_right:.3f} → {row.chi2_wrong:.3f}"
+            lines.append([row.title, *(with_error(*pair) for pair in pairs), *widths, chi2])
+        tables[particle] = table(head, lines)
+    return {"sample": sample(found["effects"]), **tables}
 
 
-if __name__ == "__main__":
-    main()
+PAGE = Page("mismatch", "docs/methods/mismatch.md", "1 min", {"effects": (Effect, measure)}, blocks)

@@ -1,31 +1,55 @@
-"""Renew the numbers of docs/paper.md: ``python docs/paper_numbers.py [--batches N] [--threads N]``, some minutes.
+"""docs/paper.md: numbers of the study, and the effect of other choices.
 
-Rows of the tables that have an id come from ``cgemit study`` with seed 1. The table of other choices has runs of its
-own: batches of events with the same seeds for every choice, so that particles and most of the noise are the same;
-differences are taken batch by batch, and their scatter over batches is the error. Words stay as they are.
+The study's numbers are those of ``cgemit study`` with seed 1. Other choices have runs of their own: batches of events
+with the same seeds for every choice, so that particles and most of the noise are the same; differences are taken batch
+by batch, and their scatter over batches is the error.
 """
 
 from __future__ import annotations
 
-import argparse
 import math
-import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 
 import numpy as np
 
 import cgemit as cg
 from cgemit.analysis.clusters import cluster_residuals, x_beyond, x_widths
 from cgemit.analysis.curves import windowed_resolution
-from cgemit.study.paper import COS_THETA, DETECTORS, THIN_GAP, Reproduction
+from cgemit.study.paper import COS_THETA, DETECTORS, THIN_GAP
 from cgemit.study.samples import seed_of
 from cgemit.tables.show import with_error
+from pages.page import Found, Numbers, Page, sample, share_of, table
 
-PAGE = Path(__file__).resolve().parent / "paper.md"
-SEED, BATCH = 11, 5000
+SEED, BATCHES, BATCH = 11, 12, 5000
 PARAMETERS = {"dr": "d_rho (um)", "dz": "d_z (mm)", "p": "p (MeV/c)"}
+
+
+@dataclass(frozen=True)
+class Number:
+    """A number of the study by its id; "beyond_3mm" is the per cent of X residuals beyond 3 mm."""
+
+    id: str
+    value: float
+    error: float
+
+
+@dataclass(frozen=True)
+class Effect:
+    """Core widths for a choice, their changes (%) where it is one of the study's detector, X residual and clusters."""
+
+    title: str
+    dr: float
+    dr_change: float | None
+    dr_error: float | None
+    dz: float
+    dz_change: float | None
+    dz_error: float | None
+    p: float
+    p_change: float | None
+    p_error: float | None
+    x_rms: float | None  # um, within 3 mm
+    single_strip: float | None  # fraction of the X clusters
 
 
 @dataclass(frozen=True)
@@ -81,73 +105,73 @@ def choices() -> list[Choice]:
     ]
 
 
-def main() -> None:
-    """Measure, and write the numbers into the page."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--batches", type=int, default=12, help=f"of {BATCH} events for each choice")
-    parser.add_argument("--threads", type=int, default=None)
-    given = parser.parse_args()
-    text = with_study(PAGE.read_text(encoding="utf-8"), cg.study.reproduce(threads=given.threads))
-    table = effects(choices(), given.batches, given.threads)
-    begin, end = "<!-- begin effects -->\n", "<!-- end effects -->"
-    (before, _), (_, after) = text.split(begin), text.split(end)
-    PAGE.write_text(f"{before}{begin}{table}\n{end}{after}", encoding="utf-8")
-
-
-def with_study(text: str, study: Reproduction) -> str:
-    """Return the page with the study's numbers in the rows that name them by id."""
-
-    def put(found: re.Match[str]) -> str:
-        row = study[found[2]]
-        return f"{found[1]}{with_error(row.value, row.error)} |"
-
+def measure_study(share: float) -> Numbers:
+    """Run the study."""
+    events = share_of(20_000, share, 600)
+    study = cg.study.reproduce(events=events)
     share, error = x_beyond(study.samples["cgem"].clusters)
-    beyond = with_error(100 * share, 100 * error)
-    text = re.sub(r"(\| `(\w+)` \| (?:[\d.]+|–) \| )[^|]*\|", put, text)
-    return re.sub(r"(\| residuals beyond 3 mm \| \| \| )[^|]*\|", lambda m: f"{m[1]}{beyond} % |", text)
+    rows = [Number(row.id, row.value, row.error) for row in study.results]
+    return Numbers([*rows, Number("beyond_3mm", 100 * share, 100 * error)], {"events": f"{events} events, seed 1"})
 
 
-def effects(others: Sequence[Choice], batches: int, threads: int | None) -> str:
-    """Return the table of other choices: widths, their change against the first, X residual and single strips."""
-    head = ("", *PARAMETERS.values(), "X RMS within ±3 mm (um)", "X clusters of one strip")
-    lines = [f"{batches * BATCH} tracks for each choice, seed {SEED}, cgemit {cg.__version__}:", ""]
-    lines += ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
-    nominal = None
-    for choice in others:
-        found = np.array([numbers(choice, seed_of(SEED, batch), threads) for batch in range(batches)])
+def measure_choices(share: float) -> Numbers:
+    """Measure every choice."""
+    events, rows, nominal = share_of(BATCH, share, 200), [], None
+    for choice in choices():
+        found = np.array([numbers(choice, events, seed_of(SEED, batch)) for batch in range(BATCHES)])
         nominal = found if nominal is None else nominal
-        lines.append(line(choice, found, nominal))
-        print(lines[-1], flush=True)
-    return "\n".join(lines)
+        rows.append(effect(choice, found, nominal))
+    return Numbers(rows, {"events": f"{BATCHES * events} tracks for each choice, seed {SEED}"})
 
 
-def numbers(choice: Choice, seed: int, threads: int | None) -> list[float]:
+def numbers(choice: Choice, events: int, seed: int) -> list[float]:
     """Return widths of d_rho, d_z and p, the RMS of the X residual and the fraction of single strips of a batch."""
     detector = cg.load(choice.detector).with_overrides(dict(choice.overrides))
     if choice.magnet is not None:
         detector = detector.with_field(choice.magnet)
     gun = cg.Gun("mu-", p=1.0, cos_theta=(-choice.cos_theta, choice.cos_theta))
-    result = cg.run(detector, gun, BATCH, seed, settings=choice.settings, threads=threads)
-    widths = [getattr(windowed_resolution(result.tracks, name), choice.width) for name in PARAMETERS]
+    result = cg.run(detector, gun, events, seed, settings=choice.settings)
+    widths = [windowed_resolution(result.tracks, name) for name in PARAMETERS]
+    found = [width.rms if choice.width == "rms" else width.core for width in widths]
     if not detector.cgem:
-        return [*widths, math.nan, math.nan]
+        return [*found, math.nan, math.nan]
     residuals = cluster_residuals(result)
-    return [*widths, x_widths(residuals).rms, residuals.single_strip_fraction[0]]
+    return [*found, x_widths(residuals).rms, residuals.single_strip_fraction[0]]
 
 
-def line(choice: Choice, found: np.ndarray, nominal: np.ndarray) -> str:
-    """Return a line of the table from values (batch, quantity)."""
-    n, cells = len(found), []
-    for i in range(len(PARAMETERS)):
+def effect(choice: Choice, found: np.ndarray, nominal: np.ndarray) -> Effect:
+    """Return the effect of a choice from values (batch, quantity)."""
+    compared = found is not nominal and choice.detector == DETECTORS[0]
+    cells: dict[str, float | None] = {}
+    for i, name in enumerate(PARAMETERS):
         change = 100 * (found[:, i] - nominal[:, i]) / nominal[:, i].mean()
-        text = f"{found[:, i].mean():.4g}"
-        if found is not nominal and choice.detector == DETECTORS[0]:
-            text += f" ({change.mean():+.1f} ± {change.std(ddof=1) / math.sqrt(n):.1f} %)"
-        cells.append(text)
-    x, single = found[:, 3].mean(), found[:, 4].mean()
-    cells += ["–", "–"] if math.isnan(x) else [f"{x:.4g}", f"{single:.3f}"]
-    return f"| {choice.title} | " + " | ".join(cells) + " |"
+        cells[name] = float(found[:, i].mean())
+        cells[f"{name}_change"] = float(change.mean()) if compared else None
+        cells[f"{name}_error"] = float(change.std(ddof=1)) / math.sqrt(len(found)) if compared else None
+    x, single = (None if math.isnan(value) else float(value) for value in found[:, 3:].mean(axis=0))
+    return Effect(choice.title, **cells, x_rms=x, single_strip=single)  # type: ignore[arg-type]
 
 
-if __name__ == "__main__":
-    main()
+def blocks(found: Found) -> dict[str, str]:
+    """Return a number of the study for each id, and the table of other choices."""
+    shown = {row.id: with_error(row.value, row.error) for row in found["study"].rows}
+    lines = []
+    for row in found["choices"].rows:
+        cells = [
+            _changed(row.dr, row.dr_change, row.dr_error),
+            _changed(row.dz, row.dz_change, row.dz_error),
+            _changed(row.p, row.p_change, row.p_error),
+        ]
+        cells += ["–", "–"] if row.x_rms is None else [f"{row.x_rms:.4g}", f"{row.single_strip:.3f}"]
+        lines.append([row.title, *cells])
+    head = ["", *PARAMETERS.values(), "X RMS within ±3 mm (um)", "X clusters of one strip"]
+    return {**shown, "sample": sample(found["choices"]), "choices": table(head, lines)}
+
+
+def _changed(value: float, change: float | None, error: float | None) -> str:
+    return f"{value:.4g}" if change is None else f"{value:.4g} ({change:+.1f} ± {error:.1f} %)"
+
+
+PAGE = Page(
+    "paper", "docs/paper.md", "4 min", {"study": (Number, measure_study), "choices": (Effect, measure_choices)}, blocks
+)

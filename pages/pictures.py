@@ -1,4 +1,4 @@
-"""Draw the pictures of conventions.md and of the README: ``python docs/pictures.py`` writes docs/images/*.png."""
+"""Pictures of the documentation that show no measured numbers: conventions, README, gallery."""
 
 from __future__ import annotations
 
@@ -12,27 +12,25 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 import cgemit as cg
-from cgemit import _core, helix
-from cgemit.detector import compiled, slabs
-from cgemit.detector.matter import Holes
+from cgemit import helix
 from cgemit.draw.event import helix_points
 from cgemit.particles.table import particles_from
+from pages.page import ROOT, Found, Page
 
-HERE = Path(__file__).resolve().parent
-IMAGES = HERE / "images"
 MUON = {1: -13, -1: 13}  # PDG number by charge
 TRACK, AXIS, MARK, FAINT, LENGTH = "#0072B2", "#555555", "#CC3311", "#9AA3AD", "#009E73"
 
 
-def helices() -> None:
-    """A track past the origin for both charges in both fields, with what the parameters mean."""
-    figure, axes = plt.subplots(2, 2, figsize=(10.2, 10.2))
+def helices(found: Found) -> Figure:
+    """Draw a track past the origin for both charges in both fields, with what the parameters mean."""
+    figure, axes = plt.subplots(2, 2, figsize=(10.2, 10.2), dpi=85)
     for plot, (charge, bz) in zip(axes.flat, [(-1, -1.0), (1, -1.0), (-1, 1.0), (1, 1.0)], strict=True):
         draw_helix(plot, charge, bz)
     figure.tight_layout()
-    figure.savefig(IMAGES / "helix.png", dpi=85)
+    return figure
 
 
 def draw_helix(plot: Axes, charge: int, bz: float) -> None:
@@ -80,10 +78,10 @@ def note(plot: Axes, at: Sequence[float], text: str, color: str) -> None:
     plot.text(*at, text, ha="center", va="center", color=color, fontsize=9.5, bbox=box, zorder=6)
 
 
-def strips() -> None:
-    """Two unrolled sheets with stereo angles of either sign: lines of constant X and V."""
+def strips(found: Found) -> Figure:
+    """Draw two unrolled sheets with stereo angles of either sign: lines of constant X and V."""
     layers = cg.load("besiii-cgem-design").cgem[:2]
-    figure, axes = plt.subplots(1, 2, figsize=(9.6, 5.2))
+    figure, axes = plt.subplots(1, 2, figsize=(9.6, 5.2), dpi=90)
     for plot, layer in zip(axes, layers, strict=True):
         width, half = layer.strips_x * layer.pitch_x, layer.half_length
         z_ref = half if layer.stereo > 0 else -half
@@ -102,88 +100,31 @@ def strips() -> None:
         )
     figure.suptitle("edge of every 50th X strip (blue) and V strip (red)", fontsize=10, y=0.99)
     figure.tight_layout()
-    figure.savefig(IMAGES / "strips.png", dpi=90)
+    return figure
 
 
-def foils() -> None:
-    """A cut through a GEM foil with tracks, and the matter of nine foils that tracks meet."""
-    detector = cg.load("besiii-cgem")
-    figure, (cut, matter) = plt.subplots(1, 2, figsize=(10.2, 3.6), width_ratios=(1.25, 1))
-    draw_foil(cut, [slab.holes for slab in slabs(detector, foil="lattice") if slab.holes][:3])
-    rng = np.random.default_rng(1)
-    preset = 100 * sum(
-        layer.foils * part.thickness / part.material.x0 for layer in detector.cgem for part in layer.foil
-    )
-    bins = np.linspace(0.1, 0.72, 125)
-    for slope, color in ((0.0, TRACK), (1.0, LENGTH)):
-        x0 = 100 * foil_matter(detector, slope, 20_000, rng) / np.hypot(1, slope)
-        angle = np.degrees(np.arctan(slope))
-        matter.hist(x0, bins=bins, histtype="step", color=color, label=f"lattice, {angle:.0f} deg")
-    matter.axvline(preset, color=MARK, ls="--", lw=1.4, label="effective, as in the preset")
-    matter.set(xlabel="X/X0 of nine foils times cos(angle), %", ylabel="tracks")
-    matter.legend(fontsize=8.5, frameon=False)
-    figure.tight_layout()
-    figure.savefig(IMAGES / "foils.png", dpi=90)
-
-
-def foil_matter(detector: cg.Detector, slope: float, n: int, rng: np.random.Generator) -> np.ndarray:
-    """Return X/X0 of all foils along n straight lines that cross them at random places."""
-    core, total, foil = compiled(detector, foil="lattice"), np.zeros(n), -1
-    for number, slab in enumerate(slabs(detector, foil="lattice")):
-        if slab.holes and slab.holes.foil != foil:
-            foil, (i, j) = slab.holes.foil, rng.random((2, n)) * slab.holes.pitch
-            line = {"u": i + j / 2, "v": j * np.sqrt(0.75), "slope_u": np.full(n, slope), "slope_v": np.zeros(n)}
-        if slab.holes:
-            total += slab.x0 * np.hypot(1, slope) * _core._testing.solid_fraction(core, number, **line)
-    return total
-
-
-def draw_foil(plot: Axes, parts: Sequence[Holes]) -> None:
-    """Draw a foil cut along a row of holes, in um, with three tracks; thick where they meet matter."""
-    for holes in parts:
-        w = np.unique([holes.begin, np.clip(0.0, holes.begin, holes.end), holes.end])
-        radius = holes.waist + holes.widening * np.abs(w)
-        color = "#D98A4E" if holes.widening == 0 else "#F2D45C"  # copper, Kapton
-        for i in range(-1, 5):
-            left, right = i * holes.pitch + radius, (i + 1) * holes.pitch - radius
-            plot.fill(1e3 * np.concatenate([left, right[::-1]]), 1e3 * np.concatenate([w, w[::-1]]), color=color, lw=0)
-    w = np.linspace(-0.03, 0.03, 4001)
-    for start, slope in ((0.030, 0.0), (0.1, 0.5), (0.35, 2.0)):
-        u = start + slope * w
-        solid = np.zeros(len(w), bool)
-        for holes in parts:
-            inside = (w >= holes.begin) & (w <= holes.end)
-            off = np.abs(u - holes.pitch * np.round(u / holes.pitch))
-            solid |= inside & (off > holes.waist + holes.widening * np.abs(w))
-        far = np.array([-0.06, 0.06])
-        plot.plot(1e3 * (start + slope * far), 1e3 * far, color="black", lw=0.9)
-        plot.plot(1e3 * np.where(solid, u, np.nan), 1e3 * w, color=MARK, lw=2.6)
-    plot.set(xlim=(-60, 520), ylim=(-60, 60), aspect="equal", xlabel="u along r phi (um)", ylabel="w outward (um)")
-
-
-def readme() -> None:
-    """Run the example of README.md as printed, and keep the picture it draws."""
-    (example,) = re.findall(r"^```python\n(.*?)^```", (HERE.parent / "README.md").read_text(), re.MULTILINE | re.DOTALL)
+def residual(found: Found) -> Figure:
+    """Run the example of README.md as printed, and return the picture that it draws."""
+    (example,) = re.findall(r"^```python\n(.*?)^```", (ROOT / "README.md").read_text(), re.MULTILINE | re.DOTALL)
     before = Path.cwd()
     with tempfile.TemporaryDirectory() as folder:
         os.chdir(folder)
         try:
-            exec(compile(example, "README.md", "exec"), {})
-            (IMAGES / "momentum.png").write_bytes(Path("momentum.png").read_bytes())
+            names: dict[str, object] = {}
+            exec(compile(example, "README.md", "exec"), names)
         finally:
             os.chdir(before)
+    return cg.draw.residual(names["result"], "p")
 
 
-def masses() -> None:
-    """The K_S peak of the notebook on track finding."""
-    made = runpy.run_path(str(HERE.parent / "notebooks" / "08_finding.py"))
-    made["spectrum"](made["mass"], made["peak"]).savefig(IMAGES / "kshort-mass.png", dpi=85)
+def masses(found: Found) -> Figure:
+    """Return the K_S peak of the notebook on track finding."""
+    made = runpy.run_path(str(ROOT / "notebooks" / "08_finding.py"))
+    figure: Figure = made["spectrum"](made["mass"], made["peak"])
+    figure.set_dpi(85)
+    return figure
 
 
-if __name__ == "__main__":
-    IMAGES.mkdir(exist_ok=True)
-    helices()
-    strips()
-    foils()
-    readme()
-    masses()
+CONVENTIONS = Page("conventions", "docs/conventions.md", "5 s", pictures={"helix.png": helices, "strips.png": strips})
+README = Page("readme", "README.md", "1 min", pictures={"momentum.png": residual})
+GALLERY = Page("gallery", "docs/gallery.md", "1 min", pictures={"kshort-mass.png": masses})

@@ -1,133 +1,174 @@
-"""The page docs/methods/robustness.md: `python validation/robustness_page.py 10000 > docs/methods/robustness.md`."""
+"""docs/methods/robustness.md: difficult tracks, and slow pions that begin beside the beam line."""
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-import begins
+import cgemit as cg
+from cgemit import helix
 from cgemit.analysis.widths import share_error
-from cgemit.tables import PARAMETERS
+from cgemit.helix import PARAMETERS
+from cgemit.reconstruction.fit import FitStatus, fit
+from cgemit.tables import Table
 from cgemit.tables.show import with_error
-from robustness import ACROSS, ALONG, HITS, LEVER, SCENARIOS, Outcome, run_scenario
+from pages.page import Found, Numbers, Page, share_of, table
+from pages.scenarios import SCENARIOS, Outcome, run_scenario
 
-HEAD = ("tracks", "what is difficult", "fitted %", "not fitted", "p %", "dr um", "dz mm", "pulls", "iterations")
-
-_INTRODUCTION = """# Difficult tracks
-
-This page shows how the fit performs on tracks that are slow, steep, displaced or curling, or that have too few hits,
-wrong hits or noise. The detector is the design CGEM with the outer drift chamber. The page is written by
-`python validation/robustness_page.py {n} > docs/methods/robustness.md`, with {n} events of two tracks each. Hits are
-assigned by truth and then changed as the table says; the fit gets no information about the changes.
-`validation/robustness.py` lists the scenarios. Particles do not decay in flight here.
-
-A track counts if it has at least {hits} hits of its own, {along} of them stereo or V and {across} axial or X, over
-{lever:g} mm of radius. A helix cannot be measured with less. *fitted* is the fraction of these tracks with status `ok`
-and its standard error. *not fitted* lists the statuses of the others. *p*, *dr* and *dz* are the core widths of fitted
-minus true values; p is relative to the true p. *pulls* are core widths for dr, phi0, kappa, dz, tanl (1 if the errors
-are right).
-
-"""
-
-_CLOSING = """
-The method is described in [fit.md](fit.md), "Iteration" and "Outliers". Known limitations:
-
-- Pions below 65 MeV/c lose half of their energy in the beam pipe and more further out. If the loss assumed by the fit
-  would stop them before their last hits, hits are given up. If fewer than six are left, the status is
-  `does_not_reach` or `stopped`.
-- With the CGEM alone, the sagitta of 0.3 mm at 1 GeV/c is comparable to the error of one strip, 0.2 mm. kappa is
-  measured, but p is hardly constrained.
-- By default the fit assumes that all matter between the innermost hit and the origin is crossed. Pions of K_S decays
-  outside the beam pipe have not had this energy loss; the next section tells the fit so. The states table
-  (`FitSettings(states=...)`) has their helix at any radius.
-- Electrons radiate in jumps that no Gaussian describes. Their pulls have narrow cores and long tails.
-"""
-
-_BEGINS = """## Tracks that begin beside the beam line
-
-A particle that begins outside of the beam pipe and flies outward has not crossed it; one that flies inward crosses
-it twice. The fit cannot tell from the hits. By default it corrects the energy for one crossing, so that slow tracks are
-many errors off in kappa, with a good chi-square. Where the vertex is known, the candidates' column `start_radius` says
-where a track begins, or the setting `FitSettings(start_radius=...)` for all: matter inside is left out, or counts twice
-after a flight inward (negative radius). `cgemit.helix.start_radius` makes the column from fitted helices and vertices:
-
-    begin = helix.start_radius(helices, vertices, bz)
-    candidates = candidates.with_columns(start_radius=begin)
-    tracks = fit(detector, clusters, wire_hits, candidates, candidate_hits)["tracks"]
-
-The helix at the origin is then the flight at the vertex, continued in vacuum, as truth is. Pions with pT of 0.065 to
-0.1 GeV/c, directions at random, from `python validation/begins.py 4000`:
-
-"""
-
-_END = """
-Tracks from inside the beam pipe do not change. After a flight inward, the second crossing is treated as if it happened
-at the first one, on the outward arc: its scattering acts at another place, so that the tail is reduced less.
-
-A vertex is often not known before the fit. The tracks' column `displaced` is 1 if the closest approach to the beam
-line, |dr|, is more than five of its errors, and more than a tenth of the radius of the innermost matter (3.1 mm in
-the BESIII presets, more than the size of the beam). Such a track begins beside the beam line, or is the muon of a
-kink, and matter inside may have been corrected for though it was not crossed: fit it to a vertex, then again with
-`start_radius`. The fit itself does not change. Of the slow pions above with a pull beyond 8, 94 % are marked at 35
-and 50 mm, 91 % at 70 and 79 % at 100 mm. The others fly along the radius: their helix misses the beam line by less
-than five errors. Pions from within the beam pipe (20 mm) are marked as well, whose correction is right. Marked
-although they begin at the origin:
-
-| sample at the origin | marked, % |
-| --- | --- |
-| slow pions as above | 0.5, of which one in two has a pull beyond 8 |
-| mu 0.2–2 GeV/c, `besiii-cgem`, also with a beam of 0.4 mm | 0.15 |
-| mu 0.2–2 GeV/c, `besiii-idc`, `kloe2-like` | 0.04 |
-| pi 0.1–1 GeV/c with decays, `besiii-cgem` | 0.2 |
-| K 0.2–1 GeV/c with decays, `besiii-cgem` | 0.3 |
-| the same, found without truth | 34 of those that decayed, 0.5 of the others |
-| e 0.1–1 GeV/c, `besiii-cgem` | 1.1 |
-
-Invalid input does no harm. `tests/fuzz.py` gives the fit tracks with hits lost, added, exchanged, repeated and out of
-order, and hits of any position, size and error. No exception is raised, and if a value is NaN the status of the row
-gives the reason. `PYTHONPATH=benchmarks:validation python tests/fuzz.py 1000000` repeats this for a million tracks and
-counts the statuses.
-"""
+EVENTS, PIONS = 10_000, 4000
+DETECTOR = "besiii-cgem-design"
+RADII = (0.0, 20.0, 35.0, 50.0, 70.0, 100.0)  # mm
+FAR = 8.0  # errors
 
 
-def page(outcomes: Iterable[Outcome], n_events: int) -> str:
-    """Return the page of a list of outcomes as Markdown.
+@dataclass(frozen=True)
+class Fitted:
+    """Tracks of a scenario: per cent fitted, statuses of the others, core widths with errors, widths of pulls."""
 
-    Parameters
-    ----------
-    outcomes : iterable of Outcome
-    n_events : int
-        Events of each.
+    name: str
+    text: str
+    fitted: float
+    fitted_error: float
+    removed: str
+    p: float  # %
+    p_error: float
+    dr: float  # um
+    dr_error: float
+    dz: float  # mm
+    dz_error: float
+    pull_dr: float
+    pull_phi0: float
+    pull_kappa: float
+    pull_dz: float
+    pull_tanl: float
+    iterations: float
+
+
+@dataclass(frozen=True)
+class Begin:
+    """Pions from a radius (mm) fitted with one `start_radius`: good tracks, and per cent of them.
+
+    `far` have a pull beyond 8, of all, of those that fly outward, and of those that fly inward first; `kappa` is half
+    the width that holds 68 % of the pulls of kappa; `displaced` are marked so, `far_displaced` of those that are far.
     """
-    text = _INTRODUCTION.format(n=n_events, hits=HITS, along=ALONG, across=ACROSS, lever=LEVER)
-    rows = [HEAD, tuple("---" for _ in HEAD), *(cells(outcome) for outcome in outcomes)]
-    return text + "".join(f"| {' | '.join(row)} |\n" for row in rows) + _CLOSING + _END
+
+    radius: float
+    start_radius: str
+    tracks: int
+    far: float
+    far_outward: float | None
+    far_inward: float | None
+    kappa: float
+    displaced: float
+    far_displaced: float
 
 
-def cells(outcome: Outcome) -> tuple[str, ...]:
-    """Return what the table says of one scenario, in the order of `HEAD`."""
+def fitted(outcome: Outcome) -> Fitted:
+    """Return what the table says of one scenario."""
     share, total = outcome.efficiency, int(np.count_nonzero(outcome.enough))
-    removed = ", ".join(f"{n} {status}" for status, n in outcome.removed.items()) or "none"
-    widths = [
-        with_error(factor * width.core, factor * width.core_error)
-        for name, factor in (("p", 100.0), ("dr", 1000.0), ("dz", 1.0))
-        for width in (outcome.resolution(name),)
-    ]
-    pulls = " ".join(f"{outcome.pull(name).core:.2f}" for name in PARAMETERS if name != "p")
-    fitted = with_error(100 * share, 100 * share_error(share, total))
-    iterations = f"{np.mean(outcome.good['iterations']):.1f}"
-    return outcome.scenario.name, outcome.scenario.text, fitted, removed, *widths, pulls, iterations
+    numbers = {"fitted": 100 * share, "fitted_error": 100 * share_error(share, total)}
+    for name, factor in (("p", 100.0), ("dr", 1000.0), ("dz", 1.0)):
+        width = outcome.resolution(name)
+        numbers |= {name: factor * width.core, f"{name}_error": factor * width.core_error}
+    numbers |= {f"pull_{name}": outcome.pull(name).core for name in PARAMETERS}
+    removed = ", ".join(f"{n} {status}" for status, n in outcome.removed.items())
+    iterations = float(np.mean(outcome.good["iterations"]))
+    one = outcome.scenario
+    return Fitted(one.name, one.text, removed=removed, iterations=iterations, **numbers)
 
 
-def main(arguments: Sequence[str]) -> str:
-    """Return the page for a number of events, and names of scenarios if not all are wanted."""
-    n_events = int(arguments[0]) if arguments else 1000
-    wanted = [s for s in SCENARIOS if not arguments[1:] or s.name in arguments[1:]]
-    text = page((run_scenario(scenario, n_events) for scenario in wanted), n_events)
-    return text.replace(_END, "\n" + _BEGINS + begins.table(4000) + _END)
+def pions(radius: float, n: int, seed: int = 1) -> dict[str, np.ndarray]:
+    """Return pions of 0.065 to 0.1 GeV/c that begin at a radius, in any direction, cos(theta) within 0.6."""
+    random = np.random.default_rng(seed)
+    azimuth, flight = random.uniform(-np.pi, np.pi, (2, n))
+    pt, cos_theta = random.uniform(0.065, 0.1, n), random.uniform(-0.6, 0.6, n)
+    return {
+        "event": np.arange(n), "pdg": np.where(random.random(n) < 0.5, 211, -211),
+        "px": pt * np.cos(flight), "py": pt * np.sin(flight), "pz": pt * cos_theta / np.sqrt(1 - cos_theta**2),
+        "x": radius * np.cos(azimuth), "y": radius * np.sin(azimuth), "z": np.zeros(n),
+    }  # fmt: skip
 
 
-if __name__ == "__main__":
-    sys.stdout.write(main(sys.argv[1:]))
+def samples(radius: float, n: int) -> tuple[cg.Result, Table, np.ndarray]:
+    """Return a simulated run, its tracks fitted with the radius of their vertex, and this radius with its sign."""
+    settings = cg.Settings(simulate=cg.SimulateSettings(decays=False))
+    run = cg.run(DETECTOR, pions(radius, n), seed=1, settings=settings)
+    where = run.candidates["event"]
+    vertex = np.stack([run.particles[axis][where] for axis in "xyz"], axis=1)
+    helices = np.stack([run.tracks[name] for name in PARAMETERS], axis=1)
+    begin = helix.start_radius(helices, vertex, run.detector.field.bz)
+    candidates = run.candidates.with_columns(start_radius=np.nan_to_num(begin))
+    again = fit(run.detector, run.clusters, run.wire_hits, candidates, run.candidate_hits)["tracks"]
+    return run, again, begin
+
+
+def pulls(run: cg.Result, tracks: Table) -> np.ndarray:
+    """Return the pulls of the five parameters, (n, 5)."""
+    found = []
+    for name in PARAMETERS:
+        off = tracks[name] - run.matches[f"truth_{name}"]
+        off = np.remainder(off + np.pi, 2 * np.pi) - np.pi if name == "phi0" else off
+        found.append(off / tracks[f"err_{name}"])
+    return np.stack(found, axis=1)
+
+
+def begins(radius: float, n: int) -> list[Begin]:
+    """Fit the pions of a radius without and with the radius of their vertex."""
+    run, again, begin = samples(radius, n)
+    rows = []
+    for name, tracks in (("0", run.tracks), ("of the vertex", again)):
+        good = tracks["status"] == FitStatus.ok
+        pull = pulls(run, tracks)
+        far = (np.abs(pull) > FAR).any(axis=1)
+        outward, inward = (
+            float(100 * far[good & mine].mean()) if (good & mine).any() else None for mine in (begin > 0, begin < 0)
+        )
+        half = 0.5 * np.subtract(*np.quantile(pull[good, 2], [0.8413, 0.1587]))
+        marked = tracks["displaced"] == 1
+        shares = (float(100 * marked[good & mine].mean()) for mine in (good, far))
+        total = float(100 * far[good].mean())
+        rows.append(Begin(radius, name, int(good.sum()), total, outward, inward, float(half), *shares))
+    return rows
+
+
+def measure_scenarios(share: float) -> Numbers:
+    """Run all scenarios."""
+    events = share_of(EVENTS, share, 100)
+    return Numbers([fitted(run_scenario(one, events)) for one in SCENARIOS], {"events": str(events)})
+
+
+def measure_begins(share: float) -> Numbers:
+    """Fit the pions of all radii."""
+    n = share_of(PIONS, share, 200)
+    return Numbers([row for radius in RADII for row in begins(radius, n)], {"events": str(n)})
+
+
+def blocks(found: Found) -> dict[str, str]:
+    """Return the tables of both parts and the numbers of events."""
+    lines = []
+    for row in found["scenarios"].rows:
+        pairs = ((row.p, row.p_error), (row.dr, row.dr_error), (row.dz, row.dz_error))
+        widths = (row.pull_dr, row.pull_phi0, row.pull_kappa, row.pull_dz, row.pull_tanl)
+        cells = [row.name, row.text, with_error(row.fitted, row.fitted_error), row.removed or "none"]
+        cells += [with_error(*pair) for pair in pairs]
+        lines.append([*cells, " ".join(f"{width:.2f}" for width in widths), f"{row.iterations:.1f}"])
+    head = ["tracks", "what is difficult", "fitted %", "not fitted", "p %", "dr um", "dz mm", "pulls", "iterations"]
+    texts = {"events": found["scenarios"].about["events"], "scenarios": table(head, lines)}
+    lines = []
+    for one in found["begins"].rows:
+        shares = ["–" if value is None else f"{value:.1f}" for value in (one.far, one.far_outward, one.far_inward)]
+        cells = [f"{one.radius:g}", one.start_radius, str(one.tracks), *shares, f"±{one.kappa:.2f}"]
+        lines.append([*cells, f"{one.displaced:.1f}", f"{one.far_displaced:.1f}"])
+    head = ["begin at mm", "start_radius", "tracks", "a pull beyond 8, %", "outward %", "inward first %"]
+    head += ["68 % of pulls of kappa", "displaced %", "of those beyond 8, %"]
+    return texts | {"pions": found["begins"].about["events"], "begins": table(head, lines)}
+
+
+PAGE = Page(
+    "robustness",
+    "docs/methods/robustness.md",
+    "3 min",
+    {"scenarios": (Fitted, measure_scenarios), "begins": (Begin, measure_begins)},
+    blocks,
+)

@@ -1,6 +1,6 @@
 """Tracks and garbage of every kind for the fit.
 
-`PYTHONPATH=benchmarks:validation python tests/fuzz.py 1000000` fits a million and counts statuses. Whatever comes in,
+`PYTHONPATH=. python tests/fuzz.py 1000000` fits a million and counts statuses. Whatever comes in,
 the fit must not raise, must not warn, and every number that it gives out is one or its row's status says why it is
 none.
 """
@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bench import SMEARING, smeared
 from cgemit import helix
 from cgemit.detector import load
 from cgemit.particles.table import particles_from
@@ -25,7 +24,8 @@ from cgemit.reconstruction.fit import PARAMETERS, FitSettings, FitStatus, fit, h
 from cgemit.simulation import transport
 from cgemit.simulation.digitize import DigitizeSettings, digitize
 from cgemit.tables import SCHEMAS, Table
-from robustness import Hits, add_noise, exchange_clusters, keep, lose_layers
+from pages.performance.stages import SMEARING, smeared
+from pages.scenarios import Hits, add_noise, exchange_clusters, keep, lose_layers
 
 PRESETS = ("besiii-cgem-design", "besiii-cgem", "besiii-idc", "besiii-idc-boss")
 FAR = (50.0, 0.5, 1.0, 300.0, 1.0)

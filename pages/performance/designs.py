@@ -1,18 +1,21 @@
-"""Time of building a variant of a detector beside reading its complete file: writes variants.csv.
-
-The fastest of some repeats counts; the two ways alternate.
-"""
+"""Cost of a variant of a detector, and of a design of an analytic sweep."""
 
 from __future__ import annotations
 
-import csv
+import resource
 import time
 import tomllib
-from collections.abc import Callable, Iterator
-from pathlib import Path
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
 
 import cgemit as cg
 from cgemit.detector import Detector, compiled
+from cgemit.study import sobol, sweep
+from pages.page import Numbers
+from pages.performance.timing import DETECTOR
 
 CHANGES: dict[str, Callable[[int], dict[str, object]]] = {
     "pitch of one layer": lambda i: {"cgem.L2.pitch_x": f"{500 + i} um"},
@@ -22,6 +25,30 @@ CHANGES: dict[str, Callable[[int], dict[str, object]]] = {
     "foils of all layers": lambda i: {"cgem.*.foil.Kapton.thickness": f"{30 + 0.1 * i} um"},
 }
 REPEATS = 30
+RANGES = {
+    "cgem.*.pitch_x": ("300 um", "900 um"),
+    "cgem.L2.anode_radius": ("115 mm", "150 mm"),
+    "cgem.*.foil.Kapton.thickness": ("30 um", "70 um"),
+}
+SAMPLES, DESIGNS, SWEEPS = (16, 32, 64, 128), 1000, 3
+
+
+@dataclass(frozen=True)
+class VariantCost:
+    """Building a variant, beside reading its complete file and compiling it with the tables of its gaps; ms."""
+
+    change: str
+    variant_ms: float
+    file_ms: float
+
+
+@dataclass(frozen=True)
+class SweepCost:
+    """A design of a sweep of three numbers at ten momenta on two processes: wall and processor time, ms."""
+
+    samples: int
+    wall_ms: float
+    processor_ms: float
 
 
 def seconds(work: Callable[[], object]) -> float:
@@ -36,8 +63,9 @@ def complete(variant: Detector) -> object:
     return compiled(cg.load(tomllib.loads(variant.to_toml())))
 
 
-def rows(base: Detector) -> Iterator[tuple[str, float, float]]:
-    """Yield each kind of change with the times of both ways, ms."""
+def measure_variants(_share: float) -> Numbers:
+    """Measure each kind of change; both ways alternate, the fastest of some repeats counts."""
+    base, rows = cg.load(DETECTOR), []
     compiled(base, gaps=False)
     for name, change in CHANGES.items():
         fast, whole = [], []
@@ -45,17 +73,29 @@ def rows(base: Detector) -> Iterator[tuple[str, float, float]]:
             changes = change(i)
             fast.append(seconds(lambda changes=changes: compiled(base.with_overrides(changes), gaps=False)))
             whole.append(seconds(lambda changes=changes: complete(base.with_overrides(changes))))
-        yield name, 1000 * min(fast), 1000 * min(whole)
+        rows.append(VariantCost(name, 1000 * min(fast), 1000 * min(whole)))
+    return Numbers(rows)
 
 
-def main() -> None:
-    """Write the table."""
-    with Path(__file__).with_suffix(".csv").open("w", encoding="utf-8", newline="") as stream:
-        writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow(["change", "variant (ms)", "file, with gap tables (ms)", "ratio"])
-        for name, fast, whole in rows(cg.load("besiii-cgem-design")):
-            writer.writerow([name, f"{fast:.2f}", f"{whole:.1f}", f"{whole / fast:.1f}"])
+def processor_time() -> float:
+    """Return user and system time of this process and of those that it has waited for, s."""
+    used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    return sum(one.ru_utime + one.ru_stime for one in used)
 
 
-if __name__ == "__main__":
-    main()
+def times(designs: int, samples: int) -> tuple[float, float]:
+    """Return wall time and processor time of a sweep, s."""
+    begin, used = time.perf_counter(), processor_time()
+    with ProcessPoolExecutor(2) as pool:
+        sweep(DETECTOR, sobol(RANGES, designs), p=list(np.geomspace(0.2, 2, 10)), samples=samples,
+              quantities=("p", "dr", "dz"), executor=pool)  # fmt: skip
+    return time.perf_counter() - begin, processor_time() - used
+
+
+def measure_sweeps(_share: float) -> Numbers:
+    """Measure sweeps with several numbers of samples."""
+    rows = []
+    for samples in SAMPLES:
+        found = [times(DESIGNS, samples) for _ in range(SWEEPS)]
+        rows.append(SweepCost(samples, *(1000 * min(column) / DESIGNS for column in zip(*found, strict=True))))
+    return Numbers(rows)

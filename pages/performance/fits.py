@@ -1,33 +1,81 @@
-"""What one fit costs, of a track with one hit in every layer: ``python benchmarks/design_muon.py`` (ten seconds).
+"""Cost of one fit and of one covariance, the compiled core alone, one thread, processor time.
 
-Muons of 1 GeV/c through all 35 wire layers of `besiii-cgem-design`, 3 clusters in two views and 35 wires, where a real
-one crosses 38 cells: what other fitters are quoted for. The compiled fit alone, one thread, from the true helix
-smeared, with smoother, residuals and pulls: two iterations with the sides known, as many as it takes to find them out.
-Smallest of several runs in processor time. Writes `design_muon.csv`.
+Muons of 1 GeV/c through all 35 wire layers of `besiii-cgem-design`, with one hit in every layer: 3 clusters in two
+views and 35 wires, where a real one crosses 38 cells. That is what other fitters are quoted for. The fit starts from
+the smeared true helix, with smoother, residuals and pulls.
 """
 
 from __future__ import annotations
 
-import sys
-import time
-from dataclasses import replace
+import dataclasses
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from bench import DETECTOR, SEED, instruction_set, smeared
-from cgemit import FitSettings, Gun, Settings, _core, helix, isa, run
-from cgemit.chain.result import Result
+import cgemit as cg
+from cgemit import _core, helix, isa
 from cgemit.detector import compiled
 from cgemit.reconstruction.candidates import FitHits, collect_hits
 from cgemit.reconstruction.fit import core_arguments
-from cgemit.simulation.digitize import DigitizeSettings
-from rows import write_rows
+from pages.page import Numbers
+from pages.performance.stages import ALL_HITS, TWO_ITERATIONS, smeared
+from pages.performance.timing import DETECTOR, SEED, fastest, instruction_set
 
-GUN = Gun("mu-", p=1.0, cos_theta=(-0.7, 0.7))
-EVENTS = 2000
-RUNS = 60
-TWO_ITERATIONS = FitSettings(residuals=True, max_iterations=2, tolerance=1e-12)
+ONE_PER_LAYER = cg.Gun("mu-", p=1.0, cos_theta=(-0.7, 0.7))
+GUN = cg.Gun("mu-", p=1.0, cos_theta=(-0.93, 0.93))
+EVENTS, RUNS = 2000, 60
+FIELDS, FIELD_EVENTS, FIELD_RUNS = ("uniform", "besiii-harmonic", "besiii", "finite-solenoid"), 1000, 7
+SAMPLES, COVARIANCE_RUNS = 2048, 40
+DETECTORS = ("besiii-cgem-design", "besiii-idc")
+#: Half of them enter the geometry, half of them errors and thicknesses.
+KEYS = (
+    "field.bz", "cgem.L1.anode_radius", "cgem.L3.anode_radius", "cgem.L2.stereo", "cgem.*.drift_gap",
+    "drift_chamber.sigma", "cgem.*.pitch_x", "cgem.*.pitch_v", "cgem.*.foil.Kapton.thickness",
+    "cgem.L1.anode.*.thickness",
+)  # fmt: skip
+CURVES = {"fixed azimuth, gaussian": {"phi": 0.0, "readout": "gaussian"}, "binary, averaged": {}}
+
+
+@dataclass(frozen=True)
+class OneFit:
+    """One fit, us: two iterations with the sides known, as many as it takes to find them out."""
+
+    isa: str
+    hits: float
+    known_us: float
+    unknown_us: float
+
+
+@dataclass(frozen=True)
+class OneCovariance:
+    """One covariance, us: of a track alone without budget, of a track of a point with it; and the fit beside them.
+
+    `gradient` is that by ten numbers of the design, in covariances of a point.
+    """
+
+    isa: str
+    alone_us: float
+    of_a_point_us: float
+    gradient: float
+    fit_us: float
+
+
+@dataclass(frozen=True)
+class CurveCost:
+    """A curve of 60 momenta of both detectors, from Python, one after the other, ms."""
+
+    curve: str
+    ms: float
+
+
+@dataclass(frozen=True)
+class FieldCost:
+    """Cost per muon in a field, us."""
+
+    isa: str
+    field: str
+    us: float
 
 
 def one_per_layer(hits: FitHits) -> FitHits:
@@ -43,43 +91,84 @@ def one_per_layer(hits: FitHits) -> FitHits:
     )
 
 
-def arguments(result: Result, settings: FitSettings) -> dict[str, Any]:
+def arguments(result: cg.Result, hits: FitHits, settings: cg.FitSettings) -> dict[str, Any]:
     """Return what the compiled fit takes."""
-    hits = one_per_layer(
-        collect_hits(result.detector, result.candidates, result.candidate_hits, result.clusters, result.wire_hits)
-    )
     truth = helix.at_origin_in(result.particles, compiled(result.detector).field)
     start = smeared(truth, result.particles, SEED)
     return core_arguments(result.detector, hits, result.particles["mass"], start, settings)
 
 
-def cost_us(call: dict[str, Any]) -> float:
-    """Return us per track."""
-    best = np.inf
-    for _ in range(RUNS):
-        start = time.process_time()
-        _core.fit(**call)
-        best = min(best, time.process_time() - start)
-    return 1e6 * best / EVENTS
+def hits_of(result: cg.Result) -> FitHits:
+    """Return the hits of all candidates."""
+    return collect_hits(
+        result.detector, result.candidates, result.candidate_hits, result.clusters, result.wire_hits
+    )  # fmt: skip
 
 
-def main() -> int:
-    """Measure, write and print."""
-    calls, hits = {}, 0.0
-    for name, known, settings in (("known", True, TWO_ITERATIONS), ("unknown", False, FitSettings(residuals=True))):
-        digits = DigitizeSettings(reveal_sides=known)
-        calls[name] = arguments(run(DETECTOR, GUN, EVENTS, SEED, settings=Settings(digitize=digits)), settings)
-        hits = len(calls[name]["hits"]["kind"]) / EVENTS
+def design_muons(known: bool) -> dict[str, Any]:
+    """Return what the compiled fit takes for tracks with one hit in every layer."""
+    settings = cg.Settings(digitize=cg.DigitizeSettings(reveal_sides=known))
+    result = cg.run(DETECTOR, ONE_PER_LAYER, EVENTS, SEED, settings=settings)
+    return arguments(result, one_per_layer(hits_of(result)), TWO_ITERATIONS if known else ALL_HITS)
+
+
+def measure_fits(_share: float) -> Numbers:
+    """Measure one fit for each instruction set."""
+    known, unknown = design_muons(True), design_muons(False)
+    calls = {"known_us": lambda: _core.fit(**known), "unknown_us": lambda: _core.fit(**unknown)}
     rows = []
     for code in isa.available():
         with instruction_set(code):
-            known, unknown = (cost_us(calls[name]) for name in ("known", "unknown"))
-        rows.append({"isa": code, "hits": round(hits, 2), "known_us": round(known, 2), "unknown_us": round(unknown, 2),
-                     "ratio": round(unknown / known, 2)})  # fmt: skip
-        print(rows[-1])
-    write_rows("design_muon.csv", rows)
-    return 0
+            times = {name: 1e6 * spent / EVENTS for name, spent in fastest(calls, RUNS).items()}
+        rows.append(OneFit(code, len(unknown["hits"]["kind"]) / EVENTS, **times))
+    return Numbers(rows)
 
 
-if __name__ == "__main__":
-    sys.exit(main())
+def measure_covariances(_share: float) -> Numbers:
+    """Measure one covariance beside one fit for each instruction set."""
+    fitted = design_muons(True)
+    tracks = cg.analytic(DETECTOR, p=1.0, readout="gaussian", samples=SAMPLES, threads=1, reveal_sides=True)._tracks
+    alone = dataclasses.replace(tracks, samples=1, phases=tracks.phases[:1])
+    base = cg.load(DETECTOR)
+    variants = [compiled(base.with_overrides({key: "x1.00002"}), gaps=False) for key in KEYS]
+    calls = {
+        "alone": lambda: alone.run(budget=False),
+        "point": lambda: tracks.run(budget=True),
+        "gradient": lambda: tracks.run(budget=False, variants=variants),
+        "fit": lambda: _core.fit(**fitted),
+    }
+    rows = []
+    for code in isa.available():
+        with instruction_set(code):
+            spent = fastest(calls, COVARIANCE_RUNS)
+        single, point = (1e6 * spent[name] / SAMPLES for name in ("alone", "point"))
+        fit = 1e6 * spent["fit"] / EVENTS
+        rows.append(OneCovariance(code, single, point, spent["gradient"] / spent["point"], fit))
+    return Numbers(rows)
+
+
+def measure_curves(_share: float) -> Numbers:
+    """Measure curves of 60 momenta."""
+    p = np.linspace(0.2, 2.0, 60)
+
+    def curve(how: dict[str, Any]) -> None:
+        for detector in DETECTORS:
+            _ = cg.analytic(detector, p=p, **how).sigma_p
+
+    calls = {name: lambda how=how: curve(how) for name, how in CURVES.items()}
+    return Numbers([CurveCost(name, 1e3 * spent) for name, spent in fastest(calls, COVARIANCE_RUNS).items()])
+
+
+def measure_fields(_share: float) -> Numbers:
+    """Measure the fit with the sides to be found out in each field, simulated and fitted, for each instruction set."""
+    calls = {}
+    for field in FIELDS:
+        result = cg.run(cg.load(DETECTOR).with_field(field), GUN, FIELD_EVENTS, SEED)
+        taken = arguments(result, hits_of(result), ALL_HITS)
+        calls[field] = lambda taken=taken: _core.fit(**taken)
+    rows = []
+    for code in isa.available():
+        with instruction_set(code):
+            spent = fastest(calls, FIELD_RUNS)
+        rows += [FieldCost(code, field, 1e6 * seconds / FIELD_EVENTS) for field, seconds in spent.items()]
+    return Numbers(rows)

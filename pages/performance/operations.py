@@ -1,9 +1,8 @@
-"""Instructions and floating-point operations per muon: ``python benchmarks/operations.py``, three minutes (valgrind).
+"""Instructions and floating-point operations per muon, counted by valgrind (callgrind) and objdump; Linux.
 
 Callgrind counts how often each instruction of the compiled core runs, the disassembly says what it is. Unlike times,
 the counts do not depend on what else the machine does. A run that calls a kernel twice more than another leaves the
-two calls when the other is subtracted. Valgrind does not know AVX-512: there the operations are those of AVX2. Writes
-`operations.csv`.
+two calls when the other is subtracted. Valgrind does not know AVX-512: there the operations are those of AVX2.
 """
 
 from __future__ import annotations
@@ -16,17 +15,18 @@ import sys
 import tempfile
 from collections import Counter, defaultdict
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from pathlib import Path
 
-from bench import DETECTOR, GUN, stage_calls
 from cgemit.base.isa import available
 from cgemit.detector import load
-from rows import write_rows
+from pages.page import ROOT, MissingToolError, Numbers
+from pages.performance.stages import stage_calls
+from pages.performance.timing import DETECTOR, GUN
 
 TRACKS = 128  # whole packs of any width
 KERNELS = ("simulate_kernel", "fit_kernel", "fit_lr_kernel")
 UNKNOWN_TO_VALGRIND = ("v4",)
-COLUMNS = ("instructions", "add", "multiply", "fused", "divide", "root", "operations")
 
 Address = tuple[str, int]  # library, offset
 ARITHMETIC = re.compile(r"v?(add|sub|mul|div|sqrt)(s|p)d$")
@@ -35,13 +35,33 @@ NAMES = {"add": "add", "sub": "add", "mul": "multiply", "div": "divide", "sqrt":
 WIDTHS = {"xmm": 2, "ymm": 4, "zmm": 8}
 
 
+@dataclass(frozen=True)
+class Counts:
+    """Instructions of a kernel per muon, and operations of each kind; of all, fused ones count two."""
+
+    kernel: str
+    isa: str
+    instructions: int
+    add: int
+    multiply: int
+    fused: int
+    divide: int
+    root: int
+    operations: int
+
+
+COLUMNS = tuple(Counts.__annotations__)[2:]
+
+
 def counted(stage: str, isa: str, folder: Path) -> Counter[Address]:
     """Return how often each instruction ran in a process that calls every kernel once, and `stage` twice more."""
     out = folder / f"{isa}-{stage or 'none'}"
+    program = f"from pages.performance.operations import calls; calls({stage!r})"
     subprocess.run(
-        ["valgrind", "--tool=callgrind", "--dump-instr=yes", f"--callgrind-out-file={out}", sys.executable,
-         __file__, "--calls", stage],
-        check=True, capture_output=True, env={**os.environ, "CGEMIT_ISA": isa, "OPENBLAS_NUM_THREADS": "1"},
+        ["valgrind", "--tool=callgrind", "--dump-instr=yes", f"--callgrind-out-file={out}",
+         sys.executable, "-c", program],
+        check=True, capture_output=True, cwd=ROOT,
+        env={**os.environ, "CGEMIT_ISA": isa, "OPENBLAS_NUM_THREADS": "1"},
     )  # fmt: skip
     return parsed(out.read_text().splitlines())
 
@@ -112,12 +132,11 @@ def per_track(counts: Counter[Address]) -> dict[str, float]:
     return {name: value / (2 * TRACKS) for name, value in total.items()}
 
 
-def main() -> int:
-    """Count, write and print."""
+def measure(_share: float) -> Numbers:
+    """Count the operations of each kernel for each instruction set that valgrind knows."""
     missing = [tool for tool in ("valgrind", "objdump") if shutil.which(tool) is None]
     if missing:
-        print(f"operations.py needs {' and '.join(missing)}", file=sys.stderr)
-        return 2
+        raise MissingToolError(f"it needs {' and '.join(missing)}")
     sets = [isa for isa in available() if isa not in UNKNOWN_TO_VALGRIND]
     with tempfile.TemporaryDirectory() as name, ThreadPoolExecutor(os.cpu_count()) as pool:
         jobs = [(stage, isa) for isa in sets for stage in ("", *KERNELS)]
@@ -127,13 +146,5 @@ def main() -> int:
             for stage in KERNELS:
                 counts = profiles[stage, isa].copy()
                 counts.subtract(profiles["", isa])
-                rows.append({"kernel": stage, "isa": isa, **{k: round(v) for k, v in per_track(counts).items()}})
-    write_rows("operations.csv", rows)
-    print(f"| {' | '.join(rows[0])} |\n|{'---|' * len(rows[0])}")
-    for row in rows:
-        print(f"| {' | '.join(f'{v:,}' if isinstance(v, int) else v for v in row.values())} |")
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(calls(sys.argv[2]) if sys.argv[1:2] == ["--calls"] else main())
+                rows.append(Counts(stage, isa, **{k: round(v) for k, v in per_track(counts).items()}))
+    return Numbers(rows)

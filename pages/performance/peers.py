@@ -1,17 +1,16 @@
-"""ACTS beside cgemit on the nearest layout that it can build: ``python benchmarks/peers.py``, a minute, needs `pyacts`.
+"""ACTS beside cgemit on the nearest layout that it can build; needs `pyacts`.
 
 Both in one process and one thread, muons from the origin, best of several runs in turns. ACTS gets 40 cylinders of
 matter at the radii and with the radiation lengths of the detector: beam pipe, three layers that measure r-phi and z,
 separator, 35 layers that measure r-phi. Its hits are smeared positions on these surfaces: no strips, no drift distance,
 no side of a wire, no inefficiency, and hits are assigned by truth. cgemit has its own detector, with strips and stereo
-wires, sides known; both fits start from the true helix smeared alike. Writes `peers.csv`.
+wires, sides known; both fits start from the true helix smeared alike.
 """
 
 from __future__ import annotations
 
 import csv
 import json
-import sys
 import tempfile
 import time
 from dataclasses import dataclass
@@ -20,13 +19,14 @@ from typing import Any
 
 import numpy as np
 
-from bench import DETECTOR, instruction_set, machine, stage_calls
 from cgemit.base.isa import available
 from cgemit.detector import Detector, load
 from cgemit.detector.matter import slabs
 from cgemit.particles.gun import Gun
-from cgemit.study import measure
-from rows import write_rows
+from cgemit.study import measure as width_of
+from pages.page import MissingToolError, Numbers, say
+from pages.performance.stages import stage_calls
+from pages.performance.timing import DETECTOR, instruction_set
 
 EVENTS, MUONS, RUNS = 20, 100, 3  # of ACTS: muons an event, and how often
 CASES = {"1 GeV/c, cos(theta) within 0.8": (1.0, 0.8), "0.3 GeV/c, cos(theta) within 0.8": (0.3, 0.8)}
@@ -41,6 +41,17 @@ MATERIAL = {
     "mean_excitation_energy": 79.6,
 }  # fmt: skip
 UNITS = {"length": "mm", "angle": "rad", "energy": "eV", "material_amount": "mol"}
+
+
+@dataclass(frozen=True)
+class Peer:
+    """Cost of a step per muon in both programs, us."""
+
+    case: str
+    what: str
+    isa: str
+    acts_us: float
+    us: float
 
 
 @dataclass(frozen=True)
@@ -184,7 +195,7 @@ def run_acts(built: Any, folder: Path, p: float, cos_theta: float, seed: int) ->
     per_muon = {name: 1e6 * seconds / (EVENTS * MUONS) for name, seconds in times.items()}
     q_over_p, measurements = (np.concatenate(column) for column in zip(*tracks, strict=True))
     fitted = (q_over_p != 0) & (measurements >= 38)
-    width = measure(np.abs(1 / q_over_p[fitted]) - p).core
+    width = width_of(np.abs(1 / q_over_p[fitted]) - p).core
     return {**per_muon, "sigma_p": width, "fitted": float(np.mean(fitted))}
 
 
@@ -221,11 +232,11 @@ def run_cgemit(detector: Detector, p: float, cos_theta: float) -> dict[str, floa
         costs[stage] = 1e6 * (time.perf_counter() - start) / (EVENTS * MUONS)
     tracks = calls["fit"]()["tracks"]
     good = tracks["status"] == 0
-    return {**costs, "sigma_p": measure(tracks["res_p"][good]).core, "fitted": float(np.mean(good))}
+    return {**costs, "sigma_p": width_of(tracks["res_p"][good]).core, "fitted": float(np.mean(good))}
 
 
-def compare(detector: Detector, built: Any, folder: Path, case: str) -> list[dict[str, Any]]:
-    """Measure one case in turns and return rows: what, us per muon here and there, ratio."""
+def compare(detector: Detector, built: Any, folder: Path, case: str) -> list[Peer]:
+    """Measure one case in turns."""
     p, cos_theta = CASES[case]
     theirs = [run_acts(built, folder, p, cos_theta, seed) for seed in range(1, RUNS + 1)]
     ours = {}
@@ -242,39 +253,28 @@ def compare(detector: Detector, built: Any, folder: Path, case: str) -> list[dic
         ("fit, smoother, state at the origin", fit, "fit_kernel"),
         ("the same with tables, first helix from the hits", fit, "fit"),
     )
-    rows = []
-    for isa, runs in ours.items():
-        for what, names, stage in pairs:
-            acts_us, us = best(theirs, *names), best(runs, stage)
-            rows.append({"case": case, "what": what, "isa": isa, "acts_us": round(acts_us, 2), "us": round(us, 2),
-                         "ratio": round(acts_us / us, 1)})  # fmt: skip
-    print(
-        f"{case}: sigma(p) {1e3 * theirs[0]['sigma_p']:.2f} MeV/c in ACTS, {1e3 * runs[0]['sigma_p']:.2f} here; fitted "
-        f"{theirs[0]['fitted']:.2%} there, {runs[0]['fitted']:.2%} here",
-        file=sys.stderr,
+    rows = [
+        Peer(case, what, isa, best(theirs, *names), best(runs, stage))
+        for isa, runs in ours.items()
+        for what, names, stage in pairs
+    ]
+    here = next(iter(ours.values()))[0]
+    say(
+        f"{case}: sigma(p) {1e3 * theirs[0]['sigma_p']:.2f} MeV/c in ACTS, {1e3 * here['sigma_p']:.2f} here; fitted "
+        f"{theirs[0]['fitted']:.2%} there, {here['fitted']:.2%} here"
     )
     return rows
 
 
-def main() -> int:
-    """Measure, write and print."""
+def measure(_share: float) -> Numbers:
+    """Measure all cases."""
     try:
         import acts
-    except ModuleNotFoundError:
-        print("peers.py needs ACTS: pip install 'cgemit[validation]'", file=sys.stderr)
-        return 2
+    except ModuleNotFoundError as error:
+        raise MissingToolError("it needs ACTS: pip install 'cgemit[validation]'") from error
     detector = load(DETECTOR)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         built = geometry(cylinders(detector), folder)
         rows = [row for case in CASES for row in compare(detector, built, folder, case)]
-    write_rows("peers.csv", rows)
-    print(f"{machine()}; ACTS {'.'.join(map(str, acts.__version__))}\n")
-    print("| muons | what | ACTS us | cgemit | us | ratio |\n|---|---|---|---|---|---|")
-    for row in rows:
-        print("| {case} | {what} | {acts_us:.1f} | {isa} | {us:.1f} | {ratio:.1f} |".format(**row))
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+    return Numbers(rows, {"ACTS": ".".join(map(str, acts.__version__))})

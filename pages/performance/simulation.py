@@ -1,27 +1,22 @@
-"""What the parts of the simulation, and field maps, cost per muon: ``python benchmarks/simulation.py`` (a minute).
-
-One thread, the sample of `bench.py`, the smallest of several runs in processor time. A product of two 64 by 64
-matrices (numpy), timed in the same process, makes the numbers comparable between machines. Writes `simulation.csv` and
-`simulation_fields.csv`, with a row for each instruction set, and prints the tables of docs/performance.md.
-"""
+"""Cost of the parts of the simulation, of field maps in it, and of the analog read-outs; one thread, processor time."""
 
 from __future__ import annotations
 
-import sys
-import time
-from typing import Any
+from dataclasses import dataclass
 
-import numpy as np
-
-from bench import DETECTOR, GUN, SEED, instruction_set, machine
+import cgemit as cg
 from cgemit import isa
 from cgemit.detector import Detector, load
+from cgemit.detector.readouts import Apv25Readout, Readout, TigerReadout
 from cgemit.particles.gun import generate
+from cgemit.simulation.digitize import digitizer_of
 from cgemit.simulation.transport import SimulateSettings, simulate
-from rows import write_rows
+from cgemit.tables import Table
+from pages.page import Numbers
+from pages.performance.fits import FieldCost
+from pages.performance.timing import DETECTOR, GUN, SEED, fastest, instruction_set, product_us
 
-EVENTS = 4000
-RUNS = 15
+EVENTS, RUNS = 4000, 15
 CASES = {
     "no fluctuations": SimulateSettings(fluctuations="off", deltas=False),
     "scattering, straggling and ionization": SimulateSettings(deltas=False),
@@ -31,61 +26,78 @@ CASES = {
     "default, every sub-layer by itself": SimulateSettings(sublayers=True),
 }
 FIELDS = ("uniform", "besiii", "finite-solenoid")  # the last one on a grid in (r, z)
+READOUT_MUONS, READOUT_SEED, READOUT_RUNS, FACTORS = 500, 5, 7, (1, 2, 4, 8)
 
 
-def product_us() -> float:
-    """Return the processor time of a product of two 64 by 64 matrices, us; best of many."""
-    a = np.random.default_rng(1).normal(size=(64, 64))
-    best = np.inf
-    for _ in range(300):
-        start = time.process_time()
-        for _ in range(10):
-            a @ a
-        best = min(best, time.process_time() - start)
-    return 1e5 * best
+@dataclass(frozen=True)
+class CaseCost:
+    """Cost per muon of one way to simulate: us, and in products of two 64 by 64 matrices."""
+
+    case: str
+    us: float
+    products: float
+
+
+@dataclass(frozen=True)
+class ReadoutCost:
+    """Digitization and clustering of a muon with a mean number of electrons, us."""
+
+    isa: str
+    readout: str
+    electrons: float
+    us: float
 
 
 def costs_us(calls: dict[str, tuple[Detector, SimulateSettings]]) -> dict[str, float]:
-    """Return us per muon of each; they take turns, so that a machine whose speed changes does not matter."""
+    """Return us per muon of each."""
     particles = generate(GUN, EVENTS, SEED)
-    best = dict.fromkeys(calls, np.inf)
-    for _ in range(RUNS):
-        for name, (detector, settings) in calls.items():
-            start = time.process_time()
-            simulate(detector, particles, settings, SEED)
-            best[name] = min(best[name], 1e6 * (time.process_time() - start) / EVENTS)
-    return best
+    works = {name: lambda how=how: simulate(how[0], particles, how[1], SEED) for name, how in calls.items()}
+    return {name: 1e6 * spent / EVENTS for name, spent in fastest(works, RUNS).items()}
 
 
-def field_rows() -> list[dict[str, Any]]:
-    """Return us per muon in every field and the ratio to the uniform one, for each instruction set."""
+def measure_cases(_share: float) -> Numbers:
+    """Measure all ways to simulate."""
+    unit, detector = product_us(), load(DETECTOR)
+    costs = costs_us({name: (detector, settings) for name, settings in CASES.items()})
+    return Numbers([CaseCost(name, cost, cost / unit) for name, cost in costs.items()])
+
+
+def measure_fields(_share: float) -> Numbers:
+    """Measure the default simulation in every field for each instruction set."""
     calls = {field: (load(DETECTOR).with_field(field), SimulateSettings()) for field in FIELDS}
     rows = []
     for code in isa.available():
         with instruction_set(code):
-            costs = costs_us(calls)
-        rows += [{"isa": code, "field": field, "us": round(us, 2), "ratio": round(us / costs["uniform"], 2)}
-                 for field, us in costs.items()]  # fmt: skip
-    return rows
+            rows += [FieldCost(code, field, us) for field, us in costs_us(calls).items()]
+    return Numbers(rows)
 
 
-def main() -> int:
-    """Measure, write and print."""
-    unit = product_us()
-    costs = costs_us({name: (load(DETECTOR), settings) for name, settings in CASES.items()})
-    rows = [{"case": name, "us": round(cost, 2), "products": round(cost / unit, 2)} for name, cost in costs.items()]
-    write_rows("simulation.csv", rows)
-    fields = field_rows()
-    write_rows("simulation_fields.csv", fields)
-    print(f"{machine()}; one product {unit:.1f} us\n")
-    print("| simulated | us per muon | in products of matrices |\n|---|---|---|")
-    for row in rows:
-        print(f"| {row['case']} | {row['us']:.1f} | {row['products']:.2f} |")
-    print("\n| code | field | us per muon | over uniform |\n|---|---|---|---|")
-    for field in fields:
-        print(f"| {field['isa']} | {field['field']} | {field['us']:.1f} | {field['ratio']:.2f} |")
-    return 0
+def muons(n: int = READOUT_MUONS) -> cg.Result:
+    """Return muons of 1 GeV/c with their ionization clusters."""
+    return cg.run(DETECTOR, GUN, n, READOUT_SEED, readout="tiger", until="simulate", threads=1)
 
 
-if __name__ == "__main__":
-    sys.exit(main())
+def with_electrons(steps: Table, factor: int) -> Table:
+    """Return the steps with so many times the electrons."""
+    return steps.with_columns(n_electrons=(factor * steps["n_electrons"]).astype(steps["n_electrons"].dtype))
+
+
+def read_out(result: cg.Result, readout: Readout, steps: Table) -> None:
+    """Digitize and cluster."""
+    digis = digitizer_of(readout).digitize(result.detector, result.truths, steps, READOUT_SEED)
+    cg.cluster(result.detector, digis, readout=readout)
+
+
+def measure_readouts(_share: float) -> Numbers:
+    """Measure the analog read-outs against the number of electrons of the same muons."""
+    result, rows = muons(), []
+    for code in isa.available():
+        with instruction_set(code):
+            for readout in (TigerReadout(), Apv25Readout()):
+                for factor in FACTORS:
+                    steps = with_electrons(result.steps, factor)
+                    calls = {"all": lambda one=readout, steps=steps: read_out(result, one, steps)}
+                    us = 1e6 * fastest(calls, READOUT_RUNS)["all"] / READOUT_MUONS
+                    electrons = float(steps["n_electrons"].sum()) / READOUT_MUONS
+                    rows.append(ReadoutCost(code, readout.name, electrons, us))
+    return Numbers(rows)

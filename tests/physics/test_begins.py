@@ -3,17 +3,17 @@
 import numpy as np
 import pytest
 
-import begins
 import cgemit as cg
 from cgemit import helix
 from cgemit.reconstruction.fit import FAR, displaced, fit, slabs_inside
+from pages import robustness
 
 BZ = -1.0
 
 
 @pytest.fixture(scope="module")
 def samples():
-    return begins.samples(35.0, 500)
+    return robustness.samples(35.0, 500)
 
 
 def test_slow_pions_from_outside_the_beam_pipe(samples):
@@ -23,9 +23,9 @@ def test_slow_pions_from_outside_the_beam_pipe(samples):
     far = {}
     for name, tracks in (("before", run.tracks), ("after", again)):
         good = (tracks["status"] == 0) & (tracks["chi2"] / tracks["ndf"] < 2)
-        outside = np.abs(begins.pulls(run, tracks)) > begins.FAR
+        outside = np.abs(robustness.pulls(run, tracks)) > robustness.FAR
         far[name] = [outside.any(axis=1)[good & mine].mean() for mine in (begin > 0, begin < 0)]
-        kappa = begins.pulls(run, tracks)[:, 2]
+        kappa = robustness.pulls(run, tracks)[:, 2]
         far[name] += [
             0.5 * np.subtract(*np.quantile(kappa[good & mine], [0.84, 0.16])) for mine in (begin > 0, begin < 0)
         ]
@@ -41,10 +41,10 @@ def test_displaced_tracks_are_marked(samples):
     run, again, _ = samples
     for tracks in (run.tracks, again):
         assert 0.7 < tracks["displaced"][tracks["status"] == 0].mean() < 0.9
-    far = (np.abs(begins.pulls(run, run.tracks)) > begins.FAR).any(axis=1) & (run.tracks["status"] == 0)
+    far = (np.abs(robustness.pulls(run, run.tracks)) > robustness.FAR).any(axis=1) & (run.tracks["status"] == 0)
     assert far.sum() > 20
     assert run.tracks["displaced"][far].mean() > 0.8
-    line = cg.run("besiii-cgem-design", begins.pions(0.0, 500), seed=1).tracks
+    line = cg.run("besiii-cgem-design", robustness.pions(0.0, 500), seed=1).tracks
     assert line["displaced"].sum() <= 8  # five are expected
 
 

@@ -1,6 +1,6 @@
 """Delta electrons displace deposits in a drift gap as Geant4 says, and a wrong field or cathode is seen.
 
-Reference, arrangement and tolerances are those of `python validation/geant4.py`; here with fewer muons.
+Reference, arrangement and tolerances are those of `python -m pages renew deltas`; here with fewer muons.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import pytest
 from cgemit import _core
 from cgemit.detector import compiled, gas, load, slabs
 from cgemit.detector.core import forget
-from delta_fractions import Fraction, born, failures, measure, reference_stack
+from pages.deltas import Fraction, born, displaced, failures, reference_stack
 from slabs import MUON
 from stats import assert_within
 
@@ -22,7 +22,7 @@ N = 100_000
 
 def fractions(**changes: object) -> list[Fraction]:
     """Return the fractions in the arrangement of the Geant4 run, with changes to the detector."""
-    return measure(reference_stack().with_overrides(changes), N, seed=5)
+    return displaced(reference_stack().with_overrides(changes), N, seed=5)
 
 
 def test_displaced_deposits_are_as_frequent_as_in_geant4() -> None:
@@ -53,7 +53,7 @@ def test_what_is_behind_the_second_foil_sends_electrons_back() -> None:
     """The whole layer has more of them far from the track, which is why it is not what the gate is about."""
     far = {
         detector: next(row for row in rows if (row.view, row.origin, row.distance) == ("r-phi", "behind", 5.0))
-        for detector, rows in (("reference", fractions()), ("whole", measure(load("besiii-cgem"), N, seed=5)))
+        for detector, rows in (("reference", fractions()), ("whole", displaced(load("besiii-cgem"), N, seed=5)))
     }
     error = np.hypot(far["reference"].error, far["whole"].error)
     assert far["whole"].percent - far["reference"].percent > 4 * error

@@ -7,7 +7,7 @@ import pytest
 
 import stats
 from cgemit.reconstruction.fit import FitSettings
-from robustness import SCENARIOS, WITHOUT_DECAYS, run_scenario
+from pages.scenarios import SCENARIOS, WITHOUT_DECAYS, run_scenario
 
 EVENTS = 600
 BY_NAME = {scenario.name: scenario for scenario in SCENARIOS}

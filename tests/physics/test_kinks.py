@@ -16,8 +16,7 @@ from cgemit import _core
 from cgemit.reconstruction.fit import PARAMETERS, FitSettings
 from exact import EXACT
 from fields import HARMONIC
-from optimal import Optimum, optimum
-from plain_tracks import Hit, follow, stack_of
+from pages.optimal import Hit, Optimum, follow, optimum, stack_of
 from tracks import hits_of_result
 
 CUT = (_core.CORE_CUT_XI, _core.CORE_CUT_SHARE)
@@ -54,7 +53,7 @@ def optimal_estimate(result: cg.Result, track: int) -> Optimum:
 def best(result: cg.Result, track: int) -> tuple[np.ndarray, float]:
     """Return helix and chi-square of the best track: helix, angles, losses and shifts free, in plain numpy.
 
-    `plain_tracks` follows every track anew; the spreads of angles and losses are those on the fitted helix.
+    `pages.optimal` follows every track anew; the spreads of angles and losses are those on the fitted helix.
     """
     hits, measured = hits_of(result, track)
     errors = np.array([hit.sigma for hit in hits])

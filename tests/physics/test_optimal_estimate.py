@@ -1,22 +1,19 @@
-"""The fit's errors are those of the optimal linear estimate, worked out by other means (`validation/optimal.py`)."""
+"""The fit's errors are those of the optimal linear estimate, worked out by other means (`pages/optimal.py`)."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-import plain_tracks
 from cgemit import _core
 from cgemit.chain.run import run
 from cgemit.detector import compiled, load
 from cgemit.particles.gun import Gun
 from cgemit.reconstruction.fit import FitSettings
 from exact import EXACT
-from fit_results import N_SIGMA, Point
-from fit_samples import measure_point
-from linear_table import TABLE, lossless_stack, table_stack
-from optimal import Stack, errors, optimum
-from plain_tracks import Hit
+from pages.fit import N_SIGMA, Point, measure_point
+from pages.linear_table import TABLE, lossless_stack, table_stack
+from pages.optimal import WIRE, Hit, Stack, errors, optimum
 from tracks import MUON, hits_on
 
 CUT = (_core.CORE_CUT_XI, _core.CORE_CUT_SHARE)
@@ -93,9 +90,7 @@ def test_gate_sees_wires_that_are_worse_than_believed() -> None:
     detector = load("besiii-cgem-design")
     tracks = run(detector, Gun("mu-", p=1.0, cos_theta=0.0), 2000, seed=3, settings=EXACT).tracks
     _, helix, _, hits = track("besiii-cgem-design", 1.0, 0.0)
-    wrong = [
-        Hit(hit.kind, hit.layer, hit.channel, 0.16 if hit.kind == plain_tracks.WIRE else hit.sigma) for hit in hits
-    ]
+    wrong = [Hit(hit.kind, hit.layer, hit.channel, 0.16 if hit.kind == WIRE else hit.sigma) for hit in hits]
     expected = errors(helix, optimum(detector, wrong, helix, MUON, CUT).cov)["p"]
     assert tracks["res_p"].std() < 0.9 * expected
 

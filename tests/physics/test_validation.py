@@ -1,6 +1,6 @@
-"""Scattering and energy loss in slabs against Geant4 (validation/data), within the tolerances of docs/validation.md.
+"""Scattering and energy loss in slabs against Geant4 (pages/reference), within the tolerances of docs/validation.md.
 
-Reference and tolerances are those of `python validation/geant4.py`; here with fewer particles.
+Reference and tolerances are those of `python -m pages renew geant4`; here with fewer particles.
 """
 
 import dataclasses
@@ -9,7 +9,7 @@ import pytest
 
 import cgemit as cg
 from cgemit.simulation.slab import SlabResult
-from geant4_reference import ANGLES, SLABS, Comparison, cases, compare, read
+from pages.geant4 import ANGLES, SLABS, Comparison, cases, compare, read
 
 N = 100_000
 

@@ -1,6 +1,6 @@
 """Pulls, chi-square, residuals, losses and sides of fitted tracks within the tolerances of docs/validation.md.
 
-Points, seeds and tolerances are those of `python validation/fit.py`; here with fewer points and tracks. Widths are
+Points, seeds and tolerances are those of `python -m pages renew fit`; here with fewer points and tracks. Widths are
 compared with the optimum in test_optimal_estimate.py.
 """
 
@@ -11,10 +11,23 @@ from dataclasses import replace
 import pytest
 
 import cgemit as cg
-import fit_samples
 from cgemit.chain.result import Result
-from fit_results import ANGLES, DETECTORS, MOMENTA, PARTICLES, FitResults, Point, failures, wrong_sides
-from fit_samples import MODES, grid, measure_losses, measure_point, measure_sides
+from pages import fit
+from pages.fit import (
+    ANGLES,
+    DETECTORS,
+    MODES,
+    MOMENTA,
+    PARTICLES,
+    FitResults,
+    Point,
+    failures,
+    grid,
+    measure_losses,
+    measure_point,
+    measure_sides,
+    wrong_sides,
+)  # fmt: skip
 
 TRACKS = 2000
 
@@ -38,13 +51,13 @@ POINTS = some_points()
 @pytest.fixture(autouse=True)
 def no_optimum(monkeypatch: pytest.MonkeyPatch) -> None:
     """Leave out the independent calculation, which takes longer than everything else."""
-    monkeypatch.setattr(fit_samples, "_has_optimum", lambda point: False)
+    monkeypatch.setattr(fit, "_has_optimum", lambda point: False)
 
 
 def results(point: Point) -> FitResults:
     """Return what the validation measures at a point."""
     pulls, chi2, residuals, widths = measure_point(point, TRACKS, 2)
-    return FitResults(pulls, [chi2], residuals, widths, losses=[], sides=[], known=[], about={})
+    return FitResults(pulls, [chi2], residuals, widths, losses=[], sides=[], known=[])
 
 
 def test_points_cover_the_grid() -> None:
@@ -106,6 +119,6 @@ def test_sides_are_found_at_no_cost() -> None:
 
 def test_wires_that_measure_badly_hide_sides(monkeypatch: pytest.MonkeyPatch) -> None:
     worse = cg.load(DETECTORS[0]).with_overrides({"drift_chamber.sigma": "0.4 mm"})
-    monkeypatch.setattr(fit_samples, "DETECTORS", (worse,))
+    monkeypatch.setattr(fit, "DETECTORS", (worse,))
     sides, known = measure_sides(500, 2)
     assert all(wrong_sides(sides, row.p) > 1e-3 for row in known)

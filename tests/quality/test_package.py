@@ -30,7 +30,7 @@ def blocks(language: str) -> list[str]:
 
 def repository_files() -> Iterator[Path]:
     """Yield our own text files."""
-    folders = ("src", "tests", "docs", "benchmarks", "notebooks", "validation", ".ci")
+    folders = ("src", "tests", "docs", "notebooks", "pages", "tools", ".ci")
     for path in [*ROOT.iterdir(), *(p for folder in folders for p in (ROOT / folder).rglob("*"))]:
         hidden = "__pycache__" in path.parts or path.name == ".git"
         if path.is_file() and path.suffix in TEXT and not hidden:

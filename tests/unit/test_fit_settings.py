@@ -9,7 +9,6 @@ from typing import get_args
 import numpy as np
 import pytest
 
-from bench import smeared
 from cgemit import _core, helix
 from cgemit.chain import run, settings
 from cgemit.chain.match import joined, match
@@ -20,6 +19,7 @@ from cgemit.reconstruction.find import by_truth
 from cgemit.reconstruction.fit import PARAMETERS, ClusterErrors, FitSettings, FitStatus, fit
 from cgemit.simulation.digitize import DigitizeSettings, digitize
 from cgemit.simulation.transport import SimulateSettings, simulate
+from pages.performance.stages import smeared
 
 DETECTOR = load("besiii-cgem-design")
 

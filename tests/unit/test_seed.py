@@ -8,7 +8,7 @@ from cgemit import _core, helix
 from cgemit.chain import run
 from cgemit.detector import compiled, load
 from cgemit.reconstruction.candidates import collect_hits
-from robustness import SCENARIOS, Hits, exchange_clusters
+from pages.scenarios import SCENARIOS, Hits, exchange_clusters
 
 DETECTOR = load("besiii-cgem-design")
 ALL = _core._testing.SeedFrom.wires_and_clusters

@@ -1,4 +1,4 @@
-"""A variant takes from its base what it does not change; `benchmarks/variants.py` measures what that saves."""
+"""A variant takes from its base what it does not change; `pages/performance/designs.py` measures what that saves."""
 
 import pickle
 import tomllib

@@ -1,0 +1,1 @@
+"""Every measured table and picture of the documentation (`python -m pages`)."""

@@ -1,0 +1,212 @@
+"""docs/performance.md: time and memory per muon of each stage, on a machine that does nothing else."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.figure import Figure
+
+from pages.page import Found, Page, table
+from pages.performance import designs, fits, operations, peers, simulation, stages
+from pages.performance.fits import FieldCost
+from pages.performance.stages import CHAIN, Chain, Cost
+
+STAGES = {
+    "simulate_us": "simulation", "digitize_us": "digitization", "cluster_us": "clusters",
+    "find_us": "hits assigned by truth", "fit_us": "fit, sides known", "fit_lr_us": "fit, sides unknown",
+    "simulate_kernel_us": "*kernel*: simulation", "fit_kernel_us": "*kernel*: fit, sides known, two iterations",
+    "fit_lr_kernel_us": "*kernel*: fit, sides unknown",
+}  # fmt: skip
+KERNELS = {
+    "simulate_kernel": "simulation", "fit_kernel": "fit, sides known", "fit_lr_kernel": "fit, sides unknown"
+}  # fmt: skip
+SAME_OPERATIONS = {"v4": "v3"}  # what valgrind cannot count
+COLOURS = ("#999999", "#56B4E9", "#0072B2", "#D55E00", "#009E73", "#CC79A7")
+
+
+def _stages(rows: Sequence[Cost]) -> str:
+    """Return the table of stages, a column for each instruction set and number of threads."""
+    head = ["us per muon", *(f"{row.isa}, {row.threads} thread{'s' * (row.threads != 1)}" for row in rows)]
+    return table(head, [[text, *(f"{getattr(row, name):.2f}" for row in rows)] for name, text in STAGES.items()])
+
+
+def _threads(rows: Sequence[Cost]) -> str:
+    """Return the gain by the second thread."""
+    single = {row.isa: row for row in rows if row.threads == 1}
+    lines = [
+        [isa, *(f"{getattr(one, name) / getattr(two, name):.2f}"
+                for name in ("simulate_us", "fit_us", "fit_lr_us", "fit_kernel_us"))]
+        for isa, one in single.items() for two in rows if (two.isa, two.threads) == (isa, 2)
+    ]  # fmt: skip
+    columns = ("simulation", "fit, sides known", "fit, sides unknown", "kernel of the fit")
+    return table(["gain by the second thread", *columns], lines)
+
+
+def _fits(rows: Sequence[fits.OneFit]) -> str:
+    head = ["us per fit", "sides known, two iterations", "sides unknown", "ratio"]
+    return table(head, [[row.isa, f"{row.known_us:.2f}", f"{row.unknown_us:.2f}",
+                         f"{row.unknown_us / row.known_us:.2f}"] for row in rows])  # fmt: skip
+
+
+def _covariances(rows: Sequence[fits.OneCovariance]) -> str:
+    head = ["us per track", "single track", "of a point", "gradient / of a point"]
+    head += ["fit, two iterations", "fit / of a point"]
+    return table(head, [[row.isa, f"{row.alone_us:.2f}", f"{row.of_a_point_us:.2f}", f"{row.gradient:.1f}",
+                         f"{row.fit_us:.2f}", f"{row.fit_us / row.of_a_point_us:.2f}"] for row in rows])  # fmt: skip
+
+
+def _chain(rows: Sequence[Chain]) -> str:
+    lines = [
+        [f"{row.events:,}", *(f"{getattr(row, name):.1f}" for name in (*CHAIN, "all")), f"{row.all / row.product:.1f}"]
+        for row in rows
+    ]
+    return table(["muons", *CHAIN, "all", "all / product"], lines)
+
+
+def _memory(rows: Sequence[stages.Memory]) -> str:
+    lines = [[row.case, f"{row.tables_bytes:,.0f}", f"{row.peak_bytes:,.0f}"] for row in rows]
+    return table(["kept", "tables, bytes per muon", "peak of the process, bytes per muon"], lines)
+
+
+def _operations(rows: Sequence[operations.Counts], costs: Sequence[Cost]) -> str:
+    """Return the table of operations, times and the share of what a core can do."""
+    counts, lines = {(row.kernel, row.isa): row for row in rows}, []
+    for kernel, text in KERNELS.items():
+        for cost in (row for row in costs if row.threads == 1):
+            own = counts.get((kernel, cost.isa))
+            count = own or counts.get((kernel, SAME_OPERATIONS.get(cost.isa, "")))
+            if count is None:
+                continue
+            us = getattr(cost, f"{kernel}_us")
+            rate = count.operations / us / 1e3
+            lines.append([text, cost.isa, f"{own.instructions:,}" if own else "—", f"{count.operations:,}",
+                          f"{count.divide + count.root:,}", f"{us:.2f}", f"{rate:.2f}",
+                          f"{rate / cost.limit_gflops:.1%}"])  # fmt: skip
+    head = ["kernel", "code", "instructions", "operations", "of these / and √", "us", "operations per ns"]
+    return table([*head, "of the limit"], lines)
+
+
+def _peers(rows: Sequence[peers.Peer]) -> str:
+    lines = [[row.case, row.what, f"{row.acts_us:.1f}", row.isa, f"{row.us:.2f}", f"{row.acts_us / row.us:.1f}"]
+             for row in rows]  # fmt: skip
+    return table(["muons", "what", "ACTS, us", "code", "cgemit, us", "ratio"], lines)
+
+
+def _cases(rows: Sequence[simulation.CaseCost]) -> str:
+    lines = [[row.case, f"{row.us:.1f}", f"{row.products:.2f}"] for row in rows]
+    return table(["simulated", "us per muon", "in products of matrices"], lines)
+
+
+def _fields(rows: Sequence[FieldCost]) -> str:
+    uniform = {row.isa: row.us for row in rows if row.field == "uniform"}
+    lines = [[row.isa, row.field, f"{row.us:.1f}", f"{row.us / uniform[row.isa]:.2f}"] for row in rows]
+    return table(["code", "field", "us per muon", "over uniform"], lines)
+
+
+def _readouts(rows: Sequence[simulation.ReadoutCost]) -> str:
+    """Return the times, a straight line through them, and the largest distance from it."""
+    lines, head = [], [""]
+    for isa, readout in dict.fromkeys((row.isa, row.readout) for row in rows):
+        mine = [row for row in rows if (row.isa, row.readout) == (isa, readout)]
+        electrons, us = (np.array([getattr(row, name) for row in mine]) for name in ("electrons", "us"))
+        slope, rest = np.polyfit(electrons, us, 1)
+        off = np.max(np.abs(us / (rest + slope * electrons) - 1))
+        head = [f"{n:.0f} electrons" for n in electrons]
+        lines.append([isa, readout, *(f"{one:.1f}" for one in us), f"{slope:.3f}", f"{rest:.1f}", f"{100 * off:.1f} %"])
+    return table(["isa", "readout", *head, "us per electron", "us without", "from a line"], lines)
+
+
+def _range(values: Sequence[float]) -> str:
+    return f"{min(values):.1f} to {max(values):.1f}"
+
+
+def blocks(found: Found) -> dict[str, str]:
+    """Return all tables and the numbers of the text."""
+    rows: dict[str, Sequence[Any]] = {name: numbers.rows for name, numbers in found.items()}
+    about = found["stages"].about
+    curves = {f"curve-{row.curve.split()[0].strip(',')}": f"{row.ms:.2g}" for row in rows["curves"]}
+    sweeps = [f"{row.wall_ms:.1f} ms {'a design ' * (i == 0)}with {row.samples}{' samples' * (i == 0)}"
+              for i, row in enumerate(rows["sweeps"])]  # fmt: skip
+    return {
+        "about": f"{about['machine']}; {about['versions']}.",
+        "stages": _stages(rows["stages"]),
+        "threads": _threads(rows["stages"]),
+        "fits": _fits(rows["fits"]),
+        "covariances": _covariances(rows["covariances"]),
+        **curves,
+        "variants": _range([row.variant_ms for row in rows["variants"]]),
+        "sweeps": f"{', '.join(sweeps[:-1])} and {sweeps[-1]}",
+        "chain": _chain(rows["chain"]),
+        "memory": _memory(rows["memory"]),
+        "limit": f"{rows['stages'][0].limit_gflops:.1f}",
+        "operations": _operations(rows["operations"], rows["stages"]),
+        "peers": _peers(rows["peers"]),
+        "simulation": _cases(rows["simulation"]),
+        "simulation-fields": _fields(rows["simulation_fields"]),
+        "fit-fields": _fields(rows["fit_fields"]),
+        "readouts": _readouts(rows["readouts"]),
+    }
+
+
+def draw_stages(found: Found) -> Figure:
+    """Draw a group of bars for each stage."""
+    rows: Sequence[Cost] = found["stages"].rows
+    names = [name for name in STAGES if name != "find_us"]
+    figure, axes = plt.subplots(figsize=(9.2, 4.4), dpi=100)
+    width = 0.84 / len(rows)
+    isas = list(dict.fromkeys(row.isa for row in rows))
+    for i, row in enumerate(rows):
+        x = np.arange(len(names)) + (i - 0.5 * (len(rows) - 1)) * width
+        label = f"{row.isa}, {row.threads} thread{'s' * (row.threads != 1)}"
+        colour, alpha = COLOURS[isas.index(row.isa)], 1 if row.threads == 1 else 0.5
+        axes.bar(x, [getattr(row, n) for n in names], width * 0.94, color=colour, alpha=alpha, label=label)
+    labels = [STAGES[n].replace("*kernel*: ", "kernel:\n").replace(", two iterations", "").replace("t, s", "t,\ns")
+              for n in names]  # fmt: skip
+    axes.set_xticks(np.arange(len(names)), labels, fontsize=8)
+    axes.set(yscale="log", ylabel="us per muon")
+    axes.grid(axis="y", alpha=0.3)
+    axes.legend(ncols=4, frameon=False, fontsize=8, loc="lower center", bbox_to_anchor=(0.5, 1.0))
+    figure.tight_layout()
+    return figure
+
+
+def draw_chain(found: Found) -> Figure:
+    """Draw the costs against the number of muons."""
+    rows: Sequence[Chain] = found["chain"].rows
+    figure, axes = plt.subplots(figsize=(6.4, 4.2), dpi=100)
+    for name in (*CHAIN, "all"):
+        style: dict[str, Any] = {"color": "black", "lw": 2} if name == "all" else {"lw": 1.3}
+        axes.plot([row.events for row in rows], [getattr(row, name) for row in rows], "o-", ms=4, label=name, **style)
+    axes.set(xscale="log", yscale="log", xlabel="muons", ylabel="us per muon, one thread")
+    axes.grid(alpha=0.3)
+    axes.legend(ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0), frameon=False)
+    figure.tight_layout()
+    return figure
+
+
+PAGE = Page(
+    "performance",
+    "docs/performance.md",
+    "10 min, quiet",
+    {
+        "stages": (Cost, stages.measure_stages),
+        "fits": (fits.OneFit, fits.measure_fits),
+        "covariances": (fits.OneCovariance, fits.measure_covariances),
+        "curves": (fits.CurveCost, fits.measure_curves),
+        "fit_fields": (FieldCost, fits.measure_fields),
+        "chain": (Chain, stages.measure_chain),
+        "memory": (stages.Memory, stages.measure_memory),
+        "simulation": (simulation.CaseCost, simulation.measure_cases),
+        "simulation_fields": (FieldCost, simulation.measure_fields),
+        "readouts": (simulation.ReadoutCost, simulation.measure_readouts),
+        "variants": (designs.VariantCost, designs.measure_variants),
+        "sweeps": (designs.SweepCost, designs.measure_sweeps),
+        "operations": (operations.Counts, operations.measure),
+        "peers": (peers.Peer, peers.measure),
+    },
+    blocks,
+    {"performance-stages.png": draw_stages, "performance-tracks.png": draw_chain},
+)
