@@ -186,10 +186,10 @@ def new_folder(path: str | os.PathLike[str], *, overwrite: bool = False) -> Iter
     """Give a temporary folder beside `path` whose files come to `path` when the block ends well.
 
     If the block raises (Ctrl-C too), the temporary folder is removed and `path` is as it was; folders that killed
-    runs left beside `path` are removed, too. The new folder appears at once, by renaming. With `overwrite`, it takes
-    the files of the old one that are not replaced, except `summary.json`, `run.json` and `tables.json`, with the
-    tables it lists. Of two runs into the same place, one gets an error, or with `overwrite` the last one replaces the
-    other as a whole.
+    runs left beside `path` are removed, too. A new folder appears at once, by renaming. With `overwrite`, the files
+    are moved into a folder that is there: other files stay, but for `summary.json`, `run.json` and `tables.json`, with
+    the tables that it lists. These are removed first, and come last, so that a folder that has them is complete. Of
+    two runs into the same place, one gets an error, or with `overwrite` the last one replaces the other.
 
     Raises
     ------
@@ -283,54 +283,18 @@ def _remove_left(target: Path) -> None:
 
 
 def _publish(temporary: Path, target: Path, *, overwrite: bool) -> None:
-    """Put the temporary folder in the place of the target."""
+    """Rename the temporary folder, or move its files into the target; indexes go first and come last."""
     check_free(target, overwrite=overwrite)
-    _take_over(temporary, target)
-    if target.exists() and _stays_in_use(target):
-        _replace_files(temporary, target)
-        return
-    old = temporary.with_suffix(".old")
-    if target.exists():
-        target.rename(old)
-    try:
-        temporary.rename(target)
-    except OSError:
-        if old.exists():
-            old.rename(target)
-        raise
-    shutil.rmtree(old, ignore_errors=True)
-
-
-def _stays_in_use(folder: Path) -> bool:
-    """Tell whether a folder cannot be replaced by another one: a mount point, or the current folder, or above it."""
-    return folder.is_mount() or Path.cwd().resolve().is_relative_to(folder)
-
-
-def _take_over(temporary: Path, target: Path) -> None:
-    """Link the files of the target that stay into the temporary folder."""
     if not target.exists():
+        temporary.rename(target)
         return
-    gone = {target / name for name in (*_tables_in(target), *_INDEXES)}
-    for source in sorted(target.rglob("*")):
-        place = temporary / source.relative_to(target)
-        if source in gone or (source.is_dir() and not source.is_symlink()) or place.exists():
-            continue
-        place.parent.mkdir(parents=True, exist_ok=True)
-        try:
-            place.hardlink_to(source) if not source.is_symlink() else place.symlink_to(source.readlink())
-        except OSError:
-            shutil.copy2(source, place)
-
-
-def _replace_files(temporary: Path, target: Path) -> None:
-    """Move the files into a folder that stays; the indexes go first and come last."""
     for name in (*_tables_in(target), *_INDEXES):
         (target / name).unlink(missing_ok=True)
     for source in sorted(temporary.rglob("*"), key=lambda file: file.name in _INDEXES):
         if source.is_file() or source.is_symlink():
             place = target / source.relative_to(temporary)
             place.parent.mkdir(parents=True, exist_ok=True)
-            shutil.move(source, place)
+            shutil.move(source, place)  # the target may be a mount point
 
 
 def _tables_in(folder: Path) -> list[str]:
