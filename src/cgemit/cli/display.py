@@ -27,7 +27,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     add_gun(parser)
     parser.add_argument("--event", type=options.event, default=0, metavar="N", help="number of the event (default 0)")
     parser.add_argument("--html", action="store_true", help="also write event.html, in three dimensions")
-    options.add_output(parser)
+    options.add_output(parser, required=True)
     options.add_readout(parser)
     add_finder(parser)
     options.add_hypothesis(parser)

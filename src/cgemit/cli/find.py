@@ -50,12 +50,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("-n", "--events", type=options.positive, required=True, metavar="N", help="number of events")
     parser.add_argument("--finder", choices=("truth", "ckf"), default="ckf", help="the finder (default ckf)")
     parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
-    parser.add_argument(
-        "-o", "--output", metavar="DIR", default=None, help="folder for the efficiency and summary.json"
-    )
-    parser.add_argument(
-        "--overwrite", action="store_true", help="write into a folder that already holds files, replacing results"
-    )
+    options.add_output(parser, "folder for the efficiency and summary.json")
     options.add_readout(parser)
     options.add_physics(parser)
     options.add_run(parser)

@@ -123,10 +123,9 @@ def _run(argv: list[str]) -> int:
 def _parse(argv: list[str], arguments: argparse.Namespace) -> None:
     """Read the command line; unknown commands and options get the nearest known one as a hint."""
     parser = build_parser(*argv[:1])
-    first = next((word for word in argv if not word.startswith("-")), None)
-    if first is not None and first not in COMMANDS and argv[0] == first:
-        hint = did_you_mean(first, COMMANDS, "; ") or "; expected one of " + ", ".join(COMMANDS)
-        parser.error(f"unknown command {first!r}{hint}")
+    if argv and not argv[0].startswith("-") and argv[0] not in COMMANDS:
+        hint = did_you_mean(argv[0], COMMANDS, "; ") or "; expected one of " + ", ".join(COMMANDS)
+        parser.error(f"unknown command {argv[0]!r}{hint}")
     _, unknown = parser.parse_known_args(argv, arguments)
     if unknown:
         chosen = next(a.choices for a in parser._actions if isinstance(a, argparse._SubParsersAction))

@@ -459,12 +459,16 @@ def add_field(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
 
 
-def add_output(parser: argparse.ArgumentParser, *, default: str | None = None) -> None:
+def add_output(
+    parser: argparse.ArgumentParser,
+    about: str = "folder for the results",
+    *,
+    default: str | None = None,
+    required: bool = False,
+) -> None:
     """Add the output folder and `--overwrite`."""
-    parser.add_argument(
-        "-o", "--output", metavar="DIR", default=default, required=default is None,
-        help="folder for the results" + (f" (default {default})" if default else ""),
-    )  # fmt: skip
+    about += f" (default {default})" if default else ""
+    parser.add_argument("-o", "--output", metavar="DIR", default=default, required=required, help=about)
     parser.add_argument(
         "--overwrite", action="store_true", help="write into a folder that already holds files, replacing results"
     )

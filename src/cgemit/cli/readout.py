@@ -71,8 +71,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("-d", "--detector", metavar="NAME|FILE", help="of the calibration")
     options.add_set(parser, "change one setting, such as digitize.readout.gain=20000; may be repeated")
     options.add_settings(parser)
-    parser.add_argument("-o", "--output", metavar="DIR", default=None, help="folder for readout.csv, .png and .pdf")
-    parser.add_argument("--overwrite", action="store_true", help="write over files that exist")
+    options.add_output(parser, "folder for readout.csv, .png and .pdf")
     options.add_run(parser)
     options.add_common(parser)
 

@@ -45,10 +45,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     options.add_hypothesis(parser)
     parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
-    parser.add_argument("-o", "--output", metavar="DIR", default=None, help="folder for tables, pictures, summary.json")
-    parser.add_argument(
-        "--overwrite", action="store_true", help="write into a folder that already holds files, replacing results"
-    )
+    options.add_output(parser, "folder for tables, pictures, summary.json")
     options.add_common(parser)
 
 

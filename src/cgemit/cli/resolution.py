@@ -69,7 +69,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         "first and the last, without events; both: lines and points",
     )  # fmt: skip
     parser.add_argument("--json", action="store_true", help="write summary.json to stdout instead of the table")
-    options.add_output(parser)
+    options.add_output(parser, required=True)
     options.add_hypothesis(parser)
     options.add_readout(parser)
     add_finder(parser, more=" (--set find.hypothesis=pi: the mass in their fit)")

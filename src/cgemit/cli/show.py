@@ -64,12 +64,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     options.add_field(parser)
     parser.add_argument("--json", action="store_true", help="print the numbers as JSON instead of tables")
     parser.add_argument("--gdml", action="store_true", help="write detector.gdml too")
-    parser.add_argument(
-        "-o", "--output", metavar="DIR", default=None, help="folder for the pictures (default cgemit-show-NAME)"
-    )
-    parser.add_argument(
-        "--overwrite", action="store_true", help="write into a folder that already holds files, replacing pictures"
-    )
+    options.add_output(parser, "folder for the pictures (default cgemit-show-NAME)")
 
 
 def run(arguments: argparse.Namespace) -> int:

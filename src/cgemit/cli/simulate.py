@@ -65,7 +65,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     options.add_hypothesis(parser, several=True)
     parser.add_argument("--json", action="store_true", help="write the summary to stdout as JSON")
-    options.add_output(parser)
+    options.add_output(parser, required=True)
     parser.add_argument(
         "--format",
         choices=tuple(FORMATS),

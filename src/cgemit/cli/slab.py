@@ -51,12 +51,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         help="screening of nuclei in multiple scattering: wentzel (default) or moliere",
     )  # fmt: skip
     parser.add_argument("--json", action="store_true", help="print the numbers as JSON instead of tables")
-    parser.add_argument(
-        "-o", "--output", metavar="DIR", default=None, help="folder for slab.png and slab.pdf, and summary.json"
-    )
-    parser.add_argument(
-        "--overwrite", action="store_true", help="write into a folder that already holds files, replacing results"
-    )
+    options.add_output(parser, "folder for slab.png and slab.pdf, and summary.json")
     options.add_seed(parser)
     options.add_common(parser)
 

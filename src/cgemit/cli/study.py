@@ -6,7 +6,6 @@ import argparse
 import json
 
 from cgemit.cli import options
-from cgemit.cli.options import add_common, add_field, add_output, add_run, positive
 from cgemit.cli.simulate import add_finder
 
 DESCRIPTION = """\
@@ -31,21 +30,21 @@ Ctrl-C leaves no results: the folder appears when everything is in it."""
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Add the options."""
-    add_output(parser, default="cgemit-study")
+    options.add_output(parser, default="cgemit-study")
     parser.add_argument(
-        "-n", "--events", type=positive, metavar="N",
+        "-n", "--events", type=options.positive, metavar="N",
         help="events at 1 GeV/c for each detector (default 20000); each of the ten momenta gets a quarter of it",
     )  # fmt: skip
     parser.add_argument("--quick", action="store_true", help="1500 events, unless --events says otherwise")
     parser.add_argument("--json", action="store_true", help="write summary.json to stdout too")
-    add_field(parser)
+    options.add_field(parser)
     options.add_set(parser, "change one setting, such as fit.loss=mean; may be repeated")
     options.add_settings(parser)
     options.add_readout(parser)
     add_finder(parser)
     options.add_physics(parser)
-    add_run(parser)
-    add_common(parser)
+    options.add_run(parser)
+    options.add_common(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
