@@ -39,17 +39,17 @@ momenta = np.geomspace(0.15, 2, 25)
 covariance = cg.analytic(detector, "mu-", p=momenta, cos_theta=0.0)
 for p, dr, dz, sp in zip(momenta, covariance.sigma_dr, covariance.sigma_dz, covariance.sigma_p, strict=True):
     if p in momenta[::6]:
-        print(f"{p:.2f} GeV/c: d_rho {1000 * dr:4.0f} um, d_z {dz:.3f} mm, p {1000 * sp:5.2f} MeV/c")
+        print(f"{p:.2f} GeV/c: d_rho {dr:4.0f} um, d_z {dz:.3f} mm, p {sp:5.2f} MeV/c")
 
 
 # %%
-def curves(*designs, quantity="dr", scale=1000, label="σ(d_ρ)  (µm)"):
+def curves(*designs, quantity="dr", label="σ(d_ρ)  (µm)"):
     """Draw a resolution against momentum for some designs."""
     picture = cg.draw.Picture(figsize=(6.4, 4.0))
     axes = picture.subplots()
     for design in designs:
         found = cg.analytic(design, "mu-", p=momenta, cos_theta=0.0)
-        axes.plot(momenta, scale * found.sigma(quantity), label=design.name.replace("+", "\n+"))
+        axes.plot(momenta, found.sigma(quantity), label=design.name.replace("+", "\n+"))
     axes.set(xlabel="p  (GeV/c)", ylabel=label, ylim=(0, None))
     axes.grid(alpha=0.3)
     axes.legend(fontsize=8)
@@ -59,7 +59,7 @@ def curves(*designs, quantity="dr", scale=1000, label="σ(d_ρ)  (µm)"):
 curves(detector, cg.load("besiii-idc"))
 
 # %%
-curves(detector, cg.load("besiii-idc"), quantity="dz", scale=1, label="σ(d_z)  (mm)")
+curves(detector, cg.load("besiii-idc"), quantity="dz", label="σ(d_z)  (mm)")
 
 # %% [markdown]
 # The CGEM inner tracker measures z with strips at a large stereo angle: its $\sigma(d_z)$ is less than half of that of
@@ -126,8 +126,7 @@ def show(radius=80.0, pitch=500.0, foils=3, p=0.3):
     design = variant(radius, pitch, foils)
     found = cg.analytic(design, "mu-", p=p, cos_theta=0.0)
     picture: Figure = cg.draw.draw_budgets(
-        {"design": cg.analytic(detector, "mu-", p=p, cos_theta=0.0).budget("dr"), "variant": found.budget("dr")},
-        scale=1000,
+        {"design": cg.analytic(detector, "mu-", p=p, cos_theta=0.0).budget("dr"), "variant": found.budget("dr")}
     )
     return picture
 

@@ -21,8 +21,7 @@ MOMENTA = {
     "mu-": (0.2, 0.5, 1.0, 2.0), "pi-": (0.2, 0.5, 1.0, 2.0), "K-": (0.3, 0.8, 2.0), "proton": (0.4, 0.8, 2.0),
 }  # fmt: skip
 ANGLES = (0.0, 0.5, 0.8, 0.9)
-#: Quantities with the factor from the unit of the covariance to that of `cgemit.resolution`.
-QUANTITIES = {"dr": 1e3, "phi0": 1e3, "kappa": 1.0, "dz": 1.0, "tanl": 1e3, "p": 1e3}
+QUANTITIES = ("dr", "phi0", "kappa", "dz", "tanl", "p")
 SAMPLES = 1024  # tracks that a point of the covariance averages
 TRACKS = 50_000  # simulated tracks of a point
 
@@ -85,9 +84,9 @@ def ratios(point: Point, tracks: int, seed: int) -> list[Ratio]:
     result = cg.run(detector, gun, n=tracks, seed=seed, settings=settings, threads=1, keep=("tracks",))
     expected = cg.analytic(detector, particle, p, cos_theta, readout=readout, samples=SAMPLES)
     rows = []
-    for quantity, factor in QUANTITIES.items():
+    for quantity in QUANTITIES:
         width = cg.resolution(result, quantity)
-        rows.append(Ratio(*point, quantity, float(expected.sigma(quantity)) * factor, width.core, width.core_error))
+        rows.append(Ratio(*point, quantity, float(expected.sigma(quantity)), width.core, width.core_error))
     return rows
 
 

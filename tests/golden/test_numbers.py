@@ -23,7 +23,7 @@ from cgemit.base.version import PHYSICS
 
 FOLDER = Path(__file__).parent / "numbers"
 #: Hash of the files for each physics version; lines of released versions stay.
-VERSIONS = {12: "629bd08970f4cb64"}
+VERSIONS = {12: "d6a847a700f1b0c2"}
 DESIGN = "besiii-cgem-design"
 MUONS = cg.Gun("mu-", p=(0.3, 1.5), cos_theta=(-0.9, 0.9))
 DIMUONS = cg.Gun("mu-", p=(0.3, 1.5), cos_theta=(-0.9, 0.9)) + cg.Gun("mu+", p=(0.3, 1.5), cos_theta=(-0.9, 0.9))

@@ -20,7 +20,7 @@ import numpy.typing as npt
 import pytest
 
 import cgemit as cg
-from cgemit.helix import RADIUS_PER_KAPPA
+from cgemit.helix import PARAMETERS, RADIUS_PER_KAPPA
 from coulomb import core_angle
 from slabs import CARBON, MUON
 
@@ -60,7 +60,7 @@ def analytic(n: int, density: float, sigma: float) -> dict[str, float]:
     how = cg.GaussianReadout(sigma_x=sigma, sigma_v=sigma)
     found = cg.analytic(equal_layers(n, density), "mu-", P, 0.0, phi=0.1, readout=how)
     assert found.n_clusters == 2 * n
-    widths = {name: float(found.sigma(name)) for name in ("dr", "phi0", "kappa", "dz", "tanl")}
+    widths = dict(zip(PARAMETERS, np.sqrt(np.diagonal(found.cov)).tolist(), strict=True))
     return widths | {"kappa": widths["kappa"] * BZ / RADIUS_PER_KAPPA}
 
 

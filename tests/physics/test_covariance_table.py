@@ -112,7 +112,7 @@ def variances(name: str, p: float, cos_theta: float, patch: pytest.MonkeyPatch) 
 
 
 def in_units(found: cg.Covariance) -> Floats:
-    return np.array([found.sigma("dr") * 1e3, found.sigma("dz"), found.sigma("p") * 1e3]) ** 2
+    return np.array([found.sigma("dr"), found.sigma("dz"), found.sigma("p")]) ** 2
 
 
 @pytest.mark.parametrize(("name", "p", "cos_theta", "d_rho", "d_z", "sigma_p"), TABLE)

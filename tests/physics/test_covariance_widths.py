@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import cgemit as cg
+from cgemit.analysis.quantities import QUANTITIES
 from cgemit.helix import RADIUS_PER_KAPPA
 from cgemit.reconstruction.fit import fit
 
@@ -69,9 +70,9 @@ def test_widths_are_those_of_simulated_events(detector: str, particle: str, p: f
     gun = cg.Gun(particle, p=p, cos_theta=cos_theta)
     result = cg.run(detector, gun, n=8000, seed=21, settings=settings("gaussian", "gaussian"))
     found = cg.analytic(detector, particle, p, cos_theta, readout="gaussian")
-    for quantity, scale in (("dr", 1e3), ("phi0", 1e3), ("kappa", 1), ("dz", 1), ("tanl", 1e3), ("p", 1e3)):
+    for quantity in ("dr", "phi0", "kappa", "dz", "tanl", "p", "pt", "theta", "p_rel", "pt_rel"):
         measured = cg.resolution(result, quantity)
-        ratio = float(found.sigma(quantity)) * scale / measured.core
+        ratio = float(found.sigma(quantity)) / measured.core
         assert abs(ratio - 1) < max(0.02, 3 * measured.core_error / measured.core), (quantity, ratio)
         assert abs(1.05 * ratio - 1) > 0.02  # 5 % more would be seen
 
@@ -82,10 +83,10 @@ def test_binary_clusters_are_a_mixture(detector: str) -> None:
     gun = cg.Gun("mu-", p=1.0, cos_theta=(-0.9, 0.9))
     result = cg.run(detector, gun, n=20_000, seed=5, settings=settings("binary", "gaussian"))
     found = cg.analytic(detector, "mu-", 1.0, (-0.9, 0.9), samples=2048)
-    for quantity, scale in (("dr", 1e3), ("dz", 1), ("p", 1e3)):
-        core = float(found.sigma(quantity)) * scale
+    for quantity in ("dr", "dz", "p"):
+        core = float(found.sigma(quantity))
         measured = cg.resolution(result, quantity, window=(-6 * core, 6 * core))
-        assert float(found.rms(quantity)) * scale == pytest.approx(measured.rms, rel=0.03)
+        assert float(found.rms(quantity)) == pytest.approx(measured.rms, rel=0.03)
         # The position in a strip is uniform, not Gaussian, which narrows the core of d_rho.
         assert core == pytest.approx(measured.core, rel=0.05)
 
@@ -113,7 +114,7 @@ def test_widths_in_the_gaps_are_those_of_simulated_events(particle: str, p: floa
         incidence = np.arctan2(at["py"], at["px"])[mine] - azimuth
         # Both points are on the cylinder; dr and dz are displacements at the same path.
         up = at["z"][mine] - true["z"][row] - at["tanl"][mine] * np.sin(incidence) * around
-        for name, residual in (("dr", around * np.cos(incidence)), ("dz", up)):
+        for name, residual in (("dr", 1000 * around * np.cos(incidence)), ("dz", up)):  # um, mm
             ratio = residual.std() / float(found.rms(name)[layer])
             assert abs(ratio - 1) < 4 / np.sqrt(2 * len(residual)), (layer, name, ratio)
             assert residual.std() < 0.9 * origin.rms(name)  # the covariance of the origin fails
@@ -151,5 +152,5 @@ def test_each_cause_alone_makes_its_terms_of_the_budget() -> None:
                 if (cause == "wires") == source.name.startswith("wires") and source.cause != "prior"
                 and (cause == "matter") == (source.cause != "measurement")
             )  # fmt: skip
-            measured = np.var(tracks[quantity])
+            measured = np.var(QUANTITIES[quantity].factor * tracks[quantity])
             assert measured / expected == pytest.approx(1, abs=4 * np.sqrt(2 / 5000)), (cause, quantity)

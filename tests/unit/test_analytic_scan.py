@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import cgemit as cg
-from cgemit.analysis.quantities import QUANTITIES
+from cgemit.analysis.quantities import REPORTED
 from cgemit.chain.settings import Settings
 from cgemit.cli.main import main
 from cgemit.covariance.tracks import core_width
@@ -20,7 +20,7 @@ from cgemit.study.scan import compared, fits_text, line_momenta, save_scans
 
 DESIGN, IDC = "besiii-cgem-design", "besiii-idc"
 MOMENTA = [0.3, 1.0, 0.5]
-UNITS = {"dr": ("um", 1000.0), "dz": ("mm", 1.0), "p": ("MeV/c", 1000.0)}
+UNITS = {"dr": "um", "dz": "mm", "p": "MeV/c"}
 
 
 @pytest.fixture(scope="module")
@@ -51,14 +51,14 @@ def test_momenta_of_a_line():
 
 def test_lines_are_those_of_analytic(line):
     expected = cg.analytic(DESIGN, "pi+", line.p, 0.3)
-    for found, (name, (unit, scale)) in zip(line.lines, UNITS.items(), strict=True):
+    for found, (name, unit) in zip(line.lines, UNITS.items(), strict=True):
         assert (found.id, found.detector, found.method) == (f"sigma_{name}", DESIGN, "analytic")
         assert (found.x_unit, found.y_unit) == ("GeV/c", unit)
         np.testing.assert_array_equal(found.x, line.p)
-        np.testing.assert_allclose(found.y, scale * expected.sigma(name), rtol=1e-12)
+        np.testing.assert_allclose(found.y, expected.sigma(name), rtol=1e-12)
         assert np.isnan(found.y_error).all()
     pt = line.p * np.sqrt(1 - 0.3**2)
-    np.testing.assert_allclose(line.sigma("pt_rel"), 100 * expected.sigma("pt") / pt, rtol=1e-9)
+    np.testing.assert_allclose(line.sigma("pt_rel"), 0.1 * expected.sigma("pt") / pt, rtol=1e-9)
     np.testing.assert_allclose(line.at("dz"), expected.sigma("dz")[np.searchsorted(line.p, MOMENTA)])
 
 
@@ -101,11 +101,11 @@ def test_options_are_arguments_of_python(words, settings, change, tmp_path):
     assert summary["curves"] == [one.as_json() for one in same.all_lines]
     assert summary["fits"] == [one.as_json() for one in same.fits]
     assert {row["method"] for row in rows} == {"analytic"}
-    for curve, (name, (unit, scale)) in zip(summary["curves"][:3], UNITS.items(), strict=True):
-        np.testing.assert_allclose(curve["y"], scale * expected.sigma(name), rtol=1e-12)
+    for curve, (name, unit) in zip(summary["curves"][:3], UNITS.items(), strict=True):
+        np.testing.assert_allclose(curve["y"], expected.sigma(name), rtol=1e-12)
         for kind, values in (("sigma", expected.sigma(name)), ("rms", expected.rms(name))):
             column = [float(row[f"{kind}_{name} ({unit})"]) for row in rows]
-            np.testing.assert_allclose(column, scale * values, rtol=1e-6)
+            np.testing.assert_allclose(column, values, rtol=1e-6)
     usual = cg.analytic(DESIGN, p=same.p, cos_theta=0.2)
     assert np.allclose(expected.sigma("p"), usual.sigma("p"), rtol=1e-9) is (words[0] in ("--threads", "--events"))
 
@@ -129,17 +129,17 @@ def test_files_of_both_methods(line, points, tmp_path):
     rows = rows_of(tmp_path / "out" / "resolution.csv")
     assert [row["method"] for row in rows] == ["mc"] * 3 + ["analytic"] * len(line.p)
     for scanned, part in ((points, rows[:3]), (line, rows[3:])):
-        for one, (name, (unit, _)) in zip(scanned.lines, UNITS.items(), strict=True):
+        for one, (name, unit) in zip(scanned.lines, UNITS.items(), strict=True):
             np.testing.assert_allclose([float(row[f"sigma_{name} ({unit})"]) for row in part], one.y, rtol=1e-6)
             np.testing.assert_allclose([float(row["p (GeV/c)"]) for row in part], one.x, rtol=1e-6)
     assert {row["events"] for row in rows[3:]} == {""}
     assert [row["reached"] for row in rows[3:]] == ["1"] * len(line.p)
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert [(curve["id"], curve["method"]) for curve in summary["curves"]] == [
-        (f"sigma_{name}", method) for method in ("mc", "analytic") for name in QUANTITIES
+        (f"sigma_{name}", method) for method in ("mc", "analytic") for name in REPORTED
     ]
     assert [(fit["quantity"], fit["method"], fit["statistical"]) for fit in summary["fits"]] == [
-        (name, method, method == "mc") for method in ("mc", "analytic") for name in ("dr", "dz", "pt")
+        (name, method, method == "mc") for method in ("mc", "analytic") for name in ("dr", "dz", "pt_rel")
     ]
     assert summary["inputs"]["method"] == "both"
     assert summary["inputs"]["events"] == 60
@@ -183,8 +183,9 @@ def test_fits_are_those_of_the_curves(line, points):
                 sigma, error = ([getattr(w, what) for w in widths] for what in ("core", "core_error"))
             p = line.p if scanned is line else MOMENTA
             how = {"particle": "pi+", "cos_theta": 0.3, "detector": DESIGN, "method": scanned.method}
-            assert str(fit) == str(fit_form(fit.quantity, p, sigma, error, **how))
-            assert fit.as_json() == fit_form(fit.quantity, p, sigma, error, **how).as_json()
+            again = fit_form(fit.quantity, p, sigma, error, **how)
+            assert str(fit) == str(again)
+            assert [fit.a, fit.b, fit.deviation] == pytest.approx([again.a, again.b, again.deviation], rel=1e-9)
 
 
 def test_lines_and_points_of_a_detector_have_one_colour(line, points):

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from cgemit import Settings
-from cgemit.analysis.quantities import QUANTITIES
+from cgemit.analysis.quantities import REPORTED
 from cgemit.cli import options
 from cgemit.cli.main import COMMANDS, join_negative_values, main
 from cgemit.detector import load, write_field_map
@@ -210,7 +210,7 @@ def test_several_detectors_give_one_table_each_and_one_file_of_all(tmp_path, cap
     summary = json.loads((tmp_path / "all" / "summary.json").read_text())
     assert summary["inputs"]["detectors"] == names
     curves = [(curve["detector"], curve["id"]) for curve in summary["curves"]]
-    assert curves == [(name, f"sigma_{what}") for name in names for what in QUANTITIES]
+    assert curves == [(name, f"sigma_{what}") for name in names for what in REPORTED]
     assert len({tuple(curve["y"]) for curve in summary["curves"]}) == 27
     assert load(tmp_path / "all" / "detector-2-thin.toml") == load(thin)
     assert main([*RESOLUTION, "-o", str(tmp_path / "one"), "--json"]) == 0  # alone it has the same curves

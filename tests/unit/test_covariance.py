@@ -11,10 +11,11 @@ from scipy.special import erf
 
 import cgemit as cg
 from cgemit import isa
+from cgemit.analysis.quantities import QUANTITIES
 from cgemit.analysis.widths import SECOND_INSIDE, measure
 from cgemit.covariance.result import sources
 from cgemit.covariance.sensitivity import varied
-from cgemit.covariance.tracks import QUANTITIES, core_width
+from cgemit.covariance.tracks import core_width
 from cgemit.detector import compiled
 from fields import HARMONIC
 
@@ -236,11 +237,34 @@ def test_quantities_follow_from_the_covariance() -> None:
     by_kappa, by_tanl = -0.8 / kappa, 0.8 * tanl / (1 + tanl**2)
     c = found.cov
     variance = by_kappa**2 * c[2, 2] + 2 * by_kappa * by_tanl * c[2, 4] + by_tanl**2 * c[4, 4]
-    assert found.sigma_p == pytest.approx(np.sqrt(variance), rel=1e-12)
-    assert found.sigma_pt == pytest.approx(np.sqrt(c[2, 2]) / kappa**2, rel=1e-12)
-    assert found.sigma_theta == pytest.approx(np.sqrt(c[4, 4]) / (1 + tanl**2), rel=1e-12)
-    assert found.sigma_dr == pytest.approx(np.sqrt(c[0, 0]))
-    assert found.rms_dz == pytest.approx(np.sqrt(c[3, 3]))
+    expected = {
+        "p": 1e3 * np.sqrt(variance), "pt": 1e3 * np.sqrt(c[2, 2]) / kappa**2,  # MeV/c
+        "p_rel": 100 * np.sqrt(variance) / 0.8, "pt_rel": 100 * np.sqrt(c[2, 2]) / abs(kappa),  # %
+        "dr": 1e3 * np.sqrt(c[0, 0]), "dz": np.sqrt(c[3, 3]),  # um, mm
+        "phi0": 1e3 * np.sqrt(c[1, 1]), "theta": 1e3 * np.sqrt(c[4, 4]) / (1 + tanl**2),  # mrad
+        "tanl": 1e3 * np.sqrt(c[4, 4]), "kappa": np.sqrt(c[2, 2]),  # 1e-3, (GeV/c)^-1
+    }  # fmt: skip
+    assert expected.keys() == QUANTITIES.keys()
+    for name, value in expected.items():
+        assert float(found.sigma(name)) == pytest.approx(value, rel=1e-12), name
+        assert float(found.rms(name)) == pytest.approx(value, rel=1e-12), name
+        assert found.budget(name).unit == QUANTITIES[name].unit
+    assert found.sigma_d_rho == found.sigma_dr == found.sigma("d_rho")
+
+
+def test_gradients_are_the_derivatives_of_the_values() -> None:
+    """Central differences of every quantity that is a function of the helix."""
+    kappa, tanl, step = np.array([-1.4, 0.7]), np.array([0.6, -1.2]), 1e-6
+    for known in QUANTITIES.values():
+        if known.value is None:
+            continue
+        for number, name in ((2, "kappa"), (4, "tanl")):
+            up, down = ({"kappa": kappa, "tanl": tanl} for _ in range(2))
+            up[name], down[name] = up[name] + step, down[name] - step
+            slope = (known.value(up) - known.value(down)) / (2 * step)
+            slope = slope / known.value({"kappa": kappa, "tanl": tanl}) if known.relative else slope
+            found = known.gradient(kappa, tanl)[:, number]
+            np.testing.assert_allclose(found, known.factor * slope, rtol=1e-7, atol=1e-6)
 
 
 def test_shapes_ranges_and_status() -> None:

@@ -16,7 +16,7 @@ COSINE = 0.6
 def exact(quantity, a, b, particle="pi+"):
     """Return the form itself, written out."""
     sine = math.sqrt(1 - COSINE**2)
-    if quantity == "pt":
+    if quantity == "pt_rel":
         return np.hypot(a * P * sine, b)
     beta = P / np.hypot(P, species(particle).mass)
     return np.hypot(a, b / (P * beta * sine ** {"dr": 1.5, "dz": 2.5}[quantity]))

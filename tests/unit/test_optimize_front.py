@@ -13,7 +13,7 @@ from optuna.storages import JournalStorage
 from optuna.storages.journal import JournalFileBackend
 
 import cgemit as cg
-from cgemit.analysis.quantities import GROUPS
+from cgemit.analysis.widths import GROUPS
 from cgemit.draw.design import optimum_label as label
 from cgemit.study import Optimization, OptimizeError, optimize
 from cgemit.study.optimize.pareto import by_noise, growth, hypervolume, nondominated, within_errors

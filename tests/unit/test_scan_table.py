@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 
 import cgemit as cg
-from cgemit.analysis.quantities import QUANTITIES
+from cgemit.analysis.quantities import QUANTITIES, REPORTED
 from cgemit.cli.main import main
-from cgemit.draw.curves import PANELS, resolutions
+from cgemit.draw.curves import resolutions
+from cgemit.draw.style import mathematical
 from cgemit.study import measure, scan, scan_analytic
 from cgemit.study.scan import columns_of, difference, save_scans
 
@@ -60,7 +61,7 @@ def test_every_number_of_the_table_is_that_of_the_tracks(pair: list[Any], tmp_pa
     with (tmp_path / "out" / "resolution.csv").open(encoding="utf-8") as stream:
         rows = list(csv.DictReader(stream))
     samples = [sample for one in pair for sample in one.samples]
-    assert QUANTITIES.keys() == UNITS.keys()
+    assert set(REPORTED) == UNITS.keys()
     for row, sample in zip(rows, samples, strict=True):
         assert (row["name"], row["hash"]) == (sample.detector.name, sample.detector.content_hash)
         assert (row["particle"], row["method"], row["cos_theta"]) == ("mu-", "mc", "-0.5:0.5")
@@ -74,7 +75,7 @@ def test_every_number_of_the_table_is_that_of_the_tracks(pair: list[Any], tmp_pa
             assert float(row[f"median_error_{name} ({unit})"]) == pytest.approx(np.median(errors), rel=1e-6)
     with (tmp_path / "out" / "summary.json").open(encoding="utf-8") as stream:
         curves = json.load(stream)["curves"]
-    assert [(one["id"], one["y_unit"]) for one in curves] == 2 * [(f"sigma_{n}", unit) for n, unit in UNITS.items()]
+    assert [(one["id"], one["y_unit"]) for one in curves] == 2 * [(f"sigma_{n}", UNITS[n]) for n in REPORTED]
     assert {one["particle"] for one in curves} == {"mu-"}
 
 
@@ -136,8 +137,8 @@ def test_analytic_lines_take_transverse_momenta_and_angles() -> None:
     sine = np.sin(np.pi / 3)
     one = scan_analytic(DESIGN, pt=[0.5, 1.0], theta="60 deg")
     other = cg.analytic(DESIGN, "mu-", one.p / sine, 0.5)
-    np.testing.assert_allclose(one.sigma("p_rel"), 100 * other.sigma("p") / (one.p / sine), rtol=1e-9)
-    np.testing.assert_allclose(one.sigma("theta"), 1e3 * other.sigma("theta"), rtol=1e-9)
+    np.testing.assert_allclose(one.sigma("p_rel"), 0.1 * other.sigma("p") / (one.p / sine), rtol=1e-9)
+    np.testing.assert_allclose(one.sigma("theta"), other.sigma("theta"), rtol=1e-9)
     assert one.columns()["pt (GeV/c)"] == one.p.tolist()
     assert one.fits == []
     spread = scan_analytic(DESIGN, [1.0], theta=(0.5, 2.6)).sigma("dz")
@@ -156,14 +157,14 @@ def test_the_picture_shows_every_quantity_of_every_scan(pair: list[Any]) -> None
     picture = resolutions(pair)
     title = "core widths: mu-, cos θ = -0.5 to 0.5, 400 simulated events at each momentum"
     assert picture.get_suptitle() == title + ", read-out binary, hits assigned by truth"
-    for axes, (name, label) in zip(picture.axes, PANELS.items(), strict=True):
+    for axes, name in zip(picture.axes, REPORTED, strict=True):
         lines = {bar.get_label(): bar.lines[0] for bar in axes.containers}
         assert list(lines) == [DESIGN, "wide"]
         for one in pair:
             curve = next(line for line in one.all_lines if line.id == f"sigma_{name}")
             np.testing.assert_array_equal(lines[one.detector.name].get_xdata(), curve.x)
             np.testing.assert_array_equal(lines[one.detector.name].get_ydata(), curve.y)
-        assert axes.get_ylabel().startswith(label.replace("d_ρ", r"$d_\rho$").replace("d_z", "$d_z$"))
+        assert axes.get_ylabel().startswith(mathematical(QUANTITIES[name].sigma))
         assert axes.get_ylabel().endswith(f"({UNITS[name].replace('um', 'µm')})")
 
 

@@ -13,6 +13,7 @@ import pytest
 
 import cgemit as cg
 from cgemit import study
+from cgemit.analysis.quantities import QUANTITIES
 
 DESIGN = "besiii-cgem-design"
 
@@ -49,8 +50,8 @@ def test_every_result_becomes_a_data_frame_of_its_own_numbers(result: cg.Result)
     for name in ("core", "core_error", "q68", "rms_error", "mean", "outside", "tail", "n"):
         assert frames["resolution"][name][0] == getattr(one, name)
     assert frames["resolution"][["window_low", "window_high"]].to_numpy().tolist() == [[-500, 500]]
-    for kind in ("resolutions", "pulls"):
-        assert frames[kind]["parameter"].tolist() == ["dr", "phi0", "kappa", "dz", "tanl", "p"]
+    for kind, names in (("resolutions", list(QUANTITIES)), ("pulls", ["dr", "phi0", "kappa", "dz", "tanl", "p"])):
+        assert frames[kind]["parameter"].tolist() == names
         assert frames[kind]["core"].tolist() == [width.core for width in made[kind]]
     assert frames["curve"]["core"].tolist() == made["curve"].column("core").tolist()
     assert frames["curve"]["cos_theta_low"].tolist() == list(made["curve"].edges[:-1])
@@ -73,11 +74,11 @@ def test_without_pandas_the_message_names_the_extra(result: cg.Result, monkeypat
 def test_resolutions_are_one_table_by_name(result: cg.Result) -> None:
     found = study.resolutions(result)
     assert found["dz"] == cg.resolution(result, "dz")
-    assert len(found) == 6
+    assert len(found) == len(QUANTITIES)
     lines = repr(found).splitlines()
     assert lines[1].split()[:2] == ["quantity", "core"]
-    assert [line.split()[0] for line in lines[2:]] == ["dr", "phi0", "kappa", "dz", "tanl", "p"]
-    assert found._repr_html_().count("<tr>") == 7
+    assert [line.split()[0] for line in lines[2:]] == list(QUANTITIES)
+    assert found._repr_html_().count("<tr>") == 1 + len(QUANTITIES)
     with pytest.raises(ValueError, match=r"got 'dzz'; expected one of .*did you mean \"dz\""):
         found["dzz"]
 

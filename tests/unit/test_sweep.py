@@ -13,7 +13,7 @@ import pandas as pd
 import pytest
 
 import cgemit as cg
-from cgemit.analysis.quantities import GROUPS, error_of_difference
+from cgemit.analysis.widths import jackknife, without_groups
 from cgemit.detector import Detector
 from cgemit.reconstruction.fit import FitStatus
 from cgemit.study import grid, latin_hypercube, sobol, sweep
@@ -191,9 +191,9 @@ def test_analytic_resolutions_are_those_of_the_covariance() -> None:
     one, mixed = (cg.analytic(found.detector(2), "pi+", [0.01, 0.3, 1.0], c) for c in (0.2, (-0.5, 0.5)))
     rows = slice(12, 18)  # of variant 2: momenta, and for each the two angles
     assert found.columns["cos_theta"][rows] == ["0.2", "-0.5:0.5"] * 3
-    for name, header, scale in (("p", "sigma_p (MeV/c)", 1e3), ("dr", "sigma_dr (um)", 1e3), ("dz", "sigma_dz (mm)", 1),
-                                ("theta", "sigma_theta (mrad)", 1e3), ("tanl", "sigma_tanl (1e-3)", 1e3)):  # fmt: skip
-        expected = scale * np.array([one.sigma(name), mixed.sigma(name)]).T.ravel()
+    for name, header in (("p", "sigma_p (MeV/c)"), ("dr", "sigma_dr (um)"), ("dz", "sigma_dz (mm)"),
+                         ("theta", "sigma_theta (mrad)"), ("tanl", "sigma_tanl (1e-3)")):  # fmt: skip
+        expected = np.array([one.sigma(name), mixed.sigma(name)]).T.ravel()
         np.testing.assert_array_equal(found[header][rows], expected)
     assert found.columns["tracks"][rows][::2] == [FitStatus(int(status)).name for status in one.status]
     assert found.columns["tracks"][12] != "ok" == found.columns["tracks"][14]
@@ -205,7 +205,7 @@ def test_analytic_resolutions_are_those_of_the_covariance() -> None:
     read_out = cg.Settings(digitize=cg.DigitizeSettings(readout=cg.GaussianReadout(sigma_x=0.3, sigma_v=0.3)))
     changed = sweep(DESIGN, space, settings=read_out)
     expected = cg.analytic(changed.detector(1), readout=read_out.digitize.readout).sigma("dr")
-    assert changed.columns["sigma_dr (um)"][1] == pytest.approx(1e3 * float(expected), rel=1e-12)
+    assert changed.columns["sigma_dr (um)"][1] == pytest.approx(float(expected), rel=1e-12)
 
 
 def test_error_of_a_difference_of_widths_of_the_same_events() -> None:
@@ -214,8 +214,8 @@ def test_error_of_a_difference_of_widths_of_the_same_events() -> None:
     for _ in range(300):
         common, own = random.normal(size=(2, 400))
         samples = (common, common + 0.3 * own)
-        group = np.arange(400) % GROUPS
-        errors.append(error_of_difference(*([float(x[group != g].std()) for g in range(GROUPS)] for x in samples)))
+        one, other = (without_groups(x, np.arange(400), np.std) for x in samples)
+        errors.append(jackknife(one - other))
         differences.append(samples[1].std() - samples[0].std())
     spread = np.std(differences)
     # 300 differences know their spread to 4 %; unpaired errors would be 3 times as large.

@@ -119,14 +119,14 @@ def test_budgets_of_variants_are_bars_that_add_up_to_the_variance() -> None:
         covariance = cg.analytic(found.detector(variant), p=1.0, samples=16)
         budget = covariance.budget("dr").grouped("cause")
         widths = {bars.get_label(): bars[row].get_width() for bars in axes.containers}
-        assert widths == pytest.approx({name: 1e6 * float(value) for name, value in budget.items()}, rel=1e-9)
-        assert axes.texts[row].get_text() == f"RMS {1000 * covariance.rms_dr:.4g} µm"
+        assert widths == pytest.approx({name: float(value) for name, value in budget.items()}, rel=1e-9)
+        assert axes.texts[row].get_text() == f"RMS {covariance.rms_dr:.4g} µm"
     assert len(found.draw("sigma_dz (mm)", kind="budget").axes[0].containers) > 5
     few = found.draw_budgets("dr", "source").axes[0]
     assert len(few.containers) == 8 + 1
     assert few.containers[-1].get_label() == "other"
     assert sum(bars[0].get_width() for bars in few.containers) == pytest.approx(
-        1e6 * float(cg.analytic(DESIGN, p=0.3, samples=16).rms_dr) ** 2, rel=1e-9
+        float(cg.analytic(DESIGN, p=0.3, samples=16).rms_dr) ** 2, rel=1e-9
     )
-    with pytest.raises(ValueError, match="expected one of p, pt"):
+    with pytest.raises(ValueError, match="expected one of dr, dz"):
         sweep(DESIGN, [{}], evaluate=strips).draw_budgets()

@@ -159,7 +159,7 @@ def test_rest_of_tracks_gives_covariances(name: str, monkeypatch: pytest.MonkeyP
     rest = rest_of_tracks(detector, 0.7, np.array([x, v]))
     monkeypatch.setattr(GaussianClusterer, "expected_errors", lambda *_: (x, v))
     expected = cg.analytic(detector, "mu-", 0.7, COS_THETA, phi=0.3, readout="gaussian")
-    for view, (errors, sigma) in enumerate([(x, expected.sigma_dr), (v, expected.sigma_dz)]):
+    for view, (errors, sigma) in enumerate([(x, expected.sigma_dr / 1000), (v, expected.sigma_dz)]):
         found = [variance_at_origin(one, errors[None])[0] for one in rest[view]]
         np.testing.assert_allclose(np.sqrt(found), np.ravel(sigma), rtol=1e-6)
 

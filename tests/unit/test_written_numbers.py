@@ -10,8 +10,8 @@ import pytest
 
 from cgemit import Gun, run
 from cgemit.analysis.clusters import geant4_runs
-from cgemit.analysis.curves import SYMBOLS, Line, Spectrum, track_spectrum
-from cgemit.analysis.resolutions import QUOTED
+from cgemit.analysis.curves import Line, Spectrum, track_spectrum
+from cgemit.analysis.quantities import QUANTITIES
 from cgemit.analysis.widths import gaussian_fit
 from cgemit.draw import curves
 from cgemit.draw.style import new_picture
@@ -46,7 +46,7 @@ def scanned():
 
 
 def test_units_are_those_that_are_quoted():
-    assert {name: scale for name, (_, scale) in QUOTED.items()} == UNITS
+    assert {name: QUANTITIES[name].factor for name in UNITS} == UNITS
 
 
 @pytest.mark.slow
@@ -166,7 +166,7 @@ def test_drawn_parts():
 
 def test_drawn_pulls_and_probabilities():
     random = np.random.default_rng(2)
-    names = list(SYMBOLS.values())
+    names = [QUANTITIES[name].symbol for name in UNITS]
     samples = {d: {name: random.normal(i, 1 + j, 400) for i, name in enumerate(names)} for j, d in enumerate("AB")}
     texts = {d: {name: f"{d} {name}" for name in names} for d in samples}
     axes = curves.draw_pulls(samples, texts).get_axes()
@@ -311,7 +311,7 @@ def test_resolutions_and_removed_rows_of_the_report(study, report):
         for row in rows:
             cells = dict(zip(head, row, strict=True))
             tracks = next(s.tracks for s in study.samples.values() if s.detector.name == cells["detector"])
-            name = next(n for n, symbol in SYMBOLS.items() if symbol == row[1].split(" (")[0])
+            name = next(n for n in UNITS if QUANTITIES[n].symbol == row[1].split(" (")[0])
             w = widths(tracks, name, kind)
             assert cells["core"] == with_error(w.core, w.core_error)
             assert cells["q68"] == with_error(w.q68, w.q68_error)

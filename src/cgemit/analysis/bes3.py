@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from cgemit import helix
+from cgemit.analysis.quantities import QUANTITIES
 from cgemit.base.files import check_regular, package
 from cgemit.detector import Detector, compiled, load
 from cgemit.particles.species import KNOWN
@@ -643,26 +644,19 @@ class Refit:
         lines = [f"{FITS[self.kind]}: {n} tracks, {good} fitted by both, with {self.detector}"]
         if not good:
             return lines[0]
-        lines.append(f"  {'':8}{'ours - BOSS':>24}{'over the error of BOSS':>26}{'our error':>12}")
-        lines.append(f"  {'':8}{'median':>12}{'68 % within':>12}{'median':>14}{'68 % within':>12}{'/ theirs':>12}")
+        lines.append(f"  {'':15}{'ours - BOSS':>24}{'over the error of BOSS':>26}{'our error':>12}")
+        lines.append(f"  {'':15}{'median':>12}{'68 % within':>12}{'median':>14}{'68 % within':>12}{'/ theirs':>12}")
         for name, row in self.summary().items():
-            unit, factor = _SHOWN[name]
-            diff, width = (f"{factor * row[key]:.3g}" for key in ("diff", "diff_width"))
-            label = f"{name} {unit}" if unit else name
+            known = QUANTITIES[name]
+            diff, width = (f"{known.factor * row[key]:.3g}" for key in ("diff", "diff_width"))
+            label = f"{name} {known.unit}"
             lines.append(
-                f"  {label:<9}{diff:>11}{width:>12}{row['pull']:>14.3f}{row['pull_width']:>12.3f}"
+                f"  {label:<16}{diff:>11}{width:>12}{row['pull']:>14.3f}{row['pull_width']:>12.3f}"
                 f"{row['error_ratio']:>12.3f}"
             )
         ours, boss = (_middle((one["chi2"] / np.maximum(one["ndf"], 1))[self.good]) for one in (self.ours, self.boss))
         lines.append(f"  chi2/ndf, median: ours {ours:.3f}, BOSS {boss:.3f}")
         return "\n".join(lines)
-
-
-#: Unit of the printed numbers, and its factor.
-_SHOWN = {
-    "dr": ("um", 1e3), "phi0": ("mrad", 1e3), "kappa": ("c/GeV", 1.0), "dz": ("mm", 1.0), "tanl": ("", 1.0),
-    "p": ("MeV/c", 1e3),
-}  # fmt: skip
 
 
 def refit(events: Bes3Events, kind: Kind = "kal", settings: FitSettings | None = None) -> Refit:

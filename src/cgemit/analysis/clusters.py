@@ -19,11 +19,12 @@ import numpy as np
 import numpy.typing as npt
 
 from cgemit.analysis.curves import Spectrum, histograms
+from cgemit.analysis.quantities import V, X
 from cgemit.analysis.widths import GaussianFit, Resolution, gaussian_fit, measure, share_error
 from cgemit.chain.result import Result
 from cgemit.reconstruction.find import truth
 from cgemit.tables import Table
-from cgemit.tables.show import Comparable, Tabular, html_table, text_table, with_error
+from cgemit.tables.show import Comparable, Shown, Tabular, with_error
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int32]
@@ -135,8 +136,8 @@ def geant4_runs() -> tuple[Geant4Run, ...]:
 
 def x_widths(residuals: ClusterResiduals, window: float = X_WINDOW) -> Resolution:
     """Return the widths of the X residual in um, with the RMS within plus and minus `window` (mm)."""
-    reach = 1e3 * window
-    return measure(1e3 * residuals.x, parameter="X", unit="um", window=(-reach, reach))
+    reach = X.factor * window
+    return measure(X.factor * residuals.x, parameter=X.name, unit=X.unit, window=(-reach, reach))
 
 
 def x_beyond(residuals: ClusterResiduals, window: float = X_WINDOW) -> tuple[float, float]:
@@ -156,36 +157,36 @@ def x_spectrum(residuals: ClusterResiduals, reach: float = 500.0, bins: int = 10
         Range to each side, um.
     bins : int
     """
-    values = 1e3 * residuals.x
+    values = X.factor * residuals.x
     single = residuals.x_size == 1
     share, error = residuals.single_strip_fraction
     edges = np.linspace(-reach, reach, bins + 1)
     parts = {"all": values, "single strip": values[single], "several strips": values[~single]}
     extra = (f"one strip: {with_error(100 * share, 100 * error)} %",)
     return Spectrum(
-        "X residual, R (φ − true φ)", "um", edges, histograms(parts, edges), x_widths(residuals), None,
+        "X residual, R (φ − true φ)", X.unit, edges, histograms(parts, edges), x_widths(residuals), None,
         f"{X_WINDOW:g} mm", extra,
     )  # fmt: skip
 
 
 def v_fit(residuals: ClusterResiduals) -> GaussianFit:
     """Fit a Gaussian to the V residuals within one pitch, in um."""
-    values = 1e3 * residuals.v
+    values = V.factor * residuals.v
     return gaussian_fit(values[np.abs(values) < PITCH])
 
 
 def v_spectrum(residuals: ClusterResiduals) -> Spectrum:
     """Return the histogram of the V residuals with a Gaussian fitted to those within one pitch, in um."""
-    values = 1e3 * residuals.v
+    values = V.factor * residuals.v
     edges = np.linspace(-500, 500, 101)
-    widths = measure(values, parameter="V", unit="um", window=(-PITCH, PITCH))
+    widths = measure(values, parameter=V.name, unit=V.unit, window=(-PITCH, PITCH))
     return Spectrum(
-        "V residual", "um", edges, histograms({"all": values}, edges), widths, v_fit(residuals), f"{PITCH:g} µm"
+        "V residual", V.unit, edges, histograms({"all": values}, edges), widths, v_fit(residuals), f"{PITCH:g} µm"
     )
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class DeltaFractions(Comparable, Tabular):
+class DeltaFractions(Shown, Comparable, Tabular):
     """Fractions of the crossings of a drift gap with a delta electron's deposit beyond some distances from the track.
 
     Attributes
@@ -212,19 +213,11 @@ class DeltaFractions(Comparable, Tabular):
         crossings = {"crossings": [self.crossings] * len(self.beyond)}
         return {name: list(getattr(self, name)) for name in names} | crossings
 
-    def _rows(self) -> list[list[str]]:
+    def _table(self) -> tuple[str, tuple[str, ...], list[list[str]]]:
         pairs = zip(self.rphi, self.rphi_error, self.z, self.z_error, strict=True)
         cells = [[with_error(100 * v, 100 * e), with_error(100 * w, 100 * f)] for v, e, w, f in pairs]
-        return [[f"{distance:g}", *row] for distance, row in zip(self.beyond, cells, strict=True)]
-
-    def _title(self) -> str:
-        return f"delta electrons away from their track, {self.crossings:,} crossings"
-
-    def __repr__(self) -> str:
-        return text_table(self._title(), _HEAD, self._rows())
-
-    def _repr_html_(self) -> str:
-        return html_table(self._title(), _HEAD, self._rows())
+        rows = [[f"{distance:g}", *row] for distance, row in zip(self.beyond, cells, strict=True)]
+        return f"delta electrons away from their track, {self.crossings:,} crossings", _HEAD, rows
 
 
 def delta_fractions(result: Result, beyond: Sequence[float] = DISTANCES) -> DeltaFractions:

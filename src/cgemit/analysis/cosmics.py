@@ -8,11 +8,11 @@ import numpy as np
 import numpy.typing as npt
 
 from cgemit import helix
-from cgemit.analysis.resolutions import QUOTED
+from cgemit.analysis.quantities import QUANTITIES
 from cgemit.analysis.widths import Resolution, measure
 from cgemit.chain.result import Result
 from cgemit.tables import Table
-from cgemit.tables.show import Tabular, html_table, text_table, with_error
+from cgemit.tables.show import Shown, Tabular, with_error
 
 Floats = npt.NDArray[np.float64]
 
@@ -22,7 +22,7 @@ _NAMES = (*helix.PARAMETERS, "p")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Cosmics(Tabular):
+class Cosmics(Shown, Tabular):
     """Resolutions from the halves of cosmic muons.
 
     Attributes
@@ -72,12 +72,6 @@ class Cosmics(Tabular):
             for n in _NAMES
         ]
         return f"halves of {self.events} cosmic muons: core widths", head, rows
-
-    def __repr__(self) -> str:
-        return text_table(*self._table())
-
-    def _repr_html_(self) -> str:
-        return html_table(*self._table())
 
 
 def cosmics(given: Result | Table) -> Cosmics:
@@ -165,5 +159,5 @@ def _combined(first: Floats, cov: Floats, second: Floats, cov_second: Floats) ->
 
 
 def _width(name: str, sample: Floats) -> Resolution:
-    unit, factor = QUOTED.get(name, ("", 1.0))
-    return measure(sample * factor, parameter=name, unit=unit)
+    known = QUANTITIES[name]
+    return measure(sample * known.factor, parameter=name, unit=known.unit)

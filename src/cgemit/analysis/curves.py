@@ -9,16 +9,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from cgemit.analysis.resolutions import QUOTED, resolution
+from cgemit.analysis.quantities import quantity_of
+from cgemit.analysis.resolutions import resolution
 from cgemit.analysis.widths import FEWEST, GaussianFit, Resolution
 from cgemit.tables import Table
 from cgemit.tables.show import shown, with_error
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
-
-#: Axis labels of the track quantities.
-SYMBOLS = {"dr": "d_ρ", "phi0": "φ₀", "kappa": "κ", "dz": "d_z", "tanl": "tan λ", "p": "p"}
 
 #: Core widths to each side within which figures and reports take the RMS; values outside are counted.
 WINDOW = 5.0
@@ -156,10 +154,11 @@ def track_spectrum(tracks: Table, parameter: str, bins: int = 80) -> Spectrum:
     widths = windowed_resolution(tracks, parameter)
     if not widths.core > 0:
         raise ValueError(f"tracks: {widths.n} fitted of {len(tracks)}; expected at least {FEWEST} for a resolution")
-    unit, scale = QUOTED[parameter]
-    values = scale * tracks[f"res_{parameter}"][tracks["status"] == 0]
+    known = quantity_of(parameter)
+    values = known.residual(tracks)[tracks["status"] == 0]
     edges = np.linspace(*widths.window, bins + 1)
-    return Spectrum(f"{SYMBOLS[parameter]}: fitted − true", unit, edges, histograms({"all": values}, edges), widths)
+    counts = histograms({"all": values}, edges)
+    return Spectrum(f"{known.symbol}: fitted − true", known.unit, edges, counts, widths)
 
 
 def histograms(parts: Mapping[str, Floats], edges: Floats) -> dict[str, Ints]:

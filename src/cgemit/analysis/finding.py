@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from html import escape
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -19,6 +18,7 @@ from cgemit.reconstruction.candidates import HIT_V, HIT_WIRE, HIT_X, HIT_XV, XV_
 from cgemit.reconstruction.find.loops import link_loops
 from cgemit.reconstruction.find.truth import own_clusters, particle_rows, residuals
 from cgemit.tables import Table
+from cgemit.tables.show import Shown
 
 Rows = npt.NDArray[np.int64]
 Flags = npt.NDArray[np.bool_]
@@ -26,7 +26,7 @@ Column = npt.NDArray[Any]
 
 
 class CandidateCounts(NamedTuple):
-    """Hits of each candidate; an XV point counts as two.
+    """Numbers of hits of each candidate; an XV point counts as two.
 
     Attributes
     ----------
@@ -37,12 +37,12 @@ class CandidateCounts(NamedTuple):
     of_particle : ndarray, (candidates,) int64
         Hits of that particle and of its daughters, with clusters that it shares.
     of_daughters : ndarray, (candidates,) int64
-        Those of its daughters.
+        Hits of its daughters.
     of_loops : ndarray, (candidates,) int64
-        Those that the particle itself left on other half turns than the first one.
+        Hits that the particle itself left on later half turns.
     found : ndarray, (candidates,) int64
-        Measurements of that particle itself on its first half turn: crossings of a gap, counted per view, and cells;
-        without the clusters that it shares, which are measurements of the particle with the larger part.
+        Measurements of that particle itself on its first half turn: crossings of a gap, counted per view, and cells.
+        A cluster of several particles counts for the one with the most charge.
     """
 
     particle: Rows
@@ -54,7 +54,7 @@ class CandidateCounts(NamedTuple):
 
 
 class ParticleCounts(NamedTuple):
-    """Measurements that each particle left on its first half turn, before any decay; all of shape (particles,).
+    """Numbers of measurements of each particle on its first half turn, before any decay; all of shape (particles,).
 
     Attributes
     ----------
@@ -268,7 +268,7 @@ def belle2(of: CandidateCounts, particles: ParticleCounts) -> npt.NDArray[np.int
 
 
 def _loops(of: CandidateCounts) -> Flags:
-    """Tell which candidates have more hits of other half turns of their particle than of the first one."""
+    """Return which candidates have most of their particle's hits on later half turns."""
     return 2 * of.of_loops > of.of_particle
 
 
@@ -326,9 +326,9 @@ class FindingRates:
     loops: Fraction
 
 
-@dataclass(frozen=True, eq=False)
-class Finding:
-    """What a finder found of the particles of a run.
+@dataclass(frozen=True, eq=False, repr=False)
+class Finding(Shown):
+    """Efficiency, fakes and clones of a finder in a run.
 
     Attributes
     ----------
@@ -348,7 +348,7 @@ class Finding:
     tracks : ndarray, (particles,) int64
         Findable particles in the event.
     occupancy : ndarray, (particles,) float64
-        Share of the cells, without a chamber of the strips, that are hit in the event, in %.
+        Fraction of the cells that are hit in the event, in %; of the strips for a detector without a chamber.
     """
 
     finder: str
@@ -393,13 +393,14 @@ class Finding:
             are of all candidates.
         """
         which = self.findable if among is None else self.findable & np.asarray(among, np.bool_)
-        n = [int(np.count_nonzero(self.classes[definition] == number)) for number in range(len(CLASSES))]
+        classes = self.classes[definition]
+        known = classes >= 0
         return FindingRates(
-            efficiency=Fraction(int(np.count_nonzero(self.found(definition) & which)), int(np.count_nonzero(which))),
-            fakes=Fraction(n[FAKE], sum(n)),
-            clones=Fraction(n[CLONE], n[MATCHED] + n[CLONE]),
-            decays=Fraction(n[DECAY], sum(n)),
-            loops=Fraction(n[LOOP], sum(n)),
+            efficiency=_fraction(self.found(definition), which),
+            fakes=_fraction(classes == FAKE, known),
+            clones=_fraction(classes == CLONE, (classes == MATCHED) | (classes == CLONE)),
+            decays=_fraction(classes == DECAY, known),
+            loops=_fraction(classes == LOOP, known),
         )
 
     @property
@@ -424,20 +425,14 @@ class Finding:
         edges : array_like, (bins + 1,)
             Increasing.
         """
-        value, bounds, found = getattr(self, quantity), np.asarray(edges, np.float64), self.found()
-        place = np.digitize(value, bounds) - 1
-        return [
-            Fraction(
-                int(np.count_nonzero(found & self.findable & (place == i))),
-                int(np.count_nonzero(self.findable & (place == i))),
-            )
-            for i in range(len(bounds) - 1)
-        ]
+        bounds, found = np.asarray(edges, np.float64), self.found()
+        bin_of = np.digitize(getattr(self, quantity), bounds) - 1
+        return [_fraction(found, self.findable & (bin_of == i)) for i in range(len(bounds) - 1)]
 
     def rows(self) -> list[tuple[str, str]]:
         """Return the results as text, name and value."""
         rows = [("finder", self.finder), ("detector", self.detector)]
-        share = Fraction(int(self.findable.sum()), int(self.charged.sum()))
+        share = _fraction(self.findable, self.charged)
         rows += [("findable", str(share)), *((f"  without: {name}", f"{n:,}") for name, n in self.removed.items())]
         for definition, name in (("belle2", "Belle II"), ("acts", "ACTS")):
             of = self.rates(definition)  # type: ignore[arg-type]
@@ -448,12 +443,8 @@ class Finding:
         rows += [("hit purity", f"{100 * self.purity:.2f} %"), ("hit efficiency", f"{100 * self.hit_efficiency:.2f} %")]
         return rows
 
-    def __repr__(self) -> str:
-        return "\n".join(["Finding", *(f"  {name:<48}{text}" for name, text in self.rows())])
-
-    def _repr_html_(self) -> str:
-        rows = "".join(f"<tr><th>{escape(name)}</th><td>{escape(text)}</td></tr>" for name, text in self.rows())
-        return f"<table>{rows}</table>"
+    def _table(self) -> tuple[str, tuple[str, str], list[tuple[str, str]]]:
+        return "Finding", ("quantity", "value"), self.rows()
 
 
 def finding(result: Result) -> Finding:
@@ -501,7 +492,7 @@ def finding(result: Result) -> Finding:
 
 
 def _of_event(particles: Table, rows: Rows) -> Rows:
-    """Return how many of some rows, given by their events, are in the event of each particle, (particles,) int64."""
+    """Return the number of rows in the event of each particle, (particles,) int64; `rows` are the events of rows."""
     events, counts = np.unique(rows, return_counts=True)
     place = np.minimum(np.searchsorted(events, particles["event"]), max(len(events) - 1, 0))
     return (
@@ -543,8 +534,8 @@ def curve(of: Finding, quantity: str, edges: Floats) -> dict[str, Any]:
     }  # fmt: skip
 
 
-@dataclass(frozen=True, eq=False)
-class LoopLinks:
+@dataclass(frozen=True, eq=False, repr=False)
+class LoopLinks(Shown):
     """Links of a run's fitted tracks to the first half turns of their particles.
 
     Attributes
@@ -576,12 +567,8 @@ class LoopLinks:
             ("first half turns linked to another track", str(self.lost)),
         ]
 
-    def __repr__(self) -> str:
-        return "\n".join(["LoopLinks", *(f"  {name:<48}{text}" for name, text in self.rows())])
-
-    def _repr_html_(self) -> str:
-        rows = "".join(f"<tr><th>{escape(name)}</th><td>{escape(text)}</td></tr>" for name, text in self.rows())
-        return f"<table>{rows}</table>"
+    def _table(self) -> tuple[str, tuple[str, str], list[tuple[str, str]]]:
+        return "LoopLinks", ("quantity", "value"), self.rows()
 
 
 def loop_links(result: Result) -> LoopLinks:
@@ -607,7 +594,7 @@ def loop_links(result: Result) -> LoopLinks:
     classes, particle = classes[of_track], particle[of_track]
     known = classes >= 0
     linked = first != np.arange(len(first))
-    matched = classes == 0
+    matched = classes == MATCHED
     foreign = linked & ((particle != particle[first]) | (classes == FAKE) | (classes[first] == FAKE))
     return LoopLinks(
         first=first,
@@ -619,7 +606,6 @@ def loop_links(result: Result) -> LoopLinks:
     )
 
 
-def _fraction(
-    which: np.ndarray[tuple[int], np.dtype[np.bool_]], among: np.ndarray[tuple[int], np.dtype[np.bool_]]
-) -> Fraction:
+def _fraction(which: Flags, among: Flags) -> Fraction:
+    """Return the fraction of some rows, (n,) bool, that are also in `which`."""
     return Fraction(int(np.count_nonzero(which & among)), int(np.count_nonzero(among)))

@@ -1,107 +1,234 @@
-"""The quantities whose resolutions are quoted: units, axis labels, residuals."""
+"""The one list of quantities whose resolutions are quoted: names, units, symbols, residuals and derivatives.
+
+A new quantity of tracks is one entry of `QUANTITIES`. Resolutions, covariances, budgets, scans, sweeps, goals of
+optimizations and figures follow from it.
+"""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol
 
 import numpy as np
+import numpy.typing as npt
 
-from cgemit.analysis.widths import FEWEST, Floats, Resolution, measure
+from cgemit import helix, tables
+from cgemit.analysis.widths import FEWEST
+from cgemit.base.errors import did_you_mean
 from cgemit.reconstruction.fit import FitStatus
-from cgemit.tables import Table
 
-#: Unit in which each resolution is quoted, and how many of them make the native unit.
-SCALES = {
-    "p": ("MeV/c", 1000.0),
-    "pt": ("MeV/c", 1000.0),
-    "dr": ("um", 1000.0),
-    "dz": ("mm", 1.0),
-    "phi0": ("mrad", 1000.0),
-    "theta": ("mrad", 1000.0),
-    "tanl": ("1e-3", 1000.0),
-}
+Floats = npt.NDArray[np.float64]
+
+#: Places of the 15 entries of the upper triangle in a covariance.
+UPPER = np.triu_indices(len(helix.PARAMETERS))
 
 
-#: Parts of a sample that are left out in turn; the spread of what is left gives the error of a difference.
-GROUPS = 20
+class Columns(Protocol):
+    """A table or mapping of columns by name."""
+
+    def __getitem__(self, name: str, /) -> Any: ...
 
 
-def header(name: str, quantity: str) -> str:
-    """Return the header of a column, such as ``sigma_p (MeV/c)``."""
-    return f"{name} ({SCALES[quantity][0]})"
+@dataclass(frozen=True)
+class Quantity:
+    """A quantity and the unit in which its resolution is quoted.
 
-
-def residuals(tracks: Table, good: Any) -> dict[str, Floats]:
-    """Return fitted minus true values of each of `QUANTITIES`, (n,) in quoted units, of the chosen tracks."""
-    pt = 1 / np.abs(tracks["kappa"][good]) - 1 / np.abs(tracks["truth_kappa"][good])
-    theta = np.arctan2(1, tracks["tanl"][good]) - np.arctan2(1, tracks["truth_tanl"][good])
-    found = {name: tracks[f"res_{name}"][good] for name in SCALES if name not in ("pt", "theta")}
-    return {name: scale * (found | {"pt": pt, "theta": theta})[name] for name, (_, scale) in SCALES.items()}
-
-
-def error_of_difference(one: list[float], other: list[float]) -> float:
-    """Return the error of a difference of two widths of the same events, from both without each group (jackknife).
-
-    B. Efron, The Jackknife, the Bootstrap and Other Resampling Plans (1982), ch. 3.
+    Attributes
+    ----------
+    name : str
+        In arguments and in the names of columns.
+    native : str
+        Unit of the quantity in tables.
+    unit : str
+        Unit of its resolution everywhere.
+    factor : float
+        Number of quoted units in a native one.
+    symbol : str
+        On axes.
+    spellings : tuple of str
+        Other names that arguments may have.
+    value : callable or None
+        Value, native unit, from columns of helix parameters. None: the tracks have a column of residuals.
+    slopes : callable or None
+        Non-zero derivatives of `value` with respect to helix parameters, by parameter, from columns ``kappa`` and
+        ``tanl``.
+    relative : bool
+        Whether residual and resolution are divided by the value.
+    reported : bool
+        Whether scans report it, and, unless it is relative, sweeps compute it by default.
     """
-    difference = np.array(one) - np.array(other)
-    spread = float(np.sum((difference - difference.mean()) ** 2))
-    return math.sqrt((GROUPS - 1) / GROUPS * spread)
+
+    name: str
+    native: str
+    unit: str
+    factor: float
+    symbol: str
+    spellings: tuple[str, ...] = ()
+    value: Callable[[Columns], Floats] | None = None
+    slopes: Callable[[Columns], Mapping[str, Any]] | None = None
+    relative: bool = False
+    reported: bool = True
+
+    @property
+    def sigma(self) -> str:
+        """Symbol of the resolution, such as ``σ(d_ρ)`` or ``σ(p)/p``."""
+        return f"σ({self.symbol})" + (f"/{self.symbol}" if self.relative else "")
+
+    def column(self, kind: str = "sigma", end: str = "") -> str:
+        """Return the header of a column, such as ``sigma_p (MeV/c)``, or ``sigma_p_error (MeV/c)`` with an end."""
+        return f"{kind}_{self.name}{end} ({self.unit})"
+
+    def residual(self, tracks: Columns) -> Floats:
+        """Return fitted minus true value of each track, (n,) float64 in the quoted unit; NaN without a truth."""
+        if self.name in tables.PARAMETERS:
+            return np.asarray(self.factor * tracks[f"res_{self.name}"], np.float64)
+        assert self.value is not None
+        with np.errstate(invalid="ignore", divide="ignore"):
+            fitted, true = self.value(tracks), self.value(_Truth(tracks))
+            return np.asarray(self.factor * (fitted / true - 1 if self.relative else fitted - true), np.float64)
+
+    def error(self, tracks: Columns) -> Floats:
+        """Return the fit's own error of each track, (n,) float64 in the quoted unit; NaN without a covariance."""
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return np.sqrt(self.variance(tracks["cov"][:, *UPPER], tracks["kappa"], tracks["tanl"]))
+
+    def gradient(self, kappa: Floats, tanl: Floats) -> Floats:
+        """Return the derivatives with respect to (dr, phi0, kappa, dz, tanl), quoted per native unit.
+
+        Parameters
+        ----------
+        kappa, tanl : ndarray, (tracks,) float64, (GeV/c)^-1 and 1
+
+        Returns
+        -------
+        ndarray, (tracks, 5) float64
+        """
+        rows = np.zeros((len(kappa), len(helix.PARAMETERS)))
+        at = {"kappa": kappa, "tanl": tanl}
+        slopes = {self.name: 1.0} if self.slopes is None else self.slopes(at)
+        for name, slope in slopes.items():
+            rows[:, helix.PARAMETERS.index(name)] = slope
+        if self.relative:
+            assert self.value is not None
+            rows /= self.value(at)[:, None]
+        return self.factor * rows
+
+    def variance(self, entries: Floats, kappa: Floats, tanl: Floats) -> Floats:
+        """Return the variance for each covariance, in the square of the quoted unit.
+
+        Parameters
+        ----------
+        entries : ndarray, (..., tracks, 15) float64
+            Upper triangles of covariances of (dr, phi0, kappa, dz, tanl); further axes are those of detectors.
+        kappa, tanl : ndarray, (tracks,) float64, (GeV/c)^-1 and 1
+
+        Returns
+        -------
+        ndarray, (..., tracks) float64
+        """
+        weights = self.gradient(kappa, tanl)
+        used = np.any(weights != 0, axis=0)  # one to three of the five parameters
+        found = np.zeros(entries.shape[:-1])
+        for entry, (i, j) in enumerate(zip(*UPPER, strict=True)):
+            if used[i] and used[j]:  # entries beside the diagonal stand for two
+                found += (1 if i == j else 2) * weights[:, i] * weights[:, j] * entries[..., entry]
+        return found
 
 
-#: Unit of each quantity, and what stands on the axis of its resolution. `p_rel` and `pt_rel` are sigma(p)/p and
-#: sigma(pT)/pT.
-QUANTITIES: Mapping[str, tuple[str, str]] = {
-    "dr": (SCALES["dr"][0], "σ(d_ρ)"),
-    "dz": (SCALES["dz"][0], "σ(d_z)"),
-    "p": (SCALES["p"][0], "σ(p)"),
-    "pt": (SCALES["pt"][0], "σ(p_T)"),
-    "p_rel": ("%", "σ(p)/p"),
-    "pt_rel": ("%", "σ(p_T)/p_T"),
-    "phi0": (SCALES["phi0"][0], "σ(φ₀)"),
-    "theta": (SCALES["theta"][0], "σ(θ)"),
-    "tanl": (SCALES["tanl"][0], "σ(tan λ)"),
+class _Truth:
+    """The true helix parameters of tracks, by the names of the fitted ones."""
+
+    def __init__(self, tracks: Columns) -> None:
+        self._tracks = tracks
+
+    def __getitem__(self, name: str, /) -> Any:
+        return self._tracks[f"truth_{name}"]
+
+
+def _pt(h: Columns) -> Floats:
+    return np.asarray(1 / np.abs(h["kappa"]))
+
+
+def _pt_slopes(h: Columns) -> dict[str, Floats]:
+    return {"kappa": -_pt(h) / h["kappa"]}
+
+
+def _p(h: Columns) -> Floats:
+    return np.asarray(_pt(h) * np.sqrt(1 + h["tanl"] ** 2))
+
+
+def _p_slopes(h: Columns) -> dict[str, Floats]:
+    p = _p(h)
+    return {"kappa": -p / h["kappa"], "tanl": p * h["tanl"] / (1 + h["tanl"] ** 2)}
+
+
+def _theta(h: Columns) -> Floats:
+    return np.asarray(np.arctan2(1, h["tanl"]))
+
+
+def _theta_slopes(h: Columns) -> dict[str, Floats]:
+    return {"tanl": -1 / (1 + h["tanl"] ** 2)}
+
+
+#: Quantities of tracks by name, in the order of tables and figures.
+QUANTITIES: Mapping[str, Quantity] = {
+    one.name: one
+    for one in (
+        Quantity("dr", "mm", "um", 1000.0, "d_ρ", ("d_rho", "drho")),
+        Quantity("dz", "mm", "mm", 1.0, "d_z", ("d_z",)),
+        Quantity("p", "GeV/c", "MeV/c", 1000.0, "p", (), _p, _p_slopes),
+        Quantity("pt", "GeV/c", "MeV/c", 1000.0, "p_T", ("pT", "p_T"), _pt, _pt_slopes),
+        Quantity("p_rel", "", "%", 100.0, "p", ("p/p",), _p, _p_slopes, relative=True),
+        Quantity("pt_rel", "", "%", 100.0, "p_T", ("pt/pt", "pT/pT"), _pt, _pt_slopes, relative=True),
+        Quantity("phi0", "rad", "mrad", 1000.0, "φ₀", ("phi_0",)),
+        Quantity("theta", "rad", "mrad", 1000.0, "θ", (), _theta, _theta_slopes),
+        Quantity("tanl", "", "1e-3", 1000.0, "tan λ", ("tan_lambda", "tan(lambda)")),
+        Quantity("kappa", "1/(GeV/c)", "1/(GeV/c)", 1.0, "κ", reported=False),
+    )
 }
+#: Names of what scans report.
+REPORTED = tuple(one.name for one in QUANTITIES.values() if one.reported)
+#: Names of all but the relative ones.
+ABSOLUTE = tuple(one.name for one in QUANTITIES.values() if not one.relative)
+#: Names of the resolutions that short tables show, as the paper does.
+MAIN = ("dr", "dz", "p")
+#: Names by every accepted spelling.
+NAMES: Mapping[str, str] = {text: one.name for one in QUANTITIES.values() for text in (one.name, *one.spellings)}
+
+#: Residuals of clusters in the two views.
+X = Quantity("X", "mm", "um", 1000.0, "X")
+V = Quantity("V", "mm", "um", 1000.0, "V")
 
 
-def column(kind: str, quantity: str, end: str = "") -> str:
-    """Return the header of a column, such as ``sigma_p (MeV/c)``, or ``sigma_p_error (MeV/c)`` with an end."""
-    return f"{kind}_{quantity}{end} ({QUANTITIES[quantity][0]})"
+def quantity_of(name: str, what: str = "quantity") -> Quantity:
+    """Return the quantity of tracks that a name or another spelling stands for.
+
+    Parameters
+    ----------
+    name : str
+    what : str
+        Name of the argument, for the message.
+
+    Raises
+    ------
+    ValueError
+        If there is none; the message lists all names.
+    """
+    if name not in NAMES:
+        hint = did_you_mean(str(name), list(NAMES), "; ")
+        raise ValueError(f"{what}: got {name!r}; expected one of {', '.join(QUANTITIES)}{hint}")
+    return QUANTITIES[NAMES[name]]
 
 
-def sample_of(tracks: Table, quantity: str) -> Floats:
-    """Return fitted minus true values of a quantity of the fitted tracks, (n,) float64 in its unit."""
-    good = tracks["status"] == FitStatus.ok
-    if quantity in SCALES:
-        return residuals(tracks, good)[quantity]
-    if quantity == "p_rel":
-        return np.asarray(100 * tracks["res_p"][good] / tracks["truth_p"][good])
-    return np.asarray(100 * (np.abs(tracks["truth_kappa"][good] / tracks["kappa"][good]) - 1))
-
-
-def width(tracks: Table, quantity: str) -> Resolution:
-    """Return the widths of the residuals of a quantity, in its unit."""
-    sample = sample_of(tracks, quantity)
-    return measure(sample[np.isfinite(sample)], parameter=quantity, unit=QUANTITIES[quantity][0])
-
-
-def median_error(tracks: Table, quantity: str) -> float:
+def median_error(tracks: Columns, quantity: str) -> float:
     """Return the median of the fit's own errors of a quantity, in its unit; NaN for fewer than 10 tracks.
 
     It scatters much less than the core width, but it is right only where the pulls have the width 1.
     """
-    good = tracks["status"] == FitStatus.ok
-    if np.count_nonzero(good) < FEWEST:
-        return float("nan")
-    kappa, err_kappa = np.abs(tracks["kappa"][good]), tracks["err_kappa"][good]
-    made = {
-        "pt": lambda: err_kappa / kappa**2,
-        "pt_rel": lambda: 100 * err_kappa / kappa,
-        "p_rel": lambda: 100 * tracks["err_p"][good] / tracks["p"][good],
-        "theta": lambda: tracks["err_tanl"][good] / (1 + tracks["tanl"][good] ** 2),
-    }
-    errors = made[quantity]() if quantity in made else tracks[f"err_{quantity}"][good]
-    scale = SCALES[quantity][1] if quantity in SCALES else 1.0
-    return float(scale * np.median(errors))
+    return median(QUANTITIES[quantity].error(tracks)[tracks["status"] == FitStatus.ok])
+
+
+def median(errors: Floats) -> float:
+    """Return the median of errors, (n,); NaN for fewer than 10."""
+    return float(np.median(errors)) if len(errors) >= FEWEST else float("nan")

@@ -13,23 +13,15 @@ from scipy import special
 from scipy.optimize import least_squares
 
 from cgemit import _core
+from cgemit.analysis.quantities import QUANTITIES, quantity_of
 from cgemit.analysis.widths import HEAD, Floats, Pulls, Resolution, Resolutions, measure, stacked
 from cgemit.base.errors import did_you_mean
 from cgemit.base.settings import InTurn
 from cgemit.chain.result import Result, TrackColumns, track_columns, tracks_of
 from cgemit.particles.species import species
 from cgemit.tables import PARAMETERS, Table
-from cgemit.tables.show import Comparable, Tabular, html_table, text_table, with_error
+from cgemit.tables.show import Comparable, Shown, Tabular, html_table, with_error
 
-#: Unit in which the resolution of each parameter is quoted, and how many of them make the native unit.
-QUOTED = {
-    "dr": ("um", 1000.0),
-    "phi0": ("mrad", 1000.0),
-    "kappa": ("1/(GeV/c)", 1.0),
-    "dz": ("mm", 1.0),
-    "tanl": ("1e-3", 1000.0),
-    "p": ("MeV/c", 1000.0),
-}
 #: What tracks can be binned in: a function of the table, and the unit.
 BY: dict[str, tuple[Callable[[Table | TrackColumns], Floats], str]] = {
     "p": (lambda tracks: tracks["truth_p"], "GeV/c"),
@@ -49,22 +41,22 @@ def resolution(tracks: Table | Result, parameter: str, *, window: tuple[float, f
     tracks : Table or Result
         Of kind "tracks", or with such a table. Rows whose fit ended well are used; the others are counted by status.
     parameter : str
-        One of dr, phi0, kappa, dz, tanl, p.
+        Of `cgemit.analysis.quantities.QUANTITIES`: dr, dz, p, pt, p_rel, pt_rel, phi0, theta, tanl, kappa.
     window : (low, high) or None
         Range of the RMS, in the quoted unit; None: all rows.
 
     Returns
     -------
     Resolution
-        In um (dr), mrad (phi0), 1/(GeV/c) (kappa), mm (dz), 1e-3 (tanl), MeV/c (p).
+        In um (dr), mm (dz), MeV/c (p, pt), % (p_rel, pt_rel), mrad (phi0, theta), 1e-3 (tanl), 1/(GeV/c) (kappa).
 
     Raises
     ------
     TypeError, ValueError
         If `tracks` is of another kind, the parameter is unknown or the window is empty.
     """
-    unit, scale = QUOTED[_known(parameter, "parameter", list(QUOTED))]
-    return _measure(track_columns(tracks), f"res_{parameter}", parameter, unit, scale, window)
+    known, columns = quantity_of(parameter, "parameter"), track_columns(tracks)
+    return _measure(columns["status"], known.residual(columns), known.name, known.unit, window)
 
 
 def resolutions(tracks: Table | Result) -> Resolutions:
@@ -75,7 +67,7 @@ def resolutions(tracks: Table | Result) -> Resolutions:
     tracks : Table or Result
         Of kind "tracks", or with such a table.
     """
-    return Resolutions(tuple(resolution(tracks, name) for name in QUOTED))
+    return Resolutions(tuple(resolution(tracks, name) for name in QUANTITIES))
 
 
 def pulls(tracks: Table | Result) -> Pulls:
@@ -87,11 +79,11 @@ def pulls(tracks: Table | Result) -> Pulls:
         Of kind "tracks", or with such a table.
     """
     columns = track_columns(tracks)
-    return Pulls(tuple(_measure(columns, f"pull_{name}", name, "", 1.0, None) for name in PARAMETERS))
+    return Pulls(tuple(_measure(columns["status"], columns[f"pull_{name}"], name) for name in PARAMETERS))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Curve(Comparable, Tabular):
+class Curve(Shown, Comparable, Tabular):
     """The widths of one parameter in bins of something.
 
     Attributes
@@ -125,22 +117,12 @@ class Curve(Comparable, Tabular):
         """Return one number of each bin, such as ``"core"`` or ``"core_error"``, (bins,) float64."""
         return np.array([getattr(value, name) for value in self.values], np.float64)
 
-    def _head(self) -> tuple[str, ...]:
-        return (f"{self.by} [{self.by_unit}]" if self.by_unit else self.by, *HEAD)
-
-    def _rows(self) -> list[list[str]]:
-        spans = [f"{low:g} to {high:g}" for low, high in zip(self.edges[:-1], self.edges[1:], strict=True)]
-        return [[span, *value.cells()] for span, value in zip(spans, self.values, strict=True)]
-
-    def _title(self) -> str:
+    def _table(self) -> tuple[str, tuple[str, ...], list[list[str]]]:
         label = f"{self.parameter} [{self.unit}]" if self.unit else self.parameter
-        return f"{label} against {self.by}, {self.outside} rows in no bin"
-
-    def __repr__(self) -> str:
-        return text_table(self._title(), self._head(), self._rows())
-
-    def _repr_html_(self) -> str:
-        return html_table(self._title(), self._head(), self._rows())
+        head = (f"{self.by} [{self.by_unit}]" if self.by_unit else self.by, *HEAD)
+        bins = zip(self.edges[:-1], self.edges[1:], self.values, strict=True)
+        rows = [[f"{low:g} to {high:g}", *value.cells()] for low, high, value in bins]
+        return f"{label} against {self.by}, {self.outside} rows in no bin", head, rows
 
 
 def resolution_against(
@@ -159,7 +141,7 @@ def resolution_against(
     tracks : Table or Result
         Of kind "tracks", or with such a table.
     parameter : str
-        One of dr, phi0, kappa, dz, tanl, p.
+        As of `resolution`; of pulls one of dr, phi0, kappa, dz, tanl, p.
     by : str
         p, pt (GeV/c), cos_theta or charge (e), all true values.
     bins : int or (m + 1,) array_like
@@ -175,22 +157,24 @@ def resolution_against(
     TypeError, ValueError
         If `tracks` is of another kind, a name is unknown or the limits do not increase.
     """
-    unit, scale = QUOTED[_known(parameter, "parameter", list(QUOTED))]
+    known = quantity_of(parameter, "parameter")
     quantity, by_unit = BY[_known(by, "by", list(BY))]
-    _known(kind, "kind", ["residual", "pull"])
-    column = f"res_{parameter}" if kind == "residual" else f"pull_{parameter}"
-    unit, scale = (unit, scale) if kind == "residual" else ("", 1.0)
     columns = track_columns(tracks)
+    if _known(kind, "kind", ["residual", "pull"]) == "residual":
+        sample, unit = known.residual(columns), known.unit
+    else:
+        sample, unit = columns[f"pull_{_known(known.name, 'parameter', list(PARAMETERS))}"], ""
     x = np.asarray(quantity(columns), np.float64)
     edges = _edges(x, bins)
     bin_of = np.searchsorted(edges, x, side="right") - 1
     bin_of[x == edges[-1]] = len(edges) - 2
     bin_of[~np.isfinite(x) | (x > edges[-1])] = -1
     chosen = [bin_of == i for i in range(len(edges) - 1)]
-    values = tuple(_measure(columns, column, parameter, unit, scale, window, rows) for rows in chosen)
+    status = columns["status"]
+    values = tuple(_measure(status[rows], sample[rows], known.name, unit, window) for rows in chosen)
     means = tuple(float(x[rows].mean()) if rows.any() else math.nan for rows in chosen)
     outside = len(x) - sum(int(np.count_nonzero(rows)) for rows in chosen)
-    return Curve(parameter, unit, by, by_unit, tuple(map(float, edges)), means, values, outside)
+    return Curve(known.name, unit, by, by_unit, tuple(map(float, edges)), means, values, outside)
 
 
 def _known(name: str, what: str, known: list[str]) -> str:
@@ -201,20 +185,17 @@ def _known(name: str, what: str, known: list[str]) -> str:
 
 
 def _measure(
-    tracks: Table | TrackColumns,
-    column: str,
+    status: npt.NDArray[np.int8],
+    values: Floats,
     parameter: str,
-    unit: str,
-    scale: float,
-    window: tuple[float, float] | None,
-    rows: npt.NDArray[np.bool_] | slice = slice(None),
+    unit: str = "",
+    window: tuple[float, float] | None = None,
 ) -> Resolution:
-    """Measure a column of the tracks that are good, of the given rows."""
-    status, values = tracks["status"][rows], tracks[column][rows]
+    """Measure the values of the tracks whose fit ended well."""
     good = status == 0
     usable = good & np.isfinite(values)
     removed = removed_rows(status, int(np.count_nonzero(good & ~usable)))
-    return measure(scale * values[usable], parameter=parameter, unit=unit, window=window, removed=removed)
+    return measure(values[usable], parameter=parameter, unit=unit, window=window, removed=removed)
 
 
 def _edges(x: Floats, bins: int | npt.ArrayLike) -> Floats:
@@ -264,7 +245,7 @@ class Form:
     Attributes
     ----------
     quantity : str
-        ``"pt"`` stands for sigma(pT)/pT.
+        Of `QUANTITIES`.
     formula : str
     unit : str
         Of sigma.
@@ -285,7 +266,7 @@ class Form:
 
         Over a range of cos(theta), the power of sin(theta) is replaced by its mean.
         """
-        if self.quantity == "pt":
+        if self.quantity == "pt_rel":
             return p * mean_sine(cos_theta, 1.0)
         beta = p / np.hypot(p, species(particle).mass)
         return mean_sine(cos_theta, -self.power) / (p * beta)
@@ -297,7 +278,7 @@ FORMS = {
     for form in (
         Form("dr", "sigma(d_rho) = a (+) b/(p beta sin^{3/2} theta)", "um", "um", "um GeV/c", 1.5),
         Form("dz", "sigma(d_z) = a (+) b/(p beta sin^{5/2} theta)", "mm", "mm", "mm GeV/c", 2.5),
-        Form("pt", "sigma(pT)/pT = a pT (+) b", "%", "%/(GeV/c)", "%", 1.0),
+        Form("pt_rel", "sigma(pT)/pT = a pT (+) b", "%", "%/(GeV/c)", "%", 1.0),
     )
 }
 
@@ -378,7 +359,7 @@ def fit_form(
     Parameters
     ----------
     quantity : str
-        ``"dr"``: a (+) b/(p beta sin^{3/2} theta). ``"dz"``: the same with 5/2. ``"pt"``: sigma(pT)/pT = a pT (+) b.
+        ``"dr"``: a (+) b/(p beta sin^{3/2} theta). ``"dz"``: with 5/2. ``"pt_rel"``: sigma(pT)/pT = a pT (+) b.
     p : (n,) array_like, GeV/c
     sigma : (n,) array_like
         um (dr), mm (dz), % (sigma(pT)/pT). Points that are not finite are left out.
@@ -414,7 +395,7 @@ def fit_form(
     if error is None:
         constant_error = slope_error = math.nan
     pairs = [(constant, constant_error), (slope, slope_error)]
-    (a, a_error), (b, b_error) = reversed(pairs) if quantity == "pt" else pairs
+    (a, a_error), (b, b_error) = reversed(pairs) if quantity == "pt_rel" else pairs
     chi2 = math.nan if error is None else float(residuals @ residuals)
     deviation = float(np.max(np.abs(residuals * weight / y)))
     return FormFit(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from cgemit.base.errors import did_you_mean
 from cgemit.base.settings import number
-from cgemit.tables.show import Comparable, Tabular, html_table, text_table, with_error
+from cgemit.tables.show import Comparable, Shown, Tabular, html_table, with_error
 
 Floats = npt.NDArray[np.float64]
 
@@ -268,13 +268,53 @@ def _q68(x: Floats) -> tuple[float, float]:
     return _half_width(x), math.sqrt(max(0.0, float(variance)))
 
 
+#: Parts of a sample that a jackknife leaves out in turn.
+GROUPS = 20
+
+
+def without_groups(values: Floats, number: npt.NDArray[Any], statistic: Callable[[Floats], float]) -> Floats:
+    """Return a statistic of a sample without each of `GROUPS` groups of its rows, (groups,) float64, for `jackknife`.
+
+    Parameters
+    ----------
+    values : (n,) float64
+    number : (n,) int
+        Of each row, such as its event; rows with the same number modulo `GROUPS` are a group.
+    statistic : callable
+        Takes the rows that stay.
+    """
+    return np.array([statistic(values[number % GROUPS != left_out]) for left_out in range(GROUPS)])
+
+
+def jackknife(replicas: npt.ArrayLike) -> Any:
+    """Return the standard error of a statistic from its values without each group of rows.
+
+    Of a difference or ratio of two samples of the same events, take the difference or ratio without each group: the
+    correlation of the samples then counts. B. Efron, The Jackknife, the Bootstrap and Other Resampling Plans (1982),
+    ch. 3.
+
+    Parameters
+    ----------
+    replicas : (..., groups) array_like
+
+    Returns
+    -------
+    float, or ndarray (...) float64
+    """
+    values = np.asarray(replicas, np.float64)
+    groups = values.shape[-1]
+    spread = np.sum((values - values.mean(axis=-1, keepdims=True)) ** 2, axis=-1)
+    error = np.sqrt((groups - 1) / groups * spread)
+    return float(error) if values.ndim == 1 else error
+
+
 def stacked(tables: Sequence[dict[str, list[Any]]]) -> dict[str, list[Any]]:
     """Return tables of the same columns, one below the other."""
     return {name: [cell for table in tables for cell in table[name]] for name in tables[0]} if tables else {}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Resolutions(Comparable, Tabular):
+class Resolutions(Shown, Comparable, Tabular):
     """The widths of several quantities, by their name.
 
     Attributes
@@ -310,12 +350,6 @@ class Resolutions(Comparable, Tabular):
 
     def _table(self) -> tuple[str, tuple[str, ...], list[list[str]]]:
         return "resolutions", ("quantity", *HEAD), [[one.label(), *one.cells()] for one in self.widths]
-
-    def __repr__(self) -> str:
-        return text_table(*self._table())
-
-    def _repr_html_(self) -> str:
-        return html_table(*self._table())
 
 
 class Pulls(Resolutions):

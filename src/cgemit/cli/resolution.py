@@ -124,7 +124,7 @@ def _scans(
 
 def _text(points: Sequence[Scan], lines: Sequence[AnalyticScan]) -> str:
     """Return a table and the fits of each detector and particle, and the differences to the first detector."""
-    from cgemit.study.scan import base_of, compared, differences, fits_text
+    from cgemit.study.scan import base_of, compared, fits_text
 
     if points and lines:
         pairs = list(zip(points, lines, strict=True))
@@ -132,5 +132,5 @@ def _text(points: Sequence[Scan], lines: Sequence[AnalyticScan]) -> str:
     else:
         parts = [[str(scan), fits_text([scan])] for scan in points or lines]
     bases = [(scan, base_of(scan, points)) for scan in points]
-    parts += [[str(differences(scan.orders, base.orders))] for scan, base in bases if base]  # type: ignore[arg-type]
+    parts += [[str(scan.minus(base))] for scan, base in bases if base]
     return "\n\n".join("\n".join(filter(None, part)) for part in parts)

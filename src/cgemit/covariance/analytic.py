@@ -10,9 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from cgemit import _core
+from cgemit.analysis.quantities import UPPER
 from cgemit.covariance.result import Covariance, Entries
 from cgemit.covariance.tracks import (
-    UPPER,
     Points,
     Quantity,
     Sample,
@@ -37,7 +37,6 @@ from cgemit.simulation.digitize import DigitizeSettings
 Floats = npt.NDArray[np.float64]
 Columns = dict[str, npt.NDArray[Any]]
 
-_UPPER = np.triu_indices(5)
 #: The status of a track without state at the cylinder.
 _LOST = {
     StateStatus.does_not_reach: FitStatus.does_not_reach,
@@ -65,7 +64,7 @@ def at_cylinders(tracks: Tracks, radius: Floats) -> tuple[Tracks, Columns]:
         rows = np.flatnonzero((radius == one) & (out["status"] == FitStatus.ok))
         found = _states(tracks, hits, offsets, rows, float(one))
         kappa[rows], tanl[rows] = found["helix"][:, 2], found["helix"][:, 4]
-        entries[rows] = found["cov"][:, _UPPER[0], _UPPER[1]]
+        entries[rows] = found["cov"][:, UPPER[0], UPPER[1]]
         for lost, instead in _LOST.items():
             status[rows[found["status"] == lost]] = instead
     at = dataclasses.replace(tracks, kappa=kappa, tanl=tanl)

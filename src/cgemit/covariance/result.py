@@ -10,13 +10,14 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from cgemit.covariance.tracks import QUANTITIES, Sample, Tracks, core_width, mean, status_of, variances
+from cgemit.analysis.quantities import ABSOLUTE, NAMES, QUANTITIES, quantity_of
+from cgemit.covariance.tracks import Sample, Tracks, core_width, mean, status_of
 from cgemit.detector import Detector
 from cgemit.detector.matter import slabs
 from cgemit.detector.parts import CgemLayer
 from cgemit.detector.readouts import Readout
 from cgemit.reconstruction.fit import FitStatus
-from cgemit.tables.show import data_frame, html_table, text_table
+from cgemit.tables.show import Shown, data_frame
 
 Floats = npt.NDArray[np.float64]
 
@@ -49,7 +50,7 @@ class Widths:
     Attributes
     ----------
     sigma : mapping of str to ndarray, float64
-        Core resolution of each quantity, native units.
+        Core resolution of each quantity, in its quoted unit.
     status : ndarray, int8
     reached : ndarray, float64
     """
@@ -86,7 +87,7 @@ def _together(found: Sequence[Entries], quantities: Sequence[str]) -> Iterator[W
     sample, count = found[0].sample, len(found)
     number = sample.kappa.size // sample.p.size
     covariance = np.stack([one.covariance for one in found])
-    every = np.array([variances(covariance, sample.kappa, sample.tanl, name) for name in quantities])
+    every = np.array([quantity_of(name).variance(covariance, sample.kappa, sample.tanl) for name in quantities])
     sigma = core_width(every.reshape(-1, number)).reshape(len(quantities), count, -1)
     status, reached = status_of(np.stack([one.status for one in found]).reshape(-1, number))
     for i in range(count):
@@ -154,13 +155,13 @@ def _contains(layer: CgemLayer, radius: float) -> bool:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Budget:
+class Budget(Shown):
     """The variance of one quantity, split exactly by its sources.
 
     Attributes
     ----------
     quantity, unit : str
-        Variances are in the square of `unit`.
+        Variances are in the square of `unit`, the quoted one.
     sources : tuple of Source
     p, cos_theta : ndarray, float64
         Of the points.
@@ -226,26 +227,16 @@ class Budget:
         """Return `table` as a pandas DataFrame."""
         return data_frame(self.table(by))
 
-    def _rows(self) -> Iterator[list[str]]:
+    def _table(self) -> tuple[str, list[str], list[list[str]]]:
         groups = self.grouped("part")
         order = sorted(groups, key=lambda name: -float(np.nan_to_num(groups[name]).sum()))
-        total = self.total.ravel()
+        rows = []
         for i in range(min(self.p.size, 6)):
             for name in order[:8]:
-                value = float(groups[name].ravel()[i])
-                yield [f"{self.p.ravel()[i]:.4g}", name, f"{value**0.5:.4g}", f"{100 * value / total[i]:.1f} %"]
-
-    def _title(self) -> str:
-        return f"{self.detector}, {self.particle}: budget of {self.quantity}"
-
-    def _head(self) -> list[str]:
-        return ["p [GeV/c]", "part", f"sigma [{self.unit}]" if self.unit else "sigma", "of variance"]
-
-    def __repr__(self) -> str:
-        return text_table(self._title(), self._head(), list(self._rows()))
-
-    def _repr_html_(self) -> str:
-        return html_table(self._title(), self._head(), list(self._rows()))
+                value, share = float(groups[name].ravel()[i]), float(groups[name].ravel()[i] / self.total.ravel()[i])
+                rows.append([f"{self.p.ravel()[i]:.4g}", name, f"{value**0.5:.4g}", f"{100 * share:.1f} %"])
+        head = ["p [GeV/c]", "part", f"sigma [{self.unit}]", "of variance"]
+        return f"{self.detector}, {self.particle}: budget of {self.quantity}", head, rows
 
 
 def _groups(source: Source, by: By) -> list[tuple[str, float]]:
@@ -280,10 +271,14 @@ def budget_of(
     ValueError
         If the quantity is not known, or depends on a parameter that varies within a point.
     """
-    rows = tracks.gradients(quantity).reshape(-1, tracks.samples, 5)
+    known = quantity_of(quantity)
+    rows = known.gradient(tracks.kappa, tracks.tanl).reshape(-1, tracks.samples, 5)
     if np.any(np.ptp(rows, axis=1) > 1e-12 * np.abs(rows).max(axis=1)):
         raise ValueError(f"budget of {quantity}: got a range of p or cos(theta); expected fixed values")
     weights = rows[:, 0]
+    used = np.flatnonzero(np.any(weights != 0, axis=0)).tolist()
+    if len(used) > 1 and used != [2, 4]:  # the core sums no other correlations
+        raise ValueError(f"budget of {quantity}: expected a function of one parameter, or of kappa and tanl")
     sums = tracks.run(budget=True)["budget"]  # (points, terms, 6)
     variance = np.einsum("pi,pti->pt", weights**2, sums[..., :5])
     variance += 2 * (weights[:, 2] * weights[:, 4])[:, None] * sums[..., 5]
@@ -292,7 +287,7 @@ def budget_of(
     with np.errstate(invalid="ignore", divide="ignore"):
         variance = variance / np.round(reached.reshape(-1, 1) * tracks.samples)
     shape = (*p.shape, len(names))
-    return Budget(quantity, QUANTITIES[quantity], names, p, cos_theta, variance.reshape(shape), detector.name, particle)
+    return Budget(known.name, known.unit, names, p, cos_theta, variance.reshape(shape), detector.name, particle)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -346,8 +341,8 @@ class Covariance:
         Parameters
         ----------
         quantity : str
-            ``"dr"`` mm, ``"phi0"`` rad, ``"kappa"`` (GeV/c)^-1, ``"dz"`` mm, ``"tanl"``, ``"theta"`` rad, ``"p"`` GeV/c
-            or ``"pt"`` GeV/c.
+            Of `cgemit.analysis.quantities.QUANTITIES`: ``"dr"`` um, ``"dz"`` mm, ``"p"``, ``"pt"`` MeV/c, ``"p_rel"``,
+            ``"pt_rel"`` %, ``"phi0"`` and ``"theta"`` mrad, ``"tanl"`` 1e-3, ``"kappa"`` (GeV/c)^-1.
 
         Returns
         -------
@@ -359,13 +354,7 @@ class Covariance:
         ValueError
             If the quantity is not known.
         """
-        return self.sigmas([quantity])[quantity]
-
-    def sigmas(self, quantities: Sequence[str]) -> dict[str, Floats]:
-        """Return the core resolutions of several quantities by name, faster than one by one; see `sigma`."""
-        variances = np.array([self.variances(name) for name in quantities])
-        widths = core_width(variances.reshape(-1, self._tracks.samples)).reshape(-1, *self.p.shape)
-        return dict(zip(quantities, widths, strict=True))
+        return core_width(self.variances(quantity).reshape(-1, self._tracks.samples)).reshape(self.p.shape)
 
     def rms(self, quantity: str) -> Floats:
         """Return the root of the mean variance; see `sigma`."""
@@ -374,9 +363,12 @@ class Covariance:
             return np.asarray(np.sqrt(mean(variances, ~np.isnan(variances))))
 
     def variances(self, quantity: str) -> Floats:
-        """Return the variance of every sample, shape + (samples,); NaN without a covariance."""
+        """Return the variance of every sample, shape + (samples,), in the square of the quoted unit.
+
+        It is NaN without a covariance.
+        """
         tracks = self._tracks
-        found = variances(self._samples.reshape(-1, 15), tracks.kappa, tracks.tanl, quantity)
+        found = quantity_of(quantity).variance(self._samples.reshape(-1, 15), tracks.kappa, tracks.tanl)
         return found.reshape(*self.p.shape, tracks.samples)
 
     def budget(self, quantity: str) -> Budget:
@@ -408,7 +400,7 @@ class Covariance:
     def __getattr__(self, name: str) -> Floats:
         """Return ``sigma_p`` for ``sigma("p")``, ``rms_dr`` for ``rms("dr")``."""
         kind, _, quantity = name.partition("_")
-        if kind in ("sigma", "rms") and quantity in QUANTITIES:
+        if kind in ("sigma", "rms") and quantity in NAMES:
             return self.sigma(quantity) if kind == "sigma" else self.rms(quantity)
         raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
 
@@ -416,12 +408,15 @@ class Covariance:
         return sorted([*super().__dir__(), *(f"{kind}_{name}" for kind in ("sigma", "rms") for name in QUANTITIES)])
 
     def table(self) -> dict[str, npt.NDArray[Any]]:
-        """Return one row per point as columns: arguments, status, core and RMS of every quantity in native units."""
+        """Return one row per point as columns: arguments, status, core and RMS of all quantities in quoted units.
+
+        Relative resolutions are left out.
+        """
         columns: dict[str, npt.NDArray[Any]] = {"p": self.p.ravel(), "cos_theta": self.cos_theta.ravel()}
         columns |= {"phi": self.phi.ravel(), "radius": self.radius.ravel(), "status": self.status.ravel()}
         columns["reached"] = self.reached.ravel()
         columns |= {"n_clusters": self.n_clusters.ravel(), "n_wires": self.n_wires.ravel()}
-        for name in QUANTITIES:
+        for name in ABSOLUTE:
             columns[f"sigma_{name}"], columns[f"rms_{name}"] = self.sigma(name).ravel(), self.rms(name).ravel()
         return columns
 
@@ -432,8 +427,8 @@ class Covariance:
     def __repr__(self) -> str:
         columns = self.p, self.cos_theta, self.sigma("dr"), self.sigma("dz"), self.sigma("p"), self.status
         rows = [
-            f"  p {p:.4g} GeV/c, cos(theta) {c:.3g}: sigma(d_rho) {1e3 * dr:.4g} um, sigma(d_z) {dz:.4g} mm, "
-            f"sigma(p) {1e3 * sp:.4g} MeV/c" + ("" if s == 0 else f" [{FitStatus(int(s)).name}]")
+            f"  p {p:.4g} GeV/c, cos(theta) {c:.3g}: sigma(d_rho) {dr:.4g} um, sigma(d_z) {dz:.4g} mm, "
+            f"sigma(p) {sp:.4g} MeV/c" + ("" if s == 0 else f" [{FitStatus(int(s)).name}]")
             for p, c, dr, dz, sp, s in zip(*(np.ravel(one) for one in columns), strict=True)
         ]
         more = [f"  ... {len(rows) - 12} more"] if len(rows) > 12 else []

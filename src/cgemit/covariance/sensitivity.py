@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from cgemit import _core
+from cgemit.analysis.quantities import quantity_of
 from cgemit.base.errors import DetectorError
 from cgemit.covariance.analytic import analytic
 from cgemit.covariance.result import Covariance
@@ -21,7 +22,7 @@ from cgemit.detector.parts import CgemLayer, Contents
 from cgemit.detector.readouts import CalibratedReadout, Readout
 from cgemit.reconstruction.cluster_errors import key_of
 from cgemit.reconstruction.fit import compiled_for_fit
-from cgemit.tables.show import data_frame, html_table, text_table
+from cgemit.tables.show import Shown, data_frame
 
 Floats = npt.NDArray[np.float64]
 
@@ -116,7 +117,7 @@ STEPS = (2e-5, 4e-6)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Sensitivity:
+class Sensitivity(Shown):
     """Relative derivatives of resolutions by numbers of the design, d ln(sigma)/d ln(number).
 
     Attributes
@@ -168,18 +169,12 @@ class Sensitivity:
         """Return `table` as a pandas DataFrame."""
         return data_frame(self.table())
 
-    def _text(self) -> tuple[str, list[str], list[list[str]]]:
+    def _table(self) -> tuple[str, list[str], list[list[str]]]:
         head = ["1 % more of", *(f"sigma({name}) [%]" for name in self.quantities)]
         flat = self.values.reshape(len(self.keys), len(self.quantities), -1)[..., 0]
         rows = [[key, *(f"{x:+.3f}" for x in flat[self.keys.index(key)])] for key in self.ordered()]
         where = f"p {self.p.ravel()[0]:.4g} GeV/c, cos(theta) {self.cos_theta.ravel()[0]:.3g}"
         return f"{self.detector}, {self.particle}, {where}", head, rows
-
-    def __repr__(self) -> str:
-        return text_table(*self._text())
-
-    def _repr_html_(self) -> str:
-        return html_table(*self._text())
 
 
 def sensitivity(
@@ -228,8 +223,7 @@ def sensitivity(
     detector = load(detector)
     base = analytic(detector, particle, p, cos_theta, **how)
     base.only_at_origin("sensitivity")
-    for name in quantities:
-        base.variances(name)  # refuses an unknown name
+    quantities = tuple(quantity_of(name).name for name in quantities)
     wanted = tuple(keys) if keys is not None else tuple(design_keys(detector))
     fixed = [key for key in wanted if calibrated_apart(base.readout, detector, _changed(detector, key))]
     if fixed:
@@ -238,7 +232,7 @@ def sensitivity(
         )
     values, problems = logarithmic_slopes(base, detector, wanted, quantities)
     return Sensitivity(
-        detector.name, base.particle, base.p, base.cos_theta, wanted, tuple(quantities), values, problems
+        detector.name, base.particle, base.p, base.cos_theta, wanted, quantities, values, problems
     )  # fmt: skip
 
 

@@ -18,30 +18,14 @@ from cgemit.analysis.widths import SECOND_INSIDE
 from cgemit.detector import Detector
 from cgemit.detector.keys import Part, once
 from cgemit.detector.parts import DriftChamber
-from cgemit.helix import PARAMETERS, RADIUS_PER_KAPPA
+from cgemit.helix import RADIUS_PER_KAPPA
 from cgemit.particles.species import species
 from cgemit.reconstruction.fit import FitSettings, compiled_for_fit
 from cgemit.units import QuantityError, parse_quantity
 
 Floats = npt.NDArray[np.float64]
 
-#: What has a resolution, with its unit.
-QUANTITIES = {
-    "dr": "mm",
-    "phi0": "rad",
-    "kappa": "1/(GeV/c)",
-    "dz": "mm",
-    "tanl": "",
-    "theta": "rad",
-    "p": "GeV/c",
-    "pt": "GeV/c",
-}
-
 _CHUNK = 4096  # tracks of one task
-
-#: Places of the core's 15 entries in a covariance.
-UPPER = np.triu_indices(5)
-_DIAGONAL = np.equal(*UPPER)
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,54 +84,6 @@ class Tracks:
             parts = list(pool.map(part, starts))
         axis = 1 if variants else 0
         return {name: np.concatenate([one[name] for one in parts], axis=axis) for name in parts[0]}
-
-    def gradients(self, quantity: str) -> Floats:
-        """Return the derivatives of a quantity by (dr, phi0, kappa, dz, tanl), (tracks, 5)."""
-        return gradients(self.kappa, self.tanl, quantity)
-
-
-def gradients(kappa: Floats, tanl: Floats, quantity: str) -> Floats:
-    """Return the derivatives of a quantity of tracks by (dr, phi0, kappa, dz, tanl), (tracks, 5)."""
-    rows = np.zeros((len(kappa), 5))
-    square = 1 + tanl * tanl
-    pt = 1 / np.abs(kappa)
-    if quantity in PARAMETERS:
-        rows[:, PARAMETERS.index(quantity)] = 1
-    elif quantity == "theta":
-        rows[:, 4] = -1 / square
-    elif quantity == "pt":
-        rows[:, 2] = -pt / kappa
-    elif quantity == "p":
-        p = pt * np.sqrt(square)
-        rows[:, 2], rows[:, 4] = -p / kappa, p * tanl / square
-    else:
-        raise ValueError(f"quantity: got {quantity!r}; expected one of {', '.join(QUANTITIES)}")
-    return rows
-
-
-def variances(entries: Floats, kappa: Floats, tanl: Floats, quantity: str) -> Floats:
-    """Return the variance of a quantity for each covariance.
-
-    Parameters
-    ----------
-    entries : ndarray, (..., tracks, 15) float64
-        Upper triangles of covariances of (dr, phi0, kappa, dz, tanl); further axes are those of detectors.
-    kappa, tanl : ndarray, (tracks,) float64, (GeV/c)^-1 and 1
-    quantity : str
-
-    Returns
-    -------
-    ndarray, (..., tracks) float64
-    """
-    if quantity in PARAMETERS:
-        return entries[..., int(np.flatnonzero(_DIAGONAL)[PARAMETERS.index(quantity)])].copy()
-    weights = gradients(kappa, tanl, quantity)
-    used = np.any(weights != 0, axis=0)  # one to three of the five parameters
-    found = np.zeros(entries.shape[:-1])
-    for entry, (i, j) in enumerate(zip(*UPPER, strict=True)):
-        if used[i] and used[j]:  # entries beside the diagonal stand for two
-            found += (1 if i == j else 2) * weights[:, i] * weights[:, j] * entries[..., entry]
-    return found
 
 
 #: Of the half length: scatters move tracks by less than a fifth of it.

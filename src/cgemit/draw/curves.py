@@ -12,7 +12,8 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 
 from cgemit.analysis.bes3 import FITS, Refit
-from cgemit.analysis.curves import SYMBOLS, Line, Spectrum, track_spectrum
+from cgemit.analysis.curves import Line, Spectrum, track_spectrum
+from cgemit.analysis.quantities import QUANTITIES, REPORTED
 from cgemit.chain.result import Result, tracks_of
 from cgemit.draw.style import (
     COLORS,
@@ -40,7 +41,7 @@ def residual(result: Result | Table, quantity: str = "p") -> Picture:
     ----------
     result : Result or Table of kind "tracks"
     quantity : str
-        ``"dr"``, ``"phi0"``, ``"kappa"``, ``"dz"``, ``"tanl"`` or ``"p"``.
+        Of `cgemit.analysis.quantities.QUANTITIES`.
 
     Returns
     -------
@@ -447,7 +448,7 @@ def draw_refit(result: Refit) -> Picture:
             plot.hist(values, bins=_BINS, range=(-_EDGE, _EDGE), color=COLORS["cgem"], histtype="stepfilled")
             row = summary[name]
             plot.set_title(f"median {row['pull']:.2f}, 68 % within ±{row['pull_width']:.2f}", loc="left")
-            plot.set_xlabel(f"{mathematical(SYMBOLS[name])}: (ours − BOSS) / error of BOSS")
+            plot.set_xlabel(f"{mathematical(QUANTITIES[name].symbol)}: (ours − BOSS) / error of BOSS")
             plot.set_ylabel("tracks")
             plot.yaxis.set_major_locator(MaxNLocator(integer=True))
             plot.set_xlim(-_EDGE, _EDGE)
@@ -479,19 +480,11 @@ def _errors(plot: Axes, summary: dict[str, dict[str, float]]) -> None:
     ratios = [summary[name]["error_ratio"] for name in names]
     plot.axhline(1, color=COLORS["text"], linewidth=0.8)
     plot.plot(range(len(names)), ratios, "o", color=COLORS["cgem"])
-    plot.set_xticks(range(len(names)), [mathematical(SYMBOLS[name]) for name in names])
+    plot.set_xticks(range(len(names)), [mathematical(QUANTITIES[name].symbol) for name in names])
     plot.set(
         ylabel="median of our error / error of BOSS", xlim=(-0.6, len(names) - 0.4), ylim=(0, 1.15 * max(1.0, *ratios))
     )
     grid(plot)
-
-
-#: Quantities in the order of the panels, with the label of the axis.
-PANELS = {
-    "dr": f"σ({SYMBOLS['dr']})", "dz": f"σ({SYMBOLS['dz']})", "p": "σ(p)",
-    "p_rel": "σ(p)/p", "pt_rel": "σ($p_T$)/$p_T$", "pt": "σ($p_T$)",
-    "phi0": "σ(φ₀)", "theta": "σ(θ)", "tanl": "σ(tan λ)",
-}  # fmt: skip
 
 
 def resolutions(scans: Sequence[Any]) -> Picture:
@@ -505,16 +498,19 @@ def resolutions(scans: Sequence[Any]) -> Picture:
     Returns
     -------
     Picture
-        d_rho, d_z, p; relative p and pT, pT; phi0, theta, tan(lambda).
+        One panel for each of `REPORTED`.
     """
     scans = [scans] if hasattr(scans, "all_lines") else list(scans)
     named = _named([scan.all_lines for scan in scans])
     transverse = scans[0].orders[0].gun.p is None
     with style():
-        picture, axes = new_picture(3, 3, (13.2, 11.2))
-        for plot, (name, label) in zip(axes, PANELS.items(), strict=True):
+        count = -(-len(REPORTED) // 3)
+        picture, axes = new_picture(count, 3, (13.2, 3.6 * count + 0.4))
+        for plot in axes[len(REPORTED) :]:
+            plot.remove()
+        for plot, name in zip(axes, REPORTED, strict=False):
             curves = [line for lines in named for line in lines if line.id == f"sigma_{name}"]
-            draw_curves(plot, curves, label, "$p_T$" if transverse else "p")
+            draw_curves(plot, curves, QUANTITIES[name].sigma, "$p_T$" if transverse else "p")
         entries = legend_entries(axes)
         if entries:
             picture.legend(entries.values(), entries.keys(), loc="lower center", ncols=min(4, len(entries)))

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.colors import Normalize
 
+from cgemit.analysis.quantities import QUANTITIES
 from cgemit.covariance.result import Budget, By
 from cgemit.covariance.sensitivity import Sensitivity
 from cgemit.draw.style import COLORS, Picture, grid, legend_entries, mathematical, new_picture, plain, style
@@ -19,9 +20,6 @@ from cgemit.tables.show import shown
 
 Floats = npt.NDArray[np.float64]
 
-_SYMBOLS = {
-    "dr": "d_ρ", "dz": "d_z", "pt": "$p_T$", "phi0": "φ₀", "theta": "θ", "tanl": "tan λ", "p": "p", "kappa": "κ",
-}  # fmt: skip
 _COLOURS = (COLORS["cgem"], COLORS["idc"], COLORS["truth"])
 _OTHER = "other"
 _AREAS = mpl.colormaps["tab20"](np.arange(20))[[0, 2, 4, 6, 8, 10, 12, 16, 18, 1, 3, 5, 7, 9, 11, 13, 17, 19]]
@@ -68,7 +66,8 @@ def draw_budget(budget: Budget, by: By = "part", *, most: int = 8) -> Picture:
             axes.fill_between(p, low, high, color=colour, lw=0, alpha=0.85, label=plain(name))
             axes.plot(p, high, color="white", lw=0.6)
         axes.set(xlim=(p[0], p[-1]), ylim=(0, 100), xlabel="p  (GeV/c)")
-        axes.set_ylabel(f"share of the variance of {mathematical(_SYMBOLS[budget.quantity])}  (%)")
+        symbol = mathematical(QUANTITIES[budget.quantity].symbol)
+        axes.set_ylabel(f"share of the variance of {symbol}  (%)")
         axes.set_title(plain(f"{budget.detector}, {budget.particle}, cos θ = {budget.cos_theta[0]:.3g}"), loc="left")
         handles, labels = axes.get_legend_handles_labels()
         # From top to bottom, as the areas lie.
@@ -77,7 +76,7 @@ def draw_budget(budget: Budget, by: By = "part", *, most: int = 8) -> Picture:
     return picture
 
 
-def draw_budgets(budgets: Mapping[str, Budget], by: By = "part", *, most: int = 8, scale: float = 1.0) -> Picture:
+def draw_budgets(budgets: Mapping[str, Budget], by: By = "part", *, most: int = 8) -> Picture:
     """Draw what the variance of each variant of a detector is made of, as stacked bars.
 
     Parameters
@@ -88,8 +87,6 @@ def draw_budgets(budgets: Mapping[str, Budget], by: By = "part", *, most: int = 
         As for `Budget.grouped`.
     most : int
         Groups that are drawn: those with the largest variance in any variant. The rest is one group, ``other``.
-    scale : float
-        1 for variances in the unit of the budgets; 1000 for those of lengths in µm, of momenta in MeV/c.
 
     Returns
     -------
@@ -106,7 +103,7 @@ def draw_budgets(budgets: Mapping[str, Budget], by: By = "part", *, most: int = 
         raise ValueError(f"draw_budgets: got {sizes} points, most {most}; expected budgets of one point, and most > 0")
     first = next(iter(budgets.values()))
     pieces = _pieces(budgets, by, most)
-    unit = {"mm": "µm", "GeV/c": "MeV/c", "rad": "mrad"}.get(first.unit, first.unit) if scale == 1000 else first.unit
+    unit = shown(first.unit)
     names = [plain(name).replace("+", "\n+") for name in budgets]
     with style():
         tall = 1.5 + sum(0.2 + 0.17 * (1 + name.count("\n")) for name in names)
@@ -116,14 +113,14 @@ def draw_budgets(budgets: Mapping[str, Budget], by: By = "part", *, most: int = 
         left = np.zeros(len(budgets))
         for number, (key, piece) in enumerate(pieces.items()):
             colour = COLORS["matter"] if key == _OTHER else _AREAS[number % len(_AREAS)]
-            axes.barh(np.arange(len(names)), scale**2 * piece, 0.72, left, color=colour, edgecolor="white", lw=0.5,
+            axes.barh(np.arange(len(names)), piece, 0.72, left, color=colour, edgecolor="white", lw=0.5,
                       label=plain(key))  # fmt: skip
-            left = left + scale**2 * piece
+            left = left + piece
         for row, total in enumerate(left):
             axes.text(total * 1.01, row, f"RMS {total**0.5:.4g} {unit}", va="center", fontsize=8.4)
         axes.set_yticks(np.arange(len(names)), names)
         axes.set(ylim=(len(names) - 0.4, -0.6), xlim=(0, 1.22 * left.max()))
-        axes.set_xlabel(f"variance of {mathematical(_SYMBOLS[first.quantity])}" + (f"  ({unit}²)" if unit else ""))
+        axes.set_xlabel(f"variance of {mathematical(QUANTITIES[first.quantity].symbol)}  ({unit}²)")
         p, cosine = float(first.p.ravel()[0]), float(first.cos_theta.ravel()[0])
         axes.set_title(
             plain(f"{first.detector}, {first.particle}, p = {p:.4g} GeV/c, cos θ = {cosine:.3g}"), loc="left"
@@ -198,7 +195,7 @@ def draw_sensitivity(sensitivity: Sensitivity, *, point: int = 0, most: int = 15
         picture, (axes,) = new_picture(1, 1, (7.4, 1.3 + max(1.2, (0.16 + 0.13 * count) * len(rows))))
         for number, name in enumerate(sensitivity.quantities):
             place = np.arange(len(rows)) + (number - 0.5 * (count - 1)) * height
-            label = f"σ({mathematical(_SYMBOLS[name])})"
+            label = mathematical(QUANTITIES[name].sigma)
             colour, hatch = _COLOURS[number % len(_COLOURS)], "//" * (number // len(_COLOURS))
             axes.barh(place, values[rows, number], height, color=colour, hatch=hatch, edgecolor="white", lw=0.3,
                       label=label)  # fmt: skip
@@ -221,8 +218,6 @@ Columns = Mapping[str, Sequence[Any]]
 _SWEEP_COLOURS = (COLORS["cgem"], COLORS["idc"], COLORS["truth"], COLORS["single"], COLORS["multi"], COLORS["data"])
 _MARKERS = ("o", "s", "D", "^", "v", "P", "X")
 _MAP = "viridis"
-#: Symbols of the resolutions of a sweep.
-GREEK = {"dr": "d_ρ", "dz": "d_z", "pt": r"$p_T$", "phi0": r"$\phi_0$", "theta": "θ", "tanl": "tan λ", "p": "p"}
 
 
 def draw_sweep(columns: Columns, parameters: Sequence[str], quantity: str, *, kind: str | None = None) -> Picture:
@@ -262,11 +257,13 @@ def draw_sweep(columns: Columns, parameters: Sequence[str], quantity: str, *, ki
 def label(header: str) -> str:
     """Return the header of a column as an axis label: ``cgem.L2.pitch_x (um)`` as ``cgem.L2.pitch_x  (µm)``."""
     name, bracket, unit = header.partition(" (")
-    for before in ("delta_sigma_", "sigma_"):
-        if name.startswith(before) and name.removeprefix(before) in GREEK:
-            inner = f"σ({GREEK[name.removeprefix(before)]})"
-            name = mathematical(inner if before == "sigma_" else f"{inner} − base")
-    return escaped(name) + (f"  ({shown(unit)}" if bracket else "")
+    quantity, at, point = name.partition(" at ")
+    before, sigma, short = quantity.partition("sigma_")
+    if sigma and short in QUANTITIES and before in ("", "delta_"):
+        text = mathematical(QUANTITIES[short].sigma) + (" − base" if before else "") + at + point
+    else:
+        text = escaped(name)
+    return text + (f"  ({shown(unit)}" if bracket else "")
 
 
 def escaped(text: str) -> str:
@@ -410,13 +407,7 @@ _LINES = 300
 def optimum_label(header: str) -> str:
     """Return the header of a column as an axis label: ``sigma_dr at 1 GeV/c (um)`` as ``σ(d_ρ) at 1 GeV/c  (µm)``."""
     name, bracket, unit = header.partition(" (")
-    quantity, at, point = name.partition(" at ")
-    symbol = quantity.removeprefix("sigma_")
-    if quantity.startswith("sigma_") and symbol in GREEK:
-        text = mathematical(f"σ({GREEK[symbol]})") + at + point
-    else:
-        text = _NAMES.get(name) or escaped(name)
-    return text + (f"  ({shown(unit)}" if bracket else "")
+    return label(header) if name not in _NAMES else _NAMES[name] + (f"  ({shown(unit)}" if bracket else "")
 
 
 def draw_convergence(columns: Columns, objective: str, error: str | None, title: str) -> Picture:

@@ -130,8 +130,8 @@ def plain(text: str) -> str:
 
 
 def mathematical(label: str) -> str:
-    """Return a label with the subscripts of d_ρ and d_z set as such."""
-    return label.replace("d_ρ", r"$d_\rho$").replace("d_z", "$d_z$")
+    """Return a label with the subscripts of d_ρ, d_z and p_T set as such."""
+    return label.replace("d_ρ", r"$d_\rho$").replace("d_z", "$d_z$").replace("p_T", "$p_T$")
 
 
 def statistics_box(axes: Axes, lines: Sequence[str], *, right: bool = True, top: float = 0.97) -> None:

@@ -23,7 +23,7 @@ from cgemit.reconstruction.candidates import finder_name
 from cgemit.reconstruction.fit import FitStatus
 from cgemit.simulation.transport import TransportStatus
 from cgemit.tables import Table
-from cgemit.tables.show import html_table, text_table
+from cgemit.tables.show import Shown
 
 #: Shows progress: share of the work that is done (0 to 1) and what is running.
 ShowProgress = Callable[[float, str], None]
@@ -43,7 +43,7 @@ class Order:
 
 
 @dataclass(frozen=True, repr=False)
-class Sample(Order):
+class Sample(Shown, Order):
     """One run of the chain: its inputs, tracks, residuals and counts.
 
     Attributes
@@ -72,15 +72,10 @@ class Sample(Order):
     transport: Mapping[str, int]
     timings: Mapping[str, float]
 
-    def _rows(self) -> list[list[str]]:
+    def _table(self) -> tuple[str, tuple[str, ...], list[list[str]]]:
         tracks = f"{fitted(self)}/{len(self.tracks)}"
-        return [[self.label, repr(self.gun), str(self.n_events), str(self.seed), tracks, _counts(self.removed)]]
-
-    def __repr__(self) -> str:
-        return text_table("sample", _HEAD, self._rows())
-
-    def _repr_html_(self) -> str:
-        return html_table("sample", _HEAD, self._rows())
+        row = [self.label, repr(self.gun), str(self.n_events), str(self.seed), tracks, _counts(self.removed)]
+        return "sample", _HEAD, [row]
 
 
 _HEAD = ("sample", "gun", "events", "seed", "fitted", "not fitted")

@@ -10,18 +10,16 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from html import escape
 from pathlib import Path
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from cgemit.analysis.curves import Line
-from cgemit.analysis.quantities import GROUPS, QUANTITIES, column, error_of_difference, median_error, sample_of, width
-from cgemit.analysis.quantities import SCALES as OF_SWEEPS
-from cgemit.analysis.resolutions import FORMS, QUOTED, FormFit, fit_form, pulls, resolution
-from cgemit.analysis.widths import Resolution, core_sigma
+from cgemit.analysis.quantities import MAIN, QUANTITIES, REPORTED, median, median_error
+from cgemit.analysis.resolutions import FORMS, FormFit, fit_form, pulls, resolution
+from cgemit.analysis.widths import Resolution, core_sigma, jackknife, without_groups
 from cgemit.base.files import SUMMARY, new_folder
 from cgemit.base.settings import InTurn, check_numbers
 from cgemit.base.version import __version__
@@ -52,7 +50,7 @@ from cgemit.study.samples import (
     transverse,
     why_unfitted,
 )
-from cgemit.tables.show import Tabular, html_table, text_table, with_error, write_csv
+from cgemit.tables.show import Shown, Tabular, text_table, with_error, write_csv
 
 Columns = dict[str, list[Any]]
 
@@ -76,13 +74,16 @@ def scan_columns(samples: Sequence[Sample]) -> Columns:
     `sigma` is the core width, as in sweeps; `median_error` the median of the fit's own errors.
     """
     columns = leading_columns(samples, "mc") | {"events": [s.n_events for s in samples]}
-    for name in QUANTITIES:
-        widths = [width(s.tracks, name) for s in samples]
-        for kind, what in (("sigma", "core"), ("q68", "q68"), ("rms", "rms")):
-            columns[column(kind, name)] = [getattr(w, what) for w in widths]
-            columns[column(kind, name, "_error")] = [getattr(w, f"{what}_error") for w in widths]
+    for name in REPORTED:
+        column, widths = QUANTITIES[name].column, [resolution(s.tracks, name) for s in samples]
+        columns |= {
+            column("sigma"): [w.core for w in widths],
+            column("sigma", "_error"): [w.core_error for w in widths],
+        }
+        columns |= {column("q68"): [w.q68 for w in widths], column("q68", "_error"): [w.q68_error for w in widths]}
+        columns |= {column("rms"): [w.rms for w in widths], column("rms", "_error"): [w.rms_error for w in widths]}
         columns[f"tail_{name}"] = [w.tail for w in widths]
-        columns[column("median_error", name)] = [median_error(s.tracks, name) for s in samples]
+        columns[column("median_error")] = [median_error(s.tracks, name) for s in samples]
     columns["decayed"] = [decayed(s) for s in samples]
     columns["fitted"] = [fitted(s) for s in samples]
     columns["not fitted"] = [counts_text(s.removed) for s in samples]
@@ -94,8 +95,10 @@ def counts_text(counts: Mapping[str, int]) -> str:
     return "; ".join(f"{number} {name}" for name, number in counts.items()) or "none"
 
 
-def difference(sample: Sample, base: Sample, quantity: str) -> tuple[float, float]:
-    """Return how much wider the core of a quantity is than in another sample of the same events, with its paired error.
+def difference(
+    sample: Sample, base: Sample, quantity: str, kind: Literal["sigma", "median_error"] = "sigma"
+) -> tuple[float, float]:
+    """Return how much larger a resolution is than in another sample of the same events, with its paired error.
 
     The error follows from leaving out one of 20 groups of events in turn (jackknife), so that the correlation of both
     samples counts.
@@ -106,47 +109,36 @@ def difference(sample: Sample, base: Sample, quantity: str) -> tuple[float, floa
         Of the same gun and seed.
     quantity : str
         Of `QUANTITIES`.
+    kind : str
+        The core width of the residuals, or the median of the fit's own errors.
     """
-    widths, replicas = [], []
-    for one in (sample, base):
-        residuals = sample_of(one.tracks, quantity)
-        known = np.isfinite(residuals)  # tracks of no particle have no residual
-        group = one.tracks["event"][one.tracks["status"] == FitStatus.ok][known] % GROUPS
-        residuals = residuals[known]
-        widths.append(width(one.tracks, quantity).core)
-        replicas.append([core_sigma(residuals[group != left_out]) for left_out in range(GROUPS)])
-    return widths[0] - widths[1], error_of_difference(*replicas)
+    known, found, replicas = QUANTITIES[quantity], [], []
+    for tracks in (sample.tracks, base.tracks):
+        values, statistic = (known.residual(tracks), core_sigma) if kind == "sigma" else (known.error(tracks), median)
+        rows = (tracks["status"] == FitStatus.ok) & np.isfinite(values)  # tracks of no particle have no residual
+        values = values[rows]
+        found.append(statistic(values))
+        replicas.append(without_groups(values, tracks["event"][rows], statistic))
+    return found[0] - found[1], jackknife(replicas[0] - replicas[1])
 
 
-def median_difference(sample: Sample, base: Sample, quantity: str) -> tuple[float, float]:
-    """Return how much larger the median of the fit's own errors is, with its paired error, as in `difference`."""
-    medians = [median_error(one.tracks, quantity) for one in (sample, base)]
-    replicas = [[_median_without(one, quantity, left_out) for left_out in range(GROUPS)] for one in (sample, base)]
-    return medians[0] - medians[1], error_of_difference(*replicas)
-
-
-def _median_without(sample: Sample, quantity: str, left_out: int) -> float:
-    kept = sample.tracks["event"] % GROUPS != left_out
-    good = {name: sample.tracks[name][kept] for name in ("status", "kappa", "tanl", "p", *_ERRORS)}
-    return median_error(good, quantity)  # type: ignore[arg-type]
-
-
-_ERRORS = ("err_dr", "err_phi0", "err_kappa", "err_dz", "err_tanl", "err_p")
+#: Kinds of `difference`.
+_KINDS: tuple[Literal["sigma", "median_error"], ...] = ("sigma", "median_error")
 
 
 def difference_columns(samples: Sequence[Sample], bases: Sequence[Sample]) -> Columns:
     """Return the columns of the differences to other samples of the same events."""
     columns: Columns = {}
-    for name in QUANTITIES:
-        for kind, compare in (("delta_sigma", difference), ("delta_median_error", median_difference)):
-            pairs = [compare(*pair, name) for pair in zip(samples, bases, strict=True)]
-            columns[column(kind, name)] = [value for value, _ in pairs]
-            columns[column(kind, name, "_error")] = [error for _, error in pairs]
+    for name in REPORTED:
+        for kind in _KINDS:
+            pairs = [difference(*pair, name, kind) for pair in zip(samples, bases, strict=True)]
+            columns[QUANTITIES[name].column(f"delta_{kind}")] = [value for value, _ in pairs]
+            columns[QUANTITIES[name].column(f"delta_{kind}", "_error")] = [error for _, error in pairs]
     return columns
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Differences(Tabular):
+class Differences(Shown, Tabular):
     """Differences of resolutions of two detectors that saw the same particles.
 
     Attributes
@@ -162,50 +154,32 @@ class Differences(Tabular):
         """Return momenta, angles, and the differences of all quantities with their paired errors."""
         return leading_columns(self.samples, "mc") | difference_columns(self.samples, self.bases)
 
-    def __repr__(self) -> str:
-        return text_table(*differences_table(self.samples, self.bases))
-
-    def _repr_html_(self) -> str:
-        return html_table(*differences_table(self.samples, self.bases))
-
-
-def differences(samples: Sequence[Sample], bases: Sequence[Sample]) -> Differences:
-    """Return the differences to other samples of the same events.
-
-    Raises
-    ------
-    ValueError
-        If guns, events or seeds differ.
-    """
-    shots = [[(one.gun, one.n_events, one.seed) for one in group] for group in (samples, bases)]
-    if shots[0] != shots[1]:
-        raise ValueError("difference of scans: got different particles, expected equal guns, events and seeds")
-    return Differences(tuple(samples), tuple(bases))
+    def _table(self) -> tuple[str, list[str], list[list[str]]]:
+        first, base = self.samples[0], self.bases[0]
+        title = (
+            f"{first.detector.name} minus {base.detector.name}, {first.gun.particle}: differences of core widths "
+            "(sigma) and of medians of the fit's errors, with paired errors"
+        )
+        head = [f"{momentum_name(first)} [GeV/c]", *(text for name in MAIN for text in _head(name))]
+        rows = [
+            [
+                f"{momentum_of(pair[0]):g}",
+                *(_signed(*difference(*pair, name, kind)) for name in MAIN for kind in _KINDS),
+            ]
+            for pair in zip(self.samples, self.bases, strict=True)
+        ]
+        return title, head, rows
 
 
-def differences_table(
-    samples: Sequence[Sample], bases: Sequence[Sample], names: Sequence[str] = ("dr", "dz", "p")
-) -> tuple[str, list[str], list[list[str]]]:
-    """Return title, head and rows of the differences of some quantities to other samples of the same events."""
-    first, base = samples[0], bases[0]
-    title = (
-        f"{first.detector.name} minus {base.detector.name}, {first.gun.particle}: differences of core widths (sigma) "
-        "and of medians of the fit's errors, with paired errors"
-    )
-    head = [f"{momentum_name(first)} [GeV/c]"]
-    head += [f"{what} {name} [{QUANTITIES[name][0]}]" for name in names for what in ("sigma", "median error")]
-    rows = [
-        [f"{momentum_of(pair[0]):g}"]
-        + [signed(*compare(*pair, name)) for name in names for compare in (difference, median_difference)]
-        for pair in zip(samples, bases, strict=True)
-    ]
-    return title, head, rows
-
-
-def signed(value: float, error: float) -> str:
+def _signed(value: float, error: float) -> str:
     """Return a difference with its sign and error."""
     text = with_error(value, error)
     return f"+{text}" if math.isfinite(value) and value > 0 else text
+
+
+def _head(name: str) -> tuple[str, str]:
+    """Return the heads of the columns of a resolution and of the median of the fit's own errors."""
+    return f"{QUANTITIES[name].sigma} [{QUANTITIES[name].unit}]", "median error"
 
 
 def shot_text(order: Order) -> str:
@@ -221,71 +195,99 @@ def angle_text(order: Order) -> str:
     return f"{'θ' if name == 'theta' else 'cos θ'} = {text}{unit}"
 
 
-class AnyScan(Protocol):
-    """What the files need of a scan, simulated or analytic."""
+@dataclass(frozen=True, eq=False, repr=False)
+class ScanBase(Shown, Tabular):
+    """Resolutions of one detector against momentum, simulated or analytic.
 
-    @property
-    def method(self) -> str:
-        """``"mc"`` or ``"analytic"``."""
+    Attributes
+    ----------
+    orders : tuple of Order
+        One for each momentum: detector, gun, settings and number of events.
+    seed : int
+    seconds : float
+        Wall time.
+    """
+
+    orders: tuple[Order, ...]
+    seed: int
+    seconds: float
+
+    method: ClassVar[str]
 
     @property
     def detector(self) -> Detector:
         """The detector."""
+        return self.orders[0].detector
 
     @property
-    def orders(self) -> Sequence[Order]:
-        """Detector, gun, settings and number of events at each momentum asked for."""
+    def angle(self) -> str:
+        """Polar angle of the tracks, as text."""
+        return angle_text(self.orders[0])
 
     @property
-    def lines(self) -> list[Line]:
-        """Resolutions of d_rho, d_z and p against momentum."""
-
-    @property
-    def all_lines(self) -> list[Line]:
-        """Resolutions of all quantities."""
-
-    @property
-    def fits(self) -> list[FormFit]:
-        """The usual forms, fitted to them."""
-
-    @property
-    def seed(self) -> int:
-        """Seed of the events."""
-
-    @property
-    def seconds(self) -> float:
-        """Wall time."""
+    def momenta(self) -> list[float]:
+        """Momenta or transverse momenta of the orders, GeV/c."""
+        return [momentum_of(order) for order in self.orders]
 
     @property
     def hits(self) -> str:
         """How hits came to their tracks; empty without events."""
-
-    @property
-    def readout(self) -> str:
-        """The read-out of the CGEM layers; empty for a detector without them."""
+        return ""
 
     @property
     def removed(self) -> Mapping[str, Mapping[str, int]]:
-        """Tracks that did not fit, by sample and status."""
-
-    def columns(self) -> dict[str, list[Any]]:
-        """Return the columns of the CSV table."""
-
-
-class ScanBase(Tabular):
-    """What simulated and analytic scans share: their text, their summary and their files."""
+        """Tracks that were not fitted, by sample and status."""
+        return {}
 
     @property
-    def readout(self: AnyScan) -> str:
-        """The read-out of the CGEM layers; empty for a detector without them."""
+    def readout(self) -> str:
+        """Read-out of the CGEM layers; empty for a detector without them."""
         first = self.orders[0]
         return str(first.settings.digitize.readout.name) if first.detector.cgem else ""
 
-    def summary(self: AnyScan) -> dict[str, Any]:
+    @property
+    def lines(self) -> list[Line]:
+        """Core resolutions of d_rho, d_z and p against momentum."""
+        return [self.line(name) for name in MAIN]
+
+    @cached_property
+    def all_lines(self) -> list[Line]:
+        """Core resolutions of all quantities against momentum, or transverse momentum."""
+        about: dict[str, Any] = {"method": self.method, "particle": str(self.orders[0].gun.particle)}
+        return [replace(self._line(name), **about) for name in REPORTED]
+
+    def line(self, name: str) -> Line:
+        """Return the core resolution of one of `REPORTED` against momentum, or transverse momentum."""
+        return self.all_lines[REPORTED.index(name)]
+
+    def _line(self, name: str) -> Line:
+        raise NotImplementedError
+
+    @cached_property
+    def fits(self) -> list[FormFit]:
+        """The usual forms, fitted to the lines; none with fewer than three momenta, or against pT.
+
+        Analytic lines have no statistical error: their points have equal relative weights.
+        """
+        first = self.orders[0]
+        if transverse(first):
+            return []
+        how: dict[str, Any] = {"particle": first.gun.particle, "cos_theta": cosines_of(first)}
+        how |= {"detector": self.detector.name, "method": self.method}
+        lines = [(name, self.line(name)) for name in FORMS]
+        error = {name: None if self.method == "analytic" else line.y_error for name, line in lines}
+        found = [fit_form(name, line.x, line.y, error[name], **how) for name, line in lines]
+        return [one for one in found if one is not None]
+
+    def empty(self) -> bool:
+        """Tell whether there is no resolution at any momentum."""
+        raise NotImplementedError
+
+    def summary(self) -> dict[str, Any]:
         """Return what `summary.json` holds."""
         return summary_of([self])
 
-    def save(self: AnyScan, folder: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
+    def save(self, folder: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
         """Write resolution.csv, summary.json, run.json, the detector and the curves as PNG and PDF.
 
         Parameters
@@ -300,23 +302,8 @@ class ScanBase(Tabular):
         """
         return save_scans([self], folder, overwrite=overwrite)
 
-    def note(self) -> str:
-        """Return the momenta at which there are hardly any tracks, and why; empty if there are enough everywhere."""
-        raise NotImplementedError
 
-    def _table(self) -> tuple[str, Sequence[str], list[list[str]]]:
-        """Return title, head and rows of the text."""
-        raise NotImplementedError
-
-    def __repr__(self) -> str:
-        return "\n".join([text_table(*self._table()), *filter(None, [self.note()])])
-
-    def _repr_html_(self) -> str:
-        note = f"<p>{escape(self.note())}</p>" if self.note() else ""
-        return html_table(*self._table()) + note
-
-
-def summary_of(scans: Sequence[AnyScan]) -> dict[str, Any]:
+def summary_of(scans: Sequence[ScanBase]) -> dict[str, Any]:
     """Return what `summary.json` holds: the curves of all detectors and methods, for the same gun."""
     simulated = [scan for scan in scans if scan.method == "mc"]
     first = scans[0].orders[0]
@@ -346,7 +333,7 @@ def summary_of(scans: Sequence[AnyScan]) -> dict[str, Any]:
 
 
 def save_scans(
-    scans: Sequence[AnyScan], folder: str | os.PathLike[str], *, overwrite: bool = False, command: str = ""
+    scans: Sequence[ScanBase], folder: str | os.PathLike[str], *, overwrite: bool = False, command: str = ""
 ) -> Path:
     """Write what `Scan.save` writes, for several detectors and methods: one table and one picture of all.
 
@@ -379,7 +366,7 @@ def save_scans(
     return Path(folder)
 
 
-def columns_of(scans: Sequence[AnyScan]) -> dict[str, list[Any]]:
+def columns_of(scans: Sequence[ScanBase]) -> dict[str, list[Any]]:
     """Return the columns of the CSV table; cells are empty where a method has no such number.
 
     Simulated scans beside one of another detector and the same particle have columns of the differences to the first.
@@ -388,11 +375,11 @@ def columns_of(scans: Sequence[AnyScan]) -> dict[str, list[Any]]:
     ----------
     scans : sequence of Scan or AnalyticScan
     """
-    pairs = [(scan, base_of(scan, scans)) for scan in scans]
-    tables = [
-        scan.columns() | ({} if base is None else difference_columns(scan.orders, base.orders))  # type: ignore[arg-type]
-        for scan, base in pairs
-    ]
+    tables = []
+    for scan in scans:
+        base = base_of(scan, scans)
+        more = scan.minus(base).columns() if isinstance(scan, Scan) and base is not None else {}
+        tables.append({**scan.columns(), **more})
     names = dict.fromkeys(name for table in tables for name in table)
     sizes = [len(next(iter(table.values()))) for table in tables]
     return {
@@ -401,16 +388,14 @@ def columns_of(scans: Sequence[AnyScan]) -> dict[str, list[Any]]:
     }
 
 
-def base_of(scan: AnyScan, scans: Sequence[AnyScan]) -> AnyScan | None:
-    """Return the simulated scan of the first detector with the same particle and events; None for itself."""
-    if scan.method != "mc":
-        return None
+def base_of(scan: ScanBase, scans: Sequence[ScanBase]) -> Scan | None:
+    """Return the simulated scan of the first detector with the same particle; None for itself and analytic scans."""
     particle = scan.orders[0].gun.particle
-    first = next(one for one in scans if one.method == "mc" and one.orders[0].gun.particle == particle)
-    return None if first is scan else first
+    first = next((one for one in scans if isinstance(one, Scan) and one.orders[0].gun.particle == particle), None)
+    return first if isinstance(scan, Scan) and first is not scan else None
 
 
-def fits_text(scans: Sequence[AnyScan]) -> str:
+def fits_text(scans: Sequence[ScanBase]) -> str:
     """Return the fits of the usual forms to some scans, one a line; empty with fewer than three momenta.
 
     Parameters
@@ -422,11 +407,11 @@ def fits_text(scans: Sequence[AnyScan]) -> str:
     return "\n".join(f"{kinds[scan.method]}: {fit}" for scan in scans for fit in scan.fits)
 
 
-def _detectors(scans: Sequence[AnyScan]) -> dict[str, Detector]:
+def _detectors(scans: Sequence[ScanBase]) -> dict[str, Detector]:
     return {scan.detector.name: scan.detector for scan in scans}
 
 
-def _record(scans: Sequence[AnyScan], command: str) -> dict[str, Any]:
+def _record(scans: Sequence[ScanBase], command: str) -> dict[str, Any]:
     """Return what `run.json` holds: settings and detectors, and the gun of each sample and line."""
     source = []
     for scan in scans:
@@ -441,25 +426,15 @@ def _record(scans: Sequence[AnyScan], command: str) -> dict[str, Any]:
     )  # fmt: skip
 
 
-#: Parameters whose resolution is quoted.
-QUOTED_PARAMETERS = ("dr", "dz", "p")
-
-
-def momentum_line(samples: Sequence[Sample], parameter: str) -> Line:
-    """Return the core resolution of a parameter against momentum (GeV/c) in the quoted unit."""
-    widths = [resolution(s.tracks, parameter) for s in samples]
-    return _line(samples, f"sigma_{parameter}", widths, QUOTED[parameter][0])
+def momentum_line(samples: Sequence[Sample], quantity: str) -> Line:
+    """Return the core resolution of a quantity against momentum (GeV/c) in the quoted unit."""
+    widths = [resolution(s.tracks, quantity) for s in samples]
+    return _line(samples, f"sigma_{quantity}", widths, QUANTITIES[quantity].unit)
 
 
 def pull_line(samples: Sequence[Sample], parameter: str) -> Line:
     """Return the core width of a parameter's pull against momentum (GeV/c)."""
     return _line(samples, f"pull_{parameter}", [pulls(s.tracks)[parameter] for s in samples], "")
-
-
-def quantity_line(samples: Sequence[Sample], quantity: str) -> Line:
-    """Return the core resolution of one of `QUANTITIES` against momentum (GeV/c)."""
-    widths = [width(s.tracks, quantity) for s in samples]
-    return _line(samples, f"sigma_{quantity}", widths, QUANTITIES[quantity][0])
 
 
 def _line(samples: Sequence[Sample], name: str, widths: Sequence[Resolution], unit: str) -> Line:
@@ -471,48 +446,16 @@ def _line(samples: Sequence[Sample], name: str, widths: Sequence[Resolution], un
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Scan(ScanBase):
-    """Resolutions of one detector against momentum.
+    """Simulated resolutions of one detector against momentum; `orders` holds a `Sample` for each momentum."""
 
-    Attributes
-    ----------
-    samples : tuple of Sample
-        One per momentum.
-    seed : int
-    seconds : float
-        Wall time.
-    """
-
-    samples: tuple[Sample, ...]
-    seed: int
-    seconds: float
+    orders: tuple[Sample, ...]
 
     method: ClassVar[str] = "mc"
 
     @property
-    def angle(self) -> str:
-        """Polar angle of the tracks, as text."""
-        return angle_text(self.samples[0])
-
-    @property
-    def lines(self) -> list[Line]:
-        """Core resolutions of d_rho, d_z and p against momentum."""
-        return [line for line in self.all_lines if line.id.removeprefix("sigma_") in QUOTED_PARAMETERS]
-
-    @cached_property
-    def all_lines(self) -> list[Line]:
-        """Core resolutions of all quantities against momentum, or transverse momentum."""
-        about: dict[str, Any] = {"method": self.method, "particle": str(self.samples[0].gun.particle)}
-        return [replace(quantity_line(self.samples, name), **about) for name in QUANTITIES]
-
-    @property
-    def detector(self) -> Detector:
-        """The detector."""
-        return self.samples[0].detector
-
-    @property
-    def orders(self) -> tuple[Sample, ...]:
-        """The samples: their detector, gun and settings."""
-        return self.samples
+    def samples(self) -> tuple[Sample, ...]:
+        """The samples, one for each momentum."""
+        return self.orders
 
     @property
     def hits(self) -> str:
@@ -521,24 +464,11 @@ class Scan(ScanBase):
 
     @property
     def removed(self) -> dict[str, Mapping[str, int]]:
-        """Tracks that did not fit, by sample and status."""
+        """Tracks that were not fitted, by sample and status."""
         return {s.label: s.removed for s in self.samples}
 
-    @property
-    def fits(self) -> list[FormFit]:
-        """The usual forms, fitted to the resolutions; none with fewer than three momenta, or against pT."""
-        first = self.samples[0]
-        if transverse(first):
-            return []
-        how: dict[str, Any] = {"particle": first.gun.particle, "cos_theta": cosines_of(first)}
-        how |= {"detector": self.detector.name, "method": self.method}
-        p = [momentum_of(s) for s in self.samples]
-        found = []
-        for name in FORMS:
-            widths = [width(s.tracks, "pt_rel" if name == "pt" else name) for s in self.samples]
-            core, error = ([getattr(w, what) for w in widths] for what in ("core", "core_error"))
-            found.append(fit_form(name, p, core, error, **how))
-        return [one for one in found if one is not None]
+    def _line(self, name: str) -> Line:
+        return momentum_line(self.samples, name)
 
     def columns(self) -> dict[str, list[Any]]:
         """Return the columns of the CSV table."""
@@ -557,43 +487,35 @@ class Scan(ScanBase):
         ValueError
             If the particles are not the same.
         """
-        return differences(self.samples, base.samples)
+        shots = [[(one.gun, one.n_events, one.seed) for one in scan.samples] for scan in (self, base)]
+        if shots[0] != shots[1]:
+            raise ValueError("difference of scans: got different particles, expected equal guns, events and seeds")
+        return Differences(self.samples, base.samples)
 
     def empty(self) -> bool:
         """Tell whether no track was fitted."""
         return not any(map(fitted, self.samples))
 
-    def _rows(self) -> list[list[str]]:
-        widths = {name: quantity_line(self.samples, name) for name in QUOTED_PARAMETERS}
+    def _table(self) -> tuple[str, Sequence[str], list[list[str]]]:
         rows = []
         for i, sample in enumerate(self.samples):
-            cells = [
-                cell
-                for name, line in widths.items()
-                for cell in (with_error(line.y[i], line.y_error[i]), f"{median_error(sample.tracks, name):.4g}")
-            ]
-            end = [f"{decayed(sample)}", f"{fitted(sample)}/{sample.n_events}", counts_text(sample.removed)]
-            rows.append([f"{momentum_of(sample):g}", *cells, *end])
-        return rows
-
-    def _table(self) -> tuple[str, Sequence[str], list[list[str]]]:
+            row = [f"{momentum_of(sample):g}"]
+            for name, line in zip(MAIN, self.lines, strict=True):
+                row += [with_error(line.y[i], line.y_error[i]), f"{median_error(sample.tracks, name):.4g}"]
+            row += [f"{decayed(sample)}", f"{fitted(sample)}/{sample.n_events}", counts_text(sample.removed)]
+            rows.append(row)
         first = self.samples[0]
         shot = f"{first.detector.name}, {shot_text(first)}"
         made = ", ".join(filter(None, [self.readout and f"read-out {self.readout}", f"hits {self.hits}"]))
         title = f"{shot}: core widths, and medians of the fit's own errors; {made}"
-        return title, (f"{momentum_name(first)} [GeV/c]", *_HEAD), self._rows()
+        head = [f"{momentum_name(first)} [GeV/c]", *(text for name in MAIN for text in _head(name))]
+        return title, [*head, "decayed", "fitted", "not fitted"], rows
 
     def note(self) -> str:
         """Return how the tracks ended where hardly any was fitted; empty if there are enough everywhere."""
         few = hardly_fitted(self.samples)
         momenta = ", ".join(f"{momentum_of(s):g}" for s in few)
         return f"at {momenta} GeV/c: {why_unfitted(few)}" if few else ""
-
-
-_HEAD = (
-    *("sigma(d_rho) [um]", "median error", "sigma(d_z) [mm]", "median error", "sigma(p) [MeV/c]", "median error"),
-    *("decayed", "fitted", "not fitted"),
-)
 
 
 def scan(
@@ -675,34 +597,15 @@ class AnalyticScan(ScanBase):
 
     Attributes
     ----------
-    orders : tuple of Order
-        One for each momentum asked for, with detector, gun and settings; no event is simulated.
+    orders, seed, seconds
+        As of `ScanBase`. No event is simulated; the seed is written to the record.
     covariance : Covariance
         At the momenta of the lines (first axis), and the values of a list of cos(theta) (second axis).
-    seed : int
-        Kept for the record; nothing is random.
-    seconds : float
-        Wall time.
     """
 
-    orders: tuple[Order, ...]
     covariance: Covariance
-    seed: int
-    seconds: float
 
     method: ClassVar[str] = "analytic"
-    hits: ClassVar[str] = ""
-    removed: ClassVar[Mapping[str, Mapping[str, int]]] = {}
-
-    @property
-    def detector(self) -> Detector:
-        """The detector."""
-        return self.orders[0].detector
-
-    @property
-    def momenta(self) -> list[float]:
-        """The momenta asked for, GeV/c."""
-        return [momentum_of(order) for order in self.orders]
 
     @cached_property
     def p(self) -> Floats:
@@ -715,55 +618,21 @@ class AnalyticScan(ScanBase):
         Parameters
         ----------
         name : str
-            Of `quantities.QUANTITIES`, such as ``"dr"`` um, ``"dz"`` mm, ``"p"`` MeV/c, ``"pt_rel"`` %.
+            Of `cgemit.analysis.quantities.QUANTITIES`.
         rms : bool
             Whether to return the root of the mean variance instead.
         """
-        found = self.covariance
-        if name == "pt_rel":  # sigma(pT)/pT = sigma(kappa)/|kappa|, track by track
-            kappa = found._tracks.kappa.reshape(*found.p.shape, -1)
-            variances, scale = found.variances("kappa") / kappa**2, 100.0
-        elif name == "p_rel":
-            variances, scale = found.variances("p") / found.p[..., None] ** 2, 100.0
-        else:
-            variances, scale = found.variances(name), OF_SWEEPS[name][1]
-        rows = variances.reshape(len(self.p), -1)
-        return scale * (np.sqrt(mean(rows, ~np.isnan(rows))) if rms else core_width(rows))
+        rows = self.covariance.variances(name).reshape(len(self.p), -1)
+        return np.sqrt(mean(rows, ~np.isnan(rows))) if rms else core_width(rows)
 
     @property
     def reached(self) -> Floats:
         """Fraction of the tracks with a covariance at the momenta of the lines."""
         return np.asarray(self.covariance.reached.reshape(len(self.p), -1).mean(axis=1))
 
-    @property
-    def angle(self) -> str:
-        """Polar angle of the tracks, as text."""
-        return angle_text(self.orders[0])
-
-    @property
-    def lines(self) -> list[Line]:
-        """Core resolutions of d_rho, d_z and p against momentum; they have no statistical error."""
-        return [line for line in self.all_lines if line.id.removeprefix("sigma_") in QUOTED_PARAMETERS]
-
-    @cached_property
-    def all_lines(self) -> list[Line]:
-        """Core resolutions of all quantities against momentum, or transverse momentum."""
-        none, about = np.full(len(self.p), np.nan), (self.method, str(self.orders[0].gun.particle))
-        return [
-            Line(f"sigma_{name}", self.detector.name, self.p, "GeV/c", self.sigma(name), none, unit, *about)
-            for name, (unit, _) in QUANTITIES.items()
-        ]
-
-    @cached_property
-    def fits(self) -> list[FormFit]:
-        """The usual forms, fitted to the lines with equal relative weights; none against pT."""
-        first = self.orders[0]
-        if transverse(first):
-            return []
-        how: dict[str, Any] = {"particle": first.gun.particle, "cos_theta": cosines_of(first)}
-        how |= {"detector": self.detector.name, "method": self.method}
-        found = [fit_form(name, self.p, self.sigma("pt_rel" if name == "pt" else name), **how) for name in FORMS]
-        return [one for one in found if one is not None]
+    def _line(self, name: str) -> Line:
+        unit, none = QUANTITIES[name].unit, np.full(len(self.p), np.nan)
+        return Line(f"sigma_{name}", self.detector.name, self.p, "GeV/c", self.sigma(name), none, unit)
 
     def at(self, name: str) -> Floats:
         """Return the core resolution at the momenta asked for, in the quoted unit."""
@@ -777,9 +646,9 @@ class AnalyticScan(ScanBase):
         first, n = leading_columns(self.orders[:1], self.method), len(self.p)
         columns = {name: value * n for name, value in first.items()}
         columns[f"{momentum_name(self.orders[0])} (GeV/c)"] = self.p.tolist()
-        for name in QUANTITIES:
-            columns[column("sigma", name)] = self.sigma(name).tolist()
-            columns[column("rms", name)] = self.sigma(name, rms=True).tolist()
+        for name in REPORTED:
+            columns[QUANTITIES[name].column("sigma")] = self.sigma(name).tolist()
+            columns[QUANTITIES[name].column("rms")] = self.sigma(name, rms=True).tolist()
         return columns | {"reached": self.reached.tolist()}
 
     def empty(self) -> bool:
@@ -799,18 +668,14 @@ class AnalyticScan(ScanBase):
     def _table(self) -> tuple[str, Sequence[str], list[list[str]]]:
         title = f"{self.detector.name}, {shot_text(self.orders[0])}: core widths, analytic"
         title += f"; read-out {self.readout}" if self.readout else ""
-        return title, (f"{momentum_name(self.orders[0])} [GeV/c]", *_ANALYTIC_HEAD), self._rows()
-
-    def _rows(self) -> list[list[str]]:
-        values = [self.at(name) for name in QUOTED_PARAMETERS]
+        head = [f"{momentum_name(self.orders[0])} [GeV/c]", *(_head(name)[0] for name in MAIN), "with covariance"]
+        values = [self.at(name) for name in MAIN]
         shares = self.reached[self._asked()]
-        return [
+        rows = [
             [f"{p:g}", *("-" if np.isnan(one) else f"{one:.4g}" for one in row), f"{100 * share:.4g} %"]
             for p, row, share in zip(self.momenta, zip(*values, strict=True), shares, strict=True)
         ]
-
-
-_ANALYTIC_HEAD = ("sigma(d_rho) [um]", "sigma(d_z) [mm]", "sigma(p) [MeV/c]", "with covariance")
+        return title, head, rows
 
 
 def line_momenta(momenta: Sequence[float]) -> Floats:
@@ -883,7 +748,7 @@ def scan_analytic(
         first.detector, first.gun.particle, p, angles, readout=digitize.readout, reveal_sides=digitize.reveal_sides,
         fit=fit, threads=threads,
     )  # fmt: skip
-    return AnalyticScan(tuple(orders), found, seed, time.perf_counter() - start)
+    return AnalyticScan(tuple(orders), seed, time.perf_counter() - start, found)
 
 
 def _grid(momenta: Floats, order: Order) -> tuple[Floats, Any]:
@@ -898,9 +763,6 @@ def _grid(momenta: Floats, order: Order) -> tuple[Floats, Any]:
     return momenta / np.sqrt(1 - np.square(angles)), angles
 
 
-_COMPARED_HEAD = ("sigma(d_rho) [um]", "sigma(d_z) [mm]", "sigma(p) [MeV/c]")
-
-
 def compared(simulated: Scan, line: AnalyticScan) -> str:
     """Return a table of simulated and analytic core widths side by side, with their ratio.
 
@@ -913,9 +775,9 @@ def compared(simulated: Scan, line: AnalyticScan) -> str:
     first = line.orders[0]
     cells = [[f"{p:g}" for p in line.momenta]]
     head = [f"{momentum_name(first)} [GeV/c]"]
-    for name, text, points in zip(QUOTED_PARAMETERS, _COMPARED_HEAD, simulated.lines, strict=True):
+    for name, points in zip(MAIN, simulated.lines, strict=True):
         expected = line.at(name)
-        head += [text, "analytic", "ratio"]
+        head += [_head(name)[0], "analytic", "ratio"]
         cells.append([with_error(*pair) for pair in zip(points.y, points.y_error, strict=True)])
         cells.append([with_error(value, 0.0) for value in expected])
         ratios = zip(points.y / expected, points.y_error / expected, strict=True)

@@ -117,6 +117,25 @@ class Tabular:
         return data_frame(self.columns())
 
 
+class Shown:
+    """A result that is printed as a table, in a notebook as HTML."""
+
+    def _table(self) -> tuple[str, Sequence[str], Sequence[Sequence[str]]]:
+        """Return title, head and rows of cells."""
+        raise NotImplementedError
+
+    def note(self) -> str:
+        """Return the line below the table, if there is one."""
+        return ""
+
+    def __repr__(self) -> str:
+        return "\n".join([text_table(*self._table()), *filter(None, [self.note()])])
+
+    def _repr_html_(self) -> str:
+        note = f"<p>{escape(self.note())}</p>" if self.note() else ""
+        return html_table(*self._table()) + note
+
+
 def with_error(value: float, error: float) -> str:
     """Return ``value ± error`` with two digits of the error."""
     if not math.isfinite(value):

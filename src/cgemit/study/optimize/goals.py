@@ -9,10 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from cgemit.analysis.quantities import GROUPS
-from cgemit.analysis.quantities import SCALES as QUANTITIES
-from cgemit.analysis.quantities import header as column
-from cgemit.analysis.widths import Floats
+from cgemit.analysis.quantities import NAMES, QUANTITIES
+from cgemit.analysis.widths import GROUPS, Floats, jackknife
 from cgemit.base.errors import DetectorError, did_you_mean
 from cgemit.base.settings import is_whole
 from cgemit.covariance.sensitivity import calibrated_apart, errors_do_not_follow
@@ -36,7 +34,7 @@ class Goal:
     text : str
         As it was given, such as ``"dr @ 0.3 GeV/c"``.
     name : str
-        A resolution (p, pt, dr, dz, phi0, theta, tanl), or a number of `GEOMETRY`, or ``"occupancy"``.
+        A resolution (of `QUANTITIES`), or a number of `GEOMETRY`, or ``"occupancy"``.
     p : float or None, GeV/c
         Of a resolution: at this momentum only; None: the geometric mean of all points.
     """
@@ -55,7 +53,7 @@ class Goal:
         """Name of its column, such as ``sigma_dr at 0.3 GeV/c (um)``."""
         if self.resolution:
             at = "" if self.p is None else f" at {self.p:g} GeV/c"
-            return column(f"sigma_{self.name}{at}", self.name)
+            return QUANTITIES[self.name].column(end=at)
         unit = "%" if self.name == OCCUPANCY else GEOMETRY[self.name][0]
         return f"{self.name} ({unit})" if unit else self.name
 
@@ -84,6 +82,7 @@ def goal_of(path: str, text: Any, momenta: Sequence[float], problems: list[str])
         problems.append(f"{path}: got {text!r}, expected one of {', '.join(known)}")
         return None
     name, at, where = (part.strip() for part in text.partition("@"))
+    name = NAMES.get(name, name)
     if name not in known:
         hint = did_you_mean(name, known, "; ")
         problems.append(f"{path}: got {text!r}, expected one of {', '.join(known)}{hint}")
@@ -175,8 +174,7 @@ class Goals:
         found = covariances(detector, self.evaluation)
         resolutions = {}
         for name in self.evaluation.quantities:
-            scale = QUANTITIES[name][1]
-            pairs = [(scale * one.sigma(name), one.variances(name)) for one in found]
+            pairs = [(one.sigma(name), one.variances(name)) for one in found]
             rows = [
                 _replicas(sigma[i], variances[i]) for i in range(len(self.evaluation.p)) for sigma, variances in pairs
             ]
@@ -187,7 +185,7 @@ class Goals:
         found = self.evaluation(detector)
         resolutions = {}
         for name in self.evaluation.quantities:
-            pairs = zip(found["columns"][column(f"sigma_{name}", name)], found["replicas"], strict=True)
+            pairs = zip(found["columns"][QUANTITIES[name].column()], found["replicas"], strict=True)
             resolutions[name] = np.array([[sigma, *replicas[name]] for sigma, replicas in pairs])
         return resolutions
 
@@ -205,12 +203,6 @@ def _replicas(sigma: float, variances: Floats) -> Floats:
         left = (total.sum() - total) / (count.sum() - count) / (total.sum() / count.sum())
     left = left if len(variances) >= 2 * GROUPS else np.ones(GROUPS)
     return np.concatenate([[sigma], sigma * np.sqrt(left)])
-
-
-def jackknife(replicas: Any) -> float:
-    """Return the error that values without each group imply."""
-    values = np.asarray(replicas, np.float64)
-    return math.sqrt((GROUPS - 1) / GROUPS * float(np.sum((values - values.mean()) ** 2)))
 
 
 @dataclass(frozen=True)

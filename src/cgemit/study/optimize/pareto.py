@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from cgemit.analysis.quantities import GROUPS
-from cgemit.analysis.widths import Floats
+from cgemit.analysis.widths import Floats, jackknife
 from cgemit.base.errors import ProblemsError
 from cgemit.study.optimize.goals import TOLERANCE, Goal, Variable, changes_of
 from cgemit.study.optimize.search import Design, Evaluator
@@ -52,7 +51,7 @@ def within_errors(values: Floats, replicas: Floats, front: npt.NDArray[np.bool_]
     off = np.zeros(len(values), bool)
     for i in np.flatnonzero(front):
         rows = np.flatnonzero(np.all(values >= values[i], axis=1) & ~front & ~off)
-        limit = SIGMAS * _error(replicas[rows] - replicas[i]) + 1e-12 * np.abs(values[i])
+        limit = SIGMAS * jackknife(replicas[rows] - replicas[i]) + 1e-12 * np.abs(values[i])
         off[rows] = np.any(values[rows] - values[i] > limit, axis=1)
     return ~front & ~off
 
@@ -72,15 +71,9 @@ def by_noise(values: Floats, replicas: Floats, front: npt.NDArray[np.bool_]) -> 
     rows = np.flatnonzero(front)
     for i in rows:
         worse = values[rows] - values[i]
-        limit = SIGMAS * _error(replicas[rows] - replicas[i]) + 1e-12 * np.abs(values[i])
+        limit = SIGMAS * jackknife(replicas[rows] - replicas[i]) + 1e-12 * np.abs(values[i])
         found[i] = bool(np.any(np.all(worse <= limit, axis=1) & np.any(worse < -limit, axis=1)))
     return found
-
-
-def _error(differences: Floats) -> Floats:
-    """Return the errors of differences of (n, objectives, groups) values without each group."""
-    spread = np.sum((differences - differences.mean(axis=2, keepdims=True)) ** 2, axis=2)
-    return np.asarray(np.sqrt((GROUPS - 1) / GROUPS * spread))
 
 
 def hypervolume(values: Floats, reference: Floats) -> float:

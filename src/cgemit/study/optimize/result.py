@@ -12,18 +12,18 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from cgemit.analysis.quantities import GROUPS
+from cgemit.analysis.widths import GROUPS, jackknife
 from cgemit.base.files import new_file
 from cgemit.base.version import PHYSICS
 from cgemit.chain.record import versions
 from cgemit.chain.settings import Settings
 from cgemit.detector import Detector
 from cgemit.detector.variants import variant_name
-from cgemit.study.optimize.goals import Goal, Goals, Variable, changes_of, jackknife
+from cgemit.study.optimize.goals import Goal, Goals, Variable, changes_of
 from cgemit.study.optimize.pareto import SIGMAS, by_noise, growth, hypervolume, nondominated, within_errors
 from cgemit.study.optimize.search import Design, Evaluator, Found
 from cgemit.study.sweep.result import TidyResult
-from cgemit.tables.show import html_table, text_table, with_error, write_csv
+from cgemit.tables.show import with_error, write_csv
 
 if TYPE_CHECKING:
     from cgemit.draw.style import Picture
@@ -83,7 +83,7 @@ def front_of(values: Any, replicas: Any) -> list[str]:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Confirmation:
+class Confirmation(TidyResult):
     """Resolutions of some designs as the optimization has them and from simulated tracks.
 
     Attributes
@@ -102,12 +102,6 @@ class Confirmation:
     def __getitem__(self, name: str) -> Any:
         return np.array(self.columns[name])
 
-    def to_pandas(self) -> Any:
-        """Return the table as a `pandas.DataFrame`."""
-        import pandas
-
-        return pandas.DataFrame(self.columns)
-
     def write(self, folder: str | os.PathLike[str]) -> Path:
         """Write confirmation.csv to a folder; an earlier one is replaced."""
         path = Path(folder) / "confirmation.csv"
@@ -115,7 +109,7 @@ class Confirmation:
             write_csv(temporary, self.columns)
         return path
 
-    def _cells(self) -> tuple[str, list[str], list[list[str]]]:
+    def _table(self) -> tuple[str, list[str], list[list[str]]]:
         columns = self.columns
         rows = [
             [
@@ -128,12 +122,6 @@ class Confirmation:
         ]  # fmt: skip
         head = ["design", "quantity", "optimized", "simulated", "simulated/optimized", "simulated, to the base"]
         return f"{self.events} simulated tracks for each design and point", head, rows
-
-    def __repr__(self) -> str:
-        return text_table(*self._cells())
-
-    def _repr_html_(self) -> str:
-        return html_table(*self._cells())
 
 
 def confirm(
@@ -394,7 +382,7 @@ class Optimization(TidyResult):
         left_out = ("problems", "status", "front", "kind", "allowed")
         return {name: values[design] for name, values in self.columns.items() if name not in left_out}
 
-    def _cells(self) -> tuple[list[str], list[list[str]], str]:
+    def _table(self) -> tuple[str, list[str], list[list[str]]]:
         goals = [one.header for one in self.evaluator.goals.goals]
         head = ["design", *(one.header for one in self.variables), *goals]
         rows = [0, *(self.spread(_SHOWN_ROWS) if len(self.objectives) > 1 else self.front)]
@@ -404,15 +392,7 @@ class Optimization(TidyResult):
         if len(self.objectives) > 1:
             loose, tied = (self.columns["front"].count(name) for name in (LOOSE, TIED))
             title += f"; front of {len(self.front)}, {loose} of them and {tied} others within errors; some are shown"
-        return head, cells, title
-
-    def __repr__(self) -> str:
-        head, rows, title = self._cells()
-        return text_table(title, head, rows)
-
-    def _repr_html_(self) -> str:
-        head, rows, title = self._cells()
-        return html_table(title, head, rows)
+        return title, head, cells
 
 
 def _cell(value: Any) -> str:

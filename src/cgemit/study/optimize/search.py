@@ -11,7 +11,6 @@ from typing import Any, Literal
 
 import numpy as np
 
-from cgemit.analysis.quantities import SCALES as QUANTITIES
 from cgemit.analysis.widths import Floats
 from cgemit.base.errors import DetectorError
 from cgemit.covariance.result import Covariance
@@ -253,7 +252,7 @@ class Descent:
         for goal in goals.goals:
             if goal.resolution:
                 logs = [np.log(one.sigma(goal.name)[self._points(goal)]) for one in found]
-                values[goal.header] = QUANTITIES[goal.name][1] * math.exp(float(np.mean(logs)))
+                values[goal.header] = math.exp(float(np.mean(logs)))
         row = {"status": "ok", "problems": [], "hash": detector.content_hash}
         self._keep("step", self.numbers(u), row | {"values": values})
         return values if all(map(math.isfinite, values.values())) else None

@@ -10,7 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from cgemit.analysis.clusters import X_WINDOWS, ClusterResiduals, v_spectrum, x_spectrum, x_widths
-from cgemit.analysis.curves import SYMBOLS, Line, Spectrum, track_spectrum
+from cgemit.analysis.curves import Line, Spectrum, track_spectrum
+from cgemit.analysis.quantities import MAIN, QUANTITIES
 from cgemit.analysis.resolutions import chi2_probability, pulls, resolution_against
 from cgemit.analysis.widths import Resolution
 from cgemit.chain.result import Result
@@ -19,13 +20,12 @@ from cgemit.draw.style import COLORS, Picture, new_picture, style
 from cgemit.study.paper.published import FIGURES, paper_values
 from cgemit.study.paper.results import Reproduction
 from cgemit.study.samples import ShowProgress
-from cgemit.study.scan import QUOTED_PARAMETERS, momentum_line, pull_line, scan_columns
-from cgemit.tables import Table
+from cgemit.study.scan import momentum_line, pull_line, scan_columns
+from cgemit.tables import PARAMETERS, Table
 from cgemit.tables.show import with_error, write_csv
 
 _ANGLE_BINS = 10
 _TAIL_REACH = 8000.0  # um
-_SIGMAS = {"dr": "σ(d_ρ)", "dz": "σ(d_z)", "p": "σ(p)"}
 _PARTS = {"single strip": (COLORS["single"], "one strip"), "several strips": (COLORS["multi"], "several strips")}
 
 
@@ -133,13 +133,13 @@ def _against_momentum(study: Reproduction, path: Path, names: Sequence[str]) -> 
     _write_lines(_table(path), [line for group in lines.values() for line in group])
     published = [paper_values()[f"sigma_{name}"].value for name in names]
     points = [(1.0, value) if value is not None else None for value in published]
-    return curves.draw_resolutions([(_SIGMAS[name], group) for name, group in lines.items()], "p", points)
+    return curves.draw_resolutions([(QUANTITIES[name].sigma, group) for name, group in lines.items()], "p", points)
 
 
 def _pulls(study: Reproduction, path: Path) -> Picture:
     samples = {s.detector.name: s for s in (study.samples["cgem"], study.samples["idc"])}
     widths = {name: pulls(sample.tracks) for name, sample in samples.items()}
-    texts = {name: {SYMBOLS[w.parameter]: _width_and_mean(w) for w in each} for name, each in widths.items()}
+    texts = {name: {QUANTITIES[w.parameter].symbol: _width_and_mean(w) for w in each} for name, each in widths.items()}
     columns: dict[str, list[str | float]] = {"detector": [], "parameter": []}
     for name, each in widths.items():
         for w in each:
@@ -150,7 +150,7 @@ def _pulls(study: Reproduction, path: Path) -> Picture:
                 columns.setdefault(f"{what}_error", []).append(getattr(w, f"{what}_error"))
     write_csv(_table(path), columns)
     values = {
-        name: {symbol: sample.tracks[f"pull_{p}"][sample.tracks["status"] == 0] for p, symbol in SYMBOLS.items()}
+        name: {QUANTITIES[p].symbol: sample.tracks[f"pull_{p}"][sample.tracks["status"] == 0] for p in PARAMETERS}
         for name, sample in samples.items()
     }
     return curves.draw_pulls(values, texts)
@@ -162,18 +162,20 @@ def _width_and_mean(pull: Resolution) -> str:
 
 
 def _pulls_against_momentum(study: Reproduction, path: Path) -> Picture:
-    lines = {p: [pull_line(scan, p) for scan in study.scans.values()] for p in SYMBOLS}
+    lines = {p: [pull_line(scan, p) for scan in study.scans.values()] for p in PARAMETERS}
     _write_lines(_table(path), [line for group in lines.values() for line in group])
-    panels = [(f"core width, pull of {SYMBOLS[p]}", group) for p, group in lines.items()]
+    panels = [(f"core width, pull of {QUANTITIES[p].symbol}", group) for p, group in lines.items()]
     return curves.draw_grid([panels[:3], panels[3:]], "p", unity_rows=(0, 1))
 
 
 def _against_angle(study: Reproduction, path: Path) -> Picture:
     edges = np.linspace(-0.93, 0.93, _ANGLE_BINS + 1)
     samples = [study.samples["cgem"], study.samples["idc"]]
-    pairs = {p: [_angle_lines(s.tracks, s.detector.name, p, edges) for s in samples] for p in QUOTED_PARAMETERS}
-    widths = [(_SIGMAS[p], [pair[0] for pair in group]) for p, group in pairs.items()]
-    ratios = [(f"core width, pull of {SYMBOLS[p]}", [pair[1] for pair in group]) for p, group in pairs.items()]
+    pairs = {p: [_angle_lines(s.tracks, s.detector.name, p, edges) for s in samples] for p in MAIN}
+    widths = [(QUANTITIES[p].sigma, [pair[0] for pair in group]) for p, group in pairs.items()]
+    ratios = [
+        (f"core width, pull of {QUANTITIES[p].symbol}", [pair[1] for pair in group]) for p, group in pairs.items()
+    ]
     _write_lines(_table(path), [line for _, group in (*widths, *ratios) for line in group])
     return curves.draw_grid([widths, ratios], "cos θ", unity_rows=(1,))
 

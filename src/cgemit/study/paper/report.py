@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from cgemit.analysis.clusters import X_WINDOWS, geant4_runs, x_beyond
-from cgemit.analysis.curves import SYMBOLS, WINDOW, windowed_resolution
+from cgemit.analysis.curves import WINDOW, windowed_resolution
+from cgemit.analysis.quantities import QUANTITIES
 from cgemit.analysis.resolutions import pulls
 from cgemit.analysis.widths import HEAD
 from cgemit.base.files import RECORD
@@ -20,6 +21,7 @@ from cgemit.study.paper.published import FIGURES, Group, PaperFigure, paper_valu
 from cgemit.study.paper.results import Reproduction
 from cgemit.study.report import Code, Image, Note, Part, Section, TableOf, html_report
 from cgemit.study.samples import Sample
+from cgemit.tables import PARAMETERS
 from cgemit.tables.show import shown, with_error
 
 _TITLE = "Cluster reconstruction and track fit of the BESIII CGEM inner tracker"
@@ -132,9 +134,9 @@ def _main(study: Reproduction) -> list[Sample]:
 def _resolutions(study: Reproduction) -> list[Part]:
     rows = []
     for sample in _main(study):
-        for name, symbol in SYMBOLS.items():
+        for name in PARAMETERS:
             widths = windowed_resolution(sample.tracks, name)
-            quantity = f"{symbol} ({shown(widths.unit)})"
+            quantity = f"{QUANTITIES[name].symbol} ({shown(widths.unit)})"
             rows.append([sample.detector.name, quantity, *widths.cells(), str(widths.outside)])
     text = (
         "core: Gaussian fitted by likelihood within three of its own widths; q68: half the central interval that holds "
@@ -145,7 +147,9 @@ def _resolutions(study: Reproduction) -> list[Part]:
 
 
 def _pulls(study: Reproduction) -> TableOf:
-    rows = [[s.detector.name, SYMBOLS[w.parameter], *w.cells()] for s in _main(study) for w in pulls(s.tracks)]
+    rows = [
+        [s.detector.name, QUANTITIES[w.parameter].symbol, *w.cells()] for s in _main(study) for w in pulls(s.tracks)
+    ]
     return TableOf(("detector", "pull of", *HEAD), rows, frozenset(range(2, 8)))
 
 

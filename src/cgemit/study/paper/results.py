@@ -17,7 +17,7 @@ from cgemit.chain.result import Result
 from cgemit.chain.settings import FinderLike, Settings, hits_text
 from cgemit.study.paper.published import paper_values
 from cgemit.study.samples import Sample
-from cgemit.tables.show import Tabular, html_table, text_table, with_error
+from cgemit.tables.show import Shown, Tabular, with_error
 
 #: The detectors that the paper compares.
 DETECTORS = ("besiii-cgem-design", "besiii-idc")
@@ -80,7 +80,7 @@ class Inputs:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Reproduction(Tabular):
+class Reproduction(Shown, Tabular):
     """The paper's numbers beside ours.
 
     Attributes
@@ -167,21 +167,13 @@ class Reproduction(Tabular):
         rows = [row.as_json() for row in self.results]
         return {name: [row[name] for row in rows] for name in rows[0]}
 
-    def _rows(self) -> list[list[str]]:
-        return [
+    def _table(self) -> tuple[str, tuple[str, ...], list[list[str]]]:
+        rows = [
             [row.id, f"{row.paper:g}" if row.paper is not None else "-", with_error(row.value, row.error), row.unit]
             for row in self.results
         ]
-
-    def __repr__(self) -> str:
         title = f"arXiv:1504.02570 with {self.inputs.events:,} events, seed {self.inputs.seed}"
-        return text_table(f"{title}; hits {self._hits()}", _HEAD, self._rows())
-
-    def _repr_html_(self) -> str:
-        return html_table(f"arXiv:1504.02570; hits {self._hits()}", _HEAD, self._rows())
-
-    def _hits(self) -> str:
-        return hits_text(next(iter(self.samples.values())).tracks)
+        return f"{title}; hits {hits_text(next(iter(self.samples.values())).tracks)}", _HEAD, rows
 
 
 _HEAD = ("quantity", "paper", "cgemit", "unit")

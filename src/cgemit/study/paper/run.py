@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from cgemit.analysis.quantities import MAIN
 from cgemit.base.files import SUMMARY, check_free, new_folder
 from cgemit.base.settings import check_numbers
 from cgemit.chain import run
@@ -27,7 +28,7 @@ from cgemit.study.samples import (
     run_samples,
     why_unfitted,
 )
-from cgemit.study.scan import QUOTED_PARAMETERS, momentum_line
+from cgemit.study.scan import momentum_line
 
 _EVENTS, _QUICK_EVENTS, _FEWEST_EVENTS = 20_000, 1_500, 400
 _SHARE = 4  # each momentum of the curves gets this part of the events
@@ -118,7 +119,7 @@ def _measure(inputs: Inputs, progress: ShowProgress | None) -> Reproduction:
     named = dict(zip(("cgem", "idc", "gap"), samples, strict=True))
     samples += run_samples([*scans[0], *scans[1]], threads=inputs.threads, progress=_share(progress, part, 0.85))
     curve_samples = {"cgem": tuple(samples[3 : 3 + len(MOMENTA)]), "idc": tuple(samples[3 + len(MOMENTA) :])}
-    lines = [momentum_line(scan, name) for name in QUOTED_PARAMETERS for scan in curve_samples.values()]
+    lines = [momentum_line(scan, name) for name in MAIN for scan in curve_samples.values()]
     # Events have the same random numbers however many are run: these are the first ones of the sample.
     display = run.run(
         cgem, gun, _DISPLAY_EVENTS, inputs.seed, settings=inputs.settings, finder=inputs.finder, threads=inputs.threads

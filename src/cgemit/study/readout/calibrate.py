@@ -15,7 +15,7 @@ from cgemit.analysis.widths import measure
 from cgemit.chain.result import Result
 from cgemit.chain.run import run
 from cgemit.covariance.analytic import entries_with
-from cgemit.covariance.tracks import points_of, variances
+from cgemit.covariance.tracks import points_of
 from cgemit.detector import Detector
 from cgemit.detector.gas import drift_columns
 from cgemit.detector.parts import local_v
@@ -422,6 +422,7 @@ _USUAL_ERRORS = 0.3  # mm, error of clusters
 _SMALLER = np.array([0.1, 0.03])  # mm, of one or two of them
 _WRONG = 1e-6  # relative deviation of a variance
 _PHI = 0.3  # rad, of the tracks
+_VARIANCES = (0, 12)  # of dr and of dz among the entries of the upper triangle of a covariance
 
 
 def rest_of_tracks(detector: Detector, p: float, errors: Floats) -> Floats:
@@ -451,8 +452,7 @@ def rest_of_tracks(detector: Detector, p: float, errors: Floats) -> Floats:
     def variance(view: int, own: Floats) -> Floats:
         both = (own, errors[1]) if view == 0 else (errors[0], own)
         found = entries_with(points, detector, *both)
-        values = variances(found.covariance, found.sample.kappa, found.sample.tanl, ("dr", "dz")[view])
-        return np.where(found.status == 0, values, np.nan)
+        return np.where(found.status == 0, found.covariance[:, _VARIANCES[view]], np.nan)
 
     covariances = np.full((2, len(COS_THETA), 1 + layers, 1 + layers), np.nan)
     for view in range(2):

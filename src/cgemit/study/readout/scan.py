@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import linear_sum_assignment
 
+from cgemit.analysis.quantities import X
 from cgemit.analysis.widths import Resolution, measure
 from cgemit.chain.result import Result
 from cgemit.chain.run import run
@@ -30,7 +31,7 @@ from cgemit.reconstruction.cluster import calibrated_clusterer
 from cgemit.reconstruction.cluster_errors import calibration_of
 from cgemit.study.readout.calibrate import Measurements, calibration_from, common, measurements, true_directions
 from cgemit.tables import Table
-from cgemit.tables.show import text_table, with_error
+from cgemit.tables.show import Shown, with_error
 
 if TYPE_CHECKING:
     from cgemit.draw.style import Picture
@@ -191,7 +192,7 @@ def beam_views(
 def _view_point(samples: dict[str, Measurements], view: int, angle: float, crossings: int) -> BeamPoint:
     """Return what is measured in one view."""
     widths = {
-        name: measure(1e3 * sample.residual[sample.view == view], parameter=name, unit="um")
+        name: measure(X.factor * sample.residual[sample.view == view], parameter=name, unit=X.unit)
         for name, sample in samples.items()
     }
     sample = next(iter(samples.values()))
@@ -214,7 +215,7 @@ _ABOUT = ("charge_fC", "strips", "efficiency")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class BeamScan:
+class BeamScan(Shown):
     """What a read-out resolves at several values of one quantity.
 
     Attributes
@@ -279,7 +280,7 @@ class BeamScan:
         ]
         return draw_readout(self.values, self.label, views, self.title)
 
-    def __repr__(self) -> str:
+    def _table(self) -> tuple[str, tuple[str, ...], list[list[str]]]:
         names = list(self.points[0][0].widths)
         rows = [
             [f"{value:g}", view, f"{point.charge:.1f}", f"{point.size:.2f}", f"{100 * point.efficiency:.2f}"]
@@ -290,7 +291,7 @@ class BeamScan:
         unit = QUANTITIES[self.quantity]
         first = self.quantity.replace("_", " ") + (f" [{unit}]" if unit else "")
         head = (first, "view", "Q [fC]", "strips", "eff. [%]", *(f"{name} [um]" for name in names))
-        return text_table(self.title, head, rows)
+        return self.title, head, rows
 
 
 def scan(
@@ -487,7 +488,7 @@ class GhostPoint:
 
 
 @dataclass(frozen=True, repr=False)
-class GhostScan:
+class GhostScan(Shown):
     """Pairs at several numbers of tracks on a sheet.
 
     Attributes
@@ -510,13 +511,13 @@ class GhostScan:
             writer.writerow([point.tracks, *(f"{value:.6g}" for value in (point.crossings, *values))])
         return text.getvalue()
 
-    def __repr__(self) -> str:
+    def _table(self) -> tuple[str, tuple[str, ...], list[list[str]]]:
         rows = [
             [str(point.tracks), f"{point.crossings:.2f}"]
             + [with_error(*(100 * value for value in point.wrong[way])) for way in WAYS]
             for point in self.points
         ]
-        return text_table(self.title, _HEAD, rows)
+        return self.title, _HEAD, rows
 
 
 def scan_ghosts(

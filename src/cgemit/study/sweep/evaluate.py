@@ -12,10 +12,8 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from cgemit.analysis.quantities import GROUPS, residuals
-from cgemit.analysis.quantities import SCALES as QUANTITIES
-from cgemit.analysis.quantities import header as column
-from cgemit.analysis.widths import core_sigma, measure
+from cgemit.analysis.quantities import ABSOLUTE, NAMES, QUANTITIES, REPORTED
+from cgemit.analysis.widths import GROUPS, core_sigma, measure, without_groups
 from cgemit.chain import run
 from cgemit.chain.settings import Settings, fit_settings
 from cgemit.covariance.analytic import covariance_at, entries_at
@@ -26,6 +24,9 @@ from cgemit.particles.gun import Gun
 from cgemit.reconstruction.fit import FitSettings, FitStatus
 from cgemit.simulation.digitize import DigitizeSettings
 from cgemit.study.samples import seed_of
+
+#: Resolutions that are computed by default.
+SWEPT = tuple(name for name in ABSOLUTE if name in REPORTED)
 
 #: What the user's own function is.
 Function = Callable[[Detector], Mapping[str, Any]]
@@ -116,14 +117,12 @@ def _text(cos_theta: CosTheta) -> str:
 
 def result_columns(method: str, quantities: Sequence[str]) -> tuple[str, ...]:
     """Return the columns of numbers that "analytic" or "mc" makes of some resolutions."""
-    sigmas = [column(f"sigma_{name}", name) for name in quantities]
+    known = [QUANTITIES[name] for name in quantities]
+    sigmas = [one.column() for one in known]
     if method == "analytic":
         return (*sigmas, "reached")
-    more = [
-        column(f"{before}sigma_{name}{after}", name)
-        for name in quantities
-        for before, after in (("", "_error"), ("delta_", ""), ("delta_", "_error"))
-    ]
+    ends = (("sigma", "_error"), ("delta_sigma", ""), ("delta_sigma", "_error"))
+    more = [one.column(kind, end) for one in known for kind, end in ends]
     return ("fitted", "events", *sigmas, *more)
 
 
@@ -146,8 +145,7 @@ def _columns(widths: Sequence[Widths], quantities: Sequence[str]) -> dict[str, l
     """Return the columns of one detector from its resolutions for each cos(theta)."""
     columns: dict[str, list[Any]] = {}
     for name in quantities:
-        scale = QUANTITIES[name][1]
-        columns[column(f"sigma_{name}", name)] = _by_point([scale * one.sigma[name] for one in widths])
+        columns[QUANTITIES[name].column()] = _by_point([one.sigma[name] for one in widths])
     columns["reached"] = _by_point([one.reached for one in widths])
     columns["tracks"] = [FitStatus(status).name for status in _by_point([one.status for one in widths])]
     return columns
@@ -167,7 +165,7 @@ def budgets(evaluation: Evaluation, detectors: Mapping[str, Detector], quantity:
         If the evaluation was a function, or there is no such point or quantity.
     """
     points = [(p, one) for p in evaluation.p for one in evaluation.cos_theta]
-    if evaluation.method == "function" or not 0 <= point < len(points) or quantity not in QUANTITIES:
+    if evaluation.method == "function" or not 0 <= point < len(points) or quantity not in NAMES:
         raise ValueError(
             f"budgets: got {quantity!r} at point {point} of evaluation {evaluation.method!r}; expected one of "
             f"{', '.join(QUANTITIES)}, a point below {len(points)}, and an evaluation of resolutions"
@@ -189,16 +187,15 @@ def _simulated(
     seed = seed_of(evaluation.seed, number)
     tracks = run.run(detector, gun, evaluation.events, seed, settings=evaluation.settings, threads=1).tracks
     good = tracks["status"] == FitStatus.ok
-    group = tracks["event"][good] % GROUPS
+    event = tracks["event"][good]
     point: dict[str, Any] = {"fitted": int(good.sum()), "events": evaluation.events}
-    replicas = {}
-    samples = residuals(tracks, good)
+    replicas: dict[str, list[float]] = {}
     for name in evaluation.quantities:
-        sample = samples[name]
+        known = QUANTITIES[name]
+        sample = known.residual(tracks)[good]
         width = measure(sample)
-        point[column(f"sigma_{name}", name)] = width.core
-        point[column(f"sigma_{name}_error", name)] = width.core_error
-        replicas[name] = [core_sigma(sample[group != left_out]) for left_out in range(GROUPS)]
+        point[known.column()], point[known.column(end="_error")] = width.core, width.core_error
+        replicas[name] = without_groups(sample, event, core_sigma).tolist()
     return point, replicas
 
 

@@ -10,12 +10,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from cgemit.analysis.quantities import SCALES as QUANTITIES
+from cgemit.analysis.quantities import NAMES
 from cgemit.base.errors import ProblemsError, did_you_mean
 from cgemit.base.files import new_file, toml_text
 from cgemit.base.settings import SettingsError
 from cgemit.chain.settings import Settings
-from cgemit.study.sweep.evaluate import result_columns
+from cgemit.study.sweep.evaluate import SWEPT, result_columns
 from cgemit.study.sweep.result import Sweep
 from cgemit.study.sweep.run import sweep
 from cgemit.study.sweep.space import space_of
@@ -173,7 +173,7 @@ KEYS: dict[str, dict[str, str]] = {
         "cos_theta": 'number, "LOW:HIGH" for a uniform range, or a list of these (default 0)',
         "events": "simulated events for each variant, momentum and angle (default 2000)",
         "seed": "seed of the simulation (default 1)",
-        "quantities": "resolutions to be computed (default: p, pt, dr, dz, phi0, theta, tanl)",
+        "quantities": f"resolutions to be computed (default: {', '.join(SWEPT)})",
         "samples": "analytic: tracks that are averaged at each point",
         "chunk": "variants in one chunk",
     },
@@ -260,10 +260,10 @@ def numbers(path: str, given: Any, dimension: str, problems: list[str]) -> Any:
 
 def _draw_problems(table: Mapping[str, Any], arguments: Mapping[str, Any]) -> list[str]:
     """Return the problem of a quantity that is no column; columns of a function are not known before it runs."""
-    method, names = arguments.get("evaluate", "analytic"), arguments.get("quantities", tuple(QUANTITIES))
+    method, names = arguments.get("evaluate", "analytic"), arguments.get("quantities", SWEPT)
     if "quantity" not in table or method not in ("analytic", "mc") or not isinstance(names, Sequence):
         return []
-    quantity, known = table["quantity"], result_columns(method, [one for one in names if one in QUANTITIES])
+    quantity, known = table["quantity"], result_columns(method, [NAMES[one] for one in names if one in NAMES])
     if quantity in known:
         return []
     return [f"draw.quantity: got {quantity!r}, expected one of {', '.join(known)}{did_you_mean(quantity, known, '; ')}"]

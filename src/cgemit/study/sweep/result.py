@@ -12,9 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cgemit.analysis.quantities import SCALES as QUANTITIES
-from cgemit.analysis.quantities import error_of_difference
-from cgemit.analysis.quantities import header as column
+from cgemit.analysis.quantities import QUANTITIES
+from cgemit.analysis.widths import jackknife
 from cgemit.base.files import SUMMARY, new_file
 from cgemit.base.version import PHYSICS
 from cgemit.chain.record import versions
@@ -24,13 +23,13 @@ from cgemit.detector.variants import variant_name
 from cgemit.study.sweep.evaluate import Evaluation, budgets
 from cgemit.study.sweep.space import Space, axis_of
 from cgemit.tables.formats import write_columns
-from cgemit.tables.show import data_frame, html_table, text_table, write_csv
+from cgemit.tables.show import Shown, data_frame, write_csv
 
 if TYPE_CHECKING:
     from cgemit.draw.style import Picture
 
 
-class TidyResult:
+class TidyResult(Shown):
     """A result that is a table, `columns` by header."""
 
     columns: dict[str, list[Any]]
@@ -224,27 +223,19 @@ class Sweep(TidyResult):
         names = {self.columns["variant"][i]: self.columns["name"][i] for i in first}
         short = {number: name.removeprefix(f"{self.bases[number].name}+") for number, name in names.items()}
         detectors = {short[number] if number else "base": self.detector(number) for number in names}
-        return draw_budgets(budgets(self.evaluation, detectors, quantity, point), by, scale=QUANTITIES[quantity][1])
+        return draw_budgets(budgets(self.evaluation, detectors, quantity, point), by)
 
     def _is_first(self) -> list[bool]:
         numbers = self.columns["variant"]
         return [i == 0 or numbers[i - 1] != number for i, number in enumerate(numbers)]
 
-    def _cells(self) -> tuple[list[str], list[list[str]], str]:
+    def _table(self) -> tuple[str, list[str], list[list[str]]]:
         shown = [name for name in self.results if not name.startswith("delta_") and "_error" not in name][:6]
         head = ["variant", "status", *self.parameters, *(name for name in _POINT if name in self.columns), *shown]
         count = min(len(self), _SHOWN_ROWS)
         rows = [[_cell(self.columns[name][i]) for name in head] for i in range(count)]
         more = f"; {len(self) - count} more rows" if len(self) > count else ""
-        return head, rows, f"{self.bases[0].name}: {len(self.space)} variants, {len(self)} rows{more}"
-
-    def __repr__(self) -> str:
-        head, rows, title = self._cells()
-        return text_table(title, head, rows)
-
-    def _repr_html_(self) -> str:
-        head, rows, title = self._cells()
-        return html_table(title, head, rows)
+        return f"{self.bases[0].name}: {len(self.space)} variants, {len(self)} rows{more}", head, rows
 
 
 def _cell(value: Any) -> str:
@@ -288,8 +279,9 @@ def _differences(row: Mapping[str, Any], base: Mapping[str, Any]) -> dict[str, l
     found = {}
     pairs = list(zip(row["replicas"], base["replicas"], strict=True))
     for name in base["replicas"][0]:
-        sigmas = zip(*(one["columns"][column(f"sigma_{name}", name)] for one in (row, base)), strict=True)
-        found[column(f"delta_sigma_{name}", name)] = [mine - other for mine, other in sigmas]
-        errors = [error_of_difference(mine[name], other[name]) for mine, other in pairs]
-        found[column(f"delta_sigma_{name}_error", name)] = errors
+        known = QUANTITIES[name]
+        sigmas = zip(*(one["columns"][known.column()] for one in (row, base)), strict=True)
+        found[known.column("delta_sigma")] = [mine - other for mine, other in sigmas]
+        errors = [jackknife(np.subtract(mine[name], other[name])) for mine, other in pairs]
+        found[known.column("delta_sigma", "_error")] = errors
     return found

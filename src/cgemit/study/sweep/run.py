@@ -15,7 +15,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal, Protocol
 
-from cgemit.analysis.quantities import SCALES as QUANTITIES
+from cgemit.analysis.quantities import NAMES, QUANTITIES
 from cgemit.base.errors import DetectorError, Problems
 from cgemit.base.files import OutputExistsError, check_free, new_file
 from cgemit.base.settings import check_numbers, is_whole
@@ -25,7 +25,7 @@ from cgemit.detector import Detector, load
 from cgemit.particles.gun import Gun
 from cgemit.particles.species import species
 from cgemit.study.samples import ShowProgress
-from cgemit.study.sweep.evaluate import CosTheta, Evaluation, Function
+from cgemit.study.sweep.evaluate import SWEPT, CosTheta, Evaluation, Function
 from cgemit.study.sweep.result import Sweep
 from cgemit.study.sweep.space import Changes, Space, SpaceError, grid, key_problems, listed
 
@@ -274,7 +274,7 @@ def sweep(
     events: int = 2000,
     seed: int = 1,
     settings: Settings | None = None,
-    quantities: Sequence[str] = tuple(QUANTITIES),
+    quantities: Sequence[str] = SWEPT,
     samples: int | None = None,
     executor: Executor | None = None,
     output: str | os.PathLike[str] | None = None,
@@ -342,7 +342,7 @@ def sweep(
     """
     evaluation = _evaluation(
         evaluate, particle=particle, p=as_tuple(p), cos_theta=as_tuple(cos_theta), events=events, seed=seed,
-        settings=settings, quantities=tuple(quantities), samples=samples,
+        settings=settings, quantities=tuple(NAMES.get(name, name) for name in quantities), samples=samples,
     )  # fmt: skip
     wrong = Problems("sweep")
     wrong.collect(_check, evaluation, part, chunk)
