@@ -51,9 +51,10 @@ cg.draw.draw_cluster(result, event=9)
 # %%
 def x_residuals(run):
     """Residuals of X clusters of true crossings, in um."""
-    own = truth.own_clusters(detector, run.clusters, run.truths)
-    own = own[run.clusters["view"][own] == 0]
-    return 1000 * truth.residuals(detector, run.clusters, run.truths, own)
+    clusters, _ = run.fitted_hits  # with the angle of the track in the second pass
+    own = truth.own_clusters(detector, clusters, run.truths)
+    own = own[clusters["view"][own] == 0]
+    return 1000 * truth.residuals(detector, clusters, run.truths, own)
 
 
 # %%
@@ -89,9 +90,10 @@ for name, run in (("first pass", result), ("second pass", second)):
 fig, axes = plt.subplots(figsize=(6, 3.4))
 grid = np.linspace(-6, 6, 61)
 for name, run in (("first pass", result), ("second pass", second)):
-    own = truth.own_clusters(detector, run.clusters, run.truths)
-    own = own[run.clusters["view"][own] == 0]
-    pull = truth.residuals(detector, run.clusters, run.truths, own) / run.clusters["err_x"][own]
+    clusters, _ = run.fitted_hits
+    own = truth.own_clusters(detector, clusters, run.truths)
+    own = own[clusters["view"][own] == 0]
+    pull = truth.residuals(detector, clusters, run.truths, own) / clusters["err_x"][own]
     axes.hist(pull, grid, histtype="step", label=f"{name}: 68 % within {np.quantile(np.abs(pull), 0.683):.2f}")
 axes.plot(grid, len(pull) * 0.2 * np.exp(-0.5 * grid**2) / np.sqrt(2 * np.pi), "k:", label="unit Gaussian")
 axes.set(xlabel="X residual / error", ylabel="clusters per 0.2")

@@ -81,7 +81,7 @@ def ratios(point: Point, tracks: int, seed: int) -> list[Ratio]:
     readout, simulate, _ = MODES[mode]
     settings = cg.Settings(simulate=simulate, digitize=cg.DigitizeSettings(readout=readout))
     gun = cg.Gun(particle, p=p, cos_theta=cos_theta)
-    result = cg.run(detector, gun, n=tracks, seed=seed, settings=settings, threads=1, keep=("tracks",))
+    result = cg.run(detector, gun, n=tracks, seed=seed, settings=settings, keep=("tracks",), workers=1)
     expected = cg.analytic(detector, particle, p, cos_theta, readout=readout, samples=SAMPLES)
     rows = []
     for quantity in QUANTITIES:

@@ -298,7 +298,7 @@ def measure_point(
     sums, first = _Sums({}, {}, {}), None
     for block in range(math.ceil(n / BLOCK)):
         count = min(BLOCK, n - block * BLOCK)
-        result = cg.run(point.detector, gun, count, seed + block, settings=settings, threads=threads)
+        result = cg.run(point.detector, gun, count, seed + block, settings=settings, workers=threads)
         first = first or result
         for name in names:
             columns.setdefault(name, []).append(result.tracks[name])
@@ -401,7 +401,7 @@ def measure_losses(n: int, threads: int | None, momenta: Sequence[float] = (0.1,
     for p, loss in itertools.product(momenta, LOSSES):
         settings = replace(WITHOUT_DECAYS, fit=FitSettings(loss=loss))
         gun = cg.Gun("mu-", p=p, cos_theta=MIXED)
-        found = cg.study.pulls(cg.run(DETECTORS[0], gun, n, 7, settings=settings, threads=threads).tracks)["kappa"]
+        found = cg.study.pulls(cg.run(DETECTORS[0], gun, n, 7, settings=settings, workers=threads).tracks)["kappa"]
         numbers = (found.core, found.core_error, found.core_mean, found.core_mean_error)
         rows.append(Choice(p, loss, **_named(numbers)))
     return rows
@@ -417,7 +417,7 @@ def measure_sides(n: int, threads: int | None, momenta: Sequence[float] = (0.2, 
                 WITHOUT_DECAYS, digitize=DigitizeSettings(reveal_sides=reveal), fit=FitSettings(residuals=True)
             )
             gun = cg.Gun("mu-", p=p, cos_theta=MIXED)
-            runs[reveal] = cg.run(DETECTORS[0], gun, n, 8, settings=settings, threads=threads)
+            runs[reveal] = cg.run(DETECTORS[0], gun, n, 8, settings=settings, workers=threads)
         sides += _wrong_sides(p, runs[False])
         known.append(_known(p, runs[True], runs[False]))
     return sides, known

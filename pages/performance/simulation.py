@@ -74,7 +74,7 @@ def measure_fields(_share: float) -> Numbers:
 
 def muons(n: int = READOUT_MUONS) -> cg.Result:
     """Return muons of 1 GeV/c with their ionization clusters."""
-    return cg.run(DETECTOR, GUN, n, READOUT_SEED, readout="tiger", until="simulate", threads=1)
+    return cg.run(DETECTOR, GUN, n, READOUT_SEED, readout="tiger", until="simulate", workers=1)
 
 
 def with_electrons(steps: Table, factor: int) -> Table:

@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from cgemit import _core, helix
 from cgemit.base.isa import available
-from cgemit.chain.run import run, run_chunk
+from cgemit.chain.run import Job, run, run_chunk
 from cgemit.chain.settings import Settings
 from cgemit.detector import Detector, compiled, load
 from cgemit.particles.gun import Gun, generate
@@ -226,11 +226,12 @@ def smeared(truth: Floats, particles: Table, seed: int, sigma: Sequence[float] =
 def chain_times(events: int) -> dict[str, float]:
     """Return us per track of each stage and of all, for so many events; tables are dropped chunk by chunk."""
     detector, settings = load(DETECTOR), Settings(fit=ALL_HITS)
+    job = Job(detector, detector, GUN, None, settings, SEED, "truth", "fit", None)
     seconds = dict.fromkeys((*CHAIN, "all"), 0.0)
     start = time.perf_counter()
     for first in range(0, events, CHUNK):
         particles = generate(GUN, min(CHUNK, events - first), SEED, first)
-        for stage, spent in run_chunk(detector, detector, particles, settings, SEED)[1].items():
+        for stage, spent in run_chunk(job, particles)[1].items():
             seconds[stage] += spent
     seconds["all"] = time.perf_counter() - start
     return {stage: 1e6 * value / events for stage, value in seconds.items()}
@@ -249,7 +250,7 @@ def measure_chain(_share: float) -> Numbers:
 
 def print_memory(events: int, residuals: bool) -> None:
     """Run the chain and print the peak of the process and the bytes of its tables."""
-    result = run(DETECTOR, GUN, events, SEED, settings=Settings(fit=FitSettings(residuals=residuals)), threads=1)
+    result = run(DETECTOR, GUN, events, SEED, settings=Settings(fit=FitSettings(residuals=residuals)), workers=1)
     tables = sum(column.nbytes for table in result.tables.values() for column in table.columns.values())
     # ru_maxrss is in KiB on Linux, in bytes on macOS.
     print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024), tables)

@@ -23,7 +23,7 @@ N = 100
 @cache
 def sample(name: str):
     """Return detector, core, hits of simulated tracks, and what the core makes of them."""
-    result = cg.run(name, GUN, N, seed=17, settings=EXACT, threads=1)
+    result = cg.run(name, GUN, N, seed=17, settings=EXACT, workers=1)
     hits = hits_of_result(result)
     start = np.stack([result.tracks[name] for name in PARAMETERS], axis=1)
     arguments = core_arguments(result.detector, hits, result.particles["mass"], start, FIT)

@@ -11,7 +11,18 @@ import pytest
 from scipy import stats
 from scipy.special import erfc
 
-from cgemit import Apv25Readout, Gun, ProjectionReadout, Settings, SimulateSettings, TigerReadout, _core, load, run
+from cgemit import (
+    Apv25Readout,
+    Gun,
+    ProjectionReadout,
+    Settings,
+    SimulateSettings,
+    TigerReadout,
+    Workers,
+    _core,
+    load,
+    run,
+)
 from cgemit.detector import compiled
 from cgemit.detector.parts import local_v, strips_of_v
 from cgemit.detector.readouts import APV25, TIGER, Shaper
@@ -166,8 +177,8 @@ def test_line_fit_against_least_squares() -> None:
 @pytest.mark.parametrize("readout", ["tiger", "apv25"])
 def test_chunks_and_threads_change_nothing(readout: str) -> None:
     """Digis and clusters of an event depend on seed and event only."""
-    whole = run(DESIGN, GUN, 24, seed=4, readout=readout, until="cluster", chunk=24)
-    parts = run(DESIGN, GUN, 24, seed=4, readout=readout, until="cluster", chunk=5, threads=2)
+    whole = run(DESIGN, GUN, 24, seed=4, readout=readout, until="cluster", workers=Workers(chunk=24))
+    parts = run(DESIGN, GUN, 24, seed=4, readout=readout, until="cluster", workers=Workers(threads=2, chunk=5))
     other = run(DESIGN, GUN, 24, seed=5, readout=readout, until="cluster")
     assert len(whole.digis) > 24 * 12
     for name in ("charge", "time", "gid"):

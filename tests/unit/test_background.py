@@ -297,7 +297,9 @@ def test_events_are_mixed_from_files_in_the_chain(run, other, tmp_path):
     direct = mix_events(run.detector, run.digis, run.wire_hits, other.tables, offset=(-100.0, 100.0), seed=1)
     assert all(np.array_equal(found.wire_hits[name], direct["wire_hits"][name]) for name in found.wire_hits)
     assert all(np.array_equal(found.digis[n], direct["digis"][n], equal_nan=True) for n in found.digis)
-    parts = cg.run("besiii-cgem", MUON, n=100, settings=settings, until="digitize", chunk=17, threads=2)
+    parts = cg.run(
+        "besiii-cgem", MUON, n=100, settings=settings, until="digitize", workers=cg.Workers(threads=2, chunk=17)
+    )
     assert parts.wire_hits == found.wire_hits
 
 

@@ -182,7 +182,7 @@ def test_weights_of_the_sides_of_a_wire(monkeypatch):
 
     monkeypatch.setattr(_core, "fit", keep)
     fit = FitSettings(residuals=True, states=("origin",), outlier_pull=0)
-    run(DESIGN, Gun("mu-", p=1.0, cos_theta=0.1), 300, settings=Settings(fit=fit), threads=1)
+    run(DESIGN, Gun("mu-", p=1.0, cos_theta=0.1), 300, settings=Settings(fit=fit), workers=1)
     out, hits = kept["out"], kept["given"]["hits"]
     track = np.repeat(np.arange(len(out["status"])), np.diff(kept["given"]["hit_offsets"]))
     wires = (np.asarray(hits["kind"]) == 2) & (out["status"][track] == 0)

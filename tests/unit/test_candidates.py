@@ -145,7 +145,9 @@ def test_finders_are_functions_classes_and_partial_functions():
             return everything(*given)
 
     for finder, name in ((Finder(), "Finder"), (functools.partial(everything), "everything")):
-        runs = [cg.run(DETECTOR, GUN, 10, finder=finder, chunk=chunk, threads=2) for chunk in (10, 3)]
+        runs = [
+            cg.run(DETECTOR, GUN, 10, finder=finder, workers=cg.Workers(threads=2, chunk=chunk)) for chunk in (10, 3)
+        ]
         assert runs[0].finder == name
         assert runs[0] == runs[1]
 
@@ -154,7 +156,7 @@ def test_processes_need_finders_that_can_be_sent():
     """A function of a module can, one defined on the way cannot, which is said before anything runs."""
     refused = pytest.raises(TypeError, match=r"finder: got <lambda>, which cannot be sent to other processes")
     with ProcessPoolExecutor(1) as pool, refused:
-        cg.run(DETECTOR, GUN, 4, finder=lambda *given: everything(*given), executor=pool)
+        cg.run(DETECTOR, GUN, 4, finder=lambda *given: everything(*given), workers=pool)
 
 
 @pytest.mark.parametrize(

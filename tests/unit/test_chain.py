@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cgemit.chain.executor import Workers
 from cgemit.chain.result import Result
 from cgemit.chain.run import run
 from cgemit.chain.settings import Settings
@@ -28,13 +29,13 @@ LINKS = {"truth", "wire_truth", "x_cluster", "v_cluster", "candidate", "row", "t
 @pytest.fixture(scope="module")
 def result() -> Result:
     """Sixty events of two particles."""
-    return run("besiii-cgem-design", GUN, 60, seed=3, settings=SETTINGS, threads=1)
+    return run("besiii-cgem-design", GUN, 60, seed=3, settings=SETTINGS, workers=1)
 
 
 @pytest.mark.parametrize(("threads", "chunk"), [(2, 1000), (1, 7), (2, 1), (2, 59)])
 def test_threads_and_chunks_change_no_byte(result: Result, threads: int, chunk: int) -> None:
     """Every column of every table is the same to the last bit for any number of threads and any chunk size."""
-    other = run("besiii-cgem-design", GUN, 60, seed=3, settings=SETTINGS, threads=threads, chunk=chunk)
+    other = run("besiii-cgem-design", GUN, 60, seed=3, settings=SETTINGS, workers=Workers(threads=threads, chunk=chunk))
     for name, table in result.tables.items():
         for column, values in table.columns.items():
             assert values.tobytes() == other.tables[name][column].tobytes(), f"{name}.{column}"
@@ -43,7 +44,10 @@ def test_threads_and_chunks_change_no_byte(result: Result, threads: int, chunk: 
 def test_processes_give_the_same_result(result: Result) -> None:
     """Any executor will do: a pool of processes gives what threads give."""
     with ProcessPoolExecutor(2) as pool:
-        assert run("besiii-cgem-design", GUN, 60, seed=3, settings=SETTINGS, executor=pool, chunk=20) == result
+        assert (
+            run("besiii-cgem-design", GUN, 60, seed=3, settings=SETTINGS, workers=Workers(executor=pool, chunk=20))
+            == result
+        )
 
 
 @pytest.mark.parametrize("event", [0, 17, 59])
@@ -77,7 +81,7 @@ def test_designs_share_their_noise() -> None:
 
 def test_links_point_to_what_they_say(result: Result) -> None:
     """Digis, hits and residuals link to rows of the same event, layer and cell, also across chunks."""
-    joined = run("besiii-cgem-design", GUN, 60, seed=3, settings=SETTINGS, chunk=13)
+    joined = run("besiii-cgem-design", GUN, 60, seed=3, settings=SETTINGS, workers=Workers(chunk=13))
     truths, wires = joined.truths, joined.wire_truths
     assert np.array_equal(truths["event"][joined.digis["truth"]], joined.digis["event"])
     assert np.array_equal(truths["layer"][joined.digis["truth"]], joined.digis["layer"])
@@ -141,9 +145,9 @@ def test_no_events() -> None:
     ("arguments", "message"),
     [
         ({"n": -1}, "n: -1"),
-        ({"n": 5, "chunk": 0}, "chunk: 0"),
-        ({"n": 5, "threads": 0}, "threads: 0"),
-        ({"n": 2.5, "seed": -1, "chunk": 0.5}, r"(?s)n: 2\.5.*chunk: 0\.5.*seed: -1"),
+        ({"n": 5, "workers": Workers(chunk=0)}, "chunk: 0"),
+        ({"n": 5, "workers": 0}, "threads: 0"),
+        ({"n": 2.5, "seed": -1, "workers": Workers(chunk=0.5)}, r"(?s)n: 2\.5.*chunk: 0\.5.*seed: -1"),
         ({"n": 5, "detector": "besii-cgem"}, "besiii-cgem"),
     ],
 )
@@ -206,7 +210,7 @@ def test_failed_fits_have_the_same_bytes_in_any_chunk() -> None:
     whole = run("besiii-cgem-design", gun, 60, seed=5, settings=settings)
     assert np.isnan(whole.tracks["err_p"]).sum() > 10
     for chunk in (1, 7):
-        other = run("besiii-cgem-design", gun, 60, seed=5, settings=settings, chunk=chunk)
+        other = run("besiii-cgem-design", gun, 60, seed=5, settings=settings, workers=Workers(chunk=chunk))
         for name, table in whole.tables.items():
             for column, values in table.columns.items():
                 assert values.tobytes() == other.tables[name][column].tobytes(), f"{name}.{column}"
@@ -223,7 +227,7 @@ def test_particles_of_events_with_gaps() -> None:
     np.testing.assert_array_equal(found.tracks["event"], events)
     assert found.particles.n_events == 4
     for chunk in (1, 2, 3):
-        assert run("besiii-cgem-design", table, seed=3, chunk=chunk) == found
+        assert run("besiii-cgem-design", table, seed=3, workers=Workers(chunk=chunk)) == found
     alone = run(
         "besiii-cgem-design",
         particles_from({"event": [70], "pdg": [13], "px": [0.4], "py": [0.0], "pz": [0.1]}),

@@ -77,7 +77,7 @@ def test_unknown_keys_and_wrong_values_of_a_plan_at_once(read, tmp_path):
 @pytest.fixture(scope="module")
 def stored(tmp_path_factory):
     folder = tmp_path_factory.mktemp("runs") / "run"
-    cg.run("besiii-idc", GUN, n=6, chunk=2, output=folder)
+    cg.run("besiii-idc", GUN, n=6, output=folder, workers=cg.Workers(chunk=2))
     return folder
 
 

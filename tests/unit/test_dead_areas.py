@@ -128,7 +128,9 @@ def test_efficiencies_do_not_depend_on_chunks(readout):
     spoiled = CGEM.with_overrides({"background.bes2026.efficiency_x": 0.5, "background.bes2026.efficiency_wires": 0.5})
     settings = cg.Settings(background=cg.BackgroundSettings(level="bes2026"))
     whole, parts = (
-        cg.run(spoiled, MUON, n=30, settings=settings, readout=readout, until="digitize", chunk=chunk)
+        cg.run(
+            spoiled, MUON, n=30, settings=settings, readout=readout, until="digitize", workers=cg.Workers(chunk=chunk)
+        )
         for chunk in (30, 7)
     )
     assert whole.digis == parts.digis

@@ -127,7 +127,7 @@ def test_chunks_threads_and_neighbours(kernels):
     """The same bytes in one piece, in chunks and in threads, with every instruction set."""
     settings = cg.Settings(simulate=SimulateSettings(steps=True))
     whole, pieces = (
-        cg.run(DETECTOR, GUN, 60, seed=5, settings=settings, chunk=chunk, threads=threads)
+        cg.run(DETECTOR, GUN, 60, seed=5, settings=settings, workers=cg.Workers(threads=threads, chunk=chunk))
         for chunk, threads in ((60, 1), (7, 2))
     )
     assert len(whole.decays) > 10

@@ -9,7 +9,7 @@ import pytest
 
 import cgemit as cg
 from cgemit.chain import executor, run
-from cgemit.chain.settings import STAGES, TABLES, Settings
+from cgemit.chain.settings import STAGES, TABLES, Settings, tables_made
 from cgemit.reconstruction.cluster_errors import CalibrationError, calibration_of, read_calibration
 
 GUN = cg.Gun("mu-", p=1, cos_theta=(-0.5, 0.5))
@@ -27,7 +27,7 @@ def test_all_problems_of_a_run_at_once(nothing_runs):
     with pytest.raises(ValueError, match=r"^run:") as refused:
         cg.run(
             {"base": "besiii-cgem", "name": "x", "cgem": {"L9": {"pitch_x": "1 m"}}}, GUN, n=-1, seed=-2, finder="no",
-            until="never", readout="none", output="folder", format="xlsx",
+            until="never", readout="none", output=cg.Output("folder", format="xlsx"),
         )  # fmt: skip
     text = str(refused.value)
     for part in ("cgem.L9", "n: -1", "seed: -2", "finder: got 'no'", "until: got 'never'", "readout", "xlsx"):
@@ -48,7 +48,7 @@ def test_tables_to_keep_are_checked_first(nothing_runs):
 def test_the_tables_that_a_run_makes(until):
     settings = Settings(fit=cg.FitSettings(residuals=True))
     result = cg.run("besiii-idc", GUN, n=2, until=until, settings=settings)
-    assert tuple(result.tables) == tuple(name for name in TABLES if name in run.tables_made(until, settings))
+    assert tuple(result.tables) == tuple(name for name in TABLES if name in tables_made(until, settings))
 
 
 def test_a_missing_calibration_is_said_first(nothing_runs):
@@ -120,7 +120,7 @@ def test_chunks_that_do_not_fit_into_memory(tmp_path, monkeypatch):
     monkeypatch.setattr(executor, "available", lambda: 1 << 30)
     for output in ({"output": tmp_path / "out"}, {}):
         with pytest.raises(ValueError, match=r"chunk: \d of 10000000 events at a time need about .* GB"):
-            cg.run("besiii-cgem", GUN, n=10**7, chunk=10**7, keep=["tracks"], threads=1, **output)
+            cg.run("besiii-cgem", GUN, n=10**7, keep=["tracks"], workers=cg.Workers(threads=1, chunk=10**7), **output)
     assert not (tmp_path / "out").exists()
     executor.check_chunk({"tracks": 1000}, 1, 1000, 4)
     with pytest.raises(ValueError, match="expected at most 268,435 events"):

@@ -161,7 +161,15 @@ def test_chunks_give_the_same_bytes(isa):
     try:
         settings = cg.Settings(simulate=SimulateSettings(half_turns=4))
         one, two = (
-            cg.run("besiii-cgem", SLOW, 40, seed=7, settings=settings, until="find", threads=n, chunk=chunk)
+            cg.run(
+                "besiii-cgem",
+                SLOW,
+                40,
+                seed=7,
+                settings=settings,
+                until="find",
+                workers=cg.Workers(threads=n, chunk=chunk),
+            )
             for n, chunk in ((1, 40), (2, 7))
         )
     finally:

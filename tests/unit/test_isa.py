@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from cgemit import DigitizeSettings, FitSettings, Gun, Result, Settings, _core, isa, load, run
+from cgemit import DigitizeSettings, FitSettings, Gun, Result, Settings, Workers, _core, isa, load, run
 from cgemit.reconstruction.fit import core_arguments
 from cgemit.simulation.digitize import digitizer_of
 from fields import HARMONIC
@@ -34,7 +34,7 @@ def leave_as_found() -> Iterator[None]:
 def fitted(name: str, gun: str, *, sides: bool = True, events: int = 300) -> Result:
     isa.use(name)
     settings = Settings(digitize=DigitizeSettings(reveal_sides=sides), fit=FitSettings(residuals=True))
-    return run("besiii-cgem-design", GUNS[gun], events, seed=7, settings=settings, threads=1)
+    return run("besiii-cgem-design", GUNS[gun], events, seed=7, settings=settings, workers=1)
 
 
 def test_scalar_is_always_there_and_the_best_is_in_use() -> None:
@@ -197,7 +197,7 @@ def test_fit_through_a_map_is_that_of_scalar_code(field: str, name: str) -> None
     results = []
     for which in ("scalar", name):
         isa.use(which)
-        results.append(run(load("besiii-cgem-design").with_field(field), gun, 200, seed=7, threads=1).tracks)
+        results.append(run(load("besiii-cgem-design").with_field(field), gun, 200, seed=7, workers=1).tracks)
     one, many = results
     same = (one["status"] == many["status"]) & (one["iterations"] == many["iterations"])
     assert np.mean(~same) <= 0.005
@@ -214,7 +214,7 @@ def test_analog_strips_agree_with_scalar(readout: str, name: str) -> None:
     """The same draws: charges and times to rounding, but for an electron on the border between two holes."""
     isa.use("scalar")
     design = load("besiii-cgem-design")
-    made = run(design, GUNS["pi- 0.15-0.4 GeV/c"], 100, seed=3, readout=readout, until="digitize", threads=1)
+    made = run(design, GUNS["pi- 0.15-0.4 GeV/c"], 100, seed=3, readout=readout, until="digitize", workers=1)
     digitizer = digitizer_of(made.settings.digitize.readout)
 
     def strips() -> dict[str, np.ndarray]:
@@ -237,7 +237,15 @@ def test_analog_strips_agree_with_scalar(readout: str, name: str) -> None:
 def test_analog_strips_do_not_depend_on_the_chunks(name: str) -> None:
     isa.use(name)
     together, alone = (
-        run("besiii-cgem-design", GUNS["mu- 1 GeV/c"], 30, seed=4, readout="tiger", until="cluster", threads=1, chunk=n)
+        run(
+            "besiii-cgem-design",
+            GUNS["mu- 1 GeV/c"],
+            30,
+            seed=4,
+            readout="tiger",
+            until="cluster",
+            workers=Workers(threads=1, chunk=n),
+        )
         for n in (30, 1)
     )
     for table in ("digis", "clusters"):
@@ -262,7 +270,7 @@ def test_a_track_does_not_know_its_neighbours(
     isa.use(name)
     gun = Gun(particle, p=p, cos_theta=(-0.9, 0.9))
     detector = load("besiii-cgem-design").with_field(field)
-    together = run(detector, gun, events, seed=2, threads=1).tracks
-    alone = run(detector, gun, events, seed=2, threads=1, chunk=1).tracks
+    together = run(detector, gun, events, seed=2, workers=1).tracks
+    alone = run(detector, gun, events, seed=2, workers=Workers(threads=1, chunk=1)).tracks
     for column, values in together.columns.items():
         assert values.tobytes() == alone[column].tobytes(), column

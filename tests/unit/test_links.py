@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from cgemit import Gun, Settings, fit_vertices, run
+from cgemit import Gun, RefineSettings, Settings, TigerReadout, fit_vertices, run
 from cgemit.reconstruction.fit import FitSettings
 from cgemit.tables import SCHEMAS, concatenate, select_events
 from cgemit.tables.table import linked, targets
@@ -17,7 +17,9 @@ FIT = FitSettings(residuals=True, states=("hits",))
 
 @pytest.fixture(scope="module")
 def result():
-    found = run("besiii-cgem-design", Gun("mu-", p=0.5, theta=1, multiplicity=2), n=12, settings=Settings(fit=FIT))
+    settings, readout = Settings(fit=FIT, refine=RefineSettings(start_time="fitted")), TigerReadout(second_pass=True)
+    gun = Gun("mu-", p=0.5, theta=1, multiplicity=2)
+    found = run("besiii-cgem-design", gun, n=12, settings=settings, readout=readout)
     vertices = fit_vertices(found.detector, found.tracks, np.arange(24).reshape(-1, 2), particles=("mu", "mu"))
     return replace(found, tables={**found.tables, "vertices": vertices})
 

@@ -101,7 +101,7 @@ def test_settings_of_another_read_out(tmp_path, capsys):
 def test_runs_larger_than_the_memory_are_refused(monkeypatch, capsys):
     gun = cg.Gun("mu-", p=1, theta=1)
     with pytest.raises(ValueError, match=r"n: 100000000 events need about [\d,]+ GB of memory") as caught:
-        cg.run(DESIGN, gun, 100_000_000, threads=1)
+        cg.run(DESIGN, gun, 100_000_000, workers=1)
     least = cg.run(DESIGN, gun, 1000)
     size = sum(column.nbytes for table in least.tables.values() for column in table.columns.values())
     stated = float(str(caught.value).partition("about ")[2].partition(" GB")[0].replace(",", ""))

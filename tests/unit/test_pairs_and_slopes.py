@@ -12,7 +12,7 @@ from cgemit.reconstruction.cluster_errors import CHARGES, DISTANCES, SIZES, cali
 from cgemit.reconstruction.clusterers.charge import ChargeTimeClusterer
 from cgemit.reconstruction.find import truth
 from cgemit.reconstruction.find.ckf import find_tracks
-from cgemit.reconstruction.refine import gap_crossing, track_directions
+from cgemit.reconstruction.refine import track_directions
 from cgemit.study.readout.calibrate import crossing_paths, crossing_slopes
 
 DESIGN = cg.load("besiii-cgem-design")
@@ -175,40 +175,66 @@ def test_pairs_that_do_not_fit_make_no_track():
     assert len(find_tracks(LAYERS, spoilt, result.wire_hits)["candidates"]) == 0
 
 
-def test_gap_crossing_of_a_circle():
-    """Azimuth and path between two radii against points of the circle, both charges and fields, and off the axis."""
-    for bz, kappa, dr in ((-1.0, 1.3, 0.0), (-1.0, -2.0, 5.0), (1.0, 0.7, -3.0), (0.5, -4.0, 2.0)):
-        radius = 3335.6409519815204 / (bz * kappa)
-        tracks = cg.Table.empty("tracks", n_events=1)
-        columns = {name: np.zeros((1, *tracks[name].shape[1:]), tracks[name].dtype) for name in tracks}
-        columns |= {"dr": np.array([dr]), "kappa": np.array([kappa]), "phi0": np.array([0.3])}
-        turn, path = gap_crossing(cg.Table("tracks", columns, n_events=1), np.zeros(1, np.int64), bz, (80.0, 85.0))
-        angle = np.linspace(0, 0.2, 200_001)  # about the centre, from the closest point, in the sense of flight
-        flown = -np.sign(radius) * angle
-        x = (dr + radius) - radius * np.cos(flown)
-        y = -radius * np.sin(flown)
-        r = np.hypot(x, y)
-        azimuth = np.interp([80.0, 85.0], r, np.unwrap(np.arctan2(y, x)))
-        arc = np.interp([80.0, 85.0], r, np.abs(radius) * angle)
-        assert turn[0] == pytest.approx(azimuth[1] - azimuth[0], abs=1e-8)
-        assert path[0] == pytest.approx(arc[1] - arc[0], abs=2e-3)
+def circle_states(bz: float, kappa: float, dr: float, tanl: float) -> tuple[cg.Table, np.ndarray]:
+    """Return X states where a circle crosses the middle of L1's gap, and dX/dr and path per radius from its points."""
+    radius = 3335.6409519815204 / (bz * kappa)
+    angle = np.linspace(0, 0.4, 400_001)  # about the centre, from the closest point, in the sense of flight
+    flown = -np.sign(radius) * angle
+    x, y = (dr + radius) - radius * np.cos(flown), -radius * np.sin(flown)
+    r, azimuth, arc = np.hypot(x, y), np.unwrap(np.arctan2(y, x)), np.abs(radius) * angle
+    edges = [L1.r_gap_in, L1.r_gap_out]
+    turn, path = (np.diff(np.interp(edges, r, values))[0] for values in (azimuth, arc))
+    here = np.searchsorted(r, L1.r_mid)
+    states = cg.Table.empty("states", n_events=1)
+    columns = {name: np.zeros((1, *states[name].shape[1:]), states[name].dtype) for name in states}
+    pt = 1 / abs(kappa)
+    step = np.array([x[here + 1] - x[here], y[here + 1] - y[here]])
+    px, py = pt * step / np.hypot(*step)
+    values = {"x": x[here], "y": y[here], "px": px, "py": py, "pz": pt * tanl, "tanl": tanl}
+    columns |= {name: np.array([value]) for name, value in values.items()}
+    slope = np.array([L1.r_readout * turn, path * np.hypot(1, tanl)]) / L1.drift_gap
+    return cg.Table("states", columns, n_events=1), slope
+
+
+@pytest.mark.parametrize(
+    ("bz", "kappa", "dr", "within"),
+    [
+        (-1.0, 1.3, 0.0, 1e-3), (-1.0, -2.0, 5.0, 1e-3), (1.0, 0.7, -3.0, 1e-3), (0.5, -4.0, 2.0, 1e-3),
+        (-1.0, 6.0, 60.0, 4e-3),
+    ],
+)  # fmt: skip
+def test_direction_at_mid_gap_is_that_of_the_gap(bz: float, kappa: float, dr: float, within: float) -> None:
+    """Both charges and fields, and a displaced track at 55 degrees, against points of the circle."""
+    states, expected = circle_states(bz, kappa, dr, 0.7)
+    found = track_directions(DESIGN, 1, states)[0]
+    np.testing.assert_allclose(found, expected, rtol=within, atol=1e-4)
+
+
+def test_tracks_that_may_not_cross_the_gap_have_no_direction() -> None:
+    states, _ = circle_states(-1.0, 1.3, 0.0, 0.7)
+    turned = states.with_columns(px=states["py"], py=-states["px"])
+    failed = states.with_columns(status=np.ones(1, np.int8))
+    for one in (turned, failed):
+        assert np.isnan(track_directions(DESIGN, 1, one)).all()
 
 
 def test_directions_of_tracks():
-    """Slopes and paths of fitted tracks are those of the crossings."""
+    """Slopes and paths of fitted tracks are those of the crossings, in a field map, too."""
     gun = cg.Gun("mu-", p=2.0, cos_theta=(-0.8, 0.8))
-    result = cg.run(DESIGN, gun, 200, 3, settings=cg.Settings(simulate=cg.SimulateSettings(deltas=False)))
-    slopes, paths = track_directions(DESIGN, result.clusters, result.candidate_hits, result.tracks).T
-    own = truth.own_clusters(DESIGN, result.clusters, result.truths)
-    own = own[np.isfinite(slopes[own])]
-    true = crossing_slopes(DESIGN, result.truths)[result.clusters["truth"][own], result.clusters["view"][own]]
-    assert len(own) > 1000
-    apart = slopes[own] - true
-    assert np.median(np.abs(apart)) < 0.01
-    assert np.std(true[result.clusters["view"][own] == 1]) > 0.3  # it is not only near 0
-    path = crossing_paths(result.truths)[result.clusters["truth"][own]]
-    assert np.median(np.abs(paths[own] - path)) < 0.01
-    assert path.max() > 1.5
+    settings = cg.Settings(simulate=cg.SimulateSettings(deltas=False), fit=cg.FitSettings(states=("origin", "hits")))
+    for detector in (DESIGN, DESIGN.with_field("besiii")):
+        result = cg.run(detector, gun, 200, 3, settings=settings)
+        slopes, paths = track_directions(DESIGN, len(result.clusters), result.states).T
+        own = truth.own_clusters(DESIGN, result.clusters, result.truths)
+        own = own[np.isfinite(slopes[own])]
+        true = crossing_slopes(DESIGN, result.truths)[result.clusters["truth"][own], result.clusters["view"][own]]
+        assert len(own) > 1000
+        apart = slopes[own] - true
+        assert np.median(np.abs(apart)) < 0.01
+        assert np.std(true[result.clusters["view"][own] == 1]) > 0.3  # it is not only near 0
+        path = crossing_paths(result.truths)[result.clusters["truth"][own]]
+        assert np.median(np.abs(paths[own] - path)) < 0.01
+        assert path.max() > 1.5
 
 
 def test_positions_along_a_track():
@@ -243,7 +269,8 @@ def test_second_pass_improves_positions():
     runs = [
         cg.run(DESIGN, gun, 500, 7, readout=dataclasses.replace(TIGER, second_pass=second)) for second in (False, True)
     ]
-    first, second = (one.clusters for one in runs)
+    assert runs[0].clusters == runs[1].clusters
+    first, second = runs[0].clusters, runs[1].fitted_hits[0]
     for name in ("event", "first", "last", "charge", "x_cluster", "v_cluster"):
         assert np.array_equal(first[name], second[name])
     own = truth.own_clusters(DESIGN, first, runs[0].truths)

@@ -10,7 +10,7 @@ import pytest
 from scipy.integrate import quad
 from scipy.stats import norm
 
-from cgemit import Gun, ProjectionReadout, _core, load, run
+from cgemit import Gun, ProjectionReadout, Workers, _core, load, run
 from cgemit.cli.main import main
 from cgemit.reconstruction.cluster_errors import calibration_of
 from cgemit.study.readout.calibrate import measurements
@@ -37,7 +37,15 @@ def test_strips_hold_the_deposit() -> None:
         found = np.bincount(result.digis["truth"][rows], result.digis["charge"][rows], minlength=len(charge))
         assert np.median(found / charge) == pytest.approx(0.5, abs=1e-4)
         assert (found / charge).max() < 0.5 + 1e-9
-    again = run(DESIGN, Gun("mu-", p=1.0, cos_theta=(-0.8, 0.8)), 200, seed=3, readout=quiet, until="digitize", chunk=7)
+    again = run(
+        DESIGN,
+        Gun("mu-", p=1.0, cos_theta=(-0.8, 0.8)),
+        200,
+        seed=3,
+        readout=quiet,
+        until="digitize",
+        workers=Workers(chunk=7),
+    )
     assert np.array_equal(again.digis["charge"], result.digis["charge"])
 
 

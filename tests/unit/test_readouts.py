@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
-from cgemit import DigitizeSettings, FitSettings, Gun, Result, Settings, analytic, load, register_readout, run
+from cgemit import DigitizeSettings, FitSettings, Gun, Result, Settings, Workers, analytic, load, register_readout, run
 from cgemit.detector import Detector
 from cgemit.detector.parts import local_v, strips_of_v
 from cgemit.detector.readouts import READOUTS, TIGER, AnalogReadout, Chip, Readout, TigerReadout
@@ -94,7 +94,9 @@ def registered() -> Iterator[None]:
 def chain(readout: OneStrip | str, n: int = 150) -> Result:
     """Muons of 1 GeV/c, read out and fitted."""
     settings = Settings(digitize=DigitizeSettings(readout=readout), fit=FitSettings(residuals=True))
-    return run(DESIGN, Gun("mu-", p=1.0, cos_theta=(-0.8, 0.8)), n, seed=3, settings=settings, chunk=40)
+    return run(
+        DESIGN, Gun("mu-", p=1.0, cos_theta=(-0.8, 0.8)), n, seed=3, settings=settings, workers=Workers(chunk=40)
+    )
 
 
 def test_it_is_known_by_its_name() -> None:

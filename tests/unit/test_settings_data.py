@@ -16,6 +16,7 @@ from cgemit.base.settings import NO, Positive, SettingsData, SettingsError, expe
 from cgemit.chain.settings import Settings
 from cgemit.reconstruction.clusterers.clusterer import ClusterSettings
 from cgemit.reconstruction.fit import FitSettings
+from cgemit.reconstruction.refine import RefineSettings
 from cgemit.reconstruction.states import SurfaceName
 from cgemit.simulation.digitize import DigitizeSettings
 from cgemit.simulation.transport import SimulateSettings
@@ -33,8 +34,8 @@ CHANGED = Settings(
         cluster_errors="cluster", screening="moliere", loss="most_probable", residuals=True,
         states=(90.5, "origin", "hits"), hypothesis=("mu", "K"), max_iterations=7, tolerance=1e-07, least_width=2,
         delta_strips=0.0, kinks=False, outlier_pull=0, prior_sigma=(1, 2, 3, 4, 1 / 7),
-        start_time="fitted", start_time_error=2.5,
     ),
+    refine=RefineSettings(start_time="fitted", start_time_error=2.5, find_again=False),
 )  # fmt: skip
 
 

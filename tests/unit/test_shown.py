@@ -94,7 +94,7 @@ def test_keys_are_completed(result: cg.Result) -> None:
 
 
 def test_the_progress_bar_follows_the_work(capsys: pytest.CaptureFixture[str]) -> None:
-    cg.run(DESIGN, cg.Gun("mu-", p=1.0, theta=1.2), 40, chunk=10, progress=cg.ProgressBar("muons"))
+    cg.run(DESIGN, cg.Gun("mu-", p=1.0, theta=1.2), 40, progress=cg.ProgressBar("muons"), workers=cg.Workers(chunk=10))
     text = capsys.readouterr().err
     assert "muons: 100%" in text
     study.scan(DESIGN, [0.5, 1.0], events=20, progress=cg.ProgressBar())

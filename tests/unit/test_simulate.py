@@ -7,6 +7,7 @@ import pytest
 
 from cgemit import _core
 from cgemit.chain import run
+from cgemit.chain.executor import Workers
 from cgemit.chain.settings import Settings
 from cgemit.detector import compiled, load
 from cgemit.particles.gun import Gun, generate
@@ -265,7 +266,7 @@ def test_chain_does_not_depend_on_threads_and_chunks(readout):
     gun = Gun("mu-", p=(0.2, 1.0), cos_theta=(-0.9, 0.9))
     settings = Settings(digitize=DigitizeSettings(readout=readout))
     results = [
-        run.run(DESIGN, gun, 30, seed=6, settings=settings, threads=threads, chunk=chunk)
+        run.run(DESIGN, gun, 30, seed=6, settings=settings, workers=Workers(threads=threads, chunk=chunk))
         for threads, chunk in ((1, 1000), (2, 7), (2, 1))
     ]
     assert results[1] == results[0]

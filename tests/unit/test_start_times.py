@@ -5,7 +5,9 @@ import pytest
 
 import cgemit as cg
 from cgemit.detector.drift import XT_DISTANCE, XT_TIME, distance_at, shifted, velocity_at
-from cgemit.reconstruction.fit import StartTimeStatus, corrected, fit
+from cgemit.reconstruction.fit import fit
+from cgemit.reconstruction.reconstruct import reconstruct
+from cgemit.reconstruction.refine import StartTimeStatus, refinements, start_subtracted
 from cgemit.simulation.background import start_times
 from stats import assert_within, mean_error
 
@@ -28,10 +30,22 @@ def fitted(pairs):
     return refit(pairs)
 
 
-def refit(made, wire_hits=None, **settings):
-    settings = cg.FitSettings(**{"start_time": "fitted"} | settings)
-    tables = (made.clusters, made.wire_hits if wire_hits is None else wire_hits, made.candidates, made.candidate_hits)
-    return fit(made.detector, *tables, settings)
+def refit(made, wire_hits=None, start_time="fitted", start_time_error=None, candidates=None, hits=None, **settings):
+    found = {"candidates": made.candidates, "candidate_hits": made.candidate_hits}
+    found |= {} if candidates is None else {"candidates": candidates}
+    found |= {} if hits is None else {"candidate_hits": hits}
+    measured = (made.clusters, made.wire_hits if wire_hits is None else wire_hits)
+    if start_time == "given":
+        return fit(made.detector, *measured, *found.values(), cg.FitSettings(**settings))
+    how = cg.RefineSettings(start_time=start_time, start_time_error=start_time_error)
+    return reconstruct(
+        made.detector, *measured, lambda *_: found, cg.FitSettings(**settings), refinements=refinements(how),
+        find_again=False,
+    )  # fmt: skip
+
+
+def corrected(wire_hits, times):
+    return start_subtracted(wire_hits, times["event"], times["start_time"])
 
 
 def test_the_pull_of_the_start_time_has_width_one(fitted):
@@ -47,7 +61,7 @@ def test_the_pull_of_the_start_time_has_width_one(fitted):
 
 def test_chi_square_is_least_at_the_fitted_time_and_grows_with_its_error(pairs, monkeypatch):
     """Sides known and nothing left out: chi2 is a parabola, which three other fits of the same hits give."""
-    monkeypatch.setattr("cgemit.reconstruction.fit.CERTAIN", 0.0)
+    monkeypatch.setattr("cgemit.reconstruction.refine.CERTAIN", 0.0)
     sides = np.sign(pairs.wire_truths["doca"])[pairs.wire_hits["wire_truth"]].astype(np.int8)
     hits = pairs.wire_hits.with_columns(side=sides)
     plain = {"outlier_pull": 0.0, "kinks": False, "tolerance": 1e-4}
@@ -136,14 +150,13 @@ def test_a_track_of_another_time_does_not_count():
 
 def test_an_event_without_a_good_track_keeps_its_start_time(pairs):
     few = pairs.candidate_hits[pairs.candidate_hits["event"] != 7]
-    given = (pairs.detector, pairs.clusters, pairs.wire_hits, pairs.candidates, few)
     for error, expected in ((None, np.nan), (3.0, 3.0)):
-        times = fit(*given, cg.FitSettings(start_time="fitted", start_time_error=error))["start_times"]
+        times = refit(pairs, hits=few, start_time_error=error)["start_times"]
         assert (times["status"][7], times["n_tracks"][7]) == (StartTimeStatus.no_track, 0)
         assert times["start_time"][7] == 0
         assert np.array_equal(times["err_start_time"][7], expected, equal_nan=True)
         assert times["status"].sum() == StartTimeStatus.no_track
-    nothing = fit(*given[:3], pairs.candidates[:0], few[:0], cg.FitSettings(start_time="fitted"))
+    nothing = refit(pairs, candidates=pairs.candidates[:0], hits=few[:0])
     assert np.all(nothing["start_times"]["status"] == StartTimeStatus.no_track)
     assert len(nothing["tracks"]) == 0
 
@@ -153,13 +166,15 @@ def test_hits_without_drift_times_are_refused(pairs):
     with pytest.raises(ValueError, match=r"start_time: got 'fitted' and \d+ of \d+ wire hits without a drift_time"):
         refit(pairs, hits)
     with pytest.raises(ValueError, match=r"start_time_error: got 2\.0, expected none unless start_time is 'fitted'"):
-        cg.FitSettings(start_time_error=2.0)
+        cg.RefineSettings(start_time_error=2.0)
 
 
 def test_a_run_fits_start_times_if_asked_and_finds_again_with_them(tmp_path):
-    settings = cg.Settings(background=cg.BackgroundSettings(start_time=SPREAD), fit=cg.FitSettings(start_time="fitted"))
-    found = cg.run("besiii-cgem", PAIR, n=60, settings=settings, finder="ckf", chunk=60, threads=1)
-    parts = cg.run("besiii-cgem", PAIR, n=60, settings=settings, finder="ckf", chunk=17, threads=1)
+    settings = cg.Settings(
+        background=cg.BackgroundSettings(start_time=SPREAD), refine=cg.RefineSettings(start_time="fitted")
+    )
+    found = cg.run("besiii-cgem", PAIR, n=60, settings=settings, finder="ckf", workers=cg.Workers(threads=1, chunk=60))
+    parts = cg.run("besiii-cgem", PAIR, n=60, settings=settings, finder="ckf", workers=cg.Workers(threads=1, chunk=17))
     assert found.start_times == parts.start_times
     times = found.start_times
     pull = (times["start_time"] - start_times(np.arange(60), SPREAD, 1)) / times["err_start_time"]
@@ -167,7 +182,7 @@ def test_a_run_fits_start_times_if_asked_and_finds_again_with_them(tmp_path):
     assert good.sum() >= 58
     assert np.median(np.abs(pull[good])) < 1
     given = cg.Settings(background=cg.BackgroundSettings(start_time=SPREAD))
-    before = cg.run("besiii-cgem", PAIR, n=60, settings=given, finder="ckf", threads=1)
+    before = cg.run("besiii-cgem", PAIR, n=60, settings=given, finder="ckf", workers=1)
     assert before.start_times is None
     assert found.fitted["n_wires"].sum() > before.fitted["n_wires"].sum() + 60
     found.save(tmp_path / "run")

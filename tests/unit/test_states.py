@@ -246,7 +246,9 @@ def test_chunks_join():
     """Rows link to the same tracks, clusters and wires however the events were cut."""
     settings = Settings(fit=FitSettings(states=("hits", 700.0)))
     gun = Gun("mu-", p=1.0, cos_theta=(-0.5, 0.5))
-    whole, parts = (cg.run(DETECTOR, gun, 12, seed=2, settings=settings, chunk=size) for size in (12, 5))
+    whole, parts = (
+        cg.run(DETECTOR, gun, 12, seed=2, settings=settings, workers=cg.Workers(chunk=size)) for size in (12, 5)
+    )
     assert whole.states == parts.states
 
 

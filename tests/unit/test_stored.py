@@ -30,7 +30,7 @@ from cgemit.tables.table import targets
 
 GUN = cg.Gun("pi-", p=(0.3, 1.0), cos_theta=(-0.9, 0.9)) + cg.Gun("mu+", p=1.0, theta=1.0)
 SETTINGS = Settings(simulate=cg.SimulateSettings(steps=True), fit=cg.FitSettings(residuals=True, states=("origin",)))
-HOW: dict[str, Any] = {"n": 16, "seed": 7, "chunk": 4, "threads": 2, "settings": SETTINGS}
+HOW: dict[str, Any] = {"n": 16, "seed": 7, "workers": cg.Workers(threads=2, chunk=4), "settings": SETTINGS}
 DESIGN = "besiii-cgem-design"
 
 
@@ -151,7 +151,7 @@ def test_another_number_in_a_file_is_seen(
 
 @pytest.mark.parametrize("form", ["npz", "parquet", pytest.param("root", marks=pytest.mark.slow)])
 def test_streamed_parts_make_the_same_run(whole: Result, tmp_path: Path, form: str, small_parts: None) -> None:
-    result = cg.run(DESIGN, GUN, output=tmp_path / "run", format=form, **HOW)
+    result = cg.run(DESIGN, GUN, output=cg.Output(tmp_path / "run", format=form), **HOW)
     assert len(list((tmp_path / "run" / "tracks").glob(f"part-*{FORMATS[form].suffix}"))) == 4
     assert result == whole == cg.open(tmp_path / "run") == Result.load(tmp_path / "run")
     events = 0
@@ -164,7 +164,7 @@ def test_streamed_parts_make_the_same_run(whole: Result, tmp_path: Path, form: s
 
 def test_columns_of_parts_are_those_of_the_whole(whole: Result, tmp_path: Path, small_parts: None) -> None:
     for form in ("npz", "parquet", "root"):
-        result = cg.run(DESIGN, GUN, output=tmp_path / form, format=form, **HOW)
+        result = cg.run(DESIGN, GUN, output=cg.Output(tmp_path / form, format=form), **HOW)
         for name in ("cov", "res_dr", "status"):
             assert result.column("tracks", name).tobytes() == whole.tracks[name].tobytes()
         for name in ("color", "res_color"):
@@ -215,13 +215,20 @@ def test_keep_says_what_is_wrong() -> None:
     with pytest.raises(ValueError, match="keep: got states, which this run does not make, only particles"):
         cg.run(DESIGN, gun, 1, keep=["states"])
     with pytest.raises(ValueError, match=r"format: got 'parket', expected one of 'npz', .*; did you mean \"parquet\""):
-        cg.run(DESIGN, gun, 1, output="never", format="parket")
+        cg.run(DESIGN, gun, 1, output=cg.Output("never", format="parket"))
 
 
 def test_studies_of_files_give_the_same_numbers(tmp_path: Path, small_parts: None) -> None:
     gun = cg.Gun("mu-", p=(0.3, 1.0), cos_theta=(-0.9, 0.9))
-    whole = cg.run(DESIGN, gun, 200, chunk=20)
-    result = cg.run(DESIGN, gun, 200, chunk=20, keep="tracks", output=tmp_path / "run", format="parquet")
+    whole = cg.run(DESIGN, gun, 200, workers=cg.Workers(chunk=20))
+    result = cg.run(
+        DESIGN,
+        gun,
+        200,
+        keep="tracks",
+        output=cg.Output(tmp_path / "run", format="parquet"),
+        workers=cg.Workers(chunk=20),
+    )
     assert len(list(result.parts())) > 1
     assert cg.resolution(result, "dr") == cg.resolution(whole, "dr") == cg.resolution(whole.tracks, "dr")
     assert pulls(result) == pulls(whole)
@@ -235,7 +242,7 @@ def test_old_parts_do_not_stay_beside_new_ones(tmp_path: Path, small_parts: None
     (folder / "notes.txt").write_text("mine")
     with pytest.raises(OutputExistsError):
         cg.run(DESIGN, GUN, output=folder, **HOW)
-    shorter = cg.run(DESIGN, GUN, output=folder, overwrite=True, keep="clusters", **HOW | {"n": 4})
+    shorter = cg.run(DESIGN, GUN, keep="clusters", output=cg.Output(folder, overwrite=True), **HOW | {"n": 4})
     assert sorted(str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()) == [
         "clusters/part-000000.npz", "detector.toml", "notes.txt", "run.json", "tables.json",
     ]  # fmt: skip
@@ -263,14 +270,14 @@ def edit_index(folder: Path, change: Callable[[dict[str, Any]], object]) -> None
 def test_a_damaged_index_is_refused(
     tmp_path: Path, small_parts: None, change: Callable[[dict[str, Any]], object], message: str
 ) -> None:
-    cg.run(DESIGN, GUN, output=tmp_path / "run", keep=("clusters", "truths"), **HOW)
+    cg.run(DESIGN, GUN, keep=("clusters", "truths"), output=tmp_path / "run", **HOW)
     edit_index(tmp_path / "run", change)
     with pytest.raises(ValueError, match=message):
         cg.open(tmp_path / "run").clusters  # noqa: B018
 
 
 def test_a_missing_or_exchanged_part_is_refused(tmp_path: Path, small_parts: None) -> None:
-    result = cg.run(DESIGN, GUN, output=tmp_path / "run", keep="clusters", **HOW)
+    result = cg.run(DESIGN, GUN, keep="clusters", output=tmp_path / "run", **HOW)
     first, second = (tmp_path / "run" / "clusters" / f"part-00000{i}.npz" for i in range(2))
     second.replace(first)
     with pytest.raises(ValueError, match=r"clusters/part-000001.npz: missing"):
@@ -285,7 +292,7 @@ def test_an_error_or_interrupt_leaves_nothing(tmp_path: Path, small_parts: None)
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        cg.run(DESIGN, GUN, output=tmp_path / "run", progress=stop, **HOW)
+        cg.run(DESIGN, GUN, progress=stop, output=tmp_path / "run", **HOW)
     assert not list(tmp_path.iterdir())
 
 
@@ -312,7 +319,7 @@ def test_answers_do_not_pile_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
 
     waiting: Counter[str] = Counter()
     most = []
-    work, add = run._work, store.PartsWriter.add
+    work, add = run._chunk, store.PartsWriter.add
 
     def counted(*arguments: Any) -> Any:
         waiting["begun"] += 1
@@ -324,9 +331,16 @@ def test_answers_do_not_pile_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
         most.append(waiting["begun"] - waiting["written"])
         return add(self, tables)
 
-    monkeypatch.setattr(run, "_work", counted)
+    monkeypatch.setattr(run, "_chunk", counted)
     monkeypatch.setattr(store.PartsWriter, "add", added)
-    cg.run(DESIGN, cg.Gun("mu-", p=1, theta=1), 60, chunk=1, threads=2, keep="tracks", output=tmp_path / "run")
+    cg.run(
+        DESIGN,
+        cg.Gun("mu-", p=1, theta=1),
+        60,
+        keep="tracks",
+        output=tmp_path / "run",
+        workers=cg.Workers(threads=2, chunk=1),
+    )
     assert max(most) <= 4
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from cgemit.chain.executor import Workers
 from cgemit.chain.run import run
 from cgemit.chain.settings import Settings
 from cgemit.particles.gun import Gun
@@ -28,7 +29,7 @@ KINDS = {
 def test_two_threads_on_one_detector(kind: str) -> None:
     """Eight chunks at a time on one compiled detector: the same bytes as all events in one call."""
     one, two = (
-        run("besiii-cgem-design", GUN, 80, seed=7, settings=KINDS[kind], threads=threads, chunk=chunk)
+        run("besiii-cgem-design", GUN, 80, seed=7, settings=KINDS[kind], workers=Workers(threads=threads, chunk=chunk))
         for threads, chunk in ((1, 80), (2, 10))
     )
     assert len(one.tracks) == 160

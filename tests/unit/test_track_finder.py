@@ -95,7 +95,9 @@ def test_the_order_of_hits_does_not_matter(run):
 def test_chunks_and_threads_do_not_matter():
     settings = cg.Settings(background=BackgroundSettings(level="bes2026"))
     whole, parts = (
-        cg.run("besiii-cgem", PAIR, n=12, settings=settings, finder="ckf", chunk=chunk, threads=threads)
+        cg.run(
+            "besiii-cgem", PAIR, n=12, settings=settings, finder="ckf", workers=cg.Workers(threads=threads, chunk=chunk)
+        )
         for chunk, threads in ((100, 1), (5, 2))
     )
     assert whole == parts

@@ -16,7 +16,7 @@ def test_protons_that_stop_behind_the_cgem_are_unconstrained(name: str) -> None:
     before = isa.name()
     isa.use(name)
     try:
-        tracks = cg.run("besiii-cgem-design", STOPPING, n=2000, seed=3, threads=1).tracks
+        tracks = cg.run("besiii-cgem-design", STOPPING, n=2000, seed=3, workers=1).tracks
     finally:
         isa.use(before)
     wide = tracks["err_p"] > 0.5 * tracks["p"]

@@ -7,10 +7,54 @@ import shutil
 from collections import Counter, deque
 from collections.abc import Callable, Collection, Iterator, Mapping
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from cgemit.tables import Table
+
+
+@dataclass(frozen=True, kw_only=True)
+class Workers:
+    """Where the chunks of a run are computed. Results do not depend on it.
+
+    Attributes
+    ----------
+    threads : int or None
+        Threads of a pool; None: one for each core. Ignored with `executor`.
+    executor : concurrent.futures.Executor or None
+        Runs the chunks instead of a pool of threads: of processes, Dask, Parsl, MPI.
+    chunk : int
+        Events of a chunk.
+    """
+
+    threads: int | None = None
+    executor: Executor | None = None
+    chunk: int = 1000
+
+    @classmethod
+    def of(cls, given: Workers | Executor | int | None) -> Workers:
+        """Return workers given as such, as an executor or as a number of threads.
+
+        Parameters
+        ----------
+        given : Workers, concurrent.futures.Executor, int or None
+
+        Raises
+        ------
+        TypeError
+            If it is something else.
+        """
+        if given is None or (isinstance(given, int) and not isinstance(given, bool)):
+            return cls(threads=given)
+        if isinstance(given, Executor):
+            return cls(executor=given)
+        if isinstance(given, Workers):
+            return given
+        raise TypeError(
+            f"workers: got {given!r:.50}, expected a number of threads, an executor, or Workers(threads=, chunk=)"
+        )
+
 
 #: Chunks are held until they are joined: the tables of a run stand in memory twice.
 COPIES = 2
@@ -168,23 +212,21 @@ class Totals:
         return answer.tables
 
 
-def workers_of(threads: int | None, executor: Executor | None) -> int:
+def at_a_time(workers: Workers) -> int:
     """Return how many chunks run at a time.
 
     Parameters
     ----------
-    threads : int or None
-    executor : concurrent.futures.Executor or None
+    workers : Workers
     """
-    workers = threads or os.cpu_count() or 1
-    return int(max(workers, getattr(executor, "_max_workers", workers)))
+    threads = workers.threads or os.cpu_count() or 1
+    return int(max(threads, getattr(workers.executor, "_max_workers", threads)))
 
 
 def answers(
     work: Callable[..., Answer],
     tasks: list[tuple[Any, ...]],
-    threads: int | None,
-    executor: Executor | None,
+    workers: Workers,
     n_events: int | None,
     *,
     pending: bool = False,
@@ -194,8 +236,8 @@ def answers(
     With `n_events`, the first chunk tells whether all fit into memory before the others begin. With `pending`, no
     more chunks are begun than the executor needs to stay busy, so that answers do not pile up.
     """
-    pool = executor or ThreadPoolExecutor(threads or os.cpu_count())
-    most = 2 * workers_of(threads, executor) if pending else len(tasks)
+    pool = workers.executor or ThreadPoolExecutor(workers.threads or os.cpu_count())
+    most = 2 * at_a_time(workers) if pending else len(tasks)
     futures: deque[Future[Answer]] = deque()
     try:
         if n_events is not None:
@@ -211,5 +253,5 @@ def answers(
     finally:
         for future in futures:
             future.cancel()
-        if executor is None:
+        if workers.executor is None:
             pool.shutdown()

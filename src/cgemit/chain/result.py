@@ -84,6 +84,8 @@ class Result:
     clusters = _Stored()
     candidates = _Stored()
     candidate_hits = _Stored()
+    refined_clusters = _Stored()
+    refined_wire_hits = _Stored()
     fitted = _Stored("tracks")
     residuals = _Stored()
     states = _Stored()
@@ -96,6 +98,16 @@ class Result:
         if "tracks" not in self.tables or "matches" not in self.tables:
             return self.fitted
         return joined(self.fitted, self.matches)
+
+    @property
+    def fitted_hits(self) -> tuple[Table, Table]:
+        """Clusters and wire hits as the last fit took them: as measured, or as the reconstruction refined them."""
+        hits = {name: self.tables.get(f"refined_{name}") for name in ("clusters", "wire_hits")}
+        clusters, wire_hits = (
+            getattr(self, name) if table is None else Table(name, table.columns, meta=table.meta, **table.cover)
+            for name, table in hits.items()
+        )
+        return clusters, wire_hits
 
     @property
     def n_events(self) -> int:

@@ -4,37 +4,38 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, fields, replace
-from typing import Any, Literal
+from typing import Any
 
 from cgemit.base.settings import SettingsData
 from cgemit.detector import Detector
 from cgemit.detector.readouts import READOUTS, Readout
 from cgemit.reconstruction.candidates import Finder
-from cgemit.reconstruction.cluster import CLUSTERERS
+from cgemit.reconstruction.cluster import CLUSTERERS, clusterer_of
 from cgemit.reconstruction.clusterers.clusterer import Clusterer, ClusterSettings
 from cgemit.reconstruction.find.ckf import FindSettings
 from cgemit.reconstruction.fit import FitSettings
+from cgemit.reconstruction.refine import ClusterDirection, Refinement, RefineSettings, refinements
 from cgemit.simulation.background import BackgroundSettings
 from cgemit.simulation.digitize import DIGITIZERS, DigitizeSettings, digitizer_of
 from cgemit.simulation.readouts.digitizer import Digitizer
 from cgemit.simulation.transport import SimulateSettings
 from cgemit.tables import Table
 
-FinderName = Literal["truth", "ckf"]
-FinderLike = Finder | FinderName
+#: A name of `cgemit.reconstruction.find.FINDERS`, or any function of (detector, clusters, wire_hits).
+FinderLike = Finder | str
 
-FINDERS = ("truth", "ckf")  # by name; any function of (detector, clusters, wire_hits) is a finder, too
 STAGES = ("simulate", "digitize", "cluster", "find", "fit")  # where a run can end
 
 TABLES = (
     *("particles", "decays", "truths", "steps", "wire_truths", "digis", "wire_hits", "clusters"),
-    *("candidates", "candidate_hits", "tracks", "residuals", "states", "start_times", "matches"),
+    *("candidates", "candidate_hits", "refined_clusters", "refined_wire_hits"),
+    *("tracks", "residuals", "states", "start_times", "matches"),
 )
 
 #: Tables of every run, wherever it ends.
 EVERY_RUN = ("particles", "decays", "truths", "steps", "wire_truths")
 
-#: Tables of each stage in order, but residuals, states and start times: a fit makes them only if its settings say so.
+#: Tables of each stage in order, without those that a fit makes only if the settings say so (`tables_made`).
 BY_STAGE = (
     EVERY_RUN, ("digis", "wire_hits"), ("clusters",), ("candidates", "candidate_hits"), ("tracks", "matches"),
 )  # fmt: skip
@@ -56,6 +57,7 @@ class Settings(SettingsData):
     cluster: ClusterSettings = field(default_factory=ClusterSettings)
     find: FindSettings = field(default_factory=FindSettings)
     fit: FitSettings = field(default_factory=FitSettings)
+    refine: RefineSettings = field(default_factory=RefineSettings)
 
 
 def fit_settings(settings: Settings) -> FitSettings:
@@ -86,8 +88,45 @@ def register_readout(readout: type[Readout], digitizer: type[Digitizer], cluster
     CLUSTERERS[readout.name] = clusterer
 
 
-def with_readout(settings: Settings, readout: Readout | str | None) -> Settings:
-    """Return settings with another read-out, and with the ionization clusters that it needs.
+def refinements_of(settings: Settings) -> list[Refinement]:
+    """Return the refinements that the settings ask for, for one reconstruction.
+
+    Parameters
+    ----------
+    settings : Settings
+    """
+    found, readout = refinements(settings.refine), settings.digitize.readout
+    return [*found, ClusterDirection(readout, settings.cluster)] if clusterer_of(readout).follows_tracks else found
+
+
+def tables_made(until: str, settings: Settings) -> tuple[str, ...]:
+    """Return the tables that a run makes.
+
+    Parameters
+    ----------
+    until : str
+        Its last stage.
+    settings : Settings
+    """
+    made = {name for names in BY_STAGE[: STAGES.index(until) + 1] for name in names}
+    if until == "fit":
+        refine = settings.refine
+        fitted_time = refine.start_time == "fitted"
+        optional = {
+            "residuals": settings.fit.residuals,
+            "states": bool(settings.fit.states),
+            "start_times": fitted_time,
+            "refined_wire_hits": fitted_time or refine.drift_times == "raw",
+            "refined_clusters": clusterer_of(settings.digitize.readout).follows_tracks,
+        }
+        made |= {name for name, on in optional.items() if on}
+    return tuple(name for name in TABLES if name in made)
+
+
+def for_run(settings: Settings, readout: Readout | str | None) -> Settings:
+    """Return the settings of a run: with its read-out, and with what the stages need of each other.
+
+    A read-out that starts from ionization clusters needs steps; raw drift times are corrected in the reconstruction.
 
     Parameters
     ----------
@@ -106,6 +145,8 @@ def with_readout(settings: Settings, readout: Readout | str | None) -> Settings:
         settings = replace(settings, digitize=digitized)
     if digitizer_of(settings.digitize.readout).needs_steps and not settings.simulate.steps:
         settings = replace(settings, simulate=replace(settings.simulate, steps=True))
+    if settings.digitize.wire_times == "raw":
+        settings = replace(settings, refine=replace(settings.refine, drift_times="raw"))
     return settings
 
 
@@ -113,9 +154,7 @@ def expected_settings(given: object) -> str:
     """Return the expected form of settings; those of one stage go into `Settings`."""
     stage = next((f.name for f in fields(Settings) if type(given) is f.default_factory), "")
     return (
-        f"Settings({stage}=...)"
-        if stage
-        else "Settings(simulate=..., digitize=..., background=..., cluster=..., find=..., fit=...)"
+        f"Settings({stage}=...)" if stage else "Settings(" + ", ".join(f"{f.name}=..." for f in fields(Settings)) + ")"
     )
 
 

@@ -48,12 +48,7 @@ def run(arguments: argparse.Namespace) -> int:
     (detector,), settings = options.load_inputs(arguments, one_track=True)
     particles = generate(gun_of(arguments), 1, arguments.seed, arguments.event, detector)
     result = run.run(
-        detector,
-        particles,
-        seed=arguments.seed,
-        settings=settings,
-        threads=1,
-        finder=arguments.finder or "truth",
+        detector, particles, seed=arguments.seed, settings=settings, finder=arguments.finder or "truth", workers=1
     )
     figure = event_3d(result, arguments.event) if arguments.html else None
     with new_folder(arguments.output, overwrite=arguments.overwrite) as folder:

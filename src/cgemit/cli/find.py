@@ -72,10 +72,16 @@ def run(arguments: argparse.Namespace) -> int:
     links = settings.simulate.half_turns > 1 and not isinstance(settings.fit.hypothesis, tuple)
     with options.progress_bar(arguments, "find") as progress:
         result = run.run(
-            detector, gun if arguments.tracks == 1 else Guns((gun,) * arguments.tracks), arguments.events,
-            arguments.seed, settings=settings, finder=arguments.finder,
-            until="fit" if links else "find", threads=arguments.threads, progress=progress,
-        )  # fmt: skip
+            detector,
+            gun if arguments.tracks == 1 else Guns((gun,) * arguments.tracks),
+            arguments.events,
+            arguments.seed,
+            settings=settings,
+            finder=arguments.finder,
+            until="fit" if links else "find",
+            progress=progress,
+            workers=arguments.threads,
+        )
     found = finding(result)
     linked = loop_links(result) if links else None
     seconds = result.timings["find"]

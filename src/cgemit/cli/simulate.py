@@ -181,22 +181,23 @@ def _source(arguments: argparse.Namespace) -> Any:
 def run(arguments: argparse.Namespace) -> int:
     """Run the chain and write its tables."""
     from cgemit.base.files import SUMMARY, new_folder
-    from cgemit.chain import run
+    from cgemit.chain.run import Output
+    from cgemit.chain.run import run as run_chain
     from cgemit.tables.formats import check_format
 
     (detector,), settings = options.load_inputs(arguments)
     gun = _source(arguments)
     fits = _fits(arguments)
-    how: dict[str, Any] = {"settings": settings, "until": "fit" if fits else "cluster", "threads": arguments.threads}
+    how: dict[str, Any] = {"settings": settings, "until": "fit" if fits else "cluster", "workers": arguments.threads}
     how["finder"] = arguments.finder or "truth"
     check_format(arguments.format)
     with new_folder(arguments.output, overwrite=arguments.overwrite) as folder:
         parts = folder / "run" / "parts"  # deeper, since the folder itself is locked
         if arguments.keep is not None:
             keep = None if arguments.keep == ("all",) else arguments.keep
-            how |= {"keep": keep, "output": parts, "format": arguments.format, "command": arguments.line}
+            how |= {"keep": keep, "output": Output(parts, arguments.format, command=arguments.line)}
         with options.progress_bar(arguments, "simulate") as progress:
-            result = run.run(detector, gun, arguments.events, arguments.seed, progress=progress, **how)
+            result = run_chain(detector, gun, arguments.events, arguments.seed, progress=progress, **how)
         if arguments.keep is None:
             result.save(folder, command=arguments.line, format=arguments.format)
         summary, text = _summary(result), repr(result)
@@ -212,13 +213,15 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _fits(arguments: argparse.Namespace) -> bool:
     """Tell whether the command line asks for fitted tracks, by `--fit` or something that only the fit can give."""
-    fitted = {"candidates", "candidate_hits", "tracks", "residuals", "states", "start_times", "matches"}
+    from cgemit.chain.settings import TABLES
+
+    fitted = set(TABLES[TABLES.index("candidates") :])
     kept = set(arguments.keep or ()) & fitted
     asked = (
         arguments.fit, arguments.finder is not None, arguments.states is not None, arguments.hypothesis is not None,
         bool(kept),
     )  # fmt: skip
-    return any(asked) or any(text.strip().startswith(("fit.", "find.")) for text in arguments.overrides)
+    return any(asked) or any(text.strip().startswith(("fit.", "find.", "refine.")) for text in arguments.overrides)
 
 
 def _summary(result: Result) -> dict[str, Any]:

@@ -251,7 +251,7 @@ def _states(part: Result) -> States:
         return {name: np.empty(0) for name in names}
     settings = replace(fit_settings(part.settings), states=("beam_line", "hits"), residuals=False)
     found = fit(
-        part.fit_detector or part.detector, part.clusters, part.wire_hits, part.candidates, part.candidate_hits,
+        part.fit_detector or part.detector, *part.fitted_hits, part.candidates, part.candidate_hits,
         settings,
     )["states"]  # fmt: skip
     good = found["status"] == StateStatus.ok

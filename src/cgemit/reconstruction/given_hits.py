@@ -18,13 +18,14 @@ from cgemit.reconstruction.candidates import (
     HIT_X,
     XV_CLUSTER,
     Finder,
-    by_finder,
     check_found,
     label_candidates,
 )
 from cgemit.reconstruction.clusterers.binary import cluster_errors
 from cgemit.reconstruction.clusterers.clusterer import ClusterSettings
-from cgemit.reconstruction.fit import FitSettings, fit
+from cgemit.reconstruction.fit import FitSettings
+from cgemit.reconstruction.reconstruct import reconstruct
+from cgemit.reconstruction.refine import RefineSettings, refinements
 from cgemit.tables import SCHEMAS, Table
 from cgemit.tables.show import columns_of
 
@@ -220,6 +221,7 @@ def fit_hits(
     candidates: Finder | Mapping[str, Table] | None = None,
     hypothesis: str = "mu",
     settings: FitSettings | None = None,
+    refine: RefineSettings | None = None,
 ) -> dict[str, Table]:
     """Fit tracks to hits of any origin, given as columns in any order of rows; what is not needed may be left out.
 
@@ -239,11 +241,13 @@ def fit_hits(
     hypothesis : str
         Particle whose mass the fit assumes, ``"e"``, ``"mu"``, ``"pi"``, ``"K"`` or ``"p"``.
     settings : FitSettings or None
+    refine : RefineSettings or None
+        Whether drift times are raw, and whether tracks give the start time; hits then need `drift_time` (ns).
 
     Returns
     -------
     dict of str to Table
-        ``tracks`` and what else `fit` makes, and the tables ``clusters``, ``wire_hits``, ``candidates`` and
+        ``tracks`` and what else `reconstruct` makes, and the tables ``clusters``, ``wire_hits``, ``candidates`` and
         ``candidate_hits``. Their rows are sorted by `event`, a column that may be left out, too: one event. The column
         `given_row` of the hits says where a row was.
 
@@ -258,15 +262,20 @@ def fit_hits(
         problems.append(f"hypothesis: got {hypothesis!r}, expected one of {', '.join(map(repr, HYPOTHESES))}")
     hits = hit_tables(detector, clusters, wire_hits, problems, labelled=candidates is None)
     events = hits[0].events
-    if callable(candidates):
-        found = by_finder(candidates, detector, *hits)
-    elif candidates is not None:
-        found = check_found(candidates, "given", events)
-    else:
+    if candidates is None:
         labels = [part["candidate"] if "candidate" in part else np.zeros(len(part), np.int64) for part in hits]
-        found = check_found(label_candidates(*hits, labels[0], labels[1], hypothesis), "given", events)
-    fitted = fit(detector, *hits, found["candidates"], found["candidate_hits"], settings)
-    return {"clusters": hits[0], "wire_hits": hits[1], **found, **fitted}
+        candidates = label_candidates(*hits, labels[0], labels[1], hypothesis)
+    tables = None if callable(candidates) else check_found(candidates, "given", events)
+
+    def given(detector: Detector, clusters: Table, wire_hits: Table) -> Mapping[str, Table]:
+        assert tables is not None
+        return tables
+
+    finder, how = candidates if callable(candidates) else given, refine or RefineSettings()
+    made = reconstruct(
+        detector, *hits, finder, settings, refinements=refinements(how), find_again=how.find_again and tables is None
+    )
+    return {"clusters": hits[0], "wire_hits": hits[1], **made}
 
 
 def hit_tables(

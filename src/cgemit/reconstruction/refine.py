@@ -1,105 +1,190 @@
-"""Corrections of hits by their tracks: drift times along wires, directions of clusters."""
+"""Refinements: what fitted tracks tell about their hits (docs/methods/reconstruct.md).
+
+A refinement makes a first guess before any track is known. After each fit it computes the hits anew from what was
+measured, never from an earlier guess: drift times along the wires, the start time of the event, cluster directions.
+"""
 
 from __future__ import annotations
+
+import enum
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from cgemit import helix
+from cgemit.base.settings import Check, SettingsData
 from cgemit.detector import Detector
-from cgemit.detector.drift import LIGHT, Rows, _of_layers, propagation_time, shifted, velocity_at
+from cgemit.detector.drift import LIGHT, _of_layers, propagation_time, shifted, velocity_at
 from cgemit.detector.parts import local_v
 from cgemit.detector.readouts import Readout
-from cgemit.helix import RADIUS_PER_KAPPA
 from cgemit.particles.species import HYPOTHESES
 from cgemit.reconstruction.candidates import HIT_WIRE
 from cgemit.reconstruction.cluster import cluster
 from cgemit.reconstruction.clusterers.clusterer import ClusterSettings
+from cgemit.reconstruction.fit import displaced
 from cgemit.tables import Table
 
 Floats = npt.NDArray[np.float64]
+Rows = npt.NDArray[np.signedinteger[Any]]
+TimeError = Annotated[float, Check(lambda value: 1e-3 <= value <= 1e3, "a time in ns from 0.001 to 1000")]
 
 _STRIP_VIEWS = 2  # X and V in `candidate_hits`
 
 
-def along_tracks(
-    detector: Detector, readout: Readout, digis: Table, clusters: Table, hits: Table, tracks: Table,
-    settings: ClusterSettings,
-) -> Table:  # fmt: skip
-    """Return the same clusters, of which those on a good track have positions and errors for its angle.
+@dataclass(frozen=True, kw_only=True)
+class RefineSettings(SettingsData):
+    """What fitted tracks correct of their hits.
 
-    Parameters
+    Attributes
     ----------
-    detector : Detector
-        That the fit assumes.
-    readout : Readout
-        With which the clusters were made; its clusterer follows tracks.
-    digis, clusters : Table
-    hits : Table
-        Of kind ``candidate_hits``, which were fitted.
-    tracks : Table
-    settings : ClusterSettings
+    drift_times : str
+        ``"corrected"``: drift times hold the drift alone. ``"raw"``: also time of flight and propagation along the
+        wire, which are subtracted. A run with ``digitize.wire_times = "raw"`` takes ``"raw"``.
+    start_time : str
+        ``"given"``: drift times count from the start of the event. ``"fitted"``: they are wrong by one number for each
+        event, which its tracks give in the table ``start_times`` (docs/methods/reconstruct.md).
+    start_time_error : float or None
+        Prior uncertainty of the given start time, ns; only with a fitted one. None: no prior.
+    find_again : bool
+        Whether tracks are found a second time with the hits that the first tracks correct.
+
+    Raises
+    ------
+    SettingsError
+        A ValueError that lists every invalid value.
     """
-    directions = track_directions(detector, clusters, hits, tracks)
-    return cluster(detector, digis, settings, readout=readout, directions=directions)
+
+    drift_times: Literal["corrected", "raw"] = "corrected"
+    start_time: Literal["given", "fitted"] = "given"
+    start_time_error: TimeError | None = None
+    find_again: bool = True
+
+    def contradictions(self) -> list[str]:
+        """Return what is wrong with an error of a start time that is not fitted."""
+        if not isinstance(self.start_time_error, int | float) or self.start_time != "given":
+            return []
+        return [f"start_time_error: got {self.start_time_error}, expected none unless start_time is 'fitted'"]
 
 
-def track_directions(detector: Detector, clusters: Table, hits: Table, tracks: Table) -> Floats:
-    """Return dX/dr or dV/dr at the anode, and the path per radius, of the track of each cluster, (clusters, 2) float64.
+@dataclass(frozen=True, eq=False)
+class Hits:
+    """Measurements of the same events.
 
-    They are NaN for clusters on no good track, or on a track that does not cross the whole gap.
-
-    Parameters
+    Attributes
     ----------
-    detector : Detector
-    clusters, hits, tracks : Table
-        See `along_tracks`.
+    clusters, wire_hits : Table
+    digis : Table or None
+        Strips of the clusters, in case that these are made again.
     """
-    directions = np.full((len(clusters), 2), np.nan)
-    good = np.full(int(hits["candidate"].max(initial=-1)) + 1, -1, np.int64)
-    fitted = np.flatnonzero(tracks["status"] == 0)
-    fitted = fitted[tracks["candidate"][fitted] < len(good)]  # others have no hits
-    good[tracks["candidate"][fitted]] = fitted
-    strips = np.flatnonzero(hits["view"] < _STRIP_VIEWS)
-    track, row = good[hits["candidate"][strips]], hits["row"][strips]
-    track, row = track[track >= 0], row[track >= 0]
-    for number, layer in enumerate(detector.cgem):
-        here = clusters["layer"][row] == number
-        turn, path = gap_crossing(tracks, track[here], detector.field.bz, (layer.r_gap_in, layer.r_gap_out))
-        dx, dz = layer.r_readout * turn, path * tracks["tanl"][track[here]]
-        dv = local_v(layer, dx, layer.z_ref + dz)
-        across = np.where(clusters["view"][row[here]] == 0, dx, dv)
-        directions[row[here]] = np.column_stack([across, np.hypot(path, dz)]) / layer.drift_gap
-    return directions
+
+    clusters: Table
+    wire_hits: Table
+    digis: Table | None = None
+
+    def refined(self, measured: Hits) -> dict[str, Table]:
+        """Return the tables ``refined_clusters`` and ``refined_wire_hits``, where they differ from the measured ones.
+
+        Parameters
+        ----------
+        measured : Hits
+        """
+        pairs = {name: (getattr(self, name), getattr(measured, name)) for name in ("clusters", "wire_hits")}
+        return {
+            f"refined_{name}": Table(f"refined_{name}", mine.columns, meta=mine.meta, **mine.cover)
+            for name, (mine, theirs) in pairs.items()
+            if mine is not theirs
+        }
 
 
-def gap_crossing(
-    tracks: Table, rows: npt.NDArray[np.int64], bz: float, radii: tuple[float, float]
-) -> tuple[Floats, Floats]:
-    """Return the azimuth (rad) and the transverse path (mm) between two radii, (n,) float64 each; NaN if not reached.
+class Turn(NamedTuple):
+    """Tracks of one turn of the reconstruction.
 
-    On a circle of radius R about (dr + R)(cos phi0, sin phi0) a particle that flies outward is at radius r in the
-    azimuth phi0 + acos[(r^2 + dr^2 + 2 R dr) / (2 r (dr + R))].
-
-    Parameters
+    Attributes
     ----------
-    tracks : Table
-    rows : (n,) int64
-    bz : float
-        T.
-    radii : (float, float)
-        mm.
+    number, turns : int
+        Of this turn, and of all.
+    hits : Hits
+        As the fit took them.
+    candidates, candidate_hits, tracks, residuals : Table
+        One track for each candidate.
+    states : Table or None
+        At the origin and at the hits, if a refinement needs them.
     """
-    dr, kappa = tracks["dr"][rows], tracks["kappa"][rows]
-    circle = RADIUS_PER_KAPPA / (bz * kappa)
-    with np.errstate(invalid="ignore"):
-        inner, outer = (np.arccos((r**2 + dr**2 + 2 * circle * dr) / (2 * r * (dr + circle))) for r in radii)
-    turn = outer - inner
-    middle = 0.5 * (radii[0] + radii[1])
-    return turn, np.hypot(radii[1] - radii[0], middle * turn)
+
+    number: int
+    turns: int
+    hits: Hits
+    candidates: Table
+    candidate_hits: Table
+    tracks: Table
+    residuals: Table
+    states: Table | None = None
 
 
-"""Speed of light, mm/ns."""
-_STEPS = 3  # radius of a stereo wire and z of the track depend on each other; the third step moves less than 1 ps
+class Refinement:
+    """One kind of correction of the hits; an object serves one reconstruction."""
+
+    turns = 2  # fits that it needs
+    needs_states = True  # of the tracks, at the origin and at the hits
+
+    def guess(self, detector: Detector, hits: Hits) -> Hits:
+        """Return the hits corrected as far as possible before any track is known.
+
+        Parameters
+        ----------
+        detector : Detector
+        hits : Hits
+        """
+        return hits
+
+    def refine(self, detector: Detector, hits: Hits, turn: Turn) -> Hits:
+        """Return the hits corrected by the tracks of a turn.
+
+        Parameters
+        ----------
+        detector : Detector
+        hits : Hits
+            As measured, with the corrections of the refinements before this one.
+        turn : Turn
+        """
+        raise NotImplementedError
+
+    def finish(self, detector: Detector, tables: Mapping[str, Table]) -> dict[str, Table]:
+        """Return tables that the refinement adds to those of the last fit, or puts in their place.
+
+        Parameters
+        ----------
+        detector : Detector
+        tables : mapping of str to Table
+        """
+        return {}
+
+
+class DriftTimes(Refinement):
+    """Time of flight and propagation along the wire, subtracted from raw drift times."""
+
+    def guess(self, detector: Detector, hits: Hits) -> Hits:
+        """Subtract the delay at the middle of each wire."""
+        return replace(hits, wire_hits=expected(detector, hits.wire_hits))
+
+    def refine(self, detector: Detector, hits: Hits, turn: Turn) -> Hits:
+        """Subtract the delay on the track; hits on no good track keep the guess."""
+        found, measured = expected(detector, hits.wire_hits), hits.wire_hits
+        states = _known(turn.states)
+        time = flight(states, turn.candidates, turn.tracks)
+        wire = states["view"] == HIT_WIRE
+        row, time, z = states["hit"][wire], time[wire], states["z"][wire]
+        row, first = np.unique(row, return_index=True)  # of several tracks the first one counts
+        delay = time[first] + propagation_time(detector, measured["layer"][row], z[first])
+        exact = _earlier(measured[row], delay)
+        columns = {name: found[name].copy() for name in ("drift", "drift_time", "sigma")}
+        for name, column in columns.items():
+            column[row] = exact[name]
+        return replace(hits, wire_hits=found.with_columns(**columns))
 
 
 def expected(detector: Detector, wire_hits: Table) -> Table:
@@ -126,60 +211,40 @@ def expected(detector: Detector, wire_hits: Table) -> Table:
     return found.with_columns(sigma=np.hypot(found["sigma"], spread))
 
 
-def times_along_tracks(
-    detector: Detector, wire_hits: Table, candidates: Table, candidate_hits: Table, tracks: Table
-) -> Table:
-    """Return wire hits corrected for the delay on their tracks; those on no good track as `expected`.
+def _known(states: Table | None) -> Table:
+    """Return the states that are known."""
+    assert states is not None
+    known: Table = states[(states["status"] == 0) & np.isfinite(states["x"])]
+    return known
 
-    The flight is the path from the perigee to the wire over beta c, with the mass of the fit; z at the wire gives the
-    propagation. Of several mass hypotheses the first good one counts.
+
+def flight(states: Table, candidates: Table, tracks: Table) -> Floats:
+    """Return the time of flight from the closest approach to each state, (n,) float64, ns.
+
+    Between two states a track turns by psi: its arc is the chord times (psi/2)/sin(psi/2), exact on a helix. An arc
+    against the direction of flight counts as negative.
 
     Parameters
     ----------
-    detector : Detector
-    wire_hits : Table
-        With raw drift times.
-    candidates, candidate_hits : Table
-    tracks : Table
-        Fitted to them; only its helices are used, so that it may come from the hits `expected`.
-
-    Raises
-    ------
-    ValueError
-        As `expected`.
+    states : Table
+        By track and along it, the one at the origin first.
+    candidates, tracks : Table
+        Masses and momenta.
     """
-    found = expected(detector, wire_hits)
-    good = np.flatnonzero(tracks["status"] == 0)[::-1]  # of several rows the first is written last
-    track_of = np.full(len(candidates), -1, np.int64)
-    track_of[tracks["candidate"][good]] = good
-    hits = candidate_hits[(candidate_hits["view"] == HIT_WIRE) & (track_of[candidate_hits["candidate"]] >= 0)]
-    row, track = hits["row"], track_of[hits["candidate"]]
-    delay = _delay_on_track(detector, candidates, tracks, track, wire_hits["layer"][row])
-    exact = _earlier(wire_hits[row], delay)
-    columns = {name: found[name].copy() for name in ("drift", "drift_time", "sigma")}
-    for name, column in columns.items():
-        column[row] = exact[name]
-    return found.with_columns(**columns)
-
-
-def _delay_on_track(detector: Detector, candidates: Table, tracks: Table, track: Rows, layer: Rows) -> Floats:
-    """Return flight and propagation where tracks (rows) first cross wires of layers, (n,) float64, ns.
-
-    From the perigee of a circle of radius R, distance d_rho, a track is at radius r after the angle psi with
-    sin^2(psi/2) = (r^2 - d_rho^2)/(4 R (R + d_rho)); a track that does not reach r is taken at its apex.
-    """
-    radius, r_end, half_length = _of_layers(detector, layer, "r_mid", "r_end", "half_length")
-    dr, kappa, dz, tanl = (tracks[name][track] for name in ("dr", "kappa", "dz", "tanl"))
-    circle = RADIUS_PER_KAPPA / (detector.field.bz * kappa)
-    z: Floats = np.zeros(len(track))
-    for _ in range(_STEPS):
-        r2 = radius**2 + (r_end**2 - radius**2) * np.minimum((z / half_length) ** 2, 1)
-        sine2 = np.clip((r2 - dr**2) / (4 * circle * (circle + dr)), 0, 1)
-        arc = 2 * np.abs(circle) * np.arcsin(np.sqrt(sine2))
-        z = np.clip(dz + arc * tanl, -half_length, half_length)
-    mass = _masses(candidates, tracks)[track]
-    flight = arc * np.hypot(1, tanl) * np.hypot(1, mass / tracks["p"][track]) / LIGHT
-    return np.asarray(flight + propagation_time(detector, layer, z), np.float64)
+    x, y, px, py, track = (states[name] for name in ("x", "y", "px", "py", "track"))
+    dx, dy = np.diff(x, prepend=0.0), np.diff(y, prepend=0.0)
+    turn = np.diff(np.arctan2(py, px), prepend=0.0)
+    half = 0.5 * (np.remainder(turn + np.pi, 2 * np.pi) - np.pi)
+    arc = np.hypot(dx, dy) / np.sinc(half / np.pi) * np.sign(dx * px + dy * py)
+    begins = np.flatnonzero(np.diff(track, prepend=-1))
+    row = np.repeat(np.arange(len(begins)), np.diff(begins, append=len(track)))
+    place = np.arange(len(track)) - begins[row] if len(track) else row
+    # A row for each track: sums of one do not depend on the tracks before it.
+    length = np.zeros((len(begins), int(place.max(initial=0)) + 1))
+    length[row, place] = np.where(place > 0, arc * np.hypot(1.0, states["tanl"]), 0.0)
+    along = np.cumsum(length, axis=1)[row, place]
+    slowness = np.hypot(1.0, _masses(candidates, tracks) / tracks["p"]) / LIGHT
+    return np.asarray(along * slowness[track], np.float64)
 
 
 def _masses(candidates: Table, tracks: Table) -> Floats:
@@ -198,3 +263,304 @@ def _earlier(wire_hits: Table, delay: Floats) -> Table:
     if unknown:
         raise ValueError(f"wire_hits: {unknown} of {len(time)} have no drift_time, expected one for each")
     return wire_hits.with_columns(drift_time=time - delay, drift=shifted(wire_hits["drift"], time, -delay))
+
+
+class ClusterDirection(Refinement):
+    """Positions and errors of clusters for the direction of their track.
+
+    Parameters
+    ----------
+    readout : Readout
+        With which the clusters were made; its clusterer follows tracks.
+    settings : ClusterSettings
+    """
+
+    def __init__(self, readout: Readout, settings: ClusterSettings) -> None:
+        self._readout, self._settings = readout, settings
+
+    def refine(self, detector: Detector, hits: Hits, turn: Turn) -> Hits:
+        """Make the clusters on good tracks again; the others are as before."""
+        if hits.digis is None:
+            raise ValueError("reconstruct: got no digis, expected the strips of the clusters, which are made again")
+        directions = track_directions(detector, len(hits.clusters), turn.states)
+        again = cluster(detector, hits.digis, self._settings, readout=self._readout, directions=directions)
+        return replace(hits, clusters=again)
+
+
+def track_directions(detector: Detector, n_clusters: int, states: Table | None) -> Floats:
+    """Return dX/dr or dV/dr at the anode, and the path per radius, of the track of each cluster, (clusters, 2) float64.
+
+    They are NaN for clusters on no good track, or on one so inclined that it may not cross the whole gap. The
+    direction of the state at mid-gap is taken for the whole gap: within 0.2 % up to 45 degrees, 0.4 % at 55 degrees.
+
+    Parameters
+    ----------
+    detector : Detector
+    n_clusters : int
+    states : Table
+        At the hits.
+    """
+    directions = np.full((n_clusters, 2), np.nan)
+    states = _known(states)
+    states = states[(states["view"] >= 0) & (states["view"] < _STRIP_VIEWS)]
+    r = np.hypot(states["x"], states["y"])
+    outward = (states["x"] * states["px"] + states["y"] * states["py"]) / r
+    around = (states["x"] * states["py"] - states["y"] * states["px"]) / r
+    for number, layer in enumerate(detector.cgem):
+        gap = layer.r_gap_out - layer.r_gap_in
+        crosses = (outward > 0) & (outward**2 * r > gap * (outward**2 + around**2))
+        here = np.flatnonzero((states["layer"] == number) & crosses)
+        tangent = around[here] / outward[here]
+        dx = layer.r_readout * tangent / layer.r_mid
+        path = np.hypot(1.0, tangent)
+        dz = path * states["tanl"][here]
+        dv = local_v(layer, gap * dx, layer.z_ref + gap * dz) / gap
+        across = np.where(states["view"][here] == 0, dx, dv)
+        directions[states["hit"][here]] = np.column_stack([across, np.hypot(path, dz)])
+    return directions
+
+
+#: Errors of the drift times in the first fits, ns: hits far from tracks with a wrong start time stay in.
+FIRST_ERRORS = (20.0, 5.0)
+#: The side of a wire is certain if the track is this number of the hit's errors away from it.
+CERTAIN = 2.0
+#: Longest step, ns; a start time further than five of them from the given one counts as not found.
+MOST_STEP = 30.0
+#: A track whose chi-square is above this number of degrees of freedom at its own best start time does not count.
+MOST_CHI2 = 3.0
+#: A track does not count if its own start time is this number of errors away from the median of the event.
+MOST_PULL = 5.0
+#: A start time stays once a step is shorter than this share of its error. From the fourth step on, steps are halved:
+#: hits that change sides would let them alternate.
+TOLERANCE, WHOLE_STEPS = 0.1, 3
+#: Shift of the fit that gives the second derivative of chi-square, ns.
+PROBE = 2.0
+
+
+class StartTimeStatus(enum.IntEnum):
+    """How the fit of a start time ended; 0 is good."""
+
+    ok = 0
+    no_track = 1
+    not_converged = 2
+
+
+class StartTime(Refinement):
+    """The start time of each event, from the residuals of its tracks (docs/methods/reconstruct.md).
+
+    Each turn but the last two is a step of Newton's method. The last but one shifts all hits by `PROBE`: the change of
+    gradients and helices gives the error of the start time and its part in the errors of the tracks.
+
+    Parameters
+    ----------
+    prior_error : float or None
+        Prior uncertainty of the given start time, ns.
+    """
+
+    turns = 9
+    needs_states = False
+
+    def __init__(self, prior_error: float | None = None) -> None:
+        self._prior = 0.0 if prior_error is None else prior_error**-2
+        self._prior_error = math.nan if prior_error is None else prior_error
+        self._time: Floats = np.zeros(0)
+        self._before: _Fits | None = None
+        self._slope: Floats = np.zeros((0, 5))
+
+    def guess(self, detector: Detector, hits: Hits) -> Hits:
+        """Start at the given time, with errors for that it is wrong."""
+        unknown = int(np.count_nonzero(~np.isfinite(hits.wire_hits["drift_time"])))
+        if unknown:
+            raise ValueError(
+                f"fit: start_time: got 'fitted' and {unknown} of {len(hits.wire_hits)} wire hits without a drift_time, "
+                "expected one for each"
+            )
+        n = len(hits.wire_hits.events)
+        self._time, self._error = np.zeros(n), np.full(n, self._prior_error)
+        self._moving = np.ones(n, np.bool_)
+        self._counted, self._status = np.zeros(n, np.int64), np.full(n, StartTimeStatus.no_track, np.int8)
+        return self._shifted(hits, FIRST_ERRORS[0])
+
+    def refine(self, detector: Detector, hits: Hits, turn: Turn) -> Hits:
+        """Move the start times by one step, or find their errors."""
+        event = np.searchsorted(turn.candidates.events, turn.candidates["event"])
+        rest = turn.turns - turn.number
+        if rest == 2:  # the fit of this turn was shifted
+            self._set_errors(_Fits.of(turn, self._time[event] + PROBE), event)
+            return self._shifted(hits)
+        now = self._before = _Fits.of(turn, self._time[event])
+        self._step(now, event, turn.number)
+        if rest == 3:
+            return self._shifted(hits, shift=PROBE)
+        return self._shifted(hits, FIRST_ERRORS[turn.number + 1] if turn.number + 1 < len(FIRST_ERRORS) else 0.0)
+
+    def finish(self, detector: Detector, tables: Mapping[str, Table]) -> dict[str, Table]:
+        """Return the table ``start_times``, and the tracks with its errors in their covariance."""
+        candidates, tracks = tables["candidates"], tables["tracks"]
+        event = np.searchsorted(candidates.events, candidates["event"])
+        tracks = _with_time_error(tracks, self._slope, self._error[event])
+        tracks = tracks.with_columns(displaced=displaced(tracks["dr"], tracks["err_dr"], detector))
+        columns = {
+            "event": candidates.events, "start_time": self._time, "err_start_time": self._error,
+            "n_tracks": self._counted, "status": self._status,
+        }  # fmt: skip
+        return {"tracks": tracks, "start_times": Table("start_times", columns, **candidates.cover)}
+
+    def _shifted(self, hits: Hits, error: float = 0.0, shift: float = 0.0) -> Hits:
+        """Return hits with drift times counted from the present start times; `error`: of these times, ns."""
+        wires = hits.wire_hits
+        wires = start_subtracted(wires, wires.events, self._time + shift)
+        if error:
+            wires = wires.with_columns(sigma=np.hypot(wires["sigma"], error * velocity_at(np.abs(wires["drift"]))))
+        return replace(hits, wire_hits=wires)
+
+    def _step(self, now: _Fits, event: Rows, number: int) -> None:
+        """Move the start times by a step of Newton's method."""
+        time, total, self._counted = self._combined(now, event, early=number < len(FIRST_ERRORS))
+        found = (self._counted > 0) & (np.abs(time) <= 5 * MOST_STEP)
+        moved = np.where(found & self._moving, time - self._time, 0.0).clip(-MOST_STEP, MOST_STEP)
+        self._time = self._time + moved * (1.0 if number < WHOLE_STEPS else 0.5)
+        self._moving = ~found | (np.abs(moved) * np.sqrt(total) > TOLERANCE) | (number < len(FIRST_ERRORS))
+        status = np.where(self._moving, StartTimeStatus.not_converged, StartTimeStatus.ok)
+        self._status = np.where(found, status, StartTimeStatus.no_track).astype(np.int8)
+
+    def _set_errors(self, probed: _Fits, event: Rows) -> None:
+        """Set errors and slopes from the change of the gradients, and of the helices, with the start time."""
+        now = self._before
+        assert now is not None
+        found = self._status != StartTimeStatus.no_track
+        self._counted = np.where(found, self._counted, 0)
+        self._time = np.where(found, self._time, 0.0)
+        both = (now.info > 0) & (probed.info > 0) & found[event]
+        lever = np.where(both, probed.at - now.at, 1.0)
+        info = np.where(both, (now.gradient - probed.gradient) / lever, now.info)
+        info = np.where((info > 0.5 * now.info) & (info < 2 * now.info), info, now.info)
+        self._slope = np.where(both[:, None], _difference(probed.helix, now.helix) / lever[:, None], 0.0)
+        _, total, _ = self._combined(now._replace(info=np.where(now.info > 0, info, 0.0)), event, early=False)
+        self._error[found] = total[found] ** -0.5
+
+    def _combined(self, now: _Fits, event: Rows, *, early: bool) -> tuple[Floats, Floats, Rows]:
+        """Return the mean start time of the tracks of each event, its 1/variance, and how many tracks count.
+
+        Tracks far from the median do not count, nor do those with a bad chi-square unless it is `early`.
+        """
+        step = np.divide(now.gradient, now.info, out=np.zeros(len(now.info)), where=now.info > 0)
+        best = now.chi2 - step * now.gradient
+        info = np.where(early | (best <= MOST_CHI2 * now.ndf), now.info, 0.0)
+        time, events = now.at + step, len(self._time)
+        median, width = _medians(time, info, event, events)
+        far = np.abs(time - median) > MOST_PULL * np.hypot(_spread(info), width)
+        info = np.where(far, 0.0, info)
+        total = np.bincount(event, info, events) + self._prior
+        mean = np.bincount(event, info * time, events)
+        counted = np.bincount(event, info > 0, events).astype(np.int64)
+        return np.divide(mean, total, out=np.zeros(events), where=total > 0), np.asarray(total), counted
+
+
+def start_subtracted(wire_hits: Table, events: npt.NDArray[np.int64], start: Floats) -> Table:
+    """Return wire hits with drift times counted from the start times of their events, and distances to match.
+
+    Parameters
+    ----------
+    wire_hits : Table
+    events : ndarray, (n,) int64
+        Numbers of events, ascending; hits of other events stay.
+    start : ndarray, (n,) float64, ns
+    """
+    if not len(events):
+        return wire_hits
+    row = np.searchsorted(events, wire_hits["event"]).clip(max=len(events) - 1)
+    shift = -np.where(events[row] == wire_hits["event"], start[row], 0.0)
+    time = wire_hits["drift_time"]
+    return wire_hits.with_columns(drift_time=time + shift, drift=shifted(wire_hits["drift"], time, shift))
+
+
+class _Fits(NamedTuple):
+    """Tracks at the start times `at`, ns, (candidates,) or (candidates, 5); without a good fit, `info` is 0.
+
+    `gradient` is -1/2 d chi2/d start time, 1/ns. `info` is about 1/2 its second derivative, 1/ns2: half the mean if
+    the sides of the wires were random.
+    """
+
+    at: Floats
+    gradient: Floats
+    info: Floats
+    chi2: Floats
+    ndf: Floats
+    helix: Floats
+
+    @classmethod
+    def of(cls, turn: Turn, at: Floats) -> _Fits:
+        """Return the derivatives of chi-square of the tracks of a turn.
+
+        With W the weight matrix of the measurements m in the fit, chi2 = m W m. The residual of hit i to the track
+        without it is (W m)_i/W_ii, with variance 1/W_ii: both derivatives follow from the residuals, the second one
+        without the terms of two hits, whose signs change with the sides.
+        """
+        tracks, residuals, wires = turn.tracks, turn.residuals, turn.hits.wire_hits
+        side = residuals["side"]
+        wire = np.flatnonzero((residuals["view"] == HIT_WIRE) & (residuals["used"] == 1) & (side != 0))
+        hit, track, side = residuals["hit"][wire], residuals["track"][wire], side[wire]
+        residual, err = residuals["residual"][wire], residuals["err"][wire]
+        # Velocity and cut at the predicted distance, which the error of the hit does not move.
+        predicted = side * wires["drift"][hit] - residual
+        certain = np.abs(predicted) > CERTAIN * wires["sigma"][hit]
+        slope = np.where(certain, side * velocity_at(np.abs(predicted)), 0.0)
+        good = tracks["status"] == 0
+        return cls(
+            at=at, gradient=np.bincount(track, slope * residual / err**2, len(tracks)).astype(np.float64),
+            info=np.bincount(track, (slope / err) ** 2, len(tracks)) * good,
+            chi2=np.where(good, tracks["chi2"], 0.0), ndf=tracks["ndf"].astype(np.float64),
+            helix=np.column_stack([tracks[name] for name in helix.PARAMETERS]),
+        )  # fmt: skip
+
+
+def _spread(info: Floats) -> Floats:
+    """Return the error of a start time, ns; 0 for a track that does not count."""
+    return np.where(info > 0, info, np.inf) ** -0.5
+
+
+def _medians(time: Floats, info: Floats, event: Rows, events: int) -> tuple[Floats, Floats]:
+    """Return for each track the median of the start times of its event's tracks, and the error of that one.
+
+    Of two middle ones it is the more precise one. Ranks, not sums: events do not depend on each other.
+    """
+    if not len(time):
+        return time, time
+    order = np.lexsort((time, info <= 0, event))
+    begin = np.searchsorted(event[order], np.arange(events))
+    count = np.bincount(event, info > 0, events).astype(np.int64)
+    low, high = (
+        order[(begin + place).clip(0, len(order) - 1)] for place in (np.maximum(count - 1, 0) // 2, count // 2)
+    )
+    middle = np.where(info[high] > info[low], high, low)
+    return time[middle][event], _spread(info)[middle][event]
+
+
+def _difference(new: Floats, old: Floats) -> Floats:
+    """Return the difference of helices, (n, 5), azimuths by the short way."""
+    difference = new - old
+    difference[:, 1] = np.remainder(difference[:, 1] + np.pi, 2 * np.pi) - np.pi
+    return difference
+
+
+def _with_time_error(tracks: Table, slope: Floats, error: Floats) -> Table:
+    """Return tracks whose covariance includes the error of the start time; `slope`, `error` of each candidate."""
+    rows = tracks["candidate"]
+    moved = slope[rows] * np.where(np.isfinite(error), error, 0.0)[rows, None]
+    cov = tracks["cov"] + moved[:, :, None] * moved[:, None, :]
+    err = np.sqrt(np.diagonal(cov, axis1=1, axis2=2))
+    fitted = np.column_stack([tracks[name] for name in helix.PARAMETERS])
+    columns = {f"err_{name}": err[:, i] for i, name in enumerate(helix.PARAMETERS)}
+    return tracks.with_columns(cov=cov, err_p=helix.momentum_error(fitted, cov), **columns)
+
+
+def refinements(settings: RefineSettings) -> list[Refinement]:
+    """Return the refinements that settings ask for, each for one reconstruction.
+
+    Parameters
+    ----------
+    settings : RefineSettings
+    """
+    found: list[Refinement] = [DriftTimes()] if settings.drift_times == "raw" else []
+    return [*found, StartTime(settings.start_time_error)] if settings.start_time == "fitted" else found

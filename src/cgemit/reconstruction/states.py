@@ -72,7 +72,7 @@ def state_columns(
         hit_offsets=hits.hit_offsets,
         hits=hits.columns() | used,
         reference=fitted["reference"],
-        kinks=fitted["kinks"].reshape(len(fitted["reference"]), -1),
+        kinks=fitted["kinks"].reshape(len(fitted["reference"]), 2 * len(slabs(detector))),
         prior=fitted["prior"],
         mass=mass,
         fitted=settled.astype(np.uint8),

@@ -118,9 +118,15 @@ def _part_of(progress: ShowProgress | None, before: int, order: Order, total: in
 
 def _run(order: Order, threads: int | None, progress: Callable[[float], None] | None) -> Sample:
     result = run.run(
-        order.detector, order.gun, order.n_events, order.seed, settings=order.settings, finder=order.finder,
-        threads=threads, progress=progress,
-    )  # fmt: skip
+        order.detector,
+        order.gun,
+        order.n_events,
+        order.seed,
+        settings=order.settings,
+        finder=order.finder,
+        progress=progress,
+        workers=threads,
+    )
     return Sample(
         **vars(order), tracks=result.tracks, clusters=cluster_residuals(result), deltas=delta_fractions(result),
         removed=result.removed(), transport=result.transport(), timings=result.timings,

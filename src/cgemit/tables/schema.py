@@ -357,6 +357,8 @@ _KINDS = (
     ("clusters", _CLUSTERS, "one X, V or XV cluster"),
     ("candidates", _CANDIDATES, "one set of hits that is taken for one track"),
     ("candidate_hits", _CANDIDATE_HITS, "one hit of a candidate"),
+    ("refined_clusters", _CLUSTERS, "the row of the same number of `clusters`, corrected by the fitted tracks"),
+    ("refined_wire_hits", _WIRE_HITS, "the row of the same number of `wire_hits`, corrected by the fitted tracks"),
     ("tracks", TRACKS, "one candidate, with one mass, and the track fitted to it"),
     ("matches", MATCHES, "one track and its particle"),
     ("residuals", RESIDUALS, "one hit of a fitted track"),

@@ -1,11 +1,21 @@
-"""Track finding: by truth, or from the hits alone (docs/methods/find.md)."""
+"""Track finding: by truth, or from the hits alone (docs/methods/find.md). `FINDERS` lists the finders by name."""
 
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
+
+from cgemit.detector import Detector
+from cgemit.reconstruction.candidates import Finder
 from cgemit.reconstruction.find.ckf import FindSettings, find_tracks
 from cgemit.reconstruction.find.loops import link_loops
 from cgemit.reconstruction.find.truth import by_truth, link_problems, own_clusters, particle_rows, residuals
+from cgemit.tables import Table
 
 __all__ = [
+    "FINDERS",
     "FindSettings",
+    "Truths",
     "by_truth",
     "find_tracks",
     "link_loops",
@@ -14,3 +24,30 @@ __all__ = [
     "particle_rows",
     "residuals",
 ]
+
+
+class Truths(NamedTuple):
+    """What a finder by truth needs: the simulated detector, and the tables to which hits are linked."""
+
+    detector: Detector
+    particles: Table
+    truths: Table
+    wire_truths: Table
+
+
+def _truth(settings: FindSettings, truths: Truths) -> Finder:
+    def truth(detector: Detector, clusters: Table, wire_hits: Table) -> Mapping[str, Table]:
+        return by_truth(truths.detector, truths.particles, clusters, wire_hits, truths.truths, truths.wire_truths)
+
+    return truth
+
+
+def _ckf(settings: FindSettings, truths: Truths) -> Finder:
+    def ckf(detector: Detector, clusters: Table, wire_hits: Table) -> Mapping[str, Table]:
+        return find_tracks(detector, clusters, wire_hits, settings)
+
+    return ckf
+
+
+#: Finders by name: functions that make one from the settings and the truths of a run.
+FINDERS: dict[str, Callable[[FindSettings, Truths], Finder]] = {"truth": _truth, "ckf": _ckf}

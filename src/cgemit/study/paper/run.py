@@ -122,8 +122,8 @@ def _measure(inputs: Inputs, progress: ShowProgress | None) -> Reproduction:
     lines = [momentum_line(scan, name) for name in MAIN for scan in curve_samples.values()]
     # Events have the same random numbers however many are run: these are the first ones of the sample.
     display = run.run(
-        cgem, gun, _DISPLAY_EVENTS, inputs.seed, settings=inputs.settings, finder=inputs.finder, threads=inputs.threads
-    )  # fmt: skip
+        cgem, gun, _DISPLAY_EVENTS, inputs.seed, settings=inputs.settings, finder=inputs.finder, workers=inputs.threads
+    )
     timings = {"run_s": time.perf_counter() - start, **_stage_seconds(samples)}
     rows = make_rows(named)
     return Reproduction(tuple(rows), tuple(lines), inputs, named, curve_samples, display, timings)

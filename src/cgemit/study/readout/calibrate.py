@@ -763,7 +763,7 @@ def calibrate(
 
     def digitized(momenta: list[float], seed: int) -> Result:
         muons = _muons(momenta, n, seed, cos_theta)
-        return run(detector, muons, seed=seed, readout=readout, until="digitize", threads=threads)
+        return run(detector, muons, seed=seed, readout=readout, until="digitize", workers=threads)
 
     lowest = min(p, _LOWEST)
     momenta = (1 / np.linspace(1 / lowest, 1 / max(p, _HIGHEST), _MOMENTA)).tolist()

@@ -137,7 +137,7 @@ def beam_run(
     threads : int or None
     """
     particles = beam_particles(detector, particle, p, np.radians(angle), n, seed)
-    return run(detector, particles, seed=seed, readout=readout, until="digitize", threads=threads)
+    return run(detector, particles, seed=seed, readout=readout, until="digitize", workers=threads)
 
 
 def beam_views(
@@ -396,7 +396,7 @@ def formation(
     panels = []
     for lorentz, diffusion in _SWITCHES:
         one = replace(readout, lorentz=lorentz, diffusion=diffusion * readout.diffusion)
-        result = run(detector, particles, seed=seed, readout=one, until="digitize", threads=1)
+        result = run(detector, particles, seed=seed, readout=one, until="digitize", workers=1)
         event = int(result.truths["event"][np.argsort(result.truths["energy"])[len(result.truths) // 2]])
         truth = int(np.flatnonzero(result.truths["event"] == event)[0])
         mine = result.steps["truth"] == truth
@@ -552,9 +552,15 @@ def scan_ghosts(
     points = []
     for number in tracks:
         result = run(
-            detector, reduce(add, [gun] * number), n, seed, readout=readout, until="cluster", threads=threads,
+            detector,
+            reduce(add, [gun] * number),
+            n,
+            seed,
+            readout=readout,
+            until="cluster",
             keep=["clusters", "truths"],
-        )  # fmt: skip
+            workers=threads,
+        )
         points.append(_point(result.clusters, numbers, layer, number, seed))
     title = f"{readout.name}, layer {one.label} of {detector.name}, mu- of {p:g} GeV/c, {n} events each"
     return GhostScan(title, tuple(points))

@@ -185,7 +185,7 @@ def _simulated(
     """
     gun = Gun(evaluation.particle, p=p, cos_theta=cos_theta)
     seed = seed_of(evaluation.seed, number)
-    tracks = run.run(detector, gun, evaluation.events, seed, settings=evaluation.settings, threads=1).tracks
+    tracks = run.run(detector, gun, evaluation.events, seed, settings=evaluation.settings, workers=1).tracks
     good = tracks["status"] == FitStatus.ok
     event = tracks["event"][good]
     point: dict[str, Any] = {"fitted": int(good.sum()), "events": evaluation.events}

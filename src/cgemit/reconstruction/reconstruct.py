@@ -1,0 +1,123 @@
+"""Reconstruction: find tracks, fit them, refine their hits, and repeat (docs/methods/reconstruct.md)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+from cgemit.detector import Detector, load
+from cgemit.reconstruction.candidates import Finder, by_finder
+from cgemit.reconstruction.fit import FitSettings, fit
+from cgemit.reconstruction.refine import Hits, Refinement, Turn
+from cgemit.reconstruction.states import SurfaceName
+from cgemit.tables import Table
+
+#: States that refinements take: at the origin, and at every measurement.
+_STATES: tuple[SurfaceName, ...] = ("origin", "hits")
+
+
+def reconstruct(
+    detector: Detector | str | Mapping[str, Any],
+    clusters: Table,
+    wire_hits: Table,
+    finder: Finder,
+    settings: FitSettings | None = None,
+    *,
+    refinements: Sequence[Refinement] = (),
+    find_again: bool = True,
+    digis: Table | None = None,
+) -> dict[str, Table]:
+    """Reconstruct tracks from clusters and wire hits, simulated or real.
+
+    Parameters
+    ----------
+    detector : Detector, or what `load` accepts
+        Field and material that finder and fit assume.
+    clusters, wire_hits : Table
+        As measured, of the same events.
+    finder : callable
+        A function of (detector, clusters, wire_hits), such as `find_tracks`.
+    settings : FitSettings or None
+        Of the fit.
+    refinements : sequence of Refinement
+        What fitted tracks correct of their hits; `refinements` makes them from settings. They act in this order.
+    find_again : bool
+        Whether tracks are found a second time with the hits that the first tracks correct.
+    digis : Table or None
+        Strips of the clusters, which `ClusterDirection` needs.
+
+    Returns
+    -------
+    dict of str to Table
+        ``candidates``, ``candidate_hits``, ``tracks`` and what else `fit` makes; ``refined_clusters`` and
+        ``refined_wire_hits``, row by row those measured, where a refinement corrects them; ``start_times`` if they
+        are fitted.
+
+    Raises
+    ------
+    TypeError
+        If the settings are something else.
+    ValueError
+        Listing every problem of the tables, as finder and fit do.
+    """
+    tables: dict[str, Table] = {}
+    measured, settings = Hits(clusters, wire_hits, digis), FitSettings() if settings is None else settings
+    if not isinstance(settings, FitSettings):
+        raise TypeError(f"settings: got {type(settings).__name__}, expected FitSettings")
+    for _, made in turns(load(detector), measured, finder, settings, refinements, find_again=find_again):
+        tables |= made
+    return tables
+
+
+def turns(
+    detector: Detector,
+    measured: Hits,
+    finder: Finder,
+    settings: FitSettings,
+    refinements: Sequence[Refinement] = (),
+    *,
+    find_again: bool = True,
+) -> Iterator[tuple[str, dict[str, Table]]]:
+    """Yield the tables of each step of `reconstruct` after its name, ``"find"`` or ``"fit"``; later ones count.
+
+    The number of turns is fixed: hits that stop moving cannot end them, since events of one chunk would then depend
+    on each other.
+
+    Parameters
+    ----------
+    detector : Detector
+    measured : Hits
+    finder : callable
+    settings : FitSettings
+    refinements : sequence of Refinement
+    find_again : bool
+    """
+    last = max((one.turns for one in refinements), default=1) - 1 + (find_again and bool(refinements))
+    single = settings.hypothesis if len(settings.hypotheses()) == 1 else None
+    states = _STATES if any(one.needs_states for one in refinements) else ()
+    early = replace(settings, residuals=True, states=states, hypothesis=single)
+    hits = measured
+    for one in refinements:
+        hits = one.guess(detector, hits)
+    found = by_finder(finder, detector, hits.clusters, hits.wire_hits)
+    yield "find", found
+    for number in range(last):
+        if number == 1 and find_again:
+            found = by_finder(finder, detector, hits.clusters, hits.wire_hits)
+            yield "find", found
+        fitted = _fitted(detector, hits, found, early)
+        turn = Turn(number, last + 1, hits, **found, **fitted)
+        hits = measured
+        for one in refinements:
+            hits = one.refine(detector, hits, turn)
+        yield "fit", {}
+    tables = {**found, **_fitted(detector, hits, found, settings), **hits.refined(measured)}
+    for one in refinements:
+        tables |= one.finish(detector, tables)
+    yield "fit", tables
+
+
+def _fitted(detector: Detector, hits: Hits, found: Mapping[str, Table], settings: FitSettings) -> dict[str, Table]:
+    """Fit the candidates that were found."""
+    return fit(detector, hits.clusters, hits.wire_hits, found["candidates"], found["candidate_hits"], settings)
