@@ -21,10 +21,10 @@
 
 # %%
 import cgemit as cg
-from cgemit.study import optimize, sweep
+from cgemit.study import Evaluation, Search, optimize, sweep
 
 detector = cg.load("besiii-cgem-design")
-points = {"particle": "mu-", "p": [0.3, 1.0], "cos_theta": 0.0}
+points = Evaluation(p=[0.3, 1.0], cos_theta=0.0)
 
 # %% [markdown]
 # ## What matters
@@ -69,13 +69,13 @@ result = sweep(
         "cgem.*.pitch_x": ["400 um", "500 um", "650 um", "800 um"],
         "cgem.L1.anode_radius": ["80 mm", "87.5 mm", "95 mm", "102.5 mm"],
     },
-    **points,
+    evaluate=points,
 )
 result.draw("sigma_dr (um)")
 
 # %%
 corners = {"cgem.L1.anode_radius": ["80 mm", "102.5 mm"], "cgem.*.pitch_x": ["400 um", "800 um"]}
-sweep(detector, corners, **points).draw_budgets("dr", "cause")
+sweep(detector, corners, evaluate=points).draw_budgets("dr", "cause")
 
 # %% [markdown]
 # ## Optimize
@@ -85,7 +85,7 @@ sweep(detector, corners, **points).draw_budgets("dr", "cause")
 # covariance; the same search without gradients takes more designs.
 
 # %%
-base = sweep(detector, [{}], **points).to_pandas().query("variant == 0").set_index("p (GeV/c)")
+base = sweep(detector, [{}], evaluate=points).to_pandas().query("variant == 0").set_index("p (GeV/c)")
 limits = {
     "channels": (None, 10010),
     "gap": (3, None),
@@ -101,11 +101,13 @@ space = {
     "cgem.L3.pitch_x": ("400 um", "1200 um"),
     "cgem.*.pitch_v": ("400 um", "1200 um"),
 }
-best = optimize(detector, space, minimize="dr @ 0.3", constraints=limits, **points)
+best = optimize(detector, space, minimize="dr @ 0.3", constraints=limits, evaluate=points)
 best
 
 # %%
-other = optimize(detector, space, minimize="dr @ 0.3", constraints=limits, method="cobyla", **points)
+other = optimize(
+    detector, space, minimize="dr @ 0.3", constraints=limits, evaluate=points, search=Search(method="cobyla")
+)
 for one in (best, other):
     sigma = one["sigma_dr at 0.3 GeV/c (um)"][one.front[0]]
     print(f"{one.method:8}: {one.evaluations} designs, {one.gradients} gradients, {sigma:.1f} um")
@@ -132,7 +134,7 @@ kept |= {name: limits[name] for name in ("dz @ 0.3", "p @ 1.0")}
 thin = detector.with_overrides({electrodes: "x0.8"})
 channels = {}
 for name, start in (("the electrodes of the design", detector), ("electrodes 20 % thinner", thin)):
-    cheap = optimize(start, space, minimize="channels", constraints=kept, **points)
+    cheap = optimize(start, space, minimize="channels", constraints=kept, evaluate=points)
     channels[name] = int(cheap["channels"][cheap.front[0]])
     print(f"{name:29}: {channels[name]} channels instead of 10010")
 
@@ -145,9 +147,13 @@ for name, start in (("the electrodes of the design", detector), ("electrodes 20 
 
 # %%
 front = optimize(
-    detector, space, minimize=["dr @ 0.3", "p @ 1.0", "channels"], population=60, offspring=30, calls=25,
-    constraints={name: limits[name] for name in ("gap", "dz @ 0.3")}, **points,
-)  # fmt: skip
+    detector,
+    space,
+    minimize=["dr @ 0.3", "p @ 1.0", "channels"],
+    constraints={name: limits[name] for name in ("gap", "dz @ 0.3")},
+    evaluate=points,
+    search=Search(population=60, offspring=30, calls=25),
+)
 front.draw("front")
 
 # %%

@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterator
 from typing import Any
 
-from cgemit.base.settings import Choice, classes_in, expected, kinds_of
+from cgemit.base.validate import Choice, classes_in, expected, kinds_of
 from cgemit.chain.settings import Settings
 from pages.page import Found, Page, table
 

@@ -18,10 +18,10 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from cgemit.study import sweep
+from cgemit.study import Evaluation, sweep
 
 SPACE = {"cgem.*.pitch_x": ["400 um", "500 um", "600 um", "700 um"], "cgem.L2.anode_radius": ["132.5 mm", "160 mm"]}
-HOW: dict[str, Any] = {"evaluate": "mc", "p": [0.5], "events": 60}
+HOW = Evaluation("mc", p=0.5, events=60)
 FILES = ("sweep.csv", "summary.json", "detector.toml")
 EVENTS = 40_000  # of the twenty kills: a chunk takes longer than most delays, so that all twenty hit a sweep at work
 WAYS = ("serial", "threads", "processes", "dask")
@@ -29,7 +29,7 @@ WAYS = ("serial", "threads", "processes", "dask")
 
 def swept(folder: Path, **how: Any) -> list[bytes]:
     """Return the files that a sweep writes."""
-    sweep("besiii-cgem-design", SPACE, output=folder, **(HOW | how))
+    sweep("besiii-cgem-design", SPACE, output=folder, evaluate=HOW, **how)
     return written(folder)
 
 

@@ -13,7 +13,7 @@ import numpy as np
 
 import cgemit as cg
 from cgemit.detector import Detector, compiled
-from cgemit.study import sobol, sweep
+from cgemit.study import Evaluation, sobol, sweep
 from pages.page import Numbers
 from pages.performance.timing import DETECTOR
 
@@ -87,8 +87,8 @@ def times(designs: int, samples: int) -> tuple[float, float]:
     """Return wall time and processor time of a sweep, s."""
     begin, used = time.perf_counter(), processor_time()
     with ProcessPoolExecutor(2) as pool:
-        sweep(DETECTOR, sobol(RANGES, designs), p=list(np.geomspace(0.2, 2, 10)), samples=samples,
-              quantities=("p", "dr", "dz"), executor=pool)  # fmt: skip
+        evaluate = Evaluation(p=np.geomspace(0.2, 2, 10), samples=samples, quantities=("p", "dr", "dz"))
+        sweep(DETECTOR, sobol(RANGES, designs), evaluate, executor=pool)
     return time.perf_counter() - begin, processor_time() - used
 
 

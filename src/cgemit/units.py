@@ -6,7 +6,7 @@ import math
 import re
 from decimal import Decimal
 
-from cgemit.base.errors import did_you_mean
+from cgemit.base.errors import WrongValueError, did_you_mean
 
 #: Native unit of each dimension: the unit of every number inside the program.
 NATIVE = {
@@ -53,15 +53,8 @@ _UNITS: dict[str, dict[str, Decimal]] = {
 _QUANTITY = re.compile(r"\s*([+-]?(?:(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|inf|nan))\s*(.*?)\s*", re.IGNORECASE)
 
 
-class QuantityError(ValueError):
-    """A quantity that cannot be read; says what was given, what was expected and, where possible, a hint."""
-
-    def __init__(self, given: str, expected: str, hint: str = "") -> None:
-        self.given, self.expected, self.hint = given, expected, hint
-        super().__init__(f"{given}: expected {expected}" + (f" ({hint})" if hint else ""))
-
-    def __reduce__(self) -> tuple[type[QuantityError], tuple[str, str, str]]:
-        return QuantityError, (self.given, self.expected, self.hint)
+class QuantityError(WrongValueError):
+    """A quantity that cannot be read."""
 
 
 def parse_quantity(text: object, dimension: str) -> float:

@@ -71,16 +71,17 @@ def analytic() -> dict[str, Any]:
 def sweep() -> dict[str, Any]:
     pitches = {"cgem.*.pitch_x": ["400 um", "650 um"]}
     analytic, simulated = (
-        cg.study.sweep(DESIGN, pitches, evaluate=how, p=[0.3, 1.0], events=40, samples=16).to_pandas()
+        cg.study.sweep(DESIGN, pitches, cg.study.Evaluation(how, p=[0.3, 1.0], events=40, samples=16)).to_pandas()
         for how in ("analytic", "mc")
     )
     return {"analytic": analytic, "simulated": simulated}
 
 
 def optimize() -> dict[str, Any]:
-    how: dict[str, Any] = {"p": 0.3, "samples": 16, "seed": 1}
+    how: dict[str, Any] = {"evaluate": cg.study.Evaluation(p=0.3, samples=16)}
+    search = cg.study.Search(population=8, offspring=4, calls=3)
     optimum = cg.study.optimize(DESIGN, SPACE, minimize="dr", constraints={"channels": (None, 10010)}, **how)
-    front = cg.study.optimize(DESIGN, SPACE, minimize=["dr", "channels"], population=8, offspring=4, calls=3, **how)
+    front = cg.study.optimize(DESIGN, SPACE, minimize=["dr", "channels"], search=search, **how)
     return {"optimum": optimum.to_pandas(), "front": front.to_pandas()}
 
 

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from cgemit.analysis.clusters import X_WINDOWS
-from cgemit.base.settings import kinds_of
+from cgemit.base.validate import kinds_of
 from cgemit.chain.settings import Settings
 from cgemit.detector.readouts import READOUTS
 from cgemit.particles.species import species

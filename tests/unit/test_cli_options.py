@@ -383,7 +383,6 @@ def test_settings_are_printed_as_a_file(settings_file: Path, capsys: pytest.Capt
     words = ["settings", "--settings", str(settings_file), "--set", "fit.states=[90, 'hits']"]
     expected = replace(OF_FILE, fit=FitSettings(kinks=False, states=(90, "hits")))
     assert Settings.from_toml(printed(words, capsys)) == expected
-    assert Settings.from_json(printed([*words, "--json"], capsys)) == expected
     assert "loss = \"truncated\"  # one of 'truncated', 'mean', 'most_probable'" in printed(["settings"], capsys)
     with pytest.raises(SettingsError):
         Settings.from_toml("fit = 3")

@@ -87,7 +87,7 @@ def test_wrong_seams_ends_and_efficiencies_are_listed_at_once():
         CGEM.with_overrides(wrong)
     for path in wrong:
         assert f"{path}: got" in str(error.value), path
-    assert "got 300 mm; expected less than 266 mm, which leaves a part of a sheet" in str(error.value)
+    assert "got 300 mm, expected less than 266 mm, which leaves a part of a sheet" in str(error.value)
 
 
 def test_efficiencies_remove_their_share_of_what_particles_fire(run):

@@ -106,23 +106,23 @@ def test_a_map_that_changed_is_noticed(tmp_path, design):
     [
         ({"bz": None}, ["bz: got nothing"]),
         ({"z": Z**3 / 1e6}, ["z: got steps"]),
-        ({"r": R + 10}, ["r: got 10 mm first; expected r = 0"]),
-        ({"r": R + 10, "br": np.ones((19, 27))}, ["r: got 10 mm first; expected r = 0"]),
+        ({"r": R + 10}, ["r: got 10 mm first, expected r = 0"]),
+        ({"r": R + 10, "br": np.ones((19, 27))}, ["r: got 10 mm first, expected r = 0"]),
         ({"z": np.where(Z < 0, Z, np.inf)}, ["z: got 14 values that are not finite"]),
-        ({"z": Z + 2000}, ["z: got 700 to 3300 mm; expected a range with 0"]),
+        ({"z": Z + 2000}, ["z: got 700 to 3300 mm, expected a range with 0"]),
         ({"bz": np.full((19, 27), np.nan)}, ["bz: got 513 values that are not finite"]),
         ({"br": np.zeros((27, 19))}, ["br: got shape (27, 19)"]),
         ({"br": np.ones((19, 27))}, ["br: got up to 1 T at r = 0"]),
         ({"length_unit": "inch", "field_unit": None}, ['length_unit: got unit "inch"', "field_unit: got nothing"]),
         ({"r": R[:3], "br": np.full((19, 27), np.inf)}, ["r: got shape (3,)", "br: got 513 values"]),
-        ({"r": np.array(["a"] * 19)}, ["r: got an array of <U1; expected numbers"]),
+        ({"r": np.array(["a"] * 19)}, ["r: got an array of <U1, expected numbers"]),
         (
             {"br": None, "field_unit": "x", "bz": np.full((19, 27), np.nan), "z": Z + 2000},
             ["br: got nothing", 'field_unit: got unit "x"', "bz: got 513 values", "z: got 700 to 3300 mm"],
         ),
         (
             {"length_unit": "x", "z": Z + 2000, "br": np.ones((19, 27)), "bz": np.full((19, 27), np.inf)},
-            ['length_unit: got unit "x"', "z: got 700 to 3300; expected", "bz: got 513 values", "br: got up to 1 T"],
+            ['length_unit: got unit "x"', "z: got 700 to 3300, expected", "bz: got 513 values", "br: got up to 1 T"],
         ),
         (
             {"z": Z**3 / 1e6, "br": np.zeros((27, 19)), "bz": np.full((27, 19), np.nan)},
@@ -152,14 +152,14 @@ TOO_FEW = ["r: got shape (1,)", "z: got shape (1,)"]
         ("", ["header: got columns none"]),
         ("r[mm],z[mm],br[T]\n0,0,0\n", ["no column bz", *TOO_FEW]),
         ("r[mm],z[mm],bz[T]\n0,0,0,1\n0,1,0,1\n", ["no column br"]),
-        ("r[mm],z[mm],bz[T]\n0,0,0,1\n0,x,0,1\n", ["no column br", "row 2 below the header; expected numbers"]),
+        ("r[mm],z[mm],bz[T]\n0,0,0,1\n0,x,0,1\n", ["no column br", "row 2 below the header, expected numbers"]),
         ("r[mm],z[inch],br[T],bz[Vs]\n0,0,0,0\n", ["header bz", "header z", *TOO_FEW]),
         ("r[mm],z[mm],br[T],bz[T]\n", ["r: got shape (0,)", "z: got shape (0,)"]),
         ("r[mm],z[mm],br[T],bz[x]\n0,0,0,nan\n0,0,0,1\n", ["header bz", "rows: got 2 rows", "bz: got 1 values"]),
         ("r[mm],z[mm],br[T],bz[T]\n0,0,0\n0,x,0,1\n", ["row 1, 2 below the header"]),
         (
             "r[mm],z[mm],br[T],bz[T]\n0,0,0,1\n0,1,0,1\n1,0,0,1\n",
-            ["rows: got 3 rows; expected each point of the 2 x 2"],
+            ["rows: got 3 rows, expected each point of the 2 x 2"],
         ),
     ],
 )
@@ -183,7 +183,7 @@ def test_files_that_are_no_maps(tmp_path, name, capsys):
     with pytest.raises(DetectorError):
         read_field_map(tmp_path / name)
     assert main(["show", "besiii-idc", "--field", str(tmp_path / name)]) == 2
-    assert re.search(rf"{name}(.|\n)*; expected .*(\.npz|detector)", capsys.readouterr().err)
+    assert re.search(rf"{name}(.|\n)*, expected .*(\.npz|detector)", capsys.readouterr().err)
 
 
 def test_files_are_written_completely_or_not_at_all(tmp_path, monkeypatch):

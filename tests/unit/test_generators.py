@@ -104,11 +104,11 @@ def test_other_damaged_files_are_refused(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError):
         particles_from(tmp_path / "missing.hepmc")
     with pytest.raises(
-        ParticleError, match=r"got the file 'events.txt'; expected one of .npz, .parquet, .root, .hepmc"
+        ParticleError, match=r"got the file 'events.txt', expected one of .npz, .parquet, .root, .hepmc"
     ):
         particles_from("events.txt")
     cg.Table.empty("digis").save(tmp_path / "digis.npz")
-    with pytest.raises(ParticleError, match="got a table of kind 'digis'; expected 'particles'"):
+    with pytest.raises(ParticleError, match="got a table of kind 'digis', expected 'particles'"):
         particles_from(tmp_path / "digis.npz")
 
 

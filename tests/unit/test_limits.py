@@ -90,17 +90,17 @@ def test_nested_tables_without_end():
 def test_limits_of_maps(tmp_path):
     axis = np.linspace(0, 100, 5)
     columns = {"r": axis, "z": axis, "br": np.zeros((5, 5)), "bz": np.full((5, 5), 11.0)}
-    with pytest.raises(DetectorError, match=r"bz: got up to 11 T; expected at most 10 T"):
+    with pytest.raises(DetectorError, match=r"bz: got up to 11 T, expected at most 10 T"):
         write_field_map(tmp_path / "map.npz", columns)
     long = np.linspace(0, 100, 5001)
-    with pytest.raises(DetectorError, match=r"z: got shape .5001,.; expected one dimension of 4 to 5000 points"):
+    with pytest.raises(DetectorError, match=r"z: got shape .5001,., expected one dimension of 4 to 5000 points"):
         write_field_map(
             tmp_path / "map.npz", columns | {"z": long, "br": np.zeros((5, 5001)), "bz": np.ones((5, 5001))}
         )
     rows = "\n".join(f"{i},{i},{i},0,0,1" for i in range(3000))
     (tmp_path / "map.csv").write_text("x[mm],y[mm],z[mm],bx[T],by[T],bz[T]\n" + rows)
     start = time.monotonic()
-    with pytest.raises(DetectorError, match="3000 rows; expected each point of the 3000 x 3000 x 3000 grid"):
+    with pytest.raises(DetectorError, match="3000 rows, expected each point of the 3000 x 3000 x 3000 grid"):
         load({"base": IDC, "field": {"kind": "map", "file": str(tmp_path / "map.csv")}})
     assert time.monotonic() - start < 1
 

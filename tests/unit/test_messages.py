@@ -35,7 +35,7 @@ def test_energies_for_momenta(text, dimension, hint):
 
 
 def test_degrees_without_unit():
-    with pytest.raises(ParticleError, match=r'theta: got 60; expected .* \(did you mean "60 deg"\?\)'):
+    with pytest.raises(ParticleError, match=r'theta: got 60, expected .*; did you mean "60 deg"\?'):
         cg.Gun("mu-", p=1, theta=60)
     assert cg.Gun("mu-", p=1, theta="60 deg").theta == pytest.approx(np.pi / 3)
     with pytest.raises(ParticleError) as caught:

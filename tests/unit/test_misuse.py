@@ -118,7 +118,7 @@ def test_detector_file_with_byte_order_mark_and_folder_in_its_place(tmp_path):
     file = tmp_path / "marked.toml"
     file.write_text('base = "besiii-idc"\n', encoding="utf-8-sig")
     assert load(file).drift_chamber == load("besiii-idc").drift_chamber
-    with pytest.raises(DetectorError, match="a folder; expected one of"):
+    with pytest.raises(DetectorError, match="a folder, expected one of"):
         load(tmp_path)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 from pathlib import Path
@@ -12,9 +13,10 @@ import pandas as pd
 import pytest
 
 import cgemit as cg
+from cgemit.base.errors import Problems
 from cgemit.cli.main import main
 from cgemit.detector import inventory
-from cgemit.study import Background, Optimization, OptimizeError, optimize, sobol, sweep
+from cgemit.study import Background, Optimization, PlanError, Search, optimize, sobol, sweep
 from cgemit.study.optimize.goals import Goals, goal_of, limits_of, variables_of
 from cgemit.study.optimize.run import KEYS, read_optimize_plan
 from cgemit.study.optimize.search import Descent, Design, Evaluator, with_failures
@@ -28,7 +30,7 @@ SPACE = {
     "cgem.*.pitch_v": ("x0.6", "x2"),
 }
 LIMITS = {"channels": (None, 10010), "gap": (3, None)}
-HOW: dict[str, Any] = {"minimize": "dr", "constraints": LIMITS, "p": 0.3, "samples": 64}
+HOW: dict[str, Any] = {"minimize": "dr", "constraints": LIMITS, "evaluate": Evaluation(p=0.3, samples=64)}
 
 
 @pytest.fixture(scope="module")
@@ -70,7 +72,7 @@ def test_gradients_are_the_slopes_of_what_is_minimized() -> None:
     texts = ("dr @ 0.3", "dz", "channels", "x0")
     space = {**SPACE, "cgem.*.foil.Kapton.thickness": ("+0 %", "+100 %"), "cgem.*.drift_gap": ("4 mm", "6 mm")}
     goals = tuple(goal_of("", text, (0.3, 1.0), problems) for text in texts)
-    evaluation = Evaluation("analytic", "mu-", (0.3, 1.0), (0.0, 0.6), 1, 1, None, None, ("dr", "dz"), 64)
+    evaluation = Evaluation(p=[0.3, 1.0], cos_theta=[0.0, 0.6], quantities=["dr", "dz"], samples=64)
     limits = limits_of({"dz": (None, 10), "channels": (None, 1e5), "x0": (None, 10)}, (0.3, 1.0), problems)
     evaluator = Evaluator(DESIGN, Goals(goals, evaluation, None), limits, None, None)
     descent = Descent(evaluator, variables_of(DESIGN, space, problems), goals[0], fixed_hits=True)
@@ -95,7 +97,7 @@ def test_a_step_that_closes_the_gap_between_parts_is_cut() -> None:
     """There the gas between the layers is gone, so that the hits of the design before cannot be kept."""
     problems: list[str] = []
     goal = goal_of("", "dr @ 0.3", (0.3,), problems)
-    evaluation = Evaluation("analytic", "mu-", (0.3,), (0.0,), 1, 1, None, None, ("dr",), 64)
+    evaluation = Evaluation(p=0.3, quantities=["dr"], samples=64)
     evaluator = Evaluator(DESIGN, Goals((goal,), evaluation, None), (), None, None)
     variables = variables_of(DESIGN, {"cgem.L3.anode_radius": "bounds"}, problems)
     descent = Descent(evaluator, variables, goal, fixed_hits=True)
@@ -111,7 +113,7 @@ def test_a_step_that_closes_the_gap_between_parts_is_cut() -> None:
 
 
 def test_a_search_within_the_bounds_ends_at_a_possible_design() -> None:
-    found = optimize(DESIGN, {"cgem.L3.anode_radius": "bounds"}, minimize="dz", p=0.3, samples=16)
+    found = optimize(DESIGN, {"cgem.L3.anode_radius": "bounds"}, minimize="dz", evaluate=Evaluation(p=0.3, samples=16))
     assert [found.columns["kind"][i] for i in found.front] == ["optimum"]
 
 
@@ -125,7 +127,7 @@ def test_the_free_space_between_parts_is_linear(found: Optimization) -> None:
 
 
 def test_both_searches_find_the_same_optimum_and_keep_all_limits(found: Optimization) -> None:
-    other = optimize(DESIGN, SPACE, method="cobyla", **HOW)
+    other = optimize(DESIGN, SPACE, **HOW, search=Search(method="cobyla"))
     for one in (found, other):
         (best,) = one.front
         assert one.columns["kind"][best] == "optimum"
@@ -143,7 +145,7 @@ def test_no_allowed_design_of_a_sample_is_better(found: Optimization) -> None:
         return {"channels": inventory.channels(detector), "gap": inventory.smallest_gap(detector)}
 
     space = sobol(SPACE, 64)
-    table = sweep(DESIGN, space, p=0.3, samples=64, quantities=["dr"]).to_pandas()
+    table = sweep(DESIGN, space, evaluate=Evaluation(p=0.3, samples=64, quantities=["dr"])).to_pandas()
     more = sweep(DESIGN, space, evaluate=numbers).to_pandas()
     allowed = (more["status"] == "ok") & (more["channels"] <= 10010) & (more["gap"] >= 3)
     assert allowed.sum() > 15
@@ -162,16 +164,24 @@ def test_the_optimum_has_sheets_full_of_whole_strips(found: Optimization) -> Non
 @pytest.mark.slow
 def test_an_objective_without_tracks_ends_at_its_limit() -> None:
     best = optimize(
-        DESIGN, {"cgem.*.pitch_x": ("300 um", "900 um"), "cgem.*.pitch_v": ("300 um", "900 um")}, minimize="channels",
-        constraints={"dr @ 0.3": (None, 320)}, p=[0.3, 1.0], samples=64,
-    )  # fmt: skip
+        DESIGN,
+        {"cgem.*.pitch_x": ("300 um", "900 um"), "cgem.*.pitch_v": ("300 um", "900 um")},
+        minimize="channels",
+        constraints={"dr @ 0.3": (None, 320)},
+        evaluate=Evaluation(p=[0.3, 1.0], samples=64),
+    )
     assert best["sigma_dr at 0.3 GeV/c (um)"][best.front[0]] == pytest.approx(320, rel=2e-3)
     assert best["channels"][best.front[0]] < best["channels"][0]
 
 
 @pytest.mark.slow
 def test_an_optimum_without_an_allowed_design_says_so() -> None:
-    none = optimize(DESIGN, {"cgem.*.pitch_x": ("500 um", "700 um")}, constraints={"channels": (None, 100)}, samples=64)
+    none = optimize(
+        DESIGN,
+        {"cgem.*.pitch_x": ("500 um", "700 um")},
+        constraints={"channels": (None, 100)},
+        evaluate=Evaluation(samples=64),
+    )
     assert none.front == []
     assert "no design keeps all limits" in none.message
     with pytest.raises(ValueError, match="expected the row of a design"):
@@ -185,16 +195,24 @@ def test_every_problem_is_listed_at_once() -> None:
         "cgem.L1.pitch_x": ("600 um", "1 rad"),
         "a": 3,
     }
-    with pytest.raises(OptimizeError) as error:
+    with pytest.raises(PlanError) as error:
         optimize(
-            DESIGN, space, minimize=["dr", "drr", "dz @ 0.7"], constraints={"occupancy": (None, 1), "x0": (2, 1)},
-            method="gradient", p=0.3, calls=-1, events=0, tolerance=2, particle="mu-",
-        )  # fmt: skip
+            DESIGN,
+            space,
+            ["dr", "drr", "dz @ 0.7"],
+            {"occupancy": (None, 1), "x0": (2, 1)},
+            Evaluation(p=0.3),
+            "gradient",
+        )
     text = str(error.value)
+    with pytest.raises(PlanError) as error:
+        optimize(DESIGN, space, evaluate={"events": 0}, search={"method": "gradientt", "calls": -1, "tolerance": 2})
+    text += str(error.value)
     for part in (
         "cgem.L9", "cgem.*.foils, which is a choice", "cgem.L1.pitch_x: got ('600 um', '1 rad')", "a: got 3",
         "'drr'", 'did you mean "dr"?', "'dz @ 0.7', expected one of p: 0.3", "background: got none",
-        "constraints.x0: got (2, 1)", "for 3 objectives", "calls: got -1", "events", "tolerance: got 2",
+        "constraints.x0: got (2, 1)", "for 3 objectives", "search.calls: got -1",
+        "evaluate.events: got 0", "search.tolerance: got 2",
     ):  # fmt: skip
         assert part in text, part
 
@@ -203,25 +221,31 @@ def test_every_problem_is_listed_at_once() -> None:
 def test_a_readout_whose_errors_do_not_follow_the_design_is_refused(readout: str) -> None:
     settings = cg.Settings(digitize=cg.DigitizeSettings(readout=readout))
     space = {"drift_chamber.sigma": ("x0.9", "x1.1"), "cgem.*.pitch_x": ("600 um", "700 um"), "cgem.L1.foils": [2, 3]}
-    expected = f"got read-out '{readout}', .* do not follow cgem.*.pitch_x, cgem.L1.foils; expected 'binary'"
-    with pytest.raises(OptimizeError, match=expected):
-        optimize(DESIGN, space, method="nsga2", settings=settings)
+    expected = f"got read-out '{readout}', .* do not follow cgem.*.pitch_x, cgem.L1.foils, expected 'binary'"
+    with pytest.raises(PlanError, match=expected):
+        optimize(DESIGN, space, evaluate=Evaluation(settings=settings), search=Search(method="nsga2"))
 
 
 def test_a_readout_with_calibrated_errors_is_accepted_where_they_stay() -> None:
     settings = cg.Settings(digitize=cg.DigitizeSettings(readout="tiger"))
-    best = optimize(DESIGN, {"drift_chamber.sigma": ("x0.9", "x1.1")}, minimize="p", samples=2, settings=settings)
+    best = optimize(
+        DESIGN,
+        {"drift_chamber.sigma": ("x0.9", "x1.1")},
+        minimize="p",
+        evaluate=Evaluation(samples=2, settings=settings),
+    )
     assert best["drift_chamber.sigma (times)"][best.front[0]] == pytest.approx(0.9)
-    only = optimize(DESIGN, {"cgem.*.pitch_x": ("600 um", "700 um")}, minimize="channels", settings=settings)
+    only = optimize(
+        DESIGN, {"cgem.*.pitch_x": ("600 um", "700 um")}, minimize="channels", evaluate=Evaluation(settings=settings)
+    )
     assert only["cgem.*.pitch_x (um)"][only.front[0]] == pytest.approx(700, rel=1e-3)
 
 
 def test_a_search_with_failed_evaluations_says_how_many() -> None:
     settings = cg.Settings(digitize=cg.DigitizeSettings(readout="tiger"))
     space = {"cgem.*.pitch_x": ("600 um", "700 um")}
-    found = optimize(
-        DESIGN, space, evaluate="mc", events=40, method="nsga2", population=4, calls=0, settings=settings
-    )  # fmt: skip
+    search = Search(method="nsga2", population=4, calls=0)
+    found = optimize(DESIGN, space, evaluate=Evaluation("mc", events=40, settings=settings), search=search)
     assert found.message.startswith("0 calls; 4 of 4 evaluations failed, the first with CalibrationError: ")
     row = {"status": "failed", "problems": ["ValueError: never"]}
     designs = [Design(1, "value", (1.0,), {"status": "ok"}), Design(2, "value", (2.0,), row)]
@@ -239,7 +263,13 @@ def test_a_search_counts_its_failed_evaluations(monkeypatch: pytest.MonkeyPatch)
         return own(self, detector)
 
     monkeypatch.setattr(Goals, "__call__", fails)
-    found = optimize(DESIGN, {"cgem.*.pitch_x": ("600 um", "1 mm")}, minimize="channels", method="cobyla", samples=2)
+    found = optimize(
+        DESIGN,
+        {"cgem.*.pitch_x": ("600 um", "1 mm")},
+        minimize="channels",
+        evaluate=Evaluation(samples=2),
+        search=Search(method="cobyla"),
+    )
     failed = found.columns["status"].count("failed")
     assert failed > 0
     assert f"; {failed} of {found.evaluations} evaluations failed, the first with ValueError: too wide" in found.message
@@ -247,7 +277,7 @@ def test_a_search_counts_its_failed_evaluations(monkeypatch: pytest.MonkeyPatch)
 
 
 def test_ends_of_a_range_may_have_different_units() -> None:
-    problems: list[str] = []
+    problems = Problems()
     (one, same) = (
         variables_of(DESIGN, {"cgem.*.pitch_x": ends}, problems)[0]
         for ends in (("400 um", "1 mm"), ("400 um", "1000 um"))
@@ -258,27 +288,27 @@ def test_ends_of_a_range_may_have_different_units() -> None:
         assert variables_of(DESIGN, {"cgem.*.pitch_x": wrong}, problems) == ()
     assert len(problems) == 4
     assert variables_of(DESIGN, {"cgem.*.pitch_x": ("1 rad", "2 rad")}, problems) == ()
-    assert "cgem.L1.pitch_x: got" in problems[4]
-    assert "expected a length" in problems[4]
+    assert "cgem.L1.pitch_x: got" in str(problems[4])
+    assert "expected a length" in str(problems[4])
 
 
 def test_wrong_types_are_problems_of_their_arguments() -> None:
-    with pytest.raises(OptimizeError) as error:
+    with pytest.raises(PlanError) as error:
         optimize(
-            DESIGN, [], minimize=3, p=["1 GeV", "x", None], constraints=[1], method="gradientt", evaluate="both",
-            samples=0, background={"rat": 3},
+            DESIGN, [], 3, [1], {"method": "both", "p": ["1 GeV", "x", None], "samples": 0}, "gradientt", {"rat": 3},
         )  # type: ignore[arg-type]  # fmt: skip
     for part in (
-        "space: got []", "minimize: got 3", "p: got '1 GeV'", "p: got 'x'", "p: got None", "constraints: got [1]",
-        'did you mean "gradient"?', "evaluate: got 'both'", "samples: got 0", "background: got {'rat': 3}",
+        "space: got []", "minimize: got 3", 'p[0]: got "1 GeV"', 'p[1]: got "x"', "p[2]: got None",
+        "constraints: got [1]", "background.rat: got an unknown key",
+        'did you mean "gradient"?', "evaluate.method: got 'both'", "samples: got 0",
     ):  # fmt: skip
         assert part in str(error.value), part
 
 
 def test_an_impossible_start_is_a_problem() -> None:
     space = {"cgem.L1.anode_radius": ("110 mm", "115 mm"), "cgem.L2.anode_radius": ("105 mm", "110 mm")}
-    with pytest.raises(OptimizeError, match=r"start: .*no overlap with cgem.L2"):
-        optimize(DESIGN, space, samples=64)
+    with pytest.raises(PlanError, match=r"start\..*no overlap with cgem.L2"):
+        optimize(DESIGN, space, evaluate=Evaluation(samples=64))
 
 
 def test_simulation_confirms_the_optimum(found: Optimization) -> None:
@@ -357,7 +387,9 @@ def test_the_command_line_writes_what_python_returns(tmp_path: Path, capsys: pyt
 def test_the_plans_of_the_documentation_run(tmp_path: Path) -> None:
     plans = Path(__file__).resolve().parents[2] / "docs" / "plans"
     page = (plans.parent / "optimize.md").read_text()
-    assert not [key for table in KEYS.values() for key in table if f"`{key}`" not in page and f"[{key}" not in page]
+    keys = [*KEYS, *(one.name for cls in (Evaluation, Search, Background) for one in dataclasses.fields(cls))]
+    unsaid = [key for key in keys if f"`{key}`" not in page and f"[{key}" not in page]
+    assert set(unsaid) <= {"quantities", "chunk"}  # which an optimization sets itself
     result = read_optimize_plan(plans / "front.toml", {"search.calls": 0, "search.population": 4}).run()
     assert len(result) == 5
     assert read_optimize_plan(plans / "optimum.toml").arguments["constraints"] == LIMITS
@@ -381,7 +413,7 @@ def test_the_command_line_refuses_other_folders_and_lists_problems(
     )
     assert main(["optimize", str(plan), "-o", str(tmp_path / "new")]) == 2
     error = capsys.readouterr().err
-    assert all(part in error for part in ("minimise: an unknown key", "evaluate.x: an", "search.y: an"))
+    assert all(part in error for part in ("minimise: got an unknown key", "evaluate.x: got an", "search.y: got an"))
     plan.write_text(PLAN)
     (tmp_path / "foreign").mkdir()
     (tmp_path / "foreign" / "file").write_text("")

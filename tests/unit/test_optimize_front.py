@@ -15,7 +15,7 @@ from optuna.storages.journal import JournalFileBackend
 import cgemit as cg
 from cgemit.analysis.widths import GROUPS
 from cgemit.draw.design import optimum_label as label
-from cgemit.study import Optimization, OptimizeError, optimize
+from cgemit.study import Evaluation, Optimization, PlanError, Search, optimize
 from cgemit.study.optimize.pareto import by_noise, growth, hypervolume, nondominated, within_errors
 from kill_sweeps import executor
 
@@ -27,15 +27,20 @@ SPACE = {
     "cgem.*.foils": [1, 2, 3],
 }
 HOW: dict[str, Any] = {
-    "minimize": ["dr @ 0.3", "dz", "channels"], "p": [0.3, 1.0], "samples": 40, "population": 12, "offspring": 5,
+    "minimize": ["dr @ 0.3", "dz", "channels"],
+    "evaluate": Evaluation(p=[0.3, 1.0], samples=40),
     "constraints": {"x0": (None, 1.3)},
-}  # fmt: skip
+}
+
+
+def search(calls: int, population: int = 12) -> Search:
+    return Search(population=population, offspring=5, calls=calls)
 
 
 @pytest.fixture(scope="module")
 def found(tmp_path_factory: pytest.TempPathFactory) -> tuple[Optimization, Path]:
     folder = tmp_path_factory.mktemp("front")
-    return optimize(DESIGN, SPACE, calls=6, output=folder, **HOW), folder
+    return optimize(DESIGN, SPACE, output=folder, **HOW, search=search(6)), folder
 
 
 def points(n: int, dimensions: int) -> Any:
@@ -103,8 +108,8 @@ def test_the_front_of_a_search_keeps_the_limits_and_is_dominated_by_nothing(foun
 @pytest.mark.slow
 def test_evolution_beats_random_designs() -> None:
     how = HOW | {"minimize": ["dr @ 0.3", "channels"], "constraints": {}}
-    evolved = optimize(DESIGN, SPACE, calls=12, **how)
-    random = optimize(DESIGN, SPACE, calls=0, **how | {"population": 72})
+    evolved = optimize(DESIGN, SPACE, **how, search=search(12))
+    random = optimize(DESIGN, SPACE, **how, search=search(0, population=72))
     volumes = []
     for one in (evolved, random):
         values = np.array([one["sigma_dr at 0.3 GeV/c (um)"], one["channels"]]).T[one.front]
@@ -115,19 +120,19 @@ def test_evolution_beats_random_designs() -> None:
 
 def test_an_interrupted_search_continues_to_the_same_end(found: tuple[Optimization, Path], tmp_path: Path) -> None:
     _, whole = found
-    optimize(DESIGN, SPACE, calls=2, output=tmp_path, **HOW)
+    optimize(DESIGN, SPACE, output=tmp_path, **HOW, search=search(2))
     (journal,) = (tmp_path / "journals").iterdir()
     with journal.open("ab") as stream:  # killed while it wrote the next call
         stream.write((whole / "journals" / journal.name).read_bytes()[journal.stat().st_size :][:3000])
     chunk = next(iter((tmp_path / "chunks").iterdir()))
     chunk.write_bytes(chunk.read_bytes()[:-20])
-    optimize(DESIGN, SPACE, calls=6, output=tmp_path, **HOW)
+    optimize(DESIGN, SPACE, output=tmp_path, **HOW, search=search(6))
     assert (tmp_path / "optimize.csv").read_bytes() == (whole / "optimize.csv").read_bytes()
     trials = JournalStorage(JournalFileBackend(str(journal))).get_all_trials(0)
     assert len(trials) == 42
     # Once more: nothing is asked, nothing is computed.
     before = journal.read_bytes()
-    optimize(DESIGN, SPACE, calls=6, output=tmp_path, **HOW)
+    optimize(DESIGN, SPACE, output=tmp_path, **HOW, search=search(6))
     assert journal.read_bytes() == before
 
 
@@ -135,28 +140,28 @@ def test_an_interrupted_search_continues_to_the_same_end(found: tuple[Optimizati
 @pytest.mark.filterwarnings("ignore")  # of dask, about the cluster that is taken apart
 def test_dask_finds_what_one_process_finds(found: tuple[Optimization, Path], tmp_path: Path) -> None:
     with executor("dask") as workers:
-        other = optimize(DESIGN, SPACE, calls=6, output=tmp_path / "dask", executor=workers, **HOW)
+        other = optimize(DESIGN, SPACE, output=tmp_path / "dask", executor=workers, **HOW, search=search(6))
     assert (tmp_path / "dask" / "optimize.csv").read_bytes() == (found[1] / "optimize.csv").read_bytes()
     assert other.columns == found[0].columns
 
 
 def test_a_file_that_is_no_journal_is_a_problem(tmp_path: Path) -> None:
-    optimize(DESIGN, SPACE, calls=0, output=tmp_path, **HOW)
+    optimize(DESIGN, SPACE, output=tmp_path, **HOW, search=search(0))
     (journal,) = (tmp_path / "journals").iterdir()
     journal.write_text("[1]\n")
     with pytest.raises(ValueError, match="expected a journal of Optuna"):
-        optimize(DESIGN, SPACE, calls=0, output=tmp_path, **HOW)
+        optimize(DESIGN, SPACE, output=tmp_path, **HOW, search=search(0))
 
 
 def test_a_missing_package_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "optuna", None)
-    with pytest.raises(OptimizeError, match=r"pip install \"cgemit\[opt\]\""):
-        optimize(DESIGN, SPACE, calls=0, **HOW)
+    with pytest.raises(PlanError, match=r"pip install \"cgemit\[opt\]\""):
+        optimize(DESIGN, SPACE, **HOW, search=search(0))
 
 
 def test_one_objective_with_choices_has_an_optimum() -> None:
-    how = HOW | {"minimize": "dr", "constraints": {}, "calls": 2}
-    best = optimize(DESIGN, SPACE, **how)
+    how = HOW | {"minimize": "dr", "constraints": {}}
+    best = optimize(DESIGN, SPACE, **how, search=search(2))
     assert best.method == "nsga2"
     (row,) = best.front
     assert best["sigma_dr (um)"][row] == best["sigma_dr (um)"][1:][best["allowed"][1:]].min()

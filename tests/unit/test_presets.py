@@ -159,7 +159,7 @@ def test_offset_of_v_strips_in_files() -> None:
         with pytest.raises(DetectorError, match=r'L1.offset_v: .*expected "centred", or a number from 0'):
             load({"base": "besiii-cgem", "cgem": {"L1": {"offset_v": wrong}}})
     with pytest.raises(
-        DetectorError, match=r"1173 strips of 0.66 mm after an offset of 1 strips; expected at most 1172"
+        DetectorError, match=r"1173 strips of 0.66 mm after an offset of 1 strips, expected at most 1172"
     ):
         load({"base": "besiii-cgem", "cgem": {"L1": {"offset_v": 1}}})
 

@@ -247,9 +247,9 @@ def test_electrons_start_in_matter(name: str) -> None:
 
 
 def test_electrons_need_a_detector() -> None:
-    with pytest.raises(ParticleError, match="detector: got none; expected one, since its particles start in matter"):
+    with pytest.raises(ParticleError, match="detector: got none, expected one, since its particles start in matter"):
         generate(cg.sample("electrons"), 1, seed=1)
-    with pytest.raises(ParticleError, match="radius: got 30; expected none, this sample has p, cos_theta"):
+    with pytest.raises(ParticleError, match="radius: got 30, expected none, this sample has p, cos_theta"):
         cg.sample("electrons", radius=30)
 
 

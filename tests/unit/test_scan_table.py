@@ -82,7 +82,9 @@ def test_every_number_of_the_table_is_that_of_the_tracks(pair: list[Any], tmp_pa
 def test_columns_of_sweeps_have_the_same_names_and_numbers() -> None:
     found = scan(DESIGN, [1.0], cos_theta=0.0, events=200, seed=3).to_pandas()
     swept = cg.study.sweep(
-        DESIGN, {"cgem.L1.pitch_x": ["600 um"]}, evaluate="mc", p=[1.0], cos_theta=0.0, events=200, seed=3
+        DESIGN,
+        {"cgem.L1.pitch_x": ["600 um"]},
+        evaluate=cg.study.Evaluation("mc", p=[1.0], cos_theta=0.0, events=200, seed=3),
     ).to_pandas()
     shared = [name for name in swept if name.startswith("sigma_")]
     assert len(shared) == 14

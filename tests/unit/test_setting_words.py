@@ -31,7 +31,7 @@ def wrong_fields(make: Callable[[], object]) -> list[str]:
     try:
         make()
     except SettingsError as error:
-        return [problem.partition(":")[0] for problem in error.problems]
+        return [problem.path.partition("[")[0] for problem in error.problems]
     return []
 
 

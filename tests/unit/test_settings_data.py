@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import tomllib
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,7 +11,8 @@ from typing import Any, ClassVar, Literal, get_args
 import numpy as np
 import pytest
 
-from cgemit.base.settings import NO, Positive, SettingsData, SettingsError, expected, kinds_of, matched, one_of
+from cgemit.base.settings import SettingsData, SettingsError
+from cgemit.base.validate import NO, Positive, expected, kinds_of, matched, one_of
 from cgemit.chain.settings import Settings
 from cgemit.reconstruction.clusterers.clusterer import ClusterSettings
 from cgemit.reconstruction.fit import FitSettings
@@ -75,19 +75,17 @@ def test_files_give_back_what_was_written(settings: SettingsData, tmp_path: Path
     kind = type(settings)
     assert kind.from_toml(settings.to_toml()) == settings
     assert kind.from_toml(settings.to_toml(comments=True)) == settings
-    assert kind.from_json(settings.to_json()) == settings
     assert kind.from_dict(settings.to_dict()) == settings
-    for name in ("s.toml", "s.json"):
-        settings.save(tmp_path / name)
-        assert kind.load(tmp_path / name) == settings
-        assert repr(kind.load(tmp_path / name)) == repr(settings)
+    settings.save(tmp_path / "s.toml")
+    assert kind.load(tmp_path / "s.toml") == settings
+    assert repr(kind.load(tmp_path / "s.toml")) == repr(settings)
     with pytest.raises(FileExistsError):
         settings.save(tmp_path / "s.toml")
 
 
 def test_every_field_of_every_stage_is_in_the_files() -> None:
     tables = tomllib.loads(CHANGED.to_toml())
-    assert json.loads(CHANGED.to_json()).keys() == tables.keys() == {f.name for f in dataclasses.fields(Settings)}
+    assert tables.keys() == {f.name for f in dataclasses.fields(Settings)}
     for stage in tables:
         given = getattr(CHANGED, stage)
         assert set(tables[stage]) == {f.name for f in dataclasses.fields(given)}
@@ -102,7 +100,6 @@ def test_none_is_left_out_where_it_is_the_default_and_is_a_word_elsewhere() -> N
     assert "screening" not in tomllib.loads(FitSettings().to_toml())
     assert FitSettings.from_toml('screening = "none"') == FitSettings()
     assert tomllib.loads(Toy(limit=None).to_toml())["limit"] == "none"
-    assert json.loads(FitSettings().to_json())["screening"] is None
 
 
 def test_a_choice_is_a_table_with_a_name_or_the_name_alone() -> None:
@@ -139,7 +136,7 @@ def test_a_choice_that_is_added_later_counts() -> None:
         toy = Toy.from_toml('later = {name = "pixels", side = 0.1}')
         assert toy.later == Pixels(side=0.1)
         assert Toy.from_toml(toy.to_toml(comments=True)) == toy
-        with pytest.raises(SettingsError, match=r"\n  later\.side: got -1, expected a size"):
+        with pytest.raises(SettingsError, match=r"\n  later: side: got -1, expected a size"):
             Toy.from_toml('later = {name = "pixels", side = -1}')
     finally:
         del KNOWN["pixels"]
@@ -155,14 +152,14 @@ def test_all_problems_of_a_file_are_listed_at_once(tmp_path: Path) -> None:
     with pytest.raises(SettingsError) as error:
         Settings.load(file)
     assert error.value.source == str(file)
-    assert sorted(error.value.problems) == sorted(
+    assert sorted(map(str, error.value.problems)) == sorted(
         [
             f"fits: got an unknown key, expected one of {', '.join(kinds_of(Settings))}; did you mean \"fit\"?",
             f"fit.los: got an unknown key, expected one of {', '.join(kinds_of(FitSettings))}; did you mean \"loss\"?",
             "fit.loss: got 'meen', expected one of 'truncated', 'mean', 'most_probable'; did you mean \"mean\"?",
             "fit.tolerance: got -1, expected a positive number",
             "fit.prior_sigma: got [1, 2], expected a list of 5, each a number not below 1e-12",
-            f"fit.states: got 'nowhere', expected a positive radius in mm, or one of {SURFACES}",
+            f"fit.states[1]: got 'nowhere', expected a positive radius in mm, or one of {SURFACES}",
             "simulate.deltas: got 'no', expected True or False",
             "simulate.foil: got 'lattice', expected 'effective' unless fluctuations are 'full'",
             "cluster.reference_p: got '1 GeV', expected a positive number",
@@ -180,8 +177,6 @@ def test_files_that_cannot_be_read(text: str | None, message: str, tmp_path: Pat
         file.write_text(text, encoding="utf-8")
     with pytest.raises(SettingsError, match=message):
         Settings.load(file)
-    with pytest.raises(SettingsError, match="expected tables of settings"):
-        Settings.from_json("[1]")
 
 
 def test_later_layers_lie_over_earlier_ones_and_problems_name_theirs() -> None:
@@ -190,7 +185,7 @@ def test_later_layers_lie_over_earlier_ones_and_problems_name_theirs() -> None:
     assert both == Settings(fit=FitSettings(loss="mean", tolerance=0.2))
     with pytest.raises(SettingsError) as error:
         Settings.from_layers([("a.toml", {"fit": {"loss": "m"}}), ("--set", {"fit": {"tolerance": 0}, "find": 1})])
-    assert [problem.partition(": got")[0] for problem in error.value.problems] == [
+    assert [problem.path for problem in error.value.problems] == [
         "a.toml: fit.loss", "--set: fit.tolerance", "--set: find",
     ]  # fmt: skip
 

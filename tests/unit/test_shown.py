@@ -89,7 +89,7 @@ def test_keys_are_completed(result: cg.Result) -> None:
         assert keys
         for key in keys:
             one[key]
-    swept = study.sweep(DESIGN, {"cgem.L1.pitch_x": ["600 um"]}, p=[1.0])
+    swept = study.sweep(DESIGN, {"cgem.L1.pitch_x": ["600 um"]}, evaluate=study.Evaluation(p=[1.0]))
     assert "sigma_dr (um)" in swept._ipython_key_completions_()
 
 

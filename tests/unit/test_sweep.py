@@ -16,9 +16,9 @@ import cgemit as cg
 from cgemit.analysis.widths import jackknife, without_groups
 from cgemit.detector import Detector
 from cgemit.reconstruction.fit import FitStatus
-from cgemit.study import grid, latin_hypercube, sobol, sweep
+from cgemit.study import Evaluation, grid, latin_hypercube, sobol, sweep
 from cgemit.study.samples import seed_of
-from cgemit.study.sweep.space import SpaceError, key_problems
+from cgemit.study.sweep.space import PlanError, key_problems
 
 DESIGN = cg.load("besiii-cgem-design")
 PITCHES = {"cgem.*.pitch_x": ["400 um", "900 um"], "cgem.L2.anode_radius": ["132.5 mm", "160 mm"]}
@@ -86,25 +86,30 @@ def test_samples_fill_their_ranges(sample: Callable[..., Any]) -> None:
 
 
 def test_problems_of_spaces_and_arguments_are_all_listed() -> None:
-    with pytest.raises(SpaceError) as caught:
+    with pytest.raises(PlanError) as caught:
         sobol({"a": ("1 mm", "2 um"), "b": ("3 mm", "1 mm"), "c": 4}, 0)
     assert [line.partition(":")[0].strip() for line in str(caught.value).splitlines()[1:]] == ["n", "a", "b", "c"]
-    with pytest.raises(SpaceError, match="each value once"):
+    with pytest.raises(PlanError, match="each value once"):
         grid({"a": [1, 1]})
-    with pytest.raises(ValueError, match="wrong sweep") as wrong:
-        sweep(DESIGN, PITCHES, evaluate="magic", p=-1, part=(3, 2), chunk=0, events=0, quantities=["x"], samples=0)  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="sweep: 7 problems") as wrong:
+        sweep(
+            DESIGN,
+            PITCHES,
+            {"method": "magic", "p": -1, "chunk": 0, "events": 0, "quantities": ["x"], "samples": 0},
+            part=(3, 2),
+        )  # type: ignore[arg-type]
     for text in (
-        "evaluate: got 'magic'",
-        "events: 0",
-        "p[0]: got",
+        "evaluate.method: got 'magic'",
+        "events: got 0",
+        "evaluate.p: got",
         "part: got (3, 2)",
         "chunk: got 0",
-        "quantities: got x",
+        "quantities[0]: got 'x'",
         "samples: got 0",
     ):
         assert text in str(wrong.value)
     with pytest.raises(ValueError, match="expected a charged particle"):
-        sweep(DESIGN, PITCHES, particle="gamma")
+        sweep(DESIGN, PITCHES, evaluate=Evaluation(particle="gamma"))
 
 
 @pytest.mark.parametrize(
@@ -124,7 +129,7 @@ def test_keys_that_name_nothing_are_refused_at_once(changes: dict[str, Any], exp
     def never(detector: Detector) -> dict[str, Any]:
         raise AssertionError
 
-    with pytest.raises(SpaceError) as caught:
+    with pytest.raises(PlanError) as caught:
         sweep(DESIGN, [{"cgem.L1.foils": 2}, changes], evaluate=never)
     (text,) = str(caught.value).splitlines()[1:]
     assert text.strip().startswith(expected[0])
@@ -148,7 +153,7 @@ def test_columns_that_only_some_variants_have() -> None:
         more = {"few": True, "word": "two", "mixed": "two"} if detector.cgem[0].foils == 2 else {"mixed": 1}
         return {"foils": detector.cgem[0].foils, **more}
 
-    found = sweep(DESIGN, {"cgem.L1.foils": [1, 2]}, evaluate=own, chunk=2)
+    found = sweep(DESIGN, {"cgem.L1.foils": [1, 2]}, evaluate=Evaluation(own, chunk=2))
     assert found.results == ("foils", "mixed", "few", "word")
     assert found.columns["foils"] == [3, 1, 2]
     assert all(type(value) is int for value in found.columns["foils"])
@@ -163,16 +168,19 @@ def test_neighbours_in_a_chunk_do_not_matter(monkeypatch: pytest.MonkeyPatch) ->
              {"cgem.L2.anode_radius": "30 mm"}, {"base": "kloe2-like"},
              {"field": {"kind": "uniform", "bz": "0.5 T"}}]  # fmt: skip
     alone, together = (
-        sweep(DESIGN, space, p=[0.05, 0.5], cos_theta=[0.2, (-0.9, 0.9)], chunk=chunk) for chunk in (1, 7)
+        sweep(DESIGN, space, evaluate=Evaluation(p=[0.05, 0.5], cos_theta=[0.2, (-0.9, 0.9)], chunk=chunk))
+        for chunk in (1, 7)
     )
     monkeypatch.setattr("cgemit.covariance.result._MOST_TRACKS", 512)
-    split = sweep(DESIGN, space, p=[0.05, 0.5], cos_theta=[0.2, (-0.9, 0.9)], chunk=7)
+    split = sweep(DESIGN, space, evaluate=Evaluation(p=[0.05, 0.5], cos_theta=[0.2, (-0.9, 0.9)], chunk=7))
     assert repr(together.columns) == repr(alone.columns) == repr(split.columns)
     assert alone.columns["status"].count("ok") == 24
 
 
 def test_simulated_resolutions_are_those_of_a_run(tmp_path: Path) -> None:
-    found = sweep(DESIGN, {"cgem.*.pitch_x": ["900 um"]}, evaluate="mc", p=[0.3, 1.0], cos_theta=0.2, events=300)
+    found = sweep(
+        DESIGN, {"cgem.*.pitch_x": ["900 um"]}, evaluate=Evaluation("mc", p=[0.3, 1.0], cos_theta=0.2, events=300)
+    )
     assert found.columns["p (GeV/c)"] == [0.3, 1.0, 0.3, 1.0]
     result = cg.run(found.detector(1), cg.Gun("mu-", p=1.0, cos_theta=0.2), 300, seed_of(1, 2))
     for name, unit in (("dr", "um"), ("dz", "mm"), ("p", "MeV/c"), ("phi0", "mrad"), ("tanl", "1e-3")):
@@ -187,7 +195,9 @@ def test_simulated_resolutions_are_those_of_a_run(tmp_path: Path) -> None:
 
 def test_analytic_resolutions_are_those_of_the_covariance() -> None:
     space = {"cgem.*.pitch_x": ["900 um"], "drift_chamber.sigma": ["x1", "x2"]}
-    found = sweep(DESIGN, space, p=[0.01, 0.3, 1.0], cos_theta=[0.2, (-0.5, 0.5)], particle="pi+", chunk=2)
+    found = sweep(
+        DESIGN, space, evaluate=Evaluation(p=[0.01, 0.3, 1.0], cos_theta=[0.2, (-0.5, 0.5)], particle="pi+", chunk=2)
+    )
     one, mixed = (cg.analytic(found.detector(2), "pi+", [0.01, 0.3, 1.0], c) for c in (0.2, (-0.5, 0.5)))
     rows = slice(12, 18)  # of variant 2: momenta, and for each the two angles
     assert found.columns["cos_theta"][rows] == ["0.2", "-0.5:0.5"] * 3
@@ -198,12 +208,12 @@ def test_analytic_resolutions_are_those_of_the_covariance() -> None:
     assert found.columns["tracks"][rows][::2] == [FitStatus(int(status)).name for status in one.status]
     assert found.columns["tracks"][12] != "ok" == found.columns["tracks"][14]
     assert found.columns["sigma_p (MeV/c)"][16] > 1.5 * found.columns["sigma_p (MeV/c)"][10]
-    few = sweep(DESIGN, space, quantities=["dz", "pt"], samples=3)
+    few = sweep(DESIGN, space, evaluate=Evaluation(quantities=["dz", "pt"], samples=3))
     assert [name for name in few.results if name.startswith("sigma")] == ["sigma_dz (mm)", "sigma_pt (MeV/c)"]
     expected = cg.analytic(few.detector(1), samples=3).sigma("dz")
     assert few.columns["sigma_dz (mm)"][1] == pytest.approx(float(expected), rel=1e-12)
     read_out = cg.Settings(digitize=cg.DigitizeSettings(readout=cg.GaussianReadout(sigma_x=0.3, sigma_v=0.3)))
-    changed = sweep(DESIGN, space, settings=read_out)
+    changed = sweep(DESIGN, space, evaluate=Evaluation(settings=read_out))
     expected = cg.analytic(changed.detector(1), readout=read_out.digitize.readout).sigma("dr")
     assert changed.columns["sigma_dr (um)"][1] == pytest.approx(float(expected), rel=1e-12)
 

@@ -12,7 +12,7 @@ import pytest
 
 import cgemit as cg
 from cgemit.detector import Detector
-from cgemit.study import sweep
+from cgemit.study import Evaluation, sweep
 from cgemit.study.sweep.run import Task, rows_of_text, work
 
 DESIGN = cg.load("besiii-cgem-design")
@@ -59,13 +59,14 @@ class Losing(Counting):
 
 
 def test_what_an_executor_loses_is_computed_once_more(tmp_path: Path) -> None:
-    expected = sweep(DESIGN, PITCHES, evaluate=channels, chunk=1)
+    expected = sweep(DESIGN, PITCHES, evaluate=Evaluation(channels, chunk=1))
     tasks = len(expected)
-    found = sweep(DESIGN, PITCHES, evaluate=channels, chunk=1, output=tmp_path / "out", executor=(losing := Losing(2)))
+    losing = Losing(2)
+    found = sweep(DESIGN, PITCHES, Evaluation(channels, chunk=1), output=tmp_path / "out", executor=losing)
     assert losing.submitted == tasks + 2
     assert found.columns == expected.columns
     with pytest.raises(ValueError, match="too many values to unpack"):
-        sweep(DESIGN, PITCHES, evaluate=channels, chunk=1, executor=Losing(tasks + 1))
+        sweep(DESIGN, PITCHES, evaluate=Evaluation(channels, chunk=1), executor=Losing(tasks + 1))
 
 
 class Unfinished:
@@ -149,8 +150,9 @@ def test_damaged_chunks_are_found_and_computed_anew(tmp_path: Path, damage: str)
 def test_chunks_depend_on_all_that_results_depend_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def computed(**how: Any) -> int:
         counted = Counting()
-        given: dict[str, Any] = {"evaluate": "mc", "events": 20, "output": tmp_path, "executor": counted}
-        sweep(how.pop("base", DESIGN), {"cgem.L1.foils": [2]}, **(given | how))
+        base = how.pop("base", DESIGN)
+        evaluate = Evaluation("mc", **{"events": 20} | how)
+        sweep(base, {"cgem.L1.foils": [2]}, evaluate, output=tmp_path, executor=counted)
         return counted.submitted
 
     assert computed() == 2

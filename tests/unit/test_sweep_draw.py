@@ -9,7 +9,7 @@ import pytest
 
 import cgemit as cg
 from cgemit.draw.design import draw_sweep, label
-from cgemit.study import Sweep, latin_hypercube, sweep
+from cgemit.study import Evaluation, Sweep, latin_hypercube, sweep
 
 DESIGN = cg.load("besiii-cgem-design")
 
@@ -21,7 +21,7 @@ def strips(detector: cg.Detector) -> dict[str, Any]:
 
 
 def simulated() -> Sweep:
-    return sweep(DESIGN, {"cgem.*.pitch_x": ["900 um", "400 um"]}, evaluate="mc", p=[0.3, 1.0], events=100)
+    return sweep(DESIGN, {"cgem.*.pitch_x": ["900 um", "400 um"]}, evaluate=Evaluation("mc", p=[0.3, 1.0], events=100))
 
 
 @pytest.mark.slow
@@ -102,7 +102,9 @@ def test_a_table_with_the_base_alone_has_nothing_to_draw(count: int) -> None:
 
 def test_parallel_coordinates_are_of_the_first_point_with_a_variant() -> None:
     keys = ("cgem.*.foils", "cgem.*.pitch_x", "cgem.*.pitch_v")
-    found = sweep(DESIGN, [dict(zip(keys, (2, "400 um", "400 um"), strict=True))], p=[0.3, 1.0], samples=2)
+    found = sweep(
+        DESIGN, [dict(zip(keys, (2, "400 um", "400 um"), strict=True))], evaluate=Evaluation(p=[0.3, 1.0], samples=2)
+    )
     columns = {**found.columns, "sigma_dr (um)": [300.0, 150.0, float("nan"), 140.0]}
     axes = draw_sweep(columns, found.parameters, "sigma_dr (um)").axes[0]
     assert axes.get_title() == "p = 1 GeV/c, cos θ = 0"
@@ -110,7 +112,9 @@ def test_parallel_coordinates_are_of_the_first_point_with_a_variant() -> None:
 
 @pytest.mark.slow
 def test_budgets_of_variants_are_bars_that_add_up_to_the_variance() -> None:
-    found = sweep(DESIGN, {"cgem.L2.anode_radius": ["120 mm", "165 mm", "145 mm"]}, p=[0.3, 1.0], samples=16)
+    found = sweep(
+        DESIGN, {"cgem.L2.anode_radius": ["120 mm", "165 mm", "145 mm"]}, evaluate=Evaluation(p=[0.3, 1.0], samples=16)
+    )
     picture = found.draw_budgets("dr", "cause", point=1)
     (axes,) = picture.axes
     names = [text.get_text() for text in axes.get_yticklabels()]

@@ -72,7 +72,7 @@ def test_a_copied_layer_recomputes_its_strips() -> None:
     assert inner.stereo == pytest.approx(math.atan2(578 * 0.65, 532), rel=1e-15)
     assert cg.load({"base": "besiii-cgem-design", "cgem": {"L0": changes["cgem.L0"]}}).cgem == found.cgem
     assert problems({"cgem.L0": {"like": "L9"}}) == [
-        'cgem.L0.like: got "L9"; expected the label of another layer: L1, L2, L3'
+        'cgem.L0.like: got "L9", expected the label of another layer: L1, L2, L3'
     ]
 
 
@@ -101,12 +101,12 @@ def test_like_lists_what_is_no_key_of_a_layer() -> None:
     with pytest.raises(cg.DetectorError) as info:
         cg.like("", anode_radus="62 mm", like="L2")
     assert [str(problem) for problem in info.value.problems] == [
-        'label: got ""; expected the label of another layer',
-        'anode_radus: got "62 mm"; expected a key of a CGEM layer (did you mean "anode_radius"?)',
-        'like: got "L2"; expected a key of a CGEM layer',
+        'label: got "", expected the label of another layer',
+        'anode_radus: got "62 mm", expected a key of a CGEM layer; did you mean "anode_radius"?',
+        'like: got "L2", expected a key of a CGEM layer',
     ]
     assert problems({"cgem.L0": cg.like("L9")}) == [
-        'cgem.L0.like: got "L9"; expected the label of another layer: L1, L2, L3'
+        'cgem.L0.like: got "L9", expected the label of another layer: L1, L2, L3'
     ]
 
 
@@ -123,12 +123,12 @@ def test_tables_single_values_and_removal_go_together() -> None:
 
 def test_problems_are_all_listed() -> None:
     assert problems({"cgem.X*.pitch_x": "1 mm", "cgem.L1.foils": "x1.5", "cgem.L1.pitch": "x2"}) == [
-        'cgem.X*.pitch_x: got "X*", which matches nothing; expected a pattern for L1, L2, L3',
-        'cgem.L1.foils: got "x1.5" times 3; expected a whole number from 1 to 5',
-        'cgem.L1.pitch: got "x2"; expected a number of the detector (did you mean "pitch_x"?)',
+        'cgem.X*.pitch_x: got "X*", which matches nothing, expected a pattern for L1, L2, L3',
+        'cgem.L1.foils: got "x1.5" times 3, expected a whole number from 1 to 5',
+        'cgem.L1.pitch: got "x2", expected a number of the detector; did you mean "pitch_x"?',
     ]
     first, *overlaps = problems({"cgem.L2.drift_gap": "x20"})
-    assert first.startswith("cgem.L2.drift_gap: got 100.0 mm; expected a length with its unit")
+    assert first.startswith("cgem.L2.drift_gap: got 100.0 mm, expected a length with its unit")
     assert len(overlaps) == 1
 
 

@@ -16,7 +16,7 @@ from cgemit import _core
 from cgemit.analysis.quantities import QUANTITIES, quantity_of
 from cgemit.analysis.widths import HEAD, Floats, Pulls, Resolution, Resolutions, measure, stacked
 from cgemit.base.errors import did_you_mean
-from cgemit.base.settings import InTurn
+from cgemit.base.validate import InTurn
 from cgemit.chain.result import Result, TrackColumns, track_columns, tracks_of
 from cgemit.particles.species import species
 from cgemit.tables import PARAMETERS, Table

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from cgemit.base.errors import did_you_mean
-from cgemit.base.settings import number
+from cgemit.base.validate import number
 from cgemit.tables.show import Comparable, Shown, Tabular, html_table, with_error
 
 Floats = npt.NDArray[np.float64]

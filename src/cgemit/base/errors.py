@@ -1,40 +1,98 @@
-"""Errors that list all problems of an input at once, each with its path and a hint."""
+"""Problems of an input as objects: path to the value, what was given, what was expected, and a hint.
+
+Checks add them to a list of `Problems`, which is raised as one error. The text is made when the error is shown.
+"""
 
 from __future__ import annotations
 
 import difflib
-from collections.abc import Callable, Iterable, Sequence
-from typing import Any, Generic, NamedTuple, TypeVar
+import json
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any, NamedTuple, NoReturn, TypeVar
 
-P = TypeVar("P")
 R = TypeVar("R")
 
 
 class Problem(NamedTuple):
-    """One mistake: path to the value, what was given, what was expected, and a hint (may be empty)."""
+    """One mistake in an input.
+
+    Attributes
+    ----------
+    path : str
+        Path to the value, such as ``cgem.L2.pitch_x`` or ``evaluate.p[1]``; empty for the input as a whole.
+    given, expected : str
+        The value in short form, and the allowed values; `expected` is empty where `given` says it all.
+    hint : str
+        May be empty.
+    unknown : bool
+        Whether the path names nothing that exists.
+    """
 
     path: str
     given: str
     expected: str
     hint: str = ""
+    unknown: bool = False
 
     def __str__(self) -> str:
-        hint = f" ({self.hint})" if self.hint else ""
-        return f"{self.path or 'file'}: got {self.given}; expected {self.expected}{hint}"
+        return (f"{self.path}: " if self.path else "") + wrong(self.given, self.expected, self.hint)
+
+    def below(self, path: str) -> Problem:
+        """Return the problem of the same value with a path that begins one level higher."""
+        return self._replace(path=joined(path, self.path))
 
 
-class ProblemsError(ValueError, Generic[P]):
+def wrong(given: str, expected: str, hint: str = "") -> str:
+    """Return the text about a wrong value."""
+    return (f"got {given}, expected {expected}" if expected else given) + (f"; {hint}" if hint else "")
+
+
+#: Characters of a value that messages show.
+LONGEST_SHOWN = 80
+
+
+def shown(raw: object) -> str:
+    """Return a value of a file in short form, as TOML would write it."""
+    if isinstance(raw, Mapping):
+        return "a table"
+    if isinstance(raw, list):
+        return f"a list of {len(raw)}"
+    if isinstance(raw, bool):
+        return str(raw).lower()
+    try:
+        text = json.dumps(raw, ensure_ascii=False) if isinstance(raw, str) else repr(raw)
+    except ValueError:  # a whole number of thousands of digits
+        return "a number too large to write"
+    return text if len(text) <= LONGEST_SHOWN else text[:LONGEST_SHOWN] + "..."
+
+
+def joined(path: str, name: str) -> str:
+    """Return the path to a value in the table at `path`; `name` may be an index such as ``[1]``, or empty."""
+    return f"{path}.{name}" if path and name and not name.startswith("[") else path + name
+
+
+class WrongValueError(ValueError):
+    """A value that cannot be used, refused by a function that does not know the path to it."""
+
+    def __init__(self, given: str, expected: str, hint: str = "") -> None:
+        self.given, self.expected, self.hint = given, expected, hint
+        super().__init__(wrong(given, expected, hint))
+
+    def __reduce__(self) -> tuple[type[WrongValueError], tuple[str, str, str]]:
+        return type(self), (self.given, self.expected, self.hint)
+
+
+class ProblemsError(ValueError):
     """Bad input; the message has one line for each problem.
 
     Attributes
     ----------
     source : str
         The input with the problems.
-    problems : tuple
-        Its problems.
+    problems : tuple of Problem
     """
 
-    def __init__(self, source: str, problems: Sequence[P]) -> None:
+    def __init__(self, source: str, problems: Sequence[Problem]) -> None:
         self.source, self.problems = source, tuple(problems)
         count = f"{len(problems)} problem" + ("s" if len(problems) != 1 else "")
         super().__init__("\n  ".join([f"{source}: {count}", *map(str, self.problems)]))
@@ -44,47 +102,50 @@ class ProblemsError(ValueError, Generic[P]):
         return type(self), (self.source, self.problems)
 
 
-class Problems:
-    """Errors of several checks, reported together.
+class Problems(list[Problem]):
+    """The problems that several checks found."""
 
-    Parameters
-    ----------
-    where : str
-        The beginning of the message.
-    """
-
-    def __init__(self, where: str) -> None:
-        self._where = where
+    def __init__(self, problems: Iterable[Problem] = ()) -> None:
+        super().__init__(problems)
         self._errors: list[ValueError] = []
 
+    def note(self, path: str, given: str, expected: str, hint: str = "", *, unknown: bool = False) -> None:
+        """Add a problem."""
+        self.append(Problem(path, given, expected, hint, unknown))
+
+    def take(self, error: ValueError, path: str = "") -> None:
+        """Add the problems of an error; their paths begin at `path`."""
+        if isinstance(error, ProblemsError):
+            self.extend(one.below(path) for one in error.problems)
+        elif isinstance(error, WrongValueError):
+            self.note(path, error.given, error.expected, error.hint)
+        else:
+            self.note(path, str(error), "")
+
     def collect(self, check: Callable[..., R], *given: Any, **named: Any) -> R | None:
-        """Return what a check returns; keep its ValueError and return None."""
+        """Return what a check returns; None, with the problems added, if it raises a ValueError."""
         try:
             return check(*given, **named)
         except ValueError as error:
+            self.take(error)
             self._errors.append(error)
         return None
 
-    def report(self) -> None:
-        """Raise the error of the only check that failed as it is, or one that lists those of several."""
-        if len(self._errors) == 1:
+    def report(self, source: str, kind: type[ProblemsError] = ProblemsError) -> None:
+        """Raise an error if there are problems, each once; the error of the only check that failed as it is."""
+        if len(self._errors) == 1 and len(self) == len(getattr(self._errors[0], "problems", [0])):
             raise self._errors[0]
-        if self._errors:
-            first = f"{self._where}:\n  "
-            lines = [str(error).removeprefix(first) for error in self._errors]
-            raise ValueError(first + "\n  ".join(lines))
+        if self:
+            raise kind(source, list(dict.fromkeys(self)))
 
 
-class DetectorError(ProblemsError[Problem]):
-    """A detector description with mistakes; `problems` lists them all.
+def refuse(source: str, path: str, given: str, expected: str, hint: str = "") -> NoReturn:
+    """Raise the error of a single problem."""
+    raise ProblemsError(source, [Problem(path, given, expected, hint)])
 
-    Attributes
-    ----------
-    source : str
-        The file or preset that was read.
-    problems : tuple of Problem
-        Each with `path`, `given`, `expected`, `hint`.
-    """
+
+class DetectorError(ProblemsError):
+    """A detector description with mistakes; `problems` lists them all, `source` is the file or preset."""
 
 
 def did_you_mean(word: object, known: Iterable[object], before: str = "") -> str:

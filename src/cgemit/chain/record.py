@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import platform
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import fields
@@ -12,9 +13,10 @@ from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 
-from cgemit.base.errors import ProblemsError
+from cgemit.base.errors import Problem, Problems, ProblemsError
 from cgemit.base.files import RECORD, parse_toml, read_text
-from cgemit.base.settings import InTurn, SettingsData, SettingsError
+from cgemit.base.settings import SettingsData, SettingsError
+from cgemit.base.validate import InTurn
 from cgemit.base.version import __version__
 from cgemit.detector import Detector, load
 from cgemit.particles.gun import Gun, Guns, Source
@@ -42,15 +44,17 @@ def _data_of(one: Source) -> dict[str, Any]:
     return {name: _value_data(name, value) for name, value in named.items()}
 
 
-def gun_from(data: Any, problems: list[str]) -> Source | Guns | None:
+def gun_from(data: Any, problems: Problems) -> Source | Guns | None:
     """Return the source that `gun_data` was made from; None, with problems added, if there are any."""
     if data is None:
         return None
     try:
         guns = [_source_from({name: _value(name, value) for name, value in one.items()}) for one in data]
         return guns[0] if len(guns) == 1 else Guns(tuple(guns))
-    except (ValueError, TypeError, KeyError, IndexError, AttributeError) as error:
-        problems += [f"{RECORD}: source: {one}" for one in getattr(error, "problems", [error])]
+    except ValueError as error:
+        problems.take(error, f"{RECORD}: source")
+    except (TypeError, KeyError, IndexError, AttributeError) as error:
+        problems.note(f"{RECORD}: source", str(error), "a source of particles")
     return None
 
 
@@ -102,7 +106,7 @@ _VALUES: Mapping[str, tuple[Callable[[Any], bool], str]] = {
 }
 
 
-class RecordError(ProblemsError[str]):
+class RecordError(ProblemsError):
     """A folder of results that is damaged or mixes several runs; `problems` lists every problem."""
 
 
@@ -210,7 +214,7 @@ def read_run(
     RecordError
         Listing everything that is damaged or does not belong together.
     """
-    problems: list[str] = []
+    problems = Problems()
     entries = _read_record(folder, problems)
     tables = _read_tables(folder, names, entries.get("tables", required), problems, lazy=lazy)
     detectors, gun, settings = _read_entries(entries, kind, problems)
@@ -218,13 +222,30 @@ def read_run(
         problems += _strangers(tables, entries)
         copy = folder / DETECTOR
         if copy.is_file() and read_text(copy) != entries["detectors"].get("detector"):
-            problems.append(f"{DETECTOR}: is not the detector of {RECORD}")
-    if problems:
-        raise RecordError(str(folder), problems)
+            problems.note(DETECTOR, "another detector", f"that of {RECORD}")
+    problems.report(str(folder), RecordError)
     return Run(entries, detectors, gun, settings, tables)
 
 
-def _read_record(folder: Path, problems: list[str]) -> dict[str, Any]:
+def recorded_settings(path: str | os.PathLike[str]) -> Mapping[str, Any]:
+    """Return the tables of settings that the record of a run, ``run.json``, holds.
+
+    Raises
+    ------
+    SettingsError
+        If it is no such file.
+    """
+    try:
+        tables = json.loads(read_text(path))
+        if tables["format"] == FORMAT and isinstance(tables["settings"], Mapping):
+            return tables["settings"]
+        given = f"format {tables['format']!r:.50}"
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
+        given = f"{error}"
+    raise SettingsError(str(path), [Problem("", given, f"a TOML file of settings, or the {RECORD} of a run")])
+
+
+def _read_record(folder: Path, problems: Problems) -> dict[str, Any]:
     """Return what `run.json` of a folder holds; empty, with problems added, if it is damaged."""
     path = folder / RECORD
     if not path.is_file():
@@ -232,18 +253,18 @@ def _read_record(folder: Path, problems: list[str]) -> dict[str, Any]:
     try:
         entries = json.loads(read_text(path))
     except (ValueError, RecursionError) as error:
-        problems.append(f"{RECORD}: got {error}, expected a JSON file")
+        problems.note(RECORD, str(error), "a JSON file")
         return {}
     if not isinstance(entries, dict) or entries.get("format") != FORMAT:
         given = entries.get("format") if isinstance(entries, dict) else entries
-        problems.append(f"{RECORD}: got format {given!r:.50}, expected {FORMAT!r}")
+        problems.note(RECORD, f"format {given!r:.50}", repr(FORMAT))
         return {}
     wrong = [name for name, kind in _KINDS.items() if not isinstance(entries.get(name), kind)]
     if wrong or "source" not in entries:
-        problems.append(f"{RECORD}: got no entry, or a wrong one, for {', '.join(wrong or ['source'])}")
+        problems.note(RECORD, f"no entry, or a wrong one, for {', '.join(wrong or ['source'])}", "a complete record")
         return {}
     wrong_values = [
-        f"{RECORD}: {name}: got {entries[name]!r:.60}, expected {expected}"
+        Problem(f"{RECORD}: {name}", f"{entries[name]!r:.60}", expected)
         for name, (good, expected) in _VALUES.items()
         if name in entries and not good(entries[name])
     ]
@@ -252,77 +273,76 @@ def _read_record(folder: Path, problems: list[str]) -> dict[str, Any]:
 
 
 def _read_entries(
-    entries: Mapping[str, Any], kind: type[S], problems: list[str]
+    entries: Mapping[str, Any], kind: type[S], problems: Problems
 ) -> tuple[dict[str, Detector], Source | Guns | None, S]:
     """Return what the entries of a record describe; problems are added."""
     if not entries:
         return {}, None, kind()
     found = configuration_of(entries["detectors"], entries["settings"], entries["source"])
     if entries["configuration"] != found:
-        expected = f"expected {found!r}, the hash of its detectors, settings and source"
-        problems.append(f"{RECORD}: configuration: got {entries['configuration']!r}, {expected}")
+        expected = f"{found!r}, the hash of its detectors, settings and source"
+        problems.note(f"{RECORD}: configuration", repr(entries["configuration"]), expected)
     if "detector" not in entries["detectors"]:
-        problems.append(f"{RECORD}: detectors.detector: missing")
+        problems.note(f"{RECORD}: detectors.detector", "nothing", "the detector of the run")
     read = {name: _detector(str(text), name, problems) for name, text in entries["detectors"].items()}
     detectors = {name: detector for name, detector in read.items() if detector is not None}
     try:
         settings = kind.from_dict(entries["settings"])
     except SettingsError as error:
-        problems += [f"{RECORD}: settings.{text}" for text in error.problems]
+        problems.take(error, f"{RECORD}: settings")
         settings = kind()
     return detectors, gun_from(entries["source"], problems), settings
 
 
 def _read_tables(
-    folder: Path, names: Collection[str], required: Collection[str], problems: list[str], *, lazy: bool
+    folder: Path, names: Collection[str], required: Collection[str], problems: Problems, *, lazy: bool
 ) -> Mapping[str, Table]:
     """Return the tables of a folder; problems are added."""
     try:
         stored = StoredTables(folder)
     except (ValueError, FileNotFoundError) as error:
-        problems.append(str(error))
+        problems.note("", str(error), "")
         return {}
-    problems += [f"{stored.file(name)}: got a table that no run has" for name in stored if name not in names]
-    problems += [f"{name}.npz: missing" for name in required if name not in stored]
+    known = ", ".join(names)
+    problems += [Problem(stored.file(name), "a table that no run has", known) for name in stored if name not in names]
+    problems += [Problem(f"{name}.npz", "nothing", "this table") for name in required if name not in stored]
     if lazy:
-        problems += stored.problems()
+        problems += [Problem("", text, "") for text in stored.problems()]
         return stored if not problems else {}
     tables = {}
     for name in (name for name in stored if name in names):
         try:
             tables[name] = stored.read(name, check=False)
         except (ValueError, FileNotFoundError) as error:
-            problems.append(f"{stored.file(name)}: {error}")
+            problems.note(stored.file(name), str(error), "")
     return tables
 
 
-def _strangers(tables: Mapping[str, Table], entries: Mapping[str, Any]) -> list[str]:
+def _strangers(tables: Mapping[str, Table], entries: Mapping[str, Any]) -> Problems:
     """Return which tables are not of the run that the record describes."""
     expected = {
         "events": entries["events"], "first_event": entries["first_event"], "seed": entries["seed"],
         "configuration": entries["configuration"], "version": entries["versions"].get("cgemit"),
     }  # fmt: skip
-    problems = []
+    problems = Problems()
     for name in tables:
         about = about_of(tables, name)
         meta = about["meta"] if isinstance(about.get("meta"), dict) else {}
         given = {"events": about["n_events"], "first_event": about["first_event"], **meta}
         wrong = [key for key, value in expected.items() if given.get(key) != value]
-        problems += [
-            f"{name}.npz: {key}: got {given.get(key)!r}, expected {expected[key]!r}, as {RECORD} says" for key in wrong
-        ]
+        for key in wrong:
+            problems.note(f"{name}.npz: {key}", repr(given.get(key)), f"{expected[key]!r}, as {RECORD} says")
         if about["kind"] != name:
-            problems.append(f"{name}.npz: got a table of kind {about['kind']!r}, expected {name!r}")
+            problems.note(f"{name}.npz", f"a table of kind {about['kind']!r}", repr(name))
     return problems
 
 
-def _detector(text: str, name: str, problems: list[str]) -> Detector | None:
+def _detector(text: str, name: str, problems: Problems) -> Detector | None:
     """Return the detector of a complete TOML file; None, with problems added, if there are any."""
     try:
         return load(parse_toml(text))
     except ValueError as error:
-        given = getattr(error, "problems", [error])
-        problems += [f"{RECORD}: detectors.{name}: {one}" for one in given]
+        problems.take(error, f"{RECORD}: detectors.{name}")
     return None
 
 

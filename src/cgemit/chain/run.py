@@ -13,7 +13,7 @@ from typing import Any, Literal, NamedTuple
 
 from cgemit.base.errors import Problems, did_you_mean
 from cgemit.base.files import new_folder
-from cgemit.base.settings import check_numbers
+from cgemit.base.validate import check_numbers
 from cgemit.chain.executor import (
     MANY,
     PROBE,
@@ -302,7 +302,7 @@ def _checked(
     """Return the job of a run and its number of events; raise an error that lists every problem of the arguments."""
     if not isinstance(settings, Settings | None):
         raise TypeError(f"settings: got {type(settings).__name__}, expected {expected_settings(settings)}")
-    found = Problems("run")
+    found = Problems()
     simulated: Any = found.collect(load, detector)
     given: Any = found.collect(for_run, settings or Settings(), readout)
     assumed: Any = simulated if fit_detector is None else found.collect(load, fit_detector)
@@ -315,7 +315,7 @@ def _checked(
     source: Any = found.collect(source_of, gun, n)
     if output is not None:
         found.collect(check_format, output.format)
-    found.report()
+    found.report("run")
     shooter, n_events, table = source
     return Job(simulated, assumed, shooter, table, given, seed, finder, until, kept), n_events
 
@@ -336,27 +336,25 @@ def check_stages(
     finder: object, until: object, workers: Workers, keep: Any, settings: Settings | None
 ) -> tuple[str, ...] | None:
     """Raise an error if a run cannot be as asked for; return the tables to be kept, None for all."""
-    problems = []
+    problems = Problems()
     names = [keep] if isinstance(keep, str) else [] if keep is None else list(keep)
-    problems += [
-        f"keep: got {name!r:.50}, expected some of {', '.join(TABLES)}{did_you_mean(str(name), TABLES, '; ')}"
-        for name in names
-        if name not in TABLES
-    ]
+    for name in names:
+        if name not in TABLES:
+            hint = did_you_mean(str(name), TABLES)
+            problems.note("keep", f"{name!r:.50}", f"some of {', '.join(TABLES)}", hint)
     if keep is not None and not names:
-        problems.append("keep: got no table, expected at least one")
+        problems.note("keep", "no table", "at least one")
     if not callable(finder) and finder not in FINDERS:
         known = ", ".join(map(repr, FINDERS))
-        problems.append(f"finder: got {finder!r}, expected {known} or a function of (detector, clusters, wire_hits)")
+        problems.note("finder", repr(finder), f"{known} or a function of (detector, clusters, wire_hits)")
     if until not in STAGES:
-        problems.append(f"until: got {until!r}, expected one of {', '.join(map(repr, STAGES))}")
+        problems.note("until", repr(until), f"one of {', '.join(map(repr, STAGES))}")
     elif settings is not None:
         made = tables_made(str(until), settings)
         missing = [name for name in names if name in TABLES and name not in made]
         if missing:
-            problems.append(f"keep: got {', '.join(missing)}, which this run does not make, only {', '.join(made)}")
-    if problems:
-        raise ValueError("run:\n  " + "\n  ".join(problems))
+            problems.note("keep", f"{', '.join(missing)}, which this run does not make", f"some of {', '.join(made)}")
+    problems.report("run")
     if callable(finder) and isinstance(workers.executor, ProcessPoolExecutor):
         try:
             pickle.dumps(finder)

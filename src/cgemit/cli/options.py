@@ -311,7 +311,7 @@ def read_settings(
     try:
         settings = Settings.from_layers(layers)
     except SettingsError as error:
-        problems += error.problems
+        problems += map(str, error.problems)
         return Settings()
     names = settings.fit.hypotheses()
     if one_track and len(names) > 1:
@@ -322,11 +322,9 @@ def read_settings(
 def _tables(file: str) -> Mapping[str, Any]:
     """Return the tables of a file of settings, or those that the record of a run holds."""
     from cgemit.base.settings import read_tables
-    from cgemit.chain.record import FORMAT
+    from cgemit.chain.record import recorded_settings
 
-    tables = read_tables(file)
-    inner = tables.get("settings")
-    return inner if tables.get("format") == FORMAT and isinstance(inner, Mapping) else tables
+    return recorded_settings(file) if file.endswith(".json") else read_tables(file)
 
 
 def _listed(value: object) -> list[object]:

@@ -22,11 +22,10 @@ def add(parser: argparse.ArgumentParser) -> None:
     """Add the options."""
     options.add_settings(parser)
     options.add_set(parser, "change one setting, such as fit.loss=mean; may be repeated")
-    parser.add_argument("--json", action="store_true", help="print JSON instead of TOML")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Print the settings."""
     settings = options.settings_of(arguments)
-    options.say((settings.to_json() if arguments.json else settings.to_toml(comments=True)).rstrip())
+    options.say((settings.to_toml(comments=True)).rstrip())
     return options.OK

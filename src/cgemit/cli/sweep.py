@@ -132,6 +132,6 @@ def _report(result: Sweep, draw: Any, output: Path, arguments: argparse.Namespac
         raise options.RunFailedError("\n  ".join(["no variant could be evaluated", *list(reasons)[:10]]))
     if arguments.parquet:
         result.write_parquet(output / "sweep.parquet", overwrite=True)
-    result.draw(**draw).save(output / "sweep", overwrite=True)
+    result.draw(draw.quantity, **({"kind": draw.kind} if draw.kind else {})).save(output / "sweep", overwrite=True)
     options.say(json.dumps(result.summary(), indent=2) if arguments.json else result)
     options.note(arguments, f"table: {output}/sweep.csv, picture: {output}/sweep.png")

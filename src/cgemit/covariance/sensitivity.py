@@ -91,7 +91,7 @@ def calibrated_apart(readout: Readout, detector: Detector, variants: Iterable[De
 
 def errors_do_not_follow(readout: Readout, keys: Sequence[str]) -> str:
     """Return the message about a read-out whose calibrated errors do not follow some keys."""
-    return f"got read-out {readout.name!r}, which has calibrated errors that do not follow {', '.join(keys)}"
+    return f"read-out {readout.name!r}, which has calibrated errors that do not follow {', '.join(keys)}"
 
 
 def _with_stereo(variant: Detector, base: Detector) -> Detector:
@@ -227,9 +227,8 @@ def sensitivity(
     wanted = tuple(keys) if keys is not None else tuple(design_keys(detector))
     fixed = [key for key in wanted if calibrated_apart(base.readout, detector, _changed(detector, key))]
     if fixed:
-        raise ValueError(
-            f"sensitivity: {errors_do_not_follow(base.readout, fixed)}; expected 'binary' or 'gaussian', or other keys"
-        )
+        given = errors_do_not_follow(base.readout, fixed)
+        raise ValueError(f"sensitivity: got {given}; expected 'binary' or 'gaussian', or other keys")
     values, problems = logarithmic_slopes(base, detector, wanted, quantities)
     return Sensitivity(
         detector.name, base.particle, base.p, base.cos_theta, wanted, quantities, values, problems

@@ -9,7 +9,8 @@ from collections.abc import Mapping
 from functools import cache, lru_cache
 from typing import Any
 
-from cgemit.base.errors import DetectorError, Problem, did_you_mean
+from cgemit.base.errors import DetectorError, Problems, WrongValueError, did_you_mean, shown
+from cgemit.base.validate import entries
 from cgemit.detector import check
 from cgemit.detector.field import KINDS, Field, MapField, kind_key
 from cgemit.detector.files import library_materials, map_path, read_field_map
@@ -34,7 +35,6 @@ from cgemit.detector.reader import (
     UNUSABLE,
     WIRE_NUMBER,
     Reader,
-    shown,
     writable,
 )
 
@@ -113,7 +113,7 @@ def _material(
         values["x0"] *= old.density / values["density"]
     if "composition" not in values and not all(key in values for key in _BULK):
         given = "only " + ", ".join(values)
-        reader.note(path, given, "also composition, or all of " + ", ".join(_BULK))
+        reader.problems.note(path, given, "also composition, or all of " + ", ".join(_BULK), unknown=True)
         return None
     fractions = dict(values.setdefault("composition", ()))
     values.setdefault("gas", False)
@@ -157,12 +157,8 @@ def _diluted(base: Material, density: float, x0: float | None = None) -> Materia
     return dataclasses.replace(base, density=density, x0=x0, density_effect=effect, filling=filling)
 
 
-class MaterialNameError(ValueError):
-    """A material that cannot be made from its name; `given`, `expected` and `hint` say why."""
-
-    def __init__(self, given: str, expected: str, hint: str = "") -> None:
-        self.given, self.expected, self.hint = given, expected, hint
-        super().__init__(given, expected, hint)
+class MaterialNameError(WrongValueError):
+    """A material that cannot be made from its name."""
 
 
 def material_named(
@@ -292,7 +288,7 @@ def _gas_names() -> list[str]:
     return [*GASES, *(symbol for symbol, row in _rows().items() if row["gas"])]
 
 
-def read_contents(source: str, tables: Mapping[str, Any], problems: list[Problem]) -> Contents:
+def read_contents(source: str, tables: Mapping[str, Any], problems: Problems) -> Contents:
     """Return the parts of the detector that complete tables describe; `Detector` checks how they fit together.
 
     Raises
@@ -302,8 +298,7 @@ def read_contents(source: str, tables: Mapping[str, Any], problems: list[Problem
 
     """
     reader = Reader(problems=problems, baseless=any(problem.path == "base" for problem in problems))
-    for name in tables.keys() - TOP_LEVEL.keys():
-        reader.note(str(name), "an unknown key", "one of " + ", ".join(TOP_LEVEL), did_you_mean(name, TOP_LEVEL))
+    entries(tables, "", TOP_LEVEL, problems)
     texts = {name: _text(reader, name, tables.get(name, "")) for name in ("name", "description")}
     tables = _check_names(reader, tables, texts["name"])
     own = reader.mapping("materials", tables.get("materials", {}))

@@ -9,13 +9,13 @@ from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
 
-from cgemit.base.errors import DetectorError, Problem
+from cgemit.base.errors import DetectorError, Problem, Problems, shown
 from cgemit.detector import check, export, variants
 from cgemit.detector.build import read_contents
 from cgemit.detector.files import field_tables, is_preset, open_source, place_map, resolve
 from cgemit.detector.keys import Known
 from cgemit.detector.parts import CgemLayer, Contents, Cylinder
-from cgemit.detector.reader import merged, set_path, shown
+from cgemit.detector.reader import merged, set_path
 from cgemit.units import NATIVE
 
 
@@ -157,7 +157,7 @@ def preset(name: str) -> Detector:
 def _loaded(source: str | Path | Mapping[str, Any]) -> Detector:
     """Return the detector of a preset, a file or tables; see `load`."""
     opened = open_source(source)
-    problems: list[Problem] = []
+    problems = Problems()
     try:
         tables = resolve(opened, problems)
     except RecursionError:
@@ -172,7 +172,7 @@ def _loaded(source: str | Path | Mapping[str, Any]) -> Detector:
 
 def override(detector: Detector, overrides: Mapping[str, object]) -> Detector:
     """Return the detector with some values changed; see `Detector.with_overrides`."""
-    problems: list[Problem] = []
+    problems = Problems()
     variant: dict[str, Any] = {}
     for path, value in variants.expanded(detector, overrides, problems).items():
         if path == "base":
@@ -189,19 +189,18 @@ def replace_field(detector: Detector, source: str | Path | Mapping[str, Any]) ->
     """Return the detector in another field; see `Detector.with_field`."""
     tables = export.tables_of(detector) | {"field": field_tables(source)}
     text = dict(source) if isinstance(source, Mapping) else Path(source).stem
-    return build(detector.name, tables | {"name": variants.variant_name(detector.name, {"field": text})}, [])
+    return build(detector.name, tables | {"name": variants.variant_name(detector.name, {"field": text})}, Problems())
 
 
 def bounds(detector: Detector, key: str) -> tuple[float, float]:
     """Return the allowed range of a number; see `Detector.bounds`."""
-    problems: list[Problem] = []
+    problems = Problems()
     paths = list(variants.matching(detector, key, problems))
     now = [variants.value_at(detector, path) for path in paths]
     numbers = [found for found in now if found and (found[1].kind in NATIVE or found[1].kind == "integer")]
     if not numbers or len(numbers) < len(now) or len({number for number, _ in numbers}) > 1:
         given = "different values: " + ", ".join(f"{n:g}" for n, _ in numbers) if len(numbers) > 1 else "no number"
-        problems = problems or [Problem(key, given, "the dotted key of one number")]
-        raise DetectorError(detector.name, problems)
+        raise DetectorError(detector.name, problems or [Problem(key, given, "the dotted key of one number")])
     start, limits = numbers[0]
     order = _order(detector)
 
@@ -235,7 +234,7 @@ def _edge(allowed: Callable[[float], bool], inside: float, outside: float, whole
     return inside
 
 
-def build(source: str, tables: Mapping[str, Any], problems: list[Problem]) -> Detector:
+def build(source: str, tables: Mapping[str, Any], problems: Problems) -> Detector:
     """Return the detector that complete tables describe; `problems` are those found before.
 
     Raises

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from itertools import pairwise
 
+from cgemit.base.settings import SettingsData
+from cgemit.base.validate import NotNegative
 from cgemit.detector.detector import Detector
 from cgemit.detector.parts import CgemLayer
 
@@ -15,7 +17,7 @@ _GEV_PER_T_MM = 0.299792458e-3
 
 
 @dataclass(frozen=True)
-class Background:
+class Background(SettingsData):
     """Hits that do not belong to tracks, for the occupancy of strips.
 
     Attributes
@@ -32,19 +34,11 @@ class Background:
         Fired strips of a hit in each view.
     """
 
-    rate: float
-    radius: float = 100.0
-    power: float = 2.0
-    window: float = 1000.0
-    strips: float = 3.0
-
-    def problems(self) -> list[str]:
-        """Return what is wrong with the numbers."""
-        return [
-            f"background.{field.name}: got {value!r}, expected a number of at least 0"
-            for field in fields(self)
-            if not isinstance(value := getattr(self, field.name), int | float) or not 0 <= value < math.inf
-        ]
+    rate: NotNegative
+    radius: NotNegative = 100.0
+    power: NotNegative = 2.0
+    window: NotNegative = 1000.0
+    strips: NotNegative = 3.0
 
 
 def channels(detector: Detector) -> float:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, wraps
 from typing import Any, Concatenate, NamedTuple, ParamSpec, TypeVar
 
-from cgemit.units import NATIVE, describe
+from cgemit.base.validate import Quantity
+from cgemit.units import NATIVE, describe, parse_quantity
 
 _P = TypeVar("_P", bound="Part")
 _R = TypeVar("_R")
@@ -49,23 +49,20 @@ CENTRED = "centred"
 
 
 @dataclass(frozen=True)
-class Key:
+class Key(Quantity):
     """One key: its kind is a dimension of `units.NATIVE`, or a name that the reader knows.
 
     `low` and `high` are the sensible range in native units, ends included; `derived` keys may be left out and are
     then computed from the others.
     """
 
-    kind: str
-    doc: str
-    low: float = -float("inf")
-    high: float = float("inf")
+    doc: str = ""
     choices: tuple[str, ...] = ()
     derived: bool = False
 
-    def admits(self, value: float) -> bool:
-        """Return whether a number is finite and in the sensible range."""
-        return self.low <= value <= self.high and abs(value) < math.inf
+    def value(self, given: Any) -> float:
+        """Return a value in native units; files must name the unit."""
+        return parse_quantity(given, self.kind)
 
     def expected(self) -> str:
         """Return the allowed values as text."""
@@ -97,7 +94,7 @@ class Key:
 
 def key(kind: str, doc: str, low: float = -float("inf"), high: float = float("inf"), **more: Any) -> dict[str, Key]:
     """Return the metadata of a dataclass field that is a key of the detector file."""
-    return {"key": Key(kind, doc, low, high, **more)}
+    return {"key": Key(kind, low, high, doc=doc, **more)}
 
 
 class Known(NamedTuple):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import re
 from collections.abc import Iterable, Mapping
@@ -11,81 +10,17 @@ from functools import cache
 from itertools import pairwise
 from typing import Any
 
-from cgemit.base.errors import Problem, did_you_mean
+from cgemit.base.errors import Problem, Problems, did_you_mean, joined, shown
+from cgemit.base.validate import NO, entries
 from cgemit.detector.keys import CENTRED, Key, Known, keys_of, opened, plain, required_of
 from cgemit.detector.material import DensityEffect, Material, elements, fractions_of_formula
 from cgemit.detector.parts import CgemLayer, RatePoint, SubLayer
-from cgemit.units import NATIVE, QuantityError, parse_quantity
+from cgemit.units import NATIVE
 
 #: Sheet and strips of a list of strips.
 STRIPS = r"([0-9]{1,2}):([0-9]{1,6})(?:-([0-9]{1,6}))?"
 #: Most entries of a list of rates.
 MOST_POINTS = 100
-#: Characters of a value that messages show.
-LONGEST_SHOWN = 80
-
-
-class ListReader:
-    """Reads lists, and notes problems by the method of the `Reader` that it is part of."""
-
-    def note(self, path: str, given: str, expected: str, hint: str = "") -> Any:
-        """Note a problem."""
-        raise NotImplementedError
-
-    def _counts(self, path: str, raw: object, key: Key) -> Any:
-        numbers = raw if isinstance(raw, list) and 0 < len(raw) <= MOST_POINTS else []
-        good = all(isinstance(one, int | float) and not isinstance(one, bool) and 0 <= one < 1e15 for one in numbers)
-        if not good or not any(numbers):
-            self.note(path, shown(raw), key.expected())
-            return (1,)
-        return tuple(numbers)
-
-    def _strips(self, path: str, raw: object, key: Key) -> Any:
-        if not isinstance(raw, list):
-            self.note(path, shown(raw), key.expected())
-            return ()
-        found = []
-        for i, one in enumerate(raw):
-            match = re.fullmatch(STRIPS, one) if isinstance(one, str) else None
-            if match is None:
-                self.note(f"{path}[{i}]", shown(one), key.expected())
-                continue
-            sheet, first, last = match.groups()
-            found.append((int(sheet), int(first), int(last or first)))
-        return tuple(found)
-
-    def _gains(self, path: str, raw: object, key: Key) -> Any:
-        if not isinstance(raw, list):
-            self.note(path, shown(raw), key.expected())
-            return ()
-        return tuple(self._gain_grid(f"{path}[{i}]", sheet, key) for i, sheet in enumerate(raw))
-
-    def _gain_grid(self, path: str, raw: object, key: Key) -> Any:
-        rows = raw if isinstance(raw, list) else [[raw]]
-        if not rows or not all(isinstance(row, list) and row and len(row) == len(rows[0]) for row in rows):
-            self.note(path, shown(raw), key.expected() + ", rows of equal length")
-            return ((1.0,),)
-        for row in rows:
-            for number in row:
-                if not isinstance(number, int | float) or isinstance(number, bool) or not key.admits(number):
-                    self.note(path, shown(number), key.expected())
-                    return ((1.0,),)
-        return tuple(tuple(map(float, row)) for row in rows)
-
-
-def shown(raw: object) -> str:
-    """Return a value of a file in short form, as TOML would write it."""
-    if isinstance(raw, Mapping):
-        return "a table"
-    if isinstance(raw, list):
-        return f"a list of {len(raw)}"
-    if isinstance(raw, bool):
-        return str(raw).lower()
-    try:
-        text = json.dumps(raw, ensure_ascii=False) if isinstance(raw, str) else repr(raw)
-    except ValueError:  # a whole number of thousands of digits
-        return "a number too large to write"
-    return text if len(text) <= LONGEST_SHOWN else text[:LONGEST_SHOWN] + "..."
 
 
 def writable(text: str) -> bool:
@@ -135,10 +70,10 @@ WIRE_NUMBER, LAST_WIRE_LAYER = "0|[1-9][0-9]{0,4}", 65535
 
 #: Keys that a file may hold beside those of the dataclass.
 EXTRA: dict[type, dict[str, Key]] = {
-    CgemLayer: {"stereo_sign": Key("sign", "sign of the stereo angle where the angle itself is left out")},
-    Material: {"base": Key("text", "the material that this one is, at another density")},
+    CgemLayer: {"stereo_sign": Key("sign", doc="sign of the stereo angle where the angle itself is left out")},
+    Material: {"base": Key("text", doc="the material that this one is, at another density")},
     SubLayer: {
-        "label": Key("text", "label of the sub-layer; the material's name if left out"),
+        "label": Key("text", doc="label of the sub-layer; the material's name if left out"),
     },
 }
 
@@ -153,7 +88,7 @@ _CHANGES = (Material, tuple)
 
 
 @dataclass
-class Reader(ListReader):
+class Reader:
     """Reads tables and notes problems.
 
     `materials` holds None for a material with problems of its own. If the base could not be read (`baseless`), missing
@@ -161,20 +96,17 @@ class Reader(ListReader):
     """
 
     materials: Mapping[str, Material | None] = field(default_factory=dict)
-    problems: list[Problem] = field(default_factory=list)
+    problems: Problems = field(default_factory=Problems)
     baseless: bool = False
 
     def note(self, path: str, given: str, expected: str, hint: str = "") -> Any:
         """Note a problem; return UNUSABLE."""
-        self.problems.append(Problem(path, given, expected, hint))
+        self.problems.note(path, given, expected, hint)
         return UNUSABLE
 
     def mapping(self, path: str, raw: object) -> Mapping[str, Any]:
         """Return `raw` if it is a table, else note the problem and return an empty one."""
-        if isinstance(raw, Mapping):
-            return raw
-        self.note(path, shown(raw), f"a table [{path}]")
-        return {}
+        return entries(raw, path, raw if isinstance(raw, Mapping) else (), self.problems)
 
     def table(
         self,
@@ -207,20 +139,19 @@ class Reader(ListReader):
         """
         keys = keys or _keys(kind)
         values = dict(defaults or {})
-        tables = self.mapping(path, raw)
-        for name, value in tables.items():
-            if type(value) is Known and name in keys:
+        for name, value in entries(
+            raw, path, {**keys, **dict.fromkeys(elsewhere)} if elsewhere else keys, self.problems
+        ).items():
+            if type(value) is Known:
                 known = value.value
                 values[name] = self._known(known) if isinstance(known, _CHANGES) else known
             elif name in keys:
-                values[name] = self.value(f"{path}.{name}", value, keys[name])
-            else:
-                names = [*keys, *elsewhere]
-                self.note(f"{path}.{name}", "an unknown key", "one of " + ", ".join(names), did_you_mean(name, names))
+                values[name] = self.value(joined(path, name), value, keys[name])
         left = required_of(kind) - values.keys()
         missing = [name for name in keys if name in left] if left else []
         if missing and not self.baseless and isinstance(raw, Mapping):
-            self.note(path, _only(raw), "also " + ", ".join(missing), _label_hint(path, siblings))
+            hint = _label_hint(path, siblings)
+            self.problems.note(path, _only(raw), "also " + ", ".join(missing), hint, unknown=True)
         return {**values, **{name: _unusable(keys[name]) for name in missing}}
 
     def value(self, path: str, raw: object, key: Key) -> Any:
@@ -228,7 +159,8 @@ class Reader(ListReader):
         if isinstance(raw, Known):
             return self._known(raw.value)
         if key.kind in NATIVE:
-            return self._quantity(path, raw, key)
+            number = key.read(path, raw, self.problems)
+            return UNUSABLE if number is NO else number
         if key.kind in ("text", "boolean", "integer", "sign"):
             return self._plain(path, raw, key)
         return getattr(self, f"_{key.kind}")(path, raw, key)
@@ -242,17 +174,6 @@ class Reader(ListReader):
             if any(new is not part.material for new, part in zip(materials, value, strict=True)):
                 return tuple(replace(part, material=new) for new, part in zip(materials, value, strict=True))
         return value
-
-    def _quantity(self, path: str, raw: object, key: Key) -> Any:
-        try:
-            number = parse_quantity(raw, key.kind)
-        except QuantityError as error:
-            return self.note(path, error.given, error.expected, error.hint)
-        if not key.admits(number):
-            converted = isinstance(raw, str) and NATIVE[key.kind] not in raw
-            native = f" = {number:.6g} {NATIVE[key.kind]}" if converted else ""
-            return self.note(path, shown(raw) + native, key.expected())
-        return number
 
     def _plain(self, path: str, raw: object, key: Key) -> Any:
         kinds: dict[str, type] = {"text": str, "boolean": bool, "integer": int, "sign": int}
@@ -341,9 +262,49 @@ class Reader(ListReader):
         names = DensityEffect._fields
         if not isinstance(raw, Mapping) or set(raw) != set(names):
             return self.note(path, shown(raw), key.expected())
-        number = Key("dimensionless", "", -100.0, 100.0)
-        values = [self._quantity(f"{path}.{name}", raw[name], number) for name in names]
+        number = Key("dimensionless", -100.0, 100.0)
+        values = [self.value(f"{path}.{name}", raw[name], number) for name in names]
         return DensityEffect(*values)
+
+    def _counts(self, path: str, raw: object, key: Key) -> Any:
+        numbers = raw if isinstance(raw, list) and 0 < len(raw) <= MOST_POINTS else []
+        good = all(isinstance(one, int | float) and not isinstance(one, bool) and 0 <= one < 1e15 for one in numbers)
+        if not good or not any(numbers):
+            self.note(path, shown(raw), key.expected())
+            return (1,)
+        return tuple(numbers)
+
+    def _strips(self, path: str, raw: object, key: Key) -> Any:
+        if not isinstance(raw, list):
+            self.note(path, shown(raw), key.expected())
+            return ()
+        found = []
+        for i, one in enumerate(raw):
+            match = re.fullmatch(STRIPS, one) if isinstance(one, str) else None
+            if match is None:
+                self.note(f"{path}[{i}]", shown(one), key.expected())
+                continue
+            sheet, first, last = match.groups()
+            found.append((int(sheet), int(first), int(last or first)))
+        return tuple(found)
+
+    def _gains(self, path: str, raw: object, key: Key) -> Any:
+        if not isinstance(raw, list):
+            self.note(path, shown(raw), key.expected())
+            return ()
+        return tuple(self._gain_grid(f"{path}[{i}]", sheet, key) for i, sheet in enumerate(raw))
+
+    def _gain_grid(self, path: str, raw: object, key: Key) -> Any:
+        rows = raw if isinstance(raw, list) else [[raw]]
+        if not rows or not all(isinstance(row, list) and row and len(row) == len(rows[0]) for row in rows):
+            self.note(path, shown(raw), key.expected() + ", rows of equal length")
+            return ((1.0,),)
+        for row in rows:
+            for number in row:
+                if not isinstance(number, int | float) or isinstance(number, bool) or not key.admits(number):
+                    self.note(path, shown(number), key.expected())
+                    return ((1.0,),)
+        return tuple(tuple(map(float, row)) for row in rows)
 
 
 @cache

@@ -14,7 +14,8 @@ from typing import Annotated, ClassVar, Literal
 import numpy as np
 import numpy.typing as npt
 
-from cgemit.base.settings import Check, NotNegative, Positive, SettingsData
+from cgemit.base.settings import SettingsData
+from cgemit.base.validate import Check, NotNegative, Positive
 
 Floats = npt.NDArray[np.float64]
 

@@ -10,11 +10,11 @@ from collections.abc import Iterator, Mapping
 from fnmatch import fnmatchcase
 from typing import Any
 
-from cgemit.base.errors import DetectorError, Problem, did_you_mean
+from cgemit.base.errors import DetectorError, Problem, did_you_mean, shown
 from cgemit.detector.keys import Key, Known, Part, keys_of, once
 from cgemit.detector.material import Material
 from cgemit.detector.parts import CgemLayer, Contents, DriftChamber, SubLayer
-from cgemit.detector.reader import EXTRA, FOR_ALL_LAYERS, TOP_LEVEL, shown
+from cgemit.detector.reader import EXTRA, FOR_ALL_LAYERS, TOP_LEVEL
 from cgemit.units import NATIVE
 
 _NUMBER = r"(\d+\.?\d*(?:[eE][+-]?\d+)?|\.\d+)"
@@ -118,7 +118,8 @@ def _matched(detector: Contents, pattern: str) -> tuple[tuple[str, ...], Problem
             found += [(f"{path}.{child}".lstrip("."), children.get(child)) for child in names]
         if not found:
             known = ", ".join(dict.fromkeys(child for _, node in paths for child in _children(node)))
-            return (), Problem(pattern, f'"{name}", which matches nothing', f"a pattern for {known or 'a part'}")
+            given, expected = f'"{name}", which matches nothing', f"a pattern for {known or 'a part'}"
+            return (), Problem(pattern, given, expected, unknown=True)
         paths = found
     return tuple(path for path, _ in paths), None
 
@@ -177,7 +178,7 @@ def _absolute(detector: Contents, path: str, value: object, problems: list[Probl
     now = value_at(detector, path)
     if now is None:
         hint = did_you_mean(path.rpartition(".")[2], _siblings(detector, path))
-        problems.append(Problem(path, shown(value), "a number of the detector", hint))
+        problems.append(Problem(path, shown(value), "a number of the detector", hint, unknown=True))
         return {}
     number, key = now
     if key.kind == "integer" and (number * factor) % 1 == 0:

@@ -15,7 +15,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from cgemit.base.files import new_file
-from cgemit.base.settings import InTurn
+from cgemit.base.validate import InTurn
 from cgemit.particles.gun import Gun, Guns, Source
 
 #: Okabe-Ito colours (distinguishable with colour-blind eyes and in grey), by what they stand for.

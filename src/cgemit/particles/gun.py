@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, fields
 from html import escape
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import numpy as np
 import numpy.typing as npt
 
 from cgemit import _core
-from cgemit.base.settings import InTurn, Limit, Value, ValueLike, is_whole, parse_three, parse_value
+from cgemit.base.errors import Problems, WrongValueError, refuse
+from cgemit.base.validate import Axes, Check, InTurn, Spread, Value, ValueLike, check_fields, check_whole
 from cgemit.particles.species import species
 from cgemit.particles.table import FARTHEST, FASTEST, ParticleError, particles_from
 from cgemit.tables import Table
@@ -98,6 +99,15 @@ def _shown(value: object) -> str:
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
+Momentum = Annotated[ValueLike, Spread("momentum", 0, FASTEST, above=True)] | None
+Polar = Annotated[ValueLike, Spread("angle", 0, math.pi)] | None
+Cosine = Annotated[ValueLike, Spread("dimensionless", -1, 1)] | None
+Azimuth = Annotated[ValueLike, Spread("angle")]
+Point = Annotated[tuple[ValueLike, ValueLike, ValueLike], Axes("length", -FARTHEST, FARTHEST)]
+Sizes = Annotated[tuple[ValueLike, ValueLike, ValueLike], Axes("length", 0, FARTHEST)]
+Count = Annotated[int, Check(lambda value: 1 <= value <= 100_000, "a whole number from 1 to 100000")]
+
+
 @dataclass(frozen=True, repr=False)
 class Gun(Source):
     """A source of equal particles; ``gun + other`` shoots both in every event.
@@ -130,22 +140,29 @@ class Gun(Source):
     """
 
     particle: str | int
-    p: ValueLike | None = None
-    pt: ValueLike | None = None
-    theta: ValueLike | None = None
-    cos_theta: ValueLike | None = None
-    phi: ValueLike = (-math.pi, math.pi)
-    vertex: tuple[ValueLike, ValueLike, ValueLike] = (0.0, 0.0, 0.0)
-    vertex_sigma: tuple[ValueLike, ValueLike, ValueLike] = (0.0, 0.0, 0.0)
-    multiplicity: int = 1
+    p: Momentum = None
+    pt: Momentum = None
+    theta: Polar = None
+    cos_theta: Cosine = None
+    phi: Azimuth = (-math.pi, math.pi)
+    vertex: Point = (0.0, 0.0, 0.0)
+    vertex_sigma: Sizes = (0.0, 0.0, 0.0)
+    multiplicity: Count = 1
 
     def __post_init__(self) -> None:
-        problems: list[str] = []
-        clean = _clean(self, problems)
-        if problems:
-            raise ParticleError("gun", problems)
-        for name, value in clean.items():
-            object.__setattr__(self, name, value)
+        problems = Problems()
+        try:
+            object.__setattr__(self, "particle", species(self.particle).name)
+        except WrongValueError as error:
+            problems.take(error, "particle")
+        for one, other in (("p", "pt"), ("theta", "cos_theta")):
+            if (getattr(self, one) is None) == (getattr(self, other) is None):
+                given = "none" if getattr(self, one) is None else "both"
+                problems.note(f"{one}, {other}", given, "exactly one of them")
+        check_fields(self, problems)
+        if self.pt is not None and not problems:
+            _check_across(self, problems)
+        problems.report("gun", ParticleError)
 
     def shoot(self, seed: int, events: npt.NDArray[np.int64], number: int) -> dict[str, Array]:
         """Return the columns of a particles table.
@@ -274,60 +291,23 @@ def _shoot(gun: Gun, draws: _Draws) -> dict[str, Array]:
 
 
 def _check_arguments(guns: tuple[Source, ...], n_events: int, seed: int, first_event: int) -> None:
-    problems = [
-        f"{name}: got {value!r}; expected a whole number from 0 to {most}"
-        for name, value, most in (
-            ("n_events", n_events, 2**31 - 1),
-            ("seed", seed, 2**64 - 1),
-            ("first_event", first_event, 2**62),
-        )
-        if not is_whole(value, 0, most)
-    ]
-    problems += [f"gun: got {type(one).__name__}; expected a Gun" for one in guns if not isinstance(one, Source)]
-    if problems:
-        raise ParticleError("generate", problems)
+    problems = Problems()
+    check_whole("n_events", n_events, 0, 2**31 - 1, problems)
+    check_whole("seed", seed, 0, 2**64 - 1, problems)
+    check_whole("first_event", first_event, 0, 2**62, problems)
+    for one in guns:
+        if not isinstance(one, Source):
+            problems.note("gun", type(one).__name__, "a Gun")
+    problems.report("generate", ParticleError)
 
 
-def _clean(gun: Gun, problems: list[str]) -> dict[str, Any]:
-    """Return the gun's fields in their final form; add what is wrong to `problems`."""
-    clean: dict[str, Any] = {}
-    try:
-        clean["particle"] = species(gun.particle).name
-    except ValueError as error:
-        problems.append(f"particle: {error}")
-    for one, other in (("p", "pt"), ("theta", "cos_theta")):
-        if (getattr(gun, one) is None) == (getattr(gun, other) is None):
-            count = "none" if getattr(gun, one) is None else "both"
-            problems.append(f"{one}, {other}: got {count}; expected exactly one of them")
-    for name, limit in _limits(along_z=gun.pt is None).items():
-        given = getattr(gun, name)
-        if given is not None or name == "phi":
-            clean[name] = parse_value(name, given, limit, problems)
-    clean["vertex"] = parse_three("vertex", gun.vertex, _LENGTH, problems)
-    clean["vertex_sigma"] = parse_three("vertex_sigma", gun.vertex_sigma, _SPREAD_LENGTH, problems)
-    if is_whole(gun.multiplicity, 1, 100_000):
-        clean["multiplicity"] = int(gun.multiplicity)
-    else:
-        problems.append(f"multiplicity: got {gun.multiplicity!r}; expected a whole number from 1 to 100000")
-    return clean
-
-
-_LENGTH = Limit("length", lambda value: abs(value) <= FARTHEST, f"a length in mm, within +-{FARTHEST:g}")
-_SPREAD_LENGTH = Limit("length", lambda value: 0 <= value <= FARTHEST, f"a length in mm from 0 to {FARTHEST:g}")
-
-
-def _limits(*, along_z: bool) -> dict[str, Limit]:
-    """Return what each quantity may be; with a given pT the momentum cannot point along z."""
-    momentum = Limit("momentum", lambda value: 0 < value <= FASTEST, f"a momentum in GeV/c above 0, up to {FASTEST:g}")
-    theta, cos = "an angle in rad from 0 to pi", "a number from -1 to 1"
-    if along_z:
-        polar = Limit("angle", lambda value: 0 <= value <= math.pi, theta)
-        cosine = Limit("dimensionless", lambda value: abs(value) <= 1, cos)
-    else:
-        polar = Limit("angle", lambda value: 0 < value < math.pi, theta + ", ends excluded with pt")
-        cosine = Limit("dimensionless", lambda value: abs(value) < 1, cos + ", ends excluded with pt")
-    azimuth = Limit("angle", lambda _: True, "an angle in rad")
-    return {"p": momentum, "pt": momentum, "theta": polar, "cos_theta": cosine, "phi": azimuth}
+def _check_across(gun: Gun, problems: Problems) -> None:
+    """Note polar angles along z: with a given pT the momentum cannot point there."""
+    for name, least, most in (("theta", 0, math.pi), ("cos_theta", -1, 1)):
+        value = getattr(gun, name)
+        ends = value.values if isinstance(value, InTurn) else value if isinstance(value, tuple) else (value,)
+        if value is not None and (min(ends) <= least or max(ends) >= most):
+            problems.note(name, repr(value), f"a number between {least:g} and {most:g}, ends excluded with pt")
 
 
 def source_of(gun: Any, n: int | None) -> tuple[Source | Guns | None, int, Table | None]:
@@ -341,12 +321,12 @@ def source_of(gun: Any, n: int | None) -> tuple[Source | Guns | None, int, Table
 
     Raises
     ------
-    ValueError
+    ProblemsError
         If `n` is not that of the particles.
     """
     if isinstance(gun, Source | Guns):
         return gun, 1000 if n is None else n, None
     table = particles_from(gun)
     if n is not None and n != table.n_events:
-        raise ValueError(f"n: {n}, but the table of particles holds {table.n_events} events; leave n out")
+        refuse("run", "n", str(n), f"{table.n_events}, the events of the table of particles", "leave n out")
     return None, table.n_events, table

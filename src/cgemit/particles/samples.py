@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import numpy.typing as npt
 
-from cgemit.base.errors import did_you_mean
-from cgemit.base.settings import InTurn, Limit, Value, ValueLike, parse_three, parse_value
+from cgemit.base.errors import Problem, Problems, did_you_mean
+from cgemit.base.validate import Axes, InTurn, Quantity, Spread, Value, ValueLike, entries
 from cgemit.detector import Detector
 from cgemit.detector.matter import slabs
 from cgemit.particles.decay_chains import DEFINITIONS, NAMES, SHOT, Draws, Particles, decay_all, directions, mass_of
@@ -106,13 +107,18 @@ class EventSample(Source):
 
     def __post_init__(self) -> None:
         if self.name not in DEFINITIONS:
-            hint = did_you_mean(str(self.name), NAMES, "; ")
-            raise ParticleError("sample", [f"name: got {self.name!r:.50}; expected one of {', '.join(NAMES)}{hint}"])
-        problems: list[str] = []
-        for name, value in _clean(self, problems).items():
-            object.__setattr__(self, name, value)
-        if problems:
-            raise ParticleError(f"sample {self.name}", problems)
+            hint = did_you_mean(str(self.name), NAMES)
+            raise ParticleError("sample", [Problem("name", f"{self.name!r:.50}", f"one of {', '.join(NAMES)}", hint)])
+        problems = Problems()
+        defaults = DEFINITIONS[self.name].options
+        for name, constraint in _OPTIONS.items():
+            given = getattr(self, name)
+            if name in defaults:
+                value = constraint.read(name, defaults[name] if given is None else given, problems)
+                object.__setattr__(self, name, value)
+            elif given is not None:
+                problems.note(name, f"{given!r:.50}", f"none, this sample has {', '.join(defaults)}")
+        problems.report(f"sample {self.name}", ParticleError)
 
     @property
     def multiplicity(self) -> int:  # type: ignore[override]
@@ -146,7 +152,7 @@ class EventSample(Source):
 
     def _shoot(self, seed: int, events: npt.NDArray[np.int64], number: int, matter: Matter | None) -> dict[str, Array]:
         if matter is None and DEFINITIONS[self.name].in_matter:
-            problem = "detector: got none; expected one, since its particles start in matter"
+            problem = Problem("detector", "none", "one, since its particles start in matter")
             raise ParticleError(f"sample {self.name}", [problem])
         draws = Draws(seed, number)
         if self.name == "cosmic":
@@ -225,11 +231,9 @@ def sample(name: str, **options: Any) -> EventSample:
         A ValueError that lists every problem.
     """
     known = [f.name for f in fields(EventSample)][1:]
-    unknown = [
-        f"{one}: got an unknown option; expected some of {', '.join(known)}" for one in options if one not in known
-    ]
-    if unknown:
-        raise ParticleError(f"sample {name}", unknown)
+    problems = Problems()
+    entries(options, "", known, problems)
+    problems.report(f"sample {name}", ParticleError)
     return EventSample(name, **options)
 
 
@@ -311,29 +315,12 @@ def _one(value: ValueLike | None, events: npt.NDArray[np.int64], uniform: Floats
     return np.full(len(events), float(value))
 
 
-_LIMITS = {
-    "p": Limit("momentum", lambda value: 0 < value <= FASTEST, f"a momentum in GeV/c above 0, up to {FASTEST:g}"),
-    "cos_theta": Limit("dimensionless", lambda value: abs(value) <= 1, "a number from -1 to 1"),
-    "phi": Limit("angle", lambda _: True, "an angle in rad"),
-    "radius": Limit("length", lambda value: 0 <= value <= FARTHEST, f"a length in mm from 0 to {FARTHEST:g}"),
-    "crossing": Limit("angle", lambda value: abs(value) <= 1, "an angle in rad from -1 to 1"),
+_OPTIONS: Mapping[str, Quantity] = {
+    "p": Spread("momentum", 0, FASTEST, above=True),
+    "cos_theta": Spread("dimensionless", -1, 1),
+    "phi": Spread("angle"),
+    "radius": Spread("length", 0, FARTHEST),
+    "crossing": Spread("angle", -1, 1),
+    "vertex": Axes("length", -FARTHEST, FARTHEST),
+    "vertex_sigma": Axes("length", 0, FARTHEST),
 }
-_PLACES = {
-    "vertex": Limit("length", lambda value: abs(value) <= FARTHEST, f"a length in mm, within +-{FARTHEST:g}"),
-    "vertex_sigma": Limit("length", lambda value: 0 <= value <= FARTHEST, f"a length in mm from 0 to {FARTHEST:g}"),
-}
-
-
-def _clean(of: EventSample, problems: list[str]) -> dict[str, Any]:
-    """Return the options in their final form; add what is wrong to `problems`."""
-    defaults = DEFINITIONS[of.name].options
-    clean: dict[str, Any] = {}
-    for name in (*_LIMITS, *_PLACES):
-        given = getattr(of, name)
-        if name not in defaults and given is not None:
-            problems.append(f"{name}: got {given!r:.50}; expected none, this sample has {', '.join(defaults)}")
-        elif name in _LIMITS and name in defaults:
-            clean[name] = parse_value(name, defaults[name] if given is None else given, _LIMITS[name], problems)
-        elif name in defaults:
-            clean[name] = parse_three(name, defaults[name] if given is None else given, _PLACES[name], problems)
-    return clean

@@ -14,7 +14,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from cgemit import _core
-from cgemit.base.errors import did_you_mean
+from cgemit.base.errors import WrongValueError, did_you_mean
 
 
 @dataclass(frozen=True)
@@ -103,14 +103,14 @@ def species(particle: str | int) -> Species:
 
     Raises
     ------
-    ValueError
+    WrongValueError
         If there is no such particle; says which name is close.
     """
     given = particle
     if isinstance(particle, str):
         word = _plain(particle)
         if word in _BOTH_CHARGES:
-            raise ValueError(f"got {given!r}; expected a charge too: {_BOTH_CHARGES[word]}")
+            raise WrongValueError(repr(given), f"a charge too: {_BOTH_CHARGES[word]}")
         number = particle.strip()
         particle = int(number) if number.removeprefix("-").isdecimal() else _BY_SPELLING.get(word, 0)
     known = isinstance(particle, int | np.integer) and not isinstance(particle, bool) and int(particle) in KNOWN
@@ -118,8 +118,8 @@ def species(particle: str | int) -> Species:
         return KNOWN[int(particle)]
     names = ", ".join(f"{KNOWN[pdg].name} ({pdg})" for pdg in _SPELLINGS)
     names += f", or another of the {len(KNOWN)} in cgemit/particles/particles.csv"
-    hint = did_you_mean(_plain(given), _BY_SPELLING, "; ") if isinstance(given, str) else ""
-    raise ValueError(f"got {given!r}; expected one of {names}{hint}")
+    hint = did_you_mean(_plain(given), _BY_SPELLING) if isinstance(given, str) else ""
+    raise WrongValueError(f"{given!r:.80}", f"one of {names}", hint)
 
 
 Spectrum = Literal["phase_space", "semileptonic", "michel"]

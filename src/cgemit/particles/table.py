@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from cgemit.base.errors import ProblemsError, did_you_mean
+from cgemit.base.errors import Problem, Problems, ProblemsError, did_you_mean
 from cgemit.base.files import check_regular, package
 from cgemit.particles.species import KNOWN, UNKNOWN
 from cgemit.tables import SCHEMAS, Table
@@ -113,16 +113,8 @@ def _events_of(path: Path) -> int:
     return begun
 
 
-class ParticleError(ProblemsError[str]):
-    """Bad input about particles; `problems` lists every problem.
-
-    Attributes
-    ----------
-    source : str
-        The input with the problems.
-    problems : tuple of str
-        Each with the path to the value, what was given and what was expected.
-    """
+class ParticleError(ProblemsError):
+    """Bad input about particles; `problems` lists every problem."""
 
 
 #: Largest coordinate (mm) and momentum (GeV/c) of a particle: far beyond any use, far from losing digits.
@@ -168,8 +160,7 @@ def particles_from(source: Any, *, n_events: int | None = None, first_event: int
     counted = n_events is not given  # from 0, with events that have no particles
     columns = _columns(source)
     problems = _missing(columns) or _problems(columns)
-    if problems:
-        raise ParticleError("table of particles", problems)
+    problems.report("table of particles", ParticleError)
     gaps = None
     if isinstance(source, Table):
         gaps = source.cover["events"] if n_events is first_event is None else None
@@ -187,7 +178,7 @@ def particles_from(source: Any, *, n_events: int | None = None, first_event: int
     try:
         return Table("particles", _filled(columns), number, first, events=gaps)
     except ValueError as error:
-        raise ParticleError("table of particles", [str(error)]) from error
+        raise ParticleError("table of particles", [Problem("", str(error), "")]) from error
 
 
 def _from_file(path: Path, n_events: int | None) -> tuple[Any, int | None]:
@@ -197,10 +188,10 @@ def _from_file(path: Path, n_events: int | None) -> tuple[Any, int | None]:
         return columns, found if n_events is None else n_events
     if path.suffix not in BY_SUFFIX:
         known = ", ".join((*BY_SUFFIX, *ENDINGS))
-        raise ParticleError("table of particles", [f"got the file {str(path)[:80]!r}; expected one of {known}"])
+        raise ParticleError("table of particles", [Problem("", f"the file {str(path)[:80]!r}", f"one of {known}")])
     table = Table.load(path)
     if table.kind != "particles":
-        raise ParticleError(str(path), [f"got a table of kind {table.kind!r}; expected 'particles'"])
+        raise ParticleError(str(path), [Problem("", f"a table of kind {table.kind!r}", "'particles'")])
     return table, n_events
 
 
@@ -220,7 +211,7 @@ def _from_lists(source: Any, n_events: int | None) -> tuple[dict[str, Array], in
             raise ValueError(f"{', '.join(wrong)}: got lists of other lengths than {fields[0]}")
         columns = {name: awkward.to_numpy(awkward.flatten(one), allow_missing=False) for name, one in lists.items()}
     except (ValueError, TypeError) as error:
-        problem = f"got an awkward array that is no list of records per event ({error})"
+        problem = Problem("", "an awkward array", f"a list of records per event ({error})")
         raise ParticleError("table of particles", [problem]) from error
     if "event" in columns:
         return columns, n_events
@@ -240,9 +231,9 @@ def check_particles(particles: Table) -> None:
     ParticleError
         Listing every problem of the columns.
     """
-    problems = kind_problems(particles=particles) or _problems(particles.columns)
-    if problems:
-        raise ParticleError("table of particles", problems)
+    wrong = [Problem("", one, "") for one in kind_problems(particles=particles)]
+    problems = Problems(wrong) or _problems(particles.columns)
+    problems.report("table of particles", ParticleError)
 
 
 def _filled(columns: Mapping[str, Array]) -> dict[str, Array]:
@@ -267,78 +258,76 @@ def _columns(source: Any) -> dict[str, Array]:
     columns = columns_of(source)
     if columns is not None:
         return columns
-    raise ParticleError(
-        "table of particles",
-        [f"got {type(source).__name__}; expected a table, a mapping of arrays, a data frame or a structured array"],
-    )
+    expected = "a table, a mapping of arrays, a data frame or a structured array"
+    raise ParticleError("table of particles", [Problem("", type(source).__name__, expected)])
 
 
-def _missing(columns: Mapping[str, Array]) -> list[str]:
+def _missing(columns: Mapping[str, Array]) -> Problems:
     """Return which columns are missing or cannot be columns of one table of numbers."""
     rows = len(columns["event"]) if "event" in columns and columns["event"].ndim else None
-    problems = [
-        f"{name}: missing; expected a column for each of {', '.join(_NEEDED)}{did_you_mean(name, columns, '; ')}"
-        for name in _NEEDED
-        if name not in columns
-    ]
+    problems = Problems()
+    for name in _NEEDED:
+        if name not in columns:
+            hint = did_you_mean(name, columns)
+            problems.note(name, "nothing", f"a column for each of {', '.join(_NEEDED)}", hint)
     for name, column in columns.items():
         if column.ndim != 1 or (rows is not None and len(column) != rows):
-            problems.append(f"{name}: got shape {column.shape}; expected ({'n' if rows is None else rows},)")
+            problems.note(name, f"shape {column.shape}", f"({'n' if rows is None else rows},)")
         elif column.dtype.kind not in "iufb":
-            problems.append(f"{name}: got dtype {column.dtype}; expected numbers")
+            problems.note(name, f"dtype {column.dtype}", "numbers")
     return problems
 
 
-def _problems(columns: Mapping[str, Array]) -> list[str]:
+def _problems(columns: Mapping[str, Array]) -> Problems:
     """Return the problems of the values."""
-    bad: dict[str, tuple[str, npt.NDArray[np.bool_]]] = {}
+    bad: dict[tuple[str, str], tuple[str, npt.NDArray[np.bool_]]] = {}
     for name, column in columns.items():
         if name in _FLOATS:
-            bad[f"{name}: is not finite"] = name, ~np.isfinite(column)
+            bad[name, "is not finite"] = name, ~np.isfinite(column)
         elif name in _WHOLE:
-            bad[f"{name}: is not a whole number"] = name, ~(np.isfinite(column) & (column == np.rint(column)))
+            bad[name, "is not a whole number"] = name, ~(np.isfinite(column) & (column == np.rint(column)))
     event, pdg = columns["event"], columns["pdg"]
-    bad["event: is negative"] = "event", event < 0
-    bad[f"event: is above {_LAST_EVENT}"] = "event", event > _LAST_EVENT
+    bad["event", "is negative"] = "event", event < 0
+    bad["event", f"is above {_LAST_EVENT}"] = "event", event > _LAST_EVENT
     bad |= _too_large(columns)
-    bad["px, py, pz: are all zero"] = "px", (columns["px"] == 0) & (columns["py"] == 0) & (columns["pz"] == 0)
+    bad["px, py, pz", "are all zero"] = "px", (columns["px"] == 0) & (columns["py"] == 0) & (columns["pz"] == 0)
     known = np.isin(pdg, list(KNOWN))
     # Neutral particles leave no hits, so that the mass of unknown ones does not matter.
     unknown = ~known & (columns.get("charge", np.ones(len(pdg))) != 0)
     if not {"charge", "mass"} <= set(columns):
-        bad["pdg: is unknown and the columns charge and mass are not both there"] = "pdg", unknown
+        bad["pdg", "is unknown and the columns charge and mass are not both there"] = "pdg", unknown
     usual = _charge_and_mass(pdg)[0]
     charge = columns.get("charge", usual)
     if "charge" in columns:
-        bad["charge: is not that of the pdg number"] = "charge", known & (charge != usual)
+        bad["charge", "is not that of the pdg number"] = "charge", known & (charge != usual)
         # Scattering, energy loss and the momentum of a helix are those of unit charge.
-        bad["charge: is none of -1, 0 and 1"] = "charge", np.abs(charge) > 1
+        bad["charge", "is none of -1, 0 and 1"] = "charge", np.abs(charge) > 1
     if "mass" in columns:
-        bad["mass: is negative"] = "mass", columns["mass"] < 0
-        bad["mass: is 0 for a charged particle"] = "mass", (columns["mass"] == 0) & (charge != 0)
+        bad["mass", "is negative"] = "mass", columns["mass"] < 0
+        bad["mass", "is 0 for a charged particle"] = "mass", (columns["mass"] == 0) & (charge != 0)
     if "particle" in columns:
-        bad["particle: is negative"] = "particle", columns["particle"] < 0
-        bad["particle: is there before in the same event"] = "particle", _repeated(event, columns["particle"])
-    problems = [_problem(text, columns[name], rows) for text, (name, rows) in bad.items() if rows.any()]
+        bad["particle", "is negative"] = "particle", columns["particle"] < 0
+        bad["particle", "is there before in the same event"] = "particle", _repeated(event, columns["particle"])
+    problems = Problems(_problem(what, columns[name], rows) for what, (name, rows) in bad.items() if rows.any())
     if len(event) and not problems and np.ptp(event) >= _MOST_EVENTS:
-        problems.append(f"event: got {event.min()} to {event.max()}; expected numbers within {_MOST_EVENTS} events")
+        problems.note("event", f"{event.min()} to {event.max()}", f"numbers within {_MOST_EVENTS} events")
     return problems
 
 
-def _too_large(columns: Mapping[str, Array]) -> dict[str, tuple[str, npt.NDArray[np.bool_]]]:
+def _too_large(columns: Mapping[str, Array]) -> dict[tuple[str, str], tuple[str, npt.NDArray[np.bool_]]]:
     """Mark finite coordinates and momenta beyond their limits."""
     limits = dict.fromkeys("xyz", (FARTHEST, "mm")) | dict.fromkeys(("px", "py", "pz"), (FASTEST, "GeV/c"))
     return {
-        f"{name}: is beyond +-{most:g} {unit}": (name, np.isfinite(columns[name]) & (np.abs(columns[name]) > most))
+        (name, f"is beyond +-{most:g} {unit}"): (name, np.isfinite(columns[name]) & (np.abs(columns[name]) > most))
         for name, (most, unit) in limits.items()
         if name in columns
     }
 
 
-def _problem(text: str, column: Array, rows: npt.NDArray[np.bool_]) -> str:
+def _problem(what: tuple[str, str], column: Array, rows: npt.NDArray[np.bool_]) -> Problem:
     first, number = int(np.argmax(rows)), int(np.count_nonzero(rows))
     more = f" and {number - 1} more row" + ("s" if number > 2 else "") if number > 1 else ""
-    return f"{text} ({column[first]}) in row {first}{more}"
+    return Problem(what[0], f"{what[1]} ({column[first]}) in row {first}{more}", "")
 
 
 def _repeated(event: Array, particle: Array) -> npt.NDArray[np.bool_]:

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.integrate import trapezoid
 
-from cgemit.base.errors import ProblemsError
+from cgemit.base.errors import Problem, Problems, ProblemsError
 from cgemit.base.files import read_text
 from cgemit.detector import Detector
 from cgemit.detector.readouts import CalibratedReadout, Estimator
@@ -59,7 +59,7 @@ _LAYER = (
 _FOLDER = "calibrations"
 
 
-class CalibrationError(ProblemsError[str]):
+class CalibrationError(ProblemsError):
     """A calibration that is missing or wrong; `problems` lists every problem."""
 
 
@@ -237,24 +237,22 @@ def calibration_of(detector: Detector, readout: CalibratedReadout) -> Calibratio
             reason = getattr(error, "strerror", None) or error
             raise CalibrationError(
                 "digitize.readout.calibration",
-                [f"got {readout.calibration[:80]!r} ({reason}), expected a file that `cgemit readout` has written"],
+                [Problem("", f"{readout.calibration[:80]!r} ({reason})", "a file that `cgemit readout` has written")],
             ) from error
         found = read_calibration(text, readout.calibration)
     else:
         file = resources.files("cgemit.reconstruction") / _FOLDER / f"{key}.json"
         if not file.is_file():
-            raise CalibrationError(f"read-out {readout.name} of {detector.name}", [_MISSING])
+            raise CalibrationError(f"read-out {readout.name} of {detector.name}", [Problem("", _MISSING, "")])
         found = read_calibration(file.read_text(encoding="utf-8"), file.name)
-    problems = []
+    problems = Problems()
     if found.key != key:
-        problems.append(
-            f"got a calibration of {found.about}, expected one of the layers and field of {detector.name} and of these "
-            f"settings of {readout.name}: cgemit readout --readout {readout.name} -d DETECTOR --calibrate FILE"
-        )
+        expected = f"one of the layers and field of {detector.name} and of these settings of {readout.name}"
+        hint = f"cgemit readout --readout {readout.name} -d DETECTOR --calibrate FILE"
+        problems.note("", f"a calibration of {found.about}", expected, hint)
     if found.depth.shape[1] != len(detector.cgem):
-        problems.append(f"got {found.depth.shape[1]} layers, expected {len(detector.cgem)}")
-    if problems:
-        raise CalibrationError(readout.calibration or key, problems)
+        problems.note("", f"{found.depth.shape[1]} layers", str(len(detector.cgem)))
+    problems.report(readout.calibration or key, CalibrationError)
     return found
 
 
@@ -276,23 +274,18 @@ def read_calibration(text: str, source: str) -> Calibration:
         values = {name: np.array(data[name], np.float64) for name in _SHAPES}
         key, about = str(data["key"]), str(data["about"])
     except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
-        raise CalibrationError(source, [f"got {error!r:.200}, expected a calibration file"]) from error
-    problems = []
+        raise CalibrationError(source, [Problem("", f"{error!r:.200}", "a calibration file")]) from error
+    problems = Problems()
     layers = values["depth"].shape[1] if values["depth"].ndim == 3 else 0
     for name, array in values.items():
         if array.shape != _shape(name, layers):
-            problems.append(
-                f"{name}: got shape {array.shape}, expected {_shape(name, layers)}; made by another version? Make it "
-                "again: cgemit readout --readout NAME -d DETECTOR --calibrate FILE"
-            )
+            hint = "made by another version? Make it again: cgemit readout --readout NAME -d DETECTOR --calibrate FILE"
+            problems.note(name, f"shape {array.shape}", str(_shape(name, layers)), hint)
         low, high, unit = _LIMITS[name]
         wrong = array[~((array >= low) & (array <= high))]
         if wrong.size:
-            problems.append(f"{name}: got {wrong[0]:g}, expected numbers from {low:g} to {high:g} {unit}".rstrip())
+            problems.note(name, f"{wrong[0]:g}", f"numbers from {low:g} to {high:g} {unit}".rstrip())
         elif name.endswith("edges") and array.ndim and (np.diff(array) < 0).any():
-            problems.append(
-                f"{name}: got {'distances' if name != 'edges' else 'charges'} that fall, expected rising ones"
-            )
-    if problems:
-        raise CalibrationError(source, problems)
+            problems.note(name, f"{'distances' if name != 'edges' else 'charges'} that fall", "rising ones")
+    problems.report(source, CalibrationError)
     return Calibration(**values, key=key, about=about)

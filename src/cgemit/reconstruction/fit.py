@@ -11,7 +11,9 @@ import numpy as np
 import numpy.typing as npt
 
 from cgemit import _core, helix
-from cgemit.base.settings import Check, Positive, SettingsData
+from cgemit.base.errors import Problems
+from cgemit.base.settings import SettingsData
+from cgemit.base.validate import Check, Positive
 from cgemit.detector import SCREENINGS, Detector, Screening, compiled, load, slabs
 from cgemit.particles.species import HYPOTHESES, Hypothesis
 from cgemit.reconstruction.candidates import FitHits, collect_hits
@@ -113,15 +115,13 @@ class FitSettings(SettingsData):
     outlier_pull: Pull = 5.0
     prior_sigma: FiveSpreads = (200.0, 0.5, 5.0, 1000.0, 2.0)
 
-    def contradictions(self) -> list[str]:
-        """Return what is wrong with several hypotheses together."""
+    def contradictions(self, problems: Problems) -> None:
+        """Note several hypotheses that do not go together."""
         given = self.hypothesis
-        if not isinstance(given, tuple) or len(given) == 1:
-            return []
-        if "all" in given:
-            return [f"hypothesis: got {given!r}, expected 'all' alone"]
-        once = len(set(map(str, given))) == len(given)
-        return [] if once else [f"hypothesis: got {given!r}, expected each name once"]
+        if isinstance(given, tuple) and len(given) > 1 and "all" in given:
+            problems.note("hypothesis", repr(given), "'all' alone")
+        elif isinstance(given, tuple) and len(set(map(str, given))) < len(given):
+            problems.note("hypothesis", repr(given), "each name once")
 
     def hypotheses(self) -> tuple[str, ...]:
         """Return the names of the particles whose masses are assumed; none for that of each candidate itself."""

@@ -16,7 +16,9 @@ import numpy as np
 import numpy.typing as npt
 
 from cgemit import helix
-from cgemit.base.settings import Check, SettingsData
+from cgemit.base.errors import Problems
+from cgemit.base.settings import SettingsData
+from cgemit.base.validate import Check
 from cgemit.detector import Detector
 from cgemit.detector.drift import LIGHT, _of_layers, propagation_time, shifted, velocity_at
 from cgemit.detector.parts import local_v
@@ -63,11 +65,10 @@ class RefineSettings(SettingsData):
     start_time_error: TimeError | None = None
     find_again: bool = True
 
-    def contradictions(self) -> list[str]:
-        """Return what is wrong with an error of a start time that is not fitted."""
-        if not isinstance(self.start_time_error, int | float) or self.start_time != "given":
-            return []
-        return [f"start_time_error: got {self.start_time_error}, expected none unless start_time is 'fitted'"]
+    def contradictions(self, problems: Problems) -> None:
+        """Note an error of a start time that is not fitted."""
+        if isinstance(self.start_time_error, int | float) and self.start_time == "given":
+            problems.note("start_time_error", str(self.start_time_error), "none unless start_time is 'fitted'")
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from cgemit import _core, helix
-from cgemit.base.settings import number
+from cgemit.base.validate import number
 from cgemit.detector import SCREENINGS, Detector, compiled, load, slabs
 from cgemit.particles.species import HYPOTHESES
 from cgemit.reconstruction.candidates import FitHits

@@ -11,7 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from cgemit import helix
-from cgemit.base.settings import Check, SettingsData
+from cgemit.base.settings import SettingsData
+from cgemit.base.validate import Check
 from cgemit.detector import Detector, compiled, load
 from cgemit.particles.species import HYPOTHESES, Species
 from cgemit.tables import Table

@@ -12,9 +12,10 @@ from typing import Annotated, Any
 import numpy as np
 import numpy.typing as npt
 
-from cgemit.base.errors import did_you_mean
-from cgemit.base.settings import Check, SettingsData, is_whole
-from cgemit.base.settings import number as number_check
+from cgemit.base.errors import Problems, did_you_mean
+from cgemit.base.settings import SettingsData
+from cgemit.base.validate import Check, is_whole
+from cgemit.base.validate import number as number_check
 from cgemit.detector import Detector, load
 from cgemit.detector.core import in_dead_area, strip_lists
 from cgemit.detector.drift import XT_DISTANCE, XT_TIME, shifted
@@ -69,15 +70,13 @@ class BackgroundSettings(SettingsData):
     offset: Offset = (0.0, 0.0)
     start_time: StartTime = 0.0
 
-    def contradictions(self) -> list[str]:
-        """Return what does not go together."""
-        problems = []
+    def contradictions(self, problems: Problems) -> None:
+        """Note what does not go together."""
         if isinstance(self.offset, tuple) and len(self.offset) == 2 and self.offset[0] > self.offset[1]:
-            problems.append(f"offset: got {self.offset}, expected a range from low to high")
+            problems.note("offset", str(self.offset), "a range from low to high")
         numbers = [value for value in (self.factor, self.cells) if isinstance(value, int | float)]
         if len(numbers) == 2 and self.cells * self.factor > 0.6:
-            problems.append(f"cells: got {self.cells:g}, times factor {self.factor:g}, expected a product up to 0.6")
-        return problems
+            problems.note("cells", f"{self.cells:g}, times factor {self.factor:g}", "a product up to 0.6")
 
     @property
     def is_off(self) -> bool:

@@ -10,7 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from cgemit import _core
-from cgemit.base.settings import SettingsData, one_of
+from cgemit.base.settings import SettingsData
+from cgemit.base.validate import one_of
 from cgemit.detector import CgemLayer, Detector, compiled, load
 from cgemit.detector.core import in_dead_area, strip_lists
 from cgemit.detector.drift import (

@@ -13,7 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 from cgemit import _core
-from cgemit.base.errors import Problem, ProblemsError, did_you_mean
+from cgemit.base.errors import Problems, ProblemsError, WrongValueError, did_you_mean
+from cgemit.base.validate import check_whole
 from cgemit.detector.build import MaterialNameError, material_named
 from cgemit.detector.core import SCREENINGS, compiled_stack
 from cgemit.detector.material import Material
@@ -38,7 +39,7 @@ class Layer(NamedTuple):
     note: str = ""
 
 
-def parse_stack(text: str, problems: list[Problem]) -> tuple[Layer, ...]:
+def parse_stack(text: str, problems: Problems) -> tuple[Layer, ...]:
     """Return the layers that a text describes; add its problems to `problems`.
 
     Parameters
@@ -63,10 +64,10 @@ def parse_stack(text: str, problems: list[Problem]) -> tuple[Layer, ...]:
     return tuple(found)
 
 
-def _layer(part: str, place: str, problems: list[Problem]) -> Layer | None:
+def _layer(part: str, place: str, problems: Problems) -> Layer | None:
     name, _, rest = part.strip().partition(" ")
     if not name:
-        problems.append(Problem(place, "nothing", f"material and thickness, as {_EXAMPLE}"))
+        problems.note(place, "nothing", f"material and thickness, as {_EXAMPLE}")
         return None
     before = len(problems)
     volumes = None
@@ -78,16 +79,16 @@ def _layer(part: str, place: str, problems: list[Problem]) -> Layer | None:
     try:
         material, note = material_named(name, volumes, density)
     except MaterialNameError as error:
-        problems.append(Problem(place, error.given, error.expected, error.hint))
+        problems.take(error, place)
     return Layer(material, thickness, note) if len(problems) == before else None
 
 
-def _numbers(text: str, place: str, problems: list[Problem]) -> tuple[float | None, float]:
+def _numbers(text: str, place: str, problems: Problems) -> tuple[float | None, float]:
     """Return density (None if not given) and thickness; 1 for a wrong value, since the name is still to be read."""
     quantities = [match[1] for match in _QUANTITY.finditer(text)]
     if re.sub(r"\s", "", "".join(quantities)) != re.sub(r"\s", "", text) or not 1 <= len(quantities) <= 2:
         given = f'"{text.strip()}" after the material' if text.strip() else "no thickness"
-        problems.append(Problem(place, given, f"a thickness, before it a density if need be, as {_EXAMPLE}"))
+        problems.note(place, given, f"a thickness, before it a density if need be, as {_EXAMPLE}")
         return 1.0, 1.0
     limits = {"density": _DENSITIES, "length": (THINNEST, THICKEST)}
     values = []
@@ -97,13 +98,13 @@ def _numbers(text: str, place: str, problems: list[Problem]) -> tuple[float | No
         try:
             value = parse_quantity(quantity, dimension)
         except QuantityError as error:
-            problems.append(Problem(place, error.given, error.expected, error.hint))
+            problems.take(error, place)
             continue
         if least <= value <= most:
             values[-1] = value
         else:
             expected = f"a {dimension} from {least:g} to {most:g} {NATIVE[dimension]}"
-            problems.append(Problem(place, f'"{quantity.strip()}"', expected))
+            problems.note(place, f'"{quantity.strip()}"', expected)
     return (values[0] if len(values) == 2 else None), values[-1]
 
 
@@ -416,7 +417,7 @@ _WIDEST = 1e3  # mrad; formulas for small angles are not valid above
 _KEV = 1e6  # per GeV
 
 
-class SlabError(ProblemsError[Problem]):
+class SlabError(ProblemsError):
     """Bad input about layers of matter; `problems` lists every problem.
 
     Attributes
@@ -522,28 +523,26 @@ def _check(
     seed: int,
     screening: str,
 ) -> _Order:
-    problems: list[Problem] = []
+    problems = Problems()
     layers = parse_stack(matter, problems) if isinstance(matter, str) else _layers(matter, problems)
     if not problems and (not layers or not all(THINNEST <= layer.thickness < math.inf for layer in layers)):
         expected = f"layers of {THINNEST:g} mm or more, and finite"
-        problems.append(Problem("matter", "no layer, or one without thickness", expected))
+        problems.note("matter", "no layer, or one without thickness", expected)
     kind, momentum = _kind(particle, problems), _momentum(p, problems)
     for name, value, least, most in (("n", n, FEWEST, MOST), ("seed", seed, 0, 2**64 - 1)):
-        if not isinstance(value, int | np.integer) or isinstance(value, bool) or not least <= value <= most:
-            problems.append(Problem(name, repr(value), f"a whole number from {least} to {most}"))
+        check_whole(name, value, least, most, problems)
     if screening not in SCREENINGS:
         expected = "one of " + ", ".join(SCREENINGS)
-        problems.append(Problem("screening", repr(screening), expected, did_you_mean(str(screening), SCREENINGS)))
-    if problems:
-        raise SlabError("slab", problems)
+        problems.note("screening", repr(screening), expected, did_you_mean(str(screening), SCREENINGS))
+    problems.report("slab", SlabError)
     return _Order(layers, kind, momentum)
 
 
-def _layers(matter: object, problems: list[Problem]) -> tuple[Layer, ...]:
+def _layers(matter: object, problems: Problems) -> tuple[Layer, ...]:
     """Return the layers of pairs of material and thickness; anything else is a problem."""
     expected = 'a text such as "Kapton 300 um", or a sequence of (Material, thickness in mm)'
     if not isinstance(matter, Sequence):
-        problems.append(Problem("matter", repr(matter), expected))
+        problems.note("matter", repr(matter), expected)
         return ()
     found = []
     for number, pair in enumerate(matter):
@@ -551,32 +550,31 @@ def _layers(matter: object, problems: list[Problem]) -> tuple[Layer, ...]:
             case (Material() as material, int() | float() | np.number() as thickness) if math.isfinite(thickness):
                 found.append(Layer(material, float(thickness)))
             case _:
-                problems.append(Problem(f"matter[{number}]", repr(pair), "(Material, thickness in mm)"))
+                problems.note(f"matter[{number}]", repr(pair), "(Material, thickness in mm)")
     return tuple(found)
 
 
-def _kind(particle: str | int, problems: list[Problem]) -> Species:
+def _kind(particle: str | int, problems: Problems) -> Species:
     try:
         kind = species(particle)
-    except ValueError as error:
-        given, _, expected = str(error).removeprefix("got ").partition("; expected ")
-        problems.append(Problem("particle", given, expected))
+    except WrongValueError as error:
+        problems.take(error, "particle")
         return species("mu-")
     if kind.charge == 0:
-        problems.append(Problem("particle", repr(particle), "a charged particle"))
+        problems.note("particle", repr(particle), "a charged particle")
     return kind
 
 
-def _momentum(p: float | str, problems: list[Problem]) -> float:
+def _momentum(p: float | str, problems: Problems) -> float:
     try:
         value = parse_quantity(p, "momentum") if isinstance(p, str) else float(p)
     except QuantityError as error:
-        problems.append(Problem("p", error.given, error.expected, error.hint))
+        problems.take(error, "p")
         return 1.0
     except (TypeError, ValueError):
         value = math.nan
     if not 0 < value <= FASTEST:
-        problems.append(Problem("p", repr(p), f"a momentum above 0, up to {FASTEST:g} GeV/c"))
+        problems.note("p", repr(p), f"a momentum above 0, up to {FASTEST:g} GeV/c")
     return value
 
 

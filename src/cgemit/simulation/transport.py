@@ -7,7 +7,9 @@ from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
 from cgemit import _core
-from cgemit.base.settings import Check, SettingsData
+from cgemit.base.errors import Problems
+from cgemit.base.settings import SettingsData
+from cgemit.base.validate import Check
 from cgemit.detector import Detector, Screening, compiled, load
 from cgemit.particles.species import compiled_decays
 from cgemit.particles.table import check_particles
@@ -64,15 +66,13 @@ class SimulateSettings(SettingsData):
     decays: bool = True
     half_turns: HalfTurns = 1
 
-    def contradictions(self) -> list[str]:
-        """Return the settings that need fluctuations ``"full"``."""
-        problems = []
+    def contradictions(self, problems: Problems) -> None:
+        """Note the settings that need fluctuations ``"full"``."""
         full = str(self.fluctuations) == "full"
         if str(self.foil) == "lattice" and not full:
-            problems.append("foil: got 'lattice', expected 'effective' unless fluctuations are 'full'")
+            problems.note("foil", "'lattice'", "'effective' unless fluctuations are 'full'")
         if self.steps is True and not full:
-            problems.append("steps: got True, expected False unless fluctuations are 'full'")
-        return problems
+            problems.note("steps", "True", "False unless fluctuations are 'full'")
 
 
 def simulate(

@@ -18,13 +18,15 @@ from cgemit.analysis.resolutions import (
 from cgemit.analysis.widths import Fraction, GaussianFit, Pulls, Resolution, Resolutions, gaussian_fit, measure
 from cgemit.detector.inventory import Background
 from cgemit.study.optimize.result import Confirmation, Optimization
-from cgemit.study.optimize.run import OptimizeError, optimize
+from cgemit.study.optimize.run import optimize
+from cgemit.study.optimize.search import Search
 from cgemit.study.paper.results import Reproduction
 from cgemit.study.paper.run import reproduce
 from cgemit.study.scan import AnalyticScan, Scan, scan, scan_analytic
+from cgemit.study.sweep.evaluate import Evaluation
 from cgemit.study.sweep.result import Sweep
 from cgemit.study.sweep.run import sweep
-from cgemit.study.sweep.space import Space, grid, latin_hypercube, sobol
+from cgemit.study.sweep.space import PlanError, Space, grid, latin_hypercube, sobol
 
 __all__ = [
     "AnalyticScan",
@@ -33,6 +35,7 @@ __all__ = [
     "Cosmics",
     "Curve",
     "DeltaFractions",
+    "Evaluation",
     "Finding",
     "FindingRates",
     "Flatness",
@@ -41,12 +44,13 @@ __all__ = [
     "GaussianFit",
     "LoopLinks",
     "Optimization",
-    "OptimizeError",
+    "PlanError",
     "Pulls",
     "Reproduction",
     "Resolution",
     "Resolutions",
     "Scan",
+    "Search",
     "Space",
     "Sweep",
     "chi2_flatness",

@@ -11,7 +11,7 @@ import numpy as np
 
 from cgemit.analysis.clusters import ClusterResiduals, DeltaFractions, cluster_residuals, delta_fractions
 from cgemit.analysis.widths import FEWEST
-from cgemit.base.settings import InTurn
+from cgemit.base.validate import InTurn
 from cgemit.chain import run
 from cgemit.chain.record import gun_data, record
 from cgemit.chain.settings import FinderLike, Settings

@@ -21,7 +21,7 @@ from cgemit.analysis.quantities import MAIN, QUANTITIES, REPORTED, median, media
 from cgemit.analysis.resolutions import FORMS, FormFit, fit_form, pulls, resolution
 from cgemit.analysis.widths import Resolution, core_sigma, jackknife, without_groups
 from cgemit.base.files import SUMMARY, new_folder
-from cgemit.base.settings import InTurn, check_numbers
+from cgemit.base.validate import InTurn, check_numbers
 from cgemit.base.version import __version__
 from cgemit.chain.record import gun_data, record, write_record
 from cgemit.chain.settings import FinderLike, Settings, hits_text

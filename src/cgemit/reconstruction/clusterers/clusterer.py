@@ -9,7 +9,8 @@ from typing import Annotated, Literal
 import numpy as np
 import numpy.typing as npt
 
-from cgemit.base.settings import Check, Positive, SettingsData
+from cgemit.base.settings import SettingsData
+from cgemit.base.validate import Check, Positive
 from cgemit.detector import Detector
 from cgemit.detector.readouts import Readout
 from cgemit.tables import Table

@@ -11,7 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from cgemit import _core
-from cgemit.base.settings import Check, Positive, SettingsData
+from cgemit.base.settings import SettingsData
+from cgemit.base.validate import Check, Positive
 from cgemit.detector import Detector, compiled, load
 from cgemit.particles.species import HYPOTHESES, Hypothesis
 from cgemit.reconstruction.candidates import HIT_V, HIT_WIRE, HIT_X, HIT_XV, XV_CLUSTER

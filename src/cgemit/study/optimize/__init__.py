@@ -2,6 +2,7 @@
 
 from cgemit.detector.inventory import Background
 from cgemit.study.optimize.result import Confirmation, Optimization
-from cgemit.study.optimize.run import OptimizeError, optimize
+from cgemit.study.optimize.run import optimize
+from cgemit.study.optimize.search import Search
 
-__all__ = ["Background", "Confirmation", "Optimization", "OptimizeError", "optimize"]
+__all__ = ["Background", "Confirmation", "Optimization", "Search", "optimize"]

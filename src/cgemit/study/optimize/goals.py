@@ -11,8 +11,8 @@ import numpy as np
 
 from cgemit.analysis.quantities import NAMES, QUANTITIES
 from cgemit.analysis.widths import GROUPS, Floats, jackknife
-from cgemit.base.errors import DetectorError, did_you_mean
-from cgemit.base.settings import is_whole
+from cgemit.base.errors import DetectorError, Problem, Problems, did_you_mean
+from cgemit.base.validate import is_whole
 from cgemit.covariance.sensitivity import calibrated_apart, errors_do_not_follow
 from cgemit.detector import Detector
 from cgemit.detector.inventory import GEOMETRY, Background, occupancy
@@ -64,7 +64,7 @@ class Goal:
         return f"{name}_error{bracket}{unit}"
 
 
-def goal_of(path: str, text: Any, momenta: Sequence[float], problems: list[str]) -> Goal | None:
+def goal_of(path: str, text: Any, momenta: Sequence[float], problems: Problems) -> Goal | None:
     """Return the goal that a text stands for; None with a problem if there is none.
 
     Parameters
@@ -75,29 +75,28 @@ def goal_of(path: str, text: Any, momenta: Sequence[float], problems: list[str])
         ``"dr"``, ``"dr @ 0.3 GeV/c"``, ``"channels"`` ...
     momenta : sequence of float, GeV/c
         At which resolutions are computed.
-    problems : list of str
+    problems : Problems
     """
     known = (*QUANTITIES, *GEOMETRY, OCCUPANCY)
     if not isinstance(text, str):
-        problems.append(f"{path}: got {text!r}, expected one of {', '.join(known)}")
+        problems.note(path, repr(text), f"one of {', '.join(known)}")
         return None
     name, at, where = (part.strip() for part in text.partition("@"))
     name = NAMES.get(name, name)
     if name not in known:
-        hint = did_you_mean(name, known, "; ")
-        problems.append(f"{path}: got {text!r}, expected one of {', '.join(known)}{hint}")
+        problems.note(path, repr(text), f"one of {', '.join(known)}", did_you_mean(name, known))
         return None
     if not at:
         return Goal(text, name)
     try:
         p = float(where) if where.replace(".", "", 1).isdecimal() else float(parse_quantity(where, "momentum"))
     except QuantityError as error:
-        problems.append(f"{path}: got {error}")
+        problems.take(error, path)
         return None
     near = [one for one in momenta if math.isclose(one, p, rel_tol=1e-9)]
     if name not in QUANTITIES or not near:
         expected = "no momentum" if name not in QUANTITIES else "one of p: " + ", ".join(f"{one:g}" for one in momenta)
-        problems.append(f"{path}: got {text!r}, expected {expected}")
+        problems.note(path, repr(text), expected)
         return None
     return Goal(text, name, near[0])
 
@@ -118,11 +117,16 @@ class Goals:
     evaluation: Evaluation
     background: Background | None
 
+    @property
+    def quantities(self) -> tuple[str, ...]:
+        """Resolutions among the goals."""
+        return tuple(dict.fromkeys(one.name for one in self.goals if one.resolution))
+
     def described(self) -> dict[str, Any]:
         """Return all that values depend on, beside the detector, as JSON."""
         found: dict[str, Any] = {"goals": [[one.name, one.p] for one in self.goals]}
         found["background"] = asdict(self.background) if self.background else None
-        return found | ({"evaluation": self.evaluation.described()} if self.evaluation.quantities else {})
+        return found | ({"evaluation": self.evaluation.described()} if self.quantities else {})
 
     def __call__(self, detector: Detector) -> dict[str, Any]:
         """Return values, errors and the values without each of `GROUPS` groups of tracks, by header.
@@ -132,7 +136,7 @@ class Goals:
         ValueError
             If no track reaches the wires or layers that it needs.
         """
-        names = self.evaluation.quantities
+        names = self.quantities
         resolutions = self._simulated(detector) if self.evaluation.method == "mc" and names else {}
         if self.evaluation.method == "analytic" and names:
             resolutions = self._analytic(detector)
@@ -173,7 +177,7 @@ class Goals:
         """Return (points, 1 + GROUPS) widths of each resolution in quoted units."""
         found = covariances(detector, self.evaluation)
         resolutions = {}
-        for name in self.evaluation.quantities:
+        for name in self.quantities:
             pairs = [(one.sigma(name), one.variances(name)) for one in found]
             rows = [
                 _replicas(sigma[i], variances[i]) for i in range(len(self.evaluation.p)) for sigma, variances in pairs
@@ -184,7 +188,7 @@ class Goals:
     def _simulated(self, detector: Detector) -> dict[str, Floats]:
         found = self.evaluation(detector)
         resolutions = {}
-        for name in self.evaluation.quantities:
+        for name in self.quantities:
             pairs = zip(found["columns"][QUANTITIES[name].column()], found["replicas"], strict=True)
             resolutions[name] = np.array([[sigma, *replicas[name]] for sigma, replicas in pairs])
         return resolutions
@@ -226,10 +230,10 @@ class Limit:
 TOLERANCE = 1e-6
 
 
-def limits_of(given: Mapping[str, Any], momenta: Sequence[float], problems: list[str]) -> tuple[Limit, ...]:
+def limits_of(given: Mapping[str, Any], momenta: Sequence[float], problems: Problems) -> tuple[Limit, ...]:
     """Return the limits of constraints; see `optimize`."""
     if not isinstance(given, Mapping):
-        problems.append(f"constraints: got {given!r}, expected a dict of (low, high) by name")
+        problems.note("constraints", repr(given), "a dict of (low, high) by name")
         return ()
     found = []
     for name, ends in given.items():
@@ -239,9 +243,7 @@ def limits_of(given: Mapping[str, Any], momenta: Sequence[float], problems: list
         if right and None not in ends and ends[0] > ends[1]:
             right = False
         if not right:
-            problems.append(
-                f"constraints.{name}: got {ends!r}, expected (low, high), numbers in the unit of the quantity or None"
-            )
+            problems.note(f"constraints.{name}", repr(ends), "(low, high), numbers in the unit of the quantity or None")
         elif goal is not None:
             found.append(Limit(goal, ends[0], ends[1]))
     return tuple(found)
@@ -323,7 +325,7 @@ def changes_of(variables: Sequence[Variable], values: Sequence[Any]) -> Changes:
     return {one.key: one.change(value) for one, value in zip(variables, values, strict=True)}
 
 
-def variables_of(base: Detector, space: Mapping[str, Any], problems: list[str]) -> tuple[Variable, ...]:
+def variables_of(base: Detector, space: Mapping[str, Any], problems: Problems) -> tuple[Variable, ...]:
     """Return the variables of a space.
 
     Parameters
@@ -331,27 +333,27 @@ def variables_of(base: Detector, space: Mapping[str, Any], problems: list[str]) 
     base : Detector
     space : mapping of str to (low, high), list or "bounds"
         By dotted key of the detector file.
-    problems : list of str
+    problems : Problems
         Receives every problem.
     """
     if not isinstance(space, Mapping) or not space:
-        problems.append(f"space: got {space!r}, expected keys of the detector file with {_EXPECTED}")
+        problems.note("space", repr(space), f"keys of the detector file with {_EXPECTED}")
         return ()
     found = [_variable(base, key, given, problems) for key, given in space.items()]
     return tuple(one for one in found if one is not None)
 
 
-def _variable(base: Detector, key: str, given: Any, problems: list[str]) -> Variable | None:
+def _variable(base: Detector, key: str, given: Any, problems: Problems) -> Variable | None:
     try:
         one = _parsed(base, key, given)
         if one is None:
-            problems.append(f"{key}: got {given!r}, expected {_EXPECTED}")
+            problems.note(key, repr(given), _EXPECTED)
             return None
         base.with_overrides({key: one.change(one.start(base))})
         # Several absolute values become one when they are varied; elsewhere a wrong value only shows at the ends.
         return one
     except DetectorError as error:
-        problems += [str(problem) for problem in error.problems]
+        problems.take(error)
         return None
 
 
@@ -374,7 +376,7 @@ def _parsed(base: Detector, key: str, given: Any) -> Variable | None:
     return Variable(key, low, high, before, unit, whole)
 
 
-def calibration_problems(base: Detector, variables: Sequence[Variable], readout: Readout) -> list[str]:
+def calibration_problems(base: Detector, variables: Sequence[Variable], readout: Readout) -> list[Problem]:
     """Return the problem of a read-out whose calibrated errors do not follow what is varied, if there is one.
 
     Parameters
@@ -386,8 +388,8 @@ def calibration_problems(base: Detector, variables: Sequence[Variable], readout:
     keys = [one.key for one in variables if calibrated_apart(readout, base, _sample(base, one))]
     if not keys:
         return []
-    expected = "expected 'binary' or 'gaussian', or evaluate 'mc' with own calibrations"
-    return [f"settings.digitize.readout: {errors_do_not_follow(readout, keys)}; {expected}"]
+    expected = "'binary' or 'gaussian', or evaluate 'mc' with own calibrations"
+    return [Problem("settings.digitize.readout", errors_do_not_follow(readout, keys), expected)]
 
 
 def _sample(base: Detector, one: Variable) -> Iterator[Detector]:

@@ -15,9 +15,9 @@ import numpy as np
 import numpy.typing as npt
 
 from cgemit.analysis.widths import Floats, jackknife
-from cgemit.base.errors import ProblemsError
+from cgemit.base.errors import Problem, ProblemsError, WrongValueError
 from cgemit.study.optimize.goals import TOLERANCE, Goal, Variable, changes_of
-from cgemit.study.optimize.search import Design, Evaluator
+from cgemit.study.optimize.search import Design, Evaluator, Search
 
 #: Standard errors by which a design must be better to push another one off the front.
 SIGMAS = 2.0
@@ -130,7 +130,7 @@ def growth(values: Floats, calls: Sequence[int], reference: Floats) -> list[tupl
 GROUPS_DONE = "groups"
 
 
-class MissingPackageError(ValueError):
+class MissingPackageError(WrongValueError):
     """A package of an extra that is not installed."""
 
 
@@ -145,9 +145,8 @@ def optuna() -> Any:
     try:
         import optuna as module
     except ImportError as error:
-        raise MissingPackageError(
-            'expected Optuna 5 or later, which is not installed: pip install "cgemit[opt]"'
-        ) from error
+        expected = 'Optuna 5 or later, which is not installed: pip install "cgemit[opt]"'
+        raise MissingPackageError("'nsga2'", expected) from error
     module.logging.set_verbosity(module.logging.WARNING)
     return module
 
@@ -220,7 +219,7 @@ def _whole_groups(path: Path) -> list[dict[str, Any]]:
                 break
             size += len(line)
             if not isinstance(found[-1], dict):
-                raise ProblemsError(str(path), [f"line {len(found)}: got {line[:40]!r}, expected a journal of Optuna"])
+                raise ProblemsError(str(path), [Problem(f"line {len(found)}", repr(line[:40]), "a journal of Optuna")])
             if line.endswith(b"\n") and GROUPS_DONE in found[-1].get("user_attr", {}):
                 end, complete = size, len(found)
     os.truncate(path, end)
@@ -235,15 +234,12 @@ def evolve(
     evaluator: Evaluator,
     variables: Sequence[Variable],
     objectives: Sequence[Goal],
+    how: Search,
     *,
-    population: int,
-    offspring: int,
-    calls: int,
-    seed: int,
     journal: Path | None,
     progress: Callable[[float, str], None] | None,
 ) -> tuple[Design, ...]:
-    """Return all designs of a search: `population` random ones, then `calls` times `offspring`.
+    """Return all designs of a search: `how.population` random ones, then `how.calls` times `how.offspring`.
 
     K. Deb et al., IEEE Trans. Evol. Comput. 6 (2002) 182, with simulated binary crossover and polynomial mutation: the
     parents of a call are the best `population` designs of
@@ -255,11 +251,12 @@ def evolve(
     evaluator : Evaluator
     variables : sequence of Variable
     objectives : sequence of Goal
-    population, offspring, calls, seed : int
+    how : Search
     journal : Path or None
         Optuna's journal: a search that it holds is continued, with the same designs as if it had not been interrupted.
     progress : callable or None
     """
+    population, offspring, calls, seed = how.population, how.offspring, how.calls, how.seed
     module = optuna()
     storage, write = open_journal(journal)
     study = module.create_study(

@@ -7,12 +7,14 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 
 from cgemit.analysis.widths import Floats
-from cgemit.base.errors import DetectorError
+from cgemit.base.errors import DetectorError, Problem, ProblemsError
+from cgemit.base.settings import SettingsData
+from cgemit.base.validate import Check
 from cgemit.covariance.result import Covariance
 from cgemit.covariance.sensitivity import SurfacesError, logarithmic_slopes, varied
 from cgemit.detector import Detector
@@ -20,12 +22,51 @@ from cgemit.detector.inventory import gaps
 from cgemit.detector.parts import CgemLayer
 from cgemit.detector.variants import matching, value_at
 from cgemit.study.optimize.goals import TOLERANCE, Goal, Goals, Limit, Variable, changes_of
-from cgemit.study.sweep.evaluate import covariances
+from cgemit.study.sweep.evaluate import Seed, covariances
 from cgemit.study.sweep.run import Task, compute_rows
 from cgemit.study.sweep.space import Changes
 
 #: Designs of one task: analytic ones take milliseconds.
 CHUNK = {"analytic": 5, "mc": 1}
+
+
+#: SLSQP with gradients, COBYLA without, NSGA-II.
+Method = Literal["gradient", "cobyla", "nsga2"]
+
+_WHOLE = "a whole number from {} to 1000000"
+Count = Annotated[int, Check(lambda value: 1 <= value <= 1_000_000, _WHOLE.format(1))]
+Population = Annotated[int, Check(lambda value: 4 <= value <= 1_000_000, _WHOLE.format(4))]
+Calls = Annotated[int, Check(lambda value: 0 <= value <= 1_000_000, _WHOLE.format(0))]
+Tolerance = Annotated[float, Check(lambda value: 0 < value < 1, "a number between 0 and 1")]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Search(SettingsData):
+    """Method and length of a search; the table ``[search]`` of a plan.
+
+    Attributes
+    ----------
+    method : "gradient", "cobyla", "nsga2" or None
+        SLSQP with the gradients of the covariance; COBYLA, without gradients; NSGA-II (Optuna, extra ``[opt]``).
+        None: "gradient" for one objective of continuous numbers, else "nsga2".
+    tolerance : float or None
+        Relative change of the objective ("gradient", 1e-4) or change of the variables in units of their ranges
+        ("cobyla", 1e-3) at which the search ends.
+    steps : int
+        Most iterations of "gradient", most designs of "cobyla".
+    population, offspring, calls : int
+        Of "nsga2": designs of the first population and parents of each call, new designs of each call, and calls.
+    seed : int
+        Of "nsga2".
+    """
+
+    method: Method | None = None
+    tolerance: Tolerance | None = None
+    steps: Count = 200
+    population: Population = 100
+    offspring: Count = 30
+    calls: Calls = 200
+    seed: Seed = 1
 
 
 @dataclass(frozen=True)
@@ -50,7 +91,7 @@ class Evaluator:
 
     def rows(self, designs: Sequence[Changes]) -> list[dict[str, Any]]:
         """Return the row of each design: `status`, `problems`, and of possible ones `hash`, `values`, `errors`."""
-        size = CHUNK[self.goals.evaluation.method]
+        size = CHUNK[self.goals.evaluation.kind]
         parts = [designs[i : i + size] for i in range(0, len(designs), size)]
         tasks = [Task((self.base,) * len(part), tuple(part), self.goals) for part in parts]
         return [row for rows in compute_rows(tasks, self.folder, self.executor, None, None) for row in rows]
@@ -96,7 +137,7 @@ _KEPT = (3e-4, 1e-5)
 _CUTS = (1.0, 0.75, 0.5, 0.25, 0.1, 0.03, 0.0)
 
 
-class NoStartError(ValueError):
+class NoStartError(ProblemsError):
     """A start from which nothing can be varied."""
 
 
@@ -147,7 +188,7 @@ class Descent:
         try:
             first = gaps(self.detector(u))
         except DetectorError as error:
-            raise NoStartError("\n".join(map(str, error.problems))) from None
+            raise NoStartError("start", error.problems) from None
         # Radii and thicknesses enter linearly, so that one difference is exact everywhere.
         columns = [self._difference(u, i, gaps) for i in range(len(u))]
         ends = [one.low for one in self.evaluator.limits if one.goal.name == "gap"]
@@ -166,9 +207,9 @@ class Descent:
         """
         row = self._row(u)
         if row["status"] != "ok":
-            raise NoStartError("\n".join(row["problems"]))
+            raise NoStartError("start", [Problem("", one, "") for one in row["problems"]])
         self._found, self._slopes, self._good = {}, {}, np.array(u)
-        if self.fixed_hits and self.evaluator.goals.evaluation.quantities:
+        if self.fixed_hits and self.evaluator.goals.quantities:
             self._anchors = covariances(self.detector(u), self.evaluator.goals.evaluation)
         return row
 
@@ -225,7 +266,9 @@ class Descent:
                 if values is not None:
                     break
             else:
-                raise NoStartError(f"{self.numbers(u)}: got an impossible design, expected a possible start")
+                raise NoStartError(
+                    "start", [Problem("", f"an impossible design {self.numbers(u)}", "a possible start")]
+                )
             self._good = here
             self._found[name] = _Point(here, self.detector(here), values, (1 - part) * float(np.linalg.norm(u - start)))
         return self._found[name]
@@ -352,7 +395,7 @@ class Found:
     message: str
 
 
-def search(
+def descend(
     evaluator: Evaluator,
     variables: tuple[Variable, ...],
     objective: Goal,

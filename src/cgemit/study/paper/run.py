@@ -11,7 +11,7 @@ from pathlib import Path
 
 from cgemit.analysis.quantities import MAIN
 from cgemit.base.files import SUMMARY, check_free, new_folder
-from cgemit.base.settings import check_numbers
+from cgemit.base.validate import check_numbers
 from cgemit.chain import run
 from cgemit.chain.record import write_record
 from cgemit.chain.settings import FinderLike, Settings

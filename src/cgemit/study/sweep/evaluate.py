@@ -5,15 +5,18 @@ from __future__ import annotations
 import hashlib
 import inspect
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from functools import cached_property
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from cgemit.analysis.quantities import ABSOLUTE, NAMES, QUANTITIES, REPORTED
 from cgemit.analysis.widths import GROUPS, core_sigma, measure, without_groups
+from cgemit.base.errors import Problems, WrongValueError
+from cgemit.base.settings import SettingsData
+from cgemit.base.validate import Check, Listed
 from cgemit.chain import run
 from cgemit.chain.settings import Settings, fit_settings
 from cgemit.covariance.analytic import covariance_at, entries_at
@@ -21,6 +24,8 @@ from cgemit.covariance.result import Budget, Covariance, Entries, Widths, core_w
 from cgemit.covariance.tracks import Points, points_of
 from cgemit.detector import Detector
 from cgemit.particles.gun import Gun
+from cgemit.particles.species import species
+from cgemit.particles.table import FASTEST
 from cgemit.reconstruction.fit import FitSettings, FitStatus
 from cgemit.simulation.digitize import DigitizeSettings
 from cgemit.study.samples import seed_of
@@ -34,42 +39,93 @@ Function = Callable[[Detector], Mapping[str, Any]]
 CosTheta = float | tuple[float, float]
 
 
+Momenta = Annotated[Any, Listed("momentum", 0, FASTEST, above=True)]
+Angles = Annotated[Any, Listed("dimensionless", -1, 1, ranges=True)]
+Events = Annotated[int, Check(lambda value: 1 <= value < 2**31, f"a whole number from 1 to {2**31 - 1}")]
+Seed = Annotated[int, Check(lambda value: 0 <= value < 2**64, f"a whole number from 0 to {2**64 - 1}")]
+Samples = Annotated[int, Check(lambda value: 1 <= value <= 2**20, f"a whole number from 1 to {2**20}")]
+Variants = Annotated[int, Check(lambda value: 1 <= value <= 1_000_000, "a whole number from 1 to 1000000")]
+if TYPE_CHECKING:
+    Resolution = str
+else:
+    Resolution = Literal[tuple(NAMES)]
+
+
 @dataclass(frozen=True)
-class Evaluation:
-    """What is computed for every variant, the same for all.
+class Evaluation(SettingsData):
+    """What is computed for every variant, the same for all; the table ``[evaluate]`` of a plan.
 
     Attributes
     ----------
-    method : "analytic", "mc" or "function"
+    method : "analytic", "mc" or callable
+        Resolutions from the covariance; resolutions of simulated tracks, with the same random numbers for every
+        variant and the paired error of the difference to the base; or a function of a `Detector` that returns a dict
+        of numbers (in a file ``"FILE.py:FUNCTION"``, relative to the plan).
     particle : str or int
-    p : tuple of float, GeV/c
-    cos_theta : tuple of float or (float, float)
-        Values or uniform ranges.
-    events, seed : int
-        Of "mc", for each point.
-    settings : Settings or None
-    function : callable or None
-    quantities : tuple of str
-        Resolutions, of `QUANTITIES`.
+        Name or PDG number.
+    p : float or list of float, GeV/c
+        Momenta.
+    cos_theta : float, (float, float), or list of these
+        A pair is a uniform range, in a file ``"LOW:HIGH"``.
+    events : int
+        "mc": simulated events for each variant, momentum and angle.
+    seed : int
+        Seed of the simulation.
+    quantities : list of str
+        Resolutions to be computed: p, pt, dr, dz, phi0, theta, tanl.
     samples : int or None
-        Of "analytic": tracks that are averaged at each point.
+        "analytic": tracks that are averaged at each point (`cgemit.analytic`).
+    chunk : int or None
+        Variants in one chunk.
+    settings : Settings or None
+        Settings of all stages, in a file the table ``[settings]``; "analytic" uses read-out and fit.
+
+    Raises
+    ------
+    SettingsError
+        Listing every problem.
     """
 
-    method: Literal["analytic", "mc", "function"]
-    particle: str | int
-    p: tuple[float, ...]
-    cos_theta: tuple[CosTheta, ...]
-    events: int
-    seed: int
-    settings: Settings | None
-    function: Function | None
-    quantities: tuple[str, ...]
-    samples: int | None
+    method: Literal["analytic", "mc"] | Function = "analytic"
+    _: KW_ONLY
+    particle: str | int = "mu-"
+    p: Momenta = 1.0
+    cos_theta: Angles = 0.0
+    events: Events = 2000
+    seed: Seed = 1
+    quantities: tuple[Resolution, ...] = SWEPT
+    samples: Samples | None = None
+    chunk: Variants | None = None
+    settings: Settings | None = None
+
+    def contradictions(self, problems: Problems) -> None:
+        """Note a particle that leaves no track, and an evaluation of nothing."""
+        if isinstance(self.particle, str | int):
+            try:
+                if species(self.particle).charge == 0:
+                    problems.note("particle", repr(self.particle), "a charged particle")
+            except WrongValueError as error:
+                problems.take(error, "particle")
+        if isinstance(self.quantities, tuple):
+            names = tuple(NAMES.get(str(name), name) for name in self.quantities)
+            object.__setattr__(self, "quantities", names)
+        if self.quantities == ():
+            problems.note("quantities", "none", f"some of {', '.join(QUANTITIES)}")
+
+    @property
+    def function(self) -> Function | None:
+        """The function of a `Detector`, if that is the method."""
+        return self.method if callable(self.method) else None
+
+    @property
+    def kind(self) -> str:
+        """Name of the method; ``"function"`` for any function."""
+        return "function" if callable(self.method) else self.method
 
     def described(self) -> dict[str, Any]:
         """Return all that results depend on, beside the detector, as JSON."""
         if self.function is not None:
-            return {"method": self.method, "function": identity(self.function)}
+            return {"method": "function", "function": identity(self.function)}
         found: dict[str, Any] = {"method": self.method, "particle": self.particle, "points": self.points()}
         found |= {"settings": (self.settings or Settings()).to_dict(), "quantities": self.quantities}
         simulated = {"events": self.events, "seed": self.seed, "groups": GROUPS}
@@ -77,10 +133,10 @@ class Evaluation:
 
     def points(self) -> list[dict[str, Any]]:
         """Return momentum and angle of every point; one point without them for a function."""
-        if self.method == "function":
+        if callable(self.method):
             return [{}]
         as_text = any(isinstance(one, tuple) for one in self.cos_theta)
-        angles = [_text(one) if as_text else float(one) for one in self.cos_theta]  # type: ignore[arg-type]
+        angles = [_text(one) if as_text else float(one) for one in self.cos_theta]
         return [{"p (GeV/c)": float(p), "cos_theta": one} for p in self.p for one in angles]
 
     @cached_property
@@ -165,9 +221,9 @@ def budgets(evaluation: Evaluation, detectors: Mapping[str, Detector], quantity:
         If the evaluation was a function, or there is no such point or quantity.
     """
     points = [(p, one) for p in evaluation.p for one in evaluation.cos_theta]
-    if evaluation.method == "function" or not 0 <= point < len(points) or quantity not in NAMES:
+    if evaluation.function or not 0 <= point < len(points) or quantity not in NAMES:
         raise ValueError(
-            f"budgets: got {quantity!r} at point {point} of evaluation {evaluation.method!r}; expected one of "
+            f"budgets: got {quantity!r} at point {point} of evaluation {evaluation.kind!r}; expected one of "
             f"{', '.join(QUANTITIES)}, a point below {len(points)}, and an evaluation of resolutions"
         )
     p, cos_theta = points[point]

@@ -15,19 +15,15 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal, Protocol
 
-from cgemit.analysis.quantities import NAMES, QUANTITIES
 from cgemit.base.errors import DetectorError, Problems
 from cgemit.base.files import OutputExistsError, check_free, new_file
-from cgemit.base.settings import check_numbers, is_whole
+from cgemit.base.validate import build, is_whole
 from cgemit.base.version import PHYSICS
-from cgemit.chain.settings import Settings
 from cgemit.detector import Detector, load
-from cgemit.particles.gun import Gun
-from cgemit.particles.species import species
 from cgemit.study.samples import ShowProgress
-from cgemit.study.sweep.evaluate import SWEPT, CosTheta, Evaluation, Function
+from cgemit.study.sweep.evaluate import Evaluation, Function
 from cgemit.study.sweep.result import Sweep
-from cgemit.study.sweep.space import Changes, Space, SpaceError, grid, key_problems, listed
+from cgemit.study.sweep.space import Changes, PlanError, Space, grid, key_problems, listed
 
 FORMAT = "cgemit-sweep-2"
 #: Folder of the chunks in the output of a sweep.
@@ -266,23 +262,14 @@ CHUNK = {"analytic": 50, "mc": 1, "function": 1}
 def sweep(
     base: Detector | str | Mapping[str, Any],
     space: Space | Mapping[str, Sequence[Any]] | Sequence[Changes],
+    evaluate: Evaluation | Mapping[str, Any] | Literal["analytic", "mc"] | Function = "analytic",
     *,
-    evaluate: Literal["analytic", "mc"] | Function = "analytic",
-    particle: str | int = "mu-",
-    p: float | Sequence[float] = 1.0,
-    cos_theta: CosTheta | Sequence[CosTheta] = 0.0,
-    events: int = 2000,
-    seed: int = 1,
-    settings: Settings | None = None,
-    quantities: Sequence[str] = SWEPT,
-    samples: int | None = None,
     executor: Executor | None = None,
     output: str | os.PathLike[str] | None = None,
     resume: bool = True,
     overwrite: bool = False,
     part: tuple[int, int] | None = None,
     compute: bool = True,
-    chunk: int | None = None,
     progress: ShowProgress | None = None,
 ) -> Sweep:
     """Evaluate variants of a detector.
@@ -293,22 +280,7 @@ def sweep(
     space : Space, dict of lists (a grid), or list of dicts
         Changes by dotted key of the detector file, as `Detector.with_overrides` takes them; `base` and `field` take
         names of presets or files. See `grid`, `sobol` and `latin_hypercube`.
-    evaluate : "analytic", "mc" or callable
-        Resolutions from the covariance; resolutions of simulated tracks, with the same random numbers for every
-        variant and the paired error of the difference to the base; or a function of a `Detector` that returns a dict
-        of numbers.
-    particle : str or int
-    p : float or list of float, GeV/c
-    cos_theta : float, (float, float), or list of these
-        A pair is a uniform range.
-    events, seed : int
-        Of "mc", for each variant, momentum and angle.
-    settings : Settings, optional
-        Of all stages; "analytic" uses read-out and fit.
-    quantities : sequence of str
-        Resolutions to be computed: p, pt, dr, dz, phi0, theta, tanl.
-    samples : int, optional
-        Of "analytic": tracks that are averaged at each point (`cgemit.analytic`).
+    evaluate : Evaluation, a dict of its arguments, or its method
     executor : concurrent.futures.Executor, optional
         Default: a thread pool of all cores. Dask: ``client.get_executor()``.
     output : path, optional
@@ -322,8 +294,6 @@ def sweep(
         joins them.
     compute : bool
         Whether to compute the chunks that the folder does not hold; otherwise their rows are of status "missing".
-    chunk : int, optional
-        Variants in one chunk.
     progress : callable, optional
         Called with the share that is done and a text with the remaining time.
 
@@ -335,25 +305,22 @@ def sweep(
 
     Raises
     ------
-    ValueError
+    PlanError
         Listing every problem of the arguments, among them keys that name nothing in the base.
     OutputExistsError
         If the folder holds files that are none of a sweep.
     """
-    evaluation = _evaluation(
-        evaluate, particle=particle, p=as_tuple(p), cos_theta=as_tuple(cos_theta), events=events, seed=seed,
-        settings=settings, quantities=tuple(NAMES.get(name, name) for name in quantities), samples=samples,
-    )  # fmt: skip
-    wrong = Problems("sweep")
-    wrong.collect(_check, evaluation, part, chunk)
-    start = wrong.collect(load, base)
-    chosen = wrong.collect(_space, space)
-    named = wrong.collect(_named, start, chosen.variants) if start is not None and chosen is not None else None
-    wrong.report()
-    assert chosen is not None
-    assert named is not None
-    bases = named
-    size = chunk or CHUNK[evaluation.method]
+    wrong = Problems()
+    evaluation: Any = evaluation_of(evaluate, wrong)
+    if part is not None and not (is_whole(part[1], 1, 1_000_000) and is_whole(part[0], 0, part[1] - 1)):
+        wrong.note("part", repr(part), "(i, n) with i from 0 to n - 1")
+    start: Any = wrong.collect(load, base)
+    chosen: Any = wrong.collect(_space, space)
+    named = wrong.collect(_with_bases, start, chosen.variants) if start is not None and chosen is not None else None
+    bases = [(start, {}), *named] if named is not None else []
+    wrong += key_problems(bases)
+    wrong.report("sweep", PlanError)
+    size = evaluation.chunk or CHUNK[evaluation.kind]
     tasks = [_task(bases[i : i + size], evaluation) for i in range(0, len(bases), size)]
     folder = chunk_folder(output, resume=resume, overwrite=overwrite)
     rows = compute_rows(tasks, folder, executor, part if compute else (0, 0), progress)
@@ -364,66 +331,11 @@ def sweep(
     return result
 
 
-def _named(start: Detector, variants: Sequence[Changes]) -> list[tuple[Detector, Changes]]:
-    """Return base and variants with the detector that each changes; raise an error for keys that name nothing."""
-    bases = [(start, {}), *_with_bases(start, variants)]
-    problems = key_problems(bases)
-    if problems:
-        raise SpaceError(problems)
-    return bases
-
-
-def _evaluation(evaluate: Any, **how: Any) -> Evaluation:
-    function = evaluate if callable(evaluate) else None
-    method: Any = "function" if function else evaluate
-    return Evaluation(method=method, function=function, **how)
-
-
-def as_tuple(given: Any) -> tuple[Any, ...]:
-    """Return numbers and (low, high) ranges of a list, or a single one, as a tuple."""
-    if hasattr(given, "tolist"):
-        given = given.tolist()
-    values = given if isinstance(given, list) else [given]
-    return tuple(tuple(map(float, one)) if isinstance(one, tuple) else one for one in values)
-
-
-def _check(evaluation: Evaluation, part: tuple[int, int] | None, chunk: int | None) -> None:
-    """Raise ValueError with every problem of what is to be evaluated."""
-    problems = []
-    if evaluation.method not in CHUNK:
-        problems.append(f"evaluate: got {evaluation.method!r}, expected 'analytic', 'mc' or a function")
-    if not evaluation.quantities or set(evaluation.quantities) - QUANTITIES.keys():
-        expected = ", ".join(QUANTITIES)
-        problems.append(f"quantities: got {', '.join(map(str, evaluation.quantities)) or 'none'}, expected {expected}")
-    if chunk is not None and not is_whole(chunk, 1, 1_000_000):
-        problems.append(f"chunk: got {chunk!r}, expected a whole number from 1 to 1000000")
-    if part is not None and not (is_whole(part[1], 1, 1_000_000) and is_whole(part[0], 0, part[1] - 1)):
-        problems.append(f"part: got {part!r}, expected (i, n) with i from 0 to n - 1")
-    problems += number_problems("sweep", evaluation)
-    if problems:
-        raise ValueError("\n  ".join(["wrong sweep", *dict.fromkeys(problems)]))
-
-
-def number_problems(name: str, evaluation: Evaluation) -> list[str]:
-    """Return what is wrong with samples, events, seed and gun of an evaluation."""
-    problems = []
-    if evaluation.samples is not None and not is_whole(evaluation.samples, 1, 2**20):
-        problems.append(f"samples: got {evaluation.samples!r}, expected a whole number from 1 to {2**20}")
-    try:
-        check_numbers(name, evaluation.seed, None, events=(evaluation.events, 1, 2**31 - 1))
-    except ValueError as error:
-        problems.append(str(error))
-    return problems + _gun_problems(evaluation)
-
-
-def _gun_problems(evaluation: Evaluation) -> list[str]:
-    try:
-        guns = [Gun(evaluation.particle, p=list(evaluation.p), cos_theta=one) for one in evaluation.cos_theta]
-    except ValueError as error:
-        return [str(error)]
-    if species(guns[0].particle).charge == 0:
-        return [f"particle: got {evaluation.particle!r}; expected a charged particle"]
-    return []
+def evaluation_of(given: Any, problems: Problems) -> Evaluation | None:
+    """Return an evaluation as it is, or that of a table or of a method; None, with problems noted, if it is wrong."""
+    if isinstance(given, Evaluation):
+        return given
+    return build(Evaluation, given if isinstance(given, Mapping) else {"method": given}, "evaluate", problems)
 
 
 def _space(space: Any) -> Space:

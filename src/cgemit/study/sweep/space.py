@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 from scipy.stats import qmc
 
-from cgemit.base.errors import DetectorError, Problem, did_you_mean
-from cgemit.base.settings import is_whole
+from cgemit.base.errors import DetectorError, Problem, Problems, ProblemsError, did_you_mean
+from cgemit.base.validate import check_whole, is_whole
 from cgemit.detector import Detector
 from cgemit.detector.variants import factor_of, matching, value_at
 from cgemit.units import NATIVE, format_quantity, parse_quantity, units_of
@@ -28,11 +28,8 @@ _MOST = 10_000_000
 _QUANTITY = re.compile(r"\s*(x|×)?\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*")
 
 
-class SpaceError(ValueError):
-    """A space with mistakes; every problem is a line of the message."""
-
-    def __init__(self, problems: Sequence[str]) -> None:
-        super().__init__("\n  ".join(["wrong space of a sweep", *problems]))
+class PlanError(ProblemsError):
+    """The plan of a study with mistakes, in a file or in Python; `problems` lists them all."""
 
 
 @dataclass(frozen=True)
@@ -73,15 +70,15 @@ def grid(axes: Mapping[str, Sequence[Any]]) -> Space:
 
     Raises
     ------
-    SpaceError
+    PlanError
         If an axis has no values, or the same value twice.
     """
-    problems = []
+    problems = Problems()
     for key, values in axes.items():
         if isinstance(values, str) or not isinstance(values, Sequence | np.ndarray) or len(values) == 0:
-            problems.append(f"{key}: got {values!r}, expected a list of at least one value")
+            problems.note(key, repr(values), "a list of at least one value")
         elif len({repr(value) for value in values}) < len(values):
-            problems.append(f"{key}: got {list(values)!r}, expected each value once")
+            problems.note(key, repr(list(values)), "each value once")
     _raise(problems, axes)
     plain = {key: tuple(_plain(value) for value in values) for key, values in axes.items()}
     variants = tuple(dict(zip(plain, values, strict=True)) for values in product(*plain.values()))
@@ -94,9 +91,11 @@ def _plain(value: Any) -> Any:
 
 def listed(variants: Sequence[Changes]) -> Space:
     """Return given variants as a space."""
-    wrong = [f"[{i}]: got {one!r:.60}, expected a table of changes" for i, one in enumerate(variants)
-             if not isinstance(one, Mapping)]  # fmt: skip
-    _raise(wrong, variants)
+    problems = Problems()
+    for i, one in enumerate(variants):
+        if not isinstance(one, Mapping):
+            problems.note(f"variants[{i}]", f"{one!r:.60}", "a table of changes")
+    _raise(problems, variants)
     return Space("list", tuple(dict(one) for one in variants), {})
 
 
@@ -114,7 +113,7 @@ def sobol(ranges: Mapping[str, Any], n: int, *, seed: int = 1) -> Space:
 
     Raises
     ------
-    SpaceError
+    PlanError
         With every problem of the ranges.
     """
 
@@ -139,7 +138,7 @@ def latin_hypercube(ranges: Mapping[str, Any], n: int, *, seed: int = 1) -> Spac
 
     Raises
     ------
-    SpaceError
+    PlanError
         With every problem of the ranges.
     """
     return _sampled(
@@ -149,9 +148,8 @@ def latin_hypercube(ranges: Mapping[str, Any], n: int, *, seed: int = 1) -> Spac
 
 
 def _sampled(kind: str, ranges: Mapping[str, Any], n: int, points: Callable[[int], Any]) -> Space:
-    problems: list[str] = []
-    if not is_whole(n, 1, _MOST):
-        problems.append(f"n: got {n!r}, expected a whole number from 1 to {_MOST}")
+    problems = Problems()
+    check_whole("n", n, 1, _MOST, problems)
     makers = {key: _maker(key, given, problems) for key, given in ranges.items()}
     _raise(problems, ranges)
     rows = points(len(ranges))
@@ -159,13 +157,13 @@ def _sampled(kind: str, ranges: Mapping[str, Any], n: int, points: Callable[[int
     return Space(kind, tuple(variants), {})
 
 
-def _raise(problems: Sequence[str], given: Any) -> None:
-    problems = problems or ([] if given else ["got nothing to vary, expected at least one key with its values"])
-    if problems:
-        raise SpaceError(problems)
+def _raise(problems: Problems, given: Any) -> None:
+    if not problems and not given:
+        problems.note("space", "nothing to vary", "at least one key with its values")
+    problems.report("space of a sweep", PlanError)
 
 
-def _maker(key: str, given: Any, problems: list[str]) -> Callable[[float], Any]:
+def _maker(key: str, given: Any, problems: Problems) -> Callable[[float], Any]:
     """Return the value of a key for a number from 0 to 1."""
     if isinstance(given, list) and given:
         return lambda u: given[min(int(u * len(given)), len(given) - 1)]
@@ -178,7 +176,7 @@ def _maker(key: str, given: Any, problems: list[str]) -> Callable[[float], Any]:
             before, first, last, unit = ends
             number = not isinstance(low, str)
             return lambda u: _joined(before, first + u * (last - first), unit, number)
-    problems.append(f"{key}: got {given!r}, expected (low, high) of one dimension, or a list to choose from")
+    problems.note(key, repr(given), "(low, high) of one dimension, or a list to choose from")
     return lambda u: None
 
 
@@ -222,33 +220,6 @@ def split_range(low: Any, high: Any) -> tuple[str, float, float, str] | None:
 _DIMENSIONS = ("length", "angle", "field", "density", "energy", "momentum", "slope", "inverse area",
                "inverse area squared", "dimensionless")  # fmt: skip
 _UNITS = frozenset(name for dimension in _DIMENSIONS for name in units_of(dimension))
-
-
-_SAMPLES = {"sobol": sobol, "latin_hypercube": latin_hypercube}
-
-
-def space_of(tables: Mapping[str, Any], problems: list[str]) -> Space | None:
-    """Return the space of a plan's tables; every problem is added to `problems`."""
-    sample = tables.get("sample", {})
-    kind = sample.get("kind", "grid")
-    try:
-        if "variants" in tables:
-            return listed(tables["variants"])
-        if kind == "grid":
-            return grid(tables["vary"])
-        if kind not in _SAMPLES:
-            problems.append(f"sample.kind: got {kind!r}, expected one of grid, {', '.join(_SAMPLES)}")
-            return None
-        ranges = {key: range_of(value) for key, value in tables["vary"].items()}
-        return _SAMPLES[kind](ranges, sample.get("n", 0), seed=sample.get("seed", 1))
-    except SpaceError as error:
-        problems += str(error).split("\n  ")[1:]
-    return None
-
-
-def range_of(value: Any) -> Any:
-    """Return ``{ from, to }`` of a plan as (low, high); other values as they are."""
-    return (value["from"], value["to"]) if isinstance(value, Mapping) and value.keys() == {"from", "to"} else value
 
 
 def axis_of(key: str, base: Detector, values: Sequence[Any]) -> tuple[str, list[Any]]:
@@ -300,7 +271,7 @@ def _own_text(key: str, base: Detector) -> str:
 _GROUPS = ("beam_pipe", "cgem", "walls")
 
 
-def key_problems(pairs: Iterable[tuple[Detector, Changes]]) -> list[str]:
+def key_problems(pairs: Iterable[tuple[Detector, Changes]]) -> list[Problem]:
     """Return a problem for each key that names nothing in any detector that it would change.
 
     Parameters
@@ -310,11 +281,11 @@ def key_problems(pairs: Iterable[tuple[Detector, Changes]]) -> list[str]:
 
     Returns
     -------
-    list of str
+    list of Problem
         A value that is wrong is no problem here: another value of the same key may be possible.
     """
     tried: set[tuple[str, int]] = set()
-    found: dict[str, str] = {}
+    found: dict[str, Problem] = {}
     fine: set[str] = set()
     for base, changes in pairs:
         new = [key for key in changes if (key, id(base)) not in tried]
@@ -327,8 +298,8 @@ def key_problems(pairs: Iterable[tuple[Detector, Changes]]) -> list[str]:
             if own is None:
                 fine.add(key)
             else:
-                found[key] = _key_text(base, key, own)
-    return [text for key, text in found.items() if key not in fine]
+                found[key] = _of_key(base, key, own)
+    return [one for key, one in found.items() if key not in fine]
 
 
 def _unknown(base: Detector, changes: Changes) -> list[Problem]:
@@ -336,14 +307,8 @@ def _unknown(base: Detector, changes: Changes) -> list[Problem]:
     try:
         base.with_overrides(dict(changes))
     except DetectorError as error:
-        return [one for one in error.problems if _names_nothing(one)]
+        return [one for one in error.problems if one.unknown]
     return []
-
-
-def _names_nothing(problem: Problem) -> bool:
-    incomplete = problem.given.startswith("only ") and problem.expected.startswith("also ")  # read as a new part
-    relative = problem.expected == "a number of the detector"
-    return problem.given == "an unknown key" or problem.given.endswith("matches nothing") or incomplete or relative
 
 
 def _is_of(problem: Problem, key: str) -> bool:
@@ -355,11 +320,12 @@ def _is_of(problem: Problem, key: str) -> bool:
     return False
 
 
-def _key_text(base: Detector, key: str, problem: Problem) -> str:
+def _of_key(base: Detector, key: str, problem: Problem) -> Problem:
+    """Return the problem of a variant as one of the key of the plan."""
     group, _, rest = problem.path.partition(".")
     label = rest.partition(".")[0]
     labels = [part.label for part in getattr(base, group)] if group in _GROUPS else []
     if labels and label not in labels and not any(mark in label for mark in "*?["):
-        hint = did_you_mean(label, labels, "; ")
-        return f"{key}: got {label!r}, which the base does not have; expected one of {', '.join(labels)}{hint}"
-    return f"{key}: {str(problem).partition(': ')[2]}"
+        expected = f"one of {', '.join(labels)}"
+        return Problem(key, f"{label!r}, which the base does not have", expected, did_you_mean(label, labels))
+    return problem._replace(path=key)
