@@ -5,7 +5,7 @@ import pytest
 
 import cgemit as cg
 from cgemit import helix
-from cgemit.reconstruction.fit import FAR, displaced, fit, slabs_inside
+from cgemit.reconstruction.fit import FAR, displaced, fit
 from pages import robustness
 
 BZ = -1.0
@@ -118,12 +118,6 @@ def test_sign_of_the_begin(charge, arc):
     assert begin == pytest.approx(np.sign(arc) * np.hypot(x, y))
     many = helix.start_radius(np.stack([given, given]), np.array([[x, y, 0]] * 2), BZ)
     assert many == pytest.approx([float(begin)] * 2)
-
-
-def test_slabs_inside():
-    detector = cg.load("besiii-cgem-design")
-    assert [slabs_inside(detector, radius) for radius in (0.0, 20.0, 35.0, -35.0)] == [0, 0, 1, -1]
-    assert slabs_inside(detector, 1e4) == slabs_inside(detector, 9e4) > 10
 
 
 def test_bad_input():

@@ -15,7 +15,7 @@ from cgemit.chain.run import run
 from cgemit.chain.settings import Settings
 from cgemit.detector import compiled, load
 from cgemit.particles.gun import Gun
-from cgemit.reconstruction.fit import FitSettings
+from cgemit.reconstruction.fit import CORE_SETTINGS, FitSettings
 from cgemit.study import pulls
 from slabs import BERYLLIUM, bethe, slab_detector
 from stats import assert_within
@@ -41,8 +41,7 @@ def measured(p: float) -> Measured:
     compact, helix = compiled(detector), np.array([0, 0.4, -1 / p, 0, 0])
     hits = hits_on(detector, helix)
     settings = dataclasses.asdict(FitSettings())
-    names = ("max_iterations", "tolerance", "least_width", "delta_strips", "kinks", "outlier_pull", "prior_sigma")
-    chosen = _core.FitSettings(errors_from_track=False, **{name: settings[name] for name in names})
+    chosen = {"errors_from_track": False} | {name: settings[name] for name in CORE_SETTINGS}
     out = _core.fit(
         compact, hit_offsets=np.array([0, len(hits["kind"])]), hits=hits, mass=np.array([MUON]), start=helix[None],
         settings=chosen, residuals=False,

@@ -44,8 +44,10 @@ def test_errors_are_optimal(name: str, p: float, cos_theta: float) -> None:
     settings = FitSettings()
     out = _core.fit(
         compiled(detector), hit_offsets=np.array([0, len(hits)]), hits=found, mass=np.array([MUON]), start=helix[None],
-        settings=_core.FitSettings(max_iterations=20, tolerance=1e-6, errors_from_track=False, least_width=0.1,
-                                   delta_strips=0.0, kinks=True, outlier_pull=0.0, prior_sigma=settings.prior_sigma),
+        settings={
+            "max_iterations": 20, "tolerance": 1e-6, "errors_from_track": False, "least_width": 0.1,
+            "delta_strips": 0.0, "kinks": True, "outlier_pull": 0.0, "prior_sigma": settings.prior_sigma,
+        },
         residuals=False,
     )  # fmt: skip
     np.testing.assert_allclose(np.sqrt(np.diag(out["cov"][0]) / np.diag(best)), 1, atol=0.01)

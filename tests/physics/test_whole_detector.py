@@ -15,10 +15,10 @@ from tracks import MUON, hits_on
 
 def covariance(core, hits, helix):
     """Return the fit's covariance on a given helix."""
-    settings = _core.FitSettings(
-        max_iterations=1, tolerance=1e9, errors_from_track=False, least_width=0.1, delta_strips=0.0, kinks=False,
-        outlier_pull=0.0, prior_sigma=tuple(FitSettings().prior_sigma),
-    )  # fmt: skip
+    settings = {
+        "max_iterations": 1, "tolerance": 1e9, "errors_from_track": False, "least_width": 0.1, "delta_strips": 0.0,
+        "kinks": False, "outlier_pull": 0.0, "prior_sigma": tuple(FitSettings().prior_sigma),
+    }  # fmt: skip
     out = _core.fit(
         core, hit_offsets=np.array([0, len(hits["kind"])]), hits=hits, mass=np.array([MUON]),
         start=np.atleast_2d(helix), settings=settings, residuals=False,

@@ -25,8 +25,7 @@ STRUCTS = [
         "FindSettings",
         "reconstruction/find/find.hpp",
         FindSettings,
-        {"segments": "method", "chamber": "method", "wires_first": "method", "mass": "hypothesis"}
-        | {"least_width": None, "delta_strips": None},
+        {"segments": "method", "chamber": "method", "mass": "hypothesis"} | {"least_width": None, "delta_strips": None},
     ),
     ("SimulateSettings", "simulation/transport/simulate.hpp", SimulateSettings, {}),
     ("BinaryReadout", "simulation/digitize/binary.hpp", BinaryReadout, {"w_values": None}),

@@ -13,10 +13,11 @@ from cgemit import _core
 from cgemit.detector import compiled, load
 from cgemit.particles.gun import Gun, generate
 
-STUB = ast.parse((PACKAGE / "_core.pyi").read_text())
+STUB = ast.parse((PACKAGE / "_core" / "__init__.pyi").read_text())
+OF_TESTS = ast.parse((PACKAGE / "_core" / "_testing.pyi").read_text())
 FUNCTIONS = {node.name: node for node in STUB.body if isinstance(node, ast.FunctionDef)}
 CLASSES = {node.name: node for node in STUB.body if isinstance(node, ast.ClassDef)}
-TESTING = {node.name: node for node in CLASSES["_testing"].body if isinstance(node, ast.FunctionDef | ast.ClassDef)}
+TESTING = {node.name: node for node in OF_TESTS.body if isinstance(node, ast.FunctionDef | ast.ClassDef)}
 CONSTANTS = {node.target.id: node for node in STUB.body if isinstance(node, ast.AnnAssign)}
 HIT_COLUMNS = {"kind": "u1", "layer": "i4", "channel": "i4", "size": "i4", "value": "f8", "sigma": "f8"}
 ENUMS = {name for name in CLASSES if isinstance(getattr(_core, name, None), enum.EnumType)}
@@ -69,7 +70,9 @@ def spelled(annotation: ast.expr | None) -> str:
 def test_names_agree() -> None:
     stub = {name for name in (FUNCTIONS | CLASSES | CONSTANTS) if not name.startswith("_")}
     assert stub == {name for name in dir(_core) if not name.startswith("_")}
-    assert set(TESTING) == {name for name in dir(_core._testing) if not name.startswith("_")}
+    assert {name for name in TESTING if not name.startswith("_")} == {
+        name for name in dir(_core._testing) if not name.startswith("_")
+    }
 
 
 @pytest.mark.parametrize("name", sorted(name for name, node in TESTING.items() if isinstance(node, ast.FunctionDef)))
@@ -114,5 +117,5 @@ def test_keys_of_returned_dicts_agree() -> None:
     }
     reference = _core._testing.reference(core, np.array([0.0, 0.0, 1.0, 0.0, 0.0]), 0.1, hits)
     for name, found in (("_Simulated", simulated), ("_Reference", reference)):
-        keys = {node.target.id for node in CLASSES[name].body if isinstance(node, ast.AnnAssign)}
+        keys = {node.target.id for node in (CLASSES | TESTING)[name].body if isinstance(node, ast.AnnAssign)}
         assert keys == set(found)

@@ -35,7 +35,7 @@ def settings(**changes):
         "kinks": False,
         "outlier_pull": 0.0,
     }
-    return _core.FitSettings(**(values | {"prior_sigma": tuple(PRIOR)} | changes))
+    return values | {"prior_sigma": tuple(PRIOR)} | changes
 
 
 def settled(core, hits, helix):

@@ -171,16 +171,3 @@ def test_particles_that_turn_back_in_the_first_axial_layers():
     gun = cg.Gun("pi-", pt=(0.056, 0.06), cos_theta=(-0.3, 0.3))
     run = cg.run("besiii-idc", gun, n=40, settings=cg.Settings(simulate=QUIET), until="find", finder="ckf")
     assert cg.study.finding(run).rates().efficiency.value > 0.9
-
-
-def test_circles_of_wires_alone_need_the_layers_of_the_chamber():
-    # Four of these layers are axial: X clusters are needed for a circle.
-    run = cg.run(
-        "besiii-cgem", cg.Gun("mu-", p=0.6, cos_theta=0.2), n=5, settings=cg.Settings(simulate=QUIET), until="find"
-    )
-    wires = run.wire_hits[np.isin(run.wire_hits["layer"], [8, 10, 12, 14, *range(20, 36)])]
-    chamber, first = (
-        len(cg.find_tracks(run.detector, run.clusters, wires, cg.FindSettings(method=method))["candidates"])
-        for method in ("chamber", "wires-first")
-    )
-    assert (chamber, first) == (5, 0)

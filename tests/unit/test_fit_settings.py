@@ -1,7 +1,6 @@
 """The settings of the fit do what they say, mistakes are listed at once, and rows that failed say why."""
 
 import dataclasses
-import inspect
 import math
 import re
 from typing import get_args
@@ -14,9 +13,10 @@ from cgemit.chain import run, settings
 from cgemit.chain.match import joined, match
 from cgemit.detector import load
 from cgemit.particles.gun import Gun, generate
+from cgemit.reconstruction.candidates import collect_hits
 from cgemit.reconstruction.cluster import cluster
 from cgemit.reconstruction.find import by_truth
-from cgemit.reconstruction.fit import PARAMETERS, ClusterErrors, FitSettings, FitStatus, fit
+from cgemit.reconstruction.fit import PARAMETERS, ClusterErrors, FitSettings, FitStatus, core_arguments, fit
 from cgemit.simulation.digitize import DigitizeSettings, digitize
 from cgemit.simulation.transport import SimulateSettings, simulate
 from pages.performance.stages import smeared
@@ -104,27 +104,17 @@ def test_defaults_are_valid_and_frozen():
     assert dataclasses.replace(settings, loss="mean") != settings
 
 
-def test_core_settings_have_the_same_names():
-    """The compiled settings take what the Python settings hold, plus the choice of cluster errors, without defaults."""
-    text = _core.FitSettings.__init__.__doc__
-    names = set(re.findall(r"(\w+): ", text.split("->")[0])) - {"self"}
-    ours = {field.name for field in dataclasses.fields(FitSettings)}
-    elsewhere = {
-        "cluster_errors",
-        "residuals",
-        "states",
-        "hypothesis",
-        "screening",
-        "loss",
-        "radiation",
-        "matter",
-        "start_radius",
-        "start_time",
-        "start_time_error",
-    }
-    assert names - {"errors_from_track"} == ours - elsewhere
-    assert "=" not in text.split("->")[0]
-    assert "settings" in inspect.signature(fit).parameters
+def test_core_takes_its_settings_by_name(event):
+    """Every field has to be there, no other, and of its type."""
+    tables, found = event
+    hits = collect_hits(DETECTOR, *found.values(), tables["clusters"], tables["wire_hits"])
+    given = core_arguments(DETECTOR, hits, np.full(40, 0.1), np.empty((0, 5)), FitSettings())
+    wrong = given["settings"] | {"kinks": "perhaps", "magic": 1}
+    del wrong["tolerance"]
+    kinks = "kinks: got 'perhaps', which has another type than the field"
+    lines = ("settings:", "tolerance: missing", kinks, "magic: no such field")
+    with pytest.raises(ValueError, match="^" + "\n  ".join(lines) + "$"):
+        _core.fit(**given | {"settings": wrong})
 
 
 def near_truth(event, seed):

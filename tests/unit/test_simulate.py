@@ -122,10 +122,10 @@ def test_unsmeared_hits_fit_perfectly(name, bz, helix):
     """The hits of a particle without fluctuations are fitted with the true helix, residuals 0 and chi-square 0."""
     detector, helix = BY_NAME[name].with_overrides({"field.bz": f"{bz} T"}), np.array(helix)
     hits = hits_on(detector, helix)
-    settings = _core.FitSettings(
-        max_iterations=40, tolerance=1e-6, errors_from_track=False, least_width=0.1, delta_strips=0.0, kinks=False,
-        outlier_pull=0.0, prior_sigma=(200.0, 2, 5, 1000, 5),
-    )  # fmt: skip
+    settings = {
+        "max_iterations": 40, "tolerance": 1e-6, "errors_from_track": False, "least_width": 0.1, "delta_strips": 0.0,
+        "kinks": False, "outlier_pull": 0.0, "prior_sigma": (200.0, 2, 5, 1000, 5),
+    }  # fmt: skip
     start = helix + np.array([0.5, 0.004, 0.02 * helix[2], 3, 0.01])
     out = _core.fit(compiled(detector), hit_offsets=np.array([0, len(hits["kind"])]), hits=hits,
                     mass=np.array([MUON]), start=start[None], settings=settings, residuals=True)  # fmt: skip

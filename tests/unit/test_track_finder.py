@@ -172,7 +172,7 @@ def test_tracks_are_found_in_a_field_map():
     assert (run.tracks["status"] == cg.FitStatus.ok).all()
 
 
-@pytest.mark.parametrize("method", ["segments", "chamber", "wires-first"])
+@pytest.mark.parametrize("method", ["segments", "chamber"])
 def test_each_source_of_seeds_finds_tracks_by_itself(run, method):
     found = cg.find_tracks(run.detector, run.clusters, run.wire_hits, cg.FindSettings(method=method))
     assert len(found["candidates"]) >= 38

@@ -13,6 +13,7 @@ from cgemit import _core
 from cgemit.analysis.quantities import UPPER
 from cgemit.covariance.result import Covariance, Entries
 from cgemit.covariance.tracks import (
+    HitModel,
     Points,
     Quantity,
     Sample,
@@ -215,14 +216,14 @@ def entries_with(points: Points, detector: Detector, sigma_x: Floats, sigma_v: F
     return _entries(points, detector, hits, fit)
 
 
-def _entries(points: Points, detector: Detector, hits: tuple[_core.HitModel, bool], fit: FitSettings) -> Entries:
+def _entries(points: Points, detector: Detector, hits: tuple[HitModel, bool], fit: FitSettings) -> Entries:
     sample, tracks = _tracks(points, detector, hits, fit, 1, True)
     out = tracks.run(budget=False)
     return Entries(sample, out["covariance"], out["status"])
 
 
 def _tracks(
-    points: Points, detector: Detector, hits: tuple[_core.HitModel, bool], fit: FitSettings, threads: int | None,
+    points: Points, detector: Detector, hits: tuple[HitModel, bool], fit: FitSettings, threads: int | None,
     at_origin: bool,
 ) -> tuple[Sample, Tracks]:  # fmt: skip
     """Return the sample of points, and its tracks in a detector; arguments as of `covariance_at` and `_hit_model`."""
@@ -238,16 +239,14 @@ def _tracks(
     return sample, tracks
 
 
-def _hit_model(
-    detector: Detector, readout: Readout, sides_known: bool, fit: FitSettings
-) -> tuple[_core.HitModel, bool]:
+def _hit_model(detector: Detector, readout: Readout, sides_known: bool, fit: FitSettings) -> tuple[HitModel, bool]:
     """Return how hits are expected, and whether they vary among tracks of the same direction."""
     return _with_errors(detector, _errors(readout, detector), sides_known, fit)
 
 
 def _with_errors(
     detector: Detector, errors: tuple[Floats, Floats, Floats], sides_known: bool, fit: FitSettings
-) -> tuple[_core.HitModel, bool]:
+) -> tuple[HitModel, bool]:
     """Return the same for clusters with errors as of `_errors`."""
     sigma_x, sigma_v, corr_xv = errors
     by_angle = max(one.shape[1] for one in (sigma_x, sigma_v, corr_xv)) > 1
@@ -255,11 +254,11 @@ def _with_errors(
     sigma_x, sigma_v, corr_xv = (
         np.broadcast_to(one, (len(one), len(cos_theta))) for one in (sigma_x, sigma_v, corr_xv)
     )
-    model = _core.HitModel(
-        cos_theta=cos_theta.tolist(), sigma_x=sigma_x.ravel().tolist(), sigma_v=sigma_v.ravel().tolist(),
-        corr_xv=corr_xv.ravel().tolist(), least_width=fit.least_width,
-        delta_strips=fit.delta_strips, sides_known=sides_known, seed=0, prior_sigma=fit.prior_sigma,
-    )  # fmt: skip
+    model = {
+        "cos_theta": cos_theta.tolist(), "sigma_x": sigma_x.ravel().tolist(), "sigma_v": sigma_v.ravel().tolist(),
+        "corr_xv": corr_xv.ravel().tolist(), "least_width": fit.least_width, "delta_strips": fit.delta_strips,
+        "sides_known": sides_known, "seed": 0, "prior_sigma": fit.prior_sigma,
+    }  # fmt: skip
     return model, not (np.all(sigma_x > 0) and np.all(sigma_v > 0)) or _inefficient(detector)
 
 

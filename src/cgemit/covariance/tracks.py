@@ -23,6 +23,9 @@ from cgemit.particles.species import species
 from cgemit.reconstruction.fit import FitSettings, compiled_for_fit
 from cgemit.units import QuantityError, parse_quantity
 
+#: Fields of the core's model of the expected hits.
+HitModel = dict[str, Any]
+
 Floats = npt.NDArray[np.float64]
 
 _CHUNK = 4096  # tracks of one task
@@ -34,7 +37,7 @@ class Tracks:
 
     detector: Detector
     fit: FitSettings
-    model: _core.HitModel
+    model: HitModel
     phi: Floats  # azimuth of the momentum at the origin; this and the following (tracks,)
     kappa: Floats
     tanl: Floats

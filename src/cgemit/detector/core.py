@@ -299,32 +299,11 @@ def slab_table(found: Sequence[Slab]) -> SlabTable:
     return SlabTable(columns, terms, {"first": first, **composition})
 
 
-def weighted(table: SlabTable, weights: NDArray[np.float64]) -> SlabTable:
-    """Return slabs with other amounts of matter; 0 leaves vacuum.
-
-    Parameters
-    ----------
-    table : SlabTable
-    weights : ndarray, (n,) float64
-    """
-    scaled = {name: np.asarray(table.slabs[name], np.float64) * weights for name in ("x0", "xi")}
-    moles = np.asarray(table.composition["moles"], np.float64) * np.repeat(weights, np.diff(table.composition["first"]))
-    return SlabTable(table.slabs | scaled, table.log_terms, table.composition | {"moles": moles})
-
-
-def slab_weights(found: Sequence[Slab], matter: bool, inside: int) -> NDArray[np.float64]:
-    """Return how often the matter of each slab counts; arguments as for `compiled`.
-
-    Parameters
-    ----------
-    found : sequence of Slab
-    matter : bool
-    inside : int
-    """
-    weights = np.full(len(found), float(matter))
-    nearest = np.argsort([slab.radius for slab in found], kind="stable")[: abs(inside)]
-    weights[nearest] *= 0.0 if inside > 0 else 2.0
-    return weights
+def without_matter(table: SlabTable) -> SlabTable:
+    """Return the slabs as vacuum."""
+    none = {name: np.zeros_like(table.slabs[name], np.float64) for name in ("x0", "xi")}
+    moles = np.zeros_like(table.composition["moles"], np.float64)
+    return SlabTable(table.slabs | none, table.log_terms, table.composition | {"moles": moles})
 
 
 def compiled(
@@ -337,7 +316,6 @@ def compiled(
     *,
     gaps: bool = True,
     matter: bool = True,
-    inside: int = 0,
 ) -> _core.Detector:
     """Return the detector of the compiled core; equal descriptions share one with gaps.
 
@@ -358,15 +336,13 @@ def compiled(
         drawn, and of ionization and electrons in the drift gaps.
     matter : bool
         Whether there is matter.
-    inside : int
-        This number of innermost slabs are vacuum; if negative, they count twice (`FitSettings.start_radius`).
 
     Raises
     ------
     ValueError
         If ``CGEMIT_ISA`` names an instruction set that is not available.
     """
-    choice = (merge, screening, foil, loss, radiation, gaps, matter, inside)
+    choice = (merge, screening, foil, loss, radiation, gaps, matter)
     # A sweep has thousands of variants, each of which is fitted once: what is made for it goes when it goes.
     return _shared(detector, *choice) if gaps else _kept(detector, *choice)
 
@@ -379,15 +355,14 @@ def forget() -> None:
 
 
 def _made(
-    detector: Detector, merge: bool, screening: str, foil: str, loss: str, radiation: bool, gaps: bool, matter: bool,
-    inside: int,
+    detector: Detector, merge: bool, screening: str, foil: str, loss: str, radiation: bool, gaps: bool, matter: bool
 ) -> _core.Detector:  # fmt: skip
     isa.choose()
     found = slabs(detector, merge, foil)
     groups = [slab.shells[0].group for slab in found]
     table = slab_table(found)
-    if inside or not matter:
-        table = weighted(table, slab_weights(found, matter, inside))
+    if not matter:
+        table = without_matter(table)
     return _core.Detector(
         bz=detector.field.bz,
         **table._asdict(),

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Annotated, Any, Literal, get_args
 
 import numpy as np
@@ -133,15 +133,17 @@ class FitSettings(SettingsData):
 Floats = npt.NDArray[np.float64]
 Column = npt.NDArray[Any]
 
+#: Fields that the core's settings have, too.
+CORE_SETTINGS = (
+    "max_iterations", "tolerance", "least_width", "delta_strips", "kinks", "outlier_pull", "prior_sigma"
+)  # fmt: skip
+
 #: Column of the candidates that comes before the setting of this name.
 BEGIN = "start_radius"
 
 #: A track is displaced if |dr| is more than this number of its errors, and than this share of the radius of the
 #: innermost matter: for fast tracks the size of the beam counts, not their errors.
 FAR, SHARE = 5.0, 0.1
-
-#: Fits some rows of the candidates with the settings given: the tables that the fit makes.
-FitRows = Callable[[Table, Table, FitSettings, Column], Mapping[str, Table]]
 
 
 def displaced(dr: Floats, err_dr: Floats, detector: Detector) -> npt.NDArray[np.int8]:
@@ -157,73 +159,22 @@ def displaced(dr: Floats, err_dr: Floats, detector: Detector) -> npt.NDArray[np.
     return np.asarray(np.abs(dr) > np.maximum(FAR * err_dr, SHARE * inner), np.int8)
 
 
-def slabs_inside(detector: Detector, radius: float) -> int:
-    """Return the number of slabs of matter inside of a radius, with its sign.
-
-    Parameters
-    ----------
-    detector : Detector
-    radius : float, mm
-    """
-    count = sum(slab.radius < abs(radius) for slab in slabs(detector)) if radius else 0
-    return -count if radius < 0 else count
-
-
-def begins_of(candidates: Table, detector: Detector) -> Floats:
-    """Return the radii at which the candidates begin, (n,) mm, one value for each set of slabs inside.
+def start_radii(candidates: Table, settings: FitSettings) -> Floats:
+    """Return the radii at which candidates begin, (n,) float64, mm: of their column, or of the settings.
 
     Raises
     ------
     ValueError
         Listing each one that is no finite number.
     """
+    if BEGIN not in candidates:
+        return np.full(len(candidates), settings.start_radius)
     radii = np.asarray(candidates[BEGIN], np.float64)
     wrong = np.flatnonzero(~np.isfinite(radii))
     if len(wrong):
         lines = [f"candidates row {row}: {BEGIN}: got {radii[row]}, expected a radius in mm" for row in wrong]
         raise ValueError("fit:\n  " + "\n  ".join(lines))
-    places = np.sort([slab.radius for slab in slabs(detector)])
-    between = np.concatenate([[0.0], 0.5 * (places[:-1] + places[1:]), places[-1:] + 1.0])
-    return np.asarray(np.sign(radii) * between[np.searchsorted(places, np.abs(radii))])
-
-
-def fit_by_begin(
-    fit_rows: FitRows, begins: Floats, candidates: Table, candidate_hits: Table, settings: FitSettings
-) -> dict[str, Table]:
-    """Fit candidates that begin at the same radius together, and return the tables of all.
-
-    Parameters
-    ----------
-    fit_rows : callable
-        Takes candidates, their hits, settings and the rows of the candidates.
-    begins : ndarray, (n,) float64, mm
-    candidates, candidate_hits : Table
-    settings : FitSettings
-    """
-    plain = {name: column for name, column in candidates.columns.items() if name != BEGIN}
-    whole = Table("candidates", plain, meta=candidates.meta, **candidates.cover)
-    masses = max(1, len(settings.hypotheses()))
-    parts: dict[str, list[Table]] = {}
-    of_track: list[Column] = []
-    for begin in np.unique(begins):
-        rows = np.flatnonzero(begins == begin)
-        number = np.full(len(candidates), -1)
-        number[rows] = np.arange(len(rows))
-        mine = candidate_hits[number[candidate_hits["candidate"]] >= 0]
-        mine = mine.with_columns(candidate=number[mine["candidate"]])
-        made = fit_rows(whole[rows], mine, replace(settings, start_radius=float(begin)), rows)
-        tracks = (rows[:, None] * masses + np.arange(masses)).ravel()  # their rows in the table of all
-        of_track.append(tracks)
-        for name, table in made.items():
-            link = {"candidate": rows[table["candidate"]]} if name == "tracks" else {"track": tracks[table["track"]]}
-            parts.setdefault(name, []).append(table.with_columns(**link))
-    joined = {}
-    for name, tables in parts.items():
-        columns = {one: np.concatenate([table[one] for table in tables]) for one in tables[0]}
-        order = np.argsort(np.concatenate(of_track) if name == "tracks" else columns["track"], kind="stable")
-        picked = {one: column[order] for one, column in columns.items()}
-        joined[name] = Table(name, picked, meta=tables[0].meta, **candidates.cover)
-    return joined
+    return radii
 
 
 FitStatus = _core.FitStatus
@@ -275,22 +226,15 @@ def fit(
     detector, settings = load(detector), FitSettings() if settings is None else settings
     if not isinstance(settings, FitSettings):
         raise TypeError(f"settings: got {type(settings).__name__}, expected FitSettings")
-    if BEGIN in candidates and len(candidates):
-        given = _start(start, len(candidates))
-
-        def fit_rows(some: Table, their_hits: Table, radius: FitSettings, rows: Column) -> dict[str, Table]:
-            helices = given[rows] if len(given) else None
-            return fit(detector, clusters, wire_hits, some, their_hits, radius, start=helices)
-
-        return fit_by_begin(fit_rows, begins_of(candidates, detector), candidates, candidate_hits, settings)
-    core = compiled_for_fit(detector, settings)
+    core = _compiled(detector, settings)
     hits = collect_hits(core, candidates, candidate_hits, clusters, wire_hits)
     names = settings.hypotheses()
     candidate, pdg, mass = _with_hypotheses(candidates, names)
     begin = _start(start, len(candidates))
     if len(names) > 1:
         hits, begin = _repeated(hits, candidate), begin[candidate] if len(begin) else begin
-    out = _core.fit(**core_arguments(detector, hits, mass, begin, settings))
+    radii = start_radii(candidates, settings)[candidate]
+    out = _core.fit(**core_arguments(detector, hits, mass, begin, settings, radii))
     event = candidates["event"].take(candidate)
     about = candidates.cover | {
         "meta": {name: candidates.meta[name] for name in ("finder",) if name in candidates.meta}
@@ -302,7 +246,7 @@ def fit(
         tables["residuals"] = Table("residuals", _residual_columns(out, hits, event), **about)
     if settings.states:
         settled = out["status"] == FitStatus.ok
-        columns = state_columns(detector, core, settings.states, tables["tracks"], mass, hits, out, settled)
+        columns = state_columns(detector, core, settings.states, tables["tracks"], mass, radii, hits, out, settled)
         tables["states"] = Table("states", columns, **about)
     return tables
 
@@ -321,22 +265,27 @@ def _start(given: npt.ArrayLike | None, n: int) -> Floats:
 
 
 def compiled_for_fit(detector: Detector, settings: FitSettings) -> _core.Detector:
-    """Return the compiled detector with the matter that the fit assumes.
+    """Return the compiled detector with the matter that the fit assumes for tracks from the radius of the settings.
 
     Parameters
     ----------
     detector : Detector
     settings : FitSettings
     """
+    core = _compiled(detector, settings)
+    return core.beginning_at(settings.start_radius) if settings.start_radius else core
+
+
+def _compiled(detector: Detector, settings: FitSettings) -> _core.Detector:
     screening = settings.screening or SCREENINGS[0]
     return compiled(
         detector, screening=screening, loss=settings.loss, radiation=settings.radiation, gaps=False,
-        matter=settings.matter, inside=slabs_inside(detector, settings.start_radius),
+        matter=settings.matter,
     )  # fmt: skip
 
 
 def core_arguments(
-    detector: Detector, hits: FitHits, mass: Floats, start: Floats, settings: FitSettings
+    detector: Detector, hits: FitHits, mass: Floats, start: Floats, settings: FitSettings, radii: Floats | None = None
 ) -> dict[str, Any]:
     """Return the arguments of the compiled fit.
 
@@ -348,6 +297,8 @@ def core_arguments(
     start : ndarray, (n, 5) float64
         Starting helices; (0, 5): the hits provide them.
     settings : FitSettings
+    radii : ndarray or None, (n,) float64, mm
+        Where the tracks begin. None: as in the settings.
 
     Returns
     -------
@@ -355,21 +306,14 @@ def core_arguments(
         Arguments of ``_core.fit`` by name.
     """
     return {
-        "detector": compiled_for_fit(detector, settings),
+        "detector": _compiled(detector, settings),
         "hit_offsets": hits.hit_offsets,
         "hits": hits.columns(),
         "mass": mass,
         "start": start,
-        "settings": _core.FitSettings(
-            max_iterations=settings.max_iterations,
-            tolerance=settings.tolerance,
-            errors_from_track=settings.cluster_errors == "track",
-            least_width=settings.least_width,
-            delta_strips=settings.delta_strips,
-            kinks=settings.kinks,
-            outlier_pull=settings.outlier_pull,
-            prior_sigma=settings.prior_sigma,
-        ),
+        "start_radius": np.full(len(mass), settings.start_radius) if radii is None else radii,
+        "settings": {name: getattr(settings, name) for name in CORE_SETTINGS}
+        | {"errors_from_track": settings.cluster_errors == "track"},
         "residuals": settings.residuals,
         "states": bool(settings.states),
     }

@@ -34,6 +34,7 @@ def state_columns(
     surfaces: tuple[float | str, ...],
     tracks: Table,
     mass: Floats,
+    radii: Floats,
     hits: FitHits,
     fitted: dict[str, npt.NDArray[Any]],
     settled: npt.NDArray[np.bool_],
@@ -51,6 +52,8 @@ def state_columns(
     tracks : Table of kind "tracks"
     mass : ndarray, (n,) float64, GeV/c2
         That the fit assumed for each.
+    radii : ndarray, (n,) float64, mm
+        Where each begins.
     hits : FitHits
         Of each track.
     fitted : dict of ndarray
@@ -75,6 +78,7 @@ def state_columns(
         kinks=fitted["kinks"].reshape(len(fitted["reference"]), 2 * len(slabs(detector))),
         prior=fitted["prior"],
         mass=mass,
+        start_radius=radii,
         fitted=settled.astype(np.uint8),
         targets=targets,
     )

@@ -6,6 +6,7 @@
 #include "bindings/digi_tables.hpp"
 #include "bindings/gain_maps.hpp"
 #include "bindings/inputs.hpp"
+#include "bindings/settings.hpp"
 #include "kernels/kernels.hpp"
 #include "simulation/digitize/induced.hpp"
 
@@ -38,13 +39,15 @@ std::vector<LayerDrift> layer_drift(const py::dict& table, const Detector& detec
 }
 
 ElectronPhysics electron_physics(const py::dict& values) {
-  return {.survival = values["survival"].cast<double>(),
-          .gain = values["gain"].cast<double>(),
-          .polya = values["polya"].cast<double>(),
-          .diffusion = values["diffusion"].cast<double>(),
-          .first_gain = values["first_gain"].cast<double>(),
-          .lorentz = values["lorentz"].cast<bool>(),
-          .correlated = values["correlated"].cast<bool>()};
+  Settings in("physics", values);
+  const ElectronPhysics physics{.survival = in["survival"],
+                                .gain = in["gain"],
+                                .polya = in["polya"],
+                                .diffusion = in["diffusion"],
+                                .first_gain = in["first_gain"],
+                                .lorentz = in["lorentz"]};
+  in.check();
+  return physics;
 }
 
 Shaper shaper(const py::tuple& terms_and_delay) {
@@ -95,52 +98,6 @@ py::dict analog(const Detector& detector, const py::dict& table, const py::dict&
   return to_dict(std::move(digis));
 }
 
-py::array_t<double> amplitudes(const Array<double>& terms, double dt, const Array<double>& steps) {
-  StepFilter<Shaper::most> filter(
-      Shaper(matrix(terms, "terms", terms.ndim() == 2 ? terms.shape(0) : 0, 3), 0.0), dt);
-  std::vector<double> found;
-  for (const double step : column(steps, "steps")) found.push_back(filter.next(step));
-  return to_numpy(std::move(found));
-}
-
-py::array_t<double> polya(double theta, std::uint64_t seed, std::uint32_t n) {
-  const Stream stream(seed, 0, 0);
-  std::vector<double> found;
-  for (std::uint32_t i = 0; i < n; ++i) {
-    ElectronDraws<double> draws(stream, 0, i);
-    found.push_back(polya_gain(theta, draws));
-  }
-  return to_numpy(std::move(found));
-}
-
-py::tuple holes(double pitch, const Array<double>& u, const Array<double>& v) {
-  const auto a = column(u, "u"), b = column(v, "v", u.size());
-  std::vector<double> at_u(a.begin(), a.end()), at_v(b.begin(), b.end());
-  for (std::size_t i = 0; i < at_u.size(); ++i) to_nearest_hole(pitch, at_u[i], at_v[i]);
-  return py::make_tuple(to_numpy(std::move(at_u)), to_numpy(std::move(at_v)));
-}
-
-py::dict cloud(const Detector& detector, std::size_t layer, double phi, double z, double sigma_x,
-               double sigma_z) {
-  std::vector<std::int32_t> sheet, view, strip;
-  std::vector<double> part;
-  const auto give = [&](int s, int w, int i, Parts parts) {
-    for (const double p : parts) {
-      sheet.push_back(s);
-      view.push_back(w);
-      strip.push_back(i++);
-      part.push_back(p);
-    }
-  };
-  share_on_layer<Widest>(detector.cgem.at(layer), phi, z, sigma_x, sigma_z, give);
-  py::dict out;
-  out["sheet"] = to_numpy(std::move(sheet));
-  out["view"] = to_numpy(std::move(view));
-  out["strip"] = to_numpy(std::move(strip));
-  out["part"] = to_numpy(std::move(part));
-  return out;
-}
-
 }  // namespace
 
 void bind_analog(py::module_& module) {
@@ -149,20 +106,4 @@ void bind_analog(py::module_& module) {
              py::arg("neighbour"), py::arg("second_neighbour"), py::arg("seed"),
              py::arg("gains") = py::dict(), py::arg("induced") = false,
              "Columns of digis from columns of truths and steps: electrons, avalanches, currents, chip.");
-  testing(module).def(
-      "induced_by",
-      [](double charge) {
-        return py::make_tuple(induced_probability(charge), induced_share(charge), induced_delay(charge));
-      },
-      py::arg("charge"), "Probability, share and mean delay (ns) of what a strip induces on a neighbour.");
-  testing(module).def(
-      "shaped", &amplitudes, py::arg("terms"), py::arg("dt"), py::arg("steps"),
-      "Amplitude behind a shaper of terms (n, 3) for steps of the current at times dt apart.");
-  testing(module).def("polya_gains", &polya, py::arg("theta"), py::arg("seed"), py::arg("n"),
-                      "Gains of electrons relative to their mean.");
-  testing(module).def("nearest_holes", &holes, py::arg("pitch"), py::arg("u"), py::arg("v"),
-                      "Holes of a hexagonal lattice that are nearest to points (mm).");
-  testing(module).def("share_cloud", &cloud, py::arg("detector"), py::arg("layer"), py::arg("phi"),
-                      py::arg("z"), py::arg("sigma_x"), py::arg("sigma_z"),
-                      "Parts of a cloud on the strips of both views.");
 }

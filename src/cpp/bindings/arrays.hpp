@@ -1,6 +1,5 @@
 // Passing arrays between Python and C++. Inputs: C-contiguous, of the stated type, shape checked, never
-// truncated. Outputs are not copied: a C++ vector moves into a capsule that numpy keeps alive. If the number
-// of rows is known in advance, the array is allocated by numpy, which asks the system for large pages.
+// truncated. Outputs are not copied: a C++ vector moves into a capsule that numpy keeps alive.
 #pragma once
 
 #include <pybind11/numpy.h>
@@ -52,36 +51,11 @@ py::array_t<T> to_numpy(std::vector<T>&& values, std::vector<py::ssize_t> shape 
   return py::array_t<T>(std::move(shape), data, capsule);
 }
 
-// An array that is filled from the first entry to the last; filling needs no GIL.
-template <class T>
-class Filled {
- public:
-  // `shape`: of each row; empty for a column of numbers.
-  explicit Filled(std::size_t rows, std::vector<py::ssize_t> shape = {}) {
-    shape.insert(shape.begin(), static_cast<py::ssize_t>(rows));
-    array_ = py::array_t<T>(std::move(shape));
-    next_ = array_.mutable_data();
-  }
-  void append(T value) { *next_++ = value; }
-  template <std::size_t N>
-  void append(const std::array<T, N>& values) {
-    next_ = std::ranges::copy(values, next_).out;
-  }
-  const py::array_t<T>& array() const { return array_; }
-
- private:
-  py::array_t<T> array_;
-  T* next_;
-};
-
 // A named column of a dict of columns, converted to T.
 template <class T>
 Array<T> take(const py::dict& columns, const char* name) {
   if (!columns.contains(name)) throw std::invalid_argument(std::string("missing column: ") + name);
   return py::cast<Array<T>>(columns[name]);
 }
-
-// What only tests ask of the core: single steps that the stages take on their own.
-inline py::module_ testing(py::module_& module) { return module.def_submodule("_testing"); }
 
 }  // namespace cgemit::bindings

@@ -154,16 +154,6 @@ py::dict with_times(const Detector& detector, const py::dict& table, const py::d
   return to_dict(std::move(found));
 }
 
-py::tuple line_of(const Array<double>& position, const Array<double>& charge, const Array<double>& height,
-                  double stiffness) {
-  const auto x = column(position, "position"), q = column(charge, "charge", position.size()),
-             w = column(height, "height", position.size());
-  std::vector<StripPoint> points;
-  for (std::size_t i = 0; i < x.size(); ++i) points.push_back({x[i], q[i], w[i]});
-  const Line line = fit_line(points, stiffness);
-  return py::make_tuple(line.at_middle, line.slope, line.good);
-}
-
 py::array_t<double> errors_of_sizes(const Array<double>& extents, double pitch, std::size_t sizes) {
   return to_numpy(size_errors(column(extents, "extents"), pitch, sizes));
 }
@@ -189,10 +179,6 @@ void bind_cluster(py::module_& module) {
              py::arg("direction_paths"), py::arg("direction_depths"), py::arg("direction_factors"),
              py::arg_v("slopes", Array<double>(0), "..."), py::arg_v("paths", Array<double>(0), "..."),
              "Columns of clusters from columns of digis: charge centroid and line fit.");
-  testing(module).def(
-      "fit_line", &line_of, py::arg("position"), py::arg("charge"), py::arg("height"),
-      py::arg("stiffness") = 0.0,
-      "Position at height 0, slope, and whether there is a line, of strips with charge and height.");
   module.def(
       "size_errors", &errors_of_sizes, py::arg("extents"), py::arg("pitch"), py::arg("sizes"),
       "RMS of the position error (mm) of clusters of 1 to `sizes` strips for a sample of extents (mm).");

@@ -3,7 +3,8 @@
 #include <pybind11/pybind11.h>
 #include <pybind11/stl.h>
 
-#include "bindings/arrays.hpp"
+#include "bindings/rows.hpp"
+#include "bindings/settings.hpp"
 #include "kernels/kernels.hpp"
 
 namespace py = pybind11;
@@ -12,55 +13,45 @@ using namespace cgemit::bindings;
 
 namespace {
 
-// The rows of one track as numpy columns.
-py::dict columns_of(const std::vector<CovarianceRow>& rows) {
-  Filled<double> covariance(rows.size(), {static_cast<py::ssize_t>(covariance_entries)});
-  Filled<std::int32_t> clusters(rows.size()), wires(rows.size());
-  Filled<std::int8_t> status(rows.size());
-  for (const CovarianceRow& row : rows) {
-    covariance.append(row.covariance);
-    clusters.append(row.clusters);
-    wires.append(row.wires);
-    status.append(static_cast<std::int8_t>(row.status));
-  }
-  py::dict out;
-  out["covariance"] = covariance.array();
-  out["n_clusters"] = clusters.array();
-  out["n_wires"] = wires.array();
-  out["status"] = status.array();
-  return out;
+HitModel hit_model(const py::dict& values) {
+  Settings in("model", values);
+  HitModel model{.cos_theta = in["cos_theta"],
+                 .sigma_x = in["sigma_x"],
+                 .sigma_v = in["sigma_v"],
+                 .corr_xv = in["corr_xv"],
+                 .least_width = in["least_width"],
+                 .delta_strips = in["delta_strips"],
+                 .sides_known = in["sides_known"],
+                 .seed = in["seed"],
+                 .prior_sigma = in["prior_sigma"]};
+  in.check();
+  return model;
 }
 
-// The expected hits of all tracks as numpy columns, as a fit takes them.
+// The expected hits of all tracks as a fit takes them.
 py::dict columns_of(const std::vector<ExpectedHit>& hits, const Detector& detector) {
-  Filled<std::uint8_t> kind(hits.size());
-  Filled<std::int32_t> layer(hits.size()), channel(hits.size());
-  Filled<double> value(hits.size()), variance(hits.size()), k(hits.size()), x(hits.size());
-  for (const ExpectedHit& hit : hits) {
-    const bool wire = hit.view == View::wire;
-    kind.append(static_cast<std::uint8_t>(hit.view));
-    layer.append(wire ? detector.wires[static_cast<std::size_t>(hit.layer)].number : hit.layer);
-    channel.append(hit.channel);
-    value.append(hit.value);
-    variance.append(hit.variance);
-    k.append(hit.k);
-    x.append(hit.x);
-  }
+  const auto layer = [&](const ExpectedHit& hit) {
+    return hit.view == View::wire ? detector.wires[static_cast<std::size_t>(hit.layer)].number : hit.layer;
+  };
+  RowColumns<ExpectedHit> columns(hits.size());
+  columns.add("kind", [](const ExpectedHit& hit) { return static_cast<std::uint8_t>(hit.view); })
+      .add("layer", layer)
+      .add("channel", &ExpectedHit::channel)
+      .add("value", &ExpectedHit::value)
+      .add("variance", &ExpectedHit::variance)
+      .add("k", &ExpectedHit::k)
+      .add("x", &ExpectedHit::x)
+      .append(hits);
   py::dict out;
-  out["kind"] = kind.array();
-  out["layer"] = layer.array();
-  out["channel"] = channel.array();
-  out["value"] = value.array();
-  out["variance"] = variance.array();
-  out["k"] = k.array();
-  out["x"] = x.array();
+  columns.give(out);
   return out;
 }
 
 py::dict run(const Detector& detector, const Array<double>& phi, const Array<double>& kappa,
              const Array<double>& tanl, const Array<double>& mass, const Array<double>& scatters,
-             std::size_t samples, const Array<double>& phases, const HitModel& model, bool budget, bool hits,
-             const std::vector<const Detector*>& variants) {
+             std::size_t samples, const Array<double>& phases, const py::dict& model_values, bool budget,
+             bool hits, const std::vector<const Detector*>& variants) {
+  const HitModel model = hit_model(model_values);
   const auto n = phi.size();
   const auto views = static_cast<py::ssize_t>(2 * detector.cgem.size());
   if (samples == 0 || n % static_cast<py::ssize_t>(samples) != 0)
@@ -94,7 +85,14 @@ py::dict run(const Detector& detector, const Array<double>& phi, const Array<dou
                           {rows.data(), budget ? reinterpret_cast<BudgetTerm*>(sums.data()) : nullptr,
                            hits ? &expected : nullptr});
   }
-  py::dict out = columns_of(rows);
+  RowColumns<CovarianceRow> of_track(rows.size());
+  of_track.add("covariance", &CovarianceRow::covariance, {static_cast<py::ssize_t>(covariance_entries)})
+      .add("n_clusters", &CovarianceRow::clusters)
+      .add("n_wires", &CovarianceRow::wires)
+      .add("status", &CovarianceRow::status)
+      .append(rows);
+  py::dict out;
+  of_track.give(out);
   if (hits) out["hits"] = columns_of(expected, detector);
   if (budget)
     out["budget"] =
@@ -109,25 +107,6 @@ void bind_covariance(py::module_& module) {
   module.def("same_surfaces", &same_surfaces, py::arg("detector"), py::arg("other"),
              "Whether the surfaces of two detectors have the same order, so that one can be a variant of the "
              "other in `covariances`.");
-  py::class_<HitModel>(module, "HitModel",
-                       "Errors of the hits that cgemit.covariance expects, and the prior of the filter.")
-      .def(
-          py::init([](std::vector<double> cos_theta, std::vector<double> sigma_x, std::vector<double> sigma_v,
-                      std::vector<double> corr_xv, double least_width, double delta_strips, bool sides_known,
-                      std::uint64_t seed, const std::array<double, 5>& prior_sigma) {
-            return HitModel{.cos_theta = std::move(cos_theta),
-                            .sigma_x = std::move(sigma_x),
-                            .sigma_v = std::move(sigma_v),
-                            .corr_xv = std::move(corr_xv),
-                            .least_width = least_width,
-                            .delta_strips = delta_strips,
-                            .sides_known = sides_known,
-                            .seed = seed,
-                            .prior_sigma = prior_sigma};
-          }),
-          py::kw_only(), py::arg("cos_theta"), py::arg("sigma_x"), py::arg("sigma_v"), py::arg("corr_xv"),
-          py::arg("least_width"), py::arg("delta_strips"), py::arg("sides_known"), py::arg("seed"),
-          py::arg("prior_sigma"));
   module.def(
       "covariances", &run, py::arg("detector"), py::kw_only(), py::arg("phi"), py::arg("kappa"),
       py::arg("tanl"), py::arg("mass"), py::arg("scatters"), py::arg("samples"), py::arg("phases"),

@@ -15,6 +15,7 @@
 #include "bindings/gap.hpp"
 #include "common/angles.hpp"
 #include "common/problems.hpp"
+#include "detector/start_radius.hpp"
 #include "matter/loss.hpp"
 #include "matter/scattering.hpp"
 
@@ -189,6 +190,9 @@ void bind_detector(py::module_& module) {
   module.attr("LOSS_GRID_FIRST") = loss_grid_first;
   module.attr("LOSS_GRID_STEP") = loss_grid_step;
   module.attr("LOSS_POINTS") = loss_points;
+  module.attr("ELECTRON_GRID_FIRST") = electron_grid_first;
+  module.attr("ELECTRON_STEPS") = electron_steps;
+  module.attr("ELECTRON_POINTS") = electron_points;
   py::class_<Chamber>(module, "Chamber",
                       "The wire layers of a drift chamber in place, for any number of detectors.")
       .def(py::init(&make_chamber), py::arg("wires"));
@@ -223,6 +227,10 @@ void bind_detector(py::module_& module) {
            py::arg("cgem"), py::arg("wires"), py::arg("screening"), py::arg("lattice") = py::dict(),
            py::arg("gaps") = py::list(), py::arg_v("loss", CoreLoss::truncated, "CoreLoss.truncated"),
            py::arg("radiation") = true, py::arg("field") = py::none(), py::arg("simulated") = true)
+      .def("beginning_at", &beginning_at, py::arg("radius"),
+           "The detector for the fit of particles that begin at a radius (mm): matter inside was not "
+           "crossed, or "
+           "twice if the radius is negative.")
       .def_readonly("bz", &Detector::bz)
       .def_readonly("field", &Detector::field)
       .def_property_readonly("n_slabs", [](const Detector& d) { return d.slabs.size(); })

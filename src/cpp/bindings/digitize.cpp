@@ -120,9 +120,6 @@ void bind_digitize(py::module_& module) {
              py::kw_only(), py::arg("gain"), py::arg("w_values"), py::arg("sigma"), py::arg("threshold"),
              py::arg("noise"), py::arg("seed"), py::arg("gains") = py::dict(),
              "Columns of digis from columns of truths and steps: charge profiles integrated over strips.");
-  testing(module).def("profile_below", &profile_below, py::arg("edge"), py::arg("a"), py::arg("b"),
-                      py::arg("sigma"),
-                      "Part up to an edge of a charge that is uniform from a to b, smeared by a Gaussian.");
   module.def("read_out_wires", &wires, py::arg("detector"), py::arg("wire_truths"), py::kw_only(),
              py::arg("xt_distance"), py::arg("xt_time"), py::arg("reveal_sides"), py::arg("seed"),
              "Columns of wire_hits from columns of wire_truths.");

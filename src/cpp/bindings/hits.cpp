@@ -1,5 +1,8 @@
 #include "bindings/hits.hpp"
 
+#include <algorithm>
+#include <cmath>
+
 #include "common/angles.hpp"
 #include "reconstruction/fit/collect_hits.hpp"
 
@@ -69,6 +72,13 @@ std::span<const std::int64_t> hit_offsets_of(const Array<std::int64_t>& array) {
     if (offsets[i] > offsets[i + 1]) throw std::invalid_argument("hit_offsets: expected to increase");
   }
   return offsets;
+}
+
+std::span<const double> start_radii(const Array<double>& array, py::ssize_t n) {
+  const auto radii = column(array, "start_radius", array.size() == 0 ? 0 : n);
+  if (!std::ranges::all_of(radii, [](double radius) { return std::isfinite(radius); }))
+    throw std::invalid_argument("start_radius: expected finite numbers");
+  return radii;
 }
 
 Perigee from_bes3(const double* row) {

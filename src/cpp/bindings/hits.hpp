@@ -35,6 +35,9 @@ class HitColumns {
 // Offsets of the hits of n tracks: n + 1 numbers that begin with 0 and do not decrease. Throws otherwise.
 std::span<const std::int64_t> hit_offsets_of(const Array<std::int64_t>& array);
 
+// The radii at which n tracks begin (mm), or none if all begin on the beam line.
+std::span<const double> start_radii(const Array<double>& array, py::ssize_t n);
+
 // A row of (dr, phi0, kappa, dz, tanl).
 Perigee from_bes3(const double* row);
 

@@ -78,35 +78,6 @@ void bind_matter(py::module_& module) {
       py::arg("charge") = 1.0, py::arg("cut"),
       "Mean energy loss (GeV) in a slab by collisions below the cut (GeV); path in units of normal "
       "incidence.");
-  testing(module).def(
-      "core_loss",
-      [](const Detector& detector, int slab, double path, double p, double mass, double charge,
-         double track_xi) {
-        TrackMatter track;
-        track.xi = track_xi;
-        track.loss = detector.loss;
-        const LossMoments m = core_loss(slab_of(detector, slab), path, particle(p, mass, charge), track);
-        return py::make_tuple(m.loss, m.variance, m.slope);
-      },
-      py::arg("detector"), py::arg("slab"), py::kw_only(), py::arg("path"), py::arg("p"), py::arg("mass"),
-      py::arg("charge") = 1.0, py::arg("track_xi"),
-      "Loss (GeV), its variance, and d(loss)/dp used by the fit.");
-  testing(module).def(
-      "sample_loss",
-      [](const Detector& detector, int slab, double path, double p, double mass, double charge,
-         std::uint64_t seed, py::ssize_t n) {
-        const Kinematics k = particle(p, mass, charge);
-        std::vector<double> values;
-        values.reserve(static_cast<std::size_t>(n));
-        for (py::ssize_t i = 0; i < n; ++i) {
-          values.push_back(sample_loss(slab_of(detector, slab), path, k,
-                                       Stream(seed, static_cast<std::uint64_t>(i), 0), 0));
-        }
-        return to_numpy(std::move(values));
-      },
-      py::arg("detector"), py::arg("slab"), py::kw_only(), py::arg("path"), py::arg("p"), py::arg("mass"),
-      py::arg("charge") = 1.0, py::arg("seed"), py::arg("n"),
-      "Energy losses (GeV) by collisions of n particles in a slab.");
   module.def(
       "through_slabs", &pass_slabs, py::arg("detector"), py::kw_only(), py::arg("p"), py::arg("mass"),
       py::arg("charge"), py::arg("n"), py::arg("seed"), py::arg("first") = 0,

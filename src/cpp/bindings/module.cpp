@@ -6,11 +6,7 @@ void bind_rng(pybind11::module_& module);
 void bind_field(pybind11::module_& module);
 void bind_detector(pybind11::module_& module);
 void bind_shells(pybind11::module_& module);
-void bind_motion(pybind11::module_& module);
 void bind_matter(pybind11::module_& module);
-void bind_foil(pybind11::module_& module);
-void bind_gap(pybind11::module_& module);
-void bind_kalman(pybind11::module_& module);
 void bind_simulate(pybind11::module_& module);
 void bind_analog(pybind11::module_& module);
 void bind_digitize(pybind11::module_& module);
@@ -18,10 +14,10 @@ void bind_cluster(pybind11::module_& module);
 void bind_hits(pybind11::module_& module);
 void bind_find(pybind11::module_& module);
 void bind_fit(pybind11::module_& module);
-void bind_seed(pybind11::module_& module);
 void bind_kernels(pybind11::module_& module);
 void bind_states(pybind11::module_& module);
 void bind_covariance(pybind11::module_& module);
+void bind_testing(pybind11::module_& core);
 
 PYBIND11_MODULE(_core, module, pybind11::mod_gil_not_used()) {
   module.doc() = "Compiled core of cgemit: kernels on columns of numbers.";
@@ -30,11 +26,7 @@ PYBIND11_MODULE(_core, module, pybind11::mod_gil_not_used()) {
   bind_field(module);
   bind_detector(module);
   bind_shells(module);
-  bind_motion(module);
   bind_matter(module);
-  bind_foil(module);
-  bind_gap(module);
-  bind_kalman(module);
   bind_simulate(module);
   bind_analog(module);
   bind_digitize(module);
@@ -42,8 +34,8 @@ PYBIND11_MODULE(_core, module, pybind11::mod_gil_not_used()) {
   bind_hits(module);
   bind_find(module);
   bind_fit(module);
-  bind_seed(module);
   bind_kernels(module);
   bind_states(module);
   bind_covariance(module);
+  bind_testing(module);
 }

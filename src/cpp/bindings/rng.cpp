@@ -58,10 +58,6 @@ void bind_rng(py::module_& module) {
       .value("readout_strip", Purpose::readout_strip)
       .value("half_turn", Purpose::half_turn)
       .finalize();
-  testing(module).def(
-      "philox4x32",
-      [](Block counter, std::array<std::uint32_t, 2> key) { return philox4x32(counter, key[0], key[1]); },
-      py::kw_only(), py::arg("counter"), py::arg("key"), "Four words of Philox4x32-10.");
   module.def(
       "uniforms",
       [](std::uint64_t seed, const Array<std::int64_t>& events, const Array<std::int32_t>& particle,

@@ -11,6 +11,7 @@
 #include "bindings/hits.hpp"
 #include "common/angles.hpp"
 #include "common/problems.hpp"
+#include "detector/start_radius.hpp"
 
 namespace py = pybind11;
 using namespace cgemit;
@@ -136,7 +137,8 @@ void check_tracks(std::span<const std::uint8_t> fitted, std::span<const double> 
 py::dict run(const Detector& detector, const Array<std::int64_t>& hit_offsets, const py::dict& hit_columns,
              const Array<double>& reference_array, const Array<double>& kinks_array,
              const Array<double>& prior_array, const Array<double>& mass_array,
-             const Array<std::uint8_t>& fitted_array, const py::dict& target_columns) {
+             const Array<double>& start_radius, const Array<std::uint8_t>& fitted_array,
+             const py::dict& target_columns) {
   const auto offsets = hit_offsets_of(hit_offsets);
   const auto n = static_cast<py::ssize_t>(offsets.size()) - 1;
   const auto n_hits = static_cast<py::ssize_t>(offsets.back());
@@ -146,6 +148,7 @@ py::dict run(const Detector& detector, const Array<std::int64_t>& hit_offsets, c
   const auto prior = matrix(prior_array, "prior", n, 25);
   const auto mass = column(mass_array, "mass", n);
   const auto fitted = column(fitted_array, "fitted", n);
+  const StartRadii begins(detector, mass.size(), start_radii(start_radius, n));
   check_tracks(fitted, reference, kinks, prior, mass, angles);
   const std::vector<Used> used = make_used(hit_columns, n_hits);
   std::vector<Hit> hits;
@@ -167,7 +170,7 @@ py::dict run(const Detector& detector, const Array<std::int64_t>& hit_offsets, c
                               Eigen::Map<const Matrix5>(prior.data() + 25 * i),
                               mass[i]};
       found.clear();
-      if (fitted[i]) fitted_states(detector, track, targets, space, found);
+      if (fitted[i]) fitted_states(begins.of(i), track, targets, space, found);
       add_track(found, targets, i, first, count, out);
     }
   }
@@ -234,8 +237,9 @@ void bind_states(py::module_& module) {
       .value("hit", StateSurface::hit)
       .finalize();
   module.def("states", &run, py::arg("detector"), py::kw_only(), py::arg("hit_offsets"), py::arg("hits"),
-             py::arg("reference"), py::arg("kinks"), py::arg("prior"), py::arg("mass"), py::arg("fitted"),
-             py::arg("targets"), "Smoothed states of fitted tracks at every target.");
+             py::arg("reference"), py::arg("kinks"), py::arg("prior"), py::arg("mass"),
+             py::arg_v("start_radius", Array<double>(0), "..."), py::arg("fitted"), py::arg("targets"),
+             "Smoothed states of fitted tracks at every target.");
   module.def("extrapolate", &run_extrapolate, py::arg("detector"), py::kw_only(), py::arg("pivot"),
              py::arg("helix"), py::arg("cov"), py::arg("mass"), py::arg("radius"), py::arg("share"),
              py::arg("target_share"), "Move states to a cylinder through the matter on the trajectory.");

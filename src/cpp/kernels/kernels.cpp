@@ -3,7 +3,7 @@
 #include <atomic>
 #include <stdexcept>
 
-#include "kernels/function.hpp"
+#include "kernels/testing.hpp"
 
 #if !defined(_WIN32)
 #include <dlfcn.h>

@@ -1,7 +1,7 @@
 // Compiled once per instruction set, with CGEMIT_ISA its name and CGEMIT_LANES the width of its registers.
 #include "common/compiler.hpp"
 #include "covariance/batch.hpp"
-#include "kernels/function.hpp"
+#include "kernels/testing.hpp"
 #include "kernels/kernels.hpp"
 #include "reconstruction/fit/batch.hpp"
 #include "simulation/digitize/analog_batch.hpp"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -20,7 +20,7 @@ from cgemit.reconstruction.fit import FitSettings
 from cgemit.tables import Table
 from cgemit.tables.table import kind_problems
 
-Method = Literal["combined", "segments", "chamber", "wires-first"]
+Method = Literal["combined", "segments", "chamber"]
 
 _COUNT = "a whole number from {} to {}"
 Count = Annotated[int, Check(lambda value: 1 <= value <= 1000, _COUNT.format(1, 1000))]
@@ -41,8 +41,7 @@ class FindSettings(SettingsData):
     method : str
         Source of the seeds. ``"combined"``: CGEM segments, then circles in the drift chamber from the hits that are
         left. ``"segments"``: CGEM segments alone. ``"chamber"``: circles in the drift chamber alone; CGEM clusters
-        join by the prediction of the track. ``"wires-first"``: the same with circles and lines of wires alone. In
-        each case a track may have hits of all layers.
+        join by the prediction of the track. In each case a track may have hits of all layers.
     hypothesis : str
         Particle whose mass the finder assumes, and which the candidates name for the fit.
     efficiency : float
@@ -146,23 +145,14 @@ def find_tracks(
     return _tables(found, clusters, view[order], hits["row"][order], settings)
 
 
-def _core_settings(settings: FindSettings) -> _core.FindSettings:
-    fit = FitSettings()
-    return _core.FindSettings(
-        segments=settings.method in ("combined", "segments"),
-        chamber=settings.method != "segments",
-        wires_first=settings.method == "wires-first",
-        mass=HYPOTHESES[settings.hypothesis].mass,
-        least_width=fit.least_width,
-        delta_strips=fit.delta_strips,
-        **{
-            name: getattr(settings, name)
-            for name in (
-                *("efficiency", "gate", "branches", "passes", "holes_in_row", "max_d", "max_z", "min_pt"),
-                *("least_axial", "min_score", "max_seeds", "annealing"),
-            )
-        },
-    )
+def _core_settings(settings: FindSettings) -> dict[str, Any]:
+    """Return the fields of the core's settings."""
+    values, fit = {field.name: getattr(settings, field.name) for field in fields(settings)}, FitSettings()
+    method, hypothesis = values.pop("method"), values.pop("hypothesis")
+    return values | {
+        "segments": method in ("combined", "segments"), "chamber": method != "segments",
+        "mass": HYPOTHESES[hypothesis].mass, "least_width": fit.least_width, "delta_strips": fit.delta_strips,
+    }  # fmt: skip
 
 
 def _measurements(clusters: Table, wire_hits: Table) -> tuple[Column, Column, dict[str, Column]]:

@@ -59,7 +59,6 @@ class AnalogDigitizer(Digitizer):
                 "diffusion": one.diffusion,
                 "first_gain": one.first_gain,
                 "lorentz": one.lorentz,
-                "correlated": True,
             },
             "chip": {
                 "kind": chip.kind,

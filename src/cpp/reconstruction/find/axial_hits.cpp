@@ -60,7 +60,6 @@ void AxialHits::load(const EventHits& hits) {
     const Hit& hit = hits[id];
     const auto layer = static_cast<std::size_t>(hit.layer);
     if (hit.view == View::x) {
-      if (settings_.wires_first) continue;
       const CgemLayer& cgem = detector_.cgem[layer];
       const double phi = azimuth(cgem, hit.channel, hit.value), r = cgem.r_mid();
       add(r * std::cos(phi), r * std::sin(phi), 0, layer, id);

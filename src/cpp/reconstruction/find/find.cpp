@@ -83,6 +83,10 @@ class EventFinder {
 
   static constexpr int most_failures = 5;  // circles in a row that led to no track beyond doubt
   static constexpr int few_wires = 5;
+  // A track beyond doubt has at least so many wires and coordinates along the beam, more than so many wires
+  // for each hole, and a smaller chi-square per hit.
+  static constexpr int many_wires = 14, many_along = 4, wires_per_hole = 4;
+  static constexpr double largest_chi2 = 4;
 
   // A seed of which two clusters belong to a track beyond doubt is not followed, nor one that is part of a
   // track.
@@ -124,8 +128,9 @@ class EventFinder {
     ++seeds_;
     FoundTrack track;
     if (!follower_.follow(seed, track) || !is_track(track)) return false;
-    const bool solid = track.wires >= 14 && track.along >= 4 && track.wires > 4 * track.holes &&
-                       !track.has_gaps() && track.chi2 < 4 * static_cast<double>(track.hits.size());
+    const bool solid = track.wires >= many_wires && track.along >= many_along &&
+                       track.wires > wires_per_hole * track.holes && !track.has_gaps() &&
+                       track.chi2 < largest_chi2 * static_cast<double>(track.hits.size());
     if (solid)
       for (const std::int32_t id : track.hits) hits_.take(id);
     tracks_.push_back(std::move(track));

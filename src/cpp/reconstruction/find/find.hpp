@@ -11,10 +11,9 @@
 
 namespace cgemit {
 
-// Default values are in `cgemit.find.settings.FindSettings`.
+// Default values are in `cgemit.reconstruction.find.ckf.FindSettings`.
 struct FindSettings {
   bool segments, chamber;  // the sources of seeds
-  bool wires_first;        // circles and lines of the chamber without clusters
   double mass;             // GeV
   double efficiency;       // of a layer or cell that a track crosses
   double gate;             // standard deviations

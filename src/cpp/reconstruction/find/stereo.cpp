@@ -78,7 +78,7 @@ const std::vector<FoundLine>& StereoSearch::find(const FoundCircle& circle, cons
                                                  std::size_t most) {
   heights_.clear();
   lines_.clear();
-  if (!settings_.wires_first) strips(circle, hits);
+  strips(circle, hits);
   wires(circle, hits);
   if (heights_.size() > most_heights) heights_.resize(most_heights);
   std::ranges::fill(grid_, 0);

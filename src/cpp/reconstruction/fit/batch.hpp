@@ -140,7 +140,7 @@ class BatchFit {
     return (std::min<std::uint64_t>(clusters, 255) << 48) ^ wires;
   }
 
-  // Fits all tracks that are not `done`.
+  // First helices of all tracks that are not `done`, through the hits that `from` names.
   template <class Done>
   std::vector<Start> seeds(SeedFrom from, const Done& done) const {
     std::vector<Start> starts;

@@ -143,8 +143,7 @@ class EventReadout {
                                     coordinate(0), coordinate(1), coordinate(2), draws, arrives);
     each_lane(arrives, [&](int i) {
       spread(number, row, share,
-             {lane(clouds.phi, i), lane(clouds.z, i), lane(clouds.spread_phi, i), lane(clouds.spread_z, i),
-              lane(clouds.time, i), lane(clouds.charge, i)});
+             {lane(clouds.phi, i), lane(clouds.z, i), lane(clouds.time, i), lane(clouds.charge, i)});
     });
   }
 
@@ -154,9 +153,8 @@ class EventReadout {
     const CgemLayer& layer = detector_.cgem[number];
     const LayerDrift& gas = readout_.drift[number];
     const double factor = readout_.physics.diffusion;
-    const double sigma_x =
-        layer.r_readout * std::max(wider(factor * gas.cloud_phi, cloud.spread_phi), least_phi);
-    const double sigma_z = std::max(wider(factor * gas.cloud_z, cloud.spread_z), least_z);
+    const double sigma_x = layer.r_readout * std::max(factor * gas.cloud_phi, least_phi),
+                 sigma_z = std::max(factor * gas.cloud_z, least_z);
     const double charge =
         cloud.charge * elementary_charge_fC * gains_.at(detector_, number, cloud.phi, cloud.z);
     StripSignals& signals = signals_[number];
@@ -167,7 +165,6 @@ class EventReadout {
                       static_cast<std::int64_t>(row));
         });
   }
-  static double wider(double sigma, double added) { return added == 0 ? sigma : std::hypot(sigma, added); }
 
   void write(std::size_t number, std::int64_t event) {
     const CgemLayer& layer = detector_.cgem[number];

@@ -38,7 +38,6 @@ struct ElectronPhysics {
   double diffusion;   // factor on the widths of the drift gap and of the cloud; 0: none
   double first_gain;  // electrons behind the first foil per surviving electron
   bool lorentz;       // whether the Lorentz angle acts
-  bool correlated;    // drift diffusion moves an avalanche as a whole, as it does in nature
 };
 
 // Uniform numbers of one electron, or of one in each lane: consecutive blocks of a counter that no other
@@ -125,14 +124,13 @@ void to_nearest_hole(double pitch, T& u, T& v) {
 template <class T>
 struct Arrival {
   T phi, z;  // rad, mm, centre of the cloud
-  T spread_phi,
-      spread_z;  // rad, mm, width that the drift gap adds to the cloud; 0 where it moves all of it
-  T time;        // ns after the particle, when the cloud enters the induction gap
-  T charge;      // electrons
+  T time;    // ns after the particle, when the cloud enters the induction gap
+  T charge;  // electrons
 };
 
 // Drift of electrons from (x, y, z) in the drift gap, of those `wanted`. Diffusion is drawn once for an
-// electron: its avalanche keeps the place where the electron arrived at the first foil.
+// electron and moves its avalanche as a whole, which keeps the place where the electron arrived at the first
+// foil.
 template <class T>
 Arrival<T> drift(const CgemLayer& layer, const LayerDrift& gas, const ElectronPhysics& physics, T x, T y, T z,
                  ElectronDraws<T>& draws, mask_of<T> wanted) {
@@ -142,12 +140,9 @@ Arrival<T> drift(const CgemLayer& layer, const LayerDrift& gas, const ElectronPh
   T at_phi = atan2(y, x) + bend * gas.tan_lorentz * log(layer.r_gap_out / inside);
   T at_z = z;
   const T n_phi = draws.normal(), n_z = draws.normal(), n_time = draws.normal();
-  T spread_phi = root * gas.sigma_x / layer.r_gap_out, spread_z = root * gas.sigma_par;
-  if (physics.correlated) {
-    at_phi += spread_phi * n_phi;
-    at_z += spread_z * n_z;
-    spread_phi = spread_z = T(0.0);
-  }
+  const T spread_phi = root * gas.sigma_x / layer.r_gap_out, spread_z = root * gas.sigma_par;
+  at_phi += spread_phi * n_phi;
+  at_z += spread_z * n_z;
   if (gas.hole_pitch > 0) {
     T u = layer.r_gap_out * at_phi;
     to_nearest_hole(gas.hole_pitch, u, at_z);
@@ -159,7 +154,7 @@ Arrival<T> drift(const CgemLayer& layer, const LayerDrift& gas, const ElectronPh
   at_z += few * gas.first_z * draws.normal();
   const T time = length / gas.velocity + root * gas.sigma_l * n_time / gas.velocity + gas.delay;
   const T gain = std::isinf(physics.polya) ? T(1.0) : polya_gain(physics.polya, draws, wanted);
-  return {at_phi, at_z, spread_phi, spread_z, time, gain * physics.gain};
+  return {at_phi, at_z, time, gain * physics.gain};
 }
 
 // Part of a Gaussian below `x`, in units of its width.

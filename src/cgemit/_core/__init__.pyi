@@ -8,6 +8,8 @@ from typing import Any, Final, TypeAlias, TypedDict
 import numpy as np
 import numpy.typing as npt
 
+from cgemit._core import _testing as _testing
+
 _Array: TypeAlias = npt.NDArray[Any]
 _Floats: TypeAlias = npt.NDArray[np.float64]
 _Bytes: TypeAlias = npt.NDArray[np.uint8]
@@ -156,6 +158,8 @@ class Detector:
         field: Field | None = None,
         simulated: bool = True,
     ) -> None: ...
+    # radius mm; matter inside was not crossed, or twice if it is negative.
+    def beginning_at(self, radius: float) -> Detector: ...
     @property
     def bz(self) -> float: ...  # T, at the origin
     @property
@@ -167,74 +171,12 @@ class Detector:
     @property
     def n_wire_layers(self) -> int: ...
 
-class FitSettings:
-    def __init__(
-        self,
-        *,
-        max_iterations: int,
-        tolerance: float,
-        errors_from_track: bool,
-        least_width: float,
-        delta_strips: float,
-        kinks: bool,
-        outlier_pull: float,
-        prior_sigma: Sequence[float],
-    ) -> None: ...
-
-class FindSettings:
-    def __init__(
-        self,
-        *,
-        segments: bool,
-        chamber: bool,
-        wires_first: bool,
-        mass: float,
-        efficiency: float,
-        gate: float,
-        branches: int,
-        passes: int,
-        holes_in_row: int,
-        max_d: float,
-        max_z: float,
-        min_pt: float,
-        least_axial: int,
-        min_score: float,
-        max_seeds: int,
-        annealing: bool,
-        least_width: float,
-        delta_strips: float,
-    ) -> None: ...
-
-class HitModel:
-    def __init__(
-        self,
-        *,
-        cos_theta: Sequence[float],
-        sigma_x: Sequence[float],
-        sigma_v: Sequence[float],
-        corr_xv: Sequence[float],
-        least_width: float,
-        delta_strips: float,
-        sides_known: bool,
-        seed: int,
-        prior_sigma: Sequence[float],
-    ) -> None: ...
-
 class _Simulated(TypedDict):
     status: npt.NDArray[np.int8]
     truths: dict[str, _Array]
     steps: dict[str, _Array]
     wire_truths: dict[str, _Array]
     decays: dict[str, _Array]
-
-class _Reference(TypedDict):
-    rows: _Floats  # (hits, 5)
-    noise: _Floats  # (noise vectors, 5)
-    noise_units: _Floats  # (noise vectors,), the kinks in units of each
-    predicted: _Floats  # (hits,), mm
-    extent: _Floats  # (hits,), mm
-    reached: bool
-    stopped: bool
 
 # Random numbers: events (n,) int64, particle (n,) int32; out (n, 4).
 def uniforms(
@@ -384,7 +326,8 @@ def fit(
     hits: _Columns,
     mass: npt.ArrayLike,
     start: npt.ArrayLike,
-    settings: FitSettings,
+    start_radius: npt.ArrayLike = ...,
+    settings: dict[str, Any],
     residuals: bool,
     states: bool = False,
 ) -> dict[str, _Array]: ...
@@ -393,7 +336,7 @@ def find_tracks(
     *,
     event_offsets: npt.ArrayLike,
     hits: _Columns,
-    settings: FindSettings,
+    settings: dict[str, Any],
     pairs: _Columns = {},
 ) -> dict[str, _Array]: ...
 def same_surfaces(detector: Detector, other: Detector) -> bool: ...
@@ -407,7 +350,7 @@ def covariances(
     scatters: npt.ArrayLike,
     samples: int,
     phases: npt.ArrayLike,
-    model: HitModel,
+    model: dict[str, Any],
     budget: bool,
     hits: bool = False,
     variants: Sequence[Detector] = [],
@@ -430,6 +373,7 @@ def states(
     kinks: npt.ArrayLike,
     prior: npt.ArrayLike,
     mass: npt.ArrayLike,
+    start_radius: npt.ArrayLike = ...,
     fitted: npt.ArrayLike,
     targets: _Columns,
 ) -> dict[str, _Array]: ...
@@ -447,104 +391,3 @@ def extrapolate(
 def change_pivot(
     helix: npt.ArrayLike, cov: npt.ArrayLike, step: npt.ArrayLike, bz: npt.ArrayLike
 ) -> tuple[_Floats, _Floats]: ...
-
-# What only tests ask of the core: single steps that the stages take on their own.
-class _testing:
-    @staticmethod
-    def philox4x32(*, counter: Sequence[int], key: Sequence[int]) -> list[int]: ...
-    # Motion: points (n, 7) float64, rows of x y z (mm), flight direction ux uy, tanl, signed curvature w (1/mm);
-    # arcs (n,) float64, mm, transverse.
-    @staticmethod
-    def step_to_cylinder(
-        points: npt.ArrayLike, radius: float, *, outward: bool = True
-    ) -> tuple[_Floats, _Floats, _Bytes]: ...
-    @staticmethod
-    def advance(points: npt.ArrayLike, arcs: npt.ArrayLike) -> tuple[_Floats, _Floats]: ...
-    @staticmethod
-    def approach_wire(
-        points: npt.ArrayLike, detector: Detector, layer: int, wire: int
-    ) -> tuple[_Floats, _Floats, _Floats, _Bytes]: ...
-    @staticmethod
-    def core_loss(
-        detector: Detector, slab: int, *, path: float, p: float, mass: float, charge: float = 1.0, track_xi: float
-    ) -> tuple[float, float, float]: ...
-    @staticmethod
-    def sample_loss(
-        detector: Detector, slab: int, *, path: float, p: float, mass: float, charge: float = 1.0, seed: int, n: int
-    ) -> _Floats: ...
-    # Which part (0 to 1) of a straight line through a slab with holes lies beside them: u, v (mm) where it crosses the
-    # middle of the foil, slopes du/dw, dv/dw with w outward; (n,) float64.
-    @staticmethod
-    def solid_fraction(
-        detector: Detector,
-        slab: int,
-        *,
-        u: npt.ArrayLike,
-        v: npt.ArrayLike,
-        slope_u: npt.ArrayLike,
-        slope_v: npt.ArrayLike,
-    ) -> _Floats: ...
-    # Drift gaps: keV, mm. Columns of `ionize` are energy, electrons, deltas per track, and deposit_crossing (the
-    # track), deposit_x y z dx dy dz energy electrons delta origin per deposit; origin 0 gas, 1 cathode, 2 behind.
-    @staticmethod
-    def ionize(
-        detector: Detector,
-        layer: int,
-        *,
-        p: float,
-        mass: float,
-        charge: float = 1.0,
-        n: int,
-        seed: int,
-        deltas: bool,
-        keep_clusters: bool,
-        tanl: float = 0.0,
-        slope: float = 0.0,
-    ) -> dict[str, _Array]: ...
-    # Columns u w z, energy left, length of the path and energy deposited in the gap of electrons that start at
-    # (0, w, 0).
-    @staticmethod
-    def follow_electrons(
-        detector: Detector, layer: int, *, w: float, energy: float, outward: float, n: int, seed: int
-    ) -> dict[str, _Array]: ...
-    @staticmethod
-    def reference(
-        detector: Detector, helix: npt.ArrayLike, mass: float, hits: _Columns, kinks: npt.ArrayLike | None = None
-    ) -> _Reference: ...
-    class SeedFrom(enum.Enum):
-        wires = 0
-        wires_and_clusters = 1
-        azimuths = 2
-
-    @staticmethod
-    def seeds(
-        detector: Detector, *, hit_offsets: npt.ArrayLike, hits: _Columns, mass: npt.ArrayLike, source: SeedFrom
-    ) -> _Array: ...
-    @staticmethod
-    def function(name: str, values: npt.ArrayLike) -> _Array: ...
-    @staticmethod
-    def induced_by(charge: float) -> tuple[float, float, float]: ...
-    @staticmethod
-    def shaped(terms: npt.ArrayLike, dt: float, steps: npt.ArrayLike) -> npt.NDArray[np.float64]: ...
-    @staticmethod
-    def polya_gains(theta: float, seed: int, n: int) -> npt.NDArray[np.float64]: ...
-    @staticmethod
-    def nearest_holes(
-        pitch: float, u: npt.ArrayLike, v: npt.ArrayLike
-    ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]: ...
-    @staticmethod
-    def share_cloud(
-        detector: Detector, layer: int, phi: float, z: float, sigma_x: float, sigma_z: float
-    ) -> dict[str, _Array]: ...
-    @staticmethod
-    def profile_below(edge: float, a: float, b: float, sigma: float) -> float: ...
-    @staticmethod
-    def fit_line(
-        position: npt.ArrayLike, charge: npt.ArrayLike, height: npt.ArrayLike, stiffness: float = 0.0
-    ) -> tuple[float, float, bool]: ...
-    @staticmethod
-    def settle_tracks(
-        *, tracks: _Columns, entries: _Columns, hits: _Columns, min_score: float
-    ) -> dict[str, _Array]: ...
-    @staticmethod
-    def count_ranges(first: npt.ArrayLike, last: npt.ArrayLike) -> tuple[_Bytes, int, _Bytes]: ...

@@ -1,4 +1,4 @@
-// The functions of `common/lanes/math.hpp` by name, for tests.
+// For tests only: the functions of `common/lanes/math.hpp` by name.
 #pragma once
 
 #include <stdexcept>

@@ -1,0 +1,540 @@
+// Single steps of the core that only tests ask for: the sub-module `_testing`.
+#include <pybind11/native_enum.h>
+#include <pybind11/pybind11.h>
+#include <pybind11/stl.h>
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <optional>
+
+#include "bindings/hits.hpp"
+#include "bindings/rows.hpp"
+#include "common/angles.hpp"
+#include "common/rng.hpp"
+#include "kalman/builder.hpp"
+#include "kalman/field_reference.hpp"
+#include "kalman/tracer.hpp"
+#include "kalman/trajectory.hpp"
+#include "kernels/kernels.hpp"
+#include "matter/electrons.hpp"
+#include "matter/foil.hpp"
+#include "matter/ionization.hpp"
+#include "matter/loss.hpp"
+#include "motion/helix.hpp"
+#include "motion/wire.hpp"
+#include "reconstruction/cluster/charge_time.hpp"
+#include "reconstruction/find/bit_counts.hpp"
+#include "reconstruction/find/compete.hpp"
+#include "reconstruction/fit/seed.hpp"
+#include "simulation/digitize/avalanche.hpp"
+#include "simulation/digitize/induced.hpp"
+#include "simulation/digitize/projection.hpp"
+#include "simulation/digitize/shaper.hpp"
+
+namespace py = pybind11;
+using namespace cgemit;
+using namespace cgemit::bindings;
+
+namespace {
+
+constexpr py::ssize_t point_width = 7;  // x y z ux uy tanl w
+
+HelixPoint point_of(const double* row) { return {row[0], row[1], row[2], row[3], row[4], row[5], row[6]}; }
+
+void store(const HelixPoint& p, std::vector<double>& out) {
+  for (const double value : {p.x, p.y, p.z, p.ux, p.uy, p.tanl, p.w}) out.push_back(value);
+}
+
+py::tuple to_cylinder(const Array<double>& points, double radius, bool outward) {
+  const py::ssize_t n = points.ndim() == 2 ? points.shape(0) : 0;
+  const auto rows = matrix(points, "points", n, point_width);
+  std::vector<double> moved, arcs;
+  std::vector<std::uint8_t> reached;
+  for (py::ssize_t i = 0; i < n; ++i) {
+    HelixPoint point = point_of(rows.data() + point_width * i);
+    double arc = 0;
+    reached.push_back(step_to_cylinder(point, radius, arc, outward));
+    arcs.push_back(arc);
+    store(point, moved);
+  }
+  return py::make_tuple(to_numpy(std::move(moved), {n, point_width}), to_numpy(std::move(arcs)),
+                        to_numpy(std::move(reached)));
+}
+
+py::tuple move_along(const Array<double>& points, const Array<double>& arcs) {
+  const py::ssize_t n = points.ndim() == 2 ? points.shape(0) : 0;
+  const auto rows = matrix(points, "points", n, point_width);
+  const auto steps = column(arcs, "arcs", n);
+  std::vector<double> moved, apex;
+  for (py::ssize_t i = 0; i < n; ++i) {
+    HelixPoint point = point_of(rows.data() + point_width * i);
+    apex.push_back(arc_to_apex(point));
+    advance(point, steps[static_cast<std::size_t>(i)]);
+    store(point, moved);
+  }
+  return py::make_tuple(to_numpy(std::move(moved), {n, point_width}), to_numpy(std::move(apex)));
+}
+
+py::tuple to_wire(const Array<double>& points, const Detector& detector, int layer, int wire) {
+  const py::ssize_t n = points.ndim() == 2 ? points.shape(0) : 0;
+  const auto rows = matrix(points, "points", n, point_width);
+  const WireLayer& cells = detector.wires.at(static_cast<std::size_t>(layer));
+  const Wire& line = cells.placed.at(static_cast<std::size_t>(wire));
+  std::vector<double> moved, doca, arcs;
+  std::vector<std::uint8_t> found;
+  for (py::ssize_t i = 0; i < n; ++i) {
+    HelixPoint point = point_of(rows.data() + point_width * i);
+    Approach approach{};
+    found.push_back(approach_wire(point, line, approach));
+    doca.push_back(approach.doca);
+    arcs.push_back(approach.arc);
+    store(point, moved);
+  }
+  return py::make_tuple(to_numpy(std::move(moved), {n, point_width}), to_numpy(std::move(doca)),
+                        to_numpy(std::move(arcs)), to_numpy(std::move(found)));
+}
+
+const Slab& slab_of(const Detector& detector, int index) {
+  return detector.slabs.at(static_cast<std::size_t>(index));
+}
+
+Kinematics particle(double p, double mass, double charge) {
+  return Kinematics(p, mass, projectile_of(mass, charge));
+}
+
+py::array_t<double> solid_fractions(const Detector& detector, int slab, const Array<double>& u,
+                                    const Array<double>& v, const Array<double>& slope_u,
+                                    const Array<double>& slope_v) {
+  const Holes& holes = detector.slabs.at(static_cast<std::size_t>(slab)).holes;
+  if (holes.pitch == 0) throw std::invalid_argument("solid_fraction: the slab has no holes");
+  const py::ssize_t n = u.size();
+  const auto us = column(u, "u", n), vs = column(v, "v", n), slopes_u = column(slope_u, "slope_u", n),
+             slopes_v = column(slope_v, "slope_v", n);
+  std::vector<double> out;
+  out.reserve(us.size());
+  for (std::size_t i = 0; i < us.size(); ++i)
+    out.push_back(solid_fraction(holes, {us[i], vs[i], slopes_u[i], slopes_v[i]}));
+  return to_numpy(std::move(out));
+}
+
+// Loss (GeV), its variance, and d(loss)/dp used by the fit.
+py::tuple loss_of_fit(const Detector& detector, int slab, double path, double p, double mass, double charge,
+                      double track_xi) {
+  TrackMatter track;
+  track.xi = track_xi;
+  track.loss = detector.loss;
+  const LossMoments m = core_loss(slab_of(detector, slab), path, particle(p, mass, charge), track);
+  return py::make_tuple(m.loss, m.variance, m.slope);
+}
+
+py::array_t<double> drawn_losses(const Detector& detector, int slab, double path, double p, double mass,
+                                 double charge, std::uint64_t seed, std::size_t n) {
+  const Kinematics k = particle(p, mass, charge);
+  std::vector<double> values;
+  for (std::size_t i = 0; i < n; ++i)
+    values.push_back(sample_loss(slab_of(detector, slab), path, k, Stream(seed, i, 0), 0));
+  return to_numpy(std::move(values));
+}
+
+const GapMatter& gap_of(const Detector& detector, int layer) {
+  return detector.gaps.at(static_cast<std::size_t>(layer));
+}
+
+// A straight track that enters the gap at azimuth 0 and z = 0.
+GapCrossing straight_crossing(const Detector& detector, int layer, double tanl, double slope) {
+  const CgemLayer& at = detector.cgem.at(static_cast<std::size_t>(layer));
+  const double across = slope / std::sqrt(1 + slope * slope);
+  HelixPoint entry{at.r_gap_in, 0, 0, std::sqrt(1 - across * across), across, tanl, 0};
+  HelixPoint exit = entry;
+  double arc = 0;
+  if (!step_to_cylinder(exit, at.r_gap_out, arc))
+    throw std::invalid_argument("slope: does not cross the gap");
+  return {entry, exit, detector.bz, arc * std::sqrt(1 + tanl * tanl)};
+}
+
+py::dict ionize_gap(const Detector& detector, int layer, double p, double mass, double charge, py::ssize_t n,
+                    std::uint64_t seed, bool deltas, bool keep_clusters, double tanl, double slope) {
+  const GapMatter& matter = gap_of(detector, layer);
+  const GapCrossing crossing = straight_crossing(detector, layer, tanl, slope);
+  const Kinematics k(p, mass, projectile_of(mass, charge));
+  std::vector<GapResult> results;
+  std::vector<Deposit> deposits;
+  std::vector<std::int64_t> owners;
+  {
+    py::gil_scoped_release release;
+    for (py::ssize_t i = 0; i < n; ++i) {
+      const Stream stream(seed, static_cast<std::uint64_t>(i), 0);
+      results.push_back(ionize(matter, crossing, k, stream, 0, deltas, keep_clusters, deposits));
+      owners.resize(deposits.size(), i);
+    }
+  }
+  RowColumns<GapResult> crossings(results.size());
+  crossings.add("energy", &GapResult::energy)
+      .add("electrons", &GapResult::electrons)
+      .add("deltas", &GapResult::deltas)
+      .append(results);
+  RowColumns<Deposit> made(deposits.size());
+  made.add("deposit_x", &Deposit::x)
+      .add("deposit_y", &Deposit::y)
+      .add("deposit_z", &Deposit::z)
+      .add("deposit_dx", &Deposit::dx)
+      .add("deposit_dy", &Deposit::dy)
+      .add("deposit_dz", &Deposit::dz)
+      .add("deposit_energy", &Deposit::energy)
+      .add("deposit_electrons", &Deposit::electrons)
+      .add("deposit_delta", &Deposit::delta)
+      .add("deposit_origin", &Deposit::origin)
+      .append(deposits);
+  py::dict out;
+  crossings.give(out);
+  made.give(out);
+  out["deposit_crossing"] = to_numpy(std::move(owners));
+  return out;
+}
+
+py::dict follow_electrons(const Detector& detector, int layer, double w, double energy, double outward,
+                          py::ssize_t n, std::uint64_t seed) {
+  const GapMatter& matter = gap_of(detector, layer);
+  const Electron start{0, w, 0, std::sqrt(std::max(1 - outward * outward, 0.0)), outward, 0, energy};
+  ElectronBatch batch;
+  for (py::ssize_t i = 0; i < n; ++i) {
+    batch.electrons.push_back(
+        {&matter, detector.bz, Stream(seed, static_cast<std::uint64_t>(i), 0), 0, start});
+  }
+  follow(batch);
+  const auto& rows = batch.electrons;
+  const auto deposited = [&batch](const ElectronTask& f) {
+    double sum = 0;
+    for (std::size_t k = f.first; k != 0; k = batch.pieces[k].next) sum += batch.pieces[k].energy;
+    return sum;
+  };
+  RowColumns<ElectronTask> made(rows.size());
+  made.add("u", [](const ElectronTask& f) { return f.electron.u; })
+      .add("w", [](const ElectronTask& f) { return f.electron.w; })
+      .add("z", [](const ElectronTask& f) { return f.electron.z; })
+      .add("energy", [](const ElectronTask& f) { return f.electron.energy; })
+      .add("way", &ElectronTask::way)
+      .add("deposited", deposited)
+      .append(rows);
+  py::dict out;
+  made.give(out);
+  return out;
+}
+
+py::tuple induced_by(double charge) {
+  return py::make_tuple(induced_probability(charge), induced_share(charge), induced_delay(charge));
+}
+
+py::array_t<double> amplitudes(const Array<double>& terms, double dt, const Array<double>& steps) {
+  StepFilter<Shaper::most> filter(
+      Shaper(matrix(terms, "terms", terms.ndim() == 2 ? terms.shape(0) : 0, 3), 0.0), dt);
+  std::vector<double> found;
+  for (const double step : column(steps, "steps")) found.push_back(filter.next(step));
+  return to_numpy(std::move(found));
+}
+
+py::array_t<double> polya(double theta, std::uint64_t seed, std::uint32_t n) {
+  const Stream stream(seed, 0, 0);
+  std::vector<double> found;
+  for (std::uint32_t i = 0; i < n; ++i) {
+    ElectronDraws<double> draws(stream, 0, i);
+    found.push_back(polya_gain(theta, draws));
+  }
+  return to_numpy(std::move(found));
+}
+
+py::tuple holes(double pitch, const Array<double>& u, const Array<double>& v) {
+  const auto a = column(u, "u"), b = column(v, "v", u.size());
+  std::vector<double> at_u(a.begin(), a.end()), at_v(b.begin(), b.end());
+  for (std::size_t i = 0; i < at_u.size(); ++i) to_nearest_hole(pitch, at_u[i], at_v[i]);
+  return py::make_tuple(to_numpy(std::move(at_u)), to_numpy(std::move(at_v)));
+}
+
+py::dict cloud(const Detector& detector, std::size_t layer, double phi, double z, double sigma_x,
+               double sigma_z) {
+  std::vector<std::int32_t> sheet, view, strip;
+  std::vector<double> part;
+  const auto give = [&](int s, int w, int i, Parts parts) {
+    for (const double p : parts) {
+      sheet.push_back(s);
+      view.push_back(w);
+      strip.push_back(i++);
+      part.push_back(p);
+    }
+  };
+  share_on_layer<Widest>(detector.cgem.at(layer), phi, z, sigma_x, sigma_z, give);
+  py::dict out;
+  out["sheet"] = to_numpy(std::move(sheet));
+  out["view"] = to_numpy(std::move(view));
+  out["strip"] = to_numpy(std::move(strip));
+  out["part"] = to_numpy(std::move(part));
+  return out;
+}
+
+py::tuple line_of(const Array<double>& position, const Array<double>& charge, const Array<double>& height,
+                  double stiffness) {
+  const auto x = column(position, "position"), q = column(charge, "charge", position.size()),
+             w = column(height, "height", position.size());
+  std::vector<StripPoint> points;
+  for (std::size_t i = 0; i < x.size(); ++i) points.push_back({x[i], q[i], w[i]});
+  const Line line = fit_line(points, stiffness);
+  return py::make_tuple(line.at_middle, line.slope, line.good);
+}
+
+// Counts of 192 counters after ranges of them, from `first` to `last`, were added; the largest and those that
+// have it.
+py::tuple count_ranges(const Array<std::int32_t>& firsts, const Array<std::int32_t>& lasts) {
+  constexpr std::size_t words = 3;
+  const auto first = column(firsts, "first"), last = column(lasts, "last", firsts.size());
+  BitCounts<words> counts;
+  for (std::size_t i = 0; i < first.size(); ++i) {
+    if (first[i] < 0 || last[i] < first[i] || last[i] >= static_cast<std::int32_t>(64 * words)) {
+      throw std::invalid_argument("first, last: expected ranges within 0 and 191");
+    }
+    BitCounts<words>::Bits bits{};
+    set_bits(bits, static_cast<unsigned>(first[i]), static_cast<unsigned>(last[i]));
+    counts.add(bits);
+  }
+  const auto [most, which] = counts.most();
+  std::vector<std::uint8_t> found, largest;
+  for (std::size_t i = 0; i < 64 * words; ++i) {
+    found.push_back(counts.at(i));
+    largest.push_back(static_cast<std::uint8_t>(which[i / 64] >> i % 64 & 1));
+  }
+  return py::make_tuple(to_numpy(std::move(found)), most, to_numpy(std::move(largest)));
+}
+
+// For tests: tracks with nothing but hits compete.
+py::dict settle(const py::dict& track_columns, const py::dict& entry_columns, const py::dict& hit_columns,
+                double min_score) {
+  Inputs of_track(track_columns, "score"), of_entry(entry_columns, "hit"), of_hit(hit_columns, "wire");
+  const auto score = of_track.get<double>("score");
+  const auto count = of_track.get<std::int64_t>("hits");
+  const auto hit = of_entry.get<std::int64_t>("hit");
+  const auto gain = of_entry.get<double>("gain");
+  const auto wire = of_hit.get<bool>("wire"), along = of_hit.get<bool>("along");
+  std::vector<HitKind> kinds;
+  for (std::size_t i = 0; i < wire.size(); ++i) kinds.push_back({wire[i], along[i]});
+  std::vector<FoundTrack> tracks(score.size());
+  std::size_t entry = 0;
+  for (std::size_t i = 0; i < tracks.size(); ++i) {
+    tracks[i].score = score[i];
+    tracks[i].holes = static_cast<int>(i);  // the competition does not read it
+    for (std::int64_t k = 0; k < count[i]; ++k, ++entry) {
+      if (entry >= hit.size() || hit[entry] < 0 || static_cast<std::size_t>(hit[entry]) >= kinds.size())
+        throw py::value_error("hit: expected the number of a hit for each hit of a track");
+      tracks[i].hits.push_back(static_cast<std::int32_t>(hit[entry]));
+      tracks[i].gains.push_back(gain[entry]);
+      tracks[i].wires += kinds[static_cast<std::size_t>(hit[entry])].wire ? 1 : 0;
+    }
+  }
+  Competition().settle(tracks, kinds, min_score);
+  std::vector<std::int64_t> kept, left, hits;
+  for (const FoundTrack& track : tracks) {
+    kept.push_back(track.holes);
+    left.push_back(static_cast<std::int64_t>(track.hits.size()));
+    hits.insert(hits.end(), track.hits.begin(), track.hits.end());
+  }
+  py::dict out;
+  out["track"] = to_numpy(std::move(kept));
+  out["hits"] = to_numpy(std::move(left));
+  out["hit"] = to_numpy(std::move(hits));
+  return out;
+}
+
+// Rows of vectors of one size.
+py::array_t<double> rows_of(const std::vector<Vector5>& vectors) {
+  std::vector<double> values;
+  for (const Vector5& one : vectors) values.insert(values.end(), one.begin(), one.end());
+  return to_numpy(std::move(values), {static_cast<py::ssize_t>(vectors.size()), 5});
+}
+
+// Noise vectors of a reference trajectory, and the kinks in units of them.
+struct NoiseVectors {
+  std::vector<Vector5> vectors;
+  std::vector<double> units;
+
+  template <class Noise>
+  void add(const Noise& noise, const Kink<double>& kink, bool shifts) {
+    if (noise.dip[4] == 0) return;
+    const auto [turn, dip] = in_noise_units(kink);
+    put(noise.turn, turn);
+    put(noise.dip, dip);
+    put(noise.straggling, 0);
+    if (!shifts) return;
+    put(noise.shift_across, 0);
+    put(noise.shift_along, 0);
+  }
+  template <class G>
+  void put(const G& g, double unit) {
+    vectors.push_back(vector5(g));
+    units.push_back(unit);
+  }
+};
+
+// Follows one helix through the material up to the last hit. `kink_array`: angles for every slab, or none.
+py::dict reference(const Detector& detector, const Array<double>& helix, double mass,
+                   const py::dict& hit_columns, const std::optional<Array<double>>& kink_array) {
+  std::span<const double> kinks;
+  if (kink_array) kinks = matrix(*kink_array, "kinks", static_cast<py::ssize_t>(detector.slabs.size()), 2);
+  const Perigee start = from_bes3(column(helix, "helix", 5).data());
+  const auto n = static_cast<py::ssize_t>(py::len(hit_columns["kind"]));
+  std::vector<Hit> row;
+  HitColumns(detector, hit_columns, n).take(0, static_cast<std::size_t>(n), row);
+  const std::vector<std::int8_t> no_sides(row.size(), 0);
+  const std::span<const Hit> hits(row);
+  const std::span<const std::int8_t> sides(no_sides);
+  Group<double> group;
+  if (std::isfinite(start.kappa) && start.kappa != 0) {
+    GroupBuilder<double>(detector).build(std::span(&hits, 1), std::span(&sides, 1), group);
+    set_kinks(group, kinks);
+    const Projectile projectile = projectile_of(mass, start.kappa);
+    if (detector.field.is_uniform()) {
+      Tracer<double>(detector, start, mass, projectile, group).run(true);
+    } else {
+      Tracer<double, FieldReference<double>>(detector, start, mass, projectile, group).run(true);
+    }
+  }
+  std::vector<Vector5> rows;
+  std::vector<double> predicted, extent;
+  NoiseVectors noise;
+  for (const GroupStep& step : group.steps) {
+    for (std::int32_t s = step.first; s < step.last; ++s) {
+      const Slot<double>& slot = group.slots[static_cast<std::size_t>(s)];
+      if (!slot.met) continue;
+      rows.push_back(vector5(slot.row));
+      predicted.push_back(slot.predicted);
+      extent.push_back(slot.extent);
+    }
+    const auto number = static_cast<std::size_t>(step.noise);
+    if (!step.is_slab || !group.ahead[number]) continue;
+    const bool shifts = detector.slabs[static_cast<std::size_t>(step.slab)].shifts;
+    if (!group.dense_noise.empty()) {
+      noise.add(group.dense_noise[number], group.kinks[number], shifts);
+    } else {
+      noise.add(group.noise[number], group.kinks[number], shifts);
+    }
+  }
+  py::dict result;
+  result["rows"] = rows_of(rows);
+  result["noise"] = rows_of(noise.vectors);
+  result["noise_units"] = to_numpy(std::move(noise.units));
+  result["reached"] = predicted.size();
+  result["stopped"] = bool(group.stopped);
+  result["predicted"] = to_numpy(std::move(predicted));
+  result["extent"] = to_numpy(std::move(extent));
+  return result;
+}
+
+py::array_t<double> seeds(const Detector& detector, const Array<std::int64_t>& hit_offsets,
+                          const py::dict& hit_columns, const Array<double>& mass_array, SeedFrom from) {
+  const auto offsets = hit_offsets_of(hit_offsets);
+  const auto n_hits = static_cast<py::ssize_t>(offsets.back());
+  const HitColumns columns(detector, hit_columns, n_hits);
+  const auto side = columns.side();
+  const auto mass = column(mass_array, "mass", static_cast<py::ssize_t>(offsets.size()) - 1);
+  if (!std::ranges::all_of(mass, [](double value) { return value > 0 && value < HUGE_VAL; }))
+    throw std::invalid_argument("mass: expected finite numbers above 0");
+  std::vector<Hit> hits;
+  std::vector<double> helix;
+  for (std::size_t i = 0; i + 1 < offsets.size(); ++i) {
+    const auto first = static_cast<std::size_t>(offsets[i]),
+               count = static_cast<std::size_t>(offsets[i + 1]) - first;
+    columns.take(first, count, hits);
+    const auto seed = seed_helix(detector, hits, side.subspan(first, count), from, mass[i]);
+    constexpr double none = std::numeric_limits<double>::quiet_NaN();
+    const Perigee h = seed ? seed->helix : Perigee{none, none, none, none, none};
+    for (const double value : {h.d, seed ? wrap_angle(h.psi - 0.5 * pi) : none, h.kappa, h.z0, h.tanl})
+      helix.push_back(value);
+  }
+  return to_numpy(std::move(helix), {static_cast<py::ssize_t>(offsets.size() - 1), 5});
+}
+
+py::array_t<double> function(const std::string& name, const Array<double>& values) {
+  const auto in = column(values, "values");
+  const Kernels& used = kernels();
+  if (in.size() % static_cast<std::size_t>(used.lanes) != 0)
+    throw std::invalid_argument("values: expected a multiple of the number of lanes");
+  std::vector<double> out(in.size());
+  used.function(name, in.data(), out.data(), in.size());
+  return to_numpy(std::move(out));
+}
+
+}  // namespace
+
+void bind_testing(py::module_& core) {
+  py::module_ module = core.def_submodule("_testing", "Single steps of the core, for tests.");
+  module.def(
+      "philox4x32",
+      [](Block counter, std::array<std::uint32_t, 2> key) { return philox4x32(counter, key[0], key[1]); },
+      py::kw_only(), py::arg("counter"), py::arg("key"), "Four words of Philox4x32-10.");
+  module.def(
+      "step_to_cylinder", &to_cylinder, py::arg("points"), py::arg("radius"), py::kw_only(),
+      py::arg("outward") = true,
+      "Move helix points, rows of (x y z ux uy tanl w), to a cylinder: points, arcs, whether reached.");
+  module.def("advance", &move_along, py::arg("points"), py::arg("arcs"),
+             "Move helix points by transverse arcs: points, and the arc from each to its outermost point.");
+  module.def("approach_wire", &to_wire, py::arg("points"), py::arg("detector"), py::arg("layer"),
+             py::arg("wire"),
+             "Move helix points to their closest approach to a wire: points, signed distances, arcs, whether "
+             "found.");
+  module.def("core_loss", &loss_of_fit, py::arg("detector"), py::arg("slab"), py::kw_only(), py::arg("path"),
+             py::arg("p"), py::arg("mass"), py::arg("charge") = 1.0, py::arg("track_xi"),
+             "Loss (GeV), its variance, and d(loss)/dp used by the fit.");
+  module.def("sample_loss", &drawn_losses, py::arg("detector"), py::arg("slab"), py::kw_only(),
+             py::arg("path"), py::arg("p"), py::arg("mass"), py::arg("charge") = 1.0, py::arg("seed"),
+             py::arg("n"), "Energy losses (GeV) by collisions of n particles in a slab.");
+  module.def("solid_fraction", &solid_fractions, py::arg("detector"), py::arg("slab"), py::kw_only(),
+             py::arg("u"), py::arg("v"), py::arg("slope_u"), py::arg("slope_v"),
+             "Fraction (0 to 1) of straight lines through a slab with holes that is outside the holes; u, v "
+             "in mm at the middle of the foil.");
+  module.def(
+      "ionize", &ionize_gap, py::arg("detector"), py::arg("layer"), py::kw_only(), py::arg("p"),
+      py::arg("mass"), py::arg("charge") = 1.0, py::arg("n"), py::arg("seed"), py::arg("deltas"),
+      py::arg("keep_clusters"), py::arg("tanl") = 0.0, py::arg("slope") = 0.0,
+      "Deposits of n straight tracks through azimuth 0 in a drift gap; slope: r dphi/dr at the entry.");
+  module.def(
+      "follow_electrons", &follow_electrons, py::arg("detector"), py::arg("layer"), py::kw_only(),
+      py::arg("w"), py::arg("energy"), py::arg("outward"), py::arg("n"), py::arg("seed"),
+      "End points of n electrons that start at w (mm from the inner edge of the gap) with an energy (keV).");
+  module.def("induced_by", &induced_by, py::arg("charge"),
+             "Probability, share and mean delay (ns) of what a strip induces on a neighbour.");
+  module.def("shaped", &amplitudes, py::arg("terms"), py::arg("dt"), py::arg("steps"),
+             "Amplitude behind a shaper of terms (n, 3) for steps of the current at times dt apart.");
+  module.def("polya_gains", &polya, py::arg("theta"), py::arg("seed"), py::arg("n"),
+             "Gains of electrons relative to their mean.");
+  module.def("nearest_holes", &holes, py::arg("pitch"), py::arg("u"), py::arg("v"),
+             "Holes of a hexagonal lattice that are nearest to points (mm).");
+  module.def("share_cloud", &cloud, py::arg("detector"), py::arg("layer"), py::arg("phi"), py::arg("z"),
+             py::arg("sigma_x"), py::arg("sigma_z"), "Parts of a cloud on the strips of both views.");
+  module.def("profile_below", &profile_below, py::arg("edge"), py::arg("a"), py::arg("b"), py::arg("sigma"),
+             "Part up to an edge of a charge that is uniform from a to b, smeared by a Gaussian.");
+  module.def("fit_line", &line_of, py::arg("position"), py::arg("charge"), py::arg("height"),
+             py::arg("stiffness") = 0.0,
+             "Position at height 0, slope, and whether there is a line, of strips with charge and height.");
+  module.def("count_ranges", &count_ranges, py::arg("first"), py::arg("last"),
+             "Counts of 192 counters of ranges, the largest count, and where it is.");
+  module.def(
+      "settle_tracks", &settle, py::kw_only(), py::arg("tracks"), py::arg("entries"), py::arg("hits"),
+      py::arg("min_score"),
+      "Competition of tracks (score, number of hits) for hits (on a wire, along the beam); entries are "
+      "the hits of the tracks, one after the other, and their gains. Returns the numbers of the tracks "
+      "that remain, the best first, and their hits.");
+  module.def("reference", &reference, py::arg("detector"), py::arg("helix"), py::arg("mass"), py::arg("hits"),
+             py::arg("kinks") = py::none(),
+             "Follow one helix, scattered by `kinks` (rad, two for every slab), through its hits: predicted "
+             "values, their rows by (dr, phi0, kappa, dz, tanl), the noise vectors of the matter, and the "
+             "kinks in units of them.");
+  py::native_enum<SeedFrom>(module, "SeedFrom", "enum.Enum", "What the first helix is drawn through.")
+      .value("wires", SeedFrom::wires)
+      .value("wires_and_clusters", SeedFrom::wires_and_clusters)
+      .value("azimuths", SeedFrom::azimuths)
+      .finalize();
+  module.def("seeds", &seeds, py::arg("detector"), py::kw_only(), py::arg("hit_offsets"), py::arg("hits"),
+             py::arg("mass"), py::arg("source"),
+             "First helix of each row of hit_offsets, (n, 5) in the parameters of the tracks table; NaN if "
+             "there is none.");
+  module.def("function", &function, py::arg("name"), py::arg("values"),
+             "Apply a function of the kernels in use: log, exp, sine, cosine, atan, azimuth, nearest.");
+}
