@@ -29,6 +29,7 @@ def map_file(tmp_path):
     return write_field_map(tmp_path / "map.npz", {"r": r, "z": z, "br": np.zeros((5, 5)), "bz": np.ones((5, 5))})
 
 
+@pytest.mark.slow
 def test_a_damaged_file_is_bad_input_wherever_the_damage_is(table_file, map_file):
     """Every byte of the directory and the headers, and many others, changed in several ways."""
     random = np.random.default_rng(1)

@@ -182,6 +182,7 @@ def test_studies_say_how_many_decayed():
     assert "decayed" in repr(scan)
 
 
+@pytest.mark.slow
 def test_pictures_of_decays(tmp_path):
     """The event display draws events with kinks."""
     result = cg.run(DETECTOR, Gun("K+", p=0.3, cos_theta=0.0), 30, seed=6)
