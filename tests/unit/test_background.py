@@ -4,11 +4,13 @@ import numpy as np
 import pytest
 
 import cgemit as cg
+from cgemit import _core
 from cgemit.base.errors import DetectorError
 from cgemit.base.files import parse_toml
 from cgemit.cli import options
+from cgemit.detector import compiled
 from cgemit.detector.drift import XT_DISTANCE, XT_TIME
-from cgemit.simulation.background import add_background, cell_numbers, dead_cells, mix_events
+from cgemit.simulation.background import CELLS, STRIPS, add_background, channel_kinds, mix_events, start_times
 from cgemit.tables import Table
 
 MUON = cg.Gun("mu-", p=1.0, cos_theta=(-0.5, 0.5))
@@ -44,6 +46,26 @@ def test_the_shares_of_fired_cells_are_the_measured_ones(run):
             mean = np.count_nonzero(wires["layer"] == layer) / 400 / cells[layer]
             assert mean == pytest.approx(share, rel=0.15), layer
     assert np.all(np.diff(wires["event"]) >= 0)
+
+
+def test_runs_fire_each_cell_with_the_share_of_the_closed_form(run):
+    """A cell is silent if none of the runs that would reach it begins; without overlaps the same gate fails."""
+    chamber, n = cg.load("besiii-idc"), 2000
+    level = chamber.background[0]
+    wires = add_background(chamber, *empty(run, n), cg.BackgroundSettings(level="bes2009"), seed=1)["wire_hits"]
+    often = np.array(level.wire_runs) / sum(level.wire_runs)
+    at_least = often[::-1].cumsum()[::-1]
+    pulls = []
+    for layer in chamber.drift_chamber.layers:
+        area = 2 * np.pi * layer.r_mid / layer.cells * 2 * layer.half_length / 100
+        rate = np.interp(layer.r_mid, [one.r for one in level.wire_rate], [one.rate for one in level.wire_rate])
+        begins = 1 - np.exp(-rate * area * 2e-3 / (often @ np.arange(1, len(often) + 1)))
+        found = np.bincount(wires["event"][wires["layer"] == layer.number], minlength=n) / layer.cells
+        expected = np.array([1 - np.prod(1 - begins * at_least), begins * at_least.sum()])
+        pulls.append((found.mean() - expected) / (found.std() / np.sqrt(n)))
+    chi2 = np.sum(np.square(pulls), axis=0)
+    assert chi2[0] < len(pulls) + 4 * np.sqrt(2 * len(pulls))
+    assert chi2[1] > len(pulls) + 8 * np.sqrt(2 * len(pulls))
 
 
 def test_a_given_share_of_cells_fires_within_the_drift_time(run):
@@ -98,23 +120,24 @@ def test_strips_of_particles_stay_as_they_are(run):
 
 
 def test_clusters_and_noise_of_strips_have_their_rates(run):
+    n = 1000
     quiet, noisy = (
-        add_background(run.detector, *empty(run, 150), cg.BackgroundSettings(level=level), seed=1)["digis"]
+        add_background(run.detector, *empty(run, n), cg.BackgroundSettings(level=level), seed=1)["digis"]
         for level in ("bes2009", "bes2026")
     )
     layer = run.detector.cgem[0]
     noise = run.detector.background[1].noise_v
     assert noise == 3.6
-    expected = layer.sheets * layer.strips_v * noise * 1e-3 * 150
+    expected = layer.sheets * layer.strips_v * noise * 1e-3 * n
     more = np.count_nonzero((noisy["layer"] == 0) & (noisy["view"] == 1)) - np.count_nonzero(
         (quiet["layer"] == 0) & (quiet["view"] == 1)
     )
-    assert more == pytest.approx(expected, rel=0.1)
+    assert more == pytest.approx(expected, rel=0.05)
     # 1.9 kHz/cm^2 (r/76 mm)^-2.2 on the anodes of besiii-cgem (r 90.17, 132.53, 175.22, length 532, 690, 847 mm): 3.93,
     # 3.21 and 2.82 clusters of 3.5 strips in each view and microsecond, of which some lie on others.
     for number, clusters in enumerate((3.93, 3.21, 2.82)):
-        strips = np.count_nonzero((quiet["layer"] == number) & (quiet["view"] == 0)) / 150
-        assert strips == pytest.approx(3.5 * clusters, rel=0.12), number  # 4 standard deviations
+        strips = np.count_nonzero((quiet["layer"] == number) & (quiet["view"] == 0)) / n
+        assert strips == pytest.approx(3.5 * clusters, rel=0.07), number  # 4 standard deviations
 
 
 def test_events_do_not_depend_on_each_other(run):
@@ -128,6 +151,100 @@ def test_events_do_not_depend_on_each_other(run):
     )
     for name, table in part.items():
         assert table == whole[name].select_events(3, 7)
+
+
+def test_one_event_is_replayed_alone(run):
+    """What an event holds depends on its number and the seed alone, also for start times."""
+    settings = cg.BackgroundSettings(level="bes2026", start_time=4.0)
+    whole = add_background(run.detector, run.digis, run.wire_hits, settings, seed=1)
+    for event in (0, 57):
+        one = [table.select_events(event, event + 1) for table in (run.digis, run.wire_hits)]
+        alone = add_background(run.detector, *one, settings, seed=1)
+        assert all(alone[name] == whole[name].select_events(event, event + 1) for name in alone)
+    other = add_background(run.detector, *one, settings, seed=2)
+    assert other["wire_hits"] != alone["wire_hits"]
+
+
+def single_cells(share, n=4000):
+    """Return how often each cell of a layer fires in n events without runs, and the fired cells."""
+    detector = cg.load("besiii-cgem")
+    layers = detector.drift_chamber.layers
+    begins = np.where(np.arange(len(layers)) == 3, share, 0.0)
+    none = np.empty(0, np.int32)
+    how = {"lengths": [1.0], "window": 1.0, "hot": none, "hot_fires": np.empty(0), "seed": 5}
+    found = _core.background_cells(compiled(detector), np.arange(n), begins=begins, **how)
+    assert set(found["layer"]) == {layers[3].number}
+    return np.bincount(found["wire"], minlength=layers[3].cells), found
+
+
+@pytest.mark.parametrize("share", [0.003, 0.2, 0.9])
+def test_cells_fire_independently_with_equal_probability(share):
+    """Counts of the cells of a layer are binomial, as are those of neighbours; another share fails the same gate."""
+    n = 4000
+    counts, found = single_cells(share, n=n)
+
+    def chi2(expected):
+        return np.sum((counts - n * expected) ** 2) / (n * expected * (1 - expected))
+
+    spread = np.sqrt(2 * len(counts))
+    assert abs(chi2(share) - len(counts)) < 4 * spread
+    assert abs(chi2(share * (1 + 6 / np.sqrt(n * share))) - len(counts)) > 4 * spread
+    fired = np.zeros((n, len(counts)), np.bool_)
+    fired[found["event"], found["wire"]] = True
+    pairs = np.count_nonzero(fired[:, 1:] & fired[:, :-1])
+    expected = n * (len(counts) - 1) * share**2
+    assert abs(pairs - expected) < 4 * np.sqrt(expected) + 1
+    time = found["drift_time"]
+    assert abs(time.mean() - 0.5) < 4 / np.sqrt(12 * len(time))
+
+
+def test_the_number_of_clusters_is_poisson_and_sizes_are_uniform(run):
+    """Clusters that are alone in a layer's view: from 1 to 6 strips, each as often; a wrong size fails the gate."""
+    layers = run.detector.cgem
+    n, mean, none = 20_000, 0.05, np.empty(0, np.int32)
+    how = {"single": [0.0, 0.0], "charge": [10.0, 50.0], "window": 1000.0, "hot": none, "hot_fires": np.empty(0)}
+    strips = _core.background_strips(
+        compiled(run.detector), np.arange(n), clusters=[0.0, mean, 0.0], most_strips=6, seed=2, **how
+    )
+    assert set(strips["layer"]) == {1}
+    fired = np.unique(strips["event"])
+    empty = np.exp(-mean)
+    assert abs(len(fired) / n - (1 - empty)) < 4 * np.sqrt(empty * (1 - empty) / n)
+    # Away from the edges of the sheets, where clusters are cut; 2.5 % of the events have two clusters.
+    inner = (strips["view"] == 0) & (strips["strip"] > 6) & (strips["strip"] < layers[1].strips_x - 7)
+    sizes = np.bincount(np.bincount(strips["event"][inner], minlength=n), minlength=7)[1:7]
+    expected = sizes.sum() / 6
+
+    def gate(found):
+        return np.sum((found - expected) ** 2 / expected)
+
+    assert gate(sizes) < 5 + 4 * np.sqrt(10) + 6
+    assert gate(np.append(sizes[:5] + sizes[5] / 5, 0)) > 5 + 4 * np.sqrt(10) + 6
+    assert abs(strips["charge"].mean() - 30) < 4 * 40 / np.sqrt(12 * len(strips["charge"]))
+    how |= {"hot": np.array([-1], np.int32), "hot_fires": np.ones(1)}
+    with pytest.raises(ValueError, match="hot: channel -1"):
+        _core.background_strips(compiled(run.detector), [0], clusters=[0, 0, 0], most_strips=1, seed=2, **how)
+
+
+def test_rows_are_ordered_by_channel():
+    """Order and first rows are those of numpy's sort of several keys."""
+    rng = np.random.default_rng(1)
+    event, gid = np.sort(rng.integers(0, 50, 3000)), rng.integers(0, 40, 3000).astype(np.int32)
+    time = rng.integers(0, 3, 3000).astype(np.float64)
+    order, first = _core.by_channel(event, gid, time)
+    assert np.array_equal(order, np.lexsort((time, gid, event)))
+    keys = np.stack([event, gid])[:, order]
+    assert np.array_equal(first, np.unique(keys, axis=1, return_index=True)[1])
+
+
+def test_start_times_are_gaussian():
+    """Width and tails are those of a Gaussian, and events are independent of each other."""
+    times = start_times(np.arange(20_000), 5.0, 1)
+    assert abs(times.mean()) < 4 * 5 / np.sqrt(20_000)
+    assert abs(times.std() / 5 - 1) < 4 / np.sqrt(40_000)
+    assert abs(np.mean(np.abs(times) > 10) - 0.0455) < 4 * np.sqrt(0.0455 / 20_000)
+    assert abs(np.corrcoef(times[1:], times[:-1])[0, 1]) < 4 / np.sqrt(20_000)
+    assert start_times(np.array([777]), 5.0, 1)[0] == times[777]
 
 
 def test_background_is_part_of_the_chain():
@@ -201,10 +318,9 @@ def test_dead_channels_never_fire_and_are_always_the_same(run):
             assert 0.5 * share < 1 - len(left[name]) / len(whole[name]) < 2 * share
             assert not gone & set(left[name]["gid"])
             assert set(left[name]["gid"]) <= set(whole[name]["gid"])
-        mine = left["wire_hits"]
-        dead = dead_cells(spoiled, spoiled.background[0])
-        assert not dead[cell_numbers(spoiled, mine["layer"], mine["wire"])].any()
-        assert dead.mean() == pytest.approx(0.1, abs=0.02)
+    kinds = [channel_kinds(np.arange(6000), what) for what in (CELLS, STRIPS)]
+    assert [np.mean(kind < 0.1) for kind in kinds] == pytest.approx([0.1, 0.1], abs=4 * np.sqrt(0.09 / 6000))
+    assert abs(np.corrcoef(kinds)[0, 1]) < 4 / np.sqrt(6000)
 
 
 def test_hot_channels_fire_at_their_rate(run):

@@ -118,7 +118,7 @@ def test_efficiencies_are_those_of_particles(run):
     level = dataclasses.replace(CGEM.background[0], efficiency_x=0.0, efficiency_v=0.0, efficiency_wires=0.0)
     digis = run.digis.with_columns(truth=np.where(run.digis["event"] % 2, -1, run.digis["truth"]))
     wires = run.wire_hits.with_columns(wire_truth=np.where(run.wire_hits["event"] % 3, -1, 0))
-    left = read_out(CGEM, level, digis, wires, 1)
+    left = read_out(level, digis, wires, 1)
     assert left[0]["gid"].tolist() == digis["gid"][digis["event"] % 2 == 1].tolist()
     assert left[1]["gid"].tolist() == wires["gid"][wires["event"] % 3 > 0].tolist()
 

@@ -75,6 +75,14 @@ class Purpose(enum.IntEnum):
     readout_truth = 13
     readout_strip = 14
     half_turn = 15
+    background_runs = 16
+    background_cell = 17
+    background_clusters = 18
+    background_noise = 19
+    background_strip = 20
+    channel_kind = 21
+    mixed_event = 22
+    start_time = 23
 
 class Screening(enum.IntEnum):
     wentzel = 0
@@ -178,12 +186,22 @@ class _Simulated(TypedDict):
     wire_truths: dict[str, _Array]
     decays: dict[str, _Array]
 
-# Random numbers: events (n,) int64, particle (n,) int32; out (n, 4).
+# Random numbers: events (n,) int64, particle (n,) int32, place () or (n,) uint32; out (n, 4).
 def uniforms(
-    seed: int, events: npt.ArrayLike, particle: npt.ArrayLike, purpose: Purpose, place: int, block: int = 0
+    seed: int,
+    events: npt.ArrayLike,
+    particle: npt.ArrayLike,
+    purpose: Purpose,
+    place: npt.ArrayLike,
+    block: int = 0,
 ) -> _Floats: ...
 def normals(
-    seed: int, events: npt.ArrayLike, particle: npt.ArrayLike, purpose: Purpose, place: int, block: int = 0
+    seed: int,
+    events: npt.ArrayLike,
+    particle: npt.ArrayLike,
+    purpose: Purpose,
+    place: npt.ArrayLike,
+    block: int = 0,
 ) -> _Floats: ...
 
 # Matter: GeV, GeV/c; path in units of normal incidence.
@@ -267,6 +285,33 @@ def read_out_wires(
     reveal_sides: bool,
     seed: int,
 ) -> dict[str, _Array]: ...
+def background_cells(
+    detector: Detector,
+    events: npt.ArrayLike,
+    *,
+    begins: npt.ArrayLike,
+    lengths: npt.ArrayLike,
+    window: float,
+    hot: npt.ArrayLike,
+    hot_fires: npt.ArrayLike,
+    seed: int,
+) -> dict[str, _Array]: ...
+def background_strips(
+    detector: Detector,
+    events: npt.ArrayLike,
+    *,
+    clusters: npt.ArrayLike,
+    most_strips: int,
+    single: Sequence[float],
+    charge: Sequence[float],
+    window: float,
+    hot: npt.ArrayLike,
+    hot_fires: npt.ArrayLike,
+    seed: int,
+) -> dict[str, _Array]: ...
+
+# Rows in the order of event, gid and time (n,); index into it of the first row of each event and gid (m,).
+def by_channel(event: npt.ArrayLike, gid: npt.ArrayLike, time: npt.ArrayLike) -> tuple[_Array, _Array]: ...
 def find_clusters(
     detector: Detector,
     digis: _Columns,

@@ -358,7 +358,7 @@ class StartTime(Refinement):
         Prior uncertainty of the given start time, ns.
     """
 
-    turns = 9
+    turns = 11
     needs_states = False
 
     def __init__(self, prior_error: float | None = None) -> None:

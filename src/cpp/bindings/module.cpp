@@ -10,6 +10,7 @@ void bind_matter(pybind11::module_& module);
 void bind_simulate(pybind11::module_& module);
 void bind_analog(pybind11::module_& module);
 void bind_digitize(pybind11::module_& module);
+void bind_background(pybind11::module_& module);
 void bind_cluster(pybind11::module_& module);
 void bind_hits(pybind11::module_& module);
 void bind_find(pybind11::module_& module);
@@ -30,6 +31,7 @@ PYBIND11_MODULE(_core, module, pybind11::mod_gil_not_used()) {
   bind_simulate(module);
   bind_analog(module);
   bind_digitize(module);
+  bind_background(module);
   bind_cluster(module);
   bind_hits(module);
   bind_find(module);

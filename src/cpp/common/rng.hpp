@@ -45,6 +45,15 @@ enum class Purpose : std::uint32_t {
   readout_truth = 13,
   readout_strip = 14,
   half_turn = 15,
+  // Background (simulation/background), always of particle 0; the place is ...
+  background_runs = 16,      // a wire layer, by its number
+  background_cell = 17,      // a cell, by its running number
+  background_clusters = 18,  // a CGEM layer
+  background_noise = 19,     // a sheet and view, by its first strip
+  background_strip = 20,     // a strip, by its running number
+  channel_kind = 21,         // a cell (block 0) or a strip (block 1), of event 0 and seed 0
+  mixed_event = 22,
+  start_time = 23,
 };
 
 // Uniform in (0, 1), never 0 and never 1: 32 bits, centred.
