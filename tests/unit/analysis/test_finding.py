@@ -1,0 +1,238 @@
+"""Metrics of track finding on candidates whose hits are moved by hand, half turns included."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import cgemit as cg
+from cgemit.analysis.finding import CLASSES
+from cgemit.analysis.widths import Fraction
+from cgemit.chain.match import match
+from cgemit.reconstruction.candidates import label_candidates
+from cgemit.reconstruction.fit import fit
+
+
+@pytest.fixture(scope="module")
+def run():
+    gun = cg.Gun("mu-", p=0.5, cos_theta=(-0.5, 0.5))
+    settings = cg.Settings(simulate=cg.SimulateSettings(decays=False))
+    return cg.run("besiii-cgem", gun, n=4, settings=settings, until="find")
+
+
+def changed(run, candidate, kept=None):
+    """The run with hits in other candidates, and some left out."""
+    hits = run.candidate_hits.with_columns(candidate=candidate)
+    hits = hits if kept is None else hits[kept]
+    return replace(run, tables=run.tables | {"candidate_hits": hits})
+
+
+def in_one_event(run):
+    """The same particles and hits, as if all were of one event: the particle's number tells them apart."""
+    tables = dict(run.tables)
+    for name in ("particles", "truths", "wire_truths"):
+        tables[name] = tables[name].with_columns(particle=tables[name]["event"].astype("i4"))
+    for name in tables:
+        columns = dict(tables[name].columns)
+        columns["event"] = np.zeros(len(tables[name]), "i8")
+        tables[name] = cg.Table(name, columns, first_event=0, n_events=1)
+    return replace(run, tables=tables)
+
+
+def classes(finding, definition="belle2"):
+    return [CLASSES[i] for i in finding.classes[definition]]
+
+
+def test_the_perfect_finder_scores_all_and_nothing_else(run):
+    finding = cg.study.finding(run)
+    assert classes(finding) == ["matched"] * 4
+    rates = finding.rates()
+    assert (rates.efficiency.value, rates.fakes.value, rates.clones.value) == (1, 0, 0)
+    assert (finding.purity, finding.hit_efficiency) == (1, 1)
+
+
+def test_lost_hits_lower_the_hit_efficiency_only(run):
+    kept = np.ones(len(run.candidate_hits), np.bool_)
+    mine = np.flatnonzero(run.candidate_hits["candidate"] == 0)
+    kept[mine[::2]] = False
+    finding = cg.study.finding(changed(run, run.candidate_hits["candidate"], kept))
+    left = len(mine) - len(mine[::2])
+    assert finding.purity == 1
+    assert finding.hit_efficiency == pytest.approx((3 + left / len(mine)) / 4, abs=1e-12)
+    assert finding.rates().efficiency.value == 1
+
+
+def test_a_track_of_which_a_third_is_foreign_is_matched_and_of_which_more_is_a_fake(run):
+    one = in_one_event(run)
+    candidate = one.candidate_hits["candidate"]
+    own, other = np.flatnonzero(candidate == 0), np.flatnonzero(candidate == 1)
+    for moved, expected in ((len(own) // 2, "matched"), (len(own) // 2 + 1, "fake")):
+        labels = candidate.copy()
+        labels[other[-moved:]] = 0
+        finding = cg.study.finding(changed(one, labels))
+        assert classes(finding)[0] == expected
+        assert classes(finding, "acts")[0] == "matched"
+        if expected == "fake":
+            assert finding.rates().efficiency == Fraction(3, 4)
+            assert finding.rates().fakes == Fraction(1, 4)
+
+
+def test_of_two_halves_of_a_track_the_longer_is_matched_and_the_shorter_a_clone(run):
+    one = in_one_event(run)
+    candidate = one.candidate_hits["candidate"].copy()
+    kept = candidate != 1  # the second candidate gets hits of the first particle
+    mine = np.flatnonzero(candidate == 0)
+    candidate[mine[-(len(mine) // 3) :]] = 1
+    finding = cg.study.finding(changed(one, candidate, kept | (candidate == 1) & (np.arange(len(kept)) <= mine[-1])))
+    assert classes(finding) == ["matched", "clone", "matched", "matched"]
+    assert finding.rates().clones == Fraction(1, 4)
+    assert finding.rates().efficiency == Fraction(3, 4)
+
+
+def test_a_track_with_less_than_a_twentieth_of_a_particle_is_a_fake_for_belle_ii(run):
+    one = in_one_event(run)
+    candidate = one.candidate_hits["candidate"]
+    mine = np.flatnonzero(candidate == 0)
+    kept = candidate != 0
+    kept[mine[:2]] = True
+    assert len(mine) > 40
+    finding = cg.study.finding(changed(one, candidate, kept))
+    assert classes(finding)[0] == "fake"
+    assert classes(finding, "acts")[0] == "matched"
+
+
+def test_noise_counts_in_the_purity_and_belongs_to_no_particle(run):
+    hits = run.wire_hits
+    noisy = replace(run, tables=run.tables | {"wire_hits": hits.with_columns(wire_truth=np.full(len(hits), -1))})
+    finding = cg.study.finding(noisy)
+    assert classes(finding) == ["fake"] * 4  # 6 clusters among more than 40 hits
+    assert finding.findable.all()  # 3 layers of the CGEM are enough
+    assert finding.particles.wires.tolist() == [0] * 4
+
+
+def test_particles_without_enough_hits_are_not_findable_and_the_reason_is_counted(run):
+    few = run.wire_truths["event"].copy()
+    clusters = run.clusters.with_columns(truth=np.where(run.clusters["layer"] > 0, -1, run.clusters["truth"]))
+    kept = np.isin(np.arange(len(run.wire_hits)), np.flatnonzero(few != 2))
+    wires = run.wire_hits.with_columns(wire_truth=np.where(kept, run.wire_hits["wire_truth"], -1))
+    finding = cg.study.finding(replace(run, tables=run.tables | {"clusters": clusters, "wire_hits": wires}))
+    assert finding.findable.tolist() == [True, True, False, True]  # a chamber alone is enough, one CGEM layer is not
+    assert finding.removed == {
+        "no hit at all": 0,
+        "3 stereo wires among 10 or more": 0,
+        "3 wires beside 2 layers with X and V": 0,
+        "10 wires, or 2 layers with X and V": 1,
+    }
+
+
+def test_a_run_without_candidates_is_told_apart(run):
+    with pytest.raises(ValueError, match="finding: got a result without candidates"):
+        cg.study.finding(replace(run, tables={k: t for k, t in run.tables.items() if "candidate" not in k}))
+
+
+def test_wilson_intervals():
+    # Brown, Cai, DasGupta, Stat. Sci. 16 (2001) 101: centre (k + z^2/2)/(n + z^2).
+    low, high = Fraction(8, 10).interval(z=1.959964)
+    assert (low, high) == pytest.approx((0.4901624, 0.9433178), abs=1e-6)
+    assert Fraction(0, 10).interval()[0] == 0
+    assert Fraction(10, 10).interval()[1] == 1
+    assert 0 < Fraction(0, 10).interval()[1] < 0.1
+
+
+def test_the_efficiency_against_what_the_event_holds():
+    """Number of findable particles, share of hit cells and place of the vertex are those of the tables."""
+    gun = cg.Gun("mu-", p=0.5, cos_theta=(-0.99, 0.99))
+    result = cg.run("besiii-cgem", gun + gun + gun, n=40, seed=2, finder="ckf", until="find")
+    finding = cg.study.finding(result)
+    event = result.particles["event"]
+    tracks = np.array([np.count_nonzero(finding.findable & (event == one)) for one in event])
+    np.testing.assert_array_equal(finding.tracks, tracks)
+    assert len(np.unique(tracks)) > 1
+    cells = sum(layer.cells for layer in result.detector.drift_chamber.layers)
+    hits = np.array([np.count_nonzero(result.wire_hits["event"] == one) for one in event])
+    np.testing.assert_allclose(finding.occupancy, 100 * hits / cells, rtol=1e-14)
+    bins = finding.against("tracks", [0.5, 2.5, 3.5])
+    assert bins[1].n == np.count_nonzero(finding.findable & (tracks == 3))
+
+
+def test_occupancy_without_a_chamber_is_that_of_the_strips():
+    design = cg.load("besiii-cgem-design")
+    detector = replace(design, drift_chamber=None)
+    result = cg.run(detector, cg.Gun("mu-", p=0.5, cos_theta=0.2), n=5, finder="ckf", until="find")
+    strips = sum(layer.sheets * (layer.strips_x + layer.strips_v) for layer in detector.cgem)
+    fired = np.array([np.count_nonzero(result.digis["event"] == one) for one in range(5)])
+    np.testing.assert_allclose(cg.study.finding(result).occupancy, 100 * fired / strips, rtol=1e-14)
+
+
+@pytest.fixture(scope="module")
+def run_loops():
+    """One event with a positron of five half turns, each with 20 cells or more."""
+    settings = cg.Settings(simulate=cg.SimulateSettings(half_turns=5, fluctuations="gaussian"))
+    return cg.run("besiii-cgem", cg.Gun("e+", p=0.06, cos_theta=0.05), n=1, seed=3, settings=settings)
+
+
+def turns(run):
+    """The half turn behind each cluster, -9 for XV clusters, and each wire hit."""
+    return (
+        np.where(run.clusters["view"] < 2, run.truths["half_turn"][run.clusters["truth"]], -9).astype(int),
+        run.wire_truths["half_turn"][run.wire_hits["wire_truth"]].astype(int),
+    )
+
+
+def labelled(run, label):
+    """The run with candidates by a function of the half turn behind each hit; below 0: none."""
+    found = label_candidates(run.clusters, run.wire_hits, *(np.vectorize(label)(turn) for turn in turns(run)))
+    return replace(run, tables=run.tables | found)
+
+
+def classes_loops(run, definition="belle2"):
+    return [CLASSES[i] for i in cg.study.finding(run).classes[definition]]
+
+
+@pytest.mark.parametrize("definition", ["belle2", "acts"])
+def test_tracks_of_later_half_turns_are_loop_clones(run_loops, definition):
+    """Neither clones nor fakes; the efficiency of hits is that of the first half turn, which has all of its own."""
+    each = labelled(run_loops, lambda turn: turn)
+    assert classes_loops(each, definition) == ["matched", "loop", "loop", "loop", "loop"]
+    finding = cg.study.finding(each)
+    rates = finding.rates(definition)
+    assert (rates.efficiency.value, rates.fakes.count, rates.clones.count) == (1, 0, 0)
+    assert (rates.loops.count, rates.loops.n) == (4, 5)
+    assert (finding.purity, finding.hit_efficiency) == (1, 1)
+    assert "loop clones" in repr(finding)
+
+
+def test_the_first_half_turn_decides_what_is_findable_and_found(run_loops):
+    later = cg.study.finding(labelled(run_loops, lambda turn: turn - 1))
+    assert [CLASSES[i] for i in later.classes["belle2"]] == ["loop"] * 4
+    assert later.findable.tolist() == [True]
+    assert later.rates().efficiency.count == 0
+    of_cluster, of_wire = turns(run_loops)
+    first = np.count_nonzero(of_wire == 0) + np.count_nonzero(of_cluster == 0)
+    assert later.particles.hits.tolist() == [first]
+    assert later.particles.wires.tolist() == [np.count_nonzero(of_wire == 0)]
+
+
+def test_hits_of_later_half_turns_are_own_hits(run_loops):
+    """Half of the second half turn's hits in the track of the first: its purity stays, and so does its efficiency."""
+    found = labelled(run_loops, lambda turn: min(turn, 1))
+    hits = found.candidate_hits
+    with_some = hits["candidate"].copy()
+    with_some[np.flatnonzero(hits["candidate"] == 1)[:8]] = 0
+    moved = replace(found, tables=found.tables | {"candidate_hits": hits.with_columns(candidate=with_some)})
+    finding = cg.study.finding(moved)
+    assert [CLASSES[i] for i in finding.classes["belle2"]] == ["matched", "loop"]
+    assert (finding.purity, finding.hit_efficiency) == (1, 1)
+    assert finding.candidates.of_loops[0] >= 8
+
+
+def test_matches_count_the_first_half_turn(run_loops):
+    """A track of the second half turn is all its particle's, and has no hit of the first one."""
+    each = labelled(run_loops, lambda turn: turn)
+    tracks = fit(each.detector, each.clusters, each.wire_hits, each.candidates, each.candidate_hits)["tracks"]
+    matches = match(
+        tracks, each.candidates, each.candidate_hits, each.clusters, each.wire_hits, each.particles, each.truths,
+        each.wire_truths, detector=each.detector,
+    )["matches"]  # fmt: skip
+    assert matches["purity"].tolist() == [1] * 5
+    assert matches["efficiency"].tolist() == [1, 0, 0, 0, 0]

@@ -1,0 +1,271 @@
+"""Output folders of concurrent and killed runs; files that are damaged, endless, or larger than they look."""
+
+import io
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cgemit.base.files import OutputExistsError, new_folder, read_npz
+from cgemit.base.settings import SettingsError
+from cgemit.chain.result import Result
+from cgemit.chain.run import run
+from cgemit.cli.main import main
+from cgemit.detector import DetectorError, load, read_field_map, write_field_map
+from cgemit.particles.gun import Gun, generate
+from cgemit.reconstruction.fit import FitSettings
+from cgemit.tables import Table, load_tables
+
+GUN = Gun("mu-", p=1, theta=1)
+
+
+def write(folder, text, **options):
+    with new_folder(folder, **options) as place:
+        (place / "run.json").write_text(text)
+        (place / f"{text}.txt").write_text(text)
+
+
+def names(folder):
+    return sorted(path.name for path in folder.iterdir())
+
+
+def test_of_two_runs_into_one_place_the_second_fails(tmp_path):
+    """Both find the place free; only one may say that its results are there."""
+    with (  # noqa: PT012
+        pytest.raises(OutputExistsError, match="already holds files"),
+        new_folder(tmp_path / "out") as place,
+    ):
+        (place / "run.json").write_text("first")
+        write(tmp_path / "out", "second")
+    assert names(tmp_path / "out") == ["run.json", "second.txt"]
+    assert names(tmp_path) == ["out"]
+
+
+def test_runs_at_the_same_time_never_mix(tmp_path):
+    """With leave to overwrite, the folder is at all times that of one run, and what others put there stays."""
+    folder = tmp_path / "out"
+    write(folder, "0")
+    (folder / "deep").mkdir()
+    (folder / "deep" / "mine.txt").write_text("mine")
+
+    def work(text):
+        for _ in range(20):
+            write(folder, text, overwrite=True)
+
+    threads = [threading.Thread(target=work, args=(text,)) for text in "1234"]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    last = (folder / "run.json").read_text()
+    assert (folder / f"{last}.txt").exists()
+    assert (folder / "deep" / "mine.txt").read_text() == "mine"
+    assert not list(tmp_path.glob(".*.tmp"))
+
+
+def test_a_folder_that_another_run_removes_before_it_is_locked_is_made_again(tmp_path, monkeypatch):
+    opened = os.open
+    removed = []
+
+    def remove_first(path, flags, *args, **kwargs):
+        if not removed and str(path).endswith(".tmp"):
+            removed.append(path)
+            Path(path).rmdir()
+        return opened(path, flags, *args, **kwargs)
+
+    monkeypatch.setattr(os, "open", remove_first)
+    write(tmp_path / "out", "1")
+    assert removed
+    assert names(tmp_path) == ["out"]
+    assert names(tmp_path / "out") == ["1.txt", "run.json"]
+
+
+def test_overwriting_replaces_the_tables_as_a_set(tmp_path):
+    run("besiii-cgem-design", GUN, 5, seed=1).save(tmp_path / "out")
+    (tmp_path / "out" / "mine.txt").touch()
+    run("besiii-cgem-design", GUN, 6, seed=2, until="simulate").save(tmp_path / "out", overwrite=True)
+    assert Result.load(tmp_path / "out").seed == 2
+    assert not (tmp_path / "out" / "tracks.npz").exists()
+    assert (tmp_path / "out" / "mine.txt").exists()
+    assert names(tmp_path) == ["out"]
+
+
+def test_tables_of_several_runs_are_refused(tmp_path):
+    for seed in (1, 2):
+        run("besiii-cgem-design", GUN, 5, seed=seed).save(tmp_path / str(seed))
+    (tmp_path / "2" / "tracks.npz").replace(tmp_path / "1" / "tracks.npz")
+    with pytest.raises(ValueError, match=r"several runs:\n  tracks.npz: seed: got 2, expected 1, as tables.json says"):
+        load_tables(tmp_path / "1")
+    with pytest.raises(ValueError, match=r"tracks.npz: seed: got 2"):
+        Result.load(tmp_path / "1")
+
+
+@pytest.mark.parametrize("name", ["../2/tracks", "/etc/passwd", "", "a b", "x" * 100])
+def test_names_of_tables_are_no_paths(name, tmp_path):
+    (tmp_path / "tables.json").write_text(f'{{"{name}": {{}}}}')
+    with pytest.raises(ValueError, match="got the table name"):
+        load_tables(tmp_path)
+
+
+def test_a_killed_run_is_cleaned_up_by_the_next(tmp_path):
+    code = """
+import sys, time
+from cgemit.base.files import new_folder
+with new_folder(sys.argv[1]) as place:
+    (place / "part").touch()
+    print(place, flush=True)
+    time.sleep(60)
+"""
+    folder = tmp_path / "out"
+    with subprocess.Popen([sys.executable, "-c", code, folder], stdout=subprocess.PIPE, text=True) as process:
+        left = Path(process.stdout.readline().strip())
+        write(tmp_path / "other", "1")
+        write(folder, "1")
+        assert left.exists()  # of a process that still runs
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+    assert left.exists()
+    write(folder, "2", overwrite=True)
+    assert names(tmp_path) == ["other", "out"]
+
+
+def test_the_current_folder_stays_the_same(tmp_path, monkeypatch):
+    """A shell that stands in the folder must find the new files in it."""
+    (tmp_path / "mine.txt").write_text("mine")
+    monkeypatch.chdir(tmp_path)
+    inode = tmp_path.stat().st_ino
+    write(".", "1", overwrite=True)
+    assert tmp_path.stat().st_ino == inode
+    assert names(tmp_path) == ["1.txt", "mine.txt", "run.json"]
+    assert not list(tmp_path.parent.glob(f".{tmp_path.name}-*"))
+
+
+@pytest.mark.parametrize("where", ["loop", "x" * 300, "a\0b"])
+def test_places_that_cannot_be(where, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "loop").symlink_to("loop")
+    arguments = ["simulate", "-d", "besiii-cgem-design", "--p", "1", "--theta", "1", "-n", "1", "--quiet", "-o", where]
+    assert main(arguments) == 2
+    assert "is no folder to write to" in capsys.readouterr().err
+    assert names(tmp_path) == ["loop"]
+
+
+def test_a_full_disk_says_so(tmp_path, monkeypatch):
+    from cgemit.draw.style import new_picture
+
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("pathlib.Path.write_bytes", full)
+    with pytest.raises(OSError, match="No space left"):
+        new_picture()[0].save(tmp_path / "picture")
+    assert names(tmp_path) == []
+
+
+@pytest.fixture
+def table_file(tmp_path):
+    path = tmp_path / "particles.npz"
+    generate(Gun("mu-", p=1, theta=1), 20, seed=1).save(path)
+    return path
+
+
+@pytest.fixture
+def map_file(tmp_path):
+    r = z = np.linspace(0, 100, 5)
+    return write_field_map(tmp_path / "map.npz", {"r": r, "z": z, "br": np.zeros((5, 5)), "bz": np.ones((5, 5))})
+
+
+@pytest.mark.slow
+def test_a_damaged_file_is_bad_input_wherever_the_damage_is(table_file, map_file):
+    """Every byte of the directory and the headers, and many others, changed in several ways."""
+    random = np.random.default_rng(1)
+    for path, read, error in ((table_file, Table.load, ValueError), (map_file, read_field_map, DetectorError)):
+        whole = path.read_bytes()
+        same = refused = 0
+        places = [*range(200), *range(len(whole) - 400, len(whole)), *random.integers(0, len(whole), 300)]
+        for place in places:
+            damaged = bytearray(whole)
+            damaged[place] ^= int(random.integers(1, 256))
+            path.write_bytes(damaged)
+            try:
+                read(path)
+                same += 1
+            except error:
+                refused += 1
+        for end in random.integers(0, len(whole), 40):
+            path.write_bytes(whole[:end])
+            with pytest.raises(error):
+                read(path)
+        assert refused > same
+
+
+def npz(path, header, data, *, compressed):
+    """Write an archive with one array of any header."""
+    method = zipfile.ZIP_DEFLATED if compressed else zipfile.ZIP_STORED
+    stream = io.BytesIO()
+    np.lib.format.write_array_header_1_0(stream, header)
+    with zipfile.ZipFile(path, "w", method) as archive:
+        archive.writestr("x.npy", stream.getvalue() + data)
+    return path
+
+
+def test_sizes_are_checked_before_memory_is_asked_for(tmp_path):
+    header = {"descr": "<f8", "fortran_order": False, "shape": (10**13,)}
+    with pytest.raises(ValueError, match="in 208 bytes"):
+        read_npz(npz(tmp_path / "large.npz", header, b"0" * 80, compressed=False))
+    bomb = npz(tmp_path / "bomb.npz", header | {"shape": (25_000_000,)}, bytes(200_000_000), compressed=True)
+    assert bomb.stat().st_size < 1_000_000
+    with pytest.raises(ValueError, match="that unpack to 2000001"):
+        read_npz(bomb)
+    good = npz(tmp_path / "good.npz", header | {"shape": (2,)}, bytes(16), compressed=True)
+    np.testing.assert_array_equal(read_npz(good)["x"], [0.0, 0.0])
+    np.savez(tmp_path / "object.npz", x=np.array([{}], dtype=object))
+    with pytest.raises(ValueError, match="object"):
+        read_npz(tmp_path / "object.npz")
+
+
+def test_the_number_of_events_must_be_that_of_the_offsets(table_file, tmp_path):
+    with np.load(table_file) as stored:
+        arrays = {name: stored[name] for name in stored.files}
+    about = json.loads(str(arrays.pop("__meta__"))) | {"n_events": 10**12}
+    np.savez(tmp_path / "other.npz", __meta__=json.dumps(about), **arrays)
+    with pytest.raises(ValueError, match=r"1000000000000 events, but 21 offsets"):
+        Table.load(tmp_path / "other.npz")
+    with pytest.raises(ValueError, match="n_events: is 1000000000000, expected 0 to"):
+        Table.empty("truths", 10**12)
+
+
+READERS = {Table.load: ValueError, read_field_map: DetectorError, FitSettings.load: SettingsError, load: DetectorError}
+
+
+@pytest.mark.parametrize(("read", "error"), READERS.items())
+@pytest.mark.parametrize("suffix", [".npz", ".csv", ".toml", ".json"])
+def test_pipes_are_refused_at_once(read, error, suffix, tmp_path):
+    path = tmp_path / f"pipe{suffix}"
+    os.mkfifo(path)
+    with pytest.raises(error):
+        read(path)
+
+
+@pytest.mark.parametrize("text", ["[" * 100_000, "x = " + "[" * 100_000, '{"a":' * 100_000, "a." * 50_000 + "a = 1"])
+def test_nesting_without_end(text, tmp_path):
+    for name, read in (("x.toml", load), ("x.toml", FitSettings.load), ("x.json", FitSettings.load)):
+        (tmp_path / name).write_text(text)
+        with pytest.raises(READERS[read]):
+            read(tmp_path / name)
+
+
+def test_texts_have_a_largest_size(tmp_path):
+    path = tmp_path / "large.toml"
+    path.write_text("#" * 10_000_001)
+    with pytest.raises(DetectorError, match="10000001 bytes, expected at most 10000000"):
+        load(path)
+    with pytest.raises(SettingsError, match="10000001 bytes"):
+        FitSettings.load(path)

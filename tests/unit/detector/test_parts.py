@@ -1,0 +1,446 @@
+"""Displaced layers against lines and rotations by scipy; dead and hot strips and gain maps change nothing else."""
+
+import tomllib
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+from scipy.spatial.transform import Rotation
+
+import cgemit as cg
+from cgemit import Gun, Settings, _core, helix, load, run
+from cgemit.detector import DetectorError, compiled
+from cgemit.detector.core import grid_of, strip_gains, strip_lists
+from cgemit.detector.parts import PLACEMENT, Placed, local_v, seen_by
+from cgemit.reconstruction.cluster import calibrated_clusterer, cluster
+from cgemit.reconstruction.clusterers.binary import cluster_errors
+from cgemit.reconstruction.find import truth
+
+DESIGN = load("besiii-cgem-design")
+DISPLACED = {"shift_x": 0.3, "shift_y": -0.2, "shift_z": 0.4, "tilt_x": 1e-3, "tilt_y": -0.7e-3, "rotation": 2e-3}
+UNITS = {"shift_x": "mm", "shift_y": "mm", "shift_z": "mm", "tilt_x": "rad", "tilt_y": "rad", "rotation": "rad"}
+EXACT = {"simulate": {"fluctuations": "off", "deltas": False}, "digitize": {"readout": "gaussian"}}
+
+
+def displaced(part, **values):
+    return DESIGN.with_overrides({f"{part}.{name}": f"{value} {UNITS[name]}" for name, value in values.items()})
+
+
+def in_axes(point):
+    """Return a point in the axes of a part displaced by `DISPLACED`."""
+    turn = Rotation.from_euler("xyz", [DISPLACED["tilt_x"], DISPLACED["tilt_y"], DISPLACED["rotation"]])  # fixed axes
+    return turn.inv().apply(np.asarray(point) - [DISPLACED["shift_x"], DISPLACED["shift_y"], DISPLACED["shift_z"]])
+
+
+def crossing(track, radius, low=-20.0, high=20.0):
+    """Return where a track, a function of its path, crosses the displaced cylinder, in the part's axes."""
+    path = brentq(lambda t: np.hypot(*in_axes(track(t))[:2]) - radius, low, high, xtol=1e-13)
+    return in_axes(track(path))
+
+
+def test_straight_tracks():
+    rng = np.random.default_rng(1)
+    phi = rng.uniform(-np.pi, np.pi, 20)
+    radius = rng.uniform(50, 200, 20)
+    points = np.column_stack([radius * np.cos(phi), radius * np.sin(phi), rng.uniform(-300, 300, 20)])
+    direction = points * [1, 1, 0.7] + rng.normal(0, 10, points.shape)
+    found = seen_by(Placed(**DISPLACED), points, direction)
+    unit = direction / np.linalg.norm(direction, axis=1)[:, None]
+    expected = [crossing(lambda t, p=p, u=u: p + t * u, r) for p, u, r in zip(points, unit, radius, strict=True)]
+    np.testing.assert_allclose(found, expected, atol=1e-9)
+    assert np.abs(found - points).max() > 0.1
+    np.testing.assert_allclose(seen_by(Placed(), points, direction), points, atol=1e-12)
+
+
+def test_what_the_fit_expects():
+    """Predicted X and V of a helix against its crossing of the displaced cylinder, found step by step."""
+    detector = displaced("cgem.L2", **DISPLACED)
+    layer = detector.cgem[1]
+    parameters = np.array([1.0, 0.4, 1 / 0.2, 5.0, 0.6])
+    hits = {
+        "kind": np.array([0, 1], "u1"), "layer": np.array([1, 1], "i4"), "channel": np.zeros(2, "i4"),
+        "size": np.ones(2, "i4"), "value": np.zeros(2), "sigma": np.full(2, 0.1),
+    }  # fmt: skip
+
+    def predicted(core, sheet):
+        return _core._testing.reference(core, parameters, 0.10566, hits | {"channel": np.full(2, sheet, "i4")})[
+            "predicted"
+        ]
+
+    w = -0.299792458e-3 * DESIGN.field.bz * parameters[2]
+    start = np.array([np.cos(parameters[1]), np.sin(parameters[1])]) * parameters[0]
+
+    def track(arc):
+        psi = parameters[1] + np.pi / 2 + w * np.array([0, arc])
+        along = np.array([np.sin(psi[1]) - np.sin(psi[0]), np.cos(psi[0]) - np.cos(psi[1])]) / w
+        return np.array([*(start + along), parameters[3] + parameters[4] * arc])
+
+    at = crossing(track, layer.r_mid, 60.0, 250.0)
+    turn = (np.arctan2(at[1], at[0]) - np.array(layer.sheet_phi)) % (2 * np.pi)
+    sheet = int(np.argmin(turn))
+    x = layer.r_readout * turn[sheet]
+    expected = np.array([x, local_v(layer, x, at[2])])
+    # Matter before the layer makes the helix of the fit curl a little more than this one: the same for both.
+    plain = predicted(compiled(DESIGN, merge=True), sheet)
+    there = crossing_in_place(track, layer.r_mid)
+    x_0 = layer.r_readout * ((np.arctan2(there[1], there[0]) - layer.sheet_phi[sheet]) % (2 * np.pi))
+    without = np.array([x_0, local_v(layer, x_0, there[2])])
+    around = 2 * np.pi * layer.r_readout
+    moved = predicted(compiled(detector), sheet) - plain
+    moved[0] = (moved[0] + around / 2) % around - around / 2
+    np.testing.assert_allclose(moved, expected - without, atol=2e-3)
+    assert np.abs(moved).max() > 0.2
+
+
+def crossing_in_place(track, radius):
+    return track(brentq(lambda t: np.hypot(*track(t)[:2]) - radius, 60.0, 250.0, xtol=1e-13))
+
+
+@pytest.mark.parametrize("layer", [0, 15, 30])
+def test_wires(layer):
+    """Ends of the wires, rotated and shifted by scipy, against the point of closest approach to a far line."""
+    detector = displaced("drift_chamber", **DISPLACED)
+    wires = DESIGN.drift_chamber.layers[layer]
+    turn = Rotation.from_euler("xyz", [DISPLACED["tilt_x"], DISPLACED["tilt_y"], DISPLACED["rotation"]])
+    shift = np.array([DISPLACED["shift_x"], DISPLACED["shift_y"], DISPLACED["shift_z"]])
+    for wire in (0, 7, 31):
+        east, west = (turn.apply(end) + shift for end in wires.end_points(wire))
+        middle = 0.5 * (east + west)
+        start = np.array([[*(0.3 * middle[:2]), 40.0, *(middle[:2] / np.hypot(*middle[:2])), 0.2, 1e-13]])
+        _, doca, _, found = _core._testing.approach_wire(start, compiled(detector), layer, wire)
+        along = np.array([start[0, 3], start[0, 4], 0.2])
+        normal = np.cross(along, east - west)
+        expected = abs((start[0, :3] - east) @ normal) / np.linalg.norm(normal)
+        assert found[0]
+        assert abs(doca[0]) == pytest.approx(expected, abs=1e-5)
+
+
+def residuals(detector, fit_detector, n=300):
+    found = run(
+        detector, Gun("mu-", p=1.0, cos_theta=(-0.7, 0.7)), n, seed=3, settings=Settings.from_dict(EXACT),
+        fit_detector=fit_detector,
+    )  # fmt: skip
+    return found.tracks
+
+
+@pytest.mark.parametrize("part", ["cgem.L1", "cgem.L2", "cgem.L3", "drift_chamber"])
+def test_a_fit_that_knows_the_displacement(part):
+    """Nine of ten tracks as without displacement, but for the cells that a chamber's wires bring; else far off."""
+    plain = residuals(DESIGN, None)
+    moved = displaced(part, **DISPLACED)
+    known, unknown = residuals(moved, None), residuals(moved, DESIGN)
+    limit = 1.0 if part == "drift_chamber" else 0.01
+    off = []
+    for name in ("dr", "phi0", "dz", "tanl", "p"):
+        error = np.median(plain[f"err_{name}"])
+        shifts = [(table[f"res_{name}"] - plain[f"res_{name}"]) / error for table in (known, unknown)]
+        assert abs(np.mean(shifts[0])) < 0.05, name
+        assert np.percentile(np.abs(shifts[0]), 90) < limit, name
+        off.append(np.percentile(np.abs(shifts[1]), 90))
+    assert max(off) > 1
+    assert np.mean(unknown["chi2"]) > 1.1 * np.mean(known["chi2"])
+
+
+def test_clusters_of_a_shifted_layer():
+    """A straight track along x meets a layer shifted along y at an X that is smaller by the shift, scaled to R."""
+    detector = displaced("cgem.L1", shift_y=0.1)
+    gun = Gun("mu-", p=50.0, theta=np.pi / 2, phi=0.0)
+    x = []
+    for one in (DESIGN, detector):
+        clusters = run(one, gun, 200, seed=1, settings=Settings.from_dict(EXACT)).clusters
+        x.append(clusters["x"][(clusters["layer"] == 0) & (clusters["view"] == 0)])
+    layer = DESIGN.cgem[0]
+    np.testing.assert_allclose(x[1] - x[0], -0.1 * layer.r_readout / layer.r_mid, atol=1e-4)
+
+
+def test_delta_electrons_stay_in_the_gap():
+    detector = displaced("cgem.*", shift_x=1.0, tilt_y=1e-3)
+    found = run(detector, Gun("pi-", p=0.3, cos_theta=(-0.8, 0.8)), 400, seed=2)
+    assert (found.steps["parent"] != 0).any()
+    moved = run(DESIGN, Gun("pi-", p=0.3, cos_theta=(-0.8, 0.8)), 400, seed=2)
+    np.testing.assert_array_equal(found.truths["energy"], moved.truths["energy"])
+    sizes = [np.bincount(table.clusters["size"]) for table in (found, moved)]
+    assert abs(sizes[0].argmax() - sizes[1].argmax()) <= 1
+    assert len(found.digis) == pytest.approx(len(moved.digis), rel=0.02)
+
+
+def test_keys():
+    detector = displaced("cgem.L1", **DISPLACED)
+    again = load({"name": "again"} | tomllib.loads(detector.to_toml()))
+    assert all(getattr(again.cgem[0], name) == pytest.approx(value) for name, value in DISPLACED.items())
+    assert "displaced by (300, -200, 400) um and (1, -0.7, 2) mrad" in again.cgem[0].text()
+    assert not any(name in DESIGN.to_toml() for name in PLACEMENT)
+    with pytest.raises(DetectorError) as error:
+        displaced("cgem.L1", shift_x=3.0, tilt_y=0.1)
+    assert {problem.path for problem in error.value.problems} == {"cgem.L1.shift_x", "cgem.L1.tilt_y"}
+
+
+def test_helix_of_this_file():
+    """The hand-made helix of these tests has the convention of the package."""
+    parameters = np.array([1.0, 0.4, 1 / 0.2, 5.0, 0.6])
+    assert np.sign(helix.momentum_vector(parameters)[0]) == np.sign(-np.sin(0.4))
+
+
+def test_the_whole_detector_displaced():
+    """All parts together displace the helix of the fit rigidly, which the sums of the parts' effects must give."""
+    parts = ("cgem.L1", "cgem.L2", "cgem.L3", "drift_chamber")
+    plain = residuals(DESIGN, DESIGN)
+    for name, size in (("shift_x", 0.05), ("shift_z", 0.05), ("rotation", 2e-4)):
+        whole = {f"{part}.{name}": f"{size} {UNITS[name]}" for part in parts}
+        moved = residuals(DESIGN.with_overrides(whole), DESIGN)
+        change = {key: np.median(moved[f"res_{key}"] - plain[f"res_{key}"]) for key in ("phi0", "dz", "p", "tanl")}
+        expected = {"phi0": -size if name == "rotation" else 0.0, "dz": -size if name == "shift_z" else 0.0}
+        for key in ("phi0", "dz", "p", "tanl"):
+            assert change[key] == pytest.approx(expected.get(key, 0.0), abs=0.02 * np.median(plain[f"err_{key}"]))
+        if name == "shift_x":
+            found, phi0 = moved["res_dr"] - plain["res_dr"], plain["phi0"]
+            assert np.median(np.abs(found + size * np.cos(phi0))) < 0.002
+
+
+DESIGN_MAPS = cg.load("besiii-cgem-design")
+READOUTS = ("binary", "analog-projection", "tiger", "apv25")
+GUN = cg.Gun("mu-", p=1.0, cos_theta=(-0.93, 0.93))
+L1 = DESIGN_MAPS.cgem[0]
+L2 = DESIGN_MAPS.cgem[1]
+
+
+def run_maps(detector, readout, n=60, until="cluster"):
+    return cg.run(detector, GUN, n, 5, readout=readout, until=until)
+
+
+def rows(digis, where=slice(None)):
+    """Return the digis as tuples of what was measured."""
+    names = ("event", "gid", "charge", "time")
+    return set(zip(*(digis[name][where].tolist() for name in names), strict=True))
+
+
+@pytest.mark.parametrize("readout", READOUTS)
+def test_dead_strips(readout):
+    """Dead strips give no digis; all other strips are as before, bit by bit."""
+    plain = run_maps(DESIGN_MAPS, readout).digis
+    dead = DESIGN_MAPS.with_overrides({"cgem.L1.dead_x": ["0:100-499"], "cgem.L3.dead_v": ["1:0-700"]})
+    gids = strip_lists(dead).dead
+    assert len(gids) == 400 + 701
+    assert (gids[0], gids[399]) == (100, 499)
+    kept = ~np.isin(plain["gid"], gids)
+    assert 0 < np.count_nonzero(~kept) < len(plain)
+    assert rows(run_maps(dead, readout).digis) == rows(plain, kept)
+
+
+@pytest.mark.parametrize("readout", READOUTS)
+def test_gain_map(readout):
+    """A sheet with half of the gain has less charge; other sheets and layers are as before, bit by bit."""
+    result = run_maps(DESIGN_MAPS, readout)
+    plain = result.digis
+    half = run_maps(DESIGN_MAPS.with_overrides({"cgem.L3.gain_map": [1.0, 0.5]}), readout).digis
+    mine = [(digis["layer"] == 2) & (digis["sheet"] == 1) for digis in (plain, half)]
+    # An avalanche at the seam has charge on both sheets.
+    truths = result.truths
+    from_seam = np.abs(np.angle(np.exp(2j * (truths["phi"] - DESIGN_MAPS.cgem[2].phi_first)))) / 2
+    at_seam = np.unique(truths["event"][(truths["layer"] == 2) & (from_seam < 0.03)])
+    far = [~np.isin(digis["event"], at_seam) for digis in (plain, half)]
+    assert rows(half, ~mine[1] & far[1]) == rows(plain, ~mine[0] & far[0])
+    small = plain["charge"] < 20  # below saturation
+    before = dict(
+        zip(
+            zip(plain["event"][mine[0] & small], plain["gid"][mine[0] & small], strict=True),
+            plain["charge"][mine[0] & small],
+            strict=True,
+        )
+    )
+    after = dict(
+        zip(zip(half["event"][mine[1]], half["gid"][mine[1]], strict=True), half["charge"][mine[1]], strict=True)
+    )
+    both = before.keys() & after.keys()
+    assert len(both) > 50
+    ratio = sum(after[key] for key in both) / sum(before[key] for key in both)
+    assert 0.4 < ratio < 0.55
+
+
+def test_gain_of_a_cell():
+    """A grid acts where its cell is: rows along z, columns along X."""
+    mapped = DESIGN_MAPS.with_overrides({"cgem.L1.gain_map": [[[1.0, 1.0, 3.0], [1.0, 1.0, 1.0]]]})
+    plain, changed = (run_maps(one, "binary", 300, "digitize") for one in (DESIGN_MAPS, mapped))
+    assert len(plain.digis) == len(changed.digis)
+    ratio = changed.digis["charge"] / plain.digis["charge"]
+    truth = plain.digis["truth"]
+    x = L1.r_readout * np.mod(plain.truths["phi"][truth] - L1.phi_first, 2 * np.pi)
+    cell = (x > L1.strips_x * L1.pitch_x * 2 / 3) & (plain.truths["z"][truth] < 0) & (plain.digis["layer"] == 0)
+    assert 300 < np.count_nonzero(cell) < 600
+    np.testing.assert_allclose(ratio, np.where(cell, 3.0, 1.0), rtol=1e-12)
+
+
+def test_gain_in_clusters():
+    """Clusters weight charges without the gain: two halves of a sheet do not bend positions at their border."""
+    mapped = DESIGN_MAPS.with_overrides({"cgem.L1.gain_map": [[[1.0, 0.25]]], "cgem.L2.gain_map": [2.0, 1.0]})
+    gains = strip_gains(mapped)
+    per_sheet = L1.strips_x + L1.strips_v
+    middle = L1.strips_x // 2
+    assert (gains[middle - 1], gains[middle + 1], gains[L1.strips_x]) == (1.0, 0.25, 0.625)
+    assert (gains[per_sheet], gains[-1]) == (2.0, 1.0)
+    assert grid_of(mapped.cgem[2]).shape == (2, 0, 0)
+    strips = np.array([middle - 2, middle - 1, middle, middle + 1, middle + 2])
+    readout = cg.TigerReadout(estimator="centroid")
+    charges = 4 * gains[strips]
+    found = calibrated_clusterer(readout).cluster_with(mapped, digis_of(strips, charges))
+    plain = calibrated_clusterer(readout).cluster_with(DESIGN_MAPS, digis_of(strips, charges))
+    even = calibrated_clusterer(readout).cluster_with(DESIGN_MAPS, digis_of(strips, np.full(5, 4.0)))
+    assert found["x"][0] == pytest.approx(even["x"][0], abs=1e-9)
+    assert abs(plain["x"][0] - even["x"][0]) > 0.3
+
+
+def digis_of(strips, charge, event=None):
+    """Return digis of X strips of the first layer."""
+    n = len(strips)
+    return cg.Table(
+        "digis",
+        {
+            "event": np.zeros(n, np.int64) if event is None else event,
+            **{name: np.zeros(n, np.int32) for name in ("layer", "sheet")}, "view": np.zeros(n, np.int8),
+            "strip": np.asarray(strips, np.int32), "gid": np.asarray(strips, np.int32),
+            "position": np.full(n, np.nan), "charge": np.asarray(charge, np.float64), "time": np.full(n, 150.0),
+            "truth": np.zeros(n, np.int64), "n_truths": np.ones(n, np.int32),
+        },
+        n_events=1,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("bridge", "runs"),
+    [(0, [(9, 9), (11, 11), (15, 15), (18, 18)]), (1, [(9, 11), (15, 15), (18, 18)]), (2, [(9, 11), (15, 18)])],
+)
+def test_bridges(bridge, runs):
+    """A cluster bridges as many dead strips in a row as allowed, and no live strip; hot strips count as dead."""
+    holes = DESIGN_MAPS.with_overrides({"cgem.L1.dead_x": ["0:10", "0:16"], "cgem.L1.hot_x": ["0:17"]})
+    digis = digis_of([9, 11, 15, 17, 18], np.full(5, 10.0))
+    found = cluster(holes, digis, cg.ClusterSettings(bridge=bridge))
+    assert list(zip(found["first"], found["last"], strict=True)) == runs
+    charge_time = calibrated_clusterer(cg.TigerReadout(missing=0)).cluster_with(holes, digis, bridge=bridge)
+    assert list(zip(charge_time["first"], charge_time["last"], strict=True)) == runs
+    apart = cluster(DESIGN_MAPS, digis_of([9, 11], [10.0, 10.0]), cg.ClusterSettings(bridge=bridge))
+    assert len(apart) == 2
+
+
+def test_error_beside_dead_strips():
+    """Each masked strip within or beside a cluster adds pitch^2/12 to the variance; other clusters are as before."""
+    holes = DESIGN_MAPS.with_overrides({"cgem.L1.dead_x": ["0:10", "0:20"]})
+    digis = digis_of([9, 11, 21, 22, 40, 41], np.full(6, 10.0))
+    found, plain = (cluster(one, digis) for one in (holes, DESIGN_MAPS))
+    errors = cluster_errors(DESIGN_MAPS, cg.ClusterSettings())[0][0]
+    more = L1.pitch_x**2 / 12
+    expected = [np.hypot(errors[2], more**0.5), np.hypot(errors[1], more**0.5), errors[1]]
+    np.testing.assert_allclose(found["err_x"], expected, rtol=1e-12)
+    assert found["method"].tolist() == [1, 1, 0]
+    assert {name: found[name][-1] for name in ("x", "err_x", "phi", "err_phi")} == {
+        name: plain[name][-1] for name in ("x", "err_x", "phi", "err_phi")
+    }
+
+
+@pytest.mark.parametrize("readout", ["binary", "tiger"])
+def test_pulls_beside_dead_strips(readout):
+    """With each ninth strip dead, residuals of clusters that lack a strip are within their errors."""
+    dead = {
+        f"cgem.{layer.label}.dead_{view}": [f"{sheet}:{i}" for sheet in range(layer.sheets) for i in range(5, n, 9)]
+        for layer in DESIGN_MAPS.cgem
+        for view, n in (("x", layer.strips_x), ("v", layer.strips_v))
+    }
+    holes = DESIGN_MAPS.with_overrides(dead)
+    result = run_maps(holes, readout, 800)
+    clusters = result.clusters
+    own = truth.own_clusters(holes, clusters, result.truths)
+    residual = truth.residuals(holes, clusters, result.truths, own)
+    error = np.where(clusters["view"] == 0, clusters["err_x"], clusters["err_v"])[own]
+    first, last = clusters["first"][own], clusters["last"][own]
+    touched = (first + 3) % 9 >= 9 - (last - first + 2)
+    assert np.count_nonzero(touched) > 1000
+    pull = (residual / error)[touched & (np.abs(residual) < 2)]
+    # 3 % for the delta electrons within 2 mm; errors are those of a dead strip with any charge, so no lower limit of 1:
+    # a line through the other strips hardly moves
+    assert 0.8 < np.sqrt(np.mean(pull**2)) < 1.15
+
+
+def test_hot_strips():
+    """A hot strip fires in every event, enters no cluster, and leaves the others as before."""
+    hot = DESIGN_MAPS.with_overrides({"cgem.L1.hot_x": ["0:3"], "cgem.L2.hot_v": ["0:7-8"]})
+    plain, noisy = run_maps(DESIGN_MAPS, "tiger"), run_maps(hot, "tiger")
+    mine = np.isin(noisy.digis["gid"], strip_lists(hot).hot)
+    assert np.count_nonzero(mine) == 3 * 60
+    at = noisy.digis["gid"][mine]
+    first = L1.strips_x + L1.strips_v
+    assert sorted(set(at.tolist())) == [3, first + L2.strips_x + 7, first + L2.strips_x + 8]
+    addresses = {name: noisy.digis[name][mine][:3].tolist() for name in ("layer", "sheet", "view", "strip")}
+    assert addresses == {"layer": [0, 1, 1], "sheet": [0, 0, 0], "view": [0, 1, 1], "strip": [3, 7, 8]}
+    assert rows(noisy.digis, ~mine) == rows(plain.digis, ~np.isin(plain.digis["gid"], strip_lists(hot).hot))
+    assert len(noisy.clusters) <= len(plain.clusters)
+    order = np.lexsort((noisy.digis["gid"], noisy.digis["event"]))
+    assert (np.diff(order) == 1).all()
+
+
+def test_dead_wins():
+    """A strip that is listed as dead and as hot is dead."""
+    both = DESIGN_MAPS.with_overrides({"cgem.L1.hot_x": ["0:3-4"], "cgem.L1.dead_x": ["0:4"]})
+    assert [part.tolist() for part in strip_lists(both)] == [[4], [3]]
+    assert 4 not in run_maps(both, "binary").digis["gid"]
+
+
+def test_background_spares_dead_strips():
+    """Noise does not fire dead strips."""
+    dead = DESIGN_MAPS.with_overrides({"cgem.L1.dead_v": [f"0:0-{L1.strips_v - 1}"]})
+    settings = cg.Settings(background=cg.BackgroundSettings(level="bes2026", factor=5))
+    found = cg.run(dead, GUN, 20, 1, settings=settings, until="digitize").digis
+    noise = found["truth"] < 0
+    assert np.count_nonzero(noise) > 10
+    assert not ((found["layer"] == 0) & (found["view"] == 1)).any()
+
+
+def test_file_and_hash(tmp_path):
+    """Maps are written and read back; without maps file and hash are as they were before maps existed."""
+    changes = {"cgem.L1.dead_x": ["0:17", "0:20-22"], "cgem.L3.gain_map": [0.5, [[1.0, 2.0], [1.5, 1.0]]]}
+    mapped = DESIGN_MAPS.with_overrides(changes)
+    file = tmp_path / "mapped.toml"
+    file.write_text(mapped.to_toml(), encoding="utf-8")
+    assert cg.load(file) == mapped
+    assert 'dead_x = ["0:17", "0:20-22"]' in file.read_text(encoding="utf-8")
+    assert mapped.content_hash != DESIGN_MAPS.content_hash
+    assert not any(name in DESIGN_MAPS.to_toml() for name in ("dead_x", "dead_v", "hot_x", "hot_v", "gain_map"))
+    grid = grid_of(mapped.cgem[2])
+    assert grid.tolist() == [[[0.5, 0.5], [0.5, 0.5]], [[1.0, 2.0], [1.5, 1.0]]]
+
+
+def test_all_problems_of_a_file():
+    """A wrong file lists all its problems."""
+    wrong = {
+        "cgem.L1.dead_x": ["0:17", "5:20", "x", 3], "cgem.L1.gain_map": [0.5, [[1], [2, 3]], "z", 1000],
+        "cgem.L2.hot_v": "0:1", "cgem.L3.dead_v": ["0:99999", "1:7-5"],
+    }  # fmt: skip
+    with pytest.raises(cg.DetectorError) as caught:
+        DESIGN_MAPS.with_overrides(wrong)
+    paths = [problem.path for problem in caught.value.problems]
+    assert sorted(paths) == sorted(
+        [
+            "cgem.L1.dead_x[1]", "cgem.L1.dead_x[2]", "cgem.L1.dead_x[3]", "cgem.L1.gain_map", "cgem.L1.gain_map[1]",
+            "cgem.L1.gain_map[2]", "cgem.L1.gain_map[3]", "cgem.L2.hot_v", "cgem.L3.dead_v[0]", "cgem.L3.dead_v[1]",
+        ]
+    )  # fmt: skip
+
+
+def test_core_arguments():
+    """The core refuses maps that do not fit the detector."""
+    digis = digis_of([9], [10.0])
+    errors = np.ones((3, 4))
+    with pytest.raises(ValueError, match="masked: strip 100000"):
+        _core.find_clusters(
+            compiled(DESIGN_MAPS), dict(digis.columns), err_x=errors, err_v=errors, by_charge=False, masked=[100_000]
+        )
+    truths = run_maps(DESIGN_MAPS, "binary", 2, "simulate").truths
+    steps = cg.Table.empty("steps", n_events=2)
+    with pytest.raises(ValueError, match="rows times columns"):
+        _core.read_out_strips(
+            compiled(DESIGN_MAPS),
+            dict(truths.columns),
+            dict(steps.columns),
+            gain=1.0,
+            w_values=np.ones(3),
+            threshold=0.0,
+            gains={"shape": np.full(6, 2, np.int32), "values": np.ones(3)},
+        )

@@ -1,0 +1,149 @@
+"""Programs that measure read what they measure with, and write what they promise."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cgemit.base import isa
+from cgemit.detector import load
+from cgemit.detector.readouts import Apv25Readout, TigerReadout
+from cgemit.simulation.digitize import digitizer_of
+from pages.page import MissingToolError, Numbers, Page
+from pages.performance import PAGE, operations, simulation, stages
+from pages.performance.timing import DETECTOR, GUN, fastest, instruction_set
+
+# As callgrind writes it: names are spelled out once, also where a function of another library is called; places count
+# on from the line before; the line after `calls=` is what the called function cost.
+PROFILE = """\
+positions: instr line
+events: Ir
+
+ob=(1) /lib/python
+fn=(1) main
+0x100 0 5
+cob=(2) /site-packages/cgemit/_core.so
+cfn=(2) fit
+calls=3 0x2000 0
+0x104 0 999
+
+ob=(2)
+fn=(2)
+0x2000 0 3
++4 0 6
+* 0 1
+-4 0 10
+cob=(3) /lib/libm.so.6
+calls=1 0x30 0
++8 0 77
++1 0 2
+ob=(3)
+0x30 0 4
+"""
+ASSEMBLY = """\
+    2000:	addsd  %xmm1,%xmm0
+    2004:	vfmadd231pd %ymm1,%ymm2,%ymm3
+    2009:	call   30 <log>
+    200d:	vdivsd %xmm1,%xmm0,%xmm0
+    2011:	vsqrtpd (%rax),%zmm0
+    2015:	addss  %xmm1,%xmm0
+    2019:	paddd  %xmm1,%xmm0
+    201d:	subpd  %xmm1,%xmm0
+"""
+
+
+def test_profile_counts_instructions_of_the_core() -> None:
+    core, libm = "/site-packages/cgemit/_core.so", "/lib/libm.so.6"
+    counts = operations.parsed(PROFILE.splitlines())
+    assert counts == Counter({(core, 0x2000): 13, (core, 0x2004): 7, (core, 0x2009): 2, (libm, 0x30): 4})
+
+
+def test_operations_count_lanes_and_fused_ones_twice(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(operations, "disassembly", lambda library: ASSEMBLY)
+    expected = {
+        0x2000: ("add", 1),
+        0x2004: ("fused", 4),
+        0x200D: ("divide", 1),
+        0x2011: ("root", 8),
+        0x201D: ("add", 2),
+    }
+    assert operations.kinds("core") == expected
+    calls = 2 * operations.TRACKS
+    counts = Counter({("core", at): calls for at in (0x2000, 0x2004, 0x2009, 0x2011, 0x201D)})
+    assert operations.per_track(counts) == {
+        "instructions": 5, "add": 3, "multiply": 0, "fused": 4, "divide": 0, "root": 8, "operations": 3 + 2 * 4 + 8
+    }  # fmt: skip
+
+
+def test_stages_do_the_work_that_is_timed() -> None:
+    calls = stages.stage_calls(load(DETECTOR), GUN, 200)
+    assert len(calls["simulate"]()["truths"]) >= 590
+    assert len(calls["cluster"]()) > 1700
+    for name in ("fit", "fit_lr"):
+        fitted = calls[name]()
+        assert np.mean(fitted["tracks"]["status"] == 0) > 0.99
+        assert len(fitted["residuals"]) > 200 * 30, "the smoother is part of the fit"
+    assert list(calls) == list(stages.STAGES)
+
+
+def test_kernels_do_the_work_that_is_timed() -> None:
+    calls = stages.stage_calls(load(DETECTOR), GUN, 200)
+    assert len(calls["simulate_kernel"]()["truths"]["event"]) >= 590
+    two, found_out = calls["fit_kernel"](), calls["fit_lr_kernel"]()
+    assert np.mean(two["iterations"] == 2) > 0.99
+    assert np.mean(found_out["status"] == 0) > 0.99
+    for fitted in (two, found_out):
+        assert np.mean(fitted["err"] > 0) > 0.9, "residuals are part of the fit"
+
+
+def test_instruction_set_is_the_one_asked_for_and_only_for_a_while() -> None:
+    before = isa.name()
+    for name in isa.available():
+        with instruction_set(name):
+            assert isa.name() == name
+    assert isa.name() == before
+
+
+def test_fastest_run_counts_and_calls_take_turns() -> None:
+    order: list[str] = []
+    ticks = iter([0.0, 5.0, 5.0, 6.0, 6.0, 8.0, 8.0, 11.0])
+    calls = {name: lambda name=name: order.append(name) for name in ("a", "b")}
+    assert fastest(calls, 2, lambda: next(ticks)) == {"a": 2.0, "b": 1.0}
+    assert order == ["a", "b", "a", "b"]
+
+
+def test_threads_are_timed_together() -> None:
+    times = stages.stage_times(2, events=20, runs=1)
+    assert list(times) == [f"{name}_us" for name in stages.STAGES]
+    assert all(value > 0 for value in times.values())
+
+
+def test_a_part_that_lacks_a_tool_stays_as_it_is(tmp_path: Path) -> None:
+    def lacking(share: float) -> Numbers:
+        raise MissingToolError("it needs a tool")
+
+    page = Page("one", PAGE.file, "", {"memory": (stages.Memory, lacking)})
+    assert page.measure(tmp_path) == ["one: memory is not renewed: it needs a tool"]
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_chain_is_timed_stage_by_stage() -> None:
+    """Every stage of the chain has its time, and together they take no longer than the whole."""
+    cost = stages.chain_times(20)
+    assert list(cost) == [*stages.CHAIN, "all"]
+    assert all(value > 0 for value in cost.values())
+    assert sum(cost[name] for name in stages.CHAIN) < cost["all"]
+
+
+def test_electrons_of_the_readout_are_multiplied() -> None:
+    """A step has so many times the electrons, and the strips so many times the charge."""
+    muons = simulation.muons(30)
+    more = simulation.with_electrons(muons.steps, 4)
+    assert more["n_electrons"].sum() == 4 * muons.steps["n_electrons"].sum() > 0
+    for one in (TigerReadout(), Apv25Readout()):
+        digitizer, samples = digitizer_of(one), (muons.steps, more)
+        charge = [digitizer.digitize(muons.detector, muons.truths, steps, 1)["charge"].sum() for steps in samples]
+        assert 2.5 < charge[1] / charge[0] < 6  # thresholds and saturation change the factor

@@ -1,0 +1,209 @@
+"""Particles of generators: HepMC files, lists per event, tables in files."""
+
+from __future__ import annotations
+
+import gzip
+from pathlib import Path
+from typing import Any
+
+import awkward as ak
+import pyhepmc
+import pytest
+
+import cgemit as cg
+from cgemit.cli.main import main
+from cgemit.particles.gun import generate
+from cgemit.particles.table import ParticleError, particles_from, read_hepmc
+
+DESIGN = "besiii-cgem-design"
+
+
+def event(
+    number: int, units: tuple[Any, Any], point: tuple[float, ...], final: list[tuple[int, tuple[float, ...]]]
+) -> Any:
+    """Return an event with a J/psi that decays at a point to final particles and one that is not final."""
+    made = pyhepmc.GenEvent(*units)
+    made.event_number = number
+    vertex = pyhepmc.GenVertex((*point, 0.0))
+    vertex.add_particle_in(pyhepmc.GenParticle((0.0, 0.0, 0.0, 3.1), 443, 2))
+    for pdg, momentum in final:
+        vertex.add_particle_out(pyhepmc.GenParticle((*momentum, 1.0), pdg, 1))
+    vertex.add_particle_out(pyhepmc.GenParticle((0.1, 0.1, 0.1, 1.0), 113, 2))
+    made.add_vertex(vertex)
+    return made
+
+
+MEV, GEV = (pyhepmc.Units.MEV, pyhepmc.Units.CM), (pyhepmc.Units.GEV, pyhepmc.Units.MM)
+EVENTS = [
+    (MEV, (0.1, 0.2, -0.3), []),
+    (MEV, (0.1, 0.2, -0.3), [(13, (100.0, 200.0, 300.0)), (-13, (-100.0, -200.0, -300.5)), (22, (1.0, 0.0, 0.0))]),
+    (GEV, (0.0, 0.0, 0.5), [(211, (0.25, 0.5, -0.125)), (-211, (0.5, 0.25, 0.125))]),
+    (GEV, (0.0, 0.0, 0.5), []),
+]
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    """A HepMC3 file whose event numbers repeat, with an event without final particles at each end."""
+    path = tmp_path / "events.hepmc"
+    with pyhepmc.open(str(path), "w") as stream:
+        for units, point, final in EVENTS:
+            stream.write(event(3, units, point, final))
+    return path
+
+
+def test_hepmc_is_read_with_its_units_and_vertices(file: Path) -> None:
+    particles = particles_from(file)
+    assert (particles.n_events, particles.first_event) == (4, 0)
+    assert particles["event"].tolist() == [1, 1, 1, 2, 2]
+    assert particles["particle"].tolist() == [0, 1, 2, 0, 1]
+    assert particles["pdg"].tolist() == [13, -13, 22, 211, -211]
+    assert particles["charge"].tolist() == [-1, 1, 0, 1, -1]
+    assert particles["hepmc_id"].tolist() == [2, 3, 4, 2, 3]
+    expected = {"x": [1.0] * 3 + [0.0] * 2, "y": [2.0] * 3 + [0.0] * 2, "z": [-3.0] * 3 + [0.5] * 2}
+    expected |= {"px": [0.1, -0.1, 0.001, 0.25, 0.5], "py": [0.2, -0.2, 0.0, 0.5, 0.25]}
+    expected["pz"] = [0.3, -0.3005, 0.0, -0.125, 0.125]
+    for name, values in expected.items():
+        assert particles[name] == pytest.approx(values, rel=1e-12, abs=0)
+
+
+def test_hepmc_runs_as_the_same_columns_do(file: Path, tmp_path: Path) -> None:
+    result = cg.run(DESIGN, file, seed=2)
+    assert result == cg.run(DESIGN, particles_from(file), seed=2)
+    assert (result.n_events, result.gun) == (4, None)
+    assert result.tracks["event"].tolist() == [1, 1, 2, 2]
+    packed = tmp_path / "events.hepmc.gz"
+    packed.write_bytes(gzip.compress(file.read_bytes()))
+    assert particles_from(str(packed)) == particles_from(file)
+    old = tmp_path / "old.hepmc2"
+    with pyhepmc.open(str(old), "w", format="HepMC2") as stream:
+        for units, point, final in EVENTS[1:3]:
+            stream.write(event(3, units, point, final))
+    assert particles_from(old)["px"] == pytest.approx(particles_from(file)["px"], rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda data: b"", "it does not begin a list of events"),
+        (lambda data: b"hello\n", "it does not begin a list of events"),
+        (lambda data: data[: len(data) // 2], "its last line does not end the list of events"),
+        (lambda data: data.replace(b"V -1 0 [1]", b"V x y z", 2), r"\d of its 4 events can be read"),
+    ],
+)
+def test_damaged_hepmc_is_refused(file: Path, change: Any, message: str) -> None:
+    file.write_bytes(change(file.read_bytes()))
+    with pytest.raises(ValueError, match=rf"events.hepmc is not a complete HepMC file: {message}"):
+        cg.run(DESIGN, file)
+
+
+def test_other_damaged_files_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "events.hepmc.gz").write_bytes(b"no archive")
+    with pytest.raises(ValueError, match="is not a complete HepMC file"):
+        particles_from(tmp_path / "events.hepmc.gz")
+    with pytest.raises(FileNotFoundError):
+        particles_from(tmp_path / "missing.hepmc")
+    with pytest.raises(
+        ParticleError, match=r"got the file 'events.txt', expected one of .npz, .parquet, .root, .hepmc"
+    ):
+        particles_from("events.txt")
+    cg.Table.empty("digis").save(tmp_path / "digis.npz")
+    with pytest.raises(ParticleError, match="got a table of kind 'digis', expected 'particles'"):
+        particles_from(tmp_path / "digis.npz")
+
+
+@pytest.mark.parametrize("suffix", [".npz", ".parquet", ".root"])
+def test_tables_in_files_are_particles(tmp_path: Path, suffix: str) -> None:
+    particles = generate(cg.Gun("mu-", p=1, theta=1), 3, seed=1, first_event=5)
+    particles.save(tmp_path / f"mine{suffix}")
+    assert particles_from(tmp_path / f"mine{suffix}") == particles
+
+
+def test_lists_per_event_are_particles() -> None:
+    lists = ak.Array(
+        [
+            [],
+            [{"pdg": 13, "px": 0.1, "py": 0.2, "pz": 0.3}, {"pdg": -211, "px": 0.4, "py": 0.5, "pz": 0.6}],
+            [{"pdg": 321, "px": 0.7, "py": 0.8, "pz": 0.9}],
+            [],
+        ]
+    )
+    particles = particles_from(lists)
+    assert (particles.n_events, particles.first_event) == (4, 0)
+    assert particles["event"].tolist() == [1, 1, 2]
+    assert particles["particle"].tolist() == [0, 1, 0]
+    assert particles["px"].tolist() == [0.1, 0.4, 0.7]
+    record = ak.zip({name: lists[name] for name in ak.fields(lists)}, depth_limit=1)
+    assert particles_from(record) == particles  # a record of lists
+    result = cg.run(DESIGN, lists)
+    assert result.n_events == 4
+    assert particles_from(result.particles.to_awkward()).columns["pz"].tolist() == [0.3, 0.6, 0.9]
+    later = generate(cg.Gun("mu-", p=1, theta=1, multiplicity=2), 3, seed=1, first_event=5)
+    assert particles_from(later.to_awkward()) == later
+
+
+def test_lists_that_are_none_are_refused() -> None:
+    flat = ak.Array([{"pdg": 13, "px": 1.0, "py": 0.0, "pz": 0.0}])
+    with pytest.raises(ParticleError, match=r"no list of records per event .got pdg 1, px 1, py 1, pz 1 dimensions"):
+        particles_from(flat)
+    with pytest.raises(ParticleError, match="got no fields dimensions"):
+        particles_from(ak.Array([[1, 2]]))
+    uneven = ak.zip({"pdg": ak.Array([[13], []]), "px": ak.Array([[1.0], [2.0]])}, depth_limit=1)
+    with pytest.raises(ParticleError, match="px: got lists of other lengths than pdg"):
+        particles_from(uneven)
+    with pytest.raises(ParticleError, match="py: missing"):
+        particles_from(ak.Array([[{"pdg": 13, "px": 1.0, "pz": 1.0}]]))
+
+
+def test_the_command_line_takes_particles(file: Path, tmp_path: Path, capsys: Any) -> None:
+    words = ["simulate", "-d", DESIGN, "--quiet", "-o", str(tmp_path / "run")]
+    assert main([*words, "--particles", str(file), "--fit", "--seed", "2"]) == 0
+    assert cg.Result.load(tmp_path / "run") == cg.run(DESIGN, file, seed=2)
+    assert main([*words, "--overwrite", "--particles", str(file), "--p", "1", "--vertex", "1,2,3"]) == 2
+    assert "--particles: got --p, --vertex, too; expected particles of a file or of a gun" in capsys.readouterr().err
+    assert main([*words, "--overwrite", "--particles", str(file), "-n", "5"]) == 2
+    assert "n: 5, but the table of particles holds 4 events" in capsys.readouterr().err
+    assert main([*words, "--overwrite", "--theta", "1"]) == 2
+    assert "got no -n, no --p or --pt; expected all of them, or --particles FILE" in capsys.readouterr().err
+
+
+HEPMC = """HepMC::Version 3.02.05
+HepMC::Asciiv3-START_EVENT_LISTING
+E 0 1 2
+U {units}
+V -1 0 [1] @ 0 0 0 0
+P 1 0 443 0 0 0 3.1 3.1 2
+P 2 -1 13 0.5 0 0 0.51 0.106 1
+HepMC::Asciiv3-END_EVENT_LISTING
+"""
+
+
+@pytest.mark.parametrize(("units", "px"), [("GEV MM", 0.5), ("MEV CM", 0.5e-3)])
+def test_units_of_hepmc(units, px, tmp_path):
+    path = tmp_path / "events.hepmc3"
+    path.write_text(HEPMC.format(units=units))
+    assert read_hepmc(path)[0]["px"].tolist() == pytest.approx([px])
+
+
+@pytest.mark.parametrize("units", ["TEV MM", "GEV FOOT", "GEV", "gev mm"])
+def test_unknown_units_of_hepmc(units, tmp_path):
+    path = tmp_path / "events.hepmc3"
+    path.write_text(HEPMC.format(units=units))
+    with pytest.raises(ValueError, match=f"got the units 'U {units}'; expected GEV or MEV, then MM or CM"):
+        read_hepmc(path)
+
+
+def test_hepmc_without_units(tmp_path):
+    path = tmp_path / "events.hepmc3"
+    path.write_text(HEPMC.replace("U {units}\n", ""))
+    with pytest.raises(ValueError, match="1 of its 1 events do not name their units"):
+        read_hepmc(path)
+
+
+@pytest.mark.parametrize(
+    "table", [{"name": "a\ud800"}, {"description": "a\udfff"}, {"materials": {"\ud800": {"base": "Cu"}}}]
+)
+def test_halves_of_surrogate_pairs(table):
+    """No file can hold them, so that a run would end at its last step."""
+    with pytest.raises(cg.DetectorError, match="expected"):
+        cg.load({"base": "besiii-cgem", "name": "x", **table})

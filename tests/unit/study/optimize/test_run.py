@@ -1,0 +1,423 @@
+"""Optimization: goals by hand, gradients, optima within limits, problems all at once, files and the command."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import cgemit as cg
+from cgemit.base.errors import Problems
+from cgemit.cli.main import main
+from cgemit.detector import inventory
+from cgemit.study import Background, Optimization, PlanError, Search, optimize, sobol, sweep
+from cgemit.study.optimize.goals import Goals, goal_of, limits_of, variables_of
+from cgemit.study.optimize.run import KEYS, read_optimize_plan
+from cgemit.study.optimize.search import Descent, Design, Evaluator, with_failures
+from cgemit.study.sweep.evaluate import Evaluation
+
+DESIGN = cg.load("besiii-cgem-design")
+SPACE = {
+    "cgem.L1.anode_radius": ("80 mm", "100 mm"),
+    "cgem.L2.anode_radius": ("105 mm", "155 mm"),
+    "cgem.L1.pitch_x": ("400 um", "1000 um"),
+    "cgem.*.pitch_v": ("x0.6", "x2"),
+}
+LIMITS = {"channels": (None, 10010), "gap": (3, None)}
+HOW: dict[str, Any] = {"minimize": "dr", "constraints": LIMITS, "evaluate": Evaluation(p=0.3, samples=64)}
+
+
+@pytest.fixture(scope="module")
+def found() -> Optimization:
+    return optimize(DESIGN, SPACE, **HOW)
+
+
+def test_numbers_of_a_design_by_hand() -> None:
+    radii, lengths = (87.5, 132.5, 175), (532, 690, 847)
+    assert inventory.channels(DESIGN) == 845 + 1175 + 2 * (640 + 1094) + 2 * (845 + 1416)
+    area = sum(2 * math.pi * r * length for r, length in zip(radii, lengths, strict=True))
+    assert inventory.area(DESIGN) == pytest.approx(area / 1e6, rel=1e-12)
+    assert inventory.radiation_lengths(DESIGN) == pytest.approx(0.43079 + 0.36687 + 0.51079, abs=2e-5)
+    assert (inventory.inner_radius(DESIGN), inventory.outer_radius(DESIGN)) == pytest.approx((74.262, 179.365))
+    # Beam pipe ends at 33.7 mm, the layers lie from 74.262, 119.198 and 161.69 mm, the wall begins at 182.6 mm.
+    gaps = [74.262 - 33.7, 119.198 - 91.745, 161.69 - 136.7375, 182.6 - 179.365]
+    assert inventory.gaps(DESIGN) == pytest.approx(gaps, abs=1e-9)
+    assert inventory.smallest_gap(DESIGN) == pytest.approx(3.235)
+    assert inventory.pt_threshold(DESIGN) == pytest.approx(0.299792458 * 1.0 * 166.34 / 2, rel=1e-4)
+
+
+def test_occupancy_by_hand() -> None:
+    background = Background(rate=10, radius=78.84, power=0, window=1000, strips=3)
+    sheets = [2 * math.pi * 8.75 * 53.2 / 845, 2 * math.pi * 13.25 * 69 / 2 / 640, 2 * math.pi * 17.5 * 84.7 / 2 / 845]
+    mean = 10e3 * max(sheets) * 3 * 1e-6
+    assert inventory.occupancy(DESIGN, background) == pytest.approx(100 * (1 - math.exp(-mean)), rel=1e-9)
+
+
+def test_strips_without_rounding_are_never_fewer() -> None:
+    for variant in sobol({"cgem.*.pitch_x": ("300 um", "900 um"), "cgem.*.pitch_v": ("300 um", "900 um")}, 16).variants:
+        detector = DESIGN.with_overrides(dict(variant))
+        whole, real = inventory.channels(detector), inventory.smooth_channels(detector)
+        # At most one strip of each view and sheet, and some V strips because the diagonal is that of whole X strips.
+        assert whole <= real < whole + 30
+
+
+def test_gradients_are_the_slopes_of_what_is_minimized() -> None:
+    problems: list[str] = []
+    texts = ("dr @ 0.3", "dz", "channels", "x0")
+    space = {**SPACE, "cgem.*.foil.Kapton.thickness": ("+0 %", "+100 %"), "cgem.*.drift_gap": ("4 mm", "6 mm")}
+    goals = tuple(goal_of("", text, (0.3, 1.0), problems) for text in texts)
+    evaluation = Evaluation(p=[0.3, 1.0], cos_theta=[0.0, 0.6], quantities=["dr", "dz"], samples=64)
+    limits = limits_of({"dz": (None, 10), "channels": (None, 1e5), "x0": (None, 10)}, (0.3, 1.0), problems)
+    evaluator = Evaluator(DESIGN, Goals(goals, evaluation, None), limits, None, None)
+    descent = Descent(evaluator, variables_of(DESIGN, space, problems), goals[0], fixed_hits=True)
+    assert not problems
+    u = np.array([0.4, 0.5, 0.3, 0.4, 0.2, 0.5])
+    descent.start(u)
+    descent.renew(u + 0.05)
+    slopes = np.array([descent.slope(u), *(descent.margin_slopes(u)[:3])])
+    scale = np.abs(slopes).max(axis=1)
+    errors = []
+    for step in (0.02, 0.01):  # Taylor: the error of central differences falls with the square of the step
+        moved = step * np.eye(len(u))
+        up, down = (np.array([[descent.value(u + s * one), *descent.margins(u + s * one)[:3]] for one in moved])
+                    for s in (1, -1))  # fmt: skip
+        errors.append(np.abs((up - down).T / (2 * step) - slopes).max(axis=1) / scale)
+    # d_z oscillates with the pitch of the V strips, so that its second differences are large.
+    assert (errors[0] < [2e-3, 0.2, 2e-3, 1e-6]).all()
+    assert (errors[1] < np.maximum(errors[0] / 3.5, 1e-6)).all()
+
+
+def test_a_step_that_closes_the_gap_between_parts_is_cut() -> None:
+    """There the gas between the layers is gone, so that the hits of the design before cannot be kept."""
+    problems: list[str] = []
+    goal = goal_of("", "dr @ 0.3", (0.3,), problems)
+    evaluation = Evaluation(p=0.3, quantities=["dr"], samples=64)
+    evaluator = Evaluator(DESIGN, Goals((goal,), evaluation, None), (), None, None)
+    variables = variables_of(DESIGN, {"cgem.L3.anode_radius": "bounds"}, problems)
+    descent = Descent(evaluator, variables, goal, fixed_hits=True)
+    assert not problems
+    descent.renew(np.array([0.5]))
+    closed = np.array([0.0])
+    assert np.isfinite(descent.value(closed))
+    assert np.isfinite(descent.slope(closed)).all()
+    refused = [one for one in descent.designs if one.row["status"] == "impossible"]
+    assert "in another order" in refused[0].row["problems"][0]
+    inside = [one.values[0] for one in descent.designs if one.kind == "step" and one.row["status"] == "ok"]
+    assert inside[-1] == pytest.approx(variables[0].low + 0.125 * (variables[0].high - variables[0].low))
+
+
+def test_a_search_within_the_bounds_ends_at_a_possible_design() -> None:
+    found = optimize(DESIGN, {"cgem.L3.anode_radius": "bounds"}, minimize="dz", evaluate=Evaluation(p=0.3, samples=16))
+    assert [found.columns["kind"][i] for i in found.front] == ["optimum"]
+
+
+def test_the_free_space_between_parts_is_linear(found: Optimization) -> None:
+    descent = Descent(found.evaluator, found.variables, found.objectives[0])
+    descent.start(np.full(4, 0.5))
+    for u in ([0.0, 0.9, 0.2, 0.1], [1.0, 0.3, 0.8, 0.9]):
+        gaps = inventory.gaps(descent.detector(np.array(u)))
+        # The first three change with the two radii, the last one does not.
+        assert descent.margins(np.array(u))[1:] == pytest.approx((np.array(gaps[:3]) - 3) / 10, abs=1e-5)
+
+
+def test_both_searches_find_the_same_optimum_and_keep_all_limits(found: Optimization) -> None:
+    other = optimize(DESIGN, SPACE, **HOW, search=Search(method="cobyla"))
+    for one in (found, other):
+        (best,) = one.front
+        assert one.columns["kind"][best] == "optimum"
+        assert one["channels"][best] <= 10010
+        assert one["gap (mm)"][best] >= 3 - 1e-5
+    values = [one["sigma_dr (um)"][one.front[0]] for one in (found, other)]
+    assert values[0] == pytest.approx(values[1], rel=2e-3)
+    assert values[0] < 0.85 * found["sigma_dr (um)"][0]
+    assert 0 < found.gradients <= found.evaluations < other.evaluations
+    assert other.gradients == 0
+
+
+def test_no_allowed_design_of_a_sample_is_better(found: Optimization) -> None:
+    def numbers(detector: cg.Detector) -> dict[str, float]:
+        return {"channels": inventory.channels(detector), "gap": inventory.smallest_gap(detector)}
+
+    space = sobol(SPACE, 64)
+    table = sweep(DESIGN, space, evaluate=Evaluation(p=0.3, samples=64, quantities=["dr"])).to_pandas()
+    more = sweep(DESIGN, space, evaluate=numbers).to_pandas()
+    allowed = (more["status"] == "ok") & (more["channels"] <= 10010) & (more["gap"] >= 3)
+    assert allowed.sum() > 15
+    best = found["sigma_dr (um)"][found.front[0]]
+    assert table["sigma_dr (um)"][allowed].min() > best
+
+
+def test_the_optimum_has_sheets_full_of_whole_strips(found: Optimization) -> None:
+    layer = found.detector().cgem[0]
+    assert layer.strips_x * layer.pitch_x == pytest.approx(2 * math.pi * layer.r_readout, rel=1e-7)
+    before = found.detector(len(found) - 2).cgem[0]
+    assert 2 * math.pi * before.r_readout - before.strips_x * before.pitch_x > 1e-3
+    assert inventory.channels(found.detector()) == found["channels"][-1]
+
+
+@pytest.mark.slow
+def test_an_objective_without_tracks_ends_at_its_limit() -> None:
+    best = optimize(
+        DESIGN,
+        {"cgem.*.pitch_x": ("300 um", "900 um"), "cgem.*.pitch_v": ("300 um", "900 um")},
+        minimize="channels",
+        constraints={"dr @ 0.3": (None, 320)},
+        evaluate=Evaluation(p=[0.3, 1.0], samples=64),
+    )
+    assert best["sigma_dr at 0.3 GeV/c (um)"][best.front[0]] == pytest.approx(320, rel=2e-3)
+    assert best["channels"][best.front[0]] < best["channels"][0]
+
+
+@pytest.mark.slow
+def test_an_optimum_without_an_allowed_design_says_so() -> None:
+    none = optimize(
+        DESIGN,
+        {"cgem.*.pitch_x": ("500 um", "700 um")},
+        constraints={"channels": (None, 100)},
+        evaluate=Evaluation(samples=64),
+    )
+    assert none.front == []
+    assert "no design keeps all limits" in none.message
+    with pytest.raises(ValueError, match="expected the row of a design"):
+        none.detector()
+
+
+def test_every_problem_is_listed_at_once() -> None:
+    space = {
+        "cgem.L9.pitch_x": ("1 um", "2 um"),
+        "cgem.*.foils": [1, 2],
+        "cgem.L1.pitch_x": ("600 um", "1 rad"),
+        "a": 3,
+    }
+    with pytest.raises(PlanError) as error:
+        optimize(
+            DESIGN,
+            space,
+            ["dr", "drr", "dz @ 0.7"],
+            {"occupancy": (None, 1), "x0": (2, 1)},
+            Evaluation(p=0.3),
+            "gradient",
+        )
+    text = str(error.value)
+    with pytest.raises(PlanError) as error:
+        optimize(DESIGN, space, evaluate={"events": 0}, search={"method": "gradientt", "calls": -1, "tolerance": 2})
+    text += str(error.value)
+    for part in (
+        "cgem.L9", "cgem.*.foils, which is a choice", "cgem.L1.pitch_x: got ('600 um', '1 rad')", "a: got 3",
+        "'drr'", 'did you mean "dr"?', "'dz @ 0.7', expected one of p: 0.3", "background: got none",
+        "constraints.x0: got (2, 1)", "for 3 objectives", "search.calls: got -1",
+        "evaluate.events: got 0", "search.tolerance: got 2",
+    ):  # fmt: skip
+        assert part in text, part
+
+
+@pytest.mark.parametrize("readout", ["tiger", "apv25", "analog-projection"])
+def test_a_readout_whose_errors_do_not_follow_the_design_is_refused(readout: str) -> None:
+    settings = cg.Settings(digitize=cg.DigitizeSettings(readout=readout))
+    space = {"drift_chamber.sigma": ("x0.9", "x1.1"), "cgem.*.pitch_x": ("600 um", "700 um"), "cgem.L1.foils": [2, 3]}
+    expected = f"got read-out '{readout}', .* do not follow cgem.*.pitch_x, cgem.L1.foils, expected 'binary'"
+    with pytest.raises(PlanError, match=expected):
+        optimize(DESIGN, space, evaluate=Evaluation(settings=settings), search=Search(method="nsga2"))
+
+
+def test_a_readout_with_calibrated_errors_is_accepted_where_they_stay() -> None:
+    settings = cg.Settings(digitize=cg.DigitizeSettings(readout="tiger"))
+    best = optimize(
+        DESIGN,
+        {"drift_chamber.sigma": ("x0.9", "x1.1")},
+        minimize="p",
+        evaluate=Evaluation(samples=2, settings=settings),
+    )
+    assert best["drift_chamber.sigma (times)"][best.front[0]] == pytest.approx(0.9)
+    only = optimize(
+        DESIGN, {"cgem.*.pitch_x": ("600 um", "700 um")}, minimize="channels", evaluate=Evaluation(settings=settings)
+    )
+    assert only["cgem.*.pitch_x (um)"][only.front[0]] == pytest.approx(700, rel=1e-3)
+
+
+def test_a_search_with_failed_evaluations_says_how_many() -> None:
+    settings = cg.Settings(digitize=cg.DigitizeSettings(readout="tiger"))
+    space = {"cgem.*.pitch_x": ("600 um", "700 um")}
+    search = Search(method="nsga2", population=4, calls=0)
+    found = optimize(DESIGN, space, evaluate=Evaluation("mc", events=40, settings=settings), search=search)
+    assert found.message.startswith("0 calls; 4 of 4 evaluations failed, the first with CalibrationError: ")
+    row = {"status": "failed", "problems": ["ValueError: never"]}
+    designs = [Design(1, "value", (1.0,), {"status": "ok"}), Design(2, "value", (2.0,), row)]
+    ended = "Optimization terminated; 1 of 2 evaluations failed, the first with ValueError: never"
+    assert with_failures("Optimization terminated successfully", designs) == ended
+    assert with_failures("Optimization terminated successfully", designs[:1]) == "Optimization terminated successfully"
+
+
+def test_a_search_counts_its_failed_evaluations(monkeypatch: pytest.MonkeyPatch) -> None:
+    own = Goals.__call__
+
+    def fails(self: Goals, detector: cg.Detector) -> dict[str, Any]:
+        if detector.cgem[0].pitch_x > 0.8:
+            raise ValueError("too wide")
+        return own(self, detector)
+
+    monkeypatch.setattr(Goals, "__call__", fails)
+    found = optimize(
+        DESIGN,
+        {"cgem.*.pitch_x": ("600 um", "1 mm")},
+        minimize="channels",
+        evaluate=Evaluation(samples=2),
+        search=Search(method="cobyla"),
+    )
+    failed = found.columns["status"].count("failed")
+    assert failed > 0
+    assert f"; {failed} of {found.evaluations} evaluations failed, the first with ValueError: too wide" in found.message
+    assert "successfully" not in found.message
+
+
+def test_ends_of_a_range_may_have_different_units() -> None:
+    problems = Problems()
+    (one, same) = (
+        variables_of(DESIGN, {"cgem.*.pitch_x": ends}, problems)[0]
+        for ends in (("400 um", "1 mm"), ("400 um", "1000 um"))
+    )
+    assert (problems, one) == ([], same)
+    assert sobol({"a": ("400 um", "1 mm")}, 4) == sobol({"a": ("400 um", "1000 um")}, 4)
+    for wrong in (("400 um", "1 rad"), ("400 um", 1000), ("400 um", "x2"), ("1 mm", "400 um")):
+        assert variables_of(DESIGN, {"cgem.*.pitch_x": wrong}, problems) == ()
+    assert len(problems) == 4
+    assert variables_of(DESIGN, {"cgem.*.pitch_x": ("1 rad", "2 rad")}, problems) == ()
+    assert "cgem.L1.pitch_x: got" in str(problems[4])
+    assert "expected a length" in str(problems[4])
+
+
+def test_wrong_types_are_problems_of_their_arguments() -> None:
+    with pytest.raises(PlanError) as error:
+        optimize(
+            DESIGN, [], 3, [1], {"method": "both", "p": ["1 GeV", "x", None], "samples": 0}, "gradientt", {"rat": 3},
+        )  # type: ignore[arg-type]  # fmt: skip
+    for part in (
+        "space: got []", "minimize: got 3", 'p[0]: got "1 GeV"', 'p[1]: got "x"', "p[2]: got None",
+        "constraints: got [1]", "background.rat: got an unknown key",
+        'did you mean "gradient"?', "evaluate.method: got 'both'", "samples: got 0",
+    ):  # fmt: skip
+        assert part in str(error.value), part
+
+
+def test_an_impossible_start_is_a_problem() -> None:
+    space = {"cgem.L1.anode_radius": ("110 mm", "115 mm"), "cgem.L2.anode_radius": ("105 mm", "110 mm")}
+    with pytest.raises(PlanError, match=r"start\..*no overlap with cgem.L2"):
+        optimize(DESIGN, space, evaluate=Evaluation(samples=64))
+
+
+def test_simulation_confirms_the_optimum(found: Optimization) -> None:
+    confirmed = found.confirm(events=5000)
+    assert confirmed["design"].tolist() == [0, found.front[0]]
+    assert (np.abs(confirmed["ratio"] - 1) < 4 * confirmed["ratio_error"]).all()
+    assert confirmed["ratio_error"].max() < 0.02
+    # The same tracks in both: the gain is known better than from two samples.
+    gain, error = confirmed["to_base"][1], confirmed["to_base_error"][1]
+    assert gain == pytest.approx(found["sigma_dr (um)"][found.front[0]] / found["sigma_dr (um)"][0], abs=4 * error)
+    assert error < math.hypot(*confirmed["ratio_error"])
+
+
+def test_the_picture_shows_every_allowed_design_and_the_best_so_far(found: Optimization) -> None:
+    (axes,) = found.draw().axes
+    table = found.to_pandas()
+    allowed = table[table["allowed"]]
+    (steps,) = [one for one in axes.lines if one.get_label() == "allowed, with the hits of another design"]
+    assert steps.get_xdata().tolist() == allowed["design"][allowed["kind"] == "step"].tolist()
+    (container,) = axes.containers
+    assert container.lines[0].get_ydata().tolist() == allowed["sigma_dr (um)"][allowed["kind"] != "step"].tolist()
+    (best,) = [one for one in axes.lines if one.get_drawstyle() == "steps-post"]
+    assert best.get_ydata()[-1] == allowed["sigma_dr (um)"].min()
+    assert axes.get_ylabel() == r"σ($d_\rho$)  (µm)"
+
+
+def test_the_result_is_the_same_after_an_interruption(tmp_path: Path) -> None:
+    folder = tmp_path / "out"
+
+    def stop(share: float, text: str) -> None:
+        if share > 0.02:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        optimize(DESIGN, SPACE, output=folder, progress=stop, **HOW)
+    kept = len(list((folder / "chunks").iterdir()))
+    assert 0 < kept < 8
+    again = optimize(DESIGN, SPACE, output=folder, **HOW)
+    whole = optimize(DESIGN, SPACE, output=tmp_path / "whole", **HOW)
+    assert (folder / "optimize.csv").read_bytes() == (tmp_path / "whole" / "optimize.csv").read_bytes()
+    assert (
+        cg.load(folder / "optimum.toml").content_hash == again.detector().content_hash == whole.detector().content_hash
+    )
+
+
+PLAN = """
+base = "besiii-cgem-design"
+minimize = "dr"
+[vary]
+"cgem.L2.anode_radius" = { from = "105 mm", to = "155 mm" }
+"cgem.L1.pitch_x" = "bounds"
+[constraints]
+channels = { max = 10010 }
+[evaluate]
+p = "300 MeV/c"
+samples = 64
+"""
+
+
+def test_the_command_line_writes_what_python_returns(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    plan, output = tmp_path / "plan.toml", tmp_path / "out"
+    plan.write_text(PLAN)
+    command = ["optimize", str(plan), "-o", str(output), "--quiet", "--parquet", "--confirm", "500", "--json"]
+    assert main([*command, "--set", "search.method=cobyla", "--set", "search.tolerance=0.05"]) == 0
+    summary = json.loads(capsys.readouterr().out)
+    table = pd.read_csv(output / "optimize.csv")
+    assert summary["inputs"]["vary"]["cgem.L1.pitch_x"] == [0.01, 20.0, "mm"]
+    assert summary["evaluations"] == len(table) - 1
+    assert table["sigma_dr (um)"].iloc[-1] == pytest.approx(summary["best"][0]["sigma_dr (um)"], rel=1e-5)
+    assert pd.read_parquet(output / "optimize.parquet")["name"].tolist() == table["name"].tolist()
+    assert {path.suffix for path in output.glob("convergence.*")} == {".png", ".pdf"}
+    assert len(pd.read_csv(output / "confirmation.csv")) == 2
+    assert main(["optimize", str(output / "plan.toml"), "-o", str(output), "--quiet"]) == 0
+
+
+def test_the_plans_of_the_documentation_run(tmp_path: Path) -> None:
+    plans = Path(__file__).resolve().parents[4] / "docs" / "plans"
+    page = (plans.parent / "optimize.md").read_text()
+    keys = [*KEYS, *(one.name for cls in (Evaluation, Search, Background) for one in dataclasses.fields(cls))]
+    unsaid = [key for key in keys if f"`{key}`" not in page and f"[{key}" not in page]
+    assert set(unsaid) <= {"quantities", "chunk"}  # which an optimization sets itself
+    result = read_optimize_plan(plans / "front.toml", {"search.calls": 0, "search.population": 4}).run()
+    assert len(result) == 5
+    assert read_optimize_plan(plans / "optimum.toml").arguments["constraints"] == LIMITS
+
+
+@pytest.mark.slow
+def test_processes_find_what_one_process_finds(tmp_path: Path) -> None:
+    plan = tmp_path / "plan.toml"
+    plan.write_text(PLAN + "[search]\nmethod = 'nsga2'\npopulation = 12\noffspring = 6\ncalls = 2\n")
+    assert main(["optimize", str(plan), "-o", str(tmp_path / "one"), "--quiet", "--threads", "1"]) == 0
+    assert main(["optimize", str(plan), "-o", str(tmp_path / "two"), "--quiet", "--processes", "2"]) == 0
+    assert (tmp_path / "one/optimize.csv").read_bytes() == (tmp_path / "two/optimize.csv").read_bytes()
+
+
+def test_the_command_line_refuses_other_folders_and_lists_problems(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    plan = tmp_path / "plan.toml"
+    plan.write_text(
+        PLAN.replace("[vary]", "[vary]\nnothing = 1").replace("minimize", "minimise") + "x = 1\n[search]\ny = 2"
+    )
+    assert main(["optimize", str(plan), "-o", str(tmp_path / "new")]) == 2
+    error = capsys.readouterr().err
+    assert all(part in error for part in ("minimise: got an unknown key", "evaluate.x: got an", "search.y: got an"))
+    plan.write_text(PLAN)
+    (tmp_path / "foreign").mkdir()
+    (tmp_path / "foreign" / "file").write_text("")
+    assert main(["optimize", str(plan), "-o", str(tmp_path / "foreign")]) == 2
+    assert "already holds files" in capsys.readouterr().err
+    sweep(DESIGN, [{}], evaluate=lambda detector: {"a": 1}, output=tmp_path / "sweep")
+    assert main(["optimize", str(plan), "-o", str(tmp_path / "sweep")]) == 2

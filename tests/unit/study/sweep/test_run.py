@@ -1,0 +1,457 @@
+"""Sweeps: spaces and tables, errors of differences, chunks continued after damage, any executor, killed workers."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import signal
+import sys
+from collections.abc import Callable, Sequence
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import cgemit as cg
+from cgemit.analysis.widths import jackknife, without_groups
+from cgemit.detector import Detector
+from cgemit.reconstruction.fit import FitStatus
+from cgemit.study import Evaluation, grid, latin_hypercube, sobol, sweep
+from cgemit.study.samples import seed_of
+from cgemit.study.sweep.run import Task, rows_of_text, work
+from cgemit.study.sweep.space import PlanError, key_problems
+from kill_sweeps import FILES, SPACE, killed_until_complete, swept, written
+
+DESIGN = cg.load("besiii-cgem-design")
+PITCHES = {"cgem.*.pitch_x": ["400 um", "900 um"], "cgem.L2.anode_radius": ["132.5 mm", "160 mm"]}
+
+
+def channels(detector: Detector) -> dict[str, Any]:
+    """Return the number of strips, and the thickness of the first layer."""
+    strips = sum(layer.sheets * (layer.strips_x + layer.strips_v) for layer in detector.cgem)
+    return {"strips": strips, "x0 (%)": 100 * sum(shell.x0 for shell in detector.cgem[0].shells())}
+
+
+def test_a_grid_is_a_table_with_a_row_for_each_variant_and_the_base_first() -> None:
+    found = sweep(DESIGN, PITCHES, evaluate=channels)
+    table = found.to_pandas()
+    assert table["cgem.*.pitch_x (um)"].tolist() == [650, 400, 400, 900, 900]
+    assert table["cgem.L2.anode_radius (mm)"].tolist() == [132.5, 132.5, 160, 132.5, 160]
+    assert table["status"].tolist() == ["ok", "ok", "impossible", "ok", "impossible"]
+    assert table["strips"][[0, 1, 3]].tolist() == [channels(found.detector(i))["strips"] for i in (0, 1, 3)]
+    assert table["strips"].isna().tolist() == [False, False, True, False, True]
+    assert "no overlap with cgem.L2" in table["problems"][2]
+    assert table["hash"].tolist() == [DESIGN.content_hash, *(found.detector(1).content_hash, ""), table["hash"][3], ""]
+    assert len(set(table["name"])) == 5
+    assert table["name"][1] == found.detector(1).name
+    assert found.detector(1).cgem[0].pitch_x == 0.4
+
+
+def test_a_grid_becomes_an_xarray_dataset() -> None:
+    found = sweep(DESIGN, PITCHES, evaluate=channels)
+    cube = found.to_xarray()
+    assert dict(cube.sizes) == {"cgem.*.pitch_x (um)": 2, "cgem.L2.anode_radius (mm)": 2}
+    cell = cube["strips"].sel({"cgem.*.pitch_x (um)": 900, "cgem.L2.anode_radius (mm)": 132.5})
+    assert float(cell) == found["strips"][3]
+    with pytest.raises(ValueError, match="expected a grid"):
+        sweep(DESIGN, [{"cgem.L1.foils": 2}], evaluate=channels).to_xarray()
+
+
+def test_axes_of_words_of_relative_values_and_of_other_bases() -> None:
+    space = {"base": ["besiii-cgem-design", "besiii-cgem"], "field": ["uniform", "besiii"],
+             "cgem.*.drift_gap": ["x0.5", "x1"], "cgem.*.gas": ["CgemGas", "MdcGas"]}  # fmt: skip
+    found = sweep(DESIGN, space, evaluate=lambda d: {"gap": d.cgem[0].drift_gap, "field": d.field.kind})
+    assert found.parameters == ("base", "field", "cgem.*.drift_gap (times)", "cgem.*.gas")
+    assert found.columns["cgem.*.drift_gap (times)"][:3] == [1.0, 0.5, 0.5]
+    assert found.columns["cgem.*.gas"][:3] == ["CgemGas", "CgemGas", "MdcGas"]
+    assert set(found.columns["status"]) == {"ok"}
+    gaps = {"besiii-cgem-design": 5.0, "besiii-cgem": cg.load("besiii-cgem").cgem[0].drift_gap}
+    factors = found["cgem.*.drift_gap (times)"][1:]
+    assert found["gap"][1:].tolist() == [gaps[b] * f for b, f in zip(found["base"][1:], factors, strict=True)]
+    assert len(set(found.columns["name"])) == 17
+
+
+@pytest.mark.parametrize("sample", [sobol, latin_hypercube])
+def test_samples_fill_their_ranges(sample: Callable[..., Any]) -> None:
+    ranges = {"cgem.*.pitch_x": ("400 um", "900 um"), "cgem.*.drift_gap": ("x0.5", "x1.5"), "cgem.*.foils": (1, 4),
+              "cgem.*.gas": ["CgemGas", "MdcGas"], "drift_chamber.efficiency": (0.5, 1.0)}  # fmt: skip
+    found = sample(ranges, 64, seed=3)
+    pitches = [float(one["cgem.*.pitch_x"].removesuffix(" um")) for one in found.variants]
+    assert np.histogram(pitches, 8, (400, 900))[0].tolist() == [8] * 8
+    assert sorted({one["cgem.*.foils"] for one in found.variants}) == [1, 2, 3, 4]
+    assert [one["cgem.*.gas"] for one in found.variants].count("MdcGas") == 32
+    assert all(0.5 <= one["drift_chamber.efficiency"] <= 1 for one in found.variants)
+    assert found == sample(ranges, 64, seed=3) != sample(ranges, 64, seed=4)
+    table = sweep(DESIGN, found, evaluate=channels)
+    assert table.columns["cgem.*.pitch_x (um)"][1:] == pitches
+    assert set(table.columns["status"]) == {"ok"}
+
+
+def test_problems_of_spaces_and_arguments_are_all_listed() -> None:
+    with pytest.raises(PlanError) as caught:
+        sobol({"a": ("1 mm", "2 um"), "b": ("3 mm", "1 mm"), "c": 4}, 0)
+    assert [line.partition(":")[0].strip() for line in str(caught.value).splitlines()[1:]] == ["n", "a", "b", "c"]
+    with pytest.raises(PlanError, match="each value once"):
+        grid({"a": [1, 1]})
+    with pytest.raises(ValueError, match="sweep: 7 problems") as wrong:
+        sweep(
+            DESIGN,
+            PITCHES,
+            {"method": "magic", "p": -1, "chunk": 0, "events": 0, "quantities": ["x"], "samples": 0},
+            part=(3, 2),
+        )  # type: ignore[arg-type]
+    for text in (
+        "evaluate.method: got 'magic'",
+        "events: got 0",
+        "evaluate.p: got",
+        "part: got (3, 2)",
+        "chunk: got 0",
+        "quantities[0]: got 'x'",
+        "samples: got 0",
+    ):
+        assert text in str(wrong.value)
+    with pytest.raises(ValueError, match="expected a charged particle"):
+        sweep(DESIGN, PITCHES, evaluate=Evaluation(particle="gamma"))
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ({"cgem.*.ptich_x": "400 um"}, ["cgem.*.ptich_x: got an unknown key", 'did you mean "pitch_x"?']),
+        ({"cgem.L1.ptich_x": "x1.1"}, ["cgem.L1.ptich_x: ", 'did you mean "pitch_x"?']),
+        ({"cgem.L9.pitch_x": "400 um"}, ["cgem.L9.pitch_x: got 'L9'", "expected one of L1, L2, L3"]),
+        ({"cgem.L9.pitch_x": "x1.1"}, ["cgem.L9.pitch_x: got 'L9'", "expected one of L1, L2, L3"]),
+        ({"cgem.*.foil.Kaptn.thickness": "60 um"}, ["cgem.*.foil.Kaptn.thickness: "]),
+        ({"cgem.L1": {"ptich_x": "400 um"}}, ["cgem.L1: got an unknown key", 'did you mean "pitch_x"?']),
+        ({"cgem.L[89].foils": 2}, ["cgem.L[89].foils: ", "matches nothing"]),
+        ({"cgm.L1.foils": 2, "cgem.L1.foil": 2}, ["cgm.L1.foils: ", 'did you mean "cgem"?']),
+    ],
+)
+def test_keys_that_name_nothing_are_refused_at_once(changes: dict[str, Any], expected: list[str]) -> None:
+    def never(detector: Detector) -> dict[str, Any]:
+        raise AssertionError
+
+    with pytest.raises(PlanError) as caught:
+        sweep(DESIGN, [{"cgem.L1.foils": 2}, changes], evaluate=never)
+    (text,) = str(caught.value).splitlines()[1:]
+    assert text.strip().startswith(expected[0])
+    assert all(part in text for part in expected)
+
+
+def test_keys_of_new_parts_and_of_other_bases_are_no_mistakes() -> None:
+    added = {"cgem.L4": {"like": "L3"}, "cgem.L4.anode_radius": "x1.3", "remove": ["walls"]}
+    assert key_problems([(DESIGN, {}), (DESIGN, {**added, "cgem.L4.anode_radius": "230 mm"})]) == []
+    assert key_problems([(DESIGN, {"cgem.L2.anode_radius": "160 mm"})]) == []  # a wrong value, not a wrong key
+    fewer = DESIGN.with_overrides({"remove": ["cgem.L1"]})
+    change = {"cgem.L1.foils": 2}
+    assert key_problems([(fewer, change), (DESIGN, change)]) == []
+    assert len(key_problems([(fewer, change)])) == 1
+
+
+def test_columns_that_only_some_variants_have() -> None:
+    """What is missing is NaN among numbers, which are then floats, and an empty text among texts."""
+
+    def own(detector: Detector) -> dict[str, Any]:
+        more = {"few": True, "word": "two", "mixed": "two"} if detector.cgem[0].foils == 2 else {"mixed": 1}
+        return {"foils": detector.cgem[0].foils, **more}
+
+    found = sweep(DESIGN, {"cgem.L1.foils": [1, 2]}, evaluate=Evaluation(own, chunk=2))
+    assert found.results == ("foils", "mixed", "few", "word")
+    assert found.columns["foils"] == [3, 1, 2]
+    assert all(type(value) is int for value in found.columns["foils"])
+    np.testing.assert_array_equal(found.columns["few"], [math.nan, math.nan, 1.0])
+    assert found.columns["word"] == ["", "", "two"]
+    assert found.columns["mixed"] == [1, 1, "two"]
+
+
+def test_neighbours_in_a_chunk_do_not_matter(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Widths of a chunk are computed together, in parts if they are many; samples of its detectors may differ."""
+    space = [{"cgem.*.pitch_x": "900 um"}, {"remove": ["cgem.L2"]}, {"drift_chamber.efficiency": 0.9},
+             {"cgem.L2.anode_radius": "30 mm"}, {"base": "kloe2-like"},
+             {"field": {"kind": "uniform", "bz": "0.5 T"}}]  # fmt: skip
+    alone, together = (
+        sweep(DESIGN, space, evaluate=Evaluation(p=[0.05, 0.5], cos_theta=[0.2, (-0.9, 0.9)], chunk=chunk))
+        for chunk in (1, 7)
+    )
+    monkeypatch.setattr("cgemit.covariance.result._MOST_TRACKS", 512)
+    split = sweep(DESIGN, space, evaluate=Evaluation(p=[0.05, 0.5], cos_theta=[0.2, (-0.9, 0.9)], chunk=7))
+    assert repr(together.columns) == repr(alone.columns) == repr(split.columns)
+    assert alone.columns["status"].count("ok") == 24
+
+
+def test_simulated_resolutions_are_those_of_a_run(tmp_path: Path) -> None:
+    found = sweep(
+        DESIGN, {"cgem.*.pitch_x": ["900 um"]}, evaluate=Evaluation("mc", p=[0.3, 1.0], cos_theta=0.2, events=300)
+    )
+    assert found.columns["p (GeV/c)"] == [0.3, 1.0, 0.3, 1.0]
+    result = cg.run(found.detector(1), cg.Gun("mu-", p=1.0, cos_theta=0.2), 300, seed_of(1, 2))
+    for name, unit in (("dr", "um"), ("dz", "mm"), ("p", "MeV/c"), ("phi0", "mrad"), ("tanl", "1e-3")):
+        width = cg.resolution(result, name)
+        assert found.columns[f"sigma_{name} ({unit})"][3] == width.core
+        assert found.columns[f"sigma_{name}_error ({unit})"][3] == width.core_error
+        base, variant = found.columns[f"sigma_{name} ({unit})"][1::2]
+        assert found.columns[f"delta_sigma_{name} ({unit})"][3] == variant - base
+    assert found.columns["delta_sigma_dr (um)"][:2] == [0, 0]
+    assert found.columns["delta_sigma_dr_error (um)"][:2] == [0, 0]
+
+
+def test_analytic_resolutions_are_those_of_the_covariance() -> None:
+    space = {"cgem.*.pitch_x": ["900 um"], "drift_chamber.sigma": ["x1", "x2"]}
+    found = sweep(
+        DESIGN, space, evaluate=Evaluation(p=[0.01, 0.3, 1.0], cos_theta=[0.2, (-0.5, 0.5)], particle="pi+", chunk=2)
+    )
+    one, mixed = (cg.analytic(found.detector(2), "pi+", [0.01, 0.3, 1.0], c) for c in (0.2, (-0.5, 0.5)))
+    rows = slice(12, 18)  # of variant 2: momenta, and for each the two angles
+    assert found.columns["cos_theta"][rows] == ["0.2", "-0.5:0.5"] * 3
+    for name, header in (("p", "sigma_p (MeV/c)"), ("dr", "sigma_dr (um)"), ("dz", "sigma_dz (mm)"),
+                         ("theta", "sigma_theta (mrad)"), ("tanl", "sigma_tanl (1e-3)")):  # fmt: skip
+        expected = np.array([one.sigma(name), mixed.sigma(name)]).T.ravel()
+        np.testing.assert_array_equal(found[header][rows], expected)
+    assert found.columns["tracks"][rows][::2] == [FitStatus(int(status)).name for status in one.status]
+    assert found.columns["tracks"][12] != "ok" == found.columns["tracks"][14]
+    assert found.columns["sigma_p (MeV/c)"][16] > 1.5 * found.columns["sigma_p (MeV/c)"][10]
+    few = sweep(DESIGN, space, evaluate=Evaluation(quantities=["dz", "pt"], samples=3))
+    assert [name for name in few.results if name.startswith("sigma")] == ["sigma_dz (mm)", "sigma_pt (MeV/c)"]
+    expected = cg.analytic(few.detector(1), samples=3).sigma("dz")
+    assert few.columns["sigma_dz (mm)"][1] == pytest.approx(float(expected), rel=1e-12)
+    read_out = cg.Settings(digitize=cg.DigitizeSettings(readout=cg.GaussianReadout(sigma_x=0.3, sigma_v=0.3)))
+    changed = sweep(DESIGN, space, evaluate=Evaluation(settings=read_out))
+    expected = cg.analytic(changed.detector(1), readout=read_out.digitize.readout).sigma("dr")
+    assert changed.columns["sigma_dr (um)"][1] == pytest.approx(float(expected), rel=1e-12)
+
+
+def test_error_of_a_difference_of_widths_of_the_same_events() -> None:
+    random = np.random.default_rng(5)
+    errors, differences = [], []
+    for _ in range(300):
+        common, own = random.normal(size=(2, 400))
+        samples = (common, common + 0.3 * own)
+        one, other = (without_groups(x, np.arange(400), np.std) for x in samples)
+        errors.append(jackknife(one - other))
+        differences.append(samples[1].std() - samples[0].std())
+    spread = np.std(differences)
+    # 300 differences know their spread to 4 %; unpaired errors would be 3 times as large.
+    assert np.mean(errors) == pytest.approx(spread, rel=0.12)
+    assert spread < 0.5 * math.hypot(1, 1.04) / math.sqrt(800)
+
+
+def test_tables_are_written_and_read_back(tmp_path: Path) -> None:
+    found = sweep(DESIGN, PITCHES, evaluate=channels, output=tmp_path)
+    csv = pd.read_csv(tmp_path / "sweep.csv", keep_default_na=False, na_values=["nan"])
+    assert csv.columns.tolist() == list(found.columns)
+    pd.testing.assert_frame_equal(csv, found.to_pandas(), check_dtype=False, rtol=1e-6)
+    pd.testing.assert_frame_equal(pd.read_parquet(found.write_parquet(tmp_path / "t.parquet")), found.to_pandas())
+    assert cg.load(tmp_path / "detector.toml").content_hash == DESIGN.content_hash
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert (summary["status"], summary["variants"]) == ({"impossible": 2, "ok": 3}, 4)
+    assert "impossible" in repr(found)
+    assert "<table>" in found._repr_html_()
+
+
+class Counting(Executor):
+    """Runs what is submitted at once, and counts it; interrupts like Ctrl-C after some."""
+
+    def __init__(self, stop: int = 10**9) -> None:
+        self.submitted, self.stop = 0, stop
+
+    def submit(self, function: Callable[..., Any], /, *given: Any, **named: Any) -> Future[Any]:
+        """Return a future that is done."""
+        self.submitted += 1
+        future: Future[Any] = Future()
+        if self.submitted > self.stop:
+            future.set_exception(KeyboardInterrupt())
+        else:
+            future.set_result(function(*given, **named))
+        return future
+
+
+class Losing(Counting):
+    """Loses the first tasks, as Dask's executor may if a worker dies while its result is fetched."""
+
+    def __init__(self, lost: int) -> None:
+        super().__init__()
+        self.lost = lost
+
+    def submit(self, function: Callable[..., Any], /, *given: Any, **named: Any) -> Future[Any]:
+        """Return a future that is done, with an error of the executor's own if the task is lost."""
+        future = super().submit(function, *given, **named)
+        if self.submitted <= self.lost:
+            future = Future()
+            future.set_exception(ValueError("too many values to unpack (expected 3)"))
+        return future
+
+
+def test_what_an_executor_loses_is_computed_once_more(tmp_path: Path) -> None:
+    expected = sweep(DESIGN, PITCHES, evaluate=Evaluation(channels, chunk=1))
+    tasks = len(expected)
+    losing = Losing(2)
+    found = sweep(DESIGN, PITCHES, Evaluation(channels, chunk=1), output=tmp_path / "out", executor=losing)
+    assert losing.submitted == tasks + 2
+    assert found.columns == expected.columns
+    with pytest.raises(ValueError, match="too many values to unpack"):
+        sweep(DESIGN, PITCHES, evaluate=Evaluation(channels, chunk=1), executor=Losing(tasks + 1))
+
+
+class Unfinished:
+    """An evaluation whose last step fails."""
+
+    def described(self) -> dict[str, Any]:
+        """Return nothing that results depend on."""
+        return {}
+
+    def __call__(self, detector: Detector) -> str:
+        """Return something."""
+        return detector.name
+
+    def results(self, found: Sequence[Any]) -> list[dict[str, Any]]:
+        """Fail."""
+        raise RuntimeError(f"no results of {found}")
+
+
+def test_results_that_fail_are_rows() -> None:
+    (row,) = rows_of_text(work(Task((DESIGN,), ({},), Unfinished())))
+    assert (row["status"], row["problems"]) == ("failed", [f"RuntimeError: no results of ['{DESIGN.name}']"])
+
+
+def test_a_function_that_fails_is_a_row_and_is_tried_again(tmp_path: Path) -> None:
+    broken = [True]
+
+    def fragile(detector: Detector) -> dict[str, Any]:
+        if broken[0] and detector.cgem[0].foils == 2:
+            raise RuntimeError("no licence")
+        return {"foils": detector.cgem[0].foils}
+
+    space = {"cgem.L1.foils": [1, 2]}
+    first = sweep(DESIGN, space, evaluate=fragile, output=tmp_path / "out")
+    assert first.columns["status"] == ["ok", "ok", "failed"]
+    assert first.columns["problems"][2] == "RuntimeError: no licence"
+    broken[0] = False
+    again = Counting()
+    second = sweep(DESIGN, space, evaluate=fragile, output=tmp_path / "out", executor=again)
+    assert (again.submitted, second.columns["foils"]) == (1, [3, 1, 2])
+
+
+def test_a_sweep_goes_on_where_it_was_interrupted(tmp_path: Path) -> None:
+    whole = sweep(DESIGN, PITCHES, evaluate=channels, output=tmp_path / "whole")
+    with pytest.raises(KeyboardInterrupt):
+        sweep(DESIGN, PITCHES, evaluate=channels, output=tmp_path / "out", executor=Counting(stop=2))
+    rest = Counting()
+    found = sweep(DESIGN, PITCHES, evaluate=channels, output=tmp_path / "out", executor=rest)
+    assert rest.submitted == 3
+    assert found.columns.keys() == whole.columns.keys()
+    for name in ("sweep.csv", "summary.json", "detector.toml"):
+        assert (tmp_path / "out" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
+    nothing = Counting()
+    larger = {"cgem.*.pitch_x": ["400 um", "900 um", "500 um"], "cgem.L2.anode_radius": ["132.5 mm", "160 mm"]}
+    sweep(DESIGN, PITCHES, evaluate=channels, output=tmp_path / "out", executor=nothing)
+    sweep(DESIGN, larger, evaluate=channels, output=tmp_path / "out", executor=nothing)
+    assert nothing.submitted == 2  # the new pitch
+
+
+@pytest.mark.parametrize("damage", ["cut", "flip", "empty", "other"])
+def test_damaged_chunks_are_found_and_computed_anew(tmp_path: Path, damage: str) -> None:
+    first = sweep(DESIGN, PITCHES, evaluate=channels, output=tmp_path)
+    before = (tmp_path / "sweep.csv").read_bytes()
+    chunk, other, *_ = sorted((tmp_path / "chunks").iterdir())
+    text = chunk.read_text()
+    marked = "ok" if "ok" in text else "impossible"
+    changed = {
+        "cut": text[:-30],
+        "flip": text.replace(marked, marked[::-1], 1),
+        "empty": "",
+        "other": other.read_text(),
+    }
+    chunk.write_text(changed[damage])
+    counted = Counting()
+    again = sweep(DESIGN, PITCHES, evaluate=channels, output=tmp_path, executor=counted)
+    assert counted.submitted == 1
+    assert str(again.columns) == str(first.columns)
+    assert (tmp_path / "sweep.csv").read_bytes() == before
+
+
+@pytest.mark.slow
+def test_chunks_depend_on_all_that_results_depend_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def computed(**how: Any) -> int:
+        counted = Counting()
+        base = how.pop("base", DESIGN)
+        evaluate = Evaluation("mc", **{"events": 20} | how)
+        sweep(base, {"cgem.L1.foils": [2]}, evaluate, output=tmp_path, executor=counted)
+        return counted.submitted
+
+    assert computed() == 2
+    assert computed() == 0
+    assert computed(base=DESIGN.with_overrides({"name": "other"})) == 0
+    for change in ({"seed": 2}, {"events": 21}, {"p": 0.5}, {"cos_theta": 0.1}, {"particle": "pi-"},
+                   {"quantities": ["dr"]}, {"base": DESIGN.with_overrides({"field.bz": "0.9 T"})},
+                   {"settings": cg.Settings(simulate=cg.SimulateSettings(deltas=False))}):  # fmt: skip
+        assert computed(**change) == 2, change
+    monkeypatch.setattr(sys.modules["cgemit.study.sweep.run"], "PHYSICS", 10**6)
+    assert computed() == 2
+
+
+def test_folders_of_others_are_left_alone(tmp_path: Path) -> None:
+    (tmp_path / "mine.txt").write_text("mine")
+    with pytest.raises(ValueError, match="already holds files"):
+        sweep(DESIGN, PITCHES, evaluate=channels, output=tmp_path)
+    sweep(DESIGN, PITCHES, evaluate=channels, output=tmp_path / "out")
+    with pytest.raises(ValueError, match="already holds a sweep"):
+        sweep(DESIGN, PITCHES, evaluate=channels, output=tmp_path / "out", resume=False)
+    counted = Counting()
+    sweep(DESIGN, PITCHES, evaluate=channels, output=tmp_path / "out", overwrite=True, executor=counted)
+    assert counted.submitted == 5
+
+
+@pytest.fixture(scope="module")
+def serial(tmp_path_factory: pytest.TempPathFactory) -> list[bytes]:
+    with ThreadPoolExecutor(1) as one:
+        return swept(tmp_path_factory.mktemp("serial") / "out", executor=one)
+
+
+@pytest.mark.slow
+def test_every_executor_makes_the_same_files(serial: list[bytes], tmp_path: Path) -> None:
+    assert swept(tmp_path / "threads") == serial
+    assert swept(tmp_path / "large chunks", chunk=4) == serial
+    with ProcessPoolExecutor(2) as pool:
+        assert swept(tmp_path / "processes", executor=pool) == serial
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore")  # of dask, about the cluster that is taken apart
+def test_dask_makes_the_same_files_when_a_worker_is_killed(serial: list[bytes], tmp_path: Path) -> None:
+    distributed = pytest.importorskip("distributed")
+    with (
+        distributed.LocalCluster(
+            n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, local_directory=str(tmp_path)
+        ) as cluster,
+        distributed.Client(cluster) as client,
+    ):
+        workers = [nanny.pid for nanny in cluster.workers.values()]
+        killed = []
+
+        def kill_one(done: float, label: str) -> None:
+            if done > 0.2 and not killed:
+                killed.append(workers[0])
+                os.kill(workers[0], signal.SIGKILL)
+
+        executor: Executor = client.get_executor()
+        assert swept(tmp_path / "out", executor=executor, progress=kill_one) == serial
+    assert killed
+
+
+@pytest.mark.slow
+def test_a_killed_sweep_ends_as_an_uninterrupted_one(serial: list[bytes], tmp_path: Path) -> None:
+    folder = tmp_path / "out"
+    assert killed_until_complete(folder, "threads", [0.0, 0.2, 0.1]) > 0
+    assert written(folder) == serial
+    assert sorted(path.name for path in folder.iterdir()) == ["chunks", *sorted(FILES)]
+    assert not list((folder / "chunks").glob(".*"))
+
+
+def test_variants_of_the_space_are_not_all_alike() -> None:
+    found = sweep("besiii-cgem-design", SPACE, evaluate=lambda detector: {"name": detector.name})
+    assert sorted(found.columns["status"]) == ["impossible"] * 4 + ["ok"] * 5
+    assert cg.load("besiii-cgem-design").name == found.columns["name"][0]
