@@ -183,7 +183,7 @@ def add_settings(parser: argparse.ArgumentParser) -> None:
     """Add `--settings`."""
     parser.add_argument(
         "--settings", metavar="FILE",
-        help="settings of the stages: a TOML or JSON file with tables such as [fit] (see: cgemit settings), or the "
+        help="settings of the stages: a TOML file with tables such as [fit] (see: cgemit settings), or the "
         "run.json of earlier results; --set comes after it; options that stand for a setting, such as --no-deltas, "
         "come last, and are an error where --set says otherwise",
     )  # fmt: skip

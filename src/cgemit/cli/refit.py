@@ -93,7 +93,7 @@ def _write(found: dict[str, Refit], text: str, folder: str, *, overwrite: bool) 
     pictures = {kind: draw_refit(one) for kind, one in found.items() if one.good.any()}
     with new_folder(Path(folder), overwrite=overwrite) as made:
         for kind, one in found.items():
-            write_csv(made / f"{kind}.csv", one.columns)
+            write_csv(made / f"{kind}.csv", one.columns, digits=17)
         for kind, picture in pictures.items():
             picture.save(made / kind)
         (made / SUMMARY).write_text(text + "\n", encoding="utf-8")

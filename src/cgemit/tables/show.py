@@ -187,10 +187,10 @@ def shown(text: str) -> str:
     return re.sub(r"\bum\b", "µm", text)
 
 
-def write_csv(path: Path, columns: Mapping[str, Sequence[Any] | npt.NDArray[Any]]) -> None:
-    """Write columns under headers that carry the unit, such as ``sigma_p (MeV/c)``."""
+def write_csv(path: Path, columns: Mapping[str, Sequence[Any] | npt.NDArray[Any]], digits: int = 7) -> None:
+    """Write columns under headers that carry the unit, such as ``sigma_p (MeV/c)``; 17 digits are exact."""
     with path.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.writer(stream, lineterminator="\n")
         writer.writerow(columns)
         for row in zip(*columns.values(), strict=True):
-            writer.writerow(f"{value:.7g}" if isinstance(value, float) else value for value in row)
+            writer.writerow(f"{value:.{digits}g}" if isinstance(value, float) else value for value in row)

@@ -125,6 +125,15 @@ def replace_table(**how: Any) -> Callable[[Path], None]:
     return change
 
 
+def index_of(name: str) -> Callable[[Path], None]:
+    """Make a table the only one that a folder lists."""
+
+    def damage(folder: Path) -> None:
+        (folder / "tables.json").write_text(json.dumps({name: {"suffix": ".npz"}}))
+
+    return damage
+
+
 def wrong_kind(folder: Path) -> None:
     """Give the truths under the name of the digis."""
     shutil.copy(folder / "truths.npz", folder / "digis.npz")
@@ -138,8 +147,8 @@ def wrong_kind(folder: Path) -> None:
         (truncate("tables.json"), "tables.json is damaged"),
         (lambda folder: (folder / "clusters.npz").unlink(), "clusters.npz: "),
         (lambda folder: (folder / "tables.json").unlink(), "tables.json is missing"),
-        (lambda folder: (folder / "tables.json").write_text('{"tracks": {}}'), "particles.npz: got nothing"),
-        (lambda folder: (folder / "tables.json").write_text('{"hits": {}}'), "hits.npz: got a table that no run has"),
+        (index_of("tracks"), "particles.npz: got nothing"),
+        (index_of("hits"), "hits.npz: got a table that no run has"),
         (wrong_kind, "digis.npz: got a table of kind 'truths', expected 'digis'"),
         (replace_table(seed=1), f"digis.npz: seed: got 1, expected {2**63 + 1}, as run.json says"),
         (replace_table(settings=Settings()), "digis.npz: configuration: got "),

@@ -212,7 +212,7 @@ def test_keep_says_what_is_wrong() -> None:
         cg.run(DESIGN, gun, 1, keep=["tracs"])
     with pytest.raises(ValueError, match="keep: got no table"):
         cg.run(DESIGN, gun, 1, keep=[])
-    with pytest.raises(ValueError, match="keep: got states, which this run does not make, only particles"):
+    with pytest.raises(ValueError, match="keep: got states, which this run does not make, expected some of particles"):
         cg.run(DESIGN, gun, 1, keep=["states"])
     with pytest.raises(ValueError, match=r"format: got 'parket', expected one of 'npz', .*; did you mean \"parquet\""):
         cg.run(DESIGN, gun, 1, output=cg.Output("never", format="parket"))

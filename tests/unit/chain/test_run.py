@@ -153,10 +153,10 @@ def test_no_events() -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"n": -1}, "n: -1"),
-        ({"n": 5, "workers": Workers(chunk=0)}, "chunk: 0"),
-        ({"n": 5, "workers": 0}, "threads: 0"),
-        ({"n": 2.5, "seed": -1, "workers": Workers(chunk=0.5)}, r"(?s)n: 2\.5.*chunk: 0\.5.*seed: -1"),
+        ({"n": -1}, "n: got -1"),
+        ({"n": 5, "workers": Workers(chunk=0)}, "chunk: got 0"),
+        ({"n": 5, "workers": 0}, "threads: got 0"),
+        ({"n": 2.5, "seed": -1, "workers": Workers(chunk=0.5)}, r"(?s)n: got 2\.5.*chunk: got 0\.5.*seed: got -1"),
         ({"n": 5, "detector": "besii-cgem"}, "besiii-cgem"),
     ],
 )
@@ -269,7 +269,7 @@ def test_all_problems_of_a_run_at_once(nothing_runs):
             output=cg.Output("folder", format="xlsx"),
         )
     text = str(refused.value)
-    for part in ("cgem.L9", "n: -1", "seed: -2", "finder: got 'no'", "until: got 'never'", "readout", "xlsx"):
+    for part in ("cgem.L9", "n: got -1", "seed: got -2", "finder: got 'no'", "until: got 'never'", "readout", "xlsx"):
         assert part in text, part
     assert text.count("run:") == 1
     with pytest.raises(cg.DetectorError):  # one problem keeps its own kind
@@ -277,7 +277,7 @@ def test_all_problems_of_a_run_at_once(nothing_runs):
 
 
 def test_tables_to_keep_are_checked_first(nothing_runs):
-    with pytest.raises(ValueError, match="keep: got tracks, which this run does not make, only particles"):
+    with pytest.raises(ValueError, match="keep: got tracks, which this run does not make, expected some of particles"):
         cg.run("besiii-cgem", GUN_REFUSALS, n=2, until="find", keep=["tracks", "clusters"])
     with pytest.raises(ValueError, match="keep: got states"):
         cg.run("besiii-cgem", GUN_REFUSALS, n=2, keep="states")

@@ -449,7 +449,7 @@ def test_kinds_replace_each_other(design_files):
 def test_every_mistake_of_a_field_table(design_files, field, problems):
     with pytest.raises(DetectorError) as error:
         design_files.with_field(field)
-    assert [problem.path for problem in error.value.problems] == problems
+    assert sorted(problem.path for problem in error.value.problems) == sorted(problems)
 
 
 def test_unknown_fields_are_named(design_files, tmp_path):

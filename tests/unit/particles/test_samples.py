@@ -322,7 +322,7 @@ def test_mistakes_are_listed_together() -> None:
     with pytest.raises(ParticleError) as error:
         cg.sample("jpsi-rhopi", p=1, cos_theta=0, crossing="1 mm")
     assert len(error.value.problems) == 3
-    with pytest.raises(ParticleError, match="mass: got an unknown option"):
+    with pytest.raises(ParticleError, match="mass: got an unknown key"):
         cg.sample("ks-pipi", mass=1)
 
 

@@ -144,14 +144,14 @@ def test_lists_per_event_are_particles() -> None:
 
 def test_lists_that_are_none_are_refused() -> None:
     flat = ak.Array([{"pdg": 13, "px": 1.0, "py": 0.0, "pz": 0.0}])
-    with pytest.raises(ParticleError, match=r"no list of records per event .got pdg 1, px 1, py 1, pz 1 dimensions"):
+    with pytest.raises(ParticleError, match=r"a list of records per event .got pdg 1, px 1, py 1, pz 1 dimensions"):
         particles_from(flat)
     with pytest.raises(ParticleError, match="got no fields dimensions"):
         particles_from(ak.Array([[1, 2]]))
     uneven = ak.zip({"pdg": ak.Array([[13], []]), "px": ak.Array([[1.0], [2.0]])}, depth_limit=1)
     with pytest.raises(ParticleError, match="px: got lists of other lengths than pdg"):
         particles_from(uneven)
-    with pytest.raises(ParticleError, match="py: missing"):
+    with pytest.raises(ParticleError, match="py: got nothing"):
         particles_from(ak.Array([[{"pdg": 13, "px": 1.0, "pz": 1.0}]]))
 
 
@@ -162,7 +162,7 @@ def test_the_command_line_takes_particles(file: Path, tmp_path: Path, capsys: An
     assert main([*words, "--overwrite", "--particles", str(file), "--p", "1", "--vertex", "1,2,3"]) == 2
     assert "--particles: got --p, --vertex, too; expected particles of a file or of a gun" in capsys.readouterr().err
     assert main([*words, "--overwrite", "--particles", str(file), "-n", "5"]) == 2
-    assert "n: 5, but the table of particles holds 4 events" in capsys.readouterr().err
+    assert "n: got 5, expected 4, the events of the table of particles" in capsys.readouterr().err
     assert main([*words, "--overwrite", "--theta", "1"]) == 2
     assert "got no -n, no --p or --pt; expected all of them, or --particles FILE" in capsys.readouterr().err
 

@@ -289,8 +289,8 @@ ON = dataclasses.replace(OFF, random_neighbours=True)
 MUONS = cg.Gun("mu-", p=1.0, cos_theta=(-0.6, 0.6))
 
 
-def digis_of(readout: cg.Apv25Readout, n: int = 400, **options: int) -> Table:
-    return cg.run(STRAIGHT, MUONS, n, seed=4, readout=readout, until="digitize", **options).digis
+def digis_of(readout: cg.Apv25Readout, n: int = 400, workers: cg.Workers | None = None) -> Table:
+    return cg.run(STRAIGHT, MUONS, n, seed=4, readout=readout, until="digitize", workers=workers).digis
 
 
 @pytest.fixture(scope="module")
@@ -388,7 +388,7 @@ def test_both_sides_and_strips_are_independent(digis: tuple[Table, Table]) -> No
 
 
 def test_any_chunks_give_the_same_bytes() -> None:
-    one, other = digis_of(ON, 60), digis_of(ON, 60, chunk=7, threads=2)
+    one, other = digis_of(ON, 60), digis_of(ON, 60, cg.Workers(chunk=7, threads=2))
     for name in one.columns:
         assert one[name].tobytes() == other[name].tobytes(), name
 

@@ -371,7 +371,7 @@ def test_clusters_of_a_chip_have_the_correlation_of_its_calibration(second_pass:
     readout = cg.TigerReadout(second_pass=second_pass)
     calibration = calibration_of(DESIGN, readout)
     result = cg.run(DESIGN, cg.Gun("mu-", p=1.0, cos_theta=0.3), 20, readout=readout)
-    clusters, hits = result.clusters, result.candidate_hits
+    clusters, hits = result.fitted_hits[0], result.candidate_hits
     used = np.zeros(len(clusters), np.bool_)
     used[hits["row"][hits["view"] < HIT_WIRE]] = True
     by_angle = calibration.correlations[:, ESTIMATORS.index("merged")]
