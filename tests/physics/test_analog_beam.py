@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cgemit import Apv25Readout, Gun, ProjectionReadout, TigerReadout, analytic, load, run
+from cgemit import Apv25Readout, Gun, ProjectionReadout, TigerReadout, analytic, load, resolution, run
 from cgemit.analysis.widths import measure
 from cgemit.covariance.result import Covariance
 from cgemit.detector.gas import ionization, mean_shift
@@ -174,7 +174,7 @@ def as_expected(
     tracks = run(design, Gun("mu-", p=1.0, cos_theta=cos_theta), n, seed=9, readout=readout).tracks
     expected = analytic(design, "mu-", p=1.0, cos_theta=cos_theta, readout=readout)
     for name in ("dr", "dz", "p"):
-        found = measure(tracks[f"res_{name}"][tracks["status"] == 0])
+        found = resolution(tracks, name)
         ratio = float(np.squeeze(getattr(expected, f"sigma_{name}"))) / found.core
         assert abs(ratio - 1) < 0.05 + 1.5 * found.core_error / found.core, (name, ratio)
     return expected
@@ -212,7 +212,7 @@ def test_pulls_of_clusters_by_charge_and_size(second_pass: bool) -> None:
     result = run(
         load("besiii-cgem-design"), Gun("mu-", p=1.0, cos_theta=(-0.93, 0.93)), 12_000, seed=8, readout=readout
     )
-    clusters = result.clusters
+    clusters = result.fitted_hits[0]
     own = truth.own_clusters(result.detector, clusters, result.truths)
     pull = truth.residuals(result.detector, clusters, result.truths, own)
     pull /= np.where(clusters["view"] == 0, clusters["err_x"], clusters["err_v"])[own]
