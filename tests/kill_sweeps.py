@@ -15,6 +15,7 @@ import time
 from collections.abc import Iterator
 from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -27,9 +28,9 @@ EVENTS = 40_000  # of the twenty kills: a chunk takes longer than most delays, s
 WAYS = ("serial", "threads", "processes", "dask")
 
 
-def swept(folder: Path, **how: Any) -> list[bytes]:
+def swept(folder: Path, events: int = HOW.events, **how: Any) -> list[bytes]:
     """Return the files that a sweep writes."""
-    sweep("besiii-cgem-design", SPACE, output=folder, evaluate=HOW, **how)
+    sweep("besiii-cgem-design", SPACE, output=folder, evaluate=replace(HOW, events=events), **how)
     return written(folder)
 
 

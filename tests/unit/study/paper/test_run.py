@@ -275,7 +275,7 @@ def test_pictures(result, tmp_path):
         assert draw_of_cgemit.residual(result, name)._repr_png_().startswith(b"\x89PNG")
     assert draw_of_cgemit.residual(result.tracks, "p").axes[0].get_title(loc="left") == ""
     with pytest.raises(ValueError, match="parameter"):
-        draw_of_cgemit.residual(result, "pt")
+        draw_of_cgemit.residual(result, "charge")
     picture = draw_of_cgemit.event(result, 7)
     assert [path.name for path in picture.save(tmp_path / "p-1.0")] == ["p-1.0.png", "p-1.0.pdf"]
     assert [path.name for path in picture.save(tmp_path / "p.pdf")] == ["p.pdf"]
