@@ -28,9 +28,9 @@ EVENTS = 40_000  # of the twenty kills: a chunk takes longer than most delays, s
 WAYS = ("serial", "threads", "processes", "dask")
 
 
-def swept(folder: Path, events: int = HOW.events, **how: Any) -> list[bytes]:
+def swept(folder: Path, *, events: int = HOW.events, chunk: int | None = None, **how: Any) -> list[bytes]:
     """Return the files that a sweep writes."""
-    sweep("besiii-cgem-design", SPACE, output=folder, evaluate=replace(HOW, events=events), **how)
+    sweep("besiii-cgem-design", SPACE, output=folder, evaluate=replace(HOW, events=events, chunk=chunk), **how)
     return written(folder)
 
 
