@@ -122,12 +122,12 @@ class Problems(list[Problem]):
         else:
             self.note(path, str(error), "")
 
-    def collect(self, check: Callable[..., R], *given: Any, **named: Any) -> R | None:
-        """Return what a check returns; None, with the problems added, if it raises a ValueError."""
+    def collect(self, check: Callable[..., R], *given: Any, path: str = "", **named: Any) -> R | None:
+        """Return what a check returns; None, with the problems added below a path, if it raises a ValueError."""
         try:
             return check(*given, **named)
         except ValueError as error:
-            self.take(error)
+            self.take(error, path)
             self._errors.append(error)
         return None
 

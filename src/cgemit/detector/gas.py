@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgemit import _core
+from cgemit.base.errors import Problems, refuse
 from cgemit.detector.detector import Detector
 from cgemit.detector.material import Material
 from cgemit.detector.parts import CgemLayer, Contents, Shell
@@ -414,19 +415,16 @@ def layer_drift(layer: CgemLayer, bz: float) -> LayerDrift:
     """
     gas = layer.gas.ionization
     if not gas:
-        raise ValueError(
-            f"cgem.{layer.label}.gas: got {layer.gas.name} without a table of electron transport, "
-            'expected a gas with ionization = "ar-ic4h10-90-10" or "ar-co2-70-30"'
-        )
-    problems: list[str] = []
+        expected = 'a gas with ionization = "ar-ic4h10-90-10" or "ar-co2-70-30"'
+        refuse("electron transport", "gas", f"{layer.gas.name} without a table of electron transport", expected)
+    problems = Problems()
     found = []
     for name in ("drift_field", "transfer_field", "induction_field"):
         try:
             found.append(transport(gas, getattr(layer, name), bz))
         except ValueError as error:
-            problems.append(f"cgem.{layer.label}.{name}: {error}")
-    if problems:
-        raise ValueError("\n".join(problems))
+            problems.take(error, name)
+    problems.report("electron transport")
     drift, transfer, induction = found
     gaps = _gaps_behind(layer, transfer, induction)
     sign = math.copysign(1.0, bz)
@@ -470,14 +468,13 @@ def drift_columns(detector: Detector) -> dict[str, Floats]:
     ValueError
         Listing the problems of all layers.
     """
-    problems, found = [], []
+    problems, found = Problems(), []
     for layer in detector.cgem:
         try:
             found.append(layer_drift(layer, detector.field.bz))
         except ValueError as error:
-            problems += str(error).splitlines()
-    if problems:
-        raise ValueError("\n  ".join([f"{detector.name}: no electron transport for the read-out", *problems]))
+            problems.take(error, f"cgem.{layer.label}")
+    problems.report(f"{detector.name}: no electron transport for the read-out")
     columns = np.array(found, np.float64).reshape(-1, len(LayerDrift._fields)).T
     return dict(zip(LayerDrift._fields, columns.copy(), strict=True))
 
