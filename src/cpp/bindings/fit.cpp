@@ -118,8 +118,8 @@ py::dict run(const Detector& detector, const Array<std::int64_t>& hit_offsets, c
 
 void bind_fit(py::module_& module) {
   module.def("fit", &run, py::arg("detector"), py::kw_only(), py::arg("hit_offsets"), py::arg("hits"),
-             py::arg("mass"), py::arg("start"), py::arg_v("start_radius", Array<double>(0), "..."), py::arg("settings"),
-             py::arg("residuals"), py::arg("states") = false,
+             py::arg("mass"), py::arg("start"), py::arg_v("start_radius", Array<double>(0), "..."),
+             py::arg("settings"), py::arg("residuals"), py::arg("states") = false,
              "Fit one track per row of hit_offsets: columns of the tracks and, if requested, of the "
              "residuals of the hits and of the last iteration, from which states along the tracks are made.");
 }

@@ -1,8 +1,8 @@
 // Compiled once per instruction set, with CGEMIT_ISA its name and CGEMIT_LANES the width of its registers.
 #include "common/compiler.hpp"
 #include "covariance/batch.hpp"
-#include "kernels/testing.hpp"
 #include "kernels/kernels.hpp"
+#include "kernels/testing.hpp"
 #include "reconstruction/fit/batch.hpp"
 #include "simulation/digitize/analog_batch.hpp"
 #include "simulation/transport/batch.hpp"
