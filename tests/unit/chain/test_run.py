@@ -22,6 +22,7 @@ from cgemit.chain.result import Result
 from cgemit.chain.run import run
 from cgemit.chain.settings import STAGES, TABLES, Settings, tables_made
 from cgemit.detector import load, write_field_map
+from cgemit.detector.readouts import READOUTS
 from cgemit.particles.gun import Gun
 from cgemit.particles.table import particles_from
 from cgemit.reconstruction.cluster_errors import CalibrationError, calibration_of, read_calibration
@@ -243,6 +244,57 @@ def test_particles_of_events_with_gaps() -> None:
         seed=3,
     )
     assert alone.tracks["dr"][0] == found.tracks["dr"][1]
+
+
+NEUTRAL, MUON = (
+    particles_from({"event": [0], "pdg": [pdg], "px": [0.3], "py": [0.2], "pz": [0.1]}) for pdg in (22, 13)
+)
+RAW = DigitizeSettings(wire_times="raw")
+EMPTY_CHUNKS = {
+    "simulate": {"until": "simulate", "settings": Settings(simulate=SimulateSettings(steps=True))},
+    **{until: {"until": until} for until in STAGES[1:]},
+    "residuals": {"settings": SETTINGS},
+    "states": {"settings": Settings(fit=FitSettings(states=("origin", "beam_line", "beam_pipe", "hits", 400.0)))},
+    "hypotheses": {"settings": Settings(fit=FitSettings(hypothesis=("mu", "K"), residuals=True, states=("hits",)))},
+    "ckf": {"finder": "ckf", "settings": Settings(fit=FitSettings(states=("hits",)))},
+    **{f"{readout}": {"readout": readout} for readout in READOUTS},
+    "background": {
+        "finder": "ckf",
+        "settings": Settings(background=cg.BackgroundSettings(level="bes2026", factor=0.1)),
+    },
+    "start times": {"settings": Settings(background=cg.BackgroundSettings(start_time=3.0))},
+    **{
+        f"refine {times} {error} {again} {finder}": {
+            "finder": finder,
+            "settings": Settings(
+                digitize=RAW if times == "raw" else DigitizeSettings(),
+                fit=FitSettings(states=("hits",)),
+                refine=cg.RefineSettings(
+                    drift_times=times, start_time="fitted", start_time_error=error, find_again=again
+                ),
+            ),
+        }
+        for times, error, again, finder in (
+            ("raw", None, True, "truth"),
+            ("raw", 3.0, True, "ckf"),
+            ("corrected", None, False, "ckf"),
+        )
+    },
+}
+
+
+@pytest.mark.parametrize("case", EMPTY_CHUNKS)
+def test_chunks_without_tracks(case: str) -> None:
+    """A chunk without a track, or without a particle, changes nothing of the chunks beside it."""
+    how = EMPTY_CHUNKS[case] | {"seed": 3}
+    rows = {name: np.concatenate([NEUTRAL[name], MUON[name]]) for name in NEUTRAL.columns} | {"event": [0, 2]}
+    particles = Table("particles", rows, 4)
+    whole = run("besiii-cgem", particles, **how)
+    assert run("besiii-cgem", particles, **how, workers=Workers(chunk=1)) == whole
+    for nothing in (NEUTRAL, Table.empty("particles", 3)):
+        alone = run("besiii-cgem", nothing, **how)
+        assert list(alone.tables) == list(whole.tables)
+        assert alone.rows.get("tracks", 0) == 0 or "background" in case
 
 
 GUN_REFUSALS = cg.Gun("mu-", p=1, cos_theta=(-0.5, 0.5))
