@@ -8,7 +8,6 @@ import importlib
 import json
 import math
 import os
-import re
 import secrets
 import shutil
 import stat
@@ -51,7 +50,7 @@ def package(name: str, extra: str = "io") -> Any:
 
 @contextmanager
 def new_file(path: str | os.PathLike[str], *, overwrite: bool = False) -> Iterator[Path]:
-    """Give a temporary path in the folder of `path` that becomes `path` when the block ends well.
+    """Give a temporary path that becomes `path` when the block ends well.
 
     If the block raises (Ctrl-C too), nothing is left behind, so that no half-written file can look complete.
 
@@ -66,19 +65,53 @@ def new_file(path: str | os.PathLike[str], *, overwrite: bool = False) -> Iterat
     _refuse_existing(target, overwrite)
     if not target.parent.is_dir():
         raise FileNotFoundError(f"{target}: there is no folder {target.parent}")
-    # The suffix stays, since writers such as matplotlib choose the format by it.
-    temporary = target.with_name(f".{target.stem}-{secrets.token_hex(4)}.tmp{target.suffix}")
-    try:
-        yield temporary
+    with _temporary(target.parent) as folder:
+        yield folder / target.name  # with its suffix, by which writers such as matplotlib choose the format
         _refuse_existing(target, overwrite)
-        temporary.replace(target)
-    finally:
-        temporary.unlink(missing_ok=True)
+        (folder / target.name).replace(target)
 
 
 def _refuse_existing(target: Path, overwrite: bool) -> None:
     if target.exists() and not overwrite:
         raise FileExistsError(f"{target} exists; pass overwrite=True to replace it")
+
+
+@contextmanager
+def _temporary(place: Path) -> Iterator[Path]:
+    """Give a folder in `place` that is removed at the end, locked until then; remove those that killed runs left."""
+    remove_left(place)
+    while True:
+        folder = place / f".cgemit-{secrets.token_hex(4)}.tmp"
+        folder.mkdir()
+        with contextlib.suppress(FileNotFoundError):  # before it is locked, another run may take it for abandoned
+            lock = os.open(folder, os.O_RDONLY)
+            _lock(lock)
+            if folder.exists():
+                break
+            os.close(lock)
+    try:
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+        os.close(lock)
+
+
+def remove_left(place: Path) -> None:
+    """Remove the temporary folders in a folder that no running process has locked."""
+    for folder in place.glob(".cgemit-*.tmp"):
+        with contextlib.suppress(OSError):  # locked, or removed by another run
+            lock = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                shutil.rmtree(folder, ignore_errors=True)
+            finally:
+                os.close(lock)
+
+
+def _lock(file: int) -> None:
+    """Wait for the lock of an open file. Where the file system has no locks, abandoned folders stay."""
+    with contextlib.suppress(OSError):
+        fcntl.flock(file, fcntl.LOCK_EX)
 
 
 #: An archive that unpacks to more than this many times its size, and to more than this many bytes, is no data.
@@ -173,6 +206,8 @@ def read_text(path: str | os.PathLike[str], largest: int = LARGEST_TEXT) -> str:
 SUMMARY = "summary.json"
 #: Everything that results depend on.
 RECORD = "run.json"
+#: Names of all that cgemit wrote to a folder of results, a line each.
+CONTENTS = ".cgemit"
 # Files that say what a folder holds: they are moved in last, so a folder that has them is complete.
 _INDEXES = (SUMMARY, RECORD, "tables.json")
 
@@ -185,29 +220,28 @@ class OutputExistsError(FileExistsError, ValueError):
 def new_folder(path: str | os.PathLike[str], *, overwrite: bool = False) -> Iterator[Path]:
     """Give a temporary folder beside `path` whose files come to `path` when the block ends well.
 
-    If the block raises (Ctrl-C too), the temporary folder is removed and `path` is as it was; folders that killed
-    runs left beside `path` are removed, too. A new folder appears at once, by renaming. With `overwrite`, the files
-    are moved into a folder that is there: other files stay, but for `summary.json`, `run.json` and `tables.json`, with
-    the tables that it lists. These are removed first, and come last, so that a folder that has them is complete. Of
-    two runs into the same place, one gets an error, or with `overwrite` the last one replaces the other.
+    If the block raises (Ctrl-C too), the temporary folder is removed and `path` is as it was. A new folder appears at
+    once, by renaming. A folder that is there stays the same folder: its old results are removed, and the new ones are
+    moved into it. Files such as ``run.json`` are removed first and come last, so that a folder that has them is
+    complete. Of two runs into the same place, one gets an error, or with `overwrite` the last one replaces the other.
 
     Raises
     ------
     OutputExistsError
-        If `path` is a file, or a folder that is not empty and `overwrite` is false; asked before the block runs, and
-        again at its end.
+        As `check_free`, before the block runs and again at its end.
+    ValueError
+        If nothing can be written there.
     """
     target = check_free(path, overwrite=overwrite)
     target.parent.mkdir(parents=True, exist_ok=True)
-    _remove_left(target)
-    temporary, lock = _locked(target)
-    try:
-        yield temporary
-        with _alone(target.parent):
-            _publish(temporary, target, overwrite=overwrite)
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
-        os.close(lock)
+    with _temporary(target.parent) as folder:
+        yield folder
+        lock = os.open(target.parent, os.O_RDONLY)
+        try:
+            _lock(lock)
+            _publish(folder, target, overwrite=overwrite)
+        finally:
+            os.close(lock)
 
 
 def check_free(path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
@@ -216,7 +250,8 @@ def check_free(path: str | os.PathLike[str], *, overwrite: bool = False) -> Path
     Raises
     ------
     OutputExistsError
-        If `path` or a folder above it is a file, or `path` is not empty and `overwrite` is false.
+        If `path` or a folder above it is a file, or if `path` is not empty and `overwrite` is false. With `overwrite`,
+        if it holds anything but what `new_folder` put there.
     ValueError
         If nothing can be written there.
     """
@@ -232,85 +267,52 @@ def check_free(path: str | os.PathLike[str], *, overwrite: bool = False) -> Path
         raise OutputExistsError(
             f"{target} already holds files; choose another folder or say --overwrite (in Python: overwrite=True)"
         )
+    if exists and (other := _not_ours(target)):
+        raise OutputExistsError(
+            f"{target} holds {other!r}, which is not of the results that cgemit wrote there; expected a folder with "
+            "nothing else to overwrite"
+        )
     above = next(folder for folder in target.parents if folder.exists())
     if not above.is_dir():
         raise OutputExistsError(f"{target} cannot be made: {above} is a file; expected a folder")
     try:  # permissions do not tell everything: the file system decides
-        tempfile.TemporaryDirectory(prefix=".cgemit-", dir=above).cleanup()
+        tempfile.TemporaryFile(dir=above).close()  # without a name on Linux: nothing stays if the run is killed
     except OSError as error:
         raise ValueError(f"{target}: nothing can be written in {above} ({error.strerror})") from error
     return target
 
 
-def _locked(target: Path) -> tuple[Path, int]:
-    """Make a temporary folder beside the target; return it with its lock, which ends with this process."""
-    while True:
-        temporary = target.with_name(f".{target.name}-{secrets.token_hex(4)}.tmp")
-        temporary.mkdir()
-        # Before it is locked another run may take it for an abandoned one, and remove it.
-        with contextlib.suppress(FileNotFoundError):
-            lock = os.open(temporary, os.O_RDONLY)
-            fcntl.flock(lock, fcntl.LOCK_EX)
-            if temporary.exists():
-                return temporary, lock
-            os.close(lock)
+def _contents(folder: Path) -> Iterator[str]:
+    """Yield the names of all files and folders in a folder, relative to it, but for the list of them."""
+    for path in folder.rglob("*"):
+        name = path.relative_to(folder).as_posix()
+        if name != CONTENTS:
+            yield name
 
 
-@contextmanager
-def _alone(folder: Path) -> Iterator[None]:
-    """Keep other runs from putting results into a folder in the meantime."""
-    lock = os.open(folder, os.O_RDONLY)
-    try:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        yield
-    finally:
-        os.close(lock)
-
-
-def _remove_left(target: Path) -> None:
-    """Remove the temporary folders of the target that no running process has locked."""
-    name = re.compile(rf"\.{re.escape(target.name)}-[0-9a-f]{{8}}\.tmp")
-    for folder in target.parent.iterdir():
-        if not name.fullmatch(folder.name) or folder.is_symlink() or not folder.is_dir():
-            continue
-        with contextlib.suppress(OSError):  # locked, or removed by another run
-            lock = os.open(folder, os.O_RDONLY)
-            try:
-                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                shutil.rmtree(folder, ignore_errors=True)
-            finally:
-                os.close(lock)
+def _not_ours(folder: Path) -> str:
+    """Return the name of something that `new_folder` did not put into a folder, or an empty text."""
+    ours: set[str] = set()
+    with contextlib.suppress(OSError, ValueError):
+        ours.update(read_text(folder / CONTENTS).splitlines())
+    return next((name for name in _contents(folder) if name not in ours), "")
 
 
 def _publish(temporary: Path, target: Path, *, overwrite: bool) -> None:
-    """Rename the temporary folder, or move its files into the target; indexes go first and come last."""
+    """Rename the temporary folder, or move what it holds into the target in place of older results."""
     check_free(target, overwrite=overwrite)
+    (temporary / CONTENTS).write_text("\n".join(_contents(temporary)), encoding="utf-8")
     if not target.exists():
         temporary.rename(target)
         return
-    for name in (*_tables_in(target), *_INDEXES):
-        (target / name).unlink(missing_ok=True)
-    for source in sorted(temporary.rglob("*"), key=lambda file: file.name in _INDEXES):
-        if source.is_file() or source.is_symlink():
-            place = target / source.relative_to(temporary)
-            place.parent.mkdir(parents=True, exist_ok=True)
-            shutil.move(source, place)  # the target may be a mount point
-
-
-def _tables_in(folder: Path) -> list[str]:
-    """Return the files of the tables that an earlier run wrote: beside newer ones they would be taken for their own."""
-    try:
-        names = json.loads((folder / "tables.json").read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return []
-    if not isinstance(names, dict):
-        return []
-    found = []
-    for name, about in names.items():
-        suffix = about.get("suffix", ".npz") if isinstance(about, dict) else ".npz"
-        if re.fullmatch(r"\w+", name) and re.fullmatch(r"\.\w+", str(suffix)):
-            found += [f"{name}{suffix}", *(f"{name}/{path.name}" for path in (folder / name).glob(f"part-*{suffix}"))]
-    return found
+    # The list is there at all times, so that a folder in which a run was killed can be overwritten.
+    for old in sorted(target.iterdir(), key=lambda path: path.name not in _INDEXES):
+        if old.is_dir() and not old.is_symlink():
+            shutil.rmtree(old)
+        elif old.name != CONTENTS:
+            old.unlink()
+    for new in sorted(temporary.iterdir(), key=lambda path: (path.name != CONTENTS, path.name in _INDEXES)):
+        shutil.move(new, target / new.name)  # the target may be a mount point
 
 
 _LARGEST, _LONGEST_LINE = 1_000_000, 4_000  # characters; the time to read dotted keys grows with their square

@@ -224,7 +224,7 @@ class Result:
         ----------
         folder : path
         overwrite : bool
-            Whether the folder may hold files already. Those of the same name are replaced.
+            Whether to replace the results in a folder that holds nothing else.
         command : str
             Command line for run.json, if there was one.
         format : str
@@ -237,7 +237,7 @@ class Result:
         Raises
         ------
         OutputExistsError
-            If the folder holds files and `overwrite` is false.
+            If the folder holds files and `overwrite` is false, or files that are not of earlier results.
         ValueError
             If the format is unknown, or needs a package that is not installed.
         """

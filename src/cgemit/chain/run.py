@@ -73,7 +73,7 @@ class Output:
     format : str
         Of the files, as for `Result.save`.
     overwrite : bool
-        Whether the folder may hold files already.
+        Whether to replace the results in a folder that holds nothing else.
     command : str
         Command line for run.json, if there was one.
     """

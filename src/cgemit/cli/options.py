@@ -468,7 +468,7 @@ def add_output(
     about += f" (default {default})" if default else ""
     parser.add_argument("-o", "--output", metavar="DIR", default=default, required=required, help=about)
     parser.add_argument(
-        "--overwrite", action="store_true", help="write into a folder that already holds files, replacing results"
+        "--overwrite", action="store_true", help="replace the results in a folder that holds nothing else"
     )
 
 

@@ -64,7 +64,7 @@ def test_output_folder_that_cannot_be_written(tmp_path, monkeypatch):
     def refuse(*_, **__):
         raise PermissionError(13, "Permission denied")
 
-    monkeypatch.setattr("cgemit.base.files.tempfile.TemporaryDirectory", refuse)
+    monkeypatch.setattr("cgemit.base.files.tempfile.TemporaryFile", refuse)
     with pytest.raises(ValueError, match=r"nothing can be written in .*Permission denied"):
         check_free(tmp_path / "a" / "b")
 
@@ -79,14 +79,14 @@ def test_output_folder_below_missing_ones_is_free_and_nothing_stays(tmp_path):
 
 def test_overwriting_removes_tables_of_the_run_before(tmp_path):
     folder = tmp_path / "run"
-    (tmp_path / "run").mkdir()
-    (folder / "mine.npz").touch()
     run = [*SIMULATE, "-n", "5", "-o", str(folder), "--overwrite"]
     assert main([*run, "--fit"]) == 0
     assert (folder / "tracks.npz").exists()
     assert main(run) == 0
     assert not (folder / "tracks.npz").exists()
     assert (folder / "clusters.npz").exists()
+    (folder / "mine.npz").touch()
+    assert main(run) == 2
     assert (folder / "mine.npz").exists()
 
 

@@ -3,6 +3,7 @@
 import io
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -13,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cgemit.base.files import OutputExistsError, new_folder, read_npz
+from cgemit.base.files import CONTENTS, OutputExistsError, new_file, new_folder, read_npz
 from cgemit.base.settings import SettingsError
 from cgemit.chain.result import Result
 from cgemit.chain.run import run
@@ -33,7 +34,7 @@ def write(folder, text, **options):
 
 
 def names(folder):
-    return sorted(path.name for path in folder.iterdir())
+    return sorted(path.name for path in folder.iterdir() if path.name != CONTENTS)
 
 
 def test_of_two_runs_into_one_place_the_second_fails(tmp_path):
@@ -49,11 +50,9 @@ def test_of_two_runs_into_one_place_the_second_fails(tmp_path):
 
 
 def test_runs_at_the_same_time_never_mix(tmp_path):
-    """With leave to overwrite, the folder is at all times that of one run, and what others put there stays."""
+    """With leave to overwrite, the folder holds the files of one run in the end."""
     folder = tmp_path / "out"
     write(folder, "0")
-    (folder / "deep").mkdir()
-    (folder / "deep" / "mine.txt").write_text("mine")
 
     def work(text):
         for _ in range(20):
@@ -65,9 +64,8 @@ def test_runs_at_the_same_time_never_mix(tmp_path):
     for thread in threads:
         thread.join()
     last = (folder / "run.json").read_text()
-    assert (folder / f"{last}.txt").exists()
-    assert (folder / "deep" / "mine.txt").read_text() == "mine"
-    assert not list(tmp_path.glob(".*.tmp"))
+    assert names(folder) == [f"{last}.txt", "run.json"]
+    assert names(tmp_path) == ["out"]
 
 
 def test_a_folder_that_another_run_removes_before_it_is_locked_is_made_again(tmp_path, monkeypatch):
@@ -89,11 +87,82 @@ def test_a_folder_that_another_run_removes_before_it_is_locked_is_made_again(tmp
 
 def test_overwriting_replaces_the_tables_as_a_set(tmp_path):
     run("besiii-cgem-design", GUN, 5, seed=1).save(tmp_path / "out")
-    (tmp_path / "out" / "mine.txt").touch()
     run("besiii-cgem-design", GUN, 6, seed=2, until="simulate").save(tmp_path / "out", overwrite=True)
     assert Result.load(tmp_path / "out").seed == 2
     assert not (tmp_path / "out" / "tracks.npz").exists()
-    assert (tmp_path / "out" / "mine.txt").exists()
+    assert names(tmp_path) == ["out"]
+
+
+def everything(folder):
+    """Return all paths in a folder with their modes and contents."""
+    return {path: (path.stat().st_mode, path.read_bytes() if path.is_file() else b"") for path in folder.rglob("*")}
+
+
+@pytest.mark.parametrize("others", ["run.json", ".ssh/", "code/.git/refs/", "0.txt/", "more.txt", "link"])
+def test_folders_that_hold_anything_else_are_not_overwritten(others, tmp_path):
+    """Only what the program wrote is overwritten: no file of the user's, no empty folder, no mode changes."""
+    folder = tmp_path / "home"
+    if others in ("more.txt", "link"):
+        write(folder, "0")
+    folder.mkdir(exist_ok=True)
+    place = folder / others
+    if others == "link":
+        (tmp_path / "elsewhere").mkdir()
+        place.symlink_to(tmp_path / "elsewhere")
+    elif others.endswith("/"):
+        place.mkdir(parents=True)
+        place.chmod(0o700)
+    else:
+        place.write_text('{"of": "the user"}')
+    before = everything(folder)
+    with pytest.raises(OutputExistsError, match=f"holds '{others.split('/')[0]}', which is not of the results"):
+        write(folder, "1", overwrite=True)
+    assert everything(folder) == before
+
+
+def test_results_that_a_folder_got_meanwhile_are_not_overwritten(tmp_path):
+    folder = tmp_path / "out"
+    write(folder, "0")
+    with (  # noqa: PT012
+        pytest.raises(OutputExistsError, match="holds 'mine'"),
+        new_folder(folder, overwrite=True) as place,
+    ):
+        (place / "run.json").write_text("1")
+        (folder / "mine").mkdir()
+    assert names(folder) == ["0.txt", "mine", "run.json"]
+
+
+@pytest.mark.parametrize("step", range(6))
+def test_a_run_that_is_killed_while_it_overwrites_leaves_no_mixture(step, tmp_path, monkeypatch):
+    """Whatever step it was, the folder is incomplete or all new, and can be overwritten."""
+    folder = tmp_path / "out"
+    write(folder, "0")
+    folder.chmod(0o700)
+    left = step
+    unlink, move = Path.unlink, shutil.move
+
+    def counted(function):
+        def called(*args, **kwargs):
+            nonlocal left
+            left -= 1
+            if left < 0:
+                raise KeyboardInterrupt
+            return function(*args, **kwargs)
+
+        return called
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "unlink", counted(unlink))
+        patch.setattr(shutil, "move", counted(move))
+        if step == 5:
+            write(folder, "1", overwrite=True)
+        else:
+            with pytest.raises(KeyboardInterrupt):
+                write(folder, "1", overwrite=True)
+    assert (folder / "run.json").exists() == (step in (0, 5))
+    write(folder, "2", overwrite=True)
+    assert names(folder) == ["2.txt", "run.json"]
+    assert folder.stat().st_mode & 0o777 == 0o700
     assert names(tmp_path) == ["out"]
 
 
@@ -114,37 +183,46 @@ def test_names_of_tables_are_no_paths(name, tmp_path):
         load_tables(tmp_path)
 
 
-def test_a_killed_run_is_cleaned_up_by_the_next(tmp_path):
-    code = """
+@pytest.mark.parametrize("kind", ["new_folder", "new_file"])
+def test_a_killed_run_is_cleaned_up_by_the_next(kind, tmp_path):
+    """Whatever its results are called, and whatever the next one makes in the same place."""
+    code = f"""
 import sys, time
-from cgemit.base.files import new_folder
-with new_folder(sys.argv[1]) as place:
-    (place / "part").touch()
+from cgemit.base.files import {kind}
+with {kind}(sys.argv[1]) as place:
     print(place, flush=True)
     time.sleep(60)
 """
-    folder = tmp_path / "out"
-    with subprocess.Popen([sys.executable, "-c", code, folder], stdout=subprocess.PIPE, text=True) as process:
-        left = Path(process.stdout.readline().strip())
-        write(tmp_path / "other", "1")
-        write(folder, "1")
+    with subprocess.Popen([sys.executable, "-c", code, tmp_path / "out"], stdout=subprocess.PIPE, text=True) as process:
+        left = tmp_path / Path(process.stdout.readline().strip()).relative_to(tmp_path).parts[0]
+        write(tmp_path / "folder", "1")
         assert left.exists()  # of a process that still runs
         process.send_signal(signal.SIGKILL)
         process.wait()
     assert left.exists()
-    write(folder, "2", overwrite=True)
-    assert names(tmp_path) == ["other", "out"]
+    with new_file(tmp_path / "file") as temporary:
+        temporary.touch()
+    assert names(tmp_path) == ["file", "folder"]
 
 
 def test_the_current_folder_stays_the_same(tmp_path, monkeypatch):
     """A shell that stands in the folder must find the new files in it."""
-    (tmp_path / "mine.txt").write_text("mine")
     monkeypatch.chdir(tmp_path)
     inode = tmp_path.stat().st_ino
-    write(".", "1", overwrite=True)
+    write(".", "1")
+    write(".", "2", overwrite=True)
     assert tmp_path.stat().st_ino == inode
-    assert names(tmp_path) == ["1.txt", "mine.txt", "run.json"]
-    assert not list(tmp_path.parent.glob(f".{tmp_path.name}-*"))
+    assert names(tmp_path) == ["2.txt", "run.json"]
+
+
+@pytest.mark.parametrize("length", [200, 230, 255])
+def test_names_as_long_as_the_file_system_has_them(length, tmp_path):
+    write(tmp_path / ("x" * length), "1")
+    write(tmp_path / ("x" * length), "2", overwrite=True)
+    assert names(tmp_path / ("x" * length)) == ["2.txt", "run.json"]
+    with new_file(tmp_path / ("y" * length)) as temporary:
+        temporary.touch()
+    assert names(tmp_path) == ["x" * length, "y" * length]
 
 
 @pytest.mark.parametrize("where", ["loop", "x" * 300, "a\0b"])

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 import cgemit as cg
+from cgemit.base.files import CONTENTS
 from cgemit.chain.record import RecordError, gun_data, gun_from, versions
 from cgemit.chain.result import Result
 from cgemit.chain.run import run
@@ -201,7 +202,10 @@ def test_files_are_replaced_when_asked_only(result: Result, saved: Path) -> None
     assert Result.load(saved) == result
     files = other.save(saved, overwrite=True)
     assert Result.load(saved) == other
-    assert {path.name for path in files} == {path.name for path in saved.iterdir()}  # states and residuals are gone
+    assert {path.name for path in saved.iterdir()} == {
+        CONTENTS,
+        *(path.name for path in files),
+    }  # no states, no residuals
     assert Table.load(saved / "tracks.npz") == other.fitted
 
 

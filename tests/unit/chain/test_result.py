@@ -239,12 +239,11 @@ def test_studies_of_files_give_the_same_numbers(tmp_path: Path, small_parts: Non
 def test_old_parts_do_not_stay_beside_new_ones(tmp_path: Path, small_parts: None) -> None:
     folder = tmp_path / "run"
     cg.run(DESIGN, GUN, output=folder, **HOW)
-    (folder / "notes.txt").write_text("mine")
     with pytest.raises(OutputExistsError):
         cg.run(DESIGN, GUN, output=folder, **HOW)
     shorter = cg.run(DESIGN, GUN, keep="clusters", output=cg.Output(folder, overwrite=True), **HOW | {"n": 4})
     assert sorted(str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()) == [
-        "clusters/part-000000.npz", "detector.toml", "notes.txt", "run.json", "tables.json",
+        ".cgemit", "clusters/part-000000.npz", "detector.toml", "run.json", "tables.json",
     ]  # fmt: skip
     assert shorter.n_events == 4
 
@@ -301,7 +300,7 @@ def test_a_killed_run_is_no_result(tmp_path: Path) -> None:
     arguments = ["simulate", "-d", DESIGN, "--p", "1", "--theta", "1", "--keep", "tracks", "-o", str(tmp_path / "run")]
     work = subprocess.Popen([sys.executable, "-m", "cgemit", *arguments, "-n", "1000000", "--quiet"])
     deadline = time.monotonic() + 60
-    while not list(tmp_path.glob(".run-*.tmp/*")) and time.monotonic() < deadline:
+    while not list(tmp_path.glob(".cgemit-*.tmp/*")) and time.monotonic() < deadline:
         time.sleep(0.05)
     os.kill(work.pid, signal.SIGKILL)
     work.wait()

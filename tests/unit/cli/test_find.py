@@ -30,7 +30,7 @@ def test_files(tmp_path, capsys):
     assert main([*LINE, "-o", str(tmp_path / "out")]) == 0
     assert "efficiency (Belle II)" in capsys.readouterr().out
     names = {path.name for path in (tmp_path / "out").iterdir()}
-    assert names == {"efficiency.png", "efficiency.pdf", "efficiency.csv", "summary.json"}
+    assert names == {"efficiency.png", "efficiency.pdf", "efficiency.csv", "summary.json", ".cgemit"}
     with (tmp_path / "out" / "efficiency.csv").open(encoding="utf-8") as stream:
         rows = list(csv.DictReader(stream))
     for quantity in ("pt", "cos_theta", "phi"):

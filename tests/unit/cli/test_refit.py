@@ -89,7 +89,7 @@ def test_command(file, run, tmp_path, capsys):
     assert "MdcKalTrack): 25 tracks, 25 fitted by both, with besiii-cgem-design" in printed
     assert "chi2/ndf, median: ours" in printed
     names = {f"{kind}.{end}" for kind in ("kal", "mdc") for end in ("csv", "png", "pdf")}
-    assert {path.name for path in out.iterdir()} == names | {"summary.json"}
+    assert {path.name for path in out.iterdir()} == names | {"summary.json", ".cgemit"}
     with (out / "kal.csv").open(encoding="ascii") as stream:
         rows = list(csv.DictReader(stream))
     assert [float(row["boss_dr"]) for row in rows] == pytest.approx(run.tracks["dr"].tolist())

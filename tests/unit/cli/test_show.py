@@ -50,7 +50,7 @@ def test_show_prints_tables_and_draws(capsys: pytest.CaptureFixture[str], tmp_pa
     assert "chamber gas" in text
     names = {path.name for path in folder.iterdir()}
     pictures = {f"{name}.{end}" for name in ("r-phi", "r-z", "layers") for end in ("png", "pdf")}
-    assert names == {*pictures, "detector.toml", "summary.json"}
+    assert names == {*pictures, "detector.toml", "summary.json", ".cgemit"}
     assert load(folder / "detector.toml") == load("besiii-cgem")
 
 

@@ -239,6 +239,7 @@ def test_the_command_writes_pictures(tmp_path: Path) -> None:
     words = ["display", "-d", "besiii-cgem", "--p", "1", "--cos-theta", "0", "--quiet", "-o", str(tmp_path / "out")]
     assert main(words) == 0
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [
+        ".cgemit",
         "detector.toml",
         "event.pdf",
         "event.png",

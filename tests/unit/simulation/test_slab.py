@@ -240,7 +240,12 @@ def test_command_prints_tables_or_json_and_draws(tmp_path, capsys):
     assert not captured.err
     assert [key for key in KEYS if key not in numbers] == []
     assert [layer["material"] for layer in numbers["layers"]] == ["Kapton", "Cu"]
-    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["slab.pdf", "slab.png", "summary.json"]
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [
+        ".cgemit",
+        "slab.pdf",
+        "slab.png",
+        "summary.json",
+    ]
     assert json.loads((tmp_path / "out" / "summary.json").read_text()) == numbers
     assert main([*arguments, "-o", str(tmp_path / "out")]) == 2
     assert "--overwrite" in capsys.readouterr().err

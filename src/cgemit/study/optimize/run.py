@@ -223,7 +223,7 @@ def _places(
     journals = Path(output) / "journals"
     journals.mkdir(exist_ok=True)
     if overwrite:
-        for old in journals.glob("*.log"):
+        for old in journals.glob("[0-9a-f]" * 16 + ".log"):
             old.unlink()
     # The number of calls is no part of the name: a search can be continued with more of them.
     text = json.dumps(

@@ -70,7 +70,7 @@ def reproduce(
     finder : "truth", "ckf" or callable
         How hits come to their tracks, as of `cgemit.run`.
     overwrite : bool
-        Write into a folder that holds files.
+        Whether to replace the results in a folder that holds nothing else.
     command : str
         Command line for run.json, if there was one.
     progress : callable, optional

@@ -6,6 +6,7 @@ import hashlib
 import json
 import math
 import os
+import re
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor, as_completed
@@ -16,7 +17,7 @@ from pathlib import Path
 from typing import Any, Literal, Protocol
 
 from cgemit.base.errors import DetectorError, Problems
-from cgemit.base.files import OutputExistsError, check_free, new_file
+from cgemit.base.files import OutputExistsError, check_free, new_file, remove_left
 from cgemit.base.validate import build, is_whole
 from cgemit.base.version import PHYSICS
 from cgemit.detector import Detector, load
@@ -28,6 +29,7 @@ from cgemit.study.sweep.space import Changes, PlanError, Space, grid, key_proble
 FORMAT = "cgemit-sweep-2"
 #: Folder of the chunks in the output of a sweep.
 CHUNKS = "chunks"
+_CHUNK = re.compile(r"[0-9a-f]{32}\.json|\.cgemit-.*")  # what it holds: chunks, and those that are being written
 
 
 def address(evaluation: Mapping[str, Any], variants: Sequence[tuple[str, Mapping[str, Any]]]) -> str:
@@ -61,13 +63,6 @@ def read_chunk(folder: Path, name: str, count: int) -> list[dict[str, Any]] | No
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         return None
     return rows if good and len(rows) == count else None
-
-
-def clean(folder: Path, names: Sequence[str]) -> None:
-    """Remove what interrupted writers of these chunks left behind; all chunks must be complete."""
-    for name in names:
-        for left in folder.glob(f".{name}-*.tmp.json"):
-            left.unlink(missing_ok=True)
 
 
 def _checksum(text: str) -> str:
@@ -217,7 +212,7 @@ def compute_rows(
         for future in [one for one in futures if not one.cancel() and one.done() and not one.exception()]:
             keep(future)
     if folder and all(row is not None for row in rows):
-        clean(folder, names)
+        remove_left(folder)
     missing: dict[str, Any] = {"status": "missing", "problems": []}
     return [[missing] * count if found is None else found for found, count in zip(rows, counts, strict=True)]
 
@@ -371,6 +366,8 @@ def chunk_folder(output: str | os.PathLike[str] | None, *, resume: bool, overwri
     if output is None:
         return None
     folder = Path(output) / CHUNKS
+    if not all(_CHUNK.fullmatch(path.name) for path in folder.glob("*")):
+        raise OutputExistsError(f"{output} holds files of no sweep in {CHUNKS}; choose another folder")
     if folder.is_dir() and not resume and not overwrite:
         raise OutputExistsError(f"{output} already holds a sweep; choose another folder, or resume or overwrite it")
     if not folder.is_dir():

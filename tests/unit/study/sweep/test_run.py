@@ -403,6 +403,13 @@ def test_folders_of_others_are_left_alone(tmp_path: Path) -> None:
     counted = Counting()
     sweep(DESIGN, PITCHES, evaluate=channels, output=tmp_path / "out", overwrite=True, executor=counted)
     assert counted.submitted == 5
+    chunks = tmp_path / "chunks"
+    chunks.mkdir()
+    (chunks / "mine.json").write_text("mine")
+    for overwrite in (True, False):
+        with pytest.raises(ValueError, match="holds files of no sweep in chunks"):
+            sweep(DESIGN, PITCHES, evaluate=channels, output=tmp_path, overwrite=overwrite)
+    assert (chunks / "mine.json").read_text() == "mine"
 
 
 @pytest.fixture(scope="module")
