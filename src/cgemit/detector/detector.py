@@ -97,7 +97,7 @@ class Detector(Contents):
         Parameters
         ----------
         key : str
-            Dotted key, which may be a pattern if all values that it matches are equal.
+            Dotted key. If it stands for several values, as a pattern does, these must be equal.
 
         Returns
         -------
@@ -195,18 +195,18 @@ def replace_field(detector: Detector, source: str | Path | Mapping[str, Any]) ->
 def bounds(detector: Detector, key: str) -> tuple[float, float]:
     """Return the allowed range of a number; see `Detector.bounds`."""
     problems = Problems()
-    paths = list(variants.matching(detector, key, problems))
-    now = [variants.value_at(detector, path) for path in paths]
+    now = variants.values_at(detector, key, problems)
     numbers = [found for found in now if found and (found[1].kind in NATIVE or found[1].kind == "integer")]
     if not numbers or len(numbers) < len(now) or len({number for number, _ in numbers}) > 1:
-        given = "different values: " + ", ".join(f"{n:g}" for n, _ in numbers) if len(numbers) > 1 else "no number"
+        different = ", ".join(dict.fromkeys(f"{number:g}" for number, _ in numbers))
+        given = f"different values: {different}" if len(numbers) > 1 else "no number"
         raise DetectorError(detector.name, problems or [Problem(key, given, "the dotted key of one number")])
     start, limits = numbers[0]
     order = _order(detector)
 
     def allowed(value: float) -> bool:
         try:  # a part that has jumped over its neighbour is beyond the range
-            return _order(override(detector, dict.fromkeys(paths, Known(value)))) == order
+            return _order(override(detector, {key: Known(value)})) == order
         except DetectorError:
             return False
 

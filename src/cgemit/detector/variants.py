@@ -166,14 +166,35 @@ def value_at(detector: Contents, path: str) -> tuple[Any, Key] | None:
     return (getattr(node, last), keys[last]) if last in keys else None
 
 
+def values_at(detector: Contents, keys: str, problems: list[Problem]) -> list[tuple[Any, Key] | None]:
+    """Return what `value_at` returns for each value that some keys stand for.
+
+    Parameters
+    ----------
+    detector : Contents
+    keys : str
+        Dotted keys or patterns, separated by commas; one of the drift chamber may stand for all of its layers.
+    problems : list of Problem
+        Receives every pattern that matches nothing.
+    """
+    paths = [path for key in keys.split(",") for path in matching(detector, key.strip(), problems)]
+    return [value_at(detector, one) for path in paths for one in _of_layers(detector, path) or [path]]
+
+
+def _of_layers(detector: Contents, path: str) -> list[str]:
+    """Return the keys of the wire layers for which a key of the drift chamber stands; none for another key."""
+    group, _, name = path.rpartition(".")
+    if group != "drift_chamber" or name not in FOR_ALL_LAYERS or detector.drift_chamber is None:
+        return []
+    return [f"drift_chamber.layers.{layer.number}.{name}" for layer in detector.drift_chamber.layers]
+
+
 def _absolute(detector: Contents, path: str, value: object, problems: list[Problem]) -> dict[str, object]:
     """Return the changes that a value, which may be relative, makes at a plain key."""
     factor = factor_of(value)
     if factor is None:
         return {path: value}
-    group, _, name = path.rpartition(".")
-    if group == "drift_chamber" and name in FOR_ALL_LAYERS and detector.drift_chamber:
-        layers = [f"drift_chamber.layers.{layer.number}.{name}" for layer in detector.drift_chamber.layers]
+    if layers := _of_layers(detector, path):
         return {one: new for layer in layers for one, new in _absolute(detector, layer, value, problems).items()}
     now = value_at(detector, path)
     if now is None:

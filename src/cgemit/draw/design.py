@@ -391,7 +391,7 @@ def unit_scaled(column: Sequence[Any], rows: Any) -> tuple[Any, tuple[str, str]]
         position = np.array([words.index(str(value)) for value in chosen], np.float64)
         return position / max(1, len(words) - 1), (words[0], words[-1])
     numbers = np.array(chosen, np.float64)
-    low, high = float(numbers.min()), float(numbers.max())
+    low, high = float(np.nanmin(numbers)), float(np.nanmax(numbers))
     width = high - low
     return ((numbers - low) / width if width else np.full(len(numbers), 0.5)), (f"{low:.5g}", f"{high:.5g}")
 

@@ -189,6 +189,12 @@ def test_bounds_end_where_the_neighbours_begin() -> None:
         DESIGN.bounds("cgem.L2.gas")
 
 
+def test_bounds_of_a_value_of_all_wire_layers() -> None:
+    assert DESIGN.bounds("drift_chamber.sigma") == DESIGN.bounds("drift_chamber.layers.*.sigma") == (0.001, 10.0)
+    with pytest.raises(DetectorError, match=r"different values: 0\.299, 0\.23, 0\.183"):
+        cg.load("besiii-idc-boss").bounds("drift_chamber.sigma")
+
+
 def test_a_variant_shares_what_did_not_change() -> None:
     found = DESIGN.with_overrides({"cgem.L2.pitch_x": "500 um"})
     assert found.cgem[0] is DESIGN.cgem[0]

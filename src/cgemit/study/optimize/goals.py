@@ -17,9 +17,9 @@ from cgemit.covariance.sensitivity import calibrated_apart, errors_do_not_follow
 from cgemit.detector import Detector
 from cgemit.detector.inventory import GEOMETRY, Background, occupancy
 from cgemit.detector.readouts import Readout
-from cgemit.detector.variants import matching, value_at
+from cgemit.detector.variants import values_at
 from cgemit.study.sweep.evaluate import Evaluation, covariances
-from cgemit.study.sweep.space import Changes, own_value, split_range
+from cgemit.study.sweep.space import Changes, own_text, own_value, split_range
 from cgemit.units import NATIVE, QuantityError, parse_quantity
 
 OCCUPANCY = "occupancy"
@@ -309,15 +309,30 @@ class Variable:
         """Return the derivative of the logarithm of the detector's number by the variable."""
         return 1 / (100 + value) if self.before == "%" else 1 / value
 
-    def start(self, base: Detector) -> Any:
-        """Return the base's own value if it lies in the range, else the middle of the range."""
+    def own(self, base: Detector) -> Any:
+        """Return the base's own value, among numbers NaN and among texts an empty one if it has several or none."""
         if self.choices:
-            now = own_value(self.key, base, "")
-            return next((one for one in self.choices if one == now), self.choices[0])
+            numbers = all(isinstance(one, int | float) for one in self.choices)
+            other = own_value(self.key, base, "") if numbers else own_text(self.key, base)
+            return next((one for one in self.choices if _keeps(base, {self.key: one})), other)
         own = {"x": 1.0, "%": 0.0}[self.before] if self.before else own_value(self.key, base, self.unit)
-        inside = self.low <= own <= self.high
-        value = own if inside else 0.5 * (self.low + self.high)
+        return round(own) if self.whole and math.isfinite(own) else own
+
+    def start(self, base: Detector) -> Any:
+        """Return the base's own value if it is allowed, else the middle of the range or the first choice."""
+        own = self.own(base)
+        if self.choices:
+            return own if own in self.choices else self.choices[0]
+        value = own if self.low <= own <= self.high else 0.5 * (self.low + self.high)
         return round(value) if self.whole else float(value)
+
+
+def _keeps(base: Detector, changes: Changes) -> bool:
+    """Return whether changes leave a detector as it is."""
+    try:
+        return base.with_overrides(dict(changes)).content_hash == base.content_hash
+    except DetectorError:
+        return False
 
 
 def changes_of(variables: Sequence[Variable], values: Sequence[Any]) -> Changes:
@@ -360,9 +375,7 @@ def _variable(base: Detector, key: str, given: Any, problems: Problems) -> Varia
 def _parsed(base: Detector, key: str, given: Any) -> Variable | None:
     if given == BOUNDS:
         low, high = base.bounds(key)
-        path = next(iter(matching(base, key, [])))
-        found = value_at(base, path)
-        kind = found[1].kind if found else ""
+        kind = next(one[1].kind for one in values_at(base, key, []) if one is not None)
         return Variable(key, low, high, unit=NATIVE.get(kind, ""), whole=kind == "integer")
     if isinstance(given, list) and given:
         return Variable(key, choices=tuple(given))
@@ -403,6 +416,4 @@ def _sample(base: Detector, one: Variable) -> Iterator[Detector]:
 
 
 def _is_integer(base: Detector, key: str) -> bool:
-    paths = [path for part in key.split(",") for path in matching(base, part.strip(), [])]
-    found = [value_at(base, path) for path in paths]
-    return all(one is not None and one[1].kind == "integer" for one in found)
+    return all(one is not None and one[1].kind == "integer" for one in values_at(base, key, []))

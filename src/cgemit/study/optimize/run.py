@@ -113,7 +113,7 @@ def optimize(
     folder, journal = _places(task, output, resume=resume, overwrite=overwrite, search=how)
     with ExitStack() as stack:
         evaluator = Evaluator(start, task.goals, task.limits, folder, executor or _pool(stack))
-        first = Design(0, "base", tuple(one.start(start) for one in task.variables), evaluator.rows([{}])[0])
+        first = Design(0, "base", tuple(one.own(start) for one in task.variables), evaluator.rows([{}])[0])
         found = _searched(evaluator, task, how, journal, progress)
     result = Optimization.of(evaluator, task.variables, task.objectives, task.method, (first, *found.designs), found)
     if output is not None:

@@ -18,7 +18,7 @@ from scipy.stats import qmc
 from cgemit.base.errors import DetectorError, Problem, Problems, ProblemsError, did_you_mean
 from cgemit.base.validate import check_whole, is_whole
 from cgemit.detector import Detector
-from cgemit.detector.variants import factor_of, matching, value_at
+from cgemit.detector.variants import factor_of, values_at
 from cgemit.units import NATIVE, format_quantity, parse_quantity, units_of
 
 #: One variant: what it changes, by dotted key of the detector file.
@@ -235,7 +235,7 @@ def axis_of(key: str, base: Detector, values: Sequence[Any]) -> tuple[str, list[
         neutral = {"x": 1.0, "%": 0.0}
         first = neutral[times] if times else own_value(key, base, unit)
         return header, [first, *(one[1] for one in parsed if one)]
-    return key, [_own_text(key, base), *(_text(value) for value in values)]
+    return key, [own_text(key, base), *(_text(value) for value in values)]
 
 
 def _text(value: Any) -> str:
@@ -243,8 +243,7 @@ def _text(value: Any) -> str:
 
 
 def _values(key: str, base: Detector) -> list[tuple[Any, Any]]:
-    paths = [path for one in key.split(",") for path in matching(base, one.strip(), [])]
-    return [found for path in paths if (found := value_at(base, path)) is not None]
+    return [found for found in values_at(base, key, []) if found is not None]
 
 
 def own_value(key: str, base: Detector, unit: str) -> float:
@@ -260,10 +259,15 @@ def own_value(key: str, base: Detector, unit: str) -> float:
     return float(format_quantity(value, kind, unit).split()[0])
 
 
-def _own_text(key: str, base: Detector) -> str:
+def own_text(key: str, base: Detector) -> str:
+    """Return the base's value of a key as text, a number with its unit; an empty text if it has none, or several."""
     if key == "base":
         return base.name
-    texts = {getattr(value, "name", str(value)) for value, _ in _values(key, base)}
+    texts = {
+        format_quantity(value, one.kind) if one.kind in NATIVE and isinstance(value, float)
+        else getattr(value, "name", str(value))
+        for value, one in _values(key, base)
+    }  # fmt: skip
     return texts.pop() if len(texts) == 1 else ""
 
 

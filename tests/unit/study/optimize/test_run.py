@@ -292,6 +292,27 @@ def test_ends_of_a_range_may_have_different_units() -> None:
     assert "expected a length" in str(problems[4])
 
 
+def test_the_row_of_the_base_shows_its_own_values_and_the_search_starts_there() -> None:
+    space = {
+        "drift_chamber.sigma": ("100 um", "200 um"),
+        "cgem.L2.anode_radius": ("140 mm", "155 mm"),
+        "cgem.*.length": ("500 mm", "510 mm"),
+        "cgem.*.pitch_x": ["500 um", "650 um"],
+        "cgem.*.pitch_v": ["500 um", "900 um"],
+        "cgem.*.gas": ["MdcGas", "CgemGas"],
+        "cgem.L1.foils": [1, 2],
+    }
+    variables = variables_of(DESIGN, space, problems := Problems())
+    assert not problems
+    own = [130.0, 132.5, math.nan, "650 um", "0.65 mm", "CgemGas", 3.0]
+    assert [one.own(DESIGN) for one in variables] == pytest.approx(own, nan_ok=True)
+    starts = [130.0, 147.5, 505.0, "650 um", "500 um", "CgemGas", 1]
+    assert [one.start(DESIGN) for one in variables] == pytest.approx(starts)
+    thin = DESIGN.with_overrides({"drift_chamber.sigma": "120 um"})
+    found = optimize(thin, {"drift_chamber.sigma": "bounds"}, "x0", search="cobyla")
+    assert found.columns["drift_chamber.sigma (mm)"][:2] == [0.12, 0.12]
+
+
 def test_wrong_types_are_problems_of_their_arguments() -> None:
     with pytest.raises(PlanError) as error:
         optimize(

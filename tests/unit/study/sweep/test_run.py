@@ -75,6 +75,13 @@ def test_axes_of_words_of_relative_values_and_of_other_bases() -> None:
     assert len(set(found.columns["name"])) == 17
 
 
+def test_the_base_has_a_number_where_a_key_stands_for_all_wire_layers() -> None:
+    space = {"drift_chamber.sigma": ["110 um", "140 um"], "cgem.*.pitch_x": ["x2", "500 um"]}
+    found = sweep(DESIGN, space, evaluate=channels)
+    assert found.columns["drift_chamber.sigma (um)"][:3] == [130.0, 110.0, 110.0]
+    assert found.columns["cgem.*.pitch_x"][:3] == ["0.65 mm", "x2", "500 um"]
+
+
 @pytest.mark.parametrize("sample", [sobol, latin_hypercube])
 def test_samples_fill_their_ranges(sample: Callable[..., Any]) -> None:
     ranges = {"cgem.*.pitch_x": ("400 um", "900 um"), "cgem.*.drift_gap": ("x0.5", "x1.5"), "cgem.*.foils": (1, 4),
