@@ -163,7 +163,7 @@ front.draw("parallel")
 five = front.confirm(front.spread(5), events=5000)
 for name in ("sigma_dr at 0.3 GeV/c (um)", "sigma_dz at 0.3 GeV/c (mm)", "sigma_p at 1 GeV/c (MeV/c)"):
     ratios, errors = (five[column][five["quantity"] == name] for column in ("ratio", "ratio_error"))
-    print(f"{name:27} simulated/optimized {ratios.min():.3f} to {ratios.max():.3f}, each +- {errors.mean():.3f}")
+    print(f"{name:27} simulated/expected {ratios.min():.3f} to {ratios.max():.3f}, each +- {errors.mean():.3f}")
 five
 
 # %% [markdown]

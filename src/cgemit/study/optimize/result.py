@@ -89,9 +89,9 @@ class Confirmation(TidyResult):
     Attributes
     ----------
     columns : dict of str to list
-        One row for each design and resolution: `design`, `quantity`, `optimized`, `simulated`, `error` of the simulated
-        value, `ratio` of simulated to optimized with `ratio_error`, `to_base` and `to_base_error`: the simulated value
-        over that of the base, whose tracks have the same random numbers.
+        One row for each design and resolution: `design`, `quantity`, `optimized`, `expected` of these tracks,
+        `simulated`, `error` of the simulated value, `ratio` of simulated to expected with `ratio_error`, `to_base` and
+        `to_base_error`: the simulated value over that of the base, whose tracks have the same random numbers.
     events : int
         Of each design and point.
     """
@@ -114,13 +114,22 @@ class Confirmation(TidyResult):
         rows = [
             [
                 "base" if columns["design"][i] == 0 else str(columns["design"][i]), columns["quantity"][i],
-                f"{columns['optimized'][i]:.4g}", with_error(columns["simulated"][i], columns["error"][i]),
+                f"{columns['optimized'][i]:.4g}", f"{columns['expected'][i]:.4g}",
+                with_error(columns["simulated"][i], columns["error"][i]),
                 with_error(columns["ratio"][i], columns["ratio_error"][i]),
                 with_error(columns["to_base"][i], columns["to_base_error"][i]),
             ]
             for i in range(len(columns["design"]))
         ]  # fmt: skip
-        head = ["design", "quantity", "optimized", "simulated", "simulated/optimized", "simulated, to the base"]
+        head = [
+            "design",
+            "quantity",
+            "optimized",
+            "expected",
+            "simulated",
+            "simulated/expected",
+            "simulated, to the base",
+        ]
         return f"{self.events} simulated tracks for each design and point", head, rows
 
 
@@ -132,7 +141,7 @@ def confirm(
     *,
     events: int = 20_000,
     seed: int = 1,
-    fluctuations: Literal["full", "gaussian"] = "gaussian",
+    fluctuations: Literal["full", "gaussian"] | None = None,
 ) -> Confirmation:
     """Return the resolutions of some designs from simulated tracks.
 
@@ -147,8 +156,11 @@ def confirm(
         Rows of the table. The base is added.
     events, seed : int
         Of the simulation, for each design and point.
-    fluctuations : "full" or "gaussian"
-        "gaussian": scattering and energy loss as the fit and the covariance assume them; "full": with their tails.
+    fluctuations : "full", "gaussian" or None
+        "gaussian" (None after an optimization by covariances): tracks as a covariance assumes them, with Gaussian
+        scattering and energy loss, without decays and delta electrons; the fit expects no delta electrons either, and
+        `expected` is the covariance of this fit. "full" (None after one by simulation): with tails, delta electrons
+        and decays; `expected` is what was optimized.
 
     Raises
     ------
@@ -160,28 +172,41 @@ def confirm(
         raise ValueError("confirm: got no resolution among objectives and limits, expected at least one")
     old = evaluator.goals.evaluation
     settings = old.settings or Settings()
-    settings = replace(settings, simulate=replace(settings.simulate, fluctuations=fluctuations))
-    evaluation = replace(old, method="mc", events=events, seed=seed, settings=settings)
-    simulating = Evaluator(evaluator.base, Goals(goals, evaluation, None), (), None, None)
+    gaussian = fluctuations == "gaussian" or (fluctuations is None and old.method == "analytic")
+    if gaussian:
+        simulate = replace(settings.simulate, fluctuations="gaussian", deltas=False, decays=False)
+        settings = replace(settings, simulate=simulate, fit=replace(settings.fit, delta_strips=0.0))
+    elif fluctuations:
+        settings = replace(settings, simulate=replace(settings.simulate, fluctuations=fluctuations))
     numbers = list(dict.fromkeys([0, *designs]))
     changes = [changes_of(variables, [table[one.header][i] for one in variables]) if i else {} for i in numbers]
-    rows = simulating.rows(changes)
+
+    def rows_of(method: Literal["analytic", "mc"]) -> list[dict[str, Any]]:
+        evaluation = replace(old, method=method, events=events, seed=seed, settings=settings)
+        found = Evaluator(evaluator.base, Goals(goals, evaluation, None), (), None, None).rows(changes)
+        for number, row in zip(numbers, found, strict=True):
+            if row["status"] != "ok":
+                raise ValueError(f"confirm: design {number}: {'; '.join(row['problems'])}")
+        return found
+
+    rows = rows_of("mc")
+    expected = rows_of("analytic") if gaussian else [{"values": {}}] * len(rows)
     columns: dict[str, list[Any]] = {name: [] for name in _NAMES}
-    for number, row in zip(numbers, rows, strict=True):
-        if row["status"] != "ok":
-            raise ValueError(f"confirm: design {number}: {'; '.join(row['problems'])}")
+    for number, row, other in zip(numbers, rows, expected, strict=True):
         for goal in goals:
             name = goal.header
-            values = (number, name, table[name][number], row["values"][name], row["errors"][name])
-            simulated, error = values[3:]
-            ratio = [one / other for one, other in zip(row["replicas"][name], rows[0]["replicas"][name], strict=True)]
-            more = (simulated / values[2], error / values[2], simulated / rows[0]["values"][name], jackknife(ratio))
+            optimized, simulated, error = table[name][number], row["values"][name], row["errors"][name]
+            target = other["values"].get(name, optimized)
+            ratio = [one / base for one, base in zip(row["replicas"][name], rows[0]["replicas"][name], strict=True)]
+            values = (number, name, optimized, target, simulated, error, simulated / target, error / target)
+            more = (simulated / rows[0]["values"][name], jackknife(ratio))
             for column, value in zip(_NAMES, (*values, *more), strict=True):
                 columns[column].append(value)
     return Confirmation(columns, events)
 
 
-_NAMES = ("design", "quantity", "optimized", "simulated", "error", "ratio", "ratio_error", "to_base", "to_base_error")
+_NAMES = ("design", "quantity", "optimized", "expected", "simulated", "error", "ratio", "ratio_error", "to_base",
+          "to_base_error")  # fmt: skip
 
 
 _SHOWN_ROWS = 20
@@ -310,8 +335,8 @@ class Optimization(TidyResult):
         designs : sequence of int, optional
             Rows; default: `spread`. The base is added.
         **how
-            `events` and `seed` of the simulation, and its `fluctuations`: "gaussian" (default), as the fit and the
-            covariance assume them, or "full".
+            `events` and `seed` of the simulation, and its `fluctuations`; see
+            `cgemit.study.optimize.result.confirm`.
         """
         rows = self.spread() if designs is None else designs
         return confirm(self.evaluator, self.variables, self.columns, rows, **how)
