@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 from cgemit.base.errors import Problem
 from cgemit.detector.field import Field
 from cgemit.detector.keys import Part, keys_of, once
-from cgemit.detector.parts import CgemLayer, Contents, Cylinder, DriftChamber, extent
+from cgemit.detector.parts import CgemLayer, Contents, Cylinder, DriftChamber, WireLayer, extent
 from cgemit.detector.reader import strip_text
 from cgemit.units import NATIVE, format_quantity
 
@@ -66,7 +66,8 @@ def _part_problems(part: Part) -> list[Problem]:
             continue  # most values, without the time of a call
         if isinstance(value, _NUMBERS) and not isinstance(value, bool) and not key.admits(value):
             shown = format_quantity(value, key.kind) if key.kind in NATIVE else str(value)
-            problems.append(Problem(name, shown, key.expected()))
+            hint = _derived_from(part, name) if isinstance(part, CgemLayer) else ""
+            problems.append(Problem(name, shown, key.expected(), hint))
         elif key.kind == "gas" and not value.gas:
             problems.append(Problem(name, f'"{value.name}", which is no gas', key.expected()))
         elif key.choices and value not in key.choices:
@@ -82,6 +83,21 @@ def _part_problems(part: Part) -> list[Problem]:
     return problems
 
 
+#: Values of a CGEM layer that follow from others unless they are given.
+_DERIVED = {
+    "strips_x": ("anode_radius", "sheets", "pitch_x"),
+    "stereo": ("anode_radius", "sheets", "length"),
+    "strips_v": ("anode_radius", "sheets", "length", "pitch_v"),
+}
+
+
+def _derived_from(layer: CgemLayer, name: str) -> str:
+    """Return what a value follows from, as a hint; nothing if it does not follow from others."""
+    values = ((one, getattr(layer, one), keys_of(CgemLayer)[one].kind) for one in _DERIVED.get(name, ()))
+    texts = [f"{one} = {format_quantity(value, kind) if kind in NATIVE else value}" for one, value, kind in values]
+    return f"unless given, it follows from {', '.join(texts)}" if texts else ""
+
+
 def geometry_problems(
     beam_pipe: Sequence[Cylinder],
     cgem: Sequence[CgemLayer],
@@ -90,22 +106,24 @@ def geometry_problems(
 ) -> list[Problem]:
     """Return overlaps, inverted cylinders, implausible thicknesses, and strips and holes that do not fit."""
     problems: list[Problem] = []
-    spans: list[tuple[float, float, str]] = []
+    spans: list[Span] = []
     for group, cylinders in (("beam_pipe", beam_pipe), ("walls", walls)):
         for part in cylinders:
             wrong = _cylinder_problem(f"{group}.{part.label}", part)
             problems += wrong
-            spans += [] if wrong else [(part.r_in, part.r_out, f"{group}.{part.label}")]
+            spans += [] if wrong else [Span(part.r_in, part.r_out, part.half_length, f"{group}.{part.label}")]
     for layer in cgem:
         problems += _read_out_problems(layer)
         if layer.r_in <= 0:
             given = f"an inner face at {layer.r_in:g} mm"
             problems.append(Problem(f"cgem.{layer.label}", given, "gaps and electrodes that fit inside anode_radius"))
-        spans.append((layer.r_in, layer.r_out, f"cgem.{layer.label}"))
-    if chamber:
+            continue
+        spans.append(Span(layer.r_in, layer.r_out, layer.half_length, f"cgem.{layer.label}"))
+    problems += _overlaps(spans)
+    if chamber and all(layer.cells and layer.half_length for layer in chamber.layers):  # without are no wires
         problems += _chamber_problems(chamber)
-        spans += _wire_spans(chamber)
-    return problems + _overlaps(spans)
+        problems += [problem for span in spans for problem in _wires_inside(span, _sound_layers(chamber))]
+    return problems
 
 
 def _cylinder_problem(path: str, part: Cylinder) -> list[Problem]:
@@ -141,7 +159,8 @@ def _strip_problems(layer: CgemLayer) -> list[Problem]:
         )
     if abs(layer.stereo) < math.radians(1):
         given = f"{math.degrees(layer.stereo):g} deg"
-        problems.append(Problem(f"{path}.stereo", given, "at least 1 deg, either sign: otherwise z is not measured"))
+        expected = "at least 1 deg, either sign: otherwise z is not measured"
+        problems.append(Problem(f"{path}.stereo", given, expected, _derived_from(layer, "stereo")))
     return problems
 
 
@@ -188,50 +207,79 @@ def _hole_problems(layer: CgemLayer) -> list[Problem]:
 
 
 @once
-def _wire_spans(chamber: DriftChamber) -> list[tuple[float, float, str]]:
-    """Return the layers of wires without problems of their own, which they would only repeat as overlaps."""
-    wrong = {name for problem in _chamber_problems(chamber) for name in problem.path.split(".")}
-    sound = [layer for layer in chamber.layers if str(layer.number) not in wrong]
-    return [(layer.r_mid, layer.r_end, f"drift_chamber.layers.{layer.number}") for layer in sound]
-
-
-@once
 def _chamber_problems(chamber: DriftChamber) -> list[Problem]:
     if not chamber.layers:
         return [Problem("drift_chamber.layers", "no wire layer", "at least one [drift_chamber.layers.<number>]")]
-    problems = []
-    for wire in chamber.layers:
-        path = f"drift_chamber.layers.{wire.number}"
-        if abs(wire.twist) > math.pi / 2:
-            given = f"{wire.twist_cells:g} cells of {wire.cells}"
-            problems.append(Problem(f"{path}.twist_cells", given, "at most a quarter turn"))
-        farthest = math.pi * wire.r_end / wire.cells
-        if wire.sigma + wire.sigma_slope * farthest <= 0:
-            given = f"an error of {wire.sigma + wire.sigma_slope * farthest:g} mm at {farthest:.3g} mm"
-            problems.append(Problem(f"{path}.sigma_slope", given, "a positive error over the whole cell"))
-    for inner, outer in pairwise(chamber.layers):
-        if outer.r_end <= inner.r_end:
-            given = f"{outer.r_end:g} mm"
-            expected = f"more than the {inner.r_end:g} mm of layer {inner.number}"
-            problems.append(Problem(f"drift_chamber.layers.{outer.number}.r_end", given, expected))
+    problems = [problem for layer in chamber.layers for problem in _wire_problems(layer)]
+    for inner, outer in pairwise(_sound_layers(chamber)):
+        # The squares of the radii are linear in z squared, so that they are compared at both ends of the longer
+        # layer: the border of its cells is midway to the other layer, continued, at each z.
+        for z in (0.0, max(inner.half_length, outer.half_length)):
+            if outer.radius_at(z) <= inner.radius_at(z) + TOUCH:
+                given = f"wires at r = {outer.radius_at(z):g} mm at |z| = {z:g} mm"
+                expected = f"more than the {inner.radius_at(z):g} mm of layer {inner.number} there"
+                problems.append(Problem(f"drift_chamber.layers.{outer.number}", given, expected))
+                break
     return problems
 
 
-def _overlaps(spans: list[tuple[float, float, str]]) -> list[Problem]:
-    """Return the parts that begin inside another one; `spans` holds (inner radius, outer radius, path)."""
-    covered: dict[tuple[float, float, str], list[tuple[float, float, str]]] = {}
-    known = [span for span in spans if not math.isnan(span[0] + span[1])]  # others could not be read
-    before = (0.0, 0.0, "")
+def _sound_layers(chamber: DriftChamber) -> list[WireLayer]:
+    """Return the layers of wires without problems of their own, which they would only repeat as overlaps."""
+    return [layer for layer in chamber.layers if not _wire_problems(layer)]
+
+
+@once
+def _wire_problems(wire: WireLayer) -> list[Problem]:
+    problems = []
+    path = f"drift_chamber.layers.{wire.number}"
+    if abs(wire.twist) > math.pi / 2:
+        given = f"{wire.twist_cells:g} cells of {wire.cells}"
+        problems.append(Problem(f"{path}.twist_cells", given, "at most a quarter turn"))
+    farthest = math.pi * wire.r_end / wire.cells
+    if wire.sigma + wire.sigma_slope * farthest <= 0:
+        given = f"an error of {wire.sigma + wire.sigma_slope * farthest:g} mm at {farthest:.3g} mm"
+        problems.append(Problem(f"{path}.sigma_slope", given, "a positive error over the whole cell"))
+    return problems
+
+
+class Span(NamedTuple):
+    """The cylinder that a part fills, mm."""
+
+    r_in: float
+    r_out: float
+    half_length: float
+    path: str
+
+    def __str__(self) -> str:
+        return f"{self.path} ({self.r_in:.4f} to {self.r_out:.4f} mm)"
+
+
+def _wires_inside(span: Span, layers: Sequence[WireLayer]) -> list[Problem]:
+    """Return one problem for the wires that cross a part, which follow hyperboloids."""
+    crossing = []
+    for layer in layers:
+        reach = layer.radius_at(min(span.half_length, layer.half_length))
+        if layer.r_mid < span.r_out - TOUCH and reach > span.r_in + TOUCH:
+            crossing.append(Span(layer.r_mid, reach, layer.half_length, f"drift_chamber.layers.{layer.number}"))
+    return [_overlap(span, crossing)] if crossing else []
+
+
+def _overlaps(spans: Sequence[Span]) -> list[Problem]:
+    """Return the parts that begin inside another one; all reach z = 0."""
+    covered: dict[Span, list[Span]] = {}
+    known = [span for span in spans if not math.isnan(span.r_in + span.r_out)]  # others could not be read
+    before = Span(0.0, 0.0, 0.0, "")
     for span in sorted(known):
-        if span[0] < before[1] - TOUCH:
+        if span.r_in < before.r_out - TOUCH:
             covered.setdefault(before, []).append(span)
-        before = span if span[1] > before[1] else before
-    return [_overlap(part, inside) for part, inside in covered.items()]
+        before = span if span.r_out > before.r_out else before
+    # One problem for all that begin inside a part; the odd one out is the one to look at.
+    return [
+        _overlap(inside[0], [part]) if len(inside) == 1 else _overlap(part, inside) for part, inside in covered.items()
+    ]
 
 
-def _overlap(part: tuple[float, float, str], inside: list[tuple[float, float, str]]) -> Problem:
-    """Return one problem for all that begin inside a part; the odd one out is the one to look at."""
-    culprit, others = (inside[0], [part]) if len(inside) == 1 else (part, inside)
-    names = ", ".join(f"{path} ({r_in:.4f} to {r_out:.4f} mm)" for r_in, r_out, path in others[:3])
+def _overlap(part: Span, others: Sequence[Span]) -> Problem:
     more = f" and {len(others) - 3} more" if len(others) > 3 else ""
-    return Problem(culprit[2], f"r = {culprit[0]:.4f} to {culprit[1]:.4f} mm", f"no overlap with {names}{more}")
+    expected = f"no overlap with {', '.join(map(str, others[:3]))}{more}"
+    return Problem(part.path, f"r = {part.r_in:.4f} to {part.r_out:.4f} mm", expected)

@@ -227,7 +227,7 @@ class CgemLayer(Placed):
 
     label: str
     anode_radius: float = field(
-        metadata=key("length", "radius of the V-strip plane, inner face of the anode", 10.0, 2000.0)
+        metadata=key("length", "radius of the V-strip plane, inner face of the anode", 10.0, 3000.0)
     )
     readout_offset: float = field(
         metadata=key("length", "radius at which X is measured, minus anode_radius", -5.0, 5.0), default=0.0
@@ -405,6 +405,10 @@ class WireLayer(Part):
     def r_mid(self) -> float:
         """Radius of the wires at z = 0, mm."""
         return self.r_end * math.cos(0.5 * self.twist)
+
+    def radius_at(self, z: float) -> float:
+        """Return the radius of the wires, or of their continuation, at z; both in mm."""
+        return math.hypot(self.r_mid, self.r_end * math.sin(0.5 * self.twist) * z / self.half_length)
 
     @property
     def z_readout(self) -> float:

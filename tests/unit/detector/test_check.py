@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from matplotlib.text import Text
 
+import cgemit as cg
 from cgemit.analysis.curves import Line
 from cgemit.cli.main import main
 from cgemit.detector import DetectorError, Problem, load, schema, write_field_map
@@ -54,6 +55,15 @@ def problems(tables: Any) -> dict[str, Problem]:
         load(tables)
     assert isinstance(caught.value, ValueError)
     return {problem.path: problem for problem in caught.value.problems}
+
+
+def paths(tables: Any) -> list[str]:
+    """Return the paths of all problems of a detector that may have none."""
+    try:
+        load(tables)
+    except DetectorError as error:
+        return [problem.path for problem in error.problems]
+    return []
 
 
 def test_ten_mistakes_give_ten_messages(tmp_path: Path) -> None:
@@ -110,7 +120,7 @@ def test_ten_mistakes_give_ten_messages(tmp_path: Path) -> None:
         ({"drift_chamber": {"efficiency": "120 %"}}, "drift_chamber.efficiency", '"120 %"'),
         ({"drift_chamber": {"sigma": "110"}}, "drift_chamber.sigma", "no unit"),
         ({"drift_chamber": {"layers": {"nine": {}}}}, "drift_chamber.layers.nine", '"nine"'),
-        ({"drift_chamber": {"layers": {"9": {"r_end": "196 mm"}}}}, "drift_chamber.layers.9.r_end", "196 mm"),
+        ({"drift_chamber": {"layers": {"9": {"r_end": "196 mm"}}}}, "drift_chamber.layers.9", "r = 196 mm"),
         ({"drift_chamber": {"layers": {"9": {"twist_cells": 40}}}}, "drift_chamber.layers.9.twist_cells", "40 cells"),
         ({"drift_chamber": {"layers": {"9": {"sigma_slope": -0.05}}}}, "drift_chamber.layers.9.sigma_slope", "-0.05"),
         ({"drift_chamber": {"layers": {"9": {"sigma_slope": "-50 um/mm"}}}}, "drift_chamber.layers.9.sigma_slope",
@@ -137,6 +147,34 @@ def test_one_mistake_gives_one_message(change: dict[str, Any], path: str, given:
     found = problems({"base": "besiii-cgem-design", **change})
     assert list(found) == [path]
     assert given in found[path].given
+
+
+@pytest.mark.parametrize(
+    ("layer", "path", "named"),
+    [
+        (
+            {"anode_radius": "1.9 m", "pitch_x": "0.1 mm"},
+            "strips_x",
+            ("anode_radius = 1900", "sheets", "pitch_x = 0.1"),
+        ),
+        ({"anode_radius": "1.9 m", "length": "100 mm"}, "stereo", ("anode_radius = 1900", "sheets", "length = 100")),
+        ({"sheets": 8, "anode_radius": "11 mm"}, "stereo", ("anode_radius", "sheets = 8", "length")),
+    ],
+)
+def test_values_that_follow_from_others_name_them(layer: dict[str, Any], path: str, named: tuple[str, ...]) -> None:
+    problem = problems({"base": "besiii-cgem-design", "cgem": {"L1": layer}})[f"cgem.L1.{path}"]
+    assert all(text in problem.hint for text in named)
+
+
+def test_an_inner_face_below_0_overlaps_nothing() -> None:
+    tables = {"base": DESIGN, "remove": ["beam_pipe"], "cgem": {"L1": {"anode_radius": "11 mm", "stereo": "40 deg"}}}
+    assert paths(tables) == ["cgem.L1"]
+
+
+def test_radii_of_3_m_are_possible() -> None:
+    layer = {"anode_radius": "3 m", "length": "3 m"}
+    detector = load({"base": "besiii-cgem-design", "remove": ["drift_chamber", "walls"], "cgem": {"L3": layer}})
+    assert detector.cgem[-1].anode_radius == 3000
 
 
 def test_a_part_that_cannot_be_read_does_not_hide_what_else_is_wrong_with_it() -> None:
@@ -206,6 +244,82 @@ def test_detectors_made_in_python_are_checked_too() -> None:
         dataclasses.replace(detector, cgem=(solid, *detector.cgem[1:]))
     with pytest.raises(DetectorError, match="overlap"):
         dataclasses.replace(detector, cgem=(detector.cgem[0], *detector.cgem))
+
+
+@pytest.mark.parametrize("wrong", [{"half_length": 0.0}, {"cells": 0}])
+def test_wire_layers_made_in_python_are_checked_too(wrong: dict[str, Any]) -> None:
+    detector = load("besiii-idc")
+    chamber = detector.drift_chamber
+    assert chamber
+    layers = (dataclasses.replace(chamber.layers[0], **wrong), *chamber.layers[1:])
+    with pytest.raises(DetectorError) as caught:
+        dataclasses.replace(detector, drift_chamber=dataclasses.replace(chamber, layers=layers))
+    path = f"drift_chamber.layers.{chamber.layers[0].number}.{next(iter(wrong))}"
+    assert [problem.path for problem in caught.value.problems] == [path]
+
+
+def chamber_of(layers: list[dict[str, Any]], walls: dict[str, Any] | None = None) -> dict[str, Any]:
+    rows = {str(i): {"phi_east": "0 rad", "sigma": "100 um", **layer} for i, layer in enumerate(layers)}
+    return {
+        "name": "chamber", "field": {"bz": "2 T"}, "walls": walls or {},
+        "drift_chamber": {"gas": "MdcGas", "layers": rows},
+    }  # fmt: skip
+
+
+def sampled_radii(layer: dict[str, Any], z: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+    """Return the distance from the beam line of points on the straight line between the ends of a wire."""
+    r, h = layer["_r"], layer["_h"]
+    turn = layer["twist_cells"] * 2 * math.pi / layer["cells"]
+    east, west = np.array([r, 0, h]), np.array([r * math.cos(turn), -r * math.sin(turn), -h])
+    points = west + (z[:, None] + h) / (2 * h) * (east - west)
+    return np.asarray(np.hypot(points[:, 0], points[:, 1]))
+
+
+def random_wires(rng: np.random.Generator, r: float) -> dict[str, Any]:
+    cells, h = int(rng.integers(50, 200)), float(rng.uniform(500, 900))
+    twist = float(rng.choice([0.0, *rng.uniform(-0.6, 0.6, 2)])) * cells / (2 * math.pi)
+    return {"cells": cells, "twist_cells": twist, "r_end": f"{r!r} mm", "half_length": f"{h!r} mm", "_r": r, "_h": h}
+
+
+def test_wire_layers_may_be_nested_hyperboloids() -> None:
+    """Random pairs of layers, and of a layer and a wall, against the distances of many points on their wires."""
+    rng = np.random.default_rng(1)
+    seen = {"nested": 0, "crossing": 0, "bands overlap, wires do not": 0, "free": 0, "hit": 0}
+    for _ in range(200):
+        inner, outer = random_wires(rng, 300.0), random_wires(rng, 300 + float(rng.uniform(0, 12)))
+        wall_r, wall_h = float(rng.uniform(280, 302)), float(rng.uniform(50, 900))
+        both = np.linspace(0, max(inner["_h"], outer["_h"]), 400)
+        crosses = bool((sampled_radii(inner, both) >= sampled_radii(outer, both)).any())
+        at_wall = sampled_radii(inner, np.linspace(0, min(inner["_h"], wall_h), 400))
+        hit = bool(at_wall[0] < wall_r + 1 and at_wall[-1] > wall_r)
+        seen["crossing" if crosses else "nested"] += 1
+        seen["hit" if hit else "free"] += 1
+        seen["bands overlap, wires do not"] += not crosses and sampled_radii(outer, both)[0] < 300
+        layers = [{name: value for name, value in one.items() if name[0] != "_"} for one in (inner, outer)]
+        assert paths(chamber_of(layers)) == (["drift_chamber.layers.1"] if crosses else [])
+        wall = {"r_in": f"{wall_r!r} mm", "r_out": f"{wall_r + 1!r} mm", "half_length": f"{wall_h!r} mm"}
+        found = paths(chamber_of(layers[:1], {"w": wall | {"material": "Al"}}))
+        assert found == (["walls.w"] if hit else [])
+    assert min(seen.values()) > 10, seen
+
+
+def idea() -> dict[str, Any]:
+    """Return 112 layers at 0.35 to 2 m turned by 30 degrees, so at 50 to 250 mrad, of alternating sign (IDEA)."""
+    layers = []
+    for i in range(112):
+        r, cells = (350 + 1600 / 111 * i) / math.cos(math.radians(15)), 192 + 48 * (i // 8)
+        turn = (-1) ** i * cells / 12
+        layers.append({"cells": cells, "r_end": f"{r!r} mm", "half_length": "2 m", "twist_cells": turn})
+    return chamber_of(layers)
+
+
+def test_the_stereo_angles_of_idea_are_possible() -> None:
+    """Each wire layer has a hit of a track that crosses all of them, near the ends of the chamber, too."""
+    gun = cg.Gun("mu-", p=10, cos_theta=[0.0, 0.4, -0.69])
+    result = cg.run(load(idea()), gun, 30, 1, until="cluster", workers=cg.Workers(threads=1))
+    hits = result.tables["wire_hits"]
+    for event in range(30):
+        assert len(np.unique(hits["layer"][hits["event"] == event])) == 112
 
 
 def test_errors_pickle() -> None:
