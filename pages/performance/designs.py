@@ -88,7 +88,7 @@ def times(designs: int, samples: int) -> tuple[float, float]:
     begin, used = time.perf_counter(), processor_time()
     with ProcessPoolExecutor(2) as pool:
         evaluate = Evaluation(p=np.geomspace(0.2, 2, 10), samples=samples, quantities=("p", "dr", "dz"))
-        sweep(DETECTOR, sobol(RANGES, designs), evaluate, executor=pool)
+        sweep(DETECTOR, sobol(RANGES, designs), evaluate, workers=pool)
     return time.perf_counter() - begin, processor_time() - used
 
 

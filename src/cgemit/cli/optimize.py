@@ -60,6 +60,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the optimization."""
+    from cgemit.chain.run import Output
     from cgemit.study.optimize.run import read_optimize_plan
 
     plan = read_optimize_plan(arguments.plan, options.plan_changes(arguments.overrides))
@@ -67,9 +68,9 @@ def run(arguments: argparse.Namespace) -> int:
     with ExitStack() as stack:
         progress = stack.enter_context(options.progress_bar(arguments, "optimize"))
         result = plan.run(
-            output=output, overwrite=arguments.overwrite, progress=progress, executor=sweep.executor(arguments, stack)
-        )
-    plan.write(output)
+            output=Output(output, overwrite=arguments.overwrite), workers=sweep.workers(arguments, stack),
+            progress=progress, started=lambda: plan.write(output),
+        )  # fmt: skip
     _report(result, output, arguments)
     return 0
 

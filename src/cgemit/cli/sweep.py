@@ -27,14 +27,14 @@ def add_workers(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def executor(arguments: argparse.Namespace, stack: ExitStack) -> Executor | None:
-    """Return the pool that is asked for, which ends with `stack`; None: the default."""
-    from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+def workers(arguments: argparse.Namespace, stack: ExitStack) -> Executor | int | None:
+    """Return the processes that are asked for, which end with `stack`, or the number of threads."""
+    from concurrent.futures import ProcessPoolExecutor
     from multiprocessing import get_context
 
     if arguments.processes:
         return stack.enter_context(ProcessPoolExecutor(arguments.processes, mp_context=get_context("spawn")))
-    return stack.enter_context(ThreadPoolExecutor(arguments.threads)) if arguments.threads else None
+    return arguments.threads  # type: ignore[no-any-return]
 
 
 DESCRIPTION = """\
@@ -83,25 +83,24 @@ def _part(text: str) -> tuple[int, int]:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the sweep, or merge one."""
+    from cgemit.chain.run import Output
     from cgemit.study.sweep.plan import read_plan
 
     file, output = _places(arguments)
-    plan = read_plan(file, options.plan_changes(arguments.overrides))
-    how: dict[str, Any] = {"part": arguments.array_index, "overwrite": arguments.overwrite}
-    if arguments.merge is not None:
-        how["compute"] = False
+    merge = arguments.merge is not None
+    plan = read_plan(file, options.plan_changes(arguments.overrides), evaluated=merge)
     with ExitStack() as stack:
         progress = stack.enter_context(options.progress_bar(arguments, "sweep"))
-        how["executor"] = executor(arguments, stack)
-        result = plan.run(output=output, progress=progress, **how)
+        result = plan.run(
+            output=Output(output, overwrite=arguments.overwrite), workers=workers(arguments, stack), compute=not merge,
+            part=arguments.array_index, progress=progress, started=None if merge else lambda: plan.write(output),
+        )  # fmt: skip
     missing = result.missing()
-    if arguments.merge is not None and missing:
+    if merge and missing:
         raise options.RunFailedError(
             f"{output}: {missing} of {len(plan.arguments['space']) + 1} variants are missing; "
             f"cgemit sweep {Path(output) / 'plan.toml'} -o {output} computes them"
         )
-    if arguments.merge is None:
-        plan.write(output)
     if arguments.array_index is None:
         _report(result, plan.draw, Path(output), arguments)
     return 0
@@ -121,7 +120,10 @@ def _places(arguments: argparse.Namespace) -> tuple[str, str]:
         raise options.InputError("\n  ".join(["wrong input", *problems]) if len(problems) > 1 else problems[0])
     if arguments.merge is None:
         return arguments.plan, arguments.output
-    return str(Path(arguments.merge) / "plan.toml"), arguments.merge
+    plan = Path(arguments.merge) / "plan.toml"
+    if not plan.is_file():
+        raise options.InputError(f"--merge: {arguments.merge} holds no plan.toml; expected the folder of a sweep")
+    return str(plan), arguments.merge
 
 
 def _report(result: Sweep, draw: Any, output: Path, arguments: argparse.Namespace) -> None:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import json
-from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+import sys
+from concurrent.futures import ProcessPoolExecutor
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,7 @@ import pytest
 
 import cgemit as cg
 from cgemit.cli.main import main
-from cgemit.cli.sweep import add_workers, executor
+from cgemit.cli.sweep import add_workers, workers
 from cgemit.study import Evaluation, grid, sweep
 from cgemit.study.sweep.plan import PlanError, read_plan
 
@@ -45,19 +46,15 @@ def plan(tmp_path: Path) -> Path:
     return path
 
 
-def test_options_choose_the_executor() -> None:
+def test_options_choose_the_workers() -> None:
     """Threads, processes or the default; both at once are refused."""
     parser = argparse.ArgumentParser(exit_on_error=False)
     add_workers(parser)
-    for words, kind, workers in (
-        ([], type(None), None),
-        (["--threads", "3"], ThreadPoolExecutor, 3),
-        (["--processes", "2"], ProcessPoolExecutor, 2),
-    ):
-        with ExitStack() as stack:
-            pool = executor(parser.parse_args(words), stack)
-            assert type(pool) is kind
-            assert getattr(pool, "_max_workers", None) == workers
+    with ExitStack() as stack:
+        assert workers(parser.parse_args([]), stack) is None
+        assert workers(parser.parse_args(["--threads", "3"]), stack) == 3
+        pool: Any = workers(parser.parse_args(["--processes", "2"]), stack)
+        assert (type(pool), pool._max_workers) == (ProcessPoolExecutor, 2)
     with pytest.raises(argparse.ArgumentError, match="not allowed with argument"):
         parser.parse_args(["--threads", "1", "--processes", "1"])
 
@@ -127,6 +124,42 @@ def test_functions_of_a_file_beside_the_plan(tmp_path: Path) -> None:
     text = 'base = "besiii-cgem-design"\n[evaluate]\nmethod = "mine.py:foils"\n[[variants]]\n"cgem.L1.foils" = 2\n'
     (tmp_path / "plan.toml").write_text(text)
     assert read_plan(tmp_path / "plan.toml").run().columns["foils"] == [3, 2]
+
+
+def test_a_killed_sweep_leaves_its_plan(
+    plan: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def killed(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    assert main(["sweep", "--merge", str(tmp_path / "out")]) == 2
+    assert "out holds no plan.toml; expected the folder of a sweep" in capsys.readouterr().err
+    monkeypatch.setattr(sys.modules["cgemit.study.sweep.run"], "compute_rows", killed)
+    assert main(["sweep", str(plan), "-o", str(tmp_path / "out"), "--quiet"]) == 130
+    monkeypatch.undo()
+    assert main(["sweep", "--merge", str(tmp_path / "out")]) == 3
+    assert "3 of 3 variants are missing" in capsys.readouterr().err
+
+
+def test_merging_reads_a_folder_that_was_moved_and_runs_nothing(tmp_path: Path) -> None:
+    (tmp_path / "study").mkdir()
+    mine = tmp_path / "study/mine.py"
+    mine.write_text("def foils(detector):\n    return {'foils': detector.cgem[0].foils}\n")
+    (tmp_path / "study/own.toml").write_text('base = "besiii-cgem-design"\n[cgem.L1]\npitch_x = "700 um"\n')
+    text = 'base = "own.toml"\n[evaluate]\nmethod = "mine.py:foils"\n[[variants]]\n"cgem.L1.foils" = 2\n'
+    (tmp_path / "study/plan.toml").write_text(text)
+    plan = str(tmp_path / "study/plan.toml")
+    assert main(["sweep", plan, "-o", str(tmp_path / "study/out"), "--quiet", "--array-index", "0/1"]) == 0
+    moved = (tmp_path / "study").rename(tmp_path / "elsewhere")
+    stored = str(moved / "out/plan.toml")
+    assert str(tmp_path) not in Path(stored).read_text()
+    assert read_plan(stored).run().columns["foils"] == [3, 2]
+    (moved / "out").rename(tmp_path / "out")
+    (moved / "mine.py").write_text("raise RuntimeError\n")
+    assert main(["sweep", "--merge", str(tmp_path / "out"), "--quiet"]) == 0
+    table = pd.read_csv(tmp_path / "out/sweep.csv")
+    assert table["foils"].tolist() == [3, 2]
+    assert table["name"][0] == "own"
 
 
 def test_problems_of_a_plan_are_all_listed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -15,6 +15,7 @@ import numpy as np
 from cgemit.analysis.widths import GROUPS, jackknife
 from cgemit.base.files import new_file
 from cgemit.base.version import PHYSICS
+from cgemit.chain.executor import Workers
 from cgemit.chain.record import versions
 from cgemit.chain.settings import Settings
 from cgemit.detector import Detector
@@ -183,7 +184,7 @@ def confirm(
 
     def rows_of(method: Literal["analytic", "mc"]) -> list[dict[str, Any]]:
         evaluation = replace(old, method=method, events=events, seed=seed, settings=settings)
-        found = Evaluator(evaluator.base, Goals(goals, evaluation, None), (), None, None).rows(changes)
+        found = Evaluator(evaluator.base, Goals(goals, evaluation, None), (), None, Workers()).rows(changes)
         for number, row in zip(numbers, found, strict=True):
             if row["status"] != "ok":
                 raise ValueError(f"confirm: design {number}: {'; '.join(row['problems'])}")
@@ -274,7 +275,7 @@ class Optimization(TidyResult):
             error = jackknife([hypervolume(replicas[rows][..., i], reference) for i in range(GROUPS)])
         return Optimization(
             columns, tuple(variables), tuple(objectives), method, found.gradients, found.message, volumes,
-            tuple(map(float, reference)), error, replace(evaluator, folder=None, executor=None),
+            tuple(map(float, reference)), error, replace(evaluator, folder=None, workers=Workers()),
         )  # fmt: skip
 
     def __len__(self) -> int:

@@ -5,9 +5,8 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
-from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -16,6 +15,8 @@ from cgemit.base.errors import Problems
 from cgemit.base.files import SUMMARY, OutputExistsError, check_free
 from cgemit.base.validate import build
 from cgemit.base.version import PHYSICS
+from cgemit.chain.executor import Workers
+from cgemit.chain.run import Output
 from cgemit.chain.settings import Settings
 from cgemit.detector import Detector, load
 from cgemit.detector.inventory import Background
@@ -36,7 +37,7 @@ from cgemit.study.optimize.search import Design, Evaluator, Found, Method, NoSta
 from cgemit.study.samples import ShowProgress
 from cgemit.study.sweep.evaluate import Evaluation
 from cgemit.study.sweep.plan import PlanFile, range_of, read_evaluation, read_tables
-from cgemit.study.sweep.run import chunk_folder, evaluation_of
+from cgemit.study.sweep.run import chunk_folder, evaluation_of, output_of, pool_of
 from cgemit.study.sweep.space import PlanError
 
 _TOLERANCE = {"gradient": 1e-4, "cobyla": 1e-3, "nsga2": 1.0}
@@ -65,11 +66,10 @@ def optimize(
     search: Search | Mapping[str, Any] | Method | None = None,
     background: Background | Mapping[str, float] | None = None,
     *,
-    executor: Executor | None = None,
-    output: str | os.PathLike[str] | None = None,
-    resume: bool = True,
-    overwrite: bool = False,
+    output: Output | str | os.PathLike[str] | None = None,
+    workers: Workers | Executor | int | None = None,
     progress: ShowProgress | None = None,
+    started: Callable[[], object] | None = None,
 ) -> Optimization:
     """Find the best variants of a detector.
 
@@ -90,7 +90,7 @@ def optimize(
     search : Search, a dict of its arguments, or its method, optional
     background : Background or mapping, optional
         What "occupancy" needs: rate in kHz/cm2 at a radius ...
-    executor, output, resume, overwrite, progress
+    output, workers, progress, started
         As for `sweep`.
 
     Returns
@@ -110,14 +110,17 @@ def optimize(
     evaluation: Any = evaluation_of(evaluate, problems)
     how: Any = _search(search, problems)
     task = _checked(start, space, minimize, constraints or {}, evaluation, background, how, problems)
-    folder, journal = _places(task, output, resume=resume, overwrite=overwrite, search=how)
-    with ExitStack() as stack:
-        evaluator = Evaluator(start, task.goals, task.limits, folder, executor or _pool(stack))
+    place = output_of(output)
+    folder, journal = _places(task, place, how)
+    if started:
+        started()
+    with pool_of(Workers.of(workers)) as executor:
+        evaluator = Evaluator(start, task.goals, task.limits, folder, Workers(executor=executor))
         first = Design(0, "base", tuple(one.own(start) for one in task.variables), evaluator.rows([{}])[0])
         found = _searched(evaluator, task, how, journal, progress)
     result = Optimization.of(evaluator, task.variables, task.objectives, task.method, (first, *found.designs), found)
-    if output is not None:
-        result.write(Path(output))
+    if place:
+        result.write(place.folder)
     return result
 
 
@@ -142,12 +145,6 @@ def _searched(
         )  # fmt: skip
     except NoStartError as error:
         raise PlanError("optimize", [one.below("start") for one in error.problems]) from None
-
-
-def _pool(stack: ExitStack) -> Executor:
-    from concurrent.futures import ThreadPoolExecutor
-
-    return stack.enter_context(ThreadPoolExecutor(os.cpu_count() or 1))
 
 
 def _checked(
@@ -211,18 +208,17 @@ def _check_method(
             problems.note("search.method", given, "a range without zero")
 
 
-def _places(
-    task: _Task, output: Any, *, resume: bool, overwrite: bool, search: Search
-) -> tuple[Path | None, Path | None]:
+def _places(task: _Task, output: Output | None, search: Search) -> tuple[Path | None, Path | None]:
     """Return the folder of the chunks and the journal of this very search."""
-    if output is not None and not overwrite and (Path(output) / SUMMARY).exists() and not _is_ours(Path(output)):
-        check_free(output)
-    folder = chunk_folder(output, resume=resume, overwrite=overwrite)
-    if folder is None:
+    if output is None:
         return None, None
-    journals = Path(output) / "journals"
+    whole = Path(output.folder)
+    if not output.overwrite and (whole / SUMMARY).exists() and not _is_ours(whole):
+        check_free(whole)
+    folder = chunk_folder(output)
+    journals = whole / "journals"
     journals.mkdir(exist_ok=True)
-    if overwrite:
+    if output.overwrite:
         for old in journals.glob("[0-9a-f]" * 16 + ".log"):
             old.unlink()
     # The number of calls is no part of the name: a search can be continued with more of them.
@@ -250,7 +246,7 @@ class OptimizePlan(PlanFile):
     """The plan of an optimization."""
 
     def run(self, **how: Any) -> Optimization:
-        """Run the optimization with further arguments of `optimize`: `output`, `executor`, `progress` ..."""
+        """Run the optimization with further arguments of `optimize`: `output`, `workers`, `progress` ..."""
         return optimize(**self.arguments, **how)
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -15,6 +14,7 @@ from cgemit.analysis.widths import Floats
 from cgemit.base.errors import DetectorError, Problem, ProblemsError
 from cgemit.base.settings import SettingsData
 from cgemit.base.validate import Check
+from cgemit.chain.executor import Workers
 from cgemit.covariance.result import Covariance
 from cgemit.covariance.sensitivity import SurfacesError, logarithmic_slopes, varied
 from cgemit.detector import Detector
@@ -80,21 +80,21 @@ class Evaluator:
     limits : tuple of Limit
     folder : Path or None
         Of the chunks.
-    executor : Executor or None
+    workers : Workers
     """
 
     base: Detector
     goals: Goals
     limits: tuple[Limit, ...]
     folder: Path | None
-    executor: Executor | None
+    workers: Workers
 
     def rows(self, designs: Sequence[Changes]) -> list[dict[str, Any]]:
         """Return the row of each design: `status`, `problems`, and of possible ones `hash`, `values`, `errors`."""
         size = CHUNK[self.goals.evaluation.kind]
         parts = [designs[i : i + size] for i in range(0, len(designs), size)]
         tasks = [Task((self.base,) * len(part), tuple(part), self.goals) for part in parts]
-        return [row for rows in compute_rows(tasks, self.folder, self.executor, None, None) for row in rows]
+        return [row for rows in compute_rows(tasks, self.folder, self.workers, None, None) for row in rows]
 
     def violations(self, row: dict[str, Any]) -> dict[str, float]:
         """Return by how much a possible design violates each limit, relative to it; negative within."""

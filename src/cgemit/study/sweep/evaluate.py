@@ -272,11 +272,24 @@ def numbers_of(found: object) -> dict[str, Any]:
     return plain
 
 
+@dataclass(frozen=True)
+class Evaluated:
+    """Stands for a function by its `identity`, to read what it returned before; it cannot be called."""
+
+    identity: str
+
+    def __call__(self, detector: Detector) -> Mapping[str, Any]:
+        """Raise an error."""
+        raise TypeError(f"{self.identity}: only results that are there can be read")
+
+
 def identity(function: Function) -> str:
     """Return what tells a function from others: its module, its name and a hash of its source.
 
     Values that it refers to are not seen: a sweep is not redone when they change.
     """
+    if isinstance(function, Evaluated):
+        return function.identity
     try:
         source = inspect.getsource(function)
     except (OSError, TypeError):

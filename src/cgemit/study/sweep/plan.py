@@ -15,12 +15,16 @@ from cgemit.base.files import new_file, toml_text
 from cgemit.base.settings import SettingsData
 from cgemit.base.validate import Check, build, entries
 from cgemit.chain.settings import Settings
-from cgemit.study.sweep.evaluate import SWEPT, Evaluation, Seed, result_columns
+from cgemit.detector import load
+from cgemit.detector.files import is_preset
+from cgemit.study.sweep.evaluate import SWEPT, Evaluated, Evaluation, Seed, identity, result_columns
 from cgemit.study.sweep.result import Sweep
 from cgemit.study.sweep.run import sweep
 from cgemit.study.sweep.space import PlanError, Space, grid, latin_hypercube, listed, sobol
 
 PLAN = "plan.toml"
+#: Key of [evaluate] in a plan that was written beside results: the identity of the function that made them.
+FUNCTION = "function"
 
 #: Tables of a plan that hold keys of the detector file, or settings: any key may stand there.
 _FREE = ("vary", "constraints")
@@ -41,12 +45,23 @@ class PlanFile:
     tables: Mapping[str, Any]
     arguments: Mapping[str, Any]
 
-    def write(self, folder: str | os.PathLike[str]) -> Path:
-        """Write the plan to the folder of its output, from where it can be read again."""
-        path = Path(folder) / PLAN
-        with new_file(path, overwrite=True) as temporary:
-            temporary.write_text(toml_text(self.tables), encoding="utf-8")
-        return path
+    def write(self, folder: str | os.PathLike[str]) -> None:
+        """Write the plan to the folder of its output, from where it can be read again, also if that is moved.
+
+        A detector file comes along as detector.toml. The path to the file of a function is relative to the folder; the
+        function's identity serves to read its results without that file.
+        """
+        place, tables, texts = Path(folder), dict(self.tables), {}
+        if not is_preset(tables["base"]):
+            texts["detector.toml"] = load(tables["base"]).to_toml()
+            tables["base"] = "detector.toml"
+        evaluation = self.arguments["evaluate"]
+        if evaluation.function is not None:
+            method = os.path.relpath(tables["evaluate"]["method"], place.resolve())
+            tables["evaluate"] = {**tables["evaluate"], "method": method, FUNCTION: identity(evaluation.function)}
+        for name, text in {**texts, PLAN: toml_text(tables)}.items():
+            with new_file(place / name, overwrite=True) as temporary:
+                temporary.write_text(text, encoding="utf-8")
 
 
 def read_tables(
@@ -107,16 +122,23 @@ def _change(tables: dict[str, Any], key: str, value: Any, problems: Problems) ->
         tables[first][rest] = value
 
 
-def read_evaluation(tables: Mapping[str, Any], without: Collection[str], problems: Problems) -> Evaluation | None:
+def read_evaluation(
+    tables: Mapping[str, Any], without: Collection[str], problems: Problems, *, evaluated: bool = False
+) -> Evaluation | None:
     """Return the evaluation of the tables [evaluate] and [settings]; None, with problems noted, if it is wrong.
 
-    `without` names keys of `Evaluation` that the plan does not have.
+    `without` names keys of `Evaluation` that the plan does not have. With `evaluated`, no file is run: the identity of
+    a function stands for it.
     """
     settings = build(Settings, tables["settings"], "settings", problems) if "settings" in tables else None
     known = [one.name for one in fields(Evaluation) if one.name not in ("settings", *without)]
-    table = dict(entries(tables.get("evaluate", {}), "evaluate", known, problems))
+    given = tables.get("evaluate", {})
+    stored = given.get(FUNCTION) if isinstance(given, Mapping) else None
+    if stored is not None:
+        given = {name: value for name, value in given.items() if name != FUNCTION}
+    table = dict(entries(given, "evaluate", known, problems))
     if isinstance(table.get("method"), str) and ":" in table["method"]:
-        table["method"] = _function(table.pop("method"), problems)
+        table["method"] = Evaluated(str(stored)) if evaluated else _function(table["method"], problems)
     found = build(Evaluation, table, "evaluate", problems)
     return replace(found, settings=settings) if found is not None else None
 
@@ -204,11 +226,13 @@ class SweepPlan(PlanFile):
     draw: Draw
 
     def run(self, **how: Any) -> Sweep:
-        """Run the sweep with further arguments of `sweep`: `output`, `executor`, `part`, `progress` ..."""
+        """Run the sweep with further arguments of `sweep`: `output`, `workers`, `part`, `progress` ..."""
         return sweep(**self.arguments, **how)
 
 
-def read_plan(path: str | os.PathLike[str], changes: Mapping[str, Any] | None = None) -> SweepPlan:
+def read_plan(
+    path: str | os.PathLike[str], changes: Mapping[str, Any] | None = None, *, evaluated: bool = False
+) -> SweepPlan:
     """Return the plan of a TOML file.
 
     Parameters
@@ -216,6 +240,8 @@ def read_plan(path: str | os.PathLike[str], changes: Mapping[str, Any] | None = 
     path : path
     changes : mapping of str to object, optional
         Values that replace those of the file, by dotted key such as ``evaluate.events`` or ``vary.cgem.*.pitch_x``.
+    evaluated : bool
+        Whether its results are only read, of a plan beside them: then the file of a function is not run.
 
     Raises
     ------
@@ -226,7 +252,7 @@ def read_plan(path: str | os.PathLike[str], changes: Mapping[str, Any] | None = 
     """
     problems = Problems()
     tables = read_tables(path, changes or {}, KEYS, problems)
-    evaluate = read_evaluation(tables, (), problems)
+    evaluate = read_evaluation(tables, (), problems, evaluated=evaluated)
     sample = build(Sample, tables.get("sample", {}), "sample", problems)
     draw = build(Draw, tables.get("draw", {}), "draw", problems)
     space = _space(tables, sample, problems)

@@ -20,6 +20,8 @@ from cgemit.base.errors import DetectorError, Problems
 from cgemit.base.files import OutputExistsError, check_free, new_file, remove_left
 from cgemit.base.validate import build, is_whole
 from cgemit.base.version import PHYSICS
+from cgemit.chain.executor import Workers
+from cgemit.chain.run import Output
 from cgemit.detector import Detector, load
 from cgemit.study.samples import ShowProgress
 from cgemit.study.sweep.evaluate import Evaluation, Function
@@ -170,7 +172,7 @@ def _failed(error: Exception) -> dict[str, Any]:
 def compute_rows(
     tasks: Sequence[Task],
     folder: Path | None,
-    executor: Executor | None,
+    workers: Workers,
     part: tuple[int, int] | None,
     progress: ShowProgress | None,
 ) -> list[list[dict[str, Any]]]:
@@ -192,7 +194,7 @@ def compute_rows(
         rows[i] = found
 
     try:
-        with _pool(executor, len(waiting)) as pool:
+        with pool_of(workers, len(waiting)) as pool:
             for i in waiting:
                 futures[pool.submit(work, tasks[i])] = i
             lost = []
@@ -218,11 +220,13 @@ def compute_rows(
 
 
 @contextmanager
-def _pool(executor: Executor | None, tasks: int) -> Iterator[Executor]:
-    if executor is not None:
-        yield executor
+def pool_of(workers: Workers, tasks: int | None = None) -> Iterator[Executor]:
+    """Yield the executor of workers, or a pool of threads, not more than tasks, whose waiting tasks end with it."""
+    if workers.executor is not None:
+        yield workers.executor
         return
-    with ThreadPoolExecutor(max(1, min(tasks, os.cpu_count() or 1))) as pool:
+    threads = workers.threads or os.cpu_count() or 1
+    with ThreadPoolExecutor(threads if tasks is None else max(1, min(tasks, threads))) as pool:
         try:
             yield pool
         finally:
@@ -259,13 +263,12 @@ def sweep(
     space: Space | Mapping[str, Sequence[Any]] | Sequence[Changes],
     evaluate: Evaluation | Mapping[str, Any] | Literal["analytic", "mc"] | Function = "analytic",
     *,
-    executor: Executor | None = None,
-    output: str | os.PathLike[str] | None = None,
-    resume: bool = True,
-    overwrite: bool = False,
+    output: Output | str | os.PathLike[str] | None = None,
+    workers: Workers | Executor | int | None = None,
     part: tuple[int, int] | None = None,
     compute: bool = True,
     progress: ShowProgress | None = None,
+    started: Callable[[], object] | None = None,
 ) -> Sweep:
     """Evaluate variants of a detector.
 
@@ -276,14 +279,11 @@ def sweep(
         Changes by dotted key of the detector file, as `Detector.with_overrides` takes them; `base` and `field` take
         names of presets or files. See `grid`, `sobol` and `latin_hypercube`.
     evaluate : Evaluation, a dict of its arguments, or its method
-    executor : concurrent.futures.Executor, optional
-        Default: a thread pool of all cores. Dask: ``client.get_executor()``.
-    output : path, optional
-        Folder for the chunks, the table and its record.
-    resume : bool
-        Whether to use the chunks that the folder holds; otherwise a folder with files is an error.
-    overwrite : bool
-        Whether to remove the chunks that the folder holds.
+    output : Output or path, optional
+        Folder for the chunks, the table and its record. Chunks that it holds are kept, but with `Output.overwrite`.
+    workers : Workers, concurrent.futures.Executor or int, optional
+        Where chunks are computed; a number is of threads. Default: threads on all cores. Dask:
+        ``client.get_executor()``.
     part : (int, int), optional
         (i, n): compute part i (0 to n - 1) of n parts of the chunks and write no table; a later call without `part`
         joins them.
@@ -291,6 +291,8 @@ def sweep(
         Whether to compute the chunks that the folder does not hold; otherwise their rows are of status "missing".
     progress : callable, optional
         Called with the share that is done and a text with the remaining time.
+    started : callable, optional
+        Called when the arguments are right and the folder is there, before anything is computed.
 
     Returns
     -------
@@ -317,12 +319,15 @@ def sweep(
     wrong.report("sweep", PlanError)
     size = evaluation.chunk or CHUNK[evaluation.kind]
     tasks = [_task(bases[i : i + size], evaluation) for i in range(0, len(bases), size)]
-    folder = chunk_folder(output, resume=resume, overwrite=overwrite)
-    rows = compute_rows(tasks, folder, executor, part if compute else (0, 0), progress)
+    place = output_of(output)
+    folder = chunk_folder(place)
+    if started:
+        started()
+    rows = compute_rows(tasks, folder, Workers.of(workers), part if compute else (0, 0), progress)
     found = [row for task_rows in rows for row in task_rows]
     result = Sweep.joined(chosen, evaluation, [detector for detector, _ in bases], found)
-    if output is not None and part is None and not result.missing():
-        result.write(Path(output))
+    if place and part is None and not result.missing():
+        result.write(place.folder)
     return result
 
 
@@ -361,19 +366,22 @@ def _task(pairs: Sequence[tuple[Detector, Changes]], evaluation: Evaluation) -> 
     return Task(tuple(detector for detector, _ in pairs), tuple(changes for _, changes in pairs), evaluation)
 
 
-def chunk_folder(output: str | os.PathLike[str] | None, *, resume: bool, overwrite: bool) -> Path | None:
+def output_of(given: Output | str | os.PathLike[str] | None) -> Output | None:
+    """Return where results are written, given as such or as a path."""
+    return given if given is None or isinstance(given, Output) else Output(given)
+
+
+def chunk_folder(output: Output | None) -> Path | None:
     """Return the folder of the chunks, made if it is missing; None without an output."""
     if output is None:
         return None
-    folder = Path(output) / CHUNKS
+    folder = Path(output.folder) / CHUNKS
     if not all(_CHUNK.fullmatch(path.name) for path in folder.glob("*")):
-        raise OutputExistsError(f"{output} holds files of no sweep in {CHUNKS}; choose another folder")
-    if folder.is_dir() and not resume and not overwrite:
-        raise OutputExistsError(f"{output} already holds a sweep; choose another folder, or resume or overwrite it")
+        raise OutputExistsError(f"{output.folder} holds files of no sweep in {CHUNKS}; choose another folder")
     if not folder.is_dir():
-        check_free(output, overwrite=overwrite)
+        check_free(output.folder, overwrite=output.overwrite)
     folder.mkdir(parents=True, exist_ok=True)
-    if overwrite:
+    if output.overwrite:
         for old in folder.glob("*.json"):
             old.unlink()
     return folder

@@ -140,7 +140,7 @@ def test_an_interrupted_search_continues_to_the_same_end(found: tuple[Optimizati
 @pytest.mark.filterwarnings("ignore")  # of dask, about the cluster that is taken apart
 def test_dask_finds_what_one_process_finds(found: tuple[Optimization, Path], tmp_path: Path) -> None:
     with executor("dask") as workers:
-        other = optimize(DESIGN, SPACE, output=tmp_path / "dask", executor=workers, **HOW, search=search(6))
+        other = optimize(DESIGN, SPACE, output=tmp_path / "dask", workers=workers, **HOW, search=search(6))
     assert (tmp_path / "dask" / "optimize.csv").read_bytes() == (found[1] / "optimize.csv").read_bytes()
     assert other.columns == found[0].columns
 

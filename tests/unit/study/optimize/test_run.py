@@ -74,7 +74,7 @@ def test_gradients_are_the_slopes_of_what_is_minimized() -> None:
     goals = tuple(goal_of("", text, (0.3, 1.0), problems) for text in texts)
     evaluation = Evaluation(p=[0.3, 1.0], cos_theta=[0.0, 0.6], quantities=["dr", "dz"], samples=64)
     limits = limits_of({"dz": (None, 10), "channels": (None, 1e5), "x0": (None, 10)}, (0.3, 1.0), problems)
-    evaluator = Evaluator(DESIGN, Goals(goals, evaluation, None), limits, None, None)
+    evaluator = Evaluator(DESIGN, Goals(goals, evaluation, None), limits, None, cg.Workers())
     descent = Descent(evaluator, variables_of(DESIGN, space, problems), goals[0], fixed_hits=True)
     assert not problems
     u = np.array([0.4, 0.5, 0.3, 0.4, 0.2, 0.5])
@@ -98,7 +98,7 @@ def test_a_step_that_closes_the_gap_between_parts_is_cut() -> None:
     problems: list[str] = []
     goal = goal_of("", "dr @ 0.3", (0.3,), problems)
     evaluation = Evaluation(p=0.3, quantities=["dr"], samples=64)
-    evaluator = Evaluator(DESIGN, Goals((goal,), evaluation, None), (), None, None)
+    evaluator = Evaluator(DESIGN, Goals((goal,), evaluation, None), (), None, cg.Workers())
     variables = variables_of(DESIGN, {"cgem.L3.anode_radius": "bounds"}, problems)
     descent = Descent(evaluator, variables, goal, fixed_hits=True)
     assert not problems

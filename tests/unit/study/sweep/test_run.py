@@ -296,11 +296,11 @@ def test_what_an_executor_loses_is_computed_once_more(tmp_path: Path) -> None:
     expected = sweep(DESIGN, PITCHES, evaluate=Evaluation(channels, chunk=1))
     tasks = len(expected)
     losing = Losing(2)
-    found = sweep(DESIGN, PITCHES, Evaluation(channels, chunk=1), output=tmp_path / "out", executor=losing)
+    found = sweep(DESIGN, PITCHES, Evaluation(channels, chunk=1), output=tmp_path / "out", workers=losing)
     assert losing.submitted == tasks + 2
     assert found.columns == expected.columns
     with pytest.raises(ValueError, match="too many values to unpack"):
-        sweep(DESIGN, PITCHES, evaluate=Evaluation(channels, chunk=1), executor=Losing(tasks + 1))
+        sweep(DESIGN, PITCHES, evaluate=Evaluation(channels, chunk=1), workers=Losing(tasks + 1))
 
 
 class Unfinished:
@@ -338,24 +338,24 @@ def test_a_function_that_fails_is_a_row_and_is_tried_again(tmp_path: Path) -> No
     assert first.columns["problems"][2] == "RuntimeError: no licence"
     broken[0] = False
     again = Counting()
-    second = sweep(DESIGN, space, evaluate=fragile, output=tmp_path / "out", executor=again)
+    second = sweep(DESIGN, space, evaluate=fragile, output=tmp_path / "out", workers=again)
     assert (again.submitted, second.columns["foils"]) == (1, [3, 1, 2])
 
 
 def test_a_sweep_goes_on_where_it_was_interrupted(tmp_path: Path) -> None:
     whole = sweep(DESIGN, PITCHES, evaluate=channels, output=tmp_path / "whole")
     with pytest.raises(KeyboardInterrupt):
-        sweep(DESIGN, PITCHES, evaluate=channels, output=tmp_path / "out", executor=Counting(stop=2))
+        sweep(DESIGN, PITCHES, evaluate=channels, output=tmp_path / "out", workers=Counting(stop=2))
     rest = Counting()
-    found = sweep(DESIGN, PITCHES, evaluate=channels, output=tmp_path / "out", executor=rest)
+    found = sweep(DESIGN, PITCHES, evaluate=channels, output=tmp_path / "out", workers=rest)
     assert rest.submitted == 3
     assert found.columns.keys() == whole.columns.keys()
     for name in ("sweep.csv", "summary.json", "detector.toml"):
         assert (tmp_path / "out" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
     nothing = Counting()
     larger = {"cgem.*.pitch_x": ["400 um", "900 um", "500 um"], "cgem.L2.anode_radius": ["132.5 mm", "160 mm"]}
-    sweep(DESIGN, PITCHES, evaluate=channels, output=tmp_path / "out", executor=nothing)
-    sweep(DESIGN, larger, evaluate=channels, output=tmp_path / "out", executor=nothing)
+    sweep(DESIGN, PITCHES, evaluate=channels, output=tmp_path / "out", workers=nothing)
+    sweep(DESIGN, larger, evaluate=channels, output=tmp_path / "out", workers=nothing)
     assert nothing.submitted == 2  # the new pitch
 
 
@@ -374,7 +374,7 @@ def test_damaged_chunks_are_found_and_computed_anew(tmp_path: Path, damage: str)
     }
     chunk.write_text(changed[damage])
     counted = Counting()
-    again = sweep(DESIGN, PITCHES, evaluate=channels, output=tmp_path, executor=counted)
+    again = sweep(DESIGN, PITCHES, evaluate=channels, output=tmp_path, workers=counted)
     assert counted.submitted == 1
     assert str(again.columns) == str(first.columns)
     assert (tmp_path / "sweep.csv").read_bytes() == before
@@ -386,7 +386,7 @@ def test_chunks_depend_on_all_that_results_depend_on(tmp_path: Path, monkeypatch
         counted = Counting()
         base = how.pop("base", DESIGN)
         evaluate = Evaluation("mc", **{"events": 20} | how)
-        sweep(base, {"cgem.L1.foils": [2]}, evaluate, output=tmp_path, executor=counted)
+        sweep(base, {"cgem.L1.foils": [2]}, evaluate, output=tmp_path, workers=counted)
         return counted.submitted
 
     assert computed() == 2
@@ -405,24 +405,22 @@ def test_folders_of_others_are_left_alone(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="already holds files"):
         sweep(DESIGN, PITCHES, evaluate=channels, output=tmp_path)
     sweep(DESIGN, PITCHES, evaluate=channels, output=tmp_path / "out")
-    with pytest.raises(ValueError, match="already holds a sweep"):
-        sweep(DESIGN, PITCHES, evaluate=channels, output=tmp_path / "out", resume=False)
     counted = Counting()
-    sweep(DESIGN, PITCHES, evaluate=channels, output=tmp_path / "out", overwrite=True, executor=counted)
+    sweep(DESIGN, PITCHES, evaluate=channels, output=cg.Output(tmp_path / "out", overwrite=True), workers=counted)
     assert counted.submitted == 5
     chunks = tmp_path / "chunks"
     chunks.mkdir()
     (chunks / "mine.json").write_text("mine")
     for overwrite in (True, False):
         with pytest.raises(ValueError, match="holds files of no sweep in chunks"):
-            sweep(DESIGN, PITCHES, evaluate=channels, output=tmp_path, overwrite=overwrite)
+            sweep(DESIGN, PITCHES, evaluate=channels, output=cg.Output(tmp_path, overwrite=overwrite))
     assert (chunks / "mine.json").read_text() == "mine"
 
 
 @pytest.fixture(scope="module")
 def serial(tmp_path_factory: pytest.TempPathFactory) -> list[bytes]:
     with ThreadPoolExecutor(1) as one:
-        return swept(tmp_path_factory.mktemp("serial") / "out", executor=one)
+        return swept(tmp_path_factory.mktemp("serial") / "out", workers=one)
 
 
 @pytest.mark.slow
@@ -430,7 +428,7 @@ def test_every_executor_makes_the_same_files(serial: list[bytes], tmp_path: Path
     assert swept(tmp_path / "threads") == serial
     assert swept(tmp_path / "large chunks", chunk=4) == serial
     with ProcessPoolExecutor(2) as pool:
-        assert swept(tmp_path / "processes", executor=pool) == serial
+        assert swept(tmp_path / "processes", workers=pool) == serial
 
 
 @pytest.mark.slow
@@ -452,7 +450,7 @@ def test_dask_makes_the_same_files_when_a_worker_is_killed(serial: list[bytes], 
                 os.kill(workers[0], signal.SIGKILL)
 
         executor: Executor = client.get_executor()
-        assert swept(tmp_path / "out", executor=executor, progress=kill_one) == serial
+        assert swept(tmp_path / "out", workers=executor, progress=kill_one) == serial
     assert killed
 
 
