@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import lru_cache
 from importlib import resources
 
@@ -15,7 +15,7 @@ from scipy.integrate import trapezoid
 from cgemit.base.errors import Problem, Problems, ProblemsError
 from cgemit.base.files import read_text
 from cgemit.detector import Detector
-from cgemit.detector.readouts import CalibratedReadout, Estimator
+from cgemit.detector.readouts import AnalogReadout, CalibratedReadout, Estimator
 
 #: cos(theta) of tracks for which errors are expected, where these depend on it; linear between, constant beyond.
 COS_THETA = np.array([-0.9, -0.85, -0.78, -0.69, -0.58, -0.45, -0.3, -0.15, 0.0,
@@ -189,7 +189,7 @@ def neutral(layers: int) -> Calibration:
 
 
 def key_of(detector: Detector, readout: CalibratedReadout) -> str:
-    """Return the hash of what a calibration depends on: CGEM layers, field, settings of the read-out.
+    """Return the hash of what a calibration depends on: CGEM layers, field, settings and chip of the read-out.
 
     Parameters
     ----------
@@ -206,10 +206,9 @@ def key_of(detector: Detector, readout: CalibratedReadout) -> str:
     settings = readout.to_dict()
     for name in ("calibration", "estimator", "second_pass", "time_margin"):
         settings.pop(name, None)
-    if not settings.get("random_neighbours", True):  # as in calibrations made before this could be switched on
-        settings.pop("random_neighbours")
+    chip = asdict(readout.chip) if isinstance(readout, AnalogReadout) else None
     layers = [[getattr(layer, name) for name in _LAYER] + [layer.gas.ionization] for layer in detector.cgem]
-    text = json.dumps([MODEL, readout.name, settings, layers, detector.field.bz], sort_keys=True)
+    text = json.dumps([MODEL, readout.name, settings, chip, layers, detector.field.bz], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
@@ -241,7 +240,7 @@ def calibration_of(detector: Detector, readout: CalibratedReadout) -> Calibratio
             ) from error
         found = read_calibration(text, readout.calibration)
     else:
-        file = resources.files("cgemit.reconstruction") / _FOLDER / f"{key}.json"
+        file = resources.files("cgemit.reconstruction") / _FOLDER / f"{readout.name}-{key}.json"
         if not file.is_file():
             raise CalibrationError(f"read-out {readout.name} of {detector.name}", [Problem("", _MISSING, "")])
         found = read_calibration(file.read_text(encoding="utf-8"), file.name)

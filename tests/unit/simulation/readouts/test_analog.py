@@ -393,6 +393,13 @@ def test_any_chunks_give_the_same_bytes() -> None:
         assert one[name].tobytes() == other[name].tobytes(), name
 
 
+@pytest.mark.parametrize("changed", [{"sample_delay": 100.0}, {"charge": TIGER.timing}])
+def test_calibration_belongs_to_the_chip(changed: dict[str, object], monkeypatch: pytest.MonkeyPatch) -> None:
+    before = key_of(DESIGN, TigerReadout())
+    monkeypatch.setattr(TigerReadout, "chip", dataclasses.replace(TIGER, **changed))
+    assert key_of(DESIGN, TigerReadout()) != before
+
+
 def test_calibration_belongs_to_the_setting() -> None:
     """Without it calibrations stay valid, with it they need to be made."""
     default = cg.Apv25Readout()
