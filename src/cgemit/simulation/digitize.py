@@ -22,11 +22,11 @@ from cgemit.detector.drift import (
 )
 from cgemit.detector.parts import seen_by
 from cgemit.detector.readouts import READOUTS, BinaryReadout, Readout
-from cgemit.simulation.readouts.analog import AnalogDigitizer, Apv25Digitizer
-from cgemit.simulation.readouts.binary import BinaryDigitizer
-from cgemit.simulation.readouts.digitizer import Digitizer
-from cgemit.simulation.readouts.gaussian import GaussianDigitizer
-from cgemit.simulation.readouts.projection import ProjectionDigitizer
+from cgemit.simulation.digitizers.analog import AnalogDigitizer, Apv25Digitizer
+from cgemit.simulation.digitizers.binary import BinaryDigitizer
+from cgemit.simulation.digitizers.digitizer import Digitizer
+from cgemit.simulation.digitizers.gaussian import GaussianDigitizer
+from cgemit.simulation.digitizers.projection import ProjectionDigitizer
 from cgemit.tables import Table
 from cgemit.tables.table import made_by
 

@@ -7,7 +7,7 @@ from cgemit.detector import Detector, compiled
 from cgemit.detector.core import gain_table
 from cgemit.detector.gas import w_values
 from cgemit.detector.readouts import ProjectionReadout
-from cgemit.simulation.readouts.digitizer import Digitizer
+from cgemit.simulation.digitizers.digitizer import Digitizer
 from cgemit.tables import Table
 
 

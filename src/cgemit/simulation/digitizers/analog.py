@@ -11,7 +11,7 @@ from cgemit.detector import Detector, compiled
 from cgemit.detector.core import gain_table
 from cgemit.detector.gas import drift_columns, w_values
 from cgemit.detector.readouts import AnalogReadout, Apv25Readout
-from cgemit.simulation.readouts.digitizer import Digitizer
+from cgemit.simulation.digitizers.digitizer import Digitizer
 from cgemit.tables import Table
 
 

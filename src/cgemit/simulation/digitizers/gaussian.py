@@ -6,7 +6,7 @@ from cgemit import _core
 from cgemit.detector import Detector, compiled
 from cgemit.detector.gas import w_values
 from cgemit.detector.readouts import GaussianReadout
-from cgemit.simulation.readouts.digitizer import Digitizer
+from cgemit.simulation.digitizers.digitizer import Digitizer
 from cgemit.tables import Table
 
 
