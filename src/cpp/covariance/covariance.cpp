@@ -2,6 +2,7 @@
 
 #include <algorithm>
 
+#include "common/lanes/number.hpp"
 #include "covariance/batch.hpp"
 
 namespace cgemit {
@@ -15,7 +16,7 @@ bool same_surfaces(const Detector& a, const Detector& b) {
 
 void covariances(const Detector& detector, const CovarianceInput& input, const HitModel& model,
                  const CovarianceOutput& output) {
-  CovarianceBatch<double>(detector, input, model, output).run();
+  CovarianceBatch<Number>(detector, input, model, output).run();
 }
 
 }  // namespace cgemit

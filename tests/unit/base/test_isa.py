@@ -44,7 +44,7 @@ def test_scalar_is_always_there_and_the_best_is_in_use() -> None:
 
 def test_kernels_are_found_in_every_kind_of_installation() -> None:
     """An editable installation keeps compiled files apart from the Python files; without kernels tests would skip."""
-    assert sys.platform == "win32" or "baseline" in isa.available()
+    assert sys.platform == "win32" or len(isa.available()) > 1
 
 
 @pytest.mark.parametrize("name", isa.available())

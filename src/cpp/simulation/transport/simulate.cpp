@@ -1,12 +1,13 @@
 #include "simulation/transport/simulate.hpp"
 
+#include "common/lanes/number.hpp"
 #include "simulation/transport/batch.hpp"
 
 namespace cgemit {
 
 void simulate(const Detector& detector, const ParticleColumns& particles, const SimulateSettings& settings,
               std::uint64_t seed, Simulated& out) {
-  simulate_lanes<double>(detector, particles, settings, seed, out);
+  simulate_lanes<Number>(detector, particles, settings, seed, out);
 }
 
 }  // namespace cgemit
