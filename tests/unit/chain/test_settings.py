@@ -1,0 +1,226 @@
+"""Every setting, changed alone, changes the tables that it is for, and none of an earlier stage."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pytest
+
+import cgemit as cg
+from cgemit.base.validate import kinds_of
+from cgemit.chain.settings import BY_STAGE
+from cgemit.detector.readouts import READOUTS, CalibratedReadout, Readout
+from cgemit.reconstruction.cluster import calibrated_clusterer, cluster
+from cgemit.reconstruction.cluster_errors import calibration_of
+from cgemit.simulation.digitize import DigitizeSettings, digitize
+from cgemit.tables import Table
+
+DESIGN = cg.load("besiii-cgem-design")
+# Every twelfth X strip is dead: clusters bridge them. Slow pions turn back, kaons decay.
+DEAD = {f"cgem.{one.label}.dead_x": [f"0:{strip}" for strip in range(5, one.strips_x, 12)] for one in DESIGN.cgem}
+DETECTOR = DESIGN.with_overrides(DEAD)
+PIONS = cg.Gun("pi-", p=(0.08, 0.5), cos_theta=(-0.4, 0.4))
+GUN = PIONS + cg.Gun("K+", p=(0.2, 0.5), cos_theta=(-0.8, 0.8))
+FOLDER = "a folder of another run"
+
+#: Tables of each stage; candidates and matches follow from the others.
+STAGE_TABLES = (
+    *BY_STAGE[:3],
+    ("candidate_hits",),
+    ("refined_clusters", "refined_wire_hits", "tracks", "residuals", "states", "start_times"),
+)
+
+SIMULATED = ("decays", "steps", "truths", "wire_truths")
+DIGIS, HITS, CLUSTERS, FOUND, FITTED = ("digis",), ("wire_hits",), ("clusters",), ("candidate_hits",), ("tracks",)
+BUSY, FITTED_START = {"background.cells": 0.15}, {"refine.start_time": "fitted"}
+
+
+class Case(NamedTuple):
+    """Another value of a setting, tables that change, all of one stage, and other settings that give it a meaning."""
+
+    value: Any
+    changed: tuple[str, ...]
+    given: Mapping[str, Any] = {}
+
+
+CASES: dict[str, Case] = {
+    "simulate.fluctuations": Case("gaussian", SIMULATED),
+    "simulate.sublayers": Case(True, SIMULATED),
+    "simulate.foil": Case("lattice", SIMULATED),
+    "simulate.screening": Case("moliere", SIMULATED),
+    "simulate.deltas": Case(False, ("steps", "truths")),
+    "simulate.steps": Case(True, ("steps",)),
+    "simulate.decays": Case(False, ("particles", *SIMULATED)),
+    "simulate.half_turns": Case(3, ("particles", *SIMULATED)),
+    "digitize.readout": Case("gaussian", DIGIS),
+    "digitize.reveal_sides": Case(True, HITS),
+    "digitize.wire_times": Case("raw", HITS),
+    "background.level": Case("bes2009", DIGIS + HITS),
+    "background.factor": Case(0.5, DIGIS + HITS, {"background.level": "bes2009"}),
+    "background.cells": Case(0.05, HITS),
+    "background.clumps": Case(False, HITS, BUSY),
+    "background.events": Case(FOLDER, DIGIS + HITS),
+    "background.offset": Case((50.0, 60.0), DIGIS + HITS, {"background.events": FOLDER}),
+    "background.start_time": Case(3.0, HITS),
+    "cluster.position": Case("charge", CLUSTERS),
+    "cluster.bridge": Case(0, CLUSTERS),
+    "cluster.reference_p": Case(0.3, CLUSTERS),
+    "cluster.reference_cos_theta": Case(0.2, CLUSTERS),
+    "find.method": Case("chamber", FOUND),
+    "find.hypothesis": Case("p", FOUND),
+    "find.efficiency": Case(0.6, FOUND, BUSY),
+    "find.gate": Case(2.5, FOUND),
+    "find.branches": Case(1, FOUND, BUSY),
+    "find.passes": Case(1, FOUND),
+    "find.holes_in_row": Case(1, FOUND, BUSY),
+    "find.max_d": Case(1.0, FOUND),
+    "find.max_z": Case(2.0, FOUND),
+    "find.min_pt": Case(0.3, FOUND),
+    "find.least_axial": Case(20, FOUND, {"find.method": "chamber"}),
+    "find.min_score": Case(30.0, FOUND),
+    "find.max_seeds": Case(1, FOUND, BUSY),
+    "find.annealing": Case(False, FOUND, BUSY),
+    "fit.cluster_errors": Case("cluster", FITTED),
+    "fit.screening": Case("moliere", FITTED),
+    "fit.loss": Case("mean", FITTED),
+    "fit.radiation": Case(False, FITTED, {"fit.hypothesis": "e"}),
+    "fit.matter": Case(False, FITTED),
+    "fit.start_radius": Case(100.0, FITTED),
+    "fit.residuals": Case(True, ("residuals",)),
+    "fit.states": Case(("hits",), ("states",)),
+    "fit.hypothesis": Case("pi", FITTED),
+    "fit.max_iterations": Case(1, FITTED),
+    "fit.tolerance": Case(5.0, FITTED),
+    "fit.least_width": Case(0.5, FITTED),
+    "fit.delta_strips": Case(0.2, FITTED),
+    "fit.kinks": Case(False, FITTED),
+    "fit.outlier_pull": Case(2.5, FITTED),
+    "fit.prior_sigma": Case((1.0, 0.05, 0.5, 1.0, 0.2), FITTED),
+    "refine.drift_times": Case("raw", FOUND),
+    "refine.start_time": Case("fitted", FOUND),
+    "refine.start_time_error": Case(0.1, ("refined_wire_hits", "tracks", "start_times"), FITTED_START),
+    "refine.find_again": Case(False, FOUND, FITTED_START),
+}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """Return the folder of a run whose events are mixed in."""
+    path = tmp_path_factory.mktemp("others") / "run"
+    cg.run(DETECTOR, GUN, 5, 3, until="digitize", output=path)
+    return str(path)
+
+
+@cache
+def tables(changes: tuple[tuple[str, Any], ...], folder: str, until: Any) -> Mapping[str, Table]:
+    """Return the tables of a run with some settings changed."""
+    overrides = {key: folder if value == FOLDER else value for key, value in changes}
+    settings = cg.Settings().with_overrides(overrides)
+    return dict(cg.run(DETECTOR, GUN, 10, 1, settings=settings, finder="ckf", until=until, workers=1).tables)
+
+
+def differ(one: Table | None, other: Table | None) -> bool:
+    """Tell whether two tables differ in any bit."""
+    if one is None or other is None:
+        return one is not other
+    return one.columns.keys() != other.columns.keys() or any(one[n].tobytes() != other[n].tobytes() for n in one)
+
+
+def first_changed(before: Mapping[str, Table], after: Mapping[str, Table]) -> set[str]:
+    """Return the tables that differ, of the first stage that has any."""
+    for names in STAGE_TABLES:
+        if changed := {name for name in names if differ(before.get(name), after.get(name))}:
+            return changed
+    return set()
+
+
+@pytest.mark.parametrize("stage", kinds_of(cg.Settings))
+def test_settings_of_a_stage_change_what_they_are_for(stage: str, folder: str) -> None:
+    kinds = kinds_of(kinds_of(cg.Settings)[stage])
+    cases = {key: case for key, case in CASES.items() if key.startswith(f"{stage}.")}
+    assert cases.keys() == {f"{stage}.{name}" for name in kinds}
+    until = {"background": "digitize", "refine": "fit"}.get(stage, stage)
+    found = {}
+    for key, case in cases.items():
+        given = tuple(case.given.items())
+        before, after = (tables(changes, folder, until) for changes in (given, (*given, (key, case.value))))
+        found[key] = first_changed(before, after)
+    assert found == {key: set(case.changed) for key, case in cases.items()}
+
+
+#: Another value of each setting of the read-outs, and whether digis, and clusters of the same digis, change.
+BOTH = ("digis", "clusters")
+ANALOG: dict[str, tuple[Any, tuple[str, ...]]] = {
+    "gain": (9000.0, DIGIS),
+    "polya": (2.0, DIGIS),
+    "gain_fluctuation": (False, DIGIS),
+    "survival": (0.5, DIGIS),
+    "first_gain": (5.0, DIGIS),
+    "diffusion": (0.5, DIGIS),
+    "lorentz": (False, BOTH),
+    "holes": (False, DIGIS),
+    "share_spread": (0.3, DIGIS),
+    "neighbour": (0.1, DIGIS),
+    "second_neighbour": (0.1, DIGIS),
+    "threshold_x": (4.0, DIGIS),
+    "threshold_v": (4.0, DIGIS),
+    "noise": (1.0, DIGIS),
+    "jitter": (15.0, DIGIS),
+    "missing": (0, CLUSTERS),
+    "edge": (0.4, CLUSTERS),
+    "valley": (0.9, CLUSTERS),
+    "time_margin": (1.0, CLUSTERS),
+    "estimator": ("centroid", CLUSTERS),
+    "second_pass": (True, ()),
+    "calibration": (FOLDER, CLUSTERS),
+    "saturation": (10.0, DIGIS),
+}
+READOUT_CASES: dict[str, dict[str, tuple[Any, tuple[str, ...]]]] = {
+    "binary": {"gain": (5000.0, DIGIS), "threshold": (30.0, DIGIS)},
+    "gaussian": {"sigma_x": (0.2, BOTH), "sigma_v": (0.2, BOTH), "gain": (5000.0, DIGIS)},
+    "analog-projection": {
+        "gain": (5000.0, DIGIS),
+        "sigma": (0.4, DIGIS),
+        "threshold": (3.0, DIGIS),
+        "noise": (2.0, DIGIS),
+        "valley": (0.9, CLUSTERS),
+        "estimator": ("centroid", ()),
+        "calibration": (FOLDER, CLUSTERS),
+    },
+    "tiger": ANALOG | {"threshold_x": (4.0, BOTH), "threshold_v": (4.0, BOTH)},
+    "apv25": ANALOG | {"random_neighbours": (True, DIGIS)},
+}
+
+
+@pytest.mark.parametrize("name", READOUTS)
+def test_settings_of_a_readout_change_what_they_are_for(name: str, tmp_path: Path) -> None:
+    """Digis, and clusters of the digis of the defaults: each half of a read-out takes the settings that it needs."""
+    given, cases = READOUTS[name](), READOUT_CASES[name]
+    assert cases.keys() == kinds_of(READOUTS[name]).keys()
+    settings = cg.Settings().with_overrides({"simulate.steps": True})
+    simulated = cg.run(DESIGN, GUN, 16, 1, settings=settings, until="simulate", workers=1)
+
+    def digis_of(readout: Readout) -> Table:
+        how = DigitizeSettings(readout=readout)
+        return digitize(DESIGN, simulated.truths, simulated.wire_truths, how, 1, steps=simulated.steps)["digis"]
+
+    def clusters_of(readout: Readout) -> Table:
+        if isinstance(readout, CalibratedReadout) and not readout.calibration:
+            return calibrated_clusterer(readout).cluster_with(DESIGN, digis)
+        return cluster(DESIGN, digis, readout=readout)
+
+    digis = digis_of(given)
+    clusters = clusters_of(given)
+    file = tmp_path / "calibration.json"
+    if isinstance(given, CalibratedReadout):
+        file.write_text(calibration_of(DESIGN, given).to_json())
+    found = {}
+    for key, (value, _) in cases.items():
+        readout = replace(given, **{key: str(file) if key == "calibration" else value})
+        changed = {"digis": differ(digis, digis_of(readout)), "clusters": differ(clusters, clusters_of(readout))}
+        found[key] = tuple(which for which, on in changed.items() if on)
+    assert found == {key: changed for key, (_, changed) in cases.items()}
