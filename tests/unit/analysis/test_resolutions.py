@@ -110,8 +110,11 @@ def test_resolution_against_cos_theta_and_charge():
     assert_within(curve.column("core"), [300, 100, 300], curve.column("core_error"))
     assert curve.column("n").sum() + curve.outside == N
     assert curve.outside == np.count_nonzero(np.abs(cos) > 0.8)
-    for x, low, high in zip(curve.x, edges[:-1], edges[1:], strict=True):
+    columns = curve.columns()
+    for row, (x, low, high) in enumerate(zip(curve.x, edges[:-1], edges[1:], strict=True)):
         assert x == pytest.approx(cos[(cos >= low) & (cos < high)].mean())
+        assert [columns[name][row] for name in ("cos_theta_low", "cos_theta_high", "cos_theta")] == [low, high, x]
+        assert all(columns[name][row] == getattr(curve.values[row], name) for name in ("n", "core", "q68_error", "rms"))
     by_charge = resolution_against(tracks, "dr", "charge", [-1.5, 0, 1.5])
     assert by_charge.column("n").tolist() == [N / 2, N / 2]
     pull = resolution_against(tracks, "dr", "p", 1, kind="pull")

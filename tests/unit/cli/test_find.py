@@ -3,13 +3,18 @@
 import csv
 import json
 import os
+import re
 import subprocess
 import sys
+from dataclasses import fields
 
 import pytest
 
 import cgemit as cg
+from cgemit.analysis.finding import finding
+from cgemit.chain import run as chain
 from cgemit.cli.main import main
+from cgemit.draw import curves
 
 LINE = ["find", "-d", "besiii-cgem", "--pt", "0.1:0.5", "--cos-theta", "-0.6:0.6", "-n", "20", "--quiet"]
 
@@ -26,15 +31,50 @@ def test_the_command_prints_what_python_gives(capsys):
     assert numbers["removed"] == found.removed
 
 
-def test_files(tmp_path, capsys):
-    assert main([*LINE, "-o", str(tmp_path / "out")]) == 0
-    assert "efficiency (Belle II)" in capsys.readouterr().out
+def test_files_hold_the_numbers_of_the_run(tmp_path, capsys, monkeypatch):
+    """Few hits are enough for a track: there are fakes, and more of them than clones."""
+    runs, pictures = [], []
+    simulated, drawn = chain.run, curves.draw_finding
+    monkeypatch.setattr(chain, "run", lambda *given, **how: runs.append(simulated(*given, **how)) or runs[-1])
+    monkeypatch.setattr(curves, "draw_finding", lambda *given: pictures.append(drawn(*given)) or pictures[-1])
+    changes = ("find.min_score=-30", "background.level=bes2026", "background.factor=4")
+    loose = ["--tracks", "2", *(f"--set={change}" for change in changes)]
+    assert main([*LINE, *loose, "-o", str(tmp_path / "out")]) == 0
+    printed = capsys.readouterr().out
     names = {path.name for path in (tmp_path / "out").iterdir()}
     assert names == {"efficiency.png", "efficiency.pdf", "efficiency.csv", "summary.json", ".cgemit"}
+    found, text = finding(runs[0]), (tmp_path / "out" / "summary.json").read_text(encoding="utf-8")
+    rates, milliseconds = found.rates(), 1e3 * runs[0].timings["find"] / 20
+    assert rates.fakes.count > rates.clones.count
+    assert json.loads(text)["time_per_event"] == {"value": milliseconds, "unit": "ms"}
+    assert f"{milliseconds:.2f} ms" in printed
+    for name, each in (("belle2", rates), ("acts", found.rates("acts"))):
+        numbers = json.loads(text)[name]
+        assert numbers.keys() == {field.name for field in fields(each)}
+        for rate, one in numbers.items():
+            share = getattr(each, rate)
+            assert (one["count"], one["n"]) == (share.count, share.n)
+            assert [one["value"], one["low"], one["high"]] == [share.value, *share.interval()]
+    label = " ".join(part.get_text() for part in pictures[0].texts)
+    assert re.findall(r"(fakes|clones) (\d+)", label) == [
+        ("fakes", str(rates.fakes.count)), ("clones", str(rates.clones.count)),
+    ]  # fmt: skip
+    assert f"hit purity {100 * found.purity:.2f} " in label
+    assert f"hit efficiency {100 * found.hit_efficiency:.2f} " in label
     with (tmp_path / "out" / "efficiency.csv").open(encoding="utf-8") as stream:
         rows = list(csv.DictReader(stream))
+    charged = found.charged & found.findable
     for quantity in ("pt", "cos_theta", "phi"):
-        assert sum(int(row["findable"]) for row in rows if row["quantity"] == quantity) == 20
+        values = getattr(found, quantity)
+        bins = [row for row in rows if row["quantity"] == quantity]
+        assert sum(int(row["findable"]) for row in bins) == charged.sum()
+        for row in bins:
+            inside = charged & (values >= float(row["low"]) - 1e-6) & (values < float(row["high"]))
+            if int(row["findable"]) == inside.sum() > 0:  # limits have seven digits
+                share = found.rates(among=inside).efficiency
+                assert float(row["efficiency"]) == pytest.approx(share.value, rel=1e-6)
+                ends = [float(row["efficiency_low"]), float(row["efficiency_high"])]
+                assert ends == pytest.approx(share.interval(), rel=1e-6)
     assert main([*LINE, "-o", str(tmp_path / "out")]) == 2  # the folder holds results
 
 

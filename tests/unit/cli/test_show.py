@@ -1,6 +1,7 @@
 """The sub-commands detectors, show and validate."""
 
 import json
+import math
 from pathlib import Path
 
 import jsonschema
@@ -8,7 +9,8 @@ import pytest
 
 from cgemit.cli import options
 from cgemit.cli.main import build_parser
-from cgemit.detector import DetectorError, load
+from cgemit.cli.show import text
+from cgemit.detector import DetectorError, describe, load, slabs
 
 MATTER = """\
 part          from r/mm  to r/mm  X/X0 %   sum %
@@ -37,17 +39,53 @@ def test_detectors(capsys: pytest.CaptureFixture[str]) -> None:
     assert list(json.loads(capsys.readouterr().out)) == [line.split()[0] for line in lines]
 
 
+def test_every_printed_number_is_that_of_the_detector() -> None:
+    """Tables of layers by hand from the parts, and thickness added up from the beam line outward."""
+    detector = load("besiii-cgem")
+    tables = text(describe(detector)).split("\n\n")
+    material, sub_layers, cgem, wires = (table.splitlines()[3:] for table in tables[1:])
+    total, shells = 0.0, sum(shell.x0 for slab in slabs(detector) for shell in slab.shells)
+    for line in material:
+        thickness, up_to_here = map(float, line.split()[-2:])
+        total += thickness
+        assert up_to_here == pytest.approx(total, abs=2e-4 * len(material))
+        assert float(line.split()[-4]) < float(line.split()[-3])
+    assert total == pytest.approx(100 * shells, abs=1e-4 * len(material))
+    listed = [shell for slab in slabs(detector) for shell in slab.shells if len(slab.shells) > 1]
+    for line, shell in zip(sub_layers, [one for one in listed if one.group != "gas"], strict=True):
+        numbers = [shell.r_in, shell.r_out, shell.thickness, 100 * shell.x0]
+        assert line.split()[-5] == shell.material.name
+        assert [float(word) for word in line.split()[-4:]] == pytest.approx(numbers, abs=6e-5)
+    for line, layer in zip(cgem, detector.cgem, strict=True):
+        numbers = [
+            layer.r_mid, layer.r_readout, layer.length, layer.drift_gap, 1e3 * layer.hole_outer, 1e3 * layer.hole_inner,
+            1e3 * layer.hole_pitch, layer.sheets, math.degrees(layer.phi_first) % 360, 1e3 * layer.pitch_x,
+            1e3 * layer.pitch_v, layer.strips_x, layer.strips_v, math.degrees(layer.stereo),
+        ]  # fmt: skip
+        assert line.split()[0] == layer.label
+        assert [float(word) for word in line.split()[1:]] == pytest.approx(numbers, abs=6e-4)
+    chamber = detector.drift_chamber
+    assert chamber is not None
+    for line, layer, gid in zip(wires, chamber.layers, chamber.gid_first, strict=True):
+        numbers = [
+            layer.number, layer.cells, gid, layer.r_end, layer.r_mid, layer.half_length, math.degrees(layer.twist),
+        ]  # fmt: skip
+        assert [float(word) for word in line.split()[:7]] == pytest.approx(numbers, abs=6e-3)
+        numbers = [math.degrees(layer.phi_east), 1e3 * layer.sigma, 1e3 * layer.sigma_slope, layer.efficiency]
+        assert [float(word) for word in line.split()[8:]] == pytest.approx(numbers, abs=6e-4)
+
+
 @pytest.mark.slow
 def test_show_prints_tables_and_draws(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     folder = tmp_path / "out"
     assert call("show", "besiii-cgem", "-o", str(folder)) == 0
-    text = capsys.readouterr().out
-    assert MATTER in text
-    rows = {line.split()[0]: line.split() for line in text.splitlines() if line}
+    printed = capsys.readouterr().out
+    assert MATTER in printed
+    rows = {line.split()[0]: line.split() for line in printed.splitlines() if line}
     assert rows["L2"][-3:] == ["630", "1077", "-31.033"]
     assert rows["L2"][5:8] == ["70", "50", "140"]
     assert rows["20"][:3] == ["20", "160", "1772"]
-    assert "chamber gas" in text
+    assert "chamber gas" in printed
     names = {path.name for path in folder.iterdir()}
     pictures = {f"{name}.{end}" for name in ("r-phi", "r-z", "layers") for end in ("png", "pdf")}
     assert names == {*pictures, "detector.toml", "summary.json", ".cgemit"}

@@ -15,8 +15,8 @@ from cgemit.analysis.quantities import QUANTITIES
 from cgemit.analysis.widths import SECOND_INSIDE, measure
 from cgemit.covariance.result import sources
 from cgemit.covariance.sensitivity import varied
-from cgemit.covariance.tracks import core_width
-from cgemit.detector import compiled
+from cgemit.covariance.tracks import core_width, status_of
+from cgemit.detector import compiled, slabs
 from fields import HARMONIC
 
 DESIGN, CHAMBER = cg.load("besiii-cgem-design"), cg.load("besiii-idc")
@@ -137,6 +137,55 @@ def test_budget_sums_to_the_variance(field: object, readout: str, samples: int) 
         np.testing.assert_allclose(budget.total, found.rms(quantity) ** 2, rtol=1e-10)
         for by in ("part", "material", "cause", "source"):
             np.testing.assert_allclose(sum(budget.grouped(by).values()), budget.total, rtol=1e-10)
+
+
+def test_the_printed_budget_is_that_of_the_table() -> None:
+    budget = cg.analytic(DESIGN, "mu-", [0.3, 1.0], 0.0, samples=4).budget("dr")
+    groups, total = budget.grouped("part"), np.asarray(budget.total)
+    lines = repr(budget).splitlines()[2:]
+    assert len(lines) == 2 * 8
+    for line in lines:
+        p, part, sigma, percent = line.removesuffix("%").split()
+        point = budget.p.tolist().index(float(p))
+        assert float(sigma) == pytest.approx(math.sqrt(groups[part][point]), rel=1e-3)
+        assert float(percent) == pytest.approx(100 * groups[part][point] / total[point], abs=0.051)
+    table = budget.table("part")
+    np.testing.assert_allclose(table["share"], table["variance"] / np.repeat(total, len(groups)), rtol=1e-12)
+    np.testing.assert_allclose(table["sigma"] ** 2, table["variance"], rtol=1e-12)
+
+
+def test_materials_share_a_term_by_what_causes_it() -> None:
+    """Scattering by thickness in radiation lengths, straggling by electrons: Z/A times mass of an area."""
+    weights = {"scattering": lambda one, t: t / one.x0, "straggling": lambda one, t: t * one.density * one.z_over_a}
+    every = {slab.shells[0]: slab for slab in slabs(DESIGN)}
+    terms = [one for one in sources(DESIGN) if one.cause in weights]
+    assert len(terms) == 2 * len(every)
+    for slab, pair in zip(every.values(), zip(terms[::2], terms[1::2], strict=True), strict=True):
+        for term in pair:
+            of_material: dict[str, float] = {}
+            for shell in slab.shells:
+                weight = weights[term.cause](shell.material, shell.thickness)
+                of_material[shell.material.name] = of_material.get(shell.material.name, 0.0) + weight
+            expected = {name: weight / sum(of_material.values()) for name, weight in of_material.items()}
+            assert dict(term.materials) == pytest.approx(expected, rel=1e-9)
+
+
+def test_the_status_of_a_point_is_that_of_most_samples() -> None:
+    samples = np.array([[1, 1, 5], [0, 9, 9], [2, 7, 7], [0, 0, 0]], np.int8)
+    status, reached = status_of(samples)
+    assert status.tolist() == [1, 0, 7, 0]
+    np.testing.assert_allclose(reached, [0, 1 / 3, 0, 1])
+
+
+def test_a_derivative_at_an_upper_bound_is_that_below_it() -> None:
+    """Only a smaller number is possible there; its sign is that of the change."""
+    at, below = (
+        cg.sensitivity(DESIGN.with_overrides({"field.bz": bz}), "mu-", 1.0, keys=["field.bz"], quantities=("p", "dr"),
+                       samples=4)
+        for bz in ("10 T", "9.99 T")
+    )  # fmt: skip
+    for quantity in ("p", "dr"):
+        assert float(at.of("field.bz", quantity)) == pytest.approx(float(below.of("field.bz", quantity)), rel=0.02)
 
 
 @pytest.mark.parametrize("samples", [1, 7, 20, 100])

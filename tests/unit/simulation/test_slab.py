@@ -251,6 +251,18 @@ def test_command_prints_tables_or_json_and_draws(tmp_path, capsys):
     assert "--overwrite" in capsys.readouterr().err
 
 
+def test_each_option_of_the_command_reaches_the_simulation(capsys):
+    usual = {"matter": "Kapton 0.3 mm", "particle": "mu-", "p": 1.0, "n": 1000, "seed": 1, "screening": "wentzel"}
+    other = {"matter": "Cu 0.3 mm", "particle": "K+", "p": 0.5, "n": 1001, "seed": 2, "screening": "moliere"}
+    for changed in ((), ("matter",), ("particle",), ("p",), ("n",), ("seed",), ("screening",)):
+        given = usual | {name: other[name] for name in changed}
+        options = [word for name, value in given.items() if name != "matter" for word in (f"--{name}", str(value))]
+        assert main(["slab", given["matter"], *options, "--json", "--quiet"]) == 0
+        numbers = json.loads(capsys.readouterr().out)
+        assert numbers == json.loads(json.dumps(cg.slab(**given).to_dict()))
+        assert (numbers == json.loads(json.dumps(cg.slab(**usual).to_dict()))) is (not changed)
+
+
 def test_command_explains_bad_input_with_exit_code_2(capsys):
     assert main(["slab", "Kaptn 300 um + Cu 33", "--particle", "muon+-", "--p", "3 mm", "--quiet"]) == 2
     captured = capsys.readouterr()

@@ -77,6 +77,15 @@ def test_every_number_of_the_table_is_that_of_the_tracks(pair: list[Any], tmp_pa
         curves = json.load(stream)["curves"]
     assert [(one["id"], one["y_unit"]) for one in curves] == 2 * [(f"sigma_{n}", UNITS[n]) for n in REPORTED]
     assert {one["particle"] for one in curves} == {"mu-"}
+    with (tmp_path / "out" / "summary.json").open(encoding="utf-8") as stream:
+        assert json.load(stream)["timings"] == {"total_s": pair[0].seconds + pair[1].seconds}
+    with (tmp_path / "out" / "run.json").open(encoding="utf-8") as stream:
+        source = json.load(stream)["source"]
+    assert [one["label"] for one in source] == [sample.label for sample in samples]
+    for one, sample in zip(source, samples, strict=True):  # each sample is made again from its record
+        assert one["events"] == 400
+        again = cg.run(sample.detector, sample.gun, 5, one["seed"]).tracks
+        assert again["dr"].tobytes() == sample.tracks["dr"][:5].tobytes()
 
 
 def test_columns_of_sweeps_have_the_same_names_and_numbers() -> None:
