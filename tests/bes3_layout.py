@@ -88,6 +88,8 @@ def events_of(result):
     mdc = {"m_helix": fitted, "m_err": as_pybes3_fills(cov), "m_chi2": tracks["chi2"], "m_ndof": tracks["ndf"]}
     arrays["mdc_tracks"] = records("mdc_tracks", of_track[0], n, common | mdc)
     kal = {name: np.tile(tracks[of][:, None, None], (1, 2, 5)) for name, of in (("m_chisq", "chi2"), ("m_ndf", "ndf"))}
+    for second in kal.values():
+        second[:, 1] += 1  # of the second fit, the smoother
     for end in HYPOTHESES.values():
         kal |= {f"m_zhelix{end}": fitted, f"m_zerror{end}": cov}
     arrays["kal_tracks"] = records("kal_tracks", of_track[0], n, common | kal)

@@ -136,6 +136,10 @@ def test_records_of_clusters_are_shifted_back():
     assert back["m_clusterflag"].tolist() == [[-1, -1], [-1, -1], [0, 1]]
     right = {**given, "m_recZ": np.array([-99.0, -99.0, 134.04]), "m_clusterflag": back["m_clusterflag"]}
     assert bes3.clusters(right) is right  # a record that has the field, and one without
+    for name, number in (("m_recZ", np.array([[2, -1], [3, -1], [2, 0]], ">i4").view(">f8")[:, 0]),
+                         ("m_clusterflag", np.array([[-1, 4], [-1, 3], [1, 4]]))):  # fmt: skip
+        other = given | {name: number}
+        assert bes3.clusters(other) is other  # one of the two lengths is another number
     short = {name: one for name, one in right.items() if name != "m_recpositiony"}
     assert bes3.clusters(short) is short
 

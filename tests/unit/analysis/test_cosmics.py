@@ -32,6 +32,15 @@ def test_one_track_is_better_than_two_by_more_than_their_number() -> None:
         assert found.one_track[name].core * gain < found.truth[name].core
     errors = np.sqrt(np.diagonal(found.cov, axis1=1, axis2=2))
     assert np.all(errors > 0)
+    # The information of two measurements adds up.
+    upward = np.cos(RESULT.fitted["phi0"]) > 0
+    pairs = [RESULT.fitted["cov"][(RESULT.fitted["event"] == event)] for event in range(3)]
+    assert [len(pair) for pair in pairs] == [2, 2, 2]
+    signs = np.array([-1, 1, -1, 1, -1])  # of dr, phi0, kappa, dz, tanl of the same helix flown backward
+    for pair, up, cov in zip(pairs, upward.reshape(-1)[: 2 * 3].reshape(3, 2), found.cov, strict=False):
+        turned = [one * np.outer(signs, signs) if back else one for one, back in zip(pair, up, strict=True)]
+        information = sum(np.linalg.inv(one) for one in turned)
+        np.testing.assert_allclose(cov @ information, np.eye(5), atol=1e-6)
     assert_within(np.median(found.chi2), chi2_law.median(5), 3 / np.sqrt(found.events))
 
 

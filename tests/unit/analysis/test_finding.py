@@ -66,15 +66,32 @@ def test_a_track_of_which_a_third_is_foreign_is_matched_and_of_which_more_is_a_f
     one = in_one_event(run)
     candidate = one.candidate_hits["candidate"]
     own, other = np.flatnonzero(candidate == 0), np.flatnonzero(candidate == 1)
+    kept = np.ones(len(candidate), np.bool_)
+    kept[own[len(own) // 2 * 2 :]] = False  # an even number: exactly two thirds can be its own
     for moved, expected in ((len(own) // 2, "matched"), (len(own) // 2 + 1, "fake")):
         labels = candidate.copy()
         labels[other[-moved:]] = 0
-        finding = cg.study.finding(changed(one, labels))
+        finding = cg.study.finding(changed(one, labels, kept))
         assert classes(finding)[0] == expected
         assert classes(finding, "acts")[0] == "matched"
         if expected == "fake":
             assert finding.rates().efficiency == Fraction(3, 4)
             assert finding.rates().fakes == Fraction(1, 4)
+            assert finding.rates().clones == Fraction(0, 3)  # of the candidates that belong to a particle
+
+
+def test_measurements_of_particles_by_hand(run):
+    """Of every particle: layers and cells of either tilt, one event for each."""
+    counts, clusters, wires = cg.study.finding(run).particles, run.clusters, run.wire_hits
+    twist = {layer.number: layer.twist for layer in run.detector.drift_chamber.layers}
+    tilts = np.array([twist[number] for number in wires["layer"]])
+    assert min(tilts) < 0 < max(tilts)
+    for event in range(4):
+        mine, cells = clusters["event"] == event, wires["event"] == event
+        assert counts.wires[event] == cells.sum()
+        assert counts.stereo[event] == np.count_nonzero(tilts[cells])
+        for view, layers in ((0, counts.x_layers), (1, counts.v_layers)):
+            assert layers[event] == len(np.unique(clusters["layer"][mine & (clusters["view"] == view)]))
 
 
 def test_of_two_halves_of_a_track_the_longer_is_matched_and_the_shorter_a_clone(run):

@@ -278,6 +278,9 @@ def test_gain_in_clusters():
     middle = L1.strips_x // 2
     assert (gains[middle - 1], gains[middle + 1], gains[L1.strips_x]) == (1.0, 0.25, 0.625)
     assert (gains[per_sheet], gains[-1]) == (2.0, 1.0)
+    second = DESIGN_MAPS.cgem[1]
+    v_strips = per_sheet + second.strips_x + np.arange(2) * (second.strips_x + second.strips_v)
+    assert gains[v_strips].tolist() == [2.0, 1.0]
     assert grid_of(mapped.cgem[2]).shape == (2, 0, 0)
     strips = np.array([middle - 2, middle - 1, middle, middle + 1, middle + 2])
     readout = cg.TigerReadout(estimator="centroid")

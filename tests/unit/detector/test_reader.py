@@ -1,5 +1,6 @@
 """Detector files: base and overrides, derived values, text that reads back equal, and their JSON Schema."""
 
+import math
 import pickle
 import tomllib
 from importlib import resources
@@ -132,6 +133,13 @@ def test_strip_counts_of_the_base_do_not_outlive_its_pitch() -> None:
     assert (fine.strips_x, fine.stereo, fine.strips_v) == (630, base.cgem[1].stereo, 2155)
     turned = base.with_overrides({"cgem.L2.stereo_sign": 1}).cgem[1]
     assert (turned.stereo, turned.strips_v) == (-base.cgem[1].stereo, 1077)
+    for key, value in (("length", "500 mm"), ("pitch_x", "700 um"), ("anode_radius", "130 mm"), ("sheets", 3)):
+        layer = base.with_overrides({f"cgem.L2.{key}": value}).cgem[1]
+        # The V strips run along a diagonal of the X strips, and cover the sheet.
+        diagonal = math.atan2((layer.strips_x - 1) * layer.pitch_x, layer.length)
+        assert layer.stereo == pytest.approx(-diagonal, rel=1e-12), key
+        width = 2 * math.pi * layer.r_readout / layer.sheets
+        assert layer.strips_x == math.floor(width / layer.pitch_x), key
     stated = base.with_overrides({"cgem.L2.pitch_x": "700 um", "cgem.L2.strips_x": 500}).cgem[1]
     assert stated.strips_x == 500
 

@@ -7,12 +7,14 @@ from cgemit.chain import run
 from cgemit.detector import load
 from cgemit.particles.gun import Gun
 from cgemit.reconstruction.candidates import HIT_V, HIT_WIRE, HIT_X
+from cgemit.tables import Table
 from pages.robustness import fitted
 from pages.scenarios import (
     SCENARIOS,
     Hits,
     add_noise,
     exchange_clusters,
+    has_enough,
     kaon_decays,
     keep,
     lose_layers,
@@ -122,6 +124,30 @@ def test_kaon_decays():
     assert np.abs(along).max() < 1e-6
     assert np.hypot(vertex[:, 0], vertex[:, 1]).max() < 100
     assert np.all(table["charge"].reshape(-1, 2).sum(axis=1) == 0)
+
+
+def test_hits_of_a_daughter_are_not_own():
+    """Of all cells in events with one kaon each: what a muon leaves behind its decay is not the kaon's."""
+    found = run.run(DETECTOR, Gun("K+", p=0.3, cos_theta=(-0.5, 0.5)), 40, seed=3)
+    wires, n = found.wire_hits, len(found.wire_hits)
+    assert len(found.candidates) == 40
+    columns = {"event": wires["event"], "candidate": wires["event"], "view": np.full(n, HIT_WIRE), "row": np.arange(n)}
+    every = Hits(found.candidates, Table("candidate_hits", columns, 40), found.clusters, wires)
+    daughter = found.wire_truths["daughter"][wires["wire_truth"]] > 0
+    assert 20 < daughter.sum() < n - 20
+    np.testing.assert_array_equal(own_hits(every, found), ~daughter)
+
+
+def test_a_helix_needs_three_hits_across_the_beam(hits, result):
+    """All hits along the beam, and two or three of the others."""
+    tilted = [layer.number for layer in DETECTOR.drift_chamber.layers if layer.twist != 0]
+    along = (hits.view == HIT_V) | (hits.on_wire & np.isin(hits.layer, tilted))
+    across = np.flatnonzero(~along)
+    number = np.arange(len(across)) - np.searchsorted(hits.track[across], hits.track[across])
+    for least, expected in ((2, False), (3, True)):
+        chosen = along.copy()
+        chosen[across[number < least]] = True
+        assert (has_enough(DETECTOR, keep(hits, chosen), result) == expected).all()
 
 
 def test_enough_hits(hits):

@@ -17,6 +17,7 @@ from cgemit.particles.decay_chains import (
     DEFINITIONS,
     MODE,
     NAMES,
+    RESONANCES,
     SHAPE,
     Draws,
     Mode,
@@ -169,6 +170,22 @@ def test_the_rho_has_its_line_and_its_angle() -> None:
     assert_within(cos2.mean(), 0.4, mean_error(cos2))
     charged = generate(cg.sample("jpsi-rhopi"), n, seed=4)
     assert sorted(np.unique(charged["pdg"])) == [-211, 111, 211]
+
+
+@pytest.mark.parametrize(
+    ("name", "parent", "first", "cos2"),
+    [("jpsi-rhopi", "J/psi", "pi", 2 / 5), ("pipi-jpsi", "J/psi", "mu", 2 / 5), ("d0-d0bar", "psi(3770)", "D0", 1 / 5)],
+)
+def test_angles_of_a_vector_meson(name: str, parent: str, first: str, cos2: float) -> None:
+    """From e+ e-: 1 + cos^2(theta) to a vector and a pseudoscalar and to leptons, sin^2(theta) to two pseudoscalars."""
+    modes = DEFINITIONS[name].modes[parent]
+    total = species(parent).mass if parent not in RESONANCES else RESONANCES[parent][0]
+    parents = Particles(np.arange(N), 1, np.full(N, total), np.tile([0, 0, 0, total], (N, 1)), np.zeros((N, 3)))
+    found = decay_all([(parent, parents)], {parent: modes}, Draws(6, 0))
+    momenta = np.concatenate([one.momentum for key, parts in found.items() if key.startswith(first) for one in parts])
+    values = momenta[:, 2] ** 2 / np.sum(momenta[:, :3] ** 2, axis=1)
+    assert len(values) in (N, 2 * N)
+    assert_within(values.mean(), cos2, mean_error(values) * math.sqrt(len(values) / N))
 
 
 def test_the_muons_have_the_mass_of_the_jpsi() -> None:

@@ -344,7 +344,12 @@ def test_errors_of_tracks_include_that_of_the_start_time(pairs, fitted_start):
     assert np.quantile(np.abs(ratio - 1), 0.9) < 0.05
     assert np.max(fitted_start["tracks"]["err_kappa"] / known["err_kappa"]) > 1.01
     assert np.array_equal(fitted_start["tracks"]["kappa"], known["kappa"])
-    cov = fitted_start["tracks"]["cov"]
+    tracks, cov = fitted_start["tracks"], fitted_start["tracks"]["cov"]
+    by_kappa = -tracks["p"] / tracks["kappa"]
+    by_tanl = tracks["p"] * tracks["tanl"] / (1 + tracks["tanl"] ** 2)
+    slope = np.stack([by_kappa, by_tanl], axis=1)
+    of_p = np.einsum("ni,nij,nj->n", slope, cov[:, 2::2, 2::2], slope)
+    assert np.allclose(tracks["err_p"], np.sqrt(of_p), rtol=1e-9)
     assert np.allclose(np.sqrt(cov[:, 2, 2]), fitted_start["tracks"]["err_kappa"], rtol=1e-12)
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
@@ -119,6 +121,35 @@ def test_smeared_helices_have_pulls_of_unit_width(spot: cg.BeamSpot | None) -> N
     if spot is not None:  # the constraint makes the vertex better than the free fit and better than the beam spot
         free = cg.fit_vertices(DETECTOR, tracks, pairs, particles=("mu", "mu"))
         assert np.all(found["err_x"] < np.minimum(free["err_x"], 0.4))
+
+
+@pytest.mark.parametrize("spot", [None, cg.BeamSpot(sigma=(3.0, 3.0, 30.0))], ids=["free", "beam spot"])
+def test_the_error_of_the_mass_is_that_of_the_helices(spot: cg.BeamSpot | None) -> None:
+    """Propagated by differences of all ten parameters; with a beam spot also by its position."""
+    tracks, _ = tracks_of(decays("ks-pipi", 8, seed=3), smear=1)
+
+    def fitted(tracks: cg.Table, spot: cg.BeamSpot | None = spot) -> cg.Table:
+        return cg.fit_vertices(DETECTOR, tracks, beam_spot=spot)
+
+    found = fitted(tracks)
+    variance = np.zeros(len(found))
+    for which in ("first", "second"):
+        rows = found[which]
+        slopes = []
+        for i, name in enumerate(helix.PARAMETERS):
+            step = np.zeros(len(tracks))
+            step[rows] = 0.02 * ERRORS[i]
+            up, down = (fitted(tracks.with_columns(**{name: tracks[name] + side * step})) for side in (1, -1))
+            slopes.append((up["mass"] - down["mass"]) / (0.04 * ERRORS[i]))
+        slope = np.array(slopes).T
+        variance += np.einsum("ni,nij,nj->n", slope, tracks["cov"][rows], slope)
+    if spot is not None:
+        for axis, sigma in enumerate(spot.sigma):
+            move = 0.02 * sigma * np.eye(3)[axis]
+            up, down = (fitted(tracks, dataclasses.replace(spot, position=tuple(side * move))) for side in (1, -1))
+            variance += ((up["mass"] - down["mass"]) / 0.04) ** 2
+    assert (found["status"] == 0).all()
+    np.testing.assert_allclose(found["err_mass"] ** 2, variance, rtol=0.02)
 
 
 @pytest.mark.slow

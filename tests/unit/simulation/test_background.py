@@ -352,6 +352,31 @@ def test_hot_channels_fire_at_their_rate(run):
         assert counts[1][hot].sum() / n / hot.sum() == pytest.approx(fires, rel=0.1)
 
 
+def test_the_factor_multiplies_every_rate(run):
+    """Twice the factor is twice each rate, to the bit; a rate that it leaves out differs."""
+    tables = parse_toml(run.detector.to_toml())
+    level = tables["background"]["bes2026"] | {"hot_wires": 0.01, "hot_strips": 0.01}
+    level |= {"hot_wire_rate": "100 kHz", "hot_strip_rate": "20 kHz", "noise_x": "2 kHz"}
+
+    def doubled(quantity):
+        number, unit = quantity.split(" ", 1)
+        return f"{2 * float(number)!r} {unit}"
+
+    rates = {name: doubled(value) for name, value in level.items() if str(value).endswith(("kHz", "kHz/cm2"))}
+    assert rates.keys() == {"hot_wire_rate", "hot_strip_rate", "cluster_rate", "noise_x", "noise_v"}
+    rates["wire_rate"] = [point | {"rate": doubled(point["rate"])} for point in level["wire_rate"]]
+
+    def found(changes, factor):
+        detector = cg.load(tables | {"background": {"bes2026": level | changes}})
+        settings = cg.BackgroundSettings(level="bes2026", factor=factor)
+        return add_background(detector, *empty(run, 40), settings, seed=1)
+
+    expected = found({}, 2.0)
+    assert found(rates, 1.0) == expected
+    for name in rates:
+        assert found({other: value for other, value in rates.items() if other != name}, 1.0) != expected, name
+
+
 def test_levels_on_the_command_line():
     found = options.split(["background.level=bes2009", "background.bes2009.noise_v=2 kHz"], [])
     assert found.settings == [("background.level", "bes2009")]

@@ -79,6 +79,19 @@ def test_nothing_but_measurements_is_read(run):
     )
 
 
+def test_the_number_of_strips_counts_for_centres_alone(run):
+    """A position that charges measure has the error that the cluster states, however many strips it has."""
+    rows = run.clusters["view"] < 2
+    single = np.where(rows, 1, run.clusters["size"])
+    for method, same in ((0, False), (1, True)):
+        given = run.clusters.with_columns(method=np.full(len(rows), method, np.int8))
+        found = [
+            hits_of(cg.find_tracks(run.detector, one, run.wire_hits))
+            for one in (given, given.with_columns(size=single))
+        ]
+        assert (found[0] == found[1]) is same
+
+
 def test_the_order_of_hits_does_not_matter(run):
     random = np.random.default_rng(1)
     single = run.clusters[run.clusters["view"] < 2]

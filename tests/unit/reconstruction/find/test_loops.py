@@ -45,6 +45,18 @@ def test_half_turns_of_a_helix_have_no_chi_square():
     np.testing.assert_allclose(pair_chi2(tracks, other, one, BZ), 0, atol=1e-9)
 
 
+def test_heights_are_less_certain_with_every_turn():
+    """Errors of both helices, by differences of the predicted height, and 12 % of the momentum, after n turns."""
+    helices, off = half_turns(ONE, 7), 60.0
+    variances = np.array([0.1, 1e-3, 0.1, 1.0, 1e-3]) ** 2
+    later = np.array([2, 4, 6])
+    helices[later, 3] += off
+    found = pair_chi2(table(helices), np.zeros(3, np.int64), later, BZ)
+    turns, circle = later / 2, 2 * math.pi * RADIUS
+    slope = 2 * variances[4] + TANL**2 * (2 * variances[2] / ONE[2] ** 2 + loops.LOSS**2)
+    np.testing.assert_allclose(found, off**2 / (2 * variances[3] + turns**2 * circle**2 * slope / 4), rtol=1e-6)
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_they_are_linked_to_the_first_in_any_order(seed):
     """Three particles, one from each side of the detector, in one event."""

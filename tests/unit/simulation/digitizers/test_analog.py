@@ -149,6 +149,7 @@ def test_filter_against_a_convolution(shaper: Shaper) -> None:
 
 def test_delays_of_the_chips() -> None:
     """Time walk of a leading edge at a fixed threshold; half of the largest sample of a slow pulse."""
+    assert TIGER.sample_delay == 162.5  # ns: 6.5 cycles of 4 periods of the clock (PARSIFAL)
     charge, delay = leading_edges(TIGER, 57.0, 2.0)
     t = np.arange(0, 400, 0.01)
     for i in (3, 30, 60):

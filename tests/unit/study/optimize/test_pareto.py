@@ -118,6 +118,24 @@ def test_evolution_beats_random_designs() -> None:
     assert volumes[0] > 1.03 * volumes[1]
 
 
+def test_each_call_and_each_seed_draws_other_designs(monkeypatch: pytest.MonkeyPatch) -> None:
+    import optuna
+
+    seeds: list[int] = []
+
+    class Sampler(optuna.samplers.NSGAIISampler):
+        def __init__(self, *, seed: int, **how: Any) -> None:
+            seeds.append(seed)
+            super().__init__(seed=seed, **how)
+
+    monkeypatch.setattr(optuna.samplers, "NSGAIISampler", Sampler)
+    for seed in (1, 2):
+        few = Search(method="nsga2", population=4, offspring=2, calls=3, seed=seed)
+        space = {"cgem.*.pitch_x": ("400 um", "900 um")}
+        optimize(DESIGN, space, minimize=["channels", "area"], evaluate=Evaluation(samples=2), search=few)
+    assert len(seeds) == len(set(seeds)) >= 6
+
+
 def test_an_interrupted_search_continues_to_the_same_end(found: tuple[Optimization, Path], tmp_path: Path) -> None:
     _, whole = found
     optimize(DESIGN, SPACE, output=tmp_path, **HOW, search=search(2))

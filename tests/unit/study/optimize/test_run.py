@@ -17,9 +17,9 @@ from cgemit.base.errors import Problems
 from cgemit.cli.main import main
 from cgemit.detector import inventory
 from cgemit.study import Background, Optimization, PlanError, Search, optimize, sobol, sweep
-from cgemit.study.optimize.goals import Goals, goal_of, limits_of, variables_of
+from cgemit.study.optimize.goals import Goals, Variable, goal_of, limits_of, variables_of
 from cgemit.study.optimize.run import KEYS, read_optimize_plan
-from cgemit.study.optimize.search import Descent, Design, Evaluator, with_failures
+from cgemit.study.optimize.search import Descent, Design, Evaluator, rounded, with_failures
 from cgemit.study.sweep.evaluate import Evaluation
 
 DESIGN = cg.load("besiii-cgem-design")
@@ -159,6 +159,19 @@ def test_the_optimum_has_sheets_full_of_whole_strips(found: Optimization) -> Non
     before = found.detector(len(found) - 2).cgem[0]
     assert 2 * math.pi * before.r_readout - before.strips_x * before.pitch_x > 1e-3
     assert inventory.channels(found.detector()) == found["channels"][-1]
+
+
+def test_strips_that_begin_off_the_corner_fill_the_rest_of_the_sheet() -> None:
+    """With an offset of 7.5 strips, as many less fit across the X strips."""
+    base = DESIGN.with_overrides({"cgem.L2.strips_v": 1000})
+    variables = (Variable("cgem.L2.pitch_v", 500.0, 900.0, unit="um"), Variable("cgem.L2.offset_v", 0.0, 10.0))
+    variables += (Variable("cgem.L2.strips_v", 900, 1100, whole=True),)
+    pitch, *others = rounded(base, variables, (600.0, 7.5, 1000))
+    assert others == [7.5, 1000]
+    changes = {"cgem.L2.pitch_v": f"{pitch!r} um", "cgem.L2.offset_v": 7.5, "cgem.L2.strips_v": 1000}
+    layer = base.with_overrides(changes).cgem[1]
+    along = layer.strips_x * layer.pitch_x * math.cos(layer.stereo) + layer.length * math.sin(abs(layer.stereo))
+    assert (layer.strips_v + 7.5) * layer.pitch_v == pytest.approx(along, rel=1e-7)
 
 
 @pytest.mark.slow

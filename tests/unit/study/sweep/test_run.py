@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 import os
@@ -398,6 +399,21 @@ def test_chunks_depend_on_all_that_results_depend_on(tmp_path: Path, monkeypatch
         assert computed(**change) == 2, change
     monkeypatch.setattr(sys.modules["cgemit.study.sweep.run"], "PHYSICS", 10**6)
     assert computed() == 2
+
+
+def test_each_value_of_an_evaluation_is_described_where_it_counts() -> None:
+    """Stored chunks are found by this description: a value that it leaves out would return old results."""
+    other = {
+        "particle": "pi-", "p": 0.5, "cos_theta": 0.1, "events": 21, "seed": 2, "quantities": ("dr",), "samples": 3,
+        "chunk": 5, "settings": cg.Settings(fit=cg.FitSettings(loss="mean")),
+    }  # fmt: skip
+    assert {"method", *other} == {field.name for field in dataclasses.fields(Evaluation) if field.name != "_"}
+    unused = {"mc": {"samples", "chunk"}, "analytic": {"events", "seed", "chunk"}}
+    for method, idle in unused.items():
+        usual = Evaluation(method).described()
+        same = {name for name, value in other.items() if Evaluation(method, **{name: value}).described() == usual}
+        assert same == idle
+        assert usual["method"] == method
 
 
 def test_folders_of_others_are_left_alone(tmp_path: Path) -> None:
