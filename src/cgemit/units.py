@@ -163,5 +163,5 @@ def _unit_problem(text: str, number: str, unit: str, dimension: str) -> tuple[st
         if unit in units:
             article = "an" if other[0] in "aeiou" else "a"
             return f"{_quoted(text)} ({article} {other})", expected, _sister(number, unit, dimension)
-    known = [name for units in _UNITS.values() for name in units if name]
-    return f'{_quoted(text)} (unknown unit "{unit}")', expected, did_you_mean(unit, known)
+    hint = did_you_mean(unit, _UNITS[dimension]) or did_you_mean(f"{unit}/c", _UNITS[dimension])
+    return f'{_quoted(text)} (unknown unit "{unit}")', expected, hint

@@ -71,6 +71,11 @@ def joined(path: str, name: str) -> str:
     return f"{path}.{name}" if path and name and not name.startswith("[") else path + name
 
 
+def reason(error: Exception) -> str:
+    """Return why a file could not be read, without the number of the system's error and the path."""
+    return error.strerror.lower() if isinstance(error, OSError) and error.filename and error.strerror else str(error)
+
+
 class WrongValueError(ValueError):
     """A value that cannot be used, refused by a function that does not know the path to it."""
 

@@ -8,7 +8,7 @@ from dataclasses import fields
 from html import escape
 from typing import Any, Self
 
-from cgemit.base.errors import Problem, Problems, ProblemsError
+from cgemit.base.errors import Problem, Problems, ProblemsError, reason
 from cgemit.base.files import flat, nested, new_file, parse_toml, read_text, toml_text
 from cgemit.base.validate import NONE, Choice, build, check_fields, classes_in, default_of, expected, kinds_of
 
@@ -152,7 +152,7 @@ def read_tables(path: str | os.PathLike[str]) -> Mapping[str, Any]:
     try:
         text = read_text(path)
     except (OSError, ValueError) as error:
-        raise SettingsError(str(path), [Problem("", str(error), "a TOML file")]) from error
+        raise SettingsError(str(path), [Problem("", reason(error), "a TOML file")]) from error
     return _parsed(text, str(path))
 
 

@@ -13,7 +13,7 @@ from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 
-from cgemit.base.errors import Problem, Problems, ProblemsError
+from cgemit.base.errors import Problem, Problems, ProblemsError, reason
 from cgemit.base.files import RECORD, parse_toml, read_text
 from cgemit.base.settings import SettingsData, SettingsError
 from cgemit.base.validate import InTurn
@@ -241,7 +241,7 @@ def recorded_settings(path: str | os.PathLike[str]) -> Mapping[str, Any]:
             return tables["settings"]
         given = f"format {tables['format']!r:.50}"
     except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
-        given = f"{error}"
+        given = reason(error)
     raise SettingsError(str(path), [Problem("", given, f"a TOML file of settings, or the {RECORD} of a run")])
 
 

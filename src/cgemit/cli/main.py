@@ -13,7 +13,7 @@ import traceback
 from collections.abc import Sequence
 from typing import cast
 
-from cgemit.base.errors import did_you_mean
+from cgemit.base.errors import did_you_mean, reason
 from cgemit.base.version import __version__
 from cgemit.cli.options import (
     BAD_INPUT,
@@ -112,18 +112,34 @@ def _run(argv: list[str]) -> int:
     except SystemExit as stop:  # --help, --version, or arguments that argparse has complained about
         return int(stop.code or OK)
     except KeyboardInterrupt:
-        say("cgemit: interrupted", sys.stderr)
-        return INTERRUPTED
+        return _interrupted()
     except (ValueError, FileNotFoundError, FileExistsError, IsADirectoryError, NotADirectoryError) as error:
         return _report(error, BAD_INPUT, getattr(arguments, "debug", False))
     except Exception as error:
+        if _comes_from_interrupt(error):
+            return _interrupted()
         return _report(error, RUN_FAILED, getattr(arguments, "debug", False))
+
+
+def _interrupted() -> int:
+    say("cgemit: interrupted", sys.stderr)
+    return INTERRUPTED
+
+
+def _comes_from_interrupt(error: BaseException | None) -> bool:
+    """Tell whether an interruption became another error, as in the imports, which may be in the middle of a class."""
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__cause__ or error.__context__
+    return error is not None
 
 
 def _parse(argv: list[str], arguments: argparse.Namespace) -> None:
     """Read the command line; unknown commands and options get the nearest known one as a hint."""
     parser = build_parser(*argv[:1])
-    if argv and not argv[0].startswith("-") and argv[0] not in COMMANDS:
+    if not argv:
+        say(parser.format_help())
+        parser.exit(OK)
+    if not argv[0].startswith("-") and argv[0] not in COMMANDS:
         hint = did_you_mean(argv[0], COMMANDS, "; ") or "; expected one of " + ", ".join(COMMANDS)
         parser.error(f"unknown command {argv[0]!r}{hint}")
     _, unknown = parser.parse_known_args(argv, arguments)
@@ -131,8 +147,16 @@ def _parse(argv: list[str], arguments: argparse.Namespace) -> None:
         chosen = next(a.choices for a in parser._actions if isinstance(a, argparse._SubParsersAction))
         command = cast(Parser, chosen[arguments.command])
         word = unknown[0].partition("=")[0]
-        hint = did_you_mean(word, command.options(), "; ") if word.startswith("-") else ""
+        hint = (
+            did_you_mean(word, command.options(), "; ") if word.startswith("-") else _flag_before(argv, word, command)
+        )
         command.error(f"got {' '.join(unknown)}, which it does not know{hint}")
+
+
+def _flag_before(argv: list[str], word: str, command: Parser) -> str:
+    """Return that the option before a word takes no value; an empty text if there is none."""
+    before = argv[argv.index(word) - 1]
+    return f"; {before} takes no value ({command.about(before)})" if before in command.options() else ""
 
 
 def complete(parser: argparse.ArgumentParser) -> None:
@@ -146,7 +170,8 @@ def _report(error: Exception, code: int, debug: bool) -> int:
     if debug:
         traceback.print_exception(error)
     foreseen = code == BAD_INPUT or isinstance(error, RunFailedError)
-    say(f"cgemit: {'' if foreseen else f'{type(error).__name__}: '}{error}", sys.stderr)
+    text = f"{error.filename}: {reason(error)}" if isinstance(error, OSError) and error.filename else str(error)
+    say(f"cgemit: {'' if foreseen else f'{type(error).__name__}: '}{text}", sys.stderr)
     if not foreseen and not debug:
         say("cgemit: the run failed; --debug shows where", sys.stderr)
     return code

@@ -395,6 +395,10 @@ class Parser(argparse.ArgumentParser):
         """Return the options that the command knows."""
         return [option for action in self._actions for option in action.option_strings]
 
+    def about(self, option: str) -> str:
+        """Return the help of an option."""
+        return next(action.help or "" for action in self._actions if option in action.option_strings)
+
 
 class RunFailedError(RuntimeError):
     """A run that has no result."""
@@ -581,6 +585,12 @@ def note(arguments: argparse.Namespace, text: str) -> None:
     """Write a line to stderr unless `--quiet` is given."""
     if not arguments.quiet:
         say(text, sys.stderr)
+
+
+def warn_unmeasured(detector: Detector, momenta: str) -> None:
+    """Write to stderr that a detector does not measure momenta; most often their unit was meant to be another one."""
+    text = f"cgemit: {detector.name} does not measure {momenta}: sigma(p)/p is above 1"
+    say(f"{text}; momenta without a unit are in GeV/c", sys.stderr)
 
 
 def progress_bar(arguments: argparse.Namespace, label: str) -> ProgressBar:

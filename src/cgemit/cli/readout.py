@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -128,11 +129,11 @@ def _one_angle(arguments: argparse.Namespace) -> float:
 def _incidence(option: str, angles: list[float]) -> list[float]:
     """Return angles of incidence in deg, from rad."""
     degrees = [float(value) for value in np.degrees(angles)]
-    wrong = [value for value in degrees if not abs(value) < _GRAZING]
-    if wrong:
+    if not all(abs(value) < _GRAZING for value in degrees):
+        steepest = max(angles, key=abs)
         raise options.InputError(
-            f"{option}: got {wrong[0]:g} deg, expected -{_GRAZING} to {_GRAZING} deg; numbers without unit "
-            'are rad ("25 deg" has one)'
+            f"{option}: got {steepest:g} rad = {math.degrees(steepest):g} deg, expected -{_GRAZING} to {_GRAZING} deg; "
+            'numbers without a unit are rad ("25 deg" has one)'
         )
     return degrees
 

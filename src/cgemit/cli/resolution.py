@@ -96,8 +96,24 @@ def run(arguments: argparse.Namespace) -> int:
         raise options.RunFailedError("\n".join(failed))
     save_scans(scans, arguments.output, overwrite=arguments.overwrite, command=arguments.line)
     options.say(json.dumps(summary_of(scans), indent=2) if arguments.json else _text(points, lines))
+    for scan in scans:
+        if momenta := _unmeasured(scan):
+            options.warn_unmeasured(scan.detector, momenta)
     options.note(arguments, f"curves: {arguments.output}/resolution.png")
     return 0
+
+
+def _unmeasured(scan: Scan | AnalyticScan) -> str:
+    """Return the momenta asked for at which sigma(p)/p is above 1, where core widths of p no longer grow with it."""
+    from cgemit.analysis.quantities import median_error
+    from cgemit.study.scan import AnalyticScan
+
+    if isinstance(scan, AnalyticScan):
+        errors = list(scan.at("p_rel"))
+    else:
+        errors = [median_error(one.tracks, "p_rel") for one in scan.samples]
+    momenta = ", ".join(f"{p:g}" for p, error in zip(scan.momenta, errors, strict=True) if error > 100)
+    return f"{momenta} GeV/c" if momenta else ""
 
 
 def _scans(

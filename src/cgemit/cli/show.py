@@ -63,7 +63,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     options.add_set(parser, 'change one value, such as cgem.L2.pitch_x="500 um"; may be repeated')
     options.add_field(parser)
     parser.add_argument("--json", action="store_true", help="print the numbers as JSON instead of tables")
-    parser.add_argument("--gdml", action="store_true", help="write detector.gdml too")
+    parser.add_argument("--gdml", action="store_true", help="write detector.gdml into the output folder, too")
     options.add_output(parser, "folder for the pictures (default cgemit-show-NAME)")
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import shutil
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cgemit.base.version import __version__
@@ -141,22 +142,16 @@ def gun_of(arguments: argparse.Namespace, *others: tuple[str, object]) -> Source
 
     given = {name: getattr(arguments, name) for name in _GUN if getattr(arguments, name) is not None}
     missing = [name for name, value in others if value is None]
-    if arguments.sample is not None:
-        if missing:
-            raise options.InputError(f"got no {', no '.join(missing)}; expected all of them")
-        return sample(arguments.sample, **given)
-    for pair in (("--p", "--pt"), ("--theta", "--cos-theta")):
-        if not any(one[2:].replace("-", "_") in given for one in pair):
-            missing.append(" or ".join(pair))
+    instead = ""
+    if arguments.sample is None:
+        instead = f", or{' --particles FILE, or' if hasattr(arguments, 'particles') else ''} --sample NAME"
+        for pair in (("--p", "--pt"), ("--theta", "--cos-theta")):
+            if not any(one[2:].replace("-", "_") in given for one in pair):
+                missing.append(" or ".join(pair))
     if missing:
-        raise options.InputError(
-            f"got no {', no '.join(missing)}; expected all of them{_or_file(arguments)}, or --sample NAME"
-        )
-    return Gun(**{"particle": "mu-", **given})
-
-
-def _or_file(arguments: argparse.Namespace) -> str:
-    return ", or --particles FILE" if hasattr(arguments, "particles") else ""
+        expected = "all of these" if len(missing) > 1 else "one"
+        raise options.InputError(f"got no {', no '.join(missing)}; expected {expected}{instead}")
+    return Gun(**{"particle": "mu-", **given}) if arguments.sample is None else sample(arguments.sample, **given)
 
 
 def _source(arguments: argparse.Namespace) -> Any:
@@ -175,11 +170,14 @@ def _source(arguments: argparse.Namespace) -> Any:
     if given:
         wrong = ", ".join("--" + name.replace("_", "-") for name in given)
         raise options.InputError(f"--particles: got {wrong}, too; expected particles of a file or of a gun")
+    if not Path(arguments.particles).exists():
+        raise options.InputError(f"--particles: got {arguments.particles}, which does not exist; expected a file")
     return particles_from(arguments.particles)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the chain and write its tables."""
+    from cgemit.analysis.quantities import median_error
     from cgemit.base.files import SUMMARY, new_folder
     from cgemit.chain.run import Output
     from cgemit.chain.run import run as run_chain
@@ -207,6 +205,8 @@ def run(arguments: argparse.Namespace) -> int:
             shutil.rmtree(parts.parent)
         (folder / SUMMARY).write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
     options.say(json.dumps(summary, indent=2) if arguments.json else text)
+    if fits and arguments.keep is None and median_error(result.tables["tracks"], "p_rel") > 100:
+        options.warn_unmeasured(detector, "most of the momenta")
     options.note(arguments, f"tables: {arguments.output}{'' if fits else ' (nothing was fitted: --fit does)'}")
     return 0
 

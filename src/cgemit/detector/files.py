@@ -76,7 +76,11 @@ def open_source(source: str | Path | Mapping[str, Any], folder: Path | None = No
     path = Path(text) if folder is None else folder / text
     if not _is_file(path):
         known = ", ".join(preset_names())
-        given = _quoted(text) + (", a folder" if text and _is_file(path, Path.is_dir) else "")
+        given = _quoted(text)
+        if text and _is_file(path, Path.is_dir):
+            given += ", a folder"
+        elif path.suffix == ".toml" or path.parent.name:
+            given += ", which does not exist"
         problem = Problem(
             "", given, f"one of {known}, or a detector file", did_you_mean(text[:_LONGEST], preset_names())
         )

@@ -54,7 +54,6 @@ def test_settings_in_the_examples_exist(capsys):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ([], "required"),
         (["sturdy"], "unknown command"),
         (["study", "--events", "none"], "whole number"),
         (["study", "--events", "10", "-o", "never"], "from 400"),
@@ -64,6 +63,14 @@ def test_settings_in_the_examples_exist(capsys):
         (["resolution", "-d", "besiii-cgam", "--p", "1", "-o", "never"], "besiii-cgem"),
         (["resolution", "-d", "besiii-cgem", "--p", "1 mm", "-o", "never"], "momentum"),
         (["resolution", "-d", "besiii-cgem", "--p", "-1", "-o", "never"], "p"),
+        (["resolution", "-d", "besiii-cgem", "--p", "1 gev", "-o", "never"], 'did you mean "GeV/c"'),
+        (["readout", "--angles", "0:40:9"], "got 40 rad = 2291.83 deg"),
+        (
+            ["simulate", "-d", "besiii-cgem", "--p", "1", "-n", "1", "-o", "never"],
+            "got no --theta or --cos-theta; expected one",
+        ),
+        (["simulate", "-d", "besiii-cgem", "--sample", "jpsi-rhopi", "-o", "never"], "got no -n; expected one"),
+        (["show", "besiii-cgem", "--gdml", "x.gdml", "-o", "never"], "--gdml takes no value"),
         ([*SIMULATE, "--set", "cgem.L2.pitch_x", "-o", "never"], "KEY=VALUE"),
         ([*SIMULATE, "--set", "cgem.L2.pitch_x=500 kg", "-o", "never"], "cgem.L2.pitch_x"),
         ([*SIMULATE, "--particle", "muon+-", "-o", "never"], "muon+-"),
@@ -112,6 +119,77 @@ def test_failures_of_the_run_have_exit_code_3(monkeypatch, capsys, tmp_path):
     assert "Traceback" not in text
     assert main([*arguments, "--debug"]) == 3
     assert "Traceback" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        [*SIMULATE, "--settings", "absent.toml", "-o", "never"],
+        [*SIMULATE, "--settings", "absent.json", "-o", "never"],
+        ["simulate", "-d", "besiii-cgem", "--particles", "absent.parquet", "-o", "never"],
+        ["sweep", "absent.toml", "-o", "never"],
+        ["optimize", "absent.toml", "-o", "never"],
+        ["validate", "absent.toml"],
+        ["resolution", "-d", "besiii-cgem", "--p", "1", "--field", "absent.toml", "-o", "never"],
+    ],
+)
+def test_missing_files_are_named_in_words(arguments, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(arguments) == 2
+    said = capsys.readouterr().err
+    assert "absent." in said
+    assert "rrno" not in said
+
+
+def test_the_command_alone_prints_its_help(capsys):
+    assert main([]) == 0
+    assert "examples:" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("method", ["mc", "analytic"])
+def test_momenta_that_are_not_measured_are_named_with_their_unit(method, tmp_path, capsys):
+    words = [
+        "resolution",
+        "-d",
+        "besiii-cgem",
+        "--p",
+        "0.5,500",
+        "--method",
+        method,
+        "--quiet",
+        "-o",
+        str(tmp_path / "out"),
+    ]
+    assert main([*words, "-n", "100", "--threads", "1"]) == 0
+    said = capsys.readouterr().err
+    assert "does not measure 500 GeV/c" in said
+    assert "without a unit are in GeV/c" in said
+
+
+def test_an_interruption_that_became_another_error_has_exit_code_130(monkeypatch, capsys):
+    def interrupted(_):
+        try:
+            raise KeyboardInterrupt
+        except KeyboardInterrupt as stop:
+            raise RuntimeError("Error calling __set_name__") from stop
+
+    monkeypatch.setattr("cgemit.cli.main.importlib.import_module", interrupted)
+    assert main(["detectors"]) == 130
+    assert capsys.readouterr().err == "cgemit: interrupted\n"
+
+
+@pytest.mark.parametrize(
+    ("closed", "words", "code"),
+    [(1, ["detectors"], 0), (2, ["validate", "absent.toml"], 2), (2, ["slab", "Cu 1 mm", "--p", "1", "-n", "1000"], 0)],
+)
+def test_streams_may_be_closed(closed, words, code, tmp_path):
+    """Nothing reaches the other stream that belongs to the closed one."""
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    command = ["bash", "-c", f'exec "$0" "$@" {closed}>&-', sys.executable, "-m", "cgemit", *words]
+    done = subprocess.run(command, capture_output=True, env=environment, cwd=tmp_path, check=False)
+    assert done.returncode == code, done
+    assert b"absent" not in done.stdout
+    assert not done.stderr
 
 
 def test_interruption_has_exit_code_130(monkeypatch, capsys, tmp_path):
