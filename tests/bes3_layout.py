@@ -11,6 +11,7 @@ import numpy as np
 
 from cgemit import helix
 from cgemit.analysis.bes3 import HYPOTHESES
+from cgemit.detector.drift import LIGHT, propagation_time
 
 _I, _U, _F = "i4", "u4", "f8"
 _POINTS = ("e", "mu", "k", "p")
@@ -53,7 +54,11 @@ LAYOUT = {
         "m_intId": _U, "m_timeChannel": _U, "m_chargeChannel": _U, "m_trackIndex": _I, "m_overflow": _U,
         "m_time_ns": _F, "m_charge_fc": _F,
     },
+    "mdc_digis": {"m_intId": _U, "m_timeChannel": _U, "m_chargeChannel": _U, "m_trackIndex": _I, "m_overflow": _U},
+    "start_times": {"m_status": _I, "m_estime": _F, "m_quality": _F},
 }  # fmt: skip
+
+START, ZERO, TICK = 656.0, -231.0, 3 / 32  # ns: start of the events, zero time of the wires, TDC channel
 
 CM = np.array([0.1, 1.0, 1.0, 0.1, 1.0])  # per mm, of dr and dz
 
@@ -80,6 +85,8 @@ def events_of(result):
     assert len(matches) == len(tracks)
     arrays = {"run": ak.Array(np.full(n, -9989, "i4")), "number": ak.Array(np.arange(100, 100 + n, dtype="i4"))}
     arrays["hits"] = _hits(result, n)
+    arrays["mdc_digis"] = _fired(result, n)
+    arrays["start_times"] = records("start_times", np.arange(n), n, {"m_estime": np.full(n, START)})
     arrays["clusters"] = _clusters(result, n)
     fitted = np.stack([tracks[name] for name in helix.PARAMETERS], 1) * CM
     fitted[:, 1] %= 2 * np.pi
@@ -125,8 +132,38 @@ def _hits(result, n):
         "m_ddl": drift, "m_ddr": drift,
         "m_erddl": 0.1 * hits["sigma"], "m_erddr": 0.1 * hits["sigma"],
         "m_lr": _left_right(hits["side"] * np.sign(hits["drift"])), "m_stat": np.ones(len(hits)),
-        "m_mdcid": _wire_id(hits["layer"], hits["wire"]), "m_driftT": hits["drift_time"],
+        "m_mdcid": _wire_id(hits["layer"], hits["wire"]), "m_driftT": hits["drift_time"], "m_tdc": _tdc(result),
+        "m_zhit": 0.1 * result.wire_truths["z"][hits["wire_truth"]],
     })  # fmt: skip
+
+
+def delay(result):
+    """Return flight, as from the origin with the speed of light, and propagation of each wire hit, ns."""
+    hits = result.wire_hits
+    z = result.wire_truths["z"][hits["wire_truth"]]
+    radii = {layer.number: layer.r_mid for layer in result.detector.drift_chamber.layers}
+    radius = np.array([radii[layer] for layer in hits["layer"].tolist()])
+    return np.hypot(radius, z) / LIGHT + propagation_time(result.detector, hits["layer"], z)
+
+
+def _tdc(result):
+    """Return TDC channels of the wire hits."""
+    return np.rint((result.wire_hits["drift_time"] + delay(result) + START + ZERO) / TICK)
+
+
+def _fired(result, n):
+    """Return a digi for each wire hit, with its particle, and one cell without a valid time in each event."""
+    hits = result.wire_hits
+    owner = result.wire_truths["particle"][hits["wire_truth"]]
+    columns = {
+        "m_intId": _wire_id(hits["layer"], hits["wire"]), "m_timeChannel": _tdc(result),
+        "m_trackIndex": owner + 1000 * (hits["layer"] % 2),
+    }  # fmt: skip
+    silent = {"m_intId": _wire_id(np.full(n, 42), 0), "m_timeChannel": 0x7FFFFFFF, "m_trackIndex": -1000}
+    columns = {name: np.concatenate([np.broadcast_to(silent[name], n), columns[name]]) for name in columns}
+    event = np.concatenate([np.arange(n), hits["event"]])
+    order = np.argsort(event, kind="stable")
+    return records("mdc_digis", event[order], n, {name: column[order] for name, column in columns.items()})
 
 
 def _clusters(result, n):

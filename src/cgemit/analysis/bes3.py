@@ -1,27 +1,25 @@
-"""Events of the BESIII software as tables, and refits of its tracks beside its own (docs/how-to/real_events.md)."""
+"""Events of the BESIII software as tables (docs/how-to/real_events.md)."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from cgemit import helix
-from cgemit.analysis.quantities import QUANTITIES
 from cgemit.base.files import check_regular, package
-from cgemit.detector import Detector, compiled, load
+from cgemit.detector import Detector, load
 from cgemit.particles.species import KNOWN
 from cgemit.particles.table import particles_from
 from cgemit.reconstruction.candidates import HIT_WIRE, HIT_X, XV_CLUSTER, label_candidates
-from cgemit.reconstruction.fit import FitSettings, FitStatus, displaced, fit
+from cgemit.reconstruction.fit import FitStatus, displaced
 from cgemit.reconstruction.given_hits import hit_tables
 from cgemit.tables import SCHEMAS, Table
-from cgemit.tables.schema import PARAMETERS
 
 Floats = npt.NDArray[np.float64]
 
@@ -97,6 +95,8 @@ COLLECTIONS: Mapping[str, tuple[str, ...]] = {
     "cgem_truths": ("TMcEvent/m_cgemMcHitCol",),
     "mdc_truths": ("TMcEvent/m_mdcMcHitCol",),
     "cgem_digis": ("TDigiEvent/m_cgemDigiCol",),
+    "mdc_digis": ("TDigiEvent/m_mdcDigiCol",),
+    "start_times": ("TRecEvent/m_recEvTimeCol",),
 }
 
 #: PDG numbers of the masses of a Kalman track, in the order of its arrays, with the ends of the names of its helices.
@@ -107,6 +107,9 @@ _GEV = 1e-3  # in MeV
 _KEV = 1e3  # in MeV
 _HELIX = np.array([_MM, 1.0, 1.0, _MM, 1.0])  # dr and dz in cm
 _NOT_SET = -99.0  # of the software
+_TDC = 3 / 32  # ns, a channel of the chamber's TDC, as drift times and channels of reconstructed hits tell
+_NO_TIME = 0x7FFFFFFF
+_SECONDARY = 1000  # added to the particle's number by a flag that the public simulation leaves to chance
 
 
 def read_bes3(path: Path) -> tuple[dict[str, Columns], int]:
@@ -162,8 +165,8 @@ def columns_of_events(arrays: Mapping[str, Any]) -> dict[str, Columns]:
     -------
     dict of str to dict of str to ndarray
         ``events`` (run, number), ``clusters``, ``wire_hits``, ``mdc_tracks``, ``kal_tracks``, ``particles``,
-        ``truths``, ``wire_truths`` and ``digis``, those that there are; ``event`` is the number of the event in the
-        file.
+        ``truths``, ``wire_truths``, ``digis``, ``wire_digis`` and ``start_times``, those that there are; ``event`` is
+        the number of the event in the file.
 
     Raises
     ------
@@ -178,6 +181,8 @@ def columns_of_events(arrays: Mapping[str, Any]) -> dict[str, Columns]:
         "mdc_tracks": ("mdc_tracks", _mdc_tracks), "kal_tracks": ("kal_tracks", _kal_tracks),
         "particles": ("particles", _particles), "cgem_truths": ("truths", _truths),
         "mdc_truths": ("wire_truths", _wire_truths), "cgem_digis": ("digis", _digis),
+        "mdc_digis": ("wire_digis", _wire_digis),
+        "start_times": ("start_times", lambda flat: {"start_time": flat["m_estime"]}),
     }  # fmt: skip
     for name, (table, make) in makers.items():
         flat = _flat(arrays[name]) if name in arrays else {}
@@ -225,6 +230,7 @@ def _wire_hits(of: Columns) -> Columns:
     drift, sigma = (_MM * np.select([left, right], [l, r], 0.5 * (l + r)) for l, r in both)  # noqa: E741
     side = _side(of["m_lr"])
     known = {"drift_time": of["m_driftT"], "candidate": of["m_trkid"]}
+    known |= {"tdc": _TDC * of["m_tdc"], "z": _MM * of["m_zhit"]}
     return {**_wire(of["m_mdcid"]), "drift": drift, "sigma": sigma, "side": side, **known}
 
 
@@ -332,6 +338,18 @@ def _digis(of: Columns) -> Columns:
     return {**place, "charge": of["m_charge_fc"], "time": of["m_time_ns"]}
 
 
+def _wire_digis(of: Columns) -> Columns:
+    """Return what the cells have measured; the particle is -1 where it is noise, or noise came before."""
+    channel = of["m_timeChannel"].astype(np.int64)
+    owner = of["m_trackIndex"].astype(np.int64)
+    return {
+        **_wire(of["m_intId"]),
+        "tdc": np.where(channel == _NO_TIME, np.nan, _TDC * channel),
+        "overflow": of["m_overflow"].astype(np.int64),
+        "particle": np.where(owner < 0, -1, owner % _SECONDARY),
+    }
+
+
 def _wrapped(angle: Column) -> Column:
     """Return angles in (-pi, pi]."""
     return np.asarray(np.pi - np.remainder(np.pi - angle, 2 * np.pi))
@@ -352,7 +370,8 @@ class Bes3Events:
     run, number : ndarray, (n,) int64
         The experiment's numbers of run and event.
     clusters, wire_hits : Table
-        Reconstructed clusters, and the hits on tracks; `track` is the number of the track, -1 none.
+        Reconstructed clusters, and the hits on tracks; `track` is the number of the track, -1 none. Wire hits also
+        have `tdc`, ns from the start of the read-out window, and `z` on the wire, mm.
     candidates, candidate_hits : Table
         The hits of each track; the candidate's number is that of the track.
     mdc_tracks, kal_tracks : Table of kind "tracks"
@@ -363,6 +382,12 @@ class Bes3Events:
         cells (`.rtraw`); their times are not read.
     digis : Table
         Fired strips with charge and time.
+    start_time : ndarray, (n,) float64
+        Start of each event in the read-out window by the experiment's reconstruction, ns; NaN where the file has none.
+    wire_digis : dict of str to ndarray, each (digis,)
+        All fired cells: `event`, `layer`, `wire`, `tdc` (ns, NaN without a valid time), `overflow` (bits of the
+        software), `particle` (number of the generated one, -1 none) and `track` (-1 none).
+        `cgemit.analysis.bes3_wires` makes wire hits of them.
     """
 
     detector: Detector
@@ -378,10 +403,13 @@ class Bes3Events:
     truths: Table
     wire_truths: Table
     digis: Table
+    start_time: Column
+    wire_digis: Columns
 
     def __repr__(self) -> str:
         tables = (name for name, one in vars(self).items() if isinstance(one, Table) and len(one))
         rows = ", ".join(f"{len(getattr(self, name))} {name}" for name in tables)
+        rows += f", {len(self.wire_digis['event'])} wire_digis" if len(self.wire_digis["event"]) else ""
         return f"<{len(self.run)} events of the BESIII software for {self.detector.name}: {rows}>"
 
 
@@ -460,7 +488,12 @@ def tables_of(
     cover = {"n_events": n_events, "events": hits[0].cover["events"]}
     events = found.get("events", dict.fromkeys(("run", "number"), np.zeros(n_events, np.int64)))
     tracks = {name: _track_table(found.get(name), named, detector, cover) for name in ("mdc_tracks", "kal_tracks")}
+    fired = _fired(found.get("wire_digis"), wires)
     simulated = {name: _filled(name, found.get(name), detector, cover) for name in ("truths", "wire_truths", "digis")}
+    start_time = np.full(n_events, np.nan)
+    if "start_times" in found:
+        event, first = np.unique(found["start_times"]["event"], return_index=True)
+        start_time[event] = found["start_times"]["start_time"][first]
     return Bes3Events(
         detector=detector,
         run=events["run"],
@@ -468,16 +501,32 @@ def tables_of(
         clusters=hits[0].with_columns(track=numbers[0]),
         wire_hits=hits[1].with_columns(track=numbers[1]),
         particles=_particle_table(found.get("particles"), n_events),
+        start_time=start_time,
+        wire_digis=fired,
         **named,
         **tracks,
         **simulated,
     )
 
 
+def _fired(given: Columns | None, wires: Columns | None) -> Columns:
+    """Return the fired cells with the track of the reconstructed hit there, if any."""
+    names = ("event", "layer", "wire", "tdc", "overflow", "particle")
+    fired = {name: np.zeros(0) if name == "tdc" else np.zeros(0, np.int64) for name in names}
+    fired = fired if given is None else given
+    tracks: dict[tuple[int, ...], int] = {}
+    if wires is not None:
+        cells = zip(*(wires[name].tolist() for name in ("event", "layer", "wire")), strict=True)
+        tracks = dict(zip(cells, wires["candidate"].tolist(), strict=True))
+    cells = zip(*(fired[name].tolist() for name in ("event", "layer", "wire")), strict=True)
+    return fired | {"track": np.array([tracks.get(cell, -1) for cell in cells], np.int64)}
+
+
 def _check(found: Mapping[str, Columns], detector: Detector, errors: tuple[float, float]) -> None:
     """Raise an error that lists the layers of hits that the detector does not have, and wrong errors."""
     chamber = detector.drift_chamber.layers if detector.drift_chamber else ()
-    known = {"wire_hits": [layer.number for layer in chamber], "clusters": list(range(len(detector.cgem)))}
+    wires = [layer.number for layer in chamber]
+    known = {"wire_hits": wires, "wire_digis": wires, "clusters": list(range(len(detector.cgem)))}
     problems = []
     for name, layers in known.items():
         given = np.unique(found[name]["layer"]) if name in found else np.zeros(0, np.int64)
@@ -498,7 +547,7 @@ def _cluster_columns(detector: Detector, given: Columns | None, errors: tuple[fl
     if given is None:
         return None
     columns = dict(given)
-    starts = np.array([(*layer.sheet_phi, *layer.sheet_phi)[:2] for layer in detector.cgem])
+    starts = np.array([(*layer.sheet_phi, *layer.sheet_phi)[:2] for layer in detector.cgem]).reshape(-1, 2)
     radius = np.array([layer.r_readout for layer in detector.cgem])[columns["layer"]]
     start = starts[columns["layer"], np.clip(columns["sheet"], 0, 1)]
     x = radius * np.remainder(columns["phi"] - start, 2 * np.pi)
@@ -583,175 +632,3 @@ def _strip_numbers(detector: Detector, of: Columns) -> Column:
     first = np.cumsum([0, *(layer.sheets * (layer.strips_x + layer.strips_v) for layer in detector.cgem)])
     mine = strips[of["layer"]]
     return np.asarray(first[of["layer"]] + of["sheet"] * mine.sum(axis=1) + of["view"] * mine[:, 0] + of["strip"])
-
-
-Kind = Literal["kal", "mdc"]
-KINDS: tuple[Kind, ...] = get_args(Kind)
-
-#: What the experiment's fits assume.
-FITS = {"kal": "Kalman filter with matter (MdcKalTrack)", "mdc": "first fit, without matter (MdcTrack)"}
-
-_HALF = 0.6827  # of a Gaussian within one standard deviation
-
-
-@dataclass(frozen=True, eq=False)
-class Refit:
-    """Tracks fitted by us and by the experiment from the same hits, one row for each in all of these.
-
-    Attributes
-    ----------
-    kind : str
-        ``"kal"`` or ``"mdc"``.
-    detector : str
-    ours, boss : Table of kind "tracks"
-    columns : dict of str to ndarray
-        ``run``, ``number`` (of the event), ``event`` (in the file), ``track``, ``hypothesis``, ``status``, numbers of
-        hits, chi-square of both, and for each parameter and p: ours, ``boss_``..., errors, ``diff_`` ours minus
-        theirs, ``pull_`` that over their error, and where the events are simulated ``truth_``... (NaN without a
-        particle near the track).
-    """
-
-    kind: str
-    detector: str
-    ours: Table
-    boss: Table
-    columns: Columns
-
-    @property
-    def good(self) -> Column:
-        """Whether both fits have succeeded, (n,) bool."""
-        return np.asarray((self.ours["status"] == FitStatus.ok) & (self.boss["status"] == FitStatus.ok))
-
-    def summary(self) -> dict[str, dict[str, float]]:
-        """Return median and half-width of the central 68 % of the differences, by parameter.
-
-        ``diff`` and ``diff_width`` in the parameter's unit, ``pull`` and ``pull_width`` over the experiment's error,
-        ``error_ratio``: the median of our error over theirs.
-        """
-        of = {name: one[self.good] for name, one in self.columns.items()}
-        found = {}
-        for name in PARAMETERS:
-            ratio = of[f"err_{name}"] / of[f"boss_err_{name}"]
-            found[name] = {
-                "diff": _middle(of[f"diff_{name}"]), "diff_width": _width(of[f"diff_{name}"]),
-                "pull": _middle(of[f"pull_{name}"]), "pull_width": _width(of[f"pull_{name}"]),
-                "error_ratio": _middle(ratio),
-            }  # fmt: skip
-        return found
-
-    def __repr__(self) -> str:
-        n, good = len(self.ours), int(self.good.sum())
-        lines = [f"{FITS[self.kind]}: {n} tracks, {good} fitted by both, with {self.detector}"]
-        if not good:
-            return lines[0]
-        lines.append(f"  {'':15}{'ours - BOSS':>24}{'over the error of BOSS':>26}{'our error':>12}")
-        lines.append(f"  {'':15}{'median':>12}{'68 % within':>12}{'median':>14}{'68 % within':>12}{'/ theirs':>12}")
-        for name, row in self.summary().items():
-            known = QUANTITIES[name]
-            diff, width = (f"{known.factor * row[key]:.3g}" for key in ("diff", "diff_width"))
-            label = f"{name} {known.unit}"
-            lines.append(
-                f"  {label:<16}{diff:>11}{width:>12}{row['pull']:>14.3f}{row['pull_width']:>12.3f}"
-                f"{row['error_ratio']:>12.3f}"
-            )
-        ours, boss = (_middle((one["chi2"] / np.maximum(one["ndf"], 1))[self.good]) for one in (self.ours, self.boss))
-        lines.append(f"  chi2/ndf, median: ours {ours:.3f}, BOSS {boss:.3f}")
-        return "\n".join(lines)
-
-
-def refit(events: Bes3Events, kind: Kind = "kal", settings: FitSettings | None = None) -> Refit:
-    """Fit the hits of the experiment's tracks, and put the result beside theirs.
-
-    Parameters
-    ----------
-    events : Bes3Events
-    kind : str
-        ``"kal"``: beside the tracks of the Kalman filter, with matter. ``"mdc"``: beside those of the first fit, which
-        knows no matter; our fit then has ``matter=False``.
-    settings : FitSettings or None
-        `hypothesis` tells the masses (None: the pion, the experiment's default); `matter` follows from `kind`.
-
-    Raises
-    ------
-    ValueError
-        If there is no such kind, or no track with hits.
-    """
-    if kind not in KINDS:
-        raise ValueError(f"kind: got {kind!r}, expected one of {', '.join(map(repr, KINDS))}")
-    settings = FitSettings() if settings is None else settings
-    settings = replace(settings, matter=kind == "kal", hypothesis=settings.hypothesis or "pi")
-    if kind == "mdc":  # without matter the mass plays no role
-        settings = replace(settings, hypothesis="pi")
-    boss = events.kal_tracks if kind == "kal" else events.mdc_tracks
-    hits = events.clusters, events.wire_hits, events.candidates, events.candidate_hits
-    if not len(events.candidates) or not len(boss):
-        raise ValueError(
-            f"got {len(events.candidates)} sets of hits and {len(boss)} {FITS[kind]}; expected both, as in a .rec file"
-        )
-    fitted = fit(events.detector, *hits, settings)["tracks"]
-    mine, theirs = _same(fitted, boss, by_mass=kind == "kal")
-    ours, boss = fitted[mine], boss[theirs]
-    return Refit(kind, events.detector.name, ours, boss, _columns(events, ours, boss))
-
-
-def _same(ours: Table, boss: Table, *, by_mass: bool) -> tuple[Column, Column]:
-    """Return the rows of the tracks that both have: of the same candidate and, with matter, mass."""
-    mass = "hypothesis" if by_mass else "candidate"
-    rows = {key: i for i, key in enumerate(zip(boss["candidate"].tolist(), boss[mass].tolist(), strict=True))}
-    found = [rows.get(key, -1) for key in zip(ours["candidate"].tolist(), ours[mass].tolist(), strict=True)]
-    theirs = np.array(found, np.int64)
-    return np.flatnonzero(theirs >= 0), theirs[theirs >= 0]
-
-
-def _columns(events: Bes3Events, ours: Table, boss: Table) -> Columns:
-    event = ours["event"]
-    columns: Columns = {
-        "run": events.run[event],
-        "number": events.number[event],
-        "event": event,
-        "track": boss["track"],
-    }
-    columns |= {
-        name: ours[name] for name in ("hypothesis", "status", "n_clusters", "n_wires", "n_outliers", "chi2", "ndf")
-    }
-    columns |= {f"boss_{name}": boss[name] for name in ("status", "chi2", "ndf")}
-    truth = _truth(events, boss)
-    for name in PARAMETERS:
-        diff = ours[name] - boss[name]
-        if name == "phi0":
-            diff = np.remainder(diff + np.pi, 2 * np.pi) - np.pi
-        columns |= {name: ours[name], f"err_{name}": ours[f"err_{name}"]}
-        columns |= {f"boss_{name}": boss[name], f"boss_err_{name}": boss[f"err_{name}"]}
-        with np.errstate(divide="ignore", invalid="ignore"):  # fits that failed have errors of 0
-            columns |= {f"diff_{name}": diff, f"pull_{name}": diff / boss[f"err_{name}"], f"truth_{name}": truth[name]}
-    return columns
-
-
-#: Largest differences of a track from its generated particle: azimuth (rad), tan(lambda), relative kappa.
-_NEAR = (0.1, 0.1, 0.2)
-
-
-def _truth(events: Bes3Events, boss: Table) -> Columns:
-    """Return the helix of the generated particle nearest to each track, NaN where none is near."""
-    particles = events.particles
-    true = helix.at_origin_in(particles, compiled(events.detector, gaps=False).field)
-    nearest = np.full((len(boss), 5), np.nan)
-    for row in range(len(boss)):
-        mine = true[particles["event"] == boss["event"][row]]
-        turn = np.remainder(mine[:, 1] - boss["phi0"][row] + np.pi, 2 * np.pi) - np.pi
-        off = np.stack([turn, mine[:, 4] - boss["tanl"][row], mine[:, 2] / boss["kappa"][row] - 1], axis=1) / _NEAR
-        far = np.where(np.isnan(off).any(axis=1), np.inf, np.abs(off).max(axis=1, initial=0))
-        if len(far) and far.min() < 1:
-            nearest[row] = mine[np.argmin(far)]
-    with np.errstate(invalid="ignore"):
-        return {**{name: nearest[:, i] for i, name in enumerate(helix.PARAMETERS)}, "p": helix.momentum(nearest)}
-
-
-def _middle(values: Column) -> float:
-    return float(np.median(values)) if len(values) else float("nan")
-
-
-def _width(values: Column) -> float:
-    """Return the half-width of the central 68 %."""
-    low, high = np.quantile(values, [0.5 - _HALF / 2, 0.5 + _HALF / 2]) if len(values) else (np.nan, np.nan)
-    return float(0.5 * (high - low))

@@ -11,7 +11,7 @@ from cgemit.base.version import __version__
 from cgemit.cli import options
 
 if TYPE_CHECKING:
-    from cgemit.analysis.bes3 import Refit
+    from cgemit.analysis.refit import Refit
 
 
 DESCRIPTION = """\
@@ -51,7 +51,8 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Read, fit and compare."""
-    from cgemit.analysis.bes3 import CLUSTER_ERRORS, KINDS, read_events, refit
+    from cgemit.analysis.bes3 import CLUSTER_ERRORS, read_events
+    from cgemit.analysis.refit import KINDS, refit
     from cgemit.base.files import check_free
 
     if arguments.output:

@@ -11,9 +11,9 @@ import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 
-from cgemit.analysis.bes3 import FITS, Refit
 from cgemit.analysis.curves import Line, Spectrum, track_spectrum
 from cgemit.analysis.quantities import QUANTITIES, REPORTED
+from cgemit.analysis.refit import FITS, Refit
 from cgemit.chain.result import Result, tracks_of
 from cgemit.draw.style import (
     COLORS,

@@ -8,7 +8,8 @@ import bes3_layout
 import cgemit as cg
 from cgemit import helix
 from cgemit.analysis import bes3
-from cgemit.analysis.bes3 import CLUSTER_ERRORS, columns_of_events, events_of, read_events, refit
+from cgemit.analysis.bes3 import CLUSTER_ERRORS, columns_of_events, events_of, read_events
+from cgemit.analysis.refit import refit
 from cgemit.reconstruction.fit import fit
 
 BZ = -1.0

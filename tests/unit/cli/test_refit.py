@@ -10,7 +10,7 @@ import bes3_layout
 import cgemit as cg
 from cgemit import helix
 from cgemit.analysis import bes3
-from cgemit.analysis.bes3 import Refit, refit
+from cgemit.analysis.refit import Refit, refit
 from cgemit.cli.main import main
 from cgemit.draw import draw_refit
 
