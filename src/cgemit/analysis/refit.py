@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, Literal, get_args
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -11,7 +11,7 @@ import numpy.typing as npt
 from cgemit import helix
 from cgemit.analysis.bes3 import Bes3Events
 from cgemit.analysis.quantities import QUANTITIES
-from cgemit.detector import compiled
+from cgemit.detector import Detector, compiled
 from cgemit.reconstruction.fit import FitSettings, FitStatus, fit
 from cgemit.tables import Table
 from cgemit.tables.schema import PARAMETERS
@@ -26,6 +26,7 @@ KINDS: tuple[Kind, ...] = get_args(Kind)
 FITS = {"kal": "Kalman filter with matter (MdcKalTrack)", "mdc": "first fit, without matter (MdcTrack)"}
 
 _HALF = 0.6827  # of a Gaussian within one standard deviation
+_LEAST_TRACKS = 4  # for a displacement
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,6 +127,62 @@ def refit(events: Bes3Events, kind: Kind = "kal", settings: FitSettings | None =
     mine, theirs = _same(fitted, boss, by_mass=kind == "kal")
     ours, boss = fitted[mine], boss[theirs]
     return Refit(kind, events.detector.name, ours, boss, _columns(events, ours, boss))
+
+
+class Displacement(NamedTuple):
+    """Place of the chamber, with respect to the description that our fit has.
+
+    Attributes
+    ----------
+    value, error : ndarray, (4,) float64
+        shift_x, shift_y, shift_z, mm, and rotation, rad, with their standard deviations.
+    """
+
+    value: npt.NDArray[np.float64]
+    error: npt.NDArray[np.float64]
+
+    @property
+    def overrides(self) -> dict[str, str]:
+        """Settings for `Detector.with_overrides`, which put the chamber there."""
+        names, units = ("shift_x", "shift_y", "shift_z", "rotation"), ("mm", "mm", "mm", "rad")
+        values = zip(names, self.value, units, strict=True)
+        return {f"drift_chamber.{name}": f"{value:.6g} {unit}" for name, value, unit in values}
+
+
+def displacement(beside: Refit, detector: Detector) -> Displacement:
+    """Find how the chamber is displaced against our description, if the experiment's fits know it.
+
+    A displacement moves d_rho, phi0 and d_z of our fits against theirs, by amounts that depend on the azimuth. Least
+    squares give it. Tracks need hits of the chamber alone; tilts are not looked for.
+
+    Parameters
+    ----------
+    beside : Refit
+    detector : Detector
+        Of our fit.
+
+    Raises
+    ------
+    ValueError
+        If both have fitted fewer than four tracks.
+    """
+    of = {name: one[beside.good] for name, one in beside.columns.items()}
+    n = len(of["event"])
+    if n < _LEAST_TRACKS:
+        raise ValueError(f"displacement: got {n} tracks that both have fitted, expected {_LEAST_TRACKS} or more")
+    cosine, sine, one, none = np.cos(of["boss_phi0"]), np.sin(of["boss_phi0"]), np.ones(n), np.zeros(n)
+    turn = of["boss_kappa"] * compiled(detector, gaps=False).field.bz / helix.RADIUS_PER_KAPPA  # per mm along the track
+    slopes = {
+        "dr": (-cosine, -sine, none, none),
+        "phi0": (turn * sine, -turn * cosine, none, -one),
+        "dz": (-of["boss_tanl"] * sine, of["boss_tanl"] * cosine, -one, none),
+    }
+    weight = {name: 1 / of[f"boss_err_{name}"] for name in slopes}
+    matrix = np.concatenate([np.stack(slope, 1) * weight[name][:, None] for name, slope in slopes.items()])
+    measured = np.concatenate([of[f"diff_{name}"] * weight[name] for name in slopes])
+    value, *_ = np.linalg.lstsq(matrix, measured)
+    scatter = np.sum((measured - matrix @ value) ** 2) / (len(measured) - len(value))
+    return Displacement(value, np.sqrt(scatter * np.diagonal(np.linalg.inv(matrix.T @ matrix))))
 
 
 def _same(ours: Table, boss: Table, *, by_mass: bool) -> tuple[Column, Column]:

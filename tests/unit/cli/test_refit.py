@@ -10,7 +10,7 @@ import bes3_layout
 import cgemit as cg
 from cgemit import helix
 from cgemit.analysis import bes3
-from cgemit.analysis.refit import Refit, refit
+from cgemit.analysis.refit import Refit, displacement, refit
 from cgemit.cli.main import main
 from cgemit.draw import draw_refit
 
@@ -42,6 +42,30 @@ def test_summary(found):
     assert row["pull_width"] == pytest.approx(4 * 0.6827 / 2)
     assert row["diff"] == pytest.approx(np.median(errors * found.boss["err_dz"]))
     assert row["error_ratio"] == pytest.approx(np.median(found.ours["err_dz"] / found.boss["err_dz"]))
+
+
+def test_displacement():
+    """The experiment knows that its chamber is displaced, our description does not, and finds it."""
+    moved = {"shift_x": "80 um", "shift_y": "0.98 mm", "shift_z": "-0.3 mm", "rotation": "2 mrad"}
+    nominal = cg.load("besiii-idc")
+    there = nominal.with_overrides({f"drift_chamber.{name}": value for name, value in moved.items()})
+    settings = cg.Settings(simulate=cg.SimulateSettings(decays=False))
+    gun = cg.Gun("mu-", p=(0.5, 1.5), cos_theta=(-0.8, 0.8))
+    arrays = bes3_layout.events_of(cg.run(there, gun, n=40, seed=5, settings=settings))
+    muon = cg.FitSettings(hypothesis="mu")
+    beside = refit(bes3.events_of(arrays, nominal), "kal", muon)
+    assert np.abs(beside.columns["pull_dr"]).max() > 2
+    found = displacement(beside, nominal)
+    np.testing.assert_allclose(found.value, [0.08, 0.98, -0.3, 2e-3], atol=0.03)
+    assert found.value[3] == pytest.approx(2e-3, abs=1e-4)
+    assert (np.abs(found.value - [0.08, 0.98, -0.3, 2e-3]) < 5 * found.error).all()
+    again = refit(bes3.events_of(arrays, nominal.with_overrides(found.overrides)), "kal", muon)
+    assert np.abs(again.columns["pull_dr"]).max() < 0.5
+    few = Refit(
+        beside.kind, beside.detector, beside.ours[:3], beside.boss[:3], {k: v[:3] for k, v in beside.columns.items()}
+    )
+    with pytest.raises(ValueError, match="got 3 tracks that both have fitted, expected 4 or more"):
+        displacement(few, nominal)
 
 
 def test_failed_tracks_are_left_out(found):
