@@ -227,16 +227,38 @@ class Budget(Shown):
         """Return `table` as a pandas DataFrame."""
         return data_frame(self.table(by))
 
+    def _parts(self) -> dict[str, Floats]:
+        """Return the variances by part, of one that measures and scatters both apart."""
+        pairs = [(one.part, MEASUREMENT if one.cause == MEASUREMENT else "matter") for one in self.sources]
+        both = {part for part, what in pairs if what == MEASUREMENT} & {
+            part for part, what in pairs if what == "matter"
+        }
+        groups: dict[str, Floats] = {}
+        for number, (part, what) in enumerate(pairs):
+            name = f"{part} {what}" if part in both else part
+            groups[name] = groups.get(name, np.zeros(self.p.shape)) + self.variances[..., number]
+        return groups
+
     def _table(self) -> tuple[str, list[str], list[list[str]]]:
-        groups = self.grouped("part")
-        order = sorted(groups, key=lambda name: -float(np.nan_to_num(groups[name]).sum()))
-        rows = []
-        for i in range(min(self.p.size, 6)):
-            for name in order[:8]:
-                value, share = float(groups[name].ravel()[i]), float(groups[name].ravel()[i] / self.total.ravel()[i])
-                rows.append([f"{self.p.ravel()[i]:.4g}", name, f"{value**0.5:.4g}", f"{100 * share:.1f} %"])
+        groups = {name: value.ravel() for name, value in self._parts().items()}
+        total, rows = self.total.ravel(), []
+        for i in range(min(self.p.size, _SHOWN_POINTS)):
+            order = sorted(groups, key=lambda name: -float(np.nan_to_num(groups[name][i])))
+            shown = [(name, float(groups[name][i])) for name in order[:_SHOWN_PARTS]]
+            if rest := order[_SHOWN_PARTS:]:
+                shown.append((f"other ({len(rest)})", float(sum(groups[name][i] for name in rest))))
+            for name, value in shown:
+                share = f"{100 * value / total[i]:.1f} %"
+                rows.append([f"{self.p.ravel()[i]:.4g}", name, f"{value**0.5:.4g}", share])
+        more = self.p.size - _SHOWN_POINTS
+        if more > 0:
+            rows.append([f"{more} more points", "", "", ""])
         head = ["p [GeV/c]", "part", f"sigma [{self.unit}]", "of variance"]
         return f"{self.detector}, {self.particle}: budget of {self.quantity}", head, rows
+
+
+#: What a printed budget shows.
+_SHOWN_POINTS, _SHOWN_PARTS = 6, 8
 
 
 def _groups(source: Source, by: By) -> list[tuple[str, float]]:

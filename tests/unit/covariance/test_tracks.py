@@ -142,13 +142,16 @@ def test_budget_sums_to_the_variance(field: object, readout: str, samples: int) 
 def test_the_printed_budget_is_that_of_the_table() -> None:
     budget = cg.analytic(DESIGN, "mu-", [0.3, 1.0], 0.0, samples=4).budget("dr")
     groups, total = budget.grouped("part"), np.asarray(budget.total)
+    parts = budget._parts()
     lines = repr(budget).splitlines()[2:]
-    assert len(lines) == 2 * 8
+    assert len(lines) == 2 * 9
     for line in lines:
-        p, part, sigma, percent = line.removesuffix("%").split()
-        point = budget.p.tolist().index(float(p))
-        assert float(sigma) == pytest.approx(math.sqrt(groups[part][point]), rel=1e-3)
-        assert float(percent) == pytest.approx(100 * groups[part][point] / total[point], abs=0.051)
+        p, *words, sigma, percent = line.removesuffix("%").split()
+        point, part = budget.p.tolist().index(float(p)), " ".join(words)
+        rest = sum(sorted(one[point] for one in parts.values())[:-8])
+        variance = rest if words[0] == "other" else parts[part][point]
+        assert float(sigma) == pytest.approx(math.sqrt(variance), rel=1e-3)
+        assert float(percent) == pytest.approx(100 * variance / total[point], abs=0.051)
     table = budget.table("part")
     np.testing.assert_allclose(table["share"], table["variance"] / np.repeat(total, len(groups)), rtol=1e-12)
     np.testing.assert_allclose(table["sigma"] ** 2, table["variance"], rtol=1e-12)
