@@ -215,7 +215,7 @@ def quantity_of(name: str, what: str = "quantity") -> Quantity:
     ValueError
         If there is none; the message lists all names.
     """
-    if name not in NAMES:
+    if not isinstance(name, str) or name not in NAMES:
         hint = did_you_mean(str(name), list(NAMES), "; ")
         raise ValueError(f"{what}: got {name!r}; expected one of {', '.join(QUANTITIES)}{hint}")
     return QUANTITIES[NAMES[name]]

@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from cgemit import _core
 from cgemit.analysis.quantities import UPPER
+from cgemit.base.validate import is_whole
 from cgemit.covariance.result import Covariance, Entries
 from cgemit.covariance.tracks import (
     HitModel,
@@ -170,7 +171,11 @@ def analytic(
     ``fluctuations="gaussian"``. Near the ends of the layers, where scattering decides which hits a track has, the
     trajectories of the samples scatter (only at the origin, and if more than one track is averaged).
     """
-    detector, fit = load(detector), fit or FitSettings()
+    detector, fit = load(detector), FitSettings() if fit is None else fit
+    if not isinstance(fit, FitSettings):
+        raise TypeError(f"fit: got {fit!r:.60}, expected FitSettings or None")
+    if threads is not None and not is_whole(threads, 1, 2**15):
+        raise ValueError(f"threads: got {threads!r:.60}, expected a whole number from 1 to {2**15}")
     digitize = DigitizeSettings(readout=readout, reveal_sides=reveal_sides)
     points = points_of(particle, p, cos_theta, phi, radius, charge, mass, samples)
     return covariance_at(points, detector, digitize, fit, threads)

@@ -14,15 +14,18 @@ import numpy.typing as npt
 
 from cgemit import _core
 from cgemit.analysis.quantities import quantity_of
-from cgemit.base.errors import DetectorError
+from cgemit.base.errors import DetectorError, Problems
+from cgemit.base.validate import NO, read
 from cgemit.covariance.analytic import analytic
 from cgemit.covariance.result import Covariance
 from cgemit.detector import Detector, load
 from cgemit.detector.parts import CgemLayer, Contents
 from cgemit.detector.readouts import CalibratedReadout, Readout
+from cgemit.detector.variants import values_at
 from cgemit.reconstruction.cluster_errors import key_of
 from cgemit.reconstruction.fit import compiled_for_fit
 from cgemit.tables.show import Shown, data_frame
+from cgemit.units import NATIVE
 
 Floats = npt.NDArray[np.float64]
 
@@ -210,7 +213,8 @@ def sensitivity(
     Raises
     ------
     DetectorError, ValueError
-        As for `analytic`; if a key or quantity is not known; if the read-out has calibrated errors that do not follow
+        As for `analytic`; listing every key that is no number of the detector; if a quantity is not known; if the
+        read-out has calibrated errors that do not follow
         a key.
 
     Notes
@@ -223,16 +227,32 @@ def sensitivity(
     detector = load(detector)
     base = analytic(detector, particle, p, cos_theta, **how)
     base.only_at_origin("sensitivity")
-    quantities = tuple(quantity_of(name).name for name in quantities)
-    wanted = tuple(keys) if keys is not None else tuple(design_keys(detector))
+    problems = Problems()
+    names = read(tuple[str, ...], quantities, "quantities", problems)
+    wanted = tuple(design_keys(detector)) if keys is None else read(tuple[str, ...], keys, "keys", problems)
+    for name, found in (("quantities", names), ("keys", wanted)):
+        if found == ():
+            problems.note(name, "an empty list", "a list of at least one")
+    for key in wanted if wanted is not NO else ():
+        _check_number(detector, key, problems)
+    problems.report("sensitivity", DetectorError)
+    quantities = tuple(quantity_of(name).name for name in names)
     fixed = [key for key in wanted if calibrated_apart(base.readout, detector, _changed(detector, key))]
     if fixed:
         given = errors_do_not_follow(base.readout, fixed)
         raise ValueError(f"sensitivity: got {given}; expected 'binary' or 'gaussian', or other keys")
-    values, problems = logarithmic_slopes(base, detector, wanted, quantities)
-    return Sensitivity(
-        detector.name, base.particle, base.p, base.cos_theta, wanted, quantities, values, problems
-    )  # fmt: skip
+    values, unmoved = logarithmic_slopes(base, detector, wanted, quantities)
+    return Sensitivity(detector.name, base.particle, base.p, base.cos_theta, wanted, quantities, values, unmoved)
+
+
+def _check_number(detector: Detector, key: str, problems: Problems) -> None:
+    """Note a key that stands for nothing, or for something else than numbers."""
+    before = len(problems)
+    found = values_at(detector, key, problems)
+    if len(problems) == before and not all(
+        one and (one[1].kind in NATIVE or one[1].kind == "integer") for one in found
+    ):
+        problems.note(key, "no number", "the dotted key of a number", unknown=None in found)
 
 
 def logarithmic_slopes(

@@ -173,6 +173,8 @@ def _loaded(source: str | Path | Mapping[str, Any]) -> Detector:
 def override(detector: Detector, overrides: Mapping[str, object]) -> Detector:
     """Return the detector with some values changed; see `Detector.with_overrides`."""
     problems = Problems()
+    if not isinstance(overrides, Mapping) or not all(isinstance(key, str) for key in overrides):
+        raise DetectorError(detector.name, [Problem("", f"{overrides!r:.80}", "values by dotted key")])
     variant: dict[str, Any] = {}
     for path, value in variants.expanded(detector, overrides, problems).items():
         if path == "base":
@@ -195,12 +197,12 @@ def replace_field(detector: Detector, source: str | Path | Mapping[str, Any]) ->
 def bounds(detector: Detector, key: str) -> tuple[float, float]:
     """Return the allowed range of a number; see `Detector.bounds`."""
     problems = Problems()
-    now = variants.values_at(detector, key, problems)
+    now = variants.values_at(detector, key, problems) if isinstance(key, str) else []
     numbers = [found for found in now if found and (found[1].kind in NATIVE or found[1].kind == "integer")]
     if not numbers or len(numbers) < len(now) or len({number for number, _ in numbers}) > 1:
         different = ", ".join(dict.fromkeys(f"{number:g}" for number, _ in numbers))
         given = f"different values: {different}" if len(numbers) > 1 else "no number"
-        raise DetectorError(detector.name, problems or [Problem(key, given, "the dotted key of one number")])
+        raise DetectorError(detector.name, problems or [Problem(str(key), given, "the dotted key of one number")])
     start, limits = numbers[0]
     order = _order(detector)
 

@@ -101,7 +101,14 @@ def pair_tracks(tracks: Table, particles: tuple[str, str] | None = None) -> Rows
     -------
     ndarray, (n, 2) intp
         Rows of the positive and of the negative track.
+
+    Raises
+    ------
+    ValueError
+        If `particles` are not two of the hypotheses.
     """
+    if particles is not None and not _are_hypotheses(particles):
+        raise ValueError(f"particles: got {particles!r:.60}, expected two of {', '.join(map(repr, HYPOTHESES))}")
     good = (tracks["status"] == 0) & np.isfinite(tracks["kappa"])
     fitted = [good, good] if particles is None else [good & _of(tracks, name) for name in particles]
     plus, minus = (
@@ -130,7 +137,7 @@ def checked_pairs(tracks: Table, pairs: npt.ArrayLike | None, particles: tuple[s
     if not isinstance(tracks, Table) or tracks.kind != "tracks":
         raise ValueError(f"fit_vertices: tracks: got {type(tracks).__name__}, expected a table of kind 'tracks'")
     problems = []
-    known = isinstance(particles, tuple | list) and len(particles) == 2 and set(particles) <= set(HYPOTHESES)
+    known = _are_hypotheses(particles)
     if pairs is None:
         several = known and len(np.unique(tracks["hypothesis"])) > 1 and _several(tracks)
         pairs = pair_tracks(tracks, particles if several else None)
@@ -155,6 +162,10 @@ def checked_pairs(tracks: Table, pairs: npt.ArrayLike | None, particles: tuple[s
     if problems:
         raise ValueError("fit_vertices:\n  " + "\n  ".join(problems))
     return given.astype(np.intp)
+
+
+def _are_hypotheses(given: object) -> bool:
+    return isinstance(given, tuple | list) and len(given) == 2 and all(one in [*HYPOTHESES] for one in given)
 
 
 def _several(tracks: Table) -> bool:

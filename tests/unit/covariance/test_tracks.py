@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -335,7 +336,7 @@ def test_shapes_ranges_and_status() -> None:
 
 
 def test_every_problem_is_listed() -> None:
-    with pytest.raises(ValueError, match=r"p: expected positive.*\n.*cos_theta.*\n.*samples") as error:
+    with pytest.raises(ValueError, match=r"p: got -1, expected positive.*\n.*cos_theta.*\n.*samples") as error:
         cg.analytic(DESIGN, "mu-", -1, 1.5, samples=0)
     assert str(error.value).count("\n") == 3
     with pytest.raises(ValueError, match="charged particles"):
@@ -433,10 +434,61 @@ def test_numbers_that_cannot_move_say_why() -> None:
     assert "drift_chamber.sigma" in repr(found)
 
 
-def test_empty_arguments_are_refused():
-    for name in ("p", "cos_theta", "radius"):
-        with pytest.raises(ValueError, match=f"{name}: got no number"):
-            cg.analytic("besiii-cgem-design", "mu-", **{"p": 1.0, name: []})
+@pytest.mark.parametrize("name", ["p", "cos_theta", "phi", "radius", "charge", "mass"])
+def test_empty_and_wrong_numbers_are_refused(name: str) -> None:
+    with pytest.raises(ValueError, match=f"{name}: got no number"):
+        cg.analytic("besiii-cgem-design", "mu-", **{name: []})
+    with pytest.raises(ValueError, match=f"{name}: got {{}}, expected one or more numbers"):
+        cg.analytic("besiii-cgem-design", "mu-", **{name: {}})
+
+
+@pytest.mark.parametrize(
+    ("wrong", "expected"),
+    [
+        ({"samples": 1_000_000}, "samples: got 1000000, expected a whole number from 1 to 65536"),
+        ({"threads": 0}, "threads: got 0"),
+        ({"fit": 5}, "fit: got 5"),
+        ({"particle": []}, "particle: got"),
+    ],
+)
+def test_other_wrong_arguments_are_named(wrong: dict[str, Any], expected: str) -> None:
+    with pytest.raises((ValueError, TypeError), match=expected):
+        cg.analytic("besiii-cgem-design", **wrong)
+
+
+def test_keys_that_are_no_numbers_are_refused() -> None:
+    keys = ["foo.bar", "cgem.L9.pitch_x", "cgem.*.foo", "cgem.L1.gas", "drift_chamber.sigma", "cgem.*.pitch_x"]
+    with pytest.raises(cg.DetectorError) as caught:
+        cg.sensitivity(DESIGN, keys=keys, samples=4)
+    assert [one.path for one in caught.value.problems] == keys[:4]
+    for wrong in ({"keys": 5}, {"keys": "foo"}, {"keys": []}, {"quantities": 5}, {"quantities": []}):
+        with pytest.raises(ValueError, match=rf"{next(iter(wrong))}: got .*expected a list"):
+            cg.sensitivity(DESIGN, **wrong)
+
+
+def test_a_printed_budget_shows_the_largest_parts_of_each_point_and_the_rest() -> None:
+    budget = cg.analytic("besiii-cgem", "mu-", p=[10.0, 100.0, 0.2]).budget("p")
+    _, _, rows = budget._table()
+    parts = budget._parts()
+    assert {"L1 measurement", "L1 matter", "gas", "wires"} <= parts.keys()
+    assert sum(parts.values()) == pytest.approx(budget.total, rel=1e-12)
+    for i, p in enumerate(("10", "100", "0.2")):
+        shown = [row[1] for row in rows if row[0] == p]
+        assert shown[:-1] == sorted(parts, key=lambda name: -parts[name][i])[: len(shown) - 1]
+        assert shown[-1] == f"other ({len(parts) - 8})"
+        shares = [float(row[3].removesuffix(" %")) for row in rows if row[0] == p]
+        assert sum(shares) == pytest.approx(100, abs=0.5)
+
+
+def test_a_share_of_the_variance_is_less_than_what_removing_the_part_gains() -> None:
+    """Without a part the fit has other weights, which are the best ones: docs/methods/analytic.md has these numbers."""
+    budget = cg.analytic(DESIGN, p=0.3).budget("dr")
+    share = float(budget.grouped("part")["pipe"] / budget.total)
+    without = cg.analytic(
+        DESIGN.with_overrides({"remove": [f"beam_pipe.{one.label}" for one in DESIGN.beam_pipe]}), p=0.3
+    )
+    gain = 1 - float(without.budget("dr").total / budget.total)
+    assert (share, gain) == pytest.approx((0.180, 0.213), abs=0.002)
 
 
 def test_core_of_a_mixture_is_the_fixed_point_of_its_window():

@@ -189,6 +189,14 @@ def test_bounds_end_where_the_neighbours_begin() -> None:
         DESIGN.bounds("cgem.L2.gas")
 
 
+def test_other_things_than_keys_are_refused() -> None:
+    for wrong in (5, None, [], {5: 1}):
+        with pytest.raises(DetectorError, match="expected values by dotted key"):
+            DESIGN.with_overrides(wrong)
+    with pytest.raises(DetectorError, match="expected the dotted key of one number"):
+        DESIGN.bounds(5)
+
+
 def test_bounds_of_a_value_of_all_wire_layers() -> None:
     assert DESIGN.bounds("drift_chamber.sigma") == DESIGN.bounds("drift_chamber.layers.*.sigma") == (0.001, 10.0)
     with pytest.raises(DetectorError, match=r"different values: 0\.299, 0\.23, 0\.183"):

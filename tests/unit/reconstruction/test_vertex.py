@@ -216,6 +216,9 @@ def test_pairs_are_of_opposite_charge_and_one_event() -> None:
     bad[pairs[0, 0]] = FitStatus.too_few_hits
     rest = cg.pair_tracks(tracks.with_columns(status=bad))
     assert len(rest) == len(pairs) - np.count_nonzero(pairs[:, 0] == pairs[0, 0])
+    for wrong in ([1, "a"], [[], []], 5, ("pi",)):
+        with pytest.raises(ValueError, match=r"particles: got .*expected two of"):
+            cg.pair_tracks(tracks, wrong)  # type: ignore[arg-type]
 
 
 def test_tracks_without_a_fit_and_parallel_ones_say_so() -> None:

@@ -14,6 +14,7 @@ import numpy as np
 
 from cgemit.analysis.widths import GROUPS, jackknife
 from cgemit.base.files import new_file
+from cgemit.base.validate import is_whole
 from cgemit.base.version import PHYSICS
 from cgemit.chain.executor import Workers
 from cgemit.chain.record import versions
@@ -309,7 +310,7 @@ class Optimization(TidyResult):
             If there is no such design.
         """
         rows = self.front if design is None else [design]
-        if not rows or not 0 <= rows[0] < len(self):
+        if not rows or not is_whole(rows[0], 0, len(self) - 1):
             raise ValueError(
                 f"design: got {design}, expected the row of a design, 0 to {len(self) - 1}, and by default an optimum"
             )
@@ -340,6 +341,8 @@ class Optimization(TidyResult):
             `cgemit.study.optimize.result.confirm`.
         """
         rows = self.spread() if designs is None else designs
+        if not isinstance(rows, Sequence) or not all(is_whole(one, 0, len(self) - 1) for one in rows):
+            raise ValueError(f"designs: got {rows!r:.60}, expected a list of rows from 0 to {len(self) - 1}")
         return confirm(self.evaluator, self.variables, self.columns, rows, **how)
 
     def write(self, folder: str | os.PathLike[str]) -> list[Path]:

@@ -37,7 +37,7 @@ from cgemit.study.optimize.search import Design, Evaluator, Found, Method, NoSta
 from cgemit.study.samples import ShowProgress
 from cgemit.study.sweep.evaluate import Evaluation
 from cgemit.study.sweep.plan import PlanFile, range_of, read_evaluation, read_tables
-from cgemit.study.sweep.run import chunk_folder, evaluation_of, output_of, pool_of
+from cgemit.study.sweep.run import chunk_folder, evaluation_of, output_of, pool_of, workers_of
 from cgemit.study.sweep.space import PlanError
 
 _TOLERANCE = {"gradient": 1e-4, "cobyla": 1e-3, "nsga2": 1.0}
@@ -110,11 +110,11 @@ def optimize(
     evaluation: Any = evaluation_of(evaluate, problems)
     how: Any = _search(search, problems)
     task = _checked(start, space, minimize, constraints or {}, evaluation, background, how, problems)
-    place = output_of(output)
+    place, where = output_of(output), workers_of(workers)
     folder, journal = _places(task, place, how)
     if started:
         started()
-    with pool_of(Workers.of(workers)) as executor:
+    with pool_of(where) as executor:
         evaluator = Evaluator(start, task.goals, task.limits, folder, Workers(executor=executor))
         first = Design(0, "base", tuple(one.own(start) for one in task.variables), evaluator.rows([{}])[0])
         found = _searched(evaluator, task, how, journal, progress)

@@ -16,12 +16,12 @@ from cgemit.analysis.quantities import ABSOLUTE, NAMES, QUANTITIES, REPORTED
 from cgemit.analysis.widths import GROUPS, core_sigma, measure, without_groups
 from cgemit.base.errors import Problems, WrongValueError
 from cgemit.base.settings import SettingsData
-from cgemit.base.validate import Check, Listed
+from cgemit.base.validate import Check, Listed, is_whole
 from cgemit.chain import run
 from cgemit.chain.settings import Settings, fit_settings
 from cgemit.covariance.analytic import covariance_at, entries_at
 from cgemit.covariance.result import Budget, Covariance, Entries, Widths, core_widths
-from cgemit.covariance.tracks import Points, points_of
+from cgemit.covariance.tracks import MOST_SAMPLES, Points, points_of
 from cgemit.detector import Detector
 from cgemit.particles.gun import Gun
 from cgemit.particles.species import species
@@ -43,7 +43,7 @@ Momenta = Annotated[Any, Listed("momentum", 0, FASTEST, above=True)]
 Angles = Annotated[Any, Listed("dimensionless", -1, 1, ranges=True)]
 Events = Annotated[int, Check(lambda value: 1 <= value < 2**31, f"a whole number from 1 to {2**31 - 1}")]
 Seed = Annotated[int, Check(lambda value: 0 <= value < 2**64, f"a whole number from 0 to {2**64 - 1}")]
-Samples = Annotated[int, Check(lambda value: 1 <= value <= 2**20, f"a whole number from 1 to {2**20}")]
+Samples = Annotated[int, Check(lambda value: 1 <= value <= MOST_SAMPLES, f"a whole number from 1 to {MOST_SAMPLES}")]
 Variants = Annotated[int, Check(lambda value: 1 <= value <= 1_000_000, "a whole number from 1 to 1000000")]
 if TYPE_CHECKING:
     Resolution = str
@@ -221,7 +221,7 @@ def budgets(evaluation: Evaluation, detectors: Mapping[str, Detector], quantity:
         If the evaluation was a function, or there is no such point or quantity.
     """
     points = [(p, one) for p in evaluation.p for one in evaluation.cos_theta]
-    if evaluation.function or not 0 <= point < len(points) or quantity not in NAMES:
+    if evaluation.function or not is_whole(point, 0, len(points) - 1) or quantity not in NAMES:
         raise ValueError(
             f"budgets: got {quantity!r} at point {point} of evaluation {evaluation.kind!r}; expected one of "
             f"{', '.join(QUANTITIES)}, a point below {len(points)}, and an evaluation of resolutions"

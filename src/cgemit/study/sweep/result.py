@@ -15,6 +15,7 @@ import numpy as np
 from cgemit.analysis.quantities import QUANTITIES
 from cgemit.analysis.widths import jackknife
 from cgemit.base.files import SUMMARY, new_file
+from cgemit.base.validate import is_whole
 from cgemit.base.version import PHYSICS
 from cgemit.chain.record import versions
 from cgemit.covariance.result import By
@@ -136,7 +137,9 @@ class Sweep(TidyResult):
         return len({number for number, status in pairs if status == "missing"})
 
     def detector(self, variant: int) -> Detector:
-        """Return a variant by its number in the table; 0 is the base."""
+        """Return a variant by its number in the table; 0 is the base. Raises ValueError if there is none."""
+        if not is_whole(variant, 0, len(self.space)):
+            raise ValueError(f"variant: got {variant!r:.60}, expected a whole number from 0 to {len(self.space)}")
         changes = _without_base(self.space.variants[variant - 1]) if variant else {}
         return self.bases[variant].with_overrides(dict(changes)) if changes else self.bases[variant]
 

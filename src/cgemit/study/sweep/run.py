@@ -309,7 +309,7 @@ def sweep(
     """
     wrong = Problems()
     evaluation: Any = evaluation_of(evaluate, wrong)
-    if part is not None and not (is_whole(part[1], 1, 1_000_000) and is_whole(part[0], 0, part[1] - 1)):
+    if part is not None and not _is_part(part):
         wrong.note("part", repr(part), "(i, n) with i from 0 to n - 1")
     start: Any = wrong.collect(load, base)
     chosen: Any = wrong.collect(_space, space)
@@ -319,16 +319,21 @@ def sweep(
     wrong.report("sweep", PlanError)
     size = evaluation.chunk or CHUNK[evaluation.kind]
     tasks = [_task(bases[i : i + size], evaluation) for i in range(0, len(bases), size)]
-    place = output_of(output)
+    place, where = output_of(output), workers_of(workers)
     folder = chunk_folder(place)
     if started:
         started()
-    rows = compute_rows(tasks, folder, Workers.of(workers), part if compute else (0, 0), progress)
+    rows = compute_rows(tasks, folder, where, part if compute else (0, 0), progress)
     found = [row for task_rows in rows for row in task_rows]
     result = Sweep.joined(chosen, evaluation, [detector for detector, _ in bases], found)
     if place and part is None and not result.missing():
         result.write(place.folder)
     return result
+
+
+def _is_part(given: Any) -> bool:
+    pair = isinstance(given, tuple | list) and len(given) == 2
+    return pair and is_whole(given[1], 1, 1_000_000) and is_whole(given[0], 0, given[1] - 1)
 
 
 def evaluation_of(given: Any, problems: Problems) -> Evaluation | None:
@@ -368,7 +373,19 @@ def _task(pairs: Sequence[tuple[Detector, Changes]], evaluation: Evaluation) -> 
 
 def output_of(given: Output | str | os.PathLike[str] | None) -> Output | None:
     """Return where results are written, given as such or as a path."""
-    return given if given is None or isinstance(given, Output) else Output(given)
+    if isinstance(given, str | os.PathLike):
+        return Output(given)
+    if given is None or isinstance(given, Output):
+        return given
+    raise TypeError(f"output: got {given!r:.60}, expected a path or Output")
+
+
+def workers_of(given: Workers | Executor | int | None) -> Workers:
+    """Return where chunks are computed, given as such, as an executor or as a number of threads."""
+    workers = Workers.of(given)
+    if workers.threads is not None and not is_whole(workers.threads, 1, 2**15):
+        raise ValueError(f"workers: got {workers.threads!r:.60} threads, expected a whole number from 1 to {2**15}")
+    return workers
 
 
 def chunk_folder(output: Output | None) -> Path | None:

@@ -74,11 +74,16 @@ def grid(axes: Mapping[str, Sequence[Any]]) -> Space:
         If an axis has no values, or the same value twice.
     """
     problems = Problems()
-    for key, values in axes.items():
+    count = 1
+    for key, values in _by_key(axes, problems).items():
         if isinstance(values, str) or not isinstance(values, Sequence | np.ndarray) or len(values) == 0:
             problems.note(key, repr(values), "a list of at least one value")
         elif len({repr(value) for value in values}) < len(values):
             problems.note(key, repr(list(values)), "each value once")
+        else:
+            count *= len(values)
+    if count > _MOST:
+        problems.note("space", f"{float(count):.4g} variants", f"at most {_MOST}")
     _raise(problems, axes)
     plain = {key: tuple(_plain(value) for value in values) for key, values in axes.items()}
     variants = tuple(dict(zip(plain, values, strict=True)) for values in product(*plain.values()))
@@ -89,12 +94,26 @@ def _plain(value: Any) -> Any:
     return value.item() if isinstance(value, np.generic) else value
 
 
+def _by_key(given: Any, problems: Problems) -> Mapping[str, Any]:
+    """Return what stands at each key; note another value than a mapping, and keys that are no text."""
+    if not isinstance(given, Mapping):
+        problems.note("space", f"{given!r:.60}", "a dict with values by dotted key")
+        return {}
+    for key in given:
+        if not isinstance(key, str):
+            problems.note("space", f"the key {key!r:.60}", "a dotted key")
+    return given
+
+
 def listed(variants: Sequence[Changes]) -> Space:
     """Return given variants as a space."""
     problems = Problems()
+    if isinstance(variants, str) or not isinstance(variants, Sequence):
+        problems.note("space", f"{variants!r:.60}", "a dict of lists, a list of dicts, or a Space")
+        variants = ()
     for i, one in enumerate(variants):
-        if not isinstance(one, Mapping):
-            problems.note(f"variants[{i}]", f"{one!r:.60}", "a table of changes")
+        if not isinstance(one, Mapping) or not all(isinstance(key, str) for key in one):
+            problems.note(f"variants[{i}]", f"{one!r:.60}", "a table of changes by dotted key")
     _raise(problems, variants)
     return Space("list", tuple(dict(one) for one in variants), {})
 
@@ -122,7 +141,7 @@ def sobol(ranges: Mapping[str, Any], n: int, *, seed: int = 1) -> Space:
             warnings.filterwarnings("ignore", "The balance properties", UserWarning)
             return qmc.Sobol(dimensions, scramble=True, rng=np.random.default_rng(seed)).random(n)
 
-    return _sampled("sobol", ranges, n, points)
+    return _sampled("sobol", ranges, (n, seed), points)
 
 
 def latin_hypercube(ranges: Mapping[str, Any], n: int, *, seed: int = 1) -> Space:
@@ -142,15 +161,16 @@ def latin_hypercube(ranges: Mapping[str, Any], n: int, *, seed: int = 1) -> Spac
         With every problem of the ranges.
     """
     return _sampled(
-        "latin_hypercube", ranges, n,
+        "latin_hypercube", ranges, (n, seed),
         lambda dimensions: qmc.LatinHypercube(dimensions, rng=np.random.default_rng(seed)).random(n),
     )  # fmt: skip
 
 
-def _sampled(kind: str, ranges: Mapping[str, Any], n: int, points: Callable[[int], Any]) -> Space:
+def _sampled(kind: str, ranges: Mapping[str, Any], n_and_seed: tuple[int, int], points: Callable[[int], Any]) -> Space:
     problems = Problems()
-    check_whole("n", n, 1, _MOST, problems)
-    makers = {key: _maker(key, given, problems) for key, given in ranges.items()}
+    check_whole("n", n_and_seed[0], 1, _MOST, problems)
+    check_whole("seed", n_and_seed[1], 0, 2**64 - 1, problems)
+    makers = {str(key): _maker(str(key), given, problems) for key, given in _by_key(ranges, problems).items()}
     _raise(problems, ranges)
     rows = points(len(ranges))
     variants = [{key: make(float(u)) for (key, make), u in zip(makers.items(), row, strict=True)} for row in rows]
@@ -176,6 +196,9 @@ def _maker(key: str, given: Any, problems: Problems) -> Callable[[float], Any]:
             before, first, last, unit = ends
             number = not isinstance(low, str)
             return lambda u: _joined(before, first + u * (last - first), unit, number)
+        if ends:
+            problems.note(key, repr(given), "the lower end first")
+            return lambda u: None
     problems.note(key, repr(given), "(low, high) of one dimension, or a list to choose from")
     return lambda u: None
 

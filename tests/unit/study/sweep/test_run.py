@@ -150,6 +150,36 @@ def test_keys_that_name_nothing_are_refused_at_once(changes: dict[str, Any], exp
     assert all(part in text for part in expected)
 
 
+def test_wrong_types_are_problems_of_their_arguments() -> None:
+    for part in (1, (1,), (0.5, 2), "01"):
+        with pytest.raises(PlanError, match="part: got"):
+            sweep(DESIGN, PITCHES, channels, part=part)  # type: ignore[arg-type]
+    for space in (None, 5, "a", {5: [1]}, [{5: 1}]):
+        with pytest.raises(PlanError, match=r"dotted key|dict of lists"):
+            sweep(DESIGN, space, channels)  # type: ignore[arg-type]
+    for sample in (sobol, latin_hypercube):
+        for wrong in (None, 5, []):
+            with pytest.raises(PlanError, match="space: got"):
+                sample(wrong, 2)  # type: ignore[arg-type]
+        with pytest.raises(PlanError, match="seed: got 'a'"):
+            sample({"cgem.*.foils": (1, 3)}, 2, seed="a")  # type: ignore[arg-type]
+        with pytest.raises(PlanError, match="expected the lower end first"):
+            sample({"cgem.*.pitch_x": ("500 um", "400 um")}, 2)
+    with pytest.raises(TypeError, match="output: got 5"):
+        sweep(DESIGN, PITCHES, channels, output=5)  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="workers: got 0"):
+        sweep(DESIGN, PITCHES, channels, workers=0)
+    found = sweep(DESIGN, PITCHES, channels)
+    for variant in (-1, 99, "a", None):
+        with pytest.raises(ValueError, match="variant: got"):
+            found.detector(variant)  # type: ignore[arg-type]
+
+
+def test_a_grid_too_large_is_refused_before_it_is_made() -> None:
+    with pytest.raises(PlanError, match=r"got 1e\+12 variants, expected at most 10000000"):
+        grid({f"cgem.L{i}.{name}": list(range(100)) for i in (1, 2, 3) for name in ("pitch_x", "pitch_v")})
+
+
 def test_keys_of_new_parts_and_of_other_bases_are_no_mistakes() -> None:
     added = {"cgem.L4": {"like": "L3"}, "cgem.L4.anode_radius": "x1.3", "remove": ["walls"]}
     assert key_problems([(DESIGN, {}), (DESIGN, {**added, "cgem.L4.anode_radius": "230 mm"})]) == []
