@@ -78,7 +78,7 @@ def run(arguments: argparse.Namespace) -> int:
 def _report(result: Optimization, output: Path, arguments: argparse.Namespace) -> None:
     if not result.front:
         problems = dict.fromkeys(filter(None, result.columns["problems"]))
-        raise options.RunFailedError("\n  ".join(["no design keeps all limits", *list(problems)[:10]]))
+        raise options.RunFailedError("\n  ".join([result.message, *list(problems)[:10]]))
     if arguments.parquet:
         result.write_parquet(output / "optimize.parquet", overwrite=True)
     kinds = ["convergence", *(["front"] if len(result.objectives) > 1 else []), "parallel"]

@@ -11,7 +11,7 @@ import numpy as np
 
 from cgemit.analysis.quantities import NAMES, QUANTITIES
 from cgemit.analysis.widths import GROUPS, Floats, jackknife
-from cgemit.base.errors import DetectorError, Problem, Problems, did_you_mean
+from cgemit.base.errors import DetectorError, Problem, Problems, WrongValueError, did_you_mean
 from cgemit.base.validate import is_whole
 from cgemit.covariance.sensitivity import calibrated_apart, errors_do_not_follow
 from cgemit.detector import Detector
@@ -217,6 +217,13 @@ class Limit:
     low: float | None
     high: float | None
 
+    def missed(self, value: float) -> str:
+        """Return the text about a value outside."""
+        below = self.low is not None and value < self.low
+        end = self.low if below else self.high
+        side = "below" if below else "above"
+        return f"{self.goal.header} {value:.5g}, {100 * self.violation(value):.3g} % {side} its limit {end:.5g}"
+
     def violation(self, value: float) -> float:
         """Return by how much a value is outside, relative to the limit; negative inside."""
         found = []
@@ -241,8 +248,8 @@ def limits_of(given: Mapping[str, Any], momenta: Sequence[float], problems: Prob
         right = isinstance(ends, tuple | list) and len(ends) == 2 and any(end is not None for end in ends)
         right = right and all(end is None or _is_number(end) for end in ends)
         if right and None not in ends and ends[0] > ends[1]:
-            right = False
-        if not right:
+            problems.note(f"constraints.{name}", repr(ends), "the lower limit first")
+        elif not right:
             problems.note(f"constraints.{name}", repr(ends), "(low, high), numbers in the unit of the quantity or None")
         elif goal is not None:
             found.append(Limit(goal, ends[0], ends[1]))
@@ -369,7 +376,9 @@ def _variable(base: Detector, key: str, given: Any, problems: Problems) -> Varia
         return one
     except DetectorError as error:
         problems.take(error)
-        return None
+    except WrongValueError as error:
+        problems.take(error, key)
+    return None
 
 
 def _parsed(base: Detector, key: str, given: Any) -> Variable | None:
@@ -382,8 +391,11 @@ def _parsed(base: Detector, key: str, given: Any) -> Variable | None:
     if not isinstance(given, tuple) or len(given) != 2:
         return None
     ends = split_range(*given)
-    if ends is None or ends[1] >= ends[2]:
+    if ends is None:
         return None
+    if ends[1] >= ends[2]:
+        expected = "two different ends" if ends[1] == ends[2] else "the lower end first"
+        raise WrongValueError(repr(given), expected)
     before, low, high, unit = ends
     whole = all(is_whole(end, -(10**9), 10**9) for end in given) and _is_integer(base, key)
     return Variable(key, low, high, before, unit, whole)

@@ -33,7 +33,17 @@ from cgemit.study.optimize.goals import (
 )
 from cgemit.study.optimize.pareto import MissingPackageError, evolve, optuna
 from cgemit.study.optimize.result import Optimization
-from cgemit.study.optimize.search import Design, Evaluator, Found, Method, NoStartError, Search, descend, with_failures
+from cgemit.study.optimize.search import (
+    Design,
+    Evaluator,
+    Found,
+    Method,
+    NoStartError,
+    Search,
+    descend,
+    no_allowed,
+    with_failures,
+)
 from cgemit.study.samples import ShowProgress
 from cgemit.study.sweep.evaluate import Evaluation
 from cgemit.study.sweep.plan import PlanFile, range_of, read_evaluation, read_tables
@@ -136,11 +146,13 @@ def _searched(
     """Return what the search of a task finds."""
     if task.method == "nsga2":
         designs = evolve(evaluator, task.variables, task.objectives, how, journal=journal, progress=progress)
-        return Found(designs, 0, with_failures(f"{how.calls} calls", designs))
+        none = not any(evaluator.allowed(one.row) for one in designs)
+        message = f"{how.calls} calls" + (f"; {no_allowed(evaluator, designs)}" if none else "")
+        return Found(designs, 0, with_failures(message, designs))
     tolerance = how.tolerance or _TOLERANCE[task.method]
     try:
         return descend(
-            evaluator, task.variables, task.objectives[0], method=task.method, tolerance=tolerance, steps=how.steps,
+            evaluator, task.variables, task.objectives[0], method=task.method, tolerance=tolerance, how=how,
             progress=progress,
         )  # fmt: skip
     except NoStartError as error:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -24,7 +24,7 @@ from cgemit.detector.variants import matching, value_at
 from cgemit.study.optimize.goals import TOLERANCE, Goal, Goals, Limit, Variable, changes_of
 from cgemit.study.sweep.evaluate import Seed, covariances
 from cgemit.study.sweep.run import Task, compute_rows
-from cgemit.study.sweep.space import Changes
+from cgemit.study.sweep.space import Changes, sobol
 
 #: Designs of one task: analytic ones take milliseconds.
 CHUNK = {"analytic": 5, "mc": 1}
@@ -37,6 +37,7 @@ _WHOLE = "a whole number from {} to 1000000"
 Count = Annotated[int, Check(lambda value: 1 <= value <= 1_000_000, _WHOLE.format(1))]
 Population = Annotated[int, Check(lambda value: 4 <= value <= 1_000_000, _WHOLE.format(4))]
 Calls = Annotated[int, Check(lambda value: 0 <= value <= 1_000_000, _WHOLE.format(0))]
+Starts = Annotated[int, Check(lambda value: 1 <= value <= 1000, "a whole number from 1 to 1000")]
 Tolerance = Annotated[float, Check(lambda value: 0 < value < 1, "a number between 0 and 1")]
 
 
@@ -56,8 +57,11 @@ class Search(SettingsData):
         Most iterations of "gradient", most designs of "cobyla".
     population, offspring, calls : int
         Of "nsga2": designs of the first population and parents of each call, new designs of each call, and calls.
+    starts : int
+        Of "gradient" and "cobyla": searches, one from the base's own values and others from possible designs of a Sobol
+        sequence in all ranges; the best one counts.
     seed : int
-        Of "nsga2".
+        Of "nsga2", and of the starts.
     """
 
     method: Method | None = None
@@ -66,6 +70,7 @@ class Search(SettingsData):
     population: Population = 100
     offspring: Count = 30
     calls: Calls = 200
+    starts: Starts = 1
     seed: Seed = 1
 
 
@@ -394,6 +399,11 @@ class Found:
     gradients: int
     message: str
 
+    def optimum(self, objective: Goal) -> float:
+        """Return the objective of the optimum; infinite without one."""
+        last = self.designs[-1]
+        return float(last.row["values"][objective.header]) if last.kind == "optimum" else math.inf
+
 
 def descend(
     evaluator: Evaluator,
@@ -402,10 +412,10 @@ def descend(
     *,
     method: Literal["gradient", "cobyla"],
     tolerance: float,
-    steps: int,
+    how: Search,
     progress: Callable[[float, str], None] | None,
 ) -> Found:
-    """Return the designs of a search from the base's own values.
+    """Return the designs of the searches from all starts; the last one is the best of their optima.
 
     Parameters
     ----------
@@ -417,24 +427,67 @@ def descend(
     tolerance : float
         Relative change of the objective at which "gradient" ends, and of the variables, in units of their ranges, at
         which "cobyla" ends.
-    steps : int
-        Most iterations of "gradient", most designs of "cobyla".
+    how : Search
+        `steps`, `starts` and `seed`.
     progress : callable or None
 
     Raises
     ------
     NoStartError
-        If the start is impossible.
+        If the first start, that of the base, is impossible.
     """
-    descent = Descent(evaluator, variables, objective, fixed_hits=method == "gradient", progress=progress)
     own = [one.start(evaluator.base) for one in variables]
     pairs = zip(own, variables, strict=True)
     first = np.array([(value - one.low) / (one.high - one.low) for value, one in pairs])
+    found: list[Found] = []
+    for u in (first, *_other_starts(evaluator, variables, how)):
+        descent = Descent(evaluator, variables, objective, fixed_hits=method == "gradient", progress=progress)
+        try:
+            found.append(_descended(descent, u, method, tolerance, how.steps))
+        except NoStartError:
+            if u is first:
+                raise
+    best = min(found, key=lambda one: one.optimum(objective))
+    designs = [one for other in found if other is not best for one in other.designs] + list(best.designs)
+    kinds = ["value" if one.kind == "optimum" and one is not designs[-1] else one.kind for one in designs]
+    numbered = [replace(one, call=i + 1, kind=kind) for i, (one, kind) in enumerate(zip(designs, kinds, strict=True))]
+    several = f"the best of {len(found)} starts: " if how.starts > 1 else ""
+    message = several + best.message
+    return Found(tuple(numbered), sum(one.gradients for one in found), message)
+
+
+def _other_starts(evaluator: Evaluator, variables: tuple[Variable, ...], how: Search) -> list[Floats]:
+    """Return possible designs of a Sobol sequence, up to the number of starts beside the first."""
+    if how.starts == 1:
+        return []
+    points = sobol({one.key: (0.0, 1.0) for one in variables}, 64 * how.starts, seed=how.seed).variants
+    found: list[Floats] = []
+    for point in points:
+        u = np.array(list(point.values()))
+        values = [one.low + x * (one.high - one.low) for one, x in zip(variables, u, strict=True)]
+        if len(found) < how.starts - 1 and _is_possible(evaluator.base, changes_of(variables, values)):
+            found.append(u)
+    return found
+
+
+def _is_possible(base: Detector, changes: Changes) -> bool:
+    try:
+        base.with_overrides(dict(changes))
+    except DetectorError:
+        return False
+    return True
+
+
+def _descended(
+    descent: Descent, first: Floats, method: Literal["gradient", "cobyla"], tolerance: float, steps: int
+) -> Found:
+    """Return the designs of a search from one start."""
+    evaluator, variables = descent.evaluator, descent.variables
     descent.start(first)
     message = (_with_gradients if method == "gradient" else _without)(descent, first, tolerance, steps)
     best = _best(descent)
     if best is None:
-        message = with_failures(f"{message}; no design keeps all limits", descent.designs)
+        message = with_failures(f"{message}; {no_allowed(evaluator, descent.designs)}", descent.designs)
         return Found(tuple(descent.designs), descent.gradients, message)
     values = rounded(evaluator.base, variables, best.values)
     row = evaluator.rows([changes_of(variables, values)])[0]
@@ -442,6 +495,17 @@ def descend(
         values, row = best.values, best.row
     designs = (*descent.designs, Design(len(descent.designs) + 1, "optimum", values, row))
     return Found(designs, descent.gradients, with_failures(message, designs))
+
+
+def no_allowed(evaluator: Evaluator, designs: Sequence[Design]) -> str:
+    """Return that no design keeps all limits: which ones the nearest design misses, and by how much."""
+    rows = [one.row for one in designs if one.row["status"] == "ok" and "values" in one.row]
+    if not rows:
+        return "no design could be evaluated"
+    nearest = min(rows, key=lambda row: max(evaluator.violations(row).values(), default=0.0))
+    values = {one: nearest["values"][one.goal.header] for one in evaluator.limits}
+    missed = [one.missed(value) for one, value in values.items() if one.violation(value) > TOLERANCE]
+    return f"no design keeps all limits; the nearest one has {', '.join(missed)}"
 
 
 def with_failures(message: str, designs: Sequence[Design]) -> str:

@@ -196,7 +196,9 @@ def test_an_optimum_without_an_allowed_design_says_so() -> None:
         evaluate=Evaluation(samples=64),
     )
     assert none.front == []
-    assert "no design keeps all limits" in none.message
+    channels = none.columns["channels"]
+    text = f"no design keeps all limits; the nearest one has channels {min(channels)}, "
+    assert f"{text}{min(channels) - 100:.3g} % above its limit 100" in none.message
     with pytest.raises(ValueError, match="expected the row of a design"):
         none.detector()
 
@@ -259,7 +261,7 @@ def test_a_search_with_failed_evaluations_says_how_many() -> None:
     space = {"cgem.*.pitch_x": ("600 um", "700 um")}
     search = Search(method="nsga2", population=4, calls=0)
     found = optimize(DESIGN, space, evaluate=Evaluation("mc", events=40, settings=settings), search=search)
-    assert found.message.startswith("0 calls; 4 of 4 evaluations failed, the first with CalibrationError: ")
+    assert found.message.startswith("0 calls; no design could be evaluated; 4 of 4 evaluations failed, the first")
     row = {"status": "failed", "problems": ["ValueError: never"]}
     designs = [Design(1, "value", (1.0,), {"status": "ok"}), Design(2, "value", (2.0,), row)]
     ended = "Optimization terminated; 1 of 2 evaluations failed, the first with ValueError: never"
@@ -337,6 +339,29 @@ def test_wrong_types_are_problems_of_their_arguments() -> None:
         'did you mean "gradient"?', "evaluate.method: got 'both'", "samples: got 0",
     ):  # fmt: skip
         assert part in str(error.value), part
+
+
+def test_swapped_and_equal_ends_say_so() -> None:
+    for ends, expected in ((("100 mm", "80 mm"), "the lower end first"), (("8 cm", "80 mm"), "two different ends")):
+        with pytest.raises(PlanError, match=rf"cgem.L1.anode_radius: got \(.*, expected {expected}"):
+            optimize(DESIGN, {"cgem.L1.anode_radius": ends})
+    with pytest.raises(PlanError, match=r"constraints.gap: got \(5, 3\), expected the lower limit first"):
+        optimize(DESIGN, SPACE, constraints={"gap": (5, 3)})
+
+
+@pytest.mark.parametrize("method", ["gradient", "cobyla"])
+def test_the_best_of_several_starts_counts(method: Any) -> None:
+    # Below 107 mm is no room for L2: no search starts there.
+    space = {"cgem.L2.anode_radius": ("80 mm", "155 mm"), "cgem.L1.pitch_x": ("400 um", "1000 um")}
+    searches = [Search(method=method, starts=n, steps=20, seed=2) for n in (1, 3)]
+    one, three = (optimize(DESIGN, space, search=how, evaluate=Evaluation(p=0.3, samples=64)) for how in searches)
+    assert three.message.startswith("the best of 3 starts: ")
+    assert three.columns["kind"].index("optimum") == len(three) - 1 >= 2 * (len(one) - 1)
+    assert three.columns["call"] == list(range(len(three)))
+    optima = [found["sigma_dr (um)"][found.front[0]] for found in (one, three)]
+    assert optima[1] <= optima[0]
+    names = [name for name, kind in zip(three.columns["name"], three.columns["kind"], strict=True) if kind == "value"]
+    assert len(set(names)) >= 4  # the three starts and an end
 
 
 def test_an_impossible_start_is_a_problem() -> None:
