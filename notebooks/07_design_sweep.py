@@ -167,8 +167,7 @@ for name in ("sigma_dr at 0.3 GeV/c (um)", "sigma_dz at 0.3 GeV/c (mm)", "sigma_
 five
 
 # %% [markdown]
-# Simulation agrees with $\sigma(d_\rho)$ and $\sigma(d_z)$ within its errors. $\sigma(p)$ is 1 to 2 % smaller in
-# simulation, within the 2 % of `docs/methods/analytic.md`.
+# Simulation agrees with the covariance of its fit within 1.5 %, about one error.
 #
 # ## The answer
 
