@@ -70,7 +70,9 @@ def fit_settings(settings: Settings) -> FitSettings:
     return settings.fit if settings.fit.screening else replace(settings.fit, screening=settings.simulate.screening)
 
 
-def register_readout(readout: type[Readout], digitizer: type[Digitizer], clusterer: type[Clusterer]) -> None:
+def register_readout(
+    readout: type[Readout], digitizer: type[Digitizer] | None = None, clusterer: type[Clusterer] | None = None
+) -> None:
     """Make a read-out from outside the package known by its name, to settings, simulation and reconstruction.
 
     Call it where `readout` is defined, so that processes of an executor that import the class know it, too.
@@ -79,13 +81,15 @@ def register_readout(readout: type[Readout], digitizer: type[Digitizer], cluster
     ----------
     readout : type of Readout
         Its description: a frozen dataclass of settings, with a `name`.
-    digitizer : type of Digitizer
-    clusterer : type of Clusterer
-        One of the package, or another one.
+    digitizer : type of Digitizer or None
+    clusterer : type of Clusterer or None
+        None: that of the class which `readout` extends, such as `AnalogReadout`.
     """
     READOUTS[readout.name] = readout
-    DIGITIZERS[readout.name] = digitizer
-    CLUSTERERS[readout.name] = clusterer
+    if digitizer is not None:
+        DIGITIZERS[readout] = digitizer
+    if clusterer is not None:
+        CLUSTERERS[readout] = clusterer
 
 
 def refinements_of(settings: Settings) -> list[Refinement]:

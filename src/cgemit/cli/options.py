@@ -191,10 +191,12 @@ def add_settings(parser: argparse.ArgumentParser) -> None:
 
 def add_readout(parser: argparse.ArgumentParser, default: str | None = None) -> None:
     """Add `--readout`."""
+    from cgemit.detector.readouts import names_of
+
     usual = f"default {default}; " if default else ""
     parser.add_argument(
         "--readout", metavar="NAME", default=default,
-        help="read-out of the CGEM layers: binary, gaussian, tiger, apv25 or analog-projection "
+        help=f"read-out of the CGEM layers: {names_of()} "
         f"({usual}digitize.readout; --set digitize.readout.KEY changes its settings)",
     )  # fmt: skip
 

@@ -79,11 +79,11 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Scan the angles, or calibrate."""
-    from cgemit.detector.readouts import CalibratedReadout
+    from cgemit.detector.readouts import CalibratedReadout, names_of
 
     readout = options.settings_of(arguments).digitize.readout
     if not isinstance(readout, CalibratedReadout):
-        raise options.InputError(f"--readout: got {readout.name}, expected tiger, apv25 or analog-projection")
+        raise options.InputError(f"--readout: got {readout.name}, expected one of {names_of(CalibratedReadout)}")
     if arguments.calibrate is not None and arguments.detector is None:
         raise options.InputError("--calibrate: got no --detector, expected the one whose clusters are calibrated")
     if arguments.detector is not None and arguments.calibrate is None:

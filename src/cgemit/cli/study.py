@@ -22,7 +22,7 @@ examples:
   cgemit study --no-deltas -o projected   without delta electrons: the pure projection
   cgemit study --set digitize.readout.threshold=5 -o coarse   any setting of any stage (cgemit settings lists them)
   cgemit study --finder ckf -o found       with tracks that are found, not assigned by truth
-  cgemit study --readout tiger -o tiger   with charge and time on strips (also apv25, analog-projection)
+  cgemit study --readout tiger -o tiger   with charge and time on strips (--help lists the others)
   cgemit study --field besiii -o uneven    the field of BESIII; or a map of your own, --field map.npz
 
 Ctrl-C leaves no results: the folder appears when everything is in it."""

@@ -1,15 +1,17 @@
 """Read-outs of CGEM layers as hardware: what digitization and clustering both know of them (docs/methods/readout.md).
 
-A read-out is described here, digitized by the digitizer of its name (`cgemit.simulation.digitize.DIGITIZERS`) and
-clustered by the clusterer of its name (`cgemit.reconstruction.cluster.CLUSTERERS`).
+A read-out is described here, digitized by the digitizer of its class (`cgemit.simulation.digitize.DIGITIZERS`) and
+clustered by the clusterer of its class (`cgemit.reconstruction.cluster.CLUSTERERS`).
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Annotated, ClassVar, Literal
+from types import UnionType
+from typing import Annotated, ClassVar, Literal, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -336,3 +338,18 @@ CalibratedReadout = AnalogReadout | ProjectionReadout
 READOUTS: dict[str, type[Readout]] = {
     one.name: one for one in (BinaryReadout, GaussianReadout, TigerReadout, Apv25Readout, ProjectionReadout)
 }
+
+Part = TypeVar("Part")
+
+
+def part_of(readout: Readout, parts: Mapping[type[Readout], Part]) -> Part:
+    """Return the digitizer or clusterer of a read-out: that of its class, or of the nearest class that it extends."""
+    for one in type(readout).__mro__:
+        if one in parts:
+            return parts[one]
+    raise ValueError(f"readout: got {readout.name!r}, expected one of {names_of()}")
+
+
+def names_of(kind: type[Readout] | UnionType = Readout) -> str:
+    """Return the names of the read-outs of a kind, for messages."""
+    return ", ".join(name for name, one in READOUTS.items() if issubclass(one, kind))

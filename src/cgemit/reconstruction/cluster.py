@@ -6,7 +6,17 @@ from collections.abc import Mapping
 from typing import Any
 
 from cgemit.detector import Detector, load
-from cgemit.detector.readouts import READOUTS, CalibratedReadout, Readout
+from cgemit.detector.readouts import (
+    READOUTS,
+    AnalogReadout,
+    BinaryReadout,
+    CalibratedReadout,
+    GaussianReadout,
+    ProjectionReadout,
+    Readout,
+    names_of,
+    part_of,
+)
 from cgemit.reconstruction.clusterers.binary import BinaryClusterer
 from cgemit.reconstruction.clusterers.charge import CalibratedClusterer, ChargeTimeClusterer, ProjectionClusterer
 from cgemit.reconstruction.clusterers.clusterer import Clusterer, ClusterSettings, Floats
@@ -14,13 +24,12 @@ from cgemit.reconstruction.clusterers.gaussian import GaussianClusterer
 from cgemit.tables import Table
 from cgemit.tables.table import made_by
 
-#: Clusterers by the name of their read-out.
-CLUSTERERS: dict[str, type[Clusterer]] = {
-    "binary": BinaryClusterer,
-    "gaussian": GaussianClusterer,
-    "tiger": ChargeTimeClusterer,
-    "apv25": ChargeTimeClusterer,
-    "analog-projection": ProjectionClusterer,
+#: Clusterers by the class of their read-out; they serve the classes that extend it, too.
+CLUSTERERS: dict[type[Readout], type[Clusterer]] = {
+    BinaryReadout: BinaryClusterer,
+    GaussianReadout: GaussianClusterer,
+    AnalogReadout: ChargeTimeClusterer,
+    ProjectionReadout: ProjectionClusterer,
 }
 
 
@@ -37,10 +46,11 @@ def clusterer_of(readout: Readout | str) -> Clusterer:
     ValueError
         If there is no such read-out.
     """
-    name = readout if isinstance(readout, str) else readout.name
-    if name not in CLUSTERERS:
-        raise ValueError(f"readout: got {name!r}, expected one of {', '.join(map(repr, CLUSTERERS))}")
-    return CLUSTERERS[name](READOUTS[name]() if isinstance(readout, str) else readout)
+    if isinstance(readout, str):
+        if readout not in READOUTS:
+            raise ValueError(f"readout: got {readout!r}, expected one of {names_of()}")
+        readout = READOUTS[readout]()
+    return part_of(readout, CLUSTERERS)(readout)
 
 
 def calibrated_clusterer(readout: CalibratedReadout) -> CalibratedClusterer:
@@ -57,7 +67,7 @@ def calibrated_clusterer(readout: CalibratedReadout) -> CalibratedClusterer:
     """
     clusterer = clusterer_of(readout)
     if not isinstance(clusterer, CalibratedClusterer):
-        raise ValueError(f"readout: got {readout.name!r}, expected 'tiger', 'apv25' or 'analog-projection'")
+        raise ValueError(f"readout: got {readout.name!r}, expected one of {names_of(CalibratedReadout)}")
     return clusterer
 
 

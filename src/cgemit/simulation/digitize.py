@@ -21,7 +21,16 @@ from cgemit.detector.drift import (
     shifted,
 )
 from cgemit.detector.parts import seen_by
-from cgemit.detector.readouts import READOUTS, BinaryReadout, Readout
+from cgemit.detector.readouts import (
+    READOUTS,
+    AnalogReadout,
+    Apv25Readout,
+    BinaryReadout,
+    GaussianReadout,
+    ProjectionReadout,
+    Readout,
+    part_of,
+)
 from cgemit.simulation.digitizers.analog import AnalogDigitizer, Apv25Digitizer
 from cgemit.simulation.digitizers.binary import BinaryDigitizer
 from cgemit.simulation.digitizers.digitizer import Digitizer
@@ -97,13 +106,13 @@ def true_delay(detector: Detector, wire_truths: Table) -> Floats:
     return np.asarray(delay, np.float64)
 
 
-#: Digitizers by the name of their read-out.
-DIGITIZERS: dict[str, type[Digitizer]] = {
-    "binary": BinaryDigitizer,
-    "gaussian": GaussianDigitizer,
-    "tiger": AnalogDigitizer,
-    "apv25": Apv25Digitizer,
-    "analog-projection": ProjectionDigitizer,
+#: Digitizers by the class of their read-out; they serve the classes that extend it, too.
+DIGITIZERS: dict[type[Readout], type[Digitizer]] = {
+    BinaryReadout: BinaryDigitizer,
+    GaussianReadout: GaussianDigitizer,
+    AnalogReadout: AnalogDigitizer,
+    Apv25Readout: Apv25Digitizer,
+    ProjectionReadout: ProjectionDigitizer,
 }
 
 
@@ -146,7 +155,7 @@ def digitizer_of(readout: Readout) -> Digitizer:
     ----------
     readout : Readout
     """
-    return DIGITIZERS[readout.name](readout)
+    return part_of(readout, DIGITIZERS)(readout)
 
 
 def digitize(

@@ -13,7 +13,7 @@ from cgemit import DigitizeSettings, FitSettings, Gun, Result, Settings, Workers
 from cgemit.detector import Detector
 from cgemit.detector.parts import local_v, strips_of_v
 from cgemit.detector.readouts import READOUTS, TIGER, AnalogReadout, Chip, Readout, TigerReadout
-from cgemit.reconstruction.cluster import CLUSTERERS, calibrated_clusterer, cluster
+from cgemit.reconstruction.cluster import CLUSTERERS, calibrated_clusterer, cluster, clusterer_of
 from cgemit.reconstruction.cluster_errors import CalibrationError
 from cgemit.reconstruction.clusterers.binary import BinaryClusterer
 from cgemit.reconstruction.clusterers.clusterer import ClusterSettings, Floats
@@ -87,8 +87,7 @@ def registered() -> Iterator[None]:
     """Make the read-out known: the one line."""
     register_readout(OneStrip, OneStripDigitizer, OneStripClusterer)
     yield
-    for registry in (READOUTS, digitize.DIGITIZERS, CLUSTERERS):
-        registry.pop(OneStrip.name)
+    del READOUTS[OneStrip.name], digitize.DIGITIZERS[OneStrip], CLUSTERERS[OneStrip]
 
 
 def chain(readout: OneStrip | str, n: int = 150) -> Result:
@@ -102,9 +101,7 @@ def chain(readout: OneStrip | str, n: int = 150) -> Result:
 def test_it_is_known_by_its_name() -> None:
     """The name stands for its defaults, and is listed with the others where a name is wrong."""
     assert DigitizeSettings(readout="one-strip").readout == OneStrip()
-    with pytest.raises(
-        ValueError, match=r"expected one of 'binary', 'gaussian', 'tiger', 'apv25', 'analog-projection', 'one-strip'"
-    ):
+    with pytest.raises(ValueError, match=r"expected one of 'binary', .*, 'one-strip'"):
         DigitizeSettings(readout="one strip")
 
 
@@ -161,7 +158,7 @@ class SlowChip(AnalogReadout):
 
 def test_a_chip_like_tiger_is_one_class() -> None:
     """Digitizer and clusterer of TIGER serve it: its edges are later, which the clusterer knows."""
-    register_readout(SlowChip, digitize.DIGITIZERS["tiger"], CLUSTERERS["tiger"])
+    register_readout(SlowChip)
     gun, times = Gun("mu-", p=1.0, cos_theta=(-0.8, 0.8)), {}
     try:
         for readout in (TigerReadout(), SlowChip()):
@@ -174,13 +171,13 @@ def test_a_chip_like_tiger_is_one_class() -> None:
         with pytest.raises(CalibrationError, match="read-out slow-chip of besiii-cgem-design"):
             run(DESIGN, gun, 1, readout="slow-chip", until="cluster")
     finally:
-        for registry in (READOUTS, digitize.DIGITIZERS, CLUSTERERS):
-            registry.pop(SlowChip.name)
+        del READOUTS[SlowChip.name]
 
 
 def test_every_readout_has_both_halves() -> None:
-    """The registries have the same names."""
-    assert [*READOUTS] == [*digitize.DIGITIZERS] == [*CLUSTERERS]
+    """Each is served by a digitizer and a clusterer."""
+    for one in READOUTS.values():
+        assert digitize.digitizer_of(one()).readout == clusterer_of(one()).readout == one()
 
 
 @pytest.mark.parametrize("readout", ["binary", "gaussian"])

@@ -52,7 +52,7 @@ class ClusterSettings(SettingsData):
 
 @dataclass(frozen=True)
 class Clusterer(ABC):
-    """Makes the clusters of a read-out; `cgemit.reconstruction.cluster.CLUSTERERS` finds it by the read-out's name.
+    """Makes the clusters of a read-out; `cgemit.reconstruction.cluster.CLUSTERERS` finds it by the read-out's class.
 
     Attributes
     ----------

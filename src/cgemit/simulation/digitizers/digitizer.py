@@ -12,7 +12,7 @@ from cgemit.tables import Table
 
 @dataclass(frozen=True)
 class Digitizer(ABC):
-    """Makes the digis of a read-out; `cgemit.simulation.digitize.DIGITIZERS` finds it by the read-out's name.
+    """Makes the digis of a read-out; `cgemit.simulation.digitize.DIGITIZERS` finds it by the read-out's class.
 
     Attributes
     ----------

@@ -22,7 +22,7 @@ from cgemit.chain.run import run
 from cgemit.detector import Detector, load
 from cgemit.detector.gas import transport
 from cgemit.detector.parts import CgemLayer
-from cgemit.detector.readouts import AnalogReadout, CalibratedReadout
+from cgemit.detector.readouts import AnalogReadout, CalibratedReadout, names_of
 from cgemit.draw.cluster import FormationPanel
 from cgemit.particles.gun import Gun
 from cgemit.particles.species import species
@@ -389,7 +389,7 @@ def formation(
         If the read-out has no drift.
     """
     if not isinstance(readout, AnalogReadout):
-        raise ValueError(f"readout: got {readout.name}, expected one with drift: tiger or apv25")
+        raise ValueError(f"readout: got {readout.name}, expected one of {names_of(AnalogReadout)}")
     detector = beam_detector(bz)
     layer = detector.cgem[0]
     particles = beam_particles(detector, particle, p, np.radians(angle), _EVENTS, seed)

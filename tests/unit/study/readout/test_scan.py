@@ -102,7 +102,7 @@ def test_formation() -> None:
     spread = [np.std([line[-1, 0] for line in panels[f"with Lorentz angle, {way} diffusion"].drift])
               for way in ("without", "with")]  # fmt: skip
     assert spread[1] > spread[0] + 0.1
-    with pytest.raises(ValueError, match="expected one with drift"):
+    with pytest.raises(ValueError, match="expected one of tiger, apv25"):
         formation(cg.ProjectionReadout())
 
 
