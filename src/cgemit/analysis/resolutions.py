@@ -41,14 +41,14 @@ def resolution(tracks: Table | Result, parameter: str, *, window: tuple[float, f
     tracks : Table or Result
         Of kind "tracks", or with such a table. Rows whose fit ended well are used; the others are counted by status.
     parameter : str
-        Of `cgemit.analysis.quantities.QUANTITIES`: dr, dz, p, pt, p_rel, pt_rel, phi0, theta, tanl, kappa.
+        Of `cgemit.analysis.quantities.QUANTITIES`.
     window : (low, high) or None
         Range of the RMS, in the quoted unit; None: all rows.
 
     Returns
     -------
     Resolution
-        In um (dr), mm (dz), MeV/c (p, pt), % (p_rel, pt_rel), mrad (phi0, theta), 1e-3 (tanl), 1/(GeV/c) (kappa).
+        In the quoted unit.
 
     Raises
     ------

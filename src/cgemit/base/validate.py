@@ -407,7 +407,7 @@ def expected(kind: Any) -> str:
         return f"{count}, each {expected(first)}"
     if get_origin(kind) is collections.abc.Callable:
         return "a function"
-    plain = {bool: "True or False", int: "a whole number", float: "a number", str: "text", type(None): "None"}
+    plain = {bool: "true or false", int: "a whole number", float: "a number", str: "text", type(None): "None"}
     return plain.get(kind) or f"{kind.__name__}(...)"
 
 

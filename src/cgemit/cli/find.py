@@ -48,7 +48,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         "--tracks", type=options.positive, default=1, metavar="N", help="such particles in every event (default 1)"
     )
     parser.add_argument("-n", "--events", type=options.positive, required=True, metavar="N", help="number of events")
-    parser.add_argument("--finder", choices=("truth", "ckf"), default="ckf", help="the finder (default ckf)")
+    parser.add_argument("--finder", metavar="NAME", default="ckf", help="truth, or ckf (default)")
     parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
     options.add_output(parser, "folder for the efficiency and summary.json")
     options.add_readout(parser)

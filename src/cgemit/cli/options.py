@@ -509,10 +509,21 @@ def load_inputs(arguments: argparse.Namespace, *, one_track: bool = False) -> tu
     problems: list[str] = []
     found = split(arguments.overrides, problems)
     settings = read_settings(arguments, found.settings, problems, one_track=one_track)
-    detectors = collect(problems, load_detectors, arguments, found.detector)
-    if problems or detectors is None:
+    sources = [arguments.detector] if isinstance(arguments.detector, str) else arguments.detector
+    overrides = found.detector | (collect(problems, _name, arguments.name, found.detector, len(sources)) or {})
+    detectors: dict[str, Detector] = {}
+    for source in sources:
+        detector = collect(problems, load_detector, source, overrides, arguments.field)
+        if detector is not None and detector.name in detectors:
+            problems.append(
+                f"-d: got {source}, a second detector of the name {detector.name!r}; expected distinct names, "
+                'as `name = "..."` in a detector file'
+            )
+        elif detector is not None:
+            detectors[detector.name] = detector
+    if problems:
         raise InputError("\n  ".join(["wrong input", *problems]) if len(problems) > 1 else problems[0])
-    return detectors, settings
+    return list(detectors.values()), settings
 
 
 def collect(problems: list[str], make: Callable[P, T], *given: P.args, **named: P.kwargs) -> T | None:
@@ -522,33 +533,6 @@ def collect(problems: list[str], make: Callable[P, T], *given: P.args, **named: 
     except ValueError as error:
         problems.append(str(error))
     return None
-
-
-def load_detectors(arguments: argparse.Namespace, overrides: dict[str, object]) -> list[Detector]:
-    """Return all detectors of `--detector` with some values changed; their names are distinct.
-
-    Raises
-    ------
-    InputError
-        With all problems of all detectors, or the names that several of them have.
-    """
-    sources = [arguments.detector] if isinstance(arguments.detector, str) else arguments.detector
-    overrides = overrides | _name(arguments.name, overrides, len(sources))
-    problems: list[str] = []
-    loaded = [collect(problems, load_detector, source, overrides, arguments.field) for source in sources]
-    detectors = [detector for detector in loaded if detector is not None]
-    by_name: dict[str, list[str]] = {}
-    for source, detector in zip(sources, detectors, strict=not problems):
-        by_name.setdefault(detector.name, []).append(source)
-    problems = problems or [
-        f"-d: got {len(given)} detectors of the name {name!r} ({', '.join(given)}); expected distinct names, "
-        'as `name = "..."` in a detector file'
-        for name, given in by_name.items()
-        if len(given) > 1
-    ]
-    if problems:
-        raise InputError("\n".join(problems))
-    return detectors
 
 
 def load_detector(source: str, overrides: dict[str, object], field: str | None) -> Detector:

@@ -86,7 +86,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 def add_finder(parser: argparse.ArgumentParser, *, more: str = "") -> None:
     """Add the option of the finder, with `more` help."""
     parser.add_argument(
-        "--finder", choices=("truth", "ckf"), default=None,
+        "--finder", metavar="NAME",
         help=f"assigns the hits to tracks: truth (default), or ckf, which sees measurements only{more}",
     )  # fmt: skip
 

@@ -363,13 +363,12 @@ class Covariance:
         Parameters
         ----------
         quantity : str
-            Of `cgemit.analysis.quantities.QUANTITIES`: ``"dr"`` um, ``"dz"`` mm, ``"p"``, ``"pt"`` MeV/c, ``"p_rel"``,
-            ``"pt_rel"`` %, ``"phi0"`` and ``"theta"`` mrad, ``"tanl"`` 1e-3, ``"kappa"`` (GeV/c)^-1.
+            Of `cgemit.analysis.quantities.QUANTITIES`.
 
         Returns
         -------
         ndarray, float64
-            NaN where no sample has a covariance.
+            In the quoted unit; NaN where no sample has a covariance.
 
         Raises
         ------

@@ -24,9 +24,6 @@ XV_CLUSTER = 2
 """View of XV clusters in the clusters table."""
 
 
-"""Tables that a finder returns."""
-
-
 @dataclass(frozen=True, eq=False)
 class FitHits:
     """The measurements of all candidates as flat columns, the input of the compiled fit.
@@ -233,6 +230,7 @@ def _without_repeats(clusters: Table, label: Column) -> Column:
 
 #: A finder takes detector, clusters and wire hits, and returns tables of candidates and their hits.
 Finder = Callable[[Detector, Table, Table], Mapping[str, Table]]
+#: Tables that a finder returns.
 FOUND = ("candidates", "candidate_hits")
 
 

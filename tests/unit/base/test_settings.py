@@ -160,7 +160,7 @@ def test_all_problems_of_a_file_are_listed_at_once(tmp_path: Path) -> None:
             "fit.tolerance: got -1, expected a positive number",
             "fit.prior_sigma: got [1, 2], expected a list of 5, each a number not below 1e-12",
             f"fit.states[1]: got 'nowhere', expected a positive radius in mm, or one of {SURFACES}",
-            "simulate.deltas: got 'no', expected True or False",
+            "simulate.deltas: got 'no', expected true or false",
             "simulate.foil: got 'lattice', expected 'effective' unless fluctuations are 'full'",
             "cluster.reference_p: got '1 GeV', expected a positive number",
         ]

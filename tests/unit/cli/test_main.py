@@ -360,7 +360,7 @@ def test_a_variant_has_the_name_it_is_given(command, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("options", "messages"),
     [
-        (["-d", "besiii-cgem-design"], ["2 detectors of the name 'besiii-cgem-design'"]),
+        (["-d", "besiii-cgem-design"], ["a second detector of the name 'besiii-cgem-design'"]),
         (["-d", "besiii-idc", "--name", "x"], ["--name", "2 detectors"]),
         (["--name", " "], ["--name: got ' '"]),
         (["-d", "besiii-adc", "-d", "besiii-cgam"], ["besiii-adc", "besiii-cgam"]),

@@ -92,9 +92,6 @@ class FindSettings(SettingsData):
     annealing: bool = True
 
 
-#: Name of the finder in tables and in ``cgemit.run(finder=...)``.
-NAME = "ckf"
-
 Column = npt.NDArray[Any]
 
 
@@ -219,7 +216,7 @@ def _tables(
     _, first = np.unique(np.stack([candidate[points], row[points]]), axis=1, return_index=True)
     once[np.delete(points, first)] = False
     hits = {"event": event[candidate[once]], "candidate": candidate[once], "view": view[once], "row": row[once]}
-    about = clusters.cover | {"meta": {"finder": NAME}}
+    about = clusters.cover | {"meta": {"finder": "ckf"}}
     return {
         "candidates": Table("candidates", candidates, **about),
         "candidate_hits": Table("candidate_hits", hits, **about),
