@@ -1,4 +1,4 @@
-"""Settings of all tests. This folder is on the path, so that tests import their helpers by name."""
+"""Settings of all tests. The folder `helpers` is on the path, so that tests import them by name."""
 
 import pytest
 from hypothesis import settings

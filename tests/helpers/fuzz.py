@@ -1,6 +1,6 @@
 """Tracks and garbage of every kind for the fit.
 
-`PYTHONPATH=. python tests/fuzz.py 1000000` fits a million and counts statuses. Whatever comes in,
+`PYTHONPATH=. python tests/helpers/fuzz.py 1000000` fits a million and counts statuses. Whatever comes in,
 the fit must not raise, must not warn, and every number that it gives out is one or its row's status says why it is
 none.
 """

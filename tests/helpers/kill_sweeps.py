@@ -1,4 +1,4 @@
-"""A sweep that is killed at random moments and continued; ``python tests/kill_sweeps.py`` does it twenty times a way.
+"""A sweep that is killed at random moments and continued; run as a program, twenty times a way.
 
 The program and its worker processes are killed together (SIGKILL), as by a batch system.
 """
