@@ -75,7 +75,8 @@ def add(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--keep", type=options.names, metavar="TABLE,...",
-        help="write only these tables (all: every one), in parts while the run goes on, without holding them in memory",
+        help="write only these tables (all: every one; tracks: with their matches), in parts while the run goes on, "
+        "without holding them in memory",
     )  # fmt: skip
     options.add_readout(parser)
     options.add_physics(parser)

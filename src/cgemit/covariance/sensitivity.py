@@ -118,6 +118,9 @@ def _diagonal(layer: CgemLayer) -> float:
 #: impossible. The hits are kept, so that nothing steps: what is left of the second order is as small as the step.
 STEPS = (2e-5, 4e-6)
 
+LEAST_PRINTED = 0.005
+"""%; numbers of the design that change every resolution by less are not printed."""
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Sensitivity(Shown):
@@ -175,9 +178,20 @@ class Sensitivity(Shown):
     def _table(self) -> tuple[str, list[str], list[list[str]]]:
         head = ["1 % more of", *(f"sigma({name}) [%]" for name in self.quantities)]
         flat = self.values.reshape(len(self.keys), len(self.quantities), -1)[..., 0]
-        rows = [[key, *(f"{x:+.3f}" for x in flat[self.keys.index(key)])] for key in self.ordered()]
+        rows = [[key, *(f"{x:+.3f}" for x in flat[self.keys.index(key)])] for key in self._printed()]
         where = f"p {self.p.ravel()[0]:.4g} GeV/c, cos(theta) {self.cos_theta.ravel()[0]:.3g}"
         return f"{self.detector}, {self.particle}, {where}", head, rows
+
+    def _printed(self) -> list[str]:
+        """Return the keys whose effect at the first point shows in the printed digits, or is not known."""
+        flat = self.values.reshape(*self.values.shape[:2], -1)[..., 0]
+        largest = dict(zip(self.keys, np.abs(flat).max(axis=1), strict=True))
+        return [key for key in self.ordered() if not largest[key] < LEAST_PRINTED]
+
+    def note(self) -> str:
+        """Return how many numbers are not printed."""
+        left = len(self.keys) - len(self._printed())
+        return f"{left} more change each by less than {LEAST_PRINTED} % (to_pandas() has them)" if left else ""
 
 
 def sensitivity(

@@ -426,6 +426,14 @@ def test_derivatives_by_numbers_that_calibrated_errors_do_not_follow_are_refused
     assert float(found.of("drift_chamber.sigma", "p")) > 0.1
 
 
+def test_small_effects_are_counted_not_printed() -> None:
+    found = cg.sensitivity(DESIGN, "mu-", 1.0, 0.0, keys=["field.bz", "cgem.L3.induction_gap"], samples=4)
+    assert 0 < np.abs(found.values[1]).max() < 0.005
+    assert "cgem.L3.induction_gap" not in repr(found)
+    assert repr(found).splitlines()[-1].startswith("1 more change each by less than 0.005 %")
+    assert len(found.to_pandas()) == 2
+
+
 def test_numbers_that_cannot_move_say_why() -> None:
     found = cg.sensitivity(DESIGN, "mu-", 1.0, 0.0, keys=["drift_chamber.sigma", "cgem.L1.sheets"], samples=4)
     assert "sheets" in found.problems["cgem.L1.sheets"]

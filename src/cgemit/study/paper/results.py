@@ -169,11 +169,17 @@ class Reproduction(Shown, Tabular):
 
     def _table(self) -> tuple[str, tuple[str, ...], list[list[str]]]:
         rows = [
-            [row.id, f"{row.paper:g}" if row.paper is not None else "-", with_error(row.value, row.error), row.unit]
+            [row.id, f"{row.paper:g}", with_error(row.value, row.error), row.unit]
             for row in self.results
+            if row.paper is not None
         ]
         title = f"arXiv:1504.02570 with {self.inputs.events:,} events, seed {self.inputs.seed}"
         return f"{title}; hits {hits_text(next(iter(self.samples.values())).tracks)}", _HEAD, rows
+
+    def note(self) -> str:
+        """Return where the other numbers are."""
+        others, place = sum(row.paper is None for row in self.results), "report.html" if self.folder else "results"
+        return f"{place}: {others} numbers that the paper does not give, and why any number differs"
 
 
 _HEAD = ("quantity", "paper", "cgemit", "unit")

@@ -148,6 +148,14 @@ def test_study_depends_on_the_seed_and_not_on_threads():
     assert all(a.value != b.value for a, b in zip(one.results, other.results, strict=True) if "fraction" not in a.id)
 
 
+def test_what_the_paper_gives_is_printed(study):
+    """The other numbers are counted; they are in the results."""
+    given = [row.id for row in study.results if row.paper is not None]
+    _, _, *rows, note = repr(study).splitlines()
+    assert [row.split()[0] for row in rows] == given
+    assert note.startswith(f"report.html: {len(study.results) - len(given)} numbers")
+
+
 @pytest.fixture(scope="module")
 def found():
     """Return a small reproduction with found tracks."""
