@@ -146,6 +146,16 @@ def test_momentum_and_its_error():
     assert_within(helix.momentum_error(parameters, cov[None])[0], spread, spread / np.sqrt(2 * len(sample)))
 
 
+@pytest.mark.parametrize(("charge", "bz"), [(1, 1.0), (1, -1.0), (-1, 1.0), (-1, -1.0)])
+def test_particles_begin_outward_or_inward(charge, bz):
+    """A vertex 50 mm from the beam line; a particle that flies towards it passes it later."""
+    for flight, sign in ((0.4, 1.0), (0.4 + np.pi, -1.0)):
+        momentum = [0.5 * np.cos(flight), 0.5 * np.sin(flight), 0.2]
+        one = particles([40.0, 30.0, 5.0], momentum, pdg=-13 * charge)
+        given = helix.at_origin(one, bz)
+        assert helix.start_radius(given, [[40.0, 30.0, 5.0]], bz) == pytest.approx(sign * 50.0, rel=1e-9)
+
+
 def test_perigee_parameters_by_hand() -> None:
     """Perigee parameters that are plain to see: flight along +x, 1 mm to the right of the origin, 45 degrees up."""
     parameters = np.array([[1.0, -0.5 * np.pi, -2.0, 7.0, 1.0]])

@@ -9,6 +9,7 @@ import pytest
 from scipy import stats as scipy_stats
 
 from cgemit._core import FitStatus
+from cgemit.analysis.curves import track_spectrum
 from cgemit.analysis.resolutions import FORMS, fit_form, mean_sine
 from cgemit.chain import run
 from cgemit.particles.gun import Gun
@@ -120,6 +121,17 @@ def test_resolution_against_cos_theta_and_charge():
     pull = resolution_against(tracks, "dr", "p", 1, kind="pull")
     assert pull.values[0].core == pulls(tracks)["dr"].core
     assert pull.values[0].unit == ""
+
+
+def test_columns_of_a_spectrum_are_counts_between_its_limits():
+    tracks = make_tracks()
+    found = track_spectrum(tracks, "dr", bins=12)
+    columns, values = found.columns(), 1000 * tracks["res_dr"][tracks["status"] == 0]
+    assert list(columns) == ["low (um)", "high (um)", "all"]
+    assert len(columns["all"]) == 12
+    for low, high, count in zip(*columns.values(), strict=True):
+        assert low < high
+        assert count == np.count_nonzero((values >= low) & (values < high))
 
 
 def test_bins_hold_their_limits_once():

@@ -64,6 +64,17 @@ def test_radiation_lengths_of_elements(symbol: str, pdg: float) -> None:
     assert radiation_length(elements()[symbol]) == pytest.approx(pdg, rel=0.002)
 
 
+@pytest.mark.parametrize("symbol", ["Al", "Cu", "W", "Au", "Pb"])
+def test_the_coulomb_correction_is_the_sum_of_its_series(symbol: str) -> None:
+    """Davies, Bethe and Maximon: a^2 sum of 1/n/(n^2 + a^2), a = Z alpha; Tsai's polynomial has four digits of it."""
+    element, n = elements()[symbol], np.arange(1, 20_000)
+    a2 = (element.z / 137.035999) ** 2
+    screened = math.log(184.15 * element.z ** (-1 / 3)) - a2 * np.sum(1 / n / (n**2 + a2))
+    inelastic = math.log(1194 * element.z ** (-2 / 3))
+    expected = 716.408 * element.a / (element.z**2 * screened + element.z * inelastic)
+    assert radiation_length(element) == pytest.approx(expected, rel=1e-4)
+
+
 def proton_loss(material: object, kinetic: float) -> float:
     """Return the collision loss of a proton, MeV cm2/g, by the material's own logarithm; kinetic energy in GeV."""
     mass = 0.93827208816

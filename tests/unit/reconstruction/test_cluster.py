@@ -6,10 +6,11 @@ import pytest
 import gem_toy
 from cgemit import FitSettings, Gun, Settings, _core, run
 from cgemit.detector import load
+from cgemit.detector.core import cgem_table
 from cgemit.detector.parts import strips_of_v
 from cgemit.draw.cluster import crossing
 from cgemit.reconstruction.cluster import cluster
-from cgemit.reconstruction.clusterers.binary import MAX_SIZE, cluster_errors, error_table
+from cgemit.reconstruction.clusterers.binary import MAX_SIZE, cluster_errors, error_table, reference_widths
 from cgemit.reconstruction.clusterers.clusterer import ClusterSettings
 from cgemit.simulation.digitize import digitize
 from cgemit.tables import Table
@@ -351,3 +352,15 @@ def test_hits_beside_the_edge_of_a_sheet_are_as_good_as_others(view):
     # A hit taken on the wrong side of the edge is off by the circumference.
     assert np.mean(np.abs(residual) < 3) > 0.97
     assert view == 1 or np.concatenate(near).sum() > 30
+
+
+def test_the_reference_sample_ends_with_the_layer():
+    """Straight tracks up to |cos(theta)| = 0.99: those that cross the middle of the gap within the length."""
+    detector = load("besiii-cgem-design")
+    straight = ClusterSettings(reference_p=1e6, reference_cos_theta=0.99)
+    rows = cgem_table(detector.cgem)
+    counts = []
+    for number, layer in enumerate(detector.cgem):
+        width, _ = reference_widths({name: column[number] for name, column in rows.items()}, 1.0, straight)
+        counts.append(len(width) / (layer.half_length / np.hypot(layer.half_length, layer.r_mid)))
+    assert counts == pytest.approx([counts[0]] * len(counts), rel=2e-3)

@@ -87,6 +87,16 @@ def test_a_given_share_of_cells_fires_within_the_drift_time(run):
     assert runs[0] / sum(runs) == pytest.approx(0.645, abs=0.001)
 
 
+def test_cells_have_the_resolution_of_their_layer(run):
+    """At the distance of the hit, as hits of particles have it."""
+    sloping = run.detector.with_overrides({"drift_chamber.sigma_slope": "10 um/mm"})
+    wires = add_background(sloping, *empty(run, 3), cg.BackgroundSettings(level="bes2009"), 1)["wire_hits"]
+    layers = {layer.number: layer for layer in sloping.drift_chamber.layers}
+    expected = [layers[n].sigma + 0.01 * drift for n, drift in zip(wires["layer"], wires["drift"], strict=True)]
+    assert len(wires) > 300
+    np.testing.assert_allclose(wires["sigma"], expected, rtol=1e-12)
+
+
 def test_the_earliest_hit_of_a_cell_is_kept(run):
     wires = added(run, cells=0.5)["wire_hits"]
     key = np.stack([wires["event"], wires["gid"]])

@@ -57,6 +57,11 @@ def test_occupancy_by_hand() -> None:
     sheets = [2 * math.pi * 8.75 * 53.2 / 845, 2 * math.pi * 13.25 * 69 / 2 / 640, 2 * math.pi * 17.5 * 84.7 / 2 / 845]
     mean = 10e3 * max(sheets) * 3 * 1e-6
     assert inventory.occupancy(DESIGN, background) == pytest.approx(100 * (1 - math.exp(-mean)), rel=1e-9)
+    # Falling with the square of the radius, from 10 kHz/cm2 at 50 mm.
+    falling = dataclasses.replace(background, radius=50, power=2)
+    middles = [layer.r_mid for layer in DESIGN.cgem]
+    mean = max(10e3 * (50 / r) ** 2 * sheet * 3 * 1e-6 for r, sheet in zip(middles, sheets, strict=True))
+    assert inventory.occupancy(DESIGN, falling) == pytest.approx(100 * (1 - math.exp(-mean)), rel=1e-9)
 
 
 def test_strips_without_rounding_are_never_fewer() -> None:

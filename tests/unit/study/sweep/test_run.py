@@ -23,6 +23,7 @@ from cgemit.detector import Detector
 from cgemit.reconstruction.fit import FitStatus
 from cgemit.study import Evaluation, grid, latin_hypercube, sobol, sweep
 from cgemit.study.samples import seed_of
+from cgemit.study.sweep.evaluate import budgets
 from cgemit.study.sweep.run import Task, rows_of_text, work
 from cgemit.study.sweep.space import PlanError, key_problems
 from kill_sweeps import FILES, SPACE, killed_until_complete, swept, written
@@ -251,6 +252,11 @@ def test_analytic_resolutions_are_those_of_the_covariance() -> None:
         np.testing.assert_array_equal(found[header][rows], expected)
     assert found.columns["tracks"][rows][::2] == [FitStatus(int(status)).name for status in one.status]
     assert found.columns["tracks"][12] != "ok" == found.columns["tracks"][14]
+    assert found.columns["reached"][rows] == np.array([one.reached, mixed.reached]).T.ravel().tolist()
+    for point in (2, 4):  # the momenta 0.3 and 1.0 at the first angle
+        of_point = budgets(found.evaluation, {"base": DESIGN}, "p", point)["base"]
+        expected = [(0.3, 1.0)[point // 2 - 1], 0.2]
+        assert [float(of_point.p), float(of_point.cos_theta)] == pytest.approx(expected, rel=1e-12)
     assert found.columns["sigma_p (MeV/c)"][16] > 1.5 * found.columns["sigma_p (MeV/c)"][10]
     few = sweep(DESIGN, space, evaluate=Evaluation(quantities=["dz", "pt"], samples=3))
     assert [name for name in few.results if name.startswith("sigma")] == ["sigma_dz (mm)", "sigma_pt (MeV/c)"]
