@@ -52,7 +52,6 @@ def add(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help="simulate N tracks for the base and up to five best designs",
     )
-    parser.add_argument("--parquet", action="store_true", help="write optimize.parquet too (needs pyarrow)")
     parser.add_argument("--json", action="store_true", help="write summary.json to stdout instead of the table")
     sweep.add_workers(parser)
     options.add_common(parser)
@@ -79,8 +78,6 @@ def _report(result: Optimization, output: Path, arguments: argparse.Namespace) -
     if not result.front:
         problems = dict.fromkeys(filter(None, result.columns["problems"]))
         raise options.RunFailedError("\n  ".join([result.message, *list(problems)[:10]]))
-    if arguments.parquet:
-        result.write_parquet(output / "optimize.parquet", overwrite=True)
     kinds = ["convergence", *(["front"] if len(result.objectives) > 1 else []), "parallel"]
     for kind in kinds:
         result.draw(kind).save(output / kind, overwrite=True)

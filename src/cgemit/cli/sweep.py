@@ -68,7 +68,6 @@ def add(parser: argparse.ArgumentParser) -> None:
         help="compute part I (0 to N - 1) of N parts only, and write no table",
     )  # fmt: skip
     parser.add_argument("--merge", metavar="DIR", help="write the table of a folder whose parts are complete")
-    parser.add_argument("--parquet", action="store_true", help="write sweep.parquet too (needs pyarrow)")
     parser.add_argument("--json", action="store_true", help="write summary.json to stdout instead of the table")
     add_workers(parser)
     options.add_common(parser)
@@ -132,8 +131,6 @@ def _report(result: Sweep, draw: Any, output: Path, arguments: argparse.Namespac
     if all(status != "ok" for status, _ in varied):
         reasons = dict.fromkeys(problems for _, problems in varied if problems)
         raise options.RunFailedError("\n  ".join(["no variant could be evaluated", *list(reasons)[:10]]))
-    if arguments.parquet:
-        result.write_parquet(output / "sweep.parquet", overwrite=True)
     result.draw(draw.quantity, **({"kind": draw.kind} if draw.kind else {})).save(output / "sweep", overwrite=True)
     options.say(json.dumps(result.summary(), indent=2) if arguments.json else result)
     options.note(arguments, f"table: {output}/sweep.csv, picture: {output}/sweep.png")

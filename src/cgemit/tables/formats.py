@@ -161,14 +161,6 @@ def check_format(name: object) -> str:
     return name
 
 
-def write_columns(path: str | os.PathLike[str], columns: Mapping[str, Any], *, overwrite: bool = False) -> Path:
-    """Write columns of any origin as a Parquet file for other programs."""
-    pyarrow, parquet = package("pyarrow"), package("pyarrow.parquet")
-    with new_file(path, overwrite=overwrite) as temporary:
-        parquet.write_table(pyarrow.table(dict(columns)), temporary)
-    return Path(path)
-
-
 #: Arguments of `Table`: kind, columns, n_events, first_event, meta, events.
 Arguments = tuple[str, dict[str, Array], int, int, dict[str, Any], Any]
 

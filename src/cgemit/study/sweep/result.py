@@ -23,7 +23,6 @@ from cgemit.detector import Detector
 from cgemit.detector.variants import variant_name
 from cgemit.study.sweep.evaluate import Evaluation, budgets
 from cgemit.study.sweep.space import Space, axis_of
-from cgemit.tables.formats import write_columns
 from cgemit.tables.show import Shown, data_frame, write_csv
 
 if TYPE_CHECKING:
@@ -38,21 +37,6 @@ class TidyResult(Shown):
     def to_pandas(self) -> Any:
         """Return the table as a `pandas.DataFrame`."""
         return data_frame(self.columns)
-
-    def write_parquet(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
-        """Write the table as a Parquet file (needs pyarrow, extra ``[io]``).
-
-        Parameters
-        ----------
-        path : path
-        overwrite : bool
-
-        Raises
-        ------
-        FileExistsError
-            If the file exists and `overwrite` is false.
-        """
-        return write_columns(path, self.columns, overwrite=overwrite)
 
     def _write(
         self, folder: str | os.PathLike[str], table: str, detectors: Mapping[str, Detector], summary: Mapping[str, Any]
