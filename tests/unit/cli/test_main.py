@@ -381,7 +381,9 @@ def test_simulate_takes_one_detector(tmp_path, capsys):
 
 def test_simulate_writes_tables(tmp_path, capsys):
     assert main([*SIMULATE, "-o", str(tmp_path / "bare")]) == 0
-    assert main([*SIMULATE, "--fit", "-o", str(tmp_path / "fitted"), "--vertex", "1,2,3 cm", "--json"]) == 0
+    assert (
+        main([*SIMULATE, "--fit", "-o", str(tmp_path / "fitted"), "--vertex", "1,2,3 cm", "--json", "--seed", "4"]) == 0
+    )
     assert {path.stem for path in (tmp_path / "fitted").iterdir()} - {
         path.stem for path in (tmp_path / "bare").iterdir()
     } == {"candidates", "candidate_hits", "tracks", "matches"}
@@ -392,6 +394,7 @@ def test_simulate_writes_tables(tmp_path, capsys):
     assert -0.5 <= cosine.min() < cosine.max() <= 0.5
     summary = json.loads((tmp_path / "fitted" / "summary.json").read_text())
     assert summary["rows"]["tracks"] == 50
+    assert (summary["seed"], summary["events"]) == (4, 50)
     assert '"tracks": 50' in capsys.readouterr().out
 
 

@@ -78,7 +78,11 @@ def test_every_number_of_the_table_is_that_of_the_tracks(pair: list[Any], tmp_pa
     assert [(one["id"], one["y_unit"]) for one in curves] == 2 * [(f"sigma_{n}", UNITS[n]) for n in REPORTED]
     assert {one["particle"] for one in curves} == {"mu-"}
     with (tmp_path / "out" / "summary.json").open(encoding="utf-8") as stream:
-        assert json.load(stream)["timings"] == {"total_s": pair[0].seconds + pair[1].seconds}
+        summary = json.load(stream)
+    assert summary["timings"] == {"total_s": pair[0].seconds + pair[1].seconds}
+    inputs = {"particle": "mu-", "momenta": [0.4, 1.0], "events": 400, "method": "mc", "detectors": [DESIGN, "wide"]}
+    assert inputs.items() <= summary["inputs"].items()
+    assert summary["seed"] == 7
     with (tmp_path / "out" / "run.json").open(encoding="utf-8") as stream:
         source = json.load(stream)["source"]
     assert [one["label"] for one in source] == [sample.label for sample in samples]

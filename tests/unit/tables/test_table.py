@@ -3,6 +3,7 @@
 import builtins
 import json
 import pickle
+import re
 from dataclasses import replace
 
 import awkward as ak
@@ -297,6 +298,9 @@ def test_prints_itself():
     assert "charge [fC]" in repr(table)
     html = table._repr_html_()
     assert html.count("<tr>") == 6
+    rows = [re.findall(r"<td>(.*?)</td>", row) for row in html.split("<tr>")[2:]]
+    for number, column in enumerate(table.columns.values()):
+        assert [float(row[number]) for row in rows] == pytest.approx(column[:5].tolist(), rel=1e-5)
     assert "3 more rows" in html
     assert "5x5 matrix" in make("tracks", [0], 1)._repr_html_()
 

@@ -24,7 +24,7 @@ from cgemit.draw.curves import draw_grid, draw_resolutions
 from cgemit.draw.event import helix_points, near
 from cgemit.draw.style import new_picture
 from cgemit.study import measure, reproduce
-from cgemit.study.paper import DETECTORS, MOMENTA
+from cgemit.study.paper import DETECTORS, MOMENTA, results
 from cgemit.study.paper.figures import good_event
 from cgemit.study.paper.published import paper_values
 from cgemit.study.paper.report import paper_report
@@ -154,6 +154,12 @@ def test_what_the_paper_gives_is_printed(study):
     _, _, *rows, note = repr(study).splitlines()
     assert [row.split()[0] for row in rows] == given
     assert note.startswith(f"report.html: {len(study.results) - len(given)} numbers")
+
+
+def test_notes_compare_in_the_right_direction():
+    assert results.explain_idc("dr", 300.0, 150.0).startswith("2.00 times the CGEM value")
+    assert "10.0 % more than with the nominal gap" in results.explain_gap_variant(3.0, 110.0, 100.0)
+    assert results.deviation(90.0, 5.0, 100.0) == "10.0 % below the paper (2.0 standard errors)"
 
 
 @pytest.fixture(scope="module")
