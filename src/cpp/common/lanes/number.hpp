@@ -1,4 +1,5 @@
-// What a kernel counts in: one number in the core, the lanes of a register in a library of kernels (CMakeLists.txt).
+// What a kernel counts in: one number in the core, the lanes of a register in a library of kernels
+// (CMakeLists.txt).
 #pragma once
 
 #if defined(CGEMIT_LANES)
