@@ -90,6 +90,6 @@ def main() -> None:
 if __name__ == "__main__":
     if len(sys.argv) == 4:
         with executor(sys.argv[1]) as pool:
-            swept(Path(sys.argv[2]), executor=pool, events=int(sys.argv[3]))
+            swept(Path(sys.argv[2]), workers=pool, events=int(sys.argv[3]))
     else:
         main()

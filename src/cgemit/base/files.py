@@ -292,10 +292,19 @@ def _contents(folder: Path) -> Iterator[str]:
 
 def _not_ours(folder: Path) -> str:
     """Return the name of something that `new_folder` did not put into a folder, or an empty text."""
-    ours: set[str] = set()
+    while True:
+        ours = _listed(folder)
+        with contextlib.suppress(FileNotFoundError):  # of a folder that another run removes
+            other = next((name for name in _contents(folder) if name not in ours), "")
+            if not other or _listed(folder) == ours:  # else another run wrote its results meanwhile
+                return other
+
+
+def _listed(folder: Path) -> set[str]:
+    """Return the names that `new_folder` wrote down in a folder."""
     with contextlib.suppress(OSError, ValueError):
-        ours.update(read_text(folder / CONTENTS).splitlines())
-    return next((name for name in _contents(folder) if name not in ours), "")
+        return set(read_text(folder / CONTENTS).splitlines())
+    return set()
 
 
 def _publish(temporary: Path, target: Path, *, overwrite: bool) -> None:

@@ -244,7 +244,6 @@ def test_what_is_no_whole_number(text, capsys):
         (["xyz"], "cgemit: unknown command 'xyz'; expected one of study, "),
         (["study", "--evnts", "3"], 'cgemit study: got --evnts 3, which it does not know; did you mean "--events"?'),
         (["resolution", "-d", "x"], "cgemit resolution: the following arguments are required: -o/--output"),
-        ([], "cgemit: the following arguments are required: COMMAND"),
     ],
 )
 def test_an_error_of_the_command_line_is_one_line(arguments, message, capsys):

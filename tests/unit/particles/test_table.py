@@ -164,7 +164,7 @@ def test_the_command_line_takes_particles(file: Path, tmp_path: Path, capsys: An
     assert main([*words, "--overwrite", "--particles", str(file), "-n", "5"]) == 2
     assert "n: got 5, expected 4, the events of the table of particles" in capsys.readouterr().err
     assert main([*words, "--overwrite", "--theta", "1"]) == 2
-    assert "got no -n, no --p or --pt; expected all of them, or --particles FILE" in capsys.readouterr().err
+    assert "got no -n, no --p or --pt; expected all of these, or --particles FILE, or" in capsys.readouterr().err
 
 
 HEPMC = """HepMC::Version 3.02.05

@@ -202,7 +202,7 @@ def test_an_optimum_without_an_allowed_design_says_so() -> None:
     )
     assert none.front == []
     channels = none.columns["channels"]
-    text = f"no design keeps all limits; the nearest one has channels {min(channels)}, "
+    text = f"no design keeps all limits; the nearest one has channels {min(channels):g}, "
     assert f"{text}{min(channels) - 100:.3g} % above its limit 100" in none.message
     with pytest.raises(ValueError, match="expected the row of a design"):
         none.detector()
