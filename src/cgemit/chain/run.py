@@ -85,7 +85,7 @@ class Output:
 
 
 class Job(NamedTuple):
-    """What every chunk of a run has in common; `fit_detector` is the detector that finder and fit assume."""
+    """What every chunk of a run has in common; `fit_detector` is the detector that the reconstruction assumes."""
 
     detector: Detector
     fit_detector: Detector
@@ -135,7 +135,7 @@ def run(
         Read-out of the CGEM layers, instead of that of the settings. A read-out that starts from ionization clusters
         makes them rows of ``steps``.
     fit_detector : Detector or None
-        Detector that finder and fit assume. None: the simulated one.
+        Detector that the reconstruction assumes: clusters, finder and fit. None: the simulated one.
     finder : str or callable
         ``"truth"`` gives each charged particle its own hits. ``"ckf"`` finds tracks from the hits alone, with
         ``settings.find``. A function of (detector, clusters, wire_hits) returns a
@@ -220,7 +220,7 @@ def stages(job: Job, particles: Table) -> Iterator[tuple[str, Mapping[str, Table
     made = add_background(job.detector, **made, settings=settings.background, seed=job.seed)
     yield "digitize", made
     digis, wire_hits = made["digis"], made["wire_hits"]
-    clusters = cluster(job.detector, digis, settings.cluster, readout=settings.digitize.readout)
+    clusters = cluster(job.fit_detector, digis, settings.cluster, readout=settings.digitize.readout)
     yield "cluster", {"clusters": clusters}
     finder, hits = (
         finder_of_run(job, Truths(job.detector, particles, truths, wire_truths)),
@@ -309,7 +309,7 @@ def _checked(
     most = 2**31 - 1
     found.collect(check_numbers, "run", seed, workers.threads, n=(n, 0, most), chunk=(workers.chunk, 1, most))
     kept = found.collect(check_stages, finder, until, workers, keep, given)
-    found.collect(check_calibration, simulated, given, until)
+    found.collect(check_calibration, assumed, given, until)
     for one in (simulated, assumed) if assumed is not simulated else (simulated,):
         found.collect(check_raw_times, one, given, until)
     source: Any = found.collect(source_of, gun, n)
