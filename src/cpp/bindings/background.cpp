@@ -23,9 +23,9 @@ HotChannels hot_channels(const Array<std::int32_t>& gids, const Array<double>& f
   return {gid, column(fires, "hot_fires", gids.shape(0))};
 }
 
-py::dict cells(const Detector& detector, const Array<std::int64_t>& events, const Array<double>& begins,
-               const Array<double>& lengths, double window, const Array<std::int32_t>& hot,
-               const Array<double>& hot_fires, std::uint64_t seed) {
+py::dict noisy_cells(const Detector& detector, const Array<std::int64_t>& events, const Array<double>& begins,
+                     const Array<double>& lengths, double window, const Array<std::int32_t>& hot,
+                     const Array<double>& hot_fires, std::uint64_t seed) {
   const bool is_empty = detector.wires.empty();
   const int begin = is_empty ? 0 : detector.wires.front().gid_first;
   const int end = is_empty ? 0 : detector.wires.back().gid_first + detector.wires.back().cells;
@@ -49,9 +49,10 @@ py::dict cells(const Detector& detector, const Array<std::int64_t>& events, cons
   return out;
 }
 
-py::dict strips(const Detector& detector, const Array<std::int64_t>& events, const Array<double>& clusters,
-                int most_strips, std::array<double, 2> single, std::array<double, 2> charge, double window,
-                const Array<std::int32_t>& hot, const Array<double>& hot_fires, std::uint64_t seed) {
+py::dict noisy_strips(const Detector& detector, const Array<std::int64_t>& events,
+                      const Array<double>& clusters, int most_strips, std::array<double, 2> single,
+                      std::array<double, 2> charge, double window, const Array<std::int32_t>& hot,
+                      const Array<double>& hot_fires, std::uint64_t seed) {
   const auto event = column(events, "events");
   const StripNoise noise{
       .clusters = column(clusters, "clusters", static_cast<py::ssize_t>(detector.cgem.size())),
@@ -94,10 +95,10 @@ std::tuple<py::array_t<std::int64_t>, py::array_t<std::int64_t>> channel_order(
 }  // namespace
 
 void bind_background(py::module_& module) {
-  module.def("background_cells", &cells, py::arg("detector"), py::arg("events"), py::kw_only(),
+  module.def("background_cells", &noisy_cells, py::arg("detector"), py::arg("events"), py::kw_only(),
              py::arg("begins"), py::arg("lengths"), py::arg("window"), py::arg("hot"), py::arg("hot_fires"),
              py::arg("seed"), "Columns of wire hits that fire without a particle of the event.");
-  module.def("background_strips", &strips, py::arg("detector"), py::arg("events"), py::kw_only(),
+  module.def("background_strips", &noisy_strips, py::arg("detector"), py::arg("events"), py::kw_only(),
              py::arg("clusters"), py::arg("most_strips"), py::arg("single"), py::arg("charge"),
              py::arg("window"), py::arg("hot"), py::arg("hot_fires"), py::arg("seed"),
              "Columns of digis that fire without a particle of the event.");

@@ -47,10 +47,10 @@ py::dict columns_of(const std::vector<ExpectedHit>& hits, const Detector& detect
   return out;
 }
 
-py::dict run(const Detector& detector, const Array<double>& phi, const Array<double>& kappa,
-             const Array<double>& tanl, const Array<double>& mass, const Array<double>& scatters,
-             std::size_t samples, const Array<double>& phases, const py::dict& model_values, bool budget,
-             bool hits, const std::vector<const Detector*>& variants) {
+py::dict run_covariances(const Detector& detector, const Array<double>& phi, const Array<double>& kappa,
+                         const Array<double>& tanl, const Array<double>& mass, const Array<double>& scatters,
+                         std::size_t samples, const Array<double>& phases, const py::dict& model_values,
+                         bool budget, bool hits, const std::vector<const Detector*>& variants) {
   const HitModel model = hit_model(model_values);
   const auto n = phi.size();
   const auto views = static_cast<py::ssize_t>(2 * detector.cgem.size());
@@ -108,7 +108,7 @@ void bind_covariance(py::module_& module) {
              "Whether the surfaces of two detectors have the same order, so that one can be a variant of the "
              "other in `covariances`.");
   module.def(
-      "covariances", &run, py::arg("detector"), py::kw_only(), py::arg("phi"), py::arg("kappa"),
+      "covariances", &run_covariances, py::arg("detector"), py::kw_only(), py::arg("phi"), py::arg("kappa"),
       py::arg("tanl"), py::arg("mass"), py::arg("scatters"), py::arg("samples"), py::arg("phases"),
       py::arg("model"), py::arg("budget"), py::arg("hits") = false,
       py::arg("variants") = std::vector<const Detector*>(),

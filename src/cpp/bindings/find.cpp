@@ -36,8 +36,8 @@ FindSettings find_settings(const py::dict& values) {
   return settings;
 }
 
-py::dict run(const Detector& detector, const Array<std::int64_t>& event_offsets, const py::dict& hit_columns,
-             const py::dict& setting_values, const py::dict& pair_table) {
+py::dict run_find(const Detector& detector, const Array<std::int64_t>& event_offsets,
+                  const py::dict& hit_columns, const py::dict& setting_values, const py::dict& pair_table) {
   const FindSettings settings = find_settings(setting_values);
   const auto offsets = hit_offsets_of(event_offsets);
   const HitColumns columns(detector, hit_columns, static_cast<py::ssize_t>(offsets.back()));
@@ -68,7 +68,7 @@ py::dict run(const Detector& detector, const Array<std::int64_t>& event_offsets,
 
 void bind_find(py::module_& module) {
   module.def(
-      "find_tracks", &run, py::arg("detector"), py::kw_only(), py::arg("event_offsets"), py::arg("hits"),
+      "find_tracks", &run_find, py::arg("detector"), py::kw_only(), py::arg("event_offsets"), py::arg("hits"),
       py::arg("settings"), py::arg("pairs") = py::dict(),
       "Tracks of each event: event, offsets of their hits, numbers of the hits, score; and how many seeds "
       "each event had.");

@@ -33,9 +33,10 @@ FitSettings fit_settings(const py::dict& values) {
 // Number of tracks whose hits stay in the processor's cache while they are fitted.
 constexpr std::size_t block_of_tracks = 256;
 
-py::dict run(const Detector& detector, const Array<std::int64_t>& hit_offsets, const py::dict& hit_columns,
-             const Array<double>& mass_array, const Array<double>& start_array,
-             const Array<double>& start_radius, const py::dict& setting_values, bool residuals, bool states) {
+py::dict run_fit(const Detector& detector, const Array<std::int64_t>& hit_offsets,
+                 const py::dict& hit_columns, const Array<double>& mass_array,
+                 const Array<double>& start_array, const Array<double>& start_radius,
+                 const py::dict& setting_values, bool residuals, bool states) {
   const auto offsets = hit_offsets_of(hit_offsets);
   const auto n = offsets.size() - 1;
   const auto n_hits = static_cast<py::ssize_t>(offsets[n]);
@@ -117,7 +118,7 @@ py::dict run(const Detector& detector, const Array<std::int64_t>& hit_offsets, c
 }  // namespace
 
 void bind_fit(py::module_& module) {
-  module.def("fit", &run, py::arg("detector"), py::kw_only(), py::arg("hit_offsets"), py::arg("hits"),
+  module.def("fit", &run_fit, py::arg("detector"), py::kw_only(), py::arg("hit_offsets"), py::arg("hits"),
              py::arg("mass"), py::arg("start"), py::arg_v("start_radius", Array<double>(0), "..."),
              py::arg("settings"), py::arg("residuals"), py::arg("states") = false,
              "Fit one track per row of hit_offsets: columns of the tracks and, if requested, of the "

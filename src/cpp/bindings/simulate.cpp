@@ -49,8 +49,9 @@ DecayTable make_decays(const py::dict& species, const py::dict& modes, const py:
   return table;
 }
 
-py::dict run(const Detector& detector, const py::dict& particles, Fluctuations fluctuations, bool deltas,
-             bool steps, const std::optional<DecayTable>& decays, int half_turns, std::uint64_t seed) {
+py::dict run_simulate(const Detector& detector, const py::dict& particles, Fluctuations fluctuations,
+                      bool deltas, bool steps, const std::optional<DecayTable>& decays, int half_turns,
+                      std::uint64_t seed) {
   if (half_turns < 1 || half_turns > most_half_turns)
     throw std::invalid_argument("half_turns: got " + std::to_string(half_turns) + ", expected 1 to " +
                                 std::to_string(most_half_turns));
@@ -112,7 +113,7 @@ void bind_simulate(py::module_& module) {
       .finalize();
   py::class_<DecayTable>(module, "DecayTable", "Species that decay in flight, and their modes.")
       .def(py::init(&make_decays), py::arg("species"), py::arg("modes"), py::arg("products"));
-  module.def("simulate", &run, py::arg("detector"), py::arg("particles"), py::kw_only(),
+  module.def("simulate", &run_simulate, py::arg("detector"), py::arg("particles"), py::kw_only(),
              py::arg("fluctuations"), py::arg("deltas") = true, py::arg("steps") = false,
              py::arg("decays") = py::none(), py::arg("half_turns") = 1, py::arg("seed"),
              "Transport particles through the detector; columns of `truths`, `steps`, `wire_truths` and "

@@ -134,11 +134,11 @@ void check_tracks(std::span<const std::uint8_t> fitted, std::span<const double> 
   problems.raise("states");
 }
 
-py::dict run(const Detector& detector, const Array<std::int64_t>& hit_offsets, const py::dict& hit_columns,
-             const Array<double>& reference_array, const Array<double>& kinks_array,
-             const Array<double>& prior_array, const Array<double>& mass_array,
-             const Array<double>& start_radius, const Array<std::uint8_t>& fitted_array,
-             const py::dict& target_columns) {
+py::dict run_states(const Detector& detector, const Array<std::int64_t>& hit_offsets,
+                    const py::dict& hit_columns, const Array<double>& reference_array,
+                    const Array<double>& kinks_array, const Array<double>& prior_array,
+                    const Array<double>& mass_array, const Array<double>& start_radius,
+                    const Array<std::uint8_t>& fitted_array, const py::dict& target_columns) {
   const auto offsets = hit_offsets_of(hit_offsets);
   const auto n = static_cast<py::ssize_t>(offsets.size()) - 1;
   const auto n_hits = static_cast<py::ssize_t>(offsets.back());
@@ -236,8 +236,8 @@ void bind_states(py::module_& module) {
       .value("cylinder", StateSurface::cylinder)
       .value("hit", StateSurface::hit)
       .finalize();
-  module.def("states", &run, py::arg("detector"), py::kw_only(), py::arg("hit_offsets"), py::arg("hits"),
-             py::arg("reference"), py::arg("kinks"), py::arg("prior"), py::arg("mass"),
+  module.def("states", &run_states, py::arg("detector"), py::kw_only(), py::arg("hit_offsets"),
+             py::arg("hits"), py::arg("reference"), py::arg("kinks"), py::arg("prior"), py::arg("mass"),
              py::arg_v("start_radius", Array<double>(0), "..."), py::arg("fitted"), py::arg("targets"),
              "Smoothed states of fitted tracks at every target.");
   module.def("extrapolate", &run_extrapolate, py::arg("detector"), py::kw_only(), py::arg("pivot"),

@@ -51,7 +51,7 @@ Line fit_line(std::span<const StripPoint> points, double stiffness) {
 
 namespace {
 
-struct Position {
+struct Measured {
   double value, error;
   Estimator estimator;  // of the value; the error is that of the read-out's one
 };
@@ -110,9 +110,9 @@ class ChargeTimeClusters {
     if (!model_.slopes.empty() && row >= model_.slopes.size()) {
       throw std::invalid_argument("slopes: expected one for each cluster");
     }
-    Position at = alone(plane, cluster, of_charge, points);
+    Measured at = alone(plane, cluster, of_charge, points);
     if (has_track(row)) {
-      const Position along =
+      const Measured along =
           along_track(plane, cluster, of_charge, points, {model_.slopes[row], model_.paths[row]});
       cluster.shift = along.value - at.value;
       at = along;
@@ -178,12 +178,12 @@ class ChargeTimeClusters {
   }
 
   // From the cluster alone.
-  Position alone(const ViewReconstruction& plane, const ClusterRow& cluster, std::size_t row,
+  Measured alone(const ViewReconstruction& plane, const ClusterRow& cluster, std::size_t row,
                  std::span<const StripPoint> points) const {
     const Calibration& from = model_.calibration;
     const double centroid = plane.centroid(points, from.height[row]);
     const Line line = plane.line(points, std::nullopt);
-    Position found = merged(centroid, line, from.share(row, cluster.size));
+    Measured found = merged(centroid, line, from.share(row, cluster.size));
     found.error =
         from.error(model_.estimator, row, cluster.size) *
         model_.factors.of_distance(false, model_.estimator, number_of(cluster), distance(centroid, line));
@@ -191,7 +191,7 @@ class ChargeTimeClusters {
   }
 
   // With the direction of the track that has the cluster.
-  Position along_track(const ViewReconstruction& plane, const ClusterRow& cluster, std::size_t of_charge,
+  Measured along_track(const ViewReconstruction& plane, const ClusterRow& cluster, std::size_t of_charge,
                        std::span<const StripPoint> points, Direction track) const {
     const SlopeErrors& from = model_.slope_errors;
     const Direction direction{plane.slope_at_anode(track.slope), track.path};
@@ -201,7 +201,7 @@ class ChargeTimeClusters {
     const Line line = plane.line(points, track.slope);
     const std::size_t number = number_of(cluster);
     const DirectionTable& directions = model_.directions;
-    Position found = merged(centroid, line, from.shares[row]);
+    Measured found = merged(centroid, line, from.shares[row]);
     found.value -= directions.shift(directions.row(true, found.estimator, number), direction);
     found.error = from.error(model_.estimator, row) *
                   model_.factors.along[model_.calibration.entry(model_.estimator, of_charge, cluster.size)] *
@@ -218,7 +218,7 @@ class ChargeTimeClusters {
   }
 
   // The position that the estimator selects, without its error; the centroid where there is no line.
-  Position merged(double centroid, const Line& line, double share) const {
+  Measured merged(double centroid, const Line& line, double share) const {
     const Estimator which = line.good ? model_.estimator : Estimator::centroid;
     const double line_share = which == Estimator::centroid    ? 0
                               : which == Estimator::micro_tpc ? 1

@@ -18,7 +18,7 @@ constexpr std::size_t many_segments = 200;
 constexpr double steepest = 2;         // tangent of the angle between a segment and the radius
 constexpr double beside = 0.6;         // mm, of a hit between the ends of a segment, without curvature
 constexpr double drift_error = 0.3;    // mm
-constexpr double anywhere = 1000;      // mm, distance from the beam line that the fit of a circle expects
+constexpr double any_distance = 1000;  // mm, distance from the beam line that the fit of a circle expects
 constexpr int more_layers = 1;         // than a circle from the beam line needs
 constexpr double least_squares = 200;  // mm^2, lever of a hit that measures the curvature
 
@@ -219,7 +219,7 @@ void LocalSearch::continued(const Segment& segment) {
 std::optional<FoundCircle> LocalSearch::next() {
   while (next_ < curves_.size()) {
     const Curve& curve = curves_[next_++];
-    auto found = axial_.fit(curve.d, curve.psi, curve.w, anywhere, more_layers);
+    auto found = axial_.fit(curve.d, curve.psi, curve.w, any_distance, more_layers);
     if (found) return found;
   }
   return std::nullopt;

@@ -12,9 +12,9 @@ namespace {
 constexpr double after = 150;  // ns, in which the amplitude of a current that has ended may still rise
 
 // Noise of one strip: normal numbers one after the other.
-class StripNoise {
+class NormalNoise {
  public:
-  StripNoise(const Stream& stream, std::uint32_t gid) : stream_(stream), gid_(gid) {}
+  NormalNoise(const Stream& stream, std::uint32_t gid) : stream_(stream), gid_(gid) {}
   double next() {
     if (used_ == 4) {
       words_ = stream_.block(Purpose::readout_strip, gid_, block_++);
@@ -84,7 +84,7 @@ double amplitude_at(StepResponse& response, std::span<const double> steps, doubl
 // Branch T gives the time of the leading edge, and the amplitude of branch E is sampled a fixed time later.
 // Noise moves the threshold, and with it the time as far as the slope makes it.
 std::optional<StripReading> tiger(const Chip& chip, StepResponse& response, int view, double start,
-                                  const Current& current, StripNoise noise) {
+                                  const Current& current, NormalNoise noise) {
   const double threshold =
       std::max(chip.threshold[static_cast<std::size_t>(view)] - chip.noise * noise.next(), 0.0);
   if (!may_exceed(current.charge, threshold)) return std::nullopt;
@@ -116,7 +116,7 @@ void add_amplitudes(Filter filter, const Chip& chip, double start, std::span<con
 
 // Samples at fixed times: the charge is the largest one, the time that of half of it on the leading edge.
 std::optional<StripReading> apv25(const Chip& chip, int view, double start, const Current& current,
-                                  StripNoise noise) {
+                                  NormalNoise noise) {
   const double threshold = chip.threshold[static_cast<std::size_t>(view)];
   std::vector<double> samples(static_cast<std::size_t>(chip.samples));
   for (double& sample : samples) sample = chip.noise * noise.next();
@@ -136,7 +136,7 @@ std::optional<StripReading> apv25(const Chip& chip, int view, double start, cons
 
 std::optional<StripReading> measure(const Chip& chip, StepResponse& response, int view, double start,
                                     const Current& current, const Stream& stream, std::uint32_t gid) {
-  const StripNoise noise(stream, gid);
+  const NormalNoise noise(stream, gid);
   return chip.kind == ChipKind::tiger ? tiger(chip, response, view, start, current, noise)
                                       : apv25(chip, view, start, current, noise);
 }
