@@ -83,7 +83,7 @@ Columns = dict[str, Column]
 #: Endings of the names of files.
 ENDINGS = (".rec", ".dst", ".rtraw")
 
-#: What is read: our name, and the branches of which a file has one.
+#: Collections that are read, by our name; a file has one of the branches listed.
 COLLECTIONS: Mapping[str, tuple[str, ...]] = {
     "run": ("TEvtHeader/m_runId",),
     "number": ("TEvtHeader/m_eventId",),
@@ -373,7 +373,7 @@ class Bes3Events:
         Reconstructed clusters, and the hits on tracks; `track` is the number of the track, -1 none. Wire hits also
         have `tdc`, ns from the start of the read-out window, and `z` on the wire, mm.
     candidates, candidate_hits : Table
-        The hits of each track; the candidate's number is that of the track.
+        The hits of each track. Candidate and track have the same number.
     mdc_tracks, kal_tracks : Table of kind "tracks"
         Tracks of the first fit, without matter (`hypothesis` 0), and of the Kalman filter, one row for each mass. Their
         `candidate` is -1 without hits. Fits that failed have the status not_converged.
@@ -437,7 +437,7 @@ def read_events(
     FileNotFoundError
         If there is no such file.
     ValueError
-        If it is damaged or no such file, or its hits are not those of the detector, or pybes3 is not installed.
+        If it is damaged or no such file, its hits do not fit the detector, or pybes3 is not installed.
     """
     path = Path(path)
     if path.suffix not in ENDINGS:
@@ -612,7 +612,7 @@ def _particle_table(given: Columns | None, n_events: int) -> Table:
 
 
 def _filled(kind: str, given: Columns | None, detector: Detector, cover: dict[str, Any]) -> Table:
-    """Return a table of truth or digis, with the columns that follow from others, and none where nothing is known."""
+    """Return a table of truth or digis, with the columns that follow from others; empty if the file has none."""
     if given is None or not len(given["event"]):
         return Table.empty(kind, **cover)
     n, columns = len(given["event"]), dict(given)

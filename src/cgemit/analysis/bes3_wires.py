@@ -132,7 +132,7 @@ def all_wire_hits(
     ----------
     events : Bes3Events
     start_time : array_like, (events,) float64, or float, or None
-        Start of each event in the read-out window, ns. None: that of the experiment's reconstruction. Events without
+        Start of each event in the read-out window, ns. None: as the experiment reconstructed it. Events without
         one (NaN) have no hits.
     calibration : DriftCalibration or None
         None: what `calibrate` finds.

@@ -58,7 +58,7 @@ class ClusterResiduals:
     without_truth : int
         Clusters left out since no true crossing belongs to them.
     beside : int
-        Clusters left out since the crossing has one that is nearer to it: those of delta electrons away from the
+        Clusters left out since the crossing has a nearer one: clusters of delta electrons away from the
         track, and those on the other side of a seam.
     """
 

@@ -61,7 +61,7 @@ class ParticleCounts(NamedTuple):
     x_layers, v_layers, points : ndarray, int64
         CGEM layers with an X cluster, with a V cluster, with both.
     wires, stereo : ndarray, int64
-        Cells of the drift chamber, and those of its stereo layers.
+        Cells of the drift chamber, and of its stereo layers alone.
     hits : ndarray, int64
         Crossings of a gap with a cluster, counted per view, and cells.
     """
@@ -312,11 +312,11 @@ class FindingRates:
     fakes : Fraction
         Candidates that belong to no particle.
     clones : Fraction
-        Further candidates of a particle, among those of a particle.
+        Further candidates of a particle, among all that belong to particles.
     decays : Fraction
         Candidates of the daughters of a decay, the parent having its own, among all.
     loops : Fraction
-        Loop clones, that is candidates whose own hits are mostly of other half turns than the first, among all.
+        Loop clones among all candidates: most of their own hits are on later half turns.
     """
 
     efficiency: Fraction

@@ -120,7 +120,7 @@ class Quantity:
         Parameters
         ----------
         entries : ndarray, (..., tracks, 15) float64
-            Upper triangles of covariances of (dr, phi0, kappa, dz, tanl); further axes are those of detectors.
+            Upper triangles of covariances of (dr, phi0, kappa, dz, tanl); detectors may add axes in front.
         kappa, tanl : ndarray, (tracks,) float64, (GeV/c)^-1 and 1
 
         Returns

@@ -42,7 +42,7 @@ class SettingsData:
 
     @classmethod
     def from_dict(cls, given: Mapping[str, Any], source: str = "") -> Self:
-        """Return the settings that nested tables hold; what is left out has its default.
+        """Return the settings that nested tables hold; settings left out have their defaults.
 
         Parameters
         ----------

@@ -240,7 +240,7 @@ class Choice(NamedTuple):
 def one_of(classes: Mapping[str, type[Any]], register: str = "") -> dict[str, Choice]:
     """Return the metadata of a dataclass field that holds an instance of one of some classes.
 
-    Without it, the classes are those of the annotation. The mapping is read when a value is checked, so classes may be
+    Without it, the annotation names the classes. The mapping is read when a value is checked, so classes may be
     added to it later.
 
     Parameters
@@ -494,7 +494,7 @@ def build(
 ) -> T | None:
     """Return an instance of a dataclass made of a table; None, with problems added, if there are any.
 
-    `choices` are the classes of which this one was chosen: a key of another one is told apart from a misspelt one.
+    `choices` are all classes that could have been chosen: a key of another one is told apart from a misspelt one.
     """
     kinds, values, before = kinds_of(cls), {}, len(problems)
     defaults = {f.name: f for f in fields(cls)}  # type: ignore[arg-type]

@@ -38,7 +38,7 @@ def match(
     A track belongs to the particle that most hits of its candidate come from. If several particles have as many hits,
     it belongs to the first one in the table of particles. An XV point counts as two hits, its X and its V cluster.
     Noise belongs to no particle. Hits of the charged daughters of a decay count as hits of the particle here, but
-    neither in purity nor in efficiency. The efficiency is that of the first half turn.
+    neither in purity nor in efficiency. The efficiency counts the first half turn alone.
 
     Parameters
     ----------

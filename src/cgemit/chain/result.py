@@ -305,7 +305,7 @@ class Result:
 
 
 def result_of(run: Run[Settings], tables: Mapping[str, Table]) -> Result:
-    """Return the result of a run that was read, with tables of its own or some others."""
+    """Return the result of a run that was read, with its own tables or the given ones."""
     about: dict[str, Any] = {"gun": run.gun, "settings": run.settings, **run.detectors}
     about |= {name: run.entries[name] for name in ("seed", "timings")} | {"transported": run.entries.get("transported")}
     return Result(tables=tables, **about)

@@ -83,7 +83,7 @@ def register_readout(
         Its description: a frozen dataclass of settings, with a `name`.
     digitizer : type of Digitizer or None
     clusterer : type of Clusterer or None
-        None: that of the class which `readout` extends, such as `AnalogReadout`.
+        None: from the class which `readout` extends, such as `AnalogReadout`.
     """
     READOUTS[readout.name] = readout
     if digitizer is not None:

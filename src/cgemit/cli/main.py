@@ -88,7 +88,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     Parameters
     ----------
     argv : sequence of str, optional
-        Arguments without the program's name; default: those of the process.
+        Arguments without the program's name; default: the arguments of the process.
 
     Returns
     -------

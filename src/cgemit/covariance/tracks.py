@@ -143,7 +143,7 @@ def status_of(status: npt.NDArray[np.int8]) -> tuple[npt.NDArray[np.int8], Float
     Returns
     -------
     status : ndarray, (points,) int8
-        0 (ok) if any sample is, else that of most samples.
+        0 (ok) if any sample is ok, else the most frequent status.
     reached : ndarray, (points,) float64
     """
     ok = status == 0

@@ -88,7 +88,7 @@ def _base(table: object) -> str | None:
 def _material(
     reader: Reader, name: str, raw: object, found: Mapping[str, Material | None], old: Material | None
 ) -> Material | None:
-    """Return the material of a table; what it does not say is that of the `old` material of the same name."""
+    """Return the material of a table; values it leaves out come from the `old` material of the same name."""
     path = f"materials.{name}"
     if isinstance(raw, Mapping) and BELOW in raw:
         below = raw[BELOW]
@@ -367,7 +367,7 @@ def _field(reader: Reader, raw: object) -> Field:
         return Field(kind="uniform", bz=UNUSABLE)
     given = plain(reader.mapping("field", raw).get("kind", "uniform"))
     if not isinstance(given, str) or given not in KINDS:
-        # The other keys are checked as those of any kind.
+        # The other keys are checked as for every kind of field.
         kinds: list[Any] = list(KINDS.values())
         keys = {name: key for kind in kinds for name, key in keys_of(kind).items()}
         reader.table("field", raw, Field, keys=keys | {"kind": kind_key()})

@@ -44,7 +44,7 @@ def velocity_at(distance: npt.ArrayLike) -> Floats:
 def shifted(drift: Floats, time: Floats, shift: npt.ArrayLike) -> Floats:
     """Return measured drift distances after a shift of their drift times, (n,) float64, mm.
 
-    The deviation of a distance from that of its time, the resolution of the cell, stays.
+    The resolution of the cell stays: the deviation of the distance from the distance that the time gives.
 
     Parameters
     ----------

@@ -494,7 +494,7 @@ class _Materials:
         self._parent.extend(self._mixtures)
 
     def _mixture(self, name: str, parts: Sequence[Material]) -> ElementTree.Element:
-        """Return a material; that of several parts has the sum of their densities."""
+        """Return a material; a mixture has the sum of the densities of its parts."""
         density = sum(part.density for part in parts)
         shares: dict[str, float] = {}
         for part in parts:

@@ -361,7 +361,7 @@ def _chamber_gas(gas: _Gas, start: float, walls: tuple[tuple[float, float], ...]
 
 
 def _between(start: float, end: float, walls: Iterable[tuple[float, float]]) -> list[tuple[float, float]]:
-    """Return what is left of an interval without the walls in it."""
+    """Return the parts of an interval outside the walls in it."""
     edges = [start, *(edge for wall in sorted(walls) for edge in wall), end]
     return [(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a > TOUCH]
 

@@ -142,7 +142,7 @@ def draw_curves(
     ----------
     curves : sequence of Line
         All in the same units. Analytic ones are lines without points; simulated ones beside them are points without
-        lines, and the legend tells which is which.
+        lines, named in the legend.
     y_label, x_label : str
         Without the unit.
     paper : (float, float), optional

@@ -110,7 +110,7 @@ def draw_xy(detector: Detector | str | Mapping[str, Any], ax: Axes | None = None
     with style():
         ax, edge, rings = _view(detector, ax, r_max, (6.6, 6.4))
         for ring in rings:
-            # Thin cylinders stay visible: the edge line has a width of its own.
+            # Thin cylinders stay visible: the edge line has a fixed width.
             width = ring.r_out - ring.r_in
             color = _PARTS[ring.part]
             ax.add_patch(Annulus((0, 0), ring.r_out, width, facecolor=color, edgecolor=color, linewidth=0.5))

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 _TITLE_WIDTH = 98  # characters in the width of the picture
 
 
-#: Colours of tracks: none is that of a drift circle, a cluster or a true crossing.
+#: Colours of tracks, all different from those of drift circles, clusters and true crossings.
 TRACK_COLORS = ("#7A3E9D", "#222222", "#CC3377", "#6B3E26", "#7F7F00")
 GHOST = "#8A8A8A"
 

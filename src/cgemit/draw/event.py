@@ -136,7 +136,7 @@ class Path:
     p : float
         Momentum at the origin, GeV/c.
     row : int
-        Row of the track among those of the event.
+        Row of the track in the event.
     """
 
     points: Array

@@ -322,7 +322,7 @@ def source_of(gun: Any, n: int | None) -> tuple[Source | Guns | None, int, Table
     Raises
     ------
     ProblemsError
-        If `n` is not that of the particles.
+        If `n` is not the number of events of the particles.
     """
     if isinstance(gun, Source | Guns):
         return gun, 1000 if n is None else n, None

@@ -155,7 +155,7 @@ class Refinement:
         raise NotImplementedError
 
     def finish(self, detector: Detector, tables: Mapping[str, Table]) -> dict[str, Table]:
-        """Return tables that the refinement adds to those of the last fit, or puts in their place.
+        """Return tables that the refinement adds to the tables of the last fit, or puts in their place.
 
         Parameters
         ----------
@@ -191,8 +191,8 @@ class DriftTimes(Refinement):
 def expected(detector: Detector, wire_hits: Table) -> Table:
     """Return wire hits corrected for the delay at the middle of their wires, before any track is known.
 
-    The flight is that of light from the origin straight to the wire at z = 0. Errors include the uniform spread of the
-    propagation over the wire of length L, L/(v sqrt(12)) times the drift velocity.
+    The time of flight is taken for light on a straight line from the origin to the wire at z = 0. Errors include the
+    uniform spread of the propagation over the wire of length L, L/(v sqrt(12)) times the drift velocity.
 
     Parameters
     ----------

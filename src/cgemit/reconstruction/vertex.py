@@ -95,7 +95,7 @@ def pair_tracks(tracks: Table, particles: tuple[str, str] | None = None) -> Rows
     ----------
     tracks : Table of kind "tracks"
     particles : tuple of two str, or None
-        Where tracks were fitted with several hypotheses: those of the positive and of the negative track.
+        Where tracks were fitted with several hypotheses: the hypotheses of the positive and the negative track.
 
     Returns
     -------

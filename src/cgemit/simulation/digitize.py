@@ -210,7 +210,7 @@ def digitize(
 
 
 def outside_dead_areas(detector: Detector, digis: Table, truths: Table) -> Table:
-    """Return digis without those of crossings in the dead part of a seam or of an end.
+    """Drop the digis of crossings in the dead part of a seam or of an end.
 
     Parameters
     ----------
@@ -229,7 +229,7 @@ def outside_dead_areas(detector: Detector, digis: Table, truths: Table) -> Table
 
 
 def without_dead(detector: Detector, digis: Table) -> Table:
-    """Return digis without those of dead strips.
+    """Drop the digis of dead strips.
 
     Parameters
     ----------

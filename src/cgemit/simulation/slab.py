@@ -247,7 +247,7 @@ class LayerNumbers:
 class SlabResult:
     """Particles through plane layers of matter at normal incidence.
 
-    Plane angles are those of both planes across the flight together, of the particles that come through: half width
+    Plane angles are taken in both planes across the flight together, of the particles that come through: half width
     of the central 68.27 %, of 98 % over 2.326 and of 99.9 % over 3.291, which agree for a Gaussian. A width with
     fewer than five entries beyond it is None. Stopped particles count in the losses with their full kinetic energy.
 

@@ -88,7 +88,7 @@ def _counts(counts: Mapping[str, int]) -> str:
 def run_samples(
     orders: Sequence[Order], *, threads: int | None = None, progress: ShowProgress | None = None
 ) -> list[Sample]:
-    """Run the chain for each order; memory is that of the largest single run.
+    """Run the chain for each order, one after the other: the largest single run determines the memory.
 
     Parameters
     ----------

@@ -105,7 +105,7 @@ class CalibratedClusterer(Clusterer):
         digis : Table
         calibration : Calibration or None
         estimator : str or None
-            None: that of the read-out.
+            None: as the read-out says.
         bridge : int
             See `ClusterSettings`.
         directions : (clusters, 2) float64 or None

@@ -226,7 +226,7 @@ def _whole_groups(path: Path) -> list[dict[str, Any]]:
     return found[:complete]
 
 
-#: Violation of an impossible design, for each problem: worse than that of any limit.
+#: Violation of an impossible design, for each problem: worse than a violation of any limit.
 _IMPOSSIBLE = 1e6
 
 

@@ -93,7 +93,7 @@ class Confirmation(TidyResult):
     columns : dict of str to list
         One row for each design and resolution: `design`, `quantity`, `optimized`, `expected` of these tracks,
         `simulated`, `error` of the simulated value, `ratio` of simulated to expected with `ratio_error`, `to_base` and
-        `to_base_error`: the simulated value over that of the base, whose tracks have the same random numbers.
+        `to_base_error`: the simulated value over the base's, whose tracks have the same random numbers.
     events : int
         Of each design and point.
     """
@@ -330,7 +330,7 @@ class Optimization(TidyResult):
         return [rows[i] for i in np.linspace(0, len(rows) - 1, min(count, len(rows))).round().astype(int)]
 
     def confirm(self, designs: Sequence[int] | None = None, **how: Any) -> Confirmation:
-        """Return the resolutions of some designs beside those of simulated tracks.
+        """Compare the resolutions of some designs with the resolutions of simulated tracks.
 
         Parameters
         ----------

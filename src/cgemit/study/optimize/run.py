@@ -96,7 +96,7 @@ def optimize(
     constraints : mapping of str to (low, high)
         Limits of the same quantities in the unit of their column; None: no limit on this side.
     evaluate : Evaluation, a dict of its arguments, or its method
-        How resolutions are computed. All designs have the same tracks; the quantities are those of the objectives.
+        How resolutions are computed. All designs have the same tracks; the objectives name the quantities.
     search : Search, a dict of its arguments, or its method, optional
     background : Background or mapping, optional
         What "occupancy" needs: rate in kHz/cm2 at a radius ...
@@ -276,7 +276,7 @@ def read_optimize_plan(path: str | os.PathLike[str], changes: Mapping[str, Any] 
     FileNotFoundError
         If there is no such file.
     PlanError
-        With every problem of the plan's form; `optimize` lists those of its values.
+        With every problem of the plan's form; `optimize` lists problems of its values.
     """
     problems = Problems()
     tables = read_tables(path, changes or {}, KEYS, problems)

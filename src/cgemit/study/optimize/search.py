@@ -434,7 +434,7 @@ def descend(
     Raises
     ------
     NoStartError
-        If the first start, that of the base, is impossible.
+        If the first start, the base, is impossible.
     """
     own = [one.start(evaluator.base) for one in variables]
     pairs = zip(own, variables, strict=True)

@@ -139,7 +139,7 @@ class Reproduction(Shown, Tabular):
 
     @property
     def every_sample(self) -> list[Sample]:
-        """The samples at 1 GeV/c, and those of the momentum scans."""
+        """The samples at 1 GeV/c and of the momentum scans."""
         return [*self.samples.values(), *(s for scan in self.scans.values() for s in scan)]
 
     def summary(self) -> dict[str, Any]:
@@ -286,7 +286,7 @@ def _readout(sample: Sample) -> str:
 
 
 def _other_readout(name: str, sample: Sample, value: float, error: float) -> Row:
-    """Return the row of a number of clusters whose read-out is not that of the paper."""
+    """Return the row of a number of clusters whose read-out differs from the paper's."""
     paper = paper_values()[name].value
     text = "" if paper is None else f"{deviation(value, error, paper).capitalize()}. "
     note = f"{text}Read-out {_readout(sample)}; the paper's clusters are binary. docs/methods/readout.md says more."

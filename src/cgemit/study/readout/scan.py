@@ -256,7 +256,7 @@ class BeamScan(Shown):
         }
 
     def to_csv(self) -> str:
-        """Return the text of a CSV file, one row for a value and a view; widths are those of the core, in um."""
+        """Return the text of a CSV file, one row for a value and a view; widths are core widths, in um."""
         names = list(self.points[0][0].widths)
         unit = QUANTITIES[self.quantity].replace("/", "_per_")
         text = io.StringIO()

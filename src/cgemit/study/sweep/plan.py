@@ -144,7 +144,7 @@ def read_evaluation(
 
 
 def _function(method: str, problems: Problems) -> Any:
-    """Return the function of ``FILE.py:FUNCTION``; that of no detector, with a problem noted, if there is none."""
+    """Return the function of ``FILE.py:FUNCTION``; a placeholder, with a problem noted, if there is none."""
     file, _, name = method.rpartition(":")
     spec = importlib.util.spec_from_file_location(Path(file).stem, file)
     if spec is None or spec.loader is None or not Path(file).is_file():

@@ -195,7 +195,7 @@ class Sweep(TidyResult):
         by : str
             "part", "cause", "material" or "source".
         point : int
-            Momentum and angle: their number among those of a variant.
+            Number of the momentum and angle among the points of a variant.
         most : int
             Variants, in the order of the table; variants that cannot be built are left out.
 

@@ -337,7 +337,7 @@ def _is_part(given: Any) -> bool:
 
 
 def evaluation_of(given: Any, problems: Problems) -> Evaluation | None:
-    """Return an evaluation as it is, or that of a table or of a method; None, with problems noted, if it is wrong."""
+    """Return an evaluation as it is, or made of a table or a method; None, with problems noted, if it is wrong."""
     if isinstance(given, Evaluation):
         return given
     return build(Evaluation, given if isinstance(given, Mapping) else {"method": given}, "evaluate", problems)
