@@ -26,6 +26,7 @@ from pages import (
     paper,
     performance,
     pictures,
+    readme,
     robustness,
     settings,
 )
@@ -49,7 +50,7 @@ PAGES: dict[str, Page] = {
         settings.PAGE,
         data_model.PAGE,
         pictures.CONVENTIONS,
-        pictures.README,
+        readme.PAGE,
         pictures.GALLERY,
     )
 }

@@ -1,9 +1,7 @@
-"""Pictures of the documentation that show no measured numbers: conventions, README, gallery."""
+"""Pictures of the documentation that show no measured numbers: conventions, gallery."""
 
 from __future__ import annotations
 
-import os
-import re
 import runpy
 import tempfile
 from collections.abc import Sequence
@@ -19,6 +17,7 @@ from cgemit import helix
 from cgemit.draw.event import helix_points
 from cgemit.particles.table import particles_from
 from pages.page import ROOT, Found, Page
+from pages.readme import example, run_example
 
 MUON = {1: -13, -1: 13}  # PDG number by charge
 TRACK, AXIS, MARK, FAINT, LENGTH = "#0072B2", "#555555", "#CC3311", "#9AA3AD", "#009E73"
@@ -105,15 +104,8 @@ def strips(found: Found) -> Figure:
 
 def residual(found: Found) -> Figure:
     """Run the example of README.md as printed, and return the picture that it draws."""
-    (example,) = re.findall(r"^```python\n(.*?)^```", (ROOT / "README.md").read_text(), re.MULTILINE | re.DOTALL)
-    before = Path.cwd()
     with tempfile.TemporaryDirectory() as folder:
-        os.chdir(folder)
-        try:
-            names: dict[str, object] = {}
-            exec(compile(example, "README.md", "exec"), names)
-        finally:
-            os.chdir(before)
+        _, names = run_example(example(), Path(folder))
     return cg.draw.residual(names["result"], "p")
 
 
@@ -126,5 +118,4 @@ def masses(found: Found) -> Figure:
 
 
 CONVENTIONS = Page("conventions", "docs/conventions.md", "5 s", pictures={"helix.png": helices, "strips.png": strips})
-README = Page("readme", "README.md", "1 min", pictures={"momentum.png": residual})
-GALLERY = Page("gallery", "docs/gallery.md", "1 min", pictures={"kshort-mass.png": masses})
+GALLERY = Page("gallery", "docs/gallery.md", "1 min", pictures={"momentum.png": residual, "kshort-mass.png": masses})

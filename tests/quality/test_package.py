@@ -85,12 +85,6 @@ def test_readme_has_two_commands_that_install_and_run() -> None:
         assert second == program
 
 
-def test_readme_fits_on_a_screen() -> None:
-    assert len(README.splitlines()) <= 60
-    (example,) = blocks("python")
-    assert len(example.splitlines()) <= 12
-
-
 def test_links_of_the_documentation_lead_somewhere() -> None:
     pages = [path for path in repository_files() if path.suffix == ".md"]
     broken = [
@@ -111,16 +105,13 @@ def test_every_page_is_in_the_index_of_the_documentation() -> None:
 
 @pytest.mark.slow
 def test_readme_example_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The example as printed, but for fewer events: 20_000 becomes 500, and the study is its quick one."""
+    """The example as printed, but for 500 events instead of 20 000; test_pages.py compares what it prints."""
     (example,) = blocks("python")
-    for printed, quick in (("n=20_000", "n=500"), ('output="out"', 'output="out", events=400')):
-        assert example.count(printed) == 1, printed
-        example = example.replace(printed, quick)
+    assert example.count("n=20_000") == 1
     monkeypatch.chdir(tmp_path)
     mpl.use("agg")
-    exec(compile(example, "README.md", "exec"), {})
+    exec(compile(example.replace("n=20_000", "n=500"), "README.md", "exec"), {})
     assert (tmp_path / "momentum.png").stat().st_size > 10_000
-    assert (tmp_path / "out" / "report.html").exists()
 
 
 def test_check_script_is_bash_and_parses() -> None:
