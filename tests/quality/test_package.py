@@ -98,9 +98,9 @@ def test_links_of_the_documentation_lead_somewhere() -> None:
 
 
 def test_every_page_is_in_the_index_of_the_documentation() -> None:
-    index = (ROOT / "docs" / "README.md").read_text()
+    index = (ROOT / "docs" / "index.md").read_text()
     pages = [path.relative_to(ROOT / "docs").as_posix() for path in (ROOT / "docs").rglob("*.md")]
-    assert not [page for page in pages if page != "README.md" and f"({page})" not in index]
+    assert not [page for page in pages if page != "index.md" and f"({page})" not in index]
 
 
 @pytest.mark.slow

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import re
 import shlex
+from doctest import ELLIPSIS, NORMALIZE_WHITESPACE, OutputChecker
 from pathlib import Path
 from typing import Any
 
@@ -15,11 +16,11 @@ from cgemit.cli.main import main
 
 DOCS = Path(__file__).parents[2] / "docs"
 PAGES = sorted((DOCS / "how-to").glob("*.md"))
-#: Pages with Python that runs as it stands. The one of farm.md names a scheduler of the reader's.
+#: Pages with Python that runs as it stands.
 METHODS = [
     page
     for page in sorted([*DOCS.glob("*.md"), *(DOCS / "methods").glob("*.md")])
-    if page.name not in ("farm.md", "own_hits.md") and "```python" in page.read_text(encoding="utf-8")
+    if page.name not in ("own_hits.md",) and "```python" in page.read_text(encoding="utf-8")
 ]
 #: Modules whose names are public.
 MODULES = ("cgemit", *(f"cgemit.{name}" for name in ("study", "draw", "detector", "tables", "helix", "base.isa")))
@@ -61,8 +62,13 @@ def test_there_are_how_to_pages() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("page", PAGES, ids=lambda path: path.stem)
-def test_a_how_to_page_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its files are written under the names it gives, its commands and its Python run in their order."""
+def test_a_how_to_page_runs(
+    page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Its files are written under the names it gives, its commands and its Python run in their order.
+
+    A block of output holds what the Python before it prints; "..." stands for anything.
+    """
     monkeypatch.chdir(tmp_path)
     names: dict[str, Any] = {"__name__": page.stem}
     files = iter(re.findall(r"Save it as `([\w.]+)`", page.read_text(encoding="utf-8")))
@@ -75,7 +81,11 @@ def test_a_how_to_page_runs(page: Path, tmp_path: Path, monkeypatch: pytest.Monk
                 assert words[0] == "cgemit"
                 assert main(words[1:]) == 0, line
         elif language == "python":
+            capsys.readouterr()
             exec(compile(text, f"{page.name}", "exec"), names)
+        elif language == "output":
+            printed = capsys.readouterr().out
+            assert OutputChecker().check_output(text, printed, ELLIPSIS | NORMALIZE_WHITESPACE), printed
 
 
 @pytest.mark.slow
@@ -89,4 +99,4 @@ def test_the_python_of_a_page_runs(page: Path, tmp_path: Path, monkeypatch: pyte
 
 
 def test_pages_of_methods_are_found() -> None:
-    assert {"design", "sweeps", "readout", "states", "vertex"} <= {page.stem for page in METHODS}
+    assert {"sweeps", "optimize", "readout", "states", "vertex"} <= {page.stem for page in METHODS}

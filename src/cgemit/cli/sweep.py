@@ -46,7 +46,7 @@ EXAMPLES = """\
 examples:
   cgemit sweep plan.toml -o pitches
   cgemit sweep plan.toml -o pitches --set evaluate.events=500 --set 'vary.cgem.*.pitch_x=["400 um", "600 um"]'
-  cgemit sweep plan.toml -o pitches --array-index 3/20     part 3 of 0 to 19, for HTCondor and Slurm (docs/farm.md)
+  cgemit sweep plan.toml -o pitches --array-index 3/20     part 3 of 0 to 19 (docs/how-to/many_cores.md)
   cgemit sweep --merge pitches                             the table of all parts
 
 a plan:
