@@ -132,8 +132,8 @@ def _incidence(option: str, angles: list[float]) -> list[float]:
     if not all(abs(value) < _GRAZING for value in degrees):
         steepest = max(angles, key=abs)
         raise options.InputError(
-            f"{option}: got {math.degrees(steepest):g} deg, expected between -{_GRAZING} and {_GRAZING} deg; "
-            'numbers without a unit are rad ("25 deg" has one)'
+            f"{option}: got {steepest:g} rad = {math.degrees(steepest):g} deg, expected between -{_GRAZING} and "
+            f'{_GRAZING} deg; numbers without a unit are rad ("25 deg" has one)'
         )
     return degrees
 

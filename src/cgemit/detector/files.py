@@ -76,14 +76,10 @@ def open_source(source: str | Path | Mapping[str, Any], folder: Path | None = No
     path = Path(text) if folder is None else folder / text
     if not _is_file(path):
         known = ", ".join(preset_names())
-        given = _quoted(text)
-        if text and _is_file(path, Path.is_dir):
-            given += ", a folder"
-        elif path.suffix == ".toml" or path.parent.name:
-            given += ", which does not exist"
         problem = Problem(
-            "", given, f"one of {known}, or a detector file", did_you_mean(text[:_LONGEST], preset_names())
-        )
+            "", _no_file(path, text), f"one of {known}, or a detector file",
+            did_you_mean(text[:_LONGEST], preset_names()),
+        )  # fmt: skip
         raise DetectorError(text[:_LONGEST], [problem])
     try:
         tables = parse_toml(read_text(path))
@@ -93,10 +89,19 @@ def open_source(source: str | Path | Mapping[str, Any], folder: Path | None = No
 
 
 _LONGEST = 300  # characters of a path in a message
+_MAPS = (".npz", ".csv")
 
 
 def _quoted(text: str) -> str:
     return f'"{text}"' if len(text) <= _LONGEST else f'"{text[:_LONGEST]}..."'
+
+
+def _no_file(path: Path, text: str) -> str:
+    """Return the text that is no file, and why."""
+    if text and _is_file(path, Path.is_dir):
+        return f"{_quoted(text)}, a folder"
+    missing = path.suffix in (".toml", *_MAPS) or path.parent.name
+    return _quoted(text) + (", which does not exist" if missing else "")
 
 
 def is_preset(name: str) -> bool:
@@ -186,9 +191,9 @@ def field_tables(source: str | Path | Mapping[str, Any]) -> dict[str, Any]:
     if not _is_file(path):
         expected = f"one of {', '.join(fields())}, a map (.npz, .csv), or a TOML file with a table [field]"
         raise DetectorError(
-            text[:_LONGEST], [Problem("field", _quoted(text), expected, did_you_mean(text[:_LONGEST], fields()))]
+            text[:_LONGEST], [Problem("field", _no_file(path, text), expected, did_you_mean(text[:_LONGEST], fields()))]
         )
-    if path.suffix in (".npz", ".csv"):
+    if path.suffix in _MAPS:
         return {"kind": "map", "file": str(path.absolute())}
     try:
         return _field_of(text, parse_toml(read_text(path)), path.parent)

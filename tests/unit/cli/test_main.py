@@ -131,6 +131,15 @@ def test_failures_of_the_run_have_exit_code_3(monkeypatch, capsys, tmp_path):
         ["optimize", "absent.toml", "-o", "never"],
         ["validate", "absent.toml"],
         ["resolution", "-d", "besiii-cgem", "--p", "1", "--field", "absent.toml", "-o", "never"],
+        ["show", "absent.toml"],
+        ["study", "--field", "absent.npz", "-o", "never"],
+        ["find", "-d", "absent.toml", "--p", "1", "--cos-theta", "0", "-n", "1"],
+        ["display", "-d", "absent.toml", "--p", "1", "--cos-theta", "0", "-o", "never"],
+        ["refit", "-d", "besiii-cgem", "absent.rec"],
+        ["settings", "--settings", "absent.toml"],
+        ["readout", "--settings", "absent.toml"],
+        ["readout", "-d", "absent.toml", "--calibrate", "never.json"],
+        [*SIMULATE, "--set", "digitize.readout.calibration=absent.json", "--readout", "tiger", "-o", "never"],
     ],
 )
 def test_missing_files_are_named_in_words(arguments, capsys, tmp_path, monkeypatch):
@@ -138,6 +147,7 @@ def test_missing_files_are_named_in_words(arguments, capsys, tmp_path, monkeypat
     assert main(arguments) == 2
     said = capsys.readouterr().err
     assert "absent." in said
+    assert re.search("no such file|does not exist|is missing", said, re.IGNORECASE)
     assert "rrno" not in said
 
 
