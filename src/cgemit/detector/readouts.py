@@ -22,6 +22,9 @@ from cgemit.base.validate import Check, NotNegative, Positive
 Floats = npt.NDArray[np.float64]
 
 Share = Annotated[float, Check(lambda value: 0 <= value < 1, "a number from 0 to 1, 1 excluded")]
+# An avalanche of 1e8 electrons is a discharge (Raether's limit).
+Gain = Annotated[float, Check(lambda value: 0 < value <= 1e8, "a number above 0 and up to 1e8")]
+Width = Annotated[float, Check(lambda value: 0 < value <= 1000, "a number above 0 and up to 1000 mm")]
 # Of a strip and of a time, to far beyond any chip.
 Noise = Annotated[float, Check(lambda value: 0 <= value <= 1000, "0 to 1000 fC")]
 Jitter = Annotated[float, Check(lambda value: 0 <= value <= 10_000, "0 to 10000 ns")]
@@ -64,7 +67,7 @@ class BinaryReadout(Readout):
 
     name: ClassVar[str] = "binary"
 
-    gain: Positive = GAIN
+    gain: Gain = GAIN
     threshold: NotNegative = 1.7
 
 
@@ -89,9 +92,9 @@ class GaussianReadout(Readout):
 
     name: ClassVar[str] = "gaussian"
 
-    sigma_x: Positive = 0.1387
-    sigma_v: Positive = 0.1327
-    gain: Positive = GAIN
+    sigma_x: Width = 0.1387
+    sigma_v: Width = 0.1327
+    gain: Gain = GAIN
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -123,8 +126,8 @@ class ProjectionReadout(Readout):
 
     name: ClassVar[str] = "analog-projection"
 
-    gain: Positive = GAIN
-    sigma: Positive = 0.29
+    gain: Gain = GAIN
+    sigma: Width = 0.29
     threshold: Positive = 1.7
     noise: Noise = 0.5
     valley: Share = 0.4
@@ -276,15 +279,15 @@ class AnalogReadout(Readout):
 
     chip: ClassVar[Chip]
 
-    gain: Positive = GAIN
+    gain: Gain = GAIN
     polya: NotNegative = 0.36
     gain_fluctuation: bool = True
     survival: Probability = SURVIVAL
-    first_gain: Positive = 15.0
+    first_gain: Gain = 15.0
     diffusion: Factor = 1.0
     lorentz: bool = True
     holes: bool = True
-    share_spread: NotNegative = 0.1
+    share_spread: Factor = 0.1
     neighbour: Share = 0.0
     second_neighbour: Share = 0.0
     threshold_x: Positive = 2.0

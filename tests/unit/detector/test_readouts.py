@@ -26,6 +26,18 @@ from stats import assert_within
 DESIGN = load("besiii-cgem-design")
 
 
+@pytest.mark.parametrize("kind", READOUTS.values(), ids=READOUTS)
+def test_settings_that_make_infinite_charges_or_positions_are_refused(kind: type[Readout]) -> None:
+    """A gain of 1.7e308 made charges infinite."""
+    limits = {"gain": 1e8, "first_gain": 1e8, "sigma_x": 1000, "sigma_v": 1000, "sigma": 1000, "share_spread": 10}
+    limits = {name: most for name, most in limits.items() if name in kind.__dataclass_fields__}
+    kind(**limits)
+    for name, most in limits.items():
+        for wrong in (1.0001 * most, 1.7e308, np.nan, np.inf):
+            with pytest.raises(ValueError, match=rf"{name}: got .*, expected a number .*1"):
+                kind(**{name: wrong})
+
+
 @dataclass(frozen=True, kw_only=True)
 class OneStrip(Readout):
     """One strip a view fires, that under the middle of the crossing; its error is `scale` times pitch/sqrt(12)."""
