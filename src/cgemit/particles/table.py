@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import os
+from array import array
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -25,6 +26,9 @@ ENDINGS = (".hepmc", ".hepmc2", ".hepmc3", ".hepmc.gz", ".hepmc2.gz", ".hepmc3.g
 
 # Of momentum and length, as in a line "U GEV MM".
 _UNITS = {(momentum, length) for momentum in (b"GEV", b"MEV") for length in (b"MM", b"CM")}
+
+# A line of HepMC has some 200 bytes. A packed file may be much larger than it looks: only unpacked ones have any size.
+_LONGEST_LINE, _MOST_UNPACKED = 1_000_000, 1_000_000_000
 
 _FINAL = 1  # status of a particle that the generator did not let decay
 _COLUMNS = {"pdg": np.int64, "hepmc_id": np.int64} | dict.fromkeys(("x", "y", "z", "px", "py", "pz"), np.float64)
@@ -50,21 +54,20 @@ def read_hepmc(path: Path) -> tuple[dict[str, np.ndarray[Any, Any]], int]:
     FileNotFoundError
         If there is no such file.
     ValueError
-        If it is damaged or no HepMC file, or does not name its units.
+        If it is damaged or no HepMC file, does not name its units, or unpacks to more than 1 GB.
     """
     check_regular(path)
     pyhepmc = package("pyhepmc")
     expected = _events_of(path)
-    rows: list[tuple[float, ...]] = []
-    event: list[int] = []
-    number = 0
+    rows, event, number = array("d"), array("q"), 0  # 72 bytes a particle, less than its line
     try:
         with pyhepmc.open(str(path)) as stream:
             for one in stream:
                 one.set_units(pyhepmc.Units.GEV, pyhepmc.Units.MM)
-                final = [_row(particle) for particle in one.particles if particle.status == _FINAL]
-                rows += final
-                event += [number] * len(final)
+                for particle in one.particles:
+                    if particle.status == _FINAL:
+                        rows.extend(_row(particle))
+                        event.append(number)
                 number += 1
     except Exception as error:  # of pyhepmc: a damaged file is bad input, whatever notices it
         raise ValueError(f"{path} is not a complete HepMC file ({error})") from error
@@ -88,29 +91,42 @@ def _events_of(path: Path) -> int:
     pyhepmc ends in silence where it cannot go on, and takes GeV and mm where a file says nothing, or something else.
     """
     try:
-        begun, ended, marked = 0, False, False
-        units: list[bytes] = []
+        if path.suffix == ".gz" and _unpacks_to_too_much(path):
+            most = f"{_MOST_UNPACKED / 1e6:.0f} MB"
+            raise ParticleError(
+                str(path), [Problem("", f"more than {most} unpacked", f"at most {most}: split it, or unpack it before")]
+            )
+        begun, named, ended, marked = 0, 0, False, False
+        units: set[bytes] = set()
         with gzip.open(path, "rb") if path.suffix == ".gz" else path.open("rb") as stream:
-            for line in stream:
+            while line := stream.readline(_LONGEST_LINE):
+                if len(line) == _LONGEST_LINE:
+                    raise ValueError(f"a line has more than {_LONGEST_LINE} bytes")
                 begun += line.startswith(b"E ")
                 if line.startswith(b"U "):
-                    units.append(line)
+                    units.add(line)
+                    named += 1
                 marked = marked or (line.startswith(b"HepMC::") and b"START_EVENT_LISTING" in line)
                 ended = (line.startswith(b"HepMC::") and b"END_EVENT_LISTING" in line) or (ended and not line.strip())
+    except ParticleError:
+        raise
     except (OSError, EOFError, ValueError) as error:
         raise ValueError(f"{path} is not a complete HepMC file ({error})") from error
     if not marked or not ended:
         what = "its last line does not end the list of events" if marked else "it does not begin a list of events"
         raise ValueError(f"{path} is not a complete HepMC file: {what}")
-    wrong = sorted({line for line in units if tuple(line.split()[1:]) not in _UNITS})
+    wrong = sorted(line for line in units if tuple(line.split()[1:]) not in _UNITS)
     if wrong:
         text = wrong[0].decode("ascii", "replace").strip()
         raise ValueError(f"{path}: got the units {text!r:.50}; expected GEV or MEV, then MM or CM")
-    if len(units) < begun:
-        raise ValueError(
-            f"{path}: {begun - len(units)} of its {begun} events do not name their units; expected U lines"
-        )
+    if named < begun:
+        raise ValueError(f"{path}: {begun - named} of its {begun} events do not name their units; expected U lines")
     return begun
+
+
+def _unpacks_to_too_much(path: Path) -> bool:
+    with gzip.open(path, "rb") as stream:
+        return stream.seek(_MOST_UNPACKED) == _MOST_UNPACKED and bool(stream.read(1))  # in small blocks
 
 
 class ParticleError(ProblemsError):

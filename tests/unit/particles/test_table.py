@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import tracemalloc
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ import pytest
 
 import cgemit as cg
 from cgemit.cli.main import main
+from cgemit.particles import table
 from cgemit.particles.gun import generate
 from cgemit.particles.table import ParticleError, particles_from, read_hepmc
 
@@ -95,6 +97,31 @@ def test_damaged_hepmc_is_refused(file: Path, change: Any, message: str) -> None
     file.write_bytes(change(file.read_bytes()))
     with pytest.raises(ValueError, match=rf"events.hepmc is not a complete HepMC file: {message}"):
         cg.run(DESIGN, file)
+
+
+def test_packed_hepmc_that_unpacks_to_too_much_is_refused(
+    file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    data, packed = file.read_bytes(), tmp_path / "packed.hepmc.gz"
+    packed.write_bytes(gzip.compress(data))
+    monkeypatch.setattr(table, "_MOST_UNPACKED", len(data))
+    assert len(read_hepmc(packed)[0]["pdg"]) > 0
+    monkeypatch.setattr(table, "_MOST_UNPACKED", len(data) - 1)
+    with pytest.raises(
+        ValueError, match=r"packed.hepmc.gz: 1 problem\n  got more than .* MB unpacked, expected at most"
+    ):
+        read_hepmc(packed)
+    assert len(read_hepmc(file)[0]["pdg"]) > 0  # its size is there to see
+
+
+def test_hepmc_without_lines_is_refused_before_it_is_unpacked(file: Path, tmp_path: Path) -> None:
+    packed = tmp_path / "zeros.hepmc.gz"
+    packed.write_bytes(gzip.compress(file.read_bytes() + bytes(200_000_000), 1))
+    tracemalloc.start()
+    with pytest.raises(ValueError, match=r"is not a complete HepMC file .a line has more than 1000000 bytes"):
+        read_hepmc(packed)
+    assert tracemalloc.get_traced_memory()[1] < 20_000_000
+    tracemalloc.stop()
 
 
 def test_other_damaged_files_are_refused(tmp_path: Path) -> None:
