@@ -11,8 +11,6 @@
 # ---
 
 # %% [markdown]
-# # From a detector to a resolution
-# %% [markdown]
 # # Resolution without events
 #
 # `cg.analytic` returns the covariance of a track in microseconds: which resolution a tracker reaches, what makes it,
@@ -137,7 +135,7 @@ show()
 try:
     import ipywidgets
 except ImportError:
-    print('pip install "cgemit[notebook]" for sliders')
+    sliders = 'pip install "cgemit[notebook]" for sliders'
 else:
     sliders = ipywidgets.interactive(
         show, radius=(76.0, 100.0, 1.0), pitch=(300.0, 1000.0, 50.0), foils=(1, 3), p=(0.15, 2.0, 0.05)

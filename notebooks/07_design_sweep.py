@@ -11,8 +11,6 @@
 # ---
 
 # %% [markdown]
-# # From a detector to a resolution
-# %% [markdown]
 # # A design question
 #
 # How would BESIII trade radii, pitch and material of its CGEM layers for $\sigma(d_\rho)$, $\sigma(p)$ and the number
