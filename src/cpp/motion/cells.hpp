@@ -95,14 +95,18 @@ class CellFinder {
 
   CellFinder(const Detector& detector, Motion& motion) : wires_(detector.wires), motion_(motion) {}
 
-  // Finds every cell between the radial borders, for the tracks `who` that do not turn back below them.
+  // Finds every cell between the radial borders, for the tracks `who` that neither turn back below them nor
+  // stay beyond the wires.
   Mask find(std::size_t index, const Point& from, const Mask& who, CellRange<T, Point>& range) {
     const WireLayer& layer = wires_[index];
     range.at_wires = from;
     const T cylinder = wire_radius(layer, from.z);
     const Mask reached = motion_.to_cylinder(range.at_wires, cylinder, range.arc, true, who);
     left_ = who & motion_.left();
-    if (const Mask turns = who & !reached & !left_; any(turns)) {
+    Mask ahead = who & !left_;
+    if (const Mask missed = ahead & !reached; any(missed)) {
+      ahead = ahead & (reached | (from.radius() < cylinder));
+      const Mask turns = missed & ahead;
       T arc(0.0);
       motion_.to_apex(range.at_wires, arc, turns);
       range.arc = select(turns, arc, range.arc);
@@ -112,7 +116,7 @@ class CellFinder {
     if (any(reached))
       found =
           by_slope(layer, borders, cylinder, reached, range.at_wires).cells(T(0.0), range.first, range.last);
-    const Mask others = who & !found & !left_;
+    const Mask others = ahead & !found;
     return any(others) ? found | step_by_step(layer, from, borders, others, range) : found;
   }
   // The borders' crossings by tracks that are at the wires' distance from the beam line, `radius`.

@@ -15,6 +15,7 @@ from cgemit.reconstruction.find.truth import own_clusters
 from cgemit.reconstruction.fit import fit
 from cgemit.simulation.background import BackgroundSettings
 from cgemit.tables import Table
+from tracks import on_helix
 
 QUIET = cg.Settings(simulate=cg.SimulateSettings(decays=False, fluctuations="gaussian"))
 PAIR = cg.Gun("mu-", p=(0.3, 1.0), cos_theta=(-0.6, 0.6)) + cg.Gun("pi+", p=(0.2, 0.5), cos_theta=(-0.6, 0.6))
@@ -396,6 +397,34 @@ def test_displaced_tracks_within_the_inner_chamber():
     finding = cg.study.finding(run)
     assert finding.rates().efficiency.count >= 29
     assert finding.purity > 0.99
+
+
+def mirror_image(detector, wire_hits):
+    """The detector and the hits, reflected at the plane of x and z."""
+    chamber = detector.drift_chamber
+    layers = [
+        dataclasses.replace(layer, phi_east=-layer.phi_east, twist_cells=-layer.twist_cells) for layer in chamber.layers
+    ]
+    cells = np.array([layer.cells for layer in layers])[wire_hits["layer"]]
+    return (
+        dataclasses.replace(detector, drift_chamber=dataclasses.replace(chamber, layers=tuple(layers))),
+        wire_hits.with_columns(wire=(-wire_hits["wire"] % cells).astype("i4")),
+    )
+
+
+@pytest.mark.parametrize("tanl", [-0.7, 0.7])
+@pytest.mark.parametrize("dr", [-150.0, -110.0, 110.0, 150.0])
+def test_displaced_tracks_and_their_mirror_images(dr, tanl):
+    """Layers inside of the closest approach to the beam line have no hits, on whichever side it is."""
+    phi0, pt = np.linspace(-3, 3, 25), np.linspace(0.3, 0.6, 25)
+    helices = np.stack(
+        [np.full(25, dr), phi0, np.where(np.arange(25) % 2, 1, -1) / pt, 0 * pt, np.full(25, tanl)], axis=1
+    )
+    run = cg.run("besiii-idc", on_helix(helices, 211), settings=cg.Settings(simulate=QUIET_DISPLACED), until="find")
+    assert found_of(run).rates().efficiency.count == 25
+    mirror, wires = mirror_image(run.detector, run.wire_hits)
+    tables = run.tables | dict(cg.find_tracks(mirror, run.clusters, wires))
+    assert cg.study.finding(cg.Result(**(vars(run) | {"tables": tables}))).rates().efficiency.count == 25
 
 
 @pytest.mark.parametrize("dead", [(12, 13), (8, 17, 20, 30), (9, 10, 11)])
