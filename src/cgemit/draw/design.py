@@ -48,10 +48,10 @@ def draw_budget(budget: Budget, by: By = "part", *, most: int = 8) -> Picture:
     ValueError
         If `by` is not known, or the points are not a line of momenta.
     """
-    if budget.p.ndim != 1 or len(np.unique(budget.p)) < 2 or np.ptp(budget.cos_theta) > 1e-12 or most < 1:
+    if budget.p.ndim != 1 or len(np.unique(budget.p)) < 2 or np.ptp(budget.cos_theta) > 1e-12 or not _is_count(most):
         raise ValueError(
             f"draw_budget: got momenta of shape {budget.p.shape}, cos(theta) {np.unique(budget.cos_theta)[:4]}, most "
-            f"{most}; expected a list of two momenta or more at one cos(theta), and most of at least 1"
+            f"{most!r}; expected a list of two momenta or more at one cos(theta), and most of at least 1"
         )
     order = np.argsort(budget.p, kind="stable")
     p = budget.p[order]
@@ -98,9 +98,11 @@ def draw_budgets(budgets: Mapping[str, Budget], by: By = "part", *, most: int = 
     ValueError
         If there is no budget, or one of several points.
     """
-    if not budgets or most < 1 or any(one.p.size != 1 for one in budgets.values()):
+    if not budgets or not _is_count(most) or any(one.p.size != 1 for one in budgets.values()):
         sizes = [one.p.size for one in budgets.values()]
-        raise ValueError(f"draw_budgets: got {sizes} points, most {most}; expected budgets of one point, and most > 0")
+        raise ValueError(
+            f"draw_budgets: got {sizes} points, most {most!r}; expected budgets of one point, and most of 1 or more"
+        )
     first = next(iter(budgets.values()))
     pieces = _pieces(budgets, by, most)
     unit = shown(first.unit)
@@ -130,6 +132,10 @@ def draw_budgets(budgets: Mapping[str, Budget], by: By = "part", *, most: int = 
         right = 1 - 1.4 / width
         picture.subplots_adjust(left=before / width, right=right, top=1 - 0.35 / tall, bottom=0.55 / tall)
     return picture
+
+
+def _is_count(value: object, least: int = 1) -> bool:
+    return isinstance(value, int | np.integer) and bool(value >= least)
 
 
 def _pieces(budgets: Mapping[str, Budget], by: By, most: int) -> dict[str, Floats]:
@@ -178,9 +184,9 @@ def draw_sensitivity(sensitivity: Sensitivity, *, point: int = 0, most: int = 15
         If there is no such point, or nothing to draw.
     """
     points = sensitivity.p.size
-    if not 0 <= point < points or most < 1:
+    if not (_is_count(point, 0) and point < points and _is_count(most)):
         raise ValueError(
-            f"draw_sensitivity: got point {point}, most {most}; "
+            f"draw_sensitivity: got point {point!r}, most {most!r}; "
             f"expected a point from 0 to {points - 1}, and most of at least 1"
         )
     values = sensitivity.values.reshape(len(sensitivity.keys), len(sensitivity.quantities), points)[..., point]

@@ -115,6 +115,18 @@ def test_what_cannot_be_drawn_is_refused(covariance, sensitivity):
         draw_sensitivity(replace(sensitivity, values=np.full_like(sensitivity.values, np.nan)))
 
 
+@pytest.mark.parametrize("most", ["a", 0, 1.5, None])
+def test_numbers_of_groups_that_are_none_are_refused(most, covariance, sensitivity):
+    one = cg.analytic(DESIGN, p=1.0, samples=2).budget("p")
+    for draw in (
+        lambda: draw_budget(covariance.budget("p"), most=most),
+        lambda: cg.draw.draw_budgets({"design": one}, most=most),
+        lambda: draw_sensitivity(sensitivity, most=most),
+    ):
+        with pytest.raises(ValueError, match=rf"most {most!r}; expected .*most of "):
+            draw()
+
+
 DESIGN_SWEEP = cg.load("besiii-cgem-design")
 
 
