@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -569,8 +569,9 @@ def _best(descent: Descent) -> Design | None:
 def rounded(base: Detector, variables: tuple[Variable, ...], values: tuple[Any, ...]) -> tuple[Any, ...]:
     """Return values in which a pitch of one layer is such that whole strips fill the sheet.
 
-    The number of strips stays. X strips fill the sheet around the layer, V strips the sheet across them. A pitch that
-    several layers share, and one that would leave its range, stay as they are.
+    The number of strips stays. X strips fill the sheet around the layer, V strips the sheet across them, where they are
+    counted: from the first X strip to the last, unless their number is a variable, too. A pitch that several layers
+    share, and one that would leave its range, stay as they are.
 
     Parameters
     ----------
@@ -580,6 +581,7 @@ def rounded(base: Detector, variables: tuple[Variable, ...], values: tuple[Any, 
         Of the variables.
     """
     found = list(values)
+    given = {path for one in variables for key in one.key.split(",") for path in matching(base, key.strip(), [])}
     for view in "xv":  # V strips cross the X strips: these come first
         detector = base.with_overrides(dict(changes_of(variables, found)))
         for i, one in enumerate(variables):
@@ -588,7 +590,7 @@ def rounded(base: Detector, variables: tuple[Variable, ...], values: tuple[Any, 
                 continue
             layer = next(layer for layer in detector.cgem if paths[0] == f"cgem.{layer.label}.pitch_{view}")
             now = value_at(detector, paths[0])
-            wanted = found[i] * _filling(layer, view) / now[0] if now else found[i]
+            wanted = found[i] * _filling(layer, view, given) / now[0] if now else found[i]
             # Downward in the last of the eight digits, so that the last strip still fits.
             wanted = math.floor(wanted * 10 ** (7 - _digits(wanted))) / 10 ** (7 - _digits(wanted))
             found[i] = wanted if one.low <= wanted <= one.high else found[i]
@@ -599,10 +601,14 @@ def _digits(value: float) -> int:
     return math.floor(math.log10(value))
 
 
-def _filling(layer: CgemLayer, view: str) -> float:
-    """Return the pitch with which the strips of a view fill the sheet."""
+def _filling(layer: CgemLayer, view: str, given: Collection[str]) -> float:
+    """Return the pitch with which the strips of a view fill the sheet; `given` keys do not follow from it."""
     width = 2 * math.pi * layer.r_readout / layer.sheets
     if view == "x":
         return width / layer.strips_x
     across = layer.strips_x * layer.pitch_x * math.cos(layer.stereo) + layer.length * math.sin(abs(layer.stereo))
-    return across / (layer.strips_v + layer.offset_v)
+    counted = across - layer.pitch_x * math.cos(layer.stereo)
+    pitch = math.inf if f"cgem.{layer.label}.strips_v" in given else counted / layer.strips_v
+    # An offset that is no variable is 0, or changes with the pitch.
+    offset = layer.offset_v if f"cgem.{layer.label}.offset_v" in given else 0.0
+    return min(pitch, across / (layer.strips_v + offset))

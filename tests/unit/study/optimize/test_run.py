@@ -166,6 +166,24 @@ def test_the_optimum_has_sheets_full_of_whole_strips(found: Optimization) -> Non
     assert inventory.channels(found.detector()) == found["channels"][-1]
 
 
+@pytest.mark.parametrize("preset", ["besiii-cgem-design", "besiii-cgem"])
+@pytest.mark.parametrize("pitch", [700.0, 812.3, 555.5])
+def test_as_many_strips_fill_the_sheet(preset: str, pitch: float) -> None:
+    """Of `besiii-cgem` the V strips are centred: their offset follows from the pitch."""
+    base = cg.load(preset)
+    variables = (
+        Variable("cgem.L1.pitch_x", 400.0, 900.0, unit="um"),
+        Variable("cgem.L1.pitch_v", 400.0, 900.0, unit="um"),
+    )
+    before, after = (
+        base.with_overrides({one.key: f"{value!r} um" for one, value in zip(variables, values, strict=True)}).cgem[0]
+        for values in ((pitch, pitch), rounded(base, variables, (pitch, pitch)))
+    )
+    assert after.strips_x == before.strips_x
+    width = (after.strips_x - 1) * after.pitch_x * math.cos(after.stereo)
+    assert after.strips_v * after.pitch_v == pytest.approx(width + after.length * math.sin(abs(after.stereo)), rel=1e-6)
+
+
 def test_strips_that_begin_off_the_corner_fill_the_rest_of_the_sheet() -> None:
     """With an offset of 7.5 strips, as many less fit across the X strips."""
     base = DESIGN.with_overrides({"cgem.L2.strips_v": 1000})
