@@ -38,6 +38,7 @@ PARTICLES = {"mu-": _LIGHT, "mu+": _LIGHT, "pi-": _LIGHT, "pi+": _LIGHT, "K-": _
 MOMENTA = tuple(sorted({*_LIGHT, *_HEAVY}))
 ANGLES = (0.0, 0.5, 0.8)
 DETECTORS = ("besiii-cgem-design", "besiii-cgem", "besiii-idc", "besiii-idc-boss")
+SIDE_RANGES = ((-1.0, 0.0), (0.0, 0.26), (0.26, 0.65), (0.65, 9.0))  # mm, of drift distances on the page
 
 FAR = 8.0  # a pull beyond is another helix, no fluctuation: such tracks are counted, and not in the widths
 N_SIGMA = 4.0  # standard errors of a number that it may be off
@@ -492,8 +493,8 @@ def blocks(found: Found) -> dict[str, str]:
         "loss-events": found["losses"].about["events"],
         "side-events": found["sides"].about["events"],
         **{f"pulls-{mode}": _pull_table(results, mode) for mode in MODES},
-        "off": _off_table(results, slow=False),
-        "off-slow": _off_table(results, slow=True),
+        "off": _off_text(results, slow=False),
+        "off-slow": _off_text(results, slow=True),
         "residual-pulls": _residual_text(results),
         "widths": _width_table(results.widths),
         "fit-losses": _loss_table(results),
@@ -528,16 +529,17 @@ def _pull_table(results: FitResults, mode: str) -> str:
     return table(head, lines)
 
 
-def _off_table(results: FitResults, slow: bool) -> str:
-    off = [row for row in results.pulls if row.mode == "gaussian" and not row.agrees and (row.p < 0.15) == slow]
-    lines = []
-    for row in off:
-        point = [row.detector, row.particle, f"{row.p:g}", f"{row.cos_theta:g}", row.parameter]
-        numbers = [f"{row.width:.3f}", f"{row.mean:+.4f} ± {row.mean_error:.4f}", f"{row.bias:+.4f}"]
-        expected = [f"{row.expected_mean:+.4f}", f"{row.expected_bias:+.4f}"]
-        lines.append([*point, *numbers] if slow else [*point, *numbers, *expected])
-    head = ["detector", "particle", "p, GeV/c", "cos(theta)", "parameter", "width", "mean", "bias"]
-    return table(head if slow else [*head, "mean, optimal", "bias, optimal"], lines)
+def _off_text(results: FitResults, slow: bool) -> str:
+    rows = [row for row in results.pulls if row.mode == "gaussian" and (row.p < 0.15) == slow]
+    off = [row for row in rows if not row.agrees]
+    text = f"{len(off)} of {len(rows)} pulls"
+    if off:
+        farthest = max(off, key=lambda row: abs(row.mean))
+        text += f", the mean farthest from 0 {farthest.mean:+.3f} ± {farthest.mean_error:.3f} ({_where(farthest)})"
+    if off and not slow:  # the optimum is not worked out for slow tracks
+        apart = max(off, key=lambda row: abs(row.mean - row.expected_mean))
+        text += f"; from the optimal estimate's mean they differ by at most {abs(apart.mean - apart.expected_mean):.3f}"
+    return text
 
 
 def _residual_text(results: FitResults) -> str:
@@ -560,22 +562,17 @@ def _flat(rows: Sequence[Chi2]) -> str:
 
 
 def _width_table(rows: Sequence[Width]) -> str:
-    quoted = {"dr": ("sigma(d_rho), um", 1000.0), "dz": ("sigma(d_z), mm", 1.0), "p": ("sigma(p), MeV/c", 1000.0)}
     lines = []
-    muons = [row for row in rows if row.particle.startswith("mu")]
-    for name, p, angle in itertools.product(DETECTORS, MOMENTA, ANGLES):
+    for name in DETECTORS:
         cells = []
-        for quantity, (_, scale) in quoted.items():
-            found = [row for row in muons if (row.detector, row.p, row.cos_theta) == (name, p, angle)]
-            found = [row for row in found if row.quantity == quantity]
-            if found:
-                ratio = sum(row.ratio for row in found) / len(found)
-                optimal = scale * sum(row.optimal for row in found) / len(found)
-                cells += [f"{optimal:.4g}", f"{ratio:.3f}" + ("" if all(row.agrees for row in found) else " **(off)**")]
-        if cells:
-            lines.append([name, f"{p:g}", f"{angle:g}", *cells])
-    head = ["detector", "p, GeV/c", "cos(theta)", *(f"optimal {text} | ratio" for text, _ in quoted.values())]
-    return table(head, lines)
+        for quantity in ("dr", "dz", "p"):
+            found = [row for row in rows if (row.detector, row.quantity) == (name, quantity)]
+            ratios = [row.ratio for row in found]
+            off = sum(not row.agrees for row in found)
+            cells.append(f"{min(ratios):.3f} to {max(ratios):.3f}" + (f" **({off} off)**" if off else ""))
+        points = {(row.particle, row.p, row.cos_theta) for row in rows if row.detector == name}
+        lines.append([name, len(points), *cells])
+    return table(["detector", "points", "sigma(d_rho)", "sigma(d_z)", "sigma(p)"], lines)
 
 
 def _loss_table(results: FitResults) -> str:
@@ -592,12 +589,11 @@ def _loss_table(results: FitResults) -> str:
 
 def _side_table(results: FitResults) -> str:
     lines = []
-    for row in results.sides:
-        if row.n:
-            share = f"{100 * row.wrong / row.n:.4f}"
-            cells = [f"{row.n:.0f}", f"{row.wrong:.0f}", share]
-            lines.append([f"{row.p:g}", f"{row.first:g} to {row.last:g}", *cells])
-    return table(["p, GeV/c", "drift distance, mm", "hits", "wrong", "wrong, %"], lines)
+    for p, (low, high) in itertools.product(dict.fromkeys(row.p for row in results.sides), SIDE_RANGES):
+        rows = [row for row in results.sides if row.p == p and low <= row.first + 1e-3 < high]
+        hits, wrong = (sum(getattr(row, name) for row in rows) for name in ("n", "wrong"))
+        lines.append([f"{p:g}", f"{low:g} to {high:g}", f"{hits:.0f}", f"{100 * wrong / hits:.4f}"])
+    return table(["p, GeV/c", "drift distance, mm", "hits", "wrong, %"], lines)
 
 
 def _known_table(results: FitResults) -> str:

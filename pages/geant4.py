@@ -224,7 +224,6 @@ def blocks(found: Found) -> dict[str, str]:
         "scattering": _scattering_table(rows),
         "gas": _gas_table(rows),
         "loss": _loss_table(rows),
-        "losses": _shown_table(rows),
         **_spans(rows),
     }
 
@@ -271,18 +270,6 @@ def _loss_table(rows: Sequence[Comparison]) -> str:
             cells += [f"{found[name].value:.4g}", _ratio(found[name])]
         lines.append([TITLES[slab], f"{p:g}", *cells])
     return table(head, lines)
-
-
-def _shown_table(rows: Sequence[Comparison]) -> str:
-    names = {"mean": "mean", "mode": "most probable", "fwhm": "FWHM", "q01": "1 %", "q16": "16 %", "q50": "median",
-             "q84": "84 %", "q99": "99 %"}  # fmt: skip
-    models = {"WVI": "universal", "PAI": "photo-absorption"}
-    lines = []
-    for slab, p, model in dict.fromkeys((r.slab, r.p, r.model) for r in rows if r.model in models):
-        found = {r.quantity.removeprefix("loss_kev_"): r for r in rows if (r.slab, r.p, r.model) == (slab, p, model)}
-        cells = [f"{found[name].ratio:.3f}" if name in found else "–" for name in names]
-        lines.append([TITLES[slab], f"{p:g}", models[model], *cells])
-    return table(["slab", "p, GeV/c", "Geant4's model", *names.values()], lines)
 
 
 def _ratio(row: Comparison) -> str:
