@@ -15,6 +15,7 @@ from cgemit.chain.record import Run, gun_data, read_run, record, write_run
 from cgemit.chain.settings import EVERY_RUN, TABLES, NotKeptError, Settings, detectors_of, finder_in, hits_by, left_out
 from cgemit.detector import Detector
 from cgemit.particles.gun import Guns, Source
+from cgemit.reconstruction.find.ckf import BEYOND
 from cgemit.reconstruction.fit import FitStatus
 from cgemit.simulation.transport import transport_counts
 from cgemit.tables import SCHEMAS, Table, select_events
@@ -84,6 +85,7 @@ class Result:
     clusters = _Stored()
     candidates = _Stored()
     candidate_hits = _Stored()
+    searches = _Stored()
     refined_clusters = _Stored()
     refined_wire_hits = _Stored()
     fitted = _Stored("tracks")
@@ -206,6 +208,12 @@ class Result:
         status = column_of(self.tables, "tracks", "status")
         return {s.name: n for s in FitStatus if s != FitStatus.ok and (n := int((status == s).sum()))}
 
+    def beyond_search(self) -> int:
+        """Count the events whose search for tracks left out seeds at a limit; 0 if the finder does not tell."""
+        if "searches" not in self.tables:
+            return 0
+        return int((column_of(self.tables, "searches", "limits") & BEYOND != 0).sum())
+
     def transport(self) -> dict[str, int]:
         """Count the particles of each transport status."""
         if "particles" not in self.tables:
@@ -293,6 +301,8 @@ class Result:
         rows.append(("rows", ", ".join(f"{name} {number:,}" for name, number in self.rows.items())))
         if self.finder is not None:
             rows.append(("hits", hits_by(self.finder)))
+        if beyond := self.beyond_search():
+            rows.append(("search", f"{beyond:,} {'event' if beyond == 1 else 'events'} beyond the search"))
         rows.append(("time", f"{self.timings['wall']:.2f} s"))
         return rows
 

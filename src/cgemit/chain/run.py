@@ -351,6 +351,8 @@ def check_stages(
         problems.note("until", repr(until), f"one of {', '.join(map(repr, STAGES))}")
     elif settings is not None:
         made = tables_made(str(until), settings)
+        if "candidates" in made and finder != "truth":
+            made = (*made, "searches")
         missing = [name for name in names if name in TABLES and name not in made]
         if missing:
             problems.note("keep", f"{', '.join(missing)}, which this run does not make", f"some of {', '.join(made)}")

@@ -28,7 +28,7 @@ STAGES = ("simulate", "digitize", "cluster", "find", "fit")  # where a run can e
 
 TABLES = (
     *("particles", "decays", "truths", "steps", "wire_truths", "digis", "wire_hits", "clusters"),
-    *("candidates", "candidate_hits", "refined_clusters", "refined_wire_hits"),
+    *("candidates", "candidate_hits", "searches", "refined_clusters", "refined_wire_hits"),
     *("tracks", "residuals", "states", "start_times", "matches"),
 )
 

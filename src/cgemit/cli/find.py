@@ -89,12 +89,14 @@ def run(arguments: argparse.Namespace) -> int:
         "version": __version__, "command": arguments.line, "detector": detector.name, "events": arguments.events,
         "seed": arguments.seed, "settings": settings.to_dict(),
         "time_per_event": {"value": 1e3 * seconds / arguments.events, "unit": "ms"},
+        "beyond_search": result.beyond_search(),
         **numbers_of(found), **({} if linked is None else {"loops": loop_numbers(linked)}),
     }  # fmt: skip
     text = json.dumps(about, indent=2, allow_nan=False)
     if arguments.output:
         _write(found, text, arguments.output, overwrite=arguments.overwrite)
     rows = [] if linked is None else linked.rows()
+    rows.append(("events beyond the search", f"{result.beyond_search():,}"))
     rows.append(("time of an event", f"{1e3 * seconds / arguments.events:.2f} ms"))
     options.say(text if arguments.json else "\n".join([repr(found), *(f"  {name:<48}{value}" for name, value in rows)]))
     if arguments.output:

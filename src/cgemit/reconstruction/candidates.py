@@ -230,8 +230,8 @@ def _without_repeats(clusters: Table, label: Column) -> Column:
 
 #: A finder takes detector, clusters and wire hits, and returns tables of candidates and their hits.
 Finder = Callable[[Detector, Table, Table], Mapping[str, Table]]
-#: Tables that a finder returns.
-FOUND = ("candidates", "candidate_hits")
+#: Tables that a finder returns, and one that it may return.
+FOUND, MAY_FIND = ("candidates", "candidate_hits"), "searches"
 
 
 def by_finder(finder: Finder, detector: Detector, clusters: Table, wire_hits: Table) -> dict[str, Table]:
@@ -246,7 +246,7 @@ def by_finder(finder: Finder, detector: Detector, clusters: Table, wire_hits: Ta
     Returns
     -------
     dict of str to Table
-        ``candidates`` and ``candidate_hits``, with the finder's name in `meta`.
+        ``candidates`` and ``candidate_hits``, with the finder's name in `meta`; ``searches`` if it returns them.
 
     Raises
     ------
@@ -271,7 +271,7 @@ def finder_name(finder: object) -> str:
 
 
 def check_found(found: object, finder: str, events: npt.NDArray[Any]) -> dict[str, Table]:
-    """Return the two tables that a finder has made.
+    """Return the tables that a finder has made.
 
     Parameters
     ----------
@@ -292,7 +292,7 @@ def check_found(found: object, finder: str, events: npt.NDArray[Any]) -> dict[st
             f"a mapping with {', '.join(map(repr, found)) or 'nothing'}" if isinstance(found, Mapping) else what(found)
         )
         raise TypeError(f"finder {finder}: returned {given}; expected a mapping with 'candidates' and 'candidate_hits'")
-    tables = {name: found[name] for name in FOUND}
+    tables = {name: found[name] for name in (*FOUND, MAY_FIND) if name in found}
     problems = kind_problems(**tables) or [
         f"{name}: cover other events than the clusters; expected the same"
         for name, table in tables.items()

@@ -50,9 +50,9 @@ def reconstruct(
     Returns
     -------
     dict of str to Table
-        ``candidates``, ``candidate_hits``, ``tracks`` and what else `fit` makes; ``refined_clusters`` and
-        ``refined_wire_hits``, row by row those measured, where a refinement corrects them; ``start_times`` if they
-        are fitted.
+        ``candidates``, ``candidate_hits`` and what else the finder makes, ``tracks`` and what else `fit` makes;
+        ``refined_clusters`` and ``refined_wire_hits``, row by row those measured, where a refinement corrects them;
+        ``start_times`` if they are fitted.
 
     Raises
     ------
@@ -107,7 +107,7 @@ def turns(
             found = by_finder(finder, detector, hits.clusters, hits.wire_hits)
             yield "find", found
         fitted = _fitted(detector, hits, found, early)
-        turn = Turn(number, last + 1, hits, **found, **fitted)
+        turn = Turn(number, last + 1, hits, found["candidates"], found["candidate_hits"], **fitted)
         hits = measured
         for one in refinements:
             hits = one.refine(detector, hits, turn)

@@ -346,6 +346,12 @@ _CANDIDATE_HITS = (
     link("row", "the cluster or wire hit", ("clusters", "clusters", "wire_hits", "clusters")),
 )
 
+_SEARCHES = (
+    EVENT,
+    whole("seeds", "number of seeds that were followed"),
+    column_of("i1", "limits", "", "sum of the limits that the search has reached (SearchLimits); 0 none"),
+)
+
 _KINDS = (
     ("particles", _PARTICLES, "one generated particle"),
     ("decays", _DECAYS, "one charged daughter of a decay in flight"),
@@ -357,6 +363,7 @@ _KINDS = (
     ("clusters", _CLUSTERS, "one X, V or XV cluster"),
     ("candidates", _CANDIDATES, "one set of hits that is taken for one track"),
     ("candidate_hits", _CANDIDATE_HITS, "one hit of a candidate"),
+    ("searches", _SEARCHES, "one event and how the search for its tracks ended, if the finder tells"),
     ("refined_clusters", _CLUSTERS, "the row of the same number of `clusters`, corrected by the fitted tracks"),
     ("refined_wire_hits", _WIRE_HITS, "the row of the same number of `wire_hits`, corrected by the fitted tracks"),
     ("tracks", TRACKS, "one candidate, with one mass, and the track fitted to it"),

@@ -61,6 +61,7 @@ py::dict run_find(const Detector& detector, const Array<std::int64_t>& event_off
   out["chi2"] = to_numpy(std::move(found.chi2));
   out["holes"] = to_numpy(std::move(found.holes));
   out["seeds"] = to_numpy(std::move(found.seeds));
+  out["limits"] = to_numpy(std::move(found.limits));
   return out;
 }
 
@@ -70,6 +71,6 @@ void bind_find(py::module_& module) {
   module.def(
       "find_tracks", &run_find, py::arg("detector"), py::kw_only(), py::arg("event_offsets"), py::arg("hits"),
       py::arg("settings"), py::arg("pairs") = py::dict(),
-      "Tracks of each event: event, offsets of their hits, numbers of the hits, score; and how many seeds "
-      "each event had.");
+      "Tracks of each event: event, offsets of their hits, numbers of the hits, score; and of each event "
+      "how many seeds were followed and which limits cut the search off.");
 }

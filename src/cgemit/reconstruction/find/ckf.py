@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import enum
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
@@ -95,6 +96,23 @@ class FindSettings(SettingsData):
 Column = npt.NDArray[Any]
 
 
+class SearchLimits(enum.IntFlag):
+    """Limits that the search for the tracks of an event has reached (docs/methods/find.md); 0 is good."""
+
+    segments = 1
+    circles = 2
+    boxes = 4
+    local = 8
+    heights = 16
+    layers = 32
+    failures = 64
+
+
+#: Limits behind which tracks may be left. Boxes and circles of the chamber are tried in the order of their layers, so
+#: that a search which ends with `boxes` or `failures` has seen the best ones: it ends like this in usual background.
+BEYOND = ~(SearchLimits.boxes | SearchLimits.failures)
+
+
 def find_tracks(
     detector: Detector | str | Mapping[str, Any],
     clusters: Table,
@@ -114,7 +132,7 @@ def find_tracks(
     Returns
     -------
     dict of str to Table
-        ``candidates``, the best one of an event first, and ``candidate_hits``.
+        ``candidates``, the best one of an event first, ``candidate_hits`` and ``searches``.
 
     Raises
     ------
@@ -220,4 +238,7 @@ def _tables(
     return {
         "candidates": Table("candidates", candidates, **about),
         "candidate_hits": Table("candidate_hits", hits, **about),
+        "searches": Table(
+            "searches", {"event": clusters.events, "seeds": found["seeds"], "limits": found["limits"]}, **about
+        ),
     }

@@ -15,7 +15,6 @@ namespace cgemit {
 namespace {
 
 constexpr double cell_psi = 2 * pi / 64;
-constexpr int most_boxes = 600;  // divided in one event
 constexpr double beam_line = 5;  // mm, distance of tracks from the beam line that the fit expects
 
 }  // namespace

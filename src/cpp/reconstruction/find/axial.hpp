@@ -27,9 +27,12 @@ class AxialSearch {
   void start();
   // The circle with the most layers; its hits are left out afterwards. None: too few layers.
   std::optional<FoundCircle> next();
+  // Whether boxes were left that might hold circles.
+  bool is_cut() const { return divided_ >= most_boxes && !heap_.empty(); }
 
  private:
   static constexpr int columns = 64, rows = 64;
+  static constexpr int most_boxes = 600;  // divided in one event
 
   struct Box {
     int layers, depth;

@@ -52,6 +52,7 @@ void AxialHits::load(const EventHits& hits) {
     occupancy += hits.occupancy(i);
     ++layers;
   }
+  layers_ = layers + static_cast<int>(gaps);
   const double share = layers > 0 ? occupancy / layers : 0;
   least_ = settings_.least_axial + static_cast<int>(per_occupancy * share);
   least_slow_ = std::min(least_, slow_layers + static_cast<int>(per_occupancy_slow * share));

@@ -38,6 +38,8 @@ class AxialHits {
   // Layers that a circle needs: more where many cells fire by chance. A slow particle turns back after a few,
   // with several cells in each.
   int least(double w) const { return std::abs(w) > slow_w_ ? least_slow_ : least_; }
+  // Whether so many cells fire by chance that a circle needs more layers than there are.
+  bool are_too_many() const { return least_ > layers_; }
   // 1/mm, of the smallest transverse momentum.
   double largest_w() const { return largest_w_; }
 
@@ -54,7 +56,7 @@ class AxialHits {
   double largest_w_;
   std::vector<AxialPoint> points_;
   double slow_w_;
-  int least_ = 0, least_slow_ = 0;
+  int least_ = 0, least_slow_ = 0, layers_ = 0;
 };
 
 }  // namespace cgemit

@@ -36,24 +36,35 @@ class EventFinder {
     follower_.start(hits_);
     tracks_.clear();
     seeds_ = 0;
+    limits_ = 0;
+    stereo_.start();
     if (detector_.wires.empty() && detector_.cgem.size() == 3) {
       if (settings_.segments) from_segments();
       return tracks_;
     }
-    if (settings_.segments && detector_.cgem.size() >= 3)
+    if (settings_.segments && detector_.cgem.size() >= 3) {
       for (const FindSeed& seed : segments_.three_layers(hits_)) try_segment(seed);
+      reach(limit_segments, segments_.is_cut());
+    }
     if (settings_.chamber) from_chamber();
-    if (settings_.segments && detector_.cgem.size() >= 2)
+    if (settings_.segments && detector_.cgem.size() >= 2) {
       for (const FindSeed& seed : segments_.two_layers(hits_))
         if (!is_found(seed)) try_segment(seed);
+      reach(limit_segments, segments_.is_cut());
+    }
     settle();
     if (settings_.annealing) annealing_.share(tracks_, hits_);
     return tracks_;
   }
   const EventHits& hits() const { return hits_; }
   std::int64_t seeds() const { return seeds_; }
+  std::uint8_t limits() const { return limits_; }
 
  private:
+  void reach(SearchLimit limit, bool cut) {
+    if (cut) limits_ = static_cast<std::uint8_t>(limits_ | limit);
+  }
+
   void settle() {
     kinds_.clear();
     for (std::int32_t id = 0; id < hits_.size(); ++id) {
@@ -69,6 +80,7 @@ class EventFinder {
   void from_segments() {
     constexpr std::size_t shared_parts = 3;  // a third of the clusters may belong to better tracks
     for (const FindSeed& seed : segments_.tracks(hits_)) {
+      reach(limit_segments, segments_.is_cut());
       ++seeds_;
       std::size_t shared = 0;
       for (const std::int32_t id : seed.hits) shared += hits_.is_taken(id) ? 1 : 0;
@@ -139,11 +151,15 @@ class EventFinder {
 
   void from_chamber() {
     axial_hits_.load(hits_);
+    reach(limit_layers, axial_hits_.are_too_many());
     axial_.start();
     follow_circles(axial_);
+    reach(limit_boxes, axial_.is_cut());
     axial_hits_.load(hits_);
     local_.start(hits_);
+    reach(limit_local, local_.is_cut());
     follow_circles(local_);
+    reach(limit_heights, stereo_.is_cut());
   }
 
   template <class Search>
@@ -158,6 +174,8 @@ class EventFinder {
         failures = 0;
         break;
       }
+      reach(limit_circles, n + 1 == settings_.max_seeds);
+      reach(limit_failures, failures == most_failures);
     }
   }
 
@@ -211,6 +229,7 @@ class EventFinder {
   bool stereo_only_;
   std::vector<FoundTrack> tracks_;
   std::int64_t seeds_ = 0;
+  std::uint8_t limits_ = 0;
 };
 
 }  // namespace
@@ -232,6 +251,7 @@ FindOutput find_tracks(const Detector& detector, const FindInput& input, const F
       out.holes.push_back(track.holes);
     }
     out.seeds.push_back(finder.seeds());
+    out.limits.push_back(finder.limits());
   }
   return out;
 }

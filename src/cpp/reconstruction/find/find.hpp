@@ -36,13 +36,26 @@ struct FindInput {
   PairScores pairs = {};
 };
 
+// Limits that a search has reached, each a bit. Names are those of `cgemit.reconstruction.find.ckf`.
+enum SearchLimit : std::uint8_t {
+  limit_segments = 1,   // combinations or seeds of CGEM segments
+  limit_circles = 2,    // circles in the chamber that were followed
+  limit_boxes = 4,      // divided boxes
+  limit_local = 8,      // segments in the chamber
+  limit_heights = 16,   // heights of one circle
+  limit_layers = 32,    // layers that a circle needs, where so many cells fire
+  limit_failures = 64,  // circles in a row that led to no track beyond doubt
+};
+
 // Hits `offsets[i]` to `offsets[i + 1]` of track i, as numbers of the input's hits, from the beam line
 // outward. The tracks of an event follow each other, the best one first.
 struct FindOutput {
   std::vector<std::int64_t> event, offsets, hits;
   std::vector<double> score, chi2;
   std::vector<std::int64_t> holes;
-  std::vector<std::int64_t> seeds;  // of each event: seeds that were followed
+  // Of each event: seeds that were followed, and the limits that cut the search off (`SearchLimit`).
+  std::vector<std::int64_t> seeds;
+  std::vector<std::uint8_t> limits;
 };
 
 FindOutput find_tracks(const Detector& detector, const FindInput& input, const FindSettings& settings);

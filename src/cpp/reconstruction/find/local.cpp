@@ -53,9 +53,11 @@ void LocalSearch::start(const EventHits& hits) {
     pairs({ring, ring + 1, ring + 3}, hits);
   }
   // Where cells fire by chance, segments without a missing layer must do, the straightest ones.
+  cut_ = segments_.size() >= most_segments;
   if (segments_.size() > many_segments) {
     std::erase_if(segments_, [](const Segment& s) { return std::popcount(s.layers) < int{ring_layers}; });
     std::ranges::stable_sort(segments_, [](const Segment& a, const Segment& b) { return a.off < b.off; });
+    cut_ = cut_ || segments_.size() > many_segments;
     segments_.resize(std::min(segments_.size(), many_segments));
   }
   for (const Segment& segment : segments_) continued(segment);

@@ -24,6 +24,8 @@ class LocalSearch {
   void start(const EventHits& hits);
   // The circle with the most layers; its hits are left out afterwards. None: too few layers.
   std::optional<FoundCircle> next();
+  // Whether segments were left out that might lead to circles.
+  bool is_cut() const { return cut_; }
 
  private:
   static constexpr int bins = 200;
@@ -65,6 +67,7 @@ class LocalSearch {
   std::vector<Curve> curves_;
   BitCounts<words> counts_;  // layers of each bin of w
   std::size_t next_ = 0;
+  bool cut_ = false;
 };
 
 }  // namespace cgemit

@@ -45,6 +45,7 @@ void SegmentFinder::load(const EventHits& hits, bool all) {
   seeds_.clear();
   ranks_.clear();
   work_ = 0;
+  dropped_ = false;
   for (std::size_t layer = 0; layer < points_.size(); ++layer) {
     points_[layer].clear();
     const CgemLayer& cgem = detector_.cgem[layer];
@@ -231,6 +232,7 @@ void SegmentFinder::add(const Perigee& helix, double sigma_d, std::vector<std::i
 // Leaves the best seeds, in their order; of equal ones the first found.
 void SegmentFinder::keep_best() {
   std::ranges::stable_sort(ranks_, [](const Ranked& a, const Ranked& b) { return a.rank < b.rank; });
+  dropped_ = dropped_ || ranks_.size() > static_cast<std::size_t>(settings_.max_seeds);
   ranks_.resize(std::min(static_cast<std::size_t>(settings_.max_seeds), ranks_.size()));
   sorted_.clear();
   for (Ranked& one : ranks_) {

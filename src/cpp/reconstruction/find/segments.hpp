@@ -30,6 +30,8 @@ class SegmentFinder {
   // In a detector of three layers alone, a segment is all that a track has: those with three or two heights
   // in order of their scores, without those that chance explains as well.
   const std::vector<FindSeed>& tracks(const EventHits& hits);
+  // Whether the last call left out combinations or seeds.
+  bool is_cut() const { return too_much() || dropped_; }
 
  private:
   using Layers = std::array<std::size_t, 3>;  // from the beam line outward
@@ -80,6 +82,7 @@ class SegmentFinder {
   // Combinations that have been looked at in this event; no more than a second's worth.
   static constexpr std::int64_t most_work = 100'000'000;
   std::int64_t work_ = 0;
+  bool dropped_ = false;  // seeds beyond `max_seeds`
 };
 
 }  // namespace cgemit

@@ -80,6 +80,7 @@ const std::vector<FoundLine>& StereoSearch::find(const FoundCircle& circle, cons
   lines_.clear();
   strips(circle, hits);
   wires(circle, hits);
+  cut_ = cut_ || heights_.size() > most_heights;
   if (heights_.size() > most_heights) heights_.resize(most_heights);
   std::ranges::fill(grid_, 0);
   std::ranges::fill(counts_, 0);

@@ -20,7 +20,11 @@ class StereoSearch {
   StereoSearch(const Detector& detector, const FindSettings& settings);
 
   // Up to `most` lines through measurements of at least two layers that are not taken, the best one first.
+  void start() { cut_ = false; }
   const std::vector<FoundLine>& find(const FoundCircle& circle, const EventHits& hits, std::size_t most);
+
+  // Whether heights were left out since `start`.
+  bool is_cut() const { return cut_; }
 
  private:
   static constexpr int slopes = 128, bins = 64;
@@ -40,6 +44,7 @@ class StereoSearch {
   std::vector<std::uint64_t> grid_;   // layers of each bin, one bit each
   std::vector<std::uint8_t> counts_;  // their number
   std::vector<FoundLine> lines_;
+  bool cut_ = false;
 };
 
 }  // namespace cgemit

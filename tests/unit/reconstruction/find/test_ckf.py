@@ -177,7 +177,7 @@ def test_points_that_are_only_in_xv_clusters(run):
     found = cg.find_tracks(run.detector, alone, run.wire_hits)
     views = found["candidate_hits"]["view"]
     assert set(views.tolist()) == {HIT_WIRE, HIT_XV}
-    tracks = fit(run.detector, alone, run.wire_hits, **found)["tracks"]
+    tracks = fit(run.detector, alone, run.wire_hits, found["candidates"], found["candidate_hits"])["tracks"]
     assert (tracks["status"] == cg.FitStatus.ok).mean() > 0.9
 
 
@@ -216,6 +216,32 @@ def test_a_third_of_all_cells_at_random_is_bounded_work(name):
         hits = found["candidate_hits"]
         on_wires = hits["row"][hits["view"] == HIT_WIRE]
         assert len(np.unique(on_wires)) == len(on_wires)  # no wire hit is of two tracks
+
+
+@pytest.mark.parametrize("name", ["besiii-cgem", "besiii-idc"])
+def test_events_beyond_the_search_are_marked(name):
+    """Cells fired without tracks, all or every other one, and a quiet event."""
+    run = cg.run(name, PAIR, n=3, settings=QUIET, until="find", finder="ckf")
+    layers = run.detector.drift_chamber.layers
+    of = [np.arange(0, layer.cells, 1 + event) for event in (0, 1) for layer in layers]
+    per_event = sum(layer.cells for layer in layers)
+    columns = {column: np.zeros(sum(map(len, of)), run.wire_hits[column].dtype) for column in run.wire_hits}
+    columns |= {
+        "event": np.repeat([0, 1], [per_event, sum(map(len, of)) - per_event]),
+        "layer": np.repeat([layer.number for layer in layers] * 2, [len(one) for one in of]).astype("i4"),
+        "wire": np.concatenate(of).astype("i4"), "drift": np.full(sum(map(len, of)), 2.0),
+        "sigma": np.full(sum(map(len, of)), 0.13), "wire_truth": np.full(sum(map(len, of)), -1),
+    }  # fmt: skip
+    quiet = run.wire_hits[run.wire_hits["event"] == 2]
+    columns = {column: np.concatenate([values, quiet[column]]) for column, values in columns.items()}
+    wires = Table("wire_hits", columns, 3)
+    found = cg.find_tracks(run.detector, run.clusters[run.clusters["event"] == 2], wires)
+    assert (found["searches"]["limits"] != 0).tolist() == [True, True, False]
+    assert found["searches"]["event"].tolist() == [0, 1, 2]
+    beyond = cg.Result(**(vars(run) | {"tables": run.tables | found}))
+    assert (run.beyond_search(), beyond.beyond_search()) == (0, 2)
+    assert "2 events beyond the search" in repr(beyond)
+    assert "beyond the search" not in repr(run)
 
 
 def test_random_events_never_crash(run):
