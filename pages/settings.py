@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import inspect
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 from cgemit.base.validate import Choice, classes_in, expected, kinds_of
 from cgemit.chain.settings import Settings
 from pages.page import Found, Page, table
+
+Rows = Sequence[Sequence[str]]
 
 
 def blocks(found: Found) -> dict[str, str]:
@@ -17,20 +19,34 @@ def blocks(found: Found) -> dict[str, str]:
     return {"settings": "".join(part for stage, cls in kinds_of(Settings).items() for part in sections(stage, cls))}
 
 
-def sections(path: str, cls: type[Any], name: str = "") -> Iterator[str]:
-    """Yield the table of a class of settings, then the tables of the classes that its settings may hold."""
+def sections(path: str, cls: type[Any], name: str = "", like: str = "", others: Rows = ()) -> Iterator[str]:
+    """Yield the table of a class of settings, then the tables of the classes that its settings may hold.
+
+    `others` are the rows of the class `like` that this class resembles: only rows that differ are in the table.
+    """
     choice = f' with `name = "{name}"`' if name else ""
-    settings, about, lines = cls(), meanings(cls), []
+    note = f"As `{like}`, but for:\n\n" if like else ""
+    rows = table(["setting", "default", "allowed", "meaning"], [row for row in rows_of(cls) if row not in others])
+    yield f"\n### `[{path}]`{choice}: {cls.__name__}\n\n{note}{rows}\n"
+    for field, kind in kinds_of(cls).items():
+        known: dict[str, Rows] = {}
+        for inner_name, inner in classes_in(kind).items():
+            own = rows_of(inner)
+            alike = [one for one, rows in known.items() if 2 * sum(row in rows for row in own) > len(own)]
+            first = alike[0] if alike else ""
+            yield from sections(f"{path}.{field}", inner, inner_name, first, known.get(first, ()))
+            known[inner_name] = own
+
+
+def rows_of(cls: type[Any]) -> Rows:
+    """Return name, default, allowed values and meaning of each setting of a class."""
+    settings, about, rows = cls(), meanings(cls), []
     for field, kind in kinds_of(cls).items():
         value = getattr(settings, field)
         default = f'"{value.name}"' if isinstance(kind, Choice) else shown(value)
         cells = [f"`{field}`", default, expected(kind), about.get(field, "")]
-        lines.append([cell.replace("|", r"\|") for cell in cells])
-    rows = table(["setting", "default", "allowed", "meaning"], lines)
-    yield f"\n### `[{path}]`{choice}: {cls.__name__}\n\n{rows}\n"
-    for field, kind in kinds_of(cls).items():
-        for inner_name, inner in classes_in(kind).items():
-            yield from sections(f"{path}.{field}", inner, inner_name)
+        rows.append([cell.replace("|", r"\|") for cell in cells])
+    return rows
 
 
 def shown(value: object) -> str:

@@ -245,10 +245,12 @@ class AnalogReadout(Readout):
         Whether electrons move to the centre of the nearest hole of the first foil.
     share_spread : float
         Standard deviation of ln(charge on X / charge on V) from crossing to crossing; both views have half on average.
-    neighbour, second_neighbour : float
-        Share of a strip's current that its neighbours see, and those beyond them (capacitive coupling).
+    neighbour : float
+        Share of a strip's current that each neighbour sees (capacitive coupling).
+    second_neighbour : float
+        The same for the strips beyond the neighbours.
     threshold_x, threshold_v : float
-        fC.
+        fC, least amplitude of a strip that is read out.
     noise : float
         fC, of an amplitude.
     jitter : float

@@ -34,9 +34,9 @@ class ClusterSettings(SettingsData):
     bridge : int
         Dead and hot strips in a row that a cluster may bridge; the error of its position grows.
     reference_p : float
-        GeV/c.
+        GeV/c, momentum of the reference sample from which the errors of clusters follow.
     reference_cos_theta : float
-        The sample covers cos(theta) from minus to plus this, uniformly.
+        The reference sample covers cos(theta) from minus to plus this, uniformly.
 
     Raises
     ------
