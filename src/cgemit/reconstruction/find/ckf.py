@@ -6,7 +6,7 @@ import enum
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -149,15 +149,18 @@ def find_tracks(
         problems = ["wire_hits: cover other events than the clusters; expected the same"]
     if problems:
         raise ValueError("find_tracks:\n  " + "\n  ".join(problems))
-    event, view, hits = _measurements(clusters, wire_hits)
+    event, view, hits, points, number = _measurements(clusters, wire_hits)
     order = np.argsort(event, kind="stable")
+    place = np.empty_like(order)
+    place[order] = np.arange(len(order))
+    points, number = _Points(points.row, place[points.x], place[points.v]), np.where(number < 0, -1, place[number])
     offsets = np.searchsorted(event[order], np.append(clusters.events, np.iinfo(np.int64).max)).astype(np.int64)
+    hits = {name: np.ascontiguousarray(column[order]) for name, column in hits.items()}
     found = _core.find_tracks(
-        compiled(detector, gaps=False), event_offsets=offsets,
-        hits={name: np.ascontiguousarray(column[order]) for name, column in hits.items()},
-        settings=_core_settings(settings), pairs=_pairs(clusters, view[order], hits["row"][order]),
+        compiled(detector, gaps=False), event_offsets=offsets, hits=hits, settings=_core_settings(settings),
+        pairs=_pairs(clusters, number),
     )  # fmt: skip
-    return _tables(found, clusters, view[order], hits["row"][order], settings)
+    return _tables(found, clusters, view[order], hits["row"], points, settings)
 
 
 def _core_settings(settings: FindSettings) -> dict[str, Any]:
@@ -170,22 +173,44 @@ def _core_settings(settings: FindSettings) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _measurements(clusters: Table, wire_hits: Table) -> tuple[Column, Column, dict[str, Column]]:
-    """Return event, view in `candidate_hits`, and columns of all measurements: X, V, and wires.
+class _Points(NamedTuple):
+    """XV clusters whose X and V are in no rows of their own: row, and numbers of X and V among the measurements."""
 
-    An XV cluster is left out if its X and V clusters are in the table, and otherwise gives two measurements.
+    row: Column
+    x: Column
+    v: Column
+
+
+#: X of several points that differ by less are one cluster, mm, and V: far below a pitch, above the rounding of files.
+_SAME = 0.01
+
+
+def _measurements(clusters: Table, wire_hits: Table) -> tuple[Column, Column, dict[str, Column], _Points, Column]:
+    """Return event, view in `candidate_hits`, and columns of all measurements: X, V, and wires; points; and numbers.
+
+    An XV cluster is left out if its X and V clusters are in the table. Otherwise it is a point, whose X and V may be
+    those of others, too: each is one measurement, as is a cluster that is given twice. The numbers are those of the
+    measurements of X and V clusters, (clusters,) int64.
     """
     unknown = np.flatnonzero(~np.isin(clusters["view"], (HIT_X, HIT_V, XV_CLUSTER)))
     if len(unknown):
         view = clusters["view"][unknown[0]]
         raise ValueError(f"find_tracks: clusters row {unknown[0]}: view: got {view}, expected 0, 1 or 2")
     points = (clusters["view"] == XV_CLUSTER) & (clusters["x_cluster"] < 0)
-    x = np.flatnonzero((clusters["view"] == HIT_X) | points)
-    v = np.flatnonzero((clusters["view"] == HIT_V) | points)
+    size = clusters["size"] * (clusters["method"] == 0) * (clusters["view"] != XV_CLUSTER)
+    x, v = (np.flatnonzero((clusters["view"] == view) | points) for view in (HIT_X, HIT_V))
+    (first_x, of_x), (first_v, of_v) = (
+        _merged(clusters, rows, points[rows], size[rows], name) for rows, name in ((x, "x"), (v, "v"))
+    )
+    number = np.full((2, len(clusters)), -1)
+    number[HIT_X, x], number[HIT_V, v] = of_x, of_v + len(first_x)
+    rows = np.flatnonzero(points)
+    _, once = np.unique(number[:, rows], axis=1, return_index=True)
+    of_points = _Points(rows[once], *number[:, rows[once]])
+    x, v = x[first_x], v[first_v]
     strips = np.concatenate([x, v])
     kind = np.repeat([HIT_X, HIT_V], [len(x), len(v)])
     n = len(wire_hits)
-    size = clusters["size"] * (clusters["method"] == 0) * (clusters["view"] != XV_CLUSTER)
 
     def both(of_strips: Column, of_wires: Column, dtype: str) -> Column:
         return np.concatenate([of_strips, of_wires]).astype(dtype)
@@ -200,23 +225,58 @@ def _measurements(clusters: Table, wire_hits: Table) -> tuple[Column, Column, di
         "row": both(strips, np.arange(n), "i8"),
     }
     view = both(np.where(points[strips], HIT_XV, kind), np.full(n, HIT_WIRE), "i1")
-    return both(clusters["event"][strips], wire_hits["event"], "i8"), view, hits
+    event = both(clusters["event"][strips], wire_hits["event"], "i8")
+    return event, view, hits, of_points, np.where(points, -1, number.max(axis=0))
 
 
-def _pairs(clusters: Table, view: Column, row: Column) -> dict[str, Column]:
+def _merged(clusters: Table, rows: Column, points: Column, size: Column, name: str) -> tuple[Column, Column]:
+    """Return the first of the rows of each measurement of one view, and the measurement of each row, both int64."""
+    value, sigma = clusters[name][rows], clusters[f"err_{name}"][rows]
+    keys = (size, points, clusters["sheet"][rows], clusters["layer"][rows], clusters["event"][rows])
+    order = np.lexsort((sigma, value, *keys))
+    new = np.ones(len(rows), np.bool_)
+    if len(rows):
+        near = np.where(points[order][1:], _SAME, 0.0)
+        new[1:] = ~(np.diff(value[order]) <= near) | ~(np.abs(np.diff(sigma[order])) <= near)
+        for key in keys:
+            new[1:] |= key[order][1:] != key[order][:-1]
+    number = np.empty(len(rows), np.int64)
+    number[order] = np.cumsum(new) - 1
+    return order[new], number
+
+
+def _pairs(clusters: Table, number: Column) -> dict[str, Column]:
     """Return the scores of XV clusters with the numbers of their X and V among the measurements, if there are any."""
     pairs = np.flatnonzero(np.nan_to_num(clusters["score"]) * (clusters["x_cluster"] >= 0))
     if not len(pairs):
         return {}
-    number = np.full(len(clusters), -1, np.int64)
-    of_clusters = np.flatnonzero(view < HIT_WIRE)
-    number[row[of_clusters]] = of_clusters
     x, v = (number[clusters[name][pairs]] for name in ("x_cluster", "v_cluster"))
     return {"x": x, "v": v, "score": clusters["score"][pairs]}
 
 
+def _rejoined(candidate: Column, hit: Column, points: _Points, n: int) -> Column:
+    """Return the row of the point that a candidate has of each X of its points, -1 for V, and where it has no V to it.
+
+    Parameters
+    ----------
+    candidate, hit : ndarray, (hits,) int64
+        Candidate and measurement, X or V of a point.
+    points : _Points
+    n : int
+        Number of measurements.
+    """
+    order = np.argsort(points.x, kind="stable")
+    begin, end = (np.searchsorted(points.x, hit, side=side, sorter=order) for side in ("left", "right"))
+    which = np.repeat(np.arange(len(hit)), end - begin)
+    at = order[begin[which] + np.arange(len(which)) - np.searchsorted(which, which)]
+    both = np.isin(candidate[which] * n + points.v[at], candidate * n + hit)
+    row = np.full(len(hit), -1)
+    row[which[both]] = points.row[at[both]]
+    return row
+
+
 def _tables(
-    found: dict[str, Column], clusters: Table, view: Column, row: Column, settings: FindSettings
+    found: dict[str, Column], clusters: Table, view: Column, row: Column, points: _Points, settings: FindSettings
 ) -> dict[str, Table]:
     """Return the tables of the finder; `view` and `row` of each measurement."""
     event = clusters.events[found["event"]]
@@ -227,12 +287,11 @@ def _tables(
         "pdg": np.full(n, kind.pdg), "mass": np.full(n, kind.mass),
     }  # fmt: skip
     candidate = np.repeat(np.arange(n), np.diff(found["offsets"]))
+    of_points = np.flatnonzero(view[found["hits"]] == HIT_XV)
+    measurements = len(row)
     view, row = view[found["hits"]], row[found["hits"]]
-    # A point is one hit, whether X, V or both were found.
-    once = np.ones(len(row), np.bool_)
-    points = np.flatnonzero(view == HIT_XV)
-    _, first = np.unique(np.stack([candidate[points], row[points]]), axis=1, return_index=True)
-    once[np.delete(points, first)] = False
+    row[of_points] = _rejoined(candidate[of_points], found["hits"][of_points], points, measurements)
+    once = row >= 0
     hits = {"event": event[candidate[once]], "candidate": candidate[once], "view": view[once], "row": row[once]}
     about = clusters.cover | {"meta": {"finder": "ckf"}}
     return {

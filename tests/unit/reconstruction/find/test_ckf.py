@@ -181,6 +181,64 @@ def test_points_that_are_only_in_xv_clusters(run):
     assert (tracks["status"] == cg.FitStatus.ok).mean() > 0.9
 
 
+def points_of(clusters):
+    """The XV clusters alone, with ghosts, without links to X and V."""
+    points = clusters[clusters["view"] == 2]
+    return points.with_columns(x_cluster=np.full(len(points), -1), v_cluster=np.full(len(points), -1))
+
+
+@pytest.fixture(scope="module")
+def busy():
+    """Four tracks an event, so that most points are ghosts."""
+    return cg.run(
+        "besiii-cgem", PAIR + PAIR, n=12, until="find", finder="ckf",
+        settings=dataclasses.replace(QUIET, background=BackgroundSettings(level="bes2009")),
+    )  # fmt: skip
+
+
+def own_points(run, clusters, found):
+    """The hits of each track, clusters and points by layer, X and V; those on wires by row."""
+    hits, x, v = found["candidate_hits"], clusters["x"], clusters["v"]
+    tracks = [set() for _ in found["candidates"]["event"]]
+    for candidate, view, row in zip(hits["candidate"], hits["view"], hits["row"], strict=True):
+        if view == HIT_WIRE:
+            tracks[candidate].add((HIT_WIRE, int(row)))
+            continue
+        layer = int(clusters["layer"][row])
+        tracks[candidate] |= {(axis, layer, round(float(at[row]), 6)) for axis, at in ((HIT_X, x), (HIT_V, v))}
+    return {frozenset(one) for one in tracks}
+
+
+def test_points_with_ghosts_give_the_tracks_of_their_x_and_v(busy):
+    points = points_of(busy.clusters)
+    assert len(points) > 2 * (busy.clusters["view"] == 0).sum()
+    found = cg.find_tracks(busy.detector, points, busy.wire_hits)
+    tables = busy.tables | {"clusters": points} | dict(found)
+    rates = cg.study.finding(cg.Result(**(vars(busy) | {"tables": tables}))).rates()
+    assert len(found["candidates"]) == len(busy.candidates) == 48
+    assert (rates.fakes.count, rates.clones.count) == (0, 0)
+    # The same points the other way round, and each of them twice.
+    backward = np.lexsort((-np.arange(len(points)), points["event"]))
+    for order in (backward, np.repeat(np.arange(len(points)), 2)):
+        other = cg.find_tracks(busy.detector, points[order], busy.wire_hits)
+        assert own_points(busy, points[order], other) == own_points(busy, points, found)
+        tracks = [
+            fit(busy.detector, c, busy.wire_hits, f["candidates"], f["candidate_hits"])["tracks"]
+            for c, f in ((points, found), (points[order], other))
+        ]
+        assert np.array_equal(tracks[0]["kappa"], tracks[1]["kappa"])
+
+
+def test_clusters_given_twice_are_one(busy):
+    single = busy.clusters[busy.clusters["view"] < 2]
+    twice = np.repeat(np.arange(len(single)), 2)
+    once, doubled = (cg.find_tracks(busy.detector, c, busy.wire_hits) for c in (single, single[twice]))
+    hits = doubled["candidate_hits"]
+    row = np.where(hits["view"] == HIT_WIRE, hits["row"], hits["row"] // 2)
+    doubled["candidate_hits"] = hits.with_columns(row=row)
+    assert hits_of(doubled) == hits_of(once)
+
+
 @pytest.mark.slow
 def test_tracks_are_found_in_a_field_map():
     detector = cg.load("besiii-cgem").with_field("besiii")
