@@ -108,9 +108,9 @@ class SearchLimits(enum.IntFlag):
     failures = 64
 
 
-#: Limits behind which tracks may be left. Boxes and circles of the chamber are tried in the order of their layers, so
-#: that a search which ends with `boxes` or `failures` has seen the best ones: it ends like this in usual background.
-BEYOND = ~(SearchLimits.boxes | SearchLimits.failures)
+#: Limits behind which tracks may be left. Circles are tried in the order of their layers: `failures` is how a search
+#: ends that has found its tracks.
+BEYOND = ~SearchLimits.failures
 
 
 def find_tracks(

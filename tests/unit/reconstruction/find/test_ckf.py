@@ -302,6 +302,22 @@ def test_events_beyond_the_search_are_marked(name):
     assert "beyond the search" not in repr(run)
 
 
+def test_events_of_forty_tracks_are_beyond_the_search_and_those_of_four_are_not():
+    settings = cg.Settings(simulate=QUIET.simulate, background=BackgroundSettings(level="bes2009"))
+    wide = {"p": (0.2, 1.5), "cos_theta": (-0.93, 0.93)}
+    four = (cg.Gun("mu-", **wide) + cg.Gun("pi+", **wide)) + (cg.Gun("mu-", **wide) + cg.Gun("pi+", **wide))
+    forty = four
+    for _ in range(9):
+        forty = forty + four
+    few, many = (
+        cg.run("besiii-idc", gun, n=n, settings=settings, until="find", finder="ckf")
+        for gun, n in ((four, 20), (forty, 5))
+    )
+    assert (few.beyond_search(), many.beyond_search()) == (0, 5)
+    assert cg.study.finding(few).rates().efficiency.value == 1
+    assert cg.study.finding(many).rates().efficiency.value < 0.9
+
+
 def test_random_events_never_crash(run):
     random = np.random.default_rng(5)
     n = 400
