@@ -9,8 +9,6 @@ from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
-from scipy import special
-from scipy.optimize import least_squares
 
 from cgemit import _core
 from cgemit.analysis.quantities import QUANTITIES, quantity_of
@@ -421,6 +419,8 @@ def _sum_in_quadrature(x: Floats, y: Floats, error: Floats) -> tuple[tuple[float
     The parameters are the squares, in units of the largest that they can be: the derivatives by c and s vanish at zero,
     those by the squares do not.
     """
+    from scipy.optimize import least_squares
+
     scale = np.array([np.max(y) ** 2, np.max(y / x) ** 2])
     terms = np.stack([np.ones_like(x), x * x], axis=1) * scale
 
@@ -471,9 +471,11 @@ def chi2_probability(tracks: Table | Result) -> Floats:
     tracks : Table or Result
         Of kind "tracks", or with such a table.
     """
+    from scipy.special import gammaincc  # scipy takes half a second to import
+
     tracks = tracks_of(tracks)
     rows = (tracks["status"] == 0) & (tracks["ndf"] > 0) & np.isfinite(tracks["chi2"])
-    return np.asarray(special.gammaincc(tracks["ndf"][rows] / 2, tracks["chi2"][rows] / 2), np.float64)
+    return np.asarray(gammaincc(tracks["ndf"][rows] / 2, tracks["chi2"][rows] / 2), np.float64)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -542,6 +544,8 @@ def chi2_flatness(tracks: Table | Result, bins: int = 20) -> Flatness:
     ValueError
         If fewer than 5 tracks a bin are left.
     """
+    from scipy import special
+
     tracks = tracks_of(tracks)
     probability = np.sort(chi2_probability(tracks))
     n = len(probability)

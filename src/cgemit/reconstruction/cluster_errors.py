@@ -10,7 +10,6 @@ from importlib import resources
 
 import numpy as np
 import numpy.typing as npt
-from scipy.integrate import trapezoid
 
 from cgemit.base.errors import Problem, Problems, ProblemsError
 from cgemit.base.files import read_text
@@ -168,6 +167,8 @@ class Calibration:
 
     def mean_correlation(self, estimator: str, second_pass: bool = False) -> Floats:
         """Return the mean of `correlation` over cos(theta), (layers,) float64, for clusters of unknown tracks."""
+        from scipy.integrate import trapezoid  # scipy takes half a second to import
+
         values = self.correlation(estimator, second_pass)
         return np.asarray(trapezoid(values, COS_THETA) / (COS_THETA[-1] - COS_THETA[0]))
 
