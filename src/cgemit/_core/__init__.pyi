@@ -44,6 +44,7 @@ class FitStatus(enum.IntEnum):
     not_positive_definite = 6
     left_field = 7
     unconstrained = 8
+    hits_left_out = 9
 
 class StateStatus(enum.IntEnum):
     ok = 0

@@ -330,7 +330,8 @@ def has_cov(status: npt.NDArray[np.generic]) -> npt.NDArray[np.bool_]:
     -------
     ndarray, (n,) bool
     """
-    return np.isin(status, (FitStatus.ok, FitStatus.not_converged, FitStatus.unconstrained))
+    fitted = (FitStatus.ok, FitStatus.not_converged, FitStatus.unconstrained, FitStatus.hits_left_out)
+    return np.isin(status, fitted)
 
 
 def _track_columns(out: Out, event: Column, candidate: Column, pdg: Column) -> Columns:

@@ -115,7 +115,7 @@ TRACKS = (
     whole("ndf", "number of degrees of freedom"),
     whole("n_clusters", "number of clusters used; an XV point counts twice"),
     whole("n_wires", "number of wire hits used"),
-    whole("n_outliers", "number of hits left out as outliers"),
+    whole("n_outliers", "number of hits of the candidate left out: outliers, and hits that the track does not meet"),
     whole("iterations", "number of iterations"),
     column_of("i1", "status", "", "how the fit ended (FitStatus; 0 is good)"),
     *(real(f"err_{name}", unit, f"standard deviation of {name}") for name, unit in PARAMETERS.items()),

@@ -27,6 +27,7 @@ void bind_status(py::module_& module) {
       .value("not_positive_definite", FitStatus::not_positive_definite)
       .value("left_field", FitStatus::left_field)
       .value("unconstrained", FitStatus::unconstrained)
+      .value("hits_left_out", FitStatus::hits_left_out)
       .finalize();
   py::native_enum<StateStatus>(module, "StateStatus", "enum.IntEnum",
                                "Whether a fitted track has a state at a requested surface.")

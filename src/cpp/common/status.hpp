@@ -26,7 +26,10 @@ enum class FitStatus : std::int8_t {
   not_converged = 5,          // still moving after the last allowed iteration
   not_positive_definite = 6,  // the covariance is not a valid covariance of real parameters
   left_field = 7,             // the reference leaves the field map before the last hit
-  unconstrained = 8           // no wire hit is used, and the error of the momentum exceeds half of it
+  // no wire hit is used, and the error of the momentum exceeds half of it; or the error of d_z or tan(lambda)
+  // exceeds half of that of the filter's prior
+  unconstrained = 8,
+  hits_left_out = 9  // more hits are left out than used
 };
 
 // Whether a fitted track has a state at a requested surface.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import re
+from collections.abc import Iterator
 from typing import get_args
 
 import numpy as np
@@ -717,15 +718,19 @@ def test_budget_adds_up() -> None:
 STOPPING = cg.Gun("p", p=(0.20, 0.26), cos_theta=(-0.3, 0.3))
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", isa.available())
-def test_protons_that_stop_behind_the_cgem_are_unconstrained(name: str) -> None:
+@pytest.fixture(params=isa.available())
+def each_isa(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Use one instruction set after the other."""
     before = isa.name()
-    isa.use(name)
-    try:
-        tracks = cg.run("besiii-cgem-design", STOPPING, n=2000, seed=3, workers=1).tracks
-    finally:
-        isa.use(before)
+    isa.use(request.param)
+    yield
+    isa.use(before)
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("each_isa")
+def test_protons_that_stop_behind_the_cgem_are_unconstrained() -> None:
+    tracks = cg.run("besiii-cgem-design", STOPPING, n=2000, seed=3, workers=1).tracks
     wide = tracks["err_p"] > 0.5 * tracks["p"]
     weak = tracks["status"] == FitStatus.unconstrained
     assert np.count_nonzero(weak) > 3
@@ -739,6 +744,56 @@ def test_a_fast_muon_with_wires_is_not_called_unconstrained() -> None:
     tracks = cg.run("besiii-cgem-design", cg.Gun("mu-", p=300.0, cos_theta=0.2), n=50, seed=3).tracks
     assert (tracks["err_p"] > 0.5 * tracks["p"]).any()
     assert not (tracks["status"] == FitStatus.unconstrained).any()
+
+
+@pytest.mark.usefixtures("each_isa")
+def test_few_wires_do_not_constrain_the_direction() -> None:
+    """Of six wires one or two are stereo: where the errors along z are those of the prior, the status says so."""
+    tracks = cg.run("besiii-idc", cg.Gun("pi+", p=(0.05, 0.3), cos_theta=(-0.95, 0.95)), 2500, 11, workers=1).tracks
+    prior = FitSettings().prior_sigma
+    weak = (tracks["err_dz"] > prior[3] / 2) | (tracks["err_tanl"] > prior[4] / 2)
+    fitted = np.isin(tracks["status"], (FitStatus.ok, FitStatus.unconstrained))
+    assert np.count_nonzero(weak & fitted) > 3
+    assert np.array_equal(tracks["status"][fitted] == FitStatus.unconstrained, weak[fitted])
+
+
+@pytest.mark.usefixtures("each_isa")
+def test_clean_tracks_of_stereo_wires_keep_them() -> None:
+    """All wires are stereo: after a circle through clusters alone, five of these tracks left out up to 14 hits."""
+    exact = cg.Settings(simulate=SimulateSettings(fluctuations="gaussian", deltas=False, decays=False))
+    muons = cg.Gun("mu-", p=1.0, cos_theta=0.0)
+    tracks = cg.run("kloe2-like", muons, 700, 555, settings=exact, workers=1).tracks
+    assert (tracks["status"] == FitStatus.ok).all()
+    assert tracks["n_outliers"].max() <= 1
+
+
+@pytest.mark.usefixtures("each_isa")
+def test_a_fit_that_gives_up_hits_starts_again() -> None:
+    """The first start of event 426 ends with 21 of 66 hits: a good fit, were the other 45 not counted."""
+    tracks = cg.run("besiii-idc", cg.Gun("p", p=(0.2, 0.35), cos_theta=(-0.5, 0.5)), 430, 1, workers=1).tracks
+    again = tracks[tracks["event"] == 426]
+    assert again["status"].tolist() == [FitStatus.ok]
+    assert again["n_wires"].tolist() == [66]
+    assert again["n_outliers"].tolist() == [0]
+
+
+def used_hits(tracks: Table) -> npt.NDArray[np.int64]:
+    """Return the number of hits that each fit uses."""
+    return np.asarray(tracks["n_clusters"] + tracks["n_wires"], np.int64)
+
+
+@pytest.mark.usefixtures("each_isa")
+def test_a_track_that_gives_up_most_hits_says_so() -> None:
+    """Slow protons may stop before hits of their candidate: these count as left out, as outliers do."""
+    result = cg.run("stcf-like", cg.Gun("p", p=(0.2, 0.35), cos_theta=(-0.5, 0.5)), 1500, 1, workers=1)
+    tracks, hits = result.tracks, result.candidate_hits["candidate"]
+    held = np.bincount(hits, minlength=len(result.candidates))[tracks["candidate"]]
+    known = np.isfinite(tracks["chi2"])
+    assert np.array_equal((used_hits(tracks) + tracks["n_outliers"])[known], held[known])
+    lost = tracks["status"] == FitStatus.hits_left_out
+    assert np.count_nonzero(lost) > 3
+    settled = lost | (tracks["status"] == FitStatus.ok)
+    assert np.array_equal(lost[settled], (tracks["n_outliers"] > used_hits(tracks))[settled])
 
 
 def test_twenty_thousand_tracks_and_garbage():

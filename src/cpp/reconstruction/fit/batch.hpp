@@ -40,15 +40,20 @@ class BatchFit {
       fit_all(starts, false, kinks);
       std::erase_if(starts, [&](const Start& start) { return settled(start.track); });
     } else {
-      fit_all(seeds(SeedFrom::wires_and_clusters, good), false, kinks);
+      // A circle takes three axial layers. With fewer, the clusters alone would make it.
+      const bool axial = std::ranges::count(detector_.wires, 0.0, &WireLayer::twist) >= 3;
+      fit_all(seeds(axial ? SeedFrom::wires_and_clusters : SeedFrom::azimuths, good), false, kinks);
       // After a poor seed the clusters would mislead the sides, so the wires are fitted first, alone.
       fit_all(seeds(SeedFrom::wires, good), true, kinks);
-      fit_all(seeds(SeedFrom::azimuths, good), false, kinks);
+      fit_all(seeds(axial ? SeedFrom::azimuths : SeedFrom::wires_and_clusters, good), false, kinks);
       starts = seeds(SeedFrom::wires_and_clusters, settled);
     }
     // A fit that does not converge with kinks is repeated without.
     if (kinks) fit_all(starts, false, false);
-    for (std::size_t track = 0; track < input_.tracks(); ++track) mark_unconstrained(out_.rows[track]);
+    for (std::size_t track = 0; track < input_.tracks(); ++track) {
+      mark_left_out(out_.rows[track]);
+      mark_unconstrained(out_.rows[track]);
+    }
   }
 
  private:
@@ -94,26 +99,38 @@ class BatchFit {
     return projectile_of(input_.mass[track], kappa);
   }
 
-  // Wrong sides or a wrong turn show up as a large chi-square or as many outliers.
+  // Wrong sides or a wrong turn show up as a large chi-square or as many hits left out.
   static bool is_good(const FitRow& row) {
     const int used = row.clusters + row.wires;
     return row.status == FitStatus::ok && row.chi2 < 5 * used + 30 && 2 * row.outliers < used;
   }
-  // Particles that stop behind the first layers leave a few clusters: a helix with any momentum fits them.
-  static void mark_unconstrained(FitRow& row) {
-    if (row.status != FitStatus::ok || row.wires > 0) return;
+  // A helix through the few hits that it keeps is not the track of the candidate.
+  static void mark_left_out(FitRow& row) {
+    if (row.status == FitStatus::ok && row.outliers > row.clusters + row.wires)
+      row.status = FitStatus::hits_left_out;
+  }
+  // Particles that stop behind the first layers leave a few clusters: a helix with any momentum fits them. A
+  // few wires of one stereo angle say little of z: the errors along z are then those of the filter's prior.
+  void mark_unconstrained(FitRow& row) const {
+    if (row.status != FitStatus::ok) return;
+    constexpr double most = 0.5;
+    const auto cov = [&row](std::size_t i, std::size_t k) { return row.covariance[parameters * i + k]; };
+    const auto as_prior = [&](std::size_t i) {
+      const double sigma = most * settings_.prior_sigma[i];
+      return !(cov(i, i) < sigma * sigma);
+    };
     // ln p = ln sec(lambda) - ln |kappa|
     const double kappa = row.helix[2], tanl = row.helix[4], slope = tanl / (1 + tanl * tanl);
-    const auto cov = [&row](std::size_t i, std::size_t k) { return row.covariance[parameters * i + k]; };
     const double variance =
         cov(2, 2) / (kappa * kappa) - 2 * slope * cov(2, 4) / kappa + slope * slope * cov(4, 4);
-    constexpr double most = 0.5;
-    if (!(variance < most * most)) row.status = FitStatus::unconstrained;
+    const bool any_momentum = row.wires == 0 && !(variance < most * most);
+    if (any_momentum || as_prior(3) || as_prior(4)) row.status = FitStatus::unconstrained;
   }
-  // Each outlier counts as a hit just at the outlier cut.
+  // Each hit that is left out counts as one just at the outlier cut, or at 5 standard deviations without a
+  // cut.
   double chi2_per_hit(const FitRow& row) const {
-    const double cut = settings_.outlier_pull * settings_.outlier_pull;
-    return (row.chi2 + cut * row.outliers) / std::max(row.clusters + row.wires + row.outliers, 1);
+    const double cut = settings_.outlier_pull > 0 ? settings_.outlier_pull : 5.0;
+    return (row.chi2 + cut * cut * row.outliers) / std::max(row.clusters + row.wires + row.outliers, 1);
   }
   // Order of preference: a converged fit, one that has not converged, none.
   static int rank(FitStatus status) {

@@ -44,12 +44,13 @@ void write_state(FitRow& row, const FilteredState<T>& state, int i, FitStatus st
   write_covariance(state.c, i, row.covariance);
 }
 
+// A hit that the track does not meet is left out, too. It has no residual.
 template <class T>
 void write_hit(const FitLane& to, const Slot<T>& slot, std::size_t k) {
   const int i = static_cast<int>(k);
   const bool used = lane(slot.used, i);
   ++(!used ? to.rows->outliers : slot.view == View::wire ? to.rows->wires : to.rows->clusters);
-  if (to.hits == nullptr) return;
+  if (to.hits == nullptr || !lane(slot.met, i)) return;
   const double weight = lane(slot.weight, i);
   to.hits[slot.hit[k]] = {lane(slot.unbiased, i), std::sqrt(lane(slot.unbiased_variance, i)),
                           static_cast<std::int8_t>(weight > 0 ? 1 : (weight < 0 ? -1 : 0)),
@@ -60,9 +61,8 @@ void write_hit(const FitLane& to, const Slot<T>& slot, std::size_t k) {
 template <class T>
 void write_hits(std::span<const FitLane> lanes, const Group<T>& group, mask_of<T> who) {
   for (const Slot<T>& slot : group.slots) {
-    const mask_of<T> met = who & slot.met;
     for (std::size_t k = 0; k < lanes.size(); ++k)
-      if (lane(met, static_cast<int>(k))) write_hit(lanes[k], slot, k);
+      if (slot.hit[k] >= 0 && lane(who, static_cast<int>(k))) write_hit(lanes[k], slot, k);
   }
 }
 
