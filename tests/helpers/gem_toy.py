@@ -29,6 +29,7 @@ def design_layers(drift_gap=5.0):
         "offset_v": np.zeros(3),
         "dead_seam": np.zeros(3),
         "dead_ends": np.zeros(3),
+        "lorentz_shift": np.zeros(3),
         "phi_first": np.array([[np.pi, 0.0]] * 3),
         "sheets": sheets,
         "strips_x": strips_x,

@@ -25,6 +25,9 @@ KINDS: tuple[Kind, ...] = get_args(Kind)
 #: What the experiment's fits assume.
 FITS = {"kal": "Kalman filter with matter (MdcKalTrack)", "mdc": "first fit, without matter (MdcTrack)"}
 
+#: Which Lorentz shift the clusters of the fits have.
+CLUSTER_POSITIONS = "the positions of the file, with the Lorentz shift of the experiment's software"
+
 _HALF = 0.6827  # of a Gaussian within one standard deviation
 _LEAST_TRACKS = 4  # for a displacement
 
@@ -89,6 +92,8 @@ class Refit:
                 f"  {label:<16}{diff:>11}{width:>12}{row['pull']:>14.3f}{row['pull_width']:>12.3f}"
                 f"{row['error_ratio']:>12.3f}"
             )
+        if self.ours["n_clusters"].any():
+            lines.append(f"  clusters at {CLUSTER_POSITIONS}")
         ours, boss = (_middle((one["chi2"] / np.maximum(one["ndf"], 1))[self.good]) for one in (self.ours, self.boss))
         lines.append(f"  chi2/ndf, median: ours {ours:.3f}, BOSS {boss:.3f}")
         return "\n".join(lines)

@@ -52,7 +52,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Read, fit and compare."""
     from cgemit.analysis.bes3 import CLUSTER_ERRORS, read_events
-    from cgemit.analysis.refit import KINDS, refit
+    from cgemit.analysis.refit import CLUSTER_POSITIONS, KINDS, refit
     from cgemit.base.files import check_free
 
     if arguments.output:
@@ -64,7 +64,7 @@ def run(arguments: argparse.Namespace) -> int:
     found = {kind: refit(events, kind, settings.fit) for kind in kinds}
     about: dict[str, Any] = {
         "version": __version__, "command": arguments.line, "file": str(arguments.file), "detector": detector.name,
-        "events": len(events.run), "settings": settings.to_dict(),
+        "events": len(events.run), "settings": settings.to_dict(), "clusters": CLUSTER_POSITIONS,
     }  # fmt: skip
     for kind, one in found.items():
         about[kind] = {"tracks": len(one.ours), "fitted": int(one.good.sum()), **one.summary()}

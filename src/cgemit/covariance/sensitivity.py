@@ -264,7 +264,7 @@ def _check_number(detector: Detector, key: str, problems: Problems) -> None:
     before = len(problems)
     found = values_at(detector, key, problems)
     if len(problems) == before and not all(
-        one and (one[1].kind in NATIVE or one[1].kind == "integer") for one in found
+        one and one[0] is not None and (one[1].kind in NATIVE or one[1].kind == "integer") for one in found
     ):
         problems.note(key, "no number", "the dotted key of a number", unknown=None in found)
 

@@ -419,6 +419,7 @@ def cgem_table(layers: Sequence[CgemLayer]) -> Columns:
     )
     numbers = np.array([[getattr(layer, name) for name in names] for layer in layers], dtype=np.float64)
     columns: Columns = dict(zip(names, numbers.reshape(-1, len(names)).T.copy(), strict=True))
+    columns["lorentz_shift"] = np.array([layer.lorentz_shift or 0.0 for layer in layers], dtype=np.float64)
     for name in ("sheets", "strips_x", "strips_v"):
         columns[name] = np.array([getattr(layer, name) for layer in layers], dtype=np.int32)
     # A layer of fewer sheets than others repeats its azimuths: the core reads `sheets` of them.

@@ -198,7 +198,8 @@ def bounds(detector: Detector, key: str) -> tuple[float, float]:
     """Return the allowed range of a number; see `Detector.bounds`."""
     problems = Problems()
     now = variants.values_at(detector, key, problems) if isinstance(key, str) else []
-    numbers = [found for found in now if found and (found[1].kind in NATIVE or found[1].kind == "integer")]
+    stated = [found for found in now if found and found[0] is not None]
+    numbers = [found for found in stated if found[1].kind in NATIVE or found[1].kind == "integer"]
     if not numbers or len(numbers) < len(now) or len({number for number, _ in numbers}) > 1:
         different = ", ".join(dict.fromkeys(f"{number:g}" for number, _ in numbers))
         given = f"different values: {different}" if len(numbers) > 1 else "no number"

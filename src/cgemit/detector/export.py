@@ -213,10 +213,12 @@ def _table(part: Any) -> dict[str, Any]:
     kind: Any = type(part)
     keys = {name: key for name, key in keys_of(kind).items() if name not in PLACEMENT or getattr(part, name) != 0}
     found = {name: _value(getattr(part, name), key.kind) for name, key in keys.items()}
-    return {name: value for name, value in found.items() if value not in ({}, "", [])}
+    return {name: value for name, value in found.items() if value not in (None, {}, "", [])}
 
 
 def _value(value: Any, kind: str) -> Any:
+    if value is None:
+        return None
     if isinstance(value, Material):
         return value.name
     if isinstance(value, DensityEffect):

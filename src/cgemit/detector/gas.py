@@ -400,7 +400,8 @@ def layer_drift(layer: CgemLayer, bz: float) -> LayerDrift:
     """Return the drift in a layer.
 
     In a cylinder the azimuth grows by tan(alpha) ln(r2/r1) over a gap, with the angle at the nominal field. Electrons
-    drift outward; in a field along +z they are bent towards larger phi.
+    drift outward; in a field along +z they are bent towards larger phi. A `lorentz_shift` of the layer replaces the
+    shift from mid-gap to the anode: `shift` changes, the angle in the drift gap stays.
 
     Parameters
     ----------
@@ -428,13 +429,17 @@ def layer_drift(layer: CgemLayer, bz: float) -> LayerDrift:
     drift, transfer, induction = found
     gaps = _gaps_behind(layer, transfer, induction)
     sign = math.copysign(1.0, bz)
+    tangent = sign * drift.tan_lorentz
+    shift = sign * sum(gap.transport.tan_lorentz * math.log(gap.r_out / gap.r_in) for gap in gaps)
+    if layer.lorentz_shift is not None:
+        shift = layer.lorentz_shift / layer.r_readout - tangent * math.log(layer.r_gap_out / layer.r_mid)
     return LayerDrift(
         velocity=drift.velocity,
-        tan_lorentz=sign * drift.tan_lorentz,
+        tan_lorentz=tangent,
         sigma_x=drift.sigma_x,
         sigma_par=drift.sigma_par,
         sigma_l=drift.sigma_l,
-        shift=sign * sum(gap.transport.tan_lorentz * math.log(gap.r_out / gap.r_in) for gap in gaps),
+        shift=shift,
         delay=sum((gap.r_out - gap.r_in) / gap.transport.velocity for gap in gaps[:-1]),
         induction=layer.induction_gap / induction.velocity,
         first_phi=gaps[0].width_phi(),

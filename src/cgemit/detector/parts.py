@@ -246,6 +246,10 @@ class CgemLayer(Placed):
     induction_field: float = field(
         metadata=key("electric field", "field of the induction gap", 0.01, 20.0), default=5.0
     )
+    # None: tiger and apv25 take it from gas and fields, other read-outs have none.
+    lorentz_shift: float | None = field(
+        metadata=key("length", "shift in X of electrons from mid-gap to the anode", -50.0, 50.0), default=None
+    )
     foils: int = field(metadata=key("integer", "number of GEM foils", 1, 5), default=3)
     # Standard GEM foils: F. Sauli, Nucl. Instrum. Methods A 805 (2016) 2.
     hole_outer: float = field(metadata=key("length", "diameter of holes, in electrodes", 1e-3, 5.0), default=0.07)  # mm

@@ -204,7 +204,7 @@ def _absolute(detector: Contents, path: str, value: object, problems: list[Probl
     number, key = now
     if key.kind == "integer" and (number * factor) % 1 == 0:
         return {path: Known(round(number * factor))}
-    if key.kind in NATIVE or (key.kind == "offset" and isinstance(number, float)):
+    if (key.kind in NATIVE and number is not None) or (key.kind == "offset" and isinstance(number, float)):
         return {path: Known(number * factor)}
     if key.kind not in ("text", "material", "gas"):
         given = f"{shown(value)} times {number}" if key.kind == "integer" else shown(value)
@@ -283,7 +283,7 @@ def _digest(part: Part) -> str:
         value = getattr(part, name)
         if type(value) is float:
             values.append(f"{name}={value!r}")
-        elif name != "file" and value != ():  # a map's checksum tells more; no list, as before lists
+        elif name != "file" and value not in ((), None):  # a map's checksum tells more; as before lists and shifts
             values.append(f"{name}={_text(value)}")
     return hashlib.sha256("\n".join(values).encode()).hexdigest()
 

@@ -99,7 +99,8 @@ std::vector<CgemLayer> make_cgem(const py::dict& columns) {
   const int most = static_cast<int>(std::min<py::ssize_t>(width, most_sheets));
   const auto edges = matrix(phi_first, "phi_first", r_readout.size(), width);
   const auto placements = placements_of(columns, n);
-  const auto dead_seam = take<double>(columns, "dead_seam"), dead_ends = take<double>(columns, "dead_ends");
+  const auto dead_seam = take<double>(columns, "dead_seam"), dead_ends = take<double>(columns, "dead_ends"),
+             lorentz_shift = take<double>(columns, "lorentz_shift");
   std::vector<CgemLayer> layers(n);
   for (std::size_t i = 0; i < n; ++i) {
     if (sheets.at(i) < 1 || sheets.at(i) > most)
@@ -122,7 +123,8 @@ std::vector<CgemLayer> make_cgem(const py::dict& columns) {
                  0,
                  placements[i],
                  dead_seam.at(i),
-                 dead_ends.at(i)};
+                 dead_ends.at(i),
+                 lorentz_shift.at(i)};
     std::ranges::copy(edges.subspan(i * static_cast<std::size_t>(width), static_cast<std::size_t>(most)),
                       layers[i].phi_first.begin());
   }
@@ -165,6 +167,7 @@ void check(Problems& problems, double bz, const std::vector<Slab>& slabs, const 
     part.within("offset_v", cgem[i].offset_v, -far, far);
     part.within("dead_seam", cgem[i].dead_seam, 0, far);
     part.within("dead_ends", cgem[i].dead_ends, 0, far);
+    part.within("lorentz_shift", cgem[i].lorentz_shift, -far, far);
     part.within("strips_x", cgem[i].strips_x, 1, most_strips);
     part.within("strips_v", cgem[i].strips_v, 1, most_strips);
     for (const double phi : cgem[i].phi_first) part.within("phi_first", phi, -far, far);

@@ -109,8 +109,9 @@ struct CgemLayer {
   int gid_first;                  // running number of the layer's first strip: sheet by sheet, X then V
   double cos_stereo, sin_stereo;  // of the stereo angle
   Placement placement = {};
-  double dead_seam = 0;  // mm, width about each edge of a sheet where nothing is measured
-  double dead_ends = 0;  // mm, length at each end of the layer where nothing is measured
+  double dead_seam = 0;      // mm, width about each edge of a sheet where nothing is measured
+  double dead_ends = 0;      // mm, length at each end of the layer where nothing is measured
+  double lorentz_shift = 0;  // mm of X, from mid-gap to the anode, in read-outs without drift
 
   double r_mid() const { return 0.5 * (r_gap_in + r_gap_out); }
   double sheet_width() const { return strips_x * pitch_x; }  // mm, in X

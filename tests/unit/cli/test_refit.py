@@ -112,6 +112,7 @@ def test_command(file, run, tmp_path, capsys):
     printed = capsys.readouterr().out
     assert "MdcKalTrack): 25 tracks, 25 fitted by both, with besiii-cgem-design" in printed
     assert "chi2/ndf, median: ours" in printed
+    assert "clusters at the positions of the file, with the Lorentz shift of the experiment's software" in printed
     names = {f"{kind}.{end}" for kind in ("kal", "mdc") for end in ("csv", "png", "pdf")}
     assert {path.name for path in out.iterdir()} == names | {"summary.json", ".cgemit"}
     with (out / "kal.csv").open(encoding="ascii") as stream:
@@ -120,6 +121,7 @@ def test_command(file, run, tmp_path, capsys):
     diff = [float(row["diff_dz"]) for row in rows]
     assert diff == pytest.approx([float(row["dz"]) - float(row["boss_dz"]) for row in rows])
     numbers = json.loads((out / "summary.json").read_text())
+    assert numbers["clusters"] == "the positions of the file, with the Lorentz shift of the experiment's software"
     assert numbers["kal"]["dz"]["diff"] == pytest.approx(np.median(diff))
     assert numbers["kal"]["fitted"] == numbers["mdc"]["tracks"] == 25
     assert main([*line, "-o", str(out)]) == 2  # the folder holds results

@@ -257,6 +257,18 @@ def test_all_problems_of_all_layers_at_once() -> None:
         assert f"cgem.{text}" in str(caught.value)
 
 
+def test_a_layer_may_state_its_shift() -> None:
+    """The shift from mid-gap to the anode is that of the layer, in any field; the angle in the drift gap stays."""
+    plain = DESIGN.cgem[0]
+    for bz in (-1.0, 0.5):
+        for shift in (-2.0, 0.0, 0.7):
+            layer = DESIGN.with_overrides({"cgem.L1.lorentz_shift": f"{shift} mm"}).cgem[0]
+            assert mean_shift(layer, bz) == pytest.approx(shift, abs=1e-12)
+            mine, other = layer_drift(layer, bz), layer_drift(plain, bz)
+            assert mine._replace(shift=0.0) == other._replace(shift=0.0)
+            assert mine.shift - other.shift == pytest.approx((shift - mean_shift(plain, bz)) / plain.r_readout)
+
+
 def test_shift_is_the_integral_over_the_radius() -> None:
     """d(phi)/dr = tan(alpha)/r in each gap, straight through the foils."""
     layer = DESIGN.cgem[0]

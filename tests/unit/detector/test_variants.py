@@ -41,6 +41,20 @@ def test_relative_values_multiply_those_of_the_base(text: str, factor: float) ->
     assert [layer.drift_gap for layer in found.cgem] == [layer.drift_gap * factor for layer in DESIGN.cgem]
 
 
+def test_a_shift_that_is_not_stated_is_no_number() -> None:
+    """Relative changes, limits and sensitivities need a number; files hold the shift only where it is stated."""
+    plain, key = cg.load("besiii-cgem-design"), "cgem.L1.lorentz_shift"
+    for ask in (lambda: plain.with_overrides({key: "x1.1"}), lambda: plain.bounds(key)):
+        with pytest.raises(cg.DetectorError, match=r"lorentz_shift: got (\"x1.1\"|no number), expected"):
+            ask()
+    with pytest.raises(ValueError, match="lorentz_shift: got no number"):
+        cg.sensitivity(plain, keys=[key])
+    stated = plain.with_overrides({key: "-2 mm"})
+    assert stated.with_overrides({key: "x1.5"}).cgem[0].lorentz_shift == pytest.approx(-3.0)
+    assert stated.bounds(key) == (-50.0, 50.0)
+    assert [text.count("\nlorentz_shift = ") for text in (plain.to_toml(), stated.to_toml())] == [0, 1]
+
+
 def test_relative_values_of_whole_numbers_and_of_all_wire_layers() -> None:
     two = DESIGN.with_overrides({"cgem.*.foils": 2})
     assert [layer.foils for layer in two.with_overrides({"cgem.L2.foils": "x1.5"}).cgem] == [2, 3, 2]
@@ -244,6 +258,7 @@ CHANGES: dict[str, object] = {
     "transfer_gap": "x1.01", "induction_gap": "x1.01", "foils": 2, "gas": "MdcGas", "cathode.Epoxy1.thickness": "x1.01",
     "foil.Kapton.thickness": "x1.01", "anode.Cu3.thickness": "x1.01", "foil.Cu1.material": "Cu", "stereo": "x0.9",
     "readout_offset": "0.1 mm", "sheets": 1, "phi_first": "x0.9", "offset_v": 1.5, "shift_x": "0.1 mm",
+    "lorentz_shift": "2 mm",
 }  # fmt: skip
 OTHERS: dict[str, object] = {
     "materials.Kapton.density": "1.4 g/cm3", "drift_chamber.sigma": "x1.1", "drift_chamber.layers.20.r_end": "x1.001",

@@ -7,11 +7,13 @@ import gem_toy
 from cgemit import FitSettings, Gun, Settings, _core, run
 from cgemit.detector import load
 from cgemit.detector.core import cgem_table
+from cgemit.detector.gas import mean_shift
 from cgemit.detector.parts import strips_of_v
 from cgemit.draw.cluster import crossing
 from cgemit.reconstruction.cluster import cluster
 from cgemit.reconstruction.clusterers.binary import MAX_SIZE, cluster_errors, error_table, reference_widths
 from cgemit.reconstruction.clusterers.clusterer import ClusterSettings
+from cgemit.reconstruction.find.truth import own_clusters, residuals
 from cgemit.simulation.digitize import digitize
 from cgemit.tables import Table
 from stats import assert_within
@@ -50,6 +52,44 @@ def x_clusters(clusters):
     """First and last strip of the X clusters."""
     picked = clusters[clusters["view"] == 0]
     return list(zip(picked["first"].tolist(), picked["last"].tolist(), strict=True))
+
+
+# ----- Lorentz shift
+
+
+def residuals_of(detector, clusters, truths):
+    """Medians of X and V of each layer minus those of the crossings, (layers, 2), mm."""
+    rows = own_clusters(detector, clusters, truths)
+    off, layer, view = residuals(detector, clusters, truths, rows), clusters["layer"][rows], clusters["view"][rows]
+    return np.array([[np.median(off[(layer == i) & (view == k)]) for k in (0, 1)] for i in range(len(detector.cgem))])
+
+
+@pytest.mark.parametrize("readout", ["binary", "analog-projection", "tiger", "gaussian"])
+def test_clusters_are_moved_back_by_the_shift_of_the_layer(design, readout):
+    """Simulation and clusters agree on it; strips clustered without it lie beside their crossings by as much."""
+    shift = np.array([2.0, -1.0, 0.5])
+    moved = design.with_overrides({f"cgem.L{i + 1}.lorentz_shift": f"{one} mm" for i, one in enumerate(shift)})
+    gun, along = Gun("mu-", p=1.0, cos_theta=(-0.5, 0.5)), np.cos([layer.stereo for layer in design.cgem])
+    plain, made = (run(one, gun, 300, seed=4, readout=readout, until="cluster") for one in (design, moved))
+    right = residuals_of(moved, made.clusters, made.truths)
+    assert np.abs(right - residuals_of(design, plain.clusters, plain.truths)).max() < 0.05
+    without = cluster(design, made.digis, readout=readout)
+    own = np.array([mean_shift(layer, -1.0) for layer in design.cgem]) if readout == "tiger" else 0.0
+    expected = (np.zeros(3) if readout == "gaussian" else shift - own)[without["layer"]]
+    for view, name, factor in ((0, "x", 1.0), (1, "v", along[without["layer"]])):
+        mine = without["view"] == view
+        np.testing.assert_allclose((without[name] - made.clusters[name])[mine], (expected * factor)[mine], atol=1e-9)
+
+
+def test_strips_of_another_simulation_take_their_shift(design):
+    """Strips of drifting electrons, with binary clusters: 2.3 mm off, less than 0.1 mm with the shift."""
+    made = run(design, Gun("mu-", p=1.0, cos_theta=(-0.5, 0.5)), 300, seed=4, readout="tiger", until="digitize")
+    shifts = {f"cgem.{layer.label}.lorentz_shift": f"{mean_shift(layer, -1.0)!r} mm" for layer in design.cgem}
+    plain, moved = (
+        residuals_of(one, cluster(one, made.digis), made.truths) for one in (design, design.with_overrides(shifts))
+    )
+    assert (plain[:, 0] < -2.1).all()
+    assert np.abs(moved).max() < 0.1
 
 
 # ----- strips to clusters

@@ -160,11 +160,12 @@ class ProjectionClusterer(CalibratedClusterer):
     readout: ProjectionReadout
 
     def strip_rules(self, detector: Detector) -> dict[str, Any]:
-        """Return rules that leave time out, see `CalibratedClusterer.strip_rules`."""
+        """Return rules that leave time out, with the shift that layers state, see `CalibratedClusterer.strip_rules`."""
         layers = len(detector.cgem)
+        shift = np.array([(layer.lorentz_shift or 0.0) / layer.r_readout for layer in detector.cgem])
         return {
-            "timing": {name: np.zeros(layers) for name in ("tan_lorentz", "shift", "delay")}
-            | {"velocity": np.ones(layers)},
+            "timing": {name: np.zeros(layers) for name in ("tan_lorentz", "delay")}
+            | {"velocity": np.ones(layers), "shift": shift},
             "delay_charge": np.zeros((2 * layers, 1)),
             "delay": np.zeros((2 * layers, 1)),
             "missing": 0,

@@ -239,7 +239,9 @@ def _distances(detector: Detector, clusters: Table, truths: Table, rows: Rows) -
     # A position weighted by charge is not the middle of the strips; one of charge and time is corrected for the Lorentz
     # shift, which strips are not. Of two parts of such a cluster at the crossing, the nearer one counts.
     strips = clusters["method"][rows] == _OF_STRIPS
-    middle = np.where(strips, (first + begins[layer, view] + 0.5 * size) * pitch, position)
+    shifts = [(cgem.lorentz_shift or 0.0) * np.array([1.0, np.cos(cgem.stereo)]) for cgem in detector.cgem]
+    shift = np.reshape(shifts, (-1, 2))[layer, view]
+    middle = np.where(strips, (first + begins[layer, view] + 0.5 * size) * pitch - shift, position)
     beside = np.abs(residuals(detector, clusters, truths, rows) - (position - middle))
     return np.asarray(np.maximum(beside - 0.5 * size * pitch, np.where(strips, 0.0, _NEARER * beside)))
 

@@ -266,7 +266,7 @@ def _text(value: Any) -> str:
 
 
 def _values(key: str, base: Detector) -> list[tuple[Any, Any]]:
-    return [found for found in values_at(base, key, []) if found is not None]
+    return [found for found in values_at(base, key, []) if found is not None and found[0] is not None]
 
 
 def own_value(key: str, base: Detector, unit: str) -> float:

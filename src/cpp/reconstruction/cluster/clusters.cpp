@@ -26,11 +26,11 @@ ClusterRow make_cluster(const CgemLayer& layer, const DigiView& digis, StripRun 
                         const ErrorTable& errors, Position position) {
   ClusterRow cluster = row_of_run(layer, digis, rows);
   if (cluster.view == ClusterView::x) {
-    cluster.x = x_of_strips(layer, across(digis, rows, position));
+    cluster.x = x_of_strips(layer, across(digis, rows, position)) - layer.lorentz_shift;
     cluster.err_x = errors.of(errors.x, cluster.layer, cluster.size);
     set_azimuth(layer, cluster);
   } else {
-    cluster.v = v_of_strips(layer, across(digis, rows, position));
+    cluster.v = v_of_strips(layer, across(digis, rows, position)) - layer.lorentz_shift * layer.cos_stereo;
     cluster.err_v = errors.of(errors.v, cluster.layer, cluster.size);
   }
   return cluster;

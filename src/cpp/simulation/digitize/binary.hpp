@@ -18,10 +18,11 @@ struct BinaryReadout {
 
 // One row per fired strip, ordered by event, layer, sheet, view, strip.
 //
-// No Lorentz angle, no diffusion, no drift time. X and V view collect half of the charge each. Every step of
-// a delta electron shares its charge equally among the strips of a view that its own projection touches. The
-// rest of the truth's energy belongs to the particle and is shared by the strips between entry and exit.
-// Steps of the particle itself have no effect. `gains` act where the truth crosses the middle of the gap.
+// No Lorentz angle but the layer's own shift, no diffusion, no drift time. X and V view collect half of the
+// charge each. Every step of a delta electron shares its charge equally among the strips of a view that its
+// own projection touches. The rest of the truth's energy belongs to the particle and is shared by the strips
+// between entry and exit. Steps of the particle itself have no effect. `gains` act where the truth crosses
+// the middle of the gap.
 DigiColumns read_out_strips(const Detector& detector, const TruthColumns& truths, const StepColumns& steps,
                             const BinaryReadout& readout, const GainMaps& gains = {});
 

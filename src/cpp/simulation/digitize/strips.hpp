@@ -57,12 +57,13 @@ inline void clip(const CgemLayer& layer, int sheet, double x, double z, double d
                                                        inside_z(t1)};
 }
 
-// Projects entry and exit point to the read-out at unchanged phi and z and unrolls the straight line between
-// them, along the shorter direction in phi. Gives pieces on every sheet that it touches (two at a seam or a
-// sheet's edge).
+// Projects entry and exit point to the read-out, by the layer's Lorentz shift in X and at unchanged z, and
+// unrolls the straight line between them, along the shorter direction in phi. Gives pieces on every sheet
+// that it touches (two at a seam or a sheet's edge).
 inline Pieces unroll(const CgemLayer& layer, const Point& entry, const Point& exit) {
-  const double phi = std::atan2(entry.y, entry.x);
-  const double dx = layer.r_readout * wrap_angle(std::atan2(exit.y, exit.x) - phi);
+  const double from = std::atan2(entry.y, entry.x);
+  const double dx = layer.r_readout * wrap_angle(std::atan2(exit.y, exit.x) - from);
+  const double phi = from + layer.lorentz_shift / layer.r_readout;
   const double dz = exit.z - entry.z;
   const double turn = 2 * pi * layer.r_readout;
   Pieces pieces;
